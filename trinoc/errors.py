@@ -1,0 +1,30 @@
+"""Everything trinoc raises on purpose.
+
+TrinocError
+├── InputError           what the caller handed in cannot be used (file, array, name, layout)
+├── DetectionError       no answer about the sheet in a picture can be trusted
+├── CalibrationError     the observations do not determine the cameras, or the fit failed
+└── MatchError           the segments or the rig do not allow matching
+
+Each message is one sentence that says what is wrong, where, and what to do next.
+"""
+
+
+class TrinocError(Exception):
+    """Base of every error that trinoc raises on purpose."""
+
+
+class InputError(TrinocError, ValueError):
+    """What the caller handed in cannot be used."""
+
+
+class DetectionError(TrinocError):
+    """The sheet was not found in a picture, or was found in a way that cannot be trusted."""
+
+
+class CalibrationError(TrinocError):
+    """The observations do not determine the cameras, or the fit failed."""
+
+
+class MatchError(TrinocError):
+    """The segments or the rig do not allow matching."""

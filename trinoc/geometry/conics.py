@@ -1,0 +1,80 @@
+"""Circles of the sheet and the ellipses that a camera makes of them.
+
+A dual conic C* holds the lines tangent to a conic: l^T C* l = 0. Under a homography H it
+becomes H C* H^T (Hartley and Zisserman, result 2.14), and its product with the line at
+infinity is the conic's centre, so that neither needs an inverse.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from trinoc.geometry.arrays import ArrayLike
+from trinoc.geometry.camera import Camera, pixel_from_sheet_homography
+
+# Points taken on an ellipse to average the lens distortion along it.
+_BOUNDARY_ANGLES_RAD = np.arange(16) * (2 * np.pi / 16)
+
+
+def dual_conic_of_circle(
+    centre: Float[ArrayLike, "2"], radius: Float[ArrayLike, ""]
+) -> Float[ArrayLike, "3 3"]:
+    """C* = c c^T - r^2 diag(1, 1, 0), with c = (centre, 1)."""
+    homogeneous = jnp.append(centre, 1.0)
+    return jnp.outer(homogeneous, homogeneous) - radius**2 * jnp.diag(jnp.array([1.0, 1.0, 0.0]))
+
+
+def transform_dual_conic(
+    homography: Float[ArrayLike, "3 3"], dual_conic: Float[ArrayLike, "3 3"]
+) -> Float[ArrayLike, "3 3"]:
+    """Dual conic after a homography, H C* H^T."""
+    return homography @ dual_conic @ homography.T
+
+
+def centre_of_dual_conic(dual_conic: Float[ArrayLike, "3 3"]) -> Float[ArrayLike, "2"]:
+    """Centre of a conic: the pole of the line at infinity, C* (0, 0, 1)^T."""
+    return dual_conic[:2, 2] / dual_conic[2, 2]
+
+
+def shape_of_dual_conic(dual_conic: Float[ArrayLike, "3 3"]) -> Float[ArrayLike, "2 2"]:
+    """S of the ellipse (x - c)^T S^-1 (x - c) = 1; its eigenvalues are the squared semi-axes."""
+    centre = centre_of_dual_conic(dual_conic)
+    return jnp.outer(centre, centre) - dual_conic[:2, :2] / dual_conic[2, 2]
+
+
+def image_of_circle(
+    camera: Camera, centre_sheet_mm: Float[ArrayLike, "2"], radius_mm: Float[ArrayLike, ""]
+) -> Float[ArrayLike, "3 3"]:
+    """Dual conic, in undistorted pixels, of a circle on the sheet Z = 0."""
+    circle = dual_conic_of_circle(centre_sheet_mm, radius_mm)
+    return transform_dual_conic(pixel_from_sheet_homography(camera), circle)
+
+
+def image_of_circle_centre(
+    camera: Camera, centre_sheet_mm: Float[ArrayLike, "2"], radius_mm: Float[ArrayLike, ""]
+) -> Float[ArrayLike, "2"]:
+    """Centre, in pixels of the picture, of the ellipse that images a circle of the sheet.
+
+    This is not the image of the circle's centre: perspective moves it toward the camera's
+    far side, by 0.09 px for the reference rig. With lens distortion the curve is no ellipse;
+    the centre of the ellipse that best fits it is the mean of the distorted boundary.
+    """
+    dual_conic = image_of_circle(camera, centre_sheet_mm, radius_mm)
+    centre = centre_of_dual_conic(dual_conic)
+    if camera.intrinsics.distortion_model == "none":
+        return centre
+    boundary = boundary_of_dual_conic(dual_conic, _BOUNDARY_ANGLES_RAD)
+    return jnp.mean(jax.vmap(camera.intrinsics.distort_pixel)(boundary), axis=0)
+
+
+def boundary_of_dual_conic(
+    dual_conic: Float[ArrayLike, "3 3"], angles_rad: Float[ArrayLike, "n"]
+) -> Float[ArrayLike, "n 2"]:
+    """Points of an ellipse at equally named angles of the circle it is an affine image of."""
+    centre, shape = centre_of_dual_conic(dual_conic), shape_of_dual_conic(dual_conic)
+    first = jnp.sqrt(shape[0, 0])
+    slope = shape[0, 1] / first
+    second = jnp.sqrt(shape[1, 1] - slope**2)
+    cos, sin = jnp.cos(angles_rad), jnp.sin(angles_rad)
+    return centre + jnp.stack([first * cos, slope * cos + second * sin], axis=-1)

@@ -1,0 +1,49 @@
+"""Brown-Conrady lens distortion on normalised image coordinates.
+
+Coefficients are (k1, k2, p1, p2, k3), in OpenCV's order. Source: D. C. Brown, "Close-range
+camera calibration", Photogrammetric Engineering 37(8), 1971.
+"""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Float
+
+from trinoc.geometry.arrays import ArrayLike
+
+NEWTON_STEPS = 8
+
+
+def distort(
+    ideal: Float[ArrayLike, "2"], coefficients: Float[ArrayLike, "5"]
+) -> Float[ArrayLike, "2"]:
+    """Normalised coordinates (x/z, y/z) of an ideal pinhole to those that the lens produces."""
+    x, y = ideal[0], ideal[1]
+    k1, k2, p1, p2, k3 = (coefficients[i] for i in range(5))
+    r2 = x * x + y * y
+    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    return jnp.stack(
+        [
+            x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
+            y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
+        ]
+    )
+
+
+def undistort(
+    distorted: Float[ArrayLike, "2"], coefficients: Float[ArrayLike, "5"]
+) -> Float[ArrayLike, "2"]:
+    """Inverse of `distort` by Newton's method.
+
+    Converges to rounding error wherever the lens maps one to one between the optical axis
+    and the point; beyond the radius where distortion folds back the result is meaningless.
+    """
+    jacobian_of = jax.jacfwd(distort)
+
+    def step(_: int, ideal: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
+        residual = distort(ideal, coefficients) - distorted
+        (a, b), (c, d) = jacobian_of(ideal, coefficients)
+        return ideal - jnp.stack([d * residual[0] - b * residual[1], a * residual[1] - c * residual[0]]) / (
+            a * d - b * c
+        )
+
+    return jax.lax.fori_loop(0, NEWTON_STEPS, step, jnp.asarray(distorted))

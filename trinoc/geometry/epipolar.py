@@ -1,0 +1,82 @@
+"""Two views: the fundamental matrix, epipoles, and the pencil of epipolar planes.
+
+Points are undistorted pixels. Source: Hartley and Zisserman, chapter 9.
+"""
+
+import jax.numpy as jnp
+from jaxtyping import Float
+
+from trinoc.geometry.arrays import ArrayLike
+from trinoc.geometry.rotation import skew
+
+
+def centre_of_matrix(matrix_px: Float[ArrayLike, "3 4"]) -> Float[ArrayLike, "3"]:
+    """Centre of projection: P (C, 1) = 0, by Cramer's rule."""
+    a, b, c, d = (matrix_px[:, i] for i in range(4))
+    volume = a @ jnp.cross(b, c)
+    return -jnp.stack([d @ jnp.cross(b, c), a @ jnp.cross(d, c), a @ jnp.cross(b, d)]) / volume
+
+
+def inverse_3x3(matrix: Float[ArrayLike, "3 3"]) -> Float[ArrayLike, "3 3"]:
+    """Inverse by cofactors, which fuses under `vmap` where LAPACK does not."""
+    a, b, c = matrix[0], matrix[1], matrix[2]
+    cofactors = jnp.stack([jnp.cross(b, c), jnp.cross(c, a), jnp.cross(a, b)], axis=1)
+    return cofactors / (a @ cofactors[:, 0])
+
+
+def epipole(
+    matrix_b_px: Float[ArrayLike, "3 4"], matrix_a_px: Float[ArrayLike, "3 4"]
+) -> Float[ArrayLike, "3"]:
+    """Homogeneous image, in view b, of the centre of view a."""
+    return matrix_b_px @ jnp.append(centre_of_matrix(matrix_a_px), 1.0)
+
+
+def fundamental_matrix(
+    matrix_b_px: Float[ArrayLike, "3 4"], matrix_a_px: Float[ArrayLike, "3 4"]
+) -> Float[ArrayLike, "3 3"]:
+    """F_ba with x_b^T F_ba x_a = 0: [e_b]x M_b M_a^-1, not scaled."""
+    transfer = matrix_b_px[:, :3] @ inverse_3x3(matrix_a_px[:, :3])
+    return skew(epipole(matrix_b_px, matrix_a_px)) @ transfer
+
+
+def epipolar_line(
+    fundamental_ba: Float[ArrayLike, "3 3"], uv_a_px: Float[ArrayLike, "2"]
+) -> Float[ArrayLike, "3"]:
+    """The line of view b on which the match of a point of view a lies, with unit normal."""
+    line = fundamental_ba @ jnp.append(uv_a_px, 1.0)
+    return line / jnp.hypot(line[0], line[1])
+
+
+def epipolar_distance_px(
+    fundamental_ba: Float[ArrayLike, "3 3"],
+    uv_b_px: Float[ArrayLike, "2"],
+    uv_a_px: Float[ArrayLike, "2"],
+) -> Float[ArrayLike, ""]:
+    """Signed distance, in view b, of a point from the epipolar line of its partner in view a."""
+    return epipolar_line(fundamental_ba, uv_a_px) @ jnp.append(uv_b_px, 1.0)
+
+
+def epipolar_plane_angle(
+    matrix_px: Float[ArrayLike, "3 4"],
+    other_centre_mm: Float[ArrayLike, "3"],
+    zero_direction: Float[ArrayLike, "3"],
+    uv_px: Float[ArrayLike, "2"],
+) -> Float[ArrayLike, ""]:
+    """Angle in rad of a point's epipolar plane about the baseline, in (-pi/2, pi/2].
+
+    The pencil of planes through the two centres is a one-parameter family, so that partners
+    in two views have one angle; the plane of `zero_direction` (world frame, not along the
+    baseline) has angle 0. Views a and b must be given the same `zero_direction`, and each
+    the centre of the other; the baseline's sign is taken so that both agree.
+    """
+    centre = centre_of_matrix(matrix_px)
+    ray = inverse_3x3(matrix_px[:, :3]) @ jnp.append(uv_px, 1.0)
+    baseline = other_centre_mm - centre
+    baseline = baseline / jnp.sqrt(baseline @ baseline)
+    first = zero_direction - (zero_direction @ baseline) * baseline
+    first = first / jnp.sqrt(first @ first)
+    second = jnp.cross(baseline, first)
+    # A plane has no front: reduce the ray's angle by pi, and mirror with the baseline.
+    mirror = jnp.sign(baseline @ jnp.sign(jnp.where(jnp.abs(baseline) == jnp.max(jnp.abs(baseline)), baseline, 0.0)))
+    tangent = (ray @ second) / (ray @ first)
+    return mirror * jnp.arctan(tangent)

@@ -1,0 +1,68 @@
+"""Lines of a picture and lines in space.
+
+A picture line is l = (a, b, c) with a u + b v + c = 0, scaled to a^2 + b^2 = 1 where a
+distance is meant. Distances are in pixels, points in undistorted pixels.
+"""
+
+import jax.numpy as jnp
+from jaxtyping import Float
+
+from trinoc.geometry.arrays import ArrayLike
+
+
+def line_through(
+    first: Float[ArrayLike, "2"], second: Float[ArrayLike, "2"]
+) -> Float[ArrayLike, "3"]:
+    """Line through two points, with unit normal; positive distance is to the right of the
+    direction from first to second as seen on the picture (v down)."""
+    direction = second - first
+    direction = direction / jnp.sqrt(direction @ direction)
+    normal = jnp.stack([-direction[1], direction[0]])
+    return jnp.append(normal, -(normal @ first))
+
+
+def normalised_line(line: Float[ArrayLike, "3"]) -> Float[ArrayLike, "3"]:
+    """The same line, scaled to a unit normal."""
+    return line / jnp.hypot(line[0], line[1])
+
+
+def signed_distance(line: Float[ArrayLike, "3"], point: Float[ArrayLike, "2"]) -> Float[ArrayLike, ""]:
+    """Distance of a point from a line with unit normal, signed by the side."""
+    return line[:2] @ point + line[2]
+
+
+def intersection(first: Float[ArrayLike, "3"], second: Float[ArrayLike, "3"]) -> Float[ArrayLike, "2"]:
+    """The point on both lines; infinite or NaN where they are parallel."""
+    point = jnp.cross(first, second)
+    return point[:2] / point[2]
+
+
+def plane_of_line(
+    matrix_px: Float[ArrayLike, "3 4"], line: Float[ArrayLike, "3"]
+) -> Float[ArrayLike, "4"]:
+    """Plane through the camera's centre and a picture line, P^T l (Hartley and Zisserman, 8.2)."""
+    return matrix_px.T @ line
+
+
+def line_of_planes(
+    first: Float[ArrayLike, "4"], second: Float[ArrayLike, "4"]
+) -> tuple[Float[ArrayLike, "3"], Float[ArrayLike, "3"]]:
+    """(point, unit direction) of the line in which two planes meet.
+
+    The point is the one nearest the origin. NaN for parallel planes.
+    """
+    direction = jnp.cross(first[:3], second[:3])
+    squared = direction @ direction
+    point = jnp.cross(direction, second[3] * first[:3] - first[3] * second[:3]) / squared
+    return -point, direction / jnp.sqrt(squared)
+
+
+def nearest_on_line(
+    point: Float[ArrayLike, "3"],
+    direction: Float[ArrayLike, "3"],
+    ray_origin: Float[ArrayLike, "3"],
+    ray_direction: Float[ArrayLike, "3"],
+) -> Float[ArrayLike, ""]:
+    """Position t along `point + t direction` that is nearest to a ray (any lengths)."""
+    normal = jnp.cross(ray_direction, jnp.cross(direction, ray_direction))
+    return normal @ (ray_origin - point) / (normal @ direction)

@@ -1,0 +1,96 @@
+"""Several cameras in one world frame, with what is known of their errors."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Self
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from trinoc.errors import InputError
+from trinoc.geometry.arrays import ArrayLike
+from trinoc.geometry.camera import Camera
+
+PARAMETER_NAMES = ("pan_deg", "tilt_deg", "swing_deg", "distance_mm", "aim_x_mm", "aim_y_mm")
+
+
+class Rig(eqx.Module):
+    """Named cameras, in the order the user gave them.
+
+    Fields
+    ------
+    names : name of each camera.
+    cameras : the cameras, in the order of `names`.
+    parameters : names ("upper.pan_deg", ...) of the rows of `covariance`; empty if unknown.
+    covariance : (p, p) of `parameters`, in degrees and mm; (0, 0) if unknown.
+    """
+
+    names: tuple[str, ...] = eqx.field(static=True)
+    cameras: tuple[Camera, ...]
+    parameters: tuple[str, ...] = eqx.field(static=True)
+    covariance: Float[ArrayLike, "p p"]
+
+    def __init__(
+        self,
+        cameras: Mapping[str, Camera],
+        *,
+        parameters: Sequence[str] = (),
+        covariance: Float[ArrayLike, "p p"] | None = None,
+    ) -> None:
+        self.names = tuple(cameras)
+        self.cameras = tuple(cameras.values())
+        self.parameters = tuple(parameters)
+        self.covariance = np.zeros((0, 0)) if covariance is None else covariance
+
+    def __check_init__(self) -> None:
+        if not self.names:
+            raise InputError("A rig needs at least one camera.")
+        if self.covariance.shape != (len(self.parameters),) * 2:
+            raise InputError(
+                f"The covariance is {self.covariance.shape}, but {len(self.parameters)} "
+                "parameters are named: give one row and one column for each."
+            )
+
+    @classmethod
+    def from_matrices(
+        cls, matrices_px: Mapping[str, ArrayLike], image_size_px: Sequence[int] | Mapping[str, Sequence[int]]
+    ) -> Self:
+        """A rig from any 3x4 projection matrices, in any unit and origin of the world.
+
+        `image_size_px` is one (width, height), or one per camera. Raises InputError.
+        """
+        cameras = {}
+        for name, matrix in matrices_px.items():
+            size = image_size_px[name] if isinstance(image_size_px, Mapping) else image_size_px
+            try:
+                cameras[name] = Camera.from_matrix(np.asarray(matrix), (int(size[0]), int(size[1])))
+            except InputError as error:
+                raise InputError(f'Camera "{name}": {error}') from error
+        return cls(cameras)
+
+    def __getitem__(self, name: str) -> Camera:
+        if name not in self.names:
+            raise InputError(f'There is no camera "{name}"; this rig has {", ".join(self.names)}.')
+        return self.cameras[self.names.index(name)]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.names)
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def items(self) -> Iterator[tuple[str, Camera]]:
+        """(name, camera) in order."""
+        return iter(zip(self.names, self.cameras, strict=True))
+
+    @property
+    def matrices_px(self) -> np.ndarray:
+        """(v, 3, 4) projection matrices in the order of `names`, without lens distortion."""
+        return np.stack([camera.matrix_px for camera in self.cameras])
+
+    def sigma(self, parameter: str) -> float:
+        """Standard deviation of a parameter such as "upper.pan_deg"; NaN if not known."""
+        if parameter not in self.parameters:
+            return float("nan")
+        index = self.parameters.index(parameter)
+        return float(np.sqrt(self.covariance[index, index]))

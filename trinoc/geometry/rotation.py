@@ -1,0 +1,68 @@
+"""Rotations: the exponential map, and the pan-tilt-swing parametrisation of a camera."""
+
+import jax.numpy as jnp
+from jaxtyping import Float
+
+from trinoc.geometry.arrays import ArrayLike
+
+
+def skew(vector: Float[ArrayLike, "3"]) -> Float[ArrayLike, "3 3"]:
+    """[v]x, the matrix with [v]x w = v x w."""
+    x, y, z = vector[0], vector[1], vector[2]
+    zero = jnp.zeros_like(x)
+    return jnp.stack([jnp.stack([zero, -z, y]), jnp.stack([z, zero, -x]), jnp.stack([-y, x, zero])])
+
+
+def rotation_from_vector(vector_rad: Float[ArrayLike, "3"]) -> Float[ArrayLike, "3 3"]:
+    """Rodrigues' formula: the rotation about `vector_rad` by its length.
+
+    Smooth at zero: below 1e-4 rad the coefficients come from their Taylor series.
+    """
+    squared = jnp.sum(jnp.square(vector_rad))
+    small = squared < 1e-8
+    angle = jnp.sqrt(jnp.where(small, 1.0, squared))
+    first = jnp.where(small, 1 - squared / 6, jnp.sin(angle) / angle)
+    second = jnp.where(small, 0.5 - squared / 24, (1 - jnp.cos(angle)) / (angle * angle))
+    cross = skew(vector_rad)
+    return jnp.eye(3) + first * cross + second * cross @ cross
+
+
+def rotation_from_pan_tilt_swing(
+    pan_rad: Float[ArrayLike, ""], tilt_rad: Float[ArrayLike, ""], swing_rad: Float[ArrayLike, ""]
+) -> Float[ArrayLike, "3 3"]:
+    """cam_from_world rotation whose rows are the camera's x (right), y (down), z (forward).
+
+    Pan is the azimuth of the camera from -Y toward +X, tilt its elevation above Z = 0, and
+    swing turns the picture's x toward its y.
+    """
+    sin_p, cos_p = jnp.sin(pan_rad), jnp.cos(pan_rad)
+    sin_t, cos_t = jnp.sin(tilt_rad), jnp.cos(tilt_rad)
+    sin_s, cos_s = jnp.sin(swing_rad), jnp.cos(swing_rad)
+    right, down, forward = _level_axes(sin_p, cos_p, sin_t, cos_t)
+    return jnp.stack([cos_s * right + sin_s * down, -sin_s * right + cos_s * down, forward])
+
+
+def pan_tilt_swing_from_rotation(
+    rotation: Float[ArrayLike, "3 3"],
+) -> tuple[Float[ArrayLike, ""], Float[ArrayLike, ""], Float[ArrayLike, ""]]:
+    """Inverse of `rotation_from_pan_tilt_swing`, in radians.
+
+    At a tilt of +-90 degrees pan and swing are one angle; pan is then whatever rounding says.
+    """
+    x, forward = rotation[0], rotation[2]
+    pan = jnp.arctan2(-forward[0], forward[1])
+    tilt = jnp.arctan2(-forward[2], jnp.hypot(forward[0], forward[1]))
+    right, down, _ = _level_axes(jnp.sin(pan), jnp.cos(pan), jnp.sin(tilt), jnp.cos(tilt))
+    return pan, tilt, jnp.arctan2(x @ down, x @ right)
+
+
+def _level_axes(
+    sin_p: Float[ArrayLike, ""],
+    cos_p: Float[ArrayLike, ""],
+    sin_t: Float[ArrayLike, ""],
+    cos_t: Float[ArrayLike, ""],
+) -> tuple[Float[ArrayLike, "3"], Float[ArrayLike, "3"], Float[ArrayLike, "3"]]:
+    """Right, down and forward of a camera without swing, in the world frame."""
+    forward = jnp.stack([-cos_t * sin_p, cos_t * cos_p, -sin_t])
+    right = jnp.stack([cos_p, sin_p, jnp.zeros_like(sin_p)])
+    return right, jnp.cross(forward, right), forward

@@ -1,0 +1,42 @@
+"""The matcher's answer: tracks of segments over the views, and their lines in space."""
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float, Int, Shaped
+
+TRINOCULAR, BINOCULAR = "trinocular", "binocular"
+
+
+class Matches(eqx.Module):
+    """Tracks: each joins one segment of every view that sees it, and holds the 3-D segment.
+
+    Fields
+    ------
+    views : names of the views, the order of axis v.
+    index : (t, v) segment of each view on each track, -1 where not seen. One segment may
+        serve several tracks, with different fragments.
+    fragments_px : (t, v, 2, 2) the common parts, corresponding end to corresponding end, in
+        pixels of the picture; NaN where not seen.
+    lines_mm : (t, 2, 3) ends in the world frame.
+    covariance_mm2 : (t, 6, 6) of the ends.
+    stage : (t,) "trinocular" (seen in three or more views) or "binocular" (in two).
+    posterior : (t,) probability that the match is right.
+    runner_up : (t,) posterior of the best track that this one excluded; 0 where none.
+    reasons : for each view, (n,) words that say why a segment is on no track, "matched"
+        where it is on one.
+    counts : what each step of the matching produced and rejected, by name.
+    """
+
+    views: tuple[str, ...] = eqx.field(static=True)
+    index: Int[np.ndarray, "t v"]
+    fragments_px: Float[np.ndarray, "t v 2 2"]
+    lines_mm: Float[np.ndarray, "t 2 3"]
+    covariance_mm2: Float[np.ndarray, "t 6 6"]
+    stage: Shaped[np.ndarray, "t"]
+    posterior: Float[np.ndarray, "t"]
+    runner_up: Float[np.ndarray, "t"]
+    reasons: dict[str, Shaped[np.ndarray, "_"]]
+    counts: dict[str, int]
+
+    def __len__(self) -> int:
+        return len(self.index)
