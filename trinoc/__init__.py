@@ -1,1 +1,73 @@
+"""Calibrate fixed cameras from one picture each, and match line segments across them.
 
+The names below are imported when they are first used, so that `import trinoc` is quick.
+"""
+
+import importlib
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from trinoc import errors
+    from trinoc.calib.calibrate import calibrate
+    from trinoc.calib.pattern import Pattern
+    from trinoc.geometry.camera import Camera
+    from trinoc.geometry.intrinsics import Intrinsics
+    from trinoc.geometry.rig import Rig
+    from trinoc.geometry.segments import Segments
+    from trinoc.io.matches_npz import load_matches
+    from trinoc.io.pattern_json import load_pattern
+    from trinoc.io.rig_json import load_rig
+    from trinoc.io.save import save
+    from trinoc.io.segments_npz import load_segments
+    from trinoc.match.find_segments import find_segments
+    from trinoc.match.match_segments import match_segments
+    from trinoc.match.matches import Matches
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "Camera",
+    "Intrinsics",
+    "Matches",
+    "Pattern",
+    "Rig",
+    "Segments",
+    "calibrate",
+    "errors",
+    "find_segments",
+    "load_matches",
+    "load_pattern",
+    "load_rig",
+    "load_segments",
+    "match_segments",
+    "save",
+]
+
+_MODULE_OF = {
+    "Camera": "trinoc.geometry.camera",
+    "Intrinsics": "trinoc.geometry.intrinsics",
+    "Matches": "trinoc.match.matches",
+    "Pattern": "trinoc.calib.pattern",
+    "Rig": "trinoc.geometry.rig",
+    "Segments": "trinoc.geometry.segments",
+    "calibrate": "trinoc.calib.calibrate",
+    "find_segments": "trinoc.match.find_segments",
+    "load_matches": "trinoc.io.matches_npz",
+    "load_pattern": "trinoc.io.pattern_json",
+    "load_rig": "trinoc.io.rig_json",
+    "load_segments": "trinoc.io.segments_npz",
+    "match_segments": "trinoc.match.match_segments",
+    "save": "trinoc.io.save",
+}
+
+
+def __getattr__(name: str) -> object:
+    if name == "errors":
+        return importlib.import_module("trinoc.errors")
+    if name not in _MODULE_OF:
+        raise AttributeError(f"module 'trinoc' has no attribute {name!r}")
+    return getattr(importlib.import_module(_MODULE_OF[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])

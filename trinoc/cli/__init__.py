@@ -1,1 +1,1 @@
-
+"""The `trinoc` command."""

@@ -1,1 +1,1 @@
-
+"""Cameras, rigs, conics, epipolar geometry, lines: pure functions of one item, vmap outside."""

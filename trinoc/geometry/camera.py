@@ -1,7 +1,5 @@
 """One camera: intrinsics and a pose; its projection, and the way back."""
 
-from typing import Self
-
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -21,7 +19,7 @@ class Camera(eqx.Module):
     pose: Pose
 
     @classmethod
-    def from_pan_tilt(cls, intrinsics: Intrinsics, parameters: PanTiltPose) -> Self:
+    def from_pan_tilt(cls, intrinsics: Intrinsics, parameters: PanTiltPose) -> "Camera":
         """A camera from the method's parameters, in radians and millimetres."""
         return cls(intrinsics, parameters.pose)
 
@@ -36,41 +34,36 @@ class Camera(eqx.Module):
         swing_deg: float,
         distance_mm: float,
         aim_mm: tuple[float, float] = (0.0, 0.0),
-    ) -> Self:
+    ) -> "Camera":
         """A camera from the method's parameters as people write them."""
         pan, tilt, swing = np.radians(np.array([pan_deg, tilt_deg, swing_deg], dtype=np.float64))
         vector = np.array([pan, tilt, swing, distance_mm, *aim_mm], dtype=np.float64)
         return cls(intrinsics, PanTiltPose.from_vector(vector).pose)
 
     @classmethod
-    def from_matrix(
-        cls, projection_px: Float[ArrayLike, "3 4"], image_size_px: tuple[int, int]
-    ) -> Self:
-        """A camera from any 3x4 projection matrix, by RQ decomposition (Hartley and Zisserman, 6.2.4).
+    def from_matrix(cls, projection_px: ArrayLike, image_size_px: tuple[int, int]) -> "Camera":
+        """A camera from any (3, 4) projection matrix, of any scale and sign.
 
-        The unit and origin of the world are the matrix's own. Raises InputError for a matrix
-        of a camera at infinity or with entries that are not finite.
+        The unit and origin of the world are the matrix's own. Raises InputError for another
+        shape, entries that are not finite, or a camera without a finite centre. Source:
+        Hartley and Zisserman, section 6.2.4.
         """
         matrix = np.asarray(projection_px, dtype=np.float64)
         if matrix.shape != (3, 4) or not np.isfinite(matrix).all():
             raise InputError(
-                f"A projection matrix must be 3x4 and finite, but has shape {matrix.shape}"
-                f"{'' if matrix.shape != (3, 4) else ' and entries that are not finite'}."
+                f"A projection matrix must be 3x4 with finite entries, but this one has shape "
+                f"{matrix.shape} and {np.count_nonzero(~np.isfinite(matrix))} others."
             )
-        left = matrix[:, :3] / np.linalg.norm(matrix[2, :3])
-        if not abs(np.linalg.det(left)) > 1e-12 * np.linalg.norm(left) ** 3:
+        determinant = np.linalg.det(matrix[:, :3])
+        if not abs(determinant) > 1e-12 * np.linalg.norm(matrix[:, :3]) ** 3:
             raise InputError(
                 "The projection matrix has no finite centre (its left 3x3 part is singular): "
                 "give the matrix of a perspective camera."
             )
-        sign = np.sign(np.linalg.det(left))
-        flip = np.eye(3)[::-1]
-        orthogonal, upper = np.linalg.qr((flip @ (sign * left)).T)
-        calibration, rotation = flip @ upper.T @ flip, flip @ orthogonal.T
-        signs = np.diag(np.sign(np.diag(calibration)))
-        calibration, rotation = calibration @ signs, signs @ rotation
-        scale = sign / (np.linalg.norm(matrix[2, :3]) * calibration[2, 2])
-        translation = np.linalg.solve(calibration / calibration[2, 2], scale * matrix[:, 3])
+        # With a positive determinant, K with a positive diagonal leaves a proper rotation.
+        matrix = np.sign(determinant) * matrix
+        calibration, rotation = _rq_decomposition(matrix[:, :3])
+        translation = np.linalg.solve(calibration, matrix[:, 3])
         return cls(
             Intrinsics.from_matrix(calibration, image_size_px),
             Pose(np.concatenate([rotation, translation[:, None]], axis=1)),
@@ -90,13 +83,13 @@ class Camera(eqx.Module):
     @in_float64
     def matrix_px(self) -> np.ndarray:
         """(3, 4) projection matrix K [R | t]; lens distortion, if any, comes after it."""
-        return self.intrinsics.matrix @ self.cam_from_world  # pyright: ignore[reportReturnType]
+        return np.asarray(self.intrinsics.matrix @ self.cam_from_world)
 
     @property
     @in_float64
     def centre_world_mm(self) -> np.ndarray:
         """(3,) centre of projection in the world frame."""
-        return self.pose.centre_world_mm  # pyright: ignore[reportReturnType]
+        return np.asarray(self.pose.centre_world_mm)
 
     @property
     def pan_deg(self) -> float:
@@ -165,3 +158,12 @@ def sheet_from_pixel(camera: Camera, uv_px: Float[ArrayLike, "2"]) -> Float[Arra
 def pixel_from_sheet_homography(camera: Camera) -> Float[ArrayLike, "3 3"]:
     """Homography of the sheet Z = 0 to undistorted pixels: columns 1, 2 and 4 of K [R | t]."""
     return projection_matrix(camera)[:, jnp.array([0, 1, 3])]
+
+
+def _rq_decomposition(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(upper triangular with positive diagonal, orthogonal) factors of a 3x3 matrix."""
+    reverse = np.eye(3)[::-1]
+    orthogonal, triangular = np.linalg.qr((reverse @ matrix).T)
+    upper, rotation = reverse @ triangular.T @ reverse, reverse @ orthogonal.T
+    signs = np.diag(np.sign(np.diag(upper)))
+    return upper @ signs, signs @ rotation

@@ -40,7 +40,7 @@ def centre_of_dual_conic(dual_conic: Float[ArrayLike, "3 3"]) -> Float[ArrayLike
 def shape_of_dual_conic(dual_conic: Float[ArrayLike, "3 3"]) -> Float[ArrayLike, "2 2"]:
     """S of the ellipse (x - c)^T S^-1 (x - c) = 1; its eigenvalues are the squared semi-axes."""
     centre = centre_of_dual_conic(dual_conic)
-    return jnp.outer(centre, centre) - dual_conic[:2, :2] / dual_conic[2, 2]
+    return jnp.outer(centre, jnp.asarray(centre)) - dual_conic[:2, :2] / dual_conic[2, 2]
 
 
 def image_of_circle(
@@ -77,4 +77,4 @@ def boundary_of_dual_conic(
     slope = shape[0, 1] / first
     second = jnp.sqrt(shape[1, 1] - slope**2)
     cos, sin = jnp.cos(angles_rad), jnp.sin(angles_rad)
-    return centre + jnp.stack([first * cos, slope * cos + second * sin], axis=-1)
+    return centre[None, :] + jnp.stack([first * cos, slope * cos + second * sin], axis=-1)

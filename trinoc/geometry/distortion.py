@@ -39,11 +39,11 @@ def undistort(
     """
     jacobian_of = jax.jacfwd(distort)
 
-    def step(_: int, ideal: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
+    def step(_: ArrayLike, ideal: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
         residual = distort(ideal, coefficients) - distorted
         (a, b), (c, d) = jacobian_of(ideal, coefficients)
-        return ideal - jnp.stack([d * residual[0] - b * residual[1], a * residual[1] - c * residual[0]]) / (
-            a * d - b * c
-        )
+        return ideal - jnp.stack(
+            [d * residual[0] - b * residual[1], a * residual[1] - c * residual[0]]
+        ) / (a * d - b * c)
 
     return jax.lax.fori_loop(0, NEWTON_STEPS, step, jnp.asarray(distorted))

@@ -1,7 +1,6 @@
 """What a camera and its lens do to a ray, independent of where the camera stands."""
 
 from collections.abc import Sequence
-from typing import Self
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -96,7 +95,7 @@ class Intrinsics(eqx.Module):
     @classmethod
     def from_matrix(
         cls, calibration_matrix: Float[ArrayLike, "3 3"], image_size_px: Sequence[int]
-    ) -> Self:
+    ) -> "Intrinsics":
         """Intrinsics from an upper-triangular K, scaled to K[2, 2] = 1."""
         matrix = np.asarray(calibration_matrix, dtype=np.float64)
         matrix = matrix / matrix[2, 2]

@@ -1,7 +1,5 @@
 """Where a camera stands: four (or six) parameters relative to the sheet, or any rigid motion."""
 
-from typing import Self
-
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Float
@@ -34,7 +32,7 @@ class Pose(eqx.Module):
         """Centre of projection in the world frame."""
         return -self.rotation.T @ self.cam_from_world[:, 3]
 
-    def moved(self, motion: Float[ArrayLike, "6"]) -> Self:
+    def moved(self, motion: Float[ArrayLike, "6"]) -> "Pose":
         """This pose after a small motion of the camera, the chart of six-parameter updates.
 
         `motion` = (rotation vector in rad about the camera's axes, displacement of the centre
@@ -42,7 +40,7 @@ class Pose(eqx.Module):
         """
         rotation = rotation_from_vector(motion[:3]) @ self.rotation
         centre = self.centre_world_mm + motion[3:]
-        return type(self)(jnp.concatenate([rotation, -(rotation @ centre)[:, None]], axis=1))
+        return Pose(jnp.concatenate([rotation, -(rotation @ centre)[:, None]], axis=1))
 
 
 class PanTiltPose(eqx.Module):
@@ -67,12 +65,12 @@ class PanTiltPose(eqx.Module):
     aim_mm: Float[ArrayLike, "2"]
 
     @classmethod
-    def from_vector(cls, parameters: Float[ArrayLike, "6"]) -> Self:
+    def from_vector(cls, parameters: Float[ArrayLike, "6"]) -> "PanTiltPose":
         """From (pan, tilt, swing in rad, distance, aim X, aim Y in mm)."""
         return cls(parameters[0], parameters[1], parameters[2], parameters[3], parameters[4:6])
 
     @classmethod
-    def from_pose(cls, pose: Pose) -> Self:
+    def from_pose(cls, pose: Pose) -> "PanTiltPose":
         """The parameters of a rigid motion; NaN where the axis does not meet Z = 0 in front."""
         pan, tilt, swing = pan_tilt_swing_from_rotation(pose.rotation)
         centre, forward = pose.centre_world_mm, pose.rotation[2]

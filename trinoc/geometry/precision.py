@@ -13,7 +13,9 @@ _Result = TypeVar("_Result")
 
 def as_numpy(tree: Any) -> Any:
     """`tree` with every JAX array replaced by a NumPy array of the same dtype."""
-    return jax.tree.map(lambda leaf: np.asarray(leaf) if isinstance(leaf, jax.Array) else leaf, tree)
+    return jax.tree.map(
+        lambda leaf: np.asarray(leaf) if isinstance(leaf, jax.Array) else leaf, tree
+    )
 
 
 def in_float64(function: Callable[_Arguments, _Result]) -> Callable[_Arguments, _Result]:

@@ -1,7 +1,6 @@
 """Several cameras in one world frame, with what is known of their errors."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Self
 
 import equinox as eqx
 import numpy as np
@@ -53,8 +52,10 @@ class Rig(eqx.Module):
 
     @classmethod
     def from_matrices(
-        cls, matrices_px: Mapping[str, ArrayLike], image_size_px: Sequence[int] | Mapping[str, Sequence[int]]
-    ) -> Self:
+        cls,
+        matrices_px: Mapping[str, ArrayLike],
+        image_size_px: Sequence[int] | Mapping[str, Sequence[int]],
+    ) -> "Rig":
         """A rig from any 3x4 projection matrices, in any unit and origin of the world.
 
         `image_size_px` is one (width, height), or one per camera. Raises InputError.

@@ -1,7 +1,5 @@
 """Line segments of one picture, the observations that matching and refinement share."""
 
-from typing import Self
-
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
@@ -43,7 +41,7 @@ class Segments(eqx.Module):
         sigma_px: float = DEFAULT_SIGMA_PX,
         sigma_along_px: float = DEFAULT_SIGMA_ALONG_PX,
         image_size_px: tuple[int, int] | None = None,
-    ) -> Self:
+    ) -> "Segments":
         """Segments of any detector: (n, 4) rows x1 y1 x2 y2, or (n, 2, 2).
 
         `sigma_px` is the standard deviation of each end across the segment, `sigma_along_px`

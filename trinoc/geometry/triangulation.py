@@ -37,7 +37,7 @@ def triangulate_point(
         matrix_px: Float[ArrayLike, "3 4"], uv: Float[ArrayLike, "2"]
     ) -> tuple[Float[ArrayLike, "3 3"], Float[ArrayLike, "3"]]:
         ray = inverse_3x3(matrix_px[:, :3]) @ jnp.append(uv, 1.0)
-        across = jnp.eye(3) - jnp.outer(ray, ray) / (ray @ ray)
+        across = jnp.eye(3) - jnp.outer(ray, jnp.asarray(ray)) / (ray @ ray)
         return across, across @ centre_of_matrix(matrix_px)
 
     across, right = jax.vmap(normal_equations)(matrices_px, uv_px)
@@ -78,7 +78,7 @@ def triangulate_segment(
         gradient = jnp.einsum("vij,vi->j", weighted, error)
         return hessian, gradient, jnp.einsum("vi,vij,vj->", error, information, error)
 
-    def step(_: int, ends: Float[ArrayLike, "6"]) -> Float[ArrayLike, "6"]:
+    def step(_: ArrayLike, ends: Float[ArrayLike, "6"]) -> Float[ArrayLike, "6"]:
         hessian, gradient, _chi_square = normal_equations(ends)
         return ends - solve_positive_definite(hessian, gradient)
 

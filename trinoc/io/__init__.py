@@ -1,1 +1,1 @@
-
+"""Files: rigs, patterns, segments, matches and pictures."""

@@ -1,1 +1,1 @@
-
+"""Truth: rigs, sheets and scenes, their pictures and segments, and scores against them."""
