@@ -111,7 +111,9 @@ def read_document(path: str | os.PathLike[str], format_name: str, version: int) 
     except UnicodeDecodeError as error:
         raise InputError(f"{file} is not a JSON text file: give a {format_name} file.") from error
     except OSError as error:
-        raise InputError(f"{file} cannot be read ({error.strerror}): give a readable file.") from error
+        raise InputError(
+            f"{file} cannot be read ({error.strerror}): give a readable file."
+        ) from error
     try:
         values = json.loads(text, parse_constant=_refuse_constant, object_pairs_hook=_unique)
     except json.JSONDecodeError as error:
@@ -160,14 +162,14 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 def _dumped(value: Any, indent: str) -> str:
     if isinstance(value, dict) and value:
         deeper = indent + "  "
-        lines = (f"{deeper}{json.dumps(key)}: {_dumped(item, deeper)}" for key, item in value.items())
+        lines = (
+            f"{deeper}{json.dumps(key)}: {_dumped(item, deeper)}" for key, item in value.items()
+        )
         return "{\n" + ",\n".join(lines) + "\n" + indent + "}"
     flat = json.dumps(value, allow_nan=False)
     if isinstance(value, list) and len(flat) > 88:
         deeper = indent + "  "
-        return (
-            "[\n" + ",\n".join(deeper + _dumped(item, deeper) for item in value) + f"\n{indent}]"
-        )
+        return "[\n" + ",\n".join(deeper + _dumped(item, deeper) for item in value) + f"\n{indent}]"
     return flat
 
 

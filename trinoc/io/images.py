@@ -1,0 +1,82 @@
+"""Pictures from files, at the depth that the camera recorded."""
+
+import hashlib
+import os
+from collections.abc import Mapping
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from trinoc.errors import InputError
+
+PICTURE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm", ".webp")
+
+
+def read_image(path: str | os.PathLike[str]) -> np.ndarray:
+    """(h, w) grey levels or (h, w, 3) red, green, blue, in the depth of the file.
+
+    Rotation tags are ignored: pixels stay where the sensor had them, as the calibration of a
+    lens demands. Transparency is dropped. Raises InputError for what is not a picture.
+    """
+    file = Path(path)
+    return _decoded(file, _content(file))
+
+
+def read_views(paths: Mapping[str, str | os.PathLike[str]]) -> dict[str, np.ndarray]:
+    """The picture of each view. Raises InputError, also where two views share one picture."""
+    images: dict[str, np.ndarray] = {}
+    view_of: dict[bytes, str] = {}
+    for view, path in paths.items():
+        file = Path(path)
+        image = _decoded(file, _content(file))
+        pixels = hashlib.sha256(repr((image.shape, image.dtype)).encode() + image.tobytes())
+        other = view_of.setdefault(pixels.digest(), view)
+        if other != view:
+            raise InputError(
+                f'Views "{other}" and "{view}" are the same picture ({file}): give the picture '
+                "that each camera took."
+            )
+        images[view] = image
+    return images
+
+
+def _content(file: Path) -> bytes:
+    if file.is_dir():
+        inside = sorted(p.name for p in file.iterdir() if p.suffix.lower() in PICTURE_SUFFIXES)
+        if not inside:
+            raise InputError(f"{file} is a folder without pictures: give a picture file.")
+        raise InputError(f"{file} is a folder: give one picture in it, such as {file / inside[0]}.")
+    try:
+        return file.read_bytes()
+    except FileNotFoundError as error:
+        raise InputError(f"{file} does not exist: check the name.") from error
+    except OSError as error:
+        raise InputError(
+            f"{file} cannot be read ({error.strerror}): give a readable file."
+        ) from error
+
+
+def _decoded(file: Path, content: bytes) -> np.ndarray:
+    # OpenCV warns on stderr about broken files; the sentence below says it better.
+    level = cv2.utils.logging.getLogLevel()
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    try:
+        image = (
+            cv2.imdecode(np.frombuffer(content, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+            if content
+            else None
+        )
+    except cv2.error:
+        image = None
+    finally:
+        cv2.utils.logging.setLogLevel(level)
+    if image is None:
+        raise InputError(
+            f"{file} is not a picture that can be read: give a PNG, TIFF or JPEG file."
+        )
+    if image.ndim == 2:
+        return image
+    if image.shape[2] == 4:
+        return cv2.cvtColor(image, cv2.COLOR_BGRA2RGB)
+    return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)

@@ -1,0 +1,123 @@
+"""Lenses as JSON: the "intrinsics" block of rig.json, and camera.json around one such block."""
+
+import os
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from trinoc.errors import InputError
+from trinoc.geometry.intrinsics import DISTORTION_MODELS, Intrinsics
+from trinoc.io.conventions import CONVENTIONS
+from trinoc.io.json_document import Block, read_document, write_document
+
+FORMAT, VERSION = "trinoc-camera", 1
+
+
+def load_intrinsics(path: str | os.PathLike[str]) -> Intrinsics:
+    """Read a camera.json. Raises InputError, in one sentence with file and key."""
+    document = read_document(path, FORMAT, VERSION)
+    document.expect_keys(
+        ("format", "version", "image_size_px", "intrinsics"), ("conventions", "provenance")
+    )
+    return intrinsics_from_block(document.block("intrinsics"), document.image_size_px())
+
+
+def save_intrinsics(
+    intrinsics: Intrinsics,
+    path: str | os.PathLike[str],
+    *,
+    provenance: Mapping[str, Any] | None = None,
+) -> None:
+    """Write a camera.json; `provenance` says how the lens came to be known."""
+    document = {
+        "format": FORMAT,
+        "version": VERSION,
+        "image_size_px": list(intrinsics.image_size_px),
+        "intrinsics": intrinsics_to_block(intrinsics),
+        "conventions": CONVENTIONS,
+        "provenance": dict(provenance or {}),
+    }
+    write_document(path, document)
+
+
+def intrinsics_to_block(intrinsics: Intrinsics) -> dict[str, Any]:
+    """The "intrinsics" object of a file.
+
+    A lens known in millimetres has "focal_length_mm" and "pixel_pitch_mm". One known in
+    pixels only has "focal_length_px", along u and along v, instead; so has one whose two
+    focal lengths in pixels no longer are one in millimetres. "skew_px" is there unless 0.
+    """
+    focal_px = np.asarray(intrinsics.focal_length_px, dtype=np.float64)
+    block: dict[str, Any] = {}
+    pitch_mm = intrinsics.pixel_pitch_mm
+    if pitch_mm is not None:
+        focal_mm = focal_px * pitch_mm
+        if abs(focal_mm[0] - focal_mm[1]) <= 1e-12 * focal_mm[0]:
+            # Twelve decimals bring back 16 from 16 / 0.0162 * 0.0162.
+            block["focal_length_mm"] = round(float(focal_mm[0]), 12)
+        else:
+            block["focal_length_px"] = focal_px.tolist()
+        block["pixel_pitch_mm"] = list(pitch_mm)
+    else:
+        block["focal_length_px"] = focal_px.tolist()
+    block["principal_point_px"] = np.asarray(intrinsics.principal_point_px).tolist()
+    if float(intrinsics.skew_px) != 0:
+        block["skew_px"] = float(intrinsics.skew_px)
+    distorted = intrinsics.distortion_model != "none"
+    block["distortion"] = {
+        "model": intrinsics.distortion_model,
+        "coefficients": np.asarray(intrinsics.distortion).tolist() if distorted else [],
+    }
+    return block
+
+
+def intrinsics_from_block(block: Block, image_size_px: tuple[int, int]) -> Intrinsics:
+    """The lens of an "intrinsics" object. Raises InputError."""
+    block.expect_keys(
+        (),
+        (
+            "focal_length_mm",
+            "pixel_pitch_mm",
+            "focal_length_px",
+            "principal_point_px",
+            "skew_px",
+            "distortion",
+        ),
+    )
+    given = block.values
+    try:
+        return Intrinsics(
+            image_size_px=image_size_px,
+            focal_length_mm=block.number("focal_length_mm") if "focal_length_mm" in given else None,
+            pixel_pitch_mm=_pair_or_none(block, "pixel_pitch_mm"),
+            focal_length_px=_pair_or_none(block, "focal_length_px"),
+            principal_point_px=_pair_or_none(block, "principal_point_px"),
+            skew_px=block.number("skew_px") if "skew_px" in given else 0.0,
+            distortion=_distortion(block.block("distortion")) if "distortion" in given else None,
+        )
+    except InputError as error:
+        if str(error).startswith(block.file):
+            raise
+        raise InputError(f'{block.file}: "{block.place}": {error}') from error
+
+
+def _pair_or_none(block: Block, key: str) -> tuple[float, float] | None:
+    if key not in block.values:
+        return None
+    first, second = block.numbers(key, (2,))
+    return float(first), float(second)
+
+
+def _distortion(block: Block) -> np.ndarray | None:
+    block.expect_keys(("model", "coefficients"))
+    model, coefficients = block.text("model"), block.numbers("coefficients", (None,))
+    if model not in DISTORTION_MODELS:
+        raise block.error("model", f"must be one of {', '.join(DISTORTION_MODELS)}.")
+    if model == "none":
+        if coefficients.any():
+            raise block.error(
+                "coefficients", 'must be empty for the model "none": name the model they are of.'
+            )
+        return None
+    return coefficients

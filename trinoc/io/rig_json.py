@@ -1,0 +1,186 @@
+"""rig.json: cameras, what is known of their errors, and how they were found."""
+
+import os
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from trinoc.errors import InputError
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.pose import Pose
+from trinoc.geometry.rig import PARAMETER_NAMES, Rig
+from trinoc.io.conventions import CONVENTIONS
+from trinoc.io.intrinsics_json import intrinsics_from_block, intrinsics_to_block
+from trinoc.io.json_document import Block, read_document, write_document
+
+FORMAT, VERSION = "trinoc-rig", 1
+EXTRINSIC_KEYS = ("pan_deg", "tilt_deg", "swing_deg", "distance_mm", "aim_mm")
+
+# Numbers rounded by hand may differ this much, in a rotation entry and per mm of distance.
+_CONSISTENT = 1e-6
+
+
+def load_rig(path: str | os.PathLike[str]) -> Rig:
+    """Read a rig.json, with its covariance.
+
+    A camera needs "extrinsics" or "cam_from_world"; where both stand they must agree.
+    Raises InputError, in one sentence with the file, the key and what to do.
+    """
+    document = read_document(path, FORMAT, VERSION)
+    document.expect_keys(
+        ("format", "version", "cameras"), ("covariance", "conventions", "provenance")
+    )
+    cameras = {name: _camera(block) for name, block in document.block("cameras").blocks()}
+    if not cameras:
+        raise document.error("cameras", "names no camera: add at least one.")
+    parameters, covariance = _covariance(document, cameras)
+    rig = Rig(cameras, parameters=parameters, covariance=covariance)
+    for name, block in document.block("cameras").blocks():
+        if "sigma" in block.values:
+            _check_sigma(block.block("sigma"), _sigmas(rig, name))
+    return rig
+
+
+def save_rig(
+    rig: Rig, path: str | os.PathLike[str], *, provenance: Mapping[str, Any] | None = None
+) -> None:
+    """Write a rig.json; `provenance` says how the rig came to be known.
+
+    Raises InputError for a covariance that is not finite: it is no statement about errors.
+    """
+    covariance = np.asarray(rig.covariance, dtype=np.float64)
+    if not np.isfinite(covariance).all():
+        raise InputError(
+            f"{path} was not written, because the covariance of the rig is not finite: calibrate "
+            "so that all parameters are determined, or drop the covariance."
+        )
+    document: dict[str, Any] = {
+        "format": FORMAT,
+        "version": VERSION,
+        "cameras": {name: _camera_to_block(rig, name) for name in rig},
+    }
+    if rig.parameters:
+        document["covariance"] = {
+            "parameters": list(rig.parameters),
+            "matrix": covariance.tolist(),
+        }
+    document["conventions"] = CONVENTIONS
+    document["provenance"] = dict(provenance or {})
+    write_document(path, document)
+
+
+def _camera_to_block(rig: Rig, name: str) -> dict[str, Any]:
+    camera = rig[name]
+    block: dict[str, Any] = {
+        "image_size_px": list(camera.image_size_px),
+        "intrinsics": intrinsics_to_block(camera.intrinsics),
+    }
+    extrinsics = {key: getattr(camera, key) for key in EXTRINSIC_KEYS}
+    # A camera whose axis does not meet the sheet in front of it has only a matrix.
+    if np.isfinite(extrinsics["distance_mm"]):
+        block["extrinsics"] = {**extrinsics, "aim_mm": list(extrinsics["aim_mm"])}
+    sigmas = _sigmas(rig, name)
+    if sigmas:
+        block["sigma"] = sigmas
+    block["cam_from_world"] = np.asarray(camera.cam_from_world).tolist()
+    return block
+
+
+def _sigmas(rig: Rig, name: str) -> dict[str, float]:
+    """Standard deviation of each parameter of one camera, by the parameter's own name."""
+    prefix = name + "."
+    own = (parameter for parameter in rig.parameters if parameter.startswith(prefix))
+    return {parameter.removeprefix(prefix): rig.sigma(parameter) for parameter in own}
+
+
+def _camera(block: Block) -> Camera:
+    block.expect_keys(("image_size_px", "intrinsics"), ("extrinsics", "sigma", "cam_from_world"))
+    intrinsics = intrinsics_from_block(block.block("intrinsics"), block.image_size_px())
+    if "extrinsics" not in block.values and "cam_from_world" not in block.values:
+        raise block.error("extrinsics", "is missing: add it, or cam_from_world.")
+    if "cam_from_world" not in block.values:
+        extrinsics = _extrinsics(block.block("extrinsics"))
+        return Camera.from_degrees(intrinsics, **extrinsics)
+    camera = Camera(intrinsics, Pose(_rigid_motion(block)))
+    if "extrinsics" in block.values:
+        extrinsics = _extrinsics(block.block("extrinsics"))
+        _check_consistent(block, camera, Camera.from_degrees(intrinsics, **extrinsics))
+    return camera
+
+
+def _extrinsics(block: Block) -> dict[str, Any]:
+    block.expect_keys(("pan_deg", "tilt_deg", "swing_deg", "distance_mm"), ("aim_mm",))
+    numbers = {key: block.number(key) for key in EXTRINSIC_KEYS if key != "aim_mm"}
+    if numbers["distance_mm"] <= 0:
+        raise block.error("distance_mm", "must be positive: it is a distance in mm.")
+    aim = block.numbers("aim_mm", (2,)) if "aim_mm" in block.values else (0.0, 0.0)
+    return {**numbers, "aim_mm": (float(aim[0]), float(aim[1]))}
+
+
+def _rigid_motion(block: Block) -> np.ndarray:
+    matrix = block.numbers("cam_from_world", (3, 4))
+    rotation = matrix[:, :3]
+    if not (
+        np.abs(rotation @ rotation.T - np.eye(3)).max() < _CONSISTENT
+        and np.linalg.det(rotation) > 0
+    ):
+        raise block.error(
+            "cam_from_world",
+            "must be [R | t] with a rotation R, but its first three columns are none: "
+            "correct them, or remove the key where extrinsics are given.",
+        )
+    return matrix
+
+
+def _check_consistent(block: Block, camera: Camera, other: Camera) -> None:
+    difference = np.abs(np.asarray(camera.cam_from_world) - np.asarray(other.cam_from_world))
+    distance_mm = np.linalg.norm(other.centre_world_mm)
+    if difference[:, :3].max() > _CONSISTENT or difference[:, 3].max() > _CONSISTENT * max(
+        float(distance_mm), 1.0
+    ):
+        raise block.error(
+            "extrinsics",
+            "and cam_from_world describe different cameras: remove the one that is not meant.",
+        )
+
+
+def _covariance(
+    document: Block, cameras: Mapping[str, Camera]
+) -> tuple[tuple[str, ...], np.ndarray | None]:
+    if "covariance" not in document.values:
+        return (), None
+    block = document.block("covariance")
+    block.expect_keys(("parameters", "matrix"))
+    parameters = block.texts("parameters")
+    for parameter in parameters:
+        camera, _, name = parameter.rpartition(".")
+        if name in PARAMETER_NAMES and camera not in cameras:
+            raise block.error(
+                "parameters", f'names "{parameter}", but there is no camera "{camera}": correct it.'
+            )
+    if len(set(parameters)) < len(parameters):
+        raise block.error("parameters", "names a parameter twice: remove one with its row.")
+    matrix = block.numbers("matrix", (len(parameters), len(parameters)))
+    scale = np.sqrt(np.abs(np.diag(matrix)))
+    if (np.diag(matrix) < 0).any() or (
+        np.abs(matrix - matrix.T) > 1e-9 * np.outer(scale, scale)
+    ).any():
+        raise block.error(
+            "matrix", "is no covariance (symmetric, no negative variance): write the file again."
+        )
+    return parameters, matrix
+
+
+def _check_sigma(block: Block, expected: Mapping[str, float]) -> None:
+    for key in block.values:
+        if key not in expected:
+            raise block.error(
+                key, "has no row in the covariance: add the row, or remove this sigma."
+            )
+        if abs(block.number(key) - expected[key]) > 1e-3 * expected[key]:
+            raise block.error(
+                key,
+                f"differs from the covariance, which says {expected[key]:.6g}: remove this sigma, "
+                "it is only a reading aid.",
+            )

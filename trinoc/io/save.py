@@ -1,0 +1,59 @@
+"""One function that writes any of trinoc's values to its own kind of file."""
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from trinoc.calib.pattern import Pattern
+from trinoc.calib.result import CalibrationResult
+from trinoc.errors import InputError
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.segments import Segments
+from trinoc.io.intrinsics_json import save_intrinsics
+from trinoc.io.matches_npz import save_matches
+from trinoc.io.pattern_json import save_pattern
+from trinoc.io.rig_json import save_rig
+from trinoc.io.segments_npz import save_segments
+from trinoc.match.matches import Matches
+
+Saveable = Rig | CalibrationResult | Intrinsics | Pattern | Segments | Matches
+
+
+def save(
+    value: Saveable,
+    path: str | os.PathLike[str],
+    *,
+    provenance: Mapping[str, Any] | None = None,
+) -> None:
+    """Write a value to a file, whole or not at all.
+
+    A Rig (or the rig of a CalibrationResult), Intrinsics and a Pattern become JSON; Segments
+    and Matches become npz. `provenance`, of rigs and lenses, says how the value was found
+    ("command", "version", "inputs"). Raises InputError for other values and for a name whose
+    ending is not that of the file.
+    """
+    if isinstance(value, CalibrationResult):
+        value = value.rig
+    ending = ".json" if isinstance(value, Rig | Intrinsics | Pattern) else ".npz"
+    if isinstance(value, Saveable) and Path(path).suffix.lower() != ending:
+        raise InputError(
+            f"{path}: a {type(value).__name__} is written as {ending}: choose such a name."
+        )
+    match value:
+        case Rig():
+            save_rig(value, path, provenance=provenance)
+        case Intrinsics():
+            save_intrinsics(value, path, provenance=provenance)
+        case Pattern():
+            save_pattern(value, path)
+        case Segments():
+            save_segments(value, path)
+        case Matches():
+            save_matches(value, path)
+        case _:
+            raise InputError(
+                f"A {type(value).__name__} cannot be saved: give a Rig, CalibrationResult, "
+                "Intrinsics, Pattern, Segments or Matches."
+            )
