@@ -1,0 +1,68 @@
+"""Joining pieces of one straight edge across gaps."""
+
+import numpy as np
+from jaxtyping import Int
+from scipy.spatial import KDTree
+
+from trinoc.match.nevatia_babu.chains import ordered_chains
+from trinoc.match.nevatia_babu.line_fit import FittedLines
+
+_LEAST_COSINE = np.cos(np.radians(15.0))
+
+
+def collinear_successors(
+    lines: FittedLines, gap_px: float, tolerance_px: float
+) -> Int[np.ndarray, "r"]:
+    """(r,) the line that continues each line beyond a gap, -1 where there is none.
+
+    Two lines with their dark sides on the same side continue each other when the gap is at
+    most `gap_px` and both inner ends lie within `tolerance_px` of the chord of the outer
+    ends. Each line continues at most one and is continued by at most one, the nearest.
+    """
+    count = len(lines.support)
+    successor = np.full(count, -1, dtype=np.int64)
+    if count < 2:
+        return successor
+    ends = lines.endpoints_px
+    pairs = KDTree(ends[:, 1]).sparse_distance_matrix(
+        KDTree(ends[:, 0]), gap_px, output_type="coo_matrix"
+    )
+    one, other, gap = pairs.row, pairs.col, pairs.data
+    cosine = (lines.direction[one] * lines.direction[other]).sum(axis=-1)
+    chord = ends[other, 1] - ends[one, 0]
+    length = np.linalg.norm(chord, axis=-1)
+    normal = np.stack([-chord[:, 1], chord[:, 0]], -1) / np.maximum(length, 1e-9)[:, None]
+    inner = np.stack([ends[one, 1], ends[other, 0]], axis=1) - ends[one, 0][:, None]
+    deviation = np.abs(np.einsum("nij,nj->ni", inner, normal)).max(axis=1, initial=0.0)
+    longer_than_parts = length > np.maximum(
+        *(np.ptp(lines.extent_px[side], axis=1) for side in (one, other))
+    )
+    allowed = (
+        (one != other) & (cosine > _LEAST_COSINE) & (deviation < tolerance_px) & longer_than_parts
+    )
+    one, other, gap = one[allowed], other[allowed], gap[allowed]
+    nearest = np.lexsort((gap, one))
+    nearest = nearest[_first_of_runs(one[nearest])]
+    one, other, gap = one[nearest], other[nearest], gap[nearest]
+    nearest = np.lexsort((gap, other))
+    nearest = nearest[_first_of_runs(other[nearest])]
+    successor[one[nearest]] = other[nearest]
+    return successor
+
+
+def _first_of_runs(grouped: Int[np.ndarray, "m"]) -> np.ndarray:
+    return np.flatnonzero(np.diff(grouped, prepend=-1))
+
+
+def merged_runs(
+    successor: Int[np.ndarray, "r"], first: Int[np.ndarray, "r"], count: int
+) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "g"]]:
+    """(order, first): the points of merged lines one after another, and where each begins.
+
+    `first` tells where the points of each line begin now, `count` how many there are.
+    """
+    line_order, group_start = ordered_chains(successor)
+    length = np.diff(np.append(first, count))[line_order]
+    begin = np.cumsum(length) - length
+    order = np.arange(count) - np.repeat(begin - first[line_order], length)
+    return order, begin[group_start]
