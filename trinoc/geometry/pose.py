@@ -73,7 +73,7 @@ class PanTiltPose(eqx.Module):
     def from_pose(cls, pose: Pose) -> "PanTiltPose":
         """The parameters of a rigid motion; NaN where the axis does not meet Z = 0 in front."""
         pan, tilt, swing = pan_tilt_swing_from_rotation(pose.rotation)
-        centre, forward = pose.centre_world_mm, pose.rotation[2]
+        centre, forward = jnp.asarray(pose.centre_world_mm), pose.rotation[2]
         distance = -centre[2] / forward[2]
         distance = jnp.where((distance > 0) & jnp.isfinite(distance), distance, jnp.nan)
         return cls(pan, tilt, swing, distance, (centre + distance * forward)[:2])

@@ -73,7 +73,7 @@ def _decoded(file: Path, content: bytes) -> np.ndarray:
         cv2.utils.logging.setLogLevel(level)
     if image is None:
         raise InputError(
-            f"{file} is not a picture that can be read: give a PNG, TIFF or JPEG file."
+            f"{file} is not a readable picture: give a PNG, TIFF or JPEG file."
         )
     if image.ndim == 2:
         return image

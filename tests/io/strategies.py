@@ -1,0 +1,98 @@
+"""Hypothesis strategies for values that go to files."""
+
+import numpy as np
+from hypothesis import strategies as st
+
+from tests.geometry.strategies import cameras, real
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.rig import PARAMETER_NAMES, Rig
+from trinoc.geometry.segments import Segments
+from trinoc.match.matches import BINOCULAR, TRINOCULAR, Matches
+
+
+@st.composite
+def lenses(draw: st.DrawFn) -> Intrinsics:
+    """Lenses known in millimetres or in pixels, with and without distortion and skew."""
+    size = (draw(st.integers(16, 8000)), draw(st.integers(16, 8000)))
+    coefficients = st.none() | st.lists(real(-0.3, 0.3), min_size=1, max_size=5)
+    more = {
+        "distortion": draw(coefficients),
+        "skew_px": draw(st.sampled_from([0.0, 0.25])),
+        "principal_point_px": draw(st.none() | st.tuples(real(0, 100), real(0, 100))),
+    }
+    if draw(st.booleans()):
+        pitch_mm = draw(st.tuples(real(1e-3, 0.05), real(1e-3, 0.05)))
+        focal_mm = draw(real(2, 200))
+        return Intrinsics(
+            image_size_px=size, focal_length_mm=focal_mm, pixel_pitch_mm=pitch_mm, **more
+        )
+    focal_px = draw(st.tuples(real(50, 9000), real(50, 9000)))
+    pitch_mm = draw(st.none() | st.tuples(real(1e-3, 0.05), real(1e-3, 0.05)))
+    return Intrinsics(image_size_px=size, focal_length_px=focal_px, pixel_pitch_mm=pitch_mm, **more)
+
+
+@st.composite
+def rigs(draw: st.DrawFn) -> Rig:
+    """One to three cameras, with a covariance over four or six parameters each, or none."""
+    names = draw(
+        st.lists(
+            st.text(st.characters(exclude_categories=["Cs"]), min_size=1, max_size=8),
+            min_size=1,
+            max_size=3,
+            unique=True,
+        )
+    )
+    members = {name: draw(cameras(draw(lenses()))) for name in names}
+    count = draw(st.sampled_from([0, 4, 6]))
+    parameters = [f"{name}.{own}" for name in names for own in PARAMETER_NAMES[:count]]
+    if len(set(parameters)) == 0:
+        return Rig(members)
+    random = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    root = random.normal(scale=1e-3, size=(len(parameters),) * 2)
+    return Rig(members, parameters=parameters, covariance=root @ root.T)
+
+
+@st.composite
+def segment_sets(draw: st.DrawFn) -> Segments:
+    """Up to five segments, with all fields filled in or as a plain detector leaves them."""
+    count = draw(st.integers(0, 5))
+    random = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    size = draw(st.none() | st.just((640, 480)))
+    plain = Segments.from_endpoints(random.uniform(0, 400, (count, 4)), image_size_px=size)
+    if draw(st.booleans()):
+        return plain
+    root = random.normal(size=(count, 4, 4))
+    return Segments(
+        plain.endpoints_px,
+        root @ root.transpose(0, 2, 1),
+        random.integers(-1, 2, count),
+        np.where(random.uniform(size=count) < 0.3, np.nan, random.uniform(1, 200, count)),
+        random.integers(0, 300, count),
+        size,
+    )
+
+
+@st.composite
+def match_sets(draw: st.DrawFn) -> Matches:
+    """Up to five tracks over two to four views."""
+    tracks, sides = draw(st.integers(0, 5)), draw(st.integers(2, 4))
+    random = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    index = random.integers(-1, 9, (tracks, sides))
+    fragments = random.uniform(0, 500, (tracks, sides, 2, 2))
+    fragments[index < 0] = np.nan
+    views = tuple(["upper", "left", "right", "fourth"][:sides])
+    return Matches(
+        views=views,
+        index=index,
+        fragments_px=fragments,
+        lines_mm=random.normal(size=(tracks, 2, 3)),
+        covariance_mm2=random.normal(size=(tracks, 6, 6)),
+        stage=np.where((index >= 0).sum(axis=1) > 2, TRINOCULAR, BINOCULAR),
+        posterior=random.uniform(size=tracks),
+        runner_up=random.uniform(size=tracks),
+        reasons={
+            view: np.array(draw(st.lists(st.sampled_from(["matched", "no partner", "é"]))), str)
+            for view in views
+        },
+        counts={"candidates": 12, "rejected by neighbours": 3},
+    )

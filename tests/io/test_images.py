@@ -1,0 +1,62 @@
+"""Pictures keep their depth and their colours; everything else is refused in a sentence."""
+
+import cv2
+import numpy as np
+import pytest
+
+from trinoc.errors import InputError
+from trinoc.io.images import read_image, read_views
+
+RANDOM = np.random.default_rng(5)
+GREY = RANDOM.integers(0, 256, (12, 17), dtype=np.uint8)
+DEEP = RANDOM.integers(0, 65536, (12, 17), dtype=np.uint16)
+COLOUR = RANDOM.integers(0, 256, (12, 17, 3), dtype=np.uint8)
+
+
+@pytest.mark.parametrize(
+    ("name", "pixels"),
+    [("a.png", GREY), ("a.tif", GREY), ("a.png", DEEP), ("a.tiff", DEEP), ("é b.png", DEEP)],
+)
+def test_grey_pictures_keep_every_bit(tmp_path, name, pixels):
+    path = tmp_path / name
+    path.write_bytes(cv2.imencode(path.suffix, pixels)[1].tobytes())
+    image = read_image(path)
+    assert image.dtype == pixels.dtype
+    np.testing.assert_array_equal(image, pixels)
+
+
+def test_colours_come_as_red_green_blue_without_transparency(tmp_path):
+    cv2.imwrite(str(tmp_path / "a.png"), COLOUR[..., ::-1])
+    np.testing.assert_array_equal(read_image(tmp_path / "a.png"), COLOUR)
+    transparent = np.concatenate([COLOUR[..., ::-1], GREY[..., None]], axis=2)
+    cv2.imwrite(str(tmp_path / "b.png"), transparent)
+    np.testing.assert_array_equal(read_image(tmp_path / "b.png"), COLOUR)
+
+
+def test_what_is_no_picture_is_refused(tmp_path, capfd):
+    cut = cv2.imencode(".png", GREY)[1].tobytes()[:40]
+    for name, content in [("empty.png", b""), ("text.png", b"hello"), ("cut.png", cut)]:
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(InputError, match=f"{name} is not a readable picture"):
+            read_image(tmp_path / name)
+    with pytest.raises(InputError, match="does not exist"):
+        read_image(tmp_path / "none.png")
+    assert capfd.readouterr() == ("", "")
+
+
+def test_folder_is_refused_with_a_picture_to_take(tmp_path):
+    with pytest.raises(InputError, match="is a folder without pictures"):
+        read_image(tmp_path)
+    cv2.imwrite(str(tmp_path / "one.png"), GREY)
+    with pytest.raises(InputError, match=r"give one picture in it, such as .*one\.png"):
+        read_image(tmp_path)
+
+
+def test_one_picture_for_two_views_is_refused_whatever_the_file(tmp_path):
+    cv2.imwrite(str(tmp_path / "one.png"), GREY)
+    cv2.imwrite(str(tmp_path / "same.tif"), GREY)
+    cv2.imwrite(str(tmp_path / "other.png"), DEEP)
+    views = read_views({"upper": tmp_path / "one.png", "left": tmp_path / "other.png"})
+    assert list(views) == ["upper", "left"]
+    with pytest.raises(InputError, match='"upper" and "left" are the same picture'):
+        read_views({"upper": tmp_path / "one.png", "left": tmp_path / "same.tif"})

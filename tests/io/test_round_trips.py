@@ -1,0 +1,91 @@
+"""What is written is what is read, field by field, so that no field is forgotten."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+
+import trinoc
+from tests.io.strategies import lenses, match_sets, rigs, segment_sets
+from trinoc.errors import InputError
+from trinoc.io.intrinsics_json import load_intrinsics
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("files")
+
+
+def assert_same(one, other, rtol=0.0):
+    """Equal in every field; `rtol` is for numbers that go through another unit."""
+    assert type(one) is type(other)
+    if dataclasses.is_dataclass(one):
+        for field in dataclasses.fields(one):
+            assert_same(getattr(one, field.name), getattr(other, field.name), rtol)
+    elif isinstance(one, dict):
+        assert list(one) == list(other)
+        for key in one:
+            assert_same(one[key], other[key], rtol)
+    elif isinstance(one, np.ndarray) and one.dtype.kind == "f":
+        np.testing.assert_allclose(one, other, rtol=rtol, atol=0)
+        assert one.dtype == other.dtype
+    elif isinstance(one, np.ndarray):
+        np.testing.assert_array_equal(one, other)
+    elif isinstance(one, tuple):
+        assert len(one) == len(other)
+        for a, b in zip(one, other, strict=True):
+            assert_same(a, b, rtol)
+    else:
+        assert one == other
+
+
+@given(lens=lenses())
+def test_lens(folder, lens):
+    trinoc.save(lens, folder / "camera.json")
+    assert_same(load_intrinsics(folder / "camera.json"), lens, rtol=4e-16)
+
+
+@settings(max_examples=20)
+@given(rig=rigs())
+def test_rig(folder, rig):
+    trinoc.save(rig, folder / "rig.json")
+    assert_same(trinoc.load_rig(folder / "rig.json"), rig, rtol=4e-16)
+
+
+@given(segments=segment_sets())
+def test_segments(folder, segments):
+    trinoc.save(segments, folder / "segments.npz")
+    assert_same(trinoc.load_segments(folder / "segments.npz"), segments)
+
+
+@given(matches=match_sets())
+def test_matches(folder, matches):
+    trinoc.save(matches, folder / "matches.npz")
+    assert_same(trinoc.load_matches(folder / "matches.npz"), matches)
+
+
+def test_pattern(folder):
+    pattern = trinoc.Pattern.cross_grid(rows=4, columns=6, pitch_mm=20.0, radius_mm=6.0)
+    trinoc.save(pattern, folder / "pattern.json")
+    assert_same(trinoc.load_pattern(folder / "pattern.json"), pattern)
+
+
+@given(segments=segment_sets())
+def test_segment_tables_are_read_as_their_ends(folder, segments):
+    ends = segments.endpoints_px.reshape(-1, 4)
+    np.save(folder / "ends.npy", ends)
+    np.savetxt(folder / "ends.csv", ends, delimiter=",", header="x1,y1,x2,y2", comments="")
+    np.savetxt(folder / "ends.txt", ends, header="x1 y1 x2 y2")
+    for name in ("ends.npy", "ends.csv", "ends.txt"):
+        np.testing.assert_array_equal(
+            trinoc.load_segments(folder / name).endpoints_px, segments.endpoints_px
+        )
+
+
+def test_each_value_has_its_kind_of_file(folder):
+    segments = trinoc.Segments.from_endpoints(np.zeros((0, 4)))
+    with pytest.raises(InputError, match=r"Segments is written as \.npz"):
+        trinoc.save(segments, folder / "segments.json")
+    with pytest.raises(InputError, match="ndarray cannot be saved"):
+        trinoc.save(np.zeros(3), folder / "array.npz")  # pyright: ignore[reportArgumentType]

@@ -1,0 +1,73 @@
+"""Segment and match files from other hands: what is refused, and how it is said."""
+
+import numpy as np
+import pytest
+
+from trinoc.errors import InputError
+from trinoc.geometry.segments import Segments
+from trinoc.io.matches_npz import load_matches
+from trinoc.io.segments_npz import load_segments, save_segments
+
+ENDS = np.array([[10.0, 20, 30, 40], [50, 60, 70, 90]])
+
+
+def refused(load, path, sentence):
+    with pytest.raises(InputError, match=sentence) as caught:
+        load(path)
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("suffix", ["npy", "csv", "npz"])
+def test_nan_is_named_by_file_and_segment(tmp_path, suffix):
+    path = tmp_path / f"ends.{suffix}"
+    broken = ENDS.copy()
+    broken[1, 2] = np.nan
+    if suffix == "npy":
+        np.save(path, broken)
+    elif suffix == "csv":
+        np.savetxt(path, broken, delimiter=",")
+    else:
+        save_segments(Segments.from_endpoints(ENDS), path)
+        arrays = {**np.load(path), "endpoints_px": broken.reshape(-1, 2, 2)}
+        np.savez(path, **arrays)
+    refused(load_segments, path, "Segment 1 has a coordinate that is not finite")
+
+
+def test_tables_of_another_kind_are_refused(tmp_path):
+    text = tmp_path / "ends.txt"
+    for content, sentence in [
+        ("1 2 3\n4 5 6\n", r"shape \(2, 3\), but must be \(n, 4\)"),
+        ("1 2 3 4\n5 6\n", "not a table of numbers"),
+        ("1 2 3 4\n1 2 x 4\n", "not a table of numbers"),
+        ("1 2 1 2\n", "two equal ends"),
+    ]:
+        text.write_text(content)
+        refused(load_segments, text, sentence)
+    np.save(tmp_path / "ends.npy", np.array(["a"]))
+    refused(load_segments, tmp_path / "ends.npy", "not a table of numbers")
+    refused(load_segments, tmp_path / "none.csv", "does not exist")
+
+
+def test_archives_of_another_kind_are_refused(tmp_path):
+    path = tmp_path / "file.npz"
+    for load in (load_segments, load_matches):
+        refused(load, tmp_path / "none.npz", "does not exist")
+        path.write_bytes(b"PK no archive")
+        refused(load, path, "not a readable npz")
+        path.write_bytes(b"")
+        refused(load, path, "not a readable npz")
+        np.savez(path, pickled=np.array([{"a": 1}], dtype=object))
+        refused(load, path, "not a readable npz")
+        np.savez(path, endpoints=ENDS)
+        refused(load, path, 'has the format ""')
+    save_segments(Segments.from_endpoints(ENDS), path)
+    refused(load_matches, path, '"trinoc-segments", but "trinoc-matches" is needed')
+    arrays = dict(np.load(path))
+    np.savez(path, **{**arrays, "version": np.array(2)})
+    refused(load_segments, path, "version 2")
+    np.savez(path, **{**arrays, "polarity": np.zeros(3)})
+    refused(load_segments, path, '"polarity" has shape')
+    del arrays["support"]
+    np.savez(path, **arrays)
+    refused(load_segments, path, 'lacks the array "support"')
