@@ -11,13 +11,12 @@ from trinoc.synth.shapes import Shape
 
 @runtime_checkable
 class Layer(Protocol):
-    """Something that changes the grey levels below it.
-
-    A `local` layer changes nothing outside the box round its outline's image.
-    """
+    """Something that changes the grey levels below it."""
 
     @property
-    def local(self) -> bool: ...
+    def local(self) -> bool:
+        """Whether nothing changes outside the box round the outline's image."""
+        ...
 
     def over(
         self, grey: Float[np.ndarray, "*n"], points_mm: Float[np.ndarray, "*n 2"]

@@ -92,7 +92,8 @@ class Capsule(eqx.Module):
         """Points along both sides and both round ends."""
         along = self.ends_mm[1] - self.ends_mm[0]
         across = self.radius_mm * np.array([-along[1], along[0]]) / np.hypot(*along)
-        sides = [_along(*(self.ends_mm + offset), step_mm) for offset in (across, -across)]
+        first, second = self.ends_mm
+        sides = [_along(first + off, second + off, step_mm) for off in (across, -across)]
         rounds = [Disc(end, self.radius_mm).outline_mm(step_mm) for end in self.ends_mm]
         return np.concatenate(sides + rounds)
 
