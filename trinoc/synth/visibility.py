@@ -1,0 +1,137 @@
+"""Hidden line removal: which parts of segments in space a camera sees, exactly.
+
+The region that a triangle hides from a viewpoint is convex: behind its plane, and inside the
+three planes through the viewpoint and its sides. A segment meets it in one interval, found
+from four linear inequalities; what is left of all triangles, and of the picture's frame, is
+what the camera sees.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from trinoc.geometry.camera import Camera
+
+# A point counts as behind a face from this depth on, so that a face does not hide its own edges.
+_BEHIND_MM = 1e-6
+# Shorter intervals are rounding, in parts of the segment.
+_SLIVER = 1e-7
+
+
+class VisibleParts(NamedTuple):
+    """Parts of segments that a camera sees: the segment's index (k,), and from where to where
+    along it, 0 to 1 from its first end to its second, (k, 2)."""
+
+    segment: Int[np.ndarray, "k"]
+    extent: Float[np.ndarray, "k 2"]
+
+
+def visible_parts(
+    camera: Camera,
+    segments_mm: Float[np.ndarray, "n 2 3"],
+    triangles_mm: Float[np.ndarray, "t 3 3"],
+) -> VisibleParts:
+    """The parts of segments that lie in the picture and that no triangle hides.
+
+    The frame is that of the picture without lens distortion.
+    """
+    hidden = hidden_intervals(camera.centre_world_mm, segments_mm, triangles_mm)
+    framed = _interval(*_frame_values(camera, segments_mm))
+    segment, extent = [], []
+    for index, (intervals, (low, high)) in enumerate(zip(hidden, framed, strict=True)):
+        for start, end in _remainder(low, high, intervals):
+            segment.append(index)
+            extent.append((start, end))
+    return VisibleParts(np.array(segment, dtype=np.int64), np.array(extent).reshape(-1, 2))
+
+
+def hidden_intervals(
+    centre_world_mm: Float[np.ndarray, "3"],
+    segments_mm: Float[np.ndarray, "n 2 3"],
+    triangles_mm: Float[np.ndarray, "t 3 3"],
+) -> Float[np.ndarray, "n t 2"]:
+    """From where to where each triangle hides each segment from a viewpoint; from > to if not."""
+    corners = triangles_mm - centre_world_mm
+    ends = segments_mm - centre_world_mm
+    following = np.roll(corners, -1, axis=1)
+    sides = _unit(np.cross(corners, following))
+    inward = np.sign(np.einsum("tsi,tsi->ts", sides, np.roll(corners, -2, axis=1)))
+    sides = sides * inward[..., None]
+    normal = _unit(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
+    level = np.einsum("ti,ti->t", normal, corners[:, 0])
+    away = np.sign(level)
+    # A triangle seen edge-on hides nothing; a face's own edges, level with it, are not behind.
+    edge_on = np.abs(level) < _BEHIND_MM
+    inside = np.einsum("tsi,nei->ntes", sides, ends)
+    behind = np.einsum("ti,nei->nte", normal * away[:, None], ends) - np.abs(level)[:, None]
+    values = np.concatenate([inside, behind[..., None] - _BEHIND_MM], axis=-1)
+    intervals = _interval(values[:, :, 0], values[:, :, 1])
+    return np.where(edge_on[:, None], np.array([1.0, 0.0]), intervals)
+
+
+def is_visible(
+    camera: Camera, point_mm: Float[np.ndarray, "3"], triangles_mm: Float[np.ndarray, "t 3 3"]
+) -> bool:
+    """Whether a point lies in the picture and no triangle hides it."""
+    return (
+        len(visible_parts(camera, np.stack([point_mm, point_mm])[None], triangles_mm).segment) > 0
+    )
+
+
+def _frame_values(
+    camera: Camera, segments_mm: Float[np.ndarray, "n 2 3"]
+) -> tuple[Float[np.ndarray, "n 5"], Float[np.ndarray, "n 5"]]:
+    """Values at both ends that are positive in front of the camera and inside the picture."""
+    first, second, third = camera.matrix_px
+    width, height = camera.image_size_px
+    planes = np.stack(
+        [
+            third,
+            first + 0.5 * third,
+            (width - 0.5) * third - first,
+            second + 0.5 * third,
+            (height - 0.5) * third - second,
+        ]
+    )
+    values = segments_mm @ planes[:, :3].T + planes[:, 3]
+    return values[:, 0], values[:, 1]
+
+
+def _interval(
+    first: Float[np.ndarray, "*n k"], second: Float[np.ndarray, "*n k"]
+) -> Float[np.ndarray, "*n 2"]:
+    """From where to where k values, linear from first to second end, are all >= 0."""
+    change = second - first
+    with np.errstate(divide="ignore", invalid="ignore"):
+        crossing = -first / change
+    never = (change == 0) & (first < 0)
+    low = np.where(change > 0, crossing, np.where(never, np.inf, 0.0))
+    high = np.where(change < 0, crossing, np.where(never, -np.inf, 1.0))
+    return np.stack(
+        [np.maximum(low.max(axis=-1), 0.0), np.minimum(high.min(axis=-1), 1.0)], axis=-1
+    )
+
+
+def _remainder(
+    low: float, high: float, hidden: Float[np.ndarray, "t 2"]
+) -> list[tuple[float, float]]:
+    """What is left of [low, high] when the hidden intervals are taken away."""
+    if low > high:
+        return []
+    real: Bool[np.ndarray, "t"] = hidden[:, 1] >= hidden[:, 0]
+    parts, position = [], float(low)
+    for start, end in sorted(map(tuple, hidden[real])):
+        if start > position + _SLIVER:
+            parts.append((position, min(float(start), float(high))))
+        position = max(position, float(end))
+        if position >= high:
+            break
+    if position < high - _SLIVER:
+        parts.append((position, float(high)))
+    return [(start, end) for start, end in parts if end - start > _SLIVER]
+
+
+def _unit(vectors: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return vectors / np.where(length > 0, length, 1.0)
