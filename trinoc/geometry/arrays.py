@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING
 
 import jax
 import numpy as np
+from jaxtyping import Float
 
 # Indexing a NumPy array yields NumPy's own scalars, which are no arrays but behave as such.
 # Type checkers are not told: their scalar type lacks operators that all arrays have.
@@ -11,3 +12,6 @@ if TYPE_CHECKING:
     ArrayLike = jax.Array | np.ndarray
 else:
     ArrayLike = jax.Array | np.ndarray | np.generic
+
+# One number: a Python float, or an array without axes.
+ScalarLike = Float[ArrayLike, ""] | float

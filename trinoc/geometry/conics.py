@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.geometry.arrays import ArrayLike
+from trinoc.geometry.arrays import ArrayLike, ScalarLike
 from trinoc.geometry.camera import Camera, pixel_from_sheet_homography
 
 # Points taken on an ellipse to average the lens distortion along it.
@@ -18,7 +18,7 @@ _BOUNDARY_ANGLES_RAD = np.arange(16) * (2 * np.pi / 16)
 
 
 def dual_conic_of_circle(
-    centre: Float[ArrayLike, "2"], radius: Float[ArrayLike, ""]
+    centre: Float[ArrayLike, "2"], radius: ScalarLike
 ) -> Float[ArrayLike, "3 3"]:
     """C* = c c^T - r^2 diag(1, 1, 0), with c = (centre, 1)."""
     homogeneous = jnp.append(centre, 1.0)
@@ -44,7 +44,7 @@ def shape_of_dual_conic(dual_conic: Float[ArrayLike, "3 3"]) -> Float[ArrayLike,
 
 
 def image_of_circle(
-    camera: Camera, centre_sheet_mm: Float[ArrayLike, "2"], radius_mm: Float[ArrayLike, ""]
+    camera: Camera, centre_sheet_mm: Float[ArrayLike, "2"], radius_mm: ScalarLike
 ) -> Float[ArrayLike, "3 3"]:
     """Dual conic, in undistorted pixels, of a circle on the sheet Z = 0."""
     circle = dual_conic_of_circle(centre_sheet_mm, radius_mm)
@@ -52,7 +52,7 @@ def image_of_circle(
 
 
 def image_of_circle_centre(
-    camera: Camera, centre_sheet_mm: Float[ArrayLike, "2"], radius_mm: Float[ArrayLike, ""]
+    camera: Camera, centre_sheet_mm: Float[ArrayLike, "2"], radius_mm: ScalarLike
 ) -> Float[ArrayLike, "2"]:
     """Centre, in pixels of the picture, of the ellipse that images a circle of the sheet.
 
@@ -71,10 +71,10 @@ def image_of_circle_centre(
 def boundary_of_dual_conic(
     dual_conic: Float[ArrayLike, "3 3"], angles_rad: Float[ArrayLike, "n"]
 ) -> Float[ArrayLike, "n 2"]:
-    """Points of an ellipse at equally named angles of the circle it is an affine image of."""
+    """Points of an ellipse at given angles of the unit circle of which it is an affine image."""
     centre, shape = centre_of_dual_conic(dual_conic), shape_of_dual_conic(dual_conic)
     first = jnp.sqrt(shape[0, 0])
     slope = shape[0, 1] / first
     second = jnp.sqrt(shape[1, 1] - slope**2)
     cos, sin = jnp.cos(angles_rad), jnp.sin(angles_rad)
-    return centre[None, :] + jnp.stack([first * cos, slope * cos + second * sin], axis=-1)
+    return jnp.stack([centre[0] + first * cos, centre[1] + slope * cos + second * sin], axis=-1)

@@ -58,25 +58,18 @@ def epipolar_distance_px(
 
 def epipolar_plane_angle(
     matrix_px: Float[ArrayLike, "3 4"],
-    other_centre_mm: Float[ArrayLike, "3"],
+    baseline: Float[ArrayLike, "3"],
     zero_direction: Float[ArrayLike, "3"],
     uv_px: Float[ArrayLike, "2"],
 ) -> Float[ArrayLike, ""]:
-    """Angle in rad of a point's epipolar plane about the baseline, in (-pi/2, pi/2].
+    """Angle in rad, within +-pi/2, of a point's epipolar plane about the baseline.
 
-    The pencil of planes through the two centres is a one-parameter family, so that partners
-    in two views have one angle; the plane of `zero_direction` (world frame, not along the
-    baseline) has angle 0. Views a and b must be given the same `zero_direction`, and each
-    the centre of the other; the baseline's sign is taken so that both agree.
+    The planes through two centres are a one-parameter family: partners in two views have one
+    angle when both are given the same `baseline` (the vector between the centres, world
+    frame) and the same `zero_direction`, whose plane has angle 0.
     """
-    centre = centre_of_matrix(matrix_px)
     ray = inverse_3x3(matrix_px[:, :3]) @ jnp.append(uv_px, 1.0)
-    baseline = other_centre_mm - centre
-    baseline = baseline / jnp.sqrt(baseline @ baseline)
-    first = zero_direction - (zero_direction @ baseline) * baseline
+    axis = baseline / jnp.sqrt(baseline @ baseline)
+    first = zero_direction - (zero_direction @ axis) * axis
     first = first / jnp.sqrt(first @ first)
-    second = jnp.cross(baseline, first)
-    # A plane has no front: reduce the ray's angle by pi, and mirror with the baseline.
-    mirror = jnp.sign(baseline @ jnp.sign(jnp.where(jnp.abs(baseline) == jnp.max(jnp.abs(baseline)), baseline, 0.0)))
-    tangent = (ray @ second) / (ray @ first)
-    return mirror * jnp.arctan(tangent)
+    return jnp.arctan((ray @ jnp.cross(axis, first)) / (ray @ first))

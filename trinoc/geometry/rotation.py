@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from trinoc.geometry.arrays import ArrayLike
+from trinoc.geometry.arrays import ArrayLike, ScalarLike
 
 
 def skew(vector: Float[ArrayLike, "3"]) -> Float[ArrayLike, "3 3"]:
@@ -28,7 +28,7 @@ def rotation_from_vector(vector_rad: Float[ArrayLike, "3"]) -> Float[ArrayLike, 
 
 
 def rotation_from_pan_tilt_swing(
-    pan_rad: Float[ArrayLike, ""], tilt_rad: Float[ArrayLike, ""], swing_rad: Float[ArrayLike, ""]
+    pan_rad: ScalarLike, tilt_rad: ScalarLike, swing_rad: ScalarLike
 ) -> Float[ArrayLike, "3 3"]:
     """cam_from_world rotation whose rows are the camera's x (right), y (down), z (forward).
 

@@ -1,0 +1,84 @@
+import jax
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.geometry.strategies import LENS, rigs_of_three
+from trinoc.errors import InputError
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.precision import in_float64
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.segments import Segments
+
+
+@given(rigs_of_three(), st.permutations(["upper", "left", "right"]))
+def test_a_rig_keeps_the_order_of_its_cameras(cameras, names):
+    rig = Rig(dict(zip(names, cameras, strict=True)))
+    assert list(rig) == names
+    leaves, structure = jax.tree.flatten(rig)
+    again = jax.tree.unflatten(structure, leaves)
+    assert list(again) == names
+    np.testing.assert_array_equal(again.matrices_px, rig.matrices_px)
+    for name, camera in rig.items():
+        assert rig[name] is camera
+
+
+@given(rigs_of_three())
+def test_a_rig_from_matrices_has_these_matrices(cameras):
+    matrices = {str(i): camera.matrix_px for i, camera in enumerate(cameras)}
+    rig = Rig.from_matrices(matrices, (512, 480))
+    np.testing.assert_allclose(
+        rig.matrices_px, np.stack(list(matrices.values())), rtol=1e-9, atol=1e-6
+    )
+
+
+def test_what_a_rig_refuses():
+    camera = Camera.from_degrees(LENS, pan_deg=0, tilt_deg=50, swing_deg=0, distance_mm=400)
+    rig = Rig({"upper": camera})
+    with pytest.raises(InputError, match='no camera "left"; this rig has upper'):
+        rig["left"]
+    with pytest.raises(InputError, match="at least one"):
+        Rig({})
+    with pytest.raises(InputError, match="2 parameters are named"):
+        Rig({"upper": camera}, parameters=("a", "b"), covariance=np.zeros((1, 1)))
+    with pytest.raises(InputError, match='Camera "left"'):
+        Rig.from_matrices({"left": np.zeros((3, 4))}, (512, 480))
+    assert np.isnan(rig.sigma("upper.pan_deg"))
+    known = Rig({"upper": camera}, parameters=("upper.pan_deg",), covariance=np.array([[0.25]]))
+    assert known.sigma("upper.pan_deg") == 0.5
+
+
+@pytest.mark.parametrize(
+    ("rows", "words"),
+    [
+        (np.zeros((3, 5)), "shape"),
+        ([[0.0, 0, 1, 1], [0, 0, np.nan, 1]], "Segment 1 has a coordinate"),
+        ([[0.0, 0, 1, 1], [2, 3, 2, 3]], "Segment 1 has two equal ends"),
+    ],
+)
+def test_segments_that_cannot_be_used_are_refused(rows, words):
+    with pytest.raises(InputError, match=words):
+        Segments.from_endpoints(np.asarray(rows))
+
+
+def test_segments_of_either_shape_and_none_at_all():
+    rows = np.array([[0.0, 0, 3, 4], [1, 1, 1, 6]])
+    segments = Segments.from_endpoints(rows, sigma_px=0.2, sigma_along_px=1.0)
+    np.testing.assert_array_equal(
+        Segments.from_endpoints(rows.reshape(-1, 2, 2)).endpoints_px, segments.endpoints_px
+    )
+    np.testing.assert_allclose(segments.length_px, [5, 5])
+    assert len(Segments.from_endpoints(np.zeros((0, 4)))) == 0
+    across, along = np.array([-0.8, 0.6]), np.array([0.6, 0.8])
+    for block in (segments.covariance_px2[0, :2, :2], segments.covariance_px2[0, 2:, 2:]):
+        assert across @ block @ across == pytest.approx(0.04)
+        assert along @ block @ along == pytest.approx(1.0)
+
+
+def test_double_precision_ends_with_the_call():
+    with jax.enable_x64(False):
+        answer = in_float64(lambda x: jax.numpy.asarray(x) / 3)(1.0)
+        assert isinstance(answer, np.ndarray)
+        assert answer.dtype == np.float64
+        assert jax.numpy.asarray(np.float64(1)).dtype == np.float32
