@@ -72,9 +72,7 @@ def _decoded(file: Path, content: bytes) -> np.ndarray:
     finally:
         cv2.utils.logging.setLogLevel(level)
     if image is None:
-        raise InputError(
-            f"{file} is not a readable picture: give a PNG, TIFF or JPEG file."
-        )
+        raise InputError(f"{file} is not a readable picture: give a PNG, TIFF or JPEG file.")
     if image.ndim == 2:
         return image
     if image.shape[2] == 4:

@@ -52,10 +52,10 @@ def intrinsics_to_block(intrinsics: Intrinsics) -> dict[str, Any]:
     block: dict[str, Any] = {}
     pitch_mm = intrinsics.pixel_pitch_mm
     if pitch_mm is not None:
-        focal_mm = focal_px * pitch_mm
-        if abs(focal_mm[0] - focal_mm[1]) <= 1e-12 * focal_mm[0]:
-            # Twelve decimals bring back 16 from 16 / 0.0162 * 0.0162.
-            block["focal_length_mm"] = round(float(focal_mm[0]), 12)
+        # Fifteen digits bring back 16 from 16 / 0.0162 * 0.0162.
+        focal_mm = float(f"{focal_px[0] * pitch_mm[0]:.15g}")
+        if np.allclose(focal_mm / np.array(pitch_mm), focal_px, rtol=1e-15, atol=0):
+            block["focal_length_mm"] = focal_mm
         else:
             block["focal_length_px"] = focal_px.tolist()
         block["pixel_pitch_mm"] = list(pitch_mm)

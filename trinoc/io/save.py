@@ -22,7 +22,7 @@ Saveable = Rig | CalibrationResult | Intrinsics | Pattern | Segments | Matches
 
 
 def save(
-    value: Saveable,
+    value: object,
     path: str | os.PathLike[str],
     *,
     provenance: Mapping[str, Any] | None = None,
