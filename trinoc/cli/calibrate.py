@@ -1,0 +1,98 @@
+"""`trinoc calibrate`: one picture of the sheet per camera to a rig.json."""
+
+import dataclasses
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
+
+from trinoc.cli.command import Command, Outcome, UsageError
+from trinoc.cli.lens_options import LensOptions
+from trinoc.cli.progress import LOGGER
+from trinoc.cli.views import files_of_views
+
+if TYPE_CHECKING:
+    from trinoc.calib.result import CalibrationResult
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Calibrate(Command):
+    """Calibrate cameras from one picture of the printed sheet each."""
+
+    pictures: Annotated[
+        tyro.conf.Positional[tuple[str, ...]],
+        tyro.conf.arg(metavar="NAME=IMG", help_behavior_hint="(required)"),
+    ]
+    """The picture that each camera took of the sheet, such as upper=upper.png left=left.png."""
+
+    pattern: Path
+    """Layout of the sheet (JSON), as `trinoc pattern` writes it."""
+
+    lens: LensOptions
+
+    parameters: Literal[4, 6] = 4
+    """4: the optical axis meets the origin of the sheet; 6: where it meets the sheet is free."""
+
+    out: Annotated[Path, tyro.conf.arg(aliases=("-o",))] = Path("rig.json")
+    """Where the rig goes."""
+
+    report: Annotated[
+        Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")
+    ] = None
+    """Also write an HTML report here."""
+
+    def run(self, command_line: str) -> Outcome:
+        """Calibrate and write the rig."""
+        files = files_of_views(self.pictures)
+        if not files:
+            raise UsageError("No picture is given: write NAME=FILE for each camera.")
+
+        from trinoc.calib.calibrate import calibrate
+        from trinoc.cli.provenance import provenance
+        from trinoc.io.images import read_views
+        from trinoc.io.pattern_json import load_pattern
+        from trinoc.io.save import save
+
+        pattern = load_pattern(self.pattern)
+        images = read_views(files)
+        lenses = self.lens.lenses({name: _size(image) for name, image in images.items()})
+        LOGGER.info("calibrating %s", ", ".join(files))
+        result = calibrate(images, pattern, lenses, parameters=self.parameters)
+        origin = provenance(command_line, {**files, "pattern": self.pattern, **self.lens.files()})
+        save(result, self.out, provenance=origin)
+        if self.report is not None:
+            from trinoc.report.html import write_report
+
+            LOGGER.info("writing %s", self.report)
+            write_report(self.report, result=result, sheet_pictures=images)
+        written = [str(path) for path in (self.out, self.report) if path is not None]
+        text = f"{result.summary()}\nwritten: {', '.join(written)}"
+        return Outcome(text, {**calibration_record(result), "written": written})
+
+
+def calibration_record(result: "CalibrationResult") -> dict[str, Any]:
+    """What programs want to know of a calibration, as JSON can hold it."""
+    return {
+        "cameras": {
+            name: {
+                "status": status.name.lower(),
+                "parameters": {
+                    parameter.removeprefix(f"{name}."): {
+                        "value": float(value),
+                        "sigma": result.rig.sigma(parameter),
+                    }
+                    for parameter, value in zip(result.parameters, result.values, strict=True)
+                    if parameter.startswith(f"{name}.")
+                },
+                "circles": int(result.fits[name].used.sum()),
+                "rms_px": result.fits[name].rms_px,
+                "reduced_chi_square": result.fits[name].reduced_chi_square,
+                "notes": list(result.fits[name].notes),
+            }
+            for name, status in result.status.items()
+        }
+    }
+
+
+def _size(image: Any) -> tuple[int, int]:
+    return image.shape[1], image.shape[0]

@@ -1,0 +1,37 @@
+"""What every command is: options that tyro reads, and a `run` that returns what to print."""
+
+import abc
+import dataclasses
+from typing import Any, NamedTuple
+
+from trinoc.errors import InputError
+
+
+class UsageError(InputError):
+    """The command line itself is wrong: exit status 2 instead of 1."""
+
+
+class Outcome(NamedTuple):
+    """What a command has to say: text for people, or one JSON object for programs."""
+
+    text: str
+    record: dict[str, Any]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Command(abc.ABC):
+    """Options that all commands share."""
+
+    json: bool = False
+    """Print exactly one JSON object on stdout instead of text."""
+
+    quiet: bool = False
+    """Show no progress on stderr."""
+
+    @abc.abstractmethod
+    def run(self, command_line: str) -> Outcome:
+        """Do the job. Files go where the options say; only `main` prints the outcome.
+
+        `command_line` is what the user typed, for the provenance of files. What takes long to
+        import is imported here, so that `--help` is quick.
+        """

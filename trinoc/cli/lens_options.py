@@ -1,0 +1,79 @@
+"""How the command line says what lens a camera has."""
+
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from trinoc.cli.command import UsageError
+from trinoc.cli.views import files_of_views
+
+if TYPE_CHECKING:
+    from trinoc.geometry.intrinsics import Intrinsics
+
+
+@dataclasses.dataclass(frozen=True)
+class LensOptions:
+    """The lens: from a file, or as its data sheet has it."""
+
+    intrinsics: Annotated[
+        tuple[str, ...],
+        tyro.conf.arg(metavar="FILE", help_behavior_hint="(or the two options below)"),
+    ] = ()
+    """camera.json of all cameras, or NAME=camera.json for each."""
+
+    focal_length_mm: Annotated[
+        float | None, tyro.conf.arg(metavar="MM", help_behavior_hint="(with the next)")
+    ] = None
+    """Focal length of all cameras, instead of --intrinsics."""
+
+    pixel_pitch_mm: Annotated[
+        tuple[float, ...], tyro.conf.arg(metavar="MM", help_behavior_hint="")
+    ] = ()
+    """Size of a pixel: one number, or width and height."""
+
+    def lenses(self, sizes_px: Mapping[str, tuple[int, int]]) -> "dict[str, Intrinsics]":
+        """The lens of each camera, whose pictures have these (width, height).
+
+        Raises UsageError where the options do not say it, InputError for a file that does not.
+        """
+        from trinoc.geometry.intrinsics import Intrinsics
+        from trinoc.io.intrinsics_json import load_intrinsics
+
+        by_numbers = self.focal_length_mm is not None or len(self.pixel_pitch_mm) > 0
+        if by_numbers == bool(self.intrinsics):
+            raise UsageError(
+                "The lens is not determined: give either --intrinsics, or --focal-length-mm and "
+                "--pixel-pitch-mm."
+            )
+        if by_numbers:
+            if self.focal_length_mm is None or len(self.pixel_pitch_mm) not in (1, 2):
+                raise UsageError(
+                    "The lens is not determined: give --focal-length-mm F with --pixel-pitch-mm P, "
+                    "or P_WIDTH P_HEIGHT."
+                )
+            pitch = (self.pixel_pitch_mm[0], self.pixel_pitch_mm[-1])
+            return {
+                name: Intrinsics(
+                    focal_length_mm=self.focal_length_mm, pixel_pitch_mm=pitch, image_size_px=size
+                )
+                for name, size in sizes_px.items()
+            }
+        if len(self.intrinsics) == 1 and "=" not in self.intrinsics[0]:
+            lens = load_intrinsics(Path(self.intrinsics[0]))
+            return dict.fromkeys(sizes_px, lens)
+        files = files_of_views(self.intrinsics)
+        for name in sizes_px:
+            if name not in files:
+                raise UsageError(
+                    f'--intrinsics has no file for the camera "{name}": add {name}=camera.json.'
+                )
+        return {name: load_intrinsics(files[name]) for name in sizes_px}
+
+    def files(self) -> dict[str, Path]:
+        """The files that `lenses` reads, for provenance."""
+        if len(self.intrinsics) == 1 and "=" not in self.intrinsics[0]:
+            return {"intrinsics": Path(self.intrinsics[0])}
+        return {f"intrinsics {k}": v for k, v in files_of_views(self.intrinsics).items()}

@@ -1,0 +1,82 @@
+"""The `trinoc` command: reads the command line, runs one command, prints what it says.
+
+Exit status 0: done. 1: the job failed, and one sentence on stderr says why and what to do
+next. 2: wrong usage.
+"""
+
+import json
+import os
+import shlex
+import sys
+from collections.abc import Sequence
+from typing import Annotated
+
+import tyro
+
+import trinoc
+from trinoc.cli.calibrate import Calibrate
+from trinoc.cli.command import Command, UsageError
+from trinoc.cli.match import Match
+from trinoc.cli.pattern import Pattern
+from trinoc.cli.segments import Segments
+from trinoc.errors import TrinocError
+
+DESCRIPTION = (
+    "Calibrate fixed cameras from one picture of a printed sheet each, and match line segments "
+    "across their pictures into 3-D segments with error bars."
+)
+
+AnyCommand = (
+    Annotated[Pattern, tyro.conf.subcommand("pattern")]
+    | Annotated[Calibrate, tyro.conf.subcommand("calibrate")]
+    | Annotated[Segments, tyro.conf.subcommand("segments")]
+    | Annotated[Match, tyro.conf.subcommand("match")]
+)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return the exit status."""
+    arguments = sys.argv[1:] if arguments is None else list(arguments)
+    if arguments == ["--version"]:
+        print(f"trinoc {trinoc.__version__}")
+        return 0
+    try:
+        command = tyro.cli(
+            AnyCommand,
+            prog="trinoc",
+            description=DESCRIPTION,
+            args=arguments,
+            config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes),
+        )
+    except SystemExit as exit_:  # tyro prints help or what is wrong by itself
+        return int(exit_.code or 0)
+    return _run(command, shlex.join(["trinoc", *arguments]))
+
+
+def _run(command: Command, command_line: str) -> int:
+    # Small LAPACK calls are many times slower when their threads fight over busy cores.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+    from trinoc.cli.compile_cache import enable_compile_cache
+    from trinoc.cli.progress import set_up_logging
+
+    set_up_logging(quiet=command.quiet)
+    enable_compile_cache()
+    try:
+        outcome = command.run(command_line)
+    except TrinocError as error:
+        return _failed(command, str(error), status=2 if isinstance(error, UsageError) else 1)
+    except OSError as error:
+        place = f"{error.filename}: " if error.filename else ""
+        return _failed(command, f"{place}{error.strerror or error}: check the disk.", status=1)
+    except KeyboardInterrupt:
+        return _failed(command, "Interrupted: files that were not finished are not there.", 130)
+    print(json.dumps(outcome.record, allow_nan=False) if command.json else outcome.text)
+    return 0
+
+
+def _failed(command: Command, sentence: str, status: int) -> int:
+    print(f"trinoc: {sentence}", file=sys.stderr)
+    if command.json:
+        print(json.dumps({"error": sentence}))
+    return status

@@ -1,0 +1,148 @@
+"""`trinoc match`: the pictures of a rig, or their segments, to matched 3-D segments."""
+
+import dataclasses
+from collections import Counter
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+
+from trinoc.cli.command import Command, Outcome, UsageError
+from trinoc.cli.progress import LOGGER, each
+from trinoc.cli.views import files_of_views
+from trinoc.errors import InputError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from trinoc.geometry.rig import Rig
+    from trinoc.geometry.segments import Segments
+    from trinoc.match.matches import Matches
+
+SEGMENT_SUFFIXES = (".npz", ".npy", ".csv", ".txt")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Match(Command):
+    """Match line segments across the pictures of a calibrated rig."""
+
+    pictures: Annotated[
+        tyro.conf.Positional[tuple[str, ...]],
+        tyro.conf.arg(metavar="NAME=FILE", help_behavior_hint="(required)"),
+    ]
+    """For each camera its picture, or segments found before (npz), or a table x1 y1 x2 y2
+    (npy, csv, txt) of any detector."""
+
+    rig: Path
+    """The cameras, as `trinoc calibrate` writes them."""
+
+    out: Annotated[Path, tyro.conf.arg(aliases=("-o",))] = Path("matches.npz")
+    """Where the matches go."""
+
+    report: Annotated[
+        Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")
+    ] = None
+    """Also write an HTML report here."""
+
+    def run(self, command_line: str) -> Outcome:
+        """Match and write the matches."""
+        files = files_of_views(self.pictures)
+        if not files:
+            raise UsageError("No picture is given: write NAME=FILE for each camera.")
+
+        from trinoc.io.rig_json import load_rig
+        from trinoc.io.save import save
+        from trinoc.match.match_segments import match_segments
+
+        rig = load_rig(self.rig)
+        check_views(files, rig, self.rig)
+        images, segments = self._read(files, rig)
+        LOGGER.info("matching %s", ", ".join(f"{len(s)} ({n})" for n, s in segments.items()))
+        matches = match_segments(segments, rig)
+        save(matches, self.out)
+        if self.report is not None:
+            from trinoc.report.html import write_report
+
+            LOGGER.info("writing %s", self.report)
+            write_report(
+                self.report, rig=rig, segments=segments, matches=matches, scene_pictures=images
+            )
+        written = [str(path) for path in (self.out, self.report) if path is not None]
+        record = match_record(segments, matches)
+        return Outcome(
+            f"{match_text(record)}\nwritten: {', '.join(written)}", {**record, "written": written}
+        )
+
+    def _read(
+        self, files: Mapping[str, Path], rig: "Rig"
+    ) -> "tuple[dict[str, np.ndarray], dict[str, Segments]]":
+        from trinoc.io.images import read_views
+        from trinoc.io.segments_npz import load_segments
+        from trinoc.match.find_segments import find_segments
+
+        tables = {n: f for n, f in files.items() if f.suffix.lower() in SEGMENT_SUFFIXES}
+        images = read_views({name: file for name, file in files.items() if name not in tables})
+        segments = {}
+        for name in each(tuple(files), "segments", quiet=self.quiet):
+            if name in tables:
+                segments[name] = load_segments(tables[name])
+            else:
+                _check_size(name, images[name], rig)
+                segments[name] = find_segments(images[name])
+        return images, segments
+
+
+def check_views(files: Mapping[str, Path], rig: "Rig", rig_file: Path) -> None:
+    """Raise InputError where the views given are not the cameras of the rig."""
+    for name in files:
+        if name not in rig.names:
+            raise InputError(
+                f'{rig_file} has no camera "{name}", but {", ".join(rig.names)}: use these names.'
+            )
+    missing = [name for name in rig.names if name not in files]
+    if missing:
+        raise InputError(
+            f'{rig_file} has the camera "{missing[0]}", for which no picture is given: '
+            f"add {missing[0]}=FILE."
+        )
+
+
+def _check_size(name: str, image: "np.ndarray", rig: "Rig") -> None:
+    size = (image.shape[1], image.shape[0])
+    if size != rig[name].image_size_px:
+        raise InputError(
+            f'The picture of "{name}" is {size[0]} x {size[1]} px, but the rig was calibrated for '
+            f"{rig[name].image_size_px[0]} x {rig[name].image_size_px[1]} px: give a picture of "
+            "that size."
+        )
+
+
+def match_record(segments: "Mapping[str, Segments]", matches: "Matches") -> dict[str, Any]:
+    """What programs want to know of a matching, as JSON can hold it."""
+    return {
+        "segments": {name: len(found) for name, found in segments.items()},
+        "tracks": {
+            "trinocular": int((matches.stage == "trinocular").sum()),
+            "binocular": int((matches.stage == "binocular").sum()),
+        },
+        "counts": {name: int(count) for name, count in matches.counts.items()},
+        "reasons": {
+            name: dict(Counter(str(word) for word in words))
+            for name, words in matches.reasons.items()
+        },
+    }
+
+
+def match_text(record: dict[str, Any]) -> str:
+    """The record of a matching for people."""
+    found = ", ".join(f"{count} ({name})" for name, count in record["segments"].items())
+    lines = [
+        f"segments: {found}",
+        f"tracks: {record['tracks']['trinocular']} seen in three views or more, "
+        f"{record['tracks']['binocular']} in two",
+    ]
+    for name, words in record["reasons"].items():
+        why = ", ".join(f"{count} {word}" for word, count in sorted(words.items()))
+        lines.append(f"{name}: {why}")
+    return "\n".join(lines)

@@ -1,0 +1,24 @@
+"""How a file came to be: the command, the version, and the content of what went in."""
+
+import hashlib
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import trinoc
+
+
+def provenance(command_line: str, inputs: Mapping[str, str | os.PathLike[str]]) -> dict[str, Any]:
+    """The "provenance" object of a file; equal inputs give equal objects, so it has no date."""
+    return {
+        "command": command_line,
+        "version": trinoc.__version__,
+        "inputs": {
+            name: {
+                "file": Path(path).name,
+                "sha256": hashlib.sha256(Path(path).read_bytes()).hexdigest(),
+            }
+            for name, path in inputs.items()
+        },
+    }

@@ -1,0 +1,38 @@
+"""`trinoc segments`: the straight edges of one picture."""
+
+import dataclasses
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from trinoc.cli.command import Command, Outcome
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Segments(Command):
+    """Find the line segments of a picture (Nevatia and Babu)."""
+
+    picture: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="IMG")]
+    """The picture: PNG, TIFF or JPEG, 8 or 16 bit, grey or colour."""
+
+    out: Annotated[Path, tyro.conf.arg(aliases=("-o",))] = Path("segments.npz")
+    """Where the segments go."""
+
+    def run(self, command_line: str) -> Outcome:
+        """Find the segments and write them."""
+        from trinoc.io.images import read_image
+        from trinoc.io.save import save
+        from trinoc.match.find_segments import find_segments
+
+        segments = find_segments(read_image(self.picture))
+        save(segments, self.out)
+        count = len(segments)
+        median_px = float(sorted(segments.length_px)[count // 2]) if count else 0.0
+        text = f"{count} segments, median length {median_px:.1f} px\nwritten: {self.out}"
+        record = {
+            "segments": count,
+            "median_length_px": median_px,
+            "written": [str(self.out)],
+        }
+        return Outcome(text, record)
