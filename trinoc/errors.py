@@ -23,7 +23,18 @@ class DetectionError(TrinocError):
 
 
 class CalibrationError(TrinocError):
-    """The observations do not determine the cameras, or the fit failed."""
+    """The observations do not determine the cameras, or the fit failed.
+
+    `failures` maps each failed camera to its sentence; `result` is the CalibrationResult of
+    the other cameras, or None where there is none.
+    """
+
+    def __init__(
+        self, message: str, failures: dict[str, str] | None = None, result: object = None
+    ) -> None:
+        super().__init__(message)
+        self.failures = failures or {}
+        self.result = result
 
 
 class MatchError(TrinocError):

@@ -4,11 +4,11 @@ import enum
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from trinoc.calib.detection import Detection
 from trinoc.calib.pattern import Pattern
-from trinoc.geometry.rig import Rig
+from trinoc.geometry.rig import PARAMETER_NAMES, Rig
 
 
 class Status(enum.Enum):
@@ -16,6 +16,7 @@ class Status(enum.Enum):
 
     CONVERGED = "The fit converged and its parameters are determined."
     NOT_CONVERGED = "The fit did not converge: its parameters are not a result."
+    NOT_DETECTED = "The sheet was not found in the picture."
     RANK_DEFICIENT = "The observations leave some parameters free: see the named gauge."
 
 
@@ -30,6 +31,7 @@ class CameraFit(eqx.Module):
     reduced_chi_square : chi-square over degrees of freedom.
     gauge : names of the parameters that the observations leave free.
     notes : sentences on what a user should know (covered circles, dropped outliers, ...).
+    used : (m,) circles that took part in the fit; the others were located wrongly.
     """
 
     detection: Detection
@@ -38,6 +40,12 @@ class CameraFit(eqx.Module):
     reduced_chi_square: float = eqx.field(static=True)
     gauge: tuple[str, ...] = eqx.field(static=True)
     notes: tuple[str, ...] = eqx.field(static=True)
+    used: Bool[np.ndarray, "m"]
+
+    @property
+    def rms_px(self) -> float:
+        """Root mean square length of the residuals of the circles that took part."""
+        return float(np.sqrt(np.mean(np.sum(self.residuals_px[self.used] ** 2, axis=1))))
 
 
 class CalibrationResult(eqx.Module):
@@ -45,13 +53,14 @@ class CalibrationResult(eqx.Module):
 
     Fields
     ------
-    rig : the cameras; its covariance is the one below.
-    status : per camera.
+    rig : the cameras whose fit converged; its covariance is the one below.
+    status : per camera, those that failed included.
     parameters : names such as "upper.pan_deg", the rows of `covariance`.
     values : (p,) of `parameters`, degrees and mm.
-    covariance : (p, p), degrees and mm.
-    fits : per camera.
+    covariance : (p, p), degrees and mm; NaN where a parameter is not determined.
+    fits : per camera in which the sheet was found.
     pattern : the sheet.
+    failures : for each camera that is not in the rig, a sentence that says why.
     """
 
     rig: Rig
@@ -61,3 +70,54 @@ class CalibrationResult(eqx.Module):
     covariance: Float[np.ndarray, "p p"]
     fits: dict[str, CameraFit]
     pattern: Pattern
+    failures: dict[str, str] = eqx.field(default_factory=dict)
+
+    def sigma(self, parameter: str) -> float:
+        """Standard deviation of a parameter such as "upper.pan_deg"; NaN if not known."""
+        return self.rig.sigma(parameter)
+
+    def summary(self) -> str:
+        """The parameters with their standard deviations, and how good each fit is, as text."""
+        return summary_text(self)
+
+
+def summary_text(result: CalibrationResult) -> str:
+    """A table of one row per camera, and below it whatever a user should know."""
+    values = dict(zip(result.parameters, result.values, strict=True))
+    columns = [
+        name
+        for name in PARAMETER_NAMES
+        if any(f"{camera}.{name}" in values for camera in result.rig.names)
+    ]
+    header = [
+        "camera",
+        *(name.replace("_deg", " (deg)").replace("_mm", " (mm)") for name in columns),
+    ]
+    rows = [[*header, "circles", "rms (px)", "chi2/dof"]]
+    remarks = []
+    for camera, status in result.status.items():
+        if camera not in result.rig.names:
+            remarks.append(f"{camera}: {result.failures.get(camera, status.value)}")
+            continue
+        fit = result.fits[camera]
+        cells = [
+            _with_sigma(values[f"{camera}.{name}"], result.sigma(f"{camera}.{name}"))
+            for name in columns
+        ]
+        found = f"{int(fit.used.sum())} of {len(result.pattern)}"
+        rows.append([camera, *cells, found, f"{fit.rms_px:.4f}", f"{fit.reduced_chi_square:.2f}"])
+        remarks.extend(f"{camera}: {note}" for note in fit.notes)
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    lines = [
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+        for row in rows
+    ]
+    return "\n".join([*lines, *remarks])
+
+
+def _with_sigma(value: float, sigma: float) -> str:
+    """A value with two significant digits of its standard deviation."""
+    if not np.isfinite(sigma) or sigma <= 0:
+        return f"{value:.4f} +- ?"
+    decimals = max(0, 1 - int(np.floor(np.log10(sigma))))
+    return f"{value:.{decimals}f} +- {sigma:.{decimals}f}"

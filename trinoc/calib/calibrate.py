@@ -1,0 +1,74 @@
+"""Calibrate a rig from one picture of the sheet per camera."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from trinoc.calib.calibrate_detections import calibration_of_detections, lens_of_each
+from trinoc.calib.detect.detect_pattern import detect_pattern
+from trinoc.calib.pattern import Pattern
+from trinoc.calib.result import CalibrationResult
+from trinoc.errors import DetectionError, InputError
+from trinoc.geometry.arrays import ArrayLike
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.precision import in_float64
+
+
+@in_float64
+def calibrate(
+    images: Mapping[str, ArrayLike],
+    pattern: Pattern,
+    lens: Intrinsics | Mapping[str, Intrinsics],
+    *,
+    parameters: int = 4,
+    throw: bool = True,
+) -> CalibrationResult:
+    """The cameras of a rig, from one picture of the sheet each.
+
+    images : a grey or colour picture for each camera, by name.
+    lens : the intrinsics of all cameras, or of each by name.
+    parameters : 4 (pan, tilt, swing, distance; the optical axis meets the origin of the
+        sheet) or 6 (the point it meets is free).
+    throw : whether a camera that fails raises; without it the failed cameras are left out of
+        the rig and `failures` says why.
+
+    Raises
+    ------
+    InputError : a lens is missing, a picture has another size than its lens, or one picture
+        was given for two cameras.
+    CalibrationError : some camera failed; the error holds the sentence of each, and the
+        result of the others. Raised without `throw`, too, where no camera is left.
+    """
+    lenses = lens_of_each(lens, images)
+    _check_pictures(images, lenses)
+    detections, failures = {}, {}
+    for name, image in images.items():
+        try:
+            detections[name] = detect_pattern(np.asarray(image), pattern)
+        except DetectionError as error:
+            failures[name] = str(error)
+    return calibration_of_detections(
+        detections, failures, pattern, lenses, parameters, throw, tuple(images)
+    )
+
+
+def _check_pictures(images: Mapping[str, ArrayLike], lenses: Mapping[str, Intrinsics]) -> None:
+    names = list(images)
+    for name in names:
+        shape, size = np.shape(images[name]), lenses[name].image_size_px
+        if shape[1::-1] != size:
+            raise InputError(
+                f'The picture of camera "{name}" is {_size(shape[1::-1])} pixels, but its lens '
+                f"says {_size(size)}: give the intrinsics of this camera at this resolution."
+            )
+    for k, first in enumerate(names):
+        for second in names[k + 1 :]:
+            if np.array_equal(images[first], images[second]):
+                raise InputError(
+                    f'The same picture was given for cameras "{first}" and "{second}": give '
+                    "each camera its own."
+                )
+
+
+def _size(pair: Sequence[int]) -> str:
+    return " x ".join(str(side) for side in pair)

@@ -1,0 +1,141 @@
+"""Calibrate a rig from circles that are already found."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from trinoc.calib.circle_calibration import fit_detections
+from trinoc.calib.detection import Detection
+from trinoc.calib.findings import failure_sentence, notes_of_fit
+from trinoc.calib.pattern import Pattern
+from trinoc.calib.picture_fit import PictureFit
+from trinoc.calib.result import CalibrationResult, CameraFit, Status
+from trinoc.errors import CalibrationError, InputError
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.pose import PanTiltPose
+from trinoc.geometry.precision import in_float64
+from trinoc.geometry.rig import PARAMETER_NAMES, Rig
+
+
+@in_float64
+def calibrate_detections(
+    detections: Mapping[str, Detection],
+    pattern: Pattern,
+    lens: Intrinsics | Mapping[str, Intrinsics],
+    *,
+    parameters: int = 4,
+    throw: bool = True,
+) -> CalibrationResult:
+    """`trinoc.calibrate` from circles that are already found. Raises as it does."""
+    lenses = lens_of_each(lens, detections)
+    return calibration_of_detections(
+        detections, {}, pattern, lenses, parameters, throw, tuple(detections)
+    )
+
+
+def calibration_of_detections(
+    detections: Mapping[str, Detection],
+    failures: dict[str, str],
+    pattern: Pattern,
+    lenses: Mapping[str, Intrinsics],
+    parameter_count: int,
+    throw: bool,
+    names: Sequence[str],
+) -> CalibrationResult:
+    """Fit the cameras whose sheet was found; `failures` are those of the others."""
+    if parameter_count not in (4, 6):
+        raise InputError(f"parameters is {parameter_count}, but must be 4 (aim held) or 6 (free).")
+    found = list(detections)
+    fitted = fit_detections(
+        [detections[name] for name in found],
+        pattern,
+        [lenses[name] for name in found],
+        parameter_count,
+    )
+    fits = dict(zip(found, fitted, strict=True))
+    failures = failures | {
+        name: sentence
+        for name, fit in fits.items()
+        if (sentence := failure_sentence(fit, detections[name], parameter_count)) is not None
+    }
+    result = assemble(fits, detections, failures, pattern, lenses, parameter_count, names)
+    if failures and (throw or result is None):
+        told = "; ".join(f'camera "{name}": {failures[name]}' for name in names if name in failures)
+        raise CalibrationError(
+            f"{len(failures)} of {len(names)} cameras failed. {told[:1].upper()}{told[1:]}",
+            failures,
+            result,
+        )
+    assert result is not None
+    return result
+
+
+def assemble(
+    fits: Mapping[str, PictureFit],
+    detections: Mapping[str, Detection],
+    failures: dict[str, str],
+    pattern: Pattern,
+    lenses: Mapping[str, Intrinsics],
+    parameter_count: int,
+    names: Sequence[str],
+) -> CalibrationResult | None:
+    """The result of the cameras that did not fail, or None where all did."""
+    good = [name for name in names if name in fits and name not in failures]
+    if not good:
+        return None
+    kept = PARAMETER_NAMES[:parameter_count]
+    parameters = tuple(f"{name}.{parameter}" for name in good for parameter in kept)
+    covariance = np.zeros((len(parameters), len(parameters)))
+    for k, name in enumerate(good):
+        block = slice(k * parameter_count, (k + 1) * parameter_count)
+        covariance[block, block] = fits[name].covariance
+    return CalibrationResult(
+        rig=Rig(
+            {name: _camera(fits[name], lenses[name]) for name in good},
+            parameters=parameters,
+            covariance=covariance,
+        ),
+        status={name: fits[name].status if name in fits else Status.NOT_DETECTED for name in names},
+        parameters=parameters,
+        values=np.concatenate([fits[name].values[:parameter_count] for name in good]),
+        covariance=covariance,
+        fits={name: _camera_fit(fit, detections[name], pattern) for name, fit in fits.items()},
+        pattern=pattern,
+        failures=failures,
+    )
+
+
+def _camera(fit: PictureFit, lens: Intrinsics) -> Camera:
+    pan, tilt, swing = np.radians(fit.values[:3])
+    vector = np.array([pan, tilt, swing, *fit.values[3:]])
+    return Camera.from_pan_tilt(lens, PanTiltPose.from_vector(vector))
+
+
+def _camera_fit(fit: PictureFit, detection: Detection, pattern: Pattern) -> CameraFit:
+    return CameraFit(
+        detection=detection,
+        residuals_px=fit.residuals_px,
+        rank=fit.rank,
+        reduced_chi_square=fit.reduced_chi_square,
+        gauge=fit.gauge,
+        notes=notes_of_fit(fit, detection, pattern),
+        used=fit.used,
+    )
+
+
+def lens_of_each(
+    lens: Intrinsics | Mapping[str, Intrinsics], names: Mapping[str, object]
+) -> dict[str, Intrinsics]:
+    """The intrinsics of every camera, from those of one or of each. Raises InputError."""
+    if not names:
+        raise InputError("No picture was given: give one for each camera, by name.")
+    if isinstance(lens, Intrinsics):
+        return dict.fromkeys(names, lens)
+    missing = [name for name in names if name not in lens]
+    if missing:
+        raise InputError(
+            f'There is no lens for camera "{missing[0]}": give one Intrinsics for all cameras, '
+            "or one for each by name."
+        )
+    return {name: lens[name] for name in names}

@@ -1,0 +1,63 @@
+"""What a circle fit tells its user, in sentences."""
+
+import numpy as np
+
+from trinoc.calib.detection import Detection
+from trinoc.calib.pattern import Pattern
+from trinoc.calib.picture_fit import PictureFit
+from trinoc.calib.result import Status
+
+# Centres of the right sheet through the right lens fit to hundredths of a pixel; beyond this
+# share of the sheet's size in the picture the model is not the camera's.
+_LARGEST_MISFIT = 0.01
+_SMALLEST_MISFIT_PX = 1.0
+
+
+def failure_sentence(fit: PictureFit, detection: Detection, parameter_count: int) -> str | None:
+    """Why the pose must not be used and what to do next, or None where it may be."""
+    if fit.status is Status.RANK_DEFICIENT:
+        free = ", ".join(fit.gauge)
+        return (
+            f"{len(detection)} circles leave {free} free: show more of the sheet, or circles "
+            "that do not lie on one line."
+        )
+    if fit.status is not Status.CONVERGED:
+        return (
+            f"the fit to its {len(detection)} circles did not converge: check that the pattern "
+            "and the lens are those of this picture."
+        )
+    misfit_px = float(np.sqrt(np.mean(np.sum(fit.residuals_px[fit.used] ** 2, axis=1))))
+    extent_px = float(np.max(np.ptp(detection.centres_px, axis=0)))
+    if misfit_px > max(_SMALLEST_MISFIT_PX, _LARGEST_MISFIT * extent_px):
+        free = "" if parameter_count == 6 else ", or free the aim with parameters=6"
+        return (
+            f"the circles miss their predicted places by {misfit_px:.1f} px: check the focal "
+            f"length and the pattern{free}."
+        )
+    if 2 * int(fit.used.sum()) < len(fit.used):
+        return (
+            f"only {int(fit.used.sum())} of {len(fit.used)} circles agree on one camera: check "
+            "the pattern and the picture."
+        )
+    return None
+
+
+def notes_of_fit(fit: PictureFit, detection: Detection, pattern: Pattern) -> tuple[str, ...]:
+    """Sentences on what a user of a good fit should know."""
+    notes = []
+    dropped = detection.circle_index[~fit.used]
+    if len(dropped):
+        notes.append(
+            f"{len(dropped)} circle{'s were' if len(dropped) > 1 else ' was'} located wrongly and "
+            f"left out: {', '.join(str(k) for k in dropped)}."
+        )
+    if len(detection) < len(pattern):
+        notes.append(f"{len(detection)} of {len(pattern)} circles were found.")
+    if fit.status is Status.CONVERGED and fit.gauge:
+        notes.append(f"{' and '.join(fit.gauge)} are not determined one by one.")
+    if fit.reduced_chi_square > 2:
+        notes.append(
+            f"the circles scatter {np.sqrt(fit.reduced_chi_square):.1f} times as much as their "
+            "own sigmas say; the parameters' sigmas are enlarged by that factor."
+        )
+    return tuple(notes)
