@@ -49,15 +49,17 @@ class LensOptions:
                 "--pixel-pitch-mm."
             )
         if by_numbers:
-            if self.focal_length_mm is None or len(self.pixel_pitch_mm) not in (1, 2):
+            pitch_mm = list(self.pixel_pitch_mm)
+            if self.focal_length_mm is None or len(pitch_mm) not in (1, 2):
                 raise UsageError(
                     "The lens is not determined: give --focal-length-mm F with --pixel-pitch-mm P, "
                     "or P_WIDTH P_HEIGHT."
                 )
-            pitch = (self.pixel_pitch_mm[0], self.pixel_pitch_mm[-1])
             return {
                 name: Intrinsics(
-                    focal_length_mm=self.focal_length_mm, pixel_pitch_mm=pitch, image_size_px=size
+                    focal_length_mm=self.focal_length_mm,
+                    pixel_pitch_mm=(pitch_mm[0], pitch_mm[-1]),
+                    image_size_px=size,
                 )
                 for name, size in sizes_px.items()
             }
