@@ -75,7 +75,7 @@ def test_a_vanishing_circle_is_imaged_at_its_centre(camera, centre):
 
 
 def test_with_distortion_the_centre_is_that_of_an_ellipse_fitted_to_the_curve():
-    """To within the noise of a good centre, 0.004 px; the curve is no ellipse, so fits differ."""
+    """The curve is no ellipse, so fits differ by up to 0.001 px."""
     import cv2
 
     camera = Camera.from_degrees(
@@ -85,5 +85,5 @@ def test_with_distortion_the_centre_is_that_of_an_ellipse_fitted_to_the_curve():
         curve = jax.vmap(project, (None, 0))(camera, circle_points(centre, 6.0))
         (u, v), _, _ = cv2.fitEllipse(np.asarray(curve, dtype=np.float32))
         np.testing.assert_allclose(
-            image_of_circle_centre(camera, np.array(centre), 6.0), (u, v), atol=4e-3
+            image_of_circle_centre(camera, np.array(centre), 6.0), (u, v), atol=1e-3
         )
