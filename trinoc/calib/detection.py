@@ -17,6 +17,9 @@ class Detection(eqx.Module):
     lines_px : (2, 3) the images of the lines along X and along Y, unit normal; NaN where
         not seen.
     image_size_px : (width, height) of the picture.
+    ambiguity : (k, m) the other labellings, in the order of `circle_index`, that the pattern's
+        own symmetry leaves open (a plain grid of discs looks the same turned); None when
+        `circle_index` is the only one.
     """
 
     circle_index: Int[np.ndarray, "m"]
@@ -25,6 +28,7 @@ class Detection(eqx.Module):
     shape_px2: Float[np.ndarray, "m 2 2"]
     lines_px: Float[np.ndarray, "2 3"]
     image_size_px: tuple[int, int] = eqx.field(static=True)
+    ambiguity: Int[np.ndarray, "k m"] | None = None
 
     def __len__(self) -> int:
         return len(self.circle_index)

@@ -1,0 +1,287 @@
+"""Ellipses fitted to the grey levels of the pixels round them.
+
+A circle's picture is light times (1 - ink x coverage), and the coverage across its edge is the
+normal distribution function of the distance to the ellipse over the blur. Fitting that to all
+pixels near the edge takes everything they say about the centre: no threshold, no sampled
+profile. The model is symmetric about the centre, so what it leaves out (the edge's curvature,
+the lens's true spread) does not move the centre.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from trinoc.calib.detect.ellipse_pixels import EllipsePixels
+from trinoc.calib.detect.normal_table import normal_cdf
+
+# Parameters of one circle, in the order of the Jacobian's columns.
+_CENTRE, _SHAPE, _BLUR, _PAPER, _INK, _HOLE = slice(0, 2), slice(2, 5), 5, 6, 7, 8
+_PARAMETERS = 9
+_SMALLEST_BLUR_PX = 0.25
+_LARGEST_BLUR_PX = 12.0
+# Relative width of the prior that holds each circle's blur to that of the sheet.
+_BLUR_PRIOR = 0.3
+_DENSITY = np.float32(1.0 / np.sqrt(2.0 * np.pi))
+
+
+class Ellipses(NamedTuple):
+    """State and outcome of the fit.
+
+    centres_px : (n, 2).
+    shape_px2 : (n, 2, 2) S of (x - c)^T S^-1 (x - c) = 1.
+    blur_px : (n,) sigma of the edge.
+    paper : (n,) grey of the paper at the centre.
+    ink : (n,) share of the light that ink takes away.
+    hole : (n,) 1 for a ring, 0 for a disc, as fitted.
+    hole_sigma : (n,).
+    covariance_px2 : (n, 2, 2) of the centres.
+    residual_sigma : (n,) rms residual of the pixels kept.
+    kept : (n,) share of the pixels that the model explains.
+    """
+
+    centres_px: Float[np.ndarray, "n 2"]
+    shape_px2: Float[np.ndarray, "n 2 2"]
+    blur_px: Float[np.ndarray, "n"]
+    paper: Float[np.ndarray, "n"]
+    ink: Float[np.ndarray, "n"]
+    hole: Float[np.ndarray, "n"]
+    hole_sigma: Float[np.ndarray, "n"]
+    covariance_px2: Float[np.ndarray, "n 2 2"]
+    residual_sigma: Float[np.ndarray, "n"]
+    kept: Float[np.ndarray, "n"]
+
+    def take(self, index: np.ndarray) -> "Ellipses":
+        """The ellipses of an index or a mask."""
+        return Ellipses(*(field[index] for field in self))
+
+
+def start_ellipses(
+    pixels: EllipsePixels,
+    centres_px: Float[np.ndarray, "n 2"],
+    shape_px2: Float[np.ndarray, "n 2 2"],
+) -> Ellipses:
+    """Grey levels and blur read off the pixels of given ellipses."""
+    count = len(centres_px)
+    y1, y2 = _whitened(pixels, centres_px, _inverse_square_root(shape_px2))
+    radius = np.sqrt(y1 * y1 + y2 * y2)
+    paper = _masked_mean(pixels.grey, pixels.used & (radius > 1.22))
+    dark = _masked_mean(pixels.grey, pixels.used & (radius > 0.62) & (radius < 0.82))
+    contrast = np.where(np.abs(paper - dark) > 1e-6, paper - dark, 1e-6)
+    coverage = (paper[:, None] - pixels.grey) / contrast[:, None]
+    # Between 16 and 84 % the edge is two blurs wide.
+    on_edge = pixels.used & (np.abs(coverage - 0.5) < 0.34) & (radius > 0.78) & (radius < 1.3)
+    axes = np.sqrt(np.linalg.eigvalsh(shape_px2))
+    perimeter = np.pi * axes.sum(axis=1) * pixels.used.mean()
+    blur = float(np.median(on_edge.sum(axis=1) / (2 * perimeter)))
+    zero = np.zeros(count)
+    return Ellipses(
+        centres_px=centres_px,
+        shape_px2=shape_px2,
+        blur_px=np.full(count, np.clip(blur, 0.4, _LARGEST_BLUR_PX)),
+        paper=paper,
+        ink=np.clip(contrast / np.where(np.abs(paper) > 1e-6, paper, 1e-6), -20.0, 20.0),
+        hole=zero,
+        hole_sigma=zero,
+        covariance_px2=np.zeros((count, 2, 2)),
+        residual_sigma=zero,
+        kept=zero,
+    )
+
+
+def refine_ellipses(
+    pixels: EllipsePixels,
+    start: Ellipses,
+    *,
+    hole_ratio: float,
+    free_hole: bool,
+    slope: Float[np.ndarray, "n 2"],
+    noise_sigma: float,
+    outlier_shares: tuple[float, ...],
+) -> Ellipses:
+    """Gauss-Newton steps, one for each of `outlier_shares`, then the covariance.
+
+    hole_ratio : inner over outer radius of rings; 0 leaves holes out.
+    free_hole : whether `hole` is fitted or kept.
+    slope : (n, 2) relative change of the light per pixel along x and y.
+    outlier_shares : pixels whose residual exceeds this share of the contrast, and 4.5 sigma
+        of the noise, are left out of the step.
+    """
+    state = start
+    kept = pixels.used
+    for share in outlier_shares:
+        frame = _inverse_square_root(state.shape_px2)
+        jacobian, residual = _linearise(pixels, state, frame, hole_ratio, slope)
+        kept = _kept(pixels, residual, state, share, noise_sigma)
+        state = _step(state, frame, jacobian, residual, kept, free_hole and hole_ratio > 0)
+    frame = _inverse_square_root(state.shape_px2)
+    jacobian, residual = _linearise(pixels, state, frame, hole_ratio, slope)
+    kept = _kept(pixels, residual, state, outlier_shares[-1], noise_sigma)
+    return _with_covariance(
+        pixels, state, jacobian, residual, kept, noise_sigma, free_hole and hole_ratio > 0
+    )
+
+
+def _linearise(
+    pixels: EllipsePixels,
+    state: Ellipses,
+    frame: Float[np.ndarray, "n 2 2"],
+    hole_ratio: float,
+    slope: Float[np.ndarray, "n 2"],
+) -> tuple[Float[np.ndarray, "n k p"], Float[np.ndarray, "n p"]]:
+    """Jacobian of the model, and observed minus predicted grey, in 32 bit."""
+    y1, y2 = _whitened(pixels, state.centres_px, frame)
+    radius = np.sqrt(y1 * y1 + y2 * y2)
+    np.maximum(radius, np.float32(0.05), out=radius)
+    w11, w12, w22 = (_column(frame[:, i, j]) for i, j in ((0, 0), (0, 1), (1, 1)))
+    # Gradient of the radius in pixels, and the distance to the ellipse it makes.
+    inverse_radius = 1.0 / radius
+    gx = (w11 * y1 + w12 * y2) * inverse_radius
+    gy = (w12 * y1 + w22 * y2) * inverse_radius
+    # At the very centre there is no gradient, and no edge that would need one.
+    inverse_gradient = 1.0 / np.sqrt(np.maximum(gx * gx + gy * gy, np.float32(1e-6)))
+    distance = (radius - 1.0) * inverse_gradient
+    inverse_blur = _column(1.0 / state.blur_px)
+    z = distance * inverse_blur
+    coverage = normal_cdf(-z)
+    light = _column(state.paper)
+    if np.any(slope):
+        local = state.centres_px - pixels.origin_px
+        along = _column(slope[:, 0]) * (pixels.x - _column(local[:, 0]))
+        light = light * (1.0 + along + _column(slope[:, 1]) * (pixels.y - _column(local[:, 1])))
+    inked = light * _column(state.ink)
+    edge = inked * (np.exp(-0.5 * z * z) * (_DENSITY * inverse_blur))
+    jacobian = np.empty(
+        (len(y1), _PARAMETERS if hole_ratio > 0 else _HOLE, y1.shape[1]), np.float32
+    )
+    across = edge * inverse_gradient
+    np.multiply(across, -gx, out=jacobian[:, 0])
+    np.multiply(across, -gy, out=jacobian[:, 1])
+    across *= 0.5 * inverse_radius
+    np.multiply(across, y1 * y1, out=jacobian[:, 2])
+    np.multiply(across, 2.0 * y1 * y2, out=jacobian[:, 3])
+    np.multiply(across, y2 * y2, out=jacobian[:, 4])
+    np.multiply(edge, -z, out=jacobian[:, _BLUR])
+    if hole_ratio > 0:
+        inner = normal_cdf((np.float32(hole_ratio) - radius) * inverse_gradient * inverse_blur)
+        np.multiply(inked, inner, out=jacobian[:, _HOLE])
+        coverage -= _column(state.hole) * inner
+    model = light - inked * coverage
+    np.multiply(model, _column(1.0 / state.paper), out=jacobian[:, _PAPER])
+    np.multiply(light, -coverage, out=jacobian[:, _INK])
+    return jacobian, pixels.grey - model
+
+
+def _kept(
+    pixels: EllipsePixels,
+    residual: Float[np.ndarray, "n p"],
+    state: Ellipses,
+    share: float,
+    noise_sigma: float,
+) -> Bool[np.ndarray, "n p"]:
+    contrast = np.abs(state.paper * state.ink)
+    cut = np.sqrt((4.5 * noise_sigma) ** 2 + (share * contrast) ** 2)
+    return pixels.used & (np.abs(residual) < _column(cut))
+
+
+def _normal_equations(
+    jacobian: Float[np.ndarray, "n k p"],
+    residual: Float[np.ndarray, "n p"],
+    kept: Bool[np.ndarray, "n p"],
+    free_hole: bool,
+) -> tuple[Float[np.ndarray, "n k k"], Float[np.ndarray, "n k"]]:
+    used = jacobian if free_hole or jacobian.shape[1] < _PARAMETERS else jacobian[:, :_HOLE]
+    weighted = used * kept[:, None, :]
+    normal = (weighted @ np.swapaxes(used, 1, 2)).astype(float)
+    right = (weighted @ residual[:, :, None])[:, :, 0].astype(float)
+    return normal, right
+
+
+def _step(
+    state: Ellipses,
+    frame: Float[np.ndarray, "n 2 2"],
+    jacobian: Float[np.ndarray, "n k p"],
+    residual: Float[np.ndarray, "n p"],
+    kept: Bool[np.ndarray, "n p"],
+    free_hole: bool,
+) -> Ellipses:
+    normal, right = _normal_equations(jacobian, residual, kept, free_hole)
+    diagonal = np.einsum("nkk->nk", normal)
+    diagonal *= 1.0 + 1e-4
+    diagonal += 1e-9 * diagonal.max(axis=1, keepdims=True) + 1e-12
+    # The blur is drawn to the sheet's by a prior worth a share of the pixels' own evidence.
+    common = np.median(state.blur_px)
+    variance = _masked_mean(residual**2, kept) + 1e-12
+    weight = variance / (_BLUR_PRIOR * common) ** 2
+    diagonal[:, _BLUR] += weight
+    right[:, _BLUR] += weight * (common - state.blur_px)
+    change = np.linalg.solve(normal, right[:, :, None])[:, :, 0]
+    smallest_axis = np.sqrt(np.linalg.eigvalsh(state.shape_px2)[:, :1])
+    limit = 0.5 * smallest_axis
+    move = np.clip(change[:, _CENTRE], -limit, limit)
+    bend = np.clip(change[:, _SHAPE], -0.4, 0.4)
+    stretch = np.eye(2) + bend[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
+    determinant = np.linalg.det(stretch)
+    stretch = np.where((determinant > 0.1)[:, None, None], stretch, np.eye(2))
+    precision = frame @ stretch @ frame
+    blur = state.blur_px * np.clip(1.0 + change[:, _BLUR] / state.blur_px, 0.6, 1.6)
+    return state._replace(
+        centres_px=state.centres_px + move,
+        shape_px2=np.linalg.inv(precision),
+        blur_px=np.clip(blur, _SMALLEST_BLUR_PX, _LARGEST_BLUR_PX),
+        paper=state.paper + change[:, _PAPER],
+        ink=np.clip(state.ink + change[:, _INK], -20.0, 20.0),
+        hole=np.clip(state.hole + change[:, _HOLE], -1.0, 2.0) if free_hole else state.hole,
+    )
+
+
+def _with_covariance(
+    pixels: EllipsePixels,
+    state: Ellipses,
+    jacobian: Float[np.ndarray, "n k p"],
+    residual: Float[np.ndarray, "n p"],
+    kept: Bool[np.ndarray, "n p"],
+    noise_sigma: float,
+    free_hole: bool,
+) -> Ellipses:
+    normal, _ = _normal_equations(jacobian, residual, kept, free_hole)
+    diagonal = np.einsum("nkk->nk", normal)
+    diagonal += 1e-9 * diagonal.max(axis=1, keepdims=True) + 1e-12
+    variance = _masked_mean(residual**2, kept)
+    # Pixels that agree by luck do not make a circle surer than the picture's noise allows.
+    covariance = np.linalg.inv(normal) * np.maximum(variance, noise_sigma**2)[:, None, None]
+    total = np.maximum(pixels.used.sum(axis=1), 1)
+    return state._replace(
+        covariance_px2=covariance[:, _CENTRE, _CENTRE],
+        hole_sigma=np.sqrt(covariance[:, _HOLE, _HOLE]) if free_hole else state.hole_sigma,
+        residual_sigma=np.sqrt(variance),
+        kept=kept.sum(axis=1) / total,
+    )
+
+
+def _whitened(
+    pixels: EllipsePixels, centres_px: Float[np.ndarray, "n 2"], frame: Float[np.ndarray, "n 2 2"]
+) -> tuple[Float[np.ndarray, "n p"], Float[np.ndarray, "n p"]]:
+    """Pixels in the frame in which the ellipse is the unit circle."""
+    local = centres_px - pixels.origin_px
+    dx, dy = pixels.x - _column(local[:, 0]), pixels.y - _column(local[:, 1])
+    w11, w12, w22 = (_column(frame[:, i, j]) for i, j in ((0, 0), (0, 1), (1, 1)))
+    return w11 * dx + w12 * dy, w12 * dx + w22 * dy
+
+
+def _masked_mean(values: np.ndarray, mask: np.ndarray) -> Float[np.ndarray, "n"]:
+    return (values * mask).sum(axis=1, dtype=float) / np.maximum(mask.sum(axis=1), 1)
+
+
+def _column(values: np.ndarray) -> Float[np.ndarray, "n 1"]:
+    return values.astype(np.float32)[:, None]
+
+
+def _inverse_square_root(shape: Float[np.ndarray, "n 2 2"]) -> Float[np.ndarray, "n 2 2"]:
+    """Symmetric S^(-1/2) of 2 x 2 matrices, in closed form."""
+    root = np.sqrt(np.linalg.det(shape))
+    trace = shape[:, 0, 0] + shape[:, 1, 1]
+    adjugate_root = np.stack(
+        [shape[:, 1, 1], -shape[:, 0, 1], -shape[:, 1, 0], shape[:, 0, 0]], axis=1
+    ).reshape(-1, 2, 2) + root[:, None, None] * np.eye(2)
+    return adjugate_root / (root * np.sqrt(trace + 2 * root))[:, None, None]

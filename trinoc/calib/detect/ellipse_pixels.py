@@ -1,0 +1,86 @@
+"""The pixels round a set of ellipses, packed into rows with a mask."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+
+class EllipsePixels(NamedTuple):
+    """Pixels of each circle, p at most; padded entries have `used` False.
+
+    origin_px : (n, 2) integer pixel that x and y count from.
+    x, y : (n, p) columns and rows from it.
+    grey : (n, p).
+    used : (n, p).
+    """
+
+    origin_px: Float[np.ndarray, "n 2"]
+    x: Float[np.ndarray, "n p"]
+    y: Float[np.ndarray, "n p"]
+    grey: Float[np.ndarray, "n p"]
+    used: Bool[np.ndarray, "n p"]
+
+
+def pixels_round(
+    grey: Float[np.ndarray, "h w"],
+    centres_px: Float[np.ndarray, "n 2"],
+    shape_px2: Float[np.ndarray, "n 2 2"],
+    inner: Float[np.ndarray, "n"],
+    outer: Float[np.ndarray, "n"],
+    *,
+    stride: int = 1,
+) -> EllipsePixels:
+    """Pixels between `inner` and `outer` radii of each ellipse, every `stride`-th of them.
+
+    The picture's border cuts what lies outside.
+    """
+    height, width = grey.shape
+    origin = np.rint(centres_px)
+    half = outer[:, None] * np.sqrt(shape_px2[:, [0, 1], [0, 1]])
+    half_x, half_y = (int(np.ceil(side)) for side in half.max(axis=0))
+    step_x = np.arange(-half_x, half_x + 1)
+    step_y = np.arange(-half_y, half_y + 1)
+    column = origin[:, 0, None].astype(np.int32) + step_x
+    row = origin[:, 1, None].astype(np.int32) + step_y
+    # (x - c)^T A (x - c) is a sum of a term per column, one per row, and their product.
+    a = np.linalg.inv(shape_px2)
+    dx = step_x + (origin - centres_px)[:, 0, None]
+    dy = step_y + (origin - centres_px)[:, 1, None]
+    radius2 = (
+        (a[:, 0, 0, None] * dx * dx).astype(np.float32)[:, None, :]
+        + (a[:, 1, 1, None] * dy * dy).astype(np.float32)[:, :, None]
+        + (2 * a[:, 0, 1, None] * dy).astype(np.float32)[:, :, None]
+        * dx.astype(np.float32)[:, None, :]
+    )
+    radius2[np.broadcast_to(((column < 0) | (column >= width))[:, None, :], radius2.shape)] = np.inf
+    radius2[np.broadcast_to(((row < 0) | (row >= height))[:, :, None], radius2.shape)] = np.inf
+    wanted = radius2 < (outer**2).astype(np.float32)[:, None, None]
+    if np.any(inner > 0):
+        wanted &= radius2 >= (inner**2).astype(np.float32)[:, None, None]
+    flat = np.flatnonzero(wanted)
+    if stride > 1:
+        flat = flat[::stride]
+    patch = len(step_x) * len(step_y)
+    circle, within = np.divmod(flat, patch)
+    row_step, column_step = np.divmod(within, len(step_x))
+    count = np.bincount(circle, minlength=len(origin))
+    first = np.cumsum(count) - count
+    place = np.arange(len(flat)) - first[circle]
+    most = max(int(count.max(initial=0)), 1)
+    slot = circle * most + place
+
+    def packed(values: np.ndarray, dtype: type) -> np.ndarray:
+        rows = np.zeros(len(origin) * most, dtype=dtype)
+        rows[slot] = values
+        return rows.reshape(len(origin), most)
+
+    x, y = column_step - half_x, row_step - half_y
+    at = (origin[circle, 1].astype(np.int64) + y) * width + origin[circle, 0].astype(np.int64) + x
+    return EllipsePixels(
+        origin_px=origin,
+        x=packed(x, np.float32),
+        y=packed(y, np.float32),
+        grey=packed(grey.ravel()[at], np.float32),
+        used=np.arange(most) < count[:, None],
+    )

@@ -1,0 +1,68 @@
+"""Plane to plane: the homography through point pairs, and what it does to small circles."""
+
+import numpy as np
+from jaxtyping import Float
+
+
+def fit_homography(
+    source: Float[np.ndarray, "n 2"], target: Float[np.ndarray, "n 2"]
+) -> Float[np.ndarray, "3 3"]:
+    """Direct linear transform, both sides normalised (Hartley and Zisserman, algorithm 4.2)."""
+    to_unit_source, unit_source = _normalise(source)
+    to_unit_target, unit_target = _normalise(target)
+    x, y = unit_source.T
+    u, v = unit_target.T
+    zero, one = np.zeros_like(x), np.ones_like(x)
+    rows_u = np.stack([x, y, one, zero, zero, zero, -u * x, -u * y, -u], axis=1)
+    rows_v = np.stack([zero, zero, zero, x, y, one, -v * x, -v * y, -v], axis=1)
+    rows = np.concatenate([rows_u, rows_v])
+    _, vectors = np.linalg.eigh(rows.T @ rows)
+    unit = vectors[:, 0].reshape(3, 3)
+    homography = np.linalg.solve(to_unit_target, unit @ to_unit_source)
+    scale = homography[2, 2] if abs(homography[2, 2]) > 1e-12 else 1e-12
+    return homography / scale
+
+
+def _normalise(
+    points: Float[np.ndarray, "n 2"],
+) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "n 2"]]:
+    mean = points.mean(axis=0)
+    spread = max(float(np.sqrt(np.mean((points - mean) ** 2))), 1e-9)
+    to_unit = np.array(
+        [[1 / spread, 0, -mean[0] / spread], [0, 1 / spread, -mean[1] / spread], [0, 0, 1]]
+    )
+    return to_unit, (points - mean) / spread
+
+
+def apply_homography(
+    homography: Float[np.ndarray, "3 3"], points: Float[np.ndarray, "n 2"]
+) -> Float[np.ndarray, "n 2"]:
+    """Images of points; NaN for those at or beyond the plane's horizon."""
+    homogeneous = points @ homography[:, :2].T + homography[:, 2]
+    depth = np.where(homogeneous[:, 2] > 1e-9, homogeneous[:, 2], np.nan)
+    return homogeneous[:, :2] / depth[:, None]
+
+
+def jacobian_of_homography(
+    homography: Float[np.ndarray, "3 3"], points: Float[np.ndarray, "n 2"]
+) -> Float[np.ndarray, "n 2 2"]:
+    """Derivative of the image with respect to the point, columns by source axis."""
+    homogeneous = points @ homography[:, :2].T + homography[:, 2]
+    image = homogeneous[:, :2] / homogeneous[:, 2:]
+    numerator = homography[None, :2, :2] - image[:, :, None] * homography[None, 2:, :2]
+    return numerator / homogeneous[:, 2, None, None]
+
+
+def images_of_circles(
+    homography: Float[np.ndarray, "3 3"],
+    centres: Float[np.ndarray, "n 2"],
+    radius: Float[np.ndarray, "n"],
+) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2 2"]]:
+    """Centre and shape S of the ellipses that circles become (from their dual conics)."""
+    homogeneous = np.concatenate([centres, np.ones((len(centres), 1))], axis=1)
+    dual = homogeneous[:, :, None] * homogeneous[:, None, :]
+    dual = dual - radius[:, None, None] ** 2 * np.diag([1.0, 1.0, 0.0])
+    image = homography @ dual @ homography.T
+    image = image / image[:, 2:, 2:]
+    centre = image[:, :2, 2]
+    return centre, centre[:, :, None] * centre[:, None, :] - image[:, :2, :2]

@@ -1,0 +1,71 @@
+"""What the search needs to know of a pattern, worked out once per picture."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from trinoc.calib.pattern import Pattern
+from trinoc.errors import InputError
+
+_FEWEST_CIRCLES = 4
+
+
+class Layout(NamedTuple):
+    """The lattice of a pattern and the symmetries of the lattice.
+
+    steps_mm : (2, 2) columns are the steps on the sheet of one lattice unit.
+    radius_mm : the common radius of the circles (their median).
+    hole_ratio : inner over outer radius of the rings; 0 without rings.
+    turns : (k, 2, 2) integer maps of the lattice that rotate the sheet rigidly.
+    mirrors : (k, 2, 2) those that turn it over.
+    """
+
+    steps_mm: Float[np.ndarray, "2 2"]
+    radius_mm: float
+    hole_ratio: float
+    turns: Int[np.ndarray, "turns 2 2"]
+    mirrors: Int[np.ndarray, "mirrors 2 2"]
+
+    @property
+    def extent(self) -> float:
+        """Lattice units per circle radius, squared determinant-wise: a mean pitch in radii."""
+        return float(np.sqrt(abs(np.linalg.det(self.steps_mm)))) / self.radius_mm
+
+
+def layout_of(pattern: Pattern) -> Layout:
+    """The lattice of `pattern`.
+
+    Raises
+    ------
+    InputError : its circles do not span a plane lattice, so no picture can be labelled.
+    """
+    relative = pattern.lattice - pattern.lattice.mean(axis=0)
+    if len(pattern) < _FEWEST_CIRCLES or np.linalg.matrix_rank(relative) < 2:
+        raise InputError(
+            f"The pattern {pattern.name!r} has too few circles off one line to be found in a"
+            f" picture; use at least a 2 x 2 grid."
+        )
+    steps, *_ = np.linalg.lstsq(relative, pattern.centres_mm, rcond=None)
+    steps_mm = steps.T
+    quarter = np.array([[0, -1], [1, 0]])
+    turns = np.stack([np.linalg.matrix_power(quarter, k) for k in range(4)])
+    mirrors = turns @ np.array([[-1, 0], [0, 1]])
+    rings = pattern.is_ring
+    ratio = pattern.inner_radius_mm[rings] / pattern.radius_mm[rings]
+    return Layout(
+        steps_mm=steps_mm,
+        radius_mm=float(np.median(pattern.radius_mm)),
+        hole_ratio=float(np.median(ratio)) if np.any(rings) else 0.0,
+        turns=_rigid(turns, steps_mm),
+        mirrors=_rigid(mirrors, steps_mm),
+    )
+
+
+def _rigid(
+    maps: Int[np.ndarray, "k 2 2"], steps_mm: Float[np.ndarray, "2 2"]
+) -> Int[np.ndarray, "rigid 2 2"]:
+    """The maps of the lattice that are rotations or reflections of the sheet itself."""
+    on_sheet = steps_mm @ maps @ np.linalg.inv(steps_mm)
+    gram = np.swapaxes(on_sheet, 1, 2) @ on_sheet
+    return maps[np.all(np.abs(gram - np.eye(2)) < 0.1, axis=(1, 2))]

@@ -1,0 +1,43 @@
+"""The light on the sheet, smooth from circle to circle."""
+
+import numpy as np
+from jaxtyping import Float
+
+_PLANE_CIRCLES = 6
+_QUADRATIC_CIRCLES = 12
+_REWEIGHTINGS = 3
+
+
+def light_slope(
+    centres_px: Float[np.ndarray, "n 2"], paper: Float[np.ndarray, "n"]
+) -> Float[np.ndarray, "n 2"]:
+    """Relative change of the paper's grey per pixel at each circle.
+
+    A quadratic through the greys round all circles says more of the slope across one circle
+    than its own pixels do, and costs its centre nothing.
+    """
+    count = len(paper)
+    if count < _PLANE_CIRCLES:
+        return np.zeros((count, 2))
+    middle = centres_px.mean(axis=0)
+    extent = max(float(np.abs(centres_px - middle).max()), 1.0)
+    x, y = ((centres_px - middle) / extent).T
+    one, zero = np.ones(count), np.zeros(count)
+    terms = [one, x, y]
+    terms_x, terms_y = [zero, one, zero], [zero, zero, one]
+    if count >= _QUADRATIC_CIRCLES:
+        terms += [x * x, x * y, y * y]
+        terms_x += [2 * x, y, zero]
+        terms_y += [zero, x, 2 * y]
+    basis = np.stack(terms, axis=1)
+    weight = one
+    for _ in range(_REWEIGHTINGS):
+        weighted = basis * weight[:, None]
+        surface, *_ = np.linalg.lstsq(weighted, paper * weight, rcond=None)
+        miss = np.abs(paper - basis @ surface)
+        scale = 3.0 * np.median(miss) + 1e-9 * np.abs(paper).max() + 1e-30
+        weight = 1.0 / (1.0 + (miss / scale) ** 2)
+    light = basis @ surface
+    light = np.where(np.abs(light) > 1e-9, light, 1e-9)
+    slope = np.stack([np.stack(terms_x, 1) @ surface, np.stack(terms_y, 1) @ surface], axis=1)
+    return slope / extent / light[:, None]

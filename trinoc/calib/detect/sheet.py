@@ -1,0 +1,243 @@
+"""One lattice of blobs read as the sheet: rings, labels, and every circle measured."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from trinoc.calib.detect.blobs import Blobs
+from trinoc.calib.detect.ellipse_fit import Ellipses, refine_ellipses, start_ellipses
+from trinoc.calib.detect.ellipse_pixels import pixels_round
+from trinoc.calib.detect.labels import label_circles
+from trinoc.calib.detect.lattice import Lattice
+from trinoc.calib.detect.layout import Layout
+from trinoc.calib.detect.light import light_slope
+from trinoc.calib.detect.picture import GreyPicture
+from trinoc.calib.detect.warp import Warp, fit_warp
+from trinoc.calib.pattern import Pattern
+from trinoc.errors import DetectionError
+
+# Pixels of one circle that the first, coarse fit looks at, about.
+_COARSE_PIXELS = 500
+_OUTER_RADII = 1.45
+_HOLE_SIGMA = 0.2
+_FEWEST_CIRCLES = 6
+
+
+class Sheet(NamedTuple):
+    """The sheet in one picture.
+
+    index : (k, m) pattern index of each circle, one row for each labelling left open.
+    ellipses : (m,) the circles.
+    warp : sheet in mm to picture.
+    """
+
+    index: Int[np.ndarray, "k m"]
+    ellipses: Ellipses
+    warp: Warp
+
+
+def read_sheet(
+    picture: GreyPicture, blobs: Blobs, lattice: Lattice, pattern: Pattern, layout: Layout
+) -> Sheet:
+    """Label a lattice and measure all circles of the pattern that the picture shows.
+
+    Raises
+    ------
+    DetectionError : see `trinoc.calib.detect.labels.label_circles`; or too few circles of
+        the lattice are circles when looked at closely.
+    """
+    cell = lattice.cell.astype(float)
+    centres = blobs.centres_px[lattice.blob]
+    unit_radius = _lattice_radius(layout, len(lattice))
+    warp = fit_warp(cell, centres)
+    _, shape = warp.ellipses(cell, unit_radius)
+    found_area = np.sqrt(np.linalg.det(blobs.shape_px2[lattice.blob]))
+    swelling = np.median(found_area / np.sqrt(np.linalg.det(shape)))
+    coarse = _coarse_fit(picture, centres, shape * swelling, layout.hole_ratio)
+    good = _plausible(coarse, centres, shape, picture.noise_sigma)
+    if np.sum(good) < _FEWEST_CIRCLES:
+        raise DetectionError(
+            f"No sheet of the pattern {pattern.name!r} was found in the picture; see that it"
+            " lies flat, in focus, and large enough."
+        )
+    coarse, cell = coarse.take(good), lattice.cell[good]
+    labelling = label_circles(cell, _ring_evidence(coarse, layout), pattern, layout)
+    on_pattern = labelling.choices[0] >= 0
+    index, coarse = labelling.choices[0][on_pattern], coarse.take(on_pattern)
+    ellipses, index = _measure_all(picture, coarse, index, pattern, layout)
+    if len(index) < _FEWEST_CIRCLES:
+        raise DetectionError(
+            f"Only {len(index)} circles of the pattern {pattern.name!r} can be measured; show"
+            f" at least {_FEWEST_CIRCLES} of them whole."
+        )
+    choices = _upright_first(labelling.permute(index), ellipses.centres_px, pattern)
+    taken = choices[0]
+    final = fit_warp(pattern.centres_mm[taken], ellipses.centres_px, pattern.radius_mm[taken])
+    return Sheet(choices, ellipses, final)
+
+
+def _upright_first(
+    choices: Int[np.ndarray, "k m"], centres_px: Float[np.ndarray, "m 2"], pattern: Pattern
+) -> Int[np.ndarray, "k m"]:
+    """The labelling in which X points most to the right goes first."""
+    relative = centres_px - centres_px.mean(axis=0)
+    rightward = []
+    for index in choices:
+        on_sheet = pattern.centres_mm[index] - pattern.centres_mm[index].mean(axis=0)
+        affine, *_ = np.linalg.lstsq(on_sheet, relative, rcond=None)
+        rightward.append(affine[0, 0] / np.linalg.norm(affine[0]))
+    return choices[np.argsort(-np.array(rightward), kind="stable")]
+
+
+def _lattice_radius(layout: Layout, count: int) -> Float[np.ndarray, "n"]:
+    return np.full(count, 1.0 / layout.extent)
+
+
+def _coarse_fit(
+    picture: GreyPicture,
+    centres_px: Float[np.ndarray, "n 2"],
+    shape_px2: Float[np.ndarray, "n 2 2"],
+    hole_ratio: float,
+) -> Ellipses:
+    """Fit with whole circles, holes included, on a part of their pixels."""
+    count = len(centres_px)
+    area = np.pi * _OUTER_RADII**2 * np.sqrt(np.median(np.linalg.det(shape_px2)))
+    stride = max(1, int(area / _COARSE_PIXELS))
+    pixels = pixels_round(
+        picture.grey,
+        centres_px,
+        shape_px2,
+        np.zeros(count),
+        np.full(count, _OUTER_RADII),
+        stride=stride,
+    )
+    return refine_ellipses(
+        pixels,
+        start_ellipses(pixels, centres_px, shape_px2),
+        hole_ratio=hole_ratio,
+        free_hole=True,
+        slope=np.zeros((count, 2)),
+        noise_sigma=picture.noise_sigma,
+        outlier_shares=(0.5, 0.35, 0.25),
+    )
+
+
+def _fine_fit(
+    picture: GreyPicture, coarse: Ellipses, slope: Float[np.ndarray, "n 2"], layout: Layout
+) -> Ellipses:
+    """Fit with all pixels of a band round the outer edge."""
+    minor = np.sqrt(np.linalg.eigvalsh(coarse.shape_px2)[:, 0])
+    band = (3.0 * coarse.blur_px + 1.0) / minor
+    halfway = 0.5 * (1.0 + layout.hole_ratio) if layout.hole_ratio > 0 else 0.3
+    pixels = pixels_round(
+        picture.grey,
+        coarse.centres_px,
+        coarse.shape_px2,
+        np.clip(1.0 - band, halfway, 0.9),
+        np.clip(1.0 + band, 1.1, _OUTER_RADII),
+    )
+    return refine_ellipses(
+        pixels,
+        coarse,
+        hole_ratio=layout.hole_ratio,
+        free_hole=False,
+        slope=slope,
+        noise_sigma=picture.noise_sigma,
+        outlier_shares=(0.15, 0.08),
+    )
+
+
+def _measure_all(
+    picture: GreyPicture,
+    coarse: Ellipses,
+    index: Int[np.ndarray, "m"],
+    pattern: Pattern,
+    layout: Layout,
+) -> tuple[Ellipses, Int[np.ndarray, "k"]]:
+    """Look for the circles that the blobs missed, then measure all together."""
+    warp = fit_warp(pattern.centres_mm[index], coarse.centres_px, pattern.radius_mm[index])
+    missing = np.setdiff1d(np.arange(len(pattern)), index)
+    if len(missing):
+        centre, shape = warp.ellipses(pattern.centres_mm[missing], pattern.radius_mm[missing])
+        seen = _inside(centre, shape, picture.size_px)
+        missing, centre, shape = missing[seen], centre[seen], shape[seen]
+    if len(missing):
+        extra = _coarse_fit(picture, centre, shape, layout.hole_ratio)
+        like = _plausible(extra, centre, shape, picture.noise_sigma)
+        like &= np.abs(extra.hole - pattern.is_ring[missing]) < 0.5
+        like &= np.abs(np.log(extra.paper * extra.ink / np.median(coarse.paper * coarse.ink))) < 1.0
+        coarse = _join(coarse, extra.take(like))
+        index = np.concatenate([index, missing[like]])
+    start = coarse._replace(hole=pattern.is_ring[index].astype(float))
+    fine = _fine_fit(picture, start, light_slope(coarse.centres_px, coarse.paper), layout)
+    centre, shape = warp.ellipses(pattern.centres_mm[index], pattern.radius_mm[index])
+    good = _plausible(fine, centre, shape, picture.noise_sigma)
+    good &= _agrees(fine, index, pattern)
+    return fine.take(good), index[good]
+
+
+def _plausible(
+    fitted: Ellipses,
+    centre_px: Float[np.ndarray, "n 2"],
+    shape_px2: Float[np.ndarray, "n 2 2"],
+    noise_sigma: float,
+) -> np.ndarray:
+    """Whether a fit is a whole circle near the place and of the size that the lattice says."""
+    off = fitted.centres_px - centre_px
+    miss2 = np.einsum("ni,nij,nj->n", off, np.linalg.inv(shape_px2), off)
+    area_ratio = np.sqrt(np.linalg.det(fitted.shape_px2) / np.linalg.det(shape_px2))
+    area_ratio = area_ratio / np.median(area_ratio)
+    contrast = fitted.paper * fitted.ink
+    typical = np.median(contrast)
+    allowed = np.sqrt((1.6 * noise_sigma) ** 2 + (0.12 * contrast) ** 2)
+    return (
+        np.isfinite(miss2)
+        & (miss2 < 0.5**2)
+        & (np.abs(np.log(area_ratio)) < np.log(1.5))
+        & (contrast > 0.3 * typical)
+        & (contrast < 3.0 * typical)
+        & (fitted.kept > 0.8)
+        & (fitted.residual_sigma < allowed)
+    )
+
+
+def _agrees(fitted: Ellipses, index: Int[np.ndarray, "m"], pattern: Pattern) -> np.ndarray:
+    """Circles that lie where a smooth picture of the sheet puts them."""
+    good = np.ones(len(index), dtype=bool)
+    for _ in range(3):
+        if np.sum(good) < _FEWEST_CIRCLES:
+            break
+        warp = fit_warp(
+            pattern.centres_mm[index[good]], fitted.centres_px[good], pattern.radius_mm[index[good]]
+        )
+        centre, shape = warp.ellipses(pattern.centres_mm[index], pattern.radius_mm[index])
+        miss = np.linalg.norm(fitted.centres_px - centre, axis=1)
+        own = np.sqrt(np.trace(fitted.covariance_px2, axis1=1, axis2=2))
+        typical = float(np.median(miss[good]))
+        sharp = 0.03 * np.sqrt(np.linalg.eigvalsh(shape)[:, 0])
+        good = miss < 5.0 * typical + 5.0 * own + sharp
+    return good
+
+
+def _ring_evidence(fitted: Ellipses, layout: Layout) -> Float[np.ndarray, "n"]:
+    """Log odds of ring against disc; nothing where the pattern has no rings."""
+    if layout.hole_ratio == 0.0:
+        return np.zeros(len(fitted.hole))
+    hole = np.clip(fitted.hole, -0.3, 1.3)
+    return (2.0 * hole - 1.0) / (2.0 * (fitted.hole_sigma**2 + _HOLE_SIGMA**2))
+
+
+def _inside(
+    centre_px: Float[np.ndarray, "n 2"],
+    shape_px2: Float[np.ndarray, "n 2 2"],
+    size_px: tuple[int, int],
+) -> np.ndarray:
+    half = 1.1 * np.sqrt(np.maximum(shape_px2[:, [0, 1], [0, 1]], 0.0))
+    low, high = centre_px - half, centre_px + half
+    real = np.all(np.isfinite(centre_px), axis=1) & (np.linalg.det(shape_px2) > 1.0)
+    return real & np.all((low > 0) & (high < np.array(size_px) - 1), axis=1)
+
+
+def _join(first: Ellipses, second: Ellipses) -> Ellipses:
+    return Ellipses(*(np.concatenate(pair) for pair in zip(first, second, strict=True)))
