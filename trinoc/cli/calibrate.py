@@ -30,6 +30,9 @@ class Calibrate(Command):
 
     lens: LensOptions
 
+    print_scale: Annotated[tuple[float, float], tyro.conf.arg(metavar="X Y")] = (1.0, 1.0)
+    """Measured over nominal length of the sheet's two scale bars."""
+
     parameters: Literal[4, 6] = 4
     """4: the optical axis meets the origin of the sheet; 6: where it meets the sheet is free."""
 
@@ -46,6 +49,11 @@ class Calibrate(Command):
         files = files_of_views(self.pictures)
         if not files:
             raise UsageError("No picture is given: write NAME=FILE for each camera.")
+        if not all(0.9 < scale < 1.1 for scale in self.print_scale):
+            raise UsageError(
+                "--print-scale is a measured over a nominal length: give a number near 1, such as "
+                "1.001, for X and for Y."
+            )
 
         from trinoc.calib.calibrate import calibrate
         from trinoc.cli.provenance import provenance
@@ -53,7 +61,7 @@ class Calibrate(Command):
         from trinoc.io.pattern_json import load_pattern
         from trinoc.io.save import save
 
-        pattern = load_pattern(self.pattern)
+        pattern = load_pattern(self.pattern).rescaled(*self.print_scale)
         images = read_views(files)
         lenses = self.lens.lenses({name: _size(image) for name, image in images.items()})
         LOGGER.info("calibrating %s", ", ".join(files))

@@ -1,0 +1,16 @@
+"""Commands run in this process, without the user's compile cache and without a trace."""
+
+import logging
+
+import pytest
+
+from trinoc.cli.compile_cache import VARIABLE
+
+
+@pytest.fixture(autouse=True)
+def _no_traces(monkeypatch):
+    monkeypatch.setenv(VARIABLE, "off")
+    logger = logging.getLogger("trinoc")
+    before = logger.handlers[:], logger.level, logger.propagate
+    yield
+    logger.handlers[:], logger.level, logger.propagate = before

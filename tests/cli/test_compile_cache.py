@@ -1,0 +1,72 @@
+"""The compile cache is private, bounded, and can be switched off."""
+
+import os
+import stat
+
+import jax
+import pytest
+
+from trinoc.cli import compile_cache
+from trinoc.cli.compile_cache import VARIABLE, enable_compile_cache
+
+SETTINGS = (
+    "jax_compilation_cache_dir",
+    "jax_persistent_cache_min_compile_time_secs",
+    "jax_persistent_cache_min_entry_size_bytes",
+)
+
+
+@pytest.fixture(autouse=True)
+def _settings_as_before():
+    before = {name: getattr(jax.config, name) for name in SETTINGS}
+    yield
+    for name, value in before.items():
+        jax.config.update(name, value)
+
+
+def test_folder_is_made_for_the_user_alone(tmp_path, monkeypatch):
+    monkeypatch.setenv(VARIABLE, str(tmp_path / "a" / "b"))
+    assert enable_compile_cache() == tmp_path / "a" / "b"
+    assert stat.S_IMODE((tmp_path / "a" / "b").stat().st_mode) == 0o700
+    assert jax.config.jax_compilation_cache_dir == str(tmp_path / "a" / "b")
+
+
+def test_default_is_the_user_s_cache_folder(tmp_path, monkeypatch):
+    monkeypatch.delenv(VARIABLE)
+    for name in ("XDG_CACHE_HOME", "LOCALAPPDATA", "HOME"):
+        monkeypatch.setenv(name, str(tmp_path))
+    folder = enable_compile_cache()
+    assert folder is not None
+    assert folder.is_relative_to(tmp_path)
+
+
+@pytest.mark.parametrize("value", ["off", "OFF", "0", "no"])
+def test_off(monkeypatch, value):
+    monkeypatch.setenv(VARIABLE, value)
+    before = jax.config.jax_compilation_cache_dir
+    assert enable_compile_cache() is None
+    assert jax.config.jax_compilation_cache_dir == before
+
+
+def test_folder_that_others_may_write_to_is_not_used(tmp_path, monkeypatch):
+    monkeypatch.setenv(VARIABLE, str(tmp_path))
+    tmp_path.chmod(0o770)
+    before = jax.config.jax_compilation_cache_dir
+    assert enable_compile_cache() is None
+    assert jax.config.jax_compilation_cache_dir == before
+
+
+def test_folder_that_cannot_be_made_is_done_without(tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv(VARIABLE, str(tmp_path / "file"))
+    assert enable_compile_cache() is None
+
+
+def test_oldest_kernels_go_first(tmp_path, monkeypatch):
+    monkeypatch.setenv(VARIABLE, str(tmp_path))
+    monkeypatch.setattr(compile_cache, "MOST_BYTES", 250)
+    for age, name in enumerate("dcba"):
+        (tmp_path / name).write_bytes(b"x" * 100)
+        os.utime(tmp_path / name, (1000 - age, 1000 - age))
+    enable_compile_cache()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["c", "d"]

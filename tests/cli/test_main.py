@@ -1,0 +1,74 @@
+"""What the command prints where, and how it ends."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+import trinoc
+from trinoc.cli.main import main
+
+HEAVY = "jax numpy cv2 equinox optimistix plotly jinja2 skimage scipy matplotlib"
+
+
+@pytest.mark.parametrize("statement", ["import trinoc", "from trinoc.cli.main import main"])
+def test_start_imports_nothing_heavy(statement):
+    check = f"import sys; {statement}; print(*set('{HEAVY}'.split()) & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", check], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == ""
+
+
+def test_version(capsys):
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"trinoc {trinoc.__version__}\n"
+
+
+def test_help_goes_to_stdout(capsys):
+    assert main(["--help"]) == 0
+    out, err = capsys.readouterr()
+    assert "usage: trinoc" in out
+    assert err == ""
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        [],
+        ["unknown"],
+        ["segments"],
+        ["segments", "a.png", "--unknown"],
+        ["calibrate", "upper=a.png"],
+        ["calibrate", "upper.png", "--pattern", "p.json"],
+        ["calibrate", "--pattern", "p.json"],
+        ["match", "upper=a.png", "upper=b.png", "--rig", "rig.json"],
+    ],
+)
+def test_wrong_usage_ends_with_2_and_prints_no_result(arguments, capsys):
+    assert main(arguments) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err != ""
+
+
+@pytest.mark.parametrize("flags", [[], ["--json"]])
+def test_failure_ends_with_1_and_one_sentence(flags, tmp_path, capsys):
+    assert main(["segments", str(tmp_path / "none.png"), *flags]) == 1
+    out, err = capsys.readouterr()
+    sentence = f"{tmp_path / 'none.png'} does not exist: check the name."
+    assert err == f"trinoc: {sentence}\n"
+    assert out == "" if not flags else json.loads(out) == {"error": sentence}
+
+
+def test_result_that_cannot_be_written_is_a_sentence(tmp_path, capsys):
+    rig, out = tmp_path / "rig.json", tmp_path / "none" / "matches.npz"
+    camera = trinoc.Camera.from_degrees(
+        trinoc.Intrinsics(focal_length_px=1000.0, image_size_px=(512, 480)),
+        pan_deg=0,
+        tilt_deg=50,
+        swing_deg=0,
+        distance_mm=500,
+    )
+    trinoc.save(trinoc.Rig({"a": camera}), rig)
+    assert main(["match", "a=a.png", "--rig", str(rig), "-o", str(out)]) == 1
+    assert capsys.readouterr().err.count("\n") == 1

@@ -1,0 +1,70 @@
+"""NAME=FILE arguments and the options that say what a lens is."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import trinoc
+from trinoc.cli.command import UsageError
+from trinoc.cli.lens_options import LensOptions
+from trinoc.cli.views import files_of_views
+from trinoc.errors import InputError
+
+SIZES = {"upper": (512, 480), "left": (640, 400)}
+NAMES = st.text(st.characters(exclude_characters="=", exclude_categories=["Cs"]), min_size=1)
+
+
+@given(names=st.lists(NAMES, unique=True), file=st.text(min_size=1).filter(lambda t: t != "."))
+def test_views_keep_names_order_and_any_file_name(names, file):
+    assert files_of_views([f"{name}={file}" for name in names]) == dict.fromkeys(names, Path(file))
+
+
+@pytest.mark.parametrize("argument", ["upper.png", "=upper.png", "upper="])
+def test_argument_without_a_name_or_file_is_refused(argument):
+    with pytest.raises(UsageError, match="write NAME=FILE"):
+        files_of_views([argument])
+
+
+def test_lens_from_the_data_sheet_has_each_picture_s_size():
+    lenses = LensOptions(focal_length_mm=16.0, pixel_pitch_mm=(0.01, 0.02)).lenses(SIZES)
+    assert {name: lens.image_size_px for name, lens in lenses.items()} == SIZES
+    np.testing.assert_allclose(lenses["left"].focal_length_px, [1600, 800])
+    square = LensOptions(focal_length_mm=16.0, pixel_pitch_mm=(0.01,)).lenses(SIZES)
+    np.testing.assert_allclose(square["left"].focal_length_px, [1600, 1600])
+
+
+def test_lens_from_one_file_or_from_one_for_each(tmp_path):
+    files = {name: tmp_path / f"{name}.json" for name in SIZES}
+    for focal_px, name in enumerate(SIZES, 1000):
+        lens = trinoc.Intrinsics(focal_length_px=float(focal_px), image_size_px=SIZES[name])
+        trinoc.save(lens, files[name])
+    one = LensOptions(intrinsics=(str(files["left"]),))
+    assert {lens.focal_length_px[0] for lens in one.lenses(SIZES).values()} == {1001.0}
+    assert one.files() == {"intrinsics": files["left"]}
+    each = LensOptions(intrinsics=tuple(f"{name}={file}" for name, file in files.items()))
+    assert [lens.focal_length_px[0] for lens in each.lenses(SIZES).values()] == [1000.0, 1001.0]
+    with pytest.raises(UsageError, match='no file for the camera "left"'):
+        LensOptions(intrinsics=(f"upper={files['upper']}",)).lenses(SIZES)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        LensOptions(),
+        LensOptions(focal_length_mm=16.0),
+        LensOptions(pixel_pitch_mm=(0.01,)),
+        LensOptions(focal_length_mm=16.0, pixel_pitch_mm=(0.01, 0.01, 0.01)),
+        LensOptions(intrinsics=("a.json",), focal_length_mm=16.0),
+    ],
+)
+def test_lens_that_is_not_determined_is_wrong_usage(options):
+    with pytest.raises(UsageError, match="lens is not determined"):
+        options.lenses(SIZES)
+
+
+def test_lens_that_cannot_be_is_refused():
+    with pytest.raises(InputError, match="must be positive"):
+        LensOptions(focal_length_mm=-16.0, pixel_pitch_mm=(0.01,)).lenses(SIZES)
