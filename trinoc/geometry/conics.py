@@ -81,12 +81,12 @@ def centre_of_mapped_ellipse(
     boundary, too.
     """
     boundary = jax.vmap(mapping)(boundary_of_dual_conic(dual_conic, _BOUNDARY_ANGLES_RAD))
-    mean = jnp.mean(boundary, axis=0)
+    mean = jnp.mean(boundary, axis=0, keepdims=True)
     offset = boundary - mean
     tangent = _trigonometric_derivative(_BOUNDARY_POINTS).astype(offset.dtype) @ offset
     # Green's theorem: twice the area, and three times its first moment.
     area = offset[:, 0] * tangent[:, 1] - offset[:, 1] * tangent[:, 0]
-    return mean + 2.0 / 3.0 * (area @ offset) / jnp.sum(area)
+    return mean[0] + 2.0 / 3.0 * (area @ offset) / jnp.sum(area)
 
 
 def _trigonometric_derivative(count: int) -> Float[np.ndarray, "n n"]:
