@@ -1,0 +1,263 @@
+"""The page: self-contained, complete, safe against names, equal for equal inputs."""
+
+import json
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from trinoc.calib.result import CalibrationResult, Status
+from trinoc.errors import InputError
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.segments import Segments
+from trinoc.match.matches import Matches
+from trinoc.report.html import ExtraTable, render_report, write_report
+
+from .conftest import PARAMETERS, made_up_matches, made_up_result, made_up_rig
+
+VOID = {"meta", "link", "input", "br", "img", "hr"}
+
+
+class Page(HTMLParser):
+    """Attributes and text of a page; asserts that every element is closed where it was opened."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.elements: list[tuple[str, dict[str, str | None]]] = []
+        self.words: list[str] = []
+        self._open: list[str] = []
+        self.feed(text)
+        self.close()
+        assert self._open == []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.elements.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self._open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.elements.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self._open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if self._open and self._open[-1] not in ("script", "style"):
+            self.words.append(data)
+
+    def attributes(self, name: str) -> list[str]:
+        return [value for _, found in self.elements if (value := found.get(name)) is not None]
+
+    @property
+    def text(self) -> str:
+        return " ".join(" ".join(self.words).split())
+
+
+@pytest.fixture(scope="module")
+def whole(
+    result: CalibrationResult,
+    sheet_pictures: dict[str, np.ndarray],
+    segments: dict[str, Segments],
+    matches: Matches,
+    scene_pictures: dict[str, np.ndarray],
+) -> str:
+    return render_report(
+        result=result,
+        sheet_pictures=sheet_pictures,
+        segments=segments,
+        matches=matches,
+        scene_pictures=scene_pictures,
+        reference=result.rig,
+        reference_name="Table 1",
+        tables=[ExtraTable("Score", ("measure", "value"), [("precision", "0.97")])],
+    )
+
+
+def test_nothing_on_the_page_comes_from_elsewhere(whole: str) -> None:
+    page = Page(whole)
+    for name in ("src", "href", "action", "data", "poster", "srcset"):
+        for value in page.attributes(name):
+            assert value.startswith(("#", "data:")), value[:80]
+    styles = "".join(re.findall(r"<style>(.*?)</style>", whole, flags=re.DOTALL))
+    assert "url(" not in styles
+    assert "@import" not in styles
+    (policy,) = [v for v in page.attributes("content") if "default-src" in v]
+    assert "default-src 'none'" in policy
+    assert "http" not in policy
+
+
+def test_every_camera_and_parameter_is_shown_with_its_sigma(whole: str, rig: Rig) -> None:
+    page = Page(whole)
+    assert page.attributes("data-parameter").__len__() == len(rig) * len(PARAMETERS)
+    assert set(page.attributes("data-parameter")) == set(rig.parameters)
+    for value in ("2.1430 ± 0.0013", "53.25200 ± 0.00080", "476.3690 ± 0.0045", "0.8720 ± 0.0011"):
+        assert value in page.text
+
+
+def test_every_circle_and_track_is_drawn_in_every_view(
+    whole: str, result: CalibrationResult, matches: Matches
+) -> None:
+    page = Page(whole)
+    circles = [c for c in page.attributes("class") if c.split()[0] == "circle"]
+    assert len(circles) == sum(len(fit.detection) for fit in result.fits.values())
+    assert "circle unused" in circles
+    strokes = [a for tag, a in page.elements if tag == "g" and "data-track" in a]
+    assert len(strokes) == int((matches.index >= 0).sum())
+
+
+def test_a_track_has_one_colour_everywhere(whole: str, matches: Matches) -> None:
+    inks: dict[str | None, set[str | None]] = {}
+    for tag, attributes in Page(whole).elements:
+        if tag == "g" and "data-track" in attributes:
+            inks.setdefault(attributes["data-track"], set()).add(attributes.get("style"))
+    assert len(inks) == len(matches)
+    assert all(len(found) == 1 for found in inks.values())
+
+
+def test_counts_and_reasons_are_shown(whole: str, matches: Matches) -> None:
+    text = Page(whole).text
+    for name, count in matches.counts.items():
+        assert f"{name.replace('_', ' ')} {count}" in text
+    assert "no partner in the zone 9 8 9" in text
+    assert "Score" in text
+    assert "precision 0.97" in text
+
+
+def test_the_notes_of_a_camera_are_shown(whole: str) -> None:
+    assert "Circle 7 was left out as an outlier." in Page(whole).text
+
+
+def test_equal_inputs_give_equal_pages(
+    result: CalibrationResult, sheet_pictures: dict[str, np.ndarray]
+) -> None:
+    first = render_report(result=result, sheet_pictures=sheet_pictures)
+    second = render_report(result=result, sheet_pictures=sheet_pictures)
+    assert first == second
+
+
+def test_a_calibration_alone_has_no_matches(
+    result: CalibrationResult, sheet_pictures: dict[str, np.ndarray]
+) -> None:
+    ids = Page(render_report(result=result, sheet_pictures=sheet_pictures)).attributes("id")
+    assert {"cameras", "detection", "epipolar", "space"} <= set(ids)
+    assert not {"segments", "matches", "counts"} & set(ids)
+
+
+def test_matches_alone_have_no_detection(
+    rig: Rig,
+    segments: dict[str, Segments],
+    matches: Matches,
+    scene_pictures: dict[str, np.ndarray],
+) -> None:
+    page = Page(
+        render_report(rig=rig, segments=segments, matches=matches, scene_pictures=scene_pictures)
+    )
+    assert {"cameras", "epipolar", "segments", "matches", "counts"} <= set(page.attributes("id"))
+    assert "detection" not in page.attributes("id")
+
+
+def test_pages_without_pictures_or_segments_stand(
+    rig: Rig, result: CalibrationResult, matches: Matches
+) -> None:
+    assert "picture-sheet" not in render_report(result=result)
+    assert "segments" not in Page(render_report(rig=rig, matches=matches)).attributes("id")
+    assert "cameras" in Page(render_report(rig=rig)).attributes("id")
+
+
+def test_no_matches_at_all_are_a_page_too(rig: Rig, segments: dict[str, Segments]) -> None:
+    words = {name: np.full(len(found), "no_partner") for name, found in segments.items()}
+    none = Matches(
+        rig.names,
+        np.zeros((0, 3), dtype=np.int64),
+        np.zeros((0, 3, 2, 2)),
+        np.zeros((0, 2, 3)),
+        np.zeros((0, 6, 6)),
+        np.zeros(0, dtype="<U10"),
+        np.zeros(0),
+        np.zeros(0),
+        words,
+        {"candidates": 0},
+    )
+    text = Page(render_report(rig=rig, segments=segments, matches=none)).text
+    assert "Seen in three or more views: 0 tracks" in text
+    assert "no partner 42 42 42" in text
+
+
+def test_names_cannot_break_the_page() -> None:
+    name = '</script><img src=x onerror="alert(1)">&\'{{7*7}}'
+    rig = made_up_rig()
+    renamed = Rig(dict(zip((name, "b", "c"), rig.cameras, strict=True)))
+    segments, matches = made_up_matches(renamed)
+    text = render_report(rig=renamed, segments=segments, matches=matches, title=name)
+    page = Page(text)
+    assert "onerror" not in [key for _, attributes in page.elements for key in attributes]
+    assert "<img" not in text
+    assert name in page.words
+    assert "49" not in re.findall(r"<h1>(.*?)</h1>", text)[0]
+
+
+def test_the_figure_in_space_has_equal_axes(whole: str) -> None:
+    (store,) = re.findall(
+        r'<script type="application/json" id="space-numbers">(.*?)</script>', whole
+    )
+    figure = json.loads(store)
+    scene = figure["layout"]["scene"]
+    spans = [np.ptp(scene[f"{axis}axis"]["range"]) for axis in "xyz"]
+    ratios = [scene["aspectratio"][axis] for axis in "xyz"]
+    np.testing.assert_allclose(np.divide(ratios, ratios[0]), np.divide(spans, spans[0]), rtol=1e-9)
+    assert {"trinocular (28)", "binocular (8)", "cameras", "sheet"} <= {
+        trace["name"] for trace in figure["data"]
+    }
+
+
+def test_lens_distortion_bends_the_epipolar_lines_through_their_points() -> None:
+    rig = made_up_rig(distortion=(-0.25, 0.1, 0.001, -0.0005, 0.0))
+    _, matches = made_up_matches(rig)
+    page = Page(render_report(rig=rig, matches=matches))
+    curves = [a["points"] for tag, a in page.elements if tag == "polyline"]
+    assert curves
+    assert all(curve is not None and len(curve.split()) > 2 for curve in curves)
+    assert "rms: upper and right 0.000 px" in page.text
+
+
+def test_the_file_is_whole_or_not_there(tmp_path: Path, rig: Rig) -> None:
+    path = tmp_path / "report.html"
+    write_report(path, rig=rig)
+    assert path.read_text(encoding="utf-8") == render_report(rig=rig)
+    assert [file.name for file in tmp_path.iterdir()] == ["report.html"]
+    with pytest.raises(InputError, match="does not exist"):
+        write_report(tmp_path / "none" / "report.html", rig=rig)
+
+
+def test_what_cannot_be_shown_is_refused(
+    rig: Rig, segments: dict[str, Segments], matches: Matches
+) -> None:
+    with pytest.raises(InputError, match="needs a rig or a calibration"):
+        render_report(segments=segments)
+    other = Rig(dict(zip(("a", "b", "c"), rig.cameras, strict=True)))
+    with pytest.raises(InputError, match="views of the matches"):
+        render_report(rig=other, matches=matches)
+    with pytest.raises(InputError, match="views of the segments"):
+        render_report(rig=other, segments=segments)
+
+
+def test_a_camera_that_failed_says_why() -> None:
+    result = made_up_result(made_up_rig())
+    fits = {name: fit for name, fit in result.fits.items() if name != "left"}
+    names = ("upper", "right")
+    failed = CalibrationResult(
+        Rig({name: result.rig[name] for name in names}),
+        {**result.status, "left": next(s for s in Status if s is not Status.CONVERGED)},
+        (),
+        np.zeros(0),
+        np.zeros((0, 0)),
+        fits,
+        result.pattern,
+        {"left": "No sheet was found in this picture."},
+    )
+    text = Page(render_report(result=failed)).text
+    assert "2 of 3 cameras calibrated" in text
+    assert "No sheet was found in this picture." in text
+    assert "✗ not a result" in text

@@ -1,0 +1,169 @@
+"""Epipolar lines on the pictures: a handful of correspondences, and what a click needs."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from trinoc.calib.result import CalibrationResult
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.rig import Rig
+from trinoc.match.matches import TRINOCULAR, Matches
+from trinoc.report.camera_numbers import (
+    calibration_matrix,
+    distorted_pixels,
+    epipolar_lines,
+    fundamental_from,
+    shift_of_circle_centres,
+    undistorted_pixels,
+)
+from trinoc.report.clipping import clip_line
+from trinoc.report.colours import PALETTE
+from trinoc.report.numbers import with_decimals
+from trinoc.report.pictures import PagePicture
+
+SHOWN = 6
+# Points along an epipolar line that lens distortion bends.
+CURVE_POINTS = 25
+
+
+class Curve(NamedTuple):
+    """An epipolar line as the lens shows it, and the view whose point it belongs to."""
+
+    points_px: Float[np.ndarray, "n 2"]
+    source: str
+    colour: str
+    dashed: bool
+
+
+class Mark(NamedTuple):
+    """The point of one correspondence in one view."""
+
+    label: str
+    u: float
+    v: float
+    colour: str
+
+
+class EpipolarFigure(NamedTuple):
+    """One picture with the points of the correspondences and their partners' epipolar lines."""
+
+    name: str
+    picture: PagePicture
+    marks: tuple[Mark, ...]
+    curves: tuple[Curve, ...]
+
+
+class EpipolarPart(NamedTuple):
+    """The figures, the distances over all correspondences, and the numbers for clicks."""
+
+    key: str
+    kind: str
+    figures: tuple[EpipolarFigure, ...]
+    count: int
+    distances: tuple[tuple[str, str, str], ...]
+    cameras: list[dict[str, Any]]
+
+
+def corrected_circle_centres(result: CalibrationResult) -> Float[np.ndarray, "n v 2"]:
+    """Images of the circles' centres: the ellipse centres less the shift that perspective adds.
+
+    NaN where a view does not see a circle. Ellipse centres do not correspond between views;
+    the images of the circles' centres do.
+    """
+    pattern, rig = result.pattern, result.rig
+    points = np.full((len(pattern), len(rig), 2), np.nan)
+    for view, (name, camera) in enumerate(rig.items()):
+        shift = shift_of_circle_centres(camera, pattern.centres_mm, pattern.radius_mm)
+        detection, used = result.fits[name].detection, np.asarray(result.fits[name].used)
+        index = detection.circle_index[used]
+        points[index, view] = detection.centres_px[used] + shift[index]
+    return points
+
+
+def ends_of_tracks(matches: Matches) -> Float[np.ndarray, "n v 2"]:
+    """Corresponding ends of the fragments of the tracks that three or more views see."""
+    seen = np.asarray(matches.stage) == TRINOCULAR
+    fragments = np.asarray(matches.fragments_px)[seen]
+    return np.concatenate([fragments[:, :, 0], fragments[:, :, 1]])
+
+
+def epipolar_part(
+    key: str,
+    kind: str,
+    rig: Rig,
+    points_px: Float[np.ndarray, "n v 2"],
+    pictures: Mapping[str, PagePicture],
+) -> EpipolarPart | None:
+    """Some of the corresponding points with their epipolar lines; None without three of them.
+
+    Each view shows, for every point, the epipolar lines of its partners in all other views.
+    """
+    everywhere = points_px[np.isfinite(points_px).all(axis=(1, 2))]
+    if len(everywhere) < 3 or len(rig) < 2:
+        return None
+    shown = _spread(everywhere, SHOWN)
+    figures = []
+    for view, (name, camera) in enumerate(rig.items()):
+        marks = tuple(
+            Mark(str(number + 1), float(u), float(v), PALETTE[number % len(PALETTE)])
+            for number, (u, v) in enumerate(everywhere[shown, view])
+        )
+        curves = []
+        for order, other in enumerate(v for v in range(len(rig)) if v != view):
+            lines = epipolar_lines(camera, rig.cameras[other], everywhere[:, other])[shown]
+            for line, mark in zip(lines, marks, strict=True):
+                curve = _curve(camera, line)
+                if curve is not None:
+                    curves.append(Curve(curve, rig.names[other], mark.colour, order > 0))
+        figures.append(EpipolarFigure(name, pictures[name], marks, tuple(curves)))
+    distances = tuple(
+        (first, second, with_decimals(_rms_distance_px(rig, everywhere, a, b), 3))
+        for a, first in enumerate(rig)
+        for b, second in enumerate(rig)
+        if a < b
+    )
+    cameras = [_numbers(rig, name) for name in rig]
+    return EpipolarPart(key, kind, tuple(figures), len(everywhere), distances, cameras)
+
+
+def _spread(points: Float[np.ndarray, "n v 2"], count: int) -> list[int]:
+    """Rows of points far apart in the first view: each next is the farthest from the earlier."""
+    first = points[:, 0]
+    chosen = [int(np.argmin(first.sum(axis=1)))]
+    nearest = np.full(len(points), np.inf)
+    while len(chosen) < min(count, len(points)):
+        nearest = np.minimum(nearest, np.linalg.norm(first - first[chosen[-1]], axis=1))
+        chosen.append(int(np.argmax(nearest)))
+    return chosen
+
+
+def _curve(camera: Camera, line: Float[np.ndarray, "3"]) -> Float[np.ndarray, "n 2"] | None:
+    """An epipolar line as the lens shows it, or None where it misses the picture."""
+    ends = clip_line(line, camera.image_size_px)
+    if ends is None or camera.intrinsics.distortion_model == "none":
+        return ends
+    share = np.linspace(-0.1, 1.1, CURVE_POINTS)[:, None]
+    return distorted_pixels(camera, ends[0] + share * (ends[1] - ends[0]))
+
+
+def _rms_distance_px(rig: Rig, points: Float[np.ndarray, "n v 2"], a: int, b: int) -> float:
+    lines = epipolar_lines(rig.cameras[b], rig.cameras[a], points[:, a])
+    in_b = undistorted_pixels(rig.cameras[b], points[:, b])
+    return float(np.sqrt(np.mean((np.sum(lines[:, :2] * in_b, axis=1) + lines[:, 2]) ** 2)))
+
+
+def _numbers(rig: Rig, name: str) -> dict[str, Any]:
+    """What the page's script needs to draw the epipolar lines of any point of this view."""
+    camera = rig[name]
+    distorted = camera.intrinsics.distortion_model != "none"
+    return {
+        "size": list(camera.image_size_px),
+        "calibration": calibration_matrix(camera).tolist(),
+        "distortion": np.asarray(camera.intrinsics.distortion).tolist() if distorted else None,
+        "fundamental": [
+            None if other == name else fundamental_from(camera, rig[other]).tolist()
+            for other in rig
+        ],
+    }

@@ -1,0 +1,163 @@
+"""The report: one HTML page that holds its pictures, its script and its style in itself."""
+
+import os
+from collections.abc import Mapping, Sequence
+from importlib import resources
+from typing import Any, NamedTuple
+
+import jinja2
+import numpy as np
+
+from trinoc.calib.result import CalibrationResult
+from trinoc.errors import InputError
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.segments import Segments
+from trinoc.io.atomic import write_text
+from trinoc.match.matches import Matches
+from trinoc.report.calibration_part import calibration_part
+from trinoc.report.epipolar_part import corrected_circle_centres, ends_of_tracks, epipolar_part
+from trinoc.report.matches_part import matches_part
+from trinoc.report.pictures import page_pictures
+from trinoc.report.plan_part import plan_part
+from trinoc.report.space_part import space_figure
+from trinoc.report.summary_part import summary_part
+
+
+class ExtraTable(NamedTuple):
+    """A table that the caller adds to the page, such as a score against a known truth."""
+
+    title: str
+    head: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    caption: str = ""
+
+
+def write_report(
+    path: str | os.PathLike[str],
+    *,
+    result: CalibrationResult | None = None,
+    sheet_pictures: Mapping[str, np.ndarray] | None = None,
+    rig: Rig | None = None,
+    segments: Mapping[str, Segments] | None = None,
+    matches: Matches | None = None,
+    scene_pictures: Mapping[str, np.ndarray] | None = None,
+    reference: Rig | None = None,
+    reference_name: str = "reference",
+    title: str = "trinoc report",
+    tables: Sequence[ExtraTable] = (),
+    provenance: Mapping[str, str] | None = None,
+) -> None:
+    """Write a self-contained HTML page about a calibration, a matching, or both.
+
+    The page has only the parts that it is given something for, and makes no request to any
+    network. The file is whole or not there; equal inputs give equal bytes.
+
+    Parameters
+    ----------
+    result : a calibration, with `sheet_pictures`, (rows, columns[, channels]) per camera.
+    rig : the cameras that `matches` was made with; by default that of `result`.
+    segments, matches : found in `scene_pictures`, each optional.
+    reference, reference_name : known cameras to stand beside the recovered ones.
+    tables : further tables, shown after the matches.
+    provenance : what to say at the foot: command, version, files.
+
+    Raises InputError where neither a rig nor a calibration nor segments are given, where the
+    segments' or matches' views are not those of the rig, or where `path` cannot be written.
+    """
+    write_text(
+        path,
+        render_report(
+            result=result,
+            sheet_pictures=sheet_pictures,
+            rig=rig,
+            segments=segments,
+            matches=matches,
+            scene_pictures=scene_pictures,
+            reference=reference,
+            reference_name=reference_name,
+            title=title,
+            tables=tables,
+            provenance=provenance,
+        ),
+    )
+
+
+def render_report(
+    *,
+    result: CalibrationResult | None = None,
+    sheet_pictures: Mapping[str, np.ndarray] | None = None,
+    rig: Rig | None = None,
+    segments: Mapping[str, Segments] | None = None,
+    matches: Matches | None = None,
+    scene_pictures: Mapping[str, np.ndarray] | None = None,
+    reference: Rig | None = None,
+    reference_name: str = "reference",
+    title: str = "trinoc report",
+    tables: Sequence[ExtraTable] = (),
+    provenance: Mapping[str, str] | None = None,
+) -> str:
+    """The page of `write_report` as text."""
+    rig = rig if rig is not None else (result.rig if result is not None else None)
+    if rig is None:
+        raise InputError("A report needs a rig or a calibration: give at least one of them.")
+    _check_views("segments", segments or {}, rig)
+    _check_views("matches", matches.views if matches is not None else (), rig)
+    sizes = {name: camera.image_size_px for name, camera in rig.items()}
+    if result is not None:
+        sizes |= {name: fit.detection.image_size_px for name, fit in result.fits.items()}
+    sheet = page_pictures("sheet", sheet_pictures, sizes)
+    scene = page_pictures("scene", scene_pictures, sizes)
+    pattern = result.pattern if result is not None else None
+    epipolar = []
+    if result is not None:
+        points = corrected_circle_centres(result)
+        epipolar.append(epipolar_part("sheet", "circles", result.rig, points, sheet))
+    if matches is not None:
+        points = ends_of_tracks(matches)
+        in_rig_order = points[:, [matches.views.index(name) for name in rig]]
+        epipolar.append(epipolar_part("scene", "ends of tracks", rig, in_rig_order, scene))
+    page = {
+        "title": title,
+        "headlines": summary_part(result, matches),
+        "calibration": calibration_part(rig, result, sheet, reference, reference_name),
+        "epipolar": [part for part in epipolar if part is not None],
+        "matches": matches_part(_views(rig, matches), segments or {}, matches, scene)
+        if segments or matches is not None
+        else None,
+        "pictures": [picture for picture in (*sheet.values(), *scene.values()) if picture.uri],
+        "plans": plan_part(rig, pattern, matches),
+        "space": space_figure(rig, pattern, matches),
+        "plotly_script": _plotly_script(),
+        "tables": tables,
+        "provenance": dict(provenance or {}),
+    }
+    return _environment().get_template("report.html.j2").render(page)
+
+
+def _views(rig: Rig, matches: Matches | None) -> tuple[str, ...]:
+    return rig.names if matches is None else matches.views
+
+
+def _check_views(what: str, names: Mapping[str, Any] | Sequence[str], rig: Rig) -> None:
+    unknown = [name for name in names if name not in rig.names]
+    if unknown or (what == "matches" and names and set(names) != set(rig.names)):
+        raise InputError(
+            f"The views of the {what} are {', '.join(names)}, but the cameras of the rig are "
+            f"{', '.join(rig.names)}: give the rig that the {what} belong to."
+        )
+
+
+def _environment() -> jinja2.Environment:
+    return jinja2.Environment(
+        loader=jinja2.PackageLoader("trinoc.report", "templates"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+
+
+def _plotly_script() -> str:
+    """plotly.js, which its Python package carries; "</script" cannot end it early."""
+    file = resources.files("plotly") / "package_data" / "plotly.min.js"
+    return file.read_text(encoding="utf-8").replace("</script", "<\\/script")

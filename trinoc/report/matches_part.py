@@ -1,0 +1,136 @@
+"""What the page shows of segments and matches: figures, counts, reasons and tracks."""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from trinoc.geometry.segments import Segments
+from trinoc.match.matches import BINOCULAR, TRINOCULAR, Matches
+from trinoc.report.colours import PALETTE, distinct_neighbours
+from trinoc.report.numbers import in_words, percent, with_decimals, with_sigma
+from trinoc.report.pictures import PagePicture
+from trinoc.report.segments_figures import SegmentsFigure, segments_figure, tracks_figures
+from trinoc.report.track_sigmas import TrackSigmas, track_sigmas
+
+TABLE_ROWS = 300
+
+
+class TrackRow(NamedTuple):
+    """One line of the table of tracks."""
+
+    track: int
+    colour: str
+    stage: str
+    members: tuple[str, ...]
+    length: str
+    across: str
+    posterior: str
+    runner_up: str
+
+
+class ReasonRow(NamedTuple):
+    """One reason, and how many segments of each view it holds for."""
+
+    words: str
+    counts: tuple[int, ...]
+
+
+class MatchesPart(NamedTuple):
+    """Everything of the part on segments and matches; any list may be empty."""
+
+    views: tuple[str, ...]
+    segments: tuple[SegmentsFigure, ...]
+    trinocular: tuple[SegmentsFigure, ...]
+    binocular: tuple[SegmentsFigure, ...]
+    trinocular_count: int
+    binocular_count: int
+    pairs_of_views: tuple[tuple[str, int], ...]
+    counts: tuple[tuple[str, str], ...]
+    reasons: tuple[ReasonRow, ...]
+    totals: tuple[int, ...]
+    tracks: tuple[TrackRow, ...]
+
+
+def reasons_by_view(matches: Matches) -> dict[str, dict[str, int]]:
+    """How many segments of each view share each reason, "matched" included."""
+    table: dict[str, dict[str, int]] = {}
+    for view in matches.views:
+        words, counts = np.unique(np.asarray(matches.reasons[view], dtype=str), return_counts=True)
+        for word, count in zip(words.tolist(), counts.tolist(), strict=True):
+            table.setdefault(word, dict.fromkeys(matches.views, 0))[view] = count
+    return table
+
+
+def matches_part(
+    views: tuple[str, ...],
+    segments: Mapping[str, Segments],
+    matches: Matches | None,
+    pictures: Mapping[str, PagePicture],
+) -> MatchesPart:
+    """Figures and tables of the segments and, where there are any, of the matches."""
+    found = tuple(
+        segments_figure(name, segments[name], matches, pictures[name])
+        for name in views
+        if name in segments
+    )
+    if matches is None:
+        return MatchesPart(views, found, (), (), 0, 0, (), (), (), (), ())
+    fragments = np.asarray(matches.fragments_px)
+    colours = [PALETTE[c] for c in distinct_neighbours(fragments.mean(axis=2)).tolist()]
+    sigmas = track_sigmas(matches)
+    stage = np.asarray(matches.stage)
+    reasons = reasons_by_view(matches)
+    return MatchesPart(
+        views,
+        found,
+        tracks_figures(TRINOCULAR, matches, segments, pictures, colours, sigmas),
+        tracks_figures(BINOCULAR, matches, segments, pictures, colours, sigmas),
+        int((stage == TRINOCULAR).sum()),
+        int((stage == BINOCULAR).sum()),
+        _pairs_of_views(matches),
+        tuple((in_words(name), f"{count:,}") for name, count in matches.counts.items()),
+        tuple(
+            ReasonRow(in_words(words), tuple(reasons[words].values()))
+            for words in sorted(reasons, key=lambda w: (w != "matched", -sum(reasons[w].values())))
+        ),
+        tuple(len(matches.reasons[view]) for view in matches.views),
+        _track_rows(matches, colours, sigmas),
+    )
+
+
+def _pairs_of_views(matches: Matches) -> tuple[tuple[str, int], ...]:
+    """Binocular tracks of each pair of views."""
+    seen = np.asarray(matches.index)[np.asarray(matches.stage) == BINOCULAR] >= 0
+    views = matches.views
+    return tuple(
+        (f"{views[a]} and {views[b]}", int((seen[:, a] & seen[:, b]).sum()))
+        for a in range(len(views))
+        for b in range(a + 1, len(views))
+    )
+
+
+def _track_rows(matches: Matches, colours: list[str], sigmas: TrackSigmas) -> tuple[TrackRow, ...]:
+    order = np.argsort(-sigmas.length_mm, kind="stable")[:TABLE_ROWS]
+    rows = []
+    for track in order.tolist():
+        members = tuple("" if i < 0 else str(i) for i in np.asarray(matches.index[track]).tolist())
+        rows.append(
+            TrackRow(
+                track,
+                colours[track],
+                str(matches.stage[track]),
+                members,
+                with_sigma(float(sigmas.length_mm[track]), float(sigmas.length_sigma_mm[track])),
+                with_decimals(float(sigmas.across_sigma_mm[track]), 3),
+                with_decimals(float(matches.posterior[track]), 3),
+                with_decimals(float(matches.runner_up[track]), 3),
+            )
+        )
+    return tuple(rows)
+
+
+def share_matched(matches: Matches) -> str:
+    """The share of all segments that are on a track, as words."""
+    words = np.concatenate([np.asarray(matches.reasons[view], dtype=str) for view in matches.views])
+    return percent(float(np.mean(words == "matched"))) if len(words) else percent(float("nan"))

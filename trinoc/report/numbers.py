@@ -1,0 +1,53 @@
+"""Numbers as people write them beside their uncertainty."""
+
+import math
+
+
+def decimals_for(sigma: float, *, fallback: int = 4) -> int:
+    """Decimals that show two significant digits of `sigma`; `fallback` where it is not known."""
+    if not math.isfinite(sigma) or sigma <= 0:
+        return fallback
+    return max(0, min(12, 1 - math.floor(math.log10(sigma))))
+
+
+def with_decimals(value: float, decimals: int) -> str:
+    """A number with a true minus sign; "not known" for NaN."""
+    if not math.isfinite(value):
+        return "not known"
+    text = f"{value:.{decimals}f}"
+    # A rounded zero has no sign.
+    return text.replace("-", "" if float(text) == 0 else "\N{MINUS SIGN}")
+
+
+def with_sigma(value: float, sigma: float) -> str:
+    """ "23.5681 ± 0.0010": the value to two significant digits of its sigma."""
+    decimals = decimals_for(sigma)
+    text = with_decimals(value, decimals)
+    return f"{text} ± {sigma:.{decimals}f}" if math.isfinite(sigma) else text
+
+
+def signed(value: float, decimals: int) -> str:
+    """A difference: always with its sign."""
+    text = with_decimals(value, decimals)
+    return f"+{text}" if math.isfinite(value) and value >= 0 else text
+
+
+def percent(share: float) -> str:
+    """A share of one, as a percentage."""
+    return f"{100 * share:.0f} %" if math.isfinite(share) else "not known"
+
+
+def round_scale(value: float) -> float:
+    """The largest of 1, 2, 5 times a power of ten that is not above `value`."""
+    power = 10.0 ** math.floor(math.log10(value))
+    return max(step * power for step in (1, 2, 5) if step * power <= value * (1 + 1e-9))
+
+
+def plain(value: float) -> str:
+    """A round number without trailing zeros: 0.005, 20, 2000."""
+    return f"{value:.10f}".rstrip("0").rstrip(".")
+
+
+def in_words(name: str) -> str:
+    """A name of the code as people read it."""
+    return name.replace("_", " ")

@@ -1,0 +1,107 @@
+"""A picture as text that a page can hold."""
+
+import base64
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from jaxtyping import Float
+
+from trinoc.errors import InputError
+
+# The page shows a picture at some 1200 dots at most; more would only make it heavy.
+LONGEST_SIDE_PX = 1600
+JPEG_QUALITY = 88
+WINDOW_MARGIN = 1.25
+
+
+class PagePicture(NamedTuple):
+    """A picture on the page: an identifier, its size in its own pixels, and its data URI.
+
+    `uri` is empty where there is no picture, only its size.
+    """
+
+    key: str
+    width_px: int
+    height_px: int
+    uri: str
+
+    @property
+    def window(self) -> "Window":
+        """All of the picture; its first pixel reaches from -0.5 to 0.5."""
+        return Window(-0.5, -0.5, self.width_px, self.height_px)
+
+
+class Window(NamedTuple):
+    """The part of a picture that a figure shows, in pixels of the picture."""
+
+    left: float
+    top: float
+    width: float
+    height: float
+
+    @property
+    def unit(self) -> float:
+        """Pixels that make 1/512 of the width: the measure of words and marks on it."""
+        return self.width / 512
+
+    @classmethod
+    def around(cls, points_px: Float[np.ndarray, "n 2"], picture: PagePicture) -> "Window":
+        """The points with a margin, in the picture's shape where that fits, cut at its edge."""
+        if len(points_px) == 0:
+            return cls(*picture.window)
+        size = np.array([picture.width_px, picture.height_px])
+        low, high = points_px.min(axis=0), points_px.max(axis=0)
+        share = min(1.0, WINDOW_MARGIN * float(np.max((high - low) / size)))
+        extent = share * size
+        corner = np.clip((low + high) / 2 - extent / 2, -0.5, size - 0.5 - extent)
+        return cls(*corner.tolist(), *extent.tolist())
+
+
+def page_picture(key: str, picture: np.ndarray | None, size_px: tuple[int, int]) -> PagePicture:
+    """A (h, w) or (h, w, 3) picture of any depth as a JPEG data URI of bounded size.
+
+    Eight-bit pictures keep their grey levels; others are stretched to the range they use.
+    """
+    if picture is None:
+        return PagePicture(key, *size_px, "")
+    array = np.asarray(picture)
+    if array.ndim not in (2, 3) or (array.ndim == 3 and array.shape[2] not in (1, 3, 4)):
+        raise InputError(
+            f'The picture "{key}" has shape {array.shape}, but must be (rows, columns) or '
+            "(rows, columns, channels)."
+        )
+    height, width = array.shape[:2]
+    if array.dtype != np.uint8:
+        array = _stretched(array.astype(np.float64))
+    if array.ndim == 3:
+        array = array[..., 0] if array.shape[2] == 1 else array[..., 2::-1]
+    shrink = LONGEST_SIDE_PX / max(width, height)
+    if shrink < 1:
+        size = (max(1, round(width * shrink)), max(1, round(height * shrink)))
+        array = cv2.resize(array, size, interpolation=cv2.INTER_AREA)
+    _, data = cv2.imencode(
+        ".jpg", np.ascontiguousarray(array), [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
+    )
+    text = base64.b64encode(data.tobytes()).decode("ascii")
+    return PagePicture(key, width, height, f"data:image/jpeg;base64,{text}")
+
+
+def page_pictures(
+    prefix: str,
+    pictures: Mapping[str, np.ndarray] | None,
+    sizes_px: Mapping[str, tuple[int, int]],
+) -> dict[str, PagePicture]:
+    """One page picture per view, with an identifier that no name can break."""
+    given = pictures or {}
+    return {
+        name: page_picture(f"{prefix}-{number}", given.get(name), size)
+        for number, (name, size) in enumerate(sizes_px.items())
+    }
+
+
+def _stretched(array: np.ndarray) -> np.ndarray:
+    low, high = float(np.nanmin(array)), float(np.nanmax(array))
+    scaled = (array - low) * (255.0 / (high - low)) if high > low else np.zeros_like(array)
+    return np.nan_to_num(scaled).round().astype(np.uint8)

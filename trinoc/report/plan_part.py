@@ -1,0 +1,111 @@
+"""Plan and elevation: the same content as the figure to turn, to scale, without any script."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from trinoc.calib.pattern import Pattern
+from trinoc.geometry.rig import Rig
+from trinoc.match.matches import BINOCULAR, TRINOCULAR, Matches
+from trinoc.report.colours import BLUE, GREEN, VERMILION
+from trinoc.report.numbers import plain, round_scale
+from trinoc.report.space_content import Box, content_box, frusta, sheet_outlines, whole_box
+
+GRID_LINES = 6
+
+
+class Path(NamedTuple):
+    """A drawn line: the data of an SVG path, its colour and width (in screen dots)."""
+
+    data: str
+    colour: str
+    width: float
+
+
+class Tick(NamedTuple):
+    """A grid line: where it stands on its axis, in drawing units, and its number in mm."""
+
+    at: float
+    words: str
+
+
+class Drawing(NamedTuple):
+    """One orthographic view, in mm, second axis upward (so negated for SVG)."""
+
+    title: str
+    horizontal: str
+    vertical: str
+    left: float
+    top: float
+    width: float
+    height: float
+    paths: tuple[Path, ...]
+    labels: tuple[tuple[float, float, str], ...]
+    across: tuple[Tick, ...]
+    upward: tuple[Tick, ...]
+
+
+def plan_part(rig: Rig, pattern: Pattern | None, matches: Matches | None) -> tuple[Drawing, ...]:
+    """Plan (X, Y) and elevation (X, Z) of the segments, or of the rig where there are none."""
+    with_segments = matches is not None and len(matches) > 0
+    content = content_box(pattern, matches)
+    box = content if with_segments and content is not None else whole_box(rig, content)
+    lines: list[tuple[list[np.ndarray], str, float]] = []
+    if pattern is not None:
+        lines.append((sheet_outlines(pattern), "#9a9a9a", 1.0))
+    if matches is not None and with_segments:
+        stage, ends = np.asarray(matches.stage), np.asarray(matches.lines_mm)
+        for name, colour in ((TRINOCULAR, BLUE), (BINOCULAR, VERMILION)):
+            lines.append((list(ends[stage == name]), colour, 1.8))
+    else:
+        lines.append((frusta(rig), GREEN, 1.4))
+    names = [] if with_segments else [(c.centre_world_mm, name) for name, c in rig.items()]
+    return (
+        _drawing("Plan, seen from above", "X", "Y", (0, 1), box, lines, names),
+        _drawing("Elevation, seen from the front", "X", "Z", (0, 2), box, lines, names),
+    )
+
+
+def _drawing(
+    title: str,
+    horizontal: str,
+    vertical: str,
+    axes: tuple[int, int],
+    box: Box,
+    lines: list[tuple[list[np.ndarray], str, float]],
+    names: list[tuple[np.ndarray, str]],
+) -> Drawing:
+    low, high = box.low_mm[list(axes)], box.high_mm[list(axes)]
+    paths = tuple(
+        Path(" ".join(_path(part[:, list(axes)]) for part in parts), colour, width)
+        for parts, colour, width in lines
+        if parts
+    )
+    step = round_scale(float(np.max(box.high_mm - box.low_mm)) / GRID_LINES)
+    return Drawing(
+        title,
+        horizontal,
+        vertical,
+        float(low[0]),
+        float(-high[1]),
+        float(high[0] - low[0]),
+        float(high[1] - low[1]),
+        paths,
+        tuple((float(p[axes[0]]), float(-p[axes[1]]), name) for p, name in names),
+        _ticks(float(low[0]), float(high[0]), step, 1),
+        _ticks(float(low[1]), float(high[1]), step, -1),
+    )
+
+
+def _path(points: np.ndarray) -> str:
+    if not np.isfinite(points).all():
+        return ""
+    return "M" + "L".join(f"{x:.2f} {-y:.2f}" for x, y in points.tolist())
+
+
+def _ticks(low: float, high: float, step: float, sign: int) -> tuple[Tick, ...]:
+    numbers = np.arange(np.ceil(low / step), np.floor(high / step) + 1) * step
+    return tuple(
+        Tick(sign * value, plain(value).replace("-", "\N{MINUS SIGN}"))
+        for value in (numbers + 0.0).tolist()
+    )

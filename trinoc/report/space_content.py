@@ -1,0 +1,101 @@
+"""What stands in space: frusta, sheet and segments as lines, and boxes that hold them, in mm."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from trinoc.calib.pattern import Pattern
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.rig import Rig
+from trinoc.match.matches import Matches
+
+FRUSTUM_SHARE = 0.14
+CIRCLE_POINTS = 24
+
+
+class Box(NamedTuple):
+    """Corners of the space that a figure shows, in mm."""
+
+    low_mm: Float[np.ndarray, "3"]
+    high_mm: Float[np.ndarray, "3"]
+
+
+def polyline(parts: list[np.ndarray]) -> Float[np.ndarray, "n 3"]:
+    """Several open lines as one, with a row of NaN between them."""
+    gap = np.full((1, 3), np.nan)
+    return np.concatenate([row for part in parts for row in (part, gap)])
+
+
+def sheet_outlines(pattern: Pattern) -> list[np.ndarray]:
+    """The circles, holes and crossed lines of the sheet as (n, 3) lines on Z = 0."""
+    angles = np.linspace(0, 2 * np.pi, CIRCLE_POINTS + 1)
+    unit = np.stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)], axis=1)
+    parts = []
+    for centre, outer, inner in zip(
+        pattern.centres_mm, pattern.radius_mm, pattern.inner_radius_mm, strict=True
+    ):
+        parts.extend(np.append(centre, 0.0) + r * unit for r in (outer, inner) if r > 0)
+    if pattern.line_width_mm > 0:
+        for axis, reach in enumerate(pattern.line_half_length_mm):
+            end = np.zeros(3)
+            end[axis] = reach
+            parts.append(np.stack([-end, end]))
+    return parts
+
+
+def frusta(rig: Rig) -> list[np.ndarray]:
+    """For each camera, lines from its centre round the corners of its picture."""
+    centres = np.stack([camera.centre_world_mm for _, camera in rig.items()])
+    depth = FRUSTUM_SHARE * float(np.median(np.linalg.norm(centres, axis=1)))
+    return [_frustum(camera, depth) for _, camera in rig.items()]
+
+
+def _frustum(camera: Camera, depth_mm: float) -> np.ndarray:
+    width, height = camera.image_size_px
+    corners = np.array([[0, 0], [width, 0], [width, height], [0, height]]) - 0.5
+    focal = np.asarray(camera.intrinsics.focal_length_px)
+    # The outline is that of the picture without distortion, which is what the eye expects.
+    rays = (corners - np.asarray(camera.intrinsics.principal_point_px)) / focal
+    in_camera = depth_mm * np.column_stack([rays, np.ones(4)])
+    centre = camera.centre_world_mm
+    world = in_camera @ np.asarray(camera.pose.rotation) + centre
+    order = [0, 1, 2, 3, 0]
+    spokes = [row for corner in world for row in (centre, corner)]
+    # A short line out of the middle of the upper side tells which way is up in the picture.
+    middle, upward = (world[0] + world[1]) / 2, (world[0] - world[3]) / 6
+    return np.concatenate(
+        [world[order], np.stack(spokes), np.stack([world[0], middle, middle + upward])]
+    )
+
+
+def content_box(pattern: Pattern | None, matches: Matches | None) -> Box | None:
+    """The sheet and the segments with some room, a few far-off segments not counted."""
+    points = []
+    if matches is not None and len(matches):
+        ends = np.asarray(matches.lines_mm).reshape(-1, 3)
+        ends = ends[np.isfinite(ends).all(axis=1)]
+        if len(ends):
+            middle, spread = np.median(ends, axis=0), np.percentile(ends, [5, 95], axis=0)
+            reach = 3 * np.maximum(spread[1] - spread[0], 1e-9)
+            points.append(ends[(np.abs(ends - middle) <= reach).all(axis=1)])
+    if pattern is not None:
+        margin = pattern.radius_mm[:, None]
+        flat = np.concatenate([pattern.centres_mm - margin, pattern.centres_mm + margin])
+        points.append(np.column_stack([flat, np.zeros(len(flat))]))
+    if not points:
+        return None
+    together = np.concatenate(points)
+    low, high = together.min(axis=0), together.max(axis=0)
+    room = 0.08 * max(float(np.max(high - low)), 1e-6)
+    return Box(low - room, high + room)
+
+
+def whole_box(rig: Rig, content: Box | None) -> Box:
+    """The cameras together with `content`, with some room."""
+    corners = np.concatenate(frusta(rig))
+    if content is not None:
+        corners = np.concatenate([corners, np.stack(content)])
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    room = 0.05 * float(np.max(high - low))
+    return Box(low - room, high + room)
