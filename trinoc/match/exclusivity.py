@@ -1,0 +1,103 @@
+"""No part of a segment belongs to two lines: marginals by belief propagation.
+
+Two candidates conflict where they claim one part of a segment. Each candidate sends through
+each of its segments the message log(1 + sum of the others' odds there), and what remains of a
+candidate's odds after all its messages is its belief. Marginals, unlike the one best
+selection, do not buy two weak triples with a strong one, and show ambiguity as it is.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from trinoc.match.intervals import pairs_of_equal_keys
+
+# Parts conflict when they share more than this of the shorter.
+CONFLICT = 0.3
+ITERATIONS = 30
+DAMPING = 0.3
+CONVERGED = 1e-3
+_HIGHEST = 60.0
+
+
+class Conflicts(NamedTuple):
+    """Directed edges, sorted by slot = candidate * views + view.
+
+    slot : who is limited, and through which segment. rival_slot : by whom.
+    """
+
+    slot: Int[np.ndarray, "e"]
+    rival_slot: Int[np.ndarray, "e"]
+    views: int
+
+
+def conflicts(index: Int[np.ndarray, "m v"], part: Float[np.ndarray, "m v 2"]) -> Conflicts:
+    """Which candidates claim the same part of a segment; -1 in `index` claims nothing.
+
+    Two candidates that share parts in several views conflict once, in the first of these.
+    """
+    count, views = index.shape
+    low, high = part.min(axis=2), part.max(axis=2)
+    first, second, through = [], [], []
+    for view in range(views):
+        seen = np.flatnonzero(index[:, view] >= 0)
+        m, n = pairs_of_equal_keys(index[seen, view])
+        m, n = seen[m], seen[n]
+        shared = np.minimum(high[m, view], high[n, view]) - np.maximum(low[m, view], low[n, view])
+        shorter = np.minimum(high[m, view] - low[m, view], high[n, view] - low[n, view])
+        clash = shared > CONFLICT * shorter
+        first.append(m[clash])
+        second.append(n[clash])
+        through.append(np.full(clash.sum(), view))
+    m, n, view = np.concatenate(first), np.concatenate(second), np.concatenate(through)
+    m, n = np.minimum(m, n), np.maximum(m, n)
+    _, once = np.unique(m * count + n, return_index=True)
+    m, n, view = m[once], n[once], view[once]
+    slot = np.concatenate([m, n]) * views + np.concatenate([view, view])
+    rival = np.concatenate([n, m]) * views + np.concatenate([view, view])
+    order = np.argsort(slot, kind="stable")
+    return Conflicts(slot[order], rival[order], views)
+
+
+def beliefs(log_odds: Float[np.ndarray, "m"], graph: Conflicts) -> Float[np.ndarray, "m"]:
+    """Log odds of each candidate after exclusion, at the fixed point of the messages."""
+    count = len(log_odds)
+    messages = np.zeros(count * graph.views)
+    belief = chosen_greedily(log_odds, graph)
+    if len(graph.slot) == 0:
+        return log_odds
+    starts = np.flatnonzero(np.diff(graph.slot, prepend=-1))
+    limited = graph.slot[starts]
+    rival = graph.rival_slot // graph.views
+    # The start: a candidate that the greedy choice leaves out says nothing yet.
+    messages[limited] = -np.log1p(
+        np.add.reduceat(
+            np.where(belief[rival], np.exp(np.minimum(log_odds[rival], _HIGHEST)), 0.0), starts
+        )
+    )
+    for _ in range(ITERATIONS):
+        total = log_odds + messages.reshape(count, graph.views).sum(axis=1)
+        cavity = total[rival] - messages[graph.rival_slot]
+        fresh = -np.log1p(np.add.reduceat(np.exp(np.minimum(cavity, _HIGHEST)), starts))
+        change = fresh - messages[limited]
+        messages[limited] += (1 - DAMPING) * change
+        if np.abs(change).max() < CONVERGED:
+            break
+    return log_odds + messages.reshape(count, graph.views).sum(axis=1)
+
+
+def chosen_greedily(score: Float[np.ndarray, "m"], graph: Conflicts) -> np.ndarray:
+    """(m,) bool: taken in order of score, where positive and not in conflict with one taken."""
+    count = len(score)
+    taken = np.zeros(count, dtype=bool)
+    barred = np.zeros(count, dtype=bool)
+    owner, rival = graph.slot // graph.views, graph.rival_slot // graph.views
+    start = np.searchsorted(owner, np.arange(count + 1))
+    for m in np.argsort(-score, kind="stable"):
+        if score[m] <= 0:
+            break
+        if not barred[m]:
+            taken[m] = True
+            barred[rival[start[m] : start[m + 1]]] = True
+    return taken

@@ -1,0 +1,48 @@
+"""Joins and groups on sorted arrays: the index work of the matcher, never all against all."""
+
+import numpy as np
+from jaxtyping import Float, Int
+
+
+def expand_ranges(
+    start: Int[np.ndarray, "n"], stop: Int[np.ndarray, "n"]
+) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
+    """(owner, position): every position of range(start[i], stop[i]), with its i."""
+    count = np.maximum(stop - start, 0)
+    owner = np.repeat(np.arange(len(start)), count)
+    offset = np.repeat(start - np.concatenate([[0], np.cumsum(count)[:-1]]), count)
+    return owner, np.arange(len(owner)) + offset
+
+
+def overlapping(
+    first: Float[np.ndarray, "n 2"], second: Float[np.ndarray, "m 2"]
+) -> tuple[Int[np.ndarray, "p"], Int[np.ndarray, "p"]]:
+    """(i, j) of all pairs of intervals (low, high) that overlap, each pair once.
+
+    Of two intervals that overlap, exactly one starts inside the other: a search in the sorted
+    starts finds the pairs without looking at any other.
+    """
+    order_first, order_second = np.argsort(first[:, 0]), np.argsort(second[:, 0])
+    starts_first, starts_second = first[order_first, 0], second[order_second, 0]
+    i, position = expand_ranges(
+        np.searchsorted(starts_second, first[:, 0], "left"),
+        np.searchsorted(starts_second, first[:, 1], "left"),
+    )
+    j, position_first = expand_ranges(
+        np.searchsorted(starts_first, second[:, 0], "right"),
+        np.searchsorted(starts_first, second[:, 1], "left"),
+    )
+    return (
+        np.concatenate([i, order_first[position_first]]),
+        np.concatenate([order_second[position], j]),
+    )
+
+
+def pairs_of_equal_keys(keys: Int[np.ndarray, "n"]) -> tuple[np.ndarray, np.ndarray]:
+    """(m, n) with m and n any two different positions that hold one key, each pair once."""
+    order = np.argsort(keys, kind="stable")
+    ordered = keys[order]
+    later, earlier = expand_ranges(
+        np.searchsorted(ordered, ordered, "left"), np.arange(len(ordered))
+    )
+    return order[earlier], order[later]

@@ -1,0 +1,46 @@
+"""Why a segment is on no track: every segment has an answer."""
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, Shaped
+
+MATCHED = "matched"
+NO_PARTNER = "no partner in the zone"
+WEAK = "evidence too weak"
+LOST = "lost to a neighbour"
+AMBIGUOUS = "ambiguous with {}"
+
+# A candidate within this much of log odds of a segment's best is a serious rival.
+RIVAL = 3.0
+
+
+def reasons(
+    count: int,
+    segment: Int[np.ndarray, "m"],
+    log_odds: Float[np.ndarray, "m"],
+    matched: Bool[np.ndarray, "n"],
+) -> Shaped[np.ndarray, "n"]:
+    """(n,) words for the segments of one view, given the candidates that held each of them.
+
+    `segment` is the segment of this view in each candidate (-1 for none) and `log_odds` the
+    candidate's evidence before rivals.
+    """
+    held = segment >= 0
+    segment, log_odds = segment[held], log_odds[held]
+    best = np.full(count, -np.inf)
+    np.maximum.at(best, segment, log_odds)
+    serious = (log_odds > best[segment] - RIVAL) & (log_odds > 0)
+    rivals = np.bincount(segment[serious], minlength=count)
+    words = np.full(count, NO_PARTNER, dtype="U40")
+    words[np.isfinite(best)] = WEAK
+    words[best > 0] = LOST
+    for n in np.flatnonzero((best > 0) & (rivals > 1)):
+        words[n] = AMBIGUOUS.format(rivals[n])
+    words[matched] = MATCHED
+    return words
+
+
+def counted(words: dict[str, Shaped[np.ndarray, "_"]]) -> dict[str, int]:
+    """How many segments of all views share each reason; ambiguous ones are one kind."""
+    short = [word.split(" with ")[0] for view in words.values() for word in view.tolist()]
+    kinds, number = np.unique(np.array(short, dtype="U40"), return_counts=True)
+    return {f"segments {kind}": int(n) for kind, n in zip(kinds, number, strict=True)}
