@@ -37,7 +37,8 @@ def circle_observations(
 ) -> CircleObservations:
     """The circles of a detection, padded to `size` rows; those not `used` have no weight."""
     count, index = len(detection), detection.circle_index
-    centres, radius = np.zeros((size, 2)), np.zeros(size)
+    # A padded circle of radius 0 has no boundary for a lens to bend: give it one.
+    centres, radius = np.zeros((size, 2)), np.ones(size)
     observed, whitening = np.zeros((size, 2)), np.zeros((size, 2, 2))
     centres[:count], radius[:count] = pattern.centres_mm[index], pattern.radius_mm[index]
     observed[:count] = detection.centres_px

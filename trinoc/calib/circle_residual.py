@@ -2,7 +2,6 @@
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Float
 
 from trinoc.calib.circle_observations import CircleObservations
@@ -10,13 +9,10 @@ from trinoc.calib.lens_arrays import LensArrays
 from trinoc.calib.sheet_pose import SheetPose
 from trinoc.geometry.arrays import ArrayLike
 from trinoc.geometry.conics import (
-    boundary_of_dual_conic,
+    centre_of_mapped_ellipse,
     dual_conic_of_circle,
     transform_dual_conic,
 )
-
-# Points taken on an ellipse to average the lens distortion along it.
-_BOUNDARY_ANGLES_RAD = np.arange(16) * (2 * np.pi / 16)
 
 
 def predicted_centre_px(
@@ -34,8 +30,7 @@ def predicted_centre_px(
     if lens.distortion is not None:
         circle = dual_conic_of_circle(centre_sheet_mm, radius_mm)
         ellipse = transform_dual_conic(homography, circle)
-        boundary = boundary_of_dual_conic(ellipse, _BOUNDARY_ANGLES_RAD)
-        return jnp.mean(jax.vmap(lens.pixel_from_normalised)(boundary), axis=0)
+        return centre_of_mapped_ellipse(ellipse, lens.pixel_from_normalised)
     horizon = homography[2]
     depth = horizon[:2] @ centre_sheet_mm + horizon[2]
     pole = depth * centre_sheet_mm - radius_mm**2 * horizon[:2]
