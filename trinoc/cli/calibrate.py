@@ -56,7 +56,7 @@ class Calibrate(Command):
             )
 
         from trinoc.calib.calibrate import calibrate
-        from trinoc.cli.provenance import provenance
+        from trinoc.cli.provenance import for_people, provenance
         from trinoc.io.images import read_views
         from trinoc.io.pattern_json import load_pattern
         from trinoc.io.save import save
@@ -72,7 +72,13 @@ class Calibrate(Command):
             from trinoc.report.html import write_report
 
             LOGGER.info("writing %s", self.report)
-            write_report(self.report, result=result, sheet_pictures=images)
+            write_report(
+                self.report,
+                result=result,
+                sheet_pictures=images,
+                title="Calibration",
+                provenance=for_people(origin),
+            )
         written = [str(path) for path in (self.out, self.report) if path is not None]
         text = f"{result.summary()}\nwritten: {', '.join(written)}"
         return Outcome(text, {**calibration_record(result), "written": written})

@@ -62,11 +62,18 @@ class Match(Command):
         matches = match_segments(segments, rig)
         save(matches, self.out)
         if self.report is not None:
+            from trinoc.cli.provenance import for_people, provenance
             from trinoc.report.html import write_report
 
             LOGGER.info("writing %s", self.report)
             write_report(
-                self.report, rig=rig, segments=segments, matches=matches, scene_pictures=images
+                self.report,
+                rig=rig,
+                segments=segments,
+                matches=matches,
+                scene_pictures=images,
+                title="Matches",
+                provenance=for_people(provenance(command_line, {**files, "rig": self.rig})),
             )
         written = [str(path) for path in (self.out, self.report) if path is not None]
         record = match_record(segments, matches)
@@ -143,6 +150,9 @@ def match_text(record: dict[str, Any]) -> str:
         f"{record['tracks']['binocular']} in two",
     ]
     for name, words in record["reasons"].items():
-        why = ", ".join(f"{count} {word}" for word, count in sorted(words.items()))
+        kinds = Counter()
+        for word, count in words.items():
+            kinds[word.partition(" with ")[0]] += count
+        why = ", ".join(f"{count} {kind}" for kind, count in kinds.most_common())
         lines.append(f"{name}: {why}")
     return "\n".join(lines)

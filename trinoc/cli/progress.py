@@ -23,4 +23,10 @@ def each(items: Collection[_Item], doing: str, *, quiet: bool) -> Iterator[_Item
     """The items, with a progress bar on stderr that leaves no trace."""
     from tqdm import tqdm
 
-    yield from tqdm(items, desc=f"trinoc: {doing}", leave=False, disable=quiet, file=sys.stderr)
+    yield from tqdm(
+        items,
+        desc=f"trinoc: {doing}",
+        leave=False,
+        file=sys.stderr,
+        disable=quiet or not sys.stderr.isatty(),
+    )

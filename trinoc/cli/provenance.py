@@ -22,3 +22,12 @@ def provenance(command_line: str, inputs: Mapping[str, str | os.PathLike[str]]) 
             for name, path in inputs.items()
         },
     }
+
+
+def for_people(origin: Mapping[str, Any]) -> dict[str, str]:
+    """The same as lines of text, for the foot of a report."""
+    files = {
+        name: f"{entry['file']} (sha256 {entry['sha256'][:12]})"
+        for name, entry in origin["inputs"].items()
+    }
+    return {"command": origin["command"], "version": origin["version"], **files}

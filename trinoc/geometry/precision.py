@@ -13,9 +13,13 @@ _Result = TypeVar("_Result")
 
 def as_numpy(tree: Any) -> Any:
     """`tree` with every JAX array replaced by a NumPy array of the same dtype."""
-    return jax.tree.map(
-        lambda leaf: np.asarray(leaf) if isinstance(leaf, jax.Array) else leaf, tree
-    )
+
+    def convert(leaf: Any) -> Any:
+        if isinstance(leaf, dict):  # JAX would sort its keys; callers named their cameras in order
+            return {key: as_numpy(value) for key, value in leaf.items()}
+        return np.asarray(leaf) if isinstance(leaf, jax.Array) else leaf
+
+    return jax.tree.map(convert, tree, is_leaf=lambda node: isinstance(node, dict))
 
 
 def in_float64(function: Callable[_Arguments, _Result]) -> Callable[_Arguments, _Result]:

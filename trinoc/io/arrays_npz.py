@@ -3,6 +3,7 @@
 import os
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -14,8 +15,9 @@ def write_arrays(
     path: str | os.PathLike[str], format_name: str, version: int, arrays: dict[str, np.ndarray]
 ) -> None:
     """Write arrays, whole or not at all, beside the format's name and version."""
+    header: dict[str, Any] = {"format": np.array(format_name), "version": np.array(version)}
     with atomic_write(path) as file:
-        np.savez_compressed(file, format=np.array(format_name), version=np.array(version), **arrays)
+        np.savez_compressed(file, **(header | arrays))
 
 
 def read_arrays(
