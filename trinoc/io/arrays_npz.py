@@ -15,9 +15,10 @@ def write_arrays(
     path: str | os.PathLike[str], format_name: str, version: int, arrays: dict[str, np.ndarray]
 ) -> None:
     """Write arrays, whole or not at all, beside the format's name and version."""
-    header: dict[str, Any] = {"format": np.array(format_name), "version": np.array(version)}
+    named: dict[str, Any] = {"format": np.array(format_name), "version": np.array(version)}
+    named.update(arrays)
     with atomic_write(path) as file:
-        np.savez_compressed(file, **(header | arrays))
+        np.savez_compressed(file, **named)
 
 
 def read_arrays(
