@@ -4,28 +4,29 @@ import numpy as np
 from jaxtyping import Shaped
 
 from trinoc.geometry.segments import Segments
-from trinoc.match.nevatia_babu.chains import ordered_chains
-from trinoc.match.nevatia_babu.covariance import end_covariances, variance_across
+from trinoc.match.nevatia_babu.covariance import MODEL_SIGMA_PX, end_covariances
 from trinoc.match.nevatia_babu.ends import crossings_near_ends
-from trinoc.match.nevatia_babu.gradient import gradient_of
+from trinoc.match.nevatia_babu.false_alarms import least_evidence
+from trinoc.match.nevatia_babu.levels import fine_level, half_level
 from trinoc.match.nevatia_babu.line_fit import fit_lines
-from trinoc.match.nevatia_babu.linking import successors
 from trinoc.match.nevatia_babu.masks import combined_kernel
 from trinoc.match.nevatia_babu.merging import collinear_successors, merged_runs
-from trinoc.match.nevatia_babu.noise import noise_sigma
+from trinoc.match.nevatia_babu.neighbours import REACH_PX, line_pairs_within, without_neighbours
 from trinoc.match.nevatia_babu.picture import grey_picture
-from trinoc.match.nevatia_babu.polygon import split_chains
 from trinoc.match.nevatia_babu.runs import members
-from trinoc.match.nevatia_babu.thinning import edge_points
-from trinoc.match.nevatia_babu.validity import is_sharp, is_straight, typical_variance
+from trinoc.match.nevatia_babu.two_levels import runs_of_both_levels
+from trinoc.match.nevatia_babu.validity import is_sharp, is_straight, typical_blur
 
-LEAST_POINTS = 6
 GAP_PX = 8.0
 SNAP_PX = 6.0
-TRIM = 1
+NEIGHBOUR_ROUNDS = 2
+SMOOTHING = 1
+LEAST_CONTRAST = 7.0
 
 
-def find_segments(image: Shaped[np.ndarray, "..."], *, tolerance_px: float = 1.6) -> Segments:
+def find_segments(
+    image: Shaped[np.ndarray, "..."], *, tolerance_px: float = 1.6, false_alarms: float = 1.0
+) -> Segments:
     """Straight edges of a picture, with polarity, contrast and covariance.
 
     `image` is (h, w) or (h, w, 3), uint8, uint16 or real numbers. `tolerance_px` is the
@@ -34,40 +35,44 @@ def find_segments(image: Shaped[np.ndarray, "..."], *, tolerance_px: float = 1.6
     InputError for what is no picture.
     """
     picture = grey_picture(image)
-    kernel = combined_kernel(smoothing=1)
-    noise = noise_sigma(picture.grey, picture.quantum)
-    gradient = gradient_of(picture.grey, kernel)
-    points = edge_points(gradient, 3.0 * noise * kernel.noise_gain)
-    order, starts = ordered_chains(successors(points, picture.grey.shape))
-    points = points.select(order)
-    start, stop = split_chains(points.uv_px, starts, tolerance_px, LEAST_POINTS)
-    index, _, first = members(start + TRIM, stop - TRIM)
-    points = points.select(index)
+    height, width = picture.grey.shape
+    kernel = combined_kernel(SMOOTHING)
+    needed = least_evidence(false_alarms, height * width)
+    fine = fine_level(picture.grey, picture.quantum, kernel)
+    half = half_level(picture.grey, picture.quantum, kernel)
+    points, first = runs_of_both_levels(fine, half, kernel, tolerance_px)
     lines = fit_lines(points, first)
     for _ in range(2):
         successor = collinear_successors(lines, GAP_PX, tolerance_px / 2)
         order, first = merged_runs(successor, first, len(points.pixel))
         points = points.select(order)
         lines = fit_lines(points, first)
-    length = np.ptp(lines.extent_px, axis=1)
-    sigma = np.sqrt(variance_across(lines, length, noise, kernel))
-    keep = is_sharp(lines, typical_variance(lines, kernel.variance_px2))
-    keep &= is_straight(lines, sigma, picture.grey.shape[1])
+    typical = typical_blur(lines)
+    keep = is_sharp(lines, typical) & (lines.evidence > needed)
+    index, _, first = members(first[keep], np.append(first[1:], len(points.pixel))[keep])
+    points = points.select(index)
     lines = lines.select(keep)
+    pairs = line_pairs_within(lines, REACH_PX)
+    for _ in range(NEIGHBOUR_ROUNDS):
+        spread = 0.15 * (fine.kernel_variance_px2 + typical)
+        blur = np.clip(lines.blur_px2, typical - spread, typical + spread)
+        lines = fit_lines(without_neighbours(points, first, lines, blur, pairs), first)
+    lines = lines.select(is_straight(lines, width) & (lines.contrast > LEAST_CONTRAST))
 
     partner, position = crossings_near_ends(
         lines.centre_px, lines.direction, lines.extent_px, SNAP_PX
     )
     lines = lines._replace(extent_px=position)
-    length = np.ptp(position, axis=1)
-    variance = variance_across(lines, length, noise, kernel)
-    count = len(length)
-    height, width = picture.grey.shape
+    count = len(position)
     return Segments(
         lines.endpoints_px,
-        end_covariances(lines.direction, variance, np.where(partner >= 0, 0.5, 1.5)),
+        end_covariances(
+            lines.direction,
+            lines.variance_middle_px2 + MODEL_SIGMA_PX**2,
+            np.where(partner >= 0, 0.5, 1.5),
+        ),
         np.ones(count, dtype=np.int64),
-        lines.strength * np.sqrt(2 * np.pi * lines.variance_px2),
+        lines.contrast,
         lines.support.astype(np.int64),
         (width, height),
     )

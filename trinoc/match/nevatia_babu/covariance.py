@@ -3,26 +3,8 @@
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.match.nevatia_babu.line_fit import FittedLines
-from trinoc.match.nevatia_babu.masks import GradientKernel
-
 # What the model leaves out even on a perfect edge: sampling, kernel shape, rounding.
 MODEL_SIGMA_PX = 0.01
-
-
-def variance_across(
-    lines: FittedLines, length_px: Float[np.ndarray, "r"], sigma_grey: float, kernel: GradientKernel
-) -> Float[np.ndarray, "r"]:
-    """(r,) variance of a line's distance at its middle, from white noise of `sigma_grey`.
-
-    The gradient's peak is displaced by (slope of the noise) / (curvature of the profile).
-    Along the edge neighbouring points share noise; integrated over a length L much longer
-    than the kernel s, the slope's variance is sigma^2 3 / (8 sqrt(pi) s^5 L), and a Gaussian
-    profile of height m and variance S^2 has curvature m / S^2.
-    """
-    smoothing = np.sqrt(kernel.variance_px2)
-    slope = sigma_grey**2 * 3 / (8 * np.sqrt(np.pi) * smoothing**5 * np.maximum(length_px, 1.0))
-    return slope * lines.variance_px2**2 / lines.strength**2 + MODEL_SIGMA_PX**2
 
 
 def end_covariances(

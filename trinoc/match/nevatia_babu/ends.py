@@ -26,7 +26,7 @@ def crossings_near_ends(
     position = extent_px.copy()
     if count < 2:
         return partner, position
-    owner, samples = _samples(centre_px, direction, extent_px)
+    owner, samples = line_samples(centre_px, direction, extent_px, _SAMPLE_PX)
     ends = centre_px[:, None] + extent_px[:, :, None] * direction[:, None]
     _, near = KDTree(samples).query(
         ends.reshape(-1, 2), k=_NEIGHBOURS, distance_upper_bound=reach_px * 1.5
@@ -59,12 +59,15 @@ def crossings_near_ends(
     return partner, position
 
 
-def _samples(
-    centre_px: np.ndarray, direction: np.ndarray, extent_px: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """(owner, samples): points along every line, at most a few pixels apart."""
+def line_samples(
+    centre_px: Float[np.ndarray, "r 2"],
+    direction: Float[np.ndarray, "r 2"],
+    extent_px: Float[np.ndarray, "r 2"],
+    spacing_px: float,
+) -> tuple[Int[np.ndarray, "m"], Float[np.ndarray, "m 2"]]:
+    """(owner, samples): points along every line, ends included, at most `spacing_px` apart."""
     length = np.ptp(extent_px, axis=1)
-    count = np.ceil(length / _SAMPLE_PX).astype(np.int64) + 1
+    count = np.ceil(length / spacing_px).astype(np.int64) + 1
     owner = np.repeat(np.arange(len(count)), count)
     step = np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count)
     along = extent_px[owner, 0] + length[owner] * step / np.maximum(count[owner] - 1, 1)

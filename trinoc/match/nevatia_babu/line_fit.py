@@ -6,10 +6,12 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from trinoc.match.nevatia_babu.runs import sums
-from trinoc.match.nevatia_babu.thinning import EdgePoints
+from trinoc.match.nevatia_babu.edge_points import EdgePoints
 
 # A residual of this size halves nothing yet; three times as large it counts for a hundredth.
 _ROBUST_SCALE_PX = 0.3
+_LEAST_VARIANCE_PX2 = 1.0
+_LEAST_SHARPNESS = 0.01
 
 
 class FittedLines(NamedTuple):
@@ -20,21 +22,27 @@ class FittedLines(NamedTuple):
     centre_px : (r, 2) weighted mean of the points.
     direction : (r, 2) unit vector, with the darker side on the right.
     extent_px : (r, 2) first and last point along the line, from the centre.
-    strength : (r,) mean gradient, in grey levels per pixel.
-    variance_px2 : (r,) mean variance of the profile across the edge.
+    contrast : (r,) mean height of the step, in grey levels.
+    blur_px2 : (r,) mean variance of the edge's own blur.
+    kernel_variance_px2 : (r,) mean variance of the smoothing by the kernel.
+    variance_middle_px2 : (r,) variance that noise gives the middle of the line across it.
     residual_px : (r,) root mean square distance of the points from the line.
     bow_px : (r,) largest deviation of a parabola through the points from its chord, signed.
     support : (r,) number of points.
+    evidence : (r,) sum of the points' evidence.
     """
 
     centre_px: Float[np.ndarray, "r 2"]
     direction: Float[np.ndarray, "r 2"]
     extent_px: Float[np.ndarray, "r 2"]
-    strength: Float[np.ndarray, "r"]
-    variance_px2: Float[np.ndarray, "r"]
+    contrast: Float[np.ndarray, "r"]
+    blur_px2: Float[np.ndarray, "r"]
+    kernel_variance_px2: Float[np.ndarray, "r"]
+    variance_middle_px2: Float[np.ndarray, "r"]
     residual_px: Float[np.ndarray, "r"]
     bow_px: Float[np.ndarray, "r"]
     support: Int[np.ndarray, "r"]
+    evidence: Float[np.ndarray, "r"]
 
     def select(self, which: np.ndarray) -> "FittedLines":
         """The lines at the given indices or where the mask is true."""
@@ -57,16 +65,18 @@ def fit_lines(points: EdgePoints, first: Int[np.ndarray, "r"]) -> FittedLines:
     origin = points.uv_px[first].astype(np.float64)
     # Positions from the run's first point: picture coordinates would cancel in the sums.
     local = points.uv_px - origin[run]
-    strength = points.strength.astype(np.float64)
+    information = points.information.astype(np.float64)
     forward = local[first + support - 1] - local[first]
 
-    weight = strength
+    weight = np.sqrt(information)
     for last in (False, True):
         centre, direction = _weighted_line(local, weight, first, run, forward)
         offset = local - centre[run]
         across = offset[:, 1] * direction[run, 0] - offset[:, 0] * direction[run, 1]
         if not last:
-            weight = strength / (1 + np.square(across / _ROBUST_SCALE_PX)) ** 2
+            rms = np.sqrt(sums(across**2, first) / support)
+            scale = _ROBUST_SCALE_PX + 2 * rms
+            weight = np.sqrt(information) / (1 + np.square(across / scale[run])) ** 2
     along = (offset * direction[run]).sum(axis=-1)
 
     total = sums(weight, first)
@@ -77,15 +87,23 @@ def fit_lines(points: EdgePoints, first: Int[np.ndarray, "r"]) -> FittedLines:
     else:
         extent = np.zeros((0, 2))
     residual = np.sqrt(sums(weight * across**2, first) / total)
+    kernel_variance = sums(weight * points.kernel_variance_px2, first) / total
+    sharpness = sums(weight * points.sharpness, first) / total
+    blur = (kernel_variance + 1) / np.maximum(sharpness, _LEAST_SHARPNESS) - kernel_variance
+    # The profile's width at each point is that of the kernel there and of the edge's blur.
+    variance = np.maximum(points.kernel_variance_px2 + blur[run], _LEAST_VARIANCE_PX2)
     return FittedLines(
         centre + origin,
         direction,
         extent,
-        sums(strength, first) / support,
-        sums(weight * points.variance_px2, first) / total,
+        sums(points.strength * np.sqrt(2 * np.pi * variance), first) / support,
+        blur,
+        kernel_variance,
+        1 / sums(information / variance**2, first),
         residual,
         _bow(along, across, weight, first, total),
         support,
+        sums(points.evidence, first),
     )
 
 

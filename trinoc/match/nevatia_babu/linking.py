@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float, Int
 
-from trinoc.match.nevatia_babu.thinning import EdgePoints
+from trinoc.match.nevatia_babu.edge_points import EdgePoints
 
 REACH_PX = 2
 _SECTORS = 16
@@ -45,7 +45,8 @@ def _candidate_links(
     first, which = np.nonzero(found >= 0)
     second = found[first, which].astype(np.int64)
 
-    between = points.uv_px[second] - points.uv_px[first]
+    # All points are of one level, and distances count in its pixels.
+    between = (points.uv_px[second] - points.uv_px[first]) / points.spacing_px[first, None]
     one, other = direction[first], direction[second]
     cosine = (one * other).sum(axis=-1)
     mean = one + other

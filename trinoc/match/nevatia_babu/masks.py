@@ -4,6 +4,7 @@ Each mask answers best to a step edge of one direction; its sign tells the side 
 brighter, so that six masks tell twelve directions.
 """
 
+import functools
 from typing import NamedTuple
 
 import numpy as np
@@ -30,12 +31,15 @@ class GradientKernel(NamedTuple):
     variance_px2 : variance of the smoothing that they imply; a blurred step seen through them
         has a profile of this variance plus that of the blur.
     noise_gain : standard deviation of either answer to white noise of unit deviation.
+    slope_gain : variance of the slope of the profile across a straight edge, averaged over a
+        unit of length, for white noise of unit deviation; it says how far noise moves an edge.
     """
 
     u: Float[np.ndarray, "k k"]
     v: Float[np.ndarray, "k k"]
     variance_px2: float
     noise_gain: float
+    slope_gain: float
 
 
 def nevatia_babu_masks() -> Float[np.ndarray, "6 5 5"]:
@@ -62,6 +66,7 @@ def mask_gradient_directions() -> Float[np.ndarray, "6 2"]:
     return bright_right[:, None] * np.stack([np.sin(edge), np.cos(edge)], axis=-1)
 
 
+@functools.cache
 def combined_kernel(smoothing: int) -> GradientKernel:
     """The six masks as one vector kernel, smoothed `smoothing` times by (1, 2, 1) / 4.
 
@@ -81,8 +86,12 @@ def combined_kernel(smoothing: int) -> GradientKernel:
     # Integrating the kernel across the edge turns u into u^2 / 2 and u^3 into u^4 / 4: the
     # variance of the implied smoothing is a third of the ratio of its third to first moment.
     variance = (kernels[0] * u**3).sum() / (3 * (kernels[0] * u).sum())
+    noise_gain = np.sqrt((kernels[0] ** 2).sum())
+    # The average along the edge is the answer of the kernel collapsed along it.
+    collapsed = np.pad(kernels[0].sum(axis=0), 2)
+    slope_gain = (np.square(collapsed[2:] - collapsed[:-2]) / 4).sum()
     return GradientKernel(
-        kernels[0], kernels[1], float(variance), float(np.sqrt((kernels[0] ** 2).sum()))
+        kernels[0], kernels[1], float(variance), float(noise_gain), float(slope_gain)
     )
 
 

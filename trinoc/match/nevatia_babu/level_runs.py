@@ -1,0 +1,40 @@
+"""One level of a picture: from grey levels to straight runs of edge points."""
+
+import numpy as np
+from jaxtyping import Bool, Int
+
+from trinoc.match.nevatia_babu.chains import ordered_chains
+from trinoc.match.nevatia_babu.edge_points import EdgePoints
+from trinoc.match.nevatia_babu.gradient import gradient_of
+from trinoc.match.nevatia_babu.levels import Level
+from trinoc.match.nevatia_babu.linking import successors
+from trinoc.match.nevatia_babu.masks import GradientKernel
+from trinoc.match.nevatia_babu.polygon import split_chains
+from trinoc.match.nevatia_babu.runs import members
+from trinoc.match.nevatia_babu.thinning import edge_points
+
+# The end points of a run lie where the chain bends: the corner pulls them.
+TRIMMED_POINTS = 1
+
+
+def straight_runs(
+    level: Level,
+    kernel: GradientKernel,
+    *,
+    threshold: float,
+    tolerance_px: float,
+    least_points: int,
+    excluded: Bool[np.ndarray, "h w"] | None = None,
+) -> tuple[EdgePoints, Int[np.ndarray, "r"]]:
+    """(points, first): the points of straight runs one after another, and where each begins.
+
+    `threshold` is the least strength of a point in standard deviations of noise,
+    `tolerance_px` the largest deviation of a run from its chord. Runs of fewer than
+    `least_points` points are left out, and pixels that are `excluded`.
+    """
+    points = edge_points(gradient_of(level.grey, kernel), level, threshold, excluded)
+    order, starts = ordered_chains(successors(points, level.grey.shape))
+    points = points.select(order)
+    start, stop = split_chains(points.uv_px, starts, tolerance_px, least_points)
+    index, _, first = members(start + TRIMMED_POINTS, stop - TRIMMED_POINTS)
+    return points.select(index), first

@@ -1,0 +1,62 @@
+"""Straight runs of both levels, each level where it is the better one."""
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Int
+
+from trinoc.match.nevatia_babu.edge_points import EdgePoints, joined
+from trinoc.match.nevatia_babu.level_runs import straight_runs
+from trinoc.match.nevatia_babu.levels import Level
+from trinoc.match.nevatia_babu.masks import GradientKernel
+from trinoc.match.nevatia_babu.runs import members, sums
+
+# Below this mean ratio of strength to noise the fine level links an edge only in fragments.
+CLEAR_RATIO = 6.0
+FINE_THRESHOLD = 3.0
+COARSE_THRESHOLD = 3.0
+LEAST_FINE = 6
+LEAST_COARSE = 5
+
+
+def runs_of_both_levels(
+    fine: Level, half: Level, kernel: GradientKernel, tolerance_px: float
+) -> tuple[EdgePoints, Int[np.ndarray, "r"]]:
+    """(points, first): points of straight runs one after another, and where each run begins.
+
+    Runs that stand out clearly at full resolution are taken from there. Elsewhere the half
+    resolution is searched; faint runs of the full one remain where it finds nothing.
+    """
+    points, first = straight_runs(
+        fine, kernel, threshold=FINE_THRESHOLD, tolerance_px=tolerance_px, least_points=LEAST_FINE
+    )
+    support = np.diff(np.append(first, len(points.pixel)))
+    clear = sums(points.evidence, first) > CLEAR_RATIO**2 * support
+    half_pixel = _half_pixel(points, fine, half)
+    taken = _neighbourhood(half_pixel[np.repeat(clear, support)], half.grey.shape)
+    coarse, coarse_first = straight_runs(
+        half,
+        kernel,
+        threshold=COARSE_THRESHOLD,
+        tolerance_px=tolerance_px,
+        least_points=LEAST_COARSE,
+        excluded=taken,
+    )
+    seen_again = _neighbourhood(coarse.pixel, half.grey.shape).ravel()[half_pixel]
+    keep = clear | (sums(seen_again.astype(np.float64), first) < 0.5 * support)
+    index, _, fine_first = members(first[keep], (first + support)[keep])
+    points = joined(points.select(index), coarse)
+    return points, np.concatenate([fine_first, coarse_first + len(index)])
+
+
+def _half_pixel(points: EdgePoints, fine: Level, half: Level) -> Int[np.ndarray, "n"]:
+    """Index, in the half picture, of the pixel that holds each point of the fine level."""
+    height, width = half.grey.shape
+    row, column = np.divmod(points.pixel, fine.grey.shape[1])
+    return np.minimum(row // 2, height - 1) * width + np.minimum(column // 2, width - 1)
+
+
+def _neighbourhood(pixel: Int[np.ndarray, "n"], shape: tuple[int, int]) -> Bool[np.ndarray, "h w"]:
+    """The given pixels and the eight around each."""
+    mark = np.zeros(shape, dtype=np.uint8)
+    mark.ravel()[pixel] = 1
+    return cv2.dilate(mark, np.ones((3, 3), np.uint8)).view(bool)
