@@ -32,8 +32,6 @@ def test_lens_from_the_data_sheet_has_each_picture_s_size():
     lenses = LensOptions(focal_length_mm=16.0, pixel_pitch_mm=(0.01, 0.02)).lenses(SIZES)
     assert {name: lens.image_size_px for name, lens in lenses.items()} == SIZES
     np.testing.assert_allclose(lenses["left"].focal_length_px, [1600, 800])
-    square = LensOptions(focal_length_mm=16.0, pixel_pitch_mm=(0.01,)).lenses(SIZES)
-    np.testing.assert_allclose(square["left"].focal_length_px, [1600, 1600])
 
 
 def test_lens_from_one_file_or_from_one_for_each(tmp_path):
@@ -55,8 +53,7 @@ def test_lens_from_one_file_or_from_one_for_each(tmp_path):
     [
         LensOptions(),
         LensOptions(focal_length_mm=16.0),
-        LensOptions(pixel_pitch_mm=(0.01,)),
-        LensOptions(focal_length_mm=16.0, pixel_pitch_mm=(0.01, 0.01, 0.01)),
+        LensOptions(pixel_pitch_mm=(0.01, 0.01)),
         LensOptions(intrinsics=("a.json",), focal_length_mm=16.0),
     ],
 )
@@ -67,4 +64,4 @@ def test_lens_that_is_not_determined_is_wrong_usage(options):
 
 def test_lens_that_cannot_be_is_refused():
     with pytest.raises(InputError, match="must be positive"):
-        LensOptions(focal_length_mm=-16.0, pixel_pitch_mm=(0.01,)).lenses(SIZES)
+        LensOptions(focal_length_mm=-16.0, pixel_pitch_mm=(0.01, 0.01)).lenses(SIZES)

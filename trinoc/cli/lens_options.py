@@ -19,10 +19,10 @@ class LensOptions:
     """The lens: from a file, or as its data sheet has it."""
 
     intrinsics: Annotated[
-        tuple[str, ...],
+        tyro.conf.UseAppendAction[tuple[str, ...]],
         tyro.conf.arg(metavar="FILE", help_behavior_hint="(or the two options below)"),
     ] = ()
-    """camera.json of all cameras, or NAME=camera.json for each."""
+    """camera.json of all cameras, or NAME=camera.json, once for each."""
 
     focal_length_mm: Annotated[
         float | None, tyro.conf.arg(metavar="MM", help_behavior_hint="(with the next)")
@@ -30,9 +30,9 @@ class LensOptions:
     """Focal length of all cameras, instead of --intrinsics."""
 
     pixel_pitch_mm: Annotated[
-        tuple[float, ...], tyro.conf.arg(metavar="MM", help_behavior_hint="")
-    ] = ()
-    """Size of a pixel: one number, or width and height."""
+        tuple[float, float] | None, tyro.conf.arg(metavar="WIDTH HEIGHT", help_behavior_hint="")
+    ] = None
+    """Size of a pixel in mm."""
 
     def lenses(self, sizes_px: Mapping[str, tuple[int, int]]) -> "dict[str, Intrinsics]":
         """The lens of each camera, whose pictures have these (width, height).
@@ -42,23 +42,22 @@ class LensOptions:
         from trinoc.geometry.intrinsics import Intrinsics
         from trinoc.io.intrinsics_json import load_intrinsics
 
-        by_numbers = self.focal_length_mm is not None or len(self.pixel_pitch_mm) > 0
+        by_numbers = self.focal_length_mm is not None or self.pixel_pitch_mm is not None
         if by_numbers == bool(self.intrinsics):
             raise UsageError(
                 "The lens is not determined: give either --intrinsics, or --focal-length-mm and "
                 "--pixel-pitch-mm."
             )
         if by_numbers:
-            pitch_mm = list(self.pixel_pitch_mm)
-            if self.focal_length_mm is None or len(pitch_mm) not in (1, 2):
+            if self.focal_length_mm is None or self.pixel_pitch_mm is None:
                 raise UsageError(
-                    "The lens is not determined: give --focal-length-mm F with --pixel-pitch-mm P, "
-                    "or P_WIDTH P_HEIGHT."
+                    "The lens is not determined: --focal-length-mm MM and --pixel-pitch-mm WIDTH "
+                    "HEIGHT go together."
                 )
             return {
                 name: Intrinsics(
                     focal_length_mm=self.focal_length_mm,
-                    pixel_pitch_mm=(pitch_mm[0], pitch_mm[-1]),
+                    pixel_pitch_mm=self.pixel_pitch_mm,
                     image_size_px=size,
                 )
                 for name, size in sizes_px.items()

@@ -108,11 +108,13 @@ def check_views(files: Mapping[str, Path], rig: "Rig", rig_file: Path) -> None:
                 f'{rig_file} has no camera "{name}", but {", ".join(rig.names)}: use these names.'
             )
     missing = [name for name in rig.names if name not in files]
-    if missing:
+    if missing and len(files) < 3:
         raise InputError(
             f'{rig_file} has the camera "{missing[0]}", for which no picture is given: '
             f"add {missing[0]}=FILE."
         )
+    if missing:
+        LOGGER.warning("no picture of %s: matching without", ", ".join(missing))
 
 
 def _check_size(name: str, image: "np.ndarray", rig: "Rig") -> None:
@@ -149,6 +151,11 @@ def match_text(record: dict[str, Any]) -> str:
         f"tracks: {record['tracks']['trinocular']} seen in three views or more, "
         f"{record['tracks']['binocular']} in two",
     ]
+    if not any(record["tracks"].values()):
+        lines.append(
+            "No segment was matched: check that this rig took these pictures of one scene, and "
+            "that each name stands before its own picture."
+        )
     for name, words in record["reasons"].items():
         kinds = Counter()
         for word, count in words.items():
