@@ -6,148 +6,152 @@ import jax.numpy as jnp
 from jaxtyping import Bool, Float, Int
 
 from trinoc.geometry.arrays import ArrayLike
-from trinoc.match.pencil import Pencil, point_on_plane
+from trinoc.match.pencil import Pencil, PencilSegments
 from trinoc.match.picture_lines import PictureLines
+from trinoc.match.vectors import (
+    Scalar,
+    Vector3,
+    add3,
+    between,
+    cross3,
+    dot3,
+    scaled3,
+    times_matrix,
+    unit3,
+    vector3,
+)
 
 SMALLEST_OVERLAP = 0.15
-# sin of the least angle between the two interpretation planes of a pair.
+# sin of the least angle between the two planes of sight of a pair.
 SMALLEST_CROSSING = 0.017
+# Of the three orderings of a triple, that whose pair crosses best finds it, or one within this.
+NEARLY_BEST = 0.8
+# A prediction may lie this share of the picture outside.
+OUTSIDE = 0.1
 
 
-class PairFragment(NamedTuple):
-    """The common part of a pair in space, and its image in a third view.
+class Prediction(NamedTuple):
+    """The image, in a third view, of the part common to a pair of segments.
 
-    ends_mm : ends of the common part. possible : whether the pair can be one line in space.
-    crossing : sin of the angle between the planes of sight, the pair's condition.
-    middle_px, angle_rad, half_length_px : place, direction mod pi and half extent of the
-        image in the third view. sigma_px, sigma_rad : their standard deviations.
+    possible : whether the pair can be one line in space, and is the one to predict from.
+    u0, v0, u1, v1 : ends in undistorted pixels.
+    c00, c01, c11 : covariance of the two ends across the image, px^2.
     """
 
-    ends_mm: Float[ArrayLike, "2 3"]
+    possible: Bool[ArrayLike, "*p"]
+    u0: Float[ArrayLike, "*p"]
+    v0: Float[ArrayLike, "*p"]
+    u1: Float[ArrayLike, "*p"]
+    v1: Float[ArrayLike, "*p"]
+    c00: Float[ArrayLike, "*p"]
+    c01: Float[ArrayLike, "*p"]
+    c11: Float[ArrayLike, "*p"]
+
+
+class CommonPart(NamedTuple):
+    """Where the planes of a pencil bound what both segments show.
+
+    at_low, at_high : (slope in the first view, cos, sin, 1 / radius) on both bounding planes.
+    possible : whether there is a common part, in front of both cameras.
+    """
+
+    low: Scalar
+    high: Scalar
+    at_low: tuple[Scalar, Scalar, Scalar, Scalar]
+    at_high: tuple[Scalar, Scalar, Scalar, Scalar]
     possible: Bool[ArrayLike, ""]
-    crossing: Float[ArrayLike, ""]
-    middle_px: Float[ArrayLike, "2"]
-    angle_rad: Float[ArrayLike, ""]
-    half_length_px: Float[ArrayLike, ""]
-    sigma_px: Float[ArrayLike, ""]
-    sigma_rad: Float[ArrayLike, ""]
 
 
-class SightPlane(NamedTuple):
-    """A segment's plane of sight, as seen from two points near it.
+def cut_pair(baseline_mm: Scalar, a: PencilSegments, b: PencilSegments) -> CommonPart:
+    """Cut one segment of either view so that their ends correspond."""
+    low, high = jnp.maximum(a.low, b.low), jnp.minimum(a.high, b.high)
+    shorter = jnp.minimum(a.high - a.low, b.high - b.low)
+    a_begins, a_ends = a.low > b.low, a.high < b.high
 
-    normal : unit normal. offset_px : (2,) signed distance of each point's image from the line.
-    px_per_mm : (2,) image displacement across the line per mm along `normal`.
-    covariance_px2 : (2, 2) of the line's place at the two points' images.
-    """
+    def on_plane(cosine: Scalar, sine: Scalar) -> tuple[Scalar, Scalar, Scalar, Scalar]:
+        slope = a.p * cosine + a.q * sine
+        return slope, cosine, sine, (slope - b.p * cosine - b.q * sine) / baseline_mm
 
-    normal: Float[ArrayLike, "3"]
-    offset_px: Float[ArrayLike, "2"]
-    px_per_mm: Float[ArrayLike, "2"]
-    covariance_px2: Float[ArrayLike, "2 2"]
-
-
-def project(
-    matrix_px: Float[ArrayLike, "3 4"], points_mm: Float[ArrayLike, "n 3"]
-) -> tuple[Float[ArrayLike, "n 2"], Float[ArrayLike, "n"]]:
-    """(undistorted pixels, depths) of points, for a matrix whose third row gives the depth."""
-    image = points_mm @ matrix_px[:, :3].T + matrix_px[:, 3]
-    return image[:, :2] / image[:, 2:], image[:, 2]
-
-
-def sight_plane(
-    lines: PictureLines,
-    view: Int[ArrayLike, ""],
-    segment: Int[ArrayLike, ""],
-    points_mm: Float[ArrayLike, "2 3"],
-) -> SightPlane:
-    """The plane of sight of one segment at two points in space."""
-    line, ends = lines.line[view, segment], lines.ends_px[view, segment]
-    matrix = lines.matrix_px[view]
-    image, depth = project(matrix, points_mm)
-    gradient = line @ matrix[:, :3]
-    steepness = jnp.sqrt(gradient @ gradient)
-    direction = (ends[1] - ends[0]) / lines.length_px[view, segment]
-    position = (image - ends[0]) @ direction / lines.length_px[view, segment]
-    weight = jnp.stack([1 - position, position], axis=1)
-    return SightPlane(
-        gradient / steepness,
-        image @ line[:2] + line[2],
-        steepness / depth,
-        weight @ lines.across_px2[view, segment] @ weight.T,
+    at_low = on_plane(
+        jnp.where(a_begins, a.cosine_low, b.cosine_low), jnp.where(a_begins, a.sine_low, b.sine_low)
     )
+    at_high = on_plane(
+        jnp.where(a_ends, a.cosine_high, b.cosine_high), jnp.where(a_ends, a.sine_high, b.sine_high)
+    )
+    possible = (high - low > SMALLEST_OVERLAP * shorter) & (at_low[3] > 0) & (at_high[3] > 0)
+    return CommonPart(low, high, at_low, at_high, possible)
 
 
-def cut_pair(
-    pencil: Pencil, i: Int[ArrayLike, ""], j: Int[ArrayLike, ""]
-) -> tuple[Float[ArrayLike, "2 3"], Bool[ArrayLike, ""]]:
-    """(ends in mm of the part both segments see, whether there is one in front of both)."""
-    angles_a, angles_b = pencil.angles_a[i], pencil.angles_b[j]
-    low, high = jnp.maximum(angles_a[0], angles_b[0]), jnp.minimum(angles_a[1], angles_b[1])
-    shorter = jnp.minimum(angles_a[1] - angles_a[0], angles_b[1] - angles_b[0])
-    rays_a, rays_b = pencil.rays_a[i], pencil.rays_b[j]
-    first, first_radius = point_on_plane(pencil, rays_a, rays_b, low)
-    second, second_radius = point_on_plane(pencil, rays_a, rays_b, high)
-    possible = (high - low > SMALLEST_OVERLAP * shorter) & (first_radius > 0) & (second_radius > 0)
-    return jnp.stack([first, second]), possible
+def points_of(planes: Pencil, part: CommonPart) -> tuple[Vector3, Vector3]:
+    """Ends in space, world frame, of the common part of a pair."""
+
+    def point(at: tuple[Scalar, Scalar, Scalar, Scalar]) -> Vector3:
+        in_frame = scaled3(at[:3], 1 / at[3])
+        return add3(vector3(planes.origin_mm), times_matrix(planes.frame.T, in_frame))
+
+    return point(part.at_low), point(part.at_high)
 
 
 def predict(
     lines: PictureLines,
-    views: Int[ArrayLike, "3"],
-    pencil: Pencil,
-    i: Int[ArrayLike, ""],
-    j: Int[ArrayLike, ""],
-) -> PairFragment:
-    """Cut segment i of the first view and j of the second, and predict them in the third."""
-    ends_mm, possible = cut_pair(pencil, i, j)
-    plane_a = sight_plane(lines, views[0], i, ends_mm)
-    plane_b = sight_plane(lines, views[1], j, ends_mm)
-    along = ends_mm[1] - ends_mm[0]
-    along = along / jnp.sqrt(along @ along)
-    image, depth = project(lines.matrix_px[views[2]], ends_mm)
-    step = image[1] - image[0]
-    length = jnp.sqrt(step @ step)
-    gradient = jnp.cross(ends_mm[0] - lines.centre_mm[views[2]], along)
-    normal_c = gradient / jnp.sqrt(gradient @ gradient)
-
-    # In the plane across the line the three normals are dependent, n_c = p n_a + q n_b.
-    sine_ab = along @ jnp.cross(plane_a.normal, plane_b.normal)
-    sine_cb = along @ jnp.cross(normal_c, plane_b.normal)
-    sine_ac = along @ jnp.cross(plane_a.normal, normal_c)
-    scale_c = _px_per_mm_across(lines.matrix_px[views[2]], normal_c, image, depth)
-    share_a, share_b = sine_cb / sine_ab / plane_a.px_per_mm, sine_ac / sine_ab / plane_b.px_per_mm
-    covariance = (
-        jnp.outer(share_a * scale_c, share_a * scale_c) * plane_a.covariance_px2
-        + jnp.outer(share_b * scale_c, share_b * scale_c) * plane_b.covariance_px2
+    third: Int[ArrayLike, ""],
+    planes: Pencil,
+    a: PencilSegments,
+    b: PencilSegments,
+) -> Prediction:
+    """What a segment of the first and one of the second view predict in the `third` view."""
+    part = cut_pair(planes.baseline_mm, a, b)
+    matrix = lines.matrix_px[third]
+    turned = matrix[:, :3] @ planes.frame.T
+    origin = vector3(matrix[:, :3] @ planes.origin_mm + matrix[:, 3])
+    image_low, image_high = (
+        add3(times_matrix(turned, at[:3]), origin, at[3]) for at in (part.at_low, part.at_high)
     )
-    middle = (image[0] + image[1]) / 2
-    size = lines.size_px[views[2]]
-    possible &= (depth > 0).all() & (length > 0) & (jnp.abs(sine_ab) > SMALLEST_CROSSING)
-    possible &= ((middle > -0.1 * size) & (middle < 1.1 * size)).all()
-    # Of the three orderings of a triple, the one whose pair crosses best finds it.
-    best = jnp.maximum(jnp.abs(sine_cb), jnp.abs(sine_ac))
-    possible &= jnp.abs(sine_ab) > 0.8 * best
-    return PairFragment(
-        ends_mm,
-        possible,
-        jnp.abs(sine_ab),
-        middle,
-        jnp.mod(jnp.arctan2(step[1], step[0]), jnp.pi),
-        length / 2,
-        jnp.sqrt((covariance.sum()) / 4),
-        jnp.sqrt(covariance[0, 0] + covariance[1, 1] - 2 * covariance[0, 1]) / length,
+    (u0, v0), (u1, v1) = (
+        (image[0] / image[2], image[1] / image[2]) for image in (image_low, image_high)
     )
+    length = jnp.sqrt((u1 - u0) ** 2 + (v1 - v0) ** 2)
+    nu, nv = -(v1 - v0) / length, (u1 - u0) / length
+
+    # How far a unit of slope, in either view, moves the image across itself.
+    by_b = scaled3(origin, -1 / planes.baseline_mm)
+    by_a = add3(vector3(turned[:, 0]), by_b, -1.0)
+
+    def effect(by: Vector3, image: Vector3, u: Scalar, v: Scalar) -> Scalar:
+        return (nu * (by[0] - u * by[2]) + nv * (by[1] - v * by[2])) / image[2]
+
+    def covariance(s: PencilSegments, by: Vector3) -> tuple[Scalar, Scalar, Scalar]:
+        at_low = (part.low - s.low) / (s.high - s.low)
+        at_high = (part.high - s.low) / (s.high - s.low)
+        low, high = effect(by, image_low, u0, v0), effect(by, image_high, u1, v1)
+        return (
+            low * low * between(s.slope_variance, at_low, at_low),
+            low * high * between(s.slope_variance, at_low, at_high),
+            high * high * between(s.slope_variance, at_high, at_high),
+        )
+
+    c00, c01, c11 = add3(covariance(a, by_a), covariance(b, by_b))
+    possible = part.possible & (image_low[2] > 0) & (image_high[2] > 0)
+    width, height = lines.size_px[third, 0], lines.size_px[third, 1]
+    middle_u, middle_v = (u0 + u1) / 2, (v0 + v1) / 2
+    possible &= (middle_u > -OUTSIDE * width) & (middle_u < (1 + OUTSIDE) * width)
+    possible &= (middle_v > -OUTSIDE * height) & (middle_v < (1 + OUTSIDE) * height)
+    possible &= _crosses_best(turned, image_low, image_high, a, b) & jnp.isfinite(c00 + c11)
+    return Prediction(possible, u0, v0, u1, v1, c00, c01, c11)
 
 
-def _px_per_mm_across(
-    matrix_px: Float[ArrayLike, "3 4"],
-    normal: Float[ArrayLike, "3"],
-    image: Float[ArrayLike, "2 2"],
-    depth: Float[ArrayLike, "2"],
-) -> Float[ArrayLike, "2"]:
-    """Image displacement per mm along the normal of a plane of sight, across its line."""
-    step = image[1] - image[0]
-    across = jnp.stack([-step[1], step[0]]) / jnp.sqrt(step @ step)
-    gradient = across @ (matrix_px[None, :2, :3] - image[:, :, None] * matrix_px[None, 2:, :3])
-    return gradient @ normal / depth
+def _crosses_best(
+    turned: Float[ArrayLike, "3 3"],
+    image_low: Vector3,
+    image_high: Vector3,
+    a: PencilSegments,
+    b: PencilSegments,
+) -> Bool[ArrayLike, ""]:
+    """Whether the planes of sight of the pair cross at a wider angle than either with the third."""
+    normal_c = unit3(times_matrix(turned.T, cross3(image_low, image_high)))
+    sine_ab, sine_ac, sine_bc = (
+        1 - dot3(m, n) ** 2
+        for m, n in ((a.normal, b.normal), (a.normal, normal_c), (b.normal, normal_c))
+    )
+    best = jnp.maximum(sine_ac, sine_bc)
+    return (sine_ab > NEARLY_BEST**2 * best) & (sine_ab > SMALLEST_CROSSING**2)

@@ -14,13 +14,14 @@ import jax.numpy as jnp
 from jaxtyping import Bool, Float, Int
 
 from trinoc.geometry.arrays import ArrayLike
-from trinoc.geometry.lines import nearest_on_line
-from trinoc.match.fragments import SMALLEST_OVERLAP, SightPlane, project, sight_plane
+from trinoc.match.fragments import SMALLEST_OVERLAP
 from trinoc.match.picture_lines import PictureLines
+from trinoc.match.sight import SightPlane, extent_on_line, sight_plane
+from trinoc.match.third_view import GATE
+from trinoc.match.vectors import Scalar, Vector3, add3, cross3, dot3, scaled3, unit3
 
-# Chi-square, 2 degrees of freedom, up to which three segments can be one line.
-GATE = 16.0
-# The common part at which the evidence is taken is held to this share of the whole line.
+# The second longest of the segments is at least this share of the longest, on the line:
+# chords of a cylinder's rim against its silhouette are not.
 SHORTEST_TO_LONGEST = 0.2
 
 
@@ -30,142 +31,123 @@ class TripleEvidence(NamedTuple):
     ends_mm : ends of the part common to all, adjusted to all three views.
     possible : whether there is such a part, near enough to all.
     chi_square : of the place and direction, under the segments' own covariances.
-    log_density : logarithm of the evidence of places over that of three strangers, apart from
-        the density of lines in space and the heavy tail; log_spread : log det S / 2 is in it.
+    log_density : logarithm of the evidence of place over that of three strangers, apart from
+        the density of lines in space, the heavy tail and the ends.
     extent_px : (3, 2) where each view's segment begins and ends along the line, in mean pixels.
     part : (3, 2) the common part on each segment, 0 at its first end and 1 at its second.
     """
 
-    ends_mm: Float[ArrayLike, "2 3"]
+    ends_mm: tuple[Vector3, Vector3]
     possible: Bool[ArrayLike, ""]
-    chi_square: Float[ArrayLike, ""]
-    log_density: Float[ArrayLike, ""]
-    extent_px: Float[ArrayLike, "3 2"]
-    part: Float[ArrayLike, "3 2"]
+    chi_square: Scalar
+    log_density: Scalar
+    extent_px: tuple[tuple[Scalar, Scalar], ...]
+    part: tuple[tuple[Scalar, Scalar], ...]
+
+
+class Strangers(NamedTuple):
+    """What segments that belong to nothing look like.
+
+    log_density : per view, log of segments per pixel of area and per radian, N / (pi A).
+    typical_px : usual length; lengths are spread as t / (length + t)^2.
+    """
+
+    log_density: Float[ArrayLike, "v"]
+    typical_px: Float[ArrayLike, ""]
 
 
 def triple_evidence(
     lines: PictureLines,
     views: Int[ArrayLike, "3"],
     segments: Int[ArrayLike, "3"],
-    ends_mm: Float[ArrayLike, "2 3"],
-    log_strangers: Float[ArrayLike, "v"],
-    typical_px: Float[ArrayLike, ""],
+    near_mm: tuple[Vector3, Vector3],
+    strangers: Strangers,
 ) -> TripleEvidence:
-    """Evidence of one segment in each of three views, near a line given by two points.
-
-    `log_strangers` is, per view, log N / (pi A): segments per pixel of area and radian, and
-    `typical_px` the usual length of a segment.
-    """
-    origin, along = ends_mm[0], ends_mm[1] - ends_mm[0]
-    along = along / jnp.sqrt(along @ along)
-    extents = jnp.stack([_extent(lines, views[k], segments[k], origin, along) for k in range(3)])
-    low, high = jnp.sort(extents, axis=1)[:, 0], jnp.sort(extents, axis=1)[:, 1]
-    length = jnp.sort(high - low)
-    begin, end = low.max(), high.min()
-    common = end - begin
-    safe = jnp.where(common > 0, common, 1.0)
-    points = origin + jnp.stack([begin, begin + safe])[:, None] * along
+    """Evidence of one segment in each of three views, near a line given by two points."""
+    origin = near_mm[0]
+    along = unit3(add3(near_mm[1], origin, -1.0))
+    extents = [extent_on_line(lines, views[k], segments[k], origin, along) for k in range(3)]
+    low = [jnp.minimum(first, second) for first, second in extents]
+    high = [jnp.maximum(first, second) for first, second in extents]
+    begin = jnp.maximum(jnp.maximum(low[0], low[1]), low[2])
+    common = jnp.minimum(jnp.minimum(high[0], high[1]), high[2]) - begin
+    overlaps = common > 0
+    common = jnp.where(overlaps, common, 1.0)
+    points = add3(origin, along, begin), add3(origin, along, begin + common)
 
     planes = [sight_plane(lines, views[k], segments[k], points) for k in range(3)]
-    normals = jnp.stack([plane.normal for plane in planes])
-    c = jnp.stack([along @ jnp.cross(normals[(k + 1) % 3], normals[(k + 2) % 3]) for k in range(3)])
-    distance = jnp.stack([plane.offset_px / plane.px_per_mm for plane in planes])
-    covariance = jnp.stack([p.covariance_px2 / jnp.outer(p.px_per_mm, p.px_per_mm) for p in planes])
-    r, s = c @ distance, jnp.einsum("v,vij->ij", c * c, covariance)
-    determinant = s[0, 0] * s[1, 1] - s[0, 1] ** 2
-    chi_square = (
-        s[1, 1] * r[0] ** 2 - 2 * s[0, 1] * r[0] * r[1] + s[0, 0] * r[1] ** 2
-    ) / determinant
+    normals = [plane.normal for plane in planes]
+    c = [dot3(along, cross3(normals[(k + 1) % 3], normals[(k + 2) % 3])) for k in range(3)]
+    r = [sum(c[k] * planes[k].distance_mm[e] for k in range(3)) for e in range(2)]
+    s00, s01, s11 = (sum(c[k] ** 2 * planes[k].variance_mm2[i] for k in range(3)) for i in range(3))
+    determinant = s00 * s11 - s01**2
+    chi_square = (s11 * r[0] ** 2 - 2 * s01 * r[0] * r[1] + s00 * r[1] ** 2) / determinant
 
-    image_length = jnp.stack([_image_length(lines, views[k], points) for k in range(3)])
-    extents_px = (jnp.stack([low, high], axis=1) - begin) * image_length.mean() / safe
+    px_per_mm = sum(plane.length_px for plane in planes) / (3 * common)
+    extents_px = tuple(
+        ((low[k] - begin) * px_per_mm, (high[k] - begin) * px_per_mm) for k in range(3)
+    )
     log_density = (
         -0.5 * jnp.log(determinant)
-        - sum(jnp.log(p.px_per_mm).sum() for p in planes)
-        - jnp.log(safe * image_length.mean())
-        + jnp.log(image_length).sum()
-        + _log_lengths(extents_px, typical_px)
-        - log_strangers[views].sum()
+        - sum(jnp.log(p.px_per_mm[0] * p.px_per_mm[1]) for p in planes)
+        - jnp.log(common * common * px_per_mm)
+        + jnp.log(planes[0].length_px * planes[1].length_px * planes[2].length_px)
+        + log_lengths([second - first for first, second in extents_px], strangers.typical_px)
+        - sum(strangers.log_density[views[k]] for k in range(3))
     )
-    possible = common > SMALLEST_OVERLAP * length[0]
-    possible &= (chi_square < GATE) & (length[1] > SHORTEST_TO_LONGEST * length[2])
+    length = [high[k] - low[k] for k in range(3)]
+    shortest = jnp.minimum(jnp.minimum(length[0], length[1]), length[2])
+    longest = jnp.maximum(jnp.maximum(length[0], length[1]), length[2])
+    second = length[0] + length[1] + length[2] - shortest - longest
+    possible = overlaps & (common > SMALLEST_OVERLAP * shortest) & (chi_square < GATE)
+    possible &= (second > SHORTEST_TO_LONGEST * longest) & jnp.isfinite(log_density)
     return TripleEvidence(
-        _adjusted(points, along, planes, distance, covariance),
-        possible & jnp.isfinite(log_density),
+        adjusted(points, along, planes),
+        possible,
         chi_square,
         log_density,
         extents_px,
-        jnp.stack([_part(lines, views[k], segments[k], points) for k in range(3)]),
+        tuple(plane.part for plane in planes),
     )
 
 
-def _extent(
-    lines: PictureLines,
-    view: Int[ArrayLike, ""],
-    segment: Int[ArrayLike, ""],
-    origin: Float[ArrayLike, "3"],
-    along: Float[ArrayLike, "3"],
-) -> Float[ArrayLike, "2"]:
-    """Positions on a line in space, in mm, where the rays of a segment's ends pass."""
-    ends = lines.ends_px[view, segment]
-    rays = [lines.inverse[view] @ jnp.append(ends[e], 1.0) for e in range(2)]
-    return jnp.stack([nearest_on_line(origin, along, lines.centre_mm[view], ray) for ray in rays])
+def log_lengths(lengths_px: list[Scalar], typical_px: Float[ArrayLike, ""]) -> Scalar:
+    """Log density of one length over those of strangers, with ends uniform on the longest."""
+    longest = lengths_px[0]
+    for length in lengths_px[1:]:
+        longest = jnp.maximum(longest, length)
+
+    def log_share(length: Scalar) -> Scalar:
+        return jnp.log(typical_px) - 2 * jnp.log(length + typical_px)
+
+    strange = sum(log_share(length) for length in lengths_px)
+    return log_share(longest) - strange - 2 * (len(lengths_px) - 1) * jnp.log(longest)
 
 
-def _log_lengths(
-    extent_px: Float[ArrayLike, "v 2"], typical_px: Float[ArrayLike, ""]
-) -> Float[ArrayLike, ""]:
-    """Log density of one length over those of strangers, with ends uniform on the longest.
-
-    Lengths are spread as t / (length + t)^2, with t the typical one.
-    """
-    length = extent_px[:, 1] - extent_px[:, 0]
-    longest, views = length.max(), len(length)
-    density = jnp.log(typical_px) - 2 * jnp.log(length + typical_px)
-    density_longest = jnp.log(typical_px) - 2 * jnp.log(longest + typical_px)
-    return density_longest - density.sum() - 2 * (views - 1) * jnp.log(longest)
-
-
-def _image_length(
-    lines: PictureLines, view: Int[ArrayLike, ""], points: Float[ArrayLike, "2 3"]
-) -> Float[ArrayLike, ""]:
-    image, _ = project(lines.matrix_px[view], points)
-    step = image[1] - image[0]
-    return jnp.sqrt(step @ step)
-
-
-def _part(
-    lines: PictureLines,
-    view: Int[ArrayLike, ""],
-    segment: Int[ArrayLike, ""],
-    points: Float[ArrayLike, "2 3"],
-) -> Float[ArrayLike, "2"]:
-    """Where two points in space lie along a segment, from 0 at its first end to 1."""
-    image, _ = project(lines.matrix_px[view], points)
-    ends = lines.ends_px[view, segment]
-    step = ends[1] - ends[0]
-    return (image - ends[0]) @ step / (step @ step)
-
-
-def _adjusted(
-    points: Float[ArrayLike, "2 3"],
-    along: Float[ArrayLike, "3"],
-    planes: list[SightPlane],
-    distance: Float[ArrayLike, "3 2"],
-    covariance: Float[ArrayLike, "3 2 2"],
-) -> Float[ArrayLike, "2 3"]:
+def adjusted(
+    points: tuple[Vector3, Vector3], along: Vector3, planes: list[SightPlane]
+) -> tuple[Vector3, Vector3]:
     """Move two points across the line to the weighted least-squares fit of all planes."""
     first = planes[0].normal
-    second = jnp.cross(along, first)
-    basis = jnp.stack([first, second])
-    n = jnp.stack([basis @ plane.normal for plane in planes])
+    second = cross3(along, first)
+    n = [(dot3(first, plane.normal), dot3(second, plane.normal)) for plane in planes]
 
-    def moved(end: int) -> Float[ArrayLike, "3"]:
-        weight = 1 / covariance[:, end, end]
-        a = jnp.einsum("v,vi,vj->ij", weight, n, n)
-        b = jnp.einsum("v,vi,v->i", weight, n, distance[:, end])
-        shift = jnp.stack([a[1, 1] * b[0] - a[0, 1] * b[1], a[0, 0] * b[1] - a[0, 1] * b[0]])
-        return points[end] - shift @ basis / (a[0, 0] * a[1, 1] - a[0, 1] ** 2)
+    def moved(end: int) -> Vector3:
+        weight = [1 / plane.variance_mm2[2 * end] for plane in planes]
+        a00, a01, a11, b0, b1 = (
+            sum(w * f(m, p.distance_mm[end]) for w, m, p in zip(weight, n, planes, strict=True))
+            for f in (
+                lambda m, d: m[0] * m[0],
+                lambda m, d: m[0] * m[1],
+                lambda m, d: m[1] * m[1],
+                lambda m, d: m[0] * d,
+                lambda m, d: m[1] * d,
+            )
+        )
+        determinant = a00 * a11 - a01 * a01
+        shift_first = (a11 * b0 - a01 * b1) / determinant
+        shift_second = (a00 * b1 - a01 * b0) / determinant
+        shift = add3(scaled3(first, shift_first), second, shift_second)
+        return add3(points[end], shift, -1.0)
 
-    return jnp.stack([moved(0), moved(1)])
+    return moved(0), moved(1)

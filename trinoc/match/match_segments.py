@@ -9,7 +9,7 @@ from trinoc.geometry.arrays import ArrayLike
 from trinoc.geometry.precision import in_float64
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
-from trinoc.match.candidates import Candidates, trinocular_candidates
+from trinoc.match.candidates import Candidates, strangers_of, trinocular_candidates
 from trinoc.match.matches import Matches
 from trinoc.match.observed import observe
 from trinoc.match.selection import select
@@ -33,8 +33,9 @@ def match_segments(
     vision", 1986.
     """
     seen = observe(segments, rig, sigma_px)
+    strangers = strangers_of(seen.lines, seen.counts)
     found = [
-        trinocular_candidates(seen.lines, views, seen.counts)
+        trinocular_candidates(seen.lines, views, seen.counts, strangers)
         for views in combinations(range(len(seen.names)), 3)
     ]
     candidates = Candidates(*(np.concatenate(column) for column in zip(*found, strict=True)))

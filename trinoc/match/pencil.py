@@ -1,9 +1,11 @@
 """The pencil of epipolar planes of two views, in which a match in depth is one division.
 
 In the frame (axis, first, second), with the axis along the baseline, a viewing ray has a plane
-angle atan2(second, first), equal for partners, and a slope, axis over radius, which differs
-by baseline / radius of the point: the pencil is to wide baselines what rows and disparity
-are to rectified pictures, and stays defined with the epipoles inside the pictures.
+angle phi = atan2(second, first), equal for partners, and a slope, axis over radius, which
+differs between partners by baseline / radius of the point: the pencil is to wide baselines
+what rows and disparity are to rectified pictures, and stays defined with the epipoles inside
+the pictures. A segment's plane of sight, m . ray = 0, makes its slope a sinusoid of the angle:
+slope = p cos phi + q sin phi.
 """
 
 from typing import NamedTuple
@@ -16,22 +18,39 @@ from trinoc.geometry.arrays import ArrayLike
 from trinoc.match.picture_lines import PictureLines
 
 
+class PencilSegments(NamedTuple):
+    """The segments of one view in a pencil, one column per quantity.
+
+    low, high : plane angles of the ends, in rad, without a jump between them; cosine_low, ...
+    their cosines and sines. p, q : coefficients of the slope. normal : of the plane of sight.
+    slope_variance : (c00, c01, c11) of the slopes at the angles low and high, due to the
+        errors of the ends across the segment.
+    """
+
+    low: Float[ArrayLike, "*n"]
+    high: Float[ArrayLike, "*n"]
+    cosine_low: Float[ArrayLike, "*n"]
+    sine_low: Float[ArrayLike, "*n"]
+    cosine_high: Float[ArrayLike, "*n"]
+    sine_high: Float[ArrayLike, "*n"]
+    p: Float[ArrayLike, "*n"]
+    q: Float[ArrayLike, "*n"]
+    normal: tuple[Float[ArrayLike, "*n"], Float[ArrayLike, "*n"], Float[ArrayLike, "*n"]]
+    slope_variance: tuple[Float[ArrayLike, "*n"], Float[ArrayLike, "*n"], Float[ArrayLike, "*n"]]
+
+
 class Pencil(NamedTuple):
     """Frame of the planes through two centres, and the segments of both views in it.
 
     frame : rows axis, first, second. origin_mm : centre of the first view.
     baseline_mm : distance of the centres.
-    rays_a, rays_b : (n, 2, 3) viewing rays of both ends of each segment, in the frame.
-    angles_a, angles_b : (n, 2) plane angles of the ends, low and high, in rad, without a jump.
     """
 
     frame: Float[ArrayLike, "3 3"]
     origin_mm: Float[ArrayLike, "3"]
     baseline_mm: Float[ArrayLike, ""]
-    rays_a: Float[ArrayLike, "n 2 3"]
-    rays_b: Float[ArrayLike, "n 2 3"]
-    angles_a: Float[ArrayLike, "n 2"]
-    angles_b: Float[ArrayLike, "n 2"]
+    first: PencilSegments
+    second: PencilSegments
 
 
 @jax.jit
@@ -46,45 +65,53 @@ def pencil(lines: PictureLines, a: Int[ArrayLike, ""], b: Int[ArrayLike, ""]) ->
     first = first / jnp.sqrt(first @ first)
     frame = jnp.stack([axis, first, jnp.cross(axis, first)])
 
-    def rays(view: Int[ArrayLike, ""]) -> Float[ArrayLike, "n 2 3"]:
-        ends = lines.ends_px[view]
-        homogeneous = jnp.concatenate([ends, jnp.ones_like(ends[..., :1])], axis=-1)
-        return homogeneous @ (frame @ lines.inverse[view]).T
+    def segments(view: Int[ArrayLike, ""]) -> PencilSegments:
+        place = jax.vmap(_in_pencil, in_axes=(None, 0, 0, 0))
+        homography = frame @ lines.inverse[view]
+        return place(
+            homography, lines.ends_px[view], lines.line[view, :, :2], lines.across_px2[view]
+        )
 
-    rays_a, rays_b = rays(a), rays(b)
-    angles = jax.vmap(_angles)
-    return Pencil(
-        frame, lines.centre_mm[a], baseline, rays_a, rays_b, angles(rays_a), angles(rays_b)
-    )
+    return Pencil(frame, lines.centre_mm[a], baseline, segments(a), segments(b))
 
 
-def _angles(rays: Float[ArrayLike, "2 3"]) -> Float[ArrayLike, "2"]:
+def _in_pencil(
+    homography: Float[ArrayLike, "3 3"],
+    ends_px: Float[ArrayLike, "2 2"],
+    line_normal: Float[ArrayLike, "2"],
+    across_px2: Float[ArrayLike, "2 2"],
+) -> PencilSegments:
+    """One segment; `homography` takes homogeneous pixels to rays in the frame."""
+    rays = jnp.stack([homography @ jnp.append(ends_px[e], 1.0) for e in range(2)])
     first = jnp.arctan2(rays[0, 2], rays[0, 1])
-    cross = rays[0, 1] * rays[1, 2] - rays[0, 2] * rays[1, 1]
-    second = first + jnp.arctan2(cross, rays[0, 1:] @ rays[1, 1:])
-    return jnp.stack([jnp.minimum(first, second), jnp.maximum(first, second)])
+    turn = jnp.arctan2(rays[0, 1] * rays[1, 2] - rays[0, 2] * rays[1, 1], rays[0, 1:] @ rays[1, 1:])
+    normal = jnp.cross(rays[0], rays[1])
+    p, q = -normal[1] / normal[0], -normal[2] / normal[0]
 
+    def slope_per_px(ray: Float[ArrayLike, "3"]) -> Float[ArrayLike, ""]:
+        # An error moves the ray by `push`; on its own plane angle that is this much slope.
+        push = homography[:, :2] @ line_normal
+        radius = jnp.hypot(ray[1], ray[2])
+        return normal @ push / (normal[0] * radius)
 
-def slope_at(
-    rays: Float[ArrayLike, "2 3"], cosine: Float[ArrayLike, ""], sine: Float[ArrayLike, ""]
-) -> Float[ArrayLike, ""]:
-    """Axis over radius of the ray in which a segment meets the plane of an angle."""
-    off_plane = cosine * rays[:, 2] - sine * rays[:, 1]
-    along = cosine * rays[:, 1] + sine * rays[:, 2]
-    # The ray where the segment crosses the plane is the ends' mean, weighted crosswise.
-    return (off_plane[1] * rays[0, 0] - off_plane[0] * rays[1, 0]) / (
-        off_plane[1] * along[0] - off_plane[0] * along[1]
+    effect = jnp.stack([slope_per_px(rays[0]), slope_per_px(rays[1])])
+    variance = jnp.outer(effect, effect) * across_px2
+    swap = turn < 0
+    low, high = jnp.where(swap, first + turn, first), jnp.where(swap, first, first + turn)
+    unit = normal / jnp.sqrt(normal @ normal)
+    return PencilSegments(
+        low,
+        high,
+        jnp.cos(low),
+        jnp.sin(low),
+        jnp.cos(high),
+        jnp.sin(high),
+        p,
+        q,
+        (unit[0], unit[1], unit[2]),
+        (
+            jnp.where(swap, variance[1, 1], variance[0, 0]),
+            variance[0, 1],
+            jnp.where(swap, variance[0, 0], variance[1, 1]),
+        ),
     )
-
-
-def point_on_plane(
-    pencil: Pencil,
-    rays_a: Float[ArrayLike, "2 3"],
-    rays_b: Float[ArrayLike, "2 3"],
-    angle_rad: Float[ArrayLike, ""],
-) -> tuple[Float[ArrayLike, "3"], Float[ArrayLike, ""]]:
-    """(point, radius) of a pair of segments on one epipolar plane; radius > 0 in front."""
-    cosine, sine = jnp.cos(angle_rad), jnp.sin(angle_rad)
-    slope = slope_at(rays_a, cosine, sine)
-    radius = pencil.baseline_mm / (slope - slope_at(rays_b, cosine, sine))
-    return pencil.origin_mm + radius * (jnp.stack([slope, cosine, sine]) @ pencil.frame), radius

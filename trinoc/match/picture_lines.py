@@ -21,7 +21,7 @@ class PictureLines(NamedTuple):
     matrix_px : projection matrices, scaled so that the third row gives the depth.
     centre_mm : centres of projection. inverse : of the left 3x3 part of each matrix.
     size_px : width and height of each picture.
-    ends_px : ends of each segment. line : through them, with unit normal.
+    ends_px : ends of each segment. rays : their viewing rays, world frame, of any length. line : through them, with unit normal.
     across_px2 : covariance of the two ends' errors across the segment.
     length_px : distance between the ends. valid : False on rows of padding.
     polarity : +1, -1, or 0 where not known.
@@ -37,6 +37,7 @@ class PictureLines(NamedTuple):
     length_px: Float[ArrayLike, "v n"]
     valid: Bool[ArrayLike, "v n"]
     polarity: Float[ArrayLike, "v n"]
+    rays: Float[ArrayLike, "v n 2 3"]
 
 
 def picture_lines(
@@ -74,10 +75,12 @@ def _prepared(
     line = jax.vmap(jax.vmap(line_through))(ends_px[:, :, 0], ends_px[:, :, 1])
     across = jax.vmap(jax.vmap(covariance_across))(line, covariance_px2)
     length = jnp.sqrt(((ends_px[:, :, 1] - ends_px[:, :, 0]) ** 2).sum(-1))
+    inverse = jax.vmap(inverse_3x3)(matrices[:, :, :3])
+    homogeneous = jnp.concatenate([ends_px, jnp.ones_like(ends_px[..., :1])], axis=-1)
     return PictureLines(
         matrices,
         jax.vmap(centre_of_matrix)(matrices),
-        jax.vmap(inverse_3x3)(matrices[:, :, :3]),
+        inverse,
         sizes_px,
         ends_px,
         line,
@@ -85,6 +88,7 @@ def _prepared(
         length,
         valid,
         polarity,
+        jnp.einsum("vij,vnej->vnei", inverse, homogeneous),
     )
 
 

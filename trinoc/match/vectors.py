@@ -1,0 +1,69 @@
+"""Vectors as tuples of scalars.
+
+Under `vmap` a scalar becomes one long array, and arithmetic on such arrays fuses into one loop
+over the items; a batch of 3-vectors and 2x2 matrices becomes thousands of tiny products, tens
+of times slower on a CPU.
+"""
+
+import jax.numpy as jnp
+from jaxtyping import Float
+
+from trinoc.geometry.arrays import ArrayLike
+
+Scalar = Float[ArrayLike, ""]
+Vector2 = tuple[Scalar, Scalar]
+Vector3 = tuple[Scalar, Scalar, Scalar]
+
+
+def vector2(array: Float[ArrayLike, "2"]) -> Vector2:
+    """The components of an array."""
+    return array[0], array[1]
+
+
+def vector3(array: Float[ArrayLike, "3"]) -> Vector3:
+    """The components of an array."""
+    return array[0], array[1], array[2]
+
+
+def dot3(a: Vector3, b: Vector3) -> Scalar:
+    """Scalar product."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def cross3(a: Vector3, b: Vector3) -> Vector3:
+    """Vector product."""
+    return (
+        a[1] * b[2] - a[2] * b[1],
+        a[2] * b[0] - a[0] * b[2],
+        a[0] * b[1] - a[1] * b[0],
+    )
+
+
+def add3(a: Vector3, b: Vector3, factor: Scalar | float = 1.0) -> Vector3:
+    """a + factor b."""
+    return a[0] + factor * b[0], a[1] + factor * b[1], a[2] + factor * b[2]
+
+
+def scaled3(a: Vector3, factor: Scalar) -> Vector3:
+    """factor a."""
+    return a[0] * factor, a[1] * factor, a[2] * factor
+
+
+def unit3(a: Vector3) -> Vector3:
+    """a at unit length."""
+    return scaled3(a, 1 / jnp.sqrt(dot3(a, a)))
+
+
+def times_matrix(matrix: Float[ArrayLike, "3 3"], a: Vector3) -> Vector3:
+    """matrix a."""
+    return (
+        dot3(vector3(matrix[0]), a),
+        dot3(vector3(matrix[1]), a),
+        dot3(vector3(matrix[2]), a),
+    )
+
+
+def between(covariance: tuple[Scalar, Scalar, Scalar], s: Scalar, t: Scalar) -> Scalar:
+    """Covariance of two interpolated places, from (c00, c01, c11) of the places 0 and 1."""
+    c00, c01, c11 = covariance
+    return (1 - s) * (1 - t) * c00 + (s * (1 - t) + t * (1 - s)) * c01 + s * t * c11
