@@ -37,8 +37,10 @@ def made_up_rig(distortion: tuple[float, ...] | None = None) -> Rig:
         distortion=distortion,
     )
     cameras = {
-        name: Camera.from_degrees(lens, **dict(zip(PARAMETERS, row, strict=True)))
-        for name, row in TABLE_1.items()
+        name: Camera.from_degrees(
+            lens, pan_deg=pan, tilt_deg=tilt, swing_deg=swing, distance_mm=distance
+        )
+        for name, (pan, tilt, swing, distance) in TABLE_1.items()
     }
     parameters = [f"{name}.{parameter}" for name in cameras for parameter in PARAMETERS]
     return Rig(

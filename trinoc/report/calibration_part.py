@@ -13,7 +13,7 @@ from trinoc.report.parameter_table import ParameterCell, parameter_rows
 from trinoc.report.pictures import PagePicture, Window
 
 # The longest residual arrow, as a share of the width of the part of the picture shown.
-ARROW_REACH = 0.12
+ARROW_REACH = 0.09
 
 
 class CameraStatus(NamedTuple):

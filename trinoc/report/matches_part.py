@@ -1,5 +1,6 @@
 """What the page shows of segments and matches: figures, counts, reasons and tracks."""
 
+import re
 from collections.abc import Mapping
 from typing import NamedTuple
 
@@ -14,6 +15,7 @@ from trinoc.report.segments_figures import SegmentsFigure, segments_figure, trac
 from trinoc.report.track_sigmas import TrackSigmas, track_sigmas
 
 TABLE_ROWS = 300
+MATCHED = "matched"
 
 
 class TrackRow(NamedTuple):
@@ -53,13 +55,26 @@ class MatchesPart(NamedTuple):
 
 
 def reasons_by_view(matches: Matches) -> dict[str, dict[str, int]]:
-    """How many segments of each view share each reason, "matched" included."""
+    """How many segments of each view share each reason: "matched" first, then by number.
+
+    Reasons that differ only in a number ("ambiguous with 3") are one.
+    """
     table: dict[str, dict[str, int]] = {}
     for view in matches.views:
-        words, counts = np.unique(np.asarray(matches.reasons[view], dtype=str), return_counts=True)
-        for word, count in zip(words.tolist(), counts.tolist(), strict=True):
-            table.setdefault(word, dict.fromkeys(matches.views, 0))[view] = count
-    return table
+        for reason in np.asarray(matches.reasons[view], dtype=str).tolist():
+            words = in_words(re.sub(r"\d+", "others", reason))
+            table.setdefault(words, dict.fromkeys(matches.views, 0))[view] += 1
+    order = sorted(table, key=lambda w: (w != MATCHED, -sum(table[w].values()), w))
+    return {words: table[words] for words in order}
+
+
+def counts_of_steps(matches: Matches) -> tuple[tuple[str, str], ...]:
+    """What each step produced and rejected, as people read it; reasons have their own table."""
+    return tuple(
+        (in_words(name), f"{count:,}")
+        for name, count in matches.counts.items()
+        if not name.startswith("segments ")
+    )
 
 
 def matches_part(
@@ -80,7 +95,6 @@ def matches_part(
     colours = [PALETTE[c] for c in distinct_neighbours(fragments.mean(axis=2)).tolist()]
     sigmas = track_sigmas(matches)
     stage = np.asarray(matches.stage)
-    reasons = reasons_by_view(matches)
     return MatchesPart(
         views,
         found,
@@ -89,10 +103,10 @@ def matches_part(
         int((stage == TRINOCULAR).sum()),
         int((stage == BINOCULAR).sum()),
         _pairs_of_views(matches),
-        tuple((in_words(name), f"{count:,}") for name, count in matches.counts.items()),
+        counts_of_steps(matches),
         tuple(
-            ReasonRow(in_words(words), tuple(reasons[words].values()))
-            for words in sorted(reasons, key=lambda w: (w != "matched", -sum(reasons[w].values())))
+            ReasonRow(words, tuple(counts.values()))
+            for words, counts in reasons_by_view(matches).items()
         ),
         tuple(len(matches.reasons[view]) for view in matches.views),
         _track_rows(matches, colours, sigmas),
@@ -133,4 +147,4 @@ def _track_rows(matches: Matches, colours: list[str], sigmas: TrackSigmas) -> tu
 def share_matched(matches: Matches) -> str:
     """The share of all segments that are on a track, as words."""
     words = np.concatenate([np.asarray(matches.reasons[view], dtype=str) for view in matches.views])
-    return percent(float(np.mean(words == "matched"))) if len(words) else percent(float("nan"))
+    return percent(float(np.mean(words == MATCHED))) if len(words) else percent(float("nan"))

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from trinoc.geometry.rig import PARAMETER_NAMES, Rig
+from trinoc.report.against_reference import parameter_error, parameter_value
 from trinoc.report.numbers import decimals_for, signed, with_decimals, with_sigma
 
 LABELS = {
@@ -28,14 +29,6 @@ class ParameterCell(NamedTuple):
     beyond: bool
 
 
-def parameter_value(rig: Rig, name: str, parameter: str) -> float:
-    """A parameter of `PARAMETER_NAMES` of one camera of a rig."""
-    camera = rig[name]
-    if parameter.startswith("aim_"):
-        return camera.aim_mm[0 if parameter == "aim_x_mm" else 1]
-    return getattr(camera, parameter)
-
-
 def shown_parameters(rig: Rig) -> tuple[str, ...]:
     """The four parameters of the method, and the aim where it is not the world's origin."""
     aims = np.array([camera.aim_mm for _, camera in rig.items()])
@@ -55,18 +48,16 @@ def parameter_rows(
 
 
 def _cell(rig: Rig, name: str, parameter: str, reference: Rig | None) -> ParameterCell:
-    value, sigma = parameter_value(rig, name, parameter), rig.sigma(f"{name}.{parameter}")
-    words = f"{name}.{parameter}"
+    words, sigma = f"{name}.{parameter}", rig.sigma(f"{name}.{parameter}")
+    text = with_sigma(parameter_value(rig, name, parameter), sigma)
     if reference is None or name not in reference.names:
-        return ParameterCell(words, with_sigma(value, sigma), "", "", "", False)
-    known = parameter_value(reference, name, parameter)
-    error, decimals = value - known, decimals_for(sigma)
-    ratio = error / sigma if sigma > 0 else float("nan")
+        return ParameterCell(words, text, "", "", "", False)
+    found = parameter_error(rig, reference, name, parameter)
     return ParameterCell(
         words,
-        with_sigma(value, sigma),
-        with_decimals(known, 3),
-        signed(error, decimals),
-        signed(ratio, 1),
-        bool(abs(ratio) > 3),
+        text,
+        with_decimals(found.known, 3),
+        signed(found.error, decimals_for(sigma)),
+        signed(found.over_sigma, 1),
+        abs(found.over_sigma) > 3,
     )

@@ -1,0 +1,103 @@
+"""Static figures for notebooks and papers, on matplotlib axes (`pip install trinoc[plot]`)."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from trinoc.calib.result import CameraFit
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.segments import Segments
+from trinoc.match.matches import BINOCULAR, TRINOCULAR, Matches
+from trinoc.report.clipping import clip_line
+from trinoc.report.colours import BLUE, GREEN, PALETTE, VERMILION, distinct_neighbours
+from trinoc.report.space_content import content_box, frusta
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from mpl_toolkits.mplot3d import Axes3D
+
+OUTLINE_POINTS = 48
+
+
+def draw_picture(axes: "Axes", picture: np.ndarray, *, strength: float = 1.0) -> None:
+    """A picture in its own pixel coordinates; `strength` below 1 fades it toward white."""
+    axes.imshow(picture, cmap="gray", alpha=strength, interpolation="nearest")
+    axes.set_xticks([])
+    axes.set_yticks([])
+
+
+def draw_detection(
+    axes: "Axes", picture: np.ndarray, fit: CameraFit, *, magnification: float
+) -> None:
+    """Circles and cross lines found, and residuals drawn `magnification` times as long."""
+    from matplotlib.collections import LineCollection
+
+    draw_picture(axes, picture, strength=0.8)
+    detection = fit.detection
+    angles = np.linspace(0, 2 * np.pi, OUTLINE_POINTS)
+    unit = np.stack([np.cos(angles), np.sin(angles)])
+    roots = np.linalg.cholesky(np.asarray(detection.shape_px2))
+    outlines = detection.centres_px[:, None] + np.swapaxes(roots @ unit, 1, 2)
+    axes.add_collection(LineCollection(list(outlines), colors=BLUE, linewidths=1.0))
+    lines = [clip_line(line, detection.image_size_px) for line in detection.lines_px]
+    ends = [line for line in lines if line is not None]
+    axes.add_collection(LineCollection(ends, colors=GREEN, linewidths=1.0))
+    axes.quiver(
+        *detection.centres_px[fit.used].T,
+        *(magnification * fit.residuals_px[fit.used]).T,
+        angles="xy", scale_units="xy", scale=1, color=VERMILION, width=0.006, zorder=3,
+    )  # fmt: skip
+
+
+def draw_segments(axes: "Axes", picture: np.ndarray, segments: Segments) -> None:
+    """Every segment of a picture, its ends marked: the paper's figure 6."""
+    from matplotlib.collections import LineCollection
+
+    draw_picture(axes, picture, strength=0.4)
+    ends = np.asarray(segments.endpoints_px)
+    axes.add_collection(LineCollection(list(ends), colors=BLUE, linewidths=1.2))
+    axes.plot(*ends.reshape(-1, 2).T, linestyle="none", marker=".", markersize=3, color=BLUE)
+
+
+def draw_tracks(axes: "Axes", picture: np.ndarray, matches: Matches, view: str, stage: str) -> None:
+    """The tracks of one stage in one view, one colour each in every view: figure 7."""
+    from matplotlib.collections import LineCollection
+
+    draw_picture(axes, picture, strength=0.4)
+    fragments = np.asarray(matches.fragments_px)
+    colours = distinct_neighbours(fragments.mean(axis=2))
+    column = matches.views.index(view)
+    shown = (np.asarray(matches.stage) == stage) & (np.asarray(matches.index)[:, column] >= 0)
+    axes.add_collection(
+        LineCollection(
+            list(fragments[shown, column]),
+            colors=[PALETTE[colour] for colour in colours[shown]],
+            linewidths=1.8,
+        )
+    )
+
+
+def draw_space(axes: "Axes3D", matches: Matches, rig: Rig | None = None) -> None:
+    """The 3-D segments, and the cameras where a rig is given, in mm with equal axes."""
+    from mpl_toolkits.mplot3d.art3d import Line3DCollection
+
+    lines, stage = np.asarray(matches.lines_mm), np.asarray(matches.stage)
+    for name, colour in ((TRINOCULAR, BLUE), (BINOCULAR, VERMILION)):
+        if (stage == name).any():
+            axes.add_collection3d(
+                Line3DCollection(list(lines[stage == name]), colors=colour, linewidths=1.5)
+            )
+    box = content_box(None, matches)
+    corners = np.zeros((1, 3)) if box is None else np.stack(box)
+    if rig is not None:
+        outlines = frusta(rig)
+        axes.add_collection3d(Line3DCollection(outlines, colors=GREEN, linewidths=1.0))
+        corners = np.concatenate([corners, *outlines])
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    axes.set_xlim(low[0], high[0])
+    axes.set_ylim(low[1], high[1])
+    axes.set_zlim(low[2], high[2])
+    axes.set_aspect("equal")
+    axes.set_xlabel("X (mm)")
+    axes.set_ylabel("Y (mm)")
+    axes.set_zlabel("Z (mm)")
