@@ -7,9 +7,9 @@ from jaxtyping import Float
 from trinoc.calib.detect.warp import Warp
 from trinoc.calib.pattern import Pattern
 
-_STATIONS = 96
+_STATIONS = 64
 _FEWEST_STATIONS = 10
-_REWEIGHTINGS = 4
+_REWEIGHTINGS = 3
 
 
 def fit_cross_lines(

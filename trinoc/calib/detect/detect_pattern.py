@@ -41,7 +41,7 @@ def detect_pattern(image: Shaped[np.ndarray, "..."], pattern: Pattern) -> Detect
     layout = layout_of(pattern)
     refusals: list[DetectionError] = []
     for positive in (picture, picture._replace(grey=picture.grey.max() - picture.grey)):
-        for blobs in _searches(positive, layout):
+        for blobs in _searches(positive):
             sheets = _sheets(positive, blobs, pattern, layout, refusals)
             if len(sheets) > 1:
                 raise DetectionError(
@@ -58,7 +58,7 @@ def detect_pattern(image: Shaped[np.ndarray, "..."], pattern: Pattern) -> Detect
     )
 
 
-def _searches(picture: GreyPicture, layout: Layout) -> Iterator[Blobs]:
+def _searches(picture: GreyPicture) -> Iterator[Blobs]:
     """Blobs by one way of looking after another, the likeliest to succeed first."""
     factor = max(1, round(max(picture.size_px) / _SEARCH_SIDE_PX))
     grey, noise = picture.grey, picture.noise_sigma
@@ -69,7 +69,6 @@ def _searches(picture: GreyPicture, layout: Layout) -> Iterator[Blobs]:
             grey[: small[1] * factor, : small[0] * factor], small, interpolation=cv2.INTER_AREA
         )
         noise /= factor
-    ratio = layout.hole_ratio
     for scale in (
         Scale(0.8, 8),
         Scale(0.8, 3),
@@ -79,9 +78,9 @@ def _searches(picture: GreyPicture, layout: Layout) -> Iterator[Blobs]:
         Scale(0.8, 8, closing_px=5),
         Scale(3.0, 20),
     ):
-        yield _enlarged(find_blobs(grey, noise, scale, ratio), factor)
+        yield _enlarged(find_blobs(grey, noise, scale), factor)
     doubled = cv2.resize(grey, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
-    yield _enlarged(find_blobs(doubled, noise, Scale(1.2, 5), ratio), 0.5 * factor)
+    yield _enlarged(find_blobs(doubled, noise, Scale(1.2, 5)), 0.5 * factor)
 
 
 def _enlarged(blobs: Blobs, factor: float) -> Blobs:

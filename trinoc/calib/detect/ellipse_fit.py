@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from trinoc.calib.detect.ellipse_pixels import EllipsePixels
+from trinoc.calib.detect.ellipse_shape import inverse_square_root, smallest_axis
 from trinoc.calib.detect.normal_table import normal_cdf
 
 # Parameters of one circle, in the order of the Jacobian's columns.
@@ -60,10 +61,14 @@ def start_ellipses(
     pixels: EllipsePixels,
     centres_px: Float[np.ndarray, "n 2"],
     shape_px2: Float[np.ndarray, "n 2 2"],
+    taken_share: float,
 ) -> Ellipses:
-    """Grey levels and blur read off the pixels of given ellipses."""
+    """Grey levels and blur read off the pixels of given ellipses.
+
+    taken_share : the share of the pixels round the ellipses that `pixels` holds.
+    """
     count = len(centres_px)
-    y1, y2 = _whitened(pixels, centres_px, _inverse_square_root(shape_px2))
+    y1, y2 = _whitened(pixels, centres_px, inverse_square_root(shape_px2))
     radius = np.sqrt(y1 * y1 + y2 * y2)
     paper = _masked_mean(pixels.grey, pixels.used & (radius > 1.22))
     dark = _masked_mean(pixels.grey, pixels.used & (radius > 0.62) & (radius < 0.82))
@@ -71,9 +76,10 @@ def start_ellipses(
     coverage = (paper[:, None] - pixels.grey) / contrast[:, None]
     # Between 16 and 84 % the edge is two blurs wide.
     on_edge = pixels.used & (np.abs(coverage - 0.5) < 0.34) & (radius > 0.78) & (radius < 1.3)
-    axes = np.sqrt(np.linalg.eigvalsh(shape_px2))
-    perimeter = np.pi * axes.sum(axis=1) * pixels.used.mean()
-    blur = float(np.median(on_edge.sum(axis=1) / (2 * perimeter)))
+    # The area of a unit-wide seam along the edge is its length; only a share is looked at.
+    trace = shape_px2[:, 0, 0] + shape_px2[:, 1, 1]
+    length = np.pi * np.sqrt(0.5 * trace + np.sqrt(np.linalg.det(shape_px2)))
+    blur = float(np.median(on_edge.sum(axis=1) / (2 * length * taken_share)))
     zero = np.zeros(count)
     return Ellipses(
         centres_px=centres_px,
@@ -107,19 +113,24 @@ def refine_ellipses(
     outlier_shares : pixels whose residual exceeds this share of the contrast, and 4.5 sigma
         of the noise, are left out of the step.
     """
+    free = free_hole and hole_ratio > 0
     state = start
-    kept = pixels.used
     for share in outlier_shares:
-        frame = _inverse_square_root(state.shape_px2)
+        frame = inverse_square_root(state.shape_px2)
         jacobian, residual = _linearise(pixels, state, frame, hole_ratio, slope)
         kept = _kept(pixels, residual, state, share, noise_sigma)
-        state = _step(state, frame, jacobian, residual, kept, free_hole and hole_ratio > 0)
-    frame = _inverse_square_root(state.shape_px2)
-    jacobian, residual = _linearise(pixels, state, frame, hole_ratio, slope)
+        if not free:
+            jacobian = jacobian[:, :_HOLE]
+        weighted = jacobian * kept[:, None, :]
+        normal = (weighted @ np.swapaxes(jacobian, 1, 2)).astype(float)
+        right = (weighted @ residual[:, :, None])[:, :, 0].astype(float)
+        variance = _masked_mean(residual**2, kept)
+        change = _solve(state, normal, right, variance)
+        state = _stepped(state, frame, change)
+    # Near the end the model is straight enough to carry the residual to the last step.
+    residual = residual - (change.astype(np.float32)[:, None, :] @ jacobian)[:, 0]
     kept = _kept(pixels, residual, state, outlier_shares[-1], noise_sigma)
-    return _with_covariance(
-        pixels, state, jacobian, residual, kept, noise_sigma, free_hole and hole_ratio > 0
-    )
+    return _with_covariance(state, normal, pixels, residual, kept, noise_sigma)
 
 
 def _linearise(
@@ -184,40 +195,29 @@ def _kept(
     return pixels.used & (np.abs(residual) < _column(cut))
 
 
-def _normal_equations(
-    jacobian: Float[np.ndarray, "n k p"],
-    residual: Float[np.ndarray, "n p"],
-    kept: Bool[np.ndarray, "n p"],
-    free_hole: bool,
-) -> tuple[Float[np.ndarray, "n k k"], Float[np.ndarray, "n k"]]:
-    used = jacobian if free_hole or jacobian.shape[1] < _PARAMETERS else jacobian[:, :_HOLE]
-    weighted = used * kept[:, None, :]
-    normal = (weighted @ np.swapaxes(used, 1, 2)).astype(float)
-    right = (weighted @ residual[:, :, None])[:, :, 0].astype(float)
-    return normal, right
-
-
-def _step(
+def _solve(
     state: Ellipses,
-    frame: Float[np.ndarray, "n 2 2"],
-    jacobian: Float[np.ndarray, "n k p"],
-    residual: Float[np.ndarray, "n p"],
-    kept: Bool[np.ndarray, "n p"],
-    free_hole: bool,
-) -> Ellipses:
-    normal, right = _normal_equations(jacobian, residual, kept, free_hole)
+    normal: Float[np.ndarray, "n k k"],
+    right: Float[np.ndarray, "n k"],
+    variance: Float[np.ndarray, "n"],
+) -> Float[np.ndarray, "n k"]:
+    """The step of every circle, its blur drawn to the sheet's."""
+    normal, right = normal.copy(), right.copy()
     diagonal = np.einsum("nkk->nk", normal)
     diagonal *= 1.0 + 1e-4
     diagonal += 1e-9 * diagonal.max(axis=1, keepdims=True) + 1e-12
-    # The blur is drawn to the sheet's by a prior worth a share of the pixels' own evidence.
     common = np.median(state.blur_px)
-    variance = _masked_mean(residual**2, kept) + 1e-12
-    weight = variance / (_BLUR_PRIOR * common) ** 2
+    weight = (variance + 1e-12) / (_BLUR_PRIOR * common) ** 2
     diagonal[:, _BLUR] += weight
     right[:, _BLUR] += weight * (common - state.blur_px)
-    change = np.linalg.solve(normal, right[:, :, None])[:, :, 0]
-    smallest_axis = np.sqrt(np.linalg.eigvalsh(state.shape_px2)[:, :1])
-    limit = 0.5 * smallest_axis
+    return np.linalg.solve(normal, right[:, :, None])[:, :, 0]
+
+
+def _stepped(
+    state: Ellipses, frame: Float[np.ndarray, "n 2 2"], change: Float[np.ndarray, "n k"]
+) -> Ellipses:
+    """The ellipses after a step that is kept from leaving what a circle can be."""
+    limit = 0.5 * smallest_axis(state.shape_px2)[:, None]
     move = np.clip(change[:, _CENTRE], -limit, limit)
     bend = np.clip(change[:, _SHAPE], -0.4, 0.4)
     stretch = np.eye(2) + bend[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
@@ -225,37 +225,41 @@ def _step(
     stretch = np.where((determinant > 0.1)[:, None, None], stretch, np.eye(2))
     precision = frame @ stretch @ frame
     blur = state.blur_px * np.clip(1.0 + change[:, _BLUR] / state.blur_px, 0.6, 1.6)
+    hole = state.hole
+    if change.shape[1] == _PARAMETERS:
+        hole = np.clip(hole + change[:, _HOLE], -1.0, 2.0)
     return state._replace(
         centres_px=state.centres_px + move,
         shape_px2=np.linalg.inv(precision),
         blur_px=np.clip(blur, _SMALLEST_BLUR_PX, _LARGEST_BLUR_PX),
         paper=state.paper + change[:, _PAPER],
         ink=np.clip(state.ink + change[:, _INK], -20.0, 20.0),
-        hole=np.clip(state.hole + change[:, _HOLE], -1.0, 2.0) if free_hole else state.hole,
+        hole=hole,
     )
 
 
 def _with_covariance(
-    pixels: EllipsePixels,
     state: Ellipses,
-    jacobian: Float[np.ndarray, "n k p"],
+    normal: Float[np.ndarray, "n k k"],
+    pixels: EllipsePixels,
     residual: Float[np.ndarray, "n p"],
     kept: Bool[np.ndarray, "n p"],
     noise_sigma: float,
-    free_hole: bool,
 ) -> Ellipses:
-    normal, _ = _normal_equations(jacobian, residual, kept, free_hole)
+    normal = normal.copy()
     diagonal = np.einsum("nkk->nk", normal)
     diagonal += 1e-9 * diagonal.max(axis=1, keepdims=True) + 1e-12
     variance = _masked_mean(residual**2, kept)
     # Pixels that agree by luck do not make a circle surer than the picture's noise allows.
     covariance = np.linalg.inv(normal) * np.maximum(variance, noise_sigma**2)[:, None, None]
-    total = np.maximum(pixels.used.sum(axis=1), 1)
+    hole_sigma = state.hole_sigma
+    if normal.shape[1] == _PARAMETERS:
+        hole_sigma = np.sqrt(covariance[:, _HOLE, _HOLE])
     return state._replace(
         covariance_px2=covariance[:, _CENTRE, _CENTRE],
-        hole_sigma=np.sqrt(covariance[:, _HOLE, _HOLE]) if free_hole else state.hole_sigma,
+        hole_sigma=hole_sigma,
         residual_sigma=np.sqrt(variance),
-        kept=kept.sum(axis=1) / total,
+        kept=kept.sum(axis=1) / np.maximum(pixels.used.sum(axis=1), 1),
     )
 
 
@@ -275,13 +279,3 @@ def _masked_mean(values: np.ndarray, mask: np.ndarray) -> Float[np.ndarray, "n"]
 
 def _column(values: np.ndarray) -> Float[np.ndarray, "n 1"]:
     return values.astype(np.float32)[:, None]
-
-
-def _inverse_square_root(shape: Float[np.ndarray, "n 2 2"]) -> Float[np.ndarray, "n 2 2"]:
-    """Symmetric S^(-1/2) of 2 x 2 matrices, in closed form."""
-    root = np.sqrt(np.linalg.det(shape))
-    trace = shape[:, 0, 0] + shape[:, 1, 1]
-    adjugate_root = np.stack(
-        [shape[:, 1, 1], -shape[:, 0, 1], -shape[:, 1, 0], shape[:, 0, 0]], axis=1
-    ).reshape(-1, 2, 2) + root[:, None, None] * np.eye(2)
-    return adjugate_root / (root * np.sqrt(trace + 2 * root))[:, None, None]

@@ -53,8 +53,9 @@ def pixels_round(
         + (2 * a[:, 0, 1, None] * dy).astype(np.float32)[:, :, None]
         * dx.astype(np.float32)[:, None, :]
     )
-    radius2[np.broadcast_to(((column < 0) | (column >= width))[:, None, :], radius2.shape)] = np.inf
-    radius2[np.broadcast_to(((row < 0) | (row >= height))[:, :, None], radius2.shape)] = np.inf
+    outside_x, outside_y = (column < 0) | (column >= width), (row < 0) | (row >= height)
+    if np.any(outside_x) or np.any(outside_y):
+        radius2[outside_x[:, None, :] | outside_y[:, :, None]] = np.inf
     wanted = radius2 < (outer**2).astype(np.float32)[:, None, None]
     if np.any(inner > 0):
         wanted &= radius2 >= (inner**2).astype(np.float32)[:, None, None]

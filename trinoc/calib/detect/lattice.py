@@ -8,10 +8,12 @@ the sheet is tilted.
 from collections.abc import Iterator
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 from jaxtyping import Float, Int
 
 from trinoc.calib.detect.blobs import Blobs
+from trinoc.calib.detect.ellipse_shape import inverse_square_root
 from trinoc.calib.detect.layout import Layout
 from trinoc.calib.detect.warp import fit_warp
 
@@ -74,10 +76,10 @@ class _Neighbours(NamedTuple):
 
     @classmethod
     def of(cls, blobs: Blobs, layout: Layout) -> "_Neighbours":
-        frame = _inverse_square_root(blobs.shape_px2)
+        frame = inverse_square_root(blobs.shape_px2)
         between = blobs.centres_px[None] - blobs.centres_px[:, None]
-        offset = np.einsum("iab,ijb->ija", frame, between)
-        distance = np.sqrt(np.sum(offset**2, axis=2))
+        offset = between @ frame
+        distance = np.sqrt(offset[..., 0] ** 2 + offset[..., 1] ** 2)
         mean = np.sqrt(distance * distance.T)
         step = np.linalg.norm(layout.steps_mm, axis=0) / layout.radius_mm
         area = np.sqrt(np.linalg.det(blobs.shape_px2))
@@ -136,6 +138,7 @@ class _Neighbours(NamedTuple):
 def _grow(blobs: Blobs, layout: Layout, corner: Lattice, free: np.ndarray, span: int) -> Lattice:
     """Add the blobs that lie where the lattice predicts them, refit, and look further."""
     inverse_shape = np.linalg.inv(blobs.shape_px2)
+    a11, a12, a22 = (inverse_shape[:, i, j] for i, j in ((0, 0), (0, 1), (1, 1)))
     log_area = 0.5 * np.log(np.linalg.det(blobs.shape_px2))
     circle = layout.radius_mm * np.linalg.inv(layout.steps_mm)
     log_circle = np.log(abs(np.linalg.det(circle)))
@@ -147,8 +150,9 @@ def _grow(blobs: Blobs, layout: Layout, corner: Lattice, free: np.ndarray, span:
         place = warp.apply(cells.astype(float))
         cells, place = cells[np.isfinite(place[:, 0])], place[np.isfinite(place[:, 0])]
         log_enlargement = warp.log_enlargement(cells.astype(float))
-        off = blobs.centres_px[None] - place[:, None]
-        miss = np.einsum("cni,nij,cnj->cn", off, inverse_shape, off)
+        dx = blobs.centres_px[None, :, 0] - place[:, None, 0]
+        dy = blobs.centres_px[None, :, 1] - place[:, None, 1]
+        miss = (a11 * dx + 2.0 * a12 * dy) * dx + a22 * dy * dy
         wrong_size = np.abs(log_area[None] - (log_enlargement + log_circle)[:, None])
         miss[(wrong_size > np.log(_SHAPE_FACTOR)) | ~free[None]] = np.inf
         nearest = np.argmin(miss, axis=1)
@@ -171,13 +175,10 @@ def _cells_round(cell: Int[np.ndarray, "m 2"], span: int, reach: int) -> Int[np.
     """Cells within `reach` of the known ones, no row or column getting longer than `span`."""
     low, high = cell.min(axis=0), cell.max(axis=0)
     shape = high - low + 1 + 2 * reach
-    known = np.zeros(shape, dtype=bool)
-    known[tuple((cell - low + reach).T)] = True
-    close = np.zeros_like(known)
-    for right in range(-reach, reach + 1):
-        for up in range(-reach, reach + 1):
-            close |= np.roll(known, (right, up), axis=(0, 1))
-    found = np.argwhere(close & ~known) - reach + low
+    known = np.zeros(shape, dtype=np.uint8)
+    known[tuple((cell - low + reach).T)] = 1
+    close = cv2.dilate(known, np.ones((2 * reach + 1,) * 2, dtype=np.uint8))
+    found = np.argwhere(close > known) - reach + low
     fits = np.all((found >= high - span + 1) & (found <= low + span - 1), axis=1)
     return found[fits]
 
@@ -186,14 +187,3 @@ def _is_flat(cell: Int[np.ndarray, "m 2"]) -> bool:
     relative = cell - cell.mean(axis=0)
     spread = relative.T @ relative
     return bool(np.linalg.det(spread) < 0.2)
-
-
-def _inverse_square_root(shape: Float[np.ndarray, "n 2 2"]) -> Float[np.ndarray, "n 2 2"]:
-    """Symmetric S^(-1/2) of 2 x 2 matrices, in closed form."""
-    determinant = np.linalg.det(shape)
-    root = np.sqrt(determinant)
-    trace = shape[:, 0, 0] + shape[:, 1, 1]
-    square_root = (shape + root[:, None, None] * np.eye(2)) / np.sqrt(trace + 2 * root)[
-        :, None, None
-    ]
-    return np.linalg.inv(square_root)

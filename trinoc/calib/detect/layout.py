@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from trinoc.calib.detect.placements import symmetries
 from trinoc.calib.pattern import Pattern
 from trinoc.errors import InputError
 
@@ -19,6 +20,9 @@ class Layout(NamedTuple):
     hole_ratio : inner over outer radius of the rings; 0 without rings.
     turns : (k, 2, 2) integer maps of the lattice that rotate the sheet rigidly.
     mirrors : (k, 2, 2) those that turn it over.
+    symmetries : (s, n) permutations of the circles by turns that leave the sheet as it is, the
+        identity first.
+    is_chiral : whether the sheet differs from its mirror image.
     """
 
     steps_mm: Float[np.ndarray, "2 2"]
@@ -26,6 +30,8 @@ class Layout(NamedTuple):
     hole_ratio: float
     turns: Int[np.ndarray, "turns 2 2"]
     mirrors: Int[np.ndarray, "mirrors 2 2"]
+    symmetries: Int[np.ndarray, "s n"]
+    is_chiral: bool
 
     @property
     def extent(self) -> float:
@@ -34,12 +40,29 @@ class Layout(NamedTuple):
 
 
 def layout_of(pattern: Pattern) -> Layout:
-    """The lattice of `pattern`.
+    """The lattice of `pattern`, remembered for the next picture of it.
 
     Raises
     ------
     InputError : its circles do not span a plane lattice, so no picture can be labelled.
     """
+    key = (pattern.name, *(np.asarray(field).tobytes() for field in _fields(pattern)))
+    if key not in _remembered:
+        if len(_remembered) >= _MOST_REMEMBERED:
+            _remembered.clear()
+        _remembered[key] = _layout_of(pattern)
+    return _remembered[key]
+
+
+_remembered: dict[tuple, Layout] = {}
+_MOST_REMEMBERED = 16
+
+
+def _fields(pattern: Pattern) -> tuple[np.ndarray, ...]:
+    return pattern.centres_mm, pattern.radius_mm, pattern.inner_radius_mm, pattern.lattice
+
+
+def _layout_of(pattern: Pattern) -> Layout:
     relative = pattern.lattice - pattern.lattice.mean(axis=0)
     if len(pattern) < _FEWEST_CIRCLES or np.linalg.matrix_rank(relative) < 2:
         raise InputError(
@@ -53,12 +76,15 @@ def layout_of(pattern: Pattern) -> Layout:
     mirrors = turns @ np.array([[-1, 0], [0, 1]])
     rings = pattern.is_ring
     ratio = pattern.inner_radius_mm[rings] / pattern.radius_mm[rings]
+    turns, mirrors = _rigid(turns, steps_mm), _rigid(mirrors, steps_mm)
     return Layout(
         steps_mm=steps_mm,
         radius_mm=float(np.median(pattern.radius_mm)),
         hole_ratio=float(np.median(ratio)) if np.any(rings) else 0.0,
-        turns=_rigid(turns, steps_mm),
-        mirrors=_rigid(mirrors, steps_mm),
+        turns=turns,
+        mirrors=mirrors,
+        symmetries=symmetries(pattern, turns),
+        is_chiral=len(symmetries(pattern, mirrors)) == 0,
     )
 
 

@@ -8,9 +8,7 @@ from jaxtyping import Float, Shaped
 
 from trinoc.errors import InputError
 
-# Second difference along both axes: blind to planes of light, norm 6.
-_NOISE_KERNEL = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], dtype=np.float32) / 6.0
-_NOISE_SAMPLES = 30_000
+_NOISE_SAMPLES = 20_000
 _MAD_TO_SIGMA = 1.4826
 _SMALLEST_SIDE_PX = 16
 
@@ -57,8 +55,12 @@ def grey_picture(image: Shaped[np.ndarray, "..."]) -> GreyPicture:
 
 def _noise_sigma(grey: Float[np.ndarray, "h w"]) -> float:
     """Median absolute second difference (Immerkaer 1996, doi 10.1006/cviu.1996.0060)."""
-    second = np.abs(cv2.filter2D(grey, cv2.CV_32F, _NOISE_KERNEL))[1:-1, 1:-1].ravel()
-    step = max(1, second.size // _NOISE_SAMPLES)
-    sample = second[::step]
+    step = max(1, round(np.sqrt(grey.size / _NOISE_SAMPLES)))
+    above, middle, below = (grey[first : grey.shape[0] - 2 + first : step] for first in range(3))
+    # Second difference along both axes: blind to planes of light; the squares sum to 36.
+    down = above + below
+    down -= 2.0 * middle
+    second = down[:, :-2:step] - 2.0 * down[:, 1:-1:step] + down[:, 2::step]
+    sample = np.abs(second).ravel() / 6.0
     median = float(np.partition(sample, len(sample) // 2)[len(sample) // 2])
     return _MAD_TO_SIGMA * median

@@ -8,6 +8,7 @@ from jaxtyping import Float, Int
 from trinoc.calib.detect.blobs import Blobs
 from trinoc.calib.detect.ellipse_fit import Ellipses, refine_ellipses, start_ellipses
 from trinoc.calib.detect.ellipse_pixels import pixels_round
+from trinoc.calib.detect.ellipse_shape import smallest_axis
 from trinoc.calib.detect.labels import label_circles
 from trinoc.calib.detect.lattice import Lattice
 from trinoc.calib.detect.layout import Layout
@@ -18,7 +19,7 @@ from trinoc.calib.pattern import Pattern
 from trinoc.errors import DetectionError
 
 # Pixels of one circle that the first, coarse fit looks at, about.
-_COARSE_PIXELS = 500
+_COARSE_PIXELS = 160
 _OUTER_RADII = 1.45
 _HOLE_SIGMA = 0.2
 _FEWEST_CIRCLES = 6
@@ -114,12 +115,12 @@ def _coarse_fit(
     )
     return refine_ellipses(
         pixels,
-        start_ellipses(pixels, centres_px, shape_px2),
+        start_ellipses(pixels, centres_px, shape_px2, 1.0 / stride),
         hole_ratio=hole_ratio,
         free_hole=True,
         slope=np.zeros((count, 2)),
         noise_sigma=picture.noise_sigma,
-        outlier_shares=(0.5, 0.35, 0.25),
+        outlier_shares=(0.5, 0.25),
     )
 
 
@@ -127,8 +128,11 @@ def _fine_fit(
     picture: GreyPicture, coarse: Ellipses, slope: Float[np.ndarray, "n 2"], layout: Layout
 ) -> Ellipses:
     """Fit with all pixels of a band round the outer edge."""
-    minor = np.sqrt(np.linalg.eigvalsh(coarse.shape_px2)[:, 0])
-    band = (3.0 * coarse.blur_px + 1.0) / minor
+    # Sharpening in the camera and the like leave residuals that no circle is to be blamed for.
+    typical = float(np.median(coarse.residual_sigma / np.abs(coarse.paper * coarse.ink)))
+    outlier_share = float(np.clip(3.5 * typical, 0.08, 0.5))
+    minor = smallest_axis(coarse.shape_px2)
+    band = (2.6 * coarse.blur_px + 0.7) / minor
     halfway = 0.5 * (1.0 + layout.hole_ratio) if layout.hole_ratio > 0 else 0.3
     pixels = pixels_round(
         picture.grey,
@@ -144,7 +148,7 @@ def _fine_fit(
         free_hole=False,
         slope=slope,
         noise_sigma=picture.noise_sigma,
-        outlier_shares=(0.15, 0.08),
+        outlier_shares=(outlier_share,),
     )
 
 
@@ -166,7 +170,8 @@ def _measure_all(
         extra = _coarse_fit(picture, centre, shape, layout.hole_ratio)
         like = _plausible(extra, centre, shape, picture.noise_sigma)
         like &= np.abs(extra.hole - pattern.is_ring[missing]) < 0.5
-        like &= np.abs(np.log(extra.paper * extra.ink / np.median(coarse.paper * coarse.ink))) < 1.0
+        contrast = (extra.paper * extra.ink) / np.median(coarse.paper * coarse.ink)
+        like &= (contrast > 0.35) & (contrast < 3.0)
         coarse = _join(coarse, extra.take(like))
         index = np.concatenate([index, missing[like]])
     start = coarse._replace(hole=pattern.is_ring[index].astype(float))
@@ -190,7 +195,9 @@ def _plausible(
     area_ratio = area_ratio / np.median(area_ratio)
     contrast = fitted.paper * fitted.ink
     typical = np.median(contrast)
-    allowed = np.sqrt((1.6 * noise_sigma) ** 2 + (0.12 * contrast) ** 2)
+    relative = np.abs(fitted.residual_sigma / contrast)
+    misfit = max(0.12, 1.6 * float(np.median(relative)))
+    allowed = np.sqrt((1.6 * noise_sigma / contrast) ** 2 + misfit**2)
     return (
         np.isfinite(miss2)
         & (miss2 < 0.5**2)
@@ -198,25 +205,26 @@ def _plausible(
         & (contrast > 0.3 * typical)
         & (contrast < 3.0 * typical)
         & (fitted.kept > 0.8)
-        & (fitted.residual_sigma < allowed)
+        & (relative < allowed)
     )
 
 
 def _agrees(fitted: Ellipses, index: Int[np.ndarray, "m"], pattern: Pattern) -> np.ndarray:
     """Circles that lie where a smooth picture of the sheet puts them."""
     good = np.ones(len(index), dtype=bool)
+    own = np.sqrt(np.trace(fitted.covariance_px2, axis1=1, axis2=2))
+    sharp = 0.03 * smallest_axis(fitted.shape_px2)
+    centres_mm, radius_mm = pattern.centres_mm[index], pattern.radius_mm[index]
     for _ in range(3):
         if np.sum(good) < _FEWEST_CIRCLES:
             break
-        warp = fit_warp(
-            pattern.centres_mm[index[good]], fitted.centres_px[good], pattern.radius_mm[index[good]]
-        )
-        centre, shape = warp.ellipses(pattern.centres_mm[index], pattern.radius_mm[index])
-        miss = np.linalg.norm(fitted.centres_px - centre, axis=1)
-        own = np.sqrt(np.trace(fitted.covariance_px2, axis1=1, axis2=2))
-        typical = float(np.median(miss[good]))
-        sharp = 0.03 * np.sqrt(np.linalg.eigvalsh(shape)[:, 0])
-        good = miss < 5.0 * typical + 5.0 * own + sharp
+        warp = fit_warp(centres_mm[good], fitted.centres_px[good], radius_mm[good])
+        centre, _ = warp.ellipses(centres_mm, radius_mm)
+        off = fitted.centres_px - centre
+        miss = np.sqrt(off[:, 0] ** 2 + off[:, 1] ** 2)
+        before, good = good, miss < 5.0 * np.median(miss[good]) + 5.0 * own + sharp
+        if np.array_equal(before, good):
+            break
     return good
 
 
