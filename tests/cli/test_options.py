@@ -4,10 +4,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tyro
 from hypothesis import given
 from hypothesis import strategies as st
 
 import trinoc
+from trinoc.cli.calibrate import Calibrate
 from trinoc.cli.command import UsageError
 from trinoc.cli.lens_options import LensOptions
 from trinoc.cli.views import files_of_views
@@ -65,3 +67,22 @@ def test_lens_that_is_not_determined_is_wrong_usage(options):
 def test_lens_that_cannot_be_is_refused():
     with pytest.raises(InputError, match="must be positive"):
         LensOptions(focal_length_mm=-16.0, pixel_pitch_mm=(0.01, 0.01)).lenses(SIZES)
+
+
+@pytest.mark.parametrize(
+    "lens",
+    [
+        ("--pixel-pitch-mm", "0.01", "0.02", "--focal-length-mm", "16"),
+        ("--focal-length-mm", "16", "--pixel-pitch-mm", "0.01", "0.02"),
+        ("--intrinsics", "upper=a.json", "--intrinsics", "left=b.json"),
+        ("--intrinsics", "a.json"),
+    ],
+)
+def test_pictures_may_follow_the_options(lens):
+    """An option that takes any number of values would swallow them."""
+    options, pictures = ("--pattern", "p.json", *lens), ("upper=u.png", "left=l.png")
+    config = (tyro.conf.OmitArgPrefixes,)
+    before = tyro.cli(Calibrate, args=[*pictures, *options], config=config)
+    after = tyro.cli(Calibrate, args=[*options, *pictures], config=config)
+    assert before == after
+    assert after.pictures == pictures

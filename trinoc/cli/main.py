@@ -16,6 +16,7 @@ import tyro
 import trinoc
 from trinoc.cli.calibrate import Calibrate
 from trinoc.cli.command import Command, UsageError
+from trinoc.cli.demo import Demo
 from trinoc.cli.match import Match
 from trinoc.cli.pattern import Pattern
 from trinoc.cli.segments import Segments
@@ -27,7 +28,8 @@ DESCRIPTION = (
 )
 
 AnyCommand = (
-    Annotated[Pattern, tyro.conf.subcommand("pattern")]
+    Annotated[Demo, tyro.conf.subcommand("demo")]
+    | Annotated[Pattern, tyro.conf.subcommand("pattern")]
     | Annotated[Calibrate, tyro.conf.subcommand("calibrate")]
     | Annotated[Segments, tyro.conf.subcommand("segments")]
     | Annotated[Match, tyro.conf.subcommand("match")]
