@@ -27,7 +27,7 @@ class Candidates(NamedTuple):
 
     index : segment in each of the views (-1 in views that take no part).
     part : common part on each segment. ends_mm : ends in space.
-    chi_square, log_density : see TripleEvidence. end_log : see `end_evidence`.
+    chi_square, log_density, outer_..., px_per_mm : see TripleEvidence. end_log : see `end_evidence`.
     """
 
     index: Int[np.ndarray, "m v"]
@@ -36,6 +36,9 @@ class Candidates(NamedTuple):
     chi_square: Float[np.ndarray, "m"]
     log_density: Float[np.ndarray, "m"]
     end_log: Float[np.ndarray, "m 2 c"]
+    outer_mm: Float[np.ndarray, "m 2 3"]
+    outer_covariance_mm2: Float[np.ndarray, "m 2 6"]
+    px_per_mm: Float[np.ndarray, "m"]
 
 
 def trinocular_candidates(
@@ -145,6 +148,9 @@ def _judge(
         np.asarray(found.chi_square)[keep],
         np.asarray(found.log_density)[keep],
         _stacked(end_log, keep),
+        _stacked(found.outer_mm, keep),
+        _stacked(found.outer_covariance_mm2, keep),
+        np.asarray(found.px_per_mm)[keep],
     )
 
 

@@ -18,7 +18,7 @@ from trinoc.match.fragments import SMALLEST_OVERLAP
 from trinoc.match.picture_lines import PictureLines
 from trinoc.match.sight import SightPlane, extent_on_line, sight_plane
 from trinoc.match.third_view import GATE
-from trinoc.match.vectors import Scalar, Vector3, add3, cross3, dot3, scaled3, unit3
+from trinoc.match.vectors import Scalar, Symmetric3, Vector3, add3, cross3, dot3, outer3, unit3
 
 # The second longest of the segments is at least this share of the longest, on the line:
 # chords of a cylinder's rim against its silhouette are not.
@@ -35,6 +35,9 @@ class TripleEvidence(NamedTuple):
         the density of lines in space, the heavy tail and the ends.
     extent_px : (3, 2) where each view's segment begins and ends along the line, in mean pixels.
     part : (3, 2) the common part on each segment, 0 at its first end and 1 at its second.
+    outer_mm : ends of the part that any of the three shows. outer_covariance_mm2 : of these,
+        across the line; xx, xy, xz, yy, yz, zz.
+    px_per_mm : mean image length per length along the line.
     """
 
     ends_mm: tuple[Vector3, Vector3]
@@ -43,6 +46,9 @@ class TripleEvidence(NamedTuple):
     log_density: Scalar
     extent_px: tuple[tuple[Scalar, Scalar], ...]
     part: tuple[tuple[Scalar, Scalar], ...]
+    outer_mm: tuple[Vector3, Vector3]
+    outer_covariance_mm2: tuple[Symmetric3, Symmetric3]
+    px_per_mm: Scalar
 
 
 class Strangers(NamedTuple):
@@ -101,13 +107,23 @@ def triple_evidence(
     second = length[0] + length[1] + length[2] - shortest - longest
     possible = overlaps & (common > SMALLEST_OVERLAP * shortest) & (chi_square < GATE)
     possible &= (second > SHORTEST_TO_LONGEST * longest) & jnp.isfinite(log_density)
+    first = jnp.minimum(jnp.minimum(low[0], low[1]), low[2])
+    last = jnp.maximum(jnp.maximum(high[0], high[1]), high[2])
+    outer = add3(origin, along, first), add3(origin, along, last)
+    outer_planes = [sight_plane(lines, views[k], segments[k], outer) for k in range(3)]
+    (outer_first, covariance_first), (outer_last, covariance_last) = (
+        adjusted(outer[e], e, along, outer_planes) for e in range(2)
+    )
     return TripleEvidence(
-        adjusted(points, along, planes),
+        (adjusted(points[0], 0, along, planes)[0], adjusted(points[1], 1, along, planes)[0]),
         possible,
         chi_square,
         log_density,
         extents_px,
         tuple(plane.part for plane in planes),
+        (outer_first, outer_last),
+        (covariance_first, covariance_last),
+        px_per_mm,
     )
 
 
@@ -125,29 +141,21 @@ def log_lengths(lengths_px: list[Scalar], typical_px: Float[ArrayLike, ""]) -> S
 
 
 def adjusted(
-    points: tuple[Vector3, Vector3], along: Vector3, planes: list[SightPlane]
-) -> tuple[Vector3, Vector3]:
-    """Move two points across the line to the weighted least-squares fit of all planes."""
+    point: Vector3, end: int, along: Vector3, planes: list[SightPlane]
+) -> tuple[Vector3, Symmetric3]:
+    """(a point moved across the line to the weighted least-squares fit of all planes, its
+    covariance across the line); `end` is 0 or 1, the point's number in the planes."""
     first = planes[0].normal
     second = cross3(along, first)
-    n = [(dot3(first, plane.normal), dot3(second, plane.normal)) for plane in planes]
-
-    def moved(end: int) -> Vector3:
-        weight = [1 / plane.variance_mm2[2 * end] for plane in planes]
-        a00, a01, a11, b0, b1 = (
-            sum(w * f(m, p.distance_mm[end]) for w, m, p in zip(weight, n, planes, strict=True))
-            for f in (
-                lambda m, d: m[0] * m[0],
-                lambda m, d: m[0] * m[1],
-                lambda m, d: m[1] * m[1],
-                lambda m, d: m[0] * d,
-                lambda m, d: m[1] * d,
-            )
-        )
-        determinant = a00 * a11 - a01 * a01
-        shift_first = (a11 * b0 - a01 * b1) / determinant
-        shift_second = (a00 * b1 - a01 * b0) / determinant
-        shift = add3(scaled3(first, shift_first), second, shift_second)
-        return add3(points[end], shift, -1.0)
-
-    return moved(0), moved(1)
+    a00, a01, a11, b0, b1 = 0.0, 0.0, 0.0, 0.0, 0.0
+    for plane in planes:
+        n0, n1 = dot3(first, plane.normal), dot3(second, plane.normal)
+        weight = 1 / plane.variance_mm2[2 * end]
+        a00, a01, a11 = a00 + weight * n0 * n0, a01 + weight * n0 * n1, a11 + weight * n1 * n1
+        b0 = b0 + weight * n0 * plane.distance_mm[end]
+        b1 = b1 + weight * n1 * plane.distance_mm[end]
+    determinant = a00 * a11 - a01 * a01
+    moved = add3(point, first, -(a11 * b0 - a01 * b1) / determinant)
+    moved = add3(moved, second, -(a00 * b1 - a01 * b0) / determinant)
+    spread = (a11 / determinant, -a01 / determinant, a00 / determinant)
+    return moved, outer3(first, second, spread)

@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from trinoc.match.candidates import Candidates
 from trinoc.match.ends import USUAL_SHARES
@@ -16,10 +16,14 @@ from trinoc.match.evidence import (
     probability,
 )
 from trinoc.match.exclusivity import Conflicts, beliefs, chosen_greedily, conflicts
+from trinoc.match.neighbours import USUAL_HABITS, JunctionHabits, junctions, support
 
 ROUNDS = 4
-# Candidates with log odds below this before any rivalry are let go.
-HOPELESS = -6.0
+NEIGHBOUR_ROUNDS = 4
+# Candidates with log odds below these are let go: before and after habits are learned.
+HOPELESS, HOPELESS_LEARNED = -10.0, -7.0
+# With fewer junctions than this share of ends there is no structure to speak of.
+LEAST_JOINED = 0.1
 
 
 class Selection(NamedTuple):
@@ -28,9 +32,10 @@ class Selection(NamedTuple):
     candidates: Candidates
     log_odds: Float[np.ndarray, "m"]
     belief: Float[np.ndarray, "m"]
-    taken: np.ndarray
+    taken: Bool[np.ndarray, "m"]
     graph: Conflicts
     habits: Habits
+    joined: JunctionHabits
 
 
 def select(candidates: Candidates, typical_count: float) -> Selection:
@@ -42,20 +47,52 @@ def select(candidates: Candidates, typical_count: float) -> Selection:
         USUAL_SHARES / USUAL_SHARES.sum(),
         log_line_density(middles, share),
     )
-    odds = _odds(candidates, habits)
-    candidates = Candidates(*(field[odds > HOPELESS] for field in candidates))
-    middles = candidates.ends_mm.mean(axis=1)
+    candidates = _above(candidates, _odds(candidates, habits), HOPELESS)
     graph = conflicts(candidates.index, candidates.part)
-    belief = _odds(candidates, habits)
     for _ in range(ROUNDS):
         belief = beliefs(_odds(candidates, habits), graph)
-        habits = learn(
-            candidates.chi_square, candidates.end_log, middles, probability(belief), habits
-        )
+        habits = _learned(candidates, belief, habits)
+    candidates = _above(candidates, _odds(candidates, habits), HOPELESS_LEARNED)
+    graph = conflicts(candidates.index, candidates.part)
     odds = _odds(candidates, habits)
     belief = beliefs(odds, graph)
-    return Selection(candidates, odds, belief, chosen_greedily(belief, graph), graph, habits)
+    odds, belief, joined = _with_neighbours(candidates, graph, odds, belief, habits)
+    return Selection(
+        candidates, odds, belief, chosen_greedily(belief, graph), graph, habits, joined
+    )
+
+
+def _with_neighbours(
+    candidates: Candidates,
+    graph: Conflicts,
+    odds: Float[np.ndarray, "m"],
+    belief: Float[np.ndarray, "m"],
+    habits: Habits,
+) -> tuple[Float[np.ndarray, "m"], Float[np.ndarray, "m"], JunctionHabits]:
+    meetings, joined = junctions(candidates), USUAL_HABITS
+    # Each line has two ends; its density is also one per direction, of 2 pi.
+    log_ends_density = habits.log_line_density + np.log(2 * np.pi) + np.log(2)
+    alone = odds, belief
+    for _ in range(NEIGHBOUR_ROUNDS):
+        gain, joined = support(meetings, probability(belief), log_ends_density, joined)
+        odds = alone[0] + gain
+        belief = beliefs(odds, graph)
+    if joined.joined < LEAST_JOINED:
+        return *alone, joined
+    return odds, belief, joined
+
+
+def _above(
+    candidates: Candidates, odds: Float[np.ndarray, "m"], least: float
+) -> Candidates:
+    return Candidates(*(field[odds > least] for field in candidates))
 
 
 def _odds(candidates: Candidates, habits: Habits) -> Float[np.ndarray, "m"]:
     return log_odds(candidates.chi_square, candidates.log_density, candidates.end_log, habits)
+
+
+def _learned(candidates: Candidates, belief: Float[np.ndarray, "m"], habits: Habits) -> Habits:
+    middles = candidates.ends_mm.mean(axis=1)
+    posterior = probability(belief)
+    return learn(candidates.chi_square, candidates.end_log, middles, posterior, habits)

@@ -13,6 +13,8 @@ from trinoc.geometry.arrays import ArrayLike
 Scalar = Float[ArrayLike, ""]
 Vector2 = tuple[Scalar, Scalar]
 Vector3 = tuple[Scalar, Scalar, Scalar]
+# xx, xy, xz, yy, yz, zz
+Symmetric3 = tuple[Scalar, Scalar, Scalar, Scalar, Scalar, Scalar]
 
 
 def vector2(array: Float[ArrayLike, "2"]) -> Vector2:
@@ -52,6 +54,16 @@ def scaled3(a: Vector3, factor: Scalar) -> Vector3:
 def unit3(a: Vector3) -> Vector3:
     """a at unit length."""
     return scaled3(a, 1 / jnp.sqrt(dot3(a, a)))
+
+
+def outer3(a: Vector3, b: Vector3, weights: tuple[Scalar, Scalar, Scalar]) -> Symmetric3:
+    """w0 a a^T + w1 (a b^T + b a^T) + w2 b b^T."""
+    w0, w1, w2 = weights
+    entries = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+    xx, xy, xz, yy, yz, zz = (
+        w0 * a[i] * a[j] + w1 * (a[i] * b[j] + a[j] * b[i]) + w2 * b[i] * b[j] for i, j in entries
+    )
+    return xx, xy, xz, yy, yz, zz
 
 
 def times_matrix(matrix: Float[ArrayLike, "3 3"], a: Vector3) -> Vector3:

@@ -1,0 +1,139 @@
+"""Step 2: if a candidate is right, its neighbour is matched at the neighbouring position.
+
+Two lines that meet at their ends in space do so in all views at once, and strangers hardly
+ever do: a junction speaks for both its candidates, as far as the other one is believed.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial import cKDTree
+
+from trinoc.match.candidates import Candidates
+
+# Ends meet when, in pixels, they lie within this of each other.
+REACH_PX = 15.0
+# sin of the least angle between lines that meet.
+SMALLEST_ANGLE = 0.15
+# How far ends stop from their junction, in pixels, and how often each.
+GAPS_PX = np.array([1.0, 3.0, 8.0])
+USUAL_GAPS = np.array([0.6, 0.3, 0.1])
+USUAL_JOINED = 0.5
+# Lines meet as well as their covariances say, or worse by this, in so many of cases.
+LOOSE, LOOSE_SHARE = 3.0, 0.15
+
+
+class Junctions(NamedTuple):
+    """Directed edges between ends (end = 2 * candidate + 0 or 1), sorted by the first.
+
+    site, other : the ends. log_meeting : (e, k) log density of the meeting under each gap
+        scale over that of strangers, apart from the density of lines in space.
+    """
+
+    site: Int[np.ndarray, "e"]
+    other: Int[np.ndarray, "e"]
+    log_meeting: Float[np.ndarray, "e k"]
+
+
+class JunctionHabits(NamedTuple):
+    """Share of ends at a junction, and of each gap scale at those."""
+
+    joined: float
+    gaps: Float[np.ndarray, "k"]
+
+
+USUAL_HABITS = JunctionHabits(USUAL_JOINED, USUAL_GAPS)
+
+
+def junctions(candidates: Candidates) -> Junctions:
+    """All meetings of ends of candidates that have no segment in common."""
+    ends = candidates.outer_mm.reshape(-1, 3)
+    reach = REACH_PX / float(np.median(candidates.px_per_mm)) if len(ends) else 0.0
+    pairs = cKDTree(ends).query_pairs(reach, output_type="ndarray") if len(ends) else _NONE
+    first, second = pairs[:, 0] // 2, pairs[:, 1] // 2
+    strangers = (first != second) & ~_share_a_segment(candidates.index, first, second)
+    pairs = pairs[strangers]
+    log_meeting = _log_meeting(candidates, pairs)
+    near = np.isfinite(log_meeting).all(axis=1) & (log_meeting.max(axis=1) > -20)
+    pairs, log_meeting = pairs[near], log_meeting[near]
+    site = np.concatenate([pairs[:, 0], pairs[:, 1]])
+    order = np.argsort(site, kind="stable")
+    return Junctions(
+        site[order],
+        np.concatenate([pairs[:, 1], pairs[:, 0]])[order],
+        np.concatenate([log_meeting, log_meeting])[order],
+    )
+
+
+_NONE = np.zeros((0, 2), dtype=np.int64)
+
+
+def _share_a_segment(
+    index: Int[np.ndarray, "m v"], first: Int[np.ndarray, "e"], second: Int[np.ndarray, "e"]
+) -> np.ndarray:
+    return ((index[first] == index[second]) & (index[first] >= 0)).any(axis=1)
+
+
+def _log_meeting(
+    candidates: Candidates, pairs: Int[np.ndarray, "e 2"]
+) -> Float[np.ndarray, "e k"]:
+    step = candidates.outer_mm[:, 1] - candidates.outer_mm[:, 0]
+    direction = step / np.linalg.norm(step, axis=1, keepdims=True)
+    ends = candidates.outer_mm.reshape(-1, 3)
+    m, n = pairs[:, 0] // 2, pairs[:, 1] // 2
+    apart = ends[pairs[:, 1]] - ends[pairs[:, 0]]
+    normal = np.cross(direction[m], direction[n])
+    sine2 = (normal**2).sum(axis=1)
+    sine = np.sqrt(sine2)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        distance = (apart * normal).sum(axis=1) / sine
+        gap_m = (np.cross(apart, direction[n]) * normal).sum(axis=1) / sine2
+        gap_n = (np.cross(apart, direction[m]) * normal).sum(axis=1) / sine2
+        unit = normal / sine[:, None]
+        covariance = candidates.outer_covariance_mm2.reshape(-1, 6)
+        spread = covariance[pairs[:, 0]] + covariance[pairs[:, 1]]
+        variance = (spread[:, [0, 3, 5]] * unit**2).sum(axis=1) + 2 * (
+            spread[:, [1, 2, 4]] * unit[:, [0, 0, 1]] * unit[:, [1, 2, 2]]
+        ).sum(axis=1)
+        chi = distance**2 / variance
+        log_distance = -0.5 * np.log(2 * np.pi * variance) + np.log(
+            (1 - LOOSE_SHARE) * np.exp(-chi / 2)
+            + LOOSE_SHARE / LOOSE * np.exp(-chi / (2 * LOOSE**2))
+        )
+        scale_m, scale_n = candidates.px_per_mm[m, None], candidates.px_per_mm[n, None]
+        log_gaps = -0.5 * (
+            (gap_m[:, None] * scale_m) ** 2 + (gap_n[:, None] * scale_n) ** 2
+        ) / GAPS_PX**2 + np.log(scale_m * scale_n / (2 * np.pi * GAPS_PX**2))
+        log_meeting = log_distance[:, None] + log_gaps - np.log(sine)[:, None]
+    log_meeting[sine < SMALLEST_ANGLE] = -np.inf
+    return log_meeting
+
+
+def support(
+    graph: Junctions,
+    posterior: Float[np.ndarray, "m"],
+    log_ends_density: float,
+    habits: JunctionHabits,
+) -> tuple[Float[np.ndarray, "m"], JunctionHabits]:
+    """(log odds that its neighbours add to each candidate, habits learned in passing).
+
+    `log_ends_density` is the log of ends of lines per volume.
+    """
+    ends = 2 * len(posterior)
+    terms = np.exp(np.clip(graph.log_meeting - log_ends_density, -50, 50)) * habits.gaps
+    terms *= posterior[graph.other // 2, None]
+    total = np.stack(
+        [np.bincount(graph.site, terms[:, k], minlength=ends) for k in range(terms.shape[1])],
+        axis=1,
+    )
+    joined = habits.joined * total.sum(axis=1)
+    gain = np.log(1 - habits.joined + joined)
+    # How much of each end is a junction, and at which gap, if its candidate is right.
+    share = habits.joined * total / np.exp(gain)[:, None]
+    weight = np.repeat(posterior, 2)
+    seen = weight @ share + 5 * USUAL_JOINED * USUAL_GAPS
+    learned = JunctionHabits(
+        float(np.clip(seen.sum() / (weight.sum() + 5), 0.01, 0.99)), seen / seen.sum()
+    )
+    return gain.reshape(-1, 2).sum(axis=1), learned
