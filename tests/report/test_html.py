@@ -6,6 +6,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
+import plotly.graph_objects as go
 import pytest
 
 from trinoc.calib.result import CalibrationResult, Status
@@ -203,6 +204,7 @@ def test_the_figure_in_space_has_equal_axes(whole: str) -> None:
         r'<script type="application/json" id="space-numbers">(.*?)</script>', whole
     )
     figure = json.loads(store)
+    go.Figure(figure)  # raises where plotly does not know a property
     scene = figure["layout"]["scene"]
     spans = [np.ptp(scene[f"{axis}axis"]["range"]) for axis in "xyz"]
     ratios = [scene["aspectratio"][axis] for axis in "xyz"]

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import matplotlib
 import numpy as np
 import pytest
+from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 
 from trinoc.calib.result import CalibrationResult
@@ -19,19 +20,19 @@ from matplotlib import pyplot as plt
 
 
 @pytest.fixture
-def axes() -> Iterator[plt.Axes]:
+def axes() -> Iterator[Axes]:
     figure, axes = plt.subplots()
     yield axes
     figure.canvas.draw()
     plt.close(figure)
 
 
-def _lines(axes: plt.Axes) -> list[int]:
+def _lines(axes: Axes) -> list[int]:
     return [len(c.get_segments()) for c in axes.collections if isinstance(c, LineCollection)]
 
 
 def test_a_detection(
-    axes: plt.Axes, result: CalibrationResult, sheet_pictures: dict[str, np.ndarray]
+    axes: Axes, result: CalibrationResult, sheet_pictures: dict[str, np.ndarray]
 ) -> None:
     fit = result.fits["left"]
     plot.draw_detection(axes, sheet_pictures["left"], fit, magnification=1000)
@@ -47,7 +48,7 @@ def test_a_detection(
 
 
 def test_segments_and_tracks(
-    axes: plt.Axes,
+    axes: Axes,
     segments: dict[str, Segments],
     matches: Matches,
     scene_pictures: dict[str, np.ndarray],

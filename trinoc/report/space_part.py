@@ -1,8 +1,10 @@
 """The rig, the sheet and the 3-D segments: a figure to turn, in mm with equal axes."""
 
+import html
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from trinoc.calib.pattern import Pattern
 from trinoc.geometry.rig import Rig
@@ -25,9 +27,7 @@ BOX_DIAGONAL = 2.1
 
 def space_figure(rig: Rig, pattern: Pattern | None, matches: Matches | None) -> dict[str, Any]:
     """The figure as plotly's JSON. Its first view holds the segments, or the rig without any."""
-    import plotly.graph_objects as go
-
-    traces: list[Any] = []
+    traces: list[dict[str, Any]] = []
     if matches is not None and len(matches):
         sigmas = track_sigmas(matches)
         for stage, colour in ((TRINOCULAR, BLUE), (BINOCULAR, VERMILION)):
@@ -41,44 +41,44 @@ def space_figure(rig: Rig, pattern: Pattern | None, matches: Matches | None) -> 
     traces.append(_lines("cameras", frusta(rig), GREEN, 3))
     traces.append(_camera_names(rig))
     views = _views(rig, pattern, matches)
-    figure = go.Figure(traces)
-    figure.update_layout(_layout(views))
-    return figure.to_plotly_json()
+    return {"data": traces, "layout": _layout(views)}
 
 
-def _lines(name: str, parts: list[np.ndarray], colour: str, width: int) -> Any:
-    import plotly.graph_objects as go
-
-    x, y, z = polyline(parts).T
-    return go.Scatter3d(
-        x=_or_none(x), y=_or_none(y), z=_or_none(z),
-        mode="lines", name=name, line={"color": colour, "width": width}, hoverinfo="skip",
-    )  # fmt: skip
+def _lines(name: str, parts: list[np.ndarray], colour: str, width: int) -> dict[str, Any]:
+    points = polyline(parts)
+    return _trace(
+        points,
+        mode="lines",
+        name=name,
+        line={"color": colour, "width": width},
+        hoverinfo="skip",
+    )
 
 
 def _segments_trace(
     matches: Matches, sigmas: TrackSigmas, tracks: np.ndarray, stage: str, colour: str
-) -> Any:
-    import plotly.graph_objects as go
-
-    points, words = [], []
+) -> dict[str, Any]:
+    parts, words = [], []
     for track in tracks.tolist():
         ends = np.asarray(matches.lines_mm[track])
-        points.append(np.stack([ends[0], ends.mean(axis=0), ends[1]]))
+        parts.append(np.stack([ends[0], ends.mean(axis=0), ends[1]]))
         words.extend([*_hover(matches, sigmas, track), ""])
-    x, y, z = polyline(points).T
-    return go.Scatter3d(
-        x=_or_none(x), y=_or_none(y), z=_or_none(z), text=words,
-        mode="lines", name=f"{stage} ({len(tracks)})",
-        line={"color": colour, "width": 5}, hovertemplate="%{text}<extra></extra>",
-    )  # fmt: skip
+    points = polyline(parts)
+    return _trace(
+        points,
+        text=words,
+        mode="lines",
+        name=f"{stage} ({len(tracks)})",
+        line={"color": colour, "width": 5},
+        hovertemplate="%{text}<extra></extra>",
+    )
 
 
 def _hover(matches: Matches, sigmas: TrackSigmas, track: int) -> list[str]:
     """The words at the first end, the middle and the second end of a track."""
     length = with_sigma(float(sigmas.length_mm[track]), float(sigmas.length_sigma_mm[track]))
     seen = ", ".join(
-        f"{view} {index}"
+        f"{_plain(view)} {index}"
         for view, index in zip(matches.views, np.asarray(matches.index[track]), strict=True)
         if index >= 0
     )
@@ -100,10 +100,8 @@ def _hover(matches: Matches, sigmas: TrackSigmas, track: int) -> list[str]:
     return [ends[0], f"{head}<br>across the segment: sigma {across} mm", ends[1]]
 
 
-def _error_bars(matches: Matches) -> Any:
+def _error_bars(matches: Matches) -> dict[str, Any]:
     """One sigma to both sides along the principal axes of each end's covariance."""
-    import plotly.graph_objects as go
-
     parts = []
     for ends, covariance in zip(matches.lines_mm, matches.covariance_mm2, strict=True):
         for end, block in zip(ends, (covariance[:3, :3], covariance[3:, 3:]), strict=True):
@@ -112,43 +110,51 @@ def _error_bars(matches: Matches) -> Any:
                 for variance, axis in zip(variances, axes.T, strict=True):
                     reach = np.sqrt(max(float(variance), 0.0)) * axis
                     parts.append(np.stack([end - reach, end + reach]))
-    x, y, z = polyline(parts or [np.full((1, 3), np.nan)]).T
-    return go.Scatter3d(
-        x=_or_none(x), y=_or_none(y), z=_or_none(z),
-        mode="lines", name="error bars (1 sigma)", visible="legendonly",
-        line={"color": BLACK, "width": 3}, hoverinfo="skip",
-    )  # fmt: skip
+    points = polyline(parts or [np.full((1, 3), np.nan)])
+    return _trace(
+        points,
+        mode="lines",
+        name="error bars (1 sigma)",
+        visible="legendonly",
+        line={"color": BLACK, "width": 3},
+        hoverinfo="skip",
+    )
 
 
-def _axes(pattern: Pattern | None, matches: Matches | None) -> Any:
-    import plotly.graph_objects as go
-
+def _axes(pattern: Pattern | None, matches: Matches | None) -> dict[str, Any]:
     box = content_box(pattern, matches)
     reach = 0.25 * float(np.max(box.high_mm - box.low_mm)) if box else 50.0
     points = polyline([np.stack([np.zeros(3), reach * axis]) for axis in np.eye(3)])
-    x, y, z = points.T
     labels = ["", "X", "", "", "Y", "", "", "Z", ""]
-    return go.Scatter3d(
-        x=_or_none(x), y=_or_none(y), z=_or_none(z), text=labels,
-        mode="lines+text", name="world axes",
-        line={"color": BLACK, "width": 4}, textfont={"color": BLACK, "size": 15}, hoverinfo="skip",
-    )  # fmt: skip
+    return _trace(
+        points,
+        text=labels,
+        mode="lines+text",
+        name="world axes",
+        line={"color": BLACK, "width": 4},
+        textfont={"color": BLACK, "size": 15},
+        hoverinfo="skip",
+    )
 
 
-def _camera_names(rig: Rig) -> Any:
-    import plotly.graph_objects as go
-
+def _camera_names(rig: Rig) -> dict[str, Any]:
     centres = np.stack([camera.centre_world_mm for _, camera in rig.items()])
     words = [
-        f"{name}<br>centre ({', '.join(with_decimals(float(x), 2) for x in centre)}) mm"
+        f"{_plain(name)}<br>centre ({', '.join(with_decimals(float(x), 2) for x in centre)}) mm"
         for name, centre in zip(rig, centres, strict=True)
     ]
-    return go.Scatter3d(
-        x=centres[:, 0].tolist(), y=centres[:, 1].tolist(), z=centres[:, 2].tolist(),
-        text=list(rig), customdata=words, hovertemplate="%{customdata}<extra></extra>",
-        mode="markers+text", textposition="top center", showlegend=False, name="camera names",
-        marker={"color": GREEN, "size": 4}, textfont={"color": BLACK, "size": 14},
-    )  # fmt: skip
+    return _trace(
+        centres,
+        text=[_plain(name) for name in rig],
+        customdata=words,
+        hovertemplate="%{customdata}<extra></extra>",
+        mode="markers+text",
+        textposition="top center",
+        showlegend=False,
+        name="camera names",
+        marker={"color": GREEN, "size": 4},
+        textfont={"color": BLACK, "size": 14},
+    )
 
 
 def _views(rig: Rig, pattern: Pattern | None, matches: Matches | None) -> list[tuple[str, Box]]:
@@ -217,6 +223,15 @@ def _layout(views: list[tuple[str, Box]]) -> dict[str, Any]:
     }
 
 
-def _or_none(values: np.ndarray) -> list[float | None]:
-    """Rounded to a micrometre; plotly breaks a line at None."""
-    return [round(value, 3) if np.isfinite(value) else None for value in values.tolist()]
+def _trace(points_mm: Float[np.ndarray, "n 3"], **look: Any) -> dict[str, Any]:
+    """Points in space as plotly has them: rounded to a micrometre, a line broken at null."""
+    x, y, z = (
+        [round(value, 3) if np.isfinite(value) else None for value in column.tolist()]
+        for column in points_mm.T
+    )
+    return {"type": "scatter3d", "x": x, "y": y, "z": z, **look}
+
+
+def _plain(words: str) -> str:
+    """A name that plotly shows as it is, without reading tags into it."""
+    return html.escape(words, quote=False)

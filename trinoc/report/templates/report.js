@@ -108,6 +108,14 @@ document.querySelectorAll(".dimmer input").forEach((input) => {
         show(view, [x, y]);
       });
     });
+    // A click anywhere else brings the correspondences back.
+    document.addEventListener("click", (event) => {
+      if (event.target.closest && event.target.closest(`svg[data-epipolar="${key}"]`)) return;
+      pictures.forEach((svg) => {
+        svg.classList.remove("has-clicked");
+        svg.querySelector(".clicked").innerHTML = "";
+      });
+    });
   });
 })();
 
