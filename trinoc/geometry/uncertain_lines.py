@@ -1,0 +1,110 @@
+"""3-D segments whose errors are partly their own and partly shared, and measures of them."""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from trinoc.geometry.arrays import ArrayLike
+from trinoc.geometry.precision import in_float64
+
+
+class Measure(NamedTuple):
+    """A value and its standard deviation, in the unit that the measure names."""
+
+    value: float
+    sigma: float
+
+
+class UncertainLines(eqx.Module):
+    """3-D segments with the covariance of any number of them together.
+
+    Fields
+    ------
+    ends_mm : (t, 2, 3)
+    own_covariance_mm2 : (t, 6, 6) part that comes from each segment's own fragments.
+    by_parameters : (t, 6, k) derivative of the ends by the cameras' parameters.
+    parameter_covariance : (k, k) of those parameters: the part that all segments share.
+    """
+
+    ends_mm: Float[np.ndarray, "t 2 3"]
+    own_covariance_mm2: Float[np.ndarray, "t 6 6"]
+    by_parameters: Float[np.ndarray, "t 6 k"]
+    parameter_covariance: Float[np.ndarray, "k k"]
+
+    def __len__(self) -> int:
+        return len(self.ends_mm)
+
+    @property
+    def shared_covariance_mm2(self) -> Float[np.ndarray, "t 6 6"]:
+        """Part of each segment's covariance that comes from the cameras."""
+        by = self.by_parameters
+        return np.einsum("tik,kl,tjl->tij", by, self.parameter_covariance, by, optimize=True)
+
+    @property
+    def covariance_mm2(self) -> Float[np.ndarray, "t 6 6"]:
+        """Covariance of the ends of each segment: own and shared parts together."""
+        return self.own_covariance_mm2 + self.shared_covariance_mm2
+
+    def joint_covariance_mm2(self, segments: Sequence[int]) -> Float[np.ndarray, "n n"]:
+        """Covariance of the ends of several segments together (n = 6 per segment)."""
+        chosen = np.asarray(segments)
+        by = self.by_parameters[chosen].reshape(6 * len(chosen), -1)
+        covariance = by @ self.parameter_covariance @ by.T
+        for block, segment in enumerate(chosen):
+            rows = slice(6 * block, 6 * block + 6)
+            covariance[rows, rows] += self.own_covariance_mm2[segment]
+        return covariance
+
+    def measure(self, function: Callable[..., Float[ArrayLike, ""]], *segments: int) -> Measure:
+        """`function` of the ends (2, 3) of some segments, with sigma by propagation.
+
+        For example `lines.measure(length_mm, 3)` or `lines.measure(angle_deg, 3, 7)`; any
+        differentiable function of JAX arrays serves.
+        """
+        return _measure(function, self.ends_mm[list(segments)], self.joint_covariance_mm2(segments))
+
+
+@in_float64
+def _measure(
+    function: Callable[..., Float[ArrayLike, ""]], ends_mm: np.ndarray, covariance: np.ndarray
+) -> Measure:
+    value, gradient = jax.value_and_grad(lambda ends: function(*ends))(jnp.asarray(ends_mm))
+    row = gradient.reshape(-1)
+    return Measure(float(value), float(jnp.sqrt(row @ covariance @ row)))
+
+
+def length_mm(segment: Float[ArrayLike, "2 3"]) -> Float[ArrayLike, ""]:
+    """Distance between the two ends of a segment."""
+    return _norm(segment[1] - segment[0])
+
+
+def angle_deg(
+    first: Float[ArrayLike, "2 3"], second: Float[ArrayLike, "2 3"]
+) -> Float[ArrayLike, ""]:
+    """Angle between the lines of two segments, from 0 to 90 degrees."""
+    a, b = first[1] - first[0], second[1] - second[0]
+    return jnp.degrees(jnp.arctan2(_norm(jnp.cross(a, b)), jnp.abs(a @ b)))
+
+
+def distance_mm(
+    first: Float[ArrayLike, "2 3"], second: Float[ArrayLike, "2 3"]
+) -> Float[ArrayLike, ""]:
+    """Mean distance of the second segment's ends from the line of the first.
+
+    For parallel edges of a body this is the distance between them.
+    """
+    direction = (first[1] - first[0]) / _norm(first[1] - first[0])
+    across = [
+        offset - (offset @ direction) * direction
+        for offset in (second[0] - first[0], second[1] - first[0])
+    ]
+    return _norm((across[0] + across[1]) / 2)
+
+
+def _norm(vector: Float[ArrayLike, "3"]) -> Float[ArrayLike, ""]:
+    return jnp.sqrt(vector @ vector)
