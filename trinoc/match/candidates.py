@@ -105,11 +105,12 @@ def _predicted(
     i: Int[ArrayLike, "p"],
     j: Int[ArrayLike, "p"],
 ) -> Prediction:
-    first, second = _row(planes.first, i), _row(planes.second, j)
+    first, second = row_of(planes.first, i), row_of(planes.second, j)
     return jax.vmap(predict, in_axes=(None, None, None, 0, 0))(lines, third, planes, first, second)
 
 
-def _row(table: PencilSegments, index: Int[ArrayLike, "p"]) -> PencilSegments:
+def row_of(table: PencilSegments, index: Int[ArrayLike, "*p"]) -> PencilSegments:
+    """The segments of given numbers."""
     return jax.tree.map(lambda column: column[index], table)
 
 
@@ -140,21 +141,21 @@ def _judge(
     index = np.full((len(keep), len(lines.size_px)), -1)
     part = np.zeros((len(keep), len(lines.size_px), 2))
     index[:, order] = triple[keep]
-    part[:, order] = _stacked(found.part, keep)
+    part[:, order] = stacked(found.part, keep)
     return Candidates(
         index,
         part,
-        _stacked(found.ends_mm, keep),
+        stacked(found.ends_mm, keep),
         np.asarray(found.chi_square)[keep],
         np.asarray(found.log_density)[keep],
-        _stacked(end_log, keep),
-        _stacked(found.outer_mm, keep),
-        _stacked(found.outer_covariance_mm2, keep),
+        stacked(end_log, keep),
+        stacked(found.outer_mm, keep),
+        stacked(found.outer_covariance_mm2, keep),
         np.asarray(found.px_per_mm)[keep],
     )
 
 
-def _stacked(columns: tuple, keep: Int[np.ndarray, "m"]) -> Float[np.ndarray, "m a b"]:
+def stacked(columns: tuple, keep: Int[np.ndarray, "m"] | slice) -> Float[np.ndarray, "m a b"]:
     """Tuples of tuples of columns as one array, with the items in front."""
     return np.stack(
         [np.stack([np.asarray(c)[keep] for c in row], axis=1) for row in columns], axis=1
@@ -170,7 +171,7 @@ def _judged(
     strangers: Strangers,
 ) -> tuple[TripleEvidence, tuple[tuple[Float[ArrayLike, "h"], ...], ...]]:
     def judge(segments: Int[ArrayLike, "3"]) -> tuple[TripleEvidence, tuple]:
-        first, second = _row(planes.first, segments[0]), _row(planes.second, segments[1])
+        first, second = row_of(planes.first, segments[0]), row_of(planes.second, segments[1])
         near_mm = points_of(planes, cut_pair(planes.baseline_mm, first, second))
         evidence = triple_evidence(lines, order, segments, near_mm, strangers)
         return evidence, end_evidence(evidence.extent_px)

@@ -16,7 +16,7 @@ PAIR_PX = (0.7, 2.0, 5.0)
 # All agree, by scale; two agree and the third stops short, by scale; or runs on; none agree.
 COMPONENTS = len(AGREEING_PX) + 2 * len(PAIR_PX) + 1
 USUAL_SHARES = np.array([0.35, 0.2, 0.08, 0.05, 0.08, 0.05, 0.04, 0.04, 0.03, 0.03, 0.05])
-_LEAST = 1e-30
+LEAST_DENSITY = 1e-30
 
 
 def end_evidence(
@@ -54,7 +54,7 @@ def _components(inward_px: tuple[Scalar, ...], longest_px: Scalar) -> tuple[Scal
             jnp.where(short == odd_is_short, jnp.exp(-(d**2) / (4 * s * s)), 0.0)
             for d, short in pairs
         ]
-        return log_longest - np.log(6 * s * np.sqrt(np.pi)) + jnp.log(sum(terms) + _LEAST)
+        return log_longest - np.log(6 * s * np.sqrt(np.pi)) + jnp.log(sum(terms) + LEAST_DENSITY)
 
     return (
         *agreeing,

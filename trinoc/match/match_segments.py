@@ -12,6 +12,7 @@ from trinoc.geometry.segments import Segments
 from trinoc.match.candidates import Candidates, strangers_of, trinocular_candidates
 from trinoc.match.matches import Matches
 from trinoc.match.observed import observe
+from trinoc.match.occluded import occluded
 from trinoc.match.selection import select
 from trinoc.match.tracks import assemble
 
@@ -40,4 +41,5 @@ def match_segments(
     ]
     candidates = Candidates(*(np.concatenate(column) for column in zip(*found, strict=True)))
     selection = select(candidates, float(np.mean(seen.counts)))
-    return assemble(seen, selection, tuple(segments))
+    pairs = occluded(seen.lines, seen.counts, strangers, selection)
+    return assemble(seen, selection, pairs, tuple(segments))

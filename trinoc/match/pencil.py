@@ -24,7 +24,8 @@ class PencilSegments(NamedTuple):
     low, high : plane angles of the ends, in rad, without a jump between them; cosine_low, ...
     their cosines and sines. p, q : coefficients of the slope. normal : of the plane of sight.
     slope_variance : (c00, c01, c11) of the slopes at the angles low and high, due to the
-        errors of the ends across the segment.
+        errors of the ends across the segment. end_variance_px2 : of the places along the
+        segment, at low and high, that have the plane angles of a partner's ends.
     """
 
     low: Float[ArrayLike, "*n"]
@@ -37,6 +38,7 @@ class PencilSegments(NamedTuple):
     q: Float[ArrayLike, "*n"]
     normal: tuple[Float[ArrayLike, "*n"], Float[ArrayLike, "*n"], Float[ArrayLike, "*n"]]
     slope_variance: tuple[Float[ArrayLike, "*n"], Float[ArrayLike, "*n"], Float[ArrayLike, "*n"]]
+    end_variance_px2: tuple[Float[ArrayLike, "*n"], Float[ArrayLike, "*n"]]
 
 
 class Pencil(NamedTuple):
@@ -94,6 +96,13 @@ def _in_pencil(
         radius = jnp.hypot(ray[1], ray[2])
         return normal @ push / (normal[0] * radius)
 
+    def slide_per_px(ray: Float[ArrayLike, "3"]) -> Float[ArrayLike, ""]:
+        # An error across the segment turns the end's plane as so much way along it would.
+        direction = jnp.stack([line_normal[1], -line_normal[0]])
+        across, along = homography[1:, :2] @ line_normal, homography[1:, :2] @ direction
+        return (ray[1] * across[1] - ray[2] * across[0]) / (ray[1] * along[1] - ray[2] * along[0])
+
+    slide = [slide_per_px(rays[e]) ** 2 * across_px2[e, e] for e in range(2)]
     effect = jnp.stack([slope_per_px(rays[0]), slope_per_px(rays[1])])
     variance = jnp.outer(effect, effect) * across_px2
     swap = turn < 0
@@ -114,4 +123,5 @@ def _in_pencil(
             variance[0, 1],
             jnp.where(swap, variance[0, 0], variance[1, 1]),
         ),
+        (jnp.where(swap, slide[1], slide[0]), jnp.where(swap, slide[0], slide[1])),
     )

@@ -7,8 +7,9 @@ from jaxtyping import Float, Int
 from trinoc.geometry.segments import covariance_of_ends
 from trinoc.geometry.triangulation import triangulate_segment
 from trinoc.match.evidence import probability
-from trinoc.match.matches import TRINOCULAR, Matches
+from trinoc.match.matches import BINOCULAR, TRINOCULAR, Matches
 from trinoc.match.observed import Observed, distorted
+from trinoc.match.occluded import Pairs
 from trinoc.match.padding import bucket, padded
 from trinoc.match.reasons import counted, reasons
 from trinoc.match.selection import Selection
@@ -16,10 +17,13 @@ from trinoc.match.selection import Selection
 _triangulated = jax.jit(jax.vmap(triangulate_segment, in_axes=(None, 0, 0, 0)))
 
 
-def assemble(seen: Observed, selection: Selection, names: tuple[str, ...]) -> Matches:
+def assemble(
+    seen: Observed, chosen: Selection, pairs: Pairs, names: tuple[str, ...]
+) -> Matches:
     """Matches in the caller's order of views and numbers of segments."""
-    rows = np.flatnonzero(selection.taken)
-    index, part = selection.candidates.index[rows], selection.candidates.part[rows]
+    index = np.concatenate([found.candidates.index[found.taken] for found in (chosen, pairs)])
+    part = np.concatenate([found.candidates.part[found.taken] for found in (chosen, pairs)])
+    belief = np.concatenate([found.belief[found.taken] for found in (chosen, pairs)])
     fragments, covariance = fragments_of(seen, index, part)
     ends_mm, covariance_mm2 = lines_in_space(seen, index, fragments, covariance)
     views = len(names)
@@ -31,16 +35,21 @@ def assemble(seen: Observed, selection: Selection, names: tuple[str, ...]) -> Ma
     turn = [seen.names.index(name) for name in names]
     given, fragments = given[:, turn], fragments[:, turn]
     sort = np.lexsort(given.T[::-1])
-    why = _reasons(seen, selection, index)
-    counts = {"triples considered": len(selection.candidates.index), "tracks": len(rows)}
+    why = _reasons(seen, chosen, pairs, index)
+    counts = {
+        "triples considered": len(chosen.candidates.index),
+        "triples matched": int(chosen.taken.sum()),
+        "pairs considered": len(pairs.candidates.index),
+        "pairs matched": int(pairs.taken.sum()),
+    }
     return Matches(
         names,
         given[sort],
         fragments[sort],
         ends_mm[sort],
         covariance_mm2[sort],
-        np.full(len(sort), TRINOCULAR),
-        probability(selection.belief[rows])[sort],
+        np.where((given >= 0).sum(axis=1) > 2, TRINOCULAR, BINOCULAR)[sort],
+        probability(belief)[sort],
         np.zeros(len(sort)),
         {name: why[name] for name in names},
         counts | counted(why),
@@ -48,15 +57,15 @@ def assemble(seen: Observed, selection: Selection, names: tuple[str, ...]) -> Ma
 
 
 def _reasons(
-    seen: Observed, selection: Selection, index: Int[np.ndarray, "t v"]
+    seen: Observed, chosen: Selection, pairs: Pairs, index: Int[np.ndarray, "t v"]
 ) -> dict[str, np.ndarray]:
     found = {}
+    candidate = np.concatenate([chosen.candidates.index, pairs.candidates.index])
+    log_odds = np.concatenate([chosen.log_odds, pairs.log_odds])
     for view, name in enumerate(seen.names):
         matched = np.zeros(seen.counts[view], dtype=bool)
         matched[index[index[:, view] >= 0, view]] = True
-        words = reasons(
-            seen.counts[view], selection.candidates.index[:, view], selection.log_odds, matched
-        )
+        words = reasons(seen.counts[view], candidate[:, view], log_odds, matched)
         found[name] = np.empty_like(words)
         found[name][seen.order[view]] = words
     return found
