@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import tyro
 
@@ -17,12 +17,19 @@ from trinoc.cli.progress import LOGGER
 from trinoc.errors import InputError
 
 if TYPE_CHECKING:
-    from trinoc.report.against_reference import ParameterError
+    import numpy as np
+
+    from trinoc.calib.result import CalibrationResult
+    from trinoc.geometry.rig import Rig
+    from trinoc.geometry.segments import Segments
+    from trinoc.match.matches import Matches
+    from trinoc.synth.scoring import LengthScore
 
 TOLERANCE_MM = 1.0
-# Edges across which the grey levels of a picture differ by less are not counted as shown.
+# Edges across which the grey levels of a picture differ by less do not count as shown in it.
 GREY_STEP = 8.0
 REFERENCE_NAME = "Table 1"
+TITLE = "trinoc demo: three cameras and a scene of blocks"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -33,95 +40,158 @@ class Demo(Command):
     """The folder for report.html, rig.json and matches.npz; made where it is not there."""
 
     def run(self, command_line: str) -> Outcome:
-        """Do the whole job."""
+        """Do the whole job, the same functions as the other commands in the same order."""
         seconds: dict[str, float] = {}
-        with _step("loading", seconds):
-            from trinoc.calib.calibrate import calibrate
-            from trinoc.cli.provenance import provenance
-            from trinoc.io.demo import demo_paths, demo_pattern, demo_pictures, demo_truth
-            from trinoc.io.save import save
-            from trinoc.match.find_segments import find_segments
-            from trinoc.match.match_segments import match_segments
-            from trinoc.report.against_reference import parameter_errors
-            from trinoc.report.html import ExtraTable, write_report
-            from trinoc.report.text import counts_text, errors_text, reasons_text
-            from trinoc.synth.rigs import table1_lens, table1_rig
-            from trinoc.synth.scoring import length_score
+        _make_folder(self.out)
+        work = _work(seconds)
+        score = _score(work.matches)
+        with _step("writing the report", seconds):
+            written = _write(self.out, work, score, command_line)
+        LOGGER.info("done in %.1f s", sum(seconds.values()))
+        return Outcome(
+            _text(work, score, written),
+            {**_record(work, score), "seconds": seconds, "written": list(map(str, written))},
+        )
 
-            _make_folder(self.out)
-            sheets, scenes, truth = demo_pictures("sheet"), demo_pictures("scene"), demo_truth()
-            known = table1_rig()
-        with _step("calibrating three pictures of the sheet", seconds):
-            result = calibrate(sheets, demo_pattern(), table1_lens())
-        with _step("finding segments in three pictures of the blocks", seconds):
-            segments = {name: find_segments(picture) for name, picture in scenes.items()}
-        with _step("matching them", seconds):
-            matches = match_segments(segments, result.rig)
-        errors = parameter_errors(result.rig, known)
-        score = length_score(
-            matches.lines_mm, truth, tolerance_mm=TOLERANCE_MM, grey_step=GREY_STEP
+
+class Work(NamedTuple):
+    """What went in and what came out, by view."""
+
+    sheets: "dict[str, np.ndarray]"
+    scenes: "dict[str, np.ndarray]"
+    known: "Rig"
+    result: "CalibrationResult"
+    segments: "dict[str, Segments]"
+    matches: "Matches"
+
+
+def _work(seconds: dict[str, float]) -> Work:
+    with _step("loading", seconds):
+        from trinoc.calib.calibrate import calibrate
+        from trinoc.io.demo import demo_pattern, demo_pictures
+        from trinoc.match.find_segments import find_segments
+        from trinoc.match.match_segments import match_segments
+        from trinoc.synth.rigs import table1_lens, table1_rig
+
+        sheets, scenes = demo_pictures("sheet"), demo_pictures("scene")
+    with _step("calibrating from the pictures of the sheet", seconds):
+        result = calibrate(sheets, demo_pattern(), table1_lens())
+    with _step("finding segments in the pictures of the blocks", seconds):
+        segments = {view: find_segments(picture) for view, picture in scenes.items()}
+    with _step("matching them", seconds):
+        matches = match_segments(segments, result.rig)
+    return Work(sheets, scenes, table1_rig(), result, segments, matches)
+
+
+def _score(matches: "Matches") -> "LengthScore":
+    from trinoc.io.demo import demo_truth
+    from trinoc.synth.scoring import score_lengths
+
+    return score_lengths(
+        matches.lines_mm, demo_truth(), tolerance_mm=TOLERANCE_MM, grey_step=GREY_STEP
+    )
+
+
+def _write(
+    folder: Path, work: Work, score: "LengthScore", command_line: str
+) -> tuple[Path, Path, Path]:
+    from trinoc.cli.provenance import for_people, provenance
+    from trinoc.io.demo import demo_paths
+    from trinoc.io.save import save
+    from trinoc.report.html import ExtraTable, write_report
+
+    sheet_files, scene_files = demo_paths("sheet"), demo_paths("scene")
+    origin = provenance(command_line, sheet_files)
+    both = {
+        f"{kind} {view}": path
+        for kind, files in (("sheet", sheet_files), ("scene", scene_files))
+        for view, path in files.items()
+    }
+    report, rig, matches = (folder / name for name in ("report.html", "rig.json", "matches.npz"))
+    save(work.result, rig, provenance=origin)
+    save(work.matches, matches)
+    rows = [
+        ("length precision", f"{score.precision:.1%}"),
+        ("length recall", f"{score.recall:.1%}"),
+    ]
+    write_report(
+        report,
+        result=work.result,
+        sheet_pictures=work.sheets,
+        segments=work.segments,
+        matches=work.matches,
+        scene_pictures=work.scenes,
+        reference=work.known,
+        reference_name=REFERENCE_NAME,
+        title=TITLE,
+        tables=[ExtraTable("Against the truth", ("measure", "value"), rows, _sentence(score))],
+        provenance=for_people(provenance(command_line, both)),
+    )
+    return report, rig, matches
+
+
+def _sentence(score: "LengthScore") -> str:
+    return (
+        f"Of the length put out, {score.precision:.1%} lies within {TOLERANCE_MM:g} mm of an edge "
+        f"of the scene; of the edges that two pictures or more show (grey levels differing by "
+        f"{GREY_STEP:g} or more across them), {score.recall:.1%} of the length was found."
+    )
+
+
+def _text(work: Work, score: "LengthScore", written: tuple[Path, Path, Path]) -> str:
+    from trinoc.report.against_reference import parameter_errors
+    from trinoc.report.text import counts_text, errors_text, reasons_text
+
+    report, rig, matches = written
+    tracks = match_record(work.segments, work.matches)["tracks"]
+    return "\n\n".join(
+        (
+            errors_text(parameter_errors(work.result.rig, work.known), REFERENCE_NAME),
+            counts_text(work.matches),
+            reasons_text(work.matches),
+            f"{tracks['trinocular']} tracks seen in three views, {tracks['binocular']} in two.\n"
+            f"{_sentence(score)}",
+            f"written: {rig}, {matches}\nreport, for a browser: {report}",
         )
-        sentence = (
-            f"Of the length put out, {score.precision:.1%} lies within {TOLERANCE_MM:g} mm of an "
-            f"edge of the scene; of the edges that two pictures or more show (grey levels differing "
-            f"by {GREY_STEP:g} or more), {score.recall:.1%} of the length was found."
-        )
-        report, rig, found = (self.out / n for n in ("report.html", "rig.json", "matches.npz"))
-        files = {
-            f"{kind} {view}": path
-            for kind in ("sheet", "scene")
-            for view, path in demo_paths(kind).items()
-        }
-        origin = provenance(command_line, files)
-        with _step(f"writing {report}", seconds):
-            save(result, rig, provenance=origin)
-            save(matches, found)
-            write_report(
-                report,
-                result=result,
-                sheet_pictures=sheets,
-                segments=segments,
-                matches=matches,
-                scene_pictures=scenes,
-                reference=known,
-                reference_name=REFERENCE_NAME,
-                title="trinoc demo: three cameras and a scene of blocks",
-                tables=[
-                    ExtraTable(
-                        "Against the truth",
-                        ("measure", "value"),
-                        [
-                            ("length precision", f"{score.precision:.1%}"),
-                            ("length recall", f"{score.recall:.1%}"),
-                        ],
-                        sentence,
-                    )
-                ],
-                provenance={"command": origin["command"], "version": origin["version"]},
-            )
-        written = [str(path) for path in (report, rig, found)]
-        tracks = match_record(segments, matches)["tracks"]
-        text = "\n\n".join(
-            (
-                errors_text(errors, REFERENCE_NAME),
-                counts_text(matches),
-                reasons_text(matches),
-                f"{tracks['trinocular']} tracks seen in three views, {tracks['binocular']} in two. "
-                + sentence,
-                f"report: {report}\nalso written: {rig}, {found}",
-            )
-        )
-        record = {
-            **calibration_record(result),
-            REFERENCE_NAME.lower().replace(" ", "_"): [_error_record(error) for error in errors],
-            **match_record(segments, matches),
-            "score": {
-                "tolerance_mm": TOLERANCE_MM,
-                "grey_step": GREY_STEP,
-                "length_precision": score.precision,
-                "length_recall": score.recall,
-            },
-            "seconds": seconds,
-            "written": written,
-        }
-        return Outcome(text, record)
+    )
+
+
+def _record(work: Work, score: "LengthScore") -> dict[str, Any]:
+    from trinoc.report.against_reference import parameter_errors
+
+    return {
+        **calibration_record(work.result),
+        "table_1": {
+            f"{found.camera}.{found.parameter}": {
+                "known": found.known,
+                "error": found.error,
+                "error_over_sigma": found.over_sigma if math.isfinite(found.over_sigma) else None,
+            }
+            for found in parameter_errors(work.result.rig, work.known)
+        },
+        **match_record(work.segments, work.matches),
+        "score": {
+            "tolerance_mm": TOLERANCE_MM,
+            "grey_step": GREY_STEP,
+            "length_precision": score.precision,
+            "length_recall": score.recall,
+        },
+    }
+
+
+@contextlib.contextmanager
+def _step(doing: str, seconds: dict[str, float]) -> Iterator[None]:
+    """Say on stderr what is being done, and note how long it took."""
+    LOGGER.info(doing)
+    start = time.perf_counter()
+    yield
+    seconds[doing] = round(time.perf_counter() - start, 3)
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"{folder} cannot be made a folder ({error.strerror}): give another one with --out."
+        ) from error
