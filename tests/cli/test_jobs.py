@@ -1,0 +1,228 @@
+"""The commands on files: what they write, what they print, and what they refuse."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+
+import trinoc
+from trinoc.cli.main import main
+from trinoc.synth.rigs import table1_lens, table1_rig
+from trinoc.synth.sheet_picture import render_sheet
+
+LENS = ("--focal-length-mm", "16", "--pixel-pitch-mm", "0.0162", "0.0134")
+RIG = table1_rig()
+BOX_MM = np.array([[x, y, z] for x in (-30, 35) for y in (-25, 20) for z in (0, 30)], dtype=float)
+EDGES = [(a, b) for a in range(8) for b in range(a) if ((BOX_MM[a] != BOX_MM[b]).sum() == 1)]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Pictures of the sheet, its layout, the true rig, and segments of a box."""
+    folder = tmp_path_factory.mktemp("jobs")
+    pattern = trinoc.Pattern.cross_grid(rows=6, columns=6, pitch_mm=24.0, radius_mm=7.0)
+    trinoc.save(pattern, folder / "pattern.json")
+    trinoc.save(RIG, folder / "rig.json")
+    for name, camera in RIG.items():
+        picture = render_sheet(pattern, camera, supersampling=4)
+        cv2.imwrite(str(folder / f"{name}.png"), picture)
+        cv2.imwrite(str(folder / f"{name}.tif"), picture.astype(np.uint16) * 257)
+        ends = np.concatenate([BOX_MM, np.ones((8, 1))], axis=1) @ camera.matrix_px.T
+        ends = (ends[:, :2] / ends[:, 2:])[np.array(EDGES)].reshape(-1, 4)
+        np.savetxt(folder / f"{name}.csv", ends, delimiter=",")
+    random = np.random.default_rng(3)
+    photo = random.integers(0, 256, (480, 512, 3), dtype=np.uint8)
+    cv2.imwrite(str(folder / "photo.png"), cv2.GaussianBlur(photo, (0, 0), 4))
+    (folder / "empty").mkdir()
+    return folder
+
+
+@pytest.fixture
+def run(folder, monkeypatch, capsys):
+    """Runs a command in the folder: (status, stdout, stderr)."""
+    monkeypatch.chdir(folder)
+
+    def run_one(*arguments):
+        status = main([*arguments, "--quiet"])
+        return status, *capsys.readouterr()
+
+    return run_one
+
+
+def views(suffix):
+    return [f"{name}={name}.{suffix}" for name in RIG]
+
+
+def calibrate(*pictures):
+    return "calibrate", *pictures, "--pattern", "pattern.json", *LENS
+
+
+@pytest.mark.parametrize("suffix", ["png", "tif"])
+def test_calibrate(run, folder, suffix):
+    written = ["made.json", "made.html"]
+    command = *calibrate(*views(suffix)), "-o", written[0], "--report", written[1]
+    status, out, err = run(*command, "--json")
+    assert (status, err) == (0, "")
+    record = json.loads(out)
+    assert record["written"] == written
+    assert list(record["cameras"]) == list(RIG)
+    rig = trinoc.load_rig(folder / "made.json")
+    for name, camera in RIG.items():
+        fitted = record["cameras"][name]["parameters"]
+        assert fitted["pan_deg"]["value"] == pytest.approx(rig[name].pan_deg, abs=1e-12)
+        assert fitted["pan_deg"]["sigma"] == rig.sigma(f"{name}.pan_deg") > 0
+        for parameter, tolerance in [("pan_deg", 0.01), ("tilt_deg", 0.01), ("distance_mm", 0.05)]:
+            assert getattr(rig[name], parameter) == pytest.approx(
+                getattr(camera, parameter), abs=tolerance
+            )
+    origin = json.loads((folder / "made.json").read_text())["provenance"]
+    assert origin["command"].startswith("trinoc calibrate upper=upper.")
+    assert set(origin["inputs"]) == {*RIG, "pattern"}
+    assert "trinoc calibrate" in (folder / "made.html").read_text(encoding="utf-8")
+
+
+def test_calibrate_says_the_same_to_people(run):
+    status, out, _ = run(*calibrate("upper=upper.png"), "-o", "people.json")
+    assert status == 0
+    assert "pan (deg)" in out
+    assert out.endswith("written: people.json\n")
+
+
+def test_a_longer_print_is_a_longer_distance(run, folder):
+    for scale, file in [("1", "true.json"), ("1.01", "longer.json")]:
+        command = calibrate("upper=upper.png")
+        assert run(*command, "--print-scale", scale, scale, "-o", file)[0] == 0
+    true, longer = (
+        trinoc.load_rig(folder / file)["upper"] for file in ("true.json", "longer.json")
+    )
+    assert longer.distance_mm / true.distance_mm == pytest.approx(1.01, abs=1e-4)
+    assert longer.pan_deg == pytest.approx(true.pan_deg, abs=1e-3)
+
+
+def test_segments_then_match_is_match_of_pictures(run, folder):
+    for name in RIG:
+        assert run("segments", f"{name}.png", "-o", f"{name}.npz")[0] == 0
+    found = run("match", *views("npz"), "--rig", "rig.json", "-o", "a.npz", "--json")
+    directly = run("match", *views("png"), "--rig", "rig.json", "-o", "b.npz", "--json")
+    assert found[0] == directly[0] == 0
+    a, b = (trinoc.load_matches(folder / file) for file in ("a.npz", "b.npz"))
+    np.testing.assert_array_equal(a.index, b.index)
+    np.testing.assert_array_equal(a.lines_mm, b.lines_mm)
+    assert json.loads(found[1])["tracks"] == json.loads(directly[1])["tracks"]
+
+
+def test_match_finds_the_box_and_reports_it(run, folder):
+    written = ["box.npz", "box.html"]
+    command = "match", *views("csv"), "--rig", "rig.json", "-o", written[0], "--report", written[1]
+    status, out, _ = run(*command, "--json")
+    assert status == 0
+    record = json.loads(out)
+    assert record["written"] == written
+    assert record["segments"] == dict.fromkeys(RIG, len(EDGES))
+    matches = trinoc.load_matches(folder / "box.npz")
+    assert len(matches) == record["tracks"]["trinocular"] + record["tracks"]["binocular"]
+    ends = matches.lines_mm.reshape(-1, 3)
+    nearest = np.linalg.norm(ends[:, None] - BOX_MM[None], axis=-1).min(axis=1)
+    assert len(matches) >= len(EDGES) - 2
+    assert np.median(nearest) < 1e-2
+    assert "<html" in (folder / "box.html").read_text(encoding="utf-8")
+
+
+REFUSED = {
+    "empty folder": (calibrate("upper=empty", "left=left.png"), "empty is a folder without"),
+    "folder": (calibrate("upper=.", "left=left.png"), "give one picture in it"),
+    "a photograph of something else": (
+        calibrate("upper=photo.png", "left=left.png"),
+        'Camera "upper": No sheet of the pattern',
+    ),
+    "the same picture twice": (
+        calibrate("upper=left.png", "left=left.tif", "right=left.png"),
+        '"upper" and "right" are the same picture',
+    ),
+    "a file that is missing": (calibrate("upper=none.png"), "none.png does not exist"),
+    "a file of another kind": (calibrate("upper=pattern.json"), "not a readable picture"),
+    "a rig for a sheet": (
+        ("calibrate", "upper=upper.png", "--pattern", "rig.json", *LENS),
+        '"trinoc-pattern" is needed',
+    ),
+    "a lens of another camera": (
+        ("calibrate", "upper=upper.png", "--pattern", "pattern.json", "--intrinsics", "lens.json"),
+        "but its lens says 640 x 480",
+    ),
+    "no such folder": ((*calibrate("upper=upper.png"), "-o", "no/rig.json"), "folder no does not"),
+    "a camera without a picture": (
+        ("match", "upper=upper.csv", "left=left.csv", "--rig", "rig.json"),
+        'has the camera "right", for which no picture is given: add right=FILE',
+    ),
+    "a camera that the rig lacks": (
+        ("match", "upper=upper.csv", "lower=left.csv", "--rig", "rig.json"),
+        'rig.json has no camera "lower", but',
+    ),
+    "a picture of another size": (
+        ("match", "upper=small.png", "left=left.png", "right=right.png", "--rig", "rig.json"),
+        "calibrated for 512 x 480 px",
+    ),
+    "NaN among segments": (
+        ("match", "upper=nan.csv", "left=left.csv", "right=right.csv", "--rig", "rig.json"),
+        "nan.csv: Segment 3 has a coordinate that is not finite",
+    ),
+    "an unknown key": (
+        ("match", *views("csv"), "--rig", "unknown.json"),
+        'unknown.json: "cameras.upper.colour" is an unknown key',
+    ),
+}
+
+
+@pytest.fixture(scope="module")
+def broken(folder):
+    """Files that are not right."""
+    lens = trinoc.Intrinsics(focal_length_px=1000.0, image_size_px=(640, 480))
+    trinoc.save(lens, folder / "lens.json")
+    cv2.imwrite(str(folder / "small.png"), np.zeros((48, 64), np.uint8))
+    ends = np.loadtxt(folder / "upper.csv", delimiter=",")
+    ends[3, 1] = np.nan
+    np.savetxt(folder / "nan.csv", ends, delimiter=",")
+    rig = json.loads((folder / "rig.json").read_text())
+    rig["cameras"]["upper"]["colour"] = "red"
+    (folder / "unknown.json").write_text(json.dumps(rig))
+
+
+@pytest.mark.parametrize("what", REFUSED)
+@pytest.mark.usefixtures("broken")
+def test_refusal_is_one_line_and_status_1(run, folder, what):
+    command, sentence = REFUSED[what]
+    before = sorted(folder.iterdir())
+    status, out, err = run(*command)
+    assert sentence in err
+    assert (status, out, err.count("\n")) == (1, "", 1)
+    assert sorted(folder.iterdir()) == before
+
+
+def test_scene_without_a_match_says_what_to_check(run):
+    shuffled = ["upper=left.csv", "left=right.csv", "right=upper.csv"]
+    status, out, _ = run("match", *shuffled, "--rig", "rig.json", "-o", "none.npz")
+    assert status == 0
+    assert "No segment was matched: check" in out
+
+
+@pytest.mark.parametrize("paper", ["a4", "letter"])
+def test_pattern_writes_a_sheet_that_calibrate_reads(run, folder, paper):
+    status, out, _ = run("pattern", "--paper", paper, "-o", "sheet.json", "--json")
+    assert status == 0
+    assert json.loads(out)["written"] == ["sheet.json", "sheet.svg", "sheet.pdf"]
+    assert len(trinoc.load_pattern(folder / "sheet.json")) == json.loads(out)["circles"]
+    assert (folder / "sheet.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_pattern_that_does_not_fit_the_paper_is_not_written(run, folder):
+    before = sorted(folder.iterdir())
+    status, _, err = run("pattern", "--rows", "40", "-o", "large.json")
+    assert status == 1
+    assert "more than a4 offers" in err
+    assert sorted(folder.iterdir()) == before
+
+
+def test_lens_of_the_reference_rig_is_that_of_the_options():
+    lens = table1_lens()
+    assert (lens.focal_length_mm, lens.pixel_pitch_mm) == (16, (0.0162, 0.0134))
