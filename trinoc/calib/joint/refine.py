@@ -1,6 +1,6 @@
 """Refine a rig jointly against the sheet it was calibrated with and segments matched by it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import equinox as eqx
@@ -51,6 +51,7 @@ def refine(
     *,
     freedom: Freedom | None = None,
     intrinsics: bool = False,
+    moved: Collection[str] = (),
     match_again: Callable[[Rig], Matched | LineObservations] | None = None,
 ) -> RefineResult:
     """Cameras and 3-D lines of maximum likelihood, given a sheet's calibration and matches.
@@ -59,6 +60,7 @@ def refine(
     the sheet's word; one without leaves position, orientation and scale as they are, and says
     so. `freedom` is what may move in each camera: by default what the covariance names, and
     any rigid motion without one. `intrinsics` frees focal lengths and principal points too.
+    `moved` names cameras that were knocked since: what the sheet said of them no longer counts.
     `match_again`, for example `lambda rig: trinoc.match_segments(segments, rig)`, is called
     with each refined rig until the tracks stop changing; a round that lowers the posterior
     (more tracks weigh more, larger distances less) is not accepted.
@@ -68,12 +70,20 @@ def refine(
     """
     rig = calibrated.rig if isinstance(calibrated, CalibrationResult) else calibrated
     freedom = freedom or _freedom_of(rig)
-    best = _refine_once(rig, rig, _observations(matches, rig), freedom, intrinsics, calibrated)
+    unknown = sorted(set(moved) - set(rig.names))
+    if unknown:
+        raise InputError(
+            f"There is no camera {', '.join(unknown)} that could have moved; this rig has "
+            f"{', '.join(rig.names)}."
+        )
+    trusted = tuple(name for name in rig.names if name not in moved)
+    choice = _Choice(freedom, intrinsics, trusted)
+    best = _refine_once(rig, rig, _observations(matches, rig), choice, calibrated)
     for _ in range(MOST_ROUNDS if match_again is not None else 0):
         if match_again is None or best.status is RefineStatus.NOT_CONVERGED:
             break
         again = _observations(match_again(best.rig), best.rig)
-        candidate = _refine_once(best.rig, rig, again, freedom, intrinsics, calibrated)
+        candidate = _refine_once(best.rig, rig, again, choice, calibrated)
         if candidate.status is RefineStatus.NOT_CONVERGED or not _more_probable(candidate, best):
             break
         best = candidate
@@ -117,6 +127,14 @@ def _more_probable(candidate: RefineResult, best: RefineResult) -> bool:
     return candidate.chi_square[0] < best.chi_square[0] - 1e-3
 
 
+class _Choice(NamedTuple):
+    """What the caller wants refined, and the cameras of which the sheet's word still counts."""
+
+    freedom: Freedom
+    intrinsics: bool
+    trusted: tuple[str, ...]
+
+
 class _Problem(NamedTuple):
     """The arrays of one joint problem, tracks padded to a bucket."""
 
@@ -131,11 +149,10 @@ def _refine_once(
     rig: Rig,
     sheet_rig: Rig,
     lines: LineObservations,
-    freedom: Freedom,
-    intrinsics: bool,
+    choice: _Choice,
     calibrated: CalibrationResult | Rig,
 ) -> RefineResult:
-    problem = _problem(rig, sheet_rig, lines, freedom, intrinsics)
+    problem = _problem(rig, sheet_rig, lines, choice)
     state, first_cost = _annealed(problem)
     cameras, anchors = state.cameras, state.anchors_mm
     has_sheet = bool(np.any(problem.prior.information))
@@ -169,7 +186,7 @@ def _refine_once(
     status = RefineStatus.NOT_CONVERGED
     if converged:
         status = RefineStatus.GAUGE_FREE if determined.gauge else RefineStatus.CONVERGED
-    known = not determined.gauge and freedom is not Freedom.POSE
+    known = not determined.gauge and choice.freedom is not Freedom.POSE
     return RefineResult(
         status,
         Rig(refined, parameters=names, covariance=covariance) if known else Rig(refined),
@@ -183,6 +200,7 @@ def _refine_once(
         determined.gauge,
         factor,
         sheet,
+        sheet_chi_square,
         (float(state.cost), first_cost),
     )
 
@@ -234,15 +252,19 @@ _segments_and_errors = eqx.filter_jit(
 )
 
 
-def _problem(
-    rig: Rig, sheet_rig: Rig, lines: LineObservations, freedom: Freedom, intrinsics: bool
-) -> _Problem:
+def _problem(rig: Rig, sheet_rig: Rig, lines: LineObservations, choice: _Choice) -> _Problem:
+    freedom = choice.freedom
     distorted = any(camera.intrinsics.distortion_model != "none" for camera in rig.cameras)
     cameras, start = (
         _stacked(
             [
-                camera_state(c, freedom, with_intrinsics=intrinsics, with_distortion=distorted)
-                for c in each.cameras
+                camera_state(
+                    camera,
+                    freedom,
+                    with_intrinsics=choice.intrinsics,
+                    with_distortion=distorted,
+                )
+                for camera in each.cameras
             ]
         )
         for each in (rig, sheet_rig)
@@ -264,19 +286,20 @@ def _problem(
 
     unseen = np.concatenate([lines.seen, np.zeros((padding, len(rig)), dtype=bool)])
     tracks = Tracks(padded(fragments), padded(whitening), unseen)
-    prior = _prior(sheet_rig, start)
+    prior = _prior(sheet_rig, start, choice.trusted)
     return _Problem(cameras, padded(lines.lines_mm), tracks, padded(covariance), prior)
 
 
 _whitening = jax.jit(jax.vmap(jax.vmap(whitening_across)))
 
 
-def _prior(rig: Rig, start: CameraState) -> SheetPrior:
-    """The sheet's word: the inverse of the covariance of those parameters that it names."""
+def _prior(rig: Rig, start: CameraState, trusted: Collection[str]) -> SheetPrior:
+    """The sheet's word on the trusted cameras: the inverse of their part of the covariance."""
     names = [f"{camera}.{name}" for camera in rig.names for name in start.names]
+    owner = [camera for camera in rig.names for _ in start.names]
     values = np.asarray(jax.vmap(lambda camera: camera.parameters(camera))(start))
     information = np.zeros((len(names), len(names)))
-    known = [i for i, name in enumerate(names) if name in rig.parameters]
+    known = [i for i, name in enumerate(names) if owner[i] in trusted and name in rig.parameters]
     if known:
         rows = [rig.parameters.index(names[i]) for i in known]
         covariance = np.asarray(rig.covariance)[np.ix_(rows, rows)]

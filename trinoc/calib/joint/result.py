@@ -36,6 +36,8 @@ class RefineResult(eqx.Module):
     gauge : what stays as it was, in words; empty where nothing does.
     segment_sigma_factor : the segments' noise over what they claimed.
     sheet_sigma_factor : the same for the sheet.
+    sheet_chi_square : squared distance, in the sheet's sigmas, by which segments pulled the
+        cameras from where the sheet had placed them.
     chi_square : robust cost at the end, and at the start.
     """
 
@@ -51,6 +53,7 @@ class RefineResult(eqx.Module):
     gauge: str = eqx.field(static=True)
     segment_sigma_factor: float = eqx.field(static=True)
     sheet_sigma_factor: float = eqx.field(static=True)
+    sheet_chi_square: float = eqx.field(static=True)
     chi_square: tuple[float, float] = eqx.field(static=True)
 
     def summary(self) -> str:

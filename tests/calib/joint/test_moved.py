@@ -1,0 +1,60 @@
+"""A rig that stands still is left in peace; a knocked camera is named and mended."""
+
+import numpy as np
+import pytest
+
+from tests.calib.joint.made_tracks import NAMES, SHEET_SIGMA, TRUTH, made_tracks, rig_at
+from trinoc.calib.joint.moved import check_rig
+from trinoc.errors import CalibrationError
+
+SIZES_DEG = 0.2
+
+
+def knocked(seed, cameras, size):
+    """A calibration of the rig before some of its cameras were turned by `size` degrees."""
+    random = np.random.default_rng(seed)
+    values = TRUTH + SHEET_SIGMA * random.standard_normal(12)
+    for camera in cameras:
+        rows = [i for i, name in enumerate(NAMES) if name.startswith(camera)][:3]
+        values[rows] += size * random.choice([-1, 1], 3)
+    return rig_at(values, with_covariance=True)
+
+
+def test_a_rig_at_rest_is_left_in_peace():
+    suspected = 0
+    for seed in range(20):
+        lines, _, _ = made_tracks(seed, 100)
+        check = check_rig(knocked(300 + seed, (), 0), lines)
+        suspected += bool(check.moved)
+        assert "No camera has moved" in check.summary() or check.moved
+    assert suspected <= 1
+
+
+@pytest.mark.parametrize("camera", ["upper", "right", "left"])
+def test_a_knocked_camera_is_named_and_mended(camera):
+    lines, _, _ = made_tracks(40, 100)
+    rig = knocked(41, (camera,), SIZES_DEG)
+    check = check_rig(rig, lines)
+    assert check.moved == (camera,)
+    assert check.refined is not None
+    motion = next(motion for motion in check.motions if motion.name == camera)
+    assert motion.sigmas > 5
+    rows = [i for i, name in enumerate(NAMES) if name.startswith(camera)]
+    error = (check.refined.values - TRUTH)[rows]
+    sigma = np.sqrt(np.diag(check.refined.covariance))[rows]
+    assert (abs(error) < 4 * sigma).all()
+    assert camera in check.summary()
+
+
+def test_two_knocked_cameras_are_not_mended_in_secret():
+    lines, _, _ = made_tracks(50, 100)
+    check = check_rig(knocked(51, ("upper", "left"), 1.0), lines)
+    assert len(check.moved) >= 2
+    assert check.refined is None
+    assert "calibrate the rig again" in check.summary()
+
+
+def test_a_rig_without_covariance_cannot_be_checked():
+    lines, _, _ = made_tracks(60, 10)
+    with pytest.raises(CalibrationError, match="covariance of their calibration"):
+        check_rig(rig_at(TRUTH, with_covariance=False), lines)
