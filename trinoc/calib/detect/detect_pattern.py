@@ -8,10 +8,11 @@ from jaxtyping import Shaped
 
 from trinoc.calib.detect.blobs import Blobs, Scale, find_blobs
 from trinoc.calib.detect.cross_lines import fit_cross_lines
+from trinoc.calib.detect.labels import MirroredError
 from trinoc.calib.detect.lattice import find_lattices
 from trinoc.calib.detect.layout import Layout, layout_of
 from trinoc.calib.detect.picture import GreyPicture, grey_picture
-from trinoc.calib.detect.sheet import Sheet, read_sheet
+from trinoc.calib.detect.sheet import Sheet, read_sheet, shows_same_sheet
 from trinoc.calib.detection import Detection
 from trinoc.calib.pattern import Pattern
 from trinoc.errors import DetectionError
@@ -39,7 +40,7 @@ def detect_pattern(image: Shaped[np.ndarray, "..."], pattern: Pattern) -> Detect
     """
     picture = grey_picture(image)
     layout = layout_of(pattern)
-    refusals: list[DetectionError] = []
+    refusals: list[tuple[int, DetectionError]] = []
     for positive in (picture, picture._replace(grey=picture.grey.max() - picture.grey)):
         for blobs in _searches(positive):
             sheets = _sheets(positive, blobs, pattern, layout, refusals)
@@ -51,7 +52,8 @@ def detect_pattern(image: Shaped[np.ndarray, "..."], pattern: Pattern) -> Detect
             if sheets:
                 return _as_detection(positive, sheets[0], pattern)
     if refusals:
-        raise refusals[0]
+        # The largest lattice is likeliest to be the sheet, so its refusal says most.
+        raise max(refusals, key=lambda refusal: refusal[0])[1]
     raise DetectionError(
         f"No sheet of the pattern {pattern.name!r} was found in the picture; see that it lies"
         " flat, in focus, and large enough."
@@ -94,7 +96,7 @@ def _sheets(
     blobs: Blobs,
     pattern: Pattern,
     layout: Layout,
-    refusals: list[DetectionError],
+    refusals: list[tuple[int, DetectionError]],
 ) -> list[Sheet]:
     """All sheets among the blobs; what was refused is added to `refusals`."""
     span = int(np.ptp(pattern.lattice, axis=0).max()) + 3
@@ -103,9 +105,14 @@ def _sheets(
         return sheets
     for lattice in find_lattices(blobs, layout, at_least=_FEWEST_BLOBS, span=span):
         try:
-            sheets.append(read_sheet(picture, blobs, lattice, pattern, layout))
+            sheet = read_sheet(picture, blobs, lattice, pattern, layout)
+        except MirroredError:
+            raise
         except DetectionError as refusal:
-            refusals.append(refusal)
+            refusals.append((len(lattice), refusal))
+            continue
+        if not any(shows_same_sheet(known, sheet, pattern) for known in sheets):
+            sheets.append(sheet)
     return sheets
 
 

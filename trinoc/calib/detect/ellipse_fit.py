@@ -17,12 +17,16 @@ from trinoc.calib.detect.ellipse_shape import inverse_square_root, smallest_axis
 from trinoc.calib.detect.normal_table import normal_cdf
 
 # Parameters of one circle, in the order of the Jacobian's columns.
-_CENTRE, _SHAPE, _BLUR, _PAPER, _INK, _HOLE = slice(0, 2), slice(2, 5), 5, 6, 7, 8
-_PARAMETERS = 9
+_CENTRE, _SHAPE, _BLUR, _PAPER, _INK = slice(0, 2), slice(2, 5), 5, 6, 7
+_ALWAYS = 8
+# The hole follows if it is free, the light's slope comes last if it is.
+_HOLE, _SLOPE = 8, slice(-2, None)
 _SMALLEST_BLUR_PX = 0.25
 _LARGEST_BLUR_PX = 12.0
 # Relative width of the prior that holds each circle's blur to that of the sheet.
 _BLUR_PRIOR = 0.3
+# Share of the contrast beyond which a residual says nothing of how well the model fits.
+_LARGEST_MISFIT = 0.5
 _DENSITY = np.float32(1.0 / np.sqrt(2.0 * np.pi))
 
 
@@ -36,6 +40,7 @@ class Ellipses(NamedTuple):
     ink : (n,) share of the light that ink takes away.
     hole : (n,) 1 for a ring, 0 for a disc, as fitted.
     hole_sigma : (n,).
+    slope : (n, 2) relative change of the light per pixel along x and y.
     covariance_px2 : (n, 2, 2) of the centres.
     residual_sigma : (n,) rms residual of the pixels kept.
     kept : (n,) share of the pixels that the model explains.
@@ -48,6 +53,7 @@ class Ellipses(NamedTuple):
     ink: Float[np.ndarray, "n"]
     hole: Float[np.ndarray, "n"]
     hole_sigma: Float[np.ndarray, "n"]
+    slope: Float[np.ndarray, "n 2"]
     covariance_px2: Float[np.ndarray, "n 2 2"]
     residual_sigma: Float[np.ndarray, "n"]
     kept: Float[np.ndarray, "n"]
@@ -61,10 +67,13 @@ def start_ellipses(
     pixels: EllipsePixels,
     centres_px: Float[np.ndarray, "n 2"],
     shape_px2: Float[np.ndarray, "n 2 2"],
+    *,
+    hole_ratio: float,
     taken_share: float,
 ) -> Ellipses:
-    """Grey levels and blur read off the pixels of given ellipses.
+    """Grey levels, blur and holes read off the pixels of given ellipses.
 
+    hole_ratio : inner over outer radius of rings; 0 for a sheet without any.
     taken_share : the share of the pixels round the ellipses that `pixels` holds.
     """
     count = len(centres_px)
@@ -81,14 +90,19 @@ def start_ellipses(
     length = np.pi * np.sqrt(0.5 * trace + np.sqrt(np.linalg.det(shape_px2)))
     blur = float(np.median(on_edge.sum(axis=1) / (2 * length * taken_share)))
     zero = np.zeros(count)
+    hole = zero
+    if hole_ratio > 0:
+        amid = pixels.used & (radius < 0.8 * hole_ratio)
+        hole = np.clip(1.0 - _masked_mean(coverage, amid), 0.0, 1.0) * np.any(amid, axis=1)
     return Ellipses(
         centres_px=centres_px,
         shape_px2=shape_px2,
         blur_px=np.full(count, np.clip(blur, 0.4, _LARGEST_BLUR_PX)),
         paper=paper,
         ink=np.clip(contrast / np.where(np.abs(paper) > 1e-6, paper, 1e-6), -20.0, 20.0),
-        hole=zero,
+        hole=hole,
         hole_sigma=zero,
+        slope=np.zeros((count, 2)),
         covariance_px2=np.zeros((count, 2, 2)),
         residual_sigma=zero,
         kept=zero,
@@ -101,7 +115,7 @@ def refine_ellipses(
     *,
     hole_ratio: float,
     free_hole: bool,
-    slope: Float[np.ndarray, "n 2"],
+    slope_sigma: Float[np.ndarray, "n"] | None,
     noise_sigma: float,
     outlier_shares: tuple[float, ...],
 ) -> Ellipses:
@@ -109,28 +123,28 @@ def refine_ellipses(
 
     hole_ratio : inner over outer radius of rings; 0 leaves holes out.
     free_hole : whether `hole` is fitted or kept.
-    slope : (n, 2) relative change of the light per pixel along x and y.
-    outlier_shares : pixels whose residual exceeds this share of the contrast, and 4.5 sigma
-        of the noise, are left out of the step.
+    slope_sigma : (n,) how far the slope of the light may be from that of `start`; None keeps it.
+    outlier_shares : pixels whose residual exceeds this share of the contrast, 4.5 sigma of the
+        noise, and what is usual in the picture, are left out of the step.
     """
-    free = free_hole and hole_ratio > 0
     state = start
     for share in outlier_shares:
         frame = inverse_square_root(state.shape_px2)
-        jacobian, residual = _linearise(pixels, state, frame, hole_ratio, slope)
+        jacobian, residual = _linearise(
+            pixels, state, frame, hole_ratio, free_hole, slope_sigma is not None
+        )
         kept = _kept(pixels, residual, state, share, noise_sigma)
-        if not free:
-            jacobian = jacobian[:, :_HOLE]
         weighted = jacobian * kept[:, None, :]
         normal = (weighted @ np.swapaxes(jacobian, 1, 2)).astype(float)
         right = (weighted @ residual[:, :, None])[:, :, 0].astype(float)
-        variance = _masked_mean(residual**2, kept)
-        change = _solve(state, normal, right, variance)
-        state = _stepped(state, frame, change)
+        variance = _masked_mean(residual**2, kept) + 1e-12
+        _add_priors(normal, right, state, start, variance, slope_sigma)
+        change = np.linalg.solve(normal, right[:, :, None])[:, :, 0]
+        state = _stepped(state, frame, change, free_hole, slope_sigma is not None)
     # Near the end the model is straight enough to carry the residual to the last step.
     residual = residual - (change.astype(np.float32)[:, None, :] @ jacobian)[:, 0]
     kept = _kept(pixels, residual, state, outlier_shares[-1], noise_sigma)
-    return _with_covariance(state, normal, pixels, residual, kept, noise_sigma)
+    return _with_covariance(state, normal, pixels, residual, kept, noise_sigma, free_hole)
 
 
 def _linearise(
@@ -138,7 +152,8 @@ def _linearise(
     state: Ellipses,
     frame: Float[np.ndarray, "n 2 2"],
     hole_ratio: float,
-    slope: Float[np.ndarray, "n 2"],
+    free_hole: bool,
+    free_slope: bool,
 ) -> tuple[Float[np.ndarray, "n k p"], Float[np.ndarray, "n p"]]:
     """Jacobian of the model, and observed minus predicted grey, in 32 bit."""
     y1, y2 = _whitened(pixels, state.centres_px, frame)
@@ -156,15 +171,14 @@ def _linearise(
     z = distance * inverse_blur
     coverage = normal_cdf(-z)
     light = _column(state.paper)
-    if np.any(slope):
+    if np.any(state.slope) or free_slope:
         local = state.centres_px - pixels.origin_px
-        along = _column(slope[:, 0]) * (pixels.x - _column(local[:, 0]))
-        light = light * (1.0 + along + _column(slope[:, 1]) * (pixels.y - _column(local[:, 1])))
+        dx, dy = pixels.x - _column(local[:, 0]), pixels.y - _column(local[:, 1])
+        light = light * (1.0 + _column(state.slope[:, 0]) * dx + _column(state.slope[:, 1]) * dy)
     inked = light * _column(state.ink)
     edge = inked * (np.exp(-0.5 * z * z) * (_DENSITY * inverse_blur))
-    jacobian = np.empty(
-        (len(y1), _PARAMETERS if hole_ratio > 0 else _HOLE, y1.shape[1]), np.float32
-    )
+    columns = _ALWAYS + free_hole + 2 * free_slope
+    jacobian = np.empty((len(y1), columns, y1.shape[1]), np.float32)
     across = edge * inverse_gradient
     np.multiply(across, -gx, out=jacobian[:, 0])
     np.multiply(across, -gy, out=jacobian[:, 1])
@@ -175,11 +189,15 @@ def _linearise(
     np.multiply(edge, -z, out=jacobian[:, _BLUR])
     if hole_ratio > 0:
         inner = normal_cdf((np.float32(hole_ratio) - radius) * inverse_gradient * inverse_blur)
-        np.multiply(inked, inner, out=jacobian[:, _HOLE])
+        if free_hole:
+            np.multiply(inked, inner, out=jacobian[:, _HOLE])
         coverage -= _column(state.hole) * inner
     model = light - inked * coverage
     np.multiply(model, _column(1.0 / state.paper), out=jacobian[:, _PAPER])
     np.multiply(light, -coverage, out=jacobian[:, _INK])
+    if free_slope:
+        np.multiply(model, dx, out=jacobian[:, -2])
+        np.multiply(model, dy, out=jacobian[:, -1])
     return jacobian, pixels.grey - model
 
 
@@ -190,31 +208,43 @@ def _kept(
     share: float,
     noise_sigma: float,
 ) -> Bool[np.ndarray, "n p"]:
-    contrast = np.abs(state.paper * state.ink)
-    cut = np.sqrt((4.5 * noise_sigma) ** 2 + (share * contrast) ** 2)
-    return pixels.used & (np.abs(residual) < _column(cut))
+    """Pixels whose residual is no larger than noise and the sheet's usual misfit explain."""
+    contrast = np.abs(state.paper * state.ink) + 1e-12
+    relative = np.abs(residual) * _column(1.0 / contrast)
+    near = pixels.used & (relative < _LARGEST_MISFIT)
+    # Sharpening in the camera and the like leave residuals no single circle is to blame for.
+    usual = float(np.median(np.sqrt(_masked_mean(relative**2, near))))
+    noise = 4.5 * noise_sigma / contrast
+    return pixels.used & (relative < _column(np.sqrt(noise**2 + max(share, 3.5 * usual) ** 2)))
 
 
-def _solve(
-    state: Ellipses,
+def _add_priors(
     normal: Float[np.ndarray, "n k k"],
     right: Float[np.ndarray, "n k"],
+    state: Ellipses,
+    start: Ellipses,
     variance: Float[np.ndarray, "n"],
-) -> Float[np.ndarray, "n k"]:
-    """The step of every circle, its blur drawn to the sheet's."""
-    normal, right = normal.copy(), right.copy()
+    slope_sigma: Float[np.ndarray, "n"] | None,
+) -> None:
+    """Draw each blur to the sheet's and each slope to the start's; keep the equations regular."""
     diagonal = np.einsum("nkk->nk", normal)
-    diagonal *= 1.0 + 1e-4
     diagonal += 1e-9 * diagonal.max(axis=1, keepdims=True) + 1e-12
     common = np.median(state.blur_px)
-    weight = (variance + 1e-12) / (_BLUR_PRIOR * common) ** 2
+    weight = variance / (_BLUR_PRIOR * common) ** 2
     diagonal[:, _BLUR] += weight
     right[:, _BLUR] += weight * (common - state.blur_px)
-    return np.linalg.solve(normal, right[:, :, None])[:, :, 0]
+    if slope_sigma is not None:
+        weight = (variance / (slope_sigma**2 + 1e-12))[:, None]
+        diagonal[:, _SLOPE] += weight
+        right[:, _SLOPE] += weight * (start.slope - state.slope)
 
 
 def _stepped(
-    state: Ellipses, frame: Float[np.ndarray, "n 2 2"], change: Float[np.ndarray, "n k"]
+    state: Ellipses,
+    frame: Float[np.ndarray, "n 2 2"],
+    change: Float[np.ndarray, "n k"],
+    free_hole: bool,
+    free_slope: bool,
 ) -> Ellipses:
     """The ellipses after a step that is kept from leaving what a circle can be."""
     limit = 0.5 * smallest_axis(state.shape_px2)[:, None]
@@ -226,7 +256,7 @@ def _stepped(
     precision = frame @ stretch @ frame
     blur = state.blur_px * np.clip(1.0 + change[:, _BLUR] / state.blur_px, 0.6, 1.6)
     hole = state.hole
-    if change.shape[1] == _PARAMETERS:
+    if free_hole:
         hole = np.clip(hole + change[:, _HOLE], -1.0, 2.0)
     return state._replace(
         centres_px=state.centres_px + move,
@@ -235,6 +265,7 @@ def _stepped(
         paper=state.paper + change[:, _PAPER],
         ink=np.clip(state.ink + change[:, _INK], -20.0, 20.0),
         hole=hole,
+        slope=state.slope + change[:, _SLOPE] if free_slope else state.slope,
     )
 
 
@@ -245,16 +276,14 @@ def _with_covariance(
     residual: Float[np.ndarray, "n p"],
     kept: Bool[np.ndarray, "n p"],
     noise_sigma: float,
+    free_hole: bool,
 ) -> Ellipses:
-    normal = normal.copy()
-    diagonal = np.einsum("nkk->nk", normal)
-    diagonal += 1e-9 * diagonal.max(axis=1, keepdims=True) + 1e-12
     variance = _masked_mean(residual**2, kept)
     # Pixels that agree by luck do not make a circle surer than the picture's noise allows.
     covariance = np.linalg.inv(normal) * np.maximum(variance, noise_sigma**2)[:, None, None]
     hole_sigma = state.hole_sigma
-    if normal.shape[1] == _PARAMETERS:
-        hole_sigma = np.sqrt(covariance[:, _HOLE, _HOLE])
+    if free_hole:
+        hole_sigma = np.sqrt(np.maximum(covariance[:, _HOLE, _HOLE], 0.0))
     return state._replace(
         covariance_px2=covariance[:, _CENTRE, _CENTRE],
         hole_sigma=hole_sigma,

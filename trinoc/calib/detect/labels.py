@@ -16,6 +16,10 @@ _MARGIN = 16.0
 _MOST_WRONG = 0.1
 
 
+class MirroredError(DetectionError):
+    """The sheet is seen mirrored: no other way of looking will change that."""
+
+
 class Labelling(NamedTuple):
     """Pattern index of each circle of a lattice, -1 where the pattern has none.
 
@@ -54,7 +58,7 @@ def label_circles(
         if mirrored.score.max() > seen.score[best] + _MARGIN:
             worst = int(np.argmax(mirrored.score))
             if _contradicting(mirrored.index[worst], ring_evidence, pattern) <= _allowed(len(cell)):
-                raise DetectionError(
+                raise MirroredError(
                     f"The picture shows the sheet {pattern.name!r} mirrored; flip it left to"
                     " right, or photograph the printed side."
                 )

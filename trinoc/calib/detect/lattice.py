@@ -25,6 +25,7 @@ _LARGEST_AREA_RATIO = 3.0
 _MISS_RADII = 0.7
 _SHAPE_FACTOR = 2.2
 _ROUNDS = 30
+_MOST_BESIDE = 12
 
 
 class Lattice(NamedTuple):
@@ -96,9 +97,9 @@ class _Neighbours(NamedTuple):
     def cells_at(self, start: int, free: np.ndarray) -> Iterator[Lattice]:
         """Four blobs round one cell of the lattice with `start` as a corner."""
         beside = np.flatnonzero(self.near[start] & free)
-        if len(beside) > 12:
-            distance = np.linalg.norm(self.offset[start, beside], axis=1)
-            beside = beside[np.argsort(distance)[:12]]
+        # The nearest first: where the stated radius is off, diagonals could pass for rows.
+        offset = self.offset[start, beside]
+        beside = beside[np.argsort(offset[:, 0] ** 2 + offset[:, 1] ** 2)[:_MOST_BESIDE]]
         tries = 0
         for first in beside.tolist():
             for second in beside.tolist():
@@ -123,7 +124,7 @@ class _Neighbours(NamedTuple):
         stretch = (length_a / self.expected[0]) / (length_b / self.expected[1])
         if not 1 / 1.45 < stretch < 1.45:
             return False
-        return abs((a @ b) / (length_a * length_b) - self.cosine) < 0.45
+        return bool(abs((a @ b) / (length_a * length_b) - self.cosine) < 0.45)
 
     def _opposite(self, start: int, first: int, second: int, free: np.ndarray) -> int | None:
         """The blob that closes the parallelogram, if one does."""

@@ -6,19 +6,24 @@ from jaxtyping import Float
 _PLANE_CIRCLES = 6
 _QUADRATIC_CIRCLES = 12
 _REWEIGHTINGS = 3
+# A circle and those round it.
+_NEIGHBOURS = 5
+# Relative change per pixel that light may have where too few circles tell.
+_UNKNOWN_SLOPE = 0.005
 
 
 def light_slope(
     centres_px: Float[np.ndarray, "n 2"], paper: Float[np.ndarray, "n"]
-) -> Float[np.ndarray, "n 2"]:
-    """Relative change of the paper's grey per pixel at each circle.
+) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n"]]:
+    """Relative change of the paper's grey per pixel at each circle, and how sure it is.
 
     A quadratic through the greys round all circles says more of the slope across one circle
-    than its own pixels do, and costs its centre nothing.
+    than its own pixels do, and costs its centre nothing. Where the greys do not lie on that
+    surface, near a shadow, the slope is as unsure as they are over one pitch.
     """
     count = len(paper)
     if count < _PLANE_CIRCLES:
-        return np.zeros((count, 2))
+        return np.zeros((count, 2)), np.full(count, _UNKNOWN_SLOPE)
     middle = centres_px.mean(axis=0)
     extent = max(float(np.abs(centres_px - middle).max()), 1.0)
     x, y = ((centres_px - middle) / extent).T
@@ -40,4 +45,9 @@ def light_slope(
     light = basis @ surface
     light = np.where(np.abs(light) > 1e-9, light, 1e-9)
     slope = np.stack([np.stack(terms_x, 1) @ surface, np.stack(terms_y, 1) @ surface], axis=1)
-    return slope / extent / light[:, None]
+    distance = np.linalg.norm(centres_px[:, None] - centres_px[None], axis=2)
+    nearest = np.argsort(distance, axis=1)[:, :_NEIGHBOURS]
+    pitch_px = np.median(distance[np.arange(count), nearest[:, 1]])
+    relative_miss = (paper - basis @ surface) / light
+    unsure = np.sqrt(np.mean(relative_miss[nearest] ** 2, axis=1)) / pitch_px
+    return slope / extent / light[:, None], unsure

@@ -78,6 +78,15 @@ def read_sheet(
     return Sheet(choices, ellipses, final)
 
 
+def shows_same_sheet(first: Sheet, second: Sheet, pattern: Pattern) -> bool:
+    """Whether two readings of a picture are of one sheet, split by a shadow or a hand, say."""
+    index = second.index[0]
+    centre, shape = first.warp.ellipses(pattern.centres_mm[index], pattern.radius_mm[index])
+    off = second.ellipses.centres_px - centre
+    miss2 = np.einsum("ni,nij,nj->n", off, np.linalg.inv(shape), off)
+    return bool(np.nanmedian(miss2) < 1.0)
+
+
 def _upright_first(
     choices: Int[np.ndarray, "k m"], centres_px: Float[np.ndarray, "m 2"], pattern: Pattern
 ) -> Int[np.ndarray, "k m"]:
@@ -115,22 +124,23 @@ def _coarse_fit(
     )
     return refine_ellipses(
         pixels,
-        start_ellipses(pixels, centres_px, shape_px2, 1.0 / stride),
+        start_ellipses(
+            pixels, centres_px, shape_px2, hole_ratio=hole_ratio, taken_share=1.0 / stride
+        ),
         hole_ratio=hole_ratio,
         free_hole=True,
-        slope=np.zeros((count, 2)),
+        slope_sigma=None,
         noise_sigma=picture.noise_sigma,
         outlier_shares=(0.5, 0.25),
     )
 
 
 def _fine_fit(
-    picture: GreyPicture, coarse: Ellipses, slope: Float[np.ndarray, "n 2"], layout: Layout
+    picture: GreyPicture, coarse: Ellipses, is_ring: np.ndarray, layout: Layout
 ) -> Ellipses:
     """Fit with all pixels of a band round the outer edge."""
-    # Sharpening in the camera and the like leave residuals that no circle is to be blamed for.
-    typical = float(np.median(coarse.residual_sigma / np.abs(coarse.paper * coarse.ink)))
-    outlier_share = float(np.clip(3.5 * typical, 0.08, 0.5))
+    slope, slope_sigma = light_slope(coarse.centres_px, coarse.paper)
+    start = coarse._replace(hole=is_ring.astype(float), slope=slope)
     minor = smallest_axis(coarse.shape_px2)
     band = (2.6 * coarse.blur_px + 0.7) / minor
     halfway = 0.5 * (1.0 + layout.hole_ratio) if layout.hole_ratio > 0 else 0.3
@@ -143,12 +153,12 @@ def _fine_fit(
     )
     return refine_ellipses(
         pixels,
-        coarse,
+        start,
         hole_ratio=layout.hole_ratio,
         free_hole=False,
-        slope=slope,
+        slope_sigma=slope_sigma,
         noise_sigma=picture.noise_sigma,
-        outlier_shares=(outlier_share,),
+        outlier_shares=(0.08,),
     )
 
 
@@ -174,10 +184,10 @@ def _measure_all(
         like &= (contrast > 0.35) & (contrast < 3.0)
         coarse = _join(coarse, extra.take(like))
         index = np.concatenate([index, missing[like]])
-    start = coarse._replace(hole=pattern.is_ring[index].astype(float))
-    fine = _fine_fit(picture, start, light_slope(coarse.centres_px, coarse.paper), layout)
+    fine = _fine_fit(picture, coarse, pattern.is_ring[index], layout)
     centre, shape = warp.ellipses(pattern.centres_mm[index], pattern.radius_mm[index])
     good = _plausible(fine, centre, shape, picture.noise_sigma)
+    good &= _undisturbed(fine, picture.noise_sigma)
     good &= _agrees(fine, index, pattern)
     return fine.take(good), index[good]
 
@@ -207,6 +217,14 @@ def _plausible(
         & (fitted.kept > 0.8)
         & (relative < allowed)
     )
+
+
+def _undisturbed(fitted: Ellipses, noise_sigma: float) -> np.ndarray:
+    """Circles whose edge fits as well as is usual: none with a shadow's edge across it."""
+    contrast = np.abs(fitted.paper * fitted.ink)
+    beyond_noise = np.maximum(fitted.residual_sigma**2 - noise_sigma**2, 0.0)
+    misfit = np.sqrt(beyond_noise) / contrast
+    return misfit < 2.5 * np.median(misfit) + 0.02 + 0.6 * noise_sigma / contrast
 
 
 def _agrees(fitted: Ellipses, index: Int[np.ndarray, "m"], pattern: Pattern) -> np.ndarray:
