@@ -11,15 +11,16 @@ from trinoc.match.nevatia_babu.levels import fine_level, half_level
 from trinoc.match.nevatia_babu.line_fit import fit_lines
 from trinoc.match.nevatia_babu.masks import combined_kernel
 from trinoc.match.nevatia_babu.merging import collinear_successors, merged_runs
-from trinoc.match.nevatia_babu.neighbours import REACH_PX, line_pairs_within, without_neighbours
+from trinoc.match.nevatia_babu.neighbours import overlaps, without_neighbours
 from trinoc.match.nevatia_babu.picture import grey_picture
 from trinoc.match.nevatia_babu.runs import members
 from trinoc.match.nevatia_babu.two_levels import runs_of_both_levels
-from trinoc.match.nevatia_babu.validity import is_sharp, is_straight, typical_blur
+from trinoc.match.nevatia_babu.validity import blur_of_picture, is_sharp, is_straight
 
 GAP_PX = 8.0
 SNAP_PX = 6.0
-NEIGHBOUR_ROUNDS = 2
+NEIGHBOUR_ROUNDS = 1
+MERGE_ROUNDS = 1
 SMOOTHING = 1
 LEAST_CONTRAST = 7.0
 
@@ -40,23 +41,23 @@ def find_segments(
     needed = least_evidence(false_alarms, height * width)
     fine = fine_level(picture.grey, picture.quantum, kernel)
     half = half_level(picture.grey, picture.quantum, kernel)
-    points, first = runs_of_both_levels(fine, half, kernel, tolerance_px)
+    points, first = runs_of_both_levels(fine, half, kernel, tolerance_px, LEAST_CONTRAST)
     lines = fit_lines(points, first)
-    for _ in range(2):
+    for _ in range(MERGE_ROUNDS):
         successor = collinear_successors(lines, GAP_PX, tolerance_px / 2)
-        order, first = merged_runs(successor, first, len(points.pixel))
+        order, first = merged_runs(successor, first, len(points.strength))
         points = points.select(order)
         lines = fit_lines(points, first)
-    typical = typical_blur(lines)
-    keep = is_sharp(lines, typical) & (lines.evidence > needed)
-    index, _, first = members(first[keep], np.append(first[1:], len(points.pixel))[keep])
+    blur = blur_of_picture(lines)
+    keep = is_sharp(lines, blur) & (lines.evidence > needed)
+    index, _, first = members(first[keep], np.append(first[1:], len(points.strength))[keep])
     points = points.select(index)
     lines = lines.select(keep)
-    pairs = line_pairs_within(lines, REACH_PX)
+    found = overlaps(points, first, lines)
     for _ in range(NEIGHBOUR_ROUNDS):
-        spread = 0.15 * (fine.kernel_variance_px2 + typical)
-        blur = np.clip(lines.blur_px2, typical - spread, typical + spread)
-        lines = fit_lines(without_neighbours(points, first, lines, blur, pairs), first)
+        spread = 0.15 * (fine.kernel_variance_px2 + blur.typical)
+        own = np.clip(lines.blur_px2, blur.typical - spread, blur.typical + spread)
+        lines = fit_lines(without_neighbours(points, lines, own, found), first)
     lines = lines.select(is_straight(lines, width) & (lines.contrast > LEAST_CONTRAST))
 
     partner, position = crossings_near_ends(

@@ -2,6 +2,8 @@
 
 import numpy as np
 from jaxtyping import Int
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
 
 def ordered_chains(
@@ -17,28 +19,45 @@ def ordered_chains(
     linked = np.flatnonzero(successor >= 0)
     predecessor = np.arange(count)
     predecessor[successor[linked]] = linked
-    head, distance, lowest = _heads(predecessor)
-    closed = predecessor[head] != head
-    if closed.any():
-        opened = np.flatnonzero(closed & (lowest == np.arange(count)))
+    head, distance = _heads(predecessor)
+    closed = np.flatnonzero(predecessor[head] != head)
+    if len(closed):
+        predecessor[_lowest_of_loops(predecessor, closed)] = -1
+        opened = np.flatnonzero(predecessor < 0)
         predecessor[opened] = opened
-        head, distance, _ = _heads(predecessor)
+        head, distance = _heads(predecessor)
     order = np.argsort((head << 32) | distance)
     starts = np.flatnonzero(distance[order] == 0)
     return order, starts
 
 
-def _heads(predecessor: Int[np.ndarray, "n"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of each point: the first point of its chain, the steps to it, the lowest index on the way."""
+def _heads(predecessor: Int[np.ndarray, "n"]) -> tuple[np.ndarray, np.ndarray]:
+    """Of each point: the first point of its chain, and the steps to it.
+
+    Points of a closed chain have no first point: some other point of the chain stands there.
+    """
     count = len(predecessor)
     head = predecessor
     distance = (predecessor != np.arange(count)).astype(np.int64)
-    lowest = np.minimum(np.arange(count), predecessor)
     for _ in range(max(1, int(count).bit_length())):
         further = head[head]
-        if (further == head).all():
+        if np.array_equal(further, head):
             break
         distance = distance + distance[head]
-        lowest = np.minimum(lowest, lowest[head])
         head = further
-    return head, distance, lowest
+    return head, distance
+
+
+def _lowest_of_loops(
+    predecessor: Int[np.ndarray, "n"], closed: Int[np.ndarray, "m"]
+) -> Int[np.ndarray, "loops"]:
+    """The point of lowest index of each closed chain; `closed` are all points of such chains."""
+    place = np.empty(len(predecessor), dtype=np.int64)
+    place[closed] = np.arange(len(closed))
+    graph = coo_matrix(
+        (np.ones(len(closed), dtype=bool), (np.arange(len(closed)), place[predecessor[closed]])),
+        shape=(len(closed), len(closed)),
+    )
+    _, loop = connected_components(graph, directed=False)
+    _, earliest = np.unique(loop, return_index=True)
+    return closed[earliest]

@@ -3,11 +3,10 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from trinoc.match.nevatia_babu.levels import Level
-
-_SMALLEST = 1e-6
+from trinoc.match.nevatia_babu.thinning import ThinnedPixels, peak_of_profile
 
 
 class EdgePoints(NamedTuple):
@@ -15,9 +14,8 @@ class EdgePoints(NamedTuple):
 
     Fields
     ------
-    pixel : (n,) index of the pixel in the flattened picture of the point's level.
-    sample_px : (n, 2) centre of that pixel.
-    spacing_px : (n,) distance of two pixels of that level.
+    sample_px : (n, 2) centre of the pixel at which the profile was taken.
+    spacing_px : (n,) distance of two pixels of the point's level.
     kernel_variance_px2 : (n,) variance of the smoothing by the kernel at that level.
     normal : (n, 2) unit vector across the edge, toward the brighter side.
     along_u : (n,) whether the profile was sampled along u, or else along v.
@@ -33,7 +31,6 @@ class EdgePoints(NamedTuple):
     evidence : (n,) (strength / its standard deviation from noise alone)^2.
     """
 
-    pixel: Int[np.ndarray, "n"]
     sample_px: Float[np.ndarray, "n 2"]
     spacing_px: Float[np.ndarray, "n"]
     kernel_variance_px2: Float[np.ndarray, "n"]
@@ -50,56 +47,40 @@ class EdgePoints(NamedTuple):
         """The points at the given indices, in that order, or where the mask is true."""
         return EdgePoints(*(field[which] for field in self))
 
-    @property
-    def direction(self) -> Float[np.ndarray, "n 2"]:
-        """(n, 2) along the edge, with the darker side on the right as seen on the picture."""
-        return np.stack([-self.normal[:, 1], self.normal[:, 0]], axis=-1)
-
     @classmethod
-    def at_pixels(
-        cls,
-        pixel: Int[np.ndarray, "n"],
-        gradient: Float[np.ndarray, "n 2"],
-        along_u: Bool[np.ndarray, "n"],
-        profile: Float[np.ndarray, "n 3"],
-        level: Level,
-    ) -> "EdgePoints":
-        """Points at pixels of a level, with gradients and profiles per pixel of that level."""
-        count, spacing = len(pixel), np.float32(level.spacing_px)
-        row, column = np.divmod(pixel, level.grey.shape[1])
-        sample_px = np.stack([column, row], axis=-1).astype(np.float32) * spacing
-        sample_px += (spacing - 1) / 2
-        size = np.sqrt((gradient * gradient).sum(axis=-1))
-        normal = gradient / size[:, None]
+    def of_level(cls, pixels: ThinnedPixels, level: Level) -> "EdgePoints":
+        """Thinned pixels of a level as points of the full picture."""
+        count, spacing = len(pixels.pixel), np.float32(level.spacing_px)
+        size = pixels.profile[:, 1]
+        normal = pixels.gradient / size[:, None]
         strength = size / spacing
+        along_u = pixels.along_u
         larger = np.abs(np.where(along_u, normal[:, 0], normal[:, 1]))
         # A point of a slanted edge stands for more than one pixel of its length.
         information = strength**2 * (spacing / larger / np.float32(level.slope_variance))
+        to_full = (spacing - 1) / 2
+        row, column = np.divmod(pixels.pixel, level.grey.shape[1])
+        sample_px = np.stack([column, row], axis=-1).astype(np.float32)
         points = cls(
-            pixel,
-            sample_px,
+            sample_px * spacing + to_full,
             np.full(count, spacing),
             np.full(count, np.float32(level.kernel_variance_px2)),
             normal,
             along_u,
-            profile / spacing,
-            sample_px,
+            pixels.profile / spacing,
+            pixels.uv_px * spacing + to_full,
             strength,
             strength,
             information,
             np.square(strength / np.float32(level.sigma_strength)),
         )
-        uv_px, variance = points.located(points.profile)
-        return points._replace(uv_px=uv_px, sharpness=(points.kernel_variance_px2 + 1) / variance)
+        _, variance = points.located(points.profile)
+        return points._replace(sharpness=(points.kernel_variance_px2 + 1) / variance)
 
     def located(
         self, profile: Float[np.ndarray, "n 3"]
     ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n"]]:
-        """(position, variance): peak and width across the edge of a Gaussian through `profile`.
-
-        A Gaussian cut at a slant is again Gaussian: the parabola through the logarithms of
-        the three samples gives both exactly where blur and kernel are Gaussian.
-        """
+        """(position, variance): peak and width across the edge of a Gaussian through `profile`."""
         offset, variance = peak_of_profile(profile)
         offset = offset * self.spacing_px
         larger = np.where(self.along_u, self.normal[:, 0], self.normal[:, 1])
@@ -112,16 +93,3 @@ class EdgePoints(NamedTuple):
 def joined(one: EdgePoints, other: EdgePoints) -> EdgePoints:
     """The points of both, one after the other."""
     return EdgePoints(*(np.concatenate(pair) for pair in zip(one, other, strict=True)))
-
-
-def peak_of_profile(
-    profile: Float[np.ndarray, "n 3"],
-) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    """(offset, variance) of the Gaussian through three samples, one apart.
-
-    The offset counts from the middle sample.
-    """
-    level = np.log(np.maximum(profile, _SMALLEST))
-    low, high = level[:, 0] - level[:, 1], level[:, 2] - level[:, 1]
-    curvature = np.minimum(low + high, -_SMALLEST)
-    return 0.5 * (low - high) / curvature, -1 / curvature

@@ -11,7 +11,7 @@ from trinoc.match.nevatia_babu.linking import successors
 from trinoc.match.nevatia_babu.masks import GradientKernel
 from trinoc.match.nevatia_babu.polygon import split_chains
 from trinoc.match.nevatia_babu.runs import members
-from trinoc.match.nevatia_babu.thinning import edge_points
+from trinoc.match.nevatia_babu.thinning import thinned_pixels
 
 # The end points of a run lie where the chain bends: the corner pulls them.
 TRIMMED_POINTS = 1
@@ -21,20 +21,20 @@ def straight_runs(
     level: Level,
     kernel: GradientKernel,
     *,
-    threshold: float,
+    least_strength: float,
     tolerance_px: float,
     least_points: int,
     excluded: Bool[np.ndarray, "h w"] | None = None,
 ) -> tuple[EdgePoints, Int[np.ndarray, "r"]]:
     """(points, first): the points of straight runs one after another, and where each begins.
 
-    `threshold` is the least strength of a point in standard deviations of noise,
+    `least_strength` is that of a point, in grey levels per pixel of the full picture,
     `tolerance_px` the largest deviation of a run from its chord. Runs of fewer than
     `least_points` points are left out, and pixels that are `excluded`.
     """
-    points = edge_points(gradient_of(level.grey, kernel), level, threshold, excluded)
-    order, starts = ordered_chains(successors(points, level.grey.shape))
-    points = points.select(order)
-    start, stop = split_chains(points.uv_px, starts, tolerance_px, least_points)
+    gradient = gradient_of(level.grey, kernel)
+    pixels = thinned_pixels(gradient, least_strength * level.spacing_px, excluded)
+    order, starts = ordered_chains(successors(pixels, level.grey.shape))
+    start, stop = split_chains(pixels.uv_px[order], starts, tolerance_px, least_points)
     index, _, first = members(start + TRIMMED_POINTS, stop - TRIMMED_POINTS)
-    return points.select(index), first
+    return EdgePoints.of_level(pixels.select(order[index]), level), first

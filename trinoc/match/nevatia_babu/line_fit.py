@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from trinoc.match.nevatia_babu.runs import sums
 from trinoc.match.nevatia_babu.edge_points import EdgePoints
+from trinoc.match.nevatia_babu.runs import sums
 
 # A residual of this size halves nothing yet; three times as large it counts for a hundredth.
 _ROBUST_SCALE_PX = 0.3
@@ -60,7 +60,7 @@ def fit_lines(points: EdgePoints, first: Int[np.ndarray, "r"]) -> FittedLines:
     Points are weighted by their strength; a second pass weighs down those off the first
     line, as where a chain turns into a corner.
     """
-    support = np.diff(np.append(first, len(points.pixel)))
+    support = np.diff(np.append(first, len(points.strength)))
     run = np.repeat(np.arange(len(first)), support)
     origin = points.uv_px[first].astype(np.float64)
     # Positions from the run's first point: picture coordinates would cancel in the sums.
@@ -116,13 +116,10 @@ def _weighted_line(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Centre and direction of the line with the least weighted squared distances."""
     u, v = local[:, 0], local[:, 1]
-    total, su, sv, suu, suv, svv = sums(
-        np.stack(
-            [weight, weight * u, weight * v, weight * u * u, weight * u * v, weight * v * v],
-            axis=-1,
-        ),
-        first,
-    ).T
+    wu, wv = weight * u, weight * v
+    total, su, sv, suu, suv, svv = (
+        sums(moment, first) for moment in (weight, wu, wv, wu * u, wu * v, wv * v)
+    )
     mean_u, mean_v = su / total, sv / total
     cov_uu, cov_uv = suu / total - mean_u**2, suv / total - mean_u * mean_v
     cov_vv = svv / total - mean_v**2
@@ -144,15 +141,14 @@ def _bow(
 
     With t along the line, the part of t^2 that is orthogonal to 1 and t carries the bow.
     """
+    squared = along * along
+    weighted = weight * squared
     s2, s3, s4, xs2 = (
-        sums(
-            np.stack([weight * along**k for k in (2, 3, 4)] + [weight * across * along**2], -1),
-            first,
-        )
-        / total[:, None]
-    ).T
+        sums(moment, first) / total
+        for moment in (weighted, weighted * along, weighted * squared, weighted * across)
+    )
     s2 = np.maximum(s2, 1e-12)
-    squared = np.maximum(s4 - s2**2 - s3**2 / s2, 1e-12)
-    curvature = xs2 / squared
+    free = np.maximum(s4 - s2**2 - s3**2 / s2, 1e-12)
+    curvature = xs2 / free
     # Points spread evenly over a length L have s2 = L^2 / 12, and rise L^2 / 4 over the chord.
     return curvature * 3 * s2

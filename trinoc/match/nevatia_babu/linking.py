@@ -1,25 +1,29 @@
 """Linking edge points into chains by predecessor and successor."""
 
+import functools
+
 import numpy as np
 from jaxtyping import Float, Int
 
-from trinoc.match.nevatia_babu.edge_points import EdgePoints
+from trinoc.match.nevatia_babu.thinning import ThinnedPixels
 
 REACH_PX = 2
 _SECTORS = 16
+# Of the 24 steps, those within some sixty degrees of the direction.
+_AHEAD = 10
 _LEAST_COSINE = np.cos(np.radians(30.0))
 
 
-def successors(points: EdgePoints, shape: tuple[int, int]) -> Int[np.ndarray, "n"]:
+def successors(pixels: ThinnedPixels, shape: tuple[int, int]) -> Int[np.ndarray, "n"]:
     """(n,) the next point along the edge of each point, -1 where there is none.
 
     Of the points ahead, within two pixels and thirty degrees, the one with the least
     distance along + 1.5 distance across + 2 (1 - cosine of the angle) is preferred; a link
     stands where both sides prefer each other. `shape` is (height, width) of the picture.
     """
-    count = len(points.pixel)
+    count = len(pixels.pixel)
     successor = np.full(count, -1, dtype=np.int64)
-    first, second, cost = _candidate_links(points, shape)
+    first, second, cost = _candidate_links(pixels, shape)
     if len(first) == 0:
         return successor
     chosen = _first_of_each(first, cost)
@@ -29,24 +33,23 @@ def successors(points: EdgePoints, shape: tuple[int, int]) -> Int[np.ndarray, "n
 
 
 def _candidate_links(
-    points: EdgePoints, shape: tuple[int, int]
+    pixels: ThinnedPixels, shape: tuple[int, int]
 ) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"], Float[np.ndarray, "m"]]:
     """Every pair (from, to) that may follow each other, and its cost."""
     width = shape[1]
     at_pixel = np.full(shape[0] * width, -1, dtype=np.int32)
-    at_pixel[points.pixel] = np.arange(len(points.pixel), dtype=np.int32)
-    direction = points.direction
+    at_pixel[pixels.pixel] = np.arange(len(pixels.pixel), dtype=np.int32)
+    direction = pixels.direction
     sector = np.rint(
         np.arctan2(direction[:, 1], direction[:, 0]) * (_SECTORS / (2 * np.pi))
     ).astype(np.int64)
     offsets = _offsets_ahead()
-    neighbours = points.pixel[:, None] + (offsets @ np.array([1, width]))[sector % _SECTORS]
+    neighbours = pixels.pixel[:, None] + (offsets @ np.array([1, width]))[sector % _SECTORS]
     found = at_pixel[neighbours]
     first, which = np.nonzero(found >= 0)
     second = found[first, which].astype(np.int64)
 
-    # All points are of one level, and distances count in its pixels.
-    between = (points.uv_px[second] - points.uv_px[first]) / points.spacing_px[first, None]
+    between = pixels.uv_px[second] - pixels.uv_px[first]
     one, other = direction[first], direction[second]
     cosine = (one * other).sum(axis=-1)
     mean = one + other
@@ -58,13 +61,14 @@ def _candidate_links(
     return first[allowed], second[allowed], cost[allowed]
 
 
+@functools.cache
 def _offsets_ahead() -> Int[np.ndarray, "sectors m 2"]:
     """(sectors, m, 2) the (u, v) steps that lie ahead, for each sector of the direction."""
     reach = np.arange(-REACH_PX, REACH_PX + 1)
     steps = np.array([(u, v) for v in reach for u in reach if u or v])
     angle = np.arange(_SECTORS) * (2 * np.pi / _SECTORS)
     ahead = steps @ np.stack([np.cos(angle), np.sin(angle)])
-    return np.stack([steps[np.argsort(-column, kind="stable")[:14]] for column in ahead.T])
+    return np.stack([steps[np.argsort(-column, kind="stable")[:_AHEAD]] for column in ahead.T])
 
 
 def _first_of_each(group: Int[np.ndarray, "m"], cost: Float[np.ndarray, "m"]) -> np.ndarray:

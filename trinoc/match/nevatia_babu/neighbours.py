@@ -12,12 +12,12 @@ from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 from scipy.special import erf
 
+from trinoc.match.nevatia_babu.edge_points import EdgePoints
 from trinoc.match.nevatia_babu.ends import line_samples
 from trinoc.match.nevatia_babu.line_fit import FittedLines
 from trinoc.match.nevatia_babu.runs import members
-from trinoc.match.nevatia_babu.edge_points import EdgePoints
 
-REACH_PX = 6.0
+REACH_PX = 4.5
 # Fourth cumulant of the kernel's profile: its tails fall faster than a Gaussian's.
 _TAIL = 2.6 / 24
 _LEAST_SHARE = 0.3
@@ -33,7 +33,7 @@ def line_pairs_within(
     none = np.zeros(0, dtype=np.int64)
     if len(lines.support) < 2:
         return none, none
-    spacing = 3.0
+    spacing = 2.0
     owner, samples = line_samples(lines.centre_px, lines.direction, lines.extent_px, spacing)
     near = KDTree(samples).query_pairs(reach_px + spacing, output_type="ndarray")
     one, other = owner[near[:, 0]], owner[near[:, 1]]
@@ -43,57 +43,78 @@ def line_pairs_within(
     return np.divmod(key, len(owner))
 
 
-def without_neighbours(
-    points: EdgePoints,
-    first: Int[np.ndarray, "r"],
-    lines: FittedLines,
-    blur_px2: Float[np.ndarray, "r"],
-    pairs: tuple[Int[np.ndarray, "p"], Int[np.ndarray, "p"]],
-) -> EdgePoints:
-    """The points, located again in profiles from which neighbouring lines are subtracted.
+class Overlaps(NamedTuple):
+    """Points that lie within reach of a line that is not their own: indices of both."""
 
-    `points` lie line after line, line k from first[k] on; `blur_px2` is the variance of each
-    line's own blur, `pairs` come from `line_pairs_within`. Points of which a neighbour makes
-    up most keep next to no weight.
-    """
-    one, other = pairs
+    point: Int[np.ndarray, "m"]
+    line: Int[np.ndarray, "m"]
+
+
+def overlaps(points: EdgePoints, first: Int[np.ndarray, "r"], lines: FittedLines) -> Overlaps:
+    """All points within reach of other lines; `points` lie line after line from first[k] on."""
+    one, other = line_pairs_within(lines, REACH_PX)
     if len(one) == 0:
-        return points
-    stop = np.append(first[1:], len(points.pixel))
+        return Overlaps(one, other)
+    stop = np.append(first[1:], len(points.strength))
     point, pair, _ = members(first[one], stop[one])
-    other = other[pair]
-    direction = lines.direction[other]
-    offset = points.sample_px[point] - lines.centre_px[other]
-    along = (offset * direction).sum(axis=-1)
-    # Toward the brighter side, which is on the left of the direction.
-    across = offset[:, 0] * direction[:, 1] - offset[:, 1] * direction[:, 0]
-    extent = lines.extent_px[other]
-    near = np.flatnonzero(
+    line = other[pair]
+    along, across = _place(points, lines, point, line)
+    extent = lines.extent_px[line]
+    near = (
         (np.abs(across) < REACH_PX)
         & (along > extent[:, 0] - REACH_PX)
         & (along < extent[:, 1] + REACH_PX)
     )
-    point, other, along, across = point[near], other[near], along[near], across[near]
-    direction, extent = direction[near], extent[near]
-    normal = np.stack([direction[:, 1], -direction[:, 0]], axis=-1)
-    cosine = (normal * points.normal[point]).sum(axis=-1)
+    return Overlaps(point[near], line[near])
+
+
+def without_neighbours(
+    points: EdgePoints, lines: FittedLines, blur_px2: Float[np.ndarray, "r"], found: Overlaps
+) -> EdgePoints:
+    """The points, located again in profiles from which neighbouring lines are subtracted.
+
+    `blur_px2` is the variance of each line's own blur. Points of which a neighbour makes up
+    most keep next to no weight.
+    """
+    point, line = found
+    if len(point) == 0:
+        return points
+    along, across = _place(points, lines, point, line)
+    direction = lines.direction[line].astype(np.float32)
+    normal, extent = points.normal[point], lines.extent_px[line].astype(np.float32)
+    # The line's normal is (direction[1], -direction[0]), toward its brighter side.
+    cosine = direction[:, 1] * normal[:, 0] - direction[:, 0] * normal[:, 1]
     axis, spacing = points.along_u[point], points.spacing_px[point]
     step_along = np.where(axis, direction[:, 0], direction[:, 1]) * spacing
-    step_across = np.where(axis, normal[:, 0], normal[:, 1]) * spacing
-    variance = points.kernel_variance_px2[point] + blur_px2[other]
-    height = lines.contrast[other] / np.sqrt(2 * np.pi * variance) * cosine
-    added = np.zeros((len(points.pixel), 3))
+    step_across = np.where(axis, direction[:, 1], -direction[:, 0]) * spacing
+    variance = (points.kernel_variance_px2[point] + blur_px2[line]).astype(np.float32)
+    height = (lines.contrast / np.sqrt(2 * np.pi)).astype(np.float32)[line]
+    height *= cosine / np.sqrt(variance)
+    halved, tail = -0.5 / variance, -np.float32(_TAIL) / variance**4
+    scale = np.sqrt(-halved)
+    added = np.zeros((len(points.strength), 3), dtype=np.float32)
     for sample, step in enumerate((-1, 0, 1)):
-        t, d = along + step * step_along, across + step * step_across
-        window = _step(t - extent[:, 0], variance) - _step(t - extent[:, 1], variance)
-        shape = np.exp(-d * d / (2 * variance) - _TAIL * d**4 / variance**4)
-        added[:, sample] = np.bincount(point, height * shape * window, len(points.pixel))
+        t, squared = along + step * step_along, np.square(across + step * step_across)
+        window = erf((t - extent[:, 0]) * scale) - erf((t - extent[:, 1]) * scale)
+        shape = np.exp(squared * (halved + tail * squared))
+        added[:, sample] = np.bincount(
+            point, 0.5 * height * shape * window, minlength=len(points.strength)
+        )
     return _located_again(points, added)
 
 
-def _step(offset: Float[np.ndarray, "m"], variance: Float[np.ndarray, "m"]) -> np.ndarray:
-    """Smoothed unit step."""
-    return 0.5 * erf(offset / np.sqrt(2 * variance))
+def _place(
+    points: EdgePoints,
+    lines: FittedLines,
+    point: Int[np.ndarray, "m"],
+    line: Int[np.ndarray, "m"],
+) -> tuple[Float[np.ndarray, "m"], Float[np.ndarray, "m"]]:
+    """(along, across): where the points' samples lie from the centre of the lines; the brighter
+    side, on the left of the direction, counts positive across."""
+    offset = points.sample_px[point] - lines.centre_px.astype(np.float32)[line]
+    direction = lines.direction.astype(np.float32)[line]
+    along = offset[:, 0] * direction[:, 0] + offset[:, 1] * direction[:, 1]
+    return along, offset[:, 0] * direction[:, 1] - offset[:, 1] * direction[:, 0]
 
 
 def _located_again(points: EdgePoints, added: Float[np.ndarray, "n 3"]) -> EdgePoints:

@@ -19,13 +19,11 @@ def members(
     return index, run, first
 
 
-def sums(
-    values: Float[np.ndarray, "m *k"], first: Int[np.ndarray, "r"]
-) -> Float[np.ndarray, "r *k"]:
+def sums(values: Float[np.ndarray, "m"], first: Int[np.ndarray, "r"]) -> Float[np.ndarray, "r"]:
     """Sum of each run of the concatenated values; no run may be empty."""
     if len(first) == 0:
-        return np.zeros((0, *values.shape[1:]), dtype=values.dtype)
-    return np.add.reduceat(values, first, axis=0)
+        return np.zeros(0, dtype=values.dtype)
+    return np.add.reduceat(values, first)
 
 
 def largest(

@@ -14,12 +14,18 @@ from trinoc.match.nevatia_babu.runs import members, sums
 CLEAR_RATIO = 6.0
 FINE_THRESHOLD = 3.0
 COARSE_THRESHOLD = 3.0
+# Points may be this much fainter than an edge of the least contrast is on average.
+FAINT_SHARE = 0.5
 LEAST_FINE = 6
 LEAST_COARSE = 5
 
 
 def runs_of_both_levels(
-    fine: Level, half: Level, kernel: GradientKernel, tolerance_px: float
+    fine: Level,
+    half: Level,
+    kernel: GradientKernel,
+    tolerance_px: float,
+    least_contrast: float,
 ) -> tuple[EdgePoints, Int[np.ndarray, "r"]]:
     """(points, first): points of straight runs one after another, and where each run begins.
 
@@ -27,32 +33,42 @@ def runs_of_both_levels(
     resolution is searched; faint runs of the full one remain where it finds nothing.
     """
     points, first = straight_runs(
-        fine, kernel, threshold=FINE_THRESHOLD, tolerance_px=tolerance_px, least_points=LEAST_FINE
+        fine,
+        kernel,
+        least_strength=_least_strength(fine, FINE_THRESHOLD, least_contrast),
+        tolerance_px=tolerance_px,
+        least_points=LEAST_FINE,
     )
-    support = np.diff(np.append(first, len(points.pixel)))
+    support = np.diff(np.append(first, len(points.strength)))
     clear = sums(points.evidence, first) > CLEAR_RATIO**2 * support
-    half_pixel = _half_pixel(points, fine, half)
+    half_pixel = _half_pixel(points, half)
     taken = _neighbourhood(half_pixel[np.repeat(clear, support)], half.grey.shape)
     coarse, coarse_first = straight_runs(
         half,
         kernel,
-        threshold=COARSE_THRESHOLD,
+        least_strength=_least_strength(half, COARSE_THRESHOLD, least_contrast),
         tolerance_px=tolerance_px,
         least_points=LEAST_COARSE,
         excluded=taken,
     )
-    seen_again = _neighbourhood(coarse.pixel, half.grey.shape).ravel()[half_pixel]
+    seen_again = _neighbourhood(_half_pixel(coarse, half), half.grey.shape).ravel()[half_pixel]
     keep = clear | (sums(seen_again.astype(np.float64), first) < 0.5 * support)
     index, _, fine_first = members(first[keep], (first + support)[keep])
     points = joined(points.select(index), coarse)
     return points, np.concatenate([fine_first, coarse_first + len(index)])
 
 
-def _half_pixel(points: EdgePoints, fine: Level, half: Level) -> Int[np.ndarray, "n"]:
-    """Index, in the half picture, of the pixel that holds each point of the fine level."""
+def _least_strength(level: Level, threshold: float, least_contrast: float) -> float:
+    """Strength below which a point is noise, or belongs to a step of too little contrast."""
+    faint = least_contrast / np.sqrt(2 * np.pi * (level.kernel_variance_px2 + 1.0))
+    return max(threshold * level.sigma_strength, FAINT_SHARE * float(faint))
+
+
+def _half_pixel(points: EdgePoints, half: Level) -> Int[np.ndarray, "n"]:
+    """Index, in the half picture, of the pixel that holds each point."""
     height, width = half.grey.shape
-    row, column = np.divmod(points.pixel, fine.grey.shape[1])
-    return np.minimum(row // 2, height - 1) * width + np.minimum(column // 2, width - 1)
+    column, row = (points.sample_px // 2).astype(np.int64).T
+    return np.minimum(row, height - 1) * width + np.minimum(column, width - 1)
 
 
 def _neighbourhood(pixel: Int[np.ndarray, "n"], shape: tuple[int, int]) -> Bool[np.ndarray, "h w"]:

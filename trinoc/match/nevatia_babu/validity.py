@@ -1,5 +1,7 @@
 """Which fitted lines are sharp, straight edges of the scene."""
 
+from typing import NamedTuple
+
 import numpy as np
 from jaxtyping import Bool
 from scipy.spatial import KDTree
@@ -8,33 +10,48 @@ from trinoc.match.nevatia_babu.line_fit import FittedLines
 
 # A profile this much wider than the picture's typical one is a soft shadow or shading.
 SOFT_RATIO = 1.5
+SOFT_SPREAD = 1.5
 # Noise moves the bow of a line this many times more than its middle: the parabola has to be
 # told from the line.
 BOW_OF_MIDDLE = float(np.sqrt(11.25))
 # A bow of more than this is an arc whatever its neighbours do, if its radius is small.
-ARC_BOW_PX = 0.5
+ARC_BOW_PX = 0.8
 ARC_RADIUS_OF_WIDTH = 0.2
 # Pieces of one arc turn from each to the next by what their bows promise.
-LEAST_BOW_PX = 0.12
+LEAST_BOW_PX = 0.4
 NEXT_PX = 6.0
 LEAST_TURN, MOST_TURN = np.radians(6.0), np.radians(60.0)
 TURN_RATIO = 2.5
 
 
-def typical_blur(lines: FittedLines) -> float:
-    """Variance of the blur of the picture's edges, in px^2: the median, long lines weigh more."""
+class BlurOfPicture(NamedTuple):
+    """What blur the edges of a picture have, as variances in px^2: median and quartiles."""
+
+    lower: float
+    typical: float
+    upper: float
+
+
+def blur_of_picture(lines: FittedLines) -> BlurOfPicture:
+    """Quartiles of the blur of the picture's edges; long lines weigh more."""
     if len(lines.support) == 0:
-        return 0.0
+        return BlurOfPicture(0.0, 0.0, 0.0)
     order = np.argsort(lines.blur_px2)
     weight = np.cumsum(lines.support[order])
-    middle = np.searchsorted(weight, weight[-1] / 2)
-    return float(max(lines.blur_px2[order[middle]], 0.0))
+    place = np.searchsorted(weight, weight[-1] * np.array([0.25, 0.5, 0.75]))
+    lower, typical, upper = lines.blur_px2[order[place]]
+    return BlurOfPicture(float(lower), max(float(typical), 0.0), float(upper))
 
 
-def is_sharp(lines: FittedLines, typical_px2: float) -> Bool[np.ndarray, "r"]:
-    """Edges whose profile is about as narrow as one of the picture's typical blur."""
-    profile = lines.kernel_variance_px2 + lines.blur_px2
-    return profile <= SOFT_RATIO * (lines.kernel_variance_px2 + typical_px2)
+def is_sharp(lines: FittedLines, blur: BlurOfPicture) -> Bool[np.ndarray, "r"]:
+    """Edges whose profile is about as narrow as one of the picture's usual blur.
+
+    What is usual follows the spread of the picture: a photograph with depth has edges of
+    several widths, a rendered scene has one.
+    """
+    usual = lines.kernel_variance_px2 + blur.typical
+    spread = lines.kernel_variance_px2 + blur.upper + SOFT_SPREAD * (blur.upper - blur.lower)
+    return lines.kernel_variance_px2 + lines.blur_px2 <= np.maximum(SOFT_RATIO * usual, spread)
 
 
 def is_straight(lines: FittedLines, width_px: int) -> Bool[np.ndarray, "r"]:
