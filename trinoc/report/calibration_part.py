@@ -109,13 +109,33 @@ def _status(result: CalibrationResult, name: str) -> CameraStatus:
         ("circles used", f"{used} of {len(fit.detection)}"),
         ("cross lines found", f"{lines} of 2"),
         ("residual length, rms", f"{with_decimals(fit.rms_px if used else float('nan'), 4)} px"),
-        ("reduced chi-square", with_decimals(fit.reduced_chi_square, 2)),
+        ("chi-square of the circles / dof", with_decimals(fit.reduced_chi_square, 2)),
         ("rank", str(fit.rank)),
+        *_picture_figures(result, name),
     )
     gauge = (f"Left free by the picture: {', '.join(fit.gauge)}.",) if fit.gauge else ()
     more = (failure,) if failure and failure != status.value else ()
     return CameraStatus(
         name, status.value, status is Status.CONVERGED, more + gauge + fit.notes, figures
+    )
+
+
+def _picture_figures(result: CalibrationResult, name: str) -> tuple[tuple[str, str], ...]:
+    """What the fit to the picture's grey levels says, where there was one."""
+    quality = result.fits[name].picture
+    if quality is None:
+        return ()
+    rows = [k for k, words in enumerate(result.parameters) if words.startswith(f"{name}.")]
+    variance = np.diagonal(result.covariance)[rows]
+    bound = np.diagonal(quality.bound)
+    over_bound = np.sqrt(variance / bound).max() if variance.shape == bound.shape else np.nan
+    return (
+        ("noise of the fit", f"{with_decimals(quality.noise, 2)} grey levels"),
+        ("noise of the picture", f"{with_decimals(quality.noise_floor, 2)} grey levels"),
+        ("pixels used, cut", f"{quality.pixels:,}, {quality.pixels_cut:,}"),
+        ("blur", f"{with_decimals(quality.blur_px, 3)} px"),
+        ("ink spread", f"{with_decimals(quality.ink_spread_mm, 4)} mm"),
+        ("largest sigma / bound", with_decimals(float(over_bound), 2)),
     )
 
 

@@ -98,6 +98,8 @@ def draw_space(axes: "Axes3D", matches: Matches, rig: Rig | None = None) -> None
     axes.set_ylim(low[1], high[1])
     axes.set_zlim(low[2], high[2])
     axes.set_aspect("equal")
+    axes.view_init(elev=28, azim=-72)
+    axes.locator_params(nbins=5)
     axes.set_xlabel("X (mm)")
     axes.set_ylabel("Y (mm)")
     axes.set_zlabel("Z (mm)")
