@@ -127,6 +127,7 @@ def refine_ellipses(
     outlier_shares : pixels whose residual exceeds this share of the contrast, 4.5 sigma of the
         noise, and what is usual in the picture, are left out of the step.
     """
+    free_hole = free_hole and hole_ratio > 0
     state = start
     for share in outlier_shares:
         frame = inverse_square_root(state.shape_px2)
@@ -140,6 +141,7 @@ def refine_ellipses(
         variance = _masked_mean(residual**2, kept) + 1e-12
         _add_priors(normal, right, state, start, variance, slope_sigma)
         change = np.linalg.solve(normal, right[:, :, None])[:, :, 0]
+        change = np.where(np.isfinite(change), change, 0.0)
         state = _stepped(state, frame, change, free_hole, slope_sigma is not None)
     # Near the end the model is straight enough to carry the residual to the last step.
     residual = residual - (change.astype(np.float32)[:, None, :] @ jacobian)[:, 0]

@@ -58,11 +58,16 @@ def images_of_circles(
     centres: Float[np.ndarray, "n 2"],
     radius: Float[np.ndarray, "n"],
 ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2 2"]]:
-    """Centre and shape S of the ellipses that circles become (from their dual conics)."""
+    """Centre and shape S of the ellipses that circles become (from their dual conics).
+
+    A circle that reaches the horizon has a shape that is not positive definite.
+    """
     homogeneous = np.concatenate([centres, np.ones((len(centres), 1))], axis=1)
     dual = homogeneous[:, :, None] * homogeneous[:, None, :]
     dual = dual - radius[:, None, None] ** 2 * np.diag([1.0, 1.0, 0.0])
     image = homography @ dual @ homography.T
-    image = image / image[:, 2:, 2:]
+    # Zero where the circle touches the camera's own plane; such circles are no ellipses.
+    scale = np.where(np.abs(image[:, 2:, 2:]) > 1e-12, image[:, 2:, 2:], 1e-12)
+    image = image / scale
     centre = image[:, :2, 2]
     return centre, centre[:, :, None] * centre[:, None, :] - image[:, :2, :2]

@@ -261,7 +261,10 @@ def _inside(
 ) -> np.ndarray:
     half = 1.1 * np.sqrt(np.maximum(shape_px2[:, [0, 1], [0, 1]], 0.0))
     low, high = centre_px - half, centre_px + half
-    real = np.all(np.isfinite(centre_px), axis=1) & (np.linalg.det(shape_px2) > 1.0)
+    real = np.all(np.isfinite(centre_px), axis=1)
+    real &= (np.linalg.det(np.where(real[:, None, None], shape_px2, 0.0)) > 1.0) & (
+        shape_px2[:, 0, 0] > 0
+    )
     return real & np.all((low > 0) & (high < np.array(size_px) - 1), axis=1)
 
 
