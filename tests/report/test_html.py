@@ -15,6 +15,8 @@ from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
 from trinoc.match.matches import Matches
 from trinoc.report.html import ExtraTable, render_report, write_report
+from trinoc.report.numbers import with_sigma
+from trinoc.report.space_part import space_figure
 
 from .conftest import PARAMETERS, made_up_matches, made_up_result, made_up_rig
 
@@ -212,6 +214,20 @@ def test_the_figure_in_space_has_equal_axes(whole: str) -> None:
     assert {"trinocular (28)", "binocular (8)", "cameras", "sheet"} <= {
         trace["name"] for trace in figure["data"]
     }
+
+
+def test_hovering_over_an_end_tells_the_end_and_its_sigmas(rig: Rig, matches: Matches) -> None:
+    traces = space_figure(rig, None, matches)["data"]
+    (shown,) = [trace for trace in traces if trace["name"].startswith("binocular")]
+    track = int(np.flatnonzero(matches.stage == "binocular")[1])
+    assert len(shown["text"]) == len(shown["x"])
+    for place, end in ((4, 0), (6, 1)):
+        x, _, _ = matches.lines_mm[track, end]
+        assert shown["x"][place] == pytest.approx(x, abs=1e-3)
+        assert f"track {track}, binocular" in shown["text"][place]
+        assert f"X {with_sigma(float(x), 0.2)} mm" in shown["text"][place]
+    assert shown["x"][3] is None
+    assert "across the segment" in shown["text"][5]
 
 
 def test_lens_distortion_bends_the_epipolar_lines_through_their_points() -> None:

@@ -64,6 +64,7 @@ class CalibrationPart(NamedTuple):
     key_arrow_px: str
     key_arrow_length: float
     any_unused: bool
+    sigmas_known: bool
 
 
 def calibration_part(
@@ -74,9 +75,9 @@ def calibration_part(
     reference_name: str,
 ) -> CalibrationPart:
     """The parameters of a rig and, where there is a calibration, what it was fitted to."""
-    rows = parameter_rows(rig, reference)
+    rows, known = parameter_rows(rig, reference), len(rig.parameters) > 0
     if result is None:
-        return CalibrationPart(rig.names, rows, reference_name, (), (), "", "", 0.0, False)
+        return CalibrationPart(rig.names, rows, reference_name, (), (), "", "", 0.0, False, known)
     windows = {name: _window(fit, pictures[name]) for name, fit in result.fits.items()}
     magnification = _magnification(result, windows)
     width = min((window.width for window in windows.values()), default=1.0)
@@ -94,6 +95,7 @@ def calibration_part(
         plain(key_px),
         key_px * magnification,
         any(not fit.used.all() for fit in result.fits.values()),
+        known,
     )
 
 
