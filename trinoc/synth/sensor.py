@@ -44,16 +44,20 @@ def blur_reach_px(blur_px: float) -> int:
 
 
 def expose(
-    grey: Float[np.ndarray, "h w"], *, noise_sigma: float, seed: int, dtype: str
+    grey: Float[np.ndarray, "h w"],
+    *,
+    noise_sigma: float | Float[np.ndarray, "h w"],
+    seed: int,
+    dtype: str,
 ) -> np.ndarray:
-    """The picture that is read out, with Gaussian noise of `noise_sigma` grey levels.
+    """The picture that is read out, with Gaussian noise.
+
+    `noise_sigma` is in grey levels: one number, or one per pixel.
 
     Grey levels run from 0 to 255 whatever the dtype: "uint8" clips and rounds them, "uint16"
     does so after a factor of 257, "float64" leaves them as they are.
     """
-    noisy = grey
-    if noise_sigma > 0:
-        noisy = grey + np.random.default_rng(seed).normal(0.0, noise_sigma, grey.shape)
+    noisy = grey + noise_sigma * np.random.default_rng(seed).normal(size=grey.shape)
     if dtype == "float64":
         return noisy
     if dtype not in GREY_DTYPES:

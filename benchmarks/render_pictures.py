@@ -1,0 +1,202 @@
+"""Make pictures of the sheet and of block scenes with POV-Ray, and their truth.
+
+    python benchmarks/render_pictures.py demo [--out trinoc/synth/demo]
+    python benchmarks/render_pictures.py blocks OUT --seeds 0 1 2 [--resolution 4]
+
+Needs the program povray (Debian: apt-get install povray); nothing else in trinoc does.
+
+`demo` makes the bundled pictures: the default sheet (sheet_<view>.png) and a table with boxes,
+a wedge, an L-shaped block and a cylinder (scene_<view>.png) as the rig of the paper's Table 1
+sees them, 512 x 480 pixels that are not square, with truth.json and pattern.json. `blocks` makes one folder
+OUT/block_<seed> per seed with scene_<view>.png, rig.json and truth.json: other solids, light,
+greys, blur (sigma 0.5 to 2 px) and noise (1 to 8 grey levels) for every seed; --resolution 4
+divides each pixel by four along both sides (2048 x 1920).
+
+truth.json (format "trinoc-scene-truth"; `trinoc.io.demo.load_scene_truth` reads it):
+  edges_mm    ends of every edge of the solids, in the world's frame
+  edge_kinds  "edge", or "rim" for a short chord of a cylinder's rim
+  seen        per view: edge (index), extent (from, to along it, 0 to 1), and grey_step, the
+              median difference of the grey levels a pixel to the left and to the right of the
+              edge before blur and noise; parts are cut where it passes 8 levels
+  silhouettes_mm  per view, the visible outlines of cylinders that are no edges
+"""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from edge_contrast import seen_parts
+from pov_ray import Light, blocks_text, render, sheet_text
+
+from trinoc.calib.pattern import Pattern
+from trinoc.geometry.rig import Rig
+from trinoc.io.demo import save_scene_truth
+from trinoc.io.pattern_json import save_pattern
+from trinoc.io.rig_json import save_rig
+from trinoc.synth.rigs import table1_rig
+from trinoc.synth.scenes import Scene, block_scene, demo_scene
+from trinoc.synth.sensor import expose
+from trinoc.synth.solids import Cylinder
+from trinoc.synth.truth import SceneTruth
+
+DEMO = Path(__file__).parent.parent / "trinoc" / "synth" / "demo"
+SHEET_MM = (210.0, 200.0)
+DEMO_LIGHT = Light(
+    key_from_mm=(-420.0, -330.0, 900.0), key=0.82, key_side_mm=330.0,
+    fill_from_mm=(900.0, -500.0, 500.0), fill=0.34,
+    second_fill_from_mm=(100.0, 900.0, 500.0), second_fill=0.14, ambient=0.14,
+)  # fmt: skip
+DEMO_GREYS = (0.80, 0.52, 0.70, 0.88, 0.60, 0.74)
+DEMO_TABLE_GREY = 0.17
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    commands = parser.add_subparsers(dest="command", required=True)
+    demo = commands.add_parser("demo", help="the bundled pictures")
+    demo.add_argument("--out", type=Path, default=DEMO)
+    blocks = commands.add_parser("blocks", help="scenes of blocks, one per seed")
+    blocks.add_argument("out", type=Path)
+    blocks.add_argument("--seeds", type=int, nargs="+", default=list(range(10)))
+    blocks.add_argument("--resolution", type=int, default=1, choices=(1, 2, 4))
+    for command in (demo, blocks):
+        command.add_argument("--threads", type=int, default=2, help="of POV-Ray")
+    arguments = parser.parse_args()
+    if arguments.command == "demo":
+        make_demo(arguments.out, arguments.threads)
+    else:
+        for seed in arguments.seeds:
+            make_blocks(arguments.out, seed, arguments.resolution, arguments.threads)
+
+
+def make_demo(out: Path, threads: int) -> None:
+    """The sheet and the scene of the demo."""
+    out.mkdir(parents=True, exist_ok=True)
+    rig, pattern = table1_rig(), Pattern.default()
+    save_pattern(pattern, out / "pattern.json")
+    text = sheet_text(pattern, size_mm=SHEET_MM, paper=0.92, ink=0.09, table=0.40)
+    for seed, (view, camera) in enumerate(rig.items()):
+        grey = render(text, camera, fold=8, threads=threads)
+        write_picture(out / f"sheet_{view}.png", grey, fold=8, blur_px=0.7, noise=1.5, seed=seed)
+    scene = demo_scene()
+    greys = face_greys(scene, DEMO_GREYS, np.random.default_rng(7), spread=0.05)
+    make_scene(
+        out, scene, rig, blocks_text(scene, greys, DEMO_TABLE_GREY, DEMO_LIGHT),
+        blur_px=0.7, noise=1.5, seed=10, fold=4, threads=threads, about={},
+    )  # fmt: skip
+
+
+def make_blocks(out: Path, seed: int, resolution: int, threads: int) -> None:
+    """One block scene with all that `seed` decides about it."""
+    folder = out / f"block_{seed}"
+    folder.mkdir(parents=True, exist_ok=True)
+    rig, scene = table1_rig(resolution=resolution), block_scene(seed)
+    generator = np.random.default_rng([seed, 1])
+    contrast = float(generator.uniform(0.5, 1.3))
+    mean_greys = np.clip(0.62 + 0.22 * contrast * generator.uniform(-1, 1, len(scene.solids)), 0, 1)
+    greys = face_greys(scene, mean_greys, generator, spread=0.06 * contrast)
+    table = float(generator.uniform(0.25, 0.6))
+    text = blocks_text(scene, greys, table, random_light(generator, contrast))
+    blur, noise = float(generator.uniform(0.5, 2.0)), float(np.exp(generator.uniform(0, np.log(8))))
+    save_rig(rig, folder / "rig.json")
+    make_scene(
+        folder, scene, rig, text, blur_px=round(blur, 3), noise=round(noise, 3), seed=100 * seed,
+        fold=4 // min(resolution, 2), threads=threads, about={"seed": seed},
+    )  # fmt: skip
+
+
+def make_scene(
+    out: Path, scene: Scene, rig: Rig, text: str, *, blur_px: float, noise: float, seed: int,
+    fold: int, threads: int, about: dict[str, Any],
+) -> None:  # fmt: skip
+    """Pictures of a block scene from all cameras, and its truth."""
+    seen, silhouettes = {}, {}
+    for offset, (view, camera) in enumerate(rig.items()):
+        grey = render(text, camera, fold=fold, threads=threads)
+        picture = out / f"scene_{view}.png"
+        write_picture(picture, grey, fold=fold, blur_px=blur_px, noise=noise, seed=seed + offset)
+        seen[view] = seen_parts(scene, camera, grey, fold=fold)
+        silhouettes[view] = np.round(scene.silhouettes_seen_by(camera), 6).tolist()
+    truth = SceneTruth(scene.edges_mm, scene.edge_kinds, seen)
+    about = {
+        **about,
+        "blur_px": blur_px,
+        "noise_sigma_at_128": noise,
+        "solids": [described(solid) for solid in scene.solids],
+        "silhouettes_mm": silhouettes,
+    }
+    save_scene_truth(truth, out / "truth.json", about)
+
+
+def write_picture(
+    path: Path, grey: np.ndarray, *, fold: int, blur_px: float, noise: float, seed: int
+) -> None:
+    """The picture that a sensor makes of fine grey levels: blur, box, noise, 8 bits.
+
+    The noise of a CCD grows with the light: its variance is a third constant, two thirds in
+    proportion to the grey level, and `noise` is its sigma at 128.
+    """
+    blurred = cv2.GaussianBlur(grey, (0, 0), blur_px * fold, borderType=cv2.BORDER_REPLICATE)
+    height, width = (side // fold for side in grey.shape)
+    pixels = blurred.reshape(height, fold, width, fold).mean(axis=(1, 3))
+    sigma = noise * np.sqrt((1 + 2 * np.maximum(pixels, 0.0) / 128.0) / 3)
+    cv2.imwrite(str(path), expose(pixels, noise_sigma=sigma, seed=seed, dtype="uint8"))
+
+
+def face_greys(
+    scene: Scene, mean_greys: Any, generator: np.random.Generator, *, spread: float
+) -> list[np.ndarray]:
+    """A reflectance for each face: the solid's, and a little of its own."""
+    greys = []
+    for solid, mean in zip(scene.solids, mean_greys, strict=True):
+        count = 1 if isinstance(solid, Cylinder) else len(solid.faces)
+        greys.append(np.clip(mean + spread * generator.uniform(-1, 1, count), 0.03, 0.97))
+    return greys
+
+
+def random_light(generator: np.random.Generator, contrast: float) -> Light:
+    """A soft lamp from some side above, and weaker light from two others."""
+    azimuth, height = generator.uniform(0, 2 * np.pi), generator.uniform(0.9, 1.25)
+    side = azimuth + generator.uniform(1.6, 2.6)
+
+    def lamp(angle: float, elevation: float) -> tuple[float, float, float]:
+        flat = 1100.0 * np.cos(elevation)
+        return (
+            float(flat * np.cos(angle)),
+            float(flat * np.sin(angle)),
+            float(1100.0 * np.sin(elevation)),
+        )
+
+    key = 0.55 + 0.1 * contrast
+    return Light(
+        key_from_mm=lamp(azimuth, height), key=key,
+        key_side_mm=float(generator.uniform(200.0, 450.0)),
+        fill_from_mm=lamp(side, 0.45), fill=float(generator.uniform(0.15, 0.3)),
+        second_fill_from_mm=lamp(2 * side - azimuth, 0.6),
+        second_fill=float(generator.uniform(0.04, 0.12)),
+        ambient=float(generator.uniform(0.06, 0.16)),
+    )  # fmt: skip
+
+
+def described(solid: Any) -> dict[str, Any]:
+    """A solid as it stands in truth.json."""
+    if isinstance(solid, Cylinder):
+        return {
+            "kind": solid.kind,
+            "base_centre_mm": solid.base_centre_mm.tolist(),
+            "radius_mm": solid.radius_mm,
+            "height_mm": solid.height_mm,
+        }
+    return {
+        "kind": solid.kind,
+        "vertices_mm": np.round(solid.vertices_mm, 6).tolist(),
+        "faces": [list(face) for face in solid.faces],
+    }
+
+
+if __name__ == "__main__":
+    main()

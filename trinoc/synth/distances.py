@@ -1,0 +1,40 @@
+"""Distances between points and segments in space."""
+
+import numpy as np
+from jaxtyping import Float
+
+_CHUNK = 2048
+
+
+def sampled_segments(
+    segments_mm: Float[np.ndarray, "n 2 3"], step_mm: float
+) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "k"]]:
+    """Points along segments, at least two on each, and the length that each stands for."""
+    length = np.linalg.norm(segments_mm[:, 1] - segments_mm[:, 0], axis=1)
+    count = np.maximum(2, np.floor(length / step_mm).astype(np.int64) + 1)
+    owner = np.repeat(np.arange(len(segments_mm)), count)
+    place = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
+    position = ((place + 0.5) / count[owner])[:, None]
+    first, second = segments_mm[owner, 0], segments_mm[owner, 1]
+    return first + position * (second - first), (length / count)[owner]
+
+
+def distance_to_segments_mm(
+    points_mm: Float[np.ndarray, "n 3"], segments_mm: Float[np.ndarray, "m 2 3"]
+) -> Float[np.ndarray, "n"]:
+    """Distance of each point from the nearest of the segments; infinite where there is none."""
+    nearest = np.full(len(points_mm), np.inf)
+    if len(segments_mm) == 0:
+        return nearest
+    first, along = segments_mm[:, 0], segments_mm[:, 1] - segments_mm[:, 0]
+    squared = np.maximum(np.sum(along**2, axis=1), 1e-30)
+    for start in range(0, len(points_mm), _CHUNK):
+        points = points_mm[start : start + _CHUNK]
+        offset = points @ along.T - np.sum(first * along, axis=1)
+        position = np.clip(offset / squared, 0.0, 1.0)
+        # |x - a - t d|^2 by its terms, so that no (points, segments, 3) array is made.
+        from_first = np.sum(points**2, axis=1)[:, None] - 2 * points @ first.T
+        from_first += np.sum(first**2, axis=1)
+        distance = from_first - 2 * position * offset + position**2 * squared
+        nearest[start : start + _CHUNK] = np.sqrt(np.maximum(distance.min(axis=1), 0.0))
+    return nearest
