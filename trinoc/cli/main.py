@@ -73,8 +73,14 @@ def _run(command: Command, command_line: str) -> int:
         return _failed(command, f"{place}{error.strerror or error}: check the disk.", status=1)
     except KeyboardInterrupt:
         return _failed(command, "Interrupted: files that were not finished are not there.", 130)
-    print(json.dumps(outcome.record, allow_nan=False) if command.json else outcome.text)
+    _print(json.dumps(outcome.record, allow_nan=False) if command.json else outcome.text)
     return 0
+
+
+def _print(text: str) -> None:
+    """To stdout, with a question mark for what its encoding lacks."""
+    encoding = sys.stdout.encoding or "utf-8"
+    print(text.encode(encoding, errors="replace").decode(encoding))
 
 
 def _failed(command: Command, sentence: str, status: int) -> int:

@@ -76,10 +76,8 @@ class Match(Command):
                 provenance=for_people(provenance(command_line, {**files, "rig": self.rig})),
             )
         written = [str(path) for path in (self.out, self.report) if path is not None]
-        record = match_record(segments, matches)
-        return Outcome(
-            f"{match_text(record)}\nwritten: {', '.join(written)}", {**record, "written": written}
-        )
+        text = f"{match_text(matches)}\nwritten: {', '.join(written)}"
+        return Outcome(text, {**match_record(segments, matches), "written": written})
 
     def _read(
         self, files: Mapping[str, Path], rig: "Rig"
@@ -143,23 +141,19 @@ def match_record(segments: "Mapping[str, Segments]", matches: "Matches") -> dict
     }
 
 
-def match_text(record: dict[str, Any]) -> str:
-    """The record of a matching for people."""
-    found = ", ".join(f"{count} ({name})" for name, count in record["segments"].items())
-    lines = [
-        f"segments: {found}",
-        f"tracks: {record['tracks']['trinocular']} seen in three views or more, "
-        f"{record['tracks']['binocular']} in two",
+def match_text(matches: "Matches") -> str:
+    """What a matching found, for people."""
+    from trinoc.report.text import counts_text, reasons_text
+
+    in_three, in_two = (int((matches.stage == s).sum()) for s in ("trinocular", "binocular"))
+    parts = [
+        counts_text(matches),
+        reasons_text(matches),
+        f"{in_three} tracks seen in three views or more, {in_two} in two.",
     ]
-    if not any(record["tracks"].values()):
-        lines.append(
+    if not len(matches):
+        parts.append(
             "No segment was matched: check that this rig took these pictures of one scene, and "
             "that each name stands before its own picture."
         )
-    for name, words in record["reasons"].items():
-        kinds = Counter()
-        for word, count in words.items():
-            kinds[word.partition(" with ")[0]] += count
-        why = ", ".join(f"{count} {kind}" for kind, count in kinds.most_common())
-        lines.append(f"{name}: {why}")
-    return "\n".join(lines)
+    return "\n\n".join(parts)
