@@ -145,6 +145,7 @@ class Pattern(eqx.Module):
             rings="none",
             line_width_mm=0.0,
             line_half_length_mm=(0.0, 0.0),
+            line_gap_mm=0.0,
             name=name or f"circles_{rows}x{columns}_{pitch_mm:g}mm",
         )
 

@@ -7,7 +7,7 @@ from jaxtyping import Float
 from trinoc.calib.detect.warp import Warp
 from trinoc.calib.pattern import Pattern
 
-_STATIONS = 64
+_STATIONS = 96
 _FEWEST_STATIONS = 10
 _REWEIGHTINGS = 3
 
@@ -40,7 +40,7 @@ def _stations_mm(pattern: Pattern, axis: int) -> Float[np.ndarray, "n 2"]:
     stations = np.zeros((_STATIONS, 2))
     stations[:, axis] = along
     clear = np.linalg.norm(stations[:, None] - pattern.centres_mm[None], axis=2)
-    margin_mm = pattern.line_gap_mm + 3 * pattern.line_width_mm
+    margin_mm = pattern.line_gap_mm + pattern.line_width_mm
     free = np.all(clear > pattern.radius_mm + margin_mm, axis=1)
     return stations[free & (np.abs(along) > 3 * pattern.line_width_mm)]
 

@@ -13,6 +13,7 @@ from trinoc.calib.detect.labels import label_circles
 from trinoc.calib.detect.lattice import Lattice
 from trinoc.calib.detect.layout import Layout
 from trinoc.calib.detect.light import light_slope
+from trinoc.calib.detect.line_shade import without_lines
 from trinoc.calib.detect.picture import GreyPicture
 from trinoc.calib.detect.warp import Warp, fit_warp
 from trinoc.calib.pattern import Pattern
@@ -136,23 +137,28 @@ def _coarse_fit(
 
 
 def _fine_fit(
-    picture: GreyPicture, coarse: Ellipses, is_ring: np.ndarray, layout: Layout
+    picture: GreyPicture,
+    coarse: Ellipses,
+    index: Int[np.ndarray, "n"],
+    pattern: Pattern,
+    layout: Layout,
+    warp: Warp,
 ) -> Ellipses:
     """Fit with all pixels of a band round the outer edge."""
     slope, slope_sigma = light_slope(coarse.centres_px, coarse.paper)
-    start = coarse._replace(hole=is_ring.astype(float), slope=slope)
-    minor = smallest_axis(coarse.shape_px2)
-    band = (2.6 * coarse.blur_px + 0.7) / minor
+    start = coarse._replace(hole=pattern.is_ring[index].astype(float), slope=slope)
+    band = (2.6 * coarse.blur_px + 0.7) / smallest_axis(coarse.shape_px2)
     halfway = 0.5 * (1.0 + layout.hole_ratio) if layout.hole_ratio > 0 else 0.3
+    outer = np.clip(1.0 + band, 1.1, _OUTER_RADII)
     pixels = pixels_round(
         picture.grey,
         coarse.centres_px,
         coarse.shape_px2,
         np.clip(1.0 - band, halfway, 0.9),
-        np.clip(1.0 + band, 1.1, _OUTER_RADII),
+        outer,
     )
     return refine_ellipses(
-        pixels,
+        without_lines(pixels, start, index, pattern, warp, outer),
         start,
         hole_ratio=layout.hole_ratio,
         free_hole=False,
@@ -184,7 +190,7 @@ def _measure_all(
         like &= (contrast > 0.35) & (contrast < 3.0)
         coarse = _join(coarse, extra.take(like))
         index = np.concatenate([index, missing[like]])
-    fine = _fine_fit(picture, coarse, pattern.is_ring[index], layout)
+    fine = _fine_fit(picture, coarse, index, pattern, layout, warp)
     centre, shape = warp.ellipses(pattern.centres_mm[index], pattern.radius_mm[index])
     good = _plausible(fine, centre, shape, picture.noise_sigma)
     good &= _undisturbed(fine, picture.noise_sigma)
