@@ -1,11 +1,13 @@
 """Calibrate a rig from one picture of the sheet per camera."""
 
 from collections.abc import Mapping, Sequence
+from typing import Literal
 
 import numpy as np
 
 from trinoc.calib.calibrate_detections import calibration_of_detections, lens_of_each
 from trinoc.calib.detect.detect_pattern import detect_pattern
+from trinoc.calib.detect.picture import grey_picture
 from trinoc.calib.pattern import Pattern
 from trinoc.calib.result import CalibrationResult
 from trinoc.errors import DetectionError, InputError
@@ -21,6 +23,7 @@ def calibrate(
     lens: Intrinsics | Mapping[str, Intrinsics],
     *,
     parameters: int = 4,
+    method: Literal["picture", "circles"] = "picture",
     throw: bool = True,
 ) -> CalibrationResult:
     """The cameras of a rig, from one picture of the sheet each.
@@ -29,6 +32,8 @@ def calibrate(
     lens : the intrinsics of all cameras, or of each by name.
     parameters : 4 (pan, tilt, swing, distance; the optical axis meets the origin of the
         sheet) or 6 (the point it meets is free).
+    method : "picture" goes on from the circles to a fit of the grey levels near every edge of
+        the sheet, which reaches the Cramer-Rao bound; "circles" stops at their centres.
     throw : whether a camera that fails raises; without it the failed cameras are left out of
         the rig and `failures` says why.
 
@@ -39,6 +44,8 @@ def calibrate(
     CalibrationError : some camera failed; the error holds the sentence of each, and the
         result of the others. Raised without `throw`, too, where no camera is left.
     """
+    if method not in ("picture", "circles"):
+        raise InputError(f'method is {method!r}, but must be "picture" or "circles".')
     lenses = lens_of_each(lens, images)
     _check_pictures(images, lenses)
     detections, failures = {}, {}
@@ -47,8 +54,11 @@ def calibrate(
             detections[name] = detect_pattern(np.asarray(image), pattern)
         except DetectionError as error:
             failures[name] = str(error)
+    pictures = None
+    if method == "picture":
+        pictures = {name: grey_picture(np.asarray(images[name])).grey for name in detections}
     return calibration_of_detections(
-        detections, failures, pattern, lenses, parameters, throw, tuple(images)
+        detections, failures, pattern, lenses, parameters, throw, tuple(images), pictures
     )
 
 

@@ -3,11 +3,13 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from jaxtyping import Float
 
 from trinoc.calib.circle_calibration import fit_detections
 from trinoc.calib.detection import Detection
 from trinoc.calib.findings import failure_sentence, notes_of_fit
 from trinoc.calib.pattern import Pattern
+from trinoc.calib.picture_calibration import RefinedFit, refine_fits
 from trinoc.calib.picture_fit import PictureFit
 from trinoc.calib.result import CalibrationResult, CameraFit, Status
 from trinoc.errors import CalibrationError, InputError
@@ -42,8 +44,12 @@ def calibration_of_detections(
     parameter_count: int,
     throw: bool,
     names: Sequence[str],
+    pictures: Mapping[str, Float[np.ndarray, "h w"]] | None = None,
 ) -> CalibrationResult:
-    """Fit the cameras whose sheet was found; `failures` are those of the others."""
+    """Fit the cameras whose sheet was found; `failures` are those of the others.
+
+    With `pictures` the fit goes on from the circles to the grey levels.
+    """
     if parameter_count not in (4, 6):
         raise InputError(f"parameters is {parameter_count}, but must be 4 (aim held) or 6 (free).")
     found = list(detections)
@@ -59,7 +65,11 @@ def calibration_of_detections(
         for name, fit in fits.items()
         if (sentence := failure_sentence(fit, detections[name], parameter_count)) is not None
     }
-    result = assemble(fits, detections, failures, pattern, lenses, parameter_count, names)
+    refined = {name: RefinedFit(fit, None, None) for name, fit in fits.items()}
+    if pictures is not None:
+        good = {name: fit for name, fit in fits.items() if name not in failures}
+        refined |= refine_fits(pictures, good, detections, pattern, lenses, parameter_count)
+    result = assemble(refined, detections, failures, pattern, lenses, parameter_count, names)
     if failures and (throw or result is None):
         told = "; ".join(f'camera "{name}": {failures[name]}' for name in names if name in failures)
         raise CalibrationError(
@@ -72,7 +82,7 @@ def calibration_of_detections(
 
 
 def assemble(
-    fits: Mapping[str, PictureFit],
+    refined: Mapping[str, RefinedFit],
     detections: Mapping[str, Detection],
     failures: dict[str, str],
     pattern: Pattern,
@@ -81,6 +91,7 @@ def assemble(
     names: Sequence[str],
 ) -> CalibrationResult | None:
     """The result of the cameras that did not fail, or None where all did."""
+    fits = {name: item.fit for name, item in refined.items()}
     good = [name for name in names if name in fits and name not in failures]
     if not good:
         return None
@@ -100,7 +111,7 @@ def assemble(
         parameters=parameters,
         values=np.concatenate([fits[name].values[:parameter_count] for name in good]),
         covariance=covariance,
-        fits={name: _camera_fit(fit, detections[name], pattern) for name, fit in fits.items()},
+        fits={name: _camera_fit(item, detections[name], pattern) for name, item in refined.items()},
         pattern=pattern,
         failures=failures,
     )
@@ -112,15 +123,17 @@ def _camera(fit: PictureFit, lens: Intrinsics) -> Camera:
     return Camera.from_pan_tilt(lens, PanTiltPose.from_vector(vector))
 
 
-def _camera_fit(fit: PictureFit, detection: Detection, pattern: Pattern) -> CameraFit:
+def _camera_fit(refined: RefinedFit, detection: Detection, pattern: Pattern) -> CameraFit:
+    fit = refined.fit
     return CameraFit(
         detection=detection,
         residuals_px=fit.residuals_px,
         rank=fit.rank,
         reduced_chi_square=fit.reduced_chi_square,
         gauge=fit.gauge,
-        notes=notes_of_fit(fit, detection, pattern),
+        notes=notes_of_fit(refined, detection, pattern),
         used=fit.used,
+        picture=refined.quality,
     )
 
 

@@ -4,6 +4,7 @@ import numpy as np
 
 from trinoc.calib.detection import Detection
 from trinoc.calib.pattern import Pattern
+from trinoc.calib.picture_calibration import RefinedFit
 from trinoc.calib.picture_fit import PictureFit
 from trinoc.calib.result import Status
 
@@ -11,6 +12,8 @@ from trinoc.calib.result import Status
 # share of the sheet's size in the picture the model is not the camera's.
 _LARGEST_MISFIT = 0.01
 _SMALLEST_MISFIT_PX = 1.0
+_LARGE_CHI_SQUARE = 2.0
+_CUT_SHARE = 0.01
 
 
 def failure_sentence(fit: PictureFit, detection: Detection, parameter_count: int) -> str | None:
@@ -42,9 +45,10 @@ def failure_sentence(fit: PictureFit, detection: Detection, parameter_count: int
     return None
 
 
-def notes_of_fit(fit: PictureFit, detection: Detection, pattern: Pattern) -> tuple[str, ...]:
+def notes_of_fit(refined: RefinedFit, detection: Detection, pattern: Pattern) -> tuple[str, ...]:
     """Sentences on what a user of a good fit should know."""
-    notes = []
+    fit, quality = refined.fit, refined.quality
+    notes = [] if refined.note is None else [f"{refined.note} Its circles alone were used."]
     dropped = detection.circle_index[~fit.used]
     if len(dropped):
         notes.append(
@@ -55,7 +59,18 @@ def notes_of_fit(fit: PictureFit, detection: Detection, pattern: Pattern) -> tup
         notes.append(f"{len(detection)} of {len(pattern)} circles were found.")
     if fit.status is Status.CONVERGED and fit.gauge:
         notes.append(f"{' and '.join(fit.gauge)} are not determined one by one.")
-    if fit.reduced_chi_square > 2:
+    if quality is not None and quality.pixels_cut > _CUT_SHARE * quality.pixels:
+        share = quality.pixels_cut / (quality.pixels + quality.pixels_cut)
+        notes.append(
+            f"{100 * share:.0f} % of the pixels near the sheet's edges show something else and "
+            "were left out."
+        )
+    if quality is not None and quality.reduced_chi_square > _LARGE_CHI_SQUARE:
+        notes.append(
+            f"the picture departs from the model by {quality.noise:.1f} grey levels, where its "
+            f"own noise is {quality.noise_floor:.1f}: expect errors beyond the sigmas."
+        )
+    if quality is None and fit.reduced_chi_square > _LARGE_CHI_SQUARE:
         notes.append(
             f"the circles scatter {np.sqrt(fit.reduced_chi_square):.1f} times as much as their "
             "own sigmas say; the parameters' sigmas are enlarged by that factor."

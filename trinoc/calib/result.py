@@ -20,6 +20,37 @@ class Status(enum.Enum):
     RANK_DEFICIENT = "The observations leave some parameters free: see the named gauge."
 
 
+class PictureQuality(eqx.Module):
+    """What the fit of the picture's grey levels says about picture and fit.
+
+    Fields
+    ------
+    noise : standard deviation of the residuals, grey levels.
+    noise_floor : the same of the picture's flat parts, which no fit can go below.
+    pixels : number of pixels that took part.
+    pixels_cut : number of pixels near an edge of the sheet that show something else.
+    blur_px : sigma of the lens's blur.
+    ink_spread_mm : by which ink reaches beyond the drawing.
+    ink_over_paper : grey level of ink over that of paper.
+    bound : (p, p) Cramer-Rao bound of the camera's parameters, degrees and mm: the least
+        covariance that any unbiased fit to this picture can have.
+    """
+
+    noise: float = eqx.field(static=True)
+    noise_floor: float = eqx.field(static=True)
+    pixels: int = eqx.field(static=True)
+    pixels_cut: int = eqx.field(static=True)
+    blur_px: float = eqx.field(static=True)
+    ink_spread_mm: float = eqx.field(static=True)
+    ink_over_paper: float = eqx.field(static=True)
+    bound: Float[np.ndarray, "p p"]
+
+    @property
+    def reduced_chi_square(self) -> float:
+        """Variance of the residuals over that of the noise: 1 for a model that is right."""
+        return (self.noise / self.noise_floor) ** 2 if self.noise_floor > 0 else float("nan")
+
+
 class CameraFit(eqx.Module):
     """What the fit of one camera's picture says about itself.
 
@@ -28,10 +59,11 @@ class CameraFit(eqx.Module):
     detection : the circles and lines it was fitted to.
     residuals_px : (m, 2) predicted minus observed centre of each circle of the detection.
     rank : of the column-scaled Jacobian.
-    reduced_chi_square : chi-square over degrees of freedom.
+    reduced_chi_square : of the circles' fit, chi-square over degrees of freedom.
     gauge : names of the parameters that the observations leave free.
     notes : sentences on what a user should know (covered circles, dropped outliers, ...).
     used : (m,) circles that took part in the fit; the others were located wrongly.
+    picture : of the fit to the grey levels, or None where the circles alone were fitted.
     """
 
     detection: Detection
@@ -41,6 +73,7 @@ class CameraFit(eqx.Module):
     gauge: tuple[str, ...] = eqx.field(static=True)
     notes: tuple[str, ...] = eqx.field(static=True)
     used: Bool[np.ndarray, "m"]
+    picture: PictureQuality | None = None
 
     @property
     def rms_px(self) -> float:
@@ -93,7 +126,7 @@ def summary_text(result: CalibrationResult) -> str:
         "camera",
         *(name.replace("_deg", " (deg)").replace("_mm", " (mm)") for name in columns),
     ]
-    rows = [[*header, "circles", "rms (px)", "chi2/dof"]]
+    rows = [[*header, "circles", "rms (px)", "noise/floor"]]
     remarks = []
     for camera, status in result.status.items():
         if camera not in result.rig.names:
@@ -105,7 +138,7 @@ def summary_text(result: CalibrationResult) -> str:
             for name in columns
         ]
         found = f"{int(fit.used.sum())} of {len(result.pattern)}"
-        rows.append([camera, *cells, found, f"{fit.rms_px:.4f}", f"{fit.reduced_chi_square:.2f}"])
+        rows.append([camera, *cells, found, f"{fit.rms_px:.4f}", _noise(fit)])
         remarks.extend(f"{camera}: {note}" for note in fit.notes)
     widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
     lines = [
@@ -113,6 +146,13 @@ def summary_text(result: CalibrationResult) -> str:
         for row in rows
     ]
     return "\n".join([*lines, *remarks])
+
+
+def _noise(fit: CameraFit) -> str:
+    """Noise of the residuals over the picture's own, in grey levels."""
+    if fit.picture is None:
+        return "circles only"
+    return f"{fit.picture.noise:.2f} / {fit.picture.noise_floor:.2f}"
 
 
 def _with_sigma(value: float, sigma: float) -> str:

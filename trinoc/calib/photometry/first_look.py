@@ -1,0 +1,48 @@
+"""A first guess of light, ink and blur, read off the picture at the circles."""
+
+import numpy as np
+from jaxtyping import Float
+
+from trinoc.calib.lens_arrays import LensArrays
+from trinoc.calib.pattern import Pattern
+from trinoc.calib.photometry.model import LIGHT_TERMS, Appearance
+from trinoc.calib.photometry.outlines import circle_points_mm, project_to_picture
+from trinoc.calib.sheet_pose import SheetPose
+
+# A central difference over two pixels sees an edge as if blurred by this variance more.
+_DIFFERENCE_VARIANCE = 1 / 3
+_LEAST_SIGMA_PX, _LARGEST_SIGMA_PX = 0.4, 8.0
+
+
+def first_look(
+    picture: Float[np.ndarray, "h w"], pose: SheetPose, lens: LensArrays, pattern: Pattern
+) -> Appearance:
+    """Medians over all circles: of the paper beside, the ink inside, the steepness between."""
+    outer, inner = pattern.radius_mm, pattern.inner_radius_mm
+    sampled = []
+    for radius in (0.5 * (outer + inner), outer, outer + 0.3 * outer):
+        outline = circle_points_mm(pattern.centres_mm, radius).reshape(-1, 2)
+        sampled.append(np.asarray(project_to_picture(pose, lens, outline)))
+    height, width = picture.shape
+    places = [np.round(points).astype(int) for points in sampled]
+    inside = np.all(
+        [((p >= 1) & (p < np.array([width - 1, height - 1]))).all(axis=1) for p in places], axis=0
+    )
+    ink, edge, paper = (p[inside] for p in places)
+    u, v = edge[:, 0], edge[:, 1]
+    slope = 0.5 * np.hypot(
+        picture[v, u + 1] - picture[v, u - 1], picture[v + 1, u] - picture[v - 1, u]
+    )
+    paper_grey = float(np.median(picture[paper[:, 1], paper[:, 0]]))
+    ink_grey = float(np.median(picture[ink[:, 1], ink[:, 0]]))
+    steepest = max(float(np.median(slope)), 1e-6)
+    variance = ((paper_grey - ink_grey) / (steepest * np.sqrt(2 * np.pi))) ** 2
+    sigma = np.sqrt(max(variance - _DIFFERENCE_VARIANCE, _LEAST_SIGMA_PX**2))
+    light = np.zeros(LIGHT_TERMS)
+    light[0] = paper_grey
+    return Appearance(
+        np.float64(min(sigma, _LARGEST_SIGMA_PX)),
+        np.float64(0.0),
+        np.float64(ink_grey / max(paper_grey, 1e-6) - 1),
+        light,
+    )

@@ -1,0 +1,91 @@
+"""Normal equations over many pixels, in chunks that stay in the cache.
+
+Pixels are handled in the precision of their arrays (single is enough, and twice as fast), sums
+in that of the homography. The number of chunks is data: one compiled program serves any number of
+pixels up to the length of the padded arrays.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Float, Int
+
+from trinoc.calib.photometry.ink import Cross, Drawing
+from trinoc.calib.photometry.model import NUISANCE, Appearance, Pixels, Prediction, predict
+from trinoc.geometry.arrays import ArrayLike
+
+CHUNK = 1024
+_ROW = 9 + NUISANCE
+
+
+class NormalEquations(NamedTuple):
+    """Sums over pixels, with respect to (homography, appearance).
+
+    Fields
+    ------
+    matrix : (18, 18) sum of w J^T J.
+    gradient : (18,) sum of w J^T r.
+    residuals : (n,) predicted minus observed grey levels, padding included.
+    """
+
+    matrix: Float[ArrayLike, "18 18"]
+    gradient: Float[ArrayLike, "18"]
+    residuals: Float[ArrayLike, "n"]
+
+
+def normal_equations(
+    sheet_from_normalised: Float[ArrayLike, "3 3"],
+    appearance: Appearance,
+    pixels: Pixels,
+    chunks: Int[ArrayLike, ""],
+    cross: Cross,
+    outlier_scale: Float[ArrayLike, ""],
+    drawing: Drawing,
+    near_line: bool,
+) -> NormalEquations:
+    """Gauss-Newton sums over the first `chunks` chunks of `pixels`.
+
+    A residual beyond `outlier_scale` grey levels loses its influence, by the function of
+    Geman and McClure; infinity is plain least squares.
+    """
+
+    def add(k: Int[ArrayLike, ""], sums: NormalEquations) -> NormalEquations:
+        part = _chunk(pixels, k)
+        predicted = _predict_chunk(
+            sheet_from_normalised, appearance, part, cross, drawing, near_line
+        )
+        residual = predicted.residual
+        bound = 1 / (1 + residual**2 / (outlier_scale**2).astype(residual.dtype))
+        rows = jnp.stack((*predicted.by_homography, *predicted.by_appearance))
+        weighted = rows * (part.weight * bound * bound)[None]
+        return NormalEquations(
+            sums.matrix + (weighted @ rows.T).astype(dtype),
+            sums.gradient + (weighted @ residual).astype(dtype),
+            jax.lax.dynamic_update_slice(sums.residuals, residual, (k * CHUNK,)),
+        )
+
+    dtype = sheet_from_normalised.dtype
+    start = NormalEquations(
+        jnp.zeros((_ROW, _ROW), dtype), jnp.zeros(_ROW, dtype), jnp.zeros_like(pixels.grey)
+    )
+    return jax.lax.fori_loop(0, chunks, add, start)
+
+
+def _chunk(pixels: Pixels, k: Int[ArrayLike, ""]) -> Pixels:
+    return jax.tree.map(lambda leaf: jax.lax.dynamic_slice_in_dim(leaf, k * CHUNK, CHUNK), pixels)
+
+
+def _predict_chunk(
+    sheet_from_normalised: Float[ArrayLike, "3 3"],
+    appearance: Appearance,
+    pixels: Pixels,
+    cross: Cross,
+    drawing: Drawing,
+    near_line: bool,
+) -> Prediction:
+    one = partial(predict, drawing=drawing, near_line=near_line)
+    shared = (sheet_from_normalised, appearance, cross)
+    homography, look, lines = jax.tree.map(lambda leaf: leaf.astype(pixels.grey.dtype), shared)
+    return jax.vmap(one, in_axes=(None, None, 0, None))(homography, look, pixels, lines)

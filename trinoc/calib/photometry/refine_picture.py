@@ -1,0 +1,190 @@
+"""From a pose that the circles gave to the one that explains the picture itself."""
+
+import threading
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from trinoc.calib.lens_arrays import LensArrays
+from trinoc.calib.pattern import Pattern
+from trinoc.calib.photometry.choose_pixels import (
+    Choice,
+    Chosen,
+    capacity_for,
+    choose_pixels,
+    group_of,
+)
+from trinoc.calib.photometry.first_look import first_look
+from trinoc.calib.photometry.gate import gate_pixels
+from trinoc.calib.photometry.gauss_newton import (
+    Group,
+    PictureState,
+    Step,
+    run_steps,
+)
+from trinoc.calib.photometry.ink import Cross, Drawing
+from trinoc.calib.photometry.model import NUISANCE, Appearance
+from trinoc.calib.photometry.noise_floor import noise_floor
+from trinoc.calib.sheet_pose import SheetPose
+
+# Shares of the contrast at which a residual loses its influence while the fit finds its way.
+_SCALES = (0.12, 0.07, 0.05)
+_PLAIN_STEPS = 2
+_MOST_PLAIN_STEPS = 8
+# The fit has converged when a step is this share of its own standard deviation.
+_CONVERGED_SIGMAS = 0.1
+_LEAST_CONTRAST = 4.0
+
+
+class PictureRefinement(NamedTuple):
+    """The fit of one picture, before anybody has judged it.
+
+    Fields
+    ------
+    pose : where it ended.
+    appearance : light, ink and blur of the picture.
+    information : (p, p) of the pose's chart for noise of one grey level, after the appearance
+        has taken its share.
+    noise : standard deviation of the residuals of the pixels that stayed, grey levels.
+    noise_floor : the same of the picture's flat parts.
+    pixels : number of pixels that stayed.
+    pixels_cut : number of pixels near an edge that show something else than the sheet.
+    converged : whether the last step was small against its own standard deviation.
+    """
+
+    pose: SheetPose
+    appearance: Appearance
+    information: Float[np.ndarray, "p p"]
+    noise: float
+    noise_floor: float
+    pixels: int
+    pixels_cut: int
+    converged: bool
+
+
+def refine_picture(
+    picture: Float[np.ndarray, "h w"],
+    pattern: Pattern,
+    lens: LensArrays,
+    start: SheetPose,
+    parameter_count: int,
+) -> PictureRefinement | None:
+    """Fit the sheet's model to the pixels near its edges; None where none can be seen."""
+    size = (picture.shape[1], picture.shape[0])
+    appearance = first_look(picture, start, lens, pattern)
+    contrast = float(-appearance.ratio * appearance.light[0])
+    if not contrast > _LEAST_CONTRAST:
+        return None
+    choice = choose_pixels(start, lens, pattern, size, float(appearance.sigma_px))
+    chosen = (choice.near_circles, choice.near_lines)
+    counts = [len(part.row) for part in chosen]
+    capacity = capacity_for(max(counts))
+    circles, lines = (
+        group_of(part, picture, lens, pattern, capacity, np.float32) for part in chosen
+    )
+    cross = Cross(
+        np.float64(0.5 * pattern.line_width_mm),
+        np.array(pattern.line_half_length_mm, dtype=np.float64),
+        np.float64(pattern.line_gap_mm),
+    )
+    drawing = Drawing(pattern.line_style, bool((pattern.inner_radius_mm > 0).any()))
+    state = PictureState(start, appearance)
+
+    def steps(state: PictureState, groups: tuple[Group, Group], robust: bool) -> Step:
+        scales, held = _schedule(contrast, parameter_count, robust)
+        return _run(
+            state,
+            *groups,
+            cross,
+            scales,
+            held,
+            np.int32(len(_SCALES) if robust else _PLAIN_STEPS),
+            drawing=drawing,
+            parameter_count=parameter_count,
+        )
+
+    def residuals(step: Step) -> Float[np.ndarray, "n"]:
+        both = zip(step.residuals, counts, strict=True)
+        return np.concatenate([np.asarray(part)[:count] for part, count in both])
+
+    groups = (circles, lines)
+    last = steps(state, groups, True)
+    everything = Chosen(*(np.concatenate(pair) for pair in zip(*chosen, strict=True)))
+    gate = gate_pixels(everything, residuals(last), contrast)
+    kept = np.split(gate.kept, [counts[0]])
+    groups = tuple(_masked(group, keep) for group, keep in zip(groups, kept, strict=True))
+    taken, length = 0, float("inf")
+    while length > _CONVERGED_SIGMAS * gate.sigma and taken < _MOST_PLAIN_STEPS:
+        last = steps(last.state, groups, False)
+        length, taken = float(last.length), taken + _PLAIN_STEPS
+    left = residuals(last)[gate.kept]
+    freedom = len(left) - parameter_count - NUISANCE
+    if freedom <= 0:
+        return None
+    state = jax.tree.map(np.asarray, last.state)
+    return PictureRefinement(
+        state.pose,
+        state.appearance,
+        _marginal(np.asarray(last.information), parameter_count),
+        float(np.sqrt(np.sum(left.astype(np.float64) ** 2) / freedom)),
+        noise_floor(_cut_out(picture, choice), choice.flat),
+        len(left),
+        int(np.sum(~gate.kept)),
+        bool(length <= _CONVERGED_SIGMAS * gate.sigma),
+    )
+
+
+# Threads that meet an uncompiled program would each compile it: the first one does.
+_COMPILING = threading.Lock()
+
+
+def _run(*arguments: object, **options: object) -> Step:
+    if run_steps._cache_size() == 0:  # pyright: ignore[reportFunctionMemberAccess]
+        with _COMPILING:
+            return run_steps(*arguments, **options)  # pyright: ignore[reportArgumentType]
+    return run_steps(*arguments, **options)  # pyright: ignore[reportArgumentType]
+
+
+def _schedule(
+    contrast: float, parameter_count: int, robust: bool
+) -> tuple[Float[np.ndarray, "s"], Float[np.ndarray, "s k"]]:
+    """Outlier scales and held unknowns of each step; both schedules have one length.
+
+    Ink spread and the slopes of the light wait for the pose: they would bend to swallow
+    what covers the sheet.
+    """
+    held = np.zeros((len(_SCALES), parameter_count + NUISANCE))
+    if not robust:
+        return np.full(len(_SCALES), np.inf), held
+    spread, first_slope = parameter_count + 1, parameter_count + 4
+    held[:2, spread] = 1.0
+    held[0, first_slope:] = 1.0
+    held[1, first_slope + 2 :] = 1.0
+    return contrast * np.array(_SCALES), held
+
+
+def _cut_out(picture: Float[np.ndarray, "h w"], choice: Choice) -> Float[np.ndarray, "k l"]:
+    (row, column), (height, width) = choice.corner, choice.flat.shape
+    return picture[row : row + height, column : column + width]
+
+
+def _masked(group: Group, kept: np.ndarray) -> Group:
+    weight = np.array(group.pixels.weight)
+    weight[: len(kept)] *= kept
+    return group._replace(pixels=group.pixels._replace(weight=weight))
+
+
+def _marginal(
+    information: Float[np.ndarray, "k k"], parameter_count: int
+) -> Float[np.ndarray, "p p"]:
+    """Information of the pose alone: the Schur complement of the appearance."""
+    pose, look = information[:parameter_count], information[parameter_count:]
+    across = pose[:, parameter_count:]
+    inner = look[:, parameter_count:]
+    scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))
+    scaled = inner / (scale[:, None] * scale)
+    return pose[:, :parameter_count] - (across / scale) @ np.linalg.solve(
+        scaled, (across / scale).T
+    )

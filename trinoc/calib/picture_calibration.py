@@ -1,0 +1,143 @@
+"""From judged circle fits to fits of the pictures themselves."""
+
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from trinoc.calib.circle_observations import bucket_size, circle_observations
+from trinoc.calib.circle_residual import circle_residuals_px
+from trinoc.calib.detection import Detection
+from trinoc.calib.lens_arrays import lens_arrays
+from trinoc.calib.observability import LARGEST_SIGMA, observability
+from trinoc.calib.pattern import Pattern
+from trinoc.calib.photometry.refine_picture import PictureRefinement, refine_picture
+from trinoc.calib.picture_fit import DEGREES, PictureFit
+from trinoc.calib.result import PictureQuality, Status
+from trinoc.calib.sheet_pose import SheetPose
+from trinoc.geometry.arrays import ArrayLike
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.pose import PanTiltPose
+from trinoc.geometry.rig import PARAMETER_NAMES
+
+# The picture moves circles by hundredths of a pixel; more than this is another minimum.
+_LARGEST_MOVE_PX = 0.5
+# Variance of a pixel's box, which the fitted sigma includes and the lens's blur does not.
+_BOX_VARIANCE = 1 / 12
+
+
+class RefinedFit(NamedTuple):
+    """A picture's fit, what its picture says about it, and a sentence where it says nothing."""
+
+    fit: PictureFit
+    quality: PictureQuality | None
+    note: str | None
+
+
+def refine_fits(
+    pictures: Mapping[str, Float[np.ndarray, "h w"]],
+    fits: Mapping[str, PictureFit],
+    detections: Mapping[str, Detection],
+    pattern: Pattern,
+    lenses: Mapping[str, Intrinsics],
+    parameter_count: int,
+) -> dict[str, RefinedFit]:
+    """Fit each picture from its circles' pose; one thread each, since they share nothing.
+
+    A picture that cannot be fitted keeps its circle fit, and a note says so.
+    """
+
+    def refine(name: str) -> RefinedFit:
+        # The precision is a setting of the thread.
+        with jax.enable_x64(True):
+            return _refine(
+                pictures[name], fits[name], detections[name], pattern, lenses[name], parameter_count
+            )
+
+    with ThreadPoolExecutor(max_workers=max(1, len(fits))) as threads:
+        return dict(zip(fits, threads.map(refine, fits), strict=True))
+
+
+def _refine(
+    picture: Float[np.ndarray, "h w"],
+    fit: PictureFit,
+    detection: Detection,
+    pattern: Pattern,
+    lens: Intrinsics,
+    parameter_count: int,
+) -> RefinedFit:
+    arrays = lens_arrays(lens, lens.distortion_model != "none")
+    start = sheet_pose_of_values(fit.values)
+    refined = refine_picture(picture, pattern, arrays, start, parameter_count)
+    if refined is None:
+        return RefinedFit(fit, None, "the picture has too little contrast to be fitted itself.")
+    if not refined.converged or not np.isfinite(refined.information).all():
+        return RefinedFit(fit, None, "the fit of the picture itself did not converge.")
+    circles = circle_observations(detection, pattern, bucket_size(len(detection)))
+    residuals_px = np.asarray(_circle_residuals(refined.pose, arrays, circles))[: len(detection)]
+    moved = np.abs(residuals_px - fit.residuals_px)[fit.used]
+    if not moved.max(initial=0.0) < _LARGEST_MOVE_PX:
+        return RefinedFit(
+            fit, None, f"the picture itself disagrees with its circles by {moved.max():.2f} px."
+        )
+    return _judged(fit, refined, residuals_px, parameter_count)
+
+
+def _judged(
+    fit: PictureFit, refined: PictureRefinement, residuals_px: np.ndarray, parameter_count: int
+) -> RefinedFit:
+    parameters, by_chart = _named_parameters(refined.pose, parameter_count=parameter_count)
+    parameters = np.asarray(parameters)
+    by_chart = DEGREES[:parameter_count, None] * np.asarray(by_chart)[:parameter_count]
+    largest = LARGEST_SIGMA * DEGREES * np.array([1, 1, 1, *np.full(3, parameters[3])])
+    seen = observability(
+        refined.information / refined.noise**2, by_chart, largest[:parameter_count]
+    )
+    if seen.rank < parameter_count:
+        return RefinedFit(fit, None, "the picture itself leaves the pose undetermined.")
+    look = refined.appearance
+    quality = PictureQuality(
+        noise=refined.noise,
+        noise_floor=refined.noise_floor,
+        pixels=refined.pixels,
+        pixels_cut=refined.pixels_cut,
+        blur_px=float(np.sqrt(max(float(look.sigma_px) ** 2 - _BOX_VARIANCE, 0.0))),
+        ink_spread_mm=float(look.spread_mm),
+        ink_over_paper=float(1 + look.ratio),
+        bound=seen.covariance * (refined.noise_floor / refined.noise) ** 2,
+    )
+    return RefinedFit(
+        fit._replace(
+            status=Status.CONVERGED,
+            values=DEGREES * parameters,
+            covariance=seen.covariance,
+            residuals_px=residuals_px,
+            rank=seen.rank,
+            gauge=tuple(PARAMETER_NAMES[k] for k in seen.gauge),
+        ),
+        quality,
+        None,
+    )
+
+
+def sheet_pose_of_values(values: Float[np.ndarray, "6"]) -> SheetPose:
+    """The pose of pan, tilt, swing in degrees, distance and aim in mm."""
+    pose = PanTiltPose.from_vector(np.concatenate([np.radians(values[:3]), values[3:]])).pose
+    return SheetPose(np.asarray(pose.rotation), np.float64(values[3]), np.array(values[4:6]))
+
+
+_circle_residuals = jax.jit(circle_residuals_px)
+
+
+@partial(jax.jit, static_argnames="parameter_count")
+def _named_parameters(
+    pose: SheetPose, *, parameter_count: int
+) -> tuple[Float[ArrayLike, "6"], Float[ArrayLike, "6 p"]]:
+    """Parameters of a pose, and their derivative with respect to its chart."""
+    zero = jnp.zeros(parameter_count)
+    return pose.parameters, jax.jacfwd(lambda step: pose.moved(step).parameters)(zero)
