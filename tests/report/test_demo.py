@@ -1,0 +1,103 @@
+"""`trinoc demo`, once, on the bundled pictures: what it says, writes and reaches."""
+
+import contextlib
+import io
+import json
+import logging
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+
+from trinoc.cli.compile_cache import VARIABLE
+from trinoc.cli.main import main
+from trinoc.io.matches_npz import load_matches
+from trinoc.io.rig_json import load_rig
+from trinoc.synth.rigs import table1_rig
+
+
+class Run(NamedTuple):
+    status: int
+    stdout: str
+    progress: str
+    folder: Path
+
+    @property
+    def record(self) -> dict[str, Any]:
+        return json.loads(self.stdout)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    folder = tmp_path_factory.mktemp("demo") / "new" / "folder"
+    logger = logging.getLogger("trinoc")
+    before = logger.handlers[:], logger.level, logger.propagate
+    stdout, stderr = io.StringIO(), io.StringIO()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(VARIABLE, "off")
+        with contextlib.redirect_stdout(stdout), contextlib.redirect_stderr(stderr):
+            status = main(["demo", "--out", str(folder), "--json"])
+    logger.handlers[:], logger.level, logger.propagate = before
+    return Run(status, stdout.getvalue(), stderr.getvalue(), folder)
+
+
+def test_one_object_on_stdout_and_progress_on_stderr(run: Run) -> None:
+    assert run.status == 0
+    assert isinstance(run.record, dict)
+    assert "calibrating" in run.progress
+    assert "matching" in run.progress
+
+
+def test_the_files_are_there(run: Run) -> None:
+    names = {"report.html", "rig.json", "matches.npz"}
+    assert {file.name for file in run.folder.iterdir()} == names
+    assert {Path(file) for file in run.record["written"]} == {run.folder / name for name in names}
+    page = (run.folder / "report.html").read_text(encoding="utf-8")
+    assert page.count("data-parameter=") == 12
+    assert "Against the truth" in page
+
+
+def test_every_parameter_is_within_the_aim(run: Run) -> None:
+    beside = run.record["table_1"]
+    assert len(beside) == 12
+    for name, found in beside.items():
+        aim = 0.03 if name.endswith("_mm") else 0.005
+        assert abs(found["error"]) < aim, name
+        assert abs(found["error_over_sigma"]) < 5, name
+
+
+def test_the_rig_file_holds_what_was_printed(run: Run) -> None:
+    rig, known = load_rig(run.folder / "rig.json"), table1_rig()
+    for name in known:
+        printed = run.record["cameras"][name]["parameters"]
+        assert rig[name].pan_deg == pytest.approx(printed["pan_deg"]["value"], abs=1e-9)
+        assert rig.sigma(f"{name}.pan_deg") == pytest.approx(printed["pan_deg"]["sigma"])
+        assert rig[name].distance_mm == pytest.approx(known[name].distance_mm, abs=0.03)
+
+
+def test_the_matches_file_holds_what_was_counted(run: Run) -> None:
+    matches = load_matches(run.folder / "matches.npz")
+    tracks = run.record["tracks"]
+    assert len(matches) == tracks["trinocular"] + tracks["binocular"]
+    assert tracks["trinocular"] > 0
+    assert np.isfinite(matches.lines_mm).all()
+    for view, count in run.record["segments"].items():
+        assert len(matches.reasons[view]) == count
+        assert sum(run.record["reasons"][view].values()) == count
+
+
+def test_most_of_what_is_put_out_is_right(run: Run) -> None:
+    score = run.record["score"]
+    assert 0.85 < score["length_precision"] <= 1
+    assert 0.6 < score["length_recall"] <= 1
+    assert 0.5 < score["length_recall_with_rims"] <= score["length_recall"]
+
+
+def test_a_folder_that_cannot_be_made_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(VARIABLE, "off")
+    (tmp_path / "file").write_text("")
+    assert main(["demo", "--out", str(tmp_path / "file" / "out"), "--quiet"]) == 1
+    assert "cannot be made a folder" in capsys.readouterr().err
