@@ -29,30 +29,29 @@ def pixels_round(
     inner: Float[np.ndarray, "n"],
     outer: Float[np.ndarray, "n"],
     *,
-    stride: int = 1,
+    step: int = 1,
 ) -> EllipsePixels:
-    """Pixels between `inner` and `outer` radii of each ellipse, every `stride`-th of them.
+    """Pixels between `inner` and `outer` radii of each ellipse, of every `step`-th
+    row and column.
 
     The picture's border cuts what lies outside.
     """
     height, width = grey.shape
     origin = np.rint(centres_px)
     half = outer[:, None] * np.sqrt(shape_px2[:, [0, 1], [0, 1]])
-    half_x, half_y = (int(np.ceil(side)) for side in half.max(axis=0))
-    step_x = np.arange(-half_x, half_x + 1)
-    step_y = np.arange(-half_y, half_y + 1)
+    half_x, half_y = (int(np.ceil(side / step)) * step for side in half.max(axis=0))
+    step_x = np.arange(-half_x, half_x + 1, step)
+    step_y = np.arange(-half_y, half_y + 1, step)
     column = origin[:, 0, None].astype(np.int32) + step_x
     row = origin[:, 1, None].astype(np.int32) + step_y
-    # (x - c)^T A (x - c) is a sum of a term per column, one per row, and their product.
-    a = np.linalg.inv(shape_px2)
-    dx = step_x + (origin - centres_px)[:, 0, None]
-    dy = step_y + (origin - centres_px)[:, 1, None]
-    radius2 = (
-        (a[:, 0, 0, None] * dx * dx).astype(np.float32)[:, None, :]
-        + (a[:, 1, 1, None] * dy * dy).astype(np.float32)[:, :, None]
-        + (2 * a[:, 0, 1, None] * dy).astype(np.float32)[:, :, None]
-        * dx.astype(np.float32)[:, None, :]
-    )
+    a = np.linalg.inv(shape_px2).astype(np.float32)
+    from_centre = (origin - centres_px).astype(np.float32)
+    dx = (step_x.astype(np.float32) + from_centre[:, 0, None])[:, None, :]
+    dy = (step_y.astype(np.float32) + from_centre[:, 1, None])[:, :, None]
+    # (x - c)^T A (x - c), the squared radius in units of the ellipse's.
+    radius2 = a[:, 0, 0, None, None] * dx + 2.0 * a[:, 0, 1, None, None] * dy
+    radius2 *= dx
+    radius2 += a[:, 1, 1, None, None] * dy * dy
     outside_x, outside_y = (column < 0) | (column >= width), (row < 0) | (row >= height)
     if np.any(outside_x) or np.any(outside_y):
         radius2[outside_x[:, None, :] | outside_y[:, :, None]] = np.inf
@@ -60,11 +59,8 @@ def pixels_round(
     if np.any(inner > 0):
         wanted &= radius2 >= (inner**2).astype(np.float32)[:, None, None]
     flat = np.flatnonzero(wanted)
-    if stride > 1:
-        flat = flat[::stride]
-    patch = len(step_x) * len(step_y)
-    circle, within = np.divmod(flat, patch)
-    row_step, column_step = np.divmod(within, len(step_x))
+    circle, within = np.divmod(flat, len(step_x) * len(step_y))
+    row_number, column_number = np.divmod(within, len(step_x))
     count = np.bincount(circle, minlength=len(origin))
     first = np.cumsum(count) - count
     place = np.arange(len(flat)) - first[circle]
@@ -76,7 +72,7 @@ def pixels_round(
         rows[slot] = values
         return rows.reshape(len(origin), most)
 
-    x, y = column_step - half_x, row_step - half_y
+    x, y = step_x[column_number], step_y[row_number]
     at = (origin[circle, 1].astype(np.int64) + y) * width + origin[circle, 0].astype(np.int64) + x
     return EllipsePixels(
         origin_px=origin,

@@ -167,7 +167,7 @@ def _grow(blobs: Blobs, layout: Layout, corner: Lattice, free: np.ndarray, span:
             np.sort(grown.blob), np.sort(lattice.blob)
         )
         lattice = grown
-        if same:
+        if same or len(lattice) == layout.circles:
             break
     return lattice
 

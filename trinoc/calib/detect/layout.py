@@ -15,6 +15,7 @@ _FEWEST_CIRCLES = 4
 class Layout(NamedTuple):
     """The lattice of a pattern and the symmetries of the lattice.
 
+    circles : how many there are.
     steps_mm : (2, 2) columns are the steps on the sheet of one lattice unit.
     radius_mm : the common radius of the circles (their median).
     hole_ratio : inner over outer radius of the rings; 0 without rings.
@@ -25,6 +26,7 @@ class Layout(NamedTuple):
     is_chiral : whether the sheet differs from its mirror image.
     """
 
+    circles: int
     steps_mm: Float[np.ndarray, "2 2"]
     radius_mm: float
     hole_ratio: float
@@ -78,6 +80,7 @@ def _layout_of(pattern: Pattern) -> Layout:
     ratio = pattern.inner_radius_mm[rings] / pattern.radius_mm[rings]
     turns, mirrors = _rigid(turns, steps_mm), _rigid(mirrors, steps_mm)
     return Layout(
+        circles=len(pattern),
         steps_mm=steps_mm,
         radius_mm=float(np.median(pattern.radius_mm)),
         hole_ratio=float(np.median(ratio)) if np.any(rings) else 0.0,

@@ -20,7 +20,7 @@ from trinoc.calib.pattern import Pattern
 from trinoc.errors import DetectionError
 
 # Pixels of one circle that the first, coarse fit looks at, about.
-_COARSE_PIXELS = 160
+_COARSE_PIXELS = 150
 _OUTER_RADII = 1.45
 _HOLE_SIGMA = 0.2
 _FEWEST_CIRCLES = 6
@@ -67,7 +67,7 @@ def read_sheet(
     labelling = label_circles(cell, _ring_evidence(coarse, layout), pattern, layout)
     on_pattern = labelling.choices[0] >= 0
     index, coarse = labelling.choices[0][on_pattern], coarse.take(on_pattern)
-    ellipses, index = _measure_all(picture, coarse, index, pattern, layout)
+    ellipses, index, warp = _measure_all(picture, coarse, index, pattern, layout)
     if len(index) < _FEWEST_CIRCLES:
         raise DetectionError(
             f"Only {len(index)} circles of the pattern {pattern.name!r} can be measured; show"
@@ -75,8 +75,10 @@ def read_sheet(
         )
     choices = _upright_first(labelling.permute(index), ellipses.centres_px, pattern)
     taken = choices[0]
-    final = fit_warp(pattern.centres_mm[taken], ellipses.centres_px, pattern.radius_mm[taken])
-    return Sheet(choices, ellipses, final)
+    if not np.array_equal(taken, index):
+        centres_mm, radius_mm = pattern.centres_mm[taken], pattern.radius_mm[taken]
+        warp = fit_warp(centres_mm, ellipses.centres_px, radius_mm)
+    return Sheet(choices, ellipses, warp)
 
 
 def shows_same_sheet(first: Sheet, second: Sheet, pattern: Pattern) -> bool:
@@ -114,19 +116,19 @@ def _coarse_fit(
     """Fit with whole circles, holes included, on a part of their pixels."""
     count = len(centres_px)
     area = np.pi * _OUTER_RADII**2 * np.sqrt(np.median(np.linalg.det(shape_px2)))
-    stride = max(1, int(area / _COARSE_PIXELS))
+    step = max(1, int(np.sqrt(area / _COARSE_PIXELS)))
     pixels = pixels_round(
         picture.grey,
         centres_px,
         shape_px2,
         np.zeros(count),
         np.full(count, _OUTER_RADII),
-        stride=stride,
+        step=step,
     )
     return refine_ellipses(
         pixels,
         start_ellipses(
-            pixels, centres_px, shape_px2, hole_ratio=hole_ratio, taken_share=1.0 / stride
+            pixels, centres_px, shape_px2, hole_ratio=hole_ratio, taken_share=1.0 / step**2
         ),
         hole_ratio=hole_ratio,
         free_hole=True,
@@ -174,7 +176,7 @@ def _measure_all(
     index: Int[np.ndarray, "m"],
     pattern: Pattern,
     layout: Layout,
-) -> tuple[Ellipses, Int[np.ndarray, "k"]]:
+) -> tuple[Ellipses, Int[np.ndarray, "k"], Warp]:
     """Look for the circles that the blobs missed, then measure all together."""
     warp = fit_warp(pattern.centres_mm[index], coarse.centres_px, pattern.radius_mm[index])
     missing = np.setdiff1d(np.arange(len(pattern)), index)
@@ -194,8 +196,9 @@ def _measure_all(
     centre, shape = warp.ellipses(pattern.centres_mm[index], pattern.radius_mm[index])
     good = _plausible(fine, centre, shape, picture.noise_sigma)
     good &= _undisturbed(fine, picture.noise_sigma)
-    good &= _agrees(fine, index, pattern)
-    return fine.take(good), index[good]
+    agreeing, warp = _agreeing(fine, index, pattern)
+    good &= agreeing
+    return fine.take(good), index[good], warp
 
 
 def _plausible(
@@ -233,23 +236,24 @@ def _undisturbed(fitted: Ellipses, noise_sigma: float) -> np.ndarray:
     return misfit < 2.5 * np.median(misfit) + 0.02 + 0.6 * noise_sigma / contrast
 
 
-def _agrees(fitted: Ellipses, index: Int[np.ndarray, "m"], pattern: Pattern) -> np.ndarray:
-    """Circles that lie where a smooth picture of the sheet puts them."""
+def _agreeing(
+    fitted: Ellipses, index: Int[np.ndarray, "m"], pattern: Pattern
+) -> tuple[np.ndarray, Warp]:
+    """Circles that lie where a smooth picture of the sheet puts them, and that picture."""
     good = np.ones(len(index), dtype=bool)
     own = np.sqrt(np.trace(fitted.covariance_px2, axis1=1, axis2=2))
     sharp = 0.03 * smallest_axis(fitted.shape_px2)
     centres_mm, radius_mm = pattern.centres_mm[index], pattern.radius_mm[index]
-    for _ in range(3):
-        if np.sum(good) < _FEWEST_CIRCLES:
-            break
-        warp = fit_warp(centres_mm[good], fitted.centres_px[good], radius_mm[good])
+    warp = fit_warp(centres_mm, fitted.centres_px, radius_mm)
+    for _ in range(2):
         centre, _ = warp.ellipses(centres_mm, radius_mm)
         off = fitted.centres_px - centre
         miss = np.sqrt(off[:, 0] ** 2 + off[:, 1] ** 2)
         before, good = good, miss < 5.0 * np.median(miss[good]) + 5.0 * own + sharp
-        if np.array_equal(before, good):
+        if np.array_equal(before, good) or np.sum(good) < _FEWEST_CIRCLES:
             break
-    return good
+        warp = fit_warp(centres_mm[good], fitted.centres_px[good], radius_mm[good])
+    return good, warp
 
 
 def _ring_evidence(fitted: Ellipses, layout: Layout) -> Float[np.ndarray, "n"]:
