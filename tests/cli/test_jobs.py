@@ -25,7 +25,7 @@ def folder(tmp_path_factory):
     trinoc.save(pattern, folder / "pattern.json")
     trinoc.save(RIG, folder / "rig.json")
     for name, camera in RIG.items():
-        picture = render_sheet(pattern, camera, supersampling=4)
+        picture = render_sheet(pattern, camera, supersampling=4, noise_sigma=1.0)
         cv2.imwrite(str(folder / f"{name}.png"), picture)
         cv2.imwrite(str(folder / f"{name}.tif"), picture.astype(np.uint16) * 257)
         ends = np.concatenate([BOX_MM, np.ones((8, 1))], axis=1) @ camera.matrix_px.T

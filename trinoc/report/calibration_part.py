@@ -130,7 +130,9 @@ def _picture_figures(result: CalibrationResult, name: str) -> tuple[tuple[str, s
     rows = [k for k, words in enumerate(result.parameters) if words.startswith(f"{name}.")]
     variance = np.diagonal(result.covariance)[rows]
     bound = np.diagonal(quality.bound)
-    over_bound = np.sqrt(variance / bound).max() if variance.shape == bound.shape else np.nan
+    # A picture without noise has no bound, and six fitted parameters have no bound of four.
+    bounded = variance.shape == bound.shape and bool((bound > 0).all())
+    over_bound = np.sqrt(variance / bound).max() if bounded else np.nan
     return (
         ("noise of the fit", f"{with_decimals(quality.noise, 2)} grey levels"),
         ("noise of the picture", f"{with_decimals(quality.noise_floor, 2)} grey levels"),
