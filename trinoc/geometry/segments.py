@@ -2,10 +2,11 @@
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, Shaped
 
 from trinoc.errors import InputError
 from trinoc.geometry.arrays import ArrayLike
+from trinoc.geometry.junctions import Junctions
 
 DEFAULT_SIGMA_PX = 0.5
 # Detectors cut ends short or run past them: along the segment an end is known far less.
@@ -24,6 +25,10 @@ class Segments(eqx.Module):
     contrast : (n,) grey levels of the step across the segment; NaN where not known.
     support : (n,) number of edge points behind each segment; 0 where not known.
     image_size_px : (width, height) of the picture, or None where not known.
+    reasons : (n,) what besides noise widened the covariance most: "neighbour", "wide" (more
+        blurred than usual), "saturated", "bent", or "" for nothing; None where not known.
+    chain : (n,) collinear pieces of one broken edge share a number; None where not searched.
+    junctions : where the segments meet; None where not searched.
     """
 
     endpoints_px: Float[ArrayLike, "n 2 2"]
@@ -32,6 +37,9 @@ class Segments(eqx.Module):
     contrast: Float[ArrayLike, "n"]
     support: Int[ArrayLike, "n"]
     image_size_px: tuple[int, int] | None = eqx.field(static=True)
+    reasons: Shaped[np.ndarray, "n"] | None = None
+    chain: Int[ArrayLike, "n"] | None = None
+    junctions: Junctions | None = None
 
     @classmethod
     def from_endpoints(

@@ -1,79 +1,163 @@
 """Line segments of a picture: Nevatia and Babu's chain from masks to segments."""
 
+import jax
 import numpy as np
-from jaxtyping import Shaped
+from jaxtyping import Bool, Float, Int, Shaped
 
+from trinoc.errors import InputError
+from trinoc.geometry.arrays import ArrayLike
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.precision import in_float64
 from trinoc.geometry.segments import Segments
-from trinoc.match.nevatia_babu.covariance import MODEL_SIGMA_PX, end_covariances
-from trinoc.match.nevatia_babu.ends import crossings_near_ends
+from trinoc.match.find_junctions import with_junctions
+from trinoc.match.nevatia_babu.covariance import end_covariances, noise_variance
+from trinoc.match.nevatia_babu.disturbances import disturbances, widened
+from trinoc.match.nevatia_babu.edge_points import EdgePoints
+from trinoc.match.nevatia_babu.ends import snapped_ends
 from trinoc.match.nevatia_babu.false_alarms import least_evidence
 from trinoc.match.nevatia_babu.levels import fine_level, half_level
-from trinoc.match.nevatia_babu.line_fit import fit_lines
+from trinoc.match.nevatia_babu.line_fit import FittedLines, fit_lines
 from trinoc.match.nevatia_babu.masks import combined_kernel
 from trinoc.match.nevatia_babu.merging import collinear_successors, merged_runs
 from trinoc.match.nevatia_babu.neighbours import overlaps, without_neighbours
 from trinoc.match.nevatia_babu.picture import grey_picture
 from trinoc.match.nevatia_babu.runs import members
 from trinoc.match.nevatia_babu.two_levels import runs_of_both_levels
-from trinoc.match.nevatia_babu.validity import blur_of_picture, is_sharp, is_straight
+from trinoc.match.nevatia_babu.validity import is_sharp, is_straight, usual_blur
 
 GAP_PX = 8.0
 SNAP_PX = 6.0
-NEIGHBOUR_ROUNDS = 1
-MERGE_ROUNDS = 1
 SMOOTHING = 1
-LEAST_CONTRAST = 7.0
+# A shorter piece wholly within reach of other edges is the rounding of a corner.
+BEVEL_PX, BEVEL_CROWDED = 5.0, 0.8
+# Standard deviations of an end along its segment: at a crossing, and where evidence stops.
+SIGMA_ALONG_CROSSING_PX = 0.5
+SIGMA_ALONG_FREE_PX = 2.0
+# A line borrows the picture's usual blur where its own differs by more than this share.
+_BLUR_SPREAD = 0.15
 
 
 def find_segments(
-    image: Shaped[np.ndarray, "..."], *, tolerance_px: float = 1.6, false_alarms: float = 1.0
+    image: Shaped[np.ndarray, "..."],
+    *,
+    tolerance_px: float = 1.6,
+    false_alarms: float = 1.0,
+    least_contrast: float = 7.0,
+    intrinsics: Intrinsics | None = None,
 ) -> Segments:
-    """Straight edges of a picture, with polarity, contrast and covariance.
+    """Straight edges of a picture, with polarity, contrast, covariance and junctions.
 
-    `image` is (h, w) or (h, w, 3), uint8, uint16 or real numbers. `tolerance_px` is the
-    coarsest deviation of an edge from a straight line. The first end of each segment comes
-    first when walking with the darker side on the right, so every polarity is +1. Raises
-    InputError for what is no picture.
+    Parameters
+    ----------
+    image : (h, w) or (h, w, 3) picture of uint8, uint16 or real numbers; colours in the order
+        red, green, blue.
+    tolerance_px : coarsest deviation of an edge from a straight line, in pixels.
+    false_alarms : how many segments noise alone may bring about in such a picture.
+    least_contrast : fainter edges are left out; in grey levels of a scale from 0 to 255
+        (pictures of real numbers: in their own unit).
+    intrinsics : a lens whose distortion is taken out of the edge points before lines are
+        fitted; the segments are then in undistorted pixels.
+
+    Returns segments whose first end comes first when walking with the darker side on the
+    right as seen on the picture, so that every polarity is +1. Their `reasons` tell what
+    widened a covariance beyond noise. Raises InputError for what is no picture, for knobs
+    that are not positive, and for a lens of another picture size.
+
+    After R. Nevatia and K. R. Babu, "Linear feature extraction and description", 1980,
+    doi:10.1016/0146-664X(80)90049-0; docs/segments.md tells what differs.
     """
+    for name, value in (("tolerance_px", tolerance_px), ("false_alarms", false_alarms)):
+        if not value > 0:
+            raise InputError(f"{name} is {value}, but must be positive.")
     picture = grey_picture(image)
     height, width = picture.grey.shape
+    if intrinsics is not None and tuple(intrinsics.image_size_px) != (width, height):
+        raise InputError(
+            f"The picture is {width} x {height} px, but the lens was given for "
+            f"{intrinsics.image_size_px[0]} x {intrinsics.image_size_px[1]} px: use the lens of "
+            "this camera and resolution."
+        )
     kernel = combined_kernel(SMOOTHING)
-    needed = least_evidence(false_alarms, height * width)
     fine = fine_level(picture.grey, picture.quantum, kernel)
     half = half_level(picture.grey, picture.quantum, kernel)
-    points, first = runs_of_both_levels(fine, half, kernel, tolerance_px, LEAST_CONTRAST)
+    points, first = runs_of_both_levels(fine, half, kernel, tolerance_px, least_contrast)
     lines = fit_lines(points, first)
-    for _ in range(MERGE_ROUNDS):
-        successor = collinear_successors(lines, GAP_PX, tolerance_px / 2)
-        order, first = merged_runs(successor, first, len(points.strength))
-        points = points.select(order)
-        lines = fit_lines(points, first)
-    blur = blur_of_picture(lines)
-    keep = is_sharp(lines, blur) & (lines.evidence > needed)
-    index, _, first = members(first[keep], np.append(first[1:], len(points.strength))[keep])
-    points = points.select(index)
-    lines = lines.select(keep)
-    found = overlaps(points, first, lines)
-    for _ in range(NEIGHBOUR_ROUNDS):
-        spread = 0.15 * (fine.kernel_variance_px2 + blur.typical)
-        own = np.clip(lines.blur_px2, blur.typical - spread, blur.typical + spread)
-        lines = fit_lines(without_neighbours(points, lines, own, found), first)
-    lines = lines.select(is_straight(lines, width) & (lines.contrast > LEAST_CONTRAST))
+    points, first, lines = _merged(points, first, lines, tolerance_px)
 
-    partner, position = crossings_near_ends(
-        lines.centre_px, lines.direction, lines.extent_px, SNAP_PX
+    usual_px2 = usual_blur(lines)
+    keep = is_sharp(lines, usual_px2) & (
+        lines.evidence > least_evidence(false_alarms, height * width)
     )
-    lines = lines._replace(extent_px=position)
-    count = len(position)
-    return Segments(
-        lines.endpoints_px,
-        end_covariances(
-            lines.direction,
-            lines.variance_middle_px2 + MODEL_SIGMA_PX**2,
-            np.where(partner >= 0, 0.5, 1.5),
-        ),
-        np.ones(count, dtype=np.int64),
-        lines.contrast,
-        lines.support.astype(np.int64),
-        (width, height),
+    points, first = _points_of(points, first, keep)
+    lines = lines.select(keep)
+
+    found = overlaps(points, first, lines)
+    spread = _BLUR_SPREAD * (fine.kernel_variance_px2 + usual_px2)
+    own_blur = np.clip(lines.blur_px2, usual_px2 - spread, usual_px2 + spread)
+    cleaned = without_neighbours(points, lines, own_blur, found)
+    lines = fit_lines(cleaned, first)
+    disturbed = disturbances(
+        picture.grey, picture.white, points, cleaned, first, lines, found, usual_px2
+    )
+    if intrinsics is not None and intrinsics.distortion_model != "none":
+        lines = fit_lines(cleaned._replace(uv_px=_undistorted(cleaned.uv_px, intrinsics)), first)
+    length = np.ptp(lines.extent_px, axis=1)
+    variance, reasons = widened(disturbed, noise_variance(lines.variance_middle_px2, length))
+    bevel = (length < BEVEL_PX) & (disturbed.crowded > BEVEL_CROWDED)
+    keep = is_straight(lines, width) & (lines.contrast >= least_contrast) & ~bevel
+    return _as_segments(lines.select(keep), variance[keep], reasons[keep], (width, height))
+
+
+def _merged(
+    points: EdgePoints,
+    first: Int[np.ndarray, "r"],
+    lines: FittedLines,
+    tolerance_px: float,
+) -> tuple[EdgePoints, Int[np.ndarray, "g"], FittedLines]:
+    """The same after joining collinear lines across small gaps."""
+    successor = collinear_successors(lines, GAP_PX, tolerance_px / 2)
+    order, first = merged_runs(successor, first, len(points.strength))
+    points = points.select(order)
+    return points, first, fit_lines(points, first)
+
+
+def _points_of(
+    points: EdgePoints, first: Int[np.ndarray, "r"], keep: Bool[np.ndarray, "r"]
+) -> tuple[EdgePoints, Int[np.ndarray, "g"]]:
+    """The points of the lines that are kept, and where each of these begins."""
+    stop = np.append(first[1:], len(points.strength))
+    index, _, begins = members(first[keep], stop[keep])
+    return points.select(index), begins
+
+
+@in_float64
+def _undistorted(
+    uv_px: Float[np.ndarray, "n 2"], intrinsics: Intrinsics
+) -> Float[ArrayLike, "n 2"]:
+    """Points as a lens without distortion would show them; padded, so that few sizes compile."""
+    count = len(uv_px)
+    padded = np.zeros((1 << max(count, 1).bit_length(), 2))
+    padded[:count] = uv_px
+    return np.asarray(jax.vmap(intrinsics.undistort_pixel)(padded))[:count]
+
+
+def _as_segments(
+    lines: FittedLines,
+    variance_px2: Float[np.ndarray, "r"],
+    reasons: Shaped[np.ndarray, "r"],
+    size_px: tuple[int, int],
+) -> Segments:
+    """Segments with ends at the crossings with what stops them, junctions and chains."""
+    partner, position = snapped_ends(lines.centre_px, lines.direction, lines.extent_px, SNAP_PX)
+    sigma_along = np.where(partner >= 0, SIGMA_ALONG_CROSSING_PX, SIGMA_ALONG_FREE_PX)
+    return with_junctions(
+        Segments(
+            lines._replace(extent_px=position).endpoints_px,
+            end_covariances(lines.direction, variance_px2, sigma_along),
+            np.ones(len(position), dtype=np.int64),
+            lines.contrast,
+            lines.support.astype(np.int64),
+            size_px,
+            reasons,
+        )
     )

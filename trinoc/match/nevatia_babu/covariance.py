@@ -3,8 +3,19 @@
 import numpy as np
 from jaxtyping import Float
 
-# What the model leaves out even on a perfect edge: sampling, kernel shape, rounding.
-MODEL_SIGMA_PX = 0.01
+# Noise also enters through the choice of points; the share was measured on single edges.
+NOISE_EXCESS = 1.2
+# What the model leaves out even on a perfect edge (sampling, kernel shape, rounding): a part that
+# is common to the whole edge, and a part per pixel of length that averages out.
+MODEL_SIGMA_PX, MODEL_SIGMA_PER_PIXEL = 0.01, 0.12
+
+
+def noise_variance(
+    variance_middle_px2: Float[np.ndarray, "r"], length_px: Float[np.ndarray, "r"]
+) -> Float[np.ndarray, "r"]:
+    """(r,) variance of a line's middle across it, where nothing but noise disturbs it."""
+    model = MODEL_SIGMA_PX**2 + MODEL_SIGMA_PER_PIXEL**2 / np.maximum(length_px, 1.0)
+    return NOISE_EXCESS * variance_middle_px2 + model
 
 
 def end_covariances(

@@ -1,5 +1,7 @@
 """Ends of segments: carried to the crossing with the edge that stops them."""
 
+from typing import NamedTuple
+
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import KDTree
@@ -9,30 +11,46 @@ _NEIGHBOURS = 12
 _LEAST_SINE = np.sin(np.radians(15.0))
 
 
-def crossings_near_ends(
+class Meetings(NamedTuple):
+    """Ends that come near other lines.
+
+    Fields
+    ------
+    line, side : (m,) the line and which of its two ends.
+    other : (m,) the line that it meets.
+    position : (m,) where the two cross, along the first line from its centre.
+    other_position : (m,) and along the other.
+    """
+
+    line: Int[np.ndarray, "m"]
+    side: Int[np.ndarray, "m"]
+    other: Int[np.ndarray, "m"]
+    position: Float[np.ndarray, "m"]
+    other_position: Float[np.ndarray, "m"]
+
+
+def meetings(
     centre_px: Float[np.ndarray, "r 2"],
     direction: Float[np.ndarray, "r 2"],
     extent_px: Float[np.ndarray, "r 2"],
-    reach_px: float,
-) -> tuple[Int[np.ndarray, "r 2"], Float[np.ndarray, "r 2"]]:
-    """(partner, position): the line that each end meets, -1 for none, and where on the own line.
+    reach_px: Float[np.ndarray, "r"],
+) -> Meetings:
+    """Where ends meet other lines: crossings at more than fifteen degrees near the end.
 
-    An end meets another line where both cross at more than fifteen degrees, within `reach_px`
-    of the end along its own line, and on the other line or within `reach_px` of its ends. Of
-    several, the crossing nearest to the end counts.
+    A crossing counts within `reach_px` (of each line) of the end along its own line, and on
+    the other line or within the other's reach of its ends.
     """
-    count = len(centre_px)
-    partner = np.full((count, 2), -1, dtype=np.int64)
-    position = extent_px.copy()
-    if count < 2:
-        return partner, position
     owner, samples = line_samples(centre_px, direction, extent_px, _SAMPLE_PX)
     ends = centre_px[:, None] + extent_px[:, :, None] * direction[:, None]
-    _, near = KDTree(samples).query(
-        ends.reshape(-1, 2), k=_NEIGHBOURS, distance_upper_bound=reach_px * 1.5
+    _, neighbours = KDTree(samples).query(
+        ends.reshape(-1, 2),
+        k=min(_NEIGHBOURS, len(samples)),
+        distance_upper_bound=float(reach_px.max(initial=0.0)) * 1.5,
     )
+    near = np.asarray(neighbours)
     end, slot = np.nonzero(near < len(samples))
-    other = owner[near[end, slot]]
+    pair = np.unique(end * len(centre_px) + owner[near[end, slot]])
+    end, other = np.divmod(pair, len(centre_px))
     line, side = np.divmod(end, 2)
     between = centre_px[other] - centre_px[line]
     sine = _cross(direction[line], direction[other])
@@ -40,22 +58,42 @@ def crossings_near_ends(
     line, side, other, between, sine = (
         values[steep] for values in (line, side, other, between, sine)
     )
-    own_position = _cross(between, direction[other]) / sine
+    position = _cross(between, direction[other]) / sine
     other_position = _cross(between, direction[line]) / sine
-    shift = np.abs(own_position - extent_px[line, side])
-    on_other = (other_position > extent_px[other, 0] - reach_px) & (
-        other_position < extent_px[other, 1] + reach_px
-    )
+    shift = np.abs(position - extent_px[line, side])
     # The crossing may not swallow the segment from its other end.
-    far = np.abs(own_position - extent_px[line, 1 - side])
-    allowed = (shift < reach_px) & on_other & (far > shift)
-    line, side, other, own_position, shift = (
-        values[allowed] for values in (line, side, other, own_position, shift)
+    far = np.abs(position - extent_px[line, 1 - side])
+    reach = reach_px[other]
+    allowed = (
+        (shift < reach_px[line])
+        & (far > shift)
+        & (other_position > extent_px[other, 0] - reach)
+        & (other_position < extent_px[other, 1] + reach)
     )
+    return Meetings(*(values[allowed] for values in (line, side, other, position, other_position)))
+
+
+def snapped_ends(
+    centre_px: Float[np.ndarray, "r 2"],
+    direction: Float[np.ndarray, "r 2"],
+    extent_px: Float[np.ndarray, "r 2"],
+    reach_px: float,
+) -> tuple[Int[np.ndarray, "r 2"], Float[np.ndarray, "r 2"]]:
+    """(partner, position): the line that stops each end, -1 for none, and where along its own.
+
+    Of several crossings within `reach_px` the nearest to the end counts.
+    """
+    count = len(centre_px)
+    partner = np.full((count, 2), -1, dtype=np.int64)
+    position = extent_px.copy()
+    if count < 2:
+        return partner, position
+    found = meetings(centre_px, direction, extent_px, np.full(count, float(reach_px)))
+    shift = np.abs(found.position - extent_px[found.line, found.side])
     farthest_first = np.argsort(-shift, kind="stable")
-    line, side = line[farthest_first], side[farthest_first]
-    partner[line, side] = other[farthest_first]
-    position[line, side] = own_position[farthest_first]
+    line, side, other, where, _ = (values[farthest_first] for values in found)
+    partner[line, side] = other
+    position[line, side] = where
     return partner, position
 
 

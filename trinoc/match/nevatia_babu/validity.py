@@ -1,16 +1,15 @@
 """Which fitted lines are sharp, straight edges of the scene."""
 
-from typing import NamedTuple
-
 import numpy as np
 from jaxtyping import Bool
 from scipy.spatial import KDTree
 
 from trinoc.match.nevatia_babu.line_fit import FittedLines
 
-# A profile this much wider than the picture's typical one is a soft shadow or shading.
+# A profile this much wider than usual in the picture is a soft shadow or shading,
 SOFT_RATIO = 1.5
-SOFT_SPREAD = 1.5
+# unless its blur has less than this variance: photographs with depth have edges of many widths.
+SHARP_PX2 = 2.0
 # Noise moves the bow of a line this many times more than its middle: the parabola has to be
 # told from the line.
 BOW_OF_MIDDLE = float(np.sqrt(11.25))
@@ -18,40 +17,27 @@ BOW_OF_MIDDLE = float(np.sqrt(11.25))
 ARC_BOW_PX = 0.8
 ARC_RADIUS_OF_WIDTH = 0.2
 # Pieces of one arc turn from each to the next by what their bows promise.
-LEAST_BOW_PX = 0.4
+LEAST_BOW_PX = 0.2
 NEXT_PX = 6.0
 LEAST_TURN, MOST_TURN = np.radians(6.0), np.radians(60.0)
 TURN_RATIO = 2.5
 
 
-class BlurOfPicture(NamedTuple):
-    """What blur the edges of a picture have, as variances in px^2: median and quartiles."""
-
-    lower: float
-    typical: float
-    upper: float
-
-
-def blur_of_picture(lines: FittedLines) -> BlurOfPicture:
-    """Quartiles of the blur of the picture's edges; long lines weigh more."""
+def usual_blur(lines: FittedLines) -> float:
+    """Variance of the blur of the picture's edges, in px^2: the median, long lines weigh more."""
     if len(lines.support) == 0:
-        return BlurOfPicture(0.0, 0.0, 0.0)
+        return 0.0
     order = np.argsort(lines.blur_px2)
     weight = np.cumsum(lines.support[order])
-    place = np.searchsorted(weight, weight[-1] * np.array([0.25, 0.5, 0.75]))
-    lower, typical, upper = lines.blur_px2[order[place]]
-    return BlurOfPicture(float(lower), max(float(typical), 0.0), float(upper))
+    middle = np.searchsorted(weight, weight[-1] / 2)
+    return max(float(lines.blur_px2[order[middle]]), 0.0)
 
 
-def is_sharp(lines: FittedLines, blur: BlurOfPicture) -> Bool[np.ndarray, "r"]:
-    """Edges whose profile is about as narrow as one of the picture's usual blur.
-
-    What is usual follows the spread of the picture: a photograph with depth has edges of
-    several widths, a rendered scene has one.
-    """
-    usual = lines.kernel_variance_px2 + blur.typical
-    spread = lines.kernel_variance_px2 + blur.upper + SOFT_SPREAD * (blur.upper - blur.lower)
-    return lines.kernel_variance_px2 + lines.blur_px2 <= np.maximum(SOFT_RATIO * usual, spread)
+def is_sharp(lines: FittedLines, usual_px2: float) -> Bool[np.ndarray, "r"]:
+    """Edges that are no soft shadows: about as narrow as usual in the picture, or narrow anyway."""
+    profile = lines.kernel_variance_px2 + lines.blur_px2
+    usual = SOFT_RATIO * (lines.kernel_variance_px2 + usual_px2)
+    return profile <= np.maximum(usual, lines.kernel_variance_px2 + SHARP_PX2)
 
 
 def is_straight(lines: FittedLines, width_px: int) -> Bool[np.ndarray, "r"]:

@@ -1,0 +1,101 @@
+"""What disturbs the place of a segment beyond the noise of the picture."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, Shaped
+
+from trinoc.match.nevatia_babu.edge_points import EdgePoints
+from trinoc.match.nevatia_babu.line_fit import FittedLines
+from trinoc.match.nevatia_babu.neighbours import Overlaps
+from trinoc.match.nevatia_babu.runs import sums
+from trinoc.match.nevatia_babu.validity import BOW_OF_MIDDLE
+
+# What each disturbance moves a line by, measured on rendered block scenes (other ones than those
+# that benchmarks/segments.py reports on).
+_PULL_SHARE = 0.9
+_CROWD_PX, _CROWD_FROM = 0.45, 0.4
+_WIDE_SHARE, _WIDE_FROM_PX = 0.4, 0.5
+_SATURATED_PX, _SATURATED_FROM = 0.5, 0.3
+_BOW_SHARE, _BOW_SIGMAS = 0.5, 1.5
+
+# How far toward the brighter side a pixel must be saturated to bend the profile.
+_BRIGHT_SIDE_PX = 2.0
+
+
+class Disturbances(NamedTuple):
+    """Of each line, what besides noise may have moved it.
+
+    Fields
+    ------
+    pull_px : (r,) mean shift of the points that was ascribed to neighbours.
+    crowded : (r,) share of the points that have a neighbouring line within reach.
+    widening_px : (r,) root of the variance by which the profile is wider than usual.
+    saturated : (r,) share of the points whose bright side is saturated.
+    bow_px : (r,) deviation from straightness that noise does not explain.
+    """
+
+    pull_px: Float[np.ndarray, "r"]
+    crowded: Float[np.ndarray, "r"]
+    widening_px: Float[np.ndarray, "r"]
+    saturated: Float[np.ndarray, "r"]
+    bow_px: Float[np.ndarray, "r"]
+
+    def select(self, which: Bool[np.ndarray, "r"]) -> "Disturbances":
+        """Those of the lines where the mask is true."""
+        return Disturbances(*(field[which] for field in self))
+
+
+def disturbances(
+    grey: Float[np.ndarray, "h w"],
+    white: float,
+    measured: EdgePoints,
+    cleaned: EdgePoints,
+    first: Int[np.ndarray, "r"],
+    lines: FittedLines,
+    found: Overlaps,
+    usual_blur_px2: float,
+) -> Disturbances:
+    """Compare the points as measured and after neighbours were taken out.
+
+    `lines` are fitted to the cleaned points, which lie line after line from first[k] on.
+    """
+    bow = np.abs(lines.bow_px)
+    count = lines.support.astype(np.float64)
+    shift = (cleaned.uv_px - measured.uv_px).astype(np.float64)
+    near = np.zeros(len(measured.strength))
+    near[found.point] = 1.0
+    bright = measured.sample_px + _BRIGHT_SIDE_PX * measured.normal * measured.spacing_px[:, None]
+    column, row = np.rint(bright).astype(np.int64).T
+    height, width = grey.shape
+    level = grey[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)]
+    return Disturbances(
+        sums(np.linalg.norm(shift, axis=-1), first) / count,
+        sums(near, first) / count,
+        np.sqrt(np.maximum(lines.blur_px2 - usual_blur_px2, 0.0)),
+        sums((level >= white).astype(np.float64), first) / count,
+        np.where(bow > _BOW_SIGMAS * BOW_OF_MIDDLE * np.sqrt(lines.variance_middle_px2), bow, 0.0),
+    )
+
+
+def widened(
+    disturbed: Disturbances, noise_px2: Float[np.ndarray, "r"]
+) -> tuple[Float[np.ndarray, "r"], Shaped[np.ndarray, "r"]]:
+    """(variance, reason): of each line's place across it, and what added most to it.
+
+    `noise_px2` is the variance from noise alone. The reason is "neighbour", "wide",
+    "saturated" or "bent" where that adds more than noise does, and "" elsewhere.
+    """
+    parts = {
+        "neighbour": np.hypot(
+            _PULL_SHARE * disturbed.pull_px,
+            _CROWD_PX * np.clip(disturbed.crowded - _CROWD_FROM, 0.0, None),
+        ),
+        "wide": _WIDE_SHARE * np.clip(disturbed.widening_px - _WIDE_FROM_PX, 0.0, None),
+        "saturated": _SATURATED_PX * (disturbed.saturated > _SATURATED_FROM),
+        "bent": _BOW_SHARE * disturbed.bow_px,
+    }
+    squares = np.square(np.stack(list(parts.values())))
+    most = squares.argmax(axis=0)
+    reasons = np.where(squares.max(axis=0) > noise_px2, np.array(list(parts))[most], "")
+    return noise_px2 + squares.sum(axis=0), reasons
