@@ -17,6 +17,7 @@ import trinoc
 from trinoc.cli.calibrate import Calibrate
 from trinoc.cli.command import Command, UsageError
 from trinoc.cli.demo import Demo
+from trinoc.cli.intrinsics import Intrinsics
 from trinoc.cli.match import Match
 from trinoc.cli.pattern import Pattern
 from trinoc.cli.segments import Segments
@@ -30,6 +31,7 @@ DESCRIPTION = (
 AnyCommand = (
     Annotated[Demo, tyro.conf.subcommand("demo")]
     | Annotated[Pattern, tyro.conf.subcommand("pattern")]
+    | Annotated[Intrinsics, tyro.conf.subcommand("intrinsics")]
     | Annotated[Calibrate, tyro.conf.subcommand("calibrate")]
     | Annotated[Segments, tyro.conf.subcommand("segments")]
     | Annotated[Match, tyro.conf.subcommand("match")]

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from trinoc.calib.intrinsics.lens_parameters import LENS_PARAMETERS
 from trinoc.errors import InputError
 from trinoc.geometry.intrinsics import DISTORTION_MODELS, Intrinsics
 from trinoc.io.conventions import CONVENTIONS
@@ -17,28 +18,65 @@ FORMAT, VERSION = "trinoc-camera", 1
 def load_intrinsics(path: str | os.PathLike[str]) -> Intrinsics:
     """Read a camera.json. Raises InputError, in one sentence with file and key."""
     document = read_document(path, FORMAT, VERSION)
-    document.expect_keys(
-        ("format", "version", "image_size_px", "intrinsics"), ("conventions", "provenance")
-    )
+    _expect_keys(document)
     return intrinsics_from_block(document.block("intrinsics"), document.image_size_px())
+
+
+def load_lens_covariance(path: str | os.PathLike[str]) -> np.ndarray | None:
+    """The covariance (9, 9) of LENS_PARAMETERS in a camera.json; None where it states none.
+
+    Raises InputError, in one sentence with file and key.
+    """
+    document = read_document(path, FORMAT, VERSION)
+    _expect_keys(document)
+    if "covariance" not in document.values:
+        return None
+    block = document.block("covariance")
+    block.expect_keys(("parameters", "matrix"))
+    if block.texts("parameters") != LENS_PARAMETERS:
+        raise block.error("parameters", f"must be {', '.join(LENS_PARAMETERS)}, in this order.")
+    matrix = block.numbers("matrix", (len(LENS_PARAMETERS), len(LENS_PARAMETERS)))
+    if not np.allclose(matrix, matrix.T, rtol=1e-9, atol=0) or (np.diag(matrix) < 0).any():
+        raise block.error(
+            "matrix", "is no covariance (symmetric, no negative variance): write the file again."
+        )
+    return matrix
 
 
 def save_intrinsics(
     intrinsics: Intrinsics,
     path: str | os.PathLike[str],
     *,
+    covariance: np.ndarray | None = None,
     provenance: Mapping[str, Any] | None = None,
 ) -> None:
-    """Write a camera.json; `provenance` says how the lens came to be known."""
-    document = {
+    """Write a camera.json; `provenance` says how the lens came to be known.
+
+    `covariance` (9, 9) is of LENS_PARAMETERS, zero for parameters that were held.
+    """
+    document: dict[str, Any] = {
         "format": FORMAT,
         "version": VERSION,
         "image_size_px": list(intrinsics.image_size_px),
         "intrinsics": intrinsics_to_block(intrinsics),
-        "conventions": CONVENTIONS,
-        "provenance": dict(provenance or {}),
     }
+    if covariance is not None:
+        sigmas = np.sqrt(np.diag(covariance))
+        document["sigma"] = dict(zip(LENS_PARAMETERS, sigmas.tolist(), strict=True))
+        document["covariance"] = {
+            "parameters": list(LENS_PARAMETERS),
+            "matrix": np.asarray(covariance).tolist(),
+        }
+    document["conventions"] = CONVENTIONS
+    document["provenance"] = dict(provenance or {})
     write_document(path, document)
+
+
+def _expect_keys(document: Block) -> None:
+    document.expect_keys(
+        ("format", "version", "image_size_px", "intrinsics"),
+        ("sigma", "covariance", "conventions", "provenance"),
+    )
 
 
 def intrinsics_to_block(intrinsics: Intrinsics) -> dict[str, Any]:

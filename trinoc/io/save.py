@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from trinoc.calib.intrinsics.result import IntrinsicsResult
 from trinoc.calib.pattern import Pattern
 from trinoc.calib.result import CalibrationResult
 from trinoc.errors import InputError
@@ -18,7 +19,7 @@ from trinoc.io.rig_json import save_rig
 from trinoc.io.segments_npz import save_segments
 from trinoc.match.matches import Matches
 
-Saveable = Rig | CalibrationResult | Intrinsics | Pattern | Segments | Matches
+Saveable = Rig | CalibrationResult | Intrinsics | IntrinsicsResult | Pattern | Segments | Matches
 
 
 def save(
@@ -29,14 +30,15 @@ def save(
 ) -> None:
     """Write a value to a file, whole or not at all.
 
-    A Rig (or the rig of a CalibrationResult), Intrinsics and a Pattern become JSON; Segments
+    A Rig (or the rig of a CalibrationResult), Intrinsics (or the lens of an IntrinsicsResult,
+    then with its covariance) and a Pattern become JSON; Segments
     and Matches become npz. `provenance`, of rigs and lenses, says how the value was found
     ("command", "version", "inputs"). Raises InputError for other values and for a name whose
     ending is not that of the file.
     """
     if isinstance(value, CalibrationResult):
         value = value.rig
-    ending = ".json" if isinstance(value, Rig | Intrinsics | Pattern) else ".npz"
+    ending = ".json" if isinstance(value, Rig | Intrinsics | IntrinsicsResult | Pattern) else ".npz"
     if isinstance(value, Saveable) and Path(path).suffix.lower() != ending:
         raise InputError(
             f"{path}: a {type(value).__name__} is written as {ending}: choose such a name."
@@ -46,6 +48,10 @@ def save(
             save_rig(value, path, provenance=provenance)
         case Intrinsics():
             save_intrinsics(value, path, provenance=provenance)
+        case IntrinsicsResult():
+            if value.lens is None:
+                raise InputError(f"{path} was not written: {value.status.value}")
+            save_intrinsics(value.lens, path, covariance=value.covariance, provenance=provenance)
         case Pattern():
             save_pattern(value, path)
         case Segments():
@@ -55,5 +61,5 @@ def save(
         case _:
             raise InputError(
                 f"A {type(value).__name__} cannot be saved: give a Rig, CalibrationResult, "
-                "Intrinsics, Pattern, Segments or Matches."
+                "Intrinsics, IntrinsicsResult, Pattern, Segments or Matches."
             )

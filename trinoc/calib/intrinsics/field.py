@@ -1,0 +1,48 @@
+"""How well a lens is known across the picture, in pixels."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from trinoc.geometry.arrays import ArrayLike
+from trinoc.geometry.distortion import distort, undistort
+from trinoc.geometry.rotation import rotation_from_vector
+
+FIELD_PLACES = 5
+
+
+def field_places_px(image_size_px: tuple[int, int]) -> Float[np.ndarray, "5 5 2"]:
+    """Places from corner to corner of the picture, row by row from the top."""
+    u, v = (np.linspace(0.0, side - 1.0, FIELD_PLACES) for side in image_size_px)
+    return np.stack(np.meshgrid(u, v), axis=-1)
+
+
+@jax.jit
+def field_sigma_px(
+    values: Float[ArrayLike, "9"],
+    covariance: Float[ArrayLike, "9 9"],
+    places_px: Float[ArrayLike, "5 5 2"],
+) -> Float[Array, "5 5"]:
+    """Standard deviation, per axis, of where the lens images a given ray.
+
+    A turn of the camera that all places share is taken out: whoever poses the camera finds
+    it again, and a principal point that is off looks like one.
+    """
+    ideal = (places_px.reshape(-1, 2) - values[None, 2:4]) / values[None, :2]
+    rays = jax.vmap(undistort, in_axes=(0, None))(ideal, values[4:])
+
+    def pixel(
+        values: Float[Array, "9"], turn: Float[Array, "3"], ray: Float[Array, "2"]
+    ) -> Float[Array, "2"]:
+        x, y, z = rotation_from_vector(turn) @ jnp.append(ray, 1.0)
+        return values[:2] * distort(jnp.stack([x / z, y / z]), values[4:]) + values[2:4]
+
+    still = jnp.zeros(3, rays.dtype)
+    by_lens = jax.vmap(jax.jacfwd(pixel), in_axes=(None, None, 0))(values, still, rays)
+    by_turn = jax.vmap(jax.jacfwd(pixel, argnums=1), in_axes=(None, None, 0))(values, still, rays)
+    by_lens, by_turn = by_lens.reshape(-1, 9), by_turn.reshape(-1, 3)
+    turn_of_lens = jnp.linalg.solve(by_turn.T @ by_turn, by_turn.T @ by_lens)
+    remaining = by_lens - by_turn @ turn_of_lens
+    variance = jnp.einsum("iq,qr,ir->i", remaining, covariance, remaining)
+    return jnp.sqrt(jnp.mean(variance.reshape(FIELD_PLACES, FIELD_PLACES, 2), axis=2))

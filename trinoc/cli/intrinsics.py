@@ -1,0 +1,100 @@
+"""`trinoc intrinsics`: several pictures of the sheet by one camera to a camera.json."""
+
+import dataclasses
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
+
+from trinoc.cli.command import Command, Outcome, UsageError
+from trinoc.cli.progress import LOGGER, each
+
+if TYPE_CHECKING:
+    from trinoc.calib.intrinsics.result import IntrinsicsResult
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Intrinsics(Command):
+    """Find focal length, principal point and distortion from several pictures of the sheet."""
+
+    pictures: Annotated[
+        tyro.conf.Positional[tuple[Path, ...]],
+        tyro.conf.arg(metavar="IMG", help_behavior_hint="(required)"),
+    ]
+    """Pictures by one camera at one zoom and focus, the sheet held differently in each."""
+
+    pattern: Path
+    """Layout of the sheet (JSON), as `trinoc pattern` writes it."""
+
+    distortion: Annotated[
+        Literal[0, 1, 2, 4, 5] | None,
+        tyro.conf.arg(help_behavior_hint="(default: all that are determined)"),
+    ] = None
+    """Number of coefficients k1, k2, p1, p2, k3."""
+
+    principal_point: Literal["free", "centre"] = "free"
+    """Whether the principal point is fitted, or held in the middle of the picture."""
+
+    pixel_pitch_mm: Annotated[
+        tuple[float, ...], tyro.conf.arg(metavar="MM", help_behavior_hint="(optional)")
+    ] = ()
+    """Size of a pixel: one number, or width and height. Gives a focal length in mm, too."""
+
+    aspect: Literal["free", "pitch"] = "free"
+    """Whether both focal lengths are fitted, or their ratio is held at that of the pixels."""
+
+    out: Annotated[Path, tyro.conf.arg(aliases=("-o",))] = Path("camera.json")
+    """Where the lens goes."""
+
+    def run(self, command_line: str) -> Outcome:
+        """Calibrate the lens and write it."""
+        if not self.pictures:
+            raise UsageError("No picture is given: give several pictures of the sheet.")
+        if len(self.pixel_pitch_mm) > 2:
+            raise UsageError("--pixel-pitch-mm takes one number, or width and height.")
+
+        from trinoc.calib.intrinsics.calibrate_intrinsics import calibrate_intrinsics
+        from trinoc.cli.provenance import provenance
+        from trinoc.io.images import read_image
+        from trinoc.io.pattern_json import load_pattern
+        from trinoc.io.save import save
+
+        pattern = load_pattern(self.pattern)
+        images = [read_image(path) for path in each(self.pictures, "reading", quiet=self.quiet)]
+        LOGGER.info("calibrating the lens of %d pictures", len(images))
+        pitch_mm = self.pixel_pitch_mm
+        result = calibrate_intrinsics(
+            images,
+            pattern,
+            distortion=self.distortion,
+            principal_point=self.principal_point,
+            pixel_pitch_mm=(pitch_mm[0], pitch_mm[-1]) if pitch_mm else None,
+            aspect=self.aspect,
+        )
+        inputs = {f"picture {k + 1}": path for k, path in enumerate(self.pictures)}
+        save(
+            result,
+            self.out,
+            provenance=provenance(command_line, {**inputs, "pattern": self.pattern}),
+        )
+        text = f"{result.summary()}\nwritten: {self.out}"
+        return Outcome(text, {**intrinsics_record(result), "written": [str(self.out)]})
+
+
+def intrinsics_record(result: "IntrinsicsResult") -> dict[str, Any]:
+    """What programs want to know of a lens, as JSON can hold it."""
+    advice = result.next_picture
+    return {
+        "parameters": {
+            name: {"value": float(value), "sigma": result.sigma(name), "free": name in result.free}
+            for name, value in zip(result.parameters, result.values, strict=True)
+        },
+        "pictures": len(result.detections),
+        "failures": {str(index + 1): why for index, why in result.failures.items()},
+        "circles": sum(int(used.sum()) for used in result.used),
+        "rms_px": result.rms_px,
+        "reduced_chi_square": result.reduced_chi_square,
+        "largest_sigma_px": float(result.field_sigma_px.max()),
+        "notes": list(result.notes),
+        "next_picture": None if advice is None else advice.sentence,
+    }
