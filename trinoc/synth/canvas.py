@@ -1,10 +1,7 @@
 """A picture before the sensor: one grey level per pixel, many where an edge crosses it.
 
-Each pixel that an outline may cross is divided into S x S cells with one sample in each; the
-others hold the grey level at their centre. The samples of one pixel are sheared so that their
-S^2 columns, and their S^2 rows, all differ: an edge along the pixel grid is then resolved to
-1 / S^2 and not to 1 / S (K. Chiu et al., "Multi-jittered sampling", Graphics Gems IV, 1994,
-without the jitter).
+Each pixel that an outline may cross is divided into S x S cells, each with a ray at its centre;
+the others hold the grey level at their centre.
 """
 
 import equinox as eqx
@@ -80,17 +77,14 @@ def paint(
         patch = (slice(low[0], high[0]), slice(low[1], high[1]))
         cells = ((canvas.divided >= low) & (canvas.divided < high)).all(axis=1)
         centre_grey[patch] = layer.over(centre_grey[patch], canvas.centres_mm[patch])
-        cell_grey[cells] = layer.over(cell_grey[cells], canvas.samples_mm[cells])
+        cell_grey[cells] = layer.over(cell_grey[cells], canvas.samples_mm[cells], cells=True)
     return centre_grey, cell_grey
 
 
 def cell_offsets_px(supersampling: int) -> Float[np.ndarray, "s s 2"]:
-    """Offsets (du, dv) of the samples from a pixel's centre, sheared as said above."""
-    count = supersampling
-    cell = (np.arange(count) + 0.5) / count
-    u = (np.arange(count)[None, :] + cell[:, None]) / count - 0.5
-    v = (np.arange(count)[:, None] + cell[None, :]) / count - 0.5
-    return np.stack([u, v], axis=-1)
+    """Offsets (du, dv) of the cells' centres from the pixel's."""
+    offset = (np.arange(supersampling) + 0.5) / supersampling - 0.5
+    return np.stack(np.meshgrid(offset, offset), axis=-1)
 
 
 def points_on_sheet(camera: Camera, uv_px: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 2"]:

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import ndtr
 
+from trinoc.synth.coverage import coverage_of_cells, coverage_of_points
 from trinoc.synth.layers import Layer, Paint
 from trinoc.synth.shapes import Capsule, ConvexPolygon, Disc, Shape
 
@@ -26,10 +27,16 @@ class Surround(eqx.Module):
         return False
 
     def over(
-        self, grey: Float[np.ndarray, "*n"], points_mm: Float[np.ndarray, "*n 2"]
+        self,
+        grey: Float[np.ndarray, "*n"],
+        points_mm: Float[np.ndarray, "*n 2"],
+        *,
+        cells: bool = False,
     ) -> Float[np.ndarray, "*n"]:
         """What was below inside the figure, the surround elsewhere."""
-        return np.where(self.shape.contains(points_mm), grey, self.grey)
+        level = self.shape.level_mm(points_mm)
+        share = coverage_of_cells(level) if cells else coverage_of_points(level)
+        return self.grey + share * (grey - self.grey)
 
     def outline_mm(self, step_mm: float) -> Float[np.ndarray, "k 2"]:
         """The figure's outline."""
@@ -47,7 +54,11 @@ class LightGradient(eqx.Module):
         return False
 
     def over(
-        self, grey: Float[np.ndarray, "*n"], points_mm: Float[np.ndarray, "*n 2"]
+        self,
+        grey: Float[np.ndarray, "*n"],
+        points_mm: Float[np.ndarray, "*n 2"],
+        *,
+        cells: bool = False,
     ) -> Float[np.ndarray, "*n"]:
         """The grey levels in this light."""
         factor = 1 + np.einsum("...i,i->...", points_mm, self.slope_per_mm)
@@ -66,7 +77,7 @@ class ShadowEdge(eqx.Module):
     point_mm : a point of the edge.
     normal : (2,) unit vector from the edge into the shade.
     factor : light left in the shade.
-    penumbra_mm : sigma of the soft edge; 0 is sharp.
+    penumbra_mm : sigma of the soft edge; below a tenth of a millimetre it is drawn as that.
     """
 
     point_mm: Float[np.ndarray, "2"]
@@ -80,18 +91,22 @@ class ShadowEdge(eqx.Module):
         return False
 
     def over(
-        self, grey: Float[np.ndarray, "*n"], points_mm: Float[np.ndarray, "*n 2"]
+        self,
+        grey: Float[np.ndarray, "*n"],
+        points_mm: Float[np.ndarray, "*n 2"],
+        *,
+        cells: bool = False,
     ) -> Float[np.ndarray, "*n"]:
         """The grey levels in light and shade."""
         depth = np.einsum("...i,i->...", points_mm - self.point_mm, self.normal)
-        shaded = ndtr(depth / max(self.penumbra_mm, 1e-9))
+        shaded = ndtr(depth / max(self.penumbra_mm, 0.1))
         return np.where(np.isfinite(shaded), grey * (1 - (1 - self.factor) * shaded), grey)
 
     def outline_mm(self, step_mm: float) -> Float[np.ndarray, "k 2"]:
         """The edge, a metre to both sides; as many lines beside it as the penumbra is wide."""
         along = np.array([-self.normal[1], self.normal[0]])
         line = self.point_mm + np.arange(-1000.0, 1000.0, step_mm)[:, None] * along
-        reach = min(3 * self.penumbra_mm, 3.0)
+        reach = min(3 * max(self.penumbra_mm, 0.1), 3.0)
         beside = np.arange(-reach, reach + step_mm / 2, step_mm)
         return np.concatenate([line + offset * self.normal for offset in beside])
 
@@ -109,7 +124,11 @@ class Glare(eqx.Module):
         return False
 
     def over(
-        self, grey: Float[np.ndarray, "*n"], points_mm: Float[np.ndarray, "*n 2"]
+        self,
+        grey: Float[np.ndarray, "*n"],
+        points_mm: Float[np.ndarray, "*n 2"],
+        *,
+        cells: bool = False,
     ) -> Float[np.ndarray, "*n"]:
         """The grey levels with the spot on top; the sensor clips them later."""
         squared = np.sum((points_mm - self.centre_mm) ** 2, axis=-1)

@@ -6,6 +6,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
+from trinoc.synth.coverage import coverage_of_cells, coverage_of_points
 from trinoc.synth.shapes import Shape
 
 
@@ -19,9 +20,17 @@ class Layer(Protocol):
         ...
 
     def over(
-        self, grey: Float[np.ndarray, "*n"], points_mm: Float[np.ndarray, "*n 2"]
+        self,
+        grey: Float[np.ndarray, "*n"],
+        points_mm: Float[np.ndarray, "*n 2"],
+        *,
+        cells: bool = False,
     ) -> Float[np.ndarray, "*n"]:
-        """The grey levels with this layer on top, at points of the sheet."""
+        """The grey levels with this layer on top, at points of the sheet.
+
+        With `cells` the points are (m, s, s, 2) the centres of adjoining cells, and the grey
+        levels are means over the cells.
+        """
         ...
 
     def outline_mm(self, step_mm: float) -> Float[np.ndarray, "k 2"]:
@@ -41,10 +50,16 @@ class Paint(eqx.Module):
         return True
 
     def over(
-        self, grey: Float[np.ndarray, "*n"], points_mm: Float[np.ndarray, "*n 2"]
+        self,
+        grey: Float[np.ndarray, "*n"],
+        points_mm: Float[np.ndarray, "*n 2"],
+        *,
+        cells: bool = False,
     ) -> Float[np.ndarray, "*n"]:
         """The figure's grey where it lies, what was below elsewhere."""
-        return np.where(self.shape.contains(points_mm), self.grey, grey)
+        level = self.shape.level_mm(points_mm)
+        share = coverage_of_cells(level) if cells else coverage_of_points(level)
+        return grey + share * (self.grey - grey)
 
     def outline_mm(self, step_mm: float) -> Float[np.ndarray, "k 2"]:
         """The figure's outline."""

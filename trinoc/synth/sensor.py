@@ -17,15 +17,17 @@ def blur_and_integrate(
 ) -> Float[np.ndarray, "h_out w_out"]:
     """The grey levels convolved with Gaussian and pixel box, at the pixels' centres.
 
-    The canvas is taken as constant over each pixel, and over each cell of a divided pixel
-    (`divided` holds their rows and columns), and the convolution of that is exact: nothing is
-    sampled at the pixels before it is blurred. `margin_px` is cut off on every side; it
+    The canvas is constant over each pixel, and over each cell of a divided pixel (`divided`
+    holds their rows and columns), and the convolution of that is exact: nothing is sampled at
+    the pixels before it is blurred. `margin_px` is cut off on every side; it
     should reach `blur_reach_px`. Source: the integral of Phi is z Phi(z) + phi(z).
     """
     reach = blur_reach_px(blur_px)
-    whole = _weights(1, reach, blur_px)[:, 0]
+    # Grey levels that are constant over a cell have been blurred by its box already, on average.
+    sigma_px = np.sqrt(max(blur_px**2 - 1 / (12 * cell_grey.shape[1] ** 2), 0.0))
+    whole = _weights(1, reach, sigma_px)[:, 0]
     blurred = _convolve_rows(_convolve_rows(centre_grey, whole).T, whole).T
-    cells = _weights(cell_grey.shape[1], reach, blur_px)
+    cells = _weights(cell_grey.shape[1], reach, sigma_px)
     excess = cell_grey - centre_grey[divided[:, 0], divided[:, 1], None, None]
     spread = cells @ excess @ cells.T
     height, width = centre_grey.shape

@@ -1,22 +1,23 @@
 """Plane figures on the sheet Z = 0, in millimetres.
 
-A figure says which points it contains, and gives its outline, so that a renderer knows which
-pixels an edge can cross. An outline may hold more than the true boundary, never less.
+A figure has a level, the signed distance from its boundary or close to it, negative inside,
+and gives its outline, so that a renderer knows which pixels an edge can cross. An outline may
+hold more than the true boundary, never less.
 """
 
 from typing import Protocol, runtime_checkable
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 
 @runtime_checkable
 class Shape(Protocol):
     """What a renderer asks of a plane figure."""
 
-    def contains(self, points_mm: Float[np.ndarray, "*n 2"]) -> Bool[np.ndarray, "*n"]:
-        """Whether each point lies in the figure."""
+    def level_mm(self, points_mm: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n"]:
+        """Below zero inside the figure, zero on its boundary; near it, the distance in mm."""
         ...
 
     def outline_mm(self, step_mm: float) -> Float[np.ndarray, "k 2"]:
@@ -30,10 +31,10 @@ class Disc(eqx.Module):
     centre_mm: Float[np.ndarray, "2"]
     radius_mm: float
 
-    def contains(self, points_mm: Float[np.ndarray, "*n 2"]) -> Bool[np.ndarray, "*n"]:
-        """Whether each point lies in the disc."""
+    def level_mm(self, points_mm: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n"]:
+        """Distance from the centre, less the radius."""
         offset = points_mm - self.centre_mm
-        return offset[..., 0] ** 2 + offset[..., 1] ** 2 < self.radius_mm**2
+        return np.hypot(offset[..., 0], offset[..., 1]) - self.radius_mm
 
     def outline_mm(self, step_mm: float) -> Float[np.ndarray, "k 2"]:
         """Points along the circle."""
@@ -56,14 +57,14 @@ class ConvexPolygon(eqx.Module):
         cos, sin = np.cos(np.radians(turn_deg)), np.sin(np.radians(turn_deg))
         return cls(centre_mm + half @ np.array([[cos, sin], [-sin, cos]]))
 
-    def contains(self, points_mm: Float[np.ndarray, "*n 2"]) -> Bool[np.ndarray, "*n"]:
-        """Whether each point lies to the left of every side."""
+    def level_mm(self, points_mm: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n"]:
+        """The largest of the distances to the right of the sides."""
         x, y = points_mm[..., 0], points_mm[..., 1]
-        inside = np.ones(points_mm.shape[:-1], dtype=bool)
+        level = np.full(points_mm.shape[:-1], -np.inf)
         for first, second in zip(self.corners_mm, np.roll(self.corners_mm, -1, 0), strict=True):
-            along = second - first
-            inside &= along[0] * (y - first[1]) - along[1] * (x - first[0]) > 0
-        return inside
+            along = (second - first) / np.hypot(*(second - first))
+            level = np.maximum(level, along[1] * (x - first[0]) - along[0] * (y - first[1]))
+        return level
 
     def outline_mm(self, step_mm: float) -> Float[np.ndarray, "k 2"]:
         """Points along the sides."""
@@ -81,12 +82,12 @@ class Capsule(eqx.Module):
     ends_mm: Float[np.ndarray, "2 2"]
     radius_mm: float
 
-    def contains(self, points_mm: Float[np.ndarray, "*n 2"]) -> Bool[np.ndarray, "*n"]:
-        """Whether each point is nearer than the radius to the segment."""
+    def level_mm(self, points_mm: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n"]:
+        """Distance from the segment, less the radius."""
         first, along = self.ends_mm[0], self.ends_mm[1] - self.ends_mm[0]
         position = np.clip((points_mm - first) @ along / (along @ along), 0.0, 1.0)
         offset = points_mm - first - position[..., None] * along
-        return offset[..., 0] ** 2 + offset[..., 1] ** 2 < self.radius_mm**2
+        return np.hypot(offset[..., 0], offset[..., 1]) - self.radius_mm
 
     def outline_mm(self, step_mm: float) -> Float[np.ndarray, "k 2"]:
         """Points along both sides and both round ends."""
@@ -104,9 +105,9 @@ class Intersection(eqx.Module):
     first: Shape
     second: Shape
 
-    def contains(self, points_mm: Float[np.ndarray, "*n 2"]) -> Bool[np.ndarray, "*n"]:
-        """Whether each point lies in both figures."""
-        return self.first.contains(points_mm) & self.second.contains(points_mm)
+    def level_mm(self, points_mm: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n"]:
+        """The larger of both levels."""
+        return np.maximum(self.first.level_mm(points_mm), self.second.level_mm(points_mm))
 
     def outline_mm(self, step_mm: float) -> Float[np.ndarray, "k 2"]:
         """Both outlines whole, which is more than the boundary."""

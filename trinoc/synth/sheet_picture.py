@@ -41,12 +41,13 @@ def render_sheet(
 ) -> np.ndarray:
     """The (h, w) picture that a camera takes of a sheet, in grey levels from 0 to 255.
 
-    Every sample of a pixel that an edge may cross is a ray through the lens, distortion
-    included, onto Z = 0. Paper reaches to the horizon unless a layer of `below`, painted
-    before the pattern, says otherwise; `above` is painted after it: light, shade, things
-    that cover the sheet (see `trinoc.synth.disturbances`). `blur_px` is the sigma of the
-    lens's Gaussian, pixels apart; `noise_sigma` is drawn by `seed`. For `dtype` see
-    `trinoc.synth.sensor.expose`.
+    A pixel that an edge may cross is divided into `supersampling` squared cells, two squared
+    at least; a ray through the centre of each, lens distortion included, meets Z = 0, and the
+    cells that the edge cuts are shared out along it. Paper reaches to the horizon unless a
+    layer of `below`, painted before the pattern, says otherwise; `above` is painted after it:
+    light, shade, things that cover the sheet (see `trinoc.synth.disturbances`). `blur_px` is
+    the sigma of the lens's Gaussian, the pixel's box apart; `noise_sigma` is drawn by `seed`.
+    For `dtype` see `trinoc.synth.sensor.expose`.
     """
     margin = blur_reach_px(blur_px)
     layers = (*below, *sheet_layers(pattern, paper=paper, ink=ink), *above)
