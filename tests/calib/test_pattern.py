@@ -28,7 +28,7 @@ def test_cross_grid_is_centred_and_ordered_as_it_is_read(grid, pitch_mm, share):
 @given(grid=st.tuples(st.integers(1, 4), st.integers(1, 4)))
 def test_lines_of_even_grids_touch_no_circle(grid):
     rows, columns = (2 * half for half in grid)
-    pattern = Pattern.cross_grid(rows=rows, columns=columns, pitch_mm=20, radius_mm=6)
+    pattern = Pattern.cross_grid(rows=rows, columns=columns, pitch_mm=20, radius_mm=6, rings="none")
     clear_mm = np.abs(pattern.centres_mm) - pattern.radius_mm[:, None]
     assert np.all(clear_mm > pattern.line_width_mm)
 

@@ -64,6 +64,7 @@ def test_ready_drawings_are_those_of_the_layout(paper):
     pytest.importorskip("reportlab", reason="PDF drawings need the extra `print`")
     committed = (READY / f"cross_8x8_20mm_{paper}.pdf").read_bytes()
     media_box = re.search(rb"/MediaBox \[ 0 0 ([\d.]+) ([\d.]+) \]", committed)
+    assert media_box is not None
     points = np.array([float(value) for value in media_box.groups()])
     np.testing.assert_allclose(points / 72 * 25.4, page.size_mm, atol=1e-4)
     assert b"/PrintScaling /None" in committed

@@ -33,6 +33,7 @@ PHOTOGRAPHS = {
 def test_photograph(name):
     pattern = PHOTOGRAPHS[name]
     picture = cv2.imread(str(FOLDER / name), cv2.IMREAD_GRAYSCALE)
+    assert picture is not None
     detection = detect_pattern(picture, pattern)
     assert len(detection) >= 0.9 * len(pattern)
     assert (detection.ambiguity is None) == name.startswith("opencv_acircles")

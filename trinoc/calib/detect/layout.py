@@ -36,8 +36,8 @@ class Layout(NamedTuple):
     is_chiral: bool
 
     @property
-    def extent(self) -> float:
-        """Lattice units per circle radius, squared determinant-wise: a mean pitch in radii."""
+    def pitch_radii(self) -> float:
+        """Mean pitch in radii of the circles."""
         return float(np.sqrt(abs(np.linalg.det(self.steps_mm)))) / self.radius_mm
 
 

@@ -1,0 +1,66 @@
+"""Which fitted ellipses are to be believed: whole circles of the sheet, undisturbed."""
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from trinoc.calib.detect.ellipse_fit import Ellipses
+from trinoc.calib.detect.ellipse_shape import smallest_axis
+from trinoc.calib.detect.warp import Warp, fit_warp
+from trinoc.calib.pattern import Pattern
+
+FEWEST_CIRCLES = 6
+
+
+def plausible(
+    fitted: Ellipses,
+    centre_px: Float[np.ndarray, "n 2"],
+    shape_px2: Float[np.ndarray, "n 2 2"],
+    noise_sigma: float,
+) -> np.ndarray:
+    """Whether a fit is a whole circle near the place and of the size that the lattice says."""
+    off = fitted.centres_px - centre_px
+    miss2 = np.einsum("ni,nij,nj->n", off, np.linalg.inv(shape_px2), off)
+    area_ratio = np.sqrt(np.linalg.det(fitted.shape_px2) / np.linalg.det(shape_px2))
+    area_ratio = area_ratio / np.median(area_ratio)
+    contrast = fitted.paper * fitted.ink
+    typical = np.median(contrast)
+    relative = np.abs(fitted.residual_sigma / contrast)
+    misfit = max(0.12, 1.6 * float(np.median(relative)))
+    allowed = np.sqrt((1.6 * noise_sigma / contrast) ** 2 + misfit**2)
+    return (
+        np.isfinite(miss2)
+        & (miss2 < 0.5**2)
+        & (np.abs(np.log(area_ratio)) < np.log(1.5))
+        & (contrast > 0.3 * typical)
+        & (contrast < 3.0 * typical)
+        & (fitted.kept > 0.8)
+        & (relative < allowed)
+    )
+
+
+def undisturbed(fitted: Ellipses, noise_sigma: float) -> np.ndarray:
+    """Circles whose edge fits as well as is usual: none with a shadow's edge across it."""
+    contrast = np.abs(fitted.paper * fitted.ink)
+    beyond_noise = np.maximum(fitted.residual_sigma**2 - noise_sigma**2, 0.0)
+    misfit = np.sqrt(beyond_noise) / contrast
+    return misfit < 2.5 * np.median(misfit) + 0.02 + 0.6 * noise_sigma / contrast
+
+
+def agreeing(
+    fitted: Ellipses, index: Int[np.ndarray, "m"], pattern: Pattern
+) -> tuple[np.ndarray, Warp]:
+    """Circles that lie where a smooth picture of the sheet puts them, and that picture."""
+    good = np.ones(len(index), dtype=bool)
+    own = np.sqrt(np.trace(fitted.covariance_px2, axis1=1, axis2=2))
+    sharp = 0.03 * smallest_axis(fitted.shape_px2)
+    centres_mm, radius_mm = pattern.centres_mm[index], pattern.radius_mm[index]
+    warp = fit_warp(centres_mm, fitted.centres_px, radius_mm)
+    for _ in range(2):
+        centre, _ = warp.ellipses(centres_mm, radius_mm)
+        off = fitted.centres_px - centre
+        miss = np.sqrt(off[:, 0] ** 2 + off[:, 1] ** 2)
+        before, good = good, miss < 5.0 * np.median(miss[good]) + 5.0 * own + sharp
+        if np.array_equal(before, good) or np.sum(good) < FEWEST_CIRCLES:
+            break
+        warp = fit_warp(centres_mm[good], fitted.centres_px[good], radius_mm[good])
+    return good, warp

@@ -1,0 +1,131 @@
+"""Every circle of a labelled sheet measured, those that the search missed included."""
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from trinoc.calib.detect.ellipse_fit import Ellipses, refine_ellipses, start_ellipses
+from trinoc.calib.detect.ellipse_pixels import pixels_round
+from trinoc.calib.detect.ellipse_shape import smallest_axis
+from trinoc.calib.detect.judgement import agreeing, plausible, undisturbed
+from trinoc.calib.detect.layout import Layout
+from trinoc.calib.detect.light import light_slope
+from trinoc.calib.detect.line_shade import without_lines
+from trinoc.calib.detect.picture import GreyPicture
+from trinoc.calib.detect.warp import Warp, fit_warp
+from trinoc.calib.pattern import Pattern
+
+# Pixels of one circle that the first, coarse fit looks at, about.
+_COARSE_PIXELS = 150
+_OUTER_RADII = 1.45
+
+
+def coarse_fit(
+    picture: GreyPicture,
+    centres_px: Float[np.ndarray, "n 2"],
+    shape_px2: Float[np.ndarray, "n 2 2"],
+    hole_ratio: float,
+) -> Ellipses:
+    """Fit with whole circles, holes included, on a part of their pixels."""
+    count = len(centres_px)
+    area = np.pi * _OUTER_RADII**2 * np.sqrt(np.median(np.linalg.det(shape_px2)))
+    step = max(1, int(np.sqrt(area / _COARSE_PIXELS)))
+    pixels = pixels_round(
+        picture.grey,
+        centres_px,
+        shape_px2,
+        np.zeros(count),
+        np.full(count, _OUTER_RADII),
+        step=step,
+    )
+    return refine_ellipses(
+        pixels,
+        start_ellipses(
+            pixels, centres_px, shape_px2, hole_ratio=hole_ratio, taken_share=1.0 / step**2
+        ),
+        hole_ratio=hole_ratio,
+        free_hole=True,
+        slope_sigma=None,
+        noise_sigma=picture.noise_sigma,
+        outlier_shares=(0.5, 0.25),
+    )
+
+
+def measure_all(
+    picture: GreyPicture,
+    coarse: Ellipses,
+    index: Int[np.ndarray, "m"],
+    pattern: Pattern,
+    layout: Layout,
+) -> tuple[Ellipses, Int[np.ndarray, "k"], Warp]:
+    """Look for the circles that the blobs missed, then measure all together."""
+    warp = fit_warp(pattern.centres_mm[index], coarse.centres_px, pattern.radius_mm[index])
+    missing = np.setdiff1d(np.arange(len(pattern)), index)
+    if len(missing):
+        centre, shape = warp.ellipses(pattern.centres_mm[missing], pattern.radius_mm[missing])
+        seen = _inside(centre, shape, picture.size_px)
+        missing, centre, shape = missing[seen], centre[seen], shape[seen]
+    if len(missing):
+        extra = coarse_fit(picture, centre, shape, layout.hole_ratio)
+        like = plausible(extra, centre, shape, picture.noise_sigma)
+        like &= np.abs(extra.hole - pattern.is_ring[missing]) < 0.5
+        contrast = (extra.paper * extra.ink) / np.median(coarse.paper * coarse.ink)
+        like &= (contrast > 0.35) & (contrast < 3.0)
+        coarse = _join(coarse, extra.take(like))
+        index = np.concatenate([index, missing[like]])
+    fine = _fine_fit(picture, coarse, index, pattern, layout, warp)
+    centre, shape = warp.ellipses(pattern.centres_mm[index], pattern.radius_mm[index])
+    good = plausible(fine, centre, shape, picture.noise_sigma)
+    good &= undisturbed(fine, picture.noise_sigma)
+    where_expected, warp = agreeing(fine, index, pattern)
+    good &= where_expected
+    return fine.take(good), index[good], warp
+
+
+def _fine_fit(
+    picture: GreyPicture,
+    coarse: Ellipses,
+    index: Int[np.ndarray, "n"],
+    pattern: Pattern,
+    layout: Layout,
+    warp: Warp,
+) -> Ellipses:
+    """Fit with all pixels of a band round the outer edge."""
+    slope, slope_sigma = light_slope(coarse.centres_px, coarse.paper)
+    start = coarse._replace(hole=pattern.is_ring[index].astype(float), slope=slope)
+    band = (2.6 * coarse.blur_px + 0.7) / smallest_axis(coarse.shape_px2)
+    halfway = 0.5 * (1.0 + layout.hole_ratio) if layout.hole_ratio > 0 else 0.3
+    outer = np.clip(1.0 + band, 1.1, _OUTER_RADII)
+    pixels = pixels_round(
+        picture.grey,
+        coarse.centres_px,
+        coarse.shape_px2,
+        np.clip(1.0 - band, halfway, 0.9),
+        outer,
+    )
+    return refine_ellipses(
+        without_lines(pixels, start, index, pattern, warp, outer),
+        start,
+        hole_ratio=layout.hole_ratio,
+        free_hole=False,
+        slope_sigma=slope_sigma,
+        noise_sigma=picture.noise_sigma,
+        outlier_shares=(0.08,),
+    )
+
+
+def _inside(
+    centre_px: Float[np.ndarray, "n 2"],
+    shape_px2: Float[np.ndarray, "n 2 2"],
+    size_px: tuple[int, int],
+) -> np.ndarray:
+    half = 1.1 * np.sqrt(np.maximum(shape_px2[:, [0, 1], [0, 1]], 0.0))
+    low, high = centre_px - half, centre_px + half
+    real = np.all(np.isfinite(centre_px), axis=1)
+    real &= (np.linalg.det(np.where(real[:, None, None], shape_px2, 0.0)) > 1.0) & (
+        shape_px2[:, 0, 0] > 0
+    )
+    return real & np.all((low > 0) & (high < np.array(size_px) - 1), axis=1)
+
+
+def _join(first: Ellipses, second: Ellipses) -> Ellipses:
+    return Ellipses(*(np.concatenate(pair) for pair in zip(first, second, strict=True)))
