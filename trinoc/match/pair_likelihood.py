@@ -123,6 +123,6 @@ def _views_expected(
         for point in points:
             (u, v), depth = image_of(lines.matrix_px[view], point)
             inside &= (depth > 0) & (u > 0) & (u < width) & (v > 0) & (v < height)
-        expected = expected + inside
+        expected = expected + jnp.where(inside, 1.0, 0.0)
     return expected
 
