@@ -15,61 +15,114 @@ USUAL_TAIL = np.array([0.05, 0.25, 0.5, 0.15, 0.05])
 LEAST_SHARE = 1e-3
 # Of the spread of lines, so that lines of one plane leave a volume.
 THINNEST = 0.05
+# Standard deviations from the middle of a box to its corners, and the most that lying outside
+# costs, twice in log density.
+BOX_CORNER, FARTHEST = 3.0, 100.0
+# What the evidence of true triples falls short of, on made scenes of other seeds: see the
+# reliability table of benchmarks/matching.py.
+MISFIT = 1.0
+# Candidates less likely than this teach nothing.
+NEGLIGIBLE = 1e-3
+
+
+class Volume(NamedTuple):
+    """Where lines are: about a centre, evenly in a box of their spread, and hardly outside.
+
+    precision : inverse of the covariance of places, 1/mm^2. log_size : of the box, mm^3.
+    """
+
+    centre_mm: Float[np.ndarray, "3"]
+    precision: Float[np.ndarray, "3 3"]
+    log_size: float
 
 
 class Habits(NamedTuple):
     """What is learned from the pictures at hand.
 
     tail : share of each of TAIL_SCALES. ends : share of each end component.
-    log_line_density : log of lines in space per volume (mm^3) and direction (2 pi).
+    volume : where lines are. log_count : log of their number.
     """
 
     tail: Float[np.ndarray, "k"]
     ends: Float[np.ndarray, "c"]
-    log_line_density: float
+    volume: Volume
+    log_count: float
+
+
+def usual_habits(ends_mm: Float[np.ndarray, "m 2 3"], count: float) -> Habits:
+    """Before anything is learned: `count` lines among candidates that are not told apart."""
+    share = min(1.0, count / max(len(ends_mm), 1))
+    posterior = np.full(len(ends_mm), share)
+    return Habits(
+        USUAL_TAIL / USUAL_TAIL.sum(),
+        USUAL_SHARES / USUAL_SHARES.sum(),
+        volume_of(ends_mm, posterior),
+        float(np.log(max(posterior.sum(), 1.0))),
+    )
+
+
+def log_place(ends_mm: Float[np.ndarray, "m 2 3"], volume: Volume) -> Float[np.ndarray, "m"]:
+    """Log density of a line at each place, per volume (mm^3) and direction (of 2 pi)."""
+    centred = ends_mm - volume.centre_mm
+    square = np.einsum("mei,ij,mej->me", centred, volume.precision, centred).max(axis=1)
+    # The corners of a box lie three standard deviations out; beyond is for the few.
+    outside = 0.5 * np.clip(square - BOX_CORNER**2, 0.0, FARTHEST)
+    return -volume.log_size - np.log(2 * np.pi) - outside
 
 
 def log_odds(
     chi_square: Float[np.ndarray, "m"],
     log_density: Float[np.ndarray, "m"],
     end_log: Float[np.ndarray, "m 2 c"],
+    ends_mm: Float[np.ndarray, "m 2 3"],
     habits: Habits,
 ) -> Float[np.ndarray, "m"]:
     """Log odds that each triple is one line rather than three strangers."""
     tail = logsumexp(_tail_terms(chi_square, habits.tail), axis=1)
-    ends = logsumexp(end_log + np.log(habits.ends), axis=2).sum(axis=1)
-    return habits.log_line_density + log_density + tail + ends
+    ends = _log_mixture(end_log, habits.ends).sum(axis=1)
+    prior = habits.log_count + log_place(ends_mm, habits.volume)
+    return prior + log_density + tail + ends + MISFIT
 
 
 def learn(
     chi_square: Float[np.ndarray, "m"],
     end_log: Float[np.ndarray, "m 2 c"],
-    middles_mm: Float[np.ndarray, "m 3"],
+    ends_mm: Float[np.ndarray, "m 2 3"],
     posterior: Float[np.ndarray, "m"],
     habits: Habits,
 ) -> Habits:
     """One round of expectation maximisation, given how likely each triple is now."""
-    tail_terms = _tail_terms(chi_square, habits.tail)
+    likely = posterior > NEGLIGIBLE
+    weight = posterior[likely]
+    tail_terms = _tail_terms(chi_square[likely], habits.tail)
     tail = np.exp(tail_terms - logsumexp(tail_terms, axis=1, keepdims=True))
     return Habits(
-        _shares(posterior @ tail, USUAL_TAIL),
-        _shares(posterior @ _responsibilities(end_log, habits.ends), USUAL_SHARES),
-        log_line_density(middles_mm, posterior),
+        _shares(weight @ tail, USUAL_TAIL),
+        _shares(weight @ _responsibilities(end_log[likely], habits.ends), USUAL_SHARES),
+        volume_of(ends_mm[likely], weight),
+        float(np.log(max(weight.sum(), 1.0))),
     )
 
 
-def log_line_density(
-    middles_mm: Float[np.ndarray, "m 3"], posterior: Float[np.ndarray, "m"]
-) -> float:
-    """Expected number of lines over the volume they fill, and over the directions (2 pi)."""
+def volume_of(ends_mm: Float[np.ndarray, "m 2 3"], posterior: Float[np.ndarray, "m"]) -> Volume:
+    """The box that has the spread of the lines' middles."""
+    middles = ends_mm.mean(axis=1)
     count = posterior.sum() + 1e-9
-    centred = middles_mm - posterior @ middles_mm / count
+    centre = posterior @ middles / count
+    centred = middles - centre
     spread = np.einsum("m,mi,mj->ij", posterior, centred, centred) / count
-    variance = np.linalg.eigvalsh(spread)
+    variance, axes = np.linalg.eigh(spread)
     variance = np.maximum(variance, THINNEST**2 * variance.max() + 1e-30)
     # Of a box, each side is sqrt(12) standard deviations.
-    volume_root = 0.5 * np.log(12 * variance).sum()
-    return float(np.log(max(count, 1.0)) - volume_root - np.log(2 * np.pi))
+    log_size = 0.5 * float(np.log(12 * variance).sum())
+    return Volume(centre, (axes / variance) @ axes.T, log_size)
+
+
+def _log_mixture(
+    log_terms: Float[np.ndarray, "m e c"], shares: Float[np.ndarray, "c"]
+) -> Float[np.ndarray, "m e"]:
+    highest = log_terms.max(axis=2)
+    return highest + np.log(np.exp(log_terms - highest[..., None]) @ shares)
 
 
 def _responsibilities(end_log, shares):

@@ -15,9 +15,9 @@ from trinoc.match.intervals import pairs_of_equal_keys
 
 # Parts conflict when they share more than this of the shorter.
 CONFLICT = 0.3
-ITERATIONS = 30
+ITERATIONS = 20
 DAMPING = 0.3
-CONVERGED = 1e-3
+CONVERGED = 1e-2
 _HIGHEST = 60.0
 
 

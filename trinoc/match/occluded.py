@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float, Int
 from trinoc.geometry.arrays import ArrayLike
 from trinoc.match.candidates import Candidates, row_of, stacked
 from trinoc.match.ends import AGREEING_PX, PAIR_PX
-from trinoc.match.evidence import Habits, probability
+from trinoc.match.evidence import Habits, log_place, probability
 from trinoc.match.exclusivity import beliefs, chosen_greedily, conflicts
 from trinoc.match.intervals import overlapping
 from trinoc.match.likelihood import Strangers
@@ -52,20 +52,19 @@ def occluded(
     matched = Candidates(*(field[chosen.taken] for field in chosen.candidates))
     free = _free_segments(matched, counts)
     ends = _pair_shares(chosen.habits)
-    log_density = chosen.habits.log_line_density
     found = []
     for a, b in combinations(range(len(counts)), 2):
-        found.append(_pairs_of(lines, np.array([a, b]), free, strangers, ends, log_density))
+        found.append(_pairs_of(lines, np.array([a, b]), free, strangers, ends, chosen.habits))
     candidates = Candidates(*(np.concatenate(column) for column in zip(*found, strict=True)))
     clear = ~_claimed(candidates, matched)
     candidates = Candidates(*(field[clear] for field in candidates))
-    alone = candidates.log_density + log_density
+    alone = candidates.log_density
     graph = conflicts(candidates.index, candidates.part)
     together = _joined(matched, candidates)
     meetings = junctions(together)
     known = probability(chosen.belief[chosen.taken])
     joined = chosen.joined
-    log_ends_density = log_density + np.log(4 * np.pi)
+    log_ends_density = chosen.habits.log_count - chosen.habits.volume.log_size + np.log(2)
     share = USUAL_SHARE
     gain = np.zeros(len(alone))
     for _ in range(ROUNDS):
@@ -124,7 +123,7 @@ def _pairs_of(
     free: list[Int[np.ndarray, "_"]],
     strangers: Strangers,
     shares: Float[np.ndarray, "c"],
-    log_line_density: float,
+    habits: Habits,
 ) -> Candidates:
     planes = pencil(lines, views[0], views[1])
     angles = [
@@ -138,18 +137,18 @@ def _pairs_of(
     ends = stacked(found.end_log, slice(0, len(segments)))
     log_ends = np.log(np.exp(ends) @ shares).sum(axis=1)
     expected = np.asarray(found.expected)[: len(segments)]
-    log_density = np.asarray(found.log_density)[: len(segments)] + log_ends + expected * LOG_MISSED
-    keep = np.flatnonzero(
-        np.asarray(found.possible)[: len(segments)]
-        & (log_density + log_line_density > HOPELESS_LEARNED)
-    )
+    ends_mm = stacked(found.ends_mm, slice(0, len(segments)))
+    prior = habits.log_count + log_place(ends_mm, habits.volume) + expected * LOG_MISSED
+    log_density = np.asarray(found.log_density)[: len(segments)] + log_ends + prior
+    possible = np.asarray(found.possible)[: len(segments)]
+    keep = np.flatnonzero(possible & (log_density > HOPELESS_LEARNED))
     index = np.full((len(keep), len(lines.size_px)), -1)
     part = np.zeros((len(keep), len(lines.size_px), 2))
     index[:, views], part[:, views] = segments[keep], stacked(found.part, keep)
     return Candidates(
         index,
         part,
-        stacked(found.ends_mm, keep),
+        ends_mm[keep],
         np.zeros(len(keep)),
         log_density[keep],
         np.zeros((len(keep), 2, 0)),

@@ -6,22 +6,14 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from trinoc.match.candidates import Candidates
-from trinoc.match.ends import USUAL_SHARES
-from trinoc.match.evidence import (
-    USUAL_TAIL,
-    Habits,
-    learn,
-    log_line_density,
-    log_odds,
-    probability,
-)
+from trinoc.match.evidence import Habits, learn, log_odds, probability, usual_habits
 from trinoc.match.exclusivity import Conflicts, beliefs, chosen_greedily, conflicts
 from trinoc.match.neighbours import USUAL_HABITS, JunctionHabits, junctions, support
 
 ROUNDS = 4
 NEIGHBOUR_ROUNDS = 4
 # Candidates with log odds below these are let go: before and after habits are learned.
-HOPELESS, HOPELESS_LEARNED = -10.0, -7.0
+HOPELESS, HOPELESS_LEARNED = -7.0, -5.0
 # With fewer junctions than this share of ends there is no structure to speak of.
 LEAST_JOINED = 0.1
 
@@ -40,13 +32,7 @@ class Selection(NamedTuple):
 
 def select(candidates: Candidates, typical_count: float) -> Selection:
     """Learn the habits of the pictures at hand, and take candidates in order of belief."""
-    middles = candidates.ends_mm.mean(axis=1)
-    share = np.full(len(middles), min(1.0, typical_count / max(len(middles), 1)))
-    habits = Habits(
-        USUAL_TAIL / USUAL_TAIL.sum(),
-        USUAL_SHARES / USUAL_SHARES.sum(),
-        log_line_density(middles, share),
-    )
+    habits = usual_habits(candidates.ends_mm, typical_count)
     candidates = _above(candidates, _odds(candidates, habits), HOPELESS)
     graph = conflicts(candidates.index, candidates.part)
     for _ in range(ROUNDS):
@@ -70,8 +56,7 @@ def _with_neighbours(
     habits: Habits,
 ) -> tuple[Float[np.ndarray, "m"], Float[np.ndarray, "m"], JunctionHabits]:
     meetings, joined = junctions(candidates), USUAL_HABITS
-    # Each line has two ends; its density is also one per direction, of 2 pi.
-    log_ends_density = habits.log_line_density + np.log(2 * np.pi) + np.log(2)
+    log_ends_density = habits.log_count - habits.volume.log_size + np.log(2)
     alone = odds, belief
     for _ in range(NEIGHBOUR_ROUNDS):
         gain, joined = support(meetings, probability(belief), log_ends_density, joined)
@@ -89,10 +74,10 @@ def _above(
 
 
 def _odds(candidates: Candidates, habits: Habits) -> Float[np.ndarray, "m"]:
-    return log_odds(candidates.chi_square, candidates.log_density, candidates.end_log, habits)
+    c = candidates
+    return log_odds(c.chi_square, c.log_density, c.end_log, c.ends_mm, habits)
 
 
 def _learned(candidates: Candidates, belief: Float[np.ndarray, "m"], habits: Habits) -> Habits:
-    middles = candidates.ends_mm.mean(axis=1)
-    posterior = probability(belief)
-    return learn(candidates.chi_square, candidates.end_log, middles, posterior, habits)
+    c = candidates
+    return learn(c.chi_square, c.end_log, c.ends_mm, probability(belief), habits)
