@@ -3,13 +3,12 @@
 import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from trinoc.geometry.junctions import BODY, Junctions
 from trinoc.geometry.segments import Segments
 from trinoc.match.nevatia_babu.ends import meetings
+from trinoc.match.nevatia_babu.near import group_labels
 
 # Ends are taken to meet within so many of their own sigmas along the segment.
 _SIGMAS = 3.0
@@ -52,11 +51,7 @@ def find_junctions(segments: Segments) -> Junctions:
 
     both_ends = other_end != BODY
     node, other_node = 2 * line + side, 2 * other + other_end
-    graph = coo_matrix(
-        (np.ones(both_ends.sum(), dtype=bool), (node[both_ends], other_node[both_ends])),
-        shape=(2 * count, 2 * count),
-    )
-    _, group = connected_components(graph, directed=False)
+    group = group_labels(2 * count, node[both_ends], other_node[both_ends])
     met = np.unique(np.concatenate([node, other_node[both_ends]]))
     rows = np.concatenate(
         [
@@ -101,11 +96,7 @@ def collinear_chains(segments: Segments) -> Int[np.ndarray, "n"]:
         & (np.abs(_cross(gap, other_outward)) < sigma)
         & (distance < np.maximum(length[one], length[other]))
     )
-    graph = coo_matrix(
-        (np.ones(continues.sum(), dtype=bool), (one[continues], other[continues])),
-        shape=(count, count),
-    )
-    return connected_components(graph, directed=False)[1].astype(np.int64)
+    return group_labels(count, one[continues], other[continues])
 
 
 def _as_lines(

@@ -2,8 +2,8 @@
 
 import numpy as np
 from jaxtyping import Int
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
+
+from trinoc.match.nevatia_babu.near import group_labels
 
 
 def ordered_chains(
@@ -54,10 +54,5 @@ def _lowest_of_loops(
     """The point of lowest index of each closed chain; `closed` are all points of such chains."""
     place = np.empty(len(predecessor), dtype=np.int64)
     place[closed] = np.arange(len(closed))
-    graph = coo_matrix(
-        (np.ones(len(closed), dtype=bool), (np.arange(len(closed)), place[predecessor[closed]])),
-        shape=(len(closed), len(closed)),
-    )
-    _, loop = connected_components(graph, directed=False)
-    _, earliest = np.unique(loop, return_index=True)
-    return closed[earliest]
+    loop = group_labels(len(closed), np.arange(len(closed)), place[predecessor[closed]])
+    return closed[np.unique(loop)]

@@ -2,10 +2,10 @@
 
 import numpy as np
 from jaxtyping import Int
-from scipy.spatial import KDTree
 
 from trinoc.match.nevatia_babu.chains import ordered_chains
 from trinoc.match.nevatia_babu.line_fit import FittedLines
+from trinoc.match.nevatia_babu.near import near_pairs
 
 _LEAST_COSINE = np.cos(np.radians(15.0))
 
@@ -24,10 +24,7 @@ def collinear_successors(
     if count < 2:
         return successor
     ends = lines.endpoints_px
-    pairs = KDTree(ends[:, 1]).sparse_distance_matrix(
-        KDTree(ends[:, 0]), gap_px, output_type="coo_matrix"
-    )
-    one, other, gap = pairs.row, pairs.col, pairs.data
+    one, other, gap = near_pairs(ends[:, 1], ends[:, 0], gap_px)
     cosine = (lines.direction[one] * lines.direction[other]).sum(axis=-1)
     chord = ends[other, 1] - ends[one, 0]
     length = np.linalg.norm(chord, axis=-1)

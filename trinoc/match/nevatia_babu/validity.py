@@ -2,9 +2,9 @@
 
 import numpy as np
 from jaxtyping import Bool
-from scipy.spatial import KDTree
 
 from trinoc.match.nevatia_babu.line_fit import FittedLines
+from trinoc.match.nevatia_babu.near import near_pairs
 
 # A profile this much wider than usual in the picture is a soft shadow or shading,
 SOFT_RATIO = 1.5
@@ -58,14 +58,11 @@ def _bends_on(lines: FittedLines) -> Bool[np.ndarray, "r"]:
     if len(bends) < 2:
         return bends
     ends = lines.endpoints_px
-    pairs = KDTree(ends[:, 1]).sparse_distance_matrix(
-        KDTree(ends[:, 0]), NEXT_PX, output_type="coo_matrix"
-    )
-    one, other = pairs.row, pairs.col
+    one, other, gap = near_pairs(ends[:, 1], ends[:, 0], NEXT_PX)
     a, b = lines.direction[one], lines.direction[other]
     turn = np.arctan2(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], (a * b).sum(axis=-1))
     length = np.ptp(lines.extent_px, axis=1)
-    between = (length[one] + length[other]) / 2 + pairs.data
+    between = (length[one] + length[other]) / 2 + gap
     curvature = 8 * lines.bow_px / np.maximum(length, 1.0) ** 2
     turning = (np.abs(turn) > LEAST_TURN) & (np.abs(turn) < MOST_TURN) & (one != other)
     for line in (one, other):

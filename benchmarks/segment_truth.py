@@ -1,0 +1,135 @@
+"""Segments against the exact edges of rendered scenes: what counts as found, right and how far."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from trinoc.io.demo import load_scene_truth
+from trinoc.io.rig_json import load_rig
+
+STRONG_STEP, WEAK_STEP = 8.0, 2.0
+REACH_PX, ANGLE_DEG = 1.5, 8.0
+SAMPLE_PX = 0.5
+
+
+class Picture(NamedTuple):
+    """A picture, and its edges: rows x1 y1 x2 y2 and the grey step across."""
+
+    name: str
+    grey: np.ndarray
+    edges: np.ndarray
+
+
+class Score(NamedTuple):
+    """Lengths and errors of the segments of one picture, in px."""
+
+    found: float
+    shown: float
+    right: float
+    right_weak: float
+    put_out: float
+    across_of_length: np.ndarray
+    ends_across: np.ndarray
+    end_error: np.ndarray
+    matched: np.ndarray
+
+
+def rendered_pictures(folder: Path) -> Iterator[Picture]:
+    """The pictures of benchmarks/render_pictures.py blocks, by seed.
+
+    The rims of cylinders are no edges here: a chord of one is a false segment. The outlines of
+    their bodies are visible but have no step on record: they count as weak edges.
+    """
+    for path in sorted(folder.glob("block_*/truth.json")):
+        truth, rig = load_scene_truth(path), load_rig(path.parent / "rig.json")
+        outlines = json.loads(path.read_text())["silhouettes_mm"]
+        for view, seen in truth.seen.items():
+            matrix = np.asarray(rig[view].matrix_px)
+            straight = np.array([truth.edge_kinds[edge] == "edge" for edge in seen.edge])
+            edge, extent = seen.edge[straight], seen.extent[straight]
+            first, second = truth.edges_mm[edge, 0], truth.edges_mm[edge, 1]
+            parts = first[:, None] + extent[:, :, None] * (second - first)[:, None]
+            rows = np.column_stack([_project(matrix, parts), -seen.grey_step[straight]])
+            body = np.array(outlines[view]).reshape(-1, 2, 3)
+            body_rows = np.column_stack([_project(matrix, body), np.full(len(body), 5.0)])
+            rows = np.concatenate([rows, body_rows])
+            grey = cv2.imread(str(path.parent / f"scene_{view}.png"), cv2.IMREAD_UNCHANGED)
+            length = np.hypot(*(rows[:, 2:4] - rows[:, :2]).T)
+            yield Picture(f"{path.parent.name}/{view}", grey, rows[length > 2])
+
+
+def score(segments: np.ndarray, edges: np.ndarray) -> Score:
+    """Segments (n, 4) against edges (m, 5).
+
+    Samples every half pixel: one is found (right) when a segment (an edge) lies within 1.5 px
+    and eight degrees of it. A segment that is right over half of its length is compared with
+    the edge that most of its samples lie on.
+    """
+    strong = edges[np.abs(edges[:, 4]) >= STRONG_STEP]
+    weak = edges[np.abs(edges[:, 4]) >= WEAK_STEP]
+    of_edge, _, edge_length, _ = covering(strong, segments)
+    of_strong, _, length, _ = covering(segments, strong)
+    of_weak, owner, _, across = covering(segments, weak)
+    ends, error, matched = [], [], []
+    for index, segment in enumerate(segments):
+        hits = of_weak[owner == index]
+        if len(hits) == 0 or np.mean(hits >= 0) < 0.5:
+            continue
+        edge = weak[np.bincount(hits[hits >= 0]).argmax(), :4].reshape(2, 2)
+        way = (edge[1] - edge[0]) / np.linalg.norm(edge[1] - edge[0])
+        offset = segment[:4].reshape(2, 2) - edge[0]
+        ends.append(offset[:, 1] * way[0] - offset[:, 0] * way[1])
+        gap = np.linalg.norm(segment[:4].reshape(2, 1, 2) - edge, axis=-1)
+        error.extend(gap.min(axis=0))
+        matched.append(index)
+    return Score(
+        edge_length[of_edge >= 0].sum(),
+        edge_length.sum(),
+        length[of_strong >= 0].sum(),
+        length[of_weak >= 0].sum(),
+        length.sum(),
+        np.abs(across[of_weak >= 0]),
+        np.array(ends).reshape(-1, 2),
+        np.array(error),
+        np.array(matched, dtype=int),
+    )
+
+
+def covering(
+    one: np.ndarray, other: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """(other, one, length, across): of each sample of `one`, the nearest line that covers it.
+
+    `other` is -1 where none does; `across` is the sample's signed distance from that line.
+    """
+    way = one[:, 2:4] - one[:, :2]
+    size = np.hypot(*way.T)
+    count = np.maximum(1, np.rint(size / SAMPLE_PX).astype(int))
+    owner = np.repeat(np.arange(len(one)), count)
+    step = (np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count) + 0.5) / count[owner]
+    sample = one[owner, :2] + step[:, None] * way[owner]
+    unit = way / size[:, None]
+    best, nearest = np.full(len(sample), REACH_PX), np.full(len(sample), -1)
+    signed = np.full(len(sample), np.nan)
+    for index, line in enumerate(other):
+        direction = line[2:4] - line[:2]
+        length = np.hypot(*direction)
+        direction = direction / length
+        offset = sample - line[:2]
+        along = offset @ direction
+        across = offset[:, 1] * direction[0] - offset[:, 0] * direction[1]
+        parallel = np.abs(unit @ direction)[owner] > np.cos(np.radians(ANGLE_DEG))
+        covers = (along > -REACH_PX) & (along < length + REACH_PX) & parallel
+        closer = np.flatnonzero(covers & (np.abs(across) < best))
+        best[closer], nearest[closer] = np.abs(across[closer]), index
+        signed[closer] = across[closer]
+    return nearest, owner, (size / count)[owner], signed
+
+
+def _project(matrix: np.ndarray, ends_mm: np.ndarray) -> np.ndarray:
+    image = ends_mm @ matrix[:, :3].T + matrix[:, 3]
+    return (image[..., :2] / image[..., 2:]).reshape(-1, 4)

@@ -1,0 +1,39 @@
+"""Points near points, and the groups that pairs tie together."""
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial import KDTree
+
+_MOST_NEIGHBOURS = 8
+
+
+def near_pairs(
+    one_px: Float[np.ndarray, "n 2"], other_px: Float[np.ndarray, "m 2"], radius_px: float
+) -> tuple[Int[np.ndarray, "p"], Int[np.ndarray, "p"], Float[np.ndarray, "p"]]:
+    """(i, j, distance): of each of the first points, the nearest of the others within the radius.
+
+    At most eight per point are given.
+    """
+    most = min(_MOST_NEIGHBOURS, len(other_px))
+    distance, found = KDTree(other_px).query(
+        one_px, k=[*range(1, most + 1)], distance_upper_bound=radius_px
+    )
+    distance, found = np.asarray(distance), np.asarray(found)
+    one, slot = np.nonzero(found < len(other_px))
+    return one, found[one, slot], distance[one, slot]
+
+
+def group_labels(
+    count: int, one: Int[np.ndarray, "p"], other: Int[np.ndarray, "p"]
+) -> Int[np.ndarray, "n"]:
+    """(n,) a label per item, equal for items that pairs tie together, directly or not."""
+    label = np.arange(count)
+    while True:
+        lowest = np.minimum(label[one], label[other])
+        lower = label.copy()
+        np.minimum.at(lower, one, lowest)
+        np.minimum.at(lower, other, lowest)
+        lower = lower[lower]
+        if np.array_equal(lower, label):
+            return label
+        label = lower
