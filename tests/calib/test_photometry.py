@@ -13,7 +13,7 @@ from trinoc.calib.photometry.ink import Cross, Drawing
 from trinoc.calib.photometry.model import Appearance, Pixels, predict
 from trinoc.calib.photometry.noise_floor import noise_floor
 from trinoc.calib.photometry.refine_picture import PictureRefinement, refine_picture
-from trinoc.calib.picture_calibration import sheet_pose_of_values
+from trinoc.calib.picture_fit import sheet_pose_of_values
 from trinoc.calib.sheet_pose import SheetPose
 from trinoc.synth.sheet_picture import render_sheet
 

@@ -8,6 +8,7 @@ from jaxtyping import Float
 from trinoc.calib.circle_calibration import fit_detections
 from trinoc.calib.detection import Detection
 from trinoc.calib.findings import failure_sentence, notes_of_fit
+from trinoc.calib.model_check import check_model
 from trinoc.calib.pattern import Pattern
 from trinoc.calib.picture_calibration import RefinedFit, refine_fits
 from trinoc.calib.picture_fit import PictureFit
@@ -111,7 +112,10 @@ def assemble(
         parameters=parameters,
         values=np.concatenate([fits[name].values[:parameter_count] for name in good]),
         covariance=covariance,
-        fits={name: _camera_fit(item, detections[name], pattern) for name, item in refined.items()},
+        fits={
+            name: _camera_fit(item, detections[name], pattern, lenses[name])
+            for name, item in refined.items()
+        },
         pattern=pattern,
         failures=failures,
     )
@@ -123,17 +127,23 @@ def _camera(fit: PictureFit, lens: Intrinsics) -> Camera:
     return Camera.from_pan_tilt(lens, PanTiltPose.from_vector(vector))
 
 
-def _camera_fit(refined: RefinedFit, detection: Detection, pattern: Pattern) -> CameraFit:
+def _camera_fit(
+    refined: RefinedFit, detection: Detection, pattern: Pattern, lens: Intrinsics
+) -> CameraFit:
     fit = refined.fit
+    alternatives = ()
+    if fit.status is Status.CONVERGED:
+        alternatives = tuple(check_model(fit, lens, detection, pattern))
     return CameraFit(
         detection=detection,
         residuals_px=fit.residuals_px,
         rank=fit.rank,
         reduced_chi_square=fit.reduced_chi_square,
         gauge=fit.gauge,
-        notes=notes_of_fit(refined, detection, pattern),
+        notes=notes_of_fit(refined, detection, pattern, alternatives),
         used=fit.used,
         picture=refined.quality,
+        alternatives=alternatives,
     )
 
 

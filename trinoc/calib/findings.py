@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from trinoc.calib.alternative import Alternative
 from trinoc.calib.detection import Detection
 from trinoc.calib.pattern import Pattern
 from trinoc.calib.picture_calibration import RefinedFit
@@ -45,7 +46,12 @@ def failure_sentence(fit: PictureFit, detection: Detection, parameter_count: int
     return None
 
 
-def notes_of_fit(refined: RefinedFit, detection: Detection, pattern: Pattern) -> tuple[str, ...]:
+def notes_of_fit(
+    refined: RefinedFit,
+    detection: Detection,
+    pattern: Pattern,
+    alternatives: tuple[Alternative, ...],
+) -> tuple[str, ...]:
     """Sentences on what a user of a good fit should know."""
     fit, quality = refined.fit, refined.quality
     notes = [] if refined.note is None else [f"{refined.note} Its circles alone were used."]
@@ -55,6 +61,8 @@ def notes_of_fit(refined: RefinedFit, detection: Detection, pattern: Pattern) ->
             f"{len(dropped)} circle{'s were' if len(dropped) > 1 else ' was'} located wrongly and "
             f"left out: {', '.join(str(k) for k in dropped)}."
         )
+    if alternatives and alternatives[0].found:
+        notes.append(alternatives[0].sentence)
     if len(detection) < len(pattern):
         notes.append(f"{len(detection)} of {len(pattern)} circles were found.")
     if fit.status is Status.CONVERGED and fit.gauge:

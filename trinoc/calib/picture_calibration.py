@@ -17,12 +17,11 @@ from trinoc.calib.lens_arrays import lens_arrays
 from trinoc.calib.observability import LARGEST_SIGMA, observability
 from trinoc.calib.pattern import Pattern
 from trinoc.calib.photometry.refine_picture import PictureRefinement, refine_picture
-from trinoc.calib.picture_fit import DEGREES, PictureFit
+from trinoc.calib.picture_fit import DEGREES, PictureFit, sheet_pose_of_values
 from trinoc.calib.result import PictureQuality, Status
 from trinoc.calib.sheet_pose import SheetPose
 from trinoc.geometry.arrays import ArrayLike
 from trinoc.geometry.intrinsics import Intrinsics
-from trinoc.geometry.pose import PanTiltPose
 from trinoc.geometry.rig import PARAMETER_NAMES
 
 # The picture moves circles by hundredths of a pixel; more than this is another minimum.
@@ -123,12 +122,6 @@ def _judged(
         quality,
         None,
     )
-
-
-def sheet_pose_of_values(values: Float[np.ndarray, "6"]) -> SheetPose:
-    """The pose of pan, tilt, swing in degrees, distance and aim in mm."""
-    pose = PanTiltPose.from_vector(np.concatenate([np.radians(values[:3]), values[3:]])).pose
-    return SheetPose(np.asarray(pose.rotation), np.float64(values[3]), np.array(values[4:6]))
 
 
 _circle_residuals = jax.jit(circle_residuals_px)

@@ -7,6 +7,8 @@ from jaxtyping import Bool, Float
 
 from trinoc.calib.observability import LARGEST_SIGMA, observability
 from trinoc.calib.result import Status
+from trinoc.calib.sheet_pose import SheetPose
+from trinoc.geometry.pose import PanTiltPose
 from trinoc.geometry.rig import PARAMETER_NAMES
 
 # From (rad, rad, rad, mm, mm, mm), in which fits run, to degrees, in which people read.
@@ -94,3 +96,9 @@ def judge_fit(
         chi_square,
         tuple(PARAMETER_NAMES[k] for k in seen.gauge),
     )
+
+
+def sheet_pose_of_values(values: Float[np.ndarray, "6"]) -> SheetPose:
+    """The pose of pan, tilt, swing in degrees, distance and aim in mm."""
+    pose = PanTiltPose.from_vector(np.concatenate([np.radians(values[:3]), values[3:]])).pose
+    return SheetPose(np.asarray(pose.rotation), np.float64(values[3]), np.array(values[4:6]))

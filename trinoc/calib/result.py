@@ -6,6 +6,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
 
+from trinoc.calib.alternative import Alternative
 from trinoc.calib.detection import Detection
 from trinoc.calib.pattern import Pattern
 from trinoc.geometry.rig import PARAMETER_NAMES, Rig
@@ -64,6 +65,7 @@ class CameraFit(eqx.Module):
     notes : sentences on what a user should know (covered circles, dropped outliers, ...).
     used : (m,) circles that took part in the fit; the others were located wrongly.
     picture : of the fit to the grey levels, or None where the circles alone were fitted.
+    alternatives : what the residuals say of everything that the model holds fixed.
     """
 
     detection: Detection
@@ -74,6 +76,7 @@ class CameraFit(eqx.Module):
     notes: tuple[str, ...] = eqx.field(static=True)
     used: Bool[np.ndarray, "m"]
     picture: PictureQuality | None = None
+    alternatives: tuple[Alternative, ...] = ()
 
     @property
     def rms_px(self) -> float:
@@ -94,6 +97,7 @@ class CalibrationResult(eqx.Module):
     fits : per camera in which the sheet was found.
     pattern : the sheet.
     failures : for each camera that is not in the rig, a sentence that says why.
+    systematics : the errors beyond noise that the covariance holds, in words.
     """
 
     rig: Rig
@@ -104,6 +108,7 @@ class CalibrationResult(eqx.Module):
     fits: dict[str, CameraFit]
     pattern: Pattern
     failures: dict[str, str] = eqx.field(default_factory=dict)
+    systematics: tuple[str, ...] = eqx.field(static=True, default=())
 
     def sigma(self, parameter: str) -> float:
         """Standard deviation of a parameter such as "upper.pan_deg"; NaN if not known."""
@@ -145,7 +150,8 @@ def summary_text(result: CalibrationResult) -> str:
         "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
         for row in rows
     ]
-    return "\n".join([*lines, *remarks])
+    included = ", ".join(("noise", *result.systematics))
+    return "\n".join([*lines, f"sigmas include {included}.", *remarks])
 
 
 def _noise(fit: CameraFit) -> str:

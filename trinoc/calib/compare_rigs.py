@@ -1,0 +1,154 @@
+"""A calibration against an earlier one: which camera moved, and whose pictures were swapped."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy.stats import chi2, norm
+
+from trinoc.calib.result import CalibrationResult
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.rig import PARAMETER_NAMES, Rig
+
+# A camera has moved when noise alone would say so once in 10^5 comparisons of it.
+_MOVED_SIGMAS = 4.5
+# Pictures were swapped when the other camera's place fits this many times better.
+_SWAP_RATIO = 10.0
+# Without sigmas of either rig, changes below these are not worth a word.
+_QUIET_MM, _QUIET_DEG = 0.1, 0.01
+
+
+class CameraChange(NamedTuple):
+    """How one camera stands against the earlier rig.
+
+    Fields
+    ------
+    moved_mm : displacement of the centre.
+    turned_deg : angle of the rotation between the two.
+    sigmas : of the change of the parameters, by both covariances; NaN where not known.
+    moved : whether that is more than noise.
+    """
+
+    moved_mm: float
+    turned_deg: float
+    sigmas: float
+    moved: bool
+
+
+class RigComparison(NamedTuple):
+    """Every camera's change, swapped pictures, and sentences that say both.
+
+    Fields
+    ------
+    cameras : by name, those that both rigs hold.
+    swapped : pairs (name, earlier name) whose picture shows the other camera's place.
+    sentences : for people; one when nothing has changed.
+    """
+
+    cameras: dict[str, CameraChange]
+    swapped: tuple[tuple[str, str], ...]
+    sentences: tuple[str, ...]
+
+
+def compare_rigs(
+    result: CalibrationResult | Rig, earlier: CalibrationResult | Rig
+) -> RigComparison:
+    """Which cameras moved since an earlier calibration of the same sheet position."""
+    now = result.rig if isinstance(result, CalibrationResult) else result
+    before = earlier.rig if isinstance(earlier, CalibrationResult) else earlier
+    common = [name for name in now if name in before.names]
+    cameras = {name: _change(now, before, name) for name in common}
+    swapped = _swapped(now, before, common)
+    sentences = [
+        f'The picture of "{name}" shows the place of "{other}": the pictures were swapped.'
+        for name, other in swapped
+    ]
+    exchanged = {name for name, _ in swapped}
+    moved = [name for name in common if cameras[name].moved and name not in exchanged]
+    for name in moved:
+        change = cameras[name]
+        size = "" if np.isnan(change.sigmas) else f" ({change.sigmas:.1f} sigma)"
+        sentences.append(
+            f'Camera "{name}" moved by {change.moved_mm:.3f} mm and turned by '
+            f"{change.turned_deg:.4f} deg{size}."
+        )
+    if len(common) > 1 and len(moved) == len(common):
+        sentences.append("Every camera changed: it may be the sheet that moved.")
+    sentences.extend(
+        f'Camera "{name}" is not in the earlier rig.' for name in now if name not in common
+    )
+    sentences.extend(
+        f'Camera "{name}" of the earlier rig is missing.' for name in before if name not in common
+    )
+    return RigComparison(cameras, swapped, tuple(sentences or ["No camera moved."]))
+
+
+def _change(now: Rig, before: Rig, name: str) -> CameraChange:
+    moved_mm, turned_deg = _apart(now[name], before[name])
+    sigmas = _sigmas_of_change(now, before, name)
+    if np.isnan(sigmas):
+        moved = moved_mm > _QUIET_MM or turned_deg > _QUIET_DEG
+    else:
+        moved = sigmas > _MOVED_SIGMAS
+    return CameraChange(moved_mm, turned_deg, sigmas, moved)
+
+
+def _apart(first: Camera, second: Camera) -> tuple[float, float]:
+    """Distance of two centres in mm, and angle between two rotations in degrees."""
+    distance = float(np.linalg.norm(first.centre_world_mm - second.centre_world_mm))
+    turn = np.asarray(first.cam_from_world)[:, :3] @ np.asarray(second.cam_from_world)[:, :3].T
+    # From the antisymmetric part: the trace loses half the digits of a small angle.
+    axis = [turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]
+    angle = np.arctan2(0.5 * np.linalg.norm(axis), 0.5 * (np.trace(turn) - 1))
+    return distance, float(np.degrees(angle))
+
+
+def _sigmas_of_change(now: Rig, before: Rig, name: str) -> float:
+    """Length of the change in units of its own sigma; NaN where the sigmas are not known."""
+    difference, covariance = [], []
+    for parameter in PARAMETER_NAMES:
+        key = f"{name}.{parameter}"
+        if key in now.parameters and key in before.parameters:
+            difference.append(_value(now[name], parameter) - _value(before[name], parameter))
+            covariance.append(key)
+    if not covariance:
+        return float("nan")
+    total = _block(now, covariance) + _block(before, covariance)
+    change = np.array(difference)
+    change[:3] = (change[:3] + 180.0) % 360.0 - 180.0
+    scale = np.sqrt(np.diag(total))
+    if not np.isfinite(total).all() or not (scale > 0).all():
+        return float("nan")
+    whitened = np.linalg.solve(total / np.outer(scale, scale), change / scale)
+    squared = max(float(whitened @ (change / scale)), 0.0)
+    probability = float(chi2.sf(squared, len(change)))
+    # The probability of so long a change, as the deviation of one number that has it.
+    return float(norm.isf(0.5 * probability)) if probability > 0 else float(np.sqrt(squared))
+
+
+def _block(rig: Rig, keys: list[str]) -> Float[np.ndarray, "k k"]:
+    rows = [rig.parameters.index(key) for key in keys]
+    return np.asarray(rig.covariance)[np.ix_(rows, rows)]
+
+
+def _value(camera: Camera, parameter: str) -> float:
+    if parameter.startswith("aim"):
+        return camera.aim_mm[0 if parameter == "aim_x_mm" else 1]
+    return getattr(camera, parameter)
+
+
+def _swapped(now: Rig, before: Rig, names: list[str]) -> tuple[tuple[str, str], ...]:
+    """(name, other) for cameras that stand where another one stood, and not where they did."""
+    found = []
+    for name in names:
+        apart = {other: _gap(now[name], before[other]) for other in names}
+        nearest = min(apart, key=lambda other: apart[other])
+        if nearest != name and apart[name] > _SWAP_RATIO * apart[nearest]:
+            found.append((name, nearest))
+    return tuple(found)
+
+
+def _gap(first: Camera, second: Camera) -> float:
+    """Change of a camera as one number: displacement plus turn at the camera's distance, mm."""
+    moved_mm, turned_deg = _apart(first, second)
+    return moved_mm + float(np.radians(turned_deg)) * float(np.linalg.norm(second.centre_world_mm))
