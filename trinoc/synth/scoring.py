@@ -9,7 +9,7 @@ member's, since shorter overlaps are chance.
 import itertools
 from collections import defaultdict
 from collections.abc import Iterable
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -30,6 +30,7 @@ SAMPLE_STEP_MM = 0.5
 Group = tuple[tuple[int, int], ...]
 
 
+@runtime_checkable
 class Tracks(Protocol):
     """Matches as far as they are scored: names of the views and (t, v) index, -1 not seen."""
 
