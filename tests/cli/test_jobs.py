@@ -35,6 +35,7 @@ def folder(tmp_path_factory):
     photo = random.integers(0, 256, (480, 512, 3), dtype=np.uint8)
     cv2.imwrite(str(folder / "photo.png"), cv2.GaussianBlur(photo, (0, 0), 4))
     (folder / "empty").mkdir()
+    (folder / "nothing.csv").write_text("x1,y1,x2,y2\n")
     return folder
 
 
@@ -200,8 +201,8 @@ def test_refusal_is_one_line_and_status_1(run, folder, what):
 
 
 def test_scene_without_a_match_says_what_to_check(run):
-    shuffled = ["upper=left.csv", "left=right.csv", "right=upper.csv"]
-    status, out, _ = run("match", *shuffled, "--rig", "rig.json", "-o", "none.npz")
+    alone = ["upper=upper.csv", "left=nothing.csv", "right=nothing.csv"]
+    status, out, _ = run("match", *alone, "--rig", "rig.json", "-o", "none.npz")
     assert status == 0
     assert "No segment was matched: check" in out
 

@@ -7,6 +7,7 @@ settings they chose.
 import os
 import stat
 import sys
+import warnings
 from pathlib import Path
 
 from trinoc.cli.progress import LOGGER
@@ -43,6 +44,8 @@ def enable_compile_cache() -> Path | None:
 
     import jax
 
+    # A kernel that another process is just writing is compiled once more, which is no news.
+    warnings.filterwarnings("ignore", message="Error (reading|writing) persistent compilation")
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)

@@ -1,0 +1,61 @@
+"""`trinoc intrinsics` on rendered pictures, and what it says of bad ones."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+
+import trinoc
+from trinoc.cli.main import main
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.io.intrinsics_json import load_intrinsics, load_lens_covariance
+from trinoc.synth.sheet_picture import render_sheet
+
+SHEET = trinoc.Pattern.cross_grid(rows=6, columns=6, pitch_mm=25.0, radius_mm=8.0)
+LENS = Intrinsics(image_size_px=(320, 300), focal_length_px=(610.0, 745.0), distortion=(-0.2, 0.1))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("lens")
+    for k, (pan, tilt) in enumerate([(0, 50), (90, 55), (180, 50), (-90, 60), (40, 80)]):
+        camera = Camera.from_degrees(
+            LENS, pan_deg=pan, tilt_deg=tilt, swing_deg=10 * k, distance_mm=470
+        )
+        image = render_sheet(SHEET, camera, noise_sigma=2.0, seed=k, supersampling=4)
+        cv2.imwrite(str(folder / f"{k}.png"), image)
+    cv2.imwrite(str(folder / "blank.png"), np.full((300, 320), 200, np.uint8))
+    trinoc.save(SHEET, folder / "sheet.json")
+    return folder
+
+
+def pictures(folder):
+    return [str(folder / f"{k}.png") for k in range(5)]
+
+
+def test_pictures_become_a_lens_with_covariance(folder, capsys):
+    out = folder / "camera.json"
+    sheet = ["--pattern", str(folder / "sheet.json"), "-o", str(out), "--distortion", "2"]
+    assert main(["intrinsics", *pictures(folder), *sheet, "--json"]) == 0
+    record = json.loads(capsys.readouterr().out)
+    assert record["pictures"] == 5
+    assert record["written"] == [str(out)]
+    for name, true in (("fx_px", 610.0), ("fy_px", 745.0), ("cx_px", 159.5), ("k1", -0.2)):
+        found = record["parameters"][name]
+        assert abs(found["value"] - true) < 5 * found["sigma"]
+    lens, covariance = load_intrinsics(out), load_lens_covariance(out)
+    assert lens.image_size_px == (320, 300)
+    assert covariance is not None
+    assert np.sqrt(covariance[0, 0]) == pytest.approx(record["parameters"]["fx_px"]["sigma"])
+
+
+def test_a_picture_without_sheet_is_named_and_one_alone_fails(folder, capsys):
+    blank, sheet = str(folder / "blank.png"), ["--pattern", str(folder / "sheet.json")]
+    out = ["-o", str(folder / "other.json"), "--distortion", "2"]
+    assert main(["intrinsics", *pictures(folder), blank, *sheet, *out]) == 0
+    assert "picture 6: No sheet" in capsys.readouterr().out
+    assert main(["intrinsics", blank, *sheet]) == 1
+    assert "found in no picture" in capsys.readouterr().err
+    assert main(["intrinsics", *sheet]) == 2
