@@ -18,8 +18,8 @@ class Junctions(eqx.Module):
     ------
     uv_px : (j, 2) the point nearest to all lines that meet, weighted by their sigmas.
     covariance_px2 : (j, 2, 2) of that point.
-    kind : (j,) "L" (two ends), "Y" (three ends or more), "T" (an end on a body, or three ends
-        of which two are collinear).
+    kind : (j,) "L" (two ends), "Y" (three), "T" (an end on a body, or three ends of which two
+        are collinear), "X" (four ends or more).
     junction : (m,) junction of each row.
     segment : (m,) segment of each row.
     end : (m,) 0 or 1, the end of the segment that meets, or -1 for its body.

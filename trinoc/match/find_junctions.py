@@ -163,8 +163,8 @@ def _kinds(
     bodies = np.bincount(junction[end == BODY], minlength=count)
     straight = np.zeros(count, dtype=bool)
     straight[_with_opposite_ends(junction, end, inward)] = True
-    kind = np.where(ends >= 3, "Y", "L")
-    return np.where((bodies > 0) | (straight & (ends >= 3)), "T", kind)
+    kind = np.where(ends >= 4, "X", np.where(ends == 3, "Y", "L"))
+    return np.where((bodies > 0) | (straight & (ends == 3)), "T", kind)
 
 
 def _with_opposite_ends(
