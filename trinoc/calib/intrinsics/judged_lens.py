@@ -66,7 +66,10 @@ def judged_lens(
         field_sigma_px=_field(values, seen.covariance, size),
         cam_from_world=np.asarray(fit.cam_from_world),
         detections=list(pictures.detections),
-        residuals_px=[np.asarray(fit.residuals_px)[k, : len(u)] for k, u in enumerate(pictures.used)],
+        residuals_px=[
+            errors[: len(used)]
+            for errors, used in zip(np.asarray(fit.residuals_px), pictures.used, strict=True)
+        ],
         used=list(pictures.used),
         picture_index=picture_index,
         failures=failures,

@@ -13,7 +13,8 @@ _ONE_AXIS_DEG = 12.0
 # Distortion is extrapolated beyond the circles; further than this share of the way to the
 # corners it is still held by them.
 _ENOUGH_REACH = 0.8
-_LARGEST_MISFIT = 0.01
+# Misfits of flat sheets through lenses of this kind stay below this share of the sheet's extent.
+_LARGEST_MISFIT = 0.003
 _SMALLEST_MISFIT_PX = 1.0
 
 
@@ -91,7 +92,8 @@ def notes_of_lens(
     if reduced_chi_square > 2.0:
         notes.append(
             f"The circles scatter {np.sqrt(reduced_chi_square):.1f} times as much as their own "
-            "sigmas say; the parameters' sigmas are enlarged by that factor."
+            "sigmas say; the parameters' sigmas are enlarged by that factor. See that the sheet "
+            "is flat and that all pictures were taken at one zoom and focus."
         )
     share = reach(fit, pictures)
     if model.distortion and share < _ENOUGH_REACH:

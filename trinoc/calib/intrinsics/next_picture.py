@@ -3,6 +3,7 @@
 from functools import partial
 from typing import NamedTuple
 
+import cv2
 import jax
 import numpy as np
 from jaxtyping import Bool, Float
@@ -14,7 +15,6 @@ from trinoc.calib.intrinsics.lens_parameters import LensModel
 from trinoc.calib.intrinsics.lens_residual import information_of_pictures, residuals_px
 from trinoc.calib.pattern import Pattern
 from trinoc.geometry.precision import as_numpy
-from trinoc.geometry.rotation import rotation_from_vector
 
 _TILT_RAD = np.radians(40.0)
 # Share of the picture's shorter side that the sheet takes.
@@ -130,9 +130,8 @@ def _view(
     """The sheet facing the camera, then rolled, then turned about the picture's axes."""
     facing = np.diag([1.0, -1.0, -1.0])
     turn = np.zeros(3) if turn is None else turn
-    rotation = np.asarray(rotation_from_vector(turn)) @ np.asarray(
-        rotation_from_vector(np.array([0.0, 0.0, roll])) @ facing
-    )
+    rolled = cv2.Rodrigues(np.array([0.0, 0.0, roll]))[0]
+    rotation = cv2.Rodrigues(turn)[0] @ rolled @ facing
     # Measured with the pixels of each axis, so that lenses with oblong pixels are served, too.
     extent_mm = np.max(np.ptp(pattern.centres_mm, axis=0) + 2.0 * pattern.radius_mm.max())
     distance = np.max(values[:2] * extent_mm / (fill * np.array(image_size_px)))
