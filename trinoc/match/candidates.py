@@ -9,13 +9,14 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from trinoc.geometry.arrays import ArrayLike
-from trinoc.match.ends import end_evidence
+from trinoc.match.ends import COMPONENTS, end_evidence
 from trinoc.match.fragments import Prediction, cut_pair, points_of, predict
 from trinoc.match.intervals import overlapping
 from trinoc.match.likelihood import Strangers, TripleEvidence, triple_evidence
 from trinoc.match.padding import blocks, bucket, padded
 from trinoc.match.pencil import Pencil, PencilSegments, pencil
 from trinoc.match.picture_lines import PictureLines
+from trinoc.match.polarity import polarity_evidence
 from trinoc.match.prediction_lookup import Lookup, lookup, segments_near
 from trinoc.match.third_view import near
 
@@ -27,7 +28,8 @@ class Candidates(NamedTuple):
 
     index : segment in each of the views (-1 in views that take no part).
     part : common part on each segment. ends_mm : ends in space.
-    chi_square, log_density, outer_..., px_per_mm : see TripleEvidence. end_log : see `end_evidence`.
+    chi_square, log_density, outer_mm, outer_covariance_mm2, px_per_mm : see TripleEvidence.
+    end_log : see `end_evidence`.
     """
 
     index: Int[np.ndarray, "m v"]
@@ -41,11 +43,31 @@ class Candidates(NamedTuple):
     px_per_mm: Float[np.ndarray, "m"]
 
 
+def no_candidates(views: int) -> Candidates:
+    """None at all, for as many views."""
+    return Candidates(
+        np.zeros((0, views), dtype=np.int64),
+        np.zeros((0, views, 2)),
+        np.zeros((0, 2, 3)),
+        np.zeros(0),
+        np.zeros(0),
+        np.zeros((0, 2, COMPONENTS)),
+        np.zeros((0, 2, 3)),
+        np.zeros((0, 2, 6)),
+        np.zeros(0),
+    )
+
+
+def joined_candidates(parts: list[Candidates]) -> Candidates:
+    """Several sets as one, in order."""
+    return Candidates(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
 def trinocular_candidates(
     lines: PictureLines, views: tuple[int, int, int], counts: list[int], strangers: Strangers
 ) -> Candidates:
     """All triples of three views; each is found from the pair of views that crosses best."""
-    parts = []
+    parts = [no_candidates(len(counts))]
     for c in range(3):
         order = np.array([views[(c + 1) % 3], views[(c + 2) % 3], views[c]])
         table = lookup(lines, int(order[2]), counts[order[2]])
@@ -53,7 +75,7 @@ def trinocular_candidates(
         for i, j in _pairs(planes, counts[order[0]], counts[order[1]]):
             triple = _triples(lines, order, planes, table, i, j)
             parts.append(_judge(lines, order, planes, triple, strangers))
-    found = Candidates(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+    found = joined_candidates(parts)
     # Two orderings may find one triple where they cross about as well.
     _, once = np.unique(found.index, axis=0, return_index=True)
     return Candidates(*(column[once] for column in found))
@@ -147,7 +169,8 @@ def _judge(
         part,
         stacked(found.ends_mm, keep),
         np.asarray(found.chi_square)[keep],
-        np.asarray(found.log_density)[keep],
+        np.asarray(found.log_density)[keep]
+        + polarity_evidence(np.asarray(lines.polarity), index, part),
         stacked(end_log, keep),
         stacked(found.outer_mm, keep),
         stacked(found.outer_covariance_mm2, keep),
@@ -179,6 +202,17 @@ def _judged(
     return jax.vmap(judge)(jnp.asarray(triple))
 
 
+def in_depth_range(
+    candidates: Candidates, lines: PictureLines, depth_range_mm: tuple[float, float]
+) -> Bool[np.ndarray, "m"]:
+    """Whether the ends lie within a range of depths before every camera that sees them."""
+    matrix = np.asarray(lines.matrix_px)
+    depth = np.einsum("vi,mei->mve", matrix[:, 2, :3], candidates.ends_mm) + matrix[:, 2, 3:]
+    near, far = depth_range_mm
+    inside = ((depth > near) & (depth < far)).all(axis=2) | (candidates.index < 0)
+    return inside.all(axis=1)
+
+
 def strangers_of(lines: PictureLines, counts: list[int]) -> Strangers:
     """What segments that belong to nothing look like, from all segments of the pictures."""
     density, lengths = [], []
@@ -191,4 +225,5 @@ def strangers_of(lines: PictureLines, counts: list[int]) -> Strangers:
             spread = np.sqrt(np.linalg.det(np.cov(middle.T)))
             area = min(area, max(12 * float(spread), 1e-3 * area))
         density.append(np.log(max(count, 1) / (np.pi * area)))
-    return Strangers(np.array(density), np.median(np.concatenate(lengths)))
+    all_lengths = np.concatenate(lengths)
+    return Strangers(np.array(density), np.median(all_lengths) if len(all_lengths) else 1.0)

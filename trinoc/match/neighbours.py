@@ -75,9 +75,7 @@ def _share_a_segment(
     return ((index[first] == index[second]) & (index[first] >= 0)).any(axis=1)
 
 
-def _log_meeting(
-    candidates: Candidates, pairs: Int[np.ndarray, "e 2"]
-) -> Float[np.ndarray, "e k"]:
+def _log_meeting(candidates: Candidates, pairs: Int[np.ndarray, "e 2"]) -> Float[np.ndarray, "e k"]:
     step = candidates.outer_mm[:, 1] - candidates.outer_mm[:, 0]
     direction = step / np.linalg.norm(step, axis=1, keepdims=True)
     ends = candidates.outer_mm.reshape(-1, 3)

@@ -14,26 +14,35 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from trinoc.geometry.arrays import ArrayLike
-from trinoc.match.candidates import Candidates, row_of, stacked
+from trinoc.match.candidates import Candidates, in_depth_range, joined_candidates, row_of, stacked
 from trinoc.match.ends import AGREEING_PX, PAIR_PX
-from trinoc.match.evidence import Habits, log_place, probability
+from trinoc.match.evidence import Habits, log_place, probability, usual_habits, volume_of
 from trinoc.match.exclusivity import beliefs, chosen_greedily, conflicts
 from trinoc.match.intervals import overlapping
 from trinoc.match.likelihood import Strangers
-from trinoc.match.neighbours import junctions, support
+from trinoc.match.merging import Tracks
+from trinoc.match.neighbours import USUAL_HABITS, JunctionHabits, junctions, support
 from trinoc.match.padding import bucket, padded
 from trinoc.match.pair_likelihood import PairEvidence, pair_evidence
 from trinoc.match.pencil import Pencil, pencil
 from trinoc.match.picture_lines import PictureLines
+from trinoc.match.polarity import polarity_evidence
 from trinoc.match.selection import HOPELESS_LEARNED, LEAST_JOINED, Selection
 
 ROUNDS = 6
+# With fewer lines than this in three views, nothing is learned from them.
+FEW = 10
 # A segment of which less than this is matched may be half of a pair.
 FREE = 0.5
 # Pairs before any is known, as a share of the lines matched in three views.
 USUAL_SHARE = 0.1
 # Log odds that a view misses a line within its borders, where nothing hides it.
 LOG_MISSED = float(np.log(0.3))
+
+
+class _Possible(NamedTuple):
+    candidates: Candidates
+    expected: Float[np.ndarray, "m"]
 
 
 class Pairs(NamedTuple):
@@ -46,43 +55,80 @@ class Pairs(NamedTuple):
 
 
 def occluded(
-    lines: PictureLines, counts: list[int], strangers: Strangers, chosen: Selection
+    lines: PictureLines,
+    counts: list[int],
+    strangers: Strangers,
+    matched: Tracks,
+    selections: list[Selection],
+    depth_range_mm: tuple[float, float] | None,
 ) -> Pairs:
-    """Pairs of views matched beside the triples that were chosen."""
-    matched = Candidates(*(field[chosen.taken] for field in chosen.candidates))
-    free = _free_segments(matched, counts)
-    ends = _pair_shares(chosen.habits)
-    found = []
-    for a, b in combinations(range(len(counts)), 2):
-        found.append(_pairs_of(lines, np.array([a, b]), free, strangers, ends, chosen.habits))
-    candidates = Candidates(*(np.concatenate(column) for column in zip(*found, strict=True)))
-    clear = ~_claimed(candidates, matched)
-    candidates = Candidates(*(field[clear] for field in candidates))
-    alone = candidates.log_density
+    """Pairs of views matched beside the tracks through three or more."""
+    free = _free_segments(matched.candidates, counts)
+    found = [
+        _pairs_of(lines, np.array(views), free, strangers)
+        for views in combinations(range(len(counts)), 2)
+    ]
+    candidates = joined_candidates([pairs.candidates for pairs in found])
+    expected = np.concatenate([pairs.expected for pairs in found])
+    keep = ~_claimed(candidates, matched.candidates)
+    if depth_range_mm is not None:
+        keep &= in_depth_range(candidates, lines, depth_range_mm)
+    candidates, expected = _rows(candidates, keep), expected[keep]
+    most = max(selections, key=lambda selection: selection.taken.sum(), default=None)
+    if most is None or most.taken.sum() < FEW:
+        habits, joined = usual_habits(candidates.ends_mm, float(np.mean(counts))), USUAL_HABITS
+    else:
+        habits, joined = most.habits, most.joined
+    return _select(candidates, expected, matched, habits, joined)
+
+
+def _select(
+    candidates: Candidates,
+    expected: Float[np.ndarray, "m"],
+    matched: Tracks,
+    habits: Habits,
+    joined: JunctionHabits,
+) -> Pairs:
+    """Beliefs of pairs among lines that are matched already, to a fixed point."""
+    ends = _log_ends(candidates, habits)
+    evidence = candidates.log_density + ends + expected * LOG_MISSED
+    likely = evidence + habits.log_count + log_place(candidates.ends_mm, habits.volume)
+    keep = likely > HOPELESS_LEARNED
+    candidates, evidence = _rows(candidates, keep), evidence[keep]
     graph = conflicts(candidates.index, candidates.part)
-    together = _joined(matched, candidates)
-    meetings = junctions(together)
-    known = probability(chosen.belief[chosen.taken])
-    joined = chosen.joined
-    log_ends_density = chosen.habits.log_count - chosen.habits.volume.log_size + np.log(2)
-    share = USUAL_SHARE
-    gain = np.zeros(len(alone))
+    meetings = junctions(_joined(matched.candidates, candidates))
+    known = probability(matched.belief)
+    # Without lines in three views to compare with, pairs are what there is.
+    share = USUAL_SHARE if len(known) >= FEW else 1.0
+    gain = np.zeros(len(evidence))
+    belief = gain
     for _ in range(ROUNDS):
-        belief = beliefs(alone + np.log(share) + gain, graph)
+        prior = np.log(share) + habits.log_count + log_place(candidates.ends_mm, habits.volume)
+        odds = evidence + prior + gain
+        belief = beliefs(odds, graph)
         posterior = probability(belief)
-        share = (posterior.sum() + 1) / (known.sum() + 10)
+        if len(known) >= FEW:
+            share = (posterior.sum() + 1) / (known.sum() + 10)
+        else:
+            habits = habits._replace(
+                volume=volume_of(candidates.ends_mm, posterior),
+                log_count=float(np.log(max(posterior.sum(), 1.0))),
+            )
         if joined.joined >= LEAST_JOINED:
             everyone = np.concatenate([known, posterior])
-            gain = support(meetings, everyone, log_ends_density, joined)[0][len(known) :]
-    odds = alone + np.log(share) + gain
-    belief = beliefs(odds, graph)
+            density = habits.log_count - habits.volume.log_size + np.log(2)
+            gain = support(meetings, everyone, density, joined)[0][len(known) :]
     return Pairs(candidates, odds, belief, chosen_greedily(belief, graph))
+
+
+def _rows(candidates: Candidates, keep: Bool[np.ndarray, "m"]) -> Candidates:
+    return Candidates(*(field[keep] for field in candidates))
 
 
 def _joined(matched: Candidates, pairs: Candidates) -> Candidates:
     # The ends' own evidence has been counted, and differs in shape.
     matched, pairs = (c._replace(end_log=np.zeros((len(c.index), 2, 0))) for c in (matched, pairs))
-    return Candidates(*(np.concatenate(columns) for columns in zip(matched, pairs, strict=True)))
+    return joined_candidates([matched, pairs])
 
 
 def _free_segments(matched: Candidates, counts: list[int]) -> list[Int[np.ndarray, "_"]]:
@@ -107,14 +153,15 @@ def _claimed(candidates: Candidates, matched: Candidates) -> Bool[np.ndarray, "m
     return claimed[count:]
 
 
-def _pair_shares(habits: Habits) -> Float[np.ndarray, "c"]:
-    """How ends of two views agree, from how those of three do."""
+def _log_ends(candidates: Candidates, habits: Habits) -> Float[np.ndarray, "m"]:
+    """Evidence of the ends: how those of two views agree follows from how those of three do."""
     agreeing = habits.ends[: len(AGREEING_PX)].copy()
     # Of two views that agree against the third, a given pair is one in three.
     short = habits.ends[len(AGREEING_PX) : len(AGREEING_PX) + len(PAIR_PX)]
     on = habits.ends[len(AGREEING_PX) + len(PAIR_PX) : -1]
     agreeing[: len(PAIR_PX)] += (short + on) / 3
-    return np.append(agreeing, 1 - agreeing.sum())
+    shares = np.append(agreeing, 1 - agreeing.sum())
+    return np.log(np.exp(candidates.end_log) @ shares).sum(axis=1)
 
 
 def _pairs_of(
@@ -122,40 +169,33 @@ def _pairs_of(
     views: Int[np.ndarray, "2"],
     free: list[Int[np.ndarray, "_"]],
     strangers: Strangers,
-    shares: Float[np.ndarray, "c"],
-    habits: Habits,
-) -> Candidates:
+) -> _Possible:
+    """All pairs of free segments of two views that can be one line."""
     planes = pencil(lines, views[0], views[1])
-    angles = [
+    low_high = [
         np.stack([np.asarray(s.low), np.asarray(s.high)], axis=1)
         for s in (planes.first, planes.second)
     ]
-    i, j = overlapping(angles[0][free[views[0]]], angles[1][free[views[1]]])
+    i, j = overlapping(low_high[0][free[views[0]]], low_high[1][free[views[1]]])
     segments = np.stack([free[views[0]][i], free[views[1]][j]], axis=1)
-    size = bucket(len(segments))
-    found = _judged(lines, views, planes, padded(segments, size), strangers)
-    ends = stacked(found.end_log, slice(0, len(segments)))
-    log_ends = np.log(np.exp(ends) @ shares).sum(axis=1)
-    expected = np.asarray(found.expected)[: len(segments)]
-    ends_mm = stacked(found.ends_mm, slice(0, len(segments)))
-    prior = habits.log_count + log_place(ends_mm, habits.volume) + expected * LOG_MISSED
-    log_density = np.asarray(found.log_density)[: len(segments)] + log_ends + prior
-    possible = np.asarray(found.possible)[: len(segments)]
-    keep = np.flatnonzero(possible & (log_density > HOPELESS_LEARNED))
+    found = _judged(lines, views, planes, padded(segments, bucket(len(segments))), strangers)
+    keep = np.flatnonzero(np.asarray(found.possible)[: len(segments)])
     index = np.full((len(keep), len(lines.size_px)), -1)
     part = np.zeros((len(keep), len(lines.size_px), 2))
     index[:, views], part[:, views] = segments[keep], stacked(found.part, keep)
-    return Candidates(
+    candidates = Candidates(
         index,
         part,
-        ends_mm[keep],
+        stacked(found.ends_mm, keep),
         np.zeros(len(keep)),
-        log_density[keep],
-        np.zeros((len(keep), 2, 0)),
+        np.asarray(found.log_density)[keep]
+        + polarity_evidence(np.asarray(lines.polarity), index, part),
+        stacked(found.end_log, keep),
         stacked(found.outer_mm, keep),
         stacked(found.outer_covariance_mm2, keep),
         np.asarray(found.px_per_mm)[keep],
     )
+    return _Possible(candidates, np.asarray(found.expected)[keep])
 
 
 @jax.jit

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Int
 
 from trinoc.geometry.arrays import ArrayLike
 from trinoc.match.ends import AGREEING_PX, LEAST_DENSITY
@@ -125,4 +125,3 @@ def _views_expected(
             inside &= (depth > 0) & (u > 0) & (u < width) & (v > 0) & (v < height)
         expected = expected + jnp.where(inside, 1.0, 0.0)
     return expected
-

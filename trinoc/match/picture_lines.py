@@ -21,10 +21,11 @@ class PictureLines(NamedTuple):
     matrix_px : projection matrices, scaled so that the third row gives the depth.
     centre_mm : centres of projection. inverse : of the left 3x3 part of each matrix.
     size_px : width and height of each picture.
-    ends_px : ends of each segment. rays : their viewing rays, world frame, of any length. line : through them, with unit normal.
+    ends_px : ends of each segment. line : through them, with unit normal.
     across_px2 : covariance of the two ends' errors across the segment.
     length_px : distance between the ends. valid : False on rows of padding.
     polarity : +1, -1, or 0 where not known.
+    rays : viewing rays of both ends, world frame, of any length.
     """
 
     matrix_px: Float[ArrayLike, "v 3 4"]

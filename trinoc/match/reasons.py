@@ -5,6 +5,7 @@ from jaxtyping import Bool, Float, Int, Shaped
 
 MATCHED = "matched"
 NO_PARTNER = "no partner in the zone"
+OUTSIDE = "outside depth"
 WEAK = "evidence too weak"
 LOST = "lost to a neighbour"
 AMBIGUOUS = "ambiguous with {}"
@@ -14,16 +15,17 @@ RIVAL = 3.0
 
 
 def reasons(
-    count: int,
     segment: Int[np.ndarray, "m"],
     log_odds: Float[np.ndarray, "m"],
+    outside: Bool[np.ndarray, "n"],
     matched: Bool[np.ndarray, "n"],
 ) -> Shaped[np.ndarray, "n"]:
     """(n,) words for the segments of one view, given the candidates that held each of them.
 
-    `segment` is the segment of this view in each candidate (-1 for none) and `log_odds` the
-    candidate's evidence before rivals.
+    `segment` is the segment of this view in each candidate (-1 for none), `log_odds` the
+    candidate's evidence before rivals, and `outside` whether the depth range excluded one.
     """
+    count = len(matched)
     held = segment >= 0
     segment, log_odds = segment[held], log_odds[held]
     best = np.full(count, -np.inf)
@@ -31,6 +33,7 @@ def reasons(
     serious = (log_odds > best[segment] - RIVAL) & (log_odds > 0)
     rivals = np.bincount(segment[serious], minlength=count)
     words = np.full(count, NO_PARTNER, dtype="U40")
+    words[outside] = OUTSIDE
     words[np.isfinite(best)] = WEAK
     words[best > 0] = LOST
     for n in np.flatnonzero((best > 0) & (rivals > 1)):

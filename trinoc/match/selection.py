@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float
 from trinoc.match.candidates import Candidates
 from trinoc.match.evidence import Habits, learn, log_odds, probability, usual_habits
 from trinoc.match.exclusivity import Conflicts, beliefs, chosen_greedily, conflicts
+from trinoc.match.merging import Tracks
 from trinoc.match.neighbours import USUAL_HABITS, JunctionHabits, junctions, support
 
 ROUNDS = 4
@@ -48,6 +49,17 @@ def select(candidates: Candidates, typical_count: float) -> Selection:
     )
 
 
+def tracks_of(selection: Selection) -> Tracks:
+    """What was taken, with the belief of the best rival of each."""
+    graph = selection.graph
+    runner_up = np.full(len(selection.belief), -np.inf)
+    owner, rival = graph.slot // graph.views, graph.rival_slot // graph.views
+    np.maximum.at(runner_up, owner, selection.belief[rival])
+    taken = selection.taken
+    candidates = Candidates(*(field[taken] for field in selection.candidates))
+    return Tracks(candidates, selection.belief[taken], runner_up[taken])
+
+
 def _with_neighbours(
     candidates: Candidates,
     graph: Conflicts,
@@ -67,9 +79,7 @@ def _with_neighbours(
     return odds, belief, joined
 
 
-def _above(
-    candidates: Candidates, odds: Float[np.ndarray, "m"], least: float
-) -> Candidates:
+def _above(candidates: Candidates, odds: Float[np.ndarray, "m"], least: float) -> Candidates:
     return Candidates(*(field[odds > least] for field in candidates))
 
 

@@ -8,6 +8,7 @@ from trinoc.geometry.segments import covariance_of_ends
 from trinoc.geometry.triangulation import triangulate_segment
 from trinoc.match.evidence import probability
 from trinoc.match.matches import BINOCULAR, TRINOCULAR, Matches
+from trinoc.match.merging import Tracks
 from trinoc.match.observed import Observed, distorted
 from trinoc.match.occluded import Pairs
 from trinoc.match.padding import bucket, padded
@@ -18,29 +19,38 @@ _triangulated = jax.jit(jax.vmap(triangulate_segment, in_axes=(None, 0, 0, 0)))
 
 
 def assemble(
-    seen: Observed, chosen: Selection, pairs: Pairs, names: tuple[str, ...]
+    seen: Observed,
+    tracks: Tracks,
+    selections: list[Selection],
+    pairs: Pairs,
+    outside: Int[np.ndarray, "o v"],
+    names: tuple[str, ...],
 ) -> Matches:
-    """Matches in the caller's order of views and numbers of segments."""
-    index = np.concatenate([found.candidates.index[found.taken] for found in (chosen, pairs)])
-    part = np.concatenate([found.candidates.part[found.taken] for found in (chosen, pairs)])
-    belief = np.concatenate([found.belief[found.taken] for found in (chosen, pairs)])
+    """Matches in the caller's order of views and numbers of segments.
+
+    `outside` holds the segments of triples that the depth range excluded.
+    """
+    index = np.concatenate([tracks.candidates.index, pairs.candidates.index[pairs.taken]])
+    part = np.concatenate([tracks.candidates.part, pairs.candidates.part[pairs.taken]])
+    belief = np.concatenate([tracks.belief, pairs.belief[pairs.taken]])
+    runner_up = np.concatenate([tracks.runner_up, np.full(pairs.taken.sum(), -np.inf)])
     fragments, covariance = fragments_of(seen, index, part)
     ends_mm, covariance_mm2 = lines_in_space(seen, index, fragments, covariance)
-    views = len(names)
     given = np.full(index.shape, -1)
-    for view in range(views):
+    for view in range(len(names)):
         on = index[:, view] >= 0
         given[on, view] = seen.order[view][index[on, view]]
         fragments[on, view] = distorted(seen.intrinsics[view], fragments[on, view])
     turn = [seen.names.index(name) for name in names]
     given, fragments = given[:, turn], fragments[:, turn]
-    sort = np.lexsort(given.T[::-1])
-    why = _reasons(seen, chosen, pairs, index)
+    sort = np.lexsort((*fragments[:, :, 0].reshape(-1, 2 * len(names)).T, *given.T[::-1]))
+    why = _reasons(seen, selections, pairs, outside, index)
     counts = {
-        "triples considered": len(chosen.candidates.index),
-        "triples matched": int(chosen.taken.sum()),
+        "triples considered": sum(len(s.candidates.index) for s in selections),
+        "triples outside depth": len(outside),
+        "tracks in three views or more": len(tracks.belief),
         "pairs considered": len(pairs.candidates.index),
-        "pairs matched": int(pairs.taken.sum()),
+        "tracks in two views": int(pairs.taken.sum()),
     }
     return Matches(
         names,
@@ -50,22 +60,28 @@ def assemble(
         covariance_mm2[sort],
         np.where((given >= 0).sum(axis=1) > 2, TRINOCULAR, BINOCULAR)[sort],
         probability(belief)[sort],
-        np.zeros(len(sort)),
+        probability(runner_up)[sort],
         {name: why[name] for name in names},
         counts | counted(why),
     )
 
 
 def _reasons(
-    seen: Observed, chosen: Selection, pairs: Pairs, index: Int[np.ndarray, "t v"]
+    seen: Observed,
+    selections: list[Selection],
+    pairs: Pairs,
+    outside: Int[np.ndarray, "o v"],
+    index: Int[np.ndarray, "t v"],
 ) -> dict[str, np.ndarray]:
+    running = [*selections, pairs]
+    candidate = np.concatenate([found.candidates.index for found in running])
+    log_odds = np.concatenate([found.log_odds for found in running])
     found = {}
-    candidate = np.concatenate([chosen.candidates.index, pairs.candidates.index])
-    log_odds = np.concatenate([chosen.log_odds, pairs.log_odds])
     for view, name in enumerate(seen.names):
-        matched = np.zeros(seen.counts[view], dtype=bool)
+        excluded, matched = np.zeros((2, seen.counts[view]), dtype=bool)
         matched[index[index[:, view] >= 0, view]] = True
-        words = reasons(seen.counts[view], candidate[:, view], log_odds, matched)
+        excluded[outside[outside[:, view] >= 0, view]] = True
+        words = reasons(candidate[:, view], log_odds, excluded, matched)
         found[name] = np.empty_like(words)
         found[name][seen.order[view]] = words
     return found

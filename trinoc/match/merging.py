@@ -1,0 +1,131 @@
+"""More than three views: triples of several threes of views become tracks through all of them.
+
+A triple joins a track with which it shares two segments at one part, since two fix the line;
+then its third segment must not contradict the track's own. A triple that contradicts a better
+one is dropped: every cycle of a track closes.
+"""
+
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from trinoc.match.candidates import Candidates
+from trinoc.match.exclusivity import CONFLICT
+from trinoc.match.picture_lines import PictureLines
+
+# Up to so many views, every three of them are matched; beyond, each with its nearest.
+ALL_THREES, NEAREST = 5, 3
+# A further view must show this share of a track's common part.
+SHARED = 0.5
+
+
+class Tracks(NamedTuple):
+    """Lines taken, as candidates with a segment in two or more views, and their beliefs.
+
+    runner_up : belief of the best candidate that each excluded, -inf where none.
+    """
+
+    candidates: Candidates
+    belief: Float[np.ndarray, "t"]
+    runner_up: Float[np.ndarray, "t"]
+
+
+def threes_of_views(lines: PictureLines) -> list[tuple[int, int, int]]:
+    """The threes of views to match: all of a few, or each view with two of its nearest."""
+    views = len(lines.size_px)
+    if views <= ALL_THREES:
+        return list(combinations(range(views), 3))
+    centre = np.asarray(lines.centre_mm)
+    distance = np.linalg.norm(centre[:, None] - centre, axis=2)
+    near = np.argsort(distance, axis=1, kind="stable")[:, 1 : NEAREST + 1]
+    threes = {
+        tuple(sorted((view, int(a), int(b))))
+        for view in range(views)
+        for a, b in combinations(near[view], 2)
+    }
+    return sorted(threes)
+
+
+def merged(lines: PictureLines, tracks: Tracks) -> Tracks:
+    """Tracks through all views, from triples of several threes, the most believed first."""
+    order = np.lexsort((*tracks.candidates.index.T, -tracks.belief))
+    index, part, ends = (
+        tracks.candidates.index.copy(),
+        tracks.candidates.part.copy(),
+        tracks.candidates.ends_mm.copy(),
+    )
+    matrix, segment_ends = np.asarray(lines.matrix_px), np.asarray(lines.ends_px)
+    on_segment: dict[tuple[int, int], list[int]] = {}
+    kept = []
+    for row in order:
+        views = np.flatnonzero(index[row] >= 0)
+        rivals = [
+            (track, view)
+            for view in views
+            for track in on_segment.get((int(view), int(index[row, view])), [])
+            if _overlap(part[track, view], part[row, view]) > CONFLICT
+        ]
+        if not rivals:
+            kept.append(row)
+            for view in views:
+                on_segment.setdefault((int(view), int(index[row, view])), []).append(row)
+            continue
+        track = rivals[0][0]
+        shared = {view for other, view in rivals if other == track}
+        new = [view for view in views if index[track, view] < 0]
+        agrees = len(shared) >= 2 and len(shared) + len(new) == len(views)
+        if not agrees or any(other != track for other, _ in rivals):
+            continue
+        for view in new:
+            segment = segment_ends[view, index[row, view]]
+            place = _place_on(segment, matrix[view], ends[track])
+            if _overlap(place, np.array([0.0, 1.0])) < SHARED:
+                continue
+            index[track, view], part[track, view] = index[row, view], place
+            _cut(index, part, ends, track, matrix, segment_ends)
+            on_segment.setdefault((int(view), int(index[row, view])), []).append(track)
+    kept = np.array(kept, dtype=np.int64)
+    candidates = Candidates(*(field[kept] for field in tracks.candidates))
+    candidates = candidates._replace(index=index[kept], part=part[kept], ends_mm=ends[kept])
+    return Tracks(candidates, tracks.belief[kept], tracks.runner_up[kept])
+
+
+def _overlap(first: Float[np.ndarray, "2"], second: Float[np.ndarray, "2"]) -> float:
+    """Common length of two parts as a share of the shorter."""
+    low, high = max(first.min(), second.min()), min(first.max(), second.max())
+    return float((high - low) / min(np.ptp(first), np.ptp(second)))
+
+
+def _place_on(
+    segment_px: Float[np.ndarray, "2 2"],
+    matrix_px: Float[np.ndarray, "3 4"],
+    ends_mm: Float[np.ndarray, "2 3"],
+) -> Float[np.ndarray, "2"]:
+    """Where two points in space lie along a segment, from 0 at its first end to 1."""
+    image = ends_mm @ matrix_px[:, :3].T + matrix_px[:, 3]
+    step = segment_px[1] - segment_px[0]
+    return (image[:, :2] / image[:, 2:] - segment_px[0]) @ step / (step @ step)
+
+
+def _cut(
+    index: Int[np.ndarray, "m v"],
+    part: Float[np.ndarray, "m v 2"],
+    ends_mm: Float[np.ndarray, "m 2 3"],
+    track: int,
+    matrix_px: Float[np.ndarray, "v 3 4"],
+    segment_ends_px: Float[np.ndarray, "v n 2 2"],
+) -> None:
+    """Cut a track's line to what all of its segments show, and its parts with it."""
+    views = np.flatnonzero(index[track] >= 0)
+    begin, end = 0.0, 1.0
+    for view in views:
+        first, last = part[track, view]
+        inside = np.sort((np.array([0.0, 1.0]) - first) / (last - first))
+        begin, end = max(begin, inside[0]), min(end, inside[1])
+    weight = np.array([[1 - begin, begin], [1 - end, end]])
+    ends_mm[track] = weight @ ends_mm[track]
+    for view in views:
+        segment = segment_ends_px[view, index[track, view]]
+        part[track, view] = _place_on(segment, matrix_px[view], ends_mm[track])
