@@ -136,7 +136,7 @@ def photographs(folder: Path) -> None:
     published = np.load(folder / "merton1.npz")
     print("\nMerton: share of the published length found again within 1.5 px, across px, count")
     for view in (0, 1, 2):
-        grey = cv2.imread(str(folder / f"view{view}.jpg"), cv2.IMREAD_GRAYSCALE)
+        grey = np.asarray(cv2.imread(str(folder / f"view{view}.jpg"), cv2.IMREAD_GRAYSCALE))
         truth = published[f"segments_{view}"].astype(float)
         truth = truth[np.hypot(*(truth[:, 2:4] - truth[:, :2]).T) >= 15]
         for name, detect in DETECTORS.items():
@@ -187,7 +187,7 @@ def _boxes(width: int, height: int) -> np.ndarray:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--scenes", type=Path, action="append", default=[])
     parser.add_argument("--photographs", type=Path)
     parser.add_argument("--no-times", action="store_true")

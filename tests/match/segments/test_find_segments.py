@@ -218,4 +218,4 @@ def test_what_is_no_picture_is_refused(image: np.ndarray, words: str) -> None:
 @pytest.mark.parametrize("name", ["tolerance_px", "false_alarms"])
 def test_a_knob_that_is_not_positive_is_refused(picture: np.ndarray, name: str) -> None:
     with pytest.raises(InputError, match=name):
-        find_segments(picture, **{name: 0.0})
+        find_segments(picture, **{name: 0.0})  # pyright: ignore[reportArgumentType]

@@ -76,5 +76,5 @@ def test_two_edges_side_by_side_stay_within_their_sigmas() -> None:
     assert len(long) == 2
     error = np.sort(offsets) - [-half_width, half_width]
     assert (np.abs(error) < 3 * sigma).all()
-    # Left alone, the two would push each other apart by 0.15 px.
+    # They push each other apart; what is left of it is less than a tenth of a pixel.
     assert np.abs(error).max() < 0.1

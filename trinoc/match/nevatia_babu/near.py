@@ -15,10 +15,10 @@ def near_pairs(
     At most eight per point are given.
     """
     most = min(_MOST_NEIGHBOURS, len(other_px))
-    distance, found = KDTree(other_px).query(
-        one_px, k=[*range(1, most + 1)], distance_upper_bound=radius_px
-    )
-    distance, found = np.asarray(distance), np.asarray(found)
+    distance, found = KDTree(other_px).query(one_px, k=most, distance_upper_bound=radius_px)
+    # With k = 1 the second axis is dropped.
+    shape = (len(one_px), most)
+    distance, found = np.reshape(distance, shape), np.reshape(found, shape)
     one, slot = np.nonzero(found < len(other_px))
     return one, found[one, slot], distance[one, slot]
 
