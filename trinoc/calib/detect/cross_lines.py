@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
+from trinoc.calib.detect.quick_median import quick_median
 from trinoc.calib.detect.warp import Warp
 from trinoc.calib.pattern import Pattern
 
@@ -62,7 +63,7 @@ def _fit_line(
     normal = np.stack([-along[:, 1], along[:, 0]], axis=1)
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
     height, width = grey.shape
-    reach = np.median(half_width_px) + 2.5 * max(blur_px, 0.5) + 1.0
+    reach = quick_median(half_width_px) + 2.5 * max(blur_px, 0.5) + 1.0
     inside = np.all((place > reach + 1) & (place < np.array([width, height]) - reach - 2), axis=1)
     place, normal = place[inside], normal[inside]
     if len(place) < _FEWEST_STATIONS:
@@ -72,12 +73,12 @@ def _fit_line(
     profile = cv2.remap(grey, at[..., 0], at[..., 1], cv2.INTER_LINEAR)
     core = np.abs(steps) <= reach
     paper = 0.5 * (
-        np.median(profile[:, steps < -reach], axis=1) + np.median(profile[:, steps > reach], axis=1)
+        quick_median(profile[:, steps < -reach]) + quick_median(profile[:, steps > reach])
     )
     dark = (paper[:, None] - profile) * core
     mass = dark.sum(axis=1)
     mean_noise = max(noise_sigma, 1e-6) * np.sqrt(core.sum())
-    seen = mass > max(4.0 * mean_noise, 0.35 * float(np.median(mass)))
+    seen = mass > max(4.0 * mean_noise, 0.35 * float(quick_median(mass)))
     if np.sum(seen) < max(_FEWEST_STATIONS, 0.3 * len(mass)):
         return np.full(3, np.nan)
     offset = (dark[seen] @ steps) / mass[seen]
@@ -95,7 +96,7 @@ def _robust_line(points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "3"]:
         _, vectors = np.linalg.eigh((relative * weight[:, None]).T @ relative)
         normal = vectors[:, 0]
         distance = relative @ normal
-        scale = 2.0 * np.median(np.abs(distance)) + 1e-3
+        scale = 2.0 * quick_median(np.abs(distance)) + 1e-3
         weight = 1.0 / (1.0 + (distance / scale) ** 2)
         line = np.append(normal, -(normal @ mean))
     return line

@@ -12,6 +12,7 @@ from trinoc.calib.detect.labels import MirroredError
 from trinoc.calib.detect.lattice import find_lattices
 from trinoc.calib.detect.layout import Layout, layout_of
 from trinoc.calib.detect.picture import GreyPicture, grey_picture
+from trinoc.calib.detect.quick_median import quick_median
 from trinoc.calib.detect.sheet import Sheet, read_sheet, shows_same_sheet
 from trinoc.calib.detection import Detection
 from trinoc.calib.pattern import Pattern
@@ -117,7 +118,7 @@ def _sheets(
 
 
 def _as_detection(picture: GreyPicture, sheet: Sheet, pattern: Pattern) -> Detection:
-    blur = float(np.median(sheet.ellipses.blur_px))
+    blur = float(quick_median(sheet.ellipses.blur_px))
     lines = fit_cross_lines(picture.grey, picture.noise_sigma, pattern, sheet.warp, blur)
     return Detection(
         circle_index=sheet.index[0],

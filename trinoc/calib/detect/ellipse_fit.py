@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float
 from trinoc.calib.detect.ellipse_pixels import EllipsePixels
 from trinoc.calib.detect.ellipse_shape import inverse_square_root, smallest_axis
 from trinoc.calib.detect.normal_table import normal_cdf
+from trinoc.calib.detect.quick_median import quick_median
 
 # Parameters of one circle, in the order of the Jacobian's columns.
 _CENTRE, _SHAPE, _BLUR, _PAPER, _INK = slice(0, 2), slice(2, 5), 5, 6, 7
@@ -88,7 +89,7 @@ def start_ellipses(
     # The area of a unit-wide seam along the edge is its length; only a share is looked at.
     trace = shape_px2[:, 0, 0] + shape_px2[:, 1, 1]
     length = np.pi * np.sqrt(0.5 * trace + np.sqrt(np.linalg.det(shape_px2)))
-    blur = float(np.median(on_edge.sum(axis=1) / (2 * length * taken_share)))
+    blur = float(quick_median(on_edge.sum(axis=1) / (2 * length * taken_share)))
     zero = np.zeros(count)
     hole = zero
     if hole_ratio > 0:
@@ -215,7 +216,7 @@ def _kept(
     relative = np.abs(residual) * _column(1.0 / contrast)
     near = pixels.used & (relative < _LARGEST_MISFIT)
     # Sharpening in the camera and the like leave residuals no single circle is to blame for.
-    usual = float(np.median(np.sqrt(_masked_mean(relative**2, near))))
+    usual = float(quick_median(np.sqrt(_masked_mean(relative**2, near))))
     noise = 4.5 * noise_sigma / contrast
     return pixels.used & (relative < _column(np.sqrt(noise**2 + max(share, 3.5 * usual) ** 2)))
 
@@ -231,7 +232,7 @@ def _add_priors(
     """Draw each blur to the sheet's and each slope to the start's; keep the equations regular."""
     diagonal = np.einsum("nkk->nk", normal)
     diagonal += 1e-9 * diagonal.max(axis=1, keepdims=True) + 1e-12
-    common = np.median(state.blur_px)
+    common = quick_median(state.blur_px)
     weight = variance / (_BLUR_PRIOR * common) ** 2
     diagonal[:, _BLUR] += weight
     right[:, _BLUR] += weight * (common - state.blur_px)

@@ -10,12 +10,14 @@ def fit_homography(
     """Direct linear transform, both sides normalised (Hartley and Zisserman, algorithm 4.2)."""
     to_unit_source, unit_source = _normalise(source)
     to_unit_target, unit_target = _normalise(target)
-    x, y = unit_source.T
-    u, v = unit_target.T
-    zero, one = np.zeros_like(x), np.ones_like(x)
-    rows_u = np.stack([x, y, one, zero, zero, zero, -u * x, -u * y, -u], axis=1)
-    rows_v = np.stack([zero, zero, zero, x, y, one, -v * x, -v * y, -v], axis=1)
-    rows = np.concatenate([rows_u, rows_v])
+    count = len(source)
+    rows = np.zeros((2 * count, 9))
+    rows[:count, :2] = rows[count:, 3:5] = unit_source
+    rows[:count, 2] = rows[count:, 5] = 1.0
+    value = unit_target.T.reshape(-1, 1)
+    rows[:count, 6:8] = rows[count:, 6:8] = unit_source
+    rows[:, 6:8] *= -value
+    rows[:, 8:] = -value
     _, vectors = np.linalg.eigh(rows.T @ rows)
     unit = vectors[:, 0].reshape(3, 3)
     homography = np.linalg.solve(to_unit_target, unit @ to_unit_source)
@@ -26,12 +28,12 @@ def fit_homography(
 def _normalise(
     points: Float[np.ndarray, "n 2"],
 ) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "n 2"]]:
-    mean = points.mean(axis=0)
-    spread = max(float(np.sqrt(np.mean((points - mean) ** 2))), 1e-9)
-    to_unit = np.array(
-        [[1 / spread, 0, -mean[0] / spread], [0, 1 / spread, -mean[1] / spread], [0, 0, 1]]
-    )
-    return to_unit, (points - mean) / spread
+    mean = np.add.reduce(points) / len(points)
+    relative = points - mean
+    spread = max(float(np.sqrt(np.vdot(relative, relative) / relative.size)), 1e-9)
+    to_unit = np.diag([1.0 / spread, 1.0 / spread, 1.0])
+    to_unit[:2, 2] = -mean / spread
+    return to_unit, relative / spread
 
 
 def apply_homography(

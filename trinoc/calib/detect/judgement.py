@@ -5,6 +5,7 @@ from jaxtyping import Float, Int
 
 from trinoc.calib.detect.ellipse_fit import Ellipses
 from trinoc.calib.detect.ellipse_shape import smallest_axis
+from trinoc.calib.detect.quick_median import quick_median
 from trinoc.calib.detect.warp import Warp, fit_warp
 from trinoc.calib.pattern import Pattern
 
@@ -21,11 +22,11 @@ def plausible(
     off = fitted.centres_px - centre_px
     miss2 = np.einsum("ni,nij,nj->n", off, np.linalg.inv(shape_px2), off)
     area_ratio = np.sqrt(np.linalg.det(fitted.shape_px2) / np.linalg.det(shape_px2))
-    area_ratio = area_ratio / np.median(area_ratio)
+    area_ratio = area_ratio / quick_median(area_ratio)
     contrast = fitted.paper * fitted.ink
-    typical = np.median(contrast)
+    typical = quick_median(contrast)
     relative = np.abs(fitted.residual_sigma / contrast)
-    misfit = max(0.12, 1.6 * float(np.median(relative)))
+    misfit = max(0.12, 1.6 * float(quick_median(relative)))
     allowed = np.sqrt((1.6 * noise_sigma / contrast) ** 2 + misfit**2)
     return (
         np.isfinite(miss2)
@@ -43,7 +44,7 @@ def undisturbed(fitted: Ellipses, noise_sigma: float) -> np.ndarray:
     contrast = np.abs(fitted.paper * fitted.ink)
     beyond_noise = np.maximum(fitted.residual_sigma**2 - noise_sigma**2, 0.0)
     misfit = np.sqrt(beyond_noise) / contrast
-    return misfit < 2.5 * np.median(misfit) + 0.02 + 0.6 * noise_sigma / contrast
+    return misfit < 2.5 * quick_median(misfit) + 0.02 + 0.6 * noise_sigma / contrast
 
 
 def agreeing(
@@ -59,7 +60,7 @@ def agreeing(
         centre, _ = warp.ellipses(centres_mm, radius_mm)
         off = fitted.centres_px - centre
         miss = np.sqrt(off[:, 0] ** 2 + off[:, 1] ** 2)
-        before, good = good, miss < 5.0 * np.median(miss[good]) + 5.0 * own + sharp
+        before, good = good, miss < 5.0 * quick_median(miss[good]) + 5.0 * own + sharp
         if np.array_equal(before, good) or np.sum(good) < FEWEST_CIRCLES:
             break
         warp = fit_warp(centres_mm[good], fitted.centres_px[good], radius_mm[good])

@@ -3,6 +3,8 @@
 import numpy as np
 from jaxtyping import Float
 
+from trinoc.calib.detect.quick_median import quick_median
+
 _PLANE_CIRCLES = 6
 _QUADRATIC_CIRCLES = 12
 _REWEIGHTINGS = 3
@@ -40,14 +42,14 @@ def light_slope(
         weighted = basis * weight[:, None]
         surface, *_ = np.linalg.lstsq(weighted, paper * weight, rcond=None)
         miss = np.abs(paper - basis @ surface)
-        scale = 3.0 * np.median(miss) + 1e-9 * np.abs(paper).max() + 1e-30
+        scale = 3.0 * quick_median(miss) + 1e-9 * np.abs(paper).max() + 1e-30
         weight = 1.0 / (1.0 + (miss / scale) ** 2)
     light = basis @ surface
     light = np.where(np.abs(light) > 1e-9, light, 1e-9)
     slope = np.stack([np.stack(terms_x, 1) @ surface, np.stack(terms_y, 1) @ surface], axis=1)
     distance = np.linalg.norm(centres_px[:, None] - centres_px[None], axis=2)
     nearest = np.argsort(distance, axis=1)[:, :_NEIGHBOURS]
-    pitch_px = np.median(distance[np.arange(count), nearest[:, 1]])
+    pitch_px = quick_median(distance[np.arange(count), nearest[:, 1]])
     relative_miss = (paper - basis @ surface) / light
     unsure = np.sqrt(np.mean(relative_miss[nearest] ** 2, axis=1)) / pitch_px
     return slope / extent / light[:, None], unsure

@@ -11,6 +11,7 @@ from trinoc.calib.detect.layout import Layout
 from trinoc.calib.detect.light import light_slope
 from trinoc.calib.detect.line_shade import without_lines
 from trinoc.calib.detect.picture import GreyPicture
+from trinoc.calib.detect.quick_median import quick_median
 from trinoc.calib.detect.warp import Warp, fit_warp
 from trinoc.calib.pattern import Pattern
 
@@ -27,7 +28,7 @@ def coarse_fit(
 ) -> Ellipses:
     """Fit with whole circles, holes included, on a part of their pixels."""
     count = len(centres_px)
-    area = np.pi * _OUTER_RADII**2 * np.sqrt(np.median(np.linalg.det(shape_px2)))
+    area = np.pi * _OUTER_RADII**2 * np.sqrt(quick_median(np.linalg.det(shape_px2)))
     step = max(1, int(np.sqrt(area / _COARSE_PIXELS)))
     pixels = pixels_round(
         picture.grey,
@@ -68,7 +69,7 @@ def measure_all(
         extra = coarse_fit(picture, centre, shape, layout.hole_ratio)
         like = plausible(extra, centre, shape, picture.noise_sigma)
         like &= np.abs(extra.hole - pattern.is_ring[missing]) < 0.5
-        contrast = (extra.paper * extra.ink) / np.median(coarse.paper * coarse.ink)
+        contrast = (extra.paper * extra.ink) / quick_median(coarse.paper * coarse.ink)
         like &= (contrast > 0.35) & (contrast < 3.0)
         coarse = _join(coarse, extra.take(like))
         index = np.concatenate([index, missing[like]])

@@ -63,8 +63,7 @@ def _shifts(
     to_low = low - turned.min(axis=0)
     to_high = low + extent - 1 - turned.max(axis=0)
     first, last = np.minimum(to_low, to_high) - 1, np.maximum(to_low, to_high) + 1
-    right, up = (np.arange(a, b + 1) for a, b in zip(first, last, strict=True))
-    return np.stack(np.meshgrid(right, up, indexing="ij"), axis=-1).reshape(-1, 2)
+    return first + np.indices(last - first + 1).reshape(2, -1).T
 
 
 def symmetries(pattern: Pattern, maps: Int[np.ndarray, "turns 2 2"]) -> Int[np.ndarray, "k n"]:

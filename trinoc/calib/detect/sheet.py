@@ -13,6 +13,7 @@ from trinoc.calib.detect.lattice import Lattice
 from trinoc.calib.detect.layout import Layout
 from trinoc.calib.detect.measurement import coarse_fit, measure_all
 from trinoc.calib.detect.picture import GreyPicture
+from trinoc.calib.detect.quick_median import quick_median
 from trinoc.calib.detect.warp import Warp, fit_warp
 from trinoc.calib.pattern import Pattern
 from trinoc.errors import DetectionError
@@ -50,7 +51,7 @@ def read_sheet(
     warp = fit_warp(cell, centres)
     _, shape = warp.ellipses(cell, unit_radius)
     found_area = np.sqrt(np.linalg.det(blobs.shape_px2[lattice.blob]))
-    swelling = np.median(found_area / np.sqrt(np.linalg.det(shape)))
+    swelling = quick_median(found_area / np.sqrt(np.linalg.det(shape)))
     coarse = coarse_fit(picture, centres, shape * swelling, layout.hole_ratio)
     good = plausible(coarse, centres, shape, picture.noise_sigma)
     if np.sum(good) < FEWEST_CIRCLES:

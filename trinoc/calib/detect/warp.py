@@ -32,6 +32,8 @@ class Warp(NamedTuple):
 
     def bend(self, points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
         """What the lens adds to the homography, in pixels."""
+        if not self.bend_px.any():
+            return np.zeros_like(points)
         return _cubic_terms((points - self.middle) / self.extent) @ self.bend_px
 
     def apply(self, points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
@@ -67,8 +69,8 @@ def fit_warp(
         ellipse_centre, _ = images_of_circles(homography, points, radius)
         target = places_px - (ellipse_centre - apply_homography(homography, points))
         homography = fit_homography(points, target)
-    middle = points.mean(axis=0)
-    extent = max(float(np.ptp(points, axis=0).max()), 1e-9)
+    low, high = points.min(axis=0), points.max(axis=0)
+    middle, extent = 0.5 * (low + high), max(float(np.max(high - low)), 1e-9)
     bend = np.zeros((10, 2))
     if len(points) >= _BEND_POINTS:
         residual = target - apply_homography(homography, points)
@@ -80,6 +82,11 @@ def fit_warp(
 
 
 def _cubic_terms(unit: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 10"]:
-    x, y = unit.T
-    square = [np.ones_like(x), x, y, x * x, x * y, y * y]
-    return np.stack([*square, x**3, x * x * y, x * y * y, y**3], axis=1)
+    terms = np.empty((len(unit), 10))
+    terms[:, 0] = 1.0
+    terms[:, 1:3] = unit
+    terms[:, 3:5] = unit[:, :1] * unit
+    terms[:, 5] = unit[:, 1] ** 2
+    terms[:, 6:9] = unit[:, :1] * terms[:, 3:6]
+    terms[:, 9] = unit[:, 1] * terms[:, 5]
+    return terms
