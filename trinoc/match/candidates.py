@@ -13,14 +13,17 @@ from trinoc.match.ends import COMPONENTS, end_evidence
 from trinoc.match.fragments import Prediction, cut_pair, points_of, predict
 from trinoc.match.intervals import overlapping
 from trinoc.match.likelihood import Strangers, TripleEvidence, triple_evidence
-from trinoc.match.padding import blocks, bucket, padded
+from trinoc.match.padding import blocks, in_blocks
 from trinoc.match.pencil import Pencil, PencilSegments, pencil
 from trinoc.match.picture_lines import PictureLines
 from trinoc.match.polarity import polarity_evidence
 from trinoc.match.prediction_lookup import Lookup, lookup, segments_near
 from trinoc.match.third_view import near
 
-PAIRS_PER_BLOCK = 1 << 18
+# Segments of the first view whose pairs are held at a time.
+SEGMENTS_PER_BLOCK = 2048
+# Sizes of blocks, per segment of a view.
+PAIRS_PER_SEGMENT, TRIPLES_PER_SEGMENT = 32, 8
 
 
 class Candidates(NamedTuple):
@@ -89,10 +92,13 @@ def _pairs(
         np.stack([np.asarray(s.low)[:count], np.asarray(s.high)[:count]], axis=1)
         for s, count in ((planes.first, count_a), (planes.second, count_b))
     )
-    rows = max(1, PAIRS_PER_BLOCK // max(count_b // 4, 1))
-    for block in blocks(count_a, rows):
+    for block in blocks(count_a, SEGMENTS_PER_BLOCK):
         i, j = overlapping(angles_a[block], angles_b)
         yield i + block.start, j
+
+
+def _block(lines: PictureLines, per_segment: int) -> int:
+    return per_segment * lines.ends_px.shape[1]
 
 
 def _triples(
@@ -104,15 +110,22 @@ def _triples(
     j: Int[np.ndarray, "p"],
 ) -> Int[np.ndarray, "h 3"]:
     """(segments in the views of `order`) of what passes the gate in the third view."""
-    size = bucket(len(i))
-    guess = _predicted(lines, order[2], planes, padded(i, size), padded(j, size))
-    keep = np.flatnonzero(np.asarray(guess.possible)[: len(i)])
-    guess = Prediction(*(np.asarray(field)[keep] for field in guess))
+
+    def predicted(i: np.ndarray, j: np.ndarray) -> Prediction:
+        return _predicted(lines, order[2], planes, i, j)
+
+    guess = in_blocks(predicted, _block(lines, PAIRS_PER_SEGMENT), i, j)
+    keep = np.flatnonzero(guess.possible)
+    guess = Prediction(*(field[keep] for field in guess))
     pair, k = segments_near(table, guess)
-    size = bucket(len(pair))
-    fields = (padded(field, bucket(len(keep)), 0) for field in guess)
-    passed = _gated(lines, order[2], Prediction(*fields), padded(pair, size), padded(k, size))
-    hit = np.flatnonzero(np.asarray(passed)[: len(pair)])
+
+    def gated(k: np.ndarray, *fields: np.ndarray) -> ArrayLike:
+        return _gated(lines, order[2], Prediction(*fields), k)
+
+    near_enough = in_blocks(
+        gated, _block(lines, PAIRS_PER_SEGMENT), k, *(field[pair] for field in guess)
+    )
+    hit = np.flatnonzero(near_enough)
     # Several samples of one prediction may find one segment.
     unique = np.unique(pair[hit] * (k.max(initial=0) + 1) + k[hit], return_index=True)[1]
     pair, k = pair[hit[unique]], k[hit[unique]]
@@ -141,12 +154,10 @@ def _gated(
     lines: PictureLines,
     third: Int[ArrayLike, ""],
     guess: Prediction,
-    pair: Int[ArrayLike, "h"],
     k: Int[ArrayLike, "h"],
 ) -> Bool[ArrayLike, "h"]:
-    prediction = jax.tree.map(lambda column: column[pair], guess)
     return jax.vmap(near)(
-        prediction, lines.ends_px[third, k], lines.line[third, k], lines.across_px2[third, k]
+        guess, lines.ends_px[third, k], lines.line[third, k], lines.across_px2[third, k]
     )
 
 
@@ -157,9 +168,11 @@ def _judge(
     triple: Int[np.ndarray, "h 3"],
     strangers: Strangers,
 ) -> Candidates:
-    size = bucket(len(triple))
-    found, end_log = _judged(lines, order, planes, padded(triple, size), strangers)
-    keep = np.flatnonzero(np.asarray(found.possible)[: len(triple)])
+    def judged(triple: np.ndarray) -> tuple:
+        return _judged(lines, order, planes, triple, strangers)
+
+    found, end_log = in_blocks(judged, _block(lines, TRIPLES_PER_SEGMENT), triple)
+    keep = np.flatnonzero(found.possible)
     index = np.full((len(keep), len(lines.size_px)), -1)
     part = np.zeros((len(keep), len(lines.size_px), 2))
     index[:, order] = triple[keep]
@@ -168,21 +181,18 @@ def _judge(
         index,
         part,
         stacked(found.ends_mm, keep),
-        np.asarray(found.chi_square)[keep],
-        np.asarray(found.log_density)[keep]
-        + polarity_evidence(np.asarray(lines.polarity), index, part),
+        found.chi_square[keep],
+        found.log_density[keep] + polarity_evidence(np.asarray(lines.polarity), index, part),
         stacked(end_log, keep),
         stacked(found.outer_mm, keep),
         stacked(found.outer_covariance_mm2, keep),
-        np.asarray(found.px_per_mm)[keep],
+        found.px_per_mm[keep],
     )
 
 
 def stacked(columns: tuple, keep: Int[np.ndarray, "m"] | slice) -> Float[np.ndarray, "m a b"]:
     """Tuples of tuples of columns as one array, with the items in front."""
-    return np.stack(
-        [np.stack([np.asarray(c)[keep] for c in row], axis=1) for row in columns], axis=1
-    )
+    return np.stack([np.stack([c[keep] for c in row], axis=1) for row in columns], axis=1)
 
 
 @jax.jit

@@ -14,7 +14,14 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from trinoc.geometry.arrays import ArrayLike
-from trinoc.match.candidates import Candidates, in_depth_range, joined_candidates, row_of, stacked
+from trinoc.match.candidates import (
+    TRIPLES_PER_SEGMENT,
+    Candidates,
+    in_depth_range,
+    joined_candidates,
+    row_of,
+    stacked,
+)
 from trinoc.match.ends import AGREEING_PX, PAIR_PX
 from trinoc.match.evidence import Habits, log_place, probability, usual_habits, volume_of
 from trinoc.match.exclusivity import beliefs, chosen_greedily, conflicts
@@ -22,7 +29,7 @@ from trinoc.match.intervals import overlapping
 from trinoc.match.likelihood import Strangers
 from trinoc.match.merging import Tracks
 from trinoc.match.neighbours import USUAL_HABITS, JunctionHabits, junctions, support
-from trinoc.match.padding import bucket, padded
+from trinoc.match.padding import in_blocks
 from trinoc.match.pair_likelihood import PairEvidence, pair_evidence
 from trinoc.match.pencil import Pencil, pencil
 from trinoc.match.picture_lines import PictureLines
@@ -178,8 +185,12 @@ def _pairs_of(
     ]
     i, j = overlapping(low_high[0][free[views[0]]], low_high[1][free[views[1]]])
     segments = np.stack([free[views[0]][i], free[views[1]][j]], axis=1)
-    found = _judged(lines, views, planes, padded(segments, bucket(len(segments))), strangers)
-    keep = np.flatnonzero(np.asarray(found.possible)[: len(segments)])
+
+    def judged(segments: np.ndarray) -> PairEvidence:
+        return _judged(lines, views, planes, segments, strangers)
+
+    found = in_blocks(judged, TRIPLES_PER_SEGMENT * lines.ends_px.shape[1], segments)
+    keep = np.flatnonzero(found.possible)
     index = np.full((len(keep), len(lines.size_px)), -1)
     part = np.zeros((len(keep), len(lines.size_px), 2))
     index[:, views], part[:, views] = segments[keep], stacked(found.part, keep)
@@ -188,14 +199,13 @@ def _pairs_of(
         part,
         stacked(found.ends_mm, keep),
         np.zeros(len(keep)),
-        np.asarray(found.log_density)[keep]
-        + polarity_evidence(np.asarray(lines.polarity), index, part),
+        found.log_density[keep] + polarity_evidence(np.asarray(lines.polarity), index, part),
         stacked(found.end_log, keep),
         stacked(found.outer_mm, keep),
         stacked(found.outer_covariance_mm2, keep),
-        np.asarray(found.px_per_mm)[keep],
+        found.px_per_mm[keep],
     )
-    return _Possible(candidates, np.asarray(found.expected)[keep])
+    return _Possible(candidates, found.expected[keep])
 
 
 @jax.jit

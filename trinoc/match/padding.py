@@ -1,10 +1,14 @@
 """Array lengths rounded up to buckets, so that a new picture does not compile anew."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from typing import TypeVar
 
+import jax
 import numpy as np
 
 SMALLEST_BUCKET = 64
+
+_Tree = TypeVar("_Tree")
 
 
 def bucket(count: int) -> int:
@@ -21,5 +25,24 @@ def padded(array: np.ndarray, size: int, filler: float | np.ndarray = 0) -> np.n
 
 
 def blocks(count: int, size: int) -> Iterator[slice]:
-    """Slices that cover range(count), each of at most `size`."""
-    return (slice(start, min(start + size, count)) for start in range(0, count, size))
+    """Slices that cover range(count), each of at most `size`; one empty slice for none."""
+    return (slice(start, min(start + size, count)) for start in range(0, max(count, 1), size))
+
+
+def in_blocks(function: Callable[..., _Tree], size: int, *columns: np.ndarray) -> _Tree:
+    """`function` over the rows of `columns`, `size` at a time, as NumPy arrays.
+
+    The length that `function` sees is always `size`, whatever the number of rows: memory stays
+    bounded and nothing compiles anew. It takes and returns arrays with the rows in front, and
+    must bear rows of zeros, whose results are dropped.
+    """
+    count = len(columns[0])
+    slices = list(blocks(count, size))
+    # All blocks are handed over before the first result is waited for.
+    results = [function(*(padded(c[part], size) for c in columns)) for part in slices]
+    rows = [part.stop - part.start for part in slices]
+
+    def joined(*leaves: jax.Array) -> np.ndarray:
+        return np.concatenate([np.asarray(leaf)[:n] for leaf, n in zip(leaves, rows, strict=True)])
+
+    return jax.tree.map(joined, *results)

@@ -4,14 +4,13 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int
 
-from trinoc.geometry.segments import covariance_of_ends
-from trinoc.geometry.triangulation import triangulate_segment
+from trinoc.geometry.triangulation import Segment3D, triangulate_segment
 from trinoc.match.evidence import probability
 from trinoc.match.matches import BINOCULAR, TRINOCULAR, Matches
 from trinoc.match.merging import Tracks
 from trinoc.match.observed import Observed, distorted
 from trinoc.match.occluded import Pairs
-from trinoc.match.padding import bucket, padded
+from trinoc.match.padding import in_blocks
 from trinoc.match.reasons import counted, reasons
 from trinoc.match.selection import Selection
 
@@ -113,14 +112,11 @@ def lines_in_space(
     covariance_px2: Float[np.ndarray, "t v 4 4"],
 ) -> tuple[Float[np.ndarray, "t 2 3"], Float[np.ndarray, "t 6 6"]]:
     """Maximum-likelihood ends from all fragments, with covariance."""
-    size, count = bucket(len(index)), len(index)
-    # What pads the table is left out of the answer: any segment does.
-    shape = fragments_px.shape[1:]
-    filler = np.broadcast_to(np.array([[0.0, 0.0], [1.0, 0.0]]), shape)
-    found = _triangulated(
-        seen.lines.matrix_px,
-        padded(fragments_px, size, filler),
-        padded(covariance_px2, size, covariance_of_ends(np.array([[[0, 0], [1.0, 0]]]), 1, 1)[0]),
-        padded(index >= 0, size, True),
-    )
-    return np.asarray(found.ends_mm)[:count], np.asarray(found.covariance_mm2)[:count]
+    # Rows of padding hold no view, which leaves their lines undetermined, and harmless.
+    block = seen.lines.ends_px.shape[1]
+
+    def triangulated(*columns: np.ndarray) -> Segment3D:
+        return _triangulated(seen.lines.matrix_px, *columns)
+
+    found = in_blocks(triangulated, block, fragments_px, covariance_px2, index >= 0)
+    return found.ends_mm, found.covariance_mm2
