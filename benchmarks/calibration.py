@@ -131,7 +131,7 @@ def by_scipy(detection: Detection, start: np.ndarray) -> np.ndarray:
 
 
 @jax.jit
-def _scipy_residual(pose, lens, circles, step):  # noqa: ANN001, ANN202
+def _scipy_residual(pose, lens, circles, step):
     return whitened_residuals(pose.moved(step), lens, circles).reshape(-1)
 
 
@@ -225,7 +225,8 @@ def report_times(picture: np.ndarray, truth: np.ndarray, true_px: np.ndarray) ->
     lens, lenses = stack_lenses([LENS]), stack_lenses([LENS] * 1000)
     arrays, start = lens_arrays(LENS, False), sheet_pose_of_values(np.append(truth + 0.01, [0, 0]))
     fit = fit_detections([detection], SHEET, [LENS], 4)[0]
-    three = [dict.fromkeys("abc", value) for value in (grey, fit, detection, LENS)]
+    greys, fits = dict.fromkeys("abc", grey), dict.fromkeys("abc", fit)
+    found, three_lenses = dict.fromkeys("abc", detection), dict.fromkeys("abc", LENS)
     calls: dict[str, tuple[Callable[[], object], int]] = {
         "cv2.solvePnP": (lambda: by_solve_pnp_alone(centres), 1),
         "scipy least_squares": (lambda: by_scipy(detection, truth + 0.05), 1),
@@ -238,7 +239,7 @@ def report_times(picture: np.ndarray, truth: np.ndarray, true_px: np.ndarray) ->
         "detect_pattern": (lambda: detect_pattern(picture, SHEET), 1),
         "refinement": (lambda: refine_picture(grey, SHEET, arrays, start, 4), 1),
         "refinement, three": (
-            lambda: refine_fits(three[0], three[1], three[2], SHEET, three[3], 4),
+            lambda: refine_fits(greys, fits, found, SHEET, three_lenses, 4),
             1,
         ),
     }
@@ -261,7 +262,7 @@ MATRIX = np.array(
 
 
 def main() -> None:
-    arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    arguments = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     arguments.add_argument("--poses", type=int, default=100)
     arguments.add_argument("--seeds", type=int, default=4)
     arguments.add_argument("--wide", action="store_true")

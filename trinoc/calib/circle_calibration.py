@@ -1,10 +1,11 @@
 """From the circles of many pictures to one judged pose each."""
 
 from collections.abc import Sequence
+from typing import TypeVar
 
 import jax
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 
 from trinoc.calib.circle_fit import (
     CircleFit,
@@ -25,6 +26,8 @@ from trinoc.calib.pattern import Pattern
 from trinoc.calib.picture_fit import PictureFit, judge_fit
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.precision import as_numpy
+
+_Tree = TypeVar("_Tree")
 
 
 def fit_detections(
@@ -51,7 +54,7 @@ def fit_detections(
         chosen = _rows((lens, circles), retry)
         fits = _better(fits, _padded(fit_pictures_from_circles, chosen, parameter_count), retry)
     used = [np.ones(len(detection), dtype=bool) for detection in detections]
-    suspects = [k for k in range(count) if is_suspect(fits.whitened[k, : len(detections[k])])]
+    suspects = [k for k in range(count) if is_suspect(_whitened(fits, k, len(detections[k])))]
     if suspects:
         fits = _refit_robustly(fits, lens, circles, used, suspects, parameter_count)
     return [_judged(fits, k, used[k]) for k in range(count)]
@@ -77,12 +80,12 @@ def _refit_robustly(
     part = _rows(fits, suspects)
     counts = [len(used[k]) for k in suspects]
     for factor in ANNEALING:
-        scale = [robust_scale(part.whitened[i, :m]) for i, m in enumerate(counts)]
+        scale = [robust_scale(_whitened(part, i, m)) for i, m in enumerate(counts)]
         arguments = (part.pose, lens, circles, factor * np.array(scale))
         part = _padded(refit_pictures, arguments, parameter_count)
-    whitening = circles.whitening.copy()
+    whitening = np.array(circles.whitening)
     for i, k in enumerate(suspects):
-        used[k] = inliers(part.whitened[i, : counts[i]])
+        used[k] = inliers(_whitened(part, i, counts[i]))
         whitening[i, : counts[i]][~used[k]] = 0.0
     arguments = (
         part.pose,
@@ -130,17 +133,21 @@ def _better(fits: CircleFit, other: CircleFit, rows: list[int]) -> CircleFit:
 
 def _has_failed(fits: CircleFit, row: int, count: int) -> bool:
     """Whether another start may do better: no answer, or one far from most circles."""
-    return not np.isfinite(_cost(fits, row)) or robust_scale(fits.whitened[row, :count]) > 10
+    return not np.isfinite(_cost(fits, row)) or robust_scale(_whitened(fits, row, count)) > 10
 
 
 def _judged(fits: CircleFit, row: int, used: Bool[np.ndarray, "m"]) -> PictureFit:
     count = len(used)
     return judge_fit(
-        fits.parameters[row],
-        fits.residuals_px[row, :count],
-        fits.whitened[row, :count],
-        fits.information[row],
-        fits.parameters_by_chart[row],
+        np.asarray(fits.parameters[row]),
+        np.asarray(fits.residuals_px[row, :count]),
+        np.asarray(fits.whitened[row, :count]),
+        np.asarray(fits.information[row]),
+        np.asarray(fits.parameters_by_chart[row]),
         bool(fits.converged[row]),
         used,
     )
+
+
+def _whitened(fits: CircleFit, row: int, count: int) -> Float[np.ndarray, "m 2"]:
+    return np.asarray(fits.whitened[row, :count])

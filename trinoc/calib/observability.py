@@ -50,4 +50,6 @@ def observability(
     touched |= np.sqrt(np.diag(covariance)) > largest_sigma
     covariance[touched] = np.nan
     covariance[:, touched] = np.nan
-    return Observability(int(determined.sum()), covariance, tuple(np.flatnonzero(touched)))
+    return Observability(
+        int(determined.sum()), covariance, tuple(int(k) for k in np.flatnonzero(touched))
+    )

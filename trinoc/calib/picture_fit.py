@@ -101,4 +101,4 @@ def judge_fit(
 def sheet_pose_of_values(values: Float[np.ndarray, "6"]) -> SheetPose:
     """The pose of pan, tilt, swing in degrees, distance and aim in mm."""
     pose = PanTiltPose.from_vector(np.concatenate([np.radians(values[:3]), values[3:]])).pose
-    return SheetPose(np.asarray(pose.rotation), np.float64(values[3]), np.array(values[4:6]))
+    return SheetPose(np.asarray(pose.rotation), np.asarray(values[3]), np.array(values[4:6]))

@@ -6,7 +6,7 @@ import cv2
 import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from trinoc.calib.lens_arrays import LensArrays
 from trinoc.calib.pattern import Pattern
@@ -138,7 +138,7 @@ def _with_nearest_circle(
     inverse = np.linalg.inv(np.asarray(lens.matrix_px) @ np.asarray(pose.cam_from_sheet))
     sheet = np.concatenate([pixel, np.ones((len(pixel), 1))], axis=1) @ inverse.T
     sheet = sheet[:, :2] / sheet[:, 2:]
-    distance, nearest = cKDTree(pattern.centres_mm).query(sheet)
+    distance, nearest = KDTree(pattern.centres_mm).query(sheet)
     # Pixels are foreshortened by the tilt: take the coarsest millimetres per pixel.
     mm_per_px = float(pose.distance_mm) / float(np.min(np.diag(lens.matrix_px)[:2]))
     reach = (_REACH_SIGMAS * sigma_px + _REACH_PX) * mm_per_px / max(-pose.rotation[2, 2], 0.2)
@@ -189,7 +189,7 @@ def group_of(
         ),
     )
     pixels = jax.tree.map(lambda leaf: np.asarray(leaf, dtype=dtype), pixels)
-    return Group(pixels, np.int32(-(-count // CHUNK)))
+    return Group(pixels, np.asarray(-(-count // CHUNK), dtype=np.int32))
 
 
 def _rays(lens: LensArrays, uv_px: Float[np.ndarray, "n 2"]) -> Ray:

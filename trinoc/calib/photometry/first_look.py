@@ -41,8 +41,8 @@ def first_look(
     light = np.zeros(LIGHT_TERMS)
     light[0] = paper_grey
     return Appearance(
-        np.float64(min(sigma, _LARGEST_SIGMA_PX)),
-        np.float64(0.0),
-        np.float64(ink_grey / max(paper_grey, 1e-6) - 1),
+        np.asarray(min(sigma, _LARGEST_SIGMA_PX)),
+        np.asarray(0.0),
+        np.asarray(ink_grey / max(paper_grey, 1e-6) - 1),
         light,
     )

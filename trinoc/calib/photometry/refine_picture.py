@@ -1,7 +1,7 @@
 """From a pose that the circles gave to the one that explains the picture itself."""
 
 import threading
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -85,9 +85,9 @@ def refine_picture(
         group_of(part, picture, lens, pattern, capacity, np.float32) for part in chosen
     )
     cross = Cross(
-        np.float64(0.5 * pattern.line_width_mm),
+        np.asarray(0.5 * pattern.line_width_mm),
         np.array(pattern.line_half_length_mm, dtype=np.float64),
-        np.float64(pattern.line_gap_mm),
+        np.asarray(float(pattern.line_gap_mm)),
     )
     drawing = Drawing(pattern.line_style, bool((pattern.inner_radius_mm > 0).any()))
     state = PictureState(start, appearance)
@@ -114,7 +114,7 @@ def refine_picture(
     everything = Chosen(*(np.concatenate(pair) for pair in zip(*chosen, strict=True)))
     gate = gate_pixels(everything, residuals(last), contrast)
     kept = np.split(gate.kept, [counts[0]])
-    groups = tuple(_masked(group, keep) for group, keep in zip(groups, kept, strict=True))
+    groups = (_masked(circles, kept[0]), _masked(lines, kept[1]))
     taken, length = 0, float("inf")
     while length > _CONVERGED_SIGMAS * gate.sigma and taken < _MOST_PLAIN_STEPS:
         last = steps(last.state, groups, False)
@@ -136,15 +136,19 @@ def refine_picture(
     )
 
 
-# Threads that meet an uncompiled program would each compile it: the first one does.
+# Threads that meet an uncompiled program would each compile it; the first one does.
 _COMPILING = threading.Lock()
+_compiled: set[tuple[object, ...]] = set()
 
 
-def _run(*arguments: object, **options: object) -> Step:
-    if run_steps._cache_size() == 0:  # pyright: ignore[reportFunctionMemberAccess]
-        with _COMPILING:
-            return run_steps(*arguments, **options)  # pyright: ignore[reportArgumentType]
-    return run_steps(*arguments, **options)  # pyright: ignore[reportArgumentType]
+def _run(*arguments: Any, drawing: Drawing, parameter_count: int) -> Step:
+    key = (drawing, parameter_count, arguments[1].pixels.grey.shape)
+    if key in _compiled:
+        return run_steps(*arguments, drawing=drawing, parameter_count=parameter_count)
+    with _COMPILING:
+        step = run_steps(*arguments, drawing=drawing, parameter_count=parameter_count)
+        _compiled.add(key)
+    return step
 
 
 def _schedule(

@@ -1,0 +1,40 @@
+"""Many frames at once give what each gives alone, and one bad frame spoils no other."""
+
+import numpy as np
+
+from tests.calib.simulated import LENS, TABLE_1, camera_of, reference_sheet, simulated_detection
+from trinoc.calib.calibrate_batch import calibrate_batch
+from trinoc.calib.calibrate_detections import calibrate_detections
+from trinoc.calib.result import Status
+
+SHEET = reference_sheet()
+
+
+def test_frames_are_independent() -> None:
+    frames = [
+        {
+            name: simulated_detection(camera_of(values), SHEET, seed=10 * k + j)
+            for j, (name, values) in enumerate(TABLE_1.items())
+        }
+        for k in range(5)
+    ]
+    frames[1]["right"] = simulated_detection(
+        camera_of(TABLE_1["right"]), SHEET, seed=0, circles=np.array([4])
+    )
+    del frames[3]["left"]
+    frames[4]["upper"].centres_px[3] += 20.0
+    batch = calibrate_batch(frames, SHEET, LENS)
+    assert batch.names == tuple(TABLE_1)
+    assert batch.good.sum() == 13
+    assert batch.status[1]["right"] is Status.RANK_DEFICIENT
+    assert batch.status[3]["left"] is Status.NOT_DETECTED
+    assert "free" in batch.failures[1]["right"]
+    assert np.isnan(batch.values[1, 1]).all()
+    for k in (0, 4):
+        alone = calibrate_detections(frames[k], SHEET, LENS)
+        np.testing.assert_allclose(batch.values[k].ravel(), alone.values, rtol=1e-8)
+        np.testing.assert_allclose(
+            np.sqrt(np.diagonal(batch.covariance[k], axis1=1, axis2=2)).ravel(),
+            np.sqrt(np.diag(alone.covariance)),
+            rtol=1e-6,
+        )
