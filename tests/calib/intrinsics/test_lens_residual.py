@@ -25,6 +25,8 @@ from trinoc.calib.intrinsics.lens_residual import (
 POSES = np.array(good_poses(count=8))
 SCALE = parameter_scale(LENS, SIZE_PX)
 RESIDUALS = jax.jit(residuals_px)
+INFORMATION = jax.jit(information_of_pictures)
+MOVED = jax.jit(jax.vmap(moved_pose, in_axes=(0, None)))
 
 
 def observed(**options):
@@ -48,11 +50,11 @@ def test_the_centroid_is_the_centre_of_a_fitted_ellipse():
 @pytest.mark.parametrize("unknown", range(15))
 def test_information_is_the_square_of_numeric_derivatives(unknown):
     circles = observed()
-    information = np.asarray(jax.jit(information_of_pictures)(LENS, SCALE, POSES, circles))
+    information = np.asarray(INFORMATION(LENS, SCALE, POSES, circles))
     step = 1e-5 * np.eye(15)[unknown]
 
     def whitened(sign):
-        poses = np.stack([moved_pose(pose, sign * step[9:]) for pose in POSES])
+        poses = np.asarray(MOVED(POSES, sign * step[9:]))
         errors = np.asarray(RESIDUALS(LENS + sign * SCALE * step[:9], poses, circles))
         return np.einsum("knij,knj->kni", circles.whitening, errors)
 
