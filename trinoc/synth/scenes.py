@@ -1,7 +1,5 @@
 """Scenes with known edges: blocks on a table, see-through boxes, loose segments."""
 
-from typing import Self
-
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
@@ -28,7 +26,7 @@ class Scene(eqx.Module):
     solids: tuple[Solid, ...]
 
     @classmethod
-    def of_solids(cls, solids: tuple[Solid, ...]) -> Self:
+    def of_solids(cls, solids: tuple[Solid, ...]) -> "Scene":
         """The scene of opaque solids."""
         edges = [solid.edges_mm for solid in solids]
         return cls(
@@ -39,7 +37,7 @@ class Scene(eqx.Module):
         )
 
     @classmethod
-    def of_edges(cls, edges_mm: Float[np.ndarray, "m 2 3"]) -> Self:
+    def of_edges(cls, edges_mm: Float[np.ndarray, "m 2 3"]) -> "Scene":
         """A scene of edges alone, all of them seen from everywhere."""
         count = len(edges_mm)
         return cls(edges_mm, (EDGE,) * count, np.arange(count), ())

@@ -5,8 +5,6 @@ A cylinder's faces are facets; its rims are edges in short chords, while its sil
 with the viewpoint and is no edge.
 """
 
-from typing import Self
-
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float
@@ -61,10 +59,10 @@ class Polyhedron(eqx.Module):
         """Lines that only look like edges from one viewpoint: none."""
         return np.zeros((0, 2, 3))
 
-    def placed(self, *, turn_deg: float, shift_mm: Float[np.ndarray, "3"]) -> Self:
+    def placed(self, *, turn_deg: float, shift_mm: Float[np.ndarray, "3"]) -> "Polyhedron":
         """The solid turned about the vertical through the origin, then moved."""
         vertices = self.vertices_mm @ _turn(turn_deg).T + shift_mm
-        return type(self)(self.kind, vertices, self.faces)
+        return Polyhedron(self.kind, vertices, self.faces)
 
 
 class Cylinder(eqx.Module):
@@ -119,10 +117,10 @@ class Cylinder(eqx.Module):
             lines.append(np.stack([foot, foot + np.array([0.0, 0.0, self.height_mm])]))
         return np.stack(lines)
 
-    def placed(self, *, turn_deg: float, shift_mm: Float[np.ndarray, "3"]) -> Self:
+    def placed(self, *, turn_deg: float, shift_mm: Float[np.ndarray, "3"]) -> "Cylinder":
         """The cylinder with its base turned about the vertical through the origin, then moved."""
         base = _turn(turn_deg) @ self.base_centre_mm + shift_mm
-        return type(self)(base, self.radius_mm, self.height_mm, self.sides)
+        return Cylinder(base, self.radius_mm, self.height_mm, self.sides)
 
     @property
     def _rims(self) -> tuple[np.ndarray, np.ndarray]:
