@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from trinoc.calib.detect.ellipse_fit import Ellipses
-from trinoc.calib.detect.ellipse_shape import smallest_axis
+from trinoc.calib.detect.ellipse_shape import inverse_square_root, smallest_axis
 from trinoc.calib.detect.quick_median import quick_median
 from trinoc.calib.detect.warp import Warp, fit_warp
 from trinoc.calib.pattern import Pattern
@@ -47,6 +47,18 @@ def undisturbed(fitted: Ellipses, noise_sigma: float) -> np.ndarray:
     return misfit < 2.5 * quick_median(misfit) + 0.02 + 0.6 * noise_sigma / contrast
 
 
+def _alike(
+    fitted: Ellipses, shape_px2: Float[np.ndarray, "n 2 2"], own_px: Float[np.ndarray, "n"]
+) -> np.ndarray:
+    """Ellipses as long, as wide and as slanted as the sheet's: none with a finger on its edge."""
+    frame = inverse_square_root(shape_px2)
+    relative = frame @ fitted.shape_px2 @ frame
+    scale = quick_median(np.sqrt(np.linalg.det(relative)))
+    misfit = np.abs(relative / scale - np.eye(2)).max(axis=(1, 2))
+    unsure = 3.0 * own_px / smallest_axis(shape_px2)
+    return misfit < 3.0 * quick_median(misfit) + np.minimum(unsure, 0.2) + 0.05
+
+
 def agreeing(
     fitted: Ellipses, index: Int[np.ndarray, "m"], pattern: Pattern
 ) -> tuple[np.ndarray, Warp]:
@@ -57,10 +69,12 @@ def agreeing(
     centres_mm, radius_mm = pattern.centres_mm[index], pattern.radius_mm[index]
     warp = fit_warp(centres_mm, fitted.centres_px, radius_mm)
     for _ in range(2):
-        centre, _ = warp.ellipses(centres_mm, radius_mm)
+        centre, shape = warp.ellipses(centres_mm, radius_mm)
         off = fitted.centres_px - centre
         miss = np.sqrt(off[:, 0] ** 2 + off[:, 1] ** 2)
-        before, good = good, miss < 5.0 * quick_median(miss[good]) + 5.0 * own + sharp
+        before = good
+        good = miss < 3.0 * quick_median(miss[good]) + 3.0 * own + sharp
+        good &= _alike(fitted, shape, own)
         if np.array_equal(before, good) or np.sum(good) < FEWEST_CIRCLES:
             break
         warp = fit_warp(centres_mm[good], fitted.centres_px[good], radius_mm[good])
