@@ -5,6 +5,7 @@ from hypothesis import strategies as st
 
 from tests.geometry.strategies import cameras, real
 from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.junctions import Junctions
 from trinoc.geometry.rig import PARAMETER_NAMES, Rig
 from trinoc.geometry.segments import Segments
 from trinoc.match.matches import BINOCULAR, TRINOCULAR, Matches
@@ -69,6 +70,23 @@ def segment_sets(draw: st.DrawFn) -> Segments:
         np.where(random.uniform(size=count) < 0.3, np.nan, random.uniform(1, 200, count)),
         random.integers(0, 300, count),
         size,
+        draw(st.none() | st.just(random.choice(["", "bent", "neighbour"], count))),
+        draw(st.none() | st.just(random.integers(0, 5, count))),
+        draw(st.none() | st.just(_junctions(random, count))),
+    )
+
+
+def _junctions(random: np.random.Generator, segments: int) -> Junctions:
+    """Junctions of random segments, without any where there are no segments."""
+    count, rows = (2, 5) if segments else (0, 0)
+    root = random.normal(size=(count, 2, 2))
+    return Junctions(
+        random.uniform(0, 400, (count, 2)),
+        root @ root.transpose(0, 2, 1),
+        random.choice(["L", "T", "X", "Y"], count),
+        random.integers(0, max(count, 1), rows),
+        random.integers(0, max(segments, 1), rows),
+        random.integers(-1, 2, rows),
     )
 
 

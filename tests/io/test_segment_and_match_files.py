@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from trinoc.errors import InputError
+from trinoc.geometry.junctions import Junctions
 from trinoc.geometry.segments import Segments
 from trinoc.io.matches_npz import load_matches
 from trinoc.io.segments_npz import load_segments, save_segments
@@ -71,3 +72,53 @@ def test_archives_of_another_kind_are_refused(tmp_path):
     del arrays["support"]
     np.savez(path, **arrays)
     refused(load_segments, path, 'lacks the array "support"')
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "sentence"),
+    [
+        ("chain", np.zeros(3, int), '"chain" has shape'),
+        ("reasons", np.array(["bent"]), '"reasons" has shape'),
+        ("junctions/segment", np.array([0, 2]), "no junction of 2 segments can have"),
+        ("junctions/junction", np.array([0, 1]), "no junction of 2 segments can have"),
+        ("junctions/end", np.array([0, 2]), "no junction of 2 segments can have"),
+        ("junctions/kind", np.array(["Z"]), "no junction of 2 segments can have"),
+        ("junctions/uv_px", np.array([[1.0, np.nan]]), "no junction of 2 segments can have"),
+        ("junctions/covariance_px2", np.eye(2), "1 junctions in 2 rows need"),
+        ("junctions/end", None, 'lacks the array "junctions/end"'),
+    ],
+)
+def test_what_does_not_fit_the_segments_is_refused(tmp_path, name, value, sentence):
+    path = tmp_path / "segments.npz"
+    plain = Segments.from_endpoints(ENDS)
+    rows = np.array([0, 1])
+    junctions = Junctions(np.ones((1, 2)), np.eye(2)[None], np.array(["L"]), 0 * rows, rows, rows)
+    whole = Segments(
+        plain.endpoints_px,
+        plain.covariance_px2,
+        plain.polarity,
+        plain.contrast,
+        plain.support,
+        None,
+        np.array(["", "bent"]),
+        rows,
+        junctions,
+    )
+    save_segments(whole, path)
+    arrays = dict(np.load(path))
+    if value is None:
+        del arrays[name]
+    else:
+        arrays[name] = value
+    np.savez(path, **arrays)
+    refused(load_segments, path, sentence)
+
+
+def test_files_without_the_optional_fields_are_read(tmp_path):
+    path = tmp_path / "segments.npz"
+    save_segments(Segments.from_endpoints(ENDS), path)
+    assert not any(name.startswith(("junctions", "chain", "reasons")) for name in np.load(path))
+    segments = load_segments(path)
+    assert segments.reasons is None
+    assert segments.chain is None
+    assert segments.junctions is None

@@ -9,13 +9,14 @@ import numpy as np
 from trinoc.errors import InputError
 from trinoc.geometry.segments import Segments
 from trinoc.io.arrays_npz import read_arrays, take, write_arrays
+from trinoc.io.junctions_npz import junction_arrays, junctions_of_arrays
 
 FORMAT, VERSION = "trinoc-segments", 1
 TABLE_SUFFIXES = (".npy", ".csv", ".txt")
 
 
 def save_segments(segments: Segments, path: str | os.PathLike[str]) -> None:
-    """Write segments as npz, whole or not at all."""
+    """Write segments as npz, whole or not at all; fields that are None are left out."""
     size = segments.image_size_px
     arrays = {
         "endpoints_px": np.asarray(segments.endpoints_px),
@@ -25,6 +26,12 @@ def save_segments(segments: Segments, path: str | os.PathLike[str]) -> None:
         "support": np.asarray(segments.support),
         "image_size_px": np.array([] if size is None else size, dtype=np.int64),
     }
+    if segments.reasons is not None:
+        arrays["reasons"] = np.asarray(segments.reasons, dtype=np.str_)
+    if segments.chain is not None:
+        arrays["chain"] = np.asarray(segments.chain)
+    if segments.junctions is not None:
+        arrays.update(junction_arrays(segments.junctions))
     write_arrays(path, FORMAT, VERSION, arrays)
 
 
@@ -62,6 +69,9 @@ def load_segments(path: str | os.PathLike[str]) -> Segments:
         _column(arrays, "contrast", file, len(plain)).astype(np.float64),
         _column(arrays, "support", file, len(plain)).astype(np.int64),
         (int(size[0]), int(size[1])) if size.size else None,
+        _column(arrays, "reasons", file, len(plain)) if "reasons" in arrays else None,
+        _column(arrays, "chain", file, len(plain)).astype(np.int64) if "chain" in arrays else None,
+        junctions_of_arrays(arrays, file, len(plain)),
     )
 
 
