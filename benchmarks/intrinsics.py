@@ -1,6 +1,6 @@
 """Intrinsics from ten pictures: error over the Cramer-Rao bound, and whether sigmas are true.
 
-    python benchmarks/intrinsics.py [--sets 2] [--trials 20] [--pictures 10]
+    python benchmarks/intrinsics.py [--sets 4] [--trials 10] [--pictures 10]
 
 A set is a lens and ten poses of the sheet; each of its trials draws new noise. Pictures come
 from the ray caster, whose model is independent of the fit's. The bound is that of all grey
@@ -157,9 +157,9 @@ def timed(function: Callable[[], Any], times: list[float]) -> Any:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--sets", type=int, default=2)
-    parser.add_argument("--trials", type=int, default=20)
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--sets", type=int, default=4)
+    parser.add_argument("--trials", type=int, default=10)
     parser.add_argument("--pictures", type=int, default=10)
     options = parser.parse_args()
     names = ["trinoc", "trinoc, distortion=4", "cv2, trinoc's centres", "cv2, blobs"]

@@ -1,8 +1,8 @@
 """How many coefficients of distortion the pictures determine, and how many they ask for.
 
 All that are determined stay free. Leaving out a coefficient because it is within its noise would
-lend the others sigmas that hold only if it is exactly zero: measured, their errors were then up
-to three times the claimed sigmas, while freeing it costs the focal length nothing.
+lend the others sigmas that hold only if it is exactly zero: measured, their errors were then
+more than twice the claimed sigmas, while freeing it costs the focal length nothing.
 """
 
 from typing import NamedTuple
