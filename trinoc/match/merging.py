@@ -59,7 +59,7 @@ def merged(lines: PictureLines, tracks: Tracks) -> Tracks:
     matrix, segment_ends = np.asarray(lines.matrix_px), np.asarray(lines.ends_px)
     on_segment: dict[tuple[int, int], list[int]] = {}
     kept = []
-    for row in order:
+    for row in order.tolist():
         views = np.flatnonzero(index[row] >= 0)
         rivals = [
             (track, view)

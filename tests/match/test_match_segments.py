@@ -1,0 +1,218 @@
+"""What the matcher promises whatever the scene."""
+
+import numpy as np
+import pytest
+
+from tests.match.made import as_set, loose_lines, pictures, rig_of
+from trinoc.errors import InputError, MatchError
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.segments import Segments
+from trinoc.match import candidates
+from trinoc.match.match_segments import match_segments
+
+VIEWS = ("upper", "left", "right")
+
+
+@pytest.fixture(scope="module")
+def noisy() -> tuple[Rig, np.ndarray, dict[str, np.ndarray]]:
+    rig, lines = rig_of(*VIEWS), loose_lines(40, seed=1)
+    return rig, lines, pictures(rig, lines, sigma_px=0.3, seed=2)
+
+
+def test_exact_lines_are_all_found_and_placed() -> None:
+    rig, lines = rig_of(*VIEWS), loose_lines(40, seed=3)
+    matches = match_segments(pictures(rig, lines), rig, sigma_px=0.1)
+    assert as_set(matches, VIEWS) == {(k, k, k) for k in range(40)}
+    truth = lines[matches.index[:, 0]]
+    swap = ((matches.lines_mm - truth) ** 2).sum((1, 2)) > (
+        (matches.lines_mm[:, ::-1] - truth) ** 2
+    ).sum((1, 2))
+    found = np.where(swap[:, None, None], matches.lines_mm[:, ::-1], matches.lines_mm)
+    np.testing.assert_allclose(found, truth, atol=1e-6)
+
+
+def test_order_of_segments_of_ends_and_of_views_changes_only_the_numbering(noisy) -> None:
+    rig, _, seen = noisy
+    rng = np.random.default_rng(5)
+    matches = match_segments(seen, rig)
+    ranks = {name: rng.permutation(len(seen[name])) for name in VIEWS}
+    turned = {}
+    for name in VIEWS[::-1]:
+        ends = seen[name][ranks[name]]
+        swap = rng.random(len(ends)) < 0.5
+        turned[name] = np.where(swap[:, None, None], ends[:, ::-1], ends)
+    again = match_segments(turned, rig)
+    assert again.views == VIEWS[::-1]
+    numbered = np.stack([ranks[n][again.index[:, again.views.index(n)]] for n in VIEWS], axis=1)
+    numbered[again.index[:, ::-1] < 0] = -1
+    order, order_again = np.lexsort(matches.index.T), np.lexsort(numbered.T)
+    np.testing.assert_array_equal(matches.index[order], numbered[order_again])
+    np.testing.assert_array_equal(matches.lines_mm[order], again.lines_mm[order_again])
+    np.testing.assert_array_equal(matches.posterior[order], again.posterior[order_again])
+
+
+def test_lines_follow_a_change_of_the_world(noisy) -> None:
+    rig, _, seen = noisy
+    angle, scale, shift = 0.7, 3.0, np.array([100.0, -40.0, 900.0])
+    turn = np.array(
+        [[1, 0, 0], [0, np.cos(angle), -np.sin(angle)], [0, np.sin(angle), np.cos(angle)]]
+    )
+    to_old = np.eye(4)
+    to_old[:3, :3], to_old[:3, 3] = turn.T / scale, -turn.T @ shift / scale
+    matrices = dict(zip(rig.names, rig.matrices_px @ to_old, strict=True))
+    moved_rig = Rig.from_matrices(matrices, (512, 480))
+    matches, moved = match_segments(seen, rig), match_segments(seen, moved_rig)
+    np.testing.assert_array_equal(matches.index, moved.index)
+    np.testing.assert_allclose(scale * matches.lines_mm @ turn.T + shift, moved.lines_mm, atol=1e-5)
+    np.testing.assert_allclose(matches.posterior, moved.posterior, atol=1e-6)
+
+
+def test_fragments_lie_on_their_segments_and_image_the_line(noisy) -> None:
+    rig, _, seen = noisy
+    matches = match_segments(seen, rig)
+    assert len(matches) >= 35
+    for view, name in enumerate(matches.views):
+        on = matches.index[:, view] >= 0
+        ends = seen[name][matches.index[on, view]]
+        fragment = matches.fragments_px[on, view]
+        assert np.isnan(matches.fragments_px[~on, view]).all()
+        direction = np.diff(ends, axis=1)[:, 0]
+        direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+        across = (fragment - ends[:, :1]) @ np.array([[0, -1], [1, 0]]) @ direction[:, :, None]
+        np.testing.assert_allclose(across, 0, atol=1e-9)
+        image = matches.lines_mm[on] @ rig[name].matrix_px[:, :3].T + rig[name].matrix_px[:, 3]
+        # The line is fitted to all views: a few sigma from each.
+        np.testing.assert_allclose(image[..., :2] / image[..., 2:], fragment, atol=3.0)
+
+
+def test_every_unmatched_segment_has_a_reason(noisy) -> None:
+    rig, _, seen = noisy
+    stray = np.array([[[20.0, 30.0], [60.0, 32.0]], [[400.0, 30.0], [420.0, 80.0]]])
+    seen = {name: np.concatenate([ends, stray]) for name, ends in seen.items()}
+    matches = match_segments(seen, rig)
+    for view, name in enumerate(matches.views):
+        matched = np.zeros(len(seen[name]), dtype=bool)
+        matched[matches.index[matches.index[:, view] >= 0, view]] = True
+        words = matches.reasons[name]
+        assert len(words) == len(seen[name])
+        np.testing.assert_array_equal(words == "matched", matched)
+        assert (words != "").all()
+    total = sum(n for word, n in matches.counts.items() if word.startswith("segments "))
+    assert total == sum(len(ends) for ends in seen.values())
+
+
+def test_two_views_give_pairs(noisy) -> None:
+    rig, _, seen = noisy
+    matches = match_segments({name: seen[name] for name in ("left", "right")}, rig)
+    assert (matches.stage == "binocular").all()
+    right = matches.index[:, 0] == matches.index[:, 1]
+    assert right.sum() >= 15
+    assert right.mean() > 0.7
+
+
+def test_five_views_give_one_track_per_line() -> None:
+    views = ("upper", "left", "right", "low", "east")
+    rig, lines = rig_of(*views), loose_lines(20, seed=11)
+    matches = match_segments(pictures(rig, lines), rig, sigma_px=0.1)
+    assert as_set(matches, views) == {(k,) * 5 for k in range(20)}
+    assert (matches.stage == "trinocular").all()
+
+
+def test_a_line_hidden_in_one_view_is_matched_in_the_other_two() -> None:
+    rig = rig_of(*VIEWS)
+    corner = np.array([0.0, 0.0, 20.0])
+    ends = np.array([[30, 0, 20], [0, 30, 20], [0, 0, -5], [-25, -20, 20]], dtype=float)
+    lines = np.concatenate(
+        [np.stack([np.broadcast_to(corner, (4, 3)), ends], axis=1), loose_lines(30, seed=13)]
+    )
+    seen = pictures(rig, lines, sigma_px=0.1)
+    seen["upper"] = np.delete(seen["upper"], 1, axis=0)
+    matches = match_segments(seen, rig, sigma_px=0.1)
+    found = as_set(matches, VIEWS)
+    assert (-1, 1, 1) in found
+    row = np.flatnonzero((matches.index[:, 1] == 1) & (matches.index[:, 0] < 0))
+    assert matches.stage[row] == "binocular"
+
+
+def test_depth_range_excludes_and_says_so(noisy) -> None:
+    rig, _, seen = noisy
+    matches = match_segments(seen, rig, depth_range_mm=(10.0, 20.0))
+    assert len(matches) == 0
+    assert (matches.reasons["upper"] == "outside depth").sum() >= 30
+
+
+def test_known_sides_tell_partners_from_strangers(noisy) -> None:
+    rig, _, seen = noisy
+    dark = {}
+    for name in VIEWS:
+        segments = Segments.from_endpoints(seen[name])
+        ones = np.ones(len(segments), dtype=np.int64)
+        dark[name] = Segments(
+            segments.endpoints_px, segments.covariance_px2, ones, segments.contrast,
+            segments.support, None,
+        )  # fmt: skip
+    plain, sided = match_segments(seen, rig), match_segments(dark, rig)
+    assert as_set(sided, VIEWS) >= as_set(plain, VIEWS) & {(k, k, k) for k in range(40)}
+    both = [np.flatnonzero((m.index == k).all(axis=1)) for k in range(40) for m in (plain, sided)]
+    pairs = [(p[0], s[0]) for p, s in zip(both[::2], both[1::2], strict=True) if len(p) and len(s)]
+    gain = [sided.posterior[s] - plain.posterior[p] for p, s in pairs]
+    assert min(gain) > -1e-3
+
+
+def test_lens_distortion_is_taken_out_and_put_back() -> None:
+    coefficients = (-0.2, 0.05)
+    straight, bent = rig_of(*VIEWS), rig_of(*VIEWS, distortion=coefficients)
+    seen = pictures(straight, loose_lines(30, seed=17))
+    warped = {
+        name: np.stack(
+            [
+                np.stack([np.asarray(bent[name].intrinsics.distort_pixel(p)) for p in e])
+                for e in ends
+            ]
+        )
+        for name, ends in seen.items()
+    }
+    matches, again = match_segments(seen, straight), match_segments(warped, bent)
+    np.testing.assert_array_equal(matches.index, again.index)
+    np.testing.assert_allclose(matches.lines_mm, again.lines_mm, atol=1e-3)
+    whole = warped["upper"][again.index[:, 0]]
+    order = np.abs(again.fragments_px[:, 0] - whole).max((1, 2)) > 1
+    whole = np.where(order[:, None, None], whole[:, ::-1], whole)
+    np.testing.assert_allclose(again.fragments_px[:, 0], whole, atol=0.05)
+
+
+def test_another_picture_of_about_as_many_segments_compiles_nothing(noisy) -> None:
+    rig, _, seen = noisy
+    match_segments(seen, rig)
+    before = [
+        f._cache_size() for f in (candidates._predicted, candidates._gated, candidates._judged)
+    ]
+    lines = loose_lines(55, seed=19)
+    match_segments(pictures(rig, lines, sigma_px=0.3), rig)
+    after = [
+        f._cache_size() for f in (candidates._predicted, candidates._gated, candidates._judged)
+    ]
+    assert before == after
+
+
+def test_nothing_to_match_is_no_error() -> None:
+    rig = rig_of(*VIEWS)
+    empty = match_segments({name: np.zeros((0, 4)) for name in VIEWS}, rig)
+    assert len(empty) == 0
+    assert empty.lines_mm.shape == (0, 2, 3)
+    one = match_segments({name: np.array([[10.0, 10, 60, 20]]) for name in VIEWS}, rig)
+    assert len(one.reasons["left"]) == 1
+
+
+def test_what_cannot_be_matched_is_refused_in_one_sentence(noisy) -> None:
+    rig, _, seen = noisy
+    with pytest.raises(MatchError, match="two cameras"):
+        match_segments({"left": seen["left"]}, rig)
+    with pytest.raises(MatchError, match='"top"'):
+        match_segments({"top": seen["left"], "left": seen["left"]}, rig)
+    with pytest.raises(InputError, match="shape"):
+        match_segments({"left": np.zeros((3, 5)), "right": seen["right"]}, rig)
+    broken = seen["left"].copy()
+    broken[4, 1, 0] = np.nan
+    with pytest.raises(InputError, match="Segment 4"):
+        match_segments({"left": broken, "right": seen["right"]}, rig)
