@@ -122,6 +122,7 @@ def test_match_finds_the_box_and_reports_it(run, folder):
     assert record["written"] == written
     assert record["segments"] == dict.fromkeys(RIG, len(EDGES))
     matches = trinoc.load_matches(folder / "box.npz")
+    assert record["remarks"] == []
     assert len(matches) == record["tracks"]["trinocular"] + record["tracks"]["binocular"]
     ends = matches.lines_mm.reshape(-1, 3)
     nearest = np.linalg.norm(ends[:, None] - BOX_MM[None], axis=-1).min(axis=1)
@@ -200,11 +201,12 @@ def test_refusal_is_one_line_and_status_1(run, folder, what):
     assert sorted(folder.iterdir()) == before
 
 
-def test_scene_without_a_match_says_what_to_check(run):
-    alone = ["upper=upper.csv", "left=nothing.csv", "right=nothing.csv"]
-    status, out, _ = run("match", *alone, "--rig", "rig.json", "-o", "none.npz")
+@pytest.mark.parametrize("shuffled", ["upper=left.csv left=right.csv right=upper.csv", "nothing"])
+def test_scene_that_hardly_matches_says_what_to_check(run, shuffled):
+    files = shuffled.split() if "=" in shuffled else [f"{name}={shuffled}.csv" for name in RIG]
+    status, out, _ = run("match", *files, "--rig", "rig.json", "-o", "none.npz")
     assert status == 0
-    assert "No segment was matched: check" in out
+    assert "Hardly any segment was matched in three views: check" in out
 
 
 @pytest.mark.parametrize("paper", ["a4", "letter"])
