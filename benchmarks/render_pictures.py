@@ -7,10 +7,11 @@ Needs the program povray (Debian: apt-get install povray); nothing else in trino
 
 `demo` makes the bundled pictures: the default sheet (sheet_<view>.png) and a table with boxes,
 a wedge, an L-shaped block and a cylinder (scene_<view>.png) as the rig of the paper's Table 1
-sees them, 512 x 480 pixels that are not square, with truth.json and pattern.json. `blocks` makes one folder
-OUT/block_<seed> per seed with scene_<view>.png, rig.json and truth.json: other solids, light,
-greys, blur (sigma 0.5 to 2 px) and noise (1 to 8 grey levels) for every seed; --resolution 4
-divides each pixel by four along both sides (2048 x 1920).
+sees them, 512 x 480 pixels that are not square, with truth.json and pattern.json.
+
+`blocks` makes one folder OUT/block_<seed> per seed with scene_<view>.png, rig.json and
+truth.json: other solids, light, greys, blur (sigma 0.5 to 2 px) and noise (1 to 8 grey levels)
+for every seed; --resolution 4 divides each pixel by four along both sides (2048 x 1920).
 
 truth.json (format "trinoc-scene-truth"; `trinoc.io.demo.load_scene_truth` reads it):
   edges_mm    ends of every edge of the solids, in the world's frame
@@ -58,11 +59,15 @@ def main() -> None:
     )
     commands = parser.add_subparsers(dest="command", required=True)
     demo = commands.add_parser("demo", help="the bundled pictures")
-    demo.add_argument("--out", type=Path, default=DEMO)
+    demo.add_argument("--out", type=Path, default=DEMO, help="folder of the pictures")
     blocks = commands.add_parser("blocks", help="scenes of blocks, one per seed")
-    blocks.add_argument("out", type=Path)
-    blocks.add_argument("--seeds", type=int, nargs="+", default=list(range(10)))
-    blocks.add_argument("--resolution", type=int, default=1, choices=(1, 2, 4))
+    blocks.add_argument("out", type=Path, help="folder of the scenes; made if needed")
+    blocks.add_argument(
+        "--seeds", type=int, nargs="+", default=list(range(10)), help="one scene each"
+    )
+    blocks.add_argument(
+        "--resolution", type=int, default=1, choices=(1, 2, 4), help="pixels per pixel"
+    )
     for command in (demo, blocks):
         command.add_argument("--threads", type=int, default=2, help="of POV-Ray")
     arguments = parser.parse_args()

@@ -1,6 +1,6 @@
 """Scores: the truth scores one, order does not matter, and each definition by hand."""
 
-from types import SimpleNamespace
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -28,8 +28,13 @@ SEEDS = st.integers(0, 10_000)
 RIG = table1_rig()
 
 
+class Joined(NamedTuple):
+    views: tuple[str, ...]
+    index: np.ndarray
+
+
 def tracks(rows, views=VIEWS):
-    return SimpleNamespace(views=views, index=np.array(rows).reshape(-1, len(views)))
+    return Joined(views, np.array(rows).reshape(-1, len(views)))
 
 
 def perfect_tracks(truth):

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from jaxtyping import Float
 
+from trinoc.geometry.arrays import ArrayLike
 from trinoc.synth.scoring import Group
 
 # A chance touch of two supports on one line is no claim that they match.
@@ -15,7 +16,7 @@ _LEAST_COMMON_SHARE = 0.1
 def groups_of_supports(
     lines_mm: Float[np.ndarray, "t 2 3"],
     supports: Sequence[Mapping[int, Sequence[int]]],
-    endpoints_px: Sequence[Float[np.ndarray, "_ 2 2"]],
+    endpoints_px: Sequence[Float[ArrayLike, "_ 2 2"]],
     matrices_px: Float[np.ndarray, "v 3 4"],
 ) -> set[Group]:
     """The pairs and triples of segments that lines in space claim, for `score_groups`.
@@ -44,7 +45,7 @@ def groups_of_supports(
 
 def part_of_line(
     line_mm: Float[np.ndarray, "2 3"],
-    endpoints_px: Float[np.ndarray, "2 2"],
+    endpoints_px: Float[ArrayLike, "2 2"],
     matrix_px: Float[np.ndarray, "3 4"],
 ) -> Float[np.ndarray, "2"]:
     """Positions, ascending, along a line (0 its first end, 1 its second) nearest to the
@@ -53,7 +54,7 @@ def part_of_line(
     centre = -np.linalg.solve(left, matrix_px[:, 3])
     along = line_mm[1] - line_mm[0]
     positions = []
-    for uv in endpoints_px:
+    for uv in np.asarray(endpoints_px):
         ray = np.linalg.solve(left, np.append(uv, 1.0))
         normal = np.cross(ray, np.cross(along, ray))
         positions.append(normal @ (centre - line_mm[0]) / (normal @ along))
