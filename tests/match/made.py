@@ -7,12 +7,13 @@ from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.rig import Rig
 from trinoc.match.matches import Matches
 
+# Pan, tilt and swing in degrees, distance in mm.
 POSES = {
-    "upper": {"pan_deg": 2.143, "tilt_deg": 53.252, "swing_deg": -1.714, "distance_mm": 476.369},
-    "right": {"pan_deg": 23.568, "tilt_deg": 38.616, "swing_deg": -0.994, "distance_mm": 472.894},
-    "left": {"pan_deg": -23.241, "tilt_deg": 38.264, "swing_deg": 0.872, "distance_mm": 474.471},
-    "low": {"pan_deg": 5.0, "tilt_deg": 25.0, "swing_deg": 0.5, "distance_mm": 475.0},
-    "east": {"pan_deg": 40.0, "tilt_deg": 50.0, "swing_deg": 0.0, "distance_mm": 480.0},
+    "upper": (2.143, 53.252, -1.714, 476.369),
+    "right": (23.568, 38.616, -0.994, 472.894),
+    "left": (-23.241, 38.264, 0.872, 474.471),
+    "low": (5.0, 25.0, 0.5, 475.0),
+    "east": (40.0, 50.0, 0.0, 480.0),
 }
 
 
@@ -23,7 +24,13 @@ def rig_of(*names: str, distortion: tuple[float, ...] | None = None) -> Rig:
         image_size_px=(512, 480),
         distortion=distortion,
     )
-    return Rig({name: Camera.from_degrees(lens, **POSES[name]) for name in names})
+    cameras = {}
+    for name in names:
+        pan, tilt, swing, distance = POSES[name]
+        cameras[name] = Camera.from_degrees(
+            lens, pan_deg=pan, tilt_deg=tilt, swing_deg=swing, distance_mm=distance
+        )
+    return Rig(cameras)
 
 
 def loose_lines(count: int, seed: int) -> np.ndarray:

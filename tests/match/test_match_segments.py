@@ -7,7 +7,7 @@ from tests.match.made import as_set, loose_lines, pictures, rig_of
 from trinoc.errors import InputError, MatchError
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
-from trinoc.match import candidates
+from trinoc.match import candidates, occluded
 from trinoc.match.match_segments import match_segments
 
 VIEWS = ("upper", "left", "right")
@@ -181,18 +181,19 @@ def test_lens_distortion_is_taken_out_and_put_back() -> None:
     np.testing.assert_allclose(again.fragments_px[:, 0], whole, atol=0.05)
 
 
+def compiled() -> list[int]:
+    """How many versions of each kernel have been compiled."""
+    kernels = (candidates._predicted, candidates._gated, candidates._judged, occluded._judged)
+    return [getattr(kernel, "_cache_size")() for kernel in kernels]  # noqa: B009
+
+
 def test_another_picture_of_about_as_many_segments_compiles_nothing(noisy) -> None:
     rig, _, seen = noisy
     match_segments(seen, rig)
-    before = [
-        f._cache_size() for f in (candidates._predicted, candidates._gated, candidates._judged)
-    ]
+    before = compiled()
     lines = loose_lines(55, seed=19)
     match_segments(pictures(rig, lines, sigma_px=0.3), rig)
-    after = [
-        f._cache_size() for f in (candidates._predicted, candidates._gated, candidates._judged)
-    ]
-    assert before == after
+    assert compiled() == before
 
 
 def test_nothing_to_match_is_no_error() -> None:

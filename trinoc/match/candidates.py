@@ -123,7 +123,7 @@ def _triples(
         return _gated(lines, order[2], Prediction(*fields), k)
 
     near_enough = in_blocks(
-        gated, _block(lines, PAIRS_PER_SEGMENT), k, *(field[pair] for field in guess)
+        gated, _block(lines, PAIRS_PER_SEGMENT), k, *(np.asarray(field)[pair] for field in guess)
     )
     hit = np.flatnonzero(near_enough)
     # Several samples of one prediction may find one segment.
@@ -236,4 +236,6 @@ def strangers_of(lines: PictureLines, counts: list[int]) -> Strangers:
             area = min(area, max(12 * float(spread), 1e-3 * area))
         density.append(np.log(max(count, 1) / (np.pi * area)))
     all_lengths = np.concatenate(lengths)
-    return Strangers(np.array(density), np.median(all_lengths) if len(all_lengths) else 1.0)
+    return Strangers(
+        np.array(density), np.median(all_lengths) if len(all_lengths) else np.array(1.0)
+    )

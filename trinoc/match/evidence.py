@@ -78,7 +78,7 @@ def log_odds(
     habits: Habits,
 ) -> Float[np.ndarray, "m"]:
     """Log odds that each triple is one line rather than three strangers."""
-    tail = logsumexp(_tail_terms(chi_square, habits.tail), axis=1)
+    tail = np.logaddexp.reduce(_tail_terms(chi_square, habits.tail), axis=1)
     ends = _log_mixture(end_log, habits.ends).sum(axis=1)
     prior = habits.log_count + log_place(ends_mm, habits.volume)
     return prior + log_density + tail + ends + MISFIT

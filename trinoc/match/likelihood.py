@@ -8,6 +8,7 @@ unknowns are gone, whichever pair the line came from. With a flat prior on the l
 of the three places is exactly N(r; 0, S) / prod_v (pixels per mm), at both ends together.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -18,7 +19,17 @@ from trinoc.match.fragments import SMALLEST_OVERLAP
 from trinoc.match.picture_lines import PictureLines
 from trinoc.match.sight import SightPlane, extent_on_line, sight_plane
 from trinoc.match.third_view import GATE
-from trinoc.match.vectors import Scalar, Symmetric3, Vector3, add3, cross3, dot3, outer3, unit3
+from trinoc.match.vectors import (
+    Scalar,
+    Symmetric3,
+    Vector3,
+    add3,
+    cross3,
+    dot3,
+    outer3,
+    total,
+    unit3,
+)
 
 # The second longest of the segments is at least this share of the longest, on the line:
 # chords of a cylinder's rim against its silhouette are not.
@@ -84,22 +95,24 @@ def triple_evidence(
     planes = [sight_plane(lines, views[k], segments[k], points) for k in range(3)]
     normals = [plane.normal for plane in planes]
     c = [dot3(along, cross3(normals[(k + 1) % 3], normals[(k + 2) % 3])) for k in range(3)]
-    r = [sum(c[k] * planes[k].distance_mm[e] for k in range(3)) for e in range(2)]
-    s00, s01, s11 = (sum(c[k] ** 2 * planes[k].variance_mm2[i] for k in range(3)) for i in range(3))
+    r = [total(c[k] * planes[k].distance_mm[e] for k in range(3)) for e in range(2)]
+    s00, s01, s11 = (
+        total(c[k] ** 2 * planes[k].variance_mm2[i] for k in range(3)) for i in range(3)
+    )
     determinant = s00 * s11 - s01**2
     chi_square = (s11 * r[0] ** 2 - 2 * s01 * r[0] * r[1] + s00 * r[1] ** 2) / determinant
 
-    px_per_mm = sum(plane.length_px for plane in planes) / (3 * common)
+    px_per_mm = total(plane.length_px for plane in planes) / (3 * common)
     extents_px = tuple(
         ((low[k] - begin) * px_per_mm, (high[k] - begin) * px_per_mm) for k in range(3)
     )
     log_density = (
         -0.5 * jnp.log(determinant)
-        - sum(jnp.log(p.px_per_mm[0] * p.px_per_mm[1]) for p in planes)
+        - total(jnp.log(p.px_per_mm[0] * p.px_per_mm[1]) for p in planes)
         - jnp.log(common * common * px_per_mm)
         + jnp.log(planes[0].length_px * planes[1].length_px * planes[2].length_px)
         + log_lengths([second - first for first, second in extents_px], strangers.typical_px)
-        - sum(strangers.log_density[views[k]] for k in range(3))
+        - total(strangers.log_density[views[k]] for k in range(3))
     )
     length = [high[k] - low[k] for k in range(3)]
     shortest = jnp.minimum(jnp.minimum(length[0], length[1]), length[2])
@@ -127,7 +140,7 @@ def triple_evidence(
     )
 
 
-def log_lengths(lengths_px: list[Scalar], typical_px: Float[ArrayLike, ""]) -> Scalar:
+def log_lengths(lengths_px: Sequence[Scalar], typical_px: Float[ArrayLike, ""]) -> Scalar:
     """Log density of one length over those of strangers, with ends uniform on the longest."""
     longest = lengths_px[0]
     for length in lengths_px[1:]:
@@ -136,7 +149,7 @@ def log_lengths(lengths_px: list[Scalar], typical_px: Float[ArrayLike, ""]) -> S
     def log_share(length: Scalar) -> Scalar:
         return jnp.log(typical_px) - 2 * jnp.log(length + typical_px)
 
-    strange = sum(log_share(length) for length in lengths_px)
+    strange = total(log_share(length) for length in lengths_px)
     return log_share(longest) - strange - 2 * (len(lengths_px) - 1) * jnp.log(longest)
 
 
@@ -147,13 +160,15 @@ def adjusted(
     covariance across the line); `end` is 0 or 1, the point's number in the planes."""
     first = planes[0].normal
     second = cross3(along, first)
-    a00, a01, a11, b0, b1 = 0.0, 0.0, 0.0, 0.0, 0.0
-    for plane in planes:
-        n0, n1 = dot3(first, plane.normal), dot3(second, plane.normal)
-        weight = 1 / plane.variance_mm2[2 * end]
-        a00, a01, a11 = a00 + weight * n0 * n0, a01 + weight * n0 * n1, a11 + weight * n1 * n1
-        b0 = b0 + weight * n0 * plane.distance_mm[end]
-        b1 = b1 + weight * n1 * plane.distance_mm[end]
+    n = [(dot3(first, plane.normal), dot3(second, plane.normal)) for plane in planes]
+    weight = [1 / plane.variance_mm2[2 * end] for plane in planes]
+    each = list(zip(weight, n, [plane.distance_mm[end] for plane in planes], strict=True))
+    a00, a01 = (
+        total(w * m[0] * m[0] for w, m, _ in each),
+        total(w * m[0] * m[1] for w, m, _ in each),
+    )
+    a11 = total(w * m[1] * m[1] for w, m, _ in each)
+    b0, b1 = total(w * m[0] * d for w, m, d in each), total(w * m[1] * d for w, m, d in each)
     determinant = a00 * a11 - a01 * a01
     moved = add3(point, first, -(a11 * b0 - a01 * b1) / determinant)
     moved = add3(moved, second, -(a00 * b1 - a01 * b0) / determinant)

@@ -40,11 +40,11 @@ def threes_of_views(lines: PictureLines) -> list[tuple[int, int, int]]:
     centre = np.asarray(lines.centre_mm)
     distance = np.linalg.norm(centre[:, None] - centre, axis=2)
     near = np.argsort(distance, axis=1, kind="stable")[:, 1 : NEAREST + 1]
-    threes = {
-        tuple(sorted((view, int(a), int(b))))
-        for view in range(views)
-        for a, b in combinations(near[view], 2)
-    }
+    threes = set()
+    for view in range(views):
+        for other, another in combinations(near[view].tolist(), 2):
+            a, b, c = sorted((view, other, another))
+            threes.add((a, b, c))
     return sorted(threes)
 
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from trinoc.match.candidates import Candidates
 
@@ -50,7 +50,7 @@ def junctions(candidates: Candidates) -> Junctions:
     """All meetings of ends of candidates that have no segment in common."""
     ends = candidates.outer_mm.reshape(-1, 3)
     reach = REACH_PX / float(np.median(candidates.px_per_mm)) if len(ends) else 0.0
-    pairs = cKDTree(ends).query_pairs(reach, output_type="ndarray") if len(ends) else _NONE
+    pairs = KDTree(ends).query_pairs(reach, output_type="ndarray") if len(ends) else _NONE
     first, second = pairs[:, 0] // 2, pairs[:, 1] // 2
     strangers = (first != second) & ~_share_a_segment(candidates.index, first, second)
     pairs = pairs[strangers]

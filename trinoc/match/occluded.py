@@ -199,13 +199,14 @@ def _pairs_of(
         part,
         stacked(found.ends_mm, keep),
         np.zeros(len(keep)),
-        found.log_density[keep] + polarity_evidence(np.asarray(lines.polarity), index, part),
+        np.asarray(found.log_density)[keep]
+        + polarity_evidence(np.asarray(lines.polarity), index, part),
         stacked(found.end_log, keep),
         stacked(found.outer_mm, keep),
         stacked(found.outer_covariance_mm2, keep),
-        found.px_per_mm[keep],
+        np.asarray(found.px_per_mm)[keep],
     )
-    return _Possible(candidates, found.expected[keep])
+    return _Possible(candidates, np.asarray(found.expected)[keep])
 
 
 @jax.jit

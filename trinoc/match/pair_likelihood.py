@@ -22,7 +22,7 @@ from trinoc.match.likelihood import SHORTEST_TO_LONGEST, Strangers, adjusted, lo
 from trinoc.match.pencil import Pencil, PencilSegments
 from trinoc.match.picture_lines import PictureLines
 from trinoc.match.sight import extent_on_line, image_of, sight_plane
-from trinoc.match.vectors import Scalar, Symmetric3, Vector3, add3, cross3, dot3, unit3
+from trinoc.match.vectors import Scalar, Symmetric3, Vector3, add3, cross3, dot3, total, unit3
 
 # Ends agree, by scale; or do not.
 PAIR_COMPONENTS = len(AGREEING_PX) + 1
@@ -70,15 +70,15 @@ def pair_evidence(
     lengths = [high[k] - low[k] for k in range(2)]
     log_density = (
         -2 * jnp.log(sine)
-        - sum(jnp.log(s.px_per_mm[0] * s.px_per_mm[1]) for s in sights)
+        - total(jnp.log(s.px_per_mm[0] * s.px_per_mm[1]) for s in sights)
         - jnp.log(length_mm * length_mm * px_per_mm)
-        + sum(jnp.log(s.length_px) for s in sights)
+        + total(jnp.log(s.length_px) for s in sights)
         + log_lengths(lengths, strangers.typical_px)
-        - sum(strangers.log_density[views[k]] for k in range(2))
+        - total(strangers.log_density[views[k]] for k in range(2))
     )
     longest = jnp.maximum(lengths[0], lengths[1])
     shortest = jnp.minimum(lengths[0], lengths[1])
-    slack = [sum(row.end_variance_px2[e] for row in rows) for e in range(2)]
+    slack = [total(row.end_variance_px2[e] for row in rows) for e in range(2)]
     outer = (
         add3(points[0], along, jnp.minimum(low[0], low[1]) / px_per_mm),
         add3(points[0], along, jnp.maximum(high[0], high[1]) / px_per_mm),

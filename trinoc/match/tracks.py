@@ -119,4 +119,4 @@ def lines_in_space(
         return _triangulated(seen.lines.matrix_px, *columns)
 
     found = in_blocks(triangulated, block, fragments_px, covariance_px2, index >= 0)
-    return found.ends_mm, found.covariance_mm2
+    return np.asarray(found.ends_mm), np.asarray(found.covariance_mm2)

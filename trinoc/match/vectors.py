@@ -5,6 +5,10 @@ over the items; a batch of 3-vectors and 2x2 matrices becomes thousands of tiny 
 of times slower on a CPU.
 """
 
+import functools
+import operator
+from collections.abc import Iterable
+
 import jax.numpy as jnp
 from jaxtyping import Float
 
@@ -25,6 +29,11 @@ def vector2(array: Float[ArrayLike, "2"]) -> Vector2:
 def vector3(array: Float[ArrayLike, "3"]) -> Vector3:
     """The components of an array."""
     return array[0], array[1], array[2]
+
+
+def total(terms: Iterable[Scalar]) -> Scalar:
+    """Sum of at least one scalar."""
+    return functools.reduce(operator.add, terms)
 
 
 def dot3(a: Vector3, b: Vector3) -> Scalar:
