@@ -16,6 +16,15 @@ def coverage_of_cells(level: Float[np.ndarray, "m s s"]) -> Float[np.ndarray, "m
     sum of two uniform variables, as wide as the level changes along each side, and the share
     is their distribution function at zero.
     """
+    low, high = level.min(axis=(1, 2)), level.max(axis=(1, 2))
+    # A boundary further from the centres than they differ among themselves cuts no cell.
+    cut = (2 * low < high) & (2 * high > low)
+    share = coverage_of_points(level)
+    share[cut] = _share(level[cut])
+    return share
+
+
+def _share(level: Float[np.ndarray, "m s s"]) -> Float[np.ndarray, "m s s"]:
     down, across = (np.abs(change) for change in np.gradient(level, axis=(1, 2)))
     wide = np.maximum(np.maximum(down, across), 1e-12)
     # Below this ratio the trapezium is a box to rounding, and its formula would lose digits.
