@@ -112,8 +112,9 @@ def _sheets(
         except DetectionError as refusal:
             refusals.append((len(lattice), refusal))
             continue
-        if not any(shows_same_sheet(known, sheet, pattern) for known in sheets):
-            sheets.append(sheet)
+        apart = [known for known in sheets if not shows_same_sheet(known, sheet, pattern)]
+        same = [known for known in sheets if shows_same_sheet(known, sheet, pattern)]
+        sheets = [*apart, max([*same, sheet], key=lambda each: len(each.index[0]))]
     return sheets
 
 

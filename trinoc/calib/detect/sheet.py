@@ -79,6 +79,9 @@ def read_sheet(
 
 def shows_same_sheet(first: Sheet, second: Sheet, pattern: Pattern) -> bool:
     """Whether two readings of a picture are of one sheet, split by a shadow or a hand, say."""
+    if len(second.index[0]) > len(first.index[0]):
+        # A few circles do not tell where all the others lie, so the larger reading predicts.
+        first, second = second, first
     index = second.index[0]
     centre, shape = first.warp.ellipses(pattern.centres_mm[index], pattern.radius_mm[index])
     off = second.ellipses.centres_px - centre
