@@ -1,5 +1,7 @@
 """From judged circle fits to fits of the pictures themselves."""
 
+import functools
+import os
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -46,7 +48,7 @@ def refine_fits(
     lenses: Mapping[str, Intrinsics],
     parameter_count: int,
 ) -> dict[str, RefinedFit]:
-    """Fit each picture from its circles' pose; one thread each, since they share nothing.
+    """Fit each picture from its circles' pose; in threads, since they share nothing.
 
     A picture that cannot be fitted keeps its circle fit, and a note says so.
     """
@@ -58,8 +60,15 @@ def refine_fits(
                 pictures[name], fits[name], detections[name], pattern, lenses[name], parameter_count
             )
 
-    with ThreadPoolExecutor(max_workers=max(1, len(fits))) as threads:
-        return dict(zip(fits, threads.map(refine, fits), strict=True))
+    if len(fits) < 2:
+        return {name: refine(name) for name in fits}
+    return dict(zip(fits, _threads().map(refine, fits), strict=True))
+
+
+@functools.cache
+def _threads() -> ThreadPoolExecutor:
+    """The threads of all fits: what the compiler keeps for each thread is never given back."""
+    return ThreadPoolExecutor(max_workers=os.cpu_count(), thread_name_prefix="trinoc-refine")
 
 
 def _refine(
