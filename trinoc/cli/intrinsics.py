@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from trinoc.cli.command import Command, Outcome, UsageError
+from trinoc.cli.lens_options import NOT_GIVEN
 from trinoc.cli.progress import LOGGER, each
 
 if TYPE_CHECKING:
@@ -36,9 +37,10 @@ class Intrinsics(Command):
     """Whether the principal point is fitted, or held in the middle of the picture."""
 
     pixel_pitch_mm: Annotated[
-        tuple[float, ...], tyro.conf.arg(metavar="MM", help_behavior_hint="(optional)")
-    ] = ()
-    """Size of a pixel: one number, or width and height. Gives a focal length in mm, too."""
+        tuple[float, float],
+        tyro.conf.arg(metavar="WIDTH HEIGHT", help_behavior_hint="(optional)"),
+    ] = NOT_GIVEN
+    """Size of a pixel in mm. Gives a focal length in mm, too."""
 
     aspect: Literal["free", "pitch"] = "free"
     """Whether both focal lengths are fitted, or their ratio is held at that of the pixels."""
@@ -50,8 +52,6 @@ class Intrinsics(Command):
         """Calibrate the lens and write it."""
         if not self.pictures:
             raise UsageError("No picture is given: give several pictures of the sheet.")
-        if len(self.pixel_pitch_mm) > 2:
-            raise UsageError("--pixel-pitch-mm takes one number, or width and height.")
 
         from trinoc.calib.intrinsics.calibrate_intrinsics import calibrate_intrinsics
         from trinoc.cli.provenance import provenance
@@ -62,13 +62,13 @@ class Intrinsics(Command):
         pattern = load_pattern(self.pattern)
         images = [read_image(path) for path in each(self.pictures, "reading", quiet=self.quiet)]
         LOGGER.info("calibrating the lens of %d pictures", len(images))
-        pitch_mm = self.pixel_pitch_mm
+        pitch_mm = None if self.pixel_pitch_mm == NOT_GIVEN else self.pixel_pitch_mm
         result = calibrate_intrinsics(
             images,
             pattern,
             distortion=self.distortion,
             principal_point=self.principal_point,
-            pixel_pitch_mm=(pitch_mm[0], pitch_mm[-1]) if pitch_mm else None,
+            pixel_pitch_mm=pitch_mm,
             aspect=self.aspect,
         )
         inputs = {f"picture {k + 1}": path for k, path in enumerate(self.pictures)}

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from trinoc.geometry.intrinsics import Intrinsics
 
 # Not None: an option that may be a pair or nothing would take pictures that follow it.
-_NOT_GIVEN = (0.0, 0.0)
+NOT_GIVEN = (0.0, 0.0)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -34,7 +34,7 @@ class LensOptions:
 
     pixel_pitch_mm: Annotated[
         tuple[float, float], tyro.conf.arg(metavar="WIDTH HEIGHT", help_behavior_hint="")
-    ] = _NOT_GIVEN
+    ] = NOT_GIVEN
     """Size of a pixel in mm."""
 
     def lenses(self, sizes_px: Mapping[str, tuple[int, int]]) -> "dict[str, Intrinsics]":
@@ -45,14 +45,14 @@ class LensOptions:
         from trinoc.geometry.intrinsics import Intrinsics
         from trinoc.io.intrinsics_json import load_intrinsics
 
-        by_numbers = self.focal_length_mm is not None or self.pixel_pitch_mm != _NOT_GIVEN
+        by_numbers = self.focal_length_mm is not None or self.pixel_pitch_mm != NOT_GIVEN
         if by_numbers == bool(self.intrinsics):
             raise UsageError(
                 "The lens is not determined: give either --intrinsics, or --focal-length-mm and "
                 "--pixel-pitch-mm."
             )
         if by_numbers:
-            if self.focal_length_mm is None or self.pixel_pitch_mm == _NOT_GIVEN:
+            if self.focal_length_mm is None or self.pixel_pitch_mm == NOT_GIVEN:
                 raise UsageError(
                     "The lens is not determined: --focal-length-mm MM and --pixel-pitch-mm WIDTH "
                     "HEIGHT go together."
