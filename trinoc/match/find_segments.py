@@ -15,7 +15,7 @@ from trinoc.match.nevatia_babu.disturbances import disturbances, widened
 from trinoc.match.nevatia_babu.edge_points import EdgePoints
 from trinoc.match.nevatia_babu.ends import snapped_ends
 from trinoc.match.nevatia_babu.false_alarms import least_evidence
-from trinoc.match.nevatia_babu.levels import fine_level, half_level
+from trinoc.match.nevatia_babu.levels import fine_level
 from trinoc.match.nevatia_babu.line_fit import FittedLines, fit_lines
 from trinoc.match.nevatia_babu.masks import combined_kernel
 from trinoc.match.nevatia_babu.merging import collinear_successors, merged_runs
@@ -79,8 +79,7 @@ def find_segments(
         )
     kernel = combined_kernel(SMOOTHING)
     fine = fine_level(picture.grey, picture.quantum, kernel)
-    half = half_level(picture.grey, picture.quantum, kernel)
-    points, first = runs_of_both_levels(fine, half, kernel, tolerance_px, least_contrast)
+    points, first = runs_of_both_levels(fine, kernel, tolerance_px, least_contrast)
     lines = fit_lines(points, first)
     points, first, lines = _merged(points, first, lines, tolerance_px)
 

@@ -3,8 +3,6 @@
 import numpy as np
 from jaxtyping import Int
 
-from trinoc.match.nevatia_babu.near import group_labels
-
 
 def ordered_chains(
     successor: Int[np.ndarray, "n"],
@@ -53,6 +51,11 @@ def _lowest_of_loops(
 ) -> Int[np.ndarray, "loops"]:
     """The point of lowest index of each closed chain; `closed` are all points of such chains."""
     place = np.empty(len(predecessor), dtype=np.int64)
-    place[closed] = np.arange(len(closed))
-    loop = group_labels(len(closed), np.arange(len(closed)), place[predecessor[closed]])
-    return closed[np.unique(loop)]
+    here = np.arange(len(closed))
+    place[closed] = here
+    back, lowest = place[predecessor[closed]], here
+    # After k rounds each point knows the lowest of the 2^k points before it.
+    for _ in range(len(closed).bit_length()):
+        lowest = np.minimum(lowest, lowest[back])
+        back = back[back]
+    return closed[lowest == here]

@@ -45,7 +45,8 @@ class EdgePoints(NamedTuple):
 
     def select(self, which: np.ndarray) -> "EdgePoints":
         """The points at the given indices, in that order, or where the mask is true."""
-        return EdgePoints(*(field[which] for field in self))
+        index = np.flatnonzero(which) if which.dtype == np.bool_ else which
+        return EdgePoints(*(np.take(field, index, axis=0) for field in self))
 
     @classmethod
     def of_level(cls, pixels: ThinnedPixels, level: Level) -> "EdgePoints":

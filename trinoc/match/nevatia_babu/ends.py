@@ -6,6 +6,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
+from trinoc.match.nevatia_babu.near import distinct
+
 _SAMPLE_PX = 3.0
 _NEIGHBOURS = 12
 _LEAST_SINE = np.sin(np.radians(15.0))
@@ -49,7 +51,7 @@ def meetings(
     )
     near = np.asarray(neighbours)
     end, slot = np.nonzero(near < len(samples))
-    pair = np.unique(end * len(centre_px) + owner[near[end, slot]])
+    pair = distinct(end * len(centre_px) + owner[near[end, slot]])
     end, other = np.divmod(pair, len(centre_px))
     line, side = np.divmod(end, 2)
     between = centre_px[other] - centre_px[line]

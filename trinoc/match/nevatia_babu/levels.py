@@ -20,6 +20,7 @@ class Level(NamedTuple):
     Fields
     ------
     grey : (h, w) grey levels.
+    quantum : step between two grey levels, 0 for real numbers.
     spacing_px : distance between two pixels of this level.
     kernel_variance_px2 : variance of the smoothing by the kernel at this level.
     sigma_strength : standard deviation of the gradient from noise, in grey levels per pixel.
@@ -28,6 +29,7 @@ class Level(NamedTuple):
     """
 
     grey: Float[np.ndarray, "h w"]
+    quantum: float
     spacing_px: float
     kernel_variance_px2: float
     sigma_strength: float
@@ -39,13 +41,13 @@ def fine_level(grey: Float[np.ndarray, "h w"], quantum: float, kernel: GradientK
     return _level(grey, 1.0, quantum, kernel)
 
 
-def half_level(grey: Float[np.ndarray, "h w"], quantum: float, kernel: GradientKernel) -> Level:
+def half_level(fine: Level, kernel: GradientKernel) -> Level:
     """The picture with each two by two pixels averaged; an odd last row or column is left out."""
-    height, width = (side // 2 * 2 for side in grey.shape)
+    height, width = (side // 2 * 2 for side in fine.grey.shape)
     half = cv2.resize(
-        grey[:height, :width], (width // 2, height // 2), interpolation=cv2.INTER_AREA
+        fine.grey[:height, :width], (width // 2, height // 2), interpolation=cv2.INTER_AREA
     )
-    return _level(half, 2.0, quantum / 2, kernel)
+    return _level(half, 2.0, fine.quantum / 2, kernel)
 
 
 def _level(
@@ -56,6 +58,7 @@ def _level(
     variance = kernel.variance_px2 * spacing**2 + (spacing**2 - 1) / 12
     return Level(
         grey,
+        quantum,
         spacing,
         variance,
         sigma * kernel.noise_gain / spacing,

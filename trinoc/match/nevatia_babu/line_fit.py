@@ -77,7 +77,7 @@ def fit_lines(points: EdgePoints, first: Int[np.ndarray, "r"]) -> FittedLines:
             rms = np.sqrt(sums(across**2, first) / support)
             scale = _ROBUST_SCALE_PX + 2 * rms
             weight = np.sqrt(information) / (1 + np.square(across / scale[run])) ** 2
-    along = (offset * direction[run]).sum(axis=-1)
+    along = offset[:, 0] * direction[run, 0] + offset[:, 1] * direction[run, 1]
 
     total = sums(weight, first)
     if len(first):

@@ -11,7 +11,7 @@ REACH_PX = 2
 _SECTORS = 16
 # Of the 24 steps, those within some sixty degrees of the direction.
 _AHEAD = 10
-_LEAST_COSINE = np.cos(np.radians(30.0))
+_LEAST_COSINE = np.float32(np.cos(np.radians(30.0)))
 
 
 def successors(pixels: ThinnedPixels, shape: tuple[int, int]) -> Int[np.ndarray, "n"]:
@@ -24,11 +24,11 @@ def successors(pixels: ThinnedPixels, shape: tuple[int, int]) -> Int[np.ndarray,
     count = len(pixels.pixel)
     successor = np.full(count, -1, dtype=np.int64)
     first, second, cost = _candidate_links(pixels, shape)
-    if len(first) == 0:
-        return successor
-    chosen = _first_of_each(first, cost)
-    chosen = chosen[_is_first_of_each(second, cost)[chosen]]
-    successor[first[chosen]] = second[chosen]
+    least_before, least_after = (np.full(count, np.inf, dtype=np.float32) for _ in range(2))
+    np.minimum.at(least_after, first, cost)
+    np.minimum.at(least_before, second, cost)
+    mutual = np.flatnonzero((cost == least_after[first]) & (cost == least_before[second]))
+    successor[first[mutual]] = second[mutual]
     return successor
 
 
@@ -39,26 +39,29 @@ def _candidate_links(
     width = shape[1]
     at_pixel = np.full(shape[0] * width, -1, dtype=np.int32)
     at_pixel[pixels.pixel] = np.arange(len(pixels.pixel), dtype=np.int32)
-    direction = pixels.direction
-    sector = np.rint(
-        np.arctan2(direction[:, 1], direction[:, 0]) * (_SECTORS / (2 * np.pi))
-    ).astype(np.int64)
-    offsets = _offsets_ahead()
-    neighbours = pixels.pixel[:, None] + (offsets @ np.array([1, width]))[sector % _SECTORS]
-    found = at_pixel[neighbours]
-    first, which = np.nonzero(found >= 0)
-    second = found[first, which].astype(np.int64)
+    # Columns one by one: arrays of pairs would be walked in steps of two.
+    along_u, along_v = (np.ascontiguousarray(column) for column in pixels.direction.T)
+    u, v = (np.ascontiguousarray(column) for column in pixels.uv_px.T)
+    sector = np.rint(np.arctan2(along_v, along_u) * np.float32(_SECTORS / (2 * np.pi)))
+    offsets = (_offsets_ahead() @ np.array([1, width]))[sector.astype(np.int64) % _SECTORS]
+    found = at_pixel[pixels.pixel[:, None] + offsets].ravel()
+    slot = np.flatnonzero(found >= 0)
+    first, second = slot // _AHEAD, found[slot].astype(np.int64)
 
-    between = pixels.uv_px[second] - pixels.uv_px[first]
-    one, other = direction[first], direction[second]
-    cosine = (one * other).sum(axis=-1)
-    mean = one + other
-    mean /= np.maximum(np.linalg.norm(mean, axis=-1, keepdims=True), 1e-6)
-    along = (between * mean).sum(axis=-1)
-    across = np.abs(between[:, 0] * mean[:, 1] - between[:, 1] * mean[:, 0])
-    allowed = (cosine > _LEAST_COSINE) & (along > 0)
-    cost = along + 1.5 * across + 2 * (1 - cosine)
-    return first[allowed], second[allowed], cost[allowed]
+    one_u, one_v = along_u[first], along_v[first]
+    other_u, other_v = along_u[second], along_v[second]
+    cosine = one_u * other_u + one_v * other_v
+    turning = np.flatnonzero(cosine > _LEAST_COSINE)
+    first, second, cosine = first[turning], second[turning], cosine[turning]
+    mean_u, mean_v = one_u[turning] + other_u[turning], one_v[turning] + other_v[turning]
+    between_u, between_v = u[second] - u[first], v[second] - v[first]
+    # Two unit vectors with this cosine add up to a vector of this length.
+    size = np.sqrt(2 + 2 * cosine)
+    along = (between_u * mean_u + between_v * mean_v) / size
+    across = np.abs(between_u * mean_v - between_v * mean_u) / size
+    ahead = np.flatnonzero(along > 0)
+    cost = along + np.float32(1.5) * across + 2 * (1 - cosine)
+    return first[ahead], second[ahead], cost[ahead]
 
 
 @functools.cache
@@ -70,20 +73,3 @@ def _offsets_ahead() -> Int[np.ndarray, "sectors m 2"]:
     ahead = steps @ np.stack([np.cos(angle), np.sin(angle)])
     return np.stack([steps[np.argsort(-column, kind="stable")[:_AHEAD]] for column in ahead.T])
 
-
-def _first_of_each(group: Int[np.ndarray, "m"], cost: Float[np.ndarray, "m"]) -> np.ndarray:
-    """Indices of the cheapest member of each group."""
-    order = np.argsort(_rank_key(group, cost))
-    grouped = group[order]
-    return order[np.concatenate([[True], grouped[1:] != grouped[:-1]])]
-
-
-def _is_first_of_each(group: Int[np.ndarray, "m"], cost: Float[np.ndarray, "m"]) -> np.ndarray:
-    mark = np.zeros(len(group), dtype=bool)
-    mark[_first_of_each(group, cost)] = True
-    return mark
-
-
-def _rank_key(group: Int[np.ndarray, "m"], cost: Float[np.ndarray, "m"]) -> Int[np.ndarray, "m"]:
-    """Whole numbers that sort by group, then by cost in steps of 1e-4."""
-    return (group << 20) | np.rint(cost * 1e4).astype(np.int64)

@@ -28,6 +28,7 @@ class GradientKernel(NamedTuple):
     Fields
     ------
     u, v : (k, k) kernels, for correlation (not convolution).
+    mask_u, mask_v : (5, 5) the same before smoothing, and `smoothing`, how many times it is done.
     variance_px2 : variance of the smoothing that they imply; a blurred step seen through them
         has a profile of this variance plus that of the blur.
     noise_gain : standard deviation of either answer to white noise of unit deviation.
@@ -37,6 +38,9 @@ class GradientKernel(NamedTuple):
 
     u: Float[np.ndarray, "k k"]
     v: Float[np.ndarray, "k k"]
+    mask_u: Float[np.ndarray, "5 5"]
+    mask_v: Float[np.ndarray, "5 5"]
+    smoothing: int
     variance_px2: float
     noise_gain: float
     slope_gain: float
@@ -76,13 +80,15 @@ def combined_kernel(smoothing: int) -> GradientKernel:
     """
     masks = nevatia_babu_masks()
     directions = mask_gradient_directions()
-    kernels = np.einsum("mij,mc->cij", masks, directions)
+    combined = np.einsum("mij,mc->cij", masks, directions)
+    u, _ = _coordinates(combined.shape[-1])
+    # A ramp of one grey level per pixel shall answer with one.
+    combined = combined / (combined[0] * u).sum()
+    kernels = combined
     binomial = np.outer([1, 2, 1], [1, 2, 1]) / 16.0
     for _ in range(smoothing):
         kernels = np.stack([_full_convolution(kernel, binomial) for kernel in kernels])
     u, _ = _coordinates(kernels.shape[-1])
-    # A ramp of one grey level per pixel shall answer with one.
-    kernels = kernels / (kernels[0] * u).sum()
     # Integrating the kernel across the edge turns u into u^2 / 2 and u^3 into u^4 / 4: the
     # variance of the implied smoothing is a third of the ratio of its third to first moment.
     variance = (kernels[0] * u**3).sum() / (3 * (kernels[0] * u).sum())
@@ -91,7 +97,7 @@ def combined_kernel(smoothing: int) -> GradientKernel:
     collapsed = np.pad(kernels[0].sum(axis=0), 2)
     slope_gain = (np.square(collapsed[2:] - collapsed[:-2]) / 4).sum()
     return GradientKernel(
-        kernels[0], kernels[1], float(variance), float(noise_gain), float(slope_gain)
+        *kernels, *combined, smoothing, float(variance), float(noise_gain), float(slope_gain)
     )
 
 

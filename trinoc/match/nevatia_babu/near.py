@@ -23,6 +23,12 @@ def near_pairs(
     return one, found[one, slot], distance[one, slot]
 
 
+def distinct(keys: Int[np.ndarray, "p"]) -> Int[np.ndarray, "d"]:
+    """The different keys in rising order; none may be negative. Faster than np.unique."""
+    ordered = np.sort(keys)
+    return ordered[np.flatnonzero(np.diff(ordered, prepend=-1))]
+
+
 def group_labels(
     count: int, one: Int[np.ndarray, "p"], other: Int[np.ndarray, "p"]
 ) -> Int[np.ndarray, "n"]:

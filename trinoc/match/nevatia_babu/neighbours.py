@@ -15,6 +15,7 @@ from scipy.special import erf
 from trinoc.match.nevatia_babu.edge_points import EdgePoints
 from trinoc.match.nevatia_babu.ends import line_samples
 from trinoc.match.nevatia_babu.line_fit import FittedLines
+from trinoc.match.nevatia_babu.near import distinct
 from trinoc.match.nevatia_babu.runs import members
 
 REACH_PX = 4.5
@@ -39,7 +40,7 @@ def line_pairs_within(
     one, other = owner[near[:, 0]], owner[near[:, 1]]
     different = one != other
     one, other = one[different], other[different]
-    key = np.unique(np.concatenate([one * len(owner) + other, other * len(owner) + one]))
+    key = distinct(np.concatenate([one * len(owner) + other, other * len(owner) + one]))
     return np.divmod(key, len(owner))
 
 

@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float
 
 # Rows enough for an estimate good to one part in a hundred; more would only cost time.
-_MOST_ROWS = 150
+_MOST_ROWS = 60
 QUANTISATION_SIGMA = float(np.sqrt(1 / 12))
 # Pictures of real numbers are taken to be good to this share of their range.
 LEAST_OF_RANGE = 1e-4

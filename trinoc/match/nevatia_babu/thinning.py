@@ -38,7 +38,7 @@ class ThinnedPixels(NamedTuple):
 
     def select(self, which: np.ndarray) -> "ThinnedPixels":
         """The pixels at the given indices, in that order."""
-        return ThinnedPixels(*(field[which] for field in self))
+        return ThinnedPixels(*(np.take(field, which, axis=0) for field in self))
 
     @property
     def direction(self) -> Float[np.ndarray, "n 2"]:

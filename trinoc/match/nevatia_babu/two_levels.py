@@ -6,7 +6,7 @@ from jaxtyping import Bool, Int
 
 from trinoc.match.nevatia_babu.edge_points import EdgePoints, joined
 from trinoc.match.nevatia_babu.level_runs import straight_runs
-from trinoc.match.nevatia_babu.levels import Level
+from trinoc.match.nevatia_babu.levels import Level, half_level
 from trinoc.match.nevatia_babu.masks import GradientKernel
 from trinoc.match.nevatia_babu.runs import members, sums
 
@@ -22,7 +22,6 @@ LEAST_COARSE = 5
 
 def runs_of_both_levels(
     fine: Level,
-    half: Level,
     kernel: GradientKernel,
     tolerance_px: float,
     least_contrast: float,
@@ -30,15 +29,21 @@ def runs_of_both_levels(
     """(points, first): points of straight runs one after another, and where each run begins.
 
     Runs that stand out clearly at full resolution are taken from there. Elsewhere the half
-    resolution is searched; faint runs of the full one remain where it finds nothing.
+    resolution is searched; faint runs of the full one remain where it finds nothing. In
+    pictures of so little noise that all runs stand out, the half resolution is left out.
     """
+    least_fine = _least_strength(fine, FINE_THRESHOLD, least_contrast)
     points, first = straight_runs(
         fine,
         kernel,
-        least_strength=_least_strength(fine, FINE_THRESHOLD, least_contrast),
+        least_strength=least_fine,
         tolerance_px=tolerance_px,
         least_points=LEAST_FINE,
     )
+    if least_fine > CLEAR_RATIO * fine.sigma_strength:
+        # So little noise that every point stands out clearly.
+        return points, first
+    half = half_level(fine, kernel)
     support = np.diff(np.append(first, len(points.strength)))
     clear = sums(points.evidence, first) > CLEAR_RATIO**2 * support
     half_pixel = _half_pixel(points, half)
