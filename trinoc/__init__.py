@@ -9,6 +9,10 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from trinoc import errors
     from trinoc.calib.calibrate import calibrate
+    from trinoc.calib.detect.detect_pattern import detect_pattern
+    from trinoc.calib.intrinsics.calibrate_intrinsics import calibrate_intrinsics
+    from trinoc.calib.joint.moved import check_rig
+    from trinoc.calib.joint.refine import refine
     from trinoc.calib.pattern import Pattern
     from trinoc.geometry.camera import Camera
     from trinoc.geometry.intrinsics import Intrinsics
@@ -33,6 +37,9 @@ __all__ = [
     "Rig",
     "Segments",
     "calibrate",
+    "calibrate_intrinsics",
+    "check_rig",
+    "detect_pattern",
     "errors",
     "find_segments",
     "load_matches",
@@ -40,6 +47,7 @@ __all__ = [
     "load_rig",
     "load_segments",
     "match_segments",
+    "refine",
     "save",
 ]
 
@@ -51,12 +59,16 @@ _MODULE_OF = {
     "Rig": "trinoc.geometry.rig",
     "Segments": "trinoc.geometry.segments",
     "calibrate": "trinoc.calib.calibrate",
+    "calibrate_intrinsics": "trinoc.calib.intrinsics.calibrate_intrinsics",
+    "check_rig": "trinoc.calib.joint.moved",
+    "detect_pattern": "trinoc.calib.detect.detect_pattern",
     "find_segments": "trinoc.match.find_segments",
     "load_matches": "trinoc.io.matches_npz",
     "load_pattern": "trinoc.io.pattern_json",
     "load_rig": "trinoc.io.rig_json",
     "load_segments": "trinoc.io.segments_npz",
     "match_segments": "trinoc.match.match_segments",
+    "refine": "trinoc.calib.joint.refine",
     "save": "trinoc.io.save",
 }
 

@@ -113,4 +113,7 @@ def match_sets(draw: st.DrawFn) -> Matches:
             for view in views
         },
         counts={"candidates": 12, "rejected by neighbours": 3},
+        fragments_covariance_px2=draw(
+            st.sampled_from([None, random.normal(size=(tracks, sides, 4, 4))])
+        ),
     )

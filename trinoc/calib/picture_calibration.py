@@ -1,7 +1,6 @@
 """From judged circle fits to fits of the pictures themselves."""
 
 import functools
-import os
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -68,7 +67,7 @@ def refine_fits(
 @functools.cache
 def _threads() -> ThreadPoolExecutor:
     """The threads of all fits: what the compiler keeps for each thread is never given back."""
-    return ThreadPoolExecutor(max_workers=os.cpu_count(), thread_name_prefix="trinoc-refine")
+    return ThreadPoolExecutor(thread_name_prefix="trinoc-refine")
 
 
 def _refine(

@@ -15,11 +15,13 @@ import tyro
 
 import trinoc
 from trinoc.cli.calibrate import Calibrate
+from trinoc.cli.check import Check
 from trinoc.cli.command import Command, UsageError
 from trinoc.cli.demo import Demo
 from trinoc.cli.intrinsics import Intrinsics
 from trinoc.cli.match import Match
 from trinoc.cli.pattern import Pattern
+from trinoc.cli.refine import Refine
 from trinoc.cli.segments import Segments
 from trinoc.errors import TrinocError
 
@@ -35,6 +37,8 @@ AnyCommand = (
     | Annotated[Calibrate, tyro.conf.subcommand("calibrate")]
     | Annotated[Segments, tyro.conf.subcommand("segments")]
     | Annotated[Match, tyro.conf.subcommand("match")]
+    | Annotated[Refine, tyro.conf.subcommand("refine")]
+    | Annotated[Check, tyro.conf.subcommand("check")]
 )
 
 

@@ -10,6 +10,7 @@ from trinoc.match.matches import BINOCULAR, TRINOCULAR, Matches
 
 FORMAT, VERSION = "trinoc-matches", 1
 _REASONS = "reasons/"
+_FRAGMENTS_COVARIANCE = "fragments_covariance_px2"
 
 
 def save_matches(matches: Matches, path: str | os.PathLike[str]) -> None:
@@ -26,6 +27,8 @@ def save_matches(matches: Matches, path: str | os.PathLike[str]) -> None:
         "count_names": _texts(matches.counts),
         "count_values": np.array(list(matches.counts.values()), dtype=np.int64),
     }
+    if matches.fragments_covariance_px2 is not None:
+        arrays[_FRAGMENTS_COVARIANCE] = matches.fragments_covariance_px2
     reasons = {_REASONS + view: _texts(words) for view, words in matches.reasons.items()}
     write_arrays(path, FORMAT, VERSION, {**arrays, **reasons})
 
@@ -48,6 +51,8 @@ def load_matches(path: str | os.PathLike[str]) -> Matches:
         "posterior": (tracks,),
         "runner_up": (tracks,),
     }
+    if _FRAGMENTS_COVARIANCE in arrays:
+        shapes[_FRAGMENTS_COVARIANCE] = (tracks, sides, 4, 4)
     for name, shape in shapes.items():
         if take(arrays, name, path).shape != shape:
             raise InputError(
@@ -84,6 +89,7 @@ def load_matches(path: str | os.PathLike[str]) -> Matches:
                 take(arrays, "count_names", path), take(arrays, "count_values", path), strict=True
             )
         },
+        fragments_covariance_px2=arrays.get(_FRAGMENTS_COVARIANCE),
     )
 
 

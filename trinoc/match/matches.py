@@ -4,6 +4,9 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int, Shaped
 
+from trinoc.errors import InputError
+from trinoc.geometry.line_observations import LineObservations
+
 TRINOCULAR, BINOCULAR = "trinocular", "binocular"
 
 
@@ -25,6 +28,8 @@ class Matches(eqx.Module):
     reasons : for each view, (n,) words that say why a segment is on no track, "matched"
         where it is on one.
     counts : what each step of the matching produced and rejected, by name.
+    fragments_covariance_px2 : (t, v, 4, 4) of the fragments' ends, NaN where not seen; None
+        where not known.
     """
 
     views: tuple[str, ...] = eqx.field(static=True)
@@ -37,6 +42,25 @@ class Matches(eqx.Module):
     runner_up: Float[np.ndarray, "t"]
     reasons: dict[str, Shaped[np.ndarray, "_"]]
     counts: dict[str, int]
+    fragments_covariance_px2: Float[np.ndarray, "t v 4 4"] | None = None
 
     def __len__(self) -> int:
         return len(self.index)
+
+    def line_observations(self) -> LineObservations:
+        """The tracks as observations of lines, which joint refinement takes.
+
+        Raises InputError where the covariance of the fragments is not known.
+        """
+        if self.fragments_covariance_px2 is None:
+            raise InputError(
+                "These matches do not hold the covariance of their fragments, which refinement "
+                "needs: match the segments again with this version."
+            )
+        return LineObservations(
+            self.views,
+            self.fragments_px,
+            self.fragments_covariance_px2,
+            self.index >= 0,
+            self.lines_mm,
+        )

@@ -41,7 +41,7 @@ def assemble(
         given[on, view] = seen.order[view][index[on, view]]
         fragments[on, view] = distorted(seen.intrinsics[view], fragments[on, view])
     turn = [seen.names.index(name) for name in names]
-    given, fragments = given[:, turn], fragments[:, turn]
+    given, fragments, covariance = given[:, turn], fragments[:, turn], covariance[:, turn]
     sort = np.lexsort((*fragments[:, :, 0].reshape(-1, 2 * len(names)).T, *given.T[::-1]))
     why = _reasons(seen, selections, pairs, outside, index)
     counts = {
@@ -62,6 +62,7 @@ def assemble(
         probability(runner_up)[sort],
         {name: why[name] for name in names},
         counts | counted(why),
+        covariance[sort],
     )
 
 

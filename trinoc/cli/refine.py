@@ -1,0 +1,86 @@
+"""`trinoc refine`: a rig and the matches made with it to a rig refined by both."""
+
+import dataclasses
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
+
+from trinoc.cli.command import Command, Outcome
+from trinoc.cli.progress import LOGGER
+from trinoc.errors import CalibrationError
+
+if TYPE_CHECKING:
+    from trinoc.calib.joint.result import RefineResult
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Refine(Command):
+    """Refine a rig jointly against its calibration and matched segments."""
+
+    rig: Path
+    """The cameras, as `trinoc calibrate` writes them."""
+
+    matches: Path
+    """The matches, as `trinoc match` writes them."""
+
+    parameters: Annotated[
+        Literal["four", "six", "pose"] | None,
+        tyro.conf.arg(help_behavior_hint="(default: those the calibration knows)"),
+    ] = None
+    """What may move in each camera: pan, tilt, swing and distance; the aim too; or any motion."""
+
+    intrinsics: bool = False
+    """Refine focal lengths and principal points too."""
+
+    moved: Annotated[
+        tuple[str, ...], tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: none)")
+    ] = ()
+    """Cameras that were knocked since the calibration, whose old place no longer counts."""
+
+    out: Annotated[Path, tyro.conf.arg(aliases=("-o",))] = Path("refined.json")
+    """Where the refined rig goes."""
+
+    def run(self, command_line: str) -> Outcome:
+        """Refine and write the rig; nothing is written where the refinement fails."""
+        from trinoc.calib.joint.camera_state import Freedom
+        from trinoc.calib.joint.refine import refine
+        from trinoc.calib.joint.result import RefineStatus
+        from trinoc.cli.provenance import provenance
+        from trinoc.io.matches_npz import load_matches
+        from trinoc.io.rig_json import load_rig
+        from trinoc.io.save import save
+
+        rig, matches = load_rig(self.rig), load_matches(self.matches)
+        LOGGER.info("refining %d cameras and %d lines", len(rig), len(matches))
+        freedom = None if self.parameters is None else Freedom[self.parameters.upper()]
+        result = refine(rig, matches, freedom=freedom, intrinsics=self.intrinsics, moved=self.moved)
+        if result.status is RefineStatus.NOT_CONVERGED:
+            raise CalibrationError(
+                f"The refinement of {self.rig} did not converge, so nothing was written: check "
+                "that the matches were made with this rig, and match again."
+            )
+        inputs = {"rig": self.rig, "matches": self.matches}
+        save(result.rig, self.out, provenance=provenance(command_line, inputs))
+        text = f"{result.summary()}\nwritten: {self.out}"
+        return Outcome(text, {**refine_record(result), "written": [str(self.out)]})
+
+
+def refine_record(result: "RefineResult") -> dict[str, Any]:
+    """What programs want to know of a refinement, as JSON can hold it."""
+    variances = result.covariance.diagonal()
+    return {
+        "status": result.status.name.lower(),
+        "gauge": result.gauge,
+        "parameters": {
+            name: {"value": float(value), "sigma": float(max(variance, 0.0)) ** 0.5}
+            for name, value, variance in zip(
+                result.parameters, result.values, variances, strict=True
+            )
+        },
+        "lines": len(result.lines),
+        "fragments_that_agree": int(result.inlier.sum()),
+        "segment_sigma_factor": result.segment_sigma_factor,
+        "sheet_sigma_factor": result.sheet_sigma_factor,
+        "chi_square": {"after": result.chi_square[0], "before": result.chi_square[1]},
+    }
