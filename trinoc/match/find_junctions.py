@@ -3,12 +3,11 @@
 import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.spatial import KDTree
 
 from trinoc.geometry.junctions import BODY, Junctions
 from trinoc.geometry.segments import Segments
 from trinoc.match.nevatia_babu.ends import meetings
-from trinoc.match.nevatia_babu.near import group_labels
+from trinoc.match.nevatia_babu.near import distinct, group_labels, point_tree
 
 # Ends are taken to meet within so many of their own sigmas along the segment.
 _SIGMAS = 3.0
@@ -52,7 +51,7 @@ def find_junctions(segments: Segments) -> Junctions:
     both_ends = other_end != BODY
     node, other_node = 2 * line + side, 2 * other + other_end
     group = group_labels(2 * count, node[both_ends], other_node[both_ends])
-    met = np.unique(np.concatenate([node, other_node[both_ends]]))
+    met = distinct(np.concatenate([node, other_node[both_ends]]))
     rows = np.concatenate(
         [
             np.stack([group[met], met // 2, met % 2], axis=-1),
@@ -77,10 +76,15 @@ def collinear_chains(segments: Segments) -> Int[np.ndarray, "n"]:
     _, direction, extent = _as_lines(ends)
     length = np.ptp(extent, axis=1)
     across, _ = _sigmas(segments, direction)
-    pairs = KDTree(ends.reshape(-1, 2)).query_pairs(_CHAIN_GAP_PX, output_type="ndarray")
-    (one, other), (side, other_side) = (pairs // 2).T, (pairs % 2).T
-    outward = direction[one] * (2 * side - 1)[:, None]
-    other_outward = direction[other] * (2 * other_side - 1)[:, None]
+    pairs = point_tree(ends.reshape(-1, 2)).query_pairs(_CHAIN_GAP_PX, output_type="ndarray")
+    outward = np.stack([-direction, direction], axis=1).reshape(-1, 2)
+    out_u, out_v = (np.ascontiguousarray(column) for column in outward.T)
+    first, second = np.ascontiguousarray(pairs[:, 0]), np.ascontiguousarray(pairs[:, 1])
+    # Nearly all pairs fail this: the others cost little.
+    facing = out_u[first] * out_u[second] + out_v[first] * out_v[second] < -_CHAIN_COSINE
+    first, second = first[facing], second[facing]
+    (one, side), (other, other_side) = np.divmod(first, 2), np.divmod(second, 2)
+    outward, other_outward = outward[first], outward[second]
     gap = ends[other, other_side] - ends[one, side]
     distance = np.linalg.norm(gap, axis=-1)
     sigma = _SIGMAS * np.hypot(across[one], across[other]) + 0.5
@@ -90,7 +94,6 @@ def collinear_chains(segments: Segments) -> Int[np.ndarray, "n"]:
     continues = (
         (one != other)
         & agree
-        & ((outward * other_outward).sum(axis=-1) < -_CHAIN_COSINE)
         & ((gap * outward).sum(axis=-1) > -1.0)
         & (np.abs(_cross(gap, outward)) < sigma)
         & (np.abs(_cross(gap, other_outward)) < sigma)

@@ -115,9 +115,13 @@ def _merged(
 ) -> tuple[EdgePoints, Int[np.ndarray, "g"], FittedLines]:
     """The same after joining collinear lines across small gaps."""
     successor = collinear_successors(lines, GAP_PX, tolerance_px / 2)
-    order, first = merged_runs(successor, first, len(points.strength))
+    if (successor < 0).all():
+        return points, first, lines
+    order, first, earliest, several = merged_runs(successor, first, len(points.strength))
     points = points.select(order)
-    return points, first, fit_lines(points, first)
+    lines = lines.select(earliest)
+    again = fit_lines(*_points_of(points, first, several))
+    return points, first, lines.replaced(several, again)
 
 
 def _points_of(

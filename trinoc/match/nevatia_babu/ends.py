@@ -4,9 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.spatial import KDTree
 
-from trinoc.match.nevatia_babu.near import distinct
+from trinoc.match.nevatia_babu.near import distinct, point_tree
 
 _SAMPLE_PX = 3.0
 _NEIGHBOURS = 12
@@ -44,7 +43,7 @@ def meetings(
     """
     owner, samples = line_samples(centre_px, direction, extent_px, _SAMPLE_PX)
     ends = centre_px[:, None] + extent_px[:, :, None] * direction[:, None]
-    _, neighbours = KDTree(samples).query(
+    _, neighbours = point_tree(samples).query(
         ends.reshape(-1, 2),
         k=min(_NEIGHBOURS, len(samples)),
         distance_upper_bound=float(reach_px.max(initial=0.0)) * 1.5,

@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from trinoc.match.nevatia_babu.edge_points import EdgePoints
 from trinoc.match.nevatia_babu.runs import sums
@@ -48,6 +48,13 @@ class FittedLines(NamedTuple):
         """The lines at the given indices or where the mask is true."""
         return FittedLines(*(field[which] for field in self))
 
+    def replaced(self, which: Bool[np.ndarray, "r"], other: "FittedLines") -> "FittedLines":
+        """The same with `other` in place of the lines where the mask is true."""
+        fields = [field.copy() for field in self]
+        for field, new in zip(fields, other, strict=True):
+            field[which] = new
+        return FittedLines(*fields)
+
     @property
     def endpoints_px(self) -> Float[np.ndarray, "r 2 2"]:
         """(r, 2, 2) the two ends of each line."""
@@ -61,23 +68,29 @@ def fit_lines(points: EdgePoints, first: Int[np.ndarray, "r"]) -> FittedLines:
     line, as where a chain turns into a corner.
     """
     support = np.diff(np.append(first, len(points.strength)))
-    run = np.repeat(np.arange(len(first)), support)
     origin = points.uv_px[first].astype(np.float64)
     # Positions from the run's first point: picture coordinates would cancel in the sums.
-    local = points.uv_px - origin[run]
+    u = points.uv_px[:, 0] - np.repeat(origin[:, 0], support)
+    v = points.uv_px[:, 1] - np.repeat(origin[:, 1], support)
     information = points.information.astype(np.float64)
-    forward = local[first + support - 1] - local[first]
+    final = first + support - 1
+    forward = np.stack([u[final], v[final]], axis=-1)
 
-    weight = np.sqrt(information)
+    root = np.sqrt(information)
+    weight = root
     for last in (False, True):
-        centre, direction = _weighted_line(local, weight, first, run, forward)
-        offset = local - centre[run]
-        across = offset[:, 1] * direction[run, 0] - offset[:, 0] * direction[run, 1]
+        centre, direction = _weighted_line(u, v, weight, first, forward)
+        offset_u, offset_v = (
+            u - np.repeat(centre[:, 0], support),
+            v - np.repeat(centre[:, 1], support),
+        )
+        way_u, way_v = np.repeat(direction[:, 0], support), np.repeat(direction[:, 1], support)
+        across = offset_v * way_u - offset_u * way_v
         if not last:
-            rms = np.sqrt(sums(across**2, first) / support)
-            scale = _ROBUST_SCALE_PX + 2 * rms
-            weight = np.sqrt(information) / (1 + np.square(across / scale[run])) ** 2
-    along = offset[:, 0] * direction[run, 0] + offset[:, 1] * direction[run, 1]
+            rms = np.sqrt(sums(across * across, first) / support)
+            scale = 1 / (_ROBUST_SCALE_PX + 2 * rms)
+            weight = root / np.square(1 + np.square(across * np.repeat(scale, support)))
+    along = offset_u * way_u + offset_v * way_v
 
     total = sums(weight, first)
     if len(first):
@@ -86,12 +99,14 @@ def fit_lines(points: EdgePoints, first: Int[np.ndarray, "r"]) -> FittedLines:
         )
     else:
         extent = np.zeros((0, 2))
-    residual = np.sqrt(sums(weight * across**2, first) / total)
+    residual = np.sqrt(sums(weight * across * across, first) / total)
     kernel_variance = sums(weight * points.kernel_variance_px2, first) / total
     sharpness = sums(weight * points.sharpness, first) / total
     blur = (kernel_variance + 1) / np.maximum(sharpness, _LEAST_SHARPNESS) - kernel_variance
     # The profile's width at each point is that of the kernel there and of the edge's blur.
-    variance = np.maximum(points.kernel_variance_px2 + blur[run], _LEAST_VARIANCE_PX2)
+    variance = np.maximum(
+        points.kernel_variance_px2 + np.repeat(blur, support), _LEAST_VARIANCE_PX2
+    )
     return FittedLines(
         centre + origin,
         direction,
@@ -108,14 +123,13 @@ def fit_lines(points: EdgePoints, first: Int[np.ndarray, "r"]) -> FittedLines:
 
 
 def _weighted_line(
-    local: Float[np.ndarray, "m 2"],
+    u: Float[np.ndarray, "m"],
+    v: Float[np.ndarray, "m"],
     weight: Float[np.ndarray, "m"],
     first: Int[np.ndarray, "r"],
-    run: Int[np.ndarray, "m"],
     forward: Float[np.ndarray, "r 2"],
 ) -> tuple[np.ndarray, np.ndarray]:
     """Centre and direction of the line with the least weighted squared distances."""
-    u, v = local[:, 0], local[:, 1]
     wu, wv = weight * u, weight * v
     total, su, sv, suu, suv, svv = (
         sums(moment, first) for moment in (weight, wu, wv, wu * u, wu * v, wv * v)

@@ -72,4 +72,3 @@ def _offsets_ahead() -> Int[np.ndarray, "sectors m 2"]:
     angle = np.arange(_SECTORS) * (2 * np.pi / _SECTORS)
     ahead = steps @ np.stack([np.cos(angle), np.sin(angle)])
     return np.stack([steps[np.argsort(-column, kind="stable")[:_AHEAD]] for column in ahead.T])
-

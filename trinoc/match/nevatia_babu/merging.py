@@ -1,7 +1,7 @@
 """Joining pieces of one straight edge across gaps."""
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Bool, Int
 
 from trinoc.match.nevatia_babu.chains import ordered_chains
 from trinoc.match.nevatia_babu.line_fit import FittedLines
@@ -25,18 +25,21 @@ def collinear_successors(
         return successor
     ends = lines.endpoints_px
     one, other, gap = near_pairs(ends[:, 1], ends[:, 0], gap_px)
-    cosine = (lines.direction[one] * lines.direction[other]).sum(axis=-1)
+    a, b = lines.direction[one], lines.direction[other]
+    along = np.flatnonzero(a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1] > _LEAST_COSINE)
+    one, other, gap = one[along], other[along], gap[along]
     chord = ends[other, 1] - ends[one, 0]
     length = np.linalg.norm(chord, axis=-1)
     normal = np.stack([-chord[:, 1], chord[:, 0]], -1) / np.maximum(length, 1e-9)[:, None]
-    inner = np.stack([ends[one, 1], ends[other, 0]], axis=1) - ends[one, 0][:, None]
-    deviation = np.abs(np.einsum("nij,nj->ni", inner, normal)).max(axis=1, initial=0.0)
-    longer_than_parts = length > np.maximum(
-        *(np.ptp(lines.extent_px[side], axis=1) for side in (one, other))
+    deviation = np.maximum(
+        *(
+            np.abs(to[:, 0] * normal[:, 0] + to[:, 1] * normal[:, 1])
+            for to in (ends[one, 1] - ends[one, 0], ends[other, 0] - ends[one, 0])
+        )
     )
-    allowed = (
-        (one != other) & (cosine > _LEAST_COSINE) & (deviation < tolerance_px) & longer_than_parts
-    )
+    part = lines.extent_px[:, 1] - lines.extent_px[:, 0]
+    longer_than_parts = length > np.maximum(part[one], part[other])
+    allowed = (one != other) & (deviation < tolerance_px) & longer_than_parts
     one, other, gap = one[allowed], other[allowed], gap[allowed]
     nearest = np.lexsort((gap, one))
     nearest = nearest[_first_of_runs(one[nearest])]
@@ -53,8 +56,9 @@ def _first_of_runs(grouped: Int[np.ndarray, "m"]) -> np.ndarray:
 
 def merged_runs(
     successor: Int[np.ndarray, "r"], first: Int[np.ndarray, "r"], count: int
-) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "g"]]:
-    """(order, first): the points of merged lines one after another, and where each begins.
+) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "g"], Int[np.ndarray, "g"], Bool[np.ndarray, "g"]]:
+    """(order, first, earliest, several): the points of merged lines one after another, where
+    each begins, and the earliest line in it and whether there are several.
 
     `first` tells where the points of each line begin now, `count` how many there are.
     """
@@ -62,4 +66,5 @@ def merged_runs(
     length = np.diff(np.append(first, count))[line_order]
     begin = np.cumsum(length) - length
     order = np.arange(count) - np.repeat(begin - first[line_order], length)
-    return order, begin[group_start]
+    several = np.diff(group_start, append=len(line_order)) > 1
+    return order, begin[group_start], line_order[group_start], several

@@ -7,6 +7,11 @@ from scipy.spatial import KDTree
 _MOST_NEIGHBOURS = 8
 
 
+def point_tree(points_px: Float[np.ndarray, "n 2"]) -> KDTree:
+    """A tree for few questions: built in half the time that a balanced one takes."""
+    return KDTree(points_px, balanced_tree=False, compact_nodes=False)
+
+
 def near_pairs(
     one_px: Float[np.ndarray, "n 2"], other_px: Float[np.ndarray, "m 2"], radius_px: float
 ) -> tuple[Int[np.ndarray, "p"], Int[np.ndarray, "p"], Float[np.ndarray, "p"]]:
@@ -15,7 +20,7 @@ def near_pairs(
     At most eight per point are given.
     """
     most = min(_MOST_NEIGHBOURS, len(other_px))
-    distance, found = KDTree(other_px).query(one_px, k=most, distance_upper_bound=radius_px)
+    distance, found = point_tree(other_px).query(one_px, k=most, distance_upper_bound=radius_px)
     # With k = 1 the second axis is dropped.
     shape = (len(one_px), most)
     distance, found = np.reshape(distance, shape), np.reshape(found, shape)

@@ -9,13 +9,12 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.spatial import KDTree
 from scipy.special import erf
 
 from trinoc.match.nevatia_babu.edge_points import EdgePoints
 from trinoc.match.nevatia_babu.ends import line_samples
 from trinoc.match.nevatia_babu.line_fit import FittedLines
-from trinoc.match.nevatia_babu.near import distinct
+from trinoc.match.nevatia_babu.near import distinct, point_tree
 from trinoc.match.nevatia_babu.runs import members
 
 REACH_PX = 4.5
@@ -36,7 +35,7 @@ def line_pairs_within(
         return none, none
     spacing = 2.0
     owner, samples = line_samples(lines.centre_px, lines.direction, lines.extent_px, spacing)
-    near = KDTree(samples).query_pairs(reach_px + spacing, output_type="ndarray")
+    near = point_tree(samples).query_pairs(reach_px + spacing, output_type="ndarray")
     one, other = owner[near[:, 0]], owner[near[:, 1]]
     different = one != other
     one, other = one[different], other[different]
@@ -45,28 +44,40 @@ def line_pairs_within(
 
 
 class Overlaps(NamedTuple):
-    """Points that lie within reach of a line that is not their own: indices of both."""
+    """Points that lie within reach of a line that is not their own.
+
+    Fields
+    ------
+    point, line : (m,) indices of both.
+    along, across : (m,) where the point's sample lies from the centre of the line; the brighter
+        side, on the left of the line's direction, counts positive across.
+    """
 
     point: Int[np.ndarray, "m"]
     line: Int[np.ndarray, "m"]
+    along: Float[np.ndarray, "m"]
+    across: Float[np.ndarray, "m"]
 
 
 def overlaps(points: EdgePoints, first: Int[np.ndarray, "r"], lines: FittedLines) -> Overlaps:
     """All points within reach of other lines; `points` lie line after line from first[k] on."""
     one, other = line_pairs_within(lines, REACH_PX)
-    if len(one) == 0:
-        return Overlaps(one, other)
     stop = np.append(first[1:], len(points.strength))
-    point, pair, _ = members(first[one], stop[one])
-    line = other[pair]
-    along, across = _place(points, lines, point, line)
-    extent = lines.extent_px[line]
-    near = (
-        (np.abs(across) < REACH_PX)
-        & (along > extent[:, 0] - REACH_PX)
-        & (along < extent[:, 1] + REACH_PX)
-    )
-    return Overlaps(point[near], line[near])
+    count = (stop - first)[one]
+    point, _, _ = members(first[one], stop[one])
+    # Most points of a line are far from the other one: little is computed of these.
+    centre_u, centre_v = lines.centre_px.astype(np.float32)[other].T
+    way_u, way_v = lines.direction.astype(np.float32)[other].T
+    offset_u = np.ascontiguousarray(points.sample_px[:, 0])[point] - np.repeat(centre_u, count)
+    offset_v = np.ascontiguousarray(points.sample_px[:, 1])[point] - np.repeat(centre_v, count)
+    across = offset_u * np.repeat(way_v, count) - offset_v * np.repeat(way_u, count)
+    near = np.flatnonzero(np.abs(across) < REACH_PX)
+    pair = np.repeat(np.arange(len(one)), count)[near]
+    along = offset_u[near] * way_u[pair] + offset_v[near] * way_v[pair]
+    before, after = lines.extent_px.astype(np.float32)[other].T
+    beside = (along > before[pair] - REACH_PX) & (along < after[pair] + REACH_PX)
+    near, pair = near[beside], pair[beside]
+    return Overlaps(point[near], other[pair], along[beside], across[near])
 
 
 def without_neighbours(
@@ -77,17 +88,17 @@ def without_neighbours(
     `blur_px2` is the variance of each line's own blur. Points of which a neighbour makes up
     most keep next to no weight.
     """
-    point, line = found
+    point, line, along, across = found
     if len(point) == 0:
         return points
-    along, across = _place(points, lines, point, line)
-    direction = lines.direction[line].astype(np.float32)
-    normal, extent = points.normal[point], lines.extent_px[line].astype(np.float32)
-    # The line's normal is (direction[1], -direction[0]), toward its brighter side.
-    cosine = direction[:, 1] * normal[:, 0] - direction[:, 0] * normal[:, 1]
+    way_u, way_v = (column[line] for column in lines.direction.astype(np.float32).T)
+    normal_u, normal_v = (np.take(column, point) for column in points.normal.T)
+    before, after = (column[line] for column in lines.extent_px.astype(np.float32).T)
+    # The line's normal is (way_v, -way_u), toward its brighter side.
+    cosine = way_v * normal_u - way_u * normal_v
     axis, spacing = points.along_u[point], points.spacing_px[point]
-    step_along = np.where(axis, direction[:, 0], direction[:, 1]) * spacing
-    step_across = np.where(axis, direction[:, 1], -direction[:, 0]) * spacing
+    step_along = np.where(axis, way_u, way_v) * spacing
+    step_across = np.where(axis, way_v, -way_u) * spacing
     variance = (points.kernel_variance_px2[point] + blur_px2[line]).astype(np.float32)
     height = (lines.contrast / np.sqrt(2 * np.pi)).astype(np.float32)[line]
     height *= cosine / np.sqrt(variance)
@@ -96,26 +107,12 @@ def without_neighbours(
     added = np.zeros((len(points.strength), 3), dtype=np.float32)
     for sample, step in enumerate((-1, 0, 1)):
         t, squared = along + step * step_along, np.square(across + step * step_across)
-        window = erf((t - extent[:, 0]) * scale) - erf((t - extent[:, 1]) * scale)
+        window = erf((t - before) * scale) - erf((t - after) * scale)
         shape = np.exp(squared * (halved + tail * squared))
         added[:, sample] = np.bincount(
             point, 0.5 * height * shape * window, minlength=len(points.strength)
         )
     return _located_again(points, added)
-
-
-def _place(
-    points: EdgePoints,
-    lines: FittedLines,
-    point: Int[np.ndarray, "m"],
-    line: Int[np.ndarray, "m"],
-) -> tuple[Float[np.ndarray, "m"], Float[np.ndarray, "m"]]:
-    """(along, across): where the points' samples lie from the centre of the lines; the brighter
-    side, on the left of the direction, counts positive across."""
-    offset = points.sample_px[point] - lines.centre_px.astype(np.float32)[line]
-    direction = lines.direction.astype(np.float32)[line]
-    along = offset[:, 0] * direction[:, 0] + offset[:, 1] * direction[:, 1]
-    return along, offset[:, 0] * direction[:, 1] - offset[:, 1] * direction[:, 0]
 
 
 def _located_again(points: EdgePoints, added: Float[np.ndarray, "n 3"]) -> EdgePoints:

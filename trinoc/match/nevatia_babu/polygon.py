@@ -22,6 +22,7 @@ def split_chains(
     dropped on the way.
     """
     start, stop = starts, np.append(starts[1:], len(uv_px))
+    u, v = (np.ascontiguousarray(column) for column in uv_px.T)
     done: list[tuple[np.ndarray, np.ndarray]] = []
     while True:
         long_enough = stop - start >= least_points
@@ -29,11 +30,14 @@ def split_chains(
         if len(start) == 0:
             break
         index, run, first = members(start, stop)
-        begin, end = uv_px[start], uv_px[stop - 1]
-        chord = end - begin
-        length = np.linalg.norm(chord, axis=-1)
-        normal = np.stack([-chord[:, 1], chord[:, 0]], axis=-1) / np.maximum(length, 1e-9)[:, None]
-        distance = np.abs(np.einsum("ij,ij->i", uv_px[index] - begin[run], normal[run]))
+        count = stop - start
+        begin_u, begin_v = u[start], v[start]
+        chord_u, chord_v = u[stop - 1] - begin_u, v[stop - 1] - begin_v
+        length = np.maximum(np.hypot(chord_u, chord_v), np.float32(1e-9))
+        normal_u, normal_v = -chord_v / length, chord_u / length
+        from_begin = normal_u * begin_u + normal_v * begin_v
+        distance = u[index] * np.repeat(normal_u, count) + v[index] * np.repeat(normal_v, count)
+        distance = np.abs(distance - np.repeat(from_begin, count))
         deviation, position = largest(distance, first, run)
         straight = deviation <= tolerance_px
         done.append((start[straight], stop[straight]))
