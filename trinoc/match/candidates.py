@@ -80,7 +80,8 @@ def trinocular_candidates(
             parts.append(_judge(lines, order, planes, triple, strangers))
     found = joined_candidates(parts)
     # Two orderings may find one triple where they cross about as well.
-    _, once = np.unique(found.index, axis=0, return_index=True)
+    i, j, k = (found.index[:, view].astype(np.int64) for view in views)
+    once = np.unique((i * counts[views[1]] + j) * counts[views[2]] + k, return_index=True)[1]
     return Candidates(*(column[once] for column in found))
 
 

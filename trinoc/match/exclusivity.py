@@ -37,26 +37,29 @@ def conflicts(index: Int[np.ndarray, "m v"], part: Float[np.ndarray, "m v 2"]) -
 
     Two candidates that share parts in several views conflict once, in the first of these.
     """
-    count, views = index.shape
+    views = index.shape[1]
     low, high = part.min(axis=2), part.max(axis=2)
-    first, second, through = [], [], []
+
+    def clash(m: Int[np.ndarray, "e"], n: Int[np.ndarray, "e"], view: int) -> np.ndarray:
+        shared = np.minimum(high[m, view], high[n, view]) - np.maximum(low[m, view], low[n, view])
+        shorter = np.minimum(high[m, view] - low[m, view], high[n, view] - low[n, view])
+        return shared > CONFLICT * shorter
+
+    slots, rivals = [], []
     for view in range(views):
         seen = np.flatnonzero(index[:, view] >= 0)
         m, n = pairs_of_equal_keys(index[seen, view])
         m, n = seen[m], seen[n]
-        shared = np.minimum(high[m, view], high[n, view]) - np.maximum(low[m, view], low[n, view])
-        shorter = np.minimum(high[m, view] - low[m, view], high[n, view] - low[n, view])
-        clash = shared > CONFLICT * shorter
-        first.append(m[clash])
-        second.append(n[clash])
-        through.append(np.full(clash.sum(), view))
-    m, n, view = np.concatenate(first), np.concatenate(second), np.concatenate(through)
-    m, n = np.minimum(m, n), np.maximum(m, n)
-    _, once = np.unique(m * count + n, return_index=True)
-    m, n, view = m[once], n[once], view[once]
-    slot = np.concatenate([m, n]) * views + np.concatenate([view, view])
-    rival = np.concatenate([n, m]) * views + np.concatenate([view, view])
-    order = np.argsort(slot, kind="stable")
+        fresh = clash(m, n, view)
+        m, n = m[fresh], n[fresh]
+        for earlier in range(view):
+            both = (index[m, earlier] == index[n, earlier]) & (index[m, earlier] >= 0)
+            counted = both & clash(m, n, earlier)
+            m, n = m[~counted], n[~counted]
+        slots += [m * views + view, n * views + view]
+        rivals += [n * views + view, m * views + view]
+    slot, rival = np.concatenate(slots), np.concatenate(rivals)
+    order = np.argsort(slot.astype(np.int32), kind="stable")
     return Conflicts(slot[order], rival[order], views)
 
 

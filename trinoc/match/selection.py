@@ -13,8 +13,8 @@ from trinoc.match.neighbours import USUAL_HABITS, JunctionHabits, junctions, sup
 
 ROUNDS = 4
 NEIGHBOUR_ROUNDS = 4
-# Candidates with log odds below these are let go: before and after habits are learned.
-HOPELESS, HOPELESS_LEARNED = -7.0, -5.0
+# Candidates with log odds below these are let go: while habits are learned, and after.
+LIKELY, HOPELESS_LEARNED = -2.0, -5.0
 # With fewer junctions than this share of ends there is no structure to speak of.
 LEAST_JOINED = 0.1
 
@@ -34,11 +34,12 @@ class Selection(NamedTuple):
 def select(candidates: Candidates, typical_count: float) -> Selection:
     """Learn the habits of the pictures at hand, and take candidates in order of belief."""
     habits = usual_habits(candidates.ends_mm, typical_count)
-    candidates = _above(candidates, _odds(candidates, habits), HOPELESS)
-    graph = conflicts(candidates.index, candidates.part)
+    # What is learned is learned from likely candidates: far fewer, with far fewer conflicts.
+    likely = _above(candidates, _odds(candidates, habits), LIKELY)
+    graph = conflicts(likely.index, likely.part)
     for _ in range(ROUNDS):
-        belief = beliefs(_odds(candidates, habits), graph)
-        habits = _learned(candidates, belief, habits)
+        belief = beliefs(_odds(likely, habits), graph)
+        habits = _learned(likely, belief, habits)
     candidates = _above(candidates, _odds(candidates, habits), HOPELESS_LEARNED)
     graph = conflicts(candidates.index, candidates.part)
     odds = _odds(candidates, habits)
