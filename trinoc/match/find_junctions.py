@@ -6,7 +6,7 @@ from jaxtyping import Bool, Float, Int
 
 from trinoc.geometry.junctions import BODY, Junctions
 from trinoc.geometry.segments import Segments
-from trinoc.match.nevatia_babu.ends import meetings
+from trinoc.match.nevatia_babu.ends import NearEnds, lines_near_ends, meetings
 from trinoc.match.nevatia_babu.near import distinct, group_labels, point_tree
 
 # Ends are taken to meet within so many of their own sigmas along the segment.
@@ -18,22 +18,23 @@ _CHAIN_COSINE = np.cos(np.radians(4.0))
 _CHAIN_GAP_PX = 30.0
 
 
-def with_junctions(segments: Segments) -> Segments:
-    """The same segments with their junctions and chains."""
+def with_junctions(segments: Segments, near: NearEnds | None = None) -> Segments:
+    """The same segments with their junctions and chains; `near` as for `find_junctions`."""
     return eqx.tree_at(
         lambda s: (s.junctions, s.chain),
         segments,
-        (find_junctions(segments), collinear_chains(segments)),
+        (find_junctions(segments, near), collinear_chains(segments)),
         is_leaf=lambda leaf: leaf is None,
     )
 
 
-def find_junctions(segments: Segments) -> Junctions:
+def find_junctions(segments: Segments, near: NearEnds | None = None) -> Junctions:
     """Where segments meet: ends that agree within their uncertainty, and ends on bodies.
 
     An end meets another segment where their lines cross within three of the end's own sigmas
     along its segment (between 2 and 8 pixels), and on the other segment or as near to its
-    end. Ends that meet each other, directly or through a third, make one junction.
+    end. Ends that meet each other, directly or through a third, make one junction. `near` are
+    the pairs of ends and lines to look at, all that are near each other where it is None.
     """
     ends = np.asarray(segments.endpoints_px, dtype=np.float64)
     count = len(ends)
@@ -42,11 +43,13 @@ def find_junctions(segments: Segments) -> Junctions:
     centre, direction, extent = _as_lines(ends)
     across, along = _sigmas(segments, direction)
     reach = np.clip(_SIGMAS * along, _LEAST_REACH_PX, _MOST_REACH_PX)
-    line, side, other, _, place = meetings(centre, direction, extent, reach)
+    if near is None:
+        near = lines_near_ends(centre, direction, extent, float(reach.max()))
+    line, side, other, _, place = meetings(centre, direction, extent, reach, near)
     # The end of the other segment that the crossing is within reach of, or its body.
     to_end = np.abs(place[:, None] - extent[other])
-    near = to_end < reach[other][:, None]
-    other_end = np.where(near.any(axis=1), np.argmin(to_end, axis=1), BODY)
+    at_end = to_end < reach[other][:, None]
+    other_end = np.where(at_end.any(axis=1), np.argmin(to_end, axis=1), BODY)
 
     both_ends = other_end != BODY
     node, other_node = 2 * line + side, 2 * other + other_end

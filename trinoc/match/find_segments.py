@@ -13,7 +13,7 @@ from trinoc.match.find_junctions import with_junctions
 from trinoc.match.nevatia_babu.covariance import end_covariances, noise_variance
 from trinoc.match.nevatia_babu.disturbances import disturbances, widened
 from trinoc.match.nevatia_babu.edge_points import EdgePoints
-from trinoc.match.nevatia_babu.ends import snapped_ends
+from trinoc.match.nevatia_babu.ends import lines_near_ends, snapped_ends
 from trinoc.match.nevatia_babu.false_alarms import least_evidence
 from trinoc.match.nevatia_babu.levels import fine_level
 from trinoc.match.nevatia_babu.line_fit import FittedLines, fit_lines
@@ -30,6 +30,8 @@ SNAP_PX = 6.0
 SMOOTHING = 1
 # A shorter piece wholly within reach of other edges is the rounding of a corner.
 BEVEL_PX, BEVEL_CROWDED = 5.0, 0.8
+# Contrast is judged once neighbours are taken out, which rarely adds more than this leaves.
+FAINT_SHARE = 0.8
 # Standard deviations of an end along its segment: at a crossing, and where evidence stops.
 SIGMA_ALONG_CROSSING_PX = 0.5
 SIGMA_ALONG_FREE_PX = 2.0
@@ -84,8 +86,10 @@ def find_segments(
     points, first, lines = _merged(points, first, lines, tolerance_px)
 
     usual_px2 = usual_blur(lines)
-    keep = is_sharp(lines, usual_px2) & (
-        lines.evidence > least_evidence(false_alarms, height * width)
+    keep = (
+        is_sharp(lines, usual_px2)
+        & (lines.evidence > least_evidence(false_alarms, height * width))
+        & (lines.contrast > FAINT_SHARE * least_contrast)
     )
     points, first = _points_of(points, first, keep)
     lines = lines.select(keep)
@@ -151,7 +155,9 @@ def _as_segments(
     size_px: tuple[int, int],
 ) -> Segments:
     """Segments with ends at the crossings with what stops them, junctions and chains."""
-    partner, position = snapped_ends(lines.centre_px, lines.direction, lines.extent_px, SNAP_PX)
+    place = lines.centre_px, lines.direction, lines.extent_px
+    near = lines_near_ends(*place, SNAP_PX)
+    partner, position = snapped_ends(*place, SNAP_PX, near)
     sigma_along = np.where(partner >= 0, SIGMA_ALONG_CROSSING_PX, SIGMA_ALONG_FREE_PX)
     return with_junctions(
         Segments(
@@ -162,5 +168,6 @@ def _as_segments(
             lines.support.astype(np.int64),
             size_px,
             reasons,
-        )
+        ),
+        near,
     )

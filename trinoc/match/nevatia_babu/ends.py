@@ -30,42 +30,63 @@ class Meetings(NamedTuple):
     other_position: Float[np.ndarray, "m"]
 
 
+class NearEnds(NamedTuple):
+    """Pairs of an end and a line that it comes near: (p,) indices. Line k has ends 2 k, 2 k + 1."""
+
+    end: Int[np.ndarray, "p"]
+    line: Int[np.ndarray, "p"]
+
+
+def lines_near_ends(
+    centre_px: Float[np.ndarray, "r 2"],
+    direction: Float[np.ndarray, "r 2"],
+    extent_px: Float[np.ndarray, "r 2"],
+    reach_px: float,
+) -> NearEnds:
+    """The lines, at most some, within one and a half times the reach of each end."""
+    if len(centre_px) < 2:
+        none = np.zeros(0, dtype=np.int64)
+        return NearEnds(none, none)
+    owner, samples = line_samples(centre_px, direction, extent_px, _SAMPLE_PX)
+    ends = centre_px[:, None] + extent_px[:, :, None] * direction[:, None]
+    _, neighbours = point_tree(samples).query(
+        ends.reshape(-1, 2), k=min(_NEIGHBOURS, len(samples)), distance_upper_bound=1.5 * reach_px
+    )
+    near = np.asarray(neighbours).reshape(2 * len(centre_px), -1)
+    found = np.flatnonzero(near < len(samples))
+    end, other = found // near.shape[1], owner[near.ravel()[found]]
+    # Most samples near an end are its own line's.
+    foreign = np.flatnonzero(other != end // 2)
+    pair = distinct(end[foreign] * len(centre_px) + other[foreign])
+    return NearEnds(*np.divmod(pair, len(centre_px)))
+
+
 def meetings(
     centre_px: Float[np.ndarray, "r 2"],
     direction: Float[np.ndarray, "r 2"],
     extent_px: Float[np.ndarray, "r 2"],
     reach_px: Float[np.ndarray, "r"],
+    near: NearEnds,
 ) -> Meetings:
     """Where ends meet other lines: crossings at more than fifteen degrees near the end.
 
     A crossing counts within `reach_px` (of each line) of the end along its own line, and on
-    the other line or within the other's reach of its ends.
+    the other line or within the other's reach of its ends. Only the pairs in `near` are
+    looked at.
     """
-    owner, samples = line_samples(centre_px, direction, extent_px, _SAMPLE_PX)
-    ends = centre_px[:, None] + extent_px[:, :, None] * direction[:, None]
-    _, neighbours = point_tree(samples).query(
-        ends.reshape(-1, 2),
-        k=min(_NEIGHBOURS, len(samples)),
-        distance_upper_bound=float(reach_px.max(initial=0.0)) * 1.5,
-    )
-    near = np.asarray(neighbours)
-    end, slot = np.nonzero(near < len(samples))
-    pair = distinct(end * len(centre_px) + owner[near[end, slot]])
-    end, other = np.divmod(pair, len(centre_px))
+    end, other = near
     line, side = np.divmod(end, 2)
-    between = centre_px[other] - centre_px[line]
     sine = _cross(direction[line], direction[other])
-    steep = np.abs(sine) > _LEAST_SINE
-    line, side, other, between, sine = (
-        values[steep] for values in (line, side, other, between, sine)
-    )
+    steep = np.flatnonzero(np.abs(sine) > _LEAST_SINE)
+    line, side, other, sine = line[steep], side[steep], other[steep], sine[steep]
+    between = centre_px[other] - centre_px[line]
     position = _cross(between, direction[other]) / sine
     other_position = _cross(between, direction[line]) / sine
     shift = np.abs(position - extent_px[line, side])
     # The crossing may not swallow the segment from its other end.
     far = np.abs(position - extent_px[line, 1 - side])
     reach = reach_px[other]
-    allowed = (
+    allowed = np.flatnonzero(
         (shift < reach_px[line])
         & (far > shift)
         & (other_position > extent_px[other, 0] - reach)
@@ -79,17 +100,16 @@ def snapped_ends(
     direction: Float[np.ndarray, "r 2"],
     extent_px: Float[np.ndarray, "r 2"],
     reach_px: float,
+    near: NearEnds,
 ) -> tuple[Int[np.ndarray, "r 2"], Float[np.ndarray, "r 2"]]:
     """(partner, position): the line that stops each end, -1 for none, and where along its own.
 
-    Of several crossings within `reach_px` the nearest to the end counts.
+    Of several crossings within `reach_px` the nearest to the end counts; `near` are the pairs
+    to look at.
     """
-    count = len(centre_px)
-    partner = np.full((count, 2), -1, dtype=np.int64)
+    partner = np.full((len(centre_px), 2), -1, dtype=np.int64)
     position = extent_px.copy()
-    if count < 2:
-        return partner, position
-    found = meetings(centre_px, direction, extent_px, np.full(count, float(reach_px)))
+    found = meetings(centre_px, direction, extent_px, np.full(len(centre_px), reach_px), near)
     shift = np.abs(found.position - extent_px[found.line, found.side])
     farthest_first = np.argsort(-shift, kind="stable")
     line, side, other, where, _ = (values[farthest_first] for values in found)
@@ -109,8 +129,13 @@ def line_samples(
     count = np.ceil(length / spacing_px).astype(np.int64) + 1
     owner = np.repeat(np.arange(len(count)), count)
     step = np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count)
-    along = extent_px[owner, 0] + length[owner] * step / np.maximum(count[owner] - 1, 1)
-    return owner, centre_px[owner] + along[:, None] * direction[owner]
+    apart = length / np.maximum(count - 1, 1)
+    begin = centre_px + extent_px[:, :1] * direction
+    samples = np.empty((len(owner), 2))
+    for axis in (0, 1):
+        stride = np.repeat(apart * direction[:, axis], count)
+        samples[:, axis] = np.repeat(begin[:, axis], count) + step * stride
+    return owner, samples
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -29,6 +29,6 @@ def gradient_of(grey: Float[np.ndarray, "h w"], kernel: GradientKernel) -> Gradi
     u = cv2.filter2D(smooth, cv2.CV_32F, kernel.mask_u.astype(np.float32), borderType=_BORDER)
     v = cv2.filter2D(smooth, cv2.CV_32F, kernel.mask_v.astype(np.float32), borderType=_BORDER)
     # In place: fresh memory costs more than the arithmetic on it.
-    squared = u * u
+    squared = cv2.multiply(u, u, dst=None if smooth is grey else smooth)
     cv2.accumulateSquare(v, squared)
     return Gradient(u, v, squared)

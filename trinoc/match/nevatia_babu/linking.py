@@ -44,7 +44,7 @@ def _candidate_links(
     u, v = (np.ascontiguousarray(column) for column in pixels.uv_px.T)
     sector = np.rint(np.arctan2(along_v, along_u) * np.float32(_SECTORS / (2 * np.pi)))
     offsets = (_offsets_ahead() @ np.array([1, width]))[sector.astype(np.int64) % _SECTORS]
-    found = at_pixel[pixels.pixel[:, None] + offsets].ravel()
+    found = np.take(at_pixel, pixels.pixel[:, None] + offsets).ravel()
     slot = np.flatnonzero(found >= 0)
     first, second = slot // _AHEAD, found[slot].astype(np.int64)
 

@@ -33,7 +33,7 @@ def line_pairs_within(
     none = np.zeros(0, dtype=np.int64)
     if len(lines.support) < 2:
         return none, none
-    spacing = 2.0
+    spacing = 3.0
     owner, samples = line_samples(lines.centre_px, lines.direction, lines.extent_px, spacing)
     near = point_tree(samples).query_pairs(reach_px + spacing, output_type="ndarray")
     one, other = owner[near[:, 0]], owner[near[:, 1]]

@@ -60,7 +60,8 @@ def _bends_on(lines: FittedLines) -> Bool[np.ndarray, "r"]:
     ends = lines.endpoints_px
     one, other, gap = near_pairs(ends[:, 1], ends[:, 0], NEXT_PX)
     a, b = lines.direction[one], lines.direction[other]
-    turn = np.arctan2(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], (a * b).sum(axis=-1))
+    sine, cosine = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1]
+    turn = np.arctan2(sine, cosine)
     length = np.ptp(lines.extent_px, axis=1)
     between = (length[one] + length[other]) / 2 + gap
     curvature = 8 * lines.bow_px / np.maximum(length, 1.0) ** 2
