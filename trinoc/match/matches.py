@@ -20,7 +20,8 @@ class Matches(eqx.Module):
         serve several tracks, with different fragments.
     fragments_px : (t, v, 2, 2) the common parts, corresponding end to corresponding end, in
         pixels of the picture; NaN where not seen.
-    lines_mm : (t, 2, 3) ends in the world frame.
+    lines_mm : (t, 2, 3) ends, in the world frame, of what at least two views show: the
+        fragments' part or more, in the fragments' direction.
     covariance_mm2 : (t, 6, 6) of the ends.
     stage : (t,) "trinocular" (seen in three or more views) or "binocular" (in two).
     posterior : (t,) probability that the match is right.

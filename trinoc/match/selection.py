@@ -31,8 +31,11 @@ class Selection(NamedTuple):
     joined: JunctionHabits
 
 
-def select(candidates: Candidates, typical_count: float) -> Selection:
-    """Learn the habits of the pictures at hand, and take candidates in order of belief."""
+def select(candidates: Candidates, typical_count: float, *, neighbours: bool = True) -> Selection:
+    """Learn the habits of the pictures at hand, and take candidates in order of belief.
+
+    Without `neighbours`, by their own evidence and their rivals' alone.
+    """
     habits = usual_habits(candidates.ends_mm, typical_count)
     # What is learned is learned from likely candidates: far fewer, with far fewer conflicts.
     likely = _above(candidates, _odds(candidates, habits), LIKELY)
@@ -44,7 +47,9 @@ def select(candidates: Candidates, typical_count: float) -> Selection:
     graph = conflicts(candidates.index, candidates.part)
     odds = _odds(candidates, habits)
     belief = beliefs(odds, graph)
-    odds, belief, joined = _with_neighbours(candidates, graph, odds, belief, habits)
+    joined = USUAL_HABITS
+    if neighbours:
+        odds, belief, joined = _with_neighbours(candidates, graph, odds, belief, habits)
     return Selection(
         candidates, odds, belief, chosen_greedily(belief, graph), graph, habits, joined
     )

@@ -13,6 +13,7 @@ from trinoc.match.occluded import Pairs
 from trinoc.match.padding import in_blocks
 from trinoc.match.reasons import counted, reasons
 from trinoc.match.selection import Selection
+from trinoc.match.shown_part import part_two_views_show
 
 _triangulated = jax.jit(jax.vmap(triangulate_segment, in_axes=(None, 0, 0, 0)))
 
@@ -34,7 +35,13 @@ def assemble(
     belief = np.concatenate([tracks.belief, pairs.belief[pairs.taken]])
     runner_up = np.concatenate([tracks.runner_up, np.full(pairs.taken.sum(), -np.inf)])
     fragments, covariance = fragments_of(seen, index, part)
-    ends_mm, covariance_mm2 = lines_in_space(seen, index, fragments, covariance)
+    common_mm = np.concatenate([tracks.candidates.ends_mm, pairs.candidates.ends_mm[pairs.taken]])
+    shown = fragments_of(seen, index, part_two_views_show(seen, index, common_mm))
+    ends_mm, covariance_mm2 = lines_in_space(seen, index, *shown)
+    sound = np.isfinite(ends_mm).all(axis=(1, 2)) & np.isfinite(covariance_mm2).all(axis=(1, 2))
+    index, belief, runner_up = index[sound], belief[sound], runner_up[sound]
+    fragments, covariance = fragments[sound], covariance[sound]
+    ends_mm, covariance_mm2 = ends_mm[sound], covariance_mm2[sound]
     given = np.full(index.shape, -1)
     for view in range(len(names)):
         on = index[:, view] >= 0
