@@ -23,6 +23,7 @@ class Light(NamedTuple):
     """Light of a block scene: one soft lamp, two lamps without shadow, and light from all over.
 
     Each strength is the grey level, of 1, of a white face that looks straight at the lamp.
+    Without `shadows` the soft lamp throws none either.
     """
 
     key_from_mm: tuple[float, float, float]
@@ -33,6 +34,7 @@ class Light(NamedTuple):
     second_fill_from_mm: tuple[float, float, float]
     second_fill: float
     ambient: float
+    shadows: bool = True
 
 
 def render(body: str, camera: Camera, *, fold: int, threads: int = 2) -> np.ndarray:
@@ -136,7 +138,8 @@ def _lights(light: Light) -> str:
         else ""
     )
     return (
-        f"light_source {{ {_vector(key)} color rgb {light.key:.6f} {area} }}\n"
+        f"light_source {{ {_vector(key)} color rgb {light.key:.6f} "
+        f"{area if light.shadows else 'shadowless'} }}\n"
         f"light_source {{ {_vector(light.fill_from_mm)} color rgb {light.fill:.6f} shadowless }}\n"
         f"light_source {{ {_vector(light.second_fill_from_mm)} "
         f"color rgb {light.second_fill:.6f} shadowless }}\n"

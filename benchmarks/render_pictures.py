@@ -1,7 +1,7 @@
 """Make pictures of the sheet and of block scenes with POV-Ray, and their truth.
 
     python benchmarks/render_pictures.py demo [--out trinoc/synth/demo]
-    python benchmarks/render_pictures.py blocks OUT --seeds 0 1 2 [--resolution 4]
+    python benchmarks/render_pictures.py blocks OUT --seeds 0 1 2 [--resolution 4] [--no-shadows]
 
 Needs the program povray (Debian: apt-get install povray); nothing else in trinoc does.
 
@@ -9,7 +9,8 @@ Needs the program povray (Debian: apt-get install povray); nothing else in trino
 a wedge, an L-shaped block and a cylinder (scene_<view>.png) as the rig of the paper's Table 1
 sees them, 512 x 480 pixels that are not square, with truth.json and pattern.json.
 
-`blocks` makes one folder OUT/block_<seed> per seed with scene_<view>.png, rig.json and
+`blocks` makes one folder OUT/block_<seed> per seed with scene_<view>.png, rig.json,
+shadows_<view>.png (the grey levels that shadows take away, without blur and noise) and
 truth.json: other solids, light, greys, blur (sigma 0.5 to 2 px) and noise (1 to 8 grey levels)
 for every seed; --resolution 4 divides each pixel by four along both sides (2048 x 1920).
 
@@ -32,6 +33,7 @@ from edge_contrast import seen_parts
 from pov_ray import Light, blocks_text, render, sheet_text
 
 from trinoc.calib.pattern import Pattern
+from trinoc.geometry.camera import Camera
 from trinoc.geometry.rig import Rig
 from trinoc.io.demo import save_scene_truth
 from trinoc.io.pattern_json import save_pattern
@@ -68,6 +70,7 @@ def main() -> None:
     blocks.add_argument(
         "--resolution", type=int, default=1, choices=(1, 2, 4), help="pixels per pixel"
     )
+    blocks.add_argument("--no-shadows", action="store_true")
     for command in (demo, blocks):
         command.add_argument("--threads", type=int, default=2, help="of POV-Ray")
     arguments = parser.parse_args()
@@ -75,7 +78,10 @@ def main() -> None:
         make_demo(arguments.out, arguments.threads)
     else:
         for seed in arguments.seeds:
-            make_blocks(arguments.out, seed, arguments.resolution, arguments.threads)
+            make_blocks(
+                arguments.out, seed, arguments.resolution, arguments.threads,
+                shadows=not arguments.no_shadows,
+            )  # fmt: skip
 
 
 def make_demo(out: Path, threads: int) -> None:
@@ -95,7 +101,9 @@ def make_demo(out: Path, threads: int) -> None:
     )  # fmt: skip
 
 
-def make_blocks(out: Path, seed: int, resolution: int, threads: int) -> None:
+def make_blocks(
+    out: Path, seed: int, resolution: int, threads: int, *, shadows: bool = True
+) -> None:
     """One block scene with all that `seed` decides about it."""
     folder = out / f"block_{seed}"
     folder.mkdir(parents=True, exist_ok=True)
@@ -105,23 +113,31 @@ def make_blocks(out: Path, seed: int, resolution: int, threads: int) -> None:
     mean_greys = np.clip(0.62 + 0.22 * contrast * generator.uniform(-1, 1, len(scene.solids)), 0, 1)
     greys = face_greys(scene, mean_greys, generator, spread=0.06 * contrast)
     table = float(generator.uniform(0.25, 0.6))
-    text = blocks_text(scene, greys, table, random_light(generator, contrast))
+    light = random_light(generator, contrast)._replace(shadows=shadows)
+    text = blocks_text(scene, greys, table, light)
+    bare_text = blocks_text(scene, greys, table, light._replace(shadows=False))
     blur, noise = float(generator.uniform(0.5, 2.0)), float(np.exp(generator.uniform(0, np.log(8))))
     save_rig(rig, folder / "rig.json")
     make_scene(
         folder, scene, rig, text, blur_px=round(blur, 3), noise=round(noise, 3), seed=100 * seed,
         fold=4 // min(resolution, 2), threads=threads, about={"seed": seed},
+        bare_text=bare_text if shadows else None,
     )  # fmt: skip
 
 
 def make_scene(
     out: Path, scene: Scene, rig: Rig, text: str, *, blur_px: float, noise: float, seed: int,
-    fold: int, threads: int, about: dict[str, Any],
+    fold: int, threads: int, about: dict[str, Any], bare_text: str | None = None,
 ) -> None:  # fmt: skip
-    """Pictures of a block scene from all cameras, and its truth."""
+    """Pictures of a block scene from all cameras, and its truth.
+
+    With `bare_text`, the scene without shadows, also the grey levels that shadows take away.
+    """
     seen, silhouettes = {}, {}
     for offset, (view, camera) in enumerate(rig.items()):
         grey = render(text, camera, fold=fold, threads=threads)
+        if bare_text is not None:
+            write_shadows(out / f"shadows_{view}.png", text, bare_text, camera, threads)
         picture = out / f"scene_{view}.png"
         write_picture(picture, grey, fold=fold, blur_px=blur_px, noise=noise, seed=seed + offset)
         seen[view] = seen_parts(scene, camera, grey, fold=fold)
@@ -135,6 +151,12 @@ def make_scene(
         "silhouettes_mm": silhouettes,
     }
     save_scene_truth(truth, out / "truth.json", about)
+
+
+def write_shadows(path: Path, text: str, bare_text: str, camera: Camera, threads: int) -> None:
+    """What shadows take away from each pixel, without blur and noise, as 8 bits."""
+    shaded, bare = (render(body, camera, fold=1, threads=threads) for body in (text, bare_text))
+    cv2.imwrite(str(path), np.clip(np.rint(bare - shaded), 0, 255).astype(np.uint8))
 
 
 def write_picture(

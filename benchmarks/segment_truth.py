@@ -11,21 +11,36 @@ import numpy as np
 from trinoc.io.demo import load_scene_truth
 from trinoc.io.rig_json import load_rig
 
+# Slopes of shadows count this far from a segment.
+SHADOW_PX = 4
 STRONG_STEP, WEAK_STEP = 8.0, 2.0
 REACH_PX, ANGLE_DEG = 1.5, 8.0
 SAMPLE_PX = 0.5
+# Edges that deviate less than this from one line are parts of one edge.
+SAME_LINE_PX = 0.1
 
 
 class Picture(NamedTuple):
-    """A picture, and its edges: rows x1 y1 x2 y2 and the grey step across."""
+    """A picture, and its edges: rows x1 y1 x2 y2, the grey step across (right minus left of the
+    way from first to second end), and 1 where that step is on record, 0 where it is not.
+
+    `shadow_slope` is, at each pixel, the steepest slope of shadows within 4 px, in grey levels
+    per pixel; 0 where the scene was rendered without shadows.
+    """
 
     name: str
     grey: np.ndarray
     edges: np.ndarray
+    shadow_slope: np.ndarray
 
 
 class Score(NamedTuple):
-    """Lengths and errors of the segments of one picture, in px."""
+    """Lengths and errors of the segments of one picture, in px.
+
+    `matched` are the segments that lie on an edge, `step` what grey step that edge says there
+    is from their left to their right: negative where the right is darker; NaN where not known.
+    `alone` says whether no other edge lies within reach, with which it would be confused.
+    """
 
     found: float
     shown: float
@@ -36,6 +51,8 @@ class Score(NamedTuple):
     ends_across: np.ndarray
     end_error: np.ndarray
     matched: np.ndarray
+    step: np.ndarray
+    alone: np.ndarray
 
 
 def rendered_pictures(folder: Path) -> Iterator[Picture]:
@@ -53,17 +70,31 @@ def rendered_pictures(folder: Path) -> Iterator[Picture]:
             edge, extent = seen.edge[straight], seen.extent[straight]
             first, second = truth.edges_mm[edge, 0], truth.edges_mm[edge, 1]
             parts = first[:, None] + extent[:, :, None] * (second - first)[:, None]
-            rows = np.column_stack([_project(matrix, parts), -seen.grey_step[straight]])
+            step = -seen.grey_step[straight]
+            rows = np.column_stack([_project(matrix, parts), step, np.ones(len(step))])
             body = np.array(outlines[view]).reshape(-1, 2, 3)
-            body_rows = np.column_stack([_project(matrix, body), np.full(len(body), 5.0)])
+            unknown = np.tile([5.0, 0.0], (len(body), 1))
+            body_rows = np.column_stack([_project(matrix, body), unknown])
             rows = np.concatenate([rows, body_rows])
             grey = cv2.imread(str(path.parent / f"scene_{view}.png"), cv2.IMREAD_UNCHANGED)
             length = np.hypot(*(rows[:, 2:4] - rows[:, :2]).T)
-            yield Picture(f"{path.parent.name}/{view}", grey, rows[length > 2])
+            slope = _shadow_slope(path.parent / f"shadows_{view}.png", grey.shape)
+            yield Picture(f"{path.parent.name}/{view}", grey, rows[length > 2], slope)
+
+
+def _shadow_slope(path: Path, shape: tuple[int, ...]) -> np.ndarray:
+    if not path.exists():
+        return np.zeros(shape, dtype=np.float32)
+    taken = np.asarray(cv2.imread(str(path), cv2.IMREAD_UNCHANGED)).astype(np.float32)
+    taken = cv2.GaussianBlur(taken, (0, 0), 1.0)
+    slope = cv2.magnitude(
+        *(cv2.Sobel(taken, cv2.CV_32F, *axis, scale=1 / 8) for axis in ((1, 0), (0, 1)))
+    )
+    return cv2.dilate(slope, np.ones((2 * SHADOW_PX + 1,) * 2, np.uint8))
 
 
 def score(segments: np.ndarray, edges: np.ndarray) -> Score:
-    """Segments (n, 4) against edges (m, 5).
+    """Segments (n, 4) against edges (m, 6).
 
     Samples every half pixel: one is found (right) when a segment (an edge) lies within 1.5 px
     and eight degrees of it. A segment that is right over half of its length is compared with
@@ -74,18 +105,23 @@ def score(segments: np.ndarray, edges: np.ndarray) -> Score:
     of_edge, _, edge_length, _ = covering(strong, segments)
     of_strong, _, length, _ = covering(segments, strong)
     of_weak, owner, _, across = covering(segments, weak)
-    ends, error, matched = [], [], []
+    ends, error, matched, step, alone = [], [], [], [], []
     for index, segment in enumerate(segments):
         hits = of_weak[owner == index]
         if len(hits) == 0 or np.mean(hits >= 0) < 0.5:
             continue
-        edge = weak[np.bincount(hits[hits >= 0]).argmax(), :4].reshape(2, 2)
+        row = weak[np.bincount(hits[hits >= 0]).argmax()]
+        edge = row[:4].reshape(2, 2)
         way = (edge[1] - edge[0]) / np.linalg.norm(edge[1] - edge[0])
         offset = segment[:4].reshape(2, 2) - edge[0]
         ends.append(offset[:, 1] * way[0] - offset[:, 0] * way[1])
         gap = np.linalg.norm(segment[:4].reshape(2, 1, 2) - edge, axis=-1)
         error.extend(gap.min(axis=0))
         matched.append(index)
+        same_way = np.sign((segment[2:4] - segment[:2]) @ way)
+        others = edges[np.abs(_across(edges, edge)).max(axis=1) > SAME_LINE_PX]
+        alone.append(bool((covering(segment[None], others)[0] < 0).all()))
+        step.append(same_way * row[4] if row[5] else np.nan)
     return Score(
         edge_length[of_edge >= 0].sum(),
         edge_length.sum(),
@@ -96,7 +132,16 @@ def score(segments: np.ndarray, edges: np.ndarray) -> Score:
         np.array(ends).reshape(-1, 2),
         np.array(error),
         np.array(matched, dtype=int),
+        np.array(step),
+        np.array(alone, dtype=bool),
     )
+
+
+def _across(edges: np.ndarray, line: np.ndarray) -> np.ndarray:
+    """(m, 2) how far the ends of edges lie from a line through two points."""
+    way = (line[1] - line[0]) / np.linalg.norm(line[1] - line[0])
+    offset = edges[:, :4].reshape(-1, 2, 2) - line[0]
+    return offset[..., 1] * way[0] - offset[..., 0] * way[1]
 
 
 def covering(

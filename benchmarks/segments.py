@@ -18,12 +18,15 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from segment_truth import Score, covering, rendered_pictures, score
+from segment_truth import Picture, Score, covering, rendered_pictures, score
 
 from trinoc.geometry.segments import Segments
 from trinoc.match.find_segments import find_segments
 from trinoc.match.lsd import LSD_BIAS_PX
 
+SAME_STEP = 1 / 3
+# The slope of an edge, seen through the masks, is about a quarter of its step per pixel.
+SHADOW_SHARE = 0.04
 _LSD = cv2.createLineSegmentDetector()
 
 
@@ -59,7 +62,7 @@ def scenes(folder: Path) -> None:
             times.append(time.perf_counter() - begin)
             scores.append(score(lines, picture.edges))
         print(f"{name:15s} {_row(scores)} {1e3 * np.median(times):8.1f}")
-    normalised = [_normalised(find_segments(p.grey), p.edges) for p in pictures]
+    normalised = [_normalised(find_segments(p.grey), p) for p in pictures]
     reasons = np.concatenate([reason for _, reason in normalised])
     ratio = np.concatenate([z for z, _ in normalised])
     print("normalised across-line error      n   variance  median-based   beyond 3 sigma")
@@ -89,19 +92,31 @@ def _row(scores: list[Score]) -> str:
     )
 
 
-def _normalised(segments: Segments, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(z, reason) of the middles of the matched segments."""
+def _normalised(segments: Segments, picture: Picture) -> tuple[np.ndarray, np.ndarray]:
+    """(z, reason) of the middles of the segments that are the edge they lie on.
+
+    A shadow's edge may run a pixel or two beside an edge of the scene. So a segment counts
+    only where no steep slope of a shadow is near, as the noise-free rendering shows it, where
+    its step has the sign and, within a third, the size of the edge's, and where no second edge
+    is within 1.5 px, the reach of the comparison.
+    """
     ends = np.asarray(segments.endpoints_px)
-    found = score(ends.reshape(-1, 4), edges)
+    found = score(ends.reshape(-1, 4), picture.edges)
     way = ends[:, 1] - ends[:, 0]
     normal = np.stack([-way[:, 1], way[:, 0]], axis=-1) / np.linalg.norm(way, axis=1)[:, None]
     half = np.concatenate([normal, normal], axis=1) / 2
     sigma = np.sqrt(np.einsum("ni,nij,nj->n", half, np.asarray(segments.covariance_px2), half))
     assert segments.reasons is not None
-    return (
-        found.ends_across.mean(axis=1) / sigma[found.matched],
-        segments.reasons[found.matched],
-    )
+    contrast = np.asarray(segments.contrast)[found.matched]
+    same = found.alone & np.isfinite(found.step)
+    same &= np.abs(contrast + found.step) < SAME_STEP * np.maximum(contrast, np.abs(found.step))
+    places = ends[found.matched, :1] + np.linspace(0.1, 0.9, 9)[:, None] * way[found.matched, None]
+    column, row = np.rint(places).astype(int).clip(0).transpose(2, 0, 1)
+    height, width = picture.grey.shape
+    slope = picture.shadow_slope[row.clip(max=height - 1), column.clip(max=width - 1)]
+    same &= slope.max(axis=1, initial=0.0) < SHADOW_SHARE * contrast
+    ratio = found.ends_across.mean(axis=1) / sigma[found.matched]
+    return ratio[same], segments.reasons[found.matched[same]]
 
 
 def nothing_to_find() -> None:
