@@ -25,8 +25,8 @@ from trinoc.geometry.arrays import ArrayLike, ScalarLike
 
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-4, 1e-12, 1e8
 MOST_STEPS = 300
-# The cost is a chi-square: a gain this small moves no parameter by a hundredth of its sigma.
-CONVERGED_GAIN = 1e-5
+# The cost is a chi-square: a gain this small moves no parameter by some hundredths of its sigma.
+CONVERGED_GAIN = 1e-4
 
 
 class JointState(NamedTuple):
