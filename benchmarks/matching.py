@@ -1,0 +1,307 @@
+"""Matching: precision and recall beside other matchers, calibration, what each step adds, time.
+
+    TRINOC_DATA=DIR python benchmarks/matching.py [--seeds N] [--no-files] [--no-times]
+
+DIR holds scenes/NAME.npz with NAME.gt.npz and vgg_merton1, vgg_merton2 (VGG, Oxford). Fresh
+scenes are drawn by trinoc.synth from seeds that nothing was tuned on. Figures of Line3D++ and
+LIMAP are of the same files, measured apart, at their best settings. A pair or a triple is right
+when its segments come from one edge and their true extents overlap.
+"""
+
+import argparse
+import os
+import resource
+import time
+from collections.abc import Callable, Iterator
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+from dense_matcher import match_densely
+from shared_scenes import VIEWS, load_scene
+
+from trinoc.geometry.precision import in_float64
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.segments import Segments
+from trinoc.match.candidates import strangers_of, trinocular_candidates
+from trinoc.match.match_segments import match_segments
+from trinoc.match.matches import Matches
+from trinoc.match.observed import Observed, observe
+from trinoc.match.selection import Selection, select
+from trinoc.synth.observations import Detector
+from trinoc.synth.observations import observe as detect
+from trinoc.synth.rigs import table1_rig
+from trinoc.synth.scenes import block_scene, loose_segments, see_through_boxes
+from trinoc.synth.scoring import MatchScore, score_groups, score_matches
+from trinoc.synth.truth import SegmentTruth
+
+Problem = tuple[str, Rig, dict[str, Segments], SegmentTruth]
+
+# Triples, then pairs: precision/recall of Line3D++, LIMAP, and what is aimed at for pairs.
+ELSEWHERE = {
+    "table_clean": (".93/.88 .95/.83", ".95/.83 .96/.80"),
+    "table_0": (".83/.57 .89/.58", ".83/.49 .87/.49"),
+    "random100_0": (".90/.43 .97/.46", ".96/.51 .98/.52"),
+    "boxes120_0": (".41/.42 .66/.44", ".85/.40 .89/.40"),
+    "random500_0": (".87/.31 .91/.32", ".86/.33 .88/.32"),
+    "boxes504_0": (".27/.31 .60/.33", ".49/.27 .64/.29"),
+    "boxes504_ej5": (".33/.25 .60/.28", ".58/.28 .70/.30"),
+    "random500_x4": ("1.0/.35 1.0/.37", ".99/.53 .99/.54"),
+    "random2000_x4": (".99/.23 .99/.25", ".89/.32 .90/.34"),
+}
+FILES = (*ELSEWHERE, "table_1", "random500_ej5", "boxes504_x4")
+FRESH_SEED = 90_000
+BINS = np.array([0.0, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99, 1.0])
+
+
+def fresh_problems(kind: str, count: int) -> Iterator[Problem]:
+    """Scenes of seeds from FRESH_SEED on, which were looked at for nothing but this table."""
+    for seed in range(FRESH_SEED, FRESH_SEED + count):
+        rig = table1_rig(resolution=4 if kind.endswith("x4") else 1)
+        if kind.startswith("table"):
+            scene = block_scene(seed, count=8)
+        elif kind.startswith("boxes"):
+            scene = see_through_boxes(seed, count=42)
+        else:
+            scene = loose_segments(seed, count=500)
+        detector = Detector(
+            cut_back_px=5.0 if "ej5" in kind else 0.0,
+            shortest_px=3.0 if "ej5" in kind else 8.0 * (4 if kind.endswith("x4") else 1),
+        )
+        segments, truth = detect(scene, rig, detector, seed=seed)
+        yield f"{kind} {seed}", rig, segments, truth
+
+
+def figures(score: MatchScore) -> str:
+    return " ".join(f"{g.precision:.3f}/{g.recall:.3f}" for g in (score.triples, score.pairs))
+
+
+def table_of_files(folder: Path) -> None:
+    print("\n## Files: precision/recall of triples, then of pairs")
+    print(f"{'scene':15s} {'trinoc':24s} {'Line3D++':18s} {'LIMAP':18s}")
+    for name in FILES:
+        rig, segments, truth = load_scene(folder, name)
+        score = score_matches(match_segments(segments, rig), truth)
+        line, limap = ELSEWHERE.get(name, ("", ""))
+        print(f"{name:15s} {figures(score):24s} {line:18s} {limap:18s}", flush=True)
+
+
+def merton(folder: Path) -> None:
+    print("\n## Photographs: share of the published matches found, triples put out")
+    for name, elsewhere in (
+        ("merton1", "Line3D++ .38 (545), LIMAP .43 (268)"),
+        ("merton2", "Line3D++ .39 (538), LIMAP .32 (262)"),
+    ):
+        data = np.load(folder / f"vgg_{name}" / f"{name}.npz")
+        matrices = dict(zip(VIEWS, data["projection"], strict=True))
+        rig = Rig.from_matrices(matrices, (1024, 768))
+        plain = {view: data[f"segments_{k}"] for k, view in enumerate(VIEWS)}
+        for label, segments in (("as they are", plain), ("with their sides", _sided(plain))):
+            matches = match_segments(segments, rig)
+            triples = matches.index[(matches.index >= 0).all(axis=1)]
+            found = {tuple(row) for row in triples.tolist()}
+            share = np.mean([tuple(row) in found for row in data["line_matches"].tolist()])
+            near = np.mean(_reprojection_px(matches, rig) < 1.5)
+            print(
+                f"{name} {label:17s} {share:.3f} ({len(triples)}), under 1.5 px {near:.3f}; "
+                f"{elsewhere}"
+            )
+
+
+def _sided(plain: dict[str, np.ndarray]) -> dict[str, Segments]:
+    """These segments run with the darker side on one hand, as their order of ends tells."""
+    sided = {}
+    for view, ends in plain.items():
+        given = Segments.from_endpoints(ends)
+        fields = given.endpoints_px, given.covariance_px2, np.ones(len(ends), dtype=np.int64)
+        sided[view] = Segments(*fields, given.contrast, given.support, None)
+    return sided
+
+
+def _reprojection_px(matches: Matches, rig: Rig) -> np.ndarray:
+    """Per triple, the largest distance of the 3-D line's image from a fragment's ends."""
+    rows = np.flatnonzero((matches.index >= 0).all(axis=1))
+    worst = np.zeros(len(rows))
+    for view, name in enumerate(matches.views):
+        image = matches.lines_mm[rows] @ rig[name].matrix_px[:, :3].T + rig[name].matrix_px[:, 3]
+        line = np.cross(image[:, 0], image[:, 1])
+        line /= np.linalg.norm(line[:, :2], axis=1, keepdims=True)
+        ends = matches.fragments_px[rows, view]
+        off = np.abs((ends * line[:, None, :2]).sum(-1) + line[:, None, 2]).max(axis=1)
+        worst = np.maximum(worst, off)
+    return worst
+
+
+def is_right(members: list[tuple[int, int]], truth: SegmentTruth) -> bool | None:
+    """Whether segments (view, number) are of one edge and overlap; None where not scored."""
+    edges = {int(truth.edge_of[VIEWS[view]][segment]) for view, segment in members}
+    if edges == {-2}:
+        return None
+    extents = np.array([truth.extent[VIEWS[view]][segment] for view, segment in members])
+    return len(edges) == 1 and min(edges) >= 0 and extents[:, 0].max() < extents[:, 1].min()
+
+
+@in_float64
+def steps(problem: Problem) -> dict[str, MatchScore]:
+    """Scores after candidates and exclusion, after neighbours, and after pairs."""
+    _, rig, segments, truth = problem
+    seen = observe(segments, rig, None)
+    strangers = strangers_of(seen.lines, seen.counts)
+    candidates = trinocular_candidates(seen.lines, (0, 1, 2), seen.counts, strangers)
+    scores = {}
+    for label, neighbours in (("1", False), ("1+2", True)):
+        chosen = select(candidates, float(np.mean(seen.counts)), neighbours=neighbours)
+        scores[label] = score_groups(seen.names, _groups(seen, chosen), truth)
+    scores["1+2+3"] = score_matches(match_segments(segments, rig), truth)
+    return scores
+
+
+def _groups(seen: Observed, chosen: Selection) -> list[tuple[tuple[int, int], ...]]:
+    rows = chosen.candidates.index[chosen.taken]
+    return [tuple((v, int(seen.order[v][s])) for v, s in enumerate(row)) for row in rows]
+
+
+def table_of_fresh(seeds: int) -> None:
+    kinds = ("table", "boxes", "boxes ej5", "boxes x4", "random", "random ej5", "random x4")
+    print(f"\n## Fresh scenes, {seeds} of each: what the steps add; step 3 alone; calibration")
+    reliability = []
+    for kind in kinds:
+        scores: dict[str, list[MatchScore]] = {}
+        alone, epipolar, outcomes = [], [], []
+        for problem in fresh_problems(kind, seeds):
+            for label, score in steps(problem).items():
+                scores.setdefault(label, []).append(score)
+            _, rig, segments, truth = problem
+            matches = match_segments(segments, rig)
+            alone.append(_step_three(matches, truth))
+            epipolar.append(_near_epipolar(matches, rig, segments, truth))
+            outcomes += _outcomes(matches, truth)
+        reliability += outcomes
+        for label, values in scores.items():
+            means = np.mean([[v.triples[:2], v.pairs[:2]] for v in values], axis=0)
+            text = " ".join(f"{p:.3f}/{r:.3f}" for p, r in means)
+            print(f"{kind:11s} {label:6s} triples, pairs {text}", flush=True)
+        right, out, found, true = np.sum(alone, axis=0)
+        kept, near = np.sum(epipolar, axis=0)
+        print(
+            f"{kind:11s} step 3 alone {right / max(out, 1):.3f}/{found / max(true, 1):.3f} "
+            f"({out} out, {true} true); near epipolar {kept / max(near, 1):.3f} of {near}; "
+            f"calibration error {_calibration_error(outcomes):.3f}"
+        )
+    print("\nposterior   put out  stated  right")
+    p, right = np.array(reliability).T
+    for low, high in zip(BINS[:-1], BINS[1:], strict=True):
+        inside = (p >= low) & ((p < high) | (high == 1.0))
+        if inside.any():
+            stated, share = p[inside].mean(), right[inside].mean()
+            print(f"{low:.2f}-{high:.2f}  {inside.sum():8d}   {stated:.3f}  {share:.3f}")
+    print(f"expected calibration error {_calibration_error(reliability):.3f}")
+
+
+def _outcomes(matches: Matches, truth: SegmentTruth) -> list[tuple[float, bool]]:
+    outcomes = []
+    for row, posterior in zip(matches.index, matches.posterior, strict=True):
+        right = is_right([(v, int(s)) for v, s in enumerate(row) if s >= 0], truth)
+        if right is not None:
+            outcomes.append((float(posterior), right))
+    return outcomes
+
+
+def _calibration_error(outcomes: list[tuple[float, bool]]) -> float:
+    p, right = np.array(outcomes, dtype=float).T
+    place = np.clip(np.digitize(p, np.linspace(0, 1, 11)) - 1, 0, 9)
+    gaps = [abs((p - right)[place == bin_].sum()) for bin_ in range(10) if (place == bin_).any()]
+    return float(np.sum(gaps) / len(p))
+
+
+def _step_three(matches: Matches, truth: SegmentTruth) -> tuple[int, int, int, int]:
+    """(right, put out, found, true) of pairs whose edge has no segment in the third view."""
+    out = []
+    for row in matches.index[(matches.index >= 0).sum(axis=1) == 2]:
+        out.append(tuple((int(v), int(row[v])) for v in np.flatnonzero(row >= 0)))
+    judged = [is_right(list(pair), truth) for pair in out]
+    true = set()
+    for a, b in combinations(range(3), 2):
+        third = set(truth.edge_of[VIEWS[3 - a - b]].tolist())
+        edges = truth.edge_of[VIEWS[a]]
+        for i in np.flatnonzero((edges >= 0) & ~np.isin(edges, list(third))):
+            for j in np.flatnonzero(truth.edge_of[VIEWS[b]] == edges[i]):
+                extents = np.array([truth.extent[VIEWS[a]][i], truth.extent[VIEWS[b]][j]])
+                common = extents[:, 1].min() - extents[:, 0].max()
+                if common >= 0.2 * (extents[:, 1] - extents[:, 0]).min():
+                    true.add(((a, int(i)), (b, int(j))))
+    scored = [right for right in judged if right is not None]
+    return sum(scored), len(scored), len(true & set(out)), len(true)
+
+
+def _near_epipolar(
+    matches: Matches, rig: Rig, segments: dict[str, Segments], truth: SegmentTruth
+) -> tuple[int, int]:
+    """(found, true) pairs within 5 degrees of an epipolar line whose edge three views see."""
+    found, near = 0, 0
+    joined = {
+        ((a, int(row[a])), (b, int(row[b])))
+        for row in matches.index[:, [matches.views.index(v) for v in VIEWS]]
+        for a, b in combinations(range(3), 2)
+    }
+    for a, b in combinations(range(3), 2):
+        image = rig[VIEWS[a]].matrix_px @ np.append(rig[VIEWS[b]].centre_world_mm, 1.0)
+        epipole = image[:2] / image[2]
+        ends = np.asarray(segments[VIEWS[a]].endpoints_px)
+        step, toward = ends[:, 1] - ends[:, 0], epipole - ends.mean(axis=1)
+        sine = np.abs(np.cross(step, toward)) / np.linalg.norm(step, axis=1)
+        flat = sine / np.linalg.norm(toward, axis=1) < np.sin(np.radians(5))
+        edges, third = truth.edge_of[VIEWS[a]], set(truth.edge_of[VIEWS[3 - a - b]].tolist())
+        for i in np.flatnonzero(flat & (edges >= 0) & np.isin(edges, list(third))):
+            for j in np.flatnonzero(truth.edge_of[VIEWS[b]] == edges[i]):
+                extents = np.array([truth.extent[VIEWS[a]][i], truth.extent[VIEWS[b]][j]])
+                if np.ptp(extents[:, :1]) >= 0 and (
+                    extents[:, 1].min() - extents[:, 0].max()
+                    >= 0.2 * (extents[:, 1] - extents[:, 0]).min()
+                ):
+                    near += 1
+                    found += ((a, int(i)), (b, int(j))) in joined
+    return found, near
+
+
+def times() -> None:
+    print("\n## Time: loose segments at four times the resolution; first call, warm median of 5")
+    for count in (75, 500, 2000, 7000):
+        rig = table1_rig(resolution=4)
+        scene = loose_segments(FRESH_SEED + 500, count=count)
+        segments, _ = detect(scene, rig, Detector(shortest_px=32.0), seed=FRESH_SEED)
+        first = _seconds(lambda: match_segments(segments, rig))  # noqa: B023
+        warm = float(np.median([_seconds(lambda: match_segments(segments, rig)) for _ in range(5)]))  # noqa: B023
+        line = f"{len(segments['upper']):6d} per view: first {first:.2f} s, warm {warm:.3f} s"
+        if count <= 500:
+            ends = [np.asarray(segments[view].endpoints_px) for view in VIEWS]
+            dense = _seconds(lambda: match_densely(ends, rig.matrices_px))  # noqa: B023
+            line += f", dense NumPy {dense:.2f} s"
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+        print(f"{line}, peak memory so far {peak:.0f} MiB", flush=True)
+
+
+def _seconds(call: Callable[[], object]) -> float:
+    start = time.perf_counter()
+    call()
+    return time.perf_counter() - start
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--no-files", action="store_true")
+    parser.add_argument("--no-times", action="store_true")
+    given = parser.parse_args()
+    if "TRINOC_DATA" in os.environ and not given.no_files:
+        folder = Path(os.environ["TRINOC_DATA"])
+        table_of_files(folder / "scenes")
+        merton(folder)
+    if given.seeds:
+        table_of_fresh(given.seeds)
+    if not given.no_times:
+        times()
+
+
+if __name__ == "__main__":
+    main()
