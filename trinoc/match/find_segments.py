@@ -94,8 +94,9 @@ def find_segments(
     points, first = _points_of(points, first, keep)
     lines = lines.select(keep)
 
-    found = overlaps(points, first, lines)
-    spread = _BLUR_SPREAD * (fine.kernel_variance_px2 + usual_px2)
+    usual_profile_px2 = fine.kernel_variance_px2 + usual_px2
+    found = overlaps(points, first, lines, usual_profile_px2)
+    spread = _BLUR_SPREAD * usual_profile_px2
     own_blur = np.clip(lines.blur_px2, usual_px2 - spread, usual_px2 + spread)
     cleaned = without_neighbours(points, lines, own_blur, found)
     lines = fit_lines(cleaned, first)

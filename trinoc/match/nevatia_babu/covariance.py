@@ -7,7 +7,7 @@ from jaxtyping import Float
 NOISE_EXCESS = 1.2
 # What the model leaves out even on a perfect edge (sampling, kernel shape, rounding): a part that
 # is common to the whole edge, and a part per pixel of length that averages out.
-MODEL_SIGMA_PX, MODEL_SIGMA_PER_PIXEL = 0.01, 0.12
+MODEL_SIGMA_PX, MODEL_SIGMA_PER_PIXEL = 0.01, 0.11
 
 
 def noise_variance(

@@ -17,7 +17,8 @@ from trinoc.match.nevatia_babu.line_fit import FittedLines
 from trinoc.match.nevatia_babu.near import distinct, point_tree
 from trinoc.match.nevatia_babu.runs import members
 
-REACH_PX = 4.5
+# Lines are neighbours within so many widths of the profile, and at least this far.
+REACH_WIDTHS, LEAST_REACH_PX = 3.0, 4.5
 # Fourth cumulant of the kernel's profile: its tails fall faster than a Gaussian's.
 _TAIL = 2.6 / 24
 _LEAST_SHARE = 0.3
@@ -59,9 +60,18 @@ class Overlaps(NamedTuple):
     across: Float[np.ndarray, "m"]
 
 
-def overlaps(points: EdgePoints, first: Int[np.ndarray, "r"], lines: FittedLines) -> Overlaps:
-    """All points within reach of other lines; `points` lie line after line from first[k] on."""
-    one, other = line_pairs_within(lines, REACH_PX)
+def overlaps(
+    points: EdgePoints,
+    first: Int[np.ndarray, "r"],
+    lines: FittedLines,
+    profile_variance_px2: float,
+) -> Overlaps:
+    """All points within reach of other lines; `points` lie line after line from first[k] on.
+
+    `profile_variance_px2` is that of a usual edge of the picture: the reach follows from it.
+    """
+    reach_px = max(LEAST_REACH_PX, REACH_WIDTHS * float(np.sqrt(profile_variance_px2)))
+    one, other = line_pairs_within(lines, reach_px)
     stop = np.append(first[1:], len(points.strength))
     count = (stop - first)[one]
     point, _, _ = members(first[one], stop[one])
@@ -71,11 +81,11 @@ def overlaps(points: EdgePoints, first: Int[np.ndarray, "r"], lines: FittedLines
     offset_u = np.ascontiguousarray(points.sample_px[:, 0])[point] - np.repeat(centre_u, count)
     offset_v = np.ascontiguousarray(points.sample_px[:, 1])[point] - np.repeat(centre_v, count)
     across = offset_u * np.repeat(way_v, count) - offset_v * np.repeat(way_u, count)
-    near = np.flatnonzero(np.abs(across) < REACH_PX)
+    near = np.flatnonzero(np.abs(across) < reach_px)
     pair = np.repeat(np.arange(len(one)), count)[near]
     along = offset_u[near] * way_u[pair] + offset_v[near] * way_v[pair]
     before, after = lines.extent_px.astype(np.float32)[other].T
-    beside = (along > before[pair] - REACH_PX) & (along < after[pair] + REACH_PX)
+    beside = (along > before[pair] - reach_px) & (along < after[pair] + reach_px)
     near, pair = near[beside], pair[beside]
     return Overlaps(point[near], other[pair], along[beside], across[near])
 
