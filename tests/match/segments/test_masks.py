@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from trinoc.match.nevatia_babu.gradient import gradient_of
 from trinoc.match.nevatia_babu.masks import (
     combined_kernel,
     mask_gradient_directions,
@@ -63,3 +64,18 @@ def test_noise_gain_is_the_spread_of_the_answer_to_white_noise() -> None:
     kernel = combined_kernel(1)
     noise = np.random.default_rng(0).normal(size=(200_000, kernel.u.size))
     assert np.isclose((noise @ kernel.u.ravel()).std(), kernel.noise_gain, rtol=0.01)
+
+
+@pytest.mark.parametrize("smoothing", [0, 1, 2])
+def test_smoothing_first_is_the_same_as_one_large_kernel(smoothing: int) -> None:
+    kernel = combined_kernel(smoothing)
+    grey = np.random.default_rng(1).uniform(0, 255, (30, 40)).astype(np.float32)
+    before = grey.copy()
+    gradient = gradient_of(grey, kernel)
+    size = len(kernel.u)
+    windows = np.lib.stride_tricks.sliding_window_view(grey, (size, size))
+    inside = (slice(size // 2, -(size // 2)), slice(size // 2, -(size // 2)))
+    for found, full in ((gradient.u, kernel.u), (gradient.v, kernel.v)):
+        assert np.allclose(found[inside], (windows * full).sum(axis=(2, 3)), atol=1e-3)
+    assert np.allclose(gradient.squared, gradient.u**2 + gradient.v**2, rtol=1e-5, atol=1e-4)
+    assert np.array_equal(grey, before)

@@ -97,7 +97,14 @@ def combined_kernel(smoothing: int) -> GradientKernel:
     collapsed = np.pad(kernels[0].sum(axis=0), 2)
     slope_gain = (np.square(collapsed[2:] - collapsed[:-2]) / 4).sum()
     return GradientKernel(
-        *kernels, *combined, smoothing, float(variance), float(noise_gain), float(slope_gain)
+        kernels[0],
+        kernels[1],
+        combined[0],
+        combined[1],
+        smoothing,
+        float(variance),
+        float(noise_gain),
+        float(slope_gain),
     )
 
 
