@@ -13,7 +13,7 @@ import os
 import resource
 import time
 from collections.abc import Callable, Iterator
-from itertools import combinations
+from itertools import combinations, pairwise
 from pathlib import Path
 
 import numpy as np
@@ -93,7 +93,9 @@ def merton(folder: Path) -> None:
         ("merton2", "Line3D++ .39 (538), LIMAP .32 (262)"),
     ):
         data = np.load(folder / f"vgg_{name}" / f"{name}.npz")
-        matrices = dict(zip(VIEWS, data["projection"], strict=True))
+        matrices = {
+            str(view): matrix for view, matrix in zip(VIEWS, data["projection"], strict=True)
+        }
         rig = Rig.from_matrices(matrices, (1024, 768))
         plain = {view: data[f"segments_{k}"] for k, view in enumerate(VIEWS)}
         for label, segments in (("as they are", plain), ("with their sides", _sided(plain))):
@@ -190,7 +192,7 @@ def table_of_fresh(seeds: int) -> None:
         )
     print("\nposterior   put out  stated  right")
     p, right = np.array(reliability).T
-    for low, high in zip(BINS[:-1], BINS[1:], strict=True):
+    for low, high in pairwise(BINS):
         inside = (p >= low) & ((p < high) | (high == 1.0))
         if inside.any():
             stated, share = p[inside].mean(), right[inside].mean()

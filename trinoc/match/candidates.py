@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Int
 
 from trinoc.geometry.arrays import ArrayLike
 from trinoc.match.ends import COMPONENTS, end_evidence
+from trinoc.match.evidence import Habits, log_odds, usual_habits
 from trinoc.match.fragments import Prediction, cut_pair, points_of, predict
 from trinoc.match.intervals import overlapping
 from trinoc.match.likelihood import Strangers, TripleEvidence, triple_evidence
@@ -20,8 +21,10 @@ from trinoc.match.polarity import polarity_evidence
 from trinoc.match.prediction_lookup import Lookup, lookup, segments_near
 from trinoc.match.third_view import near
 
-# Segments of the first view whose pairs are held at a time.
-SEGMENTS_PER_BLOCK = 2048
+# About as many pairs are held at a time.
+PAIRS_AT_A_TIME = 1 << 19
+# Candidates with log odds below this, before anything is learned, are not kept.
+HOPELESS = -9.0
 # Sizes of blocks, per segment of a view.
 PAIRS_PER_SEGMENT, TRIPLES_PER_SEGMENT = 32, 8
 
@@ -70,14 +73,22 @@ def trinocular_candidates(
     lines: PictureLines, views: tuple[int, int, int], counts: list[int], strangers: Strangers
 ) -> Candidates:
     """All triples of three views; each is found from the pair of views that crosses best."""
-    parts = [no_candidates(len(counts))]
+    parts, habits = [no_candidates(len(counts))], None
+    typical = float(np.mean([counts[view] for view in views]))
     for c in range(3):
         order = np.array([views[(c + 1) % 3], views[(c + 2) % 3], views[c]])
         table = lookup(lines, int(order[2]), counts[order[2]])
         planes = pencil(lines, order[0], order[1])
         for i, j in _pairs(planes, counts[order[0]], counts[order[1]]):
             triple = _triples(lines, order, planes, table, i, j)
-            parts.append(_judge(lines, order, planes, triple, strangers))
+            found = _judge(lines, order, planes, triple, strangers)
+            if habits is None and len(found.index):
+                habits = usual_habits(found.ends_mm, typical)
+            if habits is not None:
+                # Most of what passes the gate is far from likely, and is not kept in memory.
+                odds = odds_of(found, habits)
+                found = Candidates(*(field[odds > HOPELESS] for field in found))
+            parts.append(found)
     found = joined_candidates(parts)
     # Two orderings may find one triple where they cross about as well.
     i, j, k = (found.index[:, view].astype(np.int64) for view in views)
@@ -93,7 +104,9 @@ def _pairs(
         np.stack([np.asarray(s.low)[:count], np.asarray(s.high)[:count]], axis=1)
         for s, count in ((planes.first, count_a), (planes.second, count_b))
     )
-    for block in blocks(count_a, SEGMENTS_PER_BLOCK):
+    # About one in four pairs shares epipolar planes.
+    rows = max(1, 4 * PAIRS_AT_A_TIME // max(count_b, 1))
+    for block in blocks(count_a, rows):
         i, j = overlapping(angles_a[block], angles_b)
         yield i + block.start, j
 
@@ -211,6 +224,12 @@ def _judged(
         return evidence, end_evidence(evidence.extent_px)
 
     return jax.vmap(judge)(jnp.asarray(triple))
+
+
+def odds_of(candidates: Candidates, habits: Habits) -> Float[np.ndarray, "m"]:
+    """Log odds of each on its own evidence."""
+    c = candidates
+    return log_odds(c.chi_square, c.log_density, c.end_log, c.ends_mm, habits)
 
 
 def in_depth_range(

@@ -9,9 +9,9 @@ selection, do not buy two weak triples with a strong one, and show ambiguity as 
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
-from trinoc.match.intervals import pairs_of_equal_keys
+from trinoc.match.intervals import expand_ranges, pairs_of_equal_keys
 
 # Parts conflict when they share more than this of the shorter.
 CONFLICT = 0.3
@@ -38,12 +38,11 @@ def conflicts(index: Int[np.ndarray, "m v"], part: Float[np.ndarray, "m v 2"]) -
     Two candidates that share parts in several views conflict once, in the first of these.
     """
     views = index.shape[1]
+    # The interval on each segment, from low to high.
     low, high = part.min(axis=2), part.max(axis=2)
 
     def clash(m: Int[np.ndarray, "e"], n: Int[np.ndarray, "e"], view: int) -> np.ndarray:
-        shared = np.minimum(high[m, view], high[n, view]) - np.maximum(low[m, view], low[n, view])
-        shorter = np.minimum(high[m, view] - low[m, view], high[n, view] - low[n, view])
-        return shared > CONFLICT * shorter
+        return _clash(low[m, view], high[m, view], low[n, view], high[n, view])
 
     slots, rivals = [], []
     for view in range(views):
@@ -61,6 +60,39 @@ def conflicts(index: Int[np.ndarray, "m v"], part: Float[np.ndarray, "m v 2"]) -
     slot, rival = np.concatenate(slots), np.concatenate(rivals)
     order = np.argsort(slot.astype(np.int32), kind="stable")
     return Conflicts(slot[order], rival[order], views)
+
+
+def claimed(
+    index: Int[np.ndarray, "m v"],
+    part: Float[np.ndarray, "m v 2"],
+    by_index: Int[np.ndarray, "t v"],
+    by_part: Float[np.ndarray, "t v 2"],
+) -> Bool[np.ndarray, "m"]:
+    """Whether candidates need a part of a segment that one of other lines has."""
+    taken = np.zeros(len(index), dtype=bool)
+    for view in range(index.shape[1]):
+        owners = np.argsort(by_index[:, view], kind="stable")
+        segments = by_index[owners, view]
+        seen = np.flatnonzero(index[:, view] >= 0)
+        m, position = expand_ranges(
+            np.searchsorted(segments, index[seen, view], "left"),
+            np.searchsorted(segments, index[seen, view], "right"),
+        )
+        m, by = seen[m], owners[position]
+        own, other = part[m, view], by_part[by, view]
+        clash = _clash(own.min(axis=1), own.max(axis=1), other.min(axis=1), other.max(axis=1))
+        taken[m[clash]] = True
+    return taken
+
+
+def _clash(
+    low: Float[np.ndarray, "e"],
+    high: Float[np.ndarray, "e"],
+    other_low: Float[np.ndarray, "e"],
+    other_high: Float[np.ndarray, "e"],
+) -> Bool[np.ndarray, "e"]:
+    shared = np.minimum(high, other_high) - np.maximum(low, other_low)
+    return shared > CONFLICT * np.minimum(high - low, other_high - other_low)
 
 
 def beliefs(log_odds: Float[np.ndarray, "m"], graph: Conflicts) -> Float[np.ndarray, "m"]:

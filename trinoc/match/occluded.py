@@ -24,7 +24,7 @@ from trinoc.match.candidates import (
 )
 from trinoc.match.ends import AGREEING_PX, PAIR_PX
 from trinoc.match.evidence import Habits, log_place, probability, usual_habits, volume_of
-from trinoc.match.exclusivity import beliefs, chosen_greedily, conflicts
+from trinoc.match.exclusivity import beliefs, chosen_greedily, claimed, conflicts
 from trinoc.match.intervals import overlapping
 from trinoc.match.likelihood import Strangers
 from trinoc.match.merging import Tracks
@@ -77,10 +77,9 @@ def occluded(
     ]
     candidates = joined_candidates([pairs.candidates for pairs in found])
     expected = np.concatenate([pairs.expected for pairs in found])
-    keep = ~_claimed(candidates, matched.candidates)
     if depth_range_mm is not None:
-        keep &= in_depth_range(candidates, lines, depth_range_mm)
-    candidates, expected = _rows(candidates, keep), expected[keep]
+        keep = in_depth_range(candidates, lines, depth_range_mm)
+        candidates, expected = _rows(candidates, keep), expected[keep]
     most = max(selections, key=lambda selection: selection.taken.sum(), default=None)
     if most is None or most.taken.sum() < FEW:
         habits, joined = usual_habits(candidates.ends_mm, float(np.mean(counts))), USUAL_HABITS
@@ -102,8 +101,11 @@ def _select(
     likely = evidence + habits.log_count + log_place(candidates.ends_mm, habits.volume)
     keep = likely > HOPELESS_LEARNED
     candidates, evidence = _rows(candidates, keep), evidence[keep]
+    lines = matched.candidates
+    keep = ~claimed(candidates.index, candidates.part, lines.index, lines.part)
+    candidates, evidence = _rows(candidates, keep), evidence[keep]
     graph = conflicts(candidates.index, candidates.part)
-    meetings = junctions(_joined(matched.candidates, candidates))
+    meetings = junctions(_joined(lines, candidates))
     known = probability(matched.belief)
     # Without lines in three views to compare with, pairs are what there is.
     share = USUAL_SHARE if len(known) >= FEW else 1.0
@@ -147,17 +149,6 @@ def _free_segments(matched: Candidates, counts: list[int]) -> list[Int[np.ndarra
         used = np.bincount(matched.index[on, view], length, minlength=count)
         free.append(np.flatnonzero(used < FREE))
     return free
-
-
-def _claimed(candidates: Candidates, matched: Candidates) -> Bool[np.ndarray, "m"]:
-    """Whether a pair needs a part of a segment that a matched line has."""
-    count = len(matched.index)
-    index = np.concatenate([matched.index, candidates.index])
-    graph = conflicts(index, np.concatenate([matched.part, candidates.part]))
-    owner, rival = graph.slot // graph.views, graph.rival_slot // graph.views
-    claimed = np.zeros(len(index), dtype=bool)
-    claimed[owner[rival < count]] = True
-    return claimed[count:]
 
 
 def _log_ends(candidates: Candidates, habits: Habits) -> Float[np.ndarray, "m"]:

@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from trinoc.match.candidates import Candidates
-from trinoc.match.evidence import Habits, learn, log_odds, probability, usual_habits
+from trinoc.match.candidates import Candidates, odds_of
+from trinoc.match.evidence import Habits, learn, probability, usual_habits
 from trinoc.match.exclusivity import Conflicts, beliefs, chosen_greedily, conflicts
 from trinoc.match.merging import Tracks
 from trinoc.match.neighbours import USUAL_HABITS, JunctionHabits, junctions, support
@@ -38,14 +38,14 @@ def select(candidates: Candidates, typical_count: float, *, neighbours: bool = T
     """
     habits = usual_habits(candidates.ends_mm, typical_count)
     # What is learned is learned from likely candidates: far fewer, with far fewer conflicts.
-    likely = _above(candidates, _odds(candidates, habits), LIKELY)
+    likely = _above(candidates, odds_of(candidates, habits), LIKELY)
     graph = conflicts(likely.index, likely.part)
     for _ in range(ROUNDS):
-        belief = beliefs(_odds(likely, habits), graph)
+        belief = beliefs(odds_of(likely, habits), graph)
         habits = _learned(likely, belief, habits)
-    candidates = _above(candidates, _odds(candidates, habits), HOPELESS_LEARNED)
+    candidates = _above(candidates, odds_of(candidates, habits), HOPELESS_LEARNED)
     graph = conflicts(candidates.index, candidates.part)
-    odds = _odds(candidates, habits)
+    odds = odds_of(candidates, habits)
     belief = beliefs(odds, graph)
     joined = USUAL_HABITS
     if neighbours:
@@ -87,11 +87,6 @@ def _with_neighbours(
 
 def _above(candidates: Candidates, odds: Float[np.ndarray, "m"], least: float) -> Candidates:
     return Candidates(*(field[odds > least] for field in candidates))
-
-
-def _odds(candidates: Candidates, habits: Habits) -> Float[np.ndarray, "m"]:
-    c = candidates
-    return log_odds(c.chi_square, c.log_density, c.end_log, c.ends_mm, habits)
 
 
 def _learned(candidates: Candidates, belief: Float[np.ndarray, "m"], habits: Habits) -> Habits:
