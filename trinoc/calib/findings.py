@@ -55,14 +55,14 @@ def notes_of_fit(
     """Sentences on what a user of a good fit should know."""
     fit, quality = refined.fit, refined.quality
     notes = [] if refined.note is None else [f"{refined.note} Its circles alone were used."]
+    if alternatives and alternatives[0].found:
+        notes.append(alternatives[0].sentence)
     dropped = detection.circle_index[~fit.used]
     if len(dropped):
         notes.append(
             f"{len(dropped)} circle{'s were' if len(dropped) > 1 else ' was'} located wrongly and "
             f"left out: {', '.join(str(k) for k in dropped)}."
         )
-    if alternatives and alternatives[0].found:
-        notes.append(alternatives[0].sentence)
     if len(detection) < len(pattern):
         notes.append(f"{len(detection)} of {len(pattern)} circles were found.")
     if fit.status is Status.CONVERGED and fit.gauge:

@@ -88,12 +88,12 @@ def _sentence(name: str, estimate: Float[np.ndarray, "k"], sigma: Float[np.ndarr
     if name == "aim":
         return (
             f"the optical axis misses the origin of the sheet by ({estimate[0]:.2f}, "
-            f"{estimate[1]:.2f}) +- ({sigma[0]:.2f}, {sigma[1]:.2f}) mm: use parameters=6."
+            f"{estimate[1]:.2f}) +- ({sigma[0]:.1g}, {sigma[1]:.1g}) mm: use parameters=6."
         )
     if name == "focal length":
         return (
-            f"the residuals look like a focal length {100 * estimate[0]:+.2f} +- "
-            f"{100 * sigma[0]:.2f} % off: check the lens and its focus."
+            f"the residuals look like a focal length {100 * estimate[0]:+.3f} +- "
+            f"{100 * sigma[0]:.1g} % off: check the lens and its focus."
         )
     return (
         f"the residuals look like radial distortion k1 = {estimate[0]:+.3f} +- {sigma[0]:.3f} "

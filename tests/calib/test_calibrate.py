@@ -1,0 +1,90 @@
+"""From pictures to a rig: the whole way, and what bad pictures give."""
+
+import functools
+
+import numpy as np
+import pytest
+
+from tests.calib.simulated import DISTORTED_LENS, LENS, TABLE_1, camera_of
+from trinoc.calib.calibrate import calibrate
+from trinoc.calib.pattern import Pattern
+from trinoc.calib.result import CalibrationResult, Status
+from trinoc.errors import CalibrationError, InputError
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.synth.sheet_picture import render_sheet
+
+SHEET = Pattern.default()
+
+
+@functools.cache
+def picture(name: str, lens_is_distorted: bool = False) -> np.ndarray:
+    lens = DISTORTED_LENS if lens_is_distorted else LENS
+    camera = camera_of(TABLE_1[name], lens)
+    return render_sheet(SHEET, camera, noise_sigma=2.0, seed=7, supersampling=16)
+
+
+def pictures() -> dict[str, np.ndarray]:
+    return {name: picture(name) for name in TABLE_1}
+
+
+def errors_in_sigmas(result: CalibrationResult) -> np.ndarray:
+    truth = np.concatenate([TABLE_1[name] for name in result.rig.names])
+    return (result.values - truth) / np.sqrt(np.diag(result.covariance))
+
+
+def test_the_paper_s_rig_is_recovered() -> None:
+    by_picture = calibrate(pictures(), SHEET, LENS)
+    by_circles = calibrate(pictures(), SHEET, LENS, method="circles")
+    for result in (by_picture, by_circles):
+        assert set(result.status.values()) == {Status.CONVERGED}
+        assert np.abs(errors_in_sigmas(result)).max() < 5.0
+    truth = np.concatenate(list(TABLE_1.values()))
+    error = np.abs(by_picture.values - truth).reshape(3, 4)
+    assert error[:, :3].max() < 0.005
+    assert error[:, 3].max() < 0.03
+    for name in TABLE_1:
+        quality = by_picture.fits[name].picture
+        assert quality is not None
+        assert by_circles.fits[name].picture is None
+        assert by_picture.sigma(f"{name}.pan_deg") < by_circles.sigma(f"{name}.pan_deg")
+        assert 0.9 < quality.reduced_chi_square < 1.15
+        assert quality.blur_px == pytest.approx(0.7, abs=0.02)
+        assert quality.ink_over_paper == pytest.approx(25 / 230, abs=0.01)
+
+
+def test_distortion_is_modelled_and_missed_when_it_is_left_out() -> None:
+    images = {"left": picture("left", lens_is_distorted=True)}
+    known = calibrate(images, SHEET, DISTORTED_LENS)
+    assert np.abs(errors_in_sigmas(known)).max() < 5.0
+    ignored = calibrate(images, SHEET, LENS)
+    assert "radial distortion" in ignored.fits["left"].notes[0]
+
+
+def test_grey_levels_of_any_depth_give_one_answer() -> None:
+    eight = picture("left")
+    results = [
+        calibrate({"left": image}, SHEET, LENS)
+        for image in (eight, eight.astype(np.uint16) * 257, np.stack([eight] * 3, axis=-1))
+    ]
+    for result in results[1:]:
+        np.testing.assert_allclose(result.values, results[0].values, atol=1e-5)
+
+
+def test_bad_pictures_are_named() -> None:
+    blank = np.full((480, 512), 128, dtype=np.uint8)
+    with pytest.raises(CalibrationError, match='amera "right"') as caught:
+        calibrate(pictures() | {"right": blank}, SHEET, LENS)
+    assert isinstance(caught.value.result, CalibrationResult)
+    assert caught.value.result.status["right"] is Status.NOT_DETECTED
+    with pytest.raises(InputError, match="same picture"):
+        calibrate({"a": picture("left"), "b": picture("left")}, SHEET, LENS)
+    with pytest.raises(InputError, match="512 x 400"):
+        calibrate({"a": picture("left")[:400]}, SHEET, LENS)
+
+
+def test_a_wrong_focal_length_is_named() -> None:
+    wrong = Intrinsics(
+        focal_length_mm=16.1, pixel_pitch_mm=(0.0162, 0.0134), image_size_px=(512, 480)
+    )
+    result = calibrate({"left": picture("left")}, SHEET, wrong, method="circles")
+    assert "focal length" in result.fits["left"].notes[0]
