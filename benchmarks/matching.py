@@ -251,7 +251,8 @@ def _near_epipolar(
         epipole = image[:2] / image[2]
         ends = np.asarray(segments[VIEWS[a]].endpoints_px)
         step, toward = ends[:, 1] - ends[:, 0], epipole - ends.mean(axis=1)
-        sine = np.abs(np.cross(step, toward)) / np.linalg.norm(step, axis=1)
+        across = step[:, 0] * toward[:, 1] - step[:, 1] * toward[:, 0]
+        sine = np.abs(across) / np.linalg.norm(step, axis=1)
         flat = sine / np.linalg.norm(toward, axis=1) < np.sin(np.radians(5))
         edges, third = truth.edge_of[VIEWS[a]], set(truth.edge_of[VIEWS[3 - a - b]].tolist())
         for i in np.flatnonzero(flat & (edges >= 0) & np.isin(edges, list(third))):

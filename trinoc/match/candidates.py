@@ -23,8 +23,8 @@ from trinoc.match.third_view import near
 
 # About as many pairs are held at a time.
 PAIRS_AT_A_TIME = 1 << 19
-# Candidates with log odds below this, before anything is learned, are not kept.
-HOPELESS = -9.0
+# Of more candidates than this in one block, those with log odds below are not kept.
+MANY, HOPELESS = 5000, -9.0
 # Sizes of blocks, per segment of a view.
 PAIRS_PER_SEGMENT, TRIPLES_PER_SEGMENT = 32, 8
 
@@ -73,7 +73,7 @@ def trinocular_candidates(
     lines: PictureLines, views: tuple[int, int, int], counts: list[int], strangers: Strangers
 ) -> Candidates:
     """All triples of three views; each is found from the pair of views that crosses best."""
-    parts, habits = [no_candidates(len(counts))], None
+    parts = [no_candidates(len(counts))]
     typical = float(np.mean([counts[view] for view in views]))
     for c in range(3):
         order = np.array([views[(c + 1) % 3], views[(c + 2) % 3], views[c]])
@@ -82,18 +82,21 @@ def trinocular_candidates(
         for i, j in _pairs(planes, counts[order[0]], counts[order[1]]):
             triple = _triples(lines, order, planes, table, i, j)
             found = _judge(lines, order, planes, triple, strangers)
-            if habits is None and len(found.index):
-                habits = usual_habits(found.ends_mm, typical)
-            if habits is not None:
-                # Most of what passes the gate is far from likely, and is not kept in memory.
-                odds = odds_of(found, habits)
-                found = Candidates(*(field[odds > HOPELESS] for field in found))
-            parts.append(found)
+            parts.append(_not_hopeless(found, typical) if len(found.index) > MANY else found)
     found = joined_candidates(parts)
     # Two orderings may find one triple where they cross about as well.
     i, j, k = (found.index[:, view].astype(np.int64) for view in views)
     once = np.unique((i * counts[views[1]] + j) * counts[views[2]] + k, return_index=True)[1]
     return Candidates(*(column[once] for column in found))
+
+
+def _not_hopeless(found: Candidates, typical_count: float) -> Candidates:
+    """Those that may yet be likely: most of what passes the gate is not, and takes memory."""
+    habits = usual_habits(found.ends_mm, typical_count)
+    # One block shows how large the volume is, but not yet where lines lie in it.
+    everywhere = habits.volume._replace(precision=np.zeros((3, 3)))
+    odds = odds_of(found, habits._replace(volume=everywhere))
+    return Candidates(*(field[odds > HOPELESS] for field in found))
 
 
 def _pairs(

@@ -43,8 +43,10 @@ FEW = 10
 FREE = 0.5
 # Pairs before any is known, as a share of the lines matched in three views.
 USUAL_SHARE = 0.1
-# Log odds that a view misses a line within its borders, where nothing hides it.
-LOG_MISSED = float(np.log(0.3))
+# Log odds that a view misses a line within its borders.
+LOG_MISSED = float(np.log(0.5))
+# What the evidence of true pairs falls short of, on made scenes of other seeds.
+MISFIT = 1.5
 
 
 class _Possible(NamedTuple):
@@ -97,7 +99,7 @@ def _select(
 ) -> Pairs:
     """Beliefs of pairs among lines that are matched already, to a fixed point."""
     ends = _log_ends(candidates, habits)
-    evidence = candidates.log_density + ends + expected * LOG_MISSED
+    evidence = candidates.log_density + ends + expected * LOG_MISSED + MISFIT
     likely = evidence + habits.log_count + log_place(candidates.ends_mm, habits.volume)
     keep = likely > HOPELESS_LEARNED
     candidates, evidence = _rows(candidates, keep), evidence[keep]
