@@ -9,6 +9,10 @@ import tempfile
 for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_variable, "1")
 
+# Tests compile far longer than they compute: XLA's costly passes do not pay here. What users run,
+# with these passes, is run by `.ci/run` in the demo.
+os.environ.setdefault("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
+
 # Workers and notebooks compile the same kernels. They share them through a folder that the
 # first process makes and removes; the others find its name in their environment.
 if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
