@@ -6,7 +6,6 @@ import cv2
 import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.spatial import KDTree
 
 from trinoc.calib.lens_arrays import LensArrays
 from trinoc.calib.pattern import Pattern
@@ -25,7 +24,7 @@ from trinoc.geometry.arrays import ArrayLike
 
 # Pixels within this many sigmas of an edge, and a little more for an error of the start.
 _REACH_SIGMAS = 3.0
-_REACH_PX = 0.5
+_REACH_PX = 0.4
 # Fixed-point bits of OpenCV's drawing coordinates.
 _SHIFT = 4
 _SMALLEST_CAPACITY = 16384
@@ -72,37 +71,51 @@ def choose_pixels(
 
     Pixels within reach of two circles are left out: the model knows one.
     """
-    width, height = image_size_px
-    thickness = max(1, round(2 * (_REACH_SIGMAS * sigma_px + _REACH_PX)))
-    even, odd = np.zeros((2, height, width), dtype=np.int32)
-    canvases = (even, odd)
-    parity = pattern.lattice.sum(axis=1) % 2
-    for radius, kept in _radii(pattern):
-        outlines = circle_points_mm(pattern.centres_mm[kept], radius[kept])
-        drawn = _fixed_point(_project(pose, lens, outlines))
+    # OpenCV draws an even thickness one pixel wider: half a thickness and a half to each side.
+    thickness = 2 * max(1, round(_REACH_SIGMAS * sigma_px + _REACH_PX - 0.5))
+    circles = [
+        (kept, _project(pose, lens, circle_points_mm(pattern.centres_mm[kept], radius[kept])))
+        for radius, kept in _radii(pattern)
+    ]
+    cross = _project(pose, lens, line_outlines_mm(pattern)) if pattern.line_width_mm > 0 else ()
+    # Work in the sheet's bounding box: the rest of a large picture costs nothing.
+    corner, shape = _bounding_box([points for _, points in circles], thickness, image_size_px)
+    even, odd = np.zeros((2, *shape), dtype=np.int32)
+    canvases, parity = (even, odd), pattern.lattice.sum(axis=1) % 2
+    for kept, outlines in circles:
+        drawn = _fixed_point(outlines - corner)
         for k, outline in zip(np.flatnonzero(kept), drawn, strict=True):
             _draw(canvases[parity[k]], outline, int(k) + 1, thickness)
-    lines = np.zeros((height, width), dtype=np.uint8)
-    if pattern.line_width_mm > 0:
-        for outline in _fixed_point(_project(pose, lens, line_outlines_mm(pattern))):
-            cv2.fillPoly(lines, [outline], 1, shift=_SHIFT)
-            _draw(lines, outline, 1, thickness)
-    label = np.maximum(even, odd)
-    row, column = np.nonzero((label > 0) & ((even == 0) | (odd == 0)) & (lines == 0))
-    near_circles = Chosen(column, row, label[row, column] - 1)
-    row, column = np.nonzero((lines > 0) & ((even == 0) | (odd == 0)))
-    near_lines = Chosen(column, row, np.full(len(row), -1))
+    lines = np.zeros(shape, dtype=np.uint8)
+    for outline in cross:
+        drawn = _fixed_point(outline - corner)
+        cv2.fillPoly(lines, [drawn], 1, shift=_SHIFT)
+        _draw(lines, drawn, 1, thickness)
+    label, alone = np.maximum(even, odd), (even == 0) | (odd == 0)
+    row, column = np.nonzero((label > 0) & alone & (lines == 0))
+    near_circles = Chosen(column + corner[0], row + corner[1], label[row, column] - 1)
+    row, column = np.nonzero((lines > 0) & alone)
+    near_lines = Chosen(column + corner[0], row + corner[1], np.full(len(row), -1))
     near_lines = _with_nearest_circle(near_lines, pose, lens, pattern, sigma_px)
-    box, corner = _bounding_box((label > 0) | (lines > 0))
-    return Choice(near_circles, near_lines, corner, (label[box] == 0) & (lines[box] == 0))
+    flat = (label == 0) & (lines == 0)
+    return Choice(near_circles, near_lines, (int(corner[1]), int(corner[0])), flat)
 
 
-def _bounding_box(mask: Bool[np.ndarray, "h w"]) -> tuple[tuple[slice, slice], tuple[int, int]]:
-    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
-    if not len(rows):
-        return (slice(0, 0), slice(0, 0)), (0, 0)
-    box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
-    return box, (int(rows[0]), int(columns[0]))
+def _bounding_box(
+    outlines: list[Float[np.ndarray, "m k 2"]], margin_px: int, image_size_px: tuple[int, int]
+) -> tuple[Int[np.ndarray, "2"], tuple[int, int]]:
+    """(column, row) of the corner and (rows, columns) of the part of the picture to look at.
+
+    The crossed lines reach beyond the circles by a little: what a wide margin does not hold of
+    them says nothing that the rest does not.
+    """
+    points = np.concatenate([part.reshape(-1, 2) for part in outlines])
+    size = np.ptp(points, axis=0)
+    limit = np.array(image_size_px)
+    low = np.clip(np.floor(points.min(axis=0) - 0.1 * size) - margin_px, 0, limit - 1)
+    high = np.clip(np.ceil(points.max(axis=0) + 0.1 * size) + margin_px, 0, limit - 1)
+    columns, rows = (high - low + 1).astype(int)
+    return low.astype(int), (int(rows), int(columns))
 
 
 def _radii(pattern: Pattern) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
@@ -138,11 +151,19 @@ def _with_nearest_circle(
     inverse = np.linalg.inv(np.asarray(lens.matrix_px) @ np.asarray(pose.cam_from_sheet))
     sheet = np.concatenate([pixel, np.ones((len(pixel), 1))], axis=1) @ inverse.T
     sheet = sheet[:, :2] / sheet[:, 2:]
-    distance, nearest = KDTree(pattern.centres_mm).query(sheet)
     # Pixels are foreshortened by the tilt: take the coarsest millimetres per pixel.
     mm_per_px = float(pose.distance_mm) / float(np.min(np.diag(lens.matrix_px)[:2]))
     reach = (_REACH_SIGMAS * sigma_px + _REACH_PX) * mm_per_px / max(-pose.rotation[2, 2], 0.2)
-    within = distance < pattern.radius_mm[nearest] + pattern.line_gap_mm + reach
+    reach_mm = pattern.radius_mm + pattern.line_gap_mm + reach
+    beside = np.abs(pattern.centres_mm).min(axis=1) < reach_mm + pattern.line_width_mm + reach
+    candidates = np.flatnonzero(beside)
+    if not len(candidates):
+        return chosen
+    apart = sheet[:, None] - pattern.centres_mm[candidates]
+    squared = np.einsum("ncd,ncd->nc", apart, apart)
+    best = squared.argmin(axis=1)
+    nearest = candidates[best]
+    within = squared[np.arange(len(best)), best] < reach_mm[nearest] ** 2
     return chosen._replace(circle=np.where(within, nearest, -1))
 
 

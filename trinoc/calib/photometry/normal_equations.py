@@ -16,7 +16,7 @@ from trinoc.calib.photometry.ink import Cross, Drawing
 from trinoc.calib.photometry.model import NUISANCE, Appearance, Pixels, Prediction, predict
 from trinoc.geometry.arrays import ArrayLike
 
-CHUNK = 1024
+CHUNK = 2048
 _ROW = 9 + NUISANCE
 
 
