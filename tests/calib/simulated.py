@@ -6,6 +6,7 @@ from jaxtyping import Float
 
 from trinoc.calib.detection import Detection
 from trinoc.calib.pattern import Pattern
+from trinoc.geometry.arrays import ArrayLike
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.conics import image_of_circle_centre
 from trinoc.geometry.intrinsics import Intrinsics
@@ -43,7 +44,7 @@ def camera_of(
 @jax.jit
 def _ellipse_centres(
     camera: Camera, centres_mm: Float[jax.Array, "n 2"], radius_mm: Float[jax.Array, "n"]
-) -> Float[jax.Array, "n 2"]:
+) -> Float[ArrayLike, "n 2"]:
     return jax.vmap(image_of_circle_centre, in_axes=(None, 0, 0))(camera, centres_mm, radius_mm)
 
 

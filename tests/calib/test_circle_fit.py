@@ -22,6 +22,7 @@ from trinoc.calib.lens_arrays import lens_arrays
 from trinoc.calib.pattern import Pattern
 from trinoc.calib.result import Status
 from trinoc.calib.sheet_pose import SheetPose
+from trinoc.geometry.arrays import ArrayLike
 from trinoc.geometry.conics import image_of_circle_centre
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.pose import PanTiltPose
@@ -34,7 +35,7 @@ TILTS = st.floats(15.0, 80.0)
 def pose_of(values: tuple[float, ...], aim_mm: tuple[float, float] = (0.0, 0.0)) -> SheetPose:
     pan, tilt, swing = np.radians(values[:3])
     pose = PanTiltPose.from_vector(np.array([pan, tilt, swing, values[3], *aim_mm])).pose
-    return SheetPose(pose.rotation, np.float64(values[3]), np.array(aim_mm))
+    return SheetPose(pose.rotation, np.array(values[3]), np.array(aim_mm))
 
 
 @pytest.mark.parametrize("lens", [LENS, DISTORTED_LENS])
@@ -45,7 +46,7 @@ def test_prediction_is_that_of_the_conic(
     pose = pose_of((pan, tilt, swing, 480.0), (3.0, -2.0))
     camera = camera_of((pan, tilt, swing, 480.0), lens, (3.0, -2.0))
     arrays = lens_arrays(lens, lens is DISTORTED_LENS)
-    centre, radius = np.array([31.0, -17.0]), np.float64(6.0)
+    centre, radius = np.array([31.0, -17.0]), np.array(6.0)
     np.testing.assert_allclose(
         predicted_centre_px(pose, arrays, centre, radius),
         image_of_circle_centre(camera, centre, radius),
@@ -61,7 +62,7 @@ def test_jacobian_is_the_limit_of_differences(lens: Intrinsics, count: int) -> N
     circles = circle_observations(detection, SHEET, 32)
     pose, arrays = pose_of(values), lens_arrays(lens, lens is DISTORTED_LENS)
 
-    def residuals(step: jax.Array) -> jax.Array:
+    def residuals(step: jax.Array) -> ArrayLike:
         return whitened_residuals(pose.moved(step), arrays, circles)
 
     jacobian = jax.jacfwd(residuals)(jnp.zeros(count))

@@ -15,16 +15,17 @@ from trinoc.calib.photometry.noise_floor import noise_floor
 from trinoc.calib.photometry.refine_picture import PictureRefinement, refine_picture
 from trinoc.calib.picture_fit import sheet_pose_of_values
 from trinoc.calib.sheet_pose import SheetPose
+from trinoc.geometry.arrays import ArrayLike
 from trinoc.synth.sheet_picture import render_sheet
 
 RIGHT = (*TABLE_1["right"], 0.0, 0.0)
 ARRAYS = lens_arrays(LENS, with_distortion=False)
-CROSS = Cross(np.float64(0.5), np.array([55.0, 55.0]), np.float64(1.5))
+CROSS = Cross(np.array(0.5), np.array([55.0, 55.0]), np.array(1.5))
 BLUR_PX = 0.7
 LOOK = Appearance(
-    np.float64(np.hypot(BLUR_PX, np.sqrt(1 / 12))),
-    np.float64(0.0),
-    np.float64(25 / 230 - 1),
+    np.array(np.hypot(BLUR_PX, np.sqrt(1 / 12))),
+    np.array(0.0),
+    np.array(25 / 230 - 1),
     np.array([230.0, 0.0, 0.0, 0.0, 0.0, 0.0]),
 )
 
@@ -37,7 +38,7 @@ def picture_of(pattern: Pattern, values: tuple[float, ...], supersampling: int =
     """A noiseless picture by the renderer, which knows nothing of the model."""
     return render_sheet(
         pattern,
-        camera_of(values[:4], LENS, values[4:]),
+        camera_of(values[:4], LENS, (values[4], values[5])),
         blur_px=BLUR_PX,
         supersampling=supersampling,
         dtype="float64",
@@ -54,7 +55,7 @@ def model_residuals(pattern: Pattern, values: tuple[float, ...]) -> list[np.ndar
     for chosen, near_line in ((choice.near_circles, False), (choice.near_lines, True)):
         pixels = group_of(chosen, picture, ARRAYS, pattern, 16384, np.float64).pixels
 
-        def one(pixel: Pixels, near_line: bool = near_line) -> jax.Array:
+        def one(pixel: Pixels, near_line: bool = near_line) -> ArrayLike:
             return predict(homography, LOOK, pixel, CROSS, drawing, near_line).residual
 
         residuals.append(np.asarray(jax.jit(jax.vmap(one))(pixels))[: len(chosen.row)])
@@ -91,8 +92,8 @@ def test_derivatives_are_those_of_differences(near_line: bool) -> None:
     drawing = Drawing("stop", False)
 
     @jax.jit
-    def grey(homography: np.ndarray, look: np.ndarray) -> jax.Array:
-        def one(pixel: Pixels) -> jax.Array:
+    def grey(homography: np.ndarray, look: np.ndarray) -> ArrayLike:
+        def one(pixel: Pixels) -> ArrayLike:
             appearance = Appearance.from_vector(look)
             return predict(homography, appearance, pixel, CROSS, drawing, near_line).residual
 

@@ -115,7 +115,7 @@ def test_distortion_agrees_with_opencv():
     points = np.random.default_rng(0).uniform(-0.25, 0.25, (20, 2))
     expected, _ = cv2.projectPoints(
         np.concatenate([points, np.ones((20, 1))], axis=1), np.zeros(3), np.zeros(3),
-        np.asarray(DISTORTED_LENS.matrix), DISTORTED_LENS.distortion,
+        np.asarray(DISTORTED_LENS.matrix), np.asarray(DISTORTED_LENS.distortion),
     )  # fmt: skip
     ours = jax.vmap(DISTORTED_LENS.pixel_from_normalised)(points)
     np.testing.assert_allclose(ours, expected.reshape(-1, 2), atol=1e-9)
