@@ -102,7 +102,7 @@ def choose_pixels(
 
 
 def _bounding_box(
-    outlines: list[Float[np.ndarray, "m k 2"]], margin_px: int, image_size_px: tuple[int, int]
+    outlines: list[Float[np.ndarray, "_ k 2"]], margin_px: int, image_size_px: tuple[int, int]
 ) -> tuple[Int[np.ndarray, "2"], tuple[int, int]]:
     """(column, row) of the corner and (rows, columns) of the part of the picture to look at.
 
@@ -133,7 +133,7 @@ def _project(
     return np.asarray(project_to_picture(pose, lens, flat)).reshape(outlines.shape)
 
 
-def _fixed_point(points: Float[np.ndarray, "m k 2"]) -> Int[np.ndarray, "m k 2"]:
+def _fixed_point(points: Float[np.ndarray, "*m k 2"]) -> Int[np.ndarray, "*m k 2"]:
     return np.round(points * (1 << _SHIFT)).astype(np.int32)
 
 

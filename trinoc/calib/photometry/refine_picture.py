@@ -30,7 +30,7 @@ from trinoc.calib.photometry.noise_floor import noise_floor
 from trinoc.calib.sheet_pose import SheetPose
 
 # Shares of the contrast at which a residual loses its influence while the fit finds its way.
-_SCALES = (0.12, 0.05)
+_SCALES = (0.12, 0.07, 0.05)
 _PLAIN_STEPS = 2
 _MOST_PLAIN_STEPS = 8
 # The fit has converged when a step is this share of its own standard deviation.
