@@ -12,7 +12,7 @@ LENS = Intrinsics(focal_length_mm=16, pixel_pitch_mm=(0.0162, 0.0134), image_siz
 @pytest.mark.parametrize("view", ["upper", "left"])
 def test_the_fit_has_settled_before_it_judges_pixels(view):
     result = calibrate({view: demo_pictures("sheet")[view]}, demo_pattern(), LENS)
-    quality = result.fits[view].quality
+    quality = result.fits[view].picture
     assert quality is not None
     assert quality.pixels_cut == 0
     assert result.fits[view].notes == ()
