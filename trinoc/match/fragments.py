@@ -22,8 +22,9 @@ from trinoc.match.vectors import (
 )
 
 SMALLEST_OVERLAP = 0.15
-# sin of the least angle between the two planes of sight of a pair.
-SMALLEST_CROSSING = 0.017
+# A pair whose prediction is more uncertain than this predicts nothing. The angle at which its
+# planes of sight cross would not do: it is small for any pair with a short baseline.
+VAGUEST_PX = 6.0
 # Of the three orderings of a triple, that whose pair crosses best finds it, or one within this.
 NEARLY_BEST = 0.8
 # A prediction may lie this share of the picture outside.
@@ -136,7 +137,7 @@ def predict(
     middle_u, middle_v = (u0 + u1) / 2, (v0 + v1) / 2
     possible &= (middle_u > -OUTSIDE * width) & (middle_u < (1 + OUTSIDE) * width)
     possible &= (middle_v > -OUTSIDE * height) & (middle_v < (1 + OUTSIDE) * height)
-    possible &= _crosses_best(turned, image_low, image_high, a, b) & jnp.isfinite(c00 + c11)
+    possible &= _crosses_best(turned, image_low, image_high, a, b) & (c00 + c11 < VAGUEST_PX**2)
     return Prediction(possible, u0, v0, u1, v1, c00, c01, c11)
 
 
@@ -154,4 +155,4 @@ def _crosses_best(
         for m, n in ((a.normal, b.normal), (a.normal, normal_c), (b.normal, normal_c))
     )
     best = jnp.maximum(sine_ac, sine_bc)
-    return (sine_ab > NEARLY_BEST**2 * best) & (sine_ab > SMALLEST_CROSSING**2)
+    return sine_ab > NEARLY_BEST**2 * best

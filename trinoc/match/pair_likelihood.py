@@ -14,7 +14,6 @@ from jaxtyping import Bool, Int
 from trinoc.geometry.arrays import ArrayLike
 from trinoc.match.ends import AGREEING_PX, LEAST_DENSITY
 from trinoc.match.fragments import (
-    SMALLEST_CROSSING,
     cut_pair,
     points_of,
 )
@@ -26,6 +25,8 @@ from trinoc.match.vectors import Scalar, Symmetric3, Vector3, add3, cross3, dot3
 
 # Ends agree, by scale; or do not.
 PAIR_COMPONENTS = len(AGREEING_PX) + 1
+# sin of the least angle between the planes of sight of a pair: below, its depth is anything.
+SMALLEST_CROSSING = 0.003
 
 
 class PairEvidence(NamedTuple):
