@@ -57,10 +57,12 @@ class Calibrate(Command):
 
         from trinoc.calib.calibrate import calibrate
         from trinoc.cli.provenance import for_people, provenance
+        from trinoc.io.atomic import expect_place
         from trinoc.io.images import read_views
         from trinoc.io.pattern_json import load_pattern
         from trinoc.io.save import save
 
+        expect_place(self.out, self.report)
         pattern = load_pattern(self.pattern).rescaled(*self.print_scale)
         images = read_views(files)
         lenses = self.lens.lenses({name: _size(image) for name, image in images.items()})

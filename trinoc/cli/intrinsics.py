@@ -55,10 +55,12 @@ class Intrinsics(Command):
 
         from trinoc.calib.intrinsics.calibrate_intrinsics import calibrate_intrinsics
         from trinoc.cli.provenance import provenance
+        from trinoc.io.atomic import expect_place
         from trinoc.io.images import read_image
         from trinoc.io.pattern_json import load_pattern
         from trinoc.io.save import save
 
+        expect_place(self.out)
         pattern = load_pattern(self.pattern)
         images = [read_image(path) for path in each(self.pictures, "reading", quiet=self.quiet)]
         LOGGER.info("calibrating the lens of %d pictures", len(images))

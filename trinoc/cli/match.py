@@ -54,10 +54,12 @@ class Match(Command):
         if not files:
             raise UsageError("No picture is given: write NAME=FILE for each camera.")
 
+        from trinoc.io.atomic import expect_place
         from trinoc.io.rig_json import load_rig
         from trinoc.io.save import save
         from trinoc.match.match_segments import match_segments
 
+        expect_place(self.out, self.report)
         rig = load_rig(self.rig)
         check_views(files, rig, self.rig)
         images, segments = self._read(files, rig)

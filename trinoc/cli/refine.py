@@ -47,10 +47,12 @@ class Refine(Command):
         from trinoc.calib.joint.refine import refine
         from trinoc.calib.joint.result import RefineStatus
         from trinoc.cli.provenance import provenance
+        from trinoc.io.atomic import expect_place
         from trinoc.io.matches_npz import load_matches
         from trinoc.io.rig_json import load_rig
         from trinoc.io.save import save
 
+        expect_place(self.out)
         rig, matches = load_rig(self.rig), load_matches(self.matches)
         LOGGER.info("refining %d cameras and %d lines", len(rig), len(matches))
         freedom = None if self.parameters is None else Freedom[self.parameters.upper()]

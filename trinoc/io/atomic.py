@@ -18,14 +18,11 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
     one file system. Raises InputError where the folder is missing or cannot be written to.
     """
     target = Path(path)
-    if target.is_dir():
-        raise InputError(f"{target} is a folder: give the name of a file to write.")
+    expect_place(target)
     scratch = target.with_name(f".{target.name}.{secrets.token_hex(4)}.tmp")
     try:
         # Unlike the files of `tempfile`, this one gets the permissions of any new file.
         file = open(scratch, "xb")  # noqa: SIM115
-    except FileNotFoundError as error:
-        raise InputError(f"The folder {target.parent} does not exist: create it first.") from error
     except OSError as error:
         raise InputError(
             f"{target} cannot be written ({error.strerror}): choose another place."
@@ -37,6 +34,18 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
     except BaseException:
         scratch.unlink(missing_ok=True)
         raise
+
+
+def expect_place(*paths: str | os.PathLike[str] | None) -> None:
+    """Before a long job: raise InputError for a file that has no folder, or is a folder."""
+    for path in paths:
+        if path is None:
+            continue
+        target = Path(path)
+        if target.is_dir():
+            raise InputError(f"{target} is a folder: give the name of a file to write.")
+        if not target.parent.is_dir():
+            raise InputError(f"The folder {target.parent} does not exist: create it first.")
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
