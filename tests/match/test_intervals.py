@@ -1,11 +1,12 @@
 """The index work: joins and tables find what comparing all with all finds."""
 
 import hypothesis.strategies as st
+import jax
 import numpy as np
 from hypothesis import given
 
 from trinoc.match.intervals import expand_ranges, overlapping, pairs_of_equal_keys
-from trinoc.match.picture_index import SECTORS, picture_index, segments_at
+from trinoc.match.picture_index import LAYERS, key_at, picture_index, segments_at
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -41,17 +42,25 @@ def test_ranges_expand_with_their_owners() -> None:
 def test_the_table_holds_every_segment_near_a_point_and_a_direction(seed: int) -> None:
     rng = np.random.default_rng(seed)
     ends = rng.uniform(0, 200, (30, 2, 2))
-    slack, margin = np.full(30, 0.2), np.full(30, 3.0)
-    table = picture_index(ends, slack, margin, np.array([200.0, 200.0]), 7.0, SECTORS)
+    own_rad, sigma_px = np.full(30, 0.05), 1.0
+    margins = np.array([[4.0 * layer.sigmas] for layer in LAYERS]) * np.ones(30)
+    table = picture_index(ends, own_rad, margins, np.array([200.0, 200.0]), 7.0, sigma_px)
     share = rng.random(30)
     direction = np.diff(ends, axis=1)[:, 0]
     angle = np.arctan2(direction[:, 1], direction[:, 0])
     normal = np.stack([-np.sin(angle), np.cos(angle)], axis=1)
     on = ends[:, 0] + share[:, None] * direction
-    # A query within margin of each segment, turned within slack of its direction.
-    point = np.clip(on + rng.uniform(-2.9, 2.9, (30, 1)) * normal, 0.0, 199.9)
-    asked = np.mod(angle + rng.uniform(-0.19, 0.19, 30), np.pi)
-    query, segment = segments_at(table, point, asked)
+    # Queries that know place and direction well or badly, and are as wrong as they say.
+    layer = rng.integers(0, len(LAYERS), 30)
+    known_rad = 0.99 * np.array([one.slack_rad for one in LAYERS])[layer]
+    known_px = 0.99 * np.array([one.sigmas for one in LAYERS])[layer]
+    point = on + rng.uniform(-4, 4, (30, 1)) * known_px[:, None] * normal
+    point = np.clip(point, 0.0, 199.9)
+    asked = np.mod(angle + rng.uniform(-1, 1, 30) * (known_rad + 0.05), np.pi)
+    keys = jax.vmap(lambda p, *known: key_at(table.grid, [(p[0], p[1])], *known)[0])(
+        point, asked, known_rad, known_px
+    )
+    query, segment = segments_at(table, np.asarray(keys))
     found = set(zip(query.tolist(), segment.tolist(), strict=True))
     assert {(k, k) for k in range(30)} <= found
     assert len(found) == len(query)

@@ -14,19 +14,20 @@ from trinoc.match.evidence import Habits, log_odds, usual_habits
 from trinoc.match.fragments import Prediction, cut_pair, points_of, predict
 from trinoc.match.intervals import overlapping
 from trinoc.match.likelihood import Strangers, TripleEvidence, triple_evidence
-from trinoc.match.padding import blocks, in_blocks
+from trinoc.match.padding import blocks, in_blocks, padded
 from trinoc.match.pencil import Pencil, PencilSegments, pencil
+from trinoc.match.picture_index import Grid, PictureIndex
 from trinoc.match.picture_lines import PictureLines
 from trinoc.match.polarity import polarity_evidence
-from trinoc.match.prediction_lookup import Lookup, lookup, segments_near
+from trinoc.match.prediction_lookup import keys_of, lookup, segments_near
 from trinoc.match.third_view import near
 
 # About as many pairs are held at a time.
 PAIRS_AT_A_TIME = 1 << 19
 # Of more candidates than this in one block, those with log odds below are not kept.
 MANY, HOPELESS = 5000, -9.0
-# Sizes of blocks, per segment of a view.
-PAIRS_PER_SEGMENT, TRIPLES_PER_SEGMENT = 32, 8
+# Rows handed to a kernel at a time: few enough for a processor's cache.
+PAIRS_IN_BLOCK, TRIPLES_IN_BLOCK = 1 << 14, 1 << 12
 
 
 class Candidates(NamedTuple):
@@ -74,20 +75,26 @@ def trinocular_candidates(
 ) -> Candidates:
     """All triples of three views; each is found from the pair of views that crosses best."""
     parts = [no_candidates(len(counts))]
-    typical = float(np.mean([counts[view] for view in views]))
-    for c in range(3):
-        order = np.array([views[(c + 1) % 3], views[(c + 2) % 3], views[c]])
-        table = lookup(lines, int(order[2]), counts[order[2]])
-        planes = pencil(lines, order[0], order[1])
-        for i, j in _pairs(planes, counts[order[0]], counts[order[1]]):
-            triple = _triples(lines, order, planes, table, i, j)
-            found = _judge(lines, order, planes, triple, strangers)
-            parts.append(_not_hopeless(found, typical) if len(found.index) > MANY else found)
+    for turn in range(3):
+        parts += _in_order(lines, np.roll(views, turn), counts, strangers)
     found = joined_candidates(parts)
     # Two orderings may find one triple where they cross about as well.
     i, j, k = (found.index[:, view].astype(np.int64) for view in views)
     once = np.unique((i * counts[views[1]] + j) * counts[views[2]] + k, return_index=True)[1]
     return Candidates(*(column[once] for column in found))
+
+
+def _in_order(
+    lines: PictureLines, order: Int[np.ndarray, "3"], counts: list[int], strangers: Strangers
+) -> Iterator[Candidates]:
+    """Triples of which the first two views predict the third segment."""
+    typical = float(np.mean([counts[view] for view in order]))
+    table = lookup(lines, int(order[2]), counts[order[2]])
+    planes = pencil(lines, order[0], order[1])
+    for i, j in _pairs(planes, counts[order[0]], counts[order[1]]):
+        triple = _triples(lines, order, planes, table, i, j)
+        found = _judge(lines, order, planes, triple, strangers)
+        yield _not_hopeless(found, typical) if len(found.index) > MANY else found
 
 
 def _not_hopeless(found: Candidates, typical_count: float) -> Candidates:
@@ -111,42 +118,41 @@ def _pairs(
     rows = max(1, 4 * PAIRS_AT_A_TIME // max(count_b, 1))
     for block in blocks(count_a, rows):
         i, j = overlapping(angles_a[block], angles_b)
-        yield i + block.start, j
+        yield (i + block.start).astype(np.int32), j.astype(np.int32)
 
 
-def _block(lines: PictureLines, per_segment: int) -> int:
-    return per_segment * lines.ends_px.shape[1]
+def block_of(lines: PictureLines, most: int) -> int:
+    """Rows to hand over at a time: fewer where pictures hold little."""
+    return min(most, 32 * lines.ends_px.shape[1])
 
 
 def _triples(
     lines: PictureLines,
     order: Int[np.ndarray, "3"],
     planes: Pencil,
-    table: Lookup,
+    table: PictureIndex,
     i: Int[np.ndarray, "p"],
     j: Int[np.ndarray, "p"],
 ) -> Int[np.ndarray, "h 3"]:
     """(segments in the views of `order`) of what passes the gate in the third view."""
+    size = block_of(lines, PAIRS_IN_BLOCK)
+    found = [np.zeros((0, 3), dtype=np.int32)]
+    for block in blocks(len(i), size):
+        rows = padded(i[block], size), padded(j[block], size)
+        guess, keys = _predicted(lines, order[2], planes, table.grid, *rows)
+        keys = np.stack([np.asarray(key)[: block.stop - block.start] for key in keys])
+        pair, k = segments_near(table, keys)
 
-    def predicted(i: np.ndarray, j: np.ndarray) -> Prediction:
-        return _predicted(lines, order[2], planes, i, j)
+        def gated(pair: np.ndarray, k: np.ndarray, guess: Prediction = guess) -> ArrayLike:
+            return _gated(lines, order[2], guess, pair, k)
 
-    guess = in_blocks(predicted, _block(lines, PAIRS_PER_SEGMENT), i, j)
-    keep = np.flatnonzero(guess.possible)
-    guess = Prediction(*(field[keep] for field in guess))
-    pair, k = segments_near(table, guess)
-
-    def gated(k: np.ndarray, *fields: np.ndarray) -> ArrayLike:
-        return _gated(lines, order[2], Prediction(*fields), k)
-
-    near_enough = in_blocks(
-        gated, _block(lines, PAIRS_PER_SEGMENT), k, *(np.asarray(field)[pair] for field in guess)
-    )
-    hit = np.flatnonzero(near_enough)
-    # Several samples of one prediction may find one segment.
-    unique = np.unique(pair[hit] * (k.max(initial=0) + 1) + k[hit], return_index=True)[1]
-    pair, k = pair[hit[unique]], k[hit[unique]]
-    return np.stack([i[keep[pair]], j[keep[pair]], k], axis=1)
+        near_enough = in_blocks(gated, size, pair.astype(np.int32), k.astype(np.int32))
+        pair, k = pair[near_enough], k[near_enough]
+        # Several samples of one prediction may find one segment.
+        once = np.unique(pair.astype(np.int64) * (k.max(initial=0) + 1) + k, return_index=True)[1]
+        pair, k = pair[once] + block.start, k[once]
+        found.append(np.stack([i[pair], j[pair], k], axis=1).astype(np.int32))
+    return np.concatenate(found)
 
 
 @jax.jit
@@ -154,11 +160,15 @@ def _predicted(
     lines: PictureLines,
     third: Int[ArrayLike, ""],
     planes: Pencil,
+    grid: Grid,
     i: Int[ArrayLike, "p"],
     j: Int[ArrayLike, "p"],
-) -> Prediction:
-    first, second = row_of(planes.first, i), row_of(planes.second, j)
-    return jax.vmap(predict, in_axes=(None, None, None, 0, 0))(lines, third, planes, first, second)
+) -> tuple[Prediction, list[Int[ArrayLike, "p"]]]:
+    def predicted(i: ArrayLike, j: ArrayLike) -> tuple[Prediction, list[ArrayLike]]:
+        guess = predict(lines, third, planes, row_of(planes.first, i), row_of(planes.second, j))
+        return guess, keys_of(grid, guess)
+
+    return jax.vmap(predicted)(i, j)
 
 
 def row_of(table: PencilSegments, index: Int[ArrayLike, "*p"]) -> PencilSegments:
@@ -170,12 +180,17 @@ def row_of(table: PencilSegments, index: Int[ArrayLike, "*p"]) -> PencilSegments
 def _gated(
     lines: PictureLines,
     third: Int[ArrayLike, ""],
-    guess: Prediction,
+    guesses: Prediction,
+    pair: Int[ArrayLike, "h"],
     k: Int[ArrayLike, "h"],
 ) -> Bool[ArrayLike, "h"]:
-    return jax.vmap(near)(
-        guess, lines.ends_px[third, k], lines.line[third, k], lines.across_px2[third, k]
-    )
+    def gated(pair: ArrayLike, k: ArrayLike) -> ArrayLike:
+        guess = jax.tree.map(lambda column: column[pair], guesses)
+        return near(
+            guess, lines.ends_px[third, k], lines.line[third, k], lines.across_px2[third, k]
+        )
+
+    return jax.vmap(gated)(pair, k)
 
 
 def _judge(
@@ -188,7 +203,7 @@ def _judge(
     def judged(triple: np.ndarray) -> tuple:
         return _judged(lines, order, planes, triple, strangers)
 
-    found, end_log = in_blocks(judged, _block(lines, TRIPLES_PER_SEGMENT), triple)
+    found, end_log = in_blocks(judged, block_of(lines, TRIPLES_IN_BLOCK), triple)
     keep = np.flatnonzero(found.possible)
     index = np.full((len(keep), len(lines.size_px)), -1)
     part = np.zeros((len(keep), len(lines.size_px), 2))
@@ -223,7 +238,10 @@ def _judged(
     def judge(segments: Int[ArrayLike, "3"]) -> tuple[TripleEvidence, tuple]:
         first, second = row_of(planes.first, segments[0]), row_of(planes.second, segments[1])
         near_mm = points_of(planes, cut_pair(planes.baseline_mm, first, second))
-        evidence = triple_evidence(lines, order, segments, near_mm, strangers)
+        first = triple_evidence(lines, order, segments, near_mm, strangers)
+        # Once more on the line fitted to all three: then it does not matter which pair came first.
+        evidence = triple_evidence(lines, order, segments, first.ends_mm, strangers)
+        evidence = evidence._replace(possible=first.possible & evidence.possible)
         return evidence, end_evidence(evidence.extent_px)
 
     return jax.vmap(judge)(jnp.asarray(triple))

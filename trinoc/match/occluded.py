@@ -15,8 +15,9 @@ from jaxtyping import Bool, Float, Int
 
 from trinoc.geometry.arrays import ArrayLike
 from trinoc.match.candidates import (
-    TRIPLES_PER_SEGMENT,
+    TRIPLES_IN_BLOCK,
     Candidates,
+    block_of,
     in_depth_range,
     joined_candidates,
     row_of,
@@ -182,7 +183,7 @@ def _pairs_of(
     def judged(segments: np.ndarray) -> PairEvidence:
         return _judged(lines, views, planes, segments, strangers)
 
-    found = in_blocks(judged, TRIPLES_PER_SEGMENT * lines.ends_px.shape[1], segments)
+    found = in_blocks(judged, block_of(lines, TRIPLES_IN_BLOCK), segments)
     keep = np.flatnonzero(found.possible)
     index = np.full((len(keep), len(lines.size_px)), -1)
     part = np.zeros((len(keep), len(lines.size_px), 2))

@@ -2,60 +2,104 @@
 
 The place that a pair predicts in a third view is known to a fraction of a pixel, the direction
 of a short pair only to degrees: so the table goes by place first, in square cells that a
-segment enters wherever it passes, and by direction in sectors second.
+segment enters wherever it passes, and by direction in sectors second. It has three layers: fine
+sectors for predictions that are known well, coarse ones with wider margins for others, and one
+of all directions for the rest.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
+from trinoc.geometry.arrays import ArrayLike
 from trinoc.match.intervals import expand_ranges
+from trinoc.match.vectors import Scalar, Vector2
 
-SECTORS = 12
-SECTOR = np.pi / SECTORS
-# Predictions whose direction is known to this (rad, all told) look into one sector.
-SECTOR_SLACK = np.radians(6.0)
+
+class Layer(NamedTuple):
+    """Which predictions look into a layer of the table, and how fine it is.
+
+    sectors : in half a turn. slack_rad, sigmas : how well a prediction must know its direction,
+        all told, and its place, in usual standard deviations of the segments.
+    cell : side of the cells, over that of the finest.
+    """
+
+    sectors: int
+    slack_rad: float
+    sigmas: float
+    cell: int
+
+
+LAYERS = (
+    Layer(24, np.radians(3.0), 1.5, 1),
+    Layer(6, np.radians(15.0), 3.0, 2),
+    Layer(1, np.pi, 6.0, 4),
+)
+
+
+class Grid(NamedTuple):
+    """Square cells over a picture, in rows; fields of length l are of the layers.
+
+    sigma_px : usual standard deviation of the segments. cell_px : sides of the cells.
+    first : number of the first key of each layer; the last number is of a key without entries.
+    """
+
+    sigma_px: Float[ArrayLike, ""]
+    cell_px: Float[ArrayLike, "l"]
+    columns: Int[ArrayLike, "l"]
+    rows: Int[ArrayLike, "l"]
+    first: Int[ArrayLike, "l+1"]
 
 
 class PictureIndex(NamedTuple):
-    """Segments sorted by cell: key = (row * columns + column) * sectors + sector.
+    """Segments sorted by key = first of layer + cell * sectors + sector.
 
-    start : first entry of each key, and the end of the last. segment : the entries.
+    start, count : first entry and number of entries of each key. segment : the entries.
     """
 
-    cell_px: float
-    columns: int
-    rows: int
-    sectors: int
+    grid: Grid
     start: Int[np.ndarray, "keys"]
+    count: Int[np.ndarray, "keys"]
     segment: Int[np.ndarray, "entries"]
 
 
 def picture_index(
     ends_px: Float[np.ndarray, "n 2 2"],
     slack_rad: Float[np.ndarray, "n"],
-    margin_px: Float[np.ndarray, "n"],
+    margins_px: Float[np.ndarray, "l n"],
     size_px: Float[np.ndarray, "2"],
     cell_px: float,
-    sectors: int,
+    sigma_px: float,
 ) -> PictureIndex:
-    """Enter each segment in every cell it passes within `margin_px`, in each sector in which
-    a direction within `slack_rad` of its own lies; `sectors` of 1 leaves direction out."""
-    columns, rows = (int(np.ceil(side / cell_px)) for side in size_px)
-    owner, column, row = _cells_passed(ends_px, margin_px, cell_px)
-    inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
-    owner, key = owner[inside], row[inside] * columns + column[inside]
-    if sectors > 1:
-        step = ends_px[:, 1] - ends_px[:, 0]
-        angle, slack = np.arctan2(step[:, 1], step[:, 0]), np.minimum(slack_rad, np.pi / 2.001)
-        first = np.floor((angle - slack) / SECTOR).astype(int)
-        last = np.minimum(np.floor((angle + slack) / SECTOR).astype(int), first + sectors - 1)
-        entry, sector = expand_ranges(first[owner], last[owner] + 1)
-        owner, key = owner[entry], key[entry] * sectors + np.mod(sector, sectors)
-    order = np.argsort(key, kind="stable")
-    start = np.searchsorted(key[order], np.arange(rows * columns * sectors + 1))
-    return PictureIndex(cell_px, columns, rows, sectors, start, owner[order])
+    """Enter each segment, in each layer, in every cell that it passes within the margin, and
+    in each sector that holds a direction within `slack_rad` and the layer's slack of its own."""
+    cells_px = cell_px * np.array([layer.cell for layer in LAYERS], dtype=np.float64)
+    columns, rows = (np.ceil(side / cells_px).astype(np.int32) for side in size_px)
+    keys = columns * rows * np.array([layer.sectors for layer in LAYERS], dtype=np.int32)
+    first_key = np.concatenate([[0], np.cumsum(keys)]).astype(np.int32)
+    step = ends_px[:, 1] - ends_px[:, 0]
+    angle = np.arctan2(step[:, 1], step[:, 0])
+    entries = []
+    for number, layer in enumerate(LAYERS):
+        owner, column, row = _cells_passed(ends_px, margins_px[number], cells_px[number])
+        inside = (column >= 0) & (column < columns[number]) & (row >= 0) & (row < rows[number])
+        owner, cell = owner[inside], (row * columns[number] + column)[inside]
+        slack, sector = slack_rad + layer.slack_rad, np.pi / layer.sectors
+        first = np.floor((angle - slack) / sector).astype(int)
+        last = np.floor((angle + slack) / sector).astype(int)
+        last = np.minimum(last, first + layer.sectors - 1)
+        entry, turned = expand_ranges(first[owner], last[owner] + 1)
+        key = first_key[number] + cell[entry] * layer.sectors + np.mod(turned, layer.sectors)
+        # Key and segment in one number: sorting it is several times faster than by key.
+        entries.append((key << 32) | owner[entry])
+    ordered = np.sort(np.concatenate(entries))
+    count = np.bincount(ordered >> 32, minlength=first_key[-1] + 1)
+    grid = Grid(np.asarray(sigma_px), cells_px, columns, rows, first_key)
+    start = np.cumsum(count) - count
+    return PictureIndex(grid, *(x.astype(np.int32) for x in (start, count, ordered & 0xFFFFFFFF)))
 
 
 def _cells_passed(
@@ -90,16 +134,39 @@ def _cells_passed(
     return owner, np.where(steep[owner], across, along), np.where(steep[owner], along, across)
 
 
+def key_at(
+    grid: Grid, points_px: Sequence[Vector2], angle_rad: Scalar, slack_rad: Scalar, sigma_px: Scalar
+) -> list[ArrayLike]:
+    """Where to look for a segment that passes each point, in about a direction.
+
+    The direction (modulo half a turn) is known to `slack_rad`, the points to `sigma_px`: the
+    keys are of the finest layer that allows for both, that without entries where none does,
+    or where a point lies outside the picture.
+    """
+    nowhere = grid.first[-1]
+    keys: list[ArrayLike] = [jnp.broadcast_to(nowhere, jnp.shape(angle_rad))] * len(points_px)
+    for number in reversed(range(len(LAYERS))):
+        layer, side = LAYERS[number], grid.cell_px[number]
+        known = (slack_rad < layer.slack_rad) & (sigma_px < layer.sigmas * grid.sigma_px)
+        sector = jnp.floor(angle_rad * (layer.sectors / np.pi)).astype(jnp.int32) % layer.sectors
+        for k, (u_px, v_px) in enumerate(points_px):
+            column, row = (jnp.floor(x / side).astype(jnp.int32) for x in (u_px, v_px))
+            inside = (column >= 0) & (column < grid.columns[number])
+            inside &= (row >= 0) & (row < grid.rows[number])
+            cell = row * grid.columns[number] + column
+            key = jnp.where(inside, grid.first[number] + cell * layer.sectors + sector, nowhere)
+            keys[k] = jnp.where(known, key, keys[k])
+    return keys
+
+
 def segments_at(
-    index: PictureIndex, points_px: Float[np.ndarray, "q 2"], angle_rad: Float[np.ndarray, "q"]
+    index: PictureIndex, key: Int[np.ndarray, "q"]
 ) -> tuple[Int[np.ndarray, "hits"], Int[np.ndarray, "hits"]]:
     """(query, segment) for every segment entered where a query looks."""
-    column = np.floor(points_px[:, 0] / index.cell_px).astype(int)
-    row = np.floor(points_px[:, 1] / index.cell_px).astype(int)
-    inside = (column >= 0) & (column < index.columns) & (row >= 0) & (row < index.rows)
-    key = np.where(inside, row * index.columns + column, 0)
-    if index.sectors > 1:
-        key = key * index.sectors + np.minimum((angle_rad / SECTOR).astype(int), SECTORS - 1)
-    start = index.start[key]
-    owner, position = expand_ranges(start, np.where(inside, index.start[key + 1], start))
-    return owner, index.segment[position]
+    count = index.count[key]
+    asked = np.flatnonzero(count).astype(np.int32)
+    count = count[asked]
+    stop = np.cumsum(count, dtype=np.int32)
+    position = np.arange(stop[-1] if len(stop) else 0, dtype=np.int32)
+    position += np.repeat(index.start[key[asked]] - stop + count, count)
+    return np.repeat(asked, count), index.segment[position]

@@ -1,15 +1,16 @@
 """Segments of the third view near a prediction, by the table of cells."""
 
-from typing import NamedTuple
-
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Int
 
+from trinoc.geometry.arrays import ArrayLike
 from trinoc.match.fragments import Prediction
 from trinoc.match.picture_index import (
-    SECTOR_SLACK,
-    SECTORS,
+    LAYERS,
+    Grid,
     PictureIndex,
+    key_at,
     picture_index,
     segments_at,
 )
@@ -17,49 +18,46 @@ from trinoc.match.picture_lines import PictureLines
 
 # Standard deviations within which a segment may lie of where a pair predicts it.
 REACH = 4.0
-# A prediction is about as uncertain as the segments themselves.
-PREDICTION_SIGMAS = 1.5
 # Predictions shorter than this are looked up in their middle alone.
 ONE_SAMPLE_PX = 16.0
 SAMPLES = (0.5, 1 / 6, 5 / 6)
+# The least size of the finest cells in standard deviations; how many there are along the longer
+# side of the picture, over the root of the number of segments; and how many at least and at most.
+CELL_SIGMAS, CELLS, FEWEST, MOST = 8.0, 4.0, 64, 320
 
 
-class Lookup(NamedTuple):
-    """The segments of a view by place and direction, and by place alone."""
-
-    directed: PictureIndex
-    undirected: PictureIndex
-
-
-def lookup(lines: PictureLines, view: int, count: int) -> Lookup:
-    """Tables for predictions of known and of hardly known direction."""
+def lookup(lines: PictureLines, view: int, count: int) -> PictureIndex:
+    """The segments of a view by place and direction."""
     ends, size = np.asarray(lines.ends_px[view])[:count], np.asarray(lines.size_px[view])
     length = np.asarray(lines.length_px[view])[:count]
     sigma = np.sqrt(np.asarray(lines.across_px2[view])[:count, [0, 1], [0, 1]].max(axis=1))
-    margin = PREDICTION_SIGMAS * REACH * sigma
-    slack = SECTOR_SLACK + REACH * np.sqrt(2) * sigma / length
-    cell = max(8 * float(np.median(sigma)) if count else 1.0, size.max() / 192)
-    return Lookup(
-        picture_index(ends, slack, margin, size, cell, SECTORS),
-        picture_index(ends, slack, margin, size, cell, 1),
-    )
+    typical = float(np.median(sigma)) if count else 1.0
+    margins = REACH * np.hypot(sigma, typical * np.array([[layer.sigmas] for layer in LAYERS]))
+    slack = REACH * np.sqrt(2) * sigma / length
+    cells = float(np.clip(CELLS * np.sqrt(count), FEWEST, MOST))
+    cell = max(CELL_SIGMAS * typical, float(size.max()) / cells)
+    return picture_index(ends, slack, margins, size, cell, typical)
+
+
+def keys_of(grid: Grid, guess: Prediction) -> list[Int[ArrayLike, ""]]:
+    """Where in the table to look for each sample of a prediction."""
+    du, dv = guess.u1 - guess.u0, guess.v1 - guess.v0
+    length = jnp.sqrt(du * du + dv * dv)
+    slack = REACH * jnp.sqrt(guess.c00 + guess.c11 - 2 * guess.c01) / length
+    sigma = jnp.sqrt(jnp.maximum(guess.c00, guess.c11))
+    points = [(guess.u0 + sample * du, guess.v0 + sample * dv) for sample in SAMPLES]
+    keys = key_at(grid, points, jnp.mod(jnp.arctan2(dv, du), np.pi), slack, sigma)
+    nowhere, asked = grid.first[-1], guess.possible
+    for k in range(1, len(SAMPLES)):
+        # What two samples find is found once.
+        fresh = jnp.stack([keys[k] != other for other in keys[:k]]).all(axis=0)
+        keys[k] = jnp.where(asked & fresh & (length > ONE_SAMPLE_PX), keys[k], nowhere)
+    return [jnp.where(asked, keys[0], nowhere), *keys[1:]]
 
 
 def segments_near(
-    table: Lookup, guess: Prediction
+    table: PictureIndex, keys: Int[np.ndarray, "s p"]
 ) -> tuple[Int[np.ndarray, "hits"], Int[np.ndarray, "hits"]]:
     """(prediction, segment) of what passes a sample of a prediction; some more than once."""
-    du, dv = guess.u1 - guess.u0, guess.v1 - guess.v0
-    length = np.hypot(du, dv)
-    angle = np.mod(np.arctan2(dv, du), np.pi)
-    sigma_rad = np.sqrt(guess.c00 + guess.c11 - 2 * guess.c01) / length
-    directed = REACH * sigma_rad < SECTOR_SLACK
-    found = []
-    for sample in SAMPLES:
-        asked = (length > ONE_SAMPLE_PX) | (sample == 0.5)
-        for index, rows in ((table.directed, directed), (table.undirected, ~directed)):
-            row = np.flatnonzero(rows & asked)
-            point = np.stack([guess.u0 + sample * du, guess.v0 + sample * dv], axis=1)[row]
-            query, segment = segments_at(index, point, angle[row])
-            found.append((row[query], segment))
-    return np.concatenate([f[0] for f in found]), np.concatenate([f[1] for f in found])
+    query, segment = segments_at(table, keys.reshape(-1))
+    return query % keys.shape[1], segment

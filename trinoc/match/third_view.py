@@ -8,7 +8,7 @@ from trinoc.match.fragments import SMALLEST_OVERLAP, Prediction
 from trinoc.match.vectors import Scalar, between
 
 # Chi-square, 2 degrees of freedom, up to which three segments can be one line.
-GATE = 16.0
+GATE = 20.0
 
 
 def near(
