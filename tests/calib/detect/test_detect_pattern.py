@@ -76,6 +76,17 @@ def test_errors_are_as_large_as_claimed():
     assert 0.75 < np.mean(scaled) / 2 < 1.25
 
 
+def test_errors_of_large_circles_are_as_large_as_claimed():
+    camera = table1_rig(resolution=4)["left"]
+    picture = render_sheet(SHEET, camera, supersampling=8, noise_sigma=2.0, seed=1)
+    detection = detect_pattern(picture, SHEET)
+    assert len(detection) == len(SHEET)
+    error = errors_px(detection, camera, SHEET)
+    scaled = np.einsum("ni,nij,nj->n", error, np.linalg.inv(detection.covariance_px2), error)
+    assert 0.7 < np.mean(scaled) / 2 < 1.4
+    assert scaled.max() < 20.0
+
+
 def test_quarter_turns_of_the_picture_keep_every_label(picture, found):
     width = picture.shape[1]
     turned = by_index(detect_pattern(np.rot90(picture), SHEET))

@@ -11,7 +11,7 @@ from trinoc.calib.detect.cross_lines import fit_cross_lines
 from trinoc.calib.detect.labels import MirroredError
 from trinoc.calib.detect.lattice import find_lattices
 from trinoc.calib.detect.layout import Layout, layout_of
-from trinoc.calib.detect.picture import GreyPicture, grey_picture
+from trinoc.calib.detect.picture import GreyPicture, grey_picture, reduced
 from trinoc.calib.detect.quick_median import quick_median
 from trinoc.calib.detect.sheet import Sheet, read_sheet, shows_same_sheet
 from trinoc.calib.detection import Detection
@@ -64,14 +64,7 @@ def detect_pattern(image: Shaped[np.ndarray, "..."], pattern: Pattern) -> Detect
 def _searches(picture: GreyPicture) -> Iterator[Blobs]:
     """Blobs by one way of looking after another, the likeliest to succeed first."""
     factor = max(1, round(max(picture.size_px) / _SEARCH_SIDE_PX))
-    grey, noise = picture.grey, picture.noise_sigma
-    if factor > 1:
-        width, height = picture.size_px
-        small = (width // factor, height // factor)
-        grey = cv2.resize(
-            grey[: small[1] * factor, : small[0] * factor], small, interpolation=cv2.INTER_AREA
-        )
-        noise /= factor
+    grey, noise = reduced(picture, factor)
     for scale in (
         Scale(0.8, 8),
         Scale(0.8, 3),

@@ -24,6 +24,8 @@ _ALWAYS = 8
 _HOLE, _SLOPE = 8, slice(-2, None)
 _SMALLEST_BLUR_PX = 0.25
 _LARGEST_BLUR_PX = 12.0
+# A pixel is the mean over a square of side 1, which blurs by itself.
+_PIXEL_VARIANCE = 1.0 / 12.0
 # Relative width of the prior that holds each circle's blur to that of the sheet.
 _BLUR_PRIOR = 0.3
 # Share of the contrast beyond which a residual says nothing of how well the model fits.
@@ -62,6 +64,17 @@ class Ellipses(NamedTuple):
     def take(self, index: np.ndarray) -> "Ellipses":
         """The ellipses of an index or a mask."""
         return Ellipses(*(field[index] for field in self))
+
+    def enlarged(self, factor: int) -> "Ellipses":
+        """Ellipses of a picture reduced by `factor`, in pixels of the picture itself."""
+        blur2 = factor**2 * np.maximum(self.blur_px**2 - _PIXEL_VARIANCE, 0.0) + _PIXEL_VARIANCE
+        return self._replace(
+            centres_px=self.centres_px * factor + 0.5 * (factor - 1),
+            shape_px2=self.shape_px2 * factor**2,
+            blur_px=np.sqrt(blur2),
+            slope=self.slope / factor,
+            covariance_px2=self.covariance_px2 * factor**2,
+        )
 
 
 def start_ellipses(

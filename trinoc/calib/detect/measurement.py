@@ -10,7 +10,7 @@ from trinoc.calib.detect.judgement import agreeing, plausible, undisturbed
 from trinoc.calib.detect.layout import Layout
 from trinoc.calib.detect.light import light_slope
 from trinoc.calib.detect.line_shade import without_lines
-from trinoc.calib.detect.picture import GreyPicture
+from trinoc.calib.detect.picture import GreyPicture, reduced
 from trinoc.calib.detect.quick_median import quick_median
 from trinoc.calib.detect.warp import Warp, fit_warp
 from trinoc.calib.pattern import Pattern
@@ -18,6 +18,8 @@ from trinoc.calib.pattern import Pattern
 # Pixels of one circle that the first, coarse fit looks at, about.
 _COARSE_PIXELS = 150
 _OUTER_RADII = 1.45
+_SETTLED_BLUR = 0.25
+_MOST_REPEATS = 4
 
 
 def coarse_fit(
@@ -30,8 +32,12 @@ def coarse_fit(
     count = len(centres_px)
     area = np.pi * _OUTER_RADII**2 * np.sqrt(quick_median(np.linalg.det(shape_px2)))
     step = max(1, int(np.sqrt(area / _COARSE_PIXELS)))
+    # Every n-th pixel of a large circle would miss its edge: a reduced picture does not.
+    factor = max(1, step // 2)
+    small, step = reduced(picture, factor), step // factor
+    centres_px, shape_px2 = (centres_px + 0.5) / factor - 0.5, shape_px2 / factor**2
     pixels = pixels_round(
-        picture.grey,
+        small.grey,
         centres_px,
         shape_px2,
         np.zeros(count),
@@ -46,9 +52,9 @@ def coarse_fit(
         hole_ratio=hole_ratio,
         free_hole=True,
         slope_sigma=None,
-        noise_sigma=picture.noise_sigma,
+        noise_sigma=small.noise_sigma,
         outlier_shares=(0.5, 0.25),
-    )
+    ).enlarged(factor)
 
 
 def measure_all(
@@ -73,7 +79,7 @@ def measure_all(
         like &= (contrast > 0.35) & (contrast < 3.0)
         coarse = _join(coarse, extra.take(like))
         index = np.concatenate([index, missing[like]])
-    fine = _fine_fit(picture, coarse, index, pattern, layout, warp)
+    fine = _settled(picture, coarse, index, pattern, layout, warp)
     centre, shape = warp.ellipses(pattern.centres_mm[index], pattern.radius_mm[index])
     good = plausible(fine, centre, shape, picture.noise_sigma)
     good &= undisturbed(fine, picture.noise_sigma)
@@ -82,7 +88,7 @@ def measure_all(
     return fine.take(good), index[good], warp
 
 
-def _fine_fit(
+def _settled(
     picture: GreyPicture,
     coarse: Ellipses,
     index: Int[np.ndarray, "n"],
@@ -90,16 +96,55 @@ def _fine_fit(
     layout: Layout,
     warp: Warp,
 ) -> Ellipses:
-    """Fit with all pixels of a band round the outer edge."""
+    """Fine fits, again for those circles that moved too far for one step to be the last."""
     slope, slope_sigma = light_slope(coarse.centres_px, coarse.paper)
-    start = coarse._replace(hole=pattern.is_ring[index].astype(float), slope=slope)
-    band = (2.6 * coarse.blur_px + 0.7) / smallest_axis(coarse.shape_px2)
+    before = coarse._replace(hole=pattern.is_ring[index].astype(float), slope=slope)
+    fine = _fine_fit(picture, before, index, pattern, layout, warp, slope_sigma)
+    moving = np.arange(len(index))
+    for _ in range(_MOST_REPEATS):
+        now = fine.take(moving)
+        moving = moving[_moved(before, now)]
+        if not len(moving):
+            break
+        before = fine.take(moving)
+        again = _fine_fit(
+            picture, before, index[moving], pattern, layout, warp, slope_sigma[moving]
+        )
+        for field, new in zip(fine, again, strict=True):
+            field[moving] = new
+    return fine
+
+
+def _moved(before: Ellipses, now: Ellipses) -> np.ndarray:
+    """Whether the step was so long that what it left exceeds the circle's own sigma.
+
+    A step of length s over an edge of blur b leaves about s^2 / b.
+    """
+    centre = np.abs(now.centres_px - before.centres_px).max(axis=1)
+    axes = [np.sqrt(each.shape_px2[:, [0, 1], [0, 1]]) for each in (before, now)]
+    blur = np.abs(now.blur_px / before.blur_px - 1.0)
+    edge = np.maximum(centre, np.abs(axes[1] - axes[0]).max(axis=1))
+    own = np.sqrt(np.trace(now.covariance_px2, axis1=1, axis2=2))
+    return (edge**2 > now.blur_px * own) | (blur > _SETTLED_BLUR)
+
+
+def _fine_fit(
+    picture: GreyPicture,
+    start: Ellipses,
+    index: Int[np.ndarray, "n"],
+    pattern: Pattern,
+    layout: Layout,
+    warp: Warp,
+    slope_sigma: Float[np.ndarray, "n"],
+) -> Ellipses:
+    """Fit with all pixels of a band round the outer edge."""
+    band = (2.6 * start.blur_px + 0.7) / smallest_axis(start.shape_px2)
     halfway = 0.5 * (1.0 + layout.hole_ratio) if layout.hole_ratio > 0 else 0.3
     outer = np.clip(1.0 + band, 1.1, _OUTER_RADII)
     pixels = pixels_round(
         picture.grey,
-        coarse.centres_px,
-        coarse.shape_px2,
+        start.centres_px,
+        start.shape_px2,
         np.clip(1.0 - band, halfway, 0.9),
         outer,
     )

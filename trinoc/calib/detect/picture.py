@@ -53,6 +53,19 @@ def grey_picture(image: Shaped[np.ndarray, "..."]) -> GreyPicture:
     return GreyPicture(grey, _noise_sigma(grey))
 
 
+def reduced(picture: GreyPicture, factor: int) -> GreyPicture:
+    """The picture in pixels `factor` times as wide, each the mean of those that it covers."""
+    if factor == 1:
+        return picture
+    width, height = (side // factor for side in picture.size_px)
+    grey = cv2.resize(
+        picture.grey[: height * factor, : width * factor],
+        (width, height),
+        interpolation=cv2.INTER_AREA,
+    )
+    return GreyPicture(grey, picture.noise_sigma / factor)
+
+
 def _noise_sigma(grey: Float[np.ndarray, "h w"]) -> float:
     """Median absolute second difference (Immerkaer 1996, doi 10.1006/cviu.1996.0060)."""
     step = max(1, round(np.sqrt(grey.size / _NOISE_SAMPLES)))
