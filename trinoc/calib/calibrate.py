@@ -10,6 +10,7 @@ from trinoc.calib.detect.detect_pattern import detect_pattern
 from trinoc.calib.detect.picture import grey_picture
 from trinoc.calib.pattern import Pattern
 from trinoc.calib.result import CalibrationResult
+from trinoc.calib.systematics import Systematics
 from trinoc.errors import DetectionError, InputError
 from trinoc.geometry.arrays import ArrayLike
 from trinoc.geometry.intrinsics import Intrinsics
@@ -25,6 +26,7 @@ def calibrate(
     parameters: int = 4,
     method: Literal["picture", "circles"] = "picture",
     throw: bool = True,
+    systematics: Systematics | None = None,
 ) -> CalibrationResult:
     """The cameras of a rig, from one picture of the sheet each.
 
@@ -36,6 +38,8 @@ def calibrate(
         the sheet, which reaches the Cramer-Rao bound; "circles" stops at their centres.
     throw : whether a camera that fails raises; without it the failed cameras are left out of
         the rig and `failures` says why.
+    systematics : what is known of the errors of the sheet and the lens, which join the
+        covariance; without it the covariance is that of the noise alone.
 
     Raises
     ------
@@ -58,7 +62,15 @@ def calibrate(
     if method == "picture":
         pictures = {name: grey_picture(np.asarray(images[name])).grey for name in detections}
     return calibration_of_detections(
-        detections, failures, pattern, lenses, parameters, throw, tuple(images), pictures
+        detections,
+        failures,
+        pattern,
+        lenses,
+        parameters,
+        throw,
+        tuple(images),
+        pictures=pictures,
+        systematics=systematics,
     )
 
 

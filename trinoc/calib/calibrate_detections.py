@@ -8,11 +8,13 @@ from jaxtyping import Float
 from trinoc.calib.circle_calibration import fit_detections
 from trinoc.calib.detection import Detection
 from trinoc.calib.findings import failure_sentence, notes_of_fit
+from trinoc.calib.lens_response import lens_spreads
 from trinoc.calib.model_check import check_model
 from trinoc.calib.pattern import Pattern
 from trinoc.calib.picture_calibration import RefinedFit, refine_fits
 from trinoc.calib.picture_fit import PictureFit
 from trinoc.calib.result import CalibrationResult, CameraFit, Status
+from trinoc.calib.systematics import Systematics, with_spreads
 from trinoc.errors import CalibrationError, InputError
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.intrinsics import Intrinsics
@@ -29,11 +31,19 @@ def calibrate_detections(
     *,
     parameters: int = 4,
     throw: bool = True,
+    systematics: Systematics | None = None,
 ) -> CalibrationResult:
     """`trinoc.calibrate` from circles that are already found. Raises as it does."""
     lenses = lens_of_each(lens, detections)
     return calibration_of_detections(
-        detections, {}, pattern, lenses, parameters, throw, tuple(detections)
+        detections,
+        {},
+        pattern,
+        lenses,
+        parameters,
+        throw,
+        tuple(detections),
+        systematics=systematics,
     )
 
 
@@ -46,6 +56,7 @@ def calibration_of_detections(
     throw: bool,
     names: Sequence[str],
     pictures: Mapping[str, Float[np.ndarray, "h w"]] | None = None,
+    systematics: Systematics | None = None,
 ) -> CalibrationResult:
     """Fit the cameras whose sheet was found; `failures` are those of the others.
 
@@ -53,6 +64,7 @@ def calibration_of_detections(
     """
     if parameter_count not in (4, 6):
         raise InputError(f"parameters is {parameter_count}, but must be 4 (aim held) or 6 (free).")
+    factors = {} if systematics is None else systematics.lens_factors(names)
     found = list(detections)
     fitted = fit_detections(
         [detections[name] for name in found],
@@ -71,6 +83,12 @@ def calibration_of_detections(
         good = {name: fit for name, fit in fits.items() if name not in failures}
         refined |= refine_fits(pictures, good, detections, pattern, lenses, parameter_count)
     result = assemble(refined, detections, failures, pattern, lenses, parameter_count, names)
+    if result is not None and systematics is not None:
+        good = {name: refined[name] for name in result.rig.names}
+        spreads = {}
+        if pictures is not None and factors:
+            spreads = lens_spreads(pictures, good, detections, pattern, lenses, factors)
+        result = with_spreads(result, systematics, factors, spreads)
     if failures and (throw or result is None):
         told = "; ".join(f'camera "{name}": {failures[name]}' for name in names if name in failures)
         raise CalibrationError(

@@ -42,3 +42,17 @@ def lens_arrays(lens: Intrinsics, with_distortion: bool) -> LensArrays:
     (fu, fv), (cu, cv) = np.asarray(lens.focal_length_px), np.asarray(lens.principal_point_px)
     matrix = np.array([[fu, float(lens.skew_px), cu], [0.0, fv, cv], [0.0, 0.0, 1.0]])
     return LensArrays(matrix, np.asarray(lens.distortion) if with_distortion else None)
+
+
+def moved_lens(lens: LensArrays, change: Float[ArrayLike, "9"]) -> LensArrays:
+    """The lens after a change of fu, fv, cu, cv and, where it distorts, of its distortion."""
+    zero = jnp.zeros_like(change[0])
+    matrix = jnp.stack(
+        [
+            jnp.stack([change[0], zero, change[2]]),
+            jnp.stack([zero, change[1], change[3]]),
+            jnp.stack([zero, zero, zero]),
+        ]
+    )
+    distortion = None if lens.distortion is None else lens.distortion + change[4:]
+    return LensArrays(lens.matrix_px + matrix, distortion)

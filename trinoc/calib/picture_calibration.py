@@ -1,10 +1,10 @@
 """From judged circle fits to fits of the pictures themselves."""
 
 import functools
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -30,6 +30,8 @@ _LARGEST_MOVE_PX = 0.5
 # Variance of a pixel's box, which the fitted sigma includes and the lens's blur does not.
 _BOX_VARIANCE = 1 / 12
 
+_Answer = TypeVar("_Answer")
+
 
 class RefinedFit(NamedTuple):
     """A picture's fit, what its picture says about it, and a sentence where it says nothing."""
@@ -53,15 +55,24 @@ def refine_fits(
     """
 
     def refine(name: str) -> RefinedFit:
+        return _refine(
+            pictures[name], fits[name], detections[name], pattern, lenses[name], parameter_count
+        )
+
+    return in_threads(refine, list(fits))
+
+
+def in_threads(task: Callable[[str], _Answer], names: Sequence[str]) -> dict[str, _Answer]:
+    """A task of each camera, which share nothing, in threads."""
+
+    def alone(name: str) -> _Answer:
         # The precision is a setting of the thread.
         with jax.enable_x64(True):
-            return _refine(
-                pictures[name], fits[name], detections[name], pattern, lenses[name], parameter_count
-            )
+            return task(name)
 
-    if len(fits) < 2:
-        return {name: refine(name) for name in fits}
-    return dict(zip(fits, _threads().map(refine, fits), strict=True))
+    if len(names) < 2:
+        return {name: alone(name) for name in names}
+    return dict(zip(names, _threads().map(alone, names), strict=True))
 
 
 @functools.cache

@@ -5,7 +5,7 @@ parameters in one covariance, and they are larger than the noise: a tenth of a p
 scale is half a millimetre of distance, a hundred times the bound of a good picture.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import jax
@@ -15,7 +15,8 @@ from jaxtyping import Float
 
 from trinoc.calib.circle_observations import CircleObservations, bucket_size, circle_observations
 from trinoc.calib.circle_residual import predicted_centre_px
-from trinoc.calib.lens_arrays import LensArrays, lens_arrays
+from trinoc.calib.intrinsics.lens_parameters import LENS_PARAMETERS
+from trinoc.calib.lens_arrays import LensArrays, lens_arrays, moved_lens
 from trinoc.calib.picture_fit import DEGREES, sheet_pose_of_values
 from trinoc.calib.result import CalibrationResult
 from trinoc.calib.sheet_pose import SheetPose
@@ -24,7 +25,6 @@ from trinoc.geometry.arrays import ArrayLike
 from trinoc.geometry.precision import in_float64
 from trinoc.geometry.rig import PARAMETER_NAMES, Rig
 
-LENS_PARAMETERS = ("fu", "fv", "cu", "cv", "k1", "k2", "p1", "p2", "k3")
 # Shared by all cameras: print scale along X and Y, and three ways in which a sheet bends.
 _SHARED = 5
 
@@ -38,13 +38,35 @@ class Systematics(NamedTuple):
         a percent). `trinoc.calib.print_scale` gets them from two measured bars.
     flatness_mm : sigma of the height, at the circles farthest from the origin, of each of the
         three ways in which a sheet bends: along X, along Y, and twisted.
-    lens_covariance : (k, k) of the first k of fu, fv, cu, cv in px, k1, k2, p1, p2, k3; one
-        for all cameras, whose errors are then independent, or one for each by name.
+    lens_covariance : (k, k) of the first k of LENS_PARAMETERS, as `trinoc intrinsics` writes
+        it. One matrix is of one calibrated lens that all cameras were given, whose error they
+        share; a mapping holds one for each camera by name, and those errors are independent.
     """
 
     print_scale_sigma: tuple[float, float] = (0.0, 0.0)
     flatness_mm: float = 0.0
     lens_covariance: np.ndarray | Mapping[str, np.ndarray] | None = None
+
+    def lens_factors(self, names: Sequence[str]) -> dict[str, Float[np.ndarray, "9 r"]]:
+        """For each camera whose lens is uncertain, L with L L^T its covariance.
+
+        Raises InputError for a covariance of another shape or not finite, or one of a camera
+        that is not among `names`.
+        """
+        given = self.lens_covariance
+        if given is None:
+            return {}
+        if not isinstance(given, Mapping):
+            return dict.fromkeys(names, _factor(_checked(given, "of all cameras")))
+        for name in given:
+            if name not in names:
+                raise InputError(
+                    f'`lens_covariance` names the camera "{name}", but the cameras are '
+                    f"{', '.join(names)}."
+                )
+        return {
+            name: _factor(_checked(matrix, f'of camera "{name}"')) for name, matrix in given.items()
+        }
 
     @property
     def words(self) -> tuple[str, ...]:
@@ -56,7 +78,9 @@ class Systematics(NamedTuple):
         if self.flatness_mm:
             terms.append(f"flatness of the sheet ({self.flatness_mm:.3g} mm)")
         if self.lens_covariance is not None:
-            terms.append("the lens's own covariance")
+            given = self.lens_covariance
+            of = f" of {', '.join(given)}" if isinstance(given, Mapping) else ""
+            terms.append(f"the lens's own covariance{of}")
         return tuple(terms)
 
 
@@ -64,26 +88,44 @@ class Systematics(NamedTuple):
 def with_systematics(result: CalibrationResult, systematics: Systematics) -> CalibrationResult:
     """The same calibration with systematic errors added to its covariance.
 
-    Each error moves the circles' centres, and with them the least-squares solution, linearly.
-    Raises InputError for a negative sigma or a lens covariance of another shape.
+    Each error moves the circles' centres, and with them the least-squares solution, linearly:
+    the implicit derivative of the fitted pose, -(J^T J)^-1 J^T dr/de, carries its covariance.
+    `trinoc.calibrate(systematics=)` has the picture, and asks it what an error of the lens does.
+
+    Raises InputError for a negative sigma, a lens covariance of another shape or not finite,
+    or one for a camera that the result does not know.
     """
+    factors = systematics.lens_factors(list(result.status))
+    return with_spreads(result, systematics, factors, {})
+
+
+def with_spreads(
+    result: CalibrationResult,
+    systematics: Systematics,
+    factors: Mapping[str, Float[np.ndarray, "9 r"]],
+    spreads: Mapping[str, Float[np.ndarray, "p r"]],
+) -> CalibrationResult:
+    """`with_systematics`, where `spreads` knows what the lens's errors do to some cameras."""
     if min(*systematics.print_scale_sigma, systematics.flatness_mm) < 0:
         raise InputError("A sigma of `Systematics` is negative: give standard deviations.")
-    shared_variance = np.array(
-        [*np.square(systematics.print_scale_sigma), *np.full(3, systematics.flatness_mm**2)]
-    )
+    sheet_sigma = np.array([*systematics.print_scale_sigma, *np.full(3, systematics.flatness_mm)])
     names = result.rig.names
     count = len(result.parameters) // len(names)
+    lens_is_shared = not isinstance(systematics.lens_covariance, Mapping)
     covariance, shared = np.array(result.covariance), []
     for k, name in enumerate(names):
         response = _response(result, name, count)
-        shared.append(response[:, :_SHARED])
-        block = slice(k * count, (k + 1) * count)
-        lens = _lens_covariance(systematics, name)
-        by_lens = response[:, _SHARED : _SHARED + len(lens)]
-        covariance[block, block] += by_lens @ lens @ by_lens.T
+        columns = [response[:, :_SHARED] * sheet_sigma]
+        if name in factors:
+            by_lens = spreads.get(name, response[:, _SHARED:] @ factors[name])
+            if lens_is_shared:
+                columns.append(by_lens)
+            else:
+                block = slice(k * count, (k + 1) * count)
+                covariance[block, block] += by_lens @ by_lens.T
+        shared.append(np.concatenate(columns, axis=1))
     stacked = np.concatenate(shared)
-    covariance += (stacked * shared_variance) @ stacked.T
+    covariance += stacked @ stacked.T
     rig = Rig(dict(result.rig.items()), parameters=result.parameters, covariance=covariance)
     fields = {name: getattr(result, name) for name in result.__dataclass_fields__}
     words = (*result.systematics, *systematics.words)
@@ -91,18 +133,31 @@ def with_systematics(result: CalibrationResult, systematics: Systematics) -> Cal
     return CalibrationResult(**fields | changed)
 
 
-def _lens_covariance(systematics: Systematics, name: str) -> Float[np.ndarray, "k k"]:
-    given = systematics.lens_covariance
-    matrix = given.get(name) if isinstance(given, Mapping) else given
-    if matrix is None:
-        return np.zeros((0, 0))
+def _checked(matrix: np.ndarray, whose: str) -> Float[np.ndarray, "k k"]:
     matrix = np.asarray(matrix, dtype=np.float64)
     if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or len(matrix) > len(LENS_PARAMETERS):
         raise InputError(
-            f'The lens covariance of camera "{name}" has shape {matrix.shape}, but must be (k, k) '
-            f"for the first k of {', '.join(LENS_PARAMETERS)}."
+            f"The lens covariance {whose} has shape {matrix.shape}, but must be (k, k) for the "
+            f"first k of {', '.join(LENS_PARAMETERS)}."
+        )
+    if not (np.isfinite(matrix).all() and (np.diag(matrix) >= 0).all()):
+        raise InputError(
+            f"The lens covariance {whose} is no covariance of a lens that is determined: "
+            "take the pictures that `trinoc intrinsics` asks for."
         )
     return matrix
+
+
+def _factor(covariance: Float[np.ndarray, "k k"]) -> Float[np.ndarray, "9 r"]:
+    """One sigma along each direction in which the lens is uncertain."""
+    sigma = np.sqrt(np.diag(covariance))
+    free = np.flatnonzero(sigma > 0)
+    correlation = covariance[np.ix_(free, free)] / np.outer(sigma[free], sigma[free])
+    values, vectors = np.linalg.eigh(correlation)
+    kept = values > 1e-12 * values.max(initial=0.0)
+    factor = np.zeros((len(LENS_PARAMETERS), int(kept.sum())))
+    factor[free] = sigma[free, None] * vectors[:, kept] * np.sqrt(values[kept])
+    return factor
 
 
 def _response(result: CalibrationResult, name: str, count: int) -> Float[np.ndarray, "p 14"]:
@@ -131,7 +186,7 @@ def _derivatives(
 
     def centres(step: Float[ArrayLike, "6"], error: Float[ArrayLike, "14"]) -> ArrayLike:
         moved = pose.moved(step)
-        deformed = _moved_lens(lens, error[_SHARED:])
+        deformed = moved_lens(lens, error[_SHARED:])
 
         def centre(place: Float[ArrayLike, "2"], radius: Float[ArrayLike, ""]) -> ArrayLike:
             scaled = place * (1 + error[:2])
@@ -149,17 +204,3 @@ def _derivatives(
     zero, none = jnp.zeros(6), jnp.zeros(_SHARED + len(LENS_PARAMETERS))
     by_step, by_error = jax.jacfwd(centres, argnums=(0, 1))(zero, none)
     return by_step, by_error, jax.jacfwd(lambda step: pose.moved(step).parameters)(zero)
-
-
-def _moved_lens(lens: LensArrays, change: Float[ArrayLike, "9"]) -> LensArrays:
-    """The lens after a change of fu, fv, cu, cv and its distortion."""
-    zero = jnp.zeros_like(change[0])
-    matrix = jnp.stack(
-        [
-            jnp.stack([change[0], zero, change[2]]),
-            jnp.stack([zero, change[1], change[3]]),
-            jnp.stack([zero, zero, zero]),
-        ]
-    )
-    assert lens.distortion is not None
-    return LensArrays(lens.matrix_px + matrix, lens.distortion + change[4:])
