@@ -17,7 +17,12 @@ POSES = {
 }
 
 
-def rig_of(*names: str, distortion: tuple[float, ...] | None = None) -> Rig:
+def rig_of(
+    *names: str,
+    distortion: tuple[float, ...] | None = None,
+    **poses: tuple[float, float, float, float],
+) -> Rig:
+    """Cameras of POSES by name, and others by their own pan, tilt, swing and distance."""
     lens = Intrinsics(
         focal_length_mm=16.0,
         pixel_pitch_mm=(0.0162, 0.0134),
@@ -25,8 +30,8 @@ def rig_of(*names: str, distortion: tuple[float, ...] | None = None) -> Rig:
         distortion=distortion,
     )
     cameras = {}
-    for name in names:
-        pan, tilt, swing, distance = POSES[name]
+    for name, pose in ({name: POSES[name] for name in names} | poses).items():
+        pan, tilt, swing, distance = pose
         cameras[name] = Camera.from_degrees(
             lens, pan_deg=pan, tilt_deg=tilt, swing_deg=swing, distance_mm=distance
         )

@@ -51,6 +51,18 @@ def test_order_of_segments_of_ends_and_of_views_changes_only_the_numbering(noisy
     np.testing.assert_array_equal(matches.posterior[order], again.posterior[order_again])
 
 
+def test_names_of_cameras_change_nothing(noisy) -> None:
+    rig, _, seen = noisy
+    new = dict(zip(VIEWS, ("b", "c", "a"), strict=True))
+    renamed = Rig({new[name]: rig[name] for name in VIEWS})
+    matches = match_segments(seen, rig)
+    again = match_segments({new[name]: seen[name] for name in VIEWS}, renamed)
+    assert again.views == ("b", "c", "a")
+    np.testing.assert_array_equal(matches.index, again.index)
+    np.testing.assert_array_equal(matches.lines_mm, again.lines_mm)
+    np.testing.assert_array_equal(matches.posterior, again.posterior)
+
+
 def test_lines_follow_a_change_of_the_world(noisy) -> None:
     rig, _, seen = noisy
     angle, scale, shift = 0.7, 3.0, np.array([100.0, -40.0, 900.0])
@@ -116,6 +128,18 @@ def test_five_views_give_one_track_per_line() -> None:
     matches = match_segments(pictures(rig, lines), rig, sigma_px=0.1)
     assert as_set(matches, views) == {(k,) * 5 for k in range(20)}
     assert (matches.stage == "trinocular").all()
+
+
+def test_eight_views_give_one_track_per_line() -> None:
+    pans = {f"view {k}": (-50.0 + 14 * k, 45.0 + 8 * (-1) ** k, 0.0, 470.0 + k) for k in range(8)}
+    rig, lines = rig_of(**pans), loose_lines(20, seed=23)
+    matches = match_segments(pictures(rig, lines), rig, sigma_px=0.1)
+    assert as_set(matches, tuple(pans)) == {(k,) * 8 for k in range(20)}
+    image = (
+        matches.lines_mm @ rig.matrices_px[:, None, :, :3].mT + rig.matrices_px[:, None, None, :, 3]
+    )
+    fragments = np.swapaxes(matches.fragments_px, 0, 1)
+    np.testing.assert_allclose(image[..., :2] / image[..., 2:], fragments, atol=1e-5)
 
 
 def test_a_line_hidden_in_one_view_is_matched_in_the_other_two() -> None:

@@ -74,14 +74,29 @@ def trinocular_candidates(
     lines: PictureLines, views: tuple[int, int, int], counts: list[int], strangers: Strangers
 ) -> Candidates:
     """All triples of three views; each is found from the pair of views that crosses best."""
-    parts = [no_candidates(len(counts))]
+    # Tables of three views, whichever and of how many, so that kernels compile once for all.
+    three, own = _views_of(lines, strangers, np.array(views))
+    numbers = [counts[view] for view in views]
+    parts = [no_candidates(3)]
     for turn in range(3):
-        parts += _in_order(lines, np.roll(views, turn), counts, strangers)
+        parts += _in_order(three, np.roll(np.arange(3), turn), numbers, own)
     found = joined_candidates(parts)
     # Two orderings may find one triple where they cross about as well.
-    i, j, k = (found.index[:, view].astype(np.int64) for view in views)
-    once = np.unique((i * counts[views[1]] + j) * counts[views[2]] + k, return_index=True)[1]
-    return Candidates(*(column[once] for column in found))
+    i, j, k = found.index.T.astype(np.int64)
+    once = np.unique((i * numbers[1] + j) * numbers[2] + k, return_index=True)[1]
+    found = Candidates(*(column[once] for column in found))
+    index = np.full((len(once), len(counts)), -1)
+    part = np.zeros((len(once), len(counts), 2))
+    index[:, views], part[:, views] = found.index, found.part
+    return found._replace(index=index, part=part)
+
+
+@jax.jit
+def _views_of(
+    lines: PictureLines, strangers: Strangers, views: Int[ArrayLike, "k"]
+) -> tuple[PictureLines, Strangers]:
+    densities = jnp.asarray(strangers.log_density)[views]
+    return jax.tree.map(lambda table: table[views], lines), Strangers(densities, strangers[1])
 
 
 def _in_order(

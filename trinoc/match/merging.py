@@ -2,7 +2,8 @@
 
 A triple joins a track with which it shares two segments at one part, since two fix the line;
 then its third segment must not contradict the track's own. A triple that contradicts a better
-one is dropped: every cycle of a track closes.
+one is dropped: every cycle of a track closes. Tracks of different views that triples tie both
+ways are one.
 """
 
 from itertools import combinations
@@ -58,7 +59,7 @@ def merged(lines: PictureLines, tracks: Tracks) -> Tracks:
     )
     matrix, segment_ends = np.asarray(lines.matrix_px), np.asarray(lines.ends_px)
     on_segment: dict[tuple[int, int], list[int]] = {}
-    kept = []
+    kept, links = [], []
     for row in order.tolist():
         views = np.flatnonzero(index[row] >= 0)
         rivals = [
@@ -72,11 +73,15 @@ def merged(lines: PictureLines, tracks: Tracks) -> Tracks:
             for view in views:
                 on_segment.setdefault((int(view), int(index[row, view])), []).append(row)
             continue
-        track = rivals[0][0]
-        shared = {view for other, view in rivals if other == track}
+        shared: dict[int, set[int]] = {}
+        for track, view in rivals:
+            shared.setdefault(track, set()).add(int(view))
+        track = max(shared, key=lambda other: len(shared[other]))
+        if len(shared) == 2 and sum(len(seen) for seen in shared.values()) == len(views):
+            links.append((track, min(other for other in shared if other != track)))
         new = [view for view in views if index[track, view] < 0]
-        agrees = len(shared) >= 2 and len(shared) + len(new) == len(views)
-        if not agrees or any(other != track for other, _ in rivals):
+        agrees = len(shared[track]) >= 2 and len(shared[track]) + len(new) == len(views)
+        if not agrees or len(shared) > 1:
             continue
         for view in new:
             segment = segment_ends[view, index[row, view]]
@@ -86,10 +91,51 @@ def merged(lines: PictureLines, tracks: Tracks) -> Tracks:
             index[track, view], part[track, view] = index[row, view], place
             _cut(index, part, ends, track, matrix, segment_ends)
             on_segment.setdefault((int(view), int(index[row, view])), []).append(track)
+    kept = sorted(
+        set(kept) - _linked(links, index, part, ends, matrix, segment_ends), key=kept.index
+    )
     kept = np.array(kept, dtype=np.int64)
     candidates = Candidates(*(field[kept] for field in tracks.candidates))
     candidates = candidates._replace(index=index[kept], part=part[kept], ends_mm=ends[kept])
     return Tracks(candidates, tracks.belief[kept], tracks.runner_up[kept])
+
+
+def _linked(
+    links: list[tuple[int, int]],
+    index: Int[np.ndarray, "m v"],
+    part: Float[np.ndarray, "m v 2"],
+    ends_mm: Float[np.ndarray, "m 2 3"],
+    matrix_px: Float[np.ndarray, "v 3 4"],
+    segment_ends_px: Float[np.ndarray, "v n 2 2"],
+) -> set[int]:
+    """Tracks that became part of others: those of other views, tied to them both ways.
+
+    A link (a, b) is a triple of two segments of track a and one of b: with one from b to a,
+    the segments of both are of one line.
+    """
+    gone: set[int] = set()
+    joined: dict[int, int] = {}
+
+    def now(track: int) -> int:
+        return now(joined[track]) if track in joined else track
+
+    both_ways = set(links)
+    for a, b in dict.fromkeys(link for link in links if link[::-1] in both_ways):
+        a, b = now(a), now(b)
+        into = np.flatnonzero(index[b] >= 0)
+        if a == b or (index[a, into] >= 0).any():
+            continue
+        places = [
+            _place_on(segment_ends_px[view, index[b, view]], matrix_px[view], ends_mm[a])
+            for view in into
+        ]
+        if min(_overlap(place, np.array([0.0, 1.0])) for place in places) < SHARED:
+            continue
+        index[a, into], part[a, into] = index[b, into], places
+        _cut(index, part, ends_mm, a, matrix_px, segment_ends_px)
+        joined[b] = a
+        gone.add(b)
+    return gone
 
 
 def _overlap(first: Float[np.ndarray, "2"], second: Float[np.ndarray, "2"]) -> float:

@@ -14,6 +14,7 @@ from jaxtyping import Float, Int
 
 from trinoc.errors import MatchError
 from trinoc.geometry.arrays import ArrayLike
+from trinoc.geometry.camera import Camera
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import DEFAULT_SIGMA_PX, Segments, covariance_of_ends
@@ -22,7 +23,7 @@ from trinoc.match.picture_lines import PictureLines, picture_lines
 
 
 class Observed(NamedTuple):
-    """Views in the order of their names.
+    """Views in an order that depends on what they show, not on what they are called.
 
     names : of the views. order : (n,) per view, the caller's number of each segment.
     ends_px : (n, 2, 2) per view, undistorted. covariance_px2 : (n, 4, 4) per view.
@@ -47,31 +48,42 @@ def observe(
 ) -> Observed:
     """Check and prepare; raises MatchError and InputError in one sentence."""
     _check_names(segments, rig)
-    names = tuple(sorted(segments))
-    order, ends, covariances, polarities, sizes = [], [], [], [], []
-    for name in names:
-        camera = rig[name]
-        given = _as_segments(segments[name], sigma_px)
-        flat = undistorted(camera.intrinsics, np.asarray(given.endpoints_px))
-        swap = (flat[:, 0, 0] > flat[:, 1, 0]) | (
-            (flat[:, 0, 0] == flat[:, 1, 0]) & (flat[:, 0, 1] > flat[:, 1, 1])
-        )
-        flat = np.where(swap[:, None, None], flat[:, ::-1], flat)
-        covariance = np.asarray(given.covariance_px2, dtype=np.float64)
-        turned = covariance.reshape(-1, 2, 2, 2, 2)[:, ::-1, :, ::-1].reshape(-1, 4, 4)
-        covariance = np.where(swap[:, None, None], turned, covariance)
-        polarity = np.where(swap, -1, 1) * np.asarray(given.polarity)
-        rank = np.lexsort(flat.reshape(-1, 4).T[::-1])
-        order.append(rank)
-        ends.append(flat[rank])
-        covariances.append(covariance[rank])
-        polarities.append(polarity[rank])
-        sizes.append(camera.image_size_px)
+    prepared = {name: _view(segments[name], rig[name], sigma_px) for name in segments}
+    # Views that show the same, which no real ones do, are left to their names.
+    names = tuple(sorted(prepared, key=lambda name: (_content(prepared[name]), name)))
+    views = [prepared[name] for name in names]
+    order, ends, covariances, polarities = (list(c) for c in zip(*views, strict=True))
     matrices = np.stack([rig[name].matrix_px for name in names])
-    lines = picture_lines(
-        matrices, np.array(sizes, dtype=np.float64), ends, covariances, polarities
-    )
+    sizes = np.array([rig[name].image_size_px for name in names], dtype=np.float64)
+    lines = picture_lines(matrices, sizes, ends, covariances, polarities)
     return Observed(names, order, ends, covariances, [rig[n].intrinsics for n in names], lines)
+
+
+class _View(NamedTuple):
+    order: Int[np.ndarray, "n"]
+    ends_px: Float[np.ndarray, "n 2 2"]
+    covariance_px2: Float[np.ndarray, "n 4 4"]
+    polarity: Int[np.ndarray, "n"]
+
+
+def _view(given: Segments | ArrayLike, camera: Camera, sigma_px: float | None) -> _View:
+    """Segments without distortion, from left to right, in order of their coordinates."""
+    segments = _as_segments(given, sigma_px)
+    flat = undistorted(camera.intrinsics, np.asarray(segments.endpoints_px))
+    swap = (flat[:, 0, 0] > flat[:, 1, 0]) | (
+        (flat[:, 0, 0] == flat[:, 1, 0]) & (flat[:, 0, 1] > flat[:, 1, 1])
+    )
+    flat = np.where(swap[:, None, None], flat[:, ::-1], flat)
+    covariance = np.asarray(segments.covariance_px2, dtype=np.float64)
+    turned = covariance.reshape(-1, 2, 2, 2, 2)[:, ::-1, :, ::-1].reshape(-1, 4, 4)
+    covariance = np.where(swap[:, None, None], turned, covariance)
+    polarity = np.where(swap, -1, 1) * np.asarray(segments.polarity)
+    rank = np.lexsort(flat.reshape(-1, 4).T[::-1])
+    return _View(rank, flat[rank], covariance[rank], polarity[rank])
+
+
+def _content(view: _View) -> tuple[int, list[float]]:
+    return len(view.ends_px), view.ends_px.reshape(-1).tolist()
 
 
 def _check_names(segments: Mapping[str, Segments | ArrayLike], rig: Rig) -> None:
