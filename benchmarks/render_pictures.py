@@ -140,6 +140,8 @@ def make_scene(
             write_shadows(out / f"shadows_{view}.png", text, bare_text, camera, threads)
         picture = out / f"scene_{view}.png"
         write_picture(picture, grey, fold=fold, blur_px=blur_px, noise=noise, seed=seed + offset)
+        if bare_text is not None:
+            write_clean(out / f"clean_{view}.png", grey, fold=fold, blur_px=blur_px)
         seen[view] = seen_parts(scene, camera, grey, fold=fold)
         silhouettes[view] = np.round(scene.silhouettes_seen_by(camera), 6).tolist()
     truth = SceneTruth(scene.edges_mm, scene.edge_kinds, seen)
@@ -167,11 +169,22 @@ def write_picture(
     The noise of a CCD grows with the light: its variance is a third constant, two thirds in
     proportion to the grey level, and `noise` is its sigma at 128.
     """
-    blurred = cv2.GaussianBlur(grey, (0, 0), blur_px * fold, borderType=cv2.BORDER_REPLICATE)
-    height, width = (side // fold for side in grey.shape)
-    pixels = blurred.reshape(height, fold, width, fold).mean(axis=(1, 3))
+    pixels = exposed_pixels(grey, fold=fold, blur_px=blur_px)
     sigma = noise * np.sqrt((1 + 2 * np.maximum(pixels, 0.0) / 128.0) / 3)
     cv2.imwrite(str(path), expose(pixels, noise_sigma=sigma, seed=seed, dtype="uint8"))
+
+
+def write_clean(path: Path, grey: np.ndarray, *, fold: int, blur_px: float) -> None:
+    """The same without noise, in 256ths of a grey level, 16 bits."""
+    pixels = exposed_pixels(grey, fold=fold, blur_px=blur_px)
+    cv2.imwrite(str(path), np.clip(np.rint(256 * pixels), 0, 65535).astype(np.uint16))
+
+
+def exposed_pixels(grey: np.ndarray, *, fold: int, blur_px: float) -> np.ndarray:
+    """Blurred by a Gaussian of `blur_px` and averaged over fold x fold: the camera's pixels."""
+    blurred = cv2.GaussianBlur(grey, (0, 0), blur_px * fold, borderType=cv2.BORDER_REPLICATE)
+    height, width = (side // fold for side in grey.shape)
+    return blurred.reshape(height, fold, width, fold).mean(axis=(1, 3))
 
 
 def face_greys(

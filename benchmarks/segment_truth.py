@@ -13,6 +13,9 @@ from trinoc.io.rig_json import load_rig
 
 # Slopes of shadows count this far from a segment.
 SHADOW_PX = 4
+# A segment lies on the edge of a shadow where the light that shadows take away, smoothed by one
+# pixel, changes across the segment by this much per pixel (a sharp step of 2.5 levels does).
+SHADOW_SLOPE, SHADOW_COSINE = 1.0, np.cos(np.radians(20.0))
 STRONG_STEP, WEAK_STEP = 8.0, 2.0
 REACH_PX, ANGLE_DEG = 1.5, 8.0
 SAMPLE_PX = 0.5
@@ -25,20 +28,30 @@ class Picture(NamedTuple):
     way from first to second end), and 1 where that step is on record, 0 where it is not.
 
     `shadow_slope` is, at each pixel, the steepest slope of shadows within 4 px, in grey levels
-    per pixel; 0 where the scene was rendered without shadows.
+    per pixel, and `shadow_gradient` (h, w, 2) that slope along u and v at the pixel itself; both
+    are 0 where the scene was rendered without shadows. `rims` are the chords of cylinders' rims,
+    rows x1 y1 x2 y2, and `clean` the picture without noise, if it was kept.
     """
 
     name: str
     grey: np.ndarray
     edges: np.ndarray
     shadow_slope: np.ndarray
+    shadow_gradient: np.ndarray
+    rims: np.ndarray
+    clean: np.ndarray | None
+    blur_px: float
 
 
 class Score(NamedTuple):
     """Lengths and errors of the segments of one picture, in px.
 
+    `put_out` leaves out what lies on the edge of a shadow and on no strong edge of the scene,
+    `put_out_weak` what lies on the edge of a shadow and on no edge at all: `on_shadows` long.
+    `on_rims` are chords of cylinders' rims, which count as false.
     `matched` are the segments that lie on an edge, `step` what grey step that edge says there
     is from their left to their right: negative where the right is darker; NaN where not known.
+    `ends_along` tells how far their ends reach beyond the nearest end of that edge, along it.
     `alone` says whether no other edge lies within reach, with which it would be confused.
     """
 
@@ -47,9 +60,13 @@ class Score(NamedTuple):
     right: float
     right_weak: float
     put_out: float
+    put_out_weak: float
+    on_shadows: float
+    on_rims: float
     across_of_length: np.ndarray
     ends_across: np.ndarray
     end_error: np.ndarray
+    ends_along: np.ndarray
     matched: np.ndarray
     step: np.ndarray
     alone: np.ndarray
@@ -63,7 +80,8 @@ def rendered_pictures(folder: Path) -> Iterator[Picture]:
     """
     for path in sorted(folder.glob("block_*/truth.json")):
         truth, rig = load_scene_truth(path), load_rig(path.parent / "rig.json")
-        outlines = json.loads(path.read_text())["silhouettes_mm"]
+        record = json.loads(path.read_text())
+        outlines = record["silhouettes_mm"]
         for view, seen in truth.seen.items():
             matrix = np.asarray(rig[view].matrix_px)
             straight = np.array([truth.edge_kinds[edge] == "edge" for edge in seen.edge])
@@ -79,34 +97,51 @@ def rendered_pictures(folder: Path) -> Iterator[Picture]:
             file = str(path.parent / f"scene_{view}.png")
             grey = np.asarray(cv2.imread(file, cv2.IMREAD_UNCHANGED))
             length = np.hypot(*(rows[:, 2:4] - rows[:, :2]).T)
-            slope = _shadow_slope(path.parent / f"shadows_{view}.png", grey.shape)
-            yield Picture(f"{path.parent.name}/{view}", grey, rows[length > 2], slope)
+            gradient = _shadow_gradient(path.parent / f"shadows_{view}.png", grey.shape)
+            slope = np.linalg.norm(gradient, axis=-1)
+            slope = cv2.dilate(slope, np.ones((2 * SHADOW_PX + 1,) * 2, np.uint8))
+            rim_edge, rim_extent = seen.edge[~straight], seen.extent[~straight]
+            first, second = truth.edges_mm[rim_edge, 0], truth.edges_mm[rim_edge, 1]
+            parts = first[:, None] + rim_extent[:, :, None] * (second - first)[:, None]
+            clean = _clean(path.parent / f"clean_{view}.png")
+            yield Picture(
+                f"{path.parent.name}/{view}", grey, rows[length > 2], slope, gradient,
+                _project(matrix, parts), clean,
+                float(record["blur_px"]),
+            )  # fmt: skip
 
 
-def _shadow_slope(path: Path, shape: tuple[int, ...]) -> np.ndarray:
+def _clean(path: Path) -> np.ndarray | None:
     if not path.exists():
-        return np.zeros(shape, dtype=np.float32)
+        return None
+    return np.asarray(cv2.imread(str(path), cv2.IMREAD_UNCHANGED)) / 256.0
+
+
+def _shadow_gradient(path: Path, shape: tuple[int, ...]) -> np.ndarray:
+    if not path.exists():
+        return np.zeros((*shape, 2), dtype=np.float32)
     taken = np.asarray(cv2.imread(str(path), cv2.IMREAD_UNCHANGED)).astype(np.float32)
     taken = cv2.GaussianBlur(taken, (0, 0), 1.0)
-    slope = cv2.magnitude(
-        *(cv2.Sobel(taken, cv2.CV_32F, *axis, scale=1 / 8) for axis in ((1, 0), (0, 1)))
-    )
-    return cv2.dilate(slope, np.ones((2 * SHADOW_PX + 1,) * 2, np.uint8))
+    slopes = (cv2.Sobel(taken, cv2.CV_32F, *axis, scale=1 / 8) for axis in ((1, 0), (0, 1)))
+    return np.stack(list(slopes), axis=-1)
 
 
-def score(segments: np.ndarray, edges: np.ndarray) -> Score:
-    """Segments (n, 4) against edges (m, 6).
+def score(segments: np.ndarray, picture: Picture) -> Score:
+    """Segments (n, 4) against the edges of a picture.
 
     Samples every half pixel: one is found (right) when a segment (an edge) lies within 1.5 px
     and eight degrees of it. A segment that is right over half of its length is compared with
     the edge that most of its samples lie on.
     """
+    edges = picture.edges
     strong = edges[np.abs(edges[:, 4]) >= STRONG_STEP]
     weak = edges[np.abs(edges[:, 4]) >= WEAK_STEP]
     of_edge, _, edge_length, _ = covering(strong, segments)
     of_strong, _, length, _ = covering(segments, strong)
     of_weak, owner, _, across = covering(segments, weak)
-    ends, error, matched, step, alone = [], [], [], [], []
+    shadow = _on_shadow(segments, picture.shadow_gradient)
+    on_rim = covering(segments, picture.rims)[0] >= 0
+    ends, error, beyond, matched, step, alone = [], [], [], [], [], []
     for index, segment in enumerate(segments):
         hits = of_weak[owner == index]
         if len(hits) == 0 or np.mean(hits >= 0) < 0.5:
@@ -118,9 +153,11 @@ def score(segments: np.ndarray, edges: np.ndarray) -> Score:
         ends.append(offset[:, 1] * way[0] - offset[:, 0] * way[1])
         gap = np.linalg.norm(segment[:4].reshape(2, 1, 2) - edge, axis=-1)
         error.extend(gap.min(axis=0))
+        along, size = offset @ way, np.linalg.norm(edge[1] - edge[0])
+        beyond.append(np.where(along < size / 2, -along, along - size))
         matched.append(index)
         same_way = np.sign((segment[2:4] - segment[:2]) @ way)
-        others = edges[np.abs(_across(edges, edge)).max(axis=1) > SAME_LINE_PX]
+        others = off_line(edges, edge)
         alone.append(bool((covering(segment[None], others)[0] < 0).all()))
         step.append(same_way * row[4] if row[5] else np.nan)
     return Score(
@@ -128,14 +165,23 @@ def score(segments: np.ndarray, edges: np.ndarray) -> Score:
         edge_length.sum(),
         length[of_strong >= 0].sum(),
         length[of_weak >= 0].sum(),
-        length.sum(),
+        length[(of_strong >= 0) | ~shadow].sum(),
+        length[(of_weak >= 0) | ~shadow].sum(),
+        length[(of_weak < 0) & shadow].sum(),
+        length[(of_weak < 0) & ~shadow & on_rim].sum(),
         np.abs(across[of_weak >= 0]),
         np.array(ends).reshape(-1, 2),
         np.array(error),
+        np.array(beyond).reshape(-1, 2),
         np.array(matched, dtype=int),
         np.array(step),
         np.array(alone, dtype=bool),
     )
+
+
+def off_line(edges: np.ndarray, line: np.ndarray) -> np.ndarray:
+    """The edges that are no parts of the line through two points."""
+    return edges[np.abs(_across(edges, line)).max(axis=1) > SAME_LINE_PX]
 
 
 def _across(edges: np.ndarray, line: np.ndarray) -> np.ndarray:
@@ -145,6 +191,34 @@ def _across(edges: np.ndarray, line: np.ndarray) -> np.ndarray:
     return offset[..., 1] * way[0] - offset[..., 0] * way[1]
 
 
+def _on_shadow(segments: np.ndarray, gradient: np.ndarray) -> np.ndarray:
+    """Whether each sample of the segments lies on the edge of a shadow that runs along it."""
+    sample, unit, _, _ = samples_of(segments)
+    normal = np.stack([-unit[:, 1], unit[:, 0]], axis=-1)
+    shadow = np.zeros(len(sample), dtype=bool)
+    height, width = gradient.shape[:2]
+    for offset in (-REACH_PX, -REACH_PX / 2, 0.0, REACH_PX / 2, REACH_PX):
+        column, row = np.rint(sample + offset * normal).astype(int).T
+        there = gradient[row.clip(0, height - 1), column.clip(0, width - 1)]
+        across, size = np.abs((there * normal).sum(axis=1)), np.linalg.norm(there, axis=1)
+        shadow |= (size > SHADOW_SLOPE) & (across > SHADOW_COSINE * size)
+    return shadow
+
+
+def samples_of(lines: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """(sample, unit, owner, length) of points every half pixel along lines x1 y1 x2 y2.
+
+    The point, the unit vector along its line, the line, and the length it stands for.
+    """
+    way = lines[:, 2:4] - lines[:, :2]
+    size = np.hypot(*way.T)
+    count = np.maximum(1, np.rint(size / SAMPLE_PX).astype(int))
+    owner = np.repeat(np.arange(len(lines)), count)
+    step = (np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count) + 0.5) / count[owner]
+    sample = lines[owner, :2] + step[:, None] * way[owner]
+    return sample, (way / size[:, None])[owner], owner, (size / count)[owner]
+
+
 def covering(
     one: np.ndarray, other: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -152,13 +226,7 @@ def covering(
 
     `other` is -1 where none does; `across` is the sample's signed distance from that line.
     """
-    way = one[:, 2:4] - one[:, :2]
-    size = np.hypot(*way.T)
-    count = np.maximum(1, np.rint(size / SAMPLE_PX).astype(int))
-    owner = np.repeat(np.arange(len(one)), count)
-    step = (np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count) + 0.5) / count[owner]
-    sample = one[owner, :2] + step[:, None] * way[owner]
-    unit = way / size[:, None]
+    sample, unit, owner, length_each = samples_of(one)
     best, nearest = np.full(len(sample), REACH_PX), np.full(len(sample), -1)
     signed = np.full(len(sample), np.nan)
     for index, line in enumerate(other):
@@ -168,12 +236,12 @@ def covering(
         offset = sample - line[:2]
         along = offset @ direction
         across = offset[:, 1] * direction[0] - offset[:, 0] * direction[1]
-        parallel = np.abs(unit @ direction)[owner] > np.cos(np.radians(ANGLE_DEG))
+        parallel = np.abs(unit @ direction) > np.cos(np.radians(ANGLE_DEG))
         covers = (along > -REACH_PX) & (along < length + REACH_PX) & parallel
         closer = np.flatnonzero(covers & (np.abs(across) < best))
         best[closer], nearest[closer] = np.abs(across[closer]), index
         signed[closer] = across[closer]
-    return nearest, owner, (size / count)[owner], signed
+    return nearest, owner, length_each, signed
 
 
 def _project(matrix: np.ndarray, ends_mm: np.ndarray) -> np.ndarray:

@@ -1,24 +1,40 @@
-"""Line segments beside OpenCV's LSD: recall, precision, accuracy, coverage, time.
+"""Line segments beside LSD, FLD and EDLines: recall, precision, accuracy, coverage, time, memory.
 
     python benchmarks/segments.py [--scenes DIR] [--photographs DIR] [--no-times]
 
-DIR of --scenes holds what `benchmarks/render_pictures.py blocks` renders; recall counts the
+DIR of --scenes holds what `benchmarks/render_pictures.py blocks` renders. Recall counts the
 length of visible edges with a step of 8 grey levels or more, precision the length of segments
-that lie on such an edge, or (weak) on one of 2 levels or more. The edges of shadows are no
-edges of the scene and count as false for everybody. DIR of --photographs holds merton1.npz and
-its pictures (VGG, Oxford). LSD runs as it comes and with its bias of (-0.123, -0.119) px taken
-out. Times are medians of warm calls, ours and LSD's in turn on the same picture.
+that lie on such an edge, or (weak) on one of 2 levels or more. What lies on the edge of a shadow
+and on no edge of the scene counts neither for nor against: `shadow` is its share of all length.
+`rims`, the chords of cylinders' rims, count as false. The best possible is a blurred step fitted
+to the picture at the true edge (edge_oracle.py). DIR of --photographs holds merton1.npz and its
+pictures (VGG, Oxford). LSD runs as it comes and with its bias of (-0.123, -0.119) px taken out.
+FLD and EDLines take part where cv2 has `ximgproc` (opencv-contrib-python-headless, in an
+environment of its own: it overwrites opencv-python-headless). Times are medians of warm calls,
+all detectors in turn on the same picture; peak memory is what the process of one detector, fresh
+for each size, grows by during its first call.
 """
 
 import argparse
 import resource
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 import cv2
 import numpy as np
-from segment_truth import Picture, Score, covering, rendered_pictures, score
+from edge_oracle import fitted_across, undisturbed_pixels
+from segment_truth import (
+    STRONG_STEP,
+    Picture,
+    Score,
+    covering,
+    off_line,
+    rendered_pictures,
+    score,
+)
 
 from trinoc.geometry.segments import Segments
 from trinoc.match.find_segments import find_segments
@@ -43,28 +59,47 @@ def ours(grey: np.ndarray) -> np.ndarray:
     return np.asarray(find_segments(grey).endpoints_px).reshape(-1, 4)
 
 
+def fast_line_detector(grey: np.ndarray) -> np.ndarray:
+    lines = cv2.ximgproc.createFastLineDetector().detect(grey)
+    return np.zeros((0, 4)) if lines is None else np.asarray(lines, dtype=float).reshape(-1, 4)
+
+
+def edge_drawing(grey: np.ndarray) -> np.ndarray:
+    drawing = cv2.ximgproc.createEdgeDrawing()
+    drawing.detectEdges(grey)
+    lines = drawing.detectLines()
+    return np.zeros((0, 4)) if lines is None else np.asarray(lines, dtype=float).reshape(-1, 4)
+
+
 DETECTORS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "LSD": lsd_as_it_comes,
     "LSD, bias out": lsd_corrected,
+    **({"FLD": fast_line_detector, "EDLines": edge_drawing} if hasattr(cv2, "ximgproc") else {}),
     "trinoc": ours,
 }
+TIMED = {name: detect for name, detect in DETECTORS.items() if name != "LSD, bias out"}
 
 
 def scenes(folder: Path) -> None:
     pictures = list(rendered_pictures(folder))
     print(f"\n{len(pictures)} rendered pictures, {pictures[0].grey.shape[1]} px wide")
-    print("                recall  prec.  weak   across (length)  across (segment)  end px   ms")
+    print(
+        "                recall  prec.  weak   rims shadow   across (length)  across (segment)"
+        "  end px   ms"
+    )
     for name, detect in DETECTORS.items():
         scores, times = [], []
         for picture in pictures:
             begin = time.perf_counter()
             lines = detect(picture.grey)
             times.append(time.perf_counter() - begin)
-            scores.append(score(lines, picture.edges))
+            scores.append(score(lines, picture))
         print(f"{name:15s} {_row(scores)} {1e3 * np.median(times):8.1f}")
     normalised = [_normalised(find_segments(p.grey), p) for p in pictures]
     reasons = np.concatenate([reason for _, reason in normalised])
     ratio = np.concatenate([z for z, _ in normalised])
+    _against_the_best(pictures)
+    _ends(pictures)
     print("normalised across-line error      n   variance  median-based   beyond 3 sigma")
     for reason in ("all", "", "neighbour", "wide", "saturated", "bent"):
         z = ratio if reason == "all" else ratio[reasons == reason]
@@ -76,6 +111,72 @@ def scenes(folder: Path) -> None:
             )
 
 
+def _against_the_best(pictures: list[Picture]) -> None:
+    """The same parts of the same edges: ours, LSD's, and a step fitted at the true edge."""
+    rows: dict[str, list[np.ndarray]] = {"trinoc": [], "LSD": [], "best": [], "clean": []}
+    for picture in pictures:
+        if picture.clean is None:
+            continue
+        strong = picture.edges[np.abs(picture.edges[:, 4]) >= STRONG_STEP]
+        hit, owner, _, across = covering(strong, ours(picture.grey))
+        _, _, _, lsd_across = covering(strong, lsd_corrected(picture.grey))
+        for index, edge in enumerate(strong):
+            others = off_line(picture.edges, edge[:4].reshape(2, 2))[:, :4]
+            pixels = undisturbed_pixels(
+                np.concatenate([others, picture.rims]), picture.shadow_slope
+            )
+            best, clean = (
+                fitted_across(grey.astype(float), edge, picture.blur_px, pixels)
+                for grey in (picture.grey, picture.clean)
+            )
+            found = hit[owner == index] >= 0
+            if best is None or clean is None or len(best) != len(found):
+                continue
+            both = found & np.isfinite(lsd_across[owner == index])
+            rows["trinoc"].append(np.abs(across[owner == index][found]))
+            rows["LSD"].append(np.abs(lsd_across[owner == index][both]))
+            rows["best"].append(best[found])
+            rows["clean"].append(clean[found])
+    if not rows["best"]:
+        return
+    print("across-line error px, median / 90 %, on edges with 4 px to themselves")
+    names = ("trinoc", "LSD, bias out", "best possible", "without noise (the truth's own)")
+    for name, parts in zip(names, rows.values(), strict=True):
+        error = np.concatenate(parts)
+        print(f"  {name:32s} {np.median(error):.3f} / {np.quantile(error, 0.9):.3f}")
+
+
+def _ends(pictures: list[Picture]) -> None:
+    """Ends along and across, and what their claimed sigmas say."""
+    print("end px: along median / 90 %, share within 3 of its sigmas; across median / 90 %, same")
+    parts: dict[str, list[np.ndarray]] = {"at a crossing": [], "free": []}
+    for picture in pictures:
+        segments = find_segments(picture.grey)
+        ends = np.asarray(segments.endpoints_px)
+        found = score(ends.reshape(-1, 4), picture)
+        way = (ends[:, 1] - ends[:, 0])[found.matched]
+        way = way / np.linalg.norm(way, axis=1)[:, None]
+        normal = np.stack([-way[:, 1], way[:, 0]], axis=-1)
+        covariance = np.asarray(segments.covariance_px2)[found.matched]
+        blocks = np.stack([covariance[:, :2, :2], covariance[:, 2:, 2:]], axis=1)
+        along, across = (
+            np.sqrt(np.einsum("ni,neij,nj->ne", axis, blocks, axis)) for axis in (way, normal)
+        )
+        rows = np.stack(
+            [np.abs(found.ends_along), along, np.abs(found.ends_across), across], axis=-1
+        ).reshape(-1, 4)
+        crossing = rows[:, 1] < 1
+        parts["at a crossing"].append(rows[crossing])
+        parts["free"].append(rows[~crossing])
+    for name, of in parts.items():
+        error, sigma, off, sigma_off = np.concatenate(of).T
+        print(
+            f"  {name:15s} {len(error):6d} {np.median(error):6.2f} / {np.quantile(error, 0.9):5.2f}"
+            f"  {np.mean(error < 3 * sigma):.3f}   {np.median(off):.3f} / "
+            f"{np.quantile(off, 0.9):.3f}  {np.mean(off < 3 * sigma_off):.3f}"
+        )
+
+
 def _row(scores: list[Score]) -> str:
     def total(name: str) -> float:
         return sum(getattr(one, name) for one in scores)
@@ -85,7 +186,9 @@ def _row(scores: list[Score]) -> str:
     end = np.concatenate([one.end_error for one in scores])
     return (
         f"{total('found') / total('shown'):6.3f} {total('right') / total('put_out'):6.3f}"
-        f" {total('right_weak') / total('put_out'):6.3f}"
+        f" {total('right_weak') / total('put_out_weak'):6.3f}"
+        f" {total('on_rims') / total('put_out_weak'):6.3f}"
+        f" {total('on_shadows') / (total('put_out_weak') + total('on_shadows')):6.3f}"
         f"   {np.median(length):.3f} / {np.quantile(length, 0.9):.3f}"
         f"    {np.median(segment):.3f} / {np.quantile(segment, 0.9):.3f}"
         f"   {np.median(end):6.2f}"
@@ -101,7 +204,7 @@ def _normalised(segments: Segments, picture: Picture) -> tuple[np.ndarray, np.nd
     is within 1.5 px, the reach of the comparison.
     """
     ends = np.asarray(segments.endpoints_px)
-    found = score(ends.reshape(-1, 4), picture.edges)
+    found = score(ends.reshape(-1, 4), picture)
     way = ends[:, 1] - ends[:, 0]
     normal = np.stack([-way[:, 1], way[:, 0]], axis=-1) / np.linalg.norm(way, axis=1)[:, None]
     half = np.concatenate([normal, normal], axis=1) / 2
@@ -130,21 +233,22 @@ def nothing_to_find() -> None:
         "noise 20": rng.normal(128, 20, (side, side)),
         "saturated, noise 10": white + rng.normal(0, 10, (side, side)),
     }
-    print("\nsegments per megapixel      LSD   trinoc")
+    print("\nsegments per megapixel  " + "".join(f"{name:>9s}" for name in TIMED))
     for name, grey in pictures.items():
         grey = np.clip(np.rint(grey), 0, 255).astype(np.uint8)
-        print(f"  {name:22s} {len(lsd_as_it_comes(grey)):8d} {len(ours(grey)):8d}")
+        counts = "".join(f"{len(detect(grey)):9d}" for detect in TIMED.values())
+        print(f"  {name:22s}{counts}")
     v, u = np.mgrid[:side, :side]
     board = 60 + 120 * (((u // 40) + (v // 40)) % 2)
     board = cv2.GaussianBlur(board.astype(np.float32), (0, 0), 0.8)
     board = np.clip(np.rint(board + rng.normal(0, 2, board.shape)), 0, 255).astype(np.uint8)
-    for name, detect in (("LSD", lsd_corrected), ("trinoc", ours)):
+    for name, detect in DETECTORS.items():
         lines = detect(board)
         middle = (lines[:, :2] + lines[:, 2:]) / 2
         # Its lines run at 39.5, 79.5, ... along u and v.
         off = np.abs((middle - 19.5) % 40 - 20)
         false = off.min(axis=1) > 1.5
-        print(f"  checkerboard, {name:8s}: {len(lines)} segments, {false.sum()} off its lines")
+        print(f"  checkerboard, {name:14s}: {len(lines)} segments, {false.sum()} off its lines")
 
 
 def photographs(folder: Path) -> None:
@@ -168,20 +272,39 @@ def photographs(folder: Path) -> None:
 
 def times() -> None:
     """Boxes of light on a dark ground, as many per area at every size."""
-    print("\n                 LSD ms  trinoc ms   ratio   peak MiB so far")
+    print("\nms (peak MiB)   " + "".join(f"{name:>17s}" for name in TIMED) + "   trinoc / LSD")
     for width, height, repeats in ((512, 480, 21), (2048, 1920, 7), (6000, 4000, 3)):
-        grey = _boxes(width, height)
-        for detect in (lsd_as_it_comes, ours):
+        middle = _medians(_boxes(width, height), repeats)
+        row = "".join(
+            f"{middle[name]:9.1f} ({_peak_mib(name, width, height):5.0f})" for name in TIMED
+        )
+        print(f"  {width:4d} x {height:4d}   {row} {middle['trinoc'] / middle['LSD']:9.2f}")
+
+
+def _medians(grey: np.ndarray, repeats: int) -> dict[str, float]:
+    for detect in TIMED.values():
+        detect(grey)
+    passed: dict[str, list[float]] = {name: [] for name in TIMED}
+    for _ in range(repeats):
+        for name, detect in TIMED.items():
+            begin = time.perf_counter()
             detect(grey)
-        passed: dict[str, list[float]] = {"lsd": [], "ours": []}
-        for _ in range(repeats):
-            for name, detect in (("lsd", lsd_as_it_comes), ("ours", ours)):
-                begin = time.perf_counter()
-                detect(grey)
-                passed[name].append(1e3 * (time.perf_counter() - begin))
-        lsd, own = np.median(passed["lsd"]), np.median(passed["ours"])
-        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-        print(f"  {width} x {height:5d} {lsd:9.1f} {own:9.1f} {own / lsd:8.2f} {peak:10.0f}")
+            passed[name].append(1e3 * (time.perf_counter() - begin))
+    return {name: float(np.median(each)) for name, each in passed.items()}
+
+
+def _peak_mib(name: str, width: int, height: int) -> float:
+    command = [sys.executable, __file__, "--peak", name, str(width), str(height)]
+    return float(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
+
+
+def _grown_mib(name: str, width: int, height: int) -> float:
+    """Growth of this process's peak by one call; a small picture has loaded what it needs."""
+    TIMED[name](_boxes(64, 64))
+    grey = _boxes(width, height)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    TIMED[name](grey)
+    return (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024
 
 
 def _boxes(width: int, height: int) -> np.ndarray:
@@ -206,7 +329,13 @@ def main() -> None:
     parser.add_argument("--scenes", type=Path, action="append", default=[])
     parser.add_argument("--photographs", type=Path)
     parser.add_argument("--no-times", action="store_true")
+    parser.add_argument("--peak", nargs=3, metavar=("DETECTOR", "WIDTH", "HEIGHT"))
     given = parser.parse_args()
+    if given.peak:
+        print(_grown_mib(given.peak[0], int(given.peak[1]), int(given.peak[2])))
+        return
+    if "FLD" not in DETECTORS:
+        print("FLD and EDLines are not here: this cv2 has no ximgproc.")
     for folder in given.scenes:
         scenes(folder)
     nothing_to_find()
