@@ -21,6 +21,7 @@ from trinoc.match.nevatia_babu.masks import combined_kernel
 from trinoc.match.nevatia_babu.merging import collinear_successors, merged_runs
 from trinoc.match.nevatia_babu.neighbours import overlaps, without_neighbours
 from trinoc.match.nevatia_babu.picture import grey_picture
+from trinoc.match.nevatia_babu.ramps import is_on_ramp
 from trinoc.match.nevatia_babu.runs import members
 from trinoc.match.nevatia_babu.two_levels import runs_of_both_levels
 from trinoc.match.nevatia_babu.validity import is_sharp, is_straight, usual_blur
@@ -88,6 +89,7 @@ def find_segments(
     usual_px2 = usual_blur(lines)
     keep = (
         is_sharp(lines, usual_px2)
+        & ~is_on_ramp(picture.grey, points, first, usual_px2)
         & (lines.evidence > least_evidence(false_alarms, height * width))
         & (lines.contrast > FAINT_SHARE * least_contrast)
     )
