@@ -10,10 +10,12 @@ if TYPE_CHECKING:
     from trinoc import errors
     from trinoc.calib.calibrate import calibrate
     from trinoc.calib.detect.detect_pattern import detect_pattern
+    from trinoc.calib.downstream import epipolar_sigma, point_covariance
     from trinoc.calib.intrinsics.calibrate_intrinsics import calibrate_intrinsics
     from trinoc.calib.joint.moved import check_rig
     from trinoc.calib.joint.refine import refine
     from trinoc.calib.pattern import Pattern
+    from trinoc.calib.systematics import Systematics, with_systematics
     from trinoc.geometry.camera import Camera
     from trinoc.geometry.intrinsics import Intrinsics
     from trinoc.geometry.rig import Rig
@@ -36,10 +38,12 @@ __all__ = [
     "Pattern",
     "Rig",
     "Segments",
+    "Systematics",
     "calibrate",
     "calibrate_intrinsics",
     "check_rig",
     "detect_pattern",
+    "epipolar_sigma",
     "errors",
     "find_segments",
     "load_matches",
@@ -47,8 +51,10 @@ __all__ = [
     "load_rig",
     "load_segments",
     "match_segments",
+    "point_covariance",
     "refine",
     "save",
+    "with_systematics",
 ]
 
 _MODULE_OF = {
@@ -58,18 +64,22 @@ _MODULE_OF = {
     "Pattern": "trinoc.calib.pattern",
     "Rig": "trinoc.geometry.rig",
     "Segments": "trinoc.geometry.segments",
+    "Systematics": "trinoc.calib.systematics",
     "calibrate": "trinoc.calib.calibrate",
     "calibrate_intrinsics": "trinoc.calib.intrinsics.calibrate_intrinsics",
     "check_rig": "trinoc.calib.joint.moved",
     "detect_pattern": "trinoc.calib.detect.detect_pattern",
+    "epipolar_sigma": "trinoc.calib.downstream",
     "find_segments": "trinoc.match.find_segments",
     "load_matches": "trinoc.io.matches_npz",
     "load_pattern": "trinoc.io.pattern_json",
     "load_rig": "trinoc.io.rig_json",
     "load_segments": "trinoc.io.segments_npz",
     "match_segments": "trinoc.match.match_segments",
+    "point_covariance": "trinoc.calib.downstream",
     "refine": "trinoc.calib.joint.refine",
     "save": "trinoc.io.save",
+    "with_systematics": "trinoc.calib.systematics",
 }
 
 

@@ -11,7 +11,7 @@ from trinoc.calib.detection import Detection
 from trinoc.calib.downstream import epipolar_sigma, point_covariance
 from trinoc.calib.pattern import Pattern
 from trinoc.calib.print_scale import printed_sheet
-from trinoc.calib.result import CalibrationResult
+from trinoc.calib.result import CalibrationResult, Status
 from trinoc.calib.systematics import Systematics, with_systematics
 from trinoc.errors import InputError
 from trinoc.geometry.camera import project
@@ -78,6 +78,8 @@ def test_what_the_model_leaves_out_is_named(
     assert first.name == name
     assert first.found
     assert first.sentence in result.fits["a"].notes
+    assert result.status["a"] is Status.SUSPECT
+    assert result.summary().startswith(f"SUSPECT a: {first.sentence}")
     if name == "aim":
         np.testing.assert_allclose(first.estimate, aim_mm, atol=5 * first.sigma.max())
 

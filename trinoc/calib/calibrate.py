@@ -8,6 +8,7 @@ import numpy as np
 from trinoc.calib.calibrate_detections import calibration_of_detections, lens_of_each
 from trinoc.calib.detect.detect_pattern import detect_pattern
 from trinoc.calib.detect.picture import grey_picture
+from trinoc.calib.orientation import Orientation
 from trinoc.calib.pattern import Pattern
 from trinoc.calib.result import CalibrationResult
 from trinoc.calib.systematics import Systematics
@@ -27,6 +28,7 @@ def calibrate(
     method: Literal["picture", "circles"] = "picture",
     throw: bool = True,
     systematics: Systematics | None = None,
+    orientation: Orientation = None,
 ) -> CalibrationResult:
     """The cameras of a rig, from one picture of the sheet each.
 
@@ -40,6 +42,9 @@ def calibrate(
         the rig and `failures` says why.
     systematics : what is known of the errors of the sheet and the lens, which join the
         covariance; without it the covariance is that of the noise alone.
+    orientation : for a sheet that looks the same turned, such as a plain grid of discs:
+        "upright" where X points to the right in every picture, as nearly as it can, or an
+        earlier rig whose cameras have hardly moved since. Without it such a sheet fails.
 
     Raises
     ------
@@ -71,6 +76,7 @@ def calibrate(
         tuple(images),
         pictures=pictures,
         systematics=systematics,
+        orientation=orientation,
     )
 
 

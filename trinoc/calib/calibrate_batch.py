@@ -10,6 +10,7 @@ from trinoc.calib.calibrate_detections import lens_of_each
 from trinoc.calib.circle_calibration import fit_detections
 from trinoc.calib.detection import Detection
 from trinoc.calib.findings import failure_sentence
+from trinoc.calib.orientation import Orientation, oriented
 from trinoc.calib.pattern import Pattern
 from trinoc.calib.result import Status
 from trinoc.errors import InputError
@@ -48,17 +49,23 @@ def calibrate_batch(
     lens: Intrinsics | Mapping[str, Intrinsics],
     *,
     parameters: int = 4,
+    orientation: Orientation = None,
 ) -> BatchCalibration:
     """`calibrate_detections` for many frames; a picture that fails spoils no other.
 
-    A camera that is missing from a frame has the status NOT_DETECTED there. Raises InputError
-    where no frame holds a camera, or a lens is missing.
+    A camera that is missing from a frame has the status NOT_DETECTED there, and one whose sheet
+    looks the same turned AMBIGUOUS, unless `orientation` says which way round it lies. Raises
+    InputError where no frame holds a camera, or a lens is missing.
     """
     names = tuple(dict.fromkeys(name for frame in frames for name in frame))
     lenses = lens_of_each(lens, dict.fromkeys(names))
     if parameters not in (4, 6):
         raise InputError(f"parameters is {parameters}, but must be 4 (aim held) or 6 (free).")
-    places = [(k, name) for k, frame in enumerate(frames) for name in frame]
+    settled = [oriented(frame, pattern, orientation) for frame in frames]
+    frames = [detections for detections, _ in settled]
+    places = [
+        (k, name) for k, frame in enumerate(frames) for name in frame if name not in settled[k][1]
+    ]
     fits = fit_detections(
         [frames[k][name] for k, name in places],
         pattern,
@@ -73,8 +80,10 @@ def calibrate_batch(
         np.full(shape, np.nan),
         np.full((*shape, parameters), np.nan),
         np.zeros(shape[:2], dtype=bool),
-        [{} for _ in frames],
+        [dict(ambiguous) for _, ambiguous in settled],
     )
+    for status, (_, ambiguous) in zip(batch.status, settled, strict=True):
+        status.update(dict.fromkeys(ambiguous, Status.AMBIGUOUS))
     for (k, name), fit in zip(places, fits, strict=True):
         v = names.index(name)
         sentence = failure_sentence(fit, frames[k][name], parameters)

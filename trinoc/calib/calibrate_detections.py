@@ -2,14 +2,16 @@
 
 from collections.abc import Mapping, Sequence
 
+import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
 from trinoc.calib.circle_calibration import fit_detections
 from trinoc.calib.detection import Detection
-from trinoc.calib.findings import failure_sentence, notes_of_fit
+from trinoc.calib.findings import failure_sentence, is_suspect, notes_of_fit
 from trinoc.calib.lens_response import lens_spreads
 from trinoc.calib.model_check import check_model
+from trinoc.calib.orientation import Orientation, oriented
 from trinoc.calib.pattern import Pattern
 from trinoc.calib.picture_calibration import RefinedFit, refine_fits
 from trinoc.calib.picture_fit import PictureFit
@@ -32,6 +34,7 @@ def calibrate_detections(
     parameters: int = 4,
     throw: bool = True,
     systematics: Systematics | None = None,
+    orientation: Orientation = None,
 ) -> CalibrationResult:
     """`trinoc.calibrate` from circles that are already found. Raises as it does."""
     lenses = lens_of_each(lens, detections)
@@ -44,6 +47,7 @@ def calibrate_detections(
         throw,
         tuple(detections),
         systematics=systematics,
+        orientation=orientation,
     )
 
 
@@ -57,6 +61,7 @@ def calibration_of_detections(
     names: Sequence[str],
     pictures: Mapping[str, Float[np.ndarray, "h w"]] | None = None,
     systematics: Systematics | None = None,
+    orientation: Orientation = None,
 ) -> CalibrationResult:
     """Fit the cameras whose sheet was found; `failures` are those of the others.
 
@@ -65,7 +70,9 @@ def calibration_of_detections(
     if parameter_count not in (4, 6):
         raise InputError(f"parameters is {parameter_count}, but must be 4 (aim held) or 6 (free).")
     factors = {} if systematics is None else systematics.lens_factors(names)
-    found = list(detections)
+    detections, ambiguous = oriented(detections, pattern, orientation)
+    failures = failures | ambiguous
+    found = [name for name in detections if name not in ambiguous]
     fitted = fit_detections(
         [detections[name] for name in found],
         pattern,
@@ -83,6 +90,11 @@ def calibration_of_detections(
         good = {name: fit for name, fit in fits.items() if name not in failures}
         refined |= refine_fits(pictures, good, detections, pattern, lenses, parameter_count)
     result = assemble(refined, detections, failures, pattern, lenses, parameter_count, names)
+    if result is not None:
+        suspect = [name for name in result.rig.names if is_suspect(result.fits[name])]
+        status = result.status | dict.fromkeys(ambiguous, Status.AMBIGUOUS)
+        status |= dict.fromkeys(suspect, Status.SUSPECT)
+        result = eqx.tree_at(lambda each: each.status, result, status)
     if result is not None and systematics is not None:
         good = {name: refined[name] for name in result.rig.names}
         spreads = {}

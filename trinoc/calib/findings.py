@@ -7,7 +7,7 @@ from trinoc.calib.detection import Detection
 from trinoc.calib.pattern import Pattern
 from trinoc.calib.picture_calibration import RefinedFit
 from trinoc.calib.picture_fit import PictureFit
-from trinoc.calib.result import Status
+from trinoc.calib.result import CameraFit, Status
 
 # Centres of the right sheet through the right lens fit to hundredths of a pixel; beyond this
 # share of the sheet's size in the picture the model is not the camera's.
@@ -46,6 +46,12 @@ def failure_sentence(fit: PictureFit, detection: Detection, parameter_count: int
     return None
 
 
+def is_suspect(fit: CameraFit) -> bool:
+    """Whether something that the model leaves out shows beyond what its sigmas can carry."""
+    found = bool(fit.alternatives) and fit.alternatives[0].found
+    return found and fit.reduced_chi_square > _LARGE_CHI_SQUARE
+
+
 def notes_of_fit(
     refined: RefinedFit,
     detection: Detection,
@@ -56,7 +62,7 @@ def notes_of_fit(
     fit, quality = refined.fit, refined.quality
     notes = [] if refined.note is None else [f"{refined.note} Its circles alone were used."]
     if alternatives and alternatives[0].found:
-        notes.append(alternatives[0].sentence)
+        notes.insert(0, alternatives[0].sentence)
     dropped = detection.circle_index[~fit.used]
     if len(dropped):
         notes.append(

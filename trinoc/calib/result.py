@@ -16,8 +16,10 @@ class Status(enum.Enum):
     """How the fit of one camera ended; the value is the sentence shown to people."""
 
     CONVERGED = "The fit converged and its parameters are determined."
+    SUSPECT = "The fit converged, but its residuals are not those of this model: see the notes."
     NOT_CONVERGED = "The fit did not converge: its parameters are not a result."
     NOT_DETECTED = "The sheet was not found in the picture."
+    AMBIGUOUS = "The sheet looks the same turned, and nothing says which way round it lies."
     RANK_DEFICIENT = "The observations leave some parameters free: see the named gauge."
 
 
@@ -120,7 +122,7 @@ class CalibrationResult(eqx.Module):
 
 
 def summary_text(result: CalibrationResult) -> str:
-    """A table of one row per camera, and below it whatever a user should know."""
+    """A table of one row per camera, above it what must not be overlooked, below it the rest."""
     values = dict(zip(result.parameters, result.values, strict=True))
     columns = [
         name
@@ -132,7 +134,7 @@ def summary_text(result: CalibrationResult) -> str:
         *(name.replace("_deg", " (deg)").replace("_mm", " (mm)") for name in columns),
     ]
     rows = [[*header, "circles", "rms (px)", "noise/floor"]]
-    remarks = []
+    remarks, warnings = [], []
     for camera, status in result.status.items():
         if camera not in result.rig.names:
             remarks.append(f"{camera}: {result.failures.get(camera, status.value)}")
@@ -145,13 +147,15 @@ def summary_text(result: CalibrationResult) -> str:
         found = f"{int(fit.used.sum())} of {len(result.pattern)}"
         rows.append([camera, *cells, found, f"{fit.rms_px:.4f}", _noise(fit)])
         remarks.extend(f"{camera}: {note}" for note in fit.notes)
+        if status is Status.SUSPECT:
+            warnings.append(f"SUSPECT {camera}: {fit.notes[0]}")
     widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
     lines = [
         "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
         for row in rows
     ]
     included = ", ".join(("noise", *result.systematics))
-    return "\n".join([*lines, f"sigmas include {included}.", *remarks])
+    return "\n".join([*warnings, *lines, f"sigmas include {included}.", *remarks])
 
 
 def _noise(fit: CameraFit) -> str:

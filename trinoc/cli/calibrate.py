@@ -33,6 +33,18 @@ class Calibrate(Command):
     print_scale: Annotated[tuple[float, float], tyro.conf.arg(metavar="X Y")] = (1.0, 1.0)
     """Measured over nominal length of the sheet's two scale bars."""
 
+    print_scale_sigma: Annotated[tuple[float, float], tyro.conf.arg(metavar="X Y")] = (0.0, 0.0)
+    """Standard deviations of these two, such as 0.0005 0.0005; they join the cameras' sigmas."""
+
+    flatness_mm: Annotated[float, tyro.conf.arg(metavar="MM")] = 0.0
+    """By how much the sheet may be bent (standard deviation); joins the cameras' sigmas, too."""
+
+    orientation: Annotated[
+        str | None, tyro.conf.arg(metavar="upright|RIG", help_behavior_hint="(default: refuse)")
+    ] = None
+    """Which way round a sheet lies that looks the same turned: upright, where X points right in
+    every picture, or as the cameras of an earlier rig.json saw it."""
+
     parameters: Literal[4, 6] = 4
     """4: the optical axis meets the origin of the sheet; 6: where it meets the sheet is free."""
 
@@ -56,18 +68,29 @@ class Calibrate(Command):
             )
 
         from trinoc.calib.calibrate import calibrate
+        from trinoc.calib.systematics import Systematics
         from trinoc.cli.provenance import for_people, provenance
         from trinoc.io.atomic import expect_place
         from trinoc.io.images import read_views
         from trinoc.io.pattern_json import load_pattern
+        from trinoc.io.rig_json import load_rig
         from trinoc.io.save import save
 
         expect_place(self.out, self.report)
         pattern = load_pattern(self.pattern).rescaled(*self.print_scale)
         images = read_views(files)
         lenses = self.lens.lenses({name: _size(image) for name, image in images.items()})
+        known = Systematics(self.print_scale_sigma, self.flatness_mm, self.lens.covariance(lenses))
+        earlier = None if self.orientation in (None, "upright") else load_rig(self.orientation)
         LOGGER.info("calibrating %s", ", ".join(files))
-        result = calibrate(images, pattern, lenses, parameters=self.parameters)
+        result = calibrate(
+            images,
+            pattern,
+            lenses,
+            parameters=self.parameters,
+            systematics=known if known.words else None,
+            orientation="upright" if self.orientation == "upright" else earlier,
+        )
         origin = provenance(command_line, {**files, "pattern": self.pattern, **self.lens.files()})
         save(result, self.out, provenance=origin)
         if self.report is not None:
@@ -106,7 +129,8 @@ def calibration_record(result: "CalibrationResult") -> dict[str, Any]:
                 "notes": list(result.fits[name].notes),
             }
             for name, status in result.status.items()
-        }
+        },
+        "sigmas_include": ["noise", *result.systematics],
     }
 
 

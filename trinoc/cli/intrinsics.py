@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from trinoc.cli.command import Command, Outcome, UsageError
-from trinoc.cli.lens_options import NOT_GIVEN
+from trinoc.cli.lens_options import NOT_GIVEN, PixelPitch
 from trinoc.cli.progress import LOGGER, each
 
 if TYPE_CHECKING:
@@ -36,11 +36,8 @@ class Intrinsics(Command):
     principal_point: Literal["free", "centre"] = "free"
     """Whether the principal point is fitted, or held in the middle of the picture."""
 
-    pixel_pitch_mm: Annotated[
-        tuple[float, float],
-        tyro.conf.arg(metavar="WIDTH HEIGHT", help_behavior_hint="(optional)"),
-    ] = NOT_GIVEN
-    """Size of a pixel in mm. Gives a focal length in mm, too."""
+    pixel_pitch_mm: PixelPitch = NOT_GIVEN
+    """Width and height of a pixel in mm; both, also where they are equal."""
 
     aspect: Literal["free", "pitch"] = "free"
     """Whether both focal lengths are fitted, or their ratio is held at that of the pixels."""

@@ -1,7 +1,7 @@
 """How the command line says what lens a camera has."""
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,10 +11,17 @@ from trinoc.cli.command import UsageError
 from trinoc.cli.views import files_of_views
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from trinoc.geometry.intrinsics import Intrinsics
 
 # Not None: an option that may be a pair or nothing would take pictures that follow it.
 NOT_GIVEN = (0.0, 0.0)
+
+# The same option wherever a command asks for it.
+PixelPitch = Annotated[
+    tuple[float, float], tyro.conf.arg(metavar="WIDTH HEIGHT", help_behavior_hint="(optional)")
+]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -32,10 +39,11 @@ class LensOptions:
     ] = None
     """Focal length of all cameras, instead of --intrinsics."""
 
-    pixel_pitch_mm: Annotated[
-        tuple[float, float], tyro.conf.arg(metavar="WIDTH HEIGHT", help_behavior_hint="")
-    ] = NOT_GIVEN
-    """Size of a pixel in mm."""
+    pixel_pitch_mm: PixelPitch = NOT_GIVEN
+    """Width and height of a pixel in mm; both, also where they are equal."""
+
+    lens_covariance: bool = True
+    """Whether the covariance that a camera.json states joins the sigmas of the cameras."""
 
     def lenses(self, sizes_px: Mapping[str, tuple[int, int]]) -> "dict[str, Intrinsics]":
         """The lens of each camera, whose pictures have these (width, height).
@@ -75,6 +83,18 @@ class LensOptions:
                     f'--intrinsics has no file for the camera "{name}": add {name}=camera.json.'
                 )
         return {name: load_intrinsics(files[name]) for name in sizes_px}
+
+    def covariance(self, names: Iterable[str]) -> "np.ndarray | dict[str, np.ndarray] | None":
+        """The covariance of the one lens of all cameras, or of each that states one, if any."""
+        from trinoc.io.intrinsics_json import load_lens_covariance
+
+        if not self.lens_covariance or not self.intrinsics:
+            return None
+        if len(self.intrinsics) == 1 and "=" not in self.intrinsics[0]:
+            return load_lens_covariance(Path(self.intrinsics[0]))
+        files = files_of_views(self.intrinsics)
+        loaded = {name: load_lens_covariance(files[name]) for name in names}
+        return {name: each for name, each in loaded.items() if each is not None} or None
 
     def files(self) -> dict[str, Path]:
         """The files that `lenses` reads, for provenance."""
