@@ -40,10 +40,15 @@ def _stations_mm(pattern: Pattern, axis: int) -> Float[np.ndarray, "n 2"]:
     along = np.linspace(-half, half, _STATIONS + 2)[1:-1]
     stations = np.zeros((_STATIONS, 2))
     stations[:, axis] = along
-    clear = np.linalg.norm(stations[:, None] - pattern.centres_mm[None], axis=2)
     margin_mm = pattern.line_gap_mm + pattern.line_width_mm
-    free = np.all(clear > pattern.radius_mm + margin_mm, axis=1)
-    return stations[free & (np.abs(along) > 3 * pattern.line_width_mm)]
+    reach_mm = pattern.radius_mm + margin_mm
+    # Of the circles only those that the line passes matter.
+    beside = np.abs(pattern.centres_mm[:, 1 - axis]) < reach_mm
+    free = np.abs(along) > 3 * pattern.line_width_mm
+    if np.any(beside):
+        clear = np.linalg.norm(stations[:, None] - pattern.centres_mm[beside], axis=2)
+        free &= np.all(clear > reach_mm[beside], axis=1)
+    return stations[free]
 
 
 def _fit_line(

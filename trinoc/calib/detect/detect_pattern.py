@@ -42,7 +42,7 @@ def detect_pattern(image: Shaped[np.ndarray, "..."], pattern: Pattern) -> Detect
     picture = grey_picture(image)
     layout = layout_of(pattern)
     refusals: list[tuple[int, DetectionError]] = []
-    for positive in (picture, picture._replace(grey=picture.grey.max() - picture.grey)):
+    for positive in _both_polarities(picture):
         for blobs in _searches(positive):
             sheets = _sheets(positive, blobs, pattern, layout, refusals)
             if len(sheets) > 1:
@@ -59,6 +59,12 @@ def detect_pattern(image: Shaped[np.ndarray, "..."], pattern: Pattern) -> Detect
         f"No sheet of the pattern {pattern.name!r} was found in the picture; see that it lies"
         " flat, in focus, and large enough."
     )
+
+
+def _both_polarities(picture: GreyPicture) -> Iterator[GreyPicture]:
+    """Dark circles on light paper, then light ones on dark."""
+    yield picture
+    yield picture._replace(grey=picture.grey.max() - picture.grey)
 
 
 def _searches(picture: GreyPicture) -> Iterator[Blobs]:
