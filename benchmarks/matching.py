@@ -1,8 +1,10 @@
 """Matching: precision and recall beside other matchers, calibration, what each step adds, time.
 
-    TRINOC_DATA=DIR python benchmarks/matching.py [--seeds N] [--no-files] [--no-times]
+    TRINOC_DATA=DIR python benchmarks/matching.py [--seeds N] [--rendered FOLDER] [--no-files]
+        [--no-times]
 
-DIR holds scenes/NAME.npz with NAME.gt.npz and vgg_merton1, vgg_merton2 (VGG, Oxford). Fresh
+DIR holds scenes/NAME.npz with NAME.gt.npz and vgg_merton1, vgg_merton2 (VGG, Oxford). FOLDER
+holds scenes of blocks that benchmarks/render_pictures.py rendered, a folder each. Fresh
 scenes are drawn by trinoc.synth from seeds that nothing was tuned on. Figures of Line3D++ and
 LIMAP are of the same files, measured apart, at their best settings. A pair or a triple is right
 when its segments come from one edge and their true extents overlap.
@@ -16,14 +18,21 @@ from collections.abc import Callable, Iterator
 from itertools import combinations, pairwise
 from pathlib import Path
 
+import cv2
 import numpy as np
 from dense_matcher import match_densely
 from shared_scenes import VIEWS, load_scene
 
+import trinoc.synth
 from trinoc.geometry.precision import in_float64
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
+from trinoc.io.demo import load_scene_truth
+from trinoc.io.rig_json import load_rig
 from trinoc.match.candidates import strangers_of, trinocular_candidates
+from trinoc.match.find_segments import find_segments
+from trinoc.match.lsd import find_segments_lsd
+from trinoc.match.match_many import match_many
 from trinoc.match.match_segments import match_segments
 from trinoc.match.matches import Matches
 from trinoc.match.observed import Observed, observe
@@ -32,7 +41,7 @@ from trinoc.synth.observations import Detector
 from trinoc.synth.observations import observe as detect
 from trinoc.synth.rigs import table1_rig
 from trinoc.synth.scenes import block_scene, loose_segments, see_through_boxes
-from trinoc.synth.scoring import MatchScore, score_groups, score_matches
+from trinoc.synth.scoring import MatchScore, score_groups, score_lengths, score_matches
 from trinoc.synth.truth import SegmentTruth
 
 Problem = tuple[str, Rig, dict[str, Segments], SegmentTruth]
@@ -267,6 +276,59 @@ def _near_epipolar(
     return found, near
 
 
+def table_of_rendered(folder: Path | None) -> None:
+    print("\n## Rendered scenes: precision/recall of length at 1 mm, with segments of two kinds")
+    demo = Path(trinoc.synth.__file__).parent / "demo"
+    places = [(demo, table1_rig())]
+    for place in sorted(folder.iterdir()) if folder else []:
+        if (place / "truth.json").exists():
+            places.append((place, load_rig(place / "rig.json")))
+    means = {}
+    for place, rig in places:
+        truth = load_scene_truth(place / "truth.json")
+        line = f"{place.name:10s}"
+        for label, detector in (("find_segments", find_segments), ("LSD", find_segments_lsd)):
+            segments = {view: detector(_picture(place / f"scene_{view}.png")) for view in VIEWS}
+            matches = match_segments(segments, rig)
+            three = (matches.index >= 0).sum(axis=1) > 2
+            for kind, rows in (("all", three | ~three), ("triples", three)):
+                score = score_lengths(
+                    matches.lines_mm[rows], truth, tolerance_mm=1.0, grey_step=8.0
+                )
+                line += f"  {label} {kind} {score.precision:.3f}/{score.recall:.3f}"
+                if place != demo:
+                    means.setdefault((label, kind), []).append((score.precision, score.recall))
+        print(line, flush=True)
+    for (label, kind), values in means.items():
+        precision, recall = np.mean(values, axis=0)
+        print(f"mean of {len(values)}: {label} {kind} {precision:.3f}/{recall:.3f}")
+
+
+def _picture(path: Path) -> np.ndarray:
+    picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    if picture is None:
+        raise SystemExit(f"{path} is no picture.")
+    return picture
+
+
+def batch() -> None:
+    print("\n## A batch: 1,000 frames of about 100 segments per view")
+    rig = table1_rig(resolution=4)
+    frames = []
+    for seed in range(FRESH_SEED, FRESH_SEED + 1000):
+        scene = loose_segments(seed, count=75)
+        frames.append(detect(scene, rig, Detector(shortest_px=32.0), seed=seed)[0])
+    match_segments(frames[0], rig)
+    start = time.perf_counter()
+    found = match_many(frames, rig)
+    seconds = time.perf_counter() - start
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    print(
+        f"{len(found)} frames in {seconds:.1f} s, {(found.status == 'ok').sum()} ok, "
+        f"peak memory so far {peak:.0f} MiB"
+    )
+
+
 def times() -> None:
     print("\n## Time: loose segments at four times the resolution; first call, warm median of 5")
     for count in (75, 500, 2000, 7000):
@@ -293,6 +355,7 @@ def _seconds(call: Callable[[], object]) -> float:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--rendered", type=Path)
     parser.add_argument("--no-files", action="store_true")
     parser.add_argument("--no-times", action="store_true")
     given = parser.parse_args()
@@ -302,8 +365,10 @@ def main() -> None:
         merton(folder)
     if given.seeds:
         table_of_fresh(given.seeds)
+    table_of_rendered(given.rendered)
     if not given.no_times:
         times()
+        batch()
 
 
 if __name__ == "__main__":

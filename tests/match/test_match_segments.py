@@ -9,6 +9,7 @@ from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
 from trinoc.match import candidates, occluded
 from trinoc.match.match_segments import match_segments
+from trinoc.match.reasons import reasons
 
 VIEWS = ("upper", "left", "right")
 
@@ -163,6 +164,18 @@ def test_depth_range_excludes_and_says_so(noisy) -> None:
     matches = match_segments(seen, rig, depth_range_mm=(10.0, 20.0))
     assert len(matches) == 0
     assert (matches.reasons["upper"] == "outside depth").sum() >= 30
+
+
+def test_what_a_third_view_should_show_and_does_not_is_marked() -> None:
+    # Segment 0 in nothing, 1 in a weak pair, 2 in one that the third view turned down, 3 matched.
+    no, third = np.zeros(4, dtype=bool), np.array([False, False, True, True])
+    words = reasons(np.array([1, 2, 3]), np.array([-2.0, -1.0, 2.0]), no, np.arange(4) == 3, third)
+    assert words.tolist() == [
+        "no partner in the zone",
+        "evidence too weak",
+        "missing in a third view",
+        "matched",
+    ]
 
 
 def test_known_sides_tell_partners_from_strangers(noisy) -> None:

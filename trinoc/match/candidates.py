@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.spatial import KDTree
 
 from trinoc.geometry.arrays import ArrayLike
 from trinoc.match.ends import COMPONENTS, end_evidence
@@ -24,6 +25,8 @@ from trinoc.match.third_view import near
 
 # About as many pairs are held at a time.
 PAIRS_AT_A_TIME = 1 << 19
+# Strangers are as dense about a segment as so many of its neighbours are.
+NEIGHBOURHOOD = 25
 # Of more candidates than this in one block, those with log odds below are not kept.
 MANY, HOPELESS = 5000, -9.0
 # Rows handed to a kernel at a time: few enough for a processor's cache.
@@ -290,7 +293,14 @@ def strangers_of(lines: PictureLines, counts: list[int]) -> Strangers:
             # Segments often fill only a part of the picture: that of a box with their spread.
             spread = np.sqrt(np.linalg.det(np.cov(middle.T)))
             area = min(area, max(12 * float(spread), 1e-3 * area))
-        density.append(np.log(max(count, 1) / (np.pi * area)))
+        everywhere = max(count, 1) / area
+        here = np.full(lines.ends_px.shape[1], everywhere)
+        if count > NEIGHBOURHOOD:
+            # Texture and the rims of shadows put many strangers in one place.
+            distance = KDTree(middle).query(middle, NEIGHBOURHOOD + 1)[0][:, -1]
+            local = NEIGHBOURHOOD / (np.pi * np.maximum(distance, 1.0) ** 2)
+            here[:count] = np.maximum(everywhere, local)
+        density.append(np.log(here / np.pi))
     all_lengths = np.concatenate(lengths)
     return Strangers(
         np.array(density), np.median(all_lengths) if len(all_lengths) else np.array(1.0)

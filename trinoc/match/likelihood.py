@@ -65,11 +65,11 @@ class TripleEvidence(NamedTuple):
 class Strangers(NamedTuple):
     """What segments that belong to nothing look like.
 
-    log_density : per view, log of segments per pixel of area and per radian, N / (pi A).
+    log_density : about each segment, log of segments per pixel of area and per radian, N / (pi A).
     typical_px : usual length; lengths are spread as t / (length + t)^2.
     """
 
-    log_density: Float[ArrayLike, "v"]
+    log_density: Float[ArrayLike, "v n"]
     typical_px: Float[ArrayLike, ""]
 
 
@@ -112,7 +112,7 @@ def triple_evidence(
         - jnp.log(common * common * px_per_mm)
         + jnp.log(planes[0].length_px * planes[1].length_px * planes[2].length_px)
         + log_lengths([second - first for first, second in extents_px], strangers.typical_px)
-        - total(strangers.log_density[views[k]] for k in range(3))
+        - total(strangers.log_density[views[k], segments[k]] for k in range(3))
     )
     length = [high[k] - low[k] for k in range(3)]
     shortest = jnp.minimum(jnp.minimum(length[0], length[1]), length[2])

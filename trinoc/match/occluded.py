@@ -56,12 +56,16 @@ class _Possible(NamedTuple):
 
 
 class Pairs(NamedTuple):
-    """Pairs in the running (chi-square is zero), their log odds, beliefs, and those taken."""
+    """Pairs in the running (chi-square is zero), their log odds, beliefs, and those taken.
+
+    missed : what it costs each, in log odds, that no third view shows it where one should.
+    """
 
     candidates: Candidates
     log_odds: Float[np.ndarray, "m"]
     belief: Float[np.ndarray, "m"]
     taken: Bool[np.ndarray, "m"]
+    missed: Float[np.ndarray, "m"]
 
 
 def occluded(
@@ -103,10 +107,10 @@ def _select(
     evidence = candidates.log_density + ends + expected * LOG_MISSED + MISFIT
     likely = evidence + habits.log_count + log_place(candidates.ends_mm, habits.volume)
     keep = likely > HOPELESS_LEARNED
-    candidates, evidence = _rows(candidates, keep), evidence[keep]
+    candidates, evidence, expected = _rows(candidates, keep), evidence[keep], expected[keep]
     lines = matched.candidates
     keep = ~claimed(candidates.index, candidates.part, lines.index, lines.part)
-    candidates, evidence = _rows(candidates, keep), evidence[keep]
+    candidates, evidence, expected = _rows(candidates, keep), evidence[keep], expected[keep]
     graph = conflicts(candidates.index, candidates.part)
     meetings = junctions(_joined(lines, candidates))
     known = probability(matched.belief)
@@ -130,7 +134,8 @@ def _select(
             everyone = np.concatenate([known, posterior])
             density = habits.log_count - habits.volume.log_size + np.log(2)
             gain = support(meetings, everyone, density, joined)[0][len(known) :]
-    return Pairs(candidates, odds, belief, chosen_greedily(belief, graph))
+    missed = np.where(expected > 0, expected * LOG_MISSED + np.log(share), 0.0)
+    return Pairs(candidates, odds, belief, chosen_greedily(belief, graph), missed)
 
 
 def _rows(candidates: Candidates, keep: Bool[np.ndarray, "m"]) -> Candidates:

@@ -75,7 +75,7 @@ def pair_evidence(
         - jnp.log(length_mm * length_mm * px_per_mm)
         + total(jnp.log(s.length_px) for s in sights)
         + log_lengths(lengths, strangers.typical_px)
-        - total(strangers.log_density[views[k]] for k in range(2))
+        - total(strangers.log_density[views[k], segments[k]] for k in range(2))
     )
     longest = jnp.maximum(lengths[0], lengths[1])
     shortest = jnp.minimum(lengths[0], lengths[1])

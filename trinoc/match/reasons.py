@@ -7,6 +7,7 @@ MATCHED = "matched"
 NO_PARTNER = "no partner in the zone"
 OUTSIDE = "outside depth"
 WEAK = "evidence too weak"
+MISSED = "missing in a third view"
 LOST = "lost to a neighbour"
 AMBIGUOUS = "ambiguous with {}"
 
@@ -19,11 +20,14 @@ def reasons(
     log_odds: Float[np.ndarray, "m"],
     outside: Bool[np.ndarray, "n"],
     matched: Bool[np.ndarray, "n"],
+    missed: Bool[np.ndarray, "n"],
 ) -> Shaped[np.ndarray, "n"]:
     """(n,) words for the segments of one view, given the candidates that held each of them.
 
     `segment` is the segment of this view in each candidate (-1 for none), `log_odds` the
-    candidate's evidence before rivals, and `outside` whether the depth range excluded one.
+    candidate's evidence before rivals, `outside` whether the depth range excluded one, and
+    `missed` whether one fits in two views, and a third should show it but does not: the rims of
+    round bodies, and shadows and lights that move with the viewpoint, among others.
     """
     count = len(matched)
     held = segment >= 0
@@ -35,6 +39,7 @@ def reasons(
     words = np.full(count, NO_PARTNER, dtype="U40")
     words[outside] = OUTSIDE
     words[np.isfinite(best)] = WEAK
+    words[missed & np.isfinite(best)] = MISSED
     words[best > 0] = LOST
     for n in np.flatnonzero((best > 0) & (rivals > 1)):
         words[n] = AMBIGUOUS.format(rivals[n])

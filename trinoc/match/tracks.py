@@ -85,10 +85,13 @@ def _reasons(
     log_odds = np.concatenate([found.log_odds for found in running])
     found = {}
     for view, name in enumerate(seen.names):
-        excluded, matched = np.zeros((2, seen.counts[view]), dtype=bool)
+        excluded, matched, missed = np.zeros((3, seen.counts[view]), dtype=bool)
         matched[index[index[:, view] >= 0, view]] = True
         excluded[outside[outside[:, view] >= 0, view]] = True
-        words = reasons(candidate[:, view], log_odds, excluded, matched)
+        turned = (pairs.log_odds <= 0) & (pairs.log_odds > pairs.missed)
+        owner = pairs.candidates.index[turned, view]
+        missed[owner[owner >= 0]] = True
+        words = reasons(candidate[:, view], log_odds, excluded, matched, missed)
         found[name] = np.empty_like(words)
         found[name][seen.order[view]] = words
     return found
