@@ -22,6 +22,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -43,6 +44,7 @@ from trinoc.match.lsd import LSD_BIAS_PX
 SAME_STEP = 1 / 3
 # The slope of an edge, seen through the masks, is about a quarter of its step per pixel.
 SHADOW_SHARE = 0.04
+_EXTRA: Any = getattr(cv2, "ximgproc", None)
 _LSD = cv2.createLineSegmentDetector()
 
 
@@ -60,12 +62,12 @@ def ours(grey: np.ndarray) -> np.ndarray:
 
 
 def fast_line_detector(grey: np.ndarray) -> np.ndarray:
-    lines = cv2.ximgproc.createFastLineDetector().detect(grey)
+    lines = _EXTRA.createFastLineDetector().detect(grey)
     return np.zeros((0, 4)) if lines is None else np.asarray(lines, dtype=float).reshape(-1, 4)
 
 
 def edge_drawing(grey: np.ndarray) -> np.ndarray:
-    drawing = cv2.ximgproc.createEdgeDrawing()
+    drawing = _EXTRA.createEdgeDrawing()
     drawing.detectEdges(grey)
     lines = drawing.detectLines()
     return np.zeros((0, 4)) if lines is None else np.asarray(lines, dtype=float).reshape(-1, 4)
@@ -74,7 +76,7 @@ def edge_drawing(grey: np.ndarray) -> np.ndarray:
 DETECTORS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "LSD": lsd_as_it_comes,
     "LSD, bias out": lsd_corrected,
-    **({"FLD": fast_line_detector, "EDLines": edge_drawing} if hasattr(cv2, "ximgproc") else {}),
+    **({"FLD": fast_line_detector, "EDLines": edge_drawing} if _EXTRA is not None else {}),
     "trinoc": ours,
 }
 TIMED = {name: detect for name, detect in DETECTORS.items() if name != "LSD, bias out"}
@@ -115,8 +117,6 @@ def _against_the_best(pictures: list[Picture]) -> None:
     """The same parts of the same edges: ours, LSD's, and a step fitted at the true edge."""
     rows: dict[str, list[np.ndarray]] = {"trinoc": [], "LSD": [], "best": [], "clean": []}
     for picture in pictures:
-        if picture.clean is None:
-            continue
         strong = picture.edges[np.abs(picture.edges[:, 4]) >= STRONG_STEP]
         hit, owner, _, across = covering(strong, ours(picture.grey))
         _, _, _, lsd_across = covering(strong, lsd_corrected(picture.grey))
@@ -126,22 +126,23 @@ def _against_the_best(pictures: list[Picture]) -> None:
                 np.concatenate([others, picture.rims]), picture.shadow_slope
             )
             best, clean = (
-                fitted_across(grey.astype(float), edge, picture.blur_px, pixels)
+                None if grey is None else fitted_across(grey, edge, picture.blur_px, pixels)
                 for grey in (picture.grey, picture.clean)
             )
             found = hit[owner == index] >= 0
-            if best is None or clean is None or len(best) != len(found):
+            if best is None or len(best) != len(found):
                 continue
             both = found & np.isfinite(lsd_across[owner == index])
             rows["trinoc"].append(np.abs(across[owner == index][found]))
             rows["LSD"].append(np.abs(lsd_across[owner == index][both]))
             rows["best"].append(best[found])
-            rows["clean"].append(clean[found])
-    if not rows["best"]:
-        return
+            if clean is not None:
+                rows["clean"].append(clean[found])
     print("across-line error px, median / 90 %, on edges with 4 px to themselves")
     names = ("trinoc", "LSD, bias out", "best possible", "without noise (the truth's own)")
     for name, parts in zip(names, rows.values(), strict=True):
+        if not parts:
+            continue
         error = np.concatenate(parts)
         print(f"  {name:32s} {np.median(error):.3f} / {np.quantile(error, 0.9):.3f}")
 

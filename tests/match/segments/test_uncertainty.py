@@ -62,6 +62,32 @@ def test_a_saturated_bright_side_widens_the_covariance_and_says_so() -> None:
     assert np.sqrt(segments.covariance_px2[longest].trace()) > 0.5
 
 
+def test_a_saturated_edge_lies_within_its_sigmas_of_where_it_is() -> None:
+    for blur, above_white in ((0.7, 100.0), (1.2, 60.0), (2.0, 40.0)):
+        middle = np.array([32.0, 31.0])
+        # Dark 60, bright white and more.
+        grey = edge_picture(0.3, middle, 195.0 + above_white, blur)
+        grey = grey - grey.min() + 60.0
+        noise = np.random.default_rng(0).normal(0, 2, grey.shape)
+        segments = find_segments(np.clip(np.rint(grey + noise), 0, 255).astype(np.uint8))
+        longest = int(np.argmax(segments.length_px))
+        ends = np.asarray(segments.endpoints_px)[longest]
+        normal = np.array([np.cos(0.3), np.sin(0.3)])
+        half = np.concatenate([normal, normal]) / 2
+        sigma = np.sqrt(half @ np.asarray(segments.covariance_px2)[longest] @ half)
+        assert abs(((ends - middle) @ normal).mean()) < 3 * sigma
+
+
+def test_noise_on_a_slope_is_no_edge() -> None:
+    v, _ = np.mgrid[:128, :128].astype(float)
+    noise = np.random.default_rng(1).normal(0, 3, v.shape)
+    slope = 60.0 + np.clip(2.5 * (v - 30), 0, 150)
+    segments = find_segments(np.clip(np.rint(slope + noise), 0, 255).astype(np.uint8))
+    middle = np.asarray(segments.endpoints_px).mean(axis=1)
+    within = (middle[:, 1] > 40) & (middle[:, 1] < 80)
+    assert within.sum() <= 2
+
+
 def test_two_edges_side_by_side_stay_within_their_sigmas() -> None:
     v, u = np.mgrid[:64, :64].astype(float)
     normal = np.array([np.cos(0.2), np.sin(0.2)])

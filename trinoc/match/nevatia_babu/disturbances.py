@@ -17,11 +17,15 @@ from trinoc.match.nevatia_babu.validity import BOW_OF_MIDDLE
 _PULL_SHARE = 0.8
 _CROWD_PX, _CROWD_FROM = 0.4, 0.4
 _WIDE_SHARE, _WIDE_FROM_PX = 0.2, 0.5
-_SATURATED_PX, _SATURATED_FROM = 0.5, 0.3
+# A step that goes on above white by as much again as is seen of it moves by 0.7 widths of its
+# blur toward dark, twice that much above white by 1.1, half as much by 0.4.
+_SATURATED_WIDTHS, _SATURATED_PX, _SATURATED_FROM = 0.5, 0.25, 0.3
 _BOW_SHARE, _BOW_SIGMAS = 0.2, 1.5
 
-# How far toward the brighter side a pixel must be saturated to bend the profile.
-_BRIGHT_SIDE_PX = 2.0
+# How far toward the brighter side a pixel must be saturated to bend the profile: at least so many
+# pixels, and so many widths of the blur.
+_BRIGHT_SIDE_PX, _BRIGHT_SIDE_WIDTHS = 2.0, 1.75
+_PIXEL_VARIANCE = 1 / 12
 
 
 class Disturbances(NamedTuple):
@@ -33,6 +37,7 @@ class Disturbances(NamedTuple):
     crowded : (r,) share of the points that have a neighbouring line within reach.
     widening_px : (r,) root of the variance by which the profile is wider than usual.
     saturated : (r,) share of the points whose bright side is saturated.
+    blur_px : (r,) width of the blur, at least as much as is usual in the picture.
     bow_px : (r,) deviation from straightness that noise does not explain.
     """
 
@@ -40,6 +45,7 @@ class Disturbances(NamedTuple):
     crowded: Float[np.ndarray, "r"]
     widening_px: Float[np.ndarray, "r"]
     saturated: Float[np.ndarray, "r"]
+    blur_px: Float[np.ndarray, "r"]
     bow_px: Float[np.ndarray, "r"]
 
     def select(self, which: Bool[np.ndarray, "r"]) -> "Disturbances":
@@ -66,7 +72,13 @@ def disturbances(
     shift = (cleaned.uv_px - measured.uv_px).astype(np.float64)
     near = np.zeros(len(measured.strength))
     near[found.point] = 1.0
-    bright = measured.sample_px + _BRIGHT_SIDE_PX * measured.normal * measured.spacing_px[:, None]
+    # A saturated edge looks sharper than it is.
+    blur = np.sqrt(np.maximum(lines.blur_px2, usual_blur_px2) + _PIXEL_VARIANCE)
+    beside = np.maximum(
+        _BRIGHT_SIDE_PX * measured.spacing_px,
+        np.repeat(_BRIGHT_SIDE_WIDTHS * blur, lines.support).astype(np.float32),
+    )
+    bright = measured.sample_px + beside[:, None] * measured.normal
     column, row = np.rint(bright).astype(np.int64).T
     height, width = grey.shape
     level = grey[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)]
@@ -75,6 +87,7 @@ def disturbances(
         sums(near, first) / count,
         np.sqrt(np.maximum(lines.blur_px2 - usual_blur_px2, 0.0)),
         sums((level >= white).astype(np.float64), first) / count,
+        blur,
         np.where(bow > _BOW_SIGMAS * BOW_OF_MIDDLE * np.sqrt(lines.variance_middle_px2), bow, 0.0),
     )
 
@@ -93,7 +106,8 @@ def widened(
             _CROWD_PX * np.clip(disturbed.crowded - _CROWD_FROM, 0.0, None),
         ),
         "wide": _WIDE_SHARE * np.clip(disturbed.widening_px - _WIDE_FROM_PX, 0.0, None),
-        "saturated": _SATURATED_PX * (disturbed.saturated > _SATURATED_FROM),
+        "saturated": np.hypot(_SATURATED_PX, _SATURATED_WIDTHS * disturbed.blur_px)
+        * (disturbed.saturated > _SATURATED_FROM),
         "bent": _BOW_SHARE * disturbed.bow_px,
     }
     squares = np.square(np.stack(list(parts.values())))

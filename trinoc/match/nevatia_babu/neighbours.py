@@ -36,7 +36,10 @@ def line_pairs_within(
         return none, none
     spacing = 3.0
     owner, samples = line_samples(lines.centre_px, lines.direction, lines.extent_px, spacing)
-    near = point_tree(samples).query_pairs(reach_px + spacing, output_type="ndarray")
+    # Two lines' nearest points have samples within half a spacing: this far at most, as the way
+    # between them is across whichever line does not end there.
+    radius = float(np.hypot(reach_px, spacing))
+    near = point_tree(samples).query_pairs(radius, output_type="ndarray")
     one, other = owner[near[:, 0]], owner[near[:, 1]]
     different = one != other
     one, other = one[different], other[different]
@@ -78,8 +81,8 @@ def overlaps(
     # Most points of a line are far from the other one: little is computed of these.
     centre_u, centre_v = lines.centre_px.astype(np.float32)[other].T
     way_u, way_v = lines.direction.astype(np.float32)[other].T
-    offset_u = np.ascontiguousarray(points.sample_px[:, 0])[point] - np.repeat(centre_u, count)
-    offset_v = np.ascontiguousarray(points.sample_px[:, 1])[point] - np.repeat(centre_v, count)
+    offset_u = np.take(points.sample_px[:, 0], point) - np.repeat(centre_u, count)
+    offset_v = np.take(points.sample_px[:, 1], point) - np.repeat(centre_v, count)
     across = offset_u * np.repeat(way_v, count) - offset_v * np.repeat(way_u, count)
     near = np.flatnonzero(np.abs(across) < reach_px)
     pair = np.repeat(np.arange(len(one)), count)[near]
