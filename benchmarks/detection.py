@@ -244,7 +244,7 @@ def large(random: np.random.Generator) -> Scene:
     pattern = Pattern.default()
     lens = table1_lens(resolution=6)
     camera = pose(random, pattern, lens=lens)
-    return Scene(pattern, camera, render(random, pattern, camera, blur_px=1.5, supersampling=1))
+    return Scene(pattern, camera, render(random, pattern, camera, blur_px=1.5, supersampling=2))
 
 
 def coloured(random: np.random.Generator) -> Scene:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from trinoc import errors
     from trinoc.calib.calibrate import calibrate
+    from trinoc.calib.calibrate_points import calibrate_points
     from trinoc.calib.detect.detect_pattern import detect_pattern
     from trinoc.calib.downstream import epipolar_sigma, point_covariance
     from trinoc.calib.intrinsics.calibrate_intrinsics import calibrate_intrinsics
@@ -41,6 +42,7 @@ __all__ = [
     "Systematics",
     "calibrate",
     "calibrate_intrinsics",
+    "calibrate_points",
     "check_rig",
     "detect_pattern",
     "epipolar_sigma",
@@ -67,6 +69,7 @@ _MODULE_OF = {
     "Systematics": "trinoc.calib.systematics",
     "calibrate": "trinoc.calib.calibrate",
     "calibrate_intrinsics": "trinoc.calib.intrinsics.calibrate_intrinsics",
+    "calibrate_points": "trinoc.calib.calibrate_points",
     "check_rig": "trinoc.calib.joint.moved",
     "detect_pattern": "trinoc.calib.detect.detect_pattern",
     "epipolar_sigma": "trinoc.calib.downstream",

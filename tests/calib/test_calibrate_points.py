@@ -1,0 +1,113 @@
+"""A camera from given points, on a plane and off it."""
+
+import os
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from tests.calib.simulated import LENS, TABLE_1, camera_of
+from trinoc.calib.calibrate_points import PointsCalibration, calibrate_points
+from trinoc.calib.result import Status
+from trinoc.errors import CalibrationError, InputError
+
+CAMERA = camera_of(TABLE_1["left"])
+NOISE_PX = 0.05
+
+
+def block(random: np.random.Generator, count: int = 60) -> np.ndarray:
+    return random.uniform([-60, -60, -40], [60, 60, 40], (count, 3))
+
+
+def seen(points: np.ndarray, random: np.random.Generator) -> np.ndarray:
+    homogeneous = np.column_stack([points, np.ones(len(points))]) @ CAMERA.matrix_px.T
+    exact = homogeneous[:, :2] / homogeneous[:, 2:]
+    return exact + random.normal(0, NOISE_PX, exact.shape)
+
+
+def errors(found: PointsCalibration) -> np.ndarray:
+    """Of the parameters, in their order: turns about the camera's axes, centre, lens."""
+    turn = np.asarray(found.camera.cam_from_world)[:, :3] @ CAMERA.cam_from_world[:, :3].T
+    lens = found.camera.intrinsics
+    values = np.concatenate([lens.focal_length_px, lens.principal_point_px])
+    truth = np.concatenate([LENS.focal_length_px, LENS.principal_point_px])
+    centre = np.asarray(found.camera.pose.centre_world_mm) - CAMERA.pose.centre_world_mm
+    every = [*np.degrees(cv2.Rodrigues(np.asarray(turn))[0].ravel()), *centre, *(values - truth)]
+    return np.array(every[: len(found.parameters)])
+
+
+@pytest.mark.parametrize("lens_given", [True, False])
+def test_errors_are_those_that_the_covariance_claims(lens_given: bool) -> None:
+    squared = []
+    for seed in range(60):
+        random = np.random.default_rng(seed)
+        points = block(random)
+        lens = LENS if lens_given else None
+        found = calibrate_points(points, seen(points, random), lens, image_size_px=(512, 480))
+        assert found.status is Status.CONVERGED
+        assert found.noise_px == pytest.approx(NOISE_PX, rel=0.3)
+        error = errors(found)
+        squared.append(error @ np.linalg.solve(found.covariance, error) / len(error))
+    # The mean of 60 chi-squares over their 6 or 10 degrees of freedom; the noise is estimated.
+    assert np.mean(squared) == pytest.approx(1.0, abs=0.3)
+
+
+def test_points_of_a_plane_do_where_the_lens_is_known() -> None:
+    random = np.random.default_rng(1)
+    points = block(random) * [1, 1, 0]
+    found = calibrate_points(points, seen(points, random), LENS)
+    assert (np.abs(errors(found)) < 5 * np.sqrt(np.diag(found.covariance))).all()
+    with pytest.raises(InputError, match="one plane"):
+        calibrate_points(points, seen(points, random), image_size_px=(512, 480))
+    with pytest.raises(CalibrationError, match="free"):
+        calibrate_points(
+            points, seen(points, random), LENS, free=("fx_px", "fy_px", "cx_px", "cy_px")
+        )
+
+
+def test_a_point_that_is_another_is_left_out_and_told() -> None:
+    random = np.random.default_rng(2)
+    points = block(random)
+    uv_px = seen(points, random)
+    uv_px[[3, 17]] += [4.0, -3.0]
+    found = calibrate_points(points, uv_px, LENS)
+    np.testing.assert_array_equal(np.flatnonzero(~found.used), [3, 17])
+    assert (np.abs(errors(found)) < 5 * np.sqrt(np.diag(found.covariance))).all()
+
+
+def test_what_cannot_be_is_refused_in_words() -> None:
+    random = np.random.default_rng(3)
+    points = block(random)
+    uv_px = seen(points, random)
+    with pytest.raises(CalibrationError, match="left-handed"):
+        calibrate_points(points * [-1, 1, 1], uv_px, image_size_px=(512, 480))
+    with pytest.raises(InputError, match="how large"):
+        calibrate_points(points, uv_px)
+    with pytest.raises(InputError, match="too few"):
+        calibrate_points(points[:3], uv_px[:3], LENS)
+    with pytest.raises(InputError, match="knows"):
+        calibrate_points(points, uv_px, LENS, free=("zoom",))
+    with pytest.raises(InputError, match="not finite"):
+        calibrate_points(points, uv_px * np.nan, LENS)
+
+
+@pytest.mark.skipif("TRINOC_DATA" not in os.environ, reason="TRINOC_DATA names no folder of data")
+@pytest.mark.parametrize("name", ["camera1", "camera2", "camera3"])
+def test_a_real_rig_stands_where_opencv_puts_it(name: str) -> None:
+    folder = Path(os.environ["TRINOC_DATA"]) / "myptv_rig"
+    if not folder.is_dir():
+        pytest.skip("TRINOC_DATA holds no myptv_rig")
+    with np.load(folder / "correspondences.npz") as table:
+        uv_px, points = table[name][:, :2], table[name][:, 2:]
+    free = calibrate_points(points, uv_px, image_size_px=(1280, 1024))
+    assert free.used.mean() > 0.98
+    assert free.rms_px < 0.8
+    posed = calibrate_points(points, uv_px, free.camera.intrinsics)
+    used = posed.used
+    matrix = np.asarray(posed.camera.intrinsics.matrix)
+    _, turn, shift = cv2.solvePnP(points[used].copy(), uv_px[used].copy(), matrix, None)
+    rotation = cv2.Rodrigues(turn)[0]
+    np.testing.assert_allclose(
+        -rotation.T @ shift.ravel(), posed.camera.pose.centre_world_mm, atol=0.01
+    )
