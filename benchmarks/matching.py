@@ -330,13 +330,14 @@ def batch() -> None:
 
 
 def times() -> None:
-    print("\n## Time: loose segments at four times the resolution; first call, warm median of 5")
+    print("\n## Time: loose segments at four times the resolution; warm: median of 5, last of 1")
     for count in (75, 500, 2000, 7000):
         rig = table1_rig(resolution=4)
         scene = loose_segments(FRESH_SEED + 500, count=count)
         segments, _ = detect(scene, rig, Detector(shortest_px=32.0), seed=FRESH_SEED)
         first = _seconds(lambda: match_segments(segments, rig))  # noqa: B023
-        warm = float(np.median([_seconds(lambda: match_segments(segments, rig)) for _ in range(5)]))  # noqa: B023
+        repeats = range(5 if count <= 2000 else 1)
+        warm = float(np.median([_seconds(lambda: match_segments(segments, rig)) for _ in repeats]))  # noqa: B023
         line = f"{len(segments['upper']):6d} per view: first {first:.2f} s, warm {warm:.3f} s"
         if count <= 500:
             ends = [np.asarray(segments[view].endpoints_px) for view in VIEWS]
