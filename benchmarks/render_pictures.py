@@ -10,8 +10,8 @@ a wedge, an L-shaped block and a cylinder (scene_<view>.png) as the rig of the p
 sees them, 512 x 480 pixels that are not square, with truth.json and pattern.json.
 
 `blocks` makes one folder OUT/block_<seed> per seed with scene_<view>.png, rig.json,
-shadows_<view>.png (the grey levels that shadows take away, without blur and noise) and
-truth.json: other solids, light, greys, blur (sigma 0.5 to 2 px) and noise (1 to 8 grey levels)
+shadows_<view>.png (the grey levels that shadows take away, without blur and noise),
+clean_<view>.png (scene_<view>.png without noise, in 256ths of a grey level) and truth.json: other solids, light, greys, blur (sigma 0.5 to 2 px) and noise (1 to 8 grey levels)
 for every seed; --resolution 4 divides each pixel by four along both sides (2048 x 1920).
 
 truth.json (format "trinoc-scene-truth"; `trinoc.io.demo.load_scene_truth` reads it):
