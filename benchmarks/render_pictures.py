@@ -11,7 +11,8 @@ sees them, 512 x 480 pixels that are not square, with truth.json and pattern.jso
 
 `blocks` makes one folder OUT/block_<seed> per seed with scene_<view>.png, rig.json,
 shadows_<view>.png (the grey levels that shadows take away, without blur and noise),
-clean_<view>.png (scene_<view>.png without noise, in 256ths of a grey level) and truth.json: other solids, light, greys, blur (sigma 0.5 to 2 px) and noise (1 to 8 grey levels)
+clean_<view>.png (scene_<view>.png without noise, in 256ths of a grey level) and
+truth.json: other solids, light, greys, blur (sigma 0.5 to 2 px) and noise (1 to 8 grey levels)
 for every seed; --resolution 4 divides each pixel by four along both sides (2048 x 1920).
 
 truth.json (format "trinoc-scene-truth"; `trinoc.io.demo.load_scene_truth` reads it):
