@@ -15,7 +15,7 @@ from trinoc.calib.joint.reduced_system import (
     Tracks,
     fragment_distances,
     reduce,
-    robust_cost,
+    robust_costs,
     track_blocks,
 )
 from trinoc.calib.joint.robust import loss, weight
@@ -144,7 +144,7 @@ def test_the_gradient_of_the_system_is_that_of_the_cost():
 
     def cost(steps):
         moved = jax.vmap(CameraState.moved)(cameras, steps.reshape(3, 6))
-        return robust_cost(moved, lines.lines_mm, tracks, 4.0)
+        return jnp.sum(robust_costs(moved, lines.lines_mm, tracks, 4.0))
 
     blocks = blocks_of(cameras, lines.lines_mm, tracks, 4.0)
     gradient = 2 * np.sum(blocks.camera_gradient, axis=0).reshape(-1)

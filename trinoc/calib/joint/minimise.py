@@ -2,6 +2,10 @@
 
 Written here because the solvers at hand take a residual and a Jacobian, and the point of the
 reduced system is never to form them: 10,000 lines are 40,000 unknowns, of which 18 stay.
+
+Every line has a damping of its own, and stays where it was when that serves it better: among
+thousands some lie nearly in an epipolar plane, and the one that strays most would otherwise hold
+back all others.
 """
 
 from typing import NamedTuple
@@ -17,15 +21,18 @@ from trinoc.calib.joint.reduced_system import (
     ReducedSystem,
     Tracks,
     reduce,
-    robust_cost,
+    robust_costs,
     track_blocks,
 )
 from trinoc.calib.joint.sheet_prior import SheetPrior
+from trinoc.calib.joint.two_views import placed_by_two_views
 from trinoc.geometry.arrays import ArrayLike, ScalarLike
 
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-4, 1e-12, 1e8
 MOST_STEPS = 300
 # The cost is a chi-square: a gain this small moves no parameter by some hundredths of its sigma.
+# It is asked of the cameras' own share, and of every hundred lines together, a few of which
+# always creep along the flank of the robust loss.
 CONVERGED_GAIN = 1e-4
 
 
@@ -36,6 +43,7 @@ class JointState(NamedTuple):
     anchors_mm: Float[ArrayLike, "t 2 3"]
     cost: Float[ArrayLike, ""]
     damping: Float[ArrayLike, ""]
+    line_damping: Float[ArrayLike, "t"]
     steps: Int[ArrayLike, ""]
     converged: Bool[ArrayLike, ""]
 
@@ -48,7 +56,7 @@ def joint_cost(
     scale: ScalarLike,
 ) -> Float[ArrayLike, ""]:
     """Robust chi-square of the fragments plus that of the sheet."""
-    return robust_cost(cameras, anchors_mm, tracks, scale) + prior.cost(cameras)
+    return jnp.sum(robust_costs(cameras, anchors_mm, tracks, scale)) + prior.cost(cameras)
 
 
 def joint_system(
@@ -57,7 +65,7 @@ def joint_system(
     tracks: Tracks,
     prior: SheetPrior,
     scale: ScalarLike,
-    damping: ScalarLike,
+    damping: ScalarLike | Float[ArrayLike, "t"],
 ) -> ReducedSystem:
     """The reduced normal equations, with the sheet's part."""
     blocks = jax.vmap(track_blocks, (None, 0, 0, None))(cameras, anchors_mm, tracks, scale)
@@ -81,9 +89,15 @@ def minimise(
     Directions that nothing determines (the gauge of a rig without a sheet) keep their start.
     """
     views = prior.values.shape[0]
+    # Two views of a line always agree: they wait until the cameras stand.
+    speaks = jnp.sum(tracks.seen, axis=1) >= 3
+    speaking = tracks._replace(seen=tracks.seen & speaks[:, None])
+    negligible = CONVERGED_GAIN * (1 + jnp.sum(speaks) / 100)
 
     def attempt(state: JointState) -> JointState:
-        system = joint_system(state.cameras, state.anchors_mm, tracks, prior, scale, state.damping)
+        system = joint_system(
+            state.cameras, state.anchors_mm, speaking, prior, scale, state.line_damping
+        )
         # Scaled to a unit diagonal; the floor keeps free directions at rest, and no more.
         diagonal = jnp.sqrt(jnp.maximum(jnp.diag(system.information), 1e-300))
         scaled = system.information / diagonal[:, None] / diagonal[None, :]
@@ -91,30 +105,39 @@ def minimise(
         step = -jnp.linalg.solve(damped, system.gradient / diagonal) / diagonal
         cameras = jax.vmap(CameraState.moved)(state.cameras, step.reshape(views, -1))
         offsets = system.line_step + jnp.einsum("tik,k->ti", system.line_by_cameras, step)
-        anchors = jax.vmap(moved_anchors)(state.anchors_mm, offsets)
-        cost = joint_cost(cameras, anchors, tracks, prior, scale)
+        followed = jax.vmap(moved_anchors)(state.anchors_mm, offsets)
+        moved, stayed = (
+            robust_costs(cameras, anchors, speaking, scale)
+            for anchors in (followed, state.anchors_mm)
+        )
+        follows = moved <= stayed
+        anchors = jnp.where(follows[:, None, None], followed, state.anchors_mm)
+        cost = jnp.sum(jnp.where(follows, moved, stayed)) + prior.cost(cameras)
         better = cost <= state.cost
         damping = jnp.where(better, state.damping / 10, state.damping * 10)
-        done = jnp.where(better, state.cost - cost < CONVERGED_GAIN, damping > MOST_DAMPING)
-        moved = JointState(
-            cameras,
-            anchors,
-            cost,
+        still = (-system.gradient @ step < CONVERGED_GAIN) & (state.cost - cost < negligible)
+        done = jnp.where(better, still, damping > MOST_DAMPING)
+        line_damping = state.line_damping * jnp.where(follows & better, 0.1, 10.0)
+        return JointState(
+            jax.tree.map(lambda new, old: jnp.where(better, new, old), cameras, state.cameras),
+            jnp.where(better, anchors, state.anchors_mm),
+            jnp.where(better, cost, state.cost),
             jnp.maximum(damping, LEAST_DAMPING),
+            jnp.clip(line_damping, LEAST_DAMPING, MOST_DAMPING),
             state.steps + 1,
-            done & jnp.isfinite(cost),
+            done & jnp.isfinite(state.cost),
         )
-        kept = state._replace(damping=damping, steps=state.steps + 1, converged=done)
-        return jax.tree.map(lambda new, old: jnp.where(better, new, old), moved, kept)
 
     start = JointState(
         cameras,
         jnp.asarray(anchors_mm),
-        joint_cost(cameras, anchors_mm, tracks, prior, scale),
+        joint_cost(cameras, anchors_mm, speaking, prior, scale),
         jnp.asarray(FIRST_DAMPING),
+        jnp.full(tracks.seen.shape[0], FIRST_DAMPING),
         jnp.asarray(0),
         jnp.asarray(False),
     )
-    return jax.lax.while_loop(
+    end = jax.lax.while_loop(
         lambda state: ~state.converged & (state.steps < MOST_STEPS), attempt, start
     )
+    return end._replace(anchors_mm=placed_by_two_views(end.cameras, end.anchors_mm, tracks))

@@ -96,14 +96,14 @@ def squared_distances(
     return jnp.where(tracks.seen, jnp.sum(jnp.square(distance), axis=-1), 0.0)
 
 
-def robust_cost(
+def robust_costs(
     cameras: CameraState,
     anchors_mm: Float[ArrayLike, "t 2 3"],
     tracks: Tracks,
     scale: ScalarLike,
-) -> Float[ArrayLike, ""]:
-    """Sum of the loss over all fragments."""
-    return jnp.sum(loss(squared_distances(cameras, anchors_mm, tracks), scale))
+) -> Float[ArrayLike, "t"]:
+    """Sum of the loss over the fragments of each track."""
+    return jnp.sum(loss(squared_distances(cameras, anchors_mm, tracks), scale), axis=1)
 
 
 def track_blocks(
@@ -141,8 +141,11 @@ def track_blocks(
     )
 
 
-def reduce(blocks: TrackBlocks, seen: Bool[ArrayLike, "t v"], damping: ScalarLike) -> ReducedSystem:
-    """Eliminate the lines; `damping` scales the diagonals as Levenberg and Marquardt do.
+def reduce(
+    blocks: TrackBlocks, seen: Bool[ArrayLike, "t v"], damping: ScalarLike | Float[ArrayLike, "t"]
+) -> ReducedSystem:
+    """Eliminate the lines; `damping`, one for all or one for each line, scales the diagonals as
+    Levenberg and Marquardt do.
 
     Two views have as many distances as their line has unknowns, so that eliminating the line
     leaves nothing: such tracks are left out of the cameras' equations, where only rounding
@@ -152,6 +155,7 @@ def reduce(blocks: TrackBlocks, seen: Bool[ArrayLike, "t v"], damping: ScalarLik
     tracks, views, size = blocks.camera_gradient.shape
     count = views * size
     diagonal = jnp.einsum("tii->ti", blocks.line_information)
+    damping = jnp.broadcast_to(damping, (tracks,))[:, None, None]
     damped = blocks.line_information + damping * diagonal[:, :, None] * jnp.eye(4)[None]
     inverse = jax.vmap(inverse_positive_definite)(damped)
     determined = jnp.all(jnp.isfinite(inverse), axis=(1, 2))

@@ -330,5 +330,9 @@ def _stacked(states: list[CameraState]) -> CameraState:
 
 
 def _bucket(count: int) -> int:
-    """The next power of two from 64 up: other counts in the same bucket compile nothing."""
-    return max(64, 1 << (count - 1).bit_length())
+    """The next size from 64 up, to which tracks are padded: others in its range compile nothing.
+
+    Powers of two; from 4096 up quarters of them, where padding would cost more than compiling.
+    """
+    power = max(64, 1 << (count - 1).bit_length())
+    return power if power <= 4096 else -(-count // (power // 8)) * (power // 8)
