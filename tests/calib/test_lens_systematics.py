@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 
 from tests.calib.simulated import LENS, TABLE_1, camera_of, reference_sheet, simulated_detection
-from trinoc.calib.calibrate import calibrate
 from trinoc.calib.calibrate_detections import calibrate_detections
+from trinoc.calib.result import Status
 from trinoc.calib.systematics import Systematics
 from trinoc.errors import InputError
 from trinoc.geometry.intrinsics import Intrinsics
-from trinoc.synth.sheet_picture import render_sheet
 
 SHEET = reference_sheet()
 # fu, fv, cu, cv: the focal lengths correlated, as lenses are known.
@@ -70,24 +69,6 @@ def test_lenses_of_their_own_err_independently() -> None:
     assert "sigmas include noise, the lens's own covariance of upper, left." in result.summary()
 
 
-def test_the_picture_s_own_fit_is_asked() -> None:
-    """Edges and lines weigh otherwise than centres: the circles' response would be wrong."""
-    camera = camera_of(TABLE_1["left"])
-    picture = render_sheet(SHEET, camera, blur_px=0.7, noise_sigma=2.0, seed=5, supersampling=4)
-    given = Systematics(lens_covariance=COVARIANCE)
-
-    def result(lens: Intrinsics, systematics: Systematics | None = None):
-        return calibrate({"a": picture}, SHEET, lens, systematics=systematics)
-
-    plain, wide = result(moved(np.zeros(4))), result(moved(np.zeros(4)), given)
-    scale = np.sqrt(np.diag(wide.covariance))
-    np.testing.assert_allclose(
-        (wide.covariance - plain.covariance) / np.outer(scale, scale),
-        spread(lambda lens: result(lens).values, 0.2) / np.outer(scale, scale),
-        atol=0.03,
-    )
-
-
 def test_errors_of_the_lens_scatter_the_pose_as_claimed() -> None:
     """100 lenses drawn from the covariance: normalised squared errors are chi-square.
 
@@ -109,6 +90,19 @@ def test_errors_of_the_lens_scatter_the_pose_as_claimed() -> None:
         squared.append(error @ np.linalg.solve(result.covariance, error))
     # The mean of 100 chi-square numbers of four degrees of freedom, within four sigmas.
     assert abs(np.mean(squared) - 4) < 4 * np.sqrt(2 * 4 / 100)
+
+
+def test_a_lens_off_by_its_own_sigma_is_not_suspect() -> None:
+    detection = simulated_detection(camera_of(TABLE_1["left"]), SHEET, seed=0, sigma_px=0.002)
+    focal = np.asarray(LENS.focal_length_px)
+    long = moved(np.array([*(0.003 * focal), 0.0, 0.0]))
+    known = Systematics(lens_covariance=np.outer([3.0, 3.6], [3.0, 3.6]))
+    plain = calibrate_detections({"a": detection}, SHEET, long)
+    wide = calibrate_detections({"a": detection}, SHEET, long, systematics=known)
+    assert plain.status["a"] is Status.SUSPECT
+    assert wide.status["a"] is Status.CONVERGED
+    # It is said all the same.
+    assert "focal length" in wide.fits["a"].notes[0]
 
 
 @pytest.mark.parametrize(

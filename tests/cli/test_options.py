@@ -14,6 +14,7 @@ from trinoc.cli.command import UsageError
 from trinoc.cli.lens_options import LensOptions
 from trinoc.cli.views import files_of_views
 from trinoc.errors import InputError
+from trinoc.io.intrinsics_json import save_intrinsics
 
 SIZES = {"upper": (512, 480), "left": (640, 400)}
 NAMES = st.text(st.characters(exclude_characters="=", exclude_categories=["Cs"]), min_size=1)
@@ -48,6 +49,23 @@ def test_lens_from_one_file_or_from_one_for_each(tmp_path):
     assert [lens.focal_length_px[0] for lens in each.lenses(SIZES).values()] == [1000.0, 1001.0]
     with pytest.raises(UsageError, match='no file for the camera "left"'):
         LensOptions(intrinsics=(f"upper={files['upper']}",)).lenses(SIZES)
+
+
+def test_covariance_of_the_lens_is_that_of_its_file_unless_refused(tmp_path):
+    files, covariance = {name: tmp_path / f"{name}.json" for name in SIZES}, np.diag(np.arange(9.0))
+    lens = trinoc.Intrinsics(focal_length_px=1000.0, image_size_px=SIZES["left"])
+    save_intrinsics(lens, files["left"], covariance=covariance)
+    save_intrinsics(lens, files["upper"])
+    one = LensOptions(intrinsics=(str(files["left"]),))
+    np.testing.assert_array_equal(one.covariance(SIZES), covariance)
+    each = LensOptions(intrinsics=tuple(f"{name}={file}" for name, file in files.items()))
+    found = each.covariance(SIZES)
+    assert isinstance(found, dict)
+    assert list(found) == ["left"]
+    refused = LensOptions(intrinsics=(str(files["left"]),), lens_covariance=False)
+    assert refused.covariance(SIZES) is None
+    sheet = LensOptions(focal_length_mm=16.0, pixel_pitch_mm=(0.01, 0.02))
+    assert sheet.covariance(SIZES) is None
 
 
 @pytest.mark.parametrize(

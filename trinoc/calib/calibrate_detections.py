@@ -91,7 +91,12 @@ def calibration_of_detections(
         refined |= refine_fits(pictures, good, detections, pattern, lenses, parameter_count)
     result = assemble(refined, detections, failures, pattern, lenses, parameter_count, names)
     if result is not None:
-        suspect = [name for name in result.rig.names if is_suspect(result.fits[name])]
+        sigmas = {name: np.linalg.norm(factor, axis=1) for name, factor in factors.items()}
+        suspect = [
+            name
+            for name in result.rig.names
+            if is_suspect(result.fits[name], lenses[name], sigmas.get(name))
+        ]
         status = result.status | dict.fromkeys(ambiguous, Status.AMBIGUOUS)
         status |= dict.fromkeys(suspect, Status.SUSPECT)
         result = eqx.tree_at(lambda each: each.status, result, status)

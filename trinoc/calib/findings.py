@@ -1,6 +1,7 @@
 """What a circle fit tells its user, in sentences."""
 
 import numpy as np
+from jaxtyping import Float
 
 from trinoc.calib.alternative import Alternative
 from trinoc.calib.detection import Detection
@@ -8,6 +9,7 @@ from trinoc.calib.pattern import Pattern
 from trinoc.calib.picture_calibration import RefinedFit
 from trinoc.calib.picture_fit import PictureFit
 from trinoc.calib.result import CameraFit, Status
+from trinoc.geometry.intrinsics import Intrinsics
 
 # Centres of the right sheet through the right lens fit to hundredths of a pixel; beyond this
 # share of the sheet's size in the picture the model is not the camera's.
@@ -15,6 +17,8 @@ _LARGEST_MISFIT = 0.01
 _SMALLEST_MISFIT_PX = 1.0
 _LARGE_CHI_SQUARE = 2.0
 _CUT_SHARE = 0.01
+# A lens may be off by this many of its own sigmas.
+_EXPLAINED_SIGMAS = 3.0
 
 
 def failure_sentence(fit: PictureFit, detection: Detection, parameter_count: int) -> str | None:
@@ -46,10 +50,24 @@ def failure_sentence(fit: PictureFit, detection: Detection, parameter_count: int
     return None
 
 
-def is_suspect(fit: CameraFit) -> bool:
-    """Whether something that the model leaves out shows beyond what its sigmas can carry."""
-    found = bool(fit.alternatives) and fit.alternatives[0].found
-    return found and fit.reduced_chi_square > _LARGE_CHI_SQUARE
+def is_suspect(fit: CameraFit, lens: Intrinsics, lens_sigma: Float[np.ndarray, "9"] | None) -> bool:
+    """Whether something that the model leaves out shows beyond what its sigmas can carry.
+
+    lens_sigma : of LENS_PARAMETERS, where the covariance holds the lens's; what these explain
+        is no reason for suspicion.
+    """
+    if not (fit.alternatives and fit.alternatives[0].found):
+        return False
+    if not fit.reduced_chi_square > _LARGE_CHI_SQUARE:
+        return False
+    first = fit.alternatives[0]
+    if lens_sigma is None or first.name == "aim":
+        return True
+    by_name = {
+        "focal length": lens_sigma[0] / float(lens.focal_length_px[0]),
+        "radial distortion": lens_sigma[4],
+    }
+    return bool(abs(first.estimate[0]) > _EXPLAINED_SIGMAS * by_name[first.name])
 
 
 def notes_of_fit(
