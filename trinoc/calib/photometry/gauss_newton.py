@@ -52,6 +52,7 @@ def gauss_newton_steps(
     cross: Cross,
     outlier_scales: Float[ArrayLike, "s"],
     held: Float[ArrayLike, "s k"],
+    stride: Int[ArrayLike, "s"],
     steps: Int[ArrayLike, ""],
     *,
     drawing: Drawing,
@@ -61,14 +62,19 @@ def gauss_newton_steps(
 
     outlier_scales : grey levels at which a residual loses its influence; infinity for none.
     held : 1 for each unknown that a step leaves as it is.
+    stride : a step looks at the first of so many parts of each group's chunks only.
     """
     size = parameter_count + NUISANCE
 
     def step(k: Int[ArrayLike, ""], before: Step) -> Step:
+        first, second = (
+            group._replace(chunks=-(-group.chunks // stride[k]))
+            for group in (near_circles, near_lines)
+        )
         return _step(
             before.state,
-            near_circles,
-            near_lines,
+            first,
+            second,
             cross,
             outlier_scales[k],
             held[k],

@@ -16,7 +16,7 @@ from trinoc.calib.photometry.ink import Cross, Drawing
 from trinoc.calib.photometry.model import NUISANCE, Appearance, Pixels, Prediction, predict
 from trinoc.geometry.arrays import ArrayLike
 
-CHUNK = 2048
+CHUNK = 512
 _ROW = 9 + NUISANCE
 
 
@@ -57,12 +57,14 @@ def normal_equations(
             sheet_from_normalised, appearance, part, cross, drawing, near_line
         )
         residual = predicted.residual
-        bound = 1 / (1 + residual**2 / (outlier_scale**2).astype(residual.dtype))
-        rows = jnp.stack((*predicted.by_homography, *predicted.by_appearance))
-        weighted = rows * (part.weight * bound * bound)[None]
+        # The square root of the weight: rows and residual then share one product.
+        root = part.weight / (1 + residual**2 / (outlier_scale**2).astype(residual.dtype))
+        columns = (*predicted.by_homography, *predicted.by_appearance, residual)
+        rows = jnp.stack([column * root for column in columns])
+        products = (rows @ rows.T).astype(dtype)
         return NormalEquations(
-            sums.matrix + (weighted @ rows.T).astype(dtype),
-            sums.gradient + (weighted @ residual).astype(dtype),
+            sums.matrix + products[:_ROW, :_ROW],
+            sums.gradient + products[:_ROW, _ROW],
             jax.lax.dynamic_update_slice(sums.residuals, residual, (k * CHUNK,)),
         )
 
@@ -70,7 +72,20 @@ def normal_equations(
     start = NormalEquations(
         jnp.zeros((_ROW, _ROW), dtype), jnp.zeros(_ROW, dtype), jnp.zeros_like(pixels.grey)
     )
-    return jax.lax.fori_loop(0, chunks, add, start)
+    sums = jax.lax.fori_loop(0, chunks, add, start)
+    rounding = _rounding(sheet_from_normalised, appearance, pixels.grey.dtype)
+    return sums._replace(gradient=sums.gradient + sums.matrix @ rounding)
+
+
+def _rounding(
+    sheet_from_normalised: Float[ArrayLike, "3 3"], appearance: Appearance, dtype: jnp.dtype
+) -> Float[ArrayLike, "18"]:
+    """What the unknowns lose in the precision of the pixels.
+
+    All pixels lose it alike, so that in a large picture it outweighs their noise.
+    """
+    exact = jnp.concatenate([sheet_from_normalised.reshape(9), appearance.vector])
+    return exact - exact.astype(dtype).astype(exact.dtype)
 
 
 def _chunk(pixels: Pixels, k: Int[ArrayLike, ""]) -> Pixels:
