@@ -19,12 +19,11 @@ def first_look(
 ) -> Appearance:
     """Medians over all circles: of the paper beside, the ink inside, the steepness between."""
     outer, inner = pattern.radius_mm, pattern.inner_radius_mm
-    sampled = []
-    for radius in (0.5 * (outer + inner), outer, outer + 0.3 * outer):
-        outline = circle_points_mm(pattern.centres_mm, radius).reshape(-1, 2)
-        sampled.append(np.asarray(project_to_picture(pose, lens, outline)))
+    radii = (0.5 * (outer + inner), outer, outer + 0.3 * outer)
+    outlines = [circle_points_mm(pattern.centres_mm, radius).reshape(-1, 2) for radius in radii]
+    sampled = np.asarray(project_to_picture(pose, lens, np.concatenate(outlines)))
     height, width = picture.shape
-    places = [np.round(points).astype(int) for points in sampled]
+    places = np.split(np.round(sampled).astype(int), len(radii))
     inside = np.all(
         [((p >= 1) & (p < np.array([width - 1, height - 1]))).all(axis=1) for p in places], axis=0
     )

@@ -21,4 +21,18 @@ def noise_floor(picture: Float[np.ndarray, "h w"], flat: Bool[np.ndarray, "h w"]
     if int(apart.sum()) < _FEWEST_PIXELS:
         return float("nan")
     response = cv2.filter2D(picture.astype(np.float32), cv2.CV_32F, _MASK)
-    return float(_MAD_TO_SIGMA * np.median(np.abs(response[apart])) / _GAIN)
+    return float(_MAD_TO_SIGMA * _median_of_steps(np.abs(response[apart])) / _GAIN)
+
+
+def _median_of_steps(values: Float[np.ndarray, "n"]) -> float:
+    """The median of values that rounding has thrown together, each spread over its step.
+
+    Whole grey levels give whole responses: a plain median moves in steps of a sixth of a level.
+    """
+    middle = np.partition(values, len(values) // 2)[len(values) // 2]
+    below, above = values[values < middle], values[values > middle]
+    if not len(above):
+        return float(middle)
+    low = 0.5 * (middle + (below.max() if len(below) else -middle))
+    share = (0.5 * len(values) - len(below)) / (len(values) - len(below) - len(above))
+    return float(low + share * (0.5 * (middle + above.min()) - low))

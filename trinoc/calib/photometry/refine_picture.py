@@ -10,6 +10,7 @@ from jaxtyping import Float
 from trinoc.calib.lens_arrays import LensArrays
 from trinoc.calib.pattern import Pattern
 from trinoc.calib.photometry.choose_pixels import (
+    PARTS,
     Choice,
     Chosen,
     capacity_for,
@@ -31,8 +32,8 @@ from trinoc.calib.sheet_pose import SheetPose
 
 # Shares of the contrast at which a residual loses its influence while the fit finds its way.
 _SCALES = (0.12, 0.07, 0.05)
-# The first steps need not be exact: they look at every n-th pixel.
-_STRIDES = (4, 4, 1)
+# The first steps need not be exact: they look at a part of the pixels.
+_STRIDES = (PARTS, PARTS, 1)
 _PLAIN_STEPS = 2
 _MOST_PLAIN_STEPS = 8
 # The fit has converged when a step is this share of its own standard deviation.
@@ -80,7 +81,7 @@ def refine_picture(
     if not contrast > _LEAST_CONTRAST:
         return None
     choice = choose_pixels(start, lens, pattern, size, float(appearance.sigma_px))
-    chosen = (_strided(choice.near_circles), _strided(choice.near_lines))
+    chosen = (choice.near_circles, choice.near_lines)
     counts = [len(part.row) for part in chosen]
     capacity = capacity_for(max(counts))
     circles, lines = (
@@ -170,12 +171,6 @@ def _schedule(
     held[0, first_slope:] = 1.0
     held[1, first_slope + 2 :] = 1.0
     return contrast * np.array(_SCALES), held
-
-
-def _strided(chosen: Chosen) -> Chosen:
-    """The pixels in an order whose first part holds every n-th of them."""
-    order = np.argsort(np.arange(len(chosen.row)) % max(_STRIDES), kind="stable")
-    return Chosen(*(field[order] for field in chosen))
 
 
 def _cut_out(picture: Float[np.ndarray, "h w"], choice: Choice) -> Float[np.ndarray, "k l"]:
