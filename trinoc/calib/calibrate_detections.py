@@ -1,8 +1,8 @@
 """Calibrate a rig from circles that are already found."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
@@ -99,7 +99,8 @@ def calibration_of_detections(
         ]
         status = result.status | dict.fromkeys(ambiguous, Status.AMBIGUOUS)
         status |= dict.fromkeys(suspect, Status.SUSPECT)
-        result = eqx.tree_at(lambda each: each.status, result, status)
+        # tree_at would sort the cameras by name.
+        result = replace(result, status=status)
     if result is not None and systematics is not None:
         good = {name: refined[name] for name in result.rig.names}
         spreads = {}
