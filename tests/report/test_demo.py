@@ -89,9 +89,9 @@ def test_the_matches_file_holds_what_was_counted(run: Run) -> None:
 
 def test_most_of_what_is_put_out_is_right(run: Run) -> None:
     score = run.record["score"]
-    assert 0.85 < score["length_precision"] <= 1
-    assert 0.6 < score["length_recall"] <= 1
-    assert 0.5 < score["length_recall_with_rims"] <= score["length_recall"]
+    assert 0.95 < score["length_precision"] <= 1
+    assert 0.8 < score["length_recall"] <= 1
+    assert 0.7 < score["length_recall_with_rims"] <= score["length_recall"]
 
 
 def test_a_folder_that_cannot_be_made_is_refused(
