@@ -197,3 +197,12 @@ def test_noise_floor_is_the_noise_of_a_flat_field() -> None:
         3.0, rel=0.03
     )
     assert np.isnan(noise_floor(noisy, np.zeros(shade.shape, dtype=bool)))
+
+
+@pytest.mark.parametrize("noise", [1.3, 1.5, 2.0])
+def test_noise_floor_of_whole_grey_levels_holds_their_rounding(noise: float) -> None:
+    grey = 120.3 + np.random.default_rng(2).normal(0.0, noise, (300, 400))
+    expected = np.hypot(noise, np.sqrt(1 / 12))
+    assert noise_floor(np.rint(grey), np.ones(grey.shape, dtype=bool)) == pytest.approx(
+        expected, rel=0.02
+    )

@@ -91,22 +91,13 @@ def calibration_of_detections(
         refined |= refine_fits(pictures, good, detections, pattern, lenses, parameter_count)
     result = assemble(refined, detections, failures, pattern, lenses, parameter_count, names)
     if result is not None:
-        sigmas = {name: np.linalg.norm(factor, axis=1) for name, factor in factors.items()}
-        suspect = [
-            name
-            for name in result.rig.names
-            if is_suspect(result.fits[name], lenses[name], sigmas.get(name))
-        ]
-        status = result.status | dict.fromkeys(ambiguous, Status.AMBIGUOUS)
-        status |= dict.fromkeys(suspect, Status.SUSPECT)
-        # tree_at would sort the cameras by name.
-        result = replace(result, status=status)
-    if result is not None and systematics is not None:
-        good = {name: refined[name] for name in result.rig.names}
-        spreads = {}
-        if pictures is not None and factors:
-            spreads = lens_spreads(pictures, good, detections, pattern, lenses, factors)
-        result = with_spreads(result, systematics, factors, spreads)
+        result = _with_suspects(result, lenses, factors, ambiguous)
+        if systematics is not None:
+            good = {name: refined[name] for name in result.rig.names}
+            spreads = {}
+            if pictures is not None and factors:
+                spreads = lens_spreads(pictures, good, detections, pattern, lenses, factors)
+            result = with_spreads(result, systematics, factors, spreads)
     if failures and (throw or result is None):
         told = "; ".join(f'camera "{name}": {failures[name]}' for name in names if name in failures)
         raise CalibrationError(
@@ -116,6 +107,22 @@ def calibration_of_detections(
         )
     assert result is not None
     return result
+
+
+def _with_suspects(
+    result: CalibrationResult,
+    lenses: Mapping[str, Intrinsics],
+    lens_factors: Mapping[str, Float[np.ndarray, "9 r"]],
+    ambiguous: Mapping[str, str],
+) -> CalibrationResult:
+    """Statuses of cameras that may be labelled in several ways, or do not fit their lens."""
+    status = result.status | dict.fromkeys(ambiguous, Status.AMBIGUOUS)
+    for name in result.rig.names:
+        factor = lens_factors.get(name)
+        sigma = None if factor is None else np.linalg.norm(factor, axis=1)
+        if is_suspect(result.fits[name], lenses[name], sigma):
+            status[name] = Status.SUSPECT
+    return replace(result, status=status)
 
 
 def assemble(

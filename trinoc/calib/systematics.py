@@ -6,6 +6,7 @@ scale is half a millimetre of distance, a hundred times the bound of a good pict
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import jax
@@ -127,10 +128,8 @@ def with_spreads(
     stacked = np.concatenate(shared)
     covariance += stacked @ stacked.T
     rig = Rig(dict(result.rig.items()), parameters=result.parameters, covariance=covariance)
-    fields = {name: getattr(result, name) for name in result.__dataclass_fields__}
     words = (*result.systematics, *systematics.words)
-    changed = {"rig": rig, "covariance": covariance, "systematics": words}
-    return CalibrationResult(**fields | changed)
+    return replace(result, rig=rig, covariance=covariance, systematics=words)
 
 
 def _checked(matrix: np.ndarray, whose: str) -> Float[np.ndarray, "k k"]:

@@ -1,0 +1,336 @@
+"""Pictures of the sheet as benches take them: one function a condition, of a random pose."""
+
+import os
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from trinoc.calib.pattern import Pattern
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.synth.disturbances import (
+    LightGradient,
+    ShadowEdge,
+    card,
+    finger,
+    hand,
+    round_things,
+    table,
+)
+from trinoc.synth.layers import Layer
+from trinoc.synth.rigs import table1_lens
+from trinoc.synth.sheet_picture import render_sheet
+
+PAPER_MM = (210.0, 230.0)
+# Enough for labels; the renderer's own error is then about that of the centres, so that errors
+# over sigma are twice too large. At 16 they are right, and pictures take eight times as long.
+SUPERSAMPLING = int(os.environ.get("SUPERSAMPLING", "4"))
+
+
+class Scene(NamedTuple):
+    pattern: Pattern
+    camera: Camera
+    picture: np.ndarray
+    refused: bool = False
+
+
+def pose(
+    random: np.random.Generator,
+    pattern: Pattern,
+    *,
+    obliquity_deg: tuple[float, float] = (5.0, 50.0),
+    filled: tuple[float, float] = (0.5, 0.95),
+    area: tuple[float, float] | None = None,
+    lens: Intrinsics | None = None,
+) -> Camera:
+    """A camera about the sheet that keeps all of it in view.
+
+    filled : range of the sheet's larger share of the picture's width or height.
+    area : range of the sheet's share of the picture's area instead.
+    """
+    lens = table1_lens() if lens is None else lens
+    pan, swing = random.uniform(-180, 180, 2)
+    tilt = 90.0 - random.uniform(*obliquity_deg)
+    wanted = random.uniform(*(filled if area is None else area))
+    half = float(np.abs(pattern.centres_mm).max() + pattern.radius_mm.max())
+    corners = half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    distance = 300.0
+    for _ in range(30):
+        camera = Camera.from_degrees(
+            lens, pan_deg=pan, tilt_deg=tilt, swing_deg=swing, distance_mm=distance
+        )
+        seen = project(camera, corners)
+        size = np.array(lens.image_size_px)
+        if area is None:
+            share = float(np.max(np.abs(seen - (size - 1) / 2) / (size / 2)))
+            factor = share / wanted
+        else:
+            x, y = seen.T
+            polygon = 0.5 * abs(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)))
+            factor = np.sqrt(polygon / size.prod() / wanted)
+        distance = max(distance * factor**0.8, 1.3 * half)
+    return camera
+
+
+def project(camera: Camera, points_mm: np.ndarray) -> np.ndarray:
+    homogeneous = np.column_stack([points_mm, np.zeros(len(points_mm)), np.ones(len(points_mm))])
+    image = homogeneous @ np.asarray(camera.matrix_px, dtype=float).T
+    return image[:, :2] / image[:, 2:]
+
+
+def render(
+    random: np.random.Generator, pattern: Pattern, camera: Camera, **changes: Any
+) -> np.ndarray:
+    settings: dict[str, Any] = {
+        "blur_px": 0.7,
+        "noise_sigma": 2.0,
+        "supersampling": SUPERSAMPLING,
+        "below": table(PAPER_MM, float(random.uniform(40, 200))),
+        "seed": int(random.integers(2**31)),
+    }
+    return render_sheet(pattern, camera, **(settings | changes))
+
+
+def bench(random: np.random.Generator) -> Scene:
+    pattern = Pattern.default()
+    camera = pose(random, pattern)
+    return Scene(pattern, camera, render(random, pattern, camera))
+
+
+def tilted(random: np.random.Generator) -> Scene:
+    pattern = Pattern.default()
+    camera = pose(random, pattern, obliquity_deg=(60.0, 75.0), filled=(0.8, 0.97))
+    return Scene(pattern, camera, render(random, pattern, camera))
+
+
+def blurred(random: np.random.Generator) -> Scene:
+    pattern = Pattern.default()
+    camera = pose(random, pattern, filled=(0.75, 0.97))
+    return Scene(pattern, camera, render(random, pattern, camera, blur_px=random.uniform(0.4, 4)))
+
+
+def noisy(random: np.random.Generator) -> Scene:
+    pattern = Pattern.default()
+    camera = pose(random, pattern)
+    noise = random.uniform(5, 15)
+    return Scene(pattern, camera, render(random, pattern, camera, noise_sigma=noise))
+
+
+def faint(random: np.random.Generator) -> Scene:
+    pattern = Pattern.default()
+    camera = pose(random, pattern)
+    paper = random.uniform(60, 230)
+    ink = paper - random.uniform(20, 40)
+    picture = render(random, pattern, camera, paper=paper, ink=ink)
+    return Scene(pattern, camera, picture)
+
+
+def uneven_light(random: np.random.Generator) -> Scene:
+    pattern = Pattern.default()
+    camera = pose(random, pattern)
+    angle, slope = random.uniform(0, 2 * np.pi), random.uniform(0.003, 0.008)
+    light = LightGradient(slope * np.array([np.cos(angle), np.sin(angle)]))
+    return Scene(pattern, camera, render(random, pattern, camera, paper=160.0, above=(light,)))
+
+
+def shaded(random: np.random.Generator) -> Scene:
+    pattern = Pattern.default()
+    camera = pose(random, pattern)
+    angle = random.uniform(0, 2 * np.pi)
+    edge = ShadowEdge(
+        random.uniform(-60, 60, 2),
+        np.array([np.cos(angle), np.sin(angle)]),
+        float(random.uniform(0.35, 0.7)),
+        float(random.uniform(0.2, 10)),
+    )
+    return Scene(pattern, camera, render(random, pattern, camera, above=(edge,)))
+
+
+def covered(random: np.random.Generator) -> Scene:
+    """Hands, cards and fingers until up to 40 % of the circles are touched."""
+    pattern = Pattern.default()
+    camera = pose(random, pattern)
+    wanted = random.uniform(0.15, 0.4) * len(pattern)
+    above: tuple[Layer, ...] = ()
+    for _ in range(12):
+        place, turn = random.uniform(-85, 85, 2), float(random.uniform(0, 360))
+        grey = float(random.uniform(40, 200))
+        kind = random.integers(3)
+        more = (
+            card(place, turn_deg=turn, grey=grey)
+            if kind == 0
+            else finger(place, direction_deg=turn, grey=grey)
+            if kind == 1
+            else hand(place * 1.4, direction_deg=turn, grey=grey)
+        )
+        touched = touched_circles(pattern, above + tuple(more))
+        if touched <= 0.42 * len(pattern):
+            above += tuple(more)
+        if touched_circles(pattern, above) >= wanted:
+            break
+    return Scene(pattern, camera, render(random, pattern, camera, above=above))
+
+
+def touched_circles(pattern: Pattern, layers: tuple[Layer, ...]) -> int:
+    angle = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+    ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    reach = np.array([1.0, 0.5, 0.0])[:, None, None] * ring
+    points = pattern.centres_mm[:, None] + pattern.radius_mm[0] * reach.reshape(-1, 2)
+    grey = np.full(points.shape[:2], -1.0)
+    for layer in layers:
+        grey = layer.over(grey, points)
+    return int(np.sum(np.any(grey != -1.0, axis=1)))
+
+
+def small(random: np.random.Generator) -> Scene:
+    pattern = Pattern.default()
+    camera = pose(random, pattern, obliquity_deg=(5, 40), area=(0.08, 0.15))
+    return Scene(pattern, camera, render(random, pattern, camera))
+
+
+def cluttered(random: np.random.Generator) -> Scene:
+    pattern = Pattern.default()
+    camera = pose(random, pattern, filled=(0.4, 0.8))
+    things = round_things(int(random.integers(2**31)), count=14, reach_mm=220.0)
+    below = table(PAPER_MM, float(random.uniform(40, 200))) + tuple(things)
+    return Scene(pattern, camera, render(random, pattern, camera, below=below))
+
+
+def through(random: np.random.Generator) -> Scene:
+    return crossed(random, "through")
+
+
+def white(random: np.random.Generator) -> Scene:
+    return crossed(random, "white")
+
+
+def stop(random: np.random.Generator) -> Scene:
+    return crossed(random, "stop")
+
+
+def crossed(random: np.random.Generator, style: str) -> Scene:
+    pattern = Pattern.cross_grid(rows=5, columns=5, pitch_mm=20, radius_mm=6, line_style=style)
+    camera = pose(random, pattern, filled=(0.4, 0.95))
+    return Scene(pattern, camera, render(random, pattern, camera))
+
+
+def deep(random: np.random.Generator) -> Scene:
+    pattern = Pattern.default()
+    camera = pose(random, pattern)
+    picture = render(random, pattern, camera, dtype="uint16")
+    return Scene(pattern, camera, picture)
+
+
+def large(random: np.random.Generator) -> Scene:
+    """Pictures of 3072 x 2880 pixels."""
+    pattern = Pattern.default()
+    lens = table1_lens(resolution=6)
+    camera = pose(random, pattern, lens=lens)
+    return Scene(pattern, camera, render(random, pattern, camera, blur_px=1.5, supersampling=2))
+
+
+def coloured(random: np.random.Generator) -> Scene:
+    pattern = Pattern.default()
+    camera = pose(random, pattern)
+    tint = random.uniform(0.4, 1.0, 3)
+    picture = render(random, pattern, camera, dtype="float64", noise_sigma=0.0)
+    noise = random.normal(0, 2, (*picture.shape, 3))
+    return Scene(
+        pattern, camera, np.rint((picture[..., None] * tint + noise).clip(0, 255)).astype("u1")
+    )
+
+
+def plain(random: np.random.Generator) -> Scene:
+    """A grid of discs without rings or lines, 7 x 9."""
+    pattern = Pattern.circle_grid(rows=7, columns=9, pitch_mm=18, radius_mm=5)
+    camera = pose(random, pattern, filled=(0.4, 0.95))
+    return Scene(pattern, camera, render(random, pattern, camera))
+
+
+def bent(random: np.random.Generator) -> Scene:
+    """A lens with barrel or cushion distortion."""
+    pattern = Pattern.default()
+    k1 = float(random.uniform(-0.35, 0.25))
+    camera = pose(random, pattern, lens=table1_lens(distortion=(k1, 0.0, 0.0, 0.0)))
+    return Scene(pattern, camera, render(random, pattern, camera))
+
+
+def everything(random: np.random.Generator) -> Scene:
+    """All troubles at once, each a little."""
+    pattern = Pattern.default()
+    camera = pose(random, pattern, obliquity_deg=(0, 60), filled=(0.6, 0.95))
+    angle, slope = random.uniform(0, 2 * np.pi), random.uniform(0, 0.004)
+    above = (LightGradient(slope * np.array([np.cos(angle), np.sin(angle)])),)
+    above += tuple(finger(random.uniform(-80, 80, 2), direction_deg=float(random.uniform(0, 360))))
+    paper = random.uniform(120, 200)
+    picture = render(
+        random,
+        pattern,
+        camera,
+        paper=paper,
+        ink=paper * random.uniform(0.2, 0.6),
+        blur_px=random.uniform(0.5, 2.0),
+        noise_sigma=random.uniform(1, 6),
+        above=above,
+    )
+    return Scene(pattern, camera, picture)
+
+
+def mirrored(random: np.random.Generator) -> Scene:
+    scene = bench(random)
+    return scene._replace(picture=np.ascontiguousarray(scene.picture[:, ::-1]), refused=True)
+
+
+def no_sheet(random: np.random.Generator) -> Scene:
+    pattern = Pattern.default()
+    camera = pose(random, pattern)
+    blank = Pattern.circle_grid(rows=1, columns=1, pitch_mm=20, radius_mm=6)
+    things = round_things(int(random.integers(2**31)), count=30, reach_mm=200.0)
+    return Scene(pattern, camera, render(random, blank, camera, above=tuple(things)), refused=True)
+
+
+def other_sheet(random: np.random.Generator) -> Scene:
+    """A sheet with other rings than those of the pattern asked for."""
+    pattern = Pattern.default()
+    rings = random.random((8, 8)) < 0.45
+    other = Pattern.cross_grid(rows=8, columns=8, pitch_mm=20, radius_mm=6, rings=rings)
+    camera = pose(random, pattern)
+    return Scene(pattern, camera, render(random, other, camera), refused=True)
+
+
+def two_sheets(random: np.random.Generator) -> Scene:
+    pattern = Pattern.default()
+    camera = pose(random, pattern)
+    picture = render(random, pattern, camera)
+    return Scene(pattern, camera, np.concatenate([picture, picture], axis=1), refused=True)
+
+
+CONDITIONS: dict[str, Callable[[np.random.Generator], Scene]] = {
+    each.__name__: each
+    for each in (
+        bench,
+        tilted,
+        blurred,
+        noisy,
+        faint,
+        uneven_light,
+        shaded,
+        covered,
+        small,
+        cluttered,
+        through,
+        white,
+        stop,
+        deep,
+        large,
+        coloured,
+        plain,
+        bent,
+        everything,
+        mirrored,
+        no_sheet,
+        other_sheet,
+        two_sheets,
+    )
+}
