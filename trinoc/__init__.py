@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from trinoc.geometry.intrinsics import Intrinsics
     from trinoc.geometry.rig import Rig
     from trinoc.geometry.segments import Segments
+    from trinoc.io.known_shape import load_shape
     from trinoc.io.matches_npz import load_matches
     from trinoc.io.pattern_json import load_pattern
     from trinoc.io.rig_json import load_rig
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from trinoc.match.find_segments import find_segments
     from trinoc.match.match_segments import match_segments
     from trinoc.match.matches import Matches
+    from trinoc.synth.evaluation import evaluate
 
 __version__ = "0.1.0"
 
@@ -47,11 +49,13 @@ __all__ = [
     "detect_pattern",
     "epipolar_sigma",
     "errors",
+    "evaluate",
     "find_segments",
     "load_matches",
     "load_pattern",
     "load_rig",
     "load_segments",
+    "load_shape",
     "match_segments",
     "point_covariance",
     "refine",
@@ -73,11 +77,13 @@ _MODULE_OF = {
     "check_rig": "trinoc.calib.joint.moved",
     "detect_pattern": "trinoc.calib.detect.detect_pattern",
     "epipolar_sigma": "trinoc.calib.downstream",
+    "evaluate": "trinoc.synth.evaluation",
     "find_segments": "trinoc.match.find_segments",
     "load_matches": "trinoc.io.matches_npz",
     "load_pattern": "trinoc.io.pattern_json",
     "load_rig": "trinoc.io.rig_json",
     "load_segments": "trinoc.io.segments_npz",
+    "load_shape": "trinoc.io.known_shape",
     "match_segments": "trinoc.match.match_segments",
     "point_covariance": "trinoc.calib.downstream",
     "refine": "trinoc.calib.joint.refine",

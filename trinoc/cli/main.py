@@ -18,6 +18,7 @@ from trinoc.cli.calibrate import Calibrate
 from trinoc.cli.check import Check
 from trinoc.cli.command import Command, UsageError
 from trinoc.cli.demo import Demo
+from trinoc.cli.evaluate import Evaluate
 from trinoc.cli.intrinsics import Intrinsics
 from trinoc.cli.match import Match
 from trinoc.cli.pattern import Pattern
@@ -39,6 +40,7 @@ AnyCommand = (
     | Annotated[Match, tyro.conf.subcommand("match")]
     | Annotated[Refine, tyro.conf.subcommand("refine")]
     | Annotated[Check, tyro.conf.subcommand("check")]
+    | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
 )
 
 

@@ -1,9 +1,21 @@
 """Distances between points and segments in space."""
 
+from typing import NamedTuple
+
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 _CHUNK = 2048
+_WHOLE_STEP = 1e-6
+
+
+class NearestSegment(NamedTuple):
+    """Of each point: the nearest segment (-1 where there is none), where on it the nearest place
+    is (0 at its first end, 1 at its second), and the distance (infinite where there is none)."""
+
+    segment: Int[np.ndarray, "n"]
+    position: Float[np.ndarray, "n"]
+    distance_mm: Float[np.ndarray, "n"]
 
 
 def sampled_segments(
@@ -11,7 +23,8 @@ def sampled_segments(
 ) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "k"]]:
     """Points along segments, at least two on each, and the length that each stands for."""
     length = np.linalg.norm(segments_mm[:, 1] - segments_mm[:, 0], axis=1)
-    count = np.maximum(2, np.floor(length / step_mm).astype(np.int64) + 1)
+    # What rounding does to a length of whole steps must not change the number of points.
+    count = np.maximum(2, np.floor(length / step_mm + _WHOLE_STEP).astype(np.int64) + 1)
     owner = np.repeat(np.arange(len(segments_mm)), count)
     place = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
     position = ((place + 0.5) / count[owner])[:, None]
@@ -23,12 +36,20 @@ def distance_to_segments_mm(
     points_mm: Float[np.ndarray, "n 3"], segments_mm: Float[np.ndarray, "m 2 3"]
 ) -> Float[np.ndarray, "n"]:
     """Distance of each point from the nearest of the segments; infinite where there is none."""
-    nearest = np.full(len(points_mm), np.inf)
+    return nearest_segments(points_mm, segments_mm).distance_mm
+
+
+def nearest_segments(
+    points_mm: Float[np.ndarray, "n 3"], segments_mm: Float[np.ndarray, "m 2 3"]
+) -> NearestSegment:
+    """The nearest of the segments to each point."""
+    count = len(points_mm)
+    nearest = NearestSegment(np.full(count, -1), np.zeros(count), np.full(count, np.inf))
     if len(segments_mm) == 0:
         return nearest
     first, along = segments_mm[:, 0], segments_mm[:, 1] - segments_mm[:, 0]
     squared = np.maximum(np.sum(along**2, axis=1), 1e-30)
-    for start in range(0, len(points_mm), _CHUNK):
+    for start in range(0, count, _CHUNK):
         points = points_mm[start : start + _CHUNK]
         offset = points @ along.T - np.sum(first * along, axis=1)
         position = np.clip(offset / squared, 0.0, 1.0)
@@ -36,5 +57,10 @@ def distance_to_segments_mm(
         from_first = np.sum(points**2, axis=1)[:, None] - 2 * points @ first.T
         from_first += np.sum(first**2, axis=1)
         distance = from_first - 2 * position * offset + position**2 * squared
-        nearest[start : start + _CHUNK] = np.sqrt(np.maximum(distance.min(axis=1), 0.0))
+        best = distance.argmin(axis=1)
+        row = np.arange(len(points))
+        here = slice(start, start + len(points))
+        nearest.segment[here] = best
+        nearest.position[here] = position[row, best]
+        nearest.distance_mm[here] = np.sqrt(np.maximum(distance[row, best], 0.0))
     return nearest

@@ -1,0 +1,199 @@
+"""Evaluations in tables and figures, and lines that carry their cameras' errors."""
+
+import numpy as np
+import pytest
+
+import trinoc
+from trinoc.errors import InputError
+from trinoc.geometry.rig import PARAMETER_NAMES, Rig
+from trinoc.match.matches import Matches
+from trinoc.report.evaluation_plot import evaluation_panels, write_plot
+from trinoc.report.evaluation_sweep import (
+    Choice,
+    Setting,
+    evaluate_matches,
+    evaluate_settings,
+    settings_of,
+)
+from trinoc.report.evaluation_text import evaluation_table, evaluation_text
+from trinoc.report.lines_of_rig import lines_of_rig
+from trinoc.synth.evaluation import evaluate
+from trinoc.synth.known_shape import KnownShape
+from trinoc.synth.rigs import TABLE_1, table1_lens, table1_rig
+from trinoc.synth.scenes import loose_segments
+
+VIEWS = tuple(TABLE_1)
+SIGMA_PX = 0.1
+# The sigmas of a poor sheet: the cameras' errors are then larger than the segments' own.
+SIGMA = np.tile([0.05, 0.05, 0.05, 0.5], 3)
+NAMES = [f"{view}.{name}" for view in VIEWS for name in PARAMETER_NAMES[:4]]
+EDGES = loose_segments(4, count=64, reach_mm=40.0).edges_mm
+CHOICES = (Choice(), Choice(0.5), Choice(0.0, "trinocular"))
+
+
+def triangulated(matrices_px, uv_px, seen, sigma_px):
+    """Points (n, 3) of least squares of their images (n, v, 2), and their covariance."""
+    points, weight = np.zeros((len(uv_px), 3)), seen[:, :, None, None] / sigma_px**2
+    for _ in range(6):
+        image = np.einsum("vij,nj->nvi", matrices_px[:, :, :3], points) + matrices_px[:, :, 3]
+        seen_at = image[..., :2] / image[..., 2:]
+        jacobian = matrices_px[:, :2, :3] - seen_at[..., None] * matrices_px[:, 2:, :3]
+        jacobian = jacobian / image[..., 2:, None]
+        normal = np.einsum("nvki,nvkj->nij", weight * jacobian, jacobian)
+        gradient = np.einsum("nvki,nvk->ni", weight * jacobian, seen_at - uv_px)
+        points = points - np.linalg.solve(normal, gradient[..., None])[..., 0]
+    return points, np.linalg.inv(normal)
+
+
+def rig_off_by(change=None):
+    """Table 1's rig with its parameters changed, and the covariance of such changes."""
+    change = np.zeros(12) if change is None else change
+    rows = np.array([TABLE_1[view] for view in VIEWS]) + change.reshape(3, 4)
+    camera = trinoc.Camera.from_degrees
+    cameras = {
+        view: camera(table1_lens(), pan_deg=p, tilt_deg=t, swing_deg=s, distance_mm=d)
+        for view, (p, t, s, d) in zip(VIEWS, rows.tolist(), strict=True)
+    }
+    return Rig(cameras, parameters=NAMES, covariance=np.diag(SIGMA**2))
+
+
+def made_matches(rig, *, seed=0, sigma_px=SIGMA_PX):
+    """Matches of the edges as the rig believes them, from pictures of the true rig."""
+    generator = np.random.default_rng(seed)
+    points = np.concatenate([EDGES, np.ones((*EDGES.shape[:2], 1))], axis=2)
+    images = np.einsum("vij,tej->tvei", table1_rig().matrices_px, points)
+    fragments = images[..., :2] / images[..., 2:]
+    fragments = fragments + sigma_px * generator.normal(size=fragments.shape)
+    count = len(EDGES)
+    covariance = np.tile(sigma_px**2 * np.eye(4), (count, 3, 1, 1))
+    seen = np.ones((count, 3), dtype=bool)
+    seen[::4, 2] = False
+    ends = np.swapaxes(fragments, 1, 2).reshape(-1, 3, 2)
+    points, own = triangulated(rig.matrices_px, ends, np.repeat(seen, 2, axis=0), sigma_px)
+    both = np.zeros((count, 6, 6))
+    both[:, :3, :3], both[:, 3:, 3:] = own[::2], own[1::2]
+    index = np.where(seen, np.arange(count)[:, None], -1)
+    hidden = ~seen[:, :, None, None]
+    return Matches(
+        VIEWS,
+        index,
+        np.where(hidden, np.nan, fragments),
+        points.reshape(-1, 2, 3),
+        both,
+        np.where(seen.all(axis=1), "trinocular", "binocular"),
+        np.linspace(0.3, 1.0, count),
+        np.zeros(count),
+        {view: np.full(count, "matched") for view in VIEWS},
+        {},
+        np.where(hidden, np.nan, covariance),
+    )
+
+
+def test_lines_follow_their_cameras_as_triangulation_does():
+    rig = rig_off_by()
+    lines = lines_of_rig(made_matches(rig), rig)
+    for parameter, step in ((0, 1e-3), (3, 1e-3), (9, 1e-3)):
+        change = np.zeros(12)
+        change[parameter] = step
+        there, here = (made_matches(rig_off_by(sign * change)).lines_mm for sign in (1, -1))
+        numeric = (there - here).reshape(-1, 6) / (2 * step)
+        along = EDGES[:, 1] - EDGES[:, 0]
+        along = along / np.linalg.norm(along, axis=1, keepdims=True)
+        across = np.eye(3) - along[:, :, None] * along[:, None, :]
+        difference = (lines.by_parameters[:, :, parameter] - numeric).reshape(-1, 2, 3)
+        off = np.einsum("tij,tej->tei", across, difference)
+        assert np.abs(off).max() < 0.02 * np.abs(numeric).max()
+
+
+def test_errors_of_the_cameras_are_in_the_normalised_errors():
+    generator = np.random.default_rng(9)
+    alone, joint = [], []
+    for seed in range(12):
+        rig = rig_off_by(SIGMA * generator.normal(size=12))
+        matches = made_matches(rig, seed=seed)
+        lines = lines_of_rig(matches, rig)
+        alone.append(evaluate(matches, EDGES, tolerances_mm=(5.0,)).normalised.joint)
+        joint.append(evaluate(lines, EDGES, tolerances_mm=(5.0,)).normalised.joint)
+    assert np.mean(alone) > 2
+    # Four numbers for each of 64 lines, 12 times.
+    assert np.mean(joint) == pytest.approx(1.0, abs=4 * np.sqrt(2 / (12 * 256)))
+
+
+def test_a_rig_without_covariance_counts_as_exact():
+    matches = made_matches(table1_rig())
+    lines = lines_of_rig(matches, table1_rig())
+    np.testing.assert_array_equal(lines.covariance_mm2, matches.covariance_mm2)
+    with pytest.raises(InputError, match='no camera "left"'):
+        lines_of_rig(matches, Rig({"upper": table1_rig()["upper"]}))
+
+
+@pytest.fixture(scope="module")
+def rows():
+    """Of made matches, as if each came of a setting of its own."""
+    rig, shape = rig_off_by(), KnownShape.of_edges(EDGES)
+    found = []
+    for number, setting in enumerate(settings_of((0.8, 1.6), (1.0,), (4.0, 7.0))):
+        matches = made_matches(rig, seed=number, sigma_px=SIGMA_PX * setting.tolerance_px)
+        for row in evaluate_matches(matches, rig, shape, CHOICES):
+            found.append(row._replace(setting=setting))
+    return found
+
+
+def test_a_table_has_the_knobs_that_differ_and_a_row_for_each_choice(rows):
+    head, table = evaluation_table(rows)
+    assert head[:4] == ["tolerance", "contrast", "posterior", "stage"]
+    assert len(table) == len(rows) == 4 * len(CHOICES)
+    assert {len(line) for line in table} == {len(head)}
+    lines = head.index("lines")
+    likely = np.linspace(0.3, 1.0, len(EDGES)) >= 0.5
+    assert [int(line[lines]) for line in table[:3]] == [64, likely.sum(), 48]
+    assert "wanted: every edge" in evaluation_text(rows)
+
+
+def test_a_setting_that_fails_says_why_and_the_next_goes_on(rows):
+    pictures = {view: np.zeros((480, 512), np.uint8) for view in VIEWS}
+    shape = KnownShape.of_edges(EDGES)
+    wrong, too = evaluate_settings(pictures, rig_off_by(), shape, [Setting(-1.0), Setting(1.6, -2)])
+    assert wrong.evaluation is too.evaluation is None
+    assert wrong.problem.startswith("tolerance_px is -1.0")
+    assert too.problem.startswith("false_alarms is -2")
+    text = evaluation_text([*rows, wrong])
+    assert wrong.problem in text
+    assert text.count("  -  ") > 5
+
+
+def test_a_choice_that_leaves_nothing_says_so():
+    matches, shape = made_matches(table1_rig()), KnownShape.of_edges(EDGES)
+    every, none = evaluate_matches(matches, None, shape, (Choice(), Choice(1.1)))
+    assert every.problem == ""
+    assert none.problem.startswith("There is no line to compare")
+    assert none.record()["lines"] == 0
+
+
+def test_panels_are_over_the_first_knob_with_a_curve_for_each_other(rows):
+    panels = evaluation_panels(rows)
+    assert {panel.x_label for panel in panels} == {"tolerance (px)"}
+    for panel in panels:
+        for curve in panel.curves:
+            assert curve.x == [0.8, 1.6]
+            assert np.isfinite(curve.y).all()
+    assert len(panels[1].curves) == 2 * 2 * len(CHOICES)
+    single = evaluation_panels(rows[:1])
+    assert [panel.x_label for panel in single] == ["within (mm)", "true length (mm)"]
+
+
+@pytest.mark.parametrize("ending", ["png", "svg", "html"])
+def test_figures_are_written(rows, tmp_path, ending):
+    for part in (rows, rows[:1]):
+        file = tmp_path / f"plot.{ending}"
+        write_plot(part, file)
+        start = {"png": b"\x89PNG", "svg": b"<?xml", "html": b"<!doctype html"}[ending]
+        assert file.read_bytes().lstrip().startswith(start)
+
+
+def test_figures_that_cannot_be_written(rows, tmp_path, monkeypatch):
+    with pytest.raises(InputError, match="choose such a name"):
+        write_plot(rows, tmp_path / "plot.bmp")
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(InputError, match=r"trinoc\[plot\]"):
+        write_plot(rows, tmp_path / "plot.png")

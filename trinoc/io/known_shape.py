@@ -1,0 +1,157 @@
+"""Known shapes from files: lists of edges, polylines, OBJ models, the truth of made scenes."""
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from trinoc.errors import InputError
+from trinoc.io.demo import FORMAT as SCENE_FORMAT
+from trinoc.io.demo import load_scene_truth
+from trinoc.io.obj_model import CREASE_DEG, edges_of_obj
+from trinoc.io.straight_runs import straight_runs
+from trinoc.synth.known_shape import GREY_STEP, KnownShape
+
+_REMEDY = "give lines of six numbers x1 y1 z1 x2 y2 z2, or points x y z with a blank line between"
+
+
+def load_shape(
+    path: str | os.PathLike[str],
+    *,
+    unit_mm: float = 1.0,
+    crease_deg: float = CREASE_DEG,
+    grey_step: float = GREY_STEP,
+) -> KnownShape:
+    """Read the edges of a known shape.
+
+    - .obj: edges between faces that meet at more than `crease_deg`, edges of one face alone, and
+      polylines (`l`). The faces hide what is behind them.
+    - .json: a list of edges, or an object with the list under "edges_mm" or "edges", each edge
+      [[x, y, z], [x, y, z]] or six numbers; or the truth.json of a made scene, of which those
+      straight edges are wanted that two pictures show by `grey_step` grey levels.
+    - any other text: rows of six numbers (separated by commas or blanks) are edges, rows of three
+      are points of a polyline, with a blank line between polylines, such as the edges of a STEP
+      model sampled by a CAD program. A first line of names and lines that start with # are skipped.
+
+    Numbers times `unit_mm` are millimetres. Polylines and the edges of an OBJ run on where they
+    run straight on, so that an edge in pieces is one edge. Raises InputError, with the number of
+    the line, for what cannot be read.
+    """
+    file = Path(path)
+    if not (np.isfinite(unit_mm) and unit_mm > 0):
+        raise InputError(f"The unit is {unit_mm} mm, but must be positive.")
+    if file.suffix.lower() == ".json":
+        return _of_json(file, unit_mm, grey_step)
+    text = _read_text(file)
+    if file.suffix.lower() == ".obj":
+        model = edges_of_obj(text, str(file), crease_deg=crease_deg)
+        shape = KnownShape.of_edges(unit_mm * model.edges, unit_mm * model.triangles)
+    else:
+        shape = KnownShape.of_edges(unit_mm * _of_rows(text, str(file)))
+    return _checked(shape, file)
+
+
+def _read_text(file: Path) -> str:
+    try:
+        return file.read_text(encoding="utf-8-sig")
+    except FileNotFoundError as error:
+        raise InputError(f"{file} does not exist: check the name.") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{file} is no text file: {_REMEDY}, or an OBJ model.") from error
+    except OSError as error:
+        raise InputError(
+            f"{file} cannot be read ({error.strerror}): give a readable file."
+        ) from error
+
+
+def _checked(shape: KnownShape, file: Path) -> KnownShape:
+    if len(shape.edges_mm) == 0:
+        raise InputError(f"{file} holds no edge: {_REMEDY}.")
+    return shape
+
+
+def _of_rows(text: str, file: str) -> Float[np.ndarray, "m 2 3"]:
+    """Edges of rows of six numbers, or of polylines of rows of three."""
+    edges: list[list[float]] = []
+    polylines: list[list[list[float]]] = [[]]
+    width = 0
+    for number, line in enumerate(text.splitlines(), start=1):
+        words = line.replace(",", " ").replace(";", " ").split()
+        if not words:
+            polylines.append([])
+            continue
+        if words[0].startswith("#"):
+            continue
+        row = _numbers(words)
+        if row is None:
+            if width == 0 and not any(map(_is_number, words)):
+                continue
+            raise InputError(f"{file}, line {number}: these are not all finite numbers: {_REMEDY}.")
+        width = width or len(row)
+        if len(row) not in (3, 6) or len(row) != width:
+            wanted = f"{width} as before" if width in (3, 6) else "three or six"
+            raise InputError(
+                f"{file}, line {number}: there are {len(row)} numbers instead of {wanted}: "
+                f"{_REMEDY}."
+            )
+        (edges if width == 6 else polylines[-1]).append(row)  # pyright: ignore[reportArgumentType]
+        if width == 6 and row[:3] == row[3:]:
+            raise InputError(f"{file}, line {number}: the edge has no length: leave it out.")
+    if width == 6:
+        return np.array(edges).reshape(-1, 2, 3)
+    runs = [straight_runs(np.array(points)) for points in polylines if len(points) > 1]
+    return np.concatenate([np.zeros((0, 2, 3)), *runs])
+
+
+def _numbers(words: list[str]) -> list[float] | None:
+    if not all(map(_is_number, words)):
+        return None
+    values = [float(word) for word in words]
+    return values if np.isfinite(values).all() else None
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+def _of_json(file: Path, unit_mm: float, grey_step: float) -> KnownShape:
+    text = _read_text(file)
+    try:
+        document: Any = json.loads(text)
+    except json.JSONDecodeError as error:
+        raise InputError(
+            f"{file} is not JSON (line {error.lineno}, column {error.colno}: {error.msg}): "
+            "correct it there."
+        ) from error
+    if isinstance(document, dict) and document.get("format") == SCENE_FORMAT:
+        if unit_mm != 1.0:
+            raise InputError(f"{file} is in millimetres already: leave the unit out.")
+        truth = load_scene_truth(file)
+        return _checked(KnownShape.of_scene(truth, grey_step=grey_step), file)
+    if isinstance(document, dict):
+        document = document.get("edges_mm", document.get("edges"))
+    if not isinstance(document, list):
+        raise InputError(f'{file} holds no list of edges: put one there, or under "edges_mm".')
+    edges = [_edge(file, place, entry) for place, entry in enumerate(document)]
+    return _checked(KnownShape.of_edges(unit_mm * np.array(edges).reshape(-1, 2, 3)), file)
+
+
+def _edge(file: Path, place: int, entry: Any) -> Float[np.ndarray, "2 3"]:
+    """One edge of a JSON list."""
+    try:
+        edge = np.array(entry, dtype=np.float64).reshape(2, 3)
+    except (TypeError, ValueError):
+        edge = np.full((2, 3), np.nan)
+    if not np.isfinite(edge).all() or (edge[0] == edge[1]).all():
+        raise InputError(
+            f"{file}: edge {place} of the list is not two different points of three finite "
+            "numbers: correct it, or leave it out."
+        )
+    return edge

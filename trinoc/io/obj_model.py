@@ -1,0 +1,204 @@
+"""The edges and faces of a Wavefront OBJ model."""
+
+from collections import defaultdict
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from trinoc.errors import InputError
+from trinoc.io.straight_runs import straight_runs
+
+CREASE_DEG = 30.0
+# Exporters give the corner of several faces several vertices: they count as one when they agree
+# to this share of the model's size.
+_SAME_PLACE = 1e-7
+
+Link = tuple[int, int]
+
+
+class ObjModel(NamedTuple):
+    """In the unit of the file: edges (m, 2, 3), and faces in triangles (f, 3, 3)."""
+
+    edges: Float[np.ndarray, "m 2 3"]
+    triangles: Float[np.ndarray, "f 3 3"]
+
+
+def edges_of_obj(text: str, file: str, *, crease_deg: float = CREASE_DEG) -> ObjModel:
+    """Creases, borders and polylines of an OBJ text, and its faces.
+
+    A crease is where two faces meet whose planes turn by more than `crease_deg`; where only one
+    face, or more than two, have an edge, it is kept. Raises InputError with the line's number.
+    """
+    vertices: list[list[float]] = []
+    faces: list[list[int]] = []
+    polylines: list[list[int]] = []
+    for number, line in enumerate(_joined_lines(text), start=1):
+        words = line.partition("#")[0].split()
+        if not words or words[0] not in ("v", "f", "l"):
+            continue
+        if words[0] == "v":
+            vertices.append(_vertex(words[1:], f"{file}, line {number}"))
+            continue
+        corners = [_index(word, len(vertices), f"{file}, line {number}") for word in words[1:]]
+        least = 3 if words[0] == "f" else 2
+        if len(corners) < least:
+            raise InputError(
+                f"{file}, line {number}: {len(corners)} corners are too few for "
+                f"{'a face' if least == 3 else 'a polyline'}: give {least} or more."
+            )
+        (faces if words[0] == "f" else polylines).append(corners)
+    place, points = _merged(np.array(vertices).reshape(-1, 3))
+    faces = [_without_repeats([place[corner] for corner in face]) for face in faces]
+    faces = [face for face in faces if len(face) > 2]
+    kept = _creases(points, faces, crease_deg)
+    runs = [straight_runs(points[chain]) for chain in _chains(kept)]
+    runs += [straight_runs(points[[place[i] for i in polyline]]) for polyline in polylines]
+    triangles = [corner for face in faces for corner in _triangles(points, face)]
+    return ObjModel(
+        np.concatenate([np.zeros((0, 2, 3)), *runs]),
+        points[np.array(triangles, dtype=np.int64).reshape(-1, 3)],
+    )
+
+
+def _joined_lines(text: str) -> list[str]:
+    """Lines, of which one that ends in a backslash takes the next with it; numbers stay."""
+    lines: list[str] = []
+    waiting = ""
+    for line in text.splitlines():
+        if line.endswith("\\"):
+            waiting += line[:-1] + " "
+            lines.append("")
+        else:
+            lines.append(waiting + line)
+            waiting = ""
+    return [*lines, waiting] if waiting else lines
+
+
+def _vertex(words: list[str], where: str) -> list[float]:
+    try:
+        values = [float(word) for word in words[:3]]
+    except ValueError:
+        values = []
+    if len(values) < 3 or not np.isfinite(values).all():
+        raise InputError(f"{where}: a vertex needs three finite numbers: correct it there.")
+    return values
+
+
+def _index(word: str, count: int, where: str) -> int:
+    """Of a vertex, from 0; an OBJ counts from 1, or back from the last one with minus."""
+    try:
+        given = int(word.split("/")[0])
+    except ValueError:
+        given = 0
+    index = given - 1 if given > 0 else count + given
+    if given == 0 or not 0 <= index < count:
+        raise InputError(
+            f'{where}: "{word}" names none of the {count} vertices before it: correct it there.'
+        )
+    return index
+
+
+def _merged(vertices: Float[np.ndarray, "n 3"]) -> tuple[list[int], Float[np.ndarray, "k 3"]]:
+    """Of each vertex the number of its place, and the places."""
+    if len(vertices) == 0:
+        return [], vertices
+    size = float(np.ptp(vertices, axis=0).max()) or 1.0
+    rounded = np.rint((vertices - vertices.min(axis=0)) / (_SAME_PLACE * size)).astype(np.int64)
+    _, first, place = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
+    return place.reshape(-1).tolist(), vertices[first]
+
+
+def _without_repeats(face: list[int]) -> list[int]:
+    return [corner for i, corner in enumerate(face) if corner != face[i - 1]]
+
+
+def _creases(
+    points: Float[np.ndarray, "k 3"], faces: list[list[int]], crease_deg: float
+) -> list[Link]:
+    """Edges between faces that turn, and edges of one face or of more than two."""
+    owners: defaultdict[Link, list[tuple[int, bool]]] = defaultdict(list)
+    for number, face in enumerate(faces):
+        for i, corner in enumerate(face):
+            link = face[i - 1], corner
+            owners[min(link), max(link)].append((number, link[0] < link[1]))
+    normals = [_normal(points[face]) for face in faces]
+    kept = []
+    for link, those in owners.items():
+        if len(those) == 2:
+            (a, forward), (b, also_forward) = those
+            # Faces wound alike go along their common edge in opposite ways.
+            sign = -1.0 if forward == also_forward else 1.0
+            sine = np.linalg.norm(np.cross(normals[a], normals[b]))
+            turn = np.degrees(np.arctan2(sine, sign * float(normals[a] @ normals[b])))
+            if turn <= crease_deg:
+                continue
+        kept.append(link)
+    return kept
+
+
+def _normal(corners: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "3"]:
+    """Newell's normal of a polygon, of length one; zero for a face without area."""
+    centred = corners - corners.mean(axis=0)
+    normal = np.cross(centred, np.roll(centred, -1, axis=0)).sum(axis=0)
+    length = np.linalg.norm(normal)
+    return normal / length if length > 0 else normal
+
+
+def _chains(links: list[Link]) -> list[list[int]]:
+    """Links put one after the other through points where just two of them meet."""
+    at: defaultdict[int, list[Link]] = defaultdict(list)
+    for link in links:
+        at[link[0]].append(link)
+        at[link[1]].append(link)
+    left = dict.fromkeys(links)
+    ends = [link for link in links if len(at[link[0]]) != 2 or len(at[link[1]]) != 2]
+    chains = []
+    for first in [*ends, *links]:
+        if first not in left:
+            continue
+        del left[first]
+        begin, end = first if len(at[first[0]]) != 2 else first[::-1]
+        chain = [begin, end]
+        while len(at[chain[-1]]) == 2:
+            following = [link for link in at[chain[-1]] if link in left]
+            if not following:
+                break
+            del left[following[0]]
+            a, b = following[0]
+            chain.append(b if a == chain[-1] else a)
+        chains.append(chain)
+    return chains
+
+
+def _triangles(points: Float[np.ndarray, "k 3"], face: list[int]) -> list[list[int]]:
+    """A plane polygon in triangles, by cutting its ears."""
+    normal = _normal(points[face])
+    left, triangles = list(face), []
+    while len(left) > 3:
+        for i in range(len(left)):
+            ear = [left[i - 1], left[i], left[(i + 1) % len(left)]]
+            if _is_ear(points, ear, left, normal):
+                break
+        else:  # a polygon that crosses itself
+            return []
+        triangles.append(ear)
+        left.remove(ear[1])
+    return [t for t in [*triangles, left] if np.any(_normal(points[t]))]
+
+
+def _is_ear(
+    points: Float[np.ndarray, "k 3"],
+    ear: list[int],
+    polygon: list[int],
+    normal: Float[np.ndarray, "3"],
+) -> bool:
+    """Whether a corner turns the polygon's way and no other corner lies within."""
+    corners = points[ear]
+    side = np.cross(np.roll(corners, -1, axis=0) - corners, normal[None])
+    if np.cross(corners[1] - corners[0], corners[2] - corners[1]) @ normal < 0:
+        return False
+    others = points[[corner for corner in polygon if corner not in ear]]
+    # Outside is where the way is across any side.
+    depth = np.einsum("nsi,si->ns", others[:, None] - corners[None], side)
+    return not bool((depth < 0).all(axis=1).any())

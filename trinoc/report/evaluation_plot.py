@@ -1,0 +1,258 @@
+"""Evaluations as figures: accuracy, shares and normalised errors over the settings tried.
+
+What is drawn is decided once, as curves of plain numbers; matplotlib or plotly then draws it.
+"""
+
+import importlib.util
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from trinoc.errors import InputError
+from trinoc.io.atomic import atomic_write, write_text
+from trinoc.report.colours import PALETTE
+from trinoc.report.evaluation_sweep import Row
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+STATIC_SUFFIXES = (".png", ".svg", ".pdf")
+# Knobs that a figure can have along its foot, and what is written there.
+KNOBS = {
+    "tolerance_px": "tolerance (px)",
+    "least_contrast": "least contrast (grey levels)",
+    "false_alarms": "false alarms",
+    "least_posterior": "least posterior",
+}
+SHARE_WITHIN = 0.95
+
+
+class Curve(NamedTuple):
+    """Points of one quantity: what it is, its colour's number, dashed or not, joined or not."""
+
+    name: str
+    x: list[float]
+    y: list[float]
+    colour: int
+    dashed: bool = False
+    joined: bool = True
+
+
+class Panel(NamedTuple):
+    """One pair of axes; `level` is a line across where the truth would be."""
+
+    title: str
+    x_label: str
+    y_label: str
+    curves: list[Curve]
+    log_x: bool = False
+    log_y: bool = False
+    level: float | None = None
+
+
+def evaluation_panels(rows: Sequence[Row]) -> list[Panel]:
+    """Over the knob that takes several values; where none does, over the distance allowed."""
+    done = [row for row in rows if row.evaluation is not None]
+    records = [row.record() for row in done]
+    swept = [name for name in KNOBS if len({record.get(name) for record in records}) > 1]
+    return _over_knob(records, swept[0], _tolerances(done)) if swept else _over_distance(done)
+
+
+def _tolerances(done: list[Row]) -> tuple[float, ...]:
+    found = done[0].evaluation
+    return () if found is None else found.tolerances_mm
+
+
+def draw_panel(axes: "Axes", panel: Panel) -> None:
+    """One panel on matplotlib axes."""
+    for curve in panel.curves:
+        axes.plot(
+            curve.x,
+            curve.y,
+            color=PALETTE[curve.colour % len(PALETTE)],
+            linestyle=("--" if curve.dashed else "-") if curve.joined else "none",
+            marker="o",
+            markersize=4,
+            label=curve.name,
+        )
+    if panel.level is not None:
+        axes.axhline(panel.level, color="#777777", linewidth=1)
+    if panel.log_x:
+        axes.set_xscale("log")
+        ticks = sorted({x for curve in panel.curves for x in curve.x})
+        axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+        axes.minorticks_off()
+    if panel.log_y:
+        axes.set_yscale("log")
+        axes.yaxis.set_major_formatter("{x:g}")
+        axes.yaxis.set_minor_formatter("{x:g}")
+    axes.set_title(panel.title)
+    axes.set_xlabel(panel.x_label)
+    axes.set_ylabel(panel.y_label)
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize=8, framealpha=0.6)
+
+
+def expect_plotter(path: Path) -> None:
+    """Before a long job: raise InputError where `path` is no figure that can be written."""
+    suffix = path.suffix.lower()
+    if suffix not in (*STATIC_SUFFIXES, ".html"):
+        raise InputError(
+            f"{path}: a figure is written as {', '.join(STATIC_SUFFIXES)} or .html: choose such a "
+            "name."
+        )
+    if suffix != ".html" and importlib.util.find_spec("matplotlib") is None:
+        raise InputError(
+            f"{path} needs matplotlib, which is not installed: pip install 'trinoc[plot]', or give "
+            "a name that ends in .html."
+        )
+
+
+def write_plot(rows: Sequence[Row], path: Path) -> None:
+    """All panels side by side, to a file whose ending says how. Raises InputError."""
+    expect_plotter(path)
+    panels = evaluation_panels(rows)
+    if path.suffix.lower() == ".html":
+        _write_page(panels, path)
+        return
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    lines = -(-len(panels) // 2)
+    figure = Figure(figsize=(11.0, 4.2 * lines), layout="constrained")
+    FigureCanvasAgg(figure)
+    for number, panel in enumerate(panels, start=1):
+        draw_panel(figure.add_subplot(lines, 2, number), panel)
+    with atomic_write(path) as file:
+        figure.savefig(file, format=path.suffix.lower().removeprefix("."), dpi=150)
+
+
+def _over_knob(
+    records: list[dict[str, Any]], knob: str, tolerances_mm: tuple[float, ...]
+) -> list[Panel]:
+    others = [name for name in (*KNOBS, "stage") if name != knob and name in records[0]]
+    others = [name for name in others if len({str(record[name]) for record in records}) > 1]
+    groups: dict[str, list[dict[str, Any]]] = {}
+    for record in records:
+        name = ", ".join(_in_words(other, record[other]) for other in others)
+        groups.setdefault(name, []).append(record)
+    for group in groups.values():
+        group.sort(key=lambda record: record[knob])
+    low, high = min(tolerances_mm), max(tolerances_mm)
+
+    def curves(*columns: tuple[str, str]) -> list[Curve]:
+        return [
+            Curve(
+                f"{label}{', ' if name else ''}{name}",
+                [record[knob] for record in group],
+                [record[column] for record in group],
+                number,
+                dashed=place > 0,
+            )
+            for number, (name, group) in enumerate(groups.items())
+            for place, (column, label) in enumerate(columns)
+        ]
+
+    positive = all(record[knob] > 0 for record in records)
+    common: dict[str, Any] = {"x_label": KNOBS[knob], "log_x": positive}
+    shares = (f"precision_{high:g}mm", "precision"), (f"completeness_{high:g}mm", "completeness")
+    fine = (f"precision_{low:g}mm", "precision"), (f"completeness_{low:g}mm", "completeness")
+    distances = ("distance_median_mm", "median"), ("distance_90_mm", "90 %")
+    return [
+        Panel(
+            title="how far off the lines are",
+            y_label="distance from the nearest edge (mm)",
+            curves=curves(*distances),
+            log_y=True,
+            **common,
+        ),
+        Panel(
+            title=f"within {high:g} mm", y_label="share of length", curves=curves(*shares), **common
+        ),
+        Panel(
+            title=f"within {low:g} mm", y_label="share of length", curves=curves(*fine), **common
+        ),
+        Panel(
+            title="do the sigmas say so?",
+            y_label="share of errors within 1.96 sigma",
+            curves=curves(("share_within_1.96_sigma", "share")),
+            level=SHARE_WITHIN,
+            **common,
+        ),
+    ]
+
+
+def _over_distance(done: list[Row]) -> list[Panel]:
+    shares, lengths = [], []
+    for number, row in enumerate(done):
+        found = row.evaluation
+        if found is None:
+            continue
+        name = f", {row.choice.stage}" if len(done) > 1 else ""
+        within = list(found.tolerances_mm)
+        shares.append(Curve(f"precision{name}", within, list(found.precision), number))
+        shares.append(
+            Curve(f"completeness{name}", within, list(found.completeness), number, dashed=True)
+        )
+        measured = np.isfinite(found.lengths.measured_mm)
+        true, error = found.lengths.true_mm[measured], found.lengths.error_mm[measured]
+        lengths.append(Curve(f"edges{name}", true.tolist(), error.tolist(), number, joined=False))
+    return [
+        Panel("what is right, and what was found", "within (mm)", "share of length", shares, True),
+        Panel(
+            "lengths of edges", "true length (mm)", "measured less true (mm)", lengths, level=0.0
+        ),
+    ]
+
+
+def _in_words(knob: str, value: float | str) -> str:
+    if isinstance(value, str):
+        return "all tracks" if value == "all" else value
+    return f"{KNOBS[knob].partition(' (')[0]} {value:g}"
+
+
+def _write_page(panels: list[Panel], path: Path) -> None:
+    """A page that needs no network, with all panels in one figure of plotly."""
+    import plotly.io
+
+    data: list[dict[str, Any]] = []
+    layout: dict[str, Any] = {"width": 520 * len(panels), "height": 480, "annotations": []}
+    for number, panel in enumerate(panels, start=1):
+        low, high = (number - 1 + 0.12) / len(panels), (number - 0.06) / len(panels)
+        x_axis: dict[str, Any] = {"domain": [low, high], "title": {"text": panel.x_label}}
+        y_axis: dict[str, Any] = {"anchor": f"x{number}", "title": {"text": panel.y_label}}
+        x_axis["type"] = "log" if panel.log_x else "linear"
+        y_axis["type"] = "log" if panel.log_y else "linear"
+        layout[f"xaxis{number}"], layout[f"yaxis{number}"] = x_axis, y_axis
+        layout["annotations"].append(
+            {
+                "text": panel.title, "xref": "paper", "yref": "paper", "x": (low + high) / 2,
+                "y": 1.08, "showarrow": False,
+            }
+        )  # fmt: skip
+        for curve in panel.curves:
+            colour = PALETTE[curve.colour % len(PALETTE)]
+            data.append(
+                {
+                    "type": "scatter",
+                    "name": f"{panel.title}: {curve.name}",
+                    "x": curve.x,
+                    "y": [y if np.isfinite(y) else None for y in curve.y],
+                    "mode": "lines+markers" if curve.joined else "markers",
+                    "line": {"color": colour, "dash": "dash" if curve.dashed else "solid"},
+                    "xaxis": f"x{number}",
+                    "yaxis": f"y{number}",
+                }
+            )
+        if panel.level is not None:
+            layout.setdefault("shapes", []).append(
+                {
+                    "type": "line", "xref": f"x{number} domain", "x0": 0, "x1": 1,
+                    "yref": f"y{number}", "y0": panel.level, "y1": panel.level,
+                    "line": {"color": "#777777", "width": 1},
+                }
+            )  # fmt: skip
+    page = plotly.io.to_html({"data": data, "layout": layout}, include_plotlyjs=True)
+    write_text(path, page)

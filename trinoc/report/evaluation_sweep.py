@@ -1,0 +1,147 @@
+"""The same pictures with one setting of the segmentation after the other, each evaluated."""
+
+import itertools
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from trinoc.errors import TrinocError
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.uncertain_lines import UncertainLines
+from trinoc.match.find_segments import find_segments
+from trinoc.match.match_segments import match_segments
+from trinoc.match.matches import TRINOCULAR, Matches
+from trinoc.report.lines_of_rig import lines_of_rig
+from trinoc.synth.evaluation import TOLERANCES_MM, Evaluation, evaluate
+from trinoc.synth.known_shape import KnownShape
+
+STAGES = ("all", TRINOCULAR)
+
+
+class Setting(NamedTuple):
+    """Knobs of `trinoc.find_segments`."""
+
+    tolerance_px: float = 1.6
+    false_alarms: float = 1.0
+    least_contrast: float = 7.0
+
+
+class Choice(NamedTuple):
+    """Which tracks count: of a posterior or above, of all stages or of three views only."""
+
+    least_posterior: float = 0.0
+    stage: str = "all"
+
+
+class Row(NamedTuple):
+    """One setting and choice, and what came of it: an evaluation, or a sentence why there is none.
+
+    `setting` is None where matches were given; `segments` is their number in all views together.
+    """
+
+    setting: Setting | None
+    choice: Choice
+    segments: int
+    evaluation: Evaluation | None
+    problem: str
+    seconds: float
+
+    def record(self) -> dict[str, Any]:
+        """The row of a table, by name; NaN where there is no number."""
+        knobs = {} if self.setting is None else self.setting._asdict()
+        record = {**knobs, **self.choice._asdict(), "segments": self.segments}
+        if self.evaluation is not None:
+            record |= self.evaluation.record()
+        return {**record, "seconds": round(self.seconds, 3), "problem": self.problem}
+
+
+def settings_of(
+    tolerance_px: Sequence[float],
+    false_alarms: Sequence[float],
+    least_contrast: Sequence[float],
+) -> list[Setting]:
+    """Every combination."""
+    return [
+        Setting(*knobs) for knobs in itertools.product(tolerance_px, false_alarms, least_contrast)
+    ]
+
+
+def evaluate_settings(
+    pictures: Mapping[str, np.ndarray],
+    rig: Rig,
+    shape: KnownShape,
+    settings: Sequence[Setting],
+    choices: Sequence[Choice] = (Choice(),),
+    *,
+    tolerances_mm: Sequence[float] = TOLERANCES_MM,
+    aligned: bool = False,
+) -> Iterator[Row]:
+    """Segments, matches and their evaluation of each setting; a row for each choice of tracks.
+
+    A setting that fails gives rows that say why, and the next goes on.
+    """
+    for setting in settings:
+        start = time.perf_counter()
+        try:
+            segments = {
+                name: find_segments(picture, **setting._asdict())
+                for name, picture in pictures.items()
+            }
+            count = sum(map(len, segments.values()))
+            matches = match_segments(segments, rig)
+        except TrinocError as error:
+            seconds = time.perf_counter() - start
+            yield from (Row(setting, choice, 0, None, str(error), seconds) for choice in choices)
+            continue
+        seconds = time.perf_counter() - start
+        for row in evaluate_matches(
+            matches, rig, shape, choices, tolerances_mm=tolerances_mm, aligned=aligned
+        ):
+            yield row._replace(setting=setting, segments=count, seconds=seconds)
+
+
+def evaluate_matches(
+    matches: Matches,
+    rig: Rig | None,
+    shape: KnownShape,
+    choices: Sequence[Choice] = (Choice(),),
+    *,
+    tolerances_mm: Sequence[float] = TOLERANCES_MM,
+    aligned: bool = False,
+) -> Iterator[Row]:
+    """A row for each choice of tracks; the cameras count as exact where no rig is given."""
+    start = time.perf_counter()
+    count = sum(len(words) for words in matches.reasons.values())
+    for choice in choices:
+        kept = _kept(matches, choice)
+        try:
+            lines = _lines(matches, rig, kept)
+            found = evaluate(lines, shape, tolerances_mm=tolerances_mm, aligned=aligned)
+        except TrinocError as error:
+            seconds = time.perf_counter() - start
+            yield Row(None, choice, count, None, str(error), seconds)
+            continue
+        problem = "" if found.status.name == "COMPARED" else found.status.value
+        yield Row(None, choice, count, found, problem, time.perf_counter() - start)
+
+
+def _kept(matches: Matches, choice: Choice) -> np.ndarray:
+    kept = np.asarray(matches.posterior) >= choice.least_posterior
+    if choice.stage == TRINOCULAR:
+        kept &= np.asarray(matches.stage) == TRINOCULAR
+    return kept
+
+
+def _lines(matches: Matches, rig: Rig | None, kept: np.ndarray) -> UncertainLines:
+    if rig is None:
+        ends, own = np.asarray(matches.lines_mm), np.asarray(matches.covariance_mm2)
+        return UncertainLines(ends[kept], own[kept], np.zeros((kept.sum(), 6, 0)), np.zeros((0, 0)))
+    lines = lines_of_rig(matches, rig)
+    return UncertainLines(
+        lines.ends_mm[kept],
+        lines.own_covariance_mm2[kept],
+        lines.by_parameters[kept],
+        lines.parameter_covariance,
+    )

@@ -1,0 +1,103 @@
+"""Matched 3-D segments with the errors that the cameras of their rig pass on to all of them.
+
+It stands here because it takes the matcher's answer to the calibration's covariance, and these
+two rooms do not know each other.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from trinoc.calib.joint.camera_state import CameraState, Freedom, camera_state
+from trinoc.calib.joint.line_covariance import segment_and_errors
+from trinoc.calib.joint.sheet_prior import parameters_by_step
+from trinoc.errors import InputError
+from trinoc.geometry.arrays import ArrayLike
+from trinoc.geometry.line_observations import LineObservations
+from trinoc.geometry.precision import as_numpy, in_float64
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.uncertain_lines import UncertainLines
+from trinoc.match.matches import Matches
+
+# Tracks are padded to a multiple of this, so that few sizes compile.
+BLOCK = 128
+
+
+def lines_of_rig(matches: Matches, rig: Rig) -> UncertainLines:
+    """The matches' lines, whose own covariance is joined by that of the rig's parameters.
+
+    A rig without a covariance counts as exact; so do matches that do not hold the covariance of
+    their fragments. Raises InputError where the rig lacks a camera of the matches.
+    """
+    missing = [name for name in matches.views if name not in rig.names]
+    if missing:
+        raise InputError(
+            f'The rig has no camera "{missing[0]}", but {", ".join(rig.names)}: give the rig that '
+            "these matches were made with."
+        )
+    ends, own = np.asarray(matches.lines_mm), np.asarray(matches.covariance_mm2)
+    freedom = _freedom(rig)
+    if freedom is None or matches.fragments_covariance_px2 is None or len(matches) == 0:
+        return UncertainLines(ends, own, np.zeros((len(ends), 6, 0)), np.zeros((0, 0)))
+    common, by_steps, by_step = _of_fragments(matches.line_observations(), rig, freedom)
+    names = [f"{view}.{parameter}" for view in matches.views for parameter in freedom.value]
+    rows = [rig.parameters.index(name) for name in names]
+    covariance = np.asarray(rig.covariance)[np.ix_(rows, rows)]
+    # The common part and the line lie on one line: its ends are means of that part's ends.
+    step = common[:, 1] - common[:, 0]
+    place = np.einsum("tei,ti->te", ends - common[:, :1], step) / np.sum(step**2, 1)[:, None]
+    weight = np.stack([1 - place, place], axis=2)
+    by_steps = np.einsum("tef,tfik->teik", weight, by_steps.reshape(len(ends), 2, 3, -1))
+    by_parameters = by_steps.reshape(len(ends), 6, -1) @ np.linalg.inv(by_step)
+    return UncertainLines(ends, own, by_parameters, covariance)
+
+
+def _freedom(rig: Rig) -> Freedom | None:
+    """What the rig's covariance is of; None where it holds none."""
+    for freedom in (Freedom.SIX, Freedom.FOUR):
+        wanted = {f"{name}.{parameter}" for name in rig.names for parameter in freedom.value}
+        if wanted <= set(rig.parameters):
+            return freedom
+    if rig.parameters:
+        raise InputError(
+            "The covariance of the rig is not of pan, tilt, swing and distance of every camera: "
+            "calibrate all of them together, or give the rig without a covariance."
+        )
+    return None
+
+
+@in_float64
+def _of_fragments(
+    lines: LineObservations, rig: Rig, freedom: Freedom
+) -> tuple[Float[np.ndarray, "t 2 3"], Float[np.ndarray, "t 6 k"], Float[np.ndarray, "k k"]]:
+    """(ends of the common parts, their Jacobian by the cameras' steps, parameters by steps)."""
+    cameras = [rig[name] for name in lines.views]
+    distorted = any(camera.intrinsics.distortion_model != "none" for camera in cameras)
+    states = [
+        camera_state(camera, freedom, with_intrinsics=False, with_distortion=distorted)
+        for camera in cameras
+    ]
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *states)
+    count, padding = len(lines), -len(lines) % BLOCK
+
+    def padded(array: np.ndarray) -> np.ndarray:
+        return np.concatenate([array, np.repeat(array[:1], padding, axis=0)])
+
+    ends, by_steps, by_step = as_numpy(
+        _derivatives(
+            stacked, padded(lines.fragments_px), padded(lines.covariance_px2), padded(lines.seen)
+        )
+    )
+    return ends[:count], by_steps[:count], by_step
+
+
+@eqx.filter_jit
+def _derivatives(
+    cameras: CameraState, fragments_px: ArrayLike, covariance_px2: ArrayLike, seen: ArrayLike
+) -> tuple[ArrayLike, ArrayLike, ArrayLike]:
+    ends, _, by_steps = jax.vmap(segment_and_errors, (None, 0, 0, 0))(
+        cameras, fragments_px, covariance_px2, seen
+    )
+    return ends, by_steps, parameters_by_step(cameras, cameras)
