@@ -115,7 +115,9 @@ WRONG_USAGE = {
     "neither": (("--truth", "edges.csv"), "either NAME=IMG"),
     "both": (("a=b.png", *of_matches()), "either NAME=IMG"),
     "no rig": (("a=b.png", "--truth", "edges.csv"), "add --rig"),
-    "a sweep of matches": (of_matches("edges.csv", "--tolerance-px", "1", "2"), "one setting"),
+    "a sweep of matches": (of_matches("edges.csv", "--tolerance-px", "1", "2"), "a setting"),
+    "a setting of matches": (of_matches("edges.csv", "--least-contrast", "9"), "a setting"),
+    "no value": (of_matches("edges.csv", "--stages", "--within-mm", "1"), "without a value"),
 }
 REFUSED = {
     "no edges": (of_matches("nothing.csv"), "holds no edge"),

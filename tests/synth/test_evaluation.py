@@ -177,12 +177,13 @@ def test_ends_unknown_along_the_line_do_not_enter():
 
 
 @settings(max_examples=8)
-@given(seed=SEEDS, turn_deg=st.floats(-3, 3), shift_mm=st.floats(-2, 2))
+@given(seed=SEEDS, turn_deg=st.floats(-20, 20), shift_mm=st.floats(0, 7))
 def test_alignment_recovers_a_motion(seed, turn_deg, shift_mm):
     generator = np.random.default_rng(seed)
     axis = generator.normal(size=3)
     rotation = Rotation.from_rotvec(np.radians(turn_deg) * axis / np.linalg.norm(axis)).as_matrix()
-    shift = shift_mm * generator.normal(size=3)
+    shift = generator.normal(size=3)
+    shift = shift_mm * shift / np.linalg.norm(shift)
     lines = np.concatenate([EDGES, generator.uniform(-60, 60, (2, 2, 3))])
     elsewhere = (lines - shift) @ rotation
     motion = align(elsewhere, EDGES)

@@ -20,6 +20,10 @@ if TYPE_CHECKING:
     from trinoc.synth.known_shape import KnownShape
 
 
+# Options that are settings of the segmentation.
+KNOBS = ("tolerance_px", "false_alarms", "least_contrast")
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Evaluate(Command):
     """Compare 3-D segments with a known shape, for one or many settings of the segmentation."""
@@ -130,13 +134,13 @@ class Evaluate(Command):
     def _check_usage(self, has_pictures: bool) -> None:
         if has_pictures == (self.matches is not None):
             raise UsageError("Give either NAME=IMG for each camera with --rig, or --matches.")
-        swept = (self.tolerance_px, self.false_alarms, self.least_contrast)
-        if self.matches is not None and any(len(values) > 1 for values in swept):
+        swept = {name: getattr(self, name) for name in KNOBS}
+        if self.matches is not None and swept != {name: getattr(Evaluate, name) for name in KNOBS}:
             raise UsageError(
-                "Matches were made with one setting of the segmentation: give the pictures to "
-                "try several."
+                "Matches were made with a setting of the segmentation already: give the pictures "
+                "to try others."
             )
-        if not all((*swept, self.least_posterior, self.stages, self.within_mm)):
+        if not all((*swept.values(), self.least_posterior, self.stages, self.within_mm)):
             raise UsageError("An option without a value: give one or more, or leave it out.")
 
     def _rows(
@@ -164,7 +168,7 @@ class Evaluate(Command):
                     "pictures, or --matches."
                 )
         check_views(files, rig, self.rig)
-        settings = settings_of(self.tolerance_px, self.false_alarms, self.least_contrast)
+        settings = settings_of(*(getattr(self, name) for name in KNOBS))
         rows = evaluate_settings(
             read_views(files),
             rig,

@@ -86,13 +86,23 @@ def draw_panel(axes: "Axes", panel: Panel) -> None:
         axes.minorticks_off()
     if panel.log_y:
         axes.set_yscale("log")
+        axes.set_yticks(_round_ticks(panel.curves), minor=False)
         axes.yaxis.set_major_formatter("{x:g}")
-        axes.yaxis.set_minor_formatter("{x:g}")
+        axes.yaxis.set_minor_formatter("")
     axes.set_title(panel.title)
     axes.set_xlabel(panel.x_label)
     axes.set_ylabel(panel.y_label)
     axes.grid(alpha=0.3)
     axes.legend(fontsize=8, framealpha=0.6)
+
+
+def _round_ticks(curves: list[Curve]) -> list[float]:
+    """One, two and five times the powers of ten from below the least value to above the largest."""
+    values = [y for curve in curves for y in curve.y if np.isfinite(y) and y > 0] or [1.0]
+    low, high = np.floor(np.log10(min(values))), np.ceil(np.log10(max(values)))
+    powers = 10.0 ** np.arange(low, high + 1)
+    ticks = [step * power for power in powers.tolist() for step in (1, 2, 5)]
+    return [tick for tick in ticks if min(values) / 2.5 <= tick <= 2.5 * max(values)]
 
 
 def expect_plotter(path: Path) -> None:

@@ -44,16 +44,12 @@ def normalised_errors(
     offsets: OffsetsAcross, parameter_covariance: Float[np.ndarray, "k k"]
 ) -> NormalisedErrors:
     """Offsets against the covariance that is each line's own and the one that the cameras share."""
-    factor = _root(parameter_covariance)
-    shared = offsets.by_parameters @ factor
-    covariance = offsets.own_mm2 + shared @ shared.mT
-    variances, axes = np.linalg.eigh(covariance)
-    claimed = variances[:, 0] > 0
+    errors = errors_in_sigmas(offsets, parameter_covariance)
+    claimed = np.isfinite(errors).all(axis=1)
     if not claimed.any():
         return NormalisedErrors(0, *[float("nan")] * 5)
-    variances, axes = variances[claimed], axes[claimed]
-    offset = offsets.offset_mm[claimed]
-    errors = np.einsum("nia,ni->na", axes, offset) / np.sqrt(variances)
+    errors, offset = errors[claimed], offsets.offset_mm[claimed]
+    shared = offsets.by_parameters @ _root(parameter_covariance)
     chi_square = np.sum(errors**2, axis=1)
     return NormalisedErrors(
         lines=len(errors),
@@ -63,6 +59,18 @@ def normalised_errors(
         share_of_lines=float(np.mean(chi_square < _LARGEST_95)),
         joint=_joint_chi_square(offset, offsets.own_mm2[claimed], shared[claimed]) / errors.size,
     )
+
+
+def errors_in_sigmas(
+    offsets: OffsetsAcross, parameter_covariance: Float[np.ndarray, "k k"]
+) -> Float[np.ndarray, "n 4"]:
+    """The four numbers of each line, in sigmas along the principal axes of its covariance; NaN
+    where none is claimed."""
+    by = offsets.by_parameters
+    variances, axes = np.linalg.eigh(offsets.own_mm2 + by @ parameter_covariance @ by.mT)
+    claimed = variances[:, :1] > 0
+    along_axes = np.einsum("nia,ni->na", axes, offsets.offset_mm)
+    return np.where(claimed, along_axes / np.sqrt(np.where(claimed, variances, 1.0)), np.nan)
 
 
 def _joint_chi_square(
