@@ -1,6 +1,7 @@
 """Evaluation of lines against known edges: the laws that its numbers obey."""
 
 import dataclasses
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -232,6 +233,15 @@ def test_numbers_must_be_finite(wrong):
     bad[3, 1, 2] = np.nan
     with pytest.raises(InputError, match="not finite"):
         evaluate(bad if wrong == "lines" else EDGES, bad if wrong == "edges" else EDGES)
+
+
+def test_another_covariance_is_refused():
+    class Corners(NamedTuple):
+        lines_mm: np.ndarray
+        covariance_mm2: np.ndarray
+
+    with pytest.raises(InputError, match="covariance has shape"):
+        evaluate(Corners(EDGES, np.zeros((5, 3, 3))), EDGES)
 
 
 def test_a_scene_wants_what_two_pictures_show():

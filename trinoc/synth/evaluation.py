@@ -205,6 +205,11 @@ def _as_lines(lines: LinesInSpace | UncertainLines | ArrayLike) -> UncertainLine
         else:
             ends = np.asarray(lines, dtype=np.float64).reshape(-1, 2, 3)
             covariance = np.zeros((len(ends), 6, 6))
+        if covariance.shape != (len(ends), 6, 6):
+            raise InputError(
+                f"The covariance has shape {covariance.shape}, but that of the ends of {len(ends)} "
+                "lines is needed, (t, 6, 6): give `certain_lines(lines_mm, covariance_mm2)`."
+            )
         lines = certain_lines(ends, covariance)
     if not np.isfinite(lines.ends_mm).all():
         raise InputError("The lines have ends that are not finite: leave such lines out.")
