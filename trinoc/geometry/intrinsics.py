@@ -116,10 +116,7 @@ class Intrinsics(eqx.Module):
     @property
     def matrix(self) -> Float[ArrayLike, "3 3"]:
         """Calibration matrix K: normalised coordinates to pixels, distortion apart."""
-        (fu, fv), (cu, cv) = self.focal_length_px, self.principal_point_px
-        zero, one = jnp.zeros_like(fu), jnp.ones_like(fu)
-        rows = [[fu, jnp.asarray(self.skew_px), cu], [zero, fv, cv], [zero, zero, one]]
-        return jnp.stack([jnp.stack(row) for row in rows])
+        return calibration_matrix(self.focal_length_px, self.principal_point_px, self.skew_px)
 
     def pixel_from_normalised(self, normalised: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
         """(x/z, y/z) in the camera frame to the pixel where the lens images it."""
@@ -154,6 +151,18 @@ class Intrinsics(eqx.Module):
         centred = uv_px - self.principal_point_px
         y = centred[1] / self.focal_length_px[1]
         return jnp.stack([(centred[0] - self.skew_px * y) / self.focal_length_px[0], y])
+
+
+def calibration_matrix(
+    focal_length_px: Float[ArrayLike, "2"],
+    principal_point_px: Float[ArrayLike, "2"],
+    skew_px: Float[ArrayLike, ""],
+) -> Float[ArrayLike, "3 3"]:
+    """K of its entries."""
+    (fu, fv), (cu, cv) = focal_length_px, principal_point_px
+    zero, one = jnp.zeros_like(fu), jnp.ones_like(fu)
+    rows = [[fu, jnp.asarray(skew_px), cu], [zero, fv, cv], [zero, zero, one]]
+    return jnp.stack([jnp.stack(row) for row in rows])
 
 
 def _positive_pair(name: str, value: Sequence[float] | np.ndarray | float) -> np.ndarray:

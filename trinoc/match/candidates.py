@@ -29,8 +29,9 @@ PAIRS_AT_A_TIME = 1 << 19
 NEIGHBOURHOOD = 25
 # Of more candidates than this in one block, those with log odds below are not kept.
 MANY, HOPELESS = 5000, -9.0
-# Rows handed to a kernel at a time: few enough for a processor's cache.
-PAIRS_IN_BLOCK, TRIPLES_IN_BLOCK = 1 << 14, 1 << 12
+# Rows handed to a kernel at a time, few enough for a processor's cache, where pictures hold
+# this many segments or more; fewer rows in proportion where they hold less.
+PAIRS_IN_BLOCK, TRIPLES_IN_BLOCK, MANY_SEGMENTS = 1 << 14, 1 << 11, 1 << 9
 
 
 class Candidates(NamedTuple):
@@ -141,7 +142,7 @@ def _pairs(
 
 def block_of(lines: PictureLines, most: int) -> int:
     """Rows to hand over at a time: fewer where pictures hold little."""
-    return min(most, 32 * lines.ends_px.shape[1])
+    return min(most, most * lines.ends_px.shape[1] // MANY_SEGMENTS)
 
 
 def _triples(

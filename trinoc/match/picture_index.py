@@ -7,6 +7,8 @@ sectors for predictions that are known well, coarse ones with wider margins for 
 of all directions for the rest.
 """
 
+import functools
+import operator
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -139,23 +141,38 @@ def key_at(
 ) -> list[ArrayLike]:
     """Where to look for a segment that passes each point, in about a direction.
 
-    The direction (modulo half a turn) is known to `slack_rad`, the points to `sigma_px`: the
+    The direction, from 0 to half a turn, is known to `slack_rad`, the points to `sigma_px`: the
     keys are of the finest layer that allows for both, that without entries where none does,
     or where a point lies outside the picture.
     """
     nowhere = grid.first[-1]
-    keys: list[ArrayLike] = [jnp.broadcast_to(nowhere, jnp.shape(angle_rad))] * len(points_px)
-    for number in reversed(range(len(LAYERS))):
-        layer, side = LAYERS[number], grid.cell_px[number]
-        known = (slack_rad < layer.slack_rad) & (sigma_px < layer.sigmas * grid.sigma_px)
-        sector = jnp.floor(angle_rad * (layer.sectors / np.pi)).astype(jnp.int32) % layer.sectors
-        for k, (u_px, v_px) in enumerate(points_px):
-            column, row = (jnp.floor(x / side).astype(jnp.int32) for x in (u_px, v_px))
-            inside = (column >= 0) & (column < grid.columns[number])
-            inside &= (row >= 0) & (row < grid.rows[number])
-            cell = row * grid.columns[number] + column
-            key = jnp.where(inside, grid.first[number] + cell * layer.sectors + sector, nowhere)
-            keys[k] = jnp.where(known, key, keys[k])
+    known = [
+        (slack_rad < layer.slack_rad) & (sigma_px < layer.sigmas * grid.sigma_px)
+        for layer in LAYERS
+    ]
+
+    def of_layer(values: Sequence[ArrayLike]) -> ArrayLike:
+        chosen = jnp.asarray(values[-1])
+        for number in reversed(range(len(LAYERS) - 1)):
+            chosen = jnp.where(known[number], jnp.asarray(values[number]), chosen)
+        return chosen
+
+    layers = range(len(LAYERS))
+    side, columns, rows, first = (
+        of_layer([column[number] for number in layers])
+        for column in (grid.cell_px, grid.columns, grid.rows, grid.first)
+    )
+    sectors = of_layer(list(np.array([layer.sectors for layer in LAYERS], dtype=np.int32)))
+    turns = angle_rad / np.pi * sectors.astype(angle_rad.dtype)
+    sector = jnp.floor(turns).astype(jnp.int32)
+    sector = jnp.minimum(sector, sectors - 1)
+    allowed = functools.reduce(operator.or_, known)
+    keys: list[ArrayLike] = []
+    for u_px, v_px in points_px:
+        column, row = (jnp.floor(x / side).astype(jnp.int32) for x in (u_px, v_px))
+        inside = allowed & (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
+        key = first + (row * columns + column) * sectors + sector
+        keys.append(jnp.where(inside, key, nowhere))
     return keys
 
 

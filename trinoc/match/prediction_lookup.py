@@ -46,7 +46,9 @@ def keys_of(grid: Grid, guess: Prediction) -> list[Int[ArrayLike, ""]]:
     slack = REACH * jnp.sqrt(guess.c00 + guess.c11 - 2 * guess.c01) / length
     sigma = jnp.sqrt(jnp.maximum(guess.c00, guess.c11))
     points = [(guess.u0 + sample * du, guess.v0 + sample * dv) for sample in SAMPLES]
-    keys = key_at(grid, points, jnp.mod(jnp.arctan2(dv, du), np.pi), slack, sigma)
+    # The direction without its sign.
+    sign = jnp.where(dv < 0, -1.0, 1.0).astype(dv.dtype)
+    keys = key_at(grid, points, jnp.arctan2(sign * dv, sign * du), slack, sigma)
     nowhere, asked = grid.first[-1], guess.possible
     for k in range(1, len(SAMPLES)):
         # What two samples find is found once.
