@@ -1,5 +1,7 @@
 """Segment and match files from other hands: what is refused, and how it is said."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -122,3 +124,15 @@ def test_files_without_the_optional_fields_are_read(tmp_path):
     assert segments.reasons is None
     assert segments.chain is None
     assert segments.junctions is None
+    assert segments.side_levels is None
+
+
+def test_levels_beside_segments_are_kept_and_must_fit(tmp_path):
+    path = tmp_path / "segments.npz"
+    plain = Segments.from_endpoints(ENDS)
+    levels = np.array([[10.0, 200.0], [np.nan, np.nan]])
+    save_segments(dataclasses.replace(plain, side_levels=levels), path)
+    np.testing.assert_array_equal(load_segments(path).side_levels, levels)
+    arrays = dict(np.load(path))
+    np.savez(path, **(arrays | {"side_levels": levels[:, 0]}))
+    refused(load_segments, path, '"side_levels" has shape')

@@ -29,6 +29,8 @@ class Segments(eqx.Module):
         blurred than usual), "saturated", "bent", or "" for nothing; None where not known.
     chain : (n,) collinear pieces of one broken edge share a number; None where not searched.
     junctions : where the segments meet; None where not searched.
+    side_levels : (n, 2) grey level beside each segment, on the right and on the left of the way
+        from the first end to the second, NaN where not known; None where not measured.
     """
 
     endpoints_px: Float[ArrayLike, "n 2 2"]
@@ -40,6 +42,7 @@ class Segments(eqx.Module):
     reasons: Shaped[np.ndarray, "n"] | None = None
     chain: Int[ArrayLike, "n"] | None = None
     junctions: Junctions | None = None
+    side_levels: Float[ArrayLike, "n 2"] | None = None
 
     @classmethod
     def from_endpoints(

@@ -30,6 +30,8 @@ def save_segments(segments: Segments, path: str | os.PathLike[str]) -> None:
         arrays["reasons"] = np.asarray(segments.reasons, dtype=np.str_)
     if segments.chain is not None:
         arrays["chain"] = np.asarray(segments.chain)
+    if segments.side_levels is not None:
+        arrays["side_levels"] = np.asarray(segments.side_levels)
     if segments.junctions is not None:
         arrays.update(junction_arrays(segments.junctions))
     write_arrays(path, FORMAT, VERSION, arrays)
@@ -72,12 +74,23 @@ def load_segments(path: str | os.PathLike[str]) -> Segments:
         _column(arrays, "reasons", file, len(plain)) if "reasons" in arrays else None,
         _column(arrays, "chain", file, len(plain)).astype(np.int64) if "chain" in arrays else None,
         junctions_of_arrays(arrays, file, len(plain)),
+        _side_levels(arrays, file, len(plain)) if "side_levels" in arrays else None,
     )
 
 
 def _in_file(file: Path, error: InputError) -> InputError:
     text = str(error)
     return error if text.startswith(str(file)) else InputError(f"{file}: {text}")
+
+
+def _side_levels(arrays: dict[str, np.ndarray], file: Path, length: int) -> np.ndarray:
+    levels = np.asarray(take(arrays, "side_levels", file), dtype=np.float64)
+    if levels.shape != (length, 2):
+        raise InputError(
+            f'{file}: "side_levels" has shape {levels.shape}, but there are {length} segments with '
+            "two sides: write the file again."
+        )
+    return levels
 
 
 def _column(arrays: dict[str, np.ndarray], name: str, file: Path, length: int) -> np.ndarray:

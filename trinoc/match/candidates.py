@@ -21,6 +21,8 @@ from trinoc.match.picture_index import Grid, PictureIndex
 from trinoc.match.picture_lines import PictureLines
 from trinoc.match.polarity import polarity_evidence
 from trinoc.match.prediction_lookup import keys_of, lookup, segments_near
+from trinoc.match.side_evidence import COMPONENTS as COMPONENTS_OF_SIDES
+from trinoc.match.side_evidence import side_evidence
 from trinoc.match.third_view import near
 
 # About as many pairs are held at a time.
@@ -40,7 +42,7 @@ class Candidates(NamedTuple):
     index : segment in each of the views (-1 in views that take no part).
     part : common part on each segment. ends_mm : ends in space.
     chi_square, log_density, outer_mm, outer_covariance_mm2, px_per_mm : see TripleEvidence.
-    end_log : see `end_evidence`.
+    end_log : see `end_evidence`. side_log : see `side_evidence`.
     """
 
     index: Int[np.ndarray, "m v"]
@@ -52,6 +54,7 @@ class Candidates(NamedTuple):
     outer_mm: Float[np.ndarray, "m 2 3"]
     outer_covariance_mm2: Float[np.ndarray, "m 2 6"]
     px_per_mm: Float[np.ndarray, "m"]
+    side_log: Float[np.ndarray, "m s"]
 
 
 def no_candidates(views: int) -> Candidates:
@@ -66,6 +69,7 @@ def no_candidates(views: int) -> Candidates:
         np.zeros((0, 2, 3)),
         np.zeros((0, 2, 6)),
         np.zeros(0),
+        np.zeros((0, len(COMPONENTS_OF_SIDES))),
     )
 
 
@@ -238,6 +242,7 @@ def _judge(
         stacked(found.outer_mm, keep),
         stacked(found.outer_covariance_mm2, keep),
         found.px_per_mm[keep],
+        side_evidence(np.asarray(lines.sides), index, part),
     )
 
 
@@ -269,7 +274,7 @@ def _judged(
 def odds_of(candidates: Candidates, habits: Habits) -> Float[np.ndarray, "m"]:
     """Log odds of each on its own evidence."""
     c = candidates
-    return log_odds(c.chi_square, c.log_density, c.end_log, c.ends_mm, habits)
+    return log_odds(c.chi_square, c.log_density, c.end_log, c.ends_mm, c.side_log, habits)
 
 
 def in_depth_range(

@@ -1,11 +1,13 @@
 """Line segments of a picture: Nevatia and Babu's chain from masks to segments."""
 
+from collections.abc import Callable
+from functools import partial
+
 import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
 from trinoc.errors import InputError
-from trinoc.geometry.arrays import ArrayLike
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.precision import in_float64
 from trinoc.geometry.segments import Segments
@@ -25,6 +27,7 @@ from trinoc.match.nevatia_babu.ramps import is_on_ramp
 from trinoc.match.nevatia_babu.runs import members
 from trinoc.match.nevatia_babu.two_levels import runs_of_both_levels
 from trinoc.match.nevatia_babu.validity import is_sharp, is_straight, usual_blur
+from trinoc.match.side_levels import side_levels
 
 GAP_PX = 8.0
 SNAP_PX = 6.0
@@ -46,6 +49,7 @@ def find_segments(
     tolerance_px: float = 1.6,
     false_alarms: float = 1.0,
     least_contrast: float = 7.0,
+    arcs: bool = False,
     intrinsics: Intrinsics | None = None,
 ) -> Segments:
     """Straight edges of a picture, with polarity, contrast, covariance and junctions.
@@ -58,6 +62,8 @@ def find_segments(
     false_alarms : how many segments noise alone may bring about in such a picture.
     least_contrast : fainter edges are left out; in grey levels of a scale from 0 to 255
         (pictures of real numbers: in their own unit).
+    arcs : whether to keep the chords of arcs, such as the rims of cylinders: pieces that deviate
+        by up to `tolerance_px`.
     intrinsics : a lens whose distortion is taken out of the edge points before lines are
         fitted; the segments are then in undistorted pixels.
 
@@ -105,13 +111,16 @@ def find_segments(
     disturbed = disturbances(
         picture.grey, picture.white, points, cleaned, first, lines, found, usual_px2
     )
+    to_picture: Callable[[np.ndarray], np.ndarray] = np.asarray
     if intrinsics is not None and intrinsics.distortion_model != "none":
-        lines = fit_lines(cleaned._replace(uv_px=_undistorted(cleaned.uv_px, intrinsics)), first)
+        uv_px = _mapped(cleaned.uv_px, intrinsics.undistort_pixel)
+        lines = fit_lines(cleaned._replace(uv_px=uv_px), first)
+        to_picture = partial(_mapped, through=intrinsics.distort_pixel)
     length = np.ptp(lines.extent_px, axis=1)
     variance, reasons = widened(disturbed, noise_variance(lines.variance_middle_px2, length))
     bevel = (length < BEVEL_PX) & (disturbed.crowded > BEVEL_CROWDED)
-    keep = is_straight(lines, width) & (lines.contrast >= least_contrast) & ~bevel
-    return _as_segments(lines.select(keep), variance[keep], reasons[keep], (width, height))
+    keep = (arcs | is_straight(lines, width)) & (lines.contrast >= least_contrast) & ~bevel
+    return _as_segments(lines.select(keep), variance[keep], reasons[keep], picture.grey, to_picture)
 
 
 def _merged(
@@ -141,36 +150,37 @@ def _points_of(
 
 
 @in_float64
-def _undistorted(
-    uv_px: Float[np.ndarray, "n 2"], intrinsics: Intrinsics
-) -> Float[ArrayLike, "n 2"]:
-    """Points as a lens without distortion would show them; padded, so that few sizes compile."""
+def _mapped(uv_px: Float[np.ndarray, "n 2"], through: Callable) -> np.ndarray:
+    """Points taken through a lens or out of it; padded, so that few sizes compile."""
     count = len(uv_px)
     padded = np.zeros((1 << max(count, 1).bit_length(), 2))
     padded[:count] = uv_px
-    return np.asarray(jax.vmap(intrinsics.undistort_pixel)(padded))[:count]
+    return np.asarray(jax.vmap(through)(padded))[:count]
 
 
 def _as_segments(
     lines: FittedLines,
     variance_px2: Float[np.ndarray, "r"],
     reasons: Shaped[np.ndarray, "r"],
-    size_px: tuple[int, int],
+    grey: Float[np.ndarray, "h w"],
+    to_picture: Callable[[np.ndarray], np.ndarray],
 ) -> Segments:
     """Segments with ends at the crossings with what stops them, junctions and chains."""
     place = lines.centre_px, lines.direction, lines.extent_px
     near = lines_near_ends(*place, SNAP_PX)
     partner, position = snapped_ends(*place, SNAP_PX, near)
     sigma_along = np.where(partner >= 0, SIGMA_ALONG_CROSSING_PX, SIGMA_ALONG_FREE_PX)
+    endpoints = lines._replace(extent_px=position).endpoints_px
     return with_junctions(
         Segments(
-            lines._replace(extent_px=position).endpoints_px,
+            endpoints,
             end_covariances(lines.direction, variance_px2, sigma_along),
             np.ones(len(position), dtype=np.int64),
             lines.contrast,
             lines.support.astype(np.int64),
-            size_px,
+            (grey.shape[1], grey.shape[0]),
             reasons,
+            side_levels=side_levels(grey, endpoints, to_picture),
         ),
         near,
     )

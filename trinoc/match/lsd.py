@@ -7,6 +7,7 @@ from jaxtyping import Shaped
 from trinoc.geometry.segments import Segments
 from trinoc.match.find_junctions import with_junctions
 from trinoc.match.nevatia_babu.picture import grey_picture
+from trinoc.match.side_levels import with_side_levels
 
 # OpenCV's segments lie this far from the edges they belong to, in u and v, whatever the edge:
 # measured on edges at all angles. It is subtracted.
@@ -16,7 +17,7 @@ LSD_SIGMA_ALONG_PX = 2.0
 
 
 def find_segments_lsd(image: Shaped[np.ndarray, "..."]) -> Segments:
-    """Straight edges by cv2's LSD, with its bias taken out, junctions and chains.
+    """Straight edges by cv2's LSD, with its bias taken out, junctions, chains and side levels.
 
     Takes the pictures that `find_segments` takes. The polarity and the contrast are not
     known; every segment has the same sigmas. After R. Grompone von Gioi et al., "LSD: a line
@@ -26,7 +27,7 @@ def find_segments_lsd(image: Shaped[np.ndarray, "..."]) -> Segments:
     levels = np.clip(np.rint(grey), 0, 255).astype(np.uint8)
     found = cv2.createLineSegmentDetector().detect(levels)[0]
     rows = np.zeros((0, 4)) if found is None else np.asarray(found, np.float64).reshape(-1, 4)
-    return with_junctions(
+    segments = with_junctions(
         Segments.from_endpoints(
             rows - np.tile(LSD_BIAS_PX, 2),
             sigma_px=LSD_SIGMA_PX,
@@ -34,3 +35,4 @@ def find_segments_lsd(image: Shaped[np.ndarray, "..."]) -> Segments:
             image_size_px=(grey.shape[1], grey.shape[0]),
         )
     )
+    return with_side_levels(segments, image)

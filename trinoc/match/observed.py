@@ -20,6 +20,7 @@ from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import DEFAULT_SIGMA_PX, Segments, covariance_of_ends
 from trinoc.match.padding import bucket, padded
 from trinoc.match.picture_lines import PictureLines, picture_lines
+from trinoc.match.side_evidence import side_table
 
 
 class Observed(NamedTuple):
@@ -52,10 +53,11 @@ def observe(
     # Views that show the same, which no real ones do, are left to their names.
     names = tuple(sorted(prepared, key=lambda name: (_content(prepared[name]), name)))
     views = [prepared[name] for name in names]
-    order, ends, covariances, polarities = (list(c) for c in zip(*views, strict=True))
+    order, ends, covariances, polarities, levels = (list(c) for c in zip(*views, strict=True))
     matrices = np.stack([rig[name].matrix_px for name in names])
     sizes = np.array([rig[name].image_size_px for name in names], dtype=np.float64)
-    lines = picture_lines(matrices, sizes, ends, covariances, polarities)
+    sides = side_table(levels, [each.mean(axis=1) for each in ends])
+    lines = picture_lines(matrices, sizes, ends, covariances, polarities, sides)
     return Observed(names, order, ends, covariances, [rig[n].intrinsics for n in names], lines)
 
 
@@ -64,6 +66,7 @@ class _View(NamedTuple):
     ends_px: Float[np.ndarray, "n 2 2"]
     covariance_px2: Float[np.ndarray, "n 4 4"]
     polarity: Int[np.ndarray, "n"]
+    levels: Float[np.ndarray, "n 2"]
 
 
 def _view(given: Segments | ArrayLike, camera: Camera, sigma_px: float | None) -> _View:
@@ -78,8 +81,14 @@ def _view(given: Segments | ArrayLike, camera: Camera, sigma_px: float | None) -
     turned = covariance.reshape(-1, 2, 2, 2, 2)[:, ::-1, :, ::-1].reshape(-1, 4, 4)
     covariance = np.where(swap[:, None, None], turned, covariance)
     polarity = np.where(swap, -1, 1) * np.asarray(segments.polarity)
+    levels = np.full((len(flat), 2), np.nan)
+    if segments.side_levels is not None:
+        levels = np.asarray(segments.side_levels, dtype=np.float64)
+        levels = np.where(swap[:, None], levels[:, ::-1], levels)
+        # Which side is darker follows from the levels: it is no evidence of its own.
+        polarity = np.where(np.isfinite(levels).all(axis=1), 0, polarity)
     rank = np.lexsort(flat.reshape(-1, 4).T[::-1])
-    return _View(rank, flat[rank], covariance[rank], polarity[rank])
+    return _View(rank, flat[rank], covariance[rank], polarity[rank], levels[rank])
 
 
 def _content(view: _View) -> tuple[int, list[float]]:

@@ -24,7 +24,15 @@ from trinoc.match.candidates import (
     stacked,
 )
 from trinoc.match.ends import AGREEING_PX, PAIR_PX
-from trinoc.match.evidence import Habits, log_place, probability, usual_habits, volume_of
+from trinoc.match.evidence import (
+    Habits,
+    log_place,
+    log_sides,
+    probability,
+    tempered,
+    usual_habits,
+    volume_of,
+)
 from trinoc.match.exclusivity import beliefs, chosen_greedily, claimed, conflicts
 from trinoc.match.intervals import overlapping
 from trinoc.match.likelihood import Strangers
@@ -36,6 +44,7 @@ from trinoc.match.pencil import Pencil, pencil
 from trinoc.match.picture_lines import PictureLines
 from trinoc.match.polarity import polarity_evidence
 from trinoc.match.selection import HOPELESS_LEARNED, LEAST_JOINED, Selection
+from trinoc.match.side_evidence import side_evidence
 
 ROUNDS = 6
 # With fewer lines than this in three views, nothing is learned from them.
@@ -48,6 +57,8 @@ USUAL_SHARE = 0.1
 LOG_MISSED = float(np.log(0.5))
 # What the evidence of true pairs falls short of, on made scenes of other seeds.
 MISFIT = 1.5
+# In pictures, where strangers are alike, it exceeds it instead: see `evidence.TEMPER`.
+MISFIT_OF_PICTURES = -1.5
 
 
 class _Possible(NamedTuple):
@@ -103,8 +114,9 @@ def _select(
     joined: JunctionHabits,
 ) -> Pairs:
     """Beliefs of pairs among lines that are matched already, to a fixed point."""
-    ends = _log_ends(candidates, habits)
-    evidence = candidates.log_density + ends + expected * LOG_MISSED + MISFIT
+    ends = _log_ends(candidates, habits) + log_sides(candidates.side_log, habits)
+    misfit = np.where(candidates.side_log.any(axis=1), MISFIT_OF_PICTURES, MISFIT)
+    evidence = candidates.log_density + ends + expected * LOG_MISSED + misfit
     likely = evidence + habits.log_count + log_place(candidates.ends_mm, habits.volume)
     keep = likely > HOPELESS_LEARNED
     candidates, evidence, expected = _rows(candidates, keep), evidence[keep], expected[keep]
@@ -135,7 +147,8 @@ def _select(
             density = habits.log_count - habits.volume.log_size + np.log(2)
             gain = support(meetings, everyone, density, joined)[0][len(known) :]
     missed = np.where(expected > 0, expected * LOG_MISSED + np.log(share), 0.0)
-    return Pairs(candidates, odds, belief, chosen_greedily(belief, graph), missed)
+    taken = chosen_greedily(belief, graph)
+    return Pairs(candidates, odds, tempered(belief, candidates.side_log), taken, missed)
 
 
 def _rows(candidates: Candidates, keep: Bool[np.ndarray, "m"]) -> Candidates:
@@ -204,6 +217,7 @@ def _pairs_of(
         stacked(found.outer_mm, keep),
         stacked(found.outer_covariance_mm2, keep),
         np.asarray(found.px_per_mm)[keep],
+        side_evidence(np.asarray(lines.sides), index, part),
     )
     return _Possible(candidates, np.asarray(found.expected)[keep])
 

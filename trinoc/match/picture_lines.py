@@ -24,7 +24,7 @@ class PictureLines(NamedTuple):
     ends_px : ends of each segment. line : through them, with unit normal.
     across_px2 : covariance of the two ends' errors across the segment.
     length_px : distance between the ends. valid : False on rows of padding.
-    polarity : +1, -1, or 0 where not known.
+    polarity : +1, -1, or 0 where not known. sides : see `side_evidence.side_table`.
     rays : viewing rays of both ends, world frame, of any length.
     """
 
@@ -39,6 +39,7 @@ class PictureLines(NamedTuple):
     valid: Bool[ArrayLike, "v n"]
     polarity: Float[ArrayLike, "v n"]
     rays: Float[ArrayLike, "v n 2 3"]
+    sides: Float[ArrayLike, "v n 5"]
 
 
 def picture_lines(
@@ -47,6 +48,7 @@ def picture_lines(
     ends_px: Sequence[Float[np.ndarray, "_ 2 2"]],
     covariances_px2: Sequence[Float[np.ndarray, "_ 4 4"]],
     polarities: Sequence[np.ndarray],
+    sides: Sequence[Float[np.ndarray, "_ 5"]],
 ) -> PictureLines:
     """Tables for all views, padded to one bucket."""
     size = bucket(max(len(ends) for ends in ends_px))
@@ -59,6 +61,7 @@ def picture_lines(
         np.stack([padded(covariance, size, np.eye(4)) for covariance in covariances_px2]),
         np.stack([np.arange(size) < len(ends) for ends in ends_px]),
         np.stack([padded(np.asarray(p, dtype=np.float64), size, 0.0) for p in polarities]),
+        np.stack([padded(table, size, np.full(5, np.nan)) for table in sides]),
     )
 
 
@@ -70,6 +73,7 @@ def _prepared(
     covariance_px2: Float[ArrayLike, "v n 4 4"],
     valid: Bool[ArrayLike, "v n"],
     polarity: Float[ArrayLike, "v n"],
+    sides: Float[ArrayLike, "v n 5"],
 ) -> PictureLines:
     third_row = matrices_px[:, 2, :3]
     matrices = matrices_px / jnp.sqrt((third_row**2).sum(-1))[:, None, None]
@@ -90,6 +94,7 @@ def _prepared(
         valid,
         polarity,
         jnp.einsum("vij,vnej->vnei", inverse, homogeneous),
+        sides,
     )
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from trinoc.match.candidates import Candidates, odds_of
-from trinoc.match.evidence import Habits, learn, probability, usual_habits
+from trinoc.match.evidence import Habits, learn, probability, tempered, usual_habits
 from trinoc.match.exclusivity import Conflicts, beliefs, chosen_greedily, conflicts
 from trinoc.match.merging import Tracks
 from trinoc.match.neighbours import USUAL_HABITS, JunctionHabits, junctions, support
@@ -63,7 +63,10 @@ def tracks_of(selection: Selection) -> Tracks:
     np.maximum.at(runner_up, owner, selection.belief[rival])
     taken = selection.taken
     candidates = Candidates(*(field[taken] for field in selection.candidates))
-    return Tracks(candidates, selection.belief[taken], runner_up[taken])
+    belief, rivals = (
+        tempered(values[taken], candidates.side_log) for values in (selection.belief, runner_up)
+    )
+    return Tracks(candidates, belief, rivals)
 
 
 def _with_neighbours(
@@ -91,4 +94,4 @@ def _above(candidates: Candidates, odds: Float[np.ndarray, "m"], least: float) -
 
 def _learned(candidates: Candidates, belief: Float[np.ndarray, "m"], habits: Habits) -> Habits:
     c = candidates
-    return learn(c.chi_square, c.end_log, c.ends_mm, probability(belief), habits)
+    return learn(c.chi_square, c.end_log, c.ends_mm, c.side_log, probability(belief), habits)

@@ -219,3 +219,17 @@ def test_what_is_no_picture_is_refused(image: np.ndarray, words: str) -> None:
 def test_a_knob_that_is_not_positive_is_refused(picture: np.ndarray, name: str) -> None:
     with pytest.raises(InputError, match=name):
         find_segments(picture, **{name: 0.0})  # pyright: ignore[reportArgumentType]
+
+
+def test_chords_of_arcs_are_kept_where_asked_for() -> None:
+    v, u = np.mgrid[:HEIGHT, :WIDTH].astype(float)
+    disc = as_bytes(60.0 + 90.0 * soft_step(40.0 - np.hypot(u - 75.0, v - 60.0)))
+    chords = find_segments(disc, arcs=True)
+    assert len(chords) > len(find_segments(disc)) + 5
+    ends = np.asarray(chords.endpoints_px)
+    # Chords of a circle of 40 px that deviate from it by the tolerance at most.
+    assert np.abs(np.hypot(*(ends.mean(axis=1) - [75.0, 60.0]).T) - 40.0).max() < 1.6
+
+
+def test_the_levels_beside_segments_are_those_of_the_picture(segments: Segments) -> None:
+    np.testing.assert_allclose(segments.side_levels, [[60.0, 150.0]] * len(segments), atol=2.0)
