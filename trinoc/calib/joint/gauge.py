@@ -32,7 +32,9 @@ class Determined(NamedTuple):
 
 def determined_part(information: Float[np.ndarray, "k k"]) -> Determined:
     """Rank, covariance and gauge of the reduced information of all cameras' steps."""
-    scale = np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
+    diagonal = np.diag(information)
+    # A direction of which nothing is known at all must not divide by nothing.
+    scale = np.sqrt(np.maximum(diagonal, 1e-30 * diagonal.max() or 1.0))
     values, vectors = np.linalg.eigh(information / scale[:, None] / scale[None, :])
     kept = values > FREE_EIGENVALUE * values[-1]
     scaled = (vectors[:, kept] / values[kept]) @ vectors[:, kept].T

@@ -5,12 +5,14 @@ fall of the joint chi-square is the evidence that this camera moved; without mot
 distributed as chi-square with as many degrees of freedom as the camera has parameters.
 """
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 from scipy import stats
 
-from trinoc.calib.joint.refine import Matched, refine
+from trinoc.calib.joint.refine import Matched, Matcher, refine
 from trinoc.calib.joint.result import RefineResult, RefineStatus
 from trinoc.errors import CalibrationError
 from trinoc.geometry.line_observations import LineObservations
@@ -62,6 +64,11 @@ class RigCheck(eqx.Module):
             verdict = "No camera has moved by more than the error bars allow."
         elif self.refined is not None:
             verdict = f'Camera "{self.moved[0]}" has moved; the segments tell where it is now.'
+        elif len(self.moved) == 1:
+            verdict = (
+                f'A camera has moved, most likely "{self.moved[0]}", but the segments do not tell '
+                "where it is now: calibrate the rig again with the sheet."
+            )
         else:
             verdict = (
                 "More than one camera has moved, which segments alone cannot mend: "
@@ -79,37 +86,62 @@ class RigCheck(eqx.Module):
         return "\n".join(rows)
 
 
-def check_rig(rig: Rig, matches: Matched | LineObservations) -> RigCheck:
+def check_rig(
+    rig: Rig,
+    matches: Matched | LineObservations,
+    *,
+    match_again: Matcher | Sequence[Matcher] | None = None,
+) -> RigCheck:
     """Ask the segments of a scene whether each camera still stands where `rig` says.
 
-    `rig` needs the covariance of its calibration, since motion is measured against it. Raises
-    CalibrationError where it has none or where fewer than three cameras see the scene: two
-    views of lines agree with any motion.
+    `rig` needs the covariance of its calibration, since motion is measured against it. With
+    `match_again`, as `refine` takes it, a knock that hid most of the scene from the matcher is
+    found too: the scene is matched again with each camera freed, and asked where that is most
+    probable. Raises CalibrationError where the rig has no covariance or where fewer than three
+    cameras see the scene: two views of lines agree with any motion.
     """
     if not rig.parameters or len(rig) < 3:
         raise CalibrationError(
             "Whether a camera moved can be told only for three or more cameras with the "
             "covariance of their calibration: give the rig.json that `trinoc calibrate` wrote."
         )
+    motions, freed = _motions(rig, matches)
+    strongest = max(motions, key=lambda motion: motion.sigmas).name
+    if max(motion.sigmas for motion in motions) < SUSPECT_SIGMAS:
+        return RigCheck(motions, (), None)
+    mended = freed[strongest]
+    if match_again is not None:
+        found = [refine(rig, matches, moved=(name,), match_again=match_again) for name in rig.names]
+        settled = [result for result in found if result.status is RefineStatus.CONVERGED]
+        if not settled:
+            return RigCheck(motions, (strongest,), None)
+        best = max(settled, key=lambda result: result.log_posterior)
+        mended, matches = best, best.tracks
+        motions, _ = _motions(rig, matches)
+        strongest = rig.names[found.index(best)]
+    others = [name for name in rig.names if name != strongest]
+    noise = max(mended.segment_sigma_factor, 1.0)
+    further = {
+        name: _significance(mended, refine(rig, matches, moved=(strongest, name)), noise)
+        for name in others
+    }
+    also = tuple(name for name in others if further[name] >= SUSPECT_SIGMAS)
+    if also or mended.status is RefineStatus.NOT_CONVERGED:
+        return RigCheck(motions, (strongest, *also), None)
+    return RigCheck(motions, (strongest,), mended)
+
+
+def _motions(
+    rig: Rig, matches: Matched | LineObservations
+) -> tuple[tuple[CameraMotion, ...], dict[str, RefineResult]]:
+    """The motion of each camera were it the only one, and the rig with it freed."""
     at_rest = refine(rig, matches)
     freed = {name: refine(rig, matches, moved=(name,)) for name in rig.names}
     # The best explanation sets the noise; a moved camera would inflate it otherwise.
     noise = min(result.segment_sigma_factor for result in (at_rest, *freed.values()))
     noise = max(noise, 1.0)
     motions = tuple(_motion(rig, name, at_rest, freed[name], noise) for name in rig.names)
-    strongest = max(motions, key=lambda motion: motion.sigmas)
-    if strongest.sigmas < SUSPECT_SIGMAS:
-        return RigCheck(motions, (), None)
-    mended = freed[strongest.name]
-    others = [name for name in rig.names if name != strongest.name]
-    further = {
-        name: _significance(mended, refine(rig, matches, moved=(strongest.name, name)), noise)
-        for name in others
-    }
-    also = tuple(name for name in others if further[name] >= SUSPECT_SIGMAS)
-    if also or mended.status is RefineStatus.NOT_CONVERGED:
-        return RigCheck(motions, (strongest.name, *also), None)
-    return RigCheck(motions, (strongest.name,), mended)
+    return motions, freed
 
 
 def _motion(
@@ -117,12 +149,12 @@ def _motion(
 ) -> CameraMotion:
     rows = [i for i, parameter in enumerate(freed.parameters) if parameter.startswith(name + ".")]
     own = tuple(freed.parameters[i].removeprefix(name + ".") for i in rows)
-    sheet = [rig.parameters.index(f"{name}.{parameter}") for parameter in own]
+    sheet = np.array([np.nan_to_num(rig.sigma(f"{name}.{parameter}")) for parameter in own])
     before = np.array([_value(rig, name, parameter) for parameter in own])
     change = freed.values[rows] - before
     angles = np.array([parameter.endswith("_deg") for parameter in own])
     change = np.where(angles, (change + 180) % 360 - 180, change)
-    variance = np.diag(freed.covariance)[rows] + np.diag(np.asarray(rig.covariance))[sheet]
+    variance = np.diag(freed.covariance)[rows] + sheet**2
     sigmas = _significance(at_rest, freed, noise)
     return CameraMotion(name, sigmas, own, change, np.sqrt(variance))
 

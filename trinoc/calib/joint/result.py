@@ -6,6 +6,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
 
+from trinoc.geometry.line_observations import LineObservations
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.uncertain_lines import UncertainLines
 
@@ -16,6 +17,7 @@ class RefineStatus(enum.Enum):
     CONVERGED = "The refinement converged and all parameters are determined."
     GAUGE_FREE = "The refinement converged; segments alone leave the named gauge as it was."
     NOT_CONVERGED = "The refinement did not converge: the rig is returned as it was."
+    AMBIGUOUS = "Other rigs explain the segments about as well: the rig is returned as it was."
 
 
 class RefineResult(eqx.Module):
@@ -23,7 +25,8 @@ class RefineResult(eqx.Module):
 
     Fields
     ------
-    status : how it ended; the start is never shown as a result without saying so.
+    status : how it ended; the start is never shown as a result without saying so. Where it is
+        AMBIGUOUS, all fields but `rig` are those of the answer that was refused.
     rig : the refined cameras, with `parameters` and `covariance` where these are determined.
     parameters : names such as "upper.pan_deg", the rows of `covariance`.
     values : (p,) of `parameters`, in degrees, mm and px.
@@ -39,6 +42,10 @@ class RefineResult(eqx.Module):
     sheet_chi_square : squared distance, in the sheet's sigmas, by which segments pulled the
         cameras from where the sheet had placed them.
     chi_square : robust cost at the end, and at the start.
+    log_posterior : of cameras and tracks, against cameras where the sheet placed them and no
+        track (`calib.joint.posterior`); comparable for matches of the same segments.
+    history : log posterior after each round of matching that was accepted, in order.
+    tracks : what was refined: the matches given, or those found with the refined rig.
     """
 
     status: RefineStatus
@@ -55,6 +62,9 @@ class RefineResult(eqx.Module):
     sheet_sigma_factor: float = eqx.field(static=True)
     sheet_chi_square: float = eqx.field(static=True)
     chi_square: tuple[float, float] = eqx.field(static=True)
+    log_posterior: float = eqx.field(static=True)
+    history: tuple[float, ...] = eqx.field(static=True)
+    tracks: LineObservations
 
     def summary(self) -> str:
         """What was refined, by how much it is known now, and what to make of it, as text."""
