@@ -116,4 +116,6 @@ def match_sets(draw: st.DrawFn) -> Matches:
         fragments_covariance_px2=draw(
             st.sampled_from([None, random.normal(size=(tracks, sides, 4, 4))])
         ),
+        misfit=draw(st.sampled_from([None, random.uniform(size=tracks)])),
+        moves=draw(st.sampled_from([None, random.uniform(size=tracks) < 0.5])),
     )

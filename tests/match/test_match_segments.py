@@ -50,6 +50,9 @@ def test_order_of_segments_of_ends_and_of_views_changes_only_the_numbering(noisy
     np.testing.assert_array_equal(matches.index[order], numbered[order_again])
     np.testing.assert_array_equal(matches.lines_mm[order], again.lines_mm[order_again])
     np.testing.assert_array_equal(matches.posterior[order], again.posterior[order_again])
+    assert matches.moves is not None
+    assert again.moves is not None
+    np.testing.assert_array_equal(matches.moves[order], again.moves[order_again])
 
 
 def test_names_of_cameras_change_nothing(noisy) -> None:
@@ -121,6 +124,9 @@ def test_two_views_give_pairs(noisy) -> None:
     right = matches.index[:, 0] == matches.index[:, 1]
     assert right.sum() >= 15
     assert right.mean() > 0.7
+    # Two views cannot disagree.
+    assert matches.misfit is not None
+    assert not matches.misfit.any()
 
 
 def test_five_views_give_one_track_per_line() -> None:

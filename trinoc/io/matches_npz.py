@@ -10,7 +10,8 @@ from trinoc.match.matches import BINOCULAR, TRINOCULAR, Matches
 
 FORMAT, VERSION = "trinoc-matches", 1
 _REASONS = "reasons/"
-_FRAGMENTS_COVARIANCE = "fragments_covariance_px2"
+# What files of earlier versions do not hold.
+_FRAGMENTS_COVARIANCE, _MISFIT, _MOVES = "fragments_covariance_px2", "misfit", "moves"
 
 
 def save_matches(matches: Matches, path: str | os.PathLike[str]) -> None:
@@ -27,8 +28,9 @@ def save_matches(matches: Matches, path: str | os.PathLike[str]) -> None:
         "count_names": _texts(matches.counts),
         "count_values": np.array(list(matches.counts.values()), dtype=np.int64),
     }
-    if matches.fragments_covariance_px2 is not None:
-        arrays[_FRAGMENTS_COVARIANCE] = matches.fragments_covariance_px2
+    for name in (_FRAGMENTS_COVARIANCE, _MISFIT, _MOVES):
+        if getattr(matches, name) is not None:
+            arrays[name] = getattr(matches, name)
     reasons = {_REASONS + view: _texts(words) for view, words in matches.reasons.items()}
     write_arrays(path, FORMAT, VERSION, {**arrays, **reasons})
 
@@ -51,8 +53,8 @@ def load_matches(path: str | os.PathLike[str]) -> Matches:
         "posterior": (tracks,),
         "runner_up": (tracks,),
     }
-    if _FRAGMENTS_COVARIANCE in arrays:
-        shapes[_FRAGMENTS_COVARIANCE] = (tracks, sides, 4, 4)
+    later = {_FRAGMENTS_COVARIANCE: (tracks, sides, 4, 4), _MISFIT: (tracks,), _MOVES: (tracks,)}
+    shapes |= {name: shape for name, shape in later.items() if name in arrays}
     for name, shape in shapes.items():
         if take(arrays, name, path).shape != shape:
             raise InputError(
@@ -90,6 +92,8 @@ def load_matches(path: str | os.PathLike[str]) -> Matches:
             )
         },
         fragments_covariance_px2=arrays.get(_FRAGMENTS_COVARIANCE),
+        misfit=arrays.get(_MISFIT),
+        moves=arrays[_MOVES].astype(bool) if _MOVES in arrays else None,
     )
 
 

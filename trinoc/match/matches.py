@@ -2,7 +2,7 @@
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Float, Int, Shaped
+from jaxtyping import Bool, Float, Int, Shaped
 
 from trinoc.errors import InputError
 from trinoc.geometry.line_observations import LineObservations
@@ -31,6 +31,12 @@ class Matches(eqx.Module):
     counts : what each step of the matching produced and rejected, by name.
     fragments_covariance_px2 : (t, v, 4, 4) of the fragments' ends, NaN where not seen; None
         where not known.
+    misfit : (t,) chi-square by which the views disagree about where a line is, with 2 (n - 2)
+        degrees of freedom for n views that see it; 0 for two views. None where not known.
+    moves : (t,) whether a track is likely to show something that moves with the viewpoint, a
+        rim of a round body, a light or its shadow: its misfit is larger than that of 99 in 100
+        straight edges, or, of a track in two views, another view shows something beside the
+        place where it should be, not on it. None where not known.
     """
 
     views: tuple[str, ...] = eqx.field(static=True)
@@ -44,6 +50,8 @@ class Matches(eqx.Module):
     reasons: dict[str, Shaped[np.ndarray, "_"]]
     counts: dict[str, int]
     fragments_covariance_px2: Float[np.ndarray, "t v 4 4"] | None = None
+    misfit: Float[np.ndarray, "t"] | None = None
+    moves: Bool[np.ndarray, "t"] | None = None
 
     def __len__(self) -> int:
         return len(self.index)

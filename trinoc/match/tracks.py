@@ -8,6 +8,7 @@ from trinoc.geometry.triangulation import Segment3D, triangulate_segment
 from trinoc.match.evidence import probability
 from trinoc.match.matches import BINOCULAR, TRINOCULAR, Matches
 from trinoc.match.merging import Tracks
+from trinoc.match.moving import moving
 from trinoc.match.observed import Observed, distorted
 from trinoc.match.occluded import Pairs
 from trinoc.match.padding import in_blocks
@@ -37,11 +38,12 @@ def assemble(
     fragments, covariance = fragments_of(seen, index, part)
     common_mm = np.concatenate([tracks.candidates.ends_mm, pairs.candidates.ends_mm[pairs.taken]])
     shown = fragments_of(seen, index, part_two_views_show(seen, index, common_mm))
-    ends_mm, covariance_mm2 = lines_in_space(seen, index, *shown)
+    ends_mm, covariance_mm2, misfit = lines_in_space(seen, index, *shown)
     sound = np.isfinite(ends_mm).all(axis=(1, 2)) & np.isfinite(covariance_mm2).all(axis=(1, 2))
     index, belief, runner_up = index[sound], belief[sound], runner_up[sound]
     fragments, covariance = fragments[sound], covariance[sound]
-    ends_mm, covariance_mm2 = ends_mm[sound], covariance_mm2[sound]
+    ends_mm, covariance_mm2, misfit = ends_mm[sound], covariance_mm2[sound], misfit[sound]
+    moves = moving(seen, index, ends_mm, misfit)
     given = np.full(index.shape, -1)
     for view in range(len(names)):
         on = index[:, view] >= 0
@@ -57,6 +59,7 @@ def assemble(
         "tracks in three views or more": len(tracks.belief),
         "pairs considered": len(pairs.candidates.index),
         "tracks in two views": int(pairs.taken.sum()),
+        "tracks that seem to move with the viewpoint": int(moves.sum()),
     }
     return Matches(
         names,
@@ -70,6 +73,8 @@ def assemble(
         {name: why[name] for name in names},
         counts | counted(why),
         covariance[sort],
+        misfit[sort],
+        moves[sort],
     )
 
 
@@ -121,8 +126,8 @@ def lines_in_space(
     index: Int[np.ndarray, "t v"],
     fragments_px: Float[np.ndarray, "t v 2 2"],
     covariance_px2: Float[np.ndarray, "t v 4 4"],
-) -> tuple[Float[np.ndarray, "t 2 3"], Float[np.ndarray, "t 6 6"]]:
-    """Maximum-likelihood ends from all fragments, with covariance."""
+) -> tuple[Float[np.ndarray, "t 2 3"], Float[np.ndarray, "t 6 6"], Float[np.ndarray, "t"]]:
+    """Maximum-likelihood ends from all fragments, with covariance and chi-square."""
     # Rows of padding hold no view, which leaves their lines undetermined, and harmless.
     block = seen.lines.ends_px.shape[1]
 
@@ -130,4 +135,5 @@ def lines_in_space(
         return _triangulated(seen.lines.matrix_px, *columns)
 
     found = in_blocks(triangulated, block, fragments_px, covariance_px2, index >= 0)
-    return np.asarray(found.ends_mm), np.asarray(found.covariance_mm2)
+    misfit = np.where((index >= 0).sum(axis=1) > 2, found.chi_square, 0.0)
+    return np.asarray(found.ends_mm), np.asarray(found.covariance_mm2), misfit
