@@ -15,7 +15,6 @@ from scipy import stats
 import trinoc
 from trinoc.cli.compile_cache import enable_compile_cache
 from trinoc.geometry.rig import Rig
-from trinoc.geometry.uncertain_lines import UncertainLines
 from trinoc.io.demo import demo_pictures, demo_truth
 from trinoc.report import plot
 from trinoc.report.evaluation_plot import draw_panel, evaluation_panels
@@ -25,7 +24,7 @@ from trinoc.report.lines_of_rig import lines_of_rig
 from trinoc.synth.distances import distance_to_segments_mm
 from trinoc.synth.evaluation import certain_lines
 from trinoc.synth.known_shape import KnownShape
-from trinoc.synth.lines_on_edges import offsets_across
+from trinoc.synth.lines_on_edges import offsets_across, selected
 from trinoc.synth.normalised_errors import errors_in_sigmas
 from trinoc.synth.observations import Detector, observe
 from trinoc.synth.rigs import TABLE_1, table1_lens, table1_rig
@@ -153,11 +152,7 @@ def sigmas_of(lines, edges_mm):
     """Normalised errors of the lines that lie on an edge, one number after the other."""
     edge = trinoc.evaluate(lines, edges_mm, tolerances_mm=(2.0,)).lines
     on = edge >= 0
-    chosen = UncertainLines(
-        lines.ends_mm[on], lines.own_covariance_mm2[on], lines.by_parameters[on],
-        lines.parameter_covariance,
-    )
-    offsets = offsets_across(chosen, edges_mm[edge[on]])
+    offsets = offsets_across(selected(lines, on), edges_mm[edge[on]])
     return errors_in_sigmas(offsets, lines.parameter_covariance).reshape(-1)
 
 
@@ -166,7 +161,7 @@ def own(matches):
     return certain_lines(matches.lines_mm, matches.covariance_mm2)
 
 
-loose = loose_segments(3, count=120, reach_mm=60.0)
+loose = loose_segments(3, count=90, reach_mm=60.0)
 seen, truth = observe(loose, rig, Detector(0.15, 0.0, 0.1, 0.1), seed=2)
 sigma = np.tile([0.05, 0.05, 0.05, 0.5], 3)
 rows_of_rig = np.array(list(TABLE_1.values())) + sigma.reshape(3, 4) * np.random.default_rng(
@@ -192,12 +187,8 @@ errors = {
     "made segments, exact cameras": sigmas_of(own(exact_matches), loose.edges_mm),
     "poor cameras, segments' own sigma": sigmas_of(own(poor_matches), loose.edges_mm),
     "poor cameras, cameras' sigma too": sigmas_of(lines_of_rig(poor_matches, poor), loose.edges_mm),
-    "pictures, seen in three": sigmas_of(
-        certain_lines(matches.lines_mm[three], matches.covariance_mm2[three]), shape.edges_mm
-    ),
-    "pictures, seen in two": sigmas_of(
-        certain_lines(matches.lines_mm[~three], matches.covariance_mm2[~three]), shape.edges_mm
-    ),
+    "pictures, seen in three": sigmas_of(selected(own(matches), three), shape.edges_mm),
+    "pictures, seen in two": sigmas_of(selected(own(matches), ~three), shape.edges_mm),
 }
 within = {name: float(np.mean(np.abs(z) < 1.96)) for name, z in errors.items()}
 for name, z in errors.items():

@@ -3,6 +3,7 @@
 import csv
 import json
 
+import cv2
 import numpy as np
 import pytest
 
@@ -32,6 +33,7 @@ def folder(tmp_path_factory):
     np.savetxt(folder / "edges.csv", EDGES.reshape(-1, 6), delimiter=",")
     np.savetxt(folder / "inches.csv", EDGES.reshape(-1, 6) / 25.4, delimiter=",")
     np.savetxt(folder / "shifted.csv", EDGES.reshape(-1, 6) + 1.5, delimiter=",")
+    cv2.imwrite(str(folder / "small.png"), np.zeros((120, 160), np.uint8))
     (folder / "nothing.csv").write_text("x1,y1,z1,x2,y2,z2\n")
     (folder / "table.csv.d").mkdir()
     return folder
@@ -125,6 +127,10 @@ REFUSED = {
     "another plot": (of_matches("edges.csv", "--plot", "plot.bmp"), "choose such a name"),
     "a folder": (of_matches("edges.csv", "-o", "table.csv.d"), "is a folder"),
     "segments": (("upper=edges.csv", "--rig", "rig.json", "--truth", "edges.csv"), "on pictures"),
+    "a small picture": (
+        (*PICTURES[1:], "upper=small.png", "--rig", "rig.json", "--truth", "edges.csv"),
+        "160 x 120 px, but the rig",
+    ),
     "no tolerance": (of_matches("edges.csv", "--within-mm", "0"), "positive distances"),
 }
 

@@ -260,7 +260,7 @@ def test_a_scene_wants_what_two_pictures_show():
     np.testing.assert_array_equal(fewer.wanted_edge, [0])
 
 
-def test_faces_hide_edges_from_the_cameras():
+def test_faces_hide_edges_from_the_cameras(monkeypatch):
     rig = table1_rig()
     bare = KnownShape.of_edges(EDGES).seen_by(rig)
     solid = KnownShape.of_edges(EDGES, BOX.triangles_mm).seen_by(rig)
@@ -273,3 +273,8 @@ def test_faces_hide_edges_from_the_cameras():
     }  # fmt: skip
     assert behind
     assert behind <= hidden
+    # However many edges are looked at in one go.
+    monkeypatch.setattr("trinoc.synth.known_shape._AT_ONCE", 40)
+    again = KnownShape.of_edges(EDGES, BOX.triangles_mm).seen_by(rig)
+    np.testing.assert_array_equal(again.wanted_edge, solid.wanted_edge)
+    np.testing.assert_array_equal(again.wanted_extent, solid.wanted_extent)

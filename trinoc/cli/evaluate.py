@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from trinoc.cli.command import Command, Outcome, UsageError
-from trinoc.cli.match import SEGMENT_SUFFIXES, check_views
+from trinoc.cli.match import SEGMENT_SUFFIXES, check_size, check_views
 from trinoc.cli.progress import LOGGER
 from trinoc.cli.views import files_of_views
 from trinoc.errors import InputError
@@ -105,7 +105,7 @@ class Evaluate(Command):
             grey_step=self.grey_step,
         )
         rig = None if self.rig is None else load_rig(self.rig)
-        if rig is not None and shape.wanted == "every edge":
+        if rig is not None and shape.wants_every_edge:
             shape = shape.seen_by(rig)
         rows: list[Row] = []
         for row in self._rows(files, rig, shape):
@@ -168,9 +168,12 @@ class Evaluate(Command):
                     "pictures, or --matches."
                 )
         check_views(files, rig, self.rig)
+        pictures = read_views(files)
+        for name, picture in pictures.items():
+            check_size(name, picture, rig)
         settings = settings_of(*(getattr(self, name) for name in KNOBS))
         rows = evaluate_settings(
-            read_views(files),
+            pictures,
             rig,
             shape,
             settings,

@@ -98,7 +98,7 @@ class Match(Command):
             if name in tables:
                 segments[name] = load_segments(tables[name])
             else:
-                _check_size(name, images[name], rig)
+                check_size(name, images[name], rig)
                 segments[name] = find_segments(images[name])
         return images, segments
 
@@ -120,7 +120,8 @@ def check_views(files: Mapping[str, Path], rig: "Rig", rig_file: Path) -> None:
         LOGGER.warning("no picture of %s: matching without", ", ".join(missing))
 
 
-def _check_size(name: str, image: "np.ndarray", rig: "Rig") -> None:
+def check_size(name: str, image: "np.ndarray", rig: "Rig") -> None:
+    """Raise InputError where a picture has not the size that the rig was calibrated for."""
     size = (image.shape[1], image.shape[0])
     if size != rig[name].image_size_px:
         raise InputError(

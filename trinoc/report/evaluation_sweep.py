@@ -14,8 +14,15 @@ from trinoc.match.find_segments import find_segments
 from trinoc.match.match_segments import match_segments
 from trinoc.match.matches import TRINOCULAR, Matches
 from trinoc.report.lines_of_rig import lines_of_rig
-from trinoc.synth.evaluation import TOLERANCES_MM, Evaluation, evaluate
+from trinoc.synth.evaluation import (
+    TOLERANCES_MM,
+    Evaluation,
+    EvaluationStatus,
+    certain_lines,
+    evaluate,
+)
 from trinoc.synth.known_shape import KnownShape
+from trinoc.synth.lines_on_edges import selected
 
 STAGES = ("all", TRINOCULAR)
 
@@ -115,33 +122,22 @@ def evaluate_matches(
     start = time.perf_counter()
     count = sum(len(words) for words in matches.reasons.values())
     for choice in choices:
-        kept = _kept(matches, choice)
         try:
-            lines = _lines(matches, rig, kept)
+            lines = chosen_lines(matches, rig, choice)
             found = evaluate(lines, shape, tolerances_mm=tolerances_mm, aligned=aligned)
         except TrinocError as error:
             seconds = time.perf_counter() - start
             yield Row(None, choice, count, None, str(error), seconds)
             continue
-        problem = "" if found.status.name == "COMPARED" else found.status.value
+        problem = "" if found.status is EvaluationStatus.COMPARED else found.status.value
         yield Row(None, choice, count, found, problem, time.perf_counter() - start)
 
 
-def _kept(matches: Matches, choice: Choice) -> np.ndarray:
+def chosen_lines(matches: Matches, rig: Rig | None, choice: Choice) -> UncertainLines:
+    """The lines of the tracks that count, with the cameras' errors where the rig states them."""
     kept = np.asarray(matches.posterior) >= choice.least_posterior
     if choice.stage == TRINOCULAR:
         kept &= np.asarray(matches.stage) == TRINOCULAR
-    return kept
-
-
-def _lines(matches: Matches, rig: Rig | None, kept: np.ndarray) -> UncertainLines:
     if rig is None:
-        ends, own = np.asarray(matches.lines_mm), np.asarray(matches.covariance_mm2)
-        return UncertainLines(ends[kept], own[kept], np.zeros((kept.sum(), 6, 0)), np.zeros((0, 0)))
-    lines = lines_of_rig(matches, rig)
-    return UncertainLines(
-        lines.ends_mm[kept],
-        lines.own_covariance_mm2[kept],
-        lines.by_parameters[kept],
-        lines.parameter_covariance,
-    )
+        return certain_lines(matches.lines_mm[kept], matches.covariance_mm2[kept])
+    return selected(lines_of_rig(matches, rig), kept)

@@ -15,7 +15,12 @@ from trinoc.synth.alignment import RigidMotion, align
 from trinoc.synth.distances import distance_to_segments_mm, sampled_segments
 from trinoc.synth.edge_lengths import EdgeLengths, edge_lengths
 from trinoc.synth.known_shape import KnownShape
-from trinoc.synth.lines_on_edges import angles_deg, edge_of_lines, offsets_across
+from trinoc.synth.lines_on_edges import (
+    angles_deg,
+    edge_of_lines,
+    offsets_across,
+    selected,
+)
 from trinoc.synth.normalised_errors import NormalisedErrors, normalised_errors
 from trinoc.synth.truth import SceneTruth
 
@@ -168,7 +173,7 @@ def evaluate(
     missing, wanted = _sampled(known.wanted_mm, ends)
     edge_of = edge_of_lines(ends, edges, tolerances[-1])
     on = np.flatnonzero(edge_of >= 0)
-    offsets = offsets_across(_chosen(claimed, on), edges[edge_of[on]])
+    offsets = offsets_across(selected(claimed, on), edges[edge_of[on]])
     lengths = edge_lengths(claimed, edge_of, edges, known.wanted_whole)
     measured = lengths.error_mm[np.isfinite(lengths.error_mm)]
     angles = angles_deg(ends[on], edges[edge_of[on]])
@@ -215,7 +220,7 @@ def _as_lines(lines: LinesInSpace | UncertainLines | ArrayLike) -> UncertainLine
         raise InputError("The lines have ends that are not finite: leave such lines out.")
     # A line without length has no direction, and nothing lies on it.
     length = np.linalg.norm(lines.ends_mm[:, 1] - lines.ends_mm[:, 0], axis=1)
-    return _chosen(lines, np.flatnonzero(length > 0))
+    return selected(lines, np.flatnonzero(length > 0))
 
 
 def _as_shape(shape: KnownShape | SceneTruth | ArrayLike) -> KnownShape:
@@ -227,15 +232,6 @@ def _as_shape(shape: KnownShape | SceneTruth | ArrayLike) -> KnownShape:
     if not np.isfinite(edges).all():
         raise InputError("The known edges have ends that are not finite: leave such edges out.")
     return KnownShape.of_edges(edges)
-
-
-def _chosen(lines: UncertainLines, rows: Int[np.ndarray, "n"]) -> UncertainLines:
-    return UncertainLines(
-        lines.ends_mm[rows],
-        lines.own_covariance_mm2[rows],
-        lines.by_parameters[rows],
-        lines.parameter_covariance,
-    )
 
 
 def _status(

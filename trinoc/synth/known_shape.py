@@ -6,6 +6,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 
+from trinoc.geometry.camera import Camera
 from trinoc.geometry.rig import Rig
 from trinoc.synth.scenes import points_along
 from trinoc.synth.truth import SceneTruth, parts_in_views_mm, shown_parts_mm
@@ -14,6 +15,9 @@ from trinoc.synth.visibility import visible_parts
 # Grey levels that differ by less across an edge do not show it; straight edges are asked for.
 GREY_STEP = 8.0
 KINDS = ("edge",)
+EVERY_EDGE = "every edge"
+# Triangles times edges whose hiding is computed at once, which bounds the memory.
+_AT_ONCE = 1_000_000
 # An edge of which no more than this share is missing counts as wanted whole.
 _WHOLE = 0.999
 
@@ -46,7 +50,7 @@ class KnownShape(eqx.Module):
         count = len(edges_mm)
         faces = np.zeros((0, 3, 3)) if triangles_mm is None else triangles_mm
         whole = np.tile([0.0, 1.0], (count, 1))
-        return cls(edges_mm, np.arange(count), whole, faces, "every edge")
+        return cls(edges_mm, np.arange(count), whole, faces, EVERY_EDGE)
 
     @classmethod
     def of_scene(
@@ -76,13 +80,27 @@ class KnownShape(eqx.Module):
         """
         parts = {}
         for name, camera in rig.items():
-            seen = visible_parts(camera, self.edges_mm, self.triangles_mm)
-            parts[name] = seen.segment, seen.extent
+            parts[name] = self._before(camera)
         labels = _labels(len(self.edges_mm))
         found = parts_in_views_mm(labels, parts, views=min(2, len(rig)))
         hidden = "" if len(self.triangles_mm) else ", faces not known"
         wanted = f"edges that two cameras have before them{hidden}"
         return type(self)(self.edges_mm, *_read_labels(found), self.triangles_mm, wanted)
+
+    def _before(self, camera: Camera) -> tuple[Int[np.ndarray, "k"], Float[np.ndarray, "k 2"]]:
+        """What a camera sees: edge, and from where to where along it."""
+        edges, extents = [np.zeros(0, dtype=np.int64)], [np.zeros((0, 2))]
+        step = max(1, _AT_ONCE // max(1, len(self.triangles_mm)))
+        for start in range(0, len(self.edges_mm), step):
+            seen = visible_parts(camera, self.edges_mm[start : start + step], self.triangles_mm)
+            edges.append(start + seen.segment)
+            extents.append(seen.extent)
+        return np.concatenate(edges), np.concatenate(extents)
+
+    @property
+    def wants_every_edge(self) -> bool:
+        """Whether nothing is known of what pictures show."""
+        return self.wanted == EVERY_EDGE
 
     @property
     def wanted_mm(self) -> Float[np.ndarray, "k 2 3"]:

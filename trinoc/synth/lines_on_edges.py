@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from trinoc.geometry.uncertain_lines import UncertainLines
 from trinoc.synth.distances import nearest_segments
@@ -27,6 +27,18 @@ class OffsetsAcross(NamedTuple):
     offset_mm: Float[np.ndarray, "n 4"]
     own_mm2: Float[np.ndarray, "n 4 4"]
     by_parameters: Float[np.ndarray, "n 4 k"]
+
+
+def selected(
+    lines: UncertainLines, rows: Int[np.ndarray, "n"] | Bool[np.ndarray, "t"]
+) -> UncertainLines:
+    """Some of the lines, by index or mask."""
+    return UncertainLines(
+        lines.ends_mm[rows],
+        lines.own_covariance_mm2[rows],
+        lines.by_parameters[rows],
+        lines.parameter_covariance,
+    )
 
 
 def edge_of_lines(
