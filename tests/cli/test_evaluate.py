@@ -113,11 +113,24 @@ def test_alignment_is_asked_for_and_said(run):
     assert record["rows"][0]["precision_0.1mm"] > 0.9
 
 
+def test_lines_are_joined_and_carried_to_corners(run):
+    forms = "tracks", "joined", "corners"
+    arguments = of_matches("edges.csv", "--rig", "rig.json", "--forms", *forms)
+    record = json.loads(run(*arguments, "--json")[1])
+    assert [row["form"] for row in record["rows"]] == list(forms)
+    for row in record["rows"]:
+        assert row["problem"] == ""
+        assert row["distance_95_mm"] < 1e-2
+        assert row["length_error_95_mm"] < 1e-2
+    assert run(*arguments)[1].count("corners") == 1
+
+
 WRONG_USAGE = {
     "neither": (("--truth", "edges.csv"), "either NAME=IMG"),
     "both": (("a=b.png", *of_matches()), "either NAME=IMG"),
     "no rig": (("a=b.png", "--truth", "edges.csv"), "add --rig"),
     "a sweep of matches": (of_matches("edges.csv", "--tolerance-px", "1", "2"), "a setting"),
+    "joined without a rig": (of_matches("edges.csv", "--forms", "joined"), "add --rig"),
     "a setting of matches": (of_matches("edges.csv", "--least-contrast", "9"), "a setting"),
     "no value": (of_matches("edges.csv", "--stages", "--within-mm", "1"), "without a value"),
 }

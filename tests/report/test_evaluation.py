@@ -6,17 +6,19 @@ import pytest
 import trinoc
 from trinoc.errors import InputError
 from trinoc.geometry.rig import PARAMETER_NAMES, Rig
+from trinoc.match.joined.join_collinear import join_collinear
 from trinoc.match.matches import Matches
 from trinoc.report.evaluation_plot import evaluation_panels, write_plot
 from trinoc.report.evaluation_sweep import (
     Choice,
     Setting,
+    chosen_lines,
     evaluate_matches,
     evaluate_settings,
     settings_of,
 )
 from trinoc.report.evaluation_text import evaluation_table, evaluation_text
-from trinoc.report.lines_of_rig import lines_of_rig
+from trinoc.report.lines_of_rig import joined_lines_of_rig, lines_of_rig
 from trinoc.synth.evaluation import evaluate
 from trinoc.synth.known_shape import KnownShape
 from trinoc.synth.rigs import TABLE_1, table1_lens, table1_rig
@@ -117,6 +119,23 @@ def test_errors_of_the_cameras_are_in_the_normalised_errors():
     assert np.mean(alone) > 2
     # Four numbers for each of 64 lines, 12 times.
     assert np.mean(joint) == pytest.approx(1.0, abs=4 * np.sqrt(2 / (12 * 256)))
+
+
+def test_a_line_of_one_track_follows_the_cameras_as_the_track_does():
+    rig = rig_off_by()
+    matches = made_matches(rig)
+    tracks = lines_of_rig(matches, rig)
+    joined = join_collinear(matches, rig)
+    lines = joined_lines_of_rig(matches, rig)
+    alone = np.flatnonzero(joined.pieces == 1)
+    of = np.array([joined.tracks_of(line)[0] for line in alone])
+    assert len(alone) > 50
+    np.testing.assert_allclose(lines.ends_mm[alone], tracks.ends_mm[of], atol=1e-9)
+    np.testing.assert_allclose(lines.by_parameters[alone], tracks.by_parameters[of], atol=1e-9)
+    with pytest.raises(InputError, match="give the rig"):
+        chosen_lines(matches, None, Choice(form="joined"))
+    some = chosen_lines(matches, rig, Choice(0.9, form="corners"))
+    assert 0 < len(some) < 20
 
 
 def test_a_rig_without_covariance_counts_as_exact():

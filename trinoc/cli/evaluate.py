@@ -59,6 +59,9 @@ class Evaluate(Command):
     stages: tuple[Literal["all", "trinocular"], ...] = ("all",)
     """All tracks, or only those seen in three views."""
 
+    forms: tuple[Literal["tracks", "joined", "corners"], ...] = ("tracks",)
+    """Tracks one by one, joined to straight lines, or these carried to the corners they meet in."""
+
     within_mm: tuple[float, ...] = (0.1, 0.25, 0.5, 1.0)
     """Distances at which precision and completeness are given."""
 
@@ -140,7 +143,9 @@ class Evaluate(Command):
                 "Matches were made with a setting of the segmentation already: give the pictures "
                 "to try others."
             )
-        if not all((*swept.values(), self.least_posterior, self.stages, self.within_mm)):
+        if self.rig is None and self.forms != ("tracks",):
+            raise UsageError("Lines are joined by what the cameras saw of them: add --rig.")
+        if not all((*swept.values(), self.least_posterior, self.stages, self.forms)):
             raise UsageError("An option without a value: give one or more, or leave it out.")
 
     def _rows(
@@ -197,7 +202,12 @@ class Evaluate(Command):
     def _choices(self) -> "Sequence[Choice]":
         from trinoc.report.evaluation_sweep import Choice
 
-        return [Choice(least, stage) for stage in self.stages for least in self.least_posterior]
+        return [
+            Choice(least, stage, form)
+            for form in self.forms
+            for stage in self.stages
+            for least in self.least_posterior
+        ]
 
 
 def _finite(record: dict[str, Any]) -> dict[str, Any]:

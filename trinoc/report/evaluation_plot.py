@@ -142,7 +142,7 @@ def write_plot(rows: Sequence[Row], path: Path) -> None:
 def _over_knob(
     records: list[dict[str, Any]], knob: str, tolerances_mm: tuple[float, ...]
 ) -> list[Panel]:
-    others = [name for name in (*KNOBS, "stage") if name != knob and name in records[0]]
+    others = [name for name in (*KNOBS, "stage", "form") if name != knob and name in records[0]]
     others = [name for name in others if len({str(record[name]) for record in records}) > 1]
     groups: dict[str, list[dict[str, Any]]] = {}
     for record in records:
@@ -196,11 +196,14 @@ def _over_knob(
 
 def _over_distance(done: list[Row]) -> list[Panel]:
     shares, lengths = [], []
+    differ = [
+        name for name in ("stage", "form") if len({getattr(r.choice, name) for r in done}) > 1
+    ]
     for number, row in enumerate(done):
         found = row.evaluation
         if found is None:
             continue
-        name = f", {row.choice.stage}" if len(done) > 1 else ""
+        name = "".join(f", {_in_words(each, getattr(row.choice, each))}" for each in differ)
         within = list(found.tolerances_mm)
         shares.append(Curve(f"precision{name}", within, list(found.precision), number))
         shares.append(

@@ -1,19 +1,21 @@
 """The same pictures with one setting of the segmentation after the other, each evaluated."""
 
+import dataclasses
 import itertools
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Bool
 
-from trinoc.errors import TrinocError
+from trinoc.errors import InputError, TrinocError
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.uncertain_lines import UncertainLines
 from trinoc.match.find_segments import find_segments
 from trinoc.match.match_segments import match_segments
 from trinoc.match.matches import TRINOCULAR, Matches
-from trinoc.report.lines_of_rig import lines_of_rig
+from trinoc.report.lines_of_rig import joined_lines_of_rig, lines_of_rig
 from trinoc.synth.evaluation import (
     TOLERANCES_MM,
     Evaluation,
@@ -24,7 +26,7 @@ from trinoc.synth.evaluation import (
 from trinoc.synth.known_shape import KnownShape
 from trinoc.synth.lines_on_edges import selected
 
-STAGES = ("all", TRINOCULAR)
+TRACKS, JOINED, CORNERS = "tracks", "joined", "corners"
 
 
 class Setting(NamedTuple):
@@ -36,10 +38,12 @@ class Setting(NamedTuple):
 
 
 class Choice(NamedTuple):
-    """Which tracks count: of a posterior or above, of all stages or of three views only."""
+    """Which tracks count: of a posterior or above, of all stages or of three views only; and what
+    is compared: "tracks" one by one, "joined" to straight lines, or these carried to "corners"."""
 
     least_posterior: float = 0.0
     stage: str = "all"
+    form: str = TRACKS
 
 
 class Row(NamedTuple):
@@ -134,10 +138,27 @@ def evaluate_matches(
 
 
 def chosen_lines(matches: Matches, rig: Rig | None, choice: Choice) -> UncertainLines:
-    """The lines of the tracks that count, with the cameras' errors where the rig states them."""
+    """The lines of the tracks that count, with the cameras' errors where the rig states them.
+
+    Raises InputError where lines are to be joined and no rig is given.
+    """
     kept = np.asarray(matches.posterior) >= choice.least_posterior
     if choice.stage == TRINOCULAR:
         kept &= np.asarray(matches.stage) == TRINOCULAR
+    if choice.form != TRACKS:
+        if rig is None:
+            raise InputError("Lines are joined by what the cameras saw of them: give the rig.")
+        return joined_lines_of_rig(_of_tracks(matches, kept), rig, corners=choice.form == CORNERS)
     if rig is None:
         return certain_lines(matches.lines_mm[kept], matches.covariance_mm2[kept])
     return selected(lines_of_rig(matches, rig), kept)
+
+
+def _of_tracks(matches: Matches, kept: Bool[np.ndarray, "t"]) -> Matches:
+    """The same matches with some of their tracks."""
+    columns = {
+        field.name: getattr(matches, field.name)[kept]
+        for field in dataclasses.fields(matches)
+        if isinstance(getattr(matches, field.name), np.ndarray)
+    }
+    return dataclasses.replace(matches, **columns)

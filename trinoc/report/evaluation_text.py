@@ -12,6 +12,7 @@ _KNOBS = {
     "least_contrast": "contrast",
     "least_posterior": "posterior",
     "stage": "stage",
+    "form": "form",
 }
 
 

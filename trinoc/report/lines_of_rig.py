@@ -19,6 +19,8 @@ from trinoc.geometry.line_observations import LineObservations
 from trinoc.geometry.precision import as_numpy, in_float64
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.uncertain_lines import UncertainLines
+from trinoc.match.joined.join_collinear import join_collinear
+from trinoc.match.joined.snap_corners import snap_corners
 from trinoc.match.matches import Matches
 
 # Tracks are padded to a multiple of this, so that few sizes compile.
@@ -45,13 +47,44 @@ def lines_of_rig(matches: Matches, rig: Rig) -> UncertainLines:
     names = [f"{view}.{parameter}" for view in matches.views for parameter in freedom.value]
     rows = [rig.parameters.index(name) for name in names]
     covariance = np.asarray(rig.covariance)[np.ix_(rows, rows)]
-    # The common part and the line lie on one line: its ends are means of that part's ends.
-    step = common[:, 1] - common[:, 0]
-    place = np.einsum("tei,ti->te", ends - common[:, :1], step) / np.sum(step**2, 1)[:, None]
-    weight = np.stack([1 - place, place], axis=2)
-    by_steps = np.einsum("tef,tfik->teik", weight, by_steps.reshape(len(ends), 2, 3, -1))
-    by_parameters = by_steps.reshape(len(ends), 6, -1) @ np.linalg.inv(by_step)
+    by_parameters = _carried(by_steps, common, ends) @ np.linalg.inv(by_step)
     return UncertainLines(ends, own, by_parameters, covariance)
+
+
+def joined_lines_of_rig(matches: Matches, rig: Rig, *, corners: bool = False) -> UncertainLines:
+    """As `lines_of_rig`, of the straight lines that the tracks lie on, and with `corners` of these
+    lines carried to the corners where they meet.
+
+    A joined line follows the cameras as the longest of its tracks does. Raises InputError where
+    the matches do not hold the covariance of their fragments.
+    """
+    tracks = lines_of_rig(matches, rig)
+    joined = join_collinear(matches, rig)
+    ends, own = joined.lines_mm, joined.covariance_mm2
+    if corners:
+        snapped = snap_corners(joined)
+        ends, own = snapped.lines_mm, snapped.lines_covariance_mm2
+    length = np.linalg.norm(tracks.ends_mm[:, 1] - tracks.ends_mm[:, 0], axis=1)
+    longest = np.array(
+        [t[length[t].argmax()] for t in map(joined.tracks_of, range(len(joined)))], dtype=np.int64
+    )
+    by_parameters = _carried(tracks.by_parameters[longest], tracks.ends_mm[longest], ends)
+    return UncertainLines(ends, own, by_parameters, tracks.parameter_covariance)
+
+
+def _carried(
+    derivative: Float[np.ndarray, "t 6 k"],
+    of_ends_mm: Float[np.ndarray, "t 2 3"],
+    to_ends_mm: Float[np.ndarray, "t 2 3"],
+) -> Float[np.ndarray, "t 6 k"]:
+    """The derivative of other ends on the same lines: they are means of those ends."""
+    count = len(of_ends_mm)
+    step = of_ends_mm[:, 1] - of_ends_mm[:, 0]
+    place = np.einsum("tei,ti->te", to_ends_mm - of_ends_mm[:, :1], step)
+    place = place / np.sum(step**2, axis=1)[:, None]
+    weight = np.stack([1 - place, place], axis=2)
+    parts = derivative.reshape(count, 2, 3, derivative.shape[2])
+    return np.einsum("tef,tfik->teik", weight, parts).reshape(derivative.shape)
 
 
 def _freedom(rig: Rig) -> Freedom | None:
