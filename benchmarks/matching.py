@@ -21,27 +21,24 @@ from pathlib import Path
 import cv2
 import numpy as np
 from dense_matcher import match_densely
+from matching_rendered import table_of_rendered
 from shared_scenes import VIEWS, load_scene
 
-import trinoc.synth
 from trinoc.geometry.precision import in_float64
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
-from trinoc.io.demo import load_scene_truth
-from trinoc.io.rig_json import load_rig
 from trinoc.match.candidates import strangers_of, trinocular_candidates
-from trinoc.match.find_segments import find_segments
-from trinoc.match.lsd import find_segments_lsd
 from trinoc.match.match_many import match_many
 from trinoc.match.match_segments import match_segments
 from trinoc.match.matches import Matches
 from trinoc.match.observed import Observed, observe
 from trinoc.match.selection import Selection, select
+from trinoc.match.side_levels import with_side_levels
 from trinoc.synth.observations import Detector
 from trinoc.synth.observations import observe as detect
 from trinoc.synth.rigs import table1_rig
 from trinoc.synth.scenes import block_scene, loose_segments, see_through_boxes
-from trinoc.synth.scoring import MatchScore, score_groups, score_lengths, score_matches
+from trinoc.synth.scoring import MatchScore, score_groups, score_matches
 from trinoc.synth.truth import SegmentTruth
 
 Problem = tuple[str, Rig, dict[str, Segments], SegmentTruth]
@@ -107,7 +104,11 @@ def merton(folder: Path) -> None:
         }
         rig = Rig.from_matrices(matrices, (1024, 768))
         plain = {view: data[f"segments_{k}"] for k, view in enumerate(VIEWS)}
-        for label, segments in (("as they are", plain), ("with their sides", _sided(plain))):
+        given = [("as they are", plain), ("with their sides", _sided(plain))]
+        pictures = [folder / f"vgg_{name}" / f"view{k}.jpg" for k in range(len(VIEWS))]
+        if all(picture.exists() for picture in pictures):
+            given.append(("with side levels", _with_levels(plain, pictures)))
+        for label, segments in given:
             matches = match_segments(segments, rig)
             triples = matches.index[(matches.index >= 0).all(axis=1)]
             found = {tuple(row) for row in triples.tolist()}
@@ -127,6 +128,15 @@ def _sided(plain: dict[str, np.ndarray]) -> dict[str, Segments]:
         fields = given.endpoints_px, given.covariance_px2, np.ones(len(ends), dtype=np.int64)
         sided[view] = Segments(*fields, given.contrast, given.support, None)
     return sided
+
+
+def _with_levels(plain: dict[str, np.ndarray], pictures: list[Path]) -> dict[str, Segments]:
+    """These segments with the grey levels beside them in their pictures."""
+    levels = {}
+    for (view, ends), picture in zip(plain.items(), pictures, strict=True):
+        image = np.asarray(cv2.imread(str(picture), cv2.IMREAD_GRAYSCALE))
+        levels[view] = with_side_levels(Segments.from_endpoints(ends), image)
+    return levels
 
 
 def _reprojection_px(matches: Matches, rig: Rig) -> np.ndarray:
@@ -276,41 +286,6 @@ def _near_epipolar(
     return found, near
 
 
-def table_of_rendered(folder: Path | None) -> None:
-    print("\n## Rendered scenes: precision/recall of length at 1 mm, with segments of two kinds")
-    demo = Path(trinoc.synth.__file__).parent / "demo"
-    places = [(demo, table1_rig())]
-    for place in sorted(folder.iterdir()) if folder else []:
-        if (place / "truth.json").exists():
-            places.append((place, load_rig(place / "rig.json")))
-    means = {}
-    for place, rig in places:
-        truth = load_scene_truth(place / "truth.json")
-        line = f"{place.name:10s}"
-        for label, detector in (("find_segments", find_segments), ("LSD", find_segments_lsd)):
-            segments = {view: detector(_picture(place / f"scene_{view}.png")) for view in VIEWS}
-            matches = match_segments(segments, rig)
-            three = (matches.index >= 0).sum(axis=1) > 2
-            for kind, rows in (("all", three | ~three), ("triples", three)):
-                score = score_lengths(
-                    matches.lines_mm[rows], truth, tolerance_mm=1.0, grey_step=8.0
-                )
-                line += f"  {label} {kind} {score.precision:.3f}/{score.recall:.3f}"
-                if place != demo:
-                    means.setdefault((label, kind), []).append((score.precision, score.recall))
-        print(line, flush=True)
-    for (label, kind), values in means.items():
-        precision, recall = np.mean(values, axis=0)
-        print(f"mean of {len(values)}: {label} {kind} {precision:.3f}/{recall:.3f}")
-
-
-def _picture(path: Path) -> np.ndarray:
-    picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-    if picture is None:
-        raise SystemExit(f"{path} is no picture.")
-    return picture
-
-
 def batch() -> None:
     print("\n## A batch: 1,000 frames of about 100 segments per view")
     rig = table1_rig(resolution=4)
@@ -366,7 +341,7 @@ def main() -> None:
         merton(folder)
     if given.seeds:
         table_of_fresh(given.seeds)
-    table_of_rendered(given.rendered)
+    table_of_rendered(given.rendered, _calibration_error)
     if not given.no_times:
         times()
         batch()

@@ -97,7 +97,7 @@ def rendered_pictures(folder: Path) -> Iterator[Picture]:
             file = str(path.parent / f"scene_{view}.png")
             grey = np.asarray(cv2.imread(file, cv2.IMREAD_UNCHANGED))
             length = np.hypot(*(rows[:, 2:4] - rows[:, :2]).T)
-            gradient = _shadow_gradient(path.parent / f"shadows_{view}.png", grey.shape)
+            gradient = shadow_gradient(path.parent / f"shadows_{view}.png", grey.shape)
             slope = np.linalg.norm(gradient, axis=-1)
             slope = cv2.dilate(slope, np.ones((2 * SHADOW_PX + 1,) * 2, np.uint8))
             rim_edge, rim_extent = seen.edge[~straight], seen.extent[~straight]
@@ -117,7 +117,7 @@ def _clean(path: Path) -> np.ndarray | None:
     return np.asarray(cv2.imread(str(path), cv2.IMREAD_UNCHANGED)) / 256.0
 
 
-def _shadow_gradient(path: Path, shape: tuple[int, ...]) -> np.ndarray:
+def shadow_gradient(path: Path, shape: tuple[int, ...]) -> np.ndarray:
     if not path.exists():
         return np.zeros((*shape, 2), dtype=np.float32)
     taken = np.asarray(cv2.imread(str(path), cv2.IMREAD_UNCHANGED)).astype(np.float32)
@@ -194,6 +194,11 @@ def _across(edges: np.ndarray, line: np.ndarray) -> np.ndarray:
 def _on_shadow(segments: np.ndarray, gradient: np.ndarray) -> np.ndarray:
     """Whether each sample of the segments lies on the edge of a shadow that runs along it."""
     sample, unit, _, _ = samples_of(segments)
+    return samples_on_shadow(sample, unit, gradient)
+
+
+def samples_on_shadow(sample: np.ndarray, unit: np.ndarray, gradient: np.ndarray) -> np.ndarray:
+    """Whether the edge of a shadow runs along `unit` within 1.5 px of each point."""
     normal = np.stack([-unit[:, 1], unit[:, 0]], axis=-1)
     shadow = np.zeros(len(sample), dtype=bool)
     height, width = gradient.shape[:2]

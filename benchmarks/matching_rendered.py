@@ -1,0 +1,187 @@
+"""Matching of rendered pictures: length that is right and found, and whether p is borne out."""
+
+import json
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import equinox as eqx
+import numpy as np
+from segment_truth import samples_on_shadow, shadow_gradient
+from shared_scenes import VIEWS
+
+import trinoc.synth
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.segments import Segments
+from trinoc.io.demo import load_scene_truth
+from trinoc.io.rig_json import load_rig
+from trinoc.match.find_segments import find_segments
+from trinoc.match.lsd import find_segments_lsd
+from trinoc.match.match_segments import match_segments
+from trinoc.match.matches import Matches
+from trinoc.synth.distances import distance_to_segments_mm
+from trinoc.synth.rigs import table1_rig
+from trinoc.synth.scenes import block_scene
+from trinoc.synth.scoring import score_lengths
+from trinoc.synth.truth import SceneTruth
+
+TOLERANCE_MM, GREY_STEP, STEP_MM = 1.0, 8.0, 0.5
+SURE = 0.9
+
+
+class Place(NamedTuple):
+    """A rendered scene; `triangles_mm` are its surfaces, `shadows` what they take away."""
+
+    name: str
+    rig: Rig
+    truth: SceneTruth
+    pictures: dict[str, np.ndarray]
+    triangles_mm: np.ndarray
+    shadows: dict[str, np.ndarray] | None
+
+
+class Samples(NamedTuple):
+    """Points along the lines put out: whose, the length each stands for, and what it is."""
+
+    owner: np.ndarray
+    length_mm: np.ndarray
+    right: np.ndarray
+    shadow: np.ndarray
+
+
+def table_of_rendered(folder: Path | None, calibration_error: Callable) -> None:
+    """Print the demo's figures and, of the scenes in a folder, the means."""
+    print("\n## Rendered pictures: precision (shadow lines neither way) / recall of length at 1 mm")
+    demo = _place(Path(trinoc.synth.__file__).parent / "demo", table1_rig())
+    for label, detector in DETECTORS.items():
+        found, _ = _figures(demo, detector)
+        print(f"demo        {label:28s} {_words(found)}", flush=True)
+    folders = sorted(folder.iterdir()) if folder else []
+    places = [_place(f, load_rig(f / "rig.json")) for f in folders if (f / "truth.json").exists()]
+    for label, detector in DETECTORS.items() if places else ():
+        rows, strict, lenient = [], [], []
+        for place in places:
+            found, borne_out = _figures(place, detector)
+            rows.append(found)
+            strict += [(p, right) for p, right, _ in borne_out]
+            lenient += [(p, right or shadow) for p, right, shadow in borne_out]
+        errors = f"{calibration_error(strict):.3f} ({calibration_error(lenient):.3f})"
+        print(f"mean of {len(places):2d}  {label:28s} {_words(np.mean(rows, axis=0))}  ", end="")
+        print(f"calibration error {errors}", flush=True)
+
+
+def _without_levels(image: np.ndarray) -> Segments:
+    found = find_segments(image)
+    return eqx.tree_at(lambda s: s.side_levels, found, None, is_leaf=lambda leaf: leaf is None)
+
+
+# For matching, arcs are kept in shorter pieces: chords of one arc that views cut differently.
+DETECTORS: dict[str, Callable[[np.ndarray], Segments]] = {
+    "find_segments, geometry alone": _without_levels,
+    "find_segments": find_segments,
+    "find_segments with arcs": partial(find_segments, arcs=True, tolerance_px=1.0),
+    "LSD": find_segments_lsd,
+}
+
+
+def _figures(
+    place: Place, detector: Callable[[np.ndarray], Segments]
+) -> tuple[np.ndarray, list[tuple[float, bool, bool]]]:
+    """(precision, the same without shadows, recall) of all, triples and sure ones; outcomes."""
+    segments = {view: detector(picture) for view, picture in place.pictures.items()}
+    matches = match_segments(segments, place.rig)
+    samples = _samples(place, matches)
+    three = (matches.index >= 0).sum(axis=1) > 2
+    found = []
+    for rows in (three | ~three, three, matches.posterior > SURE):
+        recall = score_lengths(
+            matches.lines_mm[rows], place.truth, tolerance_mm=TOLERANCE_MM, grey_step=GREY_STEP
+        ).recall
+        length = samples.length_mm * rows[samples.owner]
+        right = length[samples.right].sum()
+        found += [right / length.sum(), right / length[~samples.shadow].sum(), recall]
+    count = np.bincount(samples.owner, minlength=len(matches.posterior))
+    right, shadow = (
+        np.bincount(samples.owner, is_so, minlength=len(count)) / count > 0.5
+        for is_so in (samples.right, samples.right | samples.shadow)
+    )
+    return np.array(found), list(zip(matches.posterior.tolist(), right, shadow, strict=True))
+
+
+def _words(found: np.ndarray) -> str:
+    return "  ".join(
+        f"{kind} {precision:.3f} ({without:.3f})/{recall:.3f}"
+        for kind, (precision, without, recall) in zip(
+            ("all", "triples", f"p > {SURE}"), found.reshape(3, 3), strict=True
+        )
+    )
+
+
+def _place(folder: Path, rig: Rig) -> Place:
+    pictures = {view: _picture(folder / f"scene_{view}.png") for view in VIEWS}
+    truth = load_scene_truth(folder / "truth.json")
+    seed = json.loads((folder / "truth.json").read_text()).get("seed")
+    triangles, shadows = np.zeros((0, 3, 3)), None
+    if seed is not None and (folder / f"shadows_{VIEWS[0]}.png").exists():
+        triangles = np.concatenate([solid.triangles_mm for solid in block_scene(seed).solids])
+        shadows = {
+            view: shadow_gradient(folder / f"shadows_{view}.png", picture.shape)
+            for view, picture in pictures.items()
+        }
+    return Place(folder.name, rig, truth, pictures, triangles, shadows)
+
+
+def _picture(path: Path) -> np.ndarray:
+    picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    if picture is None:
+        raise SystemExit(f"{path} is no picture.")
+    return picture
+
+
+def _samples(place: Place, matches: Matches) -> Samples:
+    """Points every half millimetre along the lines.
+
+    A point is on a shadow's line where it lies on no edge but on a surface, and where in all
+    views of its match a shadow's boundary runs along the line there.
+    """
+    step = matches.lines_mm[:, 1] - matches.lines_mm[:, 0]
+    length = np.linalg.norm(step, axis=1)
+    count = np.maximum(np.ceil(length / STEP_MM).astype(int), 1)
+    owner = np.repeat(np.arange(len(count)), count)
+    position = (np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count) + 0.5) / count[
+        owner
+    ]
+    points = matches.lines_mm[owner, 0] + position[:, None] * step[owner]
+    right = distance_to_segments_mm(points, place.truth.edges_mm) < TOLERANCE_MM
+    if place.shadows is None:
+        return Samples(owner, (length / count)[owner], right, np.zeros_like(right))
+    shadow = ~right & _on_surface(points, place.triangles_mm)
+    unit = step[owner] / length[owner, None]
+    for column, view in enumerate(matches.views):
+        here, there = (_project(place.rig[view].matrix_px, p) for p in (points, points + unit))
+        along = (there - here) / np.linalg.norm(there - here, axis=1, keepdims=True)
+        seen = matches.index[owner, column] >= 0
+        shadow &= ~seen | samples_on_shadow(here, along, place.shadows[view])
+    return Samples(owner, (length / count)[owner], right, shadow)
+
+
+def _project(matrix: np.ndarray, points_mm: np.ndarray) -> np.ndarray:
+    image = points_mm @ matrix[:, :3].T + matrix[:, 3]
+    return image[:, :2] / image[:, 2:]
+
+
+def _on_surface(points_mm: np.ndarray, triangles_mm: np.ndarray) -> np.ndarray:
+    """Whether points lie within the tolerance of the table (Z = 0) or of a triangle."""
+    near = np.abs(points_mm[:, 2]) < TOLERANCE_MM
+    for triangle in triangles_mm:
+        first, second = triangle[1] - triangle[0], triangle[2] - triangle[0]
+        normal = np.cross(first, second)
+        offset = points_mm - triangle[0]
+        height = offset @ normal / np.linalg.norm(normal)
+        basis = np.stack([first, second], axis=1)
+        inner = offset @ np.linalg.pinv(basis).T
+        inside = (inner >= 0).all(axis=1) & (inner.sum(axis=1) <= 1)
+        near |= inside & (np.abs(height) < TOLERANCE_MM)
+    return near
