@@ -85,6 +85,11 @@ def test_polylines_run_straight_on(folder):
     assert sorted(np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1).round(6)) == [2, 10, 10, 10, 10]
 
 
+def test_a_polyline_that_turns_back_is_two_edges(folder):
+    edges = read(folder, "back.txt", "0 0 0\n10 0 0\n4 0 0\n").edges_mm
+    np.testing.assert_array_equal(edges[:, :, 0], [[0, 10], [10, 4]])
+
+
 def test_a_closed_polyline_may_begin_within_an_edge(folder):
     edges = read(folder, "from_middle.txt", "5 0 0\n10 0 0\n10 9 0\n0 9 0\n0 0 0\n5 0 0\n").edges_mm
     assert sorted(np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1)) == [9, 9, 10, 10]

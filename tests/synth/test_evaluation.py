@@ -120,13 +120,39 @@ def test_length_errors_and_their_sigma_by_hand():
     edge = np.array([[[0.0, 0.0, 0.0], [40.0, 0.0, 0.0]]])
     line = np.array([[[0.5, 0.09, 0.0], [39.8, 0.09, 0.0]]])
     covariance = np.diag([0.3, 1.0, 1.0, 0.4, 1.0, 1.0])[None] ** 2
+    covariance[0, 0, 3] = covariance[0, 3, 0] = 0.045
     found = evaluate(certain_lines(line, covariance), edge)
     assert found.lengths.error_mm[0] == pytest.approx(-0.7)
-    assert found.lengths.sigma_mm[0] == pytest.approx(0.5)
+    assert found.lengths.sigma_mm[0] == pytest.approx(0.4)
     assert found.precision == (1.0, 1.0, 1.0, 1.0)
     assert found.distance_mm.median == pytest.approx(0.09, abs=1e-6)
     # Half a millimetre at one end and 0.2 at the other are further than 0.1 mm from the line.
     assert found.completeness[0] == pytest.approx(39.3 / 40, abs=0.01)
+
+
+def test_lines_that_run_past_an_edge_or_away_from_it():
+    edge = np.array([[[0.0, 0.0, 0.0], [40.0, 0.0, 0.0]]])
+    past = evaluate(np.array([[[-10.0, 0.0, 0.0], [18.0, 0.0, 0.0]]]), edge)
+    assert past.lines[0] == 0
+    assert past.lengths.covered[0] == pytest.approx(18 / 40)
+    assert np.isnan(past.lengths.measured_mm[0])
+    away = evaluate(np.array([[[0.0, 0.0, 0.0], [40.0, 0.0, 8.0]]]), edge)
+    assert away.lines[0] == -1
+    assert away.normalised.lines == 0
+    across = evaluate(np.array([[[20.0, -0.4, 0.0], [20.0, 0.4, 0.0]]]), edge)
+    assert across.lines[0] == -1
+
+
+def test_the_error_of_the_cameras_by_hand():
+    edge = np.array([[[0.0, 0.0, 0.0], [40.0, 0.0, 0.0]]])
+    line = np.array([[[2.0, 0.1, 0.0], [38.0, 0.1, 0.0]]])
+    own, by = 0.01 * np.eye(6)[None], np.array([0.0, 1, 0, 0, 1, 0]).reshape(1, 6, 1)
+    # Both ends are off by one sigma of their own: two of four squares are 1.
+    alone = evaluate(certain_lines(line, own), edge).normalised
+    assert (alone.variance, alone.joint) == pytest.approx((0.5, 0.5))
+    # Their mean has the variance 0.005 + 0.03, and is off by 0.1.
+    both = evaluate(UncertainLines(line, own, by, np.array([[0.03]])), edge).normalised
+    assert (both.variance, both.joint) == pytest.approx((0.01 / 0.035 / 4,) * 2)
 
 
 def test_errors_as_large_as_claimed_have_normalised_variance_one():
