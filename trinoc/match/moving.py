@@ -13,6 +13,8 @@ from trinoc.match.observed import Observed
 
 # The share of straight lines, seen in three views, that chance marks.
 LEVEL = 0.01
+# Fewer tracks do not tell how large errors usually are.
+FEW = 10
 # What is left over lies this near, nearly parallel, and beside at least half of the shorter one.
 BESIDE_PX, ANGLE_DEG, ABREAST = 10.0, 3.0, 0.5
 # Lines of two views, and segments, compared at once.
@@ -34,9 +36,8 @@ def moving(
     in_three = views > 2
     marked = np.zeros(len(index), dtype=bool)
     if in_three.any():
-        degrees = 2 * (views[in_three] - 2)
-        usual = max(float(np.median(misfit[in_three] / chi2.median(degrees))), 1.0)
-        marked[in_three] = misfit[in_three] > usual * chi2.isf(LEVEL, degrees)
+        limit = chi2.isf(LEVEL, 2 * (views[in_three] - 2))
+        marked[in_three] = misfit[in_three] > usual_misfit(index, misfit) * limit
     for view in range(index.shape[1]):
         free = np.ones(seen.counts[view], dtype=bool)
         matched = index[in_three, view]
@@ -49,6 +50,16 @@ def moving(
             part = slice(start, start + ROWS)
             marked[rows[part]] |= _one_beside(expected[part], seen.ends_px[view][free])
     return marked
+
+
+def usual_misfit(index: Int[np.ndarray, "t v"], misfit: Float[np.ndarray, "t"]) -> float:
+    """How much larger than stated the variance of segments is for most tracks; at least 1."""
+    views = (index >= 0).sum(axis=1)
+    in_three = views > 2
+    if in_three.sum() < FEW:
+        return 1.0
+    share = misfit[in_three] / chi2.median(2 * (views[in_three] - 2))
+    return max(float(np.median(share)), 1.0)
 
 
 def _one_beside(

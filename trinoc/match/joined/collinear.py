@@ -12,6 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+# Lines are as near their true places as their covariances say, or worse by this in so many cases.
+LOOSE, LOOSE_SHARE = 3.0, 0.15
 # Of pieces of one line that a detector broke, gaps are spread exponentially, so many pixels
 # wide on average; where something hides a line, gaps are of any length.
 BREAK_PX, BROKEN_SHARE = 15.0, 0.7
@@ -32,15 +34,15 @@ class Scene(NamedTuple):
 
 
 class Difference(NamedTuple):
-    """What tells two lines apart: d' S^-1 d, of which `shift_square` is due to a shift across.
+    """What tells two lines apart: `square` is d' S^-1 d.
 
-    log_density, log_shift_density : logarithms of N(d; 0, S) per mm^4 and of the shift per mm^2.
+    log_density, log_shift_density : logarithms of the density of d if the lines are one, per
+        mm^4, and of their shift across, per mm^2; with heavy tails.
     shift, shift_sigma : its size, and its standard deviation where it is known worst, in mm.
     span : distance of the two places in mm.
     """
 
     square: Float[np.ndarray, "p"]
-    shift_square: Float[np.ndarray, "p"]
     log_density: Float[np.ndarray, "p"]
     log_shift_density: Float[np.ndarray, "p"]
     shift: Float[np.ndarray, "p"]
@@ -75,9 +77,8 @@ def difference(
     shift_square = (pull * shift).sum(axis=1)
     return Difference(
         square,
-        shift_square,
-        -0.5 * (square + np.linalg.slogdet(spread)[1]) - 2 * np.log(2 * np.pi),
-        -0.5 * (shift_square - np.linalg.slogdet(of_shift)[1]) - np.log(2 * np.pi),
+        _log_tailed(square, 4) - 0.5 * np.linalg.slogdet(spread)[1],
+        _log_tailed(shift_square, 2) + 0.5 * np.linalg.slogdet(of_shift)[1],
         np.linalg.norm(shift, axis=1),
         _largest_sigma(of_shift),
         high - low,
@@ -118,11 +119,20 @@ def log_odds(evidence: Evidence, scene: Scene, share: float) -> Float[np.ndarray
         np.log(parallel) - apart.log_shift_density,
         np.log(scene.density) - 2 * np.log(apart.span) - apart.log_density,
     )
-    in_plane = np.log(scene.size / (np.sqrt(2 * np.pi) * apart.shift_sigma)) - 0.5 * apart.square
+    in_plane = np.log(scene.size / (np.sqrt(2 * np.pi) * apart.shift_sigma))
+    in_plane += _log_tailed(apart.square, 4) - _log_tailed(np.zeros(1), 4)
     breaks = np.exp(-np.maximum(gap, 0) * px_per_mm / BREAK_PX) * px_per_mm / BREAK_PX
     gaps = BROKEN_SHARE * breaks * scene.size + 1 - BROKEN_SHARE
     along = np.log(np.where(gap >= 0, gaps, BESIDE_SHARE))
     return along + np.where(shared, in_plane, np.log(share) - others)
+
+
+def _log_tailed(square: Float[np.ndarray, "p"], dimensions: int) -> Float[np.ndarray, "p"]:
+    """Log density of that many standard normal numbers, a share of them wider."""
+    return np.logaddexp(
+        np.log(1 - LOOSE_SHARE) - square / 2,
+        np.log(LOOSE_SHARE) - dimensions * np.log(LOOSE) - square / (2 * LOOSE**2),
+    ) - dimensions / 2 * np.log(2 * np.pi)
 
 
 def _largest_sigma(precision: Float[np.ndarray, "p 2 2"]) -> Float[np.ndarray, "p"]:

@@ -31,6 +31,8 @@ from trinoc.match.matches import Matches
 
 # Pieces are joined where that is as likely as this.
 SURE = 0.9
+# Both tracks are right with at least this probability.
+TRUSTED = 0.7
 # A line that fits all of its segments as badly as one of so many does is none.
 LEVEL = 1e-3
 # How often a line has another piece, before it is known: so many observations.
@@ -66,13 +68,13 @@ class _Problem(NamedTuple):
 def join_collinear(matches: Matches, rig: Rig) -> JoinedLines:
     """The straight lines that the tracks lie on, each estimated from all segments of its tracks.
 
-    Two tracks are one line where that is at least 0.9 likely, their own posteriors included:
-    their difference under their covariances against how dense parallel and other lines are
+    Two tracks are one line where that is at least 0.9 likely, and 0.7 that both are right: their
+    difference under their covariances against how dense parallel and other lines are
     thereabouts, and how wide the gap is in pixels. The line then must fit all segments of all
     its tracks, at a level of 0.001. Tracks that lie beside each other join as others do, but
-    more must speak for it. A segment that serves several tracks of a line counts once. In few
-    cases segments err by up to four times what they state; no covariance is smaller than theirs
-    says.
+    more must speak for it. A segment that serves several tracks of a line counts once. Where
+    the misfit of most tracks says that segments err by more than they state, all covariances
+    are that much larger; and in few cases segments err by up to four times as much.
 
     Raises InputError where the covariance of the fragments is not known.
     """
@@ -134,7 +136,7 @@ def _agglomerated(
         ones, others = ([alive[i] for i in side] for side in found.T.tolist())
         odds = _odds(ones, others, problem)
         right = np.array([a.posterior * b.posterior for a, b in zip(ones, others, strict=True)])
-        sure = expit(odds) * right >= SURE
+        sure = (expit(odds) >= SURE) & (right >= TRUSTED)
         for value, (one, other) in zip(odds[sure].tolist(), found[sure].tolist(), strict=True):
             heapq.heappush(queue, (-value, one, other))
 

@@ -12,8 +12,9 @@ class JoinedLines(eqx.Module):
     ------
     lines_mm : (e, 2, 3) the likeliest line of all segments of its tracks, from the first to the
         last place that a track shows; of a track that is alone, the track's own.
-    covariance_mm2 : (e, 6, 6) of the ends.
-    chi_square, degrees : (e,) misfit of all its segments, and its degrees of freedom.
+    covariance_mm2 : (e, 6, 6) of the ends; along the line, that of the track which ends there.
+    chi_square, degrees : (e,) misfit of all its segments, and its degrees of freedom; 0 where
+        one track is alone.
     line_of_track : (t,) the line of each track of the matches.
     place_mm : (t, 2) where each track begins and ends on its line, from the line's first end.
     px_per_mm : (e,) of its pictures at the line's middle, the mean: so many pixels does a

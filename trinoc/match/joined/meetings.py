@@ -20,11 +20,8 @@ SMALLEST_ANGLE = 0.15
 # How often an end is at a corner, before it is known: so many observations.
 USUAL_JOINED, WORTH, ROUNDS = 0.5, 10.0, 3
 MOST_JOINED = 0.95
-# Ends meet where that is as likely as this, and their lines pass through one point no worse
-# than one corner of so many does.
-SURE, LEVEL = 0.9, 1e-3
-# Where a detector stops says little about where an edge ends: sigma along the line.
-FREE_END_PX = 7.0
+# Ends meet where that is as likely as this, both lines' posteriors included.
+SURE = 0.9
 
 
 class Ends(NamedTuple):
@@ -86,7 +83,8 @@ def meetings(
     density = len(ends.point_mm) / scene_of(joined.lines_mm).volume
     passing = -0.5 * (np.log(2 * np.pi * variance) + distance**2 / variance)
     odds = _learned_odds(m, n, passing - np.log(sine * density), stop, len(ends.point_mm))
-    sure = expit(odds) * joined.posterior[m // 2] * joined.posterior[n // 2] >= SURE
+    right = joined.posterior[m // 2] * joined.posterior[n // 2]
+    sure = expit(odds) * right >= SURE
     return np.stack([m, n], axis=1)[sure], odds[sure]
 
 

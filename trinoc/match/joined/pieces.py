@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float, Int
 from trinoc.geometry.rig import Rig
 from trinoc.match.joined.line_fit import Shown
 from trinoc.match.matches import Matches
+from trinoc.match.moving import usual_misfit
 from trinoc.match.observed import undistorted
 
 
@@ -26,7 +27,12 @@ class Pieces(NamedTuple):
 
 
 def pieces_of(matches: Matches, rig: Rig, order: Int[np.ndarray, "t"]) -> Pieces:
-    """The tracks in a given order."""
+    """The tracks in a given order.
+
+    Where segments err by more than they state for most tracks, their covariances are as much
+    larger here.
+    """
+    noise = 1.0 if matches.misfit is None else usual_misfit(matches.index, matches.misfit)
     fragments = np.stack(
         [
             undistorted(rig[name].intrinsics, np.nan_to_num(matches.fragments_px[:, view]))
@@ -41,9 +47,9 @@ def pieces_of(matches: Matches, rig: Rig, order: Int[np.ndarray, "t"]) -> Pieces
         np.asarray(matches.index)[order],
         _common_parts(matrix, fragments, seen, np.asarray(matches.lines_mm))[order],
         np.asarray(matches.lines_mm)[order],
-        np.asarray(matches.covariance_mm2)[order],
+        noise * np.asarray(matches.covariance_mm2)[order],
         fragments[order],
-        np.asarray(matches.fragments_covariance_px2)[order],
+        noise * np.asarray(matches.fragments_covariance_px2)[order],
         matrix,
         px_per_mm(matrix, middle, seen)[order],
         np.asarray(matches.posterior)[order],
