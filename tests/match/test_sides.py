@@ -8,6 +8,7 @@ import pytest
 from tests.match.made import as_set, loose_lines, pictures, rig_of
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
+from trinoc.match.evidence import tempered
 from trinoc.match.match_segments import match_segments
 from trinoc.match.side_evidence import COMPONENTS, side_evidence, side_table
 from trinoc.match.side_levels import side_levels, with_side_levels
@@ -113,3 +114,12 @@ def test_order_and_unit_of_levels_change_nothing() -> None:
     assert as_set(again, VIEWS) == as_set(matches, VIEWS)
     _, scaled = of_twins(gain=1 / 255)
     assert as_set(match_segments(scaled, rig), VIEWS) == as_set(matches, VIEWS)
+
+
+def test_only_odds_of_segments_of_pictures_are_tempered() -> None:
+    belief = np.array([-4.0, 8.0, 8.0])
+    side_log = np.zeros((3, len(COMPONENTS)))
+    np.testing.assert_array_equal(tempered(belief, side_log), belief)
+    side_log[2, 0] = 1.0
+    np.testing.assert_array_equal(tempered(belief, side_log)[:2], belief[:2])
+    assert 0 < tempered(belief, side_log)[2] < belief[2]
