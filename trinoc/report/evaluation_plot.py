@@ -27,6 +27,7 @@ KNOBS = {
     "least_posterior": "least posterior",
 }
 SHARE_WITHIN = 0.95
+COLUMNS = 2
 
 
 class Curve(NamedTuple):
@@ -81,7 +82,7 @@ def draw_panel(axes: "Axes", panel: Panel) -> None:
         axes.axhline(panel.level, color="#777777", linewidth=1)
     if panel.log_x:
         axes.set_xscale("log")
-        ticks = sorted({x for curve in panel.curves for x in curve.x})
+        ticks = _points(panel)
         axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
         axes.minorticks_off()
     if panel.log_y:
@@ -94,6 +95,15 @@ def draw_panel(axes: "Axes", panel: Panel) -> None:
     axes.set_ylabel(panel.y_label)
     axes.grid(alpha=0.3)
     axes.legend(fontsize=8, framealpha=0.6)
+
+
+def _lines(panels: list[Panel]) -> int:
+    return -(-len(panels) // COLUMNS)
+
+
+def _points(panel: Panel) -> list[float]:
+    """All places along the foot that have a point."""
+    return sorted({x for curve in panel.curves for x in curve.x})
 
 
 def _round_ticks(curves: list[Curve]) -> list[float]:
@@ -130,11 +140,11 @@ def write_plot(rows: Sequence[Row], path: Path) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    lines = -(-len(panels) // 2)
-    figure = Figure(figsize=(11.0, 4.2 * lines), layout="constrained")
+    lines = _lines(panels)
+    figure = Figure(figsize=(5.5 * COLUMNS, 4.2 * lines), layout="constrained")
     FigureCanvasAgg(figure)
     for number, panel in enumerate(panels, start=1):
-        draw_panel(figure.add_subplot(lines, 2, number), panel)
+        draw_panel(figure.add_subplot(lines, COLUMNS, number), panel)
     with atomic_write(path) as file:
         figure.savefig(file, format=path.suffix.lower().removeprefix("."), dpi=150)
 
@@ -226,25 +236,39 @@ def _in_words(knob: str, value: float | str) -> str:
     return f"{KNOBS[knob].partition(' (')[0]} {value:g}"
 
 
+def _page_axis(label: str, ticks: list[float] | None) -> dict[str, Any]:
+    """An axis of plotly: logarithmic where it has ticks."""
+    axis: dict[str, Any] = {"title": {"text": label}}
+    if ticks is not None:
+        axis |= {"type": "log", "tickvals": ticks, "ticktext": [f"{tick:g}" for tick in ticks]}
+    return axis
+
+
 def _write_page(panels: list[Panel], path: Path) -> None:
     """A page that needs no network, with all panels in one figure of plotly."""
     import plotly.io
 
     data: list[dict[str, Any]] = []
-    layout: dict[str, Any] = {"width": 520 * len(panels), "height": 480, "annotations": []}
+    lines = _lines(panels)
+    layout: dict[str, Any] = {"width": 1300, "height": 440 * lines, "annotations": []}
     for number, panel in enumerate(panels, start=1):
-        low, high = (number - 1 + 0.12) / len(panels), (number - 0.06) / len(panels)
-        x_axis: dict[str, Any] = {"domain": [low, high], "title": {"text": panel.x_label}}
-        y_axis: dict[str, Any] = {"anchor": f"x{number}", "title": {"text": panel.y_label}}
-        x_axis["type"] = "log" if panel.log_x else "linear"
-        y_axis["type"] = "log" if panel.log_y else "linear"
+        line, column = divmod(number - 1, COLUMNS)
+        left, right = (column + 0.1) / COLUMNS, (column + 0.94) / COLUMNS
+        top, foot = 1 - (line + 0.05) / lines, 1 - (line + 0.8) / lines
+        x_axis = {
+            **_page_axis(panel.x_label, _points(panel) if panel.log_x else None),
+            "domain": [left, right],
+            "anchor": f"y{number}",
+        }
+        y_axis = {
+            **_page_axis(panel.y_label, _round_ticks(panel.curves) if panel.log_y else None),
+            "domain": [foot, top],
+            "anchor": f"x{number}",
+        }
         layout[f"xaxis{number}"], layout[f"yaxis{number}"] = x_axis, y_axis
-        layout["annotations"].append(
-            {
-                "text": panel.title, "xref": "paper", "yref": "paper", "x": (low + high) / 2,
-                "y": 1.08, "showarrow": False,
-            }
-        )  # fmt: skip
+        title = {"text": panel.title, "x": (left + right) / 2, "y": top}
+        place = {"xref": "paper", "yref": "paper", "xanchor": "center", "yanchor": "bottom"}
+        layout["annotations"].append({**title, **place, "showarrow": False})
         for curve in panel.curves:
             colour = PALETTE[curve.colour % len(PALETTE)]
             data.append(
