@@ -1,5 +1,6 @@
 """The page: self-contained, complete, safe against names, equal for equal inputs."""
 
+import dataclasses
 import json
 import re
 from html.parser import HTMLParser
@@ -228,6 +229,23 @@ def test_hovering_over_an_end_tells_the_end_and_its_sigmas(rig: Rig, matches: Ma
         assert f"X {with_sigma(float(x), 0.2)} mm" in shown["text"][place]
     assert shown["x"][3] is None
     assert "across the segment" in shown["text"][5]
+
+
+def test_joined_lines_and_corners_can_be_shown(rig: Rig, matches: Matches) -> None:
+    names = [trace["name"] for trace in space_figure(rig, None, matches)["data"]]
+    assert not any("corners" in name for name in names)
+    covariance = np.tile(0.04 * np.eye(4), (*matches.index.shape, 1, 1))
+    known = dataclasses.replace(
+        matches, fragments_covariance_px2=covariance, moves=np.arange(len(matches)) == 2
+    )
+    figure = space_figure(rig, None, known)
+    go.Figure(figure)
+    traces = {trace["name"].split(" (")[0]: trace for trace in figure["data"]}
+    assert traces["collinear tracks joined"]["visible"] == "legendonly"
+    corners = traces["corners"]
+    assert len(corners["x"]) == len(corners["text"]) > 0
+    assert "mm" in corners["text"][0]
+    assert Page(render_report(rig=rig, matches=known)).text.count("moves") == 1
 
 
 def test_lens_distortion_bends_the_epipolar_lines_through_their_points() -> None:

@@ -126,6 +126,7 @@ def _pairs_of_views(matches: Matches) -> tuple[tuple[str, int], ...]:
 
 def _track_rows(matches: Matches, colours: list[str], sigmas: TrackSigmas) -> tuple[TrackRow, ...]:
     order = np.argsort(-sigmas.length_mm, kind="stable")[:TABLE_ROWS]
+    moves = np.zeros(len(matches), dtype=bool) if matches.moves is None else matches.moves
     rows = []
     for track in order.tolist():
         members = tuple("" if i < 0 else str(i) for i in np.asarray(matches.index[track]).tolist())
@@ -133,7 +134,7 @@ def _track_rows(matches: Matches, colours: list[str], sigmas: TrackSigmas) -> tu
             TrackRow(
                 track,
                 colours[track],
-                str(matches.stage[track]),
+                f"{matches.stage[track]}, moves" if moves[track] else str(matches.stage[track]),
                 members,
                 with_sigma(float(sigmas.length_mm[track]), float(sigmas.length_sigma_mm[track])),
                 with_decimals(float(sigmas.across_sigma_mm[track]), 3),

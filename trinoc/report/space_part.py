@@ -8,6 +8,8 @@ from jaxtyping import Float
 
 from trinoc.calib.pattern import Pattern
 from trinoc.geometry.rig import Rig
+from trinoc.match.joined.join_collinear import join_collinear
+from trinoc.match.joined.snap_corners import snap_corners
 from trinoc.match.matches import BINOCULAR, TRINOCULAR, Matches
 from trinoc.report.colours import BLACK, BLUE, GREEN, VERMILION
 from trinoc.report.numbers import with_decimals, with_sigma
@@ -35,6 +37,8 @@ def space_figure(rig: Rig, pattern: Pattern | None, matches: Matches | None) -> 
             if len(tracks):
                 traces.append(_segments_trace(matches, sigmas, tracks, stage, colour))
         traces.append(_error_bars(matches))
+        if matches.fragments_covariance_px2 is not None:
+            traces.extend(_joined_traces(matches, rig))
     if pattern is not None:
         traces.append(_lines("sheet", sheet_outlines(pattern), "#777777", 2))
     traces.append(_axes(pattern, matches))
@@ -119,6 +123,43 @@ def _error_bars(matches: Matches) -> dict[str, Any]:
         line={"color": BLACK, "width": 3},
         hoverinfo="skip",
     )
+
+
+def _joined_traces(matches: Matches, rig: Rig) -> list[dict[str, Any]]:
+    """Collinear tracks as one line each, and the corners where lines meet; hidden at first."""
+    joined = join_collinear(matches, rig)
+    corners = snap_corners(joined)
+    words = []
+    for corner, (point, covariance) in enumerate(
+        zip(corners.points_mm, corners.covariance_mm2, strict=True)
+    ):
+        members = (corners.corner == corner).sum()
+        sigmas = np.sqrt(np.diagonal(covariance))
+        words.append(
+            f"corner of {members} lines"
+            + "".join(
+                f"<br>{axis} {with_sigma(float(value), float(sigma))} mm"
+                for axis, value, sigma in zip("XYZ", point, sigmas, strict=True)
+            )
+        )
+    lines = _trace(
+        polyline(list(corners.lines_mm) or [np.full((1, 3), np.nan)]),
+        mode="lines",
+        name=f"collinear tracks joined ({len(joined)} lines)",
+        visible="legendonly",
+        line={"color": BLACK, "width": 3},
+        hoverinfo="skip",
+    )
+    points = _trace(
+        corners.points_mm,
+        text=words,
+        mode="markers",
+        name=f"corners ({len(corners)})",
+        visible="legendonly",
+        marker={"color": BLACK, "size": 3},
+        hovertemplate="%{text}<extra></extra>",
+    )
+    return [lines, points]
 
 
 def _axes(pattern: Pattern | None, matches: Matches | None) -> dict[str, Any]:
