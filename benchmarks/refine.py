@@ -1,48 +1,33 @@
-"""Joint refinement: disturbed rigs, coverage of 3-D segments, a sheet helped by segments, time.
+"""Joint refinement: disturbed rigs, coverage of 3-D segments, a sheet helped by segments.
 
     python benchmarks/refine.py [--trials N]
 
 Lines about the paper's rig are projected, and noise drawn from the claimed covariance; wrong
-matches get another segment's fragment in one view. Beside ours in the same run:
-scipy.optimize.least_squares with the sparsity of the same problem (six numbers per camera, four
-per line), from the same start. pyceres and pycolmap have no residual of a line: a cost function
-in Python would measure Python.
+matches get another segment's fragment in one view. See refine_matched.py for segments that the
+matcher joins, refine_photographs.py for photographs, refine_times.py for time beside others.
 """
 
 import argparse
-import resource
-import time
 
 import jax
 import numpy as np
-from scipy.optimize import least_squares
-from scipy.sparse import lil_matrix
+from refine_rigs import (
+    ANGLE,
+    NAMES,
+    SIZES,
+    TRUE_RIG,
+    TRUTH,
+    relative_error,
+    rig_at,
+)
 
 from trinoc.calib.joint.camera_state import Freedom
 from trinoc.calib.joint.refine import refine
-from trinoc.geometry.camera import Camera
 from trinoc.geometry.line_observations import LineObservations
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import covariance_of_ends
-from trinoc.synth.rigs import table1_rig
 
-PARAMETERS = ("pan_deg", "tilt_deg", "swing_deg", "distance_mm")
-TRUE_RIG = table1_rig()
-NAMES = tuple(f"{camera}.{name}" for camera in TRUE_RIG for name in PARAMETERS)
-TRUTH = np.array([getattr(TRUE_RIG[camera], name) for camera in TRUE_RIG for name in PARAMETERS])
-ANGLE = np.array([name.endswith("_deg") for name in NAMES])
 CHI_SQUARE_6_AT_95 = 12.592
-
-
-def rig_at(values: np.ndarray, covariance: np.ndarray | None = None) -> Rig:
-    rows = values.reshape(len(TRUE_RIG), 4).tolist()
-    cameras = {
-        name: Camera.from_degrees(camera.intrinsics, **dict(zip(PARAMETERS, row, strict=True)))
-        for (name, camera), row in zip(TRUE_RIG.items(), rows, strict=True)
-    }
-    if covariance is None:
-        return Rig(cameras)
-    return Rig(cameras, parameters=NAMES, covariance=covariance)
 
 
 def projected(matrices: np.ndarray, ends_mm: np.ndarray) -> np.ndarray:
@@ -97,7 +82,7 @@ def knocked_cameras(trials: int) -> None:
     print(f"{'deg, mm':>12} {'lines':>6} {'wrong':>6}  {'angle':>18}  {'distance':>16}"
           f"  within 3 sigma  wrong found")  # fmt: skip
     sigma = np.where(ANGLE, 0.0015, 0.0045)
-    for degrees, millimetres in ((0.05, 0.1), (0.2, 1.0), (0.5, 2.5), (1.0, 5.0)):
+    for degrees, millimetres in SIZES:
         for tracks, wrong in ((100, 0.05), (100, 0.3), (500, 0.15), (2000, 0.3)):
             before, after, within, caught = [], [], [], []
             for seed in range(trials if tracks < 2000 else max(trials // 3, 1)):
@@ -110,10 +95,11 @@ def knocked_cameras(trials: int) -> None:
                 lines, _, bad = made_lines(random, tracks, 0.3, wrong)
                 start = rig_at(values, np.diag(sigma**2))
                 answer = refine(start, started_from(start, lines), moved=(TRUE_RIG.names[camera],))
-                error = (answer.values - TRUTH)[own]
+                rows = [answer.parameters.index(NAMES[i]) for i in own]
+                error = answer.values[rows] - TRUTH[own]
                 before.append((values - TRUTH)[own])
                 after.append(error)
-                within.append(np.abs(error) < 3 * np.sqrt(np.diag(answer.covariance))[own])
+                within.append(np.abs(error) < 3 * np.sqrt(np.diag(answer.covariance))[rows])
                 caught.append((answer.inlier != lines.seen).any(axis=1)[bad].mean())
             rms = [np.sqrt(np.mean(np.square(e), axis=0)) for e in (before, after)]
             angle = [np.sqrt(np.mean(r[:3] ** 2)) for r in rms]
@@ -173,81 +159,44 @@ def sheet_and_segments(trials: int) -> None:
                   f"{1e3 * np.mean(alone):8.2f} -> {1e3 * np.mean(together):8.2f} um")  # fmt: skip
 
 
-def times() -> None:
-    """Warm time and memory beside scipy with the same problem's sparsity."""
-    print("\nTime of one refinement (six free numbers per camera, no sheet), and peak memory")
-    for tracks in (100, 1000, 10_000):
-        random = np.random.default_rng(tracks)
-        lines, _, _ = made_lines(random, tracks, 0.3, 0.0)
-        values = TRUTH + np.where(ANGLE, 0.05, 0.2) * random.standard_normal(12)
-        start = rig_at(values)
-        lines = started_from(start, lines)
-        laps = []
-        for _ in range(4):
-            begin = time.perf_counter()
-            refine(start, lines, freedom=Freedom.POSE)
-            laps.append(time.perf_counter() - begin)
-        ours = float(np.median(laps[1:]))
-        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-        theirs = scipy_time(start, lines) if tracks <= 1000 else float("nan")
-        print(f"  {tracks:6d} tracks: first {laps[0]:6.2f} s, warm {1e3 * ours:8.1f} ms, "
-              f"scipy {theirs:7.2f} s ({theirs / ours:6.1f} x), peak {peak:6.0f} MiB")  # fmt: skip
-
-
-def scipy_time(rig: Rig, lines: LineObservations) -> float:
-    """Seconds that scipy takes for the same unknowns and residuals (soft_l1 loss)."""
-    from scipy.spatial.transform import Rotation
-
-    tracks, views = lines.seen.shape
-    calibration = np.stack([np.asarray(c.intrinsics.matrix) for c in rig.cameras])
-    rotation = np.stack([np.asarray(c.pose.rotation) for c in rig.cameras])
-    centre = np.stack([c.centre_world_mm for c in rig.cameras])
-    axis = np.diff(lines.lines_mm, axis=1)[:, 0]
-    first = np.cross(axis, np.eye(3)[np.abs(axis).argmin(axis=1)])
-    first /= np.linalg.norm(first, axis=1, keepdims=True)
-    second = np.cross(axis, first) / np.linalg.norm(axis, axis=1, keepdims=True)
-    direction = np.diff(lines.fragments_px, axis=2)[:, :, 0]
-    normal = np.stack([-direction[..., 1], direction[..., 0]], axis=-1)
-    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
-    sigma = np.sqrt(
-        np.einsum("tvi,tvij,tvj->tv", normal, lines.covariance_px2[..., :2, :2], normal)
-    )
-
-    def residual(x: np.ndarray) -> np.ndarray:
-        step, offset = x[: 6 * views].reshape(views, 6), x[6 * views :].reshape(tracks, 2, 2)
-        turned = Rotation.from_rotvec(step[:, :3]).as_matrix() @ rotation
-        moved = -np.einsum("vij,vj->vi", turned, centre + 470 * step[:, 3:])
-        matrices = calibration @ np.concatenate([turned, moved[..., None]], axis=2)
-        ends = lines.lines_mm + offset[..., :1] * first[:, None] + offset[..., 1:] * second[:, None]
-        image = projected(matrices, ends)
-        along = np.diff(image, axis=2)
-        across = np.stack([-along[..., 1], along[..., 0]], axis=-1)
-        across /= np.linalg.norm(across, axis=-1, keepdims=True)
-        distance = np.einsum("tvei,tvei->tve", np.broadcast_to(across, image.shape),
-                             lines.fragments_px - image[:, :, :1])  # fmt: skip
-        return np.where(lines.seen[..., None], distance / sigma[..., None], 0.0).reshape(-1)
-
-    pattern = lil_matrix((tracks * views * 2, 6 * views + 4 * tracks), dtype=np.int8)
-    for track in range(tracks):
-        for view in range(views):
-            row = slice(2 * (track * views + view), 2 * (track * views + view) + 2)
-            pattern[row, 6 * view : 6 * view + 6] = 1
-            pattern[row, 6 * views + 4 * track : 6 * views + 4 * track + 4] = 1
-    begin = time.perf_counter()
-    least_squares(
-        residual, np.zeros(pattern.shape[1]), jac_sparsity=pattern, x_scale="jac", loss="soft_l1"
-    )
-    return time.perf_counter() - begin
+def every_camera(trials: int) -> None:
+    """All cameras disturbed: with a sheet of that size, and with none, gauge taken out."""
+    print("\nAll cameras disturbed, matches given; rms error of orientation (deg) and centre (mm)")
+    print("after the best similarity of the whole rig, before -> after")
+    for with_sheet in (True, False):
+        label = "sheet of this size" if with_sheet else "no sheet"
+        for degrees, millimetres in SIZES:
+            size = np.where(ANGLE, degrees, millimetres)
+            for tracks, wrong in ((100, 0.05), (100, 0.3), (500, 0.15)):
+                before, after, within = [], [], []
+                for seed in range(trials):
+                    random = np.random.default_rng([seed, tracks, 7])
+                    values = TRUTH + size * random.standard_normal(12)
+                    lines, _, _ = made_lines(random, tracks, 0.3, wrong)
+                    start = rig_at(values, np.diag(size**2) if with_sheet else None)
+                    free = None if with_sheet else Freedom.FOUR
+                    answer = refine(start, started_from(start, lines), freedom=free)
+                    before.append(relative_error(start, TRUE_RIG))
+                    after.append(relative_error(answer.rig, TRUE_RIG))
+                    if with_sheet:
+                        error = np.abs(answer.values - TRUTH)
+                        within.append(error < 3 * np.sqrt(np.diag(answer.covariance)))
+                ours, theirs = (np.sqrt(np.mean(np.square(e), axis=0)) for e in (before, after))
+                worst = np.max(after, axis=0)
+                share = f"{np.mean(within):.1%} within 3 sigma" if with_sheet else ""
+                print(f"{label:18s} {degrees:4.2f} {millimetres:3.1f} {tracks:4d} {wrong:4.0%} "
+                      f"{ours[0]:.3f}, {ours[1]:5.2f} -> {theirs[0]:.4f}, {theirs[1]:5.3f} "
+                      f"(worst {worst[0]:.3f}, {worst[1]:5.2f}) {share}", flush=True)  # fmt: skip
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--trials", type=int, default=20)
     trials = parser.parse_args().trials
-    times()
     coverage(trials)
     sheet_and_segments(trials)
     knocked_cameras(trials)
+    every_camera(trials)
 
 
 if __name__ == "__main__":

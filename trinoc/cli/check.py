@@ -14,11 +14,20 @@ from trinoc.cli.progress import LOGGER
 class Check(Command):
     """Say by how many sigma each camera has moved since its calibration, from a scene alone."""
 
+    pictures: Annotated[
+        tyro.conf.Positional[tuple[str, ...]],
+        tyro.conf.arg(metavar="NAME=FILE", help_behavior_hint="(or --matches)"),
+    ] = ()
+    """For each camera its picture of a scene as it sees it now, or segments found before (npz,
+    npy, csv, txt): these are matched here, again and again, so that a large knock is found too."""
+
     rig: Path
     """The cameras, as `trinoc calibrate` writes them."""
 
-    matches: Path
-    """Matches of a scene that the rig sees now, as `trinoc match` writes them."""
+    matches: Annotated[
+        Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")
+    ] = None
+    """Matches of such a scene, as `trinoc match` writes them: enough for a small knock."""
 
     out: Annotated[
         Path | None,
@@ -30,20 +39,25 @@ class Check(Command):
         """Check, and write the mended rig where there is one and it is wanted."""
         from trinoc.calib.joint.moved import check_rig
         from trinoc.cli.provenance import provenance
-        from trinoc.io.matches_npz import load_matches
+        from trinoc.cli.scene import scene_of
+        from trinoc.io.atomic import expect_place
         from trinoc.io.rig_json import load_rig
         from trinoc.io.save import save
 
-        rig, matches = load_rig(self.rig), load_matches(self.matches)
-        LOGGER.info("checking %d cameras with %d lines", len(rig), len(matches))
-        check = check_rig(rig, matches)
+        expect_place(self.out)
+        rig = load_rig(self.rig)
+        scene = scene_of(self.pictures, self.matches, rig, self.rig, quiet=self.quiet)
+        LOGGER.info("checking %d cameras with %d lines", len(rig), len(scene.matches))
+        again = [match for match in (scene.tolerant, scene.strict) if match is not None]
+        check = check_rig(rig, scene.matches, match_again=again or None)
         written = []
         if self.out is not None and check.refined is not None:
-            inputs = {"rig": self.rig, "matches": self.matches}
+            inputs = {"rig": self.rig, **scene.files}
             save(check.refined.rig, self.out, provenance=provenance(command_line, inputs))
             written = [str(self.out)]
         text = "\n".join([check.summary(), *(f"written: {path}" for path in written)])
         record = {
+            "told": check.told,
             "moved": list(check.moved),
             "mended": check.refined is not None,
             "sigmas": {motion.name: motion.sigmas for motion in check.motions},

@@ -18,11 +18,20 @@ if TYPE_CHECKING:
 class Refine(Command):
     """Refine a rig jointly against its calibration and matched segments."""
 
+    pictures: Annotated[
+        tyro.conf.Positional[tuple[str, ...]],
+        tyro.conf.arg(metavar="NAME=FILE", help_behavior_hint="(or --matches)"),
+    ] = ()
+    """For each camera its picture of a scene, or segments found before (npz, npy, csv, txt):
+    these are matched here, and again with the refined rig until the matches stop changing."""
+
     rig: Path
     """The cameras, as `trinoc calibrate` writes them."""
 
-    matches: Path
-    """The matches, as `trinoc match` writes them."""
+    matches: Annotated[
+        Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")
+    ] = None
+    """The matches, as `trinoc match` writes them, which are taken as they are."""
 
     parameters: Annotated[
         Literal["four", "six", "pose"] | None,
@@ -47,22 +56,36 @@ class Refine(Command):
         from trinoc.calib.joint.refine import refine
         from trinoc.calib.joint.result import RefineStatus
         from trinoc.cli.provenance import provenance
+        from trinoc.cli.scene import scene_of
         from trinoc.io.atomic import expect_place
-        from trinoc.io.matches_npz import load_matches
         from trinoc.io.rig_json import load_rig
         from trinoc.io.save import save
 
         expect_place(self.out)
-        rig, matches = load_rig(self.rig), load_matches(self.matches)
-        LOGGER.info("refining %d cameras and %d lines", len(rig), len(matches))
-        freedom = None if self.parameters is None else Freedom[self.parameters.upper()]
-        result = refine(rig, matches, freedom=freedom, intrinsics=self.intrinsics, moved=self.moved)
+        rig = load_rig(self.rig)
+        scene = scene_of(self.pictures, self.matches, rig, self.rig, quiet=self.quiet)
+        LOGGER.info("refining %d cameras and %d lines", len(rig), len(scene.matches))
+        again = [scene.tolerant, scene.strict] if self.moved else [scene.strict]
+        result = refine(
+            rig,
+            scene.matches,
+            freedom=None if self.parameters is None else Freedom[self.parameters.upper()],
+            intrinsics=self.intrinsics,
+            moved=self.moved,
+            match_again=[match for match in again if match is not None] or None,
+        )
+        if result.status is RefineStatus.AMBIGUOUS:
+            raise CalibrationError(
+                f"Other rigs than the refined {self.rig} explain the segments about as well, so "
+                "nothing was written: calibrate again with the sheet, or take a scene with more "
+                "edges."
+            )
         if result.status is RefineStatus.NOT_CONVERGED:
             raise CalibrationError(
                 f"The refinement of {self.rig} did not converge, so nothing was written: check "
                 "that the matches were made with this rig, and match again."
             )
-        inputs = {"rig": self.rig, "matches": self.matches}
+        inputs = {"rig": self.rig, **scene.files}
         save(result.rig, self.out, provenance=provenance(command_line, inputs))
         text = f"{result.summary()}\nwritten: {self.out}"
         return Outcome(text, {**refine_record(result), "written": [str(self.out)]})
@@ -81,6 +104,7 @@ def refine_record(result: "RefineResult") -> dict[str, Any]:
             )
         },
         "lines": len(result.lines),
+        "log_posterior": list(result.history),
         "fragments_that_agree": int(result.inlier.sum()),
         "segment_sigma_factor": result.segment_sigma_factor,
         "sheet_sigma_factor": result.sheet_sigma_factor,

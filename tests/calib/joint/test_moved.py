@@ -60,3 +60,22 @@ def test_a_rig_without_covariance_cannot_be_checked():
     lines, _, _ = made_tracks(60, 10)
     with pytest.raises(CalibrationError, match="covariance of their calibration"):
         check_rig(rig_at(TRUTH, with_covariance=False), lines)
+
+
+def test_a_scene_that_tells_nothing_is_said_to():
+    lines, _, _ = made_tracks(80, 100, hidden=0.94)
+    assert 3 < lines.seen.all(axis=1).sum() < 12
+    check = check_rig(knocked(81, ("left",), SIZES_DEG), lines)
+    assert not check.told
+    assert check.moved == ()
+    assert "does not tell" in check.summary()
+
+
+def test_matching_again_while_checking_finds_the_camera():
+    lines, _, _ = made_tracks(82, 100)
+    rig = knocked(83, ("right",), SIZES_DEG)
+    check = check_rig(rig, lines.select(np.arange(100) < 80), match_again=lambda rig: lines)
+    assert check.told
+    assert check.moved == ("right",)
+    assert check.refined is not None
+    assert len(check.refined.tracks) == 100

@@ -21,6 +21,11 @@ from trinoc.geometry.rig import Rig
 # Below this many sigmas a motion is not told from chance; with three cameras asked, one rig
 # in 120 that stands still is suspected all the same.
 SUSPECT_SIGMAS = 3.0
+# Fewer lines are hardly enough for the six numbers of a camera, and chance finds as many.
+FEWEST_LINES = 12
+# What chance joins scatters 1.2 to 2.3 times as much as sigmas say, and right lines, where their
+# sigmas are right, 0.9 to 1.1 times. Asked only where matches come without a way to match again.
+MOST_NOISE = 1.5
 
 
 class CameraMotion(eqx.Module):
@@ -52,23 +57,27 @@ class RigCheck(eqx.Module):
         freeing the first does not explain the scene.
     refined : the rig with the suspect camera mended by the segments; None where nothing
         moved, or where more moved than segments can mend.
+    told : whether the scene tells anything; where not, nothing is said of the cameras.
     """
 
     motions: tuple[CameraMotion, ...]
     moved: tuple[str, ...] = eqx.field(static=True)
     refined: RefineResult | None
+    told: bool = eqx.field(static=True, default=True)
 
     def summary(self) -> str:
         """One sentence of verdict, and one line per camera."""
+        if not self.told:
+            return (
+                "This scene does not tell whether a camera moved: too few of its lines agree in "
+                "three views, or rigs that differ explain them about as well. A large knock hides "
+                "them from the matcher: match the pictures again while checking, show a scene of "
+                "more edges, or calibrate the rig again with the sheet."
+            )
         if not self.moved:
             verdict = "No camera has moved by more than the error bars allow."
         elif self.refined is not None:
             verdict = f'Camera "{self.moved[0]}" has moved; the segments tell where it is now.'
-        elif len(self.moved) == 1:
-            verdict = (
-                f'A camera has moved, most likely "{self.moved[0]}", but the segments do not tell '
-                "where it is now: calibrate the rig again with the sheet."
-            )
         else:
             verdict = (
                 "More than one camera has moved, which segments alone cannot mend: "
@@ -105,43 +114,69 @@ def check_rig(
             "Whether a camera moved can be told only for three or more cameras with the "
             "covariance of their calibration: give the rig.json that `trinoc calibrate` wrote."
         )
-    motions, freed = _motions(rig, matches)
-    strongest = max(motions, key=lambda motion: motion.sigmas).name
-    if max(motion.sigmas for motion in motions) < SUSPECT_SIGMAS:
-        return RigCheck(motions, (), None)
-    mended = freed[strongest]
+    best = None
     if match_again is not None:
         found = [refine(rig, matches, moved=(name,), match_again=match_again) for name in rig.names]
-        settled = [result for result in found if result.status is RefineStatus.CONVERGED]
-        if not settled:
-            return RigCheck(motions, (strongest,), None)
-        best = max(settled, key=lambda result: result.log_posterior)
-        mended, matches = best, best.tracks
-        motions, _ = _motions(rig, matches)
-        strongest = rig.names[found.index(best)]
-    others = [name for name in rig.names if name != strongest]
+        found = [result for result in found if result.status is RefineStatus.CONVERGED]
+        if not found:
+            return RigCheck(_motions(rig, matches)[0], (), None, told=False)
+        best = max(found, key=lambda result: result.log_posterior)
+        matches = best.tracks
+    motions, freed = _motions(rig, matches, best)
+    strongest = max(motions, key=lambda motion: motion.sigmas)
+    mended, name = freed[strongest.name], strongest.name
+    told = _agreeing(mended) >= FEWEST_LINES and (
+        best is not None or mended.segment_sigma_factor < MOST_NOISE
+    )
+    if strongest.sigmas < SUSPECT_SIGMAS:
+        return RigCheck(motions, (), None, told)
+    others = [other for other in rig.names if other != name]
     noise = max(mended.segment_sigma_factor, 1.0)
     further = {
-        name: _significance(mended, refine(rig, matches, moved=(strongest, name)), noise)
-        for name in others
+        other: _significance(mended, _freed(mended, rig, matches, (name, other)), noise)
+        for other in others
     }
-    also = tuple(name for name in others if further[name] >= SUSPECT_SIGMAS)
+    also = tuple(other for other in others if further[other] >= SUSPECT_SIGMAS)
     if also or mended.status is RefineStatus.NOT_CONVERGED:
-        return RigCheck(motions, (strongest, *also), None)
-    return RigCheck(motions, (strongest,), mended)
+        return RigCheck(motions, (name, *also), None)
+    if not told:
+        return RigCheck(motions, (), None, told)
+    return RigCheck(motions, (name,), mended)
+
+
+def _agreeing(result: RefineResult) -> int:
+    """Number of lines that agree in three views or more."""
+    return int((result.inlier.sum(axis=1) > 2).sum())
 
 
 def _motions(
-    rig: Rig, matches: Matched | LineObservations
+    rig: Rig, matches: Matched | LineObservations, found: RefineResult | None = None
 ) -> tuple[tuple[CameraMotion, ...], dict[str, RefineResult]]:
-    """The motion of each camera were it the only one, and the rig with it freed."""
+    """The motion of each camera were it the only one, and the rig with it freed.
+
+    `found` is where the scene was matched best: one more start for each camera.
+    """
     at_rest = refine(rig, matches)
-    freed = {name: refine(rig, matches, moved=(name,)) for name in rig.names}
+    freed = {name: _freed(found, rig, matches, (name,)) for name in rig.names}
     # The best explanation sets the noise; a moved camera would inflate it otherwise.
     noise = min(result.segment_sigma_factor for result in (at_rest, *freed.values()))
     noise = max(noise, 1.0)
     motions = tuple(_motion(rig, name, at_rest, freed[name], noise) for name in rig.names)
     return motions, freed
+
+
+def _freed(
+    found: RefineResult | None,
+    rig: Rig,
+    matches: Matched | LineObservations,
+    names: tuple[str, ...],
+) -> RefineResult:
+    """The rig with cameras freed, from where it stood or from where it was found, if cheaper."""
+    freed = refine(rig, matches, moved=names)
+    if found is None:
+        return freed
+    again = refine(rig, matches, moved=names, start=found.rig)
+    return min(freed, again, key=lambda result: result.chi_square[0])
 
 
 def _motion(

@@ -108,7 +108,7 @@ def _prior(rig: Rig, start: CameraState, choice: Choice) -> SheetPrior:
 
 
 def _stacked(states: list[CameraState]) -> CameraState:
-    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *states)
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves).astype(float), *states)
 
 
 def _bucket(count: int) -> int:

@@ -39,6 +39,7 @@ def refine(
     intrinsics: bool = False,
     moved: Collection[str] = (),
     match_again: Matcher | Sequence[Matcher] | None = None,
+    start: Rig | None = None,
 ) -> RefineResult:
     """Cameras and 3-D lines of maximum likelihood, given a sheet's calibration and matches.
 
@@ -52,6 +53,8 @@ def refine(
     with each refined rig until the tracks stop changing; a round that lowers the log posterior
     is not accepted. After a large knock give several, the most tolerant first (a larger
     `sigma_px`): each refines the rig for the next, and the last decides.
+
+    `start` is where the cameras start from, where that is not where the sheet placed them.
 
     Raises InputError where matches and rig do not belong together, CalibrationError where no
     track is left.
@@ -69,7 +72,7 @@ def refine(
     knocked = bool(moved) and freedom is None and usual is Freedom.FOUR
     choice = Choice(Freedom.SIX if knocked else freedom or usual, intrinsics, trusted, knocked)
     task = _Task(calibrated, rig, choice)
-    first = task.refined(rig, matches)
+    first = task.refined(start or rig, matches)
     if match_again is None:
         return first
     matchers = [match_again] if callable(match_again) else list(match_again)

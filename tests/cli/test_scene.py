@@ -1,0 +1,30 @@
+"""A rig is checked with matches or with pictures: one of both, and the files are named."""
+
+from pathlib import Path
+
+import pytest
+
+import trinoc
+from trinoc.cli.command import UsageError
+from trinoc.cli.main import main
+from trinoc.cli.scene import scene_of
+from trinoc.errors import InputError
+from trinoc.synth.rigs import table1_rig
+
+
+@pytest.mark.parametrize(("pictures", "matches"), [((), None), (("upper=a.png",), Path("m.npz"))])
+def test_either_pictures_or_matches(pictures, matches):
+    with pytest.raises(UsageError, match="either NAME=FILE for each camera"):
+        scene_of(pictures, matches, table1_rig(), Path("rig.json"), quiet=True)
+
+
+def test_pictures_are_those_of_the_rig():
+    with pytest.raises(InputError, match="no camera"):
+        scene_of(("other=a.png",), None, table1_rig(), Path("rig.json"), quiet=True)
+
+
+@pytest.mark.parametrize("command", ["check", "refine"])
+def test_a_scene_that_is_not_given_is_wrong_usage(command, tmp_path, capsys):
+    trinoc.save(table1_rig(), tmp_path / "rig.json")
+    assert main([command, "--rig", str(tmp_path / "rig.json"), "--quiet"]) == 2
+    assert "--matches FILE" in capsys.readouterr().err

@@ -1,0 +1,72 @@
+"""The scene that a rig is refined or checked with: matches, or pictures that are matched here."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from trinoc.cli.command import UsageError
+from trinoc.cli.match import SEGMENT_SUFFIXES, check_size, check_views
+from trinoc.cli.progress import LOGGER, each
+from trinoc.cli.views import files_of_views
+
+if TYPE_CHECKING:
+    from trinoc.geometry.rig import Rig
+    from trinoc.geometry.segments import Segments
+    from trinoc.match.matches import Matches
+
+# After a knock the matcher first takes the ends of segments to be this share of the picture's
+# width off, 4 px of 512: twice as much lets it find nothing among strangers any more.
+TOLERANT_SHARE = 1 / 128
+
+
+class Scene(NamedTuple):
+    """Matches made with the rig given, ways to match again (none for matches), and the files."""
+
+    matches: "Matches"
+    tolerant: "Callable[[Rig], Matches] | None"
+    strict: "Callable[[Rig], Matches] | None"
+    files: dict[str, Path]
+
+
+def scene_of(
+    pictures: Sequence[str], matches: Path | None, rig: "Rig", rig_file: Path, *, quiet: bool
+) -> Scene:
+    """Read the matches, or the pictures or segments. Raises UsageError, InputError."""
+    if bool(pictures) == (matches is not None):
+        raise UsageError(
+            "Give either NAME=FILE for each camera, its picture or segments of the scene, or "
+            "--matches FILE."
+        )
+    if matches is not None:
+        from trinoc.io.matches_npz import load_matches
+
+        return Scene(load_matches(matches), None, None, {"matches": matches})
+
+    from trinoc.match.match_segments import match_segments
+
+    files = files_of_views(pictures)
+    check_views(files, rig, rig_file)
+    segments = _segments(files, rig, quiet=quiet)
+    sigma_px = TOLERANT_SHARE * max(camera.image_size_px[0] for camera in rig.cameras)
+    LOGGER.info("matching %s", ", ".join(f"{len(s)} ({n})" for n, s in segments.items()))
+    return Scene(
+        match_segments(segments, rig),
+        lambda other: match_segments(segments, other, sigma_px=sigma_px),
+        lambda other: match_segments(segments, other),
+        files,
+    )
+
+
+def _segments(files: dict[str, Path], rig: "Rig", *, quiet: bool) -> "dict[str, Segments]":
+    from trinoc.io.images import read_views
+    from trinoc.io.segments_npz import load_segments
+    from trinoc.match.find_segments import find_segments
+
+    tables = {n: f for n, f in files.items() if f.suffix.lower() in SEGMENT_SUFFIXES}
+    images = read_views({name: file for name, file in files.items() if name not in tables})
+    for name, image in images.items():
+        check_size(name, image, rig)
+    return {
+        name: load_segments(tables[name]) if name in tables else find_segments(images[name])
+        for name in each(tuple(files), "segments", quiet=quiet)
+    }
