@@ -33,6 +33,9 @@ from trinoc.match.matches import Matches
 SURE = 0.9
 # Both tracks are right with at least this probability.
 TRUSTED = 0.7
+# Pairs that differ by more than this (chi-square of 4 degrees of freedom) stay apart whatever
+# else is found to be on their lines.
+HOPELESS = 60.0
 # A line that fits all of its segments as badly as one of so many does is none.
 LEVEL = 1e-3
 # How often a line has another piece, before it is known: so many observations.
@@ -103,6 +106,7 @@ def join_collinear(matches: Matches, rig: Rig) -> JoinedLines:
         (pieces.px_per_mm[one] + pieces.px_per_mm[other]) / 2,
     )
     share = _learned_share(evidence, scene, len(order))
+    surely_others = apart.square > HOPELESS
     alone = [
         _Group(
             (t,),
@@ -117,7 +121,7 @@ def join_collinear(matches: Matches, rig: Rig) -> JoinedLines:
         )
         for t in range(len(order))
     ]
-    groups = _agglomerated(alone, near.pairs, _Problem(pieces, scene, share))
+    groups = _agglomerated(alone, near.pairs[~surely_others], _Problem(pieces, scene, share))
     return _as_lines(groups, pieces, order)
 
 

@@ -14,7 +14,7 @@ from jaxtyping import Float
 # errors than stated are not assumed, so that no covariance is smaller than the segments' own says.
 SCALES = np.array([1.0, 2.0, 4.0])
 SHARES = np.array([0.85, 0.11, 0.04])
-STEPS = 5
+STEPS = 4
 
 
 class Shown(NamedTuple):
@@ -100,15 +100,22 @@ def _distances(
     matrix = shown.matrix_px
     image = ends_mm @ matrix[:, :, :3].mT + matrix[:, None, :, 3]
     moved = axes @ matrix[:, :, :3].mT
-    line = np.cross(image[:, 0], image[:, 1])
+    line = _cross(image[:, 0], image[:, 1])
     steepness = np.hypot(line[:, 0], line[:, 1])
     normal = line[:, :2] / steepness[:, None]
     homogeneous = np.concatenate([shown.ends_px, np.ones((len(matrix), 2, 1))], axis=2)
     error = np.einsum("nek,nk->ne", homogeneous, line) / steepness[:, None]
-    by_first = np.cross(moved, image[:, None, 1])
-    by_second = np.cross(image[:, None, 0], moved)
+    by_first = _cross(moved, image[:, None, 1])
+    by_second = _cross(image[:, None, 0], moved)
     by_offset = np.concatenate([by_first, by_second], axis=1)
     jacobian = np.einsum("nek,nok->neo", homogeneous, by_offset) / steepness[:, None, None]
     blocks = shown.covariance_px2.reshape(-1, 2, 2, 2, 2)
     spread = np.einsum("ni,neifj,nj->nef", normal, blocks, normal)
     return error, jacobian, np.linalg.inv(spread)
+
+
+def _cross(first: Float[np.ndarray, "*n 3"], second: Float[np.ndarray, "*m 3"]) -> np.ndarray:
+    # For a few rows, np.cross takes ten times as long.
+    a, b, c = first[..., 0], first[..., 1], first[..., 2]
+    d, e, f = second[..., 0], second[..., 1], second[..., 2]
+    return np.stack([b * f - c * e, c * d - a * f, a * e - b * d], axis=-1)
