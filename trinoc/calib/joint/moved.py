@@ -66,7 +66,7 @@ class RigCheck(eqx.Module):
     told: bool = eqx.field(static=True, default=True)
 
     def summary(self) -> str:
-        """One sentence of verdict, and one line per camera."""
+        """One sentence of verdict, one line per camera, and how a suspected one has moved."""
         if not self.told:
             return (
                 "This scene does not tell whether a camera moved: too few of its lines agree in "
@@ -85,13 +85,14 @@ class RigCheck(eqx.Module):
             )
         rows = [verdict]
         for motion in self.motions:
-            changes = ", ".join(
-                f"{name} {change:+.4f} +- {sigma:.4f}"
-                for name, change, sigma in zip(
-                    motion.parameters, motion.change, motion.sigma, strict=True
-                )
-            )
-            rows.append(f"{motion.name}: {motion.sigmas:.1f} sigma if it alone moved ({changes})")
+            rows.append(f"{motion.name}: {motion.sigmas:.1f} sigma if it alone moved")
+            if motion.sigmas >= SUSPECT_SIGMAS:
+                rows += [
+                    f"  {name:<12} {change:+10.4f} +- {sigma:.4f}"
+                    for name, change, sigma in zip(
+                        motion.parameters, motion.change, motion.sigma, strict=True
+                    )
+                ]
         return "\n".join(rows)
 
 
