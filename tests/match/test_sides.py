@@ -10,7 +10,7 @@ from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
 from trinoc.match.evidence import tempered
 from trinoc.match.match_segments import match_segments
-from trinoc.match.side_evidence import COMPONENTS, side_evidence, side_table
+from trinoc.match.side_evidence import COMPONENTS, USUAL_SHARES, side_evidence, side_table
 from trinoc.match.side_levels import side_levels, with_side_levels
 
 VIEWS = ("upper", "left", "right")
@@ -74,6 +74,15 @@ def test_usual_levels_are_weaker_evidence_than_rare_ones() -> None:
     levels[:40] = [50.0, 200.0]
     table = side_table([levels], [rng.uniform(0, 400, (60, 2))])[0]
     assert table[:40, 4].min() > table[40:, 4].max()
+
+
+def test_levels_that_are_the_same_everywhere_speak_for_nothing() -> None:
+    rng = np.random.default_rng(2)
+    levels = np.tile([60.0, 180.0], (40, 1))
+    table = np.stack(side_table([levels] * 3, [rng.uniform(0, 400, (40, 2))] * 3))
+    index = rng.integers(0, 40, (20, 3))
+    evidence = side_evidence(table, index, np.tile(np.array(FORWARD), (20, 3, 1)))
+    assert (np.log(np.exp(evidence) @ USUAL_SHARES) < 0.3).all()
 
 
 def of_twins(gain: float = 1.0) -> tuple[Rig, dict[str, Segments]]:

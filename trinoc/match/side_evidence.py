@@ -23,8 +23,9 @@ USUAL_SHARES = np.array([0.3, 0.15, 0.05, 0.15, 0.1, 0.04, 0.08, 0.03, 0.04, 0.0
 _PERCENTILES = 2.0, 98.0
 # The histogram of a picture, and the share of strangers that have any level.
 _LEAST, _MOST, _BIN, _ANY = -10.0, 110.0, 2.0, 0.05
-# How many segments are nearby, and the width of the kernel that makes their levels a density.
-_NEARBY, _WIDTH = 25, 1.0
+# How many segments are nearby, and the width of the kernel that makes their levels a density: as
+# narrow as levels can agree, so that levels which are the same everywhere say nothing.
+_NEARBY, _WIDTH = 25, AGREEING[0]
 
 
 def side_table(
