@@ -1,4 +1,4 @@
-"""Collinear tracks joined and ends snapped to corners, against the true edges.
+"""Collinear tracks joined, ends snapped to corners, and what moves, against the true edges.
 
     python benchmarks/joined_lines.py [--seeds N] [--rendered FOLDER]
 
@@ -34,11 +34,15 @@ from trinoc.match.joined.snap_corners import snap_corners
 from trinoc.match.match_segments import match_segments
 from trinoc.match.matches import Matches
 from trinoc.synth.distances import distance_to_segments_mm
+from trinoc.synth.rigs import table1_rig
+from trinoc.synth.scenes import loose_segments
+from trinoc.synth.solids import Cylinder
 from trinoc.synth.truth import SegmentTruth
 
 KINDS = ("table", "boxes", "boxes ej5", "boxes x4", "random", "random ej5")
 SAME_LINE_MM, NEAR_MM, MOST = 0.1, 1.0, 0.8
 NOBODY, NOT_SCORED = -1, -2
+FIRST_OF_OUTLINES = 130_000
 
 
 class Tally:
@@ -69,7 +73,9 @@ class Tally:
             f"{self.median('ends'):.3f} to {self.median('points'):.3f} mm, in 95 % region "
             f"{self.share_below('point', float(chi2.ppf(0.95, 3))):.2f}; lengths "
             f"{self.median('length before'):.3f} to {self.median('length after'):.3f} mm; "
-            f"{1e3 * self.median('seconds'):.0f} ms"
+            f"{1e3 * self.median('seconds'):.0f} ms; edges marked as moving "
+            f"{n['marked in three']}/{n['in three']} in three views, "
+            f"{n['marked in two']}/{n['in two']} in two"
         )
 
 
@@ -87,6 +93,42 @@ def edges_of_tracks(matches: Matches, truth: SegmentTruth) -> np.ndarray:
         elif len(owners) == 1:
             edge[track] = owners.pop()
     return edge
+
+
+def judge_marks(tally: Tally, matches: Matches, edge: np.ndarray) -> None:
+    """Count tracks of straight edges that are marked as moving with the viewpoint."""
+    assert matches.moves is not None
+    in_three = (matches.index >= 0).sum(axis=1) > 2
+    for name, rows in (("in three", in_three), ("in two", ~in_three)):
+        tally.count[name] += int((rows & (edge >= 0)).sum())
+        tally.count[f"marked {name}"] += int((rows & (edge >= 0) & matches.moves).sum())
+
+
+def outlines(radius_mm: float, sigma_px: float, seeds: int) -> str:
+    """What becomes of the outlines of standing cylinders, 30 mm high, among loose segments."""
+    rig = table1_rig()
+    total = triples = marked = 0
+    for seed in range(FIRST_OF_OUTLINES, FIRST_OF_OUTLINES + seeds):
+        generator = np.random.default_rng(seed)
+        feet = np.pad(generator.uniform(-60, 60, (14, 2)), ((0, 0), (0, 1)))
+        loose = loose_segments(seed, count=60).edges_mm
+        segments = {}
+        for name, camera in rig.items():
+            lines = [
+                Cylinder(foot, radius_mm, 30.0, 96).silhouette_mm(camera.centre_world_mm)
+                for foot in feet
+            ]
+            image = np.concatenate([*lines, loose]) @ camera.matrix_px[:, :3].T
+            image = image + camera.matrix_px[:, 3]
+            ends = image[..., :2] / image[..., 2:]
+            segments[name] = ends + sigma_px * generator.normal(size=ends.shape)
+        matches = match_segments(segments, rig, sigma_px=sigma_px)
+        assert matches.moves is not None
+        own = (matches.index == matches.index[:, :1]).all(axis=1)
+        own &= matches.index[:, 0] < 2 * len(feet)
+        total, triples = total + 2 * len(feet), triples + int(own.sum())
+        marked += int(matches.moves[own].sum())
+    return f"{total} outlines, {triples} joined in three views, {marked} of them marked"
 
 
 def edges_of_lines(lines_mm: np.ndarray, edges_mm: np.ndarray) -> np.ndarray:
@@ -190,6 +232,7 @@ def fresh(kind: str, seeds: int) -> str:
         matches = match_segments(segments, rig)
         joined, corners = solved(tally, matches, rig)
         edge = edges_of_tracks(matches, truth)
+        judge_marks(tally, matches, edge)
         judge_lines(tally, matches, joined, edge, truth.edges_mm)
         of_line = [Counter(edge[joined.tracks_of(k)].tolist()) for k in range(len(joined))]
         most = np.array([count.most_common(1)[0][0] for count in of_line])
@@ -211,6 +254,7 @@ def rendered(folder: Path) -> str:
         matches = match_segments(segments, rig)
         joined, corners = solved(tally, matches, rig)
         edge = edges_of_lines(matches.lines_mm, edges_mm)
+        judge_marks(tally, matches, edge)
         judge_lines(tally, matches, joined, edge, edges_mm)
         judge_corners(tally, joined, corners, edges_of_lines(joined.lines_mm, edges_mm), edges_mm)
     return tally.text()
@@ -223,6 +267,10 @@ def main() -> None:
     options = parser.parse_args()
     for kind in KINDS:
         print(f"{kind}: {fresh(kind, options.seeds)}", flush=True)
+    for sigma_px in (0.1, 0.5):
+        for radius_mm in (1.0, 2.0, 3.0, 6.0, 12.0):
+            what = outlines(radius_mm, sigma_px, options.seeds)
+            print(f"cylinders of {radius_mm:g} mm, {sigma_px} px: {what}", flush=True)
     if options.rendered is not None:
         print(f"rendered: {rendered(options.rendered)}")
 
