@@ -17,6 +17,7 @@ from trinoc.match.joined.line_fit import Shown, across_axes, fit_line
 from trinoc.match.joined.lines import JoinedLines
 from trinoc.match.joined.snap_corners import snap_corners
 from trinoc.match.matches import TRINOCULAR, Matches
+from trinoc.match.observed import distorted
 
 VIEWS = ("upper", "left", "right")
 _triangulated = jax.jit(jax.vmap(triangulate_segment, in_axes=(None, 0, 0, 0)))
@@ -316,6 +317,24 @@ def test_ends_that_pass_each_other_do_not_meet(rig) -> None:
     met = lines_alone(tracks_of(rig, np.stack([one, other - [0.0, 0.0, 3.0]])), rig)
     corners = snap_corners(met)
     np.testing.assert_allclose(corners.points_mm, [[0.0, 0.0, 10.0]], atol=1e-5)
+
+
+def test_fragments_are_taken_where_the_lens_shows_them(rig) -> None:
+    pieces = pieces_of(loose_lines(10, seed=15), (0.0, 0.5), (0.55, 1.0))
+    matches = tracks_of(rig, pieces, seed=4)
+    bent = rig_of(*VIEWS, distortion=(-0.6, 0.1, 0.002, -0.002, 0.0))
+    seen = np.stack(
+        [
+            distorted(bent[name].intrinsics, matches.fragments_px[:, view])
+            for view, name in enumerate(VIEWS)
+        ],
+        axis=1,
+    )
+    assert np.abs(seen - matches.fragments_px).max() > 1
+    joined = join_collinear(matches, rig)
+    again = join_collinear(dataclasses.replace(matches, fragments_px=seen), bent)
+    np.testing.assert_array_equal(again.line_of_track, joined.line_of_track)
+    np.testing.assert_allclose(again.lines_mm, joined.lines_mm, atol=1e-5)
 
 
 def test_of_nothing_nothing_is_joined(rig) -> None:
