@@ -29,7 +29,7 @@ from trinoc.geometry.triangulation import triangulate_segment
 from trinoc.match.match_segments import match_segments
 
 PAPERS_BASELINE_MM = 300.0
-TOLERANT_SIGMA_PX = 8.0  # 1/128 of the width, as the command takes it
+TOLERANT_SIGMA_PX = 4.0  # as the command takes it
 
 
 def reprojection_px(rig: Rig, images: list[np.ndarray], where: np.ndarray) -> tuple[float, float]:

@@ -14,9 +14,9 @@ if TYPE_CHECKING:
     from trinoc.geometry.segments import Segments
     from trinoc.match.matches import Matches
 
-# After a knock the matcher first takes the ends of segments to be this share of the picture's
-# width off, 4 px of 512: twice as much lets it find nothing among strangers any more.
-TOLERANT_SHARE = 1 / 128
+# After a knock the matcher first takes the ends of segments to be this far off. With 8 px it finds
+# nothing among strangers any more, whatever the resolution.
+TOLERANT_SIGMA_PX = 4.0
 
 
 class Scene(NamedTuple):
@@ -47,11 +47,10 @@ def scene_of(
     files = files_of_views(pictures)
     check_views(files, rig, rig_file)
     segments = _segments(files, rig, quiet=quiet)
-    sigma_px = TOLERANT_SHARE * max(camera.image_size_px[0] for camera in rig.cameras)
     LOGGER.info("matching %s", ", ".join(f"{len(s)} ({n})" for n, s in segments.items()))
     return Scene(
         match_segments(segments, rig),
-        lambda other: match_segments(segments, other, sigma_px=sigma_px),
+        lambda other: match_segments(segments, other, sigma_px=TOLERANT_SIGMA_PX),
         lambda other: match_segments(segments, other),
         files,
     )
