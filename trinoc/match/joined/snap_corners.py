@@ -38,7 +38,8 @@ def snap_corners(joined: JoinedLines) -> Corners:
     the posteriors of both lines, and where all lines of the corner pass through one point at a
     level of 0.001. Of an end, the place across its line counts with its covariance; along it, a
     standard deviation of 7 pixels is added, since a detector stops where it does. An end
-    on the middle of another line (a T) is not a corner here.
+    on the middle of another line (a T) is not a corner here. Lines are taken to err
+    independently of each other, though some share a segment.
     """
     ends = ends_of(joined)
     corners = _agglomerated(ends, *meetings(ends, joined))
