@@ -1,6 +1,7 @@
 """`trinoc match`: the pictures of a rig, or their segments, to matched 3-D segments."""
 
 import dataclasses
+import math
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,6 +11,7 @@ import tyro
 
 from trinoc.cli.command import Command, Outcome, UsageError
 from trinoc.cli.progress import LOGGER, each
+from trinoc.cli.segment_options import SegmentOptions
 from trinoc.cli.views import files_of_views
 from trinoc.errors import InputError
 
@@ -23,11 +25,13 @@ if TYPE_CHECKING:
 # Of the segments of the view that has fewest. The demo's scene reaches 0.66; 0.06 where two of its
 # pictures are swapped, and 0.23 where one of them is a photograph of something else.
 LEAST_SHARE = 0.25
+# Not None: an option that may be a pair or nothing would take pictures that follow it.
+ANYWHERE = (0.0, math.inf)
 SEGMENT_SUFFIXES = (".npz", ".npy", ".csv", ".txt")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Match(Command):
+class Match(SegmentOptions, Command):
     """Match line segments across the pictures of a calibrated rig."""
 
     pictures: Annotated[
@@ -39,6 +43,12 @@ class Match(Command):
 
     rig: Path
     """The cameras, as `trinoc calibrate` writes them."""
+
+    depth_range_mm: Annotated[
+        tuple[float, float],
+        tyro.conf.arg(metavar="NEAR FAR", help_behavior_hint="(default: anywhere before them)"),
+    ] = ANYWHERE
+    """Least and greatest depth of lines before every camera that sees them."""
 
     out: Annotated[Path, tyro.conf.arg(aliases=("-o",))] = Path("matches.npz")
     """Where the matches go."""
@@ -53,6 +63,12 @@ class Match(Command):
         files = files_of_views(self.pictures)
         if not files:
             raise UsageError("No picture is given: write NAME=FILE for each camera.")
+        near, far = self.depth_range_mm
+        if not 0 <= near < far:
+            raise UsageError(
+                f"--depth-range-mm {near:g} {far:g} holds no depth: give the least, then the "
+                "greatest, in mm."
+            )
 
         from trinoc.io.atomic import expect_place
         from trinoc.io.rig_json import load_rig
@@ -64,7 +80,8 @@ class Match(Command):
         check_views(files, rig, self.rig)
         images, segments = self._read(files, rig)
         LOGGER.info("matching %s", ", ".join(f"{len(s)} ({n})" for n, s in segments.items()))
-        matches = match_segments(segments, rig)
+        depths = None if self.depth_range_mm == ANYWHERE else self.depth_range_mm
+        matches = match_segments(segments, rig, depth_range_mm=depths)
         save(matches, self.out)
         if self.report is not None:
             from trinoc.cli.provenance import for_people, provenance
@@ -89,7 +106,6 @@ class Match(Command):
     ) -> "tuple[dict[str, np.ndarray], dict[str, Segments]]":
         from trinoc.io.images import read_views
         from trinoc.io.segments_npz import load_segments
-        from trinoc.match.find_segments import find_segments
 
         tables = {n: f for n, f in files.items() if f.suffix.lower() in SEGMENT_SUFFIXES}
         images = read_views({name: file for name, file in files.items() if name not in tables})
@@ -99,7 +115,7 @@ class Match(Command):
                 segments[name] = load_segments(tables[name])
             else:
                 check_size(name, images[name], rig)
-                segments[name] = find_segments(images[name])
+                segments[name] = self.find(images[name])
         return images, segments
 
 

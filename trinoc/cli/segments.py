@@ -7,10 +7,11 @@ from typing import Annotated
 import tyro
 
 from trinoc.cli.command import Command, Outcome
+from trinoc.cli.segment_options import SegmentOptions
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Segments(Command):
+class Segments(SegmentOptions, Command):
     """Find the line segments of a picture (Nevatia and Babu)."""
 
     picture: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="IMG")]
@@ -23,9 +24,8 @@ class Segments(Command):
         """Find the segments and write them."""
         from trinoc.io.images import read_image
         from trinoc.io.save import save
-        from trinoc.match.find_segments import find_segments
 
-        segments = find_segments(read_image(self.picture))
+        segments = self.find(read_image(self.picture))
         save(segments, self.out)
         count = len(segments)
         median_px = float(sorted(segments.length_px)[count // 2]) if count else 0.0
