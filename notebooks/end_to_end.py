@@ -3,10 +3,10 @@
 #
 # Three fixed cameras, upper, left and right, each took one picture of a printed sheet of
 # circles, and later one picture of a table with blocks. This notebook calibrates the cameras
-# from the first three pictures, finds the straight edges in the other three, matches them by
-# geometry alone, and compares everything with what is known: the pictures were made by a ray
-# tracer for the rig of Table 1 of Yokoi, Medioni and Nevatia, "A segment-based matching
-# algorithm in trinocular vision" (1986). The command `trinoc demo` does the same in one line.
+# from the first three pictures, finds the straight edges in the other three, matches them, and
+# compares everything with what is known: the pictures were made by a ray tracer for the rig of
+# Table 1 of Yokoi, Medioni and Nevatia, "A segment-based matching algorithm in trinocular
+# vision" (1986). The command `trinoc demo` does the same in one line.
 
 # %%
 import matplotlib.pyplot as plt
