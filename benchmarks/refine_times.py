@@ -116,7 +116,8 @@ class Residuals:
                 pattern[row, 6 * view : 6 * view + 6] = 1
                 pattern[row, 6 * views + 4 * track : 6 * views + 4 * track + 4] = 1
         start = np.zeros(pattern.shape[1])
-        least_squares(self.all, start, jac_sparsity=pattern, x_scale="jac", loss="soft_l1")
+        found = least_squares(self.all, start, jac_sparsity=pattern, x_scale="jac", loss="soft_l1")
+        print(f"         ({found.nfev} evaluations, final cost {found.cost:.6g}: {found.message})")
 
     def ceres(self) -> None:
         """Ceres with one cost function in Python for each fragment, and Schur elimination."""
