@@ -28,8 +28,7 @@ KNOWN_DEG = TURN_DEG / 4
 # Two answers are one where the lines of one miss each other by less with the other.
 SAME_SIGMAS = 3.5
 # The best two wrong answers of one scene differ in log posterior by a factor of up to 1.25; right
-# ones exceed wrong ones by 2.2 to 4 (made tables, boxes and loose segments, seeds 200 to 203), and
-# by 1.35 in photographs of a building full of parallel lines.
+# ones exceed wrong ones by 2.2 to 4 (made tables, boxes and loose segments, seeds 200 to 203).
 CLEAR_FACTOR = 1.3
 
 
