@@ -55,8 +55,9 @@ FREE = 0.5
 USUAL_SHARE = 0.1
 # Log odds that a view misses a line within its borders.
 LOG_MISSED = float(np.log(0.5))
-# What the evidence of true pairs falls short of, on made scenes of other seeds.
-MISFIT = 1.5
+# What the evidence of true pairs falls short of, on made scenes of other seeds (700,000 on): with
+# it the share that is right is nearer to the stated one on four of five kinds of scene.
+MISFIT = 2.25
 # In pictures, where strangers are alike, it exceeds it instead: see `evidence.TEMPER`.
 MISFIT_OF_PICTURES = -1.5
 
