@@ -37,8 +37,8 @@ def match_many(
 
     An item that cannot be matched has its sentence for a status, and the others their
     matches. Items run one after the other on the same compiled kernels, which their bucket of
-    sizes shares: candidates are sparse, and padding all items to the worst of them, as a single
-    kernel over the batch would need, costs more than the calls that it saves.
+    sizes shares: candidates are sparse, and a single kernel over the batch would pad all items
+    to the worst of them.
 
     Raises ValueError where there are not as many rigs as items.
     """
