@@ -232,4 +232,6 @@ def test_chords_of_arcs_are_kept_where_asked_for() -> None:
 
 
 def test_the_levels_beside_segments_are_those_of_the_picture(segments: Segments) -> None:
-    np.testing.assert_allclose(segments.side_levels, [[60.0, 150.0]] * len(segments), atol=2.0)
+    levels = segments.side_levels
+    assert levels is not None
+    np.testing.assert_allclose(levels, [[60.0, 150.0]] * len(segments), atol=2.0)
