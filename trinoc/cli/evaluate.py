@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from trinoc.cli.command import Command, Outcome, UsageError
-from trinoc.cli.match import SEGMENT_SUFFIXES, check_size, check_views
 from trinoc.cli.progress import LOGGER
+from trinoc.cli.scene_files import SEGMENT_SUFFIXES, check_size, check_views
 from trinoc.cli.views import files_of_views
 from trinoc.errors import InputError
 

@@ -10,15 +10,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from trinoc.cli.command import Command, Outcome, UsageError
-from trinoc.cli.progress import LOGGER, each
+from trinoc.cli.progress import LOGGER
+from trinoc.cli.scene_files import check_views, read_segments
 from trinoc.cli.segment_options import SegmentOptions
 from trinoc.cli.views import files_of_views
-from trinoc.errors import InputError
 
 if TYPE_CHECKING:
-    import numpy as np
-
-    from trinoc.geometry.rig import Rig
     from trinoc.geometry.segments import Segments
     from trinoc.match.matches import Matches
 
@@ -27,7 +24,6 @@ if TYPE_CHECKING:
 LEAST_SHARE = 0.25
 # Not None: an option that may be a pair or nothing would take pictures that follow it.
 ANYWHERE = (0.0, math.inf)
-SEGMENT_SUFFIXES = (".npz", ".npy", ".csv", ".txt")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -78,7 +74,7 @@ class Match(SegmentOptions, Command):
         expect_place(self.out, self.report)
         rig = load_rig(self.rig)
         check_views(files, rig, self.rig)
-        images, segments = self._read(files, rig)
+        images, segments = read_segments(files, rig, self.find, quiet=self.quiet)
         LOGGER.info("matching %s", ", ".join(f"{len(s)} ({n})" for n, s in segments.items()))
         depths = None if self.depth_range_mm == ANYWHERE else self.depth_range_mm
         matches = match_segments(segments, rig, depth_range_mm=depths)
@@ -100,51 +96,6 @@ class Match(SegmentOptions, Command):
         written = [str(path) for path in (self.out, self.report) if path is not None]
         text = f"{match_text(matches)}\nwritten: {', '.join(written)}"
         return Outcome(text, {**match_record(segments, matches), "written": written})
-
-    def _read(
-        self, files: Mapping[str, Path], rig: "Rig"
-    ) -> "tuple[dict[str, np.ndarray], dict[str, Segments]]":
-        from trinoc.io.images import read_views
-        from trinoc.io.segments_npz import load_segments
-
-        tables = {n: f for n, f in files.items() if f.suffix.lower() in SEGMENT_SUFFIXES}
-        images = read_views({name: file for name, file in files.items() if name not in tables})
-        segments = {}
-        for name in each(tuple(files), "segments", quiet=self.quiet):
-            if name in tables:
-                segments[name] = load_segments(tables[name])
-            else:
-                check_size(name, images[name], rig)
-                segments[name] = self.find(images[name])
-        return images, segments
-
-
-def check_views(files: Mapping[str, Path], rig: "Rig", rig_file: Path) -> None:
-    """Raise InputError where the views given are not the cameras of the rig."""
-    for name in files:
-        if name not in rig.names:
-            raise InputError(
-                f'{rig_file} has no camera "{name}", but {", ".join(rig.names)}: use these names.'
-            )
-    missing = [name for name in rig.names if name not in files]
-    if missing and len(files) < 3:
-        raise InputError(
-            f'{rig_file} has the camera "{missing[0]}", for which no picture is given: '
-            f"add {missing[0]}=FILE."
-        )
-    if missing:
-        LOGGER.warning("no picture of %s: matching without", ", ".join(missing))
-
-
-def check_size(name: str, image: "np.ndarray", rig: "Rig") -> None:
-    """Raise InputError where a picture has not the size that the rig was calibrated for."""
-    size = (image.shape[1], image.shape[0])
-    if size != rig[name].image_size_px:
-        raise InputError(
-            f'The picture of "{name}" is {size[0]} x {size[1]} px, but the rig was calibrated for '
-            f"{rig[name].image_size_px[0]} x {rig[name].image_size_px[1]} px: give a picture of "
-            "that size."
-        )
 
 
 def match_record(segments: "Mapping[str, Segments]", matches: "Matches") -> dict[str, Any]:

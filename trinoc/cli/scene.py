@@ -5,13 +5,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from trinoc.cli.command import UsageError
-from trinoc.cli.match import SEGMENT_SUFFIXES, check_size, check_views
-from trinoc.cli.progress import LOGGER, each
+from trinoc.cli.progress import LOGGER
+from trinoc.cli.scene_files import check_views, read_segments
 from trinoc.cli.views import files_of_views
 
 if TYPE_CHECKING:
     from trinoc.geometry.rig import Rig
-    from trinoc.geometry.segments import Segments
     from trinoc.match.matches import Matches
 
 # After a knock the matcher first takes the ends of segments to be this far off. With 8 px it finds
@@ -42,11 +41,12 @@ def scene_of(
 
         return Scene(load_matches(matches), None, None, {"matches": matches})
 
+    from trinoc.match.find_segments import find_segments
     from trinoc.match.match_segments import match_segments
 
     files = files_of_views(pictures)
     check_views(files, rig, rig_file)
-    segments = _segments(files, rig, quiet=quiet)
+    segments = read_segments(files, rig, find_segments, quiet=quiet)[1]
     LOGGER.info("matching %s", ", ".join(f"{len(s)} ({n})" for n, s in segments.items()))
     return Scene(
         match_segments(segments, rig),
@@ -54,18 +54,3 @@ def scene_of(
         lambda other: match_segments(segments, other),
         files,
     )
-
-
-def _segments(files: dict[str, Path], rig: "Rig", *, quiet: bool) -> "dict[str, Segments]":
-    from trinoc.io.images import read_views
-    from trinoc.io.segments_npz import load_segments
-    from trinoc.match.find_segments import find_segments
-
-    tables = {n: f for n, f in files.items() if f.suffix.lower() in SEGMENT_SUFFIXES}
-    images = read_views({name: file for name, file in files.items() if name not in tables})
-    for name, image in images.items():
-        check_size(name, image, rig)
-    return {
-        name: load_segments(tables[name]) if name in tables else find_segments(images[name])
-        for name in each(tuple(files), "segments", quiet=quiet)
-    }

@@ -1,0 +1,66 @@
+"""The pictures of a scene, or their segments, given for the cameras of a rig."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from trinoc.cli.progress import LOGGER, each
+from trinoc.errors import InputError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from trinoc.geometry.rig import Rig
+    from trinoc.geometry.segments import Segments
+
+SEGMENT_SUFFIXES = (".npz", ".npy", ".csv", ".txt")
+
+
+def read_segments(
+    files: Mapping[str, Path],
+    rig: "Rig",
+    find: "Callable[[np.ndarray], Segments]",
+    *,
+    quiet: bool,
+) -> "tuple[dict[str, np.ndarray], dict[str, Segments]]":
+    """(the pictures among the files, the segments of all): read, or found in the pictures."""
+    from trinoc.io.images import read_views
+    from trinoc.io.segments_npz import load_segments
+
+    tables = {n: f for n, f in files.items() if f.suffix.lower() in SEGMENT_SUFFIXES}
+    images = read_views({name: file for name, file in files.items() if name not in tables})
+    for name, image in images.items():
+        check_size(name, image, rig)
+    segments = {
+        name: load_segments(tables[name]) if name in tables else find(images[name])
+        for name in each(tuple(files), "segments", quiet=quiet)
+    }
+    return images, segments
+
+
+def check_views(files: Mapping[str, Path], rig: "Rig", rig_file: Path) -> None:
+    """Raise InputError where the views given are not the cameras of the rig."""
+    for name in files:
+        if name not in rig.names:
+            raise InputError(
+                f'{rig_file} has no camera "{name}", but {", ".join(rig.names)}: use these names.'
+            )
+    missing = [name for name in rig.names if name not in files]
+    if missing and len(files) < 3:
+        raise InputError(
+            f'{rig_file} has the camera "{missing[0]}", for which no picture is given: '
+            f"add {missing[0]}=FILE."
+        )
+    if missing:
+        LOGGER.warning("no picture of %s: matching without", ", ".join(missing))
+
+
+def check_size(name: str, image: "np.ndarray", rig: "Rig") -> None:
+    """Raise InputError where a picture has not the size that the rig was calibrated for."""
+    size = (image.shape[1], image.shape[0])
+    if size != rig[name].image_size_px:
+        raise InputError(
+            f'The picture of "{name}" is {size[0]} x {size[1]} px, but the rig was calibrated for '
+            f"{rig[name].image_size_px[0]} x {rig[name].image_size_px[1]} px: give a picture of "
+            "that size."
+        )
