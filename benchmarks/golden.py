@@ -194,7 +194,7 @@ def photographs() -> Values:
     if folder is None:
         return
     data = np.load(folder / "vgg_merton1" / "merton1.npz")
-    matrices = {view: matrix for view, matrix in zip(VIEWS, data["projection"], strict=True)}
+    matrices = dict(zip(VIEWS, data["projection"], strict=True))
     rig = trinoc.Rig.from_matrices(matrices, (1024, 768))
     ends = {view: data[f"segments_{k}"] for k, view in enumerate(VIEWS)}
     yield from _matches("merton1", trinoc.match_segments(ends, rig))
