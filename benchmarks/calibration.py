@@ -23,22 +23,22 @@ import jax
 import numpy as np
 from scipy.optimize import least_squares
 
-from trinoc.calib.calibrate_detections import calibrate_detections
-from trinoc.calib.circle_calibration import fit_detections, stack_lenses
-from trinoc.calib.circle_fit import fit_pictures_from_lines
-from trinoc.calib.circle_observations import circle_observations, stack_observations
-from trinoc.calib.circle_residual import whitened_residuals
-from trinoc.calib.detect.detect_pattern import detect_pattern
-from trinoc.calib.detection import Detection
-from trinoc.calib.lens_arrays import lens_arrays
-from trinoc.calib.pattern import Pattern
-from trinoc.calib.photometry.refine_picture import refine_picture
-from trinoc.calib.picture_calibration import refine_fits
-from trinoc.calib.picture_fit import sheet_pose_of_values
+from trinoc.calib.detection.detection import Detection
+from trinoc.calib.detection.search import detect_pattern
+from trinoc.calib.from_detections import calibrate_detections
+from trinoc.calib.model.circle_observations import circle_observations, stack_observations
+from trinoc.calib.model.circle_residual import whitened_residuals
+from trinoc.calib.model.lens_arrays import lens_arrays
+from trinoc.calib.photometric.image_fit import refine_image
+from trinoc.calib.photometric.views import refine_views
+from trinoc.calib.pose.estimate import sheet_pose_of_values
+from trinoc.calib.pose.least_squares import fit_images_from_lines
+from trinoc.calib.pose.views import fit_views, stack_lenses
+from trinoc.calib.targets.pattern import Pattern
 from trinoc.errors import DetectionError
 from trinoc.geometry.camera import Camera
 from trinoc.synth.rigs import table1_lens
-from trinoc.synth.sheet_picture import render_sheet
+from trinoc.synth.sheet_image import render_sheet
 
 LENS, NOISE = table1_lens(), 2.0
 TABLE_1 = np.array(
@@ -165,8 +165,8 @@ def one_trial(picture: np.ndarray, truth: np.ndarray, true_px: np.ndarray) -> Tr
         return None
     names = {"a": detection}
     circles = calibrate_detections(names, SHEET, LENS)
-    fit = fit_detections([detection], SHEET, [LENS], 4)[0]
-    refined = refine_fits(
+    fit = fit_views([detection], SHEET, [LENS], 4)[0]
+    refined = refine_views(
         {"a": picture.astype(np.float32)}, {"a": fit}, names, SHEET, {"a": LENS}, 4
     )["a"]
     if refined.quality is None:
@@ -224,22 +224,22 @@ def report_times(picture: np.ndarray, truth: np.ndarray, true_px: np.ndarray) ->
     many = jax.tree.map(lambda leaf: np.repeat(leaf, 1000, axis=0), one)
     lens, lenses = stack_lenses([LENS]), stack_lenses([LENS] * 1000)
     arrays, start = lens_arrays(LENS, False), sheet_pose_of_values(np.append(truth + 0.01, [0, 0]))
-    fit = fit_detections([detection], SHEET, [LENS], 4)[0]
+    fit = fit_views([detection], SHEET, [LENS], 4)[0]
     greys, fits = dict.fromkeys("abc", grey), dict.fromkeys("abc", fit)
     found, three_lenses = dict.fromkeys("abc", detection), dict.fromkeys("abc", LENS)
     calls: dict[str, tuple[Callable[[], object], int]] = {
         "cv2.solvePnP": (lambda: by_solve_pnp_alone(centres), 1),
         "scipy least_squares": (lambda: by_scipy(detection, truth + 0.05), 1),
-        "circle fit, compiled": (lambda: fit_pictures_from_lines(lens, one, parameter_count=4), 1),
-        "circle fit, judged": (lambda: fit_detections([detection], SHEET, [LENS], 4), 1),
+        "circle fit, compiled": (lambda: fit_images_from_lines(lens, one, parameter_count=4), 1),
+        "circle fit, judged": (lambda: fit_views([detection], SHEET, [LENS], 4), 1),
         "circle fit, of 1000": (
-            lambda: fit_pictures_from_lines(lenses, many, parameter_count=4),
+            lambda: fit_images_from_lines(lenses, many, parameter_count=4),
             1000,
         ),
         "detect_pattern": (lambda: detect_pattern(picture, SHEET), 1),
-        "refinement": (lambda: refine_picture(grey, SHEET, arrays, start, 4), 1),
+        "refinement": (lambda: refine_image(grey, SHEET, arrays, start, 4), 1),
         "refinement, three": (
-            lambda: refine_fits(greys, fits, found, SHEET, three_lenses, 4),
+            lambda: refine_views(greys, fits, found, SHEET, three_lenses, 4),
             1,
         ),
     }

@@ -15,12 +15,12 @@ from typing import NamedTuple
 import jax
 import numpy as np
 from calibration import LENS, NOISE, SHEET, TRUE_NOISE, difference, labelled, poses
-from picture_bound import Scene, bound_of_picture
+from picture_bound import Scene, bound_of_image
 
-from trinoc.calib.circle_calibration import fit_detections
-from trinoc.calib.detect.detect_pattern import detect_pattern
-from trinoc.calib.pattern import Pattern
-from trinoc.calib.picture_calibration import refine_fits
+from trinoc.calib.detection.search import detect_pattern
+from trinoc.calib.photometric.views import refine_views
+from trinoc.calib.pose.views import fit_views
+from trinoc.calib.targets.pattern import Pattern
 from trinoc.errors import DetectionError
 from trinoc.geometry.conics import image_of_circle_centre
 from trinoc.synth.disturbances import card
@@ -77,7 +77,7 @@ def outcomes(condition: Condition, truths: np.ndarray, seeds: int) -> tuple[list
             )
             whole, exact = exact, scene.picture(16, above=cover)
             seen = np.abs(whole - exact) < 1e-6
-        bound = bound_of_picture(scene, TRUE_NOISE, condition.parameters, seen=seen)
+        bound = bound_of_image(scene, TRUE_NOISE, condition.parameters, seen=seen)
         for seed in range(seeds):
             noise = np.random.default_rng([k, seed]).normal(0.0, NOISE, exact.shape)
             picture = np.rint(np.clip(exact + noise, 0, 255)).astype(np.uint8)
@@ -99,9 +99,9 @@ def one_outcome(
         detection = labelled(detect_pattern(picture, pattern), np.asarray(centres))
     except DetectionError:
         return None
-    fit = fit_detections([detection], pattern, [LENS], count)[0]
+    fit = fit_views([detection], pattern, [LENS], count)[0]
     grey, names = {"a": picture.astype(np.float32)}, {"a": detection}
-    refined = refine_fits(grey, {"a": fit}, names, pattern, {"a": LENS}, count)["a"]
+    refined = refine_views(grey, {"a": fit}, names, pattern, {"a": LENS}, count)["a"]
     if refined.quality is None:
         return None
     error = difference(refined.fit.values[:count].copy(), scene.values[:count])

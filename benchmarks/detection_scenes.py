@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from trinoc.calib.pattern import Pattern
+from trinoc.calib.targets.pattern import Pattern
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.synth.disturbances import (
@@ -20,7 +20,7 @@ from trinoc.synth.disturbances import (
 )
 from trinoc.synth.layers import Layer
 from trinoc.synth.rigs import table1_lens
-from trinoc.synth.sheet_picture import render_sheet
+from trinoc.synth.sheet_image import render_sheet
 
 PAPER_MM = (210.0, 230.0)
 # Enough for labels; the renderer's own error is then about that of the centres, so that errors

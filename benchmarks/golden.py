@@ -21,18 +21,18 @@ from typing import Any
 
 import cv2
 import numpy as np
-from intrinsics import LENS, picture_of, random_poses
+from intrinsics import LENS, image_of, random_poses
 from shared_scenes import VIEWS, load_scene
 
 import trinoc
-from trinoc.io.demo import demo_pattern, demo_pictures, demo_truth
-from trinoc.match.depth_picture import depth_picture
-from trinoc.match.find_junctions import find_junctions
-from trinoc.match.joined.join_collinear import join_collinear
-from trinoc.match.joined.snap_corners import snap_corners
-from trinoc.match.match_many import match_many
-from trinoc.match.side_levels import with_side_levels
-from trinoc.synth.observations import Detector, observe
+from trinoc.io.demo import demo_images, demo_pattern, demo_truth
+from trinoc.match.batch import match_many
+from trinoc.match.line_map.collinear_merge import join_collinear
+from trinoc.match.line_map.corner_fit import snap_corners
+from trinoc.match.line_map.depth import depth_map
+from trinoc.segments.junctions import find_junctions
+from trinoc.segments.side_intensity import with_side_levels
+from trinoc.synth.observations import Detector, simulate_segments
 from trinoc.synth.rigs import table1_lens, table1_rig
 from trinoc.synth.scenes import block_scene, loose_segments, see_through_boxes
 
@@ -47,7 +47,7 @@ FILES = (
 
 def calibration() -> Values:
     """The demo's sheet: detection, both methods, four and six parameters, systematics."""
-    pattern, images, lens = demo_pattern(), demo_pictures("sheet"), table1_lens()
+    pattern, images, lens = demo_pattern(), demo_images("sheet"), table1_lens()
     for view, image in images.items():
         found = trinoc.detect_pattern(image, pattern)
         yield f"{view}.circle_index", found.circle_index
@@ -82,14 +82,14 @@ def _segments(prefix: str, segments: trinoc.Segments) -> Values:
 def _matches(prefix: str, matches: trinoc.Matches) -> Values:
     for field in ("index", "fragments_px", "fragments_covariance_px2", "covariance_mm2", "stage"):
         yield f"{prefix}.{field}", getattr(matches, field)
-    for field in ("lines_mm", "posterior", "runner_up", "misfit", "moves"):
+    for field in ("lines_mm", "posterior", "rival_posterior", "misfit", "viewpoint_dependent"):
         yield f"{prefix}.{field}", getattr(matches, field)
 
 
 def scene() -> Values:
     """The demo's scene: segments, junctions, matches, straight lines, corners, refinement."""
-    images = demo_pictures("scene")
-    calibrated = trinoc.calibrate(demo_pictures("sheet"), demo_pattern(), table1_lens())
+    images = demo_images("scene")
+    calibrated = trinoc.calibrate(demo_images("sheet"), demo_pattern(), table1_lens())
     segments = {view: trinoc.find_segments(image) for view, image in images.items()}
     for view, found in segments.items():
         yield from _segments(view, found)
@@ -106,7 +106,7 @@ def scene() -> Values:
     snapped = snap_corners(joined)
     yield "snapped.lines_mm", snapped.lines_mm
     yield "snapped.covariance_mm2", snapped.lines_covariance_mm2
-    yield "depth", depth_picture(matches, calibrated.rig, "upper")
+    yield "depth", depth_map(matches, calibrated.rig, "upper")
     score = trinoc.evaluate(matches, demo_truth().edges_mm)
     yield "precision", score.precision
     yield "completeness", score.completeness
@@ -129,7 +129,7 @@ def made() -> Values:
     rig = table1_rig()
     frames = []
     for label, (shape, detector) in kinds.items():
-        segments, _ = observe(shape, rig, detector, seed=7)
+        segments, _ = simulate_segments(shape, rig, detector, seed=7)
         yield from _matches(label, trinoc.match_segments(segments, rig))
         two = {view: segments[view] for view in ("upper", "left")}
         yield from _matches(f"{label}.two", trinoc.match_segments(two, rig))
@@ -145,7 +145,7 @@ def made() -> Values:
         swing_deg=camera.swing_deg,
         distance_mm=camera.distance_mm + 0.3,
     )
-    segments, _ = observe(kinds["boxes"][0], rig, Detector(), seed=8)
+    segments, _ = simulate_segments(kinds["boxes"][0], rig, Detector(), seed=8)
     before = trinoc.Rig(knocked)
     refined = trinoc.refine(
         before, trinoc.match_segments(segments, before, sigma_px=1.0), moved=["left"]
@@ -157,7 +157,7 @@ def made() -> Values:
 
 def lens() -> Values:
     """A lens from five made pictures of the sheet, and one camera from points off the plane."""
-    images = [np.round(picture_of(LENS, pose)) for pose in random_poses(5, 5)]
+    images = [np.round(image_of(LENS, pose)) for pose in random_poses(5, 5)]
     images = [image.astype(np.uint8) for image in images]
     result = trinoc.calibrate_intrinsics(images, trinoc.Pattern.default())
     yield "values", result.values

@@ -17,14 +17,14 @@ from typing import Any
 import cv2
 import numpy as np
 
-from trinoc.calib.detect.detect_pattern import detect_pattern
-from trinoc.calib.detection import Detection
-from trinoc.calib.intrinsics.calibrate_intrinsics import calibrate_intrinsics
+from trinoc.calib.detection.detection import Detection
+from trinoc.calib.detection.search import detect_pattern
+from trinoc.calib.intrinsics.from_images import calibrate_intrinsics
 from trinoc.calib.intrinsics.lens_parameters import LENS_PARAMETERS, lens_of_values
-from trinoc.calib.pattern import Pattern
+from trinoc.calib.targets.pattern import Pattern
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.pose import Pose
-from trinoc.synth.sheet_picture import render_sheet
+from trinoc.synth.sheet_image import render_sheet
 
 SHEET = Pattern.default()
 SIZE_PX = (512, 480)
@@ -52,7 +52,7 @@ def random_poses(seed: int, count: int) -> np.ndarray:
     return np.array(poses)
 
 
-def picture_of(values: np.ndarray, pose: np.ndarray) -> np.ndarray:
+def image_of(values: np.ndarray, pose: np.ndarray) -> np.ndarray:
     camera = Camera(lens_of_values(values, SIZE_PX), Pose(pose))
     return render_sheet(SHEET, camera, paper=PAPER, ink=INK, blur_px=BLUR_PX, dtype="float64")
 
@@ -169,7 +169,7 @@ def main() -> None:
     for number in range(options.sets):
         poses = random_poses(number, options.pictures)
         crb = bound(poses)
-        clean = [picture_of(LENS, pose) for pose in poses]
+        clean = [image_of(LENS, pose) for pose in poses]
         for trial in range(options.trials):
             generator = np.random.default_rng([number, trial])
             images = [

@@ -22,18 +22,18 @@ from matching import VIEWS, fresh_problems
 from scipy.spatial import KDTree
 from scipy.stats import chi2
 
+from trinoc.evaluation.distances import distance_to_segments_mm
 from trinoc.geometry.rig import Rig
 from trinoc.io.demo import load_scene_truth
 from trinoc.io.rig_json import load_rig
-from trinoc.match.find_segments import find_segments
-from trinoc.match.joined.corners import Corners
-from trinoc.match.joined.join_collinear import join_collinear
-from trinoc.match.joined.line_fit import across_axes
-from trinoc.match.joined.lines import JoinedLines
-from trinoc.match.joined.snap_corners import snap_corners
-from trinoc.match.match_segments import match_segments
-from trinoc.match.matches import Matches
-from trinoc.synth.distances import distance_to_segments_mm
+from trinoc.match.line_map.collinear_merge import join_collinear
+from trinoc.match.line_map.corner_fit import snap_corners
+from trinoc.match.line_map.corners import Corners
+from trinoc.match.line_map.line_fit import across_axes
+from trinoc.match.line_map.lines import JoinedLines
+from trinoc.match.matcher import match_segments
+from trinoc.match.tracks.matches import Matches
+from trinoc.segments.find import find_segments
 from trinoc.synth.rigs import table1_rig
 from trinoc.synth.scenes import loose_segments
 from trinoc.synth.solids import Cylinder
@@ -97,11 +97,13 @@ def edges_of_tracks(matches: Matches, truth: SegmentTruth) -> np.ndarray:
 
 def judge_marks(tally: Tally, matches: Matches, edge: np.ndarray) -> None:
     """Count tracks of straight edges that are marked as moving with the viewpoint."""
-    assert matches.moves is not None
+    assert matches.viewpoint_dependent is not None
     in_three = (matches.index >= 0).sum(axis=1) > 2
     for name, rows in (("in three", in_three), ("in two", ~in_three)):
         tally.count[name] += int((rows & (edge >= 0)).sum())
-        tally.count[f"marked {name}"] += int((rows & (edge >= 0) & matches.moves).sum())
+        tally.count[f"marked {name}"] += int(
+            (rows & (edge >= 0) & matches.viewpoint_dependent).sum()
+        )
 
 
 def outlines(radius_mm: float, sigma_px: float, seeds: int) -> str:
@@ -123,11 +125,11 @@ def outlines(radius_mm: float, sigma_px: float, seeds: int) -> str:
             ends = image[..., :2] / image[..., 2:]
             segments[name] = ends + sigma_px * generator.normal(size=ends.shape)
         matches = match_segments(segments, rig, sigma_px=sigma_px)
-        assert matches.moves is not None
+        assert matches.viewpoint_dependent is not None
         own = (matches.index == matches.index[:, :1]).all(axis=1)
         own &= matches.index[:, 0] < 2 * len(feet)
         total, triples = total + 2 * len(feet), triples + int(own.sum())
-        marked += int(matches.moves[own].sum())
+        marked += int(matches.viewpoint_dependent[own].sum())
     return f"{total} outlines, {triples} joined in three views, {marked} of them marked"
 
 

@@ -24,21 +24,22 @@ from dense_matcher import match_densely
 from matching_rendered import table_of_rendered
 from shared_scenes import VIEWS, load_scene
 
-from trinoc.geometry.precision import in_float64
+from trinoc.evaluation.scoring import MatchScore, score_groups, score_matches
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
-from trinoc.match.candidates import strangers_of, trinocular_candidates
-from trinoc.match.match_many import match_many
-from trinoc.match.match_segments import match_segments
-from trinoc.match.matches import Matches
-from trinoc.match.observed import Observed, observe
-from trinoc.match.selection import Selection, select
-from trinoc.match.side_levels import with_side_levels
+from trinoc.match.batch import match_many
+from trinoc.match.candidates.triples import trinocular_candidates
+from trinoc.match.matcher import match_segments
+from trinoc.match.observations.clutter import fit_clutter
+from trinoc.match.observations.match_input import MatchInput, simulate_segments
+from trinoc.match.selection.marginals import Selection, select
+from trinoc.match.tracks.matches import Matches
+from trinoc.numerics.precision import in_float64
+from trinoc.segments.side_intensity import with_side_levels
 from trinoc.synth.observations import Detector
-from trinoc.synth.observations import observe as detect
+from trinoc.synth.observations import simulate_segments as detect
 from trinoc.synth.rigs import table1_rig
 from trinoc.synth.scenes import block_scene, loose_segments, see_through_boxes
-from trinoc.synth.scoring import MatchScore, score_groups, score_matches
 from trinoc.synth.truth import SegmentTruth
 
 Problem = tuple[str, Rig, dict[str, Segments], SegmentTruth]
@@ -166,8 +167,8 @@ def is_right(members: list[tuple[int, int]], truth: SegmentTruth) -> bool | None
 def steps(problem: Problem) -> dict[str, MatchScore]:
     """Scores after candidates and exclusion, after neighbours, and after pairs."""
     _, rig, segments, truth = problem
-    seen = observe(segments, rig, None)
-    strangers = strangers_of(seen.lines, seen.counts)
+    seen = simulate_segments(segments, rig, None)
+    strangers = fit_clutter(seen.lines, seen.counts)
     candidates = trinocular_candidates(seen.lines, (0, 1, 2), seen.counts, strangers)
     scores = {}
     for label, neighbours in (("1", False), ("1+2", True)):
@@ -177,7 +178,7 @@ def steps(problem: Problem) -> dict[str, MatchScore]:
     return scores
 
 
-def _groups(seen: Observed, chosen: Selection) -> list[tuple[tuple[int, int], ...]]:
+def _groups(seen: MatchInput, chosen: Selection) -> list[tuple[tuple[int, int], ...]]:
     rows = chosen.candidates.index[chosen.taken]
     return [tuple((v, int(seen.order[v][s])) for v, s in enumerate(row)) for row in rows]
 

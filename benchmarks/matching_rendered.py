@@ -13,18 +13,18 @@ from segment_truth import samples_on_shadow, shadow_gradient
 from shared_scenes import VIEWS
 
 import trinoc.synth
+from trinoc.evaluation.distances import distance_to_segments_mm
+from trinoc.evaluation.scoring import score_lengths
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
 from trinoc.io.demo import load_scene_truth
 from trinoc.io.rig_json import load_rig
-from trinoc.match.find_segments import find_segments
-from trinoc.match.lsd import find_segments_lsd
-from trinoc.match.match_segments import match_segments
-from trinoc.match.matches import Matches
-from trinoc.synth.distances import distance_to_segments_mm
+from trinoc.match.matcher import match_segments
+from trinoc.match.tracks.matches import Matches
+from trinoc.segments.find import find_segments
+from trinoc.segments.lsd import find_segments_lsd
 from trinoc.synth.rigs import table1_rig
 from trinoc.synth.scenes import block_scene
-from trinoc.synth.scoring import score_lengths
 from trinoc.synth.truth import SceneTruth
 
 TOLERANCE_MM, GREY_STEP, STEP_MM = 1.0, 8.0, 0.5

@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from trinoc.calib.pattern import Pattern
+from trinoc.calib.targets.pattern import Pattern
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.intrinsics import Intrinsics
-from trinoc.synth.sheet_picture import render_sheet
+from trinoc.synth.sheet_image import render_sheet
 
 # Central differences of about a tenth of a pixel: the edge is nearly straight over them.
 _STEPS = np.array([0.02, 0.02, 0.04, 0.1, 0.05, 0.05])
@@ -74,7 +74,7 @@ class Scene:
         return replace(self, pattern=grown)
 
 
-def bound_of_picture(
+def bound_of_image(
     scene: Scene,
     noise_sigma: float,
     parameter_count: int,

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from trinoc.calib.pattern import Pattern
+from trinoc.calib.targets.pattern import Pattern
 from trinoc.geometry.camera import Camera
 from trinoc.synth.scenes import Scene
 from trinoc.synth.solids import Cylinder

@@ -15,14 +15,14 @@ from collections.abc import Iterator
 import numpy as np
 from refine_rigs import SIZES, TRUE_RIG, calibrated_rig, camera_error, knocked, relative_error
 
-from trinoc.calib.joint.refine import refine
-from trinoc.calib.joint.result import RefineResult, RefineStatus
+from trinoc.calib.bundle.refinement import refine
+from trinoc.calib.bundle.result import RefineResult, RefineStatus
+from trinoc.evaluation.scoring import score_matches
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
-from trinoc.match.match_segments import match_segments
-from trinoc.synth.observations import Detector, observe
+from trinoc.match.matcher import match_segments
+from trinoc.synth.observations import Detector, simulate_segments
 from trinoc.synth.scenes import block_scene, loose_segments, see_through_boxes
-from trinoc.synth.scoring import score_matches
 from trinoc.synth.truth import SegmentTruth
 
 FIRST_SEED = 130_000
@@ -47,7 +47,7 @@ def trials_of(make, size: tuple[float, float], count: int, every: bool) -> Itera
         random = np.random.default_rng(seed)
         name = TRUE_RIG.names[seed % 3]
         true = knocked(TRUE_RIG, TRUE_RIG.names if every else (name,), size, random)
-        segments, truth = observe(make(seed), true, Detector(), seed=seed)
+        segments, truth = simulate_segments(make(seed), true, Detector(), seed=seed)
         yield calibrated_rig(random), true, segments, truth, name
 
 

@@ -21,8 +21,8 @@ from scipy.optimize import least_squares
 from scipy.sparse import lil_matrix
 from scipy.spatial.transform import Rotation
 
-from trinoc.calib.joint.camera_state import Freedom
-from trinoc.calib.joint.refine import refine
+from trinoc.calib.bundle.refinement import refine
+from trinoc.calib.model.camera_state import Freedom
 from trinoc.geometry.line_observations import LineObservations
 from trinoc.geometry.rig import Rig
 

@@ -33,7 +33,7 @@ import numpy as np
 from edge_contrast import seen_parts
 from pov_ray import Light, blocks_text, render, sheet_text
 
-from trinoc.calib.pattern import Pattern
+from trinoc.calib.targets.pattern import Pattern
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.rig import Rig
 from trinoc.io.demo import save_scene_truth
@@ -93,7 +93,7 @@ def make_demo(out: Path, threads: int) -> None:
     text = sheet_text(pattern, size_mm=SHEET_MM, paper=0.92, ink=0.09, table=0.40)
     for seed, (view, camera) in enumerate(rig.items()):
         grey = render(text, camera, fold=8, threads=threads)
-        write_picture(out / f"sheet_{view}.png", grey, fold=8, blur_px=0.7, noise=1.5, seed=seed)
+        write_image(out / f"sheet_{view}.png", grey, fold=8, blur_px=0.7, noise=1.5, seed=seed)
     scene = demo_scene()
     greys = face_greys(scene, DEMO_GREYS, np.random.default_rng(7), spread=0.05)
     make_scene(
@@ -140,7 +140,7 @@ def make_scene(
         if bare_text is not None:
             write_shadows(out / f"shadows_{view}.png", text, bare_text, camera, threads)
         picture = out / f"scene_{view}.png"
-        write_picture(picture, grey, fold=fold, blur_px=blur_px, noise=noise, seed=seed + offset)
+        write_image(picture, grey, fold=fold, blur_px=blur_px, noise=noise, seed=seed + offset)
         if bare_text is not None:
             write_clean(out / f"clean_{view}.png", grey, fold=fold, blur_px=blur_px)
         seen[view] = seen_parts(scene, camera, grey, fold=fold)
@@ -162,7 +162,7 @@ def write_shadows(path: Path, text: str, bare_text: str, camera: Camera, threads
     cv2.imwrite(str(path), np.clip(np.rint(bare - shaded), 0, 255).astype(np.uint8))
 
 
-def write_picture(
+def write_image(
     path: Path, grey: np.ndarray, *, fold: int, blur_px: float, noise: float, seed: int
 ) -> None:
     """The picture that a sensor makes of fine grey levels: blur, box, noise, 8 bits.

@@ -72,7 +72,7 @@ class Score(NamedTuple):
     alone: np.ndarray
 
 
-def rendered_pictures(folder: Path) -> Iterator[Picture]:
+def rendered_images(folder: Path) -> Iterator[Picture]:
     """The pictures of benchmarks/render_pictures.py blocks, by seed.
 
     The rims of cylinders are no edges here: a chord of one is a false segment. The outlines of

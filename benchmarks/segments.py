@@ -32,13 +32,13 @@ from segment_truth import (
     Score,
     covering,
     off_line,
-    rendered_pictures,
+    rendered_images,
     score,
 )
 
 from trinoc.geometry.segments import Segments
-from trinoc.match.find_segments import find_segments
-from trinoc.match.lsd import LSD_BIAS_PX
+from trinoc.segments.find import find_segments
+from trinoc.segments.lsd import LSD_BIAS_PX
 
 SAME_STEP = 1 / 3
 # The slope of an edge, seen through the masks, is about a quarter of its step per pixel.
@@ -82,7 +82,7 @@ TIMED = {name: detect for name, detect in DETECTORS.items() if name != "LSD, bia
 
 
 def scenes(folder: Path) -> None:
-    pictures = list(rendered_pictures(folder))
+    pictures = list(rendered_images(folder))
     print(f"\n{len(pictures)} rendered pictures, {pictures[0].grey.shape[1]} px wide")
     print(
         "                recall  prec.  weak   rims shadow   across (length)  across (segment)"

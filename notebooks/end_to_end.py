@@ -14,12 +14,12 @@ import numpy as np
 
 import trinoc
 from trinoc.cli.compile_cache import enable_compile_cache
-from trinoc.io.demo import demo_pattern, demo_pictures, demo_truth
+from trinoc.io.demo import demo_pattern, demo_images, demo_truth
 from trinoc.report import plot
 from trinoc.report.against_reference import parameter_errors
 from trinoc.report.text import counts_text, errors_text, reasons_text
 from trinoc.synth.rigs import table1_lens, table1_rig
-from trinoc.synth.scoring import score_lengths
+from trinoc.evaluation.scoring import score_lengths
 
 enable_compile_cache()
 plt.rcParams.update({"figure.dpi": 64, "savefig.bbox": "tight", "axes.titlesize": 10})
@@ -39,7 +39,7 @@ def three(title):
 # left for each camera: pan, tilt, swing and the distance from the sheet's centre.
 
 # %%
-sheets = demo_pictures("sheet")
+sheets = demo_images("sheet")
 result = trinoc.calibrate(sheets, demo_pattern(), table1_lens())
 print(result.summary())
 
@@ -69,7 +69,7 @@ plt.show()
 # covariance of its ends.
 
 # %%
-scenes = demo_pictures("scene")
+scenes = demo_images("scene")
 segments = {view: trinoc.find_segments(picture) for view, picture in scenes.items()}
 
 for axes, (view, found) in zip(three("segments"), segments.items(), strict=True):

@@ -15,26 +15,26 @@ from scipy import stats
 import trinoc
 from trinoc.cli.compile_cache import enable_compile_cache
 from trinoc.geometry.rig import Rig
-from trinoc.io.demo import demo_pictures, demo_truth
+from trinoc.io.demo import demo_images, demo_truth
 from trinoc.report import plot
 from trinoc.report.evaluation_plot import draw_panel, evaluation_panels
-from trinoc.report.evaluation_sweep import Choice, chosen_lines, evaluate_settings, settings_of
+from trinoc.evaluation.sweep import (SweepSetting, chosen_lines, evaluate_settings, settings_of)
 from trinoc.report.evaluation_text import evaluation_text
-from trinoc.report.lines_of_rig import lines_of_rig
-from trinoc.synth.distances import distance_to_segments_mm
-from trinoc.synth.evaluation import certain_lines
-from trinoc.synth.known_shape import KnownShape
-from trinoc.synth.lines_on_edges import offsets_across, selected
-from trinoc.synth.normalised_errors import errors_in_sigmas
-from trinoc.synth.observations import Detector, observe
+from trinoc.evaluation.lines_of_rig import lines_of_rig
+from trinoc.evaluation.distances import distance_to_segments_mm
+from trinoc.evaluation.evaluation import certain_lines
+from trinoc.evaluation.known_shape import KnownShape
+from trinoc.evaluation.lines_on_edges import offsets_across, selected
+from trinoc.evaluation.normalised_errors import errors_in_sigmas
+from trinoc.synth.observations import Detector, simulate_segments
 from trinoc.synth.rigs import TABLE_1, table1_lens, table1_rig
 from trinoc.synth.scenes import loose_segments
 
 enable_compile_cache()
 plt.rcParams.update({"figure.dpi": 64, "savefig.bbox": "tight", "axes.titlesize": 10})
-rig, scene = table1_rig(), demo_pictures("scene")
+rig, scene = table1_rig(), demo_images("scene")
 shape = KnownShape.of_scene(demo_truth())
-both_stages = [Choice(), Choice(stage="trinocular")]
+both_stages = [SweepSetting(), SweepSetting(stage="trinocular")]
 
 # %% [markdown]
 # ## One setting
@@ -65,7 +65,7 @@ off_mm = distance_to_segments_mm(middles, shape.edges_mm)
 figure, axes = plt.subplots(1, 3, figsize=(13, 4.4), layout="constrained")
 colours = plt.get_cmap("plasma")
 for one, (column, view) in zip(axes, enumerate(matches.views), strict=True):
-    plot.draw_picture(one, scene[view], strength=0.3)
+    plot.draw_image(one, scene[view], strength=0.3)
     one.set_title(view)
     for fragment, off in zip(matches.fragments_px[:, column], off_mm, strict=True):
         one.plot(*fragment.T, color=colours(np.clip((np.log10(off) + 2.5) / 2.5, 0, 0.9)), lw=2)
@@ -86,7 +86,7 @@ plt.show()
 figure, axes = plt.subplots(1, 2, figsize=(11, 3.6), layout="constrained", sharey=True)
 median_mm = {}
 for one, form in zip(axes, ("tracks", "corners"), strict=True):
-    lines = chosen_lines(matches, rig, Choice(form=form))
+    lines = chosen_lines(matches, rig, SweepSetting(form=form))
     lengths = trinoc.evaluate(lines, shape).lengths
     measured = np.isfinite(lengths.measured_mm)
     true, error, sigma = (a[measured] for a in (lengths.true_mm, lengths.error_mm, lengths.sigma_mm))
@@ -165,7 +165,7 @@ def own(matches):
 
 
 loose = loose_segments(3, count=90, reach_mm=60.0)
-seen, truth = observe(loose, rig, Detector(0.15, 0.0, 0.1, 0.1), seed=2)
+seen, truth = simulate_segments(loose, rig, Detector(0.15, 0.0, 0.1, 0.1), seed=2)
 sigma = np.tile([0.05, 0.05, 0.05, 0.5], 3)
 rows_of_rig = np.array(list(TABLE_1.values())) + sigma.reshape(3, 4) * np.random.default_rng(
     4

@@ -10,18 +10,18 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import trinoc
-from trinoc.io.demo import demo_pictures
-from trinoc.match.lsd import find_segments_lsd
-from trinoc.match.nevatia_babu.chains import ordered_chains
-from trinoc.match.nevatia_babu.gradient import gradient_of
-from trinoc.match.nevatia_babu.linking import successors
-from trinoc.match.nevatia_babu.masks import combined_kernel, nevatia_babu_masks
-from trinoc.match.nevatia_babu.noise import noise_sigma
-from trinoc.match.nevatia_babu.polygon import split_chains
-from trinoc.match.nevatia_babu.thinning import thinned_pixels
+from trinoc.io.demo import demo_images
+from trinoc.segments.lsd import find_segments_lsd
+from trinoc.segments.nevatia_babu.chains import ordered_chains
+from trinoc.segments.nevatia_babu.gradient import gradient_of
+from trinoc.segments.nevatia_babu.linking import successors
+from trinoc.segments.nevatia_babu.masks import combined_kernel, nevatia_babu_masks
+from trinoc.segments.nevatia_babu.noise import noise_sigma
+from trinoc.segments.nevatia_babu.polygon import split_chains
+from trinoc.segments.nevatia_babu.thinning import thinned_pixels
 
 plt.rcParams.update({"figure.dpi": 64, "savefig.bbox": "tight", "axes.titlesize": 10})
-picture = demo_pictures("scene")["left"]
+picture = demo_images("scene")["left"]
 # A part of the picture, large enough to see its pixels.
 PART = (slice(190, 290), slice(180, 310))
 

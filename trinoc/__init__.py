@@ -8,15 +8,16 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from trinoc import errors
-    from trinoc.calib.calibrate import calibrate
-    from trinoc.calib.calibrate_points import calibrate_points
-    from trinoc.calib.detect.detect_pattern import detect_pattern
-    from trinoc.calib.downstream import epipolar_sigma, point_covariance
-    from trinoc.calib.intrinsics.calibrate_intrinsics import calibrate_intrinsics
-    from trinoc.calib.joint.moved import check_rig
-    from trinoc.calib.joint.refine import refine
-    from trinoc.calib.pattern import Pattern
-    from trinoc.calib.systematics import Systematics, with_systematics
+    from trinoc.calib.bundle.refinement import refine
+    from trinoc.calib.detection.search import detect_pattern
+    from trinoc.calib.from_images import calibrate
+    from trinoc.calib.from_points import calibrate_points
+    from trinoc.calib.intrinsics.from_images import calibrate_intrinsics
+    from trinoc.calib.rig_check.knocked import check_rig
+    from trinoc.calib.targets.pattern import Pattern
+    from trinoc.calib.uncertainty.propagation import epipolar_sigma, point_covariance
+    from trinoc.calib.uncertainty.systematics import Systematics, with_systematics
+    from trinoc.evaluation.evaluation import evaluate
     from trinoc.geometry.camera import Camera
     from trinoc.geometry.intrinsics import Intrinsics
     from trinoc.geometry.rig import Rig
@@ -27,10 +28,9 @@ if TYPE_CHECKING:
     from trinoc.io.rig_json import load_rig
     from trinoc.io.save import save
     from trinoc.io.segments_npz import load_segments
-    from trinoc.match.find_segments import find_segments
-    from trinoc.match.match_segments import match_segments
-    from trinoc.match.matches import Matches
-    from trinoc.synth.evaluation import evaluate
+    from trinoc.match.matcher import match_segments
+    from trinoc.match.tracks.matches import Matches
+    from trinoc.segments.find import find_segments
 
 __version__ = "0.1.0"
 
@@ -66,29 +66,29 @@ __all__ = [
 _MODULE_OF = {
     "Camera": "trinoc.geometry.camera",
     "Intrinsics": "trinoc.geometry.intrinsics",
-    "Matches": "trinoc.match.matches",
-    "Pattern": "trinoc.calib.pattern",
+    "Matches": "trinoc.match.tracks.matches",
+    "Pattern": "trinoc.calib.targets.pattern",
     "Rig": "trinoc.geometry.rig",
     "Segments": "trinoc.geometry.segments",
-    "Systematics": "trinoc.calib.systematics",
-    "calibrate": "trinoc.calib.calibrate",
-    "calibrate_intrinsics": "trinoc.calib.intrinsics.calibrate_intrinsics",
-    "calibrate_points": "trinoc.calib.calibrate_points",
-    "check_rig": "trinoc.calib.joint.moved",
-    "detect_pattern": "trinoc.calib.detect.detect_pattern",
-    "epipolar_sigma": "trinoc.calib.downstream",
-    "evaluate": "trinoc.synth.evaluation",
-    "find_segments": "trinoc.match.find_segments",
+    "Systematics": "trinoc.calib.uncertainty.systematics",
+    "calibrate": "trinoc.calib.from_images",
+    "calibrate_intrinsics": "trinoc.calib.intrinsics.from_images",
+    "calibrate_points": "trinoc.calib.from_points",
+    "check_rig": "trinoc.calib.rig_check.knocked",
+    "detect_pattern": "trinoc.calib.detection.search",
+    "epipolar_sigma": "trinoc.calib.uncertainty.propagation",
+    "evaluate": "trinoc.evaluation.evaluation",
+    "find_segments": "trinoc.segments.find",
     "load_matches": "trinoc.io.matches_npz",
     "load_pattern": "trinoc.io.pattern_json",
     "load_rig": "trinoc.io.rig_json",
     "load_segments": "trinoc.io.segments_npz",
     "load_shape": "trinoc.io.known_shape",
-    "match_segments": "trinoc.match.match_segments",
-    "point_covariance": "trinoc.calib.downstream",
-    "refine": "trinoc.calib.joint.refine",
+    "match_segments": "trinoc.match.matcher",
+    "point_covariance": "trinoc.calib.uncertainty.propagation",
+    "refine": "trinoc.calib.bundle.refinement",
     "save": "trinoc.io.save",
-    "with_systematics": "trinoc.calib.systematics",
+    "with_systematics": "trinoc.calib.uncertainty.systematics",
 }
 
 

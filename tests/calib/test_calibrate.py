@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from tests.calib.simulated import DISTORTED_LENS, LENS, TABLE_1, camera_of
-from trinoc.calib.calibrate import calibrate
-from trinoc.calib.pattern import Pattern
+from trinoc.calib.from_images import calibrate
 from trinoc.calib.result import CalibrationResult, Status
+from trinoc.calib.targets.pattern import Pattern
 from trinoc.errors import CalibrationError, InputError
 from trinoc.geometry.intrinsics import Intrinsics
-from trinoc.synth.sheet_picture import render_sheet
+from trinoc.synth.sheet_image import render_sheet
 
 SHEET = Pattern.default()
 
@@ -33,20 +33,20 @@ def errors_in_sigmas(result: CalibrationResult) -> np.ndarray:
 
 
 def test_the_paper_s_rig_is_recovered() -> None:
-    by_picture = calibrate(pictures(), SHEET, LENS)
+    by_image = calibrate(pictures(), SHEET, LENS)
     by_circles = calibrate(pictures(), SHEET, LENS, method="circles")
-    for result in (by_picture, by_circles):
+    for result in (by_image, by_circles):
         assert set(result.status.values()) == {Status.CONVERGED}
         assert np.abs(errors_in_sigmas(result)).max() < 5.0
     truth = np.concatenate(list(TABLE_1.values()))
-    error = np.abs(by_picture.values - truth).reshape(3, 4)
+    error = np.abs(by_image.values - truth).reshape(3, 4)
     assert error[:, :3].max() < 0.005
     assert error[:, 3].max() < 0.03
     for name in TABLE_1:
-        quality = by_picture.fits[name].picture
+        quality = by_image.fits[name].image
         assert quality is not None
-        assert by_circles.fits[name].picture is None
-        assert by_picture.sigma(f"{name}.pan_deg") < by_circles.sigma(f"{name}.pan_deg")
+        assert by_circles.fits[name].image is None
+        assert by_image.sigma(f"{name}.pan_deg") < by_circles.sigma(f"{name}.pan_deg")
         assert 0.9 < quality.reduced_chi_square < 1.15
         assert quality.blur_px == pytest.approx(0.7, abs=0.02)
         assert quality.ink_over_paper == pytest.approx(25 / 230, abs=0.01)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.calib.simulated import LENS, TABLE_1, camera_of
-from trinoc.calib.calibrate_points import PointsCalibration, calibrate_points
+from trinoc.calib.from_points import PointsCalibration, calibrate_points
 from trinoc.calib.result import Status
 from trinoc.errors import CalibrationError, InputError
 

@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 from tests.geometry.strategies import LENS, rigs_of_three
 from trinoc.errors import InputError
 from trinoc.geometry.camera import Camera
-from trinoc.geometry.precision import in_float64
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
+from trinoc.numerics.precision import in_float64
 
 
 @given(rigs_of_three(), st.permutations(["upper", "left", "right"]))

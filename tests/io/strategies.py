@@ -8,7 +8,7 @@ from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.junctions import Junctions
 from trinoc.geometry.rig import PARAMETER_NAMES, Rig
 from trinoc.geometry.segments import Segments
-from trinoc.match.matches import BINOCULAR, TRINOCULAR, Matches
+from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, Matches
 
 
 @st.composite
@@ -107,7 +107,7 @@ def match_sets(draw: st.DrawFn) -> Matches:
         covariance_mm2=random.normal(size=(tracks, 6, 6)),
         stage=np.where((index >= 0).sum(axis=1) > 2, TRINOCULAR, BINOCULAR),
         posterior=random.uniform(size=tracks),
-        runner_up=random.uniform(size=tracks),
+        rival_posterior=random.uniform(size=tracks),
         reasons={
             view: np.array(draw(st.lists(st.sampled_from(["matched", "no partner", "é"]))), str)
             for view in views
@@ -117,5 +117,5 @@ def match_sets(draw: st.DrawFn) -> Matches:
             st.sampled_from([None, random.normal(size=(tracks, sides, 4, 4))])
         ),
         misfit=draw(st.sampled_from([None, random.uniform(size=tracks)])),
-        moves=draw(st.sampled_from([None, random.uniform(size=tracks) < 0.5])),
+        viewpoint_dependent=draw(st.sampled_from([None, random.uniform(size=tracks) < 0.5])),
     )

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trinoc.calib.pattern import LINE_STYLES, Pattern
+from trinoc.calib.targets.pattern import LINE_STYLES, Pattern
 from trinoc.errors import InputError
 from trinoc.io.pattern_json import load_pattern, save_pattern
 from trinoc.io.pattern_page import Polygon, lay_out

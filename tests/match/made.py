@@ -5,7 +5,7 @@ import numpy as np
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.rig import Rig
-from trinoc.match.matches import Matches
+from trinoc.match.tracks.matches import Matches
 
 # Pan, tilt and swing in degrees, distance in mm.
 POSES = {

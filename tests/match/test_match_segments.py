@@ -7,9 +7,10 @@ from tests.match.made import as_set, loose_lines, pictures, rig_of
 from trinoc.errors import InputError, MatchError
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
-from trinoc.match import candidates, occluded
-from trinoc.match.match_segments import match_segments
-from trinoc.match.reasons import reasons
+from trinoc.match.candidates import triples as candidates
+from trinoc.match.matcher import match_segments
+from trinoc.match.occlusion import pairs as occluded
+from trinoc.match.tracks.rejection import reasons
 
 VIEWS = ("upper", "left", "right")
 
@@ -50,9 +51,11 @@ def test_order_of_segments_of_ends_and_of_views_changes_only_the_numbering(noisy
     np.testing.assert_array_equal(matches.index[order], numbered[order_again])
     np.testing.assert_array_equal(matches.lines_mm[order], again.lines_mm[order_again])
     np.testing.assert_array_equal(matches.posterior[order], again.posterior[order_again])
-    assert matches.moves is not None
-    assert again.moves is not None
-    np.testing.assert_array_equal(matches.moves[order], again.moves[order_again])
+    assert matches.viewpoint_dependent is not None
+    assert again.viewpoint_dependent is not None
+    np.testing.assert_array_equal(
+        matches.viewpoint_dependent[order], again.viewpoint_dependent[order_again]
+    )
 
 
 def test_names_of_cameras_change_nothing(noisy) -> None:
@@ -226,7 +229,12 @@ def test_lens_distortion_is_taken_out_and_put_back() -> None:
 
 def compiled() -> list[int]:
     """How many versions of each kernel have been compiled."""
-    kernels = (candidates._predicted, candidates._gated, candidates._judged, occluded._judged)
+    kernels = (
+        candidates._predicted,
+        candidates._passes_gate,
+        candidates._evidence_of,
+        occluded._evidence_of,
+    )
     return [getattr(kernel, "_cache_size")() for kernel in kernels]  # noqa: B009
 
 

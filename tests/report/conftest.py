@@ -7,17 +7,17 @@ import jax
 import numpy as np
 import pytest
 
-from trinoc.calib.detection import Detection
-from trinoc.calib.pattern import Pattern
+from trinoc.calib.detection.detection import Detection
 from trinoc.calib.result import CalibrationResult, CameraFit, Status
+from trinoc.calib.targets.pattern import Pattern
 from trinoc.geometry.camera import Camera, pixel_from_sheet_homography, project
 from trinoc.geometry.conics import image_of_circle, image_of_circle_centre, shape_of_dual_conic
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.lines import normalised_line
-from trinoc.geometry.precision import in_float64
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
-from trinoc.match.matches import Matches
+from trinoc.match.tracks.matches import Matches
+from trinoc.numerics.precision import in_float64
 
 PARAMETERS = ("pan_deg", "tilt_deg", "swing_deg", "distance_mm")
 SIGMA = (0.0013, 0.0008, 0.0011, 0.0045)

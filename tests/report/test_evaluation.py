@@ -5,22 +5,22 @@ import pytest
 
 import trinoc
 from trinoc.errors import InputError
-from trinoc.geometry.rig import PARAMETER_NAMES, Rig
-from trinoc.match.joined.join_collinear import join_collinear
-from trinoc.match.matches import Matches
-from trinoc.report.evaluation_plot import evaluation_panels, write_plot
-from trinoc.report.evaluation_sweep import (
-    Choice,
+from trinoc.evaluation.evaluation import evaluate
+from trinoc.evaluation.known_shape import KnownShape
+from trinoc.evaluation.lines_of_rig import joined_lines_of_rig, lines_of_rig
+from trinoc.evaluation.sweep import (
     Setting,
+    SweepSetting,
     chosen_lines,
     evaluate_matches,
     evaluate_settings,
     settings_of,
 )
+from trinoc.geometry.rig import PARAMETER_NAMES, Rig
+from trinoc.match.line_map.collinear_merge import join_collinear
+from trinoc.match.tracks.matches import Matches
+from trinoc.report.evaluation_plot import evaluation_panels, write_plot
 from trinoc.report.evaluation_text import evaluation_table, evaluation_text
-from trinoc.report.lines_of_rig import joined_lines_of_rig, lines_of_rig
-from trinoc.synth.evaluation import evaluate
-from trinoc.synth.known_shape import KnownShape
 from trinoc.synth.rigs import TABLE_1, table1_lens, table1_rig
 from trinoc.synth.scenes import loose_segments
 
@@ -30,7 +30,7 @@ SIGMA_PX = 0.1
 SIGMA = np.tile([0.05, 0.05, 0.05, 0.5], 3)
 NAMES = [f"{view}.{name}" for view in VIEWS for name in PARAMETER_NAMES[:4]]
 EDGES = loose_segments(4, count=64, reach_mm=40.0).edges_mm
-CHOICES = (Choice(), Choice(0.5), Choice(0.0, "trinocular"))
+CHOICES = (SweepSetting(), SweepSetting(0.5), SweepSetting(0.0, "trinocular"))
 
 
 def triangulated(matrices_px, uv_px, seen, sigma_px):
@@ -133,8 +133,8 @@ def test_a_line_of_one_track_follows_the_cameras_as_the_track_does():
     np.testing.assert_allclose(lines.ends_mm[alone], tracks.ends_mm[of], atol=1e-9)
     np.testing.assert_allclose(lines.by_parameters[alone], tracks.by_parameters[of], atol=1e-9)
     with pytest.raises(InputError, match="give the rig"):
-        chosen_lines(matches, None, Choice(form="joined"))
-    some = chosen_lines(matches, rig, Choice(0.9, form="corners"))
+        chosen_lines(matches, None, SweepSetting(form="joined"))
+    some = chosen_lines(matches, rig, SweepSetting(0.9, form="corners"))
     assert 0 < len(some) < 20
 
 
@@ -183,7 +183,7 @@ def test_a_setting_that_fails_says_why_and_the_next_goes_on(rows):
 
 def test_a_choice_that_leaves_nothing_says_so():
     matches, shape = made_matches(table1_rig()), KnownShape.of_edges(EDGES)
-    every, none = evaluate_matches(matches, None, shape, (Choice(), Choice(1.1)))
+    every, none = evaluate_matches(matches, None, shape, (SweepSetting(), SweepSetting(1.1)))
     assert every.problem == ""
     assert none.problem.startswith("There is no line to compare")
     assert none.record()["lines"] == 0

@@ -14,7 +14,7 @@ from trinoc.calib.result import CalibrationResult, Status
 from trinoc.errors import InputError
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
-from trinoc.match.matches import Matches
+from trinoc.match.tracks.matches import Matches
 from trinoc.report.html import ExtraTable, render_report, write_report
 from trinoc.report.numbers import with_sigma
 from trinoc.report.space_part import space_figure
@@ -236,7 +236,9 @@ def test_joined_lines_and_corners_can_be_shown(rig: Rig, matches: Matches) -> No
     assert not any("corners" in name for name in names)
     covariance = np.tile(0.04 * np.eye(4), (*matches.index.shape, 1, 1))
     known = dataclasses.replace(
-        matches, fragments_covariance_px2=covariance, moves=np.arange(len(matches)) == 2
+        matches,
+        fragments_covariance_px2=covariance,
+        viewpoint_dependent=np.arange(len(matches)) == 2,
     )
     figure = space_figure(rig, None, known)
     go.Figure(figure)

@@ -11,7 +11,7 @@ from hypothesis import given
 
 from trinoc.errors import InputError
 from trinoc.geometry.rig import Rig
-from trinoc.match.matches import Matches
+from trinoc.match.tracks.matches import Matches
 from trinoc.report.clipping import clip_line
 from trinoc.report.colours import PALETTE, distinct_neighbours
 from trinoc.report.numbers import (

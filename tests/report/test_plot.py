@@ -11,7 +11,7 @@ from matplotlib.collections import LineCollection
 from trinoc.calib.result import CalibrationResult
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
-from trinoc.match.matches import Matches
+from trinoc.match.tracks.matches import Matches
 from trinoc.report import plot
 
 matplotlib.use("Agg")

@@ -7,7 +7,7 @@ import pytest
 
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.rig import Rig
-from trinoc.match.matches import Matches
+from trinoc.match.tracks.matches import Matches
 from trinoc.report.against_reference import parameter_errors
 from trinoc.report.matches_part import reasons_by_view
 from trinoc.report.text import counts_text, errors_text, reasons_text, text_table

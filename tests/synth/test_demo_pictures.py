@@ -4,20 +4,20 @@ import cv2
 import numpy as np
 import pytest
 
-from trinoc.calib.pattern import Pattern
+from trinoc.calib.targets.pattern import Pattern
 from trinoc.errors import InputError
 from trinoc.io.demo import (
     demo_folder,
+    demo_images,
     demo_paths,
     demo_pattern,
-    demo_pictures,
     demo_truth,
     load_scene_truth,
     save_scene_truth,
 )
 from trinoc.synth.rigs import table1_rig
 from trinoc.synth.scenes import demo_scene, points_along
-from trinoc.synth.sheet_picture import render_sheet
+from trinoc.synth.sheet_image import render_sheet
 from trinoc.synth.truth import shown_parts_mm
 
 RIG = table1_rig()
@@ -29,7 +29,7 @@ def test_the_package_stays_small():
 
 @pytest.mark.parametrize("kind", ["sheet", "scene"])
 def test_pictures_are_there_for_each_view(kind):
-    pictures = demo_pictures(kind)
+    pictures = demo_images(kind)
     assert tuple(pictures) == RIG.names
     for picture in pictures.values():
         assert picture.shape == (480, 512)
@@ -50,7 +50,7 @@ def test_the_sheet_is_the_default_pattern():
 @pytest.mark.parametrize("view", RIG.names)
 def test_two_renderers_put_the_sheet_in_one_place(view):
     """Phase correlation of POV-Ray's picture and of the ray caster's, edges enhanced."""
-    picture = demo_pictures("sheet")[view].astype(np.float64)
+    picture = demo_images("sheet")[view].astype(np.float64)
     ours = render_sheet(demo_pattern(), RIG[view], dtype="float64", supersampling=4)
     inside = np.zeros(picture.shape)
     corners = np.array([[-84.0, -84, 0, 1], [84, -84, 0, 1], [84, 84, 0, 1], [-84, 84, 0, 1]])
@@ -81,7 +81,7 @@ def test_the_truth_is_the_scene_s():
 def test_edges_step_the_way_the_truth_says():
     """The grey levels of the noisy pictures, beside the long edges of strong contrast."""
     truth = demo_truth()
-    for view, picture in demo_pictures("scene").items():
+    for view, picture in demo_images("scene").items():
         seen, camera = truth.seen[view], RIG[view]
         compared = 0
         for edge, extent, step in zip(seen.edge, seen.extent, seen.grey_step, strict=True):

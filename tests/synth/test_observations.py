@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from trinoc.synth.observations import PERFECT, Detector, observe
+from trinoc.synth.observations import PERFECT, Detector, simulate_segments
 from trinoc.synth.rigs import table1_rig
 from trinoc.synth.scenes import demo_scene, loose_segments, points_along
 from trinoc.synth.truth import NOT_SCORED, SPURIOUS
@@ -26,7 +26,7 @@ def offsets(found, true):
 
 
 def test_a_perfect_detector_gives_the_images_of_what_is_seen():
-    segments, truth = observe(demo_scene(cylinder_sides=12), RIG, PERFECT, seed=1)
+    segments, truth = simulate_segments(demo_scene(cylinder_sides=12), RIG, PERFECT, seed=1)
     for name in RIG:
         real = truth.edge_of[name] >= 0
         found = np.asarray(segments[name].endpoints_px)[real]
@@ -37,7 +37,7 @@ def test_a_perfect_detector_gives_the_images_of_what_is_seen():
 
 def test_end_points_scatter_by_their_sigma():
     detector = Detector(0.5, 0.0, 0.0, 0.0, 0.0, 8.0)
-    segments, truth = observe(SCENE, RIG, detector, seed=2)
+    segments, truth = simulate_segments(SCENE, RIG, detector, seed=2)
     errors = np.concatenate(
         [
             offsets(
@@ -51,31 +51,31 @@ def test_end_points_scatter_by_their_sigma():
 
 
 def test_shares_are_those_asked_for():
-    whole, _ = observe(SCENE, RIG, PERFECT, seed=3)
+    whole, _ = simulate_segments(SCENE, RIG, PERFECT, seed=3)
     count = sum(len(whole[name]) for name in RIG)
-    missing, _ = observe(SCENE, RIG, Detector(0.0, 0.0, 0.0, 0.3, 0.0, 0.0), seed=3)
+    missing, _ = simulate_segments(SCENE, RIG, Detector(0.0, 0.0, 0.0, 0.3, 0.0, 0.0), seed=3)
     # Of three views one misses the edge: a share of 0.3 takes a tenth of all segments.
     lost = 1 - sum(len(missing[name]) for name in RIG) / count
     assert lost == pytest.approx(0.1, abs=5 * np.sqrt(0.3 * 0.7 / 300) / 3)
-    spurious, truth = observe(SCENE, RIG, Detector(0.0, 0.0, 0.25, 0.0, 0.0, 0.0), seed=3)
+    spurious, truth = simulate_segments(SCENE, RIG, Detector(0.0, 0.0, 0.25, 0.0, 0.0, 0.0), seed=3)
     for name in RIG:
         strays = int(np.sum(truth.edge_of[name] == SPURIOUS))
         assert strays == round(0.25 * (len(spurious[name]) - strays))
-    broken, truth = observe(SCENE, RIG, Detector(0.0, 1.0, 0.0, 0.0, 0.0, 0.0), seed=3)
+    broken, truth = simulate_segments(SCENE, RIG, Detector(0.0, 1.0, 0.0, 0.0, 0.0, 0.0), seed=3)
     assert 2 * count <= sum(len(broken[name]) for name in RIG) <= 3 * count
 
 
 def test_ends_are_cut_back_and_never_beyond():
     detector = Detector(0.0, 0.0, 0.0, 0.0, 5.0, 0.0)
-    segments, _ = observe(SCENE, RIG, detector, seed=4)
-    whole, _ = observe(SCENE, RIG, PERFECT, seed=4)
+    segments, _ = simulate_segments(SCENE, RIG, detector, seed=4)
+    whole, _ = simulate_segments(SCENE, RIG, PERFECT, seed=4)
     for name in RIG:
         total = np.sum(whole[name].length_px) - np.sum(segments[name].length_px)
         assert 0 < total / len(whole[name]) < 10
 
 
 def test_observations_repeat_by_seed():
-    first, again, other = (observe(SCENE, RIG, Detector(), seed=s)[0] for s in (6, 6, 7))
+    first, again, other = (simulate_segments(SCENE, RIG, Detector(), seed=s)[0] for s in (6, 6, 7))
     for name in RIG:
         np.testing.assert_array_equal(first[name].endpoints_px, again[name].endpoints_px)
     assert len(first["left"]) != len(other["left"]) or not np.array_equal(

@@ -6,9 +6,9 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
 
-from trinoc.calib.alternative import Alternative
-from trinoc.calib.detection import Detection
-from trinoc.calib.pattern import Pattern
+from trinoc.calib.detection.detection import Detection
+from trinoc.calib.pose.alternative import Alternative
+from trinoc.calib.targets.pattern import Pattern
 from trinoc.geometry.rig import PARAMETER_NAMES, Rig
 
 
@@ -66,7 +66,7 @@ class CameraFit(eqx.Module):
     gauge : names of the parameters that the observations leave free.
     notes : sentences on what a user should know (covered circles, dropped outliers, ...).
     used : (m,) circles that took part in the fit; the others were located wrongly.
-    picture : of the fit to the grey levels, or None where the circles alone were fitted.
+    image : of the fit to the grey levels, or None where the circles alone were fitted.
     alternatives : what the residuals say of everything that the model holds fixed.
     """
 
@@ -77,7 +77,7 @@ class CameraFit(eqx.Module):
     gauge: tuple[str, ...] = eqx.field(static=True)
     notes: tuple[str, ...] = eqx.field(static=True)
     used: Bool[np.ndarray, "m"]
-    picture: PictureQuality | None = None
+    image: PictureQuality | None = None
     alternatives: tuple[Alternative, ...] = ()
 
     @property
@@ -160,9 +160,9 @@ def summary_text(result: CalibrationResult) -> str:
 
 def _noise(fit: CameraFit) -> str:
     """Noise of the residuals over the picture's own, in grey levels."""
-    if fit.picture is None:
+    if fit.image is None:
         return "circles only"
-    return f"{fit.picture.noise:.2f} / {fit.picture.noise_floor:.2f}"
+    return f"{fit.image.noise:.2f} / {fit.image.noise_floor:.2f}"
 
 
 def _with_sigma(value: float, sigma: float) -> str:

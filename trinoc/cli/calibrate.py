@@ -67,8 +67,8 @@ class Calibrate(Command):
                 "1.001, for X and for Y."
             )
 
-        from trinoc.calib.calibrate import calibrate
-        from trinoc.calib.systematics import Systematics
+        from trinoc.calib.from_images import calibrate
+        from trinoc.calib.uncertainty.systematics import Systematics
         from trinoc.cli.provenance import for_people, provenance
         from trinoc.io.atomic import expect_place
         from trinoc.io.images import read_views

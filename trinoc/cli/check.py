@@ -37,7 +37,7 @@ class Check(Command):
 
     def run(self, command_line: str) -> Outcome:
         """Check, and write the mended rig where there is one and it is wanted."""
-        from trinoc.calib.joint.moved import check_rig
+        from trinoc.calib.rig_check.knocked import check_rig
         from trinoc.cli.provenance import provenance
         from trinoc.cli.scene import scene_of
         from trinoc.io.atomic import expect_place
@@ -57,7 +57,7 @@ class Check(Command):
             written = [str(self.out)]
         text = "\n".join([check.summary(), *(f"written: {path}" for path in written)])
         record = {
-            "told": check.told,
+            "told": check.conclusive,
             "moved": list(check.moved),
             "mended": check.refined is not None,
             "sigmas": {motion.name: motion.sigmas for motion in check.motions},

@@ -20,10 +20,10 @@ if TYPE_CHECKING:
     import numpy as np
 
     from trinoc.calib.result import CalibrationResult
+    from trinoc.evaluation.scoring import LengthScore
     from trinoc.geometry.rig import Rig
     from trinoc.geometry.segments import Segments
-    from trinoc.match.matches import Matches
-    from trinoc.synth.scoring import LengthScore
+    from trinoc.match.tracks.matches import Matches
 
 TOLERANCE_MM = 1.0
 # Edges across which the grey levels of a picture differ by less do not count as shown in it.
@@ -67,13 +67,13 @@ class Work(NamedTuple):
 
 def _work(seconds: dict[str, float]) -> Work:
     with _step("loading", seconds):
-        from trinoc.calib.calibrate import calibrate
-        from trinoc.io.demo import demo_pattern, demo_pictures
-        from trinoc.match.find_segments import find_segments
-        from trinoc.match.match_segments import match_segments
+        from trinoc.calib.from_images import calibrate
+        from trinoc.io.demo import demo_images, demo_pattern
+        from trinoc.match.matcher import match_segments
+        from trinoc.segments.find import find_segments
         from trinoc.synth.rigs import table1_lens, table1_rig
 
-        sheets, scenes = demo_pictures("sheet"), demo_pictures("scene")
+        sheets, scenes = demo_images("sheet"), demo_images("scene")
     with _step("calibrating from the pictures of the sheet", seconds):
         result = calibrate(sheets, demo_pattern(), table1_lens())
     with _step("finding segments in the pictures of the blocks", seconds):
@@ -91,8 +91,8 @@ class Score(NamedTuple):
 
 
 def _score(matches: "Matches") -> Score:
+    from trinoc.evaluation.scoring import score_lengths
     from trinoc.io.demo import demo_truth
-    from trinoc.synth.scoring import score_lengths
 
     def score(kinds: tuple[str, ...] | None) -> "LengthScore":
         return score_lengths(

@@ -15,9 +15,9 @@ from trinoc.cli.views import files_of_views
 from trinoc.errors import InputError
 
 if TYPE_CHECKING:
+    from trinoc.evaluation.known_shape import KnownShape
+    from trinoc.evaluation.sweep import Row
     from trinoc.geometry.rig import Rig
-    from trinoc.report.evaluation_sweep import Choice, Row
-    from trinoc.synth.known_shape import KnownShape
 
 
 # Options that are settings of the segmentation.
@@ -151,7 +151,7 @@ class Evaluate(Command):
     def _rows(
         self, files: dict[str, Path], rig: "Rig | None", shape: "KnownShape"
     ) -> "Iterator[Row]":
-        from trinoc.report.evaluation_sweep import evaluate_matches, evaluate_settings, settings_of
+        from trinoc.evaluation.sweep import evaluate_matches, evaluate_settings, settings_of
 
         choices = self._choices()
         if self.matches is not None:
@@ -200,10 +200,10 @@ class Evaluate(Command):
             yield row
 
     def _choices(self) -> "Sequence[Choice]":
-        from trinoc.report.evaluation_sweep import Choice
+        from trinoc.evaluation.sweep import SweepSetting
 
         return [
-            Choice(least, stage, form)
+            SweepSetting(least, stage, form)
             for form in self.forms
             for stage in self.stages
             for least in self.least_posterior

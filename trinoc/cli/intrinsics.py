@@ -50,7 +50,7 @@ class Intrinsics(Command):
         if not self.pictures:
             raise UsageError("No picture is given: give several pictures of the sheet.")
 
-        from trinoc.calib.intrinsics.calibrate_intrinsics import calibrate_intrinsics
+        from trinoc.calib.intrinsics.from_images import calibrate_intrinsics
         from trinoc.cli.provenance import provenance
         from trinoc.io.atomic import expect_place
         from trinoc.io.images import read_image
@@ -82,7 +82,7 @@ class Intrinsics(Command):
 
 def intrinsics_record(result: "IntrinsicsResult") -> dict[str, Any]:
     """What programs want to know of a lens, as JSON can hold it."""
-    advice = result.next_picture
+    advice = result.next_image
     return {
         "parameters": {
             name: {"value": float(value), "sigma": result.sigma(name), "free": name in result.free}

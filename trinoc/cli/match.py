@@ -17,7 +17,7 @@ from trinoc.cli.views import files_of_views
 
 if TYPE_CHECKING:
     from trinoc.geometry.segments import Segments
-    from trinoc.match.matches import Matches
+    from trinoc.match.tracks.matches import Matches
 
 # Of the segments of the view that has fewest. The demo's scene reaches 0.66; 0.06 where two of its
 # pictures are swapped, and 0.23 where one of them is a photograph of something else.
@@ -69,7 +69,7 @@ class Match(SegmentOptions, Command):
         from trinoc.io.atomic import expect_place
         from trinoc.io.rig_json import load_rig
         from trinoc.io.save import save
-        from trinoc.match.match_segments import match_segments
+        from trinoc.match.matcher import match_segments
 
         expect_place(self.out, self.report)
         rig = load_rig(self.rig)

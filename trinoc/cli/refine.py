@@ -11,7 +11,7 @@ from trinoc.cli.progress import LOGGER
 from trinoc.errors import CalibrationError
 
 if TYPE_CHECKING:
-    from trinoc.calib.joint.result import RefineResult
+    from trinoc.calib.bundle.result import RefineResult
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -52,9 +52,9 @@ class Refine(Command):
 
     def run(self, command_line: str) -> Outcome:
         """Refine and write the rig; nothing is written where the refinement fails."""
-        from trinoc.calib.joint.camera_state import Freedom
-        from trinoc.calib.joint.refine import refine
-        from trinoc.calib.joint.result import RefineStatus
+        from trinoc.calib.bundle.refinement import refine
+        from trinoc.calib.bundle.result import RefineStatus
+        from trinoc.calib.model.camera_state import Freedom
         from trinoc.cli.provenance import provenance
         from trinoc.cli.scene import scene_of
         from trinoc.io.atomic import expect_place

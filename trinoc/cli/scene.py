@@ -11,14 +11,14 @@ from trinoc.cli.views import files_of_views
 
 if TYPE_CHECKING:
     from trinoc.geometry.rig import Rig
-    from trinoc.match.matches import Matches
+    from trinoc.match.tracks.matches import Matches
 
 # After a knock the matcher first takes the ends of segments to be this far off. With 8 px it finds
 # nothing among strangers any more, whatever the resolution.
 TOLERANT_SIGMA_PX = 4.0
 
 
-class Scene(NamedTuple):
+class SceneInput(NamedTuple):
     """Matches made with the rig given, ways to match again (none for matches), and the files."""
 
     matches: "Matches"
@@ -29,7 +29,7 @@ class Scene(NamedTuple):
 
 def scene_of(
     pictures: Sequence[str], matches: Path | None, rig: "Rig", rig_file: Path, *, quiet: bool
-) -> Scene:
+) -> SceneInput:
     """Read the matches, or the pictures or segments. Raises UsageError, InputError."""
     if bool(pictures) == (matches is not None):
         raise UsageError(
@@ -39,16 +39,16 @@ def scene_of(
     if matches is not None:
         from trinoc.io.matches_npz import load_matches
 
-        return Scene(load_matches(matches), None, None, {"matches": matches})
+        return SceneInput(load_matches(matches), None, None, {"matches": matches})
 
-    from trinoc.match.find_segments import find_segments
-    from trinoc.match.match_segments import match_segments
+    from trinoc.match.matcher import match_segments
+    from trinoc.segments.find import find_segments
 
     files = files_of_views(pictures)
     check_views(files, rig, rig_file)
     segments = read_segments(files, rig, find_segments, quiet=quiet)[1]
     LOGGER.info("matching %s", ", ".join(f"{len(s)} ({n})" for n, s in segments.items()))
-    return Scene(
+    return SceneInput(
         match_segments(segments, rig),
         lambda other: match_segments(segments, other, sigma_px=TOLERANT_SIGMA_PX),
         lambda other: match_segments(segments, other),

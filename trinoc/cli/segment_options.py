@@ -28,7 +28,7 @@ class SegmentOptions:
 
     def find(self, image: "np.ndarray") -> "Segments":
         """The segments of a picture."""
-        from trinoc.match.find_segments import find_segments
+        from trinoc.segments.find import find_segments
 
         return find_segments(
             image,

@@ -7,10 +7,10 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.errors import InputError
-from trinoc.geometry.arrays import ArrayLike
 from trinoc.geometry.intrinsics import Intrinsics, calibration_matrix
 from trinoc.geometry.pose import PanTiltPose, Pose
-from trinoc.geometry.precision import in_float64
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.precision import in_float64
 
 
 class Camera(eqx.Module):

@@ -6,8 +6,9 @@ Points are undistorted pixels. Source: Hartley and Zisserman, chapter 9.
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from trinoc.geometry.arrays import ArrayLike
 from trinoc.geometry.rotation import skew
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.small_matrices import inverse_3x3
 
 
 def centre_of_matrix(matrix_px: Float[ArrayLike, "3 4"]) -> Float[ArrayLike, "3"]:
@@ -15,13 +16,6 @@ def centre_of_matrix(matrix_px: Float[ArrayLike, "3 4"]) -> Float[ArrayLike, "3"
     a, b, c, d = (matrix_px[:, i] for i in range(4))
     volume = a @ jnp.cross(b, c)
     return -jnp.stack([d @ jnp.cross(b, c), a @ jnp.cross(d, c), a @ jnp.cross(b, d)]) / volume
-
-
-def inverse_3x3(matrix: Float[ArrayLike, "3 3"]) -> Float[ArrayLike, "3 3"]:
-    """Inverse by cofactors, which fuses under `vmap` where LAPACK does not."""
-    a, b, c = matrix[0], matrix[1], matrix[2]
-    cofactors = jnp.stack([jnp.cross(b, c), jnp.cross(c, a), jnp.cross(a, b)], axis=1)
-    return cofactors / (a @ cofactors[:, 0])
 
 
 def epipole(

@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.errors import InputError
-from trinoc.geometry.arrays import ArrayLike
 from trinoc.geometry.distortion import distort, undistort
+from trinoc.numerics.arrays import ArrayLike
 
 DISTORTION_MODELS = ("none", "brown_conrady")
 

@@ -4,12 +4,12 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from trinoc.geometry.arrays import ArrayLike
 from trinoc.geometry.rotation import (
     pan_tilt_swing_from_rotation,
     rotation_from_pan_tilt_swing,
     rotation_from_vector,
 )
+from trinoc.numerics.arrays import ArrayLike
 
 
 class Pose(eqx.Module):

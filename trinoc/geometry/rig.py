@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.errors import InputError
-from trinoc.geometry.arrays import ArrayLike
 from trinoc.geometry.camera import Camera
+from trinoc.numerics.arrays import ArrayLike
 
 PARAMETER_NAMES = ("pan_deg", "tilt_deg", "swing_deg", "distance_mm", "aim_x_mm", "aim_y_mm")
 

@@ -5,8 +5,8 @@ import numpy as np
 from jaxtyping import Float, Int, Shaped
 
 from trinoc.errors import InputError
-from trinoc.geometry.arrays import ArrayLike
 from trinoc.geometry.junctions import Junctions
+from trinoc.numerics.arrays import ArrayLike
 
 DEFAULT_SIGMA_PX = 0.5
 # Detectors cut ends short or run past them: along the segment an end is known far less.

@@ -11,9 +11,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Bool, Float
 
-from trinoc.geometry.arrays import ArrayLike
-from trinoc.geometry.epipolar import centre_of_matrix, inverse_3x3
-from trinoc.geometry.small_matrices import inverse_positive_definite, solve_positive_definite
+from trinoc.geometry.epipolar import centre_of_matrix
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.small_matrices import (
+    inverse_3x3,
+    inverse_positive_definite,
+    solve_positive_definite,
+)
 
 GAUSS_NEWTON_STEPS = 4
 

@@ -6,8 +6,8 @@ Source: Hartley and Zisserman, chapter 15 and equation 17.12.
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from trinoc.geometry.arrays import ArrayLike
 from trinoc.geometry.lines import normalised_line
+from trinoc.numerics.arrays import ArrayLike
 
 
 def trifocal_tensor(

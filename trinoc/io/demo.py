@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from trinoc.calib.pattern import Pattern
+from trinoc.calib.targets.pattern import Pattern
 from trinoc.errors import InputError
 from trinoc.io.images import read_image
 from trinoc.io.json_document import Block, read_document, write_document
@@ -33,7 +33,7 @@ def demo_paths(kind: str) -> dict[str, Path]:
     return {view: demo_folder() / f"{kind}_{view}.png" for view in VIEWS}
 
 
-def demo_pictures(kind: str) -> dict[str, np.ndarray]:
+def demo_images(kind: str) -> dict[str, np.ndarray]:
     """Pictures of the "sheet" or of the "scene" by view, (480, 512) uint8."""
     return {view: read_image(path) for view, path in demo_paths(kind).items()}
 

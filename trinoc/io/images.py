@@ -10,7 +10,7 @@ import numpy as np
 
 from trinoc.errors import InputError
 
-PICTURE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm", ".webp")
+IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm", ".webp")
 
 
 def read_image(path: str | os.PathLike[str]) -> np.ndarray:
@@ -43,7 +43,7 @@ def read_views(paths: Mapping[str, str | os.PathLike[str]]) -> dict[str, np.ndar
 
 def _content(file: Path) -> bytes:
     if file.is_dir():
-        inside = sorted(p.name for p in file.iterdir() if p.suffix.lower() in PICTURE_SUFFIXES)
+        inside = sorted(p.name for p in file.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES)
         if not inside:
             raise InputError(f"{file} is a folder without pictures: give a picture file.")
         raise InputError(f"{file} is a folder: give one picture in it, such as {file / inside[0]}.")

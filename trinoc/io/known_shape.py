@@ -9,11 +9,11 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.errors import InputError
+from trinoc.evaluation.known_shape import GREY_STEP, KnownShape
 from trinoc.io.demo import FORMAT as SCENE_FORMAT
 from trinoc.io.demo import load_scene_truth
 from trinoc.io.obj_model import CREASE_DEG, edges_of_obj
 from trinoc.io.straight_runs import straight_runs
-from trinoc.synth.known_shape import GREY_STEP, KnownShape
 
 _REMEDY = "give lines of six numbers x1 y1 z1 x2 y2 z2, or points x y z with a blank line between"
 

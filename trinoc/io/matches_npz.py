@@ -6,12 +6,12 @@ import numpy as np
 
 from trinoc.errors import InputError
 from trinoc.io.arrays_npz import read_arrays, take, write_arrays
-from trinoc.match.matches import BINOCULAR, TRINOCULAR, Matches
+from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, Matches
 
 FORMAT, VERSION = "trinoc-matches", 1
 _REASONS = "reasons/"
 # What files of earlier versions do not hold.
-_FRAGMENTS_COVARIANCE, _MISFIT, _MOVES = "fragments_covariance_px2", "misfit", "moves"
+_FRAGMENTS_COVARIANCE, _MISFIT, _MOVES = "fragments_covariance_px2", "misfit", "viewpoint_dependent"
 
 
 def save_matches(matches: Matches, path: str | os.PathLike[str]) -> None:
@@ -24,7 +24,7 @@ def save_matches(matches: Matches, path: str | os.PathLike[str]) -> None:
         "covariance_mm2": matches.covariance_mm2,
         "stage": _texts(matches.stage),
         "posterior": matches.posterior,
-        "runner_up": matches.runner_up,
+        "rival_posterior": matches.rival_posterior,
         "count_names": _texts(matches.counts),
         "count_values": np.array(list(matches.counts.values()), dtype=np.int64),
     }
@@ -51,7 +51,7 @@ def load_matches(path: str | os.PathLike[str]) -> Matches:
         "covariance_mm2": (tracks, 6, 6),
         "stage": (tracks,),
         "posterior": (tracks,),
-        "runner_up": (tracks,),
+        "rival_posterior": (tracks,),
     }
     later = {_FRAGMENTS_COVARIANCE: (tracks, sides, 4, 4), _MISFIT: (tracks,), _MOVES: (tracks,)}
     shapes |= {name: shape for name, shape in later.items() if name in arrays}
@@ -79,7 +79,7 @@ def load_matches(path: str | os.PathLike[str]) -> Matches:
         covariance_mm2=arrays["covariance_mm2"].astype(np.float64),
         stage=arrays["stage"],
         posterior=arrays["posterior"].astype(np.float64),
-        runner_up=arrays["runner_up"].astype(np.float64),
+        rival_posterior=arrays["rival_posterior"].astype(np.float64),
         reasons={
             name.removeprefix(_REASONS): words
             for name, words in arrays.items()
@@ -93,7 +93,7 @@ def load_matches(path: str | os.PathLike[str]) -> Matches:
         },
         fragments_covariance_px2=arrays.get(_FRAGMENTS_COVARIANCE),
         misfit=arrays.get(_MISFIT),
-        moves=arrays[_MOVES].astype(bool) if _MOVES in arrays else None,
+        viewpoint_dependent=arrays[_MOVES].astype(bool) if _MOVES in arrays else None,
     )
 
 

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from trinoc.calib.intrinsics.result import IntrinsicsResult
-from trinoc.calib.pattern import Pattern
 from trinoc.calib.result import CalibrationResult
+from trinoc.calib.targets.pattern import Pattern
 from trinoc.errors import InputError
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.rig import Rig
@@ -17,7 +17,7 @@ from trinoc.io.matches_npz import save_matches
 from trinoc.io.pattern_json import save_pattern
 from trinoc.io.rig_json import save_rig
 from trinoc.io.segments_npz import save_segments
-from trinoc.match.matches import Matches
+from trinoc.match.tracks.matches import Matches
 
 Saveable = Rig | CalibrationResult | Intrinsics | IntrinsicsResult | Pattern | Segments | Matches
 

@@ -124,7 +124,7 @@ def _status(result: CalibrationResult, name: str) -> CameraStatus:
 
 def _picture_figures(result: CalibrationResult, name: str) -> tuple[tuple[str, str], ...]:
     """What the fit to the picture's grey levels says, where there was one."""
-    quality = result.fits[name].picture
+    quality = result.fits[name].image
     if quality is None:
         return ()
     rows = [k for k, words in enumerate(result.parameters) if words.startswith(f"{name}.")]

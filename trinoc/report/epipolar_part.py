@@ -9,7 +9,7 @@ from jaxtyping import Float
 from trinoc.calib.result import CalibrationResult
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.rig import Rig
-from trinoc.match.matches import TRINOCULAR, Matches
+from trinoc.match.tracks.matches import TRINOCULAR, Matches
 from trinoc.report.camera_numbers import (
     calibration_matrix,
     distorted_pixels,

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from trinoc.errors import InputError
+from trinoc.evaluation.sweep import Row
 from trinoc.io.atomic import atomic_write, write_text
 from trinoc.report.colours import PALETTE
-from trinoc.report.evaluation_sweep import Row
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

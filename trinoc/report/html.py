@@ -13,7 +13,7 @@ from trinoc.errors import InputError
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
 from trinoc.io.atomic import write_text
-from trinoc.match.matches import Matches
+from trinoc.match.tracks.matches import Matches
 from trinoc.report.calibration_part import calibration_part
 from trinoc.report.epipolar_part import corrected_circle_centres, ends_of_tracks, epipolar_part
 from trinoc.report.matches_part import matches_part

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from trinoc.geometry.segments import Segments
-from trinoc.match.matches import BINOCULAR, TRINOCULAR, Matches
+from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, Matches
 from trinoc.report.colours import PALETTE, distinct_neighbours
 from trinoc.report.numbers import in_words, percent, with_decimals, with_sigma
 from trinoc.report.pictures import PagePicture
@@ -28,7 +28,7 @@ class TrackRow(NamedTuple):
     length: str
     across: str
     posterior: str
-    runner_up: str
+    rival_posterior: str
 
 
 class ReasonRow(NamedTuple):
@@ -126,7 +126,11 @@ def _pairs_of_views(matches: Matches) -> tuple[tuple[str, int], ...]:
 
 def _track_rows(matches: Matches, colours: list[str], sigmas: TrackSigmas) -> tuple[TrackRow, ...]:
     order = np.argsort(-sigmas.length_mm, kind="stable")[:TABLE_ROWS]
-    moves = np.zeros(len(matches), dtype=bool) if matches.moves is None else matches.moves
+    viewpoint_dependent = (
+        np.zeros(len(matches), dtype=bool)
+        if matches.viewpoint_dependent is None
+        else matches.viewpoint_dependent
+    )
     rows = []
     for track in order.tolist():
         members = tuple("" if i < 0 else str(i) for i in np.asarray(matches.index[track]).tolist())
@@ -134,12 +138,14 @@ def _track_rows(matches: Matches, colours: list[str], sigmas: TrackSigmas) -> tu
             TrackRow(
                 track,
                 colours[track],
-                f"{matches.stage[track]}, moves" if moves[track] else str(matches.stage[track]),
+                f"{matches.stage[track]}, moves"
+                if viewpoint_dependent[track]
+                else str(matches.stage[track]),
                 members,
                 with_sigma(float(sigmas.length_mm[track]), float(sigmas.length_sigma_mm[track])),
                 with_decimals(float(sigmas.across_sigma_mm[track]), 3),
                 with_decimals(float(matches.posterior[track]), 3),
-                with_decimals(float(matches.runner_up[track]), 3),
+                with_decimals(float(matches.rival_posterior[track]), 3),
             )
         )
     return tuple(rows)

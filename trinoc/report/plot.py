@@ -7,7 +7,7 @@ import numpy as np
 from trinoc.calib.result import CameraFit
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
-from trinoc.match.matches import BINOCULAR, TRINOCULAR, Matches
+from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, Matches
 from trinoc.report.clipping import clip_line
 from trinoc.report.colours import BLUE, GREEN, PALETTE, VERMILION, distinct_neighbours
 from trinoc.report.space_content import content_box, frusta
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 OUTLINE_POINTS = 48
 
 
-def draw_picture(axes: "Axes", picture: np.ndarray, *, strength: float = 1.0) -> None:
+def draw_image(axes: "Axes", picture: np.ndarray, *, strength: float = 1.0) -> None:
     """A picture in its own pixel coordinates; `strength` below 1 fades it toward white."""
     axes.imshow(picture, cmap="gray", alpha=strength, interpolation="nearest")
     axes.set_xticks([])
@@ -32,7 +32,7 @@ def draw_detection(
     """Circles and cross lines found, and residuals drawn `magnification` times as long."""
     from matplotlib.collections import LineCollection
 
-    draw_picture(axes, picture, strength=0.8)
+    draw_image(axes, picture, strength=0.8)
     detection = fit.detection
     angles = np.linspace(0, 2 * np.pi, OUTLINE_POINTS)
     unit = np.stack([np.cos(angles), np.sin(angles)])
@@ -53,7 +53,7 @@ def draw_segments(axes: "Axes", picture: np.ndarray, segments: Segments) -> None
     """Every segment of a picture, its ends marked: the paper's figure 6."""
     from matplotlib.collections import LineCollection
 
-    draw_picture(axes, picture, strength=0.4)
+    draw_image(axes, picture, strength=0.4)
     ends = np.asarray(segments.endpoints_px)
     axes.add_collection(LineCollection(list(ends), colors=BLUE, linewidths=1.2))
     axes.plot(*ends.reshape(-1, 2).T, linestyle="none", marker=".", markersize=3, color=BLUE)
@@ -63,7 +63,7 @@ def draw_tracks(axes: "Axes", picture: np.ndarray, matches: Matches, view: str, 
     """The tracks of one stage in one view, one colour each in every view: figure 7."""
     from matplotlib.collections import LineCollection
 
-    draw_picture(axes, picture, strength=0.4)
+    draw_image(axes, picture, strength=0.4)
     fragments = np.asarray(matches.fragments_px)
     colours = distinct_neighbours(fragments.mean(axis=2))
     column = matches.views.index(view)

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.geometry.segments import Segments
-from trinoc.match.matches import Matches
+from trinoc.match.tracks.matches import Matches
 from trinoc.report.numbers import in_words, with_sigma
 from trinoc.report.pictures import PagePicture
 from trinoc.report.track_sigmas import TrackSigmas

@@ -5,10 +5,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.pattern import Pattern
+from trinoc.calib.targets.pattern import Pattern
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.rig import Rig
-from trinoc.match.matches import Matches
+from trinoc.match.tracks.matches import Matches
 
 FRUSTUM_SHARE = 0.14
 CIRCLE_POINTS = 24

@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.pattern import Pattern
+from trinoc.calib.targets.pattern import Pattern
 from trinoc.geometry.rig import Rig
-from trinoc.match.joined.join_collinear import join_collinear
-from trinoc.match.joined.snap_corners import snap_corners
-from trinoc.match.matches import BINOCULAR, TRINOCULAR, Matches
+from trinoc.match.line_map.collinear_merge import join_collinear
+from trinoc.match.line_map.corner_fit import snap_corners
+from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, Matches
 from trinoc.report.colours import BLACK, BLUE, GREEN, VERMILION
 from trinoc.report.numbers import with_decimals, with_sigma
 from trinoc.report.space_content import (

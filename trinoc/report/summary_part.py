@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from trinoc.calib.result import CalibrationResult, Status
-from trinoc.match.matches import BINOCULAR, TRINOCULAR, Matches
+from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, Matches
 from trinoc.report.matches_part import share_matched
 from trinoc.report.numbers import with_decimals
 from trinoc.report.track_sigmas import track_sigmas

@@ -42,7 +42,7 @@ class Detector(eqx.Module):
 PERFECT = Detector(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-def observe(
+def simulate_segments(
     scene: Scene, rig: Rig, detector: Detector, *, seed: int
 ) -> tuple[dict[str, Segments], SegmentTruth]:
     """Segments of every view in random order and direction, and the truth about them.

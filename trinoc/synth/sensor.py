@@ -84,11 +84,11 @@ def _integral_of_phi(z: np.ndarray) -> np.ndarray:
 
 
 def _convolve_rows(
-    picture: Float[np.ndarray, "h w"], weights: Float[np.ndarray, "k"]
+    image: Float[np.ndarray, "h w"], weights: Float[np.ndarray, "k"]
 ) -> Float[np.ndarray, "h w"]:
     """Convolution along axis 0; past its border the picture repeats its last row."""
     reach = len(weights) // 2
-    padded = np.pad(picture, ((reach, reach), (0, 0)), mode="edge")
+    padded = np.pad(image, ((reach, reach), (0, 0)), mode="edge")
     return sum(
-        (w * padded[i : i + len(picture)] for i, w in enumerate(weights)), np.zeros_like(picture)
+        (w * padded[i : i + len(image)] for i, w in enumerate(weights)), np.zeros_like(image)
     )

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from tests.calib.intrinsics.simulated_lens import LENS, SHEET, SIZE_PX, detections, good_poses
-from trinoc.calib.intrinsics.calibrate_intrinsics import calibrate_intrinsics
+from trinoc.calib.intrinsics.from_images import calibrate_intrinsics
 from trinoc.calib.intrinsics.lens_parameters import LENS_PARAMETERS
-from trinoc.calib.pattern import Pattern
 from trinoc.calib.result import Status
+from trinoc.calib.targets.pattern import Pattern
 
 POSES = good_poses()
 

@@ -14,18 +14,14 @@ from tests.calib.intrinsics.simulated_lens import (
     detections,
     good_poses,
 )
-from trinoc.calib.circle_observations import circle_observations, stack_observations
 from trinoc.calib.intrinsics.lens_parameters import parameter_scale
-from trinoc.calib.intrinsics.lens_residual import (
-    information_of_pictures,
-    moved_pose,
-    residuals_px,
-)
+from trinoc.calib.intrinsics.lens_residual import information_of_images, moved_pose, residuals_px
+from trinoc.calib.model.circle_observations import circle_observations, stack_observations
 
 POSES = np.array(good_poses(count=8))
 SCALE = parameter_scale(LENS, SIZE_PX)
 RESIDUALS = jax.jit(residuals_px)
-INFORMATION = jax.jit(information_of_pictures)
+INFORMATION = jax.jit(information_of_images)
 MOVED = jax.jit(jax.vmap(moved_pose, in_axes=(0, None)))
 
 

@@ -11,10 +11,10 @@ from tests.calib.intrinsics.simulated_lens import (
     good_poses,
     pose,
 )
-from trinoc.calib.detection import Detection
-from trinoc.calib.intrinsics.calibrate_intrinsics import calibrate_intrinsics
+from trinoc.calib.detection.detection import Detection
+from trinoc.calib.intrinsics.from_images import calibrate_intrinsics
 from trinoc.calib.intrinsics.lens_parameters import lens_of_values
-from trinoc.calib.intrinsics.next_picture import generic_views
+from trinoc.calib.intrinsics.next_image import generic_views
 from trinoc.calib.intrinsics.result import IntrinsicsResult
 from trinoc.calib.result import Status
 from trinoc.errors import CalibrationError, InputError
@@ -59,7 +59,7 @@ def test_a_held_principal_point_lets_one_picture_do():
 @pytest.mark.parametrize("poses", [good_poses()[:3], good_poses(seed=3), SQUARE[:4]])
 def test_the_advised_picture_lowers_the_sigma_that_it_promises(poses):
     before = calibrate_intrinsics(detections(poses), SHEET, throw=False)
-    advice = before.next_picture
+    advice = before.next_image
     assert advice is not None
     # The advice was made for the lens as estimated; the true one images the sheet alike.
     taken = detection(advice.cam_from_world, seed=77)
@@ -140,5 +140,5 @@ def test_a_picture_with_too_few_circles_is_named_and_left_out():
     )
     result = calibrate_intrinsics(found, SHEET)
     assert list(result.failures) == [0]
-    assert result.picture_index == tuple(range(1, 8))
+    assert result.image_index == tuple(range(1, 8))
     assert "picture 1: only 3 circles" in result.summary()

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 
-class NextPicture(NamedTuple):
+class NextImage(NamedTuple):
     """The picture to take next.
 
     Fields

@@ -5,9 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from trinoc.geometry.arrays import ArrayLike
 from trinoc.geometry.distortion import distort, undistort
 from trinoc.geometry.rotation import rotation_from_vector
+from trinoc.numerics.arrays import ArrayLike
 
 FIELD_PLACES = 5
 

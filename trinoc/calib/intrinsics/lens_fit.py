@@ -8,16 +8,16 @@ import lineax as lx
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 
-from trinoc.calib.circle_observations import CircleObservations
 from trinoc.calib.intrinsics.arrow import ArrowCholesky
 from trinoc.calib.intrinsics.lens_residual import (
     LensChart,
-    information_of_pictures,
+    information_of_images,
     moved_pose,
     residuals_px,
     whitened_residuals,
 )
-from trinoc.geometry.arrays import ArrayLike
+from trinoc.calib.model.circle_observations import CircleObservations
+from trinoc.numerics.arrays import ArrayLike
 
 MAX_STEPS = 100
 # The solver ends when no residual changes by more than this, in standard deviations, and no
@@ -84,7 +84,7 @@ def fit_lens(
         residuals,
         jnp.einsum("knij,knj->kni", circles.whitening, residuals),
         chart.scale,
-        information_of_pictures(values, chart.scale, poses, circles),
+        information_of_images(values, chart.scale, poses, circles),
         solution.stats["num_steps"],
         solution.result == optx.RESULTS.successful,
     )

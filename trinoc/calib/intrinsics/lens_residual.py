@@ -6,8 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from trinoc.calib.circle_observations import CircleObservations
-from trinoc.geometry.arrays import ArrayLike
+from trinoc.calib.model.circle_observations import CircleObservations
 from trinoc.geometry.conics import (
     centre_of_mapped_ellipse,
     dual_conic_of_circle,
@@ -15,6 +14,7 @@ from trinoc.geometry.conics import (
 )
 from trinoc.geometry.distortion import distort
 from trinoc.geometry.pose import Pose
+from trinoc.numerics.arrays import ArrayLike
 
 
 class LensChart(NamedTuple):
@@ -91,13 +91,13 @@ def residuals_px(
     circles: CircleObservations,
 ) -> Float[Array, "k n 2"]:
     """Predicted minus observed centre of every circle of every picture."""
-    of_picture = jax.vmap(predicted_centre_px, in_axes=(None, None, 0, 0))
-    of_all = jax.vmap(of_picture, in_axes=(None, 0, 0, 0))
+    of_image = jax.vmap(predicted_centre_px, in_axes=(None, None, 0, 0))
+    of_all = jax.vmap(of_image, in_axes=(None, 0, 0, 0))
     predicted = of_all(values, cam_from_world, circles.centres_sheet_mm, circles.radius_mm)
     return predicted - circles.centres_px
 
 
-def information_of_pictures(
+def information_of_images(
     values: Float[ArrayLike, "9"],
     scale: Float[ArrayLike, "9"],
     cam_from_world: Float[ArrayLike, "k 3 4"],
@@ -121,8 +121,8 @@ def information_of_pictures(
         return whitening @ predicted_centre_px(lens, moved, centre_sheet_mm, radius_mm)
 
     of_circle = jax.jacfwd(whitened_centre)
-    of_picture = jax.vmap(of_circle, in_axes=(None, None, 0, 0, 0))
-    of_all = jax.vmap(of_picture, in_axes=(None, 0, 0, 0, 0))
+    of_image = jax.vmap(of_circle, in_axes=(None, None, 0, 0, 0))
+    of_all = jax.vmap(of_image, in_axes=(None, 0, 0, 0, 0))
     jacobian = of_all(
         jnp.zeros(15, jnp.asarray(values).dtype),
         jnp.asarray(cam_from_world),

@@ -9,12 +9,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trinoc.calib.intrinsics.first_lens import FirstLens
 from trinoc.calib.intrinsics.lens_fit import LensFit
 from trinoc.calib.intrinsics.lens_information import lens_observability
 from trinoc.calib.intrinsics.lens_parameters import LENS_PARAMETERS, LensModel
-from trinoc.calib.intrinsics.robust_lens import LensPictures, fit_model
-from trinoc.calib.observability import Observability
+from trinoc.calib.intrinsics.robust_lens import LensImages, fit_model
+from trinoc.calib.intrinsics.zhang import ZhangStart
+from trinoc.numerics.observability import Observability
 
 # What a coefficient must lower chi-square by to be asked for: Akaike's price.
 _PRICE = 2.0
@@ -54,27 +54,27 @@ class Candidate(NamedTuple):
         return bool(self.fit.converged) and self.seen.rank == len(self.model.free)
 
 
-def fit_determined(start: FirstLens, model: LensModel, pictures: LensPictures) -> Candidate:
+def fit_determined(start: ZhangStart, model: LensModel, images: LensImages) -> Candidate:
     """The lens with as many radial coefficients of `model`, one at least, as are determined.
 
     The fit of `model` itself where none of those is determined.
     """
-    richest = fit_candidate(start, model, pictures)
+    richest = fit_candidate(start, model, images)
     candidate = richest
     while not candidate.determined and candidate.model.radial > 1:
         fewer = candidate.model._replace(radial=candidate.model.radial - 1)
-        candidate = fit_candidate(start, fewer, pictures)
+        candidate = fit_candidate(start, fewer, images)
     return candidate if candidate.determined else richest
 
 
-def fit_candidate(start: FirstLens, model: LensModel, pictures: LensPictures) -> Candidate:
+def fit_candidate(start: ZhangStart, model: LensModel, images: LensImages) -> Candidate:
     """One model fitted; coefficients that it does not free are zero."""
     held = [name not in model.free for name in LENS_PARAMETERS[4:]]
     values = np.append(start.values[:4], np.where(held, 0.0, start.values[4:]))
-    fit = fit_model(FirstLens(values, start.cam_from_world), model, pictures)
-    residual_count = 2 * sum(int(used.sum()) for used in pictures.used)
+    fit = fit_model(ZhangStart(values, start.cam_from_world), model, images)
+    residual_count = 2 * sum(int(used.sum()) for used in images.used)
     chi_square = float(np.sum(fit.whitened**2))
-    freedom = residual_count - len(model.free) - 6 * len(pictures.detections)
+    freedom = residual_count - len(model.free) - 6 * len(images.detections)
     seen = lens_observability(fit, model, variance_factor(chi_square, freedom))
     return Candidate(model, fit, chi_square, freedom, seen)
 

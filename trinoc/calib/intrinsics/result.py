@@ -6,10 +6,10 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
 
-from trinoc.calib.detection import Detection
-from trinoc.calib.intrinsics.advice import NextPicture
-from trinoc.calib.pattern import Pattern
+from trinoc.calib.detection.detection import Detection
+from trinoc.calib.intrinsics.advice import NextImage
 from trinoc.calib.result import Status
+from trinoc.calib.targets.pattern import Pattern
 from trinoc.geometry.intrinsics import Intrinsics
 
 
@@ -34,10 +34,10 @@ class IntrinsicsResult(eqx.Module):
     cam_from_world : (k, 3, 4) pose of each picture, mm.
     detections, residuals_px, used : for each picture its circles, (m, 2) predicted minus
         observed centres, and (m,) which took part; the others were located wrongly.
-    picture_index : which of the pictures given each of them is.
+    image_index : which of the pictures given each of them is.
     failures : for each picture that was not used, by its index, a sentence that says why.
     notes : sentences on what a user should know.
-    next_picture : the picture that would teach most, or None.
+    next_image : the picture that would teach most, or None.
     pattern : the sheet.
     """
 
@@ -55,10 +55,10 @@ class IntrinsicsResult(eqx.Module):
     detections: Sequence[Detection]
     residuals_px: Sequence[Float[np.ndarray, "_ 2"]]
     used: Sequence[Bool[np.ndarray, "_"]]
-    picture_index: tuple[int, ...] = eqx.field(static=True)
+    image_index: tuple[int, ...] = eqx.field(static=True)
     failures: dict[int, str] = eqx.field(static=True)
     notes: tuple[str, ...] = eqx.field(static=True)
-    next_picture: NextPicture | None
+    next_image: NextImage | None
     pattern: Pattern
 
     def sigma(self, parameter: str) -> float:
@@ -94,8 +94,8 @@ def summary_text(result: IntrinsicsResult) -> str:
         lines.append(f"sigma in the picture: {np.median(sigma):.4f} px, at most {sigma.max():.4f}")
     lines += [f"picture {index + 1}: {why}" for index, why in result.failures.items()]
     lines += list(result.notes)
-    if result.next_picture is not None:
-        lines.append(result.next_picture.sentence)
+    if result.next_image is not None:
+        lines.append(result.next_image.sentence)
     return "\n".join(lines)
 
 

@@ -6,26 +6,26 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from trinoc.calib.circle_observations import (
+from trinoc.calib.detection.detection import Detection
+from trinoc.calib.intrinsics.lens_fit import LensFit, fit_lens
+from trinoc.calib.intrinsics.lens_parameters import LensModel, free_directions, parameter_scale
+from trinoc.calib.intrinsics.lens_residual import LensChart
+from trinoc.calib.intrinsics.zhang import ZhangStart
+from trinoc.calib.model.circle_observations import (
     CircleObservations,
     bucket_size,
     circle_observations,
     stack_observations,
 )
-from trinoc.calib.detection import Detection
-from trinoc.calib.intrinsics.first_lens import FirstLens
-from trinoc.calib.intrinsics.lens_fit import LensFit, fit_lens
-from trinoc.calib.intrinsics.lens_parameters import LensModel, free_directions, parameter_scale
-from trinoc.calib.intrinsics.lens_residual import LensChart
-from trinoc.calib.outliers import ANNEALING, inliers, is_suspect, robust_scale
-from trinoc.calib.pattern import Pattern
-from trinoc.geometry.precision import as_numpy
+from trinoc.calib.model.outliers import ANNEALING, inliers, is_suspect, robust_scale
+from trinoc.calib.targets.pattern import Pattern
+from trinoc.numerics.precision import as_numpy
 
 # Pictures are padded to a multiple of this, so that one more seldom compiles anew.
-_PICTURE_BUCKET = 8
+_IMAGE_BUCKET = 8
 
 
-class LensPictures(NamedTuple):
+class LensImages(NamedTuple):
     """Pictures of the sheet by one camera.
 
     Fields
@@ -53,22 +53,22 @@ class LensPictures(NamedTuple):
             for detection, used in zip(self.detections, self.used, strict=True)
         ]
         empty = rows[0]._replace(whitening=np.zeros_like(rows[0].whitening))
-        return stack_observations(rows + [empty] * (-len(rows) % _PICTURE_BUCKET))
+        return stack_observations(rows + [empty] * (-len(rows) % _IMAGE_BUCKET))
 
 
 def fit_model(
-    start: FirstLens, model: LensModel, pictures: LensPictures, outlier_scale: float = np.inf
+    start: ZhangStart, model: LensModel, images: LensImages, outlier_scale: float = np.inf
 ) -> LensFit:
     """The lens of one model from a start; coefficients that are not free stay as they are."""
-    count = len(pictures.detections)
-    padded = np.minimum(np.arange(count + -count % _PICTURE_BUCKET), count - 1)
+    count = len(images.detections)
+    padded = np.minimum(np.arange(count + -count % _IMAGE_BUCKET), count - 1)
     chart = LensChart(
         start.values,
-        parameter_scale(start.values, pictures.image_size_px),
+        parameter_scale(start.values, images.image_size_px),
         free_directions(model),
         start.cam_from_world[padded],
     )
-    fit = as_numpy(fit_lens(chart, pictures.observations, np.array(outlier_scale)))
+    fit = as_numpy(fit_lens(chart, images.observations, np.array(outlier_scale)))
     return fit._replace(
         cam_from_world=fit.cam_from_world[:count],
         residuals_px=fit.residuals_px[:count],
@@ -78,35 +78,35 @@ def fit_model(
 
 
 def fit_robustly(
-    start: FirstLens, model: LensModel, pictures: LensPictures
-) -> tuple[LensFit, LensPictures]:
+    start: ZhangStart, model: LensModel, images: LensImages
+) -> tuple[LensFit, LensImages]:
     """The fit without the circles that no lens of the model explains, and the circles kept.
 
     The influence of wrong circles is bounded ever more tightly, then those beyond what noise
     makes are left out.
     """
-    fit = fit_model(start, model, pictures)
-    if not is_suspect(_all_whitened(fit, pictures)):
-        return fit, pictures
+    fit = fit_model(start, model, images)
+    if not is_suspect(_all_whitened(fit, images)):
+        return fit, images
     for factor in ANNEALING:
-        scale = factor * robust_scale(_all_whitened(fit, pictures))
-        fit = fit_model(reached(fit), model, pictures, scale)
-    right = inliers(_all_whitened(fit, pictures))
-    ends = np.cumsum([len(detection) for detection in pictures.detections])[:-1]
-    pictures = pictures._replace(used=np.split(right, ends))
-    return fit_model(reached(fit), model, pictures), pictures
+        scale = factor * robust_scale(_all_whitened(fit, images))
+        fit = fit_model(reached(fit), model, images, scale)
+    right = inliers(_all_whitened(fit, images))
+    ends = np.cumsum([len(detection) for detection in images.detections])[:-1]
+    images = images._replace(used=np.split(right, ends))
+    return fit_model(reached(fit), model, images), images
 
 
-def reached(fit: LensFit) -> FirstLens:
+def reached(fit: LensFit) -> ZhangStart:
     """Where a fit ended, to start the next from."""
-    return FirstLens(np.asarray(fit.values), np.asarray(fit.cam_from_world))
+    return ZhangStart(np.asarray(fit.values), np.asarray(fit.cam_from_world))
 
 
-def _all_whitened(fit: LensFit, pictures: LensPictures) -> Float[np.ndarray, "m 2"]:
+def _all_whitened(fit: LensFit, images: LensImages) -> Float[np.ndarray, "m 2"]:
     """Whitened errors of the circles of all pictures, one after the other."""
     return np.concatenate(
         [
             errors[: len(detection)]
-            for errors, detection in zip(fit.whitened, pictures.detections, strict=True)
+            for errors, detection in zip(fit.whitened, images.detections, strict=True)
         ]
     )

@@ -1,0 +1,65 @@
+"""Derivatives of refined cameras and lines agree with differences of whole refinements."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from tests.calib.bundle.made_tracks import SHEET_SIGMA, TRUTH, made_tracks, rig_at
+from trinoc.calib.bundle.implicit_diff import refined
+from trinoc.calib.bundle.line_residual import whitening_across
+from trinoc.calib.bundle.pose_prior import PosePrior
+from trinoc.calib.bundle.schur import FragmentTable
+from trinoc.calib.model.camera_state import Freedom, camera_state
+
+
+def crossing(line, ends):
+    """Where a line crosses the plane through a segment's second end, at right angles to it.
+
+    The anchors themselves may slide along the line, which is no property of the line.
+    """
+    normal = ends[1] - ends[0]
+    along = line[1] - line[0]
+    return line[0] + (normal @ (ends[1] - line[0])) / (normal @ along) * along
+
+
+def test_gradients_of_a_line_and_of_a_camera_agree_with_differences():
+    lines, ends, _ = made_tracks(0, 12, hidden=0.0)
+    rig = rig_at(TRUTH, with_covariance=True)
+    states = [
+        camera_state(c, Freedom.FOUR, with_intrinsics=False, with_distortion=False)
+        for c in rig.cameras
+    ]
+    cameras = jax.tree.map(lambda *leaves: jnp.stack(leaves), *states)
+    whitening = jax.vmap(jax.vmap(whitening_across))(lines.fragments_px, lines.covariance_px2)
+    prior = PosePrior(TRUTH.reshape(3, 4), np.diag(SHEET_SIGMA**-2), cameras)
+
+    @eqx.filter_jit
+    def outputs(fragments_px, sheet_values):
+        tracks = FragmentTable(fragments_px, whitening, lines.seen)
+        sheet = PosePrior(sheet_values, prior.information, cameras)
+        answer, anchors = refined(cameras, lines.lines_mm, tracks, sheet, 8.0)
+        upper, start = (jax.tree.map(lambda leaf: leaf[0], each) for each in (answer, cameras))
+        return jnp.stack([upper.parameters(start)[1], crossing(anchors[4], ends[4])[2]])
+
+    @eqx.filter_jit
+    def both(fragments_px, sheet_values):
+        return jax.jacrev(outputs, argnums=(0, 1))(fragments_px, sheet_values)
+
+    by_fragments, by_sheet = both(lines.fragments_px, prior.values)
+    step_px, step = 1e-3, 1e-4
+    for track, view, end, axis in ((4, 0, 1, 0), (4, 2, 0, 1), (7, 1, 1, 1)):
+        delta = np.zeros(lines.fragments_px.shape)
+        delta[track, view, end, axis] = step_px
+        above = outputs(lines.fragments_px + delta, prior.values)
+        below = outputs(lines.fragments_px - delta, prior.values)
+        expected = (above - below) / (2 * step_px)
+        found = by_fragments[:, track, view, end, axis]
+        np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-7)
+    for view, parameter in ((0, 1), (2, 3)):
+        delta = np.zeros((3, 4))
+        delta[view, parameter] = step
+        above = outputs(lines.fragments_px, prior.values + delta)
+        below = outputs(lines.fragments_px, prior.values - delta)
+        expected = (above - below) / (2 * step)
+        np.testing.assert_allclose(by_sheet[:, view, parameter], expected, rtol=1e-4, atol=1e-7)

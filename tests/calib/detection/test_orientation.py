@@ -1,0 +1,91 @@
+"""A sheet that looks the same turned is not labelled by chance."""
+
+import numpy as np
+import pytest
+
+from tests.calib.simulated import LENS, TABLE_1, camera_of, reference_sheet, simulated_detection
+from trinoc.calib.batch import calibrate_batch
+from trinoc.calib.detection.detection import Detection
+from trinoc.calib.from_detections import calibrate_detections
+from trinoc.calib.result import Status
+from trinoc.errors import CalibrationError
+from trinoc.geometry.rig import Rig
+
+SHEET = reference_sheet()
+# Row by row from the top left: the grid turned by 90, 180 and 270 degrees.
+TURNS = np.stack([np.rot90(np.arange(25).reshape(5, 5), k).ravel() for k in range(4)])
+
+
+def open_detection(name: str, turn: int, seed: int) -> Detection:
+    """What a detector reports that took the labelling `turn` quarter turns off the true one."""
+    camera = camera_of(TABLE_1[name])
+    seen = simulated_detection(camera, SHEET, seed=seed)
+    choices = np.roll(TURNS, -turn, axis=0)
+    return Detection(
+        circle_index=choices[0],
+        centres_px=seen.centres_px,
+        covariance_px2=seen.covariance_px2,
+        shape_px2=seen.shape_px2,
+        lines_px=seen.lines_px[::-1] if turn % 2 else seen.lines_px,
+        image_size_px=seen.image_size_px,
+        ambiguity=choices[1:],
+    )
+
+
+def detections(turns: tuple[int, int, int]) -> dict[str, Detection]:
+    return {
+        name: open_detection(name, turn, seed)
+        for seed, (name, turn) in enumerate(zip(TABLE_1, turns, strict=True))
+    }
+
+
+def test_nobody_chooses_unless_told_by_what() -> None:
+    with pytest.raises(CalibrationError, match="turned by 90 degrees") as raised:
+        calibrate_detections(detections((0, 0, 0)), SHEET, LENS)
+    assert set(raised.value.failures) == set(TABLE_1)
+    mixed = detections((0, 0, 0)) | {
+        "left": simulated_detection(camera_of(TABLE_1["left"]), SHEET, seed=2)
+    }
+    result = calibrate_detections(mixed, SHEET, LENS, throw=False)
+    assert result.rig.names == ("left",)
+    assert result.status["upper"] is Status.AMBIGUOUS
+    assert 'orientation="upright"' in result.summary()
+
+
+def test_upright_takes_what_the_detector_put_first() -> None:
+    result = calibrate_detections(detections((0, 0, 0)), SHEET, LENS, orientation="upright")
+    found = np.reshape(result.values, (3, 4))
+    np.testing.assert_allclose(found, list(TABLE_1.values()), atol=0.05)
+
+
+@pytest.mark.parametrize("turns", [(0, 1, 2), (3, 2, 1)])
+def test_an_earlier_rig_tells_whichever_labelling_came_first(turns: tuple[int, int, int]) -> None:
+    moved = {name: (pan + 1, tilt, swing, far) for name, (pan, tilt, swing, far) in TABLE_1.items()}
+    earlier = Rig({name: camera_of(values) for name, values in moved.items()})
+    result = calibrate_detections(detections(turns), SHEET, LENS, orientation=earlier)
+    found = np.reshape(result.values, (3, 4))
+    np.testing.assert_allclose(found, list(TABLE_1.values()), atol=0.05)
+
+
+def test_an_earlier_rig_that_does_not_tell_is_no_answer() -> None:
+    pan, tilt, swing, far = TABLE_1["upper"]
+    between = Rig({"upper": camera_of((pan + 45, tilt, swing, far))})
+    result = calibrate_detections(
+        detections((0, 0, 0))
+        | {"left": simulated_detection(camera_of(TABLE_1["left"]), SHEET, seed=2)},
+        SHEET,
+        LENS,
+        orientation=between,
+        throw=False,
+    )
+    assert result.rig.names == ("left",)
+    assert "does not tell" in result.failures["upper"]
+    assert "no such camera" in result.failures["right"]
+
+
+def test_frames_of_a_batch_have_the_status_too() -> None:
+    batch = calibrate_batch([detections((0, 0, 0))], SHEET, LENS)
+    assert set(batch.status[0].values()) == {Status.AMBIGUOUS}
+    assert not batch.good.any()
+    upright = calibrate_batch([detections((0, 0, 0))], SHEET, LENS, orientation="upright")
+    assert upright.good.all()

@@ -1,0 +1,161 @@
+"""Laws of the circle fit: derivatives, recovery of the truth, symmetries, coverage."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.calib.simulated import (
+    DISTORTED_LENS,
+    LENS,
+    TABLE_1,
+    camera_of,
+    reference_sheet,
+    simulated_detection,
+)
+from trinoc.calib.from_detections import calibrate_detections
+from trinoc.calib.model.circle_observations import circle_observations
+from trinoc.calib.model.circle_residual import predicted_centre_px, whitened_residuals
+from trinoc.calib.model.lens_arrays import lens_arrays
+from trinoc.calib.model.sheet_pose import SheetPose
+from trinoc.calib.result import Status
+from trinoc.calib.targets.pattern import Pattern
+from trinoc.geometry.conics import image_of_circle_centre
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.pose import PanTiltPose
+from trinoc.numerics.arrays import ArrayLike
+
+SHEET = reference_sheet()
+PANS = st.floats(-179.0, 179.0)
+TILTS = st.floats(15.0, 80.0)
+
+
+def pose_of(values: tuple[float, ...], aim_mm: tuple[float, float] = (0.0, 0.0)) -> SheetPose:
+    pan, tilt, swing = np.radians(values[:3])
+    pose = PanTiltPose.from_vector(np.array([pan, tilt, swing, values[3], *aim_mm])).pose
+    return SheetPose(pose.rotation, np.array(values[3]), np.array(aim_mm))
+
+
+@pytest.mark.parametrize("lens", [LENS, DISTORTED_LENS])
+@given(pan=PANS, tilt=TILTS, swing=PANS)
+def test_prediction_is_that_of_the_conic(
+    lens: Intrinsics, pan: float, tilt: float, swing: float
+) -> None:
+    pose = pose_of((pan, tilt, swing, 480.0), (3.0, -2.0))
+    camera = camera_of((pan, tilt, swing, 480.0), lens, (3.0, -2.0))
+    arrays = lens_arrays(lens, lens is DISTORTED_LENS)
+    centre, radius = np.array([31.0, -17.0]), np.array(6.0)
+    np.testing.assert_allclose(
+        predicted_centre_px(pose, arrays, centre, radius),
+        image_of_circle_centre(camera, centre, radius),
+        atol=1e-9,
+    )
+
+
+@pytest.mark.parametrize("lens", [LENS, DISTORTED_LENS])
+@pytest.mark.parametrize("count", [4, 6])
+def test_jacobian_is_the_limit_of_differences(lens: Intrinsics, count: int) -> None:
+    values = TABLE_1["right"]
+    detection = simulated_detection(camera_of(values, lens), SHEET, seed=1)
+    circles = circle_observations(detection, SHEET, 32)
+    pose, arrays = pose_of(values), lens_arrays(lens, lens is DISTORTED_LENS)
+
+    def residuals(step: jax.Array) -> ArrayLike:
+        return whitened_residuals(pose.moved(step), arrays, circles)
+
+    jacobian = jax.jacfwd(residuals)(jnp.zeros(count))
+    for k in range(count):
+        step = 1e-6 * np.eye(count)[k]
+        difference = (residuals(step) - residuals(-step)) / 2e-6
+        np.testing.assert_allclose(jacobian[..., k], difference, rtol=1e-6, atol=1e-3)
+
+
+@settings(max_examples=25)
+@given(pan=PANS, tilt=TILTS, swing=PANS, distance=st.floats(300.0, 900.0), free=st.booleans())
+def test_without_noise_the_camera_is_recovered(
+    pan: float, tilt: float, swing: float, distance: float, free: bool
+) -> None:
+    aim = (9.0, -6.0) if free else (0.0, 0.0)
+    camera = camera_of((pan, tilt, swing, distance), LENS, aim)
+    detection = simulated_detection(camera, SHEET, seed=0, sigma_px=1e-9)
+    result = calibrate_detections({"a": detection}, SHEET, LENS, parameters=6 if free else 4)
+    np.testing.assert_allclose(
+        result.rig["a"].cam_from_world, camera.cam_from_world, rtol=1e-7, atol=1e-7
+    )
+    assert result.status == {"a": Status.CONVERGED}
+
+
+def test_hidden_lines_change_nothing_but_the_start() -> None:
+    camera = camera_of(TABLE_1["left"])
+    results = [
+        calibrate_detections(
+            {"a": simulated_detection(camera, SHEET, seed=4, lines_seen=seen)}, SHEET, LENS
+        )
+        for seen in (True, False)
+    ]
+    np.testing.assert_allclose(results[0].values, results[1].values, rtol=1e-8)
+
+
+def test_order_of_cameras_does_not_matter() -> None:
+    detections = {
+        name: simulated_detection(camera_of(values), SHEET, seed=k)
+        for k, (name, values) in enumerate(TABLE_1.items())
+    }
+    forward = calibrate_detections(detections, SHEET, LENS)
+    backward = calibrate_detections(dict(reversed(detections.items())), SHEET, LENS)
+    by_name = dict(zip(backward.parameters, backward.values, strict=True))
+    for parameter, value in zip(forward.parameters, forward.values, strict=True):
+        assert value == pytest.approx(by_name[parameter], rel=1e-12)
+        assert forward.sigma(parameter) == pytest.approx(backward.sigma(parameter), rel=1e-9)
+
+
+def test_turning_the_sheet_turns_the_pan() -> None:
+    camera = camera_of(TABLE_1["upper"])
+    detection = simulated_detection(camera, SHEET, seed=5)
+    quarter = np.array([[0.0, -1.0], [1.0, 0.0]])
+    turned = Pattern(
+        name="turned",
+        centres_mm=SHEET.centres_mm @ quarter.T,
+        radius_mm=SHEET.radius_mm,
+        inner_radius_mm=SHEET.inner_radius_mm,
+        lattice=np.round(SHEET.lattice @ quarter.T).astype(int),
+        line_width_mm=SHEET.line_width_mm,
+        line_half_length_mm=SHEET.line_half_length_mm,
+        line_style=SHEET.line_style,
+        line_gap_mm=SHEET.line_gap_mm,
+    )
+    plain = calibrate_detections({"a": detection}, SHEET, LENS)
+    # The line along the old X is the new Y, and the line along the new X is the old -Y.
+    swapped = simulated_detection(camera, SHEET, seed=5)
+    swapped.lines_px[:] = detection.lines_px[::-1]
+    moved = calibrate_detections({"a": swapped}, turned, LENS)
+    np.testing.assert_allclose(moved.values - plain.values, [90.0, 0.0, 0.0, 0.0], atol=1e-6)
+    np.testing.assert_allclose(moved.covariance, plain.covariance, rtol=1e-4, atol=1e-12)
+
+
+@pytest.mark.parametrize("count", [4, 6])
+def test_errors_scatter_as_the_covariance_says(count: int) -> None:
+    camera, trials = camera_of(TABLE_1["right"]), 300
+    detections = {str(k): simulated_detection(camera, SHEET, seed=100 + k) for k in range(trials)}
+    result = calibrate_detections(detections, SHEET, LENS, parameters=count)
+    errors = result.values.reshape(trials, count)
+    errors = errors - np.array([*TABLE_1["right"], 0.0, 0.0])[:count]
+    blocks = result.covariance.reshape(trials, count, trials, count)
+    squared = [e @ np.linalg.solve(blocks[k, :, k], e) for k, e in enumerate(errors)]
+    # A mean of `trials` chi-squares of `count` degrees of freedom, within four deviations.
+    assert abs(np.mean(squared) / count - 1) < 4 * np.sqrt(2 / (count * trials))
+    claimed = np.sqrt(np.diag(result.covariance)).reshape(trials, count)
+    np.testing.assert_allclose(np.std(errors / claimed, axis=0), 1.0, atol=0.17)
+
+
+def test_a_camera_that_looks_straight_down_is_calibrated() -> None:
+    camera = camera_of((0.0, 90.0, 20.0, 480.0))
+    detection = simulated_detection(camera, SHEET, seed=2)
+    result = calibrate_detections({"a": detection}, SHEET, LENS)
+    np.testing.assert_allclose(
+        result.rig["a"].cam_from_world, camera.cam_from_world, atol=0.05, rtol=0
+    )
+    assert "pan_deg and swing_deg" in " ".join(result.fits["a"].notes)
+    assert np.isfinite(result.sigma("a.tilt_deg"))

@@ -1,0 +1,121 @@
+"""The lens's own covariance reaches the pose as a moved lens moves the fit."""
+
+import numpy as np
+import pytest
+
+from tests.calib.simulated import LENS, TABLE_1, camera_of, reference_sheet, simulated_detection
+from trinoc.calib.from_detections import calibrate_detections
+from trinoc.calib.result import Status
+from trinoc.calib.uncertainty.systematics import Systematics
+from trinoc.errors import InputError
+from trinoc.geometry.intrinsics import Intrinsics
+
+SHEET = reference_sheet()
+# fu, fv, cu, cv: the focal lengths correlated, as lenses are known.
+SIGMA = np.array([0.3, 0.3, 0.1, 0.1])
+CORRELATION = np.eye(4)
+CORRELATION[0, 1] = CORRELATION[1, 0] = 0.9
+COVARIANCE = SIGMA[:, None] * CORRELATION * SIGMA
+
+
+def moved(change: np.ndarray) -> Intrinsics:
+    return Intrinsics(
+        focal_length_px=np.asarray(LENS.focal_length_px) + change[:2],
+        principal_point_px=np.asarray(LENS.principal_point_px) + change[2:4],
+        image_size_px=LENS.image_size_px,
+    )
+
+
+def spread(fit, step: float) -> np.ndarray:
+    """J Sigma J^T with J by finite differences of `fit` under a moved lens."""
+    columns = [(fit(moved(h)) - fit(moved(-h))) / 2 for h in step * np.diag(SIGMA)]
+    jacobian = np.stack(columns, axis=1) / (step * SIGMA)
+    return jacobian @ COVARIANCE @ jacobian.T
+
+
+def test_the_term_is_that_of_fits_with_a_moved_lens() -> None:
+    detections = {
+        name: simulated_detection(camera_of(values), SHEET, seed=k)
+        for k, (name, values) in enumerate(TABLE_1.items())
+    }
+
+    def fit(lens: Intrinsics) -> np.ndarray:
+        return calibrate_detections(detections, SHEET, lens).values
+
+    plain = calibrate_detections(detections, SHEET, LENS)
+    wide = calibrate_detections(
+        detections, SHEET, LENS, systematics=Systematics(lens_covariance=COVARIANCE)
+    )
+    # One lens for all cameras: its error is theirs in common, so the blocks between them count.
+    scale = np.sqrt(np.diag(wide.covariance))
+    np.testing.assert_allclose(
+        (wide.covariance - plain.covariance) / np.outer(scale, scale),
+        spread(fit, 0.1) / np.outer(scale, scale),
+        atol=2e-3,
+    )
+    np.testing.assert_array_equal(wide.values, plain.values)
+
+
+def test_lenses_of_their_own_err_independently() -> None:
+    detections = {
+        name: simulated_detection(camera_of(TABLE_1[name]), SHEET, seed=3) for name in TABLE_1
+    }
+    own = Systematics(lens_covariance={"upper": COVARIANCE, "left": COVARIANCE})
+    result = calibrate_detections(detections, SHEET, LENS, systematics=own)
+    plain = calibrate_detections(detections, SHEET, LENS)
+    assert (result.covariance[:4, 4:] == 0).all()
+    assert result.sigma("upper.distance_mm") > 5 * plain.sigma("upper.distance_mm")
+    assert result.sigma("right.distance_mm") == plain.sigma("right.distance_mm")
+    assert "sigmas include noise, the lens's own covariance of upper, left." in result.summary()
+
+
+def test_errors_of_the_lens_scatter_the_pose_as_claimed() -> None:
+    """100 lenses drawn from the covariance: normalised squared errors are chi-square.
+
+    A principal point further off than the circles' noise would show in the residuals, and
+    enlarge the sigma of the noise, too.
+    """
+    random = np.random.default_rng(7)
+    camera = camera_of(TABLE_1["upper"])
+    covariance = COVARIANCE.copy()
+    covariance[2:, 2:] *= 0.03**2
+    factor = np.linalg.cholesky(covariance)
+    given = Systematics(lens_covariance=covariance)
+    squared = []
+    for k in range(100):
+        detection = simulated_detection(camera, SHEET, seed=k)
+        lens = moved(factor @ random.normal(size=4))
+        result = calibrate_detections({"a": detection}, SHEET, lens, systematics=given)
+        error = result.values - TABLE_1["upper"]
+        squared.append(error @ np.linalg.solve(result.covariance, error))
+    # The mean of 100 chi-square numbers of four degrees of freedom, within four sigmas.
+    assert abs(np.mean(squared) - 4) < 4 * np.sqrt(2 * 4 / 100)
+
+
+def test_a_lens_off_by_its_own_sigma_is_not_suspect() -> None:
+    detection = simulated_detection(camera_of(TABLE_1["left"]), SHEET, seed=0, sigma_px=0.002)
+    focal = np.asarray(LENS.focal_length_px)
+    long = moved(np.array([*(0.003 * focal), 0.0, 0.0]))
+    known = Systematics(lens_covariance=np.outer([3.0, 3.6], [3.0, 3.6]))
+    plain = calibrate_detections({"a": detection}, SHEET, long)
+    wide = calibrate_detections({"a": detection}, SHEET, long, systematics=known)
+    assert plain.status["a"] is Status.SUSPECT
+    assert wide.status["a"] is Status.CONVERGED
+    # It is said all the same.
+    assert "focal length" in wide.fits["a"].notes[0]
+
+
+@pytest.mark.parametrize(
+    ("covariance", "words"),
+    [
+        (np.full((4, 4), np.nan), "is determined"),
+        (np.zeros((2, 3)), "shape"),
+        ({"lower": COVARIANCE}, 'names the camera "lower"'),
+    ],
+)
+def test_what_is_no_lens_covariance_is_refused(covariance, words: str) -> None:
+    detection = simulated_detection(camera_of(TABLE_1["upper"]), SHEET, seed=0)
+    with pytest.raises(InputError, match=words):
+        calibrate_detections(
+            {"a": detection}, SHEET, LENS, systematics=Systematics(lens_covariance=covariance)
+        )

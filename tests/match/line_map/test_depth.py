@@ -1,0 +1,53 @@
+"""Depth pictures against the depth of what was put before the camera."""
+
+import numpy as np
+import pytest
+
+from tests.match.made import pictures, rig_of
+from trinoc.errors import InputError
+from trinoc.match.line_map.depth import depth_map, faces_of
+from trinoc.match.matcher import match_segments
+
+CORNERS = np.array([[-20, -15, 5], [25, -15, 5], [25, 20, 12], [-20, 20, 12]], dtype=float)
+SQUARE = np.stack([CORNERS, np.roll(CORNERS, -1, axis=0)], axis=1)
+
+
+def test_a_closed_loop_is_one_face_and_an_open_one_none() -> None:
+    (face,) = faces_of(SQUARE, 1.0)
+    assert {tuple(p) for p in face.tolist()} == {tuple(p) for p in CORNERS.tolist()}
+    assert faces_of(SQUARE[:3], 1.0) == []
+
+
+def test_a_bent_loop_is_no_face() -> None:
+    bent = CORNERS.copy()
+    bent[2, 2] += 20
+    assert faces_of(np.stack([bent, np.roll(bent, -1, axis=0)], axis=1), 1.0) == []
+
+
+def test_depth_is_that_of_the_lines_and_of_the_plane_between() -> None:
+    rig = rig_of("upper", "left", "right")
+    matches = match_segments(pictures(rig, SQUARE), rig, sigma_px=0.1)
+    assert len(matches) == 4
+    sparse = depth_map(matches, rig, "upper")
+    filled = depth_map(matches, rig, "upper", filled=True)
+    known = np.isfinite(sparse)
+    assert 150 < known.sum() < np.isfinite(filled).sum() / 5
+    # By hand: where the ray of each pixel meets the plane through three corners.
+    normal = np.cross(CORNERS[1] - CORNERS[0], CORNERS[3] - CORNERS[0])
+    matrix = rig["upper"].matrix_px
+    centre = rig["upper"].centre_world_mm
+    row, column = np.nonzero(np.isfinite(filled))
+    rays = np.linalg.solve(matrix[:, :3], np.stack([column, row, np.ones(len(row))]))
+    points = centre[:, None] + ((CORNERS[0] - centre) @ normal) / (normal @ rays) * rays
+    depth = matrix[2, :3] @ points + matrix[2, 3]
+    # Along the lines a pixel stands for points up to a pixel away.
+    np.testing.assert_allclose(filled[row, column], depth, atol=1.0)
+    inner = np.isfinite(filled) & ~known
+    np.testing.assert_allclose(filled[inner], depth[inner[row, column]], atol=1e-3)
+
+
+def test_unknown_view_is_refused() -> None:
+    rig = rig_of("upper", "left", "right")
+    matches = match_segments(pictures(rig, SQUARE), rig, sigma_px=0.1)
+    with pytest.raises(InputError, match='"top"'):
+        depth_map(matches, rig, "top")

@@ -1,0 +1,56 @@
+"""Beliefs are the exact marginals where the conflicts form a tree."""
+
+from itertools import product
+
+import hypothesis.strategies as st
+import numpy as np
+import pytest
+from hypothesis import given
+
+from trinoc.match.selection.exclusivity import chosen_greedily, conflict_graph, sum_product
+
+WHOLE = np.array([0.0, 1.0])
+
+
+def exact_marginals(log_odds: np.ndarray, index: np.ndarray) -> np.ndarray:
+    """By summing over every set of candidates in which no segment is used twice."""
+    weight, total = np.zeros(len(log_odds)), 0.0
+    for chosen in product((False, True), repeat=len(log_odds)):
+        rows = index[list(chosen)]
+        used = [(v, s) for row in rows for v, s in enumerate(row) if s >= 0]
+        if len(used) == len(set(used)):
+            w = np.exp(log_odds[list(chosen)].sum())
+            total += w
+            weight += w * np.array(chosen)
+    return weight / total
+
+
+@given(st.lists(st.floats(-4, 4), min_size=4, max_size=4))
+def test_beliefs_on_a_chain_are_the_marginals(odds: list[float]) -> None:
+    # 0 and 1 share a segment of view 0, 1 and 2 one of view 1, 2 and 3 one of view 2.
+    index = np.array([[0, 0, 0], [0, 1, 1], [1, 1, 2], [2, 2, 2]])
+    log_odds = np.array(odds)
+    graph = conflict_graph(index, np.broadcast_to(WHOLE, (4, 3, 2)))
+    posterior_log_odds = sum_product(log_odds, graph)
+    exact = exact_marginals(log_odds, index)
+    np.testing.assert_allclose(1 / (1 + np.exp(-posterior_log_odds)), exact, atol=0.01)
+
+
+def test_parts_that_do_not_overlap_do_not_conflict() -> None:
+    index = np.array([[0, 0, 0], [0, 1, 1]])
+    part = np.array([[[0.0, 0.5]] + [[0.0, 1.0]] * 2, [[0.45, 1.0]] + [[0.0, 1.0]] * 2])
+    assert len(conflict_graph(index, part).slot) == 0
+    part[1, 0] = [1.0, 0.2]
+    assert len(conflict_graph(index, part).slot) == 2
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_is_chosen_uses_no_segment_twice(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    index = rng.integers(0, 15, (60, 3))
+    score = rng.normal(size=60)
+    graph = conflict_graph(index, np.broadcast_to(WHOLE, (60, 3, 2)))
+    taken = chosen_greedily(score, graph)
+    assert (score[taken] > 0).all()
+    for view in range(3):
+        assert len(np.unique(index[taken, view])) == taken.sum()

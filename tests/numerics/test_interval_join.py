@@ -1,0 +1,66 @@
+"""The index work: joins and tables find what comparing all with all finds."""
+
+import hypothesis.strategies as st
+import jax
+import numpy as np
+from hypothesis import given
+
+from trinoc.match.candidates.index import LAYERS, key_at, segments_at, spatial_index
+from trinoc.numerics.interval_join import expand_ranges, overlapping, pairs_of_equal_keys
+
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+@given(SEEDS, st.integers(0, 40), st.integers(0, 40))
+def test_overlapping_intervals_are_those_of_a_comparison_of_all(seed: int, n: int, m: int) -> None:
+    rng = np.random.default_rng(seed)
+    first, second = np.sort(rng.random((n, 2)), axis=1), np.sort(rng.random((m, 2)), axis=1)
+    i, j = overlapping(first, second)
+    expected = (first[:, None, 0] < second[None, :, 1]) & (second[None, :, 0] < first[:, None, 1])
+    assert sorted(zip(i.tolist(), j.tolist(), strict=True)) == [
+        tuple(p) for p in np.argwhere(expected)
+    ]
+
+
+@given(st.lists(st.integers(0, 5), max_size=30))
+def test_pairs_of_equal_keys_are_each_named_once(keys: list[int]) -> None:
+    array = np.array(keys, dtype=np.int64)
+    m, n = pairs_of_equal_keys(array)
+    pairs = {frozenset(p) for p in zip(m.tolist(), n.tolist(), strict=True)}
+    expected = {frozenset((a, b)) for a in range(len(keys)) for b in range(a) if keys[a] == keys[b]}
+    assert pairs == expected
+    assert len(m) == len(expected)
+
+
+def test_ranges_expand_with_their_owners() -> None:
+    owner, position = expand_ranges(np.array([3, 7, 1]), np.array([5, 7, 2]))
+    np.testing.assert_array_equal(owner, [0, 0, 2])
+    np.testing.assert_array_equal(position, [3, 4, 1])
+
+
+@given(SEEDS)
+def test_the_table_holds_every_segment_near_a_point_and_a_direction(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    ends = rng.uniform(0, 200, (30, 2, 2))
+    own_rad, sigma_px = np.full(30, 0.05), 1.0
+    margins = np.array([[4.0 * layer.sigmas] for layer in LAYERS]) * np.ones(30)
+    table = spatial_index(ends, own_rad, margins, np.array([200.0, 200.0]), 7.0, sigma_px)
+    share = rng.random(30)
+    direction = np.diff(ends, axis=1)[:, 0]
+    angle = np.arctan2(direction[:, 1], direction[:, 0])
+    normal = np.stack([-np.sin(angle), np.cos(angle)], axis=1)
+    on = ends[:, 0] + share[:, None] * direction
+    # Queries that know place and direction well or badly, and are as wrong as they say.
+    layer = rng.integers(0, len(LAYERS), 30)
+    known_rad = 0.99 * np.array([one.slack_rad for one in LAYERS])[layer]
+    known_px = 0.99 * np.array([one.sigmas for one in LAYERS])[layer]
+    point = on + rng.uniform(-4, 4, (30, 1)) * known_px[:, None] * normal
+    point = np.clip(point, 0.0, 199.9)
+    asked = np.mod(angle + rng.uniform(-1, 1, 30) * (known_rad + 0.05), np.pi)
+    keys = jax.vmap(lambda p, *known: key_at(table.grid, [(p[0], p[1])], *known)[0])(
+        point, asked, known_rad, known_px
+    )
+    query, segment = segments_at(table, np.asarray(keys))
+    found = set(zip(query.tolist(), segment.tolist(), strict=True))
+    assert {(k, k) for k in range(30)} <= found
+    assert len(found) == len(query)

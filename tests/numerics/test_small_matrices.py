@@ -1,0 +1,31 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from trinoc.numerics.small_matrices import (
+    inverse_positive_definite,
+    log_determinant_positive_definite,
+    solve_positive_definite,
+)
+
+
+@given(st.integers(1, 6), st.integers(0, 2**32 - 1))
+def test_agrees_with_lapack(size, seed):
+    random = np.random.default_rng(seed)
+    root = random.standard_normal((size, size + 2))
+    matrix, right = root @ root.T + np.eye(size), random.standard_normal((size, 3))
+    np.testing.assert_allclose(
+        solve_positive_definite(matrix, right), np.linalg.solve(matrix, right), atol=1e-9
+    )
+    np.testing.assert_allclose(
+        solve_positive_definite(matrix, right[:, 0]),
+        np.linalg.solve(matrix, right[:, 0]),
+        atol=1e-9,
+    )
+    np.testing.assert_allclose(inverse_positive_definite(matrix) @ matrix, np.eye(size), atol=1e-8)
+    assert log_determinant_positive_definite(matrix) == pytest.approx(np.linalg.slogdet(matrix)[1])
+
+
+def test_an_indefinite_matrix_gives_nan_and_no_answer():
+    assert np.isnan(solve_positive_definite(np.diag([1.0, -1.0]), np.ones(2))).any()

@@ -1,0 +1,201 @@
+"""The renderer of sheets: area, centre and energy are those of the geometry."""
+
+import jax
+import numpy as np
+import pytest
+
+from trinoc.calib.targets.pattern import Pattern
+from trinoc.geometry.camera import Camera, project
+from trinoc.geometry.conics import image_of_circle, image_of_circle_centre, shape_of_dual_conic
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.synth.coverage import coverage_of_cells
+from trinoc.synth.disturbances import (
+    Glare,
+    LightGradient,
+    ShadowEdge,
+    card,
+    finger,
+    hand,
+    random_disturbances,
+    round_things,
+    table,
+)
+from trinoc.synth.sensor import expose
+from trinoc.synth.sheet_image import render_sheet
+
+LENS = Intrinsics(focal_length_px=(410.0, 500.0), image_size_px=(160, 150))
+PAPER, INK = 230.0, 25.0
+
+
+def camera_of(lens=LENS, pan=-20.0, tilt=45.0, swing=3.0):
+    return Camera.from_degrees(
+        lens, pan_deg=pan, tilt_deg=tilt, swing_deg=swing, distance_mm=470.0, aim_mm=(1.3, -2.1)
+    )
+
+
+def one_disc(inner=0.0):
+    return Pattern.cross_grid(
+        rows=1, columns=1, pitch_mm=40.0, radius_mm=12.0, line_width_mm=0.0,
+        rings=np.array([[inner > 0]]), inner_radius_mm=inner or None,
+    )  # fmt: skip
+
+
+def clean(pattern, camera, **options):
+    return render_sheet(pattern, camera, paper=PAPER, ink=INK, dtype="float64", **options)
+
+
+def darkness_moments(picture):
+    """Area in pixels and centroid (u, v) of the ink."""
+    ink = (PAPER - picture) / (PAPER - INK)
+    rows, columns = np.indices(picture.shape)
+    return ink.sum(), np.array([(ink * columns).sum(), (ink * rows).sum()]) / ink.sum()
+
+
+# Below this blur the pixels under-sample the picture, and a sum over them is no integral.
+@pytest.mark.parametrize("blur_px", [0.7, 2.0])
+@pytest.mark.parametrize("inner", [0.0, 5.0])
+def test_area_and_centroid_of_a_disc_and_a_ring_are_the_ellipses(blur_px, inner):
+    camera = camera_of()
+    ellipses = []
+    for radius in (12.0, inner):
+        dual = image_of_circle(camera, np.zeros(2), np.asarray(radius))
+        shape = np.asarray(shape_of_dual_conic(dual)) if radius else np.zeros((2, 2))
+        centre = np.asarray(image_of_circle_centre(camera, np.zeros(2), np.asarray(radius)))
+        ellipses.append((np.pi * np.sqrt(max(np.linalg.det(shape), 0.0)), centre))
+    (outer_area, outer_centre), (inner_area, inner_centre) = ellipses
+    area = outer_area - inner_area
+    centre = (outer_area * outer_centre - inner_area * inner_centre) / area
+    found_area, found_centre = darkness_moments(clean(one_disc(inner), camera, blur_px=blur_px))
+    assert found_area == pytest.approx(area, rel=2e-5)
+    np.testing.assert_allclose(found_centre, centre, atol=2e-5)
+
+
+def test_the_centroid_follows_a_lens_with_distortion():
+    lens = Intrinsics(
+        focal_length_px=(410.0, 500.0), image_size_px=(160, 150),
+        distortion=(-0.4, 0.1, 1e-3, -2e-3, 0.0),
+    )  # fmt: skip
+    camera = camera_of(lens)
+    # The centroid of a curved patch: the mean of the images of its points, by the area each
+    # has on the picture.
+    r, a = np.meshgrid((np.arange(60) + 0.5) / 60 * 12.0, np.arange(120) * np.pi / 60)
+    points = np.stack([r * np.cos(a), r * np.sin(a)], -1).reshape(-1, 2)
+
+    points = np.column_stack([points, np.zeros(len(points))])
+    images = np.asarray(jax.vmap(project, in_axes=(None, 0))(camera, points))
+    jacobian = np.asarray(jax.vmap(jax.jacfwd(project, 1), in_axes=(None, 0))(camera, points))
+    weight = np.abs(np.linalg.det(jacobian[:, :, :2])) * r.reshape(-1)
+    expected = (weight[:, None] * images).sum(0) / weight.sum()
+    _, centroid = darkness_moments(clean(one_disc(), camera))
+    np.testing.assert_allclose(centroid, expected, atol=1e-3)
+
+
+def test_blur_keeps_the_energy_and_widens_the_edge():
+    sharp, soft = (clean(one_disc(), camera_of(), blur_px=b) for b in (0.2, 1.5))
+    assert sharp.sum() == pytest.approx(soft.sum(), rel=1e-7)
+    assert np.abs(np.diff(sharp, axis=0)).max() > np.abs(np.diff(soft, axis=0)).max()
+    assert soft.min() > INK - 1e-6
+    assert soft.max() < PAPER + 1e-6
+
+
+def test_finer_cells_change_next_to_nothing():
+    pattern = Pattern.cross_grid(rows=2, columns=2, pitch_mm=16.0, radius_mm=5.0)
+    coarse, fine = (clean(pattern, camera_of(), supersampling=s) for s in (8, 24))
+    # What is left comes from the ends of the lines, where two edges share a cell.
+    assert np.sqrt(np.mean((coarse - fine) ** 2)) < 0.03
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.3, np.pi / 4, 1.2, np.pi / 2])
+@pytest.mark.parametrize("offset", [-0.9, -0.31, 0.0, 0.2, 0.66])
+def test_a_straight_edge_shares_a_cell_exactly(turn, offset):
+    rows, columns = np.indices((3, 3)) - 1.0
+    level = np.cos(turn) * columns + np.sin(turn) * rows - offset
+    fine = (np.arange(1000) + 0.5) / 1000 - 0.5
+    u, v = np.meshgrid(fine, fine)
+    counted = np.mean(np.cos(turn) * u + np.sin(turn) * v - offset < 0)
+    assert coverage_of_cells(level[None])[0, 1, 1] == pytest.approx(counted, abs=1e-3)
+
+
+def grey_at(picture, camera, x, y):
+    u, v = np.rint(np.asarray(project(camera, np.array([x, y, 0.0])))).astype(int)
+    return picture[v, u]
+
+
+@pytest.mark.parametrize(
+    ("style", "inside", "before"),
+    [("stop", INK, PAPER), ("through", INK, INK), ("white", PAPER, INK)],
+)
+def test_line_styles(style, inside, before):
+    pattern = Pattern.cross_grid(
+        rows=1, columns=3, pitch_mm=20.0, radius_mm=5.0, rings="none", line_width_mm=3.0,
+        line_half_length_mm=(35.0, 20.0), line_style=style, line_gap_mm=3.0,
+    )  # fmt: skip
+    camera = camera_of(Intrinsics(focal_length_px=(900.0, 1000.0), image_size_px=(300, 300)))
+    picture = clean(pattern, camera, blur_px=0.3)
+    assert grey_at(picture, camera, 20.0, 0.0) == pytest.approx(inside, abs=0.5)
+    assert grey_at(picture, camera, 26.5, 0.0) == pytest.approx(before, abs=0.5)
+    assert grey_at(picture, camera, 10.0, 0.0) == pytest.approx(INK, abs=0.5)
+    assert grey_at(picture, camera, 10.0, 8.0) == pytest.approx(PAPER, abs=0.5)
+
+
+def test_the_read_out_clips_rounds_and_scales():
+    grey = np.array([[-5.0, 100.4, 300.0]])
+    assert expose(grey, noise_sigma=0.0, seed=0, dtype="uint8").tolist() == [[0, 100, 255]]
+    assert expose(grey, noise_sigma=0.0, seed=0, dtype="uint16").tolist() == [[0, 25803, 65535]]
+    np.testing.assert_array_equal(expose(grey, noise_sigma=0.0, seed=0, dtype="float64"), grey)
+    with pytest.raises(ValueError, match="uint8"):
+        expose(grey, noise_sigma=0.0, seed=0, dtype="int8")
+
+
+def test_noise_repeats_by_seed_and_has_its_sigma():
+    flat = np.full((200, 200), 128.0)
+    first, again, other = (
+        expose(flat, noise_sigma=3.0, seed=s, dtype="float64") for s in (1, 1, 2)
+    )
+    np.testing.assert_array_equal(first, again)
+    assert not np.array_equal(first, other)
+    # The sigma of an estimated sigma is sigma / sqrt(2 n).
+    assert first.std() == pytest.approx(3.0, abs=5 * 3.0 / np.sqrt(2 * flat.size))
+
+
+def test_what_covers_and_shades_changes_what_it_should():
+    camera, pattern = camera_of(), one_disc()
+    plain = clean(pattern, camera)
+    origin = np.zeros(2)
+    covered = clean(pattern, camera, above=card(origin, turn_deg=30))
+    assert grey_at(covered, camera, 1, 1) == pytest.approx(150.0)
+    tip = finger(np.array([-8.0, 0.0]), direction_deg=0.0, grey=140.0)
+    assert grey_at(clean(pattern, camera, above=tip), camera, 25, 0) == pytest.approx(140.0)
+    palm = hand(origin, direction_deg=90.0, grey=120.0)
+    assert grey_at(clean(pattern, camera, above=palm), camera, 0, 0) == pytest.approx(120.0)
+    shade = (ShadowEdge(origin, np.array([1.0, 0.0]), 0.5, 1.0),)
+    shaded = clean(pattern, camera, above=shade)
+    assert grey_at(shaded, camera, 25, 0) == pytest.approx(PAPER / 2)
+    assert grey_at(shaded, camera, -25, 0) == pytest.approx(PAPER)
+    lit = clean(pattern, camera, above=(LightGradient(np.array([0.01, 0.0])),))
+    assert grey_at(lit, camera, -25, 0) < grey_at(plain, camera, -25, 0) < lit.max()
+    spot = clean(pattern, camera, above=(Glare(origin, 10.0, 90.0),))
+    assert np.all(spot >= plain - 1e-9)
+    on_table = clean(pattern, camera, below=table((60.0, 60.0), 80.0))
+    assert grey_at(on_table, camera, 40, 0) == pytest.approx(80.0)
+    assert grey_at(on_table, camera, 25, 0) == pytest.approx(PAPER)
+    assert len(round_things(0, count=5)) >= 5
+
+
+def test_random_disturbances_repeat_by_seed():
+    camera = camera_of()
+    pictures = [
+        render_sheet(one_disc(), camera, above=random_disturbances(seed), dtype="uint8")
+        for seed in (3, 3, 4)
+    ]
+    np.testing.assert_array_equal(pictures[0], pictures[1])
+    assert not np.array_equal(pictures[0], pictures[2])
+
+
+def test_above_the_horizon_there_is_paper_or_table():
+    camera = Camera.from_degrees(
+        LENS, pan_deg=0.0, tilt_deg=4.0, swing_deg=0.0, distance_mm=470.0, aim_mm=(0.0, 0.0)
+    )
+    assert clean(one_disc(), camera)[0, 0] == pytest.approx(PAPER)
+    on_table = clean(one_disc(), camera, below=table((300.0, 300.0), 80.0))
+    assert on_table[0, 0] == pytest.approx(80.0)

@@ -1,0 +1,65 @@
+"""What segments alone cannot say: where the rig stands, how it is turned, and its scale."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from trinoc.calib.model.camera_state import CameraState, Freedom
+from trinoc.numerics.arrays import ArrayLike
+
+# Share of the largest eigenvalue of the unit-diagonal information below which a direction is
+# free: rounding leaves 1e-13 or so, and anything real stays far above.
+FREE_EIGENVALUE = 1e-10
+RIGID_GAUGE = "position, orientation and scale of the whole rig"
+AIMED_GAUGE = "orientation and scale of the whole rig"
+
+
+class Determined(NamedTuple):
+    """Rank and covariance of the cameras' steps, and the name of what is free.
+
+    The covariance is that on the determined directions (the pseudo-inverse in scaled
+    coordinates): the inner constraints of a free network, no datum being preferred.
+    """
+
+    rank: int
+    covariance: Float[np.ndarray, "k k"]
+    gauge: str
+
+
+def determined_part(information: Float[np.ndarray, "k k"]) -> Determined:
+    """Rank, covariance and gauge of the reduced information of all cameras' steps."""
+    diagonal = np.diag(information)
+    # A direction of which nothing is known at all must not divide by nothing.
+    scale = np.sqrt(np.maximum(diagonal, 1e-30 * diagonal.max() or 1.0))
+    values, vectors = np.linalg.eigh(information / scale[:, None] / scale[None, :])
+    kept = values > FREE_EIGENVALUE * values[-1]
+    scaled = (vectors[:, kept] / values[kept]) @ vectors[:, kept].T
+    free = int((~kept).sum())
+    gauge = {0: "", 4: AIMED_GAUGE, 7: RIGID_GAUGE}.get(free, f"{free} directions of the cameras")
+    return Determined(int(kept.sum()), scaled / scale[:, None] / scale[None, :], gauge)
+
+
+def with_scale_of(
+    cameras: CameraState, lines_mm: Float[ArrayLike, "t 2 3"], start: CameraState
+) -> tuple[CameraState, Float[ArrayLike, "t 2 3"]]:
+    """Rig and lines scaled so that the centres spread as they did at the start.
+
+    Without a sheet nothing measures the scale: it stays as it was, exactly. Cameras that aim
+    at the origin still do so.
+    """
+    spread = _spread(start.centre_mm) / _spread(cameras.centre_mm)
+    origin = jnp.mean(cameras.centre_mm, axis=0)[None, :]
+    if cameras.freedom is Freedom.FOUR:
+        origin = jnp.zeros_like(origin)
+    centres = origin + spread * (cameras.centre_mm - origin)
+    scaled = eqx.tree_at(lambda state: state.centre_mm, cameras, centres)
+    return scaled, jax.vmap(lambda line: origin + spread * (line - origin))(lines_mm)
+
+
+def _spread(centres_mm: Float[ArrayLike, "v 3"]) -> Float[ArrayLike, ""]:
+    offset = centres_mm - jnp.mean(centres_mm, axis=0)[None, :]
+    return jnp.sqrt(jnp.sum(offset * offset))

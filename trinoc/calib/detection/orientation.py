@@ -1,0 +1,108 @@
+"""Which way round a sheet lies that looks the same when it is turned.
+
+A plain grid of discs can be labelled in two ways, a square one in four. Each is a right answer
+about one picture, with the world's X and Y turned; but the cameras of a rig must agree, and no
+picture says how. So nobody chooses unless the user says by what.
+"""
+
+from collections.abc import Mapping
+from typing import Literal
+
+import jax
+import numpy as np
+from jaxtyping import Float, Int
+
+from trinoc.calib.detection.detection import Detection
+from trinoc.calib.targets.pattern import Pattern
+from trinoc.errors import InputError
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.conics import image_of_circle_centre
+from trinoc.geometry.rig import Rig
+from trinoc.numerics.arrays import ArrayLike
+
+Orientation = Literal["upright"] | Rig | None
+
+# The earlier camera must fit one way round this many times better than any other.
+_CLEARLY = 3.0
+
+
+def oriented(
+    detections: Mapping[str, Detection], pattern: Pattern, orientation: Orientation
+) -> tuple[dict[str, Detection], dict[str, str]]:
+    """Every detection with one labelling, and a sentence for each where that cannot be told.
+
+    orientation : None leaves it open; "upright" takes the labelling in which X points to the
+        right in the picture, as nearly as it can; an earlier rig, for each camera that it
+        holds, the labelling that lies nearest to where that camera saw the sheet.
+    """
+    if not (orientation is None or isinstance(orientation, Rig) or orientation == "upright"):
+        raise InputError(
+            f'orientation is {orientation!r}, but must be "upright", an earlier Rig, or None.'
+        )
+    settled, failures = {}, {}
+    for name, detection in detections.items():
+        choice = _choice(detection, pattern, orientation, name)
+        if isinstance(choice, str):
+            failures[name] = choice
+        settled[name] = detection if isinstance(choice, str) else _taken(detection, pattern, choice)
+    return settled, failures
+
+
+def _choice(
+    detection: Detection, pattern: Pattern, orientation: Orientation, name: str
+) -> Int[np.ndarray, "m"] | str:
+    """The labelling to take, or why none can be."""
+    if detection.ambiguity is None or orientation == "upright":
+        return detection.circle_index
+    ways = 1 + len(detection.ambiguity)
+    turn = 360 // ways
+    sheet = f"the sheet {pattern.name!r} looks the same turned by {turn} degrees"
+    if orientation is None:
+        return (
+            f'{sheet}: say which way round it lies with orientation="upright" (X points right in '
+            "every picture) or with an earlier rig, or print a sheet with rings."
+        )
+    if name not in orientation.names:
+        return f"{sheet}, and the earlier rig has no such camera that would tell."
+    choices = np.concatenate([detection.circle_index[None], detection.ambiguity])
+    misses = [_miss_px(orientation[name], detection, pattern, index) for index in choices]
+    order = np.argsort(misses)
+    if not misses[order[0]] * _CLEARLY < misses[order[1]]:
+        return (
+            f"{sheet}, and the earlier rig does not tell which: its camera misses the best two "
+            f"by {misses[order[0]]:.0f} and {misses[order[1]]:.0f} px."
+        )
+    return choices[order[0]]
+
+
+def _miss_px(
+    camera: Camera, detection: Detection, pattern: Pattern, index: Int[np.ndarray, "m"]
+) -> float:
+    """Median distance of the circles from where the camera would see them."""
+    predicted = _centres_px(camera, pattern.centres_mm[index], pattern.radius_mm[index])
+    off = np.linalg.norm(np.asarray(predicted) - detection.centres_px, axis=1)
+    return float(np.median(np.where(np.isfinite(off), off, np.inf)))
+
+
+@jax.jit
+def _centres_px(
+    camera: Camera, centres_mm: Float[ArrayLike, "m 2"], radius_mm: Float[ArrayLike, "m"]
+) -> Float[ArrayLike, "m 2"]:
+    return jax.vmap(image_of_circle_centre, in_axes=(None, 0, 0))(camera, centres_mm, radius_mm)
+
+
+def _taken(detection: Detection, pattern: Pattern, index: Int[np.ndarray, "m"]) -> Detection:
+    """The detection with one labelling; after a quarter turn the crossed lines change places."""
+    first, second = (
+        pattern.centres_mm[each] - pattern.centres_mm[each].mean(axis=0)
+        for each in (detection.circle_index, index)
+    )
+    turned = abs(np.sum(first * second)) < abs(np.sum(first * second[:, ::-1] * [1.0, -1.0]))
+    return Detection(
+        circle_index=index,
+        centres_px=detection.centres_px,
+        covariance_px2=detection.covariance_px2,
+        shape_px2=detection.shape_px2,
+        lines_px=detection.lines_px[::-1] if turned else detection.lines_px,
+        image_size_px=detection.image_size_px,
+    )

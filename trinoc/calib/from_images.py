@@ -1,0 +1,102 @@
+"""Calibrate a rig from one picture of the sheet per camera."""
+
+from collections.abc import Mapping, Sequence
+from typing import Literal
+
+import numpy as np
+
+from trinoc.calib.detection.grey import grey_image
+from trinoc.calib.detection.orientation import Orientation
+from trinoc.calib.detection.search import detect_pattern
+from trinoc.calib.from_detections import calibration_of_detections, lens_of_each
+from trinoc.calib.result import CalibrationResult
+from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.uncertainty.systematics import Systematics
+from trinoc.errors import DetectionError, InputError
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.precision import in_float64
+
+
+@in_float64
+def calibrate(
+    images: Mapping[str, ArrayLike],
+    pattern: Pattern,
+    lens: Intrinsics | Mapping[str, Intrinsics],
+    *,
+    parameters: int = 4,
+    method: Literal["picture", "circles"] = "picture",
+    throw: bool = True,
+    systematics: Systematics | None = None,
+    orientation: Orientation = None,
+) -> CalibrationResult:
+    """The cameras of a rig, from one picture of the sheet each.
+
+    images : a grey or colour picture for each camera, by name.
+    lens : the intrinsics of all cameras, or of each by name.
+    parameters : 4 (pan, tilt, swing, distance; the optical axis meets the origin of the
+        sheet) or 6 (the point it meets is free).
+    method : "picture" goes on from the circles to a fit of the grey levels near every edge of
+        the sheet, which reaches the Cramer-Rao bound; "circles" stops at their centres.
+    throw : whether a camera that fails raises; without it the failed cameras are left out of
+        the rig and `failures` says why.
+    systematics : what is known of the errors of the sheet and the lens, which join the
+        covariance; without it the covariance is that of the noise alone.
+    orientation : for a sheet that looks the same turned, such as a plain grid of discs:
+        "upright" where X points to the right in every picture, as nearly as it can, or an
+        earlier rig whose cameras have hardly moved since. Without it such a sheet fails.
+
+    Raises
+    ------
+    InputError : a lens is missing, a picture has another size than its lens, or one picture
+        was given for two cameras.
+    CalibrationError : some camera failed; the error holds the sentence of each, and the
+        result of the others. Raised without `throw`, too, where no camera is left.
+    """
+    if method not in ("picture", "circles"):
+        raise InputError(f'method is {method!r}, but must be "picture" or "circles".')
+    lenses = lens_of_each(lens, images)
+    _check_images(images, lenses)
+    detections, failures = {}, {}
+    for name, image in images.items():
+        try:
+            detections[name] = detect_pattern(np.asarray(image), pattern)
+        except DetectionError as error:
+            failures[name] = str(error)
+    pictures = None
+    if method == "picture":
+        pictures = {name: grey_image(np.asarray(images[name])).grey for name in detections}
+    return calibration_of_detections(
+        detections,
+        failures,
+        pattern,
+        lenses,
+        parameters,
+        throw,
+        tuple(images),
+        images=pictures,
+        systematics=systematics,
+        orientation=orientation,
+    )
+
+
+def _check_images(images: Mapping[str, ArrayLike], lenses: Mapping[str, Intrinsics]) -> None:
+    names = list(images)
+    for name in names:
+        shape, size = np.shape(images[name]), lenses[name].image_size_px
+        if shape[1::-1] != size:
+            raise InputError(
+                f'The picture of camera "{name}" is {_size(shape[1::-1])} pixels, but its lens '
+                f"says {_size(size)}: give the intrinsics of this camera at this resolution."
+            )
+    for k, first in enumerate(names):
+        for second in names[k + 1 :]:
+            if np.array_equal(images[first], images[second]):
+                raise InputError(
+                    f'The same picture was given for cameras "{first}" and "{second}": give '
+                    "each camera its own."
+                )
+
+
+def _size(pair: Sequence[int]) -> str:
+    return " x ".join(str(side) for side in pair)

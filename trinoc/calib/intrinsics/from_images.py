@@ -1,0 +1,151 @@
+"""The lens of one camera from several pictures of the sheet."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from trinoc.calib.detection.detection import Detection
+from trinoc.calib.detection.search import detect_pattern
+from trinoc.calib.intrinsics.assessment import assess_lens
+from trinoc.calib.intrinsics.lens_parameters import LensModel
+from trinoc.calib.intrinsics.model_choice import fit_candidate, fit_determined
+from trinoc.calib.intrinsics.result import IntrinsicsResult
+from trinoc.calib.intrinsics.robust_lens import LensImages, fit_robustly, reached
+from trinoc.calib.intrinsics.zhang import FEWEST_CIRCLES, zhang_start
+from trinoc.calib.result import Status
+from trinoc.calib.targets.pattern import Pattern
+from trinoc.errors import CalibrationError, DetectionError, InputError
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.precision import in_float64
+
+# Coefficients by number, in the order k1, k2, p1, p2, k3 that OpenCV counts them in.
+_MODEL_OF_COUNT = {0: (0, False), 1: (1, False), 2: (2, False), 4: (2, True), 5: (3, True)}
+
+
+@in_float64
+def calibrate_intrinsics(
+    images_or_detections: Sequence[ArrayLike | Detection],
+    pattern: Pattern,
+    *,
+    image_size_px: tuple[int, int] | None = None,
+    distortion: int | None = None,
+    principal_point: str = "free",
+    pixel_pitch_mm: tuple[float, float] | None = None,
+    aspect: str = "free",
+    throw: bool = True,
+) -> IntrinsicsResult:
+    """Focal lengths, principal point and distortion of a lens, with their covariance.
+
+    images_or_detections : pictures by one camera at one zoom and focus, the sheet held
+        differently in each; or what `detect_pattern` found in them.
+    image_size_px : (width, height) that all pictures must have; that of the first by default.
+    distortion : number of Brown-Conrady coefficients k1, k2, p1, p2, k3: 0, 1, 2, 4 or 5. As
+        many as the pictures determine unless given; a note says how many they ask for.
+    principal_point : "free", or "centre" to hold it in the middle of the picture.
+    pixel_pitch_mm : size of a pixel along u and v, where it is known: the lens then has a
+        focal length in millimetres, too.
+    aspect : "free", or "pitch" to hold fx / fy at what `pixel_pitch_mm` says (1 without it).
+    throw : whether an undetermined lens raises; without it the result says so by its status.
+
+    Pictures in which no sheet is found are left out and named in `failures`. Starts from
+    Zhang's method in OpenCV, then least squares over the lens and six parameters of each
+    picture's pose with the exact centres of the circles' images.
+
+    Raises
+    ------
+    InputError : no picture, pictures of different sizes, one picture given twice, or an
+        option that is not one of those above.
+    CalibrationError : no sheet in any picture, no lens that explains the circles, or, with
+        `throw`, parameters that the pictures do not determine. The sentence names them and
+        the picture to take next; `result` of the error is the IntrinsicsResult.
+    """
+    model = _largest_model(distortion, principal_point, aspect)
+    ratio = None
+    if not model.aspect:
+        ratio = 1.0 if pixel_pitch_mm is None else pixel_pitch_mm[1] / pixel_pitch_mm[0]
+    found, failures = _detections(images_or_detections, pattern)
+    detections, index = _usable(found, failures, image_size_px)
+    everything = [np.ones(len(detection), dtype=bool) for detection in detections]
+    images = LensImages(detections, pattern, everything)
+    start = zhang_start(detections, pattern, ratio)
+    # Which circles were located wrongly is asked of the richest lens, lest a distorted picture's
+    # corners be taken for mistakes.
+    fit, images = fit_robustly(start, model, images)
+    start = reached(fit) if fit.converged else start
+    fit_one = fit_determined if distortion is None else fit_candidate
+    result = assess_lens(
+        fit_one(start, model, images), model, images, pixel_pitch_mm, index, failures
+    )
+    if throw and result.status is not Status.CONVERGED:
+        raise CalibrationError(_told(result), {}, result)
+    return result
+
+
+def _told(result: IntrinsicsResult) -> str:
+    advice = "" if result.next_image is None else f" {result.next_image.sentence}"
+    return f"{result.notes[0]}{advice}" if result.notes else result.status.value
+
+
+def _largest_model(distortion: int | None, principal_point: str, aspect: str) -> LensModel:
+    if distortion is not None and distortion not in _MODEL_OF_COUNT:
+        raise InputError(
+            f"distortion is {distortion}, but must be 0, 1, 2, 4 or 5 coefficients of k1, k2, p1, "
+            "p2, k3, or None for as many as the pictures determine."
+        )
+    if principal_point not in ("free", "centre"):
+        raise InputError(f'principal_point is {principal_point!r}; give "free" or "centre".')
+    if aspect not in ("free", "pitch"):
+        raise InputError(f'aspect is {aspect!r}; give "free" or "pitch".')
+    radial, tangential = _MODEL_OF_COUNT[5 if distortion is None else distortion]
+    return LensModel(radial, tangential, principal_point == "free", aspect == "free")
+
+
+def _detections(
+    images_or_detections: Sequence[ArrayLike | Detection], pattern: Pattern
+) -> tuple[dict[int, Detection], dict[int, str]]:
+    """The sheet in each picture, and why it was not found in the others, by picture."""
+    if len(images_or_detections) == 0:
+        raise InputError("No picture was given: give several pictures of the sheet.")
+    found, failures = {}, {}
+    for index, item in enumerate(images_or_detections):
+        if isinstance(item, Detection):
+            found[index] = item
+            continue
+        try:
+            found[index] = detect_pattern(np.asarray(item), pattern)
+        except DetectionError as error:
+            failures[index] = str(error)
+    if not found:
+        raise CalibrationError(f"The sheet was found in no picture. In the first: {failures[0]}")
+    return found, failures
+
+
+def _usable(
+    found: dict[int, Detection], failures: dict[int, str], image_size_px: tuple[int, int] | None
+) -> tuple[list[Detection], tuple[int, ...]]:
+    """Detections that can take part, with their places; those that cannot join `failures`."""
+    size = next(iter(found.values())).image_size_px if image_size_px is None else image_size_px
+    for index, detection in found.items():
+        if tuple(detection.image_size_px) != tuple(size):
+            raise InputError(
+                f"Picture {index + 1} has {_size(detection.image_size_px)} pixels, but "
+                f"{_size(size)} are expected: give pictures of one camera at one resolution."
+            )
+    for index, detection in found.items():
+        for other, earlier in found.items():
+            if other < index and np.array_equal(detection.centres_px, earlier.centres_px):
+                raise InputError(
+                    f"Pictures {other + 1} and {index + 1} are the same: give each picture once."
+                )
+    usable = {k: each for k, each in found.items() if len(each) >= FEWEST_CIRCLES}
+    for index in found.keys() - usable.keys():
+        failures[index] = f"only {len(found[index])} circles were found: show more of the sheet."
+    if not usable:
+        raise CalibrationError(
+            f"No picture shows {FEWEST_CIRCLES} circles of the sheet: show more of it."
+        )
+    return list(usable.values()), tuple(usable)
+
+
+def _size(pair: tuple[int, int]) -> str:
+    return " x ".join(str(side) for side in pair)

@@ -1,0 +1,57 @@
+"""Pixels that show something else than the sheet: cut where they lie together, and counted."""
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float
+
+from trinoc.calib.photometric.pixel_selection import SelectedPixels
+
+# A residual beyond this many robust sigmas is no noise of a pixel that fits.
+_OUTLIER_SIGMAS = 4.5
+# Neighbourhoods with a larger share of such pixels show an edge, a thumb, a glare.
+_NEIGHBOURHOOD_PX = 7
+_LARGEST_SHARE = 0.15
+# Alone, a pixel must be farther off: one in 10^9 is lost for nothing.
+_LONE_SIGMAS = 6.0
+_MAD_TO_SIGMA = 1.4826
+
+
+class Gate(NamedTuple):
+    """Which pixels stay, and the noise that judged them."""
+
+    kept: Bool[np.ndarray, "n"]
+    sigma: float
+
+
+def robust_sigma(residual: Float[np.ndarray, "n"], bound: float) -> float:
+    """Standard deviation of grey levels by their median, over residuals below `bound`."""
+    size = np.abs(residual)
+    size = size[size < bound]
+    return float(_MAD_TO_SIGMA * np.median(size)) if len(size) else float("inf")
+
+
+def gate_pixels(
+    chosen: SelectedPixels,
+    residual: Float[np.ndarray, "n"],
+    contrast: float,
+) -> Gate:
+    """Cut pixels in whose neighbourhood too many do not fit, and lone ones far off."""
+    # One grey level of an eight-bit picture stands for the noise of a picture without any.
+    sigma = max(robust_sigma(residual, 0.1 * contrast), contrast / 1000)
+    wrong = np.abs(residual) > _OUTLIER_SIGMAS * sigma
+    kept = np.abs(residual) <= _LONE_SIGMAS * sigma
+    if not wrong.any():
+        return Gate(kept, sigma)
+    left, top = chosen.column.min(), chosen.row.min()
+    shape = (chosen.row.max() - top + 1, chosen.column.max() - left + 1)
+    seen, off = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+    place = (chosen.row - top, chosen.column - left)
+    seen[place], off[place] = 1.0, wrong
+    window = (_NEIGHBOURHOOD_PX, _NEIGHBOURHOOD_PX)
+    seen, off = (
+        cv2.boxFilter(field, -1, window, normalize=False, borderType=cv2.BORDER_CONSTANT)
+        for field in (seen, off)
+    )
+    return Gate(kept & (off[place] <= _LARGEST_SHARE * seen[place]), sigma)

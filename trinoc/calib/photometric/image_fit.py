@@ -1,0 +1,191 @@
+"""From a pose that the circles gave to the one that explains the picture itself."""
+
+import threading
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from trinoc.calib.model.lens_arrays import LensArrays
+from trinoc.calib.model.sheet_pose import SheetPose
+from trinoc.calib.photometric.appearance import NUISANCE, Appearance
+from trinoc.calib.photometric.gate import gate_pixels
+from trinoc.calib.photometric.gauss_newton import Group, ImageState, Step, run_steps
+from trinoc.calib.photometric.initial import initial_appearance
+from trinoc.calib.photometric.ink_coverage import Cross, Drawing
+from trinoc.calib.photometric.noise_floor import noise_floor
+from trinoc.calib.photometric.pixel_selection import (
+    PARTS,
+    PixelSelection,
+    SelectedPixels,
+    capacity_for,
+    group_of,
+    select_pixels,
+)
+from trinoc.calib.targets.pattern import Pattern
+
+# Shares of the contrast at which a residual loses its influence while the fit finds its way.
+_SCALES = (0.12, 0.07, 0.05)
+# The first steps need not be exact: they look at a part of the pixels.
+_STRIDES = (PARTS, PARTS, 1)
+_PLAIN_STEPS = 2
+_MOST_PLAIN_STEPS = 8
+# The fit has converged when a step is this share of its own standard deviation.
+_CONVERGED_SIGMAS = 0.1
+_LEAST_CONTRAST = 4.0
+
+
+class ImageRefinement(NamedTuple):
+    """The fit of one picture, before anybody has judged it.
+
+    Fields
+    ------
+    pose : where it ended.
+    appearance : light, ink and blur of the picture.
+    information : (p, p) of the pose's chart for noise of one grey level, after the appearance
+        has taken its share.
+    noise : standard deviation of the residuals of the pixels that stayed, grey levels.
+    noise_floor : the same of the picture's flat parts.
+    pixels : number of pixels that stayed.
+    pixels_cut : number of pixels near an edge that show something else than the sheet.
+    converged : whether the last step was small against its own standard deviation.
+    """
+
+    pose: SheetPose
+    appearance: Appearance
+    information: Float[np.ndarray, "p p"]
+    noise: float
+    noise_floor: float
+    pixels: int
+    pixels_cut: int
+    converged: bool
+
+
+def refine_image(
+    image: Float[np.ndarray, "h w"],
+    pattern: Pattern,
+    lens: LensArrays,
+    start: SheetPose,
+    parameter_count: int,
+) -> ImageRefinement | None:
+    """Fit the sheet's model to the pixels near its edges; None where none can be seen."""
+    size = (image.shape[1], image.shape[0])
+    appearance = initial_appearance(image, start, lens, pattern)
+    contrast = float(-appearance.ratio * appearance.light[0])
+    if not contrast > _LEAST_CONTRAST:
+        return None
+    choice = select_pixels(start, lens, pattern, size, float(appearance.sigma_px))
+    chosen = (choice.near_circles, choice.near_lines)
+    counts = [len(part.row) for part in chosen]
+    capacity = capacity_for(max(counts))
+    circles, lines = (group_of(part, image, lens, pattern, capacity, np.float32) for part in chosen)
+    cross = Cross(
+        np.asarray(0.5 * pattern.line_width_mm),
+        np.array(pattern.line_half_length_mm, dtype=np.float64),
+        np.asarray(float(pattern.line_gap_mm)),
+    )
+    drawing = Drawing(pattern.line_style, bool((pattern.inner_radius_mm > 0).any()))
+    state = ImageState(start, appearance)
+
+    def steps(state: ImageState, groups: tuple[Group, Group], robust: bool) -> Step:
+        scales, held = _schedule(contrast, parameter_count, robust)
+        return _run(
+            state,
+            *groups,
+            cross,
+            scales,
+            held,
+            np.array(_STRIDES if robust else (1,) * len(_STRIDES), dtype=np.int32),
+            np.int32(len(_SCALES) if robust else _PLAIN_STEPS),
+            drawing=drawing,
+            parameter_count=parameter_count,
+        )
+
+    def residuals(step: Step) -> Float[np.ndarray, "n"]:
+        both = zip(step.residuals, counts, strict=True)
+        return np.concatenate([np.asarray(part)[:count] for part, count in both])
+
+    groups = (circles, lines)
+    last = steps(state, groups, True)
+    everything = SelectedPixels(*(np.concatenate(pair) for pair in zip(*chosen, strict=True)))
+    gate = gate_pixels(everything, residuals(last), contrast)
+    kept = np.split(gate.kept, [counts[0]])
+    groups = (_masked(circles, kept[0]), _masked(lines, kept[1]))
+    taken, length = 0, float("inf")
+    while length > _CONVERGED_SIGMAS * gate.sigma and taken < _MOST_PLAIN_STEPS:
+        last = steps(last.state, groups, False)
+        length, taken = float(last.length), taken + _PLAIN_STEPS
+    left = residuals(last)[gate.kept]
+    freedom = len(left) - parameter_count - NUISANCE
+    if freedom <= 0:
+        return None
+    state = jax.tree.map(np.asarray, last.state)
+    return ImageRefinement(
+        state.pose,
+        state.appearance,
+        _marginal(np.asarray(last.information), parameter_count),
+        float(np.sqrt(np.sum(left.astype(np.float64) ** 2) / freedom)),
+        noise_floor(_cut_out(image, choice), choice.flat),
+        len(left),
+        int(np.sum(~gate.kept)),
+        bool(length <= _CONVERGED_SIGMAS * gate.sigma),
+    )
+
+
+# Threads that meet an uncompiled program would each compile it; the first one does.
+_COMPILING = threading.Lock()
+_compiled: set[tuple[object, ...]] = set()
+
+
+def _run(*arguments: Any, drawing: Drawing, parameter_count: int) -> Step:
+    key = (drawing, parameter_count, arguments[1].pixels.grey.shape)
+    if key in _compiled:
+        return run_steps(*arguments, drawing=drawing, parameter_count=parameter_count)
+    with _COMPILING:
+        step = run_steps(*arguments, drawing=drawing, parameter_count=parameter_count)
+        _compiled.add(key)
+    return step
+
+
+def _schedule(
+    contrast: float, parameter_count: int, robust: bool
+) -> tuple[Float[np.ndarray, "s"], Float[np.ndarray, "s k"]]:
+    """Outlier scales and held unknowns of each step; both schedules have one length.
+
+    Ink spread and the slopes of the light wait for the pose: they would bend to swallow
+    what covers the sheet.
+    """
+    held = np.zeros((len(_SCALES), parameter_count + NUISANCE))
+    if not robust:
+        return np.full(len(_SCALES), np.inf), held
+    spread, first_slope = parameter_count + 1, parameter_count + 4
+    held[:2, spread] = 1.0
+    held[0, first_slope:] = 1.0
+    held[1, first_slope + 2 :] = 1.0
+    return contrast * np.array(_SCALES), held
+
+
+def _cut_out(image: Float[np.ndarray, "h w"], choice: PixelSelection) -> Float[np.ndarray, "k l"]:
+    (row, column), (height, width) = choice.corner, choice.flat.shape
+    return image[row : row + height, column : column + width]
+
+
+def _masked(group: Group, kept: np.ndarray) -> Group:
+    weight = np.array(group.pixels.weight)
+    weight[: len(kept)] *= kept
+    return group._replace(pixels=group.pixels._replace(weight=weight))
+
+
+def _marginal(
+    information: Float[np.ndarray, "k k"], parameter_count: int
+) -> Float[np.ndarray, "p p"]:
+    """Information of the pose alone: the Schur complement of the appearance."""
+    pose, look = information[:parameter_count], information[parameter_count:]
+    across = pose[:, parameter_count:]
+    inner = look[:, parameter_count:]
+    scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))
+    scaled = inner / (scale[:, None] * scale)
+    return pose[:, :parameter_count] - (across / scale) @ np.linalg.solve(
+        scaled, (across / scale).T
+    )

@@ -1,0 +1,197 @@
+"""The pixels that know something about the pose: those near an edge of ink."""
+
+from typing import NamedTuple
+
+import cv2
+import jax
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from trinoc.calib.model.lens_arrays import LensArrays
+from trinoc.calib.model.sheet_pose import SheetPose
+from trinoc.calib.photometric.appearance import Pixels
+from trinoc.calib.photometric.gauss_newton import Group
+from trinoc.calib.photometric.ink_coverage import Circle
+from trinoc.calib.photometric.line_pixels import line_view
+from trinoc.calib.photometric.normal_equations import CHUNK
+from trinoc.calib.photometric.outlines import circle_points_mm, line_outlines_mm, project_to_image
+from trinoc.calib.photometric.rays import rays_of_pixels
+from trinoc.calib.targets.pattern import Pattern
+
+# Pixels within this many sigmas of an edge, and a little more for an error of the start.
+_REACH_SIGMAS = 3.0
+_REACH_PX = 0.4
+# Fixed-point bits of OpenCV's drawing coordinates.
+_SHIFT = 4
+_SMALLEST_CAPACITY = 16384
+# The first of so many parts of the chosen pixels lies as evenly on the sheet as all of them.
+PARTS = 4
+
+
+class SelectedPixels(NamedTuple):
+    """Pixels near edges, before they are padded.
+
+    Fields
+    ------
+    column, row : (n,) of the pixel.
+    circle : (n,) index of the nearest circle, -1 where none is near.
+    """
+
+    column: Int[np.ndarray, "n"]
+    row: Int[np.ndarray, "n"]
+    circle: Int[np.ndarray, "n"]
+
+
+class PixelSelection(NamedTuple):
+    """Pixels near circles only, pixels near a line of the cross, and where no edge is.
+
+    Fields
+    ------
+    near_circles, near_lines : see `SelectedPixels`.
+    corner : (row, column) of the sheet's bounding box.
+    flat : (h, w) pixels of that box that lie near no edge.
+    """
+
+    near_circles: SelectedPixels
+    near_lines: SelectedPixels
+    corner: tuple[int, int]
+    flat: Bool[np.ndarray, "h w"]
+
+
+def select_pixels(
+    pose: SheetPose,
+    lens: LensArrays,
+    pattern: Pattern,
+    image_size_px: tuple[int, int],
+    sigma_px: float,
+) -> PixelSelection:
+    """The pixels within reach of the sheet's edges.
+
+    Pixels within reach of two circles are left out: the model knows one.
+    """
+    reach_px = _REACH_SIGMAS * sigma_px + _REACH_PX
+    # OpenCV draws an even thickness one pixel wider: half a thickness and a half to each side.
+    thickness = 2 * max(1, round(reach_px - 0.5))
+    drawn, of_circle, cross = _outlines(pose, lens, pattern)
+    # Work in the sheet's bounding box: the rest of a large picture costs nothing.
+    corner, shape = _bounding_box(drawn, thickness, image_size_px)
+    even, odd = np.zeros((2, *shape), dtype=np.int16)
+    canvases, parity = (even, odd), pattern.lattice.sum(axis=1) % 2
+    for k, outline in zip(of_circle, _fixed_point(drawn - corner), strict=True):
+        _draw(canvases[parity[k]], outline, int(k) + 1, thickness)
+    lines = np.zeros(shape, dtype=np.uint8)
+    for outline in cross:
+        outline = _fixed_point(outline - corner)
+        cv2.fillPoly(lines, [outline], 1, shift=_SHIFT)
+        _draw(lines, outline, 1, thickness)
+    label = np.maximum(even, odd)
+    blank = np.maximum(label, lines) == 0
+    row, column = np.nonzero(~blank)
+    alone = (even[row, column] == 0) | (odd[row, column] == 0)
+    row, column = row[alone], column[alone]
+    circle, in_band = label[row, column].astype(np.int64) - 1, lines[row, column] > 0
+    row, column = row + corner[1], column + corner[0]
+    seen = line_view(column[in_band], row[in_band], pose, lens, pattern, reach_px)
+    near_line = in_band.copy()
+    near_line[in_band] = seen.sees_line
+    rest = (circle >= 0) & ~near_line
+    return PixelSelection(
+        _spread(SelectedPixels(column[rest], row[rest], circle[rest])),
+        _spread(SelectedPixels(column[near_line], row[near_line], seen.circle[seen.sees_line])),
+        (int(corner[1]), int(corner[0])),
+        blank,
+    )
+
+
+def _spread(chosen: SelectedPixels) -> SelectedPixels:
+    """The same pixels in an order whose beginning already covers the whole sheet."""
+    order = np.concatenate([np.arange(k, len(chosen.row), PARTS) for k in range(PARTS)])
+    return SelectedPixels(*(field[order] for field in chosen))
+
+
+def _outlines(
+    pose: SheetPose, lens: LensArrays, pattern: Pattern
+) -> tuple[Float[np.ndarray, "m k 2"], Int[np.ndarray, "m"], Float[np.ndarray, "lines j 2"]]:
+    """Outlines in the picture of edges of circles, whose they are, and of the two lines."""
+    of_circle = np.concatenate([np.arange(len(pattern)), np.flatnonzero(pattern.is_ring)])
+    radius = np.concatenate([pattern.radius_mm, pattern.inner_radius_mm[pattern.is_ring]])
+    circles = circle_points_mm(pattern.centres_mm[of_circle], radius)
+    lines = line_outlines_mm(pattern)
+    points = np.concatenate([circles.reshape(-1, 2), lines.reshape(-1, 2)])
+    points = np.asarray(project_to_image(pose, lens, points))
+    split = circles.shape[0] * circles.shape[1]
+    cross = points[split:].reshape(lines.shape)[: 2 if pattern.line_width_mm > 0 else 0]
+    return points[:split].reshape(circles.shape), of_circle, cross
+
+
+def _bounding_box(
+    outlines: Float[np.ndarray, "m k 2"], margin_px: int, image_size_px: tuple[int, int]
+) -> tuple[Int[np.ndarray, "2"], tuple[int, int]]:
+    """(column, row) of the corner and (rows, columns) of the part of the picture to look at.
+
+    The crossed lines reach beyond the circles by a little: what a wide margin does not hold of
+    them says nothing that the rest does not.
+    """
+    points = outlines.reshape(-1, 2)
+    size = np.ptp(points, axis=0)
+    limit = np.array(image_size_px)
+    low = np.clip(np.floor(points.min(axis=0) - 0.1 * size) - margin_px, 0, limit - 1)
+    high = np.clip(np.ceil(points.max(axis=0) + 0.1 * size) + margin_px, 0, limit - 1)
+    columns, rows = (high - low + 1).astype(int)
+    return low.astype(int), (int(rows), int(columns))
+
+
+def _fixed_point(points: Float[np.ndarray, "*m k 2"]) -> Int[np.ndarray, "*m k 2"]:
+    return np.round(points * (1 << _SHIFT)).astype(np.int32)
+
+
+def _draw(canvas: np.ndarray, outline: Int[np.ndarray, "k 2"], value: int, thickness: int) -> None:
+    cv2.polylines(canvas, [outline], True, value, thickness, cv2.LINE_8, _SHIFT)
+
+
+def capacity_for(count: int) -> int:
+    """The padded length for `count` pixels; few lengths, because each compiles anew."""
+    capacity = _SMALLEST_CAPACITY
+    while capacity < count:
+        capacity *= 4
+    return capacity
+
+
+def group_of(
+    chosen: SelectedPixels,
+    image: np.ndarray,
+    lens: LensArrays,
+    pattern: Pattern,
+    capacity: int,
+    dtype: type,
+) -> Group:
+    """The pixels as padded arrays; padding repeats the first pixel, without weight."""
+    count = len(chosen.row)
+    if not count:
+        chosen = SelectedPixels(*(np.array([value]) for value in (0, 0, -1)))
+    column, row, circle = chosen
+    height, width = image.shape
+    uv_px = np.stack([column, row], axis=1).astype(np.float64)
+    nearest = np.maximum(circle, 0)
+    fields = Pixels(
+        ray=rays_of_pixels(lens, uv_px),
+        place=(uv_px - 0.5 * np.array([width - 1, height - 1])) / (0.5 * width),
+        grey=image[row, column],
+        weight=np.ones(len(row)),
+        unit=np.ones(len(row)),
+        circle=Circle(
+            pattern.centres_mm[nearest],
+            pattern.radius_mm[nearest],
+            pattern.inner_radius_mm[nearest],
+            circle >= 0,
+        ),
+    )
+
+    def padded(leaf: np.ndarray) -> np.ndarray:
+        array = np.empty((capacity, *leaf.shape[1:]), dtype=dtype)
+        array[: len(leaf)], array[len(leaf) :] = leaf, leaf[0]
+        return array
+
+    pixels = jax.tree.map(padded, fields)
+    pixels.weight[count:] = 0.0
+    return Group(pixels, np.asarray(-(-count // CHUNK), dtype=np.int32))

@@ -1,0 +1,155 @@
+"""From judged circle fits to fits of the pictures themselves."""
+
+import functools
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from typing import NamedTuple, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from trinoc.calib.detection.detection import Detection
+from trinoc.calib.model.circle_observations import bucket_size, circle_observations
+from trinoc.calib.model.circle_residual import circle_residuals_px
+from trinoc.calib.model.lens_arrays import lens_arrays
+from trinoc.calib.model.sheet_pose import SheetPose
+from trinoc.calib.photometric.image_fit import ImageRefinement, refine_image
+from trinoc.calib.pose.estimate import DEGREES, PoseEstimate, sheet_pose_of_values
+from trinoc.calib.result import PictureQuality, Status
+from trinoc.calib.targets.pattern import Pattern
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.rig import PARAMETER_NAMES
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.observability import LARGEST_SIGMA, observability
+
+# The picture moves circles by hundredths of a pixel; more than this is another minimum.
+_LARGEST_MOVE_PX = 0.5
+# Variance of a pixel's box, which the fitted sigma includes and the lens's blur does not.
+_BOX_VARIANCE = 1 / 12
+
+_Answer = TypeVar("_Answer")
+
+
+class ViewEstimate(NamedTuple):
+    """A picture's fit, what its picture says about it, and a sentence where it says nothing."""
+
+    fit: PoseEstimate
+    quality: PictureQuality | None
+    note: str | None
+
+
+def refine_views(
+    images: Mapping[str, Float[np.ndarray, "h w"]],
+    fits: Mapping[str, PoseEstimate],
+    detections: Mapping[str, Detection],
+    pattern: Pattern,
+    lenses: Mapping[str, Intrinsics],
+    parameter_count: int,
+) -> dict[str, ViewEstimate]:
+    """Fit each picture from its circles' pose; in threads, since they share nothing.
+
+    A picture that cannot be fitted keeps its circle fit, and a note says so.
+    """
+
+    def refine(name: str) -> ViewEstimate:
+        return _refine(
+            images[name], fits[name], detections[name], pattern, lenses[name], parameter_count
+        )
+
+    return in_threads(refine, list(fits))
+
+
+def in_threads(task: Callable[[str], _Answer], names: Sequence[str]) -> dict[str, _Answer]:
+    """A task of each camera, which share nothing, in threads."""
+
+    def alone(name: str) -> _Answer:
+        # The precision is a setting of the thread.
+        with jax.enable_x64(True):
+            return task(name)
+
+    if len(names) < 2:
+        return {name: alone(name) for name in names}
+    return dict(zip(names, _threads().map(alone, names), strict=True))
+
+
+@functools.cache
+def _threads() -> ThreadPoolExecutor:
+    """The threads of all fits: what the compiler keeps for each thread is never given back."""
+    return ThreadPoolExecutor(thread_name_prefix="trinoc-refine")
+
+
+def _refine(
+    image: Float[np.ndarray, "h w"],
+    fit: PoseEstimate,
+    detection: Detection,
+    pattern: Pattern,
+    lens: Intrinsics,
+    parameter_count: int,
+) -> ViewEstimate:
+    arrays = lens_arrays(lens, lens.distortion_model != "none")
+    start = sheet_pose_of_values(fit.values)
+    refined = refine_image(image, pattern, arrays, start, parameter_count)
+    if refined is None:
+        return ViewEstimate(fit, None, "the picture has too little contrast to be fitted itself.")
+    if not refined.converged or not np.isfinite(refined.information).all():
+        return ViewEstimate(fit, None, "the fit of the picture itself did not converge.")
+    circles = circle_observations(detection, pattern, bucket_size(len(detection)))
+    residuals_px = np.asarray(_circle_residuals(refined.pose, arrays, circles))[: len(detection)]
+    moved = np.abs(residuals_px - fit.residuals_px)[fit.used]
+    if not moved.max(initial=0.0) < _LARGEST_MOVE_PX:
+        return ViewEstimate(
+            fit, None, f"the picture itself disagrees with its circles by {moved.max():.2f} px."
+        )
+    return _judged(fit, refined, residuals_px, parameter_count)
+
+
+def _judged(
+    fit: PoseEstimate, refined: ImageRefinement, residuals_px: np.ndarray, parameter_count: int
+) -> ViewEstimate:
+    parameters, by_chart = _named_parameters(refined.pose, parameter_count=parameter_count)
+    parameters = np.asarray(parameters)
+    by_chart = DEGREES[:parameter_count, None] * np.asarray(by_chart)[:parameter_count]
+    largest = LARGEST_SIGMA * DEGREES * np.array([1, 1, 1, *np.full(3, parameters[3])])
+    seen = observability(
+        refined.information / refined.noise**2, by_chart, largest[:parameter_count]
+    )
+    if seen.rank < parameter_count:
+        return ViewEstimate(fit, None, "the picture itself leaves the pose undetermined.")
+    look = refined.appearance
+    quality = PictureQuality(
+        noise=refined.noise,
+        noise_floor=refined.noise_floor,
+        pixels=refined.pixels,
+        pixels_cut=refined.pixels_cut,
+        blur_px=float(np.sqrt(max(float(look.sigma_px) ** 2 - _BOX_VARIANCE, 0.0))),
+        ink_spread_mm=float(look.spread_mm),
+        ink_over_paper=float(1 + look.ratio),
+        bound=seen.covariance * (refined.noise_floor / refined.noise) ** 2,
+    )
+    return ViewEstimate(
+        fit._replace(
+            status=Status.CONVERGED,
+            values=DEGREES * parameters,
+            covariance=seen.covariance,
+            residuals_px=residuals_px,
+            rank=seen.rank,
+            gauge=tuple(PARAMETER_NAMES[k] for k in seen.gauge),
+        ),
+        quality,
+        None,
+    )
+
+
+_circle_residuals = jax.jit(circle_residuals_px)
+
+
+@partial(jax.jit, static_argnames="parameter_count")
+def _named_parameters(
+    pose: SheetPose, *, parameter_count: int
+) -> tuple[Float[ArrayLike, "6"], Float[ArrayLike, "6 p"]]:
+    """Parameters of a pose, and their derivative with respect to its chart."""
+    zero = jnp.zeros(parameter_count)
+    return pose.parameters, jax.jacfwd(lambda step: pose.moved(step).parameters)(zero)

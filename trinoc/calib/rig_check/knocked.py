@@ -1,0 +1,215 @@
+"""Has a camera been knocked since the rig was calibrated? Asked of scene pictures alone.
+
+Each camera in turn is freed of what the sheet once said of it, while the others keep it. The
+fall of the joint chi-square is the evidence that this camera moved; without motion it is
+distributed as chi-square with as many degrees of freedom as the camera has parameters.
+"""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+from scipy import stats
+
+from trinoc.calib.bundle.refinement import Matched, Matcher, refine
+from trinoc.calib.bundle.result import RefineResult, RefineStatus
+from trinoc.errors import CalibrationError
+from trinoc.geometry.line_observations import LineObservations
+from trinoc.geometry.rig import Rig
+
+# Below this many sigmas a motion is not told from chance; with three cameras asked, one rig
+# in 120 that stands still is suspected all the same.
+SUSPECT_SIGMAS = 3.0
+# Fewer lines are hardly enough for the six numbers of a camera, and chance finds as many.
+FEWEST_LINES = 12
+# What chance joins scatters 1.2 to 2.3 times as much as sigmas say, and right lines, where their
+# sigmas are right, 0.9 to 1.1 times. Asked only where matches come without a way to match again.
+MOST_NOISE = 1.5
+
+
+class CameraMotion(eqx.Module):
+    """How far the scene's segments place one camera from where the sheet had placed it.
+
+    Fields
+    ------
+    name : of the camera.
+    sigmas : significance of the motion, as sigmas of a normal distribution (two-sided).
+    parameters : names, such as "pan_deg".
+    change : (p,) of the parameters, scene minus sheet, in degrees and mm.
+    sigma : (p,) of the change, both sides' errors together.
+    """
+
+    name: str = eqx.field(static=True)
+    sigmas: float = eqx.field(static=True)
+    parameters: tuple[str, ...] = eqx.field(static=True)
+    change: Float[np.ndarray, "p"]
+    sigma: Float[np.ndarray, "p"]
+
+
+class RigCheck(eqx.Module):
+    """Whether a rig still stands as it was calibrated.
+
+    Fields
+    ------
+    motions : per camera, were it the only one that moved.
+    moved : names of the cameras to suspect, the most significant first; others follow where
+        freeing the first does not explain the scene.
+    refined : the rig with the suspect camera mended by the segments; None where nothing
+        moved, or where more moved than segments can mend.
+    conclusive : whether the scene tells anything; where not, nothing is said of the cameras.
+    """
+
+    motions: tuple[CameraMotion, ...]
+    moved: tuple[str, ...] = eqx.field(static=True)
+    refined: RefineResult | None
+    conclusive: bool = eqx.field(static=True, default=True)
+
+    def summary(self) -> str:
+        """One sentence of verdict, one line per camera, and how a suspected one has moved."""
+        if not self.conclusive:
+            return (
+                "This scene does not tell whether a camera moved: too few of its lines agree in "
+                "three views, or rigs that differ explain them about as well. A large knock hides "
+                "them from the matcher: match the pictures again while checking, show a scene of "
+                "more edges, or calibrate the rig again with the sheet."
+            )
+        if not self.moved:
+            verdict = "No camera has moved by more than the error bars allow."
+        elif self.refined is not None:
+            verdict = f'Camera "{self.moved[0]}" has moved; the segments tell where it is now.'
+        else:
+            verdict = (
+                "More than one camera has moved, which segments alone cannot mend: "
+                "calibrate the rig again with the sheet."
+            )
+        rows = [verdict]
+        for motion in self.motions:
+            rows.append(f"{motion.name}: {motion.sigmas:.1f} sigma if it alone moved")
+            if motion.sigmas >= SUSPECT_SIGMAS:
+                rows += [
+                    f"  {name:<12} {change:+10.4f} +- {sigma:.4f}"
+                    for name, change, sigma in zip(
+                        motion.parameters, motion.change, motion.sigma, strict=True
+                    )
+                ]
+        return "\n".join(rows)
+
+
+def check_rig(
+    rig: Rig,
+    matches: Matched | LineObservations,
+    *,
+    match_again: Matcher | Sequence[Matcher] | None = None,
+) -> RigCheck:
+    """Ask the segments of a scene whether each camera still stands where `rig` says.
+
+    `rig` needs the covariance of its calibration, since motion is measured against it. With
+    `match_again`, as `refine` takes it, a knock that hid most of the scene from the matcher is
+    found too: the scene is matched again with each camera freed, and asked where that is most
+    probable. Raises CalibrationError where the rig has no covariance or where fewer than three
+    cameras see the scene: two views of lines agree with any motion.
+    """
+    if not rig.parameters or len(rig) < 3:
+        raise CalibrationError(
+            "Whether a camera moved can be told only for three or more cameras with the "
+            "covariance of their calibration: give the rig.json that `trinoc calibrate` wrote."
+        )
+    best = None
+    if match_again is not None:
+        found = [refine(rig, matches, moved=(name,), match_again=match_again) for name in rig.names]
+        found = [result for result in found if result.status is RefineStatus.CONVERGED]
+        if not found:
+            return RigCheck(_motions(rig, matches)[0], (), None, conclusive=False)
+        best = max(found, key=lambda result: result.log_posterior)
+        matches = best.tracks
+    motions, freed = _motions(rig, matches, best)
+    strongest = max(motions, key=lambda motion: motion.sigmas)
+    mended, name = freed[strongest.name], strongest.name
+    conclusive = _agreeing(mended) >= FEWEST_LINES and (
+        best is not None or mended.segment_sigma_factor < MOST_NOISE
+    )
+    if strongest.sigmas < SUSPECT_SIGMAS:
+        return RigCheck(motions, (), None, conclusive)
+    others = [other for other in rig.names if other != name]
+    noise = max(mended.segment_sigma_factor, 1.0)
+    further = {
+        other: _significance(mended, _freed(mended, rig, matches, (name, other)), noise)
+        for other in others
+    }
+    also = tuple(other for other in others if further[other] >= SUSPECT_SIGMAS)
+    if also or mended.status is RefineStatus.NOT_CONVERGED:
+        return RigCheck(motions, (name, *also), None)
+    if not conclusive:
+        return RigCheck(motions, (), None, conclusive)
+    return RigCheck(motions, (name,), mended)
+
+
+def _agreeing(result: RefineResult) -> int:
+    """Number of lines that agree in three views or more."""
+    return int((result.inlier.sum(axis=1) > 2).sum())
+
+
+def _motions(
+    rig: Rig, matches: Matched | LineObservations, found: RefineResult | None = None
+) -> tuple[tuple[CameraMotion, ...], dict[str, RefineResult]]:
+    """The motion of each camera were it the only one, and the rig with it freed.
+
+    `found` is where the scene was matched best: one more start for each camera.
+    """
+    at_rest = refine(rig, matches)
+    freed = {name: _freed(found, rig, matches, (name,)) for name in rig.names}
+    # The best explanation sets the noise; a moved camera would inflate it otherwise.
+    noise = min(result.segment_sigma_factor for result in (at_rest, *freed.values()))
+    noise = max(noise, 1.0)
+    motions = tuple(_motion(rig, name, at_rest, freed[name], noise) for name in rig.names)
+    return motions, freed
+
+
+def _freed(
+    found: RefineResult | None,
+    rig: Rig,
+    matches: Matched | LineObservations,
+    names: tuple[str, ...],
+) -> RefineResult:
+    """The rig with cameras freed, from where it stood or from where it was found, if cheaper."""
+    freed = refine(rig, matches, moved=names)
+    if found is None:
+        return freed
+    again = refine(rig, matches, moved=names, start=found.rig)
+    return min(freed, again, key=lambda result: result.chi_square[0])
+
+
+def _motion(
+    rig: Rig, name: str, at_rest: RefineResult, freed: RefineResult, noise: float
+) -> CameraMotion:
+    rows = [i for i, parameter in enumerate(freed.parameters) if parameter.startswith(name + ".")]
+    own = tuple(freed.parameters[i].removeprefix(name + ".") for i in rows)
+    sheet = np.array([np.nan_to_num(rig.sigma(f"{name}.{parameter}")) for parameter in own])
+    before = np.array([_value(rig, name, parameter) for parameter in own])
+    change = freed.values[rows] - before
+    angles = np.array([parameter.endswith("_deg") for parameter in own])
+    change = np.where(angles, (change + 180) % 360 - 180, change)
+    variance = np.diag(freed.covariance)[rows] + sheet**2
+    sigmas = _significance(at_rest, freed, noise)
+    return CameraMotion(name, sigmas, own, change, np.sqrt(variance))
+
+
+def _value(rig: Rig, name: str, parameter: str) -> float:
+    camera = rig[name]
+    if parameter.startswith("aim_"):
+        return camera.aim_mm[0 if parameter == "aim_x_mm" else 1]
+    return float(getattr(camera, parameter))
+
+
+def _significance(held: RefineResult, freed: RefineResult, noise: float) -> float:
+    """Sigmas by which the scene prefers one more camera freed of the sheet's word."""
+    freed_parameters = len(freed.parameters) // len(freed.rig)
+    gain = max(held.chi_square[0] - freed.chi_square[0], 0.0) / noise**2
+    return _sigmas(gain, freed_parameters)
+
+
+def _sigmas(chi_square: float, freedom: int) -> float:
+    """Sigmas of a normal distribution, two-sided, of as small a probability."""
+    log_tail = stats.chi2.logsf(chi_square, freedom)
+    return float(stats.norm.isf(np.exp(max(log_tail, -700.0)) / 2))

@@ -1,0 +1,267 @@
+"""The printed sheet: circles and crossed lines on the plane Z = 0."""
+
+from typing import Literal
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from trinoc.calib.targets.ring_code import ring_code
+from trinoc.errors import InputError
+from trinoc.numerics.arrays import ArrayLike
+
+LINE_STYLES = ("stop", "through", "white")
+
+# Centres may lie this far, in pitches, from an even lattice: measured sheets, not misprints.
+_LATTICE_TOLERANCE = 0.25
+
+
+class Pattern(eqx.Module):
+    """Circles (discs or rings) and two crossed lines, in millimetres on the sheet Z = 0.
+
+    The lines lie along X and Y and cross at the origin of the world. Seen from the printed
+    side, X points right and Y up; Z points out of the sheet.
+
+    Fields
+    ------
+    name : what the sheet is called.
+    centres_mm : (n, 2) centres (X, Y) of the circles.
+    radius_mm : (n,) outer radius of each circle.
+    inner_radius_mm : (n,) radius of the white hole of a ring; 0 for a full disc.
+    lattice : (n, 2) integer lattice coordinates of each circle; neighbours in the lattice
+        differ by one in one coordinate.
+    line_width_mm : width of the crossed lines; 0 for a sheet without lines.
+    line_half_length_mm : (2,) reach from the origin, to both sides, of the line along X and
+        of the line along Y.
+    line_style : where a line meets a circle it stops `line_gap_mm` before it ("stop"), runs
+        through it in black ("through"), or runs through it in white ("white"). A line that
+        passes between the rows meets none.
+    line_gap_mm : distance at which a line of style "stop" ends before a circle.
+    """
+
+    name: str = eqx.field(static=True)
+    centres_mm: Float[np.ndarray, "n 2"]
+    radius_mm: Float[np.ndarray, "n"]
+    inner_radius_mm: Float[np.ndarray, "n"]
+    lattice: Int[np.ndarray, "n 2"]
+    line_width_mm: float = eqx.field(static=True)
+    line_half_length_mm: tuple[float, float] = eqx.field(static=True)
+    line_style: str = eqx.field(static=True)
+    line_gap_mm: float = eqx.field(static=True)
+
+    def __len__(self) -> int:
+        return len(self.centres_mm)
+
+    def __check_init__(self) -> None:
+        problem = _problem(self)
+        if problem is not None:
+            raise InputError(f"The pattern {self.name!r} cannot be printed: {problem}.")
+
+    @classmethod
+    def default(cls) -> "Pattern":
+        """The ready sheet of `patterns/`: 8 x 8 circles of 6 mm radius at 20 mm, with rings."""
+        return cls.cross_grid(rows=8, columns=8, pitch_mm=20.0, radius_mm=6.0)
+
+    @classmethod
+    def cross_grid(
+        cls,
+        *,
+        rows: int,
+        columns: int,
+        pitch_mm: float,
+        radius_mm: float,
+        rings: Bool[ArrayLike, "rows columns"] | Literal["code", "none"] = "code",
+        inner_radius_mm: float | None = None,
+        line_width_mm: float = 1.0,
+        line_half_length_mm: tuple[float, float] | None = None,
+        line_style: str = "stop",
+        line_gap_mm: float = 1.5,
+        name: str | None = None,
+    ) -> "Pattern":
+        """A grid of circles centred on the origin, and the crossed lines.
+
+        With even counts the lines run between the rows and touch no circle. The circles are
+        ordered row by row from the top left, as the sheet is read.
+
+        rings : which circles are rings: "code" makes a partly covered sheet name its place
+            and orientation (`trinoc.calib.targets.ring_code`), "none" makes every circle a full
+            disc, whose orientation a picture cannot tell; or an array, row 0 on top.
+        inner_radius_mm : of the rings; half the outer radius unless given.
+        line_half_length_mm : the lines reach 5 mm beyond the outer circles' edges, at most,
+            unless given: half a pitch beyond the outer centres plus a quarter.
+
+        Raises
+        ------
+        InputError : circles overlap, a size is not positive, or the rings do not fit.
+        """
+        if rows < 1 or columns < 1:
+            raise InputError(f"A grid of {rows} x {columns} circles has none; give both >= 1.")
+        if not isinstance(rings, str):
+            is_ring = np.asarray(rings, dtype=bool)
+            if is_ring.shape != (rows, columns):
+                raise InputError(
+                    f"`rings` has the shape {is_ring.shape}; give ({rows}, {columns})."
+                )
+        elif rings == "code":
+            is_ring = ring_code(rows, columns)
+        elif rings == "none":
+            is_ring = np.zeros((rows, columns), dtype=bool)
+        else:
+            raise InputError(f'`rings` is {rings!r}; give "code", "none" or an array.')
+        hole_mm = 0.5 * radius_mm if inner_radius_mm is None else inner_radius_mm
+        if line_half_length_mm is None:
+            half_x_mm, half_y_mm = 0.5 * pitch_mm * (columns + 0.5), 0.5 * pitch_mm * (rows + 0.5)
+        else:
+            half_x_mm, half_y_mm = line_half_length_mm
+        lattice = _row_by_row(rows, columns)
+        middle = np.array([0.5 * (columns - 1), 0.5 * (rows - 1)])
+        return cls(
+            name=name or f"cross_{rows}x{columns}_{pitch_mm:g}mm",
+            centres_mm=pitch_mm * (lattice - middle),
+            radius_mm=np.full(rows * columns, float(radius_mm)),
+            inner_radius_mm=np.where(is_ring.ravel(), float(hole_mm), 0.0),
+            lattice=lattice,
+            line_width_mm=float(line_width_mm),
+            line_half_length_mm=(float(half_x_mm), float(half_y_mm)),
+            line_style=line_style,
+            line_gap_mm=float(line_gap_mm),
+        )
+
+    @classmethod
+    def circle_grid(
+        cls, *, rows: int, columns: int, pitch_mm: float, radius_mm: float, name: str | None = None
+    ) -> "Pattern":
+        """A plain grid of discs: OpenCV's symmetric grid, BoofCV's regular circle grid.
+
+        The circles are ordered row by row from the top left, as `cv2.findCirclesGrid` does
+        with patternSize = (columns, rows); the origin is the middle of the grid, not its
+        first circle.
+        """
+        return cls.cross_grid(
+            rows=rows,
+            columns=columns,
+            pitch_mm=pitch_mm,
+            radius_mm=radius_mm,
+            rings="none",
+            line_width_mm=0.0,
+            line_half_length_mm=(0.0, 0.0),
+            line_gap_mm=0.0,
+            name=name or f"circles_{rows}x{columns}_{pitch_mm:g}mm",
+        )
+
+    @classmethod
+    def asymmetric_circle_grid(
+        cls,
+        *,
+        rows: int,
+        columns: int,
+        spacing_mm: float,
+        radius_mm: float,
+        name: str | None = None,
+    ) -> "Pattern":
+        """OpenCV's asymmetric grid: every other row is shifted by half the distance in a row.
+
+        rows, columns : OpenCV's patternSize is (columns, rows), such as (4, 11).
+        spacing_mm : distance between rows; circles in one row are two of it apart.
+
+        Ordered row by row, the first row not shifted, as OpenCV's object points
+        ((2 j + i mod 2) s, i s) with their second axis turned up; the origin is the middle.
+        """
+        if rows < 1 or columns < 1:
+            raise InputError(f"A grid of {rows} x {columns} circles has none; give both >= 1.")
+        row, column = np.divmod(np.arange(rows * columns), columns)
+        across, down = 2 * column + row % 2, row
+        centres_mm = spacing_mm * np.stack([across, -down], axis=1).astype(float)
+        centres_mm -= 0.5 * (centres_mm.min(axis=0) + centres_mm.max(axis=0))
+        # The nearest circles are the diagonal ones, so the lattice is turned by 45 degrees.
+        lattice = np.stack([(across + down) // 2, (across - down) // 2], axis=1)
+        count = rows * columns
+        return cls(
+            name=name or f"asymmetric_circles_{rows}x{columns}_{spacing_mm:g}mm",
+            centres_mm=centres_mm,
+            radius_mm=np.full(count, float(radius_mm)),
+            inner_radius_mm=np.zeros(count),
+            lattice=lattice,
+            line_width_mm=0.0,
+            line_half_length_mm=(0.0, 0.0),
+            line_style="stop",
+            line_gap_mm=0.0,
+        )
+
+    @property
+    def is_ring(self) -> Bool[np.ndarray, "n"]:
+        """Which circles are rings."""
+        return self.inner_radius_mm > 0.0
+
+    def rescaled(self, scale_x: float, scale_y: float) -> "Pattern":
+        """The sheet as a printer made it, X and Y off by their own factors.
+
+        The factors are measured over nominal length of the two scale bars. A radius takes
+        their geometric mean: a circle's edge moves by less than a micrometre for the 0.1 %
+        that printers miss by.
+        """
+        mean = float(np.sqrt(scale_x * scale_y))
+        half_x_mm, half_y_mm = self.line_half_length_mm
+        return Pattern(
+            name=self.name,
+            centres_mm=self.centres_mm * np.array([scale_x, scale_y]),
+            radius_mm=self.radius_mm * mean,
+            inner_radius_mm=self.inner_radius_mm * mean,
+            lattice=self.lattice,
+            line_width_mm=self.line_width_mm * mean,
+            line_half_length_mm=(half_x_mm * scale_x, half_y_mm * scale_y),
+            line_style=self.line_style,
+            line_gap_mm=self.line_gap_mm * mean,
+        )
+
+
+def _row_by_row(rows: int, columns: int) -> Int[np.ndarray, "n 2"]:
+    """Lattice coordinates (right, up) of a grid read row by row from the top left."""
+    row, column = np.divmod(np.arange(rows * columns), columns)
+    return np.stack([column, rows - 1 - row], axis=1)
+
+
+def _problem(pattern: Pattern) -> str | None:
+    """What makes a layout unprintable, in words; None when nothing does."""
+    centres, radius = pattern.centres_mm, pattern.radius_mm
+    if len(centres) == 0:
+        return "it holds no circle"
+    numbers = [centres, radius, pattern.inner_radius_mm, pattern.line_half_length_mm]
+    numbers += [pattern.line_width_mm, pattern.line_gap_mm]
+    if not all(np.all(np.isfinite(each)) for each in numbers):
+        return "a number is not finite"
+    if np.any(radius <= 0.0):
+        return f"circle {int(np.argmin(radius))} has a radius that is not positive"
+    if np.any((pattern.inner_radius_mm < 0.0) | (pattern.inner_radius_mm >= radius)):
+        worst = int(np.argmax(pattern.inner_radius_mm - radius))
+        return f"the hole of circle {worst} is not between 0 and its radius"
+    if min(pattern.line_width_mm, pattern.line_gap_mm, *pattern.line_half_length_mm) < 0.0:
+        return "the width, the gap or the length of the lines is negative"
+    if pattern.line_style not in LINE_STYLES:
+        return f"the line style {pattern.line_style!r} is none of {', '.join(LINE_STYLES)}"
+    if len(np.unique(pattern.lattice, axis=0)) != len(centres):
+        return "two circles share one place in the lattice"
+    distance = np.linalg.norm(centres[:, None] - centres[None], axis=-1)
+    np.fill_diagonal(distance, np.inf)
+    if np.any(distance <= radius[:, None] + radius[None]):
+        first, second = np.argwhere(distance <= radius[:, None] + radius[None])[0]
+        return f"circles {first} and {second} overlap"
+    return _lattice_problem(pattern)
+
+
+def _lattice_problem(pattern: Pattern) -> str | None:
+    """Whether the centres are an even, unmirrored image of the lattice."""
+    relative = pattern.lattice - pattern.lattice.mean(axis=0)
+    if len(relative) < 3 or np.linalg.matrix_rank(relative) < 2:
+        return None
+    steps, *_ = np.linalg.lstsq(relative, pattern.centres_mm, rcond=None)
+    offset = pattern.centres_mm.mean(axis=0)
+    pitch_mm = np.sqrt(abs(np.linalg.det(steps)))
+    if np.linalg.det(steps) <= 0.0:
+        return "its lattice is a mirror image of its centres"
+    if (
+        np.max(np.abs(relative @ steps + offset - pattern.centres_mm))
+        > _LATTICE_TOLERANCE * pitch_mm
+    ):
+        return "its centres do not lie on the lattice that it states"
+    return None

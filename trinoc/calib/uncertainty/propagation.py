@@ -1,0 +1,123 @@
+"""What the cameras' errors do to what people use a rig for: epipolar lines and points."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from trinoc.errors import InputError
+from trinoc.geometry.camera import Camera, sheet_from_pixel
+from trinoc.geometry.epipolar import epipolar_distance_px, fundamental_matrix
+from trinoc.geometry.pose import PanTiltPose
+from trinoc.geometry.rig import PARAMETER_NAMES, Rig
+from trinoc.geometry.triangulation import triangulate_point
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.precision import in_float64
+
+# Places across the picture, along each side.
+_PLACES = 5
+_TO_RADIANS = np.array([np.pi / 180, np.pi / 180, np.pi / 180, 1.0, 1.0, 1.0])
+
+
+class EpipolarSigma(NamedTuple):
+    """Standard deviation of the distance of a true match from its epipolar line.
+
+    Fields
+    ------
+    uv_px : (n, 2) places in the first picture.
+    sigma_px : (n,) in the second, for the point of the sheet's plane seen there.
+    """
+
+    uv_px: Float[np.ndarray, "n 2"]
+    sigma_px: Float[np.ndarray, "n"]
+
+
+@in_float64
+def epipolar_sigma(rig: Rig, first: str, second: str) -> EpipolarSigma:
+    """How well the rig knows its epipolar lines, over the field of the first picture.
+
+    Undistorted pixels. Raises InputError for a rig without a covariance.
+    """
+    covariance, values = _known(rig, (first, second))
+    width, height = rig[first].image_size_px
+    u, v = np.meshgrid(np.linspace(0, width - 1, _PLACES), np.linspace(0, height - 1, _PLACES))
+    places = np.stack([u.ravel(), v.ravel()], axis=1)
+    matrices = np.stack([np.asarray(rig[name].intrinsics.matrix) for name in (first, second)])
+    ideal = _without_distortion(rig[first])
+    points = jax.vmap(lambda uv: sheet_from_pixel(ideal, uv))(places)
+
+    def distances(change: Float[ArrayLike, "2 6"]) -> Float[ArrayLike, "n"]:
+        there = _projections(values, matrices)
+        moved = _projections(values + change, matrices)
+        fundamental = fundamental_matrix(moved[1], moved[0])
+
+        def distance(uv: Float[ArrayLike, "2"], point: Float[ArrayLike, "2"]) -> ArrayLike:
+            image = there[1] @ jnp.append(point, jnp.array([0.0, 1.0]))
+            return epipolar_distance_px(fundamental, image[:2] / image[2], uv)
+
+        return jax.vmap(distance)(places, points)
+
+    jacobian = np.asarray(jax.jacfwd(distances)(jnp.zeros((2, 6)))).reshape(len(places), 12)
+    return EpipolarSigma(places, _sigmas(jacobian, covariance))
+
+
+@in_float64
+def point_covariance(rig: Rig, point_mm: Float[ArrayLike, "3"]) -> np.ndarray:
+    """(3, 3) covariance, mm^2, of a point triangulated by all cameras from exact images.
+
+    The error of the images comes on top. Raises InputError for a rig without a covariance.
+    """
+    covariance, values = _known(rig, rig.names)
+    matrices = np.stack([np.asarray(camera.intrinsics.matrix) for _, camera in rig.items()])
+    weight = np.ones(len(rig))
+    images = _projections(values, matrices) @ np.append(np.asarray(point_mm, float), 1.0)
+    seen = images[:, :2] / images[:, 2:]
+
+    def place(change: Float[ArrayLike, "v 6"]) -> Float[ArrayLike, "3"]:
+        return triangulate_point(_projections(values + change, matrices), seen, weight)
+
+    jacobian = np.asarray(jax.jacfwd(place)(jnp.zeros_like(values))).reshape(3, -1)
+    return jacobian @ covariance @ jacobian.T
+
+
+def _known(
+    rig: Rig, names: tuple[str, ...]
+) -> tuple[Float[np.ndarray, "p p"], Float[np.ndarray, "v 6"]]:
+    """Covariance, in rad and mm, and values of all six parameters; absent ones are exact."""
+    if not rig.parameters:
+        raise InputError("This rig holds no covariance: calibrate it, or load one that does.")
+    keys = [f"{name}.{parameter}" for name in names for parameter in PARAMETER_NAMES]
+    rows = [rig.parameters.index(key) if key in rig.parameters else -1 for key in keys]
+    given = np.array(rows) >= 0
+    full = np.zeros((len(keys), len(keys)))
+    chosen = np.asarray(rig.covariance)[np.ix_(rows, rows)]
+    full[np.ix_(given, given)] = chosen[np.ix_(given, given)]
+    scale = np.tile(_TO_RADIANS, len(names))
+    values = [_parameters(rig[name]) for name in names]
+    return full * np.outer(scale, scale), np.stack(values)
+
+
+def _parameters(camera: Camera) -> Float[np.ndarray, "6"]:
+    return np.asarray(PanTiltPose.from_pose(camera.pose).vector)
+
+
+def _without_distortion(camera: Camera) -> Camera:
+    lens = camera.intrinsics
+    return Camera(type(lens).from_matrix(lens.matrix, lens.image_size_px), camera.pose)
+
+
+def _projections(
+    values: Float[ArrayLike, "v 6"], matrices: Float[ArrayLike, "v 3 3"]
+) -> Float[ArrayLike, "v 3 4"]:
+    def projection(vector: Float[ArrayLike, "6"], matrix: Float[ArrayLike, "3 3"]) -> ArrayLike:
+        return matrix @ PanTiltPose.from_vector(vector).pose.cam_from_world
+
+    return jax.vmap(projection)(values, matrices)
+
+
+def _sigmas(
+    jacobian: Float[np.ndarray, "n p"], covariance: Float[np.ndarray, "p p"]
+) -> Float[np.ndarray, "n"]:
+    return np.sqrt(np.einsum("np,pq,nq->n", jacobian, covariance, jacobian))

@@ -1,0 +1,282 @@
+"""How accurate is a shape that segments give? Lines in space against known edges."""
+
+import enum
+from collections.abc import Sequence
+from typing import Any, NamedTuple, Protocol, runtime_checkable
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float, Int
+
+from trinoc.errors import InputError
+from trinoc.evaluation.alignment import RigidMotion, align
+from trinoc.evaluation.distances import distance_to_segments_mm, sampled_segments
+from trinoc.evaluation.edge_lengths import EdgeLengths, edge_lengths
+from trinoc.evaluation.known_shape import KnownShape
+from trinoc.evaluation.lines_on_edges import angles_deg, edge_of_lines, offsets_across, selected
+from trinoc.evaluation.normalised_errors import NormalisedErrors, normalised_errors
+from trinoc.geometry.uncertain_lines import UncertainLines
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.synth.truth import SceneTruth
+
+TOLERANCES_MM = (0.1, 0.25, 0.5, 1.0)
+SAMPLE_STEP_MM = 0.25
+# Longer shapes are sampled at this many places, so that a house takes no longer than a block.
+MOST_SAMPLES = 50_000
+# Fewer lines than this do not hold a rigid motion down.
+LEAST_LINES_TO_ALIGN = 3
+
+
+class EvaluationStatus(enum.Enum):
+    """Whether there was something to compare, in a sentence."""
+
+    COMPARED = "Lines were compared with the known edges."
+    NO_LINES = "There is no line to compare: match segments first, or ask for a lower posterior."
+    NO_EDGES = "The known shape has no edge: give a file that has some."
+    NOTHING_NEAR = (
+        "No line lies on a known edge: check that both are in millimetres and in the same frame."
+    )
+
+
+class ErrorQuantiles(NamedTuple):
+    """Half, 90 % and 95 % of all errors are at most this."""
+
+    median: float
+    at_90: float
+    at_95: float
+
+
+@runtime_checkable
+class LinesInSpace(Protocol):
+    """Anything that holds 3-D segments with covariance, as the matcher's answer does."""
+
+    @property
+    def lines_mm(self) -> Float[np.ndarray, "t 2 3"]:
+        """Their ends."""
+        ...
+
+    @property
+    def covariance_mm2(self) -> Float[np.ndarray, "t 6 6"]:
+        """Of the ends of each."""
+        ...
+
+
+class Evaluation(eqx.Module):
+    """Lines in space beside known edges.
+
+    Fields
+    ------
+    status : whether there was something to compare. Where not, numbers are 0 or NaN.
+    wanted : in words, what completeness asks for.
+    lines : (t,) the edge on which each line lies, -1 where on none.
+    length_put_out_mm : of all lines together.
+    length_wanted_mm : of all that ought to be found.
+    tolerances_mm : distances at which the next two are given.
+    precision : share of the length put out that lies within each distance of an edge.
+    completeness : share of the wanted length within each distance of a line.
+    distance_mm : of the length put out from the nearest edge.
+    angle_deg : of the lines that lie on an edge, with it.
+    length_error_mm : absolute error of the edges that were measured from end to end.
+    lengths : those edges one by one.
+    normalised : errors across of the lines that lie on an edge, in units of what they claim.
+    motion : what laid the lines on the shape, where that was asked for; figures are those after.
+    """
+
+    status: EvaluationStatus = eqx.field(static=True)
+    wanted: str = eqx.field(static=True)
+    lines: Int[np.ndarray, "t"]
+    length_put_out_mm: float
+    length_wanted_mm: float
+    tolerances_mm: tuple[float, ...] = eqx.field(static=True)
+    precision: tuple[float, ...]
+    completeness: tuple[float, ...]
+    distance_mm: ErrorQuantiles
+    angle_deg: ErrorQuantiles
+    length_error_mm: ErrorQuantiles
+    lengths: EdgeLengths
+    normalised: NormalisedErrors
+    motion: RigidMotion | None
+
+    def record(self) -> dict[str, Any]:
+        """All numbers by name, as a row of a table; NaN where there is none."""
+        measured = np.isfinite(self.lengths.measured_mm)
+        error, sigma = self.lengths.error_mm[measured], self.lengths.sigma_mm[measured]
+        of_lengths = {
+            "edges_wanted_whole": len(measured),
+            "edges_measured": int(measured.sum()),
+            "length_error_mean_mm": float(np.mean(error)) if len(error) else float("nan"),
+            "length_spread": _spread(error / sigma),
+        }
+        return {
+            "lines": len(self.lines),
+            "lines_on_edges": int((self.lines >= 0).sum()),
+            "length_put_out_mm": self.length_put_out_mm,
+            "length_wanted_mm": self.length_wanted_mm,
+            **_named("distance", "mm", self.distance_mm),
+            **{
+                f"precision_{at:g}mm": share
+                for at, share in zip(self.tolerances_mm, self.precision, strict=True)
+            },
+            **{
+                f"completeness_{at:g}mm": share
+                for at, share in zip(self.tolerances_mm, self.completeness, strict=True)
+            },
+            **_named("angle", "deg", self.angle_deg),
+            **_named("length_error", "mm", self.length_error_mm),
+            **of_lengths,
+            "normalised_variance": self.normalised.variance,
+            "normalised_spread": self.normalised.spread,
+            "share_within_1.96_sigma": self.normalised.share_within,
+            "share_of_lines_within_95": self.normalised.share_of_lines,
+            "joint_chi_square": self.normalised.joint,
+        }
+
+
+def evaluate(
+    lines: LinesInSpace | UncertainLines | Float[ArrayLike, "t 2 3"],
+    shape: KnownShape | SceneTruth | Float[ArrayLike, "m 2 3"],
+    *,
+    tolerances_mm: Sequence[float] = TOLERANCES_MM,
+    aligned: bool = False,
+) -> Evaluation:
+    """Accuracy, completeness, lengths and normalised errors of lines against known edges.
+
+    Parameters
+    ----------
+    lines : Matches, or a refinement's `lines` (then with the errors that the cameras share), or
+        bare ends, of which nothing is claimed.
+    shape : known edges in the same frame, of `trinoc.load_shape` or as ends in mm; of a made scene
+        those parts are wanted that two pictures show.
+    tolerances_mm : distances at which precision and completeness are given; within the largest, a
+        line lies on an edge.
+    aligned : lay the lines on the shape by a rigid motion first. It takes up six numbers of the
+        error, and `motion` says which.
+
+    Lengths are sampled every quarter of a millimetre, or at 50,000 places where those are fewer.
+    Raises InputError for tolerances that are not positive and for coordinates that are not finite.
+    """
+    claimed, known = _as_lines(lines), _as_shape(shape)
+    tolerances = tuple(sorted(float(tolerance) for tolerance in tolerances_mm))
+    if not tolerances or not tolerances[0] > 0:
+        raise InputError("The tolerances must be one or more positive distances in millimetres.")
+    motion = None
+    if aligned and len(claimed) >= LEAST_LINES_TO_ALIGN and len(known.edges_mm):
+        motion = align(claimed.ends_mm, known.edges_mm)
+        claimed = motion.of_lines(claimed)
+    ends, edges = claimed.ends_mm, known.edges_mm
+    distance, put_out = _sampled(ends, edges)
+    missing, wanted = _sampled(known.wanted_mm, ends)
+    edge_of = edge_of_lines(ends, edges, tolerances[-1])
+    on = np.flatnonzero(edge_of >= 0)
+    offsets = offsets_across(selected(claimed, on), edges[edge_of[on]])
+    lengths = edge_lengths(claimed, edge_of, edges, known.wanted_whole)
+    measured = lengths.error_mm[np.isfinite(lengths.error_mm)]
+    angles = angles_deg(ends[on], edges[edge_of[on]])
+    return Evaluation(
+        _status(claimed, known, distance, tolerances[-1]),
+        known.wanted,
+        edge_of,
+        float(put_out.sum()),
+        float(wanted.sum()),
+        tolerances,
+        tuple(_share_within(distance, put_out, at) for at in tolerances),
+        tuple(_share_within(missing, wanted, at) for at in tolerances),
+        _quantiles(distance, put_out),
+        _quantiles(angles, np.ones(len(angles))),
+        _quantiles(np.abs(measured), np.ones(len(measured))),
+        lengths,
+        normalised_errors(offsets, claimed.parameter_covariance),
+        motion,
+    )
+
+
+def certain_lines(
+    lines_mm: Float[np.ndarray, "t 2 3"], covariance_mm2: Float[np.ndarray, "t 6 6"]
+) -> UncertainLines:
+    """Lines whose errors are all their own: those of cameras that count as exact."""
+    count = len(lines_mm)
+    return UncertainLines(lines_mm, covariance_mm2, np.zeros((count, 6, 0)), np.zeros((0, 0)))
+
+
+def _as_lines(lines: LinesInSpace | UncertainLines | ArrayLike) -> UncertainLines:
+    if not isinstance(lines, UncertainLines):
+        if isinstance(lines, LinesInSpace):
+            ends, covariance = np.asarray(lines.lines_mm), np.asarray(lines.covariance_mm2)
+        else:
+            ends = np.asarray(lines, dtype=np.float64).reshape(-1, 2, 3)
+            covariance = np.zeros((len(ends), 6, 6))
+        if covariance.shape != (len(ends), 6, 6):
+            raise InputError(
+                f"The covariance has shape {covariance.shape}, but that of the ends of {len(ends)} "
+                "lines is needed, (t, 6, 6): give `certain_lines(lines_mm, covariance_mm2)`."
+            )
+        lines = certain_lines(ends, covariance)
+    if not np.isfinite(lines.ends_mm).all():
+        raise InputError("The lines have ends that are not finite: leave such lines out.")
+    # A line without length has no direction, and nothing lies on it.
+    length = np.linalg.norm(lines.ends_mm[:, 1] - lines.ends_mm[:, 0], axis=1)
+    return selected(lines, np.flatnonzero(length > 0))
+
+
+def _as_shape(shape: KnownShape | SceneTruth | ArrayLike) -> KnownShape:
+    if isinstance(shape, SceneTruth):
+        return KnownShape.of_scene(shape)
+    if isinstance(shape, KnownShape):
+        return shape
+    edges = np.asarray(shape, dtype=np.float64).reshape(-1, 2, 3)
+    if not np.isfinite(edges).all():
+        raise InputError("The known edges have ends that are not finite: leave such edges out.")
+    return KnownShape.of_edges(edges)
+
+
+def _status(
+    lines: UncertainLines, shape: KnownShape, distance: Float[np.ndarray, "n"], reach_mm: float
+) -> EvaluationStatus:
+    if len(shape.edges_mm) == 0:
+        return EvaluationStatus.NO_EDGES
+    if len(lines) == 0:
+        return EvaluationStatus.NO_LINES
+    if distance.min() > reach_mm:
+        return EvaluationStatus.NOTHING_NEAR
+    return EvaluationStatus.COMPARED
+
+
+def _sampled(
+    segments_mm: Float[np.ndarray, "n 2 3"], others_mm: Float[np.ndarray, "m 2 3"]
+) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k"]]:
+    """Distances of points along segments from the nearest of the others, and the length that each
+    point stands for."""
+    total = float(np.linalg.norm(segments_mm[:, 1] - segments_mm[:, 0], axis=1).sum())
+    points, weight = sampled_segments(segments_mm, max(SAMPLE_STEP_MM, total / MOST_SAMPLES))
+    return distance_to_segments_mm(points, others_mm), weight
+
+
+def _share_within(
+    distance: Float[np.ndarray, "k"], weight: Float[np.ndarray, "k"], tolerance: float
+) -> float:
+    total = float(weight.sum())
+    return float(weight[distance <= tolerance].sum()) / total if total > 0 else 0.0
+
+
+def _quantiles(errors: Float[np.ndarray, "k"], weight: Float[np.ndarray, "k"]) -> ErrorQuantiles:
+    """Of errors that stand for lengths, or count one each; NaN where there is none."""
+    if weight.sum() == 0 or not np.isfinite(errors).all():
+        return ErrorQuantiles(*[float("nan")] * 3)
+    order = np.argsort(errors)
+    below = np.cumsum(weight[order]) / weight.sum()
+    places = np.searchsorted(below, np.array([0.5, 0.9, 0.95]) * (1 - 1e-12))
+    return ErrorQuantiles(*(float(errors[order[place]]) for place in places))
+
+
+def _named(name: str, unit: str, quantiles: ErrorQuantiles) -> dict[str, float]:
+    return {
+        f"{name}_median_{unit}": quantiles.median,
+        f"{name}_90_{unit}": quantiles.at_90,
+        f"{name}_95_{unit}": quantiles.at_95,
+    }
+
+
+def _spread(normalised: Float[np.ndarray, "n"]) -> float:
+    """Robust standard deviation about zero; NaN where nothing is claimed."""
+    known = normalised[np.isfinite(normalised)]
+    return 1.4826 * float(np.median(np.abs(known))) if len(known) else float("nan")

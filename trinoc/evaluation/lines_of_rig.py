@@ -1,0 +1,136 @@
+"""Matched 3-D segments with the errors that the cameras of their rig pass on to all of them.
+
+It stands here because it takes the matcher's answer to the calibration's covariance, and these
+two rooms do not know each other.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from trinoc.calib.bundle.line_covariance import segment_and_errors
+from trinoc.calib.bundle.pose_prior import parameters_by_step
+from trinoc.calib.model.camera_state import CameraState, Freedom, camera_state
+from trinoc.errors import InputError
+from trinoc.geometry.line_observations import LineObservations
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.uncertain_lines import UncertainLines
+from trinoc.match.line_map.collinear_merge import join_collinear
+from trinoc.match.line_map.corner_fit import snap_corners
+from trinoc.match.tracks.matches import Matches
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.precision import as_numpy, in_float64
+
+# Tracks are padded to a multiple of this, so that few sizes compile.
+BLOCK = 128
+
+
+def lines_of_rig(matches: Matches, rig: Rig) -> UncertainLines:
+    """The matches' lines, whose own covariance is joined by that of the rig's parameters.
+
+    A rig without a covariance counts as exact; so do matches that do not hold the covariance of
+    their fragments. Raises InputError where the rig lacks a camera of the matches.
+    """
+    missing = [name for name in matches.views if name not in rig.names]
+    if missing:
+        raise InputError(
+            f'The rig has no camera "{missing[0]}", but {", ".join(rig.names)}: give the rig that '
+            "these matches were made with."
+        )
+    ends, own = np.asarray(matches.lines_mm), np.asarray(matches.covariance_mm2)
+    freedom = _freedom(rig)
+    if freedom is None or matches.fragments_covariance_px2 is None or len(matches) == 0:
+        return UncertainLines(ends, own, np.zeros((len(ends), 6, 0)), np.zeros((0, 0)))
+    common, by_steps, by_step = _of_fragments(matches.line_observations(), rig, freedom)
+    names = [f"{view}.{parameter}" for view in matches.views for parameter in freedom.value]
+    rows = [rig.parameters.index(name) for name in names]
+    covariance = np.asarray(rig.covariance)[np.ix_(rows, rows)]
+    by_parameters = _carried(by_steps, common, ends) @ np.linalg.inv(by_step)
+    return UncertainLines(ends, own, by_parameters, covariance)
+
+
+def joined_lines_of_rig(matches: Matches, rig: Rig, *, corners: bool = False) -> UncertainLines:
+    """As `lines_of_rig`, of the straight lines that the tracks lie on, and with `corners` of these
+    lines carried to the corners where they meet.
+
+    A joined line follows the cameras as the longest of its tracks does. Raises InputError where
+    the matches do not hold the covariance of their fragments.
+    """
+    tracks = lines_of_rig(matches, rig)
+    joined = join_collinear(matches, rig)
+    ends, own = joined.lines_mm, joined.covariance_mm2
+    if corners:
+        snapped = snap_corners(joined)
+        ends, own = snapped.lines_mm, snapped.lines_covariance_mm2
+    length = np.linalg.norm(tracks.ends_mm[:, 1] - tracks.ends_mm[:, 0], axis=1)
+    longest = np.array(
+        [t[length[t].argmax()] for t in map(joined.tracks_of, range(len(joined)))], dtype=np.int64
+    )
+    by_parameters = _carried(tracks.by_parameters[longest], tracks.ends_mm[longest], ends)
+    return UncertainLines(ends, own, by_parameters, tracks.parameter_covariance)
+
+
+def _carried(
+    derivative: Float[np.ndarray, "t 6 k"],
+    of_ends_mm: Float[np.ndarray, "t 2 3"],
+    to_ends_mm: Float[np.ndarray, "t 2 3"],
+) -> Float[np.ndarray, "t 6 k"]:
+    """The derivative of other ends on the same lines: they are means of those ends."""
+    count = len(of_ends_mm)
+    step = of_ends_mm[:, 1] - of_ends_mm[:, 0]
+    place = np.einsum("tei,ti->te", to_ends_mm - of_ends_mm[:, :1], step)
+    place = place / np.sum(step**2, axis=1)[:, None]
+    weight = np.stack([1 - place, place], axis=2)
+    parts = derivative.reshape(count, 2, 3, derivative.shape[2])
+    return np.einsum("tef,tfik->teik", weight, parts).reshape(derivative.shape)
+
+
+def _freedom(rig: Rig) -> Freedom | None:
+    """What the rig's covariance is of; None where it holds none."""
+    for freedom in (Freedom.SIX, Freedom.FOUR):
+        wanted = {f"{name}.{parameter}" for name in rig.names for parameter in freedom.value}
+        if wanted <= set(rig.parameters):
+            return freedom
+    if rig.parameters:
+        raise InputError(
+            "The covariance of the rig is not of pan, tilt, swing and distance of every camera: "
+            "calibrate all of them together, or give the rig without a covariance."
+        )
+    return None
+
+
+@in_float64
+def _of_fragments(
+    lines: LineObservations, rig: Rig, freedom: Freedom
+) -> tuple[Float[np.ndarray, "t 2 3"], Float[np.ndarray, "t 6 k"], Float[np.ndarray, "k k"]]:
+    """(ends of the common parts, their Jacobian by the cameras' steps, parameters by steps)."""
+    cameras = [rig[name] for name in lines.views]
+    distorted = any(camera.intrinsics.distortion_model != "none" for camera in cameras)
+    states = [
+        camera_state(camera, freedom, with_intrinsics=False, with_distortion=distorted)
+        for camera in cameras
+    ]
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *states)
+    count, padding = len(lines), -len(lines) % BLOCK
+
+    def padded(array: np.ndarray) -> np.ndarray:
+        return np.concatenate([array, np.repeat(array[:1], padding, axis=0)])
+
+    ends, by_steps, by_step = as_numpy(
+        _derivatives(
+            stacked, padded(lines.fragments_px), padded(lines.covariance_px2), padded(lines.seen)
+        )
+    )
+    return ends[:count], by_steps[:count], by_step
+
+
+@eqx.filter_jit
+def _derivatives(
+    cameras: CameraState, fragments_px: ArrayLike, covariance_px2: ArrayLike, seen: ArrayLike
+) -> tuple[ArrayLike, ArrayLike, ArrayLike]:
+    ends, _, by_steps = jax.vmap(segment_and_errors, (None, 0, 0, 0))(
+        cameras, fragments_px, covariance_px2, seen
+    )
+    return ends, by_steps, parameters_by_step(cameras, cameras)

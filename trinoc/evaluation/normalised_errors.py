@@ -1,0 +1,95 @@
+"""Do the errors have the size that their covariance claims?"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy import stats
+
+from trinoc.evaluation.lines_on_edges import OffsetsAcross
+
+NUMBERS_PER_LINE = 4
+WITHIN_SIGMAS = 1.96
+_MEDIAN = float(stats.chi2.median(NUMBERS_PER_LINE))
+_LARGEST_95 = float(stats.chi2.ppf(0.95, NUMBERS_PER_LINE))
+
+
+class NormalisedErrors(NamedTuple):
+    """Errors across in units of what the covariance claims; NaN where nothing is claimed.
+
+    Each line has four: its offset across the edge in two directions at two ends, along the
+    principal axes of their covariance. True claims make them numbers of a normal distribution.
+
+    Fields
+    ------
+    lines : how many lines are in.
+    variance : mean square; 1 where the claims are true. A few wrong matches raise it.
+    spread : by how much the claims are too small, from the median line, which a few wrong ones do
+        not move: 1 where the claims are true.
+    share_within : of the four numbers of all lines within 1.96 sigma; 0.95 where they are true.
+    share_of_lines : of lines whose chi-square is below its 95 % quantile.
+    joint : chi-square of all lines together over its degrees of freedom, with what the cameras'
+        errors have in common for all lines; 1 where the claims are true.
+    """
+
+    lines: int
+    variance: float
+    spread: float
+    share_within: float
+    share_of_lines: float
+    joint: float
+
+
+def normalised_errors(
+    offsets: OffsetsAcross, parameter_covariance: Float[np.ndarray, "k k"]
+) -> NormalisedErrors:
+    """Offsets against the covariance that is each line's own and the one that the cameras share."""
+    errors = errors_in_sigmas(offsets, parameter_covariance)
+    claimed = np.isfinite(errors).all(axis=1)
+    if not claimed.any():
+        return NormalisedErrors(0, *[float("nan")] * 5)
+    errors, offset = errors[claimed], offsets.offset_mm[claimed]
+    shared = offsets.by_parameters @ _root(parameter_covariance)
+    chi_square = np.sum(errors**2, axis=1)
+    return NormalisedErrors(
+        lines=len(errors),
+        variance=float(np.mean(errors**2)),
+        spread=float(np.sqrt(np.median(chi_square) / _MEDIAN)),
+        share_within=float(np.mean(np.abs(errors) < WITHIN_SIGMAS)),
+        share_of_lines=float(np.mean(chi_square < _LARGEST_95)),
+        joint=_joint_chi_square(offset, offsets.own_mm2[claimed], shared[claimed]) / errors.size,
+    )
+
+
+def errors_in_sigmas(
+    offsets: OffsetsAcross, parameter_covariance: Float[np.ndarray, "k k"]
+) -> Float[np.ndarray, "n 4"]:
+    """The four numbers of each line, in sigmas along the principal axes of its covariance; NaN
+    where none is claimed."""
+    by = offsets.by_parameters
+    variances, axes = np.linalg.eigh(offsets.own_mm2 + by @ parameter_covariance @ by.mT)
+    claimed = variances[:, :1] > 0
+    along_axes = np.einsum("nia,ni->na", axes, offsets.offset_mm)
+    return np.where(claimed, along_axes / np.sqrt(np.where(claimed, variances, 1.0)), np.nan)
+
+
+def _joint_chi_square(
+    offset: Float[np.ndarray, "n 4"],
+    own: Float[np.ndarray, "n 4 4"],
+    shared: Float[np.ndarray, "n 4 k"],
+) -> float:
+    """d' (D + A A')^-1 d with D of the lines' own blocks, by Woodbury's identity; NaN where a
+    line has no covariance of its own."""
+    if np.linalg.eigvalsh(own)[:, 0].min() <= 0:
+        return float("nan")
+    weighted = np.linalg.solve(own, np.concatenate([offset[..., None], shared], axis=2))
+    alone = float(np.einsum("ni,ni->", offset, weighted[..., 0]))
+    right = np.einsum("nik,ni->k", shared, weighted[..., 0])
+    inner = np.eye(shared.shape[2]) + np.einsum("nik,nil->kl", shared, weighted[..., 1:])
+    return alone - float(right @ np.linalg.solve(inner, right))
+
+
+def _root(covariance: Float[np.ndarray, "k k"]) -> Float[np.ndarray, "k k"]:
+    """A matrix whose product with its transpose is `covariance`, which may be singular."""
+    variances, axes = np.linalg.eigh(covariance)
+    return axes * np.sqrt(np.maximum(variances, 0.0))

@@ -1,0 +1,189 @@
+"""Which segments of a picture pass a point in about a direction: a table of cells.
+
+The place that a pair predicts in a third view is known to a fraction of a pixel, the direction
+of a short pair only to degrees: so the table goes by place first, in square cells that a
+segment enters wherever it passes, and by direction in sectors second. It has three layers: fine
+sectors for predictions that are known well, coarse ones with wider margins for others, and one
+of all directions for the rest.
+"""
+
+import functools
+import operator
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.interval_join import expand_ranges
+from trinoc.numerics.scalar_vectors import Scalar, Vector2
+
+
+class Layer(NamedTuple):
+    """Which predictions look into a layer of the table, and how fine it is.
+
+    sectors : in half a turn. slack_rad, sigmas : how well a prediction must know its direction,
+        all told, and its place, in usual standard deviations of the segments.
+    cell : side of the cells, over that of the finest.
+    """
+
+    sectors: int
+    slack_rad: float
+    sigmas: float
+    cell: int
+
+
+LAYERS = (
+    Layer(24, np.radians(3.0), 1.5, 1),
+    Layer(6, np.radians(15.0), 3.0, 2),
+    Layer(1, np.pi, 6.0, 4),
+)
+
+
+class Grid(NamedTuple):
+    """Square cells over a picture, in rows; fields of length l are of the layers.
+
+    sigma_px : usual standard deviation of the segments. cell_px : sides of the cells.
+    first : number of the first key of each layer; the last number is of a key without entries.
+    """
+
+    sigma_px: Float[ArrayLike, ""]
+    cell_px: Float[ArrayLike, "l"]
+    columns: Int[ArrayLike, "l"]
+    rows: Int[ArrayLike, "l"]
+    first: Int[ArrayLike, "l+1"]
+
+
+class SpatialIndex(NamedTuple):
+    """Segments sorted by key = first of layer + cell * sectors + sector.
+
+    start, count : first entry and number of entries of each key. segment : the entries.
+    """
+
+    grid: Grid
+    start: Int[np.ndarray, "keys"]
+    count: Int[np.ndarray, "keys"]
+    segment: Int[np.ndarray, "entries"]
+
+
+def spatial_index(
+    ends_px: Float[np.ndarray, "n 2 2"],
+    slack_rad: Float[np.ndarray, "n"],
+    margins_px: Float[np.ndarray, "l n"],
+    size_px: Float[np.ndarray, "2"],
+    cell_px: float,
+    sigma_px: float,
+) -> SpatialIndex:
+    """Enter each segment, in each layer, in every cell that it passes within the margin, and
+    in each sector that holds a direction within `slack_rad` and the layer's slack of its own."""
+    cells_px = cell_px * np.array([layer.cell for layer in LAYERS], dtype=np.float64)
+    columns, rows = (np.ceil(side / cells_px).astype(np.int32) for side in size_px)
+    keys = columns * rows * np.array([layer.sectors for layer in LAYERS], dtype=np.int32)
+    first_key = np.concatenate([[0], np.cumsum(keys)]).astype(np.int32)
+    step = ends_px[:, 1] - ends_px[:, 0]
+    angle = np.arctan2(step[:, 1], step[:, 0])
+    entries = []
+    for number, layer in enumerate(LAYERS):
+        owner, column, row = _cells_passed(ends_px, margins_px[number], cells_px[number])
+        inside = (column >= 0) & (column < columns[number]) & (row >= 0) & (row < rows[number])
+        owner, cell = owner[inside], (row * columns[number] + column)[inside]
+        slack, sector = slack_rad + layer.slack_rad, np.pi / layer.sectors
+        first = np.floor((angle - slack) / sector).astype(int)
+        last = np.floor((angle + slack) / sector).astype(int)
+        last = np.minimum(last, first + layer.sectors - 1)
+        entry, turned = expand_ranges(first[owner], last[owner] + 1)
+        key = first_key[number] + cell[entry] * layer.sectors + np.mod(turned, layer.sectors)
+        # Key and segment in one number: sorting it is several times faster than by key.
+        entries.append((key << 32) | owner[entry])
+    ordered = np.sort(np.concatenate(entries))
+    count = np.bincount(ordered >> 32, minlength=first_key[-1] + 1)
+    grid = Grid(np.asarray(sigma_px), cells_px, columns, rows, first_key)
+    start = np.cumsum(count) - count
+    return SpatialIndex(grid, *(x.astype(np.int32) for x in (start, count, ordered & 0xFFFFFFFF)))
+
+
+def _cells_passed(
+    ends_px: Float[np.ndarray, "n 2 2"], margin_px: Float[np.ndarray, "n"], cell_px: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(segment, column, row) of every cell within the margin of a segment, and of a few more."""
+    steep = np.abs(ends_px[:, 1, 1] - ends_px[:, 0, 1]) > np.abs(
+        ends_px[:, 1, 0] - ends_px[:, 0, 0]
+    )
+    # Walk along the longer side: u for a flat segment, v for a steep one.
+    walk = np.where(steep[:, None], ends_px[..., 1], ends_px[..., 0])
+    other = np.where(steep[:, None], ends_px[..., 0], ends_px[..., 1])
+    low, high = walk.min(axis=1), walk.max(axis=1)
+    slope = (other[:, 1] - other[:, 0]) / (walk[:, 1] - walk[:, 0])
+    owner, along = expand_ranges(
+        np.floor((low - margin_px) / cell_px).astype(int),
+        np.floor((high + margin_px) / cell_px).astype(int) + 1,
+    )
+
+    def other_at(place: np.ndarray) -> np.ndarray:
+        reached = np.clip(place, low[owner], high[owner])
+        return other[owner, 0] + slope[owner] * (reached - walk[owner, 0])
+
+    left, right = other_at(along * cell_px), other_at((along + 1) * cell_px)
+    # Across a slanting segment the margin is longer along the rows or columns.
+    margin = (margin_px * np.sqrt(1 + slope**2))[owner]
+    entry, across = expand_ranges(
+        np.floor((np.minimum(left, right) - margin) / cell_px).astype(int),
+        np.floor((np.maximum(left, right) + margin) / cell_px).astype(int) + 1,
+    )
+    owner, along = owner[entry], along[entry]
+    return owner, np.where(steep[owner], across, along), np.where(steep[owner], along, across)
+
+
+def key_at(
+    grid: Grid, points_px: Sequence[Vector2], angle_rad: Scalar, slack_rad: Scalar, sigma_px: Scalar
+) -> list[ArrayLike]:
+    """Where to look for a segment that passes each point, in about a direction.
+
+    The direction, from 0 to half a turn, is known to `slack_rad`, the points to `sigma_px`: the
+    keys are of the finest layer that allows for both, that without entries where none does,
+    or where a point lies outside the picture.
+    """
+    nowhere = grid.first[-1]
+    known = [
+        (slack_rad < layer.slack_rad) & (sigma_px < layer.sigmas * grid.sigma_px)
+        for layer in LAYERS
+    ]
+
+    def of_layer(values: Sequence[ArrayLike]) -> ArrayLike:
+        chosen = jnp.asarray(values[-1])
+        for number in reversed(range(len(LAYERS) - 1)):
+            chosen = jnp.where(known[number], jnp.asarray(values[number]), chosen)
+        return chosen
+
+    layers = range(len(LAYERS))
+    side, columns, rows, first = (
+        of_layer([column[number] for number in layers])
+        for column in (grid.cell_px, grid.columns, grid.rows, grid.first)
+    )
+    sectors = of_layer(list(np.array([layer.sectors for layer in LAYERS], dtype=np.int32)))
+    turns = angle_rad / np.pi * sectors.astype(angle_rad.dtype)
+    sector = jnp.floor(turns).astype(jnp.int32)
+    sector = jnp.minimum(sector, sectors - 1)
+    allowed = functools.reduce(operator.or_, known)
+    keys: list[ArrayLike] = []
+    for u_px, v_px in points_px:
+        column, row = (jnp.floor(x / side).astype(jnp.int32) for x in (u_px, v_px))
+        inside = allowed & (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
+        key = first + (row * columns + column) * sectors + sector
+        keys.append(jnp.where(inside, key, nowhere))
+    return keys
+
+
+def segments_at(
+    index: SpatialIndex, key: Int[np.ndarray, "q"]
+) -> tuple[Int[np.ndarray, "hits"], Int[np.ndarray, "hits"]]:
+    """(query, segment) for every segment entered where a query looks."""
+    count = index.count[key]
+    asked = np.flatnonzero(count).astype(np.int32)
+    count = count[asked]
+    stop = np.cumsum(count, dtype=np.int32)
+    position = np.arange(stop[-1] if len(stop) else 0, dtype=np.int32)
+    position += np.repeat(index.start[key[asked]] - stop + count, count)
+    return np.repeat(asked, count), index.segment[position]

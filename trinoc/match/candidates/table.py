@@ -1,0 +1,70 @@
+"""Candidates: groups of segments that can be one line, with what speaks for each."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from trinoc.match.evidence.endpoints import COMPONENTS
+from trinoc.match.evidence.mixture import MixtureParameters, log_odds
+from trinoc.match.evidence.side_intensity import COMPONENTS as COMPONENTS_OF_SIDES
+from trinoc.match.observations.table import SegmentTable
+
+
+class Candidates(NamedTuple):
+    """Triples that can be one line; rows of each array belong together.
+
+    index : segment in each of the views (-1 in views that take no part).
+    interval : common part on each segment. ends_mm : ends in space.
+    chi_square, log_density, union_ends_mm, union_covariance_mm2, px_per_mm : see TripleEvidence.
+    end_log : see `end_evidence`. side_log : see `side_evidence`.
+    """
+
+    index: Int[np.ndarray, "m v"]
+    interval: Float[np.ndarray, "m v 2"]
+    ends_mm: Float[np.ndarray, "m 2 3"]
+    chi_square: Float[np.ndarray, "m"]
+    log_density: Float[np.ndarray, "m"]
+    end_log: Float[np.ndarray, "m 2 c"]
+    union_ends_mm: Float[np.ndarray, "m 2 3"]
+    union_covariance_mm2: Float[np.ndarray, "m 2 6"]
+    px_per_mm: Float[np.ndarray, "m"]
+    side_log: Float[np.ndarray, "m s"]
+
+
+def no_candidates(views: int) -> Candidates:
+    """None at all, for as many views."""
+    return Candidates(
+        np.zeros((0, views), dtype=np.int64),
+        np.zeros((0, views, 2)),
+        np.zeros((0, 2, 3)),
+        np.zeros(0),
+        np.zeros(0),
+        np.zeros((0, 2, COMPONENTS)),
+        np.zeros((0, 2, 3)),
+        np.zeros((0, 2, 6)),
+        np.zeros(0),
+        np.zeros((0, len(COMPONENTS_OF_SIDES))),
+    )
+
+
+def concatenated(parts: list[Candidates]) -> Candidates:
+    """Several sets as one, in order."""
+    return Candidates(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+def prior_log_odds(candidates: Candidates, mixture: MixtureParameters) -> Float[np.ndarray, "m"]:
+    """Log odds of each on its own evidence."""
+    c = candidates
+    return log_odds(c.chi_square, c.log_density, c.end_log, c.ends_mm, c.side_log, mixture)
+
+
+def in_depth_range(
+    candidates: Candidates, lines: SegmentTable, depth_range_mm: tuple[float, float]
+) -> Bool[np.ndarray, "m"]:
+    """Whether the ends lie within a range of depths before every camera that sees them."""
+    matrix = np.asarray(lines.matrix_px)
+    depth = np.einsum("vi,mei->mve", matrix[:, 2, :3], candidates.ends_mm) + matrix[:, 2, 3:]
+    passes_third_view_gate, far = depth_range_mm
+    inside = ((depth > passes_third_view_gate) & (depth < far)).all(axis=2) | (candidates.index < 0)
+    return inside.all(axis=1)

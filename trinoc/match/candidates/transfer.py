@@ -1,0 +1,114 @@
+"""What a pair of segments predicts in a third view: epipolar transfer of their common part."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Bool, Float, Int
+
+from trinoc.match.observations.table import SegmentTable
+from trinoc.match.two_view.common_part import cut_pair
+from trinoc.match.two_view.epipolar_pencil import Pencil, PencilSegments
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.scalar_vectors import (
+    Scalar,
+    Vector3,
+    add3,
+    between,
+    cross3,
+    dot3,
+    scaled3,
+    times_matrix,
+    unit3,
+    vector3,
+)
+
+# A pair whose prediction is more uncertain than this predicts nothing. The angle at which its
+# planes of sight cross would not do: it is small for any pair with a short baseline.
+VAGUEST_PX = 6.0
+# Of the three orderings of a triple, that whose pair crosses best finds it, or one within this.
+NEARLY_BEST = 0.8
+# A prediction may lie this share of the picture outside.
+OUTSIDE = 0.1
+
+
+class Prediction(NamedTuple):
+    """The image, in a third view, of the part common to a pair of segments.
+
+    possible : whether the pair can be one line in space, and is the one to predict from.
+    u0, v0, u1, v1 : ends in undistorted pixels.
+    c00, c01, c11 : covariance of the two ends across the image, px^2.
+    """
+
+    possible: Bool[ArrayLike, "*p"]
+    u0: Float[ArrayLike, "*p"]
+    v0: Float[ArrayLike, "*p"]
+    u1: Float[ArrayLike, "*p"]
+    v1: Float[ArrayLike, "*p"]
+    c00: Float[ArrayLike, "*p"]
+    c01: Float[ArrayLike, "*p"]
+    c11: Float[ArrayLike, "*p"]
+
+
+def predict(
+    lines: SegmentTable,
+    third: Int[ArrayLike, ""],
+    planes: Pencil,
+    a: PencilSegments,
+    b: PencilSegments,
+) -> Prediction:
+    """What a segment of the first and one of the second view predict in the `third` view."""
+    part = cut_pair(planes.baseline_mm, a, b)
+    matrix = lines.matrix_px[third]
+    turned = matrix[:, :3] @ planes.frame.T
+    origin = vector3(matrix[:, :3] @ planes.origin_mm + matrix[:, 3])
+    image_low, image_high = (
+        add3(times_matrix(turned, at[:3]), origin, at[3]) for at in (part.at_low, part.at_high)
+    )
+    (u0, v0), (u1, v1) = (
+        (image[0] / image[2], image[1] / image[2]) for image in (image_low, image_high)
+    )
+    length = jnp.sqrt((u1 - u0) ** 2 + (v1 - v0) ** 2)
+    nu, nv = -(v1 - v0) / length, (u1 - u0) / length
+
+    # How far a unit of slope, in either view, moves the image across itself.
+    by_b = scaled3(origin, -1 / planes.baseline_mm)
+    by_a = add3(vector3(turned[:, 0]), by_b, -1.0)
+
+    def effect(by: Vector3, image: Vector3, u: Scalar, v: Scalar) -> Scalar:
+        return (nu * (by[0] - u * by[2]) + nv * (by[1] - v * by[2])) / image[2]
+
+    def covariance(s: PencilSegments, by: Vector3) -> tuple[Scalar, Scalar, Scalar]:
+        at_low = (part.low - s.low) / (s.high - s.low)
+        at_high = (part.high - s.low) / (s.high - s.low)
+        low, high = effect(by, image_low, u0, v0), effect(by, image_high, u1, v1)
+        return (
+            low * low * between(s.slope_variance, at_low, at_low),
+            low * high * between(s.slope_variance, at_low, at_high),
+            high * high * between(s.slope_variance, at_high, at_high),
+        )
+
+    c00, c01, c11 = add3(covariance(a, by_a), covariance(b, by_b))
+    possible = part.possible & (image_low[2] > 0) & (image_high[2] > 0)
+    width, height = lines.size_px[third, 0], lines.size_px[third, 1]
+    middle_u, middle_v = (u0 + u1) / 2, (v0 + v1) / 2
+    possible &= (middle_u > -OUTSIDE * width) & (middle_u < (1 + OUTSIDE) * width)
+    possible &= (middle_v > -OUTSIDE * height) & (middle_v < (1 + OUTSIDE) * height)
+    possible &= _crosses_best(turned, image_low, image_high, a, b) & (c00 + c11 < VAGUEST_PX**2)
+    return Prediction(possible, u0, v0, u1, v1, c00, c01, c11)
+
+
+def _crosses_best(
+    turned: Float[ArrayLike, "3 3"],
+    image_low: Vector3,
+    image_high: Vector3,
+    a: PencilSegments,
+    b: PencilSegments,
+) -> Bool[ArrayLike, ""]:
+    """Whether the planes of sight of the pair cross at a wider angle than either with the third."""
+    normal_c = unit3(times_matrix(turned.T, cross3(image_low, image_high)))
+    sine_ab, sine_ac, sine_bc = (
+        1 - dot3(m, n) ** 2
+        for m, n in ((a.normal, b.normal), (a.normal, normal_c), (b.normal, normal_c))
+    )
+    best = jnp.maximum(sine_ac, sine_bc)
+    return sine_ab > NEARLY_BEST**2 * best

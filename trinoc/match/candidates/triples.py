@@ -1,0 +1,210 @@
+"""Step 1: triples of segments that can be one line, from all three orderings of the views."""
+
+from collections.abc import Iterator
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from trinoc.match.candidates.gate import passes_third_view_gate
+from trinoc.match.candidates.index import Grid, SpatialIndex
+from trinoc.match.candidates.lookup import keys_of, lookup, segments_near
+from trinoc.match.candidates.table import Candidates, concatenated, no_candidates, prior_log_odds
+from trinoc.match.candidates.transfer import Prediction, predict
+from trinoc.match.evidence.endpoints import end_evidence
+from trinoc.match.evidence.mixture import prior_parameters
+from trinoc.match.evidence.polarity import polarity_evidence
+from trinoc.match.evidence.side_intensity import side_evidence
+from trinoc.match.evidence.triple_position import TripleEvidence, triple_evidence
+from trinoc.match.observations.clutter import ClutterModel
+from trinoc.match.observations.table import PAIRS_IN_BLOCK, TRIPLES_IN_BLOCK, SegmentTable, block_of
+from trinoc.match.two_view.common_part import cut_pair, points_of
+from trinoc.match.two_view.epipolar_pencil import Pencil, pencil, row_of
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.buckets import blocks, in_blocks, padded
+from trinoc.numerics.interval_join import overlapping
+from trinoc.numerics.scalar_vectors import stacked
+
+# About as many pairs are held at a time.
+PAIRS_AT_A_TIME = 1 << 19
+# Of more candidates than this in one block, those with log odds below are not kept.
+PRUNE_ABOVE, PRUNE_LOG_ODDS = 5000, -9.0
+
+
+def trinocular_candidates(
+    lines: SegmentTable, views: tuple[int, int, int], counts: list[int], clutter: ClutterModel
+) -> Candidates:
+    """All triples of three views; each is found from the pair of views that crosses best."""
+    # Tables of three views, whichever and of how many, so that kernels compile once for all.
+    three, own = _views_of(lines, clutter, np.array(views))
+    numbers = [counts[view] for view in views]
+    parts = [no_candidates(3)]
+    for turn in range(3):
+        parts += _in_order(three, np.roll(np.arange(3), turn), numbers, own)
+    found = concatenated(parts)
+    # Two orderings may find one triple where they cross about as well.
+    i, j, k = found.index.T.astype(np.int64)
+    once = np.unique((i * numbers[1] + j) * numbers[2] + k, return_index=True)[1]
+    found = Candidates(*(column[once] for column in found))
+    index = np.full((len(once), len(counts)), -1)
+    interval = np.zeros((len(once), len(counts), 2))
+    index[:, views], interval[:, views] = found.index, found.interval
+    return found._replace(index=index, interval=interval)
+
+
+@jax.jit
+def _views_of(
+    lines: SegmentTable, clutter: ClutterModel, views: Int[ArrayLike, "k"]
+) -> tuple[SegmentTable, ClutterModel]:
+    densities = jnp.asarray(clutter.log_density)[views]
+    return jax.tree.map(lambda table: table[views], lines), ClutterModel(densities, clutter[1])
+
+
+def _in_order(
+    lines: SegmentTable, order: Int[np.ndarray, "3"], counts: list[int], clutter: ClutterModel
+) -> Iterator[Candidates]:
+    """Triples of which the first two views predict the third segment."""
+    typical = float(np.mean([counts[view] for view in order]))
+    table = lookup(lines, int(order[2]), counts[order[2]])
+    planes = pencil(lines, order[0], order[1])
+    for i, j in _pairs(planes, counts[order[0]], counts[order[1]]):
+        triple = _triples(lines, order, planes, table, i, j)
+        found = _candidates_of(lines, order, planes, triple, clutter)
+        yield _pruned(found, typical) if len(found.index) > PRUNE_ABOVE else found
+
+
+def _pruned(found: Candidates, typical_count: float) -> Candidates:
+    """Those that may yet be likely: most of what passes the gate is not, and takes memory."""
+    mixture = prior_parameters(found.ends_mm, typical_count)
+    # One block shows how large the volume is, but not yet where lines lie in it.
+    everywhere = mixture.volume._replace(precision=np.zeros((3, 3)))
+    odds = prior_log_odds(found, mixture._replace(volume=everywhere))
+    return Candidates(*(field[odds > PRUNE_LOG_ODDS] for field in found))
+
+
+def _pairs(
+    planes: Pencil, count_a: int, count_b: int
+) -> Iterator[tuple[Int[np.ndarray, "p"], Int[np.ndarray, "p"]]]:
+    """Pairs that share epipolar planes, in blocks of segments of the first view."""
+    angles_a, angles_b = (
+        np.stack([np.asarray(s.low)[:count], np.asarray(s.high)[:count]], axis=1)
+        for s, count in ((planes.first, count_a), (planes.second, count_b))
+    )
+    # About one in four pairs shares epipolar planes.
+    rows = max(1, 4 * PAIRS_AT_A_TIME // max(count_b, 1))
+    for block in blocks(count_a, rows):
+        i, j = overlapping(angles_a[block], angles_b)
+        yield (i + block.start).astype(np.int32), j.astype(np.int32)
+
+
+def _triples(
+    lines: SegmentTable,
+    order: Int[np.ndarray, "3"],
+    planes: Pencil,
+    table: SpatialIndex,
+    i: Int[np.ndarray, "p"],
+    j: Int[np.ndarray, "p"],
+) -> Int[np.ndarray, "h 3"]:
+    """(segments in the views of `order`) of what passes the gate in the third view."""
+    size = block_of(lines, PAIRS_IN_BLOCK)
+    found = [np.zeros((0, 3), dtype=np.int32)]
+    for block in blocks(len(i), size):
+        rows = padded(i[block], size), padded(j[block], size)
+        guess, keys = _predicted(lines, order[2], planes, table.grid, *rows)
+        keys = np.stack([np.asarray(key)[: block.stop - block.start] for key in keys])
+        pair, k = segments_near(table, keys)
+
+        def gated(pair: np.ndarray, k: np.ndarray, guess: Prediction = guess) -> ArrayLike:
+            return _passes_gate(lines, order[2], guess, pair, k)
+
+        near_enough = in_blocks(gated, size, pair.astype(np.int32), k.astype(np.int32))
+        pair, k = pair[near_enough], k[near_enough]
+        # Several samples of one prediction may find one segment.
+        once = np.unique(pair.astype(np.int64) * (k.max(initial=0) + 1) + k, return_index=True)[1]
+        pair, k = pair[once] + block.start, k[once]
+        found.append(np.stack([i[pair], j[pair], k], axis=1).astype(np.int32))
+    return np.concatenate(found)
+
+
+@jax.jit
+def _predicted(
+    lines: SegmentTable,
+    third: Int[ArrayLike, ""],
+    planes: Pencil,
+    grid: Grid,
+    i: Int[ArrayLike, "p"],
+    j: Int[ArrayLike, "p"],
+) -> tuple[Prediction, list[Int[ArrayLike, "p"]]]:
+    def predicted(i: ArrayLike, j: ArrayLike) -> tuple[Prediction, list[ArrayLike]]:
+        guess = predict(lines, third, planes, row_of(planes.first, i), row_of(planes.second, j))
+        return guess, keys_of(grid, guess)
+
+    return jax.vmap(predicted)(i, j)
+
+
+@jax.jit
+def _passes_gate(
+    lines: SegmentTable,
+    third: Int[ArrayLike, ""],
+    guesses: Prediction,
+    pair: Int[ArrayLike, "h"],
+    k: Int[ArrayLike, "h"],
+) -> Bool[ArrayLike, "h"]:
+    def gated(pair: ArrayLike, k: ArrayLike) -> ArrayLike:
+        guess = jax.tree.map(lambda column: column[pair], guesses)
+        return passes_third_view_gate(
+            guess, lines.ends_px[third, k], lines.line[third, k], lines.across_px2[third, k]
+        )
+
+    return jax.vmap(gated)(pair, k)
+
+
+def _candidates_of(
+    lines: SegmentTable,
+    order: Int[np.ndarray, "3"],
+    planes: Pencil,
+    triple: Int[np.ndarray, "h 3"],
+    clutter: ClutterModel,
+) -> Candidates:
+    def judged(triple: np.ndarray) -> tuple:
+        return _evidence_of(lines, order, planes, triple, clutter)
+
+    found, end_log = in_blocks(judged, block_of(lines, TRIPLES_IN_BLOCK), triple)
+    keep = np.flatnonzero(found.possible)
+    index = np.full((len(keep), len(lines.size_px)), -1)
+    interval = np.zeros((len(keep), len(lines.size_px), 2))
+    index[:, order] = triple[keep]
+    interval[:, order] = stacked(found.interval, keep)
+    return Candidates(
+        index,
+        interval,
+        stacked(found.ends_mm, keep),
+        found.chi_square[keep],
+        found.log_density[keep] + polarity_evidence(np.asarray(lines.polarity), index, interval),
+        stacked(end_log, keep),
+        stacked(found.union_ends_mm, keep),
+        stacked(found.union_covariance_mm2, keep),
+        found.px_per_mm[keep],
+        side_evidence(np.asarray(lines.sides), index, interval),
+    )
+
+
+@jax.jit
+def _evidence_of(
+    lines: SegmentTable,
+    order: Int[ArrayLike, "3"],
+    planes: Pencil,
+    triple: Int[ArrayLike, "h 3"],
+    clutter: ClutterModel,
+) -> tuple[TripleEvidence, tuple[tuple[Float[ArrayLike, "h"], ...], ...]]:
+    def judge(segments: Int[ArrayLike, "3"]) -> tuple[TripleEvidence, tuple]:
+        first, second = row_of(planes.first, segments[0]), row_of(planes.second, segments[1])
+        near_mm = points_of(planes, cut_pair(planes.baseline_mm, first, second))
+        first = triple_evidence(lines, order, segments, near_mm, clutter)
+        # Once more on the line fitted to all three: then it does not matter which pair came first.
+        evidence = triple_evidence(lines, order, segments, first.ends_mm, clutter)
+        evidence = evidence._replace(possible=first.possible & evidence.possible)
+        return evidence, end_evidence(evidence.extent_px)
+
+    return jax.vmap(judge)(jnp.asarray(triple))

@@ -1,0 +1,64 @@
+"""Where segments end along their common line, as evidence.
+
+Detectors end partners at one place, more or less, or break one of them: at each end the views
+all agree, or two agree and the third stops short or runs on, or nothing agrees. The evidence
+is that mixture over ends thrown uniformly on the longest of the segments. How often each
+happens is the detector's own habit, learned from the pictures at hand by `evidence.learn`.
+"""
+
+import jax.numpy as jnp
+import numpy as np
+
+from trinoc.numerics.scalar_vectors import Scalar
+
+AGREEING_PX = (0.7, 2.0, 5.0, 12.0)
+PAIR_PX = (0.7, 2.0, 5.0)
+# All agree, by scale; two agree and the third stops short, by scale; or runs on; none agree.
+COMPONENTS = len(AGREEING_PX) + 2 * len(PAIR_PX) + 1
+PRIOR_SHARES = np.array([0.35, 0.2, 0.08, 0.05, 0.08, 0.05, 0.04, 0.04, 0.03, 0.03, 0.05])
+LEAST_DENSITY = 1e-30
+
+
+def end_evidence(
+    extent_px: tuple[tuple[Scalar, Scalar], ...],
+) -> tuple[tuple[Scalar, ...], tuple[Scalar, ...]]:
+    """Log of each component's density over that of strangers, at both ends of a triple."""
+    longest = extent_px[0][1] - extent_px[0][0]
+    for low, high in extent_px[1:]:
+        longest = jnp.maximum(longest, high - low)
+    return (
+        _components(tuple(low for low, _ in extent_px), longest),
+        _components(tuple(-high for _, high in extent_px), longest),
+    )
+
+
+def _components(inward_px: tuple[Scalar, ...], longest_px: Scalar) -> tuple[Scalar, ...]:
+    log_longest = jnp.log(longest_px)
+    first, second, third = inward_px
+    mean = (first + second + third) / 3
+    scatter = (first - mean) ** 2 + (second - mean) ** 2 + (third - mean) ** 2
+    agreeing = tuple(
+        2 * log_longest - np.log(2 * np.pi * np.sqrt(3.0) * s * s) - scatter / (2 * s * s)
+        for s in AGREEING_PX
+    )
+    # The difference of two, and whether the odd one stops short of their mean.
+    pairs = [
+        (second - first, 2 * third > first + second),
+        (third - second, 2 * first > second + third),
+        (first - third, 2 * second > third + first),
+    ]
+
+    def two_agree(s: float, odd_is_short: bool) -> Scalar:
+        # Any of the three may be the odd one, none rather than another.
+        terms = [
+            jnp.where(short == odd_is_short, jnp.exp(-(d**2) / (4 * s * s)), 0.0)
+            for d, short in pairs
+        ]
+        return log_longest - np.log(6 * s * np.sqrt(np.pi)) + jnp.log(sum(terms) + LEAST_DENSITY)
+
+    return (
+        *agreeing,
+        *(two_agree(s, True) for s in PAIR_PX),
+        *(two_agree(s, False) for s in PAIR_PX),
+        jnp.zeros_like(log_longest),
+    )

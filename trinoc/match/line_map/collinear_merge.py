@@ -1,0 +1,271 @@
+"""Tracks that are pieces of one straight line, joined: the best pair first, until none is left.
+
+Whether two are one line is a matter of odds (`collinear.py`). Each joined line is fitted anew to
+all of its segments, must fit them as a whole, and is compared with the others as it is then:
+what is joined does not depend on the order of anything.
+"""
+
+import heapq
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.special import expit
+from scipy.stats import chi2
+
+from trinoc.errors import InputError
+from trinoc.geometry.rig import Rig
+from trinoc.match.line_map.collinearity import Evidence, LineDensity, difference, gap_mm, log_odds
+from trinoc.match.line_map.density import line_density, nearby_lines, parallel_density
+from trinoc.match.line_map.line_fit import fit_line
+from trinoc.match.line_map.lines import JoinedLines
+from trinoc.match.line_map.table import TrackTable, fragments_of, track_table
+from trinoc.match.tracks.matches import Matches
+from trinoc.numerics.precision import in_float64
+
+# Pieces are joined where that is as likely as this.
+MIN_POSTERIOR = 0.9
+# Both tracks are right with at least this probability.
+TRUSTED_POSTERIOR = 0.7
+# Pairs that differ by more than this (chi-square of 4 degrees of freedom) stay apart whatever
+# else is found to be on their lines.
+PRUNE_LOG_ODDS = 60.0
+# A line that fits all of its segments as badly as one of so many does is none.
+SIGNIFICANCE = 1e-3
+# How often a line has another piece, before it is known: so many observations.
+PRIOR_SHARE, PRIOR_OBSERVATIONS, ROUNDS = 0.1, 10.0, 3
+MAX_SHARE = 0.9
+
+
+class _Group(NamedTuple):
+    """Tracks taken for one line so far, their segments (view, segment), and that line.
+
+    common_mm : ends of the parts that all views of each track show. posterior : the least.
+    chi_square, degrees : 0 for a track alone. parallel : how dense parallel lines are.
+    """
+
+    tracks: tuple[int, ...]
+    segments: frozenset[tuple[int, int]]
+    common_mm: Float[np.ndarray, "k 2 3"]
+    ends_mm: Float[np.ndarray, "2 3"]
+    covariance_mm2: Float[np.ndarray, "6 6"]
+    chi_square: float
+    degrees: int
+    parallel: float
+    posterior: float
+
+
+class _Problem(NamedTuple):
+    pieces: TrackTable
+    scene: LineDensity
+    share: float
+
+
+@in_float64
+def join_collinear(matches: Matches, rig: Rig) -> JoinedLines:
+    """The straight lines that the tracks lie on, each estimated from all segments of its tracks.
+
+    Two tracks are one line where that is at least 0.9 likely, and 0.7 that both are right: their
+    difference under their covariances against how dense parallel and other lines are
+    thereabouts, and how wide the gap is in pixels. The line then must fit all segments of all
+    its tracks, at a level of 0.001. Tracks that lie beside each other join as others do, but
+    more must speak for it. A segment that serves several tracks of a line counts once. Where
+    the misfit of most tracks says that segments err by more than they state, all covariances
+    are that much larger; and in few cases segments err by up to four times as much.
+
+    Raises InputError where the covariance of the fragments is not known.
+    """
+    if matches.fragments_covariance_px2 is None:
+        raise InputError(
+            "These matches do not hold the covariance of their fragments, from which lines are "
+            "estimated: match the segments again with this version."
+        )
+    # In an order of their own, so that that of the matches is nothing to the answer.
+    order = np.lexsort(np.asarray(matches.lines_mm).reshape(-1, 6).T)
+    pieces = track_table(matches, rig, order)
+    if len(order) == 0:
+        return _as_lines([], pieces, order)
+    near = nearby_lines(pieces.ends_mm, pieces.covariance_mm2)
+    one, other = near.pairs.T
+    apart = difference(
+        *(a[k] for k in (one, other) for a in (pieces.ends_mm, pieces.covariance_mm2))
+    )
+    scene = line_density(pieces.ends_mm)
+    parallel = parallel_density(near, apart, scene)
+    evidence = Evidence(
+        apart,
+        np.maximum(parallel[one], parallel[other]),
+        ((pieces.index[one] == pieces.index[other]) & (pieces.index[one] >= 0)).any(axis=1),
+        gap_mm(pieces.common_mm[one], pieces.common_mm[other]),
+        (pieces.px_per_mm[one] + pieces.px_per_mm[other]) / 2,
+    )
+    share = _learned_share(evidence, scene, len(order))
+    surely_others = apart.square > PRUNE_LOG_ODDS
+    alone = [
+        _Group(
+            (t,),
+            frozenset((v, s) for v, s in enumerate(pieces.index[t].tolist()) if s >= 0),
+            pieces.common_mm[t : t + 1],
+            pieces.ends_mm[t],
+            pieces.covariance_mm2[t],
+            0.0,
+            0,
+            float(parallel[t]),
+            float(pieces.posterior[t]),
+        )
+        for t in range(len(order))
+    ]
+    groups = _agglomerated(alone, near.pairs[~surely_others], _Problem(pieces, scene, share))
+    return _as_lines(groups, pieces, order)
+
+
+def _agglomerated(
+    groups: list[_Group], pairs: Int[np.ndarray, "p 2"], problem: _Problem
+) -> list[_Group]:
+    """Groups of which no two more are one line."""
+    alive = dict(enumerate(groups))
+    beside: dict[int, set[int]] = {number: set() for number in alive}
+    for one, other in pairs.tolist():
+        beside[one].add(other)
+        beside[other].add(one)
+    queue: list[tuple[float, int, int]] = []
+
+    def compare(found: np.ndarray) -> None:
+        ones, others = ([alive[i] for i in side] for side in found.T.tolist())
+        odds = _odds(ones, others, problem)
+        right = np.array([a.posterior * b.posterior for a, b in zip(ones, others, strict=True)])
+        sure = (expit(odds) >= MIN_POSTERIOR) & (right >= TRUSTED_POSTERIOR)
+        for value, (one, other) in zip(odds[sure].tolist(), found[sure].tolist(), strict=True):
+            heapq.heappush(queue, (-value, one, other))
+
+    compare(pairs)
+    number = len(groups)
+    while queue:
+        _, one, other = heapq.heappop(queue)
+        if one not in alive or other not in alive:
+            continue
+        joined = _joined(alive[one], alive[other], problem)
+        if joined is None:
+            continue
+        near = sorted((beside.pop(one) | beside.pop(other)) - {one, other})
+        del alive[one], alive[other]
+        alive[number], beside[number] = joined, set(near)
+        for neighbour in near:
+            beside[neighbour] -= {one, other}
+            beside[neighbour].add(number)
+        if near:
+            compare(np.array([[neighbour, number] for neighbour in near]))
+        number += 1
+    return list(alive.values())
+
+
+def _least_gaps(ones: list[_Group], others: list[_Group]) -> Float[np.ndarray, "p"]:
+    """The smallest gap between a piece of one and a piece of the other, -1 beside each other."""
+    rows, first, second = [], [], []
+    for row, (one, other) in enumerate(zip(ones, others, strict=True)):
+        for piece in one.common_mm:
+            rows.extend([row] * len(other.common_mm))
+            first.extend([piece] * len(other.common_mm))
+            second.extend(other.common_mm)
+    gap = gap_mm(np.array(first), np.array(second))
+    least, beside = np.full(len(ones), np.inf), np.zeros(len(ones), dtype=bool)
+    np.minimum.at(least, rows, np.where(gap < 0, np.inf, gap))
+    np.logical_or.at(beside, rows, gap < 0)
+    return np.where(beside, -1.0, least)
+
+
+def _learned_share(evidence: Evidence, scene: LineDensity, count: int) -> float:
+    """How often a line has another piece, from how many pairs are likely to be one."""
+    share = PRIOR_SHARE
+    for _ in range(ROUNDS):
+        likely = expit(log_odds(evidence, scene, share)).sum()
+        share = min(
+            (likely + PRIOR_OBSERVATIONS * PRIOR_SHARE) / (count + PRIOR_OBSERVATIONS), MAX_SHARE
+        )
+    return share
+
+
+def _odds(ones: list[_Group], others: list[_Group], problem: _Problem) -> Float[np.ndarray, "p"]:
+    if not ones:
+        return np.zeros(0)
+    apart = difference(
+        *(
+            np.stack([getattr(group, field) for group in groups])
+            for groups in (ones, others)
+            for field in ("ends_mm", "covariance_mm2")
+        )
+    )
+    scale = problem.pieces.px_per_mm
+    both = list(zip(ones, others, strict=True))
+    evidence = Evidence(
+        apart,
+        np.array([max(a.parallel, b.parallel) for a, b in both]),
+        np.array([not a.segments.isdisjoint(b.segments) for a, b in both]),
+        _least_gaps(ones, others),
+        np.array([scale[[*a.tracks, *b.tracks]].mean() for a, b in both]),
+    )
+    return log_odds(evidence, problem.scene, problem.share)
+
+
+def _joined(one: _Group, other: _Group, problem: _Problem) -> _Group | None:
+    """The line of both groups' segments; None where it does not fit them."""
+    tracks = tuple(sorted(one.tracks + other.tracks))
+    longer = max(one, other, key=_length_mm)
+    way = longer.ends_mm[1] - longer.ends_mm[0]
+    way /= np.linalg.norm(way)
+    ends = np.concatenate([one.ends_mm, other.ends_mm])
+    blocks = np.stack(
+        [g.covariance_mm2[k : k + 3, k : k + 3] for g in (one, other) for k in (0, 3)]
+    )
+    place = (ends - longer.ends_mm[0]) @ way
+    outer = [int(np.argmin(place)), int(np.argmax(place))]
+    fit = fit_line(
+        fragments_of(problem.pieces, tracks), longer.ends_mm[0] + place[outer, None] * way
+    )
+    if not chi2.sf(fit.chi_square, fit.degrees) >= SIGNIFICANCE:
+        return None
+    way = fit.ends_mm[1] - fit.ends_mm[0]
+    way /= np.linalg.norm(way)
+    covariance = fit.covariance_mm2.copy()
+    for end in (0, 1):
+        along = way @ blocks[outer[end]] @ way
+        covariance[3 * end : 3 * end + 3, 3 * end : 3 * end + 3] += along * np.outer(way, way)
+    parallel = max(one.parallel, other.parallel)
+    return _Group(
+        tracks,
+        one.segments | other.segments,
+        np.concatenate([one.common_mm, other.common_mm]),
+        fit.ends_mm,
+        covariance,
+        fit.chi_square,
+        fit.degrees,
+        parallel,
+        min(one.posterior, other.posterior),
+    )
+
+
+def _length_mm(group: _Group) -> float:
+    return float(np.linalg.norm(group.ends_mm[1] - group.ends_mm[0]))
+
+
+def _as_lines(groups: list[_Group], pieces: TrackTable, order: Int[np.ndarray, "t"]) -> JoinedLines:
+    """Lines in the order of the first of the caller's tracks on each."""
+    groups = sorted(groups, key=lambda group: int(order[list(group.tracks)].min()))
+    line_of_track = np.zeros(len(order), dtype=np.int64)
+    place = np.zeros((len(order), 2))
+    for number, group in enumerate(groups):
+        tracks = list(group.tracks)
+        way = group.ends_mm[1] - group.ends_mm[0]
+        along = (pieces.ends_mm[tracks] - group.ends_mm[0]) @ (way / np.linalg.norm(way))
+        line_of_track[order[tracks]], place[order[tracks]] = number, np.sort(along, axis=1)
+    scale = [pieces.px_per_mm[list(group.tracks)].mean() for group in groups]
+    return JoinedLines(
+        np.array([group.ends_mm for group in groups]).reshape(-1, 2, 3),
+        np.array([group.covariance_mm2 for group in groups]).reshape(-1, 6, 6),
+        np.array([group.chi_square for group in groups]),
+        np.array([group.degrees for group in groups], dtype=np.int64),
+        line_of_track,
+        place,
+        np.array(scale),
+        np.array([group.posterior for group in groups]),
+    )

@@ -1,0 +1,112 @@
+"""The tracks of matches as pieces of lines: what they show, and which segments show them."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from trinoc.geometry.rig import Rig
+from trinoc.match.line_map.line_fit import LineFragments
+from trinoc.match.observations.match_input import undistorted
+from trinoc.match.tracks.matches import Matches
+from trinoc.match.tracks.viewpoint import typical_misfit
+
+
+class TrackTable(NamedTuple):
+    """The tracks, with undistorted fragments."""
+
+    index: Int[np.ndarray, "t v"]
+    common_mm: Float[np.ndarray, "t 2 3"]
+    ends_mm: Float[np.ndarray, "t 2 3"]
+    covariance_mm2: Float[np.ndarray, "t 6 6"]
+    fragments_px: Float[np.ndarray, "t v 2 2"]
+    fragments_covariance_px2: Float[np.ndarray, "t v 4 4"]
+    matrix_px: Float[np.ndarray, "v 3 4"]
+    px_per_mm: Float[np.ndarray, "t"]
+    posterior: Float[np.ndarray, "t"]
+
+
+def track_table(matches: Matches, rig: Rig, order: Int[np.ndarray, "t"]) -> TrackTable:
+    """The tracks in a given order.
+
+    Where segments err by more than they state for most tracks, their covariances are as much
+    larger here.
+    """
+    noise = 1.0 if matches.misfit is None else typical_misfit(matches.index, matches.misfit)
+    fragments = np.stack(
+        [
+            undistorted(rig[name].intrinsics, np.nan_to_num(matches.fragments_px[:, view]))
+            for view, name in enumerate(matches.views)
+        ],
+        axis=1,
+    )
+    matrix = np.stack([rig[name].matrix_px for name in matches.views])
+    seen = np.asarray(matches.index) >= 0
+    middle = np.asarray(matches.lines_mm).mean(axis=1)
+    return TrackTable(
+        np.asarray(matches.index)[order],
+        _common_parts(matrix, fragments, seen, np.asarray(matches.lines_mm))[order],
+        np.asarray(matches.lines_mm)[order],
+        noise * np.asarray(matches.covariance_mm2)[order],
+        fragments[order],
+        noise * np.asarray(matches.fragments_covariance_px2)[order],
+        matrix,
+        px_per_mm(matrix, middle, seen)[order],
+        np.asarray(matches.posterior)[order],
+    )
+
+
+def _common_parts(
+    matrix_px: Float[np.ndarray, "v 3 4"],
+    fragments_px: Float[np.ndarray, "t v 2 2"],
+    seen: Bool[np.ndarray, "t v"],
+    ends_mm: Float[np.ndarray, "t 2 3"],
+) -> Float[np.ndarray, "t 2 3"]:
+    """Places on each line whose images lie abreast of the fragments' ends, the mean of views."""
+    way = ends_mm[:, 1] - ends_mm[:, 0]
+    first = np.einsum("vij,tj->tvi", matrix_px[:, :, :3], ends_mm[:, 0]) + matrix_px[:, :, 3]
+    step = np.einsum("vij,tj->tvi", matrix_px[:, :, :3], way)
+    along = fragments_px[:, :, 1] - fragments_px[:, :, 0]
+    place = np.einsum("tvei,tvi->tve", fragments_px, along)
+    at_first = np.einsum("tvi,tvi->tv", first[..., :2], along)[..., None]
+    at_step = np.einsum("tvi,tvi->tv", step[..., :2], along)[..., None]
+    # The image at position s is (first + s step) / its depth: linear over linear.
+    above = place * first[..., 2:] - at_first
+    share = np.where(
+        seen[..., None],
+        above / np.where(seen[..., None], at_step - place * step[..., 2:], 1.0),
+        0.0,
+    )
+    share = share.sum(axis=1) / seen.sum(axis=1)[:, None]
+    return ends_mm[:, :1] + share[..., None] * way[:, None]
+
+
+def px_per_mm(
+    matrix_px: Float[np.ndarray, "v 3 4"],
+    points_mm: Float[np.ndarray, "n 3"],
+    seen: Bool[np.ndarray, "n v"],
+) -> Float[np.ndarray, "n"]:
+    """Pixels that a millimetre across the line of sight takes, the mean of the views that see."""
+    image = np.einsum("vij,nj->nvi", matrix_px[:, :, :3], points_mm) + matrix_px[:, :, 3]
+    uv = image[..., :2] / image[..., 2:]
+    by_point = matrix_px[:, :2, :3] - uv[..., None] * matrix_px[:, 2:, :3]
+    scale = np.sqrt((by_point**2).sum(axis=(2, 3)) / 2) / np.abs(image[..., 2])
+    return (scale * seen).sum(axis=1) / seen.sum(axis=1)
+
+
+def fragments_of(pieces: TrackTable, tracks: tuple[int, ...]) -> LineFragments:
+    """The segments of all tracks, each once: what it says of the line, any part of it says."""
+    longest: dict[tuple[int, int], tuple[float, int]] = {}
+    for track in tracks:
+        for view in np.flatnonzero(pieces.index[track] >= 0).tolist():
+            segment = int(pieces.index[track, view])
+            length = float(np.linalg.norm(np.diff(pieces.fragments_px[track, view], axis=0)))
+            # Of parts of one length, the first track's.
+            key = (view, segment)
+            longest[key] = max(longest.get(key, (-1.0, 0)), (length, -track))
+    rows = np.array([(-track, view) for (view, _), (_, track) in longest.items()])
+    return LineFragments(
+        pieces.matrix_px[rows[:, 1]],
+        pieces.fragments_px[rows[:, 0], rows[:, 1]],
+        pieces.fragments_covariance_px2[rows[:, 0], rows[:, 1]],
+    )

@@ -1,0 +1,116 @@
+"""What the matcher needs of every segment, prepared once, in padded tables over all views."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float
+
+from trinoc.geometry.epipolar import centre_of_matrix
+from trinoc.geometry.lines import line_through
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.buckets import bucket, padded
+from trinoc.numerics.small_matrices import inverse_3x3
+
+# Rows handed to a kernel at a time, few enough for a processor's cache, where pictures hold
+# this many segments or more; fewer rows in proportion where they hold less.
+PAIRS_IN_BLOCK, TRIPLES_IN_BLOCK, MANY_SEGMENTS = 1 << 14, 1 << 11, 1 << 9
+
+
+class SegmentTable(NamedTuple):
+    """Segments of all views on undistorted pixels; rows beyond a view's count are not `valid`.
+
+    matrix_px : projection matrices, scaled so that the third row gives the depth.
+    centre_mm : centres of projection. inverse : of the left 3x3 part of each matrix.
+    size_px : width and height of each picture.
+    ends_px : ends of each segment. line : through them, with unit normal.
+    across_px2 : covariance of the two ends' errors across the segment.
+    length_px : distance between the ends. valid : False on rows of padding.
+    polarity : +1, -1, or 0 where not known. sides : see `side_evidence.side_table`.
+    rays : viewing rays of both ends, world frame, of any length.
+    """
+
+    matrix_px: Float[ArrayLike, "v 3 4"]
+    centre_mm: Float[ArrayLike, "v 3"]
+    inverse: Float[ArrayLike, "v 3 3"]
+    size_px: Float[ArrayLike, "v 2"]
+    ends_px: Float[ArrayLike, "v n 2 2"]
+    line: Float[ArrayLike, "v n 3"]
+    across_px2: Float[ArrayLike, "v n 2 2"]
+    length_px: Float[ArrayLike, "v n"]
+    valid: Bool[ArrayLike, "v n"]
+    polarity: Float[ArrayLike, "v n"]
+    rays: Float[ArrayLike, "v n 2 3"]
+    sides: Float[ArrayLike, "v n 5"]
+
+
+def segment_table(
+    matrices_px: Float[np.ndarray, "v 3 4"],
+    sizes_px: Float[np.ndarray, "v 2"],
+    ends_px: Sequence[Float[np.ndarray, "_ 2 2"]],
+    covariances_px2: Sequence[Float[np.ndarray, "_ 4 4"]],
+    polarities: Sequence[np.ndarray],
+    sides: Sequence[Float[np.ndarray, "_ 5"]],
+) -> SegmentTable:
+    """Tables for all views, padded to one bucket."""
+    size = bucket(max(len(ends) for ends in ends_px))
+    # Rows of padding are a segment like any other, so that nothing divides by zero.
+    filler = np.array([[0.0, 0.0], [1.0, 0.0]])
+    return _prepared(
+        np.asarray(matrices_px),
+        np.asarray(sizes_px),
+        np.stack([padded(ends, size, filler) for ends in ends_px]),
+        np.stack([padded(covariance, size, np.eye(4)) for covariance in covariances_px2]),
+        np.stack([np.arange(size) < len(ends) for ends in ends_px]),
+        np.stack([padded(np.asarray(p, dtype=np.float64), size, 0.0) for p in polarities]),
+        np.stack([padded(table, size, np.full(5, np.nan)) for table in sides]),
+    )
+
+
+@eqx.filter_jit
+def _prepared(
+    matrices_px: Float[ArrayLike, "v 3 4"],
+    sizes_px: Float[ArrayLike, "v 2"],
+    ends_px: Float[ArrayLike, "v n 2 2"],
+    covariance_px2: Float[ArrayLike, "v n 4 4"],
+    valid: Bool[ArrayLike, "v n"],
+    polarity: Float[ArrayLike, "v n"],
+    sides: Float[ArrayLike, "v n 5"],
+) -> SegmentTable:
+    third_row = matrices_px[:, 2, :3]
+    matrices = matrices_px / jnp.sqrt((third_row**2).sum(-1))[:, None, None]
+    line = jax.vmap(jax.vmap(line_through))(ends_px[:, :, 0], ends_px[:, :, 1])
+    across = jax.vmap(jax.vmap(covariance_across))(line, covariance_px2)
+    length = jnp.sqrt(((ends_px[:, :, 1] - ends_px[:, :, 0]) ** 2).sum(-1))
+    inverse = jax.vmap(inverse_3x3)(matrices[:, :, :3])
+    homogeneous = jnp.concatenate([ends_px, jnp.ones_like(ends_px[..., :1])], axis=-1)
+    return SegmentTable(
+        matrices,
+        jax.vmap(centre_of_matrix)(matrices),
+        inverse,
+        sizes_px,
+        ends_px,
+        line,
+        across,
+        length,
+        valid,
+        polarity,
+        jnp.einsum("vij,vnej->vnei", inverse, homogeneous),
+        sides,
+    )
+
+
+def covariance_across(
+    line: Float[ArrayLike, "3"], covariance_px2: Float[ArrayLike, "4 4"]
+) -> Float[ArrayLike, "2 2"]:
+    """Covariance of the two ends' displacements along the normal of their line."""
+    blocks = covariance_px2.reshape(2, 2, 2, 2)
+    return jnp.einsum("i,eifj,j->ef", line[:2], blocks, line[:2])
+
+
+def block_of(lines: SegmentTable, most: int) -> int:
+    """Rows to hand over at a time: fewer where pictures hold little."""
+    return min(most, most * lines.ends_px.shape[1] // MANY_SEGMENTS)

@@ -1,0 +1,141 @@
+"""No part of a segment belongs to two lines: marginals by belief propagation.
+
+Two candidates conflict where they claim one part of a segment. Each candidate sends through
+each of its segments the message log(1 + sum of the others' odds there), and what remains of a
+candidate's odds after all its messages is its belief. Marginals, unlike the one best
+selection, do not buy two weak triples with a strong one, and show ambiguity as it is.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from trinoc.numerics.interval_join import expand_ranges, pairs_of_equal_keys
+
+# Parts conflict when they share more than this of the shorter.
+CONFLICT_OVERLAP = 0.3
+ITERATIONS = 20
+DAMPING = 0.3
+CONVERGED = 1e-2
+_HIGHEST = 60.0
+
+
+class ConflictGraph(NamedTuple):
+    """Directed edges, sorted by slot = candidate * views + view.
+
+    slot : who is limited, and through which segment. rival_slot : by whom.
+    """
+
+    slot: Int[np.ndarray, "e"]
+    rival_slot: Int[np.ndarray, "e"]
+    views: int
+
+
+def conflict_graph(
+    index: Int[np.ndarray, "m v"], interval: Float[np.ndarray, "m v 2"]
+) -> ConflictGraph:
+    """Which candidates claim the same part of a segment; -1 in `index` claims nothing.
+
+    Two candidates that share parts in several views conflict once, in the first of these.
+    """
+    views = index.shape[1]
+    # The interval on each segment, from low to high.
+    low, high = interval.min(axis=2), interval.max(axis=2)
+
+    def clash(m: Int[np.ndarray, "e"], n: Int[np.ndarray, "e"], view: int) -> np.ndarray:
+        return _clash(low[m, view], high[m, view], low[n, view], high[n, view])
+
+    slots, rivals = [], []
+    for view in range(views):
+        seen = np.flatnonzero(index[:, view] >= 0)
+        m, n = pairs_of_equal_keys(index[seen, view])
+        m, n = seen[m], seen[n]
+        fresh = clash(m, n, view)
+        m, n = m[fresh], n[fresh]
+        for earlier in range(view):
+            both = (index[m, earlier] == index[n, earlier]) & (index[m, earlier] >= 0)
+            counted = both & clash(m, n, earlier)
+            m, n = m[~counted], n[~counted]
+        slots += [m * views + view, n * views + view]
+        rivals += [n * views + view, m * views + view]
+    slot, rival = np.concatenate(slots), np.concatenate(rivals)
+    order = np.argsort(slot.astype(np.int32), kind="stable")
+    return ConflictGraph(slot[order], rival[order], views)
+
+
+def claimed(
+    index: Int[np.ndarray, "m v"],
+    interval: Float[np.ndarray, "m v 2"],
+    by_index: Int[np.ndarray, "t v"],
+    by_part: Float[np.ndarray, "t v 2"],
+) -> Bool[np.ndarray, "m"]:
+    """Whether candidates need a part of a segment that one of other lines has."""
+    taken = np.zeros(len(index), dtype=bool)
+    for view in range(index.shape[1]):
+        owners = np.argsort(by_index[:, view], kind="stable")
+        segments = by_index[owners, view]
+        seen = np.flatnonzero(index[:, view] >= 0)
+        m, position = expand_ranges(
+            np.searchsorted(segments, index[seen, view], "left"),
+            np.searchsorted(segments, index[seen, view], "right"),
+        )
+        m, by = seen[m], owners[position]
+        own, other = interval[m, view], by_part[by, view]
+        clash = _clash(own.min(axis=1), own.max(axis=1), other.min(axis=1), other.max(axis=1))
+        taken[m[clash]] = True
+    return taken
+
+
+def _clash(
+    low: Float[np.ndarray, "e"],
+    high: Float[np.ndarray, "e"],
+    other_low: Float[np.ndarray, "e"],
+    other_high: Float[np.ndarray, "e"],
+) -> Bool[np.ndarray, "e"]:
+    shared = np.minimum(high, other_high) - np.maximum(low, other_low)
+    return shared > CONFLICT_OVERLAP * np.minimum(high - low, other_high - other_low)
+
+
+def sum_product(log_odds: Float[np.ndarray, "m"], graph: ConflictGraph) -> Float[np.ndarray, "m"]:
+    """Log odds of each candidate after exclusion, at the fixed point of the messages."""
+    count = len(log_odds)
+    messages = np.zeros(count * graph.views)
+    posterior_log_odds = chosen_greedily(log_odds, graph)
+    if len(graph.slot) == 0:
+        return log_odds
+    starts = np.flatnonzero(np.diff(graph.slot, prepend=-1))
+    limited = graph.slot[starts]
+    rival = graph.rival_slot // graph.views
+    # The start: a candidate that the greedy choice leaves out says nothing yet.
+    messages[limited] = -np.log1p(
+        np.add.reduceat(
+            np.where(posterior_log_odds[rival], np.exp(np.minimum(log_odds[rival], _HIGHEST)), 0.0),
+            starts,
+        )
+    )
+    for _ in range(ITERATIONS):
+        total = log_odds + messages.reshape(count, graph.views).sum(axis=1)
+        cavity = total[rival] - messages[graph.rival_slot]
+        fresh = -np.log1p(np.add.reduceat(np.exp(np.minimum(cavity, _HIGHEST)), starts))
+        change = fresh - messages[limited]
+        messages[limited] += (1 - DAMPING) * change
+        if np.abs(change).max() < CONVERGED:
+            break
+    return log_odds + messages.reshape(count, graph.views).sum(axis=1)
+
+
+def chosen_greedily(score: Float[np.ndarray, "m"], graph: ConflictGraph) -> np.ndarray:
+    """(m,) bool: taken in order of score, where positive and not in conflict with one taken."""
+    count = len(score)
+    taken = np.zeros(count, dtype=bool)
+    barred = np.zeros(count, dtype=bool)
+    owner, rival = graph.slot // graph.views, graph.rival_slot // graph.views
+    start = np.searchsorted(owner, np.arange(count + 1))
+    for m in np.argsort(-score, kind="stable"):
+        if score[m] <= 0:
+            break
+        if not barred[m]:
+            taken[m] = True
+            barred[rival[start[m] : start[m + 1]]] = True
+    return taken

@@ -1,0 +1,144 @@
+"""From what was selected to tracks: fragments, lines in space with covariance, and reasons."""
+
+import jax
+import numpy as np
+from jaxtyping import Float, Int
+
+from trinoc.geometry.triangulation import Segment3D, triangulate_segment
+from trinoc.match.evidence.mixture import probability
+from trinoc.match.observations.match_input import MatchInput, distorted
+from trinoc.match.occlusion.pairs import Pairs
+from trinoc.match.selection.marginals import Selection, Tracks
+from trinoc.match.tracks.extent import two_view_interval
+from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, Matches
+from trinoc.match.tracks.rejection import counted, reasons
+from trinoc.match.tracks.viewpoint import flag_viewpoint_dependent
+from trinoc.numerics.buckets import in_blocks
+
+_triangulated = jax.jit(jax.vmap(triangulate_segment, in_axes=(None, 0, 0, 0)))
+
+
+def assemble(
+    seen: MatchInput,
+    tracks: Tracks,
+    selections: list[Selection],
+    pairs: Pairs,
+    outside: Int[np.ndarray, "o v"],
+    names: tuple[str, ...],
+) -> Matches:
+    """Matches in the caller's order of views and numbers of segments.
+
+    `outside` holds the segments of triples that the depth range excluded.
+    """
+    index = np.concatenate([tracks.candidates.index, pairs.candidates.index[pairs.taken]])
+    interval = np.concatenate([tracks.candidates.interval, pairs.candidates.interval[pairs.taken]])
+    posterior_log_odds = np.concatenate(
+        [tracks.posterior_log_odds, pairs.posterior_log_odds[pairs.taken]]
+    )
+    rival_posterior = np.concatenate([tracks.rival_posterior, np.full(pairs.taken.sum(), -np.inf)])
+    fragments, covariance = fragments_of(seen, index, interval)
+    common_mm = np.concatenate([tracks.candidates.ends_mm, pairs.candidates.ends_mm[pairs.taken]])
+    shown = fragments_of(seen, index, two_view_interval(seen, index, common_mm))
+    ends_mm, covariance_mm2, misfit = lines_in_space(seen, index, *shown)
+    sound = np.isfinite(ends_mm).all(axis=(1, 2)) & np.isfinite(covariance_mm2).all(axis=(1, 2))
+    index, posterior_log_odds, rival_posterior = (
+        index[sound],
+        posterior_log_odds[sound],
+        rival_posterior[sound],
+    )
+    fragments, covariance = fragments[sound], covariance[sound]
+    ends_mm, covariance_mm2, misfit = ends_mm[sound], covariance_mm2[sound], misfit[sound]
+    viewpoint_dependent = flag_viewpoint_dependent(seen, index, ends_mm, misfit)
+    given = np.full(index.shape, -1)
+    for view in range(len(names)):
+        on = index[:, view] >= 0
+        given[on, view] = seen.order[view][index[on, view]]
+        fragments[on, view] = distorted(seen.intrinsics[view], fragments[on, view])
+    turn = [seen.names.index(name) for name in names]
+    given, fragments, covariance = given[:, turn], fragments[:, turn], covariance[:, turn]
+    sort = np.lexsort((*fragments[:, :, 0].reshape(-1, 2 * len(names)).T, *given.T[::-1]))
+    why = _reasons(seen, selections, pairs, outside, index)
+    counts = {
+        "triples considered": sum(len(s.candidates.index) for s in selections),
+        "triples outside depth": len(outside),
+        "tracks in three views or more": len(tracks.posterior_log_odds),
+        "pairs considered": len(pairs.candidates.index),
+        "tracks in two views": int(pairs.taken.sum()),
+        "tracks that seem to move with the viewpoint": int(viewpoint_dependent.sum()),
+    }
+    return Matches(
+        names,
+        given[sort],
+        fragments[sort],
+        ends_mm[sort],
+        covariance_mm2[sort],
+        np.where((given >= 0).sum(axis=1) > 2, TRINOCULAR, BINOCULAR)[sort],
+        probability(posterior_log_odds)[sort],
+        probability(rival_posterior)[sort],
+        {name: why[name] for name in names},
+        counts | counted(why),
+        covariance[sort],
+        misfit[sort],
+        viewpoint_dependent[sort],
+    )
+
+
+def _reasons(
+    seen: MatchInput,
+    selections: list[Selection],
+    pairs: Pairs,
+    outside: Int[np.ndarray, "o v"],
+    index: Int[np.ndarray, "t v"],
+) -> dict[str, np.ndarray]:
+    running = [*selections, pairs]
+    candidate = np.concatenate([found.candidates.index for found in running])
+    log_odds = np.concatenate([found.log_odds for found in running])
+    found = {}
+    for view, name in enumerate(seen.names):
+        excluded, matched, missed = np.zeros((3, seen.counts[view]), dtype=bool)
+        matched[index[index[:, view] >= 0, view]] = True
+        excluded[outside[outside[:, view] >= 0, view]] = True
+        turned = (pairs.log_odds <= 0) & (pairs.log_odds > pairs.missed)
+        owner = pairs.candidates.index[turned, view]
+        missed[owner[owner >= 0]] = True
+        words = reasons(candidate[:, view], log_odds, excluded, matched, missed)
+        found[name] = np.empty_like(words)
+        found[name][seen.order[view]] = words
+    return found
+
+
+def fragments_of(
+    seen: MatchInput, index: Int[np.ndarray, "t v"], interval: Float[np.ndarray, "t v 2"]
+) -> tuple[Float[np.ndarray, "t v 2 2"], Float[np.ndarray, "t v 4 4"]]:
+    """(common parts on the segments, undistorted; their covariances), NaN where not seen."""
+    tracks, views = index.shape
+    fragments = np.full((tracks, views, 2, 2), np.nan)
+    covariance = np.full((tracks, views, 4, 4), np.nan)
+    for view in range(views):
+        on = np.flatnonzero(index[:, view] >= 0)
+        segment = index[on, view]
+        ends, share = seen.ends_px[view][segment], interval[on, view]
+        weight = np.stack([1 - share, share], axis=2)
+        fragments[on, view] = weight @ ends
+        # Each end of the fragment is a mean of the segment's ends; so is its error.
+        spread = np.einsum("tef,ij->teifj", weight, np.eye(2)).reshape(-1, 4, 4)
+        covariance[on, view] = spread @ seen.covariance_px2[view][segment] @ spread.mT
+    return fragments, covariance
+
+
+def lines_in_space(
+    seen: MatchInput,
+    index: Int[np.ndarray, "t v"],
+    fragments_px: Float[np.ndarray, "t v 2 2"],
+    covariance_px2: Float[np.ndarray, "t v 4 4"],
+) -> tuple[Float[np.ndarray, "t 2 3"], Float[np.ndarray, "t 6 6"], Float[np.ndarray, "t"]]:
+    """Maximum-likelihood ends from all fragments, with covariance and chi-square."""
+    # Rows of padding hold no view, which leaves their lines undetermined, and harmless.
+    block = seen.lines.ends_px.shape[1]
+
+    def triangulated(*columns: np.ndarray) -> Segment3D:
+        return _triangulated(seen.lines.matrix_px, *columns)
+
+    found = in_blocks(triangulated, block, fragments_px, covariance_px2, index >= 0)
+    misfit = np.where((index >= 0).sum(axis=1) > 2, found.chi_square, 0.0)
+    return np.asarray(found.ends_mm), np.asarray(found.covariance_mm2), misfit

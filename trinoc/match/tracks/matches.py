@@ -1,0 +1,75 @@
+"""The matcher's answer: tracks of segments over the views, and their lines in space."""
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Bool, Float, Int, Shaped
+
+from trinoc.errors import InputError
+from trinoc.geometry.line_observations import LineObservations
+
+TRINOCULAR, BINOCULAR = "trinocular", "binocular"
+
+
+class Matches(eqx.Module):
+    """Tracks: each joins one segment of every view that sees it, and holds the 3-D segment.
+
+    Fields
+    ------
+    views : names of the views, the order of axis v.
+    index : (t, v) segment of each view on each track, -1 where not seen. One segment may
+        serve several tracks, with different fragments.
+    fragments_px : (t, v, 2, 2) the common parts, corresponding end to corresponding end, in
+        pixels of the picture; NaN where not seen.
+    lines_mm : (t, 2, 3) ends, in the world frame, of what at least two views show: the
+        fragments' part or more, in the fragments' direction.
+    covariance_mm2 : (t, 6, 6) of the ends.
+    stage : (t,) "trinocular" (seen in three or more views) or "binocular" (in two).
+    posterior : (t,) probability that the match is right.
+    rival_posterior : (t,) posterior of the best track that this one excluded; 0 where none.
+    reasons : for each view, (n,) words that say why a segment is on no track, "matched"
+        where it is on one.
+    counts : what each step of the matching produced and rejected, by name.
+    fragments_covariance_px2 : (t, v, 4, 4) of the fragments' ends, NaN where not seen; None
+        where not known.
+    misfit : (t,) chi-square by which the views disagree about where a line is, with 2 (n - 2)
+        degrees of freedom for n views that see it; 0 for two views. None where not known.
+    viewpoint_dependent : (t,) whether a track is likely to show something that moves with the
+        viewpoint, a rim of a round body, a light or its shadow: its misfit is larger than that
+        of 99 in 100 straight edges, or, of a track in two views, another view shows something
+        beside the place where it should be, not on it. None where not known.
+    """
+
+    views: tuple[str, ...] = eqx.field(static=True)
+    index: Int[np.ndarray, "t v"]
+    fragments_px: Float[np.ndarray, "t v 2 2"]
+    lines_mm: Float[np.ndarray, "t 2 3"]
+    covariance_mm2: Float[np.ndarray, "t 6 6"]
+    stage: Shaped[np.ndarray, "t"]
+    posterior: Float[np.ndarray, "t"]
+    rival_posterior: Float[np.ndarray, "t"]
+    reasons: dict[str, Shaped[np.ndarray, "_"]]
+    counts: dict[str, int]
+    fragments_covariance_px2: Float[np.ndarray, "t v 4 4"] | None = None
+    misfit: Float[np.ndarray, "t"] | None = None
+    viewpoint_dependent: Bool[np.ndarray, "t"] | None = None
+
+    def __len__(self) -> int:
+        return len(self.index)
+
+    def line_observations(self) -> LineObservations:
+        """The tracks as observations of lines, which joint refinement takes.
+
+        Raises InputError where the covariance of the fragments is not known.
+        """
+        if self.fragments_covariance_px2 is None:
+            raise InputError(
+                "These matches do not hold the covariance of their fragments, which refinement "
+                "needs: match the segments again with this version."
+            )
+        return LineObservations(
+            self.views,
+            self.fragments_px,
+            self.fragments_covariance_px2,
+            self.index >= 0,
+            self.lines_mm,
+        )

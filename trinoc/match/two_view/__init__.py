@@ -1,0 +1,1 @@
+"""trinoc/match/two_view."""

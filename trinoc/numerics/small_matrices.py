@@ -1,0 +1,59 @@
+"""Cholesky factorisation of small symmetric matrices, unrolled.
+
+Written out in elementary operations, so that a batch under `vmap` fuses into one kernel:
+LAPACK, which `jnp.linalg` calls once per item, costs tens of times more for a 6x6 matrix.
+"""
+
+import jax.numpy as jnp
+from jaxtyping import Float
+
+from trinoc.numerics.arrays import ArrayLike
+
+
+def cholesky(matrix: Float[ArrayLike, "n n"]) -> list[list[ArrayLike]]:
+    """Lower factor L, as rows of scalars, of a symmetric positive definite matrix L L^T.
+
+    NaN where the matrix is not positive definite.
+    """
+    size = matrix.shape[0]
+    lower: list[list[ArrayLike]] = [[] for _ in range(size)]
+    for i in range(size):
+        for j in range(i):
+            dot = sum((lower[i][k] * lower[j][k] for k in range(j)), start=jnp.zeros(()))
+            lower[i].append((matrix[i, j] - dot) / lower[j][j])
+        dot = sum((lower[i][k] ** 2 for k in range(i)), start=jnp.zeros(()))
+        lower[i].append(jnp.sqrt(matrix[i, i] - dot))
+    return lower
+
+
+def solve_positive_definite(
+    matrix: Float[ArrayLike, "n n"], right: Float[ArrayLike, "n *k"]
+) -> Float[ArrayLike, "n *k"]:
+    """x with matrix x = right, for a symmetric positive definite matrix of a few rows."""
+    lower, size = cholesky(matrix), matrix.shape[0]
+    forward: list[ArrayLike] = []
+    for i in range(size):
+        forward.append((right[i] - sum(lower[i][k] * forward[k] for k in range(i))) / lower[i][i])
+    solution: list[ArrayLike] = [jnp.zeros(())] * size
+    for i in reversed(range(size)):
+        later = sum(lower[k][i] * solution[k] for k in range(i + 1, size))
+        solution[i] = (forward[i] - later) / lower[i][i]
+    return jnp.stack(solution)
+
+
+def inverse_positive_definite(matrix: Float[ArrayLike, "n n"]) -> Float[ArrayLike, "n n"]:
+    """Inverse of a symmetric positive definite matrix of a few rows."""
+    return solve_positive_definite(matrix, jnp.eye(matrix.shape[0], dtype=matrix.dtype))
+
+
+def log_determinant_positive_definite(matrix: Float[ArrayLike, "n n"]) -> Float[ArrayLike, ""]:
+    """Logarithm of the determinant of a symmetric positive definite matrix of a few rows."""
+    lower = cholesky(matrix)
+    return 2 * sum((jnp.log(lower[i][i]) for i in range(matrix.shape[0])), start=jnp.zeros(()))
+
+
+def inverse_3x3(matrix: Float[ArrayLike, "3 3"]) -> Float[ArrayLike, "3 3"]:
+    """Inverse by cofactors, which fuses under `vmap` where LAPACK does not."""
+    a, b, c = matrix[0], matrix[1], matrix[2]
+    cofactors = jnp.stack([jnp.cross(b, c), jnp.cross(c, a), jnp.cross(a, b)], axis=1)
+    return cofactors / (a @ cofactors[:, 0])

@@ -1,0 +1,188 @@
+"""Line segments of a picture: Nevatia and Babu's chain from masks to segments."""
+
+from collections.abc import Callable
+from functools import partial
+
+import jax
+import numpy as np
+from jaxtyping import Bool, Float, Int, Shaped
+
+from trinoc.errors import InputError
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.segments import Segments
+from trinoc.numerics.precision import in_float64
+from trinoc.numerics.segmented_arrays import members
+from trinoc.segments.junctions import with_junctions
+from trinoc.segments.nevatia_babu.accept import is_sharp, is_straight, typical_blur
+from trinoc.segments.nevatia_babu.bridge_gaps import bridged_runs, collinear_successors
+from trinoc.segments.nevatia_babu.covariance import end_covariances, noise_variance
+from trinoc.segments.nevatia_babu.edge_errors import error_model, inflate_variance
+from trinoc.segments.nevatia_babu.edge_interference import overlaps, without_neighbours
+from trinoc.segments.nevatia_babu.edge_points import EdgePoints
+from trinoc.segments.nevatia_babu.endpoints import lines_near_ends, snapped_ends
+from trinoc.segments.nevatia_babu.grey import grey_image
+from trinoc.segments.nevatia_babu.line_fit import FittedLines, fit_lines
+from trinoc.segments.nevatia_babu.masks import combined_kernel
+from trinoc.segments.nevatia_babu.nfa import least_snr2
+from trinoc.segments.nevatia_babu.pyramid import fine_level
+from trinoc.segments.nevatia_babu.shading import is_on_ramp
+from trinoc.segments.nevatia_babu.two_scale import runs_of_both_scales
+from trinoc.segments.side_intensity import side_levels
+
+GAP_PX = 8.0
+SNAP_PX = 6.0
+SMOOTHING = 1
+# A shorter piece wholly within reach of other edges is the rounding of a corner.
+BEVEL_PX, BEVEL_CROWDED = 5.0, 0.8
+# Contrast is judged once neighbours are taken out, which rarely adds more than this leaves.
+FAINT_SHARE = 0.8
+# Standard deviations of an end along its segment: at a crossing, and where evidence stops.
+SIGMA_ALONG_CROSSING_PX = 0.5
+SIGMA_ALONG_FREE_PX = 2.0
+# A line borrows the picture's usual blur where its own differs by more than this share.
+_BLUR_SPREAD = 0.15
+
+
+def find_segments(
+    image: Shaped[np.ndarray, "..."],
+    *,
+    tolerance_px: float = 1.6,
+    false_alarms: float = 1.0,
+    least_contrast: float = 7.0,
+    arcs: bool = False,
+    intrinsics: Intrinsics | None = None,
+) -> Segments:
+    """Straight edges of a picture, with polarity, contrast, covariance and junctions.
+
+    Parameters
+    ----------
+    image : (h, w) or (h, w, 3) picture of uint8, uint16 or real numbers; colours in the order
+        red, green, blue.
+    tolerance_px : coarsest deviation of an edge from a straight line, in pixels.
+    false_alarms : how many segments noise alone may bring about in such a picture.
+    least_contrast : fainter edges are left out; in grey levels of a scale from 0 to 255
+        (pictures of real numbers: in their own unit).
+    arcs : whether to keep the chords of arcs, such as the rims of cylinders: pieces that deviate
+        by up to `tolerance_px`.
+    intrinsics : a lens whose distortion is taken out of the edge points before lines are
+        fitted; the segments are then in undistorted pixels.
+
+    Returns segments whose first end comes first when walking with the darker side on the
+    right as seen on the picture, so that every polarity is +1. Their `reasons` tell what
+    widened a covariance beyond noise. Raises InputError for what is no picture, for knobs
+    that are not positive, and for a lens of another picture size.
+
+    After R. Nevatia and K. R. Babu, "Linear feature extraction and description", 1980,
+    doi:10.1016/0146-664X(80)90049-0; docs/segments.md tells what differs.
+    """
+    for name, value in (("tolerance_px", tolerance_px), ("false_alarms", false_alarms)):
+        if not value > 0:
+            raise InputError(f"{name} is {value}, but must be positive.")
+    picture = grey_image(image)
+    height, width = picture.grey.shape
+    if intrinsics is not None and tuple(intrinsics.image_size_px) != (width, height):
+        raise InputError(
+            f"The picture is {width} x {height} px, but the lens was given for "
+            f"{intrinsics.image_size_px[0]} x {intrinsics.image_size_px[1]} px: use the lens of "
+            "this camera and resolution."
+        )
+    kernel = combined_kernel(SMOOTHING)
+    fine = fine_level(picture.grey, picture.quantum, kernel)
+    points, first = runs_of_both_scales(fine, kernel, tolerance_px, least_contrast)
+    lines = fit_lines(points, first)
+    points, first, lines = _merged(points, first, lines, tolerance_px)
+
+    usual_px2 = typical_blur(lines)
+    keep = (
+        is_sharp(lines, usual_px2)
+        & ~is_on_ramp(picture.grey, points, first, usual_px2)
+        & (lines.snr2 > least_snr2(false_alarms, height * width))
+        & (lines.contrast > FAINT_SHARE * least_contrast)
+    )
+    points, first = _points_of(points, first, keep)
+    lines = lines.select(keep)
+
+    usual_profile_px2 = fine.kernel_variance_px2 + usual_px2
+    found = overlaps(points, first, lines, usual_profile_px2)
+    spread = _BLUR_SPREAD * usual_profile_px2
+    own_blur = np.clip(lines.blur_px2, usual_px2 - spread, usual_px2 + spread)
+    undisturbed = without_neighbours(points, lines, own_blur, found)
+    lines = fit_lines(undisturbed, first)
+    disturbed = error_model(
+        picture.grey, picture.white, points, undisturbed, first, lines, found, usual_px2
+    )
+    to_image: Callable[[np.ndarray], np.ndarray] = np.asarray
+    if intrinsics is not None and intrinsics.distortion_model != "none":
+        uv_px = _mapped(undisturbed.uv_px, intrinsics.undistort_pixel)
+        lines = fit_lines(undisturbed._replace(uv_px=uv_px), first)
+        to_image = partial(_mapped, through=intrinsics.distort_pixel)
+    length = np.ptp(lines.extent_px, axis=1)
+    variance, reasons = inflate_variance(
+        disturbed, noise_variance(lines.variance_middle_px2, length)
+    )
+    bevel = (length < BEVEL_PX) & (disturbed.crowded > BEVEL_CROWDED)
+    keep = (arcs | is_straight(lines, width)) & (lines.contrast >= least_contrast) & ~bevel
+    return _as_segments(lines.select(keep), variance[keep], reasons[keep], picture.grey, to_image)
+
+
+def _merged(
+    points: EdgePoints,
+    first: Int[np.ndarray, "r"],
+    lines: FittedLines,
+    tolerance_px: float,
+) -> tuple[EdgePoints, Int[np.ndarray, "g"], FittedLines]:
+    """The same after joining collinear lines across small gaps."""
+    successor = collinear_successors(lines, GAP_PX, tolerance_px / 2)
+    if (successor < 0).all():
+        return points, first, lines
+    order, first, earliest, several = bridged_runs(successor, first, len(points.strength))
+    points = points.select(order)
+    lines = lines.select(earliest)
+    again = fit_lines(*_points_of(points, first, several))
+    return points, first, lines.replaced(several, again)
+
+
+def _points_of(
+    points: EdgePoints, first: Int[np.ndarray, "r"], keep: Bool[np.ndarray, "r"]
+) -> tuple[EdgePoints, Int[np.ndarray, "g"]]:
+    """The points of the lines that are kept, and where each of these begins."""
+    stop = np.append(first[1:], len(points.strength))
+    index, _, begins = members(first[keep], stop[keep])
+    return points.select(index), begins
+
+
+@in_float64
+def _mapped(uv_px: Float[np.ndarray, "n 2"], through: Callable) -> np.ndarray:
+    """Points taken through a lens or out of it; padded, so that few sizes compile."""
+    count = len(uv_px)
+    padded = np.zeros((1 << max(count, 1).bit_length(), 2))
+    padded[:count] = uv_px
+    return np.asarray(jax.vmap(through)(padded))[:count]
+
+
+def _as_segments(
+    lines: FittedLines,
+    variance_px2: Float[np.ndarray, "r"],
+    reasons: Shaped[np.ndarray, "r"],
+    grey: Float[np.ndarray, "h w"],
+    to_image: Callable[[np.ndarray], np.ndarray],
+) -> Segments:
+    """Segments with ends at the crossings with what stops them, junctions and chains."""
+    place = lines.centre_px, lines.direction, lines.extent_px
+    near = lines_near_ends(*place, SNAP_PX)
+    partner, position = snapped_ends(*place, SNAP_PX, near)
+    sigma_along = np.where(partner >= 0, SIGMA_ALONG_CROSSING_PX, SIGMA_ALONG_FREE_PX)
+    endpoints = lines._replace(extent_px=position).endpoints_px
+    return with_junctions(
+        Segments(
+            endpoints,
+            end_covariances(lines.direction, variance_px2, sigma_along),
+            np.ones(len(position), dtype=np.int64),
+            lines.contrast,
+            lines.support.astype(np.int64),
+            (grey.shape[1], grey.shape[0]),
+            reasons,
+            side_levels=side_levels(grey, endpoints, to_image),
+        ),
+        near,
+    )

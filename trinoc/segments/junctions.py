@@ -1,0 +1,200 @@
+"""Junctions and chains of segments, whoever found the segments."""
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from trinoc.geometry.junctions import BODY, Junctions
+from trinoc.geometry.segments import Segments
+from trinoc.numerics.neighbours_in_plane import distinct, group_labels, point_tree
+from trinoc.segments.nevatia_babu.endpoints import NearEnds, endpoint_crossings, lines_near_ends
+
+# Ends are taken to meet within so many of their own sigmas along the segment.
+_SIGMAS = 3.0
+_LEAST_REACH_PX = 2.0
+_MOST_REACH_PX = 8.0
+_COLLINEAR_COSINE = np.cos(np.radians(12.0))
+_CHAIN_COSINE = np.cos(np.radians(4.0))
+_CHAIN_GAP_PX = 30.0
+
+
+def with_junctions(segments: Segments, near: NearEnds | None = None) -> Segments:
+    """The same segments with their junctions and chains; `near` as for `find_junctions`."""
+    return eqx.tree_at(
+        lambda s: (s.junctions, s.chain),
+        segments,
+        (find_junctions(segments, near), collinear_chains(segments)),
+        is_leaf=lambda leaf: leaf is None,
+    )
+
+
+def find_junctions(segments: Segments, near: NearEnds | None = None) -> Junctions:
+    """Where segments meet: ends that agree within their uncertainty, and ends on bodies.
+
+    An end meets another segment where their lines cross within three of the end's own sigmas
+    along its segment (between 2 and 8 pixels), and on the other segment or as near to its
+    end. Ends that meet each other, directly or through a third, make one junction. `near` are
+    the pairs of ends and lines to look at, all that are near each other where it is None.
+    """
+    ends = np.asarray(segments.endpoints_px, dtype=np.float64)
+    count = len(ends)
+    if count < 2:
+        return _no_junctions()
+    centre, direction, extent = _as_lines(ends)
+    across, along = _sigmas(segments, direction)
+    reach = np.clip(_SIGMAS * along, _LEAST_REACH_PX, _MOST_REACH_PX)
+    if near is None:
+        near = lines_near_ends(centre, direction, extent, float(reach.max()))
+    line, side, other, _, place = endpoint_crossings(centre, direction, extent, reach, near)
+    # The end of the other segment that the crossing is within reach of, or its body.
+    to_end = np.abs(place[:, None] - extent[other])
+    at_end = to_end < reach[other][:, None]
+    other_end = np.where(at_end.any(axis=1), np.argmin(to_end, axis=1), BODY)
+
+    both_ends = other_end != BODY
+    node, other_node = 2 * line + side, 2 * other + other_end
+    group = group_labels(2 * count, node[both_ends], other_node[both_ends])
+    met = distinct(np.concatenate([node, other_node[both_ends]]))
+    rows = np.concatenate(
+        [
+            np.stack([group[met], met // 2, met % 2], axis=-1),
+            np.stack([group[node], other, np.full(len(node), BODY)], axis=-1)[~both_ends],
+        ]
+    )
+    return _assembled(np.unique(rows, axis=0), centre, direction, across)
+
+
+def collinear_chains(segments: Segments) -> Int[np.ndarray, "n"]:
+    """(n,) a number per segment, equal for pieces that continue each other across a gap.
+
+    Two pieces continue each other when their facing ends are at most 30 pixels apart, less
+    than the longer piece is long, their directions differ by less than four degrees and each
+    end lies on the other's line within three sigmas. Where both polarities are known they
+    must agree.
+    """
+    ends = np.asarray(segments.endpoints_px, dtype=np.float64)
+    count = len(ends)
+    if count < 2:
+        return np.arange(count)
+    _, direction, extent = _as_lines(ends)
+    length = np.ptp(extent, axis=1)
+    across, _ = _sigmas(segments, direction)
+    pairs = point_tree(ends.reshape(-1, 2)).query_pairs(_CHAIN_GAP_PX, output_type="ndarray")
+    outward = np.stack([-direction, direction], axis=1).reshape(-1, 2)
+    out_u, out_v = (np.ascontiguousarray(column) for column in outward.T)
+    first, second = np.ascontiguousarray(pairs[:, 0]), np.ascontiguousarray(pairs[:, 1])
+    # Nearly all pairs fail this: the others cost little.
+    facing = out_u[first] * out_u[second] + out_v[first] * out_v[second] < -_CHAIN_COSINE
+    first, second = first[facing], second[facing]
+    (one, side), (other, other_side) = np.divmod(first, 2), np.divmod(second, 2)
+    outward, other_outward = outward[first], outward[second]
+    gap = ends[other, other_side] - ends[one, side]
+    distance = np.linalg.norm(gap, axis=-1)
+    sigma = _SIGMAS * np.hypot(across[one], across[other]) + 0.5
+    polarity = np.asarray(segments.polarity) * 1
+    # Two pieces that run the same way face each other with different ends.
+    agree = polarity[one] * polarity[other] * np.where(side == other_side, -1, 1) >= 0
+    continues = (
+        (one != other)
+        & agree
+        & ((gap * outward).sum(axis=-1) > -1.0)
+        & (np.abs(_cross(gap, outward)) < sigma)
+        & (np.abs(_cross(gap, other_outward)) < sigma)
+        & (distance < np.maximum(length[one], length[other]))
+    )
+    return group_labels(count, one[continues], other[continues])
+
+
+def _as_lines(
+    ends: Float[np.ndarray, "n 2 2"],
+) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2"]]:
+    centre = ends.mean(axis=1)
+    way = ends[:, 1] - ends[:, 0]
+    length = np.linalg.norm(way, axis=-1, keepdims=True)
+    return centre, way / length, length * np.array([-0.5, 0.5])
+
+
+def _sigmas(
+    segments: Segments, direction: Float[np.ndarray, "n 2"]
+) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+    """(across, along): larger of the two ends' sigmas across and along each segment."""
+    covariance = np.asarray(segments.covariance_px2)
+    normal = np.stack([-direction[:, 1], direction[:, 0]], axis=-1)
+    blocks = np.stack([covariance[:, :2, :2], covariance[:, 2:, 2:]], axis=1)
+    variances = (
+        np.einsum("ni,neij,nj->ne", axis, blocks, axis).max(axis=1) for axis in (normal, direction)
+    )
+    across, along = (np.sqrt(np.maximum(variance, 0.0)) for variance in variances)
+    return across, along
+
+
+def _assembled(
+    rows: Int[np.ndarray, "m 3"],
+    centre: Float[np.ndarray, "n 2"],
+    direction: Float[np.ndarray, "n 2"],
+    across: Float[np.ndarray, "n"],
+) -> Junctions:
+    """Junctions from rows (group, segment, end), sorted by group."""
+    if len(rows) == 0:
+        return _no_junctions()
+    _, junction = np.unique(rows[:, 0], return_inverse=True)
+    segment, end = rows[:, 1], rows[:, 2]
+    normal = np.stack([-direction[:, 1], direction[:, 0]], axis=-1)[segment]
+    weight = 1 / np.square(np.maximum(across[segment], 1e-3))
+    count = int(junction.max()) + 1
+    information = np.zeros((count, 2, 2))
+    np.add.at(
+        information, junction, weight[:, None, None] * normal[:, :, None] * normal[:, None, :]
+    )
+    # Positions count from a line of the junction itself, where the sums keep their digits.
+    _, earliest = np.unique(junction, return_index=True)
+    origin = centre[segment[earliest]]
+    offset = ((centre[segment] - origin[junction]) * normal).sum(axis=-1)
+    pulled = np.zeros((count, 2))
+    np.add.at(pulled, junction, (weight * offset)[:, None] * normal)
+    covariance = np.linalg.inv(information)
+    uv_px = origin + np.einsum("jab,jb->ja", covariance, pulled)
+    kind = _kinds(junction, end, direction[segment] * np.where(end == 0, 1, -1)[:, None], count)
+    return Junctions(uv_px, covariance, kind, junction, segment, end)
+
+
+def _kinds(
+    junction: Int[np.ndarray, "m"],
+    end: Int[np.ndarray, "m"],
+    inward: Float[np.ndarray, "m 2"],
+    count: int,
+) -> np.ndarray:
+    """Kind of each junction from its number of ends and bodies, and whether two ends align."""
+    ends = np.bincount(junction[end != BODY], minlength=count)
+    bodies = np.bincount(junction[end == BODY], minlength=count)
+    straight = np.zeros(count, dtype=bool)
+    straight[_with_opposite_ends(junction, end, inward)] = True
+    kind = np.where(ends >= 4, "X", np.where(ends == 3, "Y", "L"))
+    return np.where((bodies > 0) | (straight & (ends == 3)), "T", kind)
+
+
+def _with_opposite_ends(
+    junction: Int[np.ndarray, "m"], end: Int[np.ndarray, "m"], inward: Float[np.ndarray, "m 2"]
+) -> Int[np.ndarray, "k"]:
+    """Junctions at which two segments leave in opposite directions."""
+    rows = np.flatnonzero(end != BODY)
+    size = np.bincount(junction[rows])
+    hits: list[np.ndarray] = []
+    # Rows are sorted by junction: partners are at most the largest junction's size away.
+    for step in range(1, int(size.max(initial=1))):
+        first, second = rows[:-step], rows[step:]
+        same: Bool[np.ndarray, "k"] = junction[first] == junction[second]
+        opposite = (inward[first] * inward[second]).sum(axis=-1) < -_COLLINEAR_COSINE
+        hits.append(junction[first[same & opposite]])
+    return np.concatenate(hits) if hits else np.zeros(0, dtype=np.int64)
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+
+
+def _no_junctions() -> Junctions:
+    none = np.zeros(0, dtype=np.int64)
+    return Junctions(
+        np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros(0, dtype="<U1"), none, none, none
+    )

@@ -1,0 +1,38 @@
+"""Segments by OpenCV's line segment detector, for comparison and for those who prefer it."""
+
+import cv2
+import numpy as np
+from jaxtyping import Shaped
+
+from trinoc.geometry.segments import Segments
+from trinoc.segments.junctions import with_junctions
+from trinoc.segments.nevatia_babu.grey import grey_image
+from trinoc.segments.side_intensity import with_side_levels
+
+# OpenCV's segments lie this far from the edges they belong to, in u and v, whatever the edge:
+# measured on edges at all angles. It is subtracted.
+LSD_BIAS_PX = np.array([-0.123, -0.119])
+LSD_SIGMA_PX = 0.1
+LSD_SIGMA_ALONG_PX = 2.0
+
+
+def find_segments_lsd(image: Shaped[np.ndarray, "..."]) -> Segments:
+    """Straight edges by cv2's LSD, with its bias taken out, junctions, chains and side levels.
+
+    Takes the pictures that `find_segments` takes. The polarity and the contrast are not
+    known; every segment has the same sigmas. After R. Grompone von Gioi et al., "LSD: a line
+    segment detector", Image Processing On Line 2, 2012, doi:10.5201/ipol.2012.gjmr-lsd.
+    """
+    grey = grey_image(image).grey
+    levels = np.clip(np.rint(grey), 0, 255).astype(np.uint8)
+    found = cv2.createLineSegmentDetector().detect(levels)[0]
+    rows = np.zeros((0, 4)) if found is None else np.asarray(found, np.float64).reshape(-1, 4)
+    segments = with_junctions(
+        Segments.from_endpoints(
+            rows - np.tile(LSD_BIAS_PX, 2),
+            sigma_px=LSD_SIGMA_PX,
+            sigma_along_px=LSD_SIGMA_ALONG_PX,
+            image_size_px=(grey.shape[1], grey.shape[0]),
+        )
+    )
+    return with_side_levels(segments, image)

@@ -1,0 +1,96 @@
+"""Edge points and their location to sub-pixels."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from trinoc.segments.nevatia_babu.pyramid import Level
+from trinoc.segments.nevatia_babu.thinning import ThinnedPixels, peak_of_profile
+
+
+class EdgePoints(NamedTuple):
+    """Points of edges, in pixels and grey levels of the full picture whatever their level.
+
+    Fields
+    ------
+    sample_px : (n, 2) centre of the pixel at which the profile was taken.
+    spacing_px : (n,) distance of two pixels of the point's level.
+    kernel_variance_px2 : (n,) variance of the smoothing by the kernel at that level.
+    normal : (n, 2) unit vector across the edge, toward the brighter side.
+    along_u : (n,) whether the profile was sampled along u, or else along v.
+    profile : (n, 3) gradient along `normal` at the pixel before, at and after the point, along
+        that axis of the picture, in grey levels per pixel.
+    uv_px : (n, 2) position to sub-pixels.
+    strength : (n,) size of the gradient, in grey levels per pixel.
+    sharpness : (n,) nominal variance of the profile, for a blur of one pixel, over the measured
+        one. Noise makes the measured variance of a weak point arbitrarily large; its inverse
+        can be averaged.
+    information : (n,) what the point tells about the place of its edge across it, in px^2:
+        the noise leaves a line a variance of (variance of its profile)^2 / sum of information.
+    snr2 : (n,) (strength / its standard deviation from noise alone)^2.
+    """
+
+    sample_px: Float[np.ndarray, "n 2"]
+    spacing_px: Float[np.ndarray, "n"]
+    kernel_variance_px2: Float[np.ndarray, "n"]
+    normal: Float[np.ndarray, "n 2"]
+    along_u: Bool[np.ndarray, "n"]
+    profile: Float[np.ndarray, "n 3"]
+    uv_px: Float[np.ndarray, "n 2"]
+    strength: Float[np.ndarray, "n"]
+    sharpness: Float[np.ndarray, "n"]
+    information: Float[np.ndarray, "n"]
+    snr2: Float[np.ndarray, "n"]
+
+    def select(self, which: np.ndarray) -> "EdgePoints":
+        """The points at the given indices, in that order, or where the mask is true."""
+        index = np.flatnonzero(which) if which.dtype == np.bool_ else which
+        return EdgePoints(*(np.take(field, index, axis=0) for field in self))
+
+    @classmethod
+    def of_level(cls, pixels: ThinnedPixels, level: Level) -> "EdgePoints":
+        """Thinned pixels of a level as points of the full picture."""
+        count, spacing = len(pixels.pixel), np.float32(level.spacing_px)
+        size = pixels.profile[:, 1]
+        normal = pixels.gradient / size[:, None]
+        strength = size / spacing
+        along_u = pixels.along_u
+        larger = np.abs(np.where(along_u, normal[:, 0], normal[:, 1]))
+        # A point of a slanted edge stands for more than one pixel of its length.
+        information = strength**2 * (spacing / larger / np.float32(level.slope_variance))
+        to_full = (spacing - 1) / 2
+        row, column = np.divmod(pixels.pixel, level.grey.shape[1])
+        sample_px = np.stack([column, row], axis=-1).astype(np.float32)
+        points = cls(
+            sample_px * spacing + to_full,
+            np.full(count, spacing),
+            np.full(count, np.float32(level.kernel_variance_px2)),
+            normal,
+            along_u,
+            pixels.profile / spacing,
+            pixels.uv_px * spacing + to_full,
+            strength,
+            strength,
+            information,
+            np.square(strength / np.float32(level.sigma_strength)),
+        )
+        _, variance = points.located(points.profile)
+        return points._replace(sharpness=(points.kernel_variance_px2 + 1) / variance)
+
+    def located(
+        self, profile: Float[np.ndarray, "n 3"]
+    ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n"]]:
+        """(position, variance): peak and width across the edge of a Gaussian through `profile`."""
+        offset, variance = peak_of_profile(profile)
+        offset = offset * self.spacing_px
+        larger = np.where(self.along_u, self.normal[:, 0], self.normal[:, 1])
+        uv_px = self.sample_px.copy()
+        uv_px[:, 0] += offset * self.along_u
+        uv_px[:, 1] += offset * ~self.along_u
+        return uv_px, variance * np.square(larger * self.spacing_px)
+
+
+def concatenated(one: EdgePoints, other: EdgePoints) -> EdgePoints:
+    """The points of both, one after the other."""
+    return EdgePoints(*(np.concatenate(pair) for pair in zip(one, other, strict=True)))

@@ -1,0 +1,146 @@
+"""Ends of segments: carried to the crossing with the edge that stops them."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from trinoc.numerics.neighbours_in_plane import distinct, point_tree
+
+_SAMPLE_PX = 3.0
+_NEIGHBOURS = 12
+_LEAST_SINE = np.sin(np.radians(15.0))
+
+
+class EndpointCrossings(NamedTuple):
+    """Ends that come near other lines.
+
+    Fields
+    ------
+    line, side : (m,) the line and which of its two ends.
+    other : (m,) the line that it meets.
+    position : (m,) where the two cross, along the first line from its centre.
+    other_position : (m,) and along the other.
+    """
+
+    line: Int[np.ndarray, "m"]
+    side: Int[np.ndarray, "m"]
+    other: Int[np.ndarray, "m"]
+    position: Float[np.ndarray, "m"]
+    other_position: Float[np.ndarray, "m"]
+
+
+class NearEnds(NamedTuple):
+    """Pairs of an end and a line that it comes near: (p,) indices. Line k has ends 2 k, 2 k + 1."""
+
+    end: Int[np.ndarray, "p"]
+    line: Int[np.ndarray, "p"]
+
+
+def lines_near_ends(
+    centre_px: Float[np.ndarray, "r 2"],
+    direction: Float[np.ndarray, "r 2"],
+    extent_px: Float[np.ndarray, "r 2"],
+    reach_px: float,
+) -> NearEnds:
+    """The lines, at most some, within one and a half times the reach of each end."""
+    if len(centre_px) < 2:
+        none = np.zeros(0, dtype=np.int64)
+        return NearEnds(none, none)
+    owner, samples = line_samples(centre_px, direction, extent_px, _SAMPLE_PX)
+    ends = centre_px[:, None] + extent_px[:, :, None] * direction[:, None]
+    _, neighbours = point_tree(samples).query(
+        ends.reshape(-1, 2), k=min(_NEIGHBOURS, len(samples)), distance_upper_bound=1.5 * reach_px
+    )
+    near = np.asarray(neighbours).reshape(2 * len(centre_px), -1)
+    found = np.flatnonzero(near < len(samples))
+    end, other = found // near.shape[1], owner[near.ravel()[found]]
+    # Most samples near an end are its own line's.
+    foreign = np.flatnonzero(other != end // 2)
+    pair = distinct(end[foreign] * len(centre_px) + other[foreign])
+    return NearEnds(*np.divmod(pair, len(centre_px)))
+
+
+def endpoint_crossings(
+    centre_px: Float[np.ndarray, "r 2"],
+    direction: Float[np.ndarray, "r 2"],
+    extent_px: Float[np.ndarray, "r 2"],
+    reach_px: Float[np.ndarray, "r"],
+    near: NearEnds,
+) -> EndpointCrossings:
+    """Where ends meet other lines: crossings at more than fifteen degrees near the end.
+
+    A crossing counts within `reach_px` (of each line) of the end along its own line, and on
+    the other line or within the other's reach of its ends. Only the pairs in `near` are
+    looked at.
+    """
+    end, other = near
+    line, side = np.divmod(end, 2)
+    sine = _cross(direction[line], direction[other])
+    steep = np.flatnonzero(np.abs(sine) > _LEAST_SINE)
+    line, side, other, sine = line[steep], side[steep], other[steep], sine[steep]
+    between = centre_px[other] - centre_px[line]
+    position = _cross(between, direction[other]) / sine
+    other_position = _cross(between, direction[line]) / sine
+    shift = np.abs(position - extent_px[line, side])
+    # The crossing may not swallow the segment from its other end.
+    far = np.abs(position - extent_px[line, 1 - side])
+    reach = reach_px[other]
+    allowed = np.flatnonzero(
+        (shift < reach_px[line])
+        & (far > shift)
+        & (other_position > extent_px[other, 0] - reach)
+        & (other_position < extent_px[other, 1] + reach)
+    )
+    return EndpointCrossings(
+        *(values[allowed] for values in (line, side, other, position, other_position))
+    )
+
+
+def snapped_ends(
+    centre_px: Float[np.ndarray, "r 2"],
+    direction: Float[np.ndarray, "r 2"],
+    extent_px: Float[np.ndarray, "r 2"],
+    reach_px: float,
+    near: NearEnds,
+) -> tuple[Int[np.ndarray, "r 2"], Float[np.ndarray, "r 2"]]:
+    """(partner, position): the line that stops each end, -1 for none, and where along its own.
+
+    Of several crossings within `reach_px` the nearest to the end counts; `near` are the pairs
+    to look at.
+    """
+    partner = np.full((len(centre_px), 2), -1, dtype=np.int64)
+    position = extent_px.copy()
+    found = endpoint_crossings(
+        centre_px, direction, extent_px, np.full(len(centre_px), reach_px), near
+    )
+    shift = np.abs(found.position - extent_px[found.line, found.side])
+    farthest_first = np.argsort(-shift, kind="stable")
+    line, side, other, where, _ = (values[farthest_first] for values in found)
+    partner[line, side] = other
+    position[line, side] = where
+    return partner, position
+
+
+def line_samples(
+    centre_px: Float[np.ndarray, "r 2"],
+    direction: Float[np.ndarray, "r 2"],
+    extent_px: Float[np.ndarray, "r 2"],
+    spacing_px: float,
+) -> tuple[Int[np.ndarray, "m"], Float[np.ndarray, "m 2"]]:
+    """(owner, samples): points along every line, ends included, at most `spacing_px` apart."""
+    length = np.ptp(extent_px, axis=1)
+    count = np.ceil(length / spacing_px).astype(np.int64) + 1
+    owner = np.repeat(np.arange(len(count)), count)
+    step = np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count)
+    apart = length / np.maximum(count - 1, 1)
+    begin = centre_px + extent_px[:, :1] * direction
+    samples = np.empty((len(owner), 2))
+    for axis in (0, 1):
+        stride = np.repeat(apart * direction[:, axis], count)
+        samples[:, axis] = np.repeat(begin[:, axis], count) + step * stride
+    return owner, samples
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]

@@ -1,0 +1,54 @@
+"""Grey levels on either side of segments, as the matcher compares them between pictures."""
+
+from collections.abc import Callable
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float, Shaped
+
+from trinoc.geometry.segments import Segments
+from trinoc.segments.nevatia_babu.grey import grey_image
+
+# Levels are taken so far from the segment, beyond the blur of its edge, and not near its ends.
+_BESIDE_PX = np.array([2.0, 3.0, 4.0])
+_ALONG = np.linspace(0.1, 0.9, 16)
+
+
+def with_side_levels(segments: Segments, image: Shaped[np.ndarray, "..."]) -> Segments:
+    """The same segments with the grey levels beside them in the picture they were found in.
+
+    For segments of other detectors; those of `find_segments` have them. Takes the pictures that
+    `find_segments` takes, and raises InputError for others.
+    """
+    levels = side_levels(grey_image(image).grey, np.asarray(segments.endpoints_px))
+    return eqx.tree_at(lambda s: s.side_levels, segments, levels, is_leaf=lambda leaf: leaf is None)
+
+
+def side_levels(
+    grey: Float[np.ndarray, "h w"],
+    endpoints_px: Float[np.ndarray, "n 2 2"],
+    to_image: Callable[[Float[np.ndarray, "p 2"]], np.ndarray] = np.asarray,
+) -> Float[np.ndarray, "n 2"]:
+    """(n, 2) median grey level on the right and on the left of each segment.
+
+    Right and left are of the way from the first end to the second, as seen on the picture.
+    `to_image` takes points beside segments to pixels of the picture, where a lens lies between.
+    """
+    if len(endpoints_px) == 0:
+        return np.zeros((0, 2))
+    step = endpoints_px[:, 1] - endpoints_px[:, 0]
+    right = np.stack([-step[:, 1], step[:, 0]], axis=1) / np.linalg.norm(step, axis=1)[:, None]
+    off = np.stack([_BESIDE_PX, -_BESIDE_PX])[:, :, None, None] * right[:, None, None, None]
+    on = endpoints_px[:, :1] + _ALONG[:, None] * step[:, None]
+    beside = to_image((on[:, None, None] + off).reshape(-1, 2))
+    levels = _levels_at(grey, beside).reshape(len(step), 2, -1)
+    return np.median(levels, axis=2).astype(np.float64)
+
+
+def _levels_at(
+    grey: Float[np.ndarray, "h w"], uv_px: Float[np.ndarray, "p 2"]
+) -> Float[np.ndarray, "p"]:
+    """Grey levels of the nearest pixels."""
+    height, width = grey.shape
+    column, row = np.rint(uv_px).astype(np.int64).T
+    return grey[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)]
