@@ -7,7 +7,8 @@ import pytest
 
 from tests.calib.simulated import DISTORTED_LENS, LENS, TABLE_1, camera_of
 from trinoc.calib.from_images import calibrate
-from trinoc.calib.result import CalibrationResult, Status
+from trinoc.calib.result.calibration import CalibrationResult
+from trinoc.calib.result.status import Status
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.errors import CalibrationError, InputError
 from trinoc.geometry.intrinsics import Intrinsics

@@ -9,7 +9,7 @@ import pytest
 
 from tests.calib.simulated import LENS, TABLE_1, camera_of
 from trinoc.calib.from_points import PointsCalibration, calibrate_points
-from trinoc.calib.result import Status
+from trinoc.calib.result.status import Status
 from trinoc.errors import CalibrationError, InputError
 
 CAMERA = camera_of(TABLE_1["left"])

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from trinoc.calib.detection.detection import Detection
-from trinoc.calib.result import CalibrationResult, CameraFit, Status
+from trinoc.calib.result.calibration import CalibrationResult, CameraFit
+from trinoc.calib.result.status import Status
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.geometry.camera import Camera, pixel_from_sheet_homography, project
 from trinoc.geometry.conics import image_of_circle, image_of_circle_centre, shape_of_dual_conic

@@ -10,7 +10,8 @@ import numpy as np
 import plotly.graph_objects as go
 import pytest
 
-from trinoc.calib.result import CalibrationResult, Status
+from trinoc.calib.result.calibration import CalibrationResult
+from trinoc.calib.result.status import Status
 from trinoc.errors import InputError
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments

@@ -11,7 +11,7 @@ from trinoc.calib.detection.orientation import Orientation, oriented
 from trinoc.calib.from_detections import lens_of_each
 from trinoc.calib.messages import failure_sentence
 from trinoc.calib.pose.views import fit_views
-from trinoc.calib.result import Status
+from trinoc.calib.result.status import Status
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.errors import InputError
 from trinoc.geometry.intrinsics import Intrinsics

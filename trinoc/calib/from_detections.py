@@ -13,7 +13,8 @@ from trinoc.calib.photometric.views import ViewEstimate, refine_views
 from trinoc.calib.pose.estimate import PoseEstimate
 from trinoc.calib.pose.score import score_test
 from trinoc.calib.pose.views import fit_views
-from trinoc.calib.result import CalibrationResult, CameraFit, Status
+from trinoc.calib.result.calibration import CalibrationResult, CameraFit
+from trinoc.calib.result.status import Status
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.calib.uncertainty.lens_response import lens_spreads
 from trinoc.calib.uncertainty.systematics import Systematics, with_spreads

@@ -9,7 +9,7 @@ from trinoc.calib.detection.grey import grey_image
 from trinoc.calib.detection.orientation import Orientation
 from trinoc.calib.detection.search import detect_pattern
 from trinoc.calib.from_detections import calibration_of_detections, lens_of_each
-from trinoc.calib.result import CalibrationResult
+from trinoc.calib.result.calibration import CalibrationResult
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.errors import DetectionError, InputError

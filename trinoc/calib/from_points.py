@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 
 from trinoc.calib.intrinsics.lens_parameters import LENS_PARAMETERS, lens_of_values, parameter_scale
 from trinoc.calib.pose.point_least_squares import PointFit, fit_points
-from trinoc.calib.result import Status
+from trinoc.calib.result.status import Status
 from trinoc.errors import CalibrationError, InputError
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.intrinsics import Intrinsics

@@ -5,9 +5,10 @@ from jaxtyping import Float
 
 from trinoc.calib.detection.detection import Detection
 from trinoc.calib.photometric.views import ViewEstimate
-from trinoc.calib.pose.alternative import Alternative
 from trinoc.calib.pose.estimate import PoseEstimate
-from trinoc.calib.result import CameraFit, Status
+from trinoc.calib.result.alternative import Alternative
+from trinoc.calib.result.calibration import CameraFit
+from trinoc.calib.result.status import Status
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.geometry.intrinsics import Intrinsics
 

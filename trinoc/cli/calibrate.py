@@ -12,7 +12,7 @@ from trinoc.cli.progress import LOGGER
 from trinoc.cli.views import files_of_views
 
 if TYPE_CHECKING:
-    from trinoc.calib.result import CalibrationResult
+    from trinoc.calib.result.calibration import CalibrationResult
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -19,7 +19,7 @@ from trinoc.errors import InputError
 if TYPE_CHECKING:
     import numpy as np
 
-    from trinoc.calib.result import CalibrationResult
+    from trinoc.calib.result.calibration import CalibrationResult
     from trinoc.evaluation.scoring import LengthScore
     from trinoc.geometry.rig import Rig
     from trinoc.geometry.segments import Segments

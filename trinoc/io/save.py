@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from trinoc.calib.intrinsics.result import IntrinsicsResult
-from trinoc.calib.result import CalibrationResult
+from trinoc.calib.result.calibration import CalibrationResult
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.errors import InputError
 from trinoc.geometry.intrinsics import Intrinsics

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.result import CalibrationResult
+from trinoc.calib.result.calibration import CalibrationResult
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.rig import Rig
 from trinoc.match.tracks.matches import TRINOCULAR, Matches

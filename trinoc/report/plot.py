@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from trinoc.calib.result import CameraFit
+from trinoc.calib.result.calibration import CameraFit
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
 from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, Matches

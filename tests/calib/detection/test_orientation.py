@@ -7,7 +7,7 @@ from tests.calib.simulated import LENS, TABLE_1, camera_of, reference_sheet, sim
 from trinoc.calib.batch import calibrate_batch
 from trinoc.calib.detection.detection import Detection
 from trinoc.calib.from_detections import calibrate_detections
-from trinoc.calib.result import Status
+from trinoc.calib.result.status import Status
 from trinoc.errors import CalibrationError
 from trinoc.geometry.rig import Rig
 

@@ -7,7 +7,8 @@ import pytest
 from tests.calib.simulated import LENS, TABLE_1, camera_of, reference_sheet, simulated_detection
 from trinoc.calib.detection.detection import Detection
 from trinoc.calib.from_detections import calibrate_detections
-from trinoc.calib.result import CalibrationResult, Status
+from trinoc.calib.result.calibration import CalibrationResult
+from trinoc.calib.result.status import Status
 from trinoc.calib.rig_check.comparison import compare_rigs
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.calib.targets.print_scale import printed_sheet

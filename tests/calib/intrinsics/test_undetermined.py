@@ -16,7 +16,7 @@ from trinoc.calib.intrinsics.from_images import calibrate_intrinsics
 from trinoc.calib.intrinsics.lens_parameters import lens_of_values
 from trinoc.calib.intrinsics.next_image import generic_views
 from trinoc.calib.intrinsics.result import IntrinsicsResult
-from trinoc.calib.result import Status
+from trinoc.calib.result.status import Status
 from trinoc.errors import CalibrationError, InputError
 
 SQUARE = [

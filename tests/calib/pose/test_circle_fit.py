@@ -20,7 +20,7 @@ from trinoc.calib.model.circle_observations import circle_observations
 from trinoc.calib.model.circle_residual import predicted_centre_px, whitened_residuals
 from trinoc.calib.model.lens_arrays import lens_arrays
 from trinoc.calib.model.sheet_pose import SheetPose
-from trinoc.calib.result import Status
+from trinoc.calib.result.status import Status
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.geometry.conics import image_of_circle_centre
 from trinoc.geometry.intrinsics import Intrinsics

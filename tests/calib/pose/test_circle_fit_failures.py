@@ -13,7 +13,8 @@ from tests.calib.simulated import (
 )
 from trinoc.calib.detection.detection import Detection
 from trinoc.calib.from_detections import calibrate_detections
-from trinoc.calib.result import CalibrationResult, Status
+from trinoc.calib.result.calibration import CalibrationResult
+from trinoc.calib.result.status import Status
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.errors import CalibrationError, InputError
 from trinoc.geometry.intrinsics import Intrinsics

@@ -5,7 +5,7 @@ import pytest
 
 from tests.calib.simulated import LENS, TABLE_1, camera_of, reference_sheet, simulated_detection
 from trinoc.calib.from_detections import calibrate_detections
-from trinoc.calib.result import Status
+from trinoc.calib.result.status import Status
 from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.errors import InputError
 from trinoc.geometry.intrinsics import Intrinsics

@@ -9,8 +9,9 @@ from tests.match.made import as_set, loose_lines, pictures, rig_of
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
 from trinoc.match.evidence.mixture import temper
-from trinoc.match.evidence.side_intensity import COMPONENTS, PRIOR_SHARES, side_evidence, side_table
+from trinoc.match.evidence.side_intensity import COMPONENTS, PRIOR_SHARES, side_evidence
 from trinoc.match.matcher import match_segments
+from trinoc.match.observations.side_intensity import side_table
 from trinoc.segments.side_intensity import side_levels, with_side_levels
 
 VIEWS = ("upper", "left", "right")

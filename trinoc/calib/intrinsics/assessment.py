@@ -16,7 +16,7 @@ from trinoc.calib.intrinsics.model_choice import Candidate, choice_sentence, var
 from trinoc.calib.intrinsics.next_image import NextImage, next_image
 from trinoc.calib.intrinsics.result import IntrinsicsResult
 from trinoc.calib.intrinsics.robust_lens import LensImages
-from trinoc.calib.result import Status
+from trinoc.calib.result.status import Status
 from trinoc.errors import CalibrationError
 
 

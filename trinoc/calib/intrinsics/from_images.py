@@ -12,7 +12,7 @@ from trinoc.calib.intrinsics.model_choice import fit_candidate, fit_determined
 from trinoc.calib.intrinsics.result import IntrinsicsResult
 from trinoc.calib.intrinsics.robust_lens import LensImages, fit_robustly, reached
 from trinoc.calib.intrinsics.zhang import FEWEST_CIRCLES, zhang_start
-from trinoc.calib.result import Status
+from trinoc.calib.result.status import Status
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.errors import CalibrationError, DetectionError, InputError
 from trinoc.numerics.arrays import ArrayLike

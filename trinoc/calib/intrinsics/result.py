@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 
 from trinoc.calib.detection.detection import Detection
 from trinoc.calib.intrinsics.advice import NextImage
-from trinoc.calib.result import Status
+from trinoc.calib.result.status import Status
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.geometry.intrinsics import Intrinsics
 

@@ -18,7 +18,8 @@ from trinoc.calib.model.lens_arrays import lens_arrays
 from trinoc.calib.model.sheet_pose import SheetPose
 from trinoc.calib.photometric.image_fit import ImageRefinement, refine_image
 from trinoc.calib.pose.estimate import DEGREES, PoseEstimate, sheet_pose_of_values
-from trinoc.calib.result import PictureQuality, Status
+from trinoc.calib.result.calibration import ImageQuality
+from trinoc.calib.result.status import Status
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.rig import PARAMETER_NAMES
@@ -37,7 +38,7 @@ class ViewEstimate(NamedTuple):
     """A picture's fit, what its picture says about it, and a sentence where it says nothing."""
 
     fit: PoseEstimate
-    quality: PictureQuality | None
+    quality: ImageQuality | None
     note: str | None
 
 
@@ -119,7 +120,7 @@ def _judged(
     if seen.rank < parameter_count:
         return ViewEstimate(fit, None, "the picture itself leaves the pose undetermined.")
     look = refined.appearance
-    quality = PictureQuality(
+    quality = ImageQuality(
         noise=refined.noise,
         noise_floor=refined.noise_floor,
         pixels=refined.pixels,

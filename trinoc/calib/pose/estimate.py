@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from trinoc.calib.model.sheet_pose import SheetPose
-from trinoc.calib.result import Status
+from trinoc.calib.result.status import Status
 from trinoc.geometry.pose import PanTiltPose
 from trinoc.geometry.rig import PARAMETER_NAMES
 from trinoc.numerics.observability import LARGEST_SIGMA, observability

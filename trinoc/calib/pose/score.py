@@ -19,8 +19,8 @@ from trinoc.calib.model.circle_observations import (
 from trinoc.calib.model.circle_residual import whitened_residuals
 from trinoc.calib.model.lens_arrays import LensArrays, lens_arrays
 from trinoc.calib.model.sheet_pose import SheetPose
-from trinoc.calib.pose.alternative import Alternative
 from trinoc.calib.pose.estimate import PoseEstimate, sheet_pose_of_values
+from trinoc.calib.result.alternative import Alternative
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.numerics.arrays import ArrayLike

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.stats import chi2, norm
 
-from trinoc.calib.result import CalibrationResult
+from trinoc.calib.result.calibration import CalibrationResult
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.rig import PARAMETER_NAMES, Rig
 

@@ -24,7 +24,7 @@ from trinoc.calib.model.circle_residual import predicted_centre_px
 from trinoc.calib.model.lens_arrays import LensArrays, lens_arrays, moved_lens
 from trinoc.calib.model.sheet_pose import SheetPose
 from trinoc.calib.pose.estimate import DEGREES, sheet_pose_of_values
-from trinoc.calib.result import CalibrationResult
+from trinoc.calib.result.calibration import CalibrationResult
 from trinoc.errors import InputError
 from trinoc.geometry.rig import PARAMETER_NAMES, Rig
 from trinoc.numerics.arrays import ArrayLike

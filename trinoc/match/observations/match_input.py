@@ -17,7 +17,7 @@ from trinoc.geometry.camera import Camera
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import DEFAULT_SIGMA_PX, Segments, covariance_of_ends
-from trinoc.match.evidence.side_intensity import side_table
+from trinoc.match.observations.side_intensity import side_table
 from trinoc.match.observations.table import SegmentTable, segment_table
 from trinoc.numerics.arrays import ArrayLike
 from trinoc.numerics.buckets import bucket, padded

@@ -1,29 +1,17 @@
 """The answer of a calibration, which never travels without its status and its sigmas."""
 
-import enum
-
 import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
 
 from trinoc.calib.detection.detection import Detection
-from trinoc.calib.pose.alternative import Alternative
+from trinoc.calib.result.alternative import Alternative
+from trinoc.calib.result.status import Status
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.geometry.rig import PARAMETER_NAMES, Rig
 
 
-class Status(enum.Enum):
-    """How the fit of one camera ended; the value is the sentence shown to people."""
-
-    CONVERGED = "The fit converged and its parameters are determined."
-    SUSPECT = "The fit converged, but its residuals are not those of this model: see the notes."
-    NOT_CONVERGED = "The fit did not converge: its parameters are not a result."
-    NOT_DETECTED = "The sheet was not found in the picture."
-    AMBIGUOUS = "The sheet looks the same turned, and nothing says which way round it lies."
-    RANK_DEFICIENT = "The observations leave some parameters free: see the named gauge."
-
-
-class PictureQuality(eqx.Module):
+class ImageQuality(eqx.Module):
     """What the fit of the picture's grey levels says about picture and fit.
 
     Fields
@@ -77,7 +65,7 @@ class CameraFit(eqx.Module):
     gauge: tuple[str, ...] = eqx.field(static=True)
     notes: tuple[str, ...] = eqx.field(static=True)
     used: Bool[np.ndarray, "m"]
-    image: PictureQuality | None = None
+    image: ImageQuality | None = None
     alternatives: tuple[Alternative, ...] = ()
 
     @property

@@ -1,0 +1,1 @@
+"""trinoc/calib/result."""
