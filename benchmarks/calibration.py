@@ -26,9 +26,9 @@ from scipy.optimize import least_squares
 from trinoc.calib.detection.detection import Detection
 from trinoc.calib.detection.search import detect_pattern
 from trinoc.calib.from_detections import calibrate_detections
-from trinoc.calib.model.circle_observations import circle_observations, stack_observations
 from trinoc.calib.model.circle_residual import whitened_residuals
-from trinoc.calib.model.lens_arrays import lens_arrays
+from trinoc.calib.model.lens import lens_arrays
+from trinoc.calib.model.observed_circles import circle_observations, stack_observations
 from trinoc.calib.photometric.image_fit import refine_image
 from trinoc.calib.photometric.views import refine_views
 from trinoc.calib.pose.estimate import sheet_pose_of_values

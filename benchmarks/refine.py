@@ -22,7 +22,7 @@ from refine_rigs import (
 )
 
 from trinoc.calib.bundle.refinement import refine
-from trinoc.calib.model.camera_state import Freedom
+from trinoc.calib.model.camera import Freedom
 from trinoc.geometry.line_observations import LineObservations
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import covariance_of_ends

@@ -22,7 +22,7 @@ from scipy.sparse import lil_matrix
 from scipy.spatial.transform import Rotation
 
 from trinoc.calib.bundle.refinement import refine
-from trinoc.calib.model.camera_state import Freedom
+from trinoc.calib.model.camera import Freedom
 from trinoc.geometry.line_observations import LineObservations
 from trinoc.geometry.rig import Rig
 

@@ -19,7 +19,7 @@ from trinoc.io.demo import demo_images, demo_truth
 from trinoc.report import plot
 from trinoc.report.evaluation_plot import draw_panel, evaluation_panels
 from trinoc.evaluation.sweep import (SweepSetting, chosen_lines, evaluate_settings, settings_of)
-from trinoc.report.evaluation_text import evaluation_text
+from trinoc.report.text_of_evaluation import evaluation_text
 from trinoc.evaluation.lines_of_rig import lines_of_rig
 from trinoc.evaluation.distances import distance_to_segments_mm
 from trinoc.evaluation.evaluation import certain_lines

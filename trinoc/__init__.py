@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from trinoc.io.matches_npz import load_matches
     from trinoc.io.pattern_json import load_pattern
     from trinoc.io.rig_json import load_rig
-    from trinoc.io.save import save
+    from trinoc.io.saving import save
     from trinoc.io.segments_npz import load_segments
     from trinoc.match.matcher import match_segments
     from trinoc.match.tracks.matches import Matches
@@ -87,7 +87,7 @@ _MODULE_OF = {
     "match_segments": "trinoc.match.matcher",
     "point_covariance": "trinoc.calib.uncertainty.propagation",
     "refine": "trinoc.calib.bundle.refinement",
-    "save": "trinoc.io.save",
+    "save": "trinoc.io.saving",
     "with_systematics": "trinoc.calib.uncertainty.systematics",
 }
 

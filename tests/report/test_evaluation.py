@@ -20,7 +20,7 @@ from trinoc.geometry.rig import PARAMETER_NAMES, Rig
 from trinoc.match.line_map.collinear_merge import join_collinear
 from trinoc.match.tracks.matches import Matches
 from trinoc.report.evaluation_plot import evaluation_panels, write_plot
-from trinoc.report.evaluation_text import evaluation_table, evaluation_text
+from trinoc.report.text_of_evaluation import evaluation_table, evaluation_text
 from trinoc.synth.rigs import TABLE_1, table1_lens, table1_rig
 from trinoc.synth.scenes import loose_segments
 

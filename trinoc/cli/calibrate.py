@@ -74,7 +74,7 @@ class Calibrate(Command):
         from trinoc.io.images import read_views
         from trinoc.io.pattern_json import load_pattern
         from trinoc.io.rig_json import load_rig
-        from trinoc.io.save import save
+        from trinoc.io.saving import save
 
         expect_place(self.out, self.report)
         pattern = load_pattern(self.pattern).rescaled(*self.print_scale)

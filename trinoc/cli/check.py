@@ -42,7 +42,7 @@ class Check(Command):
         from trinoc.cli.scene import scene_of
         from trinoc.io.atomic import expect_place
         from trinoc.io.rig_json import load_rig
-        from trinoc.io.save import save
+        from trinoc.io.saving import save
 
         expect_place(self.out)
         rig = load_rig(self.rig)

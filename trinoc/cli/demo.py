@@ -109,7 +109,7 @@ def _score(matches: "Matches") -> Score:
 def _write(folder: Path, work: Work, score: Score, command_line: str) -> tuple[Path, Path, Path]:
     from trinoc.cli.provenance import for_people, provenance
     from trinoc.io.demo import demo_paths
-    from trinoc.io.save import save
+    from trinoc.io.saving import save
     from trinoc.report.html import ExtraTable, write_report
 
     sheet_files, scene_files = demo_paths("sheet"), demo_paths("scene")

@@ -94,7 +94,7 @@ class Evaluate(Command):
         from trinoc.io.known_shape import load_shape
         from trinoc.io.rig_json import load_rig
         from trinoc.io.table_csv import save_table
-        from trinoc.report.evaluation_text import evaluation_text
+        from trinoc.report.text_of_evaluation import evaluation_text
 
         expect_place(self.out, self.plot)
         if self.plot is not None:

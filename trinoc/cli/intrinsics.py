@@ -55,7 +55,7 @@ class Intrinsics(Command):
         from trinoc.io.atomic import expect_place
         from trinoc.io.images import read_image
         from trinoc.io.pattern_json import load_pattern
-        from trinoc.io.save import save
+        from trinoc.io.saving import save
 
         expect_place(self.out)
         pattern = load_pattern(self.pattern)

@@ -68,7 +68,7 @@ class Match(SegmentOptions, Command):
 
         from trinoc.io.atomic import expect_place
         from trinoc.io.rig_json import load_rig
-        from trinoc.io.save import save
+        from trinoc.io.saving import save
         from trinoc.match.matcher import match_segments
 
         expect_place(self.out, self.report)

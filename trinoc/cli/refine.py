@@ -54,12 +54,12 @@ class Refine(Command):
         """Refine and write the rig; nothing is written where the refinement fails."""
         from trinoc.calib.bundle.refinement import refine
         from trinoc.calib.bundle.result import RefineStatus
-        from trinoc.calib.model.camera_state import Freedom
+        from trinoc.calib.model.camera import Freedom
         from trinoc.cli.provenance import provenance
         from trinoc.cli.scene import scene_of
         from trinoc.io.atomic import expect_place
         from trinoc.io.rig_json import load_rig
-        from trinoc.io.save import save
+        from trinoc.io.saving import save
 
         expect_place(self.out)
         rig = load_rig(self.rig)

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from trinoc.calib.bundle.line_covariance import segment_and_errors
 from trinoc.calib.bundle.pose_prior import parameters_by_step
-from trinoc.calib.model.camera_state import CameraState, Freedom, camera_state
+from trinoc.calib.model.camera import CameraState, Freedom, camera_state
 from trinoc.errors import InputError
 from trinoc.geometry.line_observations import LineObservations
 from trinoc.geometry.rig import Rig

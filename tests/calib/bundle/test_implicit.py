@@ -10,7 +10,7 @@ from trinoc.calib.bundle.implicit_diff import refined
 from trinoc.calib.bundle.line_residual import whitening_across
 from trinoc.calib.bundle.pose_prior import PosePrior
 from trinoc.calib.bundle.schur import FragmentTable
-from trinoc.calib.model.camera_state import Freedom, camera_state
+from trinoc.calib.model.camera import Freedom, camera_state
 
 
 def crossing(line, ends):

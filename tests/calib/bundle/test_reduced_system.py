@@ -18,7 +18,7 @@ from trinoc.calib.bundle.schur import (
     robust_costs,
     track_blocks,
 )
-from trinoc.calib.model.camera_state import CameraState, Freedom, camera_of_state, camera_state
+from trinoc.calib.model.camera import CameraState, Freedom, camera_of_state, camera_state
 
 blocks_of = jax.jit(jax.vmap(track_blocks, (None, 0, 0, None)))
 reduced = jax.jit(reduce)

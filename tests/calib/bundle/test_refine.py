@@ -14,7 +14,7 @@ from tests.calib.bundle.made_tracks import (
 )
 from trinoc.calib.bundle.refinement import refine
 from trinoc.calib.bundle.result import RefineStatus
-from trinoc.calib.model.camera_state import Freedom
+from trinoc.calib.model.camera import Freedom
 from trinoc.errors import CalibrationError, InputError
 from trinoc.geometry.line_observations import LineObservations
 from trinoc.geometry.rig import Rig

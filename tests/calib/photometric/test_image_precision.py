@@ -4,7 +4,7 @@ import jax
 import numpy as np
 
 from tests.calib.simulated import TABLE_1, reference_sheet
-from trinoc.calib.model.lens_arrays import lens_arrays
+from trinoc.calib.model.lens import lens_arrays
 from trinoc.calib.photometric.appearance import Appearance
 from trinoc.calib.photometric.gauss_newton import sheet_from_normalised
 from trinoc.calib.photometric.ink_coverage import Cross, Drawing

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from tests.calib.simulated import LENS, TABLE_1, camera_of, reference_sheet
-from trinoc.calib.model.lens_arrays import lens_arrays
+from trinoc.calib.model.lens import lens_arrays
 from trinoc.calib.model.sheet_pose import SheetPose
 from trinoc.calib.photometric.appearance import Appearance, Pixels, predict
 from trinoc.calib.photometric.gauss_newton import sheet_from_normalised

@@ -16,9 +16,9 @@ from tests.calib.simulated import (
     simulated_detection,
 )
 from trinoc.calib.from_detections import calibrate_detections
-from trinoc.calib.model.circle_observations import circle_observations
 from trinoc.calib.model.circle_residual import predicted_centre_px, whitened_residuals
-from trinoc.calib.model.lens_arrays import lens_arrays
+from trinoc.calib.model.lens import lens_arrays
+from trinoc.calib.model.observed_circles import circle_observations
 from trinoc.calib.model.sheet_pose import SheetPose
 from trinoc.calib.result.status import Status
 from trinoc.calib.targets.pattern import Pattern

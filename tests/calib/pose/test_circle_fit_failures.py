@@ -18,7 +18,7 @@ from trinoc.calib.result.status import Status
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.errors import CalibrationError, InputError
 from trinoc.geometry.intrinsics import Intrinsics
-from trinoc.numerics.observability import observability
+from trinoc.numerics.information import observability
 
 SHEET = reference_sheet()
 UPPER = camera_of(TABLE_1["upper"])

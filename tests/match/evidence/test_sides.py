@@ -9,7 +9,7 @@ from tests.match.made import as_set, loose_lines, pictures, rig_of
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
 from trinoc.match.evidence.mixture import temper
-from trinoc.match.evidence.side_intensity import COMPONENTS, PRIOR_SHARES, side_evidence
+from trinoc.match.evidence.side_intensity import PRIOR_SHARES, SIDE_COMPONENTS, side_evidence
 from trinoc.match.matcher import match_segments
 from trinoc.match.observations.side_intensity import side_table
 from trinoc.segments.side_intensity import side_levels, with_side_levels
@@ -58,7 +58,7 @@ def test_equal_levels_speak_for_one_line_and_unknown_ones_say_nothing(table: np.
     same = np.repeat(np.arange(40)[:, None], 3, axis=1)
     other = same.copy()
     other[:, 1] = np.roll(other[:, 1], 1)
-    alike = [one < 3 and two < 3 for one, two in COMPONENTS]
+    alike = [one < 3 and two < 3 for one, two in SIDE_COMPONENTS]
     for_same = side_evidence(table, same, part)[:, alike].max(axis=1)
     for_other = side_evidence(table, other, part)[:, alike].max(axis=1)
     assert (for_same > 3).all()
@@ -128,7 +128,7 @@ def test_order_and_unit_of_levels_change_nothing() -> None:
 
 def test_only_odds_of_segments_of_pictures_are_tempered() -> None:
     posterior_log_odds = np.array([-4.0, 8.0, 8.0])
-    side_log = np.zeros((3, len(COMPONENTS)))
+    side_log = np.zeros((3, len(SIDE_COMPONENTS)))
     np.testing.assert_array_equal(temper(posterior_log_odds, side_log), posterior_log_odds)
     side_log[2, 0] = 1.0
     np.testing.assert_array_equal(temper(posterior_log_odds, side_log)[:2], posterior_log_odds[:2])

@@ -17,7 +17,7 @@ from trinoc.calib.bundle.problem import FreeParameters, Problem, joint_problem
 from trinoc.calib.bundle.result import RefineResult, RefineStatus
 from trinoc.calib.bundle.schur import FragmentTable, squared_distances
 from trinoc.calib.bundle.variance_components import segment_factor, sheet_factor
-from trinoc.calib.model.camera_state import CameraState, Freedom, camera_of_state
+from trinoc.calib.model.camera import CameraState, Freedom, camera_of_state
 from trinoc.calib.result.calibration import CalibrationResult
 from trinoc.geometry.line_observations import LineObservations
 from trinoc.geometry.rig import Rig

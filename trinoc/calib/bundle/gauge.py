@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.model.camera_state import CameraState, Freedom
+from trinoc.calib.model.camera import CameraState, Freedom
 from trinoc.numerics.arrays import ArrayLike
 
 # Share of the largest eigenvalue of the unit-diagonal information below which a direction is

@@ -25,7 +25,7 @@ from trinoc.calib.bundle.schur import (
     track_blocks,
 )
 from trinoc.calib.bundle.two_view_lines import placed_by_two_views
-from trinoc.calib.model.camera_state import CameraState
+from trinoc.calib.model.camera import CameraState
 from trinoc.numerics.arrays import ArrayLike, ScalarLike
 
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-4, 1e-12, 1e8

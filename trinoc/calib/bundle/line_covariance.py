@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Bool, Float
 
-from trinoc.calib.model.camera_state import CameraState
+from trinoc.calib.model.camera import CameraState
 from trinoc.geometry.triangulation import triangulate_segment
 from trinoc.numerics.arrays import ArrayLike
 from trinoc.numerics.small_matrices import inverse_positive_definite

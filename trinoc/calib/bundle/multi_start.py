@@ -13,7 +13,7 @@ import numpy as np
 from trinoc.calib.bundle.estimate import squared_with_rig
 from trinoc.calib.bundle.problem import FreeParameters
 from trinoc.calib.bundle.result import RefineResult
-from trinoc.calib.model.camera_state import Freedom
+from trinoc.calib.model.camera import Freedom
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.rig import Rig

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from trinoc.calib.model.camera_state import CameraState
+from trinoc.calib.model.camera import CameraState
 from trinoc.numerics.arrays import ArrayLike
 
 ANGLES = 3

@@ -9,7 +9,7 @@ import numpy as np
 from trinoc.calib.bundle.line_residual import whitening_across
 from trinoc.calib.bundle.pose_prior import PosePrior
 from trinoc.calib.bundle.schur import FragmentTable
-from trinoc.calib.model.camera_state import CameraState, Freedom, camera_state
+from trinoc.calib.model.camera import CameraState, Freedom, camera_state
 from trinoc.errors import InputError
 from trinoc.geometry.line_observations import LineObservations
 from trinoc.geometry.rig import Rig

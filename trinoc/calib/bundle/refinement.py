@@ -8,7 +8,7 @@ from trinoc.calib.bundle.estimate import joint_estimate
 from trinoc.calib.bundle.multi_start import is_unambiguous, start_rigs
 from trinoc.calib.bundle.problem import FreeParameters
 from trinoc.calib.bundle.result import RefineResult, RefineStatus
-from trinoc.calib.model.camera_state import Freedom
+from trinoc.calib.model.camera import Freedom
 from trinoc.calib.result.calibration import CalibrationResult
 from trinoc.errors import CalibrationError, InputError
 from trinoc.geometry.line_observations import LineObservations

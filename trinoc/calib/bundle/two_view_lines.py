@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from trinoc.calib.bundle.schur import FragmentTable
-from trinoc.calib.model.camera_state import CameraState
+from trinoc.calib.model.camera import CameraState
 from trinoc.geometry.lines import line_of_planes, line_through, plane_of_line
 from trinoc.numerics.arrays import ArrayLike
 

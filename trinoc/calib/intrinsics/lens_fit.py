@@ -16,7 +16,7 @@ from trinoc.calib.intrinsics.lens_residual import (
     residuals_px,
     whitened_residuals,
 )
-from trinoc.calib.model.circle_observations import CircleObservations
+from trinoc.calib.model.observed_circles import CircleObservations
 from trinoc.numerics.arrays import ArrayLike
 
 MAX_STEPS = 100

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from trinoc.calib.model.circle_observations import CircleObservations
+from trinoc.calib.model.observed_circles import CircleObservations
 from trinoc.geometry.conics import (
     centre_of_mapped_ellipse,
     dual_conic_of_circle,

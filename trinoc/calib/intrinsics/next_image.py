@@ -12,7 +12,7 @@ from trinoc.calib.intrinsics.advice import NextImage
 from trinoc.calib.intrinsics.lens_information import directions_of, lens_information
 from trinoc.calib.intrinsics.lens_parameters import LensModel
 from trinoc.calib.intrinsics.lens_residual import information_of_images, residuals_px
-from trinoc.calib.model.circle_observations import CircleObservations
+from trinoc.calib.model.observed_circles import CircleObservations
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.numerics.precision import as_numpy
 

@@ -11,7 +11,7 @@ from trinoc.calib.intrinsics.lens_fit import LensFit, fit_lens
 from trinoc.calib.intrinsics.lens_parameters import LensModel, free_directions, parameter_scale
 from trinoc.calib.intrinsics.lens_residual import LensChart
 from trinoc.calib.intrinsics.zhang import ZhangStart
-from trinoc.calib.model.circle_observations import (
+from trinoc.calib.model.observed_circles import (
     CircleObservations,
     bucket_size,
     circle_observations,

@@ -4,8 +4,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from trinoc.calib.model.circle_observations import CircleObservations
-from trinoc.calib.model.lens_arrays import LensArrays
+from trinoc.calib.model.lens import LensArrays
+from trinoc.calib.model.observed_circles import CircleObservations
 from trinoc.calib.model.sheet_pose import SheetPose
 from trinoc.geometry.conics import (
     centre_of_mapped_ellipse,

@@ -7,7 +7,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.model.lens_arrays import LensArrays
+from trinoc.calib.model.lens import LensArrays
 from trinoc.calib.model.sheet_pose import SheetPose
 from trinoc.calib.photometric.appearance import NUISANCE, Appearance
 from trinoc.calib.photometric.gate import gate_pixels

@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.model.lens_arrays import LensArrays
+from trinoc.calib.model.lens import LensArrays
 from trinoc.calib.model.sheet_pose import SheetPose
 from trinoc.calib.photometric.appearance import LIGHT_TERMS, Appearance
 from trinoc.calib.photometric.outlines import circle_points_mm, project_to_image

@@ -4,7 +4,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.model.lens_arrays import LensArrays
+from trinoc.calib.model.lens import LensArrays
 from trinoc.calib.model.sheet_pose import SheetPose
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.numerics.arrays import ArrayLike

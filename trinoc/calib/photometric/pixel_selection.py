@@ -7,7 +7,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.calib.model.lens_arrays import LensArrays
+from trinoc.calib.model.lens import LensArrays
 from trinoc.calib.model.sheet_pose import SheetPose
 from trinoc.calib.photometric.appearance import Pixels
 from trinoc.calib.photometric.gauss_newton import Group

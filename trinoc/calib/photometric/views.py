@@ -12,9 +12,9 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.calib.detection.detection import Detection
-from trinoc.calib.model.circle_observations import bucket_size, circle_observations
 from trinoc.calib.model.circle_residual import circle_residuals_px
-from trinoc.calib.model.lens_arrays import lens_arrays
+from trinoc.calib.model.lens import lens_arrays
+from trinoc.calib.model.observed_circles import bucket_size, circle_observations
 from trinoc.calib.model.sheet_pose import SheetPose
 from trinoc.calib.photometric.image_fit import ImageRefinement, refine_image
 from trinoc.calib.pose.estimate import DEGREES, PoseEstimate, sheet_pose_of_values
@@ -24,7 +24,7 @@ from trinoc.calib.targets.pattern import Pattern
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.rig import PARAMETER_NAMES
 from trinoc.numerics.arrays import ArrayLike
-from trinoc.numerics.observability import LARGEST_SIGMA, observability
+from trinoc.numerics.information import LARGEST_SIGMA, observability
 
 # The picture moves circles by hundredths of a pixel; more than this is another minimum.
 _LARGEST_MOVE_PX = 0.5

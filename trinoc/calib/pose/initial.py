@@ -11,8 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.model.circle_observations import CircleObservations
-from trinoc.calib.model.lens_arrays import LensArrays
+from trinoc.calib.model.lens import LensArrays
+from trinoc.calib.model.observed_circles import CircleObservations
 from trinoc.calib.model.sheet_pose import SheetPose
 from trinoc.numerics.arrays import ArrayLike
 

@@ -9,9 +9,9 @@ import lineax as lx
 import optimistix as optx
 from jaxtyping import Bool, Float, Int
 
-from trinoc.calib.model.circle_observations import CircleObservations
 from trinoc.calib.model.circle_residual import circle_residuals_px, whitened_residuals
-from trinoc.calib.model.lens_arrays import LensArrays
+from trinoc.calib.model.lens import LensArrays
+from trinoc.calib.model.observed_circles import CircleObservations
 from trinoc.calib.model.sheet_pose import SheetPose
 from trinoc.calib.pose.initial import initial_pose_from_circles, initial_pose_from_lines
 from trinoc.numerics.arrays import ArrayLike

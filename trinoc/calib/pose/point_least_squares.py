@@ -9,7 +9,7 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Bool, Float
 
-from trinoc.calib.model.circle_observations import bucket_size
+from trinoc.calib.model.observed_circles import bucket_size
 from trinoc.geometry.distortion import distort
 from trinoc.geometry.pose import Pose
 from trinoc.numerics.arrays import ArrayLike

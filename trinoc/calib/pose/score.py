@@ -11,13 +11,9 @@ from jaxtyping import Float
 from scipy.stats import chi2
 
 from trinoc.calib.detection.detection import Detection
-from trinoc.calib.model.circle_observations import (
-    CircleObservations,
-    bucket_size,
-    circle_observations,
-)
 from trinoc.calib.model.circle_residual import whitened_residuals
-from trinoc.calib.model.lens_arrays import LensArrays, lens_arrays
+from trinoc.calib.model.lens import LensArrays, lens_arrays
+from trinoc.calib.model.observed_circles import CircleObservations, bucket_size, circle_observations
 from trinoc.calib.model.sheet_pose import SheetPose
 from trinoc.calib.pose.estimate import PoseEstimate, sheet_pose_of_values
 from trinoc.calib.result.alternative import Alternative

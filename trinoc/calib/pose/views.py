@@ -8,13 +8,13 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from trinoc.calib.detection.detection import Detection
-from trinoc.calib.model.circle_observations import (
+from trinoc.calib.model.lens import LensArrays, lens_arrays
+from trinoc.calib.model.observed_circles import (
     CircleObservations,
     bucket_size,
     circle_observations,
     stack_observations,
 )
-from trinoc.calib.model.lens_arrays import LensArrays, lens_arrays
 from trinoc.calib.model.outliers import ANNEALING, inliers, is_suspect, robust_scale
 from trinoc.calib.pose.estimate import PoseEstimate, assess
 from trinoc.calib.pose.least_squares import (

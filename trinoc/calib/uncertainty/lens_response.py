@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.calib.detection.detection import Detection
-from trinoc.calib.model.lens_arrays import LensArrays, lens_arrays, moved_lens
+from trinoc.calib.model.lens import LensArrays, lens_arrays, moved_lens
 from trinoc.calib.photometric.image_fit import refine_image
 from trinoc.calib.photometric.views import ViewEstimate, in_threads
 from trinoc.calib.pose.estimate import DEGREES, sheet_pose_of_values

@@ -15,13 +15,9 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.calib.intrinsics.lens_parameters import LENS_PARAMETERS
-from trinoc.calib.model.circle_observations import (
-    CircleObservations,
-    bucket_size,
-    circle_observations,
-)
 from trinoc.calib.model.circle_residual import predicted_centre_px
-from trinoc.calib.model.lens_arrays import LensArrays, lens_arrays, moved_lens
+from trinoc.calib.model.lens import LensArrays, lens_arrays, moved_lens
+from trinoc.calib.model.observed_circles import CircleObservations, bucket_size, circle_observations
 from trinoc.calib.model.sheet_pose import SheetPose
 from trinoc.calib.pose.estimate import DEGREES, sheet_pose_of_values
 from trinoc.calib.result.calibration import CalibrationResult

@@ -5,9 +5,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.match.evidence.endpoints import COMPONENTS
+from trinoc.match.evidence.endpoints import SIDE_COMPONENTS
 from trinoc.match.evidence.mixture import MixtureParameters, log_odds
-from trinoc.match.evidence.side_intensity import COMPONENTS as COMPONENTS_OF_SIDES
+from trinoc.match.evidence.side_intensity import SIDE_COMPONENTS
 from trinoc.match.observations.table import SegmentTable
 
 
@@ -40,11 +40,11 @@ def no_candidates(views: int) -> Candidates:
         np.zeros((0, 2, 3)),
         np.zeros(0),
         np.zeros(0),
-        np.zeros((0, 2, COMPONENTS)),
+        np.zeros((0, 2, SIDE_COMPONENTS)),
         np.zeros((0, 2, 3)),
         np.zeros((0, 2, 6)),
         np.zeros(0),
-        np.zeros((0, len(COMPONENTS_OF_SIDES))),
+        np.zeros((0, len(SIDE_COMPONENTS))),
     )
 
 

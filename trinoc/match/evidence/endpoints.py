@@ -14,7 +14,7 @@ from trinoc.numerics.scalar_vectors import Scalar
 AGREEING_PX = (0.7, 2.0, 5.0, 12.0)
 PAIR_PX = (0.7, 2.0, 5.0)
 # All agree, by scale; two agree and the third stops short, by scale; or runs on; none agree.
-COMPONENTS = len(AGREEING_PX) + 2 * len(PAIR_PX) + 1
+END_COMPONENTS = len(AGREEING_PX) + 2 * len(PAIR_PX) + 1
 PRIOR_SHARES = np.array([0.35, 0.2, 0.08, 0.05, 0.08, 0.05, 0.04, 0.04, 0.03, 0.03, 0.05])
 LEAST_DENSITY = 1e-30
 

@@ -14,7 +14,7 @@ from trinoc.match.observations.side_intensity import AGREEING
 
 _NONE = len(AGREEING)
 # How the one side agrees and how the other; which is which does not matter.
-COMPONENTS = list(combinations_with_replacement(range(_NONE + 1), 2))
+SIDE_COMPONENTS = list(combinations_with_replacement(range(_NONE + 1), 2))
 PRIOR_SHARES = np.array([0.3, 0.15, 0.05, 0.15, 0.1, 0.04, 0.08, 0.03, 0.04, 0.06])
 
 
@@ -28,7 +28,7 @@ def side_evidence(
     Zero where the levels of fewer than two members are known. `sides` is of `side_table`.
     """
     if np.isnan(sides[..., 0]).all():
-        return np.zeros((len(index), len(COMPONENTS)))
+        return np.zeros((len(index), len(SIDE_COMPONENTS)))
     own = sides[np.arange(len(sides)), index]
     against = interval[..., 1] < interval[..., 0]
     own = np.where(against[..., None], own[..., [1, 0, 3, 2, 4]], own)
@@ -47,7 +47,7 @@ def side_evidence(
     )
     right, left = alike[:, 0], alike[:, 1]
     terms = []
-    for one, other in COMPONENTS:
+    for one, other in SIDE_COMPONENTS:
         if other < _NONE:
             terms.append(
                 _mean_of(right[:, one] + left[:, other], right[:, other] + left[:, one])

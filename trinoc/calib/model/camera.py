@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from trinoc.calib.model.lens_arrays import LensArrays, lens_arrays
+from trinoc.calib.model.lens import LensArrays, lens_arrays
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.rotation import pan_tilt_swing_from_rotation, rotation_from_vector

@@ -1,0 +1,2 @@
+from .pairs import Pairs as Pairs
+from .pairs import occluded_pairs as occluded_pairs

@@ -1,0 +1,11 @@
+from .common_part import SMALLEST_OVERLAP as SMALLEST_OVERLAP
+from .common_part import cut_pair as cut_pair
+from .common_part import points_of as points_of
+from .epipolar_pencil import Pencil as Pencil
+from .epipolar_pencil import PencilSegments as PencilSegments
+from .epipolar_pencil import pencil as pencil
+from .epipolar_pencil import row_of as row_of
+from .planes import InterpretationPlane as InterpretationPlane
+from .planes import extent_on_line as extent_on_line
+from .planes import image_of as image_of
+from .planes import interpretation_plane as interpretation_plane
