@@ -23,22 +23,20 @@ import jax
 import numpy as np
 from scipy.optimize import least_squares
 
-from trinoc.calib.detection.detection import Detection
-from trinoc.calib.detection.search import detect_pattern
-from trinoc.calib.from_detections import calibrate_detections
-from trinoc.calib.model.circle_residual import whitened_residuals
-from trinoc.calib.model.lens import lens_arrays
-from trinoc.calib.model.observed_circles import circle_observations, stack_observations
-from trinoc.calib.photometric.image_fit import refine_image
-from trinoc.calib.photometric.views import refine_views
-from trinoc.calib.pose.estimate import sheet_pose_of_values
+from trinoc.calib import Detection, Pattern, calibrate_detections, detect_pattern
+from trinoc.calib.model import (
+    circle_observations,
+    lens_arrays,
+    stack_observations,
+    whitened_residuals,
+)
+from trinoc.calib.photometric import refine_image, refine_views
+from trinoc.calib.pose import fit_views, sheet_pose_of_values
 from trinoc.calib.pose.least_squares import fit_images_from_lines
-from trinoc.calib.pose.views import fit_views, stack_lenses
-from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.pose.views import stack_lenses
 from trinoc.errors import DetectionError
-from trinoc.geometry.camera import Camera
-from trinoc.synth.rigs import table1_lens
-from trinoc.synth.sheet_image import render_sheet
+from trinoc.geometry import Camera
+from trinoc.synth import render_sheet, table1_lens
 
 LENS, NOISE = table1_lens(), 2.0
 TABLE_1 = np.array(

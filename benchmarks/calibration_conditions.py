@@ -17,12 +17,11 @@ import numpy as np
 from calibration import LENS, NOISE, SHEET, TRUE_NOISE, difference, labelled, poses
 from picture_bound import Scene, bound_of_image
 
-from trinoc.calib.detection.search import detect_pattern
-from trinoc.calib.photometric.views import refine_views
-from trinoc.calib.pose.views import fit_views
-from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib import Pattern, detect_pattern
+from trinoc.calib.photometric import refine_views
+from trinoc.calib.pose import fit_views
 from trinoc.errors import DetectionError
-from trinoc.geometry.conics import image_of_circle_centre
+from trinoc.geometry import image_of_circle_centre
 from trinoc.synth.disturbances import card
 
 

@@ -19,7 +19,7 @@ import jax
 import numpy as np
 from detection_scenes import CONDITIONS, Scene
 
-from trinoc.calib.detection.search import detect_pattern
+from trinoc.calib import detect_pattern
 from trinoc.errors import DetectionError
 from trinoc.geometry.conics import centre_of_dual_conic, image_of_circle, shape_of_dual_conic
 

@@ -6,9 +6,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from trinoc.calib.targets.pattern import Pattern
-from trinoc.geometry.camera import Camera
-from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.calib import Pattern
+from trinoc.geometry import Camera, Intrinsics
+from trinoc.synth import render_sheet, table1_lens
 from trinoc.synth.disturbances import (
     LightGradient,
     ShadowEdge,
@@ -19,8 +19,6 @@ from trinoc.synth.disturbances import (
     table,
 )
 from trinoc.synth.layers import Layer
-from trinoc.synth.rigs import table1_lens
-from trinoc.synth.sheet_image import render_sheet
 
 PAPER_MM = (210.0, 230.0)
 # Enough for labels; the renderer's own error is then about that of the centres, so that errors

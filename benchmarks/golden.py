@@ -25,16 +25,18 @@ from intrinsics import LENS, image_of, random_poses
 from shared_scenes import VIEWS, load_scene
 
 import trinoc
-from trinoc.io.demo import demo_images, demo_pattern, demo_truth
-from trinoc.match.batch import match_many
-from trinoc.match.line_map.collinear_merge import join_collinear
-from trinoc.match.line_map.corner_fit import snap_corners
-from trinoc.match.line_map.depth import depth_map
-from trinoc.segments.junctions import find_junctions
-from trinoc.segments.side_intensity import with_side_levels
-from trinoc.synth.observations import Detector, simulate_segments
-from trinoc.synth.rigs import table1_lens, table1_rig
-from trinoc.synth.scenes import block_scene, loose_segments, see_through_boxes
+from trinoc.io import demo_images, demo_pattern, demo_truth
+from trinoc.match import depth_map, join_collinear, match_many, snap_corners
+from trinoc.segments import find_junctions, with_side_levels
+from trinoc.synth import (
+    Detector,
+    block_scene,
+    loose_segments,
+    see_through_boxes,
+    simulate_segments,
+    table1_lens,
+    table1_rig,
+)
 
 Values = Iterator[tuple[str, Any]]
 

@@ -17,14 +17,10 @@ from typing import Any
 import cv2
 import numpy as np
 
-from trinoc.calib.detection.detection import Detection
-from trinoc.calib.detection.search import detect_pattern
-from trinoc.calib.intrinsics.from_images import calibrate_intrinsics
-from trinoc.calib.intrinsics.lens_parameters import LENS_PARAMETERS, lens_of_values
-from trinoc.calib.targets.pattern import Pattern
-from trinoc.geometry.camera import Camera
-from trinoc.geometry.pose import Pose
-from trinoc.synth.sheet_image import render_sheet
+from trinoc.calib import LENS_PARAMETERS, Detection, Pattern, calibrate_intrinsics, detect_pattern
+from trinoc.calib.intrinsics import lens_of_values
+from trinoc.geometry import Camera, Pose
+from trinoc.synth import render_sheet
 
 SHEET = Pattern.default()
 SIZE_PX = (512, 480)

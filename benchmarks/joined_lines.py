@@ -23,21 +23,13 @@ from scipy.spatial import KDTree
 from scipy.stats import chi2
 
 from trinoc.evaluation.distances import distance_to_segments_mm
-from trinoc.geometry.rig import Rig
-from trinoc.io.demo import load_scene_truth
-from trinoc.io.rig_json import load_rig
-from trinoc.match.line_map.collinear_merge import join_collinear
-from trinoc.match.line_map.corner_fit import snap_corners
-from trinoc.match.line_map.corners import Corners
+from trinoc.geometry import Rig
+from trinoc.io import load_rig, load_scene_truth
+from trinoc.match import Corners, JoinedLines, Matches, join_collinear, match_segments, snap_corners
 from trinoc.match.line_map.line_fit import across_axes
-from trinoc.match.line_map.lines import JoinedLines
-from trinoc.match.matcher import match_segments
-from trinoc.match.tracks.matches import Matches
-from trinoc.segments.find import find_segments
-from trinoc.synth.rigs import table1_rig
-from trinoc.synth.scenes import loose_segments
+from trinoc.segments import find_segments
+from trinoc.synth import SegmentTruth, loose_segments, table1_rig
 from trinoc.synth.solids import Cylinder
-from trinoc.synth.truth import SegmentTruth
 
 KINDS = ("table", "boxes", "boxes ej5", "boxes x4", "random", "random ej5")
 SAME_LINE_MM, NEAR_MM, MOST = 0.1, 1.0, 0.8

@@ -24,23 +24,30 @@ from dense_matcher import match_densely
 from matching_rendered import table_of_rendered
 from shared_scenes import VIEWS, load_scene
 
-from trinoc.evaluation.scoring import MatchScore, score_groups, score_matches
-from trinoc.geometry.rig import Rig
-from trinoc.geometry.segments import Segments
-from trinoc.match.batch import match_many
-from trinoc.match.candidates.triples import trinocular_candidates
-from trinoc.match.matcher import match_segments
-from trinoc.match.observations.clutter import fit_clutter
-from trinoc.match.observations.match_input import MatchInput, simulate_segments
-from trinoc.match.selection.marginals import Selection, select
-from trinoc.match.tracks.matches import Matches
-from trinoc.numerics.precision import in_float64
-from trinoc.segments.side_intensity import with_side_levels
-from trinoc.synth.observations import Detector
-from trinoc.synth.observations import simulate_segments as detect
-from trinoc.synth.rigs import table1_rig
-from trinoc.synth.scenes import block_scene, loose_segments, see_through_boxes
-from trinoc.synth.truth import SegmentTruth
+from trinoc.evaluation import MatchScore, score_groups, score_matches
+from trinoc.geometry import Rig, Segments
+from trinoc.match import (
+    Matches,
+    MatchInput,
+    Selection,
+    fit_clutter,
+    match_many,
+    match_segments,
+    select,
+    trinocular_candidates,
+)
+from trinoc.match.observations.match_input import simulate_segments
+from trinoc.numerics import in_float64
+from trinoc.segments import with_side_levels
+from trinoc.synth import (
+    Detector,
+    SegmentTruth,
+    block_scene,
+    loose_segments,
+    see_through_boxes,
+    simulate_segments as detect,
+    table1_rig,
+)
 
 Problem = tuple[str, Rig, dict[str, Segments], SegmentTruth]
 

@@ -9,10 +9,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from trinoc.calib.targets.pattern import Pattern
-from trinoc.geometry.camera import Camera
-from trinoc.geometry.intrinsics import Intrinsics
-from trinoc.synth.sheet_image import render_sheet
+from trinoc.calib import Pattern
+from trinoc.geometry import Camera, Intrinsics
+from trinoc.synth import render_sheet
 
 # Central differences of about a tenth of a pixel: the edge is nearly straight over them.
 _STEPS = np.array([0.02, 0.02, 0.04, 0.1, 0.05, 0.05])

@@ -21,11 +21,8 @@ from refine_rigs import (
     rig_at,
 )
 
-from trinoc.calib.bundle.refinement import refine
-from trinoc.calib.model.camera import Freedom
-from trinoc.geometry.line_observations import LineObservations
-from trinoc.geometry.rig import Rig
-from trinoc.geometry.segments import covariance_of_ends
+from trinoc.calib import Freedom, refine
+from trinoc.geometry import LineObservations, Rig, covariance_of_ends
 
 CHI_SQUARE_6_AT_95 = 12.592
 
@@ -64,8 +61,8 @@ def made_lines(
 
 def started_from(rig: Rig, lines: LineObservations) -> LineObservations:
     """The same fragments, with lines triangulated by a (disturbed) rig."""
-    from trinoc.geometry.triangulation import triangulate_segment
-    from trinoc.numerics.precision import in_float64
+    from trinoc.geometry import triangulate_segment
+    from trinoc.numerics import in_float64
 
     solve = jax.jit(jax.vmap(triangulate_segment, (None, 0, 0, 0)))
     found = in_float64(solve)(rig.matrices_px, lines.fragments_px, lines.covariance_px2, lines.seen)

@@ -15,15 +15,18 @@ from collections.abc import Iterator
 import numpy as np
 from refine_rigs import SIZES, TRUE_RIG, calibrated_rig, camera_error, knocked, relative_error
 
-from trinoc.calib.bundle.refinement import refine
-from trinoc.calib.bundle.result import RefineResult, RefineStatus
-from trinoc.evaluation.scoring import score_matches
-from trinoc.geometry.rig import Rig
-from trinoc.geometry.segments import Segments
-from trinoc.match.matcher import match_segments
-from trinoc.synth.observations import Detector, simulate_segments
-from trinoc.synth.scenes import block_scene, loose_segments, see_through_boxes
-from trinoc.synth.truth import SegmentTruth
+from trinoc.calib import RefineResult, RefineStatus, refine
+from trinoc.evaluation import score_matches
+from trinoc.geometry import Rig, Segments
+from trinoc.match import match_segments
+from trinoc.synth import (
+    Detector,
+    SegmentTruth,
+    block_scene,
+    loose_segments,
+    see_through_boxes,
+    simulate_segments,
+)
 
 FIRST_SEED = 130_000
 # As wide as the matcher finds anything at all in segments of 0.5 px.

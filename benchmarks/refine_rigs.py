@@ -3,10 +3,8 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from trinoc.geometry.camera import Camera
-from trinoc.geometry.pose import Pose
-from trinoc.geometry.rig import Rig
-from trinoc.synth.rigs import table1_rig
+from trinoc.geometry import Camera, Pose, Rig
+from trinoc.synth import table1_rig
 
 PARAMETERS = ("pan_deg", "tilt_deg", "swing_deg", "distance_mm")
 TRUE_RIG = table1_rig()

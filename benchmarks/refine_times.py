@@ -21,10 +21,8 @@ from scipy.optimize import least_squares
 from scipy.sparse import lil_matrix
 from scipy.spatial.transform import Rotation
 
-from trinoc.calib.bundle.refinement import refine
-from trinoc.calib.model.camera import Freedom
-from trinoc.geometry.line_observations import LineObservations
-from trinoc.geometry.rig import Rig
+from trinoc.calib import Freedom, refine
+from trinoc.geometry import LineObservations, Rig
 
 
 class Stopped(Exception):

@@ -33,17 +33,13 @@ import numpy as np
 from edge_contrast import seen_parts
 from pov_ray import Light, blocks_text, render, sheet_text
 
-from trinoc.calib.targets.pattern import Pattern
-from trinoc.geometry.camera import Camera
-from trinoc.geometry.rig import Rig
-from trinoc.io.demo import save_scene_truth
-from trinoc.io.pattern_json import save_pattern
+from trinoc.calib import Pattern
+from trinoc.geometry import Camera, Rig
+from trinoc.io import save_pattern, save_scene_truth
 from trinoc.io.rig_json import save_rig
-from trinoc.synth.rigs import table1_rig
-from trinoc.synth.scenes import Scene, block_scene, demo_scene
+from trinoc.synth import Scene, SceneTruth, block_scene, demo_scene, table1_rig
 from trinoc.synth.sensor import expose
 from trinoc.synth.solids import Cylinder
-from trinoc.synth.truth import SceneTruth
 
 DEMO = Path(__file__).parent.parent / "trinoc" / "synth" / "demo"
 SHEET_MM = (210.0, 200.0)

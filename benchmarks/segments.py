@@ -36,8 +36,8 @@ from segment_truth import (
     score,
 )
 
-from trinoc.geometry.segments import Segments
-from trinoc.segments.find import find_segments
+from trinoc.geometry import Segments
+from trinoc.segments import find_segments
 from trinoc.segments.lsd import LSD_BIAS_PX
 
 SAME_STEP = 1 / 3

@@ -14,12 +14,17 @@ import numpy as np
 
 import trinoc
 from trinoc.cli.compile_cache import enable_compile_cache
-from trinoc.io.demo import demo_pattern, demo_images, demo_truth
+from trinoc.io import demo_pattern
+from trinoc.io import demo_images
+from trinoc.io import demo_truth
 from trinoc.report import plot
-from trinoc.report.against_reference import parameter_errors
-from trinoc.report.text import counts_text, errors_text, reasons_text
-from trinoc.synth.rigs import table1_lens, table1_rig
-from trinoc.evaluation.scoring import score_lengths
+from trinoc.report import parameter_errors
+from trinoc.report import counts_text
+from trinoc.report import errors_text
+from trinoc.report import reasons_text
+from trinoc.synth import table1_lens
+from trinoc.synth import table1_rig
+from trinoc.evaluation import score_lengths
 
 enable_compile_cache()
 plt.rcParams.update({"figure.dpi": 64, "savefig.bbox": "tight", "axes.titlesize": 10})

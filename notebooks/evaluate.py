@@ -14,21 +14,30 @@ from scipy import stats
 
 import trinoc
 from trinoc.cli.compile_cache import enable_compile_cache
-from trinoc.geometry.rig import Rig
-from trinoc.io.demo import demo_images, demo_truth
+from trinoc.geometry import Rig
+from trinoc.io import demo_images
+from trinoc.io import demo_truth
 from trinoc.report import plot
-from trinoc.report.evaluation_plot import draw_panel, evaluation_panels
-from trinoc.evaluation.sweep import (SweepSetting, chosen_lines, evaluate_settings, settings_of)
-from trinoc.report.text_of_evaluation import evaluation_text
+from trinoc.report.evaluation_plot import draw_panel
+from trinoc.report.evaluation_plot import evaluation_panels
+from trinoc.evaluation import SweepSetting
+from trinoc.evaluation.sweep import chosen_lines
+from trinoc.evaluation import evaluate_settings
+from trinoc.evaluation import settings_of
+from trinoc.report import evaluation_text
 from trinoc.evaluation.lines_of_rig import lines_of_rig
 from trinoc.evaluation.distances import distance_to_segments_mm
 from trinoc.evaluation.evaluation import certain_lines
-from trinoc.evaluation.known_shape import KnownShape
-from trinoc.evaluation.lines_on_edges import offsets_across, selected
+from trinoc.evaluation import KnownShape
+from trinoc.evaluation.lines_on_edges import offsets_across
+from trinoc.evaluation.lines_on_edges import selected
 from trinoc.evaluation.normalised_errors import errors_in_sigmas
-from trinoc.synth.observations import Detector, simulate_segments
-from trinoc.synth.rigs import TABLE_1, table1_lens, table1_rig
-from trinoc.synth.scenes import loose_segments
+from trinoc.synth import Detector
+from trinoc.synth import simulate_segments
+from trinoc.synth.rigs import TABLE_1
+from trinoc.synth import table1_lens
+from trinoc.synth import table1_rig
+from trinoc.synth import loose_segments
 
 enable_compile_cache()
 plt.rcParams.update({"figure.dpi": 64, "savefig.bbox": "tight", "axes.titlesize": 10})

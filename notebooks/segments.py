@@ -10,12 +10,13 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import trinoc
-from trinoc.io.demo import demo_images
-from trinoc.segments.lsd import find_segments_lsd
+from trinoc.io import demo_images
+from trinoc.segments import find_segments_lsd
 from trinoc.segments.nevatia_babu.chains import ordered_chains
 from trinoc.segments.nevatia_babu.gradient import gradient_of
 from trinoc.segments.nevatia_babu.linking import successors
-from trinoc.segments.nevatia_babu.masks import combined_kernel, nevatia_babu_masks
+from trinoc.segments.nevatia_babu import combined_kernel
+from trinoc.segments import nevatia_babu_masks
 from trinoc.segments.nevatia_babu.noise import noise_sigma
 from trinoc.segments.nevatia_babu.polygon import split_chains
 from trinoc.segments.nevatia_babu.thinning import thinned_pixels

@@ -1,6 +1,8 @@
 """The floors of the house: which room may import which, read from the imports themselves."""
 
 import ast
+import importlib
+import re
 from pathlib import Path
 
 import pytest
@@ -10,20 +12,37 @@ import trinoc
 ROOT = Path(trinoc.__file__).parent
 
 MAY_IMPORT = {
-    "geometry": set(),
-    "calib": {"geometry"},
-    "match": {"geometry"},
-    "synth": {"geometry"},
-    "io": {"geometry", "calib", "match", "synth"},
-    "report": {"geometry", "calib", "match", "synth", "io"},
-    "cli": {"geometry", "calib", "match", "synth", "io", "report"},
+    "numerics": set(),
+    "geometry": {"numerics"},
+    "segments": {"numerics", "geometry"},
+    "calib": {"numerics", "geometry"},
+    "match": {"numerics", "geometry"},
+    "synth": {"numerics", "geometry"},
+    "evaluation": {"numerics", "geometry", "segments", "calib", "match", "synth"},
+    "io": {"numerics", "geometry", "segments", "calib", "match", "synth", "evaluation"},
+}
+MAY_IMPORT["report"] = {*MAY_IMPORT["io"], "io"}
+MAY_IMPORT["cli"] = {*MAY_IMPORT["report"], "report"}
+
+# Rooms inside a room, from the ground up: each may import those before it. The files of the room
+# itself put them together and stand above all.
+INNER_FLOORS = {
+    "calib": (
+        *("targets", "detection", "model", "result", "pose", "photometric", "intrinsics"),
+        *("uncertainty", "bundle", "rig_check"),
+    ),
+    "match": (
+        *("observations", "two_view", "evidence", "candidates", "selection", "occlusion"),
+        *("tracks", "line_map"),
+    ),
+    "segments": ("nevatia_babu",),
 }
 
 # Imported where they are used, because a plain `pip install` does not bring them.
 EXTRAS = {"matplotlib", "reportlab", "dask", "distributed", "ruamel"}
 FORBIDDEN = {"numba", "torch", "tkinter"}
 # Below io there are no files, no command line, no screen, no settings.
-BELOW_IO = ("geometry", "calib", "match", "synth")
+BELOW_IO = ("numerics", "geometry", "segments", "calib", "match", "synth", "evaluation")
 OUTER_MODULES = {"argparse", "io", "logging", "os", "pathlib", "shutil", "subprocess", "sys"}
 
 
@@ -32,7 +51,8 @@ def modules():
     for path in sorted(ROOT.rglob("*.py")):
         parts = path.relative_to(ROOT).with_suffix("").parts
         room = parts[0] if len(parts) > 1 else ""
-        yield ".".join(("trinoc", *parts)), room, ast.parse(path.read_text(encoding="utf-8"))
+        name = ".".join(("trinoc", *parts)).removesuffix(".__init__")
+        yield name, room, ast.parse(path.read_text(encoding="utf-8"))
 
 
 def imported(tree, *, at_top_only=False):
@@ -47,6 +67,9 @@ def imported(tree, *, at_top_only=False):
 
 
 MODULES = list(modules())
+PACKAGES = sorted(
+    ".".join(("trinoc", *path.parent.relative_to(ROOT).parts)) for path in ROOT.rglob("__init__.py")
+)
 
 
 @pytest.mark.parametrize("room", MAY_IMPORT)
@@ -66,6 +89,71 @@ def test_a_room_imports_only_the_floors_below(room):
 
 def test_every_room_stands_in_the_table():
     assert {own for _, own, _ in MODULES if own} == set(MAY_IMPORT)
+
+
+@pytest.mark.parametrize("room", INNER_FLOORS)
+def test_inner_rooms_import_only_the_floors_below(room):
+    floors = INNER_FLOORS[room]
+    assert set(floors) == {path.parent.name for path in (ROOT / room).glob("*/__init__.py")}
+    wrong = []
+    for module, own, tree in MODULES:
+        parts = module.split(".")
+        if own != room or len(parts) < 4:
+            continue
+        below = {*floors[: floors.index(parts[2]) + 1]}
+        for name in imported(tree):
+            taken = name.split(".")
+            if taken[:2] == ["trinoc", room] and taken[2] not in below:
+                wrong.append(f"{module} imports {name}")
+    assert wrong == []
+
+
+def package_of(module):
+    """The folder of a module, which for a folder's `__init__` is the folder itself."""
+    return module if module in PACKAGES else module.rpartition(".")[0]
+
+
+def door(package, module):
+    """Through which package a file in `package` reaches `module`: the outermost not its own."""
+    own, other = package.split("."), package_of(module).split(".")
+    shared = next((k for k, pair in enumerate(zip(own, other)) if pair[0] != pair[1]), None)
+    shared = min(len(own), len(other)) if shared is None else shared
+    return module if shared == len(other) else ".".join(other[: shared + 1])
+
+
+def test_nobody_outside_a_room_imports_deeper_than_its_door():
+    names = {module for module, _, _ in MODULES}
+    wrong = []
+    for module, _, tree in MODULES:
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ImportFrom) and node.module in names:
+                wanted = door(package_of(module), node.module)
+                if wanted != node.module:
+                    wrong.append(f"{module} imports {node.module}: take it from {wanted}")
+    assert wrong == []
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_a_door_hands_on_what_is_there_and_hides_no_file(package):
+    room = importlib.import_module(package)
+    files = {path.stem for path in Path(room.__path__[0]).iterdir() if path.suffix in ("", ".py")}
+    assert room.__doc__
+    assert files & set(getattr(room, "__all__", ())) - {"errors"} == set()
+    for name in getattr(room, "__all__", ()):
+        assert getattr(room, name) is not None
+
+
+def test_docs_name_no_path_behind_a_door():
+    files = [f"{module}." for module, _, _ in MODULES if module not in PACKAGES]
+    files.remove("trinoc.errors.")
+    pages = [*(ROOT.parent / "docs").glob("*.md"), *ROOT.parent.glob("*.md")]
+    wrong = [
+        f"{page.name}: {path}"
+        for page in pages
+        for path in re.findall(r"trinoc(?:\.\w+)+", page.read_text(encoding="utf-8"))
+        if any(path.startswith(file) for file in files)
+    ]
+    assert wrong == []
 
 
 def test_below_io_nothing_touches_files_or_the_outside():

@@ -24,17 +24,8 @@ def test_exported_names_are_those_of_the_reference():
     )
 
 
-def test_type_checkers_see_the_names_that_are_loaded_on_use():
-    source = Path(trinoc.__file__).read_text(encoding="utf-8")
-    lines = re.findall(r"^    from (\S+) import ([\w, ]+)$", source, re.MULTILINE)
-    seen = [(module, name) for module, names in lines for name in names.split(", ")]
-    loaded = {(module, name) for name, module in trinoc._MODULE_OF.items()}
-    assert set(seen) == loaded | {("trinoc", "errors")}
-    assert set(trinoc.__all__) == {name for _, name in seen}
-
-
 def test_unknown_name_is_an_attribute_error():
-    with pytest.raises(AttributeError, match="no attribute 'callibrate'"):
+    with pytest.raises(AttributeError, match="callibrate"):
         _ = trinoc.callibrate  # pyright: ignore[reportAttributeAccessIssue]
 
 

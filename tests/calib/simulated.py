@@ -4,12 +4,9 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.detection.detection import Detection
-from trinoc.calib.targets.pattern import Pattern
-from trinoc.geometry.camera import Camera
-from trinoc.geometry.conics import image_of_circle_centre
-from trinoc.geometry.intrinsics import Intrinsics
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.calib import Detection, Pattern
+from trinoc.geometry import Camera, Intrinsics, image_of_circle_centre
+from trinoc.numerics import ArrayLike
 
 LENS = Intrinsics(focal_length_mm=16, pixel_pitch_mm=(0.0162, 0.0134), image_size_px=(512, 480))
 DISTORTED_LENS = Intrinsics(

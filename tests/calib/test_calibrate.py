@@ -6,13 +6,10 @@ import numpy as np
 import pytest
 
 from tests.calib.simulated import DISTORTED_LENS, LENS, TABLE_1, camera_of
-from trinoc.calib.from_images import calibrate
-from trinoc.calib.result.calibration import CalibrationResult
-from trinoc.calib.result.status import Status
-from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib import CalibrationResult, Pattern, Status, calibrate
 from trinoc.errors import CalibrationError, InputError
-from trinoc.geometry.intrinsics import Intrinsics
-from trinoc.synth.sheet_image import render_sheet
+from trinoc.geometry import Intrinsics
+from trinoc.synth import render_sheet
 
 SHEET = Pattern.default()
 

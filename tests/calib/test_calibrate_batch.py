@@ -3,9 +3,7 @@
 import numpy as np
 
 from tests.calib.simulated import LENS, TABLE_1, camera_of, reference_sheet, simulated_detection
-from trinoc.calib.batch import calibrate_batch
-from trinoc.calib.from_detections import calibrate_detections
-from trinoc.calib.result.status import Status
+from trinoc.calib import Status, calibrate_batch, calibrate_detections
 
 SHEET = reference_sheet()
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from tests.calib.simulated import LENS, TABLE_1, camera_of
-from trinoc.calib.from_points import PointsCalibration, calibrate_points
-from trinoc.calib.result.status import Status
+from trinoc.calib import Status, calibrate_points
+from trinoc.calib.from_points import PointsCalibration
 from trinoc.errors import CalibrationError, InputError
 
 CAMERA = camera_of(TABLE_1["left"])

@@ -9,8 +9,9 @@ import pytest
 
 import trinoc
 from trinoc.cli.main import main
-from trinoc.io.demo import demo_folder, demo_paths
-from trinoc.synth.rigs import table1_rig
+from trinoc.io import demo_paths
+from trinoc.io.demo import demo_folder
+from trinoc.synth import table1_rig
 
 RIG = table1_rig()
 BOX_MM = np.array([[x, y, z] for x in (-30, 35) for y in (-25, 20) for z in (0, 30)], dtype=float)

@@ -8,10 +8,9 @@ import pytest
 
 import trinoc
 from trinoc.cli.main import main
-from trinoc.geometry.camera import Camera
-from trinoc.geometry.intrinsics import Intrinsics
-from trinoc.io.intrinsics_json import load_intrinsics, load_lens_covariance
-from trinoc.synth.sheet_image import render_sheet
+from trinoc.geometry import Camera, Intrinsics
+from trinoc.io import load_intrinsics, load_lens_covariance
+from trinoc.synth import render_sheet
 
 SHEET = trinoc.Pattern.cross_grid(rows=6, columns=6, pitch_mm=25.0, radius_mm=8.0)
 LENS = Intrinsics(image_size_px=(320, 300), focal_length_px=(610.0, 745.0), distortion=(-0.2, 0.1))

@@ -8,8 +8,7 @@ import pytest
 
 import trinoc
 from trinoc.cli.main import main
-from trinoc.synth.rigs import table1_lens, table1_rig
-from trinoc.synth.sheet_image import render_sheet
+from trinoc.synth import render_sheet, table1_lens, table1_rig
 
 LENS = ("--focal-length-mm", "16", "--pixel-pitch-mm", "0.0162", "0.0134")
 RIG = table1_rig()

@@ -5,8 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tyro
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 import trinoc
 from trinoc.cli.calibrate import Calibrate

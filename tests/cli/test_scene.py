@@ -9,7 +9,7 @@ from trinoc.cli.command import UsageError
 from trinoc.cli.main import main
 from trinoc.cli.scene import scene_of
 from trinoc.errors import InputError
-from trinoc.synth.rigs import table1_rig
+from trinoc.synth import table1_rig
 
 
 @pytest.mark.parametrize(("pictures", "matches"), [((), None), (("upper=a.png",), Path("m.npz"))])

@@ -5,21 +5,18 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from scipy.spatial.transform import Rotation
 
 from trinoc.errors import InputError
+from trinoc.evaluation import EvaluationStatus, KnownShape, evaluate
 from trinoc.evaluation.alignment import align
-from trinoc.evaluation.evaluation import EvaluationStatus, certain_lines, evaluate
-from trinoc.evaluation.known_shape import KnownShape
+from trinoc.evaluation.evaluation import certain_lines
 from trinoc.evaluation.lines_on_edges import offsets_across
 from trinoc.evaluation.normalised_errors import normalised_errors
-from trinoc.geometry.uncertain_lines import UncertainLines
-from trinoc.synth.rigs import table1_rig
-from trinoc.synth.scenes import Scene, loose_segments
+from trinoc.geometry import UncertainLines
+from trinoc.synth import Scene, SceneTruth, SeenParts, loose_segments, table1_rig
 from trinoc.synth.solids import box
-from trinoc.synth.truth import SceneTruth, SeenParts
 
 SEEDS = st.integers(0, 10_000)
 BOX = box((52.0, 36.0, 30.0))

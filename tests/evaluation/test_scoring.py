@@ -4,24 +4,28 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
+from trinoc.evaluation import score_groups, score_lengths, score_matches
 from trinoc.evaluation.distances import distance_to_segments_mm, sampled_segments
-from trinoc.evaluation.scoring import line_errors, score_groups, score_lengths, score_matches
+from trinoc.evaluation.scoring import line_errors
 from trinoc.evaluation.supports import groups_of_supports, part_of_line
-from trinoc.synth.observations import PERFECT, Detector, simulate_segments
-from trinoc.synth.rigs import table1_rig
-from trinoc.synth.scenes import block_scene, demo_scene, loose_segments
-from trinoc.synth.truth import (
+from trinoc.synth import (
     NOT_SCORED,
-    SPURIOUS,
+    Detector,
     SceneTruth,
     SeenParts,
     SegmentTruth,
+    block_scene,
+    demo_scene,
+    loose_segments,
     parts_in_views_mm,
     shown_parts_mm,
+    simulate_segments,
+    table1_rig,
 )
+from trinoc.synth.observations import PERFECT
+from trinoc.synth.truth import SPURIOUS
 
 VIEWS = ("upper", "left", "right")
 SEEDS = st.integers(0, 10_000)

@@ -1,8 +1,7 @@
 import jax
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from tests.geometry.strategies import (
     DISTORTED_LENS,
@@ -13,11 +12,15 @@ from tests.geometry.strategies import (
     vectors,
 )
 from trinoc.errors import InputError
-from trinoc.geometry import camera as camera_module
-from trinoc.geometry import distortion
-from trinoc.geometry.camera import Camera, projection_matrix
-from trinoc.geometry.intrinsics import Intrinsics
-from trinoc.geometry.pose import PanTiltPose, Pose
+from trinoc.geometry import (
+    Camera,
+    Intrinsics,
+    PanTiltPose,
+    Pose,
+    camera as camera_module,
+    distortion,
+    projection_matrix,
+)
 
 depth_mm = jax.jit(camera_module.depth_mm)
 pixel_from_sheet_homography = jax.jit(camera_module.pixel_from_sheet_homography)

@@ -1,12 +1,9 @@
 import jax
 import numpy as np
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from tests.geometry.strategies import DISTORTED_LENS, LENS, cameras, real, vectors
-from trinoc.geometry import camera as camera_module
-from trinoc.geometry import conics
-from trinoc.geometry.camera import Camera
+from trinoc.geometry import Camera, camera as camera_module, conics
 
 boundary_of_dual_conic = jax.jit(conics.boundary_of_dual_conic)
 centre_of_dual_conic = jax.jit(conics.centre_of_dual_conic)

@@ -3,9 +3,14 @@ import numpy as np
 from hypothesis import given
 
 from tests.geometry.strategies import points_near_sheet, real, rigs_of_three, vectors
-from trinoc.geometry import camera as camera_module
-from trinoc.geometry import epipolar, trifocal
-from trinoc.geometry.lines import line_through, normalised_line, signed_distance
+from trinoc.geometry import (
+    camera as camera_module,
+    epipolar,
+    line_through,
+    signed_distance,
+    trifocal,
+)
+from trinoc.geometry.lines import normalised_line
 
 centre_of_matrix = jax.jit(epipolar.centre_of_matrix)
 epipolar_distance_px = jax.jit(epipolar.epipolar_distance_px)
@@ -117,7 +122,7 @@ def test_the_right_of_a_line_is_right_on_the_picture():
 
 def test_epipolar_geometry_is_differentiable():
     from tests.geometry.strategies import LENS
-    from trinoc.geometry.camera import Camera
+    from trinoc.geometry import Camera
 
     a = Camera.from_degrees(LENS, pan_deg=0, tilt_deg=50, swing_deg=0, distance_mm=470)
     b = Camera.from_degrees(LENS, pan_deg=25, tilt_deg=40, swing_deg=0, distance_mm=470)

@@ -4,11 +4,8 @@ import numpy as np
 from hypothesis import strategies as st
 
 from tests.geometry.strategies import cameras, real
-from trinoc.geometry.intrinsics import Intrinsics
-from trinoc.geometry.junctions import Junctions
-from trinoc.geometry.rig import PARAMETER_NAMES, Rig
-from trinoc.geometry.segments import Segments
-from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, Matches
+from trinoc.geometry import PARAMETER_NAMES, Intrinsics, Junctions, Rig, Segments
+from trinoc.match import BINOCULAR, TRINOCULAR, Matches
 
 
 @st.composite

@@ -5,7 +5,7 @@ import stat
 import pytest
 
 from trinoc.errors import InputError
-from trinoc.io.atomic import atomic_write, write_text
+from trinoc.io import atomic_write, write_text
 
 
 def test_failure_leaves_the_old_file_and_nothing_beside_it(tmp_path):

@@ -4,13 +4,12 @@ import json
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from hypothesis.extra import numpy as arrays
 
 from trinoc.errors import InputError
+from trinoc.io import load_shape
 from trinoc.io.demo import demo_folder
-from trinoc.io.known_shape import load_shape
 
 NUMBERS = st.floats(-1e4, 1e4, allow_nan=False, width=32)
 FEW = settings(max_examples=25)

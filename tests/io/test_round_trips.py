@@ -9,7 +9,7 @@ from hypothesis import given, settings
 import trinoc
 from tests.io.strategies import lenses, match_sets, rigs, segment_sets
 from trinoc.errors import InputError
-from trinoc.io.intrinsics_json import load_intrinsics
+from trinoc.io import load_intrinsics
 
 
 @pytest.fixture(scope="module")

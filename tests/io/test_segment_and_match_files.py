@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from trinoc.errors import InputError
-from trinoc.geometry.junctions import Junctions
-from trinoc.geometry.segments import Segments
-from trinoc.io.matches_npz import load_matches
-from trinoc.io.segments_npz import load_segments, save_segments
+from trinoc.geometry import Junctions, Segments
+from trinoc.io import load_matches, load_segments
+from trinoc.io.segments_npz import save_segments
 
 ENDS = np.array([[10.0, 20, 30, 40], [50, 60, 70, 90]])
 

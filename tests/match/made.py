@@ -2,10 +2,8 @@
 
 import numpy as np
 
-from trinoc.geometry.camera import Camera
-from trinoc.geometry.intrinsics import Intrinsics
-from trinoc.geometry.rig import Rig
-from trinoc.match.tracks.matches import Matches
+from trinoc.geometry import Camera, Intrinsics, Rig
+from trinoc.match import Matches
 
 # Pan, tilt and swing in degrees, distance in mm.
 POSES = {

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from tests.match.made import loose_lines, pictures, rig_of
-from trinoc.match.batch import OK, match_many
-from trinoc.match.matcher import match_segments
+from trinoc.match import match_many, match_segments
+from trinoc.match.batch import OK
 
 VIEWS = ("upper", "left", "right")
 

@@ -5,10 +5,9 @@ import pytest
 
 from tests.match.made import as_set, loose_lines, pictures, rig_of
 from trinoc.errors import InputError, MatchError
-from trinoc.geometry.rig import Rig
-from trinoc.geometry.segments import Segments
+from trinoc.geometry import Rig, Segments
+from trinoc.match import match_segments
 from trinoc.match.candidates import triples as candidates
-from trinoc.match.matcher import match_segments
 from trinoc.match.occlusion import pairs as occluded
 from trinoc.match.tracks.rejection import reasons
 

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 
 from trinoc.match.candidates.index import LAYERS, key_at, segments_at, spatial_index
-from trinoc.numerics.interval_join import expand_ranges, overlapping, pairs_of_equal_keys
+from trinoc.numerics import expand_ranges, overlapping, pairs_of_equal_keys
 
 SEEDS = st.integers(0, 2**32 - 1)
 

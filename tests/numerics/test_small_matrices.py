@@ -1,13 +1,9 @@
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
-from trinoc.numerics.small_matrices import (
-    inverse_positive_definite,
-    log_determinant_positive_definite,
-    solve_positive_definite,
-)
+from trinoc.numerics import inverse_positive_definite, solve_positive_definite
+from trinoc.numerics.small_matrices import log_determinant_positive_definite
 
 
 @given(st.integers(1, 6), st.integers(0, 2**32 - 1))

@@ -7,18 +7,13 @@ import jax
 import numpy as np
 import pytest
 
-from trinoc.calib.detection.detection import Detection
-from trinoc.calib.result.calibration import CalibrationResult, CameraFit
-from trinoc.calib.result.status import Status
-from trinoc.calib.targets.pattern import Pattern
-from trinoc.geometry.camera import Camera, pixel_from_sheet_homography, project
-from trinoc.geometry.conics import image_of_circle, image_of_circle_centre, shape_of_dual_conic
-from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.calib import CalibrationResult, CameraFit, Detection, Pattern, Status
+from trinoc.geometry import Camera, Intrinsics, Rig, Segments, image_of_circle_centre, project
+from trinoc.geometry.camera import pixel_from_sheet_homography
+from trinoc.geometry.conics import image_of_circle, shape_of_dual_conic
 from trinoc.geometry.lines import normalised_line
-from trinoc.geometry.rig import Rig
-from trinoc.geometry.segments import Segments
-from trinoc.match.tracks.matches import Matches
-from trinoc.numerics.precision import in_float64
+from trinoc.match import Matches
+from trinoc.numerics import in_float64
 
 PARAMETERS = ("pan_deg", "tilt_deg", "swing_deg", "distance_mm")
 SIGMA = (0.0013, 0.0008, 0.0011, 0.0045)

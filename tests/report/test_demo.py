@@ -12,9 +12,8 @@ import pytest
 
 from trinoc.cli.compile_cache import VARIABLE
 from trinoc.cli.main import main
-from trinoc.io.matches_npz import load_matches
-from trinoc.io.rig_json import load_rig
-from trinoc.synth.rigs import table1_rig
+from trinoc.io import load_matches, load_rig
+from trinoc.synth import table1_rig
 
 
 class Run(NamedTuple):

@@ -5,24 +5,23 @@ import pytest
 
 import trinoc
 from trinoc.errors import InputError
-from trinoc.evaluation.evaluation import evaluate
-from trinoc.evaluation.known_shape import KnownShape
-from trinoc.evaluation.lines_of_rig import joined_lines_of_rig, lines_of_rig
-from trinoc.evaluation.sweep import (
-    Setting,
+from trinoc.evaluation import (
+    KnownShape,
     SweepSetting,
-    chosen_lines,
+    evaluate,
     evaluate_matches,
     evaluate_settings,
     settings_of,
 )
-from trinoc.geometry.rig import PARAMETER_NAMES, Rig
-from trinoc.match.line_map.collinear_merge import join_collinear
-from trinoc.match.tracks.matches import Matches
-from trinoc.report.evaluation_plot import evaluation_panels, write_plot
-from trinoc.report.text_of_evaluation import evaluation_table, evaluation_text
-from trinoc.synth.rigs import TABLE_1, table1_lens, table1_rig
-from trinoc.synth.scenes import loose_segments
+from trinoc.evaluation.lines_of_rig import joined_lines_of_rig, lines_of_rig
+from trinoc.evaluation.sweep import Setting, chosen_lines
+from trinoc.geometry import PARAMETER_NAMES, Rig
+from trinoc.match import Matches, join_collinear
+from trinoc.report import evaluation_text, write_plot
+from trinoc.report.evaluation_plot import evaluation_panels
+from trinoc.report.text_of_evaluation import evaluation_table
+from trinoc.synth import loose_segments, table1_lens, table1_rig
+from trinoc.synth.rigs import TABLE_1
 
 VIEWS = tuple(TABLE_1)
 SIGMA_PX = 0.1

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 
 from trinoc.errors import InputError
-from trinoc.geometry.rig import Rig
-from trinoc.match.tracks.matches import Matches
+from trinoc.geometry import Rig
+from trinoc.match import Matches
 from trinoc.report.clipping import clip_line
 from trinoc.report.colours import PALETTE, distinct_neighbours
 from trinoc.report.numbers import (

@@ -1,12 +1,10 @@
 """Junctions and chains of segments from any detector."""
 
 import numpy as np
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
-from trinoc.geometry.segments import Segments
-from trinoc.segments.junctions import with_junctions
-from trinoc.segments.lsd import find_segments_lsd
+from trinoc.geometry import Segments
+from trinoc.segments import find_segments_lsd, with_junctions
 
 
 def junctions_of(rows: list[list[float]]) -> Segments:

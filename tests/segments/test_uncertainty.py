@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from trinoc.segments.find import find_segments
+from trinoc.segments import find_segments
 
 SEEDS = 60
 

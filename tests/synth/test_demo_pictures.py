@@ -4,10 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
-from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib import Pattern
 from trinoc.errors import InputError
-from trinoc.io.demo import (
-    demo_folder,
+from trinoc.io import (
     demo_images,
     demo_paths,
     demo_pattern,
@@ -15,10 +14,8 @@ from trinoc.io.demo import (
     load_scene_truth,
     save_scene_truth,
 )
-from trinoc.synth.rigs import table1_rig
-from trinoc.synth.scenes import demo_scene, points_along
-from trinoc.synth.sheet_image import render_sheet
-from trinoc.synth.truth import shown_parts_mm
+from trinoc.io.demo import demo_folder
+from trinoc.synth import demo_scene, points_along, render_sheet, shown_parts_mm, table1_rig
 
 RIG = table1_rig()
 

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from trinoc.geometry.camera import project
-from trinoc.synth.rigs import TABLE_1, random_rig, table1_rig
+from trinoc.geometry import project
+from trinoc.synth import random_rig, table1_rig
+from trinoc.synth.rigs import TABLE_1
 
 
 def test_table_1_is_the_paper_s():

@@ -4,10 +4,10 @@ import jax
 import numpy as np
 import pytest
 
-from trinoc.calib.targets.pattern import Pattern
-from trinoc.geometry.camera import Camera, project
-from trinoc.geometry.conics import image_of_circle, image_of_circle_centre, shape_of_dual_conic
-from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.calib import Pattern
+from trinoc.geometry import Camera, Intrinsics, image_of_circle_centre, project
+from trinoc.geometry.conics import image_of_circle, shape_of_dual_conic
+from trinoc.synth import render_sheet
 from trinoc.synth.coverage import coverage_of_cells
 from trinoc.synth.disturbances import (
     Glare,
@@ -21,7 +21,6 @@ from trinoc.synth.disturbances import (
     table,
 )
 from trinoc.synth.sensor import expose
-from trinoc.synth.sheet_image import render_sheet
 
 LENS = Intrinsics(focal_length_px=(410.0, 500.0), image_size_px=(160, 150))
 PAPER, INK = 230.0, 25.0

@@ -1,1 +1,12 @@
-"""From a picture of the printed sheet to calibrated cameras with covariance."""
+"""From a picture of the printed sheet to calibrated cameras with covariance.
+
+In the order of the work: `targets` (the sheet) -> `detection` (its circles in an image) -> `model`
+(how a camera sees a circle) -> `pose` (least squares over circles or points) -> `photometric`
+(the fit to the grey levels) -> `uncertainty` (errors that no repetition shows) -> `result`.
+`intrinsics` finds a lens from several images, `bundle` refines cameras and matched lines together,
+`rig_check` asks whether a camera was knocked. The files of this folder put the rooms together:
+`from_images`, `from_detections`, `from_points`, `batch`, `messages`."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,9 +1,9 @@
 from .batch import calibrate_batch as calibrate_batch
+from .bundle.implicit_diff import refined as refined
 from .bundle.line_covariance import segment_and_errors as segment_and_errors
 from .bundle.pose_prior import parameters_by_step as parameters_by_step
 from .bundle.refinement import refine as refine
-from .bundle.result import RefineResult as RefineResult
-from .bundle.result import RefineStatus as RefineStatus
+from .bundle.result import RefineResult as RefineResult, RefineStatus as RefineStatus
 from .detection.detection import Detection as Detection
 from .detection.search import detect_pattern as detect_pattern
 from .from_detections import calibrate_detections as calibrate_detections
@@ -12,18 +12,22 @@ from .from_points import calibrate_points as calibrate_points
 from .intrinsics.from_images import calibrate_intrinsics as calibrate_intrinsics
 from .intrinsics.lens_parameters import LENS_PARAMETERS as LENS_PARAMETERS
 from .intrinsics.result import IntrinsicsResult as IntrinsicsResult
-from .model.camera_state import CameraState as CameraState
-from .model.camera_state import Freedom as Freedom
-from .model.camera_state import camera_state as camera_state
+from .model.camera import (
+    CameraState as CameraState,
+    Freedom as Freedom,
+    camera_state as camera_state,
+)
 from .pose.least_squares import fit_circles as fit_circles
-from .result.calibration import CalibrationResult as CalibrationResult
-from .result.calibration import CameraFit as CameraFit
+from .result.calibration import CalibrationResult as CalibrationResult, CameraFit as CameraFit
 from .result.status import Status as Status
 from .rig_check.comparison import compare_rigs as compare_rigs
-from .rig_check.knocked import RigCheck as RigCheck
-from .rig_check.knocked import check_rig as check_rig
+from .rig_check.knocked import RigCheck as RigCheck, check_rig as check_rig
 from .targets.pattern import Pattern as Pattern
-from .uncertainty.propagation import epipolar_sigma as epipolar_sigma
-from .uncertainty.propagation import point_covariance as point_covariance
-from .uncertainty.systematics import Systematics as Systematics
-from .uncertainty.systematics import with_systematics as with_systematics
+from .uncertainty.propagation import (
+    epipolar_sigma as epipolar_sigma,
+    point_covariance as point_covariance,
+)
+from .uncertainty.systematics import (
+    Systematics as Systematics,
+    with_systematics as with_systematics,
+)

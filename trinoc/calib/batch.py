@@ -6,17 +6,15 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from trinoc.calib.detection.detection import Detection
-from trinoc.calib.detection.orientation import Orientation, oriented
+from trinoc.calib.detection import Detection, Orientation, oriented
 from trinoc.calib.from_detections import lens_of_each
 from trinoc.calib.messages import failure_sentence
-from trinoc.calib.pose.views import fit_views
-from trinoc.calib.result.status import Status
-from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.pose import fit_views
+from trinoc.calib.result import Status
+from trinoc.calib.targets import Pattern
 from trinoc.errors import InputError
-from trinoc.geometry.intrinsics import Intrinsics
-from trinoc.geometry.rig import PARAMETER_NAMES
-from trinoc.numerics.precision import in_float64
+from trinoc.geometry import PARAMETER_NAMES, Intrinsics
+from trinoc.numerics import in_float64
 
 
 class BatchCalibration(NamedTuple):

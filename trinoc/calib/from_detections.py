@@ -6,24 +6,16 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.detection.detection import Detection
-from trinoc.calib.detection.orientation import Orientation, oriented
+from trinoc.calib.detection import Detection, Orientation, oriented
 from trinoc.calib.messages import failure_sentence, is_suspect, notes_of_fit
-from trinoc.calib.photometric.views import ViewEstimate, refine_views
-from trinoc.calib.pose.estimate import PoseEstimate
-from trinoc.calib.pose.score import score_test
-from trinoc.calib.pose.views import fit_views
-from trinoc.calib.result.calibration import CalibrationResult, CameraFit
-from trinoc.calib.result.status import Status
-from trinoc.calib.targets.pattern import Pattern
-from trinoc.calib.uncertainty.lens_response import lens_spreads
-from trinoc.calib.uncertainty.systematics import Systematics, with_spreads
+from trinoc.calib.photometric import ViewEstimate, refine_views
+from trinoc.calib.pose import PoseEstimate, fit_views, score_test
+from trinoc.calib.result import CalibrationResult, CameraFit, Status
+from trinoc.calib.targets import Pattern
+from trinoc.calib.uncertainty import Systematics, lens_spreads, with_spreads
 from trinoc.errors import CalibrationError, InputError
-from trinoc.geometry.camera import Camera
-from trinoc.geometry.intrinsics import Intrinsics
-from trinoc.geometry.pose import PanTiltPose
-from trinoc.geometry.rig import PARAMETER_NAMES, Rig
-from trinoc.numerics.precision import in_float64
+from trinoc.geometry import PARAMETER_NAMES, Camera, Intrinsics, PanTiltPose, Rig
+from trinoc.numerics import in_float64
 
 
 @in_float64

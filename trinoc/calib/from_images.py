@@ -5,17 +5,14 @@ from typing import Literal
 
 import numpy as np
 
-from trinoc.calib.detection.grey import grey_image
-from trinoc.calib.detection.orientation import Orientation
-from trinoc.calib.detection.search import detect_pattern
+from trinoc.calib.detection import Orientation, detect_pattern, grey_image
 from trinoc.calib.from_detections import calibration_of_detections, lens_of_each
-from trinoc.calib.result.calibration import CalibrationResult
-from trinoc.calib.targets.pattern import Pattern
-from trinoc.calib.uncertainty.systematics import Systematics
+from trinoc.calib.result import CalibrationResult
+from trinoc.calib.targets import Pattern
+from trinoc.calib.uncertainty import Systematics
 from trinoc.errors import DetectionError, InputError
-from trinoc.geometry.intrinsics import Intrinsics
-from trinoc.numerics.arrays import ArrayLike
-from trinoc.numerics.precision import in_float64
+from trinoc.geometry import Intrinsics
+from trinoc.numerics import ArrayLike, in_float64
 
 
 @in_float64

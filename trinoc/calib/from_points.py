@@ -9,15 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from trinoc.calib.intrinsics.lens_parameters import LENS_PARAMETERS, lens_of_values, parameter_scale
-from trinoc.calib.pose.point_least_squares import PointFit, fit_points
-from trinoc.calib.result.status import Status
+from trinoc.calib.intrinsics import LENS_PARAMETERS, lens_of_values, parameter_scale
+from trinoc.calib.pose import PointFit, fit_points
+from trinoc.calib.result import Status
 from trinoc.errors import CalibrationError, InputError
-from trinoc.geometry.camera import Camera
-from trinoc.geometry.intrinsics import Intrinsics
-from trinoc.geometry.pose import Pose
-from trinoc.numerics.arrays import ArrayLike
-from trinoc.numerics.precision import in_float64
+from trinoc.geometry import Camera, Intrinsics, Pose
+from trinoc.numerics import ArrayLike, in_float64
 
 POSE_PARAMETERS = (
     "turn_x_deg",

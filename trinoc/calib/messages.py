@@ -3,14 +3,12 @@
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.detection.detection import Detection
-from trinoc.calib.photometric.views import ViewEstimate
-from trinoc.calib.pose.estimate import PoseEstimate
-from trinoc.calib.result.alternative import Alternative
-from trinoc.calib.result.calibration import CameraFit
-from trinoc.calib.result.status import Status
-from trinoc.calib.targets.pattern import Pattern
-from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.calib.detection import Detection
+from trinoc.calib.photometric import ViewEstimate
+from trinoc.calib.pose import PoseEstimate
+from trinoc.calib.result import Alternative, CameraFit, Status
+from trinoc.calib.targets import Pattern
+from trinoc.geometry import Intrinsics
 
 # Centres of the right sheet through the right lens fit to hundredths of a pixel; beyond this
 # share of the sheet's size in the picture the model is not the camera's.

@@ -1,1 +1,1 @@
-"""The `trinoc` command."""
+"""The `trinoc` command: options and one printer, no work of its own."""

@@ -12,7 +12,7 @@ from trinoc.cli.progress import LOGGER
 from trinoc.cli.views import files_of_views
 
 if TYPE_CHECKING:
-    from trinoc.calib.result.calibration import CalibrationResult
+    from trinoc.calib import CalibrationResult
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -67,14 +67,9 @@ class Calibrate(Command):
                 "1.001, for X and for Y."
             )
 
-        from trinoc.calib.from_images import calibrate
-        from trinoc.calib.uncertainty.systematics import Systematics
+        from trinoc.calib import Systematics, calibrate
         from trinoc.cli.provenance import for_people, provenance
-        from trinoc.io.atomic import expect_place
-        from trinoc.io.images import read_views
-        from trinoc.io.pattern_json import load_pattern
-        from trinoc.io.rig_json import load_rig
-        from trinoc.io.saving import save
+        from trinoc.io import expect_place, load_pattern, load_rig, read_views, save
 
         expect_place(self.out, self.report)
         pattern = load_pattern(self.pattern).rescaled(*self.print_scale)
@@ -94,7 +89,7 @@ class Calibrate(Command):
         origin = provenance(command_line, {**files, "pattern": self.pattern, **self.lens.files()})
         save(result, self.out, provenance=origin)
         if self.report is not None:
-            from trinoc.report.html import write_report
+            from trinoc.report import write_report
 
             LOGGER.info("writing %s", self.report)
             write_report(

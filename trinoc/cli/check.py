@@ -37,12 +37,10 @@ class Check(Command):
 
     def run(self, command_line: str) -> Outcome:
         """Check, and write the mended rig where there is one and it is wanted."""
-        from trinoc.calib.rig_check.knocked import check_rig
+        from trinoc.calib import check_rig
         from trinoc.cli.provenance import provenance
         from trinoc.cli.scene import scene_of
-        from trinoc.io.atomic import expect_place
-        from trinoc.io.rig_json import load_rig
-        from trinoc.io.saving import save
+        from trinoc.io import expect_place, load_rig, save
 
         expect_place(self.out)
         rig = load_rig(self.rig)

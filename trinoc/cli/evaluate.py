@@ -15,9 +15,8 @@ from trinoc.cli.views import files_of_views
 from trinoc.errors import InputError
 
 if TYPE_CHECKING:
-    from trinoc.evaluation.known_shape import KnownShape
-    from trinoc.evaluation.sweep import Row
-    from trinoc.geometry.rig import Rig
+    from trinoc.evaluation import KnownShape, Row
+    from trinoc.geometry import Rig
 
 
 # Options that are settings of the segmentation.
@@ -90,15 +89,12 @@ class Evaluate(Command):
         files = files_of_views(self.pictures)
         self._check_usage(bool(files))
 
-        from trinoc.io.atomic import expect_place
-        from trinoc.io.known_shape import load_shape
-        from trinoc.io.rig_json import load_rig
-        from trinoc.io.table_csv import save_table
-        from trinoc.report.text_of_evaluation import evaluation_text
+        from trinoc.io import expect_place, load_rig, load_shape, save_table
+        from trinoc.report import evaluation_text
 
         expect_place(self.out, self.plot)
         if self.plot is not None:
-            from trinoc.report.evaluation_plot import expect_plotter
+            from trinoc.report import expect_plotter
 
             expect_plotter(self.plot)
         shape = load_shape(
@@ -118,7 +114,7 @@ class Evaluate(Command):
         if all(row.evaluation is None for row in rows):
             raise InputError(f"No setting could be evaluated; the first: {rows[0].problem}")
         if self.plot is not None:
-            from trinoc.report.evaluation_plot import write_plot
+            from trinoc.report import write_plot
 
             write_plot(rows, self.plot)
             written.append(self.plot)
@@ -151,18 +147,18 @@ class Evaluate(Command):
     def _rows(
         self, files: dict[str, Path], rig: "Rig | None", shape: "KnownShape"
     ) -> "Iterator[Row]":
-        from trinoc.evaluation.sweep import evaluate_matches, evaluate_settings, settings_of
+        from trinoc.evaluation import evaluate_matches, evaluate_settings, settings_of
 
         choices = self._choices()
         if self.matches is not None:
-            from trinoc.io.matches_npz import load_matches
+            from trinoc.io import load_matches
 
             matches = load_matches(self.matches)
             yield from evaluate_matches(
                 matches, rig, shape, choices, tolerances_mm=self.within_mm, aligned=self.align
             )
             return
-        from trinoc.io.images import read_views
+        from trinoc.io import read_views
 
         if rig is None or self.rig is None:
             raise UsageError("The rig that took the pictures is not given: add --rig rig.json.")
@@ -200,7 +196,7 @@ class Evaluate(Command):
             yield row
 
     def _choices(self) -> "Sequence[Choice]":
-        from trinoc.evaluation.sweep import SweepSetting
+        from trinoc.evaluation import SweepSetting
 
         return [
             SweepSetting(least, stage, form)

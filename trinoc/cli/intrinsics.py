@@ -11,7 +11,7 @@ from trinoc.cli.lens_options import NOT_GIVEN, PixelPitch
 from trinoc.cli.progress import LOGGER, each
 
 if TYPE_CHECKING:
-    from trinoc.calib.intrinsics.result import IntrinsicsResult
+    from trinoc.calib import IntrinsicsResult
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -50,12 +50,9 @@ class Intrinsics(Command):
         if not self.pictures:
             raise UsageError("No picture is given: give several pictures of the sheet.")
 
-        from trinoc.calib.intrinsics.from_images import calibrate_intrinsics
+        from trinoc.calib import calibrate_intrinsics
         from trinoc.cli.provenance import provenance
-        from trinoc.io.atomic import expect_place
-        from trinoc.io.images import read_image
-        from trinoc.io.pattern_json import load_pattern
-        from trinoc.io.saving import save
+        from trinoc.io import expect_place, load_pattern, read_image, save
 
         expect_place(self.out)
         pattern = load_pattern(self.pattern)

@@ -13,7 +13,7 @@ from trinoc.cli.views import files_of_views
 if TYPE_CHECKING:
     import numpy as np
 
-    from trinoc.geometry.intrinsics import Intrinsics
+    from trinoc.geometry import Intrinsics
 
 # Not None: an option that may be a pair or nothing would take pictures that follow it.
 NOT_GIVEN = (0.0, 0.0)
@@ -50,8 +50,8 @@ class LensOptions:
 
         Raises UsageError where the options do not say it, InputError for a file that does not.
         """
-        from trinoc.geometry.intrinsics import Intrinsics
-        from trinoc.io.intrinsics_json import load_intrinsics
+        from trinoc.geometry import Intrinsics
+        from trinoc.io import load_intrinsics
 
         by_numbers = self.focal_length_mm is not None or self.pixel_pitch_mm != NOT_GIVEN
         if by_numbers == bool(self.intrinsics):
@@ -86,7 +86,7 @@ class LensOptions:
 
     def covariance(self, names: Iterable[str]) -> "np.ndarray | dict[str, np.ndarray] | None":
         """The covariance of the one lens of all cameras, or of each that states one, if any."""
-        from trinoc.io.intrinsics_json import load_lens_covariance
+        from trinoc.io import load_lens_covariance
 
         if not self.lens_covariance or not self.intrinsics:
             return None

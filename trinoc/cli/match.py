@@ -16,8 +16,8 @@ from trinoc.cli.segment_options import SegmentOptions
 from trinoc.cli.views import files_of_views
 
 if TYPE_CHECKING:
-    from trinoc.geometry.segments import Segments
-    from trinoc.match.tracks.matches import Matches
+    from trinoc.geometry import Segments
+    from trinoc.match import Matches
 
 # Of the segments of the view that has fewest. The demo's scene reaches 0.66; 0.06 where two of its
 # pictures are swapped, and 0.23 where one of them is a photograph of something else.
@@ -66,10 +66,8 @@ class Match(SegmentOptions, Command):
                 "greatest, in mm."
             )
 
-        from trinoc.io.atomic import expect_place
-        from trinoc.io.rig_json import load_rig
-        from trinoc.io.saving import save
-        from trinoc.match.matcher import match_segments
+        from trinoc.io import expect_place, load_rig, save
+        from trinoc.match import match_segments
 
         expect_place(self.out, self.report)
         rig = load_rig(self.rig)
@@ -81,7 +79,7 @@ class Match(SegmentOptions, Command):
         save(matches, self.out)
         if self.report is not None:
             from trinoc.cli.provenance import for_people, provenance
-            from trinoc.report.html import write_report
+            from trinoc.report import write_report
 
             LOGGER.info("writing %s", self.report)
             write_report(
@@ -117,7 +115,7 @@ def match_record(segments: "Mapping[str, Segments]", matches: "Matches") -> dict
 
 def match_text(matches: "Matches") -> str:
     """What a matching found, for people."""
-    from trinoc.report.text import counts_text, reasons_text
+    from trinoc.report import counts_text, reasons_text
 
     in_three, in_two = (int((matches.stage == s).sum()) for s in ("trinocular", "binocular"))
     parts = [

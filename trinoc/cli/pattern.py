@@ -41,10 +41,8 @@ class Pattern(Command):
         if self.out.suffix.lower() != ".json":
             raise UsageError(f"{self.out}: a layout is JSON: choose a name that ends in .json.")
 
-        from trinoc.calib.targets.pattern import Pattern as Sheet
-        from trinoc.io.pattern_json import save_pattern
-        from trinoc.io.pattern_pdf import save_pattern_pdf
-        from trinoc.io.pattern_svg import save_pattern_svg
+        from trinoc.calib import Pattern as Sheet
+        from trinoc.io import save_pattern, save_pattern_pdf, save_pattern_svg
 
         sheet = Sheet.cross_grid(
             rows=self.rows,

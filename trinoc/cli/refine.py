@@ -11,7 +11,7 @@ from trinoc.cli.progress import LOGGER
 from trinoc.errors import CalibrationError
 
 if TYPE_CHECKING:
-    from trinoc.calib.bundle.result import RefineResult
+    from trinoc.calib import RefineResult
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -52,14 +52,10 @@ class Refine(Command):
 
     def run(self, command_line: str) -> Outcome:
         """Refine and write the rig; nothing is written where the refinement fails."""
-        from trinoc.calib.bundle.refinement import refine
-        from trinoc.calib.bundle.result import RefineStatus
-        from trinoc.calib.model.camera import Freedom
+        from trinoc.calib import Freedom, RefineStatus, refine
         from trinoc.cli.provenance import provenance
         from trinoc.cli.scene import scene_of
-        from trinoc.io.atomic import expect_place
-        from trinoc.io.rig_json import load_rig
-        from trinoc.io.saving import save
+        from trinoc.io import expect_place, load_rig, save
 
         expect_place(self.out)
         rig = load_rig(self.rig)

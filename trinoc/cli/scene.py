@@ -10,8 +10,8 @@ from trinoc.cli.scene_files import check_views, read_segments
 from trinoc.cli.views import files_of_views
 
 if TYPE_CHECKING:
-    from trinoc.geometry.rig import Rig
-    from trinoc.match.tracks.matches import Matches
+    from trinoc.geometry import Rig
+    from trinoc.match import Matches
 
 # After a knock the matcher first takes the ends of segments to be this far off. With 8 px it finds
 # nothing among strangers any more, whatever the resolution.
@@ -37,12 +37,12 @@ def scene_of(
             "--matches FILE."
         )
     if matches is not None:
-        from trinoc.io.matches_npz import load_matches
+        from trinoc.io import load_matches
 
         return SceneInput(load_matches(matches), None, None, {"matches": matches})
 
-    from trinoc.match.matcher import match_segments
-    from trinoc.segments.find import find_segments
+    from trinoc.match import match_segments
+    from trinoc.segments import find_segments
 
     files = files_of_views(pictures)
     check_views(files, rig, rig_file)

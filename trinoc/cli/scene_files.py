@@ -10,8 +10,7 @@ from trinoc.errors import InputError
 if TYPE_CHECKING:
     import numpy as np
 
-    from trinoc.geometry.rig import Rig
-    from trinoc.geometry.segments import Segments
+    from trinoc.geometry import Rig, Segments
 
 SEGMENT_SUFFIXES = (".npz", ".npy", ".csv", ".txt")
 
@@ -24,8 +23,7 @@ def read_segments(
     quiet: bool,
 ) -> "tuple[dict[str, np.ndarray], dict[str, Segments]]":
     """(the pictures among the files, the segments of all): read, or found in the pictures."""
-    from trinoc.io.images import read_views
-    from trinoc.io.segments_npz import load_segments
+    from trinoc.io import load_segments, read_views
 
     tables = {n: f for n, f in files.items() if f.suffix.lower() in SEGMENT_SUFFIXES}
     images = read_views({name: file for name, file in files.items() if name not in tables})

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     import numpy as np
 
-    from trinoc.geometry.segments import Segments
+    from trinoc.geometry import Segments
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -28,7 +28,7 @@ class SegmentOptions:
 
     def find(self, image: "np.ndarray") -> "Segments":
         """The segments of a picture."""
-        from trinoc.segments.find import find_segments
+        from trinoc.segments import find_segments
 
         return find_segments(
             image,

@@ -22,8 +22,7 @@ class Segments(SegmentOptions, Command):
 
     def run(self, command_line: str) -> Outcome:
         """Find the segments and write them."""
-        from trinoc.io.images import read_image
-        from trinoc.io.saving import save
+        from trinoc.io import read_image, save
 
         segments = self.find(read_image(self.picture))
         save(segments, self.out)

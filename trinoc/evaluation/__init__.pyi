@@ -1,15 +1,20 @@
-from .evaluation import Evaluation as Evaluation
-from .evaluation import EvaluationStatus as EvaluationStatus
-from .evaluation import evaluate as evaluate
-from .known_shape import GREY_STEP as GREY_STEP
-from .known_shape import KnownShape as KnownShape
-from .scoring import LengthScore as LengthScore
-from .scoring import MatchScore as MatchScore
-from .scoring import score_groups as score_groups
-from .scoring import score_lengths as score_lengths
-from .scoring import score_matches as score_matches
-from .sweep import Row as Row
-from .sweep import SweepSetting as SweepSetting
-from .sweep import evaluate_matches as evaluate_matches
-from .sweep import evaluate_settings as evaluate_settings
-from .sweep import settings_of as settings_of
+from .evaluation import (
+    Evaluation as Evaluation,
+    EvaluationStatus as EvaluationStatus,
+    evaluate as evaluate,
+)
+from .known_shape import GREY_STEP as GREY_STEP, KnownShape as KnownShape
+from .scoring import (
+    LengthScore as LengthScore,
+    MatchScore as MatchScore,
+    score_groups as score_groups,
+    score_lengths as score_lengths,
+    score_matches as score_matches,
+)
+from .sweep import (
+    Row as Row,
+    SweepSetting as SweepSetting,
+    evaluate_matches as evaluate_matches,
+    evaluate_settings as evaluate_settings,
+    settings_of as settings_of,
+)

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from trinoc.evaluation.distances import nearest_segments, sampled_segments
-from trinoc.geometry.uncertain_lines import UncertainLines
+from trinoc.geometry import UncertainLines
 
 STEP_MM_PER_SIZE = 0.01
 FIRST_SCALE_PER_SIZE, SCALE_RATIO = 0.1, 2.0

@@ -15,9 +15,9 @@ from trinoc.evaluation.edge_lengths import EdgeLengths, edge_lengths
 from trinoc.evaluation.known_shape import KnownShape
 from trinoc.evaluation.lines_on_edges import angles_deg, edge_of_lines, offsets_across, selected
 from trinoc.evaluation.normalised_errors import NormalisedErrors, normalised_errors
-from trinoc.geometry.uncertain_lines import UncertainLines
-from trinoc.numerics.arrays import ArrayLike
-from trinoc.synth.truth import SceneTruth
+from trinoc.geometry import UncertainLines
+from trinoc.numerics import ArrayLike
+from trinoc.synth import SceneTruth
 
 TOLERANCES_MM = (0.1, 0.25, 0.5, 1.0)
 SAMPLE_STEP_MM = 0.25

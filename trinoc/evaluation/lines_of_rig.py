@@ -10,18 +10,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.bundle.line_covariance import segment_and_errors
-from trinoc.calib.bundle.pose_prior import parameters_by_step
-from trinoc.calib.model.camera import CameraState, Freedom, camera_state
+from trinoc.calib import CameraState, Freedom, camera_state, parameters_by_step, segment_and_errors
 from trinoc.errors import InputError
-from trinoc.geometry.line_observations import LineObservations
-from trinoc.geometry.rig import Rig
-from trinoc.geometry.uncertain_lines import UncertainLines
-from trinoc.match.line_map.collinear_merge import join_collinear
-from trinoc.match.line_map.corner_fit import snap_corners
-from trinoc.match.tracks.matches import Matches
-from trinoc.numerics.arrays import ArrayLike
-from trinoc.numerics.precision import as_numpy, in_float64
+from trinoc.geometry import LineObservations, Rig, UncertainLines
+from trinoc.match import Matches, join_collinear, snap_corners
+from trinoc.numerics import ArrayLike, as_numpy, in_float64
 
 # Tracks are padded to a multiple of this, so that few sizes compile.
 BLOCK = 128

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from trinoc.evaluation.distances import nearest_segments
-from trinoc.geometry.uncertain_lines import UncertainLines
+from trinoc.geometry import UncertainLines
 
 # Places along a line at which its nearest edge is asked for; odd, so that one is the middle.
 _PLACES = 9

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from trinoc.evaluation.distances import distance_to_segments_mm, sampled_segments
-from trinoc.synth.truth import (
+from trinoc.synth import (
     NOT_SCORED,
     SceneTruth,
     SegmentTruth,

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.evaluation.scoring import Group
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics import ArrayLike
 
 # A chance touch of two supports on one line is no claim that they match.
 _LEAST_COMMON_SHARE = 0.1

@@ -20,11 +20,9 @@ from trinoc.evaluation.evaluation import (
 from trinoc.evaluation.known_shape import KnownShape
 from trinoc.evaluation.lines_of_rig import joined_lines_of_rig, lines_of_rig
 from trinoc.evaluation.lines_on_edges import selected
-from trinoc.geometry.rig import Rig
-from trinoc.geometry.uncertain_lines import UncertainLines
-from trinoc.match.matcher import match_segments
-from trinoc.match.tracks.matches import TRINOCULAR, Matches
-from trinoc.segments.find import find_segments
+from trinoc.geometry import Rig, UncertainLines
+from trinoc.match import TRINOCULAR, Matches, match_segments
+from trinoc.segments import find_segments
 
 TRACKS, JOINED, CORNERS = "tracks", "joined", "corners"
 

@@ -9,8 +9,7 @@ from jaxtyping import Float
 from trinoc.errors import InputError
 from trinoc.geometry.intrinsics import Intrinsics, calibration_matrix
 from trinoc.geometry.pose import PanTiltPose, Pose
-from trinoc.numerics.arrays import ArrayLike
-from trinoc.numerics.precision import in_float64
+from trinoc.numerics import ArrayLike, in_float64
 
 
 class Camera(eqx.Module):

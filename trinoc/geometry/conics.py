@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.geometry.camera import Camera, pixel_from_sheet_homography
-from trinoc.numerics.arrays import ArrayLike, ScalarLike
+from trinoc.numerics import ArrayLike, ScalarLike
 
 # Points at which a mapped ellipse is sampled: the centroid is then exact for what a lens does up
 # to the second order in the ellipse's size, and good to 1e-7 px for what it does beyond.

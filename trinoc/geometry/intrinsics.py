@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from trinoc.errors import InputError
 from trinoc.geometry.distortion import distort, undistort
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics import ArrayLike
 
 DISTORTION_MODELS = ("none", "brown_conrady")
 

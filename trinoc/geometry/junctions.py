@@ -3,7 +3,7 @@
 import equinox as eqx
 from jaxtyping import Float, Int, Shaped
 
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics import ArrayLike
 
 # The body of a segment, not one of its ends, lies on a junction.
 BODY = -1

@@ -9,7 +9,7 @@ from trinoc.geometry.rotation import (
     rotation_from_pan_tilt_swing,
     rotation_from_vector,
 )
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics import ArrayLike
 
 
 class Pose(eqx.Module):

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from trinoc.errors import InputError
 from trinoc.geometry.camera import Camera
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics import ArrayLike
 
 PARAMETER_NAMES = ("pan_deg", "tilt_deg", "swing_deg", "distance_mm", "aim_x_mm", "aim_y_mm")
 

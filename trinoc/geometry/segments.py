@@ -6,7 +6,7 @@ from jaxtyping import Float, Int, Shaped
 
 from trinoc.errors import InputError
 from trinoc.geometry.junctions import Junctions
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics import ArrayLike
 
 DEFAULT_SIGMA_PX = 0.5
 # Detectors cut ends short or run past them: along the segment an end is known far less.

@@ -12,8 +12,8 @@ import jax.numpy as jnp
 from jaxtyping import Bool, Float
 
 from trinoc.geometry.epipolar import centre_of_matrix
-from trinoc.numerics.arrays import ArrayLike
-from trinoc.numerics.small_matrices import (
+from trinoc.numerics import (
+    ArrayLike,
     inverse_3x3,
     inverse_positive_definite,
     solve_positive_definite,

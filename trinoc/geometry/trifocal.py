@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from trinoc.geometry.lines import normalised_line
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics import ArrayLike
 
 
 def trifocal_tensor(

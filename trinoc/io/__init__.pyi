@@ -1,23 +1,27 @@
-from .atomic import atomic_write as atomic_write
-from .atomic import expect_place as expect_place
-from .atomic import write_text as write_text
-from .demo import demo_images as demo_images
-from .demo import demo_paths as demo_paths
-from .demo import demo_pattern as demo_pattern
-from .demo import demo_truth as demo_truth
-from .demo import load_scene_truth as load_scene_truth
-from .demo import save_scene_truth as save_scene_truth
-from .images import read_image as read_image
-from .images import read_views as read_views
-from .intrinsics_json import load_intrinsics as load_intrinsics
-from .intrinsics_json import load_lens_covariance as load_lens_covariance
+from .atomic import (
+    atomic_write as atomic_write,
+    expect_place as expect_place,
+    write_text as write_text,
+)
+from .demo import (
+    demo_images as demo_images,
+    demo_paths as demo_paths,
+    demo_pattern as demo_pattern,
+    demo_truth as demo_truth,
+    load_scene_truth as load_scene_truth,
+    save_scene_truth as save_scene_truth,
+)
+from .images import read_image as read_image, read_views as read_views
+from .intrinsics_json import (
+    load_intrinsics as load_intrinsics,
+    load_lens_covariance as load_lens_covariance,
+)
 from .known_shape import load_shape as load_shape
 from .matches_npz import load_matches as load_matches
-from .pattern_json import load_pattern as load_pattern
-from .pattern_json import save_pattern as save_pattern
+from .pattern_json import load_pattern as load_pattern, save_pattern as save_pattern
 from .pattern_pdf import save_pattern_pdf as save_pattern_pdf
 from .pattern_svg import save_pattern_svg as save_pattern_svg
 from .rig_json import load_rig as load_rig
-from .save import save as save
+from .saving import save as save
 from .segments_npz import load_segments as load_segments
 from .table_csv import save_table as save_table

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from trinoc.calib.intrinsics.lens_parameters import LENS_PARAMETERS
+from trinoc.calib import LENS_PARAMETERS
 from trinoc.errors import InputError
-from trinoc.geometry.intrinsics import DISTORTION_MODELS, Intrinsics
+from trinoc.geometry import DISTORTION_MODELS, Intrinsics
 from trinoc.io.conventions import CONVENTIONS
 from trinoc.io.json_document import Block, read_document, write_document
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from trinoc.errors import InputError
-from trinoc.geometry.junctions import BODY, Junctions
+from trinoc.geometry import BODY, Junctions
 from trinoc.io.arrays_npz import take
 
 _PREFIX = "junctions/"

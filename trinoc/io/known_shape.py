@@ -9,9 +9,8 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.errors import InputError
-from trinoc.evaluation.known_shape import GREY_STEP, KnownShape
-from trinoc.io.demo import FORMAT as SCENE_FORMAT
-from trinoc.io.demo import load_scene_truth
+from trinoc.evaluation import GREY_STEP, KnownShape
+from trinoc.io.demo import FORMAT as SCENE_FORMAT, load_scene_truth
 from trinoc.io.obj_model import CREASE_DEG, edges_of_obj
 from trinoc.io.straight_runs import straight_runs
 

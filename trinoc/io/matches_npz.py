@@ -6,7 +6,7 @@ import numpy as np
 
 from trinoc.errors import InputError
 from trinoc.io.arrays_npz import read_arrays, take, write_arrays
-from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, Matches
+from trinoc.match import BINOCULAR, TRINOCULAR, Matches
 
 FORMAT, VERSION = "trinoc-matches", 1
 _REASONS = "reasons/"

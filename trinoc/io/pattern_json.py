@@ -4,7 +4,7 @@ import os
 
 import numpy as np
 
-from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib import Pattern
 from trinoc.errors import InputError
 from trinoc.io.json_document import Block, read_document, write_document
 

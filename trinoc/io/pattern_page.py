@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib import Pattern
 from trinoc.errors import InputError
 
 # (width, height) in mm, upright.

@@ -3,7 +3,7 @@
 import io
 import os
 
-from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib import Pattern
 from trinoc.errors import InputError
 from trinoc.io.atomic import atomic_write
 from trinoc.io.pattern_page import LETTER_MM, Disc, Page, Polygon, lay_out

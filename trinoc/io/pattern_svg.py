@@ -3,7 +3,7 @@
 import os
 from xml.sax.saxutils import escape
 
-from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib import Pattern
 from trinoc.io.atomic import write_text
 from trinoc.io.pattern_page import LETTER_MM, Disc, Page, Polygon, lay_out
 

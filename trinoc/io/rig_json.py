@@ -7,9 +7,7 @@ from typing import Any
 import numpy as np
 
 from trinoc.errors import InputError
-from trinoc.geometry.camera import Camera
-from trinoc.geometry.pose import Pose
-from trinoc.geometry.rig import PARAMETER_NAMES, Rig
+from trinoc.geometry import PARAMETER_NAMES, Camera, Pose, Rig
 from trinoc.io.conventions import CONVENTIONS
 from trinoc.io.intrinsics_json import intrinsics_from_block, intrinsics_to_block
 from trinoc.io.json_document import Block, read_document, write_document

@@ -5,19 +5,15 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from trinoc.calib.intrinsics.result import IntrinsicsResult
-from trinoc.calib.result.calibration import CalibrationResult
-from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib import CalibrationResult, IntrinsicsResult, Pattern
 from trinoc.errors import InputError
-from trinoc.geometry.intrinsics import Intrinsics
-from trinoc.geometry.rig import Rig
-from trinoc.geometry.segments import Segments
+from trinoc.geometry import Intrinsics, Rig, Segments
 from trinoc.io.intrinsics_json import save_intrinsics
 from trinoc.io.matches_npz import save_matches
 from trinoc.io.pattern_json import save_pattern
 from trinoc.io.rig_json import save_rig
 from trinoc.io.segments_npz import save_segments
-from trinoc.match.tracks.matches import Matches
+from trinoc.match import Matches
 
 Saveable = Rig | CalibrationResult | Intrinsics | IntrinsicsResult | Pattern | Segments | Matches
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from trinoc.errors import InputError
-from trinoc.geometry.segments import Segments
+from trinoc.geometry import Segments
 from trinoc.io.arrays_npz import read_arrays, take, write_arrays
 from trinoc.io.junctions_npz import junction_arrays, junctions_of_arrays
 

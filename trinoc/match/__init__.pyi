@@ -1,5 +1,4 @@
-from .batch import MatchBatch as MatchBatch
-from .batch import match_many as match_many
+from .batch import MatchBatch as MatchBatch, match_many as match_many
 from .candidates.triples import trinocular_candidates as trinocular_candidates
 from .line_map.collinear_merge import join_collinear as join_collinear
 from .line_map.corner_fit import snap_corners as snap_corners
@@ -8,11 +7,7 @@ from .line_map.depth import depth_map as depth_map
 from .line_map.lines import JoinedLines as JoinedLines
 from .matcher import match_segments as match_segments
 from .observations.clutter import fit_clutter as fit_clutter
-from .observations.match_input import MatchInput as MatchInput
-from .observations.match_input import prepare as prepare
+from .observations.match_input import MatchInput as MatchInput, prepare as prepare
 from .occlusion.pairs import occluded_pairs as occluded_pairs
-from .selection.marginals import Selection as Selection
-from .selection.marginals import select as select
-from .tracks.matches import BINOCULAR as BINOCULAR
-from .tracks.matches import TRINOCULAR as TRINOCULAR
-from .tracks.matches import Matches as Matches
+from .selection.marginals import Selection as Selection, select as select
+from .tracks.matches import BINOCULAR as BINOCULAR, TRINOCULAR as TRINOCULAR, Matches as Matches

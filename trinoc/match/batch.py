@@ -7,11 +7,10 @@ import numpy as np
 from jaxtyping import Shaped
 
 from trinoc.errors import TrinocError
-from trinoc.geometry.rig import Rig
-from trinoc.geometry.segments import Segments
+from trinoc.geometry import Rig, Segments
 from trinoc.match.matcher import match_segments
-from trinoc.match.tracks.matches import Matches
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.match.tracks import Matches
+from trinoc.numerics import ArrayLike
 
 OK = "ok"
 

@@ -4,19 +4,19 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from trinoc.geometry.rig import Rig
-from trinoc.geometry.segments import Segments
-from trinoc.match.candidates.table import Candidates, concatenated, in_depth_range, no_candidates
-from trinoc.match.candidates.triples import trinocular_candidates
-from trinoc.match.observations.clutter import fit_clutter
-from trinoc.match.observations.match_input import prepare
-from trinoc.match.occlusion.pairs import occluded_pairs
-from trinoc.match.selection.marginals import Selection, Tracks, select, tracks_of
-from trinoc.match.tracks.assembly import assemble
-from trinoc.match.tracks.matches import Matches
-from trinoc.match.tracks.multiview import merge_triplets, view_triplets
-from trinoc.numerics.arrays import ArrayLike
-from trinoc.numerics.precision import in_float64
+from trinoc.geometry import Rig, Segments
+from trinoc.match.candidates import (
+    Candidates,
+    concatenated,
+    in_depth_range,
+    no_candidates,
+    trinocular_candidates,
+)
+from trinoc.match.observations import fit_clutter, prepare
+from trinoc.match.occlusion import occluded_pairs
+from trinoc.match.selection import Selection, Tracks, select, tracks_of
+from trinoc.match.tracks import Matches, assemble, merge_triplets, view_triplets
+from trinoc.numerics import ArrayLike, in_float64
 
 
 @in_float64

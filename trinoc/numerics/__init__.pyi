@@ -1,39 +1,42 @@
-from .arrays import ArrayLike as ArrayLike
-from .arrays import ScalarLike as ScalarLike
-from .buckets import blocks as blocks
-from .buckets import bucket as bucket
-from .buckets import in_blocks as in_blocks
-from .buckets import padded as padded
-from .information import LARGEST_SIGMA as LARGEST_SIGMA
-from .information import Observability as Observability
-from .information import observability as observability
-from .interval_join import expand_ranges as expand_ranges
-from .interval_join import overlapping as overlapping
-from .interval_join import pairs_of_equal_keys as pairs_of_equal_keys
-from .neighbours_in_plane import distinct as distinct
-from .neighbours_in_plane import group_labels as group_labels
-from .neighbours_in_plane import near_pairs as near_pairs
-from .neighbours_in_plane import point_tree as point_tree
-from .precision import as_numpy as as_numpy
-from .precision import in_float64 as in_float64
-from .scalar_vectors import Scalar as Scalar
-from .scalar_vectors import Symmetric3 as Symmetric3
-from .scalar_vectors import Vector2 as Vector2
-from .scalar_vectors import Vector3 as Vector3
-from .scalar_vectors import add3 as add3
-from .scalar_vectors import between as between
-from .scalar_vectors import cross3 as cross3
-from .scalar_vectors import dot3 as dot3
-from .scalar_vectors import outer3 as outer3
-from .scalar_vectors import scaled3 as scaled3
-from .scalar_vectors import stacked as stacked
-from .scalar_vectors import times_matrix as times_matrix
-from .scalar_vectors import total as total
-from .scalar_vectors import unit3 as unit3
-from .scalar_vectors import vector3 as vector3
-from .segmented_arrays import largest as largest
-from .segmented_arrays import members as members
-from .segmented_arrays import sums as sums
-from .small_matrices import inverse_3x3 as inverse_3x3
-from .small_matrices import inverse_positive_definite as inverse_positive_definite
-from .small_matrices import solve_positive_definite as solve_positive_definite
+from .arrays import ArrayLike as ArrayLike, ScalarLike as ScalarLike
+from .buckets import blocks as blocks, bucket as bucket, in_blocks as in_blocks, padded as padded
+from .information import (
+    LARGEST_SIGMA as LARGEST_SIGMA,
+    Observability as Observability,
+    observability as observability,
+)
+from .interval_join import (
+    expand_ranges as expand_ranges,
+    overlapping as overlapping,
+    pairs_of_equal_keys as pairs_of_equal_keys,
+)
+from .neighbours_in_plane import (
+    distinct as distinct,
+    group_labels as group_labels,
+    near_pairs as near_pairs,
+    point_tree as point_tree,
+)
+from .precision import as_numpy as as_numpy, in_float64 as in_float64
+from .scalar_vectors import (
+    Scalar as Scalar,
+    Symmetric3 as Symmetric3,
+    Vector2 as Vector2,
+    Vector3 as Vector3,
+    add3 as add3,
+    between as between,
+    cross3 as cross3,
+    dot3 as dot3,
+    outer3 as outer3,
+    scaled3 as scaled3,
+    stacked as stacked,
+    times_matrix as times_matrix,
+    total as total,
+    unit3 as unit3,
+    vector3 as vector3,
+)
+from .segmented_arrays import largest as largest, members as members, sums as sums
+from .small_matrices import (
+    inverse_3x3 as inverse_3x3,
+    inverse_positive_definite as inverse_positive_definite,
+    solve_positive_definite as solve_positive_definite,
+)

@@ -1,9 +1,9 @@
 from .against_reference import parameter_errors as parameter_errors
-from .evaluation_plot import expect_plotter as expect_plotter
-from .evaluation_plot import write_plot as write_plot
-from .evaluation_text import evaluation_text as evaluation_text
-from .html import ExtraTable as ExtraTable
-from .html import write_report as write_report
-from .text import counts_text as counts_text
-from .text import errors_text as errors_text
-from .text import reasons_text as reasons_text
+from .evaluation_plot import expect_plotter as expect_plotter, write_plot as write_plot
+from .html import ExtraTable as ExtraTable, write_report as write_report
+from .text import (
+    counts_text as counts_text,
+    errors_text as errors_text,
+    reasons_text as reasons_text,
+)
+from .text_of_evaluation import evaluation_text as evaluation_text

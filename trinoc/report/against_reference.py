@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from trinoc.geometry.rig import PARAMETER_NAMES, Rig
+from trinoc.geometry import PARAMETER_NAMES, Rig
 
 
 class ParameterError(NamedTuple):

@@ -5,9 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.result.calibration import CalibrationResult, CameraFit
-from trinoc.calib.result.status import Status
-from trinoc.geometry.rig import Rig
+from trinoc.calib import CalibrationResult, CameraFit, Status
+from trinoc.geometry import Rig
 from trinoc.report.clipping import clip_line
 from trinoc.report.numbers import plain, round_scale, signed, with_decimals
 from trinoc.report.parameter_table import ParameterCell, parameter_rows

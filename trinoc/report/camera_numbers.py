@@ -6,11 +6,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.geometry.camera import Camera, project, projection_matrix
-from trinoc.geometry.conics import image_of_circle_centre
-from trinoc.geometry.epipolar import epipolar_line, fundamental_matrix
-from trinoc.numerics.arrays import ArrayLike
-from trinoc.numerics.precision import in_float64
+from trinoc.geometry import (
+    Camera,
+    epipolar_line,
+    fundamental_matrix,
+    image_of_circle_centre,
+    project,
+    projection_matrix,
+)
+from trinoc.numerics import ArrayLike, in_float64
 
 # Numbers of points are rounded up to powers of two, so that other counts compile nothing new.
 FEWEST_POINTS = 64

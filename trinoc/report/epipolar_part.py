@@ -6,10 +6,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.result.calibration import CalibrationResult
-from trinoc.geometry.camera import Camera
-from trinoc.geometry.rig import Rig
-from trinoc.match.tracks.matches import TRINOCULAR, Matches
+from trinoc.calib import CalibrationResult
+from trinoc.geometry import Camera, Rig
+from trinoc.match import TRINOCULAR, Matches
 from trinoc.report.camera_numbers import (
     calibration_matrix,
     distorted_pixels,

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from trinoc.errors import InputError
-from trinoc.evaluation.sweep import Row
-from trinoc.io.atomic import atomic_write, write_text
+from trinoc.evaluation import Row
+from trinoc.io import atomic_write, write_text
 from trinoc.report.colours import PALETTE
 
 if TYPE_CHECKING:

@@ -8,12 +8,11 @@ from typing import Any, NamedTuple
 import jinja2
 import numpy as np
 
-from trinoc.calib.result.calibration import CalibrationResult
+from trinoc.calib import CalibrationResult
 from trinoc.errors import InputError
-from trinoc.geometry.rig import Rig
-from trinoc.geometry.segments import Segments
-from trinoc.io.atomic import write_text
-from trinoc.match.tracks.matches import Matches
+from trinoc.geometry import Rig, Segments
+from trinoc.io import write_text
+from trinoc.match import Matches
 from trinoc.report.calibration_part import calibration_part
 from trinoc.report.epipolar_part import corrected_circle_centres, ends_of_tracks, epipolar_part
 from trinoc.report.matches_part import matches_part

@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trinoc.geometry.segments import Segments
-from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, Matches
+from trinoc.geometry import Segments
+from trinoc.match import BINOCULAR, TRINOCULAR, Matches
 from trinoc.report.colours import PALETTE, distinct_neighbours
 from trinoc.report.numbers import in_words, percent, with_decimals, with_sigma
 from trinoc.report.pictures import PagePicture

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trinoc.geometry.rig import PARAMETER_NAMES, Rig
+from trinoc.geometry import PARAMETER_NAMES, Rig
 from trinoc.report.against_reference import parameter_error, parameter_value
 from trinoc.report.numbers import decimals_for, signed, with_decimals, with_sigma
 

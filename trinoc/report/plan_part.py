@@ -4,9 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trinoc.calib.targets.pattern import Pattern
-from trinoc.geometry.rig import Rig
-from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, Matches
+from trinoc.calib import Pattern
+from trinoc.geometry import Rig
+from trinoc.match import BINOCULAR, TRINOCULAR, Matches
 from trinoc.report.colours import BLUE, GREEN, VERMILION
 from trinoc.report.numbers import plain, round_scale
 from trinoc.report.space_content import Box, content_box, frusta, sheet_outlines, whole_box

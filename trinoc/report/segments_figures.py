@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.geometry.segments import Segments
-from trinoc.match.tracks.matches import Matches
+from trinoc.geometry import Segments
+from trinoc.match import Matches
 from trinoc.report.numbers import in_words, with_sigma
 from trinoc.report.pictures import PagePicture
 from trinoc.report.track_sigmas import TrackSigmas

@@ -6,11 +6,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.targets.pattern import Pattern
-from trinoc.geometry.rig import Rig
-from trinoc.match.line_map.collinear_merge import join_collinear
-from trinoc.match.line_map.corner_fit import snap_corners
-from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, Matches
+from trinoc.calib import Pattern
+from trinoc.geometry import Rig
+from trinoc.match import BINOCULAR, TRINOCULAR, Matches, join_collinear, snap_corners
 from trinoc.report.colours import BLACK, BLUE, GREEN, VERMILION
 from trinoc.report.numbers import with_decimals, with_sigma
 from trinoc.report.space_content import (

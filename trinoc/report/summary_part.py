@@ -4,9 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trinoc.calib.result.calibration import CalibrationResult
-from trinoc.calib.result.status import Status
-from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, Matches
+from trinoc.calib import CalibrationResult, Status
+from trinoc.match import BINOCULAR, TRINOCULAR, Matches
 from trinoc.report.matches_part import share_matched
 from trinoc.report.numbers import with_decimals
 from trinoc.report.track_sigmas import track_sigmas

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.match.tracks.matches import Matches
+from trinoc.match import Matches
 
 
 class TrackSigmas(NamedTuple):

@@ -1,6 +1,5 @@
 from .find import find_segments as find_segments
-from .junctions import find_junctions as find_junctions
-from .junctions import with_junctions as with_junctions
+from .junctions import find_junctions as find_junctions, with_junctions as with_junctions
 from .lsd import find_segments_lsd as find_segments_lsd
 from .nevatia_babu.masks import nevatia_babu_masks as nevatia_babu_masks
 from .side_intensity import with_side_levels as with_side_levels

@@ -8,25 +8,33 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
 from trinoc.errors import InputError
-from trinoc.geometry.intrinsics import Intrinsics
-from trinoc.geometry.segments import Segments
-from trinoc.numerics.precision import in_float64
-from trinoc.numerics.segmented_arrays import members
+from trinoc.geometry import Intrinsics, Segments
+from trinoc.numerics import in_float64, members
 from trinoc.segments.junctions import with_junctions
-from trinoc.segments.nevatia_babu.accept import is_sharp, is_straight, typical_blur
-from trinoc.segments.nevatia_babu.bridge_gaps import bridged_runs, collinear_successors
-from trinoc.segments.nevatia_babu.covariance import end_covariances, noise_variance
-from trinoc.segments.nevatia_babu.edge_errors import error_model, inflate_variance
-from trinoc.segments.nevatia_babu.edge_interference import overlaps, without_neighbours
-from trinoc.segments.nevatia_babu.edge_points import EdgePoints
-from trinoc.segments.nevatia_babu.endpoints import lines_near_ends, snapped_ends
-from trinoc.segments.nevatia_babu.grey import grey_image
-from trinoc.segments.nevatia_babu.line_fit import FittedLines, fit_lines
-from trinoc.segments.nevatia_babu.masks import combined_kernel
-from trinoc.segments.nevatia_babu.nfa import least_snr2
-from trinoc.segments.nevatia_babu.pyramid import fine_level
-from trinoc.segments.nevatia_babu.shading import is_on_ramp
-from trinoc.segments.nevatia_babu.two_scale import runs_of_both_scales
+from trinoc.segments.nevatia_babu import (
+    EdgePoints,
+    FittedLines,
+    bridged_runs,
+    collinear_successors,
+    combined_kernel,
+    end_covariances,
+    error_model,
+    fine_level,
+    fit_lines,
+    grey_image,
+    inflate_variance,
+    is_on_ramp,
+    is_sharp,
+    is_straight,
+    least_snr2,
+    lines_near_ends,
+    noise_variance,
+    overlaps,
+    runs_of_both_scales,
+    snapped_ends,
+    typical_blur,
+    without_neighbours,
+)
 from trinoc.segments.side_intensity import side_levels
 
 GAP_PX = 8.0

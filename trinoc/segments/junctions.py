@@ -4,10 +4,9 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.geometry.junctions import BODY, Junctions
-from trinoc.geometry.segments import Segments
-from trinoc.numerics.neighbours_in_plane import distinct, group_labels, point_tree
-from trinoc.segments.nevatia_babu.endpoints import NearEnds, endpoint_crossings, lines_near_ends
+from trinoc.geometry import BODY, Junctions, Segments
+from trinoc.numerics import distinct, group_labels, point_tree
+from trinoc.segments.nevatia_babu import NearEnds, endpoint_crossings, lines_near_ends
 
 # Ends are taken to meet within so many of their own sigmas along the segment.
 _SIGMAS = 3.0

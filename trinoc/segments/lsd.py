@@ -4,9 +4,9 @@ import cv2
 import numpy as np
 from jaxtyping import Shaped
 
-from trinoc.geometry.segments import Segments
+from trinoc.geometry import Segments
 from trinoc.segments.junctions import with_junctions
-from trinoc.segments.nevatia_babu.grey import grey_image
+from trinoc.segments.nevatia_babu import grey_image
 from trinoc.segments.side_intensity import with_side_levels
 
 # OpenCV's segments lie this far from the edges they belong to, in u and v, whatever the edge:

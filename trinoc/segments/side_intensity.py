@@ -6,8 +6,8 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Shaped
 
-from trinoc.geometry.segments import Segments
-from trinoc.segments.nevatia_babu.grey import grey_image
+from trinoc.geometry import Segments
+from trinoc.segments.nevatia_babu import grey_image
 
 # Levels are taken so far from the segment, beyond the blur of its edge, and not near its ends.
 _BESIDE_PX = np.array([2.0, 3.0, 4.0])

@@ -1,1 +1,5 @@
-"""Truth: rigs, sheets and scenes, their pictures and segments, and scores against them."""
+"""Made inputs with truth: rigs, scenes of blocks, their segments, pictures of the sheet."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -10,9 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.geometry.camera import Camera, project, sheet_from_pixel, viewing_direction
-from trinoc.numerics.arrays import ArrayLike
-from trinoc.numerics.precision import in_float64
+from trinoc.geometry import Camera, project, sheet_from_pixel, viewing_direction
+from trinoc.numerics import ArrayLike, in_float64
 from trinoc.synth.layers import Layer
 
 _CHUNK = 65536

@@ -11,9 +11,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.geometry.camera import Camera
-from trinoc.geometry.rig import Rig
-from trinoc.geometry.segments import Segments
+from trinoc.geometry import Camera, Rig, Segments
 from trinoc.synth.scenes import Scene, points_along
 from trinoc.synth.truth import NOT_SCORED, SPURIOUS, SegmentTruth
 

@@ -5,7 +5,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.geometry.camera import Camera
+from trinoc.geometry import Camera
 from trinoc.synth.canvas import make_canvas, paint
 from trinoc.synth.layers import Layer, Paint
 from trinoc.synth.sensor import blur_and_integrate, blur_reach_px, expose

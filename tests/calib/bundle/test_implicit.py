@@ -6,11 +6,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from tests.calib.bundle.made_tracks import SHEET_SIGMA, TRUTH, made_tracks, rig_at
-from trinoc.calib.bundle.implicit_diff import refined
+from trinoc.calib import Freedom, camera_state, refined
 from trinoc.calib.bundle.line_residual import whitening_across
 from trinoc.calib.bundle.pose_prior import PosePrior
 from trinoc.calib.bundle.schur import FragmentTable
-from trinoc.calib.model.camera import Freedom, camera_state
 
 
 def crossing(line, ends):

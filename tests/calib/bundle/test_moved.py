@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.calib.bundle.made_tracks import NAMES, SHEET_SIGMA, TRUTH, made_tracks, rig_at
-from trinoc.calib.rig_check.knocked import check_rig
+from trinoc.calib import check_rig
 from trinoc.errors import CalibrationError
 
 SIZES_DEG = 0.2

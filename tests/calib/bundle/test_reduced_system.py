@@ -8,6 +8,7 @@ from hypothesis import given
 
 from tests.calib.bundle.made_tracks import TRUTH, made_tracks, rig_at
 from tests.geometry.strategies import vectors
+from trinoc.calib import CameraState, Freedom, camera_state
 from trinoc.calib.bundle.line_residual import whitening_across
 from trinoc.calib.bundle.line_retraction import moved_anchors, normals_of
 from trinoc.calib.bundle.robust import loss, weight
@@ -18,7 +19,7 @@ from trinoc.calib.bundle.schur import (
     robust_costs,
     track_blocks,
 )
-from trinoc.calib.model.camera import CameraState, Freedom, camera_of_state, camera_state
+from trinoc.calib.model import camera_of_state
 
 blocks_of = jax.jit(jax.vmap(track_blocks, (None, 0, 0, None)))
 reduced = jax.jit(reduce)

@@ -12,13 +12,9 @@ from tests.calib.bundle.made_tracks import (
     made_tracks,
     rig_at,
 )
-from trinoc.calib.bundle.refinement import refine
-from trinoc.calib.bundle.result import RefineStatus
-from trinoc.calib.model.camera import Freedom
+from trinoc.calib import Freedom, RefineStatus, refine
 from trinoc.errors import CalibrationError, InputError
-from trinoc.geometry.line_observations import LineObservations
-from trinoc.geometry.rig import Rig
-from trinoc.geometry.uncertain_lines import angle_deg, distance_mm, length_mm
+from trinoc.geometry import LineObservations, Rig, angle_deg, distance_mm, length_mm
 
 CHI_SQUARE_6_AT_95 = 12.592
 

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from tests.calib.bundle.made_tracks import NAMES, SHEET_SIGMA, TRUTH, made_tracks, rig_at
-from trinoc.calib.bundle.refinement import refine
-from trinoc.calib.bundle.result import RefineStatus
-from trinoc.geometry.line_observations import LineObservations
+from trinoc.calib import RefineStatus, refine
+from trinoc.geometry import LineObservations
 
 
 def knocked(degrees):

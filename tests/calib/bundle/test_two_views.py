@@ -5,9 +5,9 @@ import numpy as np
 
 from tests.calib.bundle.made_tracks import made_tracks
 from tests.calib.bundle.test_reduced_system import states, tracks_of
+from trinoc.calib import Freedom
 from trinoc.calib.bundle.schur import squared_distances
 from trinoc.calib.bundle.two_view_lines import placed_by_two_views
-from trinoc.calib.model.camera import Freedom
 
 
 def test_two_views_are_met_exactly_and_others_stay():

@@ -4,15 +4,11 @@ import jax
 import numpy as np
 import pytest
 
-from trinoc.calib.detection.detection import Detection
-from trinoc.calib.detection.search import detect_pattern
-from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib import Detection, Pattern, detect_pattern
 from trinoc.errors import DetectionError, InputError
-from trinoc.geometry.camera import Camera
-from trinoc.geometry.conics import image_of_circle_centre
+from trinoc.geometry import Camera, image_of_circle_centre
+from trinoc.synth import render_sheet, table1_lens, table1_rig
 from trinoc.synth.disturbances import LightGradient, card, round_things, table
-from trinoc.synth.rigs import table1_lens, table1_rig
-from trinoc.synth.sheet_image import render_sheet
 
 SHEET = Pattern.default()
 CAMERA = table1_rig()["right"]

@@ -4,12 +4,9 @@ import numpy as np
 import pytest
 
 from tests.calib.simulated import LENS, TABLE_1, camera_of, reference_sheet, simulated_detection
-from trinoc.calib.batch import calibrate_batch
-from trinoc.calib.detection.detection import Detection
-from trinoc.calib.from_detections import calibrate_detections
-from trinoc.calib.result.status import Status
+from trinoc.calib import Detection, Status, calibrate_batch, calibrate_detections
 from trinoc.errors import CalibrationError
-from trinoc.geometry.rig import Rig
+from trinoc.geometry import Rig
 
 SHEET = reference_sheet()
 # Row by row from the top left: the grid turned by 90, 180 and 270 degrees.

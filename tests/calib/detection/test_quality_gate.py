@@ -5,18 +5,21 @@ import numpy as np
 import pytest
 
 from tests.calib.simulated import LENS, TABLE_1, camera_of, reference_sheet, simulated_detection
-from trinoc.calib.detection.detection import Detection
-from trinoc.calib.from_detections import calibrate_detections
-from trinoc.calib.result.calibration import CalibrationResult
-from trinoc.calib.result.status import Status
-from trinoc.calib.rig_check.comparison import compare_rigs
-from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib import (
+    CalibrationResult,
+    Detection,
+    Pattern,
+    Status,
+    Systematics,
+    calibrate_detections,
+    compare_rigs,
+    epipolar_sigma,
+    point_covariance,
+    with_systematics,
+)
 from trinoc.calib.targets.print_scale import printed_sheet
-from trinoc.calib.uncertainty.propagation import epipolar_sigma, point_covariance
-from trinoc.calib.uncertainty.systematics import Systematics, with_systematics
 from trinoc.errors import InputError
-from trinoc.geometry.camera import project
-from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry import Intrinsics, project
 
 SHEET = reference_sheet()
 

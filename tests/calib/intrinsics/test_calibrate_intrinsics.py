@@ -4,10 +4,7 @@ import numpy as np
 import pytest
 
 from tests.calib.intrinsics.simulated_lens import LENS, SHEET, SIZE_PX, detections, good_poses
-from trinoc.calib.intrinsics.from_images import calibrate_intrinsics
-from trinoc.calib.intrinsics.lens_parameters import LENS_PARAMETERS
-from trinoc.calib.result.status import Status
-from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib import LENS_PARAMETERS, Pattern, Status, calibrate_intrinsics
 
 POSES = good_poses()
 

@@ -14,9 +14,9 @@ from tests.calib.intrinsics.simulated_lens import (
     detections,
     good_poses,
 )
-from trinoc.calib.intrinsics.lens_parameters import parameter_scale
+from trinoc.calib.intrinsics import parameter_scale
 from trinoc.calib.intrinsics.lens_residual import information_of_images, moved_pose, residuals_px
-from trinoc.calib.model.observed_circles import circle_observations, stack_observations
+from trinoc.calib.model import circle_observations, stack_observations
 
 POSES = np.array(good_poses(count=8))
 SCALE = parameter_scale(LENS, SIZE_PX)

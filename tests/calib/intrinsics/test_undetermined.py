@@ -11,12 +11,9 @@ from tests.calib.intrinsics.simulated_lens import (
     good_poses,
     pose,
 )
-from trinoc.calib.detection.detection import Detection
-from trinoc.calib.intrinsics.from_images import calibrate_intrinsics
-from trinoc.calib.intrinsics.lens_parameters import lens_of_values
+from trinoc.calib import Detection, IntrinsicsResult, Status, calibrate_intrinsics
+from trinoc.calib.intrinsics import lens_of_values
 from trinoc.calib.intrinsics.next_image import generic_views
-from trinoc.calib.intrinsics.result import IntrinsicsResult
-from trinoc.calib.result.status import Status
 from trinoc.errors import CalibrationError, InputError
 
 SQUARE = [

@@ -2,9 +2,9 @@
 
 import pytest
 
-from trinoc.calib.from_images import calibrate
-from trinoc.geometry.intrinsics import Intrinsics
-from trinoc.io.demo import demo_images, demo_pattern
+from trinoc.calib import calibrate
+from trinoc.geometry import Intrinsics
+from trinoc.io import demo_images, demo_pattern
 
 LENS = Intrinsics(focal_length_mm=16, pixel_pitch_mm=(0.0162, 0.0134), image_size_px=(512, 480))
 

@@ -4,14 +4,14 @@ import jax
 import numpy as np
 
 from tests.calib.simulated import TABLE_1, reference_sheet
-from trinoc.calib.model.lens import lens_arrays
+from trinoc.calib.model import lens_arrays
 from trinoc.calib.photometric.appearance import Appearance
 from trinoc.calib.photometric.gauss_newton import sheet_from_normalised
 from trinoc.calib.photometric.ink_coverage import Cross, Drawing
 from trinoc.calib.photometric.normal_equations import NormalEquations, normal_equations
 from trinoc.calib.photometric.pixel_selection import SelectedPixels, group_of, select_pixels
-from trinoc.calib.pose.estimate import sheet_pose_of_values
-from trinoc.synth.rigs import table1_rig
+from trinoc.calib.pose import sheet_pose_of_values
+from trinoc.synth import table1_rig
 
 CROSS = Cross(np.array(0.5), np.array([55.0, 55.0]), np.array(1.5))
 LOOK = Appearance(

@@ -5,18 +5,18 @@ import numpy as np
 import pytest
 
 from tests.calib.simulated import LENS, TABLE_1, camera_of, reference_sheet
-from trinoc.calib.model.lens import lens_arrays
-from trinoc.calib.model.sheet_pose import SheetPose
+from trinoc.calib import Pattern
+from trinoc.calib.model import SheetPose, lens_arrays
+from trinoc.calib.photometric import refine_image
 from trinoc.calib.photometric.appearance import Appearance, Pixels, predict
 from trinoc.calib.photometric.gauss_newton import sheet_from_normalised
-from trinoc.calib.photometric.image_fit import ImageRefinement, refine_image
+from trinoc.calib.photometric.image_fit import ImageRefinement
 from trinoc.calib.photometric.ink_coverage import Cross, Drawing
 from trinoc.calib.photometric.noise_floor import noise_floor
 from trinoc.calib.photometric.pixel_selection import group_of, select_pixels
-from trinoc.calib.pose.estimate import sheet_pose_of_values
-from trinoc.calib.targets.pattern import Pattern
-from trinoc.numerics.arrays import ArrayLike
-from trinoc.synth.sheet_image import render_sheet
+from trinoc.calib.pose import sheet_pose_of_values
+from trinoc.numerics import ArrayLike
+from trinoc.synth import render_sheet
 
 RIGHT = (*TABLE_1["right"], 0.0, 0.0)
 ARRAYS = lens_arrays(LENS, with_distortion=False)

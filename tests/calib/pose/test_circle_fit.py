@@ -4,8 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from tests.calib.simulated import (
     DISTORTED_LENS,
@@ -15,17 +14,16 @@ from tests.calib.simulated import (
     reference_sheet,
     simulated_detection,
 )
-from trinoc.calib.from_detections import calibrate_detections
-from trinoc.calib.model.circle_residual import predicted_centre_px, whitened_residuals
-from trinoc.calib.model.lens import lens_arrays
-from trinoc.calib.model.observed_circles import circle_observations
-from trinoc.calib.model.sheet_pose import SheetPose
-from trinoc.calib.result.status import Status
-from trinoc.calib.targets.pattern import Pattern
-from trinoc.geometry.conics import image_of_circle_centre
-from trinoc.geometry.intrinsics import Intrinsics
-from trinoc.geometry.pose import PanTiltPose
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.calib import Pattern, Status, calibrate_detections
+from trinoc.calib.model import (
+    SheetPose,
+    circle_observations,
+    lens_arrays,
+    predicted_centre_px,
+    whitened_residuals,
+)
+from trinoc.geometry import Intrinsics, PanTiltPose, image_of_circle_centre
+from trinoc.numerics import ArrayLike
 
 SHEET = reference_sheet()
 PANS = st.floats(-179.0, 179.0)

@@ -11,14 +11,10 @@ from tests.calib.simulated import (
     reference_sheet,
     simulated_detection,
 )
-from trinoc.calib.detection.detection import Detection
-from trinoc.calib.from_detections import calibrate_detections
-from trinoc.calib.result.calibration import CalibrationResult
-from trinoc.calib.result.status import Status
-from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib import CalibrationResult, Detection, Pattern, Status, calibrate_detections
 from trinoc.errors import CalibrationError, InputError
-from trinoc.geometry.intrinsics import Intrinsics
-from trinoc.numerics.information import observability
+from trinoc.geometry import Intrinsics
+from trinoc.numerics import observability
 
 SHEET = reference_sheet()
 UPPER = camera_of(TABLE_1["upper"])

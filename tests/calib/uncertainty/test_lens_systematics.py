@@ -4,11 +4,9 @@ import numpy as np
 import pytest
 
 from tests.calib.simulated import LENS, TABLE_1, camera_of, reference_sheet, simulated_detection
-from trinoc.calib.from_detections import calibrate_detections
-from trinoc.calib.result.status import Status
-from trinoc.calib.uncertainty.systematics import Systematics
+from trinoc.calib import Status, Systematics, calibrate_detections
 from trinoc.errors import InputError
-from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry import Intrinsics
 
 SHEET = reference_sheet()
 # fu, fv, cu, cv: the focal lengths correlated, as lenses are known.

@@ -9,15 +9,10 @@ from scipy.stats import chi2
 
 from tests.match.made import loose_lines, rig_of
 from trinoc.errors import InputError
-from trinoc.geometry.rig import Rig
-from trinoc.geometry.triangulation import triangulate_segment
-from trinoc.match.line_map.collinear_merge import join_collinear
-from trinoc.match.line_map.corner_fit import snap_corners
-from trinoc.match.line_map.corners import Corners
+from trinoc.geometry import Rig, triangulate_segment
+from trinoc.match import TRINOCULAR, Corners, JoinedLines, Matches, join_collinear, snap_corners
 from trinoc.match.line_map.line_fit import LineFragments, across_axes, fit_line
-from trinoc.match.line_map.lines import JoinedLines
-from trinoc.match.observations.match_input import distorted
-from trinoc.match.tracks.matches import TRINOCULAR, Matches
+from trinoc.match.observations import distorted
 
 VIEWS = ("upper", "left", "right")
 _triangulated = jax.jit(jax.vmap(triangulate_segment, in_axes=(None, 0, 0, 0)))

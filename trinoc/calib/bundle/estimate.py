@@ -17,13 +17,10 @@ from trinoc.calib.bundle.problem import FreeParameters, Problem, joint_problem
 from trinoc.calib.bundle.result import RefineResult, RefineStatus
 from trinoc.calib.bundle.schur import FragmentTable, squared_distances
 from trinoc.calib.bundle.variance_components import segment_factor, sheet_factor
-from trinoc.calib.model.camera import CameraState, Freedom, camera_of_state
-from trinoc.calib.result.calibration import CalibrationResult
-from trinoc.geometry.line_observations import LineObservations
-from trinoc.geometry.rig import Rig
-from trinoc.geometry.uncertain_lines import UncertainLines
-from trinoc.numerics.arrays import ArrayLike
-from trinoc.numerics.precision import as_numpy
+from trinoc.calib.model import CameraState, Freedom, camera_of_state
+from trinoc.calib.result import CalibrationResult
+from trinoc.geometry import LineObservations, Rig, UncertainLines
+from trinoc.numerics import ArrayLike, as_numpy
 
 # The loss first lets everything speak, then fragments within a few sigmas only.
 FIRST_SCALE, LAST_SCALE, SCALE_RATIO = 64.0, 4.0, 4.0

@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.model.camera import CameraState, Freedom
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.calib.model import CameraState, Freedom
+from trinoc.numerics import ArrayLike
 
 # Share of the largest eigenvalue of the unit-diagonal information below which a direction is
 # free: rounding leaves 1e-13 or so, and anything real stays far above.

@@ -17,8 +17,8 @@ from trinoc.calib.bundle.levenberg_marquardt import joint_cost, joint_system, mi
 from trinoc.calib.bundle.line_retraction import moved_anchors
 from trinoc.calib.bundle.pose_prior import PosePrior
 from trinoc.calib.bundle.schur import FragmentTable, ReducedSystem
-from trinoc.calib.model.camera import CameraState
-from trinoc.numerics.arrays import ArrayLike, ScalarLike
+from trinoc.calib.model import CameraState
+from trinoc.numerics import ArrayLike, ScalarLike
 
 # Gauss-Newton steps that take the minimum, known to a share of a sigma, to rounding error.
 POLISHING_STEPS = 6

@@ -25,8 +25,8 @@ from trinoc.calib.bundle.schur import (
     track_blocks,
 )
 from trinoc.calib.bundle.two_view_lines import placed_by_two_views
-from trinoc.calib.model.camera import CameraState
-from trinoc.numerics.arrays import ArrayLike, ScalarLike
+from trinoc.calib.model import CameraState
+from trinoc.numerics import ArrayLike, ScalarLike
 
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-4, 1e-12, 1e8
 MOST_STEPS = 300

@@ -11,10 +11,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Bool, Float
 
-from trinoc.calib.model.camera import CameraState
-from trinoc.geometry.triangulation import triangulate_segment
-from trinoc.numerics.arrays import ArrayLike
-from trinoc.numerics.small_matrices import inverse_positive_definite
+from trinoc.calib.model import CameraState
+from trinoc.geometry import triangulate_segment
+from trinoc.numerics import ArrayLike, inverse_positive_definite
 
 
 def segment_and_errors(

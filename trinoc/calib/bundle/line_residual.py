@@ -7,8 +7,8 @@ detector cut it, not where the camera stands.
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from trinoc.geometry.lines import line_through, signed_distance
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.geometry import line_through, signed_distance
+from trinoc.numerics import ArrayLike
 
 
 def distances_across(

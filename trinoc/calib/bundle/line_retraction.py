@@ -9,7 +9,7 @@ Bartoli and Sturm 2005, doi:10.1016/j.cviu.2005.06.001). After a step the chart 
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics import ArrayLike
 
 
 def normals_of(direction: Float[ArrayLike, "3"]) -> Float[ArrayLike, "2 3"]:

@@ -13,11 +13,8 @@ import numpy as np
 from trinoc.calib.bundle.estimate import squared_with_rig
 from trinoc.calib.bundle.problem import FreeParameters
 from trinoc.calib.bundle.result import RefineResult
-from trinoc.calib.model.camera import Freedom
-from trinoc.geometry.camera import Camera
-from trinoc.geometry.pose import Pose
-from trinoc.geometry.rig import Rig
-from trinoc.geometry.rotation import rotation_from_vector
+from trinoc.calib.model import Freedom
+from trinoc.geometry import Camera, Pose, Rig, rotation_from_vector
 
 # How far a camera is turned: the largest knock that the search is meant for.
 TURN_DEG = 1.2

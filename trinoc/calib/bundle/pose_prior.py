@@ -10,8 +10,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from trinoc.calib.model.camera import CameraState
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.calib.model import CameraState
+from trinoc.numerics import ArrayLike
 
 ANGLES = 3
 

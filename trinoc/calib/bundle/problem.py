@@ -9,10 +9,9 @@ import numpy as np
 from trinoc.calib.bundle.line_residual import whitening_across
 from trinoc.calib.bundle.pose_prior import PosePrior
 from trinoc.calib.bundle.schur import FragmentTable
-from trinoc.calib.model.camera import CameraState, Freedom, camera_state
+from trinoc.calib.model import CameraState, Freedom, camera_state
 from trinoc.errors import InputError
-from trinoc.geometry.line_observations import LineObservations
-from trinoc.geometry.rig import Rig
+from trinoc.geometry import LineObservations, Rig
 
 # What a calibration held in its place, such as the aim of a camera of four parameters, stays
 # there in the cameras that did not move: to a micrometre, which no segment can tell from zero.

@@ -8,12 +8,11 @@ from trinoc.calib.bundle.estimate import joint_estimate
 from trinoc.calib.bundle.multi_start import is_unambiguous, start_rigs
 from trinoc.calib.bundle.problem import FreeParameters
 from trinoc.calib.bundle.result import RefineResult, RefineStatus
-from trinoc.calib.model.camera import Freedom
-from trinoc.calib.result.calibration import CalibrationResult
+from trinoc.calib.model import Freedom
+from trinoc.calib.result import CalibrationResult
 from trinoc.errors import CalibrationError, InputError
-from trinoc.geometry.line_observations import LineObservations
-from trinoc.geometry.rig import Rig
-from trinoc.numerics.precision import in_float64
+from trinoc.geometry import LineObservations, Rig
+from trinoc.numerics import in_float64
 
 MOST_ROUNDS = 8
 

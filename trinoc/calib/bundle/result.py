@@ -6,9 +6,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
 
-from trinoc.geometry.line_observations import LineObservations
-from trinoc.geometry.rig import Rig
-from trinoc.geometry.uncertain_lines import UncertainLines
+from trinoc.geometry import LineObservations, Rig, UncertainLines
 
 
 class RefineStatus(enum.Enum):

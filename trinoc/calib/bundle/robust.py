@@ -6,7 +6,7 @@ one. Source: S. Geman and D. E. McClure, Bulletin of the ISI 52(4), 1987.
 
 from jaxtyping import Float
 
-from trinoc.numerics.arrays import ArrayLike, ScalarLike
+from trinoc.numerics import ArrayLike, ScalarLike
 
 
 def loss(squared: Float[ArrayLike, "*n"], scale: ScalarLike) -> Float[ArrayLike, "*n"]:

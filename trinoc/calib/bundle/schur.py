@@ -19,9 +19,8 @@ from jaxtyping import Bool, Float
 from trinoc.calib.bundle.line_residual import distances_across
 from trinoc.calib.bundle.line_retraction import moved_anchors
 from trinoc.calib.bundle.robust import loss, weight
-from trinoc.calib.model.camera import CameraState
-from trinoc.numerics.arrays import ArrayLike, ScalarLike
-from trinoc.numerics.small_matrices import inverse_positive_definite
+from trinoc.calib.model import CameraState
+from trinoc.numerics import ArrayLike, ScalarLike, inverse_positive_definite
 
 
 class FragmentTable(NamedTuple):

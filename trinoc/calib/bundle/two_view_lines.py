@@ -5,9 +5,9 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from trinoc.calib.bundle.schur import FragmentTable
-from trinoc.calib.model.camera import CameraState
-from trinoc.geometry.lines import line_of_planes, line_through, plane_of_line
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.calib.model import CameraState
+from trinoc.geometry import line_of_planes, line_through, plane_of_line
+from trinoc.numerics import ArrayLike
 
 
 def placed_by_two_views(

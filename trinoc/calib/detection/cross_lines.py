@@ -6,7 +6,7 @@ from jaxtyping import Float
 
 from trinoc.calib.detection.plane_mapping import PlaneMapping
 from trinoc.calib.detection.quick_median import quick_median
-from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.targets import Pattern
 
 _STATIONS = 96
 _FEWEST_STATIONS = 10

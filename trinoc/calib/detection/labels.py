@@ -7,7 +7,7 @@ from jaxtyping import Float, Int
 
 from trinoc.calib.detection.pattern_symmetry import PatternSymmetry
 from trinoc.calib.detection.placing import placements
-from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.targets import Pattern
 from trinoc.errors import DetectionError
 
 # A labelling must beat every other by this much: more than one misread circle can give.

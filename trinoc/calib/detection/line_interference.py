@@ -7,7 +7,7 @@ from trinoc.calib.detection.ellipse_fit import Ellipses
 from trinoc.calib.detection.ellipse_pixels import EllipsePixels
 from trinoc.calib.detection.normal_table import normal_cdf
 from trinoc.calib.detection.plane_mapping import PlaneMapping
-from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.targets import Pattern
 
 # Blurs beyond which a line's dark is not felt.
 _REACH = 3.0

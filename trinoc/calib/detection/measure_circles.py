@@ -13,7 +13,7 @@ from trinoc.calib.detection.pattern_symmetry import PatternSymmetry
 from trinoc.calib.detection.plane_mapping import PlaneMapping, fit_plane_mapping
 from trinoc.calib.detection.quality_gate import agreeing, plausible, undisturbed
 from trinoc.calib.detection.quick_median import quick_median
-from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.targets import Pattern
 
 # Pixels of one circle that the first, coarse fit looks at, about.
 _COARSE_PIXELS = 150

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from trinoc.calib.detection.placing import symmetries
-from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.targets import Pattern
 from trinoc.errors import InputError
 
 _FEWEST_CIRCLES = 4

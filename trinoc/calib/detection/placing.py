@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.targets import Pattern
 
 # One circle where the pattern has none must not decide a labelling, two may; a circle misread
 # as a ring or a disc costs about 25.

@@ -7,7 +7,7 @@ from trinoc.calib.detection.ellipse_fit import Ellipses
 from trinoc.calib.detection.ellipse_shape import inverse_square_root, smallest_axis
 from trinoc.calib.detection.plane_mapping import PlaneMapping, fit_plane_mapping
 from trinoc.calib.detection.quick_median import quick_median
-from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.targets import Pattern
 
 FEWEST_CIRCLES = 6
 

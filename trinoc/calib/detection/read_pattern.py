@@ -15,7 +15,7 @@ from trinoc.calib.detection.pattern_symmetry import PatternSymmetry
 from trinoc.calib.detection.plane_mapping import PlaneMapping, fit_plane_mapping
 from trinoc.calib.detection.quality_gate import FEWEST_CIRCLES, plausible
 from trinoc.calib.detection.quick_median import quick_median
-from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.targets import Pattern
 from trinoc.errors import DetectionError
 
 # How far a fitted hole may be from 0 (disc) or 1 (ring), beyond its own sigma.

@@ -15,7 +15,7 @@ from trinoc.calib.detection.lattice import find_lattices
 from trinoc.calib.detection.pattern_symmetry import PatternSymmetry, pattern_symmetry
 from trinoc.calib.detection.quick_median import quick_median
 from trinoc.calib.detection.read_pattern import Sheet, read_sheet, shows_same_sheet
-from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.targets import Pattern
 from trinoc.errors import DetectionError
 
 _FEWEST_BLOBS = 6

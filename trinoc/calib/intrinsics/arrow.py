@@ -13,7 +13,7 @@ import jax.scipy.linalg as jsl
 import lineax as lx
 from jaxtyping import Array, Float, PyTree
 
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics import ArrayLike
 
 
 class Arrow(NamedTuple):

@@ -3,6 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
+from trinoc.calib.intrinsics.advice import NextImage
 from trinoc.calib.intrinsics.field import field_places_px, field_sigma_px
 from trinoc.calib.intrinsics.lens_information import lens_information
 from trinoc.calib.intrinsics.lens_messages import (
@@ -13,10 +14,10 @@ from trinoc.calib.intrinsics.lens_messages import (
 )
 from trinoc.calib.intrinsics.lens_parameters import LENS_PARAMETERS, LensModel, lens_of_values
 from trinoc.calib.intrinsics.model_choice import Candidate, choice_sentence, variance_factor
-from trinoc.calib.intrinsics.next_image import NextImage, next_image
+from trinoc.calib.intrinsics.next_image import next_image
 from trinoc.calib.intrinsics.result import IntrinsicsResult
 from trinoc.calib.intrinsics.robust_lens import LensImages
-from trinoc.calib.result.status import Status
+from trinoc.calib.result import Status
 from trinoc.errors import CalibrationError
 
 

@@ -5,9 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from trinoc.geometry.distortion import distort, undistort
-from trinoc.geometry.rotation import rotation_from_vector
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.geometry import distort, rotation_from_vector, undistort
+from trinoc.numerics import ArrayLike
 
 FIELD_PLACES = 5
 

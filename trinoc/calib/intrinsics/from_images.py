@@ -4,19 +4,17 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from trinoc.calib.detection.detection import Detection
-from trinoc.calib.detection.search import detect_pattern
+from trinoc.calib.detection import Detection, detect_pattern
 from trinoc.calib.intrinsics.assessment import assess_lens
 from trinoc.calib.intrinsics.lens_parameters import LensModel
 from trinoc.calib.intrinsics.model_choice import fit_candidate, fit_determined
 from trinoc.calib.intrinsics.result import IntrinsicsResult
 from trinoc.calib.intrinsics.robust_lens import LensImages, fit_robustly, reached
 from trinoc.calib.intrinsics.zhang import FEWEST_CIRCLES, zhang_start
-from trinoc.calib.result.status import Status
-from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.result import Status
+from trinoc.calib.targets import Pattern
 from trinoc.errors import CalibrationError, DetectionError, InputError
-from trinoc.numerics.arrays import ArrayLike
-from trinoc.numerics.precision import in_float64
+from trinoc.numerics import ArrayLike, in_float64
 
 # Coefficients by number, in the order k1, k2, p1, p2, k3 that OpenCV counts them in.
 _MODEL_OF_COUNT = {0: (0, False), 1: (1, False), 2: (2, False), 4: (2, True), 5: (3, True)}

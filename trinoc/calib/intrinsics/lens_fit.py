@@ -16,8 +16,8 @@ from trinoc.calib.intrinsics.lens_residual import (
     residuals_px,
     whitened_residuals,
 )
-from trinoc.calib.model.observed_circles import CircleObservations
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.calib.model import CircleObservations
+from trinoc.numerics import ArrayLike
 
 MAX_STEPS = 100
 # The solver ends when no residual changes by more than this, in standard deviations, and no

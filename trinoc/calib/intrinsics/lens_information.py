@@ -5,7 +5,7 @@ from jaxtyping import Float
 
 from trinoc.calib.intrinsics.lens_fit import LensFit
 from trinoc.calib.intrinsics.lens_parameters import LensModel, free_directions
-from trinoc.numerics.information import Observability, observability
+from trinoc.numerics import Observability, observability
 
 
 def lens_information(information: Float[np.ndarray, "*k 15 15"]) -> Float[np.ndarray, "*k 9 9"]:

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry import Intrinsics
 
 # Focal lengths and principal point along u and v, then Brown-Conrady in OpenCV's order.
 LENS_PARAMETERS = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "p1", "p2", "k3")

@@ -6,15 +6,15 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from trinoc.calib.model.observed_circles import CircleObservations
-from trinoc.geometry.conics import (
+from trinoc.calib.model import CircleObservations
+from trinoc.geometry import (
+    Pose,
     centre_of_mapped_ellipse,
+    distort,
     dual_conic_of_circle,
     transform_dual_conic,
 )
-from trinoc.geometry.distortion import distort
-from trinoc.geometry.pose import Pose
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics import ArrayLike
 
 
 class LensChart(NamedTuple):

@@ -14,7 +14,7 @@ from trinoc.calib.intrinsics.lens_information import lens_observability
 from trinoc.calib.intrinsics.lens_parameters import LENS_PARAMETERS, LensModel
 from trinoc.calib.intrinsics.robust_lens import LensImages, fit_model
 from trinoc.calib.intrinsics.zhang import ZhangStart
-from trinoc.numerics.information import Observability
+from trinoc.numerics import Observability
 
 # What a coefficient must lower chi-square by to be asked for: Akaike's price.
 _PRICE = 2.0

@@ -12,9 +12,9 @@ from trinoc.calib.intrinsics.advice import NextImage
 from trinoc.calib.intrinsics.lens_information import directions_of, lens_information
 from trinoc.calib.intrinsics.lens_parameters import LensModel
 from trinoc.calib.intrinsics.lens_residual import information_of_images, residuals_px
-from trinoc.calib.model.observed_circles import CircleObservations
-from trinoc.calib.targets.pattern import Pattern
-from trinoc.numerics.precision import as_numpy
+from trinoc.calib.model import CircleObservations
+from trinoc.calib.targets import Pattern
+from trinoc.numerics import as_numpy
 
 _TILT_RAD = np.radians(40.0)
 # Share of the picture's shorter side that the sheet takes.

@@ -6,11 +6,11 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
 
-from trinoc.calib.detection.detection import Detection
+from trinoc.calib.detection import Detection
 from trinoc.calib.intrinsics.advice import NextImage
-from trinoc.calib.result.status import Status
-from trinoc.calib.targets.pattern import Pattern
-from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.calib.result import Status
+from trinoc.calib.targets import Pattern
+from trinoc.geometry import Intrinsics
 
 
 class IntrinsicsResult(eqx.Module):

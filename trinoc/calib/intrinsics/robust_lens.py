@@ -6,20 +6,23 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from trinoc.calib.detection.detection import Detection
+from trinoc.calib.detection import Detection
 from trinoc.calib.intrinsics.lens_fit import LensFit, fit_lens
 from trinoc.calib.intrinsics.lens_parameters import LensModel, free_directions, parameter_scale
 from trinoc.calib.intrinsics.lens_residual import LensChart
 from trinoc.calib.intrinsics.zhang import ZhangStart
-from trinoc.calib.model.observed_circles import (
+from trinoc.calib.model import (
+    ANNEALING,
     CircleObservations,
     bucket_size,
     circle_observations,
+    inliers,
+    is_suspect,
+    robust_scale,
     stack_observations,
 )
-from trinoc.calib.model.outliers import ANNEALING, inliers, is_suspect, robust_scale
-from trinoc.calib.targets.pattern import Pattern
-from trinoc.numerics.precision import as_numpy
+from trinoc.calib.targets import Pattern
+from trinoc.numerics import as_numpy
 
 # Pictures are padded to a multiple of this, so that one more seldom compiles anew.
 _IMAGE_BUCKET = 8

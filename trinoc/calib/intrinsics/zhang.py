@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
-from trinoc.calib.detection.detection import Detection
-from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.detection import Detection
+from trinoc.calib.targets import Pattern
 from trinoc.errors import CalibrationError
 
 FEWEST_CIRCLES = 4

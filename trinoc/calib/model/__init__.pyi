@@ -1,19 +1,25 @@
-from .camera_state import CameraState as CameraState
-from .camera_state import Freedom as Freedom
-from .camera_state import camera_of_state as camera_of_state
-from .camera_state import camera_state as camera_state
-from .circle_observations import CircleObservations as CircleObservations
-from .circle_observations import bucket_size as bucket_size
-from .circle_observations import circle_observations as circle_observations
-from .circle_observations import stack_observations as stack_observations
-from .circle_residual import circle_residuals_px as circle_residuals_px
-from .circle_residual import predicted_centre_px as predicted_centre_px
-from .circle_residual import whitened_residuals as whitened_residuals
-from .lens_arrays import LensArrays as LensArrays
-from .lens_arrays import lens_arrays as lens_arrays
-from .lens_arrays import moved_lens as moved_lens
-from .outliers import ANNEALING as ANNEALING
-from .outliers import inliers as inliers
-from .outliers import is_suspect as is_suspect
-from .outliers import robust_scale as robust_scale
+from .camera import (
+    CameraState as CameraState,
+    Freedom as Freedom,
+    camera_of_state as camera_of_state,
+    camera_state as camera_state,
+)
+from .circle_residual import (
+    circle_residuals_px as circle_residuals_px,
+    predicted_centre_px as predicted_centre_px,
+    whitened_residuals as whitened_residuals,
+)
+from .lens import LensArrays as LensArrays, lens_arrays as lens_arrays, moved_lens as moved_lens
+from .observed_circles import (
+    CircleObservations as CircleObservations,
+    bucket_size as bucket_size,
+    circle_observations as circle_observations,
+    stack_observations as stack_observations,
+)
+from .outliers import (
+    ANNEALING as ANNEALING,
+    inliers as inliers,
+    is_suspect as is_suspect,
+    robust_scale as robust_scale,
+)
 from .sheet_pose import SheetPose as SheetPose

@@ -8,10 +8,8 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from trinoc.calib.model.lens import LensArrays, lens_arrays
-from trinoc.geometry.camera import Camera
-from trinoc.geometry.pose import Pose
-from trinoc.geometry.rotation import pan_tilt_swing_from_rotation, rotation_from_vector
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.geometry import Camera, Pose, pan_tilt_swing_from_rotation, rotation_from_vector
+from trinoc.numerics import ArrayLike
 
 # A step of one in focal length doubles it; in the principal point it is this many pixels.
 PRINCIPAL_POINT_STEP_PX = 1000.0

@@ -7,12 +7,8 @@ from jaxtyping import Float
 from trinoc.calib.model.lens import LensArrays
 from trinoc.calib.model.observed_circles import CircleObservations
 from trinoc.calib.model.sheet_pose import SheetPose
-from trinoc.geometry.conics import (
-    centre_of_mapped_ellipse,
-    dual_conic_of_circle,
-    transform_dual_conic,
-)
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.geometry import centre_of_mapped_ellipse, dual_conic_of_circle, transform_dual_conic
+from trinoc.numerics import ArrayLike
 
 
 def predicted_centre_px(

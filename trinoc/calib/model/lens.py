@@ -6,9 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.geometry.distortion import distort, undistort
-from trinoc.geometry.intrinsics import Intrinsics
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.geometry import Intrinsics, distort, undistort
+from trinoc.numerics import ArrayLike
 
 
 class LensArrays(NamedTuple):

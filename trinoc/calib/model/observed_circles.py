@@ -6,9 +6,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from trinoc.calib.detection.detection import Detection
-from trinoc.calib.targets.pattern import Pattern
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.calib.detection import Detection
+from trinoc.calib.targets import Pattern
+from trinoc.numerics import ArrayLike
 
 SMALLEST_BUCKET = 32
 

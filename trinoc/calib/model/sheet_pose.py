@@ -8,8 +8,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from trinoc.geometry.rotation import pan_tilt_swing_from_rotation, rotation_from_vector
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.geometry import pan_tilt_swing_from_rotation, rotation_from_vector
+from trinoc.numerics import ArrayLike
 
 
 class SheetPose(eqx.Module):

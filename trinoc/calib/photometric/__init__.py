@@ -1,1 +1,8 @@
-"""trinoc/calib/photometric."""
+"""The sheet's image as a differentiable model, fitted to the pixels near ink edges.
+
+outlines, pixel_selection -> rays, sheet_point -> edges, ink_coverage, line_pixels -> appearance
+-> normal_equations, gauss_newton -> gate -> image_fit (one image) -> views (all of them)."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -20,7 +20,7 @@ from trinoc.calib.photometric.ink_coverage import (
     ink_of_sheet,
 )
 from trinoc.calib.photometric.sheet_point import Ray, sheet_point
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics import ArrayLike
 
 LIGHT_TERMS = 6
 # Unknowns beside the pose, in their order after it: sigma, spread, ratio, light.

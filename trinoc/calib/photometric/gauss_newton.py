@@ -6,12 +6,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float, Int
 
-from trinoc.calib.model.sheet_pose import SheetPose
+from trinoc.calib.model import SheetPose
 from trinoc.calib.photometric.appearance import NUISANCE, Appearance, Pixels
 from trinoc.calib.photometric.ink_coverage import Cross, Drawing
 from trinoc.calib.photometric.normal_equations import normal_equations
-from trinoc.numerics.arrays import ArrayLike
-from trinoc.numerics.small_matrices import inverse_3x3
+from trinoc.numerics import ArrayLike, inverse_3x3
 
 
 class Group(NamedTuple):

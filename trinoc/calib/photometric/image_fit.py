@@ -7,8 +7,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.model.lens import LensArrays
-from trinoc.calib.model.sheet_pose import SheetPose
+from trinoc.calib.model import LensArrays, SheetPose
 from trinoc.calib.photometric.appearance import NUISANCE, Appearance
 from trinoc.calib.photometric.gate import gate_pixels
 from trinoc.calib.photometric.gauss_newton import Group, ImageState, Step, run_steps
@@ -23,7 +22,7 @@ from trinoc.calib.photometric.pixel_selection import (
     group_of,
     select_pixels,
 )
-from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.targets import Pattern
 
 # Shares of the contrast at which a residual loses its influence while the fit finds its way.
 _SCALES = (0.12, 0.07, 0.05)

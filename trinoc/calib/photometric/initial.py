@@ -3,11 +3,10 @@
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.model.lens import LensArrays
-from trinoc.calib.model.sheet_pose import SheetPose
+from trinoc.calib.model import LensArrays, SheetPose
 from trinoc.calib.photometric.appearance import LIGHT_TERMS, Appearance
 from trinoc.calib.photometric.outlines import circle_points_mm, project_to_image
-from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.targets import Pattern
 
 # A central difference over two pixels sees an edge as if blurred by this variance more.
 _DIFFERENCE_VARIANCE = 1 / 3

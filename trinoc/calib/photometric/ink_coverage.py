@@ -21,7 +21,7 @@ from trinoc.calib.photometric.edges import (
     straight_edge,
 )
 from trinoc.calib.photometric.sheet_point import Ray, SheetPoint
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics import ArrayLike
 
 Scalar = Float[ArrayLike, ""]
 # (displacement on the sheet X, Y in mm, ink spread in mm, sigma in px) -> share of ink.

@@ -6,11 +6,10 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.calib.model.lens import LensArrays
-from trinoc.calib.model.sheet_pose import SheetPose
+from trinoc.calib.model import LensArrays, SheetPose
 from trinoc.calib.photometric.gauss_newton import sheet_from_normalised
 from trinoc.calib.photometric.rays import rays_of_pixels
-from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.targets import Pattern
 
 
 class LineView(NamedTuple):

@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 
 from trinoc.calib.photometric.appearance import NUISANCE, Appearance, Pixels, Prediction, predict
 from trinoc.calib.photometric.ink_coverage import Cross, Drawing
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics import ArrayLike
 
 CHUNK = 512
 _ROW = 9 + NUISANCE

@@ -4,10 +4,9 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.model.lens import LensArrays
-from trinoc.calib.model.sheet_pose import SheetPose
-from trinoc.calib.targets.pattern import Pattern
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.calib.model import LensArrays, SheetPose
+from trinoc.calib.targets import Pattern
+from trinoc.numerics import ArrayLike
 
 _CIRCLE_POINTS = 32
 _SIDE_POINTS = 16

@@ -7,8 +7,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.calib.model.lens import LensArrays
-from trinoc.calib.model.sheet_pose import SheetPose
+from trinoc.calib.model import LensArrays, SheetPose
 from trinoc.calib.photometric.appearance import Pixels
 from trinoc.calib.photometric.gauss_newton import Group
 from trinoc.calib.photometric.ink_coverage import Circle
@@ -16,7 +15,7 @@ from trinoc.calib.photometric.line_pixels import line_view
 from trinoc.calib.photometric.normal_equations import CHUNK
 from trinoc.calib.photometric.outlines import circle_points_mm, line_outlines_mm, project_to_image
 from trinoc.calib.photometric.rays import rays_of_pixels
-from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.targets import Pattern
 
 # Pixels within this many sigmas of an edge, and a little more for an error of the start.
 _REACH_SIGMAS = 3.0

@@ -4,9 +4,9 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.model.lens import LensArrays
+from trinoc.calib.model import LensArrays
 from trinoc.calib.photometric.sheet_point import Ray
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics import ArrayLike
 
 # Pieces of one length, so that another number of pixels does not compile again.
 _PIECE = 8192

@@ -11,20 +11,20 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.detection.detection import Detection
-from trinoc.calib.model.circle_residual import circle_residuals_px
-from trinoc.calib.model.lens import lens_arrays
-from trinoc.calib.model.observed_circles import bucket_size, circle_observations
-from trinoc.calib.model.sheet_pose import SheetPose
+from trinoc.calib.detection import Detection
+from trinoc.calib.model import (
+    SheetPose,
+    bucket_size,
+    circle_observations,
+    circle_residuals_px,
+    lens_arrays,
+)
 from trinoc.calib.photometric.image_fit import ImageRefinement, refine_image
-from trinoc.calib.pose.estimate import DEGREES, PoseEstimate, sheet_pose_of_values
-from trinoc.calib.result.calibration import ImageQuality
-from trinoc.calib.result.status import Status
-from trinoc.calib.targets.pattern import Pattern
-from trinoc.geometry.intrinsics import Intrinsics
-from trinoc.geometry.rig import PARAMETER_NAMES
-from trinoc.numerics.arrays import ArrayLike
-from trinoc.numerics.information import LARGEST_SIGMA, observability
+from trinoc.calib.pose import DEGREES, PoseEstimate, sheet_pose_of_values
+from trinoc.calib.result import ImageQuality, Status
+from trinoc.calib.targets import Pattern
+from trinoc.geometry import PARAMETER_NAMES, Intrinsics
+from trinoc.numerics import LARGEST_SIGMA, ArrayLike, observability
 
 # The picture moves circles by hundredths of a pixel; more than this is another minimum.
 _LARGEST_MOVE_PX = 0.5

@@ -5,11 +5,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from trinoc.calib.model.sheet_pose import SheetPose
-from trinoc.calib.result.status import Status
-from trinoc.geometry.pose import PanTiltPose
-from trinoc.geometry.rig import PARAMETER_NAMES
-from trinoc.numerics.information import LARGEST_SIGMA, observability
+from trinoc.calib.model import SheetPose
+from trinoc.calib.result import Status
+from trinoc.geometry import PARAMETER_NAMES, PanTiltPose
+from trinoc.numerics import LARGEST_SIGMA, observability
 
 # From (rad, rad, rad, mm, mm, mm), in which fits run, to degrees, in which people read.
 DEGREES = np.array([180 / np.pi, 180 / np.pi, 180 / np.pi, 1.0, 1.0, 1.0])

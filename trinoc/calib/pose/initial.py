@@ -11,10 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.model.lens import LensArrays
-from trinoc.calib.model.observed_circles import CircleObservations
-from trinoc.calib.model.sheet_pose import SheetPose
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.calib.model import CircleObservations, LensArrays, SheetPose
+from trinoc.numerics import ArrayLike
 
 # Steps of 7.5 degrees: the parabola through the best three is then good to a degree or two.
 _ANGLES_RAD = np.arange(48) * (2 * np.pi / 48)

@@ -9,12 +9,15 @@ import lineax as lx
 import optimistix as optx
 from jaxtyping import Bool, Float, Int
 
-from trinoc.calib.model.circle_residual import circle_residuals_px, whitened_residuals
-from trinoc.calib.model.lens import LensArrays
-from trinoc.calib.model.observed_circles import CircleObservations
-from trinoc.calib.model.sheet_pose import SheetPose
+from trinoc.calib.model import (
+    CircleObservations,
+    LensArrays,
+    SheetPose,
+    circle_residuals_px,
+    whitened_residuals,
+)
 from trinoc.calib.pose.initial import initial_pose_from_circles, initial_pose_from_lines
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics import ArrayLike
 
 MAX_STEPS = 64
 # Steps are in rad and in shares of the distance; a good sheet determines them to 1e-5.

@@ -9,10 +9,9 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Bool, Float
 
-from trinoc.calib.model.observed_circles import bucket_size
-from trinoc.geometry.distortion import distort
-from trinoc.geometry.pose import Pose
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.calib.model import bucket_size
+from trinoc.geometry import Pose, distort
+from trinoc.numerics import ArrayLike
 
 _MAX_STEPS = 256
 

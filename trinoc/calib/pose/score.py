@@ -10,16 +10,21 @@ import numpy as np
 from jaxtyping import Float
 from scipy.stats import chi2
 
-from trinoc.calib.detection.detection import Detection
-from trinoc.calib.model.circle_residual import whitened_residuals
-from trinoc.calib.model.lens import LensArrays, lens_arrays
-from trinoc.calib.model.observed_circles import CircleObservations, bucket_size, circle_observations
-from trinoc.calib.model.sheet_pose import SheetPose
+from trinoc.calib.detection import Detection
+from trinoc.calib.model import (
+    CircleObservations,
+    LensArrays,
+    SheetPose,
+    bucket_size,
+    circle_observations,
+    lens_arrays,
+    whitened_residuals,
+)
 from trinoc.calib.pose.estimate import PoseEstimate, sheet_pose_of_values
-from trinoc.calib.result.alternative import Alternative
-from trinoc.calib.targets.pattern import Pattern
-from trinoc.geometry.intrinsics import Intrinsics
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.calib.result import Alternative
+from trinoc.calib.targets import Pattern
+from trinoc.geometry import Intrinsics
+from trinoc.numerics import ArrayLike
 
 # Columns of the extended Jacobian: six of the pose, then focal length, then distortion k1.
 _AIM, _FOCAL, _RADIAL = [4, 5], [6], [7]

@@ -7,15 +7,19 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
-from trinoc.calib.detection.detection import Detection
-from trinoc.calib.model.lens import LensArrays, lens_arrays
-from trinoc.calib.model.observed_circles import (
+from trinoc.calib.detection import Detection
+from trinoc.calib.model import (
+    ANNEALING,
     CircleObservations,
+    LensArrays,
     bucket_size,
     circle_observations,
+    inliers,
+    is_suspect,
+    lens_arrays,
+    robust_scale,
     stack_observations,
 )
-from trinoc.calib.model.outliers import ANNEALING, inliers, is_suspect, robust_scale
 from trinoc.calib.pose.estimate import PoseEstimate, assess
 from trinoc.calib.pose.least_squares import (
     CircleFit,
@@ -23,9 +27,9 @@ from trinoc.calib.pose.least_squares import (
     fit_images_from_lines,
     refit_images,
 )
-from trinoc.calib.targets.pattern import Pattern
-from trinoc.geometry.intrinsics import Intrinsics
-from trinoc.numerics.precision import as_numpy
+from trinoc.calib.targets import Pattern
+from trinoc.geometry import Intrinsics
+from trinoc.numerics import as_numpy
 
 _Tree = TypeVar("_Tree")
 

@@ -1,1 +1,1 @@
-"""trinoc/calib/rig_check."""
+"""Has a camera been knocked? By a scene's segments, or by comparing two calibrations."""

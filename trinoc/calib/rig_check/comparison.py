@@ -6,9 +6,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.stats import chi2, norm
 
-from trinoc.calib.result.calibration import CalibrationResult
-from trinoc.geometry.camera import Camera
-from trinoc.geometry.rig import PARAMETER_NAMES, Rig
+from trinoc.calib.result import CalibrationResult
+from trinoc.geometry import PARAMETER_NAMES, Camera, Rig
 
 # A camera has moved when noise alone would say so once in 10^5 comparisons of it.
 _MOVED_SIGMAS = 4.5

@@ -12,11 +12,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy import stats
 
-from trinoc.calib.bundle.refinement import Matched, Matcher, refine
-from trinoc.calib.bundle.result import RefineResult, RefineStatus
+from trinoc.calib.bundle import Matched, Matcher, RefineResult, RefineStatus, refine
 from trinoc.errors import CalibrationError
-from trinoc.geometry.line_observations import LineObservations
-from trinoc.geometry.rig import Rig
+from trinoc.geometry import LineObservations, Rig
 
 # Below this many sigmas a motion is not told from chance; with three cameras asked, one rig
 # in 120 that stands still is suspected all the same.

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 
 from trinoc.calib.targets.ring_code import ring_code
 from trinoc.errors import InputError
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics import ArrayLike
 
 LINE_STYLES = ("stop", "through", "white")
 

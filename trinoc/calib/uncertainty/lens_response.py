@@ -12,14 +12,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.detection.detection import Detection
-from trinoc.calib.model.lens import LensArrays, lens_arrays, moved_lens
-from trinoc.calib.photometric.image_fit import refine_image
-from trinoc.calib.photometric.views import ViewEstimate, in_threads
-from trinoc.calib.pose.estimate import DEGREES, sheet_pose_of_values
-from trinoc.calib.targets.pattern import Pattern
-from trinoc.geometry.intrinsics import Intrinsics
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.calib.detection import Detection
+from trinoc.calib.model import LensArrays, lens_arrays, moved_lens
+from trinoc.calib.photometric import ViewEstimate, in_threads, refine_image
+from trinoc.calib.pose import DEGREES, sheet_pose_of_values
+from trinoc.calib.targets import Pattern
+from trinoc.geometry import Intrinsics
+from trinoc.numerics import ArrayLike
 
 # Circles move this far at most: within the reach of a linear error, beyond that of rounding.
 _LARGEST_STEP_PX = 0.05

@@ -8,13 +8,17 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.errors import InputError
-from trinoc.geometry.camera import Camera, sheet_from_pixel
-from trinoc.geometry.epipolar import epipolar_distance_px, fundamental_matrix
-from trinoc.geometry.pose import PanTiltPose
-from trinoc.geometry.rig import PARAMETER_NAMES, Rig
-from trinoc.geometry.triangulation import triangulate_point
-from trinoc.numerics.arrays import ArrayLike
-from trinoc.numerics.precision import in_float64
+from trinoc.geometry import (
+    PARAMETER_NAMES,
+    Camera,
+    PanTiltPose,
+    Rig,
+    epipolar_distance_px,
+    fundamental_matrix,
+    sheet_from_pixel,
+    triangulate_point,
+)
+from trinoc.numerics import ArrayLike, in_float64
 
 # Places across the picture, along each side.
 _PLACES = 5

@@ -14,17 +14,22 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.intrinsics.lens_parameters import LENS_PARAMETERS
-from trinoc.calib.model.circle_residual import predicted_centre_px
-from trinoc.calib.model.lens import LensArrays, lens_arrays, moved_lens
-from trinoc.calib.model.observed_circles import CircleObservations, bucket_size, circle_observations
-from trinoc.calib.model.sheet_pose import SheetPose
-from trinoc.calib.pose.estimate import DEGREES, sheet_pose_of_values
-from trinoc.calib.result.calibration import CalibrationResult
+from trinoc.calib.intrinsics import LENS_PARAMETERS
+from trinoc.calib.model import (
+    CircleObservations,
+    LensArrays,
+    SheetPose,
+    bucket_size,
+    circle_observations,
+    lens_arrays,
+    moved_lens,
+    predicted_centre_px,
+)
+from trinoc.calib.pose import DEGREES, sheet_pose_of_values
+from trinoc.calib.result import CalibrationResult
 from trinoc.errors import InputError
-from trinoc.geometry.rig import PARAMETER_NAMES, Rig
-from trinoc.numerics.arrays import ArrayLike
-from trinoc.numerics.precision import in_float64
+from trinoc.geometry import PARAMETER_NAMES, Rig
+from trinoc.numerics import ArrayLike, in_float64
 
 # Shared by all cameras: print scale along X and Y, and three ways in which a sheet bends.
 _SHARED = 5

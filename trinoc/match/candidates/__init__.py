@@ -1,1 +1,8 @@
-"""trinoc/match/candidates."""
+"""Step 1: triples of segments that can be one line.
+
+transfer (what a pair predicts in the third view) -> index, lookup (who is there) -> gate ->
+triples, all three orderings; `table` is the value they come in."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -4,10 +4,9 @@ import jax.numpy as jnp
 from jaxtyping import Bool, Float
 
 from trinoc.match.candidates.transfer import Prediction
-from trinoc.match.evidence.triple_position import GATE
-from trinoc.match.two_view.common_part import SMALLEST_OVERLAP
-from trinoc.numerics.arrays import ArrayLike
-from trinoc.numerics.scalar_vectors import Scalar, between
+from trinoc.match.evidence import GATE
+from trinoc.match.two_view import SMALLEST_OVERLAP
+from trinoc.numerics import ArrayLike, Scalar, between
 
 
 def passes_third_view_gate(

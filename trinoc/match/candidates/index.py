@@ -16,9 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from trinoc.numerics.arrays import ArrayLike
-from trinoc.numerics.interval_join import expand_ranges
-from trinoc.numerics.scalar_vectors import Scalar, Vector2
+from trinoc.numerics import ArrayLike, Scalar, Vector2, expand_ranges
 
 
 class Layer(NamedTuple):

@@ -13,8 +13,8 @@ from trinoc.match.candidates.index import (
     spatial_index,
 )
 from trinoc.match.candidates.transfer import Prediction
-from trinoc.match.observations.table import SegmentTable
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.match.observations import SegmentTable
+from trinoc.numerics import ArrayLike
 
 # Standard deviations within which a segment may lie of where a pair predicts it.
 REACH = 4.0

@@ -5,10 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.match.evidence.endpoints import SIDE_COMPONENTS
-from trinoc.match.evidence.mixture import MixtureParameters, log_odds
-from trinoc.match.evidence.side_intensity import SIDE_COMPONENTS
-from trinoc.match.observations.table import SegmentTable
+from trinoc.match.evidence import END_COMPONENTS, SIDE_COMPONENTS, MixtureParameters, log_odds
+from trinoc.match.observations import SegmentTable
 
 
 class Candidates(NamedTuple):
@@ -40,7 +38,7 @@ def no_candidates(views: int) -> Candidates:
         np.zeros((0, 2, 3)),
         np.zeros(0),
         np.zeros(0),
-        np.zeros((0, 2, SIDE_COMPONENTS)),
+        np.zeros((0, 2, END_COMPONENTS)),
         np.zeros((0, 2, 3)),
         np.zeros((0, 2, 6)),
         np.zeros(0),

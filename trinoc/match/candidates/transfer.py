@@ -5,11 +5,10 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Bool, Float, Int
 
-from trinoc.match.observations.table import SegmentTable
-from trinoc.match.two_view.common_part import cut_pair
-from trinoc.match.two_view.epipolar_pencil import Pencil, PencilSegments
-from trinoc.numerics.arrays import ArrayLike
-from trinoc.numerics.scalar_vectors import (
+from trinoc.match.observations import SegmentTable
+from trinoc.match.two_view import Pencil, PencilSegments, cut_pair
+from trinoc.numerics import (
+    ArrayLike,
     Scalar,
     Vector3,
     add3,

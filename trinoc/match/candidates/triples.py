@@ -12,19 +12,23 @@ from trinoc.match.candidates.index import Grid, SpatialIndex
 from trinoc.match.candidates.lookup import keys_of, lookup, segments_near
 from trinoc.match.candidates.table import Candidates, concatenated, no_candidates, prior_log_odds
 from trinoc.match.candidates.transfer import Prediction, predict
-from trinoc.match.evidence.endpoints import end_evidence
-from trinoc.match.evidence.mixture import prior_parameters
-from trinoc.match.evidence.polarity import polarity_evidence
-from trinoc.match.evidence.side_intensity import side_evidence
-from trinoc.match.evidence.triple_position import TripleEvidence, triple_evidence
-from trinoc.match.observations.clutter import ClutterModel
-from trinoc.match.observations.table import PAIRS_IN_BLOCK, TRIPLES_IN_BLOCK, SegmentTable, block_of
-from trinoc.match.two_view.common_part import cut_pair, points_of
-from trinoc.match.two_view.epipolar_pencil import Pencil, pencil, row_of
-from trinoc.numerics.arrays import ArrayLike
-from trinoc.numerics.buckets import blocks, in_blocks, padded
-from trinoc.numerics.interval_join import overlapping
-from trinoc.numerics.scalar_vectors import stacked
+from trinoc.match.evidence import (
+    TripleEvidence,
+    end_evidence,
+    polarity_evidence,
+    prior_parameters,
+    side_evidence,
+    triple_evidence,
+)
+from trinoc.match.observations import (
+    PAIRS_IN_BLOCK,
+    TRIPLES_IN_BLOCK,
+    ClutterModel,
+    SegmentTable,
+    block_of,
+)
+from trinoc.match.two_view import Pencil, cut_pair, pencil, points_of, row_of
+from trinoc.numerics import ArrayLike, blocks, in_blocks, overlapping, padded, stacked
 
 # About as many pairs are held at a time.
 PAIRS_AT_A_TIME = 1 << 19

@@ -1,1 +1,8 @@
-"""trinoc/match/evidence."""
+"""Log likelihood ratios of one line against clutter, and the mixtures learned by EM.
+
+triple_position, pair_position: place and direction. endpoints: where ends lie along the line.
+polarity, side_intensity: the darker side and the grey levels on both sides. mixture: their sum."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,20 +1,25 @@
-from .endpoints import AGREEING_PX as AGREEING_PX
-from .endpoints import PAIR_PX as PAIR_PX
-from .endpoints import end_evidence as end_evidence
-from .mixture import MixtureParameters as MixtureParameters
-from .mixture import em_step as em_step
-from .mixture import log_odds as log_odds
-from .mixture import log_place as log_place
-from .mixture import log_sides as log_sides
-from .mixture import prior_parameters as prior_parameters
-from .mixture import probability as probability
-from .mixture import temper as temper
-from .mixture import volume_of as volume_of
-from .pair_position import PairEvidence as PairEvidence
-from .pair_position import pair_evidence as pair_evidence
+from .endpoints import (
+    AGREEING_PX as AGREEING_PX,
+    END_COMPONENTS as END_COMPONENTS,
+    PAIR_PX as PAIR_PX,
+    end_evidence as end_evidence,
+)
+from .mixture import (
+    MixtureParameters as MixtureParameters,
+    em_step as em_step,
+    log_odds as log_odds,
+    log_place as log_place,
+    log_sides as log_sides,
+    prior_parameters as prior_parameters,
+    probability as probability,
+    temper as temper,
+    volume_of as volume_of,
+)
+from .pair_position import PairEvidence as PairEvidence, pair_evidence as pair_evidence
 from .polarity import polarity_evidence as polarity_evidence
-from .side_intensity import COMPONENTS as COMPONENTS
-from .side_intensity import side_evidence as side_evidence
-from .triple_position import GATE as GATE
-from .triple_position import TripleEvidence as TripleEvidence
-from .triple_position import triple_evidence as triple_evidence
+from .side_intensity import SIDE_COMPONENTS as SIDE_COMPONENTS, side_evidence as side_evidence
+from .triple_position import (
+    GATE as GATE,
+    TripleEvidence as TripleEvidence,
+    triple_evidence as triple_evidence,
+)

@@ -9,7 +9,7 @@ happens is the detector's own habit, learned from the pictures at hand by `evide
 import jax.numpy as jnp
 import numpy as np
 
-from trinoc.numerics.scalar_vectors import Scalar
+from trinoc.numerics import Scalar
 
 AGREEING_PX = (0.7, 2.0, 5.0, 12.0)
 PAIR_PX = (0.7, 2.0, 5.0)

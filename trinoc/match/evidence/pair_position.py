@@ -13,22 +13,17 @@ from jaxtyping import Bool, Int
 
 from trinoc.match.evidence.endpoints import AGREEING_PX, LEAST_DENSITY
 from trinoc.match.evidence.triple_position import SHORTEST_TO_LONGEST, adjusted, log_lengths
-from trinoc.match.observations.clutter import ClutterModel
-from trinoc.match.observations.table import SegmentTable
-from trinoc.match.two_view.common_part import cut_pair, points_of
-from trinoc.match.two_view.epipolar_pencil import Pencil, PencilSegments
-from trinoc.match.two_view.planes import extent_on_line, image_of, interpretation_plane
-from trinoc.numerics.arrays import ArrayLike
-from trinoc.numerics.scalar_vectors import (
-    Scalar,
-    Symmetric3,
-    Vector3,
-    add3,
-    cross3,
-    dot3,
-    total,
-    unit3,
+from trinoc.match.observations import ClutterModel, SegmentTable
+from trinoc.match.two_view import (
+    Pencil,
+    PencilSegments,
+    cut_pair,
+    extent_on_line,
+    image_of,
+    interpretation_plane,
+    points_of,
 )
+from trinoc.numerics import ArrayLike, Scalar, Symmetric3, Vector3, add3, cross3, dot3, total, unit3
 
 # Ends agree, by scale; or do not.
 PAIR_COMPONENTS = len(AGREEING_PX) + 1

@@ -10,7 +10,7 @@ from itertools import combinations_with_replacement
 import numpy as np
 from jaxtyping import Float, Int
 
-from trinoc.match.observations.side_intensity import AGREEING
+from trinoc.match.observations import AGREEING
 
 _NONE = len(AGREEING)
 # How the one side agrees and how the other; which is which does not matter.

@@ -14,12 +14,15 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Bool, Float, Int
 
-from trinoc.match.observations.clutter import ClutterModel
-from trinoc.match.observations.table import SegmentTable
-from trinoc.match.two_view.common_part import SMALLEST_OVERLAP
-from trinoc.match.two_view.planes import InterpretationPlane, extent_on_line, interpretation_plane
-from trinoc.numerics.arrays import ArrayLike
-from trinoc.numerics.scalar_vectors import (
+from trinoc.match.observations import ClutterModel, SegmentTable
+from trinoc.match.two_view import (
+    SMALLEST_OVERLAP,
+    InterpretationPlane,
+    extent_on_line,
+    interpretation_plane,
+)
+from trinoc.numerics import (
+    ArrayLike,
     Scalar,
     Symmetric3,
     Vector3,

@@ -1,1 +1,1 @@
-"""trinoc/match/line_map."""
+"""After matching: collinear tracks as one line, ends that meet as corners, depth maps."""

@@ -14,14 +14,14 @@ from scipy.special import expit
 from scipy.stats import chi2
 
 from trinoc.errors import InputError
-from trinoc.geometry.rig import Rig
+from trinoc.geometry import Rig
 from trinoc.match.line_map.collinearity import Evidence, LineDensity, difference, gap_mm, log_odds
 from trinoc.match.line_map.density import line_density, nearby_lines, parallel_density
 from trinoc.match.line_map.line_fit import fit_line
 from trinoc.match.line_map.lines import JoinedLines
 from trinoc.match.line_map.table import TrackTable, fragments_of, track_table
-from trinoc.match.tracks.matches import Matches
-from trinoc.numerics.precision import in_float64
+from trinoc.match.tracks import Matches
+from trinoc.numerics import in_float64
 
 # Pieces are joined where that is as likely as this.
 MIN_POSTERIOR = 0.9

@@ -15,7 +15,7 @@ from scipy.stats import chi2
 from trinoc.match.line_map.corner_pairs import REACH_PX, Ends, carried, corner_candidates, ends_of
 from trinoc.match.line_map.corners import Corners
 from trinoc.match.line_map.lines import JoinedLines
-from trinoc.numerics.neighbours_in_plane import group_labels
+from trinoc.numerics import group_labels
 
 # Lines pass through one point no worse than those of one corner of so many do.
 SIGNIFICANCE = 1e-3

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from trinoc.match.line_map.collinearity import Difference, LineDensity
-from trinoc.numerics.buckets import blocks
+from trinoc.numerics import blocks
 
 # Lines within this angle, or within what they are known to, count as parallel.
 PARALLEL_DEG, SIGMAS, WIDEST = 3.0, 3.0, np.radians(20.0)

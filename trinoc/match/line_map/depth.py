@@ -9,10 +9,9 @@ from jaxtyping import Bool, Float, Int
 from scipy.cluster.hierarchy import fcluster, linkage
 from skimage.draw import polygon
 
-from trinoc.geometry.camera import Camera, project
-from trinoc.geometry.rig import Rig
-from trinoc.match.tracks.matches import Matches
-from trinoc.numerics.precision import in_float64
+from trinoc.geometry import Camera, Rig, project
+from trinoc.match.tracks import Matches
+from trinoc.numerics import in_float64
 
 # Ends nearer than this in the picture are one corner; lines nearer to a plane lie in it.
 CORNER_PX = 4.0

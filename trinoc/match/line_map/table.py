@@ -5,11 +5,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.geometry.rig import Rig
+from trinoc.geometry import Rig
 from trinoc.match.line_map.line_fit import LineFragments
-from trinoc.match.observations.match_input import undistorted
-from trinoc.match.tracks.matches import Matches
-from trinoc.match.tracks.viewpoint import typical_misfit
+from trinoc.match.observations import undistorted
+from trinoc.match.tracks import Matches, typical_misfit
 
 
 class TrackTable(NamedTuple):

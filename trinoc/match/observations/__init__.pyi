@@ -1,11 +1,14 @@
-from .clutter import ClutterModel as ClutterModel
-from .clutter import fit_clutter as fit_clutter
-from .match_input import MatchInput as MatchInput
-from .match_input import distorted as distorted
-from .match_input import prepare as prepare
-from .match_input import undistorted as undistorted
+from .clutter import ClutterModel as ClutterModel, fit_clutter as fit_clutter
+from .match_input import (
+    MatchInput as MatchInput,
+    distorted as distorted,
+    prepare as prepare,
+    undistorted as undistorted,
+)
 from .side_intensity import AGREEING as AGREEING
-from .table import PAIRS_IN_BLOCK as PAIRS_IN_BLOCK
-from .table import TRIPLES_IN_BLOCK as TRIPLES_IN_BLOCK
-from .table import SegmentTable as SegmentTable
-from .table import block_of as block_of
+from .table import (
+    PAIRS_IN_BLOCK as PAIRS_IN_BLOCK,
+    TRIPLES_IN_BLOCK as TRIPLES_IN_BLOCK,
+    SegmentTable as SegmentTable,
+    block_of as block_of,
+)

@@ -7,7 +7,7 @@ from jaxtyping import Float
 from scipy.spatial import KDTree
 
 from trinoc.match.observations.table import SegmentTable
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics import ArrayLike
 
 
 class ClutterModel(NamedTuple):

@@ -13,14 +13,10 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from trinoc.errors import MatchError
-from trinoc.geometry.camera import Camera
-from trinoc.geometry.intrinsics import Intrinsics
-from trinoc.geometry.rig import Rig
-from trinoc.geometry.segments import DEFAULT_SIGMA_PX, Segments, covariance_of_ends
+from trinoc.geometry import DEFAULT_SIGMA_PX, Camera, Intrinsics, Rig, Segments, covariance_of_ends
 from trinoc.match.observations.side_intensity import side_table
 from trinoc.match.observations.table import SegmentTable, segment_table
-from trinoc.numerics.arrays import ArrayLike
-from trinoc.numerics.buckets import bucket, padded
+from trinoc.numerics import ArrayLike, bucket, padded
 
 
 class MatchInput(NamedTuple):

@@ -9,11 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from trinoc.geometry.epipolar import centre_of_matrix
-from trinoc.geometry.lines import line_through
-from trinoc.numerics.arrays import ArrayLike
-from trinoc.numerics.buckets import bucket, padded
-from trinoc.numerics.small_matrices import inverse_3x3
+from trinoc.geometry import centre_of_matrix, line_through
+from trinoc.numerics import ArrayLike, bucket, inverse_3x3, padded
 
 # Rows handed to a kernel at a time, few enough for a processor's cache, where pictures hold
 # this many segments or more; fewer rows in proportion where they hold less.

@@ -1,2 +1,1 @@
-from .pairs import Pairs as Pairs
-from .pairs import occluded_pairs as occluded_pairs
+from .pairs import Pairs as Pairs, occluded_pairs as occluded_pairs

@@ -13,35 +13,39 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.match.candidates.table import Candidates, concatenated, in_depth_range
-from trinoc.match.evidence.endpoints import AGREEING_PX, PAIR_PX
-from trinoc.match.evidence.mixture import (
+from trinoc.match.candidates import Candidates, concatenated, in_depth_range
+from trinoc.match.evidence import (
+    AGREEING_PX,
+    PAIR_PX,
     MixtureParameters,
+    PairEvidence,
     log_place,
     log_sides,
+    pair_evidence,
+    polarity_evidence,
     prior_parameters,
     probability,
+    side_evidence,
     temper,
     volume_of,
 )
-from trinoc.match.evidence.pair_position import PairEvidence, pair_evidence
-from trinoc.match.evidence.polarity import polarity_evidence
-from trinoc.match.evidence.side_intensity import side_evidence
-from trinoc.match.observations.clutter import ClutterModel
-from trinoc.match.observations.table import TRIPLES_IN_BLOCK, SegmentTable, block_of
-from trinoc.match.selection.exclusivity import chosen_greedily, claimed, conflict_graph, sum_product
-from trinoc.match.selection.junction_support import (
+from trinoc.match.observations import TRIPLES_IN_BLOCK, ClutterModel, SegmentTable, block_of
+from trinoc.match.selection import (
+    MIN_AT_JUNCTION,
     PRIOR_PARAMETERS,
+    PRUNE_LOG_ODDS,
     JunctionParameters,
+    Selection,
+    Tracks,
+    chosen_greedily,
+    claimed,
+    conflict_graph,
     endpoint_pairs,
     junction_log_odds,
+    sum_product,
 )
-from trinoc.match.selection.marginals import MIN_AT_JUNCTION, PRUNE_LOG_ODDS, Selection, Tracks
-from trinoc.match.two_view.epipolar_pencil import Pencil, pencil, row_of
-from trinoc.numerics.arrays import ArrayLike
-from trinoc.numerics.buckets import in_blocks
-from trinoc.numerics.interval_join import overlapping
-from trinoc.numerics.scalar_vectors import stacked
+from trinoc.match.two_view import Pencil, pencil, row_of
+from trinoc.numerics import ArrayLike, in_blocks, overlapping, stacked
 
 ROUNDS = 6
 # With fewer lines than this in three views, nothing is learned from them.

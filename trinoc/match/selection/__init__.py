@@ -1,1 +1,8 @@
-"""trinoc/match/selection."""
+"""Step 2: which candidates are true, from their evidence, their rivals and their neighbours.
+
+exclusivity (who excludes whom; sum-product) and junction_support (who meets whom in space), joined
+in marginals."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

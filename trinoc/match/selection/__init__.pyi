@@ -1,15 +1,21 @@
-from .exclusivity import CONFLICT_OVERLAP as CONFLICT_OVERLAP
-from .exclusivity import chosen_greedily as chosen_greedily
-from .exclusivity import claimed as claimed
-from .exclusivity import conflict_graph as conflict_graph
-from .exclusivity import sum_product as sum_product
-from .junction_support import PRIOR_PARAMETERS as PRIOR_PARAMETERS
-from .junction_support import JunctionParameters as JunctionParameters
-from .junction_support import endpoint_pairs as endpoint_pairs
-from .junction_support import junction_log_odds as junction_log_odds
-from .marginals import MIN_AT_JUNCTION as MIN_AT_JUNCTION
-from .marginals import PRUNE_LOG_ODDS as PRUNE_LOG_ODDS
-from .marginals import Selection as Selection
-from .marginals import Tracks as Tracks
-from .marginals import select as select
-from .marginals import tracks_of as tracks_of
+from .exclusivity import (
+    CONFLICT_OVERLAP as CONFLICT_OVERLAP,
+    chosen_greedily as chosen_greedily,
+    claimed as claimed,
+    conflict_graph as conflict_graph,
+    sum_product as sum_product,
+)
+from .junction_support import (
+    PRIOR_PARAMETERS as PRIOR_PARAMETERS,
+    JunctionParameters as JunctionParameters,
+    endpoint_pairs as endpoint_pairs,
+    junction_log_odds as junction_log_odds,
+)
+from .marginals import (
+    MIN_AT_JUNCTION as MIN_AT_JUNCTION,
+    PRUNE_LOG_ODDS as PRUNE_LOG_ODDS,
+    Selection as Selection,
+    Tracks as Tracks,
+    select as select,
+    tracks_of as tracks_of,
+)

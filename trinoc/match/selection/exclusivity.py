@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.numerics.interval_join import expand_ranges, pairs_of_equal_keys
+from trinoc.numerics import expand_ranges, pairs_of_equal_keys
 
 # Parts conflict when they share more than this of the shorter.
 CONFLICT_OVERLAP = 0.3

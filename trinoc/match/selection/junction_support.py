@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
-from trinoc.match.candidates.table import Candidates
+from trinoc.match.candidates import Candidates
 
 # Ends meet when, in pixels, they lie within this of each other.
 REACH_PX = 15.0

@@ -5,14 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from trinoc.match.candidates.table import Candidates, prior_log_odds
-from trinoc.match.evidence.mixture import (
-    MixtureParameters,
-    em_step,
-    prior_parameters,
-    probability,
-    temper,
-)
+from trinoc.match.candidates import Candidates, prior_log_odds
+from trinoc.match.evidence import MixtureParameters, em_step, prior_parameters, probability, temper
 from trinoc.match.selection.exclusivity import (
     ConflictGraph,
     chosen_greedily,

@@ -1,5 +1,4 @@
 from .assembly import assemble as assemble
 from .matches import Matches as Matches
-from .multiview import merge_triplets as merge_triplets
-from .multiview import view_triplets as view_triplets
+from .multiview import merge_triplets as merge_triplets, view_triplets as view_triplets
 from .viewpoint import typical_misfit as typical_misfit

@@ -4,16 +4,16 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int
 
-from trinoc.geometry.triangulation import Segment3D, triangulate_segment
-from trinoc.match.evidence.mixture import probability
-from trinoc.match.observations.match_input import MatchInput, distorted
-from trinoc.match.occlusion.pairs import Pairs
-from trinoc.match.selection.marginals import Selection, Tracks
+from trinoc.geometry import Segment3D, triangulate_segment
+from trinoc.match.evidence import probability
+from trinoc.match.observations import MatchInput, distorted
+from trinoc.match.occlusion import Pairs
+from trinoc.match.selection import Selection, Tracks
 from trinoc.match.tracks.extent import two_view_interval
 from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, Matches
 from trinoc.match.tracks.rejection import counted, reasons
 from trinoc.match.tracks.viewpoint import flag_viewpoint_dependent
-from trinoc.numerics.buckets import in_blocks
+from trinoc.numerics import in_blocks
 
 _triangulated = jax.jit(jax.vmap(triangulate_segment, in_axes=(None, 0, 0, 0)))
 

@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float, Int
 
-from trinoc.match.observations.match_input import MatchInput
+from trinoc.match.observations import MatchInput
 
 
 def two_view_interval(

@@ -5,7 +5,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
 from trinoc.errors import InputError
-from trinoc.geometry.line_observations import LineObservations
+from trinoc.geometry import LineObservations
 
 TRINOCULAR, BINOCULAR = "trinocular", "binocular"
 

@@ -11,10 +11,9 @@ from itertools import combinations
 import numpy as np
 from jaxtyping import Float, Int
 
-from trinoc.match.candidates.table import Candidates
-from trinoc.match.observations.table import SegmentTable
-from trinoc.match.selection.exclusivity import CONFLICT_OVERLAP
-from trinoc.match.selection.marginals import Tracks
+from trinoc.match.candidates import Candidates
+from trinoc.match.observations import SegmentTable
+from trinoc.match.selection import CONFLICT_OVERLAP, Tracks
 
 # Up to so many views, every three of them are matched; beyond, each with its nearest.
 ALL_TRIPLETS, NEAREST = 5, 3

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.stats import chi2
 
-from trinoc.match.observations.match_input import MatchInput
+from trinoc.match.observations import MatchInput
 
 # The share of straight lines, seen in three views, that chance marks.
 SIGNIFICANCE = 0.01

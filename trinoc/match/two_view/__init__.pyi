@@ -1,11 +1,17 @@
-from .common_part import SMALLEST_OVERLAP as SMALLEST_OVERLAP
-from .common_part import cut_pair as cut_pair
-from .common_part import points_of as points_of
-from .epipolar_pencil import Pencil as Pencil
-from .epipolar_pencil import PencilSegments as PencilSegments
-from .epipolar_pencil import pencil as pencil
-from .epipolar_pencil import row_of as row_of
-from .planes import InterpretationPlane as InterpretationPlane
-from .planes import extent_on_line as extent_on_line
-from .planes import image_of as image_of
-from .planes import interpretation_plane as interpretation_plane
+from .common_part import (
+    SMALLEST_OVERLAP as SMALLEST_OVERLAP,
+    cut_pair as cut_pair,
+    points_of as points_of,
+)
+from .epipolar_pencil import (
+    Pencil as Pencil,
+    PencilSegments as PencilSegments,
+    pencil as pencil,
+    row_of as row_of,
+)
+from .planes import (
+    InterpretationPlane as InterpretationPlane,
+    extent_on_line as extent_on_line,
+    image_of as image_of,
+    interpretation_plane as interpretation_plane,
+)

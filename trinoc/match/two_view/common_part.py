@@ -6,8 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Bool
 
 from trinoc.match.two_view.epipolar_pencil import Pencil, PencilSegments
-from trinoc.numerics.arrays import ArrayLike
-from trinoc.numerics.scalar_vectors import Scalar, Vector3, add3, scaled3, times_matrix, vector3
+from trinoc.numerics import ArrayLike, Scalar, Vector3, add3, scaled3, times_matrix, vector3
 
 SMALLEST_OVERLAP = 0.15
 

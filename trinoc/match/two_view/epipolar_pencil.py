@@ -14,8 +14,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float, Int
 
-from trinoc.match.observations.table import SegmentTable
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.match.observations import SegmentTable
+from trinoc.numerics import ArrayLike
 
 
 class PencilSegments(NamedTuple):

@@ -5,9 +5,9 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Float, Int
 
-from trinoc.match.observations.table import SegmentTable
-from trinoc.numerics.arrays import ArrayLike
-from trinoc.numerics.scalar_vectors import (
+from trinoc.match.observations import SegmentTable
+from trinoc.numerics import (
+    ArrayLike,
     Scalar,
     Vector2,
     Vector3,

@@ -1,22 +1,17 @@
-from .accept import is_sharp as is_sharp
-from .accept import is_straight as is_straight
-from .accept import typical_blur as typical_blur
-from .bridge_gaps import bridged_runs as bridged_runs
-from .bridge_gaps import collinear_successors as collinear_successors
-from .covariance import end_covariances as end_covariances
-from .covariance import noise_variance as noise_variance
-from .edge_errors import error_model as error_model
-from .edge_errors import inflate_variance as inflate_variance
-from .edge_interference import overlaps as overlaps
-from .edge_interference import without_neighbours as without_neighbours
+from .accept import is_sharp as is_sharp, is_straight as is_straight, typical_blur as typical_blur
+from .bridge_gaps import bridged_runs as bridged_runs, collinear_successors as collinear_successors
+from .covariance import end_covariances as end_covariances, noise_variance as noise_variance
+from .edge_errors import error_model as error_model, inflate_variance as inflate_variance
+from .edge_interference import overlaps as overlaps, without_neighbours as without_neighbours
 from .edge_points import EdgePoints as EdgePoints
-from .endpoints import NearEnds as NearEnds
-from .endpoints import endpoint_crossings as endpoint_crossings
-from .endpoints import lines_near_ends as lines_near_ends
-from .endpoints import snapped_ends as snapped_ends
+from .endpoints import (
+    NearEnds as NearEnds,
+    endpoint_crossings as endpoint_crossings,
+    lines_near_ends as lines_near_ends,
+    snapped_ends as snapped_ends,
+)
 from .grey import grey_image as grey_image
-from .line_fit import FittedLines as FittedLines
-from .line_fit import fit_lines as fit_lines
+from .line_fit import FittedLines as FittedLines, fit_lines as fit_lines
 from .masks import combined_kernel as combined_kernel
 from .nfa import least_snr2 as least_snr2
 from .pyramid import fine_level as fine_level

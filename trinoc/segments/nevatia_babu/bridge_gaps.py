@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Bool, Int
 
-from trinoc.numerics.neighbours_in_plane import near_pairs
+from trinoc.numerics import near_pairs
 from trinoc.segments.nevatia_babu.chains import ordered_chains
 from trinoc.segments.nevatia_babu.line_fit import FittedLines
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
-from trinoc.numerics.segmented_arrays import sums
+from trinoc.numerics import sums
 from trinoc.segments.nevatia_babu.accept import BOW_OF_MIDDLE
 from trinoc.segments.nevatia_babu.edge_interference import Overlaps
 from trinoc.segments.nevatia_babu.edge_points import EdgePoints

@@ -11,8 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.special import erf
 
-from trinoc.numerics.neighbours_in_plane import distinct, point_tree
-from trinoc.numerics.segmented_arrays import members
+from trinoc.numerics import distinct, members, point_tree
 from trinoc.segments.nevatia_babu.edge_points import EdgePoints
 from trinoc.segments.nevatia_babu.endpoints import line_samples
 from trinoc.segments.nevatia_babu.line_fit import FittedLines

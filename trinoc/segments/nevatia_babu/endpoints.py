@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from trinoc.numerics.neighbours_in_plane import distinct, point_tree
+from trinoc.numerics import distinct, point_tree
 
 _SAMPLE_PX = 3.0
 _NEIGHBOURS = 12

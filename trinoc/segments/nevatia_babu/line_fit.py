@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.numerics.segmented_arrays import sums
+from trinoc.numerics import sums
 from trinoc.segments.nevatia_babu.edge_points import EdgePoints
 
 # A residual of this size halves nothing yet; three times as large it counts for a hundredth.

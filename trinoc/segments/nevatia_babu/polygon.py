@@ -7,7 +7,7 @@ that Nevatia and Babu use. All chains are split together, one level per round.
 import numpy as np
 from jaxtyping import Float, Int
 
-from trinoc.numerics.segmented_arrays import largest, members
+from trinoc.numerics import largest, members
 
 
 def split_chains(

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.numerics.segmented_arrays import sums
+from trinoc.numerics import sums
 from trinoc.segments.nevatia_babu.edge_points import EdgePoints
 
 # Beside an edge the grey levels are compared from here, in widths of its profile, to so many

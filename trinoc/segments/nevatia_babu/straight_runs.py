@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Bool, Int
 
-from trinoc.numerics.segmented_arrays import members
+from trinoc.numerics import members
 from trinoc.segments.nevatia_babu.chains import ordered_chains
 from trinoc.segments.nevatia_babu.edge_points import EdgePoints
 from trinoc.segments.nevatia_babu.gradient import gradient_of

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Int
 
-from trinoc.numerics.segmented_arrays import members, sums
+from trinoc.numerics import members, sums
 from trinoc.segments.nevatia_babu.edge_points import EdgePoints, concatenated
 from trinoc.segments.nevatia_babu.masks import GradientKernel
 from trinoc.segments.nevatia_babu.pyramid import Level, half_level

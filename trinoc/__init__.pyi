@@ -1,0 +1,41 @@
+from . import errors as errors
+from .calib import (
+    Pattern as Pattern,
+    Systematics as Systematics,
+    calibrate as calibrate,
+    calibrate_intrinsics as calibrate_intrinsics,
+    calibrate_points as calibrate_points,
+    check_rig as check_rig,
+    detect_pattern as detect_pattern,
+    epipolar_sigma as epipolar_sigma,
+    point_covariance as point_covariance,
+    refine as refine,
+    with_systematics as with_systematics,
+)
+from .evaluation import evaluate as evaluate
+from .geometry import Camera as Camera, Intrinsics as Intrinsics, Rig as Rig, Segments as Segments
+from .io import (
+    load_matches as load_matches,
+    load_pattern as load_pattern,
+    load_rig as load_rig,
+    load_segments as load_segments,
+    load_shape as load_shape,
+    save as save,
+)
+from .match import (
+    Corners as Corners,
+    JoinedLines as JoinedLines,
+    Matches as Matches,
+    join_collinear as join_collinear,
+    match_many as match_many,
+    match_segments as match_segments,
+    snap_corners as snap_corners,
+)
+from .segments import (
+    find_segments as find_segments,
+    find_segments_lsd as find_segments_lsd,
+    with_side_levels as with_side_levels,
+)
+
+__all__: list[str]
+__version__: str
