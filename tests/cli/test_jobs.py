@@ -228,3 +228,14 @@ def test_pattern_that_does_not_fit_the_paper_is_not_written(run, folder):
 def test_lens_of_the_reference_rig_is_that_of_the_options():
     lens = table1_lens()
     assert (lens.focal_length_mm, lens.pixel_pitch_mm) == (16, (0.0162, 0.0134))
+
+
+def test_the_readme_s_code_and_the_command_agree_on_a_colour_picture(folder, run):
+    # README reads with cv2.imread, in the order blue, green, red; the command in red, green, blue.
+    status, *_ = run("segments", "photo.png", "-o", "photo.npz")
+    assert status == 0
+    by_command = trinoc.load_segments(folder / "photo.npz")
+    by_readme = trinoc.find_segments(np.asarray(cv2.imread(str(folder / "photo.png"))))
+    assert len(by_readme) > 0
+    np.testing.assert_array_equal(by_command.endpoints_px, by_readme.endpoints_px)
+    np.testing.assert_array_equal(by_command.covariance_px2, by_readme.covariance_px2)

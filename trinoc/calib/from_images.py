@@ -5,14 +5,14 @@ from typing import Literal
 
 import numpy as np
 
-from trinoc.calib.detection import Orientation, detect_pattern, grey_image
+from trinoc.calib.detection import Orientation, detect_pattern
 from trinoc.calib.from_detections import calibration_of_detections, lens_of_each
 from trinoc.calib.result import CalibrationResult
 from trinoc.calib.targets import Pattern
 from trinoc.calib.uncertainty import Systematics
 from trinoc.errors import DetectionError, InputError
 from trinoc.geometry import Intrinsics
-from trinoc.numerics import ArrayLike, in_float64
+from trinoc.numerics import ArrayLike, grey_image, in_float64
 
 
 @in_float64

@@ -1,5 +1,6 @@
 from .arrays import ArrayLike as ArrayLike, ScalarLike as ScalarLike
 from .buckets import blocks as blocks, bucket as bucket, in_blocks as in_blocks, padded as padded
+from .grey import GreyImage as GreyImage, grey_image as grey_image
 from .information import (
     LARGEST_SIGMA as LARGEST_SIGMA,
     Observability as Observability,

@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Int, Shaped
 from trinoc.errors import InputError
 from trinoc.geometry import Intrinsics, Segments
 from trinoc.numerics import in_float64, members
+from trinoc.segments.grey import grey_in_255ths
 from trinoc.segments.junctions import with_junctions
 from trinoc.segments.nevatia_babu import (
     EdgePoints,
@@ -21,7 +22,6 @@ from trinoc.segments.nevatia_babu import (
     error_model,
     fine_level,
     fit_lines,
-    grey_image,
     inflate_variance,
     is_on_ramp,
     is_sharp,
@@ -64,8 +64,8 @@ def find_segments(
 
     Parameters
     ----------
-    image : (h, w) or (h, w, 3) picture of uint8, uint16 or real numbers; colours in the order
-        red, green, blue.
+    image : (h, w) or (h, w, 3) picture of uint8, uint16 or real numbers; a colour's grey level
+        is the mean of its channels, in whatever order they come.
     tolerance_px : coarsest deviation of an edge from a straight line, in pixels.
     false_alarms : how many segments noise alone may bring about in such a picture.
     least_contrast : fainter edges are left out; in grey levels of a scale from 0 to 255
@@ -86,7 +86,7 @@ def find_segments(
     for name, value in (("tolerance_px", tolerance_px), ("false_alarms", false_alarms)):
         if not value > 0:
             raise InputError(f"{name} is {value}, but must be positive.")
-    picture = grey_image(image)
+    picture = grey_in_255ths(image)
     height, width = picture.grey.shape
     if intrinsics is not None and tuple(intrinsics.image_size_px) != (width, height):
         raise InputError(

@@ -5,8 +5,8 @@ import numpy as np
 from jaxtyping import Shaped
 
 from trinoc.geometry import Segments
+from trinoc.segments.grey import grey_in_255ths
 from trinoc.segments.junctions import with_junctions
-from trinoc.segments.nevatia_babu import grey_image
 from trinoc.segments.side_intensity import with_side_levels
 
 # OpenCV's segments lie this far from the edges they belong to, in u and v, whatever the edge:
@@ -23,7 +23,7 @@ def find_segments_lsd(image: Shaped[np.ndarray, "..."]) -> Segments:
     known; every segment has the same sigmas. After R. Grompone von Gioi et al., "LSD: a line
     segment detector", Image Processing On Line 2, 2012, doi:10.5201/ipol.2012.gjmr-lsd.
     """
-    grey = grey_image(image).grey
+    grey = grey_in_255ths(image).grey
     levels = np.clip(np.rint(grey), 0, 255).astype(np.uint8)
     found = cv2.createLineSegmentDetector().detect(levels)[0]
     rows = np.zeros((0, 4)) if found is None else np.asarray(found, np.float64).reshape(-1, 4)

@@ -6,7 +6,7 @@ from jaxtyping import Float, Int
 from trinoc.calib.detection.ellipse_fit import Ellipses, refine_ellipses, start_ellipses
 from trinoc.calib.detection.ellipse_pixels import pixels_round
 from trinoc.calib.detection.ellipse_shape import smallest_axis
-from trinoc.calib.detection.grey import GreyImage, reduced
+from trinoc.calib.detection.grey import SearchImage, reduced
 from trinoc.calib.detection.illumination import light_slope
 from trinoc.calib.detection.line_interference import without_line_interference
 from trinoc.calib.detection.pattern_symmetry import PatternSymmetry
@@ -23,7 +23,7 @@ _MOST_REPEATS = 4
 
 
 def coarse_fit(
-    image: GreyImage,
+    image: SearchImage,
     centres_px: Float[np.ndarray, "n 2"],
     shape_px2: Float[np.ndarray, "n 2 2"],
     hole_ratio: float,
@@ -58,7 +58,7 @@ def coarse_fit(
 
 
 def measure_all(
-    image: GreyImage,
+    image: SearchImage,
     coarse: Ellipses,
     index: Int[np.ndarray, "m"],
     pattern: Pattern,
@@ -89,7 +89,7 @@ def measure_all(
 
 
 def _settled(
-    image: GreyImage,
+    image: SearchImage,
     coarse: Ellipses,
     index: Int[np.ndarray, "n"],
     pattern: Pattern,
@@ -127,7 +127,7 @@ def _moved(before: Ellipses, now: Ellipses) -> np.ndarray:
 
 
 def _fine_fit(
-    image: GreyImage,
+    image: SearchImage,
     start: Ellipses,
     index: Int[np.ndarray, "n"],
     pattern: Pattern,

@@ -7,7 +7,7 @@ from jaxtyping import Float, Int
 
 from trinoc.calib.detection.blobs import Blobs
 from trinoc.calib.detection.ellipse_fit import Ellipses
-from trinoc.calib.detection.grey import GreyImage
+from trinoc.calib.detection.grey import SearchImage
 from trinoc.calib.detection.labels import label_circles
 from trinoc.calib.detection.lattice import Lattice
 from trinoc.calib.detection.measure_circles import coarse_fit, measure_all
@@ -36,7 +36,7 @@ class Sheet(NamedTuple):
 
 
 def read_sheet(
-    image: GreyImage, blobs: Blobs, lattice: Lattice, pattern: Pattern, layout: PatternSymmetry
+    image: SearchImage, blobs: Blobs, lattice: Lattice, pattern: Pattern, layout: PatternSymmetry
 ) -> Sheet:
     """Label a lattice and measure all circles of the pattern that the picture shows.
 

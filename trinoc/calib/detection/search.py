@@ -9,7 +9,7 @@ from jaxtyping import Shaped
 from trinoc.calib.detection.blobs import Blobs, Scale, find_blobs
 from trinoc.calib.detection.cross_lines import fit_cross_lines
 from trinoc.calib.detection.detection import Detection
-from trinoc.calib.detection.grey import GreyImage, grey_image, reduced
+from trinoc.calib.detection.grey import SearchImage, reduced, search_image
 from trinoc.calib.detection.labels import MirroredError
 from trinoc.calib.detection.lattice import find_lattices
 from trinoc.calib.detection.pattern_symmetry import PatternSymmetry, pattern_symmetry
@@ -39,7 +39,7 @@ def detect_pattern(image: Shaped[np.ndarray, "..."], pattern: Pattern) -> Detect
     DetectionError : no sheet is seen, or two, or a mirrored one, or another pattern, or too
         little of it to tell where it lies.
     """
-    picture = grey_image(image)
+    picture = search_image(image)
     layout = pattern_symmetry(pattern)
     refusals: list[tuple[int, DetectionError]] = []
     for positive in _both_polarities(picture):
@@ -61,13 +61,13 @@ def detect_pattern(image: Shaped[np.ndarray, "..."], pattern: Pattern) -> Detect
     )
 
 
-def _both_polarities(picture: GreyImage) -> Iterator[GreyImage]:
+def _both_polarities(picture: SearchImage) -> Iterator[SearchImage]:
     """Dark circles on light paper, then light ones on dark."""
     yield picture
     yield picture._replace(grey=picture.grey.max() - picture.grey)
 
 
-def _searches(picture: GreyImage) -> Iterator[Blobs]:
+def _searches(picture: SearchImage) -> Iterator[Blobs]:
     """Blobs by one way of looking after another, the likeliest to succeed first."""
     factor = max(1, round(max(picture.size_px) / _SEARCH_SIDE_PX))
     grey, noise = reduced(picture, factor)
@@ -92,7 +92,7 @@ def _enlarged(blobs: Blobs, factor: float) -> Blobs:
 
 
 def _sheets(
-    picture: GreyImage,
+    picture: SearchImage,
     blobs: Blobs,
     pattern: Pattern,
     layout: PatternSymmetry,
@@ -117,7 +117,7 @@ def _sheets(
     return sheets
 
 
-def _as_detection(picture: GreyImage, sheet: Sheet, pattern: Pattern) -> Detection:
+def _as_detection(picture: SearchImage, sheet: Sheet, pattern: Pattern) -> Detection:
     blur = float(quick_median(sheet.ellipses.blur_px))
     lines = fit_cross_lines(picture.grey, picture.noise_sigma, pattern, sheet.warp, blur)
     return Detection(

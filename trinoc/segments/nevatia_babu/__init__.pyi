@@ -10,7 +10,6 @@ from .endpoints import (
     lines_near_ends as lines_near_ends,
     snapped_ends as snapped_ends,
 )
-from .grey import grey_image as grey_image
 from .line_fit import FittedLines as FittedLines, fit_lines as fit_lines
 from .masks import combined_kernel as combined_kernel
 from .nfa import least_snr2 as least_snr2
