@@ -1,13 +1,13 @@
 """A small made scene as the matcher sees it, with the truth beside it."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 
 from tests.match.made import loose_lines, pictures, rig_of
 from trinoc.geometry import Rig
-from trinoc.match.observations import MatchInput, SegmentTable, prepare
+from trinoc.match.observations import MatchInput, prepare
 
 VIEWS = ("upper", "left", "right")
 
@@ -25,8 +25,8 @@ class MadeScene(NamedTuple):
     true: np.ndarray
 
     @property
-    def table(self) -> SegmentTable:
-        """The padded tables as NumPy arrays."""
+    def table(self) -> Any:
+        """The padded tables, a SegmentTable of NumPy arrays."""
         return jax.tree.map(np.asarray, self.seen.lines)
 
 

@@ -1,5 +1,8 @@
 """The pencil: partners share planes, slopes give depth, and the world's frame means nothing."""
 
+from typing import Any
+
+import jax
 import numpy as np
 import pytest
 
@@ -16,15 +19,9 @@ def planes(exact: MadeScene) -> Pencil:
     return pencil(exact.seen.lines, FIRST, SECOND)
 
 
-def rows(segments: PencilSegments, index: np.ndarray) -> PencilSegments:
-    return PencilSegments(
-        *(
-            tuple(np.asarray(c)[index] for c in column)
-            if isinstance(column, tuple)
-            else np.asarray(column)[index]
-            for column in segments
-        )
-    )
+def rows(segments: PencilSegments, index: np.ndarray) -> Any:
+    """Some of the segments, as PencilSegments of NumPy arrays."""
+    return jax.tree.map(lambda column: np.asarray(column)[index], segments)
 
 
 def slopes(segments: PencilSegments, angle: np.ndarray) -> np.ndarray:
@@ -62,7 +59,7 @@ def test_variances_are_those_of_moved_ends(exact: MadeScene, planes: Pencil) -> 
     normal = lines.line[..., :2]
     along = np.stack([normal[..., 1], -normal[..., 0]], axis=-1)
 
-    def with_end(end: int, way: np.ndarray) -> PencilSegments:
+    def with_end(end: int, way: np.ndarray) -> Any:
         ends = lines.ends_px.copy()
         ends[:, :, end] += step * way
         return rows(pencil(exact.seen.lines._replace(ends_px=ends), FIRST, SECOND).first, true)
