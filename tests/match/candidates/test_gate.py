@@ -1,0 +1,152 @@
+"""The gate and the table of cells against a search through all segments of the third view."""
+
+from typing import NamedTuple
+
+import jax
+import numpy as np
+import pytest
+
+from tests.match.scene import MadeScene
+from trinoc.match.candidates.gate import passes_third_view_gate
+from trinoc.match.candidates.lookup import (
+    ONE_SAMPLE_PX,
+    REACH,
+    SAMPLES,
+    keys_of,
+    lookup,
+    segments_near,
+)
+from trinoc.match.candidates.transfer import Prediction, predict
+from trinoc.match.evidence import GATE
+from trinoc.match.two_view import SMALLEST_OVERLAP, pencil, row_of
+
+# The views left and right, which cross best, predict the view from above.
+FIRST, SECOND, THIRD = 0, 1, 2
+COUNT = 30
+
+
+class Dense(NamedTuple):
+    """Predictions p of all pairs against all segments k: (p, k) where not of pairs alone."""
+
+    predictions: Prediction
+    keys: np.ndarray
+    passes: np.ndarray
+    begin: np.ndarray
+    end: np.ndarray
+    chi_square: np.ndarray
+    ends_px: np.ndarray
+
+
+@jax.jit
+def predicted_and_gated(lines, grid, ends_px, line):
+    planes = pencil(lines, np.array(FIRST), np.array(SECOND))
+
+    def one(i, j):
+        guess = predict(
+            lines, np.array(THIRD), planes, row_of(planes.first, i), row_of(planes.second, j)
+        )
+        gate = jax.vmap(lambda *k: passes_third_view_gate(guess, *k))
+        return guess, keys_of(grid, guess), gate(ends_px, line, lines.across_px2[THIRD, :COUNT])
+
+    i, j = np.divmod(np.arange(COUNT * COUNT), COUNT)
+    return jax.vmap(one)(i, j)
+
+
+@pytest.fixture(scope="module")
+def table(noisy: MadeScene):
+    return lookup(noisy.seen.lines, THIRD, COUNT)
+
+
+@pytest.fixture(scope="module")
+def dense(noisy: MadeScene, table) -> Dense:
+    lines = noisy.table
+    ends, line = lines.ends_px[THIRD, :COUNT], lines.line[THIRD, :COUNT]
+    found = predicted_and_gated(noisy.seen.lines, table.grid, ends, line)
+    guess, keys, passes = jax.tree.map(np.asarray, found)
+    where = np.stack([guess.u0, guess.v0, guess.u1, guess.v1], axis=1).reshape(-1, 1, 2, 2)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        step = where[:, :, 1] - where[:, :, 0]
+        place = ((ends - where[:, :, :1]) * step[:, :, None]).sum(-1)
+        place = place / (step**2).sum(-1)[..., None]
+        begin = np.maximum(place.min(axis=2), 0.0)
+        end = np.minimum(place.max(axis=2), 1.0)
+        chi_square = misfit(guess, where, place, begin, end, line, lines.across_px2[THIRD, :COUNT])
+        shorter = np.minimum(1.0, np.ptp(place, axis=2))
+    overlaps = end - begin > SMALLEST_OVERLAP * shorter
+    chi_square = np.where(overlaps & guess.possible[:, None], chi_square, np.inf)
+    return Dense(guess, np.stack(keys), passes, begin, end, chi_square, where[:, 0])
+
+
+def misfit(guess, where, place, begin, end, line, across_px2) -> np.ndarray:
+    """Chi-square of two points of the segment's line, errors interpolated by plain matrices."""
+
+    def weights(at: np.ndarray) -> np.ndarray:
+        return np.stack([1 - at, at], axis=-1)
+
+    common = np.stack([begin, end], axis=-1)
+    on_prediction = weights(common)
+    on_segment = weights((common - place[..., :1]) / (place[..., 1:] - place[..., :1]))
+    off = (where * line[:, None, :2]).sum(-1) + line[:, None, 2]
+    residual = (on_prediction @ off[..., None])[..., 0]
+    own = np.stack([guess.c00, guess.c01, guess.c01, guess.c11], axis=1).reshape(-1, 1, 2, 2)
+    covariance = on_prediction @ own @ on_prediction.mT + on_segment @ across_px2 @ on_segment.mT
+    determinant = np.linalg.det(covariance)
+    a, b, c = covariance[..., 0, 0], covariance[..., 0, 1], covariance[..., 1, 1]
+    return (
+        c * residual[..., 0] ** 2
+        - 2 * b * residual[..., 0] * residual[..., 1]
+        + a * residual[..., 1] ** 2
+    ) / determinant
+
+
+def test_the_gate_is_a_chi_square_on_the_common_part(dense: Dense) -> None:
+    clear = np.abs(dense.chi_square / (1.1 * GATE) - 1) > 1e-6
+    assert dense.passes.sum() > 30
+    np.testing.assert_array_equal(dense.passes[clear], (dense.chi_square < 1.1 * GATE)[clear])
+
+
+def test_which_end_of_a_segment_comes_first_means_nothing(
+    noisy: MadeScene, table, dense: Dense
+) -> None:
+    lines = noisy.table
+    ends, line = lines.ends_px[THIRD, :COUNT, ::-1], -lines.line[THIRD, :COUNT]
+    # Both ends of each have one variance, and no correlation.
+    passes = predicted_and_gated(noisy.seen.lines, table.grid, np.ascontiguousarray(ends), line)[2]
+    np.testing.assert_array_equal(np.asarray(passes), dense.passes)
+
+
+def test_true_partners_pass(noisy: MadeScene, dense: Dense) -> None:
+    pair = noisy.true[:, FIRST] * COUNT + noisy.true[:, SECOND]
+    asked = dense.predictions.possible[pair]
+    assert asked.sum() >= 20
+    assert dense.passes[pair, noisy.true[:, THIRD]][asked].all()
+
+
+def test_the_table_finds_what_is_near_and_nearly_parallel_at_a_sample(
+    noisy: MadeScene, table, dense: Dense
+) -> None:
+    found = np.zeros_like(dense.passes)
+    found[segments_near(table, dense.keys)] = True
+    guess, lines = dense.predictions, noisy.table
+    step = dense.ends_px[:, 1] - dense.ends_px[:, 0]
+    length = np.linalg.norm(step, axis=1)
+    line, own_length = lines.line[THIRD, :COUNT], lines.length_px[THIRD, :COUNT]
+    sigma = np.sqrt(lines.across_px2[THIRD, :COUNT, [0, 1], [0, 1]].max(axis=0))
+    near = np.zeros_like(found)
+    for number, sample in enumerate(SAMPLES):
+        point = dense.ends_px[:, 0] + sample * step
+        off = np.abs(point @ line[:, :2].T + line[:, 2])
+        reach = REACH * np.hypot(np.sqrt(np.maximum(guess.c00, guess.c11))[:, None], sigma)
+        covered = (dense.begin <= sample) & (sample <= dense.end) & (off < reach)
+        covered &= ((point >= 0) & (point < lines.size_px[THIRD])).all(axis=1)[:, None]
+        near |= covered & ((number == 0) | (length > ONE_SAMPLE_PX))[:, None]
+    sine = np.abs(step @ line[:, :2].T) / length[:, None]
+    slack = np.sqrt(guess.c00 + guess.c11 - 2 * guess.c01) / length
+    near &= np.arcsin(sine) < REACH * (slack[:, None] + np.sqrt(2) * sigma / own_length)
+    expected = dense.passes & near
+    assert found[expected].all()
+    # So are partners: the gate alone would let segments pass that cross the prediction.
+    pair = noisy.true[:, FIRST] * COUNT + noisy.true[:, SECOND]
+    asked = guess.possible[pair]
+    assert expected[pair, noisy.true[:, THIRD]][asked].mean() > 0.9
+    assert found[pair, noisy.true[:, THIRD]][asked].all()

@@ -1,0 +1,95 @@
+"""The table of cells finds every segment that a search through all of them finds."""
+
+import jax
+import numpy as np
+import pytest
+
+from trinoc.match.candidates.index import LAYERS, SpatialIndex, key_at, segments_at, spatial_index
+
+SIZE_PX = np.array([512.0, 480.0])
+SIGMA_PX, REACH = 0.4, 4.0
+QUERIES = 400
+
+
+@pytest.fixture(scope="module")
+def segments() -> tuple[np.ndarray, np.ndarray]:
+    """(ends, standard deviations) of 150 segments, some of them beyond the border."""
+    rng = np.random.default_rng(6)
+    middle, angle = rng.uniform(-20, 520, (150, 1, 2)), rng.uniform(0, 2 * np.pi, 150)
+    half = rng.uniform(3, 60, 150)[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return middle + np.stack([-half, half], axis=1), SIGMA_PX * rng.uniform(0.5, 2, 150)
+
+
+@pytest.fixture(scope="module")
+def table(segments: tuple[np.ndarray, np.ndarray]) -> SpatialIndex:
+    ends, sigma = segments
+    slack = REACH * sigma / np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    margins = REACH * np.hypot(sigma, SIGMA_PX * np.array([[x.sigmas] for x in LAYERS]))
+    return spatial_index(ends, slack, margins, SIZE_PX, 9.0, SIGMA_PX)
+
+
+@jax.jit
+def keys(grid, points, angle, slack, sigma):
+    def one(point, angle, slack, sigma):
+        return key_at(grid, [(point[0], point[1])], angle, slack, sigma)[0]
+
+    return jax.vmap(one)(points, angle, slack, sigma)
+
+
+def distances_px(points: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    """(q, n) of points from segments."""
+    step = ends[:, 1] - ends[:, 0]
+    place = ((points[:, None] - ends[:, 0]) * step).sum(-1) / (step**2).sum(-1)
+    nearest = ends[:, 0] + np.clip(place, 0, 1)[..., None] * step
+    return np.linalg.norm(points[:, None] - nearest, axis=-1)
+
+
+def turns_rad(angle: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    """(q, n) angles between directions without sign."""
+    step = ends[:, 1] - ends[:, 0]
+    difference = angle[:, None] - np.arctan2(step[:, 1], step[:, 0])
+    return np.abs((difference + np.pi / 2) % np.pi - np.pi / 2)
+
+
+def near_to(ends: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """(points, directions from 0 to half a turn) of about the segments' own, in the picture."""
+    inside = ((ends > 20) & (ends < 460)).all(axis=(1, 2))
+    first, last = np.moveaxis(ends[rng.choice(np.flatnonzero(inside), QUERIES)], 1, 0)
+    points = first + rng.uniform(0, 1, (QUERIES, 1)) * (last - first)
+    angle = np.arctan2(*(last - first).T[::-1]) + rng.normal(0, 0.05, QUERIES)
+    return points + rng.normal(0, 2, points.shape), np.mod(angle, np.pi)
+
+
+@pytest.mark.parametrize("layer", range(len(LAYERS)))
+def test_all_that_passes_near_enough_is_found_once(segments, table, layer: int) -> None:
+    ends, sigma = segments
+    rng = np.random.default_rng(layer)
+    points, angle = near_to(ends, rng)
+    # As uncertain as this layer allows, and the one before it does not.
+    slack = np.full(QUERIES, 0.99 * min(LAYERS[layer].slack_rad, np.pi))
+    place = np.full(QUERIES, 0.99 * LAYERS[layer].sigmas * SIGMA_PX)
+    key = np.asarray(keys(table.grid, points, angle, slack, place))
+    first = np.asarray(table.grid.first)
+    assert ((key >= first[layer]) & (key < first[layer + 1])).all()
+    query, found = segments_at(table, key)
+    pairs = set(zip(query.tolist(), found.tolist(), strict=True))
+    assert len(pairs) == len(query)
+    near = distances_px(points, ends) < REACH * np.hypot(sigma, place[0])
+    own = REACH * sigma / np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    near &= turns_rad(angle, ends) < slack[0] + own
+    assert near.sum() > 100
+    assert pairs >= set(zip(*(x.tolist() for x in np.nonzero(near)), strict=True))
+    # A cell and its margin are all that is found too much.
+    cells = np.sqrt(2) * float(table.grid.cell_px[layer])
+    margin = np.sqrt(2) * REACH * np.hypot(sigma, LAYERS[layer].sigmas * SIGMA_PX) + 2 * cells
+    assert (distances_px(points, ends)[query, found] < margin[found]).all()
+
+
+def test_too_vague_and_outside_finds_nothing(table: SpatialIndex) -> None:
+    inside = np.full((QUERIES, 2), 200.0)
+    angle, known = np.zeros(QUERIES), np.full(QUERIES, 0.01)
+    vague = np.full(QUERIES, 1.01 * LAYERS[-1].sigmas * SIGMA_PX)
+    for points, place in ((inside, vague), (inside + 900.0, known), (inside - 201.0, known)):
+        key = np.asarray(keys(table.grid, points, angle, known, place))
+        assert (key == table.grid.first[-1]).all()
+        assert len(segments_at(table, key)[0]) == 0

@@ -1,0 +1,68 @@
+"""What a pair predicts in a third view is where its line is, as exactly as stated."""
+
+import jax
+import numpy as np
+
+from tests.match.scene import MadeScene, image_px
+from trinoc.match.candidates.transfer import Prediction, predict
+from trinoc.match.observations import SegmentTable
+from trinoc.match.two_view import pencil, row_of
+
+FIRST, SECOND, THIRD = 0, 1, 2
+
+
+@jax.jit
+def predictions(lines: SegmentTable, ends_px, pairs) -> Prediction:
+    """What pairs of views 0 and 1 predict in view 2, with the ends of all segments replaced."""
+    lines = lines._replace(ends_px=ends_px)
+    planes = pencil(lines, np.array(FIRST), np.array(SECOND))
+
+    def one(pair):
+        rows = row_of(planes.first, pair[0]), row_of(planes.second, pair[1])
+        return predict(lines, np.array(THIRD), planes, *rows)
+
+    return jax.vmap(one)(pairs)
+
+
+def predicted(scene: MadeScene, ends_px: np.ndarray) -> Prediction:
+    pairs = np.ascontiguousarray(scene.true[:, [FIRST, SECOND]])
+    return jax.tree.map(np.asarray, predictions(scene.seen.lines, ends_px, pairs))
+
+
+def test_exact_pairs_predict_the_image_of_their_line(exact: MadeScene) -> None:
+    found = predicted(exact, exact.table.ends_px)
+    ends = np.stack([found.u0, found.v0, found.u1, found.v1], axis=1).reshape(-1, 2, 2)
+    truth = image_px(exact.table.matrix_px[THIRD], exact.lines_mm)
+    swap = np.abs(ends - truth).max((1, 2)) > 1.0
+    ends = np.where(swap[:, None, None], ends[:, ::-1], ends)
+    np.testing.assert_allclose(ends, truth, atol=1e-7)
+
+
+def test_noisy_pairs_scatter_across_the_image_as_stated(exact: MadeScene) -> None:
+    rng, table = np.random.default_rng(4), exact.table
+    stated = predicted(exact, table.ends_px)
+    exact_ends = np.stack([stated.u0, stated.v0, stated.u1, stated.v1], axis=1).reshape(-1, 2, 2)
+    way = exact_ends[:, 1] - exact_ends[:, 0]
+    normal = np.stack([-way[:, 1], way[:, 0]], axis=1) / np.linalg.norm(way, axis=1)[:, None]
+    sigma = np.sqrt(np.einsum("vnee->vne", table.across_px2))
+    # A tenth of the stated errors, at which the projection is as good as linear.
+    scale, errors = 0.1, []
+    for _ in range(300):
+        noise = scale * sigma * rng.normal(size=sigma.shape)
+        moved = predicted(exact, table.ends_px + noise[..., None] * table.line[:, :, None, :2])
+        ends = np.stack([moved.u0, moved.v0, moved.u1, moved.v1], axis=1).reshape(-1, 2, 2)
+        errors.append(((ends - exact_ends) * normal[:, None]).sum(-1) / scale)
+    errors = np.array(errors)
+    covariance = np.stack([stated.c00, stated.c01, stated.c01, stated.c11], axis=1)
+    covariance = covariance.reshape(-1, 2, 2)
+    assert stated.possible.sum() >= 5
+    known = np.sqrt(stated.c00 + stated.c11) < 6.0
+    square = np.einsum("kni,nij,knj->kn", errors, np.linalg.inv(covariance), errors)[:, known]
+    assert abs(square.mean() - 2) < 4 * 2 / np.sqrt(square.size)
+    correlation = np.einsum("kni,knj->nij", errors, errors)[known] / len(errors)
+    scatter = covariance[known] / np.sqrt(
+        stated.c00[known, None, None] * stated.c11[known, None, None]
+    )
+    measured = correlation / np.sqrt(stated.c00 * stated.c11)[known, None, None]
+    size = np.maximum(np.abs(scatter), 1.0)
+    np.testing.assert_allclose(measured / size, scatter / size, atol=5 * np.sqrt(2 / len(errors)))

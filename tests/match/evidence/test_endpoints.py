@@ -1,0 +1,66 @@
+"""Densities of ends are densities, and know neither views nor places."""
+
+from itertools import permutations
+
+import jax
+import numpy as np
+import pytest
+
+from trinoc.match.evidence import AGREEING_PX, END_COMPONENTS, PAIR_PX, end_evidence
+from trinoc.numerics import in_blocks
+
+# Rows of the one kernel that all laws share.
+LONGEST, ROWS = 240.0, 1 << 14
+
+
+@jax.jit
+@jax.vmap
+def evidence(extent_px):
+    first, second, third = ((e[0], e[1]) for e in extent_px)
+    return end_evidence((first, second, third))
+
+
+def logs(extent_px: np.ndarray) -> np.ndarray:
+    """(n, 2, c) of extents (n, 3, 2)."""
+    return np.moveaxis(np.array(in_blocks(evidence, ROWS, extent_px)), 2, 0)
+
+
+@pytest.fixture(scope="module")
+def extents() -> np.ndarray:
+    low = np.random.default_rng(0).normal(0, 6, (200, 3))
+    return np.stack([low, low + 90 + np.random.default_rng(1).normal(0, 6, (200, 3))], axis=2)
+
+
+def test_each_component_is_a_density_over_that_of_uniform_ends() -> None:
+    # The ends of two views relative to the third's, each uniform within the longest, are 1 / L^2.
+    step = np.arange(-LONGEST, LONGEST + 1)
+    second, third = (x.ravel() for x in np.meshgrid(step, step))
+    low = np.stack([np.zeros_like(second), second, third], axis=1)
+    # One view is the longest; the others' high ends do not count.
+    high = low + np.array([LONGEST, 1.0, 1.0])
+    total = np.exp(logs(np.stack([low, high], axis=2))[:, 0]).sum(axis=0) / LONGEST**2
+    agreeing, pairs = len(AGREEING_PX), 2 * len(PAIR_PX)
+    np.testing.assert_allclose(total[:agreeing], 1.0, rtol=1e-3)
+    # The odd one out ends within the longest, less a few of the widest scale at the border.
+    np.testing.assert_allclose(total[agreeing : agreeing + pairs], 1.0, rtol=0.02)
+    assert len(total) == END_COMPONENTS == agreeing + pairs + 1
+
+
+def test_no_view_comes_first(extents: np.ndarray) -> None:
+    expected = logs(extents)
+    for turn in permutations(range(3)):
+        np.testing.assert_allclose(logs(extents[:, list(turn)]), expected, atol=1e-9)
+
+
+def test_place_and_direction_of_the_line_mean_nothing(extents: np.ndarray) -> None:
+    expected = logs(extents)
+    np.testing.assert_allclose(logs(extents + 1234.5), expected, atol=1e-6)
+    np.testing.assert_allclose(logs(-extents[..., ::-1])[:, ::-1], expected, atol=1e-9)
+
+
+def test_the_component_that_made_the_ends_is_the_likeliest() -> None:
+    # All agree; the third stops short; the third runs on; none agree.
+    low = np.array([[0.0, 0.1, -0.1], [0.0, 0.1, 30.0], [0.0, 0.1, -30.0], [0.0, 30.0, -40.0]])
+    kind = logs(np.stack([low, low + 100.0], axis=2))[:, 0].argmax(axis=1)
+    agreeing, pairs = len(AGREEING_PX), len(PAIR_PX)
+    assert kind.tolist() == [0, agreeing, agreeing + pairs, END_COMPONENTS - 1]

@@ -1,0 +1,122 @@
+"""Evidence of two places: the integral over all lines, and nothing of the order of views."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from tests.match.evidence.line_integral import log_evidence
+from tests.match.scene import MadeScene, image_px
+from trinoc.match.evidence import AGREEING_PX, PairEvidence, pair_evidence
+from trinoc.match.observations import ClutterModel
+from trinoc.match.two_view import pencil, row_of
+
+VIEWS = np.array([0, 2])
+
+
+@jax.jit
+def evidence_of(lines, views, segments, clutter) -> PairEvidence:
+    planes = pencil(lines, views[0], views[1])
+
+    def one(segments):
+        rows = row_of(planes.first, segments[0]), row_of(planes.second, segments[1])
+        return pair_evidence(lines, views, planes, rows, segments, clutter)
+
+    return jax.tree.map(jnp.asarray, jax.vmap(one)(segments))
+
+
+@pytest.fixture(scope="module")
+def evidence(precise: MadeScene, clutter: ClutterModel) -> PairEvidence:
+    """Of the true pairs."""
+    found = evidence_of(precise.seen.lines, VIEWS, precise.true[:, VIEWS], clutter)
+    return jax.tree.map(np.asarray, found)
+
+
+def ends_of(points: tuple) -> np.ndarray:
+    return np.moveaxis(np.array(points), 2, 0)
+
+
+def test_evidence_is_the_integral_over_all_lines(
+    precise: MadeScene, clutter: ClutterModel, evidence: PairEvidence
+) -> None:
+    table, near, typical = precise.table, ends_of(evidence.ends_mm), float(clutter.typical_px)
+    outer = ends_of(evidence.union_ends_mm)
+    compared = 0
+    for n in np.flatnonzero(evidence.possible):
+        row = precise.true[n, VIEWS]
+        seen = VIEWS, row
+        # Nearly along epipolar lines, the lines that fit are too many to be nearly straight.
+        if sine_of(table.matrix_px[VIEWS], table.line[seen]) < 0.1:
+            continue
+        compared += 1
+        integral = log_evidence(
+            table.matrix_px[VIEWS], table.ends_px[seen], table.across_px2[seen], near[n]
+        )
+        density = np.asarray(clutter.log_density)[seen]
+        strangers = np.sum(density - np.log(table.length_px[seen]))
+        # Each segment is as long as its ends lie apart on the line.
+        along = near[n, 1] - near[n, 0]
+        along = along / np.linalg.norm(along)
+        lengths = [
+            np.ptp([on_line(table, view, segment, end, near[n, 0], along) for end in (0, 1)])
+            for view, segment in zip(*seen, strict=True)
+        ]
+        lengths = np.array(lengths) * evidence.px_per_mm[n]
+        one = np.log(typical) - 2 * np.log(typical + lengths)
+        ends = one[lengths.argmax()] - one.sum() - 2 * np.log(lengths.max())
+        expected = integral - strangers - np.log(evidence.px_per_mm[n]) + ends
+        np.testing.assert_allclose(evidence.log_density[n], expected, atol=0.05)
+        covered = np.linalg.norm(outer[n, 1] - outer[n, 0]) * evidence.px_per_mm[n]
+        assert covered >= lengths.max() * (1 - 1e-9)
+    assert compared >= 15
+
+
+def sine_of(matrices_px: np.ndarray, lines_px: np.ndarray) -> float:
+    normal = np.einsum("vij,vi->vj", matrices_px[:, :, :3], lines_px)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    return float(np.linalg.norm(np.cross(*normal)))
+
+
+def on_line(table, view: int, segment: int, end: int, origin, along) -> float:
+    """Position on a line, in mm, nearest to the ray of a segment's end."""
+    ray = np.linalg.solve(
+        table.matrix_px[view, :, :3], np.append(table.ends_px[view, segment, end], 1.0)
+    )
+    system = np.stack([along, -ray], axis=1)
+    return np.linalg.lstsq(system, table.centre_mm[view] - origin)[0][0]
+
+
+def test_which_view_comes_first_means_nothing(
+    precise: MadeScene, clutter: ClutterModel, evidence: PairEvidence
+) -> None:
+    turn = VIEWS[::-1].copy()
+    again = jax.tree.map(
+        np.asarray, evidence_of(precise.seen.lines, turn, precise.true[:, turn], clutter)
+    )
+    np.testing.assert_array_equal(again.possible, evidence.possible)
+    np.testing.assert_allclose(again.log_density, evidence.log_density, atol=1e-8)
+    ends = ends_of(evidence.ends_mm)[:, ::-1]
+    np.testing.assert_allclose(ends_of(again.ends_mm), ends, atol=1e-6)
+    np.testing.assert_allclose(again.px_per_mm, evidence.px_per_mm, rtol=1e-9)
+    end_log = np.array(evidence.end_log)[::-1]
+    np.testing.assert_allclose(np.array(again.end_log), end_log, atol=1e-7)
+    np.testing.assert_array_equal(again.expected, evidence.expected)
+
+
+def test_a_pair_is_expected_where_another_picture_would_show_it(
+    precise: MadeScene, evidence: PairEvidence
+) -> None:
+    table, points = precise.table, ends_of(evidence.ends_mm)
+    image = image_px(table.matrix_px[1], points)
+    inside = ((image > 0) & (image < table.size_px[1])).all(axis=(1, 2))
+    np.testing.assert_array_equal(evidence.expected, inside.astype(float))
+
+
+def test_ends_that_agree_are_likelier_than_strangers(
+    exact: MadeScene, clutter: ClutterModel
+) -> None:
+    found = evidence_of(exact.seen.lines, VIEWS, exact.true[:, VIEWS], clutter)
+    end_log = np.array(found.end_log)
+    assert end_log.shape == (2, len(AGREEING_PX) + 1, 30)
+    assert (end_log[:, :-1].max(axis=1) > 0).mean() > 0.9
+    np.testing.assert_array_equal(end_log[:, -1], 0)

@@ -1,0 +1,152 @@
+"""Evidence of three places: the trifocal tensor, and integration over all lines, say the same."""
+
+from itertools import permutations
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from tests.match.evidence.line_integral import log_evidence
+from tests.match.made import pictures
+from tests.match.scene import MadeScene, seen_by
+from trinoc.geometry import line_through, signed_distance, trifocal
+from trinoc.match.evidence import TripleEvidence, triple_evidence
+from trinoc.match.observations import ClutterModel
+from trinoc.numerics import vector3
+
+ORDER = np.arange(3)
+
+
+@jax.jit
+def evidence_on(lines, order, segments, near_mm, clutter) -> TripleEvidence:
+    def one(segments, near_mm):
+        points = vector3(near_mm[0]), vector3(near_mm[1])
+        return triple_evidence(lines, order, segments, points, clutter)
+
+    return jax.vmap(one)(segments, near_mm)
+
+
+def evidence_near(lines, order, segments, near_mm, clutter) -> TripleEvidence:
+    """Once, and once more on the fitted line, as the matcher does."""
+    first = evidence_on(lines, order, segments, near_mm, clutter)
+    again = evidence_on(lines, order, segments, ends_of(first.ends_mm), clutter)
+    return jax.tree.map(np.asarray, again)
+
+
+def ends_of(points: tuple) -> np.ndarray:
+    return np.moveaxis(np.array(points), 2, 0)
+
+
+@pytest.fixture(scope="module")
+def evidence(precise: MadeScene, clutter: ClutterModel) -> TripleEvidence:
+    """Of the true triples."""
+    return evidence_near(precise.seen.lines, ORDER, precise.true, precise.lines_mm, clutter)
+
+
+def test_evidence_is_the_integral_over_all_lines(
+    precise: MadeScene, clutter: ClutterModel, evidence: TripleEvidence
+) -> None:
+    table, near = precise.table, ends_of(evidence.ends_mm)
+    assert evidence.possible.all()
+    for n, row in enumerate(precise.true):
+        integral = log_evidence(
+            table.matrix_px, table.ends_px[ORDER, row], table.across_px2[ORDER, row], near[n]
+        )
+        # Strangers: places per px^2 and direction per rad, which is the displacement of one end
+        # over the length.
+        length = table.length_px[ORDER, row]
+        strangers = np.sum(np.asarray(clutter.log_density)[ORDER, row] - np.log(length))
+        extents = np.array([[low[n], high[n]] for low, high in evidence.extent_px])
+        ends = log_share_of_lengths(np.diff(extents)[:, 0], float(clutter.typical_px))
+        expected = integral - strangers - np.log(evidence.px_per_mm[n]) + ends
+        found = evidence.log_density[n] - 0.5 * evidence.chi_square[n] - np.log(2 * np.pi)
+        np.testing.assert_allclose(found, expected, atol=5e-3)
+
+
+def log_share_of_lengths(lengths_px: np.ndarray, typical_px: float) -> float:
+    """One line has one length, of which its members show parts with ends anywhere."""
+
+    def density(length: float | np.ndarray) -> np.ndarray:
+        return typical_px / (typical_px + np.asarray(length)) ** 2
+
+    longest, others = lengths_px.max(), len(lengths_px) - 1
+    ratio = density(longest) / np.prod(density(lengths_px)) / longest ** (2 * others)
+    return float(np.log(ratio))
+
+
+def test_misfit_is_that_of_the_line_which_the_trifocal_tensor_transfers(
+    precise: MadeScene, evidence: TripleEvidence
+) -> None:
+    table = precise.table
+    tensor = trifocal.trifocal_tensor(*table.matrix_px)
+    interval = np.array([[first, last] for first, last in evidence.interval])
+
+    @jax.jit
+    @jax.vmap
+    def chi_square(ends_px, across_px2, interval):
+        normal = jax.vmap(line_through)(ends_px[:, 0], ends_px[:, 1])[:, :2]
+
+        def residual(across):
+            """Distances from the transferred line, with all ends moved across by (3, 2) px."""
+            ends = ends_px + across[:, :, None] * normal[:, None, :]
+            lines = jax.vmap(line_through)(ends[:, 0], ends[:, 1])
+            transferred = trifocal.transfer_line(tensor, lines[1], lines[2])
+            return jnp.stack(
+                [
+                    signed_distance(transferred, ends[0, 0] + share * (ends[0, 1] - ends[0, 0]))
+                    for share in interval
+                ]
+            )
+
+        moves = jnp.zeros((3, 2))
+        error, jacobian = residual(moves), jax.jacfwd(residual)(moves)
+        (a, b), (_, c) = jnp.einsum("pve,vef,qvf->pq", jacobian, across_px2, jacobian)
+        return (c * error[0] ** 2 - 2 * b * error[0] * error[1] + a * error[1] ** 2) / (
+            a * c - b**2
+        )
+
+    expected = chi_square(
+        table.ends_px[ORDER, precise.true],
+        table.across_px2[ORDER, precise.true],
+        np.ascontiguousarray(interval[0].T),
+    )
+    # Two planes that hardly cross transfer a line that is far from linear in their errors.
+    well = np.array([sine_of(table, row) for row in precise.true]) > 0.1
+    assert well.sum() >= 20
+    np.testing.assert_allclose(evidence.chi_square[well], np.asarray(expected)[well], rtol=0.01)
+
+
+def sine_of(table: Any, row: np.ndarray) -> float:
+    """Of the angle between the planes of sight in the views 1 and 2."""
+    normal = np.cross(*np.moveaxis(table.rays[ORDER, row], 1, 0))
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    return float(np.linalg.norm(np.cross(normal[1], normal[2])))
+
+
+@pytest.mark.parametrize("order", [p for p in permutations(range(3)) if p != (0, 1, 2)])
+def test_which_view_comes_first_means_nothing(
+    precise: MadeScene, clutter: ClutterModel, evidence: TripleEvidence, order: tuple[int, ...]
+) -> None:
+    turn = np.array(order)
+    again = evidence_near(
+        precise.seen.lines, turn, precise.true[:, turn], precise.lines_mm[:, ::-1] + 0.2, clutter
+    )
+    np.testing.assert_allclose(again.chi_square, evidence.chi_square, rtol=0.01, atol=1e-3)
+    np.testing.assert_allclose(again.log_density, evidence.log_density, atol=0.01)
+    ends = ends_of(evidence.ends_mm)[:, ::-1]
+    np.testing.assert_allclose(ends_of(again.ends_mm), ends, atol=0.02)
+
+
+def test_misfit_of_true_triples_is_chi_square(exact: MadeScene, clutter: ClutterModel) -> None:
+    found = []
+    for seed in range(20):
+        pictures_px = pictures(exact.rig, exact.lines_mm, sigma_px=0.3, seed=seed)
+        scene = seen_by(exact.rig, exact.lines_mm, pictures_px, 0.3)
+        again = evidence_near(scene.seen.lines, ORDER, scene.true, scene.lines_mm, clutter)
+        found.append(np.asarray(again.chi_square))
+    rank = chi2.cdf(np.concatenate(found), 2)
+    assert abs(rank.mean() - 0.5) < 4 / np.sqrt(12 * len(rank))
+    assert abs((rank > 0.9).mean() - 0.1) < 4 * np.sqrt(0.09 / len(rank))

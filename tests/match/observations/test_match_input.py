@@ -1,0 +1,115 @@
+"""The matcher's own order: what the caller's order was changes nothing."""
+
+import dataclasses
+
+import jax
+import numpy as np
+import pytest
+
+from tests.match.made import rig_of
+from tests.match.scene import VIEWS, MadeScene
+from trinoc.geometry import Rig, Segments
+from trinoc.match.observations import MatchInput, distorted, prepare, undistorted
+
+Pictures = dict[str, Segments]
+
+
+@pytest.fixture(scope="module")
+def given(noisy: MadeScene) -> Pictures:
+    """Segments whose ends are known unequally well, with darker sides and levels beside them."""
+    rng, result = np.random.default_rng(7), {}
+    for name, ends in noisy.pictures_px.items():
+        segments = Segments.from_endpoints(ends)
+        root = rng.normal(size=(len(ends), 4, 4))
+        levels = rng.uniform(20, 220, (len(ends), 2))
+        levels[::2] = np.nan
+        result[name] = dataclasses.replace(
+            segments,
+            covariance_px2=0.1 * (root @ root.mT) + 0.05 * np.eye(4),
+            polarity=rng.integers(-1, 2, len(ends)),
+            side_levels=levels,
+        )
+    return result
+
+
+@pytest.fixture(scope="module")
+def seen(noisy: MadeScene, given: Pictures) -> MatchInput:
+    return prepare(given, noisy.rig, None)
+
+
+def turned(segments: Segments, order: np.ndarray, swap: np.ndarray) -> Segments:
+    """The same segments in another order, some with their ends the other way round."""
+    s = jax.tree.map(lambda field: field[order], segments)
+    covariance = s.covariance_px2.reshape(-1, 2, 2, 2, 2)[:, ::-1, :, ::-1].reshape(-1, 4, 4)
+    return dataclasses.replace(
+        s,
+        endpoints_px=np.where(swap[:, None, None], s.endpoints_px[:, ::-1], s.endpoints_px),
+        covariance_px2=np.where(swap[:, None, None], covariance, s.covariance_px2),
+        polarity=np.where(swap, -s.polarity, s.polarity),
+        side_levels=np.where(swap[:, None], s.side_levels[:, ::-1], s.side_levels),
+    )
+
+
+def test_order_of_segments_ends_and_views_changes_nothing(
+    noisy: MadeScene, given: Pictures, seen: MatchInput
+) -> None:
+    rng = np.random.default_rng(2)
+    ranks = {name: rng.permutation(30) for name in VIEWS}
+    again = prepare(
+        {name: turned(given[name], ranks[name], rng.random(30) < 0.5) for name in VIEWS[::-1]},
+        Rig({name: noisy.rig[name] for name in VIEWS[::-1]}),
+        None,
+    )
+    assert again.names == seen.names
+    for one, other in zip(seen.lines, again.lines, strict=True):
+        np.testing.assert_array_equal(one, other)
+    for view, name in enumerate(seen.names):
+        np.testing.assert_array_equal(ranks[name][again.order[view]], seen.order[view])
+        np.testing.assert_array_equal(again.covariance_px2[view], seen.covariance_px2[view])
+
+
+def test_the_caller_s_numbers_lead_back_to_the_segments(given: Pictures, seen: MatchInput) -> None:
+    for view, name in enumerate(seen.names):
+        ends = np.asarray(given[name].endpoints_px)[seen.order[view]]
+        np.testing.assert_array_equal(np.sort(ends, axis=1), np.sort(seen.ends_px[view], axis=1))
+        assert (seen.ends_px[view][:, 0, 0] <= seen.ends_px[view][:, 1, 0]).all()
+    assert seen.counts == [30, 30, 30]
+
+
+def test_tables_hold_what_they_say(noisy: MadeScene, seen: MatchInput) -> None:
+    table = jax.tree.map(np.asarray, seen.lines)
+    np.testing.assert_array_equal(table.valid.sum(axis=1), seen.counts)
+    np.testing.assert_allclose(np.linalg.norm(table.matrix_px[:, 2, :3], axis=1), 1.0)
+    for view, name in enumerate(seen.names):
+        camera = noisy.rig[name]
+        np.testing.assert_allclose(table.centre_mm[view], camera.centre_world_mm, atol=1e-8)
+        np.testing.assert_allclose(
+            table.inverse[view] @ table.matrix_px[view, :, :3], np.eye(3), atol=1e-10
+        )
+        ends, line = table.ends_px[view, :30], table.line[view, :30]
+        off = (ends * line[:, None, :2]).sum(-1) + line[:, 2:]
+        np.testing.assert_allclose(off, 0, atol=1e-9)
+        # Errors of each end across the segment, from the covariance of all four coordinates.
+        across = np.zeros((30, 2, 4))
+        across[:, 0, :2] = across[:, 1, 2:] = line[:, :2]
+        expected = across @ seen.covariance_px2[view] @ across.mT
+        np.testing.assert_allclose(table.across_px2[view, :30], expected, atol=1e-12)
+        image = table.rays[view] @ table.matrix_px[view, :, :3].T
+        np.testing.assert_allclose(image[..., :2] / image[..., 2:], table.ends_px[view], atol=1e-7)
+
+
+def test_a_stated_sigma_takes_the_place_of_the_segments_own(noisy: MadeScene, given) -> None:
+    table = prepare(given, noisy.rig, 0.25).lines
+    expected = np.broadcast_to(0.0625 * np.eye(2), (3, 30, 2, 2))
+    np.testing.assert_allclose(np.asarray(table.across_px2)[:, :30], expected, atol=1e-12)
+
+
+def test_distortion_is_taken_out_and_put_back(noisy: MadeScene) -> None:
+    lens = rig_of("upper", distortion=(-0.2, 0.05))["upper"].intrinsics
+    ends = np.asarray(noisy.seen.ends_px[0])
+    bent = distorted(lens, ends)
+    assert np.abs(bent - ends).max() > 0.5
+    np.testing.assert_allclose(undistorted(lens, bent), ends, atol=1e-6)
+    plain = noisy.rig["upper"].intrinsics
+    np.testing.assert_array_equal(undistorted(plain, ends), ends)
+    assert distorted(lens, ends[:0]).shape == (0, 2, 2)

@@ -1,0 +1,122 @@
+"""Pairs beside what is matched: never of matched parts, whatever the order of what is matched."""
+
+import numpy as np
+import pytest
+
+from tests.match.made import pictures
+from tests.match.scene import MadeScene
+from trinoc.match.candidates import Candidates, no_candidates, trinocular_candidates
+from trinoc.match.observations import ClutterModel, fit_clutter, prepare
+from trinoc.match.occlusion import Pairs, occluded_pairs
+from trinoc.match.selection import Selection, Tracks, select, tracks_of
+
+HIDDEN = 5
+
+
+def pairs_beside(
+    scene: MadeScene, clutter: ClutterModel, tracks: Tracks, selections: list[Selection], **options
+) -> Pairs:
+    depth_range_mm = options.get("depth_range_mm")
+    seen = scene.seen
+    return occluded_pairs(seen.lines, seen.counts, clutter, tracks, selections, depth_range_mm)
+
+
+def rows(tracks: Tracks, keep: np.ndarray) -> Tracks:
+    candidates = Candidates(*(field[keep] for field in tracks.candidates))
+    return Tracks(candidates, tracks.posterior_log_odds[keep], tracks.rival_posterior[keep])
+
+
+@pytest.fixture(scope="module")
+def selection(triples: Candidates) -> Selection:
+    return select(triples, 30.0)
+
+
+@pytest.fixture(scope="module")
+def tracks(selection: Selection) -> Tracks:
+    """All tracks but the first few, whose segments are left to pairs."""
+    every = tracks_of(selection)
+    return rows(every, np.arange(HIDDEN, len(every.posterior_log_odds)))
+
+
+@pytest.fixture(scope="module")
+def pairs(noisy, clutter, tracks, selection) -> Pairs:
+    return pairs_beside(noisy, clutter, tracks, [selection])
+
+
+def test_pairs_have_two_segments_that_are_not_matched(tracks: Tracks, pairs: Pairs) -> None:
+    assert len(pairs.taken) > 0
+    assert ((pairs.candidates.index >= 0).sum(axis=1) == 2).all()
+    whole = np.abs(np.diff(tracks.candidates.interval, axis=2))[..., 0] > 0.5
+    for view in range(3):
+        matched = tracks.candidates.index[whole[:, view], view]
+        assert not np.isin(pairs.candidates.index[:, view], matched).any()
+
+
+def test_pairs_that_are_taken_share_no_segment(pairs: Pairs) -> None:
+    assert (pairs.posterior_log_odds[pairs.taken] > 0).all()
+    for view in range(3):
+        used = pairs.candidates.index[pairs.taken, view]
+        used = used[used >= 0]
+        part = np.sort(pairs.candidates.interval[pairs.taken, view], axis=1)
+        part = part[pairs.candidates.index[pairs.taken, view] >= 0]
+        for m, n in zip(*np.triu_indices(len(used), 1), strict=True):
+            if used[m] == used[n]:
+                shared = part[[m, n], 1].min() - part[[m, n], 0].max()
+                assert shared <= 0.3 * np.ptp(part[[m, n]], axis=1).min()
+
+
+def test_the_order_of_tracks_changes_nothing(noisy, clutter, tracks, selection, pairs) -> None:
+    turn = np.random.default_rng(0).permutation(len(tracks.posterior_log_odds))
+    again = pairs_beside(noisy, clutter, rows(tracks, turn), [selection])
+    np.testing.assert_array_equal(again.candidates.index, pairs.candidates.index)
+    np.testing.assert_allclose(again.posterior_log_odds, pairs.posterior_log_odds, atol=1e-9)
+
+
+def test_where_all_is_matched_there_are_no_pairs(noisy, clutter, tracks, selection) -> None:
+    whole = no_candidates(3)
+    count = len(noisy.true)
+    matched = Candidates(*(np.zeros((count, *field.shape[1:])) for field in whole))._replace(
+        index=noisy.true,
+        interval=np.tile([0.0, 1.0], (count, 3, 1)),
+        union_ends_mm=noisy.lines_mm,
+        union_covariance_mm2=np.tile([1.0, 0, 0, 1, 0, 1], (count, 2, 1)),
+        px_per_mm=np.full(count, 2.5),
+    )
+    every = Tracks(matched, np.full(count, 5.0), np.full(count, -np.inf))
+    assert len(pairs_beside(noisy, clutter, every, [selection]).taken) == 0
+
+
+def test_depths_bound_pairs_too(noisy, clutter, tracks, selection) -> None:
+    near = pairs_beside(noisy, clutter, tracks, [selection], depth_range_mm=(10.0, 20.0))
+    assert len(near.taken) == 0
+
+
+def test_what_no_other_picture_could_show_costs_nothing(pairs: Pairs) -> None:
+    assert (pairs.missed <= 0).all()
+
+
+def test_hidden_lines_that_meet_matched_ones_are_paired(exact: MadeScene) -> None:
+    # Five rods start at the ends of lines, and the first of the pictures does not show them.
+    rng = np.random.default_rng(4)
+    foot = exact.lines_mm[:5, 0]
+    rods = np.stack([foot, foot + rng.uniform(-15, 15, (5, 3)) + [0, 0, 12]], axis=1)
+    shown = pictures(exact.rig, np.concatenate([exact.lines_mm, rods]), sigma_px=0.1, seed=8)
+    shown["upper"] = shown["upper"][:-5]
+    seen = prepare(shown, exact.rig, 0.1)
+    clutter = fit_clutter(seen.lines, seen.counts)
+    found = trinocular_candidates(seen.lines, (0, 1, 2), seen.counts, clutter)
+    selection = select(found, 33.0)
+    beside = occluded_pairs(
+        seen.lines, seen.counts, clutter, tracks_of(selection), [selection], None
+    )
+    index = beside.candidates.index[beside.taken]
+    # By the numbers of the lines, in the order of the rig.
+    named = np.stack(
+        [
+            np.where(index[:, v] < 0, -1, seen.order[v][index[:, v]])
+            for v in (seen.names.index(name) for name in exact.rig.names)
+        ],
+        axis=1,
+    )
+    paired = {tuple(row) for row in named.tolist()}
+    assert len(paired & {(-1, rod, rod) for rod in range(30, 35)}) >= 4

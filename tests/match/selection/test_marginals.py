@@ -1,0 +1,77 @@
+"""What is selected: evidence, exclusion and neighbours joined, in whatever order they come."""
+
+import numpy as np
+import pytest
+
+from tests.match.scene import MadeScene
+from trinoc.match.candidates import Candidates, no_candidates, prior_log_odds
+from trinoc.match.selection import (
+    CONFLICT_OVERLAP,
+    PRUNE_LOG_ODDS,
+    Selection,
+    select,
+    sum_product,
+    tracks_of,
+)
+
+TYPICAL = 30.0
+
+
+@pytest.fixture(scope="module")
+def selection(triples: Candidates) -> Selection:
+    return select(triples, TYPICAL)
+
+
+def test_true_triples_are_taken(noisy: MadeScene, selection: Selection) -> None:
+    taken = {tuple(row) for row in selection.candidates.index[selection.taken].tolist()}
+    true = {tuple(row) for row in noisy.true.tolist()}
+    assert len(taken & true) >= 25
+    assert len(taken - true) <= 2
+
+
+def test_no_part_of_a_segment_is_taken_twice(selection: Selection) -> None:
+    index = selection.candidates.index[selection.taken]
+    part = np.sort(selection.candidates.interval[selection.taken], axis=2)
+    for view in range(3):
+        for m, n in zip(*np.triu_indices(len(index), 1), strict=True):
+            if index[m, view] == index[n, view]:
+                shared = part[[m, n], view, 1].min() - part[[m, n], view, 0].max()
+                assert shared <= CONFLICT_OVERLAP * np.ptp(part[[m, n], view], axis=1).min()
+
+
+def test_odds_alone_are_those_of_what_was_learned(triples: Candidates) -> None:
+    alone = select(triples, TYPICAL, neighbours=False)
+    odds = prior_log_odds(alone.candidates, alone.mixture)
+    np.testing.assert_array_equal(alone.log_odds, odds)
+    np.testing.assert_array_equal(alone.posterior_log_odds, sum_product(odds, alone.graph))
+    assert (odds > PRUNE_LOG_ODDS).all()
+    # Rivals only ever lower the odds.
+    assert (alone.posterior_log_odds <= odds).all()
+
+
+def test_the_order_of_candidates_changes_nothing(triples: Candidates, selection: Selection) -> None:
+    turn = np.random.default_rng(3).permutation(len(triples.index))
+    again = select(Candidates(*(field[turn] for field in triples)), TYPICAL)
+    one, other = (np.lexsort(each.candidates.index.T) for each in (selection, again))
+    np.testing.assert_array_equal(selection.candidates.index[one], again.candidates.index[other])
+    np.testing.assert_array_equal(selection.taken[one], again.taken[other])
+    np.testing.assert_allclose(
+        selection.posterior_log_odds[one], again.posterior_log_odds[other], atol=1e-6
+    )
+
+
+def test_the_rival_of_a_track_is_the_best_that_it_excludes(selection: Selection) -> None:
+    tracks = tracks_of(selection)
+    taken = np.flatnonzero(selection.taken)
+    np.testing.assert_array_equal(tracks.candidates.index, selection.candidates.index[taken])
+    np.testing.assert_array_equal(tracks.posterior_log_odds, selection.posterior_log_odds[taken])
+    edges = list(zip(selection.graph.slot // 3, selection.graph.rival_slot // 3, strict=True))
+    for n, row in enumerate(taken):
+        rivals = [selection.posterior_log_odds[b] for a, b in edges if a == row]
+        assert tracks.rival_posterior[n] == max(rivals, default=-np.inf)
+
+
+def test_nothing_is_selected_from_nothing() -> None:
+    nothing = select(no_candidates(3), TYPICAL)
+    assert len(nothing.taken) == 0
+    assert len(tracks_of(nothing).posterior_log_odds) == 0

@@ -1,0 +1,43 @@
+"""What two views show of a line, from parts that are known."""
+
+import numpy as np
+
+from tests.match.made import pictures
+from tests.match.scene import MadeScene, image_px, place_on, seen_by
+from trinoc.match.tracks.extent import two_view_interval
+
+
+def points_at(lines_mm: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """(n, 2, 3) points at two shares of the way along each line."""
+    return lines_mm[:, :1] + share[..., None] * (lines_mm[:, 1:] - lines_mm[:, :1])
+
+
+def test_lines_reach_as_far_as_the_second_furthest_view(exact: MadeScene) -> None:
+    rng, rig, lines_mm = np.random.default_rng(9), exact.rig, exact.lines_mm
+    # Every view shows the middle, and another part on either side of it.
+    share = np.sort(
+        np.stack([rng.uniform(0, 0.3, (3, 30)), rng.uniform(0.7, 1, (3, 30))], axis=2), axis=2
+    )
+    shown = {
+        name: pictures(rig, points_at(lines_mm, share[v]))[name] for v, name in enumerate(rig.names)
+    }
+    scene = seen_by(rig, lines_mm, shown, 0.3)
+    turn = [rig.names.index(name) for name in scene.seen.names]
+    index = scene.true.copy()
+    # A part of the lines is seen in two views.
+    index[20:, 1] = -1
+    by_view = np.where((index >= 0).T[..., None], share[turn], np.nan)
+    # NaN sorts last.
+    begin = np.sort(by_view[..., 0], axis=0)[1]
+    end = -np.sort(-by_view[..., 1], axis=0)[1]
+    expected_mm = points_at(lines_mm, np.stack([begin, end], axis=1))
+    common_mm = points_at(
+        lines_mm, np.stack([np.nanmax(by_view[..., 0], 0), np.nanmin(by_view[..., 1], 0)], axis=1)
+    )
+    for ends_mm, expected in ((common_mm, expected_mm), (common_mm[:, ::-1], expected_mm[:, ::-1])):
+        found = two_view_interval(scene.seen, index, ends_mm)
+        for view in range(3):
+            on = index[:, view] >= 0
+            image = image_px(scene.table.matrix_px[view], expected[on])
+            place = place_on(scene.table.ends_px[view, index[on, view]], image)
+            np.testing.assert_allclose(found[on, view], place, atol=1e-7)

@@ -1,0 +1,63 @@
+"""Of straight lines, chance flags as many as the significance says."""
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from tests.match.scene import MadeScene
+from trinoc.match.tracks import typical_misfit
+from trinoc.match.tracks.assembly import fragments_of, lines_in_space
+from trinoc.match.tracks.extent import two_view_interval
+from trinoc.match.tracks.viewpoint import SIGNIFICANCE, flag_viewpoint_dependent
+
+REPEATS = 80
+
+
+@pytest.fixture(scope="module")
+def fitted(exact: MadeScene) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(index, ends in space, misfit) of the same lines seen many times with the stated noise."""
+    rng, found = np.random.default_rng(15), []
+    for _ in range(REPEATS):
+        noise = [0.3 * rng.normal(size=ends.shape) for ends in exact.seen.ends_px]
+        ends_px = [ends + n for ends, n in zip(exact.seen.ends_px, noise, strict=True)]
+        seen = exact.seen._replace(ends_px=ends_px)
+        shown = two_view_interval(seen, exact.true, exact.lines_mm)
+        fragments = fragments_of(seen, exact.true, shown)
+        ends_mm, _, misfit = lines_in_space(seen, exact.true, *fragments)
+        found.append((exact.true, ends_mm, misfit))
+    index, ends, misfit = (np.concatenate(column) for column in zip(*found, strict=True))
+    return index, ends, misfit
+
+
+def test_straight_lines_are_flagged_as_often_as_the_significance_says(
+    exact: MadeScene, fitted
+) -> None:
+    index, ends_mm, misfit = fitted
+    flagged = flag_viewpoint_dependent(exact.seen, index, ends_mm, misfit)
+    sigma = np.sqrt(SIGNIFICANCE * (1 - SIGNIFICANCE) / len(misfit))
+    assert abs(flagged.mean() - SIGNIFICANCE) < 4 * sigma
+    np.testing.assert_array_equal(flagged, misfit > misfit[~flagged].max())
+
+
+def test_covariances_that_are_too_small_for_all_are_made_good(exact: MadeScene, fitted) -> None:
+    index, ends_mm, misfit = fitted
+    np.testing.assert_allclose(typical_misfit(index, 4 * misfit), 4.0, rtol=0.15)
+    flagged = flag_viewpoint_dependent(exact.seen, index, ends_mm, 4 * misfit)
+    assert abs(flagged.mean() - SIGNIFICANCE) < 0.01
+    # Covariances that are too large are left so.
+    assert typical_misfit(index, misfit / 4) == 1.0
+    assert typical_misfit(index[:5], 100 * misfit[:5]) == 1.0
+
+
+def test_more_views_have_more_degrees_of_freedom(exact: MadeScene) -> None:
+    rng, index = np.random.default_rng(3), np.zeros((4000, 5), dtype=np.int64)
+    seen = exact.seen._replace(
+        ends_px=[exact.seen.ends_px[0]] * 5,
+        lines=exact.seen.lines._replace(matrix_px=np.zeros((5, 3, 4))),
+    )
+    misfit = rng.chisquare(6, 4000)
+    flagged = flag_viewpoint_dependent(seen, index, np.zeros((4000, 2, 3)), misfit)
+    assert abs(flagged.mean() - SIGNIFICANCE) < 4 * np.sqrt(SIGNIFICANCE / 4000)
+    np.testing.assert_array_equal(
+        flagged, misfit > typical_misfit(index, misfit) * chi2.isf(SIGNIFICANCE, 6)
+    )

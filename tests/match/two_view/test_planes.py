@@ -1,0 +1,110 @@
+"""Planes of sight: distances, magnifications and variances against plain geometry."""
+
+import jax
+import numpy as np
+import pytest
+
+from tests.match.scene import MadeScene, image_px, place_on
+from trinoc.match.two_view import extent_on_line, interpretation_plane
+from trinoc.match.two_view.planes import InterpretationPlane
+from trinoc.numerics import unit3, vector3
+
+VIEW = 1
+
+
+@jax.jit
+def planes_at(lines, segments, points_mm):
+    def one(segment, points):
+        return interpretation_plane(
+            lines, np.array(VIEW), segment, (vector3(points[0]), vector3(points[1]))
+        )
+
+    return jax.vmap(one)(segments, points_mm)
+
+
+@jax.jit
+def extents(lines, segments, points_mm):
+    def one(segment, points):
+        along = unit3(vector3(points[1] - points[0]))
+        return extent_on_line(lines, np.array(VIEW), segment, vector3(points[0]), along)
+
+    return jax.vmap(one)(segments, points_mm)
+
+
+def plane_of_sight(matrix_px: np.ndarray, ends_px: np.ndarray) -> np.ndarray:
+    """(n, 4) planes with unit normal through the centre and both ends."""
+    homogeneous = np.concatenate([ends_px, np.ones_like(ends_px[..., :1])], axis=-1)
+    plane = np.cross(homogeneous[:, 0], homogeneous[:, 1]) @ matrix_px
+    return plane / np.linalg.norm(plane[:, :3], axis=1, keepdims=True)
+
+
+def distances_mm(plane: np.ndarray, points_mm: np.ndarray) -> np.ndarray:
+    return (points_mm * plane[:, None, :3]).sum(-1) + plane[:, None, 3]
+
+
+@pytest.fixture(scope="module")
+def found(exact: MadeScene) -> InterpretationPlane:
+    """At both ends of the lines, moved away from their planes by some millimetres."""
+    return jax.tree.map(
+        np.asarray, planes_at(exact.seen.lines, exact.true[:, VIEW], exact.lines_mm + 1.0)
+    )
+
+
+def test_normals_and_distances_are_those_of_the_plane(exact: MadeScene, found) -> None:
+    table = exact.table
+    plane = plane_of_sight(table.matrix_px[VIEW], table.ends_px[VIEW, exact.true[:, VIEW]])
+    normal = np.stack(found.normal, axis=1)
+    sign = np.sign((normal * plane[:, :3]).sum(1))
+    np.testing.assert_allclose(normal, sign[:, None] * plane[:, :3], atol=1e-10)
+    expected = sign[:, None] * distances_mm(plane, exact.lines_mm + 1.0)
+    np.testing.assert_allclose(np.stack(found.distance_mm, axis=1), expected, atol=1e-8)
+
+
+def test_places_and_lengths_are_those_of_the_images(exact: MadeScene, found) -> None:
+    table = exact.table
+    image = image_px(table.matrix_px[VIEW], exact.lines_mm + 1.0)
+    ends = table.ends_px[VIEW, exact.true[:, VIEW]]
+    np.testing.assert_allclose(np.stack(found.interval, axis=1), place_on(ends, image), atol=1e-10)
+    np.testing.assert_allclose(found.length_px, np.linalg.norm(image[:, 1] - image[:, 0], axis=1))
+
+
+def test_magnification_and_variance_are_derivatives(exact: MadeScene) -> None:
+    table, step, true = exact.table, 1e-4, exact.true[:, VIEW]
+    matrix, ends, line = table.matrix_px[VIEW], table.ends_px[VIEW, true], table.line[VIEW, true]
+    on_plane = jax.tree.map(np.asarray, planes_at(exact.seen.lines, true, exact.lines_mm))
+    normal = np.stack(on_plane.normal, axis=1)
+
+    def across_px(points_mm: np.ndarray) -> np.ndarray:
+        return (image_px(matrix, points_mm) * line[:, None, :2]).sum(-1) + line[:, None, 2]
+
+    moved = exact.lines_mm + step * normal[:, None]
+    expected = (across_px(moved) - across_px(exact.lines_mm)) / step
+    np.testing.assert_allclose(np.stack(on_plane.px_per_mm, axis=1), expected, rtol=1e-4)
+
+    effect = []
+    for end in range(2):
+        turned = ends.copy()
+        turned[:, end] += step * line[:, :2]
+        effect.append(distances_mm(plane_of_sight(matrix, turned), exact.lines_mm) / step)
+    effect = np.stack(effect, axis=2)
+    variance = effect @ table.across_px2[VIEW, true] @ effect.mT
+    for stated, (i, j) in zip(on_plane.variance_mm2, ((0, 0), (0, 1), (1, 1)), strict=True):
+        np.testing.assert_allclose(stated, variance[:, i, j], rtol=1e-3, atol=1e-9)
+
+
+def test_extents_are_nearest_to_the_rays(exact: MadeScene) -> None:
+    # Lines beside those that the segments show.
+    lines_mm, true = exact.lines_mm + np.array([2.0, -1.0, 0.5]), exact.true[:, VIEW]
+    found = np.stack(extents(exact.seen.lines, true, lines_mm), axis=1)
+    table = exact.table
+    along = lines_mm[:, 1] - lines_mm[:, 0]
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    for n in range(len(true)):
+        for end in range(2):
+            ray = np.linalg.solve(
+                table.matrix_px[VIEW, :, :3], np.append(table.ends_px[VIEW, true[n], end], 1.0)
+            )
+            # The least of |origin + s along - centre - t ray|.
+            system = np.stack([along[n], -ray], axis=1)
+            solution = np.linalg.lstsq(system, table.centre_mm[VIEW] - lines_mm[n, 0])[0]
+            np.testing.assert_allclose(found[n, end], solution[0], atol=1e-7)
