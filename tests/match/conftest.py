@@ -3,8 +3,9 @@
 import pytest
 
 from tests.match.scene import VIEWS, MadeScene, made_scene
-from trinoc.match.candidates import Candidates, trinocular_candidates
-from trinoc.match.observations import ClutterModel, fit_clutter
+from trinoc.match import fit_clutter, trinocular_candidates
+from trinoc.match.candidates import Candidates
+from trinoc.match.observations import ClutterModel
 
 
 @pytest.fixture(scope="session")

@@ -7,7 +7,7 @@ import numpy as np
 
 from tests.match.made import loose_lines, pictures, rig_of
 from trinoc.geometry import Rig
-from trinoc.match.observations import MatchInput, prepare
+from trinoc.match import MatchInput, prepare
 
 VIEWS = ("upper", "left", "right")
 

@@ -60,4 +60,4 @@ def test_calibration_takes_either_order_of_colours():
         trinoc.calibrate({"upper": image}, pattern, table1_lens(), method="circles").values
         for image in (colour, colour[..., ::-1])
     ]
-    np.testing.assert_array_equal(*answers)
+    np.testing.assert_array_equal(answers[0], answers[1])

@@ -4,6 +4,8 @@ Each pixel that an outline may cross is divided into S x S cells, each with a ra
 the others hold the grey level at their centre.
 """
 
+from typing import Protocol, runtime_checkable
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -37,19 +39,83 @@ class Canvas(eqx.Module):
     boxes: Int[np.ndarray, "layers 2 2"]
 
 
+@runtime_checkable
+class SheetView(Protocol):
+    """How a camera sees the print of a sheet, flat or not, in both directions."""
+
+    @property
+    def image_size_px(self) -> tuple[int, int]:
+        """(width, height) of the pictures."""
+        ...
+
+    def centres_mm(self, margin_px: int) -> Float[np.ndarray, "h w 2"]:
+        """(X, Y) of the print at the centres of the picture's pixels and of a margin's.
+
+        NaN where a pixel does not show the plane of the sheet.
+        """
+        ...
+
+    def cells_mm(
+        self,
+        centres_mm: Float[np.ndarray, "h w 2"],
+        divided: Int[np.ndarray, "m 2"],
+        supersampling: int,
+    ) -> Float[np.ndarray, "m s s 2"]:
+        """(X, Y) at the cells of some pixels of `centres_mm`, given by row and column."""
+        ...
+
+    def pixels_px(self, points_mm: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
+        """Pixels that show points (X, Y) of the print; NaN for points behind the camera."""
+        ...
+
+
+class FlatView(eqx.Module):
+    """A camera over a flat sheet on Z = 0, printed true to scale."""
+
+    camera: Camera
+
+    @property
+    def image_size_px(self) -> tuple[int, int]:
+        """(width, height) of the pictures."""
+        return self.camera.image_size_px
+
+    def centres_mm(self, margin_px: int) -> Float[np.ndarray, "h w 2"]:
+        """See `points_on_sheet`."""
+        return points_on_sheet(self.camera, pixel_grid_px(self.image_size_px, margin_px))
+
+    def cells_mm(
+        self,
+        centres_mm: Float[np.ndarray, "h w 2"],
+        divided: Int[np.ndarray, "m 2"],
+        supersampling: int,
+    ) -> Float[np.ndarray, "m s s 2"]:
+        """A ray of its own for each cell."""
+        margin_px = (centres_mm.shape[0] - self.image_size_px[1]) // 2
+        uv = (divided[:, ::-1] - margin_px)[:, None, None, :] + cell_offsets_px(supersampling)
+        return points_on_sheet(self.camera, uv)
+
+    def pixels_px(self, points_mm: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
+        """See `pixels_of_sheet`."""
+        return pixels_of_sheet(self.camera, points_mm)
+
+
 def make_canvas(
     camera: Camera, layers: tuple[Layer, ...], *, supersampling: int, margin_px: int
 ) -> Canvas:
-    """The canvas of a camera, divided where an outline of a layer may cross a pixel."""
-    width, height = camera.image_size_px
-    columns = np.arange(-margin_px, width + margin_px, dtype=np.float64)
-    rows = np.arange(-margin_px, height + margin_px, dtype=np.float64)
-    grid = np.stack(np.meshgrid(columns, rows), axis=-1)
-    centres = points_on_sheet(camera, grid)
+    """The canvas of a camera over a flat sheet; see `canvas_of_view`."""
+    view = FlatView(camera)
+    return canvas_of_view(view, layers, supersampling=supersampling, margin_px=margin_px)
+
+
+def canvas_of_view(
+    view: SheetView, layers: tuple[Layer, ...], *, supersampling: int, margin_px: int
+) -> Canvas:
+    """The canvas of a view, divided where an outline of a layer may cross a pixel."""
+    centres = view.centres_mm(margin_px)
     shape = centres.shape[:2]
     outlines, whole = _outlines_in_view(layers, centres)
     outlines_px = np.split(
-        pixels_of_sheet(camera, np.concatenate(outlines)) + margin_px,
+        view.pixels_px(np.concatenate(outlines)) + margin_px,
         np.cumsum([len(outline) for outline in outlines])[:-1],
     )
     boxes = [
@@ -57,8 +123,7 @@ def make_canvas(
         for layer, outline, is_whole in zip(layers, outlines_px, whole, strict=True)
     ]
     divided = np.argwhere(_widened(_marked(np.concatenate(outlines_px), shape)))
-    uv = (divided[:, ::-1] - margin_px)[:, None, None, :] + cell_offsets_px(supersampling)
-    samples = points_on_sheet(camera, uv)
+    samples = view.cells_mm(centres, divided, supersampling)
     return Canvas(margin_px, centres, divided, samples, np.array(boxes))
 
 
@@ -78,6 +143,14 @@ def paint(
         centre_grey[patch] = layer.over(centre_grey[patch], canvas.centres_mm[patch])
         cell_grey[cells] = layer.over(cell_grey[cells], canvas.samples_mm[cells], cells=True)
     return centre_grey, cell_grey
+
+
+def pixel_grid_px(image_size_px: tuple[int, int], margin_px: int) -> Float[np.ndarray, "h w 2"]:
+    """(u, v) of every pixel of a picture and of a margin round it."""
+    width, height = image_size_px
+    columns = np.arange(-margin_px, width + margin_px, dtype=np.float64)
+    rows = np.arange(-margin_px, height + margin_px, dtype=np.float64)
+    return np.stack(np.meshgrid(columns, rows), axis=-1)
 
 
 def cell_offsets_px(supersampling: int) -> Float[np.ndarray, "s s 2"]:

@@ -15,9 +15,9 @@ from trinoc.calib import (
     compare_rigs,
     epipolar_sigma,
     point_covariance,
+    printed_sheet,
     with_systematics,
 )
-from trinoc.calib.targets.print_scale import printed_sheet
 from trinoc.errors import InputError
 from trinoc.geometry import Intrinsics, project
 

@@ -5,7 +5,8 @@ import pytest
 
 from benchmarks.dense_matcher import match_densely
 from tests.match.scene import MadeScene
-from trinoc.match.candidates import Candidates, in_depth_range, trinocular_candidates
+from trinoc.match import trinocular_candidates
+from trinoc.match.candidates import Candidates, in_depth_range
 from trinoc.match.evidence import GATE
 from trinoc.match.observations import ClutterModel
 

@@ -9,7 +9,8 @@ import pytest
 from tests.match.made import rig_of
 from tests.match.scene import VIEWS, MadeScene
 from trinoc.geometry import Rig, Segments
-from trinoc.match.observations import MatchInput, distorted, prepare, undistorted
+from trinoc.match import MatchInput, prepare
+from trinoc.match.observations import distorted, undistorted
 
 Pictures = dict[str, Segments]
 

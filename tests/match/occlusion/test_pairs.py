@@ -5,10 +5,18 @@ import pytest
 
 from tests.match.made import pictures
 from tests.match.scene import MadeScene
-from trinoc.match.candidates import Candidates, no_candidates, trinocular_candidates
-from trinoc.match.observations import ClutterModel, fit_clutter, prepare
-from trinoc.match.occlusion import Pairs, occluded_pairs
-from trinoc.match.selection import Selection, Tracks, select, tracks_of
+from trinoc.match import (
+    Selection,
+    fit_clutter,
+    occluded_pairs,
+    prepare,
+    select,
+    trinocular_candidates,
+)
+from trinoc.match.candidates import Candidates, no_candidates
+from trinoc.match.observations import ClutterModel
+from trinoc.match.occlusion import Pairs
+from trinoc.match.selection import Tracks, tracks_of
 
 HIDDEN = 5
 

@@ -4,15 +4,9 @@ import numpy as np
 import pytest
 
 from tests.match.scene import MadeScene
+from trinoc.match import Selection, select
 from trinoc.match.candidates import Candidates, no_candidates, prior_log_odds
-from trinoc.match.selection import (
-    CONFLICT_OVERLAP,
-    PRUNE_LOG_ODDS,
-    Selection,
-    select,
-    sum_product,
-    tracks_of,
-)
+from trinoc.match.selection import CONFLICT_OVERLAP, PRUNE_LOG_ODDS, sum_product, tracks_of
 
 TYPICAL = 30.0
 

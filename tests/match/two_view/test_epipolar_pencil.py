@@ -8,7 +8,7 @@ import pytest
 
 from tests.match.scene import MadeScene
 from trinoc.geometry import Rig, rotation_from_vector
-from trinoc.match.observations import prepare
+from trinoc.match import prepare
 from trinoc.match.two_view import Pencil, PencilSegments, pencil
 
 FIRST, SECOND = np.array(0), np.array(1)

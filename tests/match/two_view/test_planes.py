@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 
 from tests.match.scene import MadeScene, image_px, place_on
-from trinoc.match.two_view import extent_on_line, interpretation_plane
-from trinoc.match.two_view.planes import InterpretationPlane
+from trinoc.match.two_view import InterpretationPlane, extent_on_line, interpretation_plane
 from trinoc.numerics import unit3, vector3
 
 VIEW = 1

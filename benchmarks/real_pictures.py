@@ -1,0 +1,273 @@
+"""Calibration of pictures as cameras deliver them: do the error bars hold, and who notices?
+
+    python benchmarks/real_pictures.py [--pictures 8] [--conditions NAME ...]
+        [--method picture circles] [--processes 2] [--output FILE.json] [--against FILE.json]
+
+The conditions are those of `trinoc.synth.camera_picture.CONDITIONS`; --conditions takes names or
+beginnings of names. Poses alternate, three near the paper's Table 1 and one further round the
+sheet; seeds are fixed. Per condition and method, over pictures and the four parameters:
+
+z         rms of error / claimed sigma; 1 is right
+worst     the largest |error| / sigma
+err/CRB   rms of error / Cramer-Rao bound of the same sheet, pose, blur and noise on a linear
+          camera without saturation in even light, from `picture_bound`
+ok sus -  pictures that CONVERGED, are SUSPECT, have no answer (FAILED, or a crash)
+silent    pictures that CONVERGED without a note and are off by more than four sigmas
+notes     what was said, by how many pictures
+
+--output stores every fit; --against prints the z and err/CRB of an earlier run beside the new.
+"""
+
+import argparse
+import json
+import multiprocessing
+import os
+import sys
+import time
+from collections import Counter
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from picture_bound import bound_of_image
+
+import trinoc
+from trinoc.errors import CalibrationError
+from trinoc.numerics import in_float64
+from trinoc.synth import table1_lens
+from trinoc.synth.camera_picture import (
+    CONDITIONS,
+    Condition,
+    SheetGrid,
+    delivered_picture,
+    irradiance,
+    radiance,
+)
+from trinoc.synth.rigs import TABLE_1
+
+NAMES = ("pan_deg", "tilt_deg", "swing_deg", "distance_mm")
+METHODS = ("picture", "circles")
+LENS = table1_lens()
+# Rounding to whole grey levels of 8 bits adds this variance to the noise.
+ROUNDING = 1 / 12
+SILENT_SIGMAS = 4.0
+BOUND_SUPERSAMPLING = 4
+PAPER_LEVEL = 230.0
+
+Pose = tuple[float, float, float, float]
+Record = dict[str, Any]
+
+
+def pose_of(number: int) -> Pose:
+    """Pan, tilt, swing in degrees and distance in mm of a picture."""
+    random = np.random.default_rng([12, number])
+    if number % 4 == 3:
+        low, high = [-55.0, 28.0, -15.0, 520.0], [55.0, 65.0, 15.0, 600.0]
+        values = random.uniform(low, high)
+    else:
+        table = np.array([TABLE_1[name] for name in ("upper", "right", "left")])
+        values = table[number % 3] + random.uniform(-1.0, 1.0, 4) * [5.0, 5.0, 5.0, 15.0]
+    pan, tilt, swing, distance = map(float, values)
+    return pan, tilt, swing, distance
+
+
+def pattern_of(sheet: SheetGrid) -> trinoc.Pattern:
+    return trinoc.Pattern.cross_grid(
+        rows=sheet.rows,
+        columns=sheet.columns,
+        pitch_mm=sheet.pitch_mm,
+        radius_mm=sheet.radius_mm,
+    )
+
+
+def view_of(condition: Condition) -> tuple:
+    """What the radiance depends on besides the pose."""
+    return (
+        condition.scene,
+        condition.sheet,
+        condition.lens_error,
+        condition.aim_mm,
+        condition.distance_scale,
+        condition.turn_deg,
+        condition.distortion,
+    )
+
+
+def records_of_picture(
+    number: int, names: tuple[str, ...], methods: tuple[str, ...]
+) -> list[Record]:
+    """The fits of one pose under every condition."""
+    pose, bounds, records = pose_of(number), {}, []
+    groups: dict[tuple, list[str]] = {}
+    for name in names:
+        groups.setdefault(view_of(CONDITIONS[name]), []).append(name)
+    for group in groups.values():
+        first = CONDITIONS[group[0]]
+        pattern, camera = pattern_of(first.sheet), first.camera(LENS, pose)
+        fine, lights = radiance(pattern, camera, first.scene), {}
+        for name in group:
+            condition = CONDITIONS[name]
+            if condition.optics not in lights:
+                lights[condition.optics] = irradiance(fine, condition.optics)
+            picture = delivered_picture(
+                lights[condition.optics], condition.sensor, condition.processing, seed=number
+            )
+            bound = bound_of(condition, pose, bounds)
+            for method in methods:
+                fit = fit_of(picture, condition, pose, method)
+                records.append(
+                    {"condition": name, "method": method, "picture": number, "bound": bound} | fit
+                )
+    return records
+
+
+@in_float64
+def bound_of(condition: Condition, pose: Pose, known: dict[tuple, np.ndarray]) -> list[float]:
+    """Least standard deviations of the four parameters on a linear camera."""
+    paper, sensor = condition.scene.paper, condition.sensor
+    blur_px = condition.optics.rms_px
+    key = (condition.sheet, condition.distance_scale, blur_px, paper.ink / paper.paper)
+    if key not in known:
+        # For noise as large as the paper's own level, whatever that is.
+        values = np.array([*pose[:3], pose[3] * condition.distance_scale, 0.0, 0.0])
+        ink = PAPER_LEVEL * paper.ink / paper.paper
+        scene = Scene(pattern_of(condition.sheet), LENS, values, blur_px, PAPER_LEVEL, ink)
+        known[key] = bound_of_image(scene, PAPER_LEVEL, 4, supersampling=BOUND_SUPERSAMPLING)
+    middle = sensor.exposure * (paper.ink + paper.paper) / 2
+    rounding = ROUNDING / 4 ** (condition.processing.bits - 8)
+    noise = float(np.sqrt(sensor.noise_levels(middle) ** 2 + rounding))
+    relative = noise / (255 * sensor.exposure * paper.paper)
+    return [relative * float(value) for value in known[key]]
+
+
+def fit_of(picture: np.ndarray, condition: Condition, pose: Pose, method: str) -> Record:
+    """One calibration: error, sigma, status and notes."""
+    told = condition.told
+    systematics = trinoc.Systematics(flatness_mm=told.flatness_mm) if told.flatness_mm else None
+    start = time.process_time()
+    try:
+        result = trinoc.calibrate(
+            {"a": picture},
+            pattern_of(condition.sheet).rescaled(*told.print_scale),
+            condition.said_lens(LENS),
+            parameters=told.parameters,
+            method=method,  # pyright: ignore[reportArgumentType]
+            systematics=systematics,
+        )
+    except CalibrationError as error:
+        return {"status": "FAILED", "notes": [str(error)]}
+    except Exception as error:  # A crash is what the table is there to show.
+        return {"status": "CRASHED", "notes": [f"{type(error).__name__}: {error}"]}
+    seconds = time.process_time() - start
+    values = dict(zip(result.parameters, result.values, strict=True))
+    pan, tilt, swing, distance = pose
+    truth = [pan, tilt, swing + condition.turn_deg, distance * condition.distance_scale]
+    error = np.array([values[f"a.{name}"] for name in NAMES]) - truth
+    error[:3] = (error[:3] + 180) % 360 - 180
+    return {
+        "status": result.status["a"].name,
+        "notes": list(result.fits["a"].notes),
+        "error": error.tolist(),
+        "sigma": [result.sigma(f"a.{name}") for name in NAMES],
+        "reduced_chi_square": result.fits["a"].reduced_chi_square,
+        "seconds": seconds,
+    }
+
+
+def summary_of(records: list[Record]) -> Record:
+    """The row of one condition and method."""
+    fitted = [record for record in records if "error" in record]
+    status = Counter(record["status"] for record in records)
+    row = {
+        "converged": status["CONVERGED"],
+        "suspect": status["SUSPECT"],
+        "failed": len(records) - len(fitted),
+        "notes": Counter(kind_of(note) for record in records for note in record["notes"]),
+    }
+    if not fitted:
+        return row | {"z": np.nan, "worst": np.nan, "by_bound": np.nan, "silent": 0}
+    error, sigma, bound = (
+        np.array([record[key] for record in fitted]) for key in ("error", "sigma", "bound")
+    )
+    z = np.abs(error / sigma)
+    silent = [
+        record["status"] == "CONVERGED" and not record["notes"] and each.max() > SILENT_SIGMAS
+        for record, each in zip(fitted, z, strict=True)
+    ]
+    return row | {
+        "z": float(np.sqrt(np.mean(z**2))),
+        "worst": float(z.max()),
+        "by_bound": float(np.sqrt(np.mean((error / bound) ** 2))),
+        "silent": int(np.sum(silent)),
+    }
+
+
+def kind_of(note: str) -> str:
+    """A note by its first words, those with numbers left out."""
+    words = [word for word in note.split() if not any(letter.isdigit() for letter in word)]
+    return " ".join(words[:7])
+
+
+def table_of(records: list[Record], method: str, names: list[str], earlier: list[Record]) -> None:
+    print(f"\nmethod {method}")
+    print(f"{'condition':33s} {'z':>7s} {'worst':>7s} {'err/CRB':>7s}  ok sus  - silent  notes")
+    for name in names:
+        rows = [r for r in records if (r["condition"], r["method"]) == (name, method)]
+        row = summary_of(rows)
+        notes = "; ".join(f"{count} x {kind}" for kind, count in row["notes"].most_common(3))
+        counts = f"{row['converged']:3d} {row['suspect']:3d} {row['failed']:2d} {row['silent']:6d}"
+        print(
+            f"{name:33s} {row['z']:7.2f} {row['worst']:7.1f} {row['by_bound']:7.2f} "
+            f"{counts}  {notes}"
+        )
+        before = [r for r in earlier if (r["condition"], r["method"]) == (name, method)]
+        if before:
+            old = summary_of(before)
+            print(f"{'  before':33s} {old['z']:7.2f} {old['worst']:7.1f} {old['by_bound']:7.2f}")
+
+
+def chosen(beginnings: list[str]) -> list[str]:
+    """Conditions with one of these names, or that begin with one that is no name."""
+    names = []
+    for beginning in beginnings:
+        fit = [beginning] if beginning in CONDITIONS else []
+        fit = fit or [name for name in CONDITIONS if name.startswith(beginning)]
+        if not fit:
+            raise SystemExit(f"No condition begins with {beginning!r}: {', '.join(CONDITIONS)}.")
+        names += fit
+    return list(dict.fromkeys(names))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--pictures", type=int, default=8)
+    parser.add_argument("--conditions", nargs="*", default=[""], metavar="NAME")
+    parser.add_argument("--method", nargs="*", choices=METHODS, default=list(METHODS))
+    parser.add_argument("--processes", type=int, default=2)
+    parser.add_argument("--output", type=Path)
+    parser.add_argument("--against", type=Path)
+    given = parser.parse_args()
+    names, methods = chosen(given.conditions), tuple(given.method)
+    earlier = json.loads(given.against.read_text("utf-8")) if given.against else []
+    # One process a core: the libraries' own threads would only fight.
+    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        os.environ.setdefault(variable, "1")
+    records: list[Record] = []
+    spawned = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(given.processes, mp_context=spawned) as pool:
+        jobs = [
+            pool.submit(records_of_picture, number, tuple(names), methods)
+            for number in range(given.pictures)
+        ]
+        for done, job in enumerate(as_completed(jobs), start=1):
+            records += job.result()
+            print(f"{done} of {len(jobs)} poses done", file=sys.stderr)
+            if given.output:
+                given.output.write_text(json.dumps(records, indent=1), "utf-8")
+    for method in methods:
+        table_of(records, method, names, earlier)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,144 @@
+"""The lens over a sheet that need not be flat: which point of the print each pixel shows.
+
+It is found by Newton's method at the centre of each pixel. In between it is so smooth that a
+quadratic through neighbouring pixels is off by (pixels / focal length)^2 of a pixel at most.
+"""
+
+from collections.abc import Callable
+from functools import partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+
+from trinoc.geometry import Camera, depth_mm, project
+from trinoc.numerics import ArrayLike, in_float64
+from trinoc.synth.camera_picture.paper import Paper
+from trinoc.synth.canvas import cell_offsets_px, pixel_grid_px, points_on_sheet
+
+_CHUNK = 16384
+_NEWTON_STEPS = 5
+
+
+class BentView(eqx.Module):
+    """A camera over a sheet as it lies; points are in the nominal millimetres of the layout."""
+
+    camera: Camera
+    paper: Paper
+
+    @property
+    def image_size_px(self) -> tuple[int, int]:
+        """(width, height) of the picture."""
+        return self.camera.image_size_px
+
+    def centres_mm(self, margin_px: int) -> Float[np.ndarray, "h w 2"]:
+        """Points of the layout at the pixels' centres; NaN above the horizon."""
+        uv = pixel_grid_px(self.image_size_px, margin_px)
+        start = points_on_sheet(self.camera, uv) / np.array(self.paper.print_scale)
+        seen = partial(_places_seen, self.camera, _as_arrays(self.paper))
+        return _in_chunks(seen, uv.reshape(-1, 2), start.reshape(-1, 2)).reshape(uv.shape)
+
+    def cells_mm(
+        self,
+        centres_mm: Float[np.ndarray, "h w 2"],
+        divided: Int[np.ndarray, "m 2"],
+        supersampling: int,
+    ) -> Float[np.ndarray, "m s s 2"]:
+        """Points of the layout at the cells: a quadratic through the pixel and its neighbours."""
+        height, width = centres_mm.shape[:2]
+        # The outermost pixels have no neighbours: they borrow the differences of the next.
+        row, column = np.clip(divided, 1, (height - 2, width - 2)).T
+
+        def at(down: int, across: int) -> Float[np.ndarray, "m 2"]:
+            return centres_mm[row + down, column + across]
+
+        middle, left, right, above, below = at(0, 0), at(0, -1), at(0, 1), at(-1, 0), at(1, 0)
+        terms = [
+            centres_mm[divided[:, 0], divided[:, 1]],
+            (right - left) / 2,
+            (below - above) / 2,
+            (right - 2 * middle + left) / 2,
+            (below - 2 * middle + above) / 2,
+            (at(1, 1) - at(1, -1) - at(-1, 1) + at(-1, -1)) / 4,
+        ]
+        s, t = np.moveaxis(cell_offsets_px(supersampling).reshape(-1, 2), -1, 0)
+        powers = np.stack([np.ones_like(s), s, t, s * s, t * t, s * t])
+        cells = np.stack(terms, axis=-1) @ powers
+        return np.moveaxis(cells, 1, 2).reshape(-1, supersampling, supersampling, 2)
+
+    def pixels_px(self, points_mm: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
+        """Pixels that show points of the layout; NaN for points behind the camera."""
+        return _in_chunks(
+            partial(_pixels_of_places, self.camera, _as_arrays(self.paper)), points_mm
+        )
+
+    def points_world_mm(self, points_mm: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 3"]:
+        """Where points of the layout lie in the world."""
+        flat = _in_chunks(
+            partial(_points_of_places, _as_arrays(self.paper)), points_mm.reshape(-1, 2)
+        )
+        return flat.reshape(*points_mm.shape[:-1], 3)
+
+
+@eqx.filter_jit
+def _places_seen(
+    camera: Camera,
+    paper: Paper,
+    uv_px: Float[ArrayLike, "n 2"],
+    start_mm: Float[ArrayLike, "n 2"],
+) -> Float[ArrayLike, "n 2"]:
+    def one(uv: Float[ArrayLike, "2"], start: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
+        def image(place: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
+            return project(camera, _world(paper, place))
+
+        def step(_: ArrayLike, place: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
+            residual = image(place) - uv
+            (a, b), (c, d) = jax.jacfwd(image)(place)
+            determinant = a * d - b * c
+            u, v = residual
+            return place - jnp.stack([d * u - b * v, a * v - c * u]) / determinant
+
+        return jax.lax.fori_loop(0, _NEWTON_STEPS, step, start)
+
+    return jax.vmap(one)(uv_px, start_mm)
+
+
+@eqx.filter_jit
+def _pixels_of_places(
+    camera: Camera, paper: Paper, places_mm: Float[ArrayLike, "n 2"]
+) -> Float[ArrayLike, "n 2"]:
+    def one(place: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
+        point = _world(paper, place)
+        return jnp.where(depth_mm(camera, point) > 0, project(camera, point), jnp.nan)
+
+    return jax.vmap(one)(places_mm)
+
+
+@eqx.filter_jit
+def _points_of_places(paper: Paper, places_mm: Float[ArrayLike, "n 2"]) -> Float[ArrayLike, "n 3"]:
+    return jax.vmap(lambda place: _world(paper, place))(places_mm)
+
+
+def _world(paper: Paper, place_mm: Float[ArrayLike, "2"]) -> Float[ArrayLike, "3"]:
+    """The point of the world at a point of the layout."""
+    scale = jnp.stack([jnp.asarray(factor) for factor in paper.print_scale])
+    return paper.surface.point_world_mm(scale * place_mm)
+
+
+def _as_arrays(paper: Paper) -> Paper:
+    """The same with arrays for numbers, so that no other sheet compiles again."""
+    return jax.tree.map(lambda leaf: np.asarray(leaf, dtype=np.float64), paper)
+
+
+@in_float64
+def _in_chunks(function: Callable, *points: np.ndarray) -> np.ndarray:
+    """`function` of points, (n, 2) each, in pieces of one length, which compile once."""
+    pieces = []
+    for start in range(0, len(points[0]), _CHUNK):
+        chunk = [part[start : start + _CHUNK] for part in points]
+        short = _CHUNK - len(chunk[0])
+        padded = [np.concatenate([part, np.zeros((short, 2))]) for part in chunk]
+        pieces.append(np.asarray(function(*padded))[: len(chunk[0])])
+    return np.concatenate(pieces)
