@@ -19,7 +19,7 @@ class GreyImage(NamedTuple):
     grey : (h, w) grey levels on the scale of 0 to 255 for whole-number pictures; pictures of
         real numbers keep their scale.
     quantum : step between two levels, 0 for real numbers.
-    white : the largest level that can be told from a larger one; infinite for real numbers.
+    white : the level of saturation; infinite for real numbers.
     """
 
     grey: Float[np.ndarray, "h w"]
