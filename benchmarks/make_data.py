@@ -119,7 +119,7 @@ def write_scene(folder: Path, name: str, recipe: Recipe) -> None:
 
 def main() -> None:
     """Make what is missing of the scenes, and list the rest."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path, metavar="DIR")
     parser.add_argument("--only", nargs="*", choices=list(recipes()), default=list(recipes()))
     options = parser.parse_args()
