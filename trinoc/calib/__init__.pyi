@@ -23,6 +23,7 @@ from .result.status import Status as Status
 from .rig_check.comparison import compare_rigs as compare_rigs
 from .rig_check.knocked import RigCheck as RigCheck, check_rig as check_rig
 from .targets.pattern import Pattern as Pattern
+from .targets.print_scale import printed_sheet as printed_sheet
 from .uncertainty.propagation import (
     epipolar_sigma as epipolar_sigma,
     point_covariance as point_covariance,
