@@ -151,7 +151,7 @@ def test_docs_name_no_path_behind_a_door():
         f"{page.name}: {path}"
         for page in pages
         for path in re.findall(r"trinoc(?:\.\w+)+", page.read_text(encoding="utf-8"))
-        if any(path.startswith(file) for file in files)
+        if any(f"{path}.".startswith(file) for file in files)
     ]
     assert wrong == []
 

@@ -33,10 +33,10 @@ class Check(Command):
         Path | None,
         tyro.conf.arg(aliases=("-o",), metavar="FILE", help_behavior_hint="(default: none)"),
     ] = None
-    """Where the mended rig goes, if one camera has moved and the scene tells where it is now."""
+    """Where the corrected rig goes, if one camera has moved and the scene tells where it is now."""
 
     def run(self, command_line: str) -> Outcome:
-        """Check, and write the mended rig where there is one and it is wanted."""
+        """Check, and write the corrected rig where there is one and it is wanted."""
         from trinoc.calib import check_rig
         from trinoc.cli.provenance import provenance
         from trinoc.cli.scene import scene_of

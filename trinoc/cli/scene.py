@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from trinoc.match import Matches
 
 # After a knock the matcher first takes the ends of segments to be this far off. With 8 px it finds
-# nothing among strangers any more, whatever the resolution.
+# nothing among clutter any more, whatever the resolution.
 TOLERANT_SIGMA_PX = 4.0
 
 

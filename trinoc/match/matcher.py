@@ -27,7 +27,7 @@ def match_segments(
     sigma_px: float | None = None,
     depth_range_mm: tuple[float, float] | None = None,
 ) -> Matches:
-    """Match line segments across the views of a rig, by geometry.
+    """Match line segments across the views of a rig, by geometry and the grey levels beside them.
 
     Parameters
     ----------

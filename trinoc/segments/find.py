@@ -47,7 +47,7 @@ FAINT_SHARE = 0.8
 # Standard deviations of an end along its segment: at a crossing, and where evidence stops.
 SIGMA_ALONG_CROSSING_PX = 0.5
 SIGMA_ALONG_FREE_PX = 2.0
-# A line borrows the picture's usual blur where its own differs by more than this share.
+# The blur of a line is clipped to the typical blur of the image, within this share of it.
 _BLUR_SPREAD = 0.15
 
 

@@ -1,9 +1,9 @@
 """How probable cameras and matches are together, so that one matching can be held against another.
 
 Of a line's n fragments any two agree, whatever the cameras: they place the line. Each further
-one is either of this line, with the normal density of its squared distance s, or a stranger that
+one is either of this line, with the normal density of its squared distance s, or clutter that
 chance put there, whose density is that of a right one c sigma off (c is where the robust loss
-levels out). Against the same fragments all being strangers the line gains, in log likelihood,
+levels out). Against the same fragments all being clutter the line gains, in log likelihood,
 
     1/2 max(0, (n - 2) c^2 - sum over its fragments of rho(s)),
 

@@ -19,7 +19,7 @@ HELD_SIGMA_MM = 1e-3
 
 
 class FreeParameters(NamedTuple):
-    """What the caller wants refined, and the cameras of which the sheet's word still counts.
+    """What the caller wants refined, and the cameras for which the prior still holds.
 
     `aim_held` says that the aims of those stay where they are, the sheet knowing no error of
     them.
@@ -86,7 +86,7 @@ _whitening = jax.jit(jax.vmap(jax.vmap(whitening_across)))
 
 
 def _prior(rig: Rig, start: CameraState, choice: FreeParameters) -> PosePrior:
-    """The sheet's word on the trusted cameras: the inverse of their part of the covariance."""
+    """The prior's information on the trusted cameras: their covariance, inverted."""
     names = [f"{camera}.{name}" for camera in rig.names for name in start.names]
     owner = [camera for camera in rig.names for _ in start.names]
     values = np.asarray(jax.vmap(lambda camera: camera.parameters(camera))(start))

@@ -42,12 +42,13 @@ def refine(
 ) -> RefineResult:
     """Cameras and 3-D lines of maximum likelihood, given a sheet's calibration and matches.
 
-    `calibrated` is the result of a calibration, or a rig. A rig with a covariance counts as
-    the sheet's word; one without leaves position, orientation and scale as they are, and says
-    so. `freedom` is what may move in each camera: by default what the covariance names, and
-    any rigid motion without one. `intrinsics` frees focal lengths and principal points too.
-    `moved` names cameras that were knocked since: what the sheet said of them no longer counts,
-    and they need not aim at the sheet's origin any more.
+    `calibrated` is the result of a calibration, or a rig. A covariance of the rig is used as a
+    Gaussian prior. Without one the gauge (position, orientation and scale of the rig) is held,
+    and reported in `gauge`. `freedom` is what may move in each camera: by default what the
+    covariance names, and any rigid motion without one. `intrinsics` frees focal lengths and
+    principal points too.
+    `moved` names cameras that were knocked since: the prior no longer holds for them, and they
+    need not aim at the sheet's origin any more.
     `match_again`, for example `lambda rig: trinoc.match_segments(segments, rig)`, is called
     with each refined rig until the tracks stop changing; a round that lowers the log posterior
     is not accepted. After a large knock give several, the most tolerant first (a larger
@@ -67,7 +68,7 @@ def refine(
         )
     trusted = tuple(name for name in rig.names if name not in moved)
     usual = _freedom_of(rig)
-    # Whatever knocked a camera did not care where it aims.
+    # A knocked camera need not aim at the origin of the sheet any more.
     knocked = bool(moved) and freedom is None and usual is Freedom.FOUR
     choice = FreeParameters(
         Freedom.SIX if knocked else freedom or usual, intrinsics, trusted, knocked

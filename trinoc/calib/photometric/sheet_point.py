@@ -39,9 +39,8 @@ class SheetPoint(NamedTuple):
         the second derivatives of the point are -(A_ij w_k + A_ik w_j).
     by_matrix : (3,) ray / homogeneous coordinate, which carries a change of the homography:
         d point_i = (dM_i - point_i dM_2) . by_matrix, for rows M_i.
-    unit : 1, which the compiler cannot see. A compiler that fuses elementwise operations
-        computes cheap ones anew for each of their uses; it stops at divisions, so that values
-        with many uses are divided by this.
+    unit : 1, used as a fusion barrier. XLA computes cheap elementwise values again at every use;
+        dividing by a 1 that it cannot see through makes it compute them once.
     """
 
     point_mm: Float[ArrayLike, "2"]

@@ -1,6 +1,6 @@
 """Has a camera been knocked since the rig was calibrated? Asked of scene pictures alone.
 
-Each camera in turn is freed of what the sheet once said of it, while the others keep it. The
+For each camera in turn the prior of the calibration is dropped, while the others keep theirs. The
 fall of the joint chi-square is the evidence that this camera moved; without motion it is
 distributed as chi-square with as many degrees of freedom as the camera has parameters.
 """
@@ -16,7 +16,7 @@ from trinoc.calib.bundle import Matched, Matcher, RefineResult, RefineStatus, re
 from trinoc.errors import CalibrationError
 from trinoc.geometry import LineObservations, Rig
 
-# Below this many sigmas a motion is not told from chance; with three cameras asked, one rig
+# Below this many sigmas a motion may be chance; with three cameras asked, one rig
 # in 120 that stands still is suspected all the same.
 SUSPECT_SIGMAS = 3.0
 # Fewer lines are hardly enough for the six numbers of a camera, and chance finds as many.
@@ -53,9 +53,9 @@ class RigCheck(eqx.Module):
     motions : per camera, were it the only one that moved.
     moved : names of the cameras to suspect, the most significant first; others follow where
         freeing the first does not explain the scene.
-    refined : the rig with the suspect camera mended by the segments; None where nothing
-        moved, or where more moved than segments can mend.
-    conclusive : whether the scene tells anything; where not, nothing is said of the cameras.
+    refined : the rig with the suspect camera corrected by the segments; None where nothing
+        moved, or where more moved than segments can correct.
+    conclusive : whether the scene decides; where it does not, an empty `moved` proves nothing.
     """
 
     motions: tuple[CameraMotion, ...]
@@ -201,7 +201,7 @@ def _value(rig: Rig, name: str, parameter: str) -> float:
 
 
 def _significance(held: RefineResult, freed: RefineResult, noise: float) -> float:
-    """Sigmas by which the scene prefers one more camera freed of the sheet's word."""
+    """Sigmas by which the scene prefers one more camera without its prior."""
     freed_parameters = len(freed.parameters) // len(freed.rig)
     gain = max(held.chi_square[0] - freed.chi_square[0], 0.0) / noise**2
     return _sigmas(gain, freed_parameters)

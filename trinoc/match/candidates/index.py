@@ -22,8 +22,8 @@ from trinoc.numerics import ArrayLike, Scalar, Vector2, expand_ranges
 class Layer(NamedTuple):
     """Which predictions look into a layer of the table, and how fine it is.
 
-    sectors : in half a turn. slack_rad, sigmas : how well a prediction must know its direction,
-        all told, and its place, in usual standard deviations of the segments.
+    sectors : in half a turn. slack_rad, sigmas : the largest error allowed of the direction of
+        a prediction, and of its place, in typical standard deviations of the segments.
     cell : side of the cells, over that of the finest.
     """
 
@@ -43,7 +43,7 @@ LAYERS = (
 class Grid(NamedTuple):
     """Square cells over a picture, in rows; fields of length l are of the layers.
 
-    sigma_px : usual standard deviation of the segments. cell_px : sides of the cells.
+    sigma_px : typical standard deviation of the segments. cell_px : sides of the cells.
     first : number of the first key of each layer; the last number is of a key without entries.
     """
 

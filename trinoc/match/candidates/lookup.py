@@ -21,8 +21,8 @@ REACH = 4.0
 # Predictions shorter than this are looked up in their middle alone.
 ONE_SAMPLE_PX = 16.0
 SAMPLES = (0.5, 1 / 6, 5 / 6)
-# The least size of the finest cells in standard deviations; how many there are along the longer
-# side of the picture, over the root of the number of segments; and how many at least and at most.
+# Finest cell: at least CELL_SIGMAS standard deviations wide. Along the longer side of the image
+# there are CELLS sqrt(n) of them for n segments, clipped to FEWEST .. MOST.
 CELL_SIGMAS, CELLS, FEWEST, MOST = 8.0, 4.0, 64, 320
 
 

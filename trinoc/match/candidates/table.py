@@ -1,4 +1,4 @@
-"""Candidates: groups of segments that can be one line, with what speaks for each."""
+"""Candidates: groups of segments that can be one line, with the evidence for each."""
 
 from typing import NamedTuple
 

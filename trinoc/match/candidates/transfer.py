@@ -21,8 +21,8 @@ from trinoc.numerics import (
     vector3,
 )
 
-# A pair whose prediction is more uncertain than this predicts nothing. The angle at which its
-# planes of sight cross would not do: it is small for any pair with a short baseline.
+# A pair whose prediction is more uncertain than this predicts nothing. The angle between its
+# interpretation planes is no such test: it is small for any pair with a short baseline.
 VAGUEST_PX = 6.0
 # Of the three orderings of a triple, that whose pair crosses best finds it, or one within this.
 NEARLY_BEST = 0.8
@@ -103,7 +103,7 @@ def _crosses_best(
     a: PencilSegments,
     b: PencilSegments,
 ) -> Bool[ArrayLike, ""]:
-    """Whether the planes of sight of the pair cross at a wider angle than either with the third."""
+    """Whether the interpretation planes of the pair cross at the widest angle of the three."""
     normal_c = unit3(times_matrix(turned.T, cross3(image_low, image_high)))
     sine_ab, sine_ac, sine_bc = (
         1 - dot3(m, n) ** 2

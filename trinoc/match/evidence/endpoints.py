@@ -1,9 +1,9 @@
 """Where segments end along their common line, as evidence.
 
-Detectors end partners at one place, more or less, or break one of them: at each end the views
-all agree, or two agree and the third stops short or runs on, or nothing agrees. The evidence
-is that mixture over ends thrown uniformly on the longest of the segments. How often each
-happens is the detector's own habit, learned from the pictures at hand by `evidence.learn`.
+A detector ends the images of one line at nearly the same place, or breaks one of them. At each
+end all views agree, or two agree and the third stops short or runs on, or none agree. The
+evidence is this mixture against ends that are uniform on the longest segment. The weights of the
+mixture depend on the detector. `em_step` estimates them from the images at hand.
 """
 
 import jax.numpy as jnp
@@ -22,7 +22,7 @@ LEAST_DENSITY = 1e-30
 def end_evidence(
     extent_px: tuple[tuple[Scalar, Scalar], ...],
 ) -> tuple[tuple[Scalar, ...], tuple[Scalar, ...]]:
-    """Log of each component's density over that of strangers, at both ends of a triple."""
+    """Log of each component's density over that of clutter, at both ends of a triple."""
     longest = extent_px[0][1] - extent_px[0][0]
     for low, high in extent_px[1:]:
         longest = jnp.maximum(longest, high - low)
@@ -49,7 +49,7 @@ def _components(inward_px: tuple[Scalar, ...], longest_px: Scalar) -> tuple[Scal
     ]
 
     def two_agree(s: float, odd_is_short: bool) -> Scalar:
-        # Any of the three may be the odd one, none rather than another.
+        # Each of the three is the odd one with the same probability.
         terms = [
             jnp.where(short == odd_is_short, jnp.exp(-(d**2) / (4 * s * s)), 0.0)
             for d, short in pairs

@@ -1,4 +1,4 @@
-"""From what each triple says to how likely it is: the mixtures, and their learning by EM."""
+"""Prior log odds of a triple from its log likelihood ratios: the mixtures, fitted by EM."""
 
 from typing import NamedTuple
 
@@ -9,30 +9,30 @@ from scipy.special import expit, logsumexp
 from trinoc.match.evidence.endpoints import PRIOR_SHARES
 from trinoc.match.evidence.side_intensity import PRIOR_SHARES as USUAL_SIDES
 
-# Real segments have heavy tails: their error is the stated one times one of these.
+# The errors of real segments have heavy tails: the stated error times one of these factors.
 TAIL_SCALES = np.array([0.2, 0.6, 1.0, 2.0, 4.0])
 PRIOR_TAIL = np.array([0.05, 0.25, 0.5, 0.15, 0.05])
 # A component that no accepted candidate shows keeps this share.
 MIN_SHARE = 1e-3
 # Of the spread of lines, so that lines of one plane leave a volume.
 THINNEST = 0.05
-# Standard deviations from the middle of a box to its corners, and the most that lying outside
-# costs, twice in log density.
+# Standard deviations from the middle of a box to its corners; the largest penalty for a place
+# outside, twice in log density.
 BOX_CORNER, FARTHEST = 3.0, 100.0
-# What the evidence of true triples falls short of, on made scenes of other seeds: see the
-# reliability table of benchmarks/matching.py.
+# Additive correction to the log odds of triples, chosen on synthetic scenes of other seeds so that
+# the stated posterior matches the observed precision: reliability table of benchmarks/matching.py.
 LOG_ODDS_OFFSET = 1.0
-# Strangers of made scenes are strangers; in pictures they lie along one shadow or round one body,
-# and what speaks for one of them speaks for all. Where the levels beside the segments are known,
-# which is to say in pictures, log odds are borne out by this share of them: fitted to twelve
-# rendered scenes (seeds 0 to 5 and 12 to 17), for triples and for pairs alike.
+# Clutter of synthetic segments is independent. Clutter in images is correlated (pieces of one
+# shadow or of one silhouette), so that summed log odds are too large by a factor of about five.
+# The log odds of segments with side intensities are therefore tempered: multiplied by this factor,
+# which was fitted on twelve rendered scenes (seeds 0 to 5 and 12 to 17), for triples and pairs.
 TEMPERATURE = 0.2
-# Candidates less likely than this teach nothing.
+# Candidates with a smaller posterior are left out of the M step.
 NEGLIGIBLE = 1e-3
 
 
 class Volume(NamedTuple):
-    """Where lines are: about a centre, evenly in a box of their spread, and hardly outside.
+    """Where lines are: uniform in a box about a centre, with a thin tail outside it.
 
     precision : inverse of the covariance of places, 1/mm^2. log_size : of the box, mm^3.
     """
@@ -43,7 +43,7 @@ class Volume(NamedTuple):
 
 
 class MixtureParameters(NamedTuple):
-    """What is learned from the pictures at hand.
+    """The mixture parameters, estimated from the images at hand.
 
     tail : share of each of TAIL_SCALES. ends : share of each end component.
     volume : where lines are. log_count : log of their number. sides : share of each component
@@ -58,7 +58,7 @@ class MixtureParameters(NamedTuple):
 
 
 def prior_parameters(ends_mm: Float[np.ndarray, "m 2 3"], count: float) -> MixtureParameters:
-    """Before anything is learned: `count` lines among candidates that are not told apart."""
+    """Before the first EM step: `count` lines among candidates that are all equally likely."""
     share = min(1.0, count / max(len(ends_mm), 1))
     posterior = np.full(len(ends_mm), share)
     return MixtureParameters(
@@ -87,7 +87,7 @@ def log_odds(
     side_log: Float[np.ndarray, "m s"],
     mixture: MixtureParameters,
 ) -> Float[np.ndarray, "m"]:
-    """Log odds that each triple is one line rather than three strangers."""
+    """Log odds that each triple is one line rather than three segments of clutter."""
     tail = np.logaddexp.reduce(_tail_terms(chi_square, mixture.tail), axis=1)
     ends = _log_mixture(end_log, mixture.ends).sum(axis=1)
     prior = mixture.log_count + log_place(ends_mm, mixture.volume)
@@ -97,7 +97,7 @@ def log_odds(
 def temper(
     posterior_log_odds: Float[np.ndarray, "m"], side_log: Float[np.ndarray, "m s"]
 ) -> Float[np.ndarray, "m"]:
-    """Log odds as they are borne out: those of segments of pictures by TEMPER."""
+    """Tempered log odds: times TEMPERATURE where side intensities are known."""
     return np.where(side_log.any(axis=1), TEMPERATURE * posterior_log_odds, posterior_log_odds)
 
 
@@ -119,7 +119,7 @@ def em_step(
     posterior: Float[np.ndarray, "m"],
     mixture: MixtureParameters,
 ) -> MixtureParameters:
-    """One round of expectation maximisation, given how likely each triple is now."""
+    """One round of expectation maximisation, given the current posterior of each triple."""
     likely = posterior > NEGLIGIBLE
     weight = posterior[likely]
     tail_terms = _tail_terms(chi_square[likely], mixture.tail)
@@ -171,7 +171,7 @@ def _tail_terms(
 
 
 def _shares(weights: Float[np.ndarray, "k"], usual: Float[np.ndarray, "k"]) -> np.ndarray:
-    # The usual shares count as ten observations, so that few lines do not teach nonsense.
+    # The prior shares count as ten observations: a Dirichlet prior, for scenes of few lines.
     shares = weights + 10 * usual
     return np.maximum(shares / shares.sum(), MIN_SHARE)
 

@@ -1,8 +1,9 @@
-"""How much likelier two segments are as images of one line than as two strangers.
+"""How much likelier two segments are as images of one line than as clutter.
 
-Two views determine a line and check nothing but its ends: in the notation of `likelihood`, the
-evidence of place is 1 / (c prod_v (pixels per mm)) at each end, with c the sine between the
-planes of sight. Where segments run nearly along epipolar lines, their ends hardly correspond.
+Two views determine a line; only the ends are left to check it. In the notation of
+`triple_position`, the evidence of place is 1 / (c prod_v (pixels per mm)) at each end, with c the
+sine of the angle between the interpretation planes. Where segments are nearly parallel to
+epipolar lines, their ends hardly correspond.
 """
 
 from typing import NamedTuple
@@ -27,14 +28,14 @@ from trinoc.numerics import ArrayLike, Scalar, Symmetric3, Vector3, add3, cross3
 
 # Ends agree, by scale; or do not.
 PAIR_COMPONENTS = len(AGREEING_PX) + 1
-# sin of the least angle between the planes of sight of a pair: below, its depth is anything.
+# sin of the least angle between the interpretation planes of a pair: below, depth is undetermined.
 SMALLEST_CROSSING = 0.003
 
 
 class PairEvidence(NamedTuple):
     """What two segments say about being one line; fields as in TripleEvidence.
 
-    end_log : (2, c) log density of each component of `PAIR_COMPONENTS`, over strangers'.
+    end_log : (2, c) log density of each component of `PAIR_COMPONENTS`, over clutter's.
     expected : in how many of the other views the line should be seen, as far as their
         borders go.
     """

@@ -13,7 +13,7 @@ def polarity_evidence(
     index: Int[np.ndarray, "m v"],
     interval: Float[np.ndarray, "m v 2"],
 ) -> Float[np.ndarray, "m"]:
-    """Log likelihood ratio of the members' darker sides, as of one line over strangers'.
+    """Log likelihood ratio of the members' darker sides, as of one line over clutter's.
 
     `polarity` is +1 or -1 along the way from a segment's first end, 0 where not known.
     """

@@ -2,7 +2,7 @@
 
 Of the two surfaces that meet in an edge both, one (where the other is a background that differs
 between views) or none look the same in all pictures. How often each happens, and how nearly the
-levels agree, is learned from the pictures at hand by `evidence.learn`.
+levels agree, is estimated from the images at hand by `em_step`.
 """
 
 from itertools import combinations_with_replacement
@@ -23,7 +23,7 @@ def side_evidence(
     index: Int[np.ndarray, "m v"],
     interval: Float[np.ndarray, "m v 2"],
 ) -> Float[np.ndarray, "m s"]:
-    """Log density of the members' levels under each of COMPONENTS, over that of strangers.
+    """Log density of the members' levels under each of COMPONENTS, over that of clutter.
 
     Zero where the levels of fewer than two members are known. `sides` is of `side_table`.
     """
@@ -37,8 +37,8 @@ def side_evidence(
     count = np.maximum(known.sum(axis=1), 1)
     mean = own[..., :2].sum(axis=1) / count
     scatter = (np.where(known, own[..., :2] - mean[:, None], 0.0) ** 2).sum(axis=1)
-    # Strangers have a level each, the images of one line share one: of `count` densities one is
-    # the line's own.
+    # Under clutter every member draws its own level; under one line all share a single draw. So
+    # the clutter density enters (count - 1) times.
     strange = own[..., 2:].sum(axis=1) * (count - 1) / count
     alike = (
         -0.5 * scatter[..., None] / AGREEING**2

@@ -1,11 +1,12 @@
-"""How much likelier three segments are as images of one line than as three strangers.
+"""How much likelier three segments are as images of one line than as clutter.
 
-Across a line in space lies a plane in which the three planes of sight are three lines with unit
-normals n_v. Since two normals span that plane, c_1 n_1 + c_2 n_2 + c_3 n_3 = 0 with c_1 the
-sine between n_2 and n_3, and so on round. So r = sum_v c_v d_v, with d_v the distance of a point
-from plane v, does not depend on the point: it is what remains of three views when the two
-unknowns are gone, whichever pair the line came from. With a flat prior on the line, the evidence
-of the three places is exactly N(r; 0, S) / prod_v (pixels per mm), at both ends together.
+In the plane normal to a line in space, the three interpretation planes are three lines with unit
+normals n_v. Two normals span that plane, so c_1 n_1 + c_2 n_2 + c_3 n_3 = 0, with c_1 the sine of
+the angle between n_2 and n_3, and cyclically. Let d_v be the distance of a point from plane v.
+Then r = sum_v c_v d_v is the same for all points: it is the one residual of three views, once the
+two unknowns are eliminated, and does not depend on the pair that the line came from. With a flat
+prior on the line, the evidence of the three places is exactly N(r; 0, S) / prod_v (pixels per mm),
+for both ends together.
 """
 
 from collections.abc import Sequence
@@ -48,7 +49,7 @@ class TripleEvidence(NamedTuple):
     ends_mm : ends of the part common to all, adjusted to all three views.
     possible : whether there is such a part, near enough to all.
     chi_square : of the place and direction, under the segments' own covariances.
-    log_density : logarithm of the evidence of place over that of three strangers, apart from
+    log_density : logarithm of the evidence of place over that of clutter, apart from
         the density of lines in space, the heavy tail and the ends.
     extent_px : (3, 2) where each view's segment begins and ends along the line, in mean pixels.
     interval : (3, 2) the common part on each segment, 0 at its first end and 1 at its second.
@@ -136,7 +137,7 @@ def triple_evidence(
 
 
 def log_lengths(lengths_px: Sequence[Scalar], typical_px: Float[ArrayLike, ""]) -> Scalar:
-    """Log density of one length over those of strangers, with ends uniform on the longest."""
+    """Log density of one length over clutter's, with ends uniform on the longest."""
     longest = lengths_px[0]
     for length in lengths_px[1:]:
         longest = jnp.maximum(longest, length)

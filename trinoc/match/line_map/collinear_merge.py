@@ -1,6 +1,6 @@
 """Tracks that are pieces of one straight line, joined: the best pair first, until none is left.
 
-Whether two are one line is a matter of odds (`collinear.py`). Each joined line is fitted anew to
+The log odds that two are one line are those of `collinearity`. Each joined line is fitted anew to
 all of its segments, must fit them as a whole, and is compared with the others as it is then:
 what is joined does not depend on the order of anything.
 """

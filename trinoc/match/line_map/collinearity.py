@@ -1,10 +1,9 @@
-"""How much likelier two lines in space are pieces of one straight line than two of many.
+"""How much likelier two lines in space are pieces of one straight line than two lines.
 
-At two places along them, abreast of the ends of what they span together, the lines differ by
-four numbers d with covariance S, their own two covariances carried there. Of one line, d is
-N(0, S). Edges of a scene, though, are often parallel: another line near the first differs by
-any shift across, as dense as parallel lines are there, and otherwise by N(0, S) too; or it has
-nothing to do with the first, and is as dense as all lines are.
+Lines are compared at two places along them, at the ends of what both span. There they differ by
+four numbers d, two offsets at each place, with the covariance S of both lines. H1, one line: d is
+N(0, S). H0a, a parallel edge: the lateral offset is uniform with the local density of parallel
+lines, the rest is N(0, S). H0b, an unrelated line: uniform with the density of all lines.
 """
 
 from typing import NamedTuple
@@ -12,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-# Lines are as near their true places as their covariances say, or worse by this in so many cases.
+# Errors of lines agree with their covariances, or are this factor larger, in so many cases.
 LOOSE_SIGMAS, LOOSE_SHARE = 3.0, 0.15
 # Of pieces of one line that a detector broke, gaps are spread exponentially, so many pixels
 # wide on average; where something hides a line, gaps are of any length.
@@ -100,8 +99,8 @@ class Evidence(NamedTuple):
     """What tells whether lines, two by two, are pieces of one.
 
     parallel : how dense lines parallel to the two are, per mm^2 across. shared : whether a
-        segment serves both: then they lie in one plane of sight already, as pieces of one line
-        do, or else by chance, at any depth. gap_mm : between them, see `gap_mm`.
+        segment serves both: then both lie in its interpretation plane, as pieces of one line do,
+        or by chance at any depth. gap_mm : between them, see `gap_mm`.
     px_per_mm : of the pictures.
     """
 

@@ -17,8 +17,8 @@ class JoinedLines(eqx.Module):
         one track is alone.
     line_of_track : (t,) the line of each track of the matches.
     place_mm : (t, 2) where each track begins and ends on its line, from the line's first end.
-    px_per_mm : (e,) of its pictures at the line's middle, the mean: so many pixels does a
-        millimetre across the line of sight take.
+    px_per_mm : (e,) of its pictures at the line's middle, the mean: image displacement
+        per mm across the viewing direction.
     posterior : (e,) the least of its tracks'.
     """
 

@@ -85,7 +85,7 @@ def px_per_mm(
     points_mm: Float[np.ndarray, "n 3"],
     seen: Bool[np.ndarray, "n v"],
 ) -> Float[np.ndarray, "n"]:
-    """Pixels that a millimetre across the line of sight takes, the mean of the views that see."""
+    """Image displacement per mm across the viewing direction, the mean of the views that see."""
     image = np.einsum("vij,nj->nvi", matrix_px[:, :, :3], points_mm) + matrix_px[:, :, 3]
     uv = image[..., :2] / image[..., 2:]
     by_point = matrix_px[:, :2, :3] - uv[..., None] * matrix_px[:, 2:, :3]

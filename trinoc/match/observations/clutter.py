@@ -1,4 +1,4 @@
-"""What segments that belong to no line look like: how dense they are, and how long."""
+"""The clutter model: density and length of segments that belong to no line."""
 
 from typing import NamedTuple
 
@@ -11,22 +11,22 @@ from trinoc.numerics import ArrayLike
 
 
 class ClutterModel(NamedTuple):
-    """What segments that belong to nothing look like.
+    """How segments of no line are distributed.
 
     log_density : about each segment, log of segments per pixel of area and per radian, N / (pi A).
-    typical_px : usual length; lengths are spread as t / (length + t)^2.
+    typical_px : typical length; lengths are spread as t / (length + t)^2.
     """
 
     log_density: Float[ArrayLike, "v n"]
     typical_px: Float[ArrayLike, ""]
 
 
-# Strangers are as dense about a segment as so many of its neighbours are.
+# The density of clutter about a segment is that of so many of its neighbours.
 NEIGHBOURHOOD = 25
 
 
 def fit_clutter(lines: SegmentTable, counts: list[int]) -> ClutterModel:
-    """What segments that belong to nothing look like, from all segments of the pictures."""
+    """The clutter model of all segments of the images: most of them belong to other lines."""
     density, lengths = [], []
     for view, count in enumerate(counts):
         middle = np.asarray(lines.ends_px[view])[:count].mean(axis=1)
@@ -39,7 +39,7 @@ def fit_clutter(lines: SegmentTable, counts: list[int]) -> ClutterModel:
         everywhere = max(count, 1) / area
         here = np.full(lines.ends_px.shape[1], everywhere)
         if count > NEIGHBOURHOOD:
-            # Texture and the rims of shadows put many strangers in one place.
+            # Texture and the rims of shadows put much clutter in one place.
             distance = KDTree(middle).query(middle, NEIGHBOURHOOD + 1)[0][:, -1]
             local = NEIGHBOURHOOD / (np.pi * np.maximum(distance, 1.0) ** 2)
             here[:count] = np.maximum(everywhere, local)

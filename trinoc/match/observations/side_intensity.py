@@ -1,4 +1,4 @@
-"""Grey levels beside the segments, and how usual they are among all segments of their image."""
+"""Grey levels beside the segments, and their density among all segments of their image."""
 
 from collections.abc import Sequence
 
@@ -10,7 +10,7 @@ from scipy.spatial import KDTree
 # Levels are counted in hundredths of their range, and agree within one of these, or not at all.
 AGREEING = np.array([0.5, 2.0, 6.0])
 _PERCENTILES = 2.0, 98.0
-# The histogram of a picture, and the share of strangers that have any level.
+# Bins of the histogram of an image; share of clutter that has any level, uniformly.
 _LEAST, _MOST, _BIN, _ANY = -10.0, 110.0, 2.0, 0.05
 # How many segments are nearby, and the width of the kernel that makes their levels a density: as
 # narrow as levels can agree, so that levels which are the same everywhere say nothing.
@@ -20,11 +20,11 @@ _NEARBY, _WIDTH = 25, AGREEING[0]
 def side_table(
     levels: Sequence[Float[np.ndarray, "_ 2"]], middles_px: Sequence[Float[np.ndarray, "_ 2"]]
 ) -> list[Float[np.ndarray, "_ 5"]]:
-    """Per view: levels on the right and on the left, and how usual they are among strangers.
+    """Per view: levels on the right and on the left, and their log density under clutter.
 
     Columns are right and left, in hundredths of the range of all, and the log densities of the
     right, of the left and of both together; NaN where the levels are not known. About each
-    segment, levels are as usual as they are nearby, or in the picture, whichever is more.
+    segment, the density is that of the nearby segments or of the image, whichever is larger.
     """
     every = np.concatenate([view[_known(view)] for view in levels])
     if len(every) == 0:

@@ -1,8 +1,9 @@
 """Step 3: segments that two views show and the others do not, joined to what is matched.
 
-Two segments that fit are weak evidence, since two views check only their ends. What makes a
-pair is that its ends meet those of matched lines; so pairs of all views stand together with
-the lines matched so far, and their beliefs are found like those of triples, to a fixed point.
+Two segments that fit are weak evidence, since two views check only their ends. The strong
+evidence of a pair is that its ends meet those of matched lines. So the pairs of all views are
+judged together with the lines matched so far: their posterior log odds are computed as those of
+triples are, and iterated to a fixed point.
 """
 
 from itertools import combinations
@@ -48,7 +49,7 @@ from trinoc.match.two_view import Pencil, pencil, row_of
 from trinoc.numerics import ArrayLike, in_blocks, overlapping, stacked
 
 ROUNDS = 6
-# With fewer lines than this in three views, nothing is learned from them.
+# With fewer lines than this in three views, their mixture parameters are not used.
 MIN_TRACKS_TO_LEARN = 10
 # A segment of which less than this is matched may be half of a pair.
 MAX_MATCHED_SHARE = 0.5
@@ -56,10 +57,10 @@ MAX_MATCHED_SHARE = 0.5
 PRIOR_SHARE = 0.1
 # Log odds that a view misses a line within its borders.
 LOG_MISSED = float(np.log(0.5))
-# What the evidence of true pairs falls short of, on made scenes of other seeds (700,000 on): with
-# it the share that is right is nearer to the stated one on four of five kinds of scene.
+# Additive correction to the log odds of pairs, chosen on synthetic scenes (seeds 700,000 and above)
+# so that the stated posterior matches the observed precision: better on four of five scene types.
 LOG_ODDS_OFFSET = 2.25
-# In pictures, where strangers are alike, it exceeds it instead: see `evidence.TEMPER`.
+# The same for segments of images, where clutter is correlated (see TEMPERATURE in `evidence`).
 LOG_ODDS_OFFSET_IN_IMAGES = -1.5
 
 
@@ -69,7 +70,7 @@ class _Possible(NamedTuple):
 
 
 class Pairs(NamedTuple):
-    """Pairs in the running (chi-square is zero), their log odds, beliefs, and those taken.
+    """Candidate pairs (chi-square is zero), their log odds without and with rivals, those taken.
 
     missed : what it costs each, in log odds, that no third view shows it where one should.
     """
@@ -118,7 +119,7 @@ def _select(
     mixture: MixtureParameters,
     junctions: JunctionParameters,
 ) -> Pairs:
-    """Beliefs of pairs among lines that are matched already, to a fixed point."""
+    """Posterior log odds of pairs among lines that are matched already, to a fixed point."""
     ends = _log_ends(candidates, mixture) + log_sides(candidates.side_log, mixture)
     misfit = np.where(candidates.side_log.any(axis=1), LOG_ODDS_OFFSET_IN_IMAGES, LOG_ODDS_OFFSET)
     evidence = candidates.log_density + ends + expected * LOG_MISSED + misfit
@@ -167,7 +168,7 @@ def _joined(matched: Candidates, pairs: Candidates) -> Candidates:
 
 
 def _free_segments(matched: Candidates, counts: list[int]) -> list[Int[np.ndarray, "_"]]:
-    """Per view, the segments of which less than FREE is matched."""
+    """Per view, the segments of which less than MAX_MATCHED_SHARE is matched."""
     free = []
     for view, count in enumerate(counts):
         on = matched.index[:, view] >= 0

@@ -1,9 +1,9 @@
-"""No part of a segment belongs to two lines: marginals by belief propagation.
+"""Each part of a segment belongs to one line at most: marginals by sum-product belief propagation.
 
-Two candidates conflict where they claim one part of a segment. Each candidate sends through
-each of its segments the message log(1 + sum of the others' odds there), and what remains of a
-candidate's odds after all its messages is its belief. Marginals, unlike the one best
-selection, do not buy two weak triples with a strong one, and show ambiguity as it is.
+Two candidates conflict where they claim the same part of a segment. On the factor graph of these
+exclusions, the message from a segment to a candidate is -log(1 + sum of the rivals' cavity odds).
+The posterior log odds of a candidate are its prior log odds plus its messages. We use marginals
+and not the MAP assignment: MAP may trade one strong triple for two weak ones, and hides ambiguity.
 """
 
 from typing import NamedTuple
@@ -107,7 +107,7 @@ def sum_product(log_odds: Float[np.ndarray, "m"], graph: ConflictGraph) -> Float
     starts = np.flatnonzero(np.diff(graph.slot, prepend=-1))
     limited = graph.slot[starts]
     rival = graph.rival_slot // graph.views
-    # The start: a candidate that the greedy choice leaves out says nothing yet.
+    # The start: only the candidates of the greedy choice (a mask, not log odds yet) send.
     messages[limited] = -np.log1p(
         np.add.reduceat(
             np.where(posterior_log_odds[rival], np.exp(np.minimum(log_odds[rival], _HIGHEST)), 0.0),

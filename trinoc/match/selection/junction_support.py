@@ -1,7 +1,7 @@
 """Step 2: if a candidate is right, its neighbour is matched at the neighbouring position.
 
-Two lines that meet at their ends in space do so in all views at once, and strangers hardly
-ever do: a junction speaks for both its candidates, as far as the other one is believed.
+Two lines whose ends meet in space meet in all views at once; clutter hardly ever does. So a
+junction adds to the log odds of both its candidates, weighted by the posterior of the other.
 """
 
 from typing import NamedTuple
@@ -20,7 +20,8 @@ SMALLEST_ANGLE = 0.15
 GAPS_PX = np.array([1.0, 3.0, 8.0])
 PRIOR_GAPS = np.array([0.6, 0.3, 0.1])
 PRIOR_AT_JUNCTION = 0.5
-# Lines meet as well as their covariances say, or worse by this, in so many of cases.
+# The distance of two lines agrees with their covariances, or is LOOSE_SIGMAS times larger than
+# they say, in a share LOOSE_SHARE of junctions.
 LOOSE_SIGMAS, LOOSE_SHARE = 3.0, 0.15
 
 
@@ -28,7 +29,7 @@ class EndpointPairs(NamedTuple):
     """Directed edges between ends (end = 2 * candidate + 0 or 1), sorted by the first.
 
     site, other : the ends. log_ratio : (e, k) log density of the meeting under each gap
-        scale over that of strangers, apart from the density of lines in space.
+        scale over that of clutter, apart from the density of lines in space.
     """
 
     site: Int[np.ndarray, "e"]
@@ -114,7 +115,7 @@ def junction_log_odds(
     log_ends_density: float,
     parameters: JunctionParameters,
 ) -> tuple[Float[np.ndarray, "m"], JunctionParameters]:
-    """(log odds that its neighbours add to each candidate, habits learned in passing).
+    """(log odds that its neighbours add to each candidate, updated junction parameters).
 
     `log_ends_density` is the log of ends of lines per volume.
     """

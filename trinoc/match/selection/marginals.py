@@ -22,14 +22,14 @@ from trinoc.match.selection.junction_support import (
 
 ROUNDS = 4
 JUNCTION_ROUNDS = 4
-# Candidates with log odds below these are let go: while habits are learned, and after.
+# Candidates with prior log odds below these are dropped: during EM, and after it.
 LEARN_LOG_ODDS, PRUNE_LOG_ODDS = -2.0, -5.0
 # With fewer junctions than this share of ends there is no structure to speak of.
 MIN_AT_JUNCTION = 0.1
 
 
 class Selection(NamedTuple):
-    """Candidates in the running, their log odds alone and among rivals, and which were taken."""
+    """Candidates, their log odds without and with rivals, and which of them were taken."""
 
     candidates: Candidates
     log_odds: Float[np.ndarray, "m"]
@@ -41,9 +41,9 @@ class Selection(NamedTuple):
 
 
 class Tracks(NamedTuple):
-    """Lines taken, as candidates with a segment in two or more views, and their beliefs.
+    """Lines taken, as candidates with a segment in two or more views.
 
-    rival_posterior : belief of the best candidate that each excluded, -inf where none.
+    rival_posterior : posterior log odds of the best candidate that each excluded, -inf where none.
     """
 
     candidates: Candidates
@@ -52,12 +52,12 @@ class Tracks(NamedTuple):
 
 
 def select(candidates: Candidates, typical_count: float, *, neighbours: bool = True) -> Selection:
-    """Learn the habits of the pictures at hand, and take candidates in order of belief.
+    """Fit the mixture parameters by EM, and take candidates in order of posterior log odds.
 
-    Without `neighbours`, by their own evidence and their rivals' alone.
+    Without `neighbours`, junctions add nothing: only a candidate's evidence and its rivals count.
     """
     mixture = prior_parameters(candidates.ends_mm, typical_count)
-    # What is learned is learned from likely candidates: far fewer, with far fewer conflicts.
+    # EM on the likely candidates alone: far fewer, with far fewer conflicts.
     likely = _above(candidates, prior_log_odds(candidates, mixture), LEARN_LOG_ODDS)
     graph = conflict_graph(likely.index, likely.interval)
     for _ in range(ROUNDS):
@@ -84,7 +84,7 @@ def select(candidates: Candidates, typical_count: float, *, neighbours: bool = T
 
 
 def tracks_of(selection: Selection) -> Tracks:
-    """What was taken, with the belief of the best rival of each."""
+    """What was taken, with the posterior log odds of the best rival of each, tempered."""
     graph = selection.graph
     rival_posterior = np.full(len(selection.posterior_log_odds), -np.inf)
     owner, rival = graph.slot // graph.views, graph.rival_slot // graph.views

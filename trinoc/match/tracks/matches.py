@@ -25,7 +25,7 @@ class Matches(eqx.Module):
     covariance_mm2 : (t, 6, 6) of the ends.
     stage : (t,) "trinocular" (seen in three or more views) or "binocular" (in two).
     posterior : (t,) probability that the match is right.
-    rival_posterior : (t,) posterior of the best track that this one excluded; 0 where none.
+    rival_posterior : (t,) posterior of the best candidate that this one excluded; 0 where none.
     reasons : for each view, (n,) words that say why a segment is on no track, "matched"
         where it is on one.
     counts : what each step of the matching produced and rejected, by name.
@@ -33,10 +33,10 @@ class Matches(eqx.Module):
         where not known.
     misfit : (t,) chi-square by which the views disagree about where a line is, with 2 (n - 2)
         degrees of freedom for n views that see it; 0 for two views. None where not known.
-    viewpoint_dependent : (t,) whether a track is likely to show something that moves with the
-        viewpoint, a rim of a round body, a light or its shadow: its misfit is larger than that
-        of 99 in 100 straight edges, or, of a track in two views, another view shows something
-        beside the place where it should be, not on it. None where not known.
+    viewpoint_dependent : (t,) whether a track is likely to show something that depends on
+        the viewpoint: the outline of a round body, or a highlight. In three views its misfit is
+        larger than that of 99 in 100 straight edges. In two, another view shows a segment beside
+        the place where the line should be, and none on it. None where not known.
     """
 
     views: tuple[str, ...] = eqx.field(static=True)

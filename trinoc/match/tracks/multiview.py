@@ -1,4 +1,4 @@
-"""More than three views: triples of several threes of views become tracks through all of them.
+"""More than three views: triples of several triplets of views become tracks through all of them.
 
 A triple joins a track with which it shares two segments at one part, since two fix the line;
 then its third segment must not contradict the track's own. A triple that contradicts a better
@@ -22,7 +22,7 @@ MIN_SHARED = 0.5
 
 
 def view_triplets(lines: SegmentTable) -> list[tuple[int, int, int]]:
-    """The threes of views to match: all of a few, or each view with two of its nearest."""
+    """The triplets of views to match: all of a few views, or each view with two of its nearest."""
     views = len(lines.size_px)
     if views <= ALL_TRIPLETS:
         return list(combinations(range(views), 3))
@@ -38,7 +38,7 @@ def view_triplets(lines: SegmentTable) -> list[tuple[int, int, int]]:
 
 
 def merge_triplets(lines: SegmentTable, tracks: Tracks) -> Tracks:
-    """Tracks through all views, from triples of several threes, the most believed first."""
+    """Tracks through all views, from triples of several triplets, the likeliest first."""
     order = np.lexsort((*tracks.candidates.index.T, -tracks.posterior_log_odds))
     index, interval, ends = (
         tracks.candidates.index.copy(),

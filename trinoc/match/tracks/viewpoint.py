@@ -1,4 +1,4 @@
-"""Tracks that are no line in space, since what they show moves with the viewpoint.
+"""Tracks that are no line in space: what they show depends on the viewpoint.
 
 Each camera sees another outline of a round body, and another line of light on a shiny one. Where
 three views are joined to a track all the same, they disagree about its place. Where the third
@@ -11,9 +11,9 @@ from scipy.stats import chi2
 
 from trinoc.match.observations import MatchInput
 
-# The share of straight lines, seen in three views, that chance marks.
+# Significance level: 1 % of the true straight lines seen in three views are flagged.
 SIGNIFICANCE = 0.01
-# Fewer tracks do not tell how large errors usually are.
+# With fewer tracks the typical error cannot be estimated.
 MIN_TRACKS_TO_LEARN = 10
 # What is left over lies this near, nearly parallel, and beside at least half of the shorter one.
 BESIDE_PX, ANGLE_DEG, ABREAST = 10.0, 3.0, 0.5
@@ -30,7 +30,7 @@ def flag_viewpoint_dependent(
     """Tracks about whose place the views disagree by more than noise allows.
 
     `misfit` is the chi-square of each track's views, 2 (n - 2) degrees of freedom for n views.
-    Where segments' covariances are too small for most tracks, that is made good.
+    Where the segments' covariances are too small for most tracks, they are scaled first.
     """
     views = (index >= 0).sum(axis=1)
     in_three = views > 2

@@ -4,8 +4,8 @@ In the frame (axis, first, second), with the axis along the baseline, a viewing 
 angle phi = atan2(second, first), equal for partners, and a slope, axis over radius, which
 differs between partners by baseline / radius of the point: the pencil is to wide baselines
 what rows and disparity are to rectified pictures, and stays defined with the epipoles inside
-the pictures. A segment's plane of sight, m . ray = 0, makes its slope a sinusoid of the angle:
-slope = p cos phi + q sin phi.
+the pictures. A segment's interpretation plane, m . ray = 0, makes its slope a sinusoid of the
+angle: slope = p cos phi + q sin phi.
 """
 
 from typing import NamedTuple
@@ -22,7 +22,7 @@ class PencilSegments(NamedTuple):
     """The segments of one view in a pencil, one column per quantity.
 
     low, high : plane angles of the ends, in rad, without a jump between them; cosine_low, ...
-    their cosines and sines. p, q : coefficients of the slope. normal : of the plane of sight.
+    their cosines and sines. p, q : coefficients of the slope. normal : of the plane.
     slope_variance : (c00, c01, c11) of the slopes at the angles low and high, due to the
         errors of the ends across the segment. end_variance_px2 : of the places along the
         segment, at low and high, that have the plane angles of a partner's ends.

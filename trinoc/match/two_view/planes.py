@@ -1,4 +1,4 @@
-"""One segment as seen from a line in space: its plane of sight, and where it begins and ends."""
+"""A segment's interpretation plane, and where it begins and ends along a line in space."""
 
 from typing import NamedTuple
 
@@ -20,7 +20,7 @@ from trinoc.numerics import (
 
 
 class InterpretationPlane(NamedTuple):
-    """A segment's plane of sight, at two points near it.
+    """The plane through a camera's centre and a segment, at two points near it.
 
     normal : unit normal. distance_mm : signed distance of each point from the plane.
     variance_mm2 : (s00, s01, s11) of these distances, due to the segment's errors.
@@ -43,7 +43,7 @@ def interpretation_plane(
     segment: Int[ArrayLike, ""],
     points_mm: tuple[Vector3, Vector3],
 ) -> InterpretationPlane:
-    """The plane of sight of one segment at two points in space."""
+    """The interpretation plane of one segment at two points in space."""
     matrix, line = lines.matrix_px[view], vector3(lines.line[view, segment])
     ends, length = lines.ends_px[view, segment], lines.length_px[view, segment]
     gradient = scaled3(vector3(matrix[0, :3]), line[0])

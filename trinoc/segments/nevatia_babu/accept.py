@@ -6,17 +6,16 @@ from jaxtyping import Bool
 from trinoc.numerics import near_pairs
 from trinoc.segments.nevatia_babu.line_fit import FittedLines
 
-# A profile this much wider than usual in the picture is a soft shadow or shading,
+# A profile this much wider than is typical of the image is a soft shadow or shading,
 SOFT_RATIO = 1.5
 # unless its blur has less than this variance: photographs with depth have edges of many widths.
 SHARP_PX2 = 2.0
-# Noise moves the bow of a line this many times more than its middle: the parabola has to be
-# told from the line.
+# Noise gives the sagitta of a line this many times the standard deviation of its middle.
 BOW_OF_MIDDLE = float(np.sqrt(11.25))
-# A bow of more than this is an arc whatever its neighbours do, if its radius is small.
+# A larger sagitta is an arc whatever its neighbours do, if its radius is small.
 ARC_BOW_PX = 0.8
 ARC_RADIUS_OF_WIDTH = 0.2
-# Pieces of one arc turn from each to the next by what their bows promise.
+# Pieces of one arc turn from each to the next by the angle that follows from their sagittas.
 LEAST_BOW_PX = 0.2
 NEXT_PX = 6.0
 LEAST_TURN, MOST_TURN = np.radians(6.0), np.radians(60.0)
@@ -34,7 +33,7 @@ def typical_blur(lines: FittedLines) -> float:
 
 
 def is_sharp(lines: FittedLines, usual_px2: float) -> Bool[np.ndarray, "r"]:
-    """Edges that are no soft shadows: about as narrow as usual in the picture, or narrow anyway."""
+    """Edges that are no soft shadows: of about the image's typical width, or narrow anyway."""
     profile = lines.kernel_variance_px2 + lines.blur_px2
     usual = SOFT_RATIO * (lines.kernel_variance_px2 + usual_px2)
     return profile <= np.maximum(usual, lines.kernel_variance_px2 + SHARP_PX2)

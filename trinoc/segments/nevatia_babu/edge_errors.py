@@ -35,9 +35,9 @@ class ErrorModel(NamedTuple):
     ------
     pull_px : (r,) mean shift of the points that was ascribed to neighbours.
     crowded : (r,) share of the points that have a neighbouring line within reach.
-    widening_px : (r,) root of the variance by which the profile is wider than usual.
+    widening_px : (r,) root of the variance by which the profile is wider than the typical one.
     saturated : (r,) share of the points whose bright side is saturated.
-    blur_px : (r,) width of the blur, at least as much as is usual in the picture.
+    blur_px : (r,) width of the blur, at least the typical one of the image.
     sagitta_px : (r,) deviation from straightness that noise does not explain.
     """
 

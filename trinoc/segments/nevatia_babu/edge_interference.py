@@ -70,7 +70,7 @@ def overlaps(
 ) -> Overlaps:
     """All points within reach of other lines; `points` lie line after line from first[k] on.
 
-    `profile_variance_px2` is that of a usual edge of the picture: the reach follows from it.
+    `profile_variance_px2` is that of a typical edge of the image: the reach follows from it.
     """
     reach_px = max(LEAST_REACH_PX, REACH_WIDTHS * float(np.sqrt(profile_variance_px2)))
     one, other = line_pairs_within(lines, reach_px)

@@ -8,7 +8,8 @@ from jaxtyping import Bool, Float, Int
 from trinoc.numerics import sums
 from trinoc.segments.nevatia_babu.edge_points import EdgePoints
 
-# A residual of this size halves nothing yet; three times as large it counts for a hundredth.
+# Scale s of the weight 1 / (1 + (r / s)^2)^2, where the points fit well: a quarter at r = s, a
+# hundredth at r = 3 s.
 _ROBUST_SCALE_PX = 0.3
 _LEAST_VARIANCE_PX2 = 1.0
 _LEAST_SHARPNESS = 0.01
@@ -153,7 +154,7 @@ def _bow(
 ) -> Float[np.ndarray, "r"]:
     """Height of the best parabola over its chord, the line being the best straight one.
 
-    With t along the line, the part of t^2 that is orthogonal to 1 and t carries the bow.
+    With t along the line, the part of t^2 that is orthogonal to 1 and t carries the sagitta.
     """
     squared = along * along
     weighted = weight * squared

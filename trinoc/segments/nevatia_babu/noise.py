@@ -13,7 +13,7 @@ LEAST_OF_RANGE = 1e-4
 def noise_sigma(grey: Float[np.ndarray, "h w"], quantum: float) -> float:
     """Standard deviation of the noise, in grey levels.
 
-    The product of the second differences along u and v answers neither to ramps nor to
+    The product of the second differences along u and v is zero on ramps and on
     straight edges along either axis; the median of its size is not moved by the few corners
     and oblique edges that are left (J. Immerkaer, "Fast noise variance estimation", Computer
     Vision and Image Understanding 64(2), 1996, with a median in place of its mean). `quantum`

@@ -1,4 +1,4 @@
-"""Noise on a slope looks like short edges: which lines are only that."""
+"""Noise on a slope of grey levels looks like short edges: which lines are only that."""
 
 import cv2
 import numpy as np
@@ -10,7 +10,7 @@ from trinoc.segments.nevatia_babu.edge_points import EdgePoints
 # Beside an edge the grey levels are compared from here, in widths of its profile, to so many
 # pixels farther out.
 _FROM_WIDTHS, _FURTHER_PX = 1.5, 3.0
-# An edge is flat there. In the soft border of a shadow the picture goes on to slope on both sides.
+# Beside an edge the grey levels are flat; in a soft shadow they slope on both sides.
 _MOST_SLOPE = 0.25
 _BOX = (3, 3)
 

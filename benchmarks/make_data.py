@@ -1,0 +1,142 @@
+"""Make the scenes of segments that the benchmarks read, and say which other data go where.
+
+    python benchmarks/make_data.py DIR [--only NAME ...]
+
+Writes DIR/scenes/NAME.npz and NAME.gt.npz (see shared_scenes.py) with the rig of the paper's
+Table 1, drawn by `trinoc.synth` from fixed seeds; a file that stands there is left as it is. Then
+lists every other data set that a benchmark looks for under DIR, with the benchmark, and whether
+it is there. Takes a few seconds. Afterwards set TRINOC_DATA=DIR.
+
+The scenes are of the kinds and sizes that docs/matching.md reports on, drawn from other seeds: the
+figures of other matchers quoted there belong to the original files.
+"""
+
+import argparse
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from shared_scenes import VIEWS
+
+from trinoc.synth import (
+    Detector,
+    Scene,
+    block_scene,
+    loose_segments,
+    see_through_boxes,
+    simulate_segments,
+    table1_rig,
+)
+
+
+class Recipe(NamedTuple):
+    """A scene, how its detector errs, and how many times each pixel is divided along a side."""
+
+    scene: Scene
+    detector: Detector
+    resolution: int = 1
+
+
+class DataSet(NamedTuple):
+    """A public data set: its folder under DIR, one of its files, what it is, and who reads it."""
+
+    folder: str
+    file: str
+    content: str
+    readers: str
+
+
+CLEAN = Detector(0.1, 0.0, 0.0, 0.0)
+CUT_BACK = Detector(cut_back_px=5.0, shortest_px=3.0)
+FINE = Detector(shortest_px=32.0)
+
+PUBLIC = (
+    DataSet(
+        "vgg_merton1",
+        "merton1.npz",
+        "Merton College 1 of the VGG multi-view sets (Oxford): merton1.npz with projection "
+        "(3, 3, 4), segments_0 .. 2 (n, 4), line_matches (m, 3), points3d (p, 3), point_matches "
+        "(p, 3), corners_0 .. 2 (c, 2); its photographs view0.jpg .. view2.jpg, 1024 x 768",
+        "matching.py, segments.py, refine_photographs.py, golden.py",
+    ),
+    DataSet(
+        "vgg_merton2",
+        "merton2.npz",
+        "Merton College 2 of the same sets, merton2.npz as above; no photographs",
+        "matching.py",
+    ),
+    DataSet(
+        "circle_grids",
+        "opencv_circles1.png",
+        "photographs of circle grids: opencv_circlesN.png and opencv_acirclesN.png (samples of "
+        "OpenCV), boofcv_image0000N.jpg (samples of BoofCV)",
+        "tests/calib/detection/test_photographs.py",
+    ),
+    DataSet(
+        "myptv_rig",
+        "correspondences.npz",
+        "three cameras and a dot target on three planes (example of MyPTV): correspondences.npz "
+        "with rows u v X Y Z of each camera",
+        "tests/calib/test_calibrate_points.py",
+    ),
+)
+
+
+def recipes() -> dict[str, Recipe]:
+    """Every scene by its name; the numbers are seeds."""
+    return {
+        "table_clean": Recipe(block_scene(130_000, count=8), CLEAN),
+        "table_0": Recipe(block_scene(130_000, count=8), Detector()),
+        "table_1": Recipe(block_scene(130_001, count=8), Detector()),
+        "random100_0": Recipe(loose_segments(130_002, count=100), Detector()),
+        "random500_0": Recipe(loose_segments(130_003, count=500), Detector()),
+        "random500_ej5": Recipe(loose_segments(130_003, count=500), CUT_BACK),
+        "random500_x4": Recipe(loose_segments(130_003, count=500), FINE, 4),
+        "random2000_x4": Recipe(loose_segments(130_004, count=2000), FINE, 4),
+        "boxes120_0": Recipe(see_through_boxes(130_005, count=10), Detector()),
+        "boxes504_0": Recipe(see_through_boxes(130_006, count=42), Detector()),
+        "boxes504_ej5": Recipe(see_through_boxes(130_006, count=42), CUT_BACK),
+        "boxes504_x4": Recipe(see_through_boxes(130_006, count=42), FINE, 4),
+    }
+
+
+def write_scene(folder: Path, name: str, recipe: Recipe) -> None:
+    """Both files of one scene, as `shared_scenes.load_scene` reads them."""
+    rig = table1_rig(resolution=recipe.resolution)
+    segments, truth = simulate_segments(recipe.scene, rig, recipe.detector, seed=130_000)
+    size = np.array(rig[VIEWS[0]].image_size_px, dtype=float)
+    found = {
+        f"segs_{k}": segments[view].endpoints_px.reshape(-1, 4) for k, view in enumerate(VIEWS)
+    }
+    edge_of = {f"gid_{k}": truth.edge_of[view] for k, view in enumerate(VIEWS)}
+    extent = {f"gt_{k}": truth.extent[view] for k, view in enumerate(VIEWS)}
+    matrices = np.stack([rig[view].matrix_px for view in VIEWS])
+    np.savez_compressed(
+        folder / f"{name}.gt.npz", X=truth.edges_mm.reshape(-1, 6), **edge_of, **extent
+    )
+    np.savez_compressed(folder / f"{name}.npz", P=matrices, size=size, **found)
+
+
+def main() -> None:
+    """Make what is missing of the scenes, and list the rest."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path, metavar="DIR")
+    parser.add_argument("--only", nargs="*", choices=list(recipes()), default=list(recipes()))
+    options = parser.parse_args()
+    scenes = options.folder / "scenes"
+    scenes.mkdir(parents=True, exist_ok=True)
+    for name, recipe in recipes().items():
+        if name not in options.only:
+            continue
+        there = (scenes / f"{name}.npz").exists()
+        if not there:
+            write_scene(scenes, name, recipe)
+        print(f"{'is there' if there else 'made':9s} scenes/{name}.npz")
+    for data in PUBLIC:
+        there = (options.folder / data.folder / data.file).exists()
+        print(f"{'is there' if there else 'missing':9s} {data.folder}/: {data.content}")
+        print(f"{'':9s} read by {data.readers}")
+
+
+if __name__ == "__main__":
+    main()
