@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from trinoc.evaluation.distances import nearest_segments, sampled_segments
 from trinoc.geometry import UncertainLines
+from trinoc.numerics import GemanMcClure
 
 STEP_MM_PER_SIZE = 0.01
 FIRST_SCALE_PER_SIZE, SCALE_RATIO = 0.1, 2.0
@@ -98,8 +99,7 @@ def _step(
     foot = first + np.sum((points - first) * along, axis=1, keepdims=True) * along
     residual = points - foot
     across = np.eye(3) - along[:, :, None] * along[:, None, :]
-    squared = near.distance_mm**2
-    trust = weight * (scale**2 / (scale**2 + squared)) ** 2
+    trust = weight * GemanMcClure.from_scale(scale).weight(near.distance_mm**2)
     # A small turn w moves x by w x x, which is -[x] w.
     cross = np.zeros((len(points), 3, 3))
     cross[:, [0, 1, 2], [1, 2, 0]] = points[:, [2, 0, 1]]

@@ -1,4 +1,9 @@
 from .arrays import ArrayLike as ArrayLike, ScalarLike as ScalarLike
+from .block_arrow import (
+    BlockArrow as BlockArrow,
+    BlockArrowSolver as BlockArrowSolver,
+    eliminate as eliminate,
+)
 from .buckets import blocks as blocks, bucket as bucket, in_blocks as in_blocks, padded as padded
 from .grey import GreyImage as GreyImage, grey_image as grey_image
 from .information import (
@@ -18,6 +23,7 @@ from .neighbours_in_plane import (
     point_tree as point_tree,
 )
 from .precision import as_numpy as as_numpy, in_float64 as in_float64
+from .robust_loss import AbstractRobustLoss as AbstractRobustLoss, GemanMcClure as GemanMcClure
 from .scalar_vectors import (
     Scalar as Scalar,
     Symmetric3 as Symmetric3,

@@ -10,6 +10,9 @@ from trinoc.calib import Freedom, camera_state, refined
 from trinoc.calib.bundle.line_residual import whitening_across
 from trinoc.calib.bundle.pose_prior import PosePrior
 from trinoc.calib.bundle.schur import FragmentTable
+from trinoc.numerics import GemanMcClure
+
+LOSS = GemanMcClure.from_scale(8.0)
 
 
 def crossing(line, ends):
@@ -37,7 +40,7 @@ def test_gradients_of_a_line_and_of_a_camera_agree_with_differences():
     def outputs(fragments_px, sheet_values):
         tracks = FragmentTable(fragments_px, whitening, lines.seen)
         sheet = PosePrior(sheet_values, prior.information, cameras)
-        answer, anchors = refined(cameras, lines.lines_mm, tracks, sheet, 8.0)
+        answer, anchors = refined(cameras, lines.lines_mm, tracks, sheet, LOSS)
         upper, start = (jax.tree.map(lambda leaf: leaf[0], each) for each in (answer, cameras))
         return jnp.stack([upper.parameters(start)[1], crossing(anchors[4], ends[4])[2]])
 

@@ -11,6 +11,7 @@ from trinoc.calib.photometric.ink_coverage import Cross, Drawing
 from trinoc.calib.photometric.normal_equations import NormalEquations, normal_equations
 from trinoc.calib.photometric.pixel_selection import SelectedPixels, group_of, select_pixels
 from trinoc.calib.pose import sheet_pose_of_values
+from trinoc.numerics import GemanMcClure
 from trinoc.synth import table1_rig
 
 CROSS = Cross(np.array(0.5), np.array([55.0, 55.0]), np.array(1.5))
@@ -41,7 +42,7 @@ def test_rounding_of_the_unknowns_moves_no_large_picture() -> None:
             group.pixels,
             group.chunks,
             CROSS,
-            np.array(np.inf),
+            GemanMcClure.from_scale(np.array(np.inf)),
             drawing=Drawing("stop", False),
             near_line=False,
         )

@@ -4,7 +4,6 @@ from typing import NamedTuple
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -20,10 +19,12 @@ from trinoc.calib.bundle.variance_components import segment_factor, sheet_factor
 from trinoc.calib.model import CameraState, Freedom, camera_of_state
 from trinoc.calib.result import CalibrationResult
 from trinoc.geometry import LineObservations, Rig, UncertainLines
-from trinoc.numerics import ArrayLike, as_numpy
+from trinoc.numerics import ArrayLike, GemanMcClure, as_numpy, eliminate
 
-# The loss first lets everything speak, then fragments within a few sigmas only.
-FIRST_SCALE, LAST_SCALE, SCALE_RATIO = 64.0, 4.0, 4.0
+# What a fragment can cost, in sigmas squared.
+LOSS = GemanMcClure.from_scale(np.asarray(4.0))
+# It is first so much wider that everything speaks, then only what fits within a few sigmas.
+WIDENINGS = (16.0, 4.0, 1.0)
 
 
 def joint_estimate(
@@ -71,7 +72,7 @@ def joint_estimate(
     status = RefineStatus.NOT_CONVERGED
     if converged:
         status = RefineStatus.GAUGE_FREE if determined.gauge else RefineStatus.CONVERGED
-    probability = log_posterior(squared, lines.seen, sheet_chi_square, LAST_SCALE)
+    probability = log_posterior(squared, lines.seen, sheet_chi_square, LOSS)
     known = not determined.gauge and choice.freedom is not Freedom.POSE
     return RefineResult(
         status,
@@ -120,9 +121,10 @@ def _assess(
     cameras: CameraState, anchors_mm: ArrayLike, tracks: FragmentTable, prior: PosePrior
 ) -> _Assessment:
     undamped = 0.0
+    system = joint_system(cameras, anchors_mm, tracks, prior, LOSS, undamped)
     return _Assessment(
         squared_distances(cameras, anchors_mm, tracks),
-        joint_system(cameras, anchors_mm, tracks, prior, LAST_SCALE, undamped).information,
+        eliminate(system.information).reduced,
         prior.normal_equations(cameras)[0],
         prior.cost(cameras),
         parameters_by_step(cameras, prior.start),
@@ -133,12 +135,11 @@ def _assess(
 def _annealed(problem: Problem) -> tuple[JointState, float]:
     """The minimum under a loss that narrows step by step, and the last loss's first cost."""
     arguments = problem.tracks, problem.prior
-    first_cost = _joint_cost(problem.cameras, problem.anchors_mm, *arguments, LAST_SCALE)
-    scale = FIRST_SCALE
-    state = minimise(problem.cameras, problem.anchors_mm, *arguments, jnp.asarray(scale))
-    while scale > LAST_SCALE:
-        scale = max(scale / SCALE_RATIO, LAST_SCALE)
-        state = minimise(state.cameras, state.anchors_mm, *arguments, jnp.asarray(scale))
+    first_cost = _joint_cost(problem.cameras, problem.anchors_mm, *arguments, LOSS)
+    first, *further = (LOSS.widened(factor) for factor in WIDENINGS)
+    state = minimise(problem.cameras, problem.anchors_mm, *arguments, first)
+    for loss in further:
+        state = minimise(state.cameras, state.anchors_mm, *arguments, loss)
     return state, float(first_cost)
 
 

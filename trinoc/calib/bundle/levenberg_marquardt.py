@@ -1,51 +1,92 @@
-"""Levenberg and Marquardt's method on the reduced system of cameras and lines.
+"""Levenberg and Marquardt's method on the normal equations of cameras and lines.
 
-Written here because the solvers at hand take a residual and a Jacobian, and the point of the
-reduced system is never to form them: 10,000 lines are 40,000 unknowns, of which 18 stay.
+A solver of optimistix' kind, which never forms the Jacobian: 10,000 lines are 40,000 unknowns,
+of which 18 stay once each line is eliminated (`numerics.block_arrow`). It steps on the manifold
+of cameras and lines, whose charts are laid anew at every point, so it moves points and not
+vectors.
 
 Every line has a damping of its own, and stays where it was when that serves it better: among
 thousands some lie nearly in an epipolar plane, and the one that strays most would otherwise hold
 back all others.
 """
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Bool, Float, Int
+import lineax as lx
+import optimistix as optx
+from jaxtyping import Array, Bool, Float, Int, PyTree, Scalar
 
 from trinoc.calib.bundle.line_retraction import moved_anchors
 from trinoc.calib.bundle.pose_prior import PosePrior
 from trinoc.calib.bundle.schur import (
     FragmentTable,
-    ReducedSystem,
-    reduce,
+    NormalEquations,
+    normal_equations,
     robust_costs,
     track_blocks,
 )
 from trinoc.calib.bundle.two_view_lines import placed_by_two_views
 from trinoc.calib.model import CameraState
-from trinoc.numerics import ArrayLike, ScalarLike
+from trinoc.numerics import AbstractRobustLoss, ArrayLike, BlockArrowSolver, ScalarLike
 
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-4, 1e-12, 1e8
+# Keeps directions that nothing determines at rest, and no more.
+FLOOR_DAMPING = 1e-13
 MOST_STEPS = 300
 # The cost is a chi-square: a gain this small moves no parameter by some hundredths of its sigma.
 # It is asked of the cameras' own share, and of every hundred lines together, a few of which
 # always creep along the flank of the robust loss.
 CONVERGED_GAIN = 1e-4
+LINES_THAT_CREEP = 100
 
 
 class JointState(NamedTuple):
-    """Where the minimisation stands."""
+    """Where the minimisation ended, after how many steps, and whether it converged."""
 
     cameras: CameraState
     anchors_mm: Float[ArrayLike, "t 2 3"]
     cost: Float[ArrayLike, ""]
-    damping: Float[ArrayLike, ""]
-    line_damping: Float[ArrayLike, "t"]
     steps: Int[ArrayLike, ""]
     converged: Bool[ArrayLike, ""]
+
+
+class Point(NamedTuple):
+    """Cameras and lines, by two anchor points on each."""
+
+    cameras: CameraState
+    anchors_mm: Float[ArrayLike, "t 2 3"]
+
+    def moved(self, step: tuple[Float[ArrayLike, "k"], Float[ArrayLike, "t 4"]]) -> "Point":
+        """The point after a step in the charts laid here."""
+        views = self.cameras.centre_mm.shape[0]
+        cameras = jax.vmap(CameraState.moved)(self.cameras, step[0].reshape(views, -1))
+        return Point(cameras, jax.vmap(moved_anchors)(self.anchors_mm, step[1]))
+
+
+class Observations(NamedTuple):
+    """What cameras and lines are held against: tracks, the sheet's word, and the loss."""
+
+    tracks: FragmentTable
+    prior: PosePrior
+    loss: AbstractRobustLoss
+
+
+class Costs(NamedTuple):
+    """Robust chi-square of each track's fragments, and chi-square of the sheet."""
+
+    tracks: Float[ArrayLike, "t"]
+    sheet: Float[ArrayLike, ""]
+
+
+def joint_costs(point: Point, observations: Observations) -> tuple[Float[Array, ""], Costs]:
+    """The joint cost, and its parts."""
+    tracks, prior, loss = observations
+    costs = Costs(robust_costs(*point, tracks, loss), prior.cost(point.cameras))
+    return jnp.sum(costs.tracks) + costs.sheet, costs
 
 
 def joint_cost(
@@ -53,10 +94,10 @@ def joint_cost(
     anchors_mm: Float[ArrayLike, "t 2 3"],
     tracks: FragmentTable,
     prior: PosePrior,
-    scale: ScalarLike,
+    loss: AbstractRobustLoss,
 ) -> Float[ArrayLike, ""]:
     """Robust chi-square of the fragments plus that of the sheet."""
-    return jnp.sum(robust_costs(cameras, anchors_mm, tracks, scale)) + prior.cost(cameras)
+    return joint_costs(Point(cameras, anchors_mm), Observations(tracks, prior, loss))[0]
 
 
 def joint_system(
@@ -64,16 +105,127 @@ def joint_system(
     anchors_mm: Float[ArrayLike, "t 2 3"],
     tracks: FragmentTable,
     prior: PosePrior,
-    scale: ScalarLike,
+    loss: AbstractRobustLoss,
     damping: ScalarLike | Float[ArrayLike, "t"],
-) -> ReducedSystem:
-    """The reduced normal equations, with the sheet's part."""
-    blocks = jax.vmap(track_blocks, (None, 0, 0, None))(cameras, anchors_mm, tracks, scale)
-    system = reduce(blocks, tracks.seen, damping)
+) -> NormalEquations:
+    """The normal equations of all tracks, with the sheet's part."""
+    blocks = jax.vmap(track_blocks, (None, 0, 0, None))(cameras, anchors_mm, tracks, loss)
+    arrow, (of_cameras, of_lines) = normal_equations(blocks, tracks.seen, damping)
     information, gradient = prior.normal_equations(cameras)
-    return system._replace(
-        information=system.information + information, gradient=system.gradient + gradient
+    return NormalEquations(
+        eqx.tree_at(lambda arrow: arrow.head, arrow, arrow.head + information),
+        (of_cameras + gradient, of_lines),
     )
+
+
+class _State(eqx.Module):
+    """Cost where the solver stands, and how it is damped there."""
+
+    cost: Float[ArrayLike, ""]
+    damping: Float[ArrayLike, ""]
+    line_damping: Float[ArrayLike, "t"]
+    done: Bool[ArrayLike, ""]
+
+
+class JointLevenbergMarquardt(optx.AbstractMinimiser[Point, Costs, _State]):
+    """Minimises `joint_costs` over a `Point`, given `Observations`.
+
+    Fields
+    ------
+    atol : gain in chi-square at which cameras have converged, and lines that creep.
+    rtol, norm : not used; a chi-square has a scale of its own.
+    """
+
+    rtol: float = 0.0
+    atol: float = CONVERGED_GAIN
+    norm: Callable[[PyTree], Scalar] = eqx.field(default=optx.max_norm, static=True)
+
+    def init(
+        self,
+        fn: Any,
+        y: Point,
+        args: Observations,
+        options: dict[str, Any],
+        f_struct: PyTree,
+        aux_struct: PyTree,
+        tags: frozenset[object],
+    ) -> _State:
+        """Nothing tried yet."""
+        return _State(
+            fn(y, args)[0],
+            jnp.asarray(FIRST_DAMPING),
+            jnp.full(y.anchors_mm.shape[0], FIRST_DAMPING),
+            jnp.asarray(False),
+        )
+
+    def step(
+        self,
+        fn: Any,
+        y: Point,
+        args: Observations,
+        options: dict[str, Any],
+        state: _State,
+        tags: frozenset[object],
+    ) -> tuple[Point, _State, Costs]:
+        """Try one step, and take it where it gains."""
+        system = joint_system(*y, *args, state.line_damping)
+        solver = BlockArrowSolver(state.damping + FLOOR_DAMPING)
+        factored = solver.init(system.information, {})
+        solution = lx.linear_solve(
+            system.information, system.gradient, solver, state=factored, throw=False
+        )
+        step = jax.tree.map(jnp.negative, solution.value)
+        followed = y.moved(step)
+        moved = fn(followed, args)[1]
+        stayed = fn(followed._replace(anchors_mm=y.anchors_mm), args)[1]
+        follows = moved.tracks <= stayed.tracks
+        tried = followed._replace(
+            anchors_mm=jnp.where(follows[:, None, None], followed.anchors_mm, y.anchors_mm)
+        )
+        costs = moved._replace(tracks=jnp.where(follows, moved.tracks, stayed.tracks))
+        cost = jnp.sum(costs.tracks) + costs.sheet
+        better = cost <= state.cost
+        damping = jnp.where(better, state.damping / 10, state.damping * 10)
+        speaking = jnp.sum(jnp.sum(args.tracks.seen, axis=1) >= 3)
+        negligible = self.atol * (1 + speaking / LINES_THAT_CREEP)
+        gain_of_cameras = -factored.elimination.reduced_side(system.gradient) @ step[0]
+        still = (gain_of_cameras < self.atol) & (state.cost - cost < negligible)
+        line_damping = state.line_damping * jnp.where(follows & better, 0.1, 10.0)
+        after = _State(
+            jnp.where(better, cost, state.cost),
+            jnp.maximum(damping, LEAST_DAMPING),
+            jnp.clip(line_damping, LEAST_DAMPING, MOST_DAMPING),
+            jnp.where(better, still, damping > MOST_DAMPING),
+        )
+        return jax.tree.map(lambda new, old: jnp.where(better, new, old), tried, y), after, costs
+
+    def terminate(
+        self,
+        fn: Any,
+        y: Point,
+        args: Observations,
+        options: dict[str, Any],
+        state: _State,
+        tags: frozenset[object],
+    ) -> tuple[Bool[Array, ""], optx.RESULTS]:
+        """Converged, or nowhere to go; a cost that is no number ends at once."""
+        failed = ~jnp.isfinite(state.cost)
+        result = optx.RESULTS.where(failed, optx.RESULTS.nonfinite, optx.RESULTS.successful)
+        return jnp.asarray(state.done) | failed, result
+
+    def postprocess(
+        self,
+        fn: Any,
+        y: Point,
+        aux: Costs,
+        args: Observations,
+        options: dict[str, Any],
+        state: _State,
+        tags: frozenset[object],
+        result: optx.RESULTS,
+    ) -> tuple[Point, Costs, dict[str, Any]]:
+        """The point as it is, with its cost among the statistics."""
+        return y, aux, {"cost": state.cost}
 
 
 @eqx.filter_jit
@@ -82,62 +234,32 @@ def minimise(
     anchors_mm: Float[ArrayLike, "t 2 3"],
     tracks: FragmentTable,
     prior: PosePrior,
-    scale: ScalarLike,
+    loss: AbstractRobustLoss,
 ) -> JointState:
     """Cameras and lines of least cost near the start; `converged` says whether it was reached.
 
     Directions that nothing determines (the gauge of a rig without a sheet) keep their start.
+    Differentiating it raises: a point has more numbers than freedoms. `implicit.refined` gives
+    derivatives.
     """
-    views = prior.values.shape[0]
     # Two views of a line always agree: they wait until the cameras stand.
     speaks = jnp.sum(tracks.seen, axis=1) >= 3
     speaking = tracks._replace(seen=tracks.seen & speaks[:, None])
-    negligible = CONVERGED_GAIN * (1 + jnp.sum(speaks) / 100)
-
-    def attempt(state: JointState) -> JointState:
-        system = joint_system(
-            state.cameras, state.anchors_mm, speaking, prior, scale, state.line_damping
-        )
-        # Scaled to a unit diagonal; the floor keeps free directions at rest, and no more.
-        diagonal = jnp.sqrt(jnp.maximum(jnp.diag(system.information), 1e-300))
-        scaled = system.information / diagonal[:, None] / diagonal[None, :]
-        damped = scaled + (state.damping + 1e-13) * jnp.eye(len(diagonal))
-        step = -jnp.linalg.solve(damped, system.gradient / diagonal) / diagonal
-        cameras = jax.vmap(CameraState.moved)(state.cameras, step.reshape(views, -1))
-        offsets = system.line_step + jnp.einsum("tik,k->ti", system.line_by_cameras, step)
-        followed = jax.vmap(moved_anchors)(state.anchors_mm, offsets)
-        moved, stayed = (
-            robust_costs(cameras, anchors, speaking, scale)
-            for anchors in (followed, state.anchors_mm)
-        )
-        follows = moved <= stayed
-        anchors = jnp.where(follows[:, None, None], followed, state.anchors_mm)
-        cost = jnp.sum(jnp.where(follows, moved, stayed)) + prior.cost(cameras)
-        better = cost <= state.cost
-        damping = jnp.where(better, state.damping / 10, state.damping * 10)
-        still = (-system.gradient @ step < CONVERGED_GAIN) & (state.cost - cost < negligible)
-        done = jnp.where(better, still, damping > MOST_DAMPING)
-        line_damping = state.line_damping * jnp.where(follows & better, 0.1, 10.0)
-        return JointState(
-            jax.tree.map(lambda new, old: jnp.where(better, new, old), cameras, state.cameras),
-            jnp.where(better, anchors, state.anchors_mm),
-            jnp.where(better, cost, state.cost),
-            jnp.maximum(damping, LEAST_DAMPING),
-            jnp.clip(line_damping, LEAST_DAMPING, MOST_DAMPING),
-            state.steps + 1,
-            done & jnp.isfinite(state.cost),
-        )
-
-    start = JointState(
-        cameras,
-        jnp.asarray(anchors_mm),
-        joint_cost(cameras, anchors_mm, speaking, prior, scale),
-        jnp.asarray(FIRST_DAMPING),
-        jnp.full(tracks.seen.shape[0], FIRST_DAMPING),
-        jnp.asarray(0),
-        jnp.asarray(False),
+    solution = optx.minimise(
+        joint_costs,
+        JointLevenbergMarquardt(),
+        Point(cameras, jnp.asarray(anchors_mm)),
+        Observations(speaking, prior, loss),
+        has_aux=True,
+        max_steps=MOST_STEPS,
+        adjoint=optx.ImplicitAdjoint(BlockArrowSolver()),
+        throw=False,
     )
-    end = jax.lax.while_loop(
-        lambda state: ~state.converged & (state.steps < MOST_STEPS), attempt, start
+    end = solution.value
+    return JointState(
+        end.cameras,
+        placed_by_two_views(*end, tracks),
+        solution.stats["cost"],
+        solution.stats["num_steps"],
+        solution.result == optx.RESULTS.successful,
     )
-    return end._replace(anchors_mm=placed_by_two_views(end.cameras, end.anchors_mm, tracks))

@@ -1,4 +1,4 @@
-"""Normal equations of cameras and lines, with every line eliminated.
+"""Normal equations of cameras and lines, an arrow from which every line can be eliminated.
 
 For one track with Jacobians A_v (by the step of camera v) and B_v (by the four numbers of the
 line) the normal equations are
@@ -6,8 +6,8 @@ line) the normal equations are
     [ A^T A   A^T B ] [ camera step ]     [ A^T r ]
     [ B^T A   B^T B ] [ line step   ] = - [ B^T r ]
 
-and the line's own 4x4 block is solved at once: the cameras keep the Schur complement
-A^T A - A^T B (B^T B)^-1 B^T A, summed over tracks. Cost and memory are linear in tracks.
+and their sum over tracks is an arrow (`numerics.block_arrow`): a line's own 4x4 block is solved
+at once, and the cameras keep the Schur complement A^T A - A^T B (B^T B)^-1 B^T A.
 """
 
 from typing import NamedTuple
@@ -18,9 +18,14 @@ from jaxtyping import Bool, Float
 
 from trinoc.calib.bundle.line_residual import distances_across
 from trinoc.calib.bundle.line_retraction import moved_anchors
-from trinoc.calib.bundle.robust import loss, weight
 from trinoc.calib.model import CameraState
-from trinoc.numerics import ArrayLike, ScalarLike, inverse_positive_definite
+from trinoc.numerics import (
+    AbstractRobustLoss,
+    ArrayLike,
+    BlockArrow,
+    ScalarLike,
+    inverse_positive_definite,
+)
 
 
 class FragmentTable(NamedTuple):
@@ -53,24 +58,17 @@ class TrackBlocks(NamedTuple):
     squared: Float[ArrayLike, "*t v"]
 
 
-class ReducedSystem(NamedTuple):
-    """Normal equations of the cameras alone, and what it takes to find the lines again.
+class NormalEquations(NamedTuple):
+    """Gauss-Newton's equations of all unknowns: `information` times the step is -`gradient`.
 
     Fields
     ------
-    information : (k, k) Schur complement over all cameras' steps, k = v p.
-    gradient : (k,)
-    line_covariance : (t, 4, 4) inverse of each line's own block: its covariance for known
-        cameras.
-    line_step : (t, 4) step of each line for cameras at rest.
-    line_by_cameras : (t, 4, k) how each line follows the cameras' step.
+    information : arrow over (all cameras' steps (k,), lines' steps (t, 4)), k = v p.
+    gradient : ((k,), (t, 4)).
     """
 
-    information: Float[ArrayLike, "k k"]
-    gradient: Float[ArrayLike, "k"]
-    line_covariance: Float[ArrayLike, "t 4 4"]
-    line_step: Float[ArrayLike, "t 4"]
-    line_by_cameras: Float[ArrayLike, "t 4 k"]
+    information: BlockArrow
+    gradient: tuple[Float[ArrayLike, "k"], Float[ArrayLike, "t 4"]]
 
 
 def fragment_distances(
@@ -99,17 +97,17 @@ def robust_costs(
     cameras: CameraState,
     anchors_mm: Float[ArrayLike, "t 2 3"],
     tracks: FragmentTable,
-    scale: ScalarLike,
+    loss: AbstractRobustLoss,
 ) -> Float[ArrayLike, "t"]:
     """Sum of the loss over the fragments of each track."""
-    return jnp.sum(loss(squared_distances(cameras, anchors_mm, tracks), scale), axis=1)
+    return jnp.sum(loss.rho(squared_distances(cameras, anchors_mm, tracks)), axis=1)
 
 
 def track_blocks(
     cameras: CameraState,
     anchors_mm: Float[ArrayLike, "2 3"],
     tracks: FragmentTable,
-    scale: ScalarLike,
+    loss: AbstractRobustLoss,
 ) -> TrackBlocks:
     """The blocks of one track (`tracks` without its leading axis)."""
 
@@ -127,7 +125,7 @@ def track_blocks(
 
     residual, by_camera, by_line = jax.vmap(one_view)(cameras, *tracks)
     squared = jnp.sum(jnp.square(residual), axis=-1)
-    weights = weight(squared, scale)
+    weights = loss.weight(squared)
     weighted_camera = weights[:, None, None] * by_camera
     weighted_line = weights[:, None, None] * by_line
     return TrackBlocks(
@@ -140,16 +138,15 @@ def track_blocks(
     )
 
 
-def reduce(
+def normal_equations(
     blocks: TrackBlocks, seen: Bool[ArrayLike, "t v"], damping: ScalarLike | Float[ArrayLike, "t"]
-) -> ReducedSystem:
-    """Eliminate the lines; `damping`, one for all or one for each line, scales the diagonals as
-    Levenberg and Marquardt do.
+) -> NormalEquations:
+    """Sum over tracks; `damping`, one for all or one for each line, scales the diagonals of the
+    lines' blocks as Levenberg and Marquardt do.
 
     Two views have as many distances as their line has unknowns, so that eliminating the line
-    leaves nothing: such tracks are left out of the cameras' equations, where only rounding
-    would remain of them, and follow the cameras. A line that its views do not determine (or
-    padding) stays where it is and says nothing.
+    leaves nothing: such tracks are left out, where only rounding would remain of them. So is a
+    line that its views do not determine (or padding): it says nothing and has no step.
     """
     tracks, views, size = blocks.camera_gradient.shape
     count = views * size
@@ -157,21 +154,19 @@ def reduce(
     damping = jnp.broadcast_to(damping, (tracks,))[:, None, None]
     damped = blocks.line_information + damping * diagonal[:, :, None] * jnp.eye(4)[None]
     inverse = jax.vmap(inverse_positive_definite)(damped)
-    determined = jnp.all(jnp.isfinite(inverse), axis=(1, 2))
-    inverse = jnp.where(determined[:, None, None], inverse, 0.0)
-    speaks = (determined & (jnp.sum(seen, axis=1) >= 3)).astype(inverse.dtype)
-    coupling = blocks.coupling.reshape(tracks, count, 4)
-    follow = -jnp.einsum("tij,tkj->tik", inverse, coupling)
-    own = jnp.zeros((views, size, views, size))
-    information = jnp.einsum("t,tvpq->vpq", speaks, blocks.camera_information)
+    speaks = jnp.all(jnp.isfinite(inverse), axis=(1, 2)) & (jnp.sum(seen, axis=1) >= 3)
+    weight = speaks.astype(damped.dtype)
+    own = jnp.einsum("t,tvpq->vpq", weight, blocks.camera_information)
     view = jnp.arange(views)
-    own = own.at[view, :, view, :].set(information).reshape(count, count)
-    line_step = -jnp.einsum("tij,tj->ti", inverse, blocks.line_gradient)
-    return ReducedSystem(
-        own + jnp.einsum("t,tki,til->kl", speaks, coupling, follow),
-        jnp.einsum("t,tvp->vp", speaks, blocks.camera_gradient).reshape(count)
-        + jnp.einsum("t,tki,ti->k", speaks, coupling, line_step),
-        inverse,
-        line_step,
-        follow,
+    head = jnp.zeros((views, size, views, size)).at[view, :, view, :].set(own)
+    return NormalEquations(
+        BlockArrow(
+            head.reshape(count, count),
+            jnp.where(speaks[:, None, None], blocks.coupling.reshape(tracks, count, 4), 0.0),
+            jnp.where(speaks[:, None, None], damped, 0.0),
+        ),
+        (
+            jnp.einsum("t,tvp->vp", weight, blocks.camera_gradient).reshape(count),
+            jnp.where(speaks[:, None], blocks.line_gradient, 0.0),
+        ),
     )

@@ -8,7 +8,6 @@ import lineax as lx
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 
-from trinoc.calib.intrinsics.arrow import ArrowCholesky
 from trinoc.calib.intrinsics.lens_residual import (
     LensChart,
     information_of_images,
@@ -17,7 +16,7 @@ from trinoc.calib.intrinsics.lens_residual import (
     whitened_residuals,
 )
 from trinoc.calib.model import CircleObservations
-from trinoc.numerics import ArrayLike
+from trinoc.numerics import ArrayLike, BlockArrowSolver, GemanMcClure
 
 MAX_STEPS = 100
 # The solver ends when no residual changes by more than this, in standard deviations, and no
@@ -62,7 +61,7 @@ def fit_lens(
     function of Geman and McClure; infinity is plain least squares.
     """
     solver = optx.LevenbergMarquardt(
-        rtol=_TOLERANCE, atol=_TOLERANCE, linear_solver=lx.Normal(ArrowCholesky())
+        rtol=_TOLERANCE, atol=_TOLERANCE, linear_solver=lx.Normal(BlockArrowSolver())
     )
     count = chart.cam_from_world.shape[0]
     zero = (jnp.zeros(9, chart.values.dtype), jnp.zeros((count, 6), chart.values.dtype))
@@ -97,4 +96,4 @@ def _bounded_residuals(
     chart, circles, outlier_scale = args
     whitened = whitened_residuals(*steps, chart, circles)
     squared = jnp.sum(whitened * whitened, axis=2, keepdims=True)
-    return whitened / jnp.sqrt(1 + squared / outlier_scale**2)
+    return jnp.asarray(GemanMcClure.from_scale(outlier_scale).bounded(whitened, squared))

@@ -1,16 +1,27 @@
-"""Robust Gauss-Newton over the pose and the appearance of one picture."""
+"""Robust Gauss-Newton over the pose and the appearance of one picture.
 
-from typing import NamedTuple
+A solver of optimistix' kind that steps on the manifold of poses, in a chart laid anew at every
+point.
+"""
 
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
+
+import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Float, Int
+import lineax as lx
+import optimistix as optx
+from jaxtyping import Array, Bool, Float, Int, PyTree, Scalar
 
 from trinoc.calib.model import SheetPose
 from trinoc.calib.photometric.appearance import NUISANCE, Appearance, Pixels
 from trinoc.calib.photometric.ink_coverage import Cross, Drawing
 from trinoc.calib.photometric.normal_equations import normal_equations
-from trinoc.numerics import ArrayLike, inverse_3x3
+from trinoc.numerics import ArrayLike, GemanMcClure, ScalarLike, inverse_3x3
+
+MOST_STEPS = 8
 
 
 class Group(NamedTuple):
@@ -27,80 +38,62 @@ class ImageState(NamedTuple):
     appearance: Appearance
 
 
-class Step(NamedTuple):
-    """One Gauss-Newton step, and the point that it was taken from.
+class Stage(NamedTuple):
+    """How one step looks at the picture.
 
     Fields
     ------
-    state : after the step.
-    information : (k, k) J^T W J of (pose chart, appearance), in 1 / grey level^2.
-    length : of the step, in units of its own standard deviation for noise of one grey level.
-    residuals : of both groups before the step, grey levels, padding included.
+    loss : what a residual can cost, grey levels squared; infinity for plain least squares.
+    held : (k,) 1 for each unknown that the step leaves as it is, else 0.
+    stride : the step looks at the first of so many parts of each group's chunks only.
     """
 
-    state: ImageState
+    loss: GemanMcClure
+    held: Float[ArrayLike, "*s k"]
+    stride: Int[ArrayLike, "*s"]
+
+
+class Picture(NamedTuple):
+    """What one picture of the sheet shows, and how steps look at it."""
+
+    near_circles: Group
+    near_lines: Group
+    cross: Cross
+    stage: Stage
+
+
+class Sums(NamedTuple):
+    """What is summed over the pixels at one point, beside the gradient.
+
+    Fields
+    ------
+    information : (k, k) J^T W J of (pose chart, appearance), in 1 / grey level^2.
+    residuals : of both groups, grey levels, padding included.
+    """
+
     information: Float[ArrayLike, "k k"]
-    length: Float[ArrayLike, ""]
     residuals: tuple[Float[ArrayLike, "n"], Float[ArrayLike, "m"]]
 
 
-def gauss_newton_steps(
-    state: ImageState,
-    near_circles: Group,
-    near_lines: Group,
-    cross: Cross,
-    outlier_scales: Float[ArrayLike, "s"],
-    held: Float[ArrayLike, "s k"],
-    stride: Int[ArrayLike, "s"],
-    steps: Int[ArrayLike, ""],
-    *,
-    drawing: Drawing,
-    parameter_count: int,
-) -> Step:
-    """The first `steps` of the steps that `outlier_scales` and `held` describe.
+class Fit(NamedTuple):
+    """Where the steps ended.
 
-    outlier_scales : grey levels at which a residual loses its influence; infinity for none.
-    held : 1 for each unknown that a step leaves as it is.
-    stride : a step looks at the first of so many parts of each group's chunks only.
+    Fields
+    ------
+    state : after the last step.
+    sums : at the point that the last step was taken from.
+    converged : whether the last step was short enough.
     """
-    size = parameter_count + NUISANCE
 
-    def step(k: Int[ArrayLike, ""], before: Step) -> Step:
-        first, second = (
-            group._replace(chunks=-(-group.chunks // stride[k]))
-            for group in (near_circles, near_lines)
-        )
-        return _step(
-            before.state,
-            first,
-            second,
-            cross,
-            outlier_scales[k],
-            held[k],
-            drawing,
-            parameter_count,
-        )
-
-    dtype = state.pose.rotation.dtype
-    start = Step(
-        state,
-        jnp.zeros((size, size), dtype),
-        jnp.zeros((), dtype),
-        (jnp.zeros_like(near_circles.pixels.grey), jnp.zeros_like(near_lines.pixels.grey)),
-    )
-    return jax.lax.fori_loop(0, steps, step, start)
+    state: ImageState
+    sums: Sums
+    converged: Bool[ArrayLike, ""]
 
 
-def _step(
-    state: ImageState,
-    near_circles: Group,
-    near_lines: Group,
-    cross: Cross,
-    outlier_scale: Float[ArrayLike, ""],
-    held: Float[ArrayLike, "k"],
-    drawing: Drawing,
-    parameter_count: int,
-) -> Step:
+def gradient_and_sums(
+    state: ImageState, image: Picture, drawing: Drawing, parameter_count: int
+) -> tuple[Float[ArrayLike, "k"], Sums]:
+    """J^T W r by the chart of the pose and the appearance, which a fit brings to zero."""
     zero = jnp.zeros(parameter_count, state.pose.rotation.dtype)
 
     def homography_after(motion: Float[ArrayLike, "p"]) -> Float[ArrayLike, "9"]:
@@ -112,27 +105,139 @@ def _step(
             homography.reshape(3, 3),
             state.appearance,
             group.pixels,
-            group.chunks,
-            cross,
-            outlier_scale,
+            -(-group.chunks // image.stage.stride),
+            image.cross,
+            image.stage.loss,
             drawing,
             near_line,
         )
-        for group, near_line in ((near_circles, False), (near_lines, True))
+        for group, near_line in ((image.near_circles, False), (image.near_lines, True))
     ]
     matrix = sums[0].matrix + sums[1].matrix
     slope = sums[0].gradient + sums[1].gradient
     chain = jnp.zeros((9 + NUISANCE, parameter_count + NUISANCE), zero.dtype)
     chain = chain.at[:9, :parameter_count].set(by_motion)
     chain = chain.at[9:, parameter_count:].set(jnp.eye(NUISANCE, dtype=zero.dtype))
-    information, gradient = chain.T @ matrix @ chain, chain.T @ slope
-    motion = -_solve(information, gradient, held)
-    after = ImageState(
-        state.pose.moved(motion[:parameter_count]),
-        _kept_possible(state.appearance.vector + motion[parameter_count:]),
+    residuals = (sums[0].residuals, sums[1].residuals)
+    return chain.T @ slope, Sums(chain.T @ matrix @ chain, residuals)
+
+
+class _State(eqx.Module):
+    """Steps taken, and the length of the last in its own standard deviations."""
+
+    steps: Int[ArrayLike, ""]
+    length: Float[ArrayLike, ""]
+
+
+class StagedGaussNewton(optx.AbstractRootFinder[ImageState, Array, Sums, _State]):
+    """Finds where `gradient_and_sums` has no gradient, with J^T W J for its derivative.
+
+    As a root finder it never needs the residuals at once, nor their Jacobian: both are summed
+    over chunks of pixels.
+
+    Fields
+    ------
+    stages : of the first steps, along a first axis; the last serves all further steps.
+    round_steps : convergence is looked at after each so many steps.
+    atol : the length of a step that ends the fit, in units of its own standard deviation for
+        noise of one grey level.
+    rtol, norm : not used.
+    """
+
+    stages: Stage
+    round_steps: Int[ArrayLike, ""]
+    atol: ScalarLike
+    rtol: float = 0.0
+    norm: Callable[[PyTree], Scalar] = eqx.field(default=optx.max_norm, static=True)
+
+    def init(
+        self,
+        fn: Any,
+        y: ImageState,
+        args: Picture,
+        options: dict[str, Any],
+        f_struct: PyTree,
+        aux_struct: PyTree,
+        tags: frozenset[object],
+    ) -> _State:
+        """No step taken."""
+        return _State(jnp.asarray(0), jnp.full((), jnp.inf, y.pose.rotation.dtype))
+
+    def step(
+        self,
+        fn: Any,
+        y: ImageState,
+        args: Picture,
+        options: dict[str, Any],
+        state: _State,
+        tags: frozenset[object],
+    ) -> tuple[ImageState, _State, Sums]:
+        """One step of the stage whose turn it is."""
+        turn = jnp.minimum(state.steps, len(self.stages.stride) - 1)
+        stage = jax.tree.map(lambda leaf: leaf[turn], self.stages)
+        gradient, sums = fn(y, args._replace(stage=stage))
+        motion = -_solve(sums.information, gradient, stage.held)
+        count = len(motion) - NUISANCE
+        after = ImageState(
+            y.pose.moved(motion[:count]), _kept_possible(y.appearance.vector + motion[count:])
+        )
+        return after, _State(state.steps + 1, jnp.sqrt(-motion @ gradient)), sums
+
+    def terminate(
+        self,
+        fn: Any,
+        y: ImageState,
+        args: Picture,
+        options: dict[str, Any],
+        state: _State,
+        tags: frozenset[object],
+    ) -> tuple[Bool[Array, ""], optx.RESULTS]:
+        """Converged at the end of a round."""
+        done = (state.steps % self.round_steps == 0) & (state.length <= self.atol)
+        return jnp.asarray((state.steps > 0) & done), optx.RESULTS.successful
+
+    def postprocess(
+        self,
+        fn: Any,
+        y: ImageState,
+        aux: Sums,
+        args: Picture,
+        options: dict[str, Any],
+        state: _State,
+        tags: frozenset[object],
+        result: optx.RESULTS,
+    ) -> tuple[ImageState, Sums, dict[str, Any]]:
+        """The point as it is."""
+        return y, aux, {}
+
+
+def fit_picture(
+    state: ImageState,
+    near_circles: Group,
+    near_lines: Group,
+    cross: Cross,
+    solver: StagedGaussNewton,
+    *,
+    drawing: Drawing,
+    parameter_count: int,
+) -> Fit:
+    """Steps from `state` until the solver has converged or taken `MOST_STEPS`.
+
+    Differentiating it raises, because a state has more numbers than freedoms:
+    `implicit.fitted` gives derivatives.
+    """
+    first = jax.tree.map(lambda leaf: leaf[0], solver.stages)
+    solution = optx.root_find(
+        partial(gradient_and_sums, drawing=drawing, parameter_count=parameter_count),
+        solver,
+        state,
+        args=Picture(near_circles, near_lines, cross, first),
+        has_aux=True,
+        max_steps=MOST_STEPS,
+        adjoint=optx.ImplicitAdjoint(lx.LU()),
+        throw=False,
     )
-    length = jnp.sqrt(-motion @ gradient)
-    return Step(after, information, length, (sums[0].residuals, sums[1].residuals))
+    return Fit(solution.value, solution.aux, solution.result == optx.RESULTS.successful)
 
 
 def sheet_from_normalised(pose: SheetPose) -> Float[ArrayLike, "3 3"]:
@@ -148,12 +253,14 @@ def _solve(
 ) -> Float[ArrayLike, "k"]:
     """Gauss-Newton step on the unknowns that are not held, with columns scaled alike."""
     free = 1 - held
-    scale = jnp.sqrt(jnp.diag(information))
-    scale = jnp.where((held > 0) | (scale == 0), jnp.ones_like(scale), scale)
-    matrix = information * free[:, None] * free[None] / (scale[:, None] * scale[None])
-    matrix = matrix + jnp.diag(held)
-    factor = jax.scipy.linalg.cho_factor(matrix, lower=True)
-    return jax.scipy.linalg.cho_solve(factor, free * gradient / scale) / scale
+    matrix = information * free[:, None] * free[None] + jnp.diag(held)
+    scale = jnp.sqrt(jnp.diag(matrix))
+    scale = jnp.where(scale == 0, jnp.ones_like(scale), scale)
+    operator = lx.MatrixLinearOperator(
+        jnp.asarray(matrix / (scale[:, None] * scale[None])), lx.positive_semidefinite_tag
+    )
+    side = free * gradient / scale
+    return lx.linear_solve(operator, side, lx.Cholesky(), throw=False).value / scale
 
 
 def _kept_possible(vector: Float[ArrayLike, "9"]) -> Appearance:
@@ -162,4 +269,4 @@ def _kept_possible(vector: Float[ArrayLike, "9"]) -> Appearance:
     return appearance._replace(sigma_px=jnp.maximum(appearance.sigma_px, 0.1))
 
 
-run_steps = jax.jit(gauss_newton_steps, static_argnames=("drawing", "parameter_count"))
+run_fit = jax.jit(fit_picture, static_argnames=("drawing", "parameter_count"))

@@ -1,6 +1,7 @@
 """From a pose that the circles gave to the one that explains the picture itself."""
 
 import threading
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -10,7 +11,14 @@ from jaxtyping import Float
 from trinoc.calib.model import LensArrays, SheetPose
 from trinoc.calib.photometric.appearance import NUISANCE, Appearance
 from trinoc.calib.photometric.gate import gate_pixels
-from trinoc.calib.photometric.gauss_newton import Group, ImageState, Step, run_steps
+from trinoc.calib.photometric.gauss_newton import (
+    Fit,
+    Group,
+    ImageState,
+    Stage,
+    StagedGaussNewton,
+    run_fit,
+)
 from trinoc.calib.photometric.initial import initial_appearance
 from trinoc.calib.photometric.ink_coverage import Cross, Drawing
 from trinoc.calib.photometric.noise_floor import noise_floor
@@ -23,14 +31,15 @@ from trinoc.calib.photometric.pixel_selection import (
     select_pixels,
 )
 from trinoc.calib.targets import Pattern
+from trinoc.numerics import GemanMcClure
 
 # Shares of the contrast at which a residual loses its influence while the fit finds its way.
 _SCALES = (0.12, 0.07, 0.05)
 # The first steps need not be exact: they look at a part of the pixels.
 _STRIDES = (PARTS, PARTS, 1)
+# The fit has converged when a step is this share of its own standard deviation, looked at after
+# every second step.
 _PLAIN_STEPS = 2
-_MOST_PLAIN_STEPS = 8
-# The fit has converged when a step is this share of its own standard deviation.
 _CONVERGED_SIGMAS = 0.1
 _LEAST_CONTRAST = 4.0
 
@@ -87,34 +96,18 @@ def refine_image(
     drawing = Drawing(pattern.line_style, bool((pattern.inner_radius_mm > 0).any()))
     state = ImageState(start, appearance)
 
-    def steps(state: ImageState, groups: tuple[Group, Group], robust: bool) -> Step:
-        scales, held = _schedule(contrast, parameter_count, robust)
-        return _run(
-            state,
-            *groups,
-            cross,
-            scales,
-            held,
-            np.array(_STRIDES if robust else (1,) * len(_STRIDES), dtype=np.int32),
-            np.int32(len(_SCALES) if robust else _PLAIN_STEPS),
-            drawing=drawing,
-            parameter_count=parameter_count,
-        )
+    fit = partial(_run, drawing=drawing, parameter_count=parameter_count)
 
-    def residuals(step: Step) -> Float[np.ndarray, "n"]:
-        both = zip(step.residuals, counts, strict=True)
+    def residuals(fit: Fit) -> Float[np.ndarray, "n"]:
+        both = zip(fit.sums.residuals, counts, strict=True)
         return np.concatenate([np.asarray(part)[:count] for part, count in both])
 
-    groups = (circles, lines)
-    last = steps(state, groups, True)
+    first = fit(state, circles, lines, cross, _robust(contrast, parameter_count))
     everything = SelectedPixels(*(np.concatenate(pair) for pair in zip(*chosen, strict=True)))
-    gate = gate_pixels(everything, residuals(last), contrast)
+    gate = gate_pixels(everything, residuals(first), contrast)
     kept = np.split(gate.kept, [counts[0]])
     groups = (_masked(circles, kept[0]), _masked(lines, kept[1]))
-    taken, length = 0, float("inf")
-    while length > _CONVERGED_SIGMAS * gate.sigma and taken < _MOST_PLAIN_STEPS:
-        last = steps(last.state, groups, False)
-        length, taken = float(last.length), taken + _PLAIN_STEPS
+    last = fit(first.state, *groups, cross, _plain(gate.sigma, parameter_count))
     left = residuals(last)[gate.kept]
     freedom = len(left) - parameter_count - NUISANCE
     if freedom <= 0:
@@ -123,12 +116,12 @@ def refine_image(
     return ImageRefinement(
         state.pose,
         state.appearance,
-        _marginal(np.asarray(last.information), parameter_count),
+        _marginal(np.asarray(last.sums.information), parameter_count),
         float(np.sqrt(np.sum(left.astype(np.float64) ** 2) / freedom)),
         noise_floor(_cut_out(image, choice), choice.flat),
         len(left),
         int(np.sum(~gate.kept)),
-        bool(length <= _CONVERGED_SIGMAS * gate.sigma),
+        bool(last.converged),
     )
 
 
@@ -137,32 +130,45 @@ _COMPILING = threading.Lock()
 _compiled: set[tuple[object, ...]] = set()
 
 
-def _run(*arguments: Any, drawing: Drawing, parameter_count: int) -> Step:
+def _run(*arguments: Any, drawing: Drawing, parameter_count: int) -> Fit:
     key = (drawing, parameter_count, arguments[1].pixels.grey.shape)
     if key in _compiled:
-        return run_steps(*arguments, drawing=drawing, parameter_count=parameter_count)
+        return run_fit(*arguments, drawing=drawing, parameter_count=parameter_count)
     with _COMPILING:
-        step = run_steps(*arguments, drawing=drawing, parameter_count=parameter_count)
+        fit = run_fit(*arguments, drawing=drawing, parameter_count=parameter_count)
         _compiled.add(key)
-    return step
+    return fit
 
 
-def _schedule(
-    contrast: float, parameter_count: int, robust: bool
-) -> tuple[Float[np.ndarray, "s"], Float[np.ndarray, "s k"]]:
-    """Outlier scales and held unknowns of each step; both schedules have one length.
+def _robust(contrast: float, parameter_count: int) -> StagedGaussNewton:
+    """One step at each scale.
 
     Ink spread and the slopes of the light wait for the pose: they would bend to swallow
     what covers the sheet.
     """
-    held = np.zeros((len(_SCALES), parameter_count + NUISANCE))
-    if not robust:
-        return np.full(len(_SCALES), np.inf), held
     spread, first_slope = parameter_count + 1, parameter_count + 4
+    held = np.zeros((len(_SCALES), parameter_count + NUISANCE))
     held[:2, spread] = 1.0
     held[0, first_slope:] = 1.0
     held[1, first_slope + 2 :] = 1.0
-    return contrast * np.array(_SCALES), held
+    loss = GemanMcClure.from_scale(contrast * np.array(_SCALES))
+    stages = Stage(loss, held, np.array(_STRIDES, dtype=np.int32))
+    return StagedGaussNewton(
+        stages=stages, round_steps=np.asarray(len(_SCALES)), atol=np.asarray(np.inf)
+    )
+
+
+def _plain(sigma: float, parameter_count: int) -> StagedGaussNewton:
+    """Steps of least squares over all pixels, in arrays of the robust steps' shapes."""
+    count = len(_SCALES)
+    held = np.zeros((count, parameter_count + NUISANCE))
+    loss = GemanMcClure.from_scale(np.full(count, np.inf))
+    stages = Stage(loss, held, np.ones(count, dtype=np.int32))
+    return StagedGaussNewton(
+        stages=stages,
+        round_steps=np.asarray(_PLAIN_STEPS),
+        atol=np.asarray(_CONVERGED_SIGMAS * sigma),
+    )
 
 
 def _cut_out(image: Float[np.ndarray, "h w"], choice: PixelSelection) -> Float[np.ndarray, "k l"]:

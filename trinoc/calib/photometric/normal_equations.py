@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 
 from trinoc.calib.photometric.appearance import NUISANCE, Appearance, Pixels, Prediction, predict
 from trinoc.calib.photometric.ink_coverage import Cross, Drawing
-from trinoc.numerics import ArrayLike
+from trinoc.numerics import AbstractRobustLoss, ArrayLike
 
 CHUNK = 512
 _ROW = 9 + NUISANCE
@@ -41,14 +41,13 @@ def normal_equations(
     pixels: Pixels,
     chunks: Int[ArrayLike, ""],
     cross: Cross,
-    outlier_scale: Float[ArrayLike, ""],
+    loss: AbstractRobustLoss,
     drawing: Drawing,
     near_line: bool,
 ) -> NormalEquations:
     """Gauss-Newton sums over the first `chunks` chunks of `pixels`.
 
-    A residual beyond `outlier_scale` grey levels loses its influence, by the function of
-    Geman and McClure; infinity is plain least squares.
+    `loss` bounds what a residual can cost, in grey levels squared.
     """
 
     def add(k: Int[ArrayLike, ""], sums: NormalEquations) -> NormalEquations:
@@ -58,7 +57,7 @@ def normal_equations(
         )
         residual = predicted.residual
         # The square root of the weight: rows and residual then share one product.
-        root = part.weight / (1 + residual**2 / (outlier_scale**2).astype(residual.dtype))
+        root = part.weight * loss.root_weight(residual**2)
         columns = (*predicted.by_homography, *predicted.by_appearance, residual)
         rows = jnp.stack([column * root for column in columns])
         products = (rows @ rows.T).astype(dtype)
@@ -69,6 +68,7 @@ def normal_equations(
         )
 
     dtype = sheet_from_normalised.dtype
+    loss = jax.tree.map(lambda leaf: leaf.astype(pixels.grey.dtype), loss)
     start = NormalEquations(
         jnp.zeros((_ROW, _ROW), dtype), jnp.zeros(_ROW, dtype), jnp.zeros_like(pixels.grey)
     )

@@ -17,7 +17,7 @@ from trinoc.calib.model import (
     whitened_residuals,
 )
 from trinoc.calib.pose.initial import initial_pose_from_circles, initial_pose_from_lines
-from trinoc.numerics import ArrayLike
+from trinoc.numerics import ArrayLike, GemanMcClure
 
 MAX_STEPS = 64
 # Steps are in rad and in shares of the distance; a good sheet determines them to 1e-5.
@@ -99,7 +99,7 @@ def _bounded_residuals(
     start, lens, circles, outlier_scale = args
     whitened = whitened_residuals(start.moved(step), lens, circles)
     squared = jnp.sum(whitened * whitened, axis=1, keepdims=True)
-    return whitened / jnp.sqrt(1 + squared / outlier_scale**2)
+    return GemanMcClure.from_scale(outlier_scale).bounded(whitened, squared)
 
 
 def fit_from_lines(

@@ -1,0 +1,214 @@
+"""Normal equations of many small groups of unknowns that share a few others, and nothing else.
+
+Pictures of one camera share its lens, lines of a scene share the cameras: J^T J is an arrow,
+
+    [ head        coupling_1  ...  coupling_k ]
+    [ coupling_1^T  block_1                   ]
+    [ ...                     ...             ]
+    [ coupling_k^T                   block_k  ]
+
+and eliminating the blocks leaves the head its Schur complement, head - sum_j coupling_j
+block_j^-1 coupling_j^T. Cost and memory are linear in the number of blocks. Source: Triggs et
+al., "Bundle adjustment: a modern synthesis", section 6.1 (2000).
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import jax.scipy.linalg as jsl
+import lineax as lx
+from jaxtyping import Array, Float, PyTree
+
+from trinoc.numerics.arrays import ArrayLike, ScalarLike
+from trinoc.numerics.small_matrices import inverse_positive_definite
+
+Unknowns = tuple[Float[ArrayLike, "q"], Float[ArrayLike, "k w"]]
+
+
+class BlockArrow(lx.AbstractLinearOperator):
+    """A symmetric positive semidefinite arrow over the unknowns (head (q,), blocks (k, w)).
+
+    Fields
+    ------
+    head : (q, q) of the unknowns that all share.
+    coupling : (k, q, w) between the head and each block.
+    blocks : (k, w, w) of each group's own unknowns.
+    """
+
+    head: Float[ArrayLike, "q q"]
+    coupling: Float[ArrayLike, "k q w"]
+    blocks: Float[ArrayLike, "k w w"]
+
+    @classmethod
+    def of_operator(cls, operator: lx.AbstractLinearOperator) -> "BlockArrow":
+        """Read the entries off any operator that is an arrow.
+
+        It is applied to q + w vectors, however many blocks there are: blocks do not mix. Raises
+        ValueError where its unknowns are not (head (q,), blocks (k, w)).
+        """
+        structure = operator.in_structure()
+        if not isinstance(structure, tuple) or [len(leaf.shape) for leaf in structure] != [1, 2]:
+            raise ValueError(
+                "An arrow has the unknowns (head (q,), blocks (k, w)), not "
+                f"{jax.tree.structure(structure)}: solve in a chart that has these two."
+            )
+        size, (count, width) = structure[0].shape[0], structure[1].shape
+        dtype = structure[0].dtype
+
+        def applied(head: Float[Array, "q"], blocks: Float[Array, "k w"]) -> PyTree:
+            return tuple(
+                operator.mv(jax.tree.unflatten(jax.tree.structure(structure), (head, blocks)))
+            )
+
+        def head_column(unit: Float[Array, "q"]) -> PyTree:
+            return applied(unit, jnp.zeros((count, width), dtype))
+
+        def block_columns(unit: Float[Array, "w"]) -> PyTree:
+            every = jnp.broadcast_to(unit[None], (count, width))
+            return applied(jnp.zeros(size, dtype), every)[1]
+
+        head, coupling = jax.vmap(head_column)(jnp.eye(size, dtype=dtype))
+        blocks = jax.vmap(block_columns)(jnp.eye(width, dtype=dtype))
+        return cls(head, jnp.swapaxes(coupling, 0, 1), jnp.moveaxis(blocks, 0, 2))
+
+    def mv(self, vector: Unknowns) -> Unknowns:
+        """The arrow times a vector."""
+        head, blocks = vector
+        return (
+            self.head @ head + jnp.einsum("kqw,kw->q", self.coupling, blocks),
+            jnp.einsum("kqw,q->kw", self.coupling, head)
+            + jnp.einsum("kvw,kw->kv", self.blocks, blocks),
+        )
+
+    def as_matrix(self) -> Float[Array, "n n"]:
+        """The dense matrix, head first."""
+        count, size, width = self.coupling.shape
+        across = jnp.moveaxis(self.coupling, 1, 0).reshape(size, count * width)
+        own = jsl.block_diag(*self.blocks)
+        return jnp.block([[jnp.asarray(self.head), across], [across.T, own]])
+
+    def transpose(self) -> "BlockArrow":
+        """The arrow itself: it is symmetric."""
+        return self
+
+    def in_structure(self) -> PyTree[jax.ShapeDtypeStruct]:
+        """Shapes of (head, blocks)."""
+        count, size, width = self.coupling.shape
+        dtype = self.coupling.dtype
+        return jax.ShapeDtypeStruct((size,), dtype), jax.ShapeDtypeStruct((count, width), dtype)
+
+    def out_structure(self) -> PyTree[jax.ShapeDtypeStruct]:
+        """That of the unknowns."""
+        return self.in_structure()
+
+
+class Elimination(NamedTuple):
+    """An arrow without its blocks, and what it takes to find their unknowns again.
+
+    A block that is not positive definite determines nothing: its unknowns stay at zero.
+
+    Fields
+    ------
+    inverse : (k, w, w) of each block; zeros where it has none.
+    follow : (k, w, q) how each block's unknowns follow those of the head.
+    reduced : (q, q) Schur complement of the blocks.
+    """
+
+    inverse: Float[ArrayLike, "k w w"]
+    follow: Float[ArrayLike, "k w q"]
+    reduced: Float[ArrayLike, "q q"]
+
+    def reduced_side(self, side: Unknowns) -> Float[ArrayLike, "q"]:
+        """What a right-hand side leaves to the head."""
+        return side[0] + jnp.einsum("kwq,kw->q", self.follow, side[1])
+
+    def blocks_of(
+        self, head: Float[ArrayLike, "q"], side: Float[ArrayLike, "k w"]
+    ) -> Float[ArrayLike, "k w"]:
+        """Unknowns of the blocks, given those of the head and their own right-hand side."""
+        own = jnp.einsum("kvw,kw->kv", self.inverse, side)
+        return own + jnp.einsum("kwq,q->kw", self.follow, head)
+
+
+def eliminate(arrow: BlockArrow) -> Elimination:
+    """Schur complement of an arrow's blocks."""
+    inverse = jax.vmap(inverse_positive_definite)(arrow.blocks)
+    determined = jnp.all(jnp.isfinite(inverse), axis=(1, 2))
+    inverse = jnp.where(determined[:, None, None], inverse, 0.0)
+    follow = -jnp.einsum("kvw,kqw->kvq", inverse, arrow.coupling)
+    reduced = arrow.head + jnp.einsum("kqw,kwr->qr", arrow.coupling, follow)
+    return Elimination(inverse, follow, reduced)
+
+
+class FactoredArrow(NamedTuple):
+    """An elimination with the factors of its reduced matrix, scaled to a unit diagonal."""
+
+    elimination: Elimination
+    scale: Float[ArrayLike, "q"]
+    factors: tuple[Float[Array, "q q"], Array]
+
+
+class BlockArrowSolver(lx.AbstractLinearSolver[FactoredArrow]):
+    """Solves arrows by eliminating their blocks.
+
+    Fields
+    ------
+    damping : added to the diagonal of the reduced matrix after that was scaled to ones, as
+        Levenberg and Marquardt do: the head moves less where little is left to determine it.
+    """
+
+    damping: ScalarLike = 0.0
+
+    def init(self, operator: lx.AbstractLinearOperator, options: dict[str, Any]) -> FactoredArrow:
+        """Read the arrow, eliminate its blocks, and factor what is left."""
+        arrow = operator if isinstance(operator, BlockArrow) else BlockArrow.of_operator(operator)
+        elimination = eliminate(arrow)
+        # The floor serves directions of which nothing is known.
+        scale = jnp.sqrt(jnp.maximum(jnp.diag(elimination.reduced), 1e-300))
+        scaled = elimination.reduced / scale[:, None] / scale[None, :]
+        damped = scaled + self.damping * jnp.eye(len(scale), dtype=scale.dtype)
+        return FactoredArrow(elimination, scale, jsl.lu_factor(damped))
+
+    def compute(
+        self, state: FactoredArrow, vector: PyTree[Array], options: dict[str, Any]
+    ) -> tuple[PyTree[Array], lx.RESULTS, dict[str, Any]]:
+        """The solution for one right-hand side."""
+        elimination, scale, factors = state
+        head = jsl.lu_solve(factors, elimination.reduced_side(vector) / scale) / scale
+        blocks = elimination.blocks_of(head, vector[1])
+        # Named pairs of (head, blocks) keep their names.
+        solution = jax.tree.unflatten(jax.tree.structure(vector), (head, blocks))
+        return solution, lx.RESULTS.successful, {}
+
+    def transpose(
+        self, state: FactoredArrow, options: dict[str, Any]
+    ) -> tuple[FactoredArrow, dict[str, Any]]:
+        """The matrix is symmetric."""
+        return state, options
+
+    def conj(
+        self, state: FactoredArrow, options: dict[str, Any]
+    ) -> tuple[FactoredArrow, dict[str, Any]]:
+        """The matrix is real."""
+        return state, options
+
+    def assume_full_rank(self) -> bool:
+        """What is not determined is held or damped."""
+        return True
+
+
+# What lineax asks of an operator, it asks of functions that dispatch on its type.
+for _yes in (lx.is_symmetric, lx.is_positive_semidefinite):
+    _yes.register(BlockArrow)(lambda operator: True)
+for _no in (
+    lx.is_diagonal,
+    lx.is_tridiagonal,
+    lx.is_lower_triangular,
+    lx.is_upper_triangular,
+    lx.has_unit_diagonal,
+    lx.is_negative_semidefinite,
+):
+    _no.register(BlockArrow)(lambda operator: False)
+for _itself in (lx.linearise, lx.materialise, lx.conj):
+    _itself.register(BlockArrow)(lambda operator: operator)
