@@ -24,18 +24,12 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from trinoc.calib import Detection, Pattern, calibrate_detections, detect_pattern
-from trinoc.calib.model import (
-    circle_observations,
-    lens_arrays,
-    stack_observations,
-    whitened_residuals,
-)
+from trinoc.calib.model import circle_observations, stack_observations, whitened_residuals
 from trinoc.calib.photometric import refine_image, refine_views
-from trinoc.calib.pose import fit_views, sheet_pose_of_values
+from trinoc.calib.pose import fit_views, pose_of_values
 from trinoc.calib.pose.least_squares import fit_images_from_lines
-from trinoc.calib.pose.views import stack_lenses
 from trinoc.errors import DetectionError
-from trinoc.geometry import Camera
+from trinoc.geometry import Camera, PoseModel, stack_lenses
 from trinoc.synth import render_sheet, table1_lens
 
 LENS, NOISE = table1_lens(), 2.0
@@ -118,19 +112,20 @@ def by_pycolmap(centres: np.ndarray) -> np.ndarray | None:
 
 
 def by_scipy(detection: Detection, start: np.ndarray) -> np.ndarray:
-    circles, lens = circle_observations(detection, SHEET, 32), lens_arrays(LENS, False)
-    pose = sheet_pose_of_values(np.append(start, [0.0, 0.0]))
+    circles, lens = circle_observations(detection, SHEET, 32), LENS.lens
+    pose = pose_of_values(np.append(start, [0.0, 0.0]))
     residual = _scipy_residual
     answer = least_squares(
         lambda step: np.asarray(residual(pose, lens, circles, step)), np.zeros(4)
     )
-    moved = pose.moved(answer.x)
-    return values_of(np.asarray(moved.rotation), np.asarray(moved.translation_mm))
+    end = pose.retract(answer.x, PoseModel.AIMED, pose.distance_mm)
+    return values_of(np.asarray(end.rotation), np.asarray(end.translation_mm))
 
 
 @jax.jit
 def _scipy_residual(pose, lens, circles, step):
-    return whitened_residuals(pose.moved(step), lens, circles).reshape(-1)
+    end = pose.retract(step, PoseModel.AIMED, pose.distance_mm)
+    return whitened_residuals(end, lens, circles).reshape(-1)
 
 
 def labelled(detection: Detection, true_px: np.ndarray) -> Detection:
@@ -163,7 +158,7 @@ def one_trial(picture: np.ndarray, truth: np.ndarray, true_px: np.ndarray) -> Tr
         return None
     names = {"a": detection}
     circles = calibrate_detections(names, SHEET, LENS)
-    fit = fit_views([detection], SHEET, [LENS], 4)[0]
+    fit = fit_views([detection], SHEET, [LENS], aimed)[0]
     refined = refine_views(
         {"a": picture.astype(np.float32)}, {"a": fit}, names, SHEET, {"a": LENS}, 4
     )["a"]
@@ -220,24 +215,24 @@ def report_times(picture: np.ndarray, truth: np.ndarray, true_px: np.ndarray) ->
     centres, grey = detection.centres_px, picture.astype(np.float32)
     one = stack_observations([circle_observations(detection, SHEET, 32)])
     many = jax.tree.map(lambda leaf: np.repeat(leaf, 1000, axis=0), one)
-    lens, lenses = stack_lenses([LENS]), stack_lenses([LENS] * 1000)
-    arrays, start = lens_arrays(LENS, False), sheet_pose_of_values(np.append(truth + 0.01, [0, 0]))
-    fit = fit_views([detection], SHEET, [LENS], 4)[0]
+    lens, lenses = stack_lenses([LENS.lens]), stack_lenses([LENS.lens] * 1000)
+    start, aimed = pose_of_values(np.append(truth + 0.01, [0, 0])), PoseModel.AIMED
+    fit = fit_views([detection], SHEET, [LENS], aimed)[0]
     greys, fits = dict.fromkeys("abc", grey), dict.fromkeys("abc", fit)
     found, three_lenses = dict.fromkeys("abc", detection), dict.fromkeys("abc", LENS)
     calls: dict[str, tuple[Callable[[], object], int]] = {
         "cv2.solvePnP": (lambda: by_solve_pnp_alone(centres), 1),
         "scipy least_squares": (lambda: by_scipy(detection, truth + 0.05), 1),
-        "circle fit, compiled": (lambda: fit_images_from_lines(lens, one, parameter_count=4), 1),
-        "circle fit, judged": (lambda: fit_views([detection], SHEET, [LENS], 4), 1),
+        "circle fit, compiled": (lambda: fit_images_from_lines(lens, one, model=aimed), 1),
+        "circle fit, judged": (lambda: fit_views([detection], SHEET, [LENS], aimed), 1),
         "circle fit, of 1000": (
-            lambda: fit_images_from_lines(lenses, many, parameter_count=4),
+            lambda: fit_images_from_lines(lenses, many, model=aimed),
             1000,
         ),
         "detect_pattern": (lambda: detect_pattern(picture, SHEET), 1),
-        "refinement": (lambda: refine_image(grey, SHEET, arrays, start, 4), 1),
+        "refinement": (lambda: refine_image(grey, SHEET, LENS.lens, start, aimed), 1),
         "refinement, three": (
-            lambda: refine_views(greys, fits, found, SHEET, three_lenses, 4),
+            lambda: refine_views(greys, fits, found, SHEET, three_lenses, aimed),
             1,
         ),
     }

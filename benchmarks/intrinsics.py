@@ -17,9 +17,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from trinoc.calib import LENS_PARAMETERS, Detection, Pattern, calibrate_intrinsics, detect_pattern
-from trinoc.calib.intrinsics import lens_of_values
-from trinoc.geometry import Camera, Pose
+from trinoc.calib import Detection, Pattern, calibrate_intrinsics, detect_pattern
+from trinoc.geometry import BrownConrady, Camera, Intrinsics, Pose, simplified
 from trinoc.synth import render_sheet
 
 SHEET = Pattern.default()
@@ -30,6 +29,7 @@ TOTAL_NOISE = np.sqrt(NOISE**2 + 1 / 12)
 PAPER, INK = 230.0, 25.0
 CONTRAST = PAPER - INK
 LINE_POINTS = 400
+NAMES = BrownConrady.parameter_names
 LENS = np.array([987.65, 1194.03, 250.0, 243.0, -0.2, 0.15, 0.001, -0.0005, -0.05])
 
 
@@ -49,12 +49,13 @@ def random_poses(seed: int, count: int) -> np.ndarray:
 
 
 def image_of(values: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    camera = Camera(lens_of_values(values, SIZE_PX), Pose(pose))
+    lens = simplified(BrownConrady.from_parameters(values))
+    camera = Camera(Intrinsics.of_lens(lens, SIZE_PX), Pose(pose))
     return render_sheet(SHEET, camera, paper=PAPER, ink=INK, blur_px=BLUR_PX, dtype="float64")
 
 
 def bound(poses: np.ndarray) -> np.ndarray:
-    """Standard deviations of LENS_PARAMETERS by the Cramer-Rao bound of the grey levels.
+    """Standard deviations of the lens's parameters by the Cramer-Rao bound of the grey levels.
 
     An edge that moves along its normal by e changes the grey levels by e^2 contrast^2 /
     (2 sqrt(pi) spread noise^2) of information per pixel of its length. Differences of rendered
@@ -114,7 +115,7 @@ def imaged(points_mm: np.ndarray, pose: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 
 def opencv_lens(detections: list[Detection], centres: list[np.ndarray]) -> np.ndarray:
-    """LENS_PARAMETERS by cv2.calibrateCamera; rows of `centres` that are NaN are left out."""
+    """The lens's parameters by cv2.calibrateCamera; rows of `centres` that are NaN are left out."""
     sheet, picture = [], []
     for detection, uv in zip(detections, centres, strict=True):
         seen = np.isfinite(uv).all(axis=1)
@@ -193,10 +194,13 @@ def main() -> None:
                 sigma = np.sqrt(np.diag(result.covariance))
                 sigma = np.where(sigma > 0, sigma, np.nan)
                 claimed[name].append((result.values - LENS) / sigma)
-        print(f"set {number}: bound", dict(zip(LENS_PARAMETERS, crb.round(6), strict=True)))
+        print(
+            f"set {number}: bound",
+            dict(zip(NAMES, crb.round(6), strict=True)),
+        )
     count = options.sets * options.trials
     print(f"\n{count} trials of {options.pictures} pictures; rms error / Cramer-Rao bound")
-    print(f"{'':26}" + "".join(f"{name:>8}" for name in LENS_PARAMETERS) + "     rms  ms")
+    print(f"{'':26}" + "".join(f"{name:>8}" for name in NAMES) + "     rms  ms")
     for name in names:
         ratio = np.sqrt(np.mean(np.square(errors[name]), axis=0))
         cells = "".join(f"{value:8.2f}" for value in ratio)

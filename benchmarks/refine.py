@@ -21,8 +21,8 @@ from refine_rigs import (
     rig_at,
 )
 
-from trinoc.calib import Freedom, refine
-from trinoc.geometry import LineObservations, Rig, covariance_of_ends
+from trinoc.calib import refine
+from trinoc.geometry import LineObservations, PoseModel, Rig, covariance_of_ends
 
 CHI_SQUARE_6_AT_95 = 12.592
 
@@ -171,8 +171,8 @@ def every_camera(trials: int) -> None:
                     values = TRUTH + size * random.standard_normal(12)
                     lines, _, _ = made_lines(random, tracks, 0.3, wrong)
                     start = rig_at(values, np.diag(size**2) if with_sheet else None)
-                    free = None if with_sheet else Freedom.FOUR
-                    answer = refine(start, started_from(start, lines), freedom=free)
+                    free = None if with_sheet else PoseModel.AIMED
+                    answer = refine(start, started_from(start, lines), pose_model=free)
                     before.append(relative_error(start, TRUE_RIG))
                     after.append(relative_error(answer.rig, TRUE_RIG))
                     if with_sheet:

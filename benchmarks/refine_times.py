@@ -21,7 +21,7 @@ from scipy.optimize import least_squares
 from scipy.sparse import lil_matrix
 from scipy.spatial.transform import Rotation
 
-from trinoc.calib import Freedom, refine
+from trinoc.calib import refine
 from trinoc.geometry import LineObservations, Rig
 
 
@@ -38,7 +38,7 @@ def times(scipy_seconds: int, with_ceres: bool) -> None:
         values = TRUTH + np.where(ANGLE, 0.05, 0.2) * random.standard_normal(12)
         start = rig_at(values)
         lines = started_from(start, lines)
-        laps = [seconds(lambda: refine(start, lines, freedom=Freedom.POSE)) for _ in range(4)]  # noqa: B023
+        laps = [seconds(lambda: refine(start, lines, pose_model="rigid")) for _ in range(4)]  # noqa: B023
         ours = float(np.median(laps[1:]))
         row = f"  {tracks:6d} tracks: first {laps[0]:6.2f} s, warm {1e3 * ours:8.1f} ms"
         print(f"{row}, peak so far {peak_mib():5.0f} MiB", flush=True)

@@ -36,6 +36,8 @@ INNER_FLOORS = {
         *("tracks", "line_map"),
     ),
     "segments": ("nevatia_babu",),
+    "geometry": ("lenses",),
+    "synth": ("camera_picture",),
 }
 
 # Imported where they are used, because a plain `pip install` does not bring them.

@@ -11,6 +11,7 @@ from tests.calib.simulated import LENS, TABLE_1, camera_of
 from trinoc.calib import Status, calibrate_points
 from trinoc.calib.from_points import PointsCalibration
 from trinoc.errors import CalibrationError, InputError
+from trinoc.geometry import PoseModel
 
 CAMERA = camera_of(TABLE_1["left"])
 NOISE_PX = 0.05
@@ -110,4 +111,33 @@ def test_a_real_rig_stands_where_opencv_puts_it(name: str) -> None:
     rotation = cv2.Rodrigues(turn)[0]
     np.testing.assert_allclose(
         -rotation.T @ shift.ravel(), posed.camera.pose.centre_world_mm, atol=0.01
+    )
+
+
+@pytest.mark.parametrize("model", [PoseModel.AIMED, PoseModel.AIM_FREE])
+def test_the_parameters_over_a_sheet_scatter_as_their_covariance_says(model: PoseModel) -> None:
+    truth = np.array([*TABLE_1["left"], 0.0, 0.0])[: model.size]
+    squared = []
+    for seed in range(40):
+        random = np.random.default_rng(seed)
+        points = block(random)
+        found = calibrate_points(points, seen(points, random), LENS, pose_model=model.word)
+        assert found.parameters == model.parameter_names
+        camera = found.camera
+        values = [camera.pan_deg, camera.tilt_deg, camera.swing_deg, camera.distance_mm]
+        error = np.array([*values, *camera.aim_mm])[: model.size] - truth
+        squared.append(error @ np.linalg.solve(found.covariance, error) / model.size)
+    # The mean of 40 chi-squares over their 4 or 6 degrees of freedom; the noise is estimated.
+    assert np.mean(squared) == pytest.approx(1.0, abs=0.4)
+
+
+def test_a_free_aim_is_any_rigid_motion() -> None:
+    random = np.random.default_rng(4)
+    points = block(random)
+    uv_px = seen(points, random)
+    rigid, aimed = (
+        calibrate_points(points, uv_px, LENS, pose_model=m) for m in ("rigid", "aim-free")
+    )
+    np.testing.assert_allclose(
+        aimed.camera.cam_from_world, rigid.camera.cam_from_world, rtol=1e-6, atol=1e-6
     )

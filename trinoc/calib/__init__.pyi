@@ -1,7 +1,7 @@
 from .batch import calibrate_batch as calibrate_batch
 from .bundle.implicit_diff import refined as refined
 from .bundle.line_covariance import segment_and_errors as segment_and_errors
-from .bundle.pose_prior import parameters_by_step as parameters_by_step
+from .bundle.pose_prior import d_parameters_d_delta as d_parameters_d_delta
 from .bundle.refinement import refine as refine
 from .bundle.result import RefineResult as RefineResult, RefineStatus as RefineStatus
 from .detection.detection import Detection as Detection
@@ -10,12 +10,11 @@ from .from_detections import calibrate_detections as calibrate_detections
 from .from_images import calibrate as calibrate
 from .from_points import calibrate_points as calibrate_points
 from .intrinsics.from_images import calibrate_intrinsics as calibrate_intrinsics
-from .intrinsics.lens_parameters import LENS_PARAMETERS as LENS_PARAMETERS
 from .intrinsics.result import IntrinsicsResult as IntrinsicsResult
 from .model.camera import (
     CameraState as CameraState,
-    Freedom as Freedom,
     camera_state as camera_state,
+    stacked_states as stacked_states,
 )
 from .pose.least_squares import fit_circles as fit_circles
 from .result.calibration import CalibrationResult as CalibrationResult, CameraFit as CameraFit

@@ -12,8 +12,7 @@ from trinoc.calib.messages import failure_sentence
 from trinoc.calib.pose import fit_views
 from trinoc.calib.result import Status
 from trinoc.calib.targets import Pattern
-from trinoc.errors import InputError
-from trinoc.geometry import PARAMETER_NAMES, Intrinsics
+from trinoc.geometry import Intrinsics, PoseModel, pose_model_over_sheet
 from trinoc.numerics import in_float64
 
 
@@ -46,7 +45,8 @@ def calibrate_batch(
     pattern: Pattern,
     lens: Intrinsics | Mapping[str, Intrinsics],
     *,
-    parameters: int = 4,
+    parameters: int | None = None,
+    pose_model: PoseModel | str | None = None,
     orientation: Orientation = None,
 ) -> BatchCalibration:
     """`calibrate_detections` for many frames; a picture that fails spoils no other.
@@ -57,8 +57,7 @@ def calibrate_batch(
     """
     names = tuple(dict.fromkeys(name for frame in frames for name in frame))
     lenses = lens_of_each(lens, dict.fromkeys(names))
-    if parameters not in (4, 6):
-        raise InputError(f"parameters is {parameters}, but must be 4 (aim held) or 6 (free).")
+    model = pose_model_over_sheet(pose_model, parameters)
     settled = [oriented(frame, pattern, orientation) for frame in frames]
     frames = [detections for detections, _ in settled]
     places = [
@@ -68,15 +67,15 @@ def calibrate_batch(
         [frames[k][name] for k, name in places],
         pattern,
         [lenses[name] for _, name in places],
-        parameters,
+        model,
     )
-    shape = (len(frames), len(names), parameters)
+    shape = (len(frames), len(names), model.size)
     batch = BatchCalibration(
         names,
-        PARAMETER_NAMES[:parameters],
+        model.parameter_names,
         [dict.fromkeys(names, Status.NOT_DETECTED) for _ in frames],
         np.full(shape, np.nan),
-        np.full((*shape, parameters), np.nan),
+        np.full((*shape, model.size), np.nan),
         np.zeros(shape[:2], dtype=bool),
         [dict(ambiguous) for _, ambiguous in settled],
     )
@@ -84,12 +83,12 @@ def calibrate_batch(
         status.update(dict.fromkeys(ambiguous, Status.AMBIGUOUS))
     for (k, name), fit in zip(places, fits, strict=True):
         v = names.index(name)
-        sentence = failure_sentence(fit, frames[k][name], parameters)
+        sentence = failure_sentence(fit, frames[k][name], model)
         batch.status[k][name] = fit.status
         if sentence is not None:
             batch.failures[k][name] = sentence
             continue
         batch.good[k, v] = True
-        batch.values[k, v] = fit.values[:parameters]
+        batch.values[k, v] = fit.values[: model.size]
         batch.covariance[k, v] = fit.covariance
     return batch

@@ -9,12 +9,12 @@ from jaxtyping import Float
 from trinoc.calib.detection import Detection, Orientation, oriented
 from trinoc.calib.messages import failure_sentence, is_suspect, notes_of_fit
 from trinoc.calib.photometric import ViewEstimate, refine_views
-from trinoc.calib.pose import PoseEstimate, fit_views, score_test
+from trinoc.calib.pose import fit_views, pose_of_values, score_test
 from trinoc.calib.result import CalibrationResult, CameraFit, Status
 from trinoc.calib.targets import Pattern
 from trinoc.calib.uncertainty import Systematics, lens_spreads, with_spreads
 from trinoc.errors import CalibrationError, InputError
-from trinoc.geometry import PARAMETER_NAMES, Camera, Intrinsics, PanTiltPose, Rig
+from trinoc.geometry import Camera, Intrinsics, PoseModel, Rig, pose_model_over_sheet, promoted
 from trinoc.numerics import in_float64
 
 
@@ -24,7 +24,8 @@ def calibrate_detections(
     pattern: Pattern,
     lens: Intrinsics | Mapping[str, Intrinsics],
     *,
-    parameters: int = 4,
+    parameters: int | None = None,
+    pose_model: PoseModel | str | None = None,
     throw: bool = True,
     systematics: Systematics | None = None,
     orientation: Orientation = None,
@@ -36,7 +37,7 @@ def calibrate_detections(
         {},
         pattern,
         lenses,
-        parameters,
+        pose_model_over_sheet(pose_model, parameters),
         throw,
         tuple(detections),
         systematics=systematics,
@@ -49,7 +50,7 @@ def calibration_of_detections(
     failures: dict[str, str],
     pattern: Pattern,
     lenses: Mapping[str, Intrinsics],
-    parameter_count: int,
+    model: PoseModel,
     throw: bool,
     names: Sequence[str],
     images: Mapping[str, Float[np.ndarray, "h w"]] | None = None,
@@ -60,9 +61,7 @@ def calibration_of_detections(
 
     With `images` the fit goes on from the circles to the grey levels.
     """
-    if parameter_count not in (4, 6):
-        raise InputError(f"parameters is {parameter_count}, but must be 4 (aim held) or 6 (free).")
-    factors = {} if systematics is None else systematics.lens_factors(names)
+    factors = {} if systematics is None else systematics.lens_factors(lenses)
     detections, ambiguous = oriented(detections, pattern, orientation)
     failures = failures | ambiguous
     found = [name for name in detections if name not in ambiguous]
@@ -70,19 +69,19 @@ def calibration_of_detections(
         [detections[name] for name in found],
         pattern,
         [lenses[name] for name in found],
-        parameter_count,
+        model,
     )
     fits = dict(zip(found, fitted, strict=True))
     failures = failures | {
         name: sentence
         for name, fit in fits.items()
-        if (sentence := failure_sentence(fit, detections[name], parameter_count)) is not None
+        if (sentence := failure_sentence(fit, detections[name], model)) is not None
     }
     refined = {name: ViewEstimate(fit, None, None) for name, fit in fits.items()}
     if images is not None:
         good = {name: fit for name, fit in fits.items() if name not in failures}
-        refined |= refine_views(images, good, detections, pattern, lenses, parameter_count)
-    result = assemble(refined, detections, failures, pattern, lenses, parameter_count, names)
+        refined |= refine_views(images, good, detections, pattern, lenses, model)
+    result = assemble(refined, detections, failures, pattern, lenses, model, names)
     if result is not None:
         result = _with_suspects(result, lenses, factors, ambiguous)
         if systematics is not None:
@@ -105,15 +104,18 @@ def calibration_of_detections(
 def _with_suspects(
     result: CalibrationResult,
     lenses: Mapping[str, Intrinsics],
-    lens_factors: Mapping[str, Float[np.ndarray, "9 r"]],
+    lens_factors: Mapping[str, Float[np.ndarray, "_ _"]],
     ambiguous: Mapping[str, str],
 ) -> CalibrationResult:
     """Statuses of cameras that may be labelled in several ways, or do not fit their lens."""
     status = result.status | dict.fromkeys(ambiguous, Status.AMBIGUOUS)
     for name in result.rig.names:
-        factor = lens_factors.get(name)
-        sigma = None if factor is None else np.linalg.norm(factor, axis=1)
-        if is_suspect(result.fits[name], lenses[name], sigma):
+        sigmas = None
+        if name in lens_factors:
+            factor = lens_factors[name]
+            parameters = promoted(lenses[name].lens).parameter_names[: len(factor)]
+            sigmas = dict(zip(parameters, np.linalg.norm(factor, axis=1), strict=True))
+        if is_suspect(result.fits[name], lenses[name], sigmas):
             status[name] = Status.SUSPECT
     return replace(result, status=status)
 
@@ -124,7 +126,7 @@ def assemble(
     failures: dict[str, str],
     pattern: Pattern,
     lenses: Mapping[str, Intrinsics],
-    parameter_count: int,
+    model: PoseModel,
     names: Sequence[str],
 ) -> CalibrationResult | None:
     """The result of the cameras that did not fail, or None where all did."""
@@ -132,21 +134,21 @@ def assemble(
     good = [name for name in names if name in fits and name not in failures]
     if not good:
         return None
-    kept = PARAMETER_NAMES[:parameter_count]
+    kept = model.parameter_names
     parameters = tuple(f"{name}.{parameter}" for name in good for parameter in kept)
     covariance = np.zeros((len(parameters), len(parameters)))
     for k, name in enumerate(good):
-        block = slice(k * parameter_count, (k + 1) * parameter_count)
+        block = slice(k * model.size, (k + 1) * model.size)
         covariance[block, block] = fits[name].covariance
     return CalibrationResult(
         rig=Rig(
-            {name: _camera(fits[name], lenses[name]) for name in good},
+            {name: Camera(lenses[name], pose_of_values(fits[name].values)) for name in good},
             parameters=parameters,
             covariance=covariance,
         ),
         status={name: fits[name].status if name in fits else Status.NOT_DETECTED for name in names},
         parameters=parameters,
-        values=np.concatenate([fits[name].values[:parameter_count] for name in good]),
+        values=np.concatenate([fits[name].values[: model.size] for name in good]),
         covariance=covariance,
         fits={
             name: _camera_fit(item, detections[name], pattern, lenses[name])
@@ -155,12 +157,6 @@ def assemble(
         pattern=pattern,
         failures=failures,
     )
-
-
-def _camera(fit: PoseEstimate, lens: Intrinsics) -> Camera:
-    pan, tilt, swing = np.radians(fit.values[:3])
-    vector = np.array([pan, tilt, swing, *fit.values[3:]])
-    return Camera.from_pan_tilt(lens, PanTiltPose.from_vector(vector))
 
 
 def _camera_fit(

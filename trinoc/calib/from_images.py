@@ -11,7 +11,7 @@ from trinoc.calib.result import CalibrationResult
 from trinoc.calib.targets import Pattern
 from trinoc.calib.uncertainty import Systematics
 from trinoc.errors import DetectionError, InputError
-from trinoc.geometry import Intrinsics
+from trinoc.geometry import Intrinsics, PoseModel, pose_model_over_sheet
 from trinoc.numerics import ArrayLike, grey_image, in_float64
 
 
@@ -21,7 +21,8 @@ def calibrate(
     pattern: Pattern,
     lens: Intrinsics | Mapping[str, Intrinsics],
     *,
-    parameters: int = 4,
+    parameters: int | None = None,
+    pose_model: PoseModel | str | None = None,
     method: Literal["picture", "circles"] = "picture",
     throw: bool = True,
     systematics: Systematics | None = None,
@@ -31,8 +32,9 @@ def calibrate(
 
     images : a grey or colour picture for each camera, by name.
     lens : the intrinsics of all cameras, or of each by name.
-    parameters : 4 (pan, tilt, swing, distance; the optical axis meets the origin of the
-        sheet) or 6 (the point it meets is free).
+    pose_model : "aimed" (pan, tilt, swing, distance; the optical axis meets the origin of the
+        sheet), the default, or "aim-free" (the point it meets is free), or a PoseModel.
+    parameters : the same by the number of parameters, 4 or 6.
     method : "picture" goes on from the circles to a fit of the grey levels near every edge of
         the sheet, which reaches the Cramer-Rao bound; "circles" stops at their centres.
     throw : whether a camera that fails raises; without it the failed cameras are left out of
@@ -45,13 +47,14 @@ def calibrate(
 
     Raises
     ------
-    InputError : a lens is missing, a picture has another size than its lens, or one picture
-        was given for two cameras.
+    InputError : a lens is missing, a picture has another size than its lens, one picture was
+        given for two cameras, or a pose model that is none of these.
     CalibrationError : some camera failed; the error holds the sentence of each, and the
         result of the others. Raised without `throw`, too, where no camera is left.
     """
     if method not in ("picture", "circles"):
         raise InputError(f'method is {method!r}, but must be "picture" or "circles".')
+    model = pose_model_over_sheet(pose_model, parameters)
     lenses = lens_of_each(lens, images)
     _check_images(images, lenses)
     detections, failures = {}, {}
@@ -68,7 +71,7 @@ def calibrate(
         failures,
         pattern,
         lenses,
-        parameters,
+        model,
         throw,
         tuple(images),
         images=pictures,

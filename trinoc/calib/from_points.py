@@ -9,22 +9,21 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from trinoc.calib.intrinsics import LENS_PARAMETERS, lens_of_values, parameter_scale
-from trinoc.calib.pose import PointFit, fit_points
+from trinoc.calib.pose import DEGREES, PointFit, fit_points
 from trinoc.calib.result import Status
 from trinoc.errors import CalibrationError, InputError
-from trinoc.geometry import Camera, Intrinsics, Pose
+from trinoc.geometry import (
+    AFFINE_PARAMETERS,
+    DEFAULT_DISTORTION,
+    Camera,
+    Intrinsics,
+    Pose,
+    PoseModel,
+    promoted,
+    simplified,
+)
 from trinoc.numerics import ArrayLike, in_float64
 
-POSE_PARAMETERS = (
-    "turn_x_deg",
-    "turn_y_deg",
-    "turn_z_deg",
-    "centre_x_mm",
-    "centre_y_mm",
-    "centre_z_mm",
-)
-_WITHOUT_LENS = ("fx_px", "fy_px", "cx_px", "cy_px")
 # A direction whose sigma exceeds this (rad, share of the distance or focal length) is free.
 _LARGEST_SIGMA = 0.1
 # Residuals beyond this many robust sigmas are of other points than they were said to be.
@@ -40,8 +39,8 @@ class PointsCalibration(eqx.Module):
     ------
     camera : with pose and lens; its pan, tilt, swing, distance and aim follow from the pose.
     status : how the fit ended.
-    parameters : rows of `covariance`: turns about the camera's own axes, the centre in the
-        world, and those of LENS_PARAMETERS that were fitted.
+    parameters : rows of `covariance`: those of the pose model (for a rigid motion turns about the
+        camera's own axes and the centre in the world), and those of the lens that were fitted.
     covariance : (p, p), degrees, mm, pixels.
     residuals_px : (n, 2) predicted minus observed.
     used : (n,) points that took part; the others lie beyond six robust sigmas.
@@ -74,6 +73,7 @@ def calibrate_points(
     *,
     image_size_px: tuple[int, int] | None = None,
     free: Sequence[str] | None = None,
+    pose_model: PoseModel | str = PoseModel.RIGID,
 ) -> PointsCalibration:
     """The pose of a camera, and what of its lens is `free`, by least squares in the picture.
 
@@ -81,7 +81,10 @@ def calibrate_points(
     uv_px : where the picture shows them, distorted as it is.
     lens : the intrinsics; without it `image_size_px` is needed, and the focal lengths and the
         principal point are fitted from a direct linear transform (Hartley and Zisserman, 7.1).
-    free : names of LENS_PARAMETERS that are fitted, starting from `lens`.
+    free : names of the lens's `parameter_names` (fx_px, fy_px, cx_px, cy_px, and its coefficients
+        or for an ideal lens those of Brown-Conrady) that are fitted, starting from `lens`.
+    pose_model : "rigid", any motion; "aim-free", the same by pan, tilt, swing, distance and aim;
+        or "aimed", for a camera whose axis meets the world's origin.
 
     Raises
     ------
@@ -90,23 +93,21 @@ def calibrate_points(
         frame), or the fit did not converge.
     """
     points, seen = (np.ascontiguousarray(each, np.float64) for each in (points_mm, uv_px))
-    names = tuple((() if lens is not None else _WITHOUT_LENS) if free is None else free)
+    model = PoseModel.of(pose_model)
+    names = tuple((() if lens is not None else AFFINE_PARAMETERS) if free is None else free)
     _check(points, seen, lens, image_size_px, names)
     if lens is None:
         assert image_size_px is not None
         camera = _linear_camera(points, seen, image_size_px)
     else:
         camera = Camera(lens, _first_pose(points, seen, lens))
-    values = _lens_values(camera.intrinsics)
-    directions = np.zeros((9, 9))
-    for name in names:
-        directions[LENS_PARAMETERS.index(name), LENS_PARAMETERS.index(name)] = 1.0
-    size = camera.image_size_px
-    directions = parameter_scale(values, size)[:, None] * directions
+    start = promoted(camera.intrinsics.lens)
+    chosen = np.array([name in names for name in start.parameter_names], dtype=np.float64)
+    directions = np.diag(chosen * start.parameter_scales(camera.image_size_px))
     used = np.ones(len(points), dtype=bool)
-    pose = np.asarray(camera.cam_from_world)
+    pose = camera.pose.aimed() if model is PoseModel.AIMED else camera.pose
     for _ in range(_CUTS):
-        fit = fit_points(pose, values, directions, points, seen, used)
+        fit = fit_points(pose, start, directions, points, seen, used, model)
         if not fit.converged:
             raise CalibrationError(
                 f"The fit to {int(used.sum())} points did not converge: check that the places, "
@@ -118,19 +119,21 @@ def calibrate_points(
         if np.array_equal(kept, used):
             break
         used = kept
-    return _judged(fit, used, names, camera.intrinsics, directions)
+    return _judged(fit, used, names, model, camera.intrinsics, directions)
 
 
 def _judged(
     fit: PointFit,
     used: Bool[np.ndarray, "n"],
     names: tuple[str, ...],
+    model: PoseModel,
     lens: Intrinsics,
-    directions: Float[np.ndarray, "9 9"],
+    directions: Float[np.ndarray, "q q"],
 ) -> PointsCalibration:
-    columns = [*range(6), *(6 + LENS_PARAMETERS.index(name) for name in names)]
-    parameters = (*POSE_PARAMETERS, *names)
-    jacobian = fit.jacobian.reshape(-1, 15)[np.repeat(used, 2)][:, columns]
+    rows = [fit.lens.parameter_names.index(name) for name in names]
+    columns = [*range(model.size), *(model.size + row for row in rows)]
+    parameters = (*model.parameter_names, *names)
+    jacobian = fit.jacobian.reshape(-1, fit.jacobian.shape[2])[np.repeat(used, 2)][:, columns]
     freedom = len(jacobian) - len(columns)
     if freedom < 0:
         raise CalibrationError(
@@ -148,12 +151,13 @@ def _judged(
             f"{int(used.sum())} points leave {open_} free: give points that spread in depth and "
             "across the picture, or hold more of the lens."
         )
-    unit = np.array([180 / np.pi] * 3 + [fit.distance_mm] * 3)
-    scale = np.concatenate([unit, np.diag(directions)[[k - 6 for k in columns[6:]]]])
-    covariance = noise**2 * (vectors / values) @ vectors.T * np.outer(scale, scale)
-    found = lens_of_values(fit.lens, lens.image_size_px, lens.pixel_pitch_mm) if names else lens
+    by_step = np.zeros((len(columns), len(columns)))
+    by_step[: model.size, : model.size] = DEGREES[: model.size, None] * fit.d_parameters_d_delta
+    by_step[model.size :, model.size :] = np.diag(np.diag(directions)[rows])
+    covariance = noise**2 * by_step @ ((vectors / values) @ vectors.T) @ by_step.T
+    fitted = Intrinsics.of_lens(simplified(fit.lens), lens.image_size_px, lens.pixel_pitch_mm)
     return PointsCalibration(
-        camera=Camera(found, Pose(fit.cam_from_world)),
+        camera=Camera(fitted if names else lens, fit.pose),
         status=Status.CONVERGED,
         parameters=parameters,
         covariance=covariance,
@@ -179,9 +183,10 @@ def _check(
         raise InputError("Some place or pixel is not finite: leave out points that were not seen.")
     if lens is None and image_size_px is None:
         raise InputError("Nothing says how large the picture is: give lens or image_size_px.")
-    unknown = [name for name in names if name not in LENS_PARAMETERS]
+    known = (DEFAULT_DISTORTION if lens is None else promoted(lens.lens)).parameter_names
+    unknown = [name for name in names if name not in known]
     if unknown:
-        raise InputError(f"`free` names {unknown[0]!r}, but knows {', '.join(LENS_PARAMETERS)}.")
+        raise InputError(f"`free` names {unknown[0]!r}, but knows {', '.join(known)}.")
     fewest = 4 if not names else _FEWEST_FOR_LENS
     if len(points) < fewest:
         raise InputError(f"{len(points)} points are too few: give at least {fewest}.")
@@ -245,8 +250,3 @@ def _linear_camera(
         image_size_px=size_px,
     )
     return Camera(straight, camera.pose)
-
-
-def _lens_values(lens: Intrinsics) -> Float[np.ndarray, "9"]:
-    parts = (lens.focal_length_px, lens.principal_point_px, lens.distortion)
-    return np.concatenate([np.asarray(part) for part in parts])

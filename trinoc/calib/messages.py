@@ -1,14 +1,15 @@
 """What a circle fit tells its user, in sentences."""
 
+from collections.abc import Mapping
+
 import numpy as np
-from jaxtyping import Float
 
 from trinoc.calib.detection import Detection
 from trinoc.calib.photometric import ViewEstimate
 from trinoc.calib.pose import PoseEstimate
 from trinoc.calib.result import Alternative, CameraFit, Status
 from trinoc.calib.targets import Pattern
-from trinoc.geometry import Intrinsics
+from trinoc.geometry import Intrinsics, PoseModel
 
 # Centres of the right sheet through the right lens fit to hundredths of a pixel; beyond this
 # share of the sheet's size in the picture the model is not the camera's.
@@ -20,7 +21,7 @@ _CUT_SHARE = 0.01
 _EXPLAINED_SIGMAS = 3.0
 
 
-def failure_sentence(fit: PoseEstimate, detection: Detection, parameter_count: int) -> str | None:
+def failure_sentence(fit: PoseEstimate, detection: Detection, model: PoseModel) -> str | None:
     """Why the pose must not be used and what to do next, or None where it may be."""
     if fit.status is Status.RANK_DEFICIENT:
         free = ", ".join(fit.gauge)
@@ -36,7 +37,7 @@ def failure_sentence(fit: PoseEstimate, detection: Detection, parameter_count: i
     misfit_px = float(np.sqrt(np.mean(np.sum(fit.residuals_px[fit.used] ** 2, axis=1))))
     extent_px = float(np.max(np.ptp(detection.centres_px, axis=0)))
     if misfit_px > max(_SMALLEST_MISFIT_PX, _LARGEST_MISFIT * extent_px):
-        free = "" if parameter_count == 6 else ", or free the aim with parameters=6"
+        free = "" if model is PoseModel.AIM_FREE else ", or free the aim with parameters=6"
         return (
             f"the circles miss their predicted places by {misfit_px:.1f} px: check the focal "
             f"length and the pattern{free}."
@@ -49,22 +50,22 @@ def failure_sentence(fit: PoseEstimate, detection: Detection, parameter_count: i
     return None
 
 
-def is_suspect(fit: CameraFit, lens: Intrinsics, lens_sigma: Float[np.ndarray, "9"] | None) -> bool:
+def is_suspect(fit: CameraFit, lens: Intrinsics, lens_sigmas: Mapping[str, float] | None) -> bool:
     """Whether something that the model leaves out shows beyond what its sigmas can carry.
 
-    lens_sigma : of LENS_PARAMETERS, where the covariance holds the lens's; what these explain
-        is no reason for suspicion.
+    lens_sigmas : of the lens's parameters by name, where the covariance holds the lens's; what
+        these explain is no reason for suspicion.
     """
     if not (fit.alternatives and fit.alternatives[0].found):
         return False
     if not fit.reduced_chi_square > _LARGE_CHI_SQUARE:
         return False
     first = fit.alternatives[0]
-    if lens_sigma is None or first.name == "aim":
+    if lens_sigmas is None or first.name == "aim":
         return True
     by_name = {
-        "focal length": lens_sigma[0] / float(lens.focal_length_px[0]),
-        "radial distortion": lens_sigma[4],
+        "focal length": lens_sigmas.get("fx_px", 0.0) / float(lens.focal_length_px[0]),
+        "radial distortion": lens_sigmas.get("k1", 0.0),
     }
     return bool(abs(first.estimate[0]) > _EXPLAINED_SIGMAS * by_name[first.name])
 

@@ -45,8 +45,16 @@ class Calibrate(Command):
     """Which way round a sheet lies that looks the same turned: upright, where X points right in
     every picture, or as the cameras of an earlier rig.json saw it."""
 
-    parameters: Literal[4, 6] = 4
-    """4: the optical axis meets the origin of the sheet; 6: where it meets the sheet is free."""
+    pose_model: Annotated[
+        Literal["aimed", "aim-free"] | None, tyro.conf.arg(help_behavior_hint="(default: aimed)")
+    ] = None
+    """aimed: the optical axis meets the origin of the sheet; aim-free: where it meets the sheet is
+    free."""
+
+    parameters: Annotated[
+        Literal[4, 6] | None, tyro.conf.arg(help_behavior_hint="(default: by --pose-model)")
+    ] = None
+    """The pose model by its number of parameters: 4 is aimed, 6 is aim-free."""
 
     out: Annotated[Path, tyro.conf.arg(aliases=("-o",))] = Path("rig.json")
     """Where the rig goes."""
@@ -83,6 +91,7 @@ class Calibrate(Command):
             pattern,
             lenses,
             parameters=self.parameters,
+            pose_model=self.pose_model,
             systematics=known if known.words else None,
             orientation="upright" if self.orientation == "upright" else earlier,
         )

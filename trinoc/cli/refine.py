@@ -33,11 +33,12 @@ class Refine(Command):
     ] = None
     """The matches, as `trinoc match` writes them, which are taken as they are."""
 
-    parameters: Annotated[
-        Literal["four", "six", "pose"] | None,
+    pose_model: Annotated[
+        Literal["aimed", "aim-free", "rigid"] | None,
         tyro.conf.arg(help_behavior_hint="(default: those the calibration knows)"),
     ] = None
-    """What may move in each camera: pan, tilt, swing and distance; the aim too; or any motion."""
+    """What may change in each camera: aimed: pan, tilt, swing and distance; aim-free: where the
+    optical axis meets the sheet, too; rigid: any motion."""
 
     intrinsics: bool = False
     """Refine focal lengths and principal points too."""
@@ -52,7 +53,7 @@ class Refine(Command):
 
     def run(self, command_line: str) -> Outcome:
         """Refine and write the rig; nothing is written where the refinement fails."""
-        from trinoc.calib import Freedom, RefineStatus, refine
+        from trinoc.calib import RefineStatus, refine
         from trinoc.cli.provenance import provenance
         from trinoc.cli.scene import scene_of
         from trinoc.io import expect_place, load_rig, save
@@ -65,7 +66,7 @@ class Refine(Command):
         result = refine(
             rig,
             scene.matches,
-            freedom=None if self.parameters is None else Freedom[self.parameters.upper()],
+            pose_model=self.pose_model,
             intrinsics=self.intrinsics,
             moved=self.moved,
             match_again=[match for match in again if match is not None] or None,

@@ -6,13 +6,18 @@ two rooms do not know each other.
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib import CameraState, Freedom, camera_state, parameters_by_step, segment_and_errors
+from trinoc.calib import (
+    CameraState,
+    camera_state,
+    d_parameters_d_delta,
+    segment_and_errors,
+    stacked_states,
+)
 from trinoc.errors import InputError
-from trinoc.geometry import LineObservations, Rig, UncertainLines
+from trinoc.geometry import LineObservations, PoseModel, Rig, UncertainLines
 from trinoc.match import Matches, join_collinear, snap_corners
 from trinoc.numerics import ArrayLike, as_numpy, in_float64
 
@@ -33,11 +38,13 @@ def lines_of_rig(matches: Matches, rig: Rig) -> UncertainLines:
             "these matches were made with."
         )
     ends, own = np.asarray(matches.lines_mm), np.asarray(matches.covariance_mm2)
-    freedom = _freedom(rig)
-    if freedom is None or matches.fragments_covariance_px2 is None or len(matches) == 0:
+    pose_model = _pose_model_of(rig)
+    if pose_model is None or matches.fragments_covariance_px2 is None or len(matches) == 0:
         return UncertainLines(ends, own, np.zeros((len(ends), 6, 0)), np.zeros((0, 0)))
-    common, by_steps, by_step = _of_fragments(matches.line_observations(), rig, freedom)
-    names = [f"{view}.{parameter}" for view in matches.views for parameter in freedom.value]
+    common, by_steps, by_step = _of_fragments(matches.line_observations(), rig, pose_model)
+    names = [
+        f"{view}.{parameter}" for view in matches.views for parameter in pose_model.parameter_names
+    ]
     rows = [rig.parameters.index(name) for name in names]
     covariance = np.asarray(rig.covariance)[np.ix_(rows, rows)]
     by_parameters = _carried(by_steps, common, ends) @ np.linalg.inv(by_step)
@@ -80,12 +87,14 @@ def _carried(
     return np.einsum("tef,tfik->teik", weight, parts).reshape(derivative.shape)
 
 
-def _freedom(rig: Rig) -> Freedom | None:
+def _pose_model_of(rig: Rig) -> PoseModel | None:
     """What the rig's covariance is of; None where it holds none."""
-    for freedom in (Freedom.SIX, Freedom.FOUR):
-        wanted = {f"{name}.{parameter}" for name in rig.names for parameter in freedom.value}
+    for pose_model in (PoseModel.AIM_FREE, PoseModel.AIMED):
+        wanted = {
+            f"{name}.{parameter}" for name in rig.names for parameter in pose_model.parameter_names
+        }
         if wanted <= set(rig.parameters):
-            return freedom
+            return pose_model
     if rig.parameters:
         raise InputError(
             "The covariance of the rig is not of pan, tilt, swing and distance of every camera: "
@@ -96,16 +105,11 @@ def _freedom(rig: Rig) -> Freedom | None:
 
 @in_float64
 def _of_fragments(
-    lines: LineObservations, rig: Rig, freedom: Freedom
+    lines: LineObservations, rig: Rig, pose_model: PoseModel
 ) -> tuple[Float[np.ndarray, "t 2 3"], Float[np.ndarray, "t 6 k"], Float[np.ndarray, "k k"]]:
     """(ends of the common parts, their Jacobian by the cameras' steps, parameters by steps)."""
     cameras = [rig[name] for name in lines.views]
-    distorted = any(camera.intrinsics.distortion_model != "none" for camera in cameras)
-    states = [
-        camera_state(camera, freedom, with_intrinsics=False, with_distortion=distorted)
-        for camera in cameras
-    ]
-    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *states)
+    stacked = stacked_states([camera_state(camera, pose_model) for camera in cameras])
     count, padding = len(lines), -len(lines) % BLOCK
 
     def padded(array: np.ndarray) -> np.ndarray:
@@ -126,4 +130,4 @@ def _derivatives(
     ends, _, by_steps = jax.vmap(segment_and_errors, (None, 0, 0, 0))(
         cameras, fragments_px, covariance_px2, seen
     )
-    return ends, by_steps, parameters_by_step(cameras, cameras)
+    return ends, by_steps, d_parameters_d_delta(cameras, cameras)

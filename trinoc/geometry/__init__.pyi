@@ -12,15 +12,28 @@ from .conics import (
     image_of_circle_centre as image_of_circle_centre,
     transform_dual_conic as transform_dual_conic,
 )
-from .distortion import distort as distort, undistort as undistort
 from .epipolar import (
     centre_of_matrix as centre_of_matrix,
     epipolar_distance_px as epipolar_distance_px,
     epipolar_line as epipolar_line,
     fundamental_matrix as fundamental_matrix,
 )
-from .intrinsics import DISTORTION_MODELS as DISTORTION_MODELS, Intrinsics as Intrinsics
+from .intrinsics import Intrinsics as Intrinsics
 from .junctions import BODY as BODY, Junctions as Junctions
+from .lenses.abstract_lens import (
+    AFFINE_PARAMETERS as AFFINE_PARAMETERS,
+    AbstractLens as AbstractLens,
+    ray_of_normalised as ray_of_normalised,
+)
+from .lenses.brown_conrady import BrownConrady as BrownConrady
+from .lenses.registry import (
+    DEFAULT_DISTORTION as DEFAULT_DISTORTION,
+    LENS_MODELS as LENS_MODELS,
+    lens_model as lens_model,
+    promoted as promoted,
+    simplified as simplified,
+    stack_lenses as stack_lenses,
+)
 from .line_observations import LineObservations as LineObservations
 from .lines import (
     line_of_planes as line_of_planes,
@@ -28,12 +41,11 @@ from .lines import (
     plane_of_line as plane_of_line,
     signed_distance as signed_distance,
 )
-from .pose import PanTiltPose as PanTiltPose, Pose as Pose
+from .pose import Pose as Pose
+from .pose_model import PoseModel as PoseModel, pose_model_over_sheet as pose_model_over_sheet
+from .projection import project_by_matrix as project_by_matrix, project_point as project_point
 from .rig import PARAMETER_NAMES as PARAMETER_NAMES, Rig as Rig
-from .rotation import (
-    pan_tilt_swing_from_rotation as pan_tilt_swing_from_rotation,
-    rotation_from_vector as rotation_from_vector,
-)
+from .rotation import rotation_from_vector as rotation_from_vector
 from .segments import (
     DEFAULT_SIGMA_PX as DEFAULT_SIGMA_PX,
     Segments as Segments,

@@ -1,5 +1,7 @@
 """One camera: intrinsics and a pose; its projection, and the way back."""
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -7,21 +9,29 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.errors import InputError
-from trinoc.geometry.intrinsics import Intrinsics, calibration_matrix
-from trinoc.geometry.pose import PanTiltPose, Pose
-from trinoc.numerics import ArrayLike, in_float64
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.lenses import AbstractLens
+from trinoc.geometry.pose import Pose
+from trinoc.geometry.projection import project_point
+from trinoc.numerics import (
+    ArrayLike,
+    FloatOrTraced,
+    NumpyOrTraced,
+    ScalarLike,
+    as_float,
+    in_float64,
+)
 
 
 class Camera(eqx.Module):
-    """A calibrated camera. Its pan, tilt, swing, distance and aim are derived from the pose."""
+    """A calibrated camera. Its pan, tilt, swing, distance and aim are derived from the pose.
+
+    Constructors and properties give NumPy numbers in double precision; what `jit`, `grad` or
+    `vmap` traces they trace.
+    """
 
     intrinsics: Intrinsics
     pose: Pose
-
-    @classmethod
-    def from_pan_tilt(cls, intrinsics: Intrinsics, parameters: PanTiltPose) -> "Camera":
-        """A camera from the method's parameters, in radians and millimetres."""
-        return cls(intrinsics, parameters.pose)
 
     @classmethod
     @in_float64
@@ -29,16 +39,17 @@ class Camera(eqx.Module):
         cls,
         intrinsics: Intrinsics,
         *,
-        pan_deg: float,
-        tilt_deg: float,
-        swing_deg: float,
-        distance_mm: float,
-        aim_mm: tuple[float, float] = (0.0, 0.0),
+        pan_deg: ScalarLike,
+        tilt_deg: ScalarLike,
+        swing_deg: ScalarLike,
+        distance_mm: ScalarLike,
+        aim_mm: Sequence[ScalarLike] | Float[ArrayLike, "2"] = (0.0, 0.0),
     ) -> "Camera":
         """A camera from the method's parameters as people write them."""
-        pan, tilt, swing = np.radians(np.array([pan_deg, tilt_deg, swing_deg], dtype=np.float64))
-        vector = np.array([pan, tilt, swing, distance_mm, *aim_mm], dtype=np.float64)
-        return cls(intrinsics, PanTiltPose.from_vector(vector).pose)
+        given = (pan_deg, tilt_deg, swing_deg, distance_mm, *aim_mm)
+        values = jnp.stack([jnp.asarray(value, float) for value in given])
+        parameters = jnp.concatenate([jnp.radians(values[:3]), values[3:]])
+        return cls(intrinsics, Pose.from_parameters(parameters))
 
     @classmethod
     def from_matrix(cls, projection_px: ArrayLike, image_size_px: tuple[int, int]) -> "Camera":
@@ -81,55 +92,56 @@ class Camera(eqx.Module):
 
     @property
     @in_float64
-    def matrix_px(self) -> np.ndarray:
+    def matrix_px(self) -> Float[NumpyOrTraced, "3 4"]:
         """(3, 4) projection matrix K [R | t]; lens distortion, if any, comes after it."""
-        k = self.intrinsics
-        matrix = _projection(
-            k.focal_length_px, k.principal_point_px, k.skew_px, self.cam_from_world
-        )
-        return np.asarray(matrix)
+        return _projection(self.intrinsics.lens, self.cam_from_world)
 
     @property
     @in_float64
-    def centre_world_mm(self) -> np.ndarray:
+    def centre_world_mm(self) -> Float[NumpyOrTraced, "3"]:
         """(3,) centre of projection in the world frame."""
-        return np.asarray(self.pose.centre_world_mm)
+        return _centre_world_mm(self.pose)
 
     @property
-    def pan_deg(self) -> float:
+    def pan_deg(self) -> FloatOrTraced:
         """Azimuth from -Y toward +X."""
-        return float(np.degrees(self._pan_tilt.pan_rad))
+        return as_float(self._parameters_deg[0])
 
     @property
-    def tilt_deg(self) -> float:
+    def tilt_deg(self) -> FloatOrTraced:
         """Elevation above Z = 0."""
-        return float(np.degrees(self._pan_tilt.tilt_rad))
+        return as_float(self._parameters_deg[1])
 
     @property
-    def swing_deg(self) -> float:
+    def swing_deg(self) -> FloatOrTraced:
         """Turn of the picture's x toward its y."""
-        return float(np.degrees(self._pan_tilt.swing_rad))
+        return as_float(self._parameters_deg[2])
 
     @property
-    def distance_mm(self) -> float:
+    def distance_mm(self) -> FloatOrTraced:
         """From the aim to the centre; NaN where the axis does not meet Z = 0 in front."""
-        return float(self._pan_tilt.distance_mm)
+        return as_float(self._parameters_deg[3])
 
     @property
-    def aim_mm(self) -> tuple[float, float]:
+    def aim_mm(self) -> tuple[FloatOrTraced, FloatOrTraced]:
         """The point (X, Y) of Z = 0 on the optical axis; NaN where there is none."""
-        x, y = np.asarray(self._pan_tilt.aim_mm)
-        return float(x), float(y)
+        x, y = self._parameters_deg[4:6]
+        return as_float(x), as_float(y)
+
+    @in_float64
+    def project(self, point_world_mm: Float[ArrayLike, "3"]) -> Float[NumpyOrTraced, "2"]:
+        """The pixel that images a point, lens distortion included (see `project`)."""
+        return _project(self, point_world_mm)
 
     @property
     @in_float64
-    def _pan_tilt(self) -> PanTiltPose:
-        return PanTiltPose.from_pose(self.pose)
+    def _parameters_deg(self) -> Float[ArrayLike, "6"]:
+        return _parameters_deg(self.pose)
 
 
 def projection_matrix(camera: Camera) -> Float[ArrayLike, "3 4"]:
-    """K [R | t] for use under `jit` and `grad`; `Camera.matrix_px` is the same as NumPy."""
-    return camera.intrinsics.matrix @ camera.cam_from_world
+    """K [R | t] without the precision and the NumPy of `Camera.matrix_px`, for inner functions."""
+    return camera.intrinsics.lens.matrix @ camera.cam_from_world
 
 
 def project(camera: Camera, point_world_mm: Float[ArrayLike, "3"]) -> Float[ArrayLike, "2"]:
@@ -137,8 +149,7 @@ def project(camera: Camera, point_world_mm: Float[ArrayLike, "3"]) -> Float[Arra
 
     Meaningless for a point behind the camera, whose depth (`depth_mm`) is not positive.
     """
-    point_cam = camera.pose.rotation @ point_world_mm + camera.cam_from_world[:, 3]
-    return camera.intrinsics.pixel_from_normalised(point_cam[:2] / point_cam[2])
+    return project_point(camera.pose, camera.intrinsics.lens, point_world_mm)
 
 
 def depth_mm(camera: Camera, point_world_mm: Float[ArrayLike, "3"]) -> Float[ArrayLike, ""]:
@@ -148,9 +159,7 @@ def depth_mm(camera: Camera, point_world_mm: Float[ArrayLike, "3"]) -> Float[Arr
 
 def viewing_direction(camera: Camera, uv_px: Float[ArrayLike, "2"]) -> Float[ArrayLike, "3"]:
     """Unit vector, in the world frame, from the centre along the ray of a pixel."""
-    normalised = camera.intrinsics.normalised_from_pixel(uv_px)
-    direction = camera.pose.rotation.T @ jnp.append(normalised, 1.0)
-    return direction / jnp.sqrt(direction @ direction)
+    return camera.pose.rotation.T @ camera.intrinsics.lens.unproject(uv_px)
 
 
 def sheet_from_pixel(camera: Camera, uv_px: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
@@ -164,15 +173,19 @@ def pixel_from_sheet_homography(camera: Camera) -> Float[ArrayLike, "3 3"]:
     return projection_matrix(camera)[:, jnp.array([0, 1, 3])]
 
 
+# Operation by operation they take a millisecond, which a batch of frames feels.
+_project = jax.jit(project)
+_parameters_deg = jax.jit(
+    lambda pose: jnp.concatenate([jnp.degrees(pose.parameters[:3]), pose.parameters[3:]])
+)
+_centre_world_mm = jax.jit(lambda pose: pose.centre_world_mm)
+
+
 @jax.jit
 def _projection(
-    focal_length_px: Float[ArrayLike, "2"],
-    principal_point_px: Float[ArrayLike, "2"],
-    skew_px: Float[ArrayLike, ""],
-    cam_from_world: Float[ArrayLike, "3 4"],
+    lens: AbstractLens, cam_from_world: Float[ArrayLike, "3 4"]
 ) -> Float[ArrayLike, "3 4"]:
-    # Operation by operation it takes a millisecond, which a batch of frames feels.
-    return calibration_matrix(focal_length_px, principal_point_px, skew_px) @ cam_from_world
+    return lens.matrix @ cam_from_world
 
 
 def _rq_decomposition(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

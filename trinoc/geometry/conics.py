@@ -65,7 +65,7 @@ def image_of_circle_centre(
     the centre is that of `centre_of_mapped_ellipse`.
     """
     dual_conic = image_of_circle(camera, centre_sheet_mm, radius_mm)
-    if camera.intrinsics.distortion_model == "none":
+    if not camera.intrinsics.has_distortion:
         return centre_of_dual_conic(dual_conic)
     return centre_of_mapped_ellipse(dual_conic, camera.intrinsics.distort_pixel)
 

@@ -1,19 +1,26 @@
-"""Where a camera stands: four (or six) parameters relative to the sheet, or any rigid motion."""
+"""Where a camera stands: a rigid motion, its parameters over the sheet, and small steps of it."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
+from trinoc.geometry.pose_model import PoseModel
 from trinoc.geometry.rotation import (
     pan_tilt_swing_from_rotation,
     rotation_from_pan_tilt_swing,
     rotation_from_vector,
+    vector_from_rotation,
 )
-from trinoc.numerics import ArrayLike
+from trinoc.numerics import ArrayLike, ScalarLike
 
 
 class Pose(eqx.Module):
     """A rigid motion `cam_from_world` = [R | t]: x_cam = R x_world + t.
+
+    Fits take small steps from a pose (`retract`), in local coordinates that have no pole: pan and
+    swing become one angle where a camera looks straight down, which is a good place for a camera.
+    The method's parameters are read off at the end (`parameters`, `d_parameters_d_delta`).
 
     Fields
     ------
@@ -22,71 +29,135 @@ class Pose(eqx.Module):
 
     cam_from_world: Float[ArrayLike, "3 4"]
 
+    @classmethod
+    def from_centre(
+        cls, rotation: Float[ArrayLike, "3 3"], centre_world_mm: Float[ArrayLike, "3"]
+    ) -> "Pose":
+        """From the cam_from_world rotation and the centre of projection in the world."""
+        return cls.from_translation(rotation, -(rotation @ centre_world_mm))
+
+    @classmethod
+    def from_aim(
+        cls,
+        rotation: Float[ArrayLike, "3 3"],
+        distance_mm: Float[ArrayLike, ""],
+        aim_mm: Float[ArrayLike, "2"],
+    ) -> "Pose":
+        """From the rotation, and the point (X, Y) of Z = 0 at `distance_mm` on the optical axis."""
+        zero = jnp.zeros_like(distance_mm)
+        aim_cam = jnp.stack([zero, zero, jnp.asarray(distance_mm)])
+        return cls.from_translation(rotation, aim_cam - rotation[:, :2] @ aim_mm)
+
+    @classmethod
+    def from_translation(
+        cls, rotation: Float[ArrayLike, "3 3"], translation_mm: Float[ArrayLike, "3"]
+    ) -> "Pose":
+        """From R and t of x_cam = R x_world + t."""
+        return cls(jnp.concatenate([rotation, translation_mm[:, None]], axis=1))
+
+    @classmethod
+    def from_parameters(cls, parameters: Float[ArrayLike, "6"]) -> "Pose":
+        """From (pan, tilt, swing in rad, distance, aim X, aim Y in mm)."""
+        pan, tilt, swing, distance = (parameters[k] for k in range(4))
+        rotation = rotation_from_pan_tilt_swing(pan, tilt, swing)
+        centre = jnp.concatenate([parameters[4:6], jnp.zeros_like(parameters[:1])])
+        return cls.from_centre(rotation, centre - distance * rotation[2])
+
     @property
     def rotation(self) -> Float[ArrayLike, "3 3"]:
         """cam_from_world rotation; its rows are the camera's x, y, z in the world frame."""
         return self.cam_from_world[:, :3]
 
     @property
+    def translation_mm(self) -> Float[ArrayLike, "3"]:
+        """t of x_cam = R x_world + t: the world's origin in the camera frame."""
+        return self.cam_from_world[:, 3]
+
+    @property
     def centre_world_mm(self) -> Float[ArrayLike, "3"]:
         """Centre of projection in the world frame."""
-        return -self.rotation.T @ self.cam_from_world[:, 3]
+        return -self.rotation.T @ self.translation_mm
 
-    def moved(self, motion: Float[ArrayLike, "6"]) -> "Pose":
-        """This pose after a small motion of the camera, the chart of six-parameter updates.
+    @property
+    def distance_mm(self) -> Float[ArrayLike, ""]:
+        """From the centre along the optical axis to Z = 0; negative where that lies behind."""
+        return -self.centre_world_mm[2] / self.rotation[2, 2]
 
-        `motion` = (rotation vector in rad about the camera's axes, displacement of the centre
-        in mm along the world's axes); zero leaves the pose as it is.
+    @property
+    def aim_mm(self) -> Float[ArrayLike, "2"]:
+        """The point (X, Y) of Z = 0 on the optical axis."""
+        return (self.centre_world_mm + self.distance_mm * self.rotation[2])[:2]
+
+    @property
+    def cam_from_sheet(self) -> Float[ArrayLike, "3 3"]:
+        """Homography from (X, Y, 1) on the sheet Z = 0 to the camera frame."""
+        rotation = self.rotation
+        return jnp.stack([rotation[:, 0], rotation[:, 1], self.translation_mm], axis=1)
+
+    @property
+    def parameters(self) -> Float[ArrayLike, "6"]:
+        """(pan, tilt, swing in rad, distance, aim X, aim Y in mm).
+
+        Distance and aim are NaN where the axis does not meet Z = 0 in front of the camera.
         """
-        rotation = rotation_from_vector(motion[:3]) @ self.rotation
-        centre = self.centre_world_mm + motion[3:]
-        return Pose(jnp.concatenate([rotation, -(rotation @ centre)[:, None]], axis=1))
-
-
-class PanTiltPose(eqx.Module):
-    """The method's parameters of a camera that looks at the sheet Z = 0.
-
-    Six numbers describe any pose whose optical axis meets the sheet in front of the camera;
-    the four-parameter model holds `aim_mm` at the origin of the world.
-
-    Fields
-    ------
-    pan_rad : azimuth of the camera from -Y toward +X.
-    tilt_rad : elevation of the camera above Z = 0.
-    swing_rad : turn of the picture's x toward its y.
-    distance_mm : from the aim to the centre of projection.
-    aim_mm : (2,) the point (X, Y) of Z = 0 on the optical axis.
-    """
-
-    pan_rad: Float[ArrayLike, ""]
-    tilt_rad: Float[ArrayLike, ""]
-    swing_rad: Float[ArrayLike, ""]
-    distance_mm: Float[ArrayLike, ""]
-    aim_mm: Float[ArrayLike, "2"]
-
-    @classmethod
-    def from_vector(cls, parameters: Float[ArrayLike, "6"]) -> "PanTiltPose":
-        """From (pan, tilt, swing in rad, distance, aim X, aim Y in mm)."""
-        return cls(parameters[0], parameters[1], parameters[2], parameters[3], parameters[4:6])
-
-    @classmethod
-    def from_pose(cls, pose: Pose) -> "PanTiltPose":
-        """The parameters of a rigid motion; NaN where the axis does not meet Z = 0 in front."""
-        pan, tilt, swing = pan_tilt_swing_from_rotation(pose.rotation)
-        centre, forward = jnp.asarray(pose.centre_world_mm), pose.rotation[2]
-        distance = -centre[2] / forward[2]
+        pan, tilt, swing = pan_tilt_swing_from_rotation(self.rotation)
+        distance = jnp.asarray(self.distance_mm)
         distance = jnp.where((distance > 0) & jnp.isfinite(distance), distance, jnp.nan)
-        return cls(pan, tilt, swing, distance, (centre + distance * forward)[:2])
+        aim = (self.centre_world_mm + distance * self.rotation[2])[:2]
+        return jnp.concatenate([jnp.stack([pan, tilt, swing, distance]), aim])
 
-    @property
-    def vector(self) -> Float[ArrayLike, "6"]:
-        """(pan, tilt, swing in rad, distance, aim X, aim Y in mm)."""
-        angles = [self.pan_rad, self.tilt_rad, self.swing_rad, self.distance_mm]
-        return jnp.concatenate([jnp.stack([jnp.asarray(value) for value in angles]), self.aim_mm])
+    def transform(self, point_world_mm: Float[ArrayLike, "3"]) -> Float[ArrayLike, "3"]:
+        """A point of the world in the camera frame."""
+        return self.rotation @ point_world_mm + self.translation_mm
 
-    @property
-    def pose(self) -> Pose:
-        """The rigid motion cam_from_world."""
-        rotation = rotation_from_pan_tilt_swing(self.pan_rad, self.tilt_rad, self.swing_rad)
-        centre = jnp.append(self.aim_mm, 0.0) - self.distance_mm * rotation[2]
-        return Pose(jnp.concatenate([rotation, -(rotation @ centre)[:, None]], axis=1))
+    def aimed(self) -> "Pose":
+        """This pose turned until the optical axis meets the world's origin, which lies in front."""
+        distance = jnp.sqrt(self.translation_mm @ self.translation_mm)
+        rotation = _turn_to_axis(self.translation_mm / distance) @ self.rotation
+        return Pose.from_aim(rotation, distance, jnp.zeros_like(rotation[0, :2]))
+
+    def retract(
+        self, delta: Float[ArrayLike, "p"], model: PoseModel, unit_mm: ScalarLike
+    ) -> "Pose":
+        """This pose after a small step; zero leaves it as it is.
+
+        delta : (p,) a rotation vector in rad about the camera's axes, then in units of `unit_mm`
+            the change of distance (AIMED), this and the shift of the aim along X and Y
+            (AIM_FREE), or the displacement of the centre along the world's axes (RIGID).
+        unit_mm : such as the distance at which the camera works, so that all of `delta` is of one
+            scale.
+        """
+        rotation = rotation_from_vector(delta[:3]) @ self.rotation
+        if model is PoseModel.RIGID:
+            return Pose.from_centre(rotation, self.centre_world_mm + unit_mm * delta[3:6])
+        aim = self.aim_mm
+        if model is PoseModel.AIM_FREE:
+            aim = aim + unit_mm * delta[4:6]
+        return Pose.from_aim(rotation, self.distance_mm + unit_mm * delta[3], aim)
+
+    def model_parameters(self, model: PoseModel, origin: "Pose") -> Float[ArrayLike, "p"]:
+        """The parameters that `model` names, in rad and mm; those of RIGID count from `origin`."""
+        if model is not PoseModel.RIGID:
+            return self.parameters[: model.size]
+        turn = vector_from_rotation(self.rotation @ origin.rotation.T)
+        return jnp.concatenate([turn, self.centre_world_mm - origin.centre_world_mm])
+
+    def d_parameters_d_delta(
+        self, model: PoseModel, unit_mm: ScalarLike, origin: "Pose"
+    ) -> Float[ArrayLike, "p p"]:
+        """Jacobian of `model_parameters` with respect to a step of `retract` from here."""
+        return jax.jacfwd(
+            lambda delta: self.retract(delta, model, unit_mm).model_parameters(model, origin)
+        )(jnp.zeros(model.size, jnp.asarray(self.cam_from_world).dtype))
+
+
+def _turn_to_axis(ray: Float[ArrayLike, "3"]) -> Float[ArrayLike, "3 3"]:
+    """The smallest rotation that takes a unit vector with z > 0 onto the optical axis."""
+    x, y, z = ray[0], ray[1], ray[2]
+    factor = 1 / (1 + z)
+    rows = [
+        [1 - factor * x * x, -factor * x * y, -x],
+        [-factor * x * y, 1 - factor * y * y, -y],
+        [x, y, z],
+    ]
+    return jnp.stack([jnp.stack(row) for row in rows])

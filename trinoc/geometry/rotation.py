@@ -27,6 +27,24 @@ def rotation_from_vector(vector_rad: Float[ArrayLike, "3"]) -> Float[ArrayLike, 
     return jnp.eye(3) + first * cross + second * cross @ cross
 
 
+def vector_from_rotation(rotation: Float[ArrayLike, "3 3"]) -> Float[ArrayLike, "3"]:
+    """Inverse of `rotation_from_vector`, in rad, for a rotation by less than a quarter turn.
+
+    Smooth at zero: below 1e-6 rad the coefficient comes from its Taylor series.
+    """
+    axis = 0.5 * jnp.stack(
+        [
+            rotation[2, 1] - rotation[1, 2],
+            rotation[0, 2] - rotation[2, 0],
+            rotation[1, 0] - rotation[0, 1],
+        ]
+    )
+    squared = axis @ axis
+    small = squared < 1e-12
+    sine = jnp.sqrt(jnp.where(small, 1.0, squared))
+    return axis * jnp.where(small, 1 + squared / 6, jnp.arcsin(sine) / sine)
+
+
 def rotation_from_pan_tilt_swing(
     pan_rad: ScalarLike, tilt_rad: ScalarLike, swing_rad: ScalarLike
 ) -> Float[ArrayLike, "3 3"]:

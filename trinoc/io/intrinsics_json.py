@@ -6,9 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from trinoc.calib import LENS_PARAMETERS
 from trinoc.errors import InputError
-from trinoc.geometry import DISTORTION_MODELS, Intrinsics
+from trinoc.geometry import LENS_MODELS, Intrinsics, promoted
 from trinoc.io.conventions import CONVENTIONS
 from trinoc.io.json_document import Block, read_document, write_document
 
@@ -23,7 +22,9 @@ def load_intrinsics(path: str | os.PathLike[str]) -> Intrinsics:
 
 
 def load_lens_covariance(path: str | os.PathLike[str]) -> np.ndarray | None:
-    """The covariance (9, 9) of LENS_PARAMETERS in a camera.json; None where it states none.
+    """The covariance (q, q) of the lens's parameters in a camera.json; None where it states none.
+
+    They are those of the lens's model, and of Brown-Conrady for an ideal lens.
 
     Raises InputError, in one sentence with file and key.
     """
@@ -33,9 +34,11 @@ def load_lens_covariance(path: str | os.PathLike[str]) -> np.ndarray | None:
         return None
     block = document.block("covariance")
     block.expect_keys(("parameters", "matrix"))
-    if block.texts("parameters") != LENS_PARAMETERS:
-        raise block.error("parameters", f"must be {', '.join(LENS_PARAMETERS)}, in this order.")
-    matrix = block.numbers("matrix", (len(LENS_PARAMETERS), len(LENS_PARAMETERS)))
+    lens = intrinsics_from_block(document.block("intrinsics"), document.image_size_px()).lens
+    names = promoted(lens).parameter_names
+    if block.texts("parameters") != names:
+        raise block.error("parameters", f"must be {', '.join(names)}, in this order.")
+    matrix = block.numbers("matrix", (len(names), len(names)))
     if not np.allclose(matrix, matrix.T, rtol=1e-9, atol=0) or (np.diag(matrix) < 0).any():
         raise block.error(
             "matrix", "is no covariance (symmetric, no negative variance): write the file again."
@@ -52,7 +55,8 @@ def save_intrinsics(
 ) -> None:
     """Write a camera.json; `provenance` says how the lens came to be known.
 
-    `covariance` (9, 9) is of LENS_PARAMETERS, zero for parameters that were held.
+    `covariance` (q, q) is of the parameters of the lens (of Brown-Conrady for an ideal one), zero
+    for those that were held.
     """
     document: dict[str, Any] = {
         "format": FORMAT,
@@ -61,10 +65,10 @@ def save_intrinsics(
         "intrinsics": intrinsics_to_block(intrinsics),
     }
     if covariance is not None:
-        sigmas = np.sqrt(np.diag(covariance))
-        document["sigma"] = dict(zip(LENS_PARAMETERS, sigmas.tolist(), strict=True))
+        sigmas, names = np.sqrt(np.diag(covariance)), promoted(intrinsics.lens).parameter_names
+        document["sigma"] = dict(zip(names, sigmas.tolist(), strict=True))
         document["covariance"] = {
-            "parameters": list(LENS_PARAMETERS),
+            "parameters": list(names),
             "matrix": np.asarray(covariance).tolist(),
         }
     document["conventions"] = CONVENTIONS
@@ -102,10 +106,9 @@ def intrinsics_to_block(intrinsics: Intrinsics) -> dict[str, Any]:
     block["principal_point_px"] = np.asarray(intrinsics.principal_point_px).tolist()
     if float(intrinsics.skew_px) != 0:
         block["skew_px"] = float(intrinsics.skew_px)
-    distorted = intrinsics.distortion_model != "none"
     block["distortion"] = {
-        "model": intrinsics.distortion_model,
-        "coefficients": np.asarray(intrinsics.distortion).tolist() if distorted else [],
+        "model": intrinsics.lens.model,
+        "coefficients": np.asarray(intrinsics.lens.coefficients).tolist(),
     }
     return block
 
@@ -124,6 +127,9 @@ def intrinsics_from_block(block: Block, image_size_px: tuple[int, int]) -> Intri
         ),
     )
     given = block.values
+    model, coefficients = None, None
+    if "distortion" in given:
+        model, coefficients = _distortion(block.block("distortion"))
     try:
         return Intrinsics(
             image_size_px=image_size_px,
@@ -132,7 +138,8 @@ def intrinsics_from_block(block: Block, image_size_px: tuple[int, int]) -> Intri
             focal_length_px=_pair_or_none(block, "focal_length_px"),
             principal_point_px=_pair_or_none(block, "principal_point_px"),
             skew_px=block.number("skew_px") if "skew_px" in given else 0.0,
-            distortion=_distortion(block.block("distortion")) if "distortion" in given else None,
+            distortion=coefficients,
+            distortion_model=model,
         )
     except InputError as error:
         if str(error).startswith(block.file):
@@ -147,15 +154,15 @@ def _pair_or_none(block: Block, key: str) -> tuple[float, float] | None:
     return float(first), float(second)
 
 
-def _distortion(block: Block) -> np.ndarray | None:
+def _distortion(block: Block) -> tuple[str, np.ndarray | None]:
     block.expect_keys(("model", "coefficients"))
     model, coefficients = block.text("model"), block.numbers("coefficients", (None,))
-    if model not in DISTORTION_MODELS:
-        raise block.error("model", f"must be one of {', '.join(DISTORTION_MODELS)}.")
-    if model == "none":
-        if coefficients.any():
-            raise block.error(
-                "coefficients", 'must be empty for the model "none": name the model they are of.'
-            )
-        return None
-    return coefficients
+    if model not in LENS_MODELS:
+        raise block.error("model", f"must be one of {', '.join(LENS_MODELS)}.")
+    if LENS_MODELS[model].coefficient_names:
+        return model, coefficients
+    if coefficients.any():
+        raise block.error(
+            "coefficients", f'must be empty for the model "{model}": name the model they are of.'
+        )
+    return model, None

@@ -1,4 +1,9 @@
-from .arrays import ArrayLike as ArrayLike, ScalarLike as ScalarLike
+from .arrays import (
+    ArrayLike as ArrayLike,
+    FloatOrTraced as FloatOrTraced,
+    NumpyOrTraced as NumpyOrTraced,
+    ScalarLike as ScalarLike,
+)
 from .block_arrow import (
     BlockArrow as BlockArrow,
     BlockArrowSolver as BlockArrowSolver,
@@ -22,7 +27,13 @@ from .neighbours_in_plane import (
     near_pairs as near_pairs,
     point_tree as point_tree,
 )
-from .precision import as_numpy as as_numpy, in_float64 as in_float64
+from .precision import (
+    as_float as as_float,
+    as_numpy as as_numpy,
+    in_float64 as in_float64,
+    is_traced as is_traced,
+    namespace_of as namespace_of,
+)
 from .robust_loss import AbstractRobustLoss as AbstractRobustLoss, GemanMcClure as GemanMcClure
 from .scalar_vectors import (
     Scalar as Scalar,

@@ -15,3 +15,12 @@ else:
 
 # One number: a Python float, or an array without axes.
 ScalarLike = Float[ArrayLike, ""] | float
+
+# What properties give: NumPy and Python numbers; inside `jit`, `grad` and `vmap` what is traced.
+# Type checkers are told of the former alone, as most callers see it.
+if TYPE_CHECKING:
+    NumpyOrTraced = np.ndarray
+    FloatOrTraced = float
+else:
+    NumpyOrTraced = ArrayLike
+    FloatOrTraced = ScalarLike

@@ -1,14 +1,33 @@
 """Double precision at the outer edge, without touching the caller's JAX settings."""
 
+import contextlib
 import functools
 from collections.abc import Callable
+from types import ModuleType
 from typing import Any, ParamSpec, TypeVar
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
+from jax.extend.core import get_opaque_trace_state
 
 _Arguments = ParamSpec("_Arguments")
 _Result = TypeVar("_Result")
+
+# The state of a call that no `jit`, `grad` or `vmap` encloses, also where one imports this.
+with jax.ensure_compile_time_eval():
+    _OUTSIDE = get_opaque_trace_state()
+
+
+def is_traced(*trees: Any) -> bool:
+    """Whether `jit`, `grad` or `vmap` follows some array of the trees."""
+    return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(trees))
+
+
+def namespace_of(*trees: Any) -> ModuleType:
+    """`jax.numpy` where something is traced, NumPy otherwise."""
+    return jnp if is_traced(*trees) else np
 
 
 def as_numpy(tree: Any) -> Any:
@@ -22,16 +41,29 @@ def as_numpy(tree: Any) -> Any:
     return jax.tree.map(convert, tree, is_leaf=lambda node: isinstance(node, dict))
 
 
+def as_float(value: Any) -> Any:
+    """One number as a Python float; a traced one as it is."""
+    return value if is_traced(value) else float(value)
+
+
 def in_float64(function: Callable[_Arguments, _Result]) -> Callable[_Arguments, _Result]:
     """Run `function` with 64-bit JAX arrays and hand its result back as NumPy.
 
     The setting is thread-local and ends with the call. A float64 JAX array that left the
     call would fall to float32 at its next operation, so none leaves: NumPy arrays do.
+
+    With a traced argument `function` runs as it is: its result belongs to the trace, and so does
+    the precision. Inside a trace, constant arguments still give NumPy.
     """
 
     @functools.wraps(function)
     def wrapper(*args: _Arguments.args, **kwargs: _Arguments.kwargs) -> _Result:
-        with jax.enable_x64(True):
+        if is_traced(args, kwargs):
+            return function(*args, **kwargs)
+        # Constants inside a trace are computed at once; elsewhere to say so costs compilations.
+        inside = get_opaque_trace_state() != _OUTSIDE
+        at_once = jax.ensure_compile_time_eval() if inside else contextlib.nullcontext()
+        with at_once, jax.enable_x64(True):
             return as_numpy(function(*args, **kwargs))
 
     return wrapper

@@ -141,7 +141,7 @@ def _spread(points: Float[np.ndarray, "n v 2"], count: int) -> list[int]:
 def _curve(camera: Camera, line: Float[np.ndarray, "3"]) -> Float[np.ndarray, "n 2"] | None:
     """An epipolar line as the lens shows it, or None where it misses the picture."""
     ends = clip_line(line, camera.image_size_px)
-    if ends is None or camera.intrinsics.distortion_model == "none":
+    if ends is None or not camera.intrinsics.has_distortion:
         return ends
     share = np.linspace(-0.1, 1.1, CURVE_POINTS)[:, None]
     return distorted_pixels(camera, ends[0] + share * (ends[1] - ends[0]))
@@ -156,7 +156,7 @@ def _rms_distance_px(rig: Rig, points: Float[np.ndarray, "n v 2"], a: int, b: in
 def _numbers(rig: Rig, name: str) -> dict[str, Any]:
     """What the page's script needs to draw the epipolar lines of any point of this view."""
     camera = rig[name]
-    distorted = camera.intrinsics.distortion_model != "none"
+    distorted = camera.intrinsics.has_distortion
     return {
         "size": list(camera.image_size_px),
         "calibration": calibration_matrix(camera).tolist(),

@@ -120,7 +120,7 @@ def find_segments(
         picture.grey, picture.white, points, undisturbed, first, lines, found, usual_px2
     )
     to_image: Callable[[np.ndarray], np.ndarray] = np.asarray
-    if intrinsics is not None and intrinsics.distortion_model != "none":
+    if intrinsics is not None and intrinsics.has_distortion:
         uv_px = _mapped(undisturbed.uv_px, intrinsics.undistort_pixel)
         lines = fit_lines(undisturbed._replace(uv_px=uv_px), first)
         to_image = partial(_mapped, through=intrinsics.distort_pixel)

@@ -11,7 +11,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.geometry import Camera, Rig, Segments
+from trinoc.geometry import Camera, Rig, Segments, project_by_matrix
 from trinoc.synth.scenes import Scene, points_along
 from trinoc.synth.truth import NOT_SCORED, SPURIOUS, SegmentTruth
 
@@ -126,5 +126,4 @@ def _strays(camera: Camera, count: int, generator: np.random.Generator) -> np.nd
 
 
 def _images(camera: Camera, points_mm: Float[np.ndarray, "n 2 3"]) -> Float[np.ndarray, "n 2 2"]:
-    image = points_mm @ camera.matrix_px[:, :3].T + camera.matrix_px[:, 3]
-    return image[..., :2] / image[..., 2:]
+    return project_by_matrix(camera.matrix_px, points_mm)

@@ -6,10 +6,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from tests.calib.bundle.made_tracks import SHEET_SIGMA, TRUTH, made_tracks, rig_at
-from trinoc.calib import Freedom, camera_state, refined
+from trinoc.calib import camera_state, refined, stacked_states
 from trinoc.calib.bundle.line_residual import whitening_across
 from trinoc.calib.bundle.pose_prior import PosePrior
 from trinoc.calib.bundle.schur import FragmentTable
+from trinoc.geometry import PoseModel
 from trinoc.numerics import GemanMcClure
 
 LOSS = GemanMcClure.from_scale(8.0)
@@ -28,11 +29,7 @@ def crossing(line, ends):
 def test_gradients_of_a_line_and_of_a_camera_agree_with_differences():
     lines, ends, _ = made_tracks(0, 12, hidden=0.0)
     rig = rig_at(TRUTH, with_covariance=True)
-    states = [
-        camera_state(c, Freedom.FOUR, with_intrinsics=False, with_distortion=False)
-        for c in rig.cameras
-    ]
-    cameras = jax.tree.map(lambda *leaves: jnp.stack(leaves), *states)
+    cameras = stacked_states([camera_state(c, PoseModel.AIMED) for c in rig.cameras])
     whitening = jax.vmap(jax.vmap(whitening_across))(lines.fragments_px, lines.covariance_px2)
     prior = PosePrior(TRUTH.reshape(3, 4), np.diag(SHEET_SIGMA**-2), cameras)
 

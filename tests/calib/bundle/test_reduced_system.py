@@ -8,7 +8,7 @@ from hypothesis import given
 
 from tests.calib.bundle.made_tracks import TRUTH, made_tracks, rig_at
 from tests.geometry.strategies import vectors
-from trinoc.calib import CameraState, Freedom, camera_state
+from trinoc.calib import CameraState, camera_state, stacked_states
 from trinoc.calib.bundle.line_residual import whitening_across
 from trinoc.calib.bundle.line_retraction import moved_anchors, normals_of
 from trinoc.calib.bundle.schur import (
@@ -19,6 +19,7 @@ from trinoc.calib.bundle.schur import (
     track_blocks,
 )
 from trinoc.calib.model import camera_of_state
+from trinoc.geometry import PoseModel
 from trinoc.numerics import GemanMcClure, eliminate
 
 blocks_of = jax.jit(jax.vmap(track_blocks, (None, 0, 0, None)))
@@ -28,13 +29,10 @@ LOSS = GemanMcClure.from_scale(4.0)
 EVERYTHING = GemanMcClure.from_scale(1e6)  # a loss so wide that it is the plain sum of squares
 
 
-def states(freedom, with_intrinsics=False):
+def states(pose_model, with_intrinsics=False):
     rig = rig_at(TRUTH, with_covariance=False)
-    each = [
-        camera_state(c, freedom, with_intrinsics=with_intrinsics, with_distortion=False)
-        for c in rig.cameras
-    ]
-    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *each), rig
+    each = [camera_state(c, pose_model, with_intrinsics=with_intrinsics) for c in rig.cameras]
+    return stacked_states(each), rig
 
 
 def tracks_of(lines):
@@ -57,19 +55,19 @@ def test_the_chart_moves_anchors_across_the_line_only():
     np.testing.assert_allclose(np.linalg.norm(moved, axis=1), [np.hypot(0.1, 0.2), 0.5])
 
 
-@pytest.mark.parametrize("freedom", Freedom)
+@pytest.mark.parametrize("pose_model", PoseModel)
 @pytest.mark.parametrize("with_intrinsics", [False, True])
-def test_a_step_of_zero_moves_nothing_and_others_are_differentiable(freedom, with_intrinsics):
-    cameras, rig = states(freedom, with_intrinsics)
+def test_a_step_of_zero_moves_nothing_and_others_are_differentiable(pose_model, with_intrinsics):
+    cameras, rig = states(pose_model, with_intrinsics)
     first = jax.tree.map(lambda leaf: leaf[0], cameras)
     count = len(first.names)
-    at_rest = first.moved(jnp.zeros(count))
+    at_rest = first.retract(jnp.zeros(count))
     np.testing.assert_allclose(at_rest.matrix_px, rig["upper"].matrix_px, rtol=1e-12, atol=1e-9)
     again = camera_of_state(at_rest, rig["upper"])
     np.testing.assert_allclose(again.matrix_px, rig["upper"].matrix_px, rtol=1e-12, atol=1e-9)
 
-    by_step = jax.jit(lambda: first.parameters_by_step(first))()
-    parameters = jax.jit(lambda step: first.moved(step).parameters(first))
+    by_step = jax.jit(lambda: first.d_parameters_d_delta(first))()
+    parameters = jax.jit(lambda step: first.retract(step).parameters(first))
     for i in range(count):
         delta = 1e-6 * np.eye(count)[i]
         difference = (parameters(delta) - parameters(-delta)) / 2e-6
@@ -91,12 +89,12 @@ def test_whitening_makes_the_distances_independent():
 def test_eliminating_the_lines_solves_the_whole_problem():
     """Step and covariance of the Schur complement are those of the dense normal equations."""
     lines, _, _ = made_tracks(1, 7, hidden=0.0)
-    cameras, _ = states(Freedom.POSE)
+    cameras, _ = states(PoseModel.RIGID)
     tracks, anchors = tracks_of(lines), jnp.asarray(lines.lines_mm)
     views, size = 3, 6
 
     def residual(vector):
-        moved = jax.vmap(CameraState.moved)(cameras, vector[: views * size].reshape(views, size))
+        moved = jax.vmap(CameraState.retract)(cameras, vector[: views * size].reshape(views, size))
         placed = jax.vmap(moved_anchors)(anchors, vector[views * size :].reshape(-1, 4))
         by_view = jax.vmap(fragment_distances, (0, None, 0, 0))
         return jax.vmap(by_view, (None, 0, 0, 0))(moved, placed, *tracks[:2]).reshape(-1)
@@ -122,7 +120,7 @@ def test_eliminating_the_lines_solves_the_whole_problem():
 
 def test_two_views_of_a_line_say_nothing_about_the_cameras():
     lines, _, _ = made_tracks(2, 5, hidden=1.0)
-    cameras, _ = states(Freedom.POSE)
+    cameras, _ = states(PoseModel.RIGID)
     tracks = tracks_of(lines)
     blocks = blocks_of(cameras, lines.lines_mm, tracks, EVERYTHING)
     for leaf in jax.tree.leaves(equations(blocks, tracks.seen, 0.0)):
@@ -131,11 +129,11 @@ def test_two_views_of_a_line_say_nothing_about_the_cameras():
 
 def test_the_gradient_of_the_system_is_that_of_the_cost():
     lines, _, _ = made_tracks(3, 6, hidden=0.0)
-    cameras, _ = states(Freedom.SIX)
+    cameras, _ = states(PoseModel.AIM_FREE)
     tracks = tracks_of(lines)
 
     def cost(steps):
-        moved = jax.vmap(CameraState.moved)(cameras, steps.reshape(3, 6))
+        moved = jax.vmap(CameraState.retract)(cameras, steps.reshape(3, 6))
         return jnp.sum(robust_costs(moved, lines.lines_mm, tracks, LOSS))
 
     blocks = blocks_of(cameras, lines.lines_mm, tracks, LOSS)

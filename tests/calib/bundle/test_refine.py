@@ -12,9 +12,9 @@ from tests.calib.bundle.made_tracks import (
     made_tracks,
     rig_at,
 )
-from trinoc.calib import Freedom, RefineStatus, refine
+from trinoc.calib import RefineStatus, refine
 from trinoc.errors import CalibrationError, InputError
-from trinoc.geometry import LineObservations, Rig, angle_deg, distance_mm, length_mm
+from trinoc.geometry import LineObservations, PoseModel, Rig, angle_deg, distance_mm, length_mm
 
 CHI_SQUARE_6_AT_95 = 12.592
 
@@ -73,17 +73,17 @@ def test_the_noise_of_the_segments_is_estimated():
 
 
 @pytest.mark.parametrize(
-    ("freedom", "gauge"),
+    ("pose_model", "gauge"),
     [
-        (Freedom.FOUR, "orientation and scale of the whole rig"),
-        (Freedom.POSE, "position, orientation and scale of the whole rig"),
+        (PoseModel.AIMED, "orientation and scale of the whole rig"),
+        (PoseModel.RIGID, "position, orientation and scale of the whole rig"),
     ],
 )
-def test_without_a_sheet_the_gauge_is_named_and_the_scale_stays(freedom, gauge):
+def test_without_a_sheet_the_gauge_is_named_and_the_scale_stays(pose_model, gauge):
     lines, _, _ = made_tracks(11, 100)
     noise = 10 * SHEET_SIGMA * np.random.default_rng(12).standard_normal(12)
     start = rig_at(TRUTH + noise, with_covariance=False)
-    answer = refine(start, lines, freedom=freedom)
+    answer = refine(start, lines, pose_model=pose_model)
     assert answer.status is RefineStatus.GAUGE_FREE
     assert answer.gauge == gauge
     assert answer.rig.parameters == ()  # no covariance is passed on as if it were known

@@ -5,14 +5,14 @@ import numpy as np
 
 from tests.calib.bundle.made_tracks import made_tracks
 from tests.calib.bundle.test_reduced_system import states, tracks_of
-from trinoc.calib import Freedom
 from trinoc.calib.bundle.schur import squared_distances
 from trinoc.calib.bundle.two_view_lines import placed_by_two_views
+from trinoc.geometry import PoseModel
 
 
 def test_two_views_are_met_exactly_and_others_stay():
     lines, ends, _ = made_tracks(4, 60, hidden=0.5)
-    cameras, _ = states(Freedom.FOUR)
+    cameras, _ = states(PoseModel.AIMED)
     tracks = tracks_of(lines)
     start = ends + np.random.default_rng(5).normal(0.0, 3.0, ends.shape)
     placed = np.asarray(jax.jit(placed_by_two_views)(cameras, start, tracks))
@@ -27,7 +27,7 @@ def test_two_views_are_met_exactly_and_others_stay():
 
 def test_the_point_of_the_line_nearest_to_the_anchor_is_taken():
     lines, ends, _ = made_tracks(4, 60, hidden=0.5)
-    cameras, _ = states(Freedom.FOUR)
+    cameras, _ = states(PoseModel.AIMED)
     place = jax.jit(placed_by_two_views)
     once = np.asarray(place(cameras, ends, tracks_of(lines)))
     two = lines.seen.sum(axis=1) == 2

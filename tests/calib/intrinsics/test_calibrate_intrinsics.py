@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from tests.calib.intrinsics.simulated_lens import LENS, SHEET, SIZE_PX, detections, good_poses
-from trinoc.calib import LENS_PARAMETERS, Pattern, Status, calibrate_intrinsics
+from trinoc.calib import Pattern, Status, calibrate_intrinsics
+from trinoc.geometry import BrownConrady
 
 POSES = good_poses()
 
@@ -107,7 +108,7 @@ def test_a_known_aspect_is_held_and_gives_millimetres():
     lens[:2] = 16.0 / np.array(pitch)
     found = detections(POSES, values=lens)
     result = calibrate_intrinsics(found, SHEET, pixel_pitch_mm=pitch, aspect="pitch")
-    assert result.free == tuple(name for name in LENS_PARAMETERS if name != "fy_px")
+    assert result.free == tuple(name for name in BrownConrady.parameter_names if name != "fy_px")
     assert result.values[1] / result.values[0] == pytest.approx(pitch[0] / pitch[1], rel=1e-12)
     assert result.lens is not None
     assert result.lens.focal_length_mm == pytest.approx(

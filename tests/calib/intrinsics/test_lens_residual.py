@@ -14,15 +14,16 @@ from tests.calib.intrinsics.simulated_lens import (
     detections,
     good_poses,
 )
-from trinoc.calib.intrinsics import parameter_scale
-from trinoc.calib.intrinsics.lens_residual import information_of_images, moved_pose, residuals_px
+from trinoc.calib.intrinsics.lens_residual import information_of_images, residuals_px, retract_pose
 from trinoc.calib.model import circle_observations, stack_observations
+from trinoc.geometry import BrownConrady
 
 POSES = np.array(good_poses(count=8))
-SCALE = parameter_scale(LENS, SIZE_PX)
+THE_LENS = BrownConrady.from_parameters(LENS)
+SCALE = THE_LENS.parameter_scales(SIZE_PX)
 RESIDUALS = jax.jit(residuals_px)
 INFORMATION = jax.jit(information_of_images)
-MOVED = jax.jit(jax.vmap(moved_pose, in_axes=(0, None)))
+MOVED = jax.jit(jax.vmap(retract_pose, in_axes=(0, None)))
 
 
 def observed(**options):
@@ -31,7 +32,7 @@ def observed(**options):
 
 
 def test_the_model_agrees_with_an_independent_projection():
-    errors = np.asarray(RESIDUALS(LENS, POSES, observed(sigma_px=0.0)))
+    errors = np.asarray(RESIDUALS(THE_LENS, POSES, observed(sigma_px=0.0)))
     used = observed(sigma_px=0.0).whitening[..., 0, 0] > 0
     # The polygon of 200 corners lies inside its curve by 2e-4 of a radius.
     assert np.abs(errors[used]).max() < 1e-4
@@ -46,12 +47,12 @@ def test_the_centroid_is_the_centre_of_a_fitted_ellipse():
 @pytest.mark.parametrize("unknown", range(15))
 def test_information_is_the_square_of_numeric_derivatives(unknown):
     circles = observed()
-    information = np.asarray(INFORMATION(LENS, SCALE, POSES, circles))
+    information = np.asarray(INFORMATION(THE_LENS, SCALE, POSES, circles))
     step = 1e-5 * np.eye(15)[unknown]
 
     def whitened(sign):
         poses = np.asarray(MOVED(POSES, sign * step[9:]))
-        errors = np.asarray(RESIDUALS(LENS + sign * SCALE * step[:9], poses, circles))
+        errors = np.asarray(RESIDUALS(THE_LENS.retract(sign * SCALE * step[:9]), poses, circles))
         return np.einsum("knij,knj->kni", circles.whitening, errors)
 
     slope = (whitened(1.0) - whitened(-1.0)) / 2e-5
@@ -61,4 +62,4 @@ def test_information_is_the_square_of_numeric_derivatives(unknown):
 
 
 def test_no_motion_leaves_a_pose_as_it_is():
-    np.testing.assert_allclose(moved_pose(POSES[0], np.zeros(6)), POSES[0], atol=1e-9)
+    np.testing.assert_allclose(retract_pose(POSES[0], np.zeros(6)), POSES[0], atol=1e-9)

@@ -12,14 +12,16 @@ from tests.calib.intrinsics.simulated_lens import (
     pose,
 )
 from trinoc.calib import Detection, IntrinsicsResult, Status, calibrate_intrinsics
-from trinoc.calib.intrinsics import lens_of_values
 from trinoc.calib.intrinsics.next_image import generic_views
 from trinoc.errors import CalibrationError, InputError
+from trinoc.geometry import BrownConrady
 
 SQUARE = [
     pose(tilt_deg=0, azimuth_deg=0, roll_deg=9 * k, distance_mm=420 + 20 * k, aside=(0.02, -0.01))
     for k in range(8)
 ]
+
+THE_LENS = BrownConrady.from_parameters(LENS)
 
 
 def test_pictures_square_to_the_camera_leave_focal_length_and_distance_open():
@@ -80,7 +82,7 @@ def test_circles_near_the_middle_leave_the_corners_to_extrapolation():
 
 
 def test_every_generic_view_shows_the_sheet_from_its_printed_side():
-    for view in generic_views(LENS, SHEET, (512, 480)):
+    for view in generic_views(THE_LENS, SHEET, (512, 480)):
         rotation, translation = view.cam_from_world[:, :3], view.cam_from_world[:, 3]
         np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
         depth = translation[2] + SHEET.centres_mm @ rotation[2, :2]
@@ -89,13 +91,12 @@ def test_every_generic_view_shows_the_sheet_from_its_printed_side():
 
 
 def test_the_words_of_a_view_are_those_of_its_pose():
-    views = {view.words: view.cam_from_world for view in generic_views(LENS, SHEET, (512, 480))}
-    lens = lens_of_values(LENS, (512, 480))
+    views = {view.words: view.cam_from_world for view in generic_views(THE_LENS, SHEET, (512, 480))}
     for side, axis, sign in (("left", 0, -1), ("right", 0, 1), ("upper", 1, -1), ("lower", 1, 1)):
         words = next(w for w in views if f"its {side} side" in w and "middle" in w)
         cam = views[words]
         points = np.pad(SHEET.centres_mm, ((0, 0), (0, 1))) @ cam[:, :3].T + cam[:, 3]
-        uv = np.array([lens.pixel_from_normalised(p[:2] / p[2]) for p in points])
+        uv = np.array([THE_LENS.project_ray(p) for p in points])
         aside = sign * (uv[:, axis] - uv[:, axis].mean())
         assert np.corrcoef(aside, points[:, 2])[0, 1] < -0.9
 

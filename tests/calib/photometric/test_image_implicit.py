@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from tests.calib.photometric.test_photometry import ARRAYS, CROSS, LOOK, RIGHT, image_of, pose_of
+from tests.calib.photometric.test_photometry import CROSS, LOOK, RIGHT, image_of, pose_of
 from tests.calib.simulated import LENS, reference_sheet
 from trinoc.calib.photometric.appearance import NUISANCE
 from trinoc.calib.photometric.gauss_newton import (
@@ -20,11 +20,12 @@ from trinoc.calib.photometric.gauss_newton import (
 from trinoc.calib.photometric.implicit_diff import fitted
 from trinoc.calib.photometric.ink_coverage import Drawing
 from trinoc.calib.photometric.pixel_selection import SelectedPixels, group_of, select_pixels
+from trinoc.geometry import PoseModel
 from trinoc.numerics import ArrayLike, GemanMcClure
 
 # A part of the pixels, spread over the sheet as all are: two chunks of each group.
 COUNT = 1024
-STATIC = {"drawing": Drawing("stop", False), "parameter_count": 4}
+STATIC = {"drawing": Drawing("stop", False), "model": PoseModel.AIMED}
 # Never satisfied: Gauss-Newton takes all its steps, which end in rounding error.
 TO_THE_END = StagedGaussNewton(
     stages=Stage(
@@ -33,6 +34,7 @@ TO_THE_END = StagedGaussNewton(
         np.ones(1, dtype=np.int32),
     ),
     round_steps=np.asarray(1),
+    model=PoseModel.AIMED,
     atol=np.asarray(-1.0),
 )
 STATE = ImageState(pose_of(RIGHT), LOOK)
@@ -44,12 +46,12 @@ def groups() -> tuple[Group, ...]:
     sheet = reference_sheet()
     picture = image_of(sheet, RIGHT, supersampling=8)
     picture = picture + np.random.default_rng(0).normal(0.0, 2.0, picture.shape)
-    choice = select_pixels(STATE.pose, ARRAYS, sheet, LENS.image_size_px, float(LOOK.sigma_px))
+    choice = select_pixels(STATE.pose, LENS.lens, sheet, LENS.image_size_px, float(LOOK.sigma_px))
     chosen = [
         SelectedPixels(*(field[:COUNT] for field in part))
         for part in (choice.near_circles, choice.near_lines)
     ]
-    return tuple(group_of(part, picture, ARRAYS, sheet, COUNT, np.float64) for part in chosen)
+    return tuple(group_of(part, picture, LENS.lens, sheet, COUNT, np.float64) for part in chosen)
 
 
 def brighter(groups: tuple[Group, ...], change: ArrayLike) -> tuple[Group, ...]:

@@ -4,13 +4,12 @@ import jax
 import numpy as np
 
 from tests.calib.simulated import TABLE_1, reference_sheet
-from trinoc.calib.model import lens_arrays
 from trinoc.calib.photometric.appearance import Appearance
 from trinoc.calib.photometric.gauss_newton import sheet_from_normalised
 from trinoc.calib.photometric.ink_coverage import Cross, Drawing
 from trinoc.calib.photometric.normal_equations import NormalEquations, normal_equations
 from trinoc.calib.photometric.pixel_selection import SelectedPixels, group_of, select_pixels
-from trinoc.calib.pose import sheet_pose_of_values
+from trinoc.calib.pose import pose_of_values
 from trinoc.numerics import GemanMcClure
 from trinoc.synth import table1_rig
 
@@ -25,11 +24,8 @@ LOOK = Appearance(
 
 def test_rounding_of_the_unknowns_moves_no_large_picture() -> None:
     camera, pattern = table1_rig(resolution=8)["left"], reference_sheet()
-    lens, size = (
-        lens_arrays(camera.intrinsics, with_distortion=False),
-        camera.intrinsics.image_size_px,
-    )
-    pose = sheet_pose_of_values(np.array((*TABLE_1["left"], 0.0, 0.0)))
+    lens, size = camera.intrinsics.lens, camera.intrinsics.image_size_px
+    pose = pose_of_values(np.array((*TABLE_1["left"], 0.0, 0.0)))
     chosen = select_pixels(pose, lens, pattern, size, float(LOOK.sigma_px)).near_circles
     chosen = SelectedPixels(*(field[::8] for field in chosen))
     homography = np.asarray(sheet_from_normalised(pose))

@@ -6,7 +6,6 @@ import pytest
 
 from tests.calib.simulated import LENS, TABLE_1, camera_of, reference_sheet
 from trinoc.calib import Pattern
-from trinoc.calib.model import SheetPose, lens_arrays
 from trinoc.calib.photometric import refine_image
 from trinoc.calib.photometric.appearance import Appearance, Pixels, predict
 from trinoc.calib.photometric.gauss_newton import sheet_from_normalised
@@ -14,12 +13,12 @@ from trinoc.calib.photometric.image_fit import ImageRefinement
 from trinoc.calib.photometric.ink_coverage import Cross, Drawing
 from trinoc.calib.photometric.noise_floor import noise_floor
 from trinoc.calib.photometric.pixel_selection import group_of, select_pixels
-from trinoc.calib.pose import sheet_pose_of_values
+from trinoc.calib.pose import pose_of_values
+from trinoc.geometry import Pose, PoseModel
 from trinoc.numerics import ArrayLike
 from trinoc.synth import render_sheet
 
 RIGHT = (*TABLE_1["right"], 0.0, 0.0)
-ARRAYS = lens_arrays(LENS, with_distortion=False)
 CROSS = Cross(np.array(0.5), np.array([55.0, 55.0]), np.array(1.5))
 BLUR_PX = 0.7
 LOOK = Appearance(
@@ -30,8 +29,8 @@ LOOK = Appearance(
 )
 
 
-def pose_of(values: tuple[float, ...]) -> SheetPose:
-    return sheet_pose_of_values(np.array(values))
+def pose_of(values: tuple[float, ...]) -> Pose:
+    return pose_of_values(np.array(values))
 
 
 def image_of(pattern: Pattern, values: tuple[float, ...], supersampling: int = 16) -> np.ndarray:
@@ -48,12 +47,12 @@ def image_of(pattern: Pattern, values: tuple[float, ...], supersampling: int = 1
 def model_residuals(pattern: Pattern, values: tuple[float, ...]) -> list[np.ndarray]:
     """Model minus picture at the true pose, near circles and near lines."""
     picture, pose = image_of(pattern, values), pose_of(values)
-    choice = select_pixels(pose, ARRAYS, pattern, LENS.image_size_px, float(LOOK.sigma_px))
+    choice = select_pixels(pose, LENS.lens, pattern, LENS.image_size_px, float(LOOK.sigma_px))
     drawing = Drawing(pattern.line_style, bool((pattern.inner_radius_mm > 0).any()))
     homography = np.asarray(sheet_from_normalised(pose))
     residuals = []
     for chosen, near_line in ((choice.near_circles, False), (choice.near_lines, True)):
-        pixels = group_of(chosen, picture, ARRAYS, pattern, 16384, np.float64).pixels
+        pixels = group_of(chosen, picture, LENS.lens, pattern, 16384, np.float64).pixels
 
         def one(pixel: Pixels, near_line: bool = near_line) -> ArrayLike:
             return predict(homography, LOOK, pixel, CROSS, drawing, near_line).residual
@@ -85,9 +84,9 @@ def test_model_is_the_picture(style: str, rings: str) -> None:
 def test_derivatives_are_those_of_differences(near_line: bool) -> None:
     pattern, pose = reference_sheet(), pose_of(RIGHT)
     picture = np.zeros(LENS.image_size_px[::-1])
-    choice = select_pixels(pose, ARRAYS, pattern, LENS.image_size_px, float(LOOK.sigma_px))
+    choice = select_pixels(pose, LENS.lens, pattern, LENS.image_size_px, float(LOOK.sigma_px))
     chosen = choice.near_lines if near_line else choice.near_circles
-    pixels = group_of(chosen, picture, ARRAYS, pattern, 16384, np.float64).pixels
+    pixels = group_of(chosen, picture, LENS.lens, pattern, 16384, np.float64).pixels
     pixels = jax.tree.map(lambda leaf: leaf[: len(chosen.row)], pixels)
     drawing = Drawing("stop", False)
 
@@ -117,10 +116,12 @@ def test_derivatives_are_those_of_differences(near_line: bool) -> None:
 
 
 def refined(
-    picture: np.ndarray, start: tuple[float, ...], pattern: Pattern | None = None, count: int = 4
+    picture: np.ndarray,
+    start: tuple[float, ...],
+    pattern: Pattern | None = None,
 ) -> ImageRefinement | None:
     sheet = reference_sheet() if pattern is None else pattern
-    return refine_image(picture, sheet, ARRAYS, pose_of(start), count)
+    return refine_image(picture, sheet, LENS.lens, pose_of(start), PoseModel.AIMED)
 
 
 START = (RIGHT[0] + 0.02, RIGHT[1] - 0.02, RIGHT[2] + 0.02, RIGHT[3] + 0.2, 0.0, 0.0)

@@ -11,14 +11,14 @@ from trinoc.calib.bundle.gauge import determined_part, with_scale_of
 from trinoc.calib.bundle.levenberg_marquardt import JointState, joint_cost, joint_system, minimise
 from trinoc.calib.bundle.line_covariance import segment_and_errors
 from trinoc.calib.bundle.model_evidence import log_posterior
-from trinoc.calib.bundle.pose_prior import PosePrior, parameters_by_step
+from trinoc.calib.bundle.pose_prior import PosePrior, d_parameters_d_delta
 from trinoc.calib.bundle.problem import FreeParameters, Problem, joint_problem
 from trinoc.calib.bundle.result import RefineResult, RefineStatus
 from trinoc.calib.bundle.schur import FragmentTable, squared_distances
 from trinoc.calib.bundle.variance_components import segment_factor, sheet_factor
-from trinoc.calib.model import CameraState, Freedom, camera_of_state
+from trinoc.calib.model import CameraState, camera_of_state
 from trinoc.calib.result import CalibrationResult
-from trinoc.geometry import LineObservations, Rig, UncertainLines
+from trinoc.geometry import LineObservations, PoseModel, Rig, UncertainLines
 from trinoc.numerics import ArrayLike, GemanMcClure, as_numpy, eliminate
 
 # What a fragment can cost, in sigmas squared.
@@ -73,7 +73,7 @@ def joint_estimate(
     if converged:
         status = RefineStatus.GAUGE_FREE if determined.gauge else RefineStatus.CONVERGED
     probability = log_posterior(squared, lines.seen, sheet_chi_square, LOSS)
-    known = not determined.gauge and choice.freedom is not Freedom.POSE
+    known = not determined.gauge and choice.pose_model is not PoseModel.RIGID
     return RefineResult(
         status,
         Rig(refined, parameters=names, covariance=covariance) if known else Rig(refined),
@@ -127,7 +127,7 @@ def _assess(
         eliminate(system.information).reduced,
         prior.normal_equations(cameras)[0],
         prior.cost(cameras),
-        parameters_by_step(cameras, prior.start),
+        d_parameters_d_delta(cameras, prior.start),
         jax.vmap(lambda camera, start: camera.parameters(start))(cameras, prior.start),
     )
 

@@ -8,7 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.model import CameraState, Freedom
+from trinoc.calib.model import CameraState
+from trinoc.geometry import Pose, PoseModel
 from trinoc.numerics import ArrayLike
 
 # Share of the largest eigenvalue of the unit-diagonal information below which a direction is
@@ -51,13 +52,20 @@ def with_scale_of(
     Without a sheet nothing measures the scale: it stays as it was, exactly. Cameras that aim
     at the origin still do so.
     """
-    spread = _spread(start.centre_mm) / _spread(cameras.centre_mm)
-    origin = jnp.mean(cameras.centre_mm, axis=0)[None, :]
-    if cameras.freedom is Freedom.FOUR:
+    centres = _centres_mm(cameras)
+    spread = _spread(_centres_mm(start)) / _spread(centres)
+    origin = jnp.mean(centres, axis=0)[None, :]
+    if cameras.pose_model is PoseModel.AIMED:
         origin = jnp.zeros_like(origin)
-    centres = origin + spread * (cameras.centre_mm - origin)
-    scaled = eqx.tree_at(lambda state: state.centre_mm, cameras, centres)
+    poses = jax.vmap(lambda pose, centre: Pose.from_centre(pose.rotation, centre))(
+        cameras.pose, origin + spread * (centres - origin)
+    )
+    scaled = eqx.tree_at(lambda state: state.pose, cameras, poses)
     return scaled, jax.vmap(lambda line: origin + spread * (line - origin))(lines_mm)
+
+
+def _centres_mm(cameras: CameraState) -> Float[ArrayLike, "v 3"]:
+    return jax.vmap(lambda camera: camera.pose.centre_world_mm)(cameras)
 
 
 def _spread(centres_mm: Float[ArrayLike, "v 3"]) -> Float[ArrayLike, ""]:

@@ -64,7 +64,7 @@ def refined(
         max_steps=MOST_NEWTON_STEPS,
         throw=False,
     )
-    end = minimum.moved(solution.value)
+    end = minimum.retract(solution.value)
     return end.cameras, placed_by_two_views(*end, tracks)
 
 
@@ -73,6 +73,6 @@ def gradient_of_cost(offsets: Offsets, args: tuple[Point, Observations]) -> Offs
     point, observations = args
 
     def half_cost(offsets: Offsets) -> Float[ArrayLike, ""]:
-        return 0.5 * joint_cost(*point.moved(offsets), *observations)
+        return 0.5 * joint_cost(*point.retract(offsets), *observations)
 
     return jax.grad(half_cost)(offsets)

@@ -60,10 +60,10 @@ class Point(NamedTuple):
     cameras: CameraState
     anchors_mm: Float[ArrayLike, "t 2 3"]
 
-    def moved(self, step: tuple[Float[ArrayLike, "k"], Float[ArrayLike, "t 4"]]) -> "Point":
+    def retract(self, step: tuple[Float[ArrayLike, "k"], Float[ArrayLike, "t 4"]]) -> "Point":
         """The point after a step in the charts laid here."""
-        views = self.cameras.centre_mm.shape[0]
-        cameras = jax.vmap(CameraState.moved)(self.cameras, step[0].reshape(views, -1))
+        views = self.cameras.reach_mm.shape[0]
+        cameras = jax.vmap(CameraState.retract)(self.cameras, step[0].reshape(views, -1))
         return Point(cameras, jax.vmap(moved_anchors)(self.anchors_mm, step[1]))
 
 
@@ -175,7 +175,7 @@ class JointLevenbergMarquardt(optx.AbstractMinimiser[Point, Costs, _State]):
             system.information, system.gradient, solver, state=factored, throw=False
         )
         step = jax.tree.map(jnp.negative, solution.value)
-        followed = y.moved(step)
+        followed = y.retract(step)
         moved = fn(followed, args)[1]
         stayed = fn(followed._replace(anchors_mm=y.anchors_mm), args)[1]
         follows = moved.tracks <= stayed.tracks
@@ -239,7 +239,7 @@ def minimise(
     """Cameras and lines of least cost near the start; `converged` says whether it was reached.
 
     Directions that nothing determines (the gauge of a rig without a sheet) keep their start.
-    Differentiating it raises: a point has more numbers than freedoms. `implicit.refined` gives
+    Differentiating it raises: a point has more numbers than freedoms. `implicit_diff.refined` gives
     derivatives.
     """
     # Two views of a line always agree: they wait until the cameras stand.

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Bool, Float
 
 from trinoc.calib.model import CameraState
-from trinoc.geometry import triangulate_segment
+from trinoc.geometry import project_by_matrix, triangulate_segment
 from trinoc.numerics import ArrayLike, inverse_positive_definite
 
 
@@ -34,10 +34,10 @@ def segment_and_errors(
         camera: CameraState, fragment_px: ArrayLike, covariance: ArrayLike, seen_here: ArrayLike
     ) -> ArrayLike:
         def residual(ends: ArrayLike, step: ArrayLike) -> ArrayLike:
-            moved = camera.moved(step)
-            image = ends @ moved.matrix_px[:, :3].T + moved.matrix_px[:, 3][None, :]
-            observed = jax.vmap(moved.undistorted)(fragment_px)
-            return (image[:, :2] / image[:, 2:] - observed).reshape(4)
+            stepped = camera.retract(step)
+            image = jax.vmap(project_by_matrix, in_axes=(None, 0))(stepped.matrix_px, ends)
+            observed = jax.vmap(stepped.undistorted)(fragment_px)
+            return (image - observed).reshape(4)
 
         at_rest = jnp.zeros(len(camera.names))
         by_ends, by_step = jax.jacfwd(residual, argnums=(0, 1))(segment.ends_mm, at_rest)

@@ -7,7 +7,7 @@ detector cut it, not where the camera stands.
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from trinoc.geometry import line_through, signed_distance
+from trinoc.geometry import line_through, project_by_matrix, signed_distance
 from trinoc.numerics import ArrayLike
 
 
@@ -17,8 +17,7 @@ def distances_across(
     fragment_px: Float[ArrayLike, "2 2"],
 ) -> Float[ArrayLike, "2"]:
     """Signed distances (undistorted px) of the two ends from the image of the line."""
-    image = anchors_mm @ matrix_px[:, :3].T + matrix_px[:, 3][None, :]
-    line = line_through(image[0, :2] / image[0, 2], image[1, :2] / image[1, 2])
+    line = line_through(*(project_by_matrix(matrix_px, anchors_mm[end]) for end in range(2)))
     return jnp.stack([signed_distance(line, fragment_px[0]), signed_distance(line, fragment_px[1])])
 
 

@@ -13,8 +13,8 @@ import numpy as np
 from trinoc.calib.bundle.estimate import squared_with_rig
 from trinoc.calib.bundle.problem import FreeParameters
 from trinoc.calib.bundle.result import RefineResult
-from trinoc.calib.model import Freedom
-from trinoc.geometry import Camera, Pose, Rig, rotation_from_vector
+from trinoc.geometry import Camera, Pose, PoseModel, Rig, rotation_from_vector
+from trinoc.numerics import as_numpy
 
 # How far a camera is turned: the largest knock that the search is meant for.
 TURN_DEG = 1.2
@@ -32,7 +32,7 @@ SAME_SIGMAS = 3.5
 CLEAR_FACTOR = 1.45
 
 
-def start_rigs(rig: Rig, moved: Collection[str], freedom: Freedom) -> list[Rig]:
+def start_rigs(rig: Rig, moved: Collection[str], pose_model: PoseModel) -> list[Rig]:
     """The rig with one camera turned about its x and y axes, to either side.
 
     It is the last of those that moved, or of all where none is named; no start where the sheet
@@ -43,11 +43,12 @@ def start_rigs(rig: Rig, moved: Collection[str], freedom: Freedom) -> list[Rig]:
     if not moved and all(rig.sigma(angle) < KNOWN_DEG for angle in angles):
         return []
     axes = np.concatenate([np.eye(3)[:2], -np.eye(3)[:2]])
-    if freedom is Freedom.FOUR:
+    if pose_model is PoseModel.AIMED:
         poses = [_round_the_origin(rig[name], np.radians(ROUND_DEG) * axis) for axis in axes]
     else:
         turns = [np.append(np.radians(TURN_DEG) * axis, np.zeros(3)) for axis in axes]
-        poses = [Pose(np.asarray(rig[name].pose.moved(turn).cam_from_world)) for turn in turns]
+        pose = rig[name].pose
+        poses = [as_numpy(pose.retract(turn, PoseModel.RIGID, 1.0)) for turn in turns]
     return [_with_pose(rig, name, pose) for pose in poses]
 
 

@@ -46,14 +46,14 @@ class PosePrior(NamedTuple):
         self, cameras: CameraState
     ) -> tuple[Float[ArrayLike, "k k"], Float[ArrayLike, "k"]]:
         """(information, gradient) by the step of the cameras."""
-        by_step = parameters_by_step(cameras, self.start)
+        by_step = d_parameters_d_delta(cameras, self.start)
         weighted = by_step.T @ self.information
         return weighted @ by_step, weighted @ self.difference(cameras)
 
 
-def parameters_by_step(cameras: CameraState, start: CameraState) -> Float[ArrayLike, "k k"]:
+def d_parameters_d_delta(cameras: CameraState, start: CameraState) -> Float[ArrayLike, "k k"]:
     """Block-diagonal Jacobian of all public parameters by all cameras' steps."""
-    blocks = jax.vmap(lambda camera, origin: camera.parameters_by_step(origin))(cameras, start)
+    blocks = jax.vmap(lambda camera, origin: camera.d_parameters_d_delta(origin))(cameras, start)
     views, size, _ = blocks.shape
     view = jnp.arange(views)
     full = jnp.zeros((views, size, views, size)).at[view, :, view, :].set(blocks)

@@ -3,15 +3,14 @@
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from trinoc.calib.bundle.line_residual import whitening_across
 from trinoc.calib.bundle.pose_prior import PosePrior
 from trinoc.calib.bundle.schur import FragmentTable
-from trinoc.calib.model import CameraState, Freedom, camera_state
+from trinoc.calib.model import CameraState, camera_state, stacked_states
 from trinoc.errors import InputError
-from trinoc.geometry import LineObservations, Rig
+from trinoc.geometry import LineObservations, PoseModel, Rig
 
 # What a calibration held in its place, such as the aim of a camera of four parameters, stays
 # there in the cameras that did not move: to a micrometre, which no segment can tell from zero.
@@ -25,7 +24,7 @@ class FreeParameters(NamedTuple):
     them.
     """
 
-    freedom: Freedom
+    pose_model: PoseModel
     intrinsics: bool
     trusted: tuple[str, ...]
     aim_held: bool = False
@@ -45,17 +44,10 @@ def joint_problem(
     rig: Rig, sheet_rig: Rig, lines: LineObservations, choice: FreeParameters
 ) -> Problem:
     """The problem from the cameras of `rig`, the sheet having placed those of `sheet_rig`."""
-    freedom = choice.freedom
-    distorted = any(camera.intrinsics.distortion_model != "none" for camera in rig.cameras)
     cameras, start = (
-        _stacked(
+        stacked_states(
             [
-                camera_state(
-                    camera,
-                    freedom,
-                    with_intrinsics=choice.intrinsics,
-                    with_distortion=distorted,
-                )
+                camera_state(camera, choice.pose_model, with_intrinsics=choice.intrinsics)
                 for camera in each.cameras
             ]
         )
@@ -63,8 +55,8 @@ def joint_problem(
     )
     if not np.isfinite(np.asarray(cameras.reach_mm)).all():
         raise InputError(
-            f"The rig cannot be refined in {freedom.name.lower()} parameters, because a camera's "
-            "axis does not meet the sheet in front of it: use Freedom.POSE."
+            f'The rig cannot be refined with the pose model "{choice.pose_model.word}", because a '
+            'camera\'s axis does not meet the sheet in front of it: use "rigid".'
         )
     seen = lines.seen[:, :, None, None]
     # What is not seen may hold anything: give it numbers that derivatives survive.
@@ -82,6 +74,7 @@ def joint_problem(
     return Problem(cameras, padded(lines.lines_mm), tracks, padded(covariance), prior)
 
 
+_parameters = jax.jit(jax.vmap(lambda camera: camera.parameters(camera)))
 _whitening = jax.jit(jax.vmap(jax.vmap(whitening_across)))
 
 
@@ -89,7 +82,7 @@ def _prior(rig: Rig, start: CameraState, choice: FreeParameters) -> PosePrior:
     """The prior's information on the trusted cameras: their covariance, inverted."""
     names = [f"{camera}.{name}" for camera in rig.names for name in start.names]
     owner = [camera for camera in rig.names for _ in start.names]
-    values = np.asarray(jax.vmap(lambda camera: camera.parameters(camera))(start))
+    values = np.asarray(_parameters(start))
     information = np.zeros((len(names), len(names)))
     trusted = [owner[i] in choice.trusted for i in range(len(names))]
     known = [i for i, name in enumerate(names) if trusted[i] and name in rig.parameters]
@@ -106,10 +99,6 @@ def _prior(rig: Rig, start: CameraState, choice: FreeParameters) -> PosePrior:
         aims = [i for i, name in enumerate(names) if trusted[i] and ".aim_" in name]
         information[aims, aims] = HELD_SIGMA_MM**-2
     return PosePrior(values, information, start)
-
-
-def _stacked(states: list[CameraState]) -> CameraState:
-    return jax.tree.map(lambda *leaves: jnp.stack(leaves).astype(float), *states)
 
 
 def _bucket(count: int) -> int:

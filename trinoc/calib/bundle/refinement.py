@@ -8,10 +8,9 @@ from trinoc.calib.bundle.estimate import joint_estimate
 from trinoc.calib.bundle.multi_start import is_unambiguous, start_rigs
 from trinoc.calib.bundle.problem import FreeParameters
 from trinoc.calib.bundle.result import RefineResult, RefineStatus
-from trinoc.calib.model import Freedom
 from trinoc.calib.result import CalibrationResult
 from trinoc.errors import CalibrationError, InputError
-from trinoc.geometry import LineObservations, Rig
+from trinoc.geometry import LineObservations, PoseModel, Rig
 from trinoc.numerics import in_float64
 
 MOST_ROUNDS = 8
@@ -34,7 +33,7 @@ def refine(
     calibrated: CalibrationResult | Rig,
     matches: Matched | LineObservations,
     *,
-    freedom: Freedom | None = None,
+    pose_model: PoseModel | str | None = None,
     intrinsics: bool = False,
     moved: Collection[str] = (),
     match_again: Matcher | Sequence[Matcher] | None = None,
@@ -44,7 +43,7 @@ def refine(
 
     `calibrated` is the result of a calibration, or a rig. A covariance of the rig is used as a
     Gaussian prior. Without one the gauge (position, orientation and scale of the rig) is held,
-    and reported in `gauge`. `freedom` is what may move in each camera: by default what the
+    and reported in `gauge`. `pose_model` is what may move in each camera: by default what the
     covariance names, and any rigid motion without one. `intrinsics` frees focal lengths and
     principal points too.
     `moved` names cameras that were knocked since: the prior no longer holds for them, and they
@@ -67,12 +66,12 @@ def refine(
             f"{', '.join(rig.names)}."
         )
     trusted = tuple(name for name in rig.names if name not in moved)
-    usual = _freedom_of(rig)
+    usual = _pose_model_of(rig)
+    chosen = None if pose_model is None else PoseModel.of(pose_model)
     # A knocked camera need not aim at the origin of the sheet any more.
-    knocked = bool(moved) and freedom is None and usual is Freedom.FOUR
-    choice = FreeParameters(
-        Freedom.SIX if knocked else freedom or usual, intrinsics, trusted, knocked
-    )
+    knocked = bool(moved) and chosen is None and usual is PoseModel.AIMED
+    model = PoseModel.AIM_FREE if knocked else chosen or usual
+    choice = FreeParameters(model, intrinsics, trusted, knocked)
     task = _Task(calibrated, rig, choice)
     first = task.refined(start or rig, matches)
     if match_again is None:
@@ -81,7 +80,7 @@ def refine(
     best = task.settled(first, matchers[-1])
     if len(matchers) > 1:
         best = task.better(best, task.from_start(rig, matchers))
-    turned = start_rigs(rig, moved, choice.freedom)
+    turned = start_rigs(rig, moved, choice.pose_model)
     others = [task.from_start(start, matchers) for start in turned]
     for other in others:
         best = task.better(best, other)
@@ -143,12 +142,12 @@ class _Task(NamedTuple):
         return dataclasses.replace(best, history=tuple(history))
 
 
-def _freedom_of(rig: Rig) -> Freedom:
+def _pose_model_of(rig: Rig) -> PoseModel:
     own = {name.rpartition(".")[2] for name in rig.parameters}
-    for freedom in (Freedom.SIX, Freedom.FOUR):
-        if own >= set(freedom.value):
-            return freedom
-    return Freedom.POSE
+    for pose_model in (PoseModel.AIM_FREE, PoseModel.AIMED):
+        if own >= set(pose_model.parameter_names):
+            return pose_model
+    return PoseModel.RIGID
 
 
 def _observations(matches: Matched | LineObservations, rig: Rig) -> LineObservations:

@@ -116,7 +116,7 @@ def track_blocks(
     ) -> tuple[ArrayLike, ArrayLike, ArrayLike]:
         def distances(step: ArrayLike, offsets: ArrayLike) -> ArrayLike:
             anchors = moved_anchors(anchors_mm, offsets)
-            return fragment_distances(camera.moved(step), anchors, fragment_px, whitening)
+            return fragment_distances(camera.retract(step), anchors, fragment_px, whitening)
 
         at_rest = jnp.zeros(len(camera.names)), jnp.zeros(4)
         residual = jnp.where(seen, distances(*at_rest), 0.0)

@@ -12,13 +12,14 @@ from trinoc.calib.intrinsics.lens_messages import (
     notes_of_lens,
     undetermined_sentence,
 )
-from trinoc.calib.intrinsics.lens_parameters import LENS_PARAMETERS, LensModel, lens_of_values
+from trinoc.calib.intrinsics.lens_parameters import LensModel
 from trinoc.calib.intrinsics.model_choice import Candidate, choice_sentence, variance_factor
 from trinoc.calib.intrinsics.next_image import next_image
 from trinoc.calib.intrinsics.result import IntrinsicsResult
 from trinoc.calib.intrinsics.robust_lens import LensImages
 from trinoc.calib.result import Status
 from trinoc.errors import CalibrationError
+from trinoc.geometry import AbstractLens, Intrinsics, simplified
 
 
 def assess_lens(
@@ -41,7 +42,8 @@ def assess_lens(
         raise CalibrationError(misfit)
     reduced = chosen.reduced_chi_square
     status = _status(chosen)
-    gauge = tuple(LENS_PARAMETERS[k] for k in seen.gauge)
+    names = fit.lens.parameter_names
+    gauge = tuple(names[k] for k in seen.gauge)
     notes = []
     if status is Status.RANK_DEFICIENT:
         notes.append(undetermined_sentence(gauge, fit, model))
@@ -50,21 +52,21 @@ def assess_lens(
     choice = choice_sentence(chosen, asked)
     notes += [] if choice is None else [choice]
     notes += notes_of_lens(fit, images, model, reduced, image_index)
-    values = np.asarray(fit.values).copy()
+    values = np.array(fit.lens.parameters)
     values[list(seen.gauge)] = np.nan
     good = status is Status.CONVERGED
     size = images.image_size_px
     return IntrinsicsResult(
-        lens=lens_of_values(values, size, pixel_pitch_mm) if good else None,
+        lens=Intrinsics.of_lens(simplified(fit.lens), size, pixel_pitch_mm) if good else None,
         status=status,
-        parameters=LENS_PARAMETERS,
-        values=values if status is not Status.NOT_CONVERGED else np.full(9, np.nan),
+        parameters=names,
+        values=values if status is not Status.NOT_CONVERGED else np.full_like(values, np.nan),
         covariance=seen.covariance,
         free=model.free,
         gauge=gauge,
         rank=seen.rank,
         reduced_chi_square=reduced,
-        field_sigma_px=_field(values, seen.covariance, size),
+        field_sigma_px=_field(fit.lens.with_parameters(values), seen.covariance, size),
         cam_from_world=np.asarray(fit.cam_from_world),
         detections=list(images.detections),
         residuals_px=[
@@ -87,9 +89,9 @@ def _status(chosen: Candidate) -> Status:
 
 
 def _field(
-    values: Float[np.ndarray, "9"], covariance: Float[np.ndarray, "9 9"], size: tuple[int, int]
+    lens: AbstractLens, covariance: Float[np.ndarray, "q q"], size: tuple[int, int]
 ) -> Float[np.ndarray, "5 5"]:
-    return np.asarray(field_sigma_px(values, covariance, field_places_px(size)))
+    return np.asarray(field_sigma_px(lens, covariance, field_places_px(size)))
 
 
 def _advice(chosen: Candidate, images: LensImages) -> NextImage | None:
@@ -98,7 +100,7 @@ def _advice(chosen: Candidate, images: LensImages) -> NextImage | None:
     sigma_px = float(np.sqrt(factor) * np.median(np.concatenate(areas)) ** 0.25)
     fit = chosen.fit
     return next_image(
-        np.asarray(fit.values),
+        fit.lens,
         np.asarray(fit.scale),
         lens_information(np.asarray(fit.information)).sum(axis=0) / factor,
         np.isfinite(np.diag(chosen.seen.covariance)),

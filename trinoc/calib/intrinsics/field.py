@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from trinoc.geometry import distort, rotation_from_vector, undistort
+from trinoc.geometry import AbstractLens, rotation_from_vector
 from trinoc.numerics import ArrayLike
 
 FIELD_PLACES = 5
@@ -19,8 +19,8 @@ def field_places_px(image_size_px: tuple[int, int]) -> Float[np.ndarray, "5 5 2"
 
 @jax.jit
 def field_sigma_px(
-    values: Float[ArrayLike, "9"],
-    covariance: Float[ArrayLike, "9 9"],
+    lens: AbstractLens,
+    covariance: Float[ArrayLike, "q q"],
     places_px: Float[ArrayLike, "5 5 2"],
 ) -> Float[Array, "5 5"]:
     """Standard deviation, per axis, of where the lens images a given ray.
@@ -28,19 +28,17 @@ def field_sigma_px(
     A turn of the camera that all places share is taken out: whoever poses the camera finds
     it again, and a principal point that is off looks like one.
     """
-    ideal = (places_px.reshape(-1, 2) - values[None, 2:4]) / values[None, :2]
-    rays = jax.vmap(undistort, in_axes=(0, None))(ideal, values[4:])
+    rays = jax.vmap(lens.unproject)(places_px.reshape(-1, 2))
 
     def pixel(
-        values: Float[Array, "9"], turn: Float[Array, "3"], ray: Float[Array, "2"]
-    ) -> Float[Array, "2"]:
-        x, y, z = rotation_from_vector(turn) @ jnp.append(ray, 1.0)
-        return values[:2] * distort(jnp.stack([x / z, y / z]), values[4:]) + values[2:4]
+        values: Float[Array, "q"], turn: Float[Array, "3"], ray: Float[Array, "3"]
+    ) -> Float[ArrayLike, "2"]:
+        return lens.with_parameters(values).project_ray(rotation_from_vector(turn) @ ray)
 
-    still = jnp.zeros(3, rays.dtype)
+    values, still = jnp.asarray(lens.parameters), jnp.zeros(3, rays.dtype)
     by_lens = jax.vmap(jax.jacfwd(pixel), in_axes=(None, None, 0))(values, still, rays)
     by_turn = jax.vmap(jax.jacfwd(pixel, argnums=1), in_axes=(None, None, 0))(values, still, rays)
-    by_lens, by_turn = by_lens.reshape(-1, 9), by_turn.reshape(-1, 3)
+    by_lens, by_turn = by_lens.reshape(-1, len(values)), by_turn.reshape(-1, 3)
     turn_of_lens = jnp.linalg.solve(by_turn.T @ by_turn, by_turn.T @ by_lens)
     remaining = by_lens - by_turn @ turn_of_lens
     variance = jnp.einsum("iq,qr,ir->i", remaining, covariance, remaining)

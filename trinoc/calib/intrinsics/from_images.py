@@ -14,10 +14,8 @@ from trinoc.calib.intrinsics.zhang import FEWEST_CIRCLES, zhang_start
 from trinoc.calib.result import Status
 from trinoc.calib.targets import Pattern
 from trinoc.errors import CalibrationError, DetectionError, InputError
+from trinoc.geometry import DEFAULT_DISTORTION, lens_model
 from trinoc.numerics import ArrayLike, in_float64
-
-# Coefficients by number, in the order k1, k2, p1, p2, k3 that OpenCV counts them in.
-_MODEL_OF_COUNT = {0: (0, False), 1: (1, False), 2: (2, False), 4: (2, True), 5: (3, True)}
 
 
 @in_float64
@@ -27,6 +25,7 @@ def calibrate_intrinsics(
     *,
     image_size_px: tuple[int, int] | None = None,
     distortion: int | None = None,
+    distortion_model: str = DEFAULT_DISTORTION.model,
     principal_point: str = "free",
     pixel_pitch_mm: tuple[float, float] | None = None,
     aspect: str = "free",
@@ -37,8 +36,9 @@ def calibrate_intrinsics(
     images_or_detections : pictures by one camera at one zoom and focus, the sheet held
         differently in each; or what `detect_pattern` found in them.
     image_size_px : (width, height) that all pictures must have; that of the first by default.
-    distortion : number of Brown-Conrady coefficients k1, k2, p1, p2, k3: 0, 1, 2, 4 or 5. As
-        many as the pictures determine unless given; a note says how many they ask for.
+    distortion : number of coefficients, for Brown-Conrady 0, 1, 2, 4 or 5 of k1, k2, p1, p2, k3.
+        As many as the pictures determine unless given; a note says how many they ask for.
+    distortion_model : name of the lens model, of `lenses.registry.LENS_MODELS`.
     principal_point : "free", or "centre" to hold it in the middle of the picture.
     pixel_pitch_mm : size of a pixel along u and v, where it is known: the lens then has a
         focal length in millimetres, too.
@@ -57,7 +57,7 @@ def calibrate_intrinsics(
         `throw`, parameters that the pictures do not determine. The sentence names them and
         the picture to take next; `result` of the error is the IntrinsicsResult.
     """
-    model = _largest_model(distortion, principal_point, aspect)
+    model = _largest_model(distortion, distortion_model, principal_point, aspect)
     ratio = None
     if not model.aspect:
         ratio = 1.0 if pixel_pitch_mm is None else pixel_pitch_mm[1] / pixel_pitch_mm[0]
@@ -65,7 +65,7 @@ def calibrate_intrinsics(
     detections, index = _usable(found, failures, image_size_px)
     everything = [np.ones(len(detection), dtype=bool) for detection in detections]
     images = LensImages(detections, pattern, everything)
-    start = zhang_start(detections, pattern, ratio)
+    start = zhang_start(detections, pattern, model.lens, ratio)
     # Which circles were located wrongly is asked of the richest lens, lest a distorted picture's
     # corners be taken for mistakes.
     fit, images = fit_robustly(start, model, images)
@@ -84,18 +84,22 @@ def _told(result: IntrinsicsResult) -> str:
     return f"{result.notes[0]}{advice}" if result.notes else result.status.value
 
 
-def _largest_model(distortion: int | None, principal_point: str, aspect: str) -> LensModel:
-    if distortion is not None and distortion not in _MODEL_OF_COUNT:
+def _largest_model(
+    distortion: int | None, distortion_model: str, principal_point: str, aspect: str
+) -> LensModel:
+    lens = lens_model(distortion_model)
+    counts, names = lens.coefficient_counts, lens.coefficient_names
+    if distortion is not None and distortion not in counts:
+        *most, last = [str(count) for count in counts]
         raise InputError(
-            f"distortion is {distortion}, but must be 0, 1, 2, 4 or 5 coefficients of k1, k2, p1, "
-            "p2, k3, or None for as many as the pictures determine."
+            f"distortion is {distortion}, but must be {', '.join(most)} or {last} coefficients of "
+            f"{', '.join(names)}, or None for as many as the pictures determine."
         )
     if principal_point not in ("free", "centre"):
         raise InputError(f'principal_point is {principal_point!r}; give "free" or "centre".')
     if aspect not in ("free", "pitch"):
         raise InputError(f'aspect is {aspect!r}; give "free" or "pitch".')
-    radial, tangential = _MODEL_OF_COUNT[5 if distortion is None else distortion]
-    return LensModel(radial, tangential, principal_point == "free", aspect == "free")
+    return LensModel(lens, names[:distortion], principal_point == "free", aspect == "free")
 
 
 def _detections(

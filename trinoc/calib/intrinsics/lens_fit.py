@@ -11,16 +11,17 @@ from jaxtyping import Array, Bool, Float, Int
 from trinoc.calib.intrinsics.lens_residual import (
     LensChart,
     information_of_images,
-    moved_pose,
     residuals_px,
+    retract_pose,
     whitened_residuals,
 )
 from trinoc.calib.model import CircleObservations
+from trinoc.geometry import AbstractLens, PoseModel
 from trinoc.numerics import ArrayLike, BlockArrowSolver, GemanMcClure
 
 MAX_STEPS = 100
 # The solver ends when no residual changes by more than this, in standard deviations, and no
-# unknown, in the units of `moved_pose` and `parameter_scale`. The last step is then far shorter:
+# unknown, in the units of `retract_pose` and `parameter_scales`. The last step is then far shorter:
 # convergence is quadratic. Far finer tolerances are below rounding and never met.
 _TOLERANCE = 1e-4
 
@@ -30,23 +31,23 @@ class LensFit(NamedTuple):
 
     Fields
     ------
-    values : (9,) LENS_PARAMETERS.
+    lens : q parameters.
     cam_from_world : (k, 3, 4) pose of each picture, mm.
     residuals_px : (k, n, 2) predicted minus observed.
     whitened : (k, n, 2) the same in units of their standard deviations; zero for unused rows.
-    scale : (9,) units of the lens's parameters in `information`.
-    information : (k, 15, 15) J^T J of each picture's whitened residuals, over all nine
-        parameters of the lens and the picture's motion.
+    scale : (q,) units of the lens's parameters in `information`.
+    information : (k, s, s) J^T J of each picture's whitened residuals, over all q parameters of
+        the lens and the six of the picture's motion.
     steps : number of steps taken.
     converged : whether the solver says so.
     """
 
-    values: Float[ArrayLike, "9"]
+    lens: AbstractLens
     cam_from_world: Float[ArrayLike, "k 3 4"]
     residuals_px: Float[ArrayLike, "k n 2"]
     whitened: Float[ArrayLike, "k n 2"]
-    scale: Float[ArrayLike, "9"]
-    information: Float[ArrayLike, "k 15 15"]
+    scale: Float[ArrayLike, "q"]
+    information: Float[ArrayLike, "k s s"]
     steps: Int[ArrayLike, ""]
     converged: Bool[ArrayLike, ""]
 
@@ -64,7 +65,8 @@ def fit_lens(
         rtol=_TOLERANCE, atol=_TOLERANCE, linear_solver=lx.Normal(BlockArrowSolver())
     )
     count = chart.cam_from_world.shape[0]
-    zero = (jnp.zeros(9, chart.values.dtype), jnp.zeros((count, 6), chart.values.dtype))
+    motions = jnp.zeros((count, PoseModel.RIGID.size), chart.scale.dtype)
+    zero = (jnp.zeros_like(chart.scale), motions)
     solution = optx.least_squares(
         _bounded_residuals,
         solver,
@@ -74,23 +76,23 @@ def fit_lens(
         throw=False,
     )
     lens_step, motions = solution.value
-    values = chart.values + chart.scale * (chart.directions @ lens_step)
-    poses = jax.vmap(moved_pose)(chart.cam_from_world, motions)
-    residuals = residuals_px(values, poses, circles)
+    lens = chart.stepped_lens(lens_step)
+    poses = jax.vmap(retract_pose)(chart.cam_from_world, motions)
+    residuals = residuals_px(lens, poses, circles)
     return LensFit(
-        values,
+        lens,
         poses,
         residuals,
         jnp.einsum("knij,knj->kni", circles.whitening, residuals),
         chart.scale,
-        information_of_images(values, chart.scale, poses, circles),
+        information_of_images(lens, chart.scale, poses, circles),
         solution.stats["num_steps"],
         solution.result == optx.RESULTS.successful,
     )
 
 
 def _bounded_residuals(
-    steps: tuple[Float[Array, "9"], Float[Array, "k 6"]],
+    steps: tuple[Float[Array, "q"], Float[Array, "k 6"]],
     args: tuple[LensChart, CircleObservations, Float[ArrayLike, ""]],
 ) -> Float[Array, "k n 2"]:
     chart, circles, outlier_scale = args

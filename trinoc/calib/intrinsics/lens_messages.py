@@ -102,7 +102,7 @@ def notes_of_lens(
 
 def reach(fit: LensFit, images: LensImages) -> float:
     """How far circles lie from the principal point, as a share of the farthest corner."""
-    middle = np.asarray(fit.values)[2:4]
+    middle = np.asarray(fit.lens.principal_point_px)
     width, height = images.image_size_px
     corners = np.array([[0, 0], [width, 0], [0, height], [width, height]]) - 0.5
     farthest = np.linalg.norm(corners - middle, axis=1).max()

@@ -11,7 +11,7 @@ import numpy as np
 
 from trinoc.calib.intrinsics.lens_fit import LensFit
 from trinoc.calib.intrinsics.lens_information import lens_observability
-from trinoc.calib.intrinsics.lens_parameters import LENS_PARAMETERS, LensModel
+from trinoc.calib.intrinsics.lens_parameters import LensModel
 from trinoc.calib.intrinsics.robust_lens import LensImages, fit_model
 from trinoc.calib.intrinsics.zhang import ZhangStart
 from trinoc.numerics import Observability
@@ -20,8 +20,6 @@ from trinoc.numerics import Observability
 _PRICE = 2.0
 # Chi-square beyond this many of its own standard deviations is not noise: the sigmas grow.
 _CHI_SQUARE_DEVIATIONS = 4.0
-# Models in the order of the number of coefficients by which users name them.
-_COUNTS = {0: (0, False), 1: (1, False), 2: (2, False), 4: (2, True), 5: (3, True)}
 
 
 class Candidate(NamedTuple):
@@ -55,23 +53,25 @@ class Candidate(NamedTuple):
 
 
 def fit_determined(start: ZhangStart, model: LensModel, images: LensImages) -> Candidate:
-    """The lens with as many radial coefficients of `model`, one at least, as are determined.
+    """The lens with as many coefficients of `model` as are determined.
 
-    The fit of `model` itself where none of those is determined.
+    Those that the lens's model calls dispensable are given up one after the other; the fit of
+    `model` itself where what remains is not determined either.
     """
     richest = fit_candidate(start, model, images)
     candidate = richest
-    while not candidate.determined and candidate.model.radial > 1:
-        fewer = candidate.model._replace(radial=candidate.model.radial - 1)
-        candidate = fit_candidate(start, fewer, images)
+    for name in model.lens.dispensable:
+        if not candidate.determined and name in candidate.model.distortion:
+            candidate = fit_candidate(start, candidate.model.without(name), images)
     return candidate if candidate.determined else richest
 
 
 def fit_candidate(start: ZhangStart, model: LensModel, images: LensImages) -> Candidate:
     """One model fitted; coefficients that it does not free are zero."""
-    held = [name not in model.free for name in LENS_PARAMETERS[4:]]
-    values = np.append(start.values[:4], np.where(held, 0.0, start.values[4:]))
-    fit = fit_model(ZhangStart(values, start.cam_from_world), model, images)
+    names = start.lens.parameter_names
+    held = [name in model.lens.coefficient_names and name not in model.free for name in names]
+    lens = start.lens.with_parameters(np.where(held, 0.0, start.lens.parameters))
+    fit = fit_model(ZhangStart(lens, start.cam_from_world), model, images)
     residual_count = 2 * sum(int(used.sum()) for used in images.used)
     chi_square = float(np.sum(fit.whitened**2))
     freedom = residual_count - len(model.free) - 6 * len(images.detections)
@@ -92,8 +92,8 @@ def chi_square_gain(candidate: Candidate, names: tuple[str, ...]) -> float:
     """By how much freeing these coefficients lowers chi-square in units of the noise (Wald)."""
     if not names:
         return 0.0
-    rows = [LENS_PARAMETERS.index(name) for name in names]
-    values = np.asarray(candidate.fit.values)[rows]
+    rows = [candidate.model.lens.parameter_names.index(name) for name in names]
+    values = np.asarray(candidate.fit.lens.parameters)[rows]
     return float(values @ np.linalg.solve(candidate.seen.covariance[np.ix_(rows, rows)], values))
 
 
@@ -107,7 +107,7 @@ def choice_sentence(candidate: Candidate, asked: LensModel) -> str | None:
     if missing:
         sentences.append(f"The pictures cannot determine {', '.join(missing)}, held at 0.")
     count, gain = _fewest_coefficients(candidate)
-    kept = LensModel(*_COUNTS[count]).distortion
+    kept = model.lens.coefficient_names[:count]
     extra = tuple(name for name in model.distortion if name not in kept)
     if extra:
         sentences.append(
@@ -122,8 +122,8 @@ def _fewest_coefficients(candidate: Candidate) -> tuple[int, float]:
     """The number of coefficients that pays best, and what the others lower chi-square by."""
     free = candidate.model.distortion
     offers = []
-    for count, (radial, tangential) in _COUNTS.items():
-        kept = LensModel(radial, tangential).distortion
+    for count in candidate.model.lens.coefficient_counts:
+        kept = candidate.model.lens.coefficient_names[:count]
         if set(kept) <= set(free):
             gain = chi_square_gain(candidate, tuple(name for name in free if name not in kept))
             offers.append((gain + _PRICE * len(kept), count, gain))

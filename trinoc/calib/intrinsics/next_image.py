@@ -14,6 +14,7 @@ from trinoc.calib.intrinsics.lens_parameters import LensModel
 from trinoc.calib.intrinsics.lens_residual import information_of_images, residuals_px
 from trinoc.calib.model import CircleObservations
 from trinoc.calib.targets import Pattern
+from trinoc.geometry import AbstractLens
 from trinoc.numerics import as_numpy
 
 _TILT_RAD = np.radians(40.0)
@@ -35,10 +36,10 @@ class View(NamedTuple):
 
 
 def next_image(
-    values: Float[np.ndarray, "9"],
-    scale: Float[np.ndarray, "9"],
-    information: Float[np.ndarray, "9 9"],
-    determined: Bool[np.ndarray, "9"],
+    lens: AbstractLens,
+    scale: Float[np.ndarray, "q"],
+    information: Float[np.ndarray, "q q"],
+    determined: Bool[np.ndarray, "q"],
     model: LensModel,
     pattern: Pattern,
     image_size_px: tuple[int, int],
@@ -46,17 +47,17 @@ def next_image(
 ) -> NextImage | None:
     """The generic view that lowers the largest sigma most.
 
-    information : of the pictures taken, on the nine parameters in units of `scale`.
-    determined : which of the nine the pictures determine.
+    information : of the pictures taken, on the parameters of the lens in units of `scale`.
+    determined : which of these the pictures determine.
     sigma_px : of a circle's centre.
 
     Sigmas are compared in units of `scale`, in which they mean displacements of the corners.
     None where no view would help.
     """
-    views = generic_views(values, pattern, image_size_px)
-    circles = _circles_in_view(values, views, pattern, image_size_px, sigma_px)
+    views = generic_views(lens, pattern, image_size_px)
+    circles = _circles_in_view(lens, views, pattern, image_size_px, sigma_px)
     poses = np.stack([view.cam_from_world for view in views])
-    gains = lens_information(as_numpy(_information(values, scale, poses, circles)))
+    gains = lens_information(as_numpy(_information(lens, scale, poses, circles)))
     directions = directions_of(model)
     columns = [int(np.argmax(direction)) for direction in directions.T]
     variance_now = _variances(directions.T @ information @ directions)
@@ -84,10 +85,10 @@ def _variances(information: Float[np.ndarray, "q q"]) -> Float[np.ndarray, "q"]:
 
 
 def generic_views(
-    values: Float[np.ndarray, "9"], pattern: Pattern, image_size_px: tuple[int, int]
+    lens: AbstractLens, pattern: Pattern, image_size_px: tuple[int, int]
 ) -> list[View]:
     """Ways to hold the sheet that anybody can follow."""
-    place = partial(_view, values, pattern, image_size_px)
+    place = partial(_view, lens, pattern, image_size_px)
     sides = {"left": (0.0, -1.0), "right": (0.0, 1.0), "upper": (1.0, 0.0), "lower": (-1.0, 0.0)}
     corners = {
         "upper left": (0.27, 0.27),
@@ -117,7 +118,7 @@ def generic_views(
 
 
 def _view(
-    values: Float[np.ndarray, "9"],
+    lens: AbstractLens,
     pattern: Pattern,
     image_size_px: tuple[int, int],
     words: str,
@@ -134,10 +135,10 @@ def _view(
     rotation = cv2.Rodrigues(turn)[0] @ rolled @ facing
     # Measured with the pixels of each axis, so that lenses with oblong pixels are served, too.
     extent_mm = np.max(np.ptp(pattern.centres_mm, axis=0) + 2.0 * pattern.radius_mm.max())
-    distance = np.max(values[:2] * extent_mm / (fill * np.array(image_size_px)))
+    distance = np.max(lens.focal_length_px * extent_mm / (fill * np.array(image_size_px)))
     centre_mm = np.append(0.5 * (pattern.centres_mm.min(0) + pattern.centres_mm.max(0)), 0.0)
     uv_px = np.array(middle) * (np.array(image_size_px) - 1.0)
-    ray = np.append((uv_px - values[2:4]) / values[:2], 1.0)
+    ray = np.append((uv_px - lens.principal_point_px) / lens.focal_length_px, 1.0)
     translation = distance * ray - rotation @ centre_mm
     return View(words, np.concatenate([rotation, translation[:, None]], axis=1))
 
@@ -147,7 +148,7 @@ _residuals_px = jax.jit(residuals_px)
 
 
 def _circles_in_view(
-    values: Float[np.ndarray, "9"],
+    lens: AbstractLens,
     views: list[View],
     pattern: Pattern,
     image_size_px: tuple[int, int],
@@ -163,9 +164,9 @@ def _circles_in_view(
         np.zeros((count, size, 2, 2)),
         np.zeros((count, 2, 3)),
     )
-    centres_px = as_numpy(_residuals_px(values, poses, everything))
+    centres_px = as_numpy(_residuals_px(lens, poses, everything))
     depth = poses[:, None, 2, 3] + np.einsum("ki,ni->kn", poses[:, 2, :2], pattern.centres_mm)
-    margin = _MARGIN_RADII * pattern.radius_mm[None] / depth * values[:2].max()
+    margin = _MARGIN_RADII * pattern.radius_mm[None] / depth * np.max(lens.focal_length_px)
     inside = (centres_px > margin[..., None]) & (
         centres_px < np.array(image_size_px) - 1.0 - margin[..., None]
     )

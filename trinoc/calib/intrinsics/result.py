@@ -21,9 +21,9 @@ class IntrinsicsResult(eqx.Module):
     lens : the intrinsics; None unless `status` is CONVERGED, so that nothing undetermined is
         ever read as a result.
     status : how the fit ended.
-    parameters : LENS_PARAMETERS, the rows of `covariance`.
-    values : (9,) of `parameters`; NaN where not determined.
-    covariance : (9, 9); zero for parameters that were held, NaN where not determined.
+    parameters : the names of the lens's q parameters, the rows of `covariance`.
+    values : (q,) of `parameters`; NaN where not determined.
+    covariance : (q, q); zero for parameters that were held, NaN where not determined.
     free : the parameters that were fitted; "fx_px" stands for both focal lengths where the
         aspect was held.
     gauge : the parameters that the pictures leave open.
@@ -44,8 +44,8 @@ class IntrinsicsResult(eqx.Module):
     lens: Intrinsics | None
     status: Status
     parameters: tuple[str, ...] = eqx.field(static=True)
-    values: Float[np.ndarray, "9"]
-    covariance: Float[np.ndarray, "9 9"]
+    values: Float[np.ndarray, "q"]
+    covariance: Float[np.ndarray, "q q"]
     free: tuple[str, ...] = eqx.field(static=True)
     gauge: tuple[str, ...] = eqx.field(static=True)
     rank: int = eqx.field(static=True)

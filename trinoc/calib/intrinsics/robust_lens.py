@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 
 from trinoc.calib.detection import Detection
 from trinoc.calib.intrinsics.lens_fit import LensFit, fit_lens
-from trinoc.calib.intrinsics.lens_parameters import LensModel, free_directions, parameter_scale
+from trinoc.calib.intrinsics.lens_parameters import LensModel, free_directions
 from trinoc.calib.intrinsics.lens_residual import LensChart
 from trinoc.calib.intrinsics.zhang import ZhangStart
 from trinoc.calib.model import (
@@ -66,8 +66,8 @@ def fit_model(
     count = len(images.detections)
     padded = np.minimum(np.arange(count + -count % _IMAGE_BUCKET), count - 1)
     chart = LensChart(
-        start.values,
-        parameter_scale(start.values, images.image_size_px),
+        start.lens,
+        start.lens.parameter_scales(images.image_size_px),
         free_directions(model),
         start.cam_from_world[padded],
     )
@@ -102,7 +102,7 @@ def fit_robustly(
 
 def reached(fit: LensFit) -> ZhangStart:
     """Where a fit ended, to start the next from."""
-    return ZhangStart(np.asarray(fit.values), np.asarray(fit.cam_from_world))
+    return ZhangStart(fit.lens, np.asarray(fit.cam_from_world))
 
 
 def _all_whitened(fit: LensFit, images: LensImages) -> Float[np.ndarray, "m 2"]:

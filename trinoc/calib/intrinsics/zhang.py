@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float
 from trinoc.calib.detection import Detection
 from trinoc.calib.targets import Pattern
 from trinoc.errors import CalibrationError
+from trinoc.geometry import AbstractLens, BrownConrady
 
 FEWEST_CIRCLES = 4
 # Focal lengths, in longer sides of the picture, to start from where Zhang's formula has none.
@@ -33,17 +34,21 @@ _HELD = (
 
 
 class ZhangStart(NamedTuple):
-    """Where the fit starts: LENS_PARAMETERS (9,), and the pose of each picture (k, 3, 4)."""
+    """Where the fit starts: a lens, and the pose of each picture (k, 3, 4)."""
 
-    values: Float[np.ndarray, "9"]
+    lens: AbstractLens
     cam_from_world: Float[np.ndarray, "k 3 4"]
 
 
 def zhang_start(
-    detections: Sequence[Detection], pattern: Pattern, aspect: float | None = None
+    detections: Sequence[Detection],
+    pattern: Pattern,
+    model: type[AbstractLens] = BrownConrady,
+    aspect: float | None = None,
 ) -> ZhangStart:
     """Start of a fit; every detection must hold FEWEST_CIRCLES circles.
 
+    model : of the lens. The coefficients of one that OpenCV does not start are zero.
     aspect : fx / fy where it is known.
 
     Several focal lengths are tried, as the formula has none where all pictures are taken
@@ -66,7 +71,11 @@ def zhang_start(
             "No lens explains where the circles lie: check that all pictures show this pattern "
             "and were taken by one camera at one zoom and focus."
         )
-    return first
+    if model is BrownConrady:
+        return first
+    lens, zeros = first.lens, np.zeros(len(model.coefficient_names))
+    ideal = model(lens.focal_length_px, lens.principal_point_px, lens.skew_px, zeros)
+    return first._replace(lens=ideal)
 
 
 def roughly_right(detection: Detection, pattern: Pattern) -> Bool[np.ndarray, "m"]:
@@ -131,8 +140,13 @@ def _calibrated(
             for turn, shift in zip(turns, shifts, strict=True)
         ]
     )
-    values = np.concatenate(
-        [[matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]], distortion.reshape(-1)[:5]]
+    lens = BrownConrady(
+        np.diag(matrix)[:2].copy(),
+        matrix[:2, 2].copy(),
+        np.zeros(()),
+        distortion.reshape(-1)[: len(BrownConrady.coefficient_names)],
     )
-    sound = np.isfinite(values).all() and (values[:2] > 0).all() and (poses[:, 2, 3] > 0).all()
-    return (float(misfit_px), ZhangStart(values, poses)) if sound else (np.inf, None)
+    sound = np.isfinite(lens.parameters).all() and (lens.focal_length_px > 0).all()
+    if not (sound and (poses[:, 2, 3] > 0).all()):
+        return np.inf, None
+    return float(misfit_px), ZhangStart(lens, poses)

@@ -1,15 +1,14 @@
 from .camera import (
     CameraState as CameraState,
-    Freedom as Freedom,
     camera_of_state as camera_of_state,
     camera_state as camera_state,
+    stacked_states as stacked_states,
 )
 from .circle_residual import (
     circle_residuals_px as circle_residuals_px,
     predicted_centre_px as predicted_centre_px,
     whitened_residuals as whitened_residuals,
 )
-from .lens import LensArrays as LensArrays, lens_arrays as lens_arrays, moved_lens as moved_lens
 from .observed_circles import (
     CircleObservations as CircleObservations,
     bucket_size as bucket_size,
@@ -22,4 +21,3 @@ from .outliers import (
     is_suspect as is_suspect,
     robust_scale as robust_scale,
 )
-from .sheet_pose import SheetPose as SheetPose

@@ -4,16 +4,20 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from trinoc.calib.model.lens import LensArrays
 from trinoc.calib.model.observed_circles import CircleObservations
-from trinoc.calib.model.sheet_pose import SheetPose
-from trinoc.geometry import centre_of_mapped_ellipse, dual_conic_of_circle, transform_dual_conic
+from trinoc.geometry import (
+    AbstractLens,
+    Pose,
+    centre_of_mapped_ellipse,
+    dual_conic_of_circle,
+    transform_dual_conic,
+)
 from trinoc.numerics import ArrayLike
 
 
 def predicted_centre_px(
-    pose: SheetPose,
-    lens: LensArrays,
+    pose: Pose,
+    lens: AbstractLens,
     centre_sheet_mm: Float[ArrayLike, "2"],
     radius_mm: Float[ArrayLike, ""],
 ) -> Float[ArrayLike, "2"]:
@@ -23,7 +27,7 @@ def predicted_centre_px(
     calibration matrices are affine and map centres to centres.
     """
     homography = pose.cam_from_sheet
-    if lens.distortion is not None:
+    if lens.has_distortion:
         circle = dual_conic_of_circle(centre_sheet_mm, radius_mm)
         ellipse = transform_dual_conic(homography, circle)
         return centre_of_mapped_ellipse(ellipse, lens.pixel_from_normalised)
@@ -35,7 +39,7 @@ def predicted_centre_px(
 
 
 def circle_residuals_px(
-    pose: SheetPose, lens: LensArrays, circles: CircleObservations
+    pose: Pose, lens: AbstractLens, circles: CircleObservations
 ) -> Float[ArrayLike, "n 2"]:
     """Predicted minus observed centre of every circle, in pixels."""
     predict = jax.vmap(predicted_centre_px, in_axes=(None, None, 0, 0))
@@ -43,7 +47,7 @@ def circle_residuals_px(
 
 
 def whitened_residuals(
-    pose: SheetPose, lens: LensArrays, circles: CircleObservations
+    pose: Pose, lens: AbstractLens, circles: CircleObservations
 ) -> Float[ArrayLike, "n 2"]:
     """Residuals in units of their own standard deviations; zero for unused rows."""
     return jnp.einsum("nij,nj->ni", circles.whitening, circle_residuals_px(pose, lens, circles))

@@ -15,10 +15,10 @@ import lineax as lx
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int, PyTree, Scalar
 
-from trinoc.calib.model import SheetPose
 from trinoc.calib.photometric.appearance import NUISANCE, Appearance, Pixels
 from trinoc.calib.photometric.ink_coverage import Cross, Drawing
 from trinoc.calib.photometric.normal_equations import normal_equations
+from trinoc.geometry import Pose, PoseModel
 from trinoc.numerics import ArrayLike, GemanMcClure, ScalarLike, inverse_3x3
 
 MOST_STEPS = 8
@@ -34,7 +34,7 @@ class Group(NamedTuple):
 class ImageState(NamedTuple):
     """Everything that is unknown about one picture."""
 
-    pose: SheetPose
+    pose: Pose
     appearance: Appearance
 
 
@@ -91,13 +91,16 @@ class Fit(NamedTuple):
 
 
 def gradient_and_sums(
-    state: ImageState, image: Picture, drawing: Drawing, parameter_count: int
+    state: ImageState, image: Picture, drawing: Drawing, model: PoseModel
 ) -> tuple[Float[ArrayLike, "k"], Sums]:
     """J^T W r by the chart of the pose and the appearance, which a fit brings to zero."""
-    zero = jnp.zeros(parameter_count, state.pose.rotation.dtype)
+    zero = jnp.zeros(model.size, state.pose.rotation.dtype)
+
+    def retracted(motion: Float[ArrayLike, "p"]) -> Pose:
+        return state.pose.retract(motion, model, state.pose.distance_mm)
 
     def homography_after(motion: Float[ArrayLike, "p"]) -> Float[ArrayLike, "9"]:
-        return sheet_from_normalised(state.pose.moved(motion)).reshape(9)
+        return sheet_from_normalised(retracted(motion)).reshape(9)
 
     homography, by_motion = homography_after(zero), jax.jacfwd(homography_after)(zero)
     sums = [
@@ -115,9 +118,9 @@ def gradient_and_sums(
     ]
     matrix = sums[0].matrix + sums[1].matrix
     slope = sums[0].gradient + sums[1].gradient
-    chain = jnp.zeros((9 + NUISANCE, parameter_count + NUISANCE), zero.dtype)
-    chain = chain.at[:9, :parameter_count].set(by_motion)
-    chain = chain.at[9:, parameter_count:].set(jnp.eye(NUISANCE, dtype=zero.dtype))
+    chain = jnp.zeros((9 + NUISANCE, model.size + NUISANCE), zero.dtype)
+    chain = chain.at[:9, : model.size].set(by_motion)
+    chain = chain.at[9:, model.size :].set(jnp.eye(NUISANCE, dtype=zero.dtype))
     residuals = (sums[0].residuals, sums[1].residuals)
     return chain.T @ slope, Sums(chain.T @ matrix @ chain, residuals)
 
@@ -139,6 +142,7 @@ class StagedGaussNewton(optx.AbstractRootFinder[ImageState, Array, Sums, _State]
     ------
     stages : of the first steps, along a first axis; the last serves all further steps.
     round_steps : convergence is looked at after each so many steps.
+    model : what a step may change of the pose.
     atol : the length of a step that ends the fit, in units of its own standard deviation for
         noise of one grey level.
     rtol, norm : not used.
@@ -146,6 +150,7 @@ class StagedGaussNewton(optx.AbstractRootFinder[ImageState, Array, Sums, _State]
 
     stages: Stage
     round_steps: Int[ArrayLike, ""]
+    model: PoseModel = eqx.field(static=True)
     atol: ScalarLike
     rtol: float = 0.0
     norm: Callable[[PyTree], Scalar] = eqx.field(default=optx.max_norm, static=True)
@@ -177,9 +182,10 @@ class StagedGaussNewton(optx.AbstractRootFinder[ImageState, Array, Sums, _State]
         stage = jax.tree.map(lambda leaf: leaf[turn], self.stages)
         gradient, sums = fn(y, args._replace(stage=stage))
         motion = -_solve(sums.information, gradient, stage.held)
-        count = len(motion) - NUISANCE
+        count = self.model.size
         after = ImageState(
-            y.pose.moved(motion[:count]), _kept_possible(y.appearance.vector + motion[count:])
+            y.pose.retract(motion[:count], self.model, y.pose.distance_mm),
+            _kept_possible(y.appearance.vector + motion[count:]),
         )
         return after, _State(state.steps + 1, jnp.sqrt(-motion @ gradient)), sums
 
@@ -219,7 +225,7 @@ def fit_picture(
     solver: StagedGaussNewton,
     *,
     drawing: Drawing,
-    parameter_count: int,
+    model: PoseModel,
 ) -> Fit:
     """Steps from `state` until the solver has converged or taken `MOST_STEPS`.
 
@@ -228,7 +234,7 @@ def fit_picture(
     """
     first = jax.tree.map(lambda leaf: leaf[0], solver.stages)
     solution = optx.root_find(
-        partial(gradient_and_sums, drawing=drawing, parameter_count=parameter_count),
+        partial(gradient_and_sums, drawing=drawing, model=model),
         solver,
         state,
         args=Picture(near_circles, near_lines, cross, first),
@@ -240,7 +246,7 @@ def fit_picture(
     return Fit(solution.value, solution.aux, solution.result == optx.RESULTS.successful)
 
 
-def sheet_from_normalised(pose: SheetPose) -> Float[ArrayLike, "3 3"]:
+def sheet_from_normalised(pose: Pose) -> Float[ArrayLike, "3 3"]:
     """Homography from normalised image coordinates to the sheet, scaled by its last entry."""
     inverse = inverse_3x3(pose.cam_from_sheet)
     return inverse / inverse[2, 2]
@@ -269,4 +275,4 @@ def _kept_possible(vector: Float[ArrayLike, "9"]) -> Appearance:
     return appearance._replace(sigma_px=jnp.maximum(appearance.sigma_px, 0.1))
 
 
-run_fit = jax.jit(fit_picture, static_argnames=("drawing", "parameter_count"))
+run_fit = jax.jit(fit_picture, static_argnames=("drawing", "model"))

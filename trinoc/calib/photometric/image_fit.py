@@ -8,7 +8,6 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.model import LensArrays, SheetPose
 from trinoc.calib.photometric.appearance import NUISANCE, Appearance
 from trinoc.calib.photometric.gate import gate_pixels
 from trinoc.calib.photometric.gauss_newton import (
@@ -31,6 +30,7 @@ from trinoc.calib.photometric.pixel_selection import (
     select_pixels,
 )
 from trinoc.calib.targets import Pattern
+from trinoc.geometry import AbstractLens, Pose, PoseModel
 from trinoc.numerics import GemanMcClure
 
 # Shares of the contrast at which a residual loses its influence while the fit finds its way.
@@ -51,8 +51,8 @@ class ImageRefinement(NamedTuple):
     ------
     pose : where it ended.
     appearance : light, ink and blur of the picture.
-    information : (p, p) of the pose's chart for noise of one grey level, after the appearance
-        has taken its share.
+    information : (p, p) of a step of the pose, lengths in units of its distance, for noise of one
+        grey level, after the appearance has taken its share.
     noise : standard deviation of the residuals of the pixels that stayed, grey levels.
     noise_floor : the same of the picture's flat parts.
     pixels : number of pixels that stayed.
@@ -60,7 +60,7 @@ class ImageRefinement(NamedTuple):
     converged : whether the last step was small against its own standard deviation.
     """
 
-    pose: SheetPose
+    pose: Pose
     appearance: Appearance
     information: Float[np.ndarray, "p p"]
     noise: float
@@ -73,9 +73,9 @@ class ImageRefinement(NamedTuple):
 def refine_image(
     image: Float[np.ndarray, "h w"],
     pattern: Pattern,
-    lens: LensArrays,
-    start: SheetPose,
-    parameter_count: int,
+    lens: AbstractLens,
+    start: Pose,
+    model: PoseModel,
 ) -> ImageRefinement | None:
     """Fit the sheet's model to the pixels near its edges; None where none can be seen."""
     size = (image.shape[1], image.shape[0])
@@ -96,27 +96,27 @@ def refine_image(
     drawing = Drawing(pattern.line_style, bool((pattern.inner_radius_mm > 0).any()))
     state = ImageState(start, appearance)
 
-    fit = partial(_run, drawing=drawing, parameter_count=parameter_count)
+    fit = partial(_run, drawing=drawing, model=model)
 
     def residuals(fit: Fit) -> Float[np.ndarray, "n"]:
         both = zip(fit.sums.residuals, counts, strict=True)
         return np.concatenate([np.asarray(part)[:count] for part, count in both])
 
-    first = fit(state, circles, lines, cross, _robust(contrast, parameter_count))
+    first = fit(state, circles, lines, cross, _robust(contrast, model))
     everything = SelectedPixels(*(np.concatenate(pair) for pair in zip(*chosen, strict=True)))
     gate = gate_pixels(everything, residuals(first), contrast)
     kept = np.split(gate.kept, [counts[0]])
     groups = (_masked(circles, kept[0]), _masked(lines, kept[1]))
-    last = fit(first.state, *groups, cross, _plain(gate.sigma, parameter_count))
+    last = fit(first.state, *groups, cross, _plain(gate.sigma, model))
     left = residuals(last)[gate.kept]
-    freedom = len(left) - parameter_count - NUISANCE
+    freedom = len(left) - model.size - NUISANCE
     if freedom <= 0:
         return None
     state = jax.tree.map(np.asarray, last.state)
     return ImageRefinement(
         state.pose,
         state.appearance,
-        _marginal(np.asarray(last.sums.information), parameter_count),
+        _marginal(np.asarray(last.sums.information), model.size),
         float(np.sqrt(np.sum(left.astype(np.float64) ** 2) / freedom)),
         noise_floor(_cut_out(image, choice), choice.flat),
         len(left),
@@ -130,43 +130,47 @@ _COMPILING = threading.Lock()
 _compiled: set[tuple[object, ...]] = set()
 
 
-def _run(*arguments: Any, drawing: Drawing, parameter_count: int) -> Fit:
-    key = (drawing, parameter_count, arguments[1].pixels.grey.shape)
+def _run(*arguments: Any, drawing: Drawing, model: PoseModel) -> Fit:
+    key = (drawing, model, arguments[1].pixels.grey.shape)
     if key in _compiled:
-        return run_fit(*arguments, drawing=drawing, parameter_count=parameter_count)
+        return run_fit(*arguments, drawing=drawing, model=model)
     with _COMPILING:
-        fit = run_fit(*arguments, drawing=drawing, parameter_count=parameter_count)
+        fit = run_fit(*arguments, drawing=drawing, model=model)
         _compiled.add(key)
     return fit
 
 
-def _robust(contrast: float, parameter_count: int) -> StagedGaussNewton:
+def _robust(contrast: float, model: PoseModel) -> StagedGaussNewton:
     """One step at each scale.
 
     Ink spread and the slopes of the light wait for the pose: they would bend to swallow
     what covers the sheet.
     """
-    spread, first_slope = parameter_count + 1, parameter_count + 4
-    held = np.zeros((len(_SCALES), parameter_count + NUISANCE))
+    spread, first_slope = model.size + 1, model.size + 4
+    held = np.zeros((len(_SCALES), model.size + NUISANCE))
     held[:2, spread] = 1.0
     held[0, first_slope:] = 1.0
     held[1, first_slope + 2 :] = 1.0
     loss = GemanMcClure.from_scale(contrast * np.array(_SCALES))
     stages = Stage(loss, held, np.array(_STRIDES, dtype=np.int32))
     return StagedGaussNewton(
-        stages=stages, round_steps=np.asarray(len(_SCALES)), atol=np.asarray(np.inf)
+        stages=stages,
+        round_steps=np.asarray(len(_SCALES)),
+        model=model,
+        atol=np.asarray(np.inf),
     )
 
 
-def _plain(sigma: float, parameter_count: int) -> StagedGaussNewton:
+def _plain(sigma: float, model: PoseModel) -> StagedGaussNewton:
     """Steps of least squares over all pixels, in arrays of the robust steps' shapes."""
     count = len(_SCALES)
-    held = np.zeros((count, parameter_count + NUISANCE))
+    held = np.zeros((count, model.size + NUISANCE))
     loss = GemanMcClure.from_scale(np.full(count, np.inf))
     stages = Stage(loss, held, np.ones(count, dtype=np.int32))
     return StagedGaussNewton(
         stages=stages,
         round_steps=np.asarray(_PLAIN_STEPS),
+        model=model,
         atol=np.asarray(_CONVERGED_SIGMAS * sigma),
     )
 
@@ -182,15 +186,11 @@ def _masked(group: Group, kept: np.ndarray) -> Group:
     return group._replace(pixels=group.pixels._replace(weight=weight))
 
 
-def _marginal(
-    information: Float[np.ndarray, "k k"], parameter_count: int
-) -> Float[np.ndarray, "p p"]:
+def _marginal(information: Float[np.ndarray, "k k"], pose_size: int) -> Float[np.ndarray, "p p"]:
     """Information of the pose alone: the Schur complement of the appearance."""
-    pose, look = information[:parameter_count], information[parameter_count:]
-    across = pose[:, parameter_count:]
-    inner = look[:, parameter_count:]
+    pose, look = information[:pose_size], information[pose_size:]
+    across = pose[:, pose_size:]
+    inner = look[:, pose_size:]
     scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))
     scaled = inner / (scale[:, None] * scale)
-    return pose[:, :parameter_count] - (across / scale) @ np.linalg.solve(
-        scaled, (across / scale).T
-    )
+    return pose[:, :pose_size] - (across / scale) @ np.linalg.solve(scaled, (across / scale).T)

@@ -17,6 +17,7 @@ from jaxtyping import Float
 from trinoc.calib.photometric.appearance import NUISANCE, Appearance, predict
 from trinoc.calib.photometric.gauss_newton import Group, ImageState, sheet_from_normalised
 from trinoc.calib.photometric.ink_coverage import Cross, Drawing
+from trinoc.geometry import PoseModel
 from trinoc.numerics import ArrayLike
 
 
@@ -27,7 +28,7 @@ def fitted(
     cross: Cross,
     *,
     drawing: Drawing,
-    parameter_count: int,
+    model: PoseModel,
 ) -> ImageState:
     """`state`, where a fit without a robust loss ended, with its derivatives by all the rest.
 
@@ -36,39 +37,41 @@ def fitted(
     """
     state = jax.lax.stop_gradient(state)
     solution = optx.root_find(
-        partial(_gradient_after, drawing=drawing, parameter_count=parameter_count),
+        partial(_gradient_after, drawing=drawing, model=model),
         optx.Newton(0.0, 0.0),
-        jnp.zeros(parameter_count + NUISANCE),
+        jnp.zeros(model.size + NUISANCE),
         args=(state, near_circles, near_lines, cross),
         adjoint=optx.ImplicitAdjoint(lx.LU()),
         # None: the fit has been made.
         max_steps=0,
         throw=False,
     )
-    return _after(state, solution.value, parameter_count)
+    return _after(state, solution.value, model)
 
 
-def _after(state: ImageState, step: Float[ArrayLike, "k"], parameter_count: int) -> ImageState:
-    appearance = Appearance.from_vector(state.appearance.vector + step[parameter_count:])
-    return ImageState(state.pose.moved(step[:parameter_count]), appearance)
+def _after(state: ImageState, step: Float[ArrayLike, "k"], model: PoseModel) -> ImageState:
+    appearance = Appearance.from_vector(state.appearance.vector + step[model.size :])
+    pose = state.pose.retract(step[: model.size], model, state.pose.distance_mm)
+    return ImageState(pose, appearance)
 
 
 def _gradient_after(
     step: Float[ArrayLike, "k"],
     args: tuple[ImageState, Group, Group, Cross],
     drawing: Drawing,
-    parameter_count: int,
+    model: PoseModel,
 ) -> Float[ArrayLike, "k"]:
     """J^T r after a step from a state, summed over all pixels at once, J being held."""
     state, near_circles, near_lines, cross = args
 
     def homography_after(step: Float[ArrayLike, "k"]) -> Float[ArrayLike, "3 3"]:
-        return sheet_from_normalised(state.pose.moved(step[:parameter_count]))
+        pose = state.pose.retract(step[: model.size], model, state.pose.distance_mm)
+        return sheet_from_normalised(pose)
 
     by_step = jax.jacfwd(homography_after)(step).reshape(9, -1)
-    appearance_by_step = jnp.eye(NUISANCE, len(step), parameter_count, dtype=step.dtype)
+    appearance_by_step = jnp.eye(NUISANCE, len(step), model.size, dtype=step.dtype)
     chain = jax.lax.stop_gradient(jnp.concatenate([by_step, appearance_by_step]))
-    after = _after(state, step, parameter_count)
+    after = _after(state, step, model)
     shared = homography_after(step), after.appearance
     total = jnp.zeros_like(step)
     for group, near_line in ((near_circles, False), (near_lines, True)):

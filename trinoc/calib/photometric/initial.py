@@ -3,10 +3,10 @@
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.model import LensArrays, SheetPose
 from trinoc.calib.photometric.appearance import LIGHT_TERMS, Appearance
 from trinoc.calib.photometric.outlines import circle_points_mm, project_to_image
 from trinoc.calib.targets import Pattern
+from trinoc.geometry import AbstractLens, Pose
 
 # A central difference over two pixels sees an edge as if blurred by this variance more.
 _DIFFERENCE_VARIANCE = 1 / 3
@@ -14,7 +14,7 @@ _LEAST_SIGMA_PX, _LARGEST_SIGMA_PX = 0.4, 8.0
 
 
 def initial_appearance(
-    image: Float[np.ndarray, "h w"], pose: SheetPose, lens: LensArrays, pattern: Pattern
+    image: Float[np.ndarray, "h w"], pose: Pose, lens: AbstractLens, pattern: Pattern
 ) -> Appearance:
     """Medians over all circles: of the paper beside, the ink inside, the steepness between."""
     outer, inner = pattern.radius_mm, pattern.inner_radius_mm

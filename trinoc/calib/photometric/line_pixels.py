@@ -6,10 +6,10 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.calib.model import LensArrays, SheetPose
 from trinoc.calib.photometric.gauss_newton import sheet_from_normalised
 from trinoc.calib.photometric.rays import rays_of_pixels
 from trinoc.calib.targets import Pattern
+from trinoc.geometry import AbstractLens, Pose
 
 
 class LineView(NamedTuple):
@@ -30,8 +30,8 @@ class LineView(NamedTuple):
 def line_view(
     column: Int[np.ndarray, "n"],
     row: Int[np.ndarray, "n"],
-    pose: SheetPose,
-    lens: LensArrays,
+    pose: Pose,
+    lens: AbstractLens,
     pattern: Pattern,
     reach_px: float,
 ) -> LineView:
@@ -64,7 +64,7 @@ def line_view(
 
 
 def _on_sheet(
-    column: Int[np.ndarray, "n"], row: Int[np.ndarray, "n"], pose: SheetPose, lens: LensArrays
+    column: Int[np.ndarray, "n"], row: Int[np.ndarray, "n"], pose: Pose, lens: AbstractLens
 ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n"]]:
     """Points of the sheet under pixels, and the largest mm per pixel about each."""
     normalised, by_pixel = rays_of_pixels(lens, np.stack([column, row], axis=1).astype(np.float64))

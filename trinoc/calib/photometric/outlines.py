@@ -1,11 +1,12 @@
 """Where the edges of the sheet lie in a picture, as polygons."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.model import LensArrays, SheetPose
 from trinoc.calib.targets import Pattern
+from trinoc.geometry import AbstractLens, Pose, project_point
 from trinoc.numerics import ArrayLike
 
 _CIRCLE_POINTS = 32
@@ -14,16 +15,11 @@ _SIDE_POINTS = 16
 
 @jax.jit
 def project_to_image(
-    pose: SheetPose, lens: LensArrays, points_mm: Float[ArrayLike, "n 2"]
+    pose: Pose, lens: AbstractLens, points_mm: Float[ArrayLike, "n 2"]
 ) -> Float[ArrayLike, "n 2"]:
     """Pixels that image points of the sheet."""
-
-    def project(point: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
-        homography = pose.cam_from_sheet
-        image = homography[:, :2] @ point + homography[:, 2]
-        return lens.pixel_from_normalised(image[:2] / image[2])
-
-    return jax.vmap(project)(points_mm)
+    places = jnp.concatenate([points_mm, jnp.zeros_like(points_mm[:, :1])], axis=1)
+    return jax.vmap(project_point, in_axes=(None, None, 0))(pose, lens, places)
 
 
 def circle_points_mm(

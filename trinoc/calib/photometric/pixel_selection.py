@@ -7,7 +7,6 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.calib.model import LensArrays, SheetPose
 from trinoc.calib.photometric.appearance import Pixels
 from trinoc.calib.photometric.gauss_newton import Group
 from trinoc.calib.photometric.ink_coverage import Circle
@@ -16,6 +15,7 @@ from trinoc.calib.photometric.normal_equations import CHUNK
 from trinoc.calib.photometric.outlines import circle_points_mm, line_outlines_mm, project_to_image
 from trinoc.calib.photometric.rays import rays_of_pixels
 from trinoc.calib.targets import Pattern
+from trinoc.geometry import AbstractLens, Pose
 
 # Pixels within this many sigmas of an edge, and a little more for an error of the start.
 _REACH_SIGMAS = 3.0
@@ -58,8 +58,8 @@ class PixelSelection(NamedTuple):
 
 
 def select_pixels(
-    pose: SheetPose,
-    lens: LensArrays,
+    pose: Pose,
+    lens: AbstractLens,
     pattern: Pattern,
     image_size_px: tuple[int, int],
     sigma_px: float,
@@ -109,7 +109,7 @@ def _spread(chosen: SelectedPixels) -> SelectedPixels:
 
 
 def _outlines(
-    pose: SheetPose, lens: LensArrays, pattern: Pattern
+    pose: Pose, lens: AbstractLens, pattern: Pattern
 ) -> tuple[Float[np.ndarray, "m k 2"], Int[np.ndarray, "m"], Float[np.ndarray, "lines j 2"]]:
     """Outlines in the picture of edges of circles, whose they are, and of the two lines."""
     of_circle = np.concatenate([np.arange(len(pattern)), np.flatnonzero(pattern.is_ring)])
@@ -159,7 +159,7 @@ def capacity_for(count: int) -> int:
 def group_of(
     chosen: SelectedPixels,
     image: np.ndarray,
-    lens: LensArrays,
+    lens: AbstractLens,
     pattern: Pattern,
     capacity: int,
     dtype: type,

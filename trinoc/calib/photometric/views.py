@@ -7,23 +7,16 @@ from functools import partial
 from typing import NamedTuple, TypeVar
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from trinoc.calib.detection import Detection
-from trinoc.calib.model import (
-    SheetPose,
-    bucket_size,
-    circle_observations,
-    circle_residuals_px,
-    lens_arrays,
-)
+from trinoc.calib.model import bucket_size, circle_observations, circle_residuals_px
 from trinoc.calib.photometric.image_fit import ImageRefinement, refine_image
-from trinoc.calib.pose import DEGREES, PoseEstimate, sheet_pose_of_values
+from trinoc.calib.pose import DEGREES, PoseEstimate, pose_of_values, values_of_parameters
 from trinoc.calib.result import ImageQuality, Status
 from trinoc.calib.targets import Pattern
-from trinoc.geometry import PARAMETER_NAMES, Intrinsics
+from trinoc.geometry import PARAMETER_NAMES, Intrinsics, Pose, PoseModel
 from trinoc.numerics import LARGEST_SIGMA, ArrayLike, observability
 
 # The picture moves circles by hundredths of a pixel; more than this is another minimum.
@@ -48,7 +41,7 @@ def refine_views(
     detections: Mapping[str, Detection],
     pattern: Pattern,
     lenses: Mapping[str, Intrinsics],
-    parameter_count: int,
+    model: PoseModel,
 ) -> dict[str, ViewEstimate]:
     """Fit each picture from its circles' pose; in threads, since they share nothing.
 
@@ -56,9 +49,7 @@ def refine_views(
     """
 
     def refine(name: str) -> ViewEstimate:
-        return _refine(
-            images[name], fits[name], detections[name], pattern, lenses[name], parameter_count
-        )
+        return _refine(images[name], fits[name], detections[name], pattern, lenses[name], model)
 
     return in_threads(refine, list(fits))
 
@@ -88,36 +79,33 @@ def _refine(
     detection: Detection,
     pattern: Pattern,
     lens: Intrinsics,
-    parameter_count: int,
+    model: PoseModel,
 ) -> ViewEstimate:
-    arrays = lens_arrays(lens, lens.distortion_model != "none")
-    start = sheet_pose_of_values(fit.values)
-    refined = refine_image(image, pattern, arrays, start, parameter_count)
+    refined = refine_image(image, pattern, lens.lens, pose_of_values(fit.values), model)
     if refined is None:
         return ViewEstimate(fit, None, "the picture has too little contrast to be fitted itself.")
     if not refined.converged or not np.isfinite(refined.information).all():
         return ViewEstimate(fit, None, "the fit of the picture itself did not converge.")
     circles = circle_observations(detection, pattern, bucket_size(len(detection)))
-    residuals_px = np.asarray(_circle_residuals(refined.pose, arrays, circles))[: len(detection)]
+    residuals_px = np.asarray(_circle_residuals(refined.pose, lens.lens, circles))[: len(detection)]
     moved = np.abs(residuals_px - fit.residuals_px)[fit.used]
     if not moved.max(initial=0.0) < _LARGEST_MOVE_PX:
         return ViewEstimate(
             fit, None, f"the picture itself disagrees with its circles by {moved.max():.2f} px."
         )
-    return _judged(fit, refined, residuals_px, parameter_count)
+    return _judged(fit, refined, residuals_px, model)
 
 
 def _judged(
-    fit: PoseEstimate, refined: ImageRefinement, residuals_px: np.ndarray, parameter_count: int
+    fit: PoseEstimate, refined: ImageRefinement, residuals_px: np.ndarray, model: PoseModel
 ) -> ViewEstimate:
-    parameters, by_chart = _named_parameters(refined.pose, parameter_count=parameter_count)
-    parameters = np.asarray(parameters)
-    by_chart = DEGREES[:parameter_count, None] * np.asarray(by_chart)[:parameter_count]
-    largest = LARGEST_SIGMA * DEGREES * np.array([1, 1, 1, *np.full(3, parameters[3])])
-    seen = observability(
-        refined.information / refined.noise**2, by_chart, largest[:parameter_count]
+    parameters, by_delta = (
+        np.asarray(part) for part in _named_parameters(refined.pose, model=model)
     )
-    if seen.rank < parameter_count:
+    by_delta = DEGREES[: model.size, None] * by_delta
+    largest = LARGEST_SIGMA * DEGREES * np.array([1, 1, 1, *np.full(3, parameters[3])])
+    seen = observability(refined.information / refined.noise**2, by_delta, largest[: model.size])
+    if seen.rank < model.size:
         return ViewEstimate(fit, None, "the picture itself leaves the pose undetermined.")
     look = refined.appearance
     quality = ImageQuality(
@@ -133,7 +121,7 @@ def _judged(
     return ViewEstimate(
         fit._replace(
             status=Status.CONVERGED,
-            values=DEGREES * parameters,
+            values=values_of_parameters(parameters),
             covariance=seen.covariance,
             residuals_px=residuals_px,
             rank=seen.rank,
@@ -147,10 +135,10 @@ def _judged(
 _circle_residuals = jax.jit(circle_residuals_px)
 
 
-@partial(jax.jit, static_argnames="parameter_count")
+@partial(jax.jit, static_argnames="model")
 def _named_parameters(
-    pose: SheetPose, *, parameter_count: int
-) -> tuple[Float[ArrayLike, "6"], Float[ArrayLike, "6 p"]]:
-    """Parameters of a pose, and their derivative with respect to its chart."""
-    zero = jnp.zeros(parameter_count)
-    return pose.parameters, jax.jacfwd(lambda step: pose.moved(step).parameters)(zero)
+    pose: Pose, *, model: PoseModel
+) -> tuple[Float[ArrayLike, "p"], Float[ArrayLike, "p p"]]:
+    """Parameters of a pose, and their derivative by a step in units of its distance."""
+    by_delta = pose.d_parameters_d_delta(model, pose.distance_mm, pose)
+    return pose.model_parameters(model, pose), by_delta

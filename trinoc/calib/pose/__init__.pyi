@@ -1,7 +1,8 @@
 from .estimate import (
     DEGREES as DEGREES,
     PoseEstimate as PoseEstimate,
-    sheet_pose_of_values as sheet_pose_of_values,
+    pose_of_values as pose_of_values,
+    values_of_parameters as values_of_parameters,
 )
 from .point_least_squares import PointFit as PointFit, fit_points as fit_points
 from .score import score_test as score_test

@@ -2,13 +2,13 @@
 
 from typing import NamedTuple
 
+import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
-from trinoc.calib.model import SheetPose
 from trinoc.calib.result import Status
-from trinoc.geometry import PARAMETER_NAMES, PanTiltPose
-from trinoc.numerics import LARGEST_SIGMA, observability
+from trinoc.geometry import PARAMETER_NAMES, Pose
+from trinoc.numerics import LARGEST_SIGMA, in_float64, observability
 
 # From (rad, rad, rad, mm, mm, mm), in which fits run, to degrees, in which people read.
 DEGREES = np.array([180 / np.pi, 180 / np.pi, 180 / np.pi, 1.0, 1.0, 1.0])
@@ -45,11 +45,11 @@ class PoseEstimate(NamedTuple):
 
 
 def assess(
-    parameters: Float[np.ndarray, "6"],
+    parameters: Float[np.ndarray, "p"],
     residuals_px: Float[np.ndarray, "m 2"],
     whitened: Float[np.ndarray, "m 2"],
     information: Float[np.ndarray, "p p"],
-    parameters_by_chart: Float[np.ndarray, "6 p"],
+    d_parameters_d_delta: Float[np.ndarray, "p p"],
     converged: bool,
     used: Bool[np.ndarray, "m"],
 ) -> PoseEstimate:
@@ -80,13 +80,13 @@ def assess(
             (),
         )
     largest = LARGEST_SIGMA * DEGREES * np.array([1, 1, 1, *np.full(3, parameters[3])])
-    by_chart = DEGREES[:count, None] * parameters_by_chart[:count]
-    seen = observability(information, by_chart, largest[:count])
+    by_delta = DEGREES[:count, None] * d_parameters_d_delta
+    seen = observability(information, by_delta, largest[:count])
     inflated = reduced > 1 + _CHI_SQUARE_DEVIATIONS * np.sqrt(2 / max(freedom, 1))
     complete = seen.rank == count
     return PoseEstimate(
         Status.CONVERGED if complete else Status.RANK_DEFICIENT,
-        DEGREES * parameters if complete else np.full(6, np.nan),
+        values_of_parameters(parameters) if complete else np.full(6, np.nan),
         seen.covariance * (reduced if inflated else 1.0),
         residuals_px,
         used,
@@ -97,7 +97,18 @@ def assess(
     )
 
 
-def sheet_pose_of_values(values: Float[np.ndarray, "6"]) -> SheetPose:
+def values_of_parameters(parameters: Float[np.ndarray, "p"]) -> Float[np.ndarray, "6"]:
+    """All six parameters in degrees and mm, an aim that is held at the origin."""
+    values = np.zeros(len(DEGREES))
+    values[: len(parameters)] = DEGREES[: len(parameters)] * parameters
+    return values
+
+
+@in_float64
+def pose_of_values(values: Float[np.ndarray, "6"]) -> Pose:
     """The pose of pan, tilt, swing in degrees, distance and aim in mm."""
-    pose = PanTiltPose.from_vector(np.concatenate([np.radians(values[:3]), values[3:]])).pose
-    return SheetPose(np.asarray(pose.rotation), np.asarray(values[3]), np.array(values[4:6]))
+    return _pose(np.concatenate([np.radians(values[:3]), values[3:]]))
+
+
+# Operation by operation it takes two milliseconds, which a batch of frames feels.
+_pose = jax.jit(Pose.from_parameters)

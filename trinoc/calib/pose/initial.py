@@ -11,7 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.model import CircleObservations, LensArrays, SheetPose
+from trinoc.calib.model import CircleObservations
+from trinoc.geometry import AbstractLens, Pose
 from trinoc.numerics import ArrayLike
 
 # Steps of 7.5 degrees: the parabola through the best three is then good to a degree or two.
@@ -19,14 +20,14 @@ _ANGLES_RAD = np.arange(48) * (2 * np.pi / 48)
 
 
 def initial_pose_from_lines(
-    lens: LensArrays, circles: CircleObservations, aim_is_free: bool
-) -> SheetPose:
+    lens: AbstractLens, circles: CircleObservations, aim_is_free: bool
+) -> Pose:
     """The pose of the cross lines whose circles lie nearest to the observed ones.
 
     With the aim held at the origin the pose is turned until the optical axis meets the
     crossing. NaN where a line was not seen.
     """
-    planes = circles.lines_px @ lens.matrix_px
+    planes = circles.lines_px @ lens.matrix
     normal_x, normal_y = _unit(planes[0]), _unit(planes[1])
     ray = _unit(jnp.cross(normal_x, normal_y))
     ray = ray * jnp.sign(ray[2])
@@ -62,14 +63,13 @@ def initial_pose_from_lines(
     shift = jnp.where(jnp.isfinite(bend) & (bend > 0), (around[0] - around[2]) / (2 * bend), 0.0)
     angle = jnp.asarray(_ANGLES_RAD)[best] + shift * _ANGLES_RAD[1]
     rotation, distance = rotation_at(angle), distance_and_misfit(angle)[0]
-    if aim_is_free:
-        return sheet_pose(rotation, distance * ray)
-    return SheetPose(_turn_to_axis(ray) @ rotation, distance, jnp.zeros(2))
+    pose = Pose.from_translation(rotation, distance * ray)
+    return pose if aim_is_free else pose.aimed()
 
 
 def initial_pose_from_circles(
-    lens: LensArrays, circles: CircleObservations, aim_is_free: bool
-) -> SheetPose:
+    lens: AbstractLens, circles: CircleObservations, aim_is_free: bool
+) -> Pose:
     """The pose of the homography through the circles' centres (Hartley and Zisserman, 4.1).
 
     For a picture in which a line is hidden. Needs four circles, no three of them on a line;
@@ -98,32 +98,9 @@ def initial_pose_from_circles(
     axis_y = (bisector - difference) / jnp.sqrt(2.0)
     rotation = jnp.stack([axis_x, axis_y, jnp.cross(axis_x, axis_y)], axis=1)
     translation = homography[:, 2] / length
-    if aim_is_free:
-        return sheet_pose(rotation, translation)
-    distance = jnp.sqrt(translation @ translation)
-    return SheetPose(_turn_to_axis(translation / distance) @ rotation, distance, jnp.zeros(2))
-
-
-def sheet_pose(
-    rotation: Float[ArrayLike, "3 3"], translation_mm: Float[ArrayLike, "3"]
-) -> SheetPose:
-    """The aim and distance of x_cam = R x_world + t; not finite where the axis misses Z = 0."""
-    centre = -rotation.T @ translation_mm
-    distance = -centre[2] / rotation[2, 2]
-    return SheetPose(rotation, distance, (centre + distance * rotation[2])[:2])
+    pose = Pose.from_translation(rotation, translation)
+    return pose if aim_is_free else pose.aimed()
 
 
 def _unit(vector: Float[ArrayLike, "3"]) -> Float[ArrayLike, "3"]:
     return vector / jnp.sqrt(vector @ vector)
-
-
-def _turn_to_axis(ray: Float[ArrayLike, "3"]) -> Float[ArrayLike, "3 3"]:
-    """The smallest rotation that takes a unit vector with z > 0 onto the optical axis."""
-    x, y, z = ray[0], ray[1], ray[2]
-    factor = 1 / (1 + z)
-    rows = [
-        [1 - factor * x * x, -factor * x * y, -x],
-        [-factor * x * y, 1 - factor * y * y, -y],
-        [x, y, z],
-    ]
-    return jnp.stack([jnp.stack(row) for row in rows])

@@ -1,5 +1,6 @@
 """The least squares of one camera's pose and lens over given points."""
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -10,8 +11,8 @@ import optimistix as optx
 from jaxtyping import Bool, Float
 
 from trinoc.calib.model import bucket_size
-from trinoc.geometry import Pose, distort
-from trinoc.numerics import ArrayLike
+from trinoc.geometry import AbstractLens, Pose, PoseModel, project_point
+from trinoc.numerics import ArrayLike, as_numpy
 
 _MAX_STEPS = 256
 
@@ -21,26 +22,28 @@ class PointFit(NamedTuple):
 
     Fields
     ------
-    cam_from_world : (3, 4).
-    lens : (9,) LENS_PARAMETERS.
+    pose, lens : of the camera.
     residuals_px : (n, 2) predicted minus observed, of all points.
-    jacobian : (n, 2, 15) by turns in rad, the centre in distances, and the lens's directions.
-    distance_mm : from the centre to the middle of the points.
+    jacobian : (n, 2, p + q) by a step of the pose, lengths in units of `distance_mm`, and by a
+        step along the lens's directions.
+    d_parameters_d_delta : (p, p) derivative of the pose's parameters (rad, mm) by its step.
+    distance_mm : from the centre to the middle of the points, before the fit.
     converged : whether the solver says so, with all points in front.
     """
 
-    cam_from_world: Float[np.ndarray, "3 4"]
-    lens: Float[np.ndarray, "9"]
+    pose: Pose
+    lens: AbstractLens
     residuals_px: Float[np.ndarray, "n 2"]
-    jacobian: Float[np.ndarray, "n 2 15"]
+    jacobian: Float[np.ndarray, "n 2 _"]
+    d_parameters_d_delta: Float[np.ndarray, "p p"]
     distance_mm: float
     converged: bool
 
 
 class _Data(NamedTuple):
-    cam_from_world: Float[ArrayLike, "3 4"]
-    lens: Float[ArrayLike, "9"]
-    directions: Float[ArrayLike, "9 9"]
+    pose: Pose
+    lens: AbstractLens
+    directions: Float[ArrayLike, "q q"]
     distance_mm: Float[ArrayLike, ""]
     points_mm: Float[ArrayLike, "m 3"]
     uv_px: Float[ArrayLike, "m 2"]
@@ -48,12 +51,13 @@ class _Data(NamedTuple):
 
 
 def fit_points(
-    cam_from_world: Float[np.ndarray, "3 4"],
-    lens: Float[np.ndarray, "9"],
-    directions: Float[np.ndarray, "9 9"],
+    pose: Pose,
+    lens: AbstractLens,
+    directions: Float[np.ndarray, "q q"],
     points_mm: Float[np.ndarray, "n 3"],
     uv_px: Float[np.ndarray, "n 2"],
     used: Bool[np.ndarray, "n"],
+    model: PoseModel,
 ) -> PointFit:
     """From a first camera; columns of `directions` that are zero hold their parameter."""
     count, size = len(points_mm), bucket_size(len(points_mm))
@@ -61,65 +65,57 @@ def fit_points(
     row = np.where(np.arange(size) < count, np.arange(size), 0)
     weight = np.zeros(size)
     weight[:count] = used
-    middle = points_mm.mean(axis=0)
-    distance = np.asarray(np.linalg.norm(cam_from_world[:, :3] @ middle + cam_from_world[:, 3]))
-    data = _Data(cam_from_world, lens, directions, distance, points_mm[row], uv_px[row], weight)
-    pose, values, residuals, jacobian, in_front, converged = jax.tree.map(np.asarray, _solve(data))
+    distance = np.linalg.norm(pose.transform(points_mm.mean(axis=0)))
+    data = _Data(pose, lens, directions, np.asarray(distance), points_mm[row], uv_px[row], weight)
+    end, residuals, jacobian, by_delta, in_front, converged = as_numpy(_solve(data, model=model))
     return PointFit(
-        pose,
-        values,
+        end.pose,
+        end.lens,
         residuals[:count],
         jacobian[:count],
+        by_delta,
         float(distance),
         bool(converged and in_front[:count][used].all() and np.isfinite(jacobian).all()),
     )
 
 
-@jax.jit
-def _solve(data: _Data) -> tuple[ArrayLike, ...]:
+@partial(jax.jit, static_argnames="model")
+def _solve(
+    data: _Data, *, model: PoseModel
+) -> tuple[_Data, ArrayLike, ArrayLike, ArrayLike, ArrayLike, ArrayLike]:
     solver = optx.LevenbergMarquardt(rtol=1e-10, atol=1e-10, linear_solver=lx.Normal(lx.Cholesky()))
-    zero = jnp.zeros(15)
+    zero = jnp.zeros(model.size + len(data.lens.parameter_names))
     solution = optx.least_squares(
-        _weighted, solver, zero, args=data, max_steps=_MAX_STEPS, throw=False
+        partial(_weighted, model), solver, zero, args=data, max_steps=_MAX_STEPS, throw=False
     )
-    pose, lens = _moved(solution.value, data)
-    depth_mm = data.points_mm @ pose[2, :3] + pose[2, 3]
+    end = _retracted(model, solution.value, data)
+    depth_mm = jax.vmap(end.pose.transform)(data.points_mm)[:, 2]
     return (
-        pose,
-        lens,
-        _residuals(solution.value, data),
-        jax.jacfwd(_chart_residuals)(zero, pose, lens, data),
+        end,
+        _residuals(model, zero, end),
+        jax.jacfwd(partial(_residuals, model))(zero, end),
+        end.pose.d_parameters_d_delta(model, data.distance_mm, end.pose),
         depth_mm > 0,
         solution.result == optx.RESULTS.successful,
     )
 
 
-def _weighted(step: Float[ArrayLike, "15"], data: _Data) -> Float[ArrayLike, "m 2"]:
-    return data.weight[:, None] * _residuals(step, data)
-
-
-def _residuals(step: Float[ArrayLike, "15"], data: _Data) -> Float[ArrayLike, "m 2"]:
-    return _chart_residuals(step, data.cam_from_world, data.lens, data)
-
-
-def _chart_residuals(
-    step: Float[ArrayLike, "15"],
-    cam_from_world: Float[ArrayLike, "3 4"],
-    lens: Float[ArrayLike, "9"],
-    data: _Data,
+def _weighted(
+    model: PoseModel, step: Float[ArrayLike, "s"], data: _Data
 ) -> Float[ArrayLike, "m 2"]:
-    pose, values = _moved(step, data._replace(cam_from_world=cam_from_world, lens=lens))
-
-    def residual(point: Float[ArrayLike, "3"], uv: Float[ArrayLike, "2"]) -> ArrayLike:
-        ray = pose[:, :3] @ point + pose[:, 3]
-        return values[:2] * distort(ray[:2] / ray[2], values[4:]) + values[2:4] - uv
-
-    return jax.vmap(residual)(data.points_mm, data.uv_px)
+    return data.weight[:, None] * _residuals(model, step, data)
 
 
-def _moved(
-    step: Float[ArrayLike, "15"], data: _Data
-) -> tuple[Float[ArrayLike, "3 4"], Float[ArrayLike, "9"]]:
-    motion = jnp.concatenate([step[:3], data.distance_mm * step[3:6]])
-    pose = Pose(data.cam_from_world).moved(motion).cam_from_world
-    return pose, data.lens + data.directions @ step[6:]
+def _residuals(
+    model: PoseModel, step: Float[ArrayLike, "s"], data: _Data
+) -> Float[ArrayLike, "m 2"]:
+    here = _retracted(model, step, data)
+    project = jax.vmap(project_point, in_axes=(None, None, 0))
+    return project(here.pose, here.lens, data.points_mm) - data.uv_px
+
+
+def _retracted(model: PoseModel, step: Float[ArrayLike, "s"], data: _Data) -> _Data:
+    """The camera after a step of the pose and along the lens's directions."""
+    pose = data.pose.retract(step[: model.size], model, data.distance_mm)
+    lens = data.lens.retract(data.directions @ step[model.size :])
+    return data._replace(pose=pose, lens=lens)

@@ -13,17 +13,14 @@ from scipy.stats import chi2
 from trinoc.calib.detection import Detection
 from trinoc.calib.model import (
     CircleObservations,
-    LensArrays,
-    SheetPose,
     bucket_size,
     circle_observations,
-    lens_arrays,
     whitened_residuals,
 )
-from trinoc.calib.pose.estimate import PoseEstimate, sheet_pose_of_values
+from trinoc.calib.pose.estimate import PoseEstimate, pose_of_values
 from trinoc.calib.result import Alternative
 from trinoc.calib.targets import Pattern
-from trinoc.geometry import Intrinsics
+from trinoc.geometry import AbstractLens, Intrinsics, Pose, PoseModel, promoted
 from trinoc.numerics import ArrayLike
 
 # Columns of the extended Jacobian: six of the pose, then focal length, then distortion k1.
@@ -34,18 +31,18 @@ def score_test(
     fit: PoseEstimate, lens: Intrinsics, detection: Detection, pattern: Pattern
 ) -> list[Alternative]:
     """Every alternative to the model, the one that explains most of the residuals first."""
-    pose, used, parameter_count = sheet_pose_of_values(fit.values), fit.used, len(fit.covariance)
+    pose, used, count = pose_of_values(fit.values), fit.used, len(fit.covariance)
     size = bucket_size(len(detection))
     circles = circle_observations(detection, pattern, size, used)
     residual, jacobian = (
-        np.asarray(part) for part in _extended(pose, lens_arrays(lens, True), circles)
+        np.asarray(part) for part in _extended(pose, promoted(lens.lens), circles)
     )
-    base = jacobian[:, :parameter_count]
+    base = jacobian[:, :count]
     alternatives = []
     for name, columns in (("aim", _AIM), ("focal length", _FOCAL), ("radial distortion", _RADIAL)):
-        if columns[0] < parameter_count:
+        if columns[0] < count or columns[-1] >= jacobian.shape[1]:
             continue
-        freedom = 2 * int(used.sum()) - parameter_count - len(columns)
+        freedom = 2 * int(used.sum()) - count - len(columns)
         if freedom < 1:
             continue
         alternatives.append(
@@ -108,17 +105,22 @@ def _sentence(name: str, estimate: Float[np.ndarray, "k"], sigma: Float[np.ndarr
 
 @jax.jit
 def _extended(
-    pose: SheetPose, lens: LensArrays, circles: CircleObservations
-) -> tuple[Float[ArrayLike, "n"], Float[ArrayLike, "n 8"]]:
-    """Whitened residuals and their derivative by pose (6), log focal length and k1."""
+    pose: Pose, lens: AbstractLens, circles: CircleObservations
+) -> tuple[Float[ArrayLike, "n"], Float[ArrayLike, "n k"]]:
+    """Whitened residuals and their derivative by pose (6), log focal length and k1.
 
-    def residuals(change: Float[ArrayLike, "8"]) -> Float[ArrayLike, "n"]:
-        scale = jnp.diag(jnp.stack([1 + change[6], 1 + change[6], jnp.ones_like(change[6])]))
+    A lens model without a k1 has no last column.
+    """
+    radial = [name == "k1" for name in lens.parameter_names]
+
+    def residuals(change: Float[ArrayLike, "k"]) -> Float[ArrayLike, "n"]:
         # The principal point stays: scale the focal lengths alone.
-        matrix = lens.matrix_px @ scale
-        distortion = lens.distortion.at[0].add(change[7])  # pyright: ignore[reportOptionalMemberAccess, reportAttributeAccessIssue]
-        moved = LensArrays(matrix, distortion)
-        return whitened_residuals(pose.moved(change[:6]), moved, circles).reshape(-1)
+        factor = jnp.stack([1 + change[6], 1 + change[6]])
+        other = lens.with_focal_factor(factor)
+        if any(radial):
+            other = other.retract(jnp.where(np.array(radial), change[7], 0.0))
+        stepped = pose.retract(change[:6], PoseModel.AIM_FREE, pose.distance_mm)
+        return whitened_residuals(stepped, other, circles).reshape(-1)
 
-    zero = jnp.zeros(8)
+    zero = jnp.zeros(8 if any(radial) else 7)
     return residuals(zero), jax.jacfwd(residuals)(zero)

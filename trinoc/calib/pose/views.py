@@ -11,12 +11,10 @@ from trinoc.calib.detection import Detection
 from trinoc.calib.model import (
     ANNEALING,
     CircleObservations,
-    LensArrays,
     bucket_size,
     circle_observations,
     inliers,
     is_suspect,
-    lens_arrays,
     robust_scale,
     stack_observations,
 )
@@ -28,7 +26,7 @@ from trinoc.calib.pose.least_squares import (
     refit_images,
 )
 from trinoc.calib.targets import Pattern
-from trinoc.geometry import Intrinsics
+from trinoc.geometry import AbstractLens, Intrinsics, PoseModel, stack_lenses
 from trinoc.numerics import as_numpy
 
 _Tree = TypeVar("_Tree")
@@ -38,7 +36,7 @@ def fit_views(
     detections: Sequence[Detection],
     pattern: Pattern,
     lenses: Sequence[Intrinsics],
-    parameter_count: int,
+    model: PoseModel,
 ) -> list[PoseEstimate]:
     """One judged pose for each picture, all in one vectorised call.
 
@@ -50,34 +48,27 @@ def fit_views(
         return []
     size = bucket_size(max(len(detection) for detection in detections))
     circles = stack_observations([circle_observations(d, pattern, size) for d in detections])
-    lens = stack_lenses(lenses)
+    lens = stack_lenses([intrinsics.lens for intrinsics in lenses])
     count = len(detections)
-    fits = _padded(fit_images_from_lines, (lens, circles), parameter_count)
+    fits = _padded(fit_images_from_lines, (lens, circles), model)
     retry = [k for k in range(count) if _has_failed(fits, k, len(detections[k]))]
     if retry:
         chosen = _rows((lens, circles), retry)
-        fits = _better(fits, _padded(fit_images_from_circles, chosen, parameter_count), retry)
+        fits = _better(fits, _padded(fit_images_from_circles, chosen, model), retry)
     used = [np.ones(len(detection), dtype=bool) for detection in detections]
     suspects = [k for k in range(count) if is_suspect(_whitened(fits, k, len(detections[k])))]
     if suspects:
-        fits = _refit_robustly(fits, lens, circles, used, suspects, parameter_count)
+        fits = _refit_robustly(fits, lens, circles, used, suspects, model)
     return [_judged(fits, k, used[k]) for k in range(count)]
-
-
-def stack_lenses(lenses: Sequence[Intrinsics]) -> LensArrays:
-    """The lenses of many pictures along a new first axis."""
-    distorted = any(lens.distortion_model != "none" for lens in lenses)
-    items = [lens_arrays(lens, distorted) for lens in lenses]
-    return jax.tree.map(lambda *leaves: np.stack(leaves), *items)
 
 
 def _refit_robustly(
     fits: CircleFit,
-    lens: LensArrays,
+    lens: AbstractLens,
     circles: CircleObservations,
     used: list[Bool[np.ndarray, "m"]],
     suspects: list[int],
-    parameter_count: int,
+    model: PoseModel,
 ) -> CircleFit:
     """`fits` with the suspect pictures fitted without their outliers, noted in `used`."""
     lens, circles = _rows((lens, circles), suspects)
@@ -86,7 +77,7 @@ def _refit_robustly(
     for factor in ANNEALING:
         scale = [robust_scale(_whitened(part, i, m)) for i, m in enumerate(counts)]
         arguments = (part.pose, lens, circles, factor * np.array(scale))
-        part = _padded(refit_images, arguments, parameter_count)
+        part = _padded(refit_images, arguments, model)
     whitening = np.array(circles.whitening)
     for i, k in enumerate(suspects):
         used[k] = inliers(_whitened(part, i, counts[i]))
@@ -97,17 +88,17 @@ def _refit_robustly(
         circles._replace(whitening=whitening),
         np.full(len(suspects), np.inf),
     )
-    return _replaced(fits, _padded(refit_images, arguments, parameter_count), suspects)
+    return _replaced(fits, _padded(refit_images, arguments, model), suspects)
 
 
-def _padded(fit, arguments: tuple, parameter_count: int) -> CircleFit:
+def _padded(fit, arguments: tuple, model: PoseModel) -> CircleFit:
     """Call a vectorised fit with its first axis padded to a power of two above three."""
     count = len(jax.tree.leaves(arguments)[0])
     target = count if count <= 3 else 1 << (count - 1).bit_length()
     index = np.minimum(np.arange(target), count - 1)
     if target > count:
         arguments = jax.tree.map(lambda leaf: leaf[index], arguments)
-    result = as_numpy(fit(*arguments, parameter_count=parameter_count))
+    result = as_numpy(fit(*arguments, model=model))
     return jax.tree.map(lambda leaf: leaf[:count], result)
 
 
@@ -147,7 +138,7 @@ def _judged(fits: CircleFit, row: int, used: Bool[np.ndarray, "m"]) -> PoseEstim
         np.asarray(fits.residuals_px[row, :count]),
         np.asarray(fits.whitened[row, :count]),
         np.asarray(fits.information[row]),
-        np.asarray(fits.parameters_by_chart[row]),
+        np.asarray(fits.d_parameters_d_delta[row]),
         bool(fits.converged[row]),
         used,
     )

@@ -13,11 +13,10 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.calib.detection import Detection
-from trinoc.calib.model import LensArrays, lens_arrays, moved_lens
 from trinoc.calib.photometric import ViewEstimate, in_threads, refine_image
-from trinoc.calib.pose import DEGREES, sheet_pose_of_values
+from trinoc.calib.pose import DEGREES, pose_of_values
 from trinoc.calib.targets import Pattern
-from trinoc.geometry import Intrinsics
+from trinoc.geometry import AbstractLens, Intrinsics, PoseModel, promoted
 from trinoc.numerics import ArrayLike
 
 # Circles move this far at most: within the reach of a linear error, beyond that of rounding.
@@ -30,8 +29,8 @@ def lens_spreads(
     detections: Mapping[str, Detection],
     pattern: Pattern,
     lenses: Mapping[str, Intrinsics],
-    factors: Mapping[str, Float[np.ndarray, "9 r"]],
-) -> dict[str, Float[np.ndarray, "p r"]]:
+    factors: Mapping[str, Float[np.ndarray, "_ _"]],
+) -> dict[str, Float[np.ndarray, "_ _"]]:
     """J_lens L: the change of each camera's parameters, degrees and mm, along each direction.
 
     Of the cameras that have a factor and whose own picture was fitted; a camera whose picture
@@ -54,22 +53,24 @@ def _spread(
     detection: Detection,
     pattern: Pattern,
     lens: Intrinsics,
-    factor: Float[np.ndarray, "9 r"],
+    factor: Float[np.ndarray, "k r"],
 ) -> Float[np.ndarray, "p r"] | None:
     count = len(refined.fit.covariance)
-    start = sheet_pose_of_values(refined.fit.values)
-    distorted = lens.distortion_model != "none" or bool(factor[4:].any())
-    arrays = lens_arrays(lens, distorted)
-    moves_px = _largest_moves_px(arrays, detection.centres_px, factor)
+    model = PoseModel.AIMED if count == PoseModel.AIMED.size else PoseModel.AIM_FREE
+    start, nominal = pose_of_values(refined.fit.values), lens.lens
+    if factor[len(nominal.parameter_names) :].any():
+        nominal = promoted(nominal)
+    factor = factor[: len(nominal.parameter_names)]
+    moves_px = _largest_moves_px(nominal, detection.centres_px, factor)
     columns = []
     for direction, move_px in zip(factor.T, np.asarray(moves_px), strict=True):
         step = min(1.0, _LARGEST_STEP_PX / max(float(move_px), 1e-12))
         ends = []
         for sign in (-step, step):
-            moved = refine_image(image, pattern, moved_lens(arrays, sign * direction), start, count)
-            if moved is None or not moved.converged:
+            other = refine_image(image, pattern, nominal.retract(sign * direction), start, model)
+            if other is None or not other.converged:
                 return None
-            ends.append(DEGREES[:count] * np.asarray(moved.pose.parameters)[:count])
+            ends.append(DEGREES[:count] * np.asarray(other.pose.parameters)[:count])
         change = ends[1] - ends[0]
         change[[0, 2]] = (change[[0, 2]] + 180.0) % 360.0 - 180.0
         columns.append(change / (2 * step))
@@ -78,13 +79,13 @@ def _spread(
 
 @jax.jit
 def _largest_moves_px(
-    arrays: LensArrays, centres_px: Float[ArrayLike, "m 2"], factor: Float[ArrayLike, "9 r"]
+    lens: AbstractLens, centres_px: Float[ArrayLike, "m 2"], factor: Float[ArrayLike, "k r"]
 ) -> Float[ArrayLike, "r"]:
     """How far each direction moves the circle that it moves farthest."""
-    rays = jax.vmap(arrays.normalised_from_pixel)(centres_px)
+    rays = jax.vmap(lens.unproject)(centres_px)
 
-    def largest(direction: Float[ArrayLike, "9"]) -> Float[ArrayLike, ""]:
-        after = jax.vmap(moved_lens(arrays, direction).pixel_from_normalised)(rays)
+    def largest(direction: Float[ArrayLike, "k"]) -> Float[ArrayLike, ""]:
+        after = jax.vmap(lens.retract(direction).project_ray)(rays)
         return jnp.max(jnp.linalg.norm(after - centres_px, axis=1))
 
     return jax.vmap(largest, in_axes=1)(factor)

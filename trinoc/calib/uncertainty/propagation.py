@@ -11,10 +11,11 @@ from trinoc.errors import InputError
 from trinoc.geometry import (
     PARAMETER_NAMES,
     Camera,
-    PanTiltPose,
+    Pose,
     Rig,
     epipolar_distance_px,
     fundamental_matrix,
+    project_by_matrix,
     sheet_from_pixel,
     triangulate_point,
 )
@@ -76,8 +77,9 @@ def point_covariance(rig: Rig, point_mm: Float[ArrayLike, "3"]) -> np.ndarray:
     covariance, values = _known(rig, rig.names)
     matrices = np.stack([np.asarray(camera.intrinsics.matrix) for _, camera in rig.items()])
     weight = np.ones(len(rig))
-    images = _projections(values, matrices) @ np.append(np.asarray(point_mm, float), 1.0)
-    seen = images[:, :2] / images[:, 2:]
+    point = np.asarray(point_mm, dtype=np.float64)
+    images = [project_by_matrix(each, point) for each in np.asarray(_projections(values, matrices))]
+    seen = np.stack(images)
 
     def place(change: Float[ArrayLike, "v 6"]) -> Float[ArrayLike, "3"]:
         return triangulate_point(_projections(values + change, matrices), seen, weight)
@@ -104,7 +106,7 @@ def _known(
 
 
 def _parameters(camera: Camera) -> Float[np.ndarray, "6"]:
-    return np.asarray(PanTiltPose.from_pose(camera.pose).vector)
+    return np.asarray(camera.pose.parameters)
 
 
 def _without_distortion(camera: Camera) -> Camera:
@@ -116,7 +118,7 @@ def _projections(
     values: Float[ArrayLike, "v 6"], matrices: Float[ArrayLike, "v 3 3"]
 ) -> Float[ArrayLike, "v 3 4"]:
     def projection(vector: Float[ArrayLike, "6"], matrix: Float[ArrayLike, "3 3"]) -> ArrayLike:
-        return matrix @ PanTiltPose.from_vector(vector).pose.cam_from_world
+        return matrix @ Pose.from_parameters(vector).cam_from_world
 
     return jax.vmap(projection)(values, matrices)
 

@@ -130,7 +130,7 @@ def distorted(
 
 
 def _mapped(intrinsics: Intrinsics, points_px: np.ndarray, function) -> np.ndarray:
-    if intrinsics.distortion_model == "none" or len(points_px) == 0:
+    if not intrinsics.has_distortion or len(points_px) == 0:
         return np.asarray(points_px, dtype=np.float64)
     size = bucket(len(points_px))
     mapped = function(intrinsics, padded(points_px, size, points_px[0]))

@@ -3,6 +3,7 @@
 import numpy as np
 from jaxtyping import Float, Int
 
+from trinoc.geometry import project_by_matrix
 from trinoc.match.observations import MatchInput
 
 
@@ -29,9 +30,8 @@ def two_view_interval(
         on = np.flatnonzero(index[:, view] >= 0)
         matrix = np.asarray(seen.lines.matrix_px)[view]
         segment = seen.ends_px[view][index[on, view]]
-        image = shown[on] @ matrix[:, :3].T + matrix[:, 3]
         along = segment[:, 1] - segment[:, 0]
-        offset = image[..., :2] / image[..., 2:] - segment[:, :1]
+        offset = project_by_matrix(matrix, shown[on]) - segment[:, :1]
         interval[on, view] = (offset @ along[:, :, None])[..., 0] / (along**2).sum(axis=1)[:, None]
     return interval
 

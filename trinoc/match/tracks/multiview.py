@@ -11,6 +11,7 @@ from itertools import combinations
 import numpy as np
 from jaxtyping import Float, Int
 
+from trinoc.geometry import project_by_matrix
 from trinoc.match.candidates import Candidates
 from trinoc.match.observations import SegmentTable
 from trinoc.match.selection import CONFLICT_OVERLAP, Tracks
@@ -138,9 +139,8 @@ def _place_on(
     ends_mm: Float[np.ndarray, "2 3"],
 ) -> Float[np.ndarray, "2"]:
     """Where two points in space lie along a segment, from 0 at its first end to 1."""
-    image = ends_mm @ matrix_px[:, :3].T + matrix_px[:, 3]
     step = segment_px[1] - segment_px[0]
-    return (image[:, :2] / image[:, 2:] - segment_px[0]) @ step / (step @ step)
+    return (project_by_matrix(matrix_px, ends_mm) - segment_px[0]) @ step / (step @ step)
 
 
 def _cut(

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.stats import chi2
 
+from trinoc.geometry import project_by_matrix
 from trinoc.match.observations import MatchInput
 
 # Significance level: 1 % of the true straight lines seen in three views are flagged.
@@ -44,8 +45,7 @@ def flag_viewpoint_dependent(
         free[matched[matched >= 0]] = False
         rows = np.flatnonzero(~in_three & (index[:, view] < 0))
         matrix = np.asarray(seen.lines.matrix_px)[view]
-        image = ends_mm[rows] @ matrix[:, :3].T + matrix[:, 3]
-        expected = image[..., :2] / image[..., 2:]
+        expected = project_by_matrix(matrix, ends_mm[rows])
         for start in range(0, len(rows), ROWS):
             part = slice(start, start + ROWS)
             marked[rows[part]] |= _one_beside(expected[part], seen.ends_px[view][free])

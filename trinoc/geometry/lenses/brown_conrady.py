@@ -1,16 +1,37 @@
-"""Brown-Conrady lens distortion on normalised image coordinates.
+"""Brown-Conrady distortion, as OpenCV's first five coefficients describe it.
 
-Coefficients are (k1, k2, p1, p2, k3), in OpenCV's order. Source: D. C. Brown, "Close-range
-camera calibration", Photogrammetric Engineering 37(8), 1971.
+Source: D. C. Brown, "Close-range camera calibration", Photogrammetric Engineering 37(8), 1971.
 """
+
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
+from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS, AbstractLens, ray_of_normalised
 from trinoc.numerics import ArrayLike
 
 NEWTON_STEPS = 8
+
+
+class BrownConrady(AbstractLens):
+    """A lens with radial (k1, k2, k3) and tangential (p1, p2) distortion of (x/z, y/z)."""
+
+    model: ClassVar[str] = "brown_conrady"
+    coefficient_names: ClassVar[tuple[str, ...]] = ("k1", "k2", "p1", "p2", "k3")
+    parameter_names: ClassVar[tuple[str, ...]] = (*AFFINE_PARAMETERS, *coefficient_names)
+    coefficient_powers: ClassVar[tuple[int, ...]] = (2, 4, 1, 1, 6)
+    coefficient_counts: ClassVar[tuple[int, ...]] = (0, 1, 2, 4, 5)
+    dispensable: ClassVar[tuple[str, ...]] = ("k3", "k2")
+
+    def distort(self, ray_cam: Float[ArrayLike, "3"]) -> Float[ArrayLike, "2"]:
+        """The ideal (x/z, y/z), moved by the polynomial."""
+        return distort(ray_cam[:2] / ray_cam[2], self.coefficients)
+
+    def undistort(self, distorted: Float[ArrayLike, "2"]) -> Float[ArrayLike, "3"]:
+        """(x, y, 1), by Newton's method."""
+        return ray_of_normalised(undistort(distorted, self.coefficients))
 
 
 def distort(

@@ -1,0 +1,145 @@
+"""Laws of every lens: it is inverted, differentiated, stacked and traced; OpenCV agrees."""
+
+import cv2
+import jax
+import numpy as np
+import pytest
+from hypothesis import given
+
+from tests.geometry.strategies import vectors
+from trinoc.errors import InputError
+from trinoc.geometry import (
+    AFFINE_PARAMETERS,
+    LENS_MODELS,
+    AbstractLens,
+    BrownConrady,
+    Intrinsics,
+    lens_model,
+    promoted,
+    simplified,
+    stack_lenses,
+)
+from trinoc.geometry.lenses import Pinhole
+
+SIZE_PX = (512, 480)
+AFFINE = (987.0, 1194.0, 250.0, 243.0)
+
+
+def example(model: type[AbstractLens]) -> AbstractLens:
+    """A lens of a model, all of whose coefficients move the corners by some pixels."""
+    ideal = model.from_parameters(np.array([*AFFINE, *np.zeros(len(model.coefficient_names))]))
+    signs = (-1.0) ** np.arange(len(model.coefficient_names))
+    return ideal.retract(
+        ideal.parameter_scales(SIZE_PX) * np.array([0.0, 0.0, 0.0, 0.0, *0.01 * signs])
+    )
+
+
+LENSES = [example(model) for model in LENS_MODELS.values()]
+every_lens = pytest.mark.parametrize("lens", LENSES, ids=LENS_MODELS)
+project_ray = jax.jit(lambda lens, ray: lens.project_ray(ray))
+unproject = jax.jit(lambda lens, uv_px: lens.unproject(uv_px))
+
+
+@every_lens
+def test_names_values_and_scales_belong_together(lens):
+    names = lens.parameter_names
+    assert names == (*AFFINE_PARAMETERS, *lens.coefficient_names)
+    assert len(set(names)) == len(names) == len(lens.parameters)
+    assert (lens.parameter_scales(SIZE_PX) > 0).all()
+    assert set(lens.dispensable) <= set(lens.coefficient_names)
+    assert lens.coefficient_counts[0] == 0
+    assert lens.coefficient_counts[-1] == len(lens.coefficient_names)
+    assert lens_model(lens.model) is type(lens)
+    again = type(lens).from_parameters(lens.parameters)
+    np.testing.assert_array_equal(again.parameters, lens.parameters)
+
+
+@every_lens
+@given(point=vectors(2, 0.25))
+def test_unproject_inverts_project_ray_at_any_length_of_the_ray(lens, point):
+    ray = np.append(point, 1.0)
+    uv_px = project_ray(lens, ray)
+    np.testing.assert_allclose(project_ray(lens, 7.0 * ray), uv_px, rtol=1e-12)
+    np.testing.assert_allclose(unproject(lens, uv_px), ray / np.linalg.norm(ray), atol=1e-12)
+
+
+@every_lens
+def test_a_change_of_zero_leaves_the_lens_and_others_add(lens):
+    zero = np.zeros(len(lens.parameter_names))
+    np.testing.assert_array_equal(lens.retract(zero).parameters, lens.parameters)
+    part = np.array([1.0, 2.0])
+    np.testing.assert_allclose(lens.retract(part).parameters[:2], lens.parameters[:2] + part)
+    np.testing.assert_array_equal(lens.retract(part).parameters[2:], lens.parameters[2:])
+
+
+@every_lens
+def test_forward_reverse_and_numeric_derivatives_agree(lens):
+    ray = np.array([0.13, -0.21, 1.1])
+
+    @jax.jit
+    def pixel(delta, ray):
+        return lens.retract(lens.parameter_scales(SIZE_PX) * delta).project_ray(ray)
+
+    zero = np.zeros(len(lens.parameter_names))
+    forward = jax.jacfwd(pixel, argnums=(0, 1))(zero, ray)
+    reverse = jax.jacrev(pixel, argnums=(0, 1))(zero, ray)
+    for one, other in zip(forward, reverse, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9)
+    for k in range(len(zero)):
+        step = 1e-6 * np.eye(len(zero))[k]
+        numeric = (pixel(step, ray) - pixel(-step, ray)) / 2e-6
+        np.testing.assert_allclose(forward[0][:, k], numeric, rtol=1e-6, atol=1e-4)
+
+
+@every_lens
+def test_lenses_of_one_model_stack_and_go_through_vmap(lens):
+    ray = np.array([0.1, -0.2, 1.0])
+    stacked = stack_lenses([lens, lens.with_focal_factor(np.array([2.0, 3.0]))])
+    together = jax.vmap(project_ray, in_axes=(0, None))(stacked, ray)
+    centre = lens.principal_point_px
+    np.testing.assert_allclose(together[0], project_ray(lens, ray))
+    np.testing.assert_allclose(together[1] - centre, (together[0] - centre) * np.array([2.0, 3.0]))
+
+
+@every_lens
+def test_an_ideal_lens_is_promoted_to_the_others_it_is_stacked_with(lens):
+    ideal = Pinhole.from_parameters(np.array(AFFINE))
+    stacked = stack_lenses([ideal, lens])
+    assert type(stacked) is type(lens)
+    ray = np.array([0.1, -0.2, 1.0])
+    both = jax.vmap(project_ray, in_axes=(0, None))(stacked, ray)
+    np.testing.assert_allclose(both[0], project_ray(ideal, ray), rtol=1e-12)
+    np.testing.assert_allclose(both[1], project_ray(lens, ray), rtol=1e-12)
+
+
+def test_two_models_that_both_distort_do_not_stack():
+    class Other(BrownConrady):
+        model = "other"
+
+    lens = example(BrownConrady)
+    with pytest.raises(InputError, match="brown_conrady and other"):
+        stack_lenses([lens, Other.from_parameters(lens.parameters)])
+
+
+def test_promotion_and_simplification_are_inverse():
+    ideal = Pinhole.from_parameters(np.array(AFFINE))
+    assert isinstance(promoted(ideal), BrownConrady)
+    assert isinstance(simplified(promoted(ideal)), Pinhole)
+    lens = example(BrownConrady)
+    assert promoted(lens) is lens
+    assert simplified(lens) is lens
+
+
+def test_a_lens_that_is_not_known_is_refused():
+    with pytest.raises(InputError, match="brown_conrady"):
+        Intrinsics(focal_length_px=900, image_size_px=SIZE_PX, distortion_model="mirror")
+
+
+def test_brown_conrady_agrees_with_opencv():
+    lens = example(BrownConrady)
+    points = np.random.default_rng(0).uniform((-60, -60, 240), (60, 60, 360), (50, 3))
+    expected, _ = cv2.projectPoints(
+        points, np.zeros(3), np.zeros(3), np.asarray(lens.matrix), np.asarray(lens.coefficients)
+    )
+    ours = jax.vmap(project_ray, in_axes=(None, 0))(lens, points)
+    np.testing.assert_allclose(ours, expected.reshape(-1, 2), atol=1e-9)

@@ -1,0 +1,173 @@
+"""A lens: where in the picture a ray of the camera frame is imaged, and the way back."""
+
+import abc
+from typing import TYPE_CHECKING
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from trinoc.numerics import ArrayLike, namespace_of
+
+# Type checkers know this one by the name that it has in a class that is not abstract.
+if TYPE_CHECKING:
+    from typing import ClassVar as AbstractClassVar
+else:
+    from equinox import AbstractClassVar
+
+# The parameters of K that are fitted, which every lens has; its coefficients come after them.
+AFFINE_PARAMETERS = ("fx_px", "fy_px", "cx_px", "cy_px")
+
+
+class AbstractLens(eqx.Module):
+    """A lens of one model; all its fields are arrays, so that lenses of one model stack.
+
+    A lens bends rays (`distort`) and then maps them to pixels by the calibration matrix K. A model
+    is a subclass with these two and the class variables below, and a line in `lenses.registry`.
+    Rays are (x, y, z) in the camera frame and of any length, so that a lens may see beyond
+    90 degrees.
+
+    Fields
+    ------
+    focal_length_px : (2,) along u and v.
+    principal_point_px : (2,)
+    skew_px : () entry K[0, 1]; 0 for every real sensor, and never fitted.
+    coefficients : (c,) of the distortion.
+
+    Class variables
+    ---------------
+    model : name of the model, in files.
+    coefficient_names : of `coefficients`.
+    parameter_names : AFFINE_PARAMETERS and `coefficient_names`, the order of `parameters`.
+    coefficient_powers : for each coefficient the power of the distance from the optical axis, in
+        focal lengths, with which the distortion that it describes grows, over that distance.
+    coefficient_counts : numbers of coefficients that people fit; the first so many of their names.
+    dispensable : coefficients to give up, one after the other, where pictures do not determine
+        all.
+    """
+
+    focal_length_px: Float[ArrayLike, "2"]
+    principal_point_px: Float[ArrayLike, "2"]
+    skew_px: Float[ArrayLike, ""]
+    coefficients: Float[ArrayLike, "c"]
+
+    model: AbstractClassVar[str]
+    coefficient_names: AbstractClassVar[tuple[str, ...]]
+    parameter_names: AbstractClassVar[tuple[str, ...]]
+    coefficient_powers: AbstractClassVar[tuple[int, ...]]
+    coefficient_counts: AbstractClassVar[tuple[int, ...]]
+    dispensable: AbstractClassVar[tuple[str, ...]]
+
+    @abc.abstractmethod
+    def distort(self, ray_cam: Float[ArrayLike, "3"]) -> Float[ArrayLike, "2"]:
+        """K^-1 (u, v, 1) of the pixel that images a ray."""
+
+    @abc.abstractmethod
+    def undistort(self, distorted: Float[ArrayLike, "2"]) -> Float[ArrayLike, "3"]:
+        """A ray, of any length, that `distort` maps here."""
+
+    @property
+    def has_distortion(self) -> bool:
+        """Whether the lens is of a model that bends rays."""
+        return bool(self.coefficient_names)
+
+    @property
+    def matrix(self) -> Float[ArrayLike, "3 3"]:
+        """K, which maps what `distort` gives to pixels."""
+        (fu, fv), (cu, cv) = self.focal_length_px, self.principal_point_px
+        zero, one = jnp.zeros_like(fu), jnp.ones_like(fu)
+        rows = [[fu, jnp.asarray(self.skew_px), cu], [zero, fv, cv], [zero, zero, one]]
+        return jnp.stack([jnp.stack(row) for row in rows])
+
+    def project_ray(self, ray_cam: Float[ArrayLike, "3"]) -> Float[ArrayLike, "2"]:
+        """The pixel that images a ray."""
+        return self.affine(self.distort(ray_cam))
+
+    def unproject(self, uv_px: Float[ArrayLike, "2"]) -> Float[ArrayLike, "3"]:
+        """The unit ray, in the camera frame, that a pixel images."""
+        ray = self.undistort(self.affine_inverse(uv_px))
+        return ray / jnp.sqrt(ray @ ray)
+
+    def pixel_from_normalised(self, normalised: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
+        """The pixel that images the ray (x/z, y/z, 1)."""
+        return self.project_ray(ray_of_normalised(normalised))
+
+    def normalised_from_pixel(self, uv_px: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
+        """(x/z, y/z) of the ray of a pixel, which must look forward."""
+        ray = self.undistort(self.affine_inverse(uv_px))
+        return ray[:2] / ray[2]
+
+    def undistort_pixel(self, uv_px: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
+        """The pixel at which the same ray would be imaged without distortion."""
+        if not self.has_distortion:
+            return uv_px
+        return self.affine(self.normalised_from_pixel(uv_px))
+
+    def distort_pixel(self, uv_px: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
+        """Inverse of `undistort_pixel`."""
+        if not self.has_distortion:
+            return uv_px
+        return self.pixel_from_normalised(self.affine_inverse(uv_px))
+
+    def affine(self, normalised: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
+        """The calibration matrix K alone: the pixel without distortion."""
+        x, y = normalised[0], normalised[1]
+        (fu, fv), (cu, cv) = self.focal_length_px, self.principal_point_px
+        return jnp.stack([fu * x + self.skew_px * y + cu, fv * y + cv])
+
+    def affine_inverse(self, uv_px: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
+        """Inverse of `affine`."""
+        (fu, fv), (cu, cv) = self.focal_length_px, self.principal_point_px
+        y = (uv_px[1] - cv) / fv
+        return jnp.stack([(uv_px[0] - cu - self.skew_px * y) / fu, y])
+
+    @property
+    def parameters(self) -> Float[ArrayLike, "q"]:
+        """Values of `parameter_names`."""
+        xp = namespace_of(self)
+        return xp.concatenate([self.focal_length_px, self.principal_point_px, self.coefficients])
+
+    @classmethod
+    def from_parameters(cls, values: Float[ArrayLike, "q"]) -> "AbstractLens":
+        """A lens without skew from the values of `parameter_names`."""
+        affine = len(AFFINE_PARAMETERS)
+        return cls(values[:2], values[2:affine], np.zeros((), values.dtype), values[affine:])
+
+    def with_parameters(self, values: Float[ArrayLike, "q"]) -> "AbstractLens":
+        """This lens with other values of `parameter_names`."""
+        affine = len(AFFINE_PARAMETERS)
+        return type(self)(values[:2], values[2:affine], self.skew_px, values[affine:])
+
+    def parameter_scales(self, image_size_px: tuple[int, int]) -> Float[ArrayLike, "q"]:
+        """Changes of `parameters` that move the corners of the picture about equally.
+
+        A step of s in units of these moves a corner by about s times its distance from the
+        principal point, or by s focal lengths for the principal point itself.
+        """
+        xp = namespace_of(self)
+        fu, fv = self.focal_length_px[0], self.focal_length_px[1]
+        radius = 0.5 * xp.hypot(image_size_px[0] / fu, image_size_px[1] / fv)
+        powers = [radius ** -float(power) for power in self.coefficient_powers]
+        return xp.stack([fu, fv, fu, fv, *powers])
+
+    def retract(self, delta: Float[ArrayLike, "k"]) -> "AbstractLens":
+        """This lens after a change of the first k of `parameters`; zero leaves it as it is."""
+        xp = namespace_of(self, delta)
+        missing = len(self.parameter_names) - delta.shape[0]
+        change = xp.concatenate([delta, xp.zeros(missing, delta.dtype)])
+        return self.with_parameters(self.parameters + change)
+
+    def with_focal_factor(self, factor: Float[ArrayLike, "2"]) -> "AbstractLens":
+        """This lens with focal lengths, and the skew with the first, multiplied."""
+        return type(self)(
+            self.focal_length_px * factor,
+            self.principal_point_px,
+            self.skew_px * factor[0],
+            self.coefficients,
+        )
+
+
+def ray_of_normalised(normalised: Float[ArrayLike, "2"]) -> Float[ArrayLike, "3"]:
+    """(x, y, 1)."""
+    return jnp.stack([normalised[0], normalised[1], jnp.ones_like(normalised[0])])

@@ -1,0 +1,58 @@
+"""The lens models by name, and lenses of several models brought to one."""
+
+from collections.abc import Sequence
+
+import jax
+import numpy as np
+
+from trinoc.errors import InputError
+from trinoc.geometry.lenses.abstract_lens import AbstractLens
+from trinoc.geometry.lenses.brown_conrady import BrownConrady
+from trinoc.geometry.lenses.pinhole import Pinhole
+from trinoc.numerics import namespace_of
+
+LENS_MODELS: dict[str, type[AbstractLens]] = {lens.model: lens for lens in (Pinhole, BrownConrady)}
+# The model of coefficients that come without a name, and that an ideal lens is given where its
+# distortion is asked for.
+DEFAULT_DISTORTION = BrownConrady
+
+
+def lens_model(name: str) -> type[AbstractLens]:
+    """The lens of a model's name. Raises InputError for one that is not known."""
+    if name not in LENS_MODELS:
+        raise InputError(
+            f"The lens model is {name!r}, but must be one of {', '.join(LENS_MODELS)}."
+        )
+    return LENS_MODELS[name]
+
+
+def promoted(lens: AbstractLens, model: type[AbstractLens] = DEFAULT_DISTORTION) -> AbstractLens:
+    """An ideal lens as one of `model` whose coefficients are zero; any other as it is."""
+    if lens.has_distortion:
+        return lens
+    zeros = np.zeros(len(model.coefficient_names))
+    return model(lens.focal_length_px, lens.principal_point_px, lens.skew_px, zeros)
+
+
+def simplified(lens: AbstractLens) -> AbstractLens:
+    """An ideal lens where all coefficients are zero; the lens as it is otherwise."""
+    if np.any(np.asarray(lens.coefficients) != 0.0):
+        return lens
+    none = np.zeros(0)
+    return Pinhole(lens.focal_length_px, lens.principal_point_px, lens.skew_px, none)
+
+
+def stack_lenses(lenses: Sequence[AbstractLens]) -> AbstractLens:
+    """Several lenses along a new first axis, ideal ones promoted to the model of the others.
+
+    Raises InputError where they are of two models that both distort.
+    """
+    models = {type(lens) for lens in lenses if lens.has_distortion}
+    if len(models) > 1:
+        raise InputError(
+            f"Lenses of the models {' and '.join(sorted(model.model for model in models))} cannot "
+            "be fitted together: give lenses of one model (ideal ones may be among them)."
+        )
+    alike = [promoted(lens, model) for model in models for lens in lenses] or list(lenses)
+    xp = namespace_of(alike)
+    return jax.tree.map(lambda *leaves: xp.stack([xp.asarray(leaf) for leaf in leaves]), *alike)
