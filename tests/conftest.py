@@ -1,12 +1,22 @@
 """Settings of every test: double precision, no silent promotion, shapes checked at run time."""
 
 import atexit
+import contextlib
+import ctypes
+import importlib.metadata
 import os
+import random
 import shutil
 import tempfile
+from collections.abc import Iterator
 
-# LAPACK threads of several test workers fight over the cores: one each, set before NumPy loads.
-for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+# Threads of several test workers fight over the cores: one each, set before NumPy and OpenCV load.
+for _variable in (
+    "OMP_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "OPENCV_FOR_THREADS_NUM",
+):
     os.environ.setdefault(_variable, "1")
 
 # Tests compile far longer than they compute: XLA's costly passes do not pay here. What users run,
@@ -23,8 +33,16 @@ if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
 
 import hypothesis  # noqa: E402
+
+
+# XLA's emitters of fused loops take a third of the time and of the memory of compiling, and make
+# slow code without optimisation. A release that does not know the flag would end the process.
+if importlib.metadata.version("jaxlib").startswith("0.10."):
+    os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false")
+
 import jax  # noqa: E402
 import jaxtyping  # noqa: E402
+import pytest  # noqa: E402
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_dtype_promotion", "strict")
@@ -45,3 +63,52 @@ hypothesis.settings.register_profile(
     suppress_health_check=[hypothesis.HealthCheck.too_slow],
 )
 hypothesis.settings.load_profile("trinoc")
+
+# More would wait for the longest tests, and each takes about 1.5 GB.
+MOST_WORKERS = 8
+
+
+def pytest_xdist_auto_num_workers(config: pytest.Config) -> int | None:
+    """`pytest` alone runs on all cores; with files or folders named, in this one process."""
+    if "PYTEST_XDIST_AUTO_NUM_WORKERS" in os.environ:
+        return None
+    if config.args_source is not pytest.Config.ArgsSource.TESTPATHS:
+        return 0
+    return min(os.cpu_count() or 1, MOST_WORKERS)
+
+
+@pytest.fixture(scope="module")
+def optimised() -> Iterator[None]:
+    """XLA's costly passes, for a file whose kernels run longer than they compile."""
+    before = jax.config.read("jax_disable_most_optimizations")
+    jax.config.update("jax_disable_most_optimizations", False)
+    yield
+    jax.config.update("jax_disable_most_optimizations", before)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Seed the generator with which beartype picks the member of a container that it checks."""
+    random.seed(item.nodeid)
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> None:
+    """Tests of one folder share programs, those of another hardly any."""
+    if nextitem is None or nextitem.path.parent != item.path.parent:
+        forget_what_was_compiled()
+
+
+@pytest.fixture(scope="module")
+def large_programs() -> Iterator[None]:
+    """For a file whose programs take so much memory that others should not stand beside them."""
+    forget_what_was_compiled()
+    yield
+    forget_what_was_compiled()
+
+
+def forget_what_was_compiled() -> None:
+    """Give the memory of all programs back; the shared folder still has them."""
+    jax.clear_caches()
+    with contextlib.suppress(AttributeError, OSError, TypeError):  # of the GNU C library alone
+        ctypes.CDLL(None).malloc_trim(0)

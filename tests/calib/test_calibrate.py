@@ -11,6 +11,7 @@ from trinoc.errors import CalibrationError, InputError
 from trinoc.geometry import Intrinsics
 from trinoc.synth import render_sheet
 
+pytestmark = pytest.mark.usefixtures("large_programs")
 SHEET = Pattern.default()
 
 
@@ -71,7 +72,7 @@ def test_grey_levels_of_any_depth_give_one_answer() -> None:
 def test_bad_pictures_are_named() -> None:
     blank = np.full((480, 512), 128, dtype=np.uint8)
     with pytest.raises(CalibrationError, match='amera "right"') as caught:
-        calibrate(pictures() | {"right": blank}, SHEET, LENS)
+        calibrate({"left": picture("left"), "right": blank}, SHEET, LENS)
     assert isinstance(caught.value.result, CalibrationResult)
     assert caught.value.result.status["right"] is Status.NOT_DETECTED
     with pytest.raises(InputError, match="same picture"):

@@ -148,7 +148,7 @@ def lay_out_shift(page, pattern: Pattern) -> np.ndarray:
 
 
 def test_too_large_sheets_and_unknown_paper_are_refused():
-    large = Pattern.cross_grid(rows=10, columns=14, pitch_mm=25, radius_mm=7)
+    large = Pattern.cross_grid(rows=10, columns=14, pitch_mm=25, radius_mm=7, rings="none")
     with pytest.raises(InputError, match="larger paper"):
         lay_out(large, "a4")
     with pytest.raises(InputError, match="unknown"):

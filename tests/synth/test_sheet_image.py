@@ -81,8 +81,9 @@ def test_the_centroid_follows_a_lens_with_distortion():
     points = np.stack([r * np.cos(a), r * np.sin(a)], -1).reshape(-1, 2)
 
     points = np.column_stack([points, np.zeros(len(points))])
-    images = np.asarray(jax.vmap(project, in_axes=(None, 0))(camera, points))
-    jacobian = np.asarray(jax.vmap(jax.jacfwd(project, 1), in_axes=(None, 0))(camera, points))
+    images = np.asarray(jax.jit(jax.vmap(project, (None, 0)))(camera, points))
+    jacobian = jax.jit(jax.vmap(jax.jacfwd(project, 1), (None, 0)))(camera, points)
+    jacobian = np.asarray(jacobian)
     weight = np.abs(np.linalg.det(jacobian[:, :, :2])) * r.reshape(-1)
     expected = (weight[:, None] * images).sum(0) / weight.sum()
     _, centroid = darkness_moments(clean(one_disc(), camera))

@@ -53,7 +53,7 @@ def calibration_of_detections(
     model: PoseModel,
     throw: bool,
     names: Sequence[str],
-    images: Mapping[str, Float[np.ndarray, "h w"]] | None = None,
+    images: Mapping[str, Float[np.ndarray, "_h _w"]] | None = None,
     systematics: Systematics | None = None,
     orientation: Orientation = None,
 ) -> CalibrationResult:

@@ -42,10 +42,11 @@ def test_gradients_of_a_line_and_of_a_camera_agree_with_differences():
         return jnp.stack([upper.parameters(start)[1], crossing(anchors[4], ends[4])[2]])
 
     @eqx.filter_jit
-    def both(fragments_px, sheet_values):
-        return jax.jacrev(outputs, argnums=(0, 1))(fragments_px, sheet_values)
+    def gradients(fragments_px, sheet_values, weight):
+        return jax.vjp(outputs, fragments_px, sheet_values)[1](weight)
 
-    by_fragments, by_sheet = both(lines.fragments_px, prior.values)
+    rows = [gradients(lines.fragments_px, prior.values, weight) for weight in np.eye(2)]
+    by_fragments, by_sheet = (np.stack(each) for each in zip(*rows, strict=True))
     step_px, step = 1e-3, 1e-4
     for track, view, end, axis in ((4, 0, 1, 0), (4, 2, 0, 1), (7, 1, 1, 1)):
         delta = np.zeros(lines.fragments_px.shape)

@@ -24,6 +24,7 @@ from trinoc.numerics import GemanMcClure, eliminate
 
 blocks_of = jax.jit(jax.vmap(track_blocks, (None, 0, 0, None)))
 equations = jax.jit(normal_equations)
+whiten = jax.jit(jax.vmap(jax.vmap(whitening_across)))
 
 LOSS = GemanMcClure.from_scale(4.0)
 EVERYTHING = GemanMcClure.from_scale(1e6)  # a loss so wide that it is the plain sum of squares
@@ -36,7 +37,6 @@ def states(pose_model, with_intrinsics=False):
 
 
 def tracks_of(lines):
-    whiten = jax.vmap(jax.vmap(whitening_across))
     fragments = np.where(lines.seen[:, :, None, None], lines.fragments_px, [[0.0, 0], [1, 0]])
     return FragmentTable(fragments, whiten(fragments, lines.covariance_px2), lines.seen)
 
@@ -93,6 +93,7 @@ def test_eliminating_the_lines_solves_the_whole_problem():
     tracks, anchors = tracks_of(lines), jnp.asarray(lines.lines_mm)
     views, size = 3, 6
 
+    @jax.jit
     def residual(vector):
         moved = jax.vmap(CameraState.retract)(cameras, vector[: views * size].reshape(views, size))
         placed = jax.vmap(moved_anchors)(anchors, vector[views * size :].reshape(-1, 4))
@@ -119,7 +120,7 @@ def test_eliminating_the_lines_solves_the_whole_problem():
 
 
 def test_two_views_of_a_line_say_nothing_about_the_cameras():
-    lines, _, _ = made_tracks(2, 5, hidden=1.0)
+    lines, _, _ = made_tracks(2, 7, hidden=1.0)
     cameras, _ = states(PoseModel.RIGID)
     tracks = tracks_of(lines)
     blocks = blocks_of(cameras, lines.lines_mm, tracks, EVERYTHING)
@@ -128,7 +129,7 @@ def test_two_views_of_a_line_say_nothing_about_the_cameras():
 
 
 def test_the_gradient_of_the_system_is_that_of_the_cost():
-    lines, _, _ = made_tracks(3, 6, hidden=0.0)
+    lines, _, _ = made_tracks(3, 7, hidden=0.0)
     cameras, _ = states(PoseModel.AIM_FREE)
     tracks = tracks_of(lines)
 

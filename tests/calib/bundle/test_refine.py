@@ -62,7 +62,7 @@ def test_wrong_matches_are_found_and_do_not_pull():
 
 
 def test_the_noise_of_the_segments_is_estimated():
-    lines, _, _ = made_tracks(9, 200, hidden=0.0)
+    lines, _, _ = made_tracks(9, 120, hidden=0.0)
     pessimist = LineObservations(
         lines.views, lines.fragments_px, 4 * lines.covariance_px2, lines.seen, lines.lines_mm
     )

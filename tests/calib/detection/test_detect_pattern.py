@@ -15,8 +15,8 @@ CAMERA = table1_rig()["right"]
 
 
 def true_centres(camera: Camera, pattern: Pattern) -> np.ndarray:
-    one = jax.vmap(image_of_circle_centre, in_axes=(None, 0, 0))
-    return np.asarray(one(camera, pattern.centres_mm, pattern.radius_mm))
+    each = jax.jit(jax.vmap(image_of_circle_centre, in_axes=(None, 0, 0)))
+    return np.asarray(each(camera, pattern.centres_mm, pattern.radius_mm))
 
 
 def errors_px(detection: Detection, camera: Camera, pattern: Pattern) -> np.ndarray:

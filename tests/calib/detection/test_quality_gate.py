@@ -181,7 +181,7 @@ def test_points_scatter_as_the_rig_says() -> None:
     trials, point = 60, np.array([20.0, -10.0, 15.0])
     covariance = point_covariance(rig_of().rig, point)
     truth = {name: camera_of(values) for name, values in TABLE_1.items()}
-    seen = np.stack([np.asarray(project(camera, point)) for camera in truth.values()])
+    seen = np.stack([np.asarray(jax.jit(project)(camera, point)) for camera in truth.values()])
     places = []
     for k in range(trials):
         rig = rig_of(1000 + 10 * k).rig

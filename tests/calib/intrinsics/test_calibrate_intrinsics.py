@@ -7,6 +7,7 @@ from tests.calib.intrinsics.simulated_lens import LENS, SHEET, SIZE_PX, detectio
 from trinoc.calib import Pattern, Status, calibrate_intrinsics
 from trinoc.geometry import BrownConrady
 
+pytestmark = pytest.mark.usefixtures("optimised")
 POSES = good_poses()
 
 

@@ -16,6 +16,7 @@ from trinoc.calib.intrinsics.next_image import generic_views
 from trinoc.errors import CalibrationError, InputError
 from trinoc.geometry import BrownConrady
 
+pytestmark = pytest.mark.usefixtures("optimised")
 SQUARE = [
     pose(tilt_deg=0, azimuth_deg=0, roll_deg=9 * k, distance_mm=420 + 20 * k, aside=(0.02, -0.01))
     for k in range(8)

@@ -7,7 +7,7 @@ import pytest
 from tests.calib.simulated import LENS, TABLE_1, camera_of, reference_sheet
 from trinoc.calib import Pattern
 from trinoc.calib.photometric import refine_image
-from trinoc.calib.photometric.appearance import Appearance, Pixels, predict
+from trinoc.calib.photometric.appearance import Appearance, Pixels, Prediction, predict
 from trinoc.calib.photometric.gauss_newton import sheet_from_normalised
 from trinoc.calib.photometric.image_fit import ImageRefinement
 from trinoc.calib.photometric.ink_coverage import Cross, Drawing
@@ -18,6 +18,7 @@ from trinoc.geometry import Pose, PoseModel
 from trinoc.numerics import ArrayLike
 from trinoc.synth import render_sheet
 
+pytestmark = pytest.mark.usefixtures("large_programs")
 RIGHT = (*TABLE_1["right"], 0.0, 0.0)
 CROSS = Cross(np.array(0.5), np.array([55.0, 55.0]), np.array(1.5))
 BLUR_PX = 0.7
@@ -99,9 +100,13 @@ def test_derivatives_are_those_of_differences(near_line: bool) -> None:
         return jax.vmap(one)(pixels)
 
     homography, look = np.asarray(sheet_from_normalised(pose)), np.asarray(LOOK.vector)
-    claimed = jax.vmap(lambda pixel: predict(homography, LOOK, pixel, CROSS, drawing, near_line))(
-        pixels
-    )
+
+    @jax.jit
+    @jax.vmap
+    def predicted(pixel: Pixels) -> Prediction:
+        return predict(homography, LOOK, pixel, CROSS, drawing, near_line)
+
+    claimed = predicted(pixels)
     directions = [(np.eye(9)[k].reshape(3, 3), np.zeros(9)) for k in range(9)]
     directions += [(np.zeros((3, 3)), np.eye(9)[k]) for k in range(9)]
     columns = (*claimed.by_homography, *claimed.by_appearance)

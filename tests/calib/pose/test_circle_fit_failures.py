@@ -56,17 +56,22 @@ ROW = np.flatnonzero(DOTS.centres_mm[:, 1] == 0.0)
 
 
 def row_and_sheet() -> dict[str, Detection]:
-    """A row through the origin seen by one camera, the whole sheet by another."""
+    """A row through the origin seen by one camera, the whole sheet by the others."""
     return {
         "upper": simulated_detection(UPPER, DOTS, seed=3, circles=ROW),
         "left": simulated_detection(camera_of(TABLE_1["left"]), DOTS, seed=1),
+        "right": simulated_detection(camera_of(TABLE_1["right"]), DOTS, seed=2),
     }
 
 
 def test_a_row_through_the_origin_does_not_hold_the_turn_about_itself() -> None:
     result = calibrate_detections(row_and_sheet(), DOTS, LENS, throw=False)
-    assert result.status == {"upper": Status.RANK_DEFICIENT, "left": Status.CONVERGED}
-    assert result.rig.names == ("left",)
+    assert result.status == {
+        "upper": Status.RANK_DEFICIENT,
+        "left": Status.CONVERGED,
+        "right": Status.CONVERGED,
+    }
+    assert result.rig.names == ("left", "right")
     assert result.fits["upper"].rank == 3
     assert "tilt_deg" in result.fits["upper"].gauge
     assert "upper: " in result.summary()
@@ -76,7 +81,7 @@ def test_a_failed_camera_is_named_and_the_others_are_kept() -> None:
     with pytest.raises(CalibrationError, match='amera "upper"') as caught:
         calibrate_detections(row_and_sheet(), DOTS, LENS)
     assert isinstance(caught.value.result, CalibrationResult)
-    assert caught.value.result.rig.names == ("left",)
+    assert caught.value.result.rig.names == ("left", "right")
 
 
 def test_a_sheet_of_another_shape_is_refused_with_the_next_step() -> None:

@@ -40,7 +40,7 @@ class LensImages(NamedTuple):
 
     detections: Sequence[Detection]
     pattern: Pattern
-    used: list[Bool[np.ndarray, "m"]]
+    used: list[Bool[np.ndarray, "_m"]]
 
     @property
     def image_size_px(self) -> tuple[int, int]:

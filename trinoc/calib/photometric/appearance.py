@@ -90,8 +90,8 @@ class Prediction(NamedTuple):
     """
 
     residual: Float[ArrayLike, "*n"]
-    by_homography: tuple[Float[ArrayLike, "*n"], ...]
-    by_appearance: tuple[Float[ArrayLike, "*n"], ...]
+    by_homography: tuple[Float[ArrayLike, "..."], ...]
+    by_appearance: tuple[Float[ArrayLike, "..."], ...]
 
 
 def predict(

@@ -36,7 +36,7 @@ class ViewEstimate(NamedTuple):
 
 
 def refine_views(
-    images: Mapping[str, Float[np.ndarray, "h w"]],
+    images: Mapping[str, Float[np.ndarray, "_h _w"]],
     fits: Mapping[str, PoseEstimate],
     detections: Mapping[str, Detection],
     pattern: Pattern,

@@ -66,7 +66,7 @@ def _refit_robustly(
     fits: CircleFit,
     lens: AbstractLens,
     circles: CircleObservations,
-    used: list[Bool[np.ndarray, "m"]],
+    used: list[Bool[np.ndarray, "_m"]],
     suspects: list[int],
     model: PoseModel,
 ) -> CircleFit:

@@ -24,7 +24,7 @@ _LARGEST_STEP_PX = 0.05
 
 
 def lens_spreads(
-    images: Mapping[str, Float[np.ndarray, "h w"]],
+    images: Mapping[str, Float[np.ndarray, "_h _w"]],
     refined: Mapping[str, ViewEstimate],
     detections: Mapping[str, Detection],
     pattern: Pattern,

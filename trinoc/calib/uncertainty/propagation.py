@@ -15,7 +15,6 @@ from trinoc.geometry import (
     Rig,
     epipolar_distance_px,
     fundamental_matrix,
-    project_by_matrix,
     sheet_from_pixel,
     triangulate_point,
 )
@@ -51,10 +50,22 @@ def epipolar_sigma(rig: Rig, first: str, second: str) -> EpipolarSigma:
     places = np.stack([u.ravel(), v.ravel()], axis=1)
     matrices = np.stack([np.asarray(rig[name].intrinsics.matrix) for name in (first, second)])
     ideal = _without_distortion(rig[first])
-    points = jax.vmap(lambda uv: sheet_from_pixel(ideal, uv))(places)
+    jacobian = np.asarray(_distances_by_change(values, matrices, ideal, places))
+    return EpipolarSigma(places, _sigmas(jacobian.reshape(len(places), 12), covariance))
+
+
+@jax.jit
+def _distances_by_change(
+    values: Float[ArrayLike, "2 6"],
+    matrices: Float[ArrayLike, "2 3 3"],
+    first: Camera,
+    places: Float[ArrayLike, "n 2"],
+) -> Float[ArrayLike, "n 2 6"]:
+    """Derivatives of the distances from the epipolar lines by the parameters of both cameras."""
+    points = jax.vmap(sheet_from_pixel, (None, 0))(first, places)
+    there = _projections(values, matrices)
 
     def distances(change: Float[ArrayLike, "2 6"]) -> Float[ArrayLike, "n"]:
-        there = _projections(values, matrices)
         moved = _projections(values + change, matrices)
         fundamental = fundamental_matrix(moved[1], moved[0])
 
@@ -64,8 +75,7 @@ def epipolar_sigma(rig: Rig, first: str, second: str) -> EpipolarSigma:
 
         return jax.vmap(distance)(places, points)
 
-    jacobian = np.asarray(jax.jacfwd(distances)(jnp.zeros((2, 6)))).reshape(len(places), 12)
-    return EpipolarSigma(places, _sigmas(jacobian, covariance))
+    return jax.jacfwd(distances)(jnp.zeros((2, 6)))
 
 
 @in_float64
@@ -76,16 +86,25 @@ def point_covariance(rig: Rig, point_mm: Float[ArrayLike, "3"]) -> np.ndarray:
     """
     covariance, values = _known(rig, rig.names)
     matrices = np.stack([np.asarray(camera.intrinsics.matrix) for _, camera in rig.items()])
-    weight = np.ones(len(rig))
-    point = np.asarray(point_mm, dtype=np.float64)
-    images = [project_by_matrix(each, point) for each in np.asarray(_projections(values, matrices))]
-    seen = np.stack(images)
+    jacobian = np.asarray(_place_by_change(values, matrices, np.asarray(point_mm, float)))
+    jacobian = jacobian.reshape(3, -1)
+    return jacobian @ covariance @ jacobian.T
+
+
+@jax.jit
+def _place_by_change(
+    values: Float[ArrayLike, "v 6"],
+    matrices: Float[ArrayLike, "v 3 3"],
+    point_mm: Float[ArrayLike, "3"],
+) -> Float[ArrayLike, "3 v 6"]:
+    """Derivatives of the place triangulated from exact images by the cameras' parameters."""
+    images = _projections(values, matrices) @ jnp.append(point_mm, 1.0)
+    seen, weight = images[:, :2] / images[:, 2:], jnp.ones(len(values))
 
     def place(change: Float[ArrayLike, "v 6"]) -> Float[ArrayLike, "3"]:
         return triangulate_point(_projections(values + change, matrices), seen, weight)
 
-    jacobian = np.asarray(jax.jacfwd(place)(jnp.zeros_like(values))).reshape(3, -1)
-    return jacobian @ covariance @ jacobian.T
+    return jax.jacfwd(place)(jnp.zeros_like(values))
 
 
 def _known(

@@ -89,7 +89,7 @@ def _pruned(found: Candidates, typical_count: float) -> Candidates:
 
 def _pairs(
     planes: Pencil, count_a: int, count_b: int
-) -> Iterator[tuple[Int[np.ndarray, "p"], Int[np.ndarray, "p"]]]:
+) -> Iterator[tuple[Int[np.ndarray, "_p"], Int[np.ndarray, "_p"]]]:
     """Pairs that share epipolar planes, in blocks of segments of the first view."""
     angles_a, angles_b = (
         np.stack([np.asarray(s.low)[:count], np.asarray(s.high)[:count]], axis=1)
@@ -139,7 +139,7 @@ def _predicted(
     grid: Grid,
     i: Int[ArrayLike, "p"],
     j: Int[ArrayLike, "p"],
-) -> tuple[Prediction, list[Int[ArrayLike, "p"]]]:
+) -> tuple[Prediction, list[Int[ArrayLike, "_p"]]]:
     def predicted(i: ArrayLike, j: ArrayLike) -> tuple[Prediction, list[ArrayLike]]:
         guess = predict(lines, third, planes, row_of(planes.first, i), row_of(planes.second, j))
         return guess, keys_of(grid, guess)
@@ -201,7 +201,7 @@ def _evidence_of(
     planes: Pencil,
     triple: Int[ArrayLike, "h 3"],
     clutter: ClutterModel,
-) -> tuple[TripleEvidence, tuple[tuple[Float[ArrayLike, "h"], ...], ...]]:
+) -> tuple[TripleEvidence, tuple[tuple[Float[ArrayLike, "_h"], ...], ...]]:
     def judge(segments: Int[ArrayLike, "3"]) -> tuple[TripleEvidence, tuple]:
         first, second = row_of(planes.first, segments[0]), row_of(planes.second, segments[1])
         near_mm = points_of(planes, cut_pair(planes.baseline_mm, first, second))
