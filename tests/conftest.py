@@ -34,7 +34,6 @@ if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
 
 import hypothesis  # noqa: E402
 
-
 # XLA's emitters of fused loops take a third of the time and of the memory of compiling, and make
 # slow code without optimisation. A release that does not know the flag would end the process.
 if importlib.metadata.version("jaxlib").startswith("0.10."):
