@@ -33,10 +33,10 @@ from trinoc.match import (
     fit_clutter,
     match_many,
     match_segments,
+    prepare,
     select,
     trinocular_candidates,
 )
-from trinoc.match.observations.match_input import simulate_segments
 from trinoc.numerics import in_float64
 from trinoc.segments import with_side_levels
 from trinoc.synth import (
@@ -174,7 +174,7 @@ def is_right(members: list[tuple[int, int]], truth: SegmentTruth) -> bool | None
 def steps(problem: Problem) -> dict[str, MatchScore]:
     """Scores after candidates and exclusion, after neighbours, and after pairs."""
     _, rig, segments, truth = problem
-    seen = simulate_segments(segments, rig, None)
+    seen = prepare(segments, rig, None)
     strangers = fit_clutter(seen.lines, seen.counts)
     candidates = trinocular_candidates(seen.lines, (0, 1, 2), seen.counts, strangers)
     scores = {}

@@ -1,5 +1,11 @@
 from .arrays import ArrayLike as ArrayLike, ScalarLike as ScalarLike
-from .buckets import blocks as blocks, bucket as bucket, in_blocks as in_blocks, padded as padded
+from .buckets import (
+    blocks as blocks,
+    bucket as bucket,
+    in_blocks as in_blocks,
+    in_bucket as in_bucket,
+    padded as padded,
+)
 from .information import (
     LARGEST_SIGMA as LARGEST_SIGMA,
     Observability as Observability,
@@ -16,6 +22,7 @@ from .neighbours_in_plane import (
     near_pairs as near_pairs,
     point_tree as point_tree,
 )
+from .options import with_field as with_field
 from .precision import as_numpy as as_numpy, in_float64 as in_float64
 from .scalar_vectors import (
     Scalar as Scalar,

@@ -1,0 +1,72 @@
+"""The tuned constants of the matcher: one value, handed down to every step."""
+
+import dataclasses
+import importlib
+import inspect
+import pkgutil
+
+import jax
+import numpy as np
+import pytest
+from made import loose_lines, pictures, rig_of
+
+import trinoc.match
+from trinoc.match import DEFAULT, MatchTuning, join_collinear, match_segments, snap_corners
+from trinoc.numerics import with_field
+
+VIEWS = ("upper", "left", "right")
+
+
+@pytest.fixture(scope="module")
+def scene():
+    rig = rig_of(*VIEWS)
+    return pictures(rig, loose_lines(30, seed=3), sigma_px=0.4, seed=4), rig
+
+
+def test_the_default_is_what_no_argument_means(scene):
+    plain, given = match_segments(*scene), match_segments(*scene, tuning=MatchTuning())
+    for one, other in zip(jax.tree.leaves(plain), jax.tree.leaves(given), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_a_swept_field_changes_the_answer(scene):
+    plain = match_segments(*scene)
+    narrow = match_segments(*scene, tuning=with_field(DEFAULT, "candidates.gate", 0.5))
+    assert narrow.counts["triples considered"] < plain.counts["triples considered"]
+    tempting = match_segments(*scene, tuning=with_field(DEFAULT, "evidence.log_odds_offset", 3.0))
+    assert tempting.posterior.mean() > plain.posterior.mean()
+
+
+def test_options_are_hashable_frozen_and_changed_by_name():
+    changed = with_field(DEFAULT, "selection.damping", 0.5)
+    assert changed.selection.damping == 0.5
+    assert changed != DEFAULT
+    assert with_field(changed, "selection.damping", DEFAULT.selection.damping) == DEFAULT
+    assert len({DEFAULT, MatchTuning(), changed}) == 2
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        DEFAULT.selection.damping = 0.5
+    with pytest.raises(ValueError, match="choose one of"):
+        with_field(DEFAULT, "selection.dampening", 0.5)
+
+
+def functions_with_a_default_tuning():
+    for file in pkgutil.walk_packages(trinoc.match.__path__, "trinoc.match."):
+        module = importlib.import_module(file.name)
+        for name, function in vars(module).items():
+            if inspect.isfunction(function) and function.__module__ == file.name:
+                yield name, inspect.unwrap(function)
+
+
+def test_every_step_is_handed_the_tuning_and_falls_back_on_no_default(scene, monkeypatch):
+    without = []
+    for name, function in functions_with_a_default_tuning():
+        groups = [*vars(DEFAULT).values(), DEFAULT]
+        kept = function.__defaults__ or ()
+        if any(value is group for value in kept for group in groups):
+            poisoned = tuple(None if any(v is g for g in groups) else v for v in kept)
+            monkeypatch.setattr(function, "__defaults__", poisoned)
+            without.append(name)
+    assert "triple_evidence" in without
+    jax.clear_caches()
+    matches = match_segments(*scene, tuning=DEFAULT)
+    assert len(snap_corners(join_collinear(matches, scene[1], tuning=DEFAULT), tuning=DEFAULT)) == 0
