@@ -8,9 +8,9 @@ import pkgutil
 import jax
 import numpy as np
 import pytest
-from made import loose_lines, pictures, rig_of
 
 import trinoc.match
+from tests.match.made import loose_lines, pictures, rig_of
 from trinoc.match import DEFAULT, MatchTuning, join_collinear, match_segments, snap_corners
 from trinoc.numerics import with_field
 
@@ -44,12 +44,12 @@ def test_options_are_hashable_frozen_and_changed_by_name():
     assert with_field(changed, "selection.damping", DEFAULT.selection.damping) == DEFAULT
     assert len({DEFAULT, MatchTuning(), changed}) == 2
     with pytest.raises(dataclasses.FrozenInstanceError):
-        DEFAULT.selection.damping = 0.5
+        setattr(DEFAULT.selection, "damping", 0.5)  # noqa: B010
     with pytest.raises(ValueError, match="choose one of"):
         with_field(DEFAULT, "selection.dampening", 0.5)
 
 
-def functions_with_a_default_tuning():
+def functions_of_the_matcher():
     for file in pkgutil.walk_packages(trinoc.match.__path__, "trinoc.match."):
         module = importlib.import_module(file.name)
         for name, function in vars(module).items():
@@ -58,15 +58,17 @@ def functions_with_a_default_tuning():
 
 
 def test_every_step_is_handed_the_tuning_and_falls_back_on_no_default(scene, monkeypatch):
+    groups = {id(group) for group in (DEFAULT, *vars(DEFAULT).values())}
     without = []
-    for name, function in functions_with_a_default_tuning():
-        groups = [*vars(DEFAULT).values(), DEFAULT]
-        kept = function.__defaults__ or ()
-        if any(value is group for value in kept for group in groups):
-            poisoned = tuple(None if any(v is g for g in groups) else v for v in kept)
+    for name, function in functions_of_the_matcher():
+        kept, by_name = function.__defaults__ or (), function.__kwdefaults__ or {}
+        if groups & {id(value) for value in (*kept, *by_name.values())}:
+            poisoned = tuple(None if id(value) in groups else value for value in kept)
             monkeypatch.setattr(function, "__defaults__", poisoned)
+            poisoned = {k: None if id(v) in groups else v for k, v in by_name.items()}
+            monkeypatch.setattr(function, "__kwdefaults__", poisoned)
             without.append(name)
-    assert "triple_evidence" in without
+    assert {"match_segments", "triple_evidence", "fit_line"} <= set(without)
     jax.clear_caches()
     matches = match_segments(*scene, tuning=DEFAULT)
     assert len(snap_corners(join_collinear(matches, scene[1], tuning=DEFAULT), tuning=DEFAULT)) == 0

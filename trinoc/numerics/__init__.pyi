@@ -24,6 +24,7 @@ from .neighbours_in_plane import (
 )
 from .options import with_field as with_field
 from .precision import as_numpy as as_numpy, in_float64 as in_float64
+from .robust_scale import MAD_TO_SIGMA as MAD_TO_SIGMA
 from .scalar_vectors import (
     Scalar as Scalar,
     Symmetric3 as Symmetric3,
@@ -47,3 +48,5 @@ from .small_matrices import (
     inverse_positive_definite as inverse_positive_definite,
     solve_positive_definite as solve_positive_definite,
 )
+from .tables import concatenate_rows as concatenate_rows, take_rows as take_rows
+from .vector_arrays import axes_across as axes_across, cross_2d as cross_2d, cross_3d as cross_3d

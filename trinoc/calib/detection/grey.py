@@ -7,9 +7,9 @@ import numpy as np
 from jaxtyping import Float, Shaped
 
 from trinoc.errors import InputError
+from trinoc.numerics import MAD_TO_SIGMA
 
 _NOISE_SAMPLES = 20_000
-_MAD_TO_SIGMA = 1.4826
 _SMALLEST_SIDE_PX = 16
 
 
@@ -76,4 +76,4 @@ def _noise_sigma(grey: Float[np.ndarray, "h w"]) -> float:
     second = down[:, :-2:step] - 2.0 * down[:, 1:-1:step] + down[:, 2::step]
     sample = np.abs(second).ravel() / 6.0
     median = float(np.partition(sample, len(sample) // 2)[len(sample) // 2])
-    return _MAD_TO_SIGMA * median
+    return MAD_TO_SIGMA * median
