@@ -1,12 +1,9 @@
 """Frozen dataclasses of options in groups: one field changed by its dotted name."""
 
 from dataclasses import fields, replace
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
-if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
-
-_Options = TypeVar("_Options", bound="DataclassInstance")
+_Options = TypeVar("_Options")
 
 
 def with_field(options: _Options, name: str, value: Any) -> _Options:
@@ -14,9 +11,10 @@ def with_field(options: _Options, name: str, value: Any) -> _Options:
 
     Raises ValueError for a name that the options do not have.
     """
+    group: Any = options
     first, _, rest = name.partition(".")
-    own = [field.name for field in fields(options)]
+    own = [field.name for field in fields(group)]
     if first not in own:
         raise ValueError(f'There is no option "{first}": choose one of {", ".join(own)}.')
-    changed = with_field(getattr(options, first), rest, value) if rest else value
-    return replace(options, **{first: changed})
+    changed = with_field(getattr(group, first), rest, value) if rest else value
+    return replace(group, **{first: changed})
