@@ -26,7 +26,7 @@ from trinoc.evaluation.distances import distance_to_segments_mm
 from trinoc.geometry import Rig
 from trinoc.io import load_rig, load_scene_truth
 from trinoc.match import Corners, JoinedLines, Matches, join_collinear, match_segments, snap_corners
-from trinoc.match.line_map.line_fit import across_axes
+from trinoc.numerics import axes_across
 from trinoc.segments import find_segments
 from trinoc.synth import SegmentTruth, loose_segments, table1_rig
 from trinoc.synth.solids import Cylinder
@@ -138,7 +138,9 @@ def edges_of_lines(lines_mm: np.ndarray, edges_mm: np.ndarray) -> np.ndarray:
 
 
 def off_line(points_mm: np.ndarray, edge: np.ndarray) -> np.ndarray:
-    return np.linalg.norm((points_mm - edge[0]) @ across_axes(edge[1] - edge[0]).T, axis=-1)
+    way = edge[1] - edge[0]
+    axes = axes_across(way / np.linalg.norm(way))
+    return np.linalg.norm((points_mm - edge[0]) @ axes.T, axis=-1)
 
 
 def judge_lines(
@@ -168,7 +170,8 @@ def judge_lines(
         true = edges_mm[number]
         tally.add("pieces", *(_rms(off_line(matches.lines_mm[t], true)) for t in tracks))
         tally.add("lines", _rms(off_line(joined.lines_mm[line], true)))
-        axes = across_axes(true[1] - true[0])
+        way = true[1] - true[0]
+        axes = axes_across(way / np.linalg.norm(way))
         error = ((joined.lines_mm[line] - true[0]) @ axes.T).reshape(4)
         project = np.kron(np.eye(2), axes)
         spread = project @ joined.covariance_mm2[line] @ project.T

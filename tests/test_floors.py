@@ -40,6 +40,9 @@ INNER_FLOORS = {
     "synth": ("camera_picture",),
 }
 
+# Files of a room that its inner rooms stand on: its tuned constants.
+FOUNDATION = "tuning"
+
 # Imported where they are used, because a plain `pip install` does not bring them.
 EXTRAS = {"matplotlib", "reportlab", "dask", "distributed", "ruamel"}
 FORBIDDEN = {"numba", "torch", "tkinter"}
@@ -102,7 +105,7 @@ def test_inner_rooms_import_only_the_floors_below(room):
         parts = module.split(".")
         if own != room or len(parts) < 4:
             continue
-        below = {*floors[: floors.index(parts[2]) + 1]}
+        below = {FOUNDATION, *floors[: floors.index(parts[2]) + 1]}
         for name in imported(tree):
             taken = name.split(".")
             if taken[:2] == ["trinoc", room] and taken[2] not in below:

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from trinoc.evaluation.distances import nearest_segments, sampled_segments
 from trinoc.geometry import UncertainLines
-from trinoc.numerics import GemanMcClure
+from trinoc.numerics import MAD_TO_SIGMA, GemanMcClure
 
 STEP_MM_PER_SIZE = 0.01
 FIRST_SCALE_PER_SIZE, SCALE_RATIO = 0.1, 2.0
@@ -111,5 +111,5 @@ def _step(
     free = values < _RANK_TOLERANCE * values[-1]
     inverse = np.where(free, 0.0, 1 / np.where(free, 1.0, values))
     change = -axes @ (inverse * (axes.T @ gradient))
-    spread = 1.4826 * float(np.median(near.distance_mm))
+    spread = MAD_TO_SIGMA * float(np.median(near.distance_mm))
     return change, int((~free).sum()), spread

@@ -16,7 +16,7 @@ from trinoc.evaluation.known_shape import KnownShape
 from trinoc.evaluation.lines_on_edges import angles_deg, edge_of_lines, offsets_across, selected
 from trinoc.evaluation.normalised_errors import NormalisedErrors, normalised_errors
 from trinoc.geometry import UncertainLines
-from trinoc.numerics import ArrayLike
+from trinoc.numerics import MAD_TO_SIGMA, ArrayLike
 from trinoc.synth import SceneTruth
 
 TOLERANCES_MM = (0.1, 0.25, 0.5, 1.0)
@@ -279,4 +279,4 @@ def _named(name: str, unit: str, quantiles: ErrorQuantiles) -> dict[str, float]:
 def _spread(normalised: Float[np.ndarray, "n"]) -> float:
     """Robust standard deviation about zero; NaN where nothing is claimed."""
     known = normalised[np.isfinite(normalised)]
-    return 1.4826 * float(np.median(np.abs(known))) if len(known) else float("nan")
+    return MAD_TO_SIGMA * float(np.median(np.abs(known))) if len(known) else float("nan")

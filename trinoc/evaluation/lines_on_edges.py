@@ -7,6 +7,7 @@ from jaxtyping import Bool, Float, Int
 
 from trinoc.evaluation.distances import nearest_segments
 from trinoc.geometry import UncertainLines
+from trinoc.numerics import axes_across
 
 # Places along a line at which its nearest edge is asked for; odd, so that one is the middle.
 _PLACES = 9
@@ -81,7 +82,7 @@ def offsets_across(lines: UncertainLines, edges_mm: Float[np.ndarray, "n 2 3"]) 
     ends = lines.ends_mm
     along = ends[:, 1] - ends[:, 0]
     along = along / np.linalg.norm(along, axis=1, keepdims=True)
-    across = _across(along)
+    across = axes_across(along)
     start, step = edges_mm[:, 0], edges_mm[:, 1] - edges_mm[:, 0]
     position = np.einsum("nei,ni->ne", ends - start[:, None], along)
     position = position / np.sum(step * along, axis=1, keepdims=True)
@@ -93,14 +94,6 @@ def offsets_across(lines: UncertainLines, edges_mm: Float[np.ndarray, "n 2 3"]) 
         both @ lines.own_covariance_mm2 @ both.mT,
         both @ lines.by_parameters,
     )
-
-
-def _across(along: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 2 3"]:
-    """Two directions at right angles to each other and to `along`."""
-    least = np.eye(3)[np.abs(along).argmin(axis=1)]
-    first = np.cross(along, least)
-    first = first / np.linalg.norm(first, axis=1, keepdims=True)
-    return np.stack([first, np.cross(along, first)], axis=1)
 
 
 def _cosines(

@@ -15,7 +15,8 @@ vision" (1986), on a likelihood that knows every segment's covariance:
 
 `evidence` holds the log likelihood ratios that the steps share, and their learning by EM. `tracks`
 merges more than three views and puts out `Matches`. `line_map` goes on from there: collinear tracks
-as one line, ends that meet as corners, depth. `matcher` is the whole in twenty lines."""
+as one line, ends that meet as corners, depth. `matcher` is the whole in twenty lines,
+`tuning` holds every tuned constant."""
 
 import lazy_loader
 

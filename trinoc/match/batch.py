@@ -10,6 +10,7 @@ from trinoc.errors import TrinocError
 from trinoc.geometry import Rig, Segments
 from trinoc.match.matcher import match_segments
 from trinoc.match.tracks import Matches
+from trinoc.match.tuning import DEFAULT, MatchTuning
 from trinoc.numerics import ArrayLike
 
 OK = "ok"
@@ -31,6 +32,7 @@ def match_many(
     *,
     sigma_px: float | None = None,
     depth_range_mm: tuple[float, float] | None = None,
+    tuning: MatchTuning = DEFAULT,
 ) -> MatchBatch:
     """`match_segments` for each item: segments of one frame, with a rig each or one for all.
 
@@ -46,7 +48,9 @@ def match_many(
     status: list[str] = []
     for item, rig in zip(segments, each, strict=True):
         try:
-            matches = match_segments(item, rig, sigma_px=sigma_px, depth_range_mm=depth_range_mm)
+            matches = match_segments(
+                item, rig, sigma_px=sigma_px, depth_range_mm=depth_range_mm, tuning=tuning
+            )
         except TrinocError as error:
             found.append(None)
             status.append(str(error))

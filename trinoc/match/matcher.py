@@ -5,18 +5,13 @@ from collections.abc import Mapping
 import numpy as np
 
 from trinoc.geometry import Rig, Segments
-from trinoc.match.candidates import (
-    Candidates,
-    concatenated,
-    in_depth_range,
-    no_candidates,
-    trinocular_candidates,
-)
+from trinoc.match.candidates import in_depth_range, no_candidates, trinocular_candidates
 from trinoc.match.observations import fit_clutter, prepare
 from trinoc.match.occlusion import occluded_pairs
 from trinoc.match.selection import Selection, Tracks, select, tracks_of
 from trinoc.match.tracks import Matches, assemble, merge_triplets, view_triplets
-from trinoc.numerics import ArrayLike, in_float64
+from trinoc.match.tuning import DEFAULT, MatchTuning
+from trinoc.numerics import ArrayLike, concatenate_rows, in_float64
 
 
 @in_float64
@@ -26,6 +21,7 @@ def match_segments(
     *,
     sigma_px: float | None = None,
     depth_range_mm: tuple[float, float] | None = None,
+    tuning: MatchTuning = DEFAULT,
 ) -> Matches:
     """Match line segments across the views of a rig, by geometry and the grey levels beside them.
 
@@ -38,6 +34,7 @@ def match_segments(
     sigma_px : standard deviation of the ends across the segments, in place of their own.
     depth_range_mm : least and greatest depth before every camera that sees a line; by default
         lines lie anywhere before the cameras.
+    tuning : every tuned constant of the method; a benchmark or a study changes them.
 
     Returns
     -------
@@ -54,27 +51,27 @@ def match_segments(
     Source: Yokoi, Medioni and Nevatia, "A segment-based matching algorithm in trinocular
     vision", 1986: candidates, selection by neighbours, occluded segments.
     """
-    seen = prepare(segments, rig, sigma_px)
-    clutter = fit_clutter(seen.lines, seen.counts)
+    seen = prepare(segments, rig, sigma_px, tuning.sides)
+    clutter = fit_clutter(seen.lines, seen.counts, tuning.clutter)
     selections: list[Selection] = []
     outside = [np.zeros((0, len(seen.names)), dtype=np.int64)]
-    for views in view_triplets(seen.lines):
-        candidates = trinocular_candidates(seen.lines, views, seen.counts, clutter)
+    for views in view_triplets(seen.lines, tuning.tracks):
+        candidates = trinocular_candidates(seen.lines, views, seen.counts, clutter, tuning)
         if depth_range_mm is not None:
             inside = in_depth_range(candidates, seen.lines, depth_range_mm)
             outside.append(candidates.index[~inside])
-            candidates = Candidates(*(field[inside] for field in candidates))
-        selections.append(select(candidates, float(np.mean([seen.counts[v] for v in views]))))
-    triples = [tracks_of(selection) for selection in selections]
+            candidates = candidates.take(inside)
+        typical = float(np.mean([seen.counts[view] for view in views]))
+        selections.append(select(candidates, typical, tuning=tuning))
+    triples = [tracks_of(selection, tuning.evidence) for selection in selections]
     if triples:
-        tracks = Tracks(
-            concatenated([t.candidates for t in triples]),
-            np.concatenate([t.posterior_log_odds for t in triples]),
-            np.concatenate([t.rival_posterior for t in triples]),
-        )
+        tracks = concatenate_rows(triples)
     else:
         tracks = Tracks(no_candidates(len(seen.names)), np.zeros(0), np.zeros(0))
     if len(triples) > 1:
-        tracks = merge_triplets(seen.lines, tracks)
-    pairs = occluded_pairs(seen.lines, seen.counts, clutter, tracks, selections, depth_range_mm)
-    return assemble(seen, tracks, selections, pairs, np.concatenate(outside), tuple(segments))
+        tracks = merge_triplets(seen.lines, tracks, tuning)
+    pairs = occluded_pairs(
+        seen.lines, seen.counts, clutter, tracks, selections, depth_range_mm, tuning
+    )
+    excluded = np.concatenate(outside)
+    return assemble(seen, tracks, selections, pairs, excluded, tuple(segments), tuning.tracks)

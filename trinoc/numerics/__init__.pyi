@@ -9,7 +9,13 @@ from .block_arrow import (
     BlockArrowSolver as BlockArrowSolver,
     eliminate as eliminate,
 )
-from .buckets import blocks as blocks, bucket as bucket, in_blocks as in_blocks, padded as padded
+from .buckets import (
+    blocks as blocks,
+    bucket as bucket,
+    in_blocks as in_blocks,
+    in_bucket as in_bucket,
+    padded as padded,
+)
 from .grey import GreyImage as GreyImage, grey_image as grey_image
 from .information import (
     LARGEST_SIGMA as LARGEST_SIGMA,
@@ -35,6 +41,7 @@ from .precision import (
     namespace_of as namespace_of,
 )
 from .robust_loss import AbstractRobustLoss as AbstractRobustLoss, GemanMcClure as GemanMcClure
+from .robust_scale import MAD_TO_SIGMA as MAD_TO_SIGMA
 from .scalar_vectors import (
     Scalar as Scalar,
     Symmetric3 as Symmetric3,
@@ -58,3 +65,5 @@ from .small_matrices import (
     inverse_positive_definite as inverse_positive_definite,
     solve_positive_definite as solve_positive_definite,
 )
+from .tables import concatenate_rows as concatenate_rows, take_rows as take_rows
+from .vector_arrays import axes_across as axes_across, cross_2d as cross_2d, cross_3d as cross_3d

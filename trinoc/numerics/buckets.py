@@ -6,6 +6,8 @@ from typing import TypeVar
 import jax
 import numpy as np
 
+from trinoc.numerics.arrays import ArrayLike
+
 SMALLEST_BUCKET = 64
 
 _Tree = TypeVar("_Tree")
@@ -22,6 +24,11 @@ def padded(array: np.ndarray, size: int, filler: float | np.ndarray = 0) -> np.n
     result[: len(array)] = array
     result[len(array) :] = filler
     return result
+
+
+def in_bucket(function: Callable[[np.ndarray], ArrayLike], rows: np.ndarray) -> np.ndarray:
+    """`function` over rows, padded to a bucket with rows of zeros whose results are dropped."""
+    return np.asarray(function(padded(rows, bucket(len(rows)))))[: len(rows)]
 
 
 def blocks(count: int, size: int) -> Iterator[slice]:

@@ -22,11 +22,6 @@ Vector3 = tuple[Scalar, Scalar, Scalar]
 Symmetric3 = tuple[Scalar, Scalar, Scalar, Scalar, Scalar, Scalar]
 
 
-def vector2(array: Float[ArrayLike, "2"]) -> Vector2:
-    """The components of an array."""
-    return array[0], array[1]
-
-
 def vector3(array: Float[ArrayLike, "3"]) -> Vector3:
     """The components of an array."""
     return array[0], array[1], array[2]

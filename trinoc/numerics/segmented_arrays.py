@@ -7,16 +7,16 @@ and two neighbours may share the point where a chain was split.
 import numpy as np
 from jaxtyping import Float, Int, Shaped
 
+from trinoc.numerics.interval_join import expand_ranges
+
 
 def members(
     start: Int[np.ndarray, "r"], stop: Int[np.ndarray, "r"]
 ) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"], Int[np.ndarray, "r"]]:
     """(index, run, first): every member of every run, its run, and where each run begins."""
+    run, index = expand_ranges(start, stop)
     count = stop - start
-    first = np.cumsum(count) - count
-    run = np.repeat(np.arange(len(start)), count)
-    index = np.arange(len(run)) + (start - first)[run]
-    return index, run, first
+    return index, run, np.cumsum(count) - count
 
 
 def sums(values: Float[np.ndarray, "m"], first: Int[np.ndarray, "r"]) -> Float[np.ndarray, "r"]:

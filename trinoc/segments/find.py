@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int, Shaped
 
 from trinoc.errors import InputError
 from trinoc.geometry import Intrinsics, Segments
-from trinoc.numerics import in_float64, members
+from trinoc.numerics import in_bucket, in_float64, members
 from trinoc.segments.grey import grey_in_255ths
 from trinoc.segments.junctions import with_junctions
 from trinoc.segments.nevatia_babu import (
@@ -36,19 +36,10 @@ from trinoc.segments.nevatia_babu import (
     without_neighbours,
 )
 from trinoc.segments.side_intensity import side_levels
+from trinoc.segments.tuning import DEFAULT, EndTuning, SegmentTuning
 
-GAP_PX = 8.0
-SNAP_PX = 6.0
+# Binomial smoothings before the masks: the noise gain and all thresholds follow from it.
 SMOOTHING = 1
-# A shorter piece wholly within reach of other edges is the rounding of a corner.
-BEVEL_PX, BEVEL_CROWDED = 5.0, 0.8
-# Contrast is judged once neighbours are taken out, which rarely adds more than this leaves.
-FAINT_SHARE = 0.8
-# Standard deviations of an end along its segment: at a crossing, and where evidence stops.
-SIGMA_ALONG_CROSSING_PX = 0.5
-SIGMA_ALONG_FREE_PX = 2.0
-# The blur of a line is clipped to the typical blur of the image, within this share of it.
-_BLUR_SPREAD = 0.15
 
 
 def find_segments(
@@ -59,6 +50,7 @@ def find_segments(
     least_contrast: float = 7.0,
     arcs: bool = False,
     intrinsics: Intrinsics | None = None,
+    tuning: SegmentTuning = DEFAULT,
 ) -> Segments:
     """Straight edges of a picture, with polarity, contrast, covariance and junctions.
 
@@ -74,6 +66,7 @@ def find_segments(
         by up to `tolerance_px`.
     intrinsics : a lens whose distortion is taken out of the edge points before lines are
         fitted; the segments are then in undistorted pixels.
+    tuning : every other tuned constant of the chain; a benchmark or a study changes them.
 
     Returns segments whose first end comes first when walking with the darker side on the
     right as seen on the picture, so that every polarity is +1. Their `reasons` tell what
@@ -96,28 +89,36 @@ def find_segments(
         )
     kernel = combined_kernel(SMOOTHING)
     fine = fine_level(picture.grey, picture.quantum, kernel)
-    points, first = runs_of_both_scales(fine, kernel, tolerance_px, least_contrast)
+    points, first = runs_of_both_scales(fine, kernel, tolerance_px, least_contrast, tuning.scales)
     lines = fit_lines(points, first)
-    points, first, lines = _merged(points, first, lines, tolerance_px)
+    points, first, lines = _merged(points, first, lines, tolerance_px, tuning.ends.gap_px)
 
     usual_px2 = typical_blur(lines)
     keep = (
-        is_sharp(lines, usual_px2)
+        is_sharp(lines, usual_px2, tuning.accept)
         & ~is_on_ramp(picture.grey, points, first, usual_px2)
         & (lines.snr2 > least_snr2(false_alarms, height * width))
-        & (lines.contrast > FAINT_SHARE * least_contrast)
+        & (lines.contrast > tuning.accept.faint_share * least_contrast)
     )
     points, first = _points_of(points, first, keep)
-    lines = lines.select(keep)
+    lines = lines.take(keep)
 
     usual_profile_px2 = fine.kernel_variance_px2 + usual_px2
     found = overlaps(points, first, lines, usual_profile_px2)
-    spread = _BLUR_SPREAD * usual_profile_px2
+    spread = tuning.errors.blur_spread * usual_profile_px2
     own_blur = np.clip(lines.blur_px2, usual_px2 - spread, usual_px2 + spread)
     undisturbed = without_neighbours(points, lines, own_blur, found)
     lines = fit_lines(undisturbed, first)
     disturbed = error_model(
-        picture.grey, picture.white, points, undisturbed, first, lines, found, usual_px2
+        picture.grey,
+        picture.white,
+        points,
+        undisturbed,
+        first,
+        lines,
+        found,
+        usual_px2,
+        tuning.errors,
     )
     to_image: Callable[[np.ndarray], np.ndarray] = np.asarray
     if intrinsics is not None and intrinsics.has_distortion:
@@ -126,11 +127,13 @@ def find_segments(
         to_image = partial(_mapped, through=intrinsics.distort_pixel)
     length = np.ptp(lines.extent_px, axis=1)
     variance, reasons = inflate_variance(
-        disturbed, noise_variance(lines.variance_middle_px2, length)
+        disturbed, noise_variance(lines.variance_middle_px2, length), tuning.errors
     )
-    bevel = (length < BEVEL_PX) & (disturbed.crowded > BEVEL_CROWDED)
-    keep = (arcs | is_straight(lines, width)) & (lines.contrast >= least_contrast) & ~bevel
-    return _as_segments(lines.select(keep), variance[keep], reasons[keep], picture.grey, to_image)
+    rules = tuning.accept
+    bevel = (length < rules.bevel_px) & (disturbed.crowded > rules.bevel_crowded)
+    keep = (arcs | is_straight(lines, width, rules)) & (lines.contrast >= least_contrast) & ~bevel
+    kept = lines.take(keep), variance[keep], reasons[keep]
+    return _as_segments(*kept, picture.grey, to_image, tuning.ends)
 
 
 def _merged(
@@ -138,14 +141,15 @@ def _merged(
     first: Int[np.ndarray, "r"],
     lines: FittedLines,
     tolerance_px: float,
+    gap_px: float,
 ) -> tuple[EdgePoints, Int[np.ndarray, "g"], FittedLines]:
     """The same after joining collinear lines across small gaps."""
-    successor = collinear_successors(lines, GAP_PX, tolerance_px / 2)
+    successor = collinear_successors(lines, gap_px, tolerance_px / 2)
     if (successor < 0).all():
         return points, first, lines
     order, first, earliest, several = bridged_runs(successor, first, len(points.strength))
-    points = points.select(order)
-    lines = lines.select(earliest)
+    points = points.take(order)
+    lines = lines.take(earliest)
     again = fit_lines(*_points_of(points, first, several))
     return points, first, lines.replaced(several, again)
 
@@ -156,16 +160,13 @@ def _points_of(
     """The points of the lines that are kept, and where each of these begins."""
     stop = np.append(first[1:], len(points.strength))
     index, _, begins = members(first[keep], stop[keep])
-    return points.select(index), begins
+    return points.take(index), begins
 
 
 @in_float64
 def _mapped(uv_px: Float[np.ndarray, "n 2"], through: Callable) -> np.ndarray:
     """Points taken through a lens or out of it; padded, so that few sizes compile."""
-    count = len(uv_px)
-    padded = np.zeros((1 << max(count, 1).bit_length(), 2))
-    padded[:count] = uv_px
-    return np.asarray(jax.vmap(through)(padded))[:count]
+    return in_bucket(jax.vmap(through), uv_px.astype(np.float64))
 
 
 def _as_segments(
@@ -174,12 +175,13 @@ def _as_segments(
     reasons: Shaped[np.ndarray, "r"],
     grey: Float[np.ndarray, "h w"],
     to_image: Callable[[np.ndarray], np.ndarray],
+    tuning: EndTuning,
 ) -> Segments:
     """Segments with ends at the crossings with what stops them, junctions and chains."""
     place = lines.centre_px, lines.direction, lines.extent_px
-    near = lines_near_ends(*place, SNAP_PX)
-    partner, position = snapped_ends(*place, SNAP_PX, near)
-    sigma_along = np.where(partner >= 0, SIGMA_ALONG_CROSSING_PX, SIGMA_ALONG_FREE_PX)
+    near = lines_near_ends(*place, tuning.snap_px)
+    partner, position = snapped_ends(*place, tuning.snap_px, near)
+    sigma_along = np.where(partner >= 0, tuning.sigma_crossing_px, tuning.sigma_free_px)
     endpoints = lines._replace(extent_px=position).endpoints_px
     return with_junctions(
         Segments(

@@ -5,7 +5,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from trinoc.geometry import BODY, Junctions, Segments
-from trinoc.numerics import distinct, group_labels, point_tree
+from trinoc.numerics import cross_2d, distinct, group_labels, point_tree
 from trinoc.segments.nevatia_babu import NearEnds, endpoint_crossings, lines_near_ends
 
 # Ends are taken to meet within so many of their own sigmas along the segment.
@@ -97,8 +97,8 @@ def collinear_chains(segments: Segments) -> Int[np.ndarray, "n"]:
         (one != other)
         & agree
         & ((gap * outward).sum(axis=-1) > -1.0)
-        & (np.abs(_cross(gap, outward)) < sigma)
-        & (np.abs(_cross(gap, other_outward)) < sigma)
+        & (np.abs(cross_2d(gap, outward)) < sigma)
+        & (np.abs(cross_2d(gap, other_outward)) < sigma)
         & (distance < np.maximum(length[one], length[other]))
     )
     return group_labels(count, one[continues], other[continues])
@@ -186,10 +186,6 @@ def _with_opposite_ends(
         opposite = (inward[first] * inward[second]).sum(axis=-1) < -_COLLINEAR_COSINE
         hits.append(junction[first[same & opposite]])
     return np.concatenate(hits) if hits else np.zeros(0, dtype=np.int64)
-
-
-def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
 
 
 def _no_junctions() -> Junctions:

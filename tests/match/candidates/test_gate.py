@@ -8,17 +8,15 @@ import pytest
 
 from tests.match.scene import MadeScene
 from trinoc.match.candidates.gate import passes_third_view_gate
-from trinoc.match.candidates.lookup import (
-    ONE_SAMPLE_PX,
-    REACH,
-    SAMPLES,
-    keys_of,
-    lookup,
-    segments_near,
-)
+from trinoc.match.candidates.lookup import SAMPLES, keys_of, lookup, segments_near
 from trinoc.match.candidates.transfer import Prediction, predict
-from trinoc.match.evidence import GATE
-from trinoc.match.two_view import SMALLEST_OVERLAP, pencil, row_of
+from trinoc.match.tuning import DEFAULT
+from trinoc.match.two_view import pencil, row_of
+
+ONE_SAMPLE_PX = DEFAULT.candidates.one_sample_px
+REACH = DEFAULT.candidates.reach_sigmas
+GATE = DEFAULT.candidates.gate
+SMALLEST_OVERLAP = DEFAULT.candidates.smallest_overlap
 
 # The views left and right, which cross best, predict the view from above.
 FIRST, SECOND, THIRD = 0, 1, 2

@@ -7,8 +7,10 @@ from benchmarks.dense_matcher import match_densely
 from tests.match.scene import MadeScene
 from trinoc.match import trinocular_candidates
 from trinoc.match.candidates import Candidates, in_depth_range
-from trinoc.match.evidence import GATE
 from trinoc.match.observations import ClutterModel
+from trinoc.match.tuning import DEFAULT
+
+GATE = DEFAULT.candidates.gate
 
 
 def as_set(index: np.ndarray) -> set[tuple[int, ...]]:

@@ -6,8 +6,12 @@ import jax
 import numpy as np
 import pytest
 
-from trinoc.match.evidence import AGREEING_PX, END_COMPONENTS, PAIR_PX, end_evidence
+from trinoc.match.evidence import END_COMPONENTS, end_evidence
+from trinoc.match.tuning import DEFAULT
 from trinoc.numerics import in_blocks
+
+AGREEING_PX = np.array(DEFAULT.ends.agreeing_px)
+PAIR_PX = np.array(DEFAULT.ends.pair_px)
 
 # Rows of the one kernel that all laws share.
 LONGEST, ROWS = 240.0, 1 << 14

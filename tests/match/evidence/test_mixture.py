@@ -13,9 +13,13 @@ from trinoc.match.evidence import (
     probability,
     volume_of,
 )
-from trinoc.match.evidence.endpoints import PRIOR_SHARES
-from trinoc.match.evidence.mixture import PRIOR_TAIL, TAIL_SCALES
-from trinoc.match.evidence.side_intensity import PRIOR_SHARES as PRIOR_SIDES
+from trinoc.match.tuning import DEFAULT
+
+PRIOR_SHARES = np.array(DEFAULT.ends.prior_shares)
+PRIOR_TAIL = np.array(DEFAULT.evidence.prior_tail)
+TAIL_SCALES = np.array(DEFAULT.evidence.tail_scales)
+PRIOR_SIDES = np.array(DEFAULT.sides.prior_shares)
+
 
 COUNT = 6000
 BOX_MM = np.array([100.0, 60.0, 30.0])

@@ -7,9 +7,12 @@ import pytest
 
 from tests.match.evidence.line_integral import log_evidence
 from tests.match.scene import MadeScene, image_px
-from trinoc.match.evidence import AGREEING_PX, PairEvidence, pair_evidence
+from trinoc.match.evidence import PairEvidence, pair_evidence
 from trinoc.match.observations import ClutterModel
+from trinoc.match.tuning import DEFAULT
 from trinoc.match.two_view import pencil, row_of
+
+AGREEING_PX = np.array(DEFAULT.ends.agreeing_px)
 
 VIEWS = np.array([0, 2])
 

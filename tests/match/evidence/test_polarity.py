@@ -5,7 +5,10 @@ from itertools import product
 import numpy as np
 
 from trinoc.match.evidence import polarity_evidence
-from trinoc.match.evidence.polarity import TURNED
+from trinoc.match.tuning import DEFAULT
+
+TURNED = DEFAULT.evidence.turned_share
+
 
 # All ways that three members can be dark, on the right, on the left, or not known.
 SIGNS = np.array(list(product((1.0, -1.0, 0.0), repeat=3)))

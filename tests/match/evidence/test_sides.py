@@ -9,8 +9,8 @@ from tests.match.made import as_set, loose_lines, pictures, rig_of
 from trinoc.geometry import Rig, Segments
 from trinoc.match import match_segments
 from trinoc.match.evidence import SIDE_COMPONENTS, side_evidence, temper
-from trinoc.match.evidence.side_intensity import PRIOR_SHARES
 from trinoc.match.observations.side_intensity import side_table
+from trinoc.match.tuning import DEFAULT
 from trinoc.segments import with_side_levels
 from trinoc.segments.side_intensity import side_levels
 
@@ -83,7 +83,7 @@ def test_levels_that_are_the_same_everywhere_speak_for_nothing() -> None:
     table = np.stack(side_table([levels] * 3, [rng.uniform(0, 400, (40, 2))] * 3))
     index = rng.integers(0, 40, (20, 3))
     evidence = side_evidence(table, index, np.tile(np.array(FORWARD), (20, 3, 1)))
-    assert (np.log(np.exp(evidence) @ PRIOR_SHARES) < 0.3).all()
+    assert (np.log(np.exp(evidence) @ np.array(DEFAULT.sides.prior_shares)) < 0.3).all()
 
 
 def of_twins(gain: float = 1.0) -> tuple[Rig, dict[str, Segments]]:

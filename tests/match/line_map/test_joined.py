@@ -11,8 +11,9 @@ from tests.match.made import loose_lines, rig_of
 from trinoc.errors import InputError
 from trinoc.geometry import Rig, triangulate_segment
 from trinoc.match import TRINOCULAR, Corners, JoinedLines, Matches, join_collinear, snap_corners
-from trinoc.match.line_map.line_fit import LineFragments, across_axes, fit_line
+from trinoc.match.line_map.line_fit import LineFragments, fit_line
 from trinoc.match.observations import distorted
+from trinoc.numerics import axes_across
 
 VIEWS = ("upper", "left", "right")
 _triangulated = jax.jit(jax.vmap(triangulate_segment, in_axes=(None, 0, 0, 0)))
@@ -85,7 +86,8 @@ def pieces_of(lines_mm: np.ndarray, *borders: tuple[float, float]) -> np.ndarray
 
 def across_of(ends_mm: np.ndarray, covariance: np.ndarray, truth: np.ndarray) -> tuple:
     """(distances of both ends from a true line, their covariance)."""
-    axes = across_axes(truth[1] - truth[0])
+    way = truth[1] - truth[0]
+    axes = axes_across(way / np.linalg.norm(way))
     jacobian = np.kron(np.eye(2), axes)
     return ((ends_mm - truth[0]) @ axes.T).reshape(4), jacobian @ covariance @ jacobian.T
 
@@ -276,7 +278,8 @@ def test_snapped_ends_meet_and_the_other_lines_stay(rig) -> None:
     # Nothing is known worse across its line for having been held to a corner.
     for line in np.unique(corners.line[np.isin(corners.line, _at_one_corner(corners))]):
         end = int(corners.end[corners.line == line][0])
-        axes = across_axes(joined.lines_mm[line, 1] - joined.lines_mm[line, 0])
+        way = joined.lines_mm[line, 1] - joined.lines_mm[line, 0]
+        axes = axes_across(way / np.linalg.norm(way))
         own, snapped = (
             axes @ covariance[line].reshape(2, 3, 2, 3)[end, :, end] @ axes.T
             for covariance in (joined.covariance_mm2, corners.lines_covariance_mm2)

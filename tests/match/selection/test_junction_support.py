@@ -4,17 +4,18 @@ import numpy as np
 import pytest
 
 from trinoc.match.candidates import Candidates, no_candidates
-from trinoc.match.selection import PRIOR_PARAMETERS, endpoint_pairs, junction_log_odds
-from trinoc.match.selection.junction_support import (
-    GAPS_PX,
-    LOOSE_SHARE,
-    LOOSE_SIGMAS,
-    PRIOR_AT_JUNCTION,
-    PRIOR_GAPS,
-    REACH_PX,
-    SMALLEST_ANGLE,
-    EndpointPairs,
-)
+from trinoc.match.selection import endpoint_pairs, junction_log_odds, prior_junctions
+from trinoc.match.selection.junction_support import EndpointPairs
+from trinoc.match.tuning import DEFAULT
+
+PRIOR_PARAMETERS = prior_junctions()
+GAPS_PX = np.array(DEFAULT.junctions.gaps_px)
+LOOSE_SHARE = DEFAULT.evidence.loose_share
+LOOSE_SIGMAS = DEFAULT.evidence.loose_sigmas
+PRIOR_AT_JUNCTION = DEFAULT.junctions.prior_at_junction
+PRIOR_GAPS = np.array(DEFAULT.junctions.prior_gaps)
+REACH_PX = DEFAULT.junctions.reach_px
+SMALLEST_ANGLE = DEFAULT.junctions.smallest_sine
 
 LINES = 24
 SIGMA_MM = 0.2

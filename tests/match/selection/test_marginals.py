@@ -6,7 +6,11 @@ import pytest
 from tests.match.scene import MadeScene
 from trinoc.match import Selection, select
 from trinoc.match.candidates import Candidates, no_candidates, prior_log_odds
-from trinoc.match.selection import CONFLICT_OVERLAP, PRUNE_LOG_ODDS, sum_product, tracks_of
+from trinoc.match.selection import sum_product, tracks_of
+from trinoc.match.tuning import DEFAULT
+
+CONFLICT_OVERLAP = DEFAULT.selection.conflict_overlap
+PRUNE_LOG_ODDS = DEFAULT.selection.prune_log_odds
 
 TYPICAL = 30.0
 

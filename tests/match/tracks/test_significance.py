@@ -8,7 +8,10 @@ from tests.match.scene import MadeScene
 from trinoc.match.tracks import typical_misfit
 from trinoc.match.tracks.assembly import fragments_of, lines_in_space
 from trinoc.match.tracks.extent import two_view_interval
-from trinoc.match.tracks.viewpoint import SIGNIFICANCE, flag_viewpoint_dependent
+from trinoc.match.tracks.viewpoint import flag_viewpoint_dependent
+from trinoc.match.tuning import DEFAULT
+
+SIGNIFICANCE = DEFAULT.tracks.significance
 
 REPEATS = 80
 

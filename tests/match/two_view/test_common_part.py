@@ -9,6 +9,7 @@ import pytest
 from tests.match.scene import MadeScene, image_px, place_on
 from trinoc.geometry import fundamental_matrix
 from trinoc.match.observations import SegmentTable
+from trinoc.match.tuning import DEFAULT
 from trinoc.match.two_view import cut_pair, pencil, points_of, row_of
 
 PAIRS = np.array(list(product(range(30), range(30))))
@@ -23,7 +24,7 @@ def cut(lines: SegmentTable, a, b, pairs):
 
     def one(pair):
         rows = row_of(planes.first, pair[0]), row_of(planes.second, pair[1])
-        part = cut_pair(planes.baseline_mm, *rows)
+        part = cut_pair(planes.baseline_mm, *rows, DEFAULT.candidates)
         return points_of(planes, part), part.possible
 
     return jax.vmap(one)(pairs)

@@ -6,10 +6,9 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Shaped
 
-from trinoc.numerics import grey_image
+from trinoc.numerics import MAD_TO_SIGMA, grey_image
 
 _NOISE_SAMPLES = 20_000
-_MAD_TO_SIGMA = 1.4826
 
 
 class SearchImage(NamedTuple):
@@ -53,4 +52,4 @@ def _noise_sigma(grey: Float[np.ndarray, "h w"]) -> float:
     second = down[:, :-2:step] - 2.0 * down[:, 1:-1:step] + down[:, 2::step]
     sample = np.abs(second).ravel() / 6.0
     median = float(np.partition(sample, len(sample) // 2)[len(sample) // 2])
-    return _MAD_TO_SIGMA * median
+    return MAD_TO_SIGMA * median

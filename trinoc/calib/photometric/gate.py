@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from trinoc.calib.photometric.pixel_selection import SelectedPixels
+from trinoc.numerics import MAD_TO_SIGMA
 
 # A residual beyond this many robust sigmas is no noise of a pixel that fits.
 _OUTLIER_SIGMAS = 4.5
@@ -15,7 +16,6 @@ _NEIGHBOURHOOD_PX = 7
 _LARGEST_SHARE = 0.15
 # Alone, a pixel must be farther off: one in 10^9 is lost for nothing.
 _LONE_SIGMAS = 6.0
-_MAD_TO_SIGMA = 1.4826
 
 
 class Gate(NamedTuple):
@@ -29,7 +29,7 @@ def robust_sigma(residual: Float[np.ndarray, "n"], bound: float) -> float:
     """Standard deviation of grey levels by their median, over residuals below `bound`."""
     size = np.abs(residual)
     size = size[size < bound]
-    return float(_MAD_TO_SIGMA * np.median(size)) if len(size) else float("inf")
+    return float(MAD_TO_SIGMA * np.median(size)) if len(size) else float("inf")
 
 
 def gate_pixels(

@@ -4,7 +4,8 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
-_MAD_TO_SIGMA = 1.4826
+from trinoc.numerics import MAD_TO_SIGMA
+
 _MASK = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], dtype=np.float32)
 _GAIN = float(np.sqrt(np.sum(_MASK**2)))
 _FEWEST_PIXELS = 50
@@ -21,7 +22,7 @@ def noise_floor(image: Float[np.ndarray, "h w"], flat: Bool[np.ndarray, "h w"]) 
     if int(apart.sum()) < _FEWEST_PIXELS:
         return float("nan")
     response = cv2.filter2D(image.astype(np.float32), cv2.CV_32F, _MASK)
-    return float(_MAD_TO_SIGMA * _median_of_steps(np.abs(response[apart])) / _GAIN)
+    return float(MAD_TO_SIGMA * _median_of_steps(np.abs(response[apart])) / _GAIN)
 
 
 def _median_of_steps(values: Float[np.ndarray, "n"]) -> float:

@@ -1,6 +1,5 @@
 from .table import (
     Candidates as Candidates,
-    concatenated as concatenated,
     in_depth_range as in_depth_range,
     no_candidates as no_candidates,
     prior_log_odds as prior_log_odds,

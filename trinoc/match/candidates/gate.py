@@ -4,8 +4,7 @@ import jax.numpy as jnp
 from jaxtyping import Bool, Float
 
 from trinoc.match.candidates.transfer import Prediction
-from trinoc.match.evidence import GATE
-from trinoc.match.two_view import SMALLEST_OVERLAP
+from trinoc.match.tuning import DEFAULT, CandidateTuning
 from trinoc.numerics import ArrayLike, Scalar, between
 
 
@@ -14,6 +13,7 @@ def passes_third_view_gate(
     ends_px: Float[ArrayLike, "2 2"],
     line: Float[ArrayLike, "3"],
     across_px2: Float[ArrayLike, "2 2"],
+    tuning: CandidateTuning = DEFAULT.candidates,
 ) -> Bool[ArrayLike, ""]:
     """Whether a segment overlaps the predicted one, and passes the gate where it does."""
     p = prediction
@@ -27,7 +27,7 @@ def passes_third_view_gate(
     begin = jnp.maximum(0.0, jnp.minimum(first, second))
     end = jnp.minimum(1.0, jnp.maximum(first, second))
     reach = second - first
-    overlaps = end - begin > SMALLEST_OVERLAP * jnp.minimum(1.0, jnp.abs(reach))
+    overlaps = end - begin > tuning.smallest_overlap * jnp.minimum(1.0, jnp.abs(reach))
 
     off0 = line[0] * p.u0 + line[1] * p.v0 + line[2]
     off1 = line[0] * p.u1 + line[1] * p.v1 + line[2]
@@ -40,4 +40,4 @@ def passes_third_view_gate(
     v01 = between(predicted, begin, end) + between(own, s, t)
     determinant = v00 * v11 - v01 * v01
     chi_square = (v11 * r0 * r0 - 2 * v01 * r0 * r1 + v00 * r1 * r1) / determinant
-    return p.possible & overlaps & (chi_square < 1.1 * GATE)
+    return p.possible & overlaps & (chi_square < tuning.gate_slack * tuning.gate)

@@ -14,36 +14,39 @@ from trinoc.match.candidates.index import (
 )
 from trinoc.match.candidates.transfer import Prediction
 from trinoc.match.observations import SegmentTable
+from trinoc.match.tuning import DEFAULT, CandidateTuning
 from trinoc.numerics import ArrayLike
 
-# Standard deviations within which a segment may lie of where a pair predicts it.
-REACH = 4.0
-# Predictions shorter than this are looked up in their middle alone.
-ONE_SAMPLE_PX = 16.0
+# Where a prediction is looked up, as shares of its length: its middle first.
 SAMPLES = (0.5, 1 / 6, 5 / 6)
 # Finest cell: at least CELL_SIGMAS standard deviations wide. Along the longer side of the image
 # there are CELLS sqrt(n) of them for n segments, clipped to FEWEST .. MOST.
 CELL_SIGMAS, CELLS, FEWEST, MOST = 8.0, 4.0, 64, 320
 
 
-def lookup(lines: SegmentTable, view: int, count: int) -> SpatialIndex:
+def lookup(
+    lines: SegmentTable, view: int, count: int, tuning: CandidateTuning = DEFAULT.candidates
+) -> SpatialIndex:
     """The segments of a view by place and direction."""
     ends, size = np.asarray(lines.ends_px[view])[:count], np.asarray(lines.size_px[view])
     length = np.asarray(lines.length_px[view])[:count]
     sigma = np.sqrt(np.asarray(lines.across_px2[view])[:count, [0, 1], [0, 1]].max(axis=1))
     typical = float(np.median(sigma)) if count else 1.0
-    margins = REACH * np.hypot(sigma, typical * np.array([[layer.sigmas] for layer in LAYERS]))
-    slack = REACH * np.sqrt(2) * sigma / length
+    reach = tuning.reach_sigmas
+    margins = reach * np.hypot(sigma, typical * np.array([[layer.sigmas] for layer in LAYERS]))
+    slack = reach * np.sqrt(2) * sigma / length
     cells = float(np.clip(CELLS * np.sqrt(count), FEWEST, MOST))
     cell = max(CELL_SIGMAS * typical, float(size.max()) / cells)
     return spatial_index(ends, slack, margins, size, cell, typical)
 
 
-def keys_of(grid: Grid, guess: Prediction) -> list[Int[ArrayLike, ""]]:
+def keys_of(
+    grid: Grid, guess: Prediction, tuning: CandidateTuning = DEFAULT.candidates
+) -> list[Int[ArrayLike, ""]]:
     """Where in the table to look for each sample of a prediction."""
     du, dv = guess.u1 - guess.u0, guess.v1 - guess.v0
     length = jnp.sqrt(du * du + dv * dv)
-    slack = REACH * jnp.sqrt(guess.c00 + guess.c11 - 2 * guess.c01) / length
+    slack = tuning.reach_sigmas * jnp.sqrt(guess.c00 + guess.c11 - 2 * guess.c01) / length
     sigma = jnp.sqrt(jnp.maximum(guess.c00, guess.c11))
     points = [(guess.u0 + sample * du, guess.v0 + sample * dv) for sample in SAMPLES]
     # The direction without its sign.
@@ -53,7 +56,7 @@ def keys_of(grid: Grid, guess: Prediction) -> list[Int[ArrayLike, ""]]:
     for k in range(1, len(SAMPLES)):
         # What two samples find is found once.
         fresh = jnp.stack([keys[k] != other for other in keys[:k]]).all(axis=0)
-        keys[k] = jnp.where(asked & fresh & (length > ONE_SAMPLE_PX), keys[k], nowhere)
+        keys[k] = jnp.where(asked & fresh & (length > tuning.one_sample_px), keys[k], nowhere)
     return [jnp.where(asked, keys[0], nowhere), *keys[1:]]
 
 

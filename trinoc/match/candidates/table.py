@@ -7,6 +7,8 @@ from jaxtyping import Bool, Float, Int
 
 from trinoc.match.evidence import END_COMPONENTS, SIDE_COMPONENTS, MixtureParameters, log_odds
 from trinoc.match.observations import SegmentTable
+from trinoc.match.tuning import DEFAULT, EvidenceTuning
+from trinoc.numerics import take_rows
 
 
 class Candidates(NamedTuple):
@@ -29,6 +31,10 @@ class Candidates(NamedTuple):
     px_per_mm: Float[np.ndarray, "m"]
     side_log: Float[np.ndarray, "m s"]
 
+    def take(self, rows: np.ndarray) -> "Candidates":
+        """Those at the given indices, in that order, or where the mask is true."""
+        return take_rows(self, rows)
+
 
 def no_candidates(views: int) -> Candidates:
     """None at all, for as many views."""
@@ -46,15 +52,14 @@ def no_candidates(views: int) -> Candidates:
     )
 
 
-def concatenated(parts: list[Candidates]) -> Candidates:
-    """Several sets as one, in order."""
-    return Candidates(*(np.concatenate(column) for column in zip(*parts, strict=True)))
-
-
-def prior_log_odds(candidates: Candidates, mixture: MixtureParameters) -> Float[np.ndarray, "m"]:
+def prior_log_odds(
+    candidates: Candidates,
+    mixture: MixtureParameters,
+    tuning: EvidenceTuning = DEFAULT.evidence,
+) -> Float[np.ndarray, "m"]:
     """Log odds of each on its own evidence."""
     c = candidates
-    return log_odds(c.chi_square, c.log_density, c.end_log, c.ends_mm, c.side_log, mixture)
+    return log_odds(c.chi_square, c.log_density, c.end_log, c.ends_mm, c.side_log, mixture, tuning)
 
 
 def in_depth_range(
@@ -63,6 +68,6 @@ def in_depth_range(
     """Whether the ends lie within a range of depths before every camera that sees them."""
     matrix = np.asarray(lines.matrix_px)
     depth = np.einsum("vi,mei->mve", matrix[:, 2, :3], candidates.ends_mm) + matrix[:, 2, 3:]
-    passes_third_view_gate, far = depth_range_mm
-    inside = ((depth > passes_third_view_gate) & (depth < far)).all(axis=2) | (candidates.index < 0)
+    near, far = depth_range_mm
+    inside = ((depth > near) & (depth < far)).all(axis=2) | (candidates.index < 0)
     return inside.all(axis=1)

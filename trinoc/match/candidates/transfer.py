@@ -6,6 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Bool, Float, Int
 
 from trinoc.match.observations import SegmentTable
+from trinoc.match.tuning import DEFAULT, CandidateTuning
 from trinoc.match.two_view import Pencil, PencilSegments, cut_pair
 from trinoc.numerics import (
     ArrayLike,
@@ -20,14 +21,6 @@ from trinoc.numerics import (
     unit3,
     vector3,
 )
-
-# A pair whose prediction is more uncertain than this predicts nothing. The angle between its
-# interpretation planes is no such test: it is small for any pair with a short baseline.
-VAGUEST_PX = 6.0
-# Of the three orderings of a triple, that whose pair crosses best finds it, or one within this.
-NEARLY_BEST = 0.8
-# A prediction may lie this share of the picture outside.
-OUTSIDE = 0.1
 
 
 class Prediction(NamedTuple):
@@ -54,9 +47,10 @@ def predict(
     planes: Pencil,
     a: PencilSegments,
     b: PencilSegments,
+    tuning: CandidateTuning = DEFAULT.candidates,
 ) -> Prediction:
     """What a segment of the first and one of the second view predict in the `third` view."""
-    part = cut_pair(planes.baseline_mm, a, b)
+    part = cut_pair(planes.baseline_mm, a, b, tuning)
     matrix = lines.matrix_px[third]
     turned = matrix[:, :3] @ planes.frame.T
     origin = vector3(matrix[:, :3] @ planes.origin_mm + matrix[:, 3])
@@ -89,10 +83,14 @@ def predict(
     c00, c01, c11 = add3(covariance(a, by_a), covariance(b, by_b))
     possible = part.possible & (image_low[2] > 0) & (image_high[2] > 0)
     width, height = lines.size_px[third, 0], lines.size_px[third, 1]
+    outside = tuning.outside_share
     middle_u, middle_v = (u0 + u1) / 2, (v0 + v1) / 2
-    possible &= (middle_u > -OUTSIDE * width) & (middle_u < (1 + OUTSIDE) * width)
-    possible &= (middle_v > -OUTSIDE * height) & (middle_v < (1 + OUTSIDE) * height)
-    possible &= _crosses_best(turned, image_low, image_high, a, b) & (c00 + c11 < VAGUEST_PX**2)
+    possible &= (middle_u > -outside * width) & (middle_u < (1 + outside) * width)
+    possible &= (middle_v > -outside * height) & (middle_v < (1 + outside) * height)
+    # The angle at which the pair's planes cross would not do in place of the uncertainty: it is
+    # small for any pair with a short baseline.
+    possible &= c00 + c11 < tuning.vaguest_px**2
+    possible &= _crosses_best(turned, image_low, image_high, a, b, tuning)
     return Prediction(possible, u0, v0, u1, v1, c00, c01, c11)
 
 
@@ -102,6 +100,7 @@ def _crosses_best(
     image_high: Vector3,
     a: PencilSegments,
     b: PencilSegments,
+    tuning: CandidateTuning,
 ) -> Bool[ArrayLike, ""]:
     """Whether the interpretation planes of the pair cross at the widest angle of the three."""
     normal_c = unit3(times_matrix(turned.T, cross3(image_low, image_high)))
@@ -110,4 +109,4 @@ def _crosses_best(
         for m, n in ((a.normal, b.normal), (a.normal, normal_c), (b.normal, normal_c))
     )
     best = jnp.maximum(sine_ac, sine_bc)
-    return sine_ab > NEARLY_BEST**2 * best
+    return sine_ab > tuning.nearly_best**2 * best

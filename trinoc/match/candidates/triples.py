@@ -1,6 +1,7 @@
 """Step 1: triples of segments that can be one line, from all three orderings of the views."""
 
 from collections.abc import Iterator
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -10,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 from trinoc.match.candidates.gate import passes_third_view_gate
 from trinoc.match.candidates.index import Grid, SpatialIndex
 from trinoc.match.candidates.lookup import keys_of, lookup, segments_near
-from trinoc.match.candidates.table import Candidates, concatenated, no_candidates, prior_log_odds
+from trinoc.match.candidates.table import Candidates, no_candidates, prior_log_odds
 from trinoc.match.candidates.transfer import Prediction, predict
 from trinoc.match.evidence import (
     TripleEvidence,
@@ -27,17 +28,28 @@ from trinoc.match.observations import (
     SegmentTable,
     block_of,
 )
+from trinoc.match.tuning import DEFAULT, CandidateTuning, EndTuning, MatchTuning
 from trinoc.match.two_view import Pencil, cut_pair, pencil, points_of, row_of
-from trinoc.numerics import ArrayLike, blocks, in_blocks, overlapping, padded, stacked
+from trinoc.numerics import (
+    ArrayLike,
+    blocks,
+    concatenate_rows,
+    in_blocks,
+    overlapping,
+    padded,
+    stacked,
+)
 
 # About as many pairs are held at a time.
 PAIRS_AT_A_TIME = 1 << 19
-# Of more candidates than this in one block, those with log odds below are not kept.
-PRUNE_ABOVE, PRUNE_LOG_ODDS = 5000, -9.0
 
 
 def trinocular_candidates(
-    lines: SegmentTable, views: tuple[int, int, int], counts: list[int], clutter: ClutterModel
+    lines: SegmentTable,
+    views: tuple[int, int, int],
+    counts: list[int],
+    clutter: ClutterModel,
+    tuning: MatchTuning = DEFAULT,
 ) -> Candidates:
     """All triples of three views; each is found from the pair of views that crosses best."""
     # Tables of three views, whichever and of how many, so that kernels compile once for all.
@@ -45,12 +57,12 @@ def trinocular_candidates(
     numbers = [counts[view] for view in views]
     parts = [no_candidates(3)]
     for turn in range(3):
-        parts += _in_order(three, np.roll(np.arange(3), turn), numbers, own)
-    found = concatenated(parts)
+        parts += _in_order(three, np.roll(np.arange(3), turn), numbers, own, tuning)
+    found = concatenate_rows(parts)
     # Two orderings may find one triple where they cross about as well.
     i, j, k = found.index.T.astype(np.int64)
     once = np.unique((i * numbers[1] + j) * numbers[2] + k, return_index=True)[1]
-    found = Candidates(*(column[once] for column in found))
+    found = found.take(once)
     index = np.full((len(once), len(counts)), -1)
     interval = np.zeros((len(once), len(counts), 2))
     index[:, views], interval[:, views] = found.index, found.interval
@@ -66,25 +78,30 @@ def _views_of(
 
 
 def _in_order(
-    lines: SegmentTable, order: Int[np.ndarray, "3"], counts: list[int], clutter: ClutterModel
+    lines: SegmentTable,
+    order: Int[np.ndarray, "3"],
+    counts: list[int],
+    clutter: ClutterModel,
+    tuning: MatchTuning,
 ) -> Iterator[Candidates]:
     """Triples of which the first two views predict the third segment."""
     typical = float(np.mean([counts[view] for view in order]))
-    table = lookup(lines, int(order[2]), counts[order[2]])
+    table = lookup(lines, int(order[2]), counts[order[2]], tuning.candidates)
     planes = pencil(lines, order[0], order[1])
     for i, j in _pairs(planes, counts[order[0]], counts[order[1]]):
-        triple = _triples(lines, order, planes, table, i, j)
-        found = _candidates_of(lines, order, planes, triple, clutter)
-        yield _pruned(found, typical) if len(found.index) > PRUNE_ABOVE else found
+        triple = _triples(lines, order, planes, table, i, j, tuning.candidates)
+        found = _candidates_of(lines, order, planes, triple, clutter, tuning)
+        many = len(found.index) > tuning.candidates.prune_above
+        yield _pruned(found, typical, tuning) if many else found
 
 
-def _pruned(found: Candidates, typical_count: float) -> Candidates:
+def _pruned(found: Candidates, typical_count: float, tuning: MatchTuning) -> Candidates:
     """Those that may yet be likely: most of what passes the gate is not, and takes memory."""
-    mixture = prior_parameters(found.ends_mm, typical_count)
+    mixture = prior_parameters(found.ends_mm, typical_count, tuning)
     # One block shows how large the volume is, but not yet where lines lie in it.
     everywhere = mixture.volume._replace(precision=np.zeros((3, 3)))
-    odds = prior_log_odds(found, mixture._replace(volume=everywhere))
-    return Candidates(*(field[odds > PRUNE_LOG_ODDS] for field in found))
+    odds = prior_log_odds(found, mixture._replace(volume=everywhere), tuning.evidence)
+    return found.take(odds > tuning.candidates.prune_log_odds)
 
 
 def _pairs(
@@ -109,18 +126,19 @@ def _triples(
     table: SpatialIndex,
     i: Int[np.ndarray, "p"],
     j: Int[np.ndarray, "p"],
+    tuning: CandidateTuning,
 ) -> Int[np.ndarray, "h 3"]:
     """(segments in the views of `order`) of what passes the gate in the third view."""
     size = block_of(lines, PAIRS_IN_BLOCK)
     found = [np.zeros((0, 3), dtype=np.int32)]
     for block in blocks(len(i), size):
         rows = padded(i[block], size), padded(j[block], size)
-        guess, keys = _predicted(lines, order[2], planes, table.grid, *rows)
+        guess, keys = _predicted(lines, order[2], planes, table.grid, *rows, tuning=tuning)
         keys = np.stack([np.asarray(key)[: block.stop - block.start] for key in keys])
         pair, k = segments_near(table, keys)
 
         def gated(pair: np.ndarray, k: np.ndarray, guess: Prediction = guess) -> ArrayLike:
-            return _passes_gate(lines, order[2], guess, pair, k)
+            return _passes_gate(lines, order[2], guess, pair, k, tuning=tuning)
 
         near_enough = in_blocks(gated, size, pair.astype(np.int32), k.astype(np.int32))
         pair, k = pair[near_enough], k[near_enough]
@@ -131,7 +149,7 @@ def _triples(
     return np.concatenate(found)
 
 
-@jax.jit
+@partial(jax.jit, static_argnames="tuning")
 def _predicted(
     lines: SegmentTable,
     third: Int[ArrayLike, ""],
@@ -139,26 +157,29 @@ def _predicted(
     grid: Grid,
     i: Int[ArrayLike, "p"],
     j: Int[ArrayLike, "p"],
+    tuning: CandidateTuning,
 ) -> tuple[Prediction, list[Int[ArrayLike, "_p"]]]:
     def predicted(i: ArrayLike, j: ArrayLike) -> tuple[Prediction, list[ArrayLike]]:
-        guess = predict(lines, third, planes, row_of(planes.first, i), row_of(planes.second, j))
-        return guess, keys_of(grid, guess)
+        rows = row_of(planes.first, i), row_of(planes.second, j)
+        guess = predict(lines, third, planes, *rows, tuning)
+        return guess, keys_of(grid, guess, tuning)
 
     return jax.vmap(predicted)(i, j)
 
 
-@jax.jit
+@partial(jax.jit, static_argnames="tuning")
 def _passes_gate(
     lines: SegmentTable,
     third: Int[ArrayLike, ""],
     guesses: Prediction,
     pair: Int[ArrayLike, "h"],
     k: Int[ArrayLike, "h"],
+    tuning: CandidateTuning,
 ) -> Bool[ArrayLike, "h"]:
     def gated(pair: ArrayLike, k: ArrayLike) -> ArrayLike:
         guess = jax.tree.map(lambda column: column[pair], guesses)
         return passes_third_view_gate(
-            guess, lines.ends_px[third, k], lines.line[third, k], lines.across_px2[third, k]
+            guess, lines.ends_px[third, k], lines.line[third, k], lines.across_px2[third, k], tuning
         )
 
     return jax.vmap(gated)(pair, k)
@@ -170,12 +191,15 @@ def _candidates_of(
     planes: Pencil,
     triple: Int[np.ndarray, "h 3"],
     clutter: ClutterModel,
+    tuning: MatchTuning,
 ) -> Candidates:
     def judged(triple: np.ndarray) -> tuple:
-        return _evidence_of(lines, order, planes, triple, clutter)
+        groups = {"tuning": tuning.candidates, "ends": tuning.ends}
+        return _evidence_of(lines, order, planes, triple, clutter, **groups)
 
     found, end_log = in_blocks(judged, block_of(lines, TRIPLES_IN_BLOCK), triple)
     keep = np.flatnonzero(found.possible)
+    polarity = np.asarray(lines.polarity)
     index = np.full((len(keep), len(lines.size_px)), -1)
     interval = np.zeros((len(keep), len(lines.size_px), 2))
     index[:, order] = triple[keep]
@@ -185,30 +209,32 @@ def _candidates_of(
         interval,
         stacked(found.ends_mm, keep),
         found.chi_square[keep],
-        found.log_density[keep] + polarity_evidence(np.asarray(lines.polarity), index, interval),
+        found.log_density[keep] + polarity_evidence(polarity, index, interval, tuning.evidence),
         stacked(end_log, keep),
         stacked(found.union_ends_mm, keep),
         stacked(found.union_covariance_mm2, keep),
         found.px_per_mm[keep],
-        side_evidence(np.asarray(lines.sides), index, interval),
+        side_evidence(np.asarray(lines.sides), index, interval, tuning.sides),
     )
 
 
-@jax.jit
+@partial(jax.jit, static_argnames=("tuning", "ends"))
 def _evidence_of(
     lines: SegmentTable,
     order: Int[ArrayLike, "3"],
     planes: Pencil,
     triple: Int[ArrayLike, "h 3"],
     clutter: ClutterModel,
+    tuning: CandidateTuning,
+    ends: EndTuning,
 ) -> tuple[TripleEvidence, tuple[tuple[Float[ArrayLike, "_h"], ...], ...]]:
     def judge(segments: Int[ArrayLike, "3"]) -> tuple[TripleEvidence, tuple]:
         first, second = row_of(planes.first, segments[0]), row_of(planes.second, segments[1])
-        near_mm = points_of(planes, cut_pair(planes.baseline_mm, first, second))
-        first = triple_evidence(lines, order, segments, near_mm, clutter)
+        near_mm = points_of(planes, cut_pair(planes.baseline_mm, first, second, tuning))
+        first = triple_evidence(lines, order, segments, near_mm, clutter, tuning)
         # Once more on the line fitted to all three: then it does not matter which pair came first.
-        evidence = triple_evidence(lines, order, segments, first.ends_mm, clutter)
+        evidence = triple_evidence(lines, order, segments, first.ends_mm, clutter, tuning)
         evidence = evidence._replace(possible=first.possible & evidence.possible)
-        return evidence, end_evidence(evidence.extent_px)
+        return evidence, end_evidence(evidence.extent_px, ends)
 
     return jax.vmap(judge)(jnp.asarray(triple))

@@ -1,9 +1,5 @@
-from .endpoints import (
-    AGREEING_PX as AGREEING_PX,
-    END_COMPONENTS as END_COMPONENTS,
-    PAIR_PX as PAIR_PX,
-    end_evidence as end_evidence,
-)
+from .endpoints import END_COMPONENTS as END_COMPONENTS, end_evidence as end_evidence
+from .junction_geometry import log_gap_density as log_gap_density, passing as passing
 from .mixture import (
     MixtureParameters as MixtureParameters,
     em_step as em_step,
@@ -18,8 +14,4 @@ from .mixture import (
 from .pair_position import PairEvidence as PairEvidence, pair_evidence as pair_evidence
 from .polarity import polarity_evidence as polarity_evidence
 from .side_intensity import SIDE_COMPONENTS as SIDE_COMPONENTS, side_evidence as side_evidence
-from .triple_position import (
-    GATE as GATE,
-    TripleEvidence as TripleEvidence,
-    triple_evidence as triple_evidence,
-)
+from .triple_position import TripleEvidence as TripleEvidence, triple_evidence as triple_evidence

@@ -9,37 +9,37 @@ mixture depend on the detector. `em_step` estimates them from the images at hand
 import jax.numpy as jnp
 import numpy as np
 
+from trinoc.match.tuning import DEFAULT, EndTuning
 from trinoc.numerics import Scalar
 
-AGREEING_PX = (0.7, 2.0, 5.0, 12.0)
-PAIR_PX = (0.7, 2.0, 5.0)
 # All agree, by scale; two agree and the third stops short, by scale; or runs on; none agree.
-END_COMPONENTS = len(AGREEING_PX) + 2 * len(PAIR_PX) + 1
-PRIOR_SHARES = np.array([0.35, 0.2, 0.08, 0.05, 0.08, 0.05, 0.04, 0.04, 0.03, 0.03, 0.05])
+END_COMPONENTS = len(DEFAULT.ends.prior_shares)
 LEAST_DENSITY = 1e-30
 
 
 def end_evidence(
-    extent_px: tuple[tuple[Scalar, Scalar], ...],
+    extent_px: tuple[tuple[Scalar, Scalar], ...], tuning: EndTuning = DEFAULT.ends
 ) -> tuple[tuple[Scalar, ...], tuple[Scalar, ...]]:
     """Log of each component's density over that of clutter, at both ends of a triple."""
     longest = extent_px[0][1] - extent_px[0][0]
     for low, high in extent_px[1:]:
         longest = jnp.maximum(longest, high - low)
     return (
-        _components(tuple(low for low, _ in extent_px), longest),
-        _components(tuple(-high for _, high in extent_px), longest),
+        _components(tuple(low for low, _ in extent_px), longest, tuning),
+        _components(tuple(-high for _, high in extent_px), longest, tuning),
     )
 
 
-def _components(inward_px: tuple[Scalar, ...], longest_px: Scalar) -> tuple[Scalar, ...]:
+def _components(
+    inward_px: tuple[Scalar, ...], longest_px: Scalar, tuning: EndTuning
+) -> tuple[Scalar, ...]:
     log_longest = jnp.log(longest_px)
     first, second, third = inward_px
     mean = (first + second + third) / 3
     scatter = (first - mean) ** 2 + (second - mean) ** 2 + (third - mean) ** 2
     agreeing = tuple(
         2 * log_longest - np.log(2 * np.pi * np.sqrt(3.0) * s * s) - scatter / (2 * s * s)
-        for s in AGREEING_PX
+        for s in tuning.agreeing_px
     )
     # The difference of two, and whether the odd one stops short of their mean.
     pairs = [
@@ -58,7 +58,7 @@ def _components(inward_px: tuple[Scalar, ...], longest_px: Scalar) -> tuple[Scal
 
     return (
         *agreeing,
-        *(two_agree(s, True) for s in PAIR_PX),
-        *(two_agree(s, False) for s in PAIR_PX),
+        *(two_agree(s, True) for s in tuning.pair_px),
+        *(two_agree(s, False) for s in tuning.pair_px),
         jnp.zeros_like(log_longest),
     )

@@ -6,29 +6,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import expit, logsumexp
 
-from trinoc.match.evidence.endpoints import PRIOR_SHARES
-from trinoc.match.evidence.side_intensity import PRIOR_SHARES as USUAL_SIDES
-
-# The errors of real segments have heavy tails: the stated error times one of these factors.
-TAIL_SCALES = np.array([0.2, 0.6, 1.0, 2.0, 4.0])
-PRIOR_TAIL = np.array([0.05, 0.25, 0.5, 0.15, 0.05])
-# A component that no accepted candidate shows keeps this share.
-MIN_SHARE = 1e-3
-# Of the spread of lines, so that lines of one plane leave a volume.
-THINNEST = 0.05
-# Standard deviations from the middle of a box to its corners; the largest penalty for a place
-# outside, twice in log density.
-BOX_CORNER, FARTHEST = 3.0, 100.0
-# Additive correction to the log odds of triples, chosen on synthetic scenes of other seeds so that
-# the stated posterior matches the observed precision: reliability table of benchmarks/matching.py.
-LOG_ODDS_OFFSET = 1.0
-# Clutter of synthetic segments is independent. Clutter in images is correlated (pieces of one
-# shadow or of one silhouette), so that summed log odds are too large by a factor of about five.
-# The log odds of segments with side intensities are therefore tempered: multiplied by this factor,
-# which was fitted on twelve rendered scenes (seeds 0 to 5 and 12 to 17), for triples and pairs.
-TEMPERATURE = 0.2
-# Candidates with a smaller posterior are left out of the M step.
-NEGLIGIBLE = 1e-3
+from trinoc.match.tuning import DEFAULT, EvidenceTuning, MatchTuning
 
 
 class Volume(NamedTuple):
@@ -45,7 +23,7 @@ class Volume(NamedTuple):
 class MixtureParameters(NamedTuple):
     """The mixture parameters, estimated from the images at hand.
 
-    tail : share of each of TAIL_SCALES. ends : share of each end component.
+    tail : share of each of the tail's scales. ends : share of each end component.
     volume : where lines are. log_count : log of their number. sides : share of each component
     of the levels beside them.
     """
@@ -57,25 +35,31 @@ class MixtureParameters(NamedTuple):
     sides: Float[np.ndarray, "s"]
 
 
-def prior_parameters(ends_mm: Float[np.ndarray, "m 2 3"], count: float) -> MixtureParameters:
+def prior_parameters(
+    ends_mm: Float[np.ndarray, "m 2 3"], count: float, tuning: MatchTuning = DEFAULT
+) -> MixtureParameters:
     """Before the first EM step: `count` lines among candidates that are all equally likely."""
     share = min(1.0, count / max(len(ends_mm), 1))
     posterior = np.full(len(ends_mm), share)
     return MixtureParameters(
-        PRIOR_TAIL / PRIOR_TAIL.sum(),
-        PRIOR_SHARES / PRIOR_SHARES.sum(),
-        volume_of(ends_mm, posterior),
+        _normalised(tuning.evidence.prior_tail),
+        _normalised(tuning.ends.prior_shares),
+        volume_of(ends_mm, posterior, tuning.evidence),
         float(np.log(max(posterior.sum(), 1.0))),
-        USUAL_SIDES / USUAL_SIDES.sum(),
+        _normalised(tuning.sides.prior_shares),
     )
 
 
-def log_place(ends_mm: Float[np.ndarray, "m 2 3"], volume: Volume) -> Float[np.ndarray, "m"]:
+def log_place(
+    ends_mm: Float[np.ndarray, "m 2 3"],
+    volume: Volume,
+    tuning: EvidenceTuning = DEFAULT.evidence,
+) -> Float[np.ndarray, "m"]:
     """Log density of a line at each place, per volume (mm^3) and direction (of 2 pi)."""
     centred = ends_mm - volume.centre_mm
     square = np.einsum("mei,ij,mej->me", centred, volume.precision, centred).max(axis=1)
     # The corners of a box lie three standard deviations out; beyond is for the few.
-    outside = 0.5 * np.clip(square - BOX_CORNER**2, 0.0, FARTHEST)
+    outside = 0.5 * np.clip(square - tuning.box_corner_sigmas**2, 0.0, tuning.box_cost)
     return -volume.log_size - np.log(2 * np.pi) - outside
 
 
@@ -86,19 +70,23 @@ def log_odds(
     ends_mm: Float[np.ndarray, "m 2 3"],
     side_log: Float[np.ndarray, "m s"],
     mixture: MixtureParameters,
+    tuning: EvidenceTuning = DEFAULT.evidence,
 ) -> Float[np.ndarray, "m"]:
     """Log odds that each triple is one line rather than three segments of clutter."""
-    tail = np.logaddexp.reduce(_tail_terms(chi_square, mixture.tail), axis=1)
+    tail = np.logaddexp.reduce(_tail_terms(chi_square, mixture.tail, tuning), axis=1)
     ends = _log_mixture(end_log, mixture.ends).sum(axis=1)
-    prior = mixture.log_count + log_place(ends_mm, mixture.volume)
-    return prior + log_density + tail + ends + LOG_ODDS_OFFSET + log_sides(side_log, mixture)
+    prior = mixture.log_count + log_place(ends_mm, mixture.volume, tuning)
+    return prior + log_density + tail + ends + tuning.log_odds_offset + log_sides(side_log, mixture)
 
 
 def temper(
-    posterior_log_odds: Float[np.ndarray, "m"], side_log: Float[np.ndarray, "m s"]
+    posterior_log_odds: Float[np.ndarray, "m"],
+    side_log: Float[np.ndarray, "m s"],
+    tuning: EvidenceTuning = DEFAULT.evidence,
 ) -> Float[np.ndarray, "m"]:
-    """Tempered log odds: times TEMPERATURE where side intensities are known."""
-    return np.where(side_log.any(axis=1), TEMPERATURE * posterior_log_odds, posterior_log_odds)
+    """Tempered log odds: times the temperature where side intensities are known."""
+    tempered = tuning.temperature * posterior_log_odds
+    return np.where(side_log.any(axis=1), tempered, posterior_log_odds)
 
 
 def log_sides(
@@ -118,26 +106,37 @@ def em_step(
     side_log: Float[np.ndarray, "m s"],
     posterior: Float[np.ndarray, "m"],
     mixture: MixtureParameters,
+    tuning: MatchTuning = DEFAULT,
 ) -> MixtureParameters:
     """One round of expectation maximisation, given the current posterior of each triple."""
-    likely = posterior > NEGLIGIBLE
+    evidence = tuning.evidence
+    likely = posterior > evidence.negligible
     weight = posterior[likely]
-    tail_terms = _tail_terms(chi_square[likely], mixture.tail)
+    tail_terms = _tail_terms(chi_square[likely], mixture.tail, evidence)
     tail = np.exp(tail_terms - logsumexp(tail_terms, axis=1, keepdims=True))
     return MixtureParameters(
-        _shares(weight @ tail, PRIOR_TAIL),
-        _shares(weight @ _responsibilities(end_log[likely], mixture.ends), PRIOR_SHARES),
-        volume_of(ends_mm[likely], weight),
+        _shares(weight @ tail, np.array(evidence.prior_tail), evidence),
+        _shares(
+            weight @ _responsibilities(end_log[likely], mixture.ends),
+            np.array(tuning.ends.prior_shares),
+            evidence,
+        ),
+        volume_of(ends_mm[likely], weight, evidence),
         float(np.log(max(weight.sum(), 1.0))),
         _shares(
             (weight * side_log[likely].any(axis=1))
             @ _responsibilities(side_log[likely][:, None], mixture.sides),
-            USUAL_SIDES / USUAL_SIDES.sum(),
+            _normalised(tuning.sides.prior_shares),
+            evidence,
         ),
     )
 
 
-def volume_of(ends_mm: Float[np.ndarray, "m 2 3"], posterior: Float[np.ndarray, "m"]) -> Volume:
+def volume_of(
+    ends_mm: Float[np.ndarray, "m 2 3"],
+    posterior: Float[np.ndarray, "m"],
+    tuning: EvidenceTuning = DEFAULT.evidence,
+) -> Volume:
     """The box that has the spread of the lines' middles."""
     middles = ends_mm.mean(axis=1)
     count = posterior.sum() + 1e-9
@@ -145,7 +144,7 @@ def volume_of(ends_mm: Float[np.ndarray, "m 2 3"], posterior: Float[np.ndarray, 
     centred = middles - centre
     spread = np.einsum("m,mi,mj->ij", posterior, centred, centred) / count
     variance, axes = np.linalg.eigh(spread)
-    variance = np.maximum(variance, THINNEST**2 * variance.max() + 1e-30)
+    variance = np.maximum(variance, tuning.thinnest**2 * variance.max() + 1e-30)
     # Of a box, each side is sqrt(12) standard deviations.
     log_size = 0.5 * float(np.log(12 * variance).sum())
     return Volume(centre, (axes / variance) @ axes.T, log_size)
@@ -164,16 +163,22 @@ def _responsibilities(end_log, shares):
 
 
 def _tail_terms(
-    chi_square: Float[np.ndarray, "m"], shares: Float[np.ndarray, "k"]
+    chi_square: Float[np.ndarray, "m"], shares: Float[np.ndarray, "k"], tuning: EvidenceTuning
 ) -> Float[np.ndarray, "m k"]:
-    variance = TAIL_SCALES**2
+    variance = np.array(tuning.tail_scales) ** 2
     return np.log(shares / (2 * np.pi * variance)) - chi_square[:, None] / (2 * variance)
 
 
-def _shares(weights: Float[np.ndarray, "k"], usual: Float[np.ndarray, "k"]) -> np.ndarray:
-    # The prior shares count as ten observations: a Dirichlet prior, for scenes of few lines.
-    shares = weights + 10 * usual
-    return np.maximum(shares / shares.sum(), MIN_SHARE)
+def _shares(
+    weights: Float[np.ndarray, "k"], prior: Float[np.ndarray, "k"], tuning: EvidenceTuning
+) -> np.ndarray:
+    # The prior shares count as observations: a Dirichlet prior, for scenes of few lines.
+    shares = weights + tuning.prior_observations * prior
+    return np.maximum(shares / shares.sum(), tuning.min_share)
+
+
+def _normalised(shares: tuple[float, ...]) -> np.ndarray:
+    return np.array(shares) / np.sum(shares)
 
 
 def probability(log_odds: Float[np.ndarray, "m"]) -> Float[np.ndarray, "m"]:

@@ -12,9 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Int
 
-from trinoc.match.evidence.endpoints import AGREEING_PX, LEAST_DENSITY
-from trinoc.match.evidence.triple_position import SHORTEST_TO_LONGEST, adjusted, log_lengths
+from trinoc.match.evidence.endpoints import LEAST_DENSITY
+from trinoc.match.evidence.triple_position import adjusted, log_lengths
 from trinoc.match.observations import ClutterModel, SegmentTable
+from trinoc.match.tuning import DEFAULT, CandidateTuning, EndTuning
 from trinoc.match.two_view import (
     Pencil,
     PencilSegments,
@@ -26,16 +27,11 @@ from trinoc.match.two_view import (
 )
 from trinoc.numerics import ArrayLike, Scalar, Symmetric3, Vector3, add3, cross3, dot3, total, unit3
 
-# Ends agree, by scale; or do not.
-PAIR_COMPONENTS = len(AGREEING_PX) + 1
-# sin of the least angle between the interpretation planes of a pair: below, depth is undetermined.
-SMALLEST_CROSSING = 0.003
-
 
 class PairEvidence(NamedTuple):
     """What two segments say about being one line; fields as in TripleEvidence.
 
-    end_log : (2, c) log density of each component of `PAIR_COMPONENTS`, over clutter's.
+    end_log : (2, c) log density of each component, over clutter's: ends agree, by scale; or not.
     expected : in how many of the other views the line should be seen, as far as their
         borders go.
     """
@@ -58,9 +54,11 @@ def pair_evidence(
     rows: tuple[PencilSegments, PencilSegments],
     segments: Int[ArrayLike, "2"],
     clutter: ClutterModel,
+    tuning: CandidateTuning = DEFAULT.candidates,
+    ends: EndTuning = DEFAULT.ends,
 ) -> PairEvidence:
     """Evidence of one segment in each of two views; `rows` are the same in their pencil."""
-    common = cut_pair(planes.baseline_mm, *rows)
+    common = cut_pair(planes.baseline_mm, *rows, tuning)
     points = points_of(planes, common)
     step = add3(points[1], points[0], -1.0)
     length_mm = jnp.sqrt(dot3(step, step))
@@ -89,15 +87,15 @@ def pair_evidence(
     )
     outer_sights = [interpretation_plane(lines, views[k], segments[k], outer) for k in range(2)]
     spread = [adjusted(outer[e], e, along, outer_sights)[1] for e in range(2)]
-    possible = common.possible & (sine > SMALLEST_CROSSING) & jnp.isfinite(log_density)
-    possible &= (shortest > SHORTEST_TO_LONGEST * longest) & (common.high > common.low)
+    possible = common.possible & (sine > tuning.smallest_crossing) & jnp.isfinite(log_density)
+    possible &= (shortest > tuning.shortest_to_longest * longest) & (common.high > common.low)
     return PairEvidence(
         points,
         possible,
         log_density,
         (
-            _components(low[0] - low[1], slack[0], longest),
-            _components(high[0] - high[1], slack[1], longest),
+            _components(low[0] - low[1], slack[0], longest, ends),
+            _components(high[0] - high[1], slack[1], longest, ends),
         ),
         (sights[0].interval, sights[1].interval),
         outer,
@@ -107,13 +105,15 @@ def pair_evidence(
     )
 
 
-def _components(difference: Scalar, slack: Scalar, longest: Scalar) -> tuple[Scalar, ...]:
+def _components(
+    difference: Scalar, slack: Scalar, longest: Scalar, tuning: EndTuning
+) -> tuple[Scalar, ...]:
     def agreeing(scale: float) -> Scalar:
         variance = 2 * scale**2 + slack
         density = jnp.exp(-0.5 * difference**2 / variance) / jnp.sqrt(2 * np.pi * variance)
         return jnp.log(longest * density + LEAST_DENSITY)
 
-    return (*(agreeing(scale) for scale in AGREEING_PX), jnp.zeros_like(difference))
+    return (*(agreeing(scale) for scale in tuning.agreeing_px), jnp.zeros_like(difference))
 
 
 def _views_expected(

@@ -3,15 +3,14 @@
 import numpy as np
 from jaxtyping import Float, Int
 
-# How often a segment's known darker side is not that of its line: a background that differs
-# between views, or a wrong sign. Of partners in real pictures, 96.7 % agree.
-TURNED = 0.017
+from trinoc.match.tuning import DEFAULT, EvidenceTuning
 
 
 def polarity_evidence(
     polarity: Float[np.ndarray, "v n"],
     index: Int[np.ndarray, "m v"],
     interval: Float[np.ndarray, "m v 2"],
+    tuning: EvidenceTuning = DEFAULT.evidence,
 ) -> Float[np.ndarray, "m"]:
     """Log likelihood ratio of the members' darker sides, as of one line over clutter's.
 
@@ -21,5 +20,6 @@ def polarity_evidence(
     along = np.where(interval[..., 1] > interval[..., 0], 1.0, -1.0)
     side = np.where(index >= 0, polarity[views, index] * along, 0.0)
     right, left = (side > 0).sum(axis=1), (side < 0).sum(axis=1)
-    as_one = (1 - TURNED) ** right * TURNED**left + (1 - TURNED) ** left * TURNED**right
+    turned, straight = tuning.turned_share, 1 - tuning.turned_share
+    as_one = straight**right * turned**left + straight**left * turned**right
     return np.log(as_one) + (right + left - 1) * np.log(2)

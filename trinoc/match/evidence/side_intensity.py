@@ -10,20 +10,20 @@ from itertools import combinations_with_replacement
 import numpy as np
 from jaxtyping import Float, Int
 
-from trinoc.match.observations import AGREEING
+from trinoc.match.tuning import DEFAULT, SideTuning
 
-_NONE = len(AGREEING)
+_NONE = len(DEFAULT.sides.agreeing)
 # How the one side agrees and how the other; which is which does not matter.
 SIDE_COMPONENTS = list(combinations_with_replacement(range(_NONE + 1), 2))
-PRIOR_SHARES = np.array([0.3, 0.15, 0.05, 0.15, 0.1, 0.04, 0.08, 0.03, 0.04, 0.06])
 
 
 def side_evidence(
     sides: Float[np.ndarray, "v n 5"],
     index: Int[np.ndarray, "m v"],
     interval: Float[np.ndarray, "m v 2"],
+    tuning: SideTuning = DEFAULT.sides,
 ) -> Float[np.ndarray, "m s"]:
-    """Log density of the members' levels under each of COMPONENTS, over that of clutter.
+    """Log density of the members' levels under each of SIDE_COMPONENTS, over that of clutter.
 
     Zero where the levels of fewer than two members are known. `sides` is of `side_table`.
     """
@@ -40,9 +40,10 @@ def side_evidence(
     # Under clutter every member draws its own level; under one line all share a single draw. So
     # the clutter density enters (count - 1) times.
     strange = own[..., 2:].sum(axis=1) * (count - 1) / count
+    agreeing = np.array(tuning.agreeing)
     alike = (
-        -0.5 * scatter[..., None] / AGREEING**2
-        - (count - 1)[..., None] * np.log(np.sqrt(2 * np.pi) * AGREEING)
+        -0.5 * scatter[..., None] / agreeing**2
+        - (count - 1)[..., None] * np.log(np.sqrt(2 * np.pi) * agreeing)
         - 0.5 * np.log(count)[..., None]
     )
     right, left = alike[:, 0], alike[:, 1]

@@ -16,12 +16,8 @@ import jax.numpy as jnp
 from jaxtyping import Bool, Float, Int
 
 from trinoc.match.observations import ClutterModel, SegmentTable
-from trinoc.match.two_view import (
-    SMALLEST_OVERLAP,
-    InterpretationPlane,
-    extent_on_line,
-    interpretation_plane,
-)
+from trinoc.match.tuning import DEFAULT, CandidateTuning
+from trinoc.match.two_view import InterpretationPlane, extent_on_line, interpretation_plane
 from trinoc.numerics import (
     ArrayLike,
     Scalar,
@@ -34,13 +30,6 @@ from trinoc.numerics import (
     total,
     unit3,
 )
-
-# Chi-square, 2 degrees of freedom, up to which three segments can be one line.
-GATE = 20.0
-
-# The second longest of the segments is at least this share of the longest, on the line:
-# chords of a cylinder's rim against its silhouette are not.
-SHORTEST_TO_LONGEST = 0.2
 
 
 class TripleEvidence(NamedTuple):
@@ -75,6 +64,7 @@ def triple_evidence(
     segments: Int[ArrayLike, "3"],
     near_mm: tuple[Vector3, Vector3],
     clutter: ClutterModel,
+    tuning: CandidateTuning = DEFAULT.candidates,
 ) -> TripleEvidence:
     """Evidence of one segment in each of three views, near a line given by two points."""
     origin = near_mm[0]
@@ -114,8 +104,8 @@ def triple_evidence(
     shortest = jnp.minimum(jnp.minimum(length[0], length[1]), length[2])
     longest = jnp.maximum(jnp.maximum(length[0], length[1]), length[2])
     second = length[0] + length[1] + length[2] - shortest - longest
-    possible = overlaps & (common > SMALLEST_OVERLAP * shortest) & (chi_square < GATE)
-    possible &= (second > SHORTEST_TO_LONGEST * longest) & jnp.isfinite(log_density)
+    possible = overlaps & (common > tuning.smallest_overlap * shortest) & (chi_square < tuning.gate)
+    possible &= (second > tuning.shortest_to_longest * longest) & jnp.isfinite(log_density)
     first = jnp.minimum(jnp.minimum(low[0], low[1]), low[2])
     last = jnp.maximum(jnp.maximum(high[0], high[1]), high[2])
     outer = add3(origin, along, first), add3(origin, along, last)

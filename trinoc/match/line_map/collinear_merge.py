@@ -21,20 +21,8 @@ from trinoc.match.line_map.line_fit import fit_line
 from trinoc.match.line_map.lines import JoinedLines
 from trinoc.match.line_map.table import TrackTable, fragments_of, track_table
 from trinoc.match.tracks import Matches
+from trinoc.match.tuning import DEFAULT, CollinearTuning, MatchTuning
 from trinoc.numerics import in_float64
-
-# Pieces are joined where that is as likely as this.
-MIN_POSTERIOR = 0.9
-# Both tracks are right with at least this probability.
-TRUSTED_POSTERIOR = 0.7
-# Pairs that differ by more than this (chi-square of 4 degrees of freedom) stay apart whatever
-# else is found to be on their lines.
-PRUNE_LOG_ODDS = 60.0
-# A line that fits all of its segments as badly as one of so many does is none.
-SIGNIFICANCE = 1e-3
-# How often a line has another piece, before it is known: so many observations.
-PRIOR_SHARE, PRIOR_OBSERVATIONS, ROUNDS = 0.1, 10.0, 3
-MAX_SHARE = 0.9
 
 
 class _Group(NamedTuple):
@@ -59,10 +47,11 @@ class _Problem(NamedTuple):
     pieces: TrackTable
     scene: LineDensity
     share: float
+    tuning: MatchTuning
 
 
 @in_float64
-def join_collinear(matches: Matches, rig: Rig) -> JoinedLines:
+def join_collinear(matches: Matches, rig: Rig, *, tuning: MatchTuning = DEFAULT) -> JoinedLines:
     """The straight lines that the tracks lie on, each estimated from all segments of its tracks.
 
     Two tracks are one line where that is at least 0.9 likely, and 0.7 that both are right: their
@@ -82,25 +71,27 @@ def join_collinear(matches: Matches, rig: Rig) -> JoinedLines:
         )
     # In an order of their own, so that that of the matches is nothing to the answer.
     order = np.lexsort(np.asarray(matches.lines_mm).reshape(-1, 6).T)
-    pieces = track_table(matches, rig, order)
+    pieces = track_table(matches, rig, order, tuning.tracks)
     if len(order) == 0:
         return _as_lines([], pieces, order)
-    near = nearby_lines(pieces.ends_mm, pieces.covariance_mm2)
+    rules = tuning.collinear
+    near = nearby_lines(pieces.ends_mm, pieces.covariance_mm2, rules)
     one, other = near.pairs.T
     apart = difference(
-        *(a[k] for k in (one, other) for a in (pieces.ends_mm, pieces.covariance_mm2))
+        *(a[k] for k in (one, other) for a in (pieces.ends_mm, pieces.covariance_mm2)),
+        tuning=tuning.evidence,
     )
-    scene = line_density(pieces.ends_mm)
-    parallel = parallel_density(near, apart, scene)
+    scene = line_density(pieces.ends_mm, tuning.evidence)
+    parallel = parallel_density(near, apart, scene, rules)
     evidence = Evidence(
         apart,
         np.maximum(parallel[one], parallel[other]),
         ((pieces.index[one] == pieces.index[other]) & (pieces.index[one] >= 0)).any(axis=1),
-        gap_mm(pieces.common_mm[one], pieces.common_mm[other]),
+        gap_mm(pieces.common_mm[one], pieces.common_mm[other], rules),
         (pieces.px_per_mm[one] + pieces.px_per_mm[other]) / 2,
     )
-    share = _learned_share(evidence, scene, len(order))
-    surely_others = apart.square > PRUNE_LOG_ODDS
+    share = _learned_share(evidence, scene, len(order), tuning)
+    surely_others = apart.square > rules.prune_chi_square
     alone = [
         _Group(
             (t,),
@@ -115,7 +106,8 @@ def join_collinear(matches: Matches, rig: Rig) -> JoinedLines:
         )
         for t in range(len(order))
     ]
-    groups = _agglomerated(alone, near.pairs[~surely_others], _Problem(pieces, scene, share))
+    problem = _Problem(pieces, scene, share, tuning)
+    groups = _agglomerated(alone, near.pairs[~surely_others], problem)
     return _as_lines(groups, pieces, order)
 
 
@@ -123,6 +115,7 @@ def _agglomerated(
     groups: list[_Group], pairs: Int[np.ndarray, "p 2"], problem: _Problem
 ) -> list[_Group]:
     """Groups of which no two more are one line."""
+    rules = problem.tuning.collinear
     alive = dict(enumerate(groups))
     beside: dict[int, set[int]] = {number: set() for number in alive}
     for one, other in pairs.tolist():
@@ -134,7 +127,7 @@ def _agglomerated(
         ones, others = ([alive[i] for i in side] for side in found.T.tolist())
         odds = _odds(ones, others, problem)
         right = np.array([a.posterior * b.posterior for a, b in zip(ones, others, strict=True)])
-        sure = (expit(odds) >= MIN_POSTERIOR) & (right >= TRUSTED_POSTERIOR)
+        sure = (expit(odds) >= rules.min_posterior) & (right >= rules.trusted_posterior)
         for value, (one, other) in zip(odds[sure].tolist(), found[sure].tolist(), strict=True):
             heapq.heappush(queue, (-value, one, other))
 
@@ -159,7 +152,9 @@ def _agglomerated(
     return list(alive.values())
 
 
-def _least_gaps(ones: list[_Group], others: list[_Group]) -> Float[np.ndarray, "p"]:
+def _least_gaps(
+    ones: list[_Group], others: list[_Group], tuning: CollinearTuning
+) -> Float[np.ndarray, "p"]:
     """The smallest gap between a piece of one and a piece of the other, -1 beside each other."""
     rows, first, second = [], [], []
     for row, (one, other) in enumerate(zip(ones, others, strict=True)):
@@ -167,21 +162,23 @@ def _least_gaps(ones: list[_Group], others: list[_Group]) -> Float[np.ndarray, "
             rows.extend([row] * len(other.common_mm))
             first.extend([piece] * len(other.common_mm))
             second.extend(other.common_mm)
-    gap = gap_mm(np.array(first), np.array(second))
+    gap = gap_mm(np.array(first), np.array(second), tuning)
     least, beside = np.full(len(ones), np.inf), np.zeros(len(ones), dtype=bool)
     np.minimum.at(least, rows, np.where(gap < 0, np.inf, gap))
     np.logical_or.at(beside, rows, gap < 0)
     return np.where(beside, -1.0, least)
 
 
-def _learned_share(evidence: Evidence, scene: LineDensity, count: int) -> float:
+def _learned_share(
+    evidence: Evidence, scene: LineDensity, count: int, tuning: MatchTuning
+) -> float:
     """How often a line has another piece, from how many pairs are likely to be one."""
-    share = PRIOR_SHARE
-    for _ in range(ROUNDS):
-        likely = expit(log_odds(evidence, scene, share)).sum()
-        share = min(
-            (likely + PRIOR_OBSERVATIONS * PRIOR_SHARE) / (count + PRIOR_OBSERVATIONS), MAX_SHARE
-        )
+    rules = tuning.collinear
+    prior, weight = rules.prior_share, rules.prior_observations
+    share = prior
+    for _ in range(rules.rounds):
+        likely = expit(log_odds(evidence, scene, share, tuning)).sum()
+        share = min((likely + weight * prior) / (count + weight), rules.max_share)
     return share
 
 
@@ -193,7 +190,8 @@ def _odds(ones: list[_Group], others: list[_Group], problem: _Problem) -> Float[
             np.stack([getattr(group, field) for group in groups])
             for groups in (ones, others)
             for field in ("ends_mm", "covariance_mm2")
-        )
+        ),
+        tuning=problem.tuning.evidence,
     )
     scale = problem.pieces.px_per_mm
     both = list(zip(ones, others, strict=True))
@@ -201,10 +199,10 @@ def _odds(ones: list[_Group], others: list[_Group], problem: _Problem) -> Float[
         apart,
         np.array([max(a.parallel, b.parallel) for a, b in both]),
         np.array([not a.segments.isdisjoint(b.segments) for a, b in both]),
-        _least_gaps(ones, others),
+        _least_gaps(ones, others, problem.tuning.collinear),
         np.array([scale[[*a.tracks, *b.tracks]].mean() for a, b in both]),
     )
-    return log_odds(evidence, problem.scene, problem.share)
+    return log_odds(evidence, problem.scene, problem.share, problem.tuning)
 
 
 def _joined(one: _Group, other: _Group, problem: _Problem) -> _Group | None:
@@ -219,10 +217,10 @@ def _joined(one: _Group, other: _Group, problem: _Problem) -> _Group | None:
     )
     place = (ends - longer.ends_mm[0]) @ way
     outer = [int(np.argmin(place)), int(np.argmax(place))]
-    fit = fit_line(
-        fragments_of(problem.pieces, tracks), longer.ends_mm[0] + place[outer, None] * way
-    )
-    if not chi2.sf(fit.chi_square, fit.degrees) >= SIGNIFICANCE:
+    rules = problem.tuning.collinear
+    reach = longer.ends_mm[0] + place[outer, None] * way
+    fit = fit_line(fragments_of(problem.pieces, tracks), reach, rules)
+    if not chi2.sf(fit.chi_square, fit.degrees) >= rules.significance:
         return None
     way = fit.ends_mm[1] - fit.ends_mm[0]
     way /= np.linalg.norm(way)

@@ -11,13 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-# Errors of lines agree with their covariances, or are this factor larger, in so many cases.
-LOOSE_SIGMAS, LOOSE_SHARE = 3.0, 0.15
-# Of pieces of one line that a detector broke, gaps are spread exponentially, so many pixels
-# wide on average; where something hides a line, gaps are of any length.
-BREAK_PX, BROKEN_SHARE = 15.0, 0.7
-# Pieces of one line seldom lie beside each other, by more than this share of the shorter.
-BESIDE_SHARE, BESIDE = 0.1, 0.3
+from trinoc.match.tuning import DEFAULT, CollinearTuning, EvidenceTuning, MatchTuning
+from trinoc.numerics import axes_across
 
 
 class LineDensity(NamedTuple):
@@ -54,13 +49,14 @@ def difference(
     first_covariance: Float[np.ndarray, "p 6 6"],
     second_mm: Float[np.ndarray, "p 2 3"],
     second_covariance: Float[np.ndarray, "p 6 6"],
+    tuning: EvidenceTuning = DEFAULT.evidence,
 ) -> Difference:
     """Compare lines two by two; it does not matter which comes first."""
     unit = _common_direction(first_mm, second_mm)
     extents = [_extent(unit, ends) for ends in (first_mm, second_mm)]
     low = np.minimum(extents[0][:, 0], extents[1][:, 0])
     high = np.maximum(extents[0][:, 1], extents[1][:, 1])
-    axes = _across(unit)
+    axes = axes_across(unit)
     place = np.stack([low, high], axis=1)
     (offset, spread), (other_offset, other_spread) = (
         _abreast(place, unit, axes, ends, covariance)
@@ -76,8 +72,8 @@ def difference(
     shift_square = (pull * shift).sum(axis=1)
     return Difference(
         square,
-        _log_tailed(square, 4) - 0.5 * np.linalg.slogdet(spread)[1],
-        _log_tailed(shift_square, 2) + 0.5 * np.linalg.slogdet(of_shift)[1],
+        _log_tailed(square, 4, tuning) - 0.5 * np.linalg.slogdet(spread)[1],
+        _log_tailed(shift_square, 2, tuning) + 0.5 * np.linalg.slogdet(of_shift)[1],
         np.linalg.norm(shift, axis=1),
         _largest_sigma(of_shift),
         high - low,
@@ -85,13 +81,16 @@ def difference(
 
 
 def gap_mm(
-    first_mm: Float[np.ndarray, "p 2 3"], second_mm: Float[np.ndarray, "p 2 3"]
+    first_mm: Float[np.ndarray, "p 2 3"],
+    second_mm: Float[np.ndarray, "p 2 3"],
+    tuning: CollinearTuning = DEFAULT.collinear,
 ) -> Float[np.ndarray, "p"]:
     """Length between pieces, two by two: 0 where they touch, -1 where they lie side by side."""
     unit = _common_direction(first_mm, second_mm)
     (low, high), (other_low, other_high) = (_extent(unit, ends).T for ends in (first_mm, second_mm))
     gap = np.maximum(low, other_low) - np.minimum(high, other_high)
-    beside = -gap > BESIDE * np.minimum(high - low, other_high - other_low)
+    shorter = np.minimum(high - low, other_high - other_low)
+    beside = -gap > tuning.beside_overlap * shorter
     return np.where(beside, -1.0, np.maximum(gap, 0.0))
 
 
@@ -111,26 +110,33 @@ class Evidence(NamedTuple):
     px_per_mm: Float[np.ndarray, "p"]
 
 
-def log_odds(evidence: Evidence, scene: LineDensity, share: float) -> Float[np.ndarray, "p"]:
+def log_odds(
+    evidence: Evidence, scene: LineDensity, share: float, tuning: MatchTuning = DEFAULT
+) -> Float[np.ndarray, "p"]:
     """Log odds that each two are one line; `share` is how often a line has another piece."""
     apart, parallel, shared, gap, px_per_mm = evidence
+    rules, tail = tuning.collinear, tuning.evidence
     others = np.logaddexp(
         np.log(parallel) - apart.log_shift_density,
         np.log(scene.density) - 2 * np.log(apart.span) - apart.log_density,
     )
     in_plane = np.log(scene.size / (np.sqrt(2 * np.pi) * apart.shift_sigma))
-    in_plane += _log_tailed(apart.square, 4) - _log_tailed(np.zeros(1), 4)
-    breaks = np.exp(-np.maximum(gap, 0) * px_per_mm / BREAK_PX) * px_per_mm / BREAK_PX
-    gaps = BROKEN_SHARE * breaks * scene.size + 1 - BROKEN_SHARE
-    along = np.log(np.where(gap >= 0, gaps, BESIDE_SHARE))
+    in_plane += _log_tailed(apart.square, 4, tail) - _log_tailed(np.zeros(1), 4, tail)
+    break_px, broken = rules.break_px, rules.broken_share
+    breaks = np.exp(-np.maximum(gap, 0) * px_per_mm / break_px) * px_per_mm / break_px
+    gaps = broken * breaks * scene.size + 1 - broken
+    along = np.log(np.where(gap >= 0, gaps, rules.beside_share))
     return along + np.where(shared, in_plane, np.log(share) - others)
 
 
-def _log_tailed(square: Float[np.ndarray, "p"], dimensions: int) -> Float[np.ndarray, "p"]:
+def _log_tailed(
+    square: Float[np.ndarray, "p"], dimensions: int, tuning: EvidenceTuning
+) -> Float[np.ndarray, "p"]:
     """Log density of that many standard normal numbers, a share of them wider."""
+    sigmas, share = tuning.loose_sigmas, tuning.loose_share
     return np.logaddexp(
-        np.log(1 - LOOSE_SHARE) - square / 2,
-        np.log(LOOSE_SHARE) - dimensions * np.log(LOOSE_SIGMAS) - square / (2 * LOOSE_SIGMAS**2),
+        np.log(1 - share) - square / 2,
+        np.log(share) - dimensions * np.log(sigmas) - square / (2 * sigmas**2),
     ) - dimensions / 2 * np.log(2 * np.pi)
 
 
@@ -152,12 +158,6 @@ def _extent(
     unit: Float[np.ndarray, "p 3"], ends_mm: Float[np.ndarray, "p 2 3"]
 ) -> Float[np.ndarray, "p 2"]:
     return np.sort((ends_mm @ unit[:, :, None])[..., 0], axis=1)
-
-
-def _across(unit: Float[np.ndarray, "p 3"]) -> Float[np.ndarray, "p 2 3"]:
-    first = np.cross(unit, np.eye(3)[np.argmin(np.abs(unit), axis=1)])
-    first /= np.linalg.norm(first, axis=1, keepdims=True)
-    return np.stack([first, np.cross(unit, first)], axis=1)
 
 
 def _abreast(

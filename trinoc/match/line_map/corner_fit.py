@@ -12,15 +12,11 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.stats import chi2
 
-from trinoc.match.line_map.corner_pairs import REACH_PX, Ends, carried, corner_candidates, ends_of
+from trinoc.match.line_map.corner_pairs import Ends, carried, corner_candidates, ends_of
 from trinoc.match.line_map.corners import Corners
 from trinoc.match.line_map.lines import JoinedLines
+from trinoc.match.tuning import DEFAULT, MatchTuning
 from trinoc.numerics import group_labels
-
-# Lines pass through one point no worse than those of one corner of so many do.
-SIGNIFICANCE = 1e-3
-# Where a detector stops says little about where an edge ends: sigma along the line.
-FREE_END_PX = 7.0
 
 
 class _Corner(NamedTuple):
@@ -31,7 +27,7 @@ class _Corner(NamedTuple):
     chi_square: float
 
 
-def snap_corners(joined: JoinedLines) -> Corners:
+def snap_corners(joined: JoinedLines, *, tuning: MatchTuning = DEFAULT) -> Corners:
     """The corners at which ends of lines meet, and the lines with their ends there.
 
     Ends meet where that is at least 0.9 likely, against ends that are near by chance and with
@@ -42,12 +38,12 @@ def snap_corners(joined: JoinedLines) -> Corners:
     independently of each other, though some share a segment.
     """
     ends = ends_of(joined)
-    corners = _agglomerated(ends, *corner_candidates(ends, joined))
-    return _held(joined, ends, corners)
+    corners = _agglomerated(ends, *corner_candidates(ends, joined, tuning), tuning)
+    return _held(joined, ends, corners, tuning.corners.free_end_px)
 
 
 def _agglomerated(
-    ends: Ends, pairs: Int[np.ndarray, "p 2"], odds: Float[np.ndarray, "p"]
+    ends: Ends, pairs: Int[np.ndarray, "p 2"], odds: Float[np.ndarray, "p"], tuning: MatchTuning
 ) -> list[_Corner]:
     """Corners from pairs of ends, the likeliest first."""
     corner_of: dict[int, _Corner] = {}
@@ -57,7 +53,7 @@ def _agglomerated(
         together = tuple(sorted({*first.ends, *second.ends}))
         if first is second or len({end // 2 for end in together}) < len(together):
             continue
-        corner = _common_point(ends, together)
+        corner = _common_point(ends, together, tuning)
         if corner is not None:
             corner_of.update(dict.fromkeys(together, corner))
     return sorted({corner.ends: corner for corner in corner_of.values()}.values(), key=_first_end)
@@ -67,7 +63,7 @@ def _first_end(corner: _Corner) -> int:
     return corner.ends[0]
 
 
-def _common_point(ends: Ends, together: tuple[int, ...]) -> _Corner | None:
+def _common_point(ends: Ends, together: tuple[int, ...], tuning: MatchTuning) -> _Corner | None:
     """The likeliest point of some ends' lines, None where they have none."""
     chosen = np.array(together)
     point = ends.point_mm[chosen].mean(axis=0)
@@ -81,8 +77,8 @@ def _common_point(ends: Ends, together: tuple[int, ...]) -> _Corner | None:
     outward = ((point - ends.point_mm[chosen]) * ends.way[chosen]).sum(axis=1)
     error = point - lines[:, 0]
     square = float(np.einsum("ki,kij,kj->", error, precision, error))
-    fits = chi2.sf(square, 2 * len(chosen) - 3) >= SIGNIFICANCE
-    near = (np.abs(outward) * ends.px_per_mm[chosen] < REACH_PX).all()
+    fits = chi2.sf(square, 2 * len(chosen) - 3) >= tuning.corners.significance
+    near = (np.abs(outward) * ends.px_per_mm[chosen] < tuning.junctions.reach_px).all()
     return _Corner(together, point, square) if fits and near else None
 
 
@@ -98,13 +94,13 @@ def _across_precision(
     return inverse - along / size
 
 
-def _held(joined: JoinedLines, ends: Ends, corners: list[_Corner]) -> Corners:
+def _held(joined: JoinedLines, ends: Ends, corners: list[_Corner], free_end_px: float) -> Corners:
     """Lines whose ends at a corner are one point: least squares under that constraint."""
     lines, covariance = joined.lines_mm.copy(), joined.covariance_mm2.copy()
     rows = [(number, end) for number, corner in enumerate(corners) for end in corner.ends]
     table = np.array(rows, dtype=np.int64).reshape(-1, 2)
     for number, end in rows:
-        _bring(lines, covariance, ends, end, corners[number].point_mm)
+        _bring(lines, covariance, ends, end, corners[number].point_mm, free_end_px)
     # Lines that hang together: those of one corner, directly or through other corners.
     earliest = np.array([corner.ends[0] // 2 for corner in corners], dtype=np.int64)
     label = group_labels(len(lines), earliest[table[:, 0]], table[:, 1] // 2)
@@ -137,6 +133,7 @@ def _bring(
     ends: Ends,
     end: int,
     point_mm: Float[np.ndarray, "3"],
+    free_end_px: float,
 ) -> None:
     """Carry one end along its line abreast of a point; along the line it is hardly known."""
     line, side = divmod(end, 2)
@@ -148,7 +145,7 @@ def _bring(
     lines_mm[line] = weight @ lines_mm[line]
     covariance_mm2[line] = spread @ covariance_mm2[line] @ spread.T
     block = slice(3 * side, 3 * side + 3)
-    allowance = (FREE_END_PX / ends.px_per_mm[end]) ** 2
+    allowance = (free_end_px / ends.px_per_mm[end]) ** 2
     covariance_mm2[line, block, block] += allowance * np.outer(ends.way[end], ends.way[end])
 
 

@@ -7,21 +7,11 @@ from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 from scipy.special import expit
 
+from trinoc.match.evidence import log_gap_density, passing
 from trinoc.match.line_map.density import line_density
 from trinoc.match.line_map.lines import JoinedLines
-
-# Ends meet when they lie within this of their corner, in pixels, along their lines.
-REACH_PX = 15.0
-# How far ends stop from their corner, in pixels, and how often each, before it is known.
-GAPS_PX = np.array([1.0, 3.0, 8.0])
-GAP_SHARES = np.array([0.6, 0.3, 0.1])
-# sin of the least angle between lines that meet.
-SMALLEST_ANGLE = 0.15
-# How often an end is at a corner, before it is known: so many observations.
-PRIOR_AT_JUNCTION, PRIOR_OBSERVATIONS, ROUNDS = 0.5, 10.0, 3
-MAX_AT_JUNCTION = 0.95
-# Ends meet where that is as likely as this, both lines' posteriors included.
-MIN_POSTERIOR = 0.9
+from trinoc.match.tuning import DEFAULT, MatchTuning
+from trinoc.numerics import take_rows
 
 
 class Ends(NamedTuple):
@@ -50,73 +40,66 @@ def ends_of(joined: JoinedLines) -> Ends:
 
 
 def corner_candidates(
-    ends: Ends, joined: JoinedLines
+    ends: Ends, joined: JoinedLines, tuning: MatchTuning = DEFAULT
 ) -> tuple[Int[np.ndarray, "p 2"], Float[np.ndarray, "p"]]:
     """(pairs of ends that are likely to meet, their log odds)."""
     if len(joined) < 2:
         return np.zeros((0, 2), dtype=np.int64), np.zeros(0)
+    rules = tuning.junctions
     # Both may stop short of the corner.
-    reach = 2 * REACH_PX / float(np.min(ends.px_per_mm))
+    reach = 2 * rules.reach_px / float(np.min(ends.px_per_mm))
     pairs = KDTree(ends.point_mm).query_pairs(reach, output_type="ndarray")
     pairs = pairs[pairs[:, 0] // 2 != pairs[:, 1] // 2]
     m, n = np.sort(pairs, axis=1).T
-    apart = ends.point_mm[n] - ends.point_mm[m]
-    normal = np.cross(ends.way[m], ends.way[n])
-    sine = np.linalg.norm(normal, axis=1)
-    keep = sine > SMALLEST_ANGLE
-    m, n, apart, normal, sine = m[keep], n[keep], apart[keep], normal[keep], sine[keep]
-    unit = normal / sine[:, None]
-    # Lengths from each end outwards to where the two lines pass each other.
-    to_m = (np.cross(apart, ends.way[n]) * unit).sum(axis=1) / sine
-    to_n = (np.cross(apart, ends.way[m]) * unit).sum(axis=1) / sine
-    gap = np.stack([to_m * ends.px_per_mm[m], to_n * ends.px_per_mm[n]], axis=1)
-    keep = (np.abs(gap) < REACH_PX).all(axis=1)
-    m, n, sine, unit, gap = m[keep], n[keep], sine[keep], unit[keep], gap[keep]
-    distance = (apart[keep] * unit).sum(axis=1)
+    px_per_mm = np.stack([ends.px_per_mm[m], ends.px_per_mm[n]], axis=1)
+    pass_by = passing(ends.point_mm[m], ends.way[m], ends.point_mm[n], ends.way[n])
+    near = (np.abs(pass_by.gap_mm * px_per_mm) < rules.reach_px).all(axis=1)
+    keep = (pass_by.sine > rules.smallest_sine) & near
+    m, n, px_per_mm = m[keep], n[keep], px_per_mm[keep]
+    distance, unit, sine, gap_mm = take_rows(pass_by, keep)
     variance = sum(
-        np.einsum("pi,pij,pj->p", unit, carried(ends, end, length[keep])[1][:, :3, :3], unit)
-        for end, length in ((m, to_m), (n, to_n))
+        np.einsum("pi,pij,pj->p", unit, carried(ends, end, length)[1][:, :3, :3], unit)
+        for end, length in ((m, gap_mm[:, 0]), (n, gap_mm[:, 1]))
     )
-    scale = ends.px_per_mm[m] * ends.px_per_mm[n]
-    square = (gap**2).sum(axis=1)[:, None] / GAPS_PX**2
-    stop = np.exp(-0.5 * square) / (2 * np.pi * GAPS_PX**2) * scale[:, None]
-    density = len(ends.point_mm) / line_density(joined.lines_mm).volume
-    passing = -0.5 * (np.log(2 * np.pi * variance) + distance**2 / variance)
-    odds = _learned_odds(m, n, passing - np.log(sine * density), stop, len(ends.point_mm))
+    stop = np.exp(log_gap_density(gap_mm * px_per_mm, px_per_mm, np.array(rules.gaps_px)))
+    count = len(ends.point_mm)
+    density = count / line_density(joined.lines_mm, tuning.evidence).volume
+    log_passing = -0.5 * (np.log(2 * np.pi * variance) + distance**2 / variance)
+    odds = _learned_odds(m, n, log_passing - np.log(sine * density), stop, count, tuning)
     right = joined.posterior[m // 2] * joined.posterior[n // 2]
-    sure = expit(odds) * right >= MIN_POSTERIOR
+    sure = expit(odds) * right >= tuning.corners.min_posterior
     return np.stack([m, n], axis=1)[sure], odds[sure]
 
 
 def _learned_odds(
     m: Int[np.ndarray, "p"],
     n: Int[np.ndarray, "p"],
-    passing: Float[np.ndarray, "p"],
+    log_passing: Float[np.ndarray, "p"],
     stop: Float[np.ndarray, "p k"],
     count: int,
+    tuning: MatchTuning,
 ) -> Float[np.ndarray, "p"]:
     """Log odds that ends m and n, of `count` in all, meet; how often ends do, and how far they
     stop from their corners, is learned from these themselves.
 
-    `passing` is the log evidence of how near the lines pass each other, `stop` the density of
-    where both ends stop, for each of GAPS_PX.
+    `log_passing` is the evidence of how near the lines pass each other, `stop` the density of
+    where both ends stop, for each scale of gaps.
     """
-    joined, shares = PRIOR_AT_JUNCTION, GAP_SHARES
-    for _ in range(ROUNDS):
+    prior, prior_gaps = tuning.junctions.prior_at_junction, np.array(tuning.junctions.prior_gaps)
+    weight = tuning.corners.prior_observations
+    joined, shares = prior, prior_gaps
+    for _ in range(tuning.corners.rounds):
         stops = stop @ shares
-        odds = passing + np.log(stops) + np.log(joined / (1 - joined))
+        odds = log_passing + np.log(stops) + np.log(joined / (1 - joined))
         likely = expit(odds)
         # Of an end, the likeliest meeting counts.
         best = np.zeros(count)
         np.maximum.at(best, m, likely)
         np.maximum.at(best, n, likely)
-        joined = min(
-            (best.sum() + PRIOR_OBSERVATIONS * PRIOR_AT_JUNCTION) / (count + PRIOR_OBSERVATIONS),
-            MAX_AT_JUNCTION,
-        )
-        kinds = likely @ (stop * shares / stops[:, None]) + PRIOR_OBSERVATIONS * GAP_SHARES
+        joined = min((best.sum() + weight * prior) / (count + weight), tuning.corners.max_at_corner)
+        kinds = likely @ (stop * shares / stops[:, None]) + weight * prior_gaps
         shares = kinds / kinds.sum()
-    return passing + np.log(stop @ shares) + np.log(joined / (1 - joined))
+    return log_passing + np.log(stop @ shares) + np.log(joined / (1 - joined))
 
 
 def carried(

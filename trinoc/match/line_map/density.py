@@ -6,21 +6,16 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from trinoc.match.line_map.collinearity import Difference, LineDensity
+from trinoc.match.tuning import DEFAULT, CollinearTuning, EvidenceTuning
 from trinoc.numerics import blocks
 
-# Lines within this angle, or within what they are known to, count as parallel.
-PARALLEL_DEG, SIGMAS, WIDEST = 3.0, 3.0, np.radians(20.0)
-# Lines further apart than this are not compared; those that differ by so much (chi-square of 4
-# degrees of freedom) are surely others.
-GATE_SIGMAS, DIFFERENT = 6.0, 25.0
-# The parallel lines that tell how dense they are about a line.
-NEAREST = 2
-# Of the spread of lines, so that lines of one plane leave a volume.
-THINNEST = 0.05
+# Lines compared with all others at once.
 ROWS_IN_BLOCK = 512
 
 
-def line_density(ends_mm: Float[np.ndarray, "t 2 3"]) -> LineDensity:
+def line_density(
+    ends_mm: Float[np.ndarray, "t 2 3"], tuning: EvidenceTuning = DEFAULT.evidence
+) -> LineDensity:
     """How dense lines of any direction are: as if evenly in a box that has their spread."""
     middles, length = ends_mm.mean(axis=1), np.linalg.norm(ends_mm[:, 1] - ends_mm[:, 0], axis=1)
     longest = float(length.max())
@@ -28,7 +23,7 @@ def line_density(ends_mm: Float[np.ndarray, "t 2 3"]) -> LineDensity:
     few = np.full(3, longest**2 / 12)
     variance = np.linalg.eigvalsh(np.cov(middles.T)) if len(middles) > 3 else few
     size = max(float(np.sqrt(12 * max(variance.max(), 0.0))), longest)
-    sides = np.maximum(np.sqrt(12 * np.maximum(variance, 0.0)), THINNEST * size)
+    sides = np.maximum(np.sqrt(12 * np.maximum(variance, 0.0)), tuning.thinnest * size)
     volume = float(np.prod(sides))
     return LineDensity(float(length.sum()) / (2 * np.pi * volume), size, volume)
 
@@ -45,7 +40,9 @@ class NearbyLines(NamedTuple):
 
 
 def nearby_lines(
-    ends_mm: Float[np.ndarray, "t 2 3"], covariance_mm2: Float[np.ndarray, "t 6 6"]
+    ends_mm: Float[np.ndarray, "t 2 3"],
+    covariance_mm2: Float[np.ndarray, "t 6 6"],
+    tuning: CollinearTuning = DEFAULT.collinear,
 ) -> NearbyLines:
     """Look through all lines for those nearly in a row, a block at a time."""
     count = len(ends_mm)
@@ -53,8 +50,9 @@ def nearby_lines(
     length = np.linalg.norm(way, axis=1)
     unit = way / length[:, None]
     sigma = np.sqrt(_across_variance(unit, covariance_mm2))
-    angle = np.minimum(np.radians(PARALLEL_DEG) + SIGMAS * sigma / length, WIDEST)
-    pairs, beside = [], np.full((count, NEAREST), np.inf)
+    angle = np.radians(tuning.parallel_deg) + tuning.parallel_sigmas * sigma / length
+    angle = np.minimum(angle, np.radians(tuning.widest_deg))
+    pairs, beside = [], np.full((count, tuning.nearest), np.inf)
     for rows in blocks(count, ROWS_IN_BLOCK):
         cosine = np.minimum(np.abs(unit[rows] @ unit.T), 1.0)
         limit = np.maximum(angle[rows, None], angle)
@@ -67,21 +65,24 @@ def nearby_lines(
         reach = np.abs(along).max(axis=0)
         # Each is known worse the further its line is carried.
         known = sigma[i] * (1 + 2 * reach / length[i]) + sigma[j] * (1 + 2 * reach / length[j])
-        close = distance < GATE_SIGMAS * known
+        close = distance < tuning.gate_sigmas * known
         pairs.append(np.stack([i, j], axis=1)[close & (i < j)])
         _keep_nearest(beside, i[~close], distance[~close])
     return NearbyLines(np.concatenate(pairs), beside)
 
 
 def parallel_density(
-    near: NearbyLines, apart: Difference, scene: LineDensity
+    near: NearbyLines,
+    apart: Difference,
+    scene: LineDensity,
+    tuning: CollinearTuning = DEFAULT.collinear,
 ) -> Float[np.ndarray, "t"]:
     """Lines parallel to each, per area across: as dense as about it, or as about most."""
     beside = near.beside_mm.copy()
-    other = apart.square > DIFFERENT
+    other = apart.square > tuning.different
     for side in (0, 1):
         _keep_nearest(beside, near.pairs[other, side], apart.shift[other])
-    local = NEAREST / (np.pi * beside[:, -1] ** 2 + np.finfo(float).tiny)
+    local = tuning.nearest / (np.pi * beside[:, -1] ** 2 + np.finfo(float).tiny)
     return np.maximum(local, max(float(np.median(local)), 1 / scene.size**2))
 
 

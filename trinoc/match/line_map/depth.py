@@ -11,18 +11,18 @@ from skimage.draw import polygon
 
 from trinoc.geometry import Camera, Rig, project
 from trinoc.match.tracks import Matches
+from trinoc.match.tuning import DEFAULT, DepthTuning, MatchTuning
 from trinoc.numerics import in_float64
-
-# Ends nearer than this in the picture are one corner; lines nearer to a plane lie in it.
-CORNER_PX = 4.0
-# sin of the least angle of a corner, and the most edges that a face has.
-SMALLEST_CORNER = 0.1
-MOST_EDGES = 8
 
 
 @in_float64
 def depth_map(
-    matches: Matches, rig: Rig, view: str, *, filled: bool = False
+    matches: Matches,
+    rig: Rig,
+    view: str,
+    *,
+    filled: bool = False,
+    tuning: MatchTuning = DEFAULT,
 ) -> Float[np.ndarray, "h w"]:
     """Depth in mm before a camera at each pixel, NaN where nothing is known.
 
@@ -37,12 +37,15 @@ def depth_map(
     for line in matches.lines_mm[seen]:
         _put_line(depth, camera, line)
     if filled:
-        for face in faces_of(matches.lines_mm, _corner_mm(camera, matches.lines_mm)):
+        corner_mm = _corner_mm(camera, matches.lines_mm, tuning.depth.corner_px)
+        for face in faces_of(matches.lines_mm, corner_mm, tuning.depth):
             _put_face(depth, camera, face)
     return np.where(np.isfinite(depth), depth, np.nan)
 
 
-def faces_of(lines_mm: Float[np.ndarray, "t 2 3"], corner_mm: float) -> list[np.ndarray]:
+def faces_of(
+    lines_mm: Float[np.ndarray, "t 2 3"], corner_mm: float, tuning: DepthTuning = DEFAULT.depth
+) -> list[np.ndarray]:
     """Corners (k, 3), in order, of every shortest loop of lines that lie in one plane."""
     if len(lines_mm) < 3:
         return []
@@ -55,27 +58,39 @@ def faces_of(lines_mm: Float[np.ndarray, "t 2 3"], corner_mm: float) -> list[np.
     for at in range(len(place)):
         around = [int(e.sum()) - at for e in edges if at in e]
         for first, second in combinations(around, 2):
-            inside = _in_plane(place, at, first, second, corner_mm)
-            loop = _shortest_way(edges, inside, first, second, at) if inside is not None else None
+            inside = _in_plane(place, at, first, second, corner_mm, tuning.smallest_sine)
+            if inside is None:
+                continue
+            loop = _shortest_way(edges, inside, first, second, at, tuning.most_edges)
             if loop is not None:
                 faces.setdefault(frozenset([at, *loop]), place[[at, *loop]])
     return list(faces.values())
 
 
 def _in_plane(
-    place: Float[np.ndarray, "c 3"], at: int, first: int, second: int, corner_mm: float
+    place: Float[np.ndarray, "c 3"],
+    at: int,
+    first: int,
+    second: int,
+    corner_mm: float,
+    smallest_sine: float,
 ) -> Bool[np.ndarray, "c"] | None:
     """Which corners lie in the plane of three, None where these are in a row."""
     to_first, to_second = place[first] - place[at], place[second] - place[at]
     normal = np.cross(to_first, to_second)
     size = np.linalg.norm(normal)
-    if size < SMALLEST_CORNER * np.linalg.norm(to_first) * np.linalg.norm(to_second):
+    if size < smallest_sine * np.linalg.norm(to_first) * np.linalg.norm(to_second):
         return None
     return np.abs((place - place[at]) @ normal) / size < corner_mm
 
 
 def _shortest_way(
-    edges: Int[np.ndarray, "e 2"], inside: Bool[np.ndarray, "c"], start: int, goal: int, avoid: int
+    edges: Int[np.ndarray, "e 2"],
+    inside: Bool[np.ndarray, "c"],
+    start: int,
+    goal: int,
+    avoid: int,
+    most_edges: int,
 ) -> list[int] | None:
     """Corners from start to goal along edges of one plane, without passing `avoid`."""
     before: dict[int, int] = {start: start}
@@ -88,7 +103,7 @@ def _shortest_way(
             while way[-1] != start:
                 way.append(before[way[-1]])
             return way[::-1]
-        if steps[here] == MOST_EDGES - 1:
+        if steps[here] == most_edges - 1:
             continue
         for a, b in edges[(edges == here).any(axis=1)].tolist():
             there = b if a == here else a
@@ -98,11 +113,11 @@ def _shortest_way(
     return None
 
 
-def _corner_mm(camera: Camera, lines_mm: Float[np.ndarray, "t 2 3"]) -> float:
+def _corner_mm(camera: Camera, lines_mm: Float[np.ndarray, "t 2 3"], corner_px: float) -> float:
     depths = _depths(camera, lines_mm.reshape(-1, 3))
     if len(depths) == 0:
         return 0.0
-    return float(CORNER_PX * np.median(depths) / np.mean(camera.intrinsics.focal_length_px))
+    return float(corner_px * np.median(depths) / np.mean(camera.intrinsics.focal_length_px))
 
 
 def _depths(camera: Camera, points_mm: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:

@@ -10,10 +10,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-# Real segments err by more than they say: by one of these factors, in so many of cases. Smaller
-# errors than stated are not assumed, so that no covariance is smaller than the segments' own says.
-SCALES = np.array([1.0, 2.0, 4.0])
-SHARES = np.array([0.85, 0.11, 0.04])
+from trinoc.match.tuning import DEFAULT, CollinearTuning
+from trinoc.numerics import axes_across, cross_3d
+
+# Gauss-Newton steps.
 STEPS = 4
 
 
@@ -43,32 +43,29 @@ class LineFit(NamedTuple):
     degrees: int
 
 
-def fit_line(shown: LineFragments, near_mm: Float[np.ndarray, "2 3"]) -> LineFit:
+def fit_line(
+    shown: LineFragments,
+    near_mm: Float[np.ndarray, "2 3"],
+    tuning: CollinearTuning = DEFAULT.collinear,
+) -> LineFit:
     """The likeliest line near two points, of which it moves only across.
 
     Not finite where the segments do not determine a line.
     """
-    ends, axes = near_mm, across_axes(near_mm[1] - near_mm[0])
+    way = near_mm[1] - near_mm[0]
+    ends, axes = near_mm, axes_across(way / np.linalg.norm(way))
     for _ in range(STEPS):
         error, by_offset, precision = _distances(shown, ends, axes)
-        weight, _ = _weights(np.einsum("ni,nij,nj->n", error, precision, error))
+        weight, _ = _weights(np.einsum("ni,nij,nj->n", error, precision, error), tuning)
         weighted = weight[:, None, None] * precision
         information = np.einsum("nia,nij,njb->ab", by_offset, weighted, by_offset)
         gradient = np.einsum("nia,nij,nj->a", by_offset, weighted, error)
         covariance = _inverse(information)
         ends = ends - (covariance @ gradient).reshape(2, 2) @ axes
     error, _, precision = _distances(shown, ends, axes)
-    _, squares = _weights(np.einsum("ni,nij,nj->n", error, precision, error))
+    _, squares = _weights(np.einsum("ni,nij,nj->n", error, precision, error), tuning)
     spread = np.einsum("eafb,ai,bj->eifj", covariance.reshape(2, 2, 2, 2), axes, axes)
     return LineFit(ends, spread.reshape(6, 6), float(squares.sum()), 2 * len(error) - 4)
-
-
-def across_axes(direction: Float[np.ndarray, "3"]) -> Float[np.ndarray, "2 3"]:
-    """Two unit vectors across a direction and each other."""
-    unit = direction / np.linalg.norm(direction)
-    first = np.cross(unit, np.eye(3)[np.argmin(np.abs(unit))])
-    first /= np.linalg.norm(first)
-    return np.stack([first, np.cross(unit, first)])
 
 
 def _inverse(information: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
@@ -78,18 +75,21 @@ def _inverse(information: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
         return np.full((4, 4), np.nan)
 
 
-def _weights(squares: Float[np.ndarray, "n"]) -> tuple[np.ndarray, np.ndarray]:
+def _weights(
+    squares: Float[np.ndarray, "n"], tuning: CollinearTuning
+) -> tuple[np.ndarray, np.ndarray]:
     """(weight of each segment, minus twice the log of its likelihood against no error at all).
 
     The weight is the mean of one over the factors squared, given the error; `squares` are
     Mahalanobis distances of two numbers.
     """
-    density = SHARES / SCALES**2
-    terms = density * np.exp(-0.5 * squares[:, None] / SCALES**2)
+    variance = np.array(tuning.error_scales) ** 2
+    density = np.array(tuning.error_shares) / variance
+    terms = density * np.exp(-0.5 * squares[:, None] / variance)
     # Far out only the widest is left, and even that underflows.
     terms[:, -1] += np.finfo(float).tiny
     total = terms.sum(axis=1)
-    return (terms / SCALES**2).sum(axis=1) / total, -2 * np.log(total / density.sum())
+    return (terms / variance).sum(axis=1) / total, -2 * np.log(total / density.sum())
 
 
 def _distances(
@@ -100,22 +100,15 @@ def _distances(
     matrix = shown.matrix_px
     image = ends_mm @ matrix[:, :, :3].mT + matrix[:, None, :, 3]
     moved = axes @ matrix[:, :, :3].mT
-    line = _cross(image[:, 0], image[:, 1])
+    line = cross_3d(image[:, 0], image[:, 1])
     steepness = np.hypot(line[:, 0], line[:, 1])
     normal = line[:, :2] / steepness[:, None]
     homogeneous = np.concatenate([shown.ends_px, np.ones((len(matrix), 2, 1))], axis=2)
     error = np.einsum("nek,nk->ne", homogeneous, line) / steepness[:, None]
-    by_first = _cross(moved, image[:, None, 1])
-    by_second = _cross(image[:, None, 0], moved)
+    by_first = cross_3d(moved, image[:, None, 1])
+    by_second = cross_3d(image[:, None, 0], moved)
     by_offset = np.concatenate([by_first, by_second], axis=1)
     jacobian = np.einsum("nek,nok->neo", homogeneous, by_offset) / steepness[:, None, None]
     blocks = shown.covariance_px2.reshape(-1, 2, 2, 2, 2)
     spread = np.einsum("ni,neifj,nj->nef", normal, blocks, normal)
     return error, jacobian, np.linalg.inv(spread)
-
-
-def _cross(first: Float[np.ndarray, "*n 3"], second: Float[np.ndarray, "*m 3"]) -> np.ndarray:
-    # For a few rows, np.cross takes ten times as long.
-    a, b, c = first[..., 0], first[..., 1], first[..., 2]
-    d, e, f = second[..., 0], second[..., 1], second[..., 2]
-    return np.stack([b * f - c * e, c * d - a * f, a * e - b * d], axis=-1)

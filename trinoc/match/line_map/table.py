@@ -8,7 +8,8 @@ from jaxtyping import Bool, Float, Int
 from trinoc.geometry import Rig
 from trinoc.match.line_map.line_fit import LineFragments
 from trinoc.match.observations import undistorted
-from trinoc.match.tracks import Matches, typical_misfit
+from trinoc.match.tracks import Matches, positions_abreast, typical_misfit
+from trinoc.match.tuning import DEFAULT, TrackTuning
 
 
 class TrackTable(NamedTuple):
@@ -25,13 +26,20 @@ class TrackTable(NamedTuple):
     posterior: Float[np.ndarray, "t"]
 
 
-def track_table(matches: Matches, rig: Rig, order: Int[np.ndarray, "t"]) -> TrackTable:
+def track_table(
+    matches: Matches,
+    rig: Rig,
+    order: Int[np.ndarray, "t"],
+    tuning: TrackTuning = DEFAULT.tracks,
+) -> TrackTable:
     """The tracks in a given order.
 
     Where segments err by more than they state for most tracks, their covariances are as much
     larger here.
     """
-    noise = 1.0 if matches.misfit is None else typical_misfit(matches.index, matches.misfit)
+    noise = 1.0
+    if matches.misfit is not None:
+        noise = typical_misfit(matches.index, matches.misfit, tuning)
     fragments = np.stack(
         [
             undistorted(rig[name].intrinsics, np.nan_to_num(matches.fragments_px[:, view]))
@@ -62,22 +70,12 @@ def _common_parts(
     ends_mm: Float[np.ndarray, "t 2 3"],
 ) -> Float[np.ndarray, "t 2 3"]:
     """Places on each line whose images lie abreast of the fragments' ends, the mean of views."""
-    way = ends_mm[:, 1] - ends_mm[:, 0]
-    first = np.einsum("vij,tj->tvi", matrix_px[:, :, :3], ends_mm[:, 0]) + matrix_px[:, :, 3]
-    step = np.einsum("vij,tj->tvi", matrix_px[:, :, :3], way)
-    along = fragments_px[:, :, 1] - fragments_px[:, :, 0]
-    place = np.einsum("tvei,tvi->tve", fragments_px, along)
-    at_first = np.einsum("tvi,tvi->tv", first[..., :2], along)[..., None]
-    at_step = np.einsum("tvi,tvi->tv", step[..., :2], along)[..., None]
-    # The image at position s is (first + s step) / its depth: linear over linear.
-    above = place * first[..., 2:] - at_first
-    share = np.where(
-        seen[..., None],
-        above / np.where(seen[..., None], at_step - place * step[..., 2:], 1.0),
-        0.0,
-    )
-    share = share.sum(axis=1) / seen.sum(axis=1)[:, None]
-    return ends_mm[:, :1] + share[..., None] * way[:, None]
+    share = np.zeros((len(ends_mm), 2))
+    for view, matrix in enumerate(matrix_px):
+        on = np.flatnonzero(seen[:, view])
+        share[on] += positions_abreast(matrix, fragments_px[on, view], ends_mm[on])
+    share /= seen.sum(axis=1)[:, None]
+    return ends_mm[:, :1] + share[..., None] * (ends_mm[:, 1] - ends_mm[:, 0])[:, None]
 
 
 def px_per_mm(

@@ -5,7 +5,6 @@ from .match_input import (
     prepare as prepare,
     undistorted as undistorted,
 )
-from .side_intensity import AGREEING as AGREEING
 from .table import (
     PAIRS_IN_BLOCK as PAIRS_IN_BLOCK,
     TRIPLES_IN_BLOCK as TRIPLES_IN_BLOCK,

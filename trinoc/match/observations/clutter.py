@@ -7,6 +7,7 @@ from jaxtyping import Float
 from scipy.spatial import KDTree
 
 from trinoc.match.observations.table import SegmentTable
+from trinoc.match.tuning import DEFAULT, ClutterTuning
 from trinoc.numerics import ArrayLike
 
 
@@ -21,11 +22,9 @@ class ClutterModel(NamedTuple):
     typical_px: Float[ArrayLike, ""]
 
 
-# The density of clutter about a segment is that of so many of its neighbours.
-NEIGHBOURHOOD = 25
-
-
-def fit_clutter(lines: SegmentTable, counts: list[int]) -> ClutterModel:
+def fit_clutter(
+    lines: SegmentTable, counts: list[int], tuning: ClutterTuning = DEFAULT.clutter
+) -> ClutterModel:
     """The clutter model of all segments of the images: most of them belong to other lines."""
     density, lengths = [], []
     for view, count in enumerate(counts):
@@ -38,10 +37,10 @@ def fit_clutter(lines: SegmentTable, counts: list[int]) -> ClutterModel:
             area = min(area, max(12 * float(spread), 1e-3 * area))
         everywhere = max(count, 1) / area
         here = np.full(lines.ends_px.shape[1], everywhere)
-        if count > NEIGHBOURHOOD:
+        if count > tuning.neighbours:
             # Texture and the rims of shadows put much clutter in one place.
-            distance = KDTree(middle).query(middle, NEIGHBOURHOOD + 1)[0][:, -1]
-            local = NEIGHBOURHOOD / (np.pi * np.maximum(distance, 1.0) ** 2)
+            distance = KDTree(middle).query(middle, tuning.neighbours + 1)[0][:, -1]
+            local = tuning.neighbours / (np.pi * np.maximum(distance, 1.0) ** 2)
             here[:count] = np.maximum(everywhere, local)
         density.append(np.log(here / np.pi))
     all_lengths = np.concatenate(lengths)

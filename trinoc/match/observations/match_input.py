@@ -4,7 +4,8 @@ Everything after this works on views sorted by name, segments sorted by place an
 within a segment, so that no answer depends on the order in which the caller gave any of them.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -16,7 +17,8 @@ from trinoc.errors import MatchError
 from trinoc.geometry import DEFAULT_SIGMA_PX, Camera, Intrinsics, Rig, Segments, covariance_of_ends
 from trinoc.match.observations.side_intensity import side_table
 from trinoc.match.observations.table import SegmentTable, segment_table
-from trinoc.numerics import ArrayLike, bucket, padded
+from trinoc.match.tuning import DEFAULT, SideTuning
+from trinoc.numerics import ArrayLike, in_bucket
 
 
 class MatchInput(NamedTuple):
@@ -41,7 +43,10 @@ class MatchInput(NamedTuple):
 
 
 def prepare(
-    segments: Mapping[str, Segments | ArrayLike], rig: Rig, sigma_px: float | None
+    segments: Mapping[str, Segments | ArrayLike],
+    rig: Rig,
+    sigma_px: float | None,
+    tuning: SideTuning = DEFAULT.sides,
 ) -> MatchInput:
     """Check and prepare; raises MatchError and InputError in one sentence."""
     _check_names(segments, rig)
@@ -52,7 +57,7 @@ def prepare(
     order, ends, covariances, polarities, levels = (list(c) for c in zip(*views, strict=True))
     matrices = np.stack([rig[name].matrix_px for name in names])
     sizes = np.array([rig[name].image_size_px for name in names], dtype=np.float64)
-    sides = side_table(levels, [each.mean(axis=1) for each in ends])
+    sides = side_table(levels, [each.mean(axis=1) for each in ends], tuning)
     lines = segment_table(matrices, sizes, ends, covariances, polarities, sides)
     return MatchInput(names, order, ends, covariances, [rig[n].intrinsics for n in names], lines)
 
@@ -129,12 +134,10 @@ def distorted(
     return _mapped(intrinsics, points_px, _distort)
 
 
-def _mapped(intrinsics: Intrinsics, points_px: np.ndarray, function) -> np.ndarray:
+def _mapped(intrinsics: Intrinsics, points_px: np.ndarray, function: Callable) -> np.ndarray:
     if not intrinsics.has_distortion or len(points_px) == 0:
         return np.asarray(points_px, dtype=np.float64)
-    size = bucket(len(points_px))
-    mapped = function(intrinsics, padded(points_px, size, points_px[0]))
-    return np.asarray(mapped)[: len(points_px)]
+    return in_bucket(partial(function, intrinsics), points_px)
 
 
 @eqx.filter_jit

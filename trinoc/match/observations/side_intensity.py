@@ -7,18 +7,16 @@ from jaxtyping import Float
 from scipy.ndimage import gaussian_filter
 from scipy.spatial import KDTree
 
-# Levels are counted in hundredths of their range, and agree within one of these, or not at all.
-AGREEING = np.array([0.5, 2.0, 6.0])
-_PERCENTILES = 2.0, 98.0
-# Bins of the histogram of an image; share of clutter that has any level, uniformly.
-_LEAST, _MOST, _BIN, _ANY = -10.0, 110.0, 2.0, 0.05
-# How many segments are nearby, and the width of the kernel that makes their levels a density: as
-# narrow as levels can agree, so that levels which are the same everywhere say nothing.
-_NEARBY, _WIDTH = 25, AGREEING[0]
+from trinoc.match.tuning import DEFAULT, SideTuning
+
+# Ends of the histogram, in hundredths of the range of all levels; what lies beyond counts there.
+_LEAST, _MOST = -10.0, 110.0
 
 
 def side_table(
-    levels: Sequence[Float[np.ndarray, "_ 2"]], middles_px: Sequence[Float[np.ndarray, "_ 2"]]
+    levels: Sequence[Float[np.ndarray, "_ 2"]],
+    middles_px: Sequence[Float[np.ndarray, "_ 2"]],
+    tuning: SideTuning = DEFAULT.sides,
 ) -> list[Float[np.ndarray, "_ 5"]]:
     """Per view: levels on the right and on the left, and their log density under clutter.
 
@@ -29,13 +27,13 @@ def side_table(
     every = np.concatenate([view[_known(view)] for view in levels])
     if len(every) == 0:
         return [np.full((len(view), 5), np.nan) for view in levels]
-    low, high = np.percentile(every, _PERCENTILES)
+    low, high = np.percentile(every, tuning.percentiles)
     unit = max(float(high - low), 1e-9) / 100
     tables = []
     for view, middle in zip(levels, middles_px, strict=True):
         table, known = np.full((len(view), 5), np.nan), _known(view)
         own = (view[known] - low) / unit
-        usual = np.maximum(_in_image(own), _nearby(own, middle[known]))
+        usual = np.maximum(_in_image(own, tuning), _nearby(own, middle[known], tuning))
         table[known] = np.column_stack([own, np.log(usual)])
         tables.append(table)
     return tables
@@ -45,32 +43,35 @@ def _known(levels: Float[np.ndarray, "n 2"]) -> np.ndarray:
     return np.isfinite(levels[:, 0] + levels[:, 1])
 
 
-def _in_image(levels: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 3"]:
+def _in_image(levels: Float[np.ndarray, "n 2"], tuning: SideTuning) -> Float[np.ndarray, "n 3"]:
     """Density of the right, of the left and of both, among the segments of one picture."""
     if len(levels) == 0:
         return np.zeros((0, 3))
-    bins = np.arange(_LEAST, _MOST + _BIN, _BIN)
+    width, any_level = tuning.bin_width, tuning.any_level_share
+    bins = np.arange(_LEAST, _MOST + width, width)
     inside = np.clip(levels, _LEAST, _MOST - 1e-6)
     counts = np.histogram2d(inside[:, 0], inside[:, 1], bins=[bins, bins])[0]
     # Either way round: which of its ends comes first means nothing.
     both = gaussian_filter(counts + counts.T, 1.0, mode="nearest")
     even = (_MOST - _LEAST) ** -2
-    both = (1 - _ANY) * both / (both.sum() * _BIN**2) + _ANY * even
-    one = both.sum(axis=0) * _BIN
-    right, left = ((inside - _LEAST) // _BIN).astype(np.int64).T
+    both = (1 - any_level) * both / (both.sum() * width**2) + any_level * even
+    one = both.sum(axis=0) * width
+    right, left = ((inside - _LEAST) // width).astype(np.int64).T
     return np.column_stack([one[right], one[left], both[right, left]])
 
 
 def _nearby(
-    levels: Float[np.ndarray, "n 2"], middles_px: Float[np.ndarray, "n 2"]
+    levels: Float[np.ndarray, "n 2"], middles_px: Float[np.ndarray, "n 2"], tuning: SideTuning
 ) -> Float[np.ndarray, "n 3"]:
     """The same among the nearest segments of each."""
-    count = min(_NEARBY, len(levels) - 1)
+    count = min(tuning.neighbours, len(levels) - 1)
     if count < 2:
         return np.zeros((len(levels), 3))
     near = np.asarray(KDTree(middles_px).query(middles_px, count + 1)[1])[:, 1:]
     apart = levels[:, None, :, None] - levels[near][:, :, None, :]
-    kernel = np.exp(-0.5 * (apart / _WIDTH) ** 2) / (np.sqrt(2 * np.pi) * _WIDTH)
+    # As narrow as levels can agree, so that levels which are the same everywhere say nothing.
+    width = tuning.agreeing[0]
+    kernel = np.exp(-0.5 * (apart / width) ** 2) / (np.sqrt(2 * np.pi) * width)
     both = kernel[..., 0, 0] * kernel[..., 1, 1] + kernel[..., 0, 1] * kernel[..., 1, 0]
     one = kernel.sum(axis=3)
     return np.column_stack([one.mean(axis=1), both.mean(axis=1)]) / 2

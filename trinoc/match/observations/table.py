@@ -7,7 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from trinoc.geometry import centre_of_matrix, line_through
 from trinoc.numerics import ArrayLike, bucket, inverse_3x3, padded
@@ -18,14 +18,14 @@ PAIRS_IN_BLOCK, TRIPLES_IN_BLOCK, MANY_SEGMENTS = 1 << 14, 1 << 11, 1 << 9
 
 
 class SegmentTable(NamedTuple):
-    """Segments of all views on undistorted pixels; rows beyond a view's count are not `valid`.
+    """Segments of all views on undistorted pixels; rows beyond a view's count are padding.
 
     matrix_px : projection matrices, scaled so that the third row gives the depth.
     centre_mm : centres of projection. inverse : of the left 3x3 part of each matrix.
     size_px : width and height of each picture.
     ends_px : ends of each segment. line : through them, with unit normal.
     across_px2 : covariance of the two ends' errors across the segment.
-    length_px : distance between the ends. valid : False on rows of padding.
+    length_px : distance between the ends.
     polarity : +1, -1, or 0 where not known. sides : see `side_evidence.side_table`.
     rays : viewing rays of both ends, world frame, of any length.
     """
@@ -38,7 +38,6 @@ class SegmentTable(NamedTuple):
     line: Float[ArrayLike, "v n 3"]
     across_px2: Float[ArrayLike, "v n 2 2"]
     length_px: Float[ArrayLike, "v n"]
-    valid: Bool[ArrayLike, "v n"]
     polarity: Float[ArrayLike, "v n"]
     rays: Float[ArrayLike, "v n 2 3"]
     sides: Float[ArrayLike, "v n 5"]
@@ -61,7 +60,6 @@ def segment_table(
         np.asarray(sizes_px),
         np.stack([padded(ends, size, filler) for ends in ends_px]),
         np.stack([padded(covariance, size, np.eye(4)) for covariance in covariances_px2]),
-        np.stack([np.arange(size) < len(ends) for ends in ends_px]),
         np.stack([padded(np.asarray(p, dtype=np.float64), size, 0.0) for p in polarities]),
         np.stack([padded(table, size, np.full(5, np.nan)) for table in sides]),
     )
@@ -73,7 +71,6 @@ def _prepared(
     sizes_px: Float[ArrayLike, "v 2"],
     ends_px: Float[ArrayLike, "v n 2 2"],
     covariance_px2: Float[ArrayLike, "v n 4 4"],
-    valid: Bool[ArrayLike, "v n"],
     polarity: Float[ArrayLike, "v n"],
     sides: Float[ArrayLike, "v n 5"],
 ) -> SegmentTable:
@@ -93,7 +90,6 @@ def _prepared(
         line,
         across,
         length,
-        valid,
         polarity,
         jnp.einsum("vij,vnej->vnei", inverse, homogeneous),
         sides,

@@ -11,13 +11,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from trinoc.match.tuning import DEFAULT, SelectionTuning
 from trinoc.numerics import expand_ranges, pairs_of_equal_keys
 
-# Parts conflict when they share more than this of the shorter.
-CONFLICT_OVERLAP = 0.3
-ITERATIONS = 20
-DAMPING = 0.3
-CONVERGED = 1e-2
+# Log odds whose exponential is no overflow.
 _HIGHEST = 60.0
 
 
@@ -33,7 +30,9 @@ class ConflictGraph(NamedTuple):
 
 
 def conflict_graph(
-    index: Int[np.ndarray, "m v"], interval: Float[np.ndarray, "m v 2"]
+    index: Int[np.ndarray, "m v"],
+    interval: Float[np.ndarray, "m v 2"],
+    tuning: SelectionTuning = DEFAULT.selection,
 ) -> ConflictGraph:
     """Which candidates claim the same part of a segment; -1 in `index` claims nothing.
 
@@ -44,7 +43,8 @@ def conflict_graph(
     low, high = interval.min(axis=2), interval.max(axis=2)
 
     def clash(m: Int[np.ndarray, "e"], n: Int[np.ndarray, "e"], view: int) -> np.ndarray:
-        return _clash(low[m, view], high[m, view], low[n, view], high[n, view])
+        bounds = low[m, view], high[m, view], low[n, view], high[n, view]
+        return _clash(*bounds, tuning.conflict_overlap)
 
     slots, rivals = [], []
     for view in range(views):
@@ -69,6 +69,7 @@ def claimed(
     interval: Float[np.ndarray, "m v 2"],
     by_index: Int[np.ndarray, "t v"],
     by_part: Float[np.ndarray, "t v 2"],
+    tuning: SelectionTuning = DEFAULT.selection,
 ) -> Bool[np.ndarray, "m"]:
     """Whether candidates need a part of a segment that one of other lines has."""
     taken = np.zeros(len(index), dtype=bool)
@@ -82,7 +83,8 @@ def claimed(
         )
         m, by = seen[m], owners[position]
         own, other = interval[m, view], by_part[by, view]
-        clash = _clash(own.min(axis=1), own.max(axis=1), other.min(axis=1), other.max(axis=1))
+        bounds = own.min(axis=1), own.max(axis=1), other.min(axis=1), other.max(axis=1)
+        clash = _clash(*bounds, tuning.conflict_overlap)
         taken[m[clash]] = True
     return taken
 
@@ -92,12 +94,17 @@ def _clash(
     high: Float[np.ndarray, "e"],
     other_low: Float[np.ndarray, "e"],
     other_high: Float[np.ndarray, "e"],
+    least_share: float,
 ) -> Bool[np.ndarray, "e"]:
     shared = np.minimum(high, other_high) - np.maximum(low, other_low)
-    return shared > CONFLICT_OVERLAP * np.minimum(high - low, other_high - other_low)
+    return shared > least_share * np.minimum(high - low, other_high - other_low)
 
 
-def sum_product(log_odds: Float[np.ndarray, "m"], graph: ConflictGraph) -> Float[np.ndarray, "m"]:
+def sum_product(
+    log_odds: Float[np.ndarray, "m"],
+    graph: ConflictGraph,
+    tuning: SelectionTuning = DEFAULT.selection,
+) -> Float[np.ndarray, "m"]:
     """Log odds of each candidate after exclusion, at the fixed point of the messages."""
     count = len(log_odds)
     messages = np.zeros(count * graph.views)
@@ -114,13 +121,13 @@ def sum_product(log_odds: Float[np.ndarray, "m"], graph: ConflictGraph) -> Float
             starts,
         )
     )
-    for _ in range(ITERATIONS):
+    for _ in range(tuning.iterations):
         total = log_odds + messages.reshape(count, graph.views).sum(axis=1)
         cavity = total[rival] - messages[graph.rival_slot]
         fresh = -np.log1p(np.add.reduceat(np.exp(np.minimum(cavity, _HIGHEST)), starts))
         change = fresh - messages[limited]
-        messages[limited] += (1 - DAMPING) * change
-        if np.abs(change).max() < CONVERGED:
+        messages[limited] += (1 - tuning.damping) * change
+        if np.abs(change).max() < tuning.settled:
             break
     return log_odds + messages.reshape(count, graph.views).sum(axis=1)
 

@@ -11,18 +11,8 @@ from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
 from trinoc.match.candidates import Candidates
-
-# Ends meet when, in pixels, they lie within this of each other.
-REACH_PX = 15.0
-# sin of the least angle between lines that meet.
-SMALLEST_ANGLE = 0.15
-# How far ends stop from their junction, in pixels, and how often each.
-GAPS_PX = np.array([1.0, 3.0, 8.0])
-PRIOR_GAPS = np.array([0.6, 0.3, 0.1])
-PRIOR_AT_JUNCTION = 0.5
-# The distance of two lines agrees with their covariances, or is LOOSE_SIGMAS times larger than
-# they say, in a share LOOSE_SHARE of junctions.
-LOOSE_SIGMAS, LOOSE_SHARE = 3.0, 0.15
+from trinoc.match.evidence import log_gap_density, passing
+from trinoc.match.tuning import DEFAULT, EvidenceTuning, JunctionTuning
 
 
 class EndpointPairs(NamedTuple):
@@ -44,18 +34,24 @@ class JunctionParameters(NamedTuple):
     gap_shares: Float[np.ndarray, "k"]
 
 
-PRIOR_PARAMETERS = JunctionParameters(PRIOR_AT_JUNCTION, PRIOR_GAPS)
+def prior_junctions(tuning: JunctionTuning = DEFAULT.junctions) -> JunctionParameters:
+    """Before anything is learned."""
+    return JunctionParameters(tuning.prior_at_junction, np.array(tuning.prior_gaps))
 
 
-def endpoint_pairs(candidates: Candidates) -> EndpointPairs:
+def endpoint_pairs(
+    candidates: Candidates,
+    tuning: JunctionTuning = DEFAULT.junctions,
+    evidence: EvidenceTuning = DEFAULT.evidence,
+) -> EndpointPairs:
     """All meetings of ends of candidates that have no segment in common."""
     ends = candidates.union_ends_mm.reshape(-1, 3)
-    reach = REACH_PX / float(np.median(candidates.px_per_mm)) if len(ends) else 0.0
+    reach = tuning.reach_px / float(np.median(candidates.px_per_mm)) if len(ends) else 0.0
     pairs = KDTree(ends).query_pairs(reach, output_type="ndarray") if len(ends) else _NONE
     first, second = pairs[:, 0] // 2, pairs[:, 1] // 2
     apart = (first != second) & ~_share_a_segment(candidates.index, first, second)
     pairs = pairs[apart]
-    log_ratio = _log_ratio(candidates, pairs)
+    log_ratio = _log_ratio(candidates, pairs, tuning, evidence)
     near = np.isfinite(log_ratio).all(axis=1) & (log_ratio.max(axis=1) > -20)
     pairs, log_ratio = pairs[near], log_ratio[near]
     site = np.concatenate([pairs[:, 0], pairs[:, 1]])
@@ -76,20 +72,22 @@ def _share_a_segment(
     return ((index[first] == index[second]) & (index[first] >= 0)).any(axis=1)
 
 
-def _log_ratio(candidates: Candidates, pairs: Int[np.ndarray, "e 2"]) -> Float[np.ndarray, "e k"]:
+def _log_ratio(
+    candidates: Candidates,
+    pairs: Int[np.ndarray, "e 2"],
+    tuning: JunctionTuning,
+    evidence: EvidenceTuning,
+) -> Float[np.ndarray, "e k"]:
     step = candidates.union_ends_mm[:, 1] - candidates.union_ends_mm[:, 0]
     direction = step / np.linalg.norm(step, axis=1, keepdims=True)
     ends = candidates.union_ends_mm.reshape(-1, 3)
     m, n = pairs[:, 0] // 2, pairs[:, 1] // 2
-    apart = ends[pairs[:, 1]] - ends[pairs[:, 0]]
-    normal = np.cross(direction[m], direction[n])
-    sine2 = (normal**2).sum(axis=1)
-    sine = np.sqrt(sine2)
+    distance, unit, sine, gap_mm = passing(
+        ends[pairs[:, 0]], direction[m], ends[pairs[:, 1]], direction[n]
+    )
+    px_per_mm = np.stack([candidates.px_per_mm[m], candidates.px_per_mm[n]], axis=1)
+    loose_share, loose_sigmas = evidence.loose_share, evidence.loose_sigmas
     with np.errstate(divide="ignore", invalid="ignore"):
-        distance = (apart * normal).sum(axis=1) / sine
-        gap_m = (np.cross(apart, direction[n]) * normal).sum(axis=1) / sine2
-        gap_n = (np.cross(apart, direction[m]) * normal).sum(axis=1) / sine2
-        unit = normal / sine[:, None]
         covariance = candidates.union_covariance_mm2.reshape(-1, 6)
         spread = covariance[pairs[:, 0]] + covariance[pairs[:, 1]]
         variance = (spread[:, [0, 3, 5]] * unit**2).sum(axis=1) + 2 * (
@@ -97,15 +95,12 @@ def _log_ratio(candidates: Candidates, pairs: Int[np.ndarray, "e 2"]) -> Float[n
         ).sum(axis=1)
         chi = distance**2 / variance
         log_distance = -0.5 * np.log(2 * np.pi * variance) + np.log(
-            (1 - LOOSE_SHARE) * np.exp(-chi / 2)
-            + LOOSE_SHARE / LOOSE_SIGMAS * np.exp(-chi / (2 * LOOSE_SIGMAS**2))
+            (1 - loose_share) * np.exp(-chi / 2)
+            + loose_share / loose_sigmas * np.exp(-chi / (2 * loose_sigmas**2))
         )
-        scale_m, scale_n = candidates.px_per_mm[m, None], candidates.px_per_mm[n, None]
-        log_gaps = -0.5 * (
-            (gap_m[:, None] * scale_m) ** 2 + (gap_n[:, None] * scale_n) ** 2
-        ) / GAPS_PX**2 + np.log(scale_m * scale_n / (2 * np.pi * GAPS_PX**2))
+        log_gaps = log_gap_density(gap_mm * px_per_mm, px_per_mm, np.array(tuning.gaps_px))
         log_ratio = log_distance[:, None] + log_gaps - np.log(sine)[:, None]
-    log_ratio[sine < SMALLEST_ANGLE] = -np.inf
+    log_ratio[sine < tuning.smallest_sine] = -np.inf
     return log_ratio
 
 
@@ -114,6 +109,7 @@ def junction_log_odds(
     posterior: Float[np.ndarray, "m"],
     log_ends_density: float,
     parameters: JunctionParameters,
+    tuning: JunctionTuning = DEFAULT.junctions,
 ) -> tuple[Float[np.ndarray, "m"], JunctionParameters]:
     """(log odds that its neighbours add to each candidate, updated junction parameters).
 
@@ -131,8 +127,9 @@ def junction_log_odds(
     # How much of each end is a junction, and at which gap, if its candidate is right.
     share = parameters.end_at_junction * total / np.exp(gain)[:, None]
     weight = np.repeat(posterior, 2)
-    seen = weight @ share + 5 * PRIOR_AT_JUNCTION * PRIOR_GAPS
+    prior, count = prior_junctions(tuning), tuning.prior_observations
+    seen = weight @ share + count * prior.end_at_junction * prior.gap_shares
     learned = JunctionParameters(
-        float(np.clip(seen.sum() / (weight.sum() + 5), 0.01, 0.99)), seen / seen.sum()
+        float(np.clip(seen.sum() / (weight.sum() + count), 0.01, 0.99)), seen / seen.sum()
     )
     return gain.reshape(-1, 2).sum(axis=1), learned

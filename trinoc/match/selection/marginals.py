@@ -14,18 +14,13 @@ from trinoc.match.selection.exclusivity import (
     sum_product,
 )
 from trinoc.match.selection.junction_support import (
-    PRIOR_PARAMETERS,
     JunctionParameters,
     endpoint_pairs,
     junction_log_odds,
+    prior_junctions,
 )
-
-ROUNDS = 4
-JUNCTION_ROUNDS = 4
-# Candidates with prior log odds below these are dropped: during EM, and after it.
-LEARN_LOG_ODDS, PRUNE_LOG_ODDS = -2.0, -5.0
-# With fewer junctions than this share of ends there is no structure to speak of.
-MIN_AT_JUNCTION = 0.1
+from trinoc.match.tuning import DEFAULT, EvidenceTuning, MatchTuning
+from trinoc.numerics import take_rows
 
 
 class Selection(NamedTuple):
@@ -50,27 +45,40 @@ class Tracks(NamedTuple):
     posterior_log_odds: Float[np.ndarray, "t"]
     rival_posterior: Float[np.ndarray, "t"]
 
+    def take(self, rows: np.ndarray) -> "Tracks":
+        """Those at the given indices, in that order, or where the mask is true."""
+        return take_rows(self, rows)
 
-def select(candidates: Candidates, typical_count: float, *, neighbours: bool = True) -> Selection:
+
+def select(
+    candidates: Candidates,
+    typical_count: float,
+    *,
+    neighbours: bool = True,
+    tuning: MatchTuning = DEFAULT,
+) -> Selection:
     """Fit the mixture parameters by EM, and take candidates in order of posterior log odds.
 
     Without `neighbours`, junctions add nothing: only a candidate's evidence and its rivals count.
     """
-    mixture = prior_parameters(candidates.ends_mm, typical_count)
+    evidence, rules = tuning.evidence, tuning.selection
+    mixture = prior_parameters(candidates.ends_mm, typical_count, tuning)
     # EM on the likely candidates alone: far fewer, with far fewer conflicts.
-    likely = _above(candidates, prior_log_odds(candidates, mixture), LEARN_LOG_ODDS)
-    graph = conflict_graph(likely.index, likely.interval)
-    for _ in range(ROUNDS):
-        posterior_log_odds = sum_product(prior_log_odds(likely, mixture), graph)
-        mixture = _learned(likely, posterior_log_odds, mixture)
-    candidates = _above(candidates, prior_log_odds(candidates, mixture), PRUNE_LOG_ODDS)
-    graph = conflict_graph(candidates.index, candidates.interval)
-    odds = prior_log_odds(candidates, mixture)
-    posterior_log_odds = sum_product(odds, graph)
-    junctions = PRIOR_PARAMETERS
+    odds = prior_log_odds(candidates, mixture, evidence)
+    likely = candidates.take(odds > rules.learn_log_odds)
+    graph = conflict_graph(likely.index, likely.interval, rules)
+    for _ in range(rules.rounds):
+        posterior_log_odds = sum_product(prior_log_odds(likely, mixture, evidence), graph, rules)
+        mixture = _learned(likely, posterior_log_odds, mixture, tuning)
+    odds = prior_log_odds(candidates, mixture, evidence)
+    candidates = candidates.take(odds > rules.prune_log_odds)
+    graph = conflict_graph(candidates.index, candidates.interval, rules)
+    odds = prior_log_odds(candidates, mixture, evidence)
+    posterior_log_odds = sum_product(odds, graph, rules)
+    junctions = prior_junctions(tuning.junctions)
     if neighbours:
         odds, posterior_log_odds, junctions = _with_junctions(
-            candidates, graph, odds, posterior_log_odds, mixture
+            candidates, graph, odds, posterior_log_odds, mixture, tuning
         )
     return Selection(
         candidates,
@@ -83,16 +91,16 @@ def select(candidates: Candidates, typical_count: float, *, neighbours: bool = T
     )
 
 
-def tracks_of(selection: Selection) -> Tracks:
+def tracks_of(selection: Selection, tuning: EvidenceTuning = DEFAULT.evidence) -> Tracks:
     """What was taken, with the posterior log odds of the best rival of each, tempered."""
     graph = selection.graph
     rival_posterior = np.full(len(selection.posterior_log_odds), -np.inf)
     owner, rival = graph.slot // graph.views, graph.rival_slot // graph.views
     np.maximum.at(rival_posterior, owner, selection.posterior_log_odds[rival])
     taken = selection.taken
-    candidates = Candidates(*(field[taken] for field in selection.candidates))
+    candidates = selection.candidates.take(taken)
     posterior_log_odds, rivals = (
-        temper(values[taken], candidates.side_log)
+        temper(values[taken], candidates.side_log, tuning)
         for values in (selection.posterior_log_odds, rival_posterior)
     )
     return Tracks(candidates, posterior_log_odds, rivals)
@@ -104,29 +112,32 @@ def _with_junctions(
     odds: Float[np.ndarray, "m"],
     posterior_log_odds: Float[np.ndarray, "m"],
     mixture: MixtureParameters,
+    tuning: MatchTuning,
 ) -> tuple[Float[np.ndarray, "m"], Float[np.ndarray, "m"], JunctionParameters]:
-    meetings, junctions = endpoint_pairs(candidates), PRIOR_PARAMETERS
+    meetings = endpoint_pairs(candidates, tuning.junctions, tuning.evidence)
+    junctions = prior_junctions(tuning.junctions)
     log_ends_density = mixture.log_count - mixture.volume.log_size + np.log(2)
     alone = odds, posterior_log_odds
-    for _ in range(JUNCTION_ROUNDS):
+    for _ in range(tuning.selection.junction_rounds):
         gain, junctions = junction_log_odds(
-            meetings, probability(posterior_log_odds), log_ends_density, junctions
+            meetings,
+            probability(posterior_log_odds),
+            log_ends_density,
+            junctions,
+            tuning.junctions,
         )
         odds = alone[0] + gain
-        posterior_log_odds = sum_product(odds, graph)
-    if junctions.end_at_junction < MIN_AT_JUNCTION:
+        posterior_log_odds = sum_product(odds, graph, tuning.selection)
+    if junctions.end_at_junction < tuning.junctions.min_at_junction:
         return *alone, junctions
     return odds, posterior_log_odds, junctions
 
 
-def _above(candidates: Candidates, odds: Float[np.ndarray, "m"], least: float) -> Candidates:
-    return Candidates(*(field[odds > least] for field in candidates))
-
-
 def _learned(
-    candidates: Candidates, posterior_log_odds: Float[np.ndarray, "m"], mixture: MixtureParameters
+    candidates: Candidates,
+    posterior_log_odds: Float[np.ndarray, "m"],
+    mixture: MixtureParameters,
+    tuning: MatchTuning,
 ) -> MixtureParameters:
-    c = candidates
-    return em_step(
-        c.chi_square, c.end_log, c.ends_mm, c.side_log, probability(posterior_log_odds), mixture
-    )
+    c, posterior = candidates, probability(posterior_log_odds)
+    return em_step(c.chi_square, c.end_log, c.ends_mm, c.side_log, posterior, mixture, tuning)

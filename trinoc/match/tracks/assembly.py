@@ -13,6 +13,7 @@ from trinoc.match.tracks.extent import two_view_interval
 from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, Matches
 from trinoc.match.tracks.rejection import counted, reasons
 from trinoc.match.tracks.viewpoint import flag_viewpoint_dependent
+from trinoc.match.tuning import DEFAULT, TrackTuning
 from trinoc.numerics import in_blocks
 
 _triangulated = jax.jit(jax.vmap(triangulate_segment, in_axes=(None, 0, 0, 0)))
@@ -25,19 +26,19 @@ def assemble(
     pairs: Pairs,
     outside: Int[np.ndarray, "o v"],
     names: tuple[str, ...],
+    tuning: TrackTuning = DEFAULT.tracks,
 ) -> Matches:
     """Matches in the caller's order of views and numbers of segments.
 
     `outside` holds the segments of triples that the depth range excluded.
     """
-    index = np.concatenate([tracks.candidates.index, pairs.candidates.index[pairs.taken]])
-    interval = np.concatenate([tracks.candidates.interval, pairs.candidates.interval[pairs.taken]])
-    posterior_log_odds = np.concatenate(
-        [tracks.posterior_log_odds, pairs.posterior_log_odds[pairs.taken]]
-    )
-    rival_posterior = np.concatenate([tracks.rival_posterior, np.full(pairs.taken.sum(), -np.inf)])
+    taken = pairs.take(pairs.taken)
+    index = np.concatenate([tracks.candidates.index, taken.candidates.index])
+    interval = np.concatenate([tracks.candidates.interval, taken.candidates.interval])
+    posterior_log_odds = np.concatenate([tracks.posterior_log_odds, taken.posterior_log_odds])
+    rival_posterior = np.concatenate([tracks.rival_posterior, np.full(len(taken.taken), -np.inf)])
     fragments, covariance = fragments_of(seen, index, interval)
-    common_mm = np.concatenate([tracks.candidates.ends_mm, pairs.candidates.ends_mm[pairs.taken]])
+    common_mm = np.concatenate([tracks.candidates.ends_mm, taken.candidates.ends_mm])
     shown = fragments_of(seen, index, two_view_interval(seen, index, common_mm))
     ends_mm, covariance_mm2, misfit = lines_in_space(seen, index, *shown)
     sound = np.isfinite(ends_mm).all(axis=(1, 2)) & np.isfinite(covariance_mm2).all(axis=(1, 2))
@@ -48,7 +49,7 @@ def assemble(
     )
     fragments, covariance = fragments[sound], covariance[sound]
     ends_mm, covariance_mm2, misfit = ends_mm[sound], covariance_mm2[sound], misfit[sound]
-    viewpoint_dependent = flag_viewpoint_dependent(seen, index, ends_mm, misfit)
+    viewpoint_dependent = flag_viewpoint_dependent(seen, index, ends_mm, misfit, tuning)
     given = np.full(index.shape, -1)
     for view in range(len(names)):
         on = index[:, view] >= 0
@@ -57,7 +58,7 @@ def assemble(
     turn = [seen.names.index(name) for name in names]
     given, fragments, covariance = given[:, turn], fragments[:, turn], covariance[:, turn]
     sort = np.lexsort((*fragments[:, :, 0].reshape(-1, 2 * len(names)).T, *given.T[::-1]))
-    why = _reasons(seen, selections, pairs, outside, index)
+    why = _reasons(seen, selections, pairs, outside, index, tuning)
     counts = {
         "triples considered": sum(len(s.candidates.index) for s in selections),
         "triples outside depth": len(outside),
@@ -89,6 +90,7 @@ def _reasons(
     pairs: Pairs,
     outside: Int[np.ndarray, "o v"],
     index: Int[np.ndarray, "t v"],
+    tuning: TrackTuning,
 ) -> dict[str, np.ndarray]:
     running = [*selections, pairs]
     candidate = np.concatenate([found.candidates.index for found in running])
@@ -101,7 +103,7 @@ def _reasons(
         turned = (pairs.log_odds <= 0) & (pairs.log_odds > pairs.missed)
         owner = pairs.candidates.index[turned, view]
         missed[owner[owner >= 0]] = True
-        words = reasons(candidate[:, view], log_odds, excluded, matched, missed)
+        words = reasons(candidate[:, view], log_odds, excluded, matched, missed, tuning)
         found[name] = np.empty_like(words)
         found[name][seen.order[view]] = words
     return found

@@ -19,7 +19,9 @@ def two_view_interval(
     for view in range(views):
         on = np.flatnonzero(index[:, view] >= 0)
         segment = seen.ends_px[view][index[on, view]]
-        reach[on, view] = np.sort(_positions(seen, view, segment, ends_mm[on]), axis=1)
+        reach[on, view] = np.sort(
+            positions_abreast(np.asarray(seen.lines.matrix_px)[view], segment, ends_mm[on]), axis=1
+        )
     # NaN, where a view does not see the line, sorts last.
     begin = np.sort(reach[..., 0], axis=1)[:, 1]
     end = -np.sort(-reach[..., 1], axis=1)[:, 1]
@@ -36,16 +38,14 @@ def two_view_interval(
     return interval
 
 
-def _positions(
-    seen: MatchInput,
-    view: int,
+def positions_abreast(
+    matrix_px: Float[np.ndarray, "3 4"],
     segment_px: Float[np.ndarray, "t 2 2"],
     ends_mm: Float[np.ndarray, "t 2 3"],
 ) -> Float[np.ndarray, "t 2"]:
     """Positions on each line, 0 and 1 at its ends, whose images lie abreast of a segment's ends."""
-    matrix = np.asarray(seen.lines.matrix_px)[view]
-    first = ends_mm[:, 0] @ matrix[:, :3].T + matrix[:, 3]
-    step = (ends_mm[:, 1] - ends_mm[:, 0]) @ matrix[:, :3].T
+    first = ends_mm[:, 0] @ matrix_px[:, :3].T + matrix_px[:, 3]
+    step = (ends_mm[:, 1] - ends_mm[:, 0]) @ matrix_px[:, :3].T
     along = segment_px[:, 1] - segment_px[:, 0]
     place = (segment_px @ along[:, :, None])[..., 0]
     # The image at position s is (first + s step) / its depth: linear over linear.

@@ -12,24 +12,21 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from trinoc.geometry import project_by_matrix
-from trinoc.match.candidates import Candidates
 from trinoc.match.observations import SegmentTable
-from trinoc.match.selection import CONFLICT_OVERLAP, Tracks
-
-# Up to so many views, every three of them are matched; beyond, each with its nearest.
-ALL_TRIPLETS, NEAREST = 5, 3
-# A further view must show this share of a track's common part.
-MIN_SHARED = 0.5
+from trinoc.match.selection import Tracks
+from trinoc.match.tuning import DEFAULT, MatchTuning, TrackTuning
 
 
-def view_triplets(lines: SegmentTable) -> list[tuple[int, int, int]]:
+def view_triplets(
+    lines: SegmentTable, tuning: TrackTuning = DEFAULT.tracks
+) -> list[tuple[int, int, int]]:
     """The triplets of views to match: all of a few views, or each view with two of its nearest."""
     views = len(lines.size_px)
-    if views <= ALL_TRIPLETS:
+    if views <= tuning.all_triplets:
         return list(combinations(range(views), 3))
     centre = np.asarray(lines.centre_mm)
     distance = np.linalg.norm(centre[:, None] - centre, axis=2)
-    near = np.argsort(distance, axis=1, kind="stable")[:, 1 : NEAREST + 1]
+    near = np.argsort(distance, axis=1, kind="stable")[:, 1 : tuning.nearest_views + 1]
     threes = set()
     for view in range(views):
         for other, another in combinations(near[view].tolist(), 2):
@@ -38,7 +35,7 @@ def view_triplets(lines: SegmentTable) -> list[tuple[int, int, int]]:
     return sorted(threes)
 
 
-def merge_triplets(lines: SegmentTable, tracks: Tracks) -> Tracks:
+def merge_triplets(lines: SegmentTable, tracks: Tracks, tuning: MatchTuning = DEFAULT) -> Tracks:
     """Tracks through all views, from triples of several triplets, the likeliest first."""
     order = np.lexsort((*tracks.candidates.index.T, -tracks.posterior_log_odds))
     index, interval, ends = (
@@ -47,6 +44,7 @@ def merge_triplets(lines: SegmentTable, tracks: Tracks) -> Tracks:
         tracks.candidates.ends_mm.copy(),
     )
     matrix, segment_ends = np.asarray(lines.matrix_px), np.asarray(lines.ends_px)
+    conflict, least = tuning.selection.conflict_overlap, tuning.tracks.min_shared
     on_segment: dict[tuple[int, int], list[int]] = {}
     kept, links = [], []
     for row in order.tolist():
@@ -55,7 +53,7 @@ def merge_triplets(lines: SegmentTable, tracks: Tracks) -> Tracks:
             (track, view)
             for view in views
             for track in on_segment.get((int(view), int(index[row, view])), [])
-            if _overlap(interval[track, view], interval[row, view]) > CONFLICT_OVERLAP
+            if _overlap(interval[track, view], interval[row, view]) > conflict
         ]
         if not rivals:
             kept.append(row)
@@ -75,18 +73,15 @@ def merge_triplets(lines: SegmentTable, tracks: Tracks) -> Tracks:
         for view in new:
             segment = segment_ends[view, index[row, view]]
             place = _place_on(segment, matrix[view], ends[track])
-            if _overlap(place, np.array([0.0, 1.0])) < MIN_SHARED:
+            if _overlap(place, np.array([0.0, 1.0])) < least:
                 continue
             index[track, view], interval[track, view] = index[row, view], place
             _cut(index, interval, ends, track, matrix, segment_ends)
             on_segment.setdefault((int(view), int(index[row, view])), []).append(track)
-    kept = sorted(
-        set(kept) - _linked(links, index, interval, ends, matrix, segment_ends), key=kept.index
-    )
-    kept = np.array(kept, dtype=np.int64)
-    candidates = Candidates(*(field[kept] for field in tracks.candidates))
-    candidates = candidates._replace(index=index[kept], interval=interval[kept], ends_mm=ends[kept])
-    return Tracks(candidates, tracks.posterior_log_odds[kept], tracks.rival_posterior[kept])
+    gone = _linked(links, index, interval, ends, matrix, segment_ends, least)
+    kept = np.array([row for row in kept if row not in gone], dtype=np.int64)
+    candidates = tracks.candidates._replace(index=index, interval=interval, ends_mm=ends)
+    return tracks._replace(candidates=candidates).take(kept)
 
 
 def _linked(
@@ -96,6 +91,7 @@ def _linked(
     ends_mm: Float[np.ndarray, "m 2 3"],
     matrix_px: Float[np.ndarray, "v 3 4"],
     segment_ends_px: Float[np.ndarray, "v n 2 2"],
+    least_shared: float,
 ) -> set[int]:
     """Tracks that became part of others: those of other views, tied to them both ways.
 
@@ -118,7 +114,7 @@ def _linked(
             _place_on(segment_ends_px[view, index[b, view]], matrix_px[view], ends_mm[a])
             for view in into
         ]
-        if min(_overlap(place, np.array([0.0, 1.0])) for place in places) < MIN_SHARED:
+        if min(_overlap(place, np.array([0.0, 1.0])) for place in places) < least_shared:
             continue
         index[a, into], interval[a, into] = index[b, into], places
         _cut(index, interval, ends_mm, a, matrix_px, segment_ends_px)

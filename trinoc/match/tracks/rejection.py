@@ -3,6 +3,8 @@
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
+from trinoc.match.tuning import DEFAULT, TrackTuning
+
 MATCHED = "matched"
 NO_PARTNER = "no partner in the zone"
 OUTSIDE = "outside depth"
@@ -11,9 +13,6 @@ MISSED = "missing in a third view"
 LOST = "lost to a neighbour"
 AMBIGUOUS = "ambiguous with {}"
 
-# A candidate within this much of log odds of a segment's best is a serious rival.
-RIVAL = 3.0
-
 
 def reasons(
     segment: Int[np.ndarray, "m"],
@@ -21,6 +20,7 @@ def reasons(
     outside: Bool[np.ndarray, "n"],
     matched: Bool[np.ndarray, "n"],
     missed: Bool[np.ndarray, "n"],
+    tuning: TrackTuning = DEFAULT.tracks,
 ) -> Shaped[np.ndarray, "n"]:
     """(n,) words for the segments of one view, given the candidates that held each of them.
 
@@ -34,7 +34,7 @@ def reasons(
     segment, log_odds = segment[held], log_odds[held]
     best = np.full(count, -np.inf)
     np.maximum.at(best, segment, log_odds)
-    serious = (log_odds > best[segment] - RIVAL) & (log_odds > 0)
+    serious = (log_odds > best[segment] - tuning.rival_log_odds) & (log_odds > 0)
     rivals = np.bincount(segment[serious], minlength=count)
     words = np.full(count, NO_PARTNER, dtype="U40")
     words[outside] = OUTSIDE

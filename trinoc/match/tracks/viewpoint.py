@@ -11,13 +11,8 @@ from scipy.stats import chi2
 
 from trinoc.geometry import project_by_matrix
 from trinoc.match.observations import MatchInput
+from trinoc.match.tuning import DEFAULT, TrackTuning
 
-# Significance level: 1 % of the true straight lines seen in three views are flagged.
-SIGNIFICANCE = 0.01
-# With fewer tracks the typical error cannot be estimated.
-MIN_TRACKS_TO_LEARN = 10
-# What is left over lies this near, nearly parallel, and beside at least half of the shorter one.
-BESIDE_PX, ANGLE_DEG, ABREAST = 10.0, 3.0, 0.5
 # Lines of two views, and segments, compared at once.
 ROWS = 1024
 
@@ -27,6 +22,7 @@ def flag_viewpoint_dependent(
     index: Int[np.ndarray, "t v"],
     ends_mm: Float[np.ndarray, "t 2 3"],
     misfit: Float[np.ndarray, "t"],
+    tuning: TrackTuning = DEFAULT.tracks,
 ) -> Bool[np.ndarray, "t"]:
     """Tracks about whose place the views disagree by more than noise allows.
 
@@ -37,8 +33,8 @@ def flag_viewpoint_dependent(
     in_three = views > 2
     marked = np.zeros(len(index), dtype=bool)
     if in_three.any():
-        limit = chi2.isf(SIGNIFICANCE, 2 * (views[in_three] - 2))
-        marked[in_three] = misfit[in_three] > typical_misfit(index, misfit) * limit
+        limit = chi2.isf(tuning.significance, 2 * (views[in_three] - 2))
+        marked[in_three] = misfit[in_three] > typical_misfit(index, misfit, tuning) * limit
     for view in range(index.shape[1]):
         free = np.ones(seen.counts[view], dtype=bool)
         matched = index[in_three, view]
@@ -48,22 +44,28 @@ def flag_viewpoint_dependent(
         expected = project_by_matrix(matrix, ends_mm[rows])
         for start in range(0, len(rows), ROWS):
             part = slice(start, start + ROWS)
-            marked[rows[part]] |= _one_beside(expected[part], seen.ends_px[view][free])
+            marked[rows[part]] |= _one_beside(expected[part], seen.ends_px[view][free], tuning)
     return marked
 
 
-def typical_misfit(index: Int[np.ndarray, "t v"], misfit: Float[np.ndarray, "t"]) -> float:
+def typical_misfit(
+    index: Int[np.ndarray, "t v"],
+    misfit: Float[np.ndarray, "t"],
+    tuning: TrackTuning = DEFAULT.tracks,
+) -> float:
     """How much larger than stated the variance of segments is for most tracks; at least 1."""
     views = (index >= 0).sum(axis=1)
     in_three = views > 2
-    if in_three.sum() < MIN_TRACKS_TO_LEARN:
+    if in_three.sum() < tuning.min_tracks_to_learn:
         return 1.0
     share = misfit[in_three] / chi2.median(2 * (views[in_three] - 2))
     return max(float(np.median(share)), 1.0)
 
 
 def _one_beside(
-    expected_px: Float[np.ndarray, "m 2 2"], segments_px: Float[np.ndarray, "n 2 2"]
+    expected_px: Float[np.ndarray, "m 2 2"],
+    segments_px: Float[np.ndarray, "n 2 2"],
+    tuning: TrackTuning,
 ) -> Bool[np.ndarray, "m"]:
     """Whether a segment lies beside each place at which one was expected."""
     way = expected_px[:, 1] - expected_px[:, 0]
@@ -72,13 +74,14 @@ def _one_beside(
     turn = segments_px[:, 1] - segments_px[:, 0]
     size = np.linalg.norm(turn, axis=1)
     sine = np.abs(u * turn[:, 1] - v * turn[:, 0]) / size
-    i, j = np.nonzero(sine < np.sin(np.radians(ANGLE_DEG)))
+    i, j = np.nonzero(sine < np.sin(np.radians(tuning.beside_deg)))
     offset = segments_px[j] - expected_px[i, 0, None]
     u, v, length, size = u[i], v[i], length[i, 0], size[j]
     along = np.sort(offset[..., 0] * u + offset[..., 1] * v, axis=1)
     across = np.abs(offset[..., 1] * u - offset[..., 0] * v).max(axis=1)
     common = np.minimum(along[:, 1], length) - np.maximum(along[:, 0], 0.0)
-    beside = (across < BESIDE_PX) & (common > ABREAST * np.minimum(length, size))
+    enough = tuning.abreast_share * np.minimum(length, size)
+    beside = (across < tuning.beside_px) & (common > enough)
     found = np.zeros(len(expected_px), dtype=bool)
     found[i[beside]] = True
     return found

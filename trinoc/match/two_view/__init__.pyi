@@ -1,8 +1,4 @@
-from .common_part import (
-    SMALLEST_OVERLAP as SMALLEST_OVERLAP,
-    cut_pair as cut_pair,
-    points_of as points_of,
-)
+from .common_part import cut_pair as cut_pair, points_of as points_of
 from .epipolar_pencil import (
     Pencil as Pencil,
     PencilSegments as PencilSegments,

@@ -5,10 +5,9 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Bool
 
+from trinoc.match.tuning import CandidateTuning
 from trinoc.match.two_view.epipolar_pencil import Pencil, PencilSegments
 from trinoc.numerics import ArrayLike, Scalar, Vector3, add3, scaled3, times_matrix, vector3
-
-SMALLEST_OVERLAP = 0.15
 
 
 class CommonPart(NamedTuple):
@@ -25,7 +24,9 @@ class CommonPart(NamedTuple):
     possible: Bool[ArrayLike, ""]
 
 
-def cut_pair(baseline_mm: Scalar, a: PencilSegments, b: PencilSegments) -> CommonPart:
+def cut_pair(
+    baseline_mm: Scalar, a: PencilSegments, b: PencilSegments, tuning: CandidateTuning
+) -> CommonPart:
     """Cut one segment of either view so that their ends correspond."""
     low, high = jnp.maximum(a.low, b.low), jnp.minimum(a.high, b.high)
     shorter = jnp.minimum(a.high - a.low, b.high - b.low)
@@ -41,7 +42,7 @@ def cut_pair(baseline_mm: Scalar, a: PencilSegments, b: PencilSegments) -> Commo
     at_high = on_plane(
         jnp.where(a_ends, a.cosine_high, b.cosine_high), jnp.where(a_ends, a.sine_high, b.sine_high)
     )
-    possible = (high - low > SMALLEST_OVERLAP * shorter) & (at_low[3] > 0) & (at_high[3] > 0)
+    possible = (high - low > tuning.smallest_overlap * shorter) & (at_low[3] > 0) & (at_high[3] > 0)
     return CommonPart(low, high, at_low, at_high, possible)
 
 

@@ -3,28 +3,15 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, Shaped
+from jaxtyping import Float, Int, Shaped
 
 from trinoc.numerics import sums
 from trinoc.segments.nevatia_babu.accept import BOW_OF_MIDDLE
 from trinoc.segments.nevatia_babu.edge_interference import Overlaps
 from trinoc.segments.nevatia_babu.edge_points import EdgePoints
 from trinoc.segments.nevatia_babu.line_fit import FittedLines
+from trinoc.segments.tuning import DEFAULT, ErrorTuning
 
-# What each disturbance moves a line by: chosen so that the errors of the segments it widens have
-# about the variance that is claimed, on rendered block scenes without shadows (other ones than
-# those that benchmarks/segments.py reports on).
-_PULL_SHARE = 0.8
-_CROWD_PX, _CROWD_FROM = 0.4, 0.4
-_WIDE_SHARE, _WIDE_FROM_PX = 0.2, 0.5
-# A step that goes on above white by as much again as is seen of it moves by 0.7 widths of its
-# blur toward dark, twice that much above white by 1.1, half as much by 0.4.
-_SATURATED_WIDTHS, _SATURATED_PX, _SATURATED_FROM = 0.5, 0.25, 0.3
-_BOW_SHARE, _BOW_SIGMAS = 0.2, 1.5
-
-# How far toward the brighter side a pixel must be saturated to bend the profile: at least so many
-# pixels, and so many widths of the blur.
-_BRIGHT_SIDE_PX, _BRIGHT_SIDE_WIDTHS = 2.0, 1.75
 _PIXEL_VARIANCE = 1 / 12
 
 
@@ -48,10 +35,6 @@ class ErrorModel(NamedTuple):
     blur_px: Float[np.ndarray, "r"]
     sagitta_px: Float[np.ndarray, "r"]
 
-    def select(self, which: Bool[np.ndarray, "r"]) -> "Disturbances":
-        """Those of the lines where the mask is true."""
-        return ErrorModel(*(field[which] for field in self))
-
 
 def error_model(
     grey: Float[np.ndarray, "h w"],
@@ -62,12 +45,14 @@ def error_model(
     lines: FittedLines,
     found: Overlaps,
     usual_blur_px2: float,
+    tuning: ErrorTuning = DEFAULT.errors,
 ) -> ErrorModel:
     """Compare the points as measured and after neighbours were taken out.
 
     `lines` are fitted to the cleaned points, which lie line after line from first[k] on.
     """
     bow = np.abs(lines.sagitta_px)
+    noise_bow = BOW_OF_MIDDLE * np.sqrt(lines.variance_middle_px2)
     count = lines.support.astype(np.float64)
     shift = (cleaned.uv_px - measured.uv_px).astype(np.float64)
     near = np.zeros(len(measured.strength))
@@ -75,8 +60,8 @@ def error_model(
     # A saturated edge looks sharper than it is.
     blur = np.sqrt(np.maximum(lines.blur_px2, usual_blur_px2) + _PIXEL_VARIANCE)
     beside = np.maximum(
-        _BRIGHT_SIDE_PX * measured.spacing_px,
-        np.repeat(_BRIGHT_SIDE_WIDTHS * blur, lines.support).astype(np.float32),
+        tuning.bright_side_px * measured.spacing_px,
+        np.repeat(tuning.bright_side_widths * blur, lines.support).astype(np.float32),
     )
     bright = measured.sample_px + beside[:, None] * measured.normal
     column, row = np.rint(bright).astype(np.int64).T
@@ -88,12 +73,12 @@ def error_model(
         np.sqrt(np.maximum(lines.blur_px2 - usual_blur_px2, 0.0)),
         sums((level >= white).astype(np.float64), first) / count,
         blur,
-        np.where(bow > _BOW_SIGMAS * BOW_OF_MIDDLE * np.sqrt(lines.variance_middle_px2), bow, 0.0),
+        np.where(bow > tuning.bow_sigmas * noise_bow, bow, 0.0),
     )
 
 
 def inflate_variance(
-    disturbed: ErrorModel, noise_px2: Float[np.ndarray, "r"]
+    disturbed: ErrorModel, noise_px2: Float[np.ndarray, "r"], tuning: ErrorTuning = DEFAULT.errors
 ) -> tuple[Float[np.ndarray, "r"], Shaped[np.ndarray, "r"]]:
     """(variance, reason): of each line's place across it, and what added most to it.
 
@@ -102,13 +87,13 @@ def inflate_variance(
     """
     parts = {
         "neighbour": np.hypot(
-            _PULL_SHARE * disturbed.pull_px,
-            _CROWD_PX * np.clip(disturbed.crowded - _CROWD_FROM, 0.0, None),
+            tuning.pull_share * disturbed.pull_px,
+            tuning.crowd_px * np.clip(disturbed.crowded - tuning.crowd_from, 0.0, None),
         ),
-        "wide": _WIDE_SHARE * np.clip(disturbed.widening_px - _WIDE_FROM_PX, 0.0, None),
-        "saturated": np.hypot(_SATURATED_PX, _SATURATED_WIDTHS * disturbed.blur_px)
-        * (disturbed.saturated > _SATURATED_FROM),
-        "bent": _BOW_SHARE * disturbed.sagitta_px,
+        "wide": tuning.wide_share * np.clip(disturbed.widening_px - tuning.wide_from_px, 0.0, None),
+        "saturated": np.hypot(tuning.saturated_px, tuning.saturated_widths * disturbed.blur_px)
+        * (disturbed.saturated > tuning.saturated_from),
+        "bent": tuning.bow_share * disturbed.sagitta_px,
     }
     squares = np.square(np.stack(list(parts.values())))
     most = squares.argmax(axis=0)

@@ -129,7 +129,7 @@ def without_neighbours(
 
 def _located_again(points: EdgePoints, added: Float[np.ndarray, "n 3"]) -> EdgePoints:
     touched = np.flatnonzero(np.abs(added).max(axis=1) > _LEAST_PULL * points.profile[:, 1])
-    before = points.select(touched)
+    before = points.take(touched)
     profile = before.profile - added[touched]
     middle = profile[:, 1]
     located, variance = before.located(np.maximum(profile, 1e-3 * middle[:, None]))

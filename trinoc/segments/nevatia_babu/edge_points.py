@@ -43,7 +43,7 @@ class EdgePoints(NamedTuple):
     information: Float[np.ndarray, "n"]
     snr2: Float[np.ndarray, "n"]
 
-    def select(self, which: np.ndarray) -> "EdgePoints":
+    def take(self, which: np.ndarray) -> "EdgePoints":
         """The points at the given indices, in that order, or where the mask is true."""
         index = np.flatnonzero(which) if which.dtype == np.bool_ else which
         return EdgePoints(*(np.take(field, index, axis=0) for field in self))
@@ -89,8 +89,3 @@ class EdgePoints(NamedTuple):
         uv_px[:, 0] += offset * self.along_u
         uv_px[:, 1] += offset * ~self.along_u
         return uv_px, variance * np.square(larger * self.spacing_px)
-
-
-def concatenated(one: EdgePoints, other: EdgePoints) -> EdgePoints:
-    """The points of both, one after the other."""
-    return EdgePoints(*(np.concatenate(pair) for pair in zip(one, other, strict=True)))

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from trinoc.numerics import distinct, point_tree
+from trinoc.numerics import cross_2d, distinct, point_tree
 
 _SAMPLE_PX = 3.0
 _NEIGHBOURS = 12
@@ -76,12 +76,12 @@ def endpoint_crossings(
     """
     end, other = near
     line, side = np.divmod(end, 2)
-    sine = _cross(direction[line], direction[other])
+    sine = cross_2d(direction[line], direction[other])
     steep = np.flatnonzero(np.abs(sine) > _LEAST_SINE)
     line, side, other, sine = line[steep], side[steep], other[steep], sine[steep]
     between = centre_px[other] - centre_px[line]
-    position = _cross(between, direction[other]) / sine
-    other_position = _cross(between, direction[line]) / sine
+    position = cross_2d(between, direction[other]) / sine
+    other_position = cross_2d(between, direction[line]) / sine
     shift = np.abs(position - extent_px[line, side])
     # The crossing may not swallow the segment from its other end.
     far = np.abs(position - extent_px[line, 1 - side])
@@ -140,7 +140,3 @@ def line_samples(
         stride = np.repeat(apart * direction[:, axis], count)
         samples[:, axis] = np.repeat(begin[:, axis], count) + step * stride
     return owner, samples
-
-
-def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]

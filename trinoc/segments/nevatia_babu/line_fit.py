@@ -45,7 +45,7 @@ class FittedLines(NamedTuple):
     support: Int[np.ndarray, "r"]
     snr2: Float[np.ndarray, "r"]
 
-    def select(self, which: np.ndarray) -> "FittedLines":
+    def take(self, which: np.ndarray) -> "FittedLines":
         """The lines at the given indices or where the mask is true."""
         return FittedLines(*(field[which] for field in self))
 

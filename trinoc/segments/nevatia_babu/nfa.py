@@ -8,7 +8,6 @@ hold for point thresholds of 2.5 s and above.
 """
 
 import numpy as np
-from jaxtyping import Float
 
 RATE_PER_MEGAPIXEL = 4.2e4
 DECAY = 12.0
@@ -17,10 +16,3 @@ DECAY = 12.0
 def least_snr2(false_alarms: float, pixels: int) -> float:
     """Evidence that noise exceeds `false_alarms` times, on average, in so many pixels."""
     return DECAY * float(np.log(max(RATE_PER_MEGAPIXEL * pixels / 1e6 / false_alarms, 1.0)))
-
-
-def snr2(
-    support: Float[np.ndarray, "r"], strength: Float[np.ndarray, "r"], sigma_strength: float
-) -> Float[np.ndarray, "r"]:
-    """(r,) evidence of segments with `support` points of mean `strength`."""
-    return support * np.square(strength / sigma_strength)

@@ -37,4 +37,4 @@ def straight_runs(
     order, starts = ordered_chains(successors(pixels, level.grey.shape))
     start, stop = split_chains(pixels.uv_px[order], starts, tolerance_px, least_points)
     index, _, first = members(start + TRIMMED_POINTS, stop - TRIMMED_POINTS)
-    return EdgePoints.of_level(pixels.select(order[index]), level), first
+    return EdgePoints.of_level(pixels.take(order[index]), level), first

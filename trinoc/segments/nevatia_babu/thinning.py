@@ -36,7 +36,7 @@ class ThinnedPixels(NamedTuple):
     profile: Float[np.ndarray, "n 3"]
     uv_px: Float[np.ndarray, "n 2"]
 
-    def select(self, which: np.ndarray) -> "ThinnedPixels":
+    def take(self, which: np.ndarray) -> "ThinnedPixels":
         """The pixels at the given indices, in that order."""
         return ThinnedPixels(*(np.take(field, which, axis=0) for field in self))
 

@@ -4,20 +4,12 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Int
 
-from trinoc.numerics import members, sums
-from trinoc.segments.nevatia_babu.edge_points import EdgePoints, concatenated
+from trinoc.numerics import concatenate_rows, members, sums
+from trinoc.segments.nevatia_babu.edge_points import EdgePoints
 from trinoc.segments.nevatia_babu.masks import GradientKernel
 from trinoc.segments.nevatia_babu.pyramid import Level, half_level
 from trinoc.segments.nevatia_babu.straight_runs import straight_runs
-
-# Below this mean ratio of strength to noise the fine level links an edge only in fragments.
-CLEAR_RATIO = 6.0
-FINE_THRESHOLD = 3.0
-COARSE_THRESHOLD = 3.0
-# Points may be this much fainter than an edge of the least contrast is on average.
-FAINT_SHARE = 0.5
-LEAST_FINE = 6
-LEAST_COARSE = 5
+from trinoc.segments.tuning import DEFAULT, ScaleTuning
 
 
 def runs_of_both_scales(
@@ -25,6 +17,7 @@ def runs_of_both_scales(
     kernel: GradientKernel,
     tolerance_px: float,
     least_contrast: float,
+    tuning: ScaleTuning = DEFAULT.scales,
 ) -> tuple[EdgePoints, Int[np.ndarray, "r"]]:
     """(points, first): points of straight runs one after another, and where each run begins.
 
@@ -32,41 +25,43 @@ def runs_of_both_scales(
     resolution is searched; faint runs of the full one remain where it finds nothing. In
     pictures of so little noise that all runs stand out, the half resolution is left out.
     """
-    least_fine = _least_strength(fine, FINE_THRESHOLD, least_contrast)
+    least_fine = _least_strength(fine, tuning.fine_threshold, least_contrast, tuning)
     points, first = straight_runs(
         fine,
         kernel,
         least_strength=least_fine,
         tolerance_px=tolerance_px,
-        least_points=LEAST_FINE,
+        least_points=tuning.least_fine,
     )
-    if least_fine > CLEAR_RATIO * fine.sigma_strength:
+    if least_fine > tuning.clear_ratio * fine.sigma_strength:
         # So little noise that every point stands out clearly.
         return points, first
     half = half_level(fine, kernel)
     support = np.diff(np.append(first, len(points.strength)))
-    clear = sums(points.snr2, first) > CLEAR_RATIO**2 * support
+    clear = sums(points.snr2, first) > tuning.clear_ratio**2 * support
     half_pixel = _half_pixel(points, half)
     taken = _neighbourhood(half_pixel[np.repeat(clear, support)], half.grey.shape)
     coarse, coarse_first = straight_runs(
         half,
         kernel,
-        least_strength=_least_strength(half, COARSE_THRESHOLD, least_contrast),
+        least_strength=_least_strength(half, tuning.coarse_threshold, least_contrast, tuning),
         tolerance_px=tolerance_px,
-        least_points=LEAST_COARSE,
+        least_points=tuning.least_coarse,
         excluded=taken,
     )
     seen_again = _neighbourhood(_half_pixel(coarse, half), half.grey.shape).ravel()[half_pixel]
     keep = clear | (sums(seen_again.astype(np.float64), first) < 0.5 * support)
     index, _, fine_first = members(first[keep], (first + support)[keep])
-    points = concatenated(points.select(index), coarse)
+    points = concatenate_rows([points.take(index), coarse])
     return points, np.concatenate([fine_first, coarse_first + len(index)])
 
 
-def _least_strength(level: Level, threshold: float, least_contrast: float) -> float:
+def _least_strength(
+    level: Level, threshold: float, least_contrast: float, tuning: ScaleTuning
+) -> float:
     """Strength below which a point is noise, or belongs to a step of too little contrast."""
     faint = least_contrast / np.sqrt(2 * np.pi * (level.kernel_variance_px2 + 1.0))
-    return max(threshold * level.sigma_strength, FAINT_SHARE * float(faint))
+    return max(threshold * level.sigma_strength, tuning.faint_share * float(faint))
 
 
 def _half_pixel(points: EdgePoints, half: Level) -> Int[np.ndarray, "n"]:

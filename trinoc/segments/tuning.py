@@ -1,0 +1,118 @@
+"""The tuned constants of `find_segments`, in one frozen value that can be swept.
+
+    tuning = with_field(DEFAULT, "accept.soft_ratio", 2.0)     # trinoc.numerics
+    segments = find_segments(image, tuning=tuning)
+
+`tolerance_px`, `false_alarms` and `least_contrast` are arguments of `find_segments` itself. Values
+come from the prototype, a numerical study that went before, or were chosen by hand on rendered
+block scenes, unless a comment says more. All figures are of benchmarks/segments.py. What is a
+property of the masks, of the polygon or of linking, and numerical guards, stand where they are
+used.
+"""
+
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True)
+class ScaleTuning:
+    """Full and half resolution. Shown by recall and precision, by noise."""
+
+    # Below this mean ratio of strength to noise the fine level links an edge only in fragments.
+    # By hand.
+    clear_ratio: float = 6.0
+    # Least strength of a point, over the noise of the gradient, at either level. From the
+    # prototype; `nfa` is fitted to thresholds of 2.5 and above.
+    fine_threshold: float = 3.0
+    coarse_threshold: float = 3.0
+    # Points may be this share as strong as an edge of the least contrast is on average. By hand.
+    faint_share: float = 0.5
+    # Least number of points of a run, at either level. By hand.
+    least_fine: int = 6
+    least_coarse: int = 5
+
+
+@dataclass(frozen=True)
+class AcceptTuning:
+    """Sharp, straight edges of the scene. Shown by precision and "on rims of cylinders"."""
+
+    # A profile whose variance is this much larger than usual is a soft shadow (prototype),
+    soft_ratio: float = 1.5
+    # unless its blur has less than this variance, px^2: photographs with depth have edges of
+    # many widths. By hand; shown by Merton.
+    sharp_px2: float = 2.0
+    # A bow of more than this, px, is an arc whatever its neighbours do, if its radius is below
+    # this share of the picture's width. The share is from the prototype, the bow by hand.
+    arc_bow_px: float = 0.8
+    arc_radius_of_width: float = 0.2
+    # Pieces of one arc, bowed by at least this, px, and this near, px, turn from each to the next
+    # by an angle in this range, degrees, and by what their bows promise within this factor. By
+    # hand.
+    least_bow_px: float = 0.2
+    next_px: float = 6.0
+    turn_deg: tuple[float, float] = (6.0, 60.0)
+    turn_ratio: float = 2.5
+    # Contrast is judged once neighbours are taken out, which rarely adds more than this share
+    # leaves. By hand.
+    faint_share: float = 0.8
+    # A piece shorter than this, px, with this share of its points within reach of other edges is
+    # the rounding of a corner. By hand.
+    bevel_px: float = 5.0
+    bevel_crowded: float = 0.8
+
+
+@dataclass(frozen=True)
+class EndTuning:
+    """Gaps and ends. Shown by the errors along the segment, at crossings and free."""
+
+    # Collinear pieces merge across gaps up to this, and ends are carried to crossings up to that,
+    # px. From the prototype.
+    gap_px: float = 8.0
+    snap_px: float = 6.0
+    # Standard deviation of an end along its segment, px: at a crossing, and where evidence
+    # stops. By hand; 88 % and 43 % lie within three of them (docs/segments.md).
+    sigma_crossing_px: float = 0.5
+    sigma_free_px: float = 2.0
+
+
+@dataclass(frozen=True)
+class ErrorTuning:
+    """What widens a line's variance beyond noise: chosen so that errors of the segments it widens
+    have about the variance that is claimed, on rendered block scenes without shadows, other ones
+    than the benchmark's. Shown by the normalised error across and its share beyond 3 sigma."""
+
+    # Share of the shift ascribed to neighbours that stays as an error.
+    pull_share: float = 0.8
+    # Error, px, per share of points with a neighbour beyond the first share.
+    crowd_px: float = 0.4
+    crowd_from: float = 0.4
+    # Share of the widening of the profile, px, beyond a first part, px.
+    wide_share: float = 0.2
+    wide_from_px: float = 0.5
+    # A step that goes on above white by as much again as is seen of it moves by 0.7 widths of its
+    # blur toward dark, twice that much above white by 1.1, half as much by 0.4 (computed). Error
+    # in widths, in px, and the share of saturated points from which it counts.
+    saturated_widths: float = 0.5
+    saturated_px: float = 0.25
+    saturated_from: float = 0.3
+    # Share of the bow that noise does not explain, and how many sigmas noise explains.
+    bow_share: float = 0.2
+    bow_sigmas: float = 1.5
+    # How far toward the brighter side a pixel must be saturated to bend the profile: at least so
+    # many pixels of the level, and so many widths of the blur.
+    bright_side_px: float = 2.0
+    bright_side_widths: float = 1.75
+    # A line borrows the picture's usual blur where its own differs by more than this share.
+    blur_spread: float = 0.15
+
+
+@dataclass(frozen=True)
+class SegmentTuning:
+    """All groups; the default is what everything was measured with."""
+
+    scales: ScaleTuning = field(default_factory=ScaleTuning)
+    accept: AcceptTuning = field(default_factory=AcceptTuning)
+    ends: EndTuning = field(default_factory=EndTuning)
+    errors: ErrorTuning = field(default_factory=ErrorTuning)
+
+
+DEFAULT = SegmentTuning()
