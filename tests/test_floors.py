@@ -37,7 +37,6 @@ INNER_FLOORS = {
     ),
     "segments": ("nevatia_babu",),
     "geometry": ("lenses",),
-    "synth": ("camera_picture",),
 }
 
 # Imported where they are used, because a plain `pip install` does not bring them.
