@@ -3,7 +3,6 @@
 import atexit
 import contextlib
 import ctypes
-import importlib.metadata
 import os
 import random
 import shutil
@@ -33,12 +32,6 @@ if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
 
 import hypothesis  # noqa: E402
-
-# XLA's emitters of fused loops take a third of the time and of the memory of compiling, and make
-# slow code without optimisation. A release that does not know the flag would end the process.
-if importlib.metadata.version("jaxlib").startswith("0.10."):
-    os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false")
-
 import jax  # noqa: E402
 import jaxtyping  # noqa: E402
 import pytest  # noqa: E402

@@ -17,7 +17,16 @@ import trinoc
 
 ROOT = Path(trinoc.__file__).parent
 # Not containers: one value, or a function, whose arguments nothing checks.
-TRANSPARENT = {"Annotated", "Callable", "ClassVar", "Final", "Optional", "Union", "type"}
+TRANSPARENT = {
+    "AbstractVar",
+    "Annotated",
+    "Callable",
+    "ClassVar",
+    "Final",
+    "Optional",
+    "Union",
+    "type",
+}
 UNBOUND = re.compile(r"[*#?]*_\w*|\.\.\.|(\w+=)?\d+")
 
 

@@ -37,7 +37,6 @@ INNER_FLOORS = {
     ),
     "segments": ("nevatia_babu",),
     "geometry": ("lenses",),
-    "synth": ("camera_picture",),
 }
 
 # Files of a room that its inner rooms stand on: its tuned constants.

@@ -203,9 +203,9 @@ def test_noise_alone_makes_hardly_any_segment() -> None:
 @pytest.mark.parametrize(
     ("image", "words"),
     [
-        (np.zeros((40, 40, 2), np.uint8), "shape"),
+        (np.zeros((40, 40, 5), np.uint8), "shape"),
         (np.zeros((8, 40), np.uint8), "at least"),
-        (np.zeros((40, 40), np.int32), "type"),
+        (np.zeros((40, 40), np.complex64), "no grey levels"),
         (np.full((40, 40), np.nan), "not finite"),
     ],
 )

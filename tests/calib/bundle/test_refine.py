@@ -126,7 +126,7 @@ def test_intrinsics_on_request_follow_their_covariance():
     lines, _, _ = made_tracks(15, 300, sigma_px=0.1)
     start = sheet_estimate(16)
     wrong = eqx.tree_at(
-        lambda rig: [camera.intrinsics.focal_length_px for camera in rig.cameras],
+        lambda rig: [camera.intrinsics.lens.focal_length_px for camera in rig.cameras],
         start,
         [1.002 * camera.intrinsics.focal_length_px for camera in start.cameras],
     )
