@@ -30,9 +30,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from picture_bound import bound_of_image
+from picture_bound import Scene, bound_of_image
 
 import trinoc
+from trinoc.calib.uncertainty import data_sheet_covariance
 from trinoc.errors import CalibrationError
 from trinoc.numerics import in_float64
 from trinoc.synth import table1_lens
@@ -144,16 +145,16 @@ def bound_of(condition: Condition, pose: Pose, known: dict[tuple, np.ndarray]) -
 def fit_of(picture: np.ndarray, condition: Condition, pose: Pose, method: str) -> Record:
     """One calibration: error, sigma, status and notes."""
     told = condition.told
-    systematics = trinoc.Systematics(flatness_mm=told.flatness_mm) if told.flatness_mm else None
+    lens = condition.said_lens(LENS)
     start = time.process_time()
     try:
         result = trinoc.calibrate(
             {"a": picture},
             pattern_of(condition.sheet).rescaled(*told.print_scale),
-            condition.said_lens(LENS),
+            lens,
             parameters=told.parameters,
             method=method,  # pyright: ignore[reportArgumentType]
-            systematics=systematics,
+            systematics=systematics_of(told.exact, lens),
         )
     except CalibrationError as error:
         return {"status": "FAILED", "notes": [str(error)]}
@@ -170,9 +171,19 @@ def fit_of(picture: np.ndarray, condition: Condition, pose: Pose, method: str) -
         "notes": list(result.fits["a"].notes),
         "error": error.tolist(),
         "sigma": [result.sigma(f"a.{name}") for name in NAMES],
+        "used": result.fits["a"].method,
         "reduced_chi_square": result.fits["a"].reduced_chi_square,
         "seconds": seconds,
     }
+
+
+def systematics_of(exact: str, lens: trinoc.Intrinsics) -> trinoc.Systematics:
+    """What the calibration is told of everything that is not exact."""
+    if exact == "all":
+        return trinoc.Systematics()
+    typical = trinoc.Systematics.typical({"a": lens})
+    covariance = {"a": data_sheet_covariance(lens)} if exact == "nothing" else None
+    return typical._replace(lens_covariance=covariance)
 
 
 def summary_of(records: list[Record]) -> Record:

@@ -6,8 +6,9 @@ from typing import Literal
 import numpy as np
 
 from trinoc.calib.detection import Orientation, detect_pattern
-from trinoc.calib.from_detections import calibration_of_detections, lens_of_each
+from trinoc.calib.from_detections import Search, calibration_of_search, lens_of_each
 from trinoc.calib.result import CalibrationResult
+from trinoc.calib.rig_fit import Knowledge
 from trinoc.calib.targets import Pattern
 from trinoc.calib.uncertainty import Systematics
 from trinoc.errors import DetectionError, InputError
@@ -36,11 +37,13 @@ def calibrate(
         sheet), the default, or "aim-free" (the point it meets is free), or a PoseModel.
     parameters : the same by the number of parameters, 4 or 6.
     method : "picture" goes on from the circles to a fit of the grey levels near every edge of
-        the sheet, which reaches the Cramer-Rao bound; "circles" stops at their centres.
+        the sheet, which reaches the Cramer-Rao bound, and uses it for each camera whose circles
+        agree with it; "circles" stops at their centres. `fits[name].method` says what was used.
     throw : whether a camera that fails raises; without it the failed cameras are left out of
         the rig and `failures` says why.
-    systematics : what is known of the errors of the sheet and the lens, which join the
-        covariance; without it the covariance is that of the noise alone.
+    systematics : what is known of the errors of the sheet, the lens and the aim: by default what
+        printers, paper, hands and data sheets leave open (`Systematics.typical`).
+        `Systematics()` takes all of it as exact.
     orientation : for a sheet that looks the same turned, such as a plain grid of discs:
         "upright" where X points to the right in every picture, as nearly as it can, or an
         earlier rig whose cameras have hardly moved since. Without it such a sheet fails.
@@ -63,21 +66,10 @@ def calibrate(
             detections[name] = detect_pattern(np.asarray(image), pattern)
         except DetectionError as error:
             failures[name] = str(error)
-    pictures = None
-    if method == "picture":
-        pictures = {name: grey_image(np.asarray(images[name])).grey for name in detections}
-    return calibration_of_detections(
-        detections,
-        failures,
-        pattern,
-        lenses,
-        model,
-        throw,
-        tuple(images),
-        images=pictures,
-        systematics=systematics,
-        orientation=orientation,
-    )
+    images = {name: grey_image(np.asarray(images[name])).grey for name in detections}
+    search = Search(tuple(lenses), detections, images if method == "picture" else {}, failures)
+    known = Knowledge(pattern, model, systematics or Systematics.typical(lenses))
+    return calibration_of_search(search, lenses, known, orientation, throw=throw)
 
 
 def _check_images(images: Mapping[str, ArrayLike], lenses: Mapping[str, Intrinsics]) -> None:

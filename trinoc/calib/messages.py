@@ -1,15 +1,18 @@
 """What a circle fit tells its user, in sentences."""
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 
 import numpy as np
+from jaxtyping import Bool
 
+from trinoc.calib.adjustment import HEIGHT_TERMS, PRINT_TERMS, Adjustment
 from trinoc.calib.detection import Detection
-from trinoc.calib.photometric import ViewEstimate
 from trinoc.calib.pose import PoseEstimate
 from trinoc.calib.result import Alternative, CameraFit, Status
+from trinoc.calib.rig_fit import CameraFitting, Knowledge
 from trinoc.calib.targets import Pattern
-from trinoc.geometry import Intrinsics, PoseModel
+from trinoc.calib.uncertainty import Systematics
+from trinoc.geometry import PoseModel
 
 # Centres of the right sheet through the right lens fit to hundredths of a pixel; beyond this
 # share of the sheet's size in the picture the model is not the camera's.
@@ -17,8 +20,10 @@ _LARGEST_MISFIT = 0.01
 _SMALLEST_MISFIT_PX = 1.0
 _LARGE_CHI_SQUARE = 2.0
 _CUT_SHARE = 0.01
-# A lens may be off by this many of its own sigmas.
-_EXPLAINED_SIGMAS = 3.0
+# A lens or a sheet may be off by this many of the sigmas that were stated.
+LARGEST_STRAIN = 4.0
+# Of an aim at the origin, two numbers: noise makes it once in 10^4 pictures.
+_LARGEST_AIM_CHI_SQUARE = 18.4
 
 
 def failure_sentence(fit: PoseEstimate, detection: Detection, model: PoseModel) -> str | None:
@@ -50,38 +55,89 @@ def failure_sentence(fit: PoseEstimate, detection: Detection, model: PoseModel) 
     return None
 
 
-def is_suspect(fit: CameraFit, lens: Intrinsics, lens_sigmas: Mapping[str, float] | None) -> bool:
-    """Whether something that the model leaves out shows beyond what its sigmas can carry.
-
-    lens_sigmas : of the lens's parameters by name, where the covariance holds the lens's; what
-        these explain is no reason for suspicion.
-    """
-    if not (fit.alternatives and fit.alternatives[0].found):
-        return False
-    if not fit.reduced_chi_square > _LARGE_CHI_SQUARE:
-        return False
-    first = fit.alternatives[0]
-    if lens_sigmas is None or first.name == "aim":
-        return True
-    by_name = {
-        "focal length": lens_sigmas.get("fx_px", 0.0) / float(lens.focal_length_px[0]),
-        "radial distortion": lens_sigmas.get("k1", 0.0),
-    }
-    return bool(abs(first.estimate[0]) > _EXPLAINED_SIGMAS * by_name[first.name])
+def is_suspect(fit: CameraFit) -> bool:
+    """Whether something that the model leaves out shows in residuals beyond their sigmas."""
+    found = bool(fit.alternatives and fit.alternatives[0].found)
+    return found and fit.reduced_chi_square > _LARGE_CHI_SQUARE
 
 
-def notes_of_fit(
-    refined: ViewEstimate,
-    detection: Detection,
-    pattern: Pattern,
-    alternatives: tuple[Alternative, ...],
+def lens_strain(adjustment: Adjustment, view: int, camera: CameraFitting) -> float:
+    """By how many of its own sigmas a lens is another than it was said to be, at the most."""
+    if camera.sheet.lens_factor is None:
+        return 0.0
+    own = np.asarray(adjustment.adjusted.unknowns.lens)[adjustment.lens_index[view]]
+    return float(np.abs(own).max())
+
+
+def notes_of_priors(
+    adjustment: Adjustment, view: int, known: Knowledge, strain: float
 ) -> tuple[str, ...]:
-    """Sentences on what a user of a good fit should know."""
-    fit, quality = refined.fit, refined.quality
-    notes = [] if refined.note is None else [f"{refined.note} Its circles alone were used."]
-    if alternatives and alternatives[0].found:
-        notes.insert(0, alternatives[0].sentence)
-    dropped = detection.circle_index[~fit.used]
+    """What the pictures say against what was said of the aim and the lens."""
+    notes = []
+    if known.aim_sigma_mm:
+        step = adjustment.rows(view)
+        distance = adjustment.parameters[view, 3]
+        aim = adjustment.parameters[view, 4:6]
+        covariance = adjustment.covariance[step, step][4:6, 4:6] * distance**2
+        if aim @ np.linalg.solve(covariance, aim) > _LARGEST_AIM_CHI_SQUARE:
+            sigma = np.sqrt(np.diag(covariance))
+            notes.append(
+                f"the optical axis misses the origin of the sheet by ({aim[0]:.2f}, {aim[1]:.2f}) "
+                f"+- ({sigma[0]:.1g}, {sigma[1]:.1g}) mm, which the parameters allow for."
+            )
+    if strain > LARGEST_STRAIN:
+        notes.append(
+            f"the lens is another than was said, by {strain:.1f} of its sigmas: check focal "
+            "length, pixel pitch and focus, or calibrate its intrinsics."
+        )
+    return tuple(notes)
+
+
+def notes_of_sheet(adjustment: Adjustment, systematics: Systematics) -> tuple[str, ...]:
+    """What the pictures say against what was said of the sheet."""
+    notes = []
+    shape = dict(zip((*PRINT_TERMS, *HEIGHT_TERMS), adjustment.adjusted.shape, strict=True))
+    strain = dict(zip(shape, np.abs(adjustment.adjusted.unknowns.shape), strict=True))
+    height = max((float(abs(shape[term])) for term in HEIGHT_TERMS), default=0.0)
+    if max(strain[term] for term in HEIGHT_TERMS) > LARGEST_STRAIN:
+        notes.append(
+            f"The sheet bends by {height:.1f} mm, where {systematics.flatness_mm:.2g} mm was "
+            "expected: lay it flat, or say so with flatness_mm."
+        )
+    if max(strain[term] for term in PRINT_TERMS[1:]) > LARGEST_STRAIN:
+        longer = 100 * float(shape[PRINT_TERMS[1]] - shape[PRINT_TERMS[2]])
+        notes.append(
+            f"The print is {abs(longer):.2f} % longer along {'X' if longer > 0 else 'Y'} than along "
+            f"{'Y' if longer > 0 else 'X'}: measure its two bars, and give the print scale."
+        )
+    return tuple(notes)
+
+
+def notes_of_camera(
+    camera: CameraFitting,
+    pattern: Pattern,
+    used: Bool[np.ndarray, "m"],
+    tests: Sequence[Alternative],
+    reduced_chi_square: float,
+    gauge: tuple[str, ...],
+) -> tuple[str, ...]:
+    """Sentences on what a user of a good fit should know.
+
+    used : circles that took part. tests, reduced_chi_square : of the circles.
+    """
+    detection, picture = camera.sheet.detection, camera.picture
+    notes = []
+    if tests and tests[0].found:
+        notes.append(tests[0].sentence)
+    if picture is not None and picture.note is not None:
+        notes.append(f"{picture.note} Its circles alone were used.")
+    elif picture is not None and camera.method == "circles":
+        notes.append(
+            "the grey levels disagree with the circles' centres more than noise can explain: the "
+            "picture is processed, uneven or covered in a way that the model does not know. Its "
+            "circles alone were used."
+        )
+    dropped = detection.circle_index[~used]
     if len(dropped):
         notes.append(
             f"{len(dropped)} circle{'s were' if len(dropped) > 1 else ' was'} located wrongly and "
@@ -89,8 +145,9 @@ def notes_of_fit(
         )
     if len(detection) < len(pattern):
         notes.append(f"{len(detection)} of {len(pattern)} circles were found.")
-    if fit.status is Status.CONVERGED and fit.gauge:
-        notes.append(f"{' and '.join(fit.gauge)} are not determined one by one.")
+    if gauge:
+        notes.append(f"{' and '.join(gauge)} are not determined one by one.")
+    quality = picture.quality if picture is not None else None
     if quality is not None and quality.pixels_cut > _CUT_SHARE * quality.pixels:
         share = quality.pixels_cut / (quality.pixels + quality.pixels_cut)
         notes.append(
@@ -100,11 +157,16 @@ def notes_of_fit(
     if quality is not None and quality.reduced_chi_square > _LARGE_CHI_SQUARE:
         notes.append(
             f"the picture departs from the model by {quality.noise:.1f} grey levels, where its "
-            f"own noise is {quality.noise_floor:.1f}: expect errors beyond the sigmas."
+            f"own noise is {quality.noise_floor:.1f}; its sigmas are those of the larger."
         )
-    if quality is None and fit.reduced_chi_square > _LARGE_CHI_SQUARE:
+    if camera.method == "circles" and reduced_chi_square > _LARGE_CHI_SQUARE:
         notes.append(
-            f"the circles scatter {np.sqrt(fit.reduced_chi_square):.1f} times as much as their "
+            f"the circles scatter {np.sqrt(reduced_chi_square):.1f} times as much as their "
             "own sigmas say; the parameters' sigmas are enlarged by that factor."
+        )
+    if camera.scatter > 1.0:
+        notes.append(
+            f"parts of the sheet disagree {camera.scatter:.1f} times as much as their circles' "
+            "sigmas say; the parameters' sigmas are enlarged by that factor."
         )
     return tuple(notes)

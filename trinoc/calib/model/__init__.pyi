@@ -17,7 +17,9 @@ from .observed_circles import (
 )
 from .outliers import (
     ANNEALING as ANNEALING,
+    GATE as GATE,
     inliers as inliers,
     is_suspect as is_suspect,
     robust_scale as robust_scale,
 )
+from .sheet_points import SheetPoints as SheetPoints

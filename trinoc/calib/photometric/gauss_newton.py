@@ -69,10 +69,14 @@ class Sums(NamedTuple):
     ------
     information : (k, k) J^T W J of (pose chart, appearance), in 1 / grey level^2.
     residuals : of both groups, grey levels, padding included.
+    columns : of both groups, see `NormalEquations`.
+    pose : at which all this is.
     """
 
     information: Float[ArrayLike, "k k"]
     residuals: tuple[Float[ArrayLike, "n"], Float[ArrayLike, "m"]]
+    columns: tuple[Float[ArrayLike, "12 n"], Float[ArrayLike, "12 m"]]
+    pose: Pose
 
 
 class Fit(NamedTuple):
@@ -122,7 +126,8 @@ def gradient_and_sums(
     chain = chain.at[:9, : model.size].set(by_motion)
     chain = chain.at[9:, model.size :].set(jnp.eye(NUISANCE, dtype=zero.dtype))
     residuals = (sums[0].residuals, sums[1].residuals)
-    return chain.T @ slope, Sums(chain.T @ matrix @ chain, residuals)
+    columns = (sums[0].columns, sums[1].columns)
+    return chain.T @ slope, Sums(chain.T @ matrix @ chain, residuals, columns, state.pose)
 
 
 class _State(eqx.Module):

@@ -1,6 +1,7 @@
 """From a pose that the circles gave to the one that explains the picture itself."""
 
 import threading
+from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -8,6 +9,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
+from trinoc.calib.model import SheetPoints
 from trinoc.calib.photometric.appearance import NUISANCE, Appearance
 from trinoc.calib.photometric.gate import gate_pixels
 from trinoc.calib.photometric.gauss_newton import (
@@ -20,7 +22,9 @@ from trinoc.calib.photometric.gauss_newton import (
 )
 from trinoc.calib.photometric.initial import initial_appearance
 from trinoc.calib.photometric.ink_coverage import Cross, Drawing
+from trinoc.calib.photometric.line_pixels import places_of_pixels
 from trinoc.calib.photometric.noise_floor import noise_floor
+from trinoc.calib.photometric.patches import patch_points
 from trinoc.calib.photometric.pixel_selection import (
     PARTS,
     PixelSelection,
@@ -42,6 +46,11 @@ _STRIDES = (PARTS, PARTS, 1)
 _PLAIN_STEPS = 2
 _CONVERGED_SIGMAS = 0.1
 _LEAST_CONTRAST = 4.0
+_SHIFT_ROUNDS = 3
+
+
+# Of places of the sheet in mm, in px.
+ShiftOfPlaces = Callable[[Float[np.ndarray, "n 2"]], Float[np.ndarray, "n 2"]]
 
 
 class ImageRefinement(NamedTuple):
@@ -58,6 +67,7 @@ class ImageRefinement(NamedTuple):
     pixels : number of pixels that stayed.
     pixels_cut : number of pixels near an edge that show something else than the sheet.
     converged : whether the last step was small against its own standard deviation.
+    points : where the picture shows each circle and each piece of the crossed lines.
     """
 
     pose: Pose
@@ -68,6 +78,7 @@ class ImageRefinement(NamedTuple):
     pixels: int
     pixels_cut: int
     converged: bool
+    points: SheetPoints
 
 
 def refine_image(
@@ -76,8 +87,13 @@ def refine_image(
     lens: AbstractLens,
     start: Pose,
     model: PoseModel,
+    shift: ShiftOfPlaces | None = None,
 ) -> ImageRefinement | None:
-    """Fit the sheet's model to the pixels near its edges; None where none can be seen."""
+    """Fit the sheet's model to the pixels near its edges; None where none can be seen.
+
+    shift : how far aside of where the lens and a flat sheet would have them, in px, the picture
+        shows places of the sheet.
+    """
     size = (image.shape[1], image.shape[0])
     appearance = initial_appearance(image, start, lens, pattern)
     contrast = float(-appearance.ratio * appearance.light[0])
@@ -87,7 +103,11 @@ def refine_image(
     chosen = (choice.near_circles, choice.near_lines)
     counts = [len(part.row) for part in chosen]
     capacity = capacity_for(max(counts))
-    circles, lines = (group_of(part, image, lens, pattern, capacity, np.float32) for part in chosen)
+    shifts = [_shifts(part, start, lens, shift) for part in chosen]
+    circles, lines = (
+        group_of(part, image, lens, pattern, capacity, np.float32, shift_px)
+        for part, shift_px in zip(chosen, shifts, strict=True)
+    )
     cross = Cross(
         np.asarray(0.5 * pattern.line_width_mm),
         np.array(pattern.line_half_length_mm, dtype=np.float64),
@@ -113,16 +133,34 @@ def refine_image(
     if freedom <= 0:
         return None
     state = jax.tree.map(np.asarray, last.state)
+    noise = float(np.sqrt(np.sum(left.astype(np.float64) ** 2) / freedom))
+    points = patch_points(lens, pattern, groups, chosen, last.sums, noise)
+    if shift is not None:
+        points = points._replace(uv_px=points.uv_px + shift(points.place_mm))
     return ImageRefinement(
         state.pose,
         state.appearance,
         _marginal(np.asarray(last.sums.information), model.size),
-        float(np.sqrt(np.sum(left.astype(np.float64) ** 2) / freedom)),
+        noise,
         noise_floor(_cut_out(image, choice), choice.flat),
         len(left),
         int(np.sum(~gate.kept)),
         bool(last.converged),
+        points,
     )
+
+
+def _shifts(
+    chosen: SelectedPixels, pose: Pose, lens: AbstractLens, shift: ShiftOfPlaces | None
+) -> Float[np.ndarray, "_n 2"] | None:
+    if shift is None or not len(chosen.row):
+        return None
+    # What a pixel shows lies where the shift takes it from, not where it takes it to.
+    shift_px = np.zeros((len(chosen.row), 2))
+    for _ in range(_SHIFT_ROUNDS):
+        column, row = chosen.column - shift_px[:, 0], chosen.row - shift_px[:, 1]
+        shift_px = shift(places_of_pixels(column, row, pose, lens)[0])
+    return shift_px
 
 
 # Threads that meet an uncompiled program would each compile it; the first one does.

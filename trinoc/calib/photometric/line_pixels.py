@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Shaped
 
 from trinoc.calib.photometric.gauss_newton import sheet_from_normalised
 from trinoc.calib.photometric.rays import rays_of_pixels
@@ -39,7 +39,7 @@ def line_view(
     sees_line, circle = np.ones(len(row), dtype=bool), np.full(len(row), -1)
     if not len(row):
         return LineView(sees_line, circle)
-    point_mm, stretch = _on_sheet(column, row, pose, lens)
+    point_mm, stretch = places_of_pixels(column, row, pose, lens)
     reach_mm = reach_px * stretch
     gap_radius_mm = pattern.radius_mm + pattern.line_gap_mm
     from_axis_mm = np.abs(pattern.centres_mm).min(axis=1)
@@ -63,10 +63,10 @@ def line_view(
     return LineView(sees_line, np.where(within, nearest, -1))
 
 
-def _on_sheet(
-    column: Int[np.ndarray, "n"], row: Int[np.ndarray, "n"], pose: Pose, lens: AbstractLens
+def places_of_pixels(
+    column: Shaped[np.ndarray, "n"], row: Shaped[np.ndarray, "n"], pose: Pose, lens: AbstractLens
 ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n"]]:
-    """Points of the sheet under pixels, and the largest mm per pixel about each."""
+    """Places of a flat sheet under pixels, in mm, and the largest mm per pixel about each."""
     normalised, by_pixel = rays_of_pixels(lens, np.stack([column, row], axis=1).astype(np.float64))
     x, y = np.asarray(normalised).T
     matrix = np.asarray(_homography(pose))

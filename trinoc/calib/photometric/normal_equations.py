@@ -28,11 +28,14 @@ class NormalEquations(NamedTuple):
     matrix : (18, 18) sum of w J^T J.
     gradient : (18,) sum of w J^T r.
     residuals : (n,) predicted minus observed grey levels, padding included.
+    columns : (12, n) their derivatives by the third column of the homography, which a shift of the
+        picture changes, and by the appearance.
     """
 
     matrix: Float[ArrayLike, "18 18"]
     gradient: Float[ArrayLike, "18"]
     residuals: Float[ArrayLike, "n"]
+    columns: Float[ArrayLike, "12 n"]
 
 
 def normal_equations(
@@ -65,12 +68,20 @@ def normal_equations(
             sums.matrix + products[:_ROW, :_ROW],
             sums.gradient + products[:_ROW, _ROW],
             jax.lax.dynamic_update_slice(sums.residuals, residual, (k * CHUNK,)),
+            jax.lax.dynamic_update_slice(
+                sums.columns,
+                jnp.stack((*predicted.by_homography[2::3], *predicted.by_appearance)),
+                (jnp.zeros_like(k), k * CHUNK),
+            ),
         )
 
     dtype = sheet_from_normalised.dtype
     loss = jax.tree.map(lambda leaf: leaf.astype(pixels.grey.dtype), loss)
     start = NormalEquations(
-        jnp.zeros((_ROW, _ROW), dtype), jnp.zeros(_ROW, dtype), jnp.zeros_like(pixels.grey)
+        jnp.zeros((_ROW, _ROW), dtype),
+        jnp.zeros(_ROW, dtype),
+        jnp.zeros_like(pixels.grey),
+        jnp.zeros((3 + NUISANCE, len(pixels.grey)), pixels.grey.dtype),
     )
     sums = jax.lax.fori_loop(0, chunks, add, start)
     rounding = _rounding(sheet_from_normalised, appearance, pixels.grey.dtype)

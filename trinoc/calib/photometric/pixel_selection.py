@@ -163,17 +163,22 @@ def group_of(
     pattern: Pattern,
     capacity: int,
     dtype: type,
+    shift_px: Float[np.ndarray, "n 2"] | None = None,
 ) -> Group:
-    """The pixels as padded arrays; padding repeats the first pixel, without weight."""
+    """The pixels as padded arrays; padding repeats the first pixel, without weight.
+
+    shift_px : by which the picture shows what a pixel looks at aside from where the lens and a flat
+        sheet would have it.
+    """
     count = len(chosen.row)
     if not count:
-        chosen = SelectedPixels(*(np.array([value]) for value in (0, 0, -1)))
+        chosen, shift_px = SelectedPixels(*(np.array([value]) for value in (0, 0, -1))), None
     column, row, circle = chosen
     height, width = image.shape
     uv_px = np.stack([column, row], axis=1).astype(np.float64)
     nearest = np.maximum(circle, 0)
     fields = Pixels(
-        ray=rays_of_pixels(lens, uv_px),
+        ray=rays_of_pixels(lens, uv_px if shift_px is None else uv_px - shift_px),
         place=(uv_px - 0.5 * np.array([width - 1, height - 1])) / (0.5 * width),
         grey=image[row, column],
         weight=np.ones(len(row)),

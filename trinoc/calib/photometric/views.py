@@ -1,4 +1,4 @@
-"""From judged circle fits to fits of the pictures themselves."""
+"""The pictures of a rig, each fitted from where its circles place the camera."""
 
 import functools
 from collections.abc import Callable, Mapping, Sequence
@@ -10,13 +10,13 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.detection import Detection
-from trinoc.calib.model import bucket_size, circle_observations, circle_residuals_px
-from trinoc.calib.photometric.image_fit import ImageRefinement, refine_image
-from trinoc.calib.pose import DEGREES, PoseEstimate, pose_of_values, values_of_parameters
-from trinoc.calib.result import ImageQuality, Status
+from trinoc.calib.model import SheetPoints
+from trinoc.calib.photometric.image_fit import ImageRefinement, ShiftOfPlaces, refine_image
+from trinoc.calib.photometric.outlines import project_to_image
+from trinoc.calib.pose import DEGREES
+from trinoc.calib.result import ImageQuality
 from trinoc.calib.targets import Pattern
-from trinoc.geometry import PARAMETER_NAMES, Intrinsics, Pose, PoseModel
+from trinoc.geometry import AbstractLens, Pose, PoseModel
 from trinoc.numerics import LARGEST_SIGMA, ArrayLike, observability
 
 # The picture moves circles by hundredths of a pixel; more than this is another minimum.
@@ -27,31 +27,41 @@ _BOX_VARIANCE = 1 / 12
 _Answer = TypeVar("_Answer")
 
 
-class ViewEstimate(NamedTuple):
-    """A picture's fit, what its picture says about it, and a sentence where it says nothing."""
+class PictureFit(NamedTuple):
+    """What the grey levels of one picture say, or a sentence where they say nothing.
 
-    fit: PoseEstimate
+    Fields
+    ------
+    pose : of the camera before a flat sheet and through the lens as it was said.
+    points : where the picture shows each circle and each piece of the crossed lines.
+    quality : light, ink, blur and noise.
+    note : why the picture says nothing; None where it does.
+    """
+
+    pose: Pose
+    points: SheetPoints | None
     quality: ImageQuality | None
     note: str | None
 
 
 def refine_views(
     images: Mapping[str, Float[np.ndarray, "_h _w"]],
-    fits: Mapping[str, PoseEstimate],
-    detections: Mapping[str, Detection],
+    starts: Mapping[str, Pose],
     pattern: Pattern,
-    lenses: Mapping[str, Intrinsics],
+    lenses: Mapping[str, AbstractLens],
     model: PoseModel,
-) -> dict[str, ViewEstimate]:
-    """Fit each picture from its circles' pose; in threads, since they share nothing.
+    shifts: Mapping[str, ShiftOfPlaces],
+) -> dict[str, PictureFit]:
+    """Fit each picture from a first pose; in threads, since they share nothing.
 
-    A picture that cannot be fitted keeps its circle fit, and a note says so.
+    shifts : of the pictures that show the sheet elsewhere: see `refine_image`.
     """
 
-    def refine(name: str) -> ViewEstimate:
-        return _refine(images[name], fits[name], detections[name], pattern, lenses[name], model)
+    def refine(name: str) -> PictureFit:
+        start, shift = starts[name], shifts.get(name)
+        return _refine(images[name], start, pattern, lenses[name], model, shift)
 
-    return in_threads(refine, list(fits))
+    return in_threads(refine, list(starts))
 
 
 def in_threads(task: Callable[[str], _Answer], names: Sequence[str]) -> dict[str, _Answer]:
@@ -75,40 +85,37 @@ def _threads() -> ThreadPoolExecutor:
 
 def _refine(
     image: Float[np.ndarray, "h w"],
-    fit: PoseEstimate,
-    detection: Detection,
+    start: Pose,
     pattern: Pattern,
-    lens: Intrinsics,
+    lens: AbstractLens,
     model: PoseModel,
-) -> ViewEstimate:
-    refined = refine_image(image, pattern, lens.lens, pose_of_values(fit.values), model)
+    shift: ShiftOfPlaces | None,
+) -> PictureFit:
+    def silent(note: str) -> PictureFit:
+        return PictureFit(start, None, None, note)
+
+    refined = refine_image(image, pattern, lens, start, model, shift)
     if refined is None:
-        return ViewEstimate(fit, None, "the picture has too little contrast to be fitted itself.")
+        return silent("the picture has too little contrast to be fitted itself.")
     if not refined.converged or not np.isfinite(refined.information).all():
-        return ViewEstimate(fit, None, "the fit of the picture itself did not converge.")
-    circles = circle_observations(detection, pattern, bucket_size(len(detection)))
-    residuals_px = np.asarray(_circle_residuals(refined.pose, lens.lens, circles))[: len(detection)]
-    moved = np.abs(residuals_px - fit.residuals_px)[fit.used]
-    if not moved.max(initial=0.0) < _LARGEST_MOVE_PX:
-        return ViewEstimate(
-            fit, None, f"the picture itself disagrees with its circles by {moved.max():.2f} px."
-        )
-    return _judged(fit, refined, residuals_px, model)
-
-
-def _judged(
-    fit: PoseEstimate, refined: ImageRefinement, residuals_px: np.ndarray, model: PoseModel
-) -> ViewEstimate:
-    parameters, by_delta = (
-        np.asarray(part) for part in _named_parameters(refined.pose, model=model)
+        return silent("the fit of the picture itself did not converge.")
+    before, after = (
+        np.asarray(project_to_image(pose, lens, pattern.centres_mm))
+        for pose in (start, refined.pose)
     )
-    by_delta = DEGREES[: model.size, None] * by_delta
-    largest = LARGEST_SIGMA * DEGREES * np.array([1, 1, 1, *np.full(3, parameters[3])])
-    seen = observability(refined.information / refined.noise**2, by_delta, largest[: model.size])
-    if seen.rank < model.size:
-        return ViewEstimate(fit, None, "the picture itself leaves the pose undetermined.")
+    moved = float(np.abs(after - before).max())
+    if not moved < _LARGEST_MOVE_PX:
+        return silent(f"the picture itself disagrees with its circles by {moved:.2f} px.")
+    return PictureFit(refined.pose, refined.points, _quality(refined, model), None)
+
+
+def _quality(refined: ImageRefinement, model: PoseModel) -> ImageQuality:
     look = refined.appearance
-    quality = ImageQuality(
+    distance = float(np.asarray(refined.pose.distance_mm))
+    by_delta = DEGREES[: model.size, None] * np.asarray(_by_delta(refined.pose, model=model))
+    largest = LARGEST_SIGMA * DEGREES * np.array([1, 1, 1, *np.full(3, distance)])
+    seen = observability(refined.information / refined.noise**2, by_delta, largest[: model.size])
+    return ImageQuality(
         noise=refined.noise,
         noise_floor=refined.noise_floor,
         pixels=refined.pixels,
@@ -118,27 +125,9 @@ def _judged(
         ink_over_paper=float(1 + look.ratio),
         bound=seen.covariance * (refined.noise_floor / refined.noise) ** 2,
     )
-    return ViewEstimate(
-        fit._replace(
-            status=Status.CONVERGED,
-            values=values_of_parameters(parameters),
-            covariance=seen.covariance,
-            residuals_px=residuals_px,
-            rank=seen.rank,
-            gauge=tuple(PARAMETER_NAMES[k] for k in seen.gauge),
-        ),
-        quality,
-        None,
-    )
-
-
-_circle_residuals = jax.jit(circle_residuals_px)
 
 
 @partial(jax.jit, static_argnames="model")
-def _named_parameters(
-    pose: Pose, *, model: PoseModel
-) -> tuple[Float[ArrayLike, "p"], Float[ArrayLike, "p p"]]:
-    """Parameters of a pose, and their derivative by a step in units of its distance."""
-    by_delta = pose.d_parameters_d_delta(model, pose.distance_mm, pose)
-    return pose.model_parameters(model, pose), by_delta
+def _by_delta(pose: Pose, *, model: PoseModel) -> Float[ArrayLike, "p p"]:
+    """Derivative of the parameters of a pose by a step in units of its distance."""
+    return pose.d_parameters_d_delta(model, pose.distance_mm, pose)

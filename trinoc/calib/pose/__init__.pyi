@@ -5,5 +5,4 @@ from .estimate import (
     values_of_parameters as values_of_parameters,
 )
 from .point_least_squares import PointFit as PointFit, fit_points as fit_points
-from .score import score_test as score_test
 from .views import fit_views as fit_views

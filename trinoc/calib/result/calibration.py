@@ -56,6 +56,7 @@ class CameraFit(eqx.Module):
     used : (m,) circles that took part in the fit; the others were located wrongly.
     image : of the fit to the grey levels, or None where the circles alone were fitted.
     alternatives : what the residuals say of everything that the model holds fixed.
+    method : whether the answer is that of the "picture" or of its "circles" alone.
     """
 
     detection: Detection
@@ -67,6 +68,7 @@ class CameraFit(eqx.Module):
     used: Bool[np.ndarray, "m"]
     image: ImageQuality | None = None
     alternatives: tuple[Alternative, ...] = ()
+    method: str = eqx.field(static=True, default="circles")
 
     @property
     def rms_px(self) -> float:
@@ -79,7 +81,8 @@ class CalibrationResult(eqx.Module):
 
     Fields
     ------
-    rig : the cameras whose fit converged; its covariance is the one below.
+    rig : the cameras whose fit converged; its covariance holds the aims and lenses, too, where they
+        are not exact.
     status : per camera, those that failed included.
     parameters : names such as "upper.pan_deg", the rows of `covariance`.
     values : (p,) of `parameters`, degrees and mm.
@@ -88,6 +91,7 @@ class CalibrationResult(eqx.Module):
     pattern : the sheet.
     failures : for each camera that is not in the rig, a sentence that says why.
     systematics : the errors beyond noise that the covariance holds, in words.
+    notes : sentences on what the pictures say of the sheet.
     """
 
     rig: Rig
@@ -99,6 +103,7 @@ class CalibrationResult(eqx.Module):
     pattern: Pattern
     failures: dict[str, str] = eqx.field(default_factory=dict)
     systematics: tuple[str, ...] = eqx.field(static=True, default=())
+    notes: tuple[str, ...] = eqx.field(static=True, default=())
 
     def sigma(self, parameter: str) -> float:
         """Standard deviation of a parameter such as "upper.pan_deg"; NaN if not known."""
@@ -143,7 +148,7 @@ def summary_text(result: CalibrationResult) -> str:
         for row in rows
     ]
     included = ", ".join(("noise", *result.systematics))
-    return "\n".join([*warnings, *lines, f"sigmas include {included}.", *remarks])
+    return "\n".join([*warnings, *lines, f"sigmas include {included}.", *result.notes, *remarks])
 
 
 def _noise(fit: CameraFit) -> str:

@@ -1,2 +1,5 @@
-from .lens_response import lens_spreads as lens_spreads
-from .systematics import Systematics as Systematics, with_spreads as with_spreads
+from .systematics import (
+    Systematics as Systematics,
+    data_sheet_covariance as data_sheet_covariance,
+    with_systematics as with_systematics,
+)

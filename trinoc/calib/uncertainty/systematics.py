@@ -34,12 +34,22 @@ from trinoc.geometry import (
 )
 from trinoc.numerics import ArrayLike, in_float64
 
+# What is assumed where nobody says it: see `Systematics.typical`.
+_PRINT_SIZE, _PRINT_STRETCH = 2e-3, 7e-4
+_FLATNESS_MM, _AIM_MM = 0.3, 20.0
+# Of a lens's data sheet: focal length, its aspect, the principal point over the picture's width, and
+# distortion in pixels at the corner.
+_FOCAL_LENGTH, _ASPECT, _PRINCIPAL_POINT, _DISTORTION_PX = 1e-2, 2e-3, 2e-2, 1.0
+
 # Shared by all cameras: print scale along X and Y, and three ways in which a sheet bends.
 _SHARED = 5
 
 
 class Systematics(NamedTuple):
-    """What is known of the errors of the sheet and the lens; zeros and None leave them out.
+    """What is known of the errors of the sheet, the lens and the aim; zeros and None leave them out.
+
+    Each is an unknown with this prior: where the pictures show it, it is fitted along; where they
+    do not, it is in the covariance. `Systematics()` takes everything as exact.
 
     Fields
     ------
@@ -51,11 +61,39 @@ class Systematics(NamedTuple):
         of Brown-Conrady), as `trinoc intrinsics` writes it. One matrix is of one calibrated lens
         that all cameras were given, whose error they share; a mapping holds one for each camera by
         name, and those errors are independent.
+    print_size_sigma : of the whole print's size, along X and Y alike, as a share.
+    aim_sigma_mm : of the point of the sheet that the optical axis meets, along X and along Y, about
+        the origin; it counts where the pose model is "aimed".
     """
 
     print_scale_sigma: tuple[float, float] = (0.0, 0.0)
     flatness_mm: float = 0.0
     lens_covariance: np.ndarray | Mapping[str, np.ndarray] | None = None
+    print_size_sigma: float = 0.0
+    aim_sigma_mm: float = 0.0
+
+    @classmethod
+    def typical(cls, lenses: Mapping[str, Intrinsics]) -> "Systematics":
+        """What a printer, a sheet of paper, a person's aim and a data sheet leave open.
+
+        The print is larger or smaller by .2 %, and longer along one side than along the other by
+        .1 %; paper lies flat to .3 mm; the optical axis meets the origin to 20 mm, which is no
+        more than that the camera looks at the sheet. A lens that is given in millimetres and
+        without distortion comes from a data sheet: see `data_sheet_covariance`. One given in
+        pixels comes from a calibration, and counts as exact unless its covariance is given.
+        """
+        return cls(
+            print_scale_sigma=(_PRINT_STRETCH, _PRINT_STRETCH),
+            flatness_mm=_FLATNESS_MM,
+            lens_covariance={
+                name: data_sheet_covariance(lens)
+                for name, lens in lenses.items()
+                if lens.pixel_pitch_mm is not None and not lens.has_distortion
+            }
+            or None,
+            print_size_sigma=_PRINT_SIZE,
+            aim_sigma_mm=_AIM_MM,
+        )
 
     def lens_factors(
         self, lenses: Mapping[str, Intrinsics | None]
@@ -88,10 +126,39 @@ class Systematics(NamedTuple):
             if (lens := lenses[name]) is not None
         }
 
+    def check(self) -> None:
+        """Raises InputError for a sigma that is negative or not finite."""
+        sigmas = (
+            *self.print_scale_sigma,
+            self.flatness_mm,
+            self.print_size_sigma,
+            self.aim_sigma_mm,
+        )
+        if not all(np.isfinite(sigma) and sigma >= 0 for sigma in sigmas):
+            raise InputError(
+                "A sigma of `Systematics` is negative or not finite: give standard deviations."
+            )
+
+    @property
+    def are_none(self) -> bool:
+        """Whether everything is exact."""
+        numbers = (*self.print_scale_sigma, self.flatness_mm, self.print_size_sigma)
+        return not any(numbers) and not self.aim_sigma_mm and self.lens_covariance is None
+
+    @property
+    def lens_is_shared(self) -> bool:
+        """Whether all cameras look through one lens, whose error they share."""
+        given = self.lens_covariance
+        return given is not None and not isinstance(given, Mapping)
+
     @property
     def words(self) -> tuple[str, ...]:
         """The terms that are in, for people."""
         terms = []
+        if self.aim_sigma_mm:
+            terms.append(f"the aim ({self.aim_sigma_mm:.3g} mm)")
+        if self.print_size_sigma:
+            terms.append(f"print size ({100 * self.print_size_sigma:.3g} %)")
         if any(self.print_scale_sigma):
             x, y = (100 * sigma for sigma in self.print_scale_sigma)
             terms.append(f"print scale ({x:.3g} % along X, {y:.3g} % along Y)")
@@ -110,49 +177,57 @@ def with_systematics(result: CalibrationResult, systematics: Systematics) -> Cal
 
     Each error moves the circles' centres, and with them the least-squares solution, linearly:
     the implicit derivative of the fitted pose, -(J^T J)^-1 J^T dr/de, carries its covariance.
-    `trinoc.calibrate(systematics=)` has the picture, and asks it what an error of the lens does.
+    Nothing is fitted anew: `trinoc.calibrate(systematics=)` also asks the pictures about these
+    errors. An aim that was held stays exact.
 
     Raises InputError for a negative sigma, a lens covariance of another shape or not finite,
     or one for a camera that the result does not know.
     """
+    systematics.check()
     lenses = dict.fromkeys(result.status) | {
         name: camera.intrinsics for name, camera in result.rig.items()
     }
     factors = systematics.lens_factors(lenses)
-    return with_spreads(result, systematics, factors, {})
-
-
-def with_spreads(
-    result: CalibrationResult,
-    systematics: Systematics,
-    factors: Mapping[str, Float[np.ndarray, "_ _"]],
-    spreads: Mapping[str, Float[np.ndarray, "_ _"]],
-) -> CalibrationResult:
-    """`with_systematics`, where `spreads` knows what the lens's errors do to some cameras."""
-    if min(*systematics.print_scale_sigma, systematics.flatness_mm) < 0:
-        raise InputError("A sigma of `Systematics` is negative: give standard deviations.")
     sheet_sigma = np.array([*systematics.print_scale_sigma, *np.full(3, systematics.flatness_mm)])
-    names = result.rig.names
-    count = len(result.parameters) // len(names)
-    lens_is_shared = not isinstance(systematics.lens_covariance, Mapping)
-    covariance, shared = np.array(result.covariance), []
-    for k, name in enumerate(names):
-        response = _response(result, name, count)
-        columns = [response[:, :_SHARED] * sheet_sigma]
+    rows = {name: row for row, name in enumerate(result.rig.parameters)}
+    covariance, shared = np.array(result.rig.covariance), []
+    for name in result.rig.names:
+        own = [rows[key] for key in (f"{name}.{p}" for p in PARAMETER_NAMES) if key in rows]
+        response = _response(result, name, len(own))
+        size = response[:, :1] + response[:, 1:2]
+        columns = [response[:, :_SHARED] * sheet_sigma, size * systematics.print_size_sigma]
         if name in factors:
             factor = factors[name]
-            by_lens = spreads.get(name, response[:, _SHARED:][:, : len(factor)] @ factor)
-            if lens_is_shared:
+            by_lens = response[:, _SHARED:][:, : len(factor)] @ factor
+            if systematics.lens_is_shared:
                 columns.append(by_lens)
             else:
-                block = slice(k * count, (k + 1) * count)
-                covariance[block, block] += by_lens @ by_lens.T
-        shared.append(np.concatenate(columns, axis=1))
-    stacked = np.concatenate(shared)
+                covariance[np.ix_(own, own)] += by_lens @ by_lens.T
+        spread = np.zeros((len(covariance), sum(column.shape[1] for column in columns)))
+        spread[own] = np.concatenate(columns, axis=1)
+        shared.append(spread)
+    stacked = np.sum(shared, axis=0)
     covariance += stacked @ stacked.T
-    rig = Rig(dict(result.rig.items()), parameters=result.parameters, covariance=covariance)
+    rig = Rig(dict(result.rig.items()), parameters=result.rig.parameters, covariance=covariance)
+    told = [rows[key] for key in result.parameters]
     words = (*result.systematics, *systematics.words)
-    return replace(result, rig=rig, covariance=covariance, systematics=words)
+    return replace(result, rig=rig, covariance=covariance[np.ix_(told, told)], systematics=words)
+
+
+def data_sheet_covariance(lens: Intrinsics) -> Float[np.ndarray, "5 5"]:
+    """Covariance of fx, fy, cx, cy and k1 of a lens that only its data sheet describes.
+
+    The focal length is off by 1 %, and by .2 % more along v than along u; the principal point by
+    2 % of the picture's width; distortion moves the corners of the picture by one pixel.
+    """
+    (fu, fv), (width, height) = np.asarray(lens.focal_length_px), lens.image_size_px
+    factor = np.zeros((5, 5))
+    factor[:2, 0] = _FOCAL_LENGTH * fu, _FOCAL_LENGTH * fv
+    factor[:2, 1] = 0.5 * _ASPECT * fu, -0.5 * _ASPECT * fv
+    factor[[2, 3], [2, 3]] = _PRINCIPAL_POINT * width
+    radius = 0.5 * np.hypot(width / fu, height / fv)
+    factor[4, 4] = _DISTORTION_PX / (float(np.sqrt(fu * fv)) * radius**3)
+    return factor @ factor.T
 
 
 def _checked(matrix: np.ndarray, lens: AbstractLens, whose: str) -> Float[np.ndarray, "k k"]:

@@ -1,6 +1,6 @@
 """One case: what is before the camera, the camera, and what the calibration is told of them."""
 
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import equinox as eqx
 import numpy as np
@@ -47,10 +47,17 @@ class LensError(eqx.Module):
 
 
 class Told(NamedTuple):
-    """What the calibration is told: parameters, flatness (mm), measured scales of the print."""
+    """What the calibration is told.
+
+    Fields
+    ------
+    parameters : 4 or 6.
+    exact : what is taken as exact: "all" of it, the "lens" alone, or "nothing".
+    print_scale : measured scales of the print.
+    """
 
     parameters: int = 4
-    flatness_mm: float = 0.0
+    exact: Literal["all", "lens", "nothing"] = "all"
     print_scale: tuple[float, float] = (1.0, 1.0)
 
 

@@ -1,0 +1,86 @@
+"""From the centres of ellipses to where the picture shows the centres of circles.
+
+The two differ by a tenth of a pixel, and by a thousandth more or less where the sheet bends or the
+lens is another than was said: as much as the mean of all circles is known to.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from trinoc.calib.adjustment.estimate import Adjustment
+from trinoc.calib.adjustment.sheet_shape import HEIGHT_TERMS, PRINT_TERMS, point_of_place
+from trinoc.calib.detection import Detection
+from trinoc.calib.model import SheetPoints, bucket_size, circle_observations
+from trinoc.calib.targets import Pattern
+from trinoc.geometry import (
+    AbstractLens,
+    Pose,
+    centre_of_mapped_ellipse,
+    dual_conic_of_circle,
+    transform_dual_conic,
+)
+from trinoc.numerics import ArrayLike
+
+
+def points_before_flat_sheet(
+    detection: Detection, pattern: Pattern, pose: Pose, lens: AbstractLens
+) -> SheetPoints:
+    """The centres of a detection's circles, if the camera is at `pose` and the sheet is flat."""
+    flat = np.zeros(len(PRINT_TERMS) + len(HEIGHT_TERMS))
+    return _points(detection, pattern, pose, lens, flat, np.asarray(1.0))
+
+
+def points_as_adjusted(
+    detection: Detection, pattern: Pattern, adjustment: Adjustment, view: int
+) -> SheetPoints:
+    """The same for the pose, the lens and the sheet that an adjustment found."""
+    found = adjustment.adjusted
+    pose, lens = jax.tree.map(lambda leaf: leaf[view], (found.pose, found.lens))
+    return _points(detection, pattern, pose, lens, found.shape, adjustment.reach_mm)
+
+
+def _points(
+    detection: Detection,
+    pattern: Pattern,
+    pose: Pose,
+    lens: AbstractLens,
+    shape: Float[ArrayLike, "s"],
+    reach_mm: Float[ArrayLike, ""],
+) -> SheetPoints:
+    count = len(detection)
+    circles = circle_observations(detection, pattern, bucket_size(count))
+    places, radius = np.asarray(circles.centres_sheet_mm), np.asarray(circles.radius_mm)
+    apart = np.asarray(_eccentricities_px(pose, lens, shape, reach_mm, places, radius))[:count]
+    whitening = np.zeros((count, 2, count, 2))
+    each = np.arange(count)
+    whitening[each, :, each, :] = circles.whitening[:count]
+    return SheetPoints(
+        places[:count],
+        detection.centres_px - apart,
+        whitening.reshape(2 * count, 2 * count),
+    )
+
+
+@jax.jit
+def _eccentricities_px(
+    pose: Pose,
+    lens: AbstractLens,
+    shape: Float[ArrayLike, "s"],
+    reach_mm: Float[ArrayLike, ""],
+    places_mm: Float[ArrayLike, "n 2"],
+    radius_mm: Float[ArrayLike, "n"],
+) -> Float[ArrayLike, "n 2"]:
+    """Centre of each circle's image less the image of its centre, on the sheet's tangent plane."""
+
+    def one(place: Float[ArrayLike, "2"], radius: Float[ArrayLike, ""]) -> ArrayLike:
+        tangent = jax.jacfwd(point_of_place)(place, shape, reach_mm)
+        centre = pose.transform(point_of_place(place, shape, reach_mm))
+        local = jnp.concatenate([pose.rotation @ tangent, centre[:, None]], axis=1)
+        circle = dual_conic_of_circle(jnp.zeros(2), radius)
+        ellipse = transform_dual_conic(local, circle)
+        middle = centre_of_mapped_ellipse(ellipse, lens.pixel_from_normalised)
+        return middle - lens.project_ray(centre)
+
+    return jax.vmap(one)(places_mm, radius_mm)

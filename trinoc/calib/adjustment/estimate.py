@@ -1,0 +1,238 @@
+"""The cameras over one sheet, adjusted and judged."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Float, Int
+
+from trinoc.calib.adjustment.least_squares import Adjusted, Unknowns, Views, adjust
+from trinoc.calib.adjustment.sheet_shape import shape_sigmas
+from trinoc.calib.model import ANNEALING, GATE, SheetPoints, bucket_size, robust_scale
+from trinoc.calib.uncertainty import Systematics
+from trinoc.geometry import AbstractLens, Pose, PoseModel, promoted, stack_lenses
+from trinoc.numerics import as_numpy
+
+# Programs exist for this many cameras, and for its doubles.
+_FEWEST_CAMERAS = 3
+# Chi-square beyond this many of its own standard deviations is not noise: the sigmas grow.
+_CHI_SQUARE_DEVIATIONS = 4.0
+
+
+class SheetView(NamedTuple):
+    """What one camera shows of the sheet, and where it is thought to stand.
+
+    Fields
+    ------
+    points : places of the sheet in its picture.
+    pose : from which the adjustment starts.
+    lens : as the user says it.
+    lens_factor : (k, r) L of the covariance L L^T of the first k of the lens's parameters; None for
+        a lens that is exact.
+    has_outliers : whether places of `points` may be wrong one by one.
+    """
+
+    points: SheetPoints
+    pose: Pose
+    lens: AbstractLens
+    lens_factor: Float[np.ndarray, "_k _r"] | None
+    has_outliers: bool
+
+
+class Adjustment(NamedTuple):
+    """What the cameras' pictures and all priors say together.
+
+    Fields
+    ------
+    parameters : (v, p) pan, tilt, swing in rad, distance and, where it is free, the aim in mm.
+    covariance : (k, k) of all unknowns: the steps of the poses one after the other, lengths in
+        units of each distance, then lenses and sheet in standard deviations of their priors.
+    adjusted : see `Adjusted`; its cameras beyond the first v are padding.
+    reach_mm : () distance from the origin at which the sheet's heights count.
+    lens_index : (v,) which lens of `adjusted.unknowns` each camera has.
+    used : for each camera, (n,) places that took part.
+    reduced_chi_square : (v,) of the places, before sigmas were enlarged by it.
+    freedom : (v,) degrees of freedom of the same.
+    enlarged : (v,) by how much they were; 1 where the places scatter as they claim.
+    converged : whether the last adjustment has.
+    """
+
+    parameters: Float[np.ndarray, "v p"]
+    covariance: Float[np.ndarray, "k k"]
+    adjusted: Adjusted
+    reach_mm: Float[np.ndarray, ""]
+    lens_index: Int[np.ndarray, "_v"]
+    used: list[np.ndarray]
+    reduced_chi_square: Float[np.ndarray, "v"]
+    freedom: Float[np.ndarray, "v"]
+    enlarged: Float[np.ndarray, "v"]
+    converged: bool
+
+    def pose_covariance(self, view: int) -> Float[np.ndarray, "p p"]:
+        """Of one camera's step."""
+        rows = self.rows(view)
+        return self.covariance[rows, rows]
+
+    def lens_row(self, view: int) -> int:
+        """The first row of one camera's lens in `covariance`."""
+        return (
+            self.parameters.size + int(self.lens_index[view]) * self.adjusted.unknowns.lens.shape[1]
+        )
+
+    def rows(self, view: int) -> slice:
+        """The rows of one camera's step in `covariance`."""
+        size = self.parameters.shape[1]
+        return slice(view * size, (view + 1) * size)
+
+
+def adjusted_views(
+    views: Sequence[SheetView],
+    systematics: Systematics,
+    model: PoseModel,
+    aim_sigma_mm: float,
+) -> Adjustment:
+    """All cameras together, places that fit none of it left out.
+
+    A camera whose places scatter more than they claim gets sigmas that are larger by that much, in
+    a second adjustment where it weighs less.
+    """
+    known = _stacked(views, systematics, aim_sigma_mm)
+    count = len(views)
+    start = _no_change(known, model)
+    found = as_numpy(adjust(start, known, model=model))
+    used = [np.ones(len(view.points.place_mm), dtype=bool) for view in views]
+    suspects = [k for k in range(count) if views[k].has_outliers and _worst(found, k) > GATE]
+    if suspects:
+        known, found = _without_outliers(known, found, used, suspects, model)
+    reduced, freedom = _reduced_chi_squares(found, known, count)
+    largest = 1 + _CHI_SQUARE_DEVIATIONS * np.sqrt(2 / np.maximum(freedom, 1e-9))
+    enlarged = np.where(reduced > largest, np.sqrt(reduced), 1.0)
+    if (enlarged > 1).any():
+        factor = np.concatenate([enlarged, np.ones(len(known.held) - count)])
+        whitening = known.points.whitening / factor[:, None, None]
+        known = known._replace(points=known.points._replace(whitening=whitening))
+        found = as_numpy(adjust(found.unknowns, known, model=model))
+    covariance = np.linalg.inv(information_of(found))
+    kept = np.concatenate(
+        [np.arange(count * model.size), np.arange(found.unknowns.pose.size, len(covariance))]
+    )
+    parameters = np.stack(
+        [
+            _parameters(jax.tree.map(lambda leaf, k=k: leaf[k], found.pose), model)
+            for k in range(count)
+        ]
+    )
+    return Adjustment(
+        parameters,
+        covariance[np.ix_(kept, kept)],
+        found,
+        known.reach_mm,
+        np.asarray(known.lens_index),
+        used,
+        reduced,
+        freedom,
+        enlarged,
+        bool(found.converged),
+    )
+
+
+def _stacked(
+    views: Sequence[SheetView],
+    systematics: Systematics,
+    aim_sigma_mm: float,
+) -> Views:
+    """The views along a first axis, padded to a number of cameras that has a program."""
+    count = len(views)
+    cameras = max(_FEWEST_CAMERAS, 1 << (count - 1).bit_length())
+    each = [views[min(k, count - 1)] for k in range(cameras)]
+    size = bucket_size(max(len(view.points.place_mm) for view in views))
+    points = [view.points.padded(size) for view in each]
+    for k in range(count, cameras):
+        points[k] = points[k]._replace(whitening=np.zeros_like(points[k].whitening))
+    lenses = [promoted(view.lens) for view in each]
+    terms = len(lenses[0].parameter_names)
+    factors = np.zeros((cameras, terms, terms))
+    for factor, view in zip(factors, each, strict=True):
+        if view.lens_factor is not None:
+            rows, columns = view.lens_factor.shape
+            factor[:rows, :columns] = view.lens_factor
+    reach = max(float(np.hypot(*view.points.place_mm.T).max()) for view in views)
+    held = (np.arange(cameras) >= count).astype(float)
+    return Views(
+        pose=jax.tree.map(lambda *leaves: np.stack(leaves), *(view.pose for view in each)),
+        lens=stack_lenses(lenses),
+        lens_factor=factors,
+        lens_index=np.zeros(cameras, dtype=int)
+        if systematics.lens_is_shared
+        else np.arange(cameras),
+        aim_weight=(1 - held) * (1 / aim_sigma_mm if aim_sigma_mm > 0 else 0.0),
+        held=held,
+        points=jax.tree.map(lambda *leaves: np.stack(leaves), *points),
+        outlier_scale=np.full(cameras, np.inf),
+        shape_sigma=shape_sigmas(
+            systematics.print_size_sigma, systematics.print_scale_sigma, systematics.flatness_mm
+        ),
+        reach_mm=np.asarray(reach),
+    )
+
+
+def _no_change(views: Views, model: PoseModel) -> Unknowns:
+    cameras, _, terms = views.lens_factor.shape
+    return Unknowns(
+        np.zeros((cameras, model.size)),
+        np.zeros((cameras, terms)),
+        np.zeros(len(views.shape_sigma)),
+    )
+
+
+def _pairs(found: Adjusted, view: int) -> Float[np.ndarray, "n 2"]:
+    return np.asarray(found.whitened[view]).reshape(-1, 2)
+
+
+def _worst(found: Adjusted, view: int) -> float:
+    return float(np.linalg.norm(_pairs(found, view), axis=1).max())
+
+
+def _without_outliers(
+    known: Views, found: Adjusted, used: list[np.ndarray], suspects: list[int], model: PoseModel
+) -> tuple[Views, Adjusted]:
+    """A robust adjustment names the places that do not fit; one without them is the answer."""
+    for share in ANNEALING:
+        scale = np.array(known.outlier_scale)
+        for k in suspects:
+            scale[k] = share * robust_scale(_pairs(found, k)[: len(used[k])])
+        found = as_numpy(adjust(found.unknowns, known._replace(outlier_scale=scale), model=model))
+    whitening = np.array(known.points.whitening)
+    for k in suspects:
+        pairs = _pairs(found, k)[: len(used[k])]
+        used[k] = np.linalg.norm(pairs, axis=1) <= GATE * robust_scale(pairs)
+        whitening[k, : 2 * len(used[k])][np.repeat(~used[k], 2)] = 0.0
+    known = known._replace(points=known.points._replace(whitening=whitening))
+    return known, as_numpy(adjust(found.unknowns, known, model=model))
+
+
+def information_of(found: Adjusted) -> Float[np.ndarray, "k k"]:
+    """Of all unknowns, the priors included."""
+    rows = np.concatenate([*found.jacobian, *found.aim_jacobian])
+    return rows.T @ rows + np.diag(found.prior)
+
+
+def _reduced_chi_squares(
+    found: Adjusted, known: Views, count: int
+) -> tuple[Float[np.ndarray, "v"], Float[np.ndarray, "v"]]:
+    """Chi-square of each camera over its degrees of freedom, and these."""
+    covariance = np.linalg.inv(information_of(found))
+    reduced, freedom = np.full(count, np.nan), np.zeros(count)
+    for k in range(count):
+        rows = np.asarray(found.jacobian[k])
+        taken = float(np.sum((rows @ covariance) * rows))
+        shown = int((np.asarray(known.points.whitening[k]) != 0).any(axis=1).sum())
+        freedom[k] = shown - taken
+        if freedom[k] >= 1:
+            reduced[k] = float(np.sum(np.square(found.whitened[k]))) / freedom[k]
+    return reduced, freedom
+
+
+def _parameters(pose: Pose, model: PoseModel) -> Float[np.ndarray, "p"]:
+    return np.asarray(pose.parameters)[: model.size]

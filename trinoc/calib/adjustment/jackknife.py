@@ -1,0 +1,46 @@
+"""What blocks of the sheet say of each other: the scatter of the answers without one of them.
+
+Errors that neighbouring circles share (glare, a bend of no known shape) make a pose err more than
+circles that err one by one would. Leaving out whole blocks shows it: B. Efron and C. Stein, "The
+jackknife estimate of variance", Annals of Statistics 9(3), 1981.
+"""
+
+import numpy as np
+
+from trinoc.calib.adjustment.estimate import Adjustment, information_of
+
+# Blocks along each side of the sheet.
+_BLOCKS = 4
+_FEWEST_BLOCKS = 6
+
+
+def scatter_of_blocks(adjustment: Adjustment, place_mm: np.ndarray, view: int) -> float:
+    """By how much blocks scatter beyond the noise that the circles of a camera claim; at least 1.
+
+    place_mm : (n, 2) of the camera's circles, which err one by one as far as they claim.
+    """
+    found = adjustment.adjusted
+    size = adjustment.parameters.shape[1]
+    own = slice(view * size, (view + 1) * size)
+    jacobian, residuals = np.asarray(found.jacobian[view]), np.asarray(found.whitened[view])
+    information = information_of(found)
+    steps = []
+    for block in _blocks(place_mm[: len(adjustment.used[view])], adjustment.used[view]):
+        rows = np.concatenate([2 * block, 2 * block + 1])
+        less = information - jacobian[rows].T @ jacobian[rows]
+        steps.append(np.linalg.solve(less, jacobian[rows].T @ residuals[rows])[own])
+    if len(steps) < _FEWEST_BLOCKS:
+        return 1.0
+    spread = np.stack(steps) - np.mean(steps, axis=0)
+    variance = (len(steps) - 1) / len(steps) * spread.T @ spread
+    inverse = np.linalg.inv(information)
+    claimed = (inverse @ (jacobian.T @ jacobian) @ inverse)[own, own]
+    return float(np.sqrt(max(1.0, np.trace(np.linalg.solve(claimed, variance)) / size)))
+
+
+def _blocks(place_mm: np.ndarray, used: np.ndarray) -> list[np.ndarray]:
+    """Rows of `place_mm` that took part, by the block of the sheet that they lie in."""
+    low, high = place_mm.min(axis=0), place_mm.max(axis=0)
+    cell = np.floor((place_mm - low) / (high - low + 1e-9) * _BLOCKS).astype(int)
+    number = np.where(used, cell[:, 0] * _BLOCKS + cell[:, 1], -1)
+    return [np.flatnonzero(number == k) for k in range(_BLOCKS**2) if (number == k).any()]

@@ -1,0 +1,242 @@
+"""Least squares over the poses of all cameras, their lenses and the shape of their sheet.
+
+What the user states with a standard deviation is an unknown with that prior: D. C. Brown, "The
+bundle adjustment - progress and prospects", 1976, calls this self-calibration with additional
+parameters.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.flatten_util
+import jax.numpy as jnp
+import lineax as lx
+import optimistix as optx
+from jaxtyping import Bool, Float, Int
+
+from trinoc.calib.adjustment.sheet_shape import point_of_place
+from trinoc.calib.model import SheetPoints
+from trinoc.geometry import AbstractLens, Pose, PoseModel, project_point
+from trinoc.numerics import ArrayLike, GemanMcClure
+
+_MOST_STEPS = 60
+_STEP_TOLERANCE = 1e-9
+_COST_TOLERANCE = 1e-9
+
+
+class Unknowns(NamedTuple):
+    """What is adjusted, as changes from where it starts.
+
+    Fields
+    ------
+    pose : (v, p) steps of `Pose.retract`, lengths in units of each camera's distance.
+    lens : (l, r) of each lens, in standard deviations of its prior.
+    shape : (s,) of the sheet, in standard deviations of its prior.
+    """
+
+    pose: Float[ArrayLike, "v p"]
+    lens: Float[ArrayLike, "l r"]
+    shape: Float[ArrayLike, "s"]
+
+
+class Views(NamedTuple):
+    """What is known before the adjustment; leaves have a first axis v unless something else is said.
+
+    Fields
+    ------
+    pose, lens : from which changes are counted; lenses of one model.
+    lens_factor : (v, q, r) change of the lens's parameters by a unit of `Unknowns.lens`.
+    lens_index : row of `Unknowns.lens` that is this camera's lens.
+    aim_weight : one over the standard deviation of the aim in mm; 0 for none.
+    held : 1 for a padded camera, which stays where it is, else 0.
+    points : what the pictures show.
+    outlier_scale : of the bound on each place's influence, in its standard deviations.
+    shape_sigma : (s,) of all cameras' one sheet.
+    reach_mm : () distance from the origin at which its heights count.
+    """
+
+    pose: Pose
+    lens: AbstractLens
+    lens_factor: Float[ArrayLike, "v q r"]
+    lens_index: Int[ArrayLike, "v"]
+    aim_weight: Float[ArrayLike, "v"]
+    held: Float[ArrayLike, "v"]
+    points: SheetPoints
+    outlier_scale: Float[ArrayLike, "v"]
+    shape_sigma: Float[ArrayLike, "s"]
+    reach_mm: Float[ArrayLike, ""]
+
+
+class Adjusted(NamedTuple):
+    """Where the adjustment ended.
+
+    Fields
+    ------
+    unknowns : see `Unknowns`.
+    pose, lens : (v,) of the cameras.
+    shape : (s,) of the sheet, see `SHAPE_NAMES`.
+    residuals_px : (v, n, 2) predicted minus observed.
+    whitened : (v, 2n) the same in standard deviations.
+    jacobian : (v, 2n, k) of `whitened` by all unknowns, flattened in their order.
+    by_lens : (v, 2n, q) of `whitened` by the parameters of each camera's own lens.
+    by_aim : (v, 2n, 2) of `whitened` by each camera's aim, in units of its distance.
+    prior : (k,) information of the priors on each unknown but the aim.
+    aim_jacobian : (v, 2, k) of the aims in units of their priors.
+    d_parameters_d_pose : (v, p, p) of the named parameters, in rad and mm, by the step of the
+        pose from where it ended.
+    converged : whether the solver says so.
+    """
+
+    unknowns: Unknowns
+    pose: Pose
+    lens: AbstractLens
+    shape: Float[ArrayLike, "s"]
+    residuals_px: Float[ArrayLike, "v n 2"]
+    whitened: Float[ArrayLike, "v m"]
+    jacobian: Float[ArrayLike, "v m k"]
+    by_lens: Float[ArrayLike, "v m q"]
+    by_aim: Float[ArrayLike, "v m 2"]
+    prior: Float[ArrayLike, "k"]
+    aim_jacobian: Float[ArrayLike, "v 2 k"]
+    d_parameters_d_pose: Float[ArrayLike, "v p p"]
+    converged: Bool[ArrayLike, ""]
+
+
+@partial(jax.jit, static_argnames="model")
+def adjust(start: Unknowns, views: Views, *, model: PoseModel) -> Adjusted:
+    """The unknowns of least cost, from `start`, and what they are known by."""
+    solver = optx.LevenbergMarquardt(
+        rtol=_COST_TOLERANCE, atol=_STEP_TOLERANCE, linear_solver=lx.Normal(lx.Cholesky())
+    )
+    solution = optx.least_squares(
+        partial(_costs, model), solver, start, args=views, max_steps=_MOST_STEPS, throw=False
+    )
+    found = solution.value
+    pose, lens = _cameras(found, views, model)
+    shape = views.shape_sigma * found.shape
+    # Looked at from the pose that was found: a chart is exact to first order where it is laid.
+    here = views._replace(pose=pose)
+    origin = found._replace(pose=jnp.zeros_like(found.pose))
+    flat, back = jax.flatten_util.ravel_pytree(origin)
+
+    def whitened(vector: Float[ArrayLike, "k"]) -> Float[ArrayLike, "v m"]:
+        return _whitened(back(vector), here, model)
+
+    def aims(vector: Float[ArrayLike, "k"]) -> Float[ArrayLike, "v 2"]:
+        return _aims(back(vector), here, model)
+
+    def by_own_lens(change: Float[ArrayLike, "v q"]) -> Float[ArrayLike, "v m"]:
+        moved = jax.vmap(lambda one, delta: one.retract(delta))(lens, change)
+        return jax.vmap(_whitened_view, in_axes=(0, 0, None, 0, None))(
+            pose, moved, shape, here.points, here.reach_mm
+        )
+
+    def by_own_pose(step: Float[ArrayLike, "v 6"]) -> Float[ArrayLike, "v m"]:
+        moved = jax.vmap(lambda one, move: one.retract(move, PoseModel.AIM_FREE, one.distance_mm))
+        return jax.vmap(_whitened_view, in_axes=(0, 0, None, 0, None))(
+            moved(pose, step), lens, shape, here.points, here.reach_mm
+        )
+
+    cameras, terms = views.lens_factor.shape[:2]
+    by_lens = _along_each(by_own_lens, jnp.eye(terms), cameras)
+    by_aim = _along_each(by_own_pose, jnp.eye(PoseModel.AIM_FREE.size)[4:], cameras)
+    prior = back(jnp.ones_like(flat))._replace(
+        pose=jnp.broadcast_to(views.held[:, None], found.pose.shape)
+    )
+    by_pose = jax.vmap(lambda one: one.d_parameters_d_delta(model, one.distance_mm, one))(pose)
+    residuals = jax.vmap(_residuals_view, in_axes=(0, 0, None, 0, None))(
+        pose, lens, shape, here.points, here.reach_mm
+    )
+    return Adjusted(
+        found,
+        pose,
+        lens,
+        shape,
+        residuals,
+        whitened(flat),
+        jax.jacfwd(whitened)(flat),
+        jnp.moveaxis(by_lens, 0, -1),
+        jnp.moveaxis(by_aim, 0, -1),
+        jax.flatten_util.ravel_pytree(prior)[0],
+        jax.jacfwd(aims)(flat),
+        by_pose,
+        solution.result == optx.RESULTS.successful,
+    )
+
+
+def _along_each(
+    function: Callable[[Float[ArrayLike, "v q"]], Float[ArrayLike, "v m"]],
+    directions: Float[ArrayLike, "d q"],
+    cameras: int,
+) -> Float[ArrayLike, "d v m"]:
+    """Derivatives at zero along directions that all cameras take at once."""
+    zeros = jnp.zeros((cameras, directions.shape[1]))
+
+    def along(direction: Float[ArrayLike, "q"]) -> Float[ArrayLike, "v m"]:
+        return jax.jvp(function, (zeros,), (jnp.broadcast_to(direction, zeros.shape),))[1]
+
+    return jax.vmap(along)(directions)
+
+
+def _costs(model: PoseModel, unknowns: Unknowns, views: Views) -> tuple:
+    """Everything that is squared and summed."""
+    whitened = _whitened(unknowns, views, model)
+    pairs = whitened.reshape(len(whitened), -1, 2)
+    squared = jnp.sum(pairs * pairs, axis=2, keepdims=True)
+    bounded = jax.vmap(
+        lambda scale, pair, square: GemanMcClure.from_scale(scale).bounded(pair, square)
+    )(views.outlier_scale, pairs, squared)
+    held = views.held[:, None] * unknowns.pose
+    return bounded, held, unknowns.lens, unknowns.shape, _aims(unknowns, views, model)
+
+
+def _cameras(unknowns: Unknowns, views: Views, model: PoseModel) -> tuple[Pose, AbstractLens]:
+    pose = jax.vmap(lambda one, step: one.retract(step, model, one.distance_mm))(
+        views.pose, unknowns.pose
+    )
+    change = jnp.einsum("vqr,vr->vq", views.lens_factor, unknowns.lens[views.lens_index])
+    return pose, jax.vmap(lambda one, delta: one.retract(delta))(views.lens, change)
+
+
+def _whitened(unknowns: Unknowns, views: Views, model: PoseModel) -> Float[ArrayLike, "v m"]:
+    pose, lens = _cameras(unknowns, views, model)
+    shape = views.shape_sigma * unknowns.shape
+    return jax.vmap(_whitened_view, in_axes=(0, 0, None, 0, None))(
+        pose, lens, shape, views.points, views.reach_mm
+    )
+
+
+def _aims(unknowns: Unknowns, views: Views, model: PoseModel) -> Float[ArrayLike, "v 2"]:
+    pose, _ = _cameras(unknowns, views, model)
+    return views.aim_weight[:, None] * jax.vmap(lambda one: one.aim_mm)(pose)
+
+
+def _residuals_view(
+    pose: Pose,
+    lens: AbstractLens,
+    shape: Float[ArrayLike, "s"],
+    points: SheetPoints,
+    reach_mm: Float[ArrayLike, ""],
+) -> Float[ArrayLike, "n 2"]:
+    """Predicted minus observed."""
+
+    def predicted(place: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
+        return project_point(pose, lens, point_of_place(place, shape, reach_mm))
+
+    return jax.vmap(predicted)(points.place_mm) - points.uv_px
+
+
+def _whitened_view(
+    pose: Pose,
+    lens: AbstractLens,
+    shape: Float[ArrayLike, "s"],
+    points: SheetPoints,
+    reach_mm: Float[ArrayLike, ""],
+) -> Float[ArrayLike, "m"]:
+    residuals = _residuals_view(pose, lens, shape, points, reach_mm)
+    return points.whitening @ residuals.reshape(-1)
+
+
+residuals_px = jax.jit(_residuals_view)

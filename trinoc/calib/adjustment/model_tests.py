@@ -1,0 +1,76 @@
+"""What of all that is still held fixed do the residuals speak against?
+
+Score tests: each alternative is one more unknown, of which the residuals tell how much chi-square it
+would take away, without another adjustment.
+"""
+
+import numpy as np
+from jaxtyping import Float
+from scipy.stats import chi2
+
+from trinoc.calib.adjustment.estimate import Adjustment, information_of
+from trinoc.calib.result import Alternative
+
+_FOCAL, _RADIAL = (0, 1), 4
+
+
+def alternatives(
+    adjustment: Adjustment, view: int, freedom: float, *, lens_is_free: bool, aim_is_held: bool
+) -> list[Alternative]:
+    """Every alternative for one camera, the one that explains most of the residuals first.
+
+    freedom : degrees of freedom of its residuals.
+    """
+    found = adjustment.adjusted
+    distance = float(adjustment.parameters[view, 3])
+    by_lens, focal = np.asarray(found.by_lens[view]), np.asarray(found.lens.focal_length_px[view])
+    columns = {"aim": np.asarray(found.by_aim[view])} if aim_is_held else {}
+    if not lens_is_free:
+        columns["focal length"] = (by_lens[:, _FOCAL] @ focal)[:, None]
+        columns["radial distortion"] = by_lens[:, _RADIAL : _RADIAL + 1]
+    unit = {"aim": distance}
+    tests = [
+        _score(name, extra, adjustment, view, freedom, unit.get(name, 1.0))
+        for name, extra in columns.items()
+        if freedom - extra.shape[1] >= 1
+    ]
+    return sorted(tests, key=lambda item: item.p_value)
+
+
+def _score(
+    name: str,
+    extra: Float[np.ndarray, "n k"],
+    adjustment: Adjustment,
+    view: int,
+    freedom: float,
+    unit: float,
+) -> Alternative:
+    found = adjustment.adjusted
+    base, residual = np.asarray(found.jacobian[view]), np.asarray(found.whitened[view])
+    across = base.T @ extra
+    normal = extra.T @ extra - across.T @ np.linalg.solve(information_of(found), across)
+    estimate = -np.linalg.solve(normal, extra.T @ residual)
+    drop = float(estimate @ normal @ estimate)
+    # Places that scatter more than they claim scatter alike in every direction.
+    scale = max(1.0, (float(residual @ residual) - drop) / (freedom - len(estimate)))
+    sigma = unit * np.sqrt(scale * np.diag(np.linalg.inv(normal)))
+    p_value = float(chi2.sf(drop / scale, len(estimate)))
+    sentence = _sentence(name, unit * estimate, sigma)
+    return Alternative(name, drop / scale, p_value, unit * estimate, sigma, sentence)
+
+
+def _sentence(name: str, estimate: Float[np.ndarray, "k"], sigma: Float[np.ndarray, "k"]) -> str:
+    if name == "aim":
+        return (
+            f"the optical axis misses the origin of the sheet by ({estimate[0]:.2f}, "
+            f"{estimate[1]:.2f}) +- ({sigma[0]:.1g}, {sigma[1]:.1g}) mm: use parameters=6."
+        )
+    if name == "focal length":
+        return (
+            f"the residuals look like a focal length {100 * estimate[0]:+.3f} +- "
+            f"{100 * sigma[0]:.1g} % off: check the lens and its focus."
+        )
+    return (
+        f"the residuals look like radial distortion k1 = {estimate[0]:+.3f} +- {sigma[0]:.3f} "
+        "that the lens does not hold: calibrate its intrinsics."
+    )

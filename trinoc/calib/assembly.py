@@ -1,0 +1,169 @@
+"""From adjusted cameras to the result that users see."""
+
+from collections.abc import Mapping, Sequence
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from trinoc.calib.adjustment import Adjustment, alternatives, residuals_px
+from trinoc.calib.messages import (
+    LARGEST_STRAIN,
+    is_suspect,
+    lens_strain,
+    notes_of_camera,
+    notes_of_priors,
+    notes_of_sheet,
+)
+from trinoc.calib.model import bucket_size
+from trinoc.calib.pose import DEGREES
+from trinoc.calib.result import CalibrationResult, CameraFit, Status
+from trinoc.calib.rig_fit import Knowledge, RigFit
+from trinoc.geometry import (
+    AFFINE_PARAMETERS,
+    PARAMETER_NAMES,
+    Camera,
+    Intrinsics,
+    Pose,
+    Rig,
+    simplified,
+)
+from trinoc.numerics import LARGEST_SIGMA, Observability, in_float64, observability
+
+
+@in_float64
+def result_of_fit(
+    fit: RigFit,
+    known: Knowledge,
+    status: Mapping[str, Status],
+    failures: dict[str, str],
+    others: Mapping[str, CameraFit],
+) -> CalibrationResult:
+    """The rig, its covariance and what is to be said of each camera.
+
+    status : of all cameras asked for, in their order. others : of cameras that are not in the rig.
+    """
+    names = [camera.sheet.name for camera in fit.cameras]
+    seen = [_observability(fit.adjustment, k) for k in range(len(names))]
+    keys, covariance = _named_covariance(fit, seen)
+    reported = known.model.parameter_names
+    told = tuple(f"{name}.{parameter}" for name in names for parameter in reported)
+    rows = [keys.index(key) for key in told]
+    cameras = {name: _camera(fit, k) for k, name in enumerate(names)}
+    values = [
+        DEGREES[: len(reported)] * fit.adjustment.parameters[k, : len(reported)]
+        for k in range(len(names))
+    ]
+    fits, judged = dict(others), dict(status)
+    for k, camera in enumerate(fit.cameras):
+        fits[names[k]], suspect = _camera_fit(fit, k, known, seen[k])
+        if suspect:
+            judged[camera.sheet.name] = Status.SUSPECT
+    return CalibrationResult(
+        rig=Rig(cameras, parameters=keys, covariance=covariance),
+        status=judged,
+        parameters=told,
+        values=np.concatenate(values),
+        covariance=covariance[np.ix_(rows, rows)],
+        fits=fits,
+        pattern=known.pattern,
+        failures=failures,
+        systematics=known.systematics.words,
+        notes=notes_of_sheet(fit.adjustment, known.systematics),
+    )
+
+
+def _observability(adjustment: Adjustment, view: int) -> Observability:
+    """Of one camera's pose, all else being as uncertain as it is."""
+    size = adjustment.parameters.shape[1]
+    distance = adjustment.parameters[view, 3]
+    largest = LARGEST_SIGMA * DEGREES * np.array([1, 1, 1, *np.full(3, distance)])
+    information = np.linalg.inv(adjustment.pose_covariance(view))
+    return observability(information, _by_step(adjustment, view), largest[:size])
+
+
+def _by_step(adjustment: Adjustment, view: int) -> Float[np.ndarray, "p p"]:
+    """Named parameters in degrees and mm by a step of one camera's pose."""
+    size = adjustment.parameters.shape[1]
+    return DEGREES[:size, None] * np.asarray(adjustment.adjusted.d_parameters_d_pose[view])
+
+
+def _named_covariance(
+    fit: RigFit, seen: Sequence[Observability]
+) -> tuple[tuple[str, ...], Float[np.ndarray, "k k"]]:
+    """Names and covariance of all poses and of the focal lengths and principal points that are
+    uncertain; NaN for parameters that are not determined."""
+    adjustment = fit.adjustment
+    names, blocks, unknown = [], [], []
+    for k, camera in enumerate(fit.cameras):
+        rows = adjustment.rows(k)
+        by_pose = np.zeros((rows.stop - rows.start, len(adjustment.covariance)))
+        by_pose[:, rows] = _by_step(adjustment, k)
+        unknown += [len(names) + row for row in seen[k].gauge]
+        names += [f"{camera.sheet.name}.{key}" for key in PARAMETER_NAMES[: len(by_pose)]]
+        blocks.append(by_pose)
+        if camera.sheet.lens_factor is not None:
+            by_lens = np.zeros((len(AFFINE_PARAMETERS), len(adjustment.covariance)))
+            factor = camera.sheet.lens_factor[: len(AFFINE_PARAMETERS)]
+            start = adjustment.lens_row(k)
+            by_lens[: len(factor), start : start + factor.shape[1]] = factor
+            names += [f"{camera.sheet.name}.{key}" for key in AFFINE_PARAMETERS]
+            blocks.append(by_lens)
+    by_unknowns = np.concatenate(blocks)
+    covariance = by_unknowns @ adjustment.covariance @ by_unknowns.T
+    covariance[unknown] = np.nan
+    covariance[:, unknown] = np.nan
+    return tuple(names), covariance
+
+
+def _camera(fit: RigFit, view: int) -> Camera:
+    sheet, found = fit.cameras[view].sheet, fit.adjustment.adjusted
+    pose: Pose = jax.tree.map(lambda leaf: np.asarray(leaf[view]), found.pose)
+    if sheet.lens_factor is None:
+        return Camera(sheet.lens, pose)
+    lens = simplified(jax.tree.map(lambda leaf: np.asarray(leaf[view]), found.lens))
+    return Camera(
+        Intrinsics.of_lens(lens, sheet.lens.image_size_px, sheet.lens.pixel_pitch_mm), pose
+    )
+
+
+def _camera_fit(
+    fit: RigFit, view: int, known: Knowledge, seen: Observability
+) -> tuple[CameraFit, bool]:
+    """What is said of one camera, and whether it is suspect."""
+    camera, of_circles = fit.cameras[view], fit.of_circles
+    used = of_circles.used[view]
+    tests = alternatives(
+        of_circles,
+        view,
+        of_circles.freedom[view],
+        lens_is_free=camera.sheet.lens_factor is not None,
+        aim_is_held=known.aim_is_held,
+    )
+    reduced = float(of_circles.reduced_chi_square[view])
+    gauge = tuple(PARAMETER_NAMES[k] for k in seen.gauge)
+    strain = lens_strain(fit.adjustment, view, camera)
+    notes = notes_of_camera(camera, known.pattern, used, tests, reduced, gauge)
+    result = CameraFit(
+        detection=camera.sheet.detection,
+        residuals_px=_circle_residuals_px(fit, view),
+        rank=seen.rank,
+        reduced_chi_square=reduced,
+        gauge=gauge,
+        notes=(*notes_of_priors(fit.adjustment, view, known, strain), *notes),
+        used=used,
+        image=camera.picture.quality if camera.picture and camera.method == "picture" else None,
+        alternatives=tuple(tests),
+        method=camera.method,
+    )
+    return result, is_suspect(result) or strain > LARGEST_STRAIN
+
+
+def _circle_residuals_px(fit: RigFit, view: int) -> Float[np.ndarray, "m 2"]:
+    """Predicted minus observed centres, by the answer."""
+    found, points = fit.adjustment.adjusted, fit.cameras[view].points
+    pose, lens = jax.tree.map(lambda leaf: leaf[view], (found.pose, found.lens))
+    count = len(points.place_mm)
+    padded = points.padded(bucket_size(count))
+    reach = fit.adjustment.reach_mm
+    return np.asarray(residuals_px(pose, lens, found.shape, padded, reach))[:count]

@@ -1,0 +1,232 @@
+"""From sheets that were found to cameras: by circles first, then by grey levels where both agree."""
+
+from collections.abc import Sequence
+from typing import Literal, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from trinoc.calib.adjustment import (
+    Adjustment,
+    SheetView,
+    adjusted_views,
+    apparent_shift,
+    points_as_adjusted,
+    points_before_flat_sheet,
+    probability_of_agreement,
+    scatter_of_blocks,
+)
+from trinoc.calib.detection import Detection
+from trinoc.calib.model import SheetPoints
+from trinoc.calib.photometric import PictureFit, ShiftOfPlaces, refine_views
+from trinoc.calib.pose import PoseEstimate, fit_views, pose_of_values
+from trinoc.calib.result import Status
+from trinoc.calib.targets import Pattern
+from trinoc.calib.uncertainty import Systematics
+from trinoc.geometry import Intrinsics, Pose, PoseModel
+
+# Both answers of a picture differ by more than this allows in one of a hundred right pictures,
+# which pays with a third of its sigmas.
+_LEAST_PROBABILITY = 1e-2
+# Below this many pixels a shift does not bend the profile of an edge.
+_LEAST_SHIFT_PX = 0.02
+# Blocks of right circles scatter by a half more than they claim once in hundreds of pictures.
+_LARGEST_SCATTER = 1.5
+
+Method = Literal["picture", "circles"]
+
+
+class FoundSheet(NamedTuple):
+    """One camera's picture of the sheet, before any fit.
+
+    Fields
+    ------
+    name : of the camera.
+    detection : the circles and lines that were found.
+    lens : as the user says it.
+    lens_factor : (k, r) of its covariance; None for a lens that is exact.
+    image : (h, w) grey levels; None where the circles alone count.
+    """
+
+    name: str
+    detection: Detection
+    lens: Intrinsics
+    lens_factor: Float[np.ndarray, "_k _r"] | None
+    image: Float[np.ndarray, "_h _w"] | None
+
+
+class Knowledge(NamedTuple):
+    """What is known of all cameras before they are fitted.
+
+    Fields
+    ------
+    pattern : the sheet.
+    model : what the user wants to know of each pose.
+    systematics : what is not exact.
+    """
+
+    pattern: Pattern
+    model: PoseModel
+    systematics: Systematics
+
+    @property
+    def aim_is_held(self) -> bool:
+        """Whether the optical axes meet the origin exactly."""
+        return self.model is PoseModel.AIMED and not self.systematics.aim_sigma_mm
+
+    @property
+    def fitted_model(self) -> PoseModel:
+        """What is free of each pose."""
+        return PoseModel.AIMED if self.aim_is_held else PoseModel.AIM_FREE
+
+    @property
+    def aim_sigma_mm(self) -> float:
+        """Of the prior on the aim; 0 for none."""
+        return self.systematics.aim_sigma_mm if self.model is PoseModel.AIMED else 0.0
+
+
+class CameraFitting(NamedTuple):
+    """How one camera came to its answer.
+
+    Fields
+    ------
+    sheet : what was found.
+    points : the circles.
+    picture : what its grey levels say; None where they were not asked.
+    method : whose answer it is.
+    agreement : probability that both answers differ as they do; NaN where there is one.
+    scatter : by how much its circles' blocks scatter beyond their noise.
+    """
+
+    sheet: FoundSheet
+    points: SheetPoints
+    picture: PictureFit | None
+    method: Method
+    agreement: float
+    scatter: float
+
+
+class RigFit(NamedTuple):
+    """All cameras: how each came to its answer, the answer, and that of the circles alone."""
+
+    cameras: list[CameraFitting]
+    adjustment: Adjustment
+    of_circles: Adjustment
+
+
+def fitted_circles(sheets: Sequence[FoundSheet], known: Knowledge) -> list[PoseEstimate]:
+    """Each camera from its circles alone; with its aim held where that is all they determine."""
+    detections, lenses = [sheet.detection for sheet in sheets], [sheet.lens for sheet in sheets]
+    fits = fit_views(detections, known.pattern, lenses, known.fitted_model)
+    if known.model is PoseModel.AIM_FREE or known.aim_is_held:
+        return fits
+    weak = [k for k, fit in enumerate(fits) if fit.status is not Status.CONVERGED]
+    chosen = [detections[k] for k in weak], known.pattern, [lenses[k] for k in weak]
+    for k, fit in zip(weak, fit_views(*chosen, known.model), strict=True):
+        fits[k] = fit
+    return fits
+
+
+def fit_rig(
+    sheets: Sequence[FoundSheet], circles: Sequence[PoseEstimate], known: Knowledge
+) -> RigFit:
+    """All cameras adjusted together, each by its picture where that agrees with its circles.
+
+    circles : a converged fit of each.
+    """
+    starts = [pose_of_values(fit.values) for fit in circles]
+    by_circles = [
+        SheetView(
+            points_before_flat_sheet(sheet.detection, known.pattern, start, sheet.lens.lens),
+            start,
+            sheet.lens.lens,
+            sheet.lens_factor,
+            has_outliers=True,
+        )
+        for start, sheet in zip(starts, sheets, strict=True)
+    ]
+    of_circles = _adjusted(by_circles, known)
+    if not known.systematics.are_none:
+        by_circles = [
+            view._replace(points=points_as_adjusted(sheet.detection, known.pattern, of_circles, k))
+            for k, (view, sheet) in enumerate(zip(by_circles, sheets, strict=True))
+        ]
+        of_circles = _adjusted(by_circles, known)
+    points = [view.points for view in by_circles]
+    pictures = _pictures(sheets, starts, points, of_circles, known)
+    by_picture = [
+        view
+        if picture is None or picture.points is None
+        # What its own pixels left out is no place that may be wrong.
+        else view._replace(points=picture.points, pose=picture.pose, has_outliers=False)
+        for view, picture in zip(by_circles, pictures, strict=True)
+    ]
+    asked = [view.points is not one for view, one in zip(by_picture, points, strict=True)]
+    of_pictures = _adjusted(by_picture, known) if any(asked) else of_circles
+    agreement = [
+        probability_of_agreement(of_circles, of_pictures, points[k], k)
+        if asked[k]
+        else float("nan")
+        for k in range(len(sheets))
+    ]
+    chosen = [asked[k] and agreement[k] >= _LEAST_PROBABILITY for k in range(len(sheets))]
+    scatter = [
+        1.0 if chosen[k] else _scatter(of_circles, one, k, refuted=asked[k])
+        for k, one in enumerate(points)
+    ]
+    final = of_pictures
+    if not all(chosen):
+        views = [
+            by_picture[k] if chosen[k] else _scattered(by_circles[k], scatter[k])
+            for k in range(len(sheets))
+        ]
+        final = _adjusted(views, known)
+    cameras = [
+        CameraFitting(
+            sheet,
+            points[k],
+            pictures[k],
+            "picture" if chosen[k] else "circles",
+            agreement[k],
+            scatter[k],
+        )
+        for k, sheet in enumerate(sheets)
+    ]
+    return RigFit(cameras, final, of_circles)
+
+
+def _adjusted(views: Sequence[SheetView], known: Knowledge) -> Adjustment:
+    return adjusted_views(views, known.systematics, known.fitted_model, known.aim_sigma_mm)
+
+
+def _pictures(
+    sheets: Sequence[FoundSheet],
+    starts: Sequence[Pose],
+    points: Sequence[SheetPoints],
+    of_circles: Adjustment,
+    known: Knowledge,
+) -> list[PictureFit | None]:
+    """The fit of each picture that is there, around what the circles show of bend and lens."""
+    images, poses, lenses = {}, {}, {}
+    shifts: dict[str, ShiftOfPlaces] = {}
+    for k, sheet in enumerate(sheets):
+        if sheet.image is None:
+            continue
+        images[sheet.name], poses[sheet.name] = sheet.image, starts[k]
+        lenses[sheet.name] = sheet.lens.lens
+        shift = apparent_shift(of_circles, k, starts[k], sheet.lens.lens)
+        if np.abs(shift(points[k].place_mm)).max() > _LEAST_SHIFT_PX:
+            shifts[sheet.name] = shift
+    found = refine_views(images, poses, known.pattern, lenses, known.fitted_model, shifts)
+    return [found.get(sheet.name) for sheet in sheets]
+
+
+def _scatter(of_circles: Adjustment, points: SheetPoints, view: int, *, refuted: bool) -> float:
+    """How much the circles' sigmas must grow; by all that blocks say where the model is wrong."""
+    scatter = scatter_of_blocks(of_circles, points.place_mm, view)
+    return scatter if refuted or scatter > _LARGEST_SCATTER else 1.0
+
+
+def _scattered(view: SheetView, scatter: float) -> SheetView:
+    whitening = view.points.whitening / scatter
+    return view._replace(points=view.points._replace(whitening=whitening))
