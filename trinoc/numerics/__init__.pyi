@@ -33,6 +33,7 @@ from .neighbours_in_plane import (
     near_pairs as near_pairs,
     point_tree as point_tree,
 )
+from .noise import noise_sigma as noise_sigma
 from .precision import (
     as_float as as_float,
     as_numpy as as_numpy,

@@ -20,7 +20,6 @@ from trinoc.calib.photometric.gauss_newton import (
 )
 from trinoc.calib.photometric.initial import initial_appearance
 from trinoc.calib.photometric.ink_coverage import Cross, Drawing
-from trinoc.calib.photometric.noise_floor import noise_floor
 from trinoc.calib.photometric.pixel_selection import (
     PARTS,
     PixelSelection,
@@ -31,7 +30,7 @@ from trinoc.calib.photometric.pixel_selection import (
 )
 from trinoc.calib.targets import Pattern
 from trinoc.geometry import AbstractLens, Pose, PoseModel
-from trinoc.numerics import GemanMcClure
+from trinoc.numerics import GemanMcClure, noise_sigma
 
 # Shares of the contrast at which a residual loses its influence while the fit finds its way.
 _SCALES = (0.12, 0.07, 0.05)
@@ -118,7 +117,7 @@ def refine_image(
         state.appearance,
         _marginal(np.asarray(last.sums.information), model.size),
         float(np.sqrt(np.sum(left.astype(np.float64) ** 2) / freedom)),
-        noise_floor(_cut_out(image, choice), choice.flat),
+        noise_sigma(_cut_out(image, choice), flat=choice.flat),
         len(left),
         int(np.sum(~gate.kept)),
         bool(last.converged),
