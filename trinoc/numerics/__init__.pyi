@@ -34,6 +34,7 @@ from .neighbours_in_plane import (
     point_tree as point_tree,
 )
 from .noise import noise_sigma as noise_sigma
+from .options import with_field as with_field
 from .precision import (
     as_float as as_float,
     as_numpy as as_numpy,
