@@ -1,4 +1,4 @@
-"""Knocked rigs mended by segments that the matcher joins: matches recovered, errors, basin.
+"""Knocked rigs corrected by segments that the matcher joins: matches recovered, errors, basin.
 
     python benchmarks/refine_matched.py [--trials N] [--large]
 
@@ -54,7 +54,7 @@ def trials_of(make, size: tuple[float, float], count: int, every: bool) -> Itera
         yield calibrated_rig(random), true, segments, truth, name
 
 
-def mended(
+def corrected(
     given: Rig, segments: dict[str, Segments], name: str, every: bool, way: str
 ) -> RefineResult:
     """One refinement, matched once, again and again, or from tolerant to strict."""
@@ -85,7 +85,7 @@ def row(label: str, make, size, trials: int, every: bool, way: str) -> None:
     scores, before, after, outcomes, laps = [], [], [], [], []
     for given, true, segments, truth, name in trials_of(make, size, trials, every):
         begin = time.perf_counter()
-        answer = mended(given, segments, name, every, way)
+        answer = corrected(given, segments, name, every, way)
         laps.append(time.perf_counter() - begin)
         rigs = given, answer.rig, true
         found = [score_matches(match_segments(segments, rig), truth).triples for rig in rigs]

@@ -19,7 +19,7 @@ import numpy as np
 from trinoc.evaluation import score_matches
 from trinoc.match import match_segments
 from trinoc.match.tuning import DEFAULT
-from trinoc.numerics.options import with_field
+from trinoc.numerics import with_field
 from trinoc.synth import (
     Detector,
     block_scene,

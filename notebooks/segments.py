@@ -17,8 +17,8 @@ from trinoc.segments.nevatia_babu.gradient import gradient_of
 from trinoc.segments.nevatia_babu.linking import successors
 from trinoc.segments.nevatia_babu import combined_kernel
 from trinoc.segments import nevatia_babu_masks
-from trinoc.segments.nevatia_babu.noise import noise_sigma
 from trinoc.segments.nevatia_babu.polygon import split_chains
+from trinoc.segments.nevatia_babu.pyramid import level_noise
 from trinoc.segments.nevatia_babu.thinning import thinned_pixels
 
 plt.rcParams.update({"figure.dpi": 64, "savefig.bbox": "tight", "axes.titlesize": 10})
@@ -64,7 +64,7 @@ plt.show()
 grey = picture.astype(np.float32)
 kernel = combined_kernel(1)
 gradient = gradient_of(grey, kernel)
-noise = noise_sigma(grey, quantum=1.0)
+noise = level_noise(grey, quantum=1.0)
 strength = np.sqrt(gradient.squared)
 direction = np.arctan2(gradient.v, gradient.u)
 print(f"noise {noise:.2f} grey levels, in the gradient {noise * kernel.noise_gain:.3f} per pixel")

@@ -13,7 +13,7 @@ import trinoc.match
 from tests.match.made import loose_lines, pictures, rig_of
 from trinoc.match import join_collinear, match_segments, snap_corners
 from trinoc.match.tuning import DEFAULT, MatchTuning
-from trinoc.numerics.options import with_field
+from trinoc.numerics import with_field
 
 VIEWS = ("upper", "left", "right")
 

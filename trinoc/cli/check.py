@@ -55,9 +55,9 @@ class Check(Command):
             written = [str(self.out)]
         text = "\n".join([check.summary(), *(f"written: {path}" for path in written)])
         record = {
-            "told": check.conclusive,
+            "conclusive": check.conclusive,
             "moved": list(check.moved),
-            "mended": check.refined is not None,
+            "corrected": check.refined is not None,
             "sigmas": {motion.name: motion.sigmas for motion in check.motions},
             "written": written,
         }

@@ -11,3 +11,4 @@ from .observations.match_input import MatchInput as MatchInput, prepare as prepa
 from .occlusion.pairs import occluded_pairs as occluded_pairs
 from .selection.marginals import Selection as Selection, select as select
 from .tracks.matches import BINOCULAR as BINOCULAR, TRINOCULAR as TRINOCULAR, Matches as Matches
+from .tuning import MatchTuning as MatchTuning

@@ -1,6 +1,6 @@
 """Every tuned constant of the matcher, in one frozen value that can be swept.
 
-    tuning = with_field(DEFAULT, "selection.damping", 0.5)     # trinoc.numerics
+    tuning = with_field(MatchTuning(), "selection.damping", 0.5)     # trinoc.numerics
     matches = match_segments(segments, rig, tuning=tuning)
 
 Each group says which figure shows it; `benchmarks/sweep.py` tries other values. Most values were

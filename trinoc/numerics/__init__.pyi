@@ -33,6 +33,8 @@ from .neighbours_in_plane import (
     near_pairs as near_pairs,
     point_tree as point_tree,
 )
+from .noise import noise_sigma as noise_sigma
+from .options import with_field as with_field
 from .precision import (
     as_float as as_float,
     as_numpy as as_numpy,

@@ -3,3 +3,4 @@ from .junctions import find_junctions as find_junctions, with_junctions as with_
 from .lsd import find_segments_lsd as find_segments_lsd
 from .nevatia_babu.masks import nevatia_babu_masks as nevatia_babu_masks
 from .side_intensity import with_side_levels as with_side_levels
+from .tuning import SegmentTuning as SegmentTuning

@@ -1,6 +1,6 @@
 """The tuned constants of `find_segments`, in one frozen value that can be swept.
 
-    tuning = with_field(DEFAULT, "accept.soft_ratio", 2.0)     # trinoc.numerics
+    tuning = with_field(SegmentTuning(), "accept.soft_ratio", 2.0)     # trinoc.numerics
     segments = find_segments(image, tuning=tuning)
 
 `tolerance_px`, `false_alarms` and `least_contrast` are arguments of `find_segments` itself. Values

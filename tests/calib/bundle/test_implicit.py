@@ -33,7 +33,6 @@ def test_gradients_of_a_line_and_of_a_camera_agree_with_differences():
     whitening = jax.vmap(jax.vmap(whitening_across))(lines.fragments_px, lines.covariance_px2)
     prior = PosePrior(TRUTH.reshape(3, 4), np.diag(SHEET_SIGMA**-2), cameras)
 
-    @eqx.filter_jit
     def outputs(fragments_px, sheet_values):
         tracks = FragmentTable(fragments_px, whitening, lines.seen)
         sheet = PosePrior(sheet_values, prior.information, cameras)
@@ -41,25 +40,31 @@ def test_gradients_of_a_line_and_of_a_camera_agree_with_differences():
         upper, start = (jax.tree.map(lambda leaf: leaf[0], each) for each in (answer, cameras))
         return jnp.stack([upper.parameters(start)[1], crossing(anchors[4], ends[4])[2]])
 
+    # One program serves values and gradients: compiling it takes most of the time.
     @eqx.filter_jit
-    def gradients(fragments_px, sheet_values, weight):
-        return jax.vjp(outputs, fragments_px, sheet_values)[1](weight)
+    def value_and_gradients(fragments_px, sheet_values, weight):
+        value, pull_back = jax.vjp(outputs, fragments_px, sheet_values)
+        return value, pull_back(weight)
 
-    rows = [gradients(lines.fragments_px, prior.values, weight) for weight in np.eye(2)]
+    def value(fragments_px, sheet_values):
+        return value_and_gradients(fragments_px, sheet_values, np.zeros(2))[0]
+
+    here = (lines.fragments_px, prior.values)
+    rows = [value_and_gradients(*here, weight)[1] for weight in np.eye(2)]
     by_fragments, by_sheet = (np.stack(each) for each in zip(*rows, strict=True))
     step_px, step = 1e-3, 1e-4
     for track, view, end, axis in ((4, 0, 1, 0), (4, 2, 0, 1), (7, 1, 1, 1)):
         delta = np.zeros(lines.fragments_px.shape)
         delta[track, view, end, axis] = step_px
-        above = outputs(lines.fragments_px + delta, prior.values)
-        below = outputs(lines.fragments_px - delta, prior.values)
+        above = value(lines.fragments_px + delta, prior.values)
+        below = value(lines.fragments_px - delta, prior.values)
         expected = (above - below) / (2 * step_px)
         found = by_fragments[:, track, view, end, axis]
         np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-7)
     for view, parameter in ((0, 1), (2, 3)):
         delta = np.zeros((3, 4))
         delta[view, parameter] = step
-        above = outputs(lines.fragments_px, prior.values + delta)
-        below = outputs(lines.fragments_px, prior.values - delta)
+        above = value(lines.fragments_px, prior.values + delta)
+        below = value(lines.fragments_px, prior.values - delta)
         expected = (above - below) / (2 * step)
         np.testing.assert_allclose(by_sheet[:, view, parameter], expected, rtol=1e-4, atol=1e-7)

@@ -1,4 +1,4 @@
-"""A rig that stands still is left in peace; a knocked camera is named and mended."""
+"""A rig that stands still is left in peace; a knocked camera is named and corrected."""
 
 import numpy as np
 import pytest
@@ -31,7 +31,7 @@ def test_a_rig_at_rest_is_left_in_peace():
 
 
 @pytest.mark.parametrize("camera", ["upper", "right", "left"])
-def test_a_knocked_camera_is_named_and_mended(camera):
+def test_a_knocked_camera_is_named_and_corrected(camera):
     lines, _, _ = made_tracks(40, 100)
     rig = knocked(41, (camera,), SIZES_DEG)
     check = check_rig(rig, lines)
@@ -48,7 +48,7 @@ def test_a_knocked_camera_is_named_and_mended(camera):
     assert camera in check.summary()
 
 
-def test_two_knocked_cameras_are_not_mended_in_secret():
+def test_two_knocked_cameras_are_not_corrected_in_secret():
     lines, _, _ = made_tracks(50, 100)
     check = check_rig(knocked(51, ("upper", "left"), 1.0), lines)
     assert len(check.moved) >= 2

@@ -11,7 +11,6 @@ from trinoc.calib.photometric.appearance import Appearance, Pixels, Prediction, 
 from trinoc.calib.photometric.gauss_newton import sheet_from_normalised
 from trinoc.calib.photometric.image_fit import ImageRefinement
 from trinoc.calib.photometric.ink_coverage import Cross, Drawing
-from trinoc.calib.photometric.noise_floor import noise_floor
 from trinoc.calib.photometric.pixel_selection import group_of, select_pixels
 from trinoc.calib.pose import pose_of_values
 from trinoc.geometry import Pose, PoseModel
@@ -193,22 +192,3 @@ def test_ink_that_spreads_is_measured() -> None:
 
 def test_a_blank_picture_is_not_fitted() -> None:
     assert refined(np.full(LENS.image_size_px[::-1], 128.0), START) is None
-
-
-def test_noise_floor_is_the_noise_of_a_flat_field() -> None:
-    row, column = np.mgrid[:200, :300]
-    shade = 100 + 0.1 * row - 0.2 * column
-    noisy = shade + np.random.default_rng(1).normal(0.0, 3.0, shade.shape)
-    assert noise_floor(noisy, np.ones(shape=shade.shape, dtype=bool)) == pytest.approx(
-        3.0, rel=0.03
-    )
-    assert np.isnan(noise_floor(noisy, np.zeros(shade.shape, dtype=bool)))
-
-
-@pytest.mark.parametrize("noise", [1.3, 1.5, 2.0])
-def test_noise_floor_of_whole_grey_levels_holds_their_rounding(noise: float) -> None:
-    grey = 120.3 + np.random.default_rng(2).normal(0.0, noise, (300, 400))
-    expected = np.hypot(noise, np.sqrt(1 / 12))
-    assert noise_floor(np.rint(grey), np.ones(grey.shape, dtype=bool)) == pytest.approx(
-        expected, rel=0.02
-    )

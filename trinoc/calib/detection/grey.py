@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Shaped
 
-from trinoc.numerics import MAD_TO_SIGMA, grey_image
+from trinoc.numerics import grey_image, noise_sigma
 
 _NOISE_SAMPLES = 20_000
 
@@ -26,7 +26,9 @@ class SearchImage(NamedTuple):
 def search_image(image: Shaped[np.ndarray, "..."]) -> SearchImage:
     """`image` in grey, with its noise. Raises InputError for what is no picture."""
     grey = grey_image(image).grey
-    return SearchImage(grey, _noise_sigma(grey))
+    step = max(1, round(np.sqrt(grey.size / _NOISE_SAMPLES)))
+    # The thresholds were chosen with the plain median, in steps of a quarter of a whole level.
+    return SearchImage(grey, noise_sigma(grey, quantum=0.0, stride=(step, step)))
 
 
 def reduced(image: SearchImage, factor: int) -> SearchImage:
@@ -40,16 +42,3 @@ def reduced(image: SearchImage, factor: int) -> SearchImage:
         interpolation=cv2.INTER_AREA,
     )
     return SearchImage(grey, image.noise_sigma / factor)
-
-
-def _noise_sigma(grey: Float[np.ndarray, "h w"]) -> float:
-    """Median absolute second difference (Immerkaer 1996, doi 10.1006/cviu.1996.0060)."""
-    step = max(1, round(np.sqrt(grey.size / _NOISE_SAMPLES)))
-    above, middle, below = (grey[first : grey.shape[0] - 2 + first : step] for first in range(3))
-    # Second difference along both axes: blind to planes of light; the squares sum to 36.
-    down = above + below
-    down -= 2.0 * middle
-    second = down[:, :-2:step] - 2.0 * down[:, 1:-1:step] + down[:, 2::step]
-    sample = np.abs(second).ravel() / 6.0
-    median = float(np.partition(sample, len(sample) // 2)[len(sample) // 2])
-    return MAD_TO_SIGMA * median

@@ -23,7 +23,6 @@ from trinoc.calib.photometric.gauss_newton import (
 from trinoc.calib.photometric.initial import initial_appearance
 from trinoc.calib.photometric.ink_coverage import Cross, Drawing
 from trinoc.calib.photometric.line_pixels import places_of_pixels
-from trinoc.calib.photometric.noise_floor import noise_floor
 from trinoc.calib.photometric.patches import patch_points
 from trinoc.calib.photometric.pixel_selection import (
     PARTS,
@@ -35,7 +34,7 @@ from trinoc.calib.photometric.pixel_selection import (
 )
 from trinoc.calib.targets import Pattern
 from trinoc.geometry import AbstractLens, Pose, PoseModel
-from trinoc.numerics import GemanMcClure
+from trinoc.numerics import GemanMcClure, noise_sigma
 
 # Shares of the contrast at which a residual loses its influence while the fit finds its way.
 _SCALES = (0.12, 0.07, 0.05)
@@ -142,7 +141,7 @@ def refine_image(
         state.appearance,
         _marginal(np.asarray(last.sums.information), model.size),
         noise,
-        noise_floor(_cut_out(image, choice), choice.flat),
+        noise_sigma(_cut_out(image, choice), flat=choice.flat),
         len(left),
         int(np.sum(~gate.kept)),
         bool(last.converged),

@@ -78,7 +78,7 @@ class RigCheck(eqx.Module):
             verdict = f'Camera "{self.moved[0]}" has moved; the segments tell where it is now.'
         else:
             verdict = (
-                "More than one camera has moved, which segments alone cannot mend: "
+                "More than one camera has moved, which segments alone cannot correct: "
                 "calibrate the rig again with the sheet."
             )
         rows = [verdict]
@@ -123,24 +123,24 @@ def check_rig(
         matches = best.tracks
     motions, freed = _motions(rig, matches, best)
     strongest = max(motions, key=lambda motion: motion.sigmas)
-    mended, name = freed[strongest.name], strongest.name
-    conclusive = _agreeing(mended) >= FEWEST_LINES and (
-        best is not None or mended.segment_sigma_factor < MOST_NOISE
+    corrected, name = freed[strongest.name], strongest.name
+    conclusive = _agreeing(corrected) >= FEWEST_LINES and (
+        best is not None or corrected.segment_sigma_factor < MOST_NOISE
     )
     if strongest.sigmas < SUSPECT_SIGMAS:
         return RigCheck(motions, (), None, conclusive)
     others = [other for other in rig.names if other != name]
-    noise = max(mended.segment_sigma_factor, 1.0)
+    noise = max(corrected.segment_sigma_factor, 1.0)
     further = {
-        other: _significance(mended, _freed(mended, rig, matches, (name, other)), noise)
+        other: _significance(corrected, _freed(corrected, rig, matches, (name, other)), noise)
         for other in others
     }
     also = tuple(other for other in others if further[other] >= SUSPECT_SIGMAS)
-    if also or mended.status is RefineStatus.NOT_CONVERGED:
+    if also or corrected.status is RefineStatus.NOT_CONVERGED:
         return RigCheck(motions, (name, *also), None)
     if not conclusive:
         return RigCheck(motions, (), None, conclusive)
-    return RigCheck(motions, (name,), mended)
+    return RigCheck(motions, (name,), corrected)
 
 
 def _agreeing(result: RefineResult) -> int:

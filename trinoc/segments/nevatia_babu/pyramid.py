@@ -10,8 +10,14 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
+from trinoc.numerics import noise_sigma
 from trinoc.segments.nevatia_babu.masks import GradientKernel
-from trinoc.segments.nevatia_babu.noise import noise_sigma
+
+# Rows enough for a noise good to one part in a hundred; more would only cost time.
+_MOST_ROWS = 60
+_QUANTISATION_SIGMA = float(np.sqrt(1 / 12))
+# Pictures of real numbers are taken to be good to this share of their range.
+_LEAST_OF_RANGE = 1e-4
 
 
 class Level(NamedTuple):
@@ -50,10 +56,20 @@ def half_level(fine: Level, kernel: GradientKernel) -> Level:
     return _level(half, 2.0, fine.quantum / 2, kernel)
 
 
+def level_noise(grey: Float[np.ndarray, "h w"], quantum: float) -> float:
+    """Standard deviation of the noise, not below that of the rounding to `quantum`.
+
+    Real numbers, whose `quantum` is 0, have a ten-thousandth of their range for a floor.
+    """
+    noise = noise_sigma(grey, quantum=quantum, stride=(max(1, (len(grey) - 2) // _MOST_ROWS), 1))
+    floor = _QUANTISATION_SIGMA * quantum if quantum else _LEAST_OF_RANGE * float(np.ptp(grey))
+    return max(noise, floor, float(np.finfo(np.float32).tiny) ** 0.25)
+
+
 def _level(
     grey: Float[np.ndarray, "h w"], spacing: float, quantum: float, kernel: GradientKernel
 ) -> Level:
-    sigma = noise_sigma(grey, quantum)
+    sigma = level_noise(grey, quantum)
     # Averaging pixels smooths by (spacing^2 - 1) / 12, as does any box.
     variance = kernel.variance_px2 * spacing**2 + (spacing**2 - 1) / 12
     return Level(
