@@ -23,11 +23,20 @@ import jax
 import numpy as np
 from scipy.optimize import least_squares
 
-from trinoc.calib import Detection, Pattern, calibrate_detections, detect_pattern
+from trinoc.calib import (
+    CalibrationResult,
+    Detection,
+    Pattern,
+    Systematics,
+    calibrate_detections,
+    detect_pattern,
+)
+from trinoc.calib.from_detections import Search, calibration_of_search
 from trinoc.calib.model import circle_observations, stack_observations, whitened_residuals
 from trinoc.calib.photometric import refine_image, refine_views
 from trinoc.calib.pose import fit_views, pose_of_values
 from trinoc.calib.pose.least_squares import fit_images_from_lines
+from trinoc.calib.rig_fit import Knowledge
 from trinoc.errors import DetectionError
 from trinoc.geometry import Camera, PoseModel, stack_lenses
 from trinoc.synth import render_sheet, table1_lens
@@ -151,23 +160,30 @@ def difference(values: np.ndarray, truth: np.ndarray) -> np.ndarray:
     return error
 
 
+def by_picture(
+    picture: np.ndarray, detection: Detection, pattern: Pattern, model: PoseModel
+) -> CalibrationResult:
+    """The answer of the grey levels, all else being exact."""
+    search = Search(("a",), {"a": detection}, {"a": picture.astype(np.float32)}, {})
+    known = Knowledge(pattern, model, Systematics())
+    return calibration_of_search(search, {"a": LENS}, known, None, throw=True)
+
+
 def one_trial(picture: np.ndarray, truth: np.ndarray, true_px: np.ndarray) -> Trial | None:
     try:
         detection = labelled(detect_pattern(picture, SHEET), true_px)
     except DetectionError:
         return None
     names = {"a": detection}
-    circles = calibrate_detections(names, SHEET, LENS)
-    fit = fit_views([detection], SHEET, [LENS], aimed)[0]
-    refined = refine_views(
-        {"a": picture.astype(np.float32)}, {"a": fit}, names, SHEET, {"a": LENS}, 4
-    )["a"]
-    if refined.quality is None:
+    circles = calibrate_detections(names, SHEET, LENS, systematics=Systematics())
+    refined = by_picture(picture, detection, SHEET, PoseModel.AIMED)
+    quality = refined.fits["a"].image
+    if quality is None:
         return None
-    covariance = refined.fit.covariance
-    bound = np.sqrt(np.diag(covariance)) * TRUE_NOISE / refined.quality.noise
+    covariance = refined.covariance
+    bound = np.sqrt(np.diag(covariance)) * TRUE_NOISE / quality.noise
     errors = {
-        "trinoc, picture": difference(refined.fit.values[:4], truth),
+        "trinoc, picture": difference(refined.values.copy(), truth),
         "trinoc, circles": difference(circles.values.copy(), truth),
         "our circles + scipy": difference(by_scipy(detection, truth + 0.05), truth),
     }
@@ -217,9 +233,8 @@ def report_times(picture: np.ndarray, truth: np.ndarray, true_px: np.ndarray) ->
     many = jax.tree.map(lambda leaf: np.repeat(leaf, 1000, axis=0), one)
     lens, lenses = stack_lenses([LENS.lens]), stack_lenses([LENS.lens] * 1000)
     start, aimed = pose_of_values(np.append(truth + 0.01, [0, 0])), PoseModel.AIMED
-    fit = fit_views([detection], SHEET, [LENS], aimed)[0]
-    greys, fits = dict.fromkeys("abc", grey), dict.fromkeys("abc", fit)
-    found, three_lenses = dict.fromkeys("abc", detection), dict.fromkeys("abc", LENS)
+    greys, starts = dict.fromkeys("abc", grey), dict.fromkeys("abc", start)
+    three_lenses = dict.fromkeys("abc", LENS.lens)
     calls: dict[str, tuple[Callable[[], object], int]] = {
         "cv2.solvePnP": (lambda: by_solve_pnp_alone(centres), 1),
         "scipy least_squares": (lambda: by_scipy(detection, truth + 0.05), 1),
@@ -232,7 +247,7 @@ def report_times(picture: np.ndarray, truth: np.ndarray, true_px: np.ndarray) ->
         "detect_pattern": (lambda: detect_pattern(picture, SHEET), 1),
         "refinement": (lambda: refine_image(grey, SHEET, LENS.lens, start, aimed), 1),
         "refinement, three": (
-            lambda: refine_views(greys, fits, found, SHEET, three_lenses, aimed),
+            lambda: refine_views(greys, starts, SHEET, three_lenses, aimed, {}),
             1,
         ),
     }

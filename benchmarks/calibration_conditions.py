@@ -14,14 +14,12 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
-from calibration import LENS, NOISE, SHEET, TRUE_NOISE, difference, labelled, poses
+from calibration import LENS, NOISE, SHEET, TRUE_NOISE, by_picture, difference, labelled, poses
 from picture_bound import Scene, bound_of_image
 
 from trinoc.calib import Pattern, detect_pattern
-from trinoc.calib.photometric import refine_views
-from trinoc.calib.pose import fit_views
 from trinoc.errors import DetectionError
-from trinoc.geometry import image_of_circle_centre
+from trinoc.geometry import PoseModel, image_of_circle_centre
 from trinoc.synth.disturbances import card
 
 
@@ -98,13 +96,12 @@ def one_outcome(
         detection = labelled(detect_pattern(picture, pattern), np.asarray(centres))
     except DetectionError:
         return None
-    fit = fit_views([detection], pattern, [LENS], count)[0]
-    grey, names = {"a": picture.astype(np.float32)}, {"a": detection}
-    refined = refine_views(grey, {"a": fit}, names, pattern, {"a": LENS}, count)["a"]
-    if refined.quality is None:
+    model = PoseModel.AIMED if count == PoseModel.AIMED.size else PoseModel.AIM_FREE
+    refined = by_picture(picture, detection, pattern, model)
+    if refined.fits["a"].image is None:
         return None
-    error = difference(refined.fit.values[:count].copy(), scene.values[:count])
-    return Outcome(error, np.sqrt(np.diag(refined.fit.covariance)), bound)
+    error = difference(refined.values.copy(), scene.values[:count])
+    return Outcome(error, np.sqrt(np.diag(refined.covariance)), bound)
 
 
 def report(name: str, found: list[Outcome], missed: int) -> None:

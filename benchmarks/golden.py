@@ -38,6 +38,7 @@ from trinoc.synth import (
     table1_rig,
 )
 
+EXACT = trinoc.Systematics()
 Values = Iterator[tuple[str, Any]]
 
 FILES = (
@@ -58,9 +59,10 @@ def calibration() -> Values:
         yield f"{view}.lines_px", found.lines_px
     terms = trinoc.Systematics(print_scale_sigma=(0.0005, 0.0005), flatness_mm=0.1)
     for label, options in {
-        "image": {},
-        "circles": {"method": "circles"},
-        "six": {"parameters": 6},
+        "image": {"systematics": EXACT},
+        "circles": {"systematics": EXACT, "method": "circles"},
+        "six": {"systematics": EXACT, "parameters": 6},
+        "typical": {},
         "systematics": {"systematics": terms},
     }.items():
         result = trinoc.calibrate(images, pattern, lens, **options)
@@ -91,7 +93,8 @@ def _matches(prefix: str, matches: trinoc.Matches) -> Values:
 def scene() -> Values:
     """The demo's scene: segments, junctions, matches, straight lines, corners, refinement."""
     images = demo_images("scene")
-    calibrated = trinoc.calibrate(demo_images("sheet"), demo_pattern(), table1_lens())
+    sheets = demo_images("sheet")
+    calibrated = trinoc.calibrate(sheets, demo_pattern(), table1_lens(), systematics=EXACT)
     segments = {view: trinoc.find_segments(image) for view, image in images.items()}
     for view, found in segments.items():
         yield from _segments(view, found)

@@ -4,10 +4,12 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib import Detection, Pattern
+from trinoc.calib import Detection, Pattern, Systematics
 from trinoc.geometry import Camera, Intrinsics, image_of_circle_centre
 from trinoc.numerics import ArrayLike
 
+# Made pictures are of what is said of them.
+EXACT = Systematics()
 LENS = Intrinsics(focal_length_mm=16, pixel_pitch_mm=(0.0162, 0.0134), image_size_px=(512, 480))
 DISTORTED_LENS = Intrinsics(
     focal_length_mm=16,

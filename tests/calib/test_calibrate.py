@@ -5,7 +5,7 @@ import functools
 import numpy as np
 import pytest
 
-from tests.calib.simulated import DISTORTED_LENS, LENS, TABLE_1, camera_of
+from tests.calib.simulated import DISTORTED_LENS, EXACT, LENS, TABLE_1, camera_of
 from trinoc.calib import CalibrationResult, Pattern, Status, calibrate
 from trinoc.errors import CalibrationError, InputError
 from trinoc.geometry import Intrinsics
@@ -32,8 +32,8 @@ def errors_in_sigmas(result: CalibrationResult) -> np.ndarray:
 
 
 def test_the_paper_s_rig_is_recovered() -> None:
-    by_image = calibrate(pictures(), SHEET, LENS)
-    by_circles = calibrate(pictures(), SHEET, LENS, method="circles")
+    by_image = calibrate(pictures(), SHEET, LENS, systematics=EXACT)
+    by_circles = calibrate(pictures(), SHEET, LENS, method="circles", systematics=EXACT)
     for result in (by_image, by_circles):
         assert set(result.status.values()) == {Status.CONVERGED}
         assert np.abs(errors_in_sigmas(result)).max() < 5.0
@@ -53,16 +53,16 @@ def test_the_paper_s_rig_is_recovered() -> None:
 
 def test_distortion_is_modelled_and_missed_when_it_is_left_out() -> None:
     images = {"left": picture("left", lens_is_distorted=True)}
-    known = calibrate(images, SHEET, DISTORTED_LENS)
+    known = calibrate(images, SHEET, DISTORTED_LENS, systematics=EXACT)
     assert np.abs(errors_in_sigmas(known)).max() < 5.0
-    ignored = calibrate(images, SHEET, LENS)
+    ignored = calibrate(images, SHEET, LENS, systematics=EXACT)
     assert "radial distortion" in ignored.fits["left"].notes[0]
 
 
 def test_grey_levels_of_any_depth_give_one_answer() -> None:
     eight = picture("left")
     results = [
-        calibrate({"left": image}, SHEET, LENS)
+        calibrate({"left": image}, SHEET, LENS, systematics=EXACT)
         for image in (eight, eight.astype(np.uint16) * 257, np.stack([eight] * 3, axis=-1))
     ]
     for result in results[1:]:
@@ -72,18 +72,18 @@ def test_grey_levels_of_any_depth_give_one_answer() -> None:
 def test_bad_pictures_are_named() -> None:
     blank = np.full((480, 512), 128, dtype=np.uint8)
     with pytest.raises(CalibrationError, match='amera "right"') as caught:
-        calibrate({"left": picture("left"), "right": blank}, SHEET, LENS)
+        calibrate({"left": picture("left"), "right": blank}, SHEET, LENS, systematics=EXACT)
     assert isinstance(caught.value.result, CalibrationResult)
     assert caught.value.result.status["right"] is Status.NOT_DETECTED
     with pytest.raises(InputError, match="same picture"):
-        calibrate({"a": picture("left"), "b": picture("left")}, SHEET, LENS)
+        calibrate({"a": picture("left"), "b": picture("left")}, SHEET, LENS, systematics=EXACT)
     with pytest.raises(InputError, match="512 x 400"):
-        calibrate({"a": picture("left")[:400]}, SHEET, LENS)
+        calibrate({"a": picture("left")[:400]}, SHEET, LENS, systematics=EXACT)
 
 
 def test_a_wrong_focal_length_is_named() -> None:
     wrong = Intrinsics(
         focal_length_mm=16.1, pixel_pitch_mm=(0.0162, 0.0134), image_size_px=(512, 480)
     )
-    result = calibrate({"left": picture("left")}, SHEET, wrong, method="circles")
+    result = calibrate({"left": picture("left")}, SHEET, wrong, method="circles", systematics=EXACT)
     assert "focal length" in result.fits["left"].notes[0]

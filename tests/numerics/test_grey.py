@@ -57,7 +57,13 @@ def test_calibration_takes_either_order_of_colours():
     tint = np.random.default_rng(2).integers(-9, 10, (*grey.shape, 3))
     colour = np.clip(grey[..., None] + tint, 0, 255).astype(np.uint8)
     answers = [
-        trinoc.calibrate({"upper": image}, pattern, table1_lens(), method="circles").values
+        trinoc.calibrate(
+            {"upper": image},
+            pattern,
+            table1_lens(),
+            method="circles",
+            systematics=trinoc.Systematics(),
+        ).values
         for image in (colour, colour[..., ::-1])
     ]
     np.testing.assert_array_equal(answers[0], answers[1])

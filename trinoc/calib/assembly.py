@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 import jax
 import numpy as np
 from jaxtyping import Float
+from scipy.linalg import block_diag
 
 from trinoc.calib.adjustment import Adjustment, alternatives, residuals_px
 from trinoc.calib.messages import (
@@ -32,8 +33,8 @@ from trinoc.numerics import LARGEST_SIGMA, Observability, in_float64, observabil
 
 
 @in_float64
-def result_of_fit(
-    fit: RigFit,
+def result_of_fits(
+    fits: Sequence[RigFit],
     known: Knowledge,
     status: Mapping[str, Status],
     failures: dict[str, str],
@@ -41,35 +42,38 @@ def result_of_fit(
 ) -> CalibrationResult:
     """The rig, its covariance and what is to be said of each camera.
 
-    status : of all cameras asked for, in their order. others : of cameras that are not in the rig.
+    fits : of cameras that share nothing. status : of all cameras asked for, in their order.
+    others : of cameras that are not in the rig.
     """
-    names = [camera.sheet.name for camera in fit.cameras]
-    seen = [_observability(fit.adjustment, k) for k in range(len(names))]
-    keys, covariance = _named_covariance(fit, seen)
+    cameras, judged, said = {}, dict(status), dict(others)
+    keys, blocks, values, told = [], [], [], []
     reported = known.model.parameter_names
-    told = tuple(f"{name}.{parameter}" for name in names for parameter in reported)
+    for fit in fits:
+        seen = [_observability(fit.adjustment, k) for k in range(len(fit.cameras))]
+        own_keys, block = _named_covariance(fit, seen)
+        keys += own_keys
+        blocks.append(block)
+        for k, camera in enumerate(fit.cameras):
+            name = camera.sheet.name
+            cameras[name] = _camera(fit, k)
+            said[name], suspect = _camera_fit(fit, k, known, seen[k])
+            if suspect:
+                judged[name] = Status.SUSPECT
+            values.append(DEGREES[: len(reported)] * fit.adjustment.parameters[k, : len(reported)])
+            told += [f"{name}.{parameter}" for parameter in reported]
+    covariance = np.asarray(block_diag(*blocks))
     rows = [keys.index(key) for key in told]
-    cameras = {name: _camera(fit, k) for k, name in enumerate(names)}
-    values = [
-        DEGREES[: len(reported)] * fit.adjustment.parameters[k, : len(reported)]
-        for k in range(len(names))
-    ]
-    fits, judged = dict(others), dict(status)
-    for k, camera in enumerate(fit.cameras):
-        fits[names[k]], suspect = _camera_fit(fit, k, known, seen[k])
-        if suspect:
-            judged[camera.sheet.name] = Status.SUSPECT
     return CalibrationResult(
         rig=Rig(cameras, parameters=keys, covariance=covariance),
         status=judged,
-        parameters=told,
+        parameters=tuple(told),
         values=np.concatenate(values),
         covariance=covariance[np.ix_(rows, rows)],
-        fits=fits,
+        fits=said,
         pattern=known.pattern,
         failures=failures,
         systematics=known.systematics.words,
-        notes=notes_of_sheet(fit.adjustment, known.systematics),
+        notes=notes_of_sheet(fits[0].adjustment, known.systematics) if len(fits) == 1 else (),
     )
 
 
@@ -90,7 +94,7 @@ def _by_step(adjustment: Adjustment, view: int) -> Float[np.ndarray, "p p"]:
 
 def _named_covariance(
     fit: RigFit, seen: Sequence[Observability]
-) -> tuple[tuple[str, ...], Float[np.ndarray, "k k"]]:
+) -> tuple[list[str], Float[np.ndarray, "k k"]]:
     """Names and covariance of all poses and of the focal lengths and principal points that are
     uncertain; NaN for parameters that are not determined."""
     adjustment = fit.adjustment
@@ -113,7 +117,7 @@ def _named_covariance(
     covariance = by_unknowns @ adjustment.covariance @ by_unknowns.T
     covariance[unknown] = np.nan
     covariance[:, unknown] = np.nan
-    return tuple(names), covariance
+    return names, covariance
 
 
 def _camera(fit: RigFit, view: int) -> Camera:
@@ -122,9 +126,8 @@ def _camera(fit: RigFit, view: int) -> Camera:
     if sheet.lens_factor is None:
         return Camera(sheet.lens, pose)
     lens = simplified(jax.tree.map(lambda leaf: np.asarray(leaf[view]), found.lens))
-    return Camera(
-        Intrinsics.of_lens(lens, sheet.lens.image_size_px, sheet.lens.pixel_pitch_mm), pose
-    )
+    said = sheet.lens
+    return Camera(Intrinsics.of_lens(lens, said.image_size_px, said.pixel_pitch_mm), pose)
 
 
 def _camera_fit(

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.assembly import result_of_fit
+from trinoc.calib.assembly import result_of_fits
 from trinoc.calib.detection import Detection, Orientation, oriented
 from trinoc.calib.messages import failure_sentence
 from trinoc.calib.pose import PoseEstimate
@@ -88,8 +88,11 @@ def calibration_of_search(
     status |= dict.fromkeys(ambiguous, Status.AMBIGUOUS)
     result = None
     if good:
-        fit = fit_rig([sheet for sheet, _ in good], [fit for _, fit in good], known)
-        result = result_of_fit(fit, known, status, failures, others)
+        fits = [
+            fit_rig([sheet for sheet, _ in group], [fit for _, fit in group], known)
+            for group in known.systematics.groups(good)
+        ]
+        result = result_of_fits(fits, known, status, failures, others)
     if failures and (throw or result is None):
         told = "; ".join(
             f'camera "{name}": {failures[name]}' for name in search.names if name in failures

@@ -107,8 +107,8 @@ def notes_of_sheet(adjustment: Adjustment, systematics: Systematics) -> tuple[st
     if max(strain[term] for term in PRINT_TERMS[1:]) > LARGEST_STRAIN:
         longer = 100 * float(shape[PRINT_TERMS[1]] - shape[PRINT_TERMS[2]])
         notes.append(
-            f"The print is {abs(longer):.2f} % longer along {'X' if longer > 0 else 'Y'} than along "
-            f"{'Y' if longer > 0 else 'X'}: measure its two bars, and give the print scale."
+            f"The print is {abs(longer):.2f} % longer along {'X' if longer > 0 else 'Y'} than "
+            "along the other axis: measure its two bars, and give the print scale."
         )
     return tuple(notes)
 

@@ -1,4 +1,4 @@
-"""From sheets that were found to cameras: by circles first, then by grey levels where both agree."""
+"""From sheets that were found to cameras: by circles, then by grey levels where both agree."""
 
 from collections.abc import Sequence
 from typing import Literal, NamedTuple

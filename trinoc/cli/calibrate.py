@@ -12,7 +12,13 @@ from trinoc.cli.progress import LOGGER
 from trinoc.cli.views import files_of_views
 
 if TYPE_CHECKING:
-    from trinoc.calib import CalibrationResult
+    from trinoc.calib import CalibrationResult, Systematics
+    from trinoc.geometry import Intrinsics
+
+# Not None: an option that may be a pair or nothing would take pictures that follow it.
+UNKNOWN = (-1.0, -1.0)
+# Of bars that somebody measured without saying how well: a ruler.
+MEASURED = (5e-4, 5e-4)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -33,11 +39,25 @@ class Calibrate(Command):
     print_scale: Annotated[tuple[float, float], tyro.conf.arg(metavar="X Y")] = (1.0, 1.0)
     """Measured over nominal length of the sheet's two scale bars."""
 
-    print_scale_sigma: Annotated[tuple[float, float], tyro.conf.arg(metavar="X Y")] = (0.0, 0.0)
-    """Standard deviations of these two, such as 0.0005 0.0005; they join the cameras' sigmas."""
+    print_scale_sigma: Annotated[
+        tuple[float, float],
+        tyro.conf.arg(
+            metavar="X Y",
+            help_behavior_hint="(default: .0005 if measured, else .002)",
+        ),
+    ] = UNKNOWN
+    """Standard deviations of these two, such as 0.0005 0.0005; 0 0 for an exact print."""
 
-    flatness_mm: Annotated[float, tyro.conf.arg(metavar="MM")] = 0.0
-    """By how much the sheet may be bent (standard deviation); joins the cameras' sigmas, too."""
+    flatness_mm: Annotated[float, tyro.conf.arg(metavar="MM")] = 0.3
+    """By how much the sheet may bend (standard deviation at its edge); 0 for an exact plane."""
+
+    aim_sigma_mm: Annotated[float, tyro.conf.arg(metavar="MM")] = 20.0
+    """How far from the sheet's origin the optical axes may meet it (standard deviation, with the
+    pose model aimed); 0 for exactly there, as in the paper."""
+
+    method: Literal["picture", "circles"] = "picture"
+    """picture: the grey levels of each picture count where its circles agree; circles: the circles
+    alone."""
 
     orientation: Annotated[
         str | None, tyro.conf.arg(metavar="upright|RIG", help_behavior_hint="(default: refuse)")
@@ -75,7 +95,7 @@ class Calibrate(Command):
                 "1.001, for X and for Y."
             )
 
-        from trinoc.calib import Systematics, calibrate
+        from trinoc.calib import calibrate
         from trinoc.cli.provenance import for_people, provenance
         from trinoc.io import expect_place, load_pattern, load_rig, read_views, save
 
@@ -83,7 +103,7 @@ class Calibrate(Command):
         pattern = load_pattern(self.pattern).rescaled(*self.print_scale)
         images = read_views(files)
         lenses = self.lens.lenses({name: _size(image) for name, image in images.items()})
-        known = Systematics(self.print_scale_sigma, self.flatness_mm, self.lens.covariance(lenses))
+        known = self._systematics(lenses)
         earlier = None if self.orientation in (None, "upright") else load_rig(self.orientation)
         LOGGER.info("calibrating %s", ", ".join(files))
         result = calibrate(
@@ -92,7 +112,8 @@ class Calibrate(Command):
             lenses,
             parameters=self.parameters,
             pose_model=self.pose_model,
-            systematics=known if known.words else None,
+            method=self.method,
+            systematics=known,
             orientation="upright" if self.orientation == "upright" else earlier,
         )
         origin = provenance(command_line, {**files, "pattern": self.pattern, **self.lens.files()})
@@ -112,6 +133,21 @@ class Calibrate(Command):
         text = f"{result.summary()}\nwritten: {', '.join(written)}"
         return Outcome(text, {**calibration_record(result), "written": written})
 
+    def _systematics(self, lenses: "dict[str, Intrinsics]") -> "Systematics":
+        """What is not exact: as said, else as it usually is."""
+        from trinoc.calib import Systematics
+
+        usual = Systematics.typical(lenses)._replace(
+            flatness_mm=self.flatness_mm,
+            aim_sigma_mm=self.aim_sigma_mm,
+            lens_covariance=self.lens.covariance(lenses),
+        )
+        if self.print_scale_sigma != UNKNOWN:
+            return usual._replace(print_scale_sigma=self.print_scale_sigma, print_size_sigma=0.0)
+        if self.print_scale != (1.0, 1.0):
+            return usual._replace(print_scale_sigma=MEASURED, print_size_sigma=0.0)
+        return usual
+
 
 def calibration_record(result: "CalibrationResult") -> dict[str, Any]:
     """What programs want to know of a calibration, as JSON can hold it."""
@@ -119,6 +155,7 @@ def calibration_record(result: "CalibrationResult") -> dict[str, Any]:
         "cameras": {
             name: {
                 "status": status.name.lower(),
+                "method": result.fits[name].method,
                 "parameters": {
                     parameter.removeprefix(f"{name}."): {
                         "value": float(value),
@@ -135,6 +172,7 @@ def calibration_record(result: "CalibrationResult") -> dict[str, Any]:
             for name, status in result.status.items()
         },
         "sigmas_include": ["noise", *result.systematics],
+        "notes": list(result.notes),
     }
 
 

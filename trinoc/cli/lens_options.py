@@ -1,7 +1,7 @@
 """How the command line says what lens a camera has."""
 
 import dataclasses
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -45,6 +45,11 @@ class LensOptions:
     lens_covariance: bool = True
     """Whether the covariance that a camera.json states joins the sigmas of the cameras."""
 
+    lens_exact: bool = False
+    """Take the lens as exactly what is said of it. Without it, one from a data sheet may be off by
+    1 % in focal length, 2 % of the picture's width in the principal point, and one pixel of
+    distortion at the corner."""
+
     def lenses(self, sizes_px: Mapping[str, tuple[int, int]]) -> "dict[str, Intrinsics]":
         """The lens of each camera, whose pictures have these (width, height).
 
@@ -84,16 +89,23 @@ class LensOptions:
                 )
         return {name: load_intrinsics(files[name]) for name in sizes_px}
 
-    def covariance(self, names: Iterable[str]) -> "np.ndarray | dict[str, np.ndarray] | None":
-        """The covariance of the one lens of all cameras, or of each that states one, if any."""
+    def covariance(
+        self, lenses: "Mapping[str, Intrinsics]"
+    ) -> "np.ndarray | Mapping[str, np.ndarray] | None":
+        """The covariance of the one lens of all cameras, or of each that is not exact, if any."""
+        from trinoc.calib import Systematics
         from trinoc.io import load_lens_covariance
 
-        if not self.lens_covariance or not self.intrinsics:
+        if self.lens_exact:
+            return None
+        if not self.intrinsics:
+            return Systematics.typical(lenses).lens_covariance
+        if not self.lens_covariance:
             return None
         if len(self.intrinsics) == 1 and "=" not in self.intrinsics[0]:
             return load_lens_covariance(Path(self.intrinsics[0]))
         files = files_of_views(self.intrinsics)
-        loaded = {name: load_lens_covariance(files[name]) for name in names}
+        loaded = {name: load_lens_covariance(files[name]) for name in lenses}
         return {name: each for name, each in loaded.items() if each is not None} or None
 
     def files(self) -> dict[str, Path]:

@@ -3,7 +3,14 @@
 import numpy as np
 import pytest
 
-from tests.calib.simulated import LENS, TABLE_1, camera_of, reference_sheet, simulated_detection
+from tests.calib.simulated import (
+    EXACT,
+    LENS,
+    TABLE_1,
+    camera_of,
+    reference_sheet,
+    simulated_detection,
+)
 from trinoc.calib import Detection, Status, calibrate_batch, calibrate_detections
 from trinoc.errors import CalibrationError
 from trinoc.geometry import Rig
@@ -38,19 +45,21 @@ def detections(turns: tuple[int, int, int]) -> dict[str, Detection]:
 
 def test_nobody_chooses_unless_told_by_what() -> None:
     with pytest.raises(CalibrationError, match="turned by 90 degrees") as raised:
-        calibrate_detections(detections((0, 0, 0)), SHEET, LENS)
+        calibrate_detections(detections((0, 0, 0)), SHEET, LENS, systematics=EXACT)
     assert set(raised.value.failures) == set(TABLE_1)
     mixed = detections((0, 0, 0)) | {
         "left": simulated_detection(camera_of(TABLE_1["left"]), SHEET, seed=2)
     }
-    result = calibrate_detections(mixed, SHEET, LENS, throw=False)
+    result = calibrate_detections(mixed, SHEET, LENS, throw=False, systematics=EXACT)
     assert result.rig.names == ("left",)
     assert result.status["upper"] is Status.AMBIGUOUS
     assert 'orientation="upright"' in result.summary()
 
 
 def test_upright_takes_what_the_detector_put_first() -> None:
-    result = calibrate_detections(detections((0, 0, 0)), SHEET, LENS, orientation="upright")
+    result = calibrate_detections(
+        detections((0, 0, 0)), SHEET, LENS, orientation="upright", systematics=EXACT
+    )
     found = np.reshape(result.values, (3, 4))
     np.testing.assert_allclose(found, list(TABLE_1.values()), atol=0.05)
 
@@ -59,7 +68,9 @@ def test_upright_takes_what_the_detector_put_first() -> None:
 def test_an_earlier_rig_tells_whichever_labelling_came_first(turns: tuple[int, int, int]) -> None:
     moved = {name: (pan + 1, tilt, swing, far) for name, (pan, tilt, swing, far) in TABLE_1.items()}
     earlier = Rig({name: camera_of(values) for name, values in moved.items()})
-    result = calibrate_detections(detections(turns), SHEET, LENS, orientation=earlier)
+    result = calibrate_detections(
+        detections(turns), SHEET, LENS, orientation=earlier, systematics=EXACT
+    )
     found = np.reshape(result.values, (3, 4))
     np.testing.assert_allclose(found, list(TABLE_1.values()), atol=0.05)
 
@@ -74,6 +85,7 @@ def test_an_earlier_rig_that_does_not_tell_is_no_answer() -> None:
         LENS,
         orientation=between,
         throw=False,
+        systematics=EXACT,
     )
     assert result.rig.names == ("left",)
     assert "does not tell" in result.failures["upper"]

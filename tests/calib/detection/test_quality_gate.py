@@ -4,7 +4,14 @@ import jax
 import numpy as np
 import pytest
 
-from tests.calib.simulated import LENS, TABLE_1, camera_of, reference_sheet, simulated_detection
+from tests.calib.simulated import (
+    EXACT,
+    LENS,
+    TABLE_1,
+    camera_of,
+    reference_sheet,
+    simulated_detection,
+)
 from trinoc.calib import (
     CalibrationResult,
     Detection,
@@ -34,14 +41,14 @@ def detections_of(
 
 
 def rig_of(seed: int = 0) -> CalibrationResult:
-    return calibrate_detections(detections_of(TABLE_1, seed), SHEET, LENS)
+    return calibrate_detections(detections_of(TABLE_1, seed), SHEET, LENS, systematics=EXACT)
 
 
 def test_a_right_model_is_not_accused() -> None:
     found = []
     for seed in range(30):
         detection = simulated_detection(camera_of(TABLE_1["left"]), SHEET, seed=seed)
-        result = calibrate_detections({"a": detection}, SHEET, LENS)
+        result = calibrate_detections({"a": detection}, SHEET, LENS, systematics=EXACT)
         found.extend(item.p_value for item in result.fits["a"].alternatives)
     assert len(found) == 90
     assert min(found) > 1e-4
@@ -77,7 +84,7 @@ def test_what_the_model_leaves_out_is_named(
 ) -> None:
     camera = camera_of((23.568, 38.616, -0.994, 472.894), lens, aim_mm)
     detection = simulated_detection(camera, SHEET, seed=1, sigma_px=0.002)
-    result = calibrate_detections({"a": detection}, SHEET, LENS)
+    result = calibrate_detections({"a": detection}, SHEET, LENS, systematics=EXACT)
     first = result.fits["a"].alternatives[0]
     assert first.name == name
     assert first.found
@@ -97,7 +104,7 @@ def test_unmoved_cameras_are_left_in_peace() -> None:
 def test_the_camera_that_moved_is_named() -> None:
     pan, tilt, swing, distance = TABLE_1["left"]
     cameras = TABLE_1 | {"left": (pan + 0.05, tilt, swing, distance)}
-    later = calibrate_detections(detections_of(cameras, seed=9), SHEET, LENS)
+    later = calibrate_detections(detections_of(cameras, seed=9), SHEET, LENS, systematics=EXACT)
     comparison = compare_rigs(later, rig_of())
     assert [name for name, change in comparison.cameras.items() if change.moved] == ["left"]
     # 0.05 degrees of pan at 474 mm and a tilt of 38 degrees.
@@ -110,14 +117,18 @@ def test_the_camera_that_moved_is_named() -> None:
 def test_swapped_pictures_are_named() -> None:
     detections = detections_of(TABLE_1, seed=4)
     detections["left"], detections["right"] = detections["right"], detections["left"]
-    comparison = compare_rigs(calibrate_detections(detections, SHEET, LENS), rig_of())
+    comparison = compare_rigs(
+        calibrate_detections(detections, SHEET, LENS, systematics=EXACT), rig_of()
+    )
     assert set(comparison.swapped) == {("right", "left"), ("left", "right")}
     assert "swapped" in comparison.sentences[0]
 
 
 def test_missing_and_new_cameras_are_told() -> None:
     whole = rig_of()
-    one = calibrate_detections({"x": detections_of(TABLE_1)["left"]}, SHEET, LENS)
+    one = calibrate_detections(
+        {"x": detections_of(TABLE_1)["left"]}, SHEET, LENS, systematics=EXACT
+    )
     sentences = " ".join(compare_rigs(one, whole).sentences)
     assert '"x" is not in the earlier rig' in sentences
     assert '"left" of the earlier rig is missing' in sentences
@@ -150,8 +161,8 @@ def test_the_response_to_print_scale_is_that_of_a_new_fit() -> None:
         line_style=SHEET.line_style,
         line_gap_mm=SHEET.line_gap_mm,
     )
-    plain = calibrate_detections({"a": detection}, SHEET, LENS)
-    other = calibrate_detections({"a": detection}, printed, LENS)
+    plain = calibrate_detections({"a": detection}, SHEET, LENS, systematics=EXACT)
+    other = calibrate_detections({"a": detection}, printed, LENS, systematics=EXACT)
     systematic = with_systematics(plain, Systematics(print_scale_sigma=(share, 0.0)))
     added = np.sqrt(np.diag(systematic.covariance - plain.covariance))
     np.testing.assert_allclose(added, np.abs(other.values - plain.values), rtol=0.02, atol=1e-7)

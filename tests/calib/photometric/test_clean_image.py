@@ -2,7 +2,7 @@
 
 import pytest
 
-from trinoc.calib import calibrate
+from trinoc.calib import Systematics, calibrate
 from trinoc.geometry import Intrinsics
 from trinoc.io import demo_images, demo_pattern
 
@@ -11,7 +11,9 @@ LENS = Intrinsics(focal_length_mm=16, pixel_pitch_mm=(0.0162, 0.0134), image_siz
 
 @pytest.mark.parametrize("view", ["upper", "left"])
 def test_the_fit_has_settled_before_it_judges_pixels(view):
-    result = calibrate({view: demo_images("sheet")[view]}, demo_pattern(), LENS)
+    result = calibrate(
+        {view: demo_images("sheet")[view]}, demo_pattern(), LENS, systematics=Systematics()
+    )
     quality = result.fits[view].image
     assert quality is not None
     assert quality.pixels_cut == 0

@@ -8,6 +8,7 @@ from hypothesis import given, settings, strategies as st
 
 from tests.calib.simulated import (
     DISTORTED_LENS,
+    EXACT,
     LENS,
     TABLE_1,
     camera_of,
@@ -73,7 +74,9 @@ def test_without_noise_the_camera_is_recovered(
     aim = (9.0, -6.0) if free else (0.0, 0.0)
     camera = camera_of((pan, tilt, swing, distance), LENS, aim)
     detection = simulated_detection(camera, SHEET, seed=0, sigma_px=1e-9)
-    result = calibrate_detections({"a": detection}, SHEET, LENS, parameters=6 if free else 4)
+    result = calibrate_detections(
+        {"a": detection}, SHEET, LENS, parameters=6 if free else 4, systematics=EXACT
+    )
     np.testing.assert_allclose(
         result.rig["a"].cam_from_world, camera.cam_from_world, rtol=1e-7, atol=1e-7
     )
@@ -84,7 +87,10 @@ def test_hidden_lines_change_nothing_but_the_start() -> None:
     camera = camera_of(TABLE_1["left"])
     results = [
         calibrate_detections(
-            {"a": simulated_detection(camera, SHEET, seed=4, lines_seen=seen)}, SHEET, LENS
+            {"a": simulated_detection(camera, SHEET, seed=4, lines_seen=seen)},
+            SHEET,
+            LENS,
+            systematics=EXACT,
         )
         for seen in (True, False)
     ]
@@ -96,8 +102,10 @@ def test_order_of_cameras_does_not_matter() -> None:
         name: simulated_detection(camera_of(values), SHEET, seed=k)
         for k, (name, values) in enumerate(TABLE_1.items())
     }
-    forward = calibrate_detections(detections, SHEET, LENS)
-    backward = calibrate_detections(dict(reversed(detections.items())), SHEET, LENS)
+    forward = calibrate_detections(detections, SHEET, LENS, systematics=EXACT)
+    backward = calibrate_detections(
+        dict(reversed(detections.items())), SHEET, LENS, systematics=EXACT
+    )
     by_name = dict(zip(backward.parameters, backward.values, strict=True))
     for parameter, value in zip(forward.parameters, forward.values, strict=True):
         assert value == pytest.approx(by_name[parameter], rel=1e-12)
@@ -119,11 +127,11 @@ def test_turning_the_sheet_turns_the_pan() -> None:
         line_style=SHEET.line_style,
         line_gap_mm=SHEET.line_gap_mm,
     )
-    plain = calibrate_detections({"a": detection}, SHEET, LENS)
+    plain = calibrate_detections({"a": detection}, SHEET, LENS, systematics=EXACT)
     # The line along the old X is the new Y, and the line along the new X is the old -Y.
     swapped = simulated_detection(camera, SHEET, seed=5)
     swapped.lines_px[:] = detection.lines_px[::-1]
-    moved = calibrate_detections({"a": swapped}, turned, LENS)
+    moved = calibrate_detections({"a": swapped}, turned, LENS, systematics=EXACT)
     np.testing.assert_allclose(moved.values - plain.values, [90.0, 0.0, 0.0, 0.0], atol=1e-6)
     np.testing.assert_allclose(moved.covariance, plain.covariance, rtol=1e-4, atol=1e-12)
 
@@ -132,7 +140,7 @@ def test_turning_the_sheet_turns_the_pan() -> None:
 def test_errors_scatter_as_the_covariance_says(count: int) -> None:
     camera, trials = camera_of(TABLE_1["right"]), 300
     detections = {str(k): simulated_detection(camera, SHEET, seed=100 + k) for k in range(trials)}
-    result = calibrate_detections(detections, SHEET, LENS, parameters=count)
+    result = calibrate_detections(detections, SHEET, LENS, parameters=count, systematics=EXACT)
     errors = result.values.reshape(trials, count)
     errors = errors - np.array([*TABLE_1["right"], 0.0, 0.0])[:count]
     blocks = result.covariance.reshape(trials, count, trials, count)
@@ -146,7 +154,7 @@ def test_errors_scatter_as_the_covariance_says(count: int) -> None:
 def test_a_camera_that_looks_straight_down_is_calibrated() -> None:
     camera = camera_of((0.0, 90.0, 20.0, 480.0))
     detection = simulated_detection(camera, SHEET, seed=2)
-    result = calibrate_detections({"a": detection}, SHEET, LENS)
+    result = calibrate_detections({"a": detection}, SHEET, LENS, systematics=EXACT)
     np.testing.assert_allclose(
         result.rig["a"].cam_from_world, camera.cam_from_world, atol=0.05, rtol=0
     )

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from tests.calib.simulated import (
+    EXACT,
     LENS,
     SIGMA_PX,
     TABLE_1,
@@ -27,9 +28,9 @@ def detect(**options: object) -> Detection:
 @pytest.mark.parametrize("shift_px", [0.2, 3.0, 40.0])
 def test_a_circle_located_wrongly_is_dropped_and_counted(shift_px: float) -> None:
     detection = detect()
-    clean = calibrate_detections({"a": detect()}, SHEET, LENS)
+    clean = calibrate_detections({"a": detect()}, SHEET, LENS, systematics=EXACT)
     detection.centres_px[7] += [shift_px, -0.5 * shift_px]
-    result = calibrate_detections({"a": detection}, SHEET, LENS)
+    result = calibrate_detections({"a": detection}, SHEET, LENS, systematics=EXACT)
     assert np.flatnonzero(~result.fits["a"].used).tolist() == [7]
     assert "1 circle was located wrongly" in " ".join(result.fits["a"].notes)
     error = np.abs(result.values - clean.values)
@@ -39,13 +40,13 @@ def test_a_circle_located_wrongly_is_dropped_and_counted(shift_px: float) -> Non
 def test_four_circles_of_25_located_wrongly_are_dropped() -> None:
     detection = detect()
     detection.centres_px[[0, 6, 13, 24]] += np.array([[9.0, 4.0], [-3, 8], [1, 1], [30, -20]])
-    result = calibrate_detections({"a": detection}, SHEET, LENS)
+    result = calibrate_detections({"a": detection}, SHEET, LENS, systematics=EXACT)
     assert np.flatnonzero(~result.fits["a"].used).tolist() == [0, 6, 13, 24]
 
 
 def test_one_circle_leaves_named_parameters_free() -> None:
     with pytest.raises(CalibrationError, match="free") as caught:
-        calibrate_detections({"a": detect(circles=np.array([3]))}, SHEET, LENS)
+        calibrate_detections({"a": detect(circles=np.array([3]))}, SHEET, LENS, systematics=EXACT)
     assert caught.value.result is None
     assert "distance_mm" in caught.value.failures["a"]
 
@@ -65,7 +66,7 @@ def row_and_sheet() -> dict[str, Detection]:
 
 
 def test_a_row_through_the_origin_does_not_hold_the_turn_about_itself() -> None:
-    result = calibrate_detections(row_and_sheet(), DOTS, LENS, throw=False)
+    result = calibrate_detections(row_and_sheet(), DOTS, LENS, throw=False, systematics=EXACT)
     assert result.status == {
         "upper": Status.RANK_DEFICIENT,
         "left": Status.CONVERGED,
@@ -79,7 +80,7 @@ def test_a_row_through_the_origin_does_not_hold_the_turn_about_itself() -> None:
 
 def test_a_failed_camera_is_named_and_the_others_are_kept() -> None:
     with pytest.raises(CalibrationError, match='amera "upper"') as caught:
-        calibrate_detections(row_and_sheet(), DOTS, LENS)
+        calibrate_detections(row_and_sheet(), DOTS, LENS, systematics=EXACT)
     assert isinstance(caught.value.result, CalibrationResult)
     assert caught.value.result.rig.names == ("left", "right")
 
@@ -88,28 +89,28 @@ def test_a_sheet_of_another_shape_is_refused_with_the_next_step() -> None:
     other = Pattern.cross_grid(rows=5, columns=5, pitch_mm=20.0, radius_mm=6.0, rings="none")
     other.centres_mm[:, 1] *= 1.4
     with pytest.raises(CalibrationError, match="pattern"):
-        calibrate_detections({"a": detect()}, other, LENS)
+        calibrate_detections({"a": detect()}, other, LENS, systematics=EXACT)
 
 
 def test_sigmas_grow_with_the_residuals() -> None:
     noisy = simulated_detection(UPPER, SHEET, seed=3, sigma_px=10 * SIGMA_PX)
     noisy.covariance_px2[:] /= 100.0
-    result = calibrate_detections({"a": noisy}, SHEET, LENS)
+    result = calibrate_detections({"a": noisy}, SHEET, LENS, systematics=EXACT)
     honest = simulated_detection(UPPER, SHEET, seed=3, sigma_px=10 * SIGMA_PX)
-    expected = calibrate_detections({"a": honest}, SHEET, LENS)
+    expected = calibrate_detections({"a": honest}, SHEET, LENS, systematics=EXACT)
     ratio = result.sigma("a.pan_deg") / expected.sigma("a.pan_deg")
     assert ratio == pytest.approx(np.sqrt(expected.fits["a"].reduced_chi_square), rel=1e-3)
 
 
 def test_the_number_of_parameters_is_four_or_six() -> None:
     with pytest.raises(InputError, match="4"):
-        calibrate_detections({"a": detect()}, SHEET, LENS, parameters=5)
+        calibrate_detections({"a": detect()}, SHEET, LENS, parameters=5, systematics=EXACT)
 
 
 def test_a_missing_lens_is_named() -> None:
     lenses: dict[str, Intrinsics] = {"a": LENS}
     with pytest.raises(InputError, match='"b"'):
-        calibrate_detections({"a": detect(), "b": detect()}, SHEET, lenses)
+        calibrate_detections({"a": detect(), "b": detect()}, SHEET, lenses, systematics=EXACT)
 
 
 def test_covariance_is_refused_off_the_determined_directions() -> None:
@@ -127,7 +128,7 @@ def test_summary_holds_every_camera_and_its_sigmas() -> None:
         name: simulated_detection(camera_of(values), SHEET, seed=k)
         for k, (name, values) in enumerate(TABLE_1.items())
     }
-    text = calibrate_detections(detections, SHEET, LENS).summary()
+    text = calibrate_detections(detections, SHEET, LENS, systematics=EXACT).summary()
     assert all(name in text for name in TABLE_1)
     assert text.count("+-") == 12
     assert "25 of 25" in text

@@ -34,9 +34,9 @@ def probability_of_agreement(
     off_px = np.array(residuals_px(pose, lens, found.shape, padded, image.reach_mm))
     off_px[: len(points.place_mm)][~circles.used[view]] = 0.0
     whitened = padded.whitening @ off_px.reshape(-1) / circles.enlarged[view]
-    by_pose = np.asarray(circles.adjusted.jacobian[view])[: 2 * count, circles.rows(view)]
+    by_pose = np.asarray(circles.jacobian[view])[: 2 * count, circles.rows(view)]
     slope, information = by_pose.T @ whitened, by_pose.T @ by_pose
     squared = float(slope @ np.linalg.solve(information, slope))
-    by_grey = np.asarray(image.adjusted.jacobian[view])[:, image.rows(view)]
+    by_grey = np.asarray(image.jacobian[view])[:, image.rows(view)]
     kept = np.trace(np.linalg.solve(by_grey.T @ by_grey, information)) / len(slope)
     return float(chi2.sf(squared / max(1 - kept, _LEAST_SHARE), len(slope)))

@@ -12,7 +12,7 @@ from trinoc.calib.adjustment.sheet_shape import shape_sigmas
 from trinoc.calib.model import ANNEALING, GATE, SheetPoints, bucket_size, robust_scale
 from trinoc.calib.uncertainty import Systematics
 from trinoc.geometry import AbstractLens, Pose, PoseModel, promoted, stack_lenses
-from trinoc.numerics import as_numpy
+from trinoc.numerics import ArrayLike, as_numpy
 
 # Programs exist for this many cameras, and for its doubles.
 _FEWEST_CAMERAS = 3
@@ -46,8 +46,11 @@ class Adjustment(NamedTuple):
     Fields
     ------
     parameters : (v, p) pan, tilt, swing in rad, distance and, where it is free, the aim in mm.
-    covariance : (k, k) of all unknowns: the steps of the poses one after the other, lengths in
-        units of each distance, then lenses and sheet in standard deviations of their priors.
+    jacobian : (v, 2n, k) of whitened residuals by all unknowns: the steps of the poses one after
+        the other, lengths in units of each distance, then lenses and sheet in standard deviations
+        of their priors.
+    prior : (k,) information of the priors on them.
+    covariance : (k, k) of them.
     adjusted : see `Adjusted`; its cameras beyond the first v are padding.
     reach_mm : () distance from the origin at which the sheet's heights count.
     lens_index : (v,) which lens of `adjusted.unknowns` each camera has.
@@ -59,15 +62,22 @@ class Adjustment(NamedTuple):
     """
 
     parameters: Float[np.ndarray, "v p"]
+    jacobian: Float[np.ndarray, "v m k"]
+    prior: Float[np.ndarray, "k"]
     covariance: Float[np.ndarray, "k k"]
     adjusted: Adjusted
-    reach_mm: Float[np.ndarray, ""]
+    reach_mm: Float[ArrayLike, ""]
     lens_index: Int[np.ndarray, "_v"]
     used: list[np.ndarray]
     reduced_chi_square: Float[np.ndarray, "v"]
     freedom: Float[np.ndarray, "v"]
     enlarged: Float[np.ndarray, "v"]
     converged: bool
+
+    @property
+    def information(self) -> Float[np.ndarray, "k k"]:
+        """Of all unknowns, the priors included."""
+        return _information(self.jacobian, self.prior)
 
     def pose_covariance(self, view: int) -> Float[np.ndarray, "p p"]:
         """Of one camera's step."""
@@ -76,9 +86,8 @@ class Adjustment(NamedTuple):
 
     def lens_row(self, view: int) -> int:
         """The first row of one camera's lens in `covariance`."""
-        return (
-            self.parameters.size + int(self.lens_index[view]) * self.adjusted.unknowns.lens.shape[1]
-        )
+        terms = self.adjusted.unknowns.lens.shape[1]
+        return self.parameters.size + int(self.lens_index[view]) * terms
 
     def rows(self, view: int) -> slice:
         """The rows of one camera's step in `covariance`."""
@@ -105,7 +114,7 @@ def adjusted_views(
     suspects = [k for k in range(count) if views[k].has_outliers and _worst(found, k) > GATE]
     if suspects:
         known, found = _without_outliers(known, found, used, suspects, model)
-    reduced, freedom = _reduced_chi_squares(found, known, count)
+    reduced, freedom = _reduced_chi_squares(found, known, count, model)
     largest = 1 + _CHI_SQUARE_DEVIATIONS * np.sqrt(2 / np.maximum(freedom, 1e-9))
     enlarged = np.where(reduced > largest, np.sqrt(reduced), 1.0)
     if (enlarged > 1).any():
@@ -113,19 +122,13 @@ def adjusted_views(
         whitening = known.points.whitening / factor[:, None, None]
         known = known._replace(points=known.points._replace(whitening=whitening))
         found = as_numpy(adjust(found.unknowns, known, model=model))
-    covariance = np.linalg.inv(information_of(found))
-    kept = np.concatenate(
-        [np.arange(count * model.size), np.arange(found.unknowns.pose.size, len(covariance))]
-    )
-    parameters = np.stack(
-        [
-            _parameters(jax.tree.map(lambda leaf, k=k: leaf[k], found.pose), model)
-            for k in range(count)
-        ]
-    )
+    jacobian, prior = _jacobian(found, known, count, model)
+    parameters = _parameters(found.pose, count, model)
     return Adjustment(
         parameters,
-        covariance[np.ix_(kept, kept)],
+        jacobian,
+        prior,
+        np.linalg.inv(_information(jacobian, prior)),
         found,
         known.reach_mm,
         np.asarray(known.lens_index),
@@ -163,9 +166,7 @@ def _stacked(
         pose=jax.tree.map(lambda *leaves: np.stack(leaves), *(view.pose for view in each)),
         lens=stack_lenses(lenses),
         lens_factor=factors,
-        lens_index=np.zeros(cameras, dtype=int)
-        if systematics.lens_is_shared
-        else np.arange(cameras),
+        lens_index=np.arange(cameras) * (not systematics.lens_is_shared),
         aim_weight=(1 - held) * (1 / aim_sigma_mm if aim_sigma_mm > 0 else 0.0),
         held=held,
         points=jax.tree.map(lambda *leaves: np.stack(leaves), *points),
@@ -212,20 +213,43 @@ def _without_outliers(
     return known, as_numpy(adjust(found.unknowns, known, model=model))
 
 
-def information_of(found: Adjusted) -> Float[np.ndarray, "k k"]:
+def _jacobian(
+    found: Adjusted, known: Views, count: int, model: PoseModel
+) -> tuple[Float[np.ndarray, "v m k"], Float[np.ndarray, "k"]]:
+    """Of the first `count` cameras by all unknowns, and the information of the priors."""
+    lenses, terms = found.unknowns.lens.shape
+    poses, rows = count * model.size, found.whitened.shape[1]
+    jacobian = np.zeros((count, rows, poses + lenses * terms + len(found.shape)))
+    prior = np.ones(jacobian.shape[2])
+    prior[:poses] = 0.0
+    for k in range(count):
+        pose = slice(k * model.size, (k + 1) * model.size)
+        lens = poses + int(known.lens_index[k]) * terms
+        jacobian[k, :, pose] = found.by_pose[k][:, : model.size]
+        jacobian[k, :, lens : lens + terms] = found.by_lens[k] @ known.lens_factor[k]
+        jacobian[k, :, poses + lenses * terms :] = found.by_shape[k] * known.shape_sigma
+        if model is PoseModel.AIM_FREE:
+            distance = float(_pose(found, k).distance_mm)
+            prior[pose][4:6] = (known.aim_weight[k] * distance) ** 2
+    return jacobian, prior
+
+
+def _information(
+    jacobian: Float[np.ndarray, "v m k"], prior: Float[np.ndarray, "k"]
+) -> Float[np.ndarray, "k k"]:
     """Of all unknowns, the priors included."""
-    rows = np.concatenate([*found.jacobian, *found.aim_jacobian])
-    return rows.T @ rows + np.diag(found.prior)
+    rows = jacobian.reshape(-1, jacobian.shape[2])
+    return rows.T @ rows + np.diag(prior)
 
 
 def _reduced_chi_squares(
-    found: Adjusted, known: Views, count: int
+    found: Adjusted, known: Views, count: int, model: PoseModel
 ) -> tuple[Float[np.ndarray, "v"], Float[np.ndarray, "v"]]:
     """Chi-square of each camera over its degrees of freedom, and these."""
-    covariance = np.linalg.inv(information_of(found))
+    jacobian, prior = _jacobian(found, known, count, model)
+    covariance = np.linalg.inv(_information(jacobian, prior))
     reduced, freedom = np.full(count, np.nan), np.zeros(count)
-    for k in range(count):
-        rows = np.asarray(found.jacobian[k])
+    for k, rows in enumerate(jacobian):
         taken = float(np.sum((rows @ covariance) * rows))
         shown = int((np.asarray(known.points.whitening[k]) != 0).any(axis=1).sum())
         freedom[k] = shown - taken
@@ -234,5 +258,13 @@ def _reduced_chi_squares(
     return reduced, freedom
 
 
-def _parameters(pose: Pose, model: PoseModel) -> Float[np.ndarray, "p"]:
-    return np.asarray(pose.parameters)[: model.size]
+def _parameters(poses: Pose, count: int, model: PoseModel) -> Float[np.ndarray, "v p"]:
+    """Of the first `count` cameras."""
+    return np.asarray(_parameters_of_poses(poses))[:count, : model.size]
+
+
+_parameters_of_poses = jax.jit(jax.vmap(lambda pose: pose.parameters))
+
+
+def _pose(found: Adjusted, view: int) -> Pose:
+    return jax.tree.map(lambda leaf: leaf[view], found.pose)

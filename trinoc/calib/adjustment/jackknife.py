@@ -7,7 +7,7 @@ jackknife estimate of variance", Annals of Statistics 9(3), 1981.
 
 import numpy as np
 
-from trinoc.calib.adjustment.estimate import Adjustment, information_of
+from trinoc.calib.adjustment.estimate import Adjustment
 
 # Blocks along each side of the sheet.
 _BLOCKS = 4
@@ -22,8 +22,8 @@ def scatter_of_blocks(adjustment: Adjustment, place_mm: np.ndarray, view: int) -
     found = adjustment.adjusted
     size = adjustment.parameters.shape[1]
     own = slice(view * size, (view + 1) * size)
-    jacobian, residuals = np.asarray(found.jacobian[view]), np.asarray(found.whitened[view])
-    information = information_of(found)
+    jacobian, residuals = np.asarray(adjustment.jacobian[view]), np.asarray(found.whitened[view])
+    information = adjustment.information
     steps = []
     for block in _blocks(place_mm[: len(adjustment.used[view])], adjustment.used[view]):
         rows = np.concatenate([2 * block, 2 * block + 1])

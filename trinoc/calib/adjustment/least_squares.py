@@ -5,7 +5,6 @@ bundle adjustment - progress and prospects", 1976, calls this self-calibration w
 parameters.
 """
 
-from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
@@ -13,6 +12,7 @@ import jax
 import jax.flatten_util
 import jax.numpy as jnp
 import lineax as lx
+import numpy as np
 import optimistix as optx
 from jaxtyping import Bool, Float, Int
 
@@ -42,7 +42,7 @@ class Unknowns(NamedTuple):
 
 
 class Views(NamedTuple):
-    """What is known before the adjustment; leaves have a first axis v unless something else is said.
+    """What is known before the adjustment; leaves have a first axis v unless it says otherwise.
 
     Fields
     ------
@@ -79,11 +79,10 @@ class Adjusted(NamedTuple):
     shape : (s,) of the sheet, see `SHAPE_NAMES`.
     residuals_px : (v, n, 2) predicted minus observed.
     whitened : (v, 2n) the same in standard deviations.
-    jacobian : (v, 2n, k) of `whitened` by all unknowns, flattened in their order.
-    by_lens : (v, 2n, q) of `whitened` by the parameters of each camera's own lens.
-    by_aim : (v, 2n, 2) of `whitened` by each camera's aim, in units of its distance.
-    prior : (k,) information of the priors on each unknown but the aim.
-    aim_jacobian : (v, 2, k) of the aims in units of their priors.
+    by_pose : (v, 2n, 6) of `whitened` by each camera's step of AIM_FREE, lengths in units of its
+        distance.
+    by_lens : (v, 2n, q) by the parameters of each camera's lens.
+    by_shape : (v, 2n, s) by the sheet's shape.
     d_parameters_d_pose : (v, p, p) of the named parameters, in rad and mm, by the step of the
         pose from where it ended.
     converged : whether the solver says so.
@@ -95,11 +94,9 @@ class Adjusted(NamedTuple):
     shape: Float[ArrayLike, "s"]
     residuals_px: Float[ArrayLike, "v n 2"]
     whitened: Float[ArrayLike, "v m"]
-    jacobian: Float[ArrayLike, "v m k"]
+    by_pose: Float[ArrayLike, "v m 6"]
     by_lens: Float[ArrayLike, "v m q"]
-    by_aim: Float[ArrayLike, "v m 2"]
-    prior: Float[ArrayLike, "k"]
-    aim_jacobian: Float[ArrayLike, "v 2 k"]
+    by_shape: Float[ArrayLike, "v m s"]
     d_parameters_d_pose: Float[ArrayLike, "v p p"]
     converged: Bool[ArrayLike, ""]
 
@@ -110,44 +107,23 @@ def adjust(start: Unknowns, views: Views, *, model: PoseModel) -> Adjusted:
     solver = optx.LevenbergMarquardt(
         rtol=_COST_TOLERANCE, atol=_STEP_TOLERANCE, linear_solver=lx.Normal(lx.Cholesky())
     )
+    # One vector each way: unknowns and costs by kind would make a block of every pair of kinds.
+    begin, unflatten = jax.flatten_util.ravel_pytree(start)
     solution = optx.least_squares(
-        partial(_costs, model), solver, start, args=views, max_steps=_MOST_STEPS, throw=False
+        lambda vector, views: _costs(model, unflatten(vector), views),
+        solver,
+        begin,
+        args=views,
+        max_steps=_MOST_STEPS,
+        throw=False,
     )
-    found = solution.value
+    found = unflatten(solution.value)
     pose, lens = _cameras(found, views, model)
     shape = views.shape_sigma * found.shape
-    # Looked at from the pose that was found: a chart is exact to first order where it is laid.
-    here = views._replace(pose=pose)
-    origin = found._replace(pose=jnp.zeros_like(found.pose))
-    flat, back = jax.flatten_util.ravel_pytree(origin)
-
-    def whitened(vector: Float[ArrayLike, "k"]) -> Float[ArrayLike, "v m"]:
-        return _whitened(back(vector), here, model)
-
-    def aims(vector: Float[ArrayLike, "k"]) -> Float[ArrayLike, "v 2"]:
-        return _aims(back(vector), here, model)
-
-    def by_own_lens(change: Float[ArrayLike, "v q"]) -> Float[ArrayLike, "v m"]:
-        moved = jax.vmap(lambda one, delta: one.retract(delta))(lens, change)
-        return jax.vmap(_whitened_view, in_axes=(0, 0, None, 0, None))(
-            pose, moved, shape, here.points, here.reach_mm
-        )
-
-    def by_own_pose(step: Float[ArrayLike, "v 6"]) -> Float[ArrayLike, "v m"]:
-        moved = jax.vmap(lambda one, move: one.retract(move, PoseModel.AIM_FREE, one.distance_mm))
-        return jax.vmap(_whitened_view, in_axes=(0, 0, None, 0, None))(
-            moved(pose, step), lens, shape, here.points, here.reach_mm
-        )
-
-    cameras, terms = views.lens_factor.shape[:2]
-    by_lens = _along_each(by_own_lens, jnp.eye(terms), cameras)
-    by_aim = _along_each(by_own_pose, jnp.eye(PoseModel.AIM_FREE.size)[4:], cameras)
-    prior = back(jnp.ones_like(flat))._replace(
-        pose=jnp.broadcast_to(views.held[:, None], found.pose.shape)
-    )
-    by_pose = jax.vmap(lambda one: one.d_parameters_d_delta(model, one.distance_mm, one))(pose)
+    look = partial(_derivatives, shape, views.reach_mm)
+    whitened, by_pose, by_lens, by_shape = jax.vmap(look)(pose, lens, views.points)
     residuals = jax.vmap(_residuals_view, in_axes=(0, 0, None, 0, None))(
-        pose, lens, shape, here.points, here.reach_mm
+        pose, lens, shape, views.points, views.reach_mm
     )
     return Adjusted(
         found,
@@ -155,32 +131,37 @@ def adjust(start: Unknowns, views: Views, *, model: PoseModel) -> Adjusted:
         lens,
         shape,
         residuals,
-        whitened(flat),
-        jax.jacfwd(whitened)(flat),
-        jnp.moveaxis(by_lens, 0, -1),
-        jnp.moveaxis(by_aim, 0, -1),
-        jax.flatten_util.ravel_pytree(prior)[0],
-        jax.jacfwd(aims)(flat),
+        whitened,
         by_pose,
+        by_lens,
+        by_shape,
+        jax.vmap(lambda one: one.d_parameters_d_delta(model, one.distance_mm, one))(pose),
         solution.result == optx.RESULTS.successful,
     )
 
 
-def _along_each(
-    function: Callable[[Float[ArrayLike, "v q"]], Float[ArrayLike, "v m"]],
-    directions: Float[ArrayLike, "d q"],
-    cameras: int,
-) -> Float[ArrayLike, "d v m"]:
-    """Derivatives at zero along directions that all cameras take at once."""
-    zeros = jnp.zeros((cameras, directions.shape[1]))
+def _derivatives(
+    shape: Float[ArrayLike, "s"],
+    reach_mm: Float[ArrayLike, ""],
+    pose: Pose,
+    lens: AbstractLens,
+    points: SheetPoints,
+) -> tuple[Float[ArrayLike, "m"], ...]:
+    """Whitened residuals of one camera, and their derivatives by pose, lens and shape."""
+    sizes = PoseModel.AIM_FREE.size, len(lens.parameter_names), len(shape)
+    ends = np.cumsum(sizes)
 
-    def along(direction: Float[ArrayLike, "q"]) -> Float[ArrayLike, "v m"]:
-        return jax.jvp(function, (zeros,), (jnp.broadcast_to(direction, zeros.shape),))[1]
+    def whitened(change: Float[ArrayLike, "k"]) -> tuple:
+        step, by_lens, by_shape = jnp.split(change, ends[:-1])
+        moved = pose.retract(step, PoseModel.AIM_FREE, pose.distance_mm)
+        value = _whitened_view(moved, lens.retract(by_lens), shape + by_shape, points, reach_mm)
+        return value, value
 
-    return jax.vmap(along)(directions)
+    columns, value = jax.jacfwd(whitened, has_aux=True)(jnp.zeros(sum(sizes)))
+    return value, *jnp.split(columns, ends[:-1], axis=1)
 
 
-def _costs(model: PoseModel, unknowns: Unknowns, views: Views) -> tuple:
+def _costs(model: PoseModel, unknowns: Unknowns, views: Views) -> Float[ArrayLike, "c"]:
     """Everything that is squared and summed."""
     whitened = _whitened(unknowns, views, model)
     pairs = whitened.reshape(len(whitened), -1, 2)
@@ -189,7 +170,8 @@ def _costs(model: PoseModel, unknowns: Unknowns, views: Views) -> tuple:
         lambda scale, pair, square: GemanMcClure.from_scale(scale).bounded(pair, square)
     )(views.outlier_scale, pairs, squared)
     held = views.held[:, None] * unknowns.pose
-    return bounded, held, unknowns.lens, unknowns.shape, _aims(unknowns, views, model)
+    costs = bounded, held, unknowns.lens, unknowns.shape, _aims(unknowns, views, model)
+    return jnp.concatenate([jnp.ravel(cost) for cost in costs])
 
 
 def _cameras(unknowns: Unknowns, views: Views, model: PoseModel) -> tuple[Pose, AbstractLens]:

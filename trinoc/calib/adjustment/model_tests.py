@@ -1,17 +1,17 @@
 """What of all that is still held fixed do the residuals speak against?
 
-Score tests: each alternative is one more unknown, of which the residuals tell how much chi-square it
-would take away, without another adjustment.
+Score tests: each alternative is one more unknown, of which the residuals tell how much chi-square
+it would take away, without another adjustment.
 """
 
 import numpy as np
 from jaxtyping import Float
 from scipy.stats import chi2
 
-from trinoc.calib.adjustment.estimate import Adjustment, information_of
+from trinoc.calib.adjustment.estimate import Adjustment
 from trinoc.calib.result import Alternative
 
-_FOCAL, _RADIAL = (0, 1), 4
+_FOCAL, _RADIAL, _AIM = (0, 1), 4, (4, 5)
 
 
 def alternatives(
@@ -24,7 +24,7 @@ def alternatives(
     found = adjustment.adjusted
     distance = float(adjustment.parameters[view, 3])
     by_lens, focal = np.asarray(found.by_lens[view]), np.asarray(found.lens.focal_length_px[view])
-    columns = {"aim": np.asarray(found.by_aim[view])} if aim_is_held else {}
+    columns = {"aim": np.asarray(found.by_pose[view])[:, _AIM]} if aim_is_held else {}
     if not lens_is_free:
         columns["focal length"] = (by_lens[:, _FOCAL] @ focal)[:, None]
         columns["radial distortion"] = by_lens[:, _RADIAL : _RADIAL + 1]
@@ -46,9 +46,9 @@ def _score(
     unit: float,
 ) -> Alternative:
     found = adjustment.adjusted
-    base, residual = np.asarray(found.jacobian[view]), np.asarray(found.whitened[view])
+    base, residual = np.asarray(adjustment.jacobian[view]), np.asarray(found.whitened[view])
     across = base.T @ extra
-    normal = extra.T @ extra - across.T @ np.linalg.solve(information_of(found), across)
+    normal = extra.T @ extra - across.T @ np.linalg.solve(adjustment.information, across)
     estimate = -np.linalg.solve(normal, extra.T @ residual)
     drop = float(estimate @ normal @ estimate)
     # Places that scatter more than they claim scatter alike in every direction.

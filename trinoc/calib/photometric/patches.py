@@ -1,8 +1,8 @@
 """Where the picture shows each circle and each piece of the crossed lines.
 
-At the end of the fit a patch of the sheet may still be displaced in the picture, because paper bends
-or the lens is another than was said. The grey levels tell by how much, all patches sharing one
-appearance: normal equations in the displacements, from which the appearance is eliminated.
+At the end of the fit a patch of the sheet may still be displaced in the picture, because paper
+bends or the lens is another than was said. The grey levels tell by how much, all patches sharing
+one appearance: normal equations in the displacements, from which the appearance is eliminated.
 """
 
 from typing import NamedTuple
@@ -142,10 +142,9 @@ def _displacements(
     scale = np.sqrt(np.maximum(np.diag(common)[:-1], 1e-300))
     look, look_slope = common[:-1, :-1] / np.outer(scale, scale), common[:-1, -1] / scale
     across = (blocks[:, :2, 2:-1] / scale).reshape(2 * count, -1)
-    information = -across @ np.linalg.pinv(look, hermitian=True) @ across.T
-    slope = (
-        blocks[:, :2, -1].reshape(-1) - across @ np.linalg.pinv(look, hermitian=True) @ look_slope
-    )
+    eliminated = across @ np.linalg.pinv(look, hermitian=True)
+    information = -eliminated @ across.T
+    slope = blocks[:, :2, -1].reshape(-1) - eliminated @ look_slope
     basis = []
     for k, block in enumerate(blocks[:, :2, :2]):
         rows = slice(2 * k, 2 * k + 2)

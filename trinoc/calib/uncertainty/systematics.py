@@ -5,9 +5,9 @@ parameters in one covariance, and they are larger than the noise: a tenth of a p
 scale is half a millimetre of distance, a hundred times the bound of a good picture.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -37,16 +37,20 @@ from trinoc.numerics import ArrayLike, in_float64
 # What is assumed where nobody says it: see `Systematics.typical`.
 _PRINT_SIZE, _PRINT_STRETCH = 2e-3, 7e-4
 _FLATNESS_MM, _AIM_MM = 0.3, 20.0
-# Of a lens's data sheet: focal length, its aspect, the principal point over the picture's width, and
-# distortion in pixels at the corner.
+# Of a lens's data sheet: focal length, its aspect, the principal point over the picture's width,
+# and distortion in pixels at the corner.
 _FOCAL_LENGTH, _ASPECT, _PRINCIPAL_POINT, _DISTORTION_PX = 1e-2, 2e-3, 2e-2, 1.0
+
+# Cameras of one program.
+_FEW = 3
+_Item = TypeVar("_Item")
 
 # Shared by all cameras: print scale along X and Y, and three ways in which a sheet bends.
 _SHARED = 5
 
 
 class Systematics(NamedTuple):
-    """What is known of the errors of the sheet, the lens and the aim; zeros and None leave them out.
+    """What is known of the errors of sheet, lens and aim; zeros and None leave them out.
 
     Each is an unknown with this prior: where the pictures show it, it is fitted along; where they
     do not, it is in the covariance. `Systematics()` takes everything as exact.
@@ -144,6 +148,14 @@ class Systematics(NamedTuple):
         """Whether everything is exact."""
         numbers = (*self.print_scale_sigma, self.flatness_mm, self.print_size_sigma)
         return not any(numbers) and not self.aim_sigma_mm and self.lens_covariance is None
+
+    def groups(self, cameras: Sequence[_Item]) -> list[Sequence[_Item]]:
+        """Cameras to be adjusted together: all where they share a lens or a sheet that is not
+        exact, else a few at a time."""
+        shared = (*self.print_scale_sigma, self.flatness_mm, self.print_size_sigma)
+        if any(shared) or self.lens_is_shared:
+            return [cameras]
+        return [cameras[k : k + _FEW] for k in range(0, len(cameras), _FEW)]
 
     @property
     def lens_is_shared(self) -> bool:
