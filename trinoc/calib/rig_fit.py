@@ -174,8 +174,9 @@ def fit_rig(
         1.0 if chosen[k] else _scatter(of_circles, one, k, refuted=asked[k])
         for k, one in enumerate(points)
     ]
-    final = of_pictures
-    if not all(chosen):
+    final = of_pictures if any(chosen) else of_circles
+    # Some cameras by their pictures and some not, or circles that know less than they say.
+    if any(chosen) != all(chosen) or max(scatter) > 1.0:
         views = [
             by_picture[k] if chosen[k] else _scattered(by_circles[k], scatter[k])
             for k in range(len(sheets))

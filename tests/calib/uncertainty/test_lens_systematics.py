@@ -11,7 +11,13 @@ from tests.calib.simulated import (
     reference_sheet,
     simulated_detection,
 )
-from trinoc.calib import Status, Systematics, calibrate_detections, with_systematics
+from trinoc.calib import (
+    Status,
+    Systematics,
+    calibrate_batch,
+    calibrate_detections,
+    with_systematics,
+)
 from trinoc.errors import InputError
 from trinoc.geometry import Intrinsics
 
@@ -45,7 +51,7 @@ def test_the_term_is_that_of_fits_with_a_moved_lens() -> None:
     }
 
     def fit(lens: Intrinsics) -> np.ndarray:
-        return calibrate_detections(detections, SHEET, lens, systematics=EXACT).values
+        return calibrate_batch([detections], SHEET, lens).values.reshape(-1)
 
     plain = calibrate_detections(detections, SHEET, LENS, systematics=EXACT)
     wide = with_systematics(plain, Systematics(lens_covariance=COVARIANCE))

@@ -12,4 +12,8 @@ from .estimate import (
 from .jackknife import scatter_of_blocks as scatter_of_blocks
 from .least_squares import residuals_px as residuals_px
 from .model_tests import alternatives as alternatives
-from .sheet_shape import HEIGHT_TERMS as HEIGHT_TERMS, PRINT_TERMS as PRINT_TERMS
+from .sheet_shape import (
+    HEIGHT_TERMS as HEIGHT_TERMS,
+    PRINT_TERMS as PRINT_TERMS,
+    point_of_place as point_of_place,
+)

@@ -24,18 +24,20 @@ def scatter_of_blocks(adjustment: Adjustment, place_mm: np.ndarray, view: int) -
     own = slice(view * size, (view + 1) * size)
     jacobian, residuals = np.asarray(adjustment.jacobian[view]), np.asarray(found.whitened[view])
     information = adjustment.information
-    steps = []
+    inverse = np.linalg.inv(information)
+    steps, expected = [], []
     for block in _blocks(place_mm[: len(adjustment.used[view])], adjustment.used[view]):
         rows = np.concatenate([2 * block, 2 * block + 1])
-        less = information - jacobian[rows].T @ jacobian[rows]
-        steps.append(np.linalg.solve(less, jacobian[rows].T @ residuals[rows])[own])
+        taken = jacobian[rows].T @ jacobian[rows]
+        without = np.linalg.inv(information - taken)
+        steps.append((without @ (jacobian[rows].T @ residuals[rows]))[own])
+        # What independent noise makes of such a step, the residuals being less than the noise.
+        expected.append((without @ (taken - taken @ inverse @ taken) @ without)[own, own])
     if len(steps) < _FEWEST_BLOCKS:
         return 1.0
-    spread = np.stack(steps) - np.mean(steps, axis=0)
-    variance = (len(steps) - 1) / len(steps) * spread.T @ spread
-    inverse = np.linalg.inv(information)
-    claimed = (inverse @ (jacobian.T @ jacobian) @ inverse)[own, own]
-    return float(np.sqrt(max(1.0, np.trace(np.linalg.solve(claimed, variance)) / size)))
+    spread = np.stack(steps)
+    ratio = np.linalg.solve(np.sum(expected, axis=0), spread.T @ spread)
+    return float(np.sqrt(max(1.0, np.trace(ratio) / size)))
 
 
 def _blocks(place_mm: np.ndarray, used: np.ndarray) -> list[np.ndarray]:

@@ -146,7 +146,9 @@ def _derivatives(
     pose: Pose,
     lens: AbstractLens,
     points: SheetPoints,
-) -> tuple[Float[ArrayLike, "m"], ...]:
+) -> tuple[
+    Float[ArrayLike, "m"], Float[ArrayLike, "m 6"], Float[ArrayLike, "m q"], Float[ArrayLike, "m s"]
+]:
     """Whitened residuals of one camera, and their derivatives by pose, lens and shape."""
     sizes = PoseModel.AIM_FREE.size, len(lens.parameter_names), len(shape)
     ends = np.cumsum(sizes)
@@ -158,7 +160,8 @@ def _derivatives(
         return value, value
 
     columns, value = jax.jacfwd(whitened, has_aux=True)(jnp.zeros(sum(sizes)))
-    return value, *jnp.split(columns, ends[:-1], axis=1)
+    by_pose, by_lens, by_shape = jnp.split(columns, ends[:-1], axis=1)
+    return value, by_pose, by_lens, by_shape
 
 
 def _costs(model: PoseModel, unknowns: Unknowns, views: Views) -> Float[ArrayLike, "c"]:

@@ -1,0 +1,77 @@
+"""Pictures as cameras deliver them: whose answer is used, and whether its sigmas hold."""
+
+import numpy as np
+import pytest
+
+from trinoc.calib import CalibrationResult, Pattern, Status, Systematics, calibrate
+from trinoc.synth import table1_lens
+from trinoc.synth.camera_picture import (
+    CONDITIONS,
+    Condition,
+    delivered_picture,
+    irradiance,
+    radiance,
+)
+from trinoc.synth.rigs import TABLE_1
+
+LENS = table1_lens()
+PAN, TILT, SWING, DISTANCE = TABLE_1["right"]
+POSE = (PAN + 1.0, TILT - 2.0, SWING + 0.5, DISTANCE + 6.0)
+
+
+def answer(name: str, known: Systematics) -> tuple[CalibrationResult, np.ndarray]:
+    """The calibration of one picture, and its errors in claimed sigmas."""
+    condition: Condition = CONDITIONS[name]
+    grid = condition.sheet
+    pattern = Pattern.cross_grid(
+        rows=grid.rows, columns=grid.columns, pitch_mm=grid.pitch_mm, radius_mm=grid.radius_mm
+    )
+    light = irradiance(
+        radiance(pattern, condition.camera(LENS, POSE), condition.scene), condition.optics
+    )
+    picture = delivered_picture(light, condition.sensor, condition.processing, seed=41)
+    result = calibrate({"a": picture}, pattern, LENS, systematics=known)
+    return result, (result.values - POSE) / np.sqrt(np.diag(result.covariance))
+
+
+EXACT = Systematics()
+# What people on a bench leave open, through a lens that was calibrated.
+BENCH = Systematics.typical({})
+
+
+@pytest.mark.parametrize(
+    ("name", "known", "method"),
+    [
+        ("reference", EXACT, "picture"),
+        ("sRGB, dark ink", EXACT, "circles"),
+        ("overexposed", EXACT, "circles"),
+        ("bent .1 mm", BENCH, "picture"),
+        ("aim .1 mm off", BENCH, "picture"),
+        ("print .1 % longer along X", BENCH, "picture"),
+    ],
+)
+def test_no_error_beyond_four_sigmas_is_silent(name, known, method) -> None:
+    result, z = answer(name, known)
+    assert result.status["a"] is Status.CONVERGED
+    assert result.fits["a"].method == method
+    assert np.abs(z).max() < 4
+    assert (method == "circles") == any(
+        "Its circles alone were used" in note for note in result.fits["a"].notes
+    )
+
+
+def test_an_aim_beside_the_origin_is_said_and_allowed_for() -> None:
+    result, _ = answer("aim .1 mm off", BENCH)
+    assert "misses the origin of the sheet by (0.06, 0.08)" in result.fits["a"].notes[0]
+    assert result.parameters == tuple(
+        f"a.{name}" for name in ("pan_deg", "tilt_deg", "swing_deg", "distance_mm")
+    )
+    np.testing.assert_allclose(
+        result.rig["a"].aim_mm, CONDITIONS["aim .1 mm off"].aim_mm, atol=0.01
+    )
+    assert result.sigma("a.aim_x_mm") < 0.01
+
+
+def test_an_exact_aim_that_is_not_is_suspect() -> None:
+    result, _ = answer("aim .1 mm off", EXACT)
+    assert result.status["a"] is Status.SUSPECT
