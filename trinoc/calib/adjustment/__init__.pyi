@@ -1,5 +1,4 @@
 from .agreement import probability_of_agreement as probability_of_agreement
-from .apparent_shift import apparent_shift as apparent_shift
 from .circle_points import (
     points_as_adjusted as points_as_adjusted,
     points_before_flat_sheet as points_before_flat_sheet,
@@ -17,3 +16,4 @@ from .sheet_shape import (
     PRINT_TERMS as PRINT_TERMS,
     point_of_place as point_of_place,
 )
+from .shifts import apparent_shift as apparent_shift
