@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from tests.geometry.strategies import real
+from tests.io.formats.bench import bench_rig
 from tests.io.formats.strategies import CORNERS, in_frame_of, lenses, pixels, rigs
 from trinoc.geometry import Rig, Segments
 from trinoc.io import FORMATS
@@ -42,6 +43,22 @@ def test_a_rig_comes_back(name, ending, data):
     for own, camera in rig.items():
         assert back[own].image_size_px == camera.image_size_px
         np.testing.assert_allclose(pixels(back[own], world), pixels(camera), **SAME)
+
+
+ANY_NAME = st.text(st.characters(exclude_categories=["Cs", "Cc"]), min_size=1, max_size=9).filter(
+    lambda name: name.isprintable() and name.strip()
+)
+
+
+@pytest.mark.parametrize("ending", FORMATS["opencv"].endings)
+@settings(max_examples=40)
+@given(names=st.lists(ANY_NAME, min_size=3, max_size=3, unique=True))
+def test_any_printable_name_comes_back_from_opencv(ending, names):
+    rig = Rig(dict.fromkeys(names, bench_rig().cameras[0]))
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"rig{ending}"
+        FORMATS["opencv"].save(rig, path)
+        assert FORMATS["opencv"].load(path).names == tuple(names)
 
 
 @pytest.mark.parametrize("name", [n for n, each in FORMATS.items() if "lens" in each.reads])

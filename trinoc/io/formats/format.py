@@ -16,6 +16,7 @@ from trinoc.match import Matches
 Lenses = Mapping[str, Intrinsics]
 # The words of `Format.holds` and `Format.reads`.
 KIND_OF = {Rig: "rig", Intrinsics: "lens", Matches: "matches", Segments: "segments"}
+IN_WORDS = {"rig": "a rig", "lens": "a lens", "matches": "matches", "segments": "segments"}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -65,10 +66,9 @@ class Format:
         value = _plain(value)
         kind = KIND_OF.get(type(value))
         if kind not in self.holds:
-            raise InputError(
-                f"{self.title} holds {_listed(self.holds)}, but a {type(value).__name__} is "
-                "given: choose another format."
-            )
+            given = f"a {type(value).__name__}" if kind is None else IN_WORDS[kind]
+            held = " or ".join(IN_WORDS[kind] for kind in self.holds)
+            raise InputError(f"{self.title} holds {held}, not {given}: choose another format.")
         target = Path(path)
         if self.place == "folder" or (kind == "rig" and "folder" in self.place):
             expect_new_folder(target)
@@ -156,7 +156,3 @@ def _renamed(value: object, names: tuple[str, ...], source: Path) -> Rig:
             "different names."
         )
     return Rig(dict(zip(names, value.cameras, strict=True)))
-
-
-def _listed(kinds: Sequence[str]) -> str:
-    return " or ".join({"rig": "a rig", "lens": "a lens"}.get(kind, kind) for kind in kinds)
