@@ -11,6 +11,7 @@ from tests.io.formats.bench import bench_matches, bench_rig
 from trinoc.cli.format_names import ReadFormat, WrittenFormat
 from trinoc.cli.main import main
 from trinoc.io import FORMATS, load_intrinsics
+from trinoc.io.intrinsics_json import save_intrinsics
 
 RIG = bench_rig(coefficients=4)
 
@@ -45,15 +46,16 @@ def test_a_rig_leaves_and_comes_back(run, name):
     assert f"written: {out}" in said
     assert warned.count("\n") == 1
     assert "loses: " in warned
-    assert "the covariance" in warned
+    keeps = name in ("opencv", "matlab")
+    assert ("the covariance" in warned) != keeps
     more = [] if name not in ("kalibr",) else ["--names", "upper,right,left"]
     lenses = ["--lenses", "rig.json"] if name == "tf" else []
     status, said, warned = run("import", out, "--from", name, "-o", "back.json", *more, *lenses)
     assert (status, warned) == (0, "")
-    assert "3 cameras, without covariance: " in said
+    assert f"3 cameras, {'with' if keeps else 'without'} covariance: " in said
     back = trinoc.load_rig("back.json")
     assert set(back.names) == set(RIG.names)
-    assert back.parameters == ()
+    assert back.parameters == (RIG.parameters if keeps else ())
     for own, camera in RIG.items():
         np.testing.assert_allclose(
             back[own].intrinsics.matrix, camera.intrinsics.matrix, rtol=0, atol=1e-9
@@ -80,6 +82,13 @@ def test_a_lens_leaves_and_comes_back(run):
     assert "a lens, without covariance" in said
     back = load_intrinsics("back.json")
     np.testing.assert_array_equal(back.distortion, RIG["upper"].intrinsics.distortion)
+
+
+def test_the_covariance_of_a_lens_is_said_to_be_lost(run):
+    save_intrinsics(RIG["upper"].intrinsics, "known.json", covariance=np.eye(9))
+    for file, lost in (("known.json", True), ("camera.json", False)):
+        _, _, warned = run("export", file, "--to", "opencv", "-o", "lens.yml")
+        assert ("the covariance" in warned) == lost
 
 
 @pytest.mark.parametrize("name", [n for n in FORMATS if "matches" in FORMATS[n].holds])

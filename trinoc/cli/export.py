@@ -31,12 +31,15 @@ class Export(Command):
 
     def run(self, command_line: str) -> Outcome:
         """Read, write, and say what the format cannot hold."""
-        from trinoc.io import FORMATS, load_any
+        from trinoc.geometry import Intrinsics
+        from trinoc.io import FORMATS, LOSSES, load_any, load_lens_covariance
 
         target = FORMATS[self.to]
         value = load_any(self.file)
         target.save(value, self.out, unit_mm=self.unit_mm)
         lost = target.lost(value)
+        if isinstance(value, Intrinsics) and load_lens_covariance(self.file) is not None:
+            lost = (LOSSES["covariance"], *lost)
         if lost:
             LOGGER.warning("%s cannot hold, and so loses: %s", target.title, "; ".join(lost))
         record = {"format": target.name, "lost": list(lost), "written": [str(self.out)]}

@@ -58,7 +58,8 @@ class Import(Command):
         save(value, self.out, provenance=provenance(command_line, self._inputs()))
         match value:
             case Rig():
-                found = f"{len(value)} cameras, without covariance: {', '.join(value.names)}"
+                known = "with" if value.parameters else "without"
+                found = f"{len(value)} cameras, {known} covariance: {', '.join(value.names)}"
             case Segments():
                 found = f"{len(value)} segments, with sigmas of a plain detector"
             case _:

@@ -13,6 +13,7 @@ from .demo import (
 )
 from .formats import (
     FORMATS as FORMATS,
+    LOSSES as LOSSES,
     Format as Format,
     colmap as colmap,
     colmap_text as colmap_text,

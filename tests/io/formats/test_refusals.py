@@ -166,6 +166,8 @@ SPOILT = [
     ("opencv", r"(camera_matrix:.*\n.*\n.*\n.*\n.*data: \[)[-\d.]+", r"\g<1>-900.0", "positive"),
     ("opencv", r"(camera_matrix:.*\n.*\n.*\n.*\n.*data: \[)[-\d.]+", r"\g<1>.Nan", "finite"),
     ("opencv", r"(R: .*\n.*\n.*\n.*\n.*data: \[)[-\d.]+", r"\g<1>0.5", "no rotation"),
+    ("opencv", r"cols: 3\n(.*\n.*data: )\[1.0e-06", r"cols: 3\n\1[-1.0e-06", "is no covariance"),
+    ("opencv", r'"right.pan_deg"', '"wrong.pan_deg"', 'no camera "wrong"'),
     ("opencv", r'name: "right"', 'name: "upper"', "as of a camera before"),
     ("kalibr", r"distortion_coeffs: \[[^\]]*\]", "distortion_coeffs: [0.1]", "four of radtan"),
     ("kalibr", r"radtan", "equidistant", 'lens model "equidistant"'),

@@ -45,6 +45,21 @@ def test_a_rig_comes_back(name, ending, data):
         np.testing.assert_allclose(pixels(back[own], world), pixels(camera), **SAME)
 
 
+@pytest.mark.parametrize("name", ["opencv", "matlab"])
+@pytest.mark.parametrize("cameras", [2, 3])
+def test_a_covariance_comes_back_where_there_is_room_for_it(name, cameras, tmp_path):
+    form, rig = FORMATS[name], bench_rig(cameras=cameras)
+    root = np.random.default_rng(3).normal(size=(cameras, cameras))
+    rig = Rig(dict(rig.items()), parameters=rig.parameters, covariance=root @ root.T)
+    for ending in form.endings:
+        form.save(rig, tmp_path / f"rig{ending}")
+        back = form.load(tmp_path / f"rig{ending}")
+        assert back.parameters == rig.parameters
+        np.testing.assert_array_equal(back.covariance, rig.covariance)
+        renamed = form.load(tmp_path / f"rig{ending}", names=("a", "b", "c")[:cameras])
+        assert renamed.parameters == tuple(f"{own}.pan_deg" for own in renamed.names)
+
+
 ANY_NAME = st.text(st.characters(exclude_categories=["Cs", "Cc"]), min_size=1, max_size=9).filter(
     lambda name: name.isprintable() and name.strip()
 )

@@ -7,6 +7,7 @@ from .kalibr_camchain import kalibr as kalibr
 from .limap_tracks import limap as limap
 from .lines_csv import csv as csv
 from .lines_parquet import parquet as parquet
+from .losses import LOSSES as LOSSES
 from .matlab_stereo import matlab as matlab
 from .mrcal_cameramodel import mrcal as mrcal
 from .nerfstudio_transforms import nerfstudio as nerfstudio

@@ -3,7 +3,8 @@
 One lens is `camera_matrix`, `distortion_coefficients`, `image_width` and `image_height`. A rig is
 the list `cameras`, each with a `name`, these four, and `R` and `T` of x_cam = R x_world + T; two
 cameras stand there as `M1`, `D1`, `M2`, `D2` and `R`, `T` (second from first) besides, which
-`cv2.stereoRectify` takes. Read is any of the three.
+`cv2.stereoRectify` takes. Read is any of the three. The covariance of a rig stands under
+`covariance`, in degrees and mm, as in rig.json.
 """
 
 import json
@@ -18,11 +19,12 @@ from trinoc.geometry import Camera, Intrinsics, Pose, Rig
 from trinoc.io.atomic import write_text
 from trinoc.io.formats.format import Format, Lenses
 from trinoc.io.formats.lens_rows import LensNumbers, LensRow, lens_of, numbers_of
-from trinoc.io.formats.losses import COVARIANCE, PIXEL_PITCH
+from trinoc.io.formats.losses import PIXEL_PITCH
 from trinoc.io.formats.motions import chained, inverse, motion
 from trinoc.io.formats.text_files import block_of, read_text
 from trinoc.io.formats.yaml_text import scalar_or_list
 from trinoc.io.json_document import Block
+from trinoc.io.rig_json import covariance_of
 
 TITLE = "OpenCV's FileStorage"
 # cv2.projectPoints takes 4, 5, 8, 12 or 14 coefficients in this order.
@@ -47,7 +49,7 @@ def write_opencv(value: Rig | Intrinsics, path: Path, unit_mm: float) -> None:
             }
             for name, camera in value.items()
         ]
-        document = {"cameras": cameras} | (_stereo(value, cameras, unit_mm))
+        document = {"cameras": cameras, **_stereo(value, cameras, unit_mm), **_covariance(value)}
     as_json = path.suffix.lower() == ".json"
     write_text(path, _json(document) if as_json else "%YAML:1.0\n---\n" + _yaml(document, ""))
 
@@ -101,6 +103,13 @@ def _stereo(rig: Rig, cameras: list[dict[str, Any]], unit_mm: float) -> dict[str
     }
 
 
+def _covariance(rig: Rig) -> dict[str, Any]:
+    if not rig.parameters:
+        return {}
+    matrix = np.asarray(rig.covariance, dtype=np.float64)
+    return {"covariance": {"parameters": list(rig.parameters), "matrix": matrix}}
+
+
 def _listed(document: Block, unit_mm: float) -> Rig:
     entries = document.values["cameras"]
     if not isinstance(entries, list) or not entries:
@@ -114,7 +123,8 @@ def _listed(document: Block, unit_mm: float) -> Rig:
             raise block.error("name", f'is "{name}" as of a camera before it: rename one.')
         lens = _lens_from_map(block, "camera_matrix", "distortion_coefficients")
         cameras[name] = Camera(lens, Pose(_pose(block, unit_mm)))
-    return Rig(cameras)
+    parameters, covariance = covariance_of(document, cameras)
+    return Rig(cameras, parameters=parameters, covariance=covariance)
 
 
 def _pair(document: Block, keys: tuple[str, str, str, str], unit_mm: float) -> Rig:
@@ -182,7 +192,9 @@ def _plain(node: Any) -> Any:
 def _yaml(values: dict[str, Any], indent: str) -> str:
     lines = []
     for key, value in values.items():
-        if isinstance(value, list):
+        if isinstance(value, dict):
+            lines.append(f"{indent}{key}:\n{_yaml(value, indent + '   ')}")
+        elif isinstance(value, list) and value and isinstance(value[0], dict):
             inner = indent + "      "
             items = (f"{indent}   -\n{_yaml(item, inner)}" for item in value)
             lines.append(f"{indent}{key}:\n{''.join(items)}")
@@ -216,7 +228,7 @@ opencv = Format(
     unit_mm=1.0,
     unit_is_fixed=False,
     frames="pixel (0, 0) is the centre of the top-left pixel; x right, y down, z forward",
-    loses=(COVARIANCE, PIXEL_PITCH),
+    loses=(PIXEL_PITCH,),
     write=write_opencv,
     read=read_opencv,
 )

@@ -10,7 +10,7 @@ from trinoc.calib import CalibrationResult, IntrinsicsResult
 from trinoc.errors import InputError
 from trinoc.geometry import Intrinsics, Rig, Segments
 from trinoc.io.atomic import expect_place
-from trinoc.io.formats.losses import lost_of
+from trinoc.io.formats.losses import COVARIANCE, LOSSES, lost_of
 from trinoc.match import Matches
 
 Lenses = Mapping[str, Intrinsics]
@@ -93,9 +93,9 @@ class Format:
         """Read what `reads` says: a Rig, or Intrinsics, or Segments.
 
         `unit_mm` is as in `save`; `lenses`, by camera, are needed by formats that hold poses
-        alone; `names` rename the cameras of a rig, in the order of the file. A file says nothing
-        about errors here: a rig that is read has no covariance. Raises InputError, in one
-        sentence with the file, for what is missing, not finite or no camera.
+        alone; `names` rename the cameras of a rig, in the order of the file. A rig has a
+        covariance only where the format holds one. Raises InputError, in one sentence with the
+        file, for what is missing, not finite or no camera.
         """
         if self.read is None:
             raise InputError(f"{self.title} is only written, not read: import another format.")
@@ -107,7 +107,9 @@ class Format:
 
     def lost(self, value: object) -> tuple[str, ...]:
         """What of this value the format cannot hold, in words; projections stay the same."""
-        return lost_of(_plain(value), self.loses)
+        lost = lost_of(_plain(value), self.loses)
+        of_lens = isinstance(value, IntrinsicsResult) and value.covariance is not None
+        return (LOSSES[COVARIANCE], *lost) if of_lens else lost
 
     def _unit(self, unit_mm: float | None) -> float:
         if unit_mm is None:
@@ -155,4 +157,8 @@ def _renamed(value: object, names: tuple[str, ...], source: Path) -> Rig:
             f"{source} holds {len(value)} cameras ({', '.join(value.names)}): give as many "
             "different names."
         )
-    return Rig(dict(zip(names, value.cameras, strict=True)))
+    new_of = dict(zip(value.names, names, strict=True))
+    split = [parameter.rpartition(".") for parameter in value.parameters]
+    parameters = [f"{new_of.get(camera, camera)}{dot}{own}" for camera, dot, own in split]
+    named = dict(zip(names, value.cameras, strict=True))
+    return Rig(named, parameters=parameters, covariance=value.covariance)

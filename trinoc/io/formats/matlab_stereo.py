@@ -4,7 +4,8 @@ MATLAB knows pairs. For each camera after the first there is a struct `stereoPar
 cameras), or `stereoParams_2`, `stereoParams_3`, ...: the first camera and that one, with the fields
 of `toStruct`; `stereoParameters(S.stereoParams_2)` makes the object. Its pixels count from 1, its
 matrices are transposed (row vectors: x2 = x1 R + t), and it counts in mm. `camera_names` and
-`cam1_from_world` (4 x 4) stand beside, so that names and world come back.
+`cam1_from_world` (4 x 4) stand beside, so that names and world come back, and `covariance`, in
+degrees and mm, with its `parameters` and its `matrix`.
 """
 
 from pathlib import Path
@@ -18,10 +19,11 @@ from trinoc.geometry import Camera, Intrinsics, Pose, Rig
 from trinoc.io.atomic import atomic_write
 from trinoc.io.formats.format import Format, Lenses
 from trinoc.io.formats.lens_rows import LensNumbers, LensRow, lens_of, numbers_of
-from trinoc.io.formats.losses import COVARIANCE, PIXEL_PITCH
+from trinoc.io.formats.losses import PIXEL_PITCH
 from trinoc.io.formats.motions import chained, from_homogeneous, homogeneous, inverse, motion
 from trinoc.io.formats.text_files import block_of
 from trinoc.io.json_document import Block
+from trinoc.io.rig_json import covariance_of
 
 TITLE = "MATLAB's stereoParameters"
 FIRST_PX = 1.0
@@ -49,6 +51,9 @@ def write_matlab(rig: Rig, path: Path, unit_mm: float) -> None:
             "RotationOfCamera2": second_from_first[:, :3].T,
             "TranslationOfCamera2": second_from_first[:, 3][None] / unit_mm,
         }
+    if rig.parameters:
+        parameters = np.array(rig.parameters, dtype=object)
+        variables["covariance"] = {"parameters": parameters, "matrix": np.asarray(rig.covariance)}
     with atomic_write(path) as file:
         scipy.io.savemat(file, variables)
 
@@ -80,7 +85,9 @@ def read_matlab(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig:
         names = list(document.texts("camera_names"))
         if len(set(names)) != len(cameras):
             raise document.error("camera_names", f"must be {len(cameras)} different names.")
-    return Rig(dict(zip(names, cameras, strict=True)))
+    named = dict(zip(names, cameras, strict=True))
+    parameters, covariance = covariance_of(document, named)
+    return Rig(named, parameters=parameters, covariance=covariance)
 
 
 def _to_struct(lens: Intrinsics, camera: str) -> dict[str, Any]:
@@ -175,7 +182,7 @@ matlab = Format(
     unit_is_fixed=False,
     frames="pixel (1, 1) is the centre of the top-left pixel; x right, y down, z forward; row "
     "vectors (x R + t)",
-    loses=(COVARIANCE, PIXEL_PITCH),
+    loses=(PIXEL_PITCH,),
     write=write_matlab,
     read=read_matlab,
 )
