@@ -159,6 +159,24 @@ def test_any_other_content_is_an_input_error(name, content, tmp_path_factory):
     assert str(path) in problem
 
 
+@pytest.mark.parametrize("name", [n for n in OF_CAMERAS if FORMATS[n].place == "file"])
+@settings(max_examples=40)
+@given(place=st.integers(0, 10**6), gone=st.integers(0, 9), come=st.binary(max_size=4))
+def test_a_damaged_file_is_a_rig_or_an_input_error(name, place, gone, come, tmp_path_factory):
+    path = written(name, tmp_path_factory.mktemp("damaged"))
+    content = path.read_bytes()
+    place %= len(content)
+    path.write_bytes(content[:place] + come + content[place + gone :])
+    try:
+        value = FORMATS[name].load(path, lenses=dict.fromkeys(RIG, LENS))
+    except InputError as error:
+        problem = str(error)
+    else:
+        assert isinstance(value, Rig)
+        return
+    assert "\n" not in problem
+
+
 # (format, a word of what is written, what stands there instead, what the sentence says).
 SPOILT = [
     ("opencv", r"image_width: 512", "image_width: 0", "whole positive pixels"),

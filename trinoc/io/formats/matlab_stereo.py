@@ -20,6 +20,7 @@ from trinoc.io.atomic import atomic_write
 from trinoc.io.formats.format import Format, Lenses
 from trinoc.io.formats.lens_rows import LensNumbers, LensRow, lens_of, numbers_of
 from trinoc.io.formats.losses import PIXEL_PITCH
+from trinoc.io.formats.mat_file import mat_variables
 from trinoc.io.formats.motions import chained, from_homogeneous, homogeneous, inverse, motion
 from trinoc.io.formats.text_files import block_of
 from trinoc.io.json_document import Block
@@ -61,7 +62,7 @@ def write_matlab(rig: Rig, path: Path, unit_mm: float) -> None:
 def read_matlab(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig:
     """The rig of one or several structs of stereoParameters; without `cam1_from_world` the world
     is the first camera."""
-    document = _parsed(path)
+    document = block_of(mat_variables(path), path)
     pairs = [name for name in document.values if name.startswith(VARIABLE)]
     if not pairs:
         raise document.error(VARIABLE, "is missing: save toStruct(stereoParams) under that name.")
@@ -138,37 +139,6 @@ def _alike(lens: Intrinsics, other: Intrinsics) -> bool:
         and np.array_equal(lens.principal_point_px, other.principal_point_px)
         and np.array_equal(lens.distortion, other.distortion)
     )
-
-
-def _parsed(path: Path) -> Block:
-    try:
-        variables = scipy.io.loadmat(path, chars_as_strings=True)
-    except NotImplementedError as error:
-        raise InputError(
-            f"{path} is of MATLAB 7.3, which is another format: save it with -v7."
-        ) from error
-    except Exception as error:  # whatever a damaged file does to the reader
-        raise InputError(f"{path} is no .mat file, or damaged: give another file.") from error
-    values = {key: _plain(value) for key, value in variables.items() if not key.startswith("__")}
-    return block_of(values, path)
-
-
-def _plain(value: Any) -> Any:
-    """Structs as maps, cells of texts as lists of texts, matrices as lists of rows."""
-    if not isinstance(value, np.ndarray):
-        return value
-    if value.dtype.names:
-        if value.size != 1:
-            return None
-        return {name: _plain(value[name].flat[0]) for name in value.dtype.names}
-    if value.dtype.kind == "U":
-        return [str(item) for item in value]
-    if value.dtype == object:
-        texts = [_plain(item) for item in value.flat]
-        return [text[0] if isinstance(text, list) and text else text for text in texts]
-    if value.dtype.kind not in "fiub" or np.iscomplexobj(value):
-        return None
-    return np.asarray(value, dtype=np.float64).tolist()
 
 
 matlab = Format(

@@ -9,18 +9,23 @@ from trinoc.errors import InputError
 # Rotations to this many digits are taken as they are; those that a few digits are missing of, as
 # files of single precision have them, are brought to the nearest rotation.
 EXACT, ROUNDED = 1e-12, 1e-4
+# Of a translation in mm; cameras are nearer than this, in any unit.
+FARTHEST_MM = 1e15
 
 
 def motion(
     rotation: Float[np.ndarray, "3 3"], translation_mm: Float[np.ndarray, "3"], where: str
 ) -> Float[np.ndarray, "3 4"]:
     """[R | t]; `where` begins the sentence of the InputError for what is no rotation."""
+    if not np.abs(translation_mm).max() < FARTHEST_MM:
+        raise InputError(f"{where} is beside a translation beyond all bounds: correct it.")
     return np.concatenate([checked_rotation(rotation, where), translation_mm[:, None]], axis=1)
 
 
 def checked_rotation(rotation: Float[np.ndarray, "3 3"], where: str) -> Float[np.ndarray, "3 3"]:
     """A proper rotation, exact to rounding. Raises InputError for a matrix that is none."""
-    error = np.abs(rotation @ rotation.T - np.eye(3)).max()
+    small = np.abs(rotation).max() < 2  # products of larger ones may overflow
+    error = np.abs(rotation @ rotation.T - np.eye(3)).max() if small else np.inf
     if not error < ROUNDED:
         raise InputError(f"{where} is no rotation matrix (R R^T differs from 1): correct it.")
     if np.linalg.det(rotation) < 0:
@@ -69,7 +74,7 @@ def quaternion_wxyz(rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "4"
 
 def rotation_of_quaternion(wxyz: Float[np.ndarray, "4"], where: str) -> Float[np.ndarray, "3 3"]:
     """The rotation of (w, x, y, z), of length 1 to the digits of a file. Raises InputError."""
-    if not abs(np.linalg.norm(wxyz) - 1) < ROUNDED:
+    if not (np.abs(wxyz).max() < 2 and abs(np.linalg.norm(wxyz) - 1) < ROUNDED):
         raise InputError(f"{where} is no unit quaternion: correct it.")
     w, x, y, z = wxyz
     return Rotation.from_quat([x, y, z, w]).as_matrix()
