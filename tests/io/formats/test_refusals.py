@@ -2,6 +2,7 @@
 
 import json
 import re
+import sys
 
 import cv2
 import numpy as np
@@ -342,3 +343,13 @@ def test_opencv_keeps_its_voice_after_a_broken_file(tmp_path):
     with pytest.raises(InputError, match=r"not a file of cv2\.FileStorage"):
         FORMATS["opencv"].load(tmp_path / "rig.yml")
     assert cv2.utils.logging.getLogLevel() == before
+
+
+@pytest.mark.parametrize(("module", "extra"), [("pyarrow", "parquet"), ("ruamel.yaml", "export")])
+def test_a_library_that_is_missing_is_named_with_its_extra(module, extra, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(InputError, match=rf"pip install 'trinoc\[{extra}\]'"):
+        if extra == "parquet":
+            FORMATS["parquet"].save(bench_matches(), tmp_path / "lines.parquet")
+        else:
+            FORMATS["kalibr"].load(written("kalibr", tmp_path))

@@ -12,7 +12,8 @@ import numpy as np
 from trinoc.errors import InputError
 from trinoc.geometry import LENS_MODELS, Intrinsics, Rig
 
-NO_DISTORTION = "none"
+# What rounding leaves where a projection matrix was taken apart.
+NEGLIGIBLE_SKEW_PX = 1e-9
 
 
 class LensRow(NamedTuple):
@@ -58,10 +59,10 @@ def numbers_of(
     row holds the lens, or a skew is not held.
     """
     who = f'The lens of "{camera}"' if camera else "The lens"
-    if not skew and float(lens.skew_px) != 0:
+    if not skew and abs(float(lens.skew_px)) > NEGLIGIBLE_SKEW_PX:
         raise InputError(
-            f"{who} has a skew of {float(lens.skew_px):g} px, which {title} cannot hold: choose "
-            "another format."
+            f"{who} has a skew of {float(lens.skew_px):g} px, which {title} cannot hold: export to "
+            "matlab, which can."
         )
     values = dict(
         zip(

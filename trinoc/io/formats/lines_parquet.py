@@ -16,7 +16,7 @@ def write_parquet(matches: Matches, path: Path, unit_mm: float) -> None:
         import pyarrow.parquet
     except ImportError as error:
         raise InputError(
-            f"{path} is Parquet, which needs pyarrow: pip install 'trinoc[export]', or export CSV."
+            f"{path} is Parquet, which needs pyarrow: pip install 'trinoc[parquet]', or export CSV."
         ) from error
     table = pyarrow.table(lines_table(matches, unit_mm))
     with atomic_write(path) as file:
