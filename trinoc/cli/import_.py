@@ -52,7 +52,7 @@ class Import(Command):
 
         expect_place(self.out)
         source = FORMATS[self.source]
-        names = None if self.names is None else self.names.split(",")
+        names = None if self.names is None else [name.strip() for name in self.names.split(",")]
         lenses = self._lenses()
         value = source.load(self.file, unit_mm=self.unit_mm, lenses=lenses, names=names)
         save(value, self.out, provenance=provenance(command_line, self._inputs()))

@@ -5,6 +5,7 @@ import re
 import sys
 
 import cv2
+import equinox as eqx
 import numpy as np
 import pytest
 import scipy.io
@@ -102,6 +103,26 @@ def test_one_camera_is_no_pair_and_no_segment_no_mesh(tmp_path):
         FORMATS["matlab"].save(rig_of(LENS, "a"), tmp_path / "rig.mat")
     with pytest.raises(InputError, match="no 3-D segment"):
         FORMATS["gltf"].save(bench_matches(0), tmp_path / "lines.glb")
+
+
+@pytest.mark.parametrize("name", list(FORMATS))
+def test_numbers_that_are_not_finite_do_not_leave(name, tmp_path):
+    form = FORMATS[name]
+    if "segments" in form.holds:
+        with pytest.raises(InputError, match="not finite"):
+            Segments.from_endpoints(np.array([[0, 0, np.nan, 1]]))
+        return
+    if "matches" in form.holds:
+        lines = np.full((12, 2, 3), np.nan)
+        value = eqx.tree_at(lambda matches: matches.lines_mm, bench_matches(), lines)
+    else:
+        value = Rig(
+            dict(RIG.items()), parameters=("upper.pan_deg",), covariance=np.full((1, 1), np.nan)
+        )
+    path = place_of(form, tmp_path, "matches" if "matches" in form.holds else "rig")
+    with pytest.raises(InputError, match="not finite"):
+        form.save(value, path)
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("unit", [0.0, -1.0, float("nan"), float("inf")])
@@ -329,7 +350,7 @@ def test_lsd_s_other_columns_are_left_out(tmp_path):
 
 def test_names_given_must_be_as_many_and_different(tmp_path):
     path = written("kalibr", tmp_path)
-    for names in (("a", "b"), ("a", "b", "b")):
+    for names in (("a", "b"), ("a", "b", "b"), ("a", "b", "")):
         with pytest.raises(InputError, match="as many different names"):
             FORMATS["kalibr"].load(path, names=names)
     FORMATS["opencv"].save(LENS, tmp_path / "lens.yml")
@@ -348,8 +369,10 @@ def test_opencv_keeps_its_voice_after_a_broken_file(tmp_path):
 @pytest.mark.parametrize(("module", "extra"), [("pyarrow", "parquet"), ("ruamel.yaml", "export")])
 def test_a_library_that_is_missing_is_named_with_its_extra(module, extra, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, module, None)
+    chain = written("kalibr", tmp_path)
+    use = {
+        "parquet": lambda: FORMATS["parquet"].save(bench_matches(), tmp_path / "lines.parquet"),
+        "export": lambda: FORMATS["kalibr"].load(chain),
+    }[extra]
     with pytest.raises(InputError, match=rf"pip install 'trinoc\[{extra}\]'"):
-        if extra == "parquet":
-            FORMATS["parquet"].save(bench_matches(), tmp_path / "lines.parquet")
-        else:
-            FORMATS["kalibr"].load(written("kalibr", tmp_path))
+        use()

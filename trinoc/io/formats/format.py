@@ -6,6 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from trinoc.calib import CalibrationResult, IntrinsicsResult
 from trinoc.errors import InputError
 from trinoc.geometry import Intrinsics, Rig, Segments
@@ -79,7 +81,7 @@ class Format:
                     f"{target}: {self.title} is written as {' or '.join(self.endings)}: choose "
                     "such a name."
                 )
-        _expect_printable(value)
+        _expect_writable(value)
         self.write(value, target, self._unit(unit_mm))
 
     def load(
@@ -142,17 +144,33 @@ def _plain(value: object) -> object:
     return value
 
 
-def _expect_printable(value: object) -> None:
-    names = value.names if isinstance(value, Rig) else getattr(value, "views", ())
+def _expect_writable(value: object) -> None:
+    """Raise InputError for names that no text holds, and for numbers that are not finite."""
+    match value:
+        case Rig():
+            names, lenses = value.names, [camera.intrinsics for camera in value.cameras]
+            numbers = [value.covariance, *(camera.cam_from_world for camera in value.cameras)]
+        case Intrinsics():
+            names, lenses, numbers = (), [value], []
+        case Matches():
+            names, lenses, numbers = value.views, [], [value.lines_mm]
+        case _:
+            return
     for name in names:
         if not (name.isprintable() and name.strip()):
             raise InputError(f"The camera {name!r} has no name that a text file can hold.")
+    numbers += [array for lens in lenses for array in (lens.lens.parameters, lens.skew_px)]
+    if not all(np.isfinite(np.asarray(array)).all() for array in numbers):
+        raise InputError(
+            f"The {type(value).__name__} has numbers that are not finite: calibrate or match again "
+            "so that all are determined."
+        )
 
 
 def _renamed(value: object, names: tuple[str, ...], source: Path) -> Rig:
     if not isinstance(value, Rig):
         raise InputError(f"{source} holds no cameras with names: leave the names out.")
-    if len(names) != len(value) or len(set(names)) < len(names):
+    if len(names) != len(value) or len(set(names)) < len(names) or not all(names):
         raise InputError(
             f"{source} holds {len(value)} cameras ({', '.join(value.names)}): give as many "
             "different names."
