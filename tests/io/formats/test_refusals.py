@@ -376,3 +376,10 @@ def test_a_library_that_is_missing_is_named_with_its_extra(module, extra, tmp_pa
     }[extra]
     with pytest.raises(InputError, match=rf"pip install 'trinoc\[{extra}\]'"):
         use()
+
+
+def test_a_huge_file_is_refused_before_it_is_read(tmp_path):
+    with open(tmp_path / "rig.yaml", "wb") as file:
+        file.truncate(17_000_000)
+    with pytest.raises(InputError, match="has 17 MB, but"):
+        FORMATS["kalibr"].load(tmp_path / "rig.yaml")

@@ -18,7 +18,13 @@ SAME = {"rtol": 0, "atol": 1e-9}
 # What differs from a rig of one to four cameras with five coefficients and no skew.
 RIGS = {"kalibr": rigs(coefficients=4), "matlab": rigs(skew=True, fewest=2)}
 OF_CAMERAS = [name for name, each in FORMATS.items() if "rig" in each.reads]
-ENDINGS = [(name, end) for name in OF_CAMERAS for end in (FORMATS[name].endings or ("",))]
+# The same file by another ending, .yaml for .yml, is not another test.
+ENDINGS = [
+    (name, ending)
+    for name in OF_CAMERAS
+    for ending in (FORMATS[name].endings if FORMATS[name].place == "file" else ("",))
+    if ending != ".yaml" or ".yml" not in FORMATS[name].endings
+]
 
 
 @pytest.mark.parametrize(("name", "ending"), ENDINGS)
@@ -29,7 +35,7 @@ def test_a_rig_comes_back(name, ending, data):
     rig = data.draw(RIGS.get(name, rigs()))
     unit_mm = None if form.unit_is_fixed else data.draw(real(0.1, 1000))
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / (f"rig{ending}" if form.place == "file" else "rig")
+        path = Path(folder) / f"rig{ending}"
         form.save(rig, path, unit_mm=unit_mm)
         known = {own: camera.intrinsics for own, camera in rig.items()}
         lens_of = known if LENSES in form.loses else None
@@ -65,8 +71,8 @@ ANY_NAME = st.text(st.characters(exclude_categories=["Cs", "Cc"]), min_size=1, m
 )
 
 
-@pytest.mark.parametrize("ending", FORMATS["opencv"].endings)
-@settings(max_examples=40)
+@pytest.mark.parametrize("ending", [".yml", ".json"])
+@settings(max_examples=25)
 @given(names=st.lists(ANY_NAME, min_size=3, max_size=3, unique=True))
 def test_any_printable_name_comes_back_from_opencv(ending, names):
     rig = Rig(dict.fromkeys(names, bench_rig().cameras[0]))

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from trinoc.errors import InputError
 from trinoc.io.formats.colmap_records import ColmapCamera, ColmapImage, ColmapRecords
-from trinoc.io.formats.text_files import read_bytes
+from trinoc.io.formats.text_files import MOST_BYTES_OF_MODEL, read_bytes
 
 # (number of the model in the file, how many numbers it has).
 MODELS = {
@@ -76,7 +76,7 @@ class _Reader:
     """A file's bytes, from the first to the last."""
 
     def __init__(self, file: Path) -> None:
-        self.file, self.content, self.place = file, read_bytes(file), 0
+        self.file, self.content, self.place = file, read_bytes(file, MOST_BYTES_OF_MODEL), 0
 
     def take(self, layout: str) -> tuple:
         """The next numbers."""

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from trinoc.errors import InputError
 from trinoc.io.formats.colmap_records import ColmapCamera, ColmapImage, ColmapRecords
-from trinoc.io.formats.text_files import read_text
+from trinoc.io.formats.text_files import MOST_BYTES_OF_MODEL, read_text
 
 
 def text_files(records: ColmapRecords) -> dict[str, str]:
@@ -72,7 +72,7 @@ def text_records(folder: Path) -> ColmapRecords:
 
 
 def _lines(file: Path, *, keep_empty: bool = False) -> Iterator[tuple[str, list[str]]]:
-    for number, line in enumerate(read_text(file).splitlines(), 1):
+    for number, line in enumerate(read_text(file, MOST_BYTES_OF_MODEL).splitlines(), 1):
         if not line.lstrip().startswith("#") and (keep_empty or line.strip()):
             yield f"{file}, line {number},", line.split()
 

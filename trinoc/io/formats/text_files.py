@@ -9,16 +9,20 @@ from typing import Any
 from trinoc.errors import InputError
 from trinoc.io.json_document import Block
 
-# No calibration is longer; a file that is larger would fill the memory first.
-MOST_BYTES = 64_000_000
+# No calibration is longer. A model of thousands of pictures is, with what they show.
+MOST_BYTES, MOST_BYTES_OF_MODEL = 16_000_000, 1_000_000_000
 
 
-def read_bytes(path: str | os.PathLike[str]) -> bytes:
+def read_bytes(path: str | os.PathLike[str], most: int = MOST_BYTES) -> bytes:
     """The content of a file. Raises InputError where it is missing, unreadable or huge."""
     file = Path(path)
     try:
-        if file.stat().st_size > MOST_BYTES:
-            raise InputError(f"{file} is larger than any calibration: give another file.")
+        size = file.stat().st_size
+        if size > most:
+            raise InputError(
+                f"{file} has {size / 1e6:.0f} MB, but no calibration has more than "
+                f"{most / 1e6:.0f}: give another file."
+            )
         return file.read_bytes()
     except FileNotFoundError as error:
         raise InputError(f"{file} does not exist: check the name.") from error
@@ -26,10 +30,10 @@ def read_bytes(path: str | os.PathLike[str]) -> bytes:
         raise InputError(f"{file} cannot be read ({error.strerror}): give a file.") from error
 
 
-def read_text(path: str | os.PathLike[str]) -> str:
+def read_text(path: str | os.PathLike[str], most: int = MOST_BYTES) -> str:
     """The text of a file. Raises InputError, also for what is no UTF-8."""
     try:
-        return read_bytes(path).decode("utf-8-sig")
+        return read_bytes(path, most).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(f"{path} is no text file: give another file.") from error
 
