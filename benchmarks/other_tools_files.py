@@ -43,7 +43,7 @@ for name in sys.argv[1:]:
 
 def main() -> int:
     """Print a row for each reader, and say whether all agree."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--rigs", type=int, default=20, help="random rigs of three cameras")
     parser.add_argument("--mrcal-python", help="an interpreter that has mrcal")
     options = parser.parse_args()
@@ -126,7 +126,7 @@ def by_pycolmap(rig: Rig, path: Path, name: str) -> float:
         image = model.find_image_with_name(own)
         pose = image.cam_from_world().matrix()
         found = model.cameras[image.camera_id].img_from_cam(POINTS_MM @ pose[:, :3].T + pose[:, 3])
-        differences.append(np.abs(found - 0.5 - pixels(camera)).max())
+        differences.append(np.abs(np.asarray(found) - 0.5 - pixels(camera)).max())
     return max(differences)
 
 
