@@ -44,7 +44,7 @@ def match_segments(
     Raises
     ------
     MatchError, InputError : names without a camera, fewer than two views, coordinates that
-        are not finite, segments without length.
+        are not finite, segments without length, mirrored cameras.
 
     The order of segments, of their ends and of views changes nothing but the numbering.
 
@@ -57,10 +57,9 @@ def match_segments(
     outside = [np.zeros((0, len(seen.names)), dtype=np.int64)]
     for views in view_triplets(seen.lines, tuning.tracks):
         candidates = trinocular_candidates(seen.lines, views, seen.counts, clutter, tuning)
-        if depth_range_mm is not None:
-            inside = in_depth_range(candidates, seen.lines, depth_range_mm)
-            outside.append(candidates.index[~inside])
-            candidates = candidates.take(inside)
+        inside = in_depth_range(candidates, seen.lines, depth_range_mm)
+        outside.append(candidates.index[~inside])
+        candidates = candidates.take(inside)
         typical = float(np.mean([seen.counts[view] for view in views]))
         selections.append(select(candidates, typical, tuning=tuning))
     triples = [tracks_of(selection, tuning.evidence) for selection in selections]

@@ -217,6 +217,10 @@ class TrackTuning:
     nearest_views: int = 3
     # A further view must show this share of a track's common part. By hand.
     min_shared: float = 0.5
+    # A track is located where, in a pair of its views, the standard deviation of a segment's
+    # direction is below this share of its angle to the epipolar line: up to here, 95 % ellipsoids
+    # of pairs hold 93 to 97 % at every angle (benchmarks/matching_truth.py), beyond less.
+    largest_direction_doubt: float = 0.3
     # A candidate within this much of log odds of a segment's best is a serious rival: in
     # `reasons` alone. By hand.
     rival_log_odds: float = 3.0

@@ -88,8 +88,7 @@ def occluded_pairs(
             for views in combinations(range(len(counts)), 2)
         ]
     )
-    if depth_range_mm is not None:
-        found = take_rows(found, in_depth_range(found.candidates, lines, depth_range_mm))
+    found = take_rows(found, in_depth_range(found.candidates, lines, depth_range_mm))
     most = max(selections, key=lambda selection: selection.taken.sum(), default=None)
     if most is None or most.taken.sum() < tuning.occlusion.min_tracks_to_learn:
         mixture = prior_parameters(found.candidates.ends_mm, float(np.mean(counts)), tuning)
