@@ -2,17 +2,18 @@
 
 A matrix does not show whether it is mirrored: its sign is free, and the mirror image of a camera is
 a proper one that looks the other way. But mirrored cameras of a scene all look away from it, so
-that two of them see nothing in common, and would if what is behind them were before them.
+that two of them see nothing in common, or too far off, and would see much if what is behind them
+were before them. Where only few matches are found before such cameras, those behind decide.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from itertools import combinations
 
 import numpy as np
 from jaxtyping import Float
 
 from trinoc.errors import InputError
-from trinoc.geometry import Camera
+from trinoc.geometry import Camera, Pose, Rig
 
 # Rays from each side of a picture, over all of it.
 RAYS = 9
@@ -35,6 +36,31 @@ def check_not_mirrored(cameras: Mapping[str, Camera]) -> None:
         if name in behind and name not in before:
             why = "what it shares with the others lies behind it"
             raise InputError(_sentence(name, why))
+
+
+def look_apart(cameras: Mapping[str, Camera]) -> bool:
+    """Whether all cameras, two by two, see common places behind them: they diverge."""
+    pairs = combinations(cameras.values(), 2)
+    return all(_share_a_place(first, second, -1, -1) for first, second in pairs)
+
+
+def turned_round(rig: Rig) -> Rig:
+    """The same cameras in a mirrored world: what was behind them lies before them."""
+    flip = -np.diag([1.0, 1.0, -1.0, 1.0])
+    return Rig(
+        {
+            name: Camera(camera.intrinsics, Pose(np.asarray(camera.cam_from_world) @ flip))
+            for name, camera in rig.items()
+        }
+    )
+
+
+def mirrored_error(names: Iterable[str], before: int, behind: int) -> InputError:
+    """What to raise where more lines lie behind all cameras than before them."""
+    return InputError(
+        f"The rig of {', '.join(names)} is mirrored: {behind} lines lie behind its cameras and "
+        f"{before} before them: give the matrices of unmirrored pictures in a right-handed world."
+    )
 
 
 def _sentence(name: str, why: str) -> str:

@@ -13,9 +13,10 @@ from trinoc.match.tracks.extent import interval_of, two_view_part
 from trinoc.match.tracks.fragments import ending_view, fragments_of
 from trinoc.match.tracks.location import before_cameras, direction_doubt
 from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, Matches
+from trinoc.match.tracks.notes import notes_of
 from trinoc.match.tracks.rejection import counted, reasons
 from trinoc.match.tracks.viewpoint import flag_viewpoint_dependent
-from trinoc.match.tuning import DEFAULT, TrackTuning
+from trinoc.match.tuning import DEFAULT, MatchTuning, TrackTuning
 from trinoc.numerics import in_blocks
 
 _triangulated = jax.jit(jax.vmap(triangulate_segment, in_axes=(None, 0, 0, 0)))
@@ -28,24 +29,28 @@ def assemble(
     pairs: Pairs,
     outside: Int[np.ndarray, "o v"],
     names: tuple[str, ...],
-    tuning: TrackTuning = DEFAULT.tracks,
+    noise_scale: float = 1.0,
+    rules: MatchTuning = DEFAULT,
 ) -> Matches:
     """Matches in the caller's order of views and numbers of segments.
 
-    `outside` holds the segments of triples that the depth range excluded, or that lie behind a
+    `seen` holds covariances that are `noise_scale` times as large, in standard deviations, as
+    stated, `outside` the segments of triples that the depth range excluded, or that lie behind a
     camera. Tracks that no pair of views can locate are left out, and their segments say so.
     """
-    taken = pairs.take(pairs.taken)
+    tuning, taken = rules.tracks, pairs.take(pairs.taken)
     index = np.concatenate([tracks.candidates.index, taken.candidates.index])
     interval = np.concatenate([tracks.candidates.interval, taken.candidates.interval])
     posterior_log_odds = np.concatenate([tracks.posterior_log_odds, taken.posterior_log_odds])
     rival_posterior = np.concatenate([tracks.rival_posterior, np.full(len(taken.taken), -np.inf)])
     common_mm = np.concatenate([tracks.candidates.ends_mm, taken.candidates.ends_mm])
-    located = direction_doubt(seen.lines, index) < tuning.largest_direction_doubt
+    doubt = direction_doubt(seen.lines, index)
+    located = doubt < tuning.largest_direction_doubt
     unlocated = index[~located]
     ends_here = ending_view(seen, index, common_mm)
     fragments, covariance = fragments_of(seen, index, interval, ends_here)
     ends_mm, covariance_mm2, misfit = lines_in_space(seen, index, common_mm)
+    covariance_mm2 = covariance_mm2 * (1 + tuning.second_order * doubt**2)[:, None, None]
     sound = np.isfinite(ends_mm).all(axis=(1, 2)) & np.isfinite(covariance_mm2).all(axis=(1, 2))
     sound &= located & before_cameras(seen.lines, index, ends_mm)
     index, posterior_log_odds, rival_posterior = (
@@ -88,6 +93,8 @@ def assemble(
         covariance[sort],
         misfit[sort],
         viewpoint_dependent[sort],
+        noise_scale,
+        notes_of(seen.lines, len(unlocated), noise_scale, rules.noise),
     )
 
 

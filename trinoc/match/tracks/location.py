@@ -2,8 +2,8 @@
 
 Two views place a line where their interpretation planes cross. A segment nearly along its
 epipolar line leaves the crossing open: how open, tells the error of its direction in the picture
-over its angle to the epipolar line. Beyond a share of that, errors in space are no longer those of
-any covariance, and below it their second order is small.
+over its angle to the epipolar line. Errors in space are inverse to that angle, so that their second
+order counts where it is in doubt, and they have no covariance where it may be zero.
 """
 
 from itertools import combinations
