@@ -85,7 +85,7 @@ def _matched(
         larger = residual_scale(selections, tuning.noise) if selections else 1.0
         noise_scale *= larger
         seen = with_noise_scale(stated, noise_scale)
-        if larger < tuning.noise.again_above:
+        if tuning.noise.again_below < larger < tuning.noise.again_above:
             break
     triples = [tracks_of(selection, tuning.evidence) for selection in selections]
     if triples:

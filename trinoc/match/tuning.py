@@ -194,6 +194,7 @@ class NoiseTuning:
     # Where errors are larger by more than this, candidates are found anew under the larger ones,
     # so often at most: the gate of the first has cut off what lies further out. By hand.
     again_above: float = 1.2
+    again_below: float = 0.2
     passes: int = 6
     # The most that one pass changes, up or down. By hand.
     largest: float = 10.0
@@ -239,8 +240,8 @@ class TrackTuning:
     # direction is below this share of its angle to the epipolar line. Errors in space are larger
     # by a term of second order, this times the share squared, in variance. Fitted on made scenes
     # (seeds 2,000 to 2,019): 95 % ellipsoids hold 93 to 97 % at every angle.
-    largest_direction_doubt: float = 0.6
-    second_order: float = 4.0
+    largest_direction_doubt: float = 1.0
+    second_order: float = 6.0
     # Where fewer lines are found than this share of a view's segments, and the cameras diverge,
     # those behind the cameras are counted: of a mirrored rig, they are all there. By hand.
     few_share: float = 0.1
