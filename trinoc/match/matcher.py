@@ -19,7 +19,13 @@ from trinoc.match.observations import (
 )
 from trinoc.match.occlusion import occluded_pairs
 from trinoc.match.selection import Selection, Tracks, residual_scale, select, tracks_of
-from trinoc.match.tracks import Matches, assemble, merge_triplets, view_triplets
+from trinoc.match.tracks import (
+    Matches,
+    assemble,
+    consolidated,
+    merge_triplets,
+    view_triplets,
+)
 from trinoc.match.tuning import DEFAULT, MatchTuning
 from trinoc.numerics import ArrayLike, concatenate_rows, in_float64
 
@@ -93,7 +99,7 @@ def _matched(
     else:
         tracks = Tracks(no_candidates(len(seen.names)), np.zeros(0), np.zeros(0))
     if len(triples) > 1:
-        tracks = merge_triplets(seen.lines, tracks, tuning)
+        tracks = consolidated(seen, merge_triplets(seen.lines, tracks, tuning), tuning)
     pairs = occluded_pairs(
         seen.lines, seen.counts, clutter, tracks, selections, depth_range_mm, tuning
     )

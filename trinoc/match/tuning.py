@@ -234,6 +234,8 @@ class TrackTuning:
     # By hand, for time.
     all_triplets: int = 5
     nearest_views: int = 3
+    # Rounds in which tracks grow into views that they lack, and join. By hand; few are needed.
+    merge_rounds: int = 20
     # A further view must show this share of a track's common part. By hand.
     min_shared: float = 0.5
     # A track is located where, in a pair of its views, the standard deviation of a segment's
