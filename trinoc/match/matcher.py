@@ -89,9 +89,10 @@ def _matched(
     for _ in range(tuning.noise.passes):
         selections, outside = _triples(seen, clutter, depth_range_mm, tuning)
         larger = residual_scale(selections, tuning.noise) if selections else 1.0
-        noise_scale *= larger
+        before = noise_scale
+        noise_scale = float(np.clip(before * larger, 1 / tuning.noise.most, tuning.noise.most))
         seen = with_noise_scale(stated, noise_scale)
-        if tuning.noise.again_below < larger < tuning.noise.again_above:
+        if tuning.noise.again_below < noise_scale / before < tuning.noise.again_above:
             break
     triples = [tracks_of(selection, tuning.evidence) for selection in selections]
     if triples:

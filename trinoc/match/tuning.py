@@ -192,12 +192,14 @@ class NoiseTuning:
     sure: float = 0.9
     prior_observations: int = 10
     # Where errors are larger by more than this, candidates are found anew under the larger ones,
-    # so often at most: the gate of the first has cut off what lies further out. By hand.
+    # so often at most: the gate of the first has cut off what lies further out. And so where they
+    # are much smaller. By hand; photographs, with their heavy tails, keep the wider gate.
     again_above: float = 1.2
     again_below: float = 0.2
     passes: int = 6
-    # The most that one pass changes, up or down. By hand.
+    # The most that one pass changes, and all together, up or down. By hand.
     largest: float = 10.0
+    most: float = 25.0
     # Beyond this factor, up or down, a note says so.
     noted: float = 1.5
 
