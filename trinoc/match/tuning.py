@@ -222,6 +222,15 @@ class OcclusionTuning:
     # Added to the log odds of every pair, so that posteriors match the share that is right:
     # fitted on made scenes (seeds from 700,000 on), better on four of five kinds of scene.
     log_odds_offset: float = 2.25
+    # The same in two views, where no third checks: rates of lines by length, of ends and of
+    # junctions are learned from the pairs in more rounds, beside so many usual ones; and however
+    # well a pair fits, it is right no oftener than this: other edges, parallel ones and outlines
+    # of round bodies, may fit as well. Both fitted on made scenes (seeds 8,000 to 8,009).
+    log_odds_offset_alone: float = 1.0
+    most_alone: float = 0.97
+    rounds_alone: int = 10
+    prior_observations: float = 10.0
+    length_classes_px: tuple[float, ...] = (12.0, 18.0, 27.0, 40.0, 60.0, 90.0, 135.0)
     # The same for segments with side levels, of pictures, where clutter is alike: with
     # `EvidenceTuning.temperature` fitted on rendered scenes (seeds 0 to 5 and 12 to 17).
     log_odds_offset_in_images: float = -1.5
