@@ -10,6 +10,7 @@ compared with 95 % of chi-square under the covariance it claims.
 import argparse
 import time
 from collections.abc import Iterator
+from itertools import pairwise
 
 import numpy as np
 from scipy.stats import chi2
@@ -127,10 +128,7 @@ def held(square: np.ndarray) -> str:
 
 def by_angle(seeds: int) -> None:
     print("\n## Pairs by their angle to the epipolar line: 95 % ellipsoids hold (right pairs)")
-    print(
-        f"{'rig':24s}"
-        + " ".join(f"{a:>4g}-{b:<6.0f}" for a, b in zip(ANGLES, ANGLES[1:], strict=False))
-    )
+    print(f"{'rig':24s}" + " ".join(f"{a:>4g}-{b:<6.0f}" for a, b in pairwise(ANGLES)))
     cases = (
         ("three views", table1_rig(), ("upper", "left", "right")),
         ("upper, left", table1_rig(), ("upper", "left")),
