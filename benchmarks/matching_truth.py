@@ -107,7 +107,7 @@ def angles_deg(matches: Matches, rig: Rig) -> np.ndarray:
             names = [matches.views[v] for v in views]
             ends = [matches.fragments_px[track, v] for v in views]
             found[track] = min(
-                _angle(rig, *names, ends[0]), _angle(rig, names[1], names[0], ends[1])
+                _angle(rig, names[0], names[1], ends[0]), _angle(rig, names[1], names[0], ends[1])
             )
     return found
 
@@ -284,6 +284,7 @@ def many_views(seeds: int) -> None:
             scores.append((score.pairs.precision, score.pairs.recall))
             seen = (matches.index >= 0).sum(axis=1)
             views += seen.tolist()
+            assert matches.misfit is not None
             for track in np.flatnonzero(seen > 2):
                 misfit, degrees = float(matches.misfit[track]), int(2 * (seen[track] - 2))
                 beyond += chi2.sf(misfit, degrees) < 1e-6

@@ -38,7 +38,7 @@ def consolidated(seen: MatchInput, tracks: Tracks, tuning: MatchTuning = DEFAULT
     gate = tuning.candidates.gate
     now = fitted(seen, tracks.candidates.index, tracks.candidates.ends_mm)
     now = without_misfits(seen, now, gate)
-    alive = (now.index >= 0).any(axis=1)
+    alive = np.asarray((now.index >= 0).any(axis=1))
     refused: set[tuple[int, ...]] = set()
     changed = alive.copy()
     proposals: dict[int, list[_Proposal]] = {}
