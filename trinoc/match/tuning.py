@@ -252,7 +252,7 @@ class TrackTuning:
     # A track is located where, in a pair of its views, the standard deviation of a segment's
     # direction is below this share of its angle to the epipolar line. Errors in space are larger
     # by a term of second order, this times the share squared, in variance. Fitted on made scenes
-    # (seeds 2,000 to 2,019): 95 % ellipsoids hold 93 to 97 % at every angle.
+    # (seeds 2,000 to 5,019): 95 % ellipsoids of pairs hold 93 to 97 % at every angle, on others.
     largest_direction_doubt: float = 1.0
     second_order: float = 6.0
     # Where fewer lines are found than this share of a view's segments, and the cameras diverge,
