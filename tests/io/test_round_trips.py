@@ -65,6 +65,18 @@ def test_matches(folder, matches):
     assert_same(trinoc.load_matches(folder / "matches.npz"), matches)
 
 
+@settings(max_examples=5)
+@given(matches=match_sets())
+def test_matches_of_earlier_versions_are_of_noise_as_stated(folder, matches):
+    trinoc.save(matches, folder / "matches.npz")
+    with np.load(folder / "matches.npz") as file:
+        earlier = {name: file[name] for name in file.files if name not in ("noise_scale", "notes")}
+    np.savez(folder / "earlier.npz", **earlier)
+    loaded = trinoc.load_matches(folder / "earlier.npz")
+    assert loaded.noise_scale == 1.0
+    assert loaded.notes == ()
+
+
 def test_pattern(folder):
     pattern = trinoc.Pattern.cross_grid(rows=4, columns=6, pitch_mm=20.0, radius_mm=6.0)
     trinoc.save(pattern, folder / "pattern.json")

@@ -19,6 +19,8 @@ from trinoc.cli.check import Check
 from trinoc.cli.command import Command, UsageError
 from trinoc.cli.demo import Demo
 from trinoc.cli.evaluate import Evaluate
+from trinoc.cli.export import Export
+from trinoc.cli.import_ import Import
 from trinoc.cli.intrinsics import Intrinsics
 from trinoc.cli.match import Match
 from trinoc.cli.pattern import Pattern
@@ -41,6 +43,8 @@ AnyCommand = (
     | Annotated[Refine, tyro.conf.subcommand("refine")]
     | Annotated[Check, tyro.conf.subcommand("check")]
     | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
+    | Annotated[Export, tyro.conf.subcommand("export")]
+    | Annotated[Import, tyro.conf.subcommand("import")]
 )
 
 

@@ -11,12 +11,37 @@ from .demo import (
     load_scene_truth as load_scene_truth,
     save_scene_truth as save_scene_truth,
 )
+from .formats import (
+    FORMATS as FORMATS,
+    LOSSES as LOSSES,
+    Format as Format,
+    colmap as colmap,
+    colmap_text as colmap_text,
+    csv as csv,
+    dxf as dxf,
+    elsed as elsed,
+    gltf as gltf,
+    kalibr as kalibr,
+    limap as limap,
+    limap_segments as limap_segments,
+    lsd as lsd,
+    matlab as matlab,
+    mrcal as mrcal,
+    nerfstudio as nerfstudio,
+    obj as obj,
+    opencv as opencv,
+    parquet as parquet,
+    ply as ply,
+    ros as ros,
+    tf as tf,
+)
 from .images import read_image as read_image, read_views as read_views
 from .intrinsics_json import (
     load_intrinsics as load_intrinsics,
     load_lens_covariance as load_lens_covariance,
 )
 from .known_shape import load_shape as load_shape
+from .loading import load_any as load_any
 from .matches_npz import load_matches as load_matches
 from .pattern_json import load_pattern as load_pattern, save_pattern as save_pattern
 from .pattern_pdf import save_pattern_pdf as save_pattern_pdf

@@ -29,15 +29,7 @@ def read_arrays(
     Raises InputError for a file that is missing or broken, or of another format or version.
     """
     file = Path(path)
-    try:
-        with np.load(file, allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
-    except FileNotFoundError as error:
-        raise InputError(f"{file} does not exist: check the name.") from error
-    except (OSError, ValueError, EOFError, AttributeError, zipfile.BadZipFile) as error:
-        raise InputError(
-            f"{file} is not a readable npz file: give a file that trinoc wrote, or write it again."
-        ) from error
+    arrays = _arrays(file)
     found = str(arrays.pop("format", ""))
     if found != format_name:
         raise InputError(
@@ -52,8 +44,26 @@ def read_arrays(
     return arrays
 
 
+def format_of_arrays(path: str | os.PathLike[str]) -> str:
+    """The format that a file of `write_arrays` states. Raises InputError as `read_arrays` does."""
+    return str(_arrays(Path(path), ("format",)).get("format", ""))
+
+
 def take(arrays: dict[str, np.ndarray], name: str, path: str | os.PathLike[str]) -> np.ndarray:
     """One array by name. Raises InputError where the file lacks it."""
     if name not in arrays:
         raise InputError(f'{path} lacks the array "{name}": write the file again.')
     return arrays[name]
+
+
+def _arrays(file: Path, only: tuple[str, ...] | None = None) -> dict[str, np.ndarray]:
+    try:
+        with np.load(file, allow_pickle=False) as archive:
+            names = [name for name in archive.files if only is None or name in only]
+            return {name: archive[name] for name in names}
+    except FileNotFoundError as error:
+        raise InputError(f"{file} does not exist: check the name.") from error
+    except (OSError, ValueError, EOFError, AttributeError, zipfile.BadZipFile) as error:
+        raise InputError(
+            f"{file} is not a readable npz file: give a file that trinoc wrote, or write it again."
+        ) from error

@@ -26,6 +26,8 @@ def save_matches(matches: Matches, path: str | os.PathLike[str]) -> None:
         "posterior": matches.posterior,
         "rival_posterior": matches.rival_posterior,
         "count_names": _texts(matches.counts),
+        "noise_scale": np.array(matches.noise_scale, dtype=np.float64),
+        "notes": _texts(matches.notes),
         "count_values": np.array(list(matches.counts.values()), dtype=np.int64),
     }
     for name in (_FRAGMENTS_COVARIANCE, _MISFIT, _MOVES):
@@ -94,6 +96,8 @@ def load_matches(path: str | os.PathLike[str]) -> Matches:
         fragments_covariance_px2=arrays.get(_FRAGMENTS_COVARIANCE),
         misfit=arrays.get(_MISFIT),
         viewpoint_dependent=arrays[_MOVES].astype(bool) if _MOVES in arrays else None,
+        noise_scale=float(arrays.get("noise_scale", 1.0)),
+        notes=tuple(str(note) for note in arrays.get("notes", ())),
     )
 
 

@@ -32,7 +32,7 @@ def load_rig(path: str | os.PathLike[str]) -> Rig:
     cameras = {name: _camera(block) for name, block in document.block("cameras").blocks()}
     if not cameras:
         raise document.error("cameras", "names no camera: add at least one.")
-    parameters, covariance = _covariance(document, cameras)
+    parameters, covariance = covariance_of(document, cameras)
     rig = Rig(cameras, parameters=parameters, covariance=covariance)
     for name, block in document.block("cameras").blocks():
         if "sigma" in block.values:
@@ -143,9 +143,10 @@ def _check_consistent(block: Block, camera: Camera, other: Camera) -> None:
         )
 
 
-def _covariance(
+def covariance_of(
     document: Block, cameras: Mapping[str, Camera]
 ) -> tuple[tuple[str, ...], np.ndarray | None]:
+    """The parameters and the matrix under "covariance", where it stands. Raises InputError."""
     if "covariance" not in document.values:
         return (), None
     block = document.block("covariance")

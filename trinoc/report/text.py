@@ -45,7 +45,8 @@ def errors_text(errors: Sequence[ParameterError], reference_name: str) -> str:
 
 def counts_text(matches: Matches) -> str:
     """What each step of the matching produced and rejected."""
-    return text_table(("matching", "count"), counts_of_steps(matches))
+    table = text_table(("matching", "count"), counts_of_steps(matches))
+    return "\n".join([table, *matches.notes])
 
 
 def reasons_text(matches: Matches) -> str:

@@ -6,8 +6,7 @@ from scipy.stats import chi2
 
 from tests.match.scene import MadeScene
 from trinoc.match.tracks import typical_misfit
-from trinoc.match.tracks.assembly import fragments_of, lines_in_space
-from trinoc.match.tracks.extent import two_view_interval
+from trinoc.match.tracks.assembly import lines_in_space
 from trinoc.match.tracks.viewpoint import flag_viewpoint_dependent
 from trinoc.match.tuning import DEFAULT
 
@@ -24,9 +23,7 @@ def fitted(exact: MadeScene) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         noise = [0.3 * rng.normal(size=ends.shape) for ends in exact.seen.ends_px]
         ends_px = [ends + n for ends, n in zip(exact.seen.ends_px, noise, strict=True)]
         seen = exact.seen._replace(ends_px=ends_px)
-        shown = two_view_interval(seen, exact.true, exact.lines_mm)
-        fragments = fragments_of(seen, exact.true, shown)
-        ends_mm, _, misfit = lines_in_space(seen, exact.true, *fragments)
+        ends_mm, _, misfit = lines_in_space(seen, exact.true, exact.lines_mm)
         found.append((exact.true, ends_mm, misfit))
     index, ends, misfit = (np.concatenate(column) for column in zip(*found, strict=True))
     return index, ends, misfit

@@ -63,11 +63,12 @@ def prior_log_odds(
 
 
 def in_depth_range(
-    candidates: Candidates, lines: SegmentTable, depth_range_mm: tuple[float, float]
+    candidates: Candidates, lines: SegmentTable, depth_range_mm: tuple[float, float] | None
 ) -> Bool[np.ndarray, "m"]:
-    """Whether the ends lie within a range of depths before every camera that sees them."""
+    """Whether the ends lie within a range of depths before every camera that sees them; without
+    a range, anywhere before them."""
     matrix = np.asarray(lines.matrix_px)
     depth = np.einsum("vi,mei->mve", matrix[:, 2, :3], candidates.ends_mm) + matrix[:, 2, 3:]
-    near, far = depth_range_mm
+    near, far = (0.0, np.inf) if depth_range_mm is None else depth_range_mm
     inside = ((depth > near) & (depth < far)).all(axis=2) | (candidates.index < 0)
     return inside.all(axis=1)

@@ -1,10 +1,16 @@
 from .clutter import ClutterModel as ClutterModel, fit_clutter as fit_clutter
+from .common_view import (
+    look_apart as look_apart,
+    mirrored_error as mirrored_error,
+    turned_round as turned_round,
+)
 from .match_input import (
     MatchInput as MatchInput,
     distorted as distorted,
     prepare as prepare,
     undistorted as undistorted,
 )
+from .noise import with_noise_scale as with_noise_scale
 from .table import (
     PAIRS_IN_BLOCK as PAIRS_IN_BLOCK,
     TRIPLES_IN_BLOCK as TRIPLES_IN_BLOCK,

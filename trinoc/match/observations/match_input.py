@@ -15,6 +15,7 @@ from jaxtyping import Float, Int
 
 from trinoc.errors import MatchError
 from trinoc.geometry import DEFAULT_SIGMA_PX, Camera, Intrinsics, Rig, Segments, covariance_of_ends
+from trinoc.match.observations.common_view import check_not_mirrored
 from trinoc.match.observations.side_intensity import side_table
 from trinoc.match.observations.table import SegmentTable, segment_table
 from trinoc.match.tuning import DEFAULT, SideTuning
@@ -50,6 +51,7 @@ def prepare(
 ) -> MatchInput:
     """Check and prepare; raises MatchError and InputError in one sentence."""
     _check_names(segments, rig)
+    check_not_mirrored({name: rig[name] for name in segments})
     prepared = {name: _view(segments[name], rig[name], sigma_px) for name in segments}
     # Views that show the same, which no real ones do, are left to their names.
     names = tuple(sorted(prepared, key=lambda name: (_content(prepared[name]), name)))

@@ -30,6 +30,7 @@ from trinoc.match.evidence import (
     volume_of,
 )
 from trinoc.match.observations import TRIPLES_IN_BLOCK, ClutterModel, SegmentTable, block_of
+from trinoc.match.occlusion.two_views import PairRates, learned_rates, length_class
 from trinoc.match.selection import (
     JunctionParameters,
     Selection,
@@ -88,15 +89,76 @@ def occluded_pairs(
             for views in combinations(range(len(counts)), 2)
         ]
     )
-    if depth_range_mm is not None:
-        found = take_rows(found, in_depth_range(found.candidates, lines, depth_range_mm))
+    found = take_rows(found, in_depth_range(found.candidates, lines, depth_range_mm))
     most = max(selections, key=lambda selection: selection.taken.sum(), default=None)
     if most is None or most.taken.sum() < tuning.occlusion.min_tracks_to_learn:
         mixture = prior_parameters(found.candidates.ends_mm, float(np.mean(counts)), tuning)
         junctions = prior_junctions(tuning.junctions)
     else:
         mixture, junctions = most.mixture, most.junctions
+    if len(matched.posterior_log_odds) < tuning.occlusion.min_tracks_to_learn:
+        typical_px = float(clutter.typical_px)
+        return _select_alone(found, matched, mixture, junctions, typical_px, tuning)
     return _select(found, matched, mixture, junctions, tuning)
+
+
+def _select_alone(
+    found: _Possible,
+    matched: Tracks,
+    mixture: MixtureParameters,
+    junctions: JunctionParameters,
+    typical_px: float,
+    tuning: MatchTuning,
+) -> Pairs:
+    """The same where hardly any line is seen in three views: pairs themselves say how they are."""
+    rules, place = tuning.occlusion, partial(log_place, tuning=tuning.evidence)
+    in_images = found.candidates.side_log.any(axis=1)
+    offset = np.where(in_images, rules.log_odds_offset_in_images, rules.log_odds_offset_alone)
+    evidence = (
+        found.candidates.log_density
+        + log_sides(found.candidates.side_log, mixture)
+        + found.expected * float(np.log(rules.missed))
+        + offset
+    )
+    classes = len(rules.length_classes_px) + 1
+    rates = PairRates(end_shares(mixture, tuning.ends), np.zeros(classes), mixture, junctions)
+
+    def odds_of(found: _Possible, evidence: np.ndarray, rates: PairRates) -> np.ndarray:
+        c = found.candidates
+        ends = np.log(np.exp(c.end_log) @ rates.ends).sum(axis=1)
+        lengths = rates.log_by_length[length_class(c, tuning)]
+        prior = rates.mixture.log_count + place(c.ends_mm, rates.mixture.volume)
+        return evidence + ends + lengths + prior
+
+    keep = odds_of(found, evidence, rates) > tuning.selection.prune_log_odds
+    found, evidence = take_rows(found, keep), evidence[keep]
+    lines, candidates = matched.candidates, found.candidates
+    keep = ~claimed(
+        candidates.index, candidates.interval, lines.index, lines.interval, tuning.selection
+    )
+    found, evidence = take_rows(found, keep), evidence[keep]
+    candidates, expected = found
+    graph = conflict_graph(candidates.index, candidates.interval, tuning.selection)
+    meetings = endpoint_pairs(candidates, tuning.junctions, tuning.evidence)
+    gain = np.zeros(len(evidence))
+    odds = posterior_log_odds = gain
+    for _ in range(rules.rounds_alone):
+        odds = odds_of(found, evidence, rates) + gain
+        posterior_log_odds = sum_product(odds, graph, tuning.selection)
+        posterior = probability(posterior_log_odds)
+        density = rates.mixture.log_count - rates.mixture.volume.log_size + np.log(2)
+        gain, junctions = junction_log_odds(
+            meetings, posterior, density, rates.junctions, tuning.junctions
+        )
+        if junctions.end_at_junction < tuning.junctions.min_at_junction:
+            gain = np.zeros(len(evidence))
+        rates = learned_rates(candidates, posterior, rates, junctions, typical_px, tuning)
+    taken = chosen_greedily(posterior_log_odds, graph)
+    tempered = temper(posterior_log_odds, candidates.side_log, tuning.evidence)
+    most = rules.most_alone * probability(tempered)
+    tempered = np.log(most) - np.log1p(-most)
+    missed = np.where(expected > 0, expected * float(np.log(rules.missed)), 0.0)
+    return Pairs(candidates, odds, tempered, taken, missed)
 
 
 def _select(
@@ -173,15 +235,19 @@ def _free_segments(
 def _log_ends(
     candidates: Candidates, mixture: MixtureParameters, tuning: EndTuning
 ) -> Float[np.ndarray, "m"]:
-    """Evidence of the ends: how those of two views agree follows from how those of three do."""
+    """Evidence of the ends."""
+    return np.log(np.exp(candidates.end_log) @ end_shares(mixture, tuning)).sum(axis=1)
+
+
+def end_shares(mixture: MixtureParameters, tuning: EndTuning) -> Float[np.ndarray, "c"]:
+    """How the ends of two views agree follows from how those of three do."""
     all_agree, two_agree = len(tuning.agreeing_px), len(tuning.pair_px)
     agreeing = mixture.ends[:all_agree].copy()
     # Of two views that agree against the third, a given pair is one in three.
     short = mixture.ends[all_agree : all_agree + two_agree]
     on = mixture.ends[all_agree + two_agree : -1]
     agreeing[:two_agree] += (short + on) / 3
-    shares = np.append(agreeing, 1 - agreeing.sum())
-    return np.log(np.exp(candidates.end_log) @ shares).sum(axis=1)
+    return np.append(agreeing, 1 - agreeing.sum())
 
 
 def _pairs_of(

@@ -16,3 +16,4 @@ from .marginals import (
     select as select,
     tracks_of as tracks_of,
 )
+from .noise_scale import residual_scale as residual_scale

@@ -1,4 +1,5 @@
 from .assembly import assemble as assemble
+from .consolidation import consolidated as consolidated
 from .extent import positions_abreast as positions_abreast
 from .matches import Matches as Matches
 from .multiview import merge_triplets as merge_triplets, view_triplets as view_triplets

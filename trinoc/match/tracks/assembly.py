@@ -1,22 +1,20 @@
 """From what was selected to tracks: fragments, lines in space with covariance, and reasons."""
 
-import jax
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Int
 
-from trinoc.geometry import Segment3D, triangulate_segment
 from trinoc.match.evidence import probability
 from trinoc.match.observations import MatchInput, distorted
 from trinoc.match.occlusion import Pairs
 from trinoc.match.selection import Selection, Tracks
-from trinoc.match.tracks.extent import two_view_interval
+from trinoc.match.tracks.fragments import ending_view, fragments_of
+from trinoc.match.tracks.line_fit import lines_in_space
+from trinoc.match.tracks.location import before_cameras, direction_doubt
 from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, Matches
+from trinoc.match.tracks.notes import notes_of
 from trinoc.match.tracks.rejection import counted, reasons
 from trinoc.match.tracks.viewpoint import flag_viewpoint_dependent
-from trinoc.match.tuning import DEFAULT, TrackTuning
-from trinoc.numerics import in_blocks
-
-_triangulated = jax.jit(jax.vmap(triangulate_segment, in_axes=(None, 0, 0, 0)))
+from trinoc.match.tuning import DEFAULT, MatchTuning, TrackTuning
 
 
 def assemble(
@@ -26,22 +24,30 @@ def assemble(
     pairs: Pairs,
     outside: Int[np.ndarray, "o v"],
     names: tuple[str, ...],
-    tuning: TrackTuning = DEFAULT.tracks,
+    noise_scale: float = 1.0,
+    rules: MatchTuning = DEFAULT,
 ) -> Matches:
     """Matches in the caller's order of views and numbers of segments.
 
-    `outside` holds the segments of triples that the depth range excluded.
+    `seen` holds covariances that are `noise_scale` times as large, in standard deviations, as
+    stated, `outside` the segments of triples that the depth range excluded, or that lie behind a
+    camera. Tracks that no pair of views can locate are left out, and their segments say so.
     """
-    taken = pairs.take(pairs.taken)
+    tuning, taken = rules.tracks, pairs.take(pairs.taken)
     index = np.concatenate([tracks.candidates.index, taken.candidates.index])
     interval = np.concatenate([tracks.candidates.interval, taken.candidates.interval])
     posterior_log_odds = np.concatenate([tracks.posterior_log_odds, taken.posterior_log_odds])
     rival_posterior = np.concatenate([tracks.rival_posterior, np.full(len(taken.taken), -np.inf)])
-    fragments, covariance = fragments_of(seen, index, interval)
     common_mm = np.concatenate([tracks.candidates.ends_mm, taken.candidates.ends_mm])
-    shown = fragments_of(seen, index, two_view_interval(seen, index, common_mm))
-    ends_mm, covariance_mm2, misfit = lines_in_space(seen, index, *shown)
+    doubt = direction_doubt(seen.lines, index)
+    located = doubt < tuning.largest_direction_doubt
+    unlocated = index[~located]
+    ends_here = ending_view(seen, index, common_mm)
+    fragments, covariance = fragments_of(seen, index, interval, ends_here)
+    ends_mm, covariance_mm2, misfit = lines_in_space(seen, index, common_mm)
+    covariance_mm2 = covariance_mm2 * (1 + tuning.second_order * doubt**2)[:, None, None]
     sound = np.isfinite(ends_mm).all(axis=(1, 2)) & np.isfinite(covariance_mm2).all(axis=(1, 2))
+    sound &= located & before_cameras(seen.lines, index, ends_mm)
     index, posterior_log_odds, rival_posterior = (
         index[sound],
         posterior_log_odds[sound],
@@ -58,13 +64,14 @@ def assemble(
     turn = [seen.names.index(name) for name in names]
     given, fragments, covariance = given[:, turn], fragments[:, turn], covariance[:, turn]
     sort = np.lexsort((*fragments[:, :, 0].reshape(-1, 2 * len(names)).T, *given.T[::-1]))
-    why = _reasons(seen, selections, pairs, outside, index, tuning)
+    why = _reasons(seen, selections, pairs, outside, unlocated, index, tuning)
     counts = {
         "triples considered": sum(len(s.candidates.index) for s in selections),
         "triples outside depth": len(outside),
         "tracks in three views or more": len(tracks.posterior_log_odds),
         "pairs considered": len(pairs.candidates.index),
         "tracks in two views": int(pairs.taken.sum()),
+        "tracks along the epipolar lines": len(unlocated),
         "tracks that seem to move with the viewpoint": int(viewpoint_dependent.sum()),
     }
     return Matches(
@@ -81,6 +88,8 @@ def assemble(
         covariance[sort],
         misfit[sort],
         viewpoint_dependent[sort],
+        noise_scale,
+        notes_of(seen.lines, len(unlocated), noise_scale, rules.noise),
     )
 
 
@@ -89,6 +98,7 @@ def _reasons(
     selections: list[Selection],
     pairs: Pairs,
     outside: Int[np.ndarray, "o v"],
+    unlocated: Int[np.ndarray, "u v"],
     index: Int[np.ndarray, "t v"],
     tuning: TrackTuning,
 ) -> dict[str, np.ndarray]:
@@ -97,50 +107,14 @@ def _reasons(
     log_odds = np.concatenate([found.log_odds for found in running])
     found = {}
     for view, name in enumerate(seen.names):
-        excluded, matched, missed = np.zeros((3, seen.counts[view]), dtype=bool)
+        excluded, along, matched, missed = np.zeros((4, seen.counts[view]), dtype=bool)
         matched[index[index[:, view] >= 0, view]] = True
         excluded[outside[outside[:, view] >= 0, view]] = True
+        along[unlocated[unlocated[:, view] >= 0, view]] = True
         turned = (pairs.log_odds <= 0) & (pairs.log_odds > pairs.missed)
         owner = pairs.candidates.index[turned, view]
         missed[owner[owner >= 0]] = True
-        words = reasons(candidate[:, view], log_odds, excluded, matched, missed, tuning)
+        words = reasons(candidate[:, view], log_odds, excluded, along, matched, missed, tuning)
         found[name] = np.empty_like(words)
         found[name][seen.order[view]] = words
     return found
-
-
-def fragments_of(
-    seen: MatchInput, index: Int[np.ndarray, "t v"], interval: Float[np.ndarray, "t v 2"]
-) -> tuple[Float[np.ndarray, "t v 2 2"], Float[np.ndarray, "t v 4 4"]]:
-    """(common parts on the segments, undistorted; their covariances), NaN where not seen."""
-    tracks, views = index.shape
-    fragments = np.full((tracks, views, 2, 2), np.nan)
-    covariance = np.full((tracks, views, 4, 4), np.nan)
-    for view in range(views):
-        on = np.flatnonzero(index[:, view] >= 0)
-        segment = index[on, view]
-        ends, share = seen.ends_px[view][segment], interval[on, view]
-        weight = np.stack([1 - share, share], axis=2)
-        fragments[on, view] = weight @ ends
-        # Each end of the fragment is a mean of the segment's ends; so is its error.
-        spread = np.einsum("tef,ij->teifj", weight, np.eye(2)).reshape(-1, 4, 4)
-        covariance[on, view] = spread @ seen.covariance_px2[view][segment] @ spread.mT
-    return fragments, covariance
-
-
-def lines_in_space(
-    seen: MatchInput,
-    index: Int[np.ndarray, "t v"],
-    fragments_px: Float[np.ndarray, "t v 2 2"],
-    covariance_px2: Float[np.ndarray, "t v 4 4"],
-) -> tuple[Float[np.ndarray, "t 2 3"], Float[np.ndarray, "t 6 6"], Float[np.ndarray, "t"]]:
-    """Maximum-likelihood ends from all fragments, with covariance and chi-square."""
-    # Rows of padding hold no view, which leaves their lines undetermined, and harmless.
-    block = seen.lines.ends_px.shape[1]
-
-    def triangulated(*columns: np.ndarray) -> Segment3D:
-        return _triangulated(seen.lines.matrix_px, *columns)
-
-    found = in_blocks(triangulated, block, fragments_px, covariance_px2, index >= 0)
-    misfit = np.where((index >= 0).sum(axis=1) > 2, found.chi_square, 0.0)
-    return np.asarray(found.ends_mm), np.asarray(found.covariance_mm2), misfit

@@ -7,35 +7,48 @@ from trinoc.geometry import project_by_matrix
 from trinoc.match.observations import MatchInput
 
 
-def two_view_interval(
+def two_view_part(
+    seen: MatchInput, index: Int[np.ndarray, "t v"], ends_mm: Float[np.ndarray, "t 2 3"]
+) -> Float[np.ndarray, "t 2 3"]:
+    """The ends, on each line, of what at least two views show of it."""
+    reach = reach_of(seen, index, ends_mm)
+    # NaN, where a view does not see the line, sorts last.
+    begin = np.sort(reach[..., 0], axis=1)[:, 1]
+    end = -np.sort(-reach[..., 1], axis=1)[:, 1]
+    step = ends_mm[:, 1] - ends_mm[:, 0]
+    return ends_mm[:, :1] + np.stack([begin, end], axis=1)[..., None] * step[:, None]
+
+
+def interval_of(
     seen: MatchInput, index: Int[np.ndarray, "t v"], ends_mm: Float[np.ndarray, "t 2 3"]
 ) -> Float[np.ndarray, "t v 2"]:
-    """Where the ends of what two views show lie along every segment, 0 at its first end.
+    """Where the ends of each line lie along every segment, 0 at its first end.
 
-    On the segments that end before, this is outside [0, 1]: their lines run on.
+    On segments that end before, this is outside [0, 1]: their lines run on.
     """
-    tracks, views = index.shape
-    reach = np.full((tracks, views, 2), np.nan)
-    for view in range(views):
+    interval = np.zeros((*index.shape, 2))
+    for view in range(index.shape[1]):
+        on = np.flatnonzero(index[:, view] >= 0)
+        matrix = np.asarray(seen.lines.matrix_px)[view]
+        segment = seen.ends_px[view][index[on, view]]
+        along = segment[:, 1] - segment[:, 0]
+        offset = project_by_matrix(matrix, ends_mm[on]) - segment[:, :1]
+        interval[on, view] = (offset @ along[:, :, None])[..., 0] / (along**2).sum(axis=1)[:, None]
+    return interval
+
+
+def reach_of(
+    seen: MatchInput, index: Int[np.ndarray, "t v"], ends_mm: Float[np.ndarray, "t 2 3"]
+) -> Float[np.ndarray, "t v 2"]:
+    """Where every segment begins and ends along its track's line, 0 and 1 at the line's ends."""
+    reach = np.full((*index.shape, 2), np.nan)
+    for view in range(index.shape[1]):
         on = np.flatnonzero(index[:, view] >= 0)
         segment = seen.ends_px[view][index[on, view]]
         reach[on, view] = np.sort(
             positions_abreast(np.asarray(seen.lines.matrix_px)[view], segment, ends_mm[on]), axis=1
         )
-    # NaN, where a view does not see the line, sorts last.
-    begin = np.sort(reach[..., 0], axis=1)[:, 1]
-    end = -np.sort(-reach[..., 1], axis=1)[:, 1]
-    step = ends_mm[:, 1] - ends_mm[:, 0]
-    shown = ends_mm[:, :1] + np.stack([begin, end], axis=1)[..., None] * step[:, None]
-    interval = np.zeros((tracks, views, 2))
-    for view in range(views):
-        on = np.flatnonzero(index[:, view] >= 0)
-        matrix = np.asarray(seen.lines.matrix_px)[view]
-        segment = seen.ends_px[view][index[on, view]]
-        along = segment[:, 1] - segment[:, 0]
-        offset = project_by_matrix(matrix, shown[on]) - segment[:, :1]
-        interval[on, view] = (offset @ along[:, :, None])[..., 0] / (along**2).sum(axis=1)[:, None]
-    return interval
+    return reach
 
 
 def positions_abreast(

@@ -37,6 +37,11 @@ class Matches(eqx.Module):
         the viewpoint: the outline of a round body, or a highlight. In three views its misfit is
         larger than that of 99 in 100 straight edges. In two, another view shows a segment beside
         the place where the line should be, and none on it. None where not known.
+    noise_scale : standard deviation of the segments across themselves over what they state, as
+        three views show it: all covariances here are of the errors found. 1 where two views are
+        all there is.
+    notes : sentences on what a user should know of the whole: noise far from what is stated,
+        cameras in one line.
     """
 
     views: tuple[str, ...] = eqx.field(static=True)
@@ -52,6 +57,8 @@ class Matches(eqx.Module):
     fragments_covariance_px2: Float[np.ndarray, "t v 4 4"] | None = None
     misfit: Float[np.ndarray, "t"] | None = None
     viewpoint_dependent: Bool[np.ndarray, "t"] | None = None
+    noise_scale: float = eqx.field(static=True, default=1.0)
+    notes: tuple[str, ...] = eqx.field(static=True, default=())
 
     def __len__(self) -> int:
         return len(self.index)

@@ -8,6 +8,7 @@ from trinoc.match.tuning import DEFAULT, TrackTuning
 MATCHED = "matched"
 NO_PARTNER = "no partner in the zone"
 OUTSIDE = "outside depth"
+ALONG = "along the epipolar lines"
 WEAK = "evidence too weak"
 MISSED = "missing in a third view"
 LOST = "lost to a neighbour"
@@ -18,6 +19,7 @@ def reasons(
     segment: Int[np.ndarray, "m"],
     log_odds: Float[np.ndarray, "m"],
     outside: Bool[np.ndarray, "n"],
+    along: Bool[np.ndarray, "n"],
     matched: Bool[np.ndarray, "n"],
     missed: Bool[np.ndarray, "n"],
     tuning: TrackTuning = DEFAULT.tracks,
@@ -25,7 +27,8 @@ def reasons(
     """(n,) words for the segments of one view, given the candidates that held each of them.
 
     `segment` is the segment of this view in each candidate (-1 for none), `log_odds` the
-    candidate's evidence before rivals, `outside` whether the depth range excluded one, and
+    candidate's evidence before rivals, `outside` whether the depth range excluded one,
+    `along` whether the best lies along the epipolar lines of all pairs of its views, and
     `missed` whether one fits in two views, and a third should show it but does not: the rims of
     round bodies, and shadows and lights that move with the viewpoint, among others.
     """
@@ -43,6 +46,7 @@ def reasons(
     words[best > 0] = LOST
     for n in np.flatnonzero((best > 0) & (rivals > 1)):
         words[n] = AMBIGUOUS.format(rivals[n])
+    words[along] = ALONG
     words[matched] = MATCHED
     return words
 

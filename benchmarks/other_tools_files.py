@@ -1,0 +1,154 @@
+"""Do other tools project the same points to the same pixels from the files that trinoc writes?
+
+    python benchmarks/other_tools_files.py [--mrcal-python /usr/bin/python3]
+
+Random rigs are exported; each tool's own library reads its file and projects points with its own
+code. pycolmap is used where it is installed. mrcal is Debian's (python3-mrcal), whose NumPy is
+another: it runs in its own interpreter. It also writes its files again, which trinoc reads. Exits
+with 1 where a pixel differs by more than 1e-9 px, or by 1e-5 px after mrcal has written ten digits
+of each number.
+"""
+
+import argparse
+import importlib.util
+import json
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import jax
+import numpy as np
+
+from trinoc.geometry import Camera, Intrinsics, Rig, project
+from trinoc.io import FORMATS
+
+AGREES_PX, AGAIN_PX = 1e-9, 1e-5
+AGAIN = "mrcal writes it again, trinoc reads"
+POINTS_MM = np.random.default_rng(0).uniform((-60, -60, 0), (60, 60, 60), (200, 3))
+# Reads each model, projects the points with mrcal, and writes the model again.
+MRCAL = """
+import json, sys
+import mrcal, numpy as np
+points = np.array(json.load(sys.stdin)) / 1000
+for name in sys.argv[1:]:
+    model = mrcal.cameramodel(name)
+    seen = mrcal.transform_point_rt(model.extrinsics_rt_fromref(), points)
+    print(json.dumps(mrcal.project(seen, *model.intrinsics()).tolist()))
+    model.write(name)
+"""
+
+
+def main() -> int:
+    """Print a row for each reader, and say whether all agree."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--rigs", type=int, default=20, help="random rigs of three cameras")
+    parser.add_argument("--mrcal-python", help="an interpreter that has mrcal")
+    options = parser.parse_args()
+    jax.config.update("jax_enable_x64", True)
+    readers: dict[str, Callable[[Rig, Path], float]] = {
+        "opencv (YAML), cv2.FileStorage and projectPoints": lambda r, d: by_cv2(r, d / "rig.yml"),
+        "opencv (JSON), cv2.FileStorage and projectPoints": lambda r, d: by_cv2(r, d / "rig.json"),
+    }
+    if importlib.util.find_spec("pycolmap"):
+        readers["colmap, pycolmap"] = lambda r, d: by_pycolmap(r, d / "bin", "colmap")
+        readers["colmap-text, pycolmap"] = lambda r, d: by_pycolmap(r, d / "txt", "colmap-text")
+    if options.mrcal_python:
+        python = options.mrcal_python
+        readers["mrcal, mrcal.project"] = lambda r, d: by_mrcal(r, d / "models", python)
+        readers[AGAIN] = lambda r, d: again(r, d / "models")
+    worst = dict.fromkeys(readers, 0.0)
+    for seed in range(options.rigs):
+        rig = random_rig(np.random.default_rng(seed))
+        with tempfile.TemporaryDirectory() as folder:
+            for name, read in readers.items():
+                worst[name] = max(worst[name], read(rig, Path(folder)))
+    print(f"{3 * options.rigs} cameras, {len(POINTS_MM)} points each\n")
+    print("| file, reader | largest difference (px) |\n|---|---|")
+    for name, difference in worst.items():
+        print(f"| {name} | {difference:.1e} |")
+    agree = (found <= (AGAIN_PX if name == AGAIN else AGREES_PX) for name, found in worst.items())
+    return 0 if all(agree) else 1
+
+
+def random_rig(random: np.random.Generator) -> Rig:
+    """Three cameras of a bench, with distortion."""
+    return Rig(
+        {
+            name: Camera.from_degrees(
+                Intrinsics(
+                    image_size_px=(1280, 960),
+                    focal_length_px=random.uniform(800, 3000, 2),
+                    principal_point_px=random.uniform(400, 600, 2),
+                    distortion=random.uniform(-1, 1, 5) * (0.3, 0.1, 0.01, 0.01, 0.05),
+                ),
+                pan_deg=random.uniform(-170, 170),
+                tilt_deg=random.uniform(15, 80),
+                swing_deg=random.uniform(-170, 170),
+                distance_mm=random.uniform(250, 900),
+            )
+            for name in ("upper", "left", "right")
+        }
+    )
+
+
+def pixels(camera: Camera) -> np.ndarray:
+    """Where trinoc images the points."""
+    return np.asarray(jax.vmap(project, (None, 0))(camera, POINTS_MM))
+
+
+def by_cv2(rig: Rig, path: Path) -> float:
+    """OpenCV reads the rig."""
+    FORMATS["opencv"].save(rig, path)
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
+    cameras = storage.getNode("cameras")
+    differences = []
+    for number, camera in enumerate(rig.cameras):
+        node = cameras.at(number)
+        keys = ("R", "T", "camera_matrix", "distortion_coefficients")
+        rotation, translation, matrix, distortion = (node.getNode(key).mat() for key in keys)
+        seen = POINTS_MM @ rotation.T + translation.ravel()
+        found, _ = cv2.projectPoints(seen, np.zeros(3), np.zeros(3), matrix, distortion)
+        differences.append(np.abs(found.reshape(-1, 2) - pixels(camera)).max())
+    return max(differences)
+
+
+def by_pycolmap(rig: Rig, path: Path, name: str) -> float:
+    """COLMAP reads the model, with its rig and frame."""
+    import pycolmap
+
+    FORMATS[name].save(rig, path)
+    model = pycolmap.Reconstruction(str(path))
+    differences = []
+    for own, camera in rig.items():
+        image = model.find_image_with_name(own)
+        pose = image.cam_from_world().matrix()
+        found = model.cameras[image.camera_id].img_from_cam(POINTS_MM @ pose[:, :3].T + pose[:, 3])
+        differences.append(np.abs(np.asarray(found) - 0.5 - pixels(camera)).max())
+    return max(differences)
+
+
+def by_mrcal(rig: Rig, path: Path, python: str) -> float:
+    """mrcal reads the models."""
+    FORMATS["mrcal"].save(rig, path)
+    files = [str(path / f"{name}.cameramodel") for name in rig]
+    points = json.dumps(POINTS_MM.tolist())
+    done = subprocess.run(
+        [python, "-c", MRCAL, *files], input=points, capture_output=True, text=True, check=True
+    )
+    found = [np.array(json.loads(line)) for line in done.stdout.splitlines()]
+    return max(
+        np.abs(uv - pixels(camera)).max() for uv, camera in zip(found, rig.cameras, strict=True)
+    )
+
+
+def again(rig: Rig, path: Path) -> float:
+    """trinoc reads what mrcal wrote, to the digits that mrcal writes."""
+    back = FORMATS["mrcal"].load(path)
+    return max(np.abs(pixels(back[name]) - pixels(camera)).max() for name, camera in rig.items())
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,134 @@
+"""What the matcher claims is so: ellipsoids near epipolar lines, learned noise, places, rigs."""
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from tests.match.made import loose_lines, pictures, rig_of
+from trinoc.errors import InputError
+from trinoc.geometry import Rig
+from trinoc.match import Matches, match_segments
+
+SIGMA_PX = 0.4
+
+
+def squares(matches: Matches, lines_mm: np.ndarray) -> np.ndarray:
+    """Mahalanobis distance (4 degrees of freedom) of each right line from the true one."""
+    found = []
+    for row, ends, covariance in zip(
+        matches.index, matches.lines_mm, matches.covariance_mm2, strict=True
+    ):
+        numbers = set(row[row >= 0].tolist())
+        if len(numbers) == 1:
+            truth = lines_mm[numbers.pop()]
+            across = np.linalg.svd((truth[1] - truth[0])[None])[2][1:]
+            error = ((ends - truth[0]) @ across.T).ravel()
+            both = np.kron(np.eye(2), across)
+            found.append(error @ np.linalg.solve(both @ covariance @ both.T, error))
+    return np.array(found)
+
+
+def flat_lines(count: int, seed: int) -> np.ndarray:
+    """Lines along the baseline of "left" and "right" but for a few degrees."""
+    rng = np.random.default_rng(seed)
+    middle = rng.uniform([-40, -40, 0], [40, 40, 40], (count, 3))
+    tilt = np.radians(rng.uniform(3, 12, count)) * rng.choice([-1, 1], count)
+    turn = rng.uniform(0, 2 * np.pi, count)
+    direction = np.column_stack(
+        [np.cos(tilt), np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn)]
+    )
+    half = rng.uniform(12, 25, (count, 1)) * direction
+    return np.stack([middle - half, middle + half], axis=1)
+
+
+def test_ellipsoids_of_pairs_near_epipolar_lines_hold() -> None:
+    rig, square = rig_of("left", "right"), []
+    for seed in range(4):
+        lines = flat_lines(40, seed)
+        seen = pictures(rig, lines, sigma_px=SIGMA_PX, seed=seed)
+        square.append(squares(match_segments(seen, rig, sigma_px=SIGMA_PX), lines))
+    square = np.concatenate(square)
+    assert len(square) > 60
+    share = np.mean(square < chi2.ppf(0.95, 4))
+    assert abs(share - 0.95) < 4 * np.sqrt(0.95 * 0.05 / len(square))
+
+
+def test_a_cut_end_is_free_along_its_segment_and_the_other_is_not() -> None:
+    rig, lines = rig_of("upper", "left", "right"), loose_lines(15, seed=4)
+    matches = match_segments(pictures(rig, lines, SIGMA_PX, seed=1), rig, sigma_px=SIGMA_PX)
+    assert matches.fragments_covariance_px2 is not None
+    seen = matches.index >= 0
+    step = np.diff(matches.fragments_px, axis=2)[:, :, 0]
+    along = step / np.linalg.norm(step, axis=2, keepdims=True)
+    blocks = matches.fragments_covariance_px2.reshape(*seen.shape, 2, 2, 2, 2)
+    variance = np.einsum("tvi,tveiej,tvj->tve", along, blocks, along)
+    free = np.where(seen[..., None], variance > 1e6, True)
+    # Each end of a track is one segment's own.
+    np.testing.assert_array_equal((~free).sum(axis=1), 1)
+
+
+def test_segments_along_the_epipolar_lines_are_refused_by_name() -> None:
+    rig = rig_of("left", "right")
+    lines = loose_lines(12, seed=6)
+    # Along the baseline, in all of its epipolar planes.
+    baseline = rig["right"].centre_world_mm - rig["left"].centre_world_mm
+    lines[0] = np.array([[-15.0], [15.0]]) * baseline / np.linalg.norm(baseline) + [0, 0, 20]
+    named = 0
+    for seed in range(6):
+        matches = match_segments(pictures(rig, lines, SIGMA_PX, seed), rig, sigma_px=SIGMA_PX)
+        # By chance its pictures may lie more than a sigma off, or share no epipolar plane.
+        if matches.reasons["left"][0] == "along the epipolar lines":
+            named += 1
+            assert not (matches.index == 0).any()
+            assert "Two views" in matches.notes[-1]
+    assert named > 0
+
+
+@pytest.mark.parametrize(("true_px", "given_px"), [(0.3, 0.3), (0.8, 0.4), (0.1, 0.5), (0.4, 0.04)])
+def test_noise_is_learned_and_scales_what_is_claimed(true_px: float, given_px: float) -> None:
+    rig, square = rig_of("upper", "left", "right"), []
+    scales = []
+    for seed in range(2):
+        lines = loose_lines(60, seed=seed + 30)
+        seen = pictures(rig, lines, sigma_px=true_px, seed=seed)
+        matches = match_segments(seen, rig, sigma_px=given_px)
+        square.append(squares(matches, lines))
+        scales.append(matches.noise_scale)
+        assert bool(matches.notes) == (not 1 / 1.5 <= matches.noise_scale <= 1.5)
+    np.testing.assert_allclose(np.mean(scales), true_px / given_px, rtol=0.2)
+    square = np.concatenate(square)
+    assert len(square) > 80
+    assert abs(np.mean(square < chi2.ppf(0.95, 4)) - 0.95) < 0.07
+
+
+def test_two_views_learn_no_noise() -> None:
+    rig, lines = rig_of("upper", "left"), loose_lines(20, seed=3)
+    assert match_segments(pictures(rig, lines, 0.3), rig).noise_scale == 1.0
+
+
+def test_mirrored_rigs_are_refused() -> None:
+    rig, lines = rig_of("upper", "left", "right"), loose_lines(30, seed=9)
+    seen = pictures(rig, lines, sigma_px=0.3)
+    world = np.diag([1.0, 1.0, -1.0, 1.0])
+    size = rig["left"].image_size_px
+    mirrored = Rig.from_matrices({n: c.matrix_px @ world for n, c in rig.items()}, size)
+    with pytest.raises(InputError, match="mirrored"):
+        match_segments(seen, mirrored)
+    turn = np.array([[-1.0, 0.0, size[0] - 1.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    one = {n: (turn if n == "left" else np.eye(3)) @ c.matrix_px for n, c in rig.items()}
+    with pytest.raises(InputError, match='"left" is mirrored'):
+        match_segments(seen, Rig.from_matrices(one, size))
+    # The sign of a matrix means nothing.
+    turned = Rig.from_matrices({n: -c.matrix_px for n, c in rig.items()}, size)
+    assert len(match_segments(seen, turned)) == len(match_segments(seen, rig))
+
+
+def test_cameras_in_one_line_are_said_so() -> None:
+    rig = rig_of("left", "right", middle=(0.06, 40.86, 0.0, 450.2))
+    centres = np.array([c.centre_world_mm for c in rig.cameras])
+    spread = np.linalg.svd(centres - centres.mean(axis=0), compute_uv=False)
+    assert spread[1] < 0.05 * spread[0]
+    lines = loose_lines(10, seed=2)
+    assert "one line" in match_segments(pictures(rig, lines, 0.3), rig).notes[0]
+    wide = rig_of("upper", "left", "right")
+    assert match_segments(pictures(wide, lines, 0.5), wide).notes == ()

@@ -1,0 +1,90 @@
+"""`trinoc import`: cameras and segments from files of other tools."""
+
+import dataclasses
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from trinoc.cli.command import Command, Outcome
+from trinoc.cli.format_names import ReadFormat, UnitMm
+from trinoc.cli.views import files_of_views
+from trinoc.errors import InputError
+
+if TYPE_CHECKING:
+    from trinoc.geometry import Intrinsics
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Import(Command):
+    """Read cameras, or the segments of a picture, that another tool wrote."""
+
+    file: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FILE")]
+    """The other tool's file, or its folder."""
+
+    source: Annotated[ReadFormat, tyro.conf.arg(name="from", metavar="FORMAT")]
+    """Cameras: opencv, ros, kalibr, colmap, colmap-text, mrcal, matlab, nerfstudio, tf. Segments:
+    lsd, elsed, limap-segments."""
+
+    out: Annotated[Path, tyro.conf.arg(aliases=("-o",), metavar="FILE")]
+    """Where it goes: rig.json, camera.json for a lens alone, segments.npz for segments."""
+
+    unit_mm: UnitMm = None
+    """Length in mm of one unit of the file, such as 1000 for metres; by default that of the
+    format."""
+
+    names: Annotated[
+        str | None, tyro.conf.arg(metavar="A,B,C", help_behavior_hint="(default: of the file)")
+    ] = None
+    """Names for the cameras, with commas between, in the order of the file."""
+
+    lenses: Annotated[
+        tyro.conf.UseAppendAction[tuple[str, ...]],
+        tyro.conf.arg(metavar="FILE", help_behavior_hint="(for tf)"),
+    ] = ()
+    """The lenses of a file that holds poses alone: rig.json, or NAME=camera.json for each."""
+
+    def run(self, command_line: str) -> Outcome:
+        """Read, check, and write."""
+        from trinoc.cli.provenance import provenance
+        from trinoc.geometry import Rig, Segments
+        from trinoc.io import FORMATS, expect_place, save
+
+        expect_place(self.out)
+        source = FORMATS[self.source]
+        names = None if self.names is None else [name.strip() for name in self.names.split(",")]
+        lenses = self._lenses()
+        value = source.load(self.file, unit_mm=self.unit_mm, lenses=lenses, names=names)
+        save(value, self.out, provenance=provenance(command_line, self._inputs()))
+        match value:
+            case Rig():
+                known = "with" if value.parameters else "without"
+                found = f"{len(value)} cameras, {known} covariance: {', '.join(value.names)}"
+            case Segments():
+                found = f"{len(value)} segments, with sigmas of a plain detector"
+            case _:
+                found = "a lens, without covariance"
+        record = {
+            "format": source.name,
+            "cameras": list(value.names) if isinstance(value, Rig) else [],
+            "segments": len(value) if isinstance(value, Segments) else 0,
+            "written": [str(self.out)],
+        }
+        return Outcome(f"{found}\nwritten: {self.out}", record)
+
+    def _lenses(self) -> "dict[str, Intrinsics] | None":
+        from trinoc.io import load_intrinsics, load_rig
+
+        if not self.lenses:
+            return None
+        if len(self.lenses) == 1 and "=" not in self.lenses[0]:
+            return {name: camera.intrinsics for name, camera in load_rig(self.lenses[0]).items()}
+        return {name: load_intrinsics(file) for name, file in files_of_views(self.lenses).items()}
+
+    def _inputs(self) -> dict[str, Path]:
+        if not self.file.is_dir():
+            return {"file": self.file}
+        try:
+            return {file.name: file for file in sorted(self.file.iterdir()) if file.is_file()}
+        except OSError as error:
+            raise InputError(f"{self.file} cannot be read ({error.strerror}).") from error

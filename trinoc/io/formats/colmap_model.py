@@ -1,0 +1,150 @@
+"""COLMAP models: a folder of cameras, images and points3D, and the rigs and frames of COLMAP 4.
+
+Every camera of a rig is a camera with one image, whose name is the camera's, and all are one rig in
+one frame. COLMAP's origin is the corner of the top-left pixel, so that principal points differ by
+half a pixel. Points are left out: COLMAP has no lines. Both are read, with the poses of the images.
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+from trinoc.errors import InputError
+from trinoc.geometry import Camera, Intrinsics, Pose, Rig
+from trinoc.io.atomic import atomic_write
+from trinoc.io.formats.colmap_binary import binary_files, binary_records
+from trinoc.io.formats.colmap_records import ColmapCamera, ColmapImage, ColmapRecords
+from trinoc.io.formats.colmap_text_files import text_files, text_records
+from trinoc.io.formats.folders import atomic_folder
+from trinoc.io.formats.format import Format, Lenses
+from trinoc.io.formats.lens_rows import LensNumbers, LensRow, lens_of, numbers_of
+from trinoc.io.formats.losses import COVARIANCE, PIXEL_PITCH
+from trinoc.io.formats.motions import motion, quaternion_wxyz, rotation_of_quaternion
+
+TITLE = "COLMAP"
+HALF_PX = 0.5
+_OPENCV = ("k1", "k2", "p1", "p2")
+ROWS = (
+    LensRow("PINHOLE", "none", ()),
+    LensRow("OPENCV", "brown_conrady", _OPENCV),
+    LensRow("FULL_OPENCV", "brown_conrady", (*_OPENCV, "k3", "k4", "k5", "k6")),
+    LensRow("SIMPLE_PINHOLE", "none", ()),
+    LensRow("SIMPLE_RADIAL", "brown_conrady", ("k1",)),
+    LensRow("RADIAL", "brown_conrady", ("k1", "k2")),
+)
+# Models with one focal length for both directions.
+SQUARE = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
+
+
+def write_binary(rig: Rig, path: Path, unit_mm: float) -> None:
+    """Write the binary files."""
+    _write(path, binary_files(_records(rig, unit_mm)))
+
+
+def write_text(rig: Rig, path: Path, unit_mm: float) -> None:
+    """Write the text files."""
+    for name in rig:
+        if any(letter.isspace() for letter in name):
+            raise InputError(
+                f'The camera "{name}" has a blank in its name, which cuts it in COLMAP\'s text: '
+                "rename it, or write the binary files (--to colmap)."
+            )
+    files = text_files(_records(rig, unit_mm))
+    _write(path, {name: text.encode("utf-8") for name, text in files.items()})
+
+
+def read_colmap(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig:
+    """The rig of a folder, binary where both are there."""
+    if (path / "cameras.bin").is_file():
+        records = binary_records(path)
+    elif (path / "cameras.txt").is_file():
+        records = text_records(path)
+    else:
+        raise InputError(
+            f"{path} has neither cameras.bin nor cameras.txt: give the folder of a COLMAP model."
+        )
+    read = {number: _lens(camera, str(path)) for number, camera in records.cameras.items()}
+    cameras: dict[str, Camera] = {}
+    for image in records.images:
+        where = f'{path}: the image "{image.name}"'
+        if image.name in cameras:
+            raise InputError(f"{where} is there twice: keep one of them.")
+        if image.camera not in read:
+            raise InputError(f"{where} is of camera {image.camera}, which is missing: add it.")
+        if not np.isfinite([*image.wxyz, *image.translation]).all():
+            raise InputError(f"{where} has a pose that is not finite: remove the image.")
+        rotation = rotation_of_quaternion(np.array(image.wxyz), where)
+        pose = motion(rotation, np.array(image.translation) * unit_mm, where)
+        cameras[image.name] = Camera(read[image.camera], Pose(pose))
+    if not cameras:
+        raise InputError(f"{path} holds no image with a pose: give a model with images.")
+    return Rig(cameras)
+
+
+def _records(rig: Rig, unit_mm: float) -> ColmapRecords:
+    cameras, images = {}, []
+    for number, (name, camera) in enumerate(rig.items(), 1):
+        numbers = numbers_of(camera.intrinsics, ROWS, TITLE, name, origin_px=HALF_PX)
+        parameters = [*numbers.focal_px, *numbers.centre_px, *numbers.coefficients]
+        cameras[number] = ColmapCamera(numbers.called, camera.image_size_px, parameters)
+        pose = np.asarray(camera.cam_from_world)
+        wxyz, translation = quaternion_wxyz(pose[:, :3]), pose[:, 3] / unit_mm
+        images.append(ColmapImage(number, wxyz.tolist(), translation.tolist(), number, name))
+    return ColmapRecords(cameras, images)
+
+
+def _lens(camera: ColmapCamera, where: str) -> Intrinsics:
+    parameters = [float(value) for value in camera.parameters]
+    if not np.isfinite(parameters).all():
+        raise InputError(f"{where} has a camera with numbers that are not finite: correct it.")
+    focals = 1 if camera.model in SQUARE else 2
+    known = [row for row in ROWS if row.called == camera.model]
+    if known and len(parameters) != focals + 2 + len(known[0].coefficients):
+        raise InputError(
+            f"{where} has a {camera.model} camera with {len(parameters)} numbers: correct it."
+        )
+    if min(camera.size) < 1:
+        raise InputError(f"{where} has a camera without pixels: correct its size.")
+    focal, rest = (parameters[:focals] * 2)[:2], parameters[focals:]
+    if len(rest) < 2:
+        focal, rest = [1.0, 1.0], [0.0, 0.0]  # of a model that is not known, and refused below
+    numbers = LensNumbers(camera.model, (focal[0], focal[1]), (rest[0], rest[1]), 0.0, rest[2:])
+    return lens_of(numbers, camera.size, ROWS, where, origin_px=HALF_PX)
+
+
+def _write(path: Path, files: dict[str, bytes]) -> None:
+    with atomic_folder(path) as folder:
+        for name, content in files.items():
+            with atomic_write(folder / name) as file:
+                file.write(content)
+
+
+colmap = Format(
+    name="colmap",
+    title=TITLE,
+    holds=("rig",),
+    reads=("rig",),
+    place="folder",
+    endings=(),
+    unit_mm=1.0,
+    unit_is_fixed=False,
+    frames="pixel (0, 0) is the corner of the top-left pixel, (0.5, 0.5) its centre; x right, "
+    "y down, z forward",
+    loses=(COVARIANCE, PIXEL_PITCH),
+    write=write_binary,
+    read=read_colmap,
+)
+colmap_text = Format(
+    name="colmap-text",
+    title="COLMAP (text)",
+    holds=("rig",),
+    reads=("rig",),
+    place="folder",
+    endings=(),
+    unit_mm=1.0,
+    unit_is_fixed=False,
+    frames=colmap.frames,
+    loses=(COVARIANCE, PIXEL_PITCH),
+    write=write_text,
+    read=read_colmap,
+)

@@ -1,0 +1,166 @@
+"""OpenCV's FileStorage, YAML or JSON, as its calibration samples write it.
+
+One lens is `camera_matrix`, `distortion_coefficients`, `image_width` and `image_height`. A rig is
+the list `cameras`, each with a `name`, these four, and `R` and `T` of x_cam = R x_world + T; two
+cameras stand there as `M1`, `D1`, `M2`, `D2` and `R`, `T` (second from first) besides, which
+`cv2.stereoRectify` takes. Read is any of the three. The covariance of a rig stands under
+`covariance`, in degrees and mm, as in rig.json.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from trinoc.geometry import Camera, Intrinsics, Pose, Rig
+from trinoc.io.formats.format import Format, Lenses
+from trinoc.io.formats.lens_rows import LensNumbers, LensRow, lens_of, numbers_of
+from trinoc.io.formats.losses import PIXEL_PITCH
+from trinoc.io.formats.motions import chained, inverse, motion
+from trinoc.io.formats.storage_file import read_storage, write_storage
+from trinoc.io.json_document import Block
+from trinoc.io.rig_json import covariance_of
+
+TITLE = "OpenCV's FileStorage"
+# cv2.projectPoints takes 4, 5, 8, 12 or 14 coefficients in this order.
+_ALL = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4", "tau_x", "tau_y")
+WRITTEN = (LensRow("", "brown_conrady", _ALL[:5]),)
+READ = (LensRow("", "brown_conrady", _ALL),)
+_STEREO = (("M1", "D1", "M2", "D2"), ("K1", "D1", "K2", "D2"),
+           ("cameraMatrix1", "distCoeffs1", "cameraMatrix2", "distCoeffs2"))  # fmt: skip
+
+
+def write_opencv(value: Rig | Intrinsics, path: Path, unit_mm: float) -> None:
+    """Write a lens, or a rig with translations in `unit_mm`."""
+    if isinstance(value, Intrinsics):
+        document = _lens_to_map(value, "")
+    else:
+        cameras = [
+            {
+                "name": name,
+                **_lens_to_map(camera.intrinsics, name),
+                "R": np.asarray(camera.cam_from_world)[:, :3],
+                "T": np.asarray(camera.cam_from_world)[:, 3:] / unit_mm,
+            }
+            for name, camera in value.items()
+        ]
+        document = {"cameras": cameras, **_stereo(value, cameras, unit_mm), **_covariance(value)}
+    write_storage(document, path)
+
+
+def read_opencv(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig | Intrinsics:
+    """A lens, where the file has no poses; a rig otherwise."""
+    document = read_storage(path)
+    if "cameras" in document.values:
+        return _listed(document, unit_mm)
+    for keys in _STEREO:
+        if keys[0] in document.values:
+            return _pair(document, keys, unit_mm)
+    if "camera_matrix" not in document.values:
+        raise document.error(
+            "camera_matrix", "is missing, and so are cameras and M1: give a file of calibration."
+        )
+    return _lens_from_map(document, "camera_matrix", "distortion_coefficients")
+
+
+def _lens_to_map(lens: Intrinsics, camera: str) -> dict[str, Any]:
+    numbers = numbers_of(lens, WRITTEN, TITLE, camera)
+    return {
+        "image_width": lens.image_size_px[0],
+        "image_height": lens.image_size_px[1],
+        "camera_matrix": np.array(
+            [
+                [numbers.focal_px[0], 0, numbers.centre_px[0]],
+                [0, numbers.focal_px[1], numbers.centre_px[1]],
+                [0, 0, 1],
+            ]
+        ),
+        "distortion_coefficients": np.array([numbers.coefficients]),
+    }
+
+
+def _stereo(rig: Rig, cameras: list[dict[str, Any]], unit_mm: float) -> dict[str, Any]:
+    """The keys of OpenCV's stereo sample, for two cameras."""
+    if len(cameras) != 2:
+        return {}
+    poses = [np.asarray(camera.cam_from_world) for camera in rig.cameras]
+    second_from_first = chained(poses[1], inverse(poses[0]))
+    return {
+        "M1": cameras[0]["camera_matrix"],
+        "D1": cameras[0]["distortion_coefficients"],
+        "M2": cameras[1]["camera_matrix"],
+        "D2": cameras[1]["distortion_coefficients"],
+        "image_width": cameras[0]["image_width"],
+        "image_height": cameras[0]["image_height"],
+        "R": second_from_first[:, :3],
+        "T": second_from_first[:, 3:] / unit_mm,
+    }
+
+
+def _covariance(rig: Rig) -> dict[str, Any]:
+    if not rig.parameters:
+        return {}
+    matrix = np.asarray(rig.covariance, dtype=np.float64)
+    return {"covariance": {"parameters": list(rig.parameters), "matrix": matrix}}
+
+
+def _listed(document: Block, unit_mm: float) -> Rig:
+    entries = document.values["cameras"]
+    if not isinstance(entries, list) or not entries:
+        raise document.error("cameras", "must be a list of cameras: add one at least.")
+    cameras: dict[str, Camera] = {}
+    for number, entry in enumerate(entries):
+        block = Block({"": entry}, document.file, "cameras").block("")
+        block = Block(block.values, document.file, f"cameras[{number}]")
+        name = block.text("name")
+        if name in cameras:
+            raise block.error("name", f'is "{name}" as of a camera before it: rename one.')
+        lens = _lens_from_map(block, "camera_matrix", "distortion_coefficients")
+        cameras[name] = Camera(lens, Pose(_pose(block, unit_mm)))
+    parameters, covariance = covariance_of(document, cameras)
+    return Rig(cameras, parameters=parameters, covariance=covariance)
+
+
+def _pair(document: Block, keys: tuple[str, str, str, str], unit_mm: float) -> Rig:
+    first = _lens_from_map(document, keys[0], keys[1])
+    second = _lens_from_map(document, keys[2], keys[3])
+    left = Camera(first, Pose(np.eye(3, 4)))
+    return Rig({"left": left, "right": Camera(second, Pose(_pose(document, unit_mm)))})
+
+
+def _pose(block: Block, unit_mm: float) -> np.ndarray:
+    translation = block.numbers("T", (None, None)).reshape(-1)
+    if translation.shape != (3,):
+        raise block.error("T", "must have three numbers: correct it.")
+    return motion(block.numbers("R", (3, 3)), translation * unit_mm, f'{block.file}: "R"')
+
+
+def _lens_from_map(block: Block, matrix_key: str, distortion_key: str) -> Intrinsics:
+    matrix = block.numbers(matrix_key, (3, 3))
+    if abs(matrix[2] - (0, 0, 1)).max() > 0 or matrix[1, 0] != 0 or matrix[0, 1] != 0:
+        raise block.error(matrix_key, "must be fx 0 cx, 0 fy cy, 0 0 1: correct it.")
+    coefficients: list[float] = []
+    if distortion_key in block.values:
+        coefficients = block.numbers(distortion_key, (None, None)).reshape(-1).tolist()
+    size = Block({"size": [block.number("image_width"), block.number("image_height")]},
+                 block.file, block.place).image_size_px("size")  # fmt: skip
+    numbers = LensNumbers(
+        "", (matrix[0, 0], matrix[1, 1]), (matrix[0, 2], matrix[1, 2]), 0.0, coefficients
+    )
+    return lens_of(numbers, size, READ, block.file)
+
+
+opencv = Format(
+    name="opencv",
+    title=TITLE,
+    holds=("rig", "lens"),
+    reads=("rig", "lens"),
+    place="file",
+    endings=(".yml", ".yaml", ".json"),
+    unit_mm=1.0,
+    unit_is_fixed=False,
+    frames="pixel (0, 0) is the centre of the top-left pixel; x right, y down, z forward",
+    loses=(PIXEL_PITCH,),
+    write=write_opencv,
+    read=read_opencv,
+)

@@ -1,0 +1,182 @@
+"""What a format of another tool is: a name, what it holds, where its origins lie, how it loses."""
+
+import dataclasses
+import os
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from trinoc.calib import CalibrationResult, IntrinsicsResult
+from trinoc.errors import InputError
+from trinoc.geometry import Intrinsics, Rig, Segments
+from trinoc.io.atomic import expect_place
+from trinoc.io.formats.losses import COVARIANCE, LOSSES, lost_of
+from trinoc.match import Matches
+
+Lenses = Mapping[str, Intrinsics]
+# The words of `Format.holds` and `Format.reads`.
+KIND_OF = {Rig: "rig", Intrinsics: "lens", Matches: "matches", Segments: "segments"}
+IN_WORDS = {"rig": "a rig", "lens": "a lens", "matches": "matches", "segments": "segments"}
+
+
+@dataclasses.dataclass(frozen=True)
+class Format:
+    """A file, or a folder of files, that another tool reads or writes.
+
+    Fields
+    ------
+    name : as `trinoc export --to` and `trinoc import --from` take it.
+    title : what people call it.
+    holds : what can be written to it: "rig", "lens", "matches", "segments".
+    reads : what can be read from it; empty where it is only written.
+    place : "file", "folder", or "file or folder": a lens is then a file, a rig a folder of them.
+    endings : of the file's name; empty where any will do.
+    unit_mm : length in mm of its unit, if the caller does not say another; None where it holds no
+        lengths.
+    unit_is_fixed : whether the format itself says its unit.
+    frames : where the origin of its pixels lies, and how its axes point.
+    loses : of `losses.LOSSES`, what it cannot hold although projections stay the same.
+    write : (value, path, unit_mm), with the value and the place already checked.
+    read : (path, unit_mm, lenses); None where the format is only written.
+    """
+
+    name: str
+    title: str
+    holds: tuple[str, ...]
+    reads: tuple[str, ...]
+    place: str
+    endings: tuple[str, ...]
+    unit_mm: float | None
+    unit_is_fixed: bool
+    frames: str
+    loses: tuple[str, ...]
+    write: Callable[[Any, Path, float], None]
+    read: Callable[[Path, float, Lenses | None], Any] | None = None
+
+    def save(
+        self, value: object, path: str | os.PathLike[str], *, unit_mm: float | None = None
+    ) -> None:
+        """Write a Rig (or the rig of a CalibrationResult), Intrinsics, Matches or Segments.
+
+        The file or folder is whole or not there. `unit_mm` is the length in mm of one unit of
+        the file, for formats that leave it open. A covariance is lost where `lost` says so.
+        Raises InputError for what the format does not hold, such as a lens with more distortion
+        than it knows, and for a name with another ending.
+        """
+        value = _plain(value)
+        kind = KIND_OF.get(type(value))
+        if kind not in self.holds:
+            given = f"a {type(value).__name__}" if kind is None else IN_WORDS[kind]
+            held = " or ".join(IN_WORDS[kind] for kind in self.holds)
+            raise InputError(f"{self.title} holds {held}, not {given}: choose another format.")
+        target = Path(path)
+        if self.place == "folder" or (kind == "rig" and "folder" in self.place):
+            expect_new_folder(target)
+        else:
+            expect_place(target)
+            if self.endings and target.suffix.lower() not in self.endings:
+                raise InputError(
+                    f"{target}: {self.title} is written as {' or '.join(self.endings)}: choose "
+                    "such a name."
+                )
+        _expect_writable(value)
+        self.write(value, target, self._unit(unit_mm))
+
+    def load(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        unit_mm: float | None = None,
+        lenses: Lenses | None = None,
+        names: Sequence[str] | None = None,
+    ) -> Any:
+        """Read what `reads` says: a Rig, or Intrinsics, or Segments.
+
+        `unit_mm` is as in `save`; `lenses`, by camera, are needed by formats that hold poses
+        alone; `names` rename the cameras of a rig, in the order of the file. A rig has a
+        covariance only where the format holds one. Raises InputError, in one sentence with the
+        file, for what is missing, not finite or no camera.
+        """
+        if self.read is None:
+            raise InputError(f"{self.title} is only written, not read: import another format.")
+        source = Path(path)
+        if not source.exists():
+            raise InputError(f"{source} does not exist: check the name.")
+        value = self.read(source, self._unit(unit_mm), lenses)
+        return value if names is None else _renamed(value, tuple(names), source)
+
+    def lost(self, value: object) -> tuple[str, ...]:
+        """What of this value the format cannot hold, in words; projections stay the same."""
+        lost = lost_of(_plain(value), self.loses)
+        of_lens = isinstance(value, IntrinsicsResult) and value.covariance is not None
+        return (LOSSES[COVARIANCE], *lost) if of_lens else lost
+
+    def _unit(self, unit_mm: float | None) -> float:
+        if unit_mm is None:
+            return 1.0 if self.unit_mm is None else self.unit_mm
+        if not 0 < unit_mm < float("inf"):
+            raise InputError(f"unit_mm is {unit_mm}, but must be the length of a unit in mm.")
+        if self.unit_mm is None:
+            raise InputError(f"{self.title} holds no lengths: leave unit_mm out.")
+        if self.unit_is_fixed and unit_mm != self.unit_mm:
+            raise InputError(
+                f"{self.title} counts in units of {self.unit_mm:g} mm by its own definition: leave "
+                "unit_mm out."
+            )
+        return unit_mm
+
+
+def expect_new_folder(target: Path) -> None:
+    """Raise InputError unless a folder can be made here: none is mixed with what is there."""
+    if target.exists() and (not target.is_dir() or any(target.iterdir())):
+        raise InputError(f"{target} is there already: give the name of a new folder.")
+    if not target.absolute().parent.is_dir():
+        raise InputError(f"The folder {target.parent} does not exist: create it first.")
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, CalibrationResult):
+        return value.rig
+    if isinstance(value, IntrinsicsResult) and value.lens is not None:
+        return value.lens
+    return value
+
+
+def _expect_writable(value: object) -> None:
+    """Raise InputError for names that no text holds, and for numbers that are not finite."""
+    match value:
+        case Rig():
+            names, lenses = value.names, [camera.intrinsics for camera in value.cameras]
+            numbers = [value.covariance, *(camera.cam_from_world for camera in value.cameras)]
+        case Intrinsics():
+            names, lenses, numbers = (), [value], []
+        case Matches():
+            names, lenses, numbers = value.views, [], [value.lines_mm]
+        case _:
+            return
+    for name in names:
+        if not (name.isprintable() and name.strip()):
+            raise InputError(f"The camera {name!r} has no name that a text file can hold.")
+    numbers += [array for lens in lenses for array in (lens.lens.parameters, lens.skew_px)]
+    if not all(np.isfinite(np.asarray(array)).all() for array in numbers):
+        raise InputError(
+            f"The {type(value).__name__} has numbers that are not finite: calibrate or match again "
+            "so that all are determined."
+        )
+
+
+def _renamed(value: object, names: tuple[str, ...], source: Path) -> Rig:
+    if not isinstance(value, Rig):
+        raise InputError(f"{source} holds no cameras with names: leave the names out.")
+    if len(names) != len(value) or len(set(names)) < len(names) or not all(names):
+        raise InputError(
+            f"{source} holds {len(value)} cameras ({', '.join(value.names)}): give as many "
+            "different names."
+        )
+    new_of = dict(zip(value.names, names, strict=True))
+    split = [parameter.rpartition(".") for parameter in value.parameters]
+    parameters = [f"{new_of.get(camera, camera)}{dot}{own}" for camera, dot, own in split]
+    named = dict(zip(names, value.cameras, strict=True))
+    return Rig(named, parameters=parameters, covariance=value.covariance)

@@ -1,0 +1,100 @@
+"""Kalibr's camchain YAML: cam0, cam1, ..., each with `T_cn_cnm1` from the camera before it.
+
+Kalibr has no world but the first camera, and no names but numbers: both are lost. Its radtan has
+exactly k1, k2, p1, p2.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from trinoc.errors import InputError
+from trinoc.geometry import Camera, Intrinsics, Pose, Rig
+from trinoc.io.atomic import write_text
+from trinoc.io.formats.format import Format, Lenses
+from trinoc.io.formats.lens_rows import LensNumbers, LensRow, lens_of, numbers_of
+from trinoc.io.formats.losses import COVARIANCE, NAMES, PIXEL_PITCH, WORLD
+from trinoc.io.formats.motions import chained, from_homogeneous, homogeneous, inverse
+from trinoc.io.formats.yaml_text import read_yaml, yaml_text
+from trinoc.io.json_document import Block
+
+TITLE = "Kalibr's camchain"
+METRE_MM = 1000.0
+ROWS = (
+    LensRow("radtan", "brown_conrady", ("k1", "k2", "p1", "p2")),
+    LensRow("none", "none", ()),
+)
+
+
+def write_kalibr(rig: Rig, path: Path, unit_mm: float) -> None:
+    """Write the chain, in metres."""
+    document, before = {}, None
+    for number, (name, camera) in enumerate(rig.items()):
+        numbers = numbers_of(camera.intrinsics, ROWS, TITLE, name)
+        entry: dict[str, Any] = {}
+        pose = np.asarray(camera.cam_from_world)
+        if before is not None:
+            entry["T_cn_cnm1"] = homogeneous(chained(pose, inverse(before)), unit_mm).tolist()
+        entry |= {
+            "camera_model": "pinhole",
+            "distortion_coeffs": numbers.coefficients,
+            "distortion_model": numbers.called,
+            "intrinsics": [*numbers.focal_px, *numbers.centre_px],
+            "resolution": list(camera.image_size_px),
+            "rostopic": f"/{name}/image_raw",
+        }
+        document[f"cam{number}"], before = entry, pose
+    write_text(path, yaml_text(document))
+
+
+def read_kalibr(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig:
+    """The chain as a rig whose world is the frame of cam0."""
+    document = read_yaml(path)
+    if "cam0" not in document.values:
+        raise document.error("cam0", "is missing: give the camchain that Kalibr writes.")
+    cameras: dict[str, Camera] = {}
+    pose = np.eye(3, 4)
+    for number, name in enumerate(document.values):
+        if name != f"cam{number}":
+            raise document.error(name, f"stands where cam{number} belongs: order the cameras.")
+        block = document.block(name)
+        if number:
+            step = block.numbers("T_cn_cnm1", (4, 4))
+            where = f'{document.file}: "{name}.T_cn_cnm1"'
+            pose = chained(from_homogeneous(step, unit_mm, where), pose)
+        cameras[name] = Camera(_lens(block), Pose(pose))
+    return Rig(cameras)
+
+
+def _lens(block: Block) -> Intrinsics:
+    if block.text("camera_model") != "pinhole":
+        raise InputError(
+            f'{block.file}: "{block.place}.camera_model" is {block.text("camera_model")}, but '
+            "trinoc reads pinhole: calibrate with that model."
+        )
+    fx, fy, cx, cy = block.numbers("intrinsics", (4,)).tolist()
+    called = block.text("distortion_model")
+    coefficients = block.numbers("distortion_coeffs", (None,)).tolist()
+    if called == "radtan" and len(coefficients) != 4:
+        raise block.error("distortion_coeffs", "must be the four of radtan: k1, k2, p1, p2.")
+    numbers = LensNumbers(called, (fx, fy), (cx, cy), 0.0, coefficients)
+    where = f'{block.file}: "{block.place}"'
+    return lens_of(numbers, block.image_size_px("resolution"), ROWS, where)
+
+
+kalibr = Format(
+    name="kalibr",
+    title=TITLE,
+    holds=("rig",),
+    reads=("rig",),
+    place="file",
+    endings=(".yaml", ".yml"),
+    unit_mm=METRE_MM,
+    unit_is_fixed=True,
+    frames="pixel (0, 0) is the centre of the top-left pixel; x right, y down, z forward; the "
+    "world is the first camera",
+    loses=(WORLD, NAMES, COVARIANCE, PIXEL_PITCH),
+    write=write_kalibr,
+    read=read_kalibr,
+)

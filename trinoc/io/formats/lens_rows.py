@@ -1,0 +1,144 @@
+"""Lenses under the names and in the order of other tools: a table for each format.
+
+The polynomials are the same wherever a model of ours has a name there; what differs is the order
+of the coefficients, how many there are, and where the origin of the pixels lies.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from trinoc.errors import InputError
+from trinoc.geometry import LENS_MODELS, Intrinsics, Rig
+
+# What rounding leaves where a projection matrix was taken apart.
+NEGLIGIBLE_SKEW_PX = 1e-9
+
+
+class LensRow(NamedTuple):
+    """A lens model of a format.
+
+    called : its name there.
+    model : our name of it.
+    coefficients : the order there. Those that our model does not know must be zero.
+    """
+
+    called: str
+    model: str
+    coefficients: tuple[str, ...]
+
+
+class LensNumbers(NamedTuple):
+    """A lens as a format has it: focal lengths, principal point (its origin) and coefficients."""
+
+    called: str
+    focal_px: tuple[float, float]
+    centre_px: tuple[float, float]
+    skew_px: float
+    coefficients: list[float]
+
+
+def cameras_of(rig: Rig) -> dict[str, Intrinsics]:
+    """The lens of each camera."""
+    return {name: camera.intrinsics for name, camera in rig.items()}
+
+
+def numbers_of(
+    lens: Intrinsics,
+    rows: Sequence[LensRow],
+    title: str,
+    camera: str = "",
+    *,
+    origin_px: float = 0.0,
+    skew: bool = False,
+) -> LensNumbers:
+    """The numbers of a lens in the first row of the table that holds them all.
+
+    `origin_px` is where the centre of the top-left pixel lies there. Raises InputError where no
+    row holds the lens, or a skew is not held.
+    """
+    who = f'The lens of "{camera}"' if camera else "The lens"
+    if not skew and abs(float(lens.skew_px)) > NEGLIGIBLE_SKEW_PX:
+        raise InputError(
+            f"{who} has a skew of {float(lens.skew_px):g} px, which {title} cannot hold: export to "
+            "matlab, which can."
+        )
+    values = dict(
+        zip(
+            lens.lens.coefficient_names,
+            np.asarray(lens.lens.coefficients, np.float64).tolist(),
+            strict=True,
+        )
+    )
+    fitting = [row for row in rows if row.model == lens.lens.model] or [
+        row for row in rows if not any(values.values())
+    ]
+    if not fitting:
+        raise InputError(f"{who} is {lens.lens.model}, which {title} cannot hold: choose another.")
+    for row in fitting:
+        left = [name for name, value in values.items() if value and name not in row.coefficients]
+        if not left:
+            break
+    else:
+        raise InputError(
+            f"{who} has {left[0]} = {values[left[0]]:g}, which {title} cannot hold: choose another "
+            "format, or calibrate the lens without it."
+        )
+    focal, centre = np.asarray(lens.focal_length_px), np.asarray(lens.principal_point_px)
+    return LensNumbers(
+        row.called,
+        (float(focal[0]), float(focal[1])),
+        (float(centre[0]) + origin_px, float(centre[1]) + origin_px),
+        float(lens.skew_px),
+        [values.get(name, 0.0) for name in row.coefficients],
+    )
+
+
+def lens_of(
+    numbers: LensNumbers,
+    image_size_px: tuple[int, int],
+    rows: Sequence[LensRow],
+    where: str,
+    *,
+    origin_px: float = 0.0,
+) -> Intrinsics:
+    """The lens of numbers in a file; one whose coefficients are all zero is ideal.
+
+    `where` begins the sentence of the InputError for a model or a coefficient that trinoc does
+    not know, and for numbers that are no lens.
+    """
+    row = next((row for row in rows if row.called == numbers.called), None)
+    if row is None:
+        known = ", ".join(row.called for row in rows)
+        raise InputError(
+            f'{where} has the lens model "{numbers.called}", but trinoc reads {known} here: '
+            "convert the lens first."
+        )
+    if len(numbers.coefficients) > len(row.coefficients):
+        raise InputError(
+            f"{where} has {len(numbers.coefficients)} distortion coefficients, but "
+            f"{numbers.called or 'its model'} has {len(row.coefficients)}: check the file."
+        )
+    given = dict(zip(row.coefficients, numbers.coefficients))
+    ours = LENS_MODELS[row.model].coefficient_names
+    for name, value in given.items():
+        if value and name not in ours:
+            raise InputError(
+                f"{where} has {name} = {value:g}, which trinoc's lens {row.model} does not have: "
+                "convert the lens first."
+            )
+    if not all(focal > 0 for focal in numbers.focal_px):
+        raise InputError(
+            f"{where} has the focal lengths {numbers.focal_px[0]:g} and {numbers.focal_px[1]:g} "
+            "px, but both must be positive: correct them."
+        )
+    distorted = any(given.values())
+    return Intrinsics(
+        image_size_px=image_size_px,
+        focal_length_px=numbers.focal_px,
+        principal_point_px=tuple(c - origin_px for c in numbers.centre_px),
+        skew_px=numbers.skew_px,
+        distortion=[given.get(name, 0.0) for name in ours] if distorted else None,
+        distortion_model=row.model if distorted else None,
+    )

@@ -1,0 +1,54 @@
+"""3-D segments as LIMAP's folder of tracks: track_0.txt, track_1.txt, ...
+
+Images are numbered as the views of the matches, and lines as the segments of each view. Fragments
+count from the corner of the top-left pixel, as the COLMAP cameras do that LIMAP works with.
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+from trinoc.io.atomic import write_text
+from trinoc.io.formats.folders import atomic_folder
+from trinoc.io.formats.format import Format
+from trinoc.io.formats.losses import COVARIANCE, NAMES
+from trinoc.match import Matches
+
+HALF_PX = 0.5
+
+
+def write_limap(matches: Matches, path: Path, unit_mm: float) -> None:
+    """Write a file for each track."""
+    with atomic_folder(path) as folder:
+        for track, ends in enumerate(matches.lines_mm / unit_mm):
+            images = np.flatnonzero(matches.index[track] >= 0)
+            fragments = matches.fragments_px[track, images].reshape(-1, 4) + HALF_PX
+            lines = [
+                _joined(ends.ravel()),
+                f"{len(images)} {len(images)}",
+                f"image_id_list {_joined(images)}",
+                f"line_id_list {_joined(matches.index[track, images])}",
+                "line2d_list",
+                *map(_joined, fragments),
+                "END",
+            ]
+            write_text(folder / f"track_{track}.txt", "\n".join(lines) + "\n")
+
+
+def _joined(numbers: np.ndarray) -> str:
+    return " ".join(map(repr, numbers.tolist()))
+
+
+limap = Format(
+    name="limap",
+    title="LIMAP's track folder",
+    holds=("matches",),
+    reads=(),
+    place="folder",
+    endings=(),
+    unit_mm=1.0,
+    unit_is_fixed=False,
+    frames="the world of the rig; pixel (0, 0) is the corner of the top-left pixel",
+    loses=(COVARIANCE, NAMES),
+    write=write_limap,
+)

@@ -1,0 +1,158 @@
+"""MATLAB's `stereoParameters` as structs in a .mat file, to be read with scipy or MATLAB.
+
+MATLAB knows pairs. For each camera after the first there is a struct `stereoParams` (of two
+cameras), or `stereoParams_2`, `stereoParams_3`, ...: the first camera and that one, with the fields
+of `toStruct`; `stereoParameters(S.stereoParams_2)` makes the object. Its pixels count from 1, its
+matrices are transposed (row vectors: x2 = x1 R + t), and it counts in mm. `camera_names` and
+`cam1_from_world` (4 x 4) stand beside, so that names and world come back, and `covariance`, in
+degrees and mm, with its `parameters` and its `matrix`.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy.io
+
+from trinoc.errors import InputError
+from trinoc.geometry import Camera, Intrinsics, Pose, Rig
+from trinoc.io.atomic import atomic_write
+from trinoc.io.formats.format import Format, Lenses
+from trinoc.io.formats.lens_rows import LensNumbers, LensRow, lens_of, numbers_of
+from trinoc.io.formats.losses import PIXEL_PITCH
+from trinoc.io.formats.mat_file import mat_variables
+from trinoc.io.formats.motions import chained, from_homogeneous, homogeneous, inverse, motion
+from trinoc.io.formats.text_files import block_of
+from trinoc.io.json_document import Block
+from trinoc.io.rig_json import covariance_of
+
+TITLE = "MATLAB's stereoParameters"
+FIRST_PX = 1.0
+VARIABLE = "stereoParams"
+RADIAL, TANGENTIAL = ("k1", "k2", "k3"), ("p1", "p2")
+ROWS = (LensRow("", "brown_conrady", (*RADIAL, *TANGENTIAL)),)
+
+
+def write_matlab(rig: Rig, path: Path, unit_mm: float) -> None:
+    """Write the structs. Raises InputError for a rig of one camera."""
+    if len(rig) < 2:
+        raise InputError(f"{TITLE} is of two cameras: give a rig of two or more.")
+    lenses = [_to_struct(camera.intrinsics, name) for name, camera in rig.items()]
+    poses = [np.asarray(camera.cam_from_world) for camera in rig.cameras]
+    variables: dict[str, Any] = {
+        "camera_names": np.array(rig.names, dtype=object),
+        "cam1_from_world": homogeneous(poses[0], unit_mm),
+    }
+    for number in range(2, len(rig) + 1):
+        second_from_first = chained(poses[number - 1], inverse(poses[0]))
+        name = VARIABLE if len(rig) == 2 else f"{VARIABLE}_{number}"
+        variables[name] = {
+            "CameraParameters1": lenses[0],
+            "CameraParameters2": lenses[number - 1],
+            "RotationOfCamera2": second_from_first[:, :3].T,
+            "TranslationOfCamera2": second_from_first[:, 3][None] / unit_mm,
+        }
+    if rig.parameters:
+        parameters = np.array(rig.parameters, dtype=object)
+        variables["covariance"] = {"parameters": parameters, "matrix": np.asarray(rig.covariance)}
+    with atomic_write(path) as file:
+        scipy.io.savemat(file, variables)
+
+
+def read_matlab(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig:
+    """The rig of one or several structs of stereoParameters; without `cam1_from_world` the world
+    is the first camera."""
+    document = block_of(mat_variables(path), path)
+    pairs = [name for name in document.values if name.startswith(VARIABLE)]
+    if not pairs:
+        raise document.error(VARIABLE, "is missing: save toStruct(stereoParams) under that name.")
+    blocks = [document.block(name) for name in pairs]
+    first_pose = np.eye(3, 4)
+    if "cam1_from_world" in document.values:
+        matrix = document.numbers("cam1_from_world", (4, 4))
+        first_pose = from_homogeneous(matrix, unit_mm, f'{path}: "cam1_from_world"')
+    first = _lens(blocks[0].block("CameraParameters1"))
+    cameras = [Camera(first, Pose(first_pose))]
+    for block in blocks:
+        if not _alike(_lens(block.block("CameraParameters1")), first):
+            raise block.error("CameraParameters1", "differs between pairs: give pairs of one rig.")
+        rotation = block.numbers("RotationOfCamera2", (3, 3)).T
+        translation = block.numbers("TranslationOfCamera2", (1, 3))[0] * unit_mm
+        where = f'{path}: "{block.place}.RotationOfCamera2"'
+        pose = chained(motion(rotation, translation, where), first_pose)
+        cameras.append(Camera(_lens(block.block("CameraParameters2")), Pose(pose)))
+    names = [f"camera{number}" for number in range(1, len(cameras) + 1)]
+    if "camera_names" in document.values:
+        names = list(document.texts("camera_names"))
+        if len(set(names)) != len(cameras):
+            raise document.error("camera_names", f"must be {len(cameras)} different names.")
+    named = dict(zip(names, cameras, strict=True))
+    parameters, covariance = covariance_of(document, named)
+    return Rig(named, parameters=parameters, covariance=covariance)
+
+
+def _to_struct(lens: Intrinsics, camera: str) -> dict[str, Any]:
+    numbers = numbers_of(lens, ROWS, TITLE, camera, origin_px=FIRST_PX, skew=True)
+    (fx, fy), (cx, cy) = numbers.focal_px, numbers.centre_px
+    radial, tangential = numbers.coefficients[:3], numbers.coefficients[3:]
+    terms = 3 if radial[2] else 2
+    return {
+        "RadialDistortion": np.array([radial[:terms]]),
+        "TangentialDistortion": np.array([tangential]),
+        "WorldPoints": np.zeros((0, 2)),
+        "WorldUnits": "mm",
+        "EstimateSkew": bool(numbers.skew_px),
+        "NumRadialDistortionCoefficients": float(terms),
+        "EstimateTangentialDistortion": any(tangential),
+        "TranslationVectors": np.zeros((0, 3)),
+        "RotationVectors": np.zeros((0, 3)),
+        "ReprojectionErrors": np.zeros((0, 2)),
+        "ImageSize": np.array([lens.image_size_px[::-1]], dtype=np.float64),
+        "IntrinsicMatrix": np.array([[fx, 0, 0], [numbers.skew_px, fy, 0], [cx, cy, 1]]),
+    }
+
+
+def _lens(block: Block) -> Intrinsics:
+    if "IntrinsicMatrix" in block.values:
+        matrix = block.numbers("IntrinsicMatrix", (3, 3)).T
+    else:
+        matrix = block.numbers("K", (3, 3))
+    if matrix[1, 0] or not np.array_equal(matrix[2], (0, 0, 1)):
+        raise block.error("IntrinsicMatrix", "must be fx 0 0, skew fy 0, cx cy 1: correct it.")
+    radial = block.numbers("RadialDistortion", (1, None))[0]
+    tangential = block.numbers("TangentialDistortion", (1, 2))[0]
+    if len(radial) > len(RADIAL):
+        raise block.error("RadialDistortion", "must have two or three numbers: correct it.")
+    coefficients = [*radial, *np.zeros(3 - len(radial)), *tangential]
+    size = block.numbers("ImageSize", (1, 2))[0, ::-1]
+    size_px = Block({"size": size.tolist()}, block.file, block.place).image_size_px("size")
+    numbers = LensNumbers(
+        "", (matrix[0, 0], matrix[1, 1]), (matrix[0, 2], matrix[1, 2]), matrix[0, 1], coefficients
+    )
+    return lens_of(numbers, size_px, ROWS, f'{block.file}: "{block.place}"', origin_px=FIRST_PX)
+
+
+def _alike(lens: Intrinsics, other: Intrinsics) -> bool:
+    return (
+        lens.image_size_px == other.image_size_px
+        and np.array_equal(lens.focal_length_px, other.focal_length_px)
+        and np.array_equal(lens.principal_point_px, other.principal_point_px)
+        and np.array_equal(lens.distortion, other.distortion)
+    )
+
+
+matlab = Format(
+    name="matlab",
+    title=TITLE,
+    holds=("rig",),
+    reads=("rig",),
+    place="file",
+    endings=(".mat",),
+    unit_mm=1.0,
+    unit_is_fixed=False,
+    frames="pixel (1, 1) is the centre of the top-left pixel; x right, y down, z forward; row "
+    "vectors (x R + t)",
+    loses=(PIXEL_PITCH,),
+    write=write_matlab,
+    read=read_matlab,
+)

@@ -1,0 +1,90 @@
+"""Rigid motions as other tools write them: checked, chained, and as quaternions or vectors."""
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from trinoc.errors import InputError
+
+# Rotations to this many digits are taken as they are; those that a few digits are missing of, as
+# files of single precision have them, are brought to the nearest rotation.
+EXACT, ROUNDED = 1e-12, 1e-4
+# Of a translation in mm; cameras are nearer than this, in any unit.
+FARTHEST_MM = 1e15
+
+
+def motion(
+    rotation: Float[np.ndarray, "3 3"], translation_mm: Float[np.ndarray, "3"], where: str
+) -> Float[np.ndarray, "3 4"]:
+    """[R | t]; `where` begins the sentence of the InputError for what is no rotation."""
+    if not np.abs(translation_mm).max() < FARTHEST_MM:
+        raise InputError(f"{where} is beside a translation beyond all bounds: correct it.")
+    return np.concatenate([checked_rotation(rotation, where), translation_mm[:, None]], axis=1)
+
+
+def checked_rotation(rotation: Float[np.ndarray, "3 3"], where: str) -> Float[np.ndarray, "3 3"]:
+    """A proper rotation, exact to rounding. Raises InputError for a matrix that is none."""
+    small = np.abs(rotation).max() < 2  # products of larger ones may overflow
+    error = np.abs(rotation @ rotation.T - np.eye(3)).max() if small else np.inf
+    if not error < ROUNDED:
+        raise InputError(f"{where} is no rotation matrix (R R^T differs from 1): correct it.")
+    if np.linalg.det(rotation) < 0:
+        raise InputError(f"{where} is a reflection, not a rotation: check the order of the axes.")
+    if error < EXACT:
+        return rotation
+    left, _, right = np.linalg.svd(rotation)
+    return left @ right
+
+
+def from_homogeneous(
+    matrix: Float[np.ndarray, "4 4"], unit_mm: float, where: str
+) -> Float[np.ndarray, "3 4"]:
+    """[R | t] in mm of a 4 x 4 matrix in units of `unit_mm`. Raises InputError."""
+    if not np.allclose(matrix[3], (0, 0, 0, 1), rtol=0, atol=1e-12):
+        raise InputError(f"{where} is no rigid motion: its last row must be 0 0 0 1.")
+    return motion(matrix[:3, :3], matrix[:3, 3] * unit_mm, where)
+
+
+def homogeneous(pose: Float[np.ndarray, "3 4"], unit_mm: float = 1.0) -> Float[np.ndarray, "4 4"]:
+    """The 4 x 4 matrix of [R | t] in mm, in units of `unit_mm`."""
+    matrix = np.eye(4)
+    matrix[:3] = pose
+    matrix[:3, 3] /= unit_mm
+    return matrix
+
+
+def chained(
+    second: Float[np.ndarray, "3 4"], first: Float[np.ndarray, "3 4"]
+) -> Float[np.ndarray, "3 4"]:
+    """The motion that does `first` and then `second`."""
+    return second @ homogeneous(first)
+
+
+def inverse(pose: Float[np.ndarray, "3 4"]) -> Float[np.ndarray, "3 4"]:
+    """The way back."""
+    rotation = pose[:, :3].T
+    return np.concatenate([rotation, -(rotation @ pose[:, 3])[:, None]], axis=1)
+
+
+def quaternion_wxyz(rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "4"]:
+    """(w, x, y, z) of a rotation, w not negative."""
+    x, y, z, w = Rotation.from_matrix(rotation).as_quat(canonical=True)
+    return np.array([w, x, y, z])
+
+
+def rotation_of_quaternion(wxyz: Float[np.ndarray, "4"], where: str) -> Float[np.ndarray, "3 3"]:
+    """The rotation of (w, x, y, z), of length 1 to the digits of a file. Raises InputError."""
+    if not (np.abs(wxyz).max() < 2 and abs(np.linalg.norm(wxyz) - 1) < ROUNDED):
+        raise InputError(f"{where} is no unit quaternion: correct it.")
+    w, x, y, z = wxyz
+    return Rotation.from_quat([x, y, z, w]).as_matrix()
+
+
+def rotation_vector(rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3"]:
+    """Axis times angle in rad."""
+    return Rotation.from_matrix(rotation).as_rotvec()
+
+
+def rotation_of_vector(vector: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
+    """Inverse of `rotation_vector`."""
+    return Rotation.from_rotvec(vector).as_matrix()

@@ -1,0 +1,126 @@
+"""mrcal's .cameramodel: one camera a file, a rig a folder of NAME.cameramodel.
+
+`extrinsics` is the rotation vector and the translation of x_cam = R x_ref + t, in metres as mrcal's
+own tools count (any other unit works there, too). The uncertainty that mrcal computes needs its
+own optimization inputs: a covariance is lost.
+"""
+
+import ast
+from pathlib import Path
+
+import numpy as np
+
+from trinoc.errors import InputError
+from trinoc.geometry import Camera, Intrinsics, Pose, Rig
+from trinoc.io.atomic import write_text
+from trinoc.io.formats.folders import atomic_folder
+from trinoc.io.formats.format import Format, Lenses
+from trinoc.io.formats.lens_rows import LensNumbers, LensRow, lens_of, numbers_of
+from trinoc.io.formats.losses import COVARIANCE, PIXEL_PITCH
+from trinoc.io.formats.motions import motion, rotation_of_vector, rotation_vector
+from trinoc.io.formats.text_files import block_of, expect_file_name, read_text
+from trinoc.io.json_document import Block
+
+TITLE = "mrcal's .cameramodel"
+ENDING = ".cameramodel"
+METRE_MM = 1000.0
+_OPENCV = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4")
+ROWS = (
+    LensRow("LENSMODEL_PINHOLE", "none", ()),
+    *(LensRow(f"LENSMODEL_OPENCV{n}", "brown_conrady", _OPENCV[:n]) for n in (4, 5, 8, 12)),
+)
+# The key of the pose, as mrcal writes it now and wrote it before.
+POSE_KEYS = ("extrinsics", "rt_cam_ref")
+
+
+def write_mrcal(value: Rig | Intrinsics, path: Path, unit_mm: float) -> None:
+    """Write a lens, at the origin, as a file; a rig as a folder."""
+    if isinstance(value, Intrinsics):
+        write_text(path, _text(value, np.eye(3, 4), "", unit_mm))
+        return
+    texts = {
+        expect_file_name(name, TITLE): _text(
+            camera.intrinsics, np.asarray(camera.cam_from_world), name, unit_mm
+        )
+        for name, camera in value.items()
+    }
+    with atomic_folder(path) as folder:
+        for name, text in texts.items():
+            write_text(folder / f"{name}{ENDING}", text)
+
+
+def read_mrcal(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig | Intrinsics:
+    """The lens of a file, or the rig of a folder, its cameras by name of file."""
+    if not path.is_dir():
+        return _camera(path, unit_mm).intrinsics
+    files = sorted(path.glob(f"*{ENDING}"))
+    if not files:
+        raise InputError(f"{path} holds no {ENDING}: give a folder with one for each camera.")
+    return Rig({file.stem: _camera(file, unit_mm) for file in files})
+
+
+def _text(lens: Intrinsics, pose: np.ndarray, camera: str, unit_mm: float) -> str:
+    numbers = numbers_of(lens, ROWS, TITLE, camera)
+    intrinsics = [*numbers.focal_px, *numbers.centre_px, *numbers.coefficients]
+    extrinsics = [*rotation_vector(pose[:, :3]).tolist(), *(pose[:, 3] / unit_mm).tolist()]
+    return (
+        "{\n"
+        f"    'lensmodel':  '{numbers.called}',\n\n"
+        "    # focal lengths x, y; principal point x, y; distortion\n"
+        f"    'intrinsics': {intrinsics!r},\n\n"
+        "    # rotation vector and translation of x_cam = R x_ref + t\n"
+        f"    'extrinsics': {extrinsics!r},\n\n"
+        f"    'imagersize': {list(lens.image_size_px)!r},\n"
+        "}\n"
+    )
+
+
+def _camera(path: Path, unit_mm: float) -> Camera:
+    block = _parsed(path)
+    intrinsics = block.numbers("intrinsics", (None,)).tolist()
+    if len(intrinsics) < 4:
+        raise block.error("intrinsics", "must begin with fx, fy, cx, cy: correct it.")
+    called = block.text("lensmodel")
+    numbers = LensNumbers(
+        called, (intrinsics[0], intrinsics[1]), (intrinsics[2], intrinsics[3]), 0.0, intrinsics[4:]
+    )
+    lens = lens_of(numbers, block.image_size_px("imagersize"), ROWS, str(path))
+    key = next((key for key in POSE_KEYS if key in block.values), POSE_KEYS[0])
+    vector = block.numbers(key, (6,))
+    where = f'{path}: "{key}"'
+    pose = motion(rotation_of_vector(vector[:3]), vector[3:] * unit_mm, where)
+    return Camera(lens, Pose(pose))
+
+
+def _parsed(path: Path) -> Block:
+    """The literal of a file: nothing in it is run."""
+    try:
+        values = ast.literal_eval(read_text(path))
+    except (ValueError, SyntaxError, TypeError, MemoryError, RecursionError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{path} is no {ENDING} of mrcal: give another file.") from error
+    block = block_of(values, path)
+    # The optimization inputs are binary; nothing here reads them.
+    plain = {key: _lists(value) for key, value in values.items() if isinstance(key, str)}
+    return Block({k: v for k, v in plain.items() if not isinstance(v, bytes)}, block.file, "")
+
+
+def _lists(value: object) -> object:
+    return [_lists(item) for item in value] if isinstance(value, list | tuple) else value
+
+
+mrcal = Format(
+    name="mrcal",
+    title=TITLE,
+    holds=("rig", "lens"),
+    reads=("rig", "lens"),
+    place="file or folder",
+    endings=(ENDING,),
+    unit_mm=METRE_MM,
+    unit_is_fixed=False,
+    frames="pixel (0, 0) is the centre of the top-left pixel; x right, y down, z forward",
+    loses=(COVARIANCE, PIXEL_PITCH),
+    write=write_mrcal,
+    read=read_mrcal,
+)

@@ -1,0 +1,105 @@
+"""2-D segments as the text of other detectors: a row x1 y1 x2 y2 for each, and what they add.
+
+LSD's command line adds width, precision and -log10 of the false alarms (7 columns); ELSED a score
+(5 columns) where asked; LIMAP's segments_<image>.txt begins with the number of rows. All put (0, 0)
+at the centre of the top-left pixel. Read are the ends; what else stands in a row is left out.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from trinoc.errors import InputError
+from trinoc.geometry import Segments
+from trinoc.io.atomic import write_text
+from trinoc.io.formats.format import Format, Lenses
+from trinoc.io.formats.losses import COVARIANCE, DETAILS
+from trinoc.io.formats.text_files import read_text
+
+_FRAMES = "pixel (0, 0) is the centre of the top-left pixel"
+
+
+def write_rows(segments: Segments, path: Path, unit_mm: float) -> None:
+    """A row of four numbers for each segment."""
+    write_text(path, "".join(_rows(segments)))
+
+
+def write_counted(segments: Segments, path: Path, unit_mm: float) -> None:
+    """The number of segments, then the rows."""
+    write_text(path, "".join([f"{len(segments)}\n", *_rows(segments)]))
+
+
+def read_rows(*columns: int) -> Callable[[Path, float, Lenses | None], Segments]:
+    """A reader of rows with one of these numbers of columns."""
+
+    def read(path: Path, unit_mm: float, lenses: Lenses | None) -> Segments:
+        return _segments(read_text(path).splitlines(), path, columns, 1)
+
+    return read
+
+
+def read_counted(path: Path, unit_mm: float, lenses: Lenses | None) -> Segments:
+    """Rows below their number."""
+    first, *lines = read_text(path).splitlines() or [""]
+    segments = _segments(lines, path, (4,), 2)
+    if first.strip() != str(len(segments)):
+        raise InputError(
+            f"{path}, line 1, must be the number of segments, {len(segments)}, but is "
+            f'"{first.strip()[:20]}": give a file of LIMAP.'
+        )
+    return segments
+
+
+def _rows(segments: Segments) -> list[str]:
+    ends = np.asarray(segments.endpoints_px, dtype=np.float64).reshape(-1, 4)
+    return [" ".join(map(repr, row)) + "\n" for row in ends.tolist()]
+
+
+def _segments(lines: list[str], path: Path, columns: tuple[int, ...], start: int) -> Segments:
+    rows = []
+    for number, line in enumerate(lines, start):
+        words = line.replace(",", " ").split()
+        if not words or words[0].startswith("#"):
+            continue
+        try:
+            row = [float(word) for word in words]
+        except ValueError:
+            row = []
+        if len(row) not in columns:
+            raise InputError(
+                f"{path}, line {number}, must be {' or '.join(map(str, columns))} numbers, x1 y1 "
+                "x2 y2 first: correct it."
+            )
+        rows.append(row[:4])
+    try:
+        return Segments.from_endpoints(np.array(rows).reshape(-1, 4))
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def _format(
+    name: str,
+    title: str,
+    write: Callable[[Segments, Path, float], None],
+    read: Callable[[Path, float, Lenses | None], Segments],
+) -> Format:
+    return Format(
+        name=name,
+        title=title,
+        holds=("segments",),
+        reads=("segments",),
+        place="file",
+        endings=(".txt",),
+        unit_mm=None,
+        unit_is_fixed=True,
+        frames=_FRAMES,
+        loses=(COVARIANCE, DETAILS),
+        write=write,
+        read=read,
+    )
+
+
+lsd = _format("lsd", "LSD's text", write_rows, read_rows(4, 5, 7))
+elsed = _format("elsed", "ELSED's text", write_rows, read_rows(4, 5))
+limap_segments = _format("limap-segments", "LIMAP's segments", write_counted, read_counted)

@@ -1,0 +1,150 @@
+"""Poses as static transforms of ROS: a `tf2_msgs/TFMessage` as YAML or JSON.
+
+`ros2 topic pub -1 /tf_static tf2_msgs/msg/TFMessage "$(cat FILE)"` takes either. The JSON has
+besides, under `static_transform_publisher`, the arguments of that program for each camera, as a
+launch file gives them. Each transform is the pose of the frame NAME_optical_frame (x right, y
+down, z forward) in the frame `world`: world_from_cam. Lenses are not in it.
+"""
+
+import json
+from collections.abc import Collection
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from trinoc.errors import InputError
+from trinoc.geometry import Camera, Pose, Rig
+from trinoc.io.atomic import write_text
+from trinoc.io.formats.format import Format, Lenses
+from trinoc.io.formats.losses import COVARIANCE, LENSES
+from trinoc.io.formats.motions import (
+    chained,
+    inverse,
+    motion,
+    quaternion_wxyz,
+    rotation_of_quaternion,
+)
+from trinoc.io.formats.text_files import read_json
+from trinoc.io.formats.yaml_text import read_yaml, yaml_text
+from trinoc.io.json_document import Block
+
+METRE_MM = 1000.0
+WORLD = "world"
+SUFFIXES = ("_optical_frame", "_optical")
+
+
+def write_tf(rig: Rig, path: Path, unit_mm: float) -> None:
+    """Write the poses, in metres. Raises InputError for names that no frame can have."""
+    transforms = []
+    for name, camera in rig.items():
+        if name == WORLD or any(letter.isspace() or letter == "/" for letter in name):
+            raise InputError(
+                f'The camera "{name}" has no name that a frame of TF takes: rename it.'
+            )
+        transforms.append(_transform(name, inverse(np.asarray(camera.cam_from_world)), unit_mm))
+    if path.suffix.lower() != ".json":
+        write_text(path, yaml_text({"transforms": transforms}))
+        return
+    arguments = {name: _arguments(entry) for name, entry in zip(rig, transforms, strict=True)}
+    document = {"transforms": transforms, "static_transform_publisher": arguments}
+    write_text(path, json.dumps(document, indent=2, ensure_ascii=False) + "\n")
+
+
+def read_tf(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig:
+    """The cameras of `lenses` at the poses of the file, in the frame that all hang from."""
+    if not lenses:
+        raise InputError(f"{path} holds poses alone: give the lenses, too (--lenses rig.json).")
+    document = read_json(path) if path.suffix.lower() == ".json" else read_yaml(path)
+    parents = _parents(document, unit_mm)
+    cameras, roots = {}, set()
+    for name, frame in _frames_of(lenses, parents, path).items():
+        world_from_cam = np.eye(3, 4)
+        for _ in parents:
+            frame, parent_from_frame = parents[frame]
+            world_from_cam = chained(parent_from_frame, world_from_cam)
+            if frame not in parents:
+                break
+        else:
+            raise InputError(f"{path}: the frames above {frame} form a ring: correct it.")
+        roots.add(frame)
+        cameras[name] = Camera(lenses[name], Pose(inverse(world_from_cam)))
+    if len(roots) > 1:
+        raise InputError(
+            f"{path}: the cameras hang from {' and '.join(sorted(roots))}, which nothing joins: "
+            "add the transform between them."
+        )
+    return Rig(cameras)
+
+
+def _frames_of(lenses: Lenses, parents: Collection[str], path: Path) -> dict[str, str]:
+    """The frame of each camera, in the order of the file."""
+    frames = {}
+    for name in lenses:
+        frame = next((f for f in (name, *(name + s for s in SUFFIXES)) if f in parents), None)
+        if frame is None:
+            raise InputError(
+                f'{path} has no frame of the camera "{name}" ({name}{SUFFIXES[0]}), but '
+                f"{', '.join(parents)}: give the lenses under these names."
+            )
+        frames[name] = frame
+    order = list(parents)
+    return dict(sorted(frames.items(), key=lambda item: order.index(item[1])))
+
+
+def _transform(name: str, world_from_cam: np.ndarray, unit_mm: float) -> dict[str, Any]:
+    w, x, y, z = quaternion_wxyz(world_from_cam[:, :3]).tolist()
+    place = (world_from_cam[:, 3] / unit_mm).tolist()
+    return {
+        "header": {"frame_id": WORLD},
+        "child_frame_id": name + SUFFIXES[0],
+        "transform": {
+            "translation": dict(zip("xyz", place, strict=True)),
+            "rotation": {"x": x, "y": y, "z": z, "w": w},
+        },
+    }
+
+
+def _arguments(entry: dict[str, Any]) -> list[str]:
+    place, turn = entry["transform"]["translation"], entry["transform"]["rotation"]
+    options = {f"--{key}": value for key, value in place.items()}
+    options |= {f"--q{key}": value for key, value in turn.items()}
+    options |= {"--frame-id": WORLD, "--child-frame-id": entry["child_frame_id"]}
+    return [str(word) for pair in options.items() for word in pair]
+
+
+def _parents(document: Block, unit_mm: float) -> dict[str, tuple[str, np.ndarray]]:
+    """For each frame its parent and parent_from_frame."""
+    entries = document.values.get("transforms")
+    if not isinstance(entries, list) or not entries:
+        raise document.error("transforms", "must be a list of transforms: add one for each camera.")
+    parents: dict[str, tuple[str, np.ndarray]] = {}
+    for number, entry in enumerate(entries):
+        place = f"transforms[{number}]"
+        block = Block(entry if isinstance(entry, dict) else {}, document.file, place)
+        child, parent = block.text("child_frame_id"), block.block("header").text("frame_id")
+        if child in parents:
+            raise block.error("child_frame_id", f'is "{child}" as of one before it: remove one.')
+        turn, shift = (block.block("transform").block(key) for key in ("rotation", "translation"))
+        quaternion = np.array([turn.number(key) for key in "wxyz"])
+        translation = np.array([shift.number(key) for key in "xyz"]) * unit_mm
+        where = f'{document.file}: "{place}"'
+        rotation = rotation_of_quaternion(quaternion, where)
+        parents[child] = parent, motion(rotation, translation, where)
+    return parents
+
+
+tf = Format(
+    name="tf",
+    title="TF static transforms",
+    holds=("rig",),
+    reads=("rig",),
+    place="file",
+    endings=(".yaml", ".yml", ".json"),
+    unit_mm=METRE_MM,
+    unit_is_fixed=True,
+    frames="optical frames (x right, y down, z forward) in the frame world, as world_from_cam",
+    loses=(LENSES, COVARIANCE),
+    write=write_tf,
+    read=read_tf,
+)

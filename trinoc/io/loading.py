@@ -1,0 +1,45 @@
+"""One function that reads any of trinoc's own files of rigs, lenses, matches and segments."""
+
+import json
+import os
+from pathlib import Path
+
+from trinoc.errors import InputError
+from trinoc.geometry import Intrinsics, Rig, Segments
+from trinoc.io import intrinsics_json, matches_npz, rig_json, segments_npz
+from trinoc.io.arrays_npz import format_of_arrays
+from trinoc.match import Matches
+
+READERS = {
+    rig_json.FORMAT: rig_json.load_rig,
+    intrinsics_json.FORMAT: intrinsics_json.load_intrinsics,
+    matches_npz.FORMAT: matches_npz.load_matches,
+    segments_npz.FORMAT: segments_npz.load_segments,
+}
+
+
+def load_any(path: str | os.PathLike[str]) -> Rig | Intrinsics | Matches | Segments:
+    """The value in a rig.json, camera.json, matches.npz or segments.npz, by what the file says.
+
+    Raises InputError for other files.
+    """
+    file = Path(path)
+    found = _format_of_json(file) if file.suffix.lower() == ".json" else format_of_arrays(file)
+    if not isinstance(found, str) or found not in READERS:
+        raise InputError(
+            f"{file} is no rig, camera, matches or segments of trinoc: give a rig.json, "
+            "camera.json, matches.npz or segments.npz."
+        )
+    return READERS[found](file)
+
+
+def _format_of_json(file: Path) -> object:
+    try:
+        values = json.loads(file.read_bytes())
+    except FileNotFoundError as error:
+        raise InputError(f"{file} does not exist: check the name.") from error
+    except OSError as error:
+        raise InputError(f"{file} cannot be read ({error.strerror}): give a file.") from error
+    except (ValueError, RecursionError):
+        return None
+    return values.get("format") if isinstance(values, dict) else None

@@ -1,0 +1,175 @@
+"""More than three views: tracks are tested as wholes, grown into views they lack, and joined.
+
+Each track predicts its line in every view that it lacks. What it meets there belongs to no track,
+and is added, or to another, and the two are joined: the nearest first, and only if the line of all
+segments together is consistent. So every member is tested again at every step.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from trinoc.match.observations import MatchInput
+from trinoc.match.selection import Tracks
+from trinoc.match.tracks.consistency import FittedTracks, consistent, fitted, without_misfits
+from trinoc.match.tracks.extent import interval_of
+from trinoc.match.tracks.location import before_cameras
+from trinoc.match.tracks.parts import common_part, overlap
+from trinoc.match.tracks.prediction import predicted_in
+from trinoc.match.tuning import DEFAULT, MatchTuning
+
+# Nobody's segment.
+FREE = -1
+
+
+class _Proposal(NamedTuple):
+    """To give a track a segment of another view, or all segments of the track that has it."""
+
+    chi_square: float
+    track: int
+    view: int
+    segment: int
+    owner: int
+
+
+def consolidated(seen: MatchInput, tracks: Tracks, tuning: MatchTuning = DEFAULT) -> Tracks:
+    """Tracks of which each is consistent, and as many views as agree are in each."""
+    gate = tuning.candidates.gate
+    now = fitted(seen, tracks.candidates.index, tracks.candidates.ends_mm)
+    now = without_misfits(seen, now, gate)
+    alive = np.asarray((now.index >= 0).any(axis=1))
+    refused: set[tuple[int, ...]] = set()
+    changed = alive.copy()
+    proposals: dict[int, list[_Proposal]] = {}
+    for _ in range(tuning.tracks.merge_rounds):
+        proposals = {t: p for t, p in proposals.items() if alive[t] and not changed[t]}
+        proposals |= _proposals(seen, now, np.flatnonzero(alive & changed), tuning)
+        owners = _owners(seen, now, alive)
+        trials = _disjoint(seen, now, alive, proposals, owners, refused, tuning)
+        if not trials:
+            break
+        index = np.array([trial.index for trial in trials])
+        common = np.array([trial.common_mm for trial in trials])
+        attempt = fitted(seen, index, common)
+        good = consistent(attempt, gate) & before_cameras(seen.lines, index, attempt.ends_mm)
+        changed = np.zeros(len(alive), dtype=bool)
+        columns = [column.copy() for column in now]
+        for row, trial in enumerate(trials):
+            if not good[row]:
+                refused.add(tuple(trial.index.tolist()))
+                continue
+            for column, new in zip(columns, attempt, strict=True):
+                column[trial.track] = new[row]
+            changed[trial.track] = True
+            if trial.joined != FREE:
+                alive[trial.joined] = False
+        now = FittedTracks(*columns)
+    return _as_tracks(seen, tracks, now).take(np.flatnonzero(alive))
+
+
+class _Trial(NamedTuple):
+    track: int
+    joined: int
+    index: Int[np.ndarray, "v"]
+    common_mm: Float[np.ndarray, "2 3"]
+
+
+def _proposals(
+    seen: MatchInput, now: FittedTracks, rows: Int[np.ndarray, "r"], tuning: MatchTuning
+) -> dict[int, list[_Proposal]]:
+    """What each of some tracks meets in the views that it lacks."""
+    found: dict[int, list[_Proposal]] = {int(row): [] for row in rows}
+    for view, count in enumerate(seen.counts):
+        lacking = rows[now.index[rows, view] < 0]
+        hits = predicted_in(
+            seen.lines, view, count, now.ends_mm[lacking], now.covariance_mm2[lacking], tuning
+        )
+        for track, segment, chi_square in zip(*(column.tolist() for column in hits), strict=True):
+            row = int(lacking[track])
+            found[row].append(_Proposal(chi_square, row, view, segment, FREE))
+    return found
+
+
+def _owners(
+    seen: MatchInput, now: FittedTracks, alive: np.ndarray
+) -> dict[tuple[int, int], list[int]]:
+    """The tracks that each segment is on."""
+    owners: dict[tuple[int, int], list[int]] = {}
+    for track in np.flatnonzero(alive).tolist():
+        for view, segment in enumerate(now.index[track].tolist()):
+            if segment >= 0:
+                owners.setdefault((view, segment), []).append(track)
+    return owners
+
+
+def _disjoint(
+    seen: MatchInput,
+    now: FittedTracks,
+    alive: np.ndarray,
+    proposals: dict[int, list[_Proposal]],
+    owners: dict[tuple[int, int], list[int]],
+    refused: set[tuple[int, ...]],
+    tuning: MatchTuning,
+) -> list[_Trial]:
+    """The nearest proposals, no two of which touch one track or one segment."""
+    busy: set[tuple[int, int]] = set()
+    trials = []
+    # A proposal may name a track that has gone, or a view that its track now has.
+    for proposal in sorted(p for each in proposals.values() for p in each):
+        track, view, segment = proposal.track, proposal.view, proposal.segment
+        if (FREE, track) in busy or (view, segment) in busy or now.index[track, view] >= 0:
+            continue
+        trial = _trial(seen, now, proposal, owners.get((view, segment), []), tuning)
+        if trial is None or tuple(trial.index.tolist()) in refused:
+            continue
+        if trial.joined != FREE and (FREE, trial.joined) in busy:
+            continue
+        busy |= {(FREE, track), (view, segment), (FREE, trial.joined)} - {(FREE, FREE)}
+        trials.append(trial)
+    return trials
+
+
+def _trial(
+    seen: MatchInput,
+    now: FittedTracks,
+    proposal: _Proposal,
+    owners: list[int],
+    tuning: MatchTuning,
+) -> _Trial | None:
+    """What the track would be, None where its part of the segment is another's that is no part of
+    the same line, or where too little is left that all views show."""
+    track, view, segment = proposal.track, proposal.view, proposal.segment
+    index = now.index[track].copy()
+    index[view] = segment
+    part = common_part(seen, index, now.common_mm[track])
+    before = np.linalg.norm(now.common_mm[track][1] - now.common_mm[track][0])
+    if part is None or np.linalg.norm(part[1] - part[0]) < tuning.tracks.min_shared * before:
+        return None
+    claims = [
+        other
+        for other in owners
+        if overlap(seen, view, segment, part, now.common_mm[other])
+        > tuning.selection.conflict_overlap
+    ]
+    if not claims:
+        return _Trial(track, FREE, index, part)
+    if len(claims) > 1:
+        return None
+    joined = claims[0]
+    both = (index >= 0) & (now.index[joined] >= 0)
+    if (index[both] != now.index[joined][both]).any():
+        return None
+    index = np.maximum(index, now.index[joined])
+    part = common_part(seen, index, now.common_mm[track])
+    if part is None or np.linalg.norm(part[1] - part[0]) < tuning.tracks.min_shared * before:
+        return None
+    return _Trial(track, joined, index, part)
+
+
+def _as_tracks(seen: MatchInput, tracks: Tracks, now: FittedTracks) -> Tracks:
+    interval = interval_of(seen, now.index, now.common_mm)
+    candidates = tracks.candidates._replace(
+        index=now.index, interval=interval, ends_mm=now.common_mm
+    )
+    return tracks._replace(candidates=candidates)

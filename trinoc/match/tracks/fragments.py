@@ -1,0 +1,63 @@
+"""The parts of segments that a track shows, and what their ends are worth.
+
+A part ends where one view's segment ends, and there the other views' segments are cut by the
+epipolar plane of that end. A cut is no observation of its own: it moves along its segment by
+(error across) / sin(angle to the epipolar line), all of which the errors across say already. So
+only the view whose segment ends there knows the place along the line, and in the others it is
+free: views whose blocks are then taken for independent give the line's true covariance.
+"""
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from trinoc.match.observations import MatchInput
+from trinoc.match.tracks.extent import reach_of
+
+# Standard deviation along its segment of an end that a plane cuts, px: nothing is known of it.
+FREE_PX = 1e4
+
+
+def ending_view(
+    seen: MatchInput, index: Int[np.ndarray, "t v"], ends_mm: Float[np.ndarray, "t 2 3"]
+) -> Bool[np.ndarray, "t v 2"]:
+    """Whether it is this view's segment that ends at each of the ends of a track's line."""
+    reach = reach_of(seen, index, ends_mm)
+    off = np.abs(reach - np.array([0.0, 1.0]))
+    nearest = np.nanargmin(off, axis=1) if len(index) else np.zeros((0, 2), dtype=np.int64)
+    return np.arange(index.shape[1])[None, :, None] == nearest[:, None, :]
+
+
+def fragments_of(
+    seen: MatchInput,
+    index: Int[np.ndarray, "t v"],
+    interval: Float[np.ndarray, "t v 2"],
+    ends_here: Bool[np.ndarray, "t v 2"],
+) -> tuple[Float[np.ndarray, "t v 2 2"], Float[np.ndarray, "t v 4 4"]]:
+    """(parts of the segments, undistorted; their covariances), NaN where not seen."""
+    tracks, views = index.shape
+    fragments = np.full((tracks, views, 2, 2), np.nan)
+    covariance = np.full((tracks, views, 4, 4), np.nan)
+    for view in range(views):
+        on = np.flatnonzero(index[:, view] >= 0)
+        segment = index[on, view]
+        ends, share = seen.ends_px[view][segment], interval[on, view]
+        weight = np.stack([1 - share, share], axis=2)
+        fragments[on, view] = weight @ ends
+        # Each end of the fragment is a mean of the segment's ends; so is its error.
+        spread = np.einsum("tef,ij->teifj", weight, np.eye(2)).reshape(-1, 4, 4)
+        own = spread @ seen.covariance_px2[view][segment] @ spread.mT
+        covariance[on, view] = _free_where_cut(own, ends, ends_here[on, view])
+    return fragments, covariance
+
+
+def _free_where_cut(
+    covariance_px2: Float[np.ndarray, "n 4 4"],
+    segment_px: Float[np.ndarray, "n 2 2"],
+    ends_here: Bool[np.ndarray, "n 2"],
+) -> Float[np.ndarray, "n 4 4"]:
+    """Covariance of ends of which those that are cut may lie anywhere along the segment."""
+    along = segment_px[:, 1] - segment_px[:, 0]
+    along = along / np.linalg.norm(along, axis=1)[:, None]
+    freed = np.where(ends_here, 0.0, FREE_PX**2)
+    push = np.einsum("ne,ef,ni,nj->neifj", freed, np.eye(2), along, along)
+    return covariance_px2 + push.reshape(-1, 4, 4)

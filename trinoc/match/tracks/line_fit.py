@@ -1,0 +1,38 @@
+"""The line in space of each track: maximum likelihood of all of its segments."""
+
+import jax
+import numpy as np
+from jaxtyping import Float, Int
+
+from trinoc.geometry import Segment3D, triangulate_segment
+from trinoc.match.observations import MatchInput
+from trinoc.match.tracks.extent import interval_of, two_view_part
+from trinoc.match.tracks.fragments import ending_view, fragments_of
+from trinoc.match.tracks.location import before_cameras
+from trinoc.numerics import in_blocks
+
+_triangulated = jax.jit(jax.vmap(triangulate_segment, in_axes=(None, 0, 0, 0)))
+
+
+def lines_in_space(
+    seen: MatchInput, index: Int[np.ndarray, "t v"], common_mm: Float[np.ndarray, "t 2 3"]
+) -> tuple[Float[np.ndarray, "t 2 3"], Float[np.ndarray, "t 6 6"], Float[np.ndarray, "t"]]:
+    """Maximum-likelihood ends of what two views show, with covariance and chi-square.
+
+    `common_mm` are the ends of the part that all views of a track show.
+    """
+    part_mm = two_view_part(seen, index, common_mm)
+    # Beyond the common part a line may pass behind a camera that sees it.
+    before = before_cameras(seen.lines, index, part_mm)
+    part_mm = np.where(before[:, None, None], part_mm, common_mm)
+    ends_here = ending_view(seen, index, part_mm)
+    shown = fragments_of(seen, index, interval_of(seen, index, part_mm), ends_here)
+    # Rows of padding hold no view, which leaves their lines undetermined, and harmless.
+    block = seen.lines.ends_px.shape[1]
+
+    def triangulated(*columns: np.ndarray) -> Segment3D:
+        return _triangulated(seen.lines.matrix_px, *columns)
+
+    found = in_blocks(triangulated, block, *shown, index >= 0)
+    misfit = np.where((index >= 0).sum(axis=1) > 2, found.chi_square, 0.0)
+    return np.asarray(found.ends_mm), np.asarray(found.covariance_mm2), misfit
