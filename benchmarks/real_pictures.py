@@ -30,7 +30,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from picture_bound import bound_of_image
+from picture_bound import Scene, bound_of_image
 
 import trinoc
 from trinoc.errors import CalibrationError
