@@ -42,8 +42,23 @@ def gate_pixels(
     sigma = max(robust_sigma(residual, 0.1 * contrast), contrast / 1000)
     wrong = np.abs(residual) > _OUTLIER_SIGMAS * sigma
     kept = np.abs(residual) <= _LONE_SIGMAS * sigma
+    return Gate(_apart_from_crowds(chosen, wrong, kept), sigma)
+
+
+def gate_by_sigma(
+    chosen: SelectedPixels, residual: Float[np.ndarray, "n"], sigma: Float[np.ndarray, "n"]
+) -> Bool[np.ndarray, "n"]:
+    """The pixels that stay where each has a noise of its own."""
+    size = np.abs(residual) / sigma
+    return _apart_from_crowds(chosen, size > _OUTLIER_SIGMAS, size <= _LONE_SIGMAS)
+
+
+def _apart_from_crowds(
+    chosen: SelectedPixels, wrong: Bool[np.ndarray, "n"], kept: Bool[np.ndarray, "n"]
+) -> Bool[np.ndarray, "n"]:
+    """`kept`, less whole neighbourhoods of wrong pixels."""
     if not wrong.any():
-        return Gate(kept, sigma)
+        return kept
     left, top = chosen.column.min(), chosen.row.min()
     shape = (chosen.row.max() - top + 1, chosen.column.max() - left + 1)
     seen, off = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
@@ -54,4 +69,4 @@ def gate_pixels(
         cv2.boxFilter(field, -1, window, normalize=False, borderType=cv2.BORDER_CONSTANT)
         for field in (seen, off)
     )
-    return Gate(kept & (off[place] <= _LARGEST_SHARE * seen[place]), sigma)
+    return kept & (off[place] <= _LARGEST_SHARE * seen[place])

@@ -8,7 +8,11 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.photometric.appearance import NUISANCE, Appearance
+from trinoc.calib.photometric.appearance import LIGHT_TERMS, NUISANCE, Appearance
+from trinoc.calib.photometric.camera_fit import CameraFit, fit_camera
+from trinoc.calib.photometric.camera_scene import CameraScene, light_terms
+from trinoc.calib.photometric.clipped_noise import saturation_level, white_of
+from trinoc.calib.photometric.found import found_in
 from trinoc.calib.photometric.gate import gate_pixels
 from trinoc.calib.photometric.gauss_newton import (
     Fit,
@@ -20,6 +24,7 @@ from trinoc.calib.photometric.gauss_newton import (
 )
 from trinoc.calib.photometric.initial import initial_appearance
 from trinoc.calib.photometric.ink_coverage import Cross, Drawing
+from trinoc.calib.photometric.local_light import blocks_of_pixels
 from trinoc.calib.photometric.noise_floor import noise_floor
 from trinoc.calib.photometric.pixel_selection import (
     PARTS,
@@ -29,6 +34,7 @@ from trinoc.calib.photometric.pixel_selection import (
     group_of,
     select_pixels,
 )
+from trinoc.calib.photometric.refutation import is_refuted
 from trinoc.calib.targets import Pattern
 from trinoc.geometry import AbstractLens, Pose, PoseModel
 from trinoc.numerics import GemanMcClure
@@ -58,6 +64,8 @@ class ImageRefinement(NamedTuple):
     pixels : number of pixels that stayed.
     pixels_cut : number of pixels near an edge that show something else than the sheet.
     converged : whether the last step was small against its own standard deviation.
+    found : what the picture shows of its camera and its light, in words; nothing where an ideal
+        camera explains it.
     """
 
     pose: Pose
@@ -68,6 +76,7 @@ class ImageRefinement(NamedTuple):
     pixels: int
     pixels_cut: int
     converged: bool
+    found: tuple[str, ...] = ()
 
 
 def refine_image(
@@ -113,16 +122,68 @@ def refine_image(
     if freedom <= 0:
         return None
     state = jax.tree.map(np.asarray, last.state)
-    return ImageRefinement(
+    floor = noise_floor(_cut_out(image, choice), choice.flat)
+    simple = ImageRefinement(
         state.pose,
         state.appearance,
         _marginal(np.asarray(last.sums.information), model.size),
         float(np.sqrt(np.sum(left.astype(np.float64) ** 2) / freedom)),
-        noise_floor(_cut_out(image, choice), choice.flat),
+        floor,
         len(left),
         int(np.sum(~gate.kept)),
         bool(last.converged),
     )
+    scene = CameraScene(
+        (circles, lines),
+        (counts[0], counts[1]),
+        image[everything.row, everything.column].astype(np.float64),
+        np.stack([everything.column, everything.row], axis=1),
+        light_terms(_places(everything, size)),
+        np.ones(len(everything.row)),
+        cross,
+        drawing,
+        model,
+        white_of(image),
+        saturation_level(image[everything.row, everything.column]),
+    )
+    if not is_refuted(scene, state.appearance, residuals(last), gate.kept, floor):
+        return simple
+    blocks = blocks_of_pixels(scene.uv_px, start, lens, pattern)
+    extended = fit_camera(scene, jax.tree.map(np.asarray, first.state), start, blocks)
+    if extended is None or not np.isfinite(extended.covariance).all():
+        return simple
+    return _as_refinement(scene, extended, floor)
+
+
+def _as_refinement(scene: CameraScene, fit: CameraFit, floor: float) -> ImageRefinement:
+    """The extended fit in the words of the simple one.
+
+    The information is that of the covariance for the noise at the middle grey level.
+    """
+    look = fit.state.look_of
+    appearance = Appearance(
+        np.asarray(look("sigma_px")),
+        np.asarray(look("spread_mm")),
+        np.asarray(look("ratio")),
+        fit.state.light[:LIGHT_TERMS],
+    )
+    return ImageRefinement(
+        fit.state.pose,
+        appearance,
+        np.linalg.inv(fit.covariance) * fit.sigma**2,
+        fit.sigma,
+        floor,
+        int(fit.kept.sum()),
+        int(np.sum(~fit.kept)),
+        True,
+        found_in(scene, fit),
+    )
+
+
+def _places(chosen: SelectedPixels, size: tuple[int, int]) -> Float[np.ndarray, "n 2"]:
+    """(u, v) about the picture's middle in units of half its width."""
+    uv_px = np.stack([chosen.column, chosen.row], axis=1).astype(np.float64)
+    return (uv_px - 0.5 * (np.array(size) - 1)) / (0.5 * size[0])
 
 
 # Threads that meet an uncompiled program would each compile it; the first one does.
@@ -193,4 +254,10 @@ def _marginal(information: Float[np.ndarray, "k k"], pose_size: int) -> Float[np
     inner = look[:, pose_size:]
     scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))
     scaled = inner / (scale[:, None] * scale)
-    return pose[:, :pose_size] - (across / scale) @ np.linalg.solve(scaled, (across / scale).T)
+    if not np.isfinite(scaled).all():
+        return np.full((pose_size, pose_size), np.nan)
+    try:
+        follow = np.linalg.solve(scaled, (across / scale).T)
+    except np.linalg.LinAlgError:
+        return np.full((pose_size, pose_size), np.nan)
+    return pose[:, :pose_size] - (across / scale) @ follow

@@ -1,0 +1,231 @@
+"""The fit of a picture that an ideal camera's model does not explain.
+
+Robust steps and the choice of unknowns look at a part of the pixels, the last steps at all of
+them.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from trinoc.calib.photometric.camera_evidence import FIRST, evidence_for_more
+from trinoc.calib.photometric.camera_scene import CameraScene, predict_scene
+from trinoc.calib.photometric.camera_steps import (
+    Equations,
+    Point,
+    equations_at,
+    pose_information,
+    reweighted,
+    settle,
+    share_of_rest,
+    stepped,
+)
+from trinoc.calib.photometric.clipped_noise import clipped
+from trinoc.calib.photometric.correlated_noise import autocorrelation, correlated_sum
+from trinoc.calib.photometric.gate import gate_by_sigma
+from trinoc.calib.photometric.gauss_newton import ImageState
+from trinoc.calib.photometric.local_light import LOCAL_TERMS, Blocks
+from trinoc.calib.photometric.pixel_selection import PARTS, SelectedPixels
+from trinoc.calib.photometric.unknowns import (
+    LIGHT_TERMS,
+    LOOK_NAMES,
+    START,
+    VEIL_TERMS,
+    CameraState,
+)
+from trinoc.geometry import Pose
+from trinoc.numerics import GemanMcClure
+
+# Shares of the contrast at which a residual loses its influence (first with the simple unknowns).
+_SCALES = (0.1, 0.07, 0.05, 0.05, 0.05)
+_BLINDED_SCALES = (0.15, 0.15, 0.15, *_SCALES)
+_DAMPING = 1e-4
+_GATES, _FIRST_STEPS, _MORE_STEPS, _LAST_STEPS = 3, 5, 5, 3
+_ROUNDS = 2
+# Paper beyond saturation starts this much brighter than it looks.
+_BLINDED = 1.15
+_PAPER_SHARE, _FEWEST_PIXELS = 0.03, 10
+
+
+class CameraFit(NamedTuple):
+    """Where the extended fit ended.
+
+    Fields
+    ------
+    state : of all unknowns.
+    active : places of those that were free.
+    covariance : (p, p) of a step of the pose, for the noise that the residuals show, shared by
+        neighbours.
+    chi_square : reduced, of the residuals over their own noise.
+    sigma : noise at the grey level between paper and ink.
+    kept : (n,) pixels that stayed.
+    correlation : of neighbours' noise, by lag.
+    spread_of : standard deviations of the unknowns of the look, 0 for those that were held.
+    """
+
+    state: CameraState
+    active: list[int]
+    covariance: Float[np.ndarray, "p p"]
+    chi_square: float
+    sigma: float
+    kept: Bool[np.ndarray, "n"]
+    correlation: Float[np.ndarray, "9 9"]
+    spread_of: Float[np.ndarray, "15"]
+
+
+def fit_camera(
+    scene: CameraScene, fitted: ImageState, circles: Pose, blocks: Blocks
+) -> CameraFit | None:
+    """From the simple model's fit (or the circles' pose) to the extended model's.
+
+    `blocks` of the pixels serve where light is too uneven for a polynomial. None where nothing
+    is left to be fitted.
+    """
+    part = scene.first(PARTS)
+    active = [*scene.layout.simple, *scene.layout.look(*FIRST)]
+    point = _robust(part, _start(part, fitted, circles), active)
+    point = settle(part, _gated(part, point, active), active, _FIRST_STEPS)
+    for _ in range(_ROUNDS):
+        point = reweighted(part, point)
+        evidence = evidence_for_more(part, equations_at(part, point), active)
+        if evidence.uneven_light:
+            scene = scene._replace(blocks=blocks)
+            part = scene.first(PARTS)
+            active = [*active, *scene.layout.uneven_light]
+            state = _locally_lit(part, _start(part, fitted, circles))
+            point = _robust(part, state, active)
+            point = settle(part, _gated(part, point, active), active, _FIRST_STEPS)
+        elif evidence.free:
+            active = [*active, *evidence.free]
+            point = settle(part, point, active, _MORE_STEPS)
+        else:
+            break
+    return _finished(scene, point.state, active)
+
+
+def _finished(scene: CameraScene, state: CameraState, active: list[int]) -> CameraFit | None:
+    """All pixels: gate, noise, last steps, covariance."""
+    point = _gated(scene, _point(scene, state), active, gates=1)
+    for _ in range(_ROUNDS):
+        point = reweighted(scene, settle(scene, point, active, _LAST_STEPS))
+        sums = equations_at(scene, point)
+        evidence = evidence_for_more(scene, sums, active)
+        if not evidence.free:
+            break
+        active = [*active, *evidence.free]
+    if point.kept.sum() <= len(active):
+        return None
+    return _judged(scene, point, sums, active)
+
+
+def _judged(scene: CameraScene, point: Point, sums: Equations, active: list[int]) -> CameraFit:
+    size = scene.model.size
+    follow = share_of_rest(sums.matrix, active, size)
+    motion = -follow
+    motion[:size] = np.eye(size)
+    rows = motion.T.astype(sums.rows.dtype) @ sums.rows
+    if sums.local is not None and scene.blocks is not None:
+        of_levels, eliminated = sums.local
+        levels = eliminated.by_rest @ motion
+        rows = rows - np.einsum("kn,nkp->pn", of_levels, levels[scene.blocks.of_pixel])
+    standard = sums.residual / sums.sigma
+    correlation = autocorrelation(scene.grid, standard, point.kept)
+    middle = correlated_sum(scene.grid, rows * np.sqrt(sums.weight), correlation)
+    inverse = np.linalg.pinv(pose_information(sums.matrix, active, size), hermitian=True)
+    kept = point.kept
+    chi_square = float(np.sum(standard[kept] ** 2) / (kept.sum() - len(active)))
+    everything = np.sqrt(np.abs(np.diag(np.linalg.pinv(sums.matrix[np.ix_(active, active)]))))
+    spread = np.zeros(scene.layout.size)
+    spread[active] = everything
+    look = spread[size : size + len(LOOK_NAMES)]
+    levels = point.prediction.level
+    half = point.state.light[0] * (1 + 0.5 * point.state.look_of("ratio"))
+    near = np.argsort(np.abs(levels - half))[: max(len(levels) // 50, 1)]
+    return CameraFit(
+        point.state,
+        active,
+        inverse @ middle @ inverse * chi_square,
+        chi_square,
+        float(np.median(point.sigma[near])),
+        kept,
+        correlation,
+        look,
+    )
+
+
+def _start(scene: CameraScene, fitted: ImageState, circles: Pose) -> CameraState:
+    appearance = fitted.appearance
+    look = START.copy()
+    for name in ("sigma_px", "spread_mm", "ratio"):
+        look[LOOK_NAMES.index(name)] = float(getattr(appearance, name))
+    light = np.zeros(LIGHT_TERMS)
+    light[: len(appearance.light)] = appearance.light
+    pose = fitted.pose
+    if _is_blinded(scene, light[0]):
+        # The simple model took saturation for the paper's level: nothing it says is of use.
+        ink = light[0] * (1 + float(appearance.ratio))
+        light[:] = 0.0
+        light[0] = _BLINDED * scene.top
+        look[LOOK_NAMES.index("ratio")] = ink / light[0] - 1
+        look[LOOK_NAMES.index("spread_mm")] = 0.0
+        pose = circles
+    return CameraState(pose, look, light, np.zeros(VEIL_TERMS), np.zeros((LOCAL_TERMS, 0)))
+
+
+def _is_blinded(scene: CameraScene, paper: float) -> bool:
+    return paper > 0.97 * scene.top
+
+
+def _locally_lit(scene: CameraScene, state: CameraState) -> CameraState:
+    """Each block's light from the median of its paper."""
+    blocks = scene.blocks
+    assert blocks is not None
+    state = state._replace(levels=np.zeros((LOCAL_TERMS, blocks.count)))
+    light = state.light @ scene.terms
+    share = (predict_scene(scene, state).level / light - 1) / state.look_of("ratio")
+    for block in range(blocks.count):
+        paper = (blocks.of_pixel == block) & (share < _PAPER_SHARE)
+        if paper.sum() >= _FEWEST_PIXELS:
+            state.levels[0, block] = np.median(scene.grey[paper] / light[paper]) - 1
+    return state
+
+
+def _robust(scene: CameraScene, state: CameraState, active: list[int]) -> Point:
+    """One step at each scale, without noise."""
+    contrast = -state.look_of("ratio") * state.light[0]
+    blinded = _is_blinded(scene, state.light[0])
+    point = _point(scene, state)
+    for scale in _BLINDED_SCALES if blinded else _SCALES:
+        residual = clipped(point.prediction.level, point.sigma, scene.top).mean - scene.grey
+        loss = GemanMcClure.from_scale(scale * contrast)
+        weight = np.asarray(loss.weight(residual**2)) / point.sigma**2
+        sums = equations_at(scene, point, weight)
+        free = scene.layout.simple if scale > _SCALES[1] else active
+        state, _ = stepped(scene, point.state, sums, free, _DAMPING)
+        point = point._replace(state=state, prediction=predict_scene(scene, state))
+    return point
+
+
+def _gated(
+    scene: CameraScene, point: Point, active: list[int], gates: int = _GATES
+) -> Point:
+    """Noise and pixels that show the sheet, a step between each look at them."""
+    chosen = SelectedPixels(*scene.uv_px.T, np.zeros(len(scene.grey), dtype=int))
+    point = reweighted(scene, point, robust=True)
+    for k in range(gates):
+        cut = clipped(point.prediction.level, point.sigma, scene.top)
+        kept = gate_by_sigma(chosen, cut.mean - scene.grey, cut.sigma)
+        point = reweighted(scene, point._replace(kept=kept), robust=True)
+        if k + 1 < gates:
+            point = settle(scene, point, active, 1)
+    return point
+
+
+def _point(scene: CameraScene, state: CameraState) -> Point:
+    count = len(scene.grey)
+    contrast = -state.look_of("ratio") * state.light[0]
+    sigma = np.full(count, 0.01 * contrast) * scene.noise_scale
+    return Point(state, predict_scene(scene, state), sigma, np.ones(count, dtype=bool))
+
+
