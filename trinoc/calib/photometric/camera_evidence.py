@@ -3,10 +3,12 @@
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Bool, Float
 
 from trinoc.calib.photometric.camera_scene import CameraScene
 from trinoc.calib.photometric.camera_steps import Equations
 from trinoc.calib.photometric.correlated_noise import autocorrelation, inflation
+from trinoc.calib.photometric.local_light import Blocks
 
 # Unknowns that are freed together, by name; the first of the second pair must be free already.
 GROUPS = {
@@ -26,6 +28,8 @@ _NEEDS = {"line": "along_u", "lobe shape": "lobe"}
 FIRST = ("bend", "kurtosis", "along_u", "diagonal", "lobe")
 # Chi-square above twice its degrees of freedom (Akaike) by this much frees a group.
 _EVIDENCE = 12.0
+# Uneven light itself makes neighbours agree; noise does no more than this.
+_LARGEST_SPREAD = 5.0
 
 
 class Evidence(NamedTuple):
@@ -35,7 +39,9 @@ class Evidence(NamedTuple):
     uneven_light: bool
 
 
-def evidence_for_more(scene: CameraScene, sums: Equations, active: list[int]) -> Evidence:
+def evidence_for_more(
+    scene: CameraScene, sums: Equations, active: list[int], blocks: Blocks
+) -> Evidence:
     """Score tests of each group that is held.
 
     The scores' variance is that of correlated residuals.
@@ -50,8 +56,22 @@ def evidence_for_more(scene: CameraScene, sums: Equations, active: list[int]) ->
         ready = needed is None or layout.look(needed)[0] in active
         if ready and held.issuperset(places) and _asked_for(sums, active, places, spread):
             free += places
-    uneven = scene.blocks is None and _asked_for(sums, active, layout.uneven_light, spread)
+    spread = min(spread, _LARGEST_SPREAD)
+    uneven = scene.blocks is None and (
+        _asked_for(sums, active, layout.uneven_light, spread)
+        or _has_block_means(blocks, residual, sums.weight > 0, spread)
+    )
     return Evidence(free, uneven)
+
+
+def _has_block_means(
+    blocks: Blocks, residual: Float[np.ndarray, "n"], kept: Bool[np.ndarray, "n"], spread: float
+) -> bool:
+    count = np.bincount(blocks.of_pixel, kept, minlength=blocks.count)
+    total = np.bincount(blocks.of_pixel, residual * kept, minlength=blocks.count)
+    statistic = np.sum(total**2 / np.maximum(count, 1)) / spread
+    freedom = np.sum(count > 0)
+    return bool(statistic > freedom + 5 * np.sqrt(2 * freedom) + _EVIDENCE)
 
 
 def _asked_for(sums: Equations, active: list[int], places: list[int], spread: float) -> bool:

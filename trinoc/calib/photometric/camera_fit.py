@@ -23,7 +23,7 @@ from trinoc.calib.photometric.camera_steps import (
 )
 from trinoc.calib.photometric.clipped_noise import clipped
 from trinoc.calib.photometric.correlated_noise import autocorrelation, correlated_sum
-from trinoc.calib.photometric.gate import gate_by_sigma
+from trinoc.calib.photometric.gate import gate_by_sigma, without_common
 from trinoc.calib.photometric.gauss_newton import ImageState
 from trinoc.calib.photometric.local_light import LOCAL_TERMS, Blocks
 from trinoc.calib.photometric.pixel_selection import PARTS, SelectedPixels
@@ -43,6 +43,8 @@ _BLINDED_SCALES = (0.15, 0.15, 0.15, *_SCALES)
 _DAMPING = 1e-4
 _GATES, _FIRST_STEPS, _MORE_STEPS, _LAST_STEPS = 3, 5, 5, 3
 _ROUNDS = 2
+# Sharpening lowers the variance of what an edge says to a half of white noise's, not further.
+_LEAST_SPREAD = 0.4
 # Paper beyond saturation starts this much brighter than it looks.
 _BLINDED = 1.15
 _PAPER_SHARE, _FEWEST_PIXELS = 0.03, 10
@@ -83,12 +85,13 @@ def fit_camera(
     is left to be fitted.
     """
     part = scene.first(PARTS)
+    few = blocks.part(scene.first_pixels(PARTS))
     active = [*scene.layout.simple, *scene.layout.look(*FIRST)]
     point = _robust(part, _start(part, fitted, circles), active)
     point = settle(part, _gated(part, point, active), active, _FIRST_STEPS)
     for _ in range(_ROUNDS):
         point = reweighted(part, point)
-        evidence = evidence_for_more(part, equations_at(part, point), active)
+        evidence = evidence_for_more(part, equations_at(part, point), active, few)
         if evidence.uneven_light:
             scene = scene._replace(blocks=blocks)
             part = scene.first(PARTS)
@@ -101,16 +104,22 @@ def fit_camera(
             point = settle(part, point, active, _MORE_STEPS)
         else:
             break
-    return _finished(scene, point.state, active)
+    return _finished(scene, point.state, active, blocks)
 
 
-def _finished(scene: CameraScene, state: CameraState, active: list[int]) -> CameraFit | None:
+def _finished(
+    scene: CameraScene, state: CameraState, active: list[int], blocks: Blocks
+) -> CameraFit | None:
     """All pixels: gate, noise, last steps, covariance."""
     point = _gated(scene, _point(scene, state), active, gates=1)
+    point = settle(scene, point, active, 1)
+    cut = clipped(point.prediction.level, point.sigma, scene.top)
+    kept = without_common(_chosen(scene), (cut.mean - scene.grey) / cut.sigma, point.kept)
+    point = point._replace(kept=kept)
     for _ in range(_ROUNDS):
         point = reweighted(scene, settle(scene, point, active, _LAST_STEPS))
         sums = equations_at(scene, point)
-        evidence = evidence_for_more(scene, sums, active)
+        evidence = evidence_for_more(scene, sums, active, blocks)
         if not evidence.free:
             break
         active = [*active, *evidence.free]
@@ -145,13 +154,27 @@ def _judged(scene: CameraScene, point: Point, sums: Equations, active: list[int]
     return CameraFit(
         point.state,
         active,
-        inverse @ middle @ inverse * chi_square,
+        _sandwich(inverse, middle) * chi_square,
         chi_square,
         float(np.median(point.sigma[near])),
         kept,
         correlation,
         look,
     )
+
+
+def _sandwich(
+    inverse: Float[np.ndarray, "p p"], middle: Float[np.ndarray, "p p"]
+) -> Float[np.ndarray, "p p"]:
+    """inverse middle inverse, in no direction far below `inverse`.
+
+    Correlations that are estimated one lag at a time need not be those of any noise.
+    """
+    values, vectors = np.linalg.eigh(inverse)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    values, vectors = np.linalg.eigh(root.T @ middle @ root)
+    spread = root @ vectors * np.sqrt(np.maximum(values, _LEAST_SPREAD))
+    return spread @ spread.T
 
 
 def _start(scene: CameraScene, fitted: ImageState, circles: Pose) -> CameraState:
@@ -207,11 +230,9 @@ def _robust(scene: CameraScene, state: CameraState, active: list[int]) -> Point:
     return point
 
 
-def _gated(
-    scene: CameraScene, point: Point, active: list[int], gates: int = _GATES
-) -> Point:
+def _gated(scene: CameraScene, point: Point, active: list[int], gates: int = _GATES) -> Point:
     """Noise and pixels that show the sheet, a step between each look at them."""
-    chosen = SelectedPixels(*scene.uv_px.T, np.zeros(len(scene.grey), dtype=int))
+    chosen = _chosen(scene)
     point = reweighted(scene, point, robust=True)
     for k in range(gates):
         cut = clipped(point.prediction.level, point.sigma, scene.top)
@@ -222,10 +243,13 @@ def _gated(
     return point
 
 
+def _chosen(scene: CameraScene) -> SelectedPixels:
+    column, row = scene.uv_px.T
+    return SelectedPixels(column, row, np.zeros(len(row), dtype=int))
+
+
 def _point(scene: CameraScene, state: CameraState) -> Point:
     count = len(scene.grey)
     contrast = -state.look_of("ratio") * state.light[0]
     sigma = np.full(count, 0.01 * contrast) * scene.noise_scale
     return Point(state, predict_scene(scene, state), sigma, np.ones(count, dtype=bool))
-
-

@@ -63,13 +63,18 @@ class CameraScene(NamedTuple):
         """The pixels' places in the picture."""
         return OnGrid(self.uv_px[:, 0], self.uv_px[:, 1])
 
+    def first_pixels(self, share: int) -> Int[np.ndarray, "m"]:
+        """Indices of the first of `share` parts of each group's chunks."""
+        full = [-(-count // (share * CHUNK)) * CHUNK for count in self.counts]
+        few, many = np.minimum(full, self.counts)
+        return np.concatenate([np.arange(few), self.counts[0] + np.arange(many)])
+
     def first(self, share: int) -> "CameraScene":
         """The first of `share` parts of the pixels, which cover the sheet as all do."""
-        counts = tuple(-(-count // (share * CHUNK)) * CHUNK for count in self.counts)
-        few, many = np.minimum(counts, self.counts)
-        chosen = np.concatenate([np.arange(few), self.counts[0] + np.arange(many)])
+        chosen = self.first_pixels(share)
+        few = int(np.sum(chosen < self.counts[0]))
         return self._replace(
-            counts=(int(few), int(many)),
+            counts=(few, len(chosen) - few),
             grey=self.grey[chosen],
             uv_px=self.uv_px[chosen],
             terms=self.terms[:, chosen],
@@ -96,13 +101,14 @@ class CameraPrediction(NamedTuple):
 def light_terms(place: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "15 n"]:
     """The light's polynomial at places in the picture."""
     x, y = place.T
-    return np.stack([x**i * y**j for i, j in powers(LIGHT_DEGREE)])
+    return np.stack([x**i * y**j for i, j in powers(LIGHT_DEGREE)]).astype(np.float32)
 
 
 def predict_scene(scene: CameraScene, state: CameraState) -> CameraPrediction:
     """Grey level and derivatives of every pixel."""
     homography, by_motion = (np.asarray(part) for part in _posed(state.pose, model=scene.model))
-    light, veil = state.light @ scene.terms, state.veil @ scene.terms[:VEIL_TERMS]
+    light = state.light @ scene.terms
+    veil = state.veil @ scene.terms[:VEIL_TERMS]
     factor, blocks = np.ones_like(light), scene.blocks
     if blocks is not None:
         factor, veil = blocks.light(state.levels), veil + blocks.veil(state.levels)
@@ -130,17 +136,13 @@ def predict_scene(scene: CameraScene, state: CameraState) -> CameraPrediction:
     # Pixels are predicted in single precision: what the unknowns lose there, all of them lose.
     exact = np.concatenate([homography, state.look])
     lost = (exact - exact.astype(single)).astype(single)
-    look = slice(10, 10 + LOOK_TERMS)
     by_light, by_veil = rows[-2], rows[-1]
-    terms = scene.terms.astype(single)
-    columns = np.concatenate(
-        [
-            by_motion.T.astype(single) @ rows[1:10],
-            rows[look],
-            (by_light * factor).astype(single) * terms,
-            by_veil * terms[:VEIL_TERMS],
-        ]
-    )
+    columns = np.empty((scene.layout.size, len(light)), single)
+    motion, look, polynomial, veils = np.split(columns, scene.layout.ends)
+    np.matmul(by_motion.T.astype(single), rows[1:10], out=motion)
+    look[:] = rows[10 : 10 + LOOK_TERMS]
+    np.multiply((by_light * factor).astype(single), scene.terms, out=polynomial)
+    np.multiply(by_veil, scene.terms[:VEIL_TERMS], out=veils)
     local = np.empty((0, len(light)))
     if blocks is not None:
         local = local_rows(blocks, by_light * light, by_veil)

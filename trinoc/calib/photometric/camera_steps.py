@@ -110,9 +110,7 @@ def stepped(
     return state.moved(pose, step[scene.model.size :], levels), step
 
 
-def settle(
-    scene: CameraScene, point: Point, active: list[int], most_steps: int
-) -> Point:
+def settle(scene: CameraScene, point: Point, active: list[int], most_steps: int) -> Point:
     """Damped steps until the pose moves no more; noise and pixels stay as they are."""
     damping, sums = _LEAST_DAMPING, equations_at(scene, point)
     for _ in range(most_steps):

@@ -28,9 +28,7 @@ class Clipped(NamedTuple):
     sigma: Float[np.ndarray, "n"]
 
 
-def clipped(
-    level: Float[np.ndarray, "n"], sigma: Float[np.ndarray, "n"], top: float
-) -> Clipped:
+def clipped(level: Float[np.ndarray, "n"], sigma: Float[np.ndarray, "n"], top: float) -> Clipped:
     """Moments of a level with noise, cut off at `top` (infinity: nowhere)."""
     if not np.isfinite(top):
         return Clipped(level, np.ones_like(level), sigma)

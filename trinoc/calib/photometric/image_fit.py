@@ -25,6 +25,7 @@ from trinoc.calib.photometric.gauss_newton import (
 from trinoc.calib.photometric.initial import initial_appearance
 from trinoc.calib.photometric.ink_coverage import Cross, Drawing
 from trinoc.calib.photometric.local_light import blocks_of_pixels
+from trinoc.calib.photometric.mosaic import balanced_mosaic
 from trinoc.calib.photometric.noise_floor import noise_floor
 from trinoc.calib.photometric.pixel_selection import (
     PARTS,
@@ -48,6 +49,8 @@ _STRIDES = (PARTS, PARTS, 1)
 _PLAIN_STEPS = 2
 _CONVERGED_SIGMAS = 0.1
 _LEAST_CONTRAST = 4.0
+# The median of flat parts sees no more noise than the residuals, a mosaic's colours apart.
+_MOSAIC_NOISE = 1.5
 
 
 class ImageRefinement(NamedTuple):
@@ -85,8 +88,18 @@ def refine_image(
     lens: AbstractLens,
     start: Pose,
     model: PoseModel,
+    *,
+    bayer: str | None = None,
 ) -> ImageRefinement | None:
-    """Fit the sheet's model to the pixels near its edges; None where none can be seen."""
+    """Fit the sheet's model to the pixels near its edges; None where none can be seen.
+
+    An ideal camera's model comes first; where its residuals refute it, the extended one.
+
+    bayer : for a raw mosaic of colours, those of its first two rows, such as "RGGB".
+    """
+    noise_scale = np.ones_like(image)
+    if bayer is not None:
+        image, noise_scale = balanced_mosaic(image, bayer, start, lens, pattern)
     size = (image.shape[1], image.shape[0])
     appearance = initial_appearance(image, start, lens, pattern)
     contrast = float(-appearance.ratio * appearance.light[0])
@@ -139,14 +152,17 @@ def refine_image(
         image[everything.row, everything.column].astype(np.float64),
         np.stack([everything.column, everything.row], axis=1),
         light_terms(_places(everything, size)),
-        np.ones(len(everything.row)),
+        noise_scale[everything.row, everything.column].astype(np.float64),
         cross,
         drawing,
         model,
         white_of(image),
         saturation_level(image[everything.row, everything.column]),
     )
-    if not is_refuted(scene, state.appearance, residuals(last), gate.kept, floor):
+    if floor > _MOSAIC_NOISE * simple.noise:
+        # Flat parts are noisier than what the fit leaves over: neighbours differ by colour.
+        return simple._replace(found=("a raw mosaic of colours",))
+    if bayer is None and not is_refuted(scene, state.appearance, residuals(last), gate.kept, floor):
         return simple
     blocks = blocks_of_pixels(scene.uv_px, start, lens, pattern)
     extended = fit_camera(scene, jax.tree.map(np.asarray, first.state), start, blocks)

@@ -70,7 +70,6 @@ def kernel_coverage(edge: Edge, shift_mm: Scalar, kernel: Kernel) -> Coverage:
     moved = (amount + swing) ** 2 / (variance * variance)
     box = (edge.normal_u**4 + edge.normal_v**4) / (2880 * variance * variance)
     kurtosis = (kernel.kurtosis + _LINE_KURTOSIS * kernel.line * moved) / 24 - box
-    z, square = score, score * score
     square = score * score
     third, fifth = square - 3, square * (square - 10) + 15
     series = score * (kurtosis * third + kernel.sixth / 720 * fifth)

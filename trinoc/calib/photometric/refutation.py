@@ -39,7 +39,8 @@ def is_refuted(
     light = np.asarray(appearance.light) @ scene.terms[: len(appearance.light)]
     share = ((scene.grey + residual) / light - 1) / float(appearance.ratio)
     r, share, at = residual[kept].astype(np.float64), share[kept], scene.uv_px[kept]
-    if np.isfinite(saturation_level(scene.grey)):
+    # Saturated pixels that the gate has cut are a glare's.
+    if np.isfinite(saturation_level(scene.grey[kept])):
         return True
     variance = float(np.mean(r**2))
     if noise_floor > 0 and variance > _LARGEST_CHI_SQUARE * noise_floor**2:
@@ -109,9 +110,7 @@ def _have_direction(
     grid = scene.grid
     picture, mask = grid.picture(scene.grey), grid.picture(np.ones(len(scene.grey)))
     inside = np.zeros(grid.shape, dtype=bool)
-    inside[1:-1, 1:-1] = (
-        mask[:-2, 1:-1] * mask[2:, 1:-1] * mask[1:-1, :-2] * mask[1:-1, 2:]
-    ) > 0
+    inside[1:-1, 1:-1] = (mask[:-2, 1:-1] * mask[2:, 1:-1] * mask[1:-1, :-2] * mask[1:-1, 2:]) > 0
     v, u = np.gradient(picture)
     place = tuple(part[kept] for part in grid.place)
     u, v, usable = u[place], v[place], inside[place]

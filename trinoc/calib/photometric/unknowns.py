@@ -90,6 +90,11 @@ class Layout(NamedTuple):
         """Number of unknowns."""
         return self.pose_size + LOOK_TERMS + LIGHT_TERMS + VEIL_TERMS
 
+    @property
+    def ends(self) -> list[int]:
+        """Where pose, look and light end."""
+        return list(np.cumsum([self.pose_size, LOOK_TERMS, LIGHT_TERMS]))
+
     def look(self, *names: str) -> list[int]:
         """Of the look, by name."""
         return [self.pose_size + LOOK_NAMES.index(name) for name in names]
