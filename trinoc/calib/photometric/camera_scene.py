@@ -59,6 +59,11 @@ class CameraScene(NamedTuple):
         return Layout(self.model.size)
 
     @property
+    def prior(self) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k"]]:
+        """Middle and weight of every unknown's prior."""
+        return self.layout.prior(local=self.blocks is not None)
+
+    @property
     def grid(self) -> OnGrid:
         """The pixels' places in the picture."""
         return OnGrid(self.uv_px[:, 0], self.uv_px[:, 1])

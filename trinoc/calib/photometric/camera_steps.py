@@ -17,7 +17,8 @@ from trinoc.calib.photometric.noise_by_level import noise_by_level
 from trinoc.calib.photometric.unknowns import CameraState
 
 _LEAST_DAMPING, _FIRST_DAMPING, _DAMPING_FACTOR = 1e-6, 1e-3, 30.0
-_MOST_TRIALS = 3
+# Where a step does not pay, shorter ones are tried: light and its local factor are a product.
+_SHARES = (1.0, 0.3, 0.1)
 # A step of the pose below this many of its standard deviations ends a fit.
 _SHORT_SIGMAS = 0.05
 
@@ -73,7 +74,10 @@ def equations_at(
     rows = prediction.rows
     if np.isfinite(scene.top):
         rows = rows * cut.slope.astype(rows.dtype)
-    middle, prior = scene.layout.prior
+    if scene.blocks is not None:
+        # Polynomials hardly differ from local levels: single precision loses the difference.
+        rows = rows.astype(np.float64)
+    middle, prior = scene.prior
     weighted = rows * weight.astype(rows.dtype)
     offset = np.r_[np.zeros(scene.model.size), state.flat] - middle
     matrix = (weighted @ rows.T).astype(np.float64) + np.diag(prior)
@@ -90,32 +94,37 @@ def equations_at(
 
 
 def _prior_cost(scene: CameraScene, state: CameraState) -> float:
-    middle, prior = (part[scene.model.size :] for part in scene.layout.prior)
+    middle, prior = (part[scene.model.size :] for part in scene.prior)
     return float(prior @ (state.flat - middle) ** 2 + np.sum((state.levels.T / WIDTH) ** 2))
 
 
 def stepped(
-    scene: CameraScene, state: CameraState, sums: Equations, active: list[int], damping: float
+    scene: CameraScene,
+    state: CameraState,
+    sums: Equations,
+    active: list[int],
+    damping: float,
+    share: float = 1.0,
 ) -> tuple[CameraState, Float[np.ndarray, "k"]]:
-    """The state after a damped step of the active unknowns, and the step."""
+    """The state after a share of a damped step of the active unknowns, and the whole step."""
     step = np.zeros(scene.layout.size)
     matrix = sums.matrix[np.ix_(active, active)]
     scale = 1 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     scaled = matrix * scale[:, None] * scale + damping * np.eye(len(active))
     step[active] = -scale * np.linalg.lstsq(scaled, scale * sums.gradient[active])[0]
-    pose = moved_pose(state.pose, step[: scene.model.size], scene.model)
+    pose = moved_pose(state.pose, share * step[: scene.model.size], scene.model)
     levels = state.levels
     if sums.local is not None:
-        levels = sums.local[1].stepped(levels, step)
-    return state.moved(pose, step[scene.model.size :], levels), step
+        levels = levels + share * (sums.local[1].stepped(levels, step) - levels)
+    return state.moved(pose, share * step[scene.model.size :], levels), step
 
 
 def settle(scene: CameraScene, point: Point, active: list[int], most_steps: int) -> Point:
     """Damped steps until the pose moves no more; noise and pixels stay as they are."""
     damping, sums = _LEAST_DAMPING, equations_at(scene, point)
     for _ in range(most_steps):
-        for _ in range(_MOST_TRIALS):
-            state, step = stepped(scene, point.state, sums, active, damping)
+        for share in _SHARES:
+            state, step = stepped(scene, point.state, sums, active, damping, share)
             prediction = predict_scene(scene, state)
             cut = clipped(prediction.level, point.sigma, scene.top)
             cost = float(sums.weight @ (cut.mean - scene.grey) ** 2) + _prior_cost(scene, state)

@@ -18,8 +18,8 @@ from trinoc.numerics import point_tree
 LOCAL_TERMS = 6
 # Weak priors, of shares of the light and of grey levels: (1, x, y) each.
 WIDTH = np.array([0.5, 0.1, 0.1, 40.0, 20.0, 20.0])
-_LOWER = np.array([-0.9, -0.3, -0.3, -150.0, -50.0, -50.0])[:, None]
-_UPPER = np.array([2.0, 0.3, 0.3, 300.0, 50.0, 50.0])[:, None]
+# Light that is left in the darkest shade: only this keeps the model from failing.
+_LEAST_LIGHT = 0.05
 
 
 class Blocks(NamedTuple):
@@ -50,7 +50,7 @@ class Blocks(NamedTuple):
 
 
 def blocks_of_pixels(
-    uv_px: Float[np.ndarray, "n 2"], pose: Pose, lens: AbstractLens, pattern: Pattern
+    uv_px: Int[np.ndarray, "n 2"], pose: Pose, lens: AbstractLens, pattern: Pattern
 ) -> Blocks:
     """The nearest circle of each pixel."""
     middle = np.asarray(project_to_image(pose, lens, pattern.centres_mm))
@@ -80,7 +80,9 @@ class Elimination(NamedTuple):
         self, levels: Float[np.ndarray, "6 b"], step: Float[np.ndarray, "k"]
     ) -> Float[np.ndarray, "6 b"]:
         """The levels after a step of the rest."""
-        return np.clip(levels - (self.constant + self.by_rest @ step).T, _LOWER, _UPPER)
+        after = levels - (self.constant + self.by_rest @ step).T
+        after[0] = np.maximum(after[0], _LEAST_LIGHT - 1)
+        return after
 
 
 def local_rows(

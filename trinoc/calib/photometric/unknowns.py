@@ -15,6 +15,8 @@ from trinoc.calib.photometric.kernels import Kernel
 from trinoc.geometry import Pose
 
 LIGHT_DEGREE, VEIL_DEGREE, SIMPLE_DEGREE = 4, 2, 2
+# Grey levels that a term of a polynomial reaches at the picture's edge.
+_POLYNOMIAL_WIDTH = 40.0
 LOOK_NAMES = (*Kernel._fields, *CameraLook._fields[1:])
 # Per unknown of the look: bounds, the middle of its prior and its width (infinite: none).
 _LOOK = {
@@ -93,7 +95,8 @@ class Layout(NamedTuple):
     @property
     def ends(self) -> list[int]:
         """Where pose, look and light end."""
-        return list(np.cumsum([self.pose_size, LOOK_TERMS, LIGHT_TERMS]))
+        look = self.pose_size + LOOK_TERMS
+        return [self.pose_size, look, look + LIGHT_TERMS]
 
     def look(self, *names: str) -> list[int]:
         """Of the look, by name."""
@@ -113,9 +116,14 @@ class Layout(NamedTuple):
         higher = range(first + len(powers(SIMPLE_DEGREE)), first + LIGHT_TERMS)
         return [*higher, *range(first + LIGHT_TERMS + 1, self.size)]
 
-    @property
-    def prior(self) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k"]]:
-        """Middle and weight (1 / variance) of every unknown's prior."""
+    def prior(self, *, local: bool) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k"]]:
+        """Middle and weight (1 / variance) of every unknown's prior.
+
+        local : where blocks have light of their own, polynomials have a prior too, because
+            little else tells the two apart.
+        """
         rest = np.zeros(LIGHT_TERMS + VEIL_TERMS)
-        pose = np.zeros(self.pose_size)
-        return np.r_[pose, MIDDLE, rest], np.r_[pose, WIDTH**-2.0, rest]
+        if local:
+            rest[1:] = _POLYNOMIAL_WIDTH**-2.0
+        pose, none = np.zeros(self.pose_size), np.zeros(len(rest))
+        return np.r_[pose, MIDDLE, none], np.r_[pose, WIDTH**-2.0, rest]
