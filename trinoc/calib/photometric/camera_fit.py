@@ -21,7 +21,7 @@ from trinoc.calib.photometric.camera_steps import (
     share_of_rest,
     stepped,
 )
-from trinoc.calib.photometric.clipped_noise import clipped
+from trinoc.calib.photometric.clipped_noise import clipped, is_clear
 from trinoc.calib.photometric.correlated_noise import autocorrelation, correlated_sum
 from trinoc.calib.photometric.gate import gate_by_sigma, without_common
 from trinoc.calib.photometric.gauss_newton import ImageState
@@ -139,11 +139,13 @@ def _judged(scene: CameraScene, point: Point, sums: Equations, active: list[int]
         levels = eliminated.by_rest @ motion
         rows = rows - np.einsum("kn,nkp->pn", of_levels, levels[scene.blocks.of_pixel])
     standard = sums.residual / sums.sigma
-    correlation = autocorrelation(scene.grid, standard, point.kept)
+    # Saturated pixels are certain, and say nothing of the noise.
+    kept = point.kept
+    clear = kept & is_clear(point.prediction.level, point.sigma, scene.top)
+    correlation = autocorrelation(scene.grid, standard, clear)
     middle = correlated_sum(scene.grid, rows * np.sqrt(sums.weight), correlation)
     inverse = np.linalg.pinv(pose_information(sums.matrix, active, size), hermitian=True)
-    kept = point.kept
-    chi_square = float(np.sum(standard[kept] ** 2) / (kept.sum() - len(active)))
+    chi_square = float(np.sum(standard[clear] ** 2) / max(clear.sum() - len(active), 1))
     everything = np.sqrt(np.abs(np.diag(np.linalg.pinv(sums.matrix[np.ix_(active, active)]))))
     spread = np.zeros(scene.layout.size)
     spread[active] = everything
@@ -197,7 +199,7 @@ def _start(scene: CameraScene, fitted: ImageState, circles: Pose) -> CameraState
 
 
 def _is_blinded(scene: CameraScene, paper: float) -> bool:
-    return paper > 0.97 * scene.top
+    return bool(paper > 0.97 * scene.top)
 
 
 def _locally_lit(scene: CameraScene, state: CameraState) -> CameraState:

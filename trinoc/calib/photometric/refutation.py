@@ -126,4 +126,4 @@ def _have_direction(
 
 
 def _is_large(statistic: float, freedom: int) -> bool:
-    return statistic > freedom + _SIGMAS * np.sqrt(2 * max(freedom, 1)) + _OFFSET
+    return bool(statistic > freedom + _SIGMAS * np.sqrt(2 * max(freedom, 1)) + _OFFSET)
