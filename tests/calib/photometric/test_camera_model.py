@@ -72,7 +72,8 @@ def share_of_edge(distance_px: float, kernel: Kernel, angle: float) -> float:
     point = SheetPoint(
         jnp.asarray(distance_px * normal), jnp.eye(2), jnp.zeros(2), jnp.ones(3), one
     )
-    edge = straight_edge(point, *(jnp.asarray(part) for part in normal), jnp.asarray(0.0))
+    across, down = (jnp.asarray(part) for part in normal)
+    edge = straight_edge(point, across, down, jnp.asarray(0.0))
     return float(kernel_coverage(edge, jnp.asarray(0.0), kernel).share)
 
 

@@ -4,25 +4,19 @@ Robust steps and the choice of unknowns look at a part of the pixels, the last s
 them.
 """
 
-from typing import NamedTuple
-
 import numpy as np
-from jaxtyping import Bool, Float
 
+from trinoc.calib.photometric.camera_covariance import CameraFit, judged
 from trinoc.calib.photometric.camera_evidence import FIRST, evidence_for_more
 from trinoc.calib.photometric.camera_scene import CameraScene, predict_scene
 from trinoc.calib.photometric.camera_steps import (
-    Equations,
     Point,
     equations_at,
-    pose_information,
     reweighted,
     settle,
-    share_of_rest,
     stepped,
 )
-from trinoc.calib.photometric.clipped_noise import clipped, is_clear
-from trinoc.calib.photometric.correlated_noise import autocorrelation, correlated_sum
+from trinoc.calib.photometric.clipped_noise import clipped
 from trinoc.calib.photometric.gate import gate_by_sigma, without_common
 from trinoc.calib.photometric.gauss_newton import ImageState
 from trinoc.calib.photometric.local_light import LOCAL_TERMS, Blocks
@@ -43,37 +37,9 @@ _BLINDED_SCALES = (0.15, 0.15, 0.15, *_SCALES)
 _DAMPING = 1e-4
 _GATES, _FIRST_STEPS, _MORE_STEPS, _LAST_STEPS = 3, 5, 5, 3
 _ROUNDS = 2
-# Sharpening lowers the variance of what an edge says to a half of white noise's, not further.
-_LEAST_SPREAD = 0.4
 # Paper beyond saturation starts this much brighter than it looks.
 _BLINDED = 1.15
 _PAPER_SHARE, _FEWEST_PIXELS = 0.03, 10
-
-
-class CameraFit(NamedTuple):
-    """Where the extended fit ended.
-
-    Fields
-    ------
-    state : of all unknowns.
-    active : places of those that were free.
-    covariance : (p, p) of a step of the pose, for the noise that the residuals show, shared by
-        neighbours.
-    chi_square : reduced, of the residuals over their own noise.
-    sigma : noise at the grey level between paper and ink.
-    kept : (n,) pixels that stayed.
-    correlation : of neighbours' noise, by lag.
-    spread_of : standard deviations of the unknowns of the look, 0 for those that were held.
-    """
-
-    state: CameraState
-    active: list[int]
-    covariance: Float[np.ndarray, "p p"]
-    chi_square: float
-    sigma: float
-    kept: Bool[np.ndarray, "n"]
-    correlation: Float[np.ndarray, "9 9"]
-    spread_of: Float[np.ndarray, "15"]
 
 
 def fit_camera(
@@ -125,58 +91,7 @@ def _finished(
         active = [*active, *evidence.free]
     if point.kept.sum() <= len(active):
         return None
-    return _judged(scene, point, sums, active)
-
-
-def _judged(scene: CameraScene, point: Point, sums: Equations, active: list[int]) -> CameraFit:
-    size = scene.model.size
-    follow = share_of_rest(sums.matrix, active, size)
-    motion = -follow
-    motion[:size] = np.eye(size)
-    rows = motion.T.astype(sums.rows.dtype) @ sums.rows
-    if sums.local is not None and scene.blocks is not None:
-        of_levels, eliminated = sums.local
-        levels = eliminated.by_rest @ motion
-        rows = rows - np.einsum("kn,nkp->pn", of_levels, levels[scene.blocks.of_pixel])
-    standard = sums.residual / sums.sigma
-    # Saturated pixels are certain, and say nothing of the noise.
-    kept = point.kept
-    clear = kept & is_clear(point.prediction.level, point.sigma, scene.top)
-    correlation = autocorrelation(scene.grid, standard, clear)
-    middle = correlated_sum(scene.grid, rows * np.sqrt(sums.weight), correlation)
-    inverse = np.linalg.pinv(pose_information(sums.matrix, active, size), hermitian=True)
-    chi_square = float(np.sum(standard[clear] ** 2) / max(clear.sum() - len(active), 1))
-    everything = np.sqrt(np.abs(np.diag(np.linalg.pinv(sums.matrix[np.ix_(active, active)]))))
-    spread = np.zeros(scene.layout.size)
-    spread[active] = everything
-    look = spread[size : size + len(LOOK_NAMES)]
-    levels = point.prediction.level
-    half = point.state.light[0] * (1 + 0.5 * point.state.look_of("ratio"))
-    near = np.argsort(np.abs(levels - half))[: max(len(levels) // 50, 1)]
-    return CameraFit(
-        point.state,
-        active,
-        _sandwich(inverse, middle) * chi_square,
-        chi_square,
-        float(np.median(point.sigma[near])),
-        kept,
-        correlation,
-        look,
-    )
-
-
-def _sandwich(
-    inverse: Float[np.ndarray, "p p"], middle: Float[np.ndarray, "p p"]
-) -> Float[np.ndarray, "p p"]:
-    """inverse middle inverse, in no direction far below `inverse`.
-
-    Correlations that are estimated one lag at a time need not be those of any noise.
-    """
-    values, vectors = np.linalg.eigh(inverse)
-    root = vectors * np.sqrt(np.maximum(values, 0.0))
-    values, vectors = np.linalg.eigh(root.T @ middle @ root)
-    spread = root @ vectors * np.sqrt(np.maximum(values, _LEAST_SPREAD))
-    return spread @ spread.T
+    return judged(scene, point, sums, active)
 
 
 def _start(scene: CameraScene, fitted: ImageState, circles: Pose) -> CameraState:

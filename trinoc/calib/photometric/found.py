@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from trinoc.calib.photometric.camera_fit import CameraFit
+from trinoc.calib.photometric.camera_covariance import CameraFit
 from trinoc.calib.photometric.camera_scene import CameraScene
 from trinoc.calib.photometric.correlated_noise import inflation
 from trinoc.calib.photometric.unknowns import LOOK_NAMES

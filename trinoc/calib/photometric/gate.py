@@ -79,7 +79,7 @@ def _apart_from_crowds(
 
 def _summed(
     chosen: SelectedPixels, *fields: Float[np.ndarray, "n"] | Bool[np.ndarray, "n"]
-) -> list[Float[np.ndarray, "n"]]:
+) -> Float[np.ndarray, "fields n"]:
     """Sums of each field over the neighbourhood of each pixel."""
     left, top = chosen.column.min(), chosen.row.min()
     shape = (chosen.row.max() - top + 1, chosen.column.max() - left + 1)
@@ -92,4 +92,4 @@ def _summed(
             picture, -1, window, normalize=False, borderType=cv2.BORDER_CONSTANT
         )
         sums.append(blurred[place])
-    return sums
+    return np.stack(sums)

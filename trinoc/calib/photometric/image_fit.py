@@ -9,7 +9,8 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.calib.photometric.appearance import LIGHT_TERMS, NUISANCE, Appearance
-from trinoc.calib.photometric.camera_fit import CameraFit, fit_camera
+from trinoc.calib.photometric.camera_covariance import CameraFit
+from trinoc.calib.photometric.camera_fit import fit_camera
 from trinoc.calib.photometric.camera_scene import CameraScene, light_terms
 from trinoc.calib.photometric.clipped_noise import saturation_level, white_of
 from trinoc.calib.photometric.found import found_in
