@@ -136,10 +136,11 @@ def _camera_fit(
     """What is said of one camera, and whether it is suspect."""
     camera, of_circles = fit.cameras[view], fit.of_circles
     used = of_circles.used[view]
+    source = fit.adjustment if camera.method == "picture" else of_circles
     tests = alternatives(
-        of_circles,
+        source,
         view,
-        of_circles.freedom[view],
+        source.freedom[view],
         lens_is_free=camera.sheet.lens_factor is not None,
         aim_is_held=known.aim_is_held,
     )
@@ -159,7 +160,8 @@ def _camera_fit(
         alternatives=tuple(tests),
         method=camera.method,
     )
-    return result, is_suspect(result) or strain > LARGEST_STRAIN
+    scatter = float(source.reduced_chi_square[view])
+    return result, is_suspect(tests, scatter) or strain > LARGEST_STRAIN
 
 
 def _circle_residuals_px(fit: RigFit, view: int) -> Float[np.ndarray, "m 2"]:

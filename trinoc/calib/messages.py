@@ -8,8 +8,8 @@ from jaxtyping import Bool
 from trinoc.calib.adjustment import HEIGHT_TERMS, PRINT_TERMS, Adjustment
 from trinoc.calib.detection import Detection
 from trinoc.calib.pose import PoseEstimate
-from trinoc.calib.result import Alternative, CameraFit, Status
-from trinoc.calib.rig_fit import CameraFitting, Knowledge
+from trinoc.calib.result import Alternative, Status
+from trinoc.calib.rig_fit import LEAST_PROBABILITY, CameraFitting, Knowledge
 from trinoc.calib.targets import Pattern
 from trinoc.calib.uncertainty import Systematics
 from trinoc.geometry import PoseModel
@@ -55,10 +55,9 @@ def failure_sentence(fit: PoseEstimate, detection: Detection, model: PoseModel) 
     return None
 
 
-def is_suspect(fit: CameraFit) -> bool:
+def is_suspect(tests: Sequence[Alternative], reduced_chi_square: float) -> bool:
     """Whether something that the model leaves out shows in residuals beyond their sigmas."""
-    found = bool(fit.alternatives and fit.alternatives[0].found)
-    return found and fit.reduced_chi_square > _LARGE_CHI_SQUARE
+    return bool(tests and tests[0].found) and reduced_chi_square > _LARGE_CHI_SQUARE
 
 
 def lens_strain(adjustment: Adjustment, view: int, camera: CameraFitting) -> float:
@@ -123,7 +122,8 @@ def notes_of_camera(
 ) -> tuple[str, ...]:
     """Sentences on what a user of a good fit should know.
 
-    used : circles that took part. tests, reduced_chi_square : of the circles.
+    used : circles that took part. tests : of the places that were used. reduced_chi_square : of
+        the circles.
     """
     detection, picture = camera.sheet.detection, camera.picture
     notes = []
@@ -137,6 +137,11 @@ def notes_of_camera(
             "picture is processed, uneven or covered in a way that the model does not know. Its "
             "circles alone were used."
         )
+    elif camera.agreement < LEAST_PROBABILITY:
+        notes.append(
+            "the circles' centres disagree with the grey levels and with each other, which uneven "
+            "light does. The grey levels were used."
+        )
     dropped = detection.circle_index[~used]
     if len(dropped):
         notes.append(
@@ -148,6 +153,8 @@ def notes_of_camera(
     if gauge:
         notes.append(f"{' and '.join(gauge)} are not determined one by one.")
     quality = picture.quality if picture is not None else None
+    if quality is not None and quality.found:
+        notes.append(f"the picture shows {', '.join(quality.found)}; this was fitted along.")
     if quality is not None and quality.pixels_cut > _CUT_SHARE * quality.pixels:
         share = quality.pixels_cut / (quality.pixels + quality.pixels_cut)
         notes.append(

@@ -27,11 +27,14 @@ from trinoc.geometry import Intrinsics, Pose, PoseModel
 
 # Both answers of a picture differ by more than this allows in one of a hundred right pictures,
 # which pays with a third of its sigmas.
-_LEAST_PROBABILITY = 1e-2
+LEAST_PROBABILITY = 1e-2
 # Below this many pixels a shift does not bend the profile of an edge.
 _LEAST_SHIFT_PX = 0.02
 # Blocks of right circles scatter by a half more than they claim once in hundreds of pictures.
 _LARGEST_SCATTER = 1.5
+
+# Ink that spreads less moves the centres of circles by less than they are known to.
+_LEAST_SPREAD_MM = 0.01
 
 Method = Literal["picture", "circles"]
 
@@ -147,13 +150,18 @@ def fit_rig(
     ]
     of_circles = _adjusted(by_circles, known)
     if not known.systematics.are_none:
-        by_circles = [
-            view._replace(points=points_as_adjusted(sheet.detection, known.pattern, of_circles, k))
-            for k, (view, sheet) in enumerate(zip(by_circles, sheets, strict=True))
-        ]
+        by_circles = _corrected(by_circles, sheets, of_circles, known, [0.0] * len(sheets))
         of_circles = _adjusted(by_circles, known)
     points = [view.points for view in by_circles]
     pictures = _pictures(sheets, starts, points, of_circles, known)
+    spreads = [
+        picture.quality.ink_spread_mm if picture and picture.quality else 0.0
+        for picture in pictures
+    ]
+    if max(abs(spread) for spread in spreads) > _LEAST_SPREAD_MM:
+        # Larger circles are seen with their centres further aside.
+        by_circles = _corrected(by_circles, sheets, of_circles, known, spreads)
+        of_circles, points = _adjusted(by_circles, known), [view.points for view in by_circles]
     by_picture = [
         view
         if picture is None or picture.points is None
@@ -169,7 +177,11 @@ def fit_rig(
         else float("nan")
         for k in range(len(sheets))
     ]
-    chosen = [asked[k] and agreement[k] >= _LEAST_PROBABILITY for k in range(len(sheets))]
+    chosen = [
+        asked[k]
+        and (agreement[k] >= LEAST_PROBABILITY or _circles_are_wrong(of_circles, of_pictures, k))
+        for k in range(len(sheets))
+    ]
     scatter = [
         1.0 if chosen[k] else _scatter(of_circles, one, k, refuted=asked[k])
         for k, one in enumerate(points)
@@ -196,6 +208,22 @@ def fit_rig(
     return RigFit(cameras, final, of_circles)
 
 
+def _corrected(
+    views: Sequence[SheetView],
+    sheets: Sequence[FoundSheet],
+    of_circles: Adjustment,
+    known: Knowledge,
+    spreads_mm: Sequence[float],
+) -> list[SheetView]:
+    """The views with their circles' centres as the adjustment and the ink's spread have them."""
+    return [
+        view._replace(
+            points=points_as_adjusted(sheet.detection, known.pattern, of_circles, k, spread)
+        )
+        for k, (view, sheet, spread) in enumerate(zip(views, sheets, spreads_mm, strict=True))
+    ]
+
+
 def _adjusted(views: Sequence[SheetView], known: Knowledge) -> Adjustment:
     return adjusted_views(views, known.systematics, known.fitted_model, known.aim_sigma_mm)
 
@@ -220,6 +248,11 @@ def _pictures(
             shifts[sheet.name] = shift
     found = refine_views(images, poses, known.pattern, lenses, known.fitted_model, shifts)
     return [found.get(sheet.name) for sheet in sheets]
+
+
+def _circles_are_wrong(of_circles: Adjustment, of_pictures: Adjustment, view: int) -> bool:
+    """Whether, of two answers that differ, the circles' is the one that its data speak against."""
+    return bool(of_circles.enlarged[view] > _LARGEST_SCATTER and of_pictures.enlarged[view] == 1.0)
 
 
 def _scatter(of_circles: Adjustment, points: SheetPoints, view: int, *, refuted: bool) -> float:

@@ -5,7 +5,6 @@ lens is another than was said: as much as the mean of all circles is known to.
 """
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -19,7 +18,7 @@ from trinoc.geometry import (
     Pose,
     centre_of_mapped_ellipse,
     dual_conic_of_circle,
-    transform_dual_conic,
+    project_point,
 )
 from trinoc.numerics import ArrayLike
 
@@ -33,12 +32,20 @@ def points_before_flat_sheet(
 
 
 def points_as_adjusted(
-    detection: Detection, pattern: Pattern, adjustment: Adjustment, view: int
+    detection: Detection,
+    pattern: Pattern,
+    adjustment: Adjustment,
+    view: int,
+    spread_mm: float = 0.0,
 ) -> SheetPoints:
-    """The same for the pose, the lens and the sheet that an adjustment found."""
+    """The same for the pose, the lens and the sheet that an adjustment found.
+
+    spread_mm : by which ink reaches beyond the drawing.
+    """
     found = adjustment.adjusted
     pose, lens = jax.tree.map(lambda leaf: leaf[view], (found.pose, found.lens))
-    return _points(detection, pattern, pose, lens, found.shape, adjustment.reach_mm)
+    shape, reach_mm = found.shape, adjustment.reach_mm
+    return _points(detection, pattern, pose, lens, shape, reach_mm, spread_mm)
 
 
 def _points(
@@ -48,10 +55,11 @@ def _points(
     lens: AbstractLens,
     shape: Float[ArrayLike, "s"],
     reach_mm: Float[ArrayLike, ""],
+    spread_mm: float = 0.0,
 ) -> SheetPoints:
     count = len(detection)
     circles = circle_observations(detection, pattern, bucket_size(count))
-    places, radius = np.asarray(circles.centres_sheet_mm), np.asarray(circles.radius_mm)
+    places, radius = np.asarray(circles.centres_sheet_mm), np.asarray(circles.radius_mm) + spread_mm
     apart = np.asarray(_eccentricities_px(pose, lens, shape, reach_mm, places, radius))[:count]
     whitening = np.zeros((count, 2, count, 2))
     each = np.arange(count)
@@ -72,15 +80,17 @@ def _eccentricities_px(
     places_mm: Float[ArrayLike, "n 2"],
     radius_mm: Float[ArrayLike, "n"],
 ) -> Float[ArrayLike, "n 2"]:
-    """Centre of each circle's image less the image of its centre, on the sheet's tangent plane."""
+    """Centre of each circle's image less the image of its centre.
+
+    A circle bends with the sheet: what its edge is higher than its middle moves its image by a
+    thousandth of a pixel.
+    """
+
+    def image(place: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
+        return project_point(pose, lens, point_of_place(place, shape, reach_mm))
 
     def one(place: Float[ArrayLike, "2"], radius: Float[ArrayLike, ""]) -> ArrayLike:
-        tangent = jax.jacfwd(point_of_place)(place, shape, reach_mm)
-        centre = pose.transform(point_of_place(place, shape, reach_mm))
-        local = jnp.concatenate([pose.rotation @ tangent, centre[:, None]], axis=1)
-        circle = dual_conic_of_circle(jnp.zeros(2), radius)
-        ellipse = transform_dual_conic(local, circle)
-        middle = centre_of_mapped_ellipse(ellipse, lens.pixel_from_normalised)
-        return middle - lens.project_ray(centre)
+        circle = dual_conic_of_circle(place, radius)
+        return centre_of_mapped_ellipse(circle, image) - image(place)
 
     return jax.vmap(one)(places_mm, radius_mm)

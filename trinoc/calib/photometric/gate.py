@@ -14,6 +14,9 @@ _OUTLIER_SIGMAS = 4.5
 # Neighbourhoods with a larger share of such pixels show an edge, a thumb, a glare.
 _NEIGHBOURHOOD_PX = 7
 _LARGEST_SHARE = 0.15
+# Sum of a neighbourhood's residuals over its standard deviation for white noise, squared: noise
+# that neighbours share reaches a fifth of it, smooth light that is not the model's passes it.
+_LARGEST_COMMON = 45.0
 # Alone, a pixel must be farther off: one in 10^9 is lost for nothing.
 _LONE_SIGMAS = 6.0
 
@@ -42,16 +45,51 @@ def gate_pixels(
     sigma = max(robust_sigma(residual, 0.1 * contrast), contrast / 1000)
     wrong = np.abs(residual) > _OUTLIER_SIGMAS * sigma
     kept = np.abs(residual) <= _LONE_SIGMAS * sigma
+    return Gate(_apart_from_crowds(chosen, wrong, kept), sigma)
+
+
+def gate_by_sigma(
+    chosen: SelectedPixels, residual: Float[np.ndarray, "n"], sigma: Float[np.ndarray, "n"]
+) -> Bool[np.ndarray, "n"]:
+    """The pixels that stay where each has a noise of its own.
+
+    Whole neighbourhoods go, whatever the signs of their pixels' residuals.
+    """
+    size = np.abs(residual) / sigma
+    return _apart_from_crowds(chosen, size > _OUTLIER_SIGMAS, size <= _LONE_SIGMAS)
+
+
+def without_common(
+    chosen: SelectedPixels, standard: Float[np.ndarray, "n"], kept: Bool[np.ndarray, "n"]
+) -> Bool[np.ndarray, "n"]:
+    """The kept pixels, less neighbourhoods whose residuals, in sigmas, have a mean."""
+    total, count = _summed(chosen, standard * kept, kept)
+    return kept & (total**2 <= _LARGEST_COMMON * np.maximum(count, 1))
+
+
+def _apart_from_crowds(
+    chosen: SelectedPixels, wrong: Bool[np.ndarray, "n"], kept: Bool[np.ndarray, "n"]
+) -> Bool[np.ndarray, "n"]:
+    """`kept`, less whole neighbourhoods of wrong pixels."""
     if not wrong.any():
-        return Gate(kept, sigma)
+        return kept
+    off, seen = _summed(chosen, wrong, np.ones(len(wrong)))
+    return kept & (off <= _LARGEST_SHARE * seen)
+
+
+def _summed(
+    chosen: SelectedPixels, *fields: Float[np.ndarray, "n"] | Bool[np.ndarray, "n"]
+) -> Float[np.ndarray, "fields n"]:
+    """Sums of each field over the neighbourhood of each pixel."""
     left, top = chosen.column.min(), chosen.row.min()
     shape = (chosen.row.max() - top + 1, chosen.column.max() - left + 1)
-    seen, off = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
     place = (chosen.row - top, chosen.column - left)
-    seen[place], off[place] = 1.0, wrong
-    window = (_NEIGHBOURHOOD_PX, _NEIGHBOURHOOD_PX)
-    seen, off = (
-        cv2.boxFilter(field, -1, window, normalize=False, borderType=cv2.BORDER_CONSTANT)
-        for field in (seen, off)
-    )
-    return Gate(kept & (off[place] <= _LARGEST_SHARE * seen[place]), sigma)
+    window, sums = (_NEIGHBOURHOOD_PX, _NEIGHBOURHOOD_PX), []
+    for field in fields:
+        picture = np.zeros(shape, np.float32)
+        picture[place] = field
+        blurred = cv2.boxFilter(
+            picture, -1, window, normalize=False, borderType=cv2.BORDER_CONSTANT
+        )
+        sums.append(blurred[place])
+    return np.stack(sums)

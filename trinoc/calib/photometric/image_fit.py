@@ -10,7 +10,13 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.calib.model import SheetPoints
-from trinoc.calib.photometric.appearance import NUISANCE, Appearance
+from trinoc.calib.photometric.appearance import LIGHT_TERMS, NUISANCE, Appearance
+from trinoc.calib.photometric.camera_covariance import CameraFit
+from trinoc.calib.photometric.camera_fit import fit_camera
+from trinoc.calib.photometric.camera_patches import camera_rows
+from trinoc.calib.photometric.camera_scene import CameraScene, light_terms
+from trinoc.calib.photometric.clipped_noise import saturation_level, white_of
+from trinoc.calib.photometric.found import found_in
 from trinoc.calib.photometric.gate import gate_pixels
 from trinoc.calib.photometric.gauss_newton import (
     Fit,
@@ -18,12 +24,15 @@ from trinoc.calib.photometric.gauss_newton import (
     ImageState,
     Stage,
     StagedGaussNewton,
+    Sums,
     run_fit,
 )
 from trinoc.calib.photometric.initial import initial_appearance
 from trinoc.calib.photometric.ink_coverage import Cross, Drawing
 from trinoc.calib.photometric.line_pixels import places_of_pixels
-from trinoc.calib.photometric.patches import patch_points
+from trinoc.calib.photometric.local_light import blocks_of_pixels
+from trinoc.calib.photometric.mosaic import balanced_mosaic
+from trinoc.calib.photometric.patches import PixelRows, homography_of_pose, patch_points
 from trinoc.calib.photometric.pixel_selection import (
     PARTS,
     PixelSelection,
@@ -32,6 +41,7 @@ from trinoc.calib.photometric.pixel_selection import (
     group_of,
     select_pixels,
 )
+from trinoc.calib.photometric.refutation import is_refuted
 from trinoc.calib.targets import Pattern
 from trinoc.geometry import AbstractLens, Pose, PoseModel
 from trinoc.numerics import GemanMcClure, noise_sigma
@@ -46,7 +56,8 @@ _PLAIN_STEPS = 2
 _CONVERGED_SIGMAS = 0.1
 _LEAST_CONTRAST = 4.0
 _SHIFT_ROUNDS = 3
-
+# The median of flat parts sees no more noise than the residuals, a mosaic's colours apart.
+_MOSAIC_NOISE = 1.5
 
 # Of places of the sheet in mm, in px.
 ShiftOfPlaces = Callable[[Float[np.ndarray, "n 2"]], Float[np.ndarray, "n 2"]]
@@ -67,6 +78,8 @@ class ImageRefinement(NamedTuple):
     pixels_cut : number of pixels near an edge that show something else than the sheet.
     converged : whether the last step was small against its own standard deviation.
     points : where the picture shows each circle and each piece of the crossed lines.
+    found : what the picture shows of its camera and its light, in words; nothing where an ideal
+        camera explains it.
     """
 
     pose: Pose
@@ -78,6 +91,7 @@ class ImageRefinement(NamedTuple):
     pixels_cut: int
     converged: bool
     points: SheetPoints
+    found: tuple[str, ...] = ()
 
 
 def refine_image(
@@ -86,13 +100,21 @@ def refine_image(
     lens: AbstractLens,
     start: Pose,
     model: PoseModel,
+    *,
     shift: ShiftOfPlaces | None = None,
+    bayer: str | None = None,
 ) -> ImageRefinement | None:
     """Fit the sheet's model to the pixels near its edges; None where none can be seen.
 
+    An ideal camera's model comes first; where its residuals refute it, the extended one.
+
     shift : how far aside of where the lens and a flat sheet would have them, in px, the picture
         shows places of the sheet.
+    bayer : for a raw mosaic of colours, those of its first two rows, such as "RGGB".
     """
+    noise_scale = np.ones_like(image)
+    if bayer is not None:
+        image, noise_scale = balanced_mosaic(image, bayer, start, lens, pattern)
     size = (image.shape[1], image.shape[0])
     appearance = initial_appearance(image, start, lens, pattern)
     contrast = float(-appearance.ratio * appearance.light[0])
@@ -133,20 +155,108 @@ def refine_image(
         return None
     state = jax.tree.map(np.asarray, last.state)
     noise = float(np.sqrt(np.sum(left.astype(np.float64) ** 2) / freedom))
-    points = patch_points(lens, pattern, groups, chosen, last.sums, noise)
-    if shift is not None:
-        points = points._replace(uv_px=points.uv_px + shift(points.place_mm))
-    return ImageRefinement(
+    floor = noise_sigma(_cut_out(image, choice), flat=choice.flat)
+
+    def shown(homography: np.ndarray, pixels: PixelRows) -> SheetPoints:
+        points = patch_points(lens, pattern, homography, pixels)
+        if shift is None:
+            return points
+        return points._replace(uv_px=points.uv_px + shift(points.place_mm))
+
+    simple = ImageRefinement(
         state.pose,
         state.appearance,
         _marginal(np.asarray(last.sums.information), model.size),
         noise,
-        noise_sigma(_cut_out(image, choice), flat=choice.flat),
+        floor,
         len(left),
         int(np.sum(~gate.kept)),
         bool(last.converged),
-        points,
+        shown(*_simple_rows(groups, chosen, last.sums, noise)),
     )
+    scene = CameraScene(
+        (circles, lines),
+        (counts[0], counts[1]),
+        image[everything.row, everything.column].astype(np.float64),
+        np.stack([everything.column, everything.row], axis=1),
+        light_terms(_places(everything, size)),
+        noise_scale[everything.row, everything.column].astype(np.float64),
+        cross,
+        drawing,
+        model,
+        white_of(image),
+        saturation_level(image[everything.row, everything.column]),
+    )
+    if floor > _MOSAIC_NOISE * simple.noise:
+        # Flat parts are noisier than what the fit leaves over: neighbours differ by colour.
+        return simple._replace(found=("a raw mosaic of colours",))
+    if bayer is None and not is_refuted(scene, state.appearance, residuals(last), gate.kept, floor):
+        return simple
+    blocks = blocks_of_pixels(scene.uv_px, start, lens, pattern)
+    extended = fit_camera(scene, jax.tree.map(np.asarray, first.state), start, blocks)
+    if extended is None or not np.isfinite(extended.covariance).all():
+        return simple
+    return _as_refinement(scene, extended, floor, shown(*camera_rows(scene, everything, extended)))
+
+
+def _as_refinement(
+    scene: CameraScene, fit: CameraFit, floor: float, points: SheetPoints
+) -> ImageRefinement:
+    """The extended fit in the words of the simple one.
+
+    The information is that of the covariance for the noise at the middle grey level.
+    """
+    look = fit.state.look_of
+    appearance = Appearance(
+        np.asarray(look("sigma_px")),
+        np.asarray(look("spread_mm")),
+        np.asarray(look("ratio")),
+        fit.state.light[:LIGHT_TERMS],
+    )
+    return ImageRefinement(
+        fit.state.pose,
+        appearance,
+        np.linalg.inv(fit.covariance) * fit.sigma**2,
+        fit.sigma,
+        floor,
+        int(fit.kept.sum()),
+        int(np.sum(~fit.kept)),
+        True,
+        points,
+        found_in(scene, fit),
+    )
+
+
+def _simple_rows(
+    groups: tuple[Group, Group],
+    chosen: tuple[SelectedPixels, SelectedPixels],
+    sums: Sums,
+    noise: float,
+) -> tuple[Float[np.ndarray, "3 3"], PixelRows]:
+    """The pixels that stayed, at the end of the simple fit, and the homography there."""
+    kept = [np.flatnonzero(group.pixels.weight) for group in groups]
+    both = list(zip(groups, kept, sums.columns, sums.residuals, strict=True))
+    columns = np.concatenate([np.asarray(part)[:, own] for _, own, part, _ in both], axis=1)
+    rays = [jax.tree.map(lambda leaf, own=own: leaf[own], g.pixels.ray) for g, own, _, _ in both]
+    near_lines = np.full(len(kept[1]), -1)
+    rows = PixelRows(
+        np.concatenate([chosen[0].circle[kept[0]], near_lines]),
+        jax.tree.map(lambda *leaves: np.concatenate(leaves), *rays),
+        columns[:3],
+        columns[3:],
+        np.concatenate([np.asarray(part)[own] for _, own, _, part in both]),
+        np.concatenate([group.pixels.weight[own] for group, own, _, _ in both]) / noise**2,
+        np.zeros(NUISANCE),
+        np.zeros(NUISANCE),
+    )
+    # The pixels were looked at through what single precision leaves of the homography.
+    return np.asarray(homography_of_pose(sums.pose)).astype(np.float32).astype(np.float64), rows
+
+
+def _places(chosen: SelectedPixels, size: tuple[int, int]) -> Float[np.ndarray, "n 2"]:
+    """(u, v) about the picture's middle in units of half its width."""
+    uv_px = np.stack([chosen.column, chosen.row], axis=1).astype(np.float64)
+    return (uv_px - 0.5 * (np.array(size) - 1)) / (0.5 * size[0])
 
 
 def _shifts(
@@ -230,4 +340,10 @@ def _marginal(information: Float[np.ndarray, "k k"], pose_size: int) -> Float[np
     inner = look[:, pose_size:]
     scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))
     scaled = inner / (scale[:, None] * scale)
-    return pose[:, :pose_size] - (across / scale) @ np.linalg.solve(scaled, (across / scale).T)
+    if not np.isfinite(scaled).all():
+        return np.full((pose_size, pose_size), np.nan)
+    try:
+        follow = np.linalg.solve(scaled, (across / scale).T)
+    except np.linalg.LinAlgError:
+        return np.full((pose_size, pose_size), np.nan)
+    return pose[:, :pose_size] - (across / scale) @ follow

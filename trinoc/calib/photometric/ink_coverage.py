@@ -20,12 +20,13 @@ from trinoc.calib.photometric.edges import (
     opposite,
     straight_edge,
 )
+from trinoc.calib.photometric.kernels import Kernel, kernel_coverage
 from trinoc.calib.photometric.sheet_point import Ray, SheetPoint
 from trinoc.numerics import ArrayLike
 
 Scalar = Float[ArrayLike, ""]
-# (displacement on the sheet X, Y in mm, ink spread in mm, sigma in px) -> share of ink.
-InkShare = Callable[[Scalar, Scalar, Scalar, Scalar], Scalar]
+# (displacement on the sheet X, Y in mm, ink spread in mm, sigma in px or kernel) -> share of ink.
+InkShare = Callable[[Scalar, Scalar, Scalar, Scalar | Kernel], Scalar]
 Band = tuple[Coverage, Coverage]
 
 
@@ -85,11 +86,11 @@ def ink_of_circle(view: View, circle: Circle, drawing: Drawing) -> InkShare:
     outer = view.circle(circle, circle.radius_mm)
     hole, has_hole = _hole(view, circle, drawing)
 
-    def share(dx: Scalar, dy: Scalar, spread: Scalar, sigma: Scalar) -> Scalar:
-        ink = circle.present * coverage(outer, _shift(outer, dx, dy) - spread, sigma).share
+    def share(dx: Scalar, dy: Scalar, spread: Scalar, blur: Scalar | Kernel) -> Scalar:
+        ink = circle.present * _coverage(outer, _shift(outer, dx, dy) - spread, blur).share
         if hole is None:
             return ink
-        return ink - has_hole * coverage(hole, _shift(hole, dx, dy) + spread, sigma).share
+        return ink - has_hole * _coverage(hole, _shift(hole, dx, dy) + spread, blur).share
 
     return share
 
@@ -110,9 +111,9 @@ def ink_of_sheet(view: View, circle: Circle, cross: Cross, drawing: Drawing) -> 
     end_x = straight_edge(point, side_x, zero, cross.half_length_mm[0])
     end_y = straight_edge(point, zero, side_y, cross.half_length_mm[1])
 
-    def share(dx: Scalar, dy: Scalar, spread: Scalar, sigma: Scalar) -> Scalar:
+    def share(dx: Scalar, dy: Scalar, spread: Scalar, blur: Scalar | Kernel) -> Scalar:
         def covered(edge: Edge, grown: Scalar) -> Coverage:
-            return coverage(edge, _shift(edge, dx, dy) - grown, sigma)
+            return _coverage(edge, _shift(edge, dx, dy) - grown, blur)
 
         def band(sides: tuple[Edge, Edge], grown: Scalar) -> Band:
             return covered(sides[0], grown), covered(sides[1], grown)
@@ -123,7 +124,7 @@ def ink_of_sheet(view: View, circle: Circle, cross: Cross, drawing: Drawing) -> 
 
         band_x, band_y = band(sides_x, spread), band(sides_y, spread)
         lines = _within(band_x, covered(end_x, spread)) + _within(band_y, covered(end_y, spread))
-        circles, lines = rings(dx, dy, spread, sigma), lines - _crossing(band_x, band_y)
+        circles, lines = rings(dx, dy, spread, blur), lines - _crossing(band_x, band_y)
         if drawing.line_style == "stop":
             return circles + lines - lines_within(covered(gap, -spread), band_x, band_y)
         disc = covered(outer, spread)
@@ -137,6 +138,12 @@ def ink_of_sheet(view: View, circle: Circle, cross: Cross, drawing: Drawing) -> 
         return circles + black + has_hole * lines_within(covered(hole, -spread), band_x, band_y)
 
     return share
+
+
+def _coverage(edge: Edge, shift_mm: Scalar, blur: Scalar | Kernel) -> Coverage:
+    if isinstance(blur, Kernel):
+        return kernel_coverage(edge, shift_mm, blur)
+    return coverage(edge, shift_mm, blur)
 
 
 def _shift(edge: Edge, dx: Scalar, dy: Scalar) -> Scalar:

@@ -10,11 +10,13 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy.sparse
 from jaxtyping import Float, Int
 
 from trinoc.calib.model import SheetPoints
-from trinoc.calib.photometric.gauss_newton import Group, Sums, sheet_from_normalised
-from trinoc.calib.photometric.pixel_selection import SelectedPixels
+from trinoc.calib.photometric.gauss_newton import sheet_from_normalised
+from trinoc.calib.photometric.local_light import WIDTH, Blocks
+from trinoc.calib.photometric.sheet_point import Ray
 from trinoc.calib.targets import Pattern
 from trinoc.geometry import AbstractLens
 from trinoc.numerics import ArrayLike
@@ -26,50 +28,73 @@ _PIECES = 8
 _LEAST_SHARE = 1e-3
 
 
-class _Rows(NamedTuple):
-    """Pixels as rows of the linearised model: (n, 2) places in mm, (n, 2 + K + 1) derivatives by a
-    shift of the picture in px and by the appearance, and the residual, whitened; (n,) patches."""
+class LocalLight(NamedTuple):
+    """Levels of light that each block of the sheet has for itself.
 
-    place_mm: Float[np.ndarray, "n 2"]
-    rows: Float[np.ndarray, "n k"]
-    patch: Int[np.ndarray, "n"]
+    Fields
+    ------
+    blocks : of the pixels.
+    rows : (6, n) derivatives of each pixel by the levels of its block.
+    levels : (6, b) where the fit ended.
+    """
+
+    blocks: Blocks
+    rows: Float[np.ndarray, "6 n"]
+    levels: Float[np.ndarray, "6 b"]
+
+
+class PixelRows(NamedTuple):
+    """Pixels as rows of the linearised model at the end of a fit.
+
+    Fields
+    ------
+    circle : (n,) of pixels near circles only, -1 for those near a line.
+    ray : of each pixel.
+    by_homography : (3, n) derivatives by the third column of the homography to the sheet, which a
+        shift of the picture changes.
+    by_look : (q, n) by the appearance.
+    residual, weight : (n,) predicted minus observed, and what each counts.
+    prior, pull : (q,) information of the appearance's prior and its gradient.
+    local : light of blocks, or None.
+    """
+
+    circle: Int[np.ndarray, "n"]
+    ray: Ray
+    by_homography: Float[np.ndarray, "3 n"]
+    by_look: Float[np.ndarray, "q n"]
+    residual: Float[np.ndarray, "n"]
+    weight: Float[np.ndarray, "n"]
+    prior: Float[np.ndarray, "q"]
+    pull: Float[np.ndarray, "q"]
+    local: LocalLight | None = None
 
 
 def patch_points(
-    lens: AbstractLens,
-    pattern: Pattern,
-    groups: tuple[Group, Group],
-    chosen: tuple[SelectedPixels, SelectedPixels],
-    sums: Sums,
-    noise: float,
+    lens: AbstractLens, pattern: Pattern, homography: Float[np.ndarray, "3 3"], pixels: PixelRows
 ) -> SheetPoints:
-    """The patches that a picture shows, for independent noise of standard deviation `noise`.
+    """The patches that a picture shows.
 
-    groups, chosen : pixels near circles only, and near a line. sums : at the end of the fit.
+    homography : from normalised coordinates to the sheet, at which the rows are.
     """
-    # The pixels were looked at through what single precision leaves of the homography.
-    matrix = np.asarray(_homography(sums.pose)).astype(np.float32).astype(np.float64)
-    parts = [
-        _rows(group, pixels, np.asarray(columns), np.asarray(residuals), matrix)
-        for group, pixels, columns, residuals in zip(
-            groups, chosen, sums.columns, sums.residuals, strict=True
-        )
-    ]
-    near_lines = parts[1]
-    pieces = len(pattern) + _piece(near_lines.place_mm, pattern)
-    everything = _Rows(
-        *(
-            np.concatenate(pair)
-            for pair in zip(parts[0], near_lines._replace(patch=pieces), strict=True)
-        )
+    x, y = np.asarray(pixels.ray.normalised, dtype=np.float64).T
+    on_sheet = homography @ np.stack([x, y, np.ones_like(x)])
+    place = (on_sheet[:2] / on_sheet[2]).T
+    # A picture that is shifted by d shows at x what it showed at x - d.
+    by_normalised = -homography[:, :2].T @ pixels.by_homography
+    by_px = np.einsum("jn,njk->kn", by_normalised, np.asarray(pixels.ray.by_pixel))
+    label = np.where(
+        pixels.circle >= 0, pixels.circle, len(pattern) + _piece_of_line(place, pattern)
     )
-    places, blocks = _sums_of_patches(everything)
-    shift, whitening = _displacements(blocks / noise**2)
-    shown = np.asarray(_images(lens, np.linalg.inv(matrix), places))
-    return SheetPoints(places, shown + shift, whitening)
+    known = (by_px**2).sum(axis=0) * pixels.weight
+    label, known = _numbered(label, known)
+    total = np.bincount(label, known)
+    middle = np.stack([np.bincount(label, known * axis) / total for axis in place.T], axis=1)
+    shift, whitening = _displacements(pixels, by_px, label, len(total))
+    shown = np.asarray(_images(lens, np.linalg.inv(homography), middle))
+    return SheetPoints(middle, shown + shift, whitening)
 
 
-_homography = jax.jit(sheet_from_normalised)
+homography_of_pose = jax.jit(sheet_from_normalised)
 
 
 @jax.jit
@@ -84,79 +109,77 @@ def _images(
     return jax.vmap(image)(places_mm)
 
 
-def _rows(
-    group: Group,
-    chosen: SelectedPixels,
-    columns: Float[np.ndarray, "k c"],
-    residuals: Float[np.ndarray, "c"],
-    matrix: Float[np.ndarray, "3 3"],
-) -> _Rows:
-    count = len(chosen.row)
-    weight = np.asarray(group.pixels.weight[:count], dtype=np.float64)
-    kept = np.flatnonzero(weight)
-    ray = group.pixels.ray
-    x, y = np.asarray(ray.normalised, dtype=np.float64)[kept].T
-    on_sheet = matrix @ np.stack([x, y, np.ones_like(x)])
-    # A picture that is shifted by d shows at x what it showed at x - d.
-    by_normalised = -matrix[:, :2].T @ columns[:3, kept]
-    by_px = np.einsum("jn,njk->nk", by_normalised, np.asarray(ray.by_pixel)[kept])
-    rows = np.concatenate([by_px, columns[3:, kept].T, residuals[kept, None]], axis=1)
-    return _Rows(
-        (on_sheet[:2] / on_sheet[2]).T, rows * np.sqrt(weight[kept, None]), chosen.circle[kept]
-    )
-
-
-def _piece(place_mm: Float[np.ndarray, "n 2"], pattern: Pattern) -> Int[np.ndarray, "n"]:
+def _piece_of_line(place_mm: Float[np.ndarray, "n 2"], pattern: Pattern) -> Int[np.ndarray, "n"]:
     """The piece of a line that each place is on: of the line along X, then of the one along Y."""
     x, y = place_mm.T
     along_y = np.abs(y) > np.abs(x)
     reach = np.where(along_y, pattern.line_half_length_mm[1], pattern.line_half_length_mm[0])
-    along = np.where(along_y, y, x) / reach
+    along = np.where(along_y, y, x) / np.maximum(reach, 1e-9)
     last = 2 * _PIECES - 1
     return np.clip(np.floor((along + 1) * _PIECES), 0, last).astype(int) + along_y * (last + 1)
 
 
-def _sums_of_patches(
-    pixels: _Rows,
-) -> tuple[Float[np.ndarray, "m 2"], Float[np.ndarray, "m k k"]]:
-    """Centroid of each patch, by what its pixels know, and its sums of products."""
-    order = np.argsort(pixels.patch, kind="stable")
-    rows, place = pixels.rows[order], pixels.place_mm[order]
-    starts = np.flatnonzero(np.diff(pixels.patch[order], prepend=-2))
-    places, blocks = [], []
-    for start, end in zip(starts, [*starts[1:], len(order)], strict=True):
-        part = rows[start:end].astype(np.float64)
-        share = np.sum(part[:, :2] ** 2, axis=1)
-        if share.sum() > 0:
-            places.append(share @ place[start:end] / share.sum())
-            blocks.append(part.T @ part)
-    return np.stack(places), np.stack(blocks)
+def _numbered(
+    label: Int[np.ndarray, "n"], known: Float[np.ndarray, "n"]
+) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+    """Patches of which something is known numbered from 0; pixels of others count to the first."""
+    useful = np.flatnonzero(np.bincount(label, known) > 0)
+    number = np.zeros(label.max() + 1, dtype=int)
+    number[useful] = np.arange(len(useful))
+    return number[label], np.where(np.isin(label, useful), known, 0.0)
 
 
 def _displacements(
-    blocks: Float[np.ndarray, "m k k"],
+    pixels: PixelRows,
+    by_px: Float[np.ndarray, "2 n"],
+    patch: Int[np.ndarray, "n"],
+    count: int,
 ) -> tuple[Float[np.ndarray, "m 2"], Float[np.ndarray, "q q"]]:
     """Shift of each patch in px, and R of all their errors, the appearance being eliminated."""
-    count = len(blocks)
-    common = blocks[:, 2:, 2:].sum(axis=0)
-    scale = np.sqrt(np.maximum(np.diag(common)[:-1], 1e-300))
-    look, look_slope = common[:-1, :-1] / np.outer(scale, scale), common[:-1, -1] / scale
-    across = (blocks[:, :2, 2:-1] / scale).reshape(2 * count, -1)
-    eliminated = across @ np.linalg.pinv(look, hermitian=True)
-    information = -eliminated @ across.T
-    slope = blocks[:, :2, -1].reshape(-1) - eliminated @ look_slope
-    basis = []
-    for k, block in enumerate(blocks[:, :2, :2]):
-        rows = slice(2 * k, 2 * k + 2)
-        information[rows, rows] += block
-        values, vectors = np.linalg.eigh(block)
-        for value, vector in zip(values, vectors.T, strict=True):
-            if value > _LEAST_SHARE * values[-1]:
-                basis.append(np.zeros(2 * count))
-                basis[-1][rows] = vector
-    known = np.stack(basis, axis=1)
+    number = np.arange(len(patch))
+    weight, residual = pixels.weight, pixels.residual.astype(np.float64)
+    shifts = scipy.sparse.csr_matrix(
+        (by_px.ravel(), (np.tile(number, 2), np.concatenate([2 * patch, 2 * patch + 1]))),
+        (len(patch), 2 * count),
+    )
+    weighted = shifts.multiply(weight[:, None]).tocsr()
+    look = pixels.by_look.astype(np.float64).T
+    across, inner = weighted.T @ look, (look.T * weight) @ look + np.diag(pixels.prior)
+    pull = look.T @ (weight * residual) + pixels.pull
+    if pixels.local is not None:
+        blocks, rows, levels = pixels.local
+        place = 6 * blocks.of_pixel + np.arange(6)[:, None]
+        local = scipy.sparse.csr_matrix(
+            (rows.ravel(), (np.tile(number, 6), place.ravel())), (len(patch), 6 * blocks.count)
+        )
+        own = (local.multiply(weight[:, None]).T @ local).toarray()
+        own += np.diag(np.tile(WIDTH**-2, blocks.count))
+        between = local.multiply(weight[:, None]).T @ look
+        inner = np.block([[inner, between.T], [between, own]])
+        across = np.concatenate([across, (weighted.T @ local).toarray()], axis=1)
+        levels_pull = local.T @ (weight * residual) + (levels.T / WIDTH**2).ravel()
+        pull = np.concatenate([pull, levels_pull])
+    scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))
+    eliminated = (across / scale) @ np.linalg.pinv(inner / np.outer(scale, scale), hermitian=True)
+    alone = (weighted.T @ shifts).toarray()
+    information = alone - eliminated @ (across / scale).T
+    slope = weighted.T @ residual - eliminated @ (pull / scale)
+    known = _known_directions(alone, count)
     factor = np.linalg.cholesky(known.T @ information @ known)
     step = np.linalg.solve(factor.T, np.linalg.solve(factor, known.T @ slope))
     whitening = np.zeros((2 * count, 2 * count))
     whitening[: known.shape[1]] = factor.T @ known.T
     return -(known @ step).reshape(count, 2), whitening
+
+
+def _known_directions(alone: Float[np.ndarray, "k k"], count: int) -> Float[np.ndarray, "k q"]:
+    """Unit vectors along which patches are known by themselves."""
+    basis = []
+    for k in range(count):
+        rows = slice(2 * k, 2 * k + 2)
+        values, vectors = np.linalg.eigh(alone[rows, rows])
+        for value, vector in zip(values, vectors.T, strict=True):
+            if value > _LEAST_SHARE * values[-1]:
+                basis.append(np.zeros(2 * count))
+                basis[-1][rows] = vector
+    return np.stack(basis, axis=1)

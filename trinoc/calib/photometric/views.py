@@ -94,7 +94,7 @@ def _refine(
     def silent(note: str) -> PictureFit:
         return PictureFit(start, None, None, note)
 
-    refined = refine_image(image, pattern, lens, start, model, shift)
+    refined = refine_image(image, pattern, lens, start, model, shift=shift)
     if refined is None:
         return silent("the picture has too little contrast to be fitted itself.")
     if not refined.converged or not np.isfinite(refined.information).all():
@@ -123,6 +123,7 @@ def _quality(refined: ImageRefinement, model: PoseModel) -> ImageQuality:
         blur_px=float(np.sqrt(max(float(look.sigma_px) ** 2 - _BOX_VARIANCE, 0.0))),
         ink_spread_mm=float(look.spread_mm),
         ink_over_paper=float(1 + look.ratio),
+        found=refined.found,
         bound=seen.covariance * (refined.noise_floor / refined.noise) ** 2,
     )
 

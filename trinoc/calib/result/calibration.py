@@ -23,6 +23,7 @@ class ImageQuality(eqx.Module):
     blur_px : sigma of the lens's blur.
     ink_spread_mm : by which ink reaches beyond the drawing.
     ink_over_paper : grey level of ink over that of paper.
+    found : what the picture shows of its camera and its light, in words.
     bound : (p, p) Cramer-Rao bound of the camera's parameters, degrees and mm: the least
         covariance that any unbiased fit to this picture can have.
     """
@@ -34,6 +35,7 @@ class ImageQuality(eqx.Module):
     blur_px: float = eqx.field(static=True)
     ink_spread_mm: float = eqx.field(static=True)
     ink_over_paper: float = eqx.field(static=True)
+    found: tuple[str, ...] = eqx.field(static=True)
     bound: Float[np.ndarray, "p p"]
 
     @property

@@ -1,0 +1,270 @@
+"""Laws of the extended model's parts: response, kernels, saturation, noise, local light."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings, strategies as st
+from scipy.integrate import quad
+from scipy.ndimage import gaussian_filter
+from scipy.stats import norm
+
+from tests.calib.photometric.test_photometry import CROSS, RIGHT, pose_of
+from tests.calib.simulated import LENS, reference_sheet
+from trinoc.calib.photometric.camera_look import LOOK_TERMS, grey_level, look_of_vector
+from trinoc.calib.photometric.camera_scene import CameraScene, light_terms, predict_scene
+from trinoc.calib.photometric.clipped_noise import clipped, saturation_level
+from trinoc.calib.photometric.correlated_noise import OnGrid, autocorrelation, correlated_sum
+from trinoc.calib.photometric.edges import straight_edge
+from trinoc.calib.photometric.ink_coverage import Drawing
+from trinoc.calib.photometric.kernels import Kernel, kernel_coverage
+from trinoc.calib.photometric.local_light import blocks_of_pixels, eliminate_local
+from trinoc.calib.photometric.mosaic import balanced_mosaic
+from trinoc.calib.photometric.noise_by_level import noise_by_level
+from trinoc.calib.photometric.outlines import project_to_image
+from trinoc.calib.photometric.pixel_selection import group_of, select_pixels
+from trinoc.calib.photometric.response import level_of_light, light_of_level
+from trinoc.calib.photometric.sheet_point import SheetPoint
+from trinoc.calib.photometric.unknowns import LOOK_NAMES, START, CameraState
+from trinoc.errors import InputError
+from trinoc.geometry import PoseModel
+from trinoc.synth.camera_picture.response import SRGB
+
+pytestmark = pytest.mark.usefixtures("large_programs")
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.floats(0.0, 1.0), st.floats(-0.5, 2.0))
+def test_response_is_inverted_and_keeps_black_and_white(light: float, bend: float) -> None:
+    x, b = jnp.asarray(light), jnp.asarray(bend)
+    assert float(light_of_level(level_of_light(x, b), b)) == pytest.approx(light, abs=1e-5)
+    assert float(level_of_light(x, jnp.asarray(0.0))) == pytest.approx(light, abs=1e-12)
+    assert float(level_of_light(jnp.asarray(1.0), b)) == pytest.approx(1.0, abs=1e-12)
+
+
+def test_response_reaches_srgb() -> None:
+    light = np.linspace(0.02, 1.0, 200)
+    assert np.allclose(
+        jax.vmap(level_of_light, (0, None))(light, jnp.asarray(1.0)),
+        SRGB().encoded(light),
+        atol=2e-3,
+    )
+
+
+def test_grey_levels_of_paper_and_ink_do_not_follow_the_response() -> None:
+    """Light and ratio are told in grey levels: the response shapes what lies between."""
+    white, paper = jnp.asarray(255.0), jnp.asarray(200.0)
+    for bend in (0.0, 0.7, 1.5):
+        vector = START.copy()
+        vector[LOOK_NAMES.index("ratio")], vector[LOOK_NAMES.index("bend")] = -0.8, bend
+        look = look_of_vector(jnp.asarray(vector))
+        levels = [
+            float(grey_level(jnp.asarray(share), paper, jnp.asarray(0.0), paper, white, look))
+            for share in (0.0, 1.0)
+        ]
+        assert levels == pytest.approx([200.0, 40.0], rel=1e-6)
+
+
+def share_of_edge(distance_px: float, kernel: Kernel, angle: float) -> float:
+    """Of a straight edge whose normal stands at `angle` from u, one mm a pixel."""
+    one = jnp.asarray(1.0)
+    normal = np.array([np.cos(angle), np.sin(angle)])
+    point = SheetPoint(
+        jnp.asarray(distance_px * normal), jnp.eye(2), jnp.zeros(2), jnp.ones(3), one
+    )
+    across, down = (jnp.asarray(part) for part in normal)
+    edge = straight_edge(point, across, down, jnp.asarray(0.0))
+    return float(kernel_coverage(edge, jnp.asarray(0.0), kernel).share)
+
+
+def kernel_of(**given: float) -> Kernel:
+    values = dict.fromkeys(Kernel._fields, 0.0) | given
+    return Kernel(**{name: jnp.asarray(value) for name, value in values.items()})
+
+
+@pytest.mark.parametrize("angle_deg", [0.0, 25.0, 60.0, 115.0])
+def test_kernel_of_a_motion_is_a_gaussian_along_a_line(angle_deg: float) -> None:
+    sigma, length, direction = 0.9, 2.0, np.radians(25.0)
+    amount = length**2 / 24
+    kernel = kernel_of(
+        sigma_px=np.sqrt(sigma**2 + amount),
+        along_u=amount * np.cos(2 * direction),
+        diagonal=amount * np.sin(2 * direction),
+        line=1.0,
+    )
+    angle = np.radians(angle_deg)
+    half = 0.5 * length * abs(np.cos(angle - direction)) + 1e-9
+    for distance in np.linspace(-3, 3, 13):
+        exact = quad(lambda x, d=distance: norm.cdf(-(d + x) / sigma), -half, half)[0] / (2 * half)
+        assert share_of_edge(distance, kernel, angle) == pytest.approx(exact, abs=2e-3)
+
+
+def test_kernel_of_a_disc_is_flat_topped() -> None:
+    """Against a Gaussian and a disc blurred numerically, by cumulants -R^4/16 and R^6/16 ."""
+    sigma, radius = 0.7, 1.2
+    variance = sigma**2 + radius**2 / 4
+    kernel = kernel_of(
+        sigma_px=np.sqrt(variance),
+        kurtosis=-(radius**4) / 16 / variance**2,
+        sixth=5 * radius**6 / 64 / variance**3,
+    )
+
+    def exact(distance: float) -> float:
+        def density(x: float) -> float:
+            return 2 * np.sqrt(max(radius**2 - x * x, 0)) / (np.pi * radius**2)
+
+        return quad(lambda x: density(x) * norm.cdf(-(distance + x) / sigma), -radius, radius)[0]
+
+    for distance in np.linspace(-2.5, 2.5, 11):
+        assert share_of_edge(distance, kernel, 0.3) == pytest.approx(exact(distance), abs=2e-3)
+
+
+def scene_of(picture: np.ndarray) -> CameraScene:
+    pattern, pose = reference_sheet(), pose_of(RIGHT)
+    choice = select_pixels(pose, LENS.lens, pattern, LENS.image_size_px, 0.8)
+    chosen = (choice.near_circles, choice.near_lines)
+    groups = [group_of(part, picture, LENS.lens, pattern, 16384, np.float32) for part in chosen]
+    uv_px = np.concatenate([np.stack([part.column, part.row], axis=1) for part in chosen])
+    place = (uv_px - 0.5 * (np.array(LENS.image_size_px) - 1)) / (0.5 * LENS.image_size_px[0])
+    return CameraScene(
+        (groups[0], groups[1]),
+        (len(chosen[0].row), len(chosen[1].row)),
+        picture[uv_px[:, 1], uv_px[:, 0]],
+        uv_px,
+        light_terms(place),
+        np.ones(len(uv_px)),
+        CROSS,
+        Drawing("stop", False),
+        PoseModel.AIMED,
+        255.0,
+        np.inf,
+    )
+
+
+def test_derivatives_are_those_of_differences_and_local_light_too() -> None:
+    scene = scene_of(np.zeros(LENS.image_size_px[::-1]))
+    blocks = blocks_of_pixels(scene.uv_px, pose_of(RIGHT), LENS.lens, reference_sheet())
+    scene = scene._replace(blocks=blocks)
+    look = START.copy()
+    given = {"sigma_px": 0.8, "ratio": -0.8, "bend": 0.6, "lobe": 0.3, "along_u": 0.1}
+    for name, value in (given | {"line": 0.5, "kurtosis": 0.1, "contrast": 0.1}).items():
+        look[LOOK_NAMES.index(name)] = value
+    light, veil = np.zeros(15), np.zeros(6)
+    light[:3], veil[0] = (200.0, 5.0, -3.0), 3.0
+    state = CameraState(pose_of(RIGHT), look, light, veil, np.zeros((6, blocks.count)))
+    exact = predict_scene(scene, state)
+    first = scene.model.size
+    for k in range(LOOK_TERMS + 15 + 6):
+        change = np.zeros(LOOK_TERMS + 15 + 6)
+        change[k] = 5e-3 if k < LOOK_TERMS else 1.0
+        up, down = (
+            predict_scene(scene, state.moved(state.pose, sign * change, state.levels)).level
+            for sign in (1, -1)
+        )
+        difference = (up - down) / (2 * change[k])
+        error = np.sqrt(np.mean((exact.rows[first + k] - difference) ** 2))
+        assert error < 0.02 * np.sqrt(np.mean(difference**2)) + 1e-3, k
+    levels = np.zeros((6, blocks.count))
+    for k, step in ((0, 0.01), (2, 0.01), (3, 1.0), (4, 1.0)):
+        levels[:] = 0.0
+        levels[k] = step
+        moved = predict_scene(scene, state._replace(levels=levels)).level
+        assert np.allclose(exact.local[k], (moved - exact.level) / step, atol=2.0, rtol=0.05)
+
+
+def test_eliminated_levels_leave_the_whole_system_s_answer() -> None:
+    random = np.random.default_rng(0)
+    scene = scene_of(np.zeros(LENS.image_size_px[::-1])).first(4)
+    blocks = blocks_of_pixels(scene.uv_px, pose_of(RIGHT), LENS.lens, reference_sheet())
+    count, n = blocks.count, len(scene.grey)
+    rows, weight, residual = (
+        random.normal(size=(3, n)),
+        random.uniform(size=n),
+        random.normal(size=n),
+    )
+    local = random.normal(size=(6, n))
+    levels = np.zeros((6, count))
+    gradient = (rows * weight) @ residual
+    reduced = eliminate_local(
+        blocks, rows, local, weight, residual, levels, (rows * weight) @ rows.T, gradient
+    )
+    wide = np.zeros((3 + 6 * count, n))
+    wide[:3] = rows
+    for k in range(6):
+        wide[3 + 6 * blocks.of_pixel + k, np.arange(n)] = local[k]
+    prior = np.r_[np.zeros(3), np.tile([4, 100, 100, 1 / 1600, 1 / 400, 1 / 400], count)]
+    step = np.linalg.solve((wide * weight) @ wide.T + np.diag(prior), (wide * weight) @ residual)
+    assert np.linalg.solve(reduced.matrix, reduced.gradient) == pytest.approx(step[:3], rel=1e-6)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.floats(230.0, 275.0), st.floats(0.5, 5.0))
+def test_moments_of_a_clipped_level(level: float, sigma: float) -> None:
+    top = 255.0
+    got = clipped(np.array([level]), np.array([sigma]), top)
+    at = level + sigma * np.linspace(-9, 9, 40001)
+    weight = norm.pdf(at, level, sigma) * (at[1] - at[0])
+    cut = np.minimum(at, top)
+    mean = weight @ cut
+    assert got.mean[0] == pytest.approx(mean, abs=1e-3)
+    assert got.slope[0] == pytest.approx(norm.cdf((top - level) / sigma), abs=1e-9)
+    least = 0.2**2 * norm.sf((top - level) / sigma)
+    assert got.sigma[0] ** 2 == pytest.approx(weight @ (cut - mean) ** 2 + least, abs=2e-3)
+
+
+def test_saturation_is_where_levels_pile_up() -> None:
+    grey = np.random.default_rng(0).normal(200.0, 30.0, 20000)
+    assert saturation_level(np.minimum(grey, 230.0)) == 230.0
+    assert saturation_level(grey) == np.inf
+
+
+def test_noise_grows_with_the_level_as_it_was_made() -> None:
+    random = np.random.default_rng(1)
+    level = random.uniform(20, 230, 40000)
+    sigma = np.sqrt(1 + level / 20)
+    residual = random.normal(0, sigma)
+    everything = np.ones(len(level), dtype=bool)
+    at = np.linspace(40, 210, 9)
+    for robust in (False, True):
+        found = noise_by_level(level, residual, everything, at, robust=robust)
+        assert found == pytest.approx(np.sqrt(1 + at / 20), rel=0.05)
+
+
+def test_correlation_and_the_variance_of_a_sum() -> None:
+    random = np.random.default_rng(2)
+    row, column = (part.ravel() for part in np.mgrid[:120, :140])
+    grid, everything = OnGrid(column, row), np.ones(120 * 140, dtype=bool)
+    white = random.normal(size=(120, 140))
+    assert autocorrelation(grid, white.ravel(), everything).sum() == pytest.approx(1.0, abs=0.2)
+    smooth = gaussian_filter(white, 0.8)
+    shared = autocorrelation(grid, smooth.ravel() / smooth.std(), everything)
+    lags = np.arange(-4, 5)
+    squares = lags[:, None] ** 2 + lags**2
+    assert shared == pytest.approx(np.exp(-squares / (4 * 0.8**2)), abs=0.05)
+    # The sum over a window of the noise has the variance that the sandwich says.
+    wave = np.cos(column / 9.0) * np.cos(row / 7.0)
+    claimed = correlated_sum(grid, wave[None], shared)[0, 0]
+    sums = [
+        wave @ (gaussian_filter(random.normal(size=(120, 140)), 0.8) / smooth.std()).ravel()
+        for _ in range(200)
+    ]
+    assert np.var(sums) / claimed == pytest.approx(1.0, abs=0.35)
+
+
+def test_a_mosaic_is_brought_to_the_levels_of_green() -> None:
+    pattern, pose = reference_sheet(), pose_of(RIGHT)
+    row, column = np.mgrid[:480, :512] % 2
+    gain = np.array([[0.55, 1.0], [1.0, 0.65]])[row, column]
+    flat = np.full((480, 512), 200.0)
+    centres = np.asarray(project_to_image(pose, LENS.lens, pattern.centres_mm))
+    inked = np.asarray(
+        [np.hypot(*(np.indices(flat.shape)[::-1] - uv[:, None, None])) < 9 for uv in centres]
+    ).any(axis=0)
+    picture = np.where(inked, 30.0, flat)
+    balanced = balanced_mosaic(
+        (picture * gain).astype(np.float32), "RGGB", pose, LENS.lens, pattern
+    )
+    assert np.allclose(balanced.image, picture, atol=1.0)
+    assert np.allclose(balanced.noise_scale * gain, 1.0, atol=0.01)
+    with pytest.raises(InputError, match="bayer"):
+        balanced_mosaic(picture.astype(np.float32), "RGB", pose, LENS.lens, pattern)

@@ -1,0 +1,63 @@
+"""Pictures that no ideal camera takes: what is found in them, and errors as large as claimed."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from tests.calib.photometric.test_photometry import RIGHT, START, image_of, mahalanobis, refined
+from tests.calib.simulated import LENS, reference_sheet
+from trinoc.calib.photometric import refine_image
+from trinoc.calib.pose import pose_of_values
+from trinoc.geometry import PoseModel
+from trinoc.synth.camera_picture.response import SRGB
+
+pytestmark = pytest.mark.usefixtures("large_programs")
+
+
+def srgb(light: np.ndarray) -> np.ndarray:
+    return 255 * np.asarray(SRGB().encoded(np.clip(light / 255, 0, 1)))
+
+
+def overexposed(light: np.ndarray) -> np.ndarray:
+    return np.minimum(1.4 * light, 255.0)
+
+
+PICTURES = {"as sRGB": srgb, "saturated": overexposed}
+
+
+@pytest.mark.parametrize("word", PICTURES)
+def test_errors_scatter_as_the_covariance_says(word: str) -> None:
+    camera: Callable[[np.ndarray], np.ndarray] = PICTURES[word]
+    exact, trials, squared = image_of(reference_sheet(), RIGHT, supersampling=24), 8, []
+    for seed in range(trials):
+        noise = np.random.default_rng(seed).normal(0.0, 2.0, exact.shape)
+        result = refined(np.rint(camera(exact + noise)).astype(np.float32), START)
+        assert result is not None
+        assert any(word in said for said in result.found)
+        squared.append(mahalanobis(result))
+    assert abs(np.mean(squared) - 4) < 3.5 * np.sqrt(2 * 4 / trials)
+
+
+def test_a_clean_picture_takes_the_simple_model() -> None:
+    exact = image_of(reference_sheet(), RIGHT)
+    for seed in range(4):
+        noise = np.random.default_rng(seed).normal(0.0, 2.0, exact.shape)
+        result = refined(np.rint(exact + noise).astype(np.float32), START)
+        assert result is not None
+        assert result.found == ()
+        assert result.noise == pytest.approx(2.0, rel=0.06)
+
+
+def test_a_raw_mosaic_is_fitted_without_interpolation() -> None:
+    exact = image_of(reference_sheet(), RIGHT)
+    row, column = np.mgrid[: exact.shape[0], : exact.shape[1]] % 2
+    gain = np.array([[0.55, 1.0], [1.0, 0.65]])[row, column]
+    raw = exact * gain + np.random.default_rng(0).normal(0.0, 1.0, exact.shape)
+    arguments = (reference_sheet(), LENS.lens, pose_of_values(np.array(START)), PoseModel.AIMED)
+    balanced = refine_image(raw.astype(np.float32), *arguments, bayer="RGGB")
+    assert balanced is not None
+    assert mahalanobis(balanced) < 25.0
+    # Without a word about its colours it is told, or not answered, without a crash.
+    untold = refine_image(raw.astype(np.float32), *arguments)
+    assert untold is None or untold.found == ("a raw mosaic of colours",)

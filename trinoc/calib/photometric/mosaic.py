@@ -1,0 +1,98 @@
+"""A raw mosaic of colours as one grey picture, each pixel by itself, without interpolation.
+
+A pixel behind a red filter sees paper and ink at other levels than one behind a green filter, and
+the same edge. Levels are brought to those of green; the noise grows with them.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from trinoc.calib.photometric.outlines import circle_points_mm, project_to_image
+from trinoc.calib.targets import Pattern
+from trinoc.errors import InputError
+from trinoc.geometry import AbstractLens, Pose
+
+# Flat parts of a circle's ink and of the paper round it, in radii.
+_INK_RADII, _PAPER_RADII = (0.2, 0.4, 0.6), (1.3, 1.4, 1.5)
+_FEWEST_SAMPLES = 30
+
+
+class BalancedMosaic(NamedTuple):
+    """Grey levels as if every pixel were green, and by how much their noise has grown."""
+
+    image: Float[np.ndarray, "h w"]
+    noise_scale: Float[np.ndarray, "h w"]
+
+
+def balanced_mosaic(
+    image: Float[np.ndarray, "h w"],
+    bayer: str,
+    pose: Pose,
+    lens: AbstractLens,
+    pattern: Pattern,
+) -> BalancedMosaic:
+    """The mosaic with each colour's paper and ink at the levels of green.
+
+    bayer : colours of the first two pixels of the first two rows, such as "RGGB".
+
+    Raises InputError for other words, and where too little of the sheet is seen.
+    """
+    if sorted(bayer) != sorted("RGGB"):
+        raise InputError(f'bayer is "{bayer}", but must be "RGGB", "BGGR", "GRBG" or "GBRG".')
+    phase = _phases(image.shape)
+    # The two greens are one colour; the others are told by their place in the tile.
+    colour = np.array([bayer.index(letter) for letter in bayer])[phase]
+    full = pattern.inner_radius_mm == 0
+    ink, paper = (
+        _levels(image, colour, _samples(pattern, full, radii, pose, lens, image.shape))
+        for radii in (_INK_RADII, _PAPER_RADII)
+    )
+    green = bayer.index("G")
+    gain = np.ones(4)
+    for one in set(colour.ravel().tolist()):
+        gain[one] = (paper[green] - ink[green]) / max(paper[one] - ink[one], 1e-6)
+    offset = ink[green] - gain * ink
+    scale = gain[colour]
+    return BalancedMosaic((image * scale + offset[colour]).astype(np.float32), scale)
+
+
+def _phases(shape: tuple[int, ...]) -> Int[np.ndarray, "h w"]:
+    row, column = np.indices(shape[:2]) % 2
+    return 2 * row + column
+
+
+def _samples(
+    pattern: Pattern,
+    full: np.ndarray,
+    radii: tuple[float, ...],
+    pose: Pose,
+    lens: AbstractLens,
+    shape: tuple[int, ...],
+) -> Int[np.ndarray, "n 2"]:
+    """(row, column) of pixels on rings about the full discs."""
+    centres, radius = pattern.centres_mm[full], pattern.radius_mm[full]
+    rings = [circle_points_mm(centres, share * radius).reshape(-1, 2) for share in radii]
+    uv_px = np.asarray(project_to_image(pose, lens, np.concatenate(rings)))
+    place = np.round(uv_px[:, ::-1]).astype(int)
+    return np.unique(place[np.all((place >= 0) & (place < shape[:2]), axis=1)], axis=0)
+
+
+def _levels(
+    image: Float[np.ndarray, "h w"], colour: Int[np.ndarray, "h w"], place: Int[np.ndarray, "n 2"]
+) -> Float[np.ndarray, "4"]:
+    """Mean level of each colour at the samples, outliers apart."""
+    levels, seen = np.zeros(4), image[tuple(place.T)]
+    of_pixel = colour[tuple(place.T)]
+    for one in set(colour.ravel().tolist()):
+        values = seen[of_pixel == one].astype(np.float64)
+        if len(values) < _FEWEST_SAMPLES:
+            raise InputError(
+                "Too little of the sheet is seen to balance the colours of a mosaic: "
+                "interpolate it first."
+            )
+        middle = np.median(values)
+        spread = np.median(np.abs(values - middle)) + 1.0
+        levels[one] = np.mean(values[np.abs(values - middle) < 5 * spread])
+    return levels
