@@ -39,9 +39,7 @@ def pictures(folder: Path, camera: str, shots: int) -> list[np.ndarray]:
 
 
 def plate(radius_mm: float) -> trinoc.Pattern:
-    return trinoc.Pattern.circle_grid(
-        rows=10, columns=10, pitch_mm=PITCH_MM, radius_mm=radius_mm
-    )
+    return trinoc.Pattern.circle_grid(rows=10, columns=10, pitch_mm=PITCH_MM, radius_mm=radius_mm)
 
 
 def measured_radius_mm(image: np.ndarray) -> float:

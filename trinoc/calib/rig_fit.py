@@ -151,7 +151,7 @@ def fit_rig(
     of_circles = _adjusted(by_circles, known)
     if not known.systematics.are_none:
         by_circles = _corrected(by_circles, sheets, of_circles, known, [0.0] * len(sheets))
-        of_circles = _adjusted(by_circles, known)
+        of_circles = _adjusted(by_circles, known, of_circles)
     points = [view.points for view in by_circles]
     pictures = _pictures(sheets, starts, points, of_circles, known)
     spreads = [
@@ -161,16 +161,17 @@ def fit_rig(
     if max(abs(spread) for spread in spreads) > _LEAST_SPREAD_MM:
         # Larger circles are seen with their centres further aside.
         by_circles = _corrected(by_circles, sheets, of_circles, known, spreads)
-        of_circles, points = _adjusted(by_circles, known), [view.points for view in by_circles]
+        of_circles = _adjusted(by_circles, known, of_circles)
+        points = [view.points for view in by_circles]
     by_picture = [
         view
         if picture is None or picture.points is None
         # What its own pixels left out is no place that may be wrong.
-        else view._replace(points=picture.points, pose=picture.pose, has_outliers=False)
+        else view._replace(points=picture.points, has_outliers=False)
         for view, picture in zip(by_circles, pictures, strict=True)
     ]
     asked = [view.points is not one for view, one in zip(by_picture, points, strict=True)]
-    of_pictures = _adjusted(by_picture, known) if any(asked) else of_circles
+    of_pictures = _adjusted(by_picture, known, of_circles) if any(asked) else of_circles
     agreement = [
         probability_of_agreement(of_circles, of_pictures, points[k], k)
         if asked[k]
@@ -193,7 +194,7 @@ def fit_rig(
             by_picture[k] if chosen[k] else _scattered(by_circles[k], scatter[k])
             for k in range(len(sheets))
         ]
-        final = _adjusted(views, known)
+        final = _adjusted(views, known, of_circles)
     cameras = [
         CameraFitting(
             sheet,
@@ -224,8 +225,11 @@ def _corrected(
     ]
 
 
-def _adjusted(views: Sequence[SheetView], known: Knowledge) -> Adjustment:
-    return adjusted_views(views, known.systematics, known.fitted_model, known.aim_sigma_mm)
+def _adjusted(
+    views: Sequence[SheetView], known: Knowledge, near: Adjustment | None = None
+) -> Adjustment:
+    model, aim_sigma_mm = known.fitted_model, known.aim_sigma_mm
+    return adjusted_views(views, known.systematics, model, aim_sigma_mm, near)
 
 
 def _pictures(

@@ -43,8 +43,9 @@ BENCH = Systematics.typical({})
     ("name", "known", "method"),
     [
         ("reference", EXACT, "picture"),
-        ("sRGB, dark ink", EXACT, "circles"),
-        ("overexposed", EXACT, "circles"),
+        ("sRGB, dark ink", EXACT, "picture"),
+        ("overexposed", EXACT, "picture"),
+        ("aim .1 mm off", EXACT, "circles"),
         ("bent .1 mm", BENCH, "picture"),
         ("aim .1 mm off", BENCH, "picture"),
         ("print .1 % longer along X", BENCH, "picture"),

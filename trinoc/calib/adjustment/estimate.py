@@ -100,15 +100,18 @@ def adjusted_views(
     systematics: Systematics,
     model: PoseModel,
     aim_sigma_mm: float,
+    near: Adjustment | None = None,
 ) -> Adjustment:
     """All cameras together, places that fit none of it left out.
+
+    near : an adjustment of the same cameras from the same poses, from which this one starts.
 
     A camera whose places scatter more than they claim gets sigmas that are larger by that much, in
     a second adjustment where it weighs less.
     """
     known = _stacked(views, systematics, aim_sigma_mm)
     count = len(views)
-    start = _no_change(known, model)
+    start = _no_change(known, model) if near is None else near.adjusted.unknowns
     found = as_numpy(adjust(start, known, model=model))
     used = [np.ones(len(view.points.place_mm), dtype=bool) for view in views]
     suspects = [k for k in range(count) if views[k].has_outliers and _worst(found, k) > GATE]
@@ -154,8 +157,10 @@ def _stacked(
     for k in range(count, cameras):
         points[k] = points[k]._replace(whitening=np.zeros_like(points[k].whitening))
     lenses = [promoted(view.lens) for view in each]
-    terms = len(lenses[0].parameter_names)
-    factors = np.zeros((cameras, terms, terms))
+    count_of_lens = len(lenses[0].parameter_names)
+    # A program for lenses that are all exact, and one for all others.
+    terms = 1 if all(view.lens_factor is None for view in each) else count_of_lens
+    factors = np.zeros((cameras, count_of_lens, terms))
     for factor, view in zip(factors, each, strict=True):
         if view.lens_factor is not None:
             rows, columns = view.lens_factor.shape

@@ -22,8 +22,8 @@ from trinoc.geometry import AbstractLens, Pose, PoseModel, project_point
 from trinoc.numerics import ArrayLike, GemanMcClure
 
 _MOST_STEPS = 60
-_STEP_TOLERANCE = 1e-9
-_COST_TOLERANCE = 1e-9
+_STEP_TOLERANCE = 1e-7
+_COST_TOLERANCE = 1e-7
 
 
 class Unknowns(NamedTuple):

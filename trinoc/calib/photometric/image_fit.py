@@ -32,6 +32,7 @@ from trinoc.calib.photometric.ink_coverage import Cross, Drawing
 from trinoc.calib.photometric.line_pixels import places_of_pixels
 from trinoc.calib.photometric.local_light import blocks_of_pixels
 from trinoc.calib.photometric.mosaic import balanced_mosaic
+from trinoc.calib.photometric.noise_by_level import noise_by_level
 from trinoc.calib.photometric.patches import PixelRows, homography_of_pose, patch_points
 from trinoc.calib.photometric.pixel_selection import (
     PARTS,
@@ -41,7 +42,7 @@ from trinoc.calib.photometric.pixel_selection import (
     group_of,
     select_pixels,
 )
-from trinoc.calib.photometric.refutation import is_refuted
+from trinoc.calib.photometric.refutation import refuted_part
 from trinoc.calib.targets import Pattern
 from trinoc.geometry import AbstractLens, Pose, PoseModel
 from trinoc.numerics import GemanMcClure, noise_sigma
@@ -149,12 +150,9 @@ def refine_image(
     kept = np.split(gate.kept, [counts[0]])
     groups = (_masked(circles, kept[0]), _masked(lines, kept[1]))
     last = fit(first.state, *groups, cross, _plain(gate.sigma, model))
-    left = residuals(last)[gate.kept]
-    freedom = len(left) - model.size - NUISANCE
+    freedom = int(gate.kept.sum()) - model.size - NUISANCE
     if freedom <= 0:
         return None
-    state = jax.tree.map(np.asarray, last.state)
-    noise = float(np.sqrt(np.sum(left.astype(np.float64) ** 2) / freedom))
     floor = noise_sigma(_cut_out(image, choice), flat=choice.flat)
 
     def shown(homography: np.ndarray, pixels: PixelRows) -> SheetPoints:
@@ -163,17 +161,26 @@ def refine_image(
             return points
         return points._replace(uv_px=points.uv_px + shift(points.place_mm))
 
-    simple = ImageRefinement(
-        state.pose,
-        state.appearance,
-        _marginal(np.asarray(last.sums.information), model.size),
-        noise,
-        floor,
-        len(left),
-        int(np.sum(~gate.kept)),
-        bool(last.converged),
-        shown(*_simple_rows(groups, chosen, last.sums, noise)),
-    )
+    def simple(fit: Fit, groups: tuple[Group, Group]) -> ImageRefinement:
+        """The fit of an ideal camera, its pixels weighed as the groups say."""
+        state = jax.tree.map(np.asarray, fit.state)
+        weights = np.concatenate(
+            [group.pixels.weight[:n] for group, n in zip(groups, counts, strict=True)]
+        )
+        squares = weights[gate.kept] * residuals(fit)[gate.kept].astype(np.float64) ** 2
+        noise = float(np.sqrt(np.sum(squares) / freedom))
+        return ImageRefinement(
+            state.pose,
+            state.appearance,
+            _marginal(np.asarray(fit.sums.information), model.size),
+            noise,
+            floor,
+            int(gate.kept.sum()),
+            int(np.sum(~gate.kept)),
+            bool(fit.converged),
+            shown(*_simple_rows(groups, chosen, fit.sums, noise)),
+        )
+
     scene = CameraScene(
         (circles, lines),
         (counts[0], counts[1]),
@@ -187,15 +194,23 @@ def refine_image(
         white_of(image),
         saturation_level(image[everything.row, everything.column]),
     )
-    if floor > _MOSAIC_NOISE * simple.noise:
+    left = residuals(last)
+    if floor > _MOSAIC_NOISE * float(np.sqrt(np.mean(left[gate.kept] ** 2))):
         # Flat parts are noisier than what the fit leaves over: neighbours differ by colour.
-        return simple._replace(found=("a raw mosaic of colours",))
-    if bayer is None and not is_refuted(scene, state.appearance, residuals(last), gate.kept, floor):
-        return simple
+        return simple(last, groups)._replace(found=("a raw mosaic of colours",))
+    look = jax.tree.map(np.asarray, last.state.appearance)
+    refuted = "model" if bayer is not None else refuted_part(scene, look, left, gate.kept, floor)
+    if refuted == "nothing":
+        return simple(last, groups)
+    if refuted == "noise":
+        sigma = noise_by_level(scene.grey + left, left, gate.kept, scene.grey + left)
+        share = np.split(np.mean(sigma[gate.kept] ** -2) ** -1 / sigma**2, [counts[0]])
+        groups = (_masked(groups[0], share[0]), _masked(groups[1], share[1]))
+        return simple(fit(last.state, *groups, cross, _plain(gate.sigma, model)), groups)
     blocks = blocks_of_pixels(scene.uv_px, start, lens, pattern)
     extended = fit_camera(scene, jax.tree.map(np.asarray, first.state), start, blocks)
     if extended is None or not np.isfinite(extended.covariance).all():
-        return simple
+        return simple(last, groups)
     return _as_refinement(scene, extended, floor, shown(*camera_rows(scene, everything, extended)))
 
 

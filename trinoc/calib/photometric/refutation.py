@@ -5,6 +5,8 @@ kernel), not by the direction of the edge (motion), not by the place on the shee
 Nor do they have another variance by grey level, or neighbours in common.
 """
 
+from typing import Literal
+
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -25,14 +27,14 @@ _LARGEST_CORRELATION = 0.05
 _LARGEST_CHI_SQUARE = 1.3
 
 
-def is_refuted(
+def refuted_part(
     scene: CameraScene,
     appearance: Appearance,
     residual: Float[np.ndarray, "n"],
     kept: Bool[np.ndarray, "n"],
     noise_floor: float,
-) -> bool:
-    """Whether the picture needs more than an ideal camera.
+) -> Literal["nothing", "noise", "model"]:
+    """Whether the picture needs more than an ideal camera, or noise that depends on the level.
 
     residual, kept : of the simple model's last step, predicted minus observed.
     """
@@ -41,24 +43,26 @@ def is_refuted(
     r, share, at = residual[kept].astype(np.float64), share[kept], scene.uv_px[kept]
     # Saturated pixels that the gate has cut are a glare's.
     if np.isfinite(saturation_level(scene.grey[kept])):
-        return True
+        return "model"
     variance = float(np.mean(r**2))
     if noise_floor > 0 and variance > _LARGEST_CHI_SQUARE * noise_floor**2:
-        return True
+        return "model"
     if _neighbours_agree(scene, residual * kept, kept):
-        return True
+        return "model"
     bins = np.clip((share * _SHARE_BINS).astype(int), 0, _SHARE_BINS - 1)
     near_line = (np.arange(len(kept)) >= scene.counts[0])[kept]
     by_share = bins + _SHARE_BINS * near_line
-    if _have_means(r, by_share) or not _have_one_variance(r, bins):
-        return True
+    if _have_means(r, by_share):
+        return "model"
     size = np.ptp(at, axis=0) + 1
     column, row = ((at - at.min(axis=0)) * _PLACE_BINS // size).T
     flat = np.where(share < _PAPER, 0, np.where(share > _INK, 1, 2))
     by_place = (column * _PLACE_BINS + row) * 3 + flat
     if _have_means(r[flat < 2], by_place[flat < 2]):
-        return True
-    return _have_direction(scene, share, kept, r)
+        return "model"
+    if _have_direction(scene, share, kept, r):
+        return "model"
+    return "nothing" if _have_one_variance(r, bins) else "noise"
 
 
 def _have_means(r: Float[np.ndarray, "n"], label: np.ndarray) -> bool:
