@@ -56,15 +56,31 @@ def test_covariance_of_the_lens_is_that_of_its_file_unless_refused(tmp_path):
     save_intrinsics(lens, files["left"], covariance=covariance)
     save_intrinsics(lens, files["upper"])
     one = LensOptions(intrinsics=(str(files["left"]),))
-    np.testing.assert_array_equal(one.covariance(SIZES), covariance)
+    lenses = dict.fromkeys(SIZES, lens)
+    np.testing.assert_array_equal(one.covariance(lenses), covariance)
     each = LensOptions(intrinsics=tuple(f"{name}={file}" for name, file in files.items()))
-    found = each.covariance(SIZES)
+    found = each.covariance(lenses)
     assert isinstance(found, dict)
     assert list(found) == ["left"]
     refused = LensOptions(intrinsics=(str(files["left"]),), lens_covariance=False)
-    assert refused.covariance(SIZES) is None
-    sheet = LensOptions(focal_length_mm=16.0, pixel_pitch_mm=(0.01, 0.02))
-    assert sheet.covariance(SIZES) is None
+    assert refused.covariance(lenses) is None
+
+
+def test_a_data_sheet_is_not_exact_unless_it_is_said_to_be(tmp_path):
+    options = {"focal_length_mm": 16.0, "pixel_pitch_mm": (0.01, 0.02)}
+    lenses = LensOptions(**options).lenses(SIZES)
+    found = LensOptions(**options).covariance(lenses)
+    assert isinstance(found, dict)
+    for name, (width, _) in SIZES.items():
+        sigma = np.sqrt(np.diag(found[name]))
+        assert sigma[:2] / lenses[name].focal_length_px == pytest.approx([0.01, 0.01], rel=0.01)
+        assert sigma[2:4] == pytest.approx(0.02 * width)
+    assert LensOptions(**options, lens_exact=True).covariance(lenses) is None
+    # The same lens from a file that states no covariance.
+    save_intrinsics(lenses["left"], tmp_path / "left.json")
+    file = LensOptions(intrinsics=(str(tmp_path / "left.json"),))
+    again = file.covariance(dict.fromkeys(SIZES, lenses["left"]))
+    np.testing.assert_allclose(again["upper"], found["left"])
 
 
 @pytest.mark.parametrize(

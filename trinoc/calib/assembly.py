@@ -115,6 +115,8 @@ def _named_covariance(
             blocks.append(by_lens)
     by_unknowns = np.concatenate(blocks)
     covariance = by_unknowns @ adjustment.covariance @ by_unknowns.T
+    # Files hold no matrix that rounding made other than symmetric.
+    covariance = 0.5 * (covariance + covariance.T)
     covariance[unknown] = np.nan
     covariance[:, unknown] = np.nan
     return names, covariance

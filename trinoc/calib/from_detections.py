@@ -79,7 +79,7 @@ def calibration_of_search(
     good, others = [], {}
     for sheet, fit in zip(sheets, circles, strict=True):
         status[sheet.name] = fit.status
-        sentence = failure_sentence(fit, sheet.detection, known.fitted_model)
+        sentence = failure_sentence(fit, sheet.detection, known.fitted_model, sheet.lens_factor)
         if sentence is None:
             good.append((sheet, fit))
         else:

@@ -60,6 +60,8 @@ def calibrate(
     model = pose_model_over_sheet(pose_model, parameters)
     lenses = lens_of_each(lens, images)
     _check_images(images, lenses)
+    known = Knowledge(pattern, model, systematics or Systematics.typical(lenses))
+    known.systematics.check()
     detections, failures = {}, {}
     for name, image in images.items():
         try:
@@ -68,7 +70,6 @@ def calibrate(
             failures[name] = str(error)
     images = {name: grey_image(np.asarray(images[name])).grey for name in detections}
     search = Search(tuple(lenses), detections, images if method == "picture" else {}, failures)
-    known = Knowledge(pattern, model, systematics or Systematics.typical(lenses))
     return calibration_of_search(search, lenses, known, orientation, throw=throw)
 
 

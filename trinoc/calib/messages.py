@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 
 from trinoc.calib.adjustment import HEIGHT_TERMS, PRINT_TERMS, Adjustment
 from trinoc.calib.detection import Detection
@@ -22,12 +22,21 @@ _LARGE_CHI_SQUARE = 2.0
 _CUT_SHARE = 0.01
 # A lens or a sheet may be off by this many of the sigmas that were stated.
 LARGEST_STRAIN = 4.0
+_PRINCIPAL_POINT = slice(2, 4)
 # Of an aim at the origin, two numbers: noise makes it once in 10^4 pictures.
 _LARGEST_AIM_CHI_SQUARE = 18.4
 
 
-def failure_sentence(fit: PoseEstimate, detection: Detection, model: PoseModel) -> str | None:
-    """Why the pose must not be used and what to do next, or None where it may be."""
+def failure_sentence(
+    fit: PoseEstimate,
+    detection: Detection,
+    model: PoseModel,
+    lens_factor: Float[np.ndarray, "_k _r"] | None = None,
+) -> str | None:
+    """Why the pose must not be used and what to do next, or None where it may be.
+
+    lens_factor : (k, r) of the covariance of a lens that the fit took as exact.
+    """
     if fit.status is Status.RANK_DEFICIENT:
         free = ", ".join(fit.gauge)
         return (
@@ -41,7 +50,11 @@ def failure_sentence(fit: PoseEstimate, detection: Detection, model: PoseModel) 
         )
     misfit_px = float(np.sqrt(np.mean(np.sum(fit.residuals_px[fit.used] ** 2, axis=1))))
     extent_px = float(np.max(np.ptp(detection.centres_px, axis=0)))
-    if misfit_px > max(_SMALLEST_MISFIT_PX, _LARGEST_MISFIT * extent_px):
+    largest_px = max(_SMALLEST_MISFIT_PX, _LARGEST_MISFIT * extent_px)
+    if lens_factor is not None:
+        # With the aim held, a principal point that is off by so much moves every circle.
+        largest_px += LARGEST_STRAIN * float(np.linalg.norm(lens_factor[_PRINCIPAL_POINT]))
+    if misfit_px > largest_px:
         free = "" if model is PoseModel.AIM_FREE else ", or free the aim with parameters=6"
         return (
             f"the circles miss their predicted places by {misfit_px:.1f} px: check the focal "

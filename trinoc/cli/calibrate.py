@@ -1,6 +1,7 @@
 """`trinoc calibrate`: one picture of the sheet per camera to a rig.json."""
 
 import dataclasses
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -94,6 +95,7 @@ class Calibrate(Command):
                 "--print-scale is a measured over a nominal length: give a number near 1, such as "
                 "1.001, for X and for Y."
             )
+        self._check_sigmas()
 
         from trinoc.calib import calibrate
         from trinoc.cli.provenance import for_people, provenance
@@ -117,7 +119,8 @@ class Calibrate(Command):
             orientation="upright" if self.orientation == "upright" else earlier,
         )
         origin = provenance(command_line, {**files, "pattern": self.pattern, **self.lens.files()})
-        save(result, self.out, provenance=origin)
+        included = ["noise", *result.systematics]
+        save(result, self.out, provenance={**origin, "sigmas_include": included})
         if self.report is not None:
             from trinoc.report import write_report
 
@@ -132,6 +135,19 @@ class Calibrate(Command):
         written = [str(path) for path in (self.out, self.report) if path is not None]
         text = f"{result.summary()}\nwritten: {', '.join(written)}"
         return Outcome(text, {**calibration_record(result), "written": written})
+
+    def _check_sigmas(self) -> None:
+        """Raises UsageError, before anything is read."""
+        sigmas = {
+            "--flatness-mm": (self.flatness_mm,),
+            "--aim-sigma-mm": (self.aim_sigma_mm,),
+            "--print-scale-sigma": self.print_scale_sigma,
+        }
+        for option, values in sigmas.items():
+            if values != UNKNOWN and not all(0 <= value < math.inf for value in values):
+                raise UsageError(
+                    f"{option} takes standard deviations: give 0 for exact, or a positive number."
+                )
 
     def _systematics(self, lenses: "dict[str, Intrinsics]") -> "Systematics":
         """What is not exact: as said, else as it usually is."""

@@ -92,21 +92,25 @@ class LensOptions:
     def covariance(
         self, lenses: "Mapping[str, Intrinsics]"
     ) -> "np.ndarray | Mapping[str, np.ndarray] | None":
-        """The covariance of the one lens of all cameras, or of each that is not exact, if any."""
+        """The covariance of the one lens of all cameras, or of each that is not exact, if any.
+
+        What no file states is that of a data sheet, where the lens is given as one gives it.
+        """
         from trinoc.calib import Systematics
         from trinoc.io import load_lens_covariance
 
-        if self.lens_exact:
+        if self.lens_exact or (self.intrinsics and not self.lens_covariance):
             return None
+        usual = Systematics.typical(lenses).lens_covariance
         if not self.intrinsics:
-            return Systematics.typical(lenses).lens_covariance
-        if not self.lens_covariance:
-            return None
+            return usual
         if len(self.intrinsics) == 1 and "=" not in self.intrinsics[0]:
-            return load_lens_covariance(Path(self.intrinsics[0]))
+            stated = load_lens_covariance(Path(self.intrinsics[0]))
+            return usual if stated is None else stated
         files = files_of_views(self.intrinsics)
         loaded = {name: load_lens_covariance(files[name]) for name in lenses}
-        return {name: each for name, each in loaded.items() if each is not None} or None
+        stated = {name: each for name, each in loaded.items() if each is not None}
+        return {**(usual if isinstance(usual, Mapping) else {}), **stated} or None
 
     def files(self) -> dict[str, Path]:
         """The files that `lenses` reads, for provenance."""

@@ -41,7 +41,8 @@ class Refine(Command):
     optical axis meets the sheet, too; rigid: any motion."""
 
     intrinsics: bool = False
-    """Refine focal lengths and principal points too."""
+    """Refine focal lengths and principal points too, also those that the calibration does not call
+    uncertain."""
 
     moved: Annotated[
         tuple[str, ...], tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: none)")
@@ -67,7 +68,7 @@ class Refine(Command):
             rig,
             scene.matches,
             pose_model=self.pose_model,
-            intrinsics=self.intrinsics,
+            intrinsics=self.intrinsics or None,
             moved=self.moved,
             match_again=[match for match in again if match is not None] or None,
         )

@@ -4,6 +4,8 @@ It stands here because it takes the matcher's answer to the calibration's covari
 two rooms do not know each other.
 """
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax
 import numpy as np
@@ -17,7 +19,7 @@ from trinoc.calib import (
     stacked_states,
 )
 from trinoc.errors import InputError
-from trinoc.geometry import LineObservations, PoseModel, Rig, UncertainLines
+from trinoc.geometry import AFFINE_PARAMETERS, LineObservations, PoseModel, Rig, UncertainLines
 from trinoc.match import Matches, join_collinear, snap_corners
 from trinoc.numerics import ArrayLike, as_numpy, in_float64
 
@@ -41,12 +43,16 @@ def lines_of_rig(matches: Matches, rig: Rig) -> UncertainLines:
     pose_model = _pose_model_of(rig)
     if pose_model is None or matches.fragments_covariance_px2 is None or len(matches) == 0:
         return UncertainLines(ends, own, np.zeros((len(ends), 6, 0)), np.zeros((0, 0)))
-    common, by_steps, by_step = _of_fragments(matches.line_observations(), rig, pose_model)
-    names = [
-        f"{view}.{parameter}" for view in matches.views for parameter in pose_model.parameter_names
+    lines, cameras = matches.line_observations(), [rig[name] for name in matches.views]
+    states = [
+        camera_state(each, pose_model, with_intrinsics=_lens_is_open(rig)) for each in cameras
     ]
-    rows = [rig.parameters.index(name) for name in names]
-    covariance = np.asarray(rig.covariance)[np.ix_(rows, rows)]
+    common, by_steps, by_step = _of_fragments(lines, states)
+    names = [f"{view}.{parameter}" for view in matches.views for parameter in states[0].names]
+    rows = [rig.parameters.index(name) if name in rig.parameters else -1 for name in names]
+    # A lens of which the covariance says nothing is exact.
+    given = np.array(rows) >= 0
+    covariance = np.asarray(rig.covariance)[np.ix_(rows, rows)] * np.outer(given, given)
     by_parameters = _carried(by_steps, common, ends) @ np.linalg.inv(by_step)
     return UncertainLines(ends, own, by_parameters, covariance)
 
@@ -103,13 +109,16 @@ def _pose_model_of(rig: Rig) -> PoseModel | None:
     return None
 
 
+def _lens_is_open(rig: Rig) -> bool:
+    return any(name.rpartition(".")[2] in AFFINE_PARAMETERS for name in rig.parameters)
+
+
 @in_float64
 def _of_fragments(
-    lines: LineObservations, rig: Rig, pose_model: PoseModel
+    lines: LineObservations, states: Sequence[CameraState]
 ) -> tuple[Float[np.ndarray, "t 2 3"], Float[np.ndarray, "t 6 k"], Float[np.ndarray, "k k"]]:
     """(ends of the common parts, their Jacobian by the cameras' steps, parameters by steps)."""
-    cameras = [rig[name] for name in lines.views]
-    stacked = stacked_states([camera_state(camera, pose_model) for camera in cameras])
+    stacked = stacked_states(states)
     count, padding = len(lines), -len(lines) % BLOCK
 
     def padded(array: np.ndarray) -> np.ndarray:

@@ -53,7 +53,10 @@ class DetectionFigure(NamedTuple):
 
 
 class CalibrationPart(NamedTuple):
-    """Everything of the page's first part; `status` and `figures` may be empty."""
+    """Everything of the page's first part; `status`, `figures` and `remarks` may be empty.
+
+    remarks : sentences on what the sigmas include, and on the sheet.
+    """
 
     names: tuple[str, ...]
     rows: tuple[tuple[str, tuple[ParameterCell, ...]], ...]
@@ -65,6 +68,7 @@ class CalibrationPart(NamedTuple):
     key_arrow_length: float
     any_unused: bool
     sigmas_known: bool
+    remarks: tuple[str, ...] = ()
 
 
 def calibration_part(
@@ -96,6 +100,7 @@ def calibration_part(
         key_px * magnification,
         any(not fit.used.all() for fit in result.fits.values()),
         known,
+        (f"Sigmas include {', '.join(('noise', *result.systematics))}.", *result.notes),
     )
 
 
@@ -129,8 +134,9 @@ def _picture_figures(result: CalibrationResult, name: str) -> tuple[tuple[str, s
         return ()
     rows = [k for k, words in enumerate(result.parameters) if words.startswith(f"{name}.")]
     variance = np.diagonal(result.covariance)[rows]
-    bound = np.diagonal(quality.bound)
-    # A picture without noise has no bound, and six fitted parameters have no bound of four.
+    # The aim, where it was fitted without being asked for, stands last.
+    bound = np.diagonal(quality.bound)[: len(variance)]
+    # A picture without noise has no bound.
     bounded = variance.shape == bound.shape and bool((bound > 0).all())
     over_bound = np.sqrt(variance / bound).max() if bounded else np.nan
     return (
@@ -139,7 +145,7 @@ def _picture_figures(result: CalibrationResult, name: str) -> tuple[tuple[str, s
         ("pixels used, cut", f"{quality.pixels:,}, {quality.pixels_cut:,}"),
         ("blur", f"{with_decimals(quality.blur_px, 3)} px"),
         ("ink spread", f"{with_decimals(quality.ink_spread_mm, 4)} mm"),
-        ("largest sigma / bound", with_decimals(float(over_bound), 2)),
+        ("largest sigma / bound of the noise", with_decimals(float(over_bound), 2)),
     )
 
 

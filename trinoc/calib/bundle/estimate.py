@@ -51,14 +51,15 @@ def joint_estimate(
     count = len(lines)
     end = as_numpy(_assess(cameras, anchors, problem.tracks, problem.prior))
     squared, sheet_information = end.squared[:count], end.sheet_information
-    determined = determined_part(end.information)
+    determined = determined_part(end.information, sheet_information)
     trace_sheet = float(np.trace(sheet_information @ determined.covariance))
     factor, inlier = segment_factor(squared, lines.seen, determined.rank - trace_sheet)
     sheet_chi_square = float(end.sheet_chi_square)
     sheet = _sheet_factor(calibrated, problem.prior, sheet_chi_square, trace_sheet)
 
     segment_information = end.information - sheet_information
-    determined = determined_part(factor**-2 * segment_information + sheet**-2 * sheet_information)
+    weighted = factor**-2 * segment_information + sheet**-2 * sheet_information
+    determined = determined_part(weighted, sheet_information)
     names = tuple(f"{camera}.{name}" for camera in rig.names for name in cameras.names)
     covariance = end.by_step @ determined.covariance @ end.by_step.T
     claimed = factor**2 * problem.covariance_px2

@@ -1,5 +1,6 @@
 """What segments alone cannot say: where the rig stands, how it is turned, and its scale."""
 
+import contextlib
 from typing import NamedTuple
 
 import equinox as eqx
@@ -31,17 +32,42 @@ class Determined(NamedTuple):
     gauge: str
 
 
-def determined_part(information: Float[np.ndarray, "k k"]) -> Determined:
-    """Rank, covariance and gauge of the reduced information of all cameras' steps."""
-    diagonal = np.diag(information)
-    # A direction of which nothing is known at all must not divide by nothing.
-    scale = np.sqrt(np.maximum(diagonal, 1e-30 * diagonal.max() or 1.0))
-    values, vectors = np.linalg.eigh(information / scale[:, None] / scale[None, :])
+def determined_part(
+    information: Float[np.ndarray, "k k"], sheet_information: Float[np.ndarray, "k k"]
+) -> Determined:
+    """Rank, covariance and gauge of the reduced information of all cameras' steps.
+
+    sheet_information : what of it is the sheet's. Its weak directions (a lens and a distance that
+    err together) are no gauge, so that directions are compared in its own units.
+    """
+    units = _units(information, sheet_information)
+    within = units.T @ information @ units
+    scale = _positive_root(np.diag(within))
+    values, vectors = np.linalg.eigh(within / scale[:, None] / scale[None, :])
     kept = values > FREE_EIGENVALUE * values[-1]
-    scaled = (vectors[:, kept] / values[kept]) @ vectors[:, kept].T
+    by_direction = (units / scale) @ vectors[:, kept]
     free = int((~kept).sum())
     gauge = {0: "", 4: AIMED_GAUGE, 7: RIGID_GAUGE}.get(free, f"{free} directions of the cameras")
-    return Determined(int(kept.sum()), scaled / scale[:, None] / scale[None, :], gauge)
+    return Determined(int(kept.sum()), (by_direction / values[kept]) @ by_direction.T, gauge)
+
+
+def _units(
+    information: Float[np.ndarray, "k k"], sheet_information: Float[np.ndarray, "k k"]
+) -> Float[np.ndarray, "k k"]:
+    """Steps of one sigma of the sheet, where it speaks; else steps that are independent."""
+    units = np.diag(1 / _positive_root(np.diag(information)))
+    known = np.flatnonzero(np.diag(sheet_information) > 0)
+    if len(known):
+        scale = np.sqrt(np.diag(sheet_information)[known])
+        own = sheet_information[np.ix_(known, known)] / np.outer(scale, scale)
+        with contextlib.suppress(np.linalg.LinAlgError):
+            units[np.ix_(known, known)] = np.linalg.inv(np.linalg.cholesky(own)).T / scale[:, None]
+    return units
+
+
+def _positive_root(diagonal: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:
+    """A direction of which nothing is known at all must not divide by nothing."""
+    return np.sqrt(np.maximum(diagonal, 1e-30 * diagonal.max() or 1.0))
 
 
 def with_scale_of(

@@ -9,11 +9,12 @@ worth in this scene, and a right answer stands clear of them.
 from collections.abc import Collection, Sequence
 
 import numpy as np
+from jaxtyping import Float
 
 from trinoc.calib.bundle.estimate import squared_with_rig
 from trinoc.calib.bundle.problem import FreeParameters
 from trinoc.calib.bundle.result import RefineResult
-from trinoc.geometry import Camera, Pose, PoseModel, Rig, rotation_from_vector
+from trinoc.geometry import AFFINE_PARAMETERS, Camera, Pose, PoseModel, Rig, rotation_from_vector
 from trinoc.numerics import as_numpy
 
 # How far a camera is turned: the largest knock that the search is meant for.
@@ -39,8 +40,7 @@ def start_rigs(rig: Rig, moved: Collection[str], pose_model: PoseModel) -> list[
     knows its orientation. A camera that must aim at the origin is taken round it instead.
     """
     name = next(camera for camera in reversed(rig.names) if camera in moved or not moved)
-    angles = [f"{name}.{angle}_deg" for angle in ("pan", "tilt", "swing")]
-    if not moved and all(rig.sigma(angle) < KNOWN_DEG for angle in angles):
+    if not moved and (_sigma_of_angles_deg(rig, name) < KNOWN_DEG).all():
         return []
     axes = np.concatenate([np.eye(3)[:2], -np.eye(3)[:2]])
     if pose_model is PoseModel.AIMED:
@@ -50,6 +50,22 @@ def start_rigs(rig: Rig, moved: Collection[str], pose_model: PoseModel) -> list[
         pose = rig[name].pose
         poses = [as_numpy(pose.retract(turn, PoseModel.RIGID, 1.0)) for turn in turns]
     return [_with_pose(rig, name, pose) for pose in poses]
+
+
+def _sigma_of_angles_deg(rig: Rig, name: str) -> Float[np.ndarray, "3"]:
+    """Of pan, tilt and swing, were the camera's lens what the rig says; NaN where not known.
+
+    A lens that is off takes the pose with it, which hides no line from the other cameras.
+    """
+    angles = [f"{name}.{angle}_deg" for angle in ("pan", "tilt", "swing")]
+    if not set(angles) <= set(rig.parameters):
+        return np.full(3, np.nan)
+    of_lens = [f"{name}.{key}" for key in AFFINE_PARAMETERS if f"{name}.{key}" in rig.parameters]
+    rows, given = ([rig.parameters.index(key) for key in keys] for keys in (angles, of_lens))
+    covariance = np.asarray(rig.covariance)
+    across, lens = covariance[np.ix_(rows, given)], covariance[np.ix_(given, given)]
+    explained = across @ np.linalg.pinv(lens, hermitian=True) @ across.T
+    return np.sqrt(np.maximum(np.diag(covariance[np.ix_(rows, rows)] - explained), 0.0))
 
 
 def is_unambiguous(

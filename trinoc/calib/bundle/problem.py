@@ -10,24 +10,27 @@ from trinoc.calib.bundle.pose_prior import PosePrior
 from trinoc.calib.bundle.schur import FragmentTable
 from trinoc.calib.model import CameraState, camera_state, stacked_states
 from trinoc.errors import InputError
-from trinoc.geometry import LineObservations, PoseModel, Rig
+from trinoc.geometry import AFFINE_PARAMETERS, LineObservations, PoseModel, Rig
 
 # What a calibration held in its place, such as the aim of a camera of four parameters, stays
 # there in the cameras that did not move: to a micrometre, which no segment can tell from zero.
 HELD_SIGMA_MM = 1e-3
+# The same of a lens, and the least that errors which several cameras share differ by.
+HELD_SIGMA_PX = 1e-3
 
 
 class FreeParameters(NamedTuple):
     """What the caller wants refined, and the cameras for which the prior still holds.
 
     `aim_held` says that the aims of those stay where they are, the sheet knowing no error of
-    them.
+    them; `lens_held` that lenses of which the prior says nothing stay what they are.
     """
 
     pose_model: PoseModel
     intrinsics: bool
     trusted: tuple[str, ...]
     aim_held: bool = False
+    lens_held: bool = False
 
 
 class Problem(NamedTuple):
@@ -79,12 +82,16 @@ _whitening = jax.jit(jax.vmap(jax.vmap(whitening_across)))
 
 
 def _prior(rig: Rig, start: CameraState, choice: FreeParameters) -> PosePrior:
-    """The prior's information on the trusted cameras: their covariance, inverted."""
+    """The prior's information on the trusted cameras and all lenses: their covariance, inverted.
+
+    A camera that was knocked keeps its lens.
+    """
     names = [f"{camera}.{name}" for camera in rig.names for name in start.names]
     owner = [camera for camera in rig.names for _ in start.names]
     values = np.asarray(_parameters(start))
     information = np.zeros((len(names), len(names)))
-    trusted = [owner[i] in choice.trusted for i in range(len(names))]
+    of_lens = np.array([name.rpartition(".")[2] in AFFINE_PARAMETERS for name in names])
+    trusted = [owner[i] in choice.trusted or of_lens[i] for i in range(len(names))]
     known = [i for i, name in enumerate(names) if trusted[i] and name in rig.parameters]
     if known:
         rows = [rig.parameters.index(names[i]) for i in known]
@@ -94,10 +101,17 @@ def _prior(rig: Rig, start: CameraState, choice: FreeParameters) -> PosePrior:
                 "The covariance of the rig is not finite: calibrate so that all parameters are "
                 "determined, or give the rig without a covariance."
             )
-        information[np.ix_(known, known)] = np.linalg.inv(covariance)
+        covariance = covariance + np.diag(HELD_SIGMA_PX**2 * of_lens[known])
+        scale = np.sqrt(np.diag(covariance))
+        inverse = np.linalg.inv(covariance / np.outer(scale, scale)) / np.outer(scale, scale)
+        information[np.ix_(known, known)] = inverse
     if choice.aim_held:
         aims = [i for i, name in enumerate(names) if trusted[i] and ".aim_" in name]
         information[aims, aims] = HELD_SIGMA_MM**-2
+    if choice.lens_held:
+        said = np.isin(names, rig.parameters)
+        held = np.flatnonzero(of_lens & ~said)
+        information[held, held] = HELD_SIGMA_PX**-2
     return PosePrior(values, information, start)
 
 

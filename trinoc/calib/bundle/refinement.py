@@ -10,7 +10,7 @@ from trinoc.calib.bundle.problem import FreeParameters
 from trinoc.calib.bundle.result import RefineResult, RefineStatus
 from trinoc.calib.result import CalibrationResult
 from trinoc.errors import CalibrationError, InputError
-from trinoc.geometry import LineObservations, PoseModel, Rig
+from trinoc.geometry import AFFINE_PARAMETERS, LineObservations, PoseModel, Rig
 from trinoc.numerics import in_float64
 
 MOST_ROUNDS = 8
@@ -34,7 +34,7 @@ def refine(
     matches: Matched | LineObservations,
     *,
     pose_model: PoseModel | str | None = None,
-    intrinsics: bool = False,
+    intrinsics: bool | None = None,
     moved: Collection[str] = (),
     match_again: Matcher | Sequence[Matcher] | None = None,
     start: Rig | None = None,
@@ -45,7 +45,7 @@ def refine(
     Gaussian prior. Without one the gauge (position, orientation and scale of the rig) is held,
     and reported in `gauge`. `pose_model` is what may move in each camera: by default what the
     covariance names, and any rigid motion without one. `intrinsics` frees focal lengths and
-    principal points too.
+    principal points too: by default those that the covariance names, each with what it says.
     `moved` names cameras that were knocked since: the prior no longer holds for them, and they
     need not aim at the sheet's origin any more.
     `match_again`, for example `lambda rig: trinoc.match_segments(segments, rig)`, is called
@@ -71,7 +71,9 @@ def refine(
     # A knocked camera need not aim at the origin of the sheet any more.
     knocked = bool(moved) and chosen is None and usual is PoseModel.AIMED
     model = PoseModel.AIM_FREE if knocked else chosen or usual
-    choice = FreeParameters(model, intrinsics, trusted, knocked)
+    lens_is_open = any(name.rpartition(".")[2] in AFFINE_PARAMETERS for name in rig.parameters)
+    free_lens = lens_is_open if intrinsics is None else intrinsics
+    choice = FreeParameters(model, free_lens, trusted, knocked, lens_held=intrinsics is None)
     task = _Task(calibrated, rig, choice)
     first = task.refined(start or rig, matches)
     if match_again is None:

@@ -14,7 +14,7 @@ from scipy import stats
 
 from trinoc.calib.bundle import Matched, Matcher, RefineResult, RefineStatus, refine
 from trinoc.errors import CalibrationError
-from trinoc.geometry import LineObservations, Rig
+from trinoc.geometry import AFFINE_PARAMETERS, LineObservations, Rig
 
 # Below this many sigmas a motion may be chance; with three cameras asked, one rig
 # in 120 that stands still is suspected all the same.
@@ -181,7 +181,7 @@ def _freed(
 def _motion(
     rig: Rig, name: str, at_rest: RefineResult, freed: RefineResult, noise: float
 ) -> CameraMotion:
-    rows = [i for i, parameter in enumerate(freed.parameters) if parameter.startswith(name + ".")]
+    rows = [i for i in _of_poses(freed) if freed.parameters[i].startswith(name + ".")]
     own = tuple(freed.parameters[i].removeprefix(name + ".") for i in rows)
     sheet = np.array([np.nan_to_num(rig.sigma(f"{name}.{parameter}")) for parameter in own])
     before = np.array([_value(rig, name, parameter) for parameter in own])
@@ -202,9 +202,15 @@ def _value(rig: Rig, name: str, parameter: str) -> float:
 
 def _significance(held: RefineResult, freed: RefineResult, noise: float) -> float:
     """Sigmas by which the scene prefers one more camera without its prior."""
-    freed_parameters = len(freed.parameters) // len(freed.rig)
+    freed_parameters = len(_of_poses(freed)) // len(freed.rig)
     gain = max(held.chi_square[0] - freed.chi_square[0], 0.0) / noise**2
     return _sigmas(gain, freed_parameters)
+
+
+def _of_poses(result: RefineResult) -> list[int]:
+    """Rows of the parameters that a knock changes: a camera keeps its lens."""
+    own = [parameter.rpartition(".")[2] for parameter in result.parameters]
+    return [row for row, parameter in enumerate(own) if parameter not in AFFINE_PARAMETERS]
 
 
 def _sigmas(chi_square: float, freedom: int) -> float:

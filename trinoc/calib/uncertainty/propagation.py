@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from trinoc.errors import InputError
 from trinoc.geometry import (
+    AFFINE_PARAMETERS,
     PARAMETER_NAMES,
     Camera,
     Pose,
@@ -22,7 +23,9 @@ from trinoc.numerics import ArrayLike, in_float64
 
 # Places across the picture, along each side.
 _PLACES = 5
-_TO_RADIANS = np.array([np.pi / 180, np.pi / 180, np.pi / 180, 1.0, 1.0, 1.0])
+# Of one camera: its pose, then its lens without distortion.
+_NAMES = PARAMETER_NAMES + AFFINE_PARAMETERS
+_TO_RADIANS = np.array([*np.full(3, np.pi / 180), *np.ones(len(_NAMES) - 3)])
 
 
 class EpipolarSigma(NamedTuple):
@@ -42,7 +45,9 @@ class EpipolarSigma(NamedTuple):
 def epipolar_sigma(rig: Rig, first: str, second: str) -> EpipolarSigma:
     """How well the rig knows its epipolar lines, over the field of the first picture.
 
-    Undistorted pixels. Raises InputError for a rig without a covariance.
+    Where the rig's covariance holds focal lengths and principal points, their errors are in, with
+    those of the pose that go with them. Undistorted pixels. Raises InputError for a rig without a
+    covariance.
     """
     covariance, values = _known(rig, (first, second))
     width, height = rig[first].image_size_px
@@ -51,21 +56,21 @@ def epipolar_sigma(rig: Rig, first: str, second: str) -> EpipolarSigma:
     matrices = np.stack([np.asarray(rig[name].intrinsics.matrix) for name in (first, second)])
     ideal = _without_distortion(rig[first])
     jacobian = np.asarray(_distances_by_change(values, matrices, ideal, places))
-    return EpipolarSigma(places, _sigmas(jacobian.reshape(len(places), 12), covariance))
+    return EpipolarSigma(places, _sigmas(jacobian.reshape(len(places), -1), covariance))
 
 
 @jax.jit
 def _distances_by_change(
-    values: Float[ArrayLike, "2 6"],
+    values: Float[ArrayLike, "2 p"],
     matrices: Float[ArrayLike, "2 3 3"],
     first: Camera,
     places: Float[ArrayLike, "n 2"],
-) -> Float[ArrayLike, "n 2 6"]:
+) -> Float[ArrayLike, "n 2 p"]:
     """Derivatives of the distances from the epipolar lines by the parameters of both cameras."""
     points = jax.vmap(sheet_from_pixel, (None, 0))(first, places)
     there = _projections(values, matrices)
 
-    def distances(change: Float[ArrayLike, "2 6"]) -> Float[ArrayLike, "n"]:
+    def distances(change: Float[ArrayLike, "2 p"]) -> Float[ArrayLike, "n"]:
         moved = _projections(values + change, matrices)
         fundamental = fundamental_matrix(moved[1], moved[0])
 
@@ -75,14 +80,15 @@ def _distances_by_change(
 
         return jax.vmap(distance)(places, points)
 
-    return jax.jacfwd(distances)(jnp.zeros((2, 6)))
+    return jax.jacfwd(distances)(jnp.zeros_like(values))
 
 
 @in_float64
 def point_covariance(rig: Rig, point_mm: Float[ArrayLike, "3"]) -> np.ndarray:
     """(3, 3) covariance, mm^2, of a point triangulated by all cameras from exact images.
 
-    The error of the images comes on top. Raises InputError for a rig without a covariance.
+    The errors of the lenses are in, as in `epipolar_sigma`; that of the images comes on top. Raises
+    InputError for a rig without a covariance.
     """
     covariance, values = _known(rig, rig.names)
     matrices = np.stack([np.asarray(camera.intrinsics.matrix) for _, camera in rig.items()])
@@ -93,15 +99,15 @@ def point_covariance(rig: Rig, point_mm: Float[ArrayLike, "3"]) -> np.ndarray:
 
 @jax.jit
 def _place_by_change(
-    values: Float[ArrayLike, "v 6"],
+    values: Float[ArrayLike, "v p"],
     matrices: Float[ArrayLike, "v 3 3"],
     point_mm: Float[ArrayLike, "3"],
-) -> Float[ArrayLike, "3 v 6"]:
+) -> Float[ArrayLike, "3 v p"]:
     """Derivatives of the place triangulated from exact images by the cameras' parameters."""
     images = _projections(values, matrices) @ jnp.append(point_mm, 1.0)
     seen, weight = images[:, :2] / images[:, 2:], jnp.ones(len(values))
 
-    def place(change: Float[ArrayLike, "v 6"]) -> Float[ArrayLike, "3"]:
+    def place(change: Float[ArrayLike, "v p"]) -> Float[ArrayLike, "3"]:
         return triangulate_point(_projections(values + change, matrices), seen, weight)
 
     return jax.jacfwd(place)(jnp.zeros_like(values))
@@ -109,11 +115,11 @@ def _place_by_change(
 
 def _known(
     rig: Rig, names: tuple[str, ...]
-) -> tuple[Float[np.ndarray, "p p"], Float[np.ndarray, "v 6"]]:
-    """Covariance, in rad and mm, and values of all six parameters; absent ones are exact."""
+) -> tuple[Float[np.ndarray, "k k"], Float[np.ndarray, "v p"]]:
+    """Covariance, in rad, mm and px, and values of pose and lens; absent ones are exact."""
     if not rig.parameters:
         raise InputError("This rig holds no covariance: calibrate it, or load one that does.")
-    keys = [f"{name}.{parameter}" for name in names for parameter in PARAMETER_NAMES]
+    keys = [f"{name}.{parameter}" for name in names for parameter in _NAMES]
     rows = [rig.parameters.index(key) if key in rig.parameters else -1 for key in keys]
     given = np.array(rows) >= 0
     full = np.zeros((len(keys), len(keys)))
@@ -124,8 +130,9 @@ def _known(
     return full * np.outer(scale, scale), np.stack(values)
 
 
-def _parameters(camera: Camera) -> Float[np.ndarray, "6"]:
-    return np.asarray(camera.pose.parameters)
+def _parameters(camera: Camera) -> Float[np.ndarray, "p"]:
+    lens = camera.intrinsics
+    return np.concatenate([camera.pose.parameters, lens.focal_length_px, lens.principal_point_px])
 
 
 def _without_distortion(camera: Camera) -> Camera:
@@ -134,10 +141,14 @@ def _without_distortion(camera: Camera) -> Camera:
 
 
 def _projections(
-    values: Float[ArrayLike, "v 6"], matrices: Float[ArrayLike, "v 3 3"]
+    values: Float[ArrayLike, "v p"], matrices: Float[ArrayLike, "v 3 3"]
 ) -> Float[ArrayLike, "v 3 4"]:
-    def projection(vector: Float[ArrayLike, "6"], matrix: Float[ArrayLike, "3 3"]) -> ArrayLike:
-        return matrix @ Pose.from_parameters(vector).cam_from_world
+    """Of cameras with these poses, focal lengths and principal points; `matrices` hold the skew."""
+
+    def projection(vector: Float[ArrayLike, "p"], matrix: Float[ArrayLike, "3 3"]) -> ArrayLike:
+        pose, (fu, fv, cu, cv) = vector[: len(PARAMETER_NAMES)], vector[len(PARAMETER_NAMES) :]
+        affine = jnp.asarray(matrix).at[(0, 1, 0, 1), (0, 1, 2, 2)].set(jnp.stack([fu, fv, cu, cv]))
+        return affine @ Pose.from_parameters(pose).cam_from_world
 
     return jax.vmap(projection)(values, matrices)
 

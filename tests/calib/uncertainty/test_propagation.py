@@ -1,0 +1,122 @@
+"""Errors of pose and lens reach epipolar lines and points as moved cameras move them."""
+
+import numpy as np
+import pytest
+
+from tests.calib.simulated import LENS, TABLE_1, camera_of, reference_sheet, simulated_detection
+from trinoc.calib import (
+    Systematics,
+    calibrate_detections,
+    epipolar_sigma,
+    point_covariance,
+)
+from trinoc.calib.uncertainty import data_sheet_covariance
+from trinoc.geometry import (
+    AFFINE_PARAMETERS,
+    PARAMETER_NAMES,
+    Camera,
+    Intrinsics,
+    Rig,
+    epipolar_distance_px,
+    fundamental_matrix,
+    sheet_from_pixel,
+    triangulate_point,
+)
+from trinoc.numerics import in_float64
+
+SHEET = reference_sheet()
+NAMES = PARAMETER_NAMES + AFFINE_PARAMETERS
+# A step of each parameter that moves pictures by about a pixel.
+UNIT = np.array([0.1, 0.1, 0.1, 0.5, 0.5, 0.5, 1.0, 1.0, 1.0, 1.0])
+POINT_MM = np.array([20.0, -10.0, 15.0])
+
+
+def lens_of(values: np.ndarray) -> Intrinsics:
+    fx, fy, cx, cy = values
+    return Intrinsics(
+        focal_length_px=(fx, fy), principal_point_px=(cx, cy), image_size_px=LENS.image_size_px
+    )
+
+
+def moved(change: np.ndarray) -> Rig:
+    """The rig of Table 1 after a change (3, 10) of its parameters."""
+    own = np.concatenate([LENS.focal_length_px, LENS.principal_point_px])
+    cameras = {}
+    for (name, values), step in zip(TABLE_1.items(), change, strict=True):
+        pose = np.concatenate([values, [0.0, 0.0]]) + step[:6]
+        camera = camera_of(tuple(pose[:4]), lens_of(own + step[6:]), tuple(pose[4:]))
+        cameras[name] = Camera(camera.intrinsics, camera.pose)
+    return Rig(cameras)
+
+
+def known_along(direction: np.ndarray) -> Rig:
+    """The rig, whose only error is of a normal length along one direction of all parameters."""
+    names = [f"{camera}.{key}" for camera in TABLE_1 for key in NAMES]
+    cameras = dict(moved(np.zeros((3, 10))).items())
+    vector = direction.reshape(-1)
+    return Rig(cameras, parameters=names, covariance=np.outer(vector, vector))
+
+
+@in_float64
+def images_of(rig: Rig, place_mm: np.ndarray) -> np.ndarray:
+    images = rig.matrices_px @ np.append(place_mm, 1.0)
+    return images[:, :2] / images[:, 2:]
+
+
+@in_float64
+def triangulated(rig: Rig) -> np.ndarray:
+    exact = images_of(moved(np.zeros((3, 10))), POINT_MM)
+    return np.asarray(triangulate_point(rig.matrices_px, exact, np.ones(3)))
+
+
+@in_float64
+def distance_px(rig: Rig, uv_px: np.ndarray) -> float:
+    """From the epipolar line in "left" of the match of a place in "upper"."""
+    true = moved(np.zeros((3, 10)))
+    place = np.append(np.asarray(sheet_from_pixel(true["upper"], uv_px)), 0.0)
+    match = images_of(true, place)[list(TABLE_1).index("left")]
+    fundamental = fundamental_matrix(rig["left"].matrix_px, rig["upper"].matrix_px)
+    return float(epipolar_distance_px(fundamental, match, uv_px))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_one_direction_of_errors_is_that_of_moved_cameras(seed: int) -> None:
+    direction = np.random.default_rng(seed).normal(size=(3, 10)) * UNIT
+    step = 1e-3 * direction
+    rig = known_along(direction)
+    by_step = (triangulated(moved(step)) - triangulated(moved(-step))) / 2e-3
+    expected = np.outer(by_step, by_step)
+    np.testing.assert_allclose(
+        point_covariance(rig, POINT_MM), expected, rtol=1e-3, atol=1e-4 * np.trace(expected)
+    )
+    field = epipolar_sigma(rig, "upper", "left")
+    for row in (0, 7, 12, 24):
+        uv = field.uv_px[row]
+        slope = (distance_px(moved(step), uv) - distance_px(moved(-step), uv)) / 2e-3
+        assert field.sigma_px[row] == pytest.approx(abs(slope), rel=1e-3, abs=1e-4)
+
+
+def test_points_of_calibrations_with_other_lenses_scatter_as_their_rigs_say() -> None:
+    """Pose and lens err together: near the sheet a point is known far better than the cameras."""
+    random = np.random.default_rng(5)
+    covariance = data_sheet_covariance(LENS)[:4, :4]
+    given = Systematics(lens_covariance=dict.fromkeys(TABLE_1, covariance))
+    factor = np.linalg.cholesky(covariance)
+    own = np.concatenate([LENS.focal_length_px, LENS.principal_point_px])
+    detections = [
+        {
+            name: simulated_detection(camera_of(values), SHEET, seed=100 * k + v, sigma_px=0.05)
+            for v, (name, values) in enumerate(TABLE_1.items())
+        }
+        for k in range(40)
+    ]
+    squared = []
+    for found in detections:
+        lens = {name: lens_of(own + factor @ random.normal(size=4)) for name in TABLE_1}
+        rig = calibrate_detections(found, SHEET, lens, systematics=given).rig
+        error = triangulated(rig) - POINT_MM
+        claimed = point_covariance(rig, POINT_MM)
+        squared.append(error @ np.linalg.solve(claimed, error))
+        assert np.sqrt(np.trace(claimed)) < 0.1 * rig.sigma("upper.distance_mm")
+    # The mean of 40 chi-square numbers of three degrees of freedom, within four sigmas.
+    assert abs(np.mean(squared) - 3) < 4 * np.sqrt(2 * 3 / 40)

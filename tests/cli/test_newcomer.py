@@ -1,0 +1,121 @@
+"""A first calibration in an empty folder, the lens from its data sheet, and what reads it."""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+import trinoc
+from trinoc.cli.main import main
+from trinoc.synth import render_sheet, table1_rig
+
+LENS = ("--focal-length-mm", "16", "--pixel-pitch-mm", "0.0162", "0.0134")
+EXACT = (
+    *("--lens-exact", "--aim-sigma-mm", "0"),
+    *("--flatness-mm", "0", "--print-scale-sigma", "0", "0"),
+)
+RIG = table1_rig()
+VIEWS = [f"{name}={name}.png" for name in RIG]
+CORNERS_MM = np.array([[x, y, z] for x in (-30, 35) for y in (-25, 20) for z in (0, 30)], float)
+EDGES = [(a, b) for a in range(8) for b in range(a) if (CORNERS_MM[a] != CORNERS_MM[b]).sum() == 1]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What a newcomer has: a sheet, a picture of it by each camera, and a scene's segments."""
+    folder = tmp_path_factory.mktemp("newcomer")
+    pattern = trinoc.Pattern.cross_grid(rows=6, columns=6, pitch_mm=24.0, radius_mm=7.0)
+    trinoc.save(pattern, folder / "sheet.json")
+    for name, camera in RIG.items():
+        picture = render_sheet(pattern, camera, supersampling=4, noise_sigma=1.0)
+        cv2.imwrite(str(folder / f"{name}.png"), picture)
+        ends = np.concatenate([CORNERS_MM, np.ones((8, 1))], axis=1) @ camera.matrix_px.T
+        ends = (ends[:, :2] / ends[:, 2:])[np.array(EDGES)].reshape(-1, 4)
+        np.savetxt(folder / f"{name}.csv", ends, delimiter=",")
+    return folder
+
+
+@pytest.fixture
+def run(folder, monkeypatch, capsys):
+    """Runs a command in the folder: (status, stdout, stderr)."""
+    monkeypatch.chdir(folder)
+
+    def run_one(*arguments):
+        status = main([*arguments, "--quiet"])
+        return status, *capsys.readouterr()
+
+    return run_one
+
+
+def calibrate(*options: str) -> tuple[str, ...]:
+    return "calibrate", *VIEWS, "--pattern", "sheet.json", *LENS, *options
+
+
+def test_what_a_data_sheet_gives_is_read_by_every_command(run, folder):
+    status, out, err = run(*calibrate("--report", "report.html", "--json"))
+    assert (status, err) == (0, "")
+    record = json.loads(out)
+    rig = trinoc.load_rig(folder / "rig.json")
+    assert isinstance(record["notes"], list)
+    # What no picture shows is said wherever the sigmas are.
+    included = record["sigmas_include"]
+    assert "print size (0.2 %)" in included
+    assert json.loads((folder / "rig.json").read_text())["provenance"]["sigmas_include"] == included
+    assert "print size (0.2 %)" in (folder / "report.html").read_text(encoding="utf-8")
+    for name, camera in RIG.items():
+        told = record["cameras"][name]
+        assert told["method"] in ("picture", "circles")
+        # The paper's four are told; the rig also holds the aim and the lens.
+        assert set(told["parameters"]) == {"pan_deg", "tilt_deg", "swing_deg", "distance_mm"}
+        for key, found in told["parameters"].items():
+            assert found["sigma"] == pytest.approx(rig.sigma(f"{name}.{key}"), rel=1e-12)
+            assert abs(found["value"] - getattr(camera, key)) < 4 * found["sigma"]
+        assert rig.sigma(f"{name}.aim_x_mm") > 0
+        assert rig.sigma(f"{name}.fx_px") > 0
+    # Pose and lens err together, so that points near the sheet are known well all the same.
+    sigma_mm = np.sqrt(np.trace(trinoc.point_covariance(rig, np.array([5.0, 9.0, 3.0]))))
+    assert sigma_mm < 0.1 * rig.sigma("upper.distance_mm")
+    scene = [f"{name}={name}.csv" for name in RIG]
+    assert run("match", *scene, "--rig", "rig.json", "-o", "matches.npz")[0] == 0
+    matches = trinoc.load_matches(folder / "matches.npz")
+    assert len(matches) >= len(EDGES) - 3
+    status, out, _ = run("check", "--rig", "rig.json", "--matches", "matches.npz", "--json")
+    assert status == 0
+    assert json.loads(out)["moved"] == []
+    refine = ("refine", "--rig", "rig.json", "--matches", "matches.npz", "-o", "refined.json")
+    assert run(*refine)[0] == 0
+    assert trinoc.load_rig(folder / "refined.json").sigma("upper.fx_px") > 0
+
+
+def test_all_that_is_exact_is_the_model_of_the_paper(run, folder):
+    status, out, _ = run(*calibrate("--method", "circles", *EXACT, "-o", "exact.json", "--json"))
+    assert status == 0
+    record = json.loads(out)
+    assert record["sigmas_include"] == ["noise"]
+    pattern = trinoc.load_pattern(folder / "sheet.json")
+    images = {name: cv2.imread(str(folder / f"{name}.png"), 0) for name in RIG}
+    lens = trinoc.Intrinsics(
+        focal_length_mm=16.0, pixel_pitch_mm=(0.0162, 0.0134), image_size_px=(512, 480)
+    )
+    exact = trinoc.Systematics()
+    result = trinoc.calibrate(images, pattern, lens, method="circles", systematics=exact)
+    for parameter, value in zip(result.parameters, result.values, strict=True):
+        name, _, key = parameter.partition(".")
+        found = record["cameras"][name]["parameters"][key]
+        assert found["value"] == pytest.approx(value, rel=1e-12)
+        assert found["sigma"] == pytest.approx(result.sigma(parameter), rel=1e-9)
+    assert trinoc.load_rig(folder / "exact.json").parameters == result.parameters
+    assert all(record["cameras"][name]["method"] == "circles" for name in RIG)
+
+
+@pytest.mark.parametrize("value", ["-1", "nan", "inf"])
+@pytest.mark.parametrize("option", ["--flatness-mm", "--aim-sigma-mm", "--print-scale-sigma"])
+def test_what_is_no_sigma_is_refused_before_anything_is_read(option, value, capsys):
+    values = (value, "0.001") if option == "--print-scale-sigma" else (value,)
+    files = ("--pattern", "none.json", "a=none.png")
+    assert main(["calibrate", *files, *LENS, option, *values, "--quiet"]) == 2
+    told = capsys.readouterr().err
+    assert f"{option} takes standard deviations: give 0 for exact" in told
+    assert "Traceback" not in told
