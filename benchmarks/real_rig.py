@@ -5,8 +5,8 @@
 The data are `stereo_circle_plate`: 15 synchronous shots of a plate of 10 x 10 dark circles at
 30 mm, back-lit. Each camera's lens comes from all of its pictures; then every shot is calibrated
 alone. The two cameras do not move between shots, so that the pose of one before the other is the
-same number 15 times, each with its covariance. The aim is free; the lens is taken as exact, or as uncertain as its
-calibration says; the plate as exact, or as uncertain as paper. Per method:
+same number 15 times, each with its covariance. The aim is free; the lens is taken as exact, or as
+uncertain as its calibration says; the plate as exact, or as uncertain as paper. Per method:
 
 z         rms over shots of (relative pose - weighted mean) / claimed sigma, for the three numbers
           of the rotation and the three of the translation

@@ -9,6 +9,7 @@ import pytest
 
 import trinoc
 from trinoc.cli.main import main
+from trinoc.io import read_image
 from trinoc.synth import render_sheet, table1_rig
 
 LENS = ("--focal-length-mm", "16", "--pixel-pitch-mm", "0.0162", "0.0134")
@@ -95,7 +96,7 @@ def test_all_that_is_exact_is_the_model_of_the_paper(run, folder):
     record = json.loads(out)
     assert record["sigmas_include"] == ["noise"]
     pattern = trinoc.load_pattern(folder / "sheet.json")
-    images = {name: cv2.imread(str(folder / f"{name}.png"), 0) for name in RIG}
+    images = {name: read_image(folder / f"{name}.png") for name in RIG}
     lens = trinoc.Intrinsics(
         focal_length_mm=16.0, pixel_pitch_mm=(0.0162, 0.0134), image_size_px=(512, 480)
     )

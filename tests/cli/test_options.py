@@ -80,6 +80,7 @@ def test_a_data_sheet_is_not_exact_unless_it_is_said_to_be(tmp_path):
     save_intrinsics(lenses["left"], tmp_path / "left.json")
     file = LensOptions(intrinsics=(str(tmp_path / "left.json"),))
     again = file.covariance(dict.fromkeys(SIZES, lenses["left"]))
+    assert isinstance(again, dict)
     np.testing.assert_allclose(again["upper"], found["left"])
 
 

@@ -12,6 +12,7 @@ from trinoc.calib.adjustment.sheet_shape import shape_sigmas
 from trinoc.calib.model import SheetPoints
 from trinoc.calib.uncertainty import Systematics, data_sheet_covariance
 from trinoc.geometry import AbstractLens, Pose, project_point, promoted
+from trinoc.numerics import ArrayLike
 
 SHEET = reference_sheet()
 REACH_MM = float(np.hypot(*SHEET.centres_mm.T).max())
@@ -62,8 +63,8 @@ def made_views(
 
 
 @jax.jit
-def _seen(pose: Pose, lens: AbstractLens, shape: np.ndarray) -> jax.Array:
-    def one(place: jax.Array) -> jax.Array:
+def _seen(pose: Pose, lens: AbstractLens, shape: np.ndarray) -> ArrayLike:
+    def one(place: ArrayLike) -> ArrayLike:
         return project_point(pose, lens, point_of_place(place, shape, jnp.asarray(REACH_MM)))
 
     return jax.vmap(one)(jnp.asarray(SHEET.centres_mm))
