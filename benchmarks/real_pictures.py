@@ -155,6 +155,7 @@ def fit_of(picture: np.ndarray, condition: Condition, pose: Pose, method: str) -
             parameters=told.parameters,
             method=method,  # pyright: ignore[reportArgumentType]
             systematics=systematics_of(told.exact, lens),
+            bayer=told.bayer,
         )
     except CalibrationError as error:
         return {"status": "FAILED", "notes": [str(error)]}

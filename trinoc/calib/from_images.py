@@ -7,6 +7,7 @@ import numpy as np
 
 from trinoc.calib.detection import Orientation, detect_pattern
 from trinoc.calib.from_detections import Search, calibration_of_search, lens_of_each
+from trinoc.calib.photometric import neutral_mosaic
 from trinoc.calib.result import CalibrationResult
 from trinoc.calib.rig_fit import Knowledge
 from trinoc.calib.targets import Pattern
@@ -28,6 +29,7 @@ def calibrate(
     throw: bool = True,
     systematics: Systematics | None = None,
     orientation: Orientation = None,
+    bayer: str | None = None,
 ) -> CalibrationResult:
     """The cameras of a rig, from one picture of the sheet each.
 
@@ -47,6 +49,8 @@ def calibrate(
     orientation : for a sheet that looks the same turned, such as a plain grid of discs:
         "upright" where X points to the right in every picture, as nearly as it can, or an
         earlier rig whose cameras have hardly moved since. Without it such a sheet fails.
+    bayer : for raw mosaics of colours, those of the first two pixels of the first two rows, such as
+        "RGGB": each pixel is fitted as it is, without interpolation.
 
     Raises
     ------
@@ -60,12 +64,15 @@ def calibrate(
     model = pose_model_over_sheet(pose_model, parameters)
     lenses = lens_of_each(lens, images)
     _check_images(images, lenses)
-    known = Knowledge(pattern, model, systematics or Systematics.typical(lenses))
+    known = Knowledge(pattern, model, systematics or Systematics.typical(lenses), bayer)
     known.systematics.check()
+    if bayer is not None and sorted(bayer) != sorted("RGGB"):
+        raise InputError(f'bayer is "{bayer}", but must be "RGGB", "BGGR", "GRBG" or "GBRG".')
     detections, failures = {}, {}
     for name, image in images.items():
         try:
-            detections[name] = detect_pattern(np.asarray(image), pattern)
+            looked_at = np.asarray(image) if bayer is None else neutral_mosaic(np.asarray(image))
+            detections[name] = detect_pattern(looked_at, pattern)
         except DetectionError as error:
             failures[name] = str(error)
     images = {name: grey_image(np.asarray(images[name])).grey for name in detections}

@@ -66,11 +66,13 @@ class Knowledge(NamedTuple):
     pattern : the sheet.
     model : what the user wants to know of each pose.
     systematics : what is not exact.
+    bayer : colours of the pictures' mosaics; None for pictures that are none.
     """
 
     pattern: Pattern
     model: PoseModel
     systematics: Systematics
+    bayer: str | None = None
 
     @property
     def aim_is_held(self) -> bool:
@@ -250,7 +252,8 @@ def _pictures(
         shift = apparent_shift(of_circles, k, starts[k], sheet.lens.lens)
         if np.abs(shift(points[k].place_mm)).max() > _LEAST_SHIFT_PX:
             shifts[sheet.name] = shift
-    found = refine_views(images, poses, known.pattern, lenses, known.fitted_model, shifts)
+    model, bayer = known.fitted_model, known.bayer
+    found = refine_views(images, poses, known.pattern, lenses, model, shifts, bayer)
     return [found.get(sheet.name) for sheet in sheets]
 
 

@@ -60,6 +60,9 @@ class Calibrate(Command):
     """picture: the grey levels of each picture count where its circles agree; circles: the circles
     alone."""
 
+    bayer: Literal["RGGB", "BGGR", "GRBG", "GBRG"] | None = None
+    """The pictures are raw mosaics of these colours: each pixel is fitted as it is."""
+
     orientation: Annotated[
         str | None, tyro.conf.arg(metavar="upright|RIG", help_behavior_hint="(default: refuse)")
     ] = None
@@ -115,6 +118,7 @@ class Calibrate(Command):
             parameters=self.parameters,
             pose_model=self.pose_model,
             method=self.method,
+            bayer=self.bayer,
             systematics=known,
             orientation="upright" if self.orientation == "upright" else earlier,
         )

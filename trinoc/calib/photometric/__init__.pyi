@@ -1,4 +1,5 @@
 from .image_fit import ShiftOfPlaces as ShiftOfPlaces, refine_image as refine_image
+from .mosaic import neutral_mosaic as neutral_mosaic
 from .views import (
     PictureFit as PictureFit,
     in_threads as in_threads,

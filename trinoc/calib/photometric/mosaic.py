@@ -6,8 +6,9 @@ the same edge. Levels are brought to those of green; the noise grows with them.
 
 from typing import NamedTuple
 
+import cv2
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, Shaped
 
 from trinoc.calib.photometric.outlines import circle_points_mm, project_to_image
 from trinoc.calib.targets import Pattern
@@ -17,6 +18,7 @@ from trinoc.geometry import AbstractLens, Pose
 # Flat parts of a circle's ink and of the paper round it, in radii.
 _INK_RADII, _PAPER_RADII = (0.2, 0.4, 0.6), (1.3, 1.4, 1.5)
 _FEWEST_SAMPLES = 30
+_NEUTRAL = np.array([0.25, 0.5, 0.25])
 
 
 class BalancedMosaic(NamedTuple):
@@ -56,6 +58,20 @@ def balanced_mosaic(
     offset = ink[green] - gain * ink
     scale = gain[colour]
     return BalancedMosaic((image * scale + offset[colour]).astype(np.float32), scale)
+
+
+def neutral_mosaic(image: Shaped[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
+    """Every pixel with a quarter of red, a half of green and a quarter of blue about it.
+
+    The weights are alike on both sides, so that nothing is displaced. Raises InputError for a
+    picture that is no mosaic.
+    """
+    if image.ndim != 2:
+        raise InputError(
+            f"A mosaic has one number a pixel, but the picture has shape {image.shape}: give the "
+            "raw picture, or leave out bayer."
+        )
+    return cv2.sepFilter2D(image.astype(np.float32), -1, _NEUTRAL, _NEUTRAL)
 
 
 def _phases(shape: tuple[int, ...]) -> Int[np.ndarray, "h w"]:

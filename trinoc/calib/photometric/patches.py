@@ -28,6 +28,9 @@ _PIECES = 8
 _LEAST_SHARE = 1e-3
 
 
+_NOTHING = SheetPoints(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 0)))
+
+
 class LocalLight(NamedTuple):
     """Levels of light that each block of the sheet has for itself.
 
@@ -72,7 +75,7 @@ class PixelRows(NamedTuple):
 def patch_points(
     lens: AbstractLens, pattern: Pattern, homography: Float[np.ndarray, "3 3"], pixels: PixelRows
 ) -> SheetPoints:
-    """The patches that a picture shows.
+    """The patches that a picture shows; none where the fit has left all that is finite.
 
     homography : from normalised coordinates to the sheet, at which the rows are.
     """
@@ -82,6 +85,8 @@ def patch_points(
     # A picture that is shifted by d shows at x what it showed at x - d.
     by_normalised = -homography[:, :2].T @ pixels.by_homography
     by_px = np.einsum("jn,njk->kn", by_normalised, np.asarray(pixels.ray.by_pixel))
+    if not (np.isfinite(place).all() and np.isfinite(by_px).all()):
+        return _NOTHING
     label = np.where(
         pixels.circle >= 0, pixels.circle, len(pattern) + _piece_of_line(place, pattern)
     )
@@ -89,7 +94,10 @@ def patch_points(
     label, known = _numbered(label, known)
     total = np.bincount(label, known)
     middle = np.stack([np.bincount(label, known * axis) / total for axis in place.T], axis=1)
-    shift, whitening = _displacements(pixels, by_px, label, len(total))
+    try:
+        shift, whitening = _displacements(pixels, by_px, label, len(total))
+    except np.linalg.LinAlgError:
+        return _NOTHING
     shown = np.asarray(_images(lens, np.linalg.inv(homography), middle))
     return SheetPoints(middle, shown + shift, whitening)
 

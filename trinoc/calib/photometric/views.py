@@ -51,15 +51,16 @@ def refine_views(
     lenses: Mapping[str, AbstractLens],
     model: PoseModel,
     shifts: Mapping[str, ShiftOfPlaces],
+    bayer: str | None = None,
 ) -> dict[str, PictureFit]:
     """Fit each picture from a first pose; in threads, since they share nothing.
 
-    shifts : of the pictures that show the sheet elsewhere: see `refine_image`.
+    shifts : of the pictures that show the sheet elsewhere; bayer: see `refine_image`.
     """
 
     def refine(name: str) -> PictureFit:
         start, shift = starts[name], shifts.get(name)
-        return _refine(images[name], start, pattern, lenses[name], model, shift)
+        return _refine(images[name], start, pattern, lenses[name], model, shift, bayer)
 
     return in_threads(refine, list(starts))
 
@@ -90,14 +91,16 @@ def _refine(
     lens: AbstractLens,
     model: PoseModel,
     shift: ShiftOfPlaces | None,
+    bayer: str | None,
 ) -> PictureFit:
     def silent(note: str) -> PictureFit:
         return PictureFit(start, None, None, note)
 
-    refined = refine_image(image, pattern, lens, start, model, shift=shift)
+    refined = refine_image(image, pattern, lens, start, model, shift=shift, bayer=bayer)
     if refined is None:
         return silent("the picture has too little contrast to be fitted itself.")
-    if not refined.converged or not np.isfinite(refined.information).all():
+    finite = np.isfinite(refined.information).all() and len(refined.points.place_mm) > 0
+    if not refined.converged or not finite:
         return silent("the fit of the picture itself did not converge.")
     before, after = (
         np.asarray(project_to_image(pose, lens, pattern.centres_mm))

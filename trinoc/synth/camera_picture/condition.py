@@ -54,11 +54,13 @@ class Told(NamedTuple):
     parameters : 4 or 6.
     exact : what is taken as exact: "all" of it, the "lens" alone, or "nothing".
     print_scale : measured scales of the print.
+    bayer : colours of the mosaic.
     """
 
     parameters: int = 4
     exact: Literal["all", "lens", "nothing"] = "all"
     print_scale: tuple[float, float] = (1.0, 1.0)
+    bayer: str | None = None
 
 
 class Condition(eqx.Module):

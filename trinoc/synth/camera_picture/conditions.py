@@ -61,6 +61,9 @@ _MACHINE_VISION: dict[str, Condition] = {
     "underexposed": Condition(sensor=_UNDER),
     "overexposed": Condition(sensor=_OVER),
     "raw RGGB": Condition(sensor=_BAYER, processing=Processing(interpolation=None)),
+    "raw RGGB, told": Condition(
+        sensor=_BAYER, processing=Processing(interpolation=None), told=Told(bayer="RGGB")
+    ),
     "Bayer bilinear": Condition(sensor=_BAYER),
     "Bayer edge-aware": Condition(sensor=_BAYER, processing=Processing(interpolation="edge-aware")),
 }
