@@ -8,9 +8,11 @@ import numpy as np
 
 from trinoc.errors import InputError
 from trinoc.geometry import PARAMETER_NAMES, Camera, Pose, Rig
+from trinoc.io.array_checks import is_covariance
 from trinoc.io.conventions import CONVENTIONS
 from trinoc.io.intrinsics_json import intrinsics_from_block, intrinsics_to_block
 from trinoc.io.json_document import Block, read_document, write_document
+from trinoc.io.usable_cameras import expect_apart
 
 FORMAT, VERSION = "trinoc-rig", 1
 EXTRINSIC_KEYS = ("pan_deg", "tilt_deg", "swing_deg", "distance_mm", "aim_mm")
@@ -33,6 +35,7 @@ def load_rig(path: str | os.PathLike[str]) -> Rig:
     if not cameras:
         raise document.error("cameras", "names no camera: add at least one.")
     parameters, covariance = covariance_of(document, cameras)
+    expect_apart(cameras, document.file)
     rig = Rig(cameras, parameters=parameters, covariance=covariance)
     for name, block in document.block("cameras").blocks():
         if "sigma" in block.values:
@@ -161,12 +164,10 @@ def covariance_of(
     if len(set(parameters)) < len(parameters):
         raise block.error("parameters", "names a parameter twice: remove one with its row.")
     matrix = block.numbers("matrix", (len(parameters), len(parameters)))
-    scale = np.sqrt(np.abs(np.diag(matrix)))
-    if (np.diag(matrix) < 0).any() or (
-        np.abs(matrix - matrix.T) > 1e-9 * np.outer(scale, scale)
-    ).any():
+    if not is_covariance(matrix[None]).all():
         raise block.error(
-            "matrix", "is no covariance (symmetric, no negative variance): write the file again."
+            "matrix",
+            "is no covariance (symmetric, nowhere negative): write the file again.",
         )
     return parameters, matrix
 
