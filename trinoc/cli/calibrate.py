@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from trinoc.cli.command import Command, Outcome, UsageError
-from trinoc.cli.lens_options import LensOptions
+from trinoc.cli.lens_options import LensOptions, expect_pixel_pitch
+from trinoc.cli.numbers import expect_sigmas
 from trinoc.cli.progress import LOGGER
 from trinoc.cli.views import files_of_views
 
@@ -59,6 +60,9 @@ class Calibrate(Command):
     out: Annotated[Path, tyro.conf.arg(aliases=("-o",))] = Path("rig.json")
     """Where the rig goes."""
 
+    accept_suspect: bool = False
+    """Write the rig also where the calibration of a camera is SUSPECT; the file then says so."""
+
     report: Annotated[
         Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")
     ] = None
@@ -74,6 +78,10 @@ class Calibrate(Command):
                 "--print-scale is a measured over a nominal length: give a number near 1, such as "
                 "1.001, for X and for Y."
             )
+
+        expect_sigmas("--print-scale-sigma", self.print_scale_sigma)
+        expect_sigmas("--flatness-mm", (self.flatness_mm,))
+        expect_pixel_pitch(self.lens.pixel_pitch_mm)
 
         from trinoc.calib import Systematics, calibrate
         from trinoc.cli.provenance import for_people, provenance
@@ -96,7 +104,9 @@ class Calibrate(Command):
             orientation="upright" if self.orientation == "upright" else earlier,
         )
         origin = provenance(command_line, {**files, "pattern": self.pattern, **self.lens.files()})
-        save(result, self.out, provenance=origin)
+        refusal = None if self.accept_suspect else suspicion(result, self.out)
+        if refusal is None:
+            save(result, self.out, provenance=origin)
         if self.report is not None:
             from trinoc.report import write_report
 
@@ -108,9 +118,24 @@ class Calibrate(Command):
                 title="Calibration",
                 provenance=for_people(origin),
             )
-        written = [str(path) for path in (self.out, self.report) if path is not None]
-        text = f"{result.summary()}\nwritten: {', '.join(written)}"
-        return Outcome(text, {**calibration_record(result), "written": written})
+        files_out = (self.out if refusal is None else None, self.report)
+        written = [str(path) for path in files_out if path is not None]
+        text = "\n".join([result.summary(), *(f"written: {path}" for path in written)])
+        return Outcome(text, {**calibration_record(result), "written": written}, refusal)
+
+
+def suspicion(result: "CalibrationResult", out: Path) -> str | None:
+    """Why the rig is not written unless that is wanted; None where no camera is suspect."""
+    from trinoc.calib import Status
+
+    suspects = [name for name, status in result.status.items() if status is Status.SUSPECT]
+    if not suspects:
+        return None
+    return (
+        f'The calibration of "{suspects[0]}" is SUSPECT ({result.fits[suspects[0]].notes[0]}), so '
+        f"{out} was not written: mend what is named, or take it all the same with "
+        "--accept-suspect."
+    )
 
 
 def calibration_record(result: "CalibrationResult") -> dict[str, Any]:

@@ -12,6 +12,7 @@ from trinoc.io.array_checks import is_covariance
 from trinoc.io.conventions import CONVENTIONS
 from trinoc.io.intrinsics_json import intrinsics_from_block, intrinsics_to_block
 from trinoc.io.json_document import Block, read_document, write_document
+from trinoc.io.rig_status import RigStatus, status_of_document
 from trinoc.io.usable_cameras import expect_apart
 
 FORMAT, VERSION = "trinoc-rig", 1
@@ -29,11 +30,12 @@ def load_rig(path: str | os.PathLike[str]) -> Rig:
     """
     document = read_document(path, FORMAT, VERSION)
     document.expect_keys(
-        ("format", "version", "cameras"), ("covariance", "conventions", "provenance")
+        ("format", "version", "cameras"), ("covariance", "status", "conventions", "provenance")
     )
     cameras = {name: _camera(block) for name, block in document.block("cameras").blocks()}
     if not cameras:
         raise document.error("cameras", "names no camera: add at least one.")
+    status_of_document(document)
     parameters, covariance = covariance_of(document, cameras)
     expect_apart(cameras, document.file)
     rig = Rig(cameras, parameters=parameters, covariance=covariance)
@@ -43,10 +45,19 @@ def load_rig(path: str | os.PathLike[str]) -> Rig:
     return rig
 
 
+def load_rig_status(path: str | os.PathLike[str]) -> RigStatus:
+    """What the calibration that wrote a rig.json said of its cameras. Raises InputError."""
+    return status_of_document(read_document(path, FORMAT, VERSION))
+
+
 def save_rig(
-    rig: Rig, path: str | os.PathLike[str], *, provenance: Mapping[str, Any] | None = None
+    rig: Rig,
+    path: str | os.PathLike[str],
+    *,
+    provenance: Mapping[str, Any] | None = None,
+    status: Mapping[str, Any] | None = None,
 ) -> None:
-    """Write a rig.json; `provenance` says how the rig came to be known.
+    """Write a rig.json; `provenance` says how the rig came to be known, `status` how well.
 
     Raises InputError for a covariance that is not finite: it is no statement about errors.
     """
@@ -66,6 +77,8 @@ def save_rig(
             "parameters": list(rig.parameters),
             "matrix": covariance.tolist(),
         }
+    if status is not None:
+        document["status"] = dict(status)
     document["conventions"] = CONVENTIONS
     document["provenance"] = dict(provenance or {})
     write_document(path, document)

@@ -22,7 +22,7 @@ def expect_lens(lens: Intrinsics, where: str) -> Intrinsics:
     Refused are pixels and focal lengths of impossible size, and a distortion that folds the
     picture: beyond the fold two rays meet one pixel, and none meets the pixels farther out.
     """
-    expect_pitch(lens.pixel_pitch_mm, where)
+    expect_pitch(lens.pixel_pitch_mm, f"{where} has pixels of")
     focal_px, side_px = np.asarray(lens.focal_length_px), max(lens.image_size_px)
     low, high = (factor * side_px for factor in FOCAL_RANGE)
     if not ((focal_px >= low) & (focal_px <= high)).all():

@@ -4,3 +4,4 @@ from .lsd import find_segments_lsd as find_segments_lsd
 from .nevatia_babu.masks import nevatia_babu_masks as nevatia_babu_masks
 from .side_intensity import with_side_levels as with_side_levels
 from .tuning import SegmentTuning as SegmentTuning
+from .why_nothing import why_nothing as why_nothing
