@@ -131,10 +131,10 @@ def suspicion(result: "CalibrationResult", out: Path) -> str | None:
     suspects = [name for name, status in result.status.items() if status is Status.SUSPECT]
     if not suspects:
         return None
+    why = result.fits[suspects[0]].notes[0].removesuffix(".")
     return (
-        f'The calibration of "{suspects[0]}" is SUSPECT ({result.fits[suspects[0]].notes[0]}), so '
-        f"{out} was not written: mend what is named, or take it all the same with "
-        "--accept-suspect."
+        f'The calibration of "{suspects[0]}" is SUSPECT ({why}), so {out} was not written: mend '
+        "what is named, or take it all the same with --accept-suspect."
     )
 
 

@@ -15,8 +15,10 @@ def read_rig(file: str | os.PathLike[str]) -> "Rig":
     from trinoc.io import load_rig, load_rig_status
 
     rig = load_rig(file)
-    for name, doubt in load_rig_status(file).doubts.items():
-        LOGGER.warning('%s: the calibration of camera "%s" is SUSPECT: %s', file, name, doubt)
+    doubts = load_rig_status(file).doubts.items()
+    if doubts:
+        said = ", ".join(f"{name} ({doubt.removesuffix('.')})" for name, doubt in doubts)
+        LOGGER.warning("the calibration in %s is SUSPECT: %s", file, said)
     return rig
 
 

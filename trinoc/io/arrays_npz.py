@@ -21,7 +21,7 @@ from trinoc.io.atomic import atomic_write
 # Unpacked, all arrays together: matches of half a million tracks.
 MOST_BYTES = 2**30
 # Text, numbers and truth values; no objects, whose loading runs code, and no records.
-_KINDS = "biufU"
+_KINDS = "biufcU"
 
 
 def write_arrays(

@@ -47,7 +47,9 @@ def load_matches(path: str | os.PathLike[str]) -> Matches:
     fields = ArrayFields(read_arrays(path, FORMAT, VERSION), path)
     views = tuple(map(str, fields.take("views", "U", (None,), "views")))
     if len(set(views)) < max(len(views), 2):
-        raise fields.error("views", f"are {', '.join(views) or 'none'}, but must be two or more")
+        raise fields.error(
+            "views", f"are {', '.join(views) or 'none'}, but must be two or more different ones"
+        )
     index = fields.take("index", "i", (None, len(views)), f"{len(views)} views")
     tracks, sides = index.shape
     what = f"{tracks} tracks in {sides} views"

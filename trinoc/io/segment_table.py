@@ -36,7 +36,7 @@ def _text_table(text: str, file: Path) -> np.ndarray:
         line = line.partition("#")[0].strip()
         if not line:
             continue
-        row = _numbers(_words(line))
+        row = _numbers(_words(line)) or None
         if (row is None or len(row) != 4) and _has_decimal_commas(line):
             raise InputError(
                 f"{file}, line {number}, has numbers with a decimal comma: write them with a point."
