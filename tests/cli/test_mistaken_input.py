@@ -104,6 +104,7 @@ def test_output_that_nobody_reads_is_no_error():
     os.close(read)
     with trinoc_process("--version", stdout=write) as gone:
         os.close(write)
+        assert gone.stderr is not None
         assert (gone.stderr.read(), gone.wait()) == ("", program.READER_GONE)
 
 

@@ -120,7 +120,8 @@ class Calibrate(Command):
             )
         files_out = (self.out if refusal is None else None, self.report)
         written = [str(path) for path in files_out if path is not None]
-        text = "\n".join([result.summary(), *(f"written: {path}" for path in written)])
+        said = [f"written: {', '.join(written)}"] if written else []
+        text = "\n".join([result.summary(), *said])
         return Outcome(text, {**calibration_record(result), "written": written}, refusal)
 
 

@@ -61,7 +61,7 @@ class ArrayFields:
 
 def is_covariance(matrices: np.ndarray) -> np.ndarray:
     """(n,) whether each of (n, k, k) is finite, symmetric and without negative variance."""
-    good = np.isfinite(matrices).all(axis=(1, 2))
+    good = np.asarray(np.isfinite(matrices).all(axis=(1, 2)))
     trusted = np.where(good[:, None, None], matrices, 0.0)
     variance = np.diagonal(trusted, axis1=1, axis2=2)
     sigma = np.sqrt(np.where(variance > 0, variance, 1.0))

@@ -8,7 +8,6 @@ import math
 import os
 import zipfile
 import zlib
-from io import BufferedIOBase
 from pathlib import Path
 from typing import Any
 
@@ -109,7 +108,7 @@ def _arrays(file: Path, only: tuple[str, ...] | None = None) -> dict[str, np.nda
 class _Counted:
     """A stream that counts what was read of it."""
 
-    def __init__(self, stream: BufferedIOBase) -> None:
+    def __init__(self, stream: Any) -> None:
         self.stream, self.taken = stream, 0
 
     def read(self, count: int) -> bytes:
@@ -118,7 +117,7 @@ class _Counted:
         return content
 
 
-def _array(stream: BufferedIOBase, size: int) -> np.ndarray:
+def _array(stream: Any, size: int) -> np.ndarray:
     """The array of an npy stream of so many bytes. Raises ValueError where it is damaged."""
     counted: Any = _Counted(stream)
     read_header = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}

@@ -15,6 +15,9 @@ from trinoc.io.atomic import write_text
 from trinoc.io.json_text import parsed_json
 from trinoc.io.whole_files import read_text
 
+# Squares and cubes of larger numbers are more than floats hold.
+LARGEST = 1e60
+
 
 @dataclasses.dataclass(frozen=True)
 class Block:
@@ -88,6 +91,11 @@ class Block:
             and np.isfinite(array).all()
         ):
             raise self.error(key, f"must be {_described(shape)}, but is {_shown(value)}.")
+        if (np.abs(array) > LARGEST).any():
+            raise self.error(
+                key,
+                f"holds {np.abs(array).max():g}, which nothing measures: check it and its unit.",
+            )
         return array
 
     def image_size_px(self, key: str = "image_size_px") -> tuple[int, int]:

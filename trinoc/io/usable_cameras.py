@@ -33,7 +33,13 @@ def expect_lens(lens: Intrinsics, where: str) -> Intrinsics:
     fold_px = lens.lens.fold_radius_px()
     width, height = lens.image_size_px
     corners = np.array([(u, v) for u in (0, width - 1) for v in (0, height - 1)], dtype=float)
-    corner_px = np.linalg.norm(corners - np.asarray(lens.principal_point_px), axis=1).max()
+    centre_px = np.asarray(lens.principal_point_px)
+    if not (np.abs(centre_px) <= FOCAL_RANGE[1] * side_px).all():
+        raise InputError(
+            f"{where} has its principal point at {centre_px[0]:.4g}, {centre_px[1]:.4g} px, where "
+            "no lens has it: check the numbers and their units."
+        )
+    corner_px = np.linalg.norm(corners - centre_px, axis=1).max()
     if fold_px < corner_px:
         raise InputError(
             f"{where} has a distortion that folds the picture {fold_px:.0f} px from the principal "
