@@ -94,7 +94,7 @@ def load_matches(path: str | os.PathLike[str]) -> Matches:
         fields.expect(_FRAGMENTS_COVARIANCE, good, "is no covariance where a view sees the line")
     if _MISFIT in fields:
         misfit = take(_MISFIT)
-        fields.expect(_MISFIT, misfit >= 0, "is no chi-square")
+        fields.expect(_MISFIT, ~(misfit < 0) & ~np.isinf(misfit), "is no chi-square")
     if _MOVES in fields:
         moves = take(_MOVES, kind="b")
     noise_scale = 1.0
