@@ -94,6 +94,30 @@ def test_calibrate_says_the_same_to_people(run):
     assert out.endswith("written: people.json\n")
 
 
+def test_a_suspect_rig_is_written_only_where_it_is_accepted_and_says_so(run, folder):
+    command = *calibrate("upper=upper.png"), "--print-scale", "1.004", "0.996", "-o", "doubt.json"
+    status, out, err = run(*command, "--json")
+    assert status == 1
+    assert 'of "upper" is SUSPECT' in err
+    assert "--accept-suspect" in err
+    assert json.loads(out)["cameras"]["upper"]["status"] == "suspect"
+    assert not (folder / "doubt.json").exists()
+    assert run(*command, "--accept-suspect")[0] == 0
+    document = json.loads((folder / "doubt.json").read_text())
+    assert document["status"]["cameras"]["upper"]["status"] == "suspect"
+    assert document["status"]["cameras"]["upper"]["notes"]
+
+
+def test_grey_levels_from_0_to_1_calibrate_as_bytes_do(run, folder):
+    picture = cv2.imread(str(folder / "upper.png"), cv2.IMREAD_UNCHANGED)
+    cv2.imwrite(str(folder / "unit.tif"), (picture / 255).astype(np.float32))
+    rigs = []
+    for file in ("upper.png", "unit.tif"):
+        assert run(*calibrate(f"upper={file}"), "-o", "grey.json")[0] == 0
+        rigs.append(trinoc.load_rig(folder / "grey.json")["upper"])
+    assert rigs[1].distance_mm == pytest.approx(rigs[0].distance_mm, abs=1e-3)
+
+
 def test_a_longer_print_is_a_longer_distance(run, folder):
     for scale, file in [("1", "true.json"), ("1.01", "longer.json")]:
         command = calibrate("upper=upper.png")

@@ -1,7 +1,10 @@
 """Hypothesis strategies for values that go to files."""
 
+import itertools
+
+import equinox as eqx
 import numpy as np
-from hypothesis import strategies as st
+from hypothesis import assume, strategies as st
 
 from tests.geometry.strategies import cameras, real
 from trinoc.geometry import PARAMETER_NAMES, Intrinsics, Junctions, Rig, Segments
@@ -21,12 +24,23 @@ def lenses(draw: st.DrawFn) -> Intrinsics:
     if draw(st.booleans()):
         pitch_mm = draw(st.tuples(real(1e-3, 0.05), real(1e-3, 0.05)))
         focal_mm = draw(real(2, 200))
-        return Intrinsics(
+        lens = Intrinsics(
             image_size_px=size, focal_length_mm=focal_mm, pixel_pitch_mm=pitch_mm, **more
         )
+        return _without_fold(lens)
     focal_px = draw(st.tuples(real(50, 9000), real(50, 9000)))
     pitch_mm = draw(st.none() | st.tuples(real(1e-3, 0.05), real(1e-3, 0.05)))
-    return Intrinsics(image_size_px=size, focal_length_px=focal_px, pixel_pitch_mm=pitch_mm, **more)
+    lens = Intrinsics(image_size_px=size, focal_length_px=focal_px, pixel_pitch_mm=pitch_mm, **more)
+    return _without_fold(lens)
+
+
+def _without_fold(lens: Intrinsics) -> Intrinsics:
+    """The lens, its distortion made smaller until no corner lies beyond a fold."""
+    reach_px = sum(lens.image_size_px) + 200
+    while lens.lens.fold_radius_px() < reach_px:
+        smaller = lens.lens.coefficients / 8
+        lens = eqx.tree_at(lambda whole: whole.lens.coefficients, lens, smaller)
+    return lens
 
 
 @st.composite
@@ -41,6 +55,8 @@ def rigs(draw: st.DrawFn) -> Rig:
         )
     )
     members = {name: draw(cameras(draw(lenses()))) for name in names}
+    centres = [camera.centre_world_mm for camera in members.values()]
+    assume(all(np.linalg.norm(a - b) > 1e-3 for a, b in itertools.combinations(centres, 2)))
     count = draw(st.sampled_from([0, 4, 6]))
     parameters = [f"{name}.{own}" for name in names for own in PARAMETER_NAMES[:count]]
     if len(set(parameters)) == 0:
@@ -93,6 +109,10 @@ def match_sets(draw: st.DrawFn) -> Matches:
     tracks, sides = draw(st.integers(0, 5)), draw(st.integers(2, 4))
     random = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     index = random.integers(-1, 9, (tracks, sides))
+    index[:, :2] = np.abs(index[:, :2])
+    root = random.normal(size=(tracks, 6, 6))
+    root_px = random.normal(size=(tracks, sides, 4, 4))
+    words = st.sampled_from(["matched", "no partner", "é"])
     fragments = random.uniform(0, 500, (tracks, sides, 2, 2))
     fragments[index < 0] = np.nan
     views = tuple(["upper", "left", "right", "fourth"][:sides])
@@ -101,18 +121,15 @@ def match_sets(draw: st.DrawFn) -> Matches:
         index=index,
         fragments_px=fragments,
         lines_mm=random.normal(size=(tracks, 2, 3)),
-        covariance_mm2=random.normal(size=(tracks, 6, 6)),
+        covariance_mm2=root @ root.transpose(0, 2, 1),
         stage=np.where((index >= 0).sum(axis=1) > 2, TRINOCULAR, BINOCULAR),
         posterior=random.uniform(size=tracks),
         rival_posterior=random.uniform(size=tracks),
         reasons={
-            view: np.array(draw(st.lists(st.sampled_from(["matched", "no partner", "é"]))), str)
-            for view in views
+            view: np.array(draw(st.lists(words, min_size=9, max_size=12)), str) for view in views
         },
         counts={"candidates": 12, "rejected by neighbours": 3},
-        fragments_covariance_px2=draw(
-            st.sampled_from([None, random.normal(size=(tracks, sides, 4, 4))])
-        ),
+        fragments_covariance_px2=draw(st.sampled_from([None, root_px @ root_px.swapaxes(2, 3)])),
         misfit=draw(st.sampled_from([None, random.uniform(size=tracks)])),
         viewpoint_dependent=draw(st.sampled_from([None, random.uniform(size=tracks) < 0.5])),
         noise_scale=draw(st.sampled_from([1.0, 0.37])),

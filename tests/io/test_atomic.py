@@ -1,6 +1,8 @@
 """A file is whole or absent, and has the permissions of any new file."""
 
+import os
 import stat
+import time
 
 import pytest
 
@@ -44,3 +46,33 @@ def test_places_that_cannot_be_written_to(tmp_path):
         write_text(tmp_path / "none" / "a.txt", "")
     with pytest.raises(InputError, match="is a folder"):
         write_text(tmp_path, "")
+
+
+@pytest.mark.skipif(os.name != "posix", reason="links and pipes of POSIX")
+def test_a_link_stays_and_what_it_names_is_replaced(tmp_path):
+    (tmp_path / "there").mkdir()
+    target, link = tmp_path / "there" / "real.txt", tmp_path / "link.txt"
+    target.write_text("old")
+    link.symlink_to(target)
+    write_text(link, "new")
+    assert link.is_symlink()
+    assert target.read_text() == "new"
+    link.unlink()
+    link.symlink_to(tmp_path / "none" / "a.txt")
+    with pytest.raises(InputError, match="does not exist: create it first"):
+        write_text(link, "")
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(InputError, match="is a device or a pipe"):
+        write_text(tmp_path / "pipe", "")
+
+
+def test_what_a_killed_program_left_is_swept_and_nothing_else(tmp_path):
+    old = time.time() - 2 * 3600
+    names = [".a.txt.0123abcd.tmp", ".b.txt.0123abcd.tmp", ".a.txt.short.tmp", "a.txt.0123abcd.tmp"]
+    for name in names:
+        (tmp_path / name).write_text("half")
+        os.utime(tmp_path / name, (old, old))
+    (tmp_path / ".a.txt.11112222.tmp").write_text("another program is writing this")
+    write_text(tmp_path / "a.txt", "whole")
+    left = {path.name for path in tmp_path.iterdir()}
+    assert left == {"a.txt", ".a.txt.11112222.tmp", *names[1:]}

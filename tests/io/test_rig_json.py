@@ -147,7 +147,7 @@ def test_files_that_are_no_json(tmp_path):
         with pytest.raises(InputError, match=sentence):
             load_rig(path)
     path.write_bytes(b"\x89PNG\xff")
-    with pytest.raises(InputError, match="not a JSON text"):
+    with pytest.raises(InputError, match="no text file"):
         load_rig(path)
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from trinoc.cli.command import Command, Outcome, UsageError
-from trinoc.cli.lens_options import LensOptions
+from trinoc.cli.lens_options import LensOptions, expect_pixel_pitch
 from trinoc.cli.progress import LOGGER
 from trinoc.cli.views import files_of_views
 
@@ -83,6 +83,9 @@ class Calibrate(Command):
     out: Annotated[Path, tyro.conf.arg(aliases=("-o",))] = Path("rig.json")
     """Where the rig goes."""
 
+    accept_suspect: bool = False
+    """Write the rig also where the calibration of a camera is SUSPECT; the file then says so."""
+
     report: Annotated[
         Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")
     ] = None
@@ -99,6 +102,7 @@ class Calibrate(Command):
                 "1.001, for X and for Y."
             )
         self._check_sigmas()
+        expect_pixel_pitch(self.lens.pixel_pitch_mm)
 
         from trinoc.calib import calibrate
         from trinoc.cli.provenance import for_people, provenance
@@ -124,7 +128,9 @@ class Calibrate(Command):
         )
         origin = provenance(command_line, {**files, "pattern": self.pattern, **self.lens.files()})
         included = ["noise", *result.systematics]
-        save(result, self.out, provenance={**origin, "sigmas_include": included})
+        refusal = None if self.accept_suspect else suspicion(result, self.out)
+        if refusal is None:
+            save(result, self.out, provenance={**origin, "sigmas_include": included})
         if self.report is not None:
             from trinoc.report import write_report
 
@@ -136,9 +142,11 @@ class Calibrate(Command):
                 title="Calibration",
                 provenance=for_people(origin),
             )
-        written = [str(path) for path in (self.out, self.report) if path is not None]
-        text = f"{result.summary()}\nwritten: {', '.join(written)}"
-        return Outcome(text, {**calibration_record(result), "written": written})
+        files_out = (self.out if refusal is None else None, self.report)
+        written = [str(path) for path in files_out if path is not None]
+        said = [f"written: {', '.join(written)}"] if written else []
+        text = "\n".join([result.summary(), *said])
+        return Outcome(text, {**calibration_record(result), "written": written}, refusal)
 
     def _check_sigmas(self) -> None:
         """Raises UsageError, before anything is read."""
@@ -167,6 +175,20 @@ class Calibrate(Command):
         if self.print_scale != (1.0, 1.0):
             return usual._replace(print_scale_sigma=MEASURED, print_size_sigma=0.0)
         return usual
+
+
+def suspicion(result: "CalibrationResult", out: Path) -> str | None:
+    """Why the rig is not written unless that is wanted; None where no camera is suspect."""
+    from trinoc.calib import Status
+
+    suspects = [name for name, status in result.status.items() if status is Status.SUSPECT]
+    if not suspects:
+        return None
+    why = result.fits[suspects[0]].notes[0].removesuffix(".")
+    return (
+        f'The calibration of "{suspects[0]}" is SUSPECT ({why}), so {out} was not written: mend '
+        "what is named, or take it all the same with --accept-suspect."
+    )
 
 
 def calibration_record(result: "CalibrationResult") -> dict[str, Any]:

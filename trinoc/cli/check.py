@@ -8,6 +8,7 @@ import tyro
 
 from trinoc.cli.command import Command, Outcome
 from trinoc.cli.progress import LOGGER
+from trinoc.cli.rig_file import read_rig
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -40,10 +41,10 @@ class Check(Command):
         from trinoc.calib import check_rig
         from trinoc.cli.provenance import provenance
         from trinoc.cli.scene import scene_of
-        from trinoc.io import expect_place, load_rig, save
+        from trinoc.io import expect_place, save
 
         expect_place(self.out)
-        rig = load_rig(self.rig)
+        rig = read_rig(self.rig)
         scene = scene_of(self.pictures, self.matches, rig, self.rig, quiet=self.quiet)
         LOGGER.info("checking %d cameras with %d lines", len(rig), len(scene.matches))
         again = [match for match in (scene.tolerant, scene.strict) if match is not None]

@@ -12,10 +12,14 @@ class UsageError(InputError):
 
 
 class Outcome(NamedTuple):
-    """What a command has to say: text for people, or one JSON object for programs."""
+    """What a command has to say: text for people, or one JSON object for programs.
+
+    refusal : why the job counts as failed although there is something to say; None where not.
+    """
 
     text: str
     record: dict[str, Any]
+    refusal: str | None = None
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -10,6 +10,7 @@ import tyro
 
 from trinoc.cli.command import Command, Outcome, UsageError
 from trinoc.cli.progress import LOGGER
+from trinoc.cli.rig_file import read_rig
 from trinoc.cli.scene_files import SEGMENT_SUFFIXES, check_size, check_views
 from trinoc.cli.views import files_of_views
 from trinoc.errors import InputError
@@ -89,7 +90,7 @@ class Evaluate(Command):
         files = files_of_views(self.pictures)
         self._check_usage(bool(files))
 
-        from trinoc.io import expect_place, load_rig, load_shape, save_table
+        from trinoc.io import expect_place, load_shape, save_table
         from trinoc.report import evaluation_text
 
         expect_place(self.out, self.plot)
@@ -103,7 +104,7 @@ class Evaluate(Command):
             crease_deg=self.crease_deg,
             grey_step=self.grey_step,
         )
-        rig = None if self.rig is None else load_rig(self.rig)
+        rig = None if self.rig is None else read_rig(self.rig)
         if rig is not None and shape.wants_every_edge:
             shape = shape.seen_by(rig)
         rows: list[Row] = []

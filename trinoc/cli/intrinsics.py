@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from trinoc.cli.command import Command, Outcome, UsageError
-from trinoc.cli.lens_options import NOT_GIVEN, PixelPitch
+from trinoc.cli.lens_options import NOT_GIVEN, PixelPitch, expect_pixel_pitch
 from trinoc.cli.progress import LOGGER, each
 
 if TYPE_CHECKING:
@@ -49,6 +49,7 @@ class Intrinsics(Command):
         """Calibrate the lens and write it."""
         if not self.pictures:
             raise UsageError("No picture is given: give several pictures of the sheet.")
+        expect_pixel_pitch(self.pixel_pitch_mm)
 
         from trinoc.calib import calibrate_intrinsics
         from trinoc.cli.provenance import provenance

@@ -9,6 +9,7 @@ import tyro
 
 from trinoc.cli.command import UsageError
 from trinoc.cli.views import files_of_views
+from trinoc.errors import InputError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -22,6 +23,16 @@ NOT_GIVEN = (0.0, 0.0)
 PixelPitch = Annotated[
     tuple[float, float], tyro.conf.arg(metavar="WIDTH HEIGHT", help_behavior_hint="(optional)")
 ]
+
+
+def expect_pixel_pitch(pitch_mm: tuple[float, float]) -> None:
+    """Raise UsageError for a pitch that no sensor has, before any picture is read."""
+    from trinoc.io import expect_pitch
+
+    try:
+        expect_pitch(None if pitch_mm == NOT_GIVEN else pitch_mm, "--pixel-pitch-mm is")
+    except InputError as error:
+        raise UsageError(str(error)) from error
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,7 +67,7 @@ class LensOptions:
         Raises UsageError where the options do not say it, InputError for a file that does not.
         """
         from trinoc.geometry import Intrinsics
-        from trinoc.io import load_intrinsics
+        from trinoc.io import expect_lens, load_intrinsics
 
         by_numbers = self.focal_length_mm is not None or self.pixel_pitch_mm != NOT_GIVEN
         if by_numbers == bool(self.intrinsics):
@@ -71,10 +82,13 @@ class LensOptions:
                     "HEIGHT go together."
                 )
             return {
-                name: Intrinsics(
-                    focal_length_mm=self.focal_length_mm,
-                    pixel_pitch_mm=self.pixel_pitch_mm,
-                    image_size_px=size,
+                name: expect_lens(
+                    Intrinsics(
+                        focal_length_mm=self.focal_length_mm,
+                        pixel_pitch_mm=self.pixel_pitch_mm,
+                        image_size_px=size,
+                    ),
+                    "The lens of --focal-length-mm and --pixel-pitch-mm",
                 )
                 for name, size in sizes_px.items()
             }

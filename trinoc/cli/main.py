@@ -1,7 +1,7 @@
 """The `trinoc` command: reads the command line, runs one command, prints what it says.
 
 Exit status 0: done. 1: the job failed, and one sentence on stderr says why and what to do
-next. 2: wrong usage.
+next. 2: wrong usage. 130: interrupted. 141: nobody read the output to its end.
 """
 
 import json
@@ -23,9 +23,11 @@ from trinoc.cli.export import Export
 from trinoc.cli.import_ import Import
 from trinoc.cli.intrinsics import Intrinsics
 from trinoc.cli.match import Match
+from trinoc.cli.numbers import expect_numbers
 from trinoc.cli.pattern import Pattern
 from trinoc.cli.refine import Refine
 from trinoc.cli.segments import Segments
+from trinoc.cli.words import in_options
 from trinoc.errors import TrinocError
 
 DESCRIPTION = (
@@ -77,26 +79,40 @@ def _run(command: Command, command_line: str) -> int:
     set_up_logging(quiet=command.quiet)
     enable_compile_cache()
     try:
+        expect_numbers(command)
         outcome = command.run(command_line)
     except TrinocError as error:
         return _failed(command, str(error), status=2 if isinstance(error, UsageError) else 1)
+    except BrokenPipeError:
+        raise
     except OSError as error:
         place = f"{error.filename}: " if error.filename else ""
         return _failed(command, f"{place}{error.strerror or error}: check the disk.", status=1)
+    except MemoryError:
+        return _failed(command, "The memory does not suffice: give smaller or fewer files.", 1)
     except KeyboardInterrupt:
         return _failed(command, "Interrupted: files that were not finished are not there.", 130)
-    _print(json.dumps(outcome.record, allow_nan=False) if command.json else outcome.text)
-    return 0
+    record = outcome.record
+    if outcome.refusal is not None:
+        record = {**record, "error": in_options(outcome.refusal, command)}
+        print(f"trinoc: {record['error']}", file=sys.stderr)
+    said = json.dumps(record, allow_nan=False) if command.json else outcome.text
+    _print(in_options(said, command))
+    return 0 if outcome.refusal is None else 1
 
 
 def _print(text: str) -> None:
     """To stdout, with a question mark for what its encoding lacks."""
+    if sys.stdout is None:  # closed
+        return
     encoding = sys.stdout.encoding or "utf-8"
     print(text.encode(encoding, errors="replace").decode(encoding))
 
 
 def _failed(command: Command, sentence: str, status: int) -> int:
+    # Names of files and cameras may hold anything; what is said stays one line.
+    sentence = " ".join(in_options(sentence, command).splitlines())
     print(f"trinoc: {sentence}", file=sys.stderr)
     if command.json:
-        print(json.dumps({"error": sentence}))
+        _print(json.dumps({"error": sentence}))
     return status

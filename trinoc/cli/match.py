@@ -11,6 +11,7 @@ import tyro
 
 from trinoc.cli.command import Command, Outcome, UsageError
 from trinoc.cli.progress import LOGGER
+from trinoc.cli.rig_file import doubts_table, read_rig
 from trinoc.cli.scene_files import check_views, read_segments
 from trinoc.cli.segment_options import SegmentOptions
 from trinoc.cli.views import files_of_views
@@ -66,11 +67,13 @@ class Match(SegmentOptions, Command):
                 "greatest, in mm."
             )
 
-        from trinoc.io import expect_place, load_rig, save
+        self.check()
+
+        from trinoc.io import expect_place, save
         from trinoc.match import match_segments
 
         expect_place(self.out, self.report)
-        rig = load_rig(self.rig)
+        rig = read_rig(self.rig)
         check_views(files, rig, self.rig)
         images, segments = read_segments(files, rig, self.find, quiet=self.quiet)
         LOGGER.info("matching %s", ", ".join(f"{len(s)} ({n})" for n, s in segments.items()))
@@ -89,6 +92,7 @@ class Match(SegmentOptions, Command):
                 matches=matches,
                 scene_pictures=images,
                 title="Matches",
+                tables=doubts_table(self.rig),
                 provenance=for_people(provenance(command_line, {**files, "rig": self.rig})),
             )
         written = [str(path) for path in (self.out, self.report) if path is not None]

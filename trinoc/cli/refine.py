@@ -8,6 +8,7 @@ import tyro
 
 from trinoc.cli.command import Command, Outcome
 from trinoc.cli.progress import LOGGER
+from trinoc.cli.rig_file import read_rig
 from trinoc.errors import CalibrationError
 
 if TYPE_CHECKING:
@@ -57,10 +58,10 @@ class Refine(Command):
         from trinoc.calib import RefineStatus, refine
         from trinoc.cli.provenance import provenance
         from trinoc.cli.scene import scene_of
-        from trinoc.io import expect_place, load_rig, save
+        from trinoc.io import expect_place, save
 
         expect_place(self.out)
-        rig = load_rig(self.rig)
+        rig = read_rig(self.rig)
         scene = scene_of(self.pictures, self.matches, rig, self.rig, quiet=self.quiet)
         LOGGER.info("refining %d cameras and %d lines", len(rig), len(scene.matches))
         again = [scene.tolerant, scene.strict] if self.moved else [scene.strict]

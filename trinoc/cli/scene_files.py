@@ -33,7 +33,33 @@ def read_segments(
         name: load_segments(tables[name]) if name in tables else find(images[name])
         for name in each(tuple(files), "segments", quiet=quiet)
     }
+    for name, found in segments.items():
+        if len(found) == 0:
+            _warn_of_nothing(name, images.get(name), files[name])
+        elif name in tables:
+            check_inside(name, found, rig, tables[name])
     return images, segments
+
+
+def _warn_of_nothing(name: str, image: "np.ndarray | None", file: Path) -> None:
+    from trinoc.segments import why_nothing
+
+    why = "The table is empty." if image is None else why_nothing(image)
+    LOGGER.warning('no segment in %s, the picture of "%s": %s', file, name, why)
+
+
+def check_inside(name: str, segments: "Segments", rig: "Rig", file: Path) -> None:
+    """Raise InputError for segments more than a picture's width beyond the picture."""
+    import numpy as np
+
+    size = np.array(rig[name].image_size_px)
+    ends = np.asarray(segments.endpoints_px)
+    outside = np.flatnonzero(((ends < -size) | (ends > 2 * size)).any(axis=(1, 2)))
+    if len(outside):
+        raise InputError(
+            f'{file}: segment {outside[0]} lies far outside the pictures of "{name}", which are '
+            f"{size[0]} x {size[1]} px: give ends in pixels of that camera."
+        )
 
 
 def check_views(files: Mapping[str, Path], rig: "Rig", rig_file: Path) -> None:

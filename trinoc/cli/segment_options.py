@@ -3,6 +3,8 @@
 import dataclasses
 from typing import TYPE_CHECKING
 
+from trinoc.cli.command import UsageError
+
 if TYPE_CHECKING:
     import numpy as np
 
@@ -26,6 +28,19 @@ class SegmentOptions:
     """Keep the chords of arcs, such as the rims of cylinders: more of the scene is seen, less
     exactly."""
 
+    def check(self) -> None:
+        """Raise UsageError for options that no search can follow, before any work starts."""
+        for name, value in (
+            ("--tolerance-px", self.tolerance_px),
+            ("--false-alarms", self.false_alarms),
+        ):
+            if not value > 0:
+                raise UsageError(f"{name} is {value:g}, but must be positive.")
+        if not self.least_contrast >= 0:
+            raise UsageError(
+                f"--least-contrast is {self.least_contrast:g}, but must not be negative."
+            )
+
     def find(self, image: "np.ndarray") -> "Segments":
         """The segments of a picture."""
         from trinoc.segments import find_segments
@@ -37,3 +52,9 @@ class SegmentOptions:
             least_contrast=self.least_contrast,
             arcs=self.arcs,
         )
+
+    def why_nothing(self, image: "np.ndarray") -> str:
+        """Why `find` found no segment in a picture."""
+        from trinoc.segments import why_nothing
+
+        return why_nothing(image, least_contrast=self.least_contrast)

@@ -24,14 +24,18 @@ class Segments(SegmentOptions, Command):
         """Find the segments and write them."""
         from trinoc.io import read_image, save
 
-        segments = self.find(read_image(self.picture))
+        self.check()
+        image = read_image(self.picture)
+        segments = self.find(image)
         save(segments, self.out)
         count = len(segments)
         median_px = float(sorted(segments.length_px)[count // 2]) if count else 0.0
-        text = f"{count} segments, median length {median_px:.1f} px\nwritten: {self.out}"
+        why = "" if count else f"\n{self.why_nothing(image)}"
+        text = f"{count} segments, median length {median_px:.1f} px{why}\nwritten: {self.out}"
         record = {
             "segments": count,
             "median_length_px": median_px,
+            "why_nothing": why.strip() or None,
             "written": [str(self.out)],
         }
         return Outcome(text, record)

@@ -46,7 +46,9 @@ from .matches_npz import load_matches as load_matches
 from .pattern_json import load_pattern as load_pattern, save_pattern as save_pattern
 from .pattern_pdf import save_pattern_pdf as save_pattern_pdf
 from .pattern_svg import save_pattern_svg as save_pattern_svg
-from .rig_json import load_rig as load_rig
+from .rig_json import load_rig as load_rig, load_rig_status as load_rig_status
+from .rig_status import CameraStatus as CameraStatus, RigStatus as RigStatus
 from .saving import save as save
 from .segments_npz import load_segments as load_segments
 from .table_csv import save_table as save_table
+from .usable_cameras import expect_lens as expect_lens, expect_pitch as expect_pitch

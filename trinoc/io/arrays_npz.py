@@ -1,14 +1,26 @@
-"""npz files with a name and a version of their format, read without trusting what is in them."""
+"""npz files with a name and a version of their format, read without trusting what is in them.
 
+What an array needs is read from its header, and compared with what is there and with a limit,
+before any memory is taken: a small file can announce, and unpack to, thousands of times its size.
+"""
+
+import math
 import os
 import zipfile
+import zlib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.lib import format as npy
 
 from trinoc.errors import InputError
 from trinoc.io.atomic import atomic_write
+
+# Unpacked, all arrays together: matches of half a million tracks.
+MOST_BYTES = 2**30
+# Text, numbers and truth values; no objects, whose loading runs code, and no records.
+_KINDS = "biufcU"
 
 
 def write_arrays(
@@ -26,44 +38,115 @@ def read_arrays(
 ) -> dict[str, np.ndarray]:
     """The arrays of a file that `write_arrays` wrote.
 
-    Raises InputError for a file that is missing or broken, or of another format or version.
+    Raises InputError for a file that is missing, broken or far too large, or of another format or
+    version.
     """
     file = Path(path)
     arrays = _arrays(file)
-    found = str(arrays.pop("format", ""))
+    found = _one(arrays.pop("format", None))
     if found != format_name:
         raise InputError(
             f'{file} has the format "{found}", but "{format_name}" is needed: give another file.'
         )
-    found_version = arrays.pop("version", None)
-    if found_version is None or int(found_version) != version:
+    found_version = _one(arrays.pop("version", None))
+    if found_version != str(version):
         raise InputError(
-            f"{file} has version {found_version} of {format_name}, but this trinoc reads version "
-            f"{version}: update trinoc or write the file again."
+            f"{file} has version {found_version or 'missing'} of {format_name}, but this trinoc "
+            f"reads version {version}: update trinoc or write the file again."
         )
     return arrays
 
 
 def format_of_arrays(path: str | os.PathLike[str]) -> str:
     """The format that a file of `write_arrays` states. Raises InputError as `read_arrays` does."""
-    return str(_arrays(Path(path), ("format",)).get("format", ""))
+    return _one(_arrays(Path(path), ("format",)).get("format"))
 
 
-def take(arrays: dict[str, np.ndarray], name: str, path: str | os.PathLike[str]) -> np.ndarray:
-    """One array by name. Raises InputError where the file lacks it."""
-    if name not in arrays:
-        raise InputError(f'{path} lacks the array "{name}": write the file again.')
-    return arrays[name]
+def load_array(path: Path) -> np.ndarray:
+    """The array of an npy file. Raises ValueError where it is damaged, OSError as `open` does."""
+    with path.open("rb") as file:
+        return _array(file, os.fstat(file.fileno()).st_size)
+
+
+def _one(array: np.ndarray | None) -> str:
+    """One word or whole number as text; empty where there is none."""
+    if array is None or array.ndim != 0 or array.dtype.kind not in "iuU":
+        return ""
+    return str(array)[:60]
 
 
 def _arrays(file: Path, only: tuple[str, ...] | None = None) -> dict[str, np.ndarray]:
     try:
-        with np.load(file, allow_pickle=False) as archive:
-            names = [name for name in archive.files if only is None or name in only]
-            return {name: archive[name] for name in names}
+        with zipfile.ZipFile(file) as archive:
+            members = [entry for entry in archive.infolist() if entry.filename.endswith(".npy")]
+            if sum(entry.file_size for entry in members) > MOST_BYTES:
+                raise InputError(
+                    f"{file} unpacks to more than {MOST_BYTES / 1e9:.1f} GB, which no file of "
+                    "trinoc does: give another file."
+                )
+            arrays = {}
+            for entry in members:
+                name = entry.filename.removesuffix(".npy")
+                if only is None or name in only:
+                    with archive.open(entry) as member:
+                        arrays[name] = _array(member, entry.file_size)
+            return arrays
     except FileNotFoundError as error:
         raise InputError(f"{file} does not exist: check the name.") from error
-    except (OSError, ValueError, EOFError, AttributeError, zipfile.BadZipFile) as error:
+    except InputError:
+        raise
+    except (
+        *(OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error),
+        # Encrypted members, methods of compression that Python lacks.
+        *(RuntimeError, NotImplementedError),
+    ) as error:
         raise InputError(
             f"{file} is not a readable npz file: give a file that trinoc wrote, or write it again."
         ) from error
+
+
+class _Counted:
+    """A stream that counts what was read of it."""
+
+    def __init__(self, stream: Any) -> None:
+        self.stream, self.taken = stream, 0
+
+    def read(self, count: int) -> bytes:
+        content = self.stream.read(count)
+        self.taken += len(content)
+        return content
+
+
+def _array(stream: Any, size: int) -> np.ndarray:
+    """The array of an npy stream of so many bytes. Raises ValueError where it is damaged."""
+    counted: Any = _Counted(stream)
+    read_header = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
+    version = npy.read_magic(counted)
+    if version not in read_header:
+        raise ValueError("This version of npy is not read.")
+    try:
+        shape, fortran, dtype = read_header[version](counted)
+    except (TypeError, KeyError, SyntaxError, OverflowError, RecursionError, MemoryError) as error:
+        raise ValueError("The header is damaged.") from error  # it is a text that Python parses
+    # Products of Python's whole numbers do not overflow.
+    wanted = math.prod(shape) * dtype.itemsize
+    if dtype.kind not in _KINDS or wanted != size - counted.taken or size > MOST_BYTES:
+        raise ValueError("The header does not describe what follows it.")
+    if any(side < 0 for side in shape) or dtype.itemsize == 0:
+        raise ValueError("The array has an impossible shape or type.")
+    content = bytearray(stream.read(wanted))
+    if len(content) != wanted:
+        raise ValueError("The array ends early.")
+    if stream.read(1):  # at the end, zipfile compares the check sum
+        raise ValueError("The array goes on.")
+    flat = np.frombuffer(content, dtype).astype(dtype.newbyteorder("="), copy=False)
+    if dtype.kind == "U":
+        _expect_characters(flat)
+    return flat.reshape(shape, order="F" if fortran else "C")
+
+
+def _expect_characters(texts: np.ndarray) -> None:
+    """Raise ValueError for codes that are no characters, which nobody could print."""
+    codes = texts.view(np.uint32)
+    if ((codes > 0x10FFFF) | ((codes >= 0xD800) & (codes < 0xE000))).any():
+        raise ValueError("A text holds what is no character.")

@@ -2,12 +2,17 @@
 
 import contextlib
 import os
+import re
 import secrets
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
 from trinoc.errors import InputError
+
+# A file is written in seconds; another program may be writing a younger one.
+ABANDONED_S = 3600
 
 
 @contextlib.contextmanager
@@ -15,10 +20,13 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
     """A binary file that takes the name `path` when the block ends, and vanishes if it fails.
 
     It is written in the folder of `path`, because a file is renamed in one step only within
-    one file system. Raises InputError where the folder is missing or cannot be written to.
+    one file system. Where `path` is a symbolic link, the file that it names is replaced and the
+    link stays. What a killed program left of an earlier attempt is swept. Raises InputError where
+    the folder is missing or cannot be written to, and for what is no plain file, such as a device.
     """
-    target = Path(path)
-    expect_place(target)
+    expect_place(path)
+    target = _linked(Path(path))
+    _sweep(target)
     scratch = target.with_name(f".{target.name}.{secrets.token_hex(4)}.tmp")
     try:
         # Unlike the files of `tempfile`, this one gets the permissions of any new file.
@@ -41,11 +49,37 @@ def expect_place(*paths: str | os.PathLike[str] | None) -> None:
     for path in paths:
         if path is None:
             continue
-        target = Path(path)
+        named = Path(path)
+        target = _linked(named)
         if target.is_dir():
-            raise InputError(f"{target} is a folder: give the name of a file to write.")
+            raise InputError(f"{named} is a folder: give the name of a file to write.")
         if not target.parent.is_dir():
             raise InputError(f"The folder {target.parent} does not exist: create it first.")
+        if named.exists() and not named.is_file():
+            raise InputError(
+                f"{named} is a device or a pipe, which cannot be replaced in one step: give the "
+                "name of a file to write."
+            )
+
+
+def _linked(path: Path) -> Path:
+    """The file that a symbolic link names, be it there or not; any other path itself."""
+    if not path.is_symlink():
+        return path
+    try:
+        return path.resolve()
+    except (OSError, RuntimeError) as error:
+        raise InputError(f"{path} is a link that leads nowhere: give another name.") from error
+
+
+def _sweep(target: Path) -> None:
+    """Remove scratch files of `target` that nobody has written to for an hour."""
+    pattern = re.compile(re.escape(f".{target.name}.") + r"[0-9a-f]{8}\.tmp")
+    with contextlib.suppress(OSError):
+        for name in filter(pattern.fullmatch, os.listdir(target.parent)):
+            left = target.with_name(name)
+            if time.time() - left.lstat().st_mtime > ABANDONED_S:
+                left.unlink(missing_ok=True)
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:

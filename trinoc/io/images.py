@@ -9,8 +9,12 @@ import cv2
 import numpy as np
 
 from trinoc.errors import InputError
+from trinoc.io.picture_size import MOST_PIXELS, size_px
+from trinoc.io.whole_files import read_bytes
 
 IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm", ".webp")
+# Uncompressed, colours of 16 bit.
+MOST_BYTES = 7 * MOST_PIXELS
 
 
 def read_image(path: str | os.PathLike[str]) -> np.ndarray:
@@ -47,17 +51,18 @@ def _content(file: Path) -> bytes:
         if not inside:
             raise InputError(f"{file} is a folder without pictures: give a picture file.")
         raise InputError(f"{file} is a folder: give one picture in it, such as {file / inside[0]}.")
-    try:
-        return file.read_bytes()
-    except FileNotFoundError as error:
-        raise InputError(f"{file} does not exist: check the name.") from error
-    except OSError as error:
-        raise InputError(
-            f"{file} cannot be read ({error.strerror}): give a readable file."
-        ) from error
+    return read_bytes(file, MOST_BYTES)
 
 
 def _decoded(file: Path, content: bytes) -> np.ndarray:
+    size = size_px(content)
+    if size is None or min(size) < 1:
+        raise InputError(f"{file} is not a readable picture: give a PNG, TIFF or JPEG file.")
+    if size[0] * size[1] > MOST_PIXELS:
+        raise InputError(
+            f"{file} announces {size[0]} x {size[1]} px, more than any camera has: give a picture "
+            f"of at most {MOST_PIXELS / 1e6:.0f} megapixels."
+        )
     # OpenCV warns on stderr about broken files; the sentence below says it better.
     level = cv2.utils.logging.getLogLevel()
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
@@ -67,7 +72,7 @@ def _decoded(file: Path, content: bytes) -> np.ndarray:
             if content
             else None
         )
-    except cv2.error:
+    except (cv2.error, MemoryError):
         image = None
     finally:
         cv2.utils.logging.setLogLevel(level)

@@ -8,8 +8,10 @@ import numpy as np
 
 from trinoc.errors import InputError
 from trinoc.geometry import LENS_MODELS, Intrinsics, promoted
+from trinoc.io.array_checks import is_covariance
 from trinoc.io.conventions import CONVENTIONS
 from trinoc.io.json_document import Block, read_document, write_document
+from trinoc.io.usable_cameras import expect_lens
 
 FORMAT, VERSION = "trinoc-camera", 1
 
@@ -39,9 +41,10 @@ def load_lens_covariance(path: str | os.PathLike[str]) -> np.ndarray | None:
     if block.texts("parameters") != names:
         raise block.error("parameters", f"must be {', '.join(names)}, in this order.")
     matrix = block.numbers("matrix", (len(names), len(names)))
-    if not np.allclose(matrix, matrix.T, rtol=1e-9, atol=0) or (np.diag(matrix) < 0).any():
+    if not is_covariance(matrix[None]).all():
         raise block.error(
-            "matrix", "is no covariance (symmetric, no negative variance): write the file again."
+            "matrix",
+            "is no covariance (symmetric, nowhere negative): write the file again.",
         )
     return matrix
 
@@ -131,7 +134,7 @@ def intrinsics_from_block(block: Block, image_size_px: tuple[int, int]) -> Intri
     if "distortion" in given:
         model, coefficients = _distortion(block.block("distortion"))
     try:
-        return Intrinsics(
+        lens = Intrinsics(
             image_size_px=image_size_px,
             focal_length_mm=block.number("focal_length_mm") if "focal_length_mm" in given else None,
             pixel_pitch_mm=_pair_or_none(block, "pixel_pitch_mm"),
@@ -145,6 +148,7 @@ def intrinsics_from_block(block: Block, image_size_px: tuple[int, int]) -> Intri
         if str(error).startswith(block.file):
             raise
         raise InputError(f'{block.file}: "{block.place}": {error}') from error
+    return expect_lens(lens, f'{block.file}: "{block.place}"')
 
 
 def _pair_or_none(block: Block, key: str) -> tuple[float, float] | None:

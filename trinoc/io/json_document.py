@@ -12,6 +12,11 @@ import numpy as np
 
 from trinoc.errors import InputError
 from trinoc.io.atomic import write_text
+from trinoc.io.json_text import parsed_json
+from trinoc.io.whole_files import read_text
+
+# Squares and cubes of larger numbers are more than floats hold.
+LARGEST = 1e60
 
 
 @dataclasses.dataclass(frozen=True)
@@ -24,7 +29,8 @@ class Block:
 
     def error(self, key: str, problem: str) -> InputError:
         """An error that names the file and the key; `problem` completes the sentence."""
-        return InputError(f'{self.file}: "{self._path(key)}" {problem}')
+        place = json.dumps(self._path(key), ensure_ascii=False)
+        return InputError(f"{self.file}: {place} {problem}")
 
     def expect_keys(self, required: Collection[str], optional: Collection[str] = ()) -> None:
         """Raise InputError for a key that is missing or that nobody would read."""
@@ -85,6 +91,11 @@ class Block:
             and np.isfinite(array).all()
         ):
             raise self.error(key, f"must be {_described(shape)}, but is {_shown(value)}.")
+        if (np.abs(array) > LARGEST).any():
+            raise self.error(
+                key,
+                f"holds {np.abs(array).max():g}, which nothing measures: check it and its unit.",
+            )
         return array
 
     def image_size_px(self, key: str = "image_size_px") -> tuple[int, int]:
@@ -104,32 +115,14 @@ def read_document(path: str | os.PathLike[str], format_name: str, version: int) 
     Raises InputError for a file that is missing, is not JSON, or has another format or version.
     """
     file = Path(path)
-    try:
-        text = file.read_text(encoding="utf-8")
-    except FileNotFoundError as error:
-        raise InputError(f"{file} does not exist: check the name.") from error
-    except UnicodeDecodeError as error:
-        raise InputError(f"{file} is not a JSON text file: give a {format_name} file.") from error
-    except OSError as error:
-        raise InputError(
-            f"{file} cannot be read ({error.strerror}): give a readable file."
-        ) from error
-    try:
-        values = json.loads(text, parse_constant=_refuse_constant, object_pairs_hook=_unique)
-    except json.JSONDecodeError as error:
-        raise InputError(
-            f"{file} is not JSON (line {error.lineno}, column {error.colno}: {error.msg}): "
-            "correct it there."
-        ) from error
-    except _NotStrictError as error:
-        raise InputError(f"{file}: {error}") from error
+    values = parsed_json(read_text(file), file)
     if not isinstance(values, dict) or values.get("format") != format_name:
         found = values.get("format") if isinstance(values, dict) else None
         raise InputError(
             f'{file} has the format {_shown(found)}, but "{format_name}" is needed: '
             "give another file."
         )
-    if values.get("version") != version:
+    if isinstance(values.get("version"), bool) or values.get("version") != version:
         raise InputError(
             f"{file} has version {_shown(values.get('version'))} of {format_name}, but this trinoc "
             f"reads version {version}: update trinoc or write the file again."
@@ -140,23 +133,6 @@ def read_document(path: str | os.PathLike[str], format_name: str, version: int) 
 def write_document(path: str | os.PathLike[str], values: dict[str, Any]) -> None:
     """Write an object as indented JSON with short lists on one line."""
     write_text(path, _dumped(values, "") + "\n")
-
-
-class _NotStrictError(Exception):
-    """A text that Python would read although JSON does not allow it."""
-
-
-def _refuse_constant(name: str) -> float:
-    raise _NotStrictError(f"{name} is no number that a file may hold: put a finite one there.")
-
-
-def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    values = dict(pairs)
-    if len(values) < len(pairs):
-        keys = [key for key, _ in pairs]
-        twice = next(key for key in keys if keys.count(key) > 1)
-        raise _NotStrictError(f'the key "{twice}" stands twice in one object: keep one of them.')
-    return values
 
 
 def _dumped(value: Any, indent: str) -> str:

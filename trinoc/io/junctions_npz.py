@@ -1,12 +1,9 @@
 """Junctions as arrays of a segment file."""
 
-from pathlib import Path
-
 import numpy as np
 
-from trinoc.errors import InputError
 from trinoc.geometry import BODY, Junctions
-from trinoc.io.arrays_npz import take
+from trinoc.io.array_checks import LARGEST_PX, ArrayFields, is_covariance
 
 _PREFIX = "junctions/"
 _KINDS = ("L", "T", "X", "Y")
@@ -24,54 +21,30 @@ def junction_arrays(junctions: Junctions) -> dict[str, np.ndarray]:
     }
 
 
-def junctions_of_arrays(
-    arrays: dict[str, np.ndarray], file: Path, segments: int
-) -> Junctions | None:
+def junctions_of_arrays(fields: ArrayFields, segments: int) -> Junctions | None:
     """The junctions among so many segments, None where the file has none of their arrays.
 
     Raises InputError where an array is missing, does not fit the others, is not finite, or
     speaks of segments, ends or kinds that there are not.
     """
-    if not any(name.startswith(_PREFIX) for name in arrays):
+    if not any(name.startswith(_PREFIX) for name in fields.arrays):
         return None
-    fields = {
-        name: take(arrays, _PREFIX + name, file)
-        for name in ("uv_px", "covariance_px2", "kind", "junction", "segment", "end")
-    }
-    count, rows = len(np.atleast_1d(fields["uv_px"])), fields["junction"].size
-    shapes = {
-        "uv_px": (count, 2),
-        "covariance_px2": (count, 2, 2),
-        "kind": (count,),
-        "junction": (rows,),
-        "segment": (rows,),
-        "end": (rows,),
-    }
-    for name, shape in shapes.items():
-        if fields[name].shape != shape:
-            raise InputError(
-                f'{file}: "{_PREFIX}{name}" has shape {fields[name].shape}, but {count} junctions '
-                f"in {rows} rows need {shape}: write the file again."
-            )
-    allowed = {
-        "uv_px": np.isfinite,
-        "covariance_px2": np.isfinite,
-        "kind": lambda kind: np.isin(kind, _KINDS),
-        "junction": lambda junction: (junction >= 0) & (junction < count),
-        "segment": lambda segment: (segment >= 0) & (segment < segments),
-        "end": lambda end: np.isin(end, (BODY, 0, 1)),
-    }
-    for name, is_allowed in allowed.items():
-        if not is_allowed(fields[name]).all():
-            raise InputError(
-                f'{file}: "{_PREFIX}{name}" holds values that no junction of {segments} segments '
-                "can have: write the file again."
-            )
-    return Junctions(
-        fields["uv_px"].astype(np.float64),
-        fields["covariance_px2"].astype(np.float64),
-        fields["kind"],
-        fields["junction"].astype(np.int64),
-        fields["segment"].astype(np.int64),
-        fields["end"].astype(np.int64),
-    )
+    rows = fields.take(_PREFIX + "junction", "i", (None,), "junctions")
+    uv_px = fields.take(_PREFIX + "uv_px", "f", (None, 2), "junctions")
+    count = len(uv_px)
+    what = f"{count} junctions in {len(rows)} rows"
+    covariance = fields.take(_PREFIX + "covariance_px2", "f", (count, 2, 2), what)
+    kind = fields.take(_PREFIX + "kind", "U", (count,), what)
+    segment = fields.take(_PREFIX + "segment", "i", rows.shape, what)
+    end = fields.take(_PREFIX + "end", "i", rows.shape, what)
+    problem = f"is a value that no junction of {segments} segments can have"
+    for name, good in (
+        ("uv_px", np.abs(uv_px) < LARGEST_PX),
+        ("covariance_px2", is_covariance(covariance)),
+        ("kind", np.isin(kind, _KINDS)),
+        ("junction", (rows >= 0) & (rows < count)),
+        ("segment", (segment >= 0) & (segment < segments)),
+        ("end", np.isin(end, (BODY, 0, 1))),
+    ):
+        fields.expect(_PREFIX + name, good, problem)
+    return Junctions(uv_px, covariance, kind, rows, segment, end)

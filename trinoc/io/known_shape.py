@@ -1,6 +1,5 @@
 """Known shapes from files: lists of edges, polylines, OBJ models, the truth of made scenes."""
 
-import json
 import os
 from pathlib import Path
 from typing import Any
@@ -11,8 +10,13 @@ from jaxtyping import Float
 from trinoc.errors import InputError
 from trinoc.evaluation import GREY_STEP, KnownShape
 from trinoc.io.demo import FORMAT as SCENE_FORMAT, load_scene_truth
+from trinoc.io.json_text import parsed_json
 from trinoc.io.obj_model import CREASE_DEG, edges_of_obj
 from trinoc.io.straight_runs import straight_runs
+from trinoc.io.whole_files import read_bytes
+
+# Models with millions of faces have this.
+MOST_BYTES_OF_SHAPE = 1_000_000_000
 
 _REMEDY = "give lines of six numbers x1 y1 z1 x2 y2 z2, or points x y z with a blank line between"
 
@@ -55,15 +59,9 @@ def load_shape(
 
 def _read_text(file: Path) -> str:
     try:
-        return file.read_text(encoding="utf-8-sig")
-    except FileNotFoundError as error:
-        raise InputError(f"{file} does not exist: check the name.") from error
+        return read_bytes(file, MOST_BYTES_OF_SHAPE).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(f"{file} is no text file: {_REMEDY}, or an OBJ model.") from error
-    except OSError as error:
-        raise InputError(
-            f"{file} cannot be read ({error.strerror}): give a readable file."
-        ) from error
 
 
 def _checked(shape: KnownShape, file: Path) -> KnownShape:
@@ -121,14 +119,7 @@ def _is_number(word: str) -> bool:
 
 
 def _of_json(file: Path, unit_mm: float, grey_step: float) -> KnownShape:
-    text = _read_text(file)
-    try:
-        document: Any = json.loads(text)
-    except json.JSONDecodeError as error:
-        raise InputError(
-            f"{file} is not JSON (line {error.lineno}, column {error.colno}: {error.msg}): "
-            "correct it there."
-        ) from error
+    document = parsed_json(_read_text(file), file)
     if isinstance(document, dict) and document.get("format") == SCENE_FORMAT:
         if unit_mm != 1.0:
             raise InputError(f"{file} is in millimetres already: leave the unit out.")
@@ -146,7 +137,7 @@ def _edge(file: Path, place: int, entry: Any) -> Float[np.ndarray, "2 3"]:
     """One edge of a JSON list."""
     try:
         edge = np.array(entry, dtype=np.float64).reshape(2, 3)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         edge = np.full((2, 3), np.nan)
     if not np.isfinite(edge).all() or (edge[0] == edge[1]).all():
         raise InputError(

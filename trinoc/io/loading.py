@@ -1,6 +1,5 @@
 """One function that reads any of trinoc's own files of rigs, lenses, matches and segments."""
 
-import json
 import os
 from pathlib import Path
 
@@ -8,6 +7,8 @@ from trinoc.errors import InputError
 from trinoc.geometry import Intrinsics, Rig, Segments
 from trinoc.io import intrinsics_json, matches_npz, rig_json, segments_npz
 from trinoc.io.arrays_npz import format_of_arrays
+from trinoc.io.json_text import parsed_json
+from trinoc.io.whole_files import read_text
 from trinoc.match import Matches
 
 READERS = {
@@ -34,12 +35,5 @@ def load_any(path: str | os.PathLike[str]) -> Rig | Intrinsics | Matches | Segme
 
 
 def _format_of_json(file: Path) -> object:
-    try:
-        values = json.loads(file.read_bytes())
-    except FileNotFoundError as error:
-        raise InputError(f"{file} does not exist: check the name.") from error
-    except OSError as error:
-        raise InputError(f"{file} cannot be read ({error.strerror}): give a file.") from error
-    except (ValueError, RecursionError):
-        return None
+    values = parsed_json(read_text(file), file)
     return values.get("format") if isinstance(values, dict) else None

@@ -4,8 +4,8 @@ import os
 
 import numpy as np
 
-from trinoc.errors import InputError
-from trinoc.io.arrays_npz import read_arrays, take, write_arrays
+from trinoc.io.array_checks import LARGEST_MM, LARGEST_PX, ArrayFields, is_covariance
+from trinoc.io.arrays_npz import read_arrays, write_arrays
 from trinoc.match import BINOCULAR, TRINOCULAR, Matches
 
 FORMAT, VERSION = "trinoc-matches", 1
@@ -40,64 +40,86 @@ def save_matches(matches: Matches, path: str | os.PathLike[str]) -> None:
 def load_matches(path: str | os.PathLike[str]) -> Matches:
     """Read matches that `save_matches` wrote.
 
-    Raises InputError for another file, arrays that do not fit together, and 3-D segments that
-    are not finite.
+    Raises InputError for another file, and, with the field and the first row, for what no matching
+    can give: segments that do not exist, fragments where a view sees none, places that are not
+    finite or beyond all scenes, covariances that are none, probabilities outside [0, 1].
     """
-    arrays = read_arrays(path, FORMAT, VERSION)
-    views = tuple(str(view) for view in take(arrays, "views", path))
-    tracks, sides = len(take(arrays, "index", path)), len(views)
-    shapes = {
-        "index": (tracks, sides),
-        "fragments_px": (tracks, sides, 2, 2),
-        "lines_mm": (tracks, 2, 3),
-        "covariance_mm2": (tracks, 6, 6),
-        "stage": (tracks,),
-        "posterior": (tracks,),
-        "rival_posterior": (tracks,),
+    fields = ArrayFields(read_arrays(path, FORMAT, VERSION), path)
+    views = tuple(map(str, fields.take("views", "U", (None,), "views")))
+    if len(set(views)) < max(len(views), 2):
+        raise fields.error(
+            "views", f"are {', '.join(views) or 'none'}, but must be two or more different ones"
+        )
+    index = fields.take("index", "i", (None, len(views)), f"{len(views)} views")
+    tracks, sides = index.shape
+    what = f"{tracks} tracks in {sides} views"
+
+    def take(name: str, *more: int, kind: str = "f") -> np.ndarray:
+        return fields.take(name, kind, (tracks, *more), what)
+
+    reasons = {
+        name.removeprefix(_REASONS): fields.take(name, "U", (None,), "segments")
+        for name in fields.arrays
+        if name.startswith(_REASONS)
     }
-    later = {_FRAGMENTS_COVARIANCE: (tracks, sides, 4, 4), _MISFIT: (tracks,), _MOVES: (tracks,)}
-    shapes |= {name: shape for name, shape in later.items() if name in arrays}
-    for name, shape in shapes.items():
-        if take(arrays, name, path).shape != shape:
-            raise InputError(
-                f'{path}: "{name}" has shape {arrays[name].shape}, but {tracks} tracks in {sides} '
-                f"views need {shape}: write the file again."
-            )
-    if not np.isfinite(arrays["lines_mm"]).all():
-        track = int(np.flatnonzero(~np.isfinite(arrays["lines_mm"]).all(axis=(1, 2)))[0])
-        raise InputError(
-            f'{path}: "lines_mm" of track {track} is not finite: write the file again.'
-        )
-    if not np.isin(arrays["stage"], (TRINOCULAR, BINOCULAR)).all():
-        raise InputError(
-            f'{path}: "stage" holds words other than {TRINOCULAR} and {BINOCULAR}: '
-            "write the file again."
-        )
+    if set(reasons) != set(views):
+        raise fields.error("reasons", "are not those of the views")
+    existing = np.array([len(reasons[view]) for view in views])
+    seen = index >= 0
+    fields.expect("index", (index >= -1) & (index < existing), "names a segment that is not there")
+    fields.expect("index", seen.sum(axis=1) >= 2, "names fewer than two segments")
+
+    fragments = take("fragments_px", sides, 2, 2)
+    fields.expect(
+        "fragments_px",
+        np.where(seen[..., None, None], np.abs(fragments) < LARGEST_PX, np.isnan(fragments)),
+        "is no part of a segment where one is seen, or one where none is",
+    )
+    lines = take("lines_mm", 2, 3)
+    fields.expect("lines_mm", np.abs(lines) < LARGEST_MM, "is not finite or beyond all scenes")
+    covariance = take("covariance_mm2", 6, 6)
+    fields.expect("covariance_mm2", is_covariance(covariance), "is no covariance")
+    stage = take("stage", kind="U")
+    words = np.where(seen.sum(axis=1) > 2, TRINOCULAR, BINOCULAR)
+    fields.expect("stage", stage == words, f"is not {TRINOCULAR} or {BINOCULAR} as its views say")
+    posterior, rival = take("posterior"), take("rival_posterior")
+    for name, values in (("posterior", posterior), ("rival_posterior", rival)):
+        fields.expect(name, (values >= 0) & (values <= 1 + 1e-9), "is no probability")
+
+    fragments_covariance, misfit, moves = None, None, None
+    if _FRAGMENTS_COVARIANCE in fields:
+        fragments_covariance = take(_FRAGMENTS_COVARIANCE, sides, 4, 4)
+        good = np.ones(index.shape, dtype=bool)
+        good[seen] = is_covariance(fragments_covariance[seen])
+        fields.expect(_FRAGMENTS_COVARIANCE, good, "is no covariance where a view sees the line")
+    if _MISFIT in fields:
+        misfit = take(_MISFIT)
+        fields.expect(_MISFIT, ~(misfit < 0) & ~np.isinf(misfit), "is no chi-square")
+    if _MOVES in fields:
+        moves = take(_MOVES, kind="b")
+    noise_scale = 1.0
+    if "noise_scale" in fields:
+        noise_scale = float(fields.take("noise_scale", "f", (), "matches"))
+        fields.expect("noise_scale", np.array([0 < noise_scale < np.inf]), "is no scale")
+    names = fields.take("count_names", "U", (None,), "counts")
+    counts = fields.take("count_values", "i", names.shape, f"{len(names)} names")
+    notes = fields.take("notes", "U", (None,), "notes") if "notes" in fields else ()
     return Matches(
         views=views,
-        index=arrays["index"].astype(np.int64),
-        fragments_px=arrays["fragments_px"].astype(np.float64),
-        lines_mm=arrays["lines_mm"].astype(np.float64),
-        covariance_mm2=arrays["covariance_mm2"].astype(np.float64),
-        stage=arrays["stage"],
-        posterior=arrays["posterior"].astype(np.float64),
-        rival_posterior=arrays["rival_posterior"].astype(np.float64),
-        reasons={
-            name.removeprefix(_REASONS): words
-            for name, words in arrays.items()
-            if name.startswith(_REASONS)
-        },
-        counts={
-            str(name): int(value)
-            for name, value in zip(
-                take(arrays, "count_names", path), take(arrays, "count_values", path), strict=True
-            )
-        },
-        fragments_covariance_px2=arrays.get(_FRAGMENTS_COVARIANCE),
-        misfit=arrays.get(_MISFIT),
-        viewpoint_dependent=arrays[_MOVES].astype(bool) if _MOVES in arrays else None,
-        noise_scale=float(arrays.get("noise_scale", 1.0)),
-        notes=tuple(str(note) for note in arrays.get("notes", ())),
+        index=index,
+        fragments_px=fragments,
+        lines_mm=lines,
+        covariance_mm2=covariance,
+        stage=stage,
+        posterior=posterior,
+        rival_posterior=rival,
+        reasons={view: reasons[view] for view in views},
+        counts={str(name): int(count) for name, count in zip(names, counts, strict=True)},
+        fragments_covariance_px2=fragments_covariance,
+        misfit=misfit,
+        viewpoint_dependent=moves,
+        noise_scale=noise_scale,
+        notes=tuple(map(str, notes)),
     )
 
 

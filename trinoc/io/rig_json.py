@@ -8,9 +8,12 @@ import numpy as np
 
 from trinoc.errors import InputError
 from trinoc.geometry import PARAMETER_NAMES, Camera, Pose, Rig
+from trinoc.io.array_checks import is_covariance
 from trinoc.io.conventions import CONVENTIONS
 from trinoc.io.intrinsics_json import intrinsics_from_block, intrinsics_to_block
 from trinoc.io.json_document import Block, read_document, write_document
+from trinoc.io.rig_status import RigStatus, status_of_document
+from trinoc.io.usable_cameras import expect_apart
 
 FORMAT, VERSION = "trinoc-rig", 1
 EXTRINSIC_KEYS = ("pan_deg", "tilt_deg", "swing_deg", "distance_mm", "aim_mm")
@@ -27,12 +30,14 @@ def load_rig(path: str | os.PathLike[str]) -> Rig:
     """
     document = read_document(path, FORMAT, VERSION)
     document.expect_keys(
-        ("format", "version", "cameras"), ("covariance", "conventions", "provenance")
+        ("format", "version", "cameras"), ("covariance", "status", "conventions", "provenance")
     )
     cameras = {name: _camera(block) for name, block in document.block("cameras").blocks()}
     if not cameras:
         raise document.error("cameras", "names no camera: add at least one.")
+    status_of_document(document)
     parameters, covariance = covariance_of(document, cameras)
+    expect_apart(cameras, document.file)
     rig = Rig(cameras, parameters=parameters, covariance=covariance)
     for name, block in document.block("cameras").blocks():
         if "sigma" in block.values:
@@ -40,10 +45,19 @@ def load_rig(path: str | os.PathLike[str]) -> Rig:
     return rig
 
 
+def load_rig_status(path: str | os.PathLike[str]) -> RigStatus:
+    """What the calibration that wrote a rig.json said of its cameras. Raises InputError."""
+    return status_of_document(read_document(path, FORMAT, VERSION))
+
+
 def save_rig(
-    rig: Rig, path: str | os.PathLike[str], *, provenance: Mapping[str, Any] | None = None
+    rig: Rig,
+    path: str | os.PathLike[str],
+    *,
+    provenance: Mapping[str, Any] | None = None,
+    status: Mapping[str, Any] | None = None,
 ) -> None:
-    """Write a rig.json; `provenance` says how the rig came to be known.
+    """Write a rig.json; `provenance` says how the rig came to be known, `status` how well.
 
     Raises InputError for a covariance that is not finite: it is no statement about errors.
     """
@@ -63,6 +77,8 @@ def save_rig(
             "parameters": list(rig.parameters),
             "matrix": covariance.tolist(),
         }
+    if status is not None:
+        document["status"] = dict(status)
     document["conventions"] = CONVENTIONS
     document["provenance"] = dict(provenance or {})
     write_document(path, document)
@@ -161,12 +177,10 @@ def covariance_of(
     if len(set(parameters)) < len(parameters):
         raise block.error("parameters", "names a parameter twice: remove one with its row.")
     matrix = block.numbers("matrix", (len(parameters), len(parameters)))
-    scale = np.sqrt(np.abs(np.diag(matrix)))
-    if (np.diag(matrix) < 0).any() or (
-        np.abs(matrix - matrix.T) > 1e-9 * np.outer(scale, scale)
-    ).any():
+    if not is_covariance(matrix[None]).all():
         raise block.error(
-            "matrix", "is no covariance (symmetric, no negative variance): write the file again."
+            "matrix",
+            "is no covariance (symmetric, nowhere negative): write the file again.",
         )
     return parameters, matrix
 

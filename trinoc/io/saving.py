@@ -12,6 +12,7 @@ from trinoc.io.intrinsics_json import save_intrinsics
 from trinoc.io.matches_npz import save_matches
 from trinoc.io.pattern_json import save_pattern
 from trinoc.io.rig_json import save_rig
+from trinoc.io.rig_status import status_to_block
 from trinoc.io.segments_npz import save_segments
 from trinoc.match import Matches
 
@@ -26,14 +27,15 @@ def save(
 ) -> None:
     """Write a value to a file, whole or not at all.
 
-    A Rig (or the rig of a CalibrationResult), Intrinsics (or the lens of an IntrinsicsResult,
-    then with its covariance) and a Pattern become JSON; Segments
-    and Matches become npz. `provenance`, of rigs and lenses, says how the value was found
+    A Rig (or the rig of a CalibrationResult, then with its status), Intrinsics (or the lens of an
+    IntrinsicsResult, then with its covariance) and a Pattern become JSON; Segments and Matches
+    become npz. `provenance`, of rigs and lenses, says how the value was found
     ("command", "version", "inputs"). Raises InputError for other values and for a name whose
     ending is not that of the file.
     """
+    status = None
     if isinstance(value, CalibrationResult):
-        value = value.rig
+        value, status = value.rig, status_to_block(value)
     ending = ".json" if isinstance(value, Rig | Intrinsics | IntrinsicsResult | Pattern) else ".npz"
     if isinstance(value, Saveable) and Path(path).suffix.lower() != ending:
         raise InputError(
@@ -41,7 +43,7 @@ def save(
         )
     match value:
         case Rig():
-            save_rig(value, path, provenance=provenance)
+            save_rig(value, path, provenance=provenance, status=status)
         case Intrinsics():
             save_intrinsics(value, path, provenance=provenance)
         case IntrinsicsResult():

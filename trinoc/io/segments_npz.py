@@ -1,15 +1,16 @@
 """Segment files: trinoc's own npz, and the plain tables that other detectors write."""
 
 import os
-import warnings
 from pathlib import Path
 
 import numpy as np
 
 from trinoc.errors import InputError
 from trinoc.geometry import Segments
-from trinoc.io.arrays_npz import read_arrays, take, write_arrays
+from trinoc.io.array_checks import LARGEST_PX, ArrayFields, is_covariance
+from trinoc.io.arrays_npz import read_arrays, write_arrays
 from trinoc.io.junctions_npz import junction_arrays, junctions_of_arrays
+from trinoc.io.segment_table import read_table
 
 FORMAT, VERSION = "trinoc-segments", 1
 TABLE_SUFFIXES = (".npy", ".csv", ".txt")
@@ -40,98 +41,68 @@ def save_segments(segments: Segments, path: str | os.PathLike[str]) -> None:
 def load_segments(path: str | os.PathLike[str]) -> Segments:
     """Read segments: an npz of `save_segments`, or a table with rows x1 y1 x2 y2 in pixels.
 
-    A table is npy, csv or txt (separated by commas or blanks; a first line of column names
-    and lines that start with # are skipped). Its segments get the sigmas of
-    `Segments.from_endpoints`. Raises InputError for other files, other shapes and coordinates
-    that are not finite.
+    A table is npy, csv or txt (separated by commas, semicolons or blanks; a first line of column
+    names and lines that start with # are skipped). Its segments get the sigmas of
+    `Segments.from_endpoints`. Raises InputError for other files, and, with the field and the first
+    row, for values that no segment has: other shapes, coordinates that are not finite or beyond
+    all pictures, covariances that are none.
     """
     file = Path(path)
     if file.suffix.lower() in TABLE_SUFFIXES:
         try:
-            return Segments.from_endpoints(_table(file))
+            segments = Segments.from_endpoints(read_table(file))
         except InputError as error:
             raise _in_file(file, error) from error
-    arrays = read_arrays(file, FORMAT, VERSION)
-    size = take(arrays, "image_size_px", file)
+        _expect_places(np.asarray(segments.endpoints_px), file)
+        return segments
+    fields = ArrayFields(read_arrays(file, FORMAT, VERSION), file)
+    size = fields.take("image_size_px", "i", (None,), "a picture")
+    if size.size and not (size.shape == (2,) and (size >= 1).all() and (size < LARGEST_PX).all()):
+        raise fields.error("image_size_px", "must be a width and a height in pixels, or empty")
     try:
         # Checks the ends; everything else is then taken from the file.
-        plain = Segments.from_endpoints(take(arrays, "endpoints_px", file))
+        ends = fields.take("endpoints_px", "f", (None, 2, 2), "segments")
+        count = len(Segments.from_endpoints(ends))
     except InputError as error:
         raise _in_file(file, error) from error
-    covariance = np.asarray(take(arrays, "covariance_px2", file), dtype=np.float64)
-    if covariance.shape != (len(plain), 4, 4) or not np.isfinite(covariance).all():
-        raise InputError(
-            f'{file}: "covariance_px2" must be ({len(plain)}, 4, 4) and finite: '
-            "write the file again."
-        )
+    _expect_places(ends, file)
+
+    def take(name: str, *more: int, kind: str = "f") -> np.ndarray:
+        return fields.take(name, kind, (count, *more), f"{count} segments")
+
+    covariance = take("covariance_px2", 4, 4)
+    fields.expect("covariance_px2", is_covariance(covariance), "is no covariance")
+    polarity, support = take("polarity", kind="i"), take("support", kind="i")
+    fields.expect("polarity", np.isin(polarity, (-1, 0, 1)), "is not -1, 0 or 1")
+    fields.expect("support", support >= 0, "is a negative number of points")
+    contrast = take("contrast")
+    fields.expect("contrast", ~np.isinf(contrast), "is infinite")
+    levels = take("side_levels", 2) if "side_levels" in fields else None
+    if levels is not None:
+        fields.expect("side_levels", ~np.isinf(levels), "is infinite")
     return Segments(
-        plain.endpoints_px,
+        ends,
         covariance,
-        _column(arrays, "polarity", file, len(plain)).astype(np.int64),
-        _column(arrays, "contrast", file, len(plain)).astype(np.float64),
-        _column(arrays, "support", file, len(plain)).astype(np.int64),
+        polarity,
+        contrast,
+        support,
         (int(size[0]), int(size[1])) if size.size else None,
-        _column(arrays, "reasons", file, len(plain)) if "reasons" in arrays else None,
-        _column(arrays, "chain", file, len(plain)).astype(np.int64) if "chain" in arrays else None,
-        junctions_of_arrays(arrays, file, len(plain)),
-        _side_levels(arrays, file, len(plain)) if "side_levels" in arrays else None,
+        take("reasons", kind="U") if "reasons" in fields else None,
+        take("chain", kind="i") if "chain" in fields else None,
+        junctions_of_arrays(fields, count),
+        levels,
     )
+
+
+def _expect_places(ends_px: np.ndarray, file: Path) -> None:
+    far = np.flatnonzero((np.abs(ends_px) > LARGEST_PX).any(axis=(1, 2)))
+    if len(far):
+        raise InputError(
+            f"{file}: segment {far[0]} has a coordinate of {np.abs(ends_px[far[0]]).max():g} px, "
+            "beyond all pictures: give ends in pixels of the picture."
+        )
 
 
 def _in_file(file: Path, error: InputError) -> InputError:
     text = str(error)
     return error if text.startswith(str(file)) else InputError(f"{file}: {text}")
-
-
-def _side_levels(arrays: dict[str, np.ndarray], file: Path, length: int) -> np.ndarray:
-    levels = np.asarray(take(arrays, "side_levels", file), dtype=np.float64)
-    if levels.shape != (length, 2):
-        raise InputError(
-            f'{file}: "side_levels" has shape {levels.shape}, but there are {length} segments with '
-            "two sides: write the file again."
-        )
-    return levels
-
-
-def _column(arrays: dict[str, np.ndarray], name: str, file: Path, length: int) -> np.ndarray:
-    column = take(arrays, name, file)
-    if column.shape != (length,):
-        raise InputError(
-            f'{file}: "{name}" has shape {column.shape}, but there are {length} segments: '
-            "write the file again."
-        )
-    return column
-
-
-def _table(file: Path) -> np.ndarray:
-    try:
-        if file.suffix.lower() == ".npy":
-            array = np.load(file, allow_pickle=False)
-        else:
-            array = _text_table(file.read_text(encoding="utf-8"))
-    except FileNotFoundError as error:
-        raise InputError(f"{file} does not exist: check the name.") from error
-    except (OSError, ValueError, EOFError) as error:
-        raise InputError(
-            f"{file} is not a table of numbers: give rows of x1 y1 x2 y2 in pixels."
-        ) from error
-    if not np.issubdtype(array.dtype, np.number):
-        raise InputError(f"{file} is not a table of numbers: give rows of x1 y1 x2 y2 in pixels.")
-    return array
-
-
-def _text_table(text: str) -> np.ndarray:
-    lines = [line for line in text.replace(",", " ").splitlines() if line.strip()]
-    if lines and not _is_numbers(lines[0]) and not lines[0].lstrip().startswith("#"):
-        lines = lines[1:]
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message=".*input contained no data")
-        return np.loadtxt(lines, ndmin=2)
-
-
-def _is_numbers(line: str) -> bool:
-    try:
-        [float(word) for word in line.split()]
-    except ValueError:
-        return False
-    return True

@@ -13,6 +13,10 @@ from jaxtyping import Float, Shaped
 from trinoc.errors import InputError
 
 SMALLEST_SIDE_PX = 16
+# Cameras of 8, 10, 12, 14 and 16 bit.
+FULL_WHITE = (255.0, 1023.0, 4095.0, 16383.0, 65535.0)
+# Pictures of real numbers that were filtered or made overshoot their white by up to this factor.
+_SLACK = 1.25
 
 
 class GreyImage(NamedTuple):
@@ -20,14 +24,18 @@ class GreyImage(NamedTuple):
 
     Fields
     ------
-    grey : (h, w) grey levels, on the scale of the picture's own numbers.
+    grey : (h, w) grey levels, on the scale of the picture's own numbers; of real numbers up to 1
+        and of truth values: times 255.
     quantum : step between two levels, 0 for real numbers.
     white : the largest level that can be told from a larger one; infinite where not known.
+    full : the level of full white in the picture's own range: the least of 255, 1023, 4095, 16383
+        and 65535 that holds all levels, and always 255 for uint8.
     """
 
     grey: Float[np.ndarray, "h w"]
     quantum: float
     white: float
+    full: float
 
     @property
     def size_px(self) -> tuple[int, int]:
@@ -59,7 +67,7 @@ def grey_image(image: Shaped[np.ndarray, "..."]) -> GreyImage:
             f"{SMALLEST_SIDE_PX} px a side."
         )
     whole = array.dtype.kind != "f"
-    quantum, white = (1.0, _white(array.dtype)) if whole else (0.0, np.inf)
+    quantum = 1.0 if whole else 0.0
     planes = [array] if array.ndim == 2 else list(np.moveaxis(array, 2, 0))
     if channels < 3:
         grey = np.ascontiguousarray(planes[0], dtype=np.float32)
@@ -71,11 +79,18 @@ def grey_image(image: Shaped[np.ndarray, "..."]) -> GreyImage:
             quantum /= 3
     if not np.isfinite(grey.sum(dtype=np.float64)):
         raise InputError("The picture has values that are not finite: replace them first.")
-    return GreyImage(grey, quantum, white)
+    largest = 0.0 if array.dtype == np.uint8 else float(np.abs(grey).max())
+    if array.dtype == np.bool_ or (not whole and largest <= _SLACK):
+        grey, quantum, largest = grey * np.float32(255), 255 * quantum, 255.0
+    full = _full_white(largest if whole else largest / _SLACK)
+    return GreyImage(grey, quantum, _white(array.dtype, full), full)
 
 
-def _white(dtype: np.dtype) -> float:
+def _full_white(largest: float) -> float:
+    """Full white of the fewest bits, 8 to 16, that hold a level."""
+    return next((full for full in FULL_WHITE if largest <= full), max(largest, FULL_WHITE[-1]))
+
+
+def _white(dtype: np.dtype, full: float) -> float:
     """The last level below saturation, in 255ths as cameras that shift their bits deliver it."""
-    if dtype not in (np.uint8, np.uint16):
-        return np.inf
-    return 254 / 255 * np.iinfo(dtype).max
+    return 254 / 255 * full if dtype in (np.uint8, np.uint16) else np.inf

@@ -60,8 +60,9 @@ def find_segments(
         is the mean of its channels, in whatever order they come.
     tolerance_px : coarsest deviation of an edge from a straight line, in pixels.
     false_alarms : how many segments noise alone may bring about in such a picture.
-    least_contrast : fainter edges are left out; in grey levels of a scale from 0 to 255
-        (pictures of real numbers: in their own unit).
+    least_contrast : fainter edges are left out; in 255ths of the picture's own range, which is
+        that of 8, 10, 12, 14 or 16 bit, whichever is the least that holds all levels, or 0 to 1
+        for real numbers that do not go beyond.
     arcs : whether to keep the chords of arcs, such as the rims of cylinders: pieces that deviate
         by up to `tolerance_px`.
     intrinsics : a lens whose distortion is taken out of the edge points before lines are
@@ -79,6 +80,8 @@ def find_segments(
     for name, value in (("tolerance_px", tolerance_px), ("false_alarms", false_alarms)):
         if not value > 0:
             raise InputError(f"{name} is {value}, but must be positive.")
+    if not least_contrast >= 0:
+        raise InputError(f"least_contrast is {least_contrast}, but must not be negative.")
     picture = grey_in_255ths(image)
     height, width = picture.grey.shape
     if intrinsics is not None and tuple(intrinsics.image_size_px) != (width, height):

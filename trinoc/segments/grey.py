@@ -7,11 +7,17 @@ from trinoc.numerics import GreyImage, grey_image
 
 
 def grey_in_255ths(image: Shaped[np.ndarray, "..."]) -> GreyImage:
-    """`numerics.grey_image` with 16-bit levels on the scale of 8-bit ones.
+    """`numerics.grey_image` with full white at 255, whatever the picture's own range.
 
-    Pictures of real numbers keep their scale. Raises InputError for what is no picture.
+    Raises InputError for what is no picture.
     """
     found = grey_image(image)
-    if np.asarray(image).dtype != np.uint16:
+    if found.full == 255:
         return found
-    return GreyImage(found.grey * np.float32(1 / 257), found.quantum / 257, found.white / 257)
+    per_255th = found.full / 255
+    return GreyImage(
+        found.grey * np.float32(1 / per_255th),
+        found.quantum / per_255th,
+        found.white / per_255th,
+        255.0,
+    )

@@ -72,6 +72,14 @@ class AbstractLens(eqx.Module):
         """Whether the lens is of a model that bends rays."""
         return bool(self.coefficient_names)
 
+    def fold_radius_px(self) -> float:
+        """Distance from the principal point, in pixels, beyond which no ray of the central view is
+        imaged, because the distortion folds back there; infinite where it never does.
+
+        Of the radial part alone, and of numbers that are not traced.
+        """
+        return float("inf")
+
     @property
     def matrix(self) -> Float[ArrayLike, "3 3"]:
         """K, which maps what `distort` gives to pixels."""

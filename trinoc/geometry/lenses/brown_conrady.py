@@ -7,6 +7,7 @@ from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Float
 
 from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS, AbstractLens, ray_of_normalised
@@ -32,6 +33,20 @@ class BrownConrady(AbstractLens):
     def undistort(self, distorted: Float[ArrayLike, "2"]) -> Float[ArrayLike, "3"]:
         """(x, y, 1), by Newton's method."""
         return ray_of_normalised(undistort(distorted, self.coefficients))
+
+    def fold_radius_px(self) -> float:
+        """Where the radius r (1 + k1 r^2 + k2 r^4 + k3 r^6) stops to grow with r."""
+        k1, k2, _, _, k3 = np.asarray(self.coefficients, dtype=np.float64)
+        # Coefficients near zero put the fold beyond what floats hold.
+        with np.errstate(all="ignore"):
+            slope = np.array([7 * k3, 5 * k2, 3 * k1, 1.0])
+            slope[np.abs(slope) < 1e-30] = 0.0
+            roots = np.roots(slope)
+            square = roots.real[(np.abs(roots.imag) <= 1e-9 * np.abs(roots)) & (roots.real > 0)]
+            r2 = square.min(initial=np.inf)
+            radius = np.sqrt(r2) * (1 + r2 * (k1 + r2 * (k2 + r2 * k3)))
+        folds = len(square) and np.isfinite(radius)
+        return float(np.mean(np.asarray(self.focal_length_px)) * radius) if folds else float("inf")
 
 
 def distort(

@@ -13,6 +13,7 @@ from trinoc.errors import InputError
 from trinoc.geometry import Intrinsics, Rig, Segments
 from trinoc.io.atomic import expect_place
 from trinoc.io.formats.losses import COVARIANCE, LOSSES, lost_of
+from trinoc.io.usable_cameras import expect_apart, expect_lens
 from trinoc.match import Matches
 
 Lenses = Mapping[str, Intrinsics]
@@ -105,6 +106,7 @@ class Format:
         if not source.exists():
             raise InputError(f"{source} does not exist: check the name.")
         value = self.read(source, self._unit(unit_mm), lenses)
+        _expect_usable(value, source)
         return value if names is None else _renamed(value, tuple(names), source)
 
     def lost(self, value: object) -> tuple[str, ...]:
@@ -165,6 +167,17 @@ def _expect_writable(value: object) -> None:
             f"The {type(value).__name__} has numbers that are not finite: calibrate or match again "
             "so that all are determined."
         )
+
+
+def _expect_usable(value: object, source: Path) -> None:
+    """Raise InputError for lenses that fold their picture and for cameras at one place."""
+    match value:
+        case Rig():
+            for name, camera in value.items():
+                expect_lens(camera.intrinsics, f'{source}: the camera "{name}"')
+            expect_apart(dict(value.items()), str(source))
+        case Intrinsics():
+            expect_lens(value, f"{source}: the lens")
 
 
 def _renamed(value: object, names: tuple[str, ...], source: Path) -> Rig:

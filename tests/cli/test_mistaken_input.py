@@ -1,0 +1,153 @@
+"""Mistakes on the command line and around it: said before the work, in one line."""
+
+import dataclasses
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+import trinoc
+from trinoc.cli import program
+from trinoc.cli.main import main
+from trinoc.cli.rig_file import doubts_table, read_rig
+from trinoc.cli.words import in_options
+from trinoc.io import load_rig_status
+from trinoc.io.rig_json import save_rig
+from trinoc.synth import table1_rig
+
+LENS = ["--focal-length-mm", "16", "--pixel-pitch-mm"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ([*LENS, "16.2", "13.4"], "looks like micrometres: write 0.0162 0.0134 millimetres"),
+        ([*LENS, "1.62e-5", "1.34e-5"], "looks like metres: write 0.0162 0.0134 millimetres"),
+        ([*LENS, ".01", ".01", "--print-scale-sigma", "nan", "nan"], "is nan: give a finite"),
+        ([*LENS, ".01", ".01", "--print-scale-sigma", "-1", "0"], "no standard deviation"),
+        ([*LENS, ".01", ".01", "--flatness-mm", "inf"], "--flatness-mm is inf"),
+    ],
+)
+def test_options_are_checked_before_any_file_is_read(arguments, said, capsys):
+    assert main(["calibrate", "a=none.png", "--pattern", "none.json", *arguments]) == 2
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1
+    assert said in err
+
+
+@pytest.mark.parametrize("option", ["--tolerance-px", "--false-alarms", "--least-contrast"])
+@pytest.mark.parametrize("value", ["nan", "-1"])
+def test_options_of_segments_are_checked_first(option, value, capsys):
+    assert main(["segments", "none.png", option, value]) == 2
+    assert option in capsys.readouterr().err
+
+
+def test_names_of_python_are_said_as_options():
+    @dataclasses.dataclass
+    class Options:
+        parameters: int = 4
+        tolerance_px: float = 1.0
+
+    said = in_options("use parameters=6; tolerance_px is -1", Options())
+    assert said == "use --parameters 6; --tolerance-px is -1"
+    of_a_file = 'a.json: "lens.tolerance_px" must be a number'
+    assert in_options(of_a_file, Options()) == of_a_file
+
+
+def test_what_a_calibration_doubted_is_repeated_by_readers(tmp_path, caplog):
+    file = tmp_path / "rig.json"
+    save_rig(table1_rig(), file)
+    assert load_rig_status(file).cameras == {}
+    assert doubts_table(file) == []
+    status = {
+        "cameras": {
+            "upper": {"status": "suspect", "notes": ["the lens is another."]},
+            "left": {"status": "converged", "notes": []},
+        },
+        "sigmas_include": ["noise"],
+    }
+    save_rig(table1_rig(), file, status=status)
+    assert trinoc.load_rig(file).names == table1_rig().names
+    with caplog.at_level("WARNING", logger="trinoc"):
+        read_rig(file)
+    assert [record.message for record in caplog.records] == [
+        f"the calibration in {file} is SUSPECT: upper (the lens is another)"
+    ]
+    assert [table.rows for table in doubts_table(file)] == [[("upper", "the lens is another.")]]
+    assert load_rig_status(file).sigmas_include == ("noise",)
+
+
+def test_nothing_found_is_said_with_its_reason(tmp_path, capsys):
+    cv2 = pytest.importorskip("cv2")
+    picture, out = tmp_path / "dark.png", tmp_path / "segments.npz"
+    cv2.imwrite(str(picture), np.zeros((40, 50), np.uint8))
+    assert main(["segments", str(picture), "-o", str(out)]) == 0
+    assert "All pixels have one grey level" in capsys.readouterr().out
+
+
+def trinoc_process(*arguments, **options):
+    return subprocess.Popen(
+        [sys.executable, "-m", "trinoc", *arguments],
+        stderr=subprocess.PIPE,
+        text=True,
+        **options,
+    )
+
+
+@pytest.mark.skipif(os.name != "posix", reason="pipes and signals of POSIX")
+def test_output_that_nobody_reads_is_no_error():
+    read, write = os.pipe()
+    os.close(read)
+    with trinoc_process("--version", stdout=write) as gone:
+        os.close(write)
+        assert gone.stderr is not None
+        assert (gone.stderr.read(), gone.wait()) == ("", program.READER_GONE)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="closing a stream by the shell")
+def test_output_that_is_closed_is_no_error():
+    closed = subprocess.run(
+        ["/bin/sh", "-c", f'"{sys.executable}" -m trinoc --version >&-'],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (closed.stderr, closed.returncode) == ("", 0)
+
+
+def test_interruption_during_imports_is_one_line(monkeypatch, capsys):
+    class Interrupted:
+        def find_spec(self, name, path=None, target=None):
+            if name == "trinoc.cli.main":
+                raise KeyboardInterrupt
+
+    monkeypatch.delitem(sys.modules, "trinoc.cli.main")
+    monkeypatch.setattr(sys, "meta_path", [Interrupted(), *sys.meta_path])
+    monkeypatch.setattr(signal, "signal", lambda *_: None)
+    assert program.run() == program.INTERRUPTED == 130
+    err = capsys.readouterr().err
+    assert err.startswith("trinoc: Interrupted")
+    assert err.count("\n") == 1
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+def test_a_program_told_to_end_takes_its_scratch_file_with_it(tmp_path):
+    script = (
+        "import sys, time\nfrom trinoc.cli import program\nimport trinoc.cli.main as m\n"
+        "from trinoc.io import atomic_write\n"
+        "def job():\n"
+        f"    with atomic_write({str(tmp_path / 'a.txt')!r}) as file:\n"
+        "        file.write(b'half'); print('ready', flush=True); time.sleep(60)\n"
+        "m.main = job\nsys.exit(program.run())\n"
+    )
+    with subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == b"ready\n"
+        time.sleep(0.05)
+        process.terminate()
+        assert process.wait() == 128 + signal.SIGTERM
+    assert list(tmp_path.iterdir()) == []

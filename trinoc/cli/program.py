@@ -1,0 +1,45 @@
+"""The program `trinoc`: what holds from the first moment to the last byte of output.
+
+Imports take a second, in which Ctrl-C is an interruption like any other; whoever reads the output
+may stop reading it; a program that is told to end removes its scratch files.
+"""
+
+import os
+import signal
+import sys
+from types import FrameType
+
+INTERRUPTED, READER_GONE = 130, 141
+
+
+def run() -> int:
+    """Run the command line of this process and return the exit status."""
+    _without_closed_streams()
+    try:
+        for ending in ("SIGTERM", "SIGHUP"):
+            if hasattr(signal, ending):
+                signal.signal(getattr(signal, ending), _end)
+        from trinoc.cli.main import main
+
+        status = main()
+        sys.stdout.flush()
+    except KeyboardInterrupt:
+        print("trinoc: Interrupted: files that were not finished are not there.", file=sys.stderr)
+        return INTERRUPTED
+    except BrokenPipeError:
+        # Python would complain again at exit, when it flushes what nobody reads.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return READER_GONE
+    return status
+
+
+def _end(number: int, _: FrameType | None) -> None:
+    """Unwind as Ctrl-C does, so that scratch files go."""
+    raise SystemExit(128 + number)
+
+
+def _without_closed_streams() -> None:
+    """Output that was closed (`>&-`) goes nowhere; Python has None there."""
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115

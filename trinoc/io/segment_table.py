@@ -1,0 +1,89 @@
+"""Tables of segments that other detectors write: rows x1 y1 x2 y2, as text or as an npy array."""
+
+from pathlib import Path
+
+import numpy as np
+
+from trinoc.errors import InputError
+from trinoc.io.arrays_npz import MOST_BYTES, load_array
+from trinoc.io.whole_files import read_text
+
+_REMEDY = "give rows of x1 y1 x2 y2 in pixels"
+# With these names above it a table may have no row.
+COLUMNS = {"x1", "y1", "x2", "y2"}
+
+
+def read_table(file: Path) -> np.ndarray:
+    """(n, c) numbers of a table. Raises InputError, with the line, for what is none."""
+    if file.suffix.lower() != ".npy":
+        return _text_table(read_text(file, MOST_BYTES), file)
+    try:
+        array = load_array(file)
+    except FileNotFoundError as error:
+        raise InputError(f"{file} does not exist: check the name.") from error
+    except (OSError, ValueError, EOFError) as error:
+        raise InputError(f"{file} is not a table of numbers: {_REMEDY}.") from error
+    if array.dtype.kind not in "iuf":
+        raise InputError(f"{file} is not a table of numbers, but of {array.dtype}: {_REMEDY}.")
+    return array.astype(np.float64)
+
+
+def _text_table(text: str, file: Path) -> np.ndarray:
+    """Rows of a text; one line of names may stand above them."""
+    rows: list[list[float]] = []
+    heading: tuple[int, str] | None = None
+    for number, line in enumerate(text.splitlines(), start=1):
+        line = line.partition("#")[0].strip()
+        if not line:
+            continue
+        row = _numbers(_words(line)) or None
+        if (row is None or len(row) != 4) and _has_decimal_commas(line):
+            raise InputError(
+                f"{file}, line {number}, has numbers with a decimal comma: write them with a point."
+            )
+        if row is None and heading is None and not rows and _is_names(line):
+            heading = number, line
+        elif row is None:
+            raise InputError(f"{file}, line {number}, is not a table of numbers: {_REMEDY}.")
+        elif rows and len(row) != len(rows[0]):
+            raise InputError(
+                f"{file}, line {number}, has {len(row)} numbers where others have {len(rows[0])}, "
+                f"and so is not a table of numbers: {_REMEDY}."
+            )
+        else:
+            rows.append(row)
+    if heading and not rows and not set(_words(heading[1])) >= COLUMNS:
+        raise InputError(
+            f"{file} has words in line {heading[0]} and no row of numbers: {_REMEDY}, or the "
+            "line x1,y1,x2,y2 alone if nothing was found."
+        )
+    return np.array(rows).reshape(len(rows), -1) if rows else np.zeros((0, 4))
+
+
+def _words(line: str) -> list[str]:
+    return line.replace(",", " ").replace(";", " ").split()
+
+
+def _numbers(words: list[str]) -> list[float] | None:
+    try:
+        return [float(word) for word in words]
+    except ValueError:
+        return None
+
+
+def _is_names(line: str) -> bool:
+    """Whether no word of a line is a number, as in x1,y1,x2,y2."""
+    return all(_numbers([word]) is None for word in _words(line))
+
+
+def _has_decimal_commas(line: str) -> bool:
+    """Four numbers like 1,5 between semicolons or blanks."""
+    words = line.replace(";", " ").split()
+    parts = [word.split(",") for word in words]
+    return (
+        len(words) == 4
+        and all(
+            len(pair) <= 2 and all(part.lstrip("+-").isdigit() for part in pair) for pair in parts
+        )
+        and any(len(pair) == 2 for pair in parts)
+    )
