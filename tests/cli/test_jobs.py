@@ -110,6 +110,7 @@ def test_a_suspect_rig_is_written_only_where_it_is_accepted_and_says_so(run, fol
 
 def test_grey_levels_from_0_to_1_calibrate_as_bytes_do(run, folder):
     picture = cv2.imread(str(folder / "upper.png"), cv2.IMREAD_UNCHANGED)
+    assert picture is not None
     cv2.imwrite(str(folder / "unit.tif"), (picture / 255).astype(np.float32))
     rigs = []
     for file in ("upper.png", "unit.tif"):

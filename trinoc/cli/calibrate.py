@@ -1,7 +1,6 @@
 """`trinoc calibrate`: one picture of the sheet per camera to a rig.json."""
 
 import dataclasses
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -9,6 +8,7 @@ import tyro
 
 from trinoc.cli.command import Command, Outcome, UsageError
 from trinoc.cli.lens_options import LensOptions, expect_pixel_pitch
+from trinoc.cli.numbers import expect_sigmas
 from trinoc.cli.progress import LOGGER
 from trinoc.cli.views import files_of_views
 
@@ -150,16 +150,10 @@ class Calibrate(Command):
 
     def _check_sigmas(self) -> None:
         """Raises UsageError, before anything is read."""
-        sigmas = {
-            "--flatness-mm": (self.flatness_mm,),
-            "--aim-sigma-mm": (self.aim_sigma_mm,),
-            "--print-scale-sigma": self.print_scale_sigma,
-        }
-        for option, values in sigmas.items():
-            if values != UNKNOWN and not all(0 <= value < math.inf for value in values):
-                raise UsageError(
-                    f"{option} takes standard deviations: give 0 for exact, or a positive number."
-                )
+        expect_sigmas("--flatness-mm", (self.flatness_mm,))
+        expect_sigmas("--aim-sigma-mm", (self.aim_sigma_mm,))
+        if self.print_scale_sigma != UNKNOWN:
+            expect_sigmas("--print-scale-sigma", self.print_scale_sigma)
 
     def _systematics(self, lenses: "dict[str, Intrinsics]") -> "Systematics":
         """What is not exact: as said, else as it usually is."""
