@@ -45,7 +45,6 @@ BENCH = Systematics.typical({})
         ("reference", EXACT, "picture"),
         ("sRGB, dark ink", EXACT, "picture"),
         ("overexposed", EXACT, "picture"),
-        ("aim .1 mm off", EXACT, "circles"),
         ("bent .1 mm", BENCH, "picture"),
         ("aim .1 mm off", BENCH, "picture"),
         ("print .1 % longer along X", BENCH, "picture"),

@@ -5,13 +5,20 @@ lens is another than was said: as much as the mean of all circles is known to.
 """
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from trinoc.calib.adjustment.estimate import Adjustment
-from trinoc.calib.adjustment.sheet_shape import HEIGHT_TERMS, PRINT_TERMS, point_of_place
+from trinoc.calib.adjustment.sheet_shape import point_of_place
 from trinoc.calib.detection import Detection
-from trinoc.calib.model import SheetPoints, bucket_size, circle_observations
+from trinoc.calib.model import (
+    CircleObservations,
+    SheetPoints,
+    bucket_size,
+    circle_observations,
+    predicted_centre_px,
+)
 from trinoc.calib.targets import Pattern
 from trinoc.geometry import (
     AbstractLens,
@@ -27,8 +34,10 @@ def points_before_flat_sheet(
     detection: Detection, pattern: Pattern, pose: Pose, lens: AbstractLens
 ) -> SheetPoints:
     """The centres of a detection's circles, if the camera is at `pose` and the sheet is flat."""
-    flat = np.zeros(len(PRINT_TERMS) + len(HEIGHT_TERMS))
-    return _points(detection, pattern, pose, lens, flat, np.asarray(1.0))
+    circles = circle_observations(detection, pattern, bucket_size(len(detection)))
+    return _points(
+        detection, circles, np.asarray(_eccentricities_before_flat_px(pose, lens, circles))
+    )
 
 
 def points_as_adjusted(
@@ -44,31 +53,43 @@ def points_as_adjusted(
     """
     found = adjustment.adjusted
     pose, lens = jax.tree.map(lambda leaf: leaf[view], (found.pose, found.lens))
-    shape, reach_mm = found.shape, adjustment.reach_mm
-    return _points(detection, pattern, pose, lens, shape, reach_mm, spread_mm)
+    circles = circle_observations(detection, pattern, bucket_size(len(detection)))
+    apart = _eccentricities_px(
+        pose,
+        lens,
+        found.shape,
+        adjustment.reach_mm,
+        np.asarray(circles.centres_sheet_mm),
+        np.asarray(circles.radius_mm) + spread_mm,
+    )
+    return _points(detection, circles, np.asarray(apart))
 
 
 def _points(
-    detection: Detection,
-    pattern: Pattern,
-    pose: Pose,
-    lens: AbstractLens,
-    shape: Float[ArrayLike, "s"],
-    reach_mm: Float[ArrayLike, ""],
-    spread_mm: float = 0.0,
+    detection: Detection, circles: CircleObservations, apart_px: Float[np.ndarray, "_n 2"]
 ) -> SheetPoints:
     count = len(detection)
-    circles = circle_observations(detection, pattern, bucket_size(count))
-    places, radius = np.asarray(circles.centres_sheet_mm), np.asarray(circles.radius_mm) + spread_mm
-    apart = np.asarray(_eccentricities_px(pose, lens, shape, reach_mm, places, radius))[:count]
     whitening = np.zeros((count, 2, count, 2))
     each = np.arange(count)
     whitening[each, :, each, :] = circles.whitening[:count]
     return SheetPoints(
-        places[:count],
-        detection.centres_px - apart,
+        np.asarray(circles.centres_sheet_mm)[:count],
+        detection.centres_px - apart_px[:count],
         whitening.reshape(2 * count, 2 * count),
     )
+
+
+@jax.jit
+def _eccentricities_before_flat_px(
+    pose: Pose, lens: AbstractLens, circles: CircleObservations
+) -> Float[ArrayLike, "n 2"]:
+    """Centre of each circle's image less the image of its centre, exactly."""
+
+    def one(place: Float[ArrayLike, "2"], radius: Float[ArrayLike, ""]) -> ArrayLike:
+        centre = project_point(pose, lens, jnp.append(place, 0.0))
+        return predicted_centre_px(pose, lens, place, radius) - centre
+
+    return jax.vmap(one)(circles.centres_sheet_mm, circles.radius_mm)
 
 
 @jax.jit

@@ -11,6 +11,8 @@ from scipy.stats import chi2
 from trinoc.calib.adjustment.estimate import Adjustment
 from trinoc.calib.result import Alternative
 
+# An alternative of which less than this share is not fitted along already is no other model.
+_LEAST_SHARE = 1e-9
 _FOCAL, _RADIAL, _AIM = (0, 1), 4, (4, 5)
 
 
@@ -34,7 +36,7 @@ def alternatives(
         for name, extra in columns.items()
         if freedom - extra.shape[1] >= 1
     ]
-    return sorted(tests, key=lambda item: item.p_value)
+    return sorted((test for test in tests if test is not None), key=lambda item: item.p_value)
 
 
 def _score(
@@ -44,11 +46,15 @@ def _score(
     view: int,
     freedom: float,
     unit: float,
-) -> Alternative:
+) -> Alternative | None:
+    """The test of one alternative; None where the residuals cannot tell it from what is fitted."""
     found = adjustment.adjusted
     base, residual = np.asarray(adjustment.jacobian[view]), np.asarray(found.whitened[view])
     across = base.T @ extra
     normal = extra.T @ extra - across.T @ np.linalg.solve(adjustment.information, across)
+    whole = np.sqrt(np.diag(extra.T @ extra))
+    if np.linalg.eigvalsh(normal / np.outer(whole, whole)).min() < _LEAST_SHARE:
+        return None
     estimate = -np.linalg.solve(normal, extra.T @ residual)
     drop = float(estimate @ normal @ estimate)
     # Places that scatter more than they claim scatter alike in every direction.
