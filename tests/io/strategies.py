@@ -27,14 +27,14 @@ def lenses(draw: st.DrawFn) -> Intrinsics:
         lens = Intrinsics(
             image_size_px=size, focal_length_mm=focal_mm, pixel_pitch_mm=pitch_mm, **more
         )
-        return _without_fold(lens)
+        return without_fold(lens)
     focal_px = draw(st.tuples(real(50, 9000), real(50, 9000)))
     pitch_mm = draw(st.none() | st.tuples(real(1e-3, 0.05), real(1e-3, 0.05)))
     lens = Intrinsics(image_size_px=size, focal_length_px=focal_px, pixel_pitch_mm=pitch_mm, **more)
-    return _without_fold(lens)
+    return without_fold(lens)
 
 
-def _without_fold(lens: Intrinsics) -> Intrinsics:
+def without_fold(lens: Intrinsics) -> Intrinsics:
     """The lens, its distortion made smaller until no corner lies beyond a fold."""
     reach_px = sum(lens.image_size_px) + 200
     while lens.lens.fold_radius_px() < reach_px:

@@ -5,6 +5,7 @@ import numpy as np
 from hypothesis import strategies as st
 
 from tests.geometry.strategies import cameras, real
+from tests.io.strategies import without_fold
 from trinoc.geometry import Camera, Intrinsics, Rig, project
 
 NAMES = st.from_regex(r"\A[a-v][a-z0-9_]{0,7}\Z")
@@ -18,12 +19,14 @@ def lenses(draw: st.DrawFn, coefficients: int = 5, skew: bool = False) -> Intrin
     """Lenses with up to so many coefficients, or ideal."""
     reaches = list(REACH.values())[:coefficients]
     distortion = st.none() | st.tuples(*(real(-reach, reach) for reach in reaches))
-    return Intrinsics(
-        image_size_px=(draw(st.integers(200, 4000)), draw(st.integers(200, 4000))),
-        focal_length_px=draw(st.tuples(real(300, 3000), real(300, 3000))),
-        principal_point_px=draw(st.tuples(real(50, 2000), real(50, 2000))),
-        skew_px=draw(st.sampled_from([0.0, 0.75])) if skew else 0.0,
-        distortion=draw(distortion),
+    return without_fold(
+        Intrinsics(
+            image_size_px=(draw(st.integers(200, 4000)), draw(st.integers(200, 4000))),
+            focal_length_px=draw(st.tuples(real(300, 3000), real(300, 3000))),
+            principal_point_px=draw(st.tuples(real(50, 2000), real(50, 2000))),
+            skew_px=draw(st.sampled_from([0.0, 0.75])) if skew else 0.0,
+            distortion=draw(distortion),
+        )
     )
 
 
