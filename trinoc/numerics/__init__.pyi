@@ -42,6 +42,7 @@ from .precision import (
     is_traced as is_traced,
     namespace_of as namespace_of,
 )
+from .response import level_of_light as level_of_light, light_of_level as light_of_level
 from .robust_loss import AbstractRobustLoss as AbstractRobustLoss, GemanMcClure as GemanMcClure
 from .robust_scale import MAD_TO_SIGMA as MAD_TO_SIGMA
 from .scalar_vectors import (

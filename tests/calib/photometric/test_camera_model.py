@@ -23,11 +23,11 @@ from trinoc.calib.photometric.mosaic import balanced_mosaic
 from trinoc.calib.photometric.noise_by_level import noise_by_level
 from trinoc.calib.photometric.outlines import project_to_image
 from trinoc.calib.photometric.pixel_selection import group_of, select_pixels
-from trinoc.calib.photometric.response import level_of_light, light_of_level
 from trinoc.calib.photometric.sheet_point import SheetPoint
 from trinoc.calib.photometric.unknowns import LOOK_NAMES, START, CameraState
 from trinoc.errors import InputError
 from trinoc.geometry import PoseModel
+from trinoc.numerics import level_of_light, light_of_level
 from trinoc.synth.camera_picture.response import SRGB
 
 pytestmark = pytest.mark.usefixtures("large_programs")
