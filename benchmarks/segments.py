@@ -10,7 +10,8 @@ and on no edge of the scene counts neither for nor against: `shadow` is its shar
 to the picture at the true edge (edge_oracle.py). DIR of --photographs holds merton1.npz and its
 pictures (VGG, Oxford). LSD runs as it comes and with its bias of (-0.123, -0.119) px taken out.
 FLD and EDLines take part where cv2 has `ximgproc` (opencv-contrib-python-headless, in an
-environment of its own: it overwrites opencv-python-headless). Times are medians of warm calls,
+environment of its own: it overwrites opencv-python-headless). Single edges are shown as cameras
+deliver them too (edge_delivery.py): sRGB, sharpened, saturated. Times are medians of warm calls,
 all detectors in turn on the same picture; peak memory is what the process of one detector, fresh
 for each size, grows by during its first call.
 """
@@ -25,6 +26,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from edge_delivery import table_of_deliveries
 from edge_oracle import fitted_across, undisturbed_pixels
 from segment_truth import (
     STRONG_STEP,
@@ -347,6 +349,7 @@ def main() -> None:
     for folder in given.scenes:
         scenes(folder)
     nothing_to_find()
+    table_of_deliveries()
     if given.photographs:
         photographs(given.photographs)
     if not given.no_times:

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int, Shaped
 from trinoc.errors import InputError
 from trinoc.geometry import Intrinsics, Segments
 from trinoc.numerics import in_bucket, in_float64, members
-from trinoc.segments.grey import grey_in_255ths
+from trinoc.segments.grey import Response, bend_of, grey_in_255ths, light_in_255ths
 from trinoc.segments.junctions import with_junctions
 from trinoc.segments.nevatia_babu import (
     EdgePoints,
@@ -50,6 +50,7 @@ def find_segments(
     least_contrast: float = 7.0,
     arcs: bool = False,
     intrinsics: Intrinsics | None = None,
+    response: Response = "linear",
     tuning: SegmentTuning = DEFAULT,
 ) -> Segments:
     """Straight edges of a picture, with polarity, contrast, covariance and junctions.
@@ -67,12 +68,16 @@ def find_segments(
         by up to `tolerance_px`.
     intrinsics : a lens whose distortion is taken out of the edge points before lines are
         fitted; the segments are then in undistorted pixels.
+    response : how the camera makes grey levels of light: "linear", "srgb" (nearly every camera
+        that is not an industrial one), or a number that bends the curve from 0, linear, past 1,
+        sRGB. Edges are found in the grey levels and placed in the light: a response that is not
+        linear moves a blurred edge toward its darker side.
     tuning : every other tuned constant of the chain; a benchmark or a study changes them.
 
     Returns segments whose first end comes first when walking with the darker side on the
     right as seen on the picture, so that every polarity is +1. Their `reasons` tell what
     widened a covariance beyond noise. Raises InputError for what is no picture, for knobs
-    that are not positive, and for a lens of another picture size.
+    that are not positive, for a lens of another picture size and for an unknown response.
 
     After R. Nevatia and K. R. Babu, "Linear feature extraction and description", 1980,
     doi:10.1016/0146-664X(80)90049-0; docs/segments.md tells what differs.
@@ -82,6 +87,7 @@ def find_segments(
             raise InputError(f"{name} is {value}, but must be positive.")
     if not least_contrast >= 0:
         raise InputError(f"least_contrast is {least_contrast}, but must not be negative.")
+    bend = bend_of(response)
     picture = grey_in_255ths(image)
     height, width = picture.grey.shape
     if intrinsics is not None and tuple(intrinsics.image_size_px) != (width, height):
@@ -91,7 +97,8 @@ def find_segments(
             "this camera and resolution."
         )
     kernel = combined_kernel(SMOOTHING)
-    fine = fine_level(picture.grey, picture.quantum, kernel)
+    light = light_in_255ths(image, bend) if bend else picture.grey
+    fine = fine_level(picture.grey, light, picture.quantum, kernel)
     points, first = runs_of_both_scales(fine, kernel, tolerance_px, least_contrast, tuning.scales)
     lines = fit_lines(points, first)
     points, first, lines = _merged(points, first, lines, tolerance_px, tuning.ends.gap_px)
