@@ -63,6 +63,10 @@ class Calibrate(Command):
     bayer: Literal["RGGB", "BGGR", "GRBG", "GBRG"] | None = None
     """The pictures are raw mosaics of these colours: each pixel is fitted as it is."""
 
+    response: Literal["linear", "srgb", "fit"] = "fit"
+    """Of the cameras: how grey levels stand for light. fit: linear, until the edges of the sheet
+    refute it, then as they show it."""
+
     orientation: Annotated[
         str | None, tyro.conf.arg(metavar="upright|RIG", help_behavior_hint="(default: refuse)")
     ] = None
@@ -123,6 +127,7 @@ class Calibrate(Command):
             pose_model=self.pose_model,
             method=self.method,
             bayer=self.bayer,
+            response=self.response,
             systematics=known,
             orientation="upright" if self.orientation == "upright" else earlier,
         )

@@ -37,6 +37,7 @@ class CameraScene(NamedTuple):
     noise_scale : (n,) noise of a pixel over that of others of the same level.
     cross, drawing, model : of the sheet, and of the pose.
     white, top : grey level of a full signal, and where saturation cuts (infinity: nowhere).
+    bend : of the response where it is known (0 linear, 1 sRGB), None where it is fitted.
     blocks : for local light, or None.
     """
 
@@ -51,6 +52,7 @@ class CameraScene(NamedTuple):
     model: PoseModel
     white: float
     top: float
+    bend: float | None = None
     blocks: Blocks | None = None
 
     @property
