@@ -10,7 +10,13 @@ from jaxtyping import Bool, Float, Int, Shaped
 from trinoc.errors import InputError
 from trinoc.geometry import Intrinsics, Segments
 from trinoc.numerics import in_bucket, in_float64, members
-from trinoc.segments.grey import Response, bend_of, grey_in_255ths, light_in_255ths
+from trinoc.segments.grey import (
+    Response,
+    bend_of,
+    grey_in_255ths,
+    light_in_255ths,
+    light_of_white,
+)
 from trinoc.segments.junctions import with_junctions
 from trinoc.segments.nevatia_babu import (
     EdgePoints,
@@ -31,6 +37,7 @@ from trinoc.segments.nevatia_babu import (
     noise_variance,
     overlaps,
     runs_of_both_scales,
+    shifts_of_saturated,
     snapped_ends,
     typical_blur,
     without_neighbours,
@@ -130,6 +137,18 @@ def find_segments(
         usual_px2,
         tuning.errors,
     )
+    noise = fine.sigma_strength / kernel.noise_gain * lines.light_per_level
+    moved = shifts_of_saturated(
+        fine.light,
+        light_of_white(picture.white, bend) if bend else picture.white,
+        noise,
+        undisturbed,
+        first,
+        lines,
+        disturbed,
+        tuning.saturation,
+    )
+    undisturbed, lines = _shifted(undisturbed, lines, moved.shift_px)
     to_image: Callable[[np.ndarray], np.ndarray] = np.asarray
     if intrinsics is not None and intrinsics.has_distortion:
         uv_px = _mapped(undisturbed.uv_px, intrinsics.undistort_pixel)
@@ -137,12 +156,16 @@ def find_segments(
         to_image = partial(_mapped, through=intrinsics.distort_pixel)
     length = np.ptp(lines.extent_px, axis=1)
     variance, reasons = inflate_variance(
-        disturbed, noise_variance(lines.variance_middle_px2, length), tuning.errors
+        disturbed,
+        noise_variance(lines.variance_middle_px2, length) + moved.uneven_px2,
+        moved.variance_px2,
+        tuning.errors,
     )
     rules = tuning.accept
     bevel = (length < rules.bevel_px) & (disturbed.crowded > rules.bevel_crowded)
     keep = (arcs | is_straight(lines, width, rules)) & (lines.contrast >= least_contrast) & ~bevel
-    kept = lines.take(keep), variance[keep], reasons[keep]
+    off_px2 = np.square(tuning.errors.off_share * disturbed.off_px)
+    kept = lines.take(keep), variance[keep], moved.variance_px2[keep], off_px2[keep], reasons[keep]
     return _as_segments(*kept, picture.grey, to_image, tuning.ends)
 
 
@@ -173,6 +196,18 @@ def _points_of(
     return points.take(index), begins
 
 
+def _shifted(
+    points: EdgePoints, lines: FittedLines, shift_px: Float[np.ndarray, "r"]
+) -> tuple[EdgePoints, FittedLines]:
+    """Lines and their points moved across, toward the brighter side."""
+    if not shift_px.any():
+        return points, lines
+    way = lines.direction * shift_px[:, None]
+    offset = np.stack([way[:, 1], -way[:, 0]], axis=-1)
+    uv_px = points.uv_px + np.repeat(offset, lines.support, axis=0).astype(np.float32)
+    return points._replace(uv_px=uv_px), lines._replace(centre_px=lines.centre_px + offset)
+
+
 @in_float64
 def _mapped(uv_px: Float[np.ndarray, "n 2"], through: Callable) -> np.ndarray:
     """Points taken through a lens or out of it; padded, so that few sizes compile."""
@@ -182,6 +217,8 @@ def _mapped(uv_px: Float[np.ndarray, "n 2"], through: Callable) -> np.ndarray:
 def _as_segments(
     lines: FittedLines,
     variance_px2: Float[np.ndarray, "r"],
+    common_px2: Float[np.ndarray, "r"],
+    off_px2: Float[np.ndarray, "r 2"],
     reasons: Shaped[np.ndarray, "r"],
     grey: Float[np.ndarray, "h w"],
     to_image: Callable[[np.ndarray], np.ndarray],
@@ -196,7 +233,7 @@ def _as_segments(
     return with_junctions(
         Segments(
             endpoints,
-            end_covariances(lines.direction, variance_px2, sigma_along),
+            end_covariances(lines.direction, variance_px2, common_px2, off_px2, sigma_along),
             np.ones(len(position), dtype=np.int64),
             lines.contrast,
             lines.support.astype(np.int64),

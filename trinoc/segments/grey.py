@@ -43,6 +43,11 @@ def light_in_255ths(image: Shaped[np.ndarray, "..."], bend: float) -> Float[np.n
     return (green + (red + blue)) / np.float32(3)
 
 
+def light_of_white(white: float, bend: float) -> float:
+    """The light of the largest level that can be told from a larger one, in 255ths."""
+    return float(_light(np.full((1, 1), white), bend)[0, 0]) if np.isfinite(white) else white
+
+
 @in_float64
 def _light(grey: Float[np.ndarray, "h w"], bend: float) -> np.ndarray:
     brightest = max(float(grey.max()) / 255, 1.0)
