@@ -11,7 +11,7 @@ import tyro
 
 from trinoc.cli.command import Command, Outcome, UsageError
 from trinoc.cli.progress import LOGGER
-from trinoc.cli.rig_file import doubts_table, read_rig
+from trinoc.cli.rig_file import doubts_of, doubts_table, read_rig
 from trinoc.cli.scene_files import check_views, read_segments
 from trinoc.cli.segment_options import SegmentOptions
 from trinoc.cli.views import files_of_views
@@ -93,6 +93,7 @@ class Match(SegmentOptions, Command):
                 scene_pictures=images,
                 title="Matches",
                 tables=doubts_table(self.rig),
+                doubts=doubts_of(self.rig),
                 provenance=for_people(provenance(command_line, {**files, "rig": self.rig})),
             )
         written = [str(path) for path in (self.out, self.report) if path is not None]
