@@ -49,6 +49,11 @@ class SpaceFigure(NamedTuple):
     labels: tuple[Label, ...]
     views: tuple[tuple[str, Box], ...]
 
+    @classmethod
+    def of_tracks(cls, matches: Matches) -> "SpaceFigure":
+        """The segments and their error bars alone."""
+        return cls(tuple(_track_layers(matches)), (), ())
+
     def numbers(self) -> dict[str, Any]:
         """The same as the page's script reads it: rounded to a micrometre."""
         return {
