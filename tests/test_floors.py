@@ -43,7 +43,7 @@ INNER_FLOORS = {
 FOUNDATION = "tuning"
 
 # Imported where they are used, because a plain `pip install` does not bring them.
-EXTRAS = {"matplotlib", "reportlab", "dask", "distributed", "ruamel", "pyarrow"}
+EXTRAS = {"matplotlib", "reportlab", "dask", "distributed", "ruamel", "pyarrow", "plotly", "pandas"}
 FORBIDDEN = {"numba", "torch", "tkinter"}
 # Below io there are no files, no command line, no screen, no settings.
 BELOW_IO = ("numerics", "geometry", "segments", "calib", "match", "synth", "evaluation")

@@ -18,6 +18,7 @@ from trinoc.cli.calibrate import Calibrate
 from trinoc.cli.check import Check
 from trinoc.cli.command import Command, UsageError
 from trinoc.cli.demo import Demo
+from trinoc.cli.doctor import Doctor
 from trinoc.cli.evaluate import Evaluate
 from trinoc.cli.export import Export
 from trinoc.cli.import_ import Import
@@ -26,6 +27,7 @@ from trinoc.cli.match import Match
 from trinoc.cli.numbers import expect_numbers
 from trinoc.cli.pattern import Pattern
 from trinoc.cli.refine import Refine
+from trinoc.cli.rig_toml import with_file
 from trinoc.cli.segments import Segments
 from trinoc.cli.words import in_options
 from trinoc.errors import TrinocError
@@ -47,6 +49,7 @@ AnyCommand = (
     | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
     | Annotated[Export, tyro.conf.subcommand("export")]
     | Annotated[Import, tyro.conf.subcommand("import")]
+    | Annotated[Doctor, tyro.conf.subcommand("doctor")]
 )
 
 
@@ -56,6 +59,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if arguments == ["--version"]:
         print(f"trinoc {trinoc.__version__}")
         return 0
+    try:
+        arguments = with_file(arguments)
+    except UsageError as error:
+        print(f"trinoc: {error}", file=sys.stderr)
+        return 2
     try:
         command = tyro.cli(
             AnyCommand,

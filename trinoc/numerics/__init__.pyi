@@ -16,6 +16,7 @@ from .buckets import (
     in_bucket as in_bucket,
     padded as padded,
 )
+from .display import Displays as Displays, Shown as Shown, display_with as display_with
 from .grey import GreyImage as GreyImage, grey_image as grey_image
 from .information import (
     LARGEST_SIGMA as LARGEST_SIGMA,

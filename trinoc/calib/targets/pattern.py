@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 
 from trinoc.calib.targets.ring_code import ring_code
 from trinoc.errors import InputError
-from trinoc.numerics import ArrayLike
+from trinoc.numerics import ArrayLike, Shown
 
 LINE_STYLES = ("stop", "through", "white")
 
@@ -16,7 +16,7 @@ LINE_STYLES = ("stop", "through", "white")
 _LATTICE_TOLERANCE = 0.25
 
 
-class Pattern(eqx.Module):
+class Pattern(Shown, eqx.Module):
     """Circles (discs or rings) and two crossed lines, in millimetres on the sheet Z = 0.
 
     The lines lie along X and Y and cross at the origin of the world. Seen from the printed
