@@ -1,4 +1,5 @@
 from . import errors as errors
+from .batch import load_recording as load_recording, match_recording as match_recording
 from .calib import (
     Pattern as Pattern,
     Systematics as Systematics,

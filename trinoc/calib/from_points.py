@@ -224,7 +224,13 @@ def _first_pose(
 ) -> Pose:
     """By SQPnP (Terzakis and Lourakis 2020), on a plane and off it."""
     rays = np.asarray(jax.vmap(lens.normalised_from_pixel)(jnp.asarray(seen)))
-    good, turn, shift = cv2.solvePnP(points, rays, np.eye(3), None, flags=cv2.SOLVEPNP_SQPNP)
+    try:
+        good, turn, shift = cv2.solvePnP(points, rays, np.eye(3), None, flags=cv2.SOLVEPNP_SQPNP)
+    except cv2.error as error:  # of points that are all one
+        raise CalibrationError(
+            f"The {len(points)} points do not spread enough to tell a pose: give points that "
+            "spread in depth and across the picture."
+        ) from error
     if not good:
         raise CalibrationError(
             f"No pose sees the {len(points)} points in front of the camera: check that places "

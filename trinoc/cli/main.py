@@ -14,6 +14,7 @@ from typing import Annotated
 import tyro
 
 import trinoc
+from trinoc.cli.batch import Batch
 from trinoc.cli.calibrate import Calibrate
 from trinoc.cli.check import Check
 from trinoc.cli.command import Command, UsageError
@@ -44,6 +45,7 @@ AnyCommand = (
     | Annotated[Calibrate, tyro.conf.subcommand("calibrate")]
     | Annotated[Segments, tyro.conf.subcommand("segments")]
     | Annotated[Match, tyro.conf.subcommand("match")]
+    | Annotated[Batch, tyro.conf.subcommand("batch")]
     | Annotated[Refine, tyro.conf.subcommand("refine")]
     | Annotated[Check, tyro.conf.subcommand("check")]
     | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
@@ -98,8 +100,9 @@ def _run(command: Command, command_line: str) -> int:
         return _failed(command, f"{place}{error.strerror or error}: check the disk.", status=1)
     except MemoryError:
         return _failed(command, "The memory does not suffice: give smaller or fewer files.", 1)
-    except KeyboardInterrupt:
-        return _failed(command, "Interrupted: files that were not finished are not there.", 130)
+    except KeyboardInterrupt as stopped:
+        said = str(stopped) or "Interrupted: files that were not finished are not there."
+        return _failed(command, said, 130)
     record = outcome.record
     if outcome.refusal is not None:
         record = {**record, "error": in_options(outcome.refusal, command)}

@@ -41,6 +41,7 @@ from .lines import (
     plane_of_line as plane_of_line,
     signed_distance as signed_distance,
 )
+from .one_place import at_one_place as at_one_place
 from .pose import Pose as Pose
 from .pose_model import PoseModel as PoseModel, pose_model_over_sheet as pose_model_over_sheet
 from .projection import project_by_matrix as project_by_matrix, project_point as project_point

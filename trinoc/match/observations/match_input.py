@@ -4,8 +4,9 @@ Everything after this works on views sorted by name, segments sorted by place an
 within a segment, so that no answer depends on the order in which the caller gave any of them.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
+from itertools import combinations
 from typing import NamedTuple
 
 import equinox as eqx
@@ -14,12 +15,23 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from trinoc.errors import MatchError
-from trinoc.geometry import DEFAULT_SIGMA_PX, Camera, Intrinsics, Rig, Segments, covariance_of_ends
+from trinoc.geometry import (
+    DEFAULT_SIGMA_PX,
+    Camera,
+    Intrinsics,
+    Rig,
+    Segments,
+    at_one_place,
+    covariance_of_ends,
+)
 from trinoc.match.observations.common_view import check_not_mirrored
 from trinoc.match.observations.side_intensity import side_table
 from trinoc.match.observations.table import SegmentTable, segment_table
 from trinoc.match.tuning import DEFAULT, SideTuning
 from trinoc.numerics import ArrayLike, in_bucket
+
+# Two views of a scene may have one segment at the same place by chance, but not all of so many.
+FEWEST_TO_TELL = 3
 
 
 class MatchInput(NamedTuple):
@@ -52,8 +64,10 @@ def prepare(
     """Check and prepare; raises MatchError and InputError in one sentence."""
     _check_names(segments, rig)
     check_not_mirrored({name: rig[name] for name in segments})
+    _check_apart(segments, rig)
     prepared = {name: _view(segments[name], rig[name], sigma_px) for name in segments}
-    # Views that show the same, which no real ones do, are left to their names.
+    _check_different(prepared)
+    # Views that show the same, which only those with hardly a segment may, are left to their names.
     names = tuple(sorted(prepared, key=lambda name: (_content(prepared[name]), name)))
     views = [prepared[name] for name in names]
     order, ends, covariances, polarities, levels = (list(c) for c in zip(*views, strict=True))
@@ -110,6 +124,26 @@ def _check_names(segments: Mapping[str, Segments | ArrayLike], rig: Rig) -> None
             f"Matching needs segments of at least two cameras, but got {len(segments)}: give "
             f"those of {', '.join(rig.names)}."
         )
+
+
+def _check_apart(names: Iterable[str], rig: Rig) -> None:
+    pair = at_one_place({name: rig[name] for name in names})
+    if pair is not None:
+        raise MatchError(
+            f'The cameras "{pair[0]}" and "{pair[1]}" stand at one place, which leaves depth '
+            "unknown: leave one of them out, or calibrate them again."
+        )
+
+
+def _check_different(views: Mapping[str, _PreparedView]) -> None:
+    """Raise MatchError for the segments of one picture under two names."""
+    for first, second in combinations(views, 2):
+        ends = views[first].ends_px
+        if len(ends) >= FEWEST_TO_TELL and np.array_equal(ends, views[second].ends_px):
+            raise MatchError(
+                f'Views "{first}" and "{second}" have the same segments: give those of the '
+                "picture that each camera took."
+            )
 
 
 def _as_segments(given: Segments | ArrayLike, sigma_px: float | None) -> Segments:
