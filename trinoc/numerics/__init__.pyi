@@ -17,6 +17,12 @@ from .buckets import (
     padded as padded,
 )
 from .grey import GreyImage as GreyImage, grey_image as grey_image
+from .grouped import (
+    group_medians as group_medians,
+    group_sums as group_sums,
+    of_group as of_group,
+    taken as taken,
+)
 from .information import (
     LARGEST_SIGMA as LARGEST_SIGMA,
     Observability as Observability,
