@@ -16,6 +16,7 @@ from .calib import (
 from .evaluation import evaluate as evaluate
 from .geometry import Camera as Camera, Intrinsics as Intrinsics, Rig as Rig, Segments as Segments
 from .io import (
+    enable_compile_cache as enable_compile_cache,
     load_matches as load_matches,
     load_pattern as load_pattern,
     load_rig as load_rig,

@@ -4,7 +4,7 @@ import logging
 
 import pytest
 
-from trinoc.cli.compile_cache import VARIABLE
+from trinoc.io.compile_cache import VARIABLE
 
 
 @pytest.fixture(autouse=True)

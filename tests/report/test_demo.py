@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from trinoc.cli.compile_cache import VARIABLE
 from trinoc.cli.main import main
 from trinoc.io import load_matches, load_rig
+from trinoc.io.compile_cache import VARIABLE
 from trinoc.synth import table1_rig
 
 

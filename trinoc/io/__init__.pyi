@@ -3,6 +3,7 @@ from .atomic import (
     expect_place as expect_place,
     write_text as write_text,
 )
+from .compile_cache import enable_compile_cache as enable_compile_cache
 from .demo import (
     demo_images as demo_images,
     demo_paths as demo_paths,

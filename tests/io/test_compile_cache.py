@@ -5,9 +5,10 @@ import stat
 
 import jax
 import pytest
+from jax.experimental.compilation_cache.compilation_cache import reset_cache
 
-from trinoc.cli import compile_cache
-from trinoc.cli.compile_cache import VARIABLE, enable_compile_cache
+from trinoc.io import compile_cache
+from trinoc.io.compile_cache import VARIABLE, enable_compile_cache
 
 SETTINGS = (
     "jax_compilation_cache_dir",
@@ -26,6 +27,15 @@ def _settings_as_before():
     yield
     for name, value in before.items():
         jax.config.update(name, value)
+    reset_cache()
+
+
+def test_folder_given_holds_what_compiles_from_then_on(tmp_path, monkeypatch):
+    monkeypatch.setenv(VARIABLE, "off")
+    jax.jit(lambda x: x + 1)(1.0)
+    assert enable_compile_cache(tmp_path / "kernels") == tmp_path / "kernels"
+    jax.jit(lambda x: x - 2)(1.0)
+    assert list((tmp_path / "kernels").iterdir())
 
 
 def test_folder_is_made_for_the_user_alone(tmp_path, monkeypatch):
@@ -36,7 +46,7 @@ def test_folder_is_made_for_the_user_alone(tmp_path, monkeypatch):
 
 
 def test_default_is_the_user_s_cache_folder(tmp_path, monkeypatch):
-    monkeypatch.delenv(VARIABLE)
+    monkeypatch.delenv(VARIABLE, raising=False)
     for name in ("XDG_CACHE_HOME", "LOCALAPPDATA", "HOME"):
         monkeypatch.setenv(name, str(tmp_path))
     folder = enable_compile_cache()
