@@ -1,8 +1,10 @@
 """Hypothesis strategies for what files of other tools can hold, and projections to compare."""
 
+import itertools
+
 import jax
 import numpy as np
-from hypothesis import strategies as st
+from hypothesis import assume, strategies as st
 
 from tests.geometry.strategies import cameras, real
 from tests.io.strategies import without_fold
@@ -36,7 +38,10 @@ def rigs(
 ) -> Rig:
     """Cameras around the sheet."""
     names = draw(st.lists(NAMES, min_size=fewest, max_size=most, unique=True))
-    return Rig({name: draw(cameras(draw(lenses(coefficients, skew)))) for name in names})
+    members = {name: draw(cameras(draw(lenses(coefficients, skew)))) for name in names}
+    centres = [camera.centre_world_mm for camera in members.values()]
+    assume(all(np.linalg.norm(a - b) > 1e-3 for a, b in itertools.combinations(centres, 2)))
+    return Rig(members)
 
 
 def pixels(camera: Camera, points: np.ndarray = CORNERS) -> np.ndarray:
