@@ -3,6 +3,7 @@ from .atomic import (
     expect_place as expect_place,
     write_text as write_text,
 )
+from .board_json import load_target as load_target, save_target as save_target
 from .demo import (
     demo_images as demo_images,
     demo_paths as demo_paths,
@@ -50,5 +51,6 @@ from .rig_json import load_rig as load_rig, load_rig_status as load_rig_status
 from .rig_status import CameraStatus as CameraStatus, RigStatus as RigStatus
 from .saving import save as save
 from .segments_npz import load_segments as load_segments
+from .shots import load_shots as load_shots
 from .table_csv import save_table as save_table
 from .usable_cameras import expect_lens as expect_lens, expect_pitch as expect_pitch
