@@ -30,7 +30,7 @@ MAY_IMPORT["cli"] = {*MAY_IMPORT["report"], "report", "batch"}
 INNER_FLOORS = {
     "calib": (
         *("targets", "detection", "model", "result", "pose", "photometric", "intrinsics"),
-        *("uncertainty", "adjustment", "bundle", "rig_check"),
+        *("uncertainty", "shots", "adjustment", "bundle", "rig_check"),
     ),
     "match": (
         *("observations", "two_view", "evidence", "candidates", "selection", "occlusion"),

@@ -16,6 +16,7 @@ import tyro
 import trinoc
 from trinoc.cli.batch import Batch
 from trinoc.cli.calibrate import Calibrate
+from trinoc.cli.calibrate_rig import CalibrateRig
 from trinoc.cli.check import Check
 from trinoc.cli.command import Command, UsageError
 from trinoc.cli.demo import Demo
@@ -43,6 +44,7 @@ AnyCommand = (
     | Annotated[Pattern, tyro.conf.subcommand("pattern")]
     | Annotated[Intrinsics, tyro.conf.subcommand("intrinsics")]
     | Annotated[Calibrate, tyro.conf.subcommand("calibrate")]
+    | Annotated[CalibrateRig, tyro.conf.subcommand("calibrate-rig")]
     | Annotated[Segments, tyro.conf.subcommand("segments")]
     | Annotated[Match, tyro.conf.subcommand("match")]
     | Annotated[Batch, tyro.conf.subcommand("batch")]
