@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 from trinoc.cli.main import main
-from trinoc.io import load_matches, load_rig
-from trinoc.io.compile_cache import VARIABLE
+from trinoc.io import COMPILE_CACHE_VARIABLE, load_matches, load_rig
 from trinoc.synth import table1_rig
 
 
@@ -35,7 +34,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     before = logger.handlers[:], logger.level, logger.propagate
     stdout, stderr = io.StringIO(), io.StringIO()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv(VARIABLE, "off")
+        patch.setenv(COMPILE_CACHE_VARIABLE, "off")
         with contextlib.redirect_stdout(stdout), contextlib.redirect_stderr(stderr):
             status = main(["demo", "--out", str(folder), "--keep-inputs", "--json"])
     logger.handlers[:], logger.level, logger.propagate = before
@@ -102,7 +101,7 @@ def test_most_of_what_is_put_out_is_right(run: Run) -> None:
 def test_the_commands_printed_make_the_same_results(
     run: Run, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setenv(VARIABLE, "off")
+    monkeypatch.setenv(COMPILE_CACHE_VARIABLE, "off")
     monkeypatch.chdir(run.folder)
     for line in run.record["commands"]:
         program, *arguments = shlex.split(line)
@@ -117,7 +116,7 @@ def test_the_commands_printed_make_the_same_results(
 def test_the_file_in_the_folder_stands_in_for_all_arguments(
     run: Run, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setenv(VARIABLE, "off")
+    monkeypatch.setenv(COMPILE_CACHE_VARIABLE, "off")
     monkeypatch.chdir(run.folder)
     before = sorted(run.folder.iterdir())
     assert main(["calibrate", "--dry-run", "--quiet"]) == 0
@@ -132,7 +131,7 @@ def test_the_file_in_the_folder_stands_in_for_all_arguments(
 def test_a_folder_that_cannot_be_made_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv(VARIABLE, "off")
+    monkeypatch.setenv(COMPILE_CACHE_VARIABLE, "off")
     (tmp_path / "file").write_text("")
     assert main(["demo", "--out", str(tmp_path / "file" / "out"), "--quiet"]) == 1
     assert "cannot be made a folder" in capsys.readouterr().err

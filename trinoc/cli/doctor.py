@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from trinoc.cli.command import Command, Outcome
-from trinoc.cli.compile_cache import VARIABLE, enable_compile_cache
 
 LIBRARIES = (
     *("trinoc", "numpy", "scipy", "jax", "jaxlib", "equinox", "optimistix", "lineax"),
@@ -96,10 +95,14 @@ def _opencv() -> list[Finding]:
 
 
 def _cache() -> Finding:
+    from trinoc.io import COMPILE_CACHE_VARIABLE, enable_compile_cache
+
     folder = enable_compile_cache()
     if folder is None:
-        off = os.environ.get(VARIABLE, "").lower() in ("off", "0", "no")
-        remedy = "" if off else f"set {VARIABLE} to a folder that only you can write to"
+        off = os.environ.get(COMPILE_CACHE_VARIABLE, "").lower() in ("off", "0", "no")
+        remedy = (
+            "" if off else f"set {COMPILE_CACHE_VARIABLE} to a folder that only you can write to"
+        )
         return Finding("compile cache", "off" if off else "cannot be used", remedy)
     files = [file for file in Path(folder).rglob("*") if file.is_file()]
     size = sum(file.stat().st_size for file in files) / 2**20

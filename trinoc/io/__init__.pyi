@@ -4,7 +4,10 @@ from .atomic import (
     write_text as write_text,
 )
 from .board_json import load_target as load_target, save_target as save_target
-from .compile_cache import enable_compile_cache as enable_compile_cache
+from .compile_cache import (
+    COMPILE_CACHE_VARIABLE as COMPILE_CACHE_VARIABLE,
+    enable_compile_cache as enable_compile_cache,
+)
 from .demo import (
     demo_images as demo_images,
     demo_paths as demo_paths,

@@ -12,7 +12,7 @@ import warnings
 from pathlib import Path
 
 LOGGER = logging.getLogger("trinoc")
-VARIABLE = "TRINOC_COMPILE_CACHE"
+COMPILE_CACHE_VARIABLE = "TRINOC_COMPILE_CACHE"
 MOST_BYTES = 512 * 2**20
 
 
@@ -34,7 +34,7 @@ def enable_compile_cache(folder: str | os.PathLike[str] | None = None) -> Path |
     The folder, or None where the variable says "off". None too, after a warning in the log, where
     the folder cannot be made or others could write to it: the kernels in it are executed.
     """
-    wanted = os.environ.get(VARIABLE, "") if folder is None else os.fspath(folder)
+    wanted = os.environ.get(COMPILE_CACHE_VARIABLE, "") if folder is None else os.fspath(folder)
     if folder is None and wanted.lower() in ("off", "0", "no"):
         return None
     folder = Path(wanted) if wanted else _user_cache() / "trinoc" / "jax"
@@ -48,7 +48,7 @@ def enable_compile_cache(folder: str | os.PathLike[str] | None = None) -> Path |
         LOGGER.warning(
             "no compile cache in %s, because others may write to it: chmod 700 it, or set %s",
             folder,
-            VARIABLE,
+            COMPILE_CACHE_VARIABLE,
         )
         return None
     _forget_oldest(folder)
