@@ -168,7 +168,7 @@ def _picture_figures(result: CalibrationResult, name: str) -> tuple[tuple[str, s
     over_bound = np.sqrt(variance / bound).max() if bounded else np.nan
     return (
         ("noise left by the fit", f"{with_decimals(quality.noise, 2)} grey levels"),
-        ("noise of flat paper", f"{with_decimals(quality.noise_floor, 2)} grey levels"),
+        ("noise that is the picture's own", f"{with_decimals(quality.noise_floor, 2)} grey levels"),
         ("pixels used, cut", f"{quality.pixels:,}, {quality.pixels_cut:,}"),
         ("blur", f"{with_decimals(quality.blur_px, 3)} px"),
         ("ink spread", f"{with_decimals(quality.ink_spread_mm, 4)} mm"),
