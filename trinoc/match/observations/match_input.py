@@ -72,7 +72,7 @@ class MatchInput(NamedTuple):
         return [len(ends) for ends in self.ends_px]
 
     @property
-    def starts(self) -> Int[np.ndarray, "f+1 v"]:
+    def starts(self) -> Int[np.ndarray, "_ v"]:
         """Where each frame's segments begin in every view, and where the last one's end."""
         counts = np.array([[len(ends) for ends in frame.ends_px] for frame in self.frames])
         return np.concatenate([np.zeros_like(counts[:1]), np.cumsum(counts, axis=0)])
