@@ -22,7 +22,7 @@ def test_a_batch_gives_what_its_items_give_and_a_bad_item_spoils_no_other() -> N
         alone, found = match_segments(seen[k], rigs[k]), batch.matches[k]
         assert found is not None
         np.testing.assert_array_equal(found.index, alone.index)
-        np.testing.assert_array_equal(found.lines_mm, alone.lines_mm)
+        np.testing.assert_allclose(found.lines_mm, alone.lines_mm, rtol=1e-9)
 
 
 def test_frames_of_one_stack_learn_their_own_parameters() -> None:

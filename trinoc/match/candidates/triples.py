@@ -198,7 +198,8 @@ def _predicted(
         guess = predict(own, order[2], pencil_of(planes, lines, order[0], i), *rows, tuning)
         cells = grid
         if lines.frame is not None:
-            cells = jax.tree.map(lambda column: column[lines.frame[order[0], i]], grid)
+            frame = lines.frame[order[0], i]
+            cells = jax.tree.map(lambda column: column[frame], grid)
         return guess, keys_of(cells, guess, tuning)
 
     return jax.vmap(predicted)(i, j)

@@ -21,6 +21,9 @@ from trinoc.match.observations.table import SegmentTable, segment_table
 from trinoc.match.tuning import DEFAULT, SideTuning
 from trinoc.numerics import ArrayLike, bucket, in_bucket, padded
 
+# More candidates than memory bears are let go; of so many segments, too few would be left.
+MOST_SEGMENTS = 40_000
+
 
 class CamerasInput(NamedTuple):
     """Projection matrices, centres, sizes of the pictures and intrinsics, in order of the views."""
@@ -33,8 +36,9 @@ class CamerasInput(NamedTuple):
     def take(self, views: list[int]) -> "CamerasInput":
         """Those of some views, in that order."""
         intrinsics = tuple(self.intrinsics[view] for view in views)
-        columns = (column[views] for column in self[:3])
-        return CamerasInput(*columns, intrinsics)
+        return CamerasInput(
+            self.matrix_px[views], self.centre_mm[views], self.size_px[views], intrinsics
+        )
 
 
 class FrameInput(NamedTuple):
@@ -119,6 +123,7 @@ def prepare_frame(
 ) -> FrameInput:
     """The same without tables; `cameras` are those of `cameras_of(rig, segments)`, if at hand."""
     _check_names(segments, rig)
+    _check_counts(segments)
     cameras = cameras_of(rig, segments) if cameras is None else cameras
     prepared = {
         name: _view(segments[name], lens, sigma_px)
@@ -201,6 +206,16 @@ def _check_names(segments: Mapping[str, Segments | ArrayLike], rig: Rig) -> None
             f"Matching needs segments of at least two cameras, but got {len(segments)}: give "
             f"those of {', '.join(rig.names)}."
         )
+
+
+def _check_counts(segments: Mapping[str, Segments | ArrayLike]) -> None:
+    for name, given in segments.items():
+        count = np.size(given.endpoints_px if isinstance(given, Segments) else given) // 4
+        if count > MOST_SEGMENTS:
+            raise MatchError(
+                f"Matching takes {MOST_SEGMENTS} segments of a view at most, but "
+                f'"{name}" has {count}: leave out the shortest, or match parts of the picture.'
+            )
 
 
 def _as_segments(given: Segments | ArrayLike, sigma_px: float | None) -> Segments:

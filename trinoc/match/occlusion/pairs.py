@@ -187,7 +187,7 @@ def _of_frames(
     """The pairs of those frames alone."""
     frame = frames_of(lines, found.candidates.index)
     matched_frame = frames_of(lines, matched.candidates.index)
-    if frame is not None:
+    if frame is not None and matched_frame is not None:
         rows, tracks = np.flatnonzero(those[frame]), np.flatnonzero(those[matched_frame])
         found, frame = take_rows(found, rows), frame[rows]
         matched, matched_frame = matched.take(tracks), matched_frame[tracks]
@@ -266,7 +266,9 @@ def _select_alone(
     return Pairs(candidates, odds, tempered, chosen, missed)
 
 
-def _select(beside: _Beside, start: _Start, _: np.ndarray | float, tuning: MatchTuning) -> Pairs:
+def _select(
+    beside: _Beside, start: _Start, typical_px: np.ndarray | float, tuning: MatchTuning
+) -> Pairs:
     """Posterior log odds of pairs among lines that are matched already, to a fixed point."""
     rules = tuning.occlusion
     log_missed = float(np.log(rules.missed))
@@ -277,11 +279,13 @@ def _select(beside: _Beside, start: _Start, _: np.ndarray | float, tuning: Match
     (candidates, expected), frame = beside.found, beside.frame
     graph = conflict_graph(candidates.index, candidates.interval, tuning.selection)
     everyone = _joined(beside.matched.candidates, candidates)
-    both = None if frame is None else np.concatenate([beside.matched_frame, frame])
+    known_frame, both = beside.matched_frame, None
+    if frame is not None and known_frame is not None:
+        both = np.concatenate([known_frame, frame])
     meetings = endpoint_pairs(everyone, tuning.junctions, tuning.evidence, both)
     known = probability(beside.matched.posterior_log_odds)
     frames = np.size(mixture.log_count)
-    lines_known = group_sums(known, beside.matched_frame, frames)
+    lines_known = group_sums(known, known_frame, frames)
     share = np.full(np.shape(mixture.log_count), rules.prior_share)
     density = mixture.log_count - mixture.volume.log_size + np.log(2)
     helped = of_group(junctions.end_at_junction >= tuning.junctions.min_at_junction, frame)
