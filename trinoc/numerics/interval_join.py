@@ -43,7 +43,7 @@ def overlapping(
 
 def pairs_of_equal_keys(
     keys: Int[np.ndarray, "n"], at_once: int = 1 << 21
-) -> Iterator[tuple[Int[np.ndarray, "p"], Int[np.ndarray, "p"]]]:
+) -> Iterator[tuple[Int[np.ndarray, "_p"], Int[np.ndarray, "_p"]]]:
     """(m, n) with m and n any two different positions that hold one key, each pair once.
 
     In blocks of about `at_once` pairs, so that their number is no matter of memory.
