@@ -219,9 +219,7 @@ def refine_image(
     return _as_refinement(scene, extended, shown(*camera_rows(scene, everything, extended)))
 
 
-def _as_refinement(
-    scene: CameraScene, fit: CameraFit, points: SheetPoints
-) -> ImageRefinement:
+def _as_refinement(scene: CameraScene, fit: CameraFit, points: SheetPoints) -> ImageRefinement:
     """The extended fit in the words of the simple one.
 
     The information is that of the covariance for the noise at the middle grey level.
