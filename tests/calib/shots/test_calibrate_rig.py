@@ -59,6 +59,7 @@ def test_what_is_true_of_the_fit_is_said(found):
 
 def test_the_world_may_be_a_camera(found):
     rig = calibrate_rig(shots(), BOARD, systematics=EXACT, world="middle").rig
+    assert rig is not None
     np.testing.assert_allclose(np.asarray(rig["middle"].cam_from_world), np.eye(3, 4), atol=1e-9)
     poses = {name: np.asarray(rig[name].cam_from_world) for name in LENSES}
     before = {name: np.asarray(found.rig[name].cam_from_world) for name in LENSES}
@@ -95,6 +96,7 @@ def test_cameras_that_never_share_a_shot_are_chained():
     seen["left"][::2] = [None] * 4
     seen["right"][1::2] = [None] * 3
     rig = calibrate_rig(seen, BOARD, systematics=EXACT).rig
+    assert rig is not None
     poses = {name: np.asarray(rig[name].cam_from_world) for name in LENSES}
     exact = {name: cam_from_rig(name) for name in LENSES}
     step, true = relative(poses, "left", "right"), relative(exact, "left", "right")
@@ -134,6 +136,7 @@ def test_known_lenses_are_held():
     known = {name: Intrinsics.of_lens(lens_of(name), (640, 480)) for name in LENSES}
     result = calibrate_rig(shots(count=1), BOARD, lens=known, systematics=EXACT)
     assert result.status is Status.CONVERGED
+    assert result.rig is not None
     assert result.sigma("left.fx_px") == 0.0
     poses = {name: np.asarray(result.rig[name].cam_from_world) for name in LENSES}
     exact = {name: cam_from_rig(name) for name in LENSES}

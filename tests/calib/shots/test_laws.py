@@ -53,7 +53,9 @@ def test_a_plane_pose_is_found_from_its_rays(focal_px):
     seen = BOARD.centres_mm @ pose[:, :2].T + pose[:, 3]
     assert (seen[:, 2] < 0).any() == (focal_px < 200.0)
     rays = np.stack([lens.unproject(lens.project_ray(ray)) for ray in seen])
-    np.testing.assert_allclose(plane_pose(rays, BOARD.centres_mm), pose, atol=1e-6)
+    found = plane_pose(rays, BOARD.centres_mm)
+    assert found is not None
+    np.testing.assert_allclose(found, pose, atol=1e-6)
 
 
 def test_points_on_a_line_have_no_pose():
@@ -64,10 +66,8 @@ def test_points_on_a_line_have_no_pose():
 def test_the_equations_are_those_of_the_cost():
     here, loss = problem(board_poses(3)), GemanMcClure.from_scale(jnp.asarray(3.0))
     table, chart, state = jax.tree.map(jnp.asarray, (here.table, here.chart, here.state))
-    random = np.random.default_rng(0)
-    start = retracted(
-        here.state, chart, 1e-3 * random.normal(size=len(chart.free)), np.zeros((8, 6))
-    )
+    off = 1e-3 * np.random.default_rng(0).normal(size=len(chart.free))
+    start = retracted(state, chart, off, np.zeros((8, 6)))
 
     def at(head, boards):
         return cost(retracted(start, chart, head, boards), chart, table, loss)

@@ -27,7 +27,7 @@ def whitened_residuals(state: RigState, chart: Chart, table: ViewTable) -> Float
     return jax.vmap(lambda *view: _whitened(state, chart, *view))(*table)
 
 
-def residuals_px(state: RigState, chart: Chart, table: ViewTable) -> Float[Array, "v n 2"]:
+def residuals_px(state: RigState, chart: Chart, table: ViewTable) -> Float[ArrayLike, "v n 2"]:
     """Predicted minus observed, of all places."""
     return jax.vmap(lambda *view: _residuals(state, chart, *view))(*table)
 
