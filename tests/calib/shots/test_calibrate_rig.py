@@ -8,6 +8,7 @@ from trinoc.calib import Systematics, calibrate_rig, projection_sigma
 from trinoc.calib.result import Status
 from trinoc.errors import CalibrationError, InputError
 from trinoc.geometry import Intrinsics
+from trinoc.io import load_rig, save
 
 EXACT = Systematics()
 
@@ -69,6 +70,15 @@ def test_the_world_may_be_a_camera(found):
     assert "middle.turn_x_deg" not in rig.parameters
     with pytest.raises(InputError, match="neither a camera"):
         calibrate_rig(shots(), BOARD, systematics=EXACT, world="attic")
+
+
+def test_rig_json_holds_the_covariance_of_poses_and_lenses(found, tmp_path):
+    save(found, tmp_path / "rig.json")
+    back = load_rig(tmp_path / "rig.json")
+    assert back.parameters == found.rig.parameters
+    assert {"left.pan_deg", "left.fx_px", "right.k1"} <= set(back.parameters)
+    np.testing.assert_allclose(back.covariance, found.rig.covariance, rtol=1e-12)
+    assert back.sigma("left.fx_px") == pytest.approx(found.sigma("left.fx_px"))
 
 
 def test_a_picture_of_another_moment_is_refused_by_name(found):

@@ -75,7 +75,7 @@ def levels_of_8_bit(grey: Float[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w"]:
 
 def _labellings(
     corners_px: Float[np.ndarray, "n 2"], board: Chessboard
-) -> list[Int[np.ndarray, "n"]]:
+) -> list[Int[np.ndarray, "_n"]]:
     """Orders in which the corners found are those of the board, seen from its front: for each
     corner of the board the one found there."""
     grid = np.arange(len(corners_px)).reshape(board.rows, board.columns)
