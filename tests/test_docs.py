@@ -1,6 +1,7 @@
 """Pages name what exists: commands and options, names of the package, files, other pages."""
 
 import ast
+import importlib
 import re
 import shlex
 from pathlib import Path
@@ -66,8 +67,8 @@ def test_every_name_in_python_exists() -> None:
                     and not hasattr(trinoc, node.attr)
                 ):
                     wrong.append(f"{page.name}: trinoc.{node.attr}")
-                if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("trinoc"):
-                    room = __import__(node.module, fromlist=["_"])
+                if isinstance(node, ast.ImportFrom) and node.module and "trinoc" in node.module:
+                    room = importlib.import_module(node.module)
                     wrong += [
                         f"{page.name}: {node.module}.{alias.name}"
                         for alias in node.names
