@@ -156,6 +156,7 @@ def fit_of(picture: np.ndarray, condition: Condition, pose: Pose, method: str) -
             method=method,  # pyright: ignore[reportArgumentType]
             systematics=systematics_of(told.exact, lens),
             bayer=told.bayer,
+            response=told.response,
         )
     except CalibrationError as error:
         return {"status": "FAILED", "notes": [str(error)]}

@@ -10,7 +10,8 @@ and on no edge of the scene counts neither for nor against: `shadow` is its shar
 to the picture at the true edge (edge_oracle.py). DIR of --photographs holds merton1.npz and its
 pictures (VGG, Oxford). LSD runs as it comes and with its bias of (-0.123, -0.119) px taken out.
 FLD and EDLines take part where cv2 has `ximgproc` (opencv-contrib-python-headless, in an
-environment of its own: it overwrites opencv-python-headless). Times are medians of warm calls,
+environment of its own: it overwrites opencv-python-headless). Single edges are shown as cameras
+deliver them too (edge_delivery.py): sRGB, sharpened, saturated. Times are medians of warm calls,
 all detectors in turn on the same picture; peak memory is what the process of one detector, fresh
 for each size, grows by during its first call.
 """
@@ -25,6 +26,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from edge_delivery import table_of_deliveries
 from edge_oracle import fitted_across, undisturbed_pixels
 from segment_truth import (
     STRONG_STEP,
@@ -41,6 +43,8 @@ from trinoc.segments import find_segments
 from trinoc.segments.lsd import LSD_BIAS_PX
 
 SAME_STEP = 1 / 3
+# Pictures in so much stronger light have saturated faces.
+GAINS = (1.5, 2.2)
 # The slope of an edge, seen through the masks, is about a quarter of its step per pixel.
 SHADOW_SHARE = 0.04
 _EXTRA: Any = getattr(cv2, "ximgproc", None)
@@ -101,6 +105,26 @@ def scenes(folder: Path) -> None:
     ratio = np.concatenate([z for z, _ in normalised])
     _against_the_best(pictures)
     _ends(pictures)
+    _print_normalised(ratio, reasons)
+    for gain in GAINS:
+        bright = [_overexposed(p, gain) for p in pictures if p.clean is not None]
+        errors = [_normalised(find_segments(p.grey), p) for p in bright]
+        if errors:
+            print(f"light {gain:g} times as strong: saturated edges")
+            _print_normalised(*(np.concatenate(of) for of in zip(*errors, strict=True)))
+
+
+def _overexposed(picture: Picture, gain: float) -> Picture:
+    """The picture without its noise in stronger light, clipped, and with a noise of 2 levels."""
+    assert picture.clean is not None
+    noise = np.random.default_rng(0).normal(0, 2, picture.clean.shape)
+    grey = np.clip(np.rint(gain * picture.clean + noise), 0, 255).astype(np.uint8)
+    edges = picture.edges.copy()
+    edges[:, 4] *= gain
+    return picture._replace(grey=grey, edges=edges, shadow_slope=gain * picture.shadow_slope)
+
+
+def _print_normalised(ratio: np.ndarray, reasons: np.ndarray) -> None:
     print("normalised across-line error      n   variance  median-based   beyond 3 sigma")
     for reason in ("all", "", "neighbour", "wide", "saturated", "bent"):
         z = ratio if reason == "all" else ratio[reasons == reason]
@@ -212,7 +236,9 @@ def _normalised(segments: Segments, picture: Picture) -> tuple[np.ndarray, np.nd
     assert segments.reasons is not None
     contrast = np.asarray(segments.contrast)[found.matched]
     same = found.alone & np.isfinite(found.step)
-    same &= np.abs(contrast + found.step) < SAME_STEP * np.maximum(contrast, np.abs(found.step))
+    alike = np.abs(contrast + found.step) < SAME_STEP * np.maximum(contrast, np.abs(found.step))
+    # Of a saturated step less is seen than there is.
+    same &= alike | ((segments.reasons[found.matched] == "saturated") & (found.step < 0))
     places = ends[found.matched, :1] + np.linspace(0.1, 0.9, 9)[:, None] * way[found.matched, None]
     column, row = np.rint(places).astype(int).clip(0).transpose(2, 0, 1)
     height, width = picture.grey.shape
@@ -347,6 +373,7 @@ def main() -> None:
     for folder in given.scenes:
         scenes(folder)
     nothing_to_find()
+    table_of_deliveries()
     if given.photographs:
         photographs(given.photographs)
     if not given.no_times:

@@ -30,7 +30,7 @@ MAY_IMPORT["cli"] = {*MAY_IMPORT["report"], "report", "batch"}
 INNER_FLOORS = {
     "calib": (
         *("targets", "detection", "model", "result", "pose", "photometric", "intrinsics"),
-        *("uncertainty", "adjustment", "bundle", "rig_check"),
+        *("uncertainty", "shots", "adjustment", "bundle", "rig_check"),
     ),
     "match": (
         *("observations", "two_view", "evidence", "candidates", "selection", "occlusion"),
@@ -44,7 +44,7 @@ INNER_FLOORS = {
 FOUNDATION = "tuning"
 
 # Imported where they are used, because a plain `pip install` does not bring them.
-EXTRAS = {"matplotlib", "reportlab", "dask", "distributed", "ruamel", "pyarrow"}
+EXTRAS = {"matplotlib", "reportlab", "dask", "distributed", "ruamel", "pyarrow", "plotly", "pandas"}
 FORBIDDEN = {"numba", "torch", "tkinter"}
 # Below io there are no files, no command line, no screen, no settings.
 BELOW_IO = (

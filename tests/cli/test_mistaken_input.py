@@ -39,8 +39,10 @@ def test_options_are_checked_before_any_file_is_read(arguments, said, capsys):
     assert said in err
 
 
-@pytest.mark.parametrize("option", ["--tolerance-px", "--false-alarms", "--least-contrast"])
-@pytest.mark.parametrize("value", ["nan", "-1"])
+@pytest.mark.parametrize(
+    "option", ["--tolerance-px", "--false-alarms", "--least-contrast", "--response"]
+)
+@pytest.mark.parametrize("value", ["nan", "-1.5"])
 def test_options_of_segments_are_checked_first(option, value, capsys):
     assert main(["segments", "none.png", option, value]) == 2
     assert option in capsys.readouterr().err

@@ -59,7 +59,13 @@ def test_a_saturated_bright_side_widens_the_covariance_and_says_so() -> None:
     longest = int(np.argmax(segments.length_px))
     assert segments.reasons is not None
     assert segments.reasons[longest] == "saturated"
-    assert np.sqrt(segments.covariance_px2[longest].trace()) > 0.5
+    clear = find_segments(np.clip(np.rint(0.5 * (grey + noise)), 0, 255).astype(np.uint8))
+    normal = np.array([np.cos(0.3), np.sin(0.3)] * 2) / 2
+    seen, whole = (
+        normal @ np.asarray(found.covariance_px2)[int(np.argmax(found.length_px))] @ normal
+        for found in (segments, clear)
+    )
+    assert seen > 4 * whole
 
 
 def test_a_saturated_edge_lies_within_its_sigmas_of_where_it_is() -> None:

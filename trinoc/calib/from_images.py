@@ -7,7 +7,7 @@ import numpy as np
 
 from trinoc.calib.detection import Orientation, detect_pattern
 from trinoc.calib.from_detections import Search, calibration_of_search, lens_of_each
-from trinoc.calib.photometric import neutral_mosaic
+from trinoc.calib.photometric import Encoding, Response, neutral_mosaic
 from trinoc.calib.result import CalibrationResult
 from trinoc.calib.rig_fit import Knowledge
 from trinoc.calib.targets import Pattern
@@ -30,6 +30,7 @@ def calibrate(
     systematics: Systematics | None = None,
     orientation: Orientation = None,
     bayer: str | None = None,
+    response: Response = "fit",
 ) -> CalibrationResult:
     """The cameras of a rig, from one picture of the sheet each.
 
@@ -51,6 +52,8 @@ def calibrate(
         earlier rig whose cameras have hardly moved since. Without it such a sheet fails.
     bayer : for raw mosaics of colours, those of the first two pixels of the first two rows, such as
         "RGGB": each pixel is fitted as it is, without interpolation.
+    response : of the cameras, "linear" or "srgb" where it is known; with "fit" a picture is taken
+        as linear until the profiles of its edges refute that, and the response is then fitted.
 
     Raises
     ------
@@ -64,10 +67,10 @@ def calibrate(
     model = pose_model_over_sheet(pose_model, parameters)
     lenses = lens_of_each(lens, images)
     _check_images(images, lenses)
-    known = Knowledge(pattern, model, systematics or Systematics.typical(lenses), bayer)
+    encoding = Encoding(bayer, response)
+    encoding.check()
+    known = Knowledge(pattern, model, systematics or Systematics.typical(lenses), encoding)
     known.systematics.check()
-    if bayer is not None and sorted(bayer) != sorted("RGGB"):
-        raise InputError(f'bayer is "{bayer}", but must be "RGGB", "BGGR", "GRBG" or "GBRG".')
     detections, failures = {}, {}
     for name, image in images.items():
         try:

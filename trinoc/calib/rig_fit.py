@@ -18,7 +18,7 @@ from trinoc.calib.adjustment import (
 )
 from trinoc.calib.detection import Detection
 from trinoc.calib.model import SheetPoints
-from trinoc.calib.photometric import PictureFit, ShiftOfPlaces, refine_views
+from trinoc.calib.photometric import Encoding, PictureFit, ShiftOfPlaces, refine_views
 from trinoc.calib.pose import PoseEstimate, fit_views, pose_of_values
 from trinoc.calib.result import Status
 from trinoc.calib.targets import Pattern
@@ -66,13 +66,13 @@ class Knowledge(NamedTuple):
     pattern : the sheet.
     model : what the user wants to know of each pose.
     systematics : what is not exact.
-    bayer : colours of the pictures' mosaics; None for pictures that are none.
+    encoding : how the pictures' grey levels stand for light.
     """
 
     pattern: Pattern
     model: PoseModel
     systematics: Systematics
-    bayer: str | None = None
+    encoding: Encoding = Encoding()
 
     @property
     def aim_is_held(self) -> bool:
@@ -252,8 +252,8 @@ def _pictures(
         shift = apparent_shift(of_circles, k, starts[k], sheet.lens.lens)
         if np.abs(shift(points[k].place_mm)).max() > _LEAST_SHIFT_PX:
             shifts[sheet.name] = shift
-    model, bayer = known.fitted_model, known.bayer
-    found = refine_views(images, poses, known.pattern, lenses, model, shifts, bayer)
+    model = known.fitted_model
+    found = refine_views(images, poses, known.pattern, lenses, model, shifts, known.encoding)
     return [found.get(sheet.name) for sheet in sheets]
 
 

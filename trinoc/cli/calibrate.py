@@ -9,6 +9,7 @@ import tyro
 from trinoc.cli.command import Command, Outcome, UsageError
 from trinoc.cli.lens_options import LensOptions, expect_pixel_pitch
 from trinoc.cli.numbers import expect_sigmas
+from trinoc.cli.plan import plan
 from trinoc.cli.progress import LOGGER
 from trinoc.cli.views import files_of_views
 
@@ -63,6 +64,10 @@ class Calibrate(Command):
     bayer: Literal["RGGB", "BGGR", "GRBG", "GBRG"] | None = None
     """The pictures are raw mosaics of these colours: each pixel is fitted as it is."""
 
+    response: Literal["linear", "srgb", "fit"] = "fit"
+    """Of the cameras: how grey levels stand for light. fit: linear, until the edges of the sheet
+    refute it, then as they show it."""
+
     orientation: Annotated[
         str | None, tyro.conf.arg(metavar="upright|RIG", help_behavior_hint="(default: refuse)")
     ] = None
@@ -91,9 +96,12 @@ class Calibrate(Command):
     ] = None
     """Also write an HTML report here."""
 
+    dry_run: bool = False
+    """Read and check everything, say what would be done, and write nothing."""
+
     def run(self, command_line: str) -> Outcome:
         """Calibrate and write the rig."""
-        files = files_of_views(self.pictures)
+        files = files_of_views(self.pictures, guess=True)
         if not files:
             raise UsageError("No picture is given: write NAME=FILE for each camera.")
         if not all(0.9 < scale < 1.1 for scale in self.print_scale):
@@ -114,6 +122,9 @@ class Calibrate(Command):
         lenses = self.lens.lenses({name: _size(image) for name, image in images.items()})
         known = self._systematics(lenses)
         earlier = None if self.orientation in (None, "upright") else load_rig(self.orientation)
+        if self.dry_run:
+            sizes = {name: _size(image) for name, image in images.items()}
+            return plan(f"calibrate by {pattern.name}", files, sizes, (self.out, self.report))
         LOGGER.info("calibrating %s", ", ".join(files))
         result = calibrate(
             images,
@@ -123,6 +134,7 @@ class Calibrate(Command):
             pose_model=self.pose_model,
             method=self.method,
             bayer=self.bayer,
+            response=self.response,
             systematics=known,
             orientation="upright" if self.orientation == "upright" else earlier,
         )

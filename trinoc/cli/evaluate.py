@@ -87,7 +87,7 @@ class Evaluate(Command):
 
     def run(self, command_line: str) -> Outcome:
         """Evaluate every setting, and write the table after each."""
-        files = files_of_views(self.pictures)
+        files = files_of_views(self.pictures, guess=True)
         self._check_usage(bool(files))
 
         from trinoc.io import expect_place, load_shape, save_table

@@ -1,7 +1,7 @@
 """How the command line says which edges of a picture become segments."""
 
 import dataclasses
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from trinoc.cli.command import UsageError
 
@@ -28,6 +28,10 @@ class SegmentOptions:
     """Keep the chords of arcs, such as the rims of cylinders: more of the scene is seen, less
     exactly."""
 
+    response: Literal["linear", "srgb"] | float = "linear"
+    """How the cameras make grey levels of light: linear, srgb (nearly every camera that is not an
+    industrial one), or a number, 0 for linear, 1 for sRGB. Blurred edges are placed by it."""
+
     def check(self) -> None:
         """Raise UsageError for options that no search can follow, before any work starts."""
         for name, value in (
@@ -39,6 +43,11 @@ class SegmentOptions:
         if not self.least_contrast >= 0:
             raise UsageError(
                 f"--least-contrast is {self.least_contrast:g}, but must not be negative."
+            )
+        if not isinstance(self.response, str) and not -1 <= self.response <= 2:
+            raise UsageError(
+                f"--response is {self.response:g}, but must be linear, srgb or a number from -1 "
+                "to 2."
             )
 
     def find(self, image: "np.ndarray") -> "Segments":
@@ -54,6 +63,7 @@ class SegmentOptions:
             "false_alarms": self.false_alarms,
             "least_contrast": self.least_contrast,
             "arcs": self.arcs,
+            "response": self.response,
         }
 
     def why_nothing(self, image: "np.ndarray") -> str:

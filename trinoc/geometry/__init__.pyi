@@ -26,6 +26,8 @@ from .lenses.abstract_lens import (
     ray_of_normalised as ray_of_normalised,
 )
 from .lenses.brown_conrady import BrownConrady as BrownConrady
+from .lenses.kannala_brandt import KannalaBrandt as KannalaBrandt
+from .lenses.rational import Rational as Rational, ThinPrism as ThinPrism
 from .lenses.registry import (
     DEFAULT_DISTORTION as DEFAULT_DISTORTION,
     LENS_MODELS as LENS_MODELS,

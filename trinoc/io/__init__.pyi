@@ -3,6 +3,11 @@ from .atomic import (
     expect_place as expect_place,
     write_text as write_text,
 )
+from .board_json import load_target as load_target, save_target as save_target
+from .compile_cache import (
+    COMPILE_CACHE_VARIABLE as COMPILE_CACHE_VARIABLE,
+    enable_compile_cache as enable_compile_cache,
+)
 from .demo import (
     demo_images as demo_images,
     demo_paths as demo_paths,
@@ -65,6 +70,7 @@ from .rig_json import (
 from .rig_status import CameraStatus as CameraStatus, RigStatus as RigStatus
 from .saving import save as save
 from .segments_npz import load_segments as load_segments
+from .shots import load_shots as load_shots
 from .table_csv import save_table as save_table
 from .usable_cameras import expect_lens as expect_lens, expect_pitch as expect_pitch
 from .views_of_rig import expect_inside as expect_inside, expect_size as expect_size

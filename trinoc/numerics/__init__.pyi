@@ -16,7 +16,14 @@ from .buckets import (
     in_bucket as in_bucket,
     padded as padded,
 )
+from .display import Displays as Displays, Shown as Shown, display_with as display_with
 from .grey import GreyImage as GreyImage, grey_image as grey_image
+from .grouped import (
+    group_medians as group_medians,
+    group_sums as group_sums,
+    of_group as of_group,
+    taken as taken,
+)
 from .information import (
     LARGEST_SIGMA as LARGEST_SIGMA,
     Observability as Observability,
@@ -42,6 +49,7 @@ from .precision import (
     is_traced as is_traced,
     namespace_of as namespace_of,
 )
+from .response import level_of_light as level_of_light, light_of_level as light_of_level
 from .robust_loss import AbstractRobustLoss as AbstractRobustLoss, GemanMcClure as GemanMcClure
 from .robust_scale import MAD_TO_SIGMA as MAD_TO_SIGMA
 from .scalar_vectors import (

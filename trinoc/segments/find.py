@@ -10,7 +10,13 @@ from jaxtyping import Bool, Float, Int, Shaped
 from trinoc.errors import InputError
 from trinoc.geometry import Intrinsics, Segments
 from trinoc.numerics import in_bucket, in_float64, members
-from trinoc.segments.grey import grey_in_255ths
+from trinoc.segments.grey import (
+    Response,
+    bend_of,
+    grey_in_255ths,
+    light_in_255ths,
+    light_of_white,
+)
 from trinoc.segments.junctions import with_junctions
 from trinoc.segments.nevatia_babu import (
     EdgePoints,
@@ -31,6 +37,7 @@ from trinoc.segments.nevatia_babu import (
     noise_variance,
     overlaps,
     runs_of_both_scales,
+    shifts_of_saturated,
     snapped_ends,
     typical_blur,
     without_neighbours,
@@ -50,6 +57,7 @@ def find_segments(
     least_contrast: float = 7.0,
     arcs: bool = False,
     intrinsics: Intrinsics | None = None,
+    response: Response = "linear",
     tuning: SegmentTuning = DEFAULT,
 ) -> Segments:
     """Straight edges of a picture, with polarity, contrast, covariance and junctions.
@@ -67,12 +75,16 @@ def find_segments(
         by up to `tolerance_px`.
     intrinsics : a lens whose distortion is taken out of the edge points before lines are
         fitted; the segments are then in undistorted pixels.
+    response : how the camera makes grey levels of light: "linear", "srgb" (nearly every camera
+        that is not an industrial one), or a number that bends the curve from 0, linear, past 1,
+        sRGB. Edges are found in the grey levels and placed in the light: a response that is not
+        linear moves a blurred edge toward its darker side.
     tuning : every other tuned constant of the chain; a benchmark or a study changes them.
 
     Returns segments whose first end comes first when walking with the darker side on the
     right as seen on the picture, so that every polarity is +1. Their `reasons` tell what
     widened a covariance beyond noise. Raises InputError for what is no picture, for knobs
-    that are not positive, and for a lens of another picture size.
+    that are not positive, for a lens of another picture size and for an unknown response.
 
     After R. Nevatia and K. R. Babu, "Linear feature extraction and description", 1980,
     doi:10.1016/0146-664X(80)90049-0; docs/segments.md tells what differs.
@@ -82,6 +94,7 @@ def find_segments(
             raise InputError(f"{name} is {value}, but must be positive.")
     if not least_contrast >= 0:
         raise InputError(f"least_contrast is {least_contrast}, but must not be negative.")
+    bend = bend_of(response)
     picture = grey_in_255ths(image)
     height, width = picture.grey.shape
     if intrinsics is not None and tuple(intrinsics.image_size_px) != (width, height):
@@ -91,7 +104,8 @@ def find_segments(
             "this camera and resolution."
         )
     kernel = combined_kernel(SMOOTHING)
-    fine = fine_level(picture.grey, picture.quantum, kernel)
+    light = light_in_255ths(image, bend) if bend else picture.grey
+    fine = fine_level(picture.grey, light, picture.quantum, kernel)
     points, first = runs_of_both_scales(fine, kernel, tolerance_px, least_contrast, tuning.scales)
     lines = fit_lines(points, first)
     points, first, lines = _merged(points, first, lines, tolerance_px, tuning.ends.gap_px)
@@ -123,6 +137,18 @@ def find_segments(
         usual_px2,
         tuning.errors,
     )
+    noise = fine.sigma_strength / kernel.noise_gain * lines.light_per_level
+    moved = shifts_of_saturated(
+        fine.light,
+        light_of_white(picture.white, bend) if bend else picture.white,
+        noise,
+        undisturbed,
+        first,
+        lines,
+        disturbed,
+        tuning.saturation,
+    )
+    undisturbed, lines = _shifted(undisturbed, lines, moved.shift_px)
     to_image: Callable[[np.ndarray], np.ndarray] = np.asarray
     if intrinsics is not None and intrinsics.has_distortion:
         uv_px = _mapped(undisturbed.uv_px, intrinsics.undistort_pixel)
@@ -130,12 +156,16 @@ def find_segments(
         to_image = partial(_mapped, through=intrinsics.distort_pixel)
     length = np.ptp(lines.extent_px, axis=1)
     variance, reasons = inflate_variance(
-        disturbed, noise_variance(lines.variance_middle_px2, length), tuning.errors
+        disturbed,
+        noise_variance(lines.variance_middle_px2, length) + moved.uneven_px2,
+        moved.variance_px2,
+        tuning.errors,
     )
     rules = tuning.accept
     bevel = (length < rules.bevel_px) & (disturbed.crowded > rules.bevel_crowded)
     keep = (arcs | is_straight(lines, width, rules)) & (lines.contrast >= least_contrast) & ~bevel
-    kept = lines.take(keep), variance[keep], reasons[keep]
+    off_px2 = np.square(tuning.errors.off_share * disturbed.off_px)
+    kept = lines.take(keep), variance[keep], moved.variance_px2[keep], off_px2[keep], reasons[keep]
     return _as_segments(*kept, picture.grey, to_image, tuning.ends)
 
 
@@ -166,6 +196,18 @@ def _points_of(
     return points.take(index), begins
 
 
+def _shifted(
+    points: EdgePoints, lines: FittedLines, shift_px: Float[np.ndarray, "r"]
+) -> tuple[EdgePoints, FittedLines]:
+    """Lines and their points moved across, toward the brighter side."""
+    if not shift_px.any():
+        return points, lines
+    way = lines.direction * shift_px[:, None]
+    offset = np.stack([way[:, 1], -way[:, 0]], axis=-1)
+    uv_px = points.uv_px + np.repeat(offset, lines.support, axis=0).astype(np.float32)
+    return points._replace(uv_px=uv_px), lines._replace(centre_px=lines.centre_px + offset)
+
+
 @in_float64
 def _mapped(uv_px: Float[np.ndarray, "n 2"], through: Callable) -> np.ndarray:
     """Points taken through a lens or out of it; padded, so that few sizes compile."""
@@ -175,6 +217,8 @@ def _mapped(uv_px: Float[np.ndarray, "n 2"], through: Callable) -> np.ndarray:
 def _as_segments(
     lines: FittedLines,
     variance_px2: Float[np.ndarray, "r"],
+    common_px2: Float[np.ndarray, "r"],
+    off_px2: Float[np.ndarray, "r 2"],
     reasons: Shaped[np.ndarray, "r"],
     grey: Float[np.ndarray, "h w"],
     to_image: Callable[[np.ndarray], np.ndarray],
@@ -189,7 +233,7 @@ def _as_segments(
     return with_junctions(
         Segments(
             endpoints,
-            end_covariances(lines.direction, variance_px2, sigma_along),
+            end_covariances(lines.direction, variance_px2, common_px2, off_px2, sigma_along),
             np.ones(len(position), dtype=np.int64),
             lines.contrast,
             lines.support.astype(np.int64),

@@ -88,21 +88,49 @@ class ErrorTuning:
     # Share of the widening of the profile, px, beyond a first part, px.
     wide_share: float = 0.2
     wide_from_px: float = 0.5
-    # A step that goes on above white by as much again as is seen of it moves by 0.7 widths of its
-    # blur toward dark, twice that much above white by 1.1, half as much by 0.4 (computed). Error
-    # in widths, in px, and the share of saturated points from which it counts.
-    saturated_widths: float = 0.5
-    saturated_px: float = 0.25
-    saturated_from: float = 0.3
     # Share of the bow that noise does not explain, and how many sigmas noise explains.
     bow_share: float = 0.2
     bow_sigmas: float = 1.5
+    # Share of the points' scatter that noise does not explain, and how many times its variance
+    # noise explains; share of the distance of the last points from the line, that stays an error of
+    # that end, and from how many sigmas of it.
+    scatter_share: float = 0.4
+    scatter_noise: float = 2.0
+    off_share: float = 0.7
+    off_sigmas: float = 3.0
     # How far toward the brighter side a pixel must be saturated to bend the profile: at least so
     # many pixels of the level, and so many widths of the blur.
     bright_side_px: float = 2.0
     bright_side_widths: float = 1.75
     # A line borrows the picture's usual blur where its own differs by more than this share.
     blur_spread: float = 0.15
+
+
+@dataclass(frozen=True)
+class SaturationTuning:
+    """What is known before an edge with a saturated bright side is fitted. Shown by the rows of
+    saturated edges: shift and normalised error."""
+
+    # Share of saturated points from which a line is fitted as saturated. By hand.
+    from_share: float = 0.3
+    # Logarithm of the true height of a step over the visible one, and its deviation: surfaces
+    # above white are so by a third or so, rarely by three times. By hand.
+    log_above: float = 0.3
+    log_above_sigma: float = 0.5
+    # The blur of one edge differs from that of others by this share.
+    blur_spread: float = 0.03
+    # With fewer unsaturated edges than this, the blur is taken to be this, px, within this factor.
+    least_edges: int = 3
+    unknown_blur_px: float = 0.8
+    unknown_spread: float = 0.4
+    # A mean profile differs from a blurred step by this share of its height, independently at each
+    # quarter of a pixel; and of the shift this share stays as an error, as blurs are not Gaussian.
+    misfit: float = 0.007
+    shift_share: float = 0.07
+    # The height above white changes along an edge: share of the shift by which its ends differ.
+    uneven_share: float = 0.05
+    # Error, in widths of the blur, where too little of the profile is seen for a fit.
+    unfitted_widths: float = 0.6
 
 
 @dataclass(frozen=True)
@@ -113,6 +141,7 @@ class SegmentTuning:
     accept: AcceptTuning = field(default_factory=AcceptTuning)
     ends: EndTuning = field(default_factory=EndTuning)
     errors: ErrorTuning = field(default_factory=ErrorTuning)
+    saturation: SaturationTuning = field(default_factory=SaturationTuning)
 
 
 DEFAULT = SegmentTuning()

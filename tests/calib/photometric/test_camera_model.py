@@ -16,6 +16,7 @@ from trinoc.calib.photometric.camera_scene import CameraScene, light_terms, pred
 from trinoc.calib.photometric.clipped_noise import clipped, saturation_level
 from trinoc.calib.photometric.correlated_noise import OnGrid, autocorrelation, correlated_sum
 from trinoc.calib.photometric.edges import straight_edge
+from trinoc.calib.photometric.encoding import Encoding
 from trinoc.calib.photometric.ink_coverage import Drawing
 from trinoc.calib.photometric.kernels import Kernel, kernel_coverage
 from trinoc.calib.photometric.local_light import blocks_of_pixels, eliminate_local
@@ -23,11 +24,11 @@ from trinoc.calib.photometric.mosaic import balanced_mosaic
 from trinoc.calib.photometric.noise_by_level import noise_by_level
 from trinoc.calib.photometric.outlines import project_to_image
 from trinoc.calib.photometric.pixel_selection import group_of, select_pixels
-from trinoc.calib.photometric.response import level_of_light, light_of_level
 from trinoc.calib.photometric.sheet_point import SheetPoint
 from trinoc.calib.photometric.unknowns import LOOK_NAMES, START, CameraState
 from trinoc.errors import InputError
 from trinoc.geometry import PoseModel
+from trinoc.numerics import level_of_light, light_of_level
 from trinoc.synth.camera_picture.response import SRGB
 
 pytestmark = pytest.mark.usefixtures("large_programs")
@@ -266,5 +267,9 @@ def test_a_mosaic_is_brought_to_the_levels_of_green() -> None:
     )
     assert np.allclose(balanced.image, picture, atol=1.0)
     assert np.allclose(balanced.noise_scale * gain, 1.0, atol=0.01)
-    with pytest.raises(InputError, match="bayer"):
-        balanced_mosaic(picture.astype(np.float32), "RGB", pose, LENS.lens, pattern)
+
+
+@pytest.mark.parametrize("encoding", [Encoding(bayer="RGB"), Encoding(response="gamma")])  # type: ignore[arg-type]
+def test_unknown_encodings_are_refused(encoding: Encoding) -> None:
+    with pytest.raises(InputError, match="but must be"):
+        encoding.check()

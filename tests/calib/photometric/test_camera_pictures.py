@@ -7,7 +7,7 @@ import pytest
 
 from tests.calib.photometric.test_photometry import RIGHT, START, image_of, mahalanobis, refined
 from tests.calib.simulated import LENS, reference_sheet
-from trinoc.calib.photometric import refine_image
+from trinoc.calib.photometric import Encoding, refine_image
 from trinoc.calib.pose import pose_of_values
 from trinoc.geometry import PoseModel
 from trinoc.synth.camera_picture.response import SRGB
@@ -39,6 +39,23 @@ def test_errors_scatter_as_the_covariance_says(word: str) -> None:
     assert abs(np.mean(squared) - 4) < 3.5 * np.sqrt(2 * 4 / trials)
 
 
+def test_a_known_response_is_not_fitted() -> None:
+    exact = image_of(reference_sheet(), RIGHT, supersampling=24)
+    noise = np.random.default_rng(0).normal(0.0, 2.0, exact.shape)
+    picture = np.rint(srgb(exact + noise)).astype(np.float32)
+    pose = pose_of_values(np.array(START))
+    told, fitted = (
+        refine_image(picture, reference_sheet(), LENS.lens, pose, PoseModel.AIMED, encoding=known)
+        for known in (Encoding(response="srgb"), Encoding())
+    )
+    assert told is not None
+    assert fitted is not None
+    assert told.found == ()
+    assert mahalanobis(told) < 20.0
+    # What is known costs no information.
+    assert np.trace(told.information) > np.trace(fitted.information)
+
+
 def test_a_clean_picture_takes_the_simple_model() -> None:
     exact = image_of(reference_sheet(), RIGHT)
     for seed in range(4):
@@ -55,7 +72,7 @@ def test_a_raw_mosaic_is_fitted_without_interpolation() -> None:
     gain = np.array([[0.55, 1.0], [1.0, 0.65]])[row, column]
     raw = exact * gain + np.random.default_rng(0).normal(0.0, 1.0, exact.shape)
     arguments = (reference_sheet(), LENS.lens, pose_of_values(np.array(START)), PoseModel.AIMED)
-    balanced = refine_image(raw.astype(np.float32), *arguments, bayer="RGGB")
+    balanced = refine_image(raw.astype(np.float32), *arguments, encoding=Encoding("RGGB"))
     assert balanced is not None
     assert mahalanobis(balanced) < 25.0
     # Without a word about its colours it is told, or not answered, without a crash.

@@ -3,10 +3,10 @@
 outlines, pixel_selection -> rays, sheet_point -> edges, ink_coverage, line_pixels -> appearance
 -> normal_equations, gauss_newton -> gate -> image_fit (one image) -> views (all of them).
 
-Where the residuals refute an ideal camera (refutation): kernels, response -> camera_look ->
+Where the residuals refute an ideal camera (refutation): kernels -> camera_look ->
 unknowns, local_light, camera_scene -> clipped_noise, noise_by_level, camera_steps ->
-correlated_noise, camera_evidence -> camera_covariance, camera_fit -> found. mosaic stands before
-all of it."""
+correlated_noise, camera_evidence -> camera_covariance, camera_fit -> found. encoding and
+mosaic stand before all of it."""
 
 import lazy_loader
 

@@ -1,3 +1,4 @@
+from .encoding import Encoding as Encoding, Response as Response
 from .image_fit import ShiftOfPlaces as ShiftOfPlaces, refine_image as refine_image
 from .mosaic import neutral_mosaic as neutral_mosaic
 from .views import (

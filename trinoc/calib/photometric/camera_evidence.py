@@ -26,6 +26,8 @@ GROUPS = {
 _NEEDS = {"line": "along_u", "lobe shape": "lobe"}
 # Free from the first step on: without them a picture's outliers are told wrongly.
 FIRST = ("bend", "kurtosis", "along_u", "diagonal", "lobe")
+# Held where the response is known.
+OF_RESPONSE = ("bend", "contrast", "lift")
 # Chi-square above twice its degrees of freedom (Akaike) by this much frees a group.
 _EVIDENCE = 12.0
 # Uneven light itself makes neighbours agree; noise does no more than this.
@@ -51,6 +53,8 @@ def evidence_for_more(
     spread = inflation(autocorrelation(scene.grid, residual, sums.weight > 0))
     held, free = set(range(layout.size)) - set(active), []
     for name, members in GROUPS.items():
+        if scene.bend is not None and name in OF_RESPONSE:
+            continue
         places = layout.look(*members)
         needed = _NEEDS.get(name)
         ready = needed is None or layout.look(needed)[0] in active

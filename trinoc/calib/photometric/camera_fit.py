@@ -7,7 +7,7 @@ them.
 import numpy as np
 
 from trinoc.calib.photometric.camera_covariance import CameraFit, judged
-from trinoc.calib.photometric.camera_evidence import FIRST, evidence_for_more
+from trinoc.calib.photometric.camera_evidence import FIRST, OF_RESPONSE, evidence_for_more
 from trinoc.calib.photometric.camera_scene import CameraScene, predict_scene
 from trinoc.calib.photometric.camera_steps import (
     Point,
@@ -52,7 +52,8 @@ def fit_camera(
     """
     part = scene.first(PARTS)
     few = blocks.part(scene.first_pixels(PARTS))
-    active = [*scene.layout.simple, *scene.layout.look(*FIRST)]
+    first = [name for name in FIRST if scene.bend is None or name not in OF_RESPONSE]
+    active = [*scene.layout.simple, *scene.layout.look(*first)]
     point = _robust(part, _start(part, fitted, circles), active)
     point = settle(part, _gated(part, point, active), active, _FIRST_STEPS)
     for _ in range(_ROUNDS):
@@ -99,6 +100,7 @@ def _start(scene: CameraScene, fitted: ImageState, circles: Pose) -> CameraState
     look = START.copy()
     for name in ("sigma_px", "spread_mm", "ratio"):
         look[LOOK_NAMES.index(name)] = float(getattr(appearance, name))
+    look[LOOK_NAMES.index("bend")] = scene.bend or 0.0
     light = np.zeros(LIGHT_TERMS)
     light[: len(appearance.light)] = appearance.light
     pose = fitted.pose

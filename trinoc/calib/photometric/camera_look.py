@@ -21,9 +21,8 @@ from trinoc.calib.photometric.ink_coverage import (
 )
 from trinoc.calib.photometric.kernels import Kernel
 from trinoc.calib.photometric.normal_equations import CHUNK
-from trinoc.calib.photometric.response import level_of_light, light_of_level
 from trinoc.calib.photometric.sheet_point import sheet_point
-from trinoc.numerics import ArrayLike
+from trinoc.numerics import ArrayLike, level_of_light, light_of_level
 
 Scalar = Float[ArrayLike, ""]
 

@@ -18,7 +18,7 @@ def found_in(scene: CameraScene, fit: CameraFit) -> tuple[str, ...]:
     """Sentences' halves such as "sharpened" or "saturated paper", the surest only."""
     said = []
     bend, sigma = fit.state.look_of("bend"), _sigma(fit, "bend")
-    if abs(bend) > max(_SIGMAS * sigma, _LEAST_BEND):
+    if scene.bend is None and abs(bend) > max(_SIGMAS * sigma, _LEAST_BEND):
         said.append(f"response {_curve(bend)} ({bend:.2f} +- {sigma:.2f}, 0 linear, 1 sRGB)")
     if _is_sure(fit, "contrast"):
         said.append("response with an s-curve")

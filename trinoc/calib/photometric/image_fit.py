@@ -16,6 +16,7 @@ from trinoc.calib.photometric.camera_fit import fit_camera
 from trinoc.calib.photometric.camera_patches import camera_rows
 from trinoc.calib.photometric.camera_scene import CameraScene, light_terms
 from trinoc.calib.photometric.clipped_noise import saturation_level, white_of
+from trinoc.calib.photometric.encoding import AS_DELIVERED, Encoding
 from trinoc.calib.photometric.found import found_in
 from trinoc.calib.photometric.gate import gate_pixels
 from trinoc.calib.photometric.gauss_newton import (
@@ -103,7 +104,7 @@ def refine_image(
     model: PoseModel,
     *,
     shift: ShiftOfPlaces | None = None,
-    bayer: str | None = None,
+    encoding: Encoding = AS_DELIVERED,
 ) -> ImageRefinement | None:
     """Fit the sheet's model to the pixels near its edges; None where none can be seen.
 
@@ -111,11 +112,12 @@ def refine_image(
 
     shift : how far aside of where the lens and a flat sheet would have them, in px, the picture
         shows places of the sheet.
-    bayer : for a raw mosaic of colours, those of its first two rows, such as "RGGB".
+    encoding : how grey levels stand for light; with a response of sRGB the extended model is
+        fitted at once.
     """
     noise_scale = np.ones_like(image)
-    if bayer is not None:
-        image, noise_scale = balanced_mosaic(image, bayer, start, lens, pattern)
+    if encoding.bayer is not None:
+        image, noise_scale = balanced_mosaic(image, encoding.bayer, start, lens, pattern)
     size = (image.shape[1], image.shape[0])
     appearance = initial_appearance(image, start, lens, pattern)
     contrast = float(-appearance.ratio * appearance.light[0])
@@ -193,13 +195,15 @@ def refine_image(
         model,
         white_of(image),
         saturation_level(image[everything.row, everything.column]),
+        encoding.bend,
     )
     left = residuals(last)
     if floor > _MOSAIC_NOISE * float(np.sqrt(np.mean(left[gate.kept] ** 2))):
         # Flat parts are noisier than what the fit leaves over: neighbours differ by colour.
         return simple(last, groups)._replace(found=("a raw mosaic of colours",))
     look = jax.tree.map(np.asarray, last.state.appearance)
-    refuted = "model" if bayer is not None else refuted_part(scene, look, left, gate.kept, floor)
+    is_ideal = encoding.bayer is None and not encoding.bend
+    refuted = refuted_part(scene, look, left, gate.kept, floor) if is_ideal else "model"
     if refuted == "nothing":
         return simple(last, groups)
     if refuted == "noise":

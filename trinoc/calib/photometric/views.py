@@ -11,7 +11,12 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.calib.model import SheetPoints
-from trinoc.calib.photometric.image_fit import ImageRefinement, ShiftOfPlaces, refine_image
+from trinoc.calib.photometric.encoding import AS_DELIVERED, Encoding
+from trinoc.calib.photometric.image_fit import (
+    ImageRefinement,
+    ShiftOfPlaces,
+    refine_image,
+)
 from trinoc.calib.photometric.outlines import project_to_image
 from trinoc.calib.pose import DEGREES
 from trinoc.calib.result import ImageQuality
@@ -51,16 +56,17 @@ def refine_views(
     lenses: Mapping[str, AbstractLens],
     model: PoseModel,
     shifts: Mapping[str, ShiftOfPlaces],
-    bayer: str | None = None,
+    encoding: Encoding = AS_DELIVERED,
 ) -> dict[str, PictureFit]:
     """Fit each picture from a first pose; in threads, since they share nothing.
 
-    shifts : of the pictures that show the sheet elsewhere; bayer: see `refine_image`.
+    shifts : of the pictures that show the sheet elsewhere; encoding: see
+        `refine_image`.
     """
 
     def refine(name: str) -> PictureFit:
         start, shift = starts[name], shifts.get(name)
-        return _refine(images[name], start, pattern, lenses[name], model, shift, bayer)
+        return _refine(images[name], start, pattern, lenses[name], model, shift, encoding)
 
     return in_threads(refine, list(starts))
 
@@ -91,12 +97,12 @@ def _refine(
     lens: AbstractLens,
     model: PoseModel,
     shift: ShiftOfPlaces | None,
-    bayer: str | None,
+    encoding: Encoding,
 ) -> PictureFit:
     def silent(note: str) -> PictureFit:
         return PictureFit(start, None, None, note)
 
-    refined = refine_image(image, pattern, lens, start, model, shift=shift, bayer=bayer)
+    refined = refine_image(image, pattern, lens, start, model, shift=shift, encoding=encoding)
     if refined is None:
         return silent("the picture has too little contrast to be fitted itself.")
     finite = np.isfinite(refined.information).all() and len(refined.points.place_mm) > 0

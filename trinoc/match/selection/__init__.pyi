@@ -1,9 +1,4 @@
-from .exclusivity import (
-    chosen_greedily as chosen_greedily,
-    claimed as claimed,
-    conflict_graph as conflict_graph,
-    sum_product as sum_product,
-)
+from .exclusivity import claimed as claimed, conflict_graph as conflict_graph
 from .junction_support import (
     JunctionParameters as JunctionParameters,
     endpoint_pairs as endpoint_pairs,
@@ -15,5 +10,10 @@ from .marginals import (
     Tracks as Tracks,
     select as select,
     tracks_of as tracks_of,
+)
+from .messages import (
+    FRAMES_AT_ONCE as FRAMES_AT_ONCE,
+    chosen_greedily as chosen_greedily,
+    sum_product as sum_product,
 )
 from .noise_scale import residual_scale as residual_scale

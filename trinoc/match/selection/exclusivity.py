@@ -1,10 +1,4 @@
-"""Each part of a segment belongs to one line at most: marginals by sum-product belief propagation.
-
-Two candidates conflict where they claim the same part of a segment. On the factor graph of these
-exclusions, the message from a segment to a candidate is -log(1 + sum of the rivals' cavity odds).
-The posterior log odds of a candidate are its prior log odds plus its messages. We use marginals
-and not the MAP assignment: MAP may trade one strong triple for two weak ones, and hides ambiguity.
-"""
+"""Each part of a segment belongs to one line at most: which candidates exclude each other."""
 
 from typing import NamedTuple
 
@@ -13,9 +7,6 @@ from jaxtyping import Bool, Float, Int
 
 from trinoc.match.tuning import DEFAULT, SelectionTuning
 from trinoc.numerics import expand_ranges, pairs_of_equal_keys
-
-# Log odds whose exponential is no overflow.
-_HIGHEST = 60.0
 
 
 class ConflictGraph(NamedTuple):
@@ -98,51 +89,3 @@ def _clash(
 ) -> Bool[np.ndarray, "e"]:
     shared = np.minimum(high, other_high) - np.maximum(low, other_low)
     return shared > least_share * np.minimum(high - low, other_high - other_low)
-
-
-def sum_product(
-    log_odds: Float[np.ndarray, "m"],
-    graph: ConflictGraph,
-    tuning: SelectionTuning = DEFAULT.selection,
-) -> Float[np.ndarray, "m"]:
-    """Log odds of each candidate after exclusion, at the fixed point of the messages."""
-    count = len(log_odds)
-    messages = np.zeros(count * graph.views)
-    posterior_log_odds = chosen_greedily(log_odds, graph)
-    if len(graph.slot) == 0:
-        return log_odds
-    starts = np.flatnonzero(np.diff(graph.slot, prepend=-1))
-    limited = graph.slot[starts]
-    rival = graph.rival_slot // graph.views
-    # The start: only the candidates of the greedy choice (a mask, not log odds yet) send.
-    messages[limited] = -np.log1p(
-        np.add.reduceat(
-            np.where(posterior_log_odds[rival], np.exp(np.minimum(log_odds[rival], _HIGHEST)), 0.0),
-            starts,
-        )
-    )
-    for _ in range(tuning.iterations):
-        total = log_odds + messages.reshape(count, graph.views).sum(axis=1)
-        cavity = total[rival] - messages[graph.rival_slot]
-        fresh = -np.log1p(np.add.reduceat(np.exp(np.minimum(cavity, _HIGHEST)), starts))
-        change = fresh - messages[limited]
-        messages[limited] += (1 - tuning.damping) * change
-        if np.abs(change).max() < tuning.settled:
-            break
-    return log_odds + messages.reshape(count, graph.views).sum(axis=1)
-
-
-def chosen_greedily(score: Float[np.ndarray, "m"], graph: ConflictGraph) -> np.ndarray:
-    """(m,) bool: taken in order of score, where positive and not in conflict with one taken."""
-    count = len(score)
-    taken = np.zeros(count, dtype=bool)
-    barred = np.zeros(count, dtype=bool)
-    owner, rival = graph.slot // graph.views, graph.rival_slot // graph.views
-    start = np.searchsorted(owner, np.arange(count + 1))
-    for m in np.argsort(-score, kind="stable"):
-        if score[m] <= 0:
-            break
-        if not barred[m]:
-            taken[m] = True
-            barred[rival[start[m] : start[m + 1]]] = True
-    return taken

@@ -14,5 +14,6 @@ from .line_fit import FittedLines as FittedLines, fit_lines as fit_lines
 from .masks import combined_kernel as combined_kernel
 from .nfa import least_snr2 as least_snr2
 from .pyramid import fine_level as fine_level
+from .saturated_edges import shifts_of_saturated as shifts_of_saturated
 from .shading import is_on_ramp as is_on_ramp
 from .two_scale import runs_of_both_scales as runs_of_both_scales

@@ -13,6 +13,7 @@ from trinoc.segments.nevatia_babu.line_fit import FittedLines
 from trinoc.segments.tuning import DEFAULT, ErrorTuning
 
 _PIXEL_VARIANCE = 1 / 12
+_LAST_POINTS = 5
 
 
 class ErrorModel(NamedTuple):
@@ -24,16 +25,20 @@ class ErrorModel(NamedTuple):
     crowded : (r,) share of the points that have a neighbouring line within reach.
     widening_px : (r,) root of the variance by which the profile is wider than the typical one.
     saturated : (r,) share of the points whose bright side is saturated.
-    blur_px : (r,) width of the blur, at least the typical one of the image.
     sagitta_px : (r,) deviation from straightness that noise does not explain.
+    scatter_px : (r,) root mean square distance of the points from the line, beyond what noise
+        explains.
+    off_px : (r, 2) how far the last points of each end lie off the line, where noise does not
+        explain it: a neighbour has them.
     """
 
     pull_px: Float[np.ndarray, "r"]
     crowded: Float[np.ndarray, "r"]
     widening_px: Float[np.ndarray, "r"]
     saturated: Float[np.ndarray, "r"]
-    blur_px: Float[np.ndarray, "r"]
     sagitta_px: Float[np.ndarray, "r"]
+    scatter_px: Float[np.ndarray, "r"]
+    off_px: Float[np.ndarray, "r 2"]
 
 
 def error_model(
@@ -54,6 +59,7 @@ def error_model(
     bow = np.abs(lines.sagitta_px)
     noise_bow = BOW_OF_MIDDLE * np.sqrt(lines.variance_middle_px2)
     count = lines.support.astype(np.float64)
+    noise_of_point = lines.variance_middle_px2 * count
     shift = (cleaned.uv_px - measured.uv_px).astype(np.float64)
     near = np.zeros(len(measured.strength))
     near[found.point] = 1.0
@@ -72,18 +78,45 @@ def error_model(
         sums(near, first) / count,
         np.sqrt(np.maximum(lines.blur_px2 - usual_blur_px2, 0.0)),
         sums((level >= white).astype(np.float64), first) / count,
-        blur,
         np.where(bow > tuning.bow_sigmas * noise_bow, bow, 0.0),
+        np.sqrt(np.maximum(lines.residual_px**2 - tuning.scatter_noise * noise_of_point, 0.0)),
+        _off_line(cleaned, first, lines, tuning.off_sigmas * np.sqrt(noise_of_point)),
     )
 
 
+def _off_line(
+    points: EdgePoints,
+    first: Int[np.ndarray, "r"],
+    lines: FittedLines,
+    least_px: Float[np.ndarray, "r"],
+) -> Float[np.ndarray, "r 2"]:
+    """(r, 2) mean distance of the last points at either end from their line.
+
+    0 where it is less than `least_px` over the root of their number.
+    """
+    count = np.minimum(_LAST_POINTS, lines.support)
+    steps = np.arange(_LAST_POINTS)
+    within = steps < count[:, None]
+    begin, end = first[:, None] + steps, (first + lines.support - 1)[:, None] - steps
+    index = np.where(within[:, None], np.stack([begin, end], axis=1), first[:, None, None])
+    offset = points.uv_px[index] - lines.centre_px[:, None, None]
+    way = lines.direction[:, None, None]
+    across = offset[..., 1] * way[..., 0] - offset[..., 0] * way[..., 1]
+    mean = np.abs((across * within[:, None]).sum(axis=2)) / count[:, None]
+    return np.where(mean > (least_px / np.sqrt(count))[:, None], mean, 0.0)
+
+
 def inflate_variance(
-    disturbed: ErrorModel, noise_px2: Float[np.ndarray, "r"], tuning: ErrorTuning = DEFAULT.errors
+    disturbed: ErrorModel,
+    noise_px2: Float[np.ndarray, "r"],
+    saturated_px2: Float[np.ndarray, "r"],
+    tuning: ErrorTuning = DEFAULT.errors,
 ) -> tuple[Float[np.ndarray, "r"], Shaped[np.ndarray, "r"]]:
     """(variance, reason): of each line's place across it, and what added most to it.
 
     `noise_px2` is the variance from noise alone. The reason is "neighbour", "wide",
-    "saturated" or "bent" where that adds more than noise does, and "" elsewhere.
+    "saturated" or "bent" where that adds more than noise does, and "" elsewhere. The variance
+    leaves out `saturated_px2`, the part that moves a line as a whole.
     """
     parts = {
         "neighbour": np.hypot(
@@ -91,11 +124,13 @@ def inflate_variance(
             tuning.crowd_px * np.clip(disturbed.crowded - tuning.crowd_from, 0.0, None),
         ),
         "wide": tuning.wide_share * np.clip(disturbed.widening_px - tuning.wide_from_px, 0.0, None),
-        "saturated": np.hypot(tuning.saturated_px, tuning.saturated_widths * disturbed.blur_px)
-        * (disturbed.saturated > tuning.saturated_from),
-        "bent": tuning.bow_share * disturbed.sagitta_px,
+        "bent": np.hypot(
+            tuning.bow_share * disturbed.sagitta_px, tuning.scatter_share * disturbed.scatter_px
+        ),
     }
     squares = np.square(np.stack(list(parts.values())))
-    most = squares.argmax(axis=0)
-    reasons = np.where(squares.max(axis=0) > noise_px2, np.array(list(parts))[most], "")
+    all_parts = np.concatenate([squares, saturated_px2[None]])
+    most = all_parts.argmax(axis=0)
+    names = np.array([*parts, "saturated"])
+    reasons = np.where(all_parts.max(axis=0) > noise_px2, names[most], "")
     return noise_px2 + squares.sum(axis=0), reasons

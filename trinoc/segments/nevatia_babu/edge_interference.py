@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 from scipy.special import erf
 
 from trinoc.numerics import distinct, members, point_tree
-from trinoc.segments.nevatia_babu.edge_points import EdgePoints
+from trinoc.segments.nevatia_babu.edge_points import FARTHEST, LEAST_SIDE, EdgePoints
 from trinoc.segments.nevatia_babu.endpoints import line_samples
 from trinoc.segments.nevatia_babu.line_fit import FittedLines
 
@@ -22,8 +22,6 @@ REACH_WIDTHS, LEAST_REACH_PX = 3.0, 4.5
 _TAIL = 2.6 / 24
 _LEAST_SHARE = 0.3
 _LEAST_PULL = 0.002
-# In pixels of the level.
-_FARTHEST = 1.5
 
 
 def line_pairs_within(
@@ -114,6 +112,7 @@ def without_neighbours(
     variance = (points.kernel_variance_px2[point] + blur_px2[line]).astype(np.float32)
     height = (lines.contrast / np.sqrt(2 * np.pi)).astype(np.float32)[line]
     height *= cosine / np.sqrt(variance)
+    height *= lines.light_per_level.astype(np.float32)[line] / points.light_per_level[point]
     halved, tail = -0.5 / variance, -np.float32(_TAIL) / variance**4
     scale = np.sqrt(-halved)
     added = np.zeros((len(points.strength), 3), dtype=np.float32)
@@ -136,8 +135,8 @@ def _located_again(points: EdgePoints, added: Float[np.ndarray, "n 3"]) -> EdgeP
     share = middle / before.profile[:, 1]
     usable = (
         (share > _LEAST_SHARE)
-        & (profile > 0.02 * middle[:, None]).all(axis=1)
-        & (np.abs(located - before.sample_px).max(axis=1) < _FARTHEST * before.spacing_px)
+        & (profile > LEAST_SIDE * middle[:, None]).all(axis=1)
+        & (np.abs(located - before.sample_px).max(axis=1) < FARTHEST * before.spacing_px)
     )
     share = np.where(usable, share, 1e-3)
     uv_px, sharpness = points.uv_px.copy(), points.sharpness.copy()

@@ -8,6 +8,10 @@ from jaxtyping import Bool, Float
 from trinoc.segments.nevatia_babu.pyramid import Level
 from trinoc.segments.nevatia_babu.thinning import ThinnedPixels, peak_of_profile
 
+# A profile is no peak where a side has less than this share of the middle, or where its top is
+# this many pixels of the level away.
+LEAST_SIDE, FARTHEST = 0.02, 1.5
+
 
 class EdgePoints(NamedTuple):
     """Points of edges, in pixels and grey levels of the full picture whatever their level.
@@ -20,7 +24,9 @@ class EdgePoints(NamedTuple):
     normal : (n, 2) unit vector across the edge, toward the brighter side.
     along_u : (n,) whether the profile was sampled along u, or else along v.
     profile : (n, 3) gradient along `normal` at the pixel before, at and after the point, along
-        that axis of the picture, in grey levels per pixel.
+        that axis of the picture, in grey levels per pixel. Where the camera's response is not
+        linear: that of the light, scaled so that the middle one is still the grey levels'.
+    light_per_level : (n,) slope of the light over the slope of the grey levels at the point.
     uv_px : (n, 2) position to sub-pixels.
     strength : (n,) size of the gradient, in grey levels per pixel.
     sharpness : (n,) nominal variance of the profile, for a blur of one pixel, over the measured
@@ -37,6 +43,7 @@ class EdgePoints(NamedTuple):
     normal: Float[np.ndarray, "n 2"]
     along_u: Bool[np.ndarray, "n"]
     profile: Float[np.ndarray, "n 3"]
+    light_per_level: Float[np.ndarray, "n"]
     uv_px: Float[np.ndarray, "n 2"]
     strength: Float[np.ndarray, "n"]
     sharpness: Float[np.ndarray, "n"]
@@ -69,6 +76,7 @@ class EdgePoints(NamedTuple):
             normal,
             along_u,
             pixels.profile / spacing,
+            np.ones(count, np.float32),
             pixels.uv_px * spacing + to_full,
             strength,
             strength,
@@ -77,6 +85,31 @@ class EdgePoints(NamedTuple):
         )
         _, variance = points.located(points.profile)
         return points._replace(sharpness=(points.kernel_variance_px2 + 1) / variance)
+
+    def placed_in_light(self, light: Float[np.ndarray, "n 5"]) -> "EdgePoints":
+        """The points where the light has its edge: its gradient, two pixels to both sides.
+
+        The profile is taken about the pixel, of three, at which that gradient is largest. A
+        point at which the light has no peak within reach stays where the grey levels have theirs.
+        """
+        climb = light[:, 1:4].argmax(axis=1)
+        profile = np.take_along_axis(light, climb[:, None] + np.arange(3), axis=1)
+        middle = profile[:, 1]
+        usable = (middle > 0) & (profile > LEAST_SIDE * middle[:, None]).all(axis=1)
+        ratio = np.where(usable, middle / self.strength, 1.0).astype(np.float32)
+        step = ((climb - 1) * usable * self.spacing_px).astype(np.float32)
+        axis = np.stack([self.along_u, ~self.along_u], axis=-1)
+        moved = self._replace(
+            sample_px=self.sample_px + step[:, None] * axis,
+            profile=np.where(usable[:, None], profile / ratio[:, None], self.profile),
+            light_per_level=ratio,
+        )
+        uv_px, variance = moved.located(moved.profile)
+        far = np.abs(uv_px - moved.sample_px).max(axis=1) > FARTHEST * self.spacing_px
+        return moved._replace(
+            uv_px=np.where(far[:, None], self.uv_px, uv_px),
+            sharpness=np.where(far, self.sharpness, (self.kernel_variance_px2 + 1) / variance),
+        )
 
     def located(
         self, profile: Float[np.ndarray, "n 3"]

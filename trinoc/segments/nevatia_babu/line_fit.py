@@ -24,6 +24,7 @@ class FittedLines(NamedTuple):
     direction : (r, 2) unit vector, with the darker side on the right.
     extent_px : (r, 2) first and last point along the line, from the centre.
     contrast : (r,) mean height of the step, in grey levels.
+    light_per_level : (r,) mean slope of the light over that of the grey levels.
     blur_px2 : (r,) mean variance of the edge's own blur.
     kernel_variance_px2 : (r,) mean variance of the smoothing by the kernel.
     variance_middle_px2 : (r,) variance that noise gives the middle of the line across it.
@@ -37,6 +38,7 @@ class FittedLines(NamedTuple):
     direction: Float[np.ndarray, "r 2"]
     extent_px: Float[np.ndarray, "r 2"]
     contrast: Float[np.ndarray, "r"]
+    light_per_level: Float[np.ndarray, "r"]
     blur_px2: Float[np.ndarray, "r"]
     kernel_variance_px2: Float[np.ndarray, "r"]
     variance_middle_px2: Float[np.ndarray, "r"]
@@ -113,6 +115,7 @@ def fit_lines(points: EdgePoints, first: Int[np.ndarray, "r"]) -> FittedLines:
         direction,
         extent,
         sums(points.strength * np.sqrt(2 * np.pi * variance), first) / support,
+        sums(points.light_per_level, first) / support,
         blur,
         kernel_variance,
         1 / sums(information / variance**2, first),

@@ -26,6 +26,8 @@ class Level(NamedTuple):
     Fields
     ------
     grey : (h, w) grey levels.
+    light : (h, w) the light that they stand for, on the same scale; `grey` itself where the
+        camera's response is linear.
     quantum : step between two grey levels, 0 for real numbers.
     spacing_px : distance between two pixels of this level.
     kernel_variance_px2 : variance of the smoothing by the kernel at this level.
@@ -35,6 +37,7 @@ class Level(NamedTuple):
     """
 
     grey: Float[np.ndarray, "h w"]
+    light: Float[np.ndarray, "h w"]
     quantum: float
     spacing_px: float
     kernel_variance_px2: float
@@ -42,18 +45,21 @@ class Level(NamedTuple):
     slope_variance: float
 
 
-def fine_level(grey: Float[np.ndarray, "h w"], quantum: float, kernel: GradientKernel) -> Level:
+def fine_level(
+    grey: Float[np.ndarray, "h w"],
+    light: Float[np.ndarray, "h w"],
+    quantum: float,
+    kernel: GradientKernel,
+) -> Level:
     """The picture itself."""
-    return _level(grey, 1.0, quantum, kernel)
+    return _level(grey, light, 1.0, quantum, kernel)
 
 
 def half_level(fine: Level, kernel: GradientKernel) -> Level:
     """The picture with each two by two pixels averaged; an odd last row or column is left out."""
-    height, width = (side // 2 * 2 for side in fine.grey.shape)
-    half = cv2.resize(
-        fine.grey[:height, :width], (width // 2, height // 2), interpolation=cv2.INTER_AREA
-    )
-    return _level(half, 2.0, fine.quantum / 2, kernel)
+    half = _halved(fine.grey)
+    light = half if fine.light is fine.grey else _halved(fine.light)
+    return _level(half, light, 2.0, fine.quantum / 2, kernel)
 
 
 def level_noise(grey: Float[np.ndarray, "h w"], quantum: float) -> float:
@@ -66,14 +72,26 @@ def level_noise(grey: Float[np.ndarray, "h w"], quantum: float) -> float:
     return max(noise, floor, float(np.finfo(np.float32).tiny) ** 0.25)
 
 
+def _halved(grey: Float[np.ndarray, "h w"]) -> np.ndarray:
+    height, width = (side // 2 * 2 for side in grey.shape)
+    return cv2.resize(
+        grey[:height, :width], (width // 2, height // 2), interpolation=cv2.INTER_AREA
+    )
+
+
 def _level(
-    grey: Float[np.ndarray, "h w"], spacing: float, quantum: float, kernel: GradientKernel
+    grey: Float[np.ndarray, "h w"],
+    light: Float[np.ndarray, "h w"],
+    spacing: float,
+    quantum: float,
+    kernel: GradientKernel,
 ) -> Level:
     sigma = level_noise(grey, quantum)
     # Averaging pixels smooths by (spacing^2 - 1) / 12, as does any box.
     variance = kernel.variance_px2 * spacing**2 + (spacing**2 - 1) / 12
     return Level(
         grey,
+        light,
         quantum,
         spacing,
         variance,

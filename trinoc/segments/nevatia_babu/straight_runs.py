@@ -11,7 +11,7 @@ from trinoc.segments.nevatia_babu.linking import successors
 from trinoc.segments.nevatia_babu.masks import GradientKernel
 from trinoc.segments.nevatia_babu.polygon import split_chains
 from trinoc.segments.nevatia_babu.pyramid import Level
-from trinoc.segments.nevatia_babu.thinning import thinned_pixels
+from trinoc.segments.nevatia_babu.thinning import profile_across, thinned_pixels
 
 # The end points of a run lie where the chain bends: the corner pulls them.
 TRIMMED_POINTS = 1
@@ -37,4 +37,8 @@ def straight_runs(
     order, starts = ordered_chains(successors(pixels, level.grey.shape))
     start, stop = split_chains(pixels.uv_px[order], starts, tolerance_px, least_points)
     index, _, first = members(start + TRIMMED_POINTS, stop - TRIMMED_POINTS)
-    return EdgePoints.of_level(pixels.take(order[index]), level), first
+    points = EdgePoints.of_level(pixels := pixels.take(order[index]), level)
+    if level.light is not level.grey:
+        in_light = profile_across(gradient_of(level.light, kernel), pixels)
+        points = points.placed_in_light(in_light / np.float32(level.spacing_px))
+    return points, first

@@ -84,6 +84,16 @@ def thinned_pixels(
     return ThinnedPixels(pixel, np.stack([gu[peak], gv[peak]], axis=-1), along_u, profile, uv_px)
 
 
+def profile_across(gradient: Gradient, pixels: ThinnedPixels) -> Float[np.ndarray, "n 5"]:
+    """(n, 5) another gradient of the same picture across the same edges: along each pixel's own
+    direction, at the pixel, the two before and the two after it."""
+    normal = pixels.gradient / pixels.profile[:, 1:2]
+    step = np.where(pixels.along_u, 1, gradient.u.shape[1])
+    u, v = gradient.u.ravel(), gradient.v.ravel()
+    near = (pixels.pixel + sign * step for sign in range(-BORDER_PX, BORDER_PX + 1))
+    return np.stack([normal[:, 0] * u[at] + normal[:, 1] * v[at] for at in near], axis=-1)
+
+
 def peak_of_profile(
     profile: Float[np.ndarray, "n 3"],
 ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:

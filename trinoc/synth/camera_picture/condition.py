@@ -55,12 +55,14 @@ class Told(NamedTuple):
     exact : what is taken as exact: "all" of it, the "lens" alone, or "nothing".
     print_scale : measured scales of the print.
     bayer : colours of the mosaic.
+    response : of the camera.
     """
 
     parameters: int = 4
     exact: Literal["all", "lens", "nothing"] = "all"
     print_scale: tuple[float, float] = (1.0, 1.0)
     bayer: str | None = None
+    response: Literal["linear", "srgb", "fit"] = "fit"
 
 
 class Condition(eqx.Module):

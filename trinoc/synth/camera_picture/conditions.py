@@ -70,6 +70,7 @@ _MACHINE_VISION: dict[str, Condition] = {
 
 _PROCESSED: dict[str, Condition] = {
     "sRGB": Condition(processing=_SRGB),
+    "sRGB, told": Condition(processing=_SRGB, told=Told(response="srgb")),
     "sRGB, dark ink": Condition(_DARK_INK, processing=_SRGB),
     "sRGB and sharpening": Condition(
         processing=Processing(response=SRGB(), sharpening=Sharpening(1.0, 0.8))

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.numerics import ArrayLike
+from trinoc.numerics.arrays import ArrayLike
 
 Scalar = Float[ArrayLike, ""]
 

@@ -1,0 +1,120 @@
+"""Edges are placed where the light has them, whatever the camera's response makes of them."""
+
+import jax
+import numpy as np
+import pytest
+from scipy.special import erf
+
+from trinoc.errors import InputError
+from trinoc.numerics import in_float64, level_of_light, light_of_level
+from trinoc.segments import find_segments
+from trinoc.segments.grey import bend_of, light_in_255ths
+from trinoc.synth.camera_picture.response import SRGB
+
+ANGLES = np.arange(8) * np.pi / 4 + 0.13
+
+
+def across(angle: float, middle: np.ndarray) -> np.ndarray:
+    v, u = np.mgrid[:56, :56].astype(float)
+    return (u - middle[0]) * np.cos(angle) + (v - middle[1]) * np.sin(angle)
+
+
+def step(distance: np.ndarray, dark: float, bright: float, width_px: float) -> np.ndarray:
+    return dark + (bright - dark) / 2 * (1 + erf(distance / (np.sqrt(2) * width_px)))
+
+
+def srgb(light: np.ndarray) -> np.ndarray:
+    return SRGB().encoded(light)
+
+
+@in_float64
+def bent(light: np.ndarray) -> np.ndarray:
+    return np.asarray(jax.vmap(level_of_light, (0, None))(light.ravel(), np.asarray(0.5))).reshape(
+        light.shape
+    )
+
+
+def delivered(light: np.ndarray, encoded=srgb, noise: float = 1.5) -> np.ndarray:
+    levels = 255 * encoded(light)
+    levels = levels + np.random.default_rng(5).normal(0, noise, light.shape)
+    return np.clip(np.rint(levels), 0, 255).astype(np.uint8)
+
+
+def offsets(dark: float, bright: float, width_px: float, given, *, encoded=srgb) -> np.ndarray:
+    """(angles, 2) how far the edge lies toward its bright side, in px and in claimed sigmas."""
+    found = []
+    for angle in ANGLES:
+        middle = np.array([27.3, 28.1]) + 0.3 * np.array([np.sin(5 * angle), np.cos(7 * angle)])
+        image = delivered(step(across(angle, middle), dark, bright, width_px), encoded)
+        segments = find_segments(image, response=given)
+        longest = int(np.argmax(segments.length_px))
+        normal = np.array([np.cos(angle), np.sin(angle)])
+        half = np.concatenate([normal, normal]) / 2
+        off = ((np.asarray(segments.endpoints_px)[longest] - middle) @ normal).mean()
+        sigma = np.sqrt(half @ np.asarray(segments.covariance_px2)[longest] @ half)
+        found.append((off, off / sigma))
+    return np.array(found)
+
+
+@pytest.mark.parametrize(
+    ("dark", "bright", "width_px", "moved"),
+    [(0.02, 0.9, 1.0, 0.58), (0.05, 0.5, 1.6, 0.4), (0.2, 0.4, 0.8, 0.12), (0.02, 0.9, 2.1, 0.63)],
+)
+def test_srgb_moves_an_edge_toward_dark_and_is_undone(
+    dark: float, bright: float, width_px: float, moved: float
+) -> None:
+    without, given = (offsets(dark, bright, width_px, r) for r in ("linear", "srgb"))
+    assert without[:, 0].mean() / width_px == pytest.approx(-moved, abs=0.04)
+    assert np.abs(given[:, 0]).max() < 0.045
+    assert abs(given[:, 0].mean()) < 0.015
+    assert np.mean(np.square(given[:, 1])) < 1.6
+
+
+def test_other_responses_are_given_by_a_number() -> None:
+    assert np.abs(offsets(0.1, 0.7, 1.2, 0.5, encoded=bent)[:, 0]).max() < 0.03
+
+
+def test_a_response_of_zero_is_linear_to_the_last_bit() -> None:
+    image = delivered(step(across(0.4, np.array([28.0, 27.0])), 0.1, 0.8, 1.0))
+    linear, zero = find_segments(image), find_segments(image, response=0.0)
+    np.testing.assert_array_equal(linear.endpoints_px, zero.endpoints_px)
+    np.testing.assert_array_equal(linear.covariance_px2, zero.covariance_px2)
+
+
+def test_two_edges_side_by_side_are_parted_in_light() -> None:
+    distance, half_width = across(0.2, np.array([27.4, 27.8])), 2.4
+    bar = step(distance + half_width, 0.03, 0.6, 0.8) - step(distance - half_width, 0, 0.57, 0.8)
+    normal = np.array([np.cos(0.2), np.sin(0.2)])
+    off = {}
+    for response in ("linear", "srgb"):
+        segments = find_segments(delivered(bar), response=response)
+        long = np.flatnonzero(np.asarray(segments.length_px) > 30)
+        assert len(long) == 2
+        places = ((np.asarray(segments.endpoints_px)[long] - [27.4, 27.8]) @ normal).mean(axis=1)
+        off[response] = np.abs(np.sort(places) - [-half_width, half_width]).max()
+    assert off["linear"] > 0.2
+    assert off["srgb"] < 0.1
+
+
+def test_light_of_a_colour_is_the_mean_of_its_channels() -> None:
+    rng = np.random.default_rng(2)
+    colour = rng.integers(0, 256, (20, 30, 3)).astype(np.uint8)
+    light = light_in_255ths(colour, 1.0)
+    curve = np.linspace(0, 1, 4001)
+    expected = 255 * np.interp(colour / 255, SRGB().encoded(curve), curve).mean(axis=2)
+    np.testing.assert_allclose(light, expected, atol=0.5)
+    np.testing.assert_allclose(light, light_in_255ths(colour / 255.0, 1.0), atol=1e-3)
+    np.testing.assert_array_equal(light, light_in_255ths(colour[..., ::-1], 1.0))
+
+
+def test_the_curve_between_knots_is_the_curve() -> None:
+    levels = np.linspace(0, 1.2, 40 * 50).reshape(40, 50)
+    light = light_in_255ths(levels, 1.0)
+    expected = in_float64(jax.vmap(light_of_level, (0, None)))(levels.ravel(), np.asarray(1.0))
+    np.testing.assert_allclose(light.ravel() / 255, np.asarray(expected), atol=2e-6)
+
+
+@pytest.mark.parametrize("response", ["sRGB", "", float("nan"), 7.0])
+def test_an_unknown_response_is_refused(response: str | float) -> None:
+    with pytest.raises(InputError, match="response"):
+        bend_of(response)
