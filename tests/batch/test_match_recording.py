@@ -3,6 +3,7 @@
 import contextlib
 import json
 import sys
+import threading
 
 import numpy as np
 import pytest
@@ -351,3 +352,42 @@ def test_all_frames_failing_is_a_failure(recording, tmp_path, capsys):
     options = ["--rig", str(recording / "rig.json"), "-o", str(tmp_path / "out"), "--quiet"]
     assert main(["batch", str(table), *options]) == 1
     assert "All 1 frames failed" in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_full_disk_keeps_what_is_done_and_the_same_call_goes_on(
+    recording, tmp_path, expected, monkeypatch
+):
+    plain, calls = folder_file.save_frames, iter(range(100))
+
+    def full(*given):
+        if next(calls) == 2:
+            raise InputError("the disk is full.")
+        plain(*given)
+
+    monkeypatch.setattr(folder_file, "save_frames", full)
+    with pytest.raises(InputError, match="the disk is full"):
+        match(recording, tmp_path / "out")
+    assert len(list((tmp_path / "out").glob("matches-*"))) == 2
+    match(recording, tmp_path / "out")
+    assert contents(tmp_path / "out") == expected
+
+
+def test_a_folder_that_cannot_be_made_is_a_sentence(recording, tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match=r"out cannot be written to \(Not a directory\)"):
+        match(recording, tmp_path / "file" / "out")
+
+
+def test_two_jobs_at_once_share_a_folder(recording, tmp_path, expected):
+    jobs = [
+        threading.Thread(target=match, args=(recording, tmp_path / "out"), kwargs={"shard": (k, 2)})
+        for k in (1, 2)
+    ]
+    for job in jobs:
+        job.start()
+    for job in jobs:
+        job.join()
+    found = contents(tmp_path / "out")
+    for name, content in expected.items():
+        assert name == "manifest.jsonl" or found[name] == content

@@ -84,3 +84,28 @@ def test_oldest_kernels_go_first(tmp_path, monkeypatch):
         os.utime(tmp_path / name, (1000 - age, 1000 - age))
     enable_compile_cache()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["c", "d"]
+
+
+@pytest.mark.parametrize(
+    "poison",
+    [lambda b: b"", lambda b: b"poison" * 50, lambda b: b[: len(b) // 2], lambda b: b[::-1]],
+)
+def test_entries_that_are_damaged_change_no_answer(tmp_path, poison):
+    enable_compile_cache(tmp_path / "kernels")
+
+    def answers():
+        jax.clear_caches()
+        return float(jax.jit(lambda x: 3 * x - 1)(5.0))
+
+    assert answers() == 14.0
+    entries = [path for path in (tmp_path / "kernels").iterdir() if path.name.endswith("-cache")]
+    assert entries
+    for entry in entries:
+        entry.write_bytes(poison(entry.read_bytes()))
+    assert answers() == 14.0
+
+
+def test_a_kernel_that_another_process_has_just_removed_is_no_error(tmp_path, monkeypatch):
+    gone = tmp_path / "gone"
+    monkeypatch.setattr(type(tmp_path), "iterdir", lambda _: iter([gone]))
+    assert enable_compile_cache(tmp_path) == tmp_path

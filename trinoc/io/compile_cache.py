@@ -4,6 +4,7 @@ The command line switches this on, and whoever calls `enable_compile_cache`; to 
 alone leaves the JAX settings as they are.
 """
 
+import contextlib
 import logging
 import os
 import stat
@@ -83,7 +84,12 @@ def _is_private(folder: Path) -> bool:
 
 def _forget_oldest(folder: Path) -> None:
     """Keep the folder under MOST_BYTES. JAX can, too, but only with a further package."""
-    files = [(file.stat(), file) for file in folder.iterdir() if file.is_file()]
+    files = []
+    for file in folder.iterdir():
+        # Another process may be doing the same.
+        with contextlib.suppress(FileNotFoundError):
+            files.append((file.stat(), file))
+    files = [(status, file) for status, file in files if stat.S_ISREG(status.st_mode)]
     size = sum(status.st_size for status, _ in files)
     for status, file in sorted(files, key=lambda pair: pair[0].st_mtime):
         if size <= MOST_BYTES:
