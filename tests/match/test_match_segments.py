@@ -8,7 +8,7 @@ from trinoc.errors import InputError, MatchError
 from trinoc.geometry import Rig, Segments
 from trinoc.match import match_segments
 from trinoc.match.candidates import triples as candidates
-from trinoc.match.occlusion import pairs as occluded
+from trinoc.match.occlusion import possible_pairs as occluded
 from trinoc.match.tracks.rejection import reasons
 
 VIEWS = ("upper", "left", "right")
