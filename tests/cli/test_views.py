@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 
 from trinoc.cli.command import UsageError
-from trinoc.cli.views import files_of_views, with_names
+from trinoc.cli.views import files_of_rig, files_of_views
 
 NAMES = st.lists(st.text("abcdefgh", min_size=1, max_size=6), min_size=2, max_size=4, unique=True)
 PART = st.text("xyz", max_size=4)
@@ -44,10 +44,10 @@ def test_nothing_is_guessed_unless_that_is_wanted() -> None:
 
 def test_the_names_of_the_rig_are_found_in_those_of_the_files() -> None:
     rig = ("upper", "left")
-    files = files_of_views(("scan3-left.png", "scan3-upper-b.png"), guess=True)
-    assert with_names(files, rig) == {
+    assert files_of_rig(("scan3-left.png", "scan3-upper-b.png"), rig) == {
         "left": Path("scan3-left.png"),
         "upper": Path("scan3-upper-b.png"),
     }
-    other = {"a": Path("one.png"), "b": Path("two.png")}
-    assert with_names(other, rig) == other
+    assert list(files_of_rig(("one.png", "two.png"), rig)) == ["one", "two"]
+    # A name that is given is meant.
+    assert list(files_of_rig(("lower=left.png", "upper=upper.png"), rig)) == ["lower", "upper"]

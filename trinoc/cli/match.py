@@ -15,7 +15,7 @@ from trinoc.cli.progress import LOGGER
 from trinoc.cli.rig_file import doubts_of, doubts_table, read_rig
 from trinoc.cli.scene_files import check_views, read_segments
 from trinoc.cli.segment_options import SegmentOptions
-from trinoc.cli.views import files_of_views, with_names
+from trinoc.cli.views import files_of_rig, files_of_views
 
 if TYPE_CHECKING:
     from trinoc.geometry import Segments
@@ -78,7 +78,7 @@ class Match(SegmentOptions, Command):
 
         expect_place(self.out, self.report)
         rig = read_rig(self.rig)
-        files = with_names(files, rig.names)
+        files = files_of_rig(self.pictures, rig.names)
         check_views(files, rig, self.rig)
         if self.dry_run:
             sizes = {name: rig[name].image_size_px for name in files}

@@ -70,9 +70,13 @@ def _whole_parts(shared: str) -> str:
     return shared[: last + 1]
 
 
-def with_names(files: dict[str, Path], names: Collection[str]) -> dict[str, Path]:
-    """Files whose guessed names are not those of the rig, by the rig's own where these tell."""
-    if set(files) <= set(names):
+def files_of_rig(arguments: Sequence[str], names: Collection[str]) -> dict[str, Path]:
+    """Files for the cameras of a rig: where no name is given, by the rig's own where these tell.
+
+    Raises UsageError.
+    """
+    files = files_of_views(arguments, guess=True)
+    if set(files) <= set(names) or any("=" in argument for argument in arguments):
         return files
     found = {}
     for file in files.values():

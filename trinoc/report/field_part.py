@@ -59,13 +59,13 @@ class FieldMap(NamedTuple):
 class FieldPart(NamedTuple):
     """Maps of epipolar lines (px) and of points in space (mm); sigmas of the cameras alone.
 
-    `middle_mm` is the largest sigma of a point in the middle of the lowest map; `worst_px` the
-    largest sigma of an epipolar line anywhere.
+    `worst_mm` is the largest sigma of a point on the maps, not of one in the middle: where all axes
+    meet, a rig knows its points best, or exactly. `worst_px` is that of an epipolar line anywhere.
     """
 
     pictures: tuple[FieldMap, ...]
     planes: tuple[FieldMap, ...]
-    middle_mm: float
+    worst_mm: float
     worst_px: float
 
 
@@ -88,9 +88,9 @@ def field_part(
     maps = tuple(
         _picture_map(name, pictures[name], places[name], sigmas[name], scale) for name in rig
     )
-    planes, middle = _planes(rig, pattern, matches)
+    planes, worst = _planes(rig, pattern, matches)
     finite = everything[np.isfinite(everything)]
-    return FieldPart(maps, planes, middle, float(finite.max()) if len(finite) else np.nan)
+    return FieldPart(maps, planes, worst, float(finite.max()) if len(finite) else np.nan)
 
 
 def _other(rig: Rig, name: str) -> str:
@@ -145,7 +145,7 @@ def _planes(
         )
         for height, sigma in zip(heights, levels, strict=True)
     )
-    return maps, float(levels[0][len(grid) // 2])
+    return maps, scale.largest
 
 
 def _point_sigmas(

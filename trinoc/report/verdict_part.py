@@ -77,7 +77,7 @@ def verdict_part(
     for part in epipolar:
         if part.kind == "circles":
             checks.append(_epipolar(part))
-    if field is not None and np.isfinite(field.middle_mm):
+    if field is not None and np.isfinite(field.worst_mm):
         checks.append(_known(field, result))
     if matches is not None:
         checks += [_matched(matches), *_agreeing(matches), *_located(matches)]
@@ -216,9 +216,9 @@ def _known(field: FieldPart, result: CalibrationResult | None) -> Check:
     return Check(
         "How well is a place known?",
         Level.JUDGE,
-        f"± {millimetres(field.middle_mm)}",
-        "one sigma of a point in the middle, along its worst direction, by the errors of the "
-        f"cameras alone.{included}",
+        f"± {millimetres(field.worst_mm)}",
+        "one sigma where it is largest, on the sheet and above it, by the errors of the cameras "
+        f"alone.{included}",
         "If that is too much: measure the bars of the sheet (--print-scale), calibrate the lens, "
         "put the cameras farther apart.",
         "field",
