@@ -2,7 +2,7 @@
 
     python benchmarks/rigs_from_shots.py [--trials 10] [--shots 10] [--made] [--real] [--one]
 
-Made: three cameras with unknown lenses of five coefficients, and what a detector with the stated
+Made: three cameras with unknown lenses of four coefficients, and what a detector with the stated
 noise reports of a chessboard (corners) and of our sheet (circles, by the exact centres of their
 images). The bound is the covariance of the least squares at the stated noise. Beside trinoc, on the
 same observations: cv2.calibrateCamera for each camera and then cv2.stereoCalibrate with the first,
@@ -39,11 +39,11 @@ from trinoc.geometry import (
     image_of_circle_centre,
 )
 
-SIZE_PX = (640, 480)
+SIZE_PX, METRE_MM = (640, 480), 1000.0
 LENSES = {
-    "left": (800.0, 805.0, 322.0, 236.0, -0.20, 0.06, 0.001, -0.0005, 0.02),
-    "middle": (780.0, 782.0, 315.0, 243.0, -0.15, 0.03, 0.0, 0.001, 0.01),
-    "right": (820.0, 818.0, 326.0, 240.0, -0.18, 0.05, -0.001, 0.0, -0.01),
+    "left": (800.0, 805.0, 322.0, 236.0, -0.20, 0.06, 0.001, -0.0005, 0.0),
+    "middle": (780.0, 782.0, 315.0, 243.0, -0.15, 0.03, 0.0, 0.001, 0.0),
+    "right": (820.0, 818.0, 326.0, 240.0, -0.18, 0.05, -0.001, 0.0, 0.0),
 }
 PLACES = {"left": (-0.35, -220.0), "middle": (0.0, 0.0), "right": (0.35, 220.0)}
 BOARDS: dict[str, tuple[AbstractTarget, float]] = {
@@ -138,7 +138,7 @@ def pose_numbers(name: str, pose: np.ndarray) -> dict[str, float]:
 
 
 def by_trinoc(target, found):
-    result = calibrate_rig(found, target, world="left", systematics=Systematics(), distortion=5)
+    result = calibrate_rig(found, target, world="left", systematics=Systematics(), distortion=4)
     values = dict(zip(result.parameters, result.values, strict=True))
     sigmas = {name: result.sigma(name) for name in result.parameters}
     bound = {n: s / result.sigma_factor.get(n.split(".")[0], 1.0) for n, s in sigmas.items()}
@@ -158,7 +158,7 @@ def by_opencv(target, found, *, free: bool) -> dict[str, float]:
     for name, own in found.items():
         pairs = [points(target, each) for each in own if each is not None]
         start = np.array([[800.0, 0, 319.5], [0, 800.0, 239.5], [0, 0, 1]])
-        flags = cv2.CALIB_USE_INTRINSIC_GUESS
+        flags = cv2.CALIB_USE_INTRINSIC_GUESS | cv2.CALIB_FIX_K3
         _, matrix, distortion, _, _ = cv2.calibrateCamera(
             [p for p, _ in pairs], [q for _, q in pairs], SIZE_PX, start, np.zeros(5), flags=flags
         )
@@ -171,7 +171,8 @@ def by_opencv(target, found, *, free: bool) -> dict[str, float]:
             place.append(np.pad(target.centres_mm[both], ((0, 0), (0, 1))).astype(np.float32))
             one.append(a.centres_px[np.isin(a.circle_index, both)].astype(np.float32))
             other.append(b.centres_px[np.isin(b.circle_index, both)].astype(np.float32))
-        flags = cv2.CALIB_USE_INTRINSIC_GUESS if free else cv2.CALIB_FIX_INTRINSIC
+        flags = cv2.CALIB_USE_INTRINSIC_GUESS | cv2.CALIB_FIX_K3
+        flags = flags if free else cv2.CALIB_FIX_INTRINSIC
         (m1, d1), (m2, d2) = lenses["left"], lenses[name]
         _, m1, d1, m2, d2, turn, shift, *_ = cv2.stereoCalibrate(
             place, one, other, m1.copy(), d1.copy(), m2.copy(), d2.copy(), SIZE_PX, flags=flags,
@@ -189,8 +190,8 @@ def by_opencv(target, found, *, free: bool) -> dict[str, float]:
 
 
 def by_multiview(target, found) -> dict[str, float]:
-    """OpenCV 5's joint estimate, from the lenses of cv2.calibrateCamera."""
-    everything = np.pad(target.centres_mm, ((0, 0), (0, 1))).astype(np.float32)
+    """OpenCV 5's joint estimate; in millimetres it takes every board for a line."""
+    everything = np.pad(target.centres_mm / METRE_MM, ((0, 0), (0, 1))).astype(np.float32)
     shots = len(found["left"])
     image, mask = [], np.zeros((len(found), shots), np.uint8)
     for c, own in enumerate(found.values()):
@@ -209,7 +210,9 @@ def by_multiview(target, found) -> dict[str, float]:
     _, matrices, distortions, turns, shifts = out[:5]
     values = {}
     poses = [
-        np.column_stack([rotation(turn) if np.size(turn) == 3 else turn, np.ravel(shift)])
+        np.column_stack(
+            [rotation(turn) if np.size(turn) == 3 else turn, METRE_MM * np.ravel(shift)]
+        )
         for turn, shift in zip(turns, shifts, strict=True)
     ]
     for k, name in enumerate(found):
@@ -222,7 +225,7 @@ def by_multiview(target, found) -> dict[str, float]:
 
 def made(trials: int, shots: int) -> None:
     true = truth()
-    lens_keys = [k for k in true if k.split(".")[1] in BrownConrady.parameter_names]
+    lens_keys = [k for k in true if k.split(".")[1] in BrownConrady.parameter_names[:8]]
     pose_keys = [k for k in true if k.split(".")[1] in POSE and not k.startswith("left.")]
     for title, (target, sigma_px) in BOARDS.items():
         errors: dict[str, list] = {}
@@ -245,7 +248,7 @@ def made(trials: int, shots: int) -> None:
                 try:
                     own = estimate(target, found)
                 except cv2.error as error:
-                    print(f"  {chain} fails: {str(error).splitlines()[0][:100]}")
+                    print(f"  {chain} fails: {str(error).split('(-')[-1][:160]}")
                     continue
                 row = [(own[k] - true[k]) / bound[k] for k in (*lens_keys, *pose_keys)]
                 errors.setdefault(chain, []).append(row)

@@ -27,7 +27,7 @@ with jax.enable_x64(True):
 
 # %% [markdown]
 # ## Noise alone
-# Sixty calibrations of one camera, each from the same 25 points with noise of 0.02 px.
+# Thirty calibrations of one camera, each from the same 25 points with noise of 0.02 px.
 
 # %%
 random, sigma_px = np.random.default_rng(7), 0.02
@@ -38,7 +38,7 @@ fits = [
         camera.intrinsics,
         pose_model="aimed",
     )
-    for _ in range(60)
+    for _ in range(30)
 ]
 truth = {"pan_deg": camera.pan_deg, "tilt_deg": camera.tilt_deg, "distance_mm": camera.distance_mm}
 for name, true in truth.items():

@@ -76,5 +76,5 @@ for place in ((0.0, 0.0, 0.0), (60.0, 60.0, 0.0), (0.0, 0.0, 60.0)):
 
 # %%
 assert all(status.name == "CONVERGED" for status in result.status.values())
-assert worst_sigma_mm((0, 0, 0)) < worst_sigma_mm((60, 60, 0)) < 1.0
+assert worst_sigma_mm((0.0, 0.0, 0.0)) < worst_sigma_mm((60.0, 60.0, 0.0)) < 1.0
 assert result.to_frame()["sigma"].notna().all()

@@ -4,8 +4,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
-from trinoc.calib import AbstractTarget, Charuco, Chessboard, dark_squares
-from trinoc.calib.detection import opencv_board
+from trinoc.calib import AbstractTarget, Charuco, Chessboard, dark_squares, opencv_board
 from trinoc.errors import InputError
 
 # Pixels of OpenCV's drawing for one cell of a marker: read off in their middles.

@@ -121,12 +121,12 @@ def match_frames(
         if not again.all():
             seen = with_noise_scale(stated, scale[left])
             args = (selections, outside, clutter, depth_range_mm, tuning)
-            results = _finished(seen, [names[k] for k in left], scale[left], *args)
-            found |= {k: results[n] for n, k in enumerate(left) if not again[n]}
+            results = _finished(seen, [names[k] for k in left.tolist()], scale[left], *args)
+            found |= {k: results[n] for n, k in enumerate(left.tolist()) if not again[n]}
         if not again.any():
             break
         left = left[again]
-        stated = stacked_frames([frames[k] for k in left])
+        stated = stacked_frames([frames[k] for k in left.tolist()])
     return [found[k] for k in range(len(frames))]
 
 

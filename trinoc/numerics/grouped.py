@@ -3,30 +3,32 @@
 Without groups (None) all rows are of one problem, and results have no axis of groups.
 """
 
+from typing import Any
+
 import numpy as np
 from jaxtyping import Float, Int, Shaped
 
 Group = Int[np.ndarray, "m"] | None
 
 
-def of_group(values: np.ndarray | float, group: Group) -> np.ndarray | float:
+def of_group(values: Any, group: Group) -> Any:
     """What belongs to each row: the values of its group, or those of all."""
     return values if group is None else np.asarray(values)[group]
 
 
-def taken(group: Group, rows: Shaped[np.ndarray, "_"]) -> Group:
+def taken(group: Group, rows: Shaped[np.ndarray, "_"]) -> Int[np.ndarray, "k"] | None:
     """The groups of some rows, by a mask or by numbers."""
     return None if group is None else group[rows]
 
 
 def group_sums(
     values: Float[np.ndarray, "m *k"], group: Group, groups: int
-) -> Float[np.ndarray, "*g"] | Float[np.ndarray, ""]:
+) -> Float[np.ndarray, "*g"]:
     """Sum of the rows of each group: (groups, *k), or (*k) without groups."""
     if group is None:
-        return values.sum(axis=0)
+        return np.asarray(values.sum(axis=0))
     columns = values.reshape(len(values), int(np.prod(values.shape[1:]))).T
-    total = np.array([np.bincount(group, column, groups) for column in columns])
+    total = np.array([np.bincount(group, column, groups) for column in columns], dtype=np.float64)
     return total.T.reshape(groups, *values.shape[1:])
 
 
@@ -42,4 +44,4 @@ def group_medians(
     median = np.where(
         count > 0, (ordered[low] + ordered[np.minimum(high, len(values))]) / 2, np.nan
     )
-    return median[0] if group is None else median
+    return np.asarray(median[0]) if group is None else median

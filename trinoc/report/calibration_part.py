@@ -35,11 +35,11 @@ MEANINGS = (
     ("residual length, rms", "of the circles' centres, predicted minus observed"),
     ("chi-square of the circles / dof", "their squared residuals over their own noise: near 1"),
     ("rank", "number of parameters that the picture determines: all that are fitted"),
-    ("noise left by the fit", "of the grey levels near edges: no more than that of flat paper"),
+    ("noise left by the fit", "of the grey levels near edges: no more than the picture's own"),
     (
-        "noise of flat paper",
-        "the same where nothing is drawn, which no fit explains; paper is brighter than ink, and "
-        "bright parts of a picture are the noisier ones",
+        "noise that is the picture's own",
+        "that of flat paper, which no fit explains; paper is brighter than ink, and bright parts "
+        "are the noisier ones. What is left by the fit where noise was fitted by level",
     ),
     ("pixels used, cut", "near edges of ink; cut where something else is seen, such as a thumb"),
     ("blur", "sigma of the lens's blur"),
@@ -168,7 +168,7 @@ def _picture_figures(result: CalibrationResult, name: str) -> tuple[tuple[str, s
     over_bound = np.sqrt(variance / bound).max() if bounded else np.nan
     return (
         ("noise left by the fit", f"{with_decimals(quality.noise, 2)} grey levels"),
-        ("noise of flat paper", f"{with_decimals(quality.noise_floor, 2)} grey levels"),
+        ("noise that is the picture's own", f"{with_decimals(quality.noise_floor, 2)} grey levels"),
         ("pixels used, cut", f"{quality.pixels:,}, {quality.pixels_cut:,}"),
         ("blur", f"{with_decimals(quality.blur_px, 3)} px"),
         ("ink spread", f"{with_decimals(quality.ink_spread_mm, 4)} mm"),

@@ -54,7 +54,7 @@ def millimetres(value: float) -> str:
         return "not known"
     number, unit = (1000 * value, "µm") if value < 0.01 else (value, "mm")
     decimals = decimals_for(number, fallback=0)
-    return f"{number:.{min(decimals, 2)}f} {unit}"
+    return f"{number:.{min(decimals, 3)}f} {unit}"
 
 
 def in_words(name: str) -> str:

@@ -42,12 +42,20 @@ class Label(NamedTuple):
     role: str
 
 
+class View(NamedTuple):
+    """A named box to fill the figure, and the azimuth of the eye, from X toward Y, in radians."""
+
+    name: str
+    box: Box
+    azimuth: float = -1.15
+
+
 class SpaceFigure(NamedTuple):
-    """Everything that a figure in space needs; `views` are named boxes, the first one to begin."""
+    """Everything that a figure in space needs; the first of `views` is the one to begin with."""
 
     layers: tuple[Layer, ...]
     labels: tuple[Label, ...]
-    views: tuple[tuple[str, Box], ...]
+    views: tuple[View, ...]
 
     @classmethod
     def of_tracks(cls, matches: Matches) -> "SpaceFigure":
@@ -72,8 +80,12 @@ class SpaceFigure(NamedTuple):
                 for label in self.labels
             ],
             "views": [
-                {"low": np.round(box.low_mm, 3).tolist(), "high": np.round(box.high_mm, 3).tolist()}
-                for _, box in self.views
+                {
+                    "low": np.round(view.box.low_mm, 3).tolist(),
+                    "high": np.round(view.box.high_mm, 3).tolist(),
+                    "azimuth": round(view.azimuth, 3),
+                }
+                for view in self.views
             ],
         }
 
@@ -185,12 +197,12 @@ def _axes(pattern: Pattern | None, matches: Matches | None) -> tuple[Layer, list
     return Layer(f"world axes, {reach:.0f} mm long", "axes", parts), labels
 
 
-def _views(
-    rig: Rig, pattern: Pattern | None, matches: Matches | None
-) -> tuple[tuple[str, Box], ...]:
-    """Named boxes: the content near the world's origin, and everything with the cameras."""
+def _views(rig: Rig, pattern: Pattern | None, matches: Matches | None) -> tuple[View, ...]:
+    """The content near the world's origin, and everything with the cameras."""
     content = content_box(pattern, matches)
-    whole = ("Whole rig", whole_box(rig, content))
+    # From the side, so that no camera stands before what all of them look at.
+    x, y, _ = np.mean([camera.centre_world_mm for _, camera in rig.items()], axis=0)
+    whole = View("Whole rig", whole_box(rig, content), float(np.arctan2(y, x)) + 1.25)
     if content is None or matches is None or not len(matches):
-        return (whole,) if content is None else (whole, ("Sheet", content))
-    return ("Segments", content), whole
+        return (whole,) if content is None else (whole, View("Sheet", content))
+    return View("Segments", content), whole

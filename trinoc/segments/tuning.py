@@ -37,6 +37,10 @@ class AcceptTuning:
 
     # A profile whose variance is this much larger than usual is a soft shadow (prototype),
     soft_ratio: float = 1.5
+    # and in pictures whose edges have many widths one beyond so many half ranges between their
+    # quartiles, at most so much larger. By hand, on three photographs and ten rendered scenes,
+    soft_spreads: float = 4.0
+    soft_most: float = 3.0
     # unless its blur has less than this variance, px^2: photographs with depth have edges of
     # many widths. By hand; shown by Merton.
     sharp_px2: float = 2.0
@@ -44,6 +48,12 @@ class AcceptTuning:
     # this share of the picture's width. The share is from the prototype, the bow by hand.
     arc_bow_px: float = 0.8
     arc_radius_of_width: float = 0.2
+    # A line is no arc, all the same, where its bow explains less than this share of the points'
+    # variance about it, is below this share of its length, and the line is longer than this, px. By
+    # hand, on the same pictures.
+    arc_explains: float = 0.7
+    arc_bow_of_length: float = 0.04
+    arc_least_px: float = 12.0
     # Pieces of one arc, bowed by at least this, px, and this near, px, turn from each to the next
     # by an angle in this range, degrees, and by what their bows promise within this factor. By
     # hand.

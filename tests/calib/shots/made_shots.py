@@ -1,5 +1,7 @@
 """Shots of a board by cameras that are known, with seeded noise."""
 
+from typing import Any
+
 import jax
 import numpy as np
 
@@ -78,7 +80,7 @@ def detection(
 
 def shots(
     seed: int = 1, count: int = 7, cameras: tuple[str, ...] = tuple(LENSES), **poses
-) -> dict[str, list[Detection]]:
+) -> dict[str, list[Any]]:
     random = np.random.default_rng(seed)
     boards = board_poses(count, **poses)
     return {name: [detection(name, board, random) for board in boards] for name in cameras}

@@ -8,6 +8,7 @@ from trinoc.calib import Systematics, calibrate_rig, projection_sigma
 from trinoc.calib.result import Status
 from trinoc.errors import CalibrationError, InputError
 from trinoc.geometry import Intrinsics
+from trinoc.io import load_rig, save
 
 EXACT = Systematics()
 
@@ -59,6 +60,7 @@ def test_what_is_true_of_the_fit_is_said(found):
 
 def test_the_world_may_be_a_camera(found):
     rig = calibrate_rig(shots(), BOARD, systematics=EXACT, world="middle").rig
+    assert rig is not None
     np.testing.assert_allclose(np.asarray(rig["middle"].cam_from_world), np.eye(3, 4), atol=1e-9)
     poses = {name: np.asarray(rig[name].cam_from_world) for name in LENSES}
     before = {name: np.asarray(found.rig[name].cam_from_world) for name in LENSES}
@@ -68,6 +70,15 @@ def test_the_world_may_be_a_camera(found):
     assert "middle.turn_x_deg" not in rig.parameters
     with pytest.raises(InputError, match="neither a camera"):
         calibrate_rig(shots(), BOARD, systematics=EXACT, world="attic")
+
+
+def test_rig_json_holds_the_covariance_of_poses_and_lenses(found, tmp_path):
+    save(found, tmp_path / "rig.json")
+    back = load_rig(tmp_path / "rig.json")
+    assert back.parameters == found.rig.parameters
+    assert {"left.pan_deg", "left.fx_px", "right.k1"} <= set(back.parameters)
+    np.testing.assert_allclose(back.covariance, found.rig.covariance, rtol=1e-12)
+    assert back.sigma("left.fx_px") == pytest.approx(found.sigma("left.fx_px"))
 
 
 def test_a_picture_of_another_moment_is_refused_by_name(found):
@@ -95,6 +106,7 @@ def test_cameras_that_never_share_a_shot_are_chained():
     seen["left"][::2] = [None] * 4
     seen["right"][1::2] = [None] * 3
     rig = calibrate_rig(seen, BOARD, systematics=EXACT).rig
+    assert rig is not None
     poses = {name: np.asarray(rig[name].cam_from_world) for name in LENSES}
     exact = {name: cam_from_rig(name) for name in LENSES}
     step, true = relative(poses, "left", "right"), relative(exact, "left", "right")
@@ -134,6 +146,7 @@ def test_known_lenses_are_held():
     known = {name: Intrinsics.of_lens(lens_of(name), (640, 480)) for name in LENSES}
     result = calibrate_rig(shots(count=1), BOARD, lens=known, systematics=EXACT)
     assert result.status is Status.CONVERGED
+    assert result.rig is not None
     assert result.sigma("left.fx_px") == 0.0
     poses = {name: np.asarray(result.rig[name].cam_from_world) for name in LENSES}
     exact = {name: cam_from_rig(name) for name in LENSES}

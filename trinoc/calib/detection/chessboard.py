@@ -75,12 +75,13 @@ def levels_of_8_bit(grey: Float[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w"]:
 
 def _labellings(
     corners_px: Float[np.ndarray, "n 2"], board: Chessboard
-) -> list[Int[np.ndarray, "n"]]:
+) -> list[Int[np.ndarray, "_n"]]:
     """Orders in which the corners found are those of the board, seen from its front: for each
     corner of the board the one found there."""
     grid = np.arange(len(corners_px)).reshape(board.rows, board.columns)
-    across = np.gradient(corners_px.reshape(board.rows, board.columns, 2), axis=1).mean((0, 1))
-    down = np.gradient(corners_px.reshape(board.rows, board.columns, 2), axis=0).mean((0, 1))
+    places = corners_px.reshape(board.rows, board.columns, 2)
+    across = np.mean(places[:, -1] - places[:, 0], axis=0)
+    down = np.mean(places[-1] - places[0], axis=0)
     if across[0] * down[1] - across[1] * down[0] < 0:
         grid = grid[:, ::-1]
     turned = [np.rot90(grid, quarters) for quarters in range(4)]

@@ -18,7 +18,8 @@ class ImageQuality(eqx.Module):
     Fields
     ------
     noise : standard deviation of the residuals, grey levels.
-    noise_floor : the same of the picture's flat parts, which no fit can go below.
+    noise_floor : the same of the picture's flat parts, which no fit can go below; `noise` itself
+        where it depends on the grey level, so that flat parts do not tell.
     pixels : number of pixels that took part.
     pixels_cut : number of pixels near an edge of the sheet that show something else.
     blur_px : sigma of the lens's blur.

@@ -52,13 +52,15 @@ class Information(NamedTuple):
 
 def information_of(problem: Problem) -> Information:
     """The information at a problem's state."""
-    parts = [np.asarray(part) for part in _of_shots(problem.state, problem.chart, problem.table)]
+    of_shot, pulls, follow, own = (
+        np.asarray(part) for part in _of_shots(problem.state, problem.chart, problem.table)
+    )
     free = np.flatnonzero(problem.chart.free)
     prior = np.zeros((len(problem.chart.free),) * 2)
     scale = np.asarray(problem.chart.sheet_scale)
     known = np.asarray(problem.chart.sheet_information)
     prior[-SHEET_SIZE:, -SHEET_SIZE:] = scale[:, None] * known * scale
-    return Information(*parts, free, prior[np.ix_(free, free)])
+    return Information(of_shot, pulls, follow, own, free, prior[np.ix_(free, free)])
 
 
 @eqx.filter_jit
@@ -163,7 +165,7 @@ def cam_from_world(state: RigState, world: World) -> Float[ArrayLike, "c 3 4"]:
     return jax.vmap(pose)(jnp.asarray(state.cam_from_rig))
 
 
-def _index(number: int | None) -> np.ndarray | None:
+def _index(number: int | np.ndarray | None) -> np.ndarray | None:
     """A number as an array, so that another one does not compile anew."""
     return None if number is None else np.asarray(number)
 
@@ -187,7 +189,7 @@ def _parameters(
         here = retracted(state, chart, head, boards)
         poses = cam_from_world(here, world)
 
-        def of_camera(pose: Array, origin: Array, lens: ArrayLike) -> Array:
+        def of_camera(pose: ArrayLike, origin: ArrayLike, lens: ArrayLike) -> Array:
             own = jax.tree.map(lambda leaf: leaf[lens], here.lenses)
             numbers = Pose(pose).model_parameters(model, Pose(origin))
             in_degrees = jnp.concatenate([jnp.degrees(numbers[:3]), numbers[3:]])

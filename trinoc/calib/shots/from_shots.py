@@ -91,7 +91,15 @@ def calibrate_rig(
     known_board = _board_systematics(systematics)
     problem = _problem(placed, starts, usable, target, known, distortion, same_lens, known_board)
     return judged(
-        fit_robustly(problem), placed, found, tuple(starts), world, known, known_board, throw=throw
+        fit_robustly(problem),
+        placed,
+        found,
+        tuple(starts),
+        world,
+        known,
+        known_board,
+        may_give_up=distortion is None,
+        throw=throw,
     )
 
 

@@ -39,15 +39,16 @@ def judged(
     known: Mapping[str, Intrinsics],
     systematics: Systematics,
     *,
+    may_give_up: bool,
     throw: bool,
 ) -> RigFromShots:
     """What the shots determine, in the world asked for, and what to do where that is not all.
 
-    Coefficients that the lens's model calls dispensable are given up, one after the other, where
-    the shots do not determine all.
+    With `may_give_up`, coefficients that the lens's model calls dispensable are held at 0, one
+    after the other, where the shots do not determine all.
     """
     place = _world(world, placed, fit.problem, cameras)
-    fit, given_up = _determined(fit)
+    fit, given_up = _determined(fit) if may_give_up else (fit, ())
     problem, information = fit.problem, information_of(fit.problem)
     seen = information.seen
     full = seen.rank == len(information.free)
@@ -75,7 +76,7 @@ def judged(
         notes = (undetermined_sentence(problem, gauge), *notes)
     elif status is Status.NOT_CONVERGED:
         notes = (f"{status.value} See that all pictures show this board.", *notes)
-    base = inverse(chained(inverse(poses[0]), problem.state.cam_from_rig[0]))
+    base = inverse(chained(inverse(poses[0]), np.asarray(problem.state.cam_from_rig)[0]))
     boards = problem.state.rig_from_board[: problem.shots]
     result = RigFromShots(
         rig=rig,
@@ -135,7 +136,7 @@ def _determined(fit: RobustFit) -> tuple[RobustFit, tuple[str, ...]]:
         if name:
             column = lenses.parameter_names.index(name)
             count, size = fit.problem.chart.lens_scale.shape
-            free = fit.problem.chart.free[: count * size].reshape(count, size) > 0
+            free = np.asarray(fit.problem.chart.free)[: count * size].reshape(count, size) > 0
             if not free[:, column].any():
                 continue
             free = free.copy()

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from trinoc.calib.detection import Detection
 from trinoc.calib.intrinsics import zhang_start
@@ -100,10 +100,10 @@ def _misfit_px(
 
 
 @jax.jit
-def _unprojected(lens: AbstractLens, uv_px: Float[ArrayLike, "m 2"]) -> Float[Array, "m 3"]:
+def _unprojected(lens: AbstractLens, uv_px: Float[ArrayLike, "m 2"]) -> Float[ArrayLike, "m 3"]:
     return jax.vmap(lens.unproject)(uv_px)
 
 
 @jax.jit
-def _projected(lens: AbstractLens, rays: Float[ArrayLike, "m 3"]) -> Float[Array, "m 2"]:
+def _projected(lens: AbstractLens, rays: Float[ArrayLike, "m 3"]) -> Float[ArrayLike, "m 2"]:
     return jax.vmap(lens.project_ray)(rays)

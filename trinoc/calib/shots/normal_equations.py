@@ -27,7 +27,7 @@ def whitened_residuals(state: RigState, chart: Chart, table: ViewTable) -> Float
     return jax.vmap(lambda *view: _whitened(state, chart, *view))(*table)
 
 
-def residuals_px(state: RigState, chart: Chart, table: ViewTable) -> Float[Array, "v n 2"]:
+def residuals_px(state: RigState, chart: Chart, table: ViewTable) -> Float[ArrayLike, "v n 2"]:
     """Predicted minus observed, of all places."""
     return jax.vmap(lambda *view: _residuals(state, chart, *view))(*table)
 
@@ -64,7 +64,7 @@ def shot_equations(
 
 def _residuals(
     state: RigState, chart: Chart, camera, shot, place_mm, radius_mm, uv_px, whitening, step=None
-) -> Array:
+) -> ArrayLike:
     lens = jax.tree.map(lambda leaf: leaf[chart.lens_of_camera[camera]], state.lenses)
     return view_residuals(
         lens,
@@ -89,7 +89,7 @@ def _whitened(state: RigState, chart: Chart, *view, step=None) -> Array:
 
 def view_blocks(
     state: RigState, chart: Chart, loss: AbstractRobustLoss, camera, *rest
-) -> tuple[Array, Array, Array]:
+) -> tuple[ArrayLike, Array, Array]:
     """Columns of the head, J^T J and J^T r of one view over them and its board's pose."""
     columns = head_columns(chart, camera)
     lens_size = chart.lens_scale.shape[1]

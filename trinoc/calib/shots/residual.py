@@ -37,7 +37,7 @@ def view_residuals(
     radius_mm: Float[ArrayLike, "n"],
     uv_px: Float[ArrayLike, "n 2"],
     step: Float[ArrayLike, "k"] | None = None,
-) -> Float[Array, "n 2"]:
+) -> Float[ArrayLike, "n 2"]:
     """Residuals in pixels, after a step of (lens, camera, sheet, board) where one is given.
 
     The centre of a circle's image is not the image of its centre; by how much is taken where the

@@ -92,7 +92,7 @@ def _without_wrong_places(
 ) -> tuple[Problem, list[tuple[int, int, float]]]:
     errors = whitened(problem)
     pixels = errors_px(problem)
-    right: dict[int, list[np.ndarray]] = {}
+    right: dict[int, np.ndarray] = {}
     for camera in range(problem.cameras):
         rows = [k for k, view in enumerate(problem.views) if view.camera == camera]
         if not rows:

@@ -37,7 +37,7 @@ def shot_scatter(information: Information, covariance: np.ndarray) -> ShotScatte
     """
     free, of_shot = information.free, information.of_shot
     pulls = information.pulls[:, free]
-    products = of_shot[np.ix_(range(len(of_shot)), free, free)] @ covariance
+    products = of_shot[:, free[:, None], free[None, :]] @ covariance
     squares = float(np.einsum("sij,sji->", products, products))
     expected = float(np.einsum("sii->", products)) - squares
     if expected < 0.5:

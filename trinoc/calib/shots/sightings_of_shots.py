@@ -53,7 +53,7 @@ def found_shots(
 
     def look(job: tuple[str, str]) -> Detection | str:
         given = named[job[0]][job[1]]
-        given = given() if callable(given) else given
+        given: Any = given() if callable(given) else given
         try:
             return given if isinstance(given, Detection) else detect_target(given, target)
         except DetectionError as error:

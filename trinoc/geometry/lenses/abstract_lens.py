@@ -13,7 +13,7 @@ from trinoc.numerics import ArrayLike, namespace_of
 
 # Type checkers know this one by the name that it has in a class that is not abstract.
 if TYPE_CHECKING:
-    AbstractClassVar = ClassVar
+    from typing import ClassVar as AbstractClassVar
 else:
     from equinox import AbstractClassVar
 

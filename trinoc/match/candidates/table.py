@@ -74,4 +74,4 @@ def in_depth_range(
     depth = matrix[..., 2, :3] @ candidates.ends_mm.mT + matrix[..., 2, 3:]
     near, far = (0.0, np.inf) if depth_range_mm is None else depth_range_mm
     inside = ((depth > near) & (depth < far)).all(axis=2) | (candidates.index < 0)
-    return inside.all(axis=1)
+    return np.asarray(inside.all(axis=1))

@@ -66,7 +66,10 @@ def trinocular_candidates(
     numbers = [counts[view] for view in views]
     parts = [no_candidates(3)]
     for turn in range(3):
-        parts += _in_order(three, np.roll(np.arange(3), turn), numbers, own, tuning)
+        for part in _in_order(three, np.roll(np.arange(3), turn), numbers, own, tuning):
+            parts.append(part)
+            if sum(len(found.index) for found in parts) > tuning.candidates.most_candidates:
+                parts = [_likelier_half(concatenate_rows(parts), numbers, tuning)]
     found = concatenate_rows(parts)
     # Two orderings may find one triple where they cross about as well.
     i, j, k = found.index.T.astype(np.int64)
@@ -115,11 +118,22 @@ def _in_order(
 
 def _pruned(found: Candidates, typical_count: float, tuning: MatchTuning) -> Candidates:
     """Those that may yet be likely: most of what passes the gate is not, and takes memory."""
+    odds = _odds_anywhere(found, typical_count, tuning)
+    return found.take(odds > tuning.candidates.prune_log_odds)
+
+
+def _likelier_half(found: Candidates, counts: list[int], tuning: MatchTuning) -> Candidates:
+    odds = _odds_anywhere(found, float(np.mean(counts)), tuning)
+    return found.take(odds > np.median(odds))
+
+
+def _odds_anywhere(
+    found: Candidates, typical_count: float, tuning: MatchTuning
+) -> Float[np.ndarray, "m"]:
     mixture = prior_parameters(found.ends_mm, typical_count, tuning)
     # One block shows how large the volume is, but not yet where lines lie in it.
     everywhere = mixture.volume._replace(precision=np.zeros((3, 3)))
-    odds = prior_log_odds(found, mixture._replace(volume=everywhere), tuning.evidence)
-    return found.take(odds > tuning.candidates.prune_log_odds)
+    return prior_log_odds(found, mixture._replace(volume=everywhere), tuning.evidence)
 
 
 def _pairs(
@@ -184,7 +198,8 @@ def _predicted(
         guess = predict(own, order[2], pencil_of(planes, lines, order[0], i), *rows, tuning)
         cells = grid
         if lines.frame is not None:
-            cells = jax.tree.map(lambda column: column[lines.frame[order[0], i]], grid)
+            frame = lines.frame[order[0], i]
+            cells = jax.tree.map(lambda column: column[frame], grid)
         return guess, keys_of(cells, guess, tuning)
 
     return jax.vmap(predicted)(i, j)

@@ -31,6 +31,8 @@ from trinoc.numerics import ArrayLike, bucket, in_bucket, padded
 
 # Two views of a scene may have one segment at the same place by chance, but not all of so many.
 FEWEST_TO_TELL = 3
+# More candidates than memory bears are let go; of so many segments, too few would be left.
+MOST_SEGMENTS = 40_000
 
 
 class CamerasInput(NamedTuple):
@@ -44,8 +46,9 @@ class CamerasInput(NamedTuple):
     def take(self, views: list[int]) -> "CamerasInput":
         """Those of some views, in that order."""
         intrinsics = tuple(self.intrinsics[view] for view in views)
-        columns = (column[views] for column in self[:3])
-        return CamerasInput(*columns, intrinsics)
+        return CamerasInput(
+            self.matrix_px[views], self.centre_mm[views], self.size_px[views], intrinsics
+        )
 
 
 class FrameInput(NamedTuple):
@@ -83,7 +86,7 @@ class MatchInput(NamedTuple):
         return [len(ends) for ends in self.ends_px]
 
     @property
-    def starts(self) -> Int[np.ndarray, "f+1 v"]:
+    def starts(self) -> Int[np.ndarray, "_ v"]:
         """Where each frame's segments begin in every view, and where the last one's end."""
         counts = np.array([[len(ends) for ends in frame.ends_px] for frame in self.frames])
         return np.concatenate([np.zeros_like(counts[:1]), np.cumsum(counts, axis=0)])
@@ -134,6 +137,7 @@ def prepare_frame(
 ) -> FrameInput:
     """The same without tables; `cameras` are those of `cameras_of(rig, segments)`, if at hand."""
     _check_names(segments, rig)
+    _check_counts(segments)
     cameras = cameras_of(rig, segments) if cameras is None else cameras
     prepared = {
         name: _view(segments[name], lens, sigma_px)
@@ -236,6 +240,16 @@ def _check_different(views: Mapping[str, _PreparedView]) -> None:
             raise MatchError(
                 f'Views "{first}" and "{second}" have the same segments: give those of the '
                 "picture that each camera took."
+            )
+
+
+def _check_counts(segments: Mapping[str, Segments | ArrayLike]) -> None:
+    for name, given in segments.items():
+        count = np.size(given.endpoints_px if isinstance(given, Segments) else given) // 4
+        if count > MOST_SEGMENTS:
+            raise MatchError(
+                f"Matching takes {MOST_SEGMENTS} segments of a view at most, but "
+                f'"{name}" has {count}: leave out the shortest, or match parts of the picture.'
             )
 
 

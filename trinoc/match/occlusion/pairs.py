@@ -12,37 +12,31 @@ from itertools import combinations
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from trinoc.match.candidates import Candidates, in_depth_range
 from trinoc.match.evidence import (
     MixtureParameters,
-    PairEvidence,
     log_place,
     log_sides,
-    pair_evidence,
-    polarity_evidence,
     prior_parameters,
     probability,
-    side_evidence,
     temper,
 )
 from trinoc.match.observations import (
-    TRIPLES_IN_BLOCK,
     ClutterModel,
     SegmentTable,
-    block_of,
     frames_of,
-    of_frame,
     segments_per_view,
 )
+from trinoc.match.occlusion.possible_pairs import PossiblePairs, possible_pairs
 from trinoc.match.occlusion.two_views import PairRates, learned_rates, length_class
 from trinoc.match.selection import (
     JunctionParameters,
     Selection,
     Tracks,
+    affordable,
     chosen_greedily,
     claimed,
     conflict_graph,
@@ -51,26 +45,15 @@ from trinoc.match.selection import (
     prior_junctions,
     sum_product,
 )
-from trinoc.match.tuning import DEFAULT, CandidateTuning, EndTuning, MatchTuning
-from trinoc.match.two_view import Pencil, pencil, pencil_of, plane_angles, row_of
+from trinoc.match.tuning import DEFAULT, EndTuning, MatchTuning
 from trinoc.numerics import (
     ArrayLike,
     concatenate_rows,
     group_sums,
-    in_blocks,
     of_group,
-    overlapping,
-    stacked,
     take_rows,
     taken,
 )
-
-
-class _Possible(NamedTuple):
-    """Pairs that can be one line, and in how many other views each should be seen."""
-
-    candidates: Candidates
-    expected: Float[np.ndarray, "m"]
 
 
 class Pairs(NamedTuple):
@@ -101,19 +84,29 @@ def occluded_pairs(
 ) -> Pairs:
     """Pairs of views matched beside the tracks through three or more, in each frame of a stack."""
     free = _free_segments(matched.candidates, counts, tuning.occlusion.max_matched_share)
-    found = concatenate_rows(
-        [
-            _pairs_of(lines, np.array(views), free, clutter, tuning)
-            for views in combinations(range(len(counts)), 2)
-        ]
-    )
-    found = take_rows(found, in_depth_range(found.candidates, lines, depth_range_mm))
-    frame = frames_of(lines, found.candidates.index)
-    frames = 1 if frame is None else len(lines.matrix_px)
-    start = _start(found, selections, segments_per_view(lines, counts), frame, tuning)
+    frames = 1 if lines.frame is None else len(lines.matrix_px)
     # Where hardly any line is seen in three views, pairs themselves say how they are.
     number = _rows_of(matched.candidates, lines, frames)
     alone = number < tuning.occlusion.min_tracks_to_learn
+    learned = _learned_from(selections, tuning)
+
+    def kept(found: PossiblePairs) -> PossiblePairs:
+        """In range, and, as far as that is known by now, likely at all: it bounds the memory."""
+        found = take_rows(found, in_depth_range(found.candidates, lines, depth_range_mm))
+        if learned is None or lines.frame is not None or alone.any():
+            return found
+        evidence = _evidence(found, learned.mixture, None, tuning)
+        return take_rows(found, evidence > tuning.selection.prune_log_odds)
+
+    found = concatenate_rows(
+        [
+            kept(part)
+            for views in combinations(range(len(counts)), 2)
+            for part in possible_pairs(lines, np.array(views), free, clutter, tuning)
+        ]
+    )
+    frame = frames_of(lines, found.candidates.index)
+    start = _start(found, selections, segments_per_view(lines, counts), frame, tuning)
     results = []
     for select, those in ((_select_alone, alone), (_select, ~alone)):
         if those.any():
@@ -128,10 +121,18 @@ class _Start(NamedTuple):
     junctions: JunctionParameters
 
 
+def _learned_from(selections: list[Selection], tuning: MatchTuning) -> _Start | None:
+    """What three views taught a single frame, if enough."""
+    most = max(selections, key=lambda selection: selection.taken.sum(), default=None)
+    if most is None or most.taken.sum() < tuning.occlusion.min_tracks_to_learn:
+        return None
+    return _Start(most.mixture, most.junctions)
+
+
 class _Beside(NamedTuple):
     """Pairs of some frames, the lines of these that are matched, and the frames of both."""
 
-    found: _Possible
+    found: PossiblePairs
     matched: Tracks
     frame: Int[np.ndarray, "m"] | None
     matched_frame: Int[np.ndarray, "t"] | None
@@ -148,7 +149,7 @@ def _rows_of(candidates: Candidates, lines: SegmentTable, frames: int) -> Int[np
 
 
 def _start(
-    found: _Possible,
+    found: PossiblePairs,
     selections: list[Selection],
     typical: Float[np.ndarray, "*f"] | float,
     frame: Int[np.ndarray, "m"] | None,
@@ -166,7 +167,7 @@ def _start(
     number = group_sums(most.taken.astype(np.float64), most.frame, np.size(typical))
     enough = number >= tuning.occlusion.min_tracks_to_learn
 
-    def chosen(learned: np.ndarray, usual: np.ndarray) -> np.ndarray:
+    def chosen(learned: ArrayLike | float, usual: ArrayLike | float) -> np.ndarray:
         axes = tuple(range(np.ndim(enough), np.ndim(usual)))
         return np.where(np.expand_dims(enough, axes), learned, usual)
 
@@ -175,7 +176,7 @@ def _start(
 
 def _of_frames(
     lines: SegmentTable,
-    found: _Possible,
+    found: PossiblePairs,
     matched: Tracks,
     start: _Start,
     those: Bool[np.ndarray, "f"],
@@ -186,7 +187,7 @@ def _of_frames(
     """The pairs of those frames alone."""
     frame = frames_of(lines, found.candidates.index)
     matched_frame = frames_of(lines, matched.candidates.index)
-    if frame is not None:
+    if frame is not None and matched_frame is not None:
         rows, tracks = np.flatnonzero(those[frame]), np.flatnonzero(those[matched_frame])
         found, frame = take_rows(found, rows), frame[rows]
         matched, matched_frame = matched.take(tracks), matched_frame[tracks]
@@ -201,7 +202,9 @@ def _likely(
     rows = np.flatnonzero(odds > tuning.selection.prune_log_odds)
     candidates, lines = beside.found.candidates.take(rows), beside.matched.candidates
     parts = candidates.index, candidates.interval, lines.index, lines.interval
-    return rows[~claimed(*parts, tuning.selection)]
+    rows = rows[~claimed(*parts, tuning.selection)]
+    index = beside.found.candidates.index[rows]
+    return rows[affordable(odds[rows], index, tuning.selection)]
 
 
 def _select_alone(
@@ -224,7 +227,7 @@ def _select_alone(
     rates = PairRates(ends, np.zeros((*frames, classes)), mixture, junctions)
 
     def odds_of(
-        found: _Possible, evidence: np.ndarray, rates: PairRates, frame: np.ndarray | None
+        found: PossiblePairs, evidence: np.ndarray, rates: PairRates, frame: np.ndarray | None
     ) -> np.ndarray:
         c = found.candidates
         ends = _log_ends(c, of_group(rates.ends, frame))
@@ -263,30 +266,26 @@ def _select_alone(
     return Pairs(candidates, odds, tempered, chosen, missed)
 
 
-def _select(beside: _Beside, start: _Start, _: np.ndarray | float, tuning: MatchTuning) -> Pairs:
+def _select(
+    beside: _Beside, start: _Start, typical_px: np.ndarray | float, tuning: MatchTuning
+) -> Pairs:
     """Posterior log odds of pairs among lines that are matched already, to a fixed point."""
-    rules, place = tuning.occlusion, partial(log_place, tuning=tuning.evidence)
+    rules = tuning.occlusion
     log_missed = float(np.log(rules.missed))
     mixture, junctions = start
-    found, frame = beside.found, beside.frame
-    candidates = found.candidates
-    ends = _log_ends(candidates, of_group(end_shares(mixture, tuning.ends), frame))
-    ends += log_sides(candidates.side_log, mixture, frame)
-    in_images = candidates.side_log.any(axis=1)
-    offset = np.where(in_images, rules.log_odds_offset_in_images, rules.log_odds_offset)
-    evidence = candidates.log_density + ends + found.expected * log_missed + offset
-    evidence += of_group(mixture.log_count, frame)
-    evidence += place(candidates.ends_mm, mixture.volume, frame=frame)
+    evidence = _evidence(beside.found, mixture, beside.frame, tuning)
     keep = _likely(beside, evidence, tuning)
     beside, evidence = beside.take(keep), evidence[keep]
     (candidates, expected), frame = beside.found, beside.frame
     graph = conflict_graph(candidates.index, candidates.interval, tuning.selection)
     everyone = _joined(beside.matched.candidates, candidates)
-    both = None if frame is None else np.concatenate([beside.matched_frame, frame])
+    known_frame, both = beside.matched_frame, None
+    if frame is not None and known_frame is not None:
+        both = np.concatenate([known_frame, frame])
     meetings = endpoint_pairs(everyone, tuning.junctions, tuning.evidence, both)
     known = probability(beside.matched.posterior_log_odds)
     frames = np.size(mixture.log_count)
-    lines_known = group_sums(known, beside.matched_frame, frames)
+    lines_known = group_sums(known, known_frame, frames)
     share = np.full(np.shape(mixture.log_count), rules.prior_share)
     density = mixture.log_count - mixture.volume.log_size + np.log(2)
     helped = of_group(junctions.end_at_junction >= tuning.junctions.min_at_junction, frame)
@@ -312,6 +311,23 @@ def _select(beside: _Beside, start: _Start, _: np.ndarray | float, tuning: Match
     chosen = chosen_greedily(posterior_log_odds, graph)
     tempered = temper(posterior_log_odds, candidates.side_log, tuning.evidence)
     return Pairs(candidates, odds, tempered, chosen, missed)
+
+
+def _evidence(
+    found: PossiblePairs,
+    mixture: MixtureParameters,
+    frame: Int[np.ndarray, "m"] | None,
+    tuning: MatchTuning,
+) -> Float[np.ndarray, "m"]:
+    """Log odds of pairs among matched lines, but for how seldom pairs are, and for junctions."""
+    rules, candidates = tuning.occlusion, found.candidates
+    ends = _log_ends(candidates, of_group(end_shares(mixture, tuning.ends), frame))
+    ends += log_sides(candidates.side_log, mixture, frame)
+    in_images = candidates.side_log.any(axis=1)
+    offset = np.where(in_images, rules.log_odds_offset_in_images, rules.log_odds_offset)
+    evidence = candidates.log_density + ends + found.expected * float(np.log(rules.missed))
+    place = log_place(candidates.ends_mm, mixture.volume, tuning.evidence, frame)
+    return evidence + offset + of_group(mixture.log_count, frame) + place
 
 
 def _joined(matched: Candidates, pairs: Candidates) -> Candidates:
@@ -347,67 +363,3 @@ def end_shares(mixture: MixtureParameters, tuning: EndTuning) -> Float[np.ndarra
     on = mixture.ends[..., all_agree + two_agree : -1]
     agreeing[..., :two_agree] += (short + on) / 3
     return np.concatenate([agreeing, 1 - agreeing.sum(axis=-1, keepdims=True)], axis=-1)
-
-
-def _pairs_of(
-    lines: SegmentTable,
-    views: Int[np.ndarray, "2"],
-    free: list[Int[np.ndarray, "_"]],
-    clutter: ClutterModel,
-    tuning: MatchTuning,
-) -> _Possible:
-    """All pairs of free segments of two views that can be one line."""
-    planes = pencil(lines, views[0], views[1])
-    low_high = [
-        plane_angles(lines, int(view), segments)
-        for view, segments in zip(views, (planes.first, planes.second), strict=True)
-    ]
-    i, j = overlapping(low_high[0][free[views[0]]], low_high[1][free[views[1]]])
-    segments = np.stack([free[views[0]][i], free[views[1]][j]], axis=1)
-
-    def judged(segments: np.ndarray) -> PairEvidence:
-        groups = {"tuning": tuning.candidates, "ends": tuning.ends}
-        return _evidence_of(lines, views, planes, segments, clutter, **groups)
-
-    found = in_blocks(judged, block_of(lines, TRIPLES_IN_BLOCK), segments)
-    keep = np.flatnonzero(found.possible)
-    polarity = np.asarray(lines.polarity)
-    index = np.full((len(keep), len(lines.ends_px)), -1)
-    interval = np.zeros((len(keep), len(lines.ends_px), 2))
-    index[:, views], interval[:, views] = segments[keep], stacked(found.interval, keep)
-    candidates = Candidates(
-        index,
-        interval,
-        stacked(found.ends_mm, keep),
-        np.zeros(len(keep)),
-        np.asarray(found.log_density)[keep]
-        + polarity_evidence(polarity, index, interval, tuning.evidence),
-        stacked(found.end_log, keep),
-        stacked(found.union_ends_mm, keep),
-        stacked(found.union_covariance_mm2, keep),
-        np.asarray(found.px_per_mm)[keep],
-        side_evidence(np.asarray(lines.sides), index, interval, tuning.sides),
-    )
-    return _Possible(candidates, np.asarray(found.expected)[keep])
-
-
-@partial(jax.jit, static_argnames=("tuning", "ends"))
-def _evidence_of(
-    lines: SegmentTable,
-    views: Int[ArrayLike, "2"],
-    planes: Pencil,
-    pairs: Int[ArrayLike, "h 2"],
-    clutter: ClutterModel,
-    tuning: CandidateTuning,
-    ends: EndTuning,
-) -> PairEvidence:
-    def judge(segments: Int[ArrayLike, "2"]) -> PairEvidence:
-        rows = row_of(planes.first, segments[0]), row_of(planes.second, segments[1])
-        own, among = of_frame(lines, views[0], segments[0]), clutter
-        if lines.frame is not None:
-            frame = lines.frame[views[0], segments[0]]
-            among = clutter._replace(typical_px=clutter.typical_px[frame])
-        of_pencil = pencil_of(planes, lines, views[0], segments[0])
-        return pair_evidence(own, views, of_pencil, rows, segments, among, tuning, ends)
-
-    return jax.vmap(judge)(jnp.asarray(pairs))

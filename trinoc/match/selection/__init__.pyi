@@ -1,4 +1,8 @@
-from .exclusivity import claimed as claimed, conflict_graph as conflict_graph
+from .exclusivity import (
+    affordable as affordable,
+    claimed as claimed,
+    conflict_graph as conflict_graph,
+)
 from .junction_support import (
     JunctionParameters as JunctionParameters,
     endpoint_pairs as endpoint_pairs,

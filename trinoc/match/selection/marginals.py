@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float, Int
 
 from trinoc.match.candidates import Candidates, prior_log_odds
 from trinoc.match.evidence import MixtureParameters, em_step, prior_parameters, probability, temper
-from trinoc.match.selection.exclusivity import ConflictGraph, conflict_graph
+from trinoc.match.selection.exclusivity import ConflictGraph, affordable, conflict_graph
 from trinoc.match.selection.junction_support import (
     JunctionParameters,
     endpoint_pairs,
@@ -67,6 +67,7 @@ def select(
     # EM on the likely candidates alone: far fewer, with far fewer conflicts.
     odds = prior_log_odds(candidates, mixture, evidence, frame)
     keep = np.flatnonzero(odds > rules.learn_log_odds)
+    keep = keep[affordable(odds[keep], candidates.index[keep], rules)]
     likely, own = candidates.take(keep), taken(frame, keep)
     graph = conflict_graph(likely.index, likely.interval, rules)
     for _ in range(rules.rounds):
@@ -75,6 +76,7 @@ def select(
         mixture = _learned(likely, posterior_log_odds, mixture, tuning, own)
     odds = prior_log_odds(candidates, mixture, evidence, frame)
     keep = np.flatnonzero(odds > rules.prune_log_odds)
+    keep = keep[affordable(odds[keep], candidates.index[keep], rules)]
     candidates, odds, frame = candidates.take(keep), odds[keep], taken(frame, keep)
     graph = conflict_graph(candidates.index, candidates.interval, rules)
     posterior_log_odds = sum_product(odds, graph, rules, frame)
@@ -100,7 +102,10 @@ def tracks_of(selection: Selection, tuning: EvidenceTuning = DEFAULT.evidence) -
     graph = selection.graph
     rival_posterior = np.full(len(selection.posterior_log_odds), -np.inf)
     owner, rival = graph.slot // graph.views, graph.rival_slot // graph.views
-    np.maximum.at(rival_posterior, owner, selection.posterior_log_odds[rival])
+    first = np.flatnonzero(np.diff(owner, prepend=-1))
+    if len(first):
+        of_rivals = selection.posterior_log_odds[rival]
+        rival_posterior[owner[first]] = np.maximum.reduceat(of_rivals, first)
     chosen = selection.taken
     candidates = selection.candidates.take(chosen)
     posterior_log_odds, rivals = (

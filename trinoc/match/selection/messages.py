@@ -100,7 +100,8 @@ def _propagated(
     alone = jnp.where(chosen, jnp.exp(jnp.minimum(log_odds, _HIGHEST)), 0.0)
     first = message(jnp.repeat(alone[:, None], views, axis=1))
     active = jnp.ones(FRAMES_AT_ONCE, dtype=bool)
-    messages = jax.lax.while_loop(goes_on, step, (first, active, rules.iterations))[0]
+    left = jnp.asarray(rules.iterations)
+    messages = jax.lax.while_loop(goes_on, step, (first, active, left))[0]
     return log_odds + messages.sum(axis=1)
 
 

@@ -59,4 +59,4 @@ def before_cameras(
     """Whether both ends, and so all between them, lie before every camera that sees the track."""
     matrix = matrices_of(lines, frames_of(lines, index))
     depth = matrix[..., 2, :3] @ ends_mm.mT + matrix[..., 2, 3:]
-    return ((depth > 0).all(axis=2) | (index < 0)).all(axis=1)
+    return np.asarray(((depth > 0).all(axis=2) | (index < 0)).all(axis=1))

@@ -63,7 +63,7 @@
     state.centre = [(left + right) / 2, (bottom + top) / 2];
   };
   const start = (view) => {
-    Object.assign(state, { view, azimuth: -1.15, elevation: 0.5, zoom: 1, shift: [0, 0] });
+    Object.assign(state, { view, azimuth: store.views[view].azimuth, elevation: 0.5, zoom: 1, shift: [0, 0] });
     fit();
     draw();
   };

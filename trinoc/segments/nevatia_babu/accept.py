@@ -1,7 +1,9 @@
 """Which fitted lines are sharp, straight edges of the scene."""
 
+from collections.abc import Sequence
+
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float, Int
 
 from trinoc.numerics import near_pairs
 from trinoc.segments.nevatia_babu.line_fit import FittedLines
@@ -10,31 +12,57 @@ from trinoc.segments.tuning import DEFAULT, AcceptTuning
 # Noise moves the bow of a line this many times more than its middle: the parabola has to be
 # told from the line.
 BOW_OF_MIDDLE = float(np.sqrt(11.25))
+# Points, and square of strength over noise per point, of lines whose width is well measured.
+_LONG, _CLEAR_SNR2 = 15, 100.0
+# Root mean square distance of a parabola from its best line, over its bow.
+_RMS_OF_BOW = float(np.sqrt(4 / 45))
 
 
 def typical_blur(lines: FittedLines) -> float:
     """Variance of the blur of the picture's edges, in px^2: the median, long lines weigh more."""
     if len(lines.support) == 0:
         return 0.0
-    order = np.argsort(lines.blur_px2)
-    weight = np.cumsum(lines.support[order])
-    middle = np.searchsorted(weight, weight[-1] / 2)
-    return max(float(lines.blur_px2[order[middle]]), 0.0)
+    return max(_weighted_quantiles(lines.blur_px2, lines.support, (0.5,))[0], 0.0)
+
+
+def _weighted_quantiles(
+    values: Float[np.ndarray, "r"], weight: Int[np.ndarray, "r"], shares: Sequence[float]
+) -> list[float]:
+    order = np.argsort(values)
+    total = np.cumsum(weight[order])
+    return values[order[np.searchsorted(total, np.array(shares) * total[-1])]].tolist()
 
 
 def is_sharp(
     lines: FittedLines, usual_px2: float, tuning: AcceptTuning = DEFAULT.accept
 ) -> Bool[np.ndarray, "r"]:
-    """Edges that are no soft shadows: of about the image's typical width, or narrow anyway."""
+    """Edges that are no soft shadows: of about the image's typical width, or narrow anyway.
+
+    Where the edges of a picture have many widths, as with depth or texture, a wide one is no
+    evidence of a shadow: the limit follows the spread of the widths.
+    """
     profile = lines.kernel_variance_px2 + lines.blur_px2
-    usual = tuning.soft_ratio * (lines.kernel_variance_px2 + usual_px2)
+    typical = lines.kernel_variance_px2 + usual_px2
+    # Of long, clear lines: the widths of others scatter by noise.
+    clear = (lines.support >= _LONG) & (lines.snr2 > _CLEAR_SNR2 * lines.support)
+    ratio = tuning.soft_ratio
+    if clear.any():
+        widths = (profile / typical)[clear]
+        low, high = _weighted_quantiles(widths, lines.support[clear], (0.25, 0.75))
+        spread = 1 + tuning.soft_spreads * (high - low) / 2
+        ratio = max(ratio, min(spread, tuning.soft_most))
+    usual = ratio * typical
     return profile <= np.maximum(usual, lines.kernel_variance_px2 + tuning.sharp_px2)
 
 
 def is_straight(
     lines: FittedLines, width_px: int, tuning: AcceptTuning = DEFAULT.accept
 ) -> Bool[np.ndarray, "r"]:
-    """Edges that are no arcs, such as the rims of cylinders."""
+    """Edges that are no arcs, such as the rims of cylinders.
+
+    The points of an arc lie on it: where a curve explains little of how they scatter about the
+    line, and bows it little, a long line counts as straight.
+    """
     length = np.ptp(lines.extent_px, axis=1)
     bow = np.abs(lines.sagitta_px)
     sigma = BOW_OF_MIDDLE * np.sqrt(lines.variance_middle_px2)
@@ -43,7 +71,9 @@ def is_straight(
     arc = (bow > tuning.arc_bow_px) & (bow > 3 * sigma) & small
     curved = np.flatnonzero((bow > tuning.least_bow_px) & (bow > 2 * sigma))
     arc[curved] |= _bends_on(lines, tuning)[curved]
-    return ~arc
+    explained = np.square(_RMS_OF_BOW * bow) / np.maximum(np.square(lines.residual_px), 1e-12)
+    ragged = (explained < tuning.arc_explains) & (bow < tuning.arc_bow_of_length * length)
+    return ~arc | (ragged & (length > tuning.arc_least_px))
 
 
 def _bends_on(lines: FittedLines, tuning: AcceptTuning) -> Bool[np.ndarray, "r"]:
