@@ -13,7 +13,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import trinoc
-from trinoc.cli.compile_cache import enable_compile_cache
+from trinoc.io import enable_compile_cache
 from trinoc.io import demo_pattern
 from trinoc.io import demo_images
 from trinoc.io import demo_truth

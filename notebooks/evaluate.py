@@ -13,7 +13,7 @@ import numpy as np
 from scipy import stats
 
 import trinoc
-from trinoc.cli.compile_cache import enable_compile_cache
+from trinoc.io import enable_compile_cache
 from trinoc.geometry import Rig
 from trinoc.io import demo_images
 from trinoc.io import demo_truth

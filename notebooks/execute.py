@@ -1,11 +1,12 @@
 """Make the notebooks from the scripts beside them, with their outputs.
 
-    pip install '.[test]' && python notebooks/execute.py
+    pip install '.[test]' && python notebooks/execute.py          # or names: ... new_rig segments
 
 The scripts, in the percent format that editors know, are what one edits and reviews.
 """
 
 import re
+import sys
 from pathlib import Path
 
 import nbformat
@@ -46,7 +47,7 @@ def execute(notebook: nbformat.NotebookNode, folder: Path) -> nbformat.NotebookN
 
 if __name__ == "__main__":
     for script in sorted(Path(__file__).parent.glob("*.py")):
-        if script.name == Path(__file__).name:
+        if script.name == Path(__file__).name or sys.argv[1:] and script.stem not in sys.argv[1:]:
             continue
         notebook = notebook_of_script(script.read_text(encoding="utf-8"))
         nbformat.write(execute(notebook, script.parent), script.with_suffix(".ipynb"))

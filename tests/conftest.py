@@ -46,12 +46,17 @@ jaxtyping.install_import_hook(
     "trinoc", "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))"
 )
 
-# Compilation makes the first example slow, so a deadline would only measure the compiler.
+# Compilation makes the first example slow, so a deadline would only measure the compiler. Where
+# nobody waits to mend it, a failing example is told as it was drawn: shrinking takes minutes.
+_phases = set(hypothesis.Phase)
+if "CI" in os.environ:
+    _phases -= {hypothesis.Phase.shrink, hypothesis.Phase.explain}
 hypothesis.settings.register_profile(
     "trinoc",
     derandomize=True,
     deadline=None,
     max_examples=50,
+    phases=_phases,
     suppress_health_check=[hypothesis.HealthCheck.too_slow],
 )
 hypothesis.settings.load_profile("trinoc")

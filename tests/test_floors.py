@@ -19,17 +19,18 @@ MAY_IMPORT = {
     "match": {"numerics", "geometry"},
     "synth": {"numerics", "geometry"},
     "evaluation": {"numerics", "geometry", "segments", "calib", "match", "synth"},
-    "io": {"numerics", "geometry", "segments", "calib", "match", "synth", "evaluation"},
+    "recording": {"numerics", "geometry", "match"},
 }
-MAY_IMPORT["report"] = {*MAY_IMPORT["io"], "io"}
-MAY_IMPORT["cli"] = {*MAY_IMPORT["report"], "report"}
+MAY_IMPORT["io"] = {*MAY_IMPORT["evaluation"], "evaluation", "recording"}
+MAY_IMPORT["report"] = MAY_IMPORT["batch"] = {*MAY_IMPORT["io"], "io"}
+MAY_IMPORT["cli"] = {*MAY_IMPORT["report"], "report", "batch"}
 
 # Rooms inside a room, from the ground up: each may import those before it. The files of the room
 # itself put them together and stand above all.
 INNER_FLOORS = {
     "calib": (
         *("targets", "detection", "model", "result", "pose", "photometric", "intrinsics"),
-        *("uncertainty", "adjustment", "bundle", "rig_check"),
+        *("uncertainty", "shots", "adjustment", "bundle", "rig_check"),
     ),
     "match": (
         *("observations", "two_view", "evidence", "candidates", "selection", "occlusion"),
@@ -43,10 +44,12 @@ INNER_FLOORS = {
 FOUNDATION = "tuning"
 
 # Imported where they are used, because a plain `pip install` does not bring them.
-EXTRAS = {"matplotlib", "reportlab", "dask", "distributed", "ruamel", "pyarrow"}
+EXTRAS = {"matplotlib", "reportlab", "dask", "distributed", "ruamel", "pyarrow", "plotly", "pandas"}
 FORBIDDEN = {"numba", "torch", "tkinter"}
 # Below io there are no files, no command line, no screen, no settings.
-BELOW_IO = ("numerics", "geometry", "segments", "calib", "match", "synth", "evaluation")
+BELOW_IO = (
+    *("numerics", "geometry", "segments", "calib", "match", "synth", "evaluation", "recording"),
+)
 OUTER_MODULES = {"argparse", "io", "logging", "os", "pathlib", "shutil", "subprocess", "sys"}
 
 

@@ -36,18 +36,18 @@ def help_of(capsys, *command):
 
 def commands(capsys):
     """Names of the commands in `trinoc --help`."""
-    listed = re.search(r"\{([\w,]+)\}", help_of(capsys))
+    listed = re.search(r"\{([\w,-]+)\}", help_of(capsys))
     assert listed
     return listed[1].split(",")
 
 
 def test_commands_are_those_of_the_reference(capsys):
-    documented = re.findall(r"^### `trinoc (\w+)`", REFERENCE, re.MULTILINE)
+    documented = re.findall(r"^### `trinoc ([\w-]+)`", REFERENCE, re.MULTILINE)
     assert sorted(documented) == sorted(commands(capsys))
 
 
 def test_options_are_those_of_the_reference(capsys):
-    sections = dict(re.findall(r"^### `trinoc (\w+)`\n(.*?)(?=^##)", REFERENCE, re.M | re.S))
+    sections = dict(re.findall(r"^### `trinoc ([\w-]+)`\n(.*?)(?=^##)", REFERENCE, re.M | re.S))
     for command in commands(capsys):
         offered = set(re.findall(r"--[a-z][a-z0-9-]*", help_of(capsys, command)))
         documented = set(re.findall(r"--[a-z][a-z0-9-]*", sections[command]))

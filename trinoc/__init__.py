@@ -7,6 +7,18 @@ rooms behind them tell in their docstrings what is done there: `trinoc.calib`, `
 
 import lazy_loader
 
+from trinoc.numerics import display_with
+
 __version__ = "0.1.0"
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+
+
+def _displays():  # pyright: ignore[reportUnusedFunction]
+    from trinoc.report import NotebookDisplays
+
+    return NotebookDisplays()
+
+
+# Values show themselves by what the report draws, which they do not know.
+display_with(_displays)

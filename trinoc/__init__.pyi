@@ -1,25 +1,34 @@
 from . import errors as errors
+from .batch import load_recording as load_recording, match_recording as match_recording
 from .calib import (
+    Charuco as Charuco,
+    Chessboard as Chessboard,
     Pattern as Pattern,
     Systematics as Systematics,
     calibrate as calibrate,
     calibrate_intrinsics as calibrate_intrinsics,
     calibrate_points as calibrate_points,
+    calibrate_rig as calibrate_rig,
     check_rig as check_rig,
     detect_pattern as detect_pattern,
+    detect_target as detect_target,
     epipolar_sigma as epipolar_sigma,
     point_covariance as point_covariance,
+    projection_sigma as projection_sigma,
     refine as refine,
     with_systematics as with_systematics,
 )
 from .evaluation import evaluate as evaluate
 from .geometry import Camera as Camera, Intrinsics as Intrinsics, Rig as Rig, Segments as Segments
 from .io import (
+    enable_compile_cache as enable_compile_cache,
     load_matches as load_matches,
     load_pattern as load_pattern,
     load_rig as load_rig,
     load_segments as load_segments,
     load_shape as load_shape,
+    load_shots as load_shots,
+    load_target as load_target,
     save as save,
 )
 from .match import (

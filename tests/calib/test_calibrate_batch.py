@@ -28,7 +28,7 @@ def test_frames_are_independent() -> None:
     )
     del frames[3]["left"]
     frames[4]["upper"].centres_px[3] += 20.0
-    batch = calibrate_batch(frames, SHEET, LENS)
+    batch = calibrate_batch(frames, SHEET, LENS, systematics=EXACT)
     assert batch.names == tuple(TABLE_1)
     assert batch.good.sum() == 13
     assert batch.status[1]["right"] is Status.RANK_DEFICIENT
@@ -43,3 +43,25 @@ def test_frames_are_independent() -> None:
         np.testing.assert_allclose(
             np.sqrt(np.diagonal(batch.covariance[k], axis1=1, axis2=2)).ravel(), sigma, rtol=0.02
         )
+
+
+def test_frames_have_the_errors_of_each_calibration_alone() -> None:
+    frames = [
+        {
+            name: simulated_detection(camera_of(TABLE_1[name]), SHEET, seed=10 * k + j)
+            for j, name in enumerate(names)
+        }
+        for k, names in enumerate([("left", "upper", "right"), ("left", "right"), ()])
+    ]
+    batch = calibrate_batch(frames, SHEET, LENS)
+    for k, frame in enumerate(frames[:2]):
+        alone = calibrate_detections(frame, SHEET, LENS)
+        for name in frame:
+            v = batch.names.index(name)
+            rows = [alone.parameters.index(f"{name}.{key}") for key in batch.parameters]
+            np.testing.assert_array_equal(batch.values[k, v], alone.values[rows])
+            np.testing.assert_array_equal(
+                batch.covariance[k, v], alone.covariance[np.ix_(rows, rows)]
+            )
+    assert batch.good.tolist() == [[True, True, True], [True, False, True], [False] * 3]
+    assert set(batch.status[2].values()) == {Status.NOT_DETECTED}

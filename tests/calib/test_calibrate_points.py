@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from tests.calib.simulated import LENS, TABLE_1, camera_of
-from trinoc.calib import Status, calibrate_points
+from trinoc.calib import Status, Systematics, calibrate_points
 from trinoc.calib.from_points import PointsCalibration
 from trinoc.errors import CalibrationError, InputError
-from trinoc.geometry import PoseModel
+from trinoc.geometry import Intrinsics, PoseModel
 
 CAMERA = camera_of(TABLE_1["left"])
 NOISE_PX = 0.05
@@ -45,13 +45,42 @@ def test_errors_are_those_that_the_covariance_claims(lens_given: bool) -> None:
         random = np.random.default_rng(seed)
         points = block(random)
         lens = LENS if lens_given else None
-        found = calibrate_points(points, seen(points, random), lens, image_size_px=(512, 480))
+        found = calibrate_points(
+            points, seen(points, random), lens, image_size_px=(512, 480), systematics=Systematics()
+        )
         assert found.status is Status.CONVERGED
         assert found.noise_px == pytest.approx(NOISE_PX, rel=0.3)
         error = errors(found)
         squared.append(error @ np.linalg.solve(found.covariance, error) / len(error))
     # The mean of 60 chi-squares over their 6 or 10 degrees of freedom; the noise is estimated.
     assert np.mean(squared) == pytest.approx(1.0, abs=0.3)
+
+
+def test_an_uncertain_lens_is_in_the_covariance() -> None:
+    random = np.random.default_rng(4)
+    points = block(random)
+    uv_px = seen(points, random)
+    exact, usual = (
+        calibrate_points(points, uv_px, LENS, systematics=known) for known in (Systematics(), None)
+    )
+    focal = np.array([0.01, 0.01]) * LENS.focal_length_px
+    moved = calibrate_points(
+        points,
+        uv_px,
+        Intrinsics(
+            image_size_px=LENS.image_size_px,
+            focal_length_px=LENS.focal_length_px + focal,
+            principal_point_px=LENS.principal_point_px,
+        ),
+        systematics=Systematics(lens_covariance=np.diag(focal**2)),
+    )
+    added = usual.covariance - exact.covariance
+    assert np.linalg.eigvalsh(added).min() > -1e-9 * np.trace(added)
+    # A focal length that is one sigma larger puts the camera away from the points.
+    shift = np.asarray(moved.camera.pose.centre_world_mm) - exact.camera.pose.centre_world_mm
+    axis = np.asarray(exact.camera.cam_from_world)[2, :3]
+    sigma = np.sqrt(axis @ usual.covariance[3:6, 3:6] @ axis)
+    assert abs(axis @ shift) == pytest.approx(sigma, rel=0.25)
 
 
 def test_points_of_a_plane_do_where_the_lens_is_known() -> None:
@@ -121,7 +150,13 @@ def test_the_parameters_over_a_sheet_scatter_as_their_covariance_says(model: Pos
     for seed in range(40):
         random = np.random.default_rng(seed)
         points = block(random)
-        found = calibrate_points(points, seen(points, random), LENS, pose_model=model.word)
+        found = calibrate_points(
+            points,
+            seen(points, random),
+            LENS,
+            pose_model=model.word,
+            systematics=Systematics(),
+        )
         assert found.parameters == model.parameter_names
         camera = found.camera
         values = [camera.pan_deg, camera.tilt_deg, camera.swing_deg, camera.distance_mm]

@@ -4,12 +4,12 @@ import logging
 
 import pytest
 
-from trinoc.cli.compile_cache import VARIABLE
+from trinoc.io import COMPILE_CACHE_VARIABLE
 
 
 @pytest.fixture(autouse=True)
 def _no_traces(monkeypatch):
-    monkeypatch.setenv(VARIABLE, "off")
+    monkeypatch.setenv(COMPILE_CACHE_VARIABLE, "off")
     logger = logging.getLogger("trinoc")
     before = logger.handlers[:], logger.level, logger.propagate
     yield

@@ -24,6 +24,20 @@ def test_version(capsys):
     assert capsys.readouterr().out == f"trinoc {trinoc.__version__}\n"
 
 
+def test_the_module_is_the_command():
+    run = [sys.executable, "-m", "trinoc", "--version"]
+    done = subprocess.run(run, capture_output=True, text=True, check=True)
+    assert done.stdout == f"trinoc {trinoc.__version__}\n"
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh"])
+def test_a_shell_is_told_the_commands(shell, capsys):
+    assert main(["--tyro-print-completion", shell]) == 0
+    said = capsys.readouterr().out
+    for word in ("calibrate", "match", "doctor"):
+        assert word in said
+
+
 def test_help_goes_to_stdout(capsys):
     assert main(["--help"]) == 0
     out, err = capsys.readouterr()
@@ -39,7 +53,7 @@ def test_help_goes_to_stdout(capsys):
         ["segments"],
         ["segments", "a.png", "--unknown"],
         ["calibrate", "upper=a.png"],
-        ["calibrate", "upper.png", "--pattern", "p.json"],
+        ["calibrate", "a/upper.png", "a/upper.png", "--pattern", "p.json"],
         ["calibrate", "--pattern", "p.json"],
         ["match", "upper=a.png", "upper=b.png", "--rig", "rig.json"],
     ],

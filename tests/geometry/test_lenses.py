@@ -4,7 +4,7 @@ import cv2
 import jax
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, strategies as st
 
 from tests.geometry.strategies import vectors
 from trinoc.errors import InputError
@@ -14,6 +14,9 @@ from trinoc.geometry import (
     AbstractLens,
     BrownConrady,
     Intrinsics,
+    KannalaBrandt,
+    Rational,
+    ThinPrism,
     lens_model,
     promoted,
     simplified,
@@ -104,6 +107,10 @@ def test_lenses_of_one_model_stack_and_go_through_vmap(lens):
 @every_lens
 def test_an_ideal_lens_is_promoted_to_the_others_it_is_stacked_with(lens):
     ideal = Pinhole.from_parameters(np.array(AFFINE))
+    if not lens.zero_is_ideal:
+        with pytest.raises(InputError, match=f"{lens.model} and none"):
+            stack_lenses([ideal, lens])
+        return
     stacked = stack_lenses([ideal, lens])
     assert type(stacked) is type(lens)
     ray = np.array([0.1, -0.2, 1.0])
@@ -135,11 +142,64 @@ def test_a_lens_that_is_not_known_is_refused():
         Intrinsics(focal_length_px=900, image_size_px=SIZE_PX, distortion_model="mirror")
 
 
-def test_brown_conrady_agrees_with_opencv():
-    lens = example(BrownConrady)
+@pytest.mark.parametrize("model", [BrownConrady, Rational, ThinPrism, KannalaBrandt])
+def test_opencv_projects_alike(model):
+    lens = example(model)
     points = np.random.default_rng(0).uniform((-60, -60, 240), (60, 60, 360), (50, 3))
-    expected, _ = cv2.projectPoints(
-        points, np.zeros(3), np.zeros(3), np.asarray(lens.matrix), np.asarray(lens.coefficients)
-    )
+    still, coefficients = np.zeros(3), np.asarray(lens.coefficients)
+    if model is KannalaBrandt:
+        points *= (20, 20, 1)  # up to 78 degrees off the axis
+        seen = points[:, None]
+        matrix = np.asarray(lens.matrix)
+        expected, _ = cv2.fisheye.projectPoints(seen, still, still, matrix, coefficients)
+    else:
+        expected, _ = cv2.projectPoints(points, still, still, np.asarray(lens.matrix), coefficients)
     ours = jax.vmap(project_ray, in_axes=(None, 0))(lens, points)
     np.testing.assert_allclose(ours, expected.reshape(-1, 2), atol=1e-9)
+
+
+@given(angle_deg=st.floats(0.0, 179.0), about=st.floats(0.0, 6.28))
+def test_a_fisheye_sees_rays_from_behind(angle_deg, about):
+    lens = KannalaBrandt.from_parameters(np.array([*AFFINE, 0.05, -0.02, 0.003, -0.0001]))
+    angle = np.radians(angle_deg)
+    ray = np.array([np.sin(angle) * np.cos(about), np.sin(angle) * np.sin(about), np.cos(angle)])
+    np.testing.assert_allclose(unproject(lens, project_ray(lens, ray)), ray, atol=1e-9)
+
+
+def test_a_fisheye_has_derivatives_on_its_axis():
+    lens = example(KannalaBrandt)
+    for ray in (np.array([0.0, 0.0, 2.0]), np.array([1e-9, -2e-9, 2.0])):
+        by_ray = jax.jacfwd(lens.project_ray)(ray)
+        np.testing.assert_allclose(by_ray[:, :2], np.diag(lens.focal_length_px) / 2, atol=1e-5)
+        by_pixel = jax.jacrev(lens.unproject)(project_ray(lens, ray))
+        np.testing.assert_allclose(by_pixel[:2], np.diag(1 / lens.focal_length_px), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("model", "coefficients", "angle_deg"),
+    [
+        # r (1 - r^2 / 3) stops to grow at r = 1, and so does that of a quotient at its own pole.
+        (BrownConrady, [-1 / 3, 0, 0, 0, 0], 45.0),
+        (Rational, [-1 / 3, 0, 0, 0, 0, 0, 0, 0], 45.0),
+        (Rational, [0, 0, 0, 0, 0, -1 / 3, 0, 0], 60.0),
+        (Rational, [0, 0, 0, 0, 0, 1.0, 0, 0], 45.0),
+        (KannalaBrandt, [-1 / 3, 0, 0, 0], np.degrees(1.0)),
+        (KannalaBrandt, [-1 / 12, 0, 0, 0], np.degrees(2.0)),
+        (KannalaBrandt, [0, 0, 0, 0], 180.0),
+        (BrownConrady, [0.1, 0, 0, 0, 0], 90.0),
+    ],
+)
+def test_the_fold_is_where_the_radius_stops_to_grow(model, coefficients, angle_deg):
+    lens = model.from_parameters(np.array([100.0, 100.0, 0.0, 0.0, *coefficients]))
+    np.testing.assert_allclose(np.degrees(lens.fold_angle_rad()), angle_deg, rtol=1e-9)
+    if angle_deg < 60.0:
+        angle = np.radians(angle_deg)
+        edge = project_ray(lens, np.array([np.sin(angle), 0.0, np.cos(angle)]))[0]
+        np.testing.assert_allclose(lens.fold_radius_px(), edge, rtol=1e-9)
+    if angle_deg >= 90.0:
+        assert lens.fold_radius_px() == np.inf
+
+
+def test_a_fisheye_without_coefficients_is_no_pinhole():
+    lens = KannalaBrandt.from_parameters(np.array([*AFFINE, 0.0, 0.0, 0.0, 0.0]))
+    assert simplified(lens) is lens

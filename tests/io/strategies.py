@@ -1,13 +1,14 @@
 """Hypothesis strategies for values that go to files."""
 
 import itertools
+from collections.abc import Mapping
 
 import equinox as eqx
 import numpy as np
 from hypothesis import assume, strategies as st
 
 from tests.geometry.strategies import cameras, real
-from trinoc.geometry import PARAMETER_NAMES, Intrinsics, Junctions, Rig, Segments
+from trinoc.geometry import PARAMETER_NAMES, Camera, Intrinsics, Junctions, Rig, Segments
 from trinoc.match import BINOCULAR, TRINOCULAR, Matches
 
 
@@ -36,11 +37,20 @@ def lenses(draw: st.DrawFn) -> Intrinsics:
 
 def without_fold(lens: Intrinsics) -> Intrinsics:
     """The lens, its distortion made smaller until no corner lies beyond a fold."""
-    reach_px = sum(lens.image_size_px) + 200
+    reach_px = sum(lens.image_size_px) + np.abs(lens.principal_point_px).sum()
     while lens.lens.fold_radius_px() < reach_px:
         smaller = lens.lens.coefficients / 8
         lens = eqx.tree_at(lambda whole: whole.lens.coefficients, lens, smaller)
     return lens
+
+
+def are_apart(cameras: Mapping[str, Camera]) -> bool:
+    """Whether no two cameras stand at one place, as readers expect."""
+    centres = [np.asarray(camera.centre_world_mm) for camera in cameras.values()]
+    return all(
+        np.linalg.norm(a - b) > 1e-3 * max(np.linalg.norm(a), np.linalg.norm(b))
+        for a, b in itertools.combinations(centres, 2)
+    )
 
 
 @st.composite
@@ -55,8 +65,7 @@ def rigs(draw: st.DrawFn) -> Rig:
         )
     )
     members = {name: draw(cameras(draw(lenses()))) for name in names}
-    centres = [camera.centre_world_mm for camera in members.values()]
-    assume(all(np.linalg.norm(a - b) > 1e-3 for a, b in itertools.combinations(centres, 2)))
+    assume(are_apart(members))
     count = draw(st.sampled_from([0, 4, 6]))
     parameters = [f"{name}.{own}" for name in names for own in PARAMETER_NAMES[:count]]
     if len(set(parameters)) == 0:

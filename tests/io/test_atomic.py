@@ -1,13 +1,16 @@
 """A file is whole or absent, and has the permissions of any new file."""
 
 import os
+import re
 import stat
 import time
 
+import numpy as np
 import pytest
 
 from trinoc.errors import InputError
-from trinoc.io import atomic_write, write_text
+from trinoc.io import atomic_write, save_frames, write_text
+from trinoc.recording import FrameMatches
 
 
 def test_failure_leaves_the_old_file_and_nothing_beside_it(tmp_path):
@@ -76,3 +79,27 @@ def test_what_a_killed_program_left_is_swept_and_nothing_else(tmp_path):
     write_text(tmp_path / "a.txt", "whole")
     left = {path.name for path in tmp_path.iterdir()}
     assert left == {"a.txt", ".a.txt.11112222.tmp", *names[1:]}
+
+
+@pytest.mark.skipif(os.name != "posix", reason="limits of POSIX")
+@pytest.mark.parametrize("written", ["text", "npz", "parquet"])
+def test_where_the_disk_takes_no_more_the_file_is_named_and_the_old_one_stays(tmp_path, written):
+    import resource
+
+    path = tmp_path / f"a.{written}"
+    path.write_text("old")
+    views = ("upper", "left")
+    # Incompressible, so that nothing makes it fit.
+    name = "".join(map(chr, np.random.default_rng(1).integers(0x4E00, 0x9000, 20_000)))
+    results = [FrameMatches(name, "failed.", None)]
+    if written == "parquet":
+        pytest.importorskip("pyarrow")
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (5000, hard))
+    try:
+        with pytest.raises(InputError, match=re.escape(f"{path} was not written (File too large)")):
+            write_text(path, name) if written == "text" else save_frames(results, views, path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]

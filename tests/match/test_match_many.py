@@ -22,7 +22,31 @@ def test_a_batch_gives_what_its_items_give_and_a_bad_item_spoils_no_other() -> N
         alone, found = match_segments(seen[k], rigs[k]), batch.matches[k]
         assert found is not None
         np.testing.assert_array_equal(found.index, alone.index)
-        np.testing.assert_array_equal(found.lines_mm, alone.lines_mm)
+        np.testing.assert_allclose(found.lines_mm, alone.lines_mm, rtol=1e-9)
+
+
+def test_frames_of_one_stack_learn_their_own_parameters() -> None:
+    # Rigs, numbers of views and of segments, and noise beyond what is stated, which takes
+    # another pass, differ by frame.
+    east, upper = rig_of("upper", "left", "east"), rig_of(*VIEWS)
+    rigs = [east, upper, upper, upper, upper]
+    frames = [
+        pictures(rig, loose_lines(count, seed=count), noise_px, seed=count)
+        for rig, count, noise_px in zip(rigs, (25, 21, 30, 1, 22), (0.3, 0.3, 3.0, 0.3, 0.3))
+    ]
+    del frames[4]["right"]
+    batch = match_many(frames, rigs)
+    for frame, rig, found in zip(frames, rigs, batch.matches, strict=True):
+        alone = match_segments(frame, rig)
+        assert found is not None
+        assert found.counts == alone.counts
+        np.testing.assert_array_equal(found.index, alone.index)
+        np.testing.assert_allclose(found.posterior, alone.posterior, atol=1e-9)
+        np.testing.assert_allclose(found.noise_scale, alone.noise_scale)
+        for view in alone.views:
+            np.testing.assert_array_equal(found.reasons[view], alone.reasons[view])
+    scales = [found.noise_scale for found in batch.matches if found is not None]
+    assert max(scales) > 2 * scales[0]
 
 
 def test_one_rig_serves_all_items_and_no_items_are_no_matches() -> None:

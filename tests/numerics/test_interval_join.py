@@ -22,10 +22,13 @@ def test_overlapping_intervals_are_those_of_a_comparison_of_all(seed: int, n: in
     ]
 
 
-@given(st.lists(st.integers(0, 5), max_size=30))
-def test_pairs_of_equal_keys_are_each_named_once(keys: list[int]) -> None:
+@given(st.lists(st.integers(0, 5), max_size=30), st.integers(1, 40))
+def test_pairs_of_equal_keys_are_each_named_once(keys: list[int], at_once: int) -> None:
     array = np.array(keys, dtype=np.int64)
-    m, n = pairs_of_equal_keys(array)
+    blocks = list(pairs_of_equal_keys(array, at_once))
+    # A block ends with the key that fills it.
+    assert all(len(block[0]) < at_once + len(keys) for block in blocks)
+    m, n = np.concatenate([np.zeros((2, 0), dtype=np.int64), *blocks], axis=1)
     pairs = {frozenset(p) for p in zip(m.tolist(), n.tolist(), strict=True)}
     expected = {frozenset((a, b)) for a in range(len(keys)) for b in range(a) if keys[a] == keys[b]}
     assert pairs == expected

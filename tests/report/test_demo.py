@@ -4,15 +4,15 @@ import contextlib
 import io
 import json
 import logging
+import shlex
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 
-from trinoc.cli.compile_cache import VARIABLE
 from trinoc.cli.main import main
-from trinoc.io import load_matches, load_rig
+from trinoc.io import COMPILE_CACHE_VARIABLE, load_matches, load_rig
 from trinoc.synth import table1_rig
 
 
@@ -34,9 +34,9 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     before = logger.handlers[:], logger.level, logger.propagate
     stdout, stderr = io.StringIO(), io.StringIO()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv(VARIABLE, "off")
+        patch.setenv(COMPILE_CACHE_VARIABLE, "off")
         with contextlib.redirect_stdout(stdout), contextlib.redirect_stderr(stderr):
-            status = main(["demo", "--out", str(folder), "--json"])
+            status = main(["demo", "--out", str(folder), "--keep-inputs", "--json"])
     logger.handlers[:], logger.level, logger.propagate = before
     return Run(status, stdout.getvalue(), stderr.getvalue(), folder)
 
@@ -49,9 +49,13 @@ def test_one_object_on_stdout_and_progress_on_stderr(run: Run) -> None:
 
 
 def test_the_files_are_there(run: Run) -> None:
-    names = {"report.html", "rig.json", "matches.npz"}
-    assert {file.name for file in run.folder.iterdir()} == names
-    assert {Path(file) for file in run.record["written"]} == {run.folder / name for name in names}
+    results = {"report.html", "rig.json", "matches.npz"}
+    assert {file.name for file in run.folder.iterdir()} == {*results, "inputs", "trinoc.toml"}
+    inputs = {f"inputs/{kind}_{view}.png" for kind in ("sheet", "scene") for view in table1_rig()}
+    kept = {"inputs/sheet.json", "trinoc.toml", *inputs}
+    written = {str(Path(file).relative_to(run.folder)) for file in run.record["written"]}
+    assert written == results | kept
+    assert all((run.folder / name).is_file() for name in written)
     page = (run.folder / "report.html").read_text(encoding="utf-8")
     # Four that are asked for, and the aim, which is not exact.
     assert page.count("data-parameter=") == 3 * 6
@@ -94,10 +98,40 @@ def test_most_of_what_is_put_out_is_right(run: Run) -> None:
     assert 0.7 < score["length_recall_with_rims"] <= score["length_recall"]
 
 
+def test_the_commands_printed_make_the_same_results(
+    run: Run, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv(COMPILE_CACHE_VARIABLE, "off")
+    monkeypatch.chdir(run.folder)
+    for line in run.record["commands"]:
+        program, *arguments = shlex.split(line)
+        assert program == "trinoc"
+        assert main([*arguments, "--quiet"]) == 0, capsys.readouterr().err
+    mine, demo = load_rig("my-rig.json"), load_rig("rig.json")
+    np.testing.assert_allclose(mine.matrices_px, demo.matrices_px, rtol=1e-9)
+    assert len(load_matches("my-matches.npz")) == len(load_matches("matches.npz"))
+    assert Path("my-calibration.html").stat().st_size < 1_000_000
+
+
+def test_the_file_in_the_folder_stands_in_for_all_arguments(
+    run: Run, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv(COMPILE_CACHE_VARIABLE, "off")
+    monkeypatch.chdir(run.folder)
+    before = sorted(run.folder.iterdir())
+    assert main(["calibrate", "--dry-run", "--quiet"]) == 0
+    said = capsys.readouterr().out
+    assert "upper: inputs/sheet_upper.png, 512 x 480 px" in said
+    assert "my-rig.json" in said
+    assert main(["match", "--rig", "rig.json", "--dry-run", "--json", "--quiet"]) == 0
+    assert json.loads(capsys.readouterr().out)["would_write"] == ["my-matches.npz"]
+    assert sorted(run.folder.iterdir()) == before
+
+
 def test_a_folder_that_cannot_be_made_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv(VARIABLE, "off")
+    monkeypatch.setenv(COMPILE_CACHE_VARIABLE, "off")
     (tmp_path / "file").write_text("")
     assert main(["demo", "--out", str(tmp_path / "file" / "out"), "--quiet"]) == 1
     assert "cannot be made a folder" in capsys.readouterr().err

@@ -16,6 +16,7 @@ from trinoc.report.clipping import clip_line
 from trinoc.report.colours import PALETTE, distinct_neighbours
 from trinoc.report.numbers import (
     decimals_for,
+    millimetres,
     plain,
     round_scale,
     signed,
@@ -174,3 +175,10 @@ def test_a_far_segment_does_not_shrink_the_view(matches: Matches) -> None:
     assert near is not None
     assert far is not None
     assert np.max(far.high_mm) < 2 * np.max(near.high_mm)
+
+
+@given(st.floats(1e-6, 100.0))
+def test_small_lengths_are_read_back_from_two_digits(value: float) -> None:
+    number, unit = millimetres(value).split()
+    shown = float(number) * (1e-3 if unit == "µm" else 1.0)
+    assert shown == pytest.approx(value, rel=0.051, abs=5.1e-7) or value > 10

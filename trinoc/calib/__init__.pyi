@@ -4,6 +4,8 @@ from .bundle.line_covariance import segment_and_errors as segment_and_errors
 from .bundle.pose_prior import d_parameters_d_delta as d_parameters_d_delta
 from .bundle.refinement import refine as refine
 from .bundle.result import RefineResult as RefineResult, RefineStatus as RefineStatus
+from .detection.any_target import detect_target as detect_target
+from .detection.charuco import opencv_board as opencv_board
 from .detection.detection import Detection as Detection
 from .detection.search import detect_pattern as detect_pattern
 from .from_detections import calibrate_detections as calibrate_detections
@@ -21,6 +23,16 @@ from .result.calibration import CalibrationResult as CalibrationResult, CameraFi
 from .result.status import Status as Status
 from .rig_check.comparison import compare_rigs as compare_rigs
 from .rig_check.knocked import RigCheck as RigCheck, check_rig as check_rig
+from .shots.from_shots import calibrate_rig as calibrate_rig
+from .shots.projection import projection_sigma as projection_sigma
+from .shots.result import RigFromShots as RigFromShots
+from .targets.abstract_target import AbstractTarget as AbstractTarget
+from .targets.checkers import (
+    DICTIONARIES as DICTIONARIES,
+    Charuco as Charuco,
+    Chessboard as Chessboard,
+    dark_squares as dark_squares,
+)
 from .targets.pattern import Pattern as Pattern
 from .targets.print_scale import printed_sheet as printed_sheet
 from .uncertainty.propagation import (

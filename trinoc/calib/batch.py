@@ -1,4 +1,4 @@
-"""Many rigs or frames at once: one vectorised fit, and a status for every picture."""
+"""Many rigs or frames at once: a status for every picture."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -7,11 +7,13 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from trinoc.calib.detection import Detection, Orientation, oriented
-from trinoc.calib.from_detections import lens_of_each
+from trinoc.calib.from_detections import Search, lens_of_each, outcome_of_search
 from trinoc.calib.messages import failure_sentence
 from trinoc.calib.pose import fit_views
 from trinoc.calib.result import Status
+from trinoc.calib.rig_fit import Knowledge
 from trinoc.calib.targets import Pattern
+from trinoc.calib.uncertainty import Systematics
 from trinoc.geometry import Intrinsics, PoseModel, pose_model_over_sheet
 from trinoc.numerics import in_float64
 
@@ -48,8 +50,12 @@ def calibrate_batch(
     parameters: int | None = None,
     pose_model: PoseModel | str | None = None,
     orientation: Orientation = None,
+    systematics: Systematics | None = None,
 ) -> BatchCalibration:
     """`calibrate_detections` for many frames; a picture that fails spoils no other.
+
+    systematics : as of `calibrate_detections`, each frame with errors of its own. `Systematics()`,
+        everything exact, is one vectorised fit of all frames and by far the fastest.
 
     A camera that is missing from a frame has the status NOT_DETECTED there, and one whose sheet
     looks the same turned AMBIGUOUS, unless `orientation` says which way round it lies. Raises
@@ -58,31 +64,81 @@ def calibrate_batch(
     names = tuple(dict.fromkeys(name for frame in frames for name in frame))
     lenses = lens_of_each(lens, dict.fromkeys(names))
     model = pose_model_over_sheet(pose_model, parameters)
-    settled = [oriented(frame, pattern, orientation) for frame in frames]
+    known = Knowledge(pattern, model, systematics or Systematics.typical(lenses))
+    known.systematics.check()
+    known.systematics.lens_factors(lenses)  # names that no camera has are refused
+    batch = _nothing_yet(len(frames), names, model)
+    if known.systematics.are_none:
+        _fit_circles(batch, frames, known, lenses, orientation)
+        return batch
+    for k, frame in enumerate(frames):
+        if frame:
+            _calibrate_frame(batch, k, frame, known, lenses, orientation)
+    return batch
+
+
+def _nothing_yet(count: int, names: tuple[str, ...], model: PoseModel) -> BatchCalibration:
+    shape = (count, len(names), model.size)
+    return BatchCalibration(
+        names,
+        model.parameter_names,
+        [dict.fromkeys(names, Status.NOT_DETECTED) for _ in range(count)],
+        np.full(shape, np.nan),
+        np.full((*shape, model.size), np.nan),
+        np.zeros(shape[:2], dtype=bool),
+        [{} for _ in range(count)],
+    )
+
+
+def _calibrate_frame(
+    batch: BatchCalibration,
+    k: int,
+    frame: Mapping[str, Detection],
+    known: Knowledge,
+    lenses: Mapping[str, Intrinsics],
+    orientation: Orientation,
+) -> None:
+    own = {name: lenses[name] for name in frame}
+    search = Search(tuple(frame), frame, {}, {})
+    frame_known = known._replace(systematics=known.systematics.of_cameras(own))
+    status, failures, result = outcome_of_search(search, own, frame_known, orientation)
+    batch.status[k].update(status if result is None else result.status)
+    batch.failures[k].update(failures)
+    if result is None:
+        return
+    for name in result.rig.names:
+        v = batch.names.index(name)
+        rows = [result.parameters.index(f"{name}.{key}") for key in batch.parameters]
+        batch.good[k, v] = result.status[name] is Status.CONVERGED
+        batch.values[k, v] = result.values[rows]
+        batch.covariance[k, v] = result.covariance[np.ix_(rows, rows)]
+
+
+def _fit_circles(
+    batch: BatchCalibration,
+    frames: Sequence[Mapping[str, Detection]],
+    known: Knowledge,
+    lenses: Mapping[str, Intrinsics],
+    orientation: Orientation,
+) -> None:
+    """One fit of all pictures, which share nothing where all else is exact."""
+    model = known.model
+    settled = [oriented(frame, known.pattern, orientation) for frame in frames]
     frames = [detections for detections, _ in settled]
     places = [
         (k, name) for k, frame in enumerate(frames) for name in frame if name not in settled[k][1]
     ]
     fits = fit_views(
         [frames[k][name] for k, name in places],
-        pattern,
+        known.pattern,
         [lenses[name] for _, name in places],
         model,
     )
-    shape = (len(frames), len(names), model.size)
-    batch = BatchCalibration(
-        names,
-        model.parameter_names,
-        [dict.fromkeys(names, Status.NOT_DETECTED) for _ in frames],
-        np.full(shape, np.nan),
-        np.full((*shape, model.size), np.nan),
-        np.zeros(shape[:2], dtype=bool),
-        [dict(ambiguous) for _, ambiguous in settled],
-    )
-    for status, (_, ambiguous) in zip(batch.status, settled, strict=True):
+    for status, failures, (_, ambiguous) in zip(batch.status, batch.failures, settled, strict=True):
         status.update(dict.fromkeys(ambiguous, Status.AMBIGUOUS))
+        failures.update(ambiguous)
     for (k, name), fit in zip(places, fits, strict=True):
-        v = names.index(name)
+        v = batch.names.index(name)
         sentence = failure_sentence(fit, frames[k][name], model)
         batch.status[k][name] = fit.status
         if sentence is not None:
@@ -91,4 +147,3 @@ def calibrate_batch(
         batch.good[k, v] = True
         batch.values[k, v] = fit.values[: model.size]
         batch.covariance[k, v] = fit.covariance
-    return batch

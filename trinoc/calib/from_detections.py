@@ -56,6 +56,21 @@ def calibrate_detections(
     return calibration_of_search(search, lenses, known, orientation, throw=throw)
 
 
+class Outcome(NamedTuple):
+    """What became of each camera.
+
+    Fields
+    ------
+    status : of all cameras.
+    failures : for each that failed, a sentence that says why.
+    result : of the others; None where there is none.
+    """
+
+    status: dict[str, Status]
+    failures: dict[str, str]
+    result: CalibrationResult | None
+
+
 def calibration_of_search(
     search: Search,
     lenses: Mapping[str, Intrinsics],
@@ -66,6 +81,26 @@ def calibration_of_search(
 ) -> CalibrationResult:
     """Fit the cameras whose sheet was found. Raises CalibrationError."""
     known.systematics.check()
+    _, failures, result = outcome_of_search(search, lenses, known, orientation)
+    if result is not None and not (failures and throw):
+        return result
+    told = "; ".join(
+        f'camera "{name}": {failures[name]}' for name in search.names if name in failures
+    )
+    raise CalibrationError(
+        f"{len(failures)} of {len(search.names)} cameras failed. {told[:1].upper()}{told[1:]}",
+        failures,
+        result,
+    )
+
+
+def outcome_of_search(
+    search: Search,
+    lenses: Mapping[str, Intrinsics],
+    known: Knowledge,
+    orientation: Orientation,
+) -> Outcome:
+    """Fit the cameras whose sheet was found, and say of each what became of it."""
     factors = known.systematics.lens_factors(lenses)
     detections, ambiguous = oriented(search.detections, known.pattern, orientation)
     sheets = [
@@ -93,17 +128,7 @@ def calibration_of_search(
             for group in known.systematics.groups(good)
         ]
         result = result_of_fits(fits, known, status, failures, others)
-    if failures and (throw or result is None):
-        told = "; ".join(
-            f'camera "{name}": {failures[name]}' for name in search.names if name in failures
-        )
-        raise CalibrationError(
-            f"{len(failures)} of {len(search.names)} cameras failed. {told[:1].upper()}{told[1:]}",
-            failures,
-            result,
-        )
-    assert result is not None
-    return result
+    return Outcome(status, failures, result)
 
 
 def _failed(sheet: FoundSheet, fit: PoseEstimate) -> CameraFit:

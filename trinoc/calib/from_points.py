@@ -9,8 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from trinoc.calib.pose import DEGREES, PointFit, fit_points
+from trinoc.calib.pose import DEGREES, PointFit, fit_points, image_shifts
 from trinoc.calib.result import Status
+from trinoc.calib.uncertainty import Systematics
 from trinoc.errors import CalibrationError, InputError
 from trinoc.geometry import (
     AFFINE_PARAMETERS,
@@ -30,6 +31,8 @@ _LARGEST_SIGMA = 0.1
 _OUTLIER_SIGMAS = 6.0
 _CUTS = 4
 _FEWEST_FOR_LENS = 8
+# Under which the one camera's lens goes to those who know cameras by name.
+_CAMERA = "camera"
 
 
 class PointsCalibration(eqx.Module):
@@ -74,6 +77,7 @@ def calibrate_points(
     image_size_px: tuple[int, int] | None = None,
     free: Sequence[str] | None = None,
     pose_model: PoseModel | str = PoseModel.RIGID,
+    systematics: Systematics | None = None,
 ) -> PointsCalibration:
     """The pose of a camera, and what of its lens is `free`, by least squares in the picture.
 
@@ -85,6 +89,9 @@ def calibrate_points(
         or for an ideal lens those of Brown-Conrady) that are fitted, starting from `lens`.
     pose_model : "rigid", any motion; "aim-free", the same by pan, tilt, swing, distance and aim;
         or "aimed", for a camera whose axis meets the world's origin.
+    systematics : its `lens_covariance` is that of what is not `free` of the lens, and is in the
+        covariance; by default that of a data sheet where the lens is one (`Systematics.typical`).
+        `Systematics()` takes the lens as exact. The places are exact either way.
 
     Raises
     ------
@@ -119,7 +126,13 @@ def calibrate_points(
         if np.array_equal(kept, used):
             break
         used = kept
-    return _judged(fit, used, names, model, camera.intrinsics, directions)
+    known = systematics or Systematics.typical({_CAMERA: camera.intrinsics} if lens else {})
+    factor = known.lens_factors({_CAMERA: camera.intrinsics}).get(_CAMERA, np.zeros((0, 0)))
+    held = np.zeros((len(start.parameter_names), factor.shape[1]))
+    held[: len(factor)] = factor
+    held *= (1 - chosen)[:, None]
+    by_lens = np.asarray(image_shifts(fit.pose, fit.lens, held, points))
+    return _judged(fit, used, names, model, camera.intrinsics, directions, by_lens)
 
 
 def _judged(
@@ -129,7 +142,9 @@ def _judged(
     model: PoseModel,
     lens: Intrinsics,
     directions: Float[np.ndarray, "q q"],
+    by_lens: Float[np.ndarray, "n 2 r"],
 ) -> PointsCalibration:
+    """by_lens : shift of the images, in px, for a sigma of each error of the lens that is held."""
     rows = [fit.lens.parameter_names.index(name) for name in names]
     columns = [*range(model.size), *(model.size + row for row in rows)]
     parameters = (*model.parameter_names, *names)
@@ -154,7 +169,9 @@ def _judged(
     by_step = np.zeros((len(columns), len(columns)))
     by_step[: model.size, : model.size] = DEGREES[: model.size, None] * fit.d_parameters_d_delta
     by_step[model.size :, model.size :] = np.diag(np.diag(directions)[rows])
-    covariance = noise**2 * by_step @ ((vectors / values) @ vectors.T) @ by_step.T
+    inverse = (vectors / values) @ vectors.T
+    by_error = inverse @ jacobian.T @ by_lens[used].reshape(len(jacobian), by_lens.shape[2])
+    covariance = by_step @ (noise**2 * inverse + by_error @ by_error.T) @ by_step.T
     fitted = Intrinsics.of_lens(simplified(fit.lens), lens.image_size_px, lens.pixel_pitch_mm)
     return PointsCalibration(
         camera=Camera(fitted if names else lens, fit.pose),
@@ -207,7 +224,13 @@ def _first_pose(
 ) -> Pose:
     """By SQPnP (Terzakis and Lourakis 2020), on a plane and off it."""
     rays = np.asarray(jax.vmap(lens.normalised_from_pixel)(jnp.asarray(seen)))
-    good, turn, shift = cv2.solvePnP(points, rays, np.eye(3), None, flags=cv2.SOLVEPNP_SQPNP)
+    try:
+        good, turn, shift = cv2.solvePnP(points, rays, np.eye(3), None, flags=cv2.SOLVEPNP_SQPNP)
+    except cv2.error as error:  # of points that are all one
+        raise CalibrationError(
+            f"The {len(points)} points do not spread enough to tell a pose: give points that "
+            "spread in depth and across the picture."
+        ) from error
     if not good:
         raise CalibrationError(
             f"No pose sees the {len(points)} points in front of the camera: check that places "

@@ -9,6 +9,7 @@ import tyro
 from trinoc.cli.command import Command, Outcome, UsageError
 from trinoc.cli.lens_options import LensOptions, expect_pixel_pitch
 from trinoc.cli.numbers import expect_sigmas
+from trinoc.cli.plan import plan
 from trinoc.cli.progress import LOGGER
 from trinoc.cli.views import files_of_views
 
@@ -95,9 +96,12 @@ class Calibrate(Command):
     ] = None
     """Also write an HTML report here."""
 
+    dry_run: bool = False
+    """Read and check everything, say what would be done, and write nothing."""
+
     def run(self, command_line: str) -> Outcome:
         """Calibrate and write the rig."""
-        files = files_of_views(self.pictures)
+        files = files_of_views(self.pictures, guess=True)
         if not files:
             raise UsageError("No picture is given: write NAME=FILE for each camera.")
         if not all(0.9 < scale < 1.1 for scale in self.print_scale):
@@ -118,6 +122,9 @@ class Calibrate(Command):
         lenses = self.lens.lenses({name: _size(image) for name, image in images.items()})
         known = self._systematics(lenses)
         earlier = None if self.orientation in (None, "upright") else load_rig(self.orientation)
+        if self.dry_run:
+            sizes = {name: _size(image) for name, image in images.items()}
+            return plan(f"calibrate by {pattern.name}", files, sizes, (self.out, self.report))
         LOGGER.info("calibrating %s", ", ".join(files))
         result = calibrate(
             images,

@@ -11,6 +11,10 @@ class UsageError(InputError):
     """The command line itself is wrong: exit status 2 instead of 1."""
 
 
+class Interrupted(KeyboardInterrupt):
+    """Ctrl-C in a job that keeps what is done; the text says so."""
+
+
 class Outcome(NamedTuple):
     """What a command has to say: text for people, or one JSON object for programs.
 

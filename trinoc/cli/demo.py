@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 import math
+import shlex
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,6 +13,7 @@ import tyro
 
 from trinoc.cli.calibrate import calibration_record
 from trinoc.cli.command import Command, Outcome
+from trinoc.cli.demo_inputs import commands, keep_inputs
 from trinoc.cli.match import match_record
 from trinoc.cli.progress import LOGGER
 from trinoc.errors import InputError
@@ -38,6 +40,9 @@ class Demo(Command):
     out: Annotated[Path, tyro.conf.arg(aliases=("-o",), metavar="DIR")] = Path("trinoc-demo")
     """The folder for report.html, rig.json and matches.npz; made where it is not there."""
 
+    keep_inputs: bool = False
+    """Also leave the pictures and the sheet there, and print the commands that make each result."""
+
     def run(self, command_line: str) -> Outcome:
         """Do the whole job, the same functions as the other commands in the same order."""
         seconds: dict[str, float] = {}
@@ -46,11 +51,29 @@ class Demo(Command):
         score = _score(work.matches)
         with _step("writing the report", seconds):
             written = _write(self.out, work, score, command_line)
+        kept, by_hand = [], ""
+        if self.keep_inputs:
+            kept = keep_inputs(self.out)
+            by_hand = _by_hand(self.out)
         LOGGER.info("done in %.1f s", sum(seconds.values()))
         return Outcome(
-            _text(work, score, written),
-            {**_record(work, score), "seconds": seconds, "written": list(map(str, written))},
+            _text(work, score, written) + by_hand,
+            {
+                **_record(work, score),
+                "seconds": seconds,
+                "written": [str(path) for path in (*written, *kept)],
+                "commands": commands() if self.keep_inputs else [],
+            },
         )
+
+
+def _by_hand(folder: Path) -> str:
+    """The same, a command at a time."""
+    lines = "\n".join(commands())
+    return (
+        f"\n\nThe same by hand:\ncd {shlex.quote(str(folder))}\n{lines}\n"
+        "trinoc.toml there says the same, so that `trinoc calibrate` and `trinoc match` do."
+    )
 
 
 class Work(NamedTuple):

@@ -11,7 +11,7 @@ import tyro
 from trinoc.cli.command import Command, Outcome, UsageError
 from trinoc.cli.progress import LOGGER
 from trinoc.cli.rig_file import read_rig
-from trinoc.cli.scene_files import SEGMENT_SUFFIXES, check_size, check_views
+from trinoc.cli.scene_files import SEGMENT_SUFFIXES, check_views
 from trinoc.cli.views import files_of_views
 from trinoc.errors import InputError
 
@@ -87,7 +87,7 @@ class Evaluate(Command):
 
     def run(self, command_line: str) -> Outcome:
         """Evaluate every setting, and write the table after each."""
-        files = files_of_views(self.pictures)
+        files = files_of_views(self.pictures, guess=True)
         self._check_usage(bool(files))
 
         from trinoc.io import expect_place, load_shape, save_table
@@ -159,7 +159,7 @@ class Evaluate(Command):
                 matches, rig, shape, choices, tolerances_mm=self.within_mm, aligned=self.align
             )
             return
-        from trinoc.io import read_views
+        from trinoc.io import expect_size, read_views
 
         if rig is None or self.rig is None:
             raise UsageError("The rig that took the pictures is not given: add --rig rig.json.")
@@ -172,7 +172,7 @@ class Evaluate(Command):
         check_views(files, rig, self.rig)
         pictures = read_views(files)
         for name, picture in pictures.items():
-            check_size(name, picture, rig)
+            expect_size(name, picture, rig)
         settings = settings_of(*(getattr(self, name) for name in KNOBS))
         rows = evaluate_settings(
             pictures,

@@ -14,10 +14,13 @@ from typing import Annotated
 import tyro
 
 import trinoc
+from trinoc.cli.batch import Batch
 from trinoc.cli.calibrate import Calibrate
+from trinoc.cli.calibrate_rig import CalibrateRig
 from trinoc.cli.check import Check
 from trinoc.cli.command import Command, UsageError
 from trinoc.cli.demo import Demo
+from trinoc.cli.doctor import Doctor
 from trinoc.cli.evaluate import Evaluate
 from trinoc.cli.export import Export
 from trinoc.cli.import_ import Import
@@ -26,6 +29,7 @@ from trinoc.cli.match import Match
 from trinoc.cli.numbers import expect_numbers
 from trinoc.cli.pattern import Pattern
 from trinoc.cli.refine import Refine
+from trinoc.cli.rig_toml import with_file
 from trinoc.cli.segments import Segments
 from trinoc.cli.words import in_options
 from trinoc.errors import TrinocError
@@ -40,13 +44,16 @@ AnyCommand = (
     | Annotated[Pattern, tyro.conf.subcommand("pattern")]
     | Annotated[Intrinsics, tyro.conf.subcommand("intrinsics")]
     | Annotated[Calibrate, tyro.conf.subcommand("calibrate")]
+    | Annotated[CalibrateRig, tyro.conf.subcommand("calibrate-rig")]
     | Annotated[Segments, tyro.conf.subcommand("segments")]
     | Annotated[Match, tyro.conf.subcommand("match")]
+    | Annotated[Batch, tyro.conf.subcommand("batch")]
     | Annotated[Refine, tyro.conf.subcommand("refine")]
     | Annotated[Check, tyro.conf.subcommand("check")]
     | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
     | Annotated[Export, tyro.conf.subcommand("export")]
     | Annotated[Import, tyro.conf.subcommand("import")]
+    | Annotated[Doctor, tyro.conf.subcommand("doctor")]
 )
 
 
@@ -56,6 +63,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if arguments == ["--version"]:
         print(f"trinoc {trinoc.__version__}")
         return 0
+    try:
+        arguments = with_file(arguments)
+    except UsageError as error:
+        print(f"trinoc: {error}", file=sys.stderr)
+        return 2
     try:
         command = tyro.cli(
             AnyCommand,
@@ -73,8 +85,8 @@ def _run(command: Command, command_line: str) -> int:
     # Small LAPACK calls are many times slower when their threads fight over busy cores.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-    from trinoc.cli.compile_cache import enable_compile_cache
     from trinoc.cli.progress import set_up_logging
+    from trinoc.io import enable_compile_cache
 
     set_up_logging(quiet=command.quiet)
     enable_compile_cache()
@@ -90,8 +102,9 @@ def _run(command: Command, command_line: str) -> int:
         return _failed(command, f"{place}{error.strerror or error}: check the disk.", status=1)
     except MemoryError:
         return _failed(command, "The memory does not suffice: give smaller or fewer files.", 1)
-    except KeyboardInterrupt:
-        return _failed(command, "Interrupted: files that were not finished are not there.", 130)
+    except KeyboardInterrupt as stopped:
+        said = str(stopped) or "Interrupted: files that were not finished are not there."
+        return _failed(command, said, 130)
     record = outcome.record
     if outcome.refusal is not None:
         record = {**record, "error": in_options(outcome.refusal, command)}

@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from trinoc.cli.command import Command, Outcome, UsageError
+from trinoc.cli.plan import plan
 from trinoc.cli.progress import LOGGER
-from trinoc.cli.rig_file import doubts_table, read_rig
+from trinoc.cli.rig_file import doubts_of, doubts_table, read_rig
 from trinoc.cli.scene_files import check_views, read_segments
 from trinoc.cli.segment_options import SegmentOptions
-from trinoc.cli.views import files_of_views
+from trinoc.cli.views import files_of_views, with_names
 
 if TYPE_CHECKING:
     from trinoc.geometry import Segments
@@ -55,9 +56,12 @@ class Match(SegmentOptions, Command):
     ] = None
     """Also write an HTML report here."""
 
+    dry_run: bool = False
+    """Read and check everything, say what would be done, and write nothing."""
+
     def run(self, command_line: str) -> Outcome:
         """Match and write the matches."""
-        files = files_of_views(self.pictures)
+        files = files_of_views(self.pictures, guess=True)
         if not files:
             raise UsageError("No picture is given: write NAME=FILE for each camera.")
         near, far = self.depth_range_mm
@@ -74,7 +78,11 @@ class Match(SegmentOptions, Command):
 
         expect_place(self.out, self.report)
         rig = read_rig(self.rig)
+        files = with_names(files, rig.names)
         check_views(files, rig, self.rig)
+        if self.dry_run:
+            sizes = {name: rig[name].image_size_px for name in files}
+            return plan(f"match with {self.rig}", files, sizes, (self.out, self.report))
         images, segments = read_segments(files, rig, self.find, quiet=self.quiet)
         LOGGER.info("matching %s", ", ".join(f"{len(s)} ({n})" for n, s in segments.items()))
         depths = None if self.depth_range_mm == ANYWHERE else self.depth_range_mm
@@ -93,6 +101,7 @@ class Match(SegmentOptions, Command):
                 scene_pictures=images,
                 title="Matches",
                 tables=doubts_table(self.rig),
+                doubts=doubts_of(self.rig),
                 provenance=for_people(provenance(command_line, {**files, "rig": self.rig})),
             )
         written = [str(path) for path in (self.out, self.report) if path is not None]

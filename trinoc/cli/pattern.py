@@ -1,24 +1,41 @@
-"""`trinoc pattern`: a sheet to print, with the layout that `trinoc calibrate` reads."""
+"""`trinoc pattern`: a sheet or board to print, with the layout that other commands read."""
 
 import dataclasses
 import importlib.util
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 from trinoc.cli.command import Command, Outcome, UsageError
 
+if TYPE_CHECKING:
+    from trinoc.calib import AbstractTarget
+
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Pattern(Command):
-    """Make a sheet of circles and crossed lines: its layout, and drawings to print."""
+    """Make a sheet of circles and crossed lines, or a board: its layout, and drawings to print."""
+
+    board: Literal["sheet", "chessboard", "charuco"] = "sheet"
+    """What to draw: the sheet of `trinoc calibrate`, or a board of squares for `calibrate-rig`."""
 
     rows: int = 8
-    """Circles from top to bottom; even, so that no line meets a circle."""
+    """Circles from top to bottom; even, so that no line meets a circle. Of a board, squares."""
 
     columns: int = 8
-    """Circles from left to right; even, too."""
+    """Circles from left to right; even, too. Of a board, squares."""
+
+    square_mm: float = 20.0
+    """Side of a board's squares."""
+
+    marker_mm: Annotated[
+        float | None, tyro.conf.arg(metavar="MM", help_behavior_hint="(default: 3/4 of it)")
+    ] = None
+    """Side of a ChArUco board's markers."""
+
+    dictionary: str = "4x4_250"
+    """Of a ChArUco board's markers, by OpenCV's name."""
 
     pitch_mm: float = 20.0
     """Distance between the centres of neighbours."""
@@ -41,31 +58,52 @@ class Pattern(Command):
         if self.out.suffix.lower() != ".json":
             raise UsageError(f"{self.out}: a layout is JSON: choose a name that ends in .json.")
 
-        from trinoc.calib import Pattern as Sheet
-        from trinoc.io import save_pattern, save_pattern_pdf, save_pattern_svg
+        from trinoc.io import save_pattern_pdf, save_pattern_svg, save_target
 
-        sheet = Sheet.cross_grid(
-            rows=self.rows,
-            columns=self.columns,
-            pitch_mm=self.pitch_mm,
-            radius_mm=self.radius_mm,
-            line_style=self.line_style,
-        )
+        sheet = self._target()
         drawing, page = self.out.with_suffix(".svg"), self.out.with_suffix(".pdf")
         written = [self.out, drawing]
         # First the drawing, which fails where the sheet is larger than the paper.
         save_pattern_svg(sheet, drawing, paper=self.paper)
-        save_pattern(sheet, self.out)
+        save_target(sheet, self.out)
         notes = [
             "Print at 100 %, measure the two scale bars, and give measured over nominal length",
             "to `trinoc calibrate --print-scale`.",
         ]
+        places = "circles"
+        if self.board != "sheet":
+            notes = ["Print at 100 %, and give the side of a square as you measure it."]
+            places = "corners"
         if importlib.util.find_spec("reportlab") is None:
             notes.append("No PDF, because reportlab is missing: pip install 'trinoc[print]'.")
         else:
             save_pattern_pdf(sheet, page, paper=self.paper)
             written.append(page)
         files = [str(path) for path in written]
-        text = f"{len(sheet)} circles, {sheet.name}\n" + "\n".join(notes)
-        record = {"name": sheet.name, "circles": len(sheet), "written": files}
+        text = f"{len(sheet)} {places}, {sheet.name}\n" + "\n".join(notes)
+        record = {"name": sheet.name, places: len(sheet), "written": files}
         return Outcome(f"{text}\nwritten: {', '.join(files)}", record)
+
+    def _target(self) -> "AbstractTarget":
+        from trinoc.calib import Charuco, Chessboard, Pattern as Sheet
+
+        if self.board == "chessboard":
+            return Chessboard(
+                rows=self.rows - 1, columns=self.columns - 1, square_mm=self.square_mm
+            )
+        if self.board == "charuco":
+            marker_mm = 0.75 * self.square_mm if self.marker_mm is None else self.marker_mm
+            return Charuco(
+                rows=self.rows,
+                columns=self.columns,
+                square_mm=self.square_mm,
+                marker_mm=marker_mm,
+                dictionary=self.dictionary,
+            )
+        return Sheet.cross_grid(
+            rows=self.rows,
+            columns=self.columns,
+            pitch_mm=self.pitch_mm,
+            radius_mm=self.radius_mm,
+            line_style=self.line_style,
+        )

@@ -19,6 +19,34 @@ def set_up_logging(*, quiet: bool) -> None:
     LOGGER.propagate = False
 
 
+class Bar:
+    """A progress bar on stderr for work that says how far it is."""
+
+    def __init__(self, doing: str, *, quiet: bool) -> None:
+        self._doing, self._quiet, self._bar = doing, quiet, None
+
+    def __enter__(self) -> "Bar":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._bar is not None:
+            self._bar.close()
+
+    def at(self, done: int, total: int) -> None:
+        """Show that so many of so many are done."""
+        from tqdm import tqdm
+
+        if self._bar is None:
+            self._bar = tqdm(
+                total=total,
+                desc=f"trinoc: {self._doing}",
+                leave=False,
+                file=sys.stderr,
+                disable=self._quiet or not sys.stderr.isatty(),
+            )
+        self._bar.update(done - self._bar.n)
+
+
 def each(items: Collection[_Item], doing: str, *, quiet: bool) -> Iterator[_Item]:
     """The items, with a progress bar on stderr that leaves no trace."""
     from tqdm import tqdm

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from trinoc.cli.command import UsageError
 from trinoc.cli.progress import LOGGER
 from trinoc.cli.scene_files import check_views, read_segments
-from trinoc.cli.views import files_of_views
+from trinoc.cli.views import files_of_views, with_names
 
 if TYPE_CHECKING:
     from trinoc.geometry import Rig
@@ -44,7 +44,7 @@ def scene_of(
     from trinoc.match import match_segments
     from trinoc.segments import find_segments
 
-    files = files_of_views(pictures)
+    files = with_names(files_of_views(pictures, guess=True), rig.names)
     check_views(files, rig, rig_file)
     segments = read_segments(files, rig, find_segments, quiet=quiet)[1]
     LOGGER.info("matching %s", ", ".join(f"{len(s)} ({n})" for n, s in segments.items()))

@@ -23,12 +23,12 @@ def read_segments(
     quiet: bool,
 ) -> "tuple[dict[str, np.ndarray], dict[str, Segments]]":
     """(the pictures among the files, the segments of all): read, or found in the pictures."""
-    from trinoc.io import load_segments, read_views
+    from trinoc.io import expect_inside, expect_size, load_segments, read_views
 
     tables = {n: f for n, f in files.items() if f.suffix.lower() in SEGMENT_SUFFIXES}
     images = read_views({name: file for name, file in files.items() if name not in tables})
     for name, image in images.items():
-        check_size(name, image, rig)
+        expect_size(name, image, rig)
     segments = {
         name: load_segments(tables[name]) if name in tables else find(images[name])
         for name in each(tuple(files), "segments", quiet=quiet)
@@ -37,7 +37,7 @@ def read_segments(
         if len(found) == 0:
             _warn_of_nothing(name, images.get(name), files[name])
         elif name in tables:
-            check_inside(name, found, rig, tables[name])
+            expect_inside(name, found, rig, tables[name])
     return images, segments
 
 
@@ -46,20 +46,6 @@ def _warn_of_nothing(name: str, image: "np.ndarray | None", file: Path) -> None:
 
     why = "The table is empty." if image is None else why_nothing(image)
     LOGGER.warning('no segment in %s, the picture of "%s": %s', file, name, why)
-
-
-def check_inside(name: str, segments: "Segments", rig: "Rig", file: Path) -> None:
-    """Raise InputError for segments more than a picture's width beyond the picture."""
-    import numpy as np
-
-    size = np.array(rig[name].image_size_px)
-    ends = np.asarray(segments.endpoints_px)
-    outside = np.flatnonzero(((ends < -size) | (ends > 2 * size)).any(axis=(1, 2)))
-    if len(outside):
-        raise InputError(
-            f'{file}: segment {outside[0]} lies far outside the pictures of "{name}", which are '
-            f"{size[0]} x {size[1]} px: give ends in pixels of that camera."
-        )
 
 
 def check_views(files: Mapping[str, Path], rig: "Rig", rig_file: Path) -> None:
@@ -77,14 +63,3 @@ def check_views(files: Mapping[str, Path], rig: "Rig", rig_file: Path) -> None:
         )
     if missing:
         LOGGER.warning("no picture of %s: matching without", ", ".join(missing))
-
-
-def check_size(name: str, image: "np.ndarray", rig: "Rig") -> None:
-    """Raise InputError where a picture has not the size that the rig was calibrated for."""
-    size = (image.shape[1], image.shape[0])
-    if size != rig[name].image_size_px:
-        raise InputError(
-            f'The picture of "{name}" is {size[0]} x {size[1]} px, but the rig was calibrated for '
-            f"{rig[name].image_size_px[0]} x {rig[name].image_size_px[1]} px: give a picture of "
-            "that size."
-        )

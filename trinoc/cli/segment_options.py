@@ -1,7 +1,7 @@
 """How the command line says which edges of a picture become segments."""
 
 import dataclasses
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from trinoc.cli.command import UsageError
 
@@ -54,14 +54,17 @@ class SegmentOptions:
         """The segments of a picture."""
         from trinoc.segments import find_segments
 
-        return find_segments(
-            image,
-            tolerance_px=self.tolerance_px,
-            false_alarms=self.false_alarms,
-            least_contrast=self.least_contrast,
-            arcs=self.arcs,
-            response=self.response,
-        )
+        return find_segments(image, **self.find_options())
+
+    def find_options(self) -> dict[str, Any]:
+        """The options as `find_segments` takes them."""
+        return {
+            "tolerance_px": self.tolerance_px,
+            "false_alarms": self.false_alarms,
+            "least_contrast": self.least_contrast,
+            "arcs": self.arcs,
+            "response": self.response,
+        }
 
     def why_nothing(self, image: "np.ndarray") -> str:
         """Why `find` found no segment in a picture."""

@@ -16,7 +16,7 @@ from trinoc.evaluation.known_shape import KnownShape
 from trinoc.evaluation.lines_on_edges import angles_deg, edge_of_lines, offsets_across, selected
 from trinoc.evaluation.normalised_errors import NormalisedErrors, normalised_errors
 from trinoc.geometry import UncertainLines
-from trinoc.numerics import MAD_TO_SIGMA, ArrayLike
+from trinoc.numerics import MAD_TO_SIGMA, ArrayLike, Shown
 from trinoc.synth import SceneTruth
 
 TOLERANCES_MM = (0.1, 0.25, 0.5, 1.0)
@@ -61,7 +61,7 @@ class LinesInSpace(Protocol):
         ...
 
 
-class Evaluation(eqx.Module):
+class Evaluation(Shown, eqx.Module):
     """Lines in space beside known edges.
 
     Fields

@@ -26,6 +26,8 @@ from .lenses.abstract_lens import (
     ray_of_normalised as ray_of_normalised,
 )
 from .lenses.brown_conrady import BrownConrady as BrownConrady
+from .lenses.kannala_brandt import KannalaBrandt as KannalaBrandt
+from .lenses.rational import Rational as Rational, ThinPrism as ThinPrism
 from .lenses.registry import (
     DEFAULT_DISTORTION as DEFAULT_DISTORTION,
     LENS_MODELS as LENS_MODELS,
@@ -41,6 +43,7 @@ from .lines import (
     plane_of_line as plane_of_line,
     signed_distance as signed_distance,
 )
+from .one_place import at_one_place as at_one_place
 from .pose import Pose as Pose
 from .pose_model import PoseModel as PoseModel, pose_model_over_sheet as pose_model_over_sheet
 from .projection import project_by_matrix as project_by_matrix, project_point as project_point

@@ -8,12 +8,12 @@ from jaxtyping import Float
 
 from trinoc.errors import InputError
 from trinoc.geometry.camera import Camera
-from trinoc.numerics import ArrayLike
+from trinoc.numerics import ArrayLike, Shown
 
 PARAMETER_NAMES = ("pan_deg", "tilt_deg", "swing_deg", "distance_mm", "aim_x_mm", "aim_y_mm")
 
 
-class Rig(eqx.Module):
+class Rig(Shown, eqx.Module):
     """Named cameras, in the order the user gave them.
 
     Fields

@@ -6,14 +6,14 @@ from jaxtyping import Float, Int, Shaped
 
 from trinoc.errors import InputError
 from trinoc.geometry.junctions import Junctions
-from trinoc.numerics import ArrayLike
+from trinoc.numerics import ArrayLike, Shown
 
 DEFAULT_SIGMA_PX = 0.5
 # Detectors cut ends short or run past them: along the segment an end is known far less.
 DEFAULT_SIGMA_ALONG_PX = 2.0
 
 
-class Segments(eqx.Module):
+class Segments(Shown, eqx.Module):
     """Line segments of one picture.
 
     Fields

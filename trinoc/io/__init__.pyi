@@ -3,6 +3,11 @@ from .atomic import (
     expect_place as expect_place,
     write_text as write_text,
 )
+from .board_json import load_target as load_target, save_target as save_target
+from .compile_cache import (
+    COMPILE_CACHE_VARIABLE as COMPILE_CACHE_VARIABLE,
+    enable_compile_cache as enable_compile_cache,
+)
 from .demo import (
     demo_images as demo_images,
     demo_paths as demo_paths,
@@ -35,20 +40,38 @@ from .formats import (
     ros as ros,
     tf as tf,
 )
-from .images import read_image as read_image, read_views as read_views
+from .frames_files import (
+    frames_ending as frames_ending,
+    load_frames as load_frames,
+    save_frames as save_frames,
+)
+from .images import (
+    IMAGE_SUFFIXES as IMAGE_SUFFIXES,
+    picture_digest as picture_digest,
+    read_image as read_image,
+    read_views as read_views,
+)
 from .intrinsics_json import (
     load_intrinsics as load_intrinsics,
     load_lens_covariance as load_lens_covariance,
 )
+from .json_text import parsed_json as parsed_json
 from .known_shape import load_shape as load_shape
 from .loading import load_any as load_any
 from .matches_npz import load_matches as load_matches
 from .pattern_json import load_pattern as load_pattern, save_pattern as save_pattern
 from .pattern_pdf import save_pattern_pdf as save_pattern_pdf
 from .pattern_svg import save_pattern_svg as save_pattern_svg
-from .rig_json import load_rig as load_rig, load_rig_status as load_rig_status
+from .rig_json import (
+    load_rig as load_rig,
+    load_rig_status as load_rig_status,
+    rig_text as rig_text,
+)
 from .rig_status import CameraStatus as CameraStatus, RigStatus as RigStatus
 from .saving import save as save
 from .segments_npz import load_segments as load_segments
+from .shots import load_shots as load_shots
 from .table_csv import save_table as save_table
 from .usable_cameras import expect_lens as expect_lens, expect_pitch as expect_pitch
+from .views_of_rig import expect_inside as expect_inside, expect_size as expect_size
+from .whole_files import read_text as read_text

@@ -1,6 +1,7 @@
 """Files that are either whole or not there, whatever stops the program."""
 
 import contextlib
+import errno
 import os
 import re
 import secrets
@@ -13,6 +14,12 @@ from trinoc.errors import InputError
 
 # A file is written in seconds; another program may be writing a younger one.
 ABANDONED_S = 3600
+# Of a write: the disk, a quota or a limit is full, or the disk fails. Python does not say where.
+_DISK = {
+    getattr(errno, name)
+    for name in ("ENOSPC", "EDQUOT", "EFBIG", "EIO", "EROFS")
+    if hasattr(errno, name)
+}
 
 
 @contextlib.contextmanager
@@ -39,8 +46,12 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
         with file:
             yield file
         os.replace(scratch, target)
-    except BaseException:
+    except BaseException as error:
         scratch.unlink(missing_ok=True)
+        if isinstance(error, OSError) and error.errno in _DISK and error.filename is None:
+            raise InputError(
+                f"{target} was not written ({error.strerror}): make room, or choose another place."
+            ) from error
         raise
 
 

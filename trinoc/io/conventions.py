@@ -6,5 +6,6 @@ CONVENTIONS = (
     "the top-left pixel. Pan is the azimuth of the camera from -Y toward +X, tilt its elevation "
     "above Z = 0, swing turns the picture's x toward its y, distance is from the point aim of the "
     "sheet, on the optical axis, to the camera's centre. Distortion brown_conrady: k1, k2, p1, "
-    "p2, k3 on normalised coordinates. Covariance: degrees and mm."
+    "p2, k3 on normalised coordinates; rational and thin_prism: OpenCV's 8 and 12 coefficients; "
+    "kannala_brandt: k1 to k4 of OpenCV's fisheye. Covariance: degrees and mm."
 )

@@ -132,7 +132,12 @@ def read_document(path: str | os.PathLike[str], format_name: str, version: int) 
 
 def write_document(path: str | os.PathLike[str], values: dict[str, Any]) -> None:
     """Write an object as indented JSON with short lists on one line."""
-    write_text(path, _dumped(values, "") + "\n")
+    write_text(path, document_text(values))
+
+
+def document_text(values: dict[str, Any]) -> str:
+    """The text that `write_document` writes."""
+    return _dumped(values, "") + "\n"
 
 
 def _dumped(value: Any, indent: str) -> str:

@@ -16,6 +16,11 @@ _FRAGMENTS_COVARIANCE, _MISFIT, _MOVES = "fragments_covariance_px2", "misfit", "
 
 def save_matches(matches: Matches, path: str | os.PathLike[str]) -> None:
     """Write matches as npz, whole or not at all."""
+    write_arrays(path, FORMAT, VERSION, arrays_of_matches(matches))
+
+
+def arrays_of_matches(matches: Matches) -> dict[str, np.ndarray]:
+    """The arrays of a file of matches, by name."""
     arrays = {
         "views": _texts(matches.views),
         "index": matches.index,
@@ -34,7 +39,7 @@ def save_matches(matches: Matches, path: str | os.PathLike[str]) -> None:
         if getattr(matches, name) is not None:
             arrays[name] = getattr(matches, name)
     reasons = {_REASONS + view: _texts(words) for view, words in matches.reasons.items()}
-    write_arrays(path, FORMAT, VERSION, {**arrays, **reasons})
+    return {**arrays, **reasons}
 
 
 def load_matches(path: str | os.PathLike[str]) -> Matches:
@@ -44,7 +49,11 @@ def load_matches(path: str | os.PathLike[str]) -> Matches:
     can give: segments that do not exist, fragments where a view sees none, places that are not
     finite or beyond all scenes, covariances that are none, probabilities outside [0, 1].
     """
-    fields = ArrayFields(read_arrays(path, FORMAT, VERSION), path)
+    return matches_of_fields(ArrayFields(read_arrays(path, FORMAT, VERSION), path))
+
+
+def matches_of_fields(fields: ArrayFields) -> Matches:
+    """The matches in the arrays of a file. Raises InputError as `load_matches` does."""
     views = tuple(map(str, fields.take("views", "U", (None,), "views")))
     if len(set(views)) < max(len(views), 2):
         raise fields.error(

@@ -1,12 +1,14 @@
 """A sheet laid out on a page: figures in mm, from which SVG and PDF are drawn alike."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib import Pattern
+from trinoc.calib import AbstractTarget, Pattern
 from trinoc.errors import InputError
+from trinoc.io.board_figures import ink_polygons
 
 # (width, height) in mm, upright.
 PAPER_SIZES_MM = {
@@ -63,8 +65,8 @@ class Page(NamedTuple):
     bars_mm: tuple[float, float]
 
 
-def lay_out(pattern: Pattern, paper: str = "a4") -> Page:
-    """The sheet in true scale on a page, with a scale bar on both axes.
+def lay_out(pattern: AbstractTarget, paper: str = "a4") -> Page:
+    """The sheet or board in true scale on a page, with a scale bar on both axes.
 
     paper : one of `PAPER_SIZES_MM`; the page is turned if the sheet only fits lying.
 
@@ -72,11 +74,27 @@ def lay_out(pattern: Pattern, paper: str = "a4") -> Page:
     ------
     InputError : an unknown paper, or a sheet too large for it.
     """
+    if not isinstance(pattern, Pattern):
+        ink = ink_polygons(pattern)
+        every = np.concatenate(ink)
+        figures = [Polygon(corners, True) for corners in ink]
+        return _page(pattern, paper, "corners", figures, every.min(axis=0), every.max(axis=0))
+    return _page(pattern, paper, "circles", _sheet_figures(pattern), *_box(pattern))
+
+
+def _page(
+    pattern: AbstractTarget,
+    paper: str,
+    places: str,
+    drawing: Sequence[Disc | Polygon | Text],
+    low: Float[np.ndarray, "2"],
+    high: Float[np.ndarray, "2"],
+) -> Page:
+    """The drawing, which fills the rectangle from `low` to `high`, on a page."""
     if paper.lower() not in PAPER_SIZES_MM:
         raise InputError(
             f"The paper {paper!r} is unknown; give one of {', '.join(PAPER_SIZES_MM)}."
         )
-    low, high = _box(pattern)
     needed = high - low + 2 * _MARGIN_MM + np.array([2 * _BAR_GAP_MM, _BAR_GAP_MM + _TEXT_ROOM_MM])
     size = PAPER_SIZES_MM[paper.lower()]
     fitting = [page for page in (size, (size[1], size[0])) if np.all(needed <= page)]
@@ -91,10 +109,10 @@ def lay_out(pattern: Pattern, paper: str = "a4") -> Page:
     below = max(0.5 * free, _MARGIN_MM + _BAR_GAP_MM + _TEXT_ROOM_MM)
     shift = np.array([0.0, -0.5 * page_mm[1] + below]) - np.array([0.5 * (low + high)[0], low[1]])
     bar_x, bar_y = (max(_BAR_STEP_MM * np.floor(side / _BAR_STEP_MM), 10.0) for side in high - low)
-    figures = [_moved(figure, shift) for figure in _sheet_figures(pattern)]
+    figures = [_moved(figure, shift) for figure in drawing]
     figures += _bars(low + shift, high + shift, bar_x, bar_y)
     words = (
-        f"{pattern.name}   {len(pattern)} circles   {paper.upper()}",
+        f"{pattern.name}   {len(pattern)} {places}   {paper.upper()}",
         "print at 100 % (actual size, no fit to page); then measure both bars",
     )
     foot = float((low + shift)[1]) - _BAR_GAP_MM

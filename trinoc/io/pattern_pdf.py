@@ -3,7 +3,7 @@
 import io
 import os
 
-from trinoc.calib import Pattern
+from trinoc.calib import AbstractTarget
 from trinoc.errors import InputError
 from trinoc.io.atomic import atomic_write
 from trinoc.io.pattern_page import LETTER_MM, Disc, Page, Polygon, lay_out
@@ -11,7 +11,9 @@ from trinoc.io.pattern_page import LETTER_MM, Disc, Page, Polygon, lay_out
 _POINTS_PER_MM = 72.0 / 25.4
 
 
-def save_pattern_pdf(pattern: Pattern, path: str | os.PathLike[str], *, paper: str = "a4") -> None:
+def save_pattern_pdf(
+    pattern: AbstractTarget, path: str | os.PathLike[str], *, paper: str = "a4"
+) -> None:
     """Draw the sheet in true scale.
 
     The page box is the paper's exactly, and viewers are told not to scale when printing.

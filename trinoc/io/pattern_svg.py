@@ -3,12 +3,14 @@
 import os
 from xml.sax.saxutils import escape
 
-from trinoc.calib import Pattern
+from trinoc.calib import AbstractTarget
 from trinoc.io.atomic import write_text
 from trinoc.io.pattern_page import LETTER_MM, Disc, Page, Polygon, lay_out
 
 
-def save_pattern_svg(pattern: Pattern, path: str | os.PathLike[str], *, paper: str = "a4") -> None:
+def save_pattern_svg(
+    pattern: AbstractTarget, path: str | os.PathLike[str], *, paper: str = "a4"
+) -> None:
     """Draw the sheet in true scale. Raises InputError where it does not fit the paper."""
     write_text(path, pattern_svg(lay_out(pattern, paper)))
 

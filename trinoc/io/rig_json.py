@@ -9,9 +9,10 @@ import numpy as np
 from trinoc.errors import InputError
 from trinoc.geometry import PARAMETER_NAMES, Camera, Pose, Rig
 from trinoc.io.array_checks import is_covariance
+from trinoc.io.atomic import write_text
 from trinoc.io.conventions import CONVENTIONS
 from trinoc.io.intrinsics_json import intrinsics_from_block, intrinsics_to_block
-from trinoc.io.json_document import Block, read_document, write_document
+from trinoc.io.json_document import Block, document_text, read_document
 from trinoc.io.rig_status import RigStatus, status_of_document
 from trinoc.io.usable_cameras import expect_apart
 
@@ -61,12 +62,22 @@ def save_rig(
 
     Raises InputError for a covariance that is not finite: it is no statement about errors.
     """
-    covariance = np.asarray(rig.covariance, dtype=np.float64)
-    if not np.isfinite(covariance).all():
+    if not np.isfinite(np.asarray(rig.covariance)).all():
         raise InputError(
             f"{path} was not written, because the covariance of the rig is not finite: calibrate "
             "so that all parameters are determined, or drop the covariance."
         )
+    write_text(path, rig_text(rig, provenance=provenance, status=status))
+
+
+def rig_text(
+    rig: Rig,
+    *,
+    provenance: Mapping[str, Any] | None = None,
+    status: Mapping[str, Any] | None = None,
+) -> str:
+    """The text of a rig.json; equal rigs give equal texts."""
+    covariance = np.asarray(rig.covariance, dtype=np.float64)
     document: dict[str, Any] = {
         "format": FORMAT,
         "version": VERSION,
@@ -81,7 +92,7 @@ def save_rig(
         document["status"] = dict(status)
     document["conventions"] = CONVENTIONS
     document["provenance"] = dict(provenance or {})
-    write_document(path, document)
+    return document_text(document)
 
 
 def _camera_to_block(rig: Rig, name: str) -> dict[str, Any]:

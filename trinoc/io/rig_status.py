@@ -2,7 +2,7 @@
 
 from typing import Any, NamedTuple
 
-from trinoc.calib import CalibrationResult
+from trinoc.calib import CalibrationResult, RigFromShots
 from trinoc.io.json_document import Block
 
 CONVERGED = "converged"
@@ -41,6 +41,17 @@ def status_to_block(result: CalibrationResult) -> dict[str, Any]:
                 "notes": list(result.fits[name].notes),
             }
             for name in result.rig.names
+        },
+        "sigmas_include": ["noise", *result.systematics],
+    }
+
+
+def status_of_shots(result: RigFromShots) -> dict[str, Any]:
+    """The same of a rig from many shots, whose cameras were fitted together."""
+    return {
+        "cameras": {
+            name: {"status": result.status.name.lower(), "notes": list(result.notes)}
+            for name in result.cameras
         },
         "sigmas_include": ["noise", *result.systematics],
     }

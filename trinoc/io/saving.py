@@ -5,18 +5,27 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from trinoc.calib import CalibrationResult, IntrinsicsResult, Pattern
+from trinoc.calib import (
+    AbstractTarget,
+    CalibrationResult,
+    IntrinsicsResult,
+    Pattern,
+    RigFromShots,
+)
 from trinoc.errors import InputError
 from trinoc.geometry import Intrinsics, Rig, Segments
+from trinoc.io.board_json import save_target
 from trinoc.io.intrinsics_json import save_intrinsics
 from trinoc.io.matches_npz import save_matches
 from trinoc.io.pattern_json import save_pattern
 from trinoc.io.rig_json import save_rig
-from trinoc.io.rig_status import status_to_block
+from trinoc.io.rig_status import status_of_shots, status_to_block
 from trinoc.io.segments_npz import save_segments
 from trinoc.match import Matches
 
-Saveable = Rig | CalibrationResult | Intrinsics | IntrinsicsResult | Pattern | Segments | Matches
+Saveable = (
+    Rig | CalibrationResult | Intrinsics | IntrinsicsResult | AbstractTarget | Segments | Matches
+)
 
 
 def save(
@@ -27,16 +36,21 @@ def save(
 ) -> None:
     """Write a value to a file, whole or not at all.
 
-    A Rig (or the rig of a CalibrationResult, then with its status), Intrinsics (or the lens of an
-    IntrinsicsResult, then with its covariance) and a Pattern become JSON; Segments and Matches
-    become npz. `provenance`, of rigs and lenses, says how the value was found
+    A Rig (or the rig of a CalibrationResult or a RigFromShots, then with its status), Intrinsics
+    (or the lens of an IntrinsicsResult, then with its covariance), a Pattern and a board become
+    JSON; Segments and Matches become npz. `provenance`, of rigs and lenses, says how it was found
     ("command", "version", "inputs"). Raises InputError for other values and for a name whose
     ending is not that of the file.
     """
     status = None
     if isinstance(value, CalibrationResult):
         value, status = value.rig, status_to_block(value)
-    ending = ".json" if isinstance(value, Rig | Intrinsics | IntrinsicsResult | Pattern) else ".npz"
+    if isinstance(value, RigFromShots):
+        if value.rig is None:
+            raise InputError(f"{path} was not written: {value.status.value}")
+        value, status = value.rig, status_of_shots(value)
+    as_json = isinstance(value, Rig | Intrinsics | IntrinsicsResult | AbstractTarget)
+    ending = ".json" if as_json else ".npz"
     if isinstance(value, Saveable) and Path(path).suffix.lower() != ending:
         raise InputError(
             f"{path}: a {type(value).__name__} is written as {ending}: choose such a name."
@@ -52,6 +66,8 @@ def save(
             save_intrinsics(value.lens, path, covariance=value.covariance, provenance=provenance)
         case Pattern():
             save_pattern(value, path)
+        case AbstractTarget():
+            save_target(value, path)
         case Segments():
             save_segments(value, path)
         case Matches():

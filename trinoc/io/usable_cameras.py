@@ -1,19 +1,16 @@
 """Lenses and rigs that no camera and no rig can be, refused before anything is computed."""
 
-import itertools
 from collections.abc import Mapping
 
 import numpy as np
 
 from trinoc.errors import InputError
-from trinoc.geometry import Camera, Intrinsics
+from trinoc.geometry import Camera, Intrinsics, at_one_place
 
 # Focal length over the longer side of the picture: from nearly 180 degrees to a large telescope.
 FOCAL_RANGE = (1e-3, 1e5)
 # A pixel has a few micrometres; of some detectors for X-rays it has a fifth of a millimetre.
 PITCH_RANGE_MM = (1e-4, 0.5)
-# Centres nearer to each other than this share of their distance from the sheet are one place.
-_ONE_PLACE = 1e-6
 
 
 def expect_lens(lens: Intrinsics, where: str) -> Intrinsics:
@@ -65,11 +62,9 @@ def expect_pitch(pitch_mm: tuple[float, float] | None, where: str) -> None:
 
 def expect_apart(cameras: Mapping[str, Camera], where: str) -> None:
     """Raise InputError where two cameras stand at one place: nothing between them has a depth."""
-    centres = {name: np.asarray(camera.centre_world_mm) for name, camera in cameras.items()}
-    for first, second in itertools.combinations(cameras, 2):
-        a, b = centres[first], centres[second]
-        if np.linalg.norm(a - b) <= _ONE_PLACE * max(np.linalg.norm(a), np.linalg.norm(b)):
-            raise InputError(
-                f'{where}: the cameras "{first}" and "{second}" stand at one place, which leaves '
-                "depth unknown: calibrate them again, or remove one."
-            )
+    pair = at_one_place(cameras)
+    if pair is not None:
+        raise InputError(
+            f'{where}: the cameras "{pair[0]}" and "{pair[1]}" stand at one place, which leaves '
+            "depth unknown: calibrate them again, or remove one."
+        )

@@ -1,6 +1,6 @@
 """Many rigs, or many frames of one, matched in one call that no single failure ends."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import equinox as eqx
 import numpy as np
@@ -8,12 +8,17 @@ from jaxtyping import Shaped
 
 from trinoc.errors import TrinocError
 from trinoc.geometry import Rig, Segments
-from trinoc.match.matcher import match_segments
+from trinoc.match.matcher import check_before_cameras, match_frames
+from trinoc.match.observations import CamerasInput, FrameInput, cameras_of, prepare_frame
+from trinoc.match.selection import FRAMES_AT_ONCE
 from trinoc.match.tracks import Matches
 from trinoc.match.tuning import DEFAULT, MatchTuning
-from trinoc.numerics import ArrayLike
+from trinoc.numerics import ArrayLike, in_float64
 
 OK = "ok"
+# Frames with more segments in a view than this, or of more views, fill a problem alone; a stack
+# holds as many segments of a view as this at most.
+LARGEST_FRAME, LARGEST_STACK, MOST_VIEWS = 1 << 8, 1 << 13, 3
 
 
 class MatchBatch(eqx.Module):
@@ -26,6 +31,7 @@ class MatchBatch(eqx.Module):
         return len(self.matches)
 
 
+@in_float64
 def match_many(
     segments: Sequence[Mapping[str, Segments | ArrayLike]],
     rigs: Rig | Iterable[Rig],
@@ -37,24 +43,66 @@ def match_many(
     """`match_segments` for each item: segments of one frame, with a rig each or one for all.
 
     An item that cannot be matched has its sentence for a status, and the others their
-    matches. Items run one after the other on the same compiled kernels, which their bucket of
-    sizes shares: candidates are sparse, and a single kernel over the batch would pad all items
-    to the worst of them.
+    matches. Small frames are stacked and matched as one problem, up to 64 at a time, which gives
+    what each gives alone: every frame learns its own parameters.
 
     Raises ValueError where there are not as many rigs as items.
     """
     each = [rigs] * len(segments) if isinstance(rigs, Rig) else list(rigs)
-    found: list[Matches | None] = []
-    status: list[str] = []
-    for item, rig in zip(segments, each, strict=True):
+    items = list(zip(segments, each, strict=True))
+    found: list[Matches | None] = [None] * len(items)
+    status = [OK] * len(items)
+    frames: dict[int, FrameInput] = {}
+    checked: dict[tuple[int, tuple[str, ...]], CamerasInput] = {}
+    for number, (item, rig) in enumerate(items):
         try:
-            matches = match_segments(
-                item, rig, sigma_px=sigma_px, depth_range_mm=depth_range_mm, tuning=tuning
-            )
+            frames[number] = _prepared(item, rig, sigma_px, tuning, checked)
         except TrinocError as error:
-            found.append(None)
-            status.append(str(error))
-        else:
-            found.append(matches)
-            status.append(OK)
+            status[number] = str(error)
+    for stack in _stacks(frames):
+        names = [tuple(items[number][0]) for number in stack]
+        results = match_frames([frames[k] for k in stack], names, depth_range_mm, tuning)
+        for number, matches in zip(stack, results, strict=True):
+            item, rig = items[number]
+            try:
+                check_before_cameras(
+                    frames[number], matches, item, rig, sigma_px, depth_range_mm, tuning
+                )
+            except TrinocError as error:
+                status[number] = str(error)
+            else:
+                found[number] = matches
     return MatchBatch(tuple(found), np.array(status, dtype=np.str_))
+
+
+def _prepared(
+    segments: Mapping[str, Segments | ArrayLike],
+    rig: Rig,
+    sigma_px: float | None,
+    tuning: MatchTuning,
+    checked: dict[tuple[int, tuple[str, ...]], CamerasInput],
+) -> FrameInput:
+    """A frame; the cameras of a rig that many frames share are checked once."""
+    key = id(rig), tuple(segments)
+    if key not in checked and len(segments) > 1 and set(segments) <= set(rig.names):
+        checked[key] = cameras_of(rig, segments)
+    return prepare_frame(segments, rig, sigma_px, tuning.sides, checked.get(key))
+
+
+def _stacks(frames: Mapping[int, FrameInput]) -> Iterator[list[int]]:
+    """Numbers of the frames that are matched together."""
+    waiting: dict[int, list[int]] = {}
+    filled: dict[int, int] = {}
+    for number, frame in frames.items():
+        views, size = len(frame.names), max(len(ends) for ends in frame.ends_px)
+        if views > MOST_VIEWS or size > LARGEST_FRAME:
+            yield [number]
+            continue
+        stack = waiting.setdefault(views, [])
+        if len(stack) == FRAMES_AT_ONCE or filled.get(views, 0) + size > LARGEST_STACK:
+            yield stack
+            stack = waiting[views] = []
+            filled[views] = 0
+        stack.append(number)
+        filled[views] = filled.get(views, 0) + size
+    yield from (stack for stack in waiting.values() if stack)

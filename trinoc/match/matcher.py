@@ -1,19 +1,23 @@
 """The matcher: segments of two or more pictures to lines in space."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 
 from trinoc.geometry import Rig, Segments
 from trinoc.match.candidates import in_depth_range, no_candidates, trinocular_candidates
 from trinoc.match.observations import (
     ClutterModel,
+    FrameInput,
     MatchInput,
     fit_clutter,
+    frames_of,
     look_apart,
     mirrored_error,
-    prepare,
+    prepare_frame,
+    segments_per_view,
+    stacked_frames,
     turned_round,
     with_noise_scale,
 )
@@ -67,38 +71,81 @@ def match_segments(
     Source: Yokoi, Medioni and Nevatia, "A segment-based matching algorithm in trinocular
     vision", 1986: candidates, selection by neighbours, occluded segments.
     """
-    seen = prepare(segments, rig, sigma_px, tuning.sides)
-    found = _matched(seen, tuple(segments), depth_range_mm, tuning)
-    few = tuning.tracks.few_share * min(seen.counts)
-    if len(found) < few and look_apart({name: rig[name] for name in segments}):
-        turned = prepare(segments, turned_round(rig), sigma_px, tuning.sides)
-        behind = len(_matched(turned, tuple(segments), depth_range_mm, tuning))
-        if behind > few:
-            raise mirrored_error(segments, len(found), behind)
+    frame = prepare_frame(segments, rig, sigma_px, tuning.sides)
+    found = match_frames([frame], [tuple(segments)], depth_range_mm, tuning)[0]
+    check_before_cameras(frame, found, segments, rig, sigma_px, depth_range_mm, tuning)
     return found
 
 
-def _matched(
-    seen: MatchInput,
-    names: tuple[str, ...],
+def check_before_cameras(
+    frame: FrameInput,
+    found: Matches,
+    segments: Mapping[str, Segments | ArrayLike],
+    rig: Rig,
+    sigma_px: float | None,
     depth_range_mm: tuple[float, float] | None,
     tuning: MatchTuning,
-) -> Matches:
-    clutter = fit_clutter(seen.lines, seen.counts, tuning.clutter)
-    noise_scale, stated = 1.0, seen
-    for _ in range(tuning.noise.passes):
+) -> None:
+    """Raise InputError where few lines lie before cameras that diverge, and more behind them."""
+    few = tuning.tracks.few_share * min(len(ends) for ends in frame.ends_px)
+    if len(found) < few and look_apart({name: rig[name] for name in segments}):
+        turned = prepare_frame(segments, turned_round(rig), sigma_px, tuning.sides)
+        behind = len(match_frames([turned], [tuple(segments)], depth_range_mm, tuning)[0])
+        if behind > few:
+            raise mirrored_error(segments, len(found), behind)
+
+
+def match_frames(
+    frames: Sequence[FrameInput],
+    names: Sequence[tuple[str, ...]],
+    depth_range_mm: tuple[float, float] | None,
+    tuning: MatchTuning,
+) -> list[Matches]:
+    """Matches of frames of as many views each, as one problem; `names` are the caller's views.
+
+    More than one frame have three views at most, and are FRAMES_AT_ONCE at most. Each learns the
+    errors of its own segments, in as many passes as that takes.
+    """
+    stated, left = stacked_frames(frames), np.arange(len(frames))
+    scale, found = np.ones(len(frames)), {}
+    for step in range(tuning.noise.passes):
+        seen = with_noise_scale(stated, scale[left])
+        clutter = fit_clutter(seen.lines, seen.counts, tuning.clutter)
         selections, outside = _triples(seen, clutter, depth_range_mm, tuning)
-        larger = residual_scale(selections, tuning.noise) if selections else 1.0
-        before = noise_scale
-        noise_scale = float(np.clip(before * larger, 1 / tuning.noise.most, tuning.noise.most))
-        seen = with_noise_scale(stated, noise_scale)
-        if tuning.noise.again_below < noise_scale / before < tuning.noise.again_above:
+        before = scale[left]
+        larger = residual_scale(selections, len(left), tuning.noise) if selections else 1.0
+        scale[left] = np.clip(before * larger, 1 / tuning.noise.most, tuning.noise.most)
+        change = scale[left] / before
+        again = (change >= tuning.noise.again_above) | (change <= tuning.noise.again_below)
+        again &= step + 1 < tuning.noise.passes
+        if not again.all():
+            seen = with_noise_scale(stated, scale[left])
+            args = (selections, outside, clutter, depth_range_mm, tuning)
+            results = _finished(seen, [names[k] for k in left.tolist()], scale[left], *args)
+            found |= {k: results[n] for n, k in enumerate(left.tolist()) if not again[n]}
+        if not again.any():
             break
+        left = left[again]
+        stated = stacked_frames([frames[k] for k in left.tolist()])
+    return [found[k] for k in range(len(frames))]
+
+
+def _finished(
+    seen: MatchInput,
+    names: list[tuple[str, ...]],
+    noise_scale: Float[np.ndarray, "f"],
+    selections: list[Selection],
+    outside: Int[np.ndarray, "o v"],
+    clutter: ClutterModel,
+    depth_range_mm: tuple[float, float] | None,
+    tuning: MatchTuning,
+) -> list[Matches]:
+    """From triples to the answer of each frame."""
     triples = [tracks_of(selection, tuning.evidence) for selection in selections]
     if triples:
         tracks = concatenate_rows(triples)
     else:
-        tracks = Tracks(no_candidates(len(seen.names)), np.zeros(0), np.zeros(0))
+        tracks = Tracks(no_candidates(len(seen.ends_px)), np.zeros(0), np.zeros(0))
     if len(triples) > 1:
         tracks = consolidated(seen, merge_triplets(seen.lines, tracks, tuning), tuning)
     pairs = occluded_pairs(
@@ -115,12 +162,14 @@ def _triples(
 ) -> tuple[list[Selection], Int[np.ndarray, "o v"]]:
     """(what is selected in each three of the views, segments of triples out of range)."""
     selections: list[Selection] = []
-    outside = [np.zeros((0, len(seen.names)), dtype=np.int64)]
+    outside = [np.zeros((0, len(seen.ends_px)), dtype=np.int64)]
     for views in view_triplets(seen.lines, tuning.tracks):
         candidates = trinocular_candidates(seen.lines, views, seen.counts, clutter, tuning)
         inside = in_depth_range(candidates, seen.lines, depth_range_mm)
         outside.append(candidates.index[~inside])
         candidates = candidates.take(inside)
-        typical = float(np.mean([seen.counts[view] for view in views]))
-        selections.append(select(candidates, typical, tuning=tuning))
+        frame = frames_of(seen.lines, candidates.index)
+        counts = [seen.counts[view] if view in views else 0 for view in range(len(seen.counts))]
+        typical = segments_per_view(seen.lines, counts) * len(counts) / 3
+        selections.append(select(candidates, typical, tuning=tuning, frame=frame))
     return selections, np.concatenate(outside)

@@ -77,6 +77,9 @@ class CandidateTuning:
     # what passes the gate is wrong, and takes memory. By hand, for large scenes.
     prune_above: int = 5000
     prune_log_odds: float = -9.0
+    # Of more candidates than this in all, the likelier half is kept: it bounds the memory, some
+    # 2 kB for each. By hand; no scene of 10,000 segments per view has them.
+    most_candidates: int = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -181,6 +184,9 @@ class SelectionTuning:
     # By hand (the prototype: -6), for time: few candidates have few conflicts.
     learn_log_odds: float = -2.0
     prune_log_odds: float = -5.0
+    # Of more possible conflicts than this, the likeliest candidates are kept that have so many: it
+    # bounds the memory, 40 bytes for each. By hand; no scene of 10,000 segments per view has them.
+    most_conflicts: int = 1 << 25
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,14 @@ from .buckets import (
     in_bucket as in_bucket,
     padded as padded,
 )
+from .display import Displays as Displays, Shown as Shown, display_with as display_with
 from .grey import GreyImage as GreyImage, grey_image as grey_image
+from .grouped import (
+    group_medians as group_medians,
+    group_sums as group_sums,
+    of_group as of_group,
+    taken as taken,
+)
 from .information import (
     LARGEST_SIGMA as LARGEST_SIGMA,
     Observability as Observability,

@@ -1,5 +1,8 @@
 """Joins and groups on sorted arrays: the index work of the matcher, never all against all."""
 
+from collections.abc import Iterator
+from itertools import pairwise
+
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -38,11 +41,19 @@ def overlapping(
     )
 
 
-def pairs_of_equal_keys(keys: Int[np.ndarray, "n"]) -> tuple[np.ndarray, np.ndarray]:
-    """(m, n) with m and n any two different positions that hold one key, each pair once."""
+def pairs_of_equal_keys(
+    keys: Int[np.ndarray, "n"], at_once: int = 1 << 21
+) -> Iterator[tuple[Int[np.ndarray, "_p"], Int[np.ndarray, "_p"]]]:
+    """(m, n) with m and n any two different positions that hold one key, each pair once.
+
+    In blocks of about `at_once` pairs, so that their number is no matter of memory.
+    """
     order = np.argsort(keys, kind="stable")
     ordered = keys[order]
-    later, earlier = expand_ranges(
-        np.searchsorted(ordered, ordered, "left"), np.arange(len(ordered))
-    )
-    return order[earlier], order[later]
+    first = np.searchsorted(ordered, ordered, "left")
+    before = np.cumsum(np.arange(len(ordered)) - first)
+    borders = np.searchsorted(before, np.arange(0, before[-1] if len(before) else 0, at_once))
+    for start, stop in pairwise([*np.unique(borders).tolist(), len(ordered)]):
+        rows = np.arange(start, stop)
+        later, earlier = expand_ranges(first[rows], rows)
+        yield order[earlier], order[start + later]

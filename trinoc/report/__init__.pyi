@@ -1,6 +1,7 @@
 from .against_reference import parameter_errors as parameter_errors
 from .evaluation_plot import expect_plotter as expect_plotter, write_plot as write_plot
 from .html import ExtraTable as ExtraTable, write_report as write_report
+from .notebook import NotebookDisplays as NotebookDisplays
 from .text import (
     counts_text as counts_text,
     errors_text as errors_text,

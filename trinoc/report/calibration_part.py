@@ -17,13 +17,39 @@ ARROW_REACH = 0.09
 
 
 class CameraStatus(NamedTuple):
-    """What one camera's fit says about itself, in sentences and in figures."""
+    """What one camera's fit says about itself, in sentences and in figures.
+
+    verdict : "good", "suspect" or "failed".
+    """
 
     name: str
     sentence: str
-    good: bool
+    verdict: str
     notes: tuple[str, ...]
     figures: tuple[tuple[str, str], ...]
+
+
+# What each figure of a camera means, in the order of the cards.
+MEANINGS = (
+    ("circles used", "those found that agree with the others; the rest were located wrongly"),
+    ("residual length, rms", "of the circles' centres, predicted minus observed"),
+    ("chi-square of the circles / dof", "their squared residuals over their own noise: near 1"),
+    ("rank", "number of parameters that the picture determines: all that are fitted"),
+    ("noise left by the fit", "of the grey levels near edges: no more than the picture's own"),
+    (
+        "noise that is the picture's own",
+        "that of flat paper, which no fit explains; paper is brighter than ink, and bright parts "
+        "are the noisier ones. What is left by the fit where noise was fitted by level",
+    ),
+    ("pixels used, cut", "near edges of ink; cut where something else is seen, such as a thumb"),
+    ("blur", "sigma of the lens's blur"),
+    ("ink spread", "by which the ink reaches beyond the drawing"),
+    (
+        "sigma over least possible",
+        "of the parameter that is worst off, beside what the noise of the pixels used alone would "
+        "allow: 1 if nothing but noise counts, more where sheet, aim or lens are not exact",
+    ),
+)
 
 
 class Ellipse(NamedTuple):
@@ -107,7 +133,7 @@ def calibration_part(
 def _status(result: CalibrationResult, name: str) -> CameraStatus:
     status, failure = result.status[name], result.failures.get(name, "")
     if name not in result.fits:
-        return CameraStatus(name, failure or status.value, False, (), ())
+        return CameraStatus(name, failure or status.value, "failed", (), ())
     fit = result.fits[name]
     lines = int(np.isfinite(fit.detection.lines_px).all(axis=1).sum())
     used = int(fit.used.sum())
@@ -122,9 +148,8 @@ def _status(result: CalibrationResult, name: str) -> CameraStatus:
     )
     gauge = (f"Left free by the picture: {', '.join(fit.gauge)}.",) if fit.gauge else ()
     more = (failure,) if failure and failure != status.value else ()
-    return CameraStatus(
-        name, status.value, status is Status.CONVERGED, more + gauge + fit.notes, figures
-    )
+    verdict = {Status.CONVERGED: "good", Status.SUSPECT: "suspect"}.get(status, "failed")
+    return CameraStatus(name, status.value, verdict, more + gauge + fit.notes, figures)
 
 
 def _picture_figures(result: CalibrationResult, name: str) -> tuple[tuple[str, str], ...]:
@@ -134,18 +159,20 @@ def _picture_figures(result: CalibrationResult, name: str) -> tuple[tuple[str, s
         return ()
     rows = [k for k, words in enumerate(result.parameters) if words.startswith(f"{name}.")]
     variance = np.diagonal(result.covariance)[rows]
-    # The aim, where it was fitted without being asked for, stands last.
-    bound = np.diagonal(quality.bound)[: len(variance)]
+    # The aim, where it was fitted without being asked for, stands last. The bound is that of flat
+    # paper's noise; where the pixels fitted are less noisy than it, they know more.
+    quieter = min(1.0, quality.reduced_chi_square)
+    bound = quieter * np.diagonal(quality.bound)[: len(variance)]
     # A picture without noise has no bound.
     bounded = variance.shape == bound.shape and bool((bound > 0).all())
     over_bound = np.sqrt(variance / bound).max() if bounded else np.nan
     return (
-        ("noise of the fit", f"{with_decimals(quality.noise, 2)} grey levels"),
-        ("noise of the picture", f"{with_decimals(quality.noise_floor, 2)} grey levels"),
+        ("noise left by the fit", f"{with_decimals(quality.noise, 2)} grey levels"),
+        ("noise that is the picture's own", f"{with_decimals(quality.noise_floor, 2)} grey levels"),
         ("pixels used, cut", f"{quality.pixels:,}, {quality.pixels_cut:,}"),
         ("blur", f"{with_decimals(quality.blur_px, 3)} px"),
         ("ink spread", f"{with_decimals(quality.ink_spread_mm, 4)} mm"),
-        ("largest sigma / bound of the noise", with_decimals(float(over_bound), 2)),
+        ("sigma over least possible", with_decimals(float(over_bound), 2)),
     )
 
 

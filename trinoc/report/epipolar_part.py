@@ -55,13 +55,17 @@ class EpipolarFigure(NamedTuple):
 
 
 class EpipolarPart(NamedTuple):
-    """The figures, the distances over all correspondences, and the numbers for clicks."""
+    """The figures, the distances over all correspondences, and the numbers for clicks.
+
+    `largest_px` is the rms distance of the worst pair of views.
+    """
 
     key: str
     kind: str
     figures: tuple[EpipolarFigure, ...]
     count: int
     distances: tuple[tuple[str, str, str], ...]
+    largest_px: float
     cameras: list[dict[str, Any]]
 
 
@@ -117,14 +121,21 @@ def epipolar_part(
                 if curve is not None:
                     curves.append(Curve(curve, rig.names[other], mark.colour, order > 0))
         figures.append(EpipolarFigure(name, pictures[name], marks, tuple(curves)))
-    distances = tuple(
-        (first, second, with_decimals(_rms_distance_px(rig, everywhere, a, b), 3))
+    distances = {
+        (first, second): _rms_distance_px(rig, everywhere, a, b)
         for a, first in enumerate(rig)
         for b, second in enumerate(rig)
         if a < b
+    }
+    return EpipolarPart(
+        key,
+        kind,
+        tuple(figures),
+        len(everywhere),
+        tuple((*pair, with_decimals(distance, 3)) for pair, distance in distances.items()),
+        max(distances.values()),
+        [_numbers(rig, name) for name in rig],
     )
-    cameras = [_numbers(rig, name) for name in rig]
-    return EpipolarPart(key, kind, tuple(figures), len(everywhere), distances, cameras)
 
 
 def _spread(points: Float[np.ndarray, "n v 2"], count: int) -> list[int]:

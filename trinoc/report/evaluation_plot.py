@@ -128,6 +128,11 @@ def expect_plotter(path: Path) -> None:
             f"{path} needs matplotlib, which is not installed: pip install 'trinoc[plot]', or give "
             "a name that ends in .html."
         )
+    if suffix == ".html" and importlib.util.find_spec("plotly") is None:
+        raise InputError(
+            f"{path} needs plotly, which is not installed: pip install 'trinoc[notebook]', or give "
+            "a name that ends in .png."
+        )
 
 
 def write_plot(rows: Sequence[Row], path: Path) -> None:

@@ -2,7 +2,6 @@
 
 import os
 from collections.abc import Mapping, Sequence
-from importlib import resources
 from typing import Any, NamedTuple
 
 import jinja2
@@ -13,13 +12,15 @@ from trinoc.errors import InputError
 from trinoc.geometry import Rig, Segments
 from trinoc.io import write_text
 from trinoc.match import Matches
-from trinoc.report.calibration_part import calibration_part
+from trinoc.report.calibration_part import MEANINGS, calibration_part
+from trinoc.report.coverage_part import coverage_part
 from trinoc.report.epipolar_part import corrected_circle_centres, ends_of_tracks, epipolar_part
+from trinoc.report.field_part import field_part
 from trinoc.report.matches_part import matches_part
 from trinoc.report.pictures import page_pictures
 from trinoc.report.plan_part import plan_part
 from trinoc.report.space_part import space_figure
-from trinoc.report.summary_part import summary_part
+from trinoc.report.verdict_part import verdict_part
 
 
 class ExtraTable(NamedTuple):
@@ -45,6 +46,7 @@ def write_report(
     title: str = "trinoc report",
     tables: Sequence[ExtraTable] = (),
     provenance: Mapping[str, str] | None = None,
+    doubts: Mapping[str, str] | None = None,
 ) -> None:
     """Write a self-contained HTML page about a calibration, a matching, or both.
 
@@ -59,6 +61,7 @@ def write_report(
     reference, reference_name : known cameras to stand beside the recovered ones.
     tables : further tables, shown after the matches.
     provenance : what to say at the foot: command, version, files.
+    doubts : for cameras of `rig` whose calibration was suspect, why.
 
     Raises InputError where neither a rig nor a calibration nor segments are given, where the
     segments' or matches' views are not those of the rig, or where `path` cannot be written.
@@ -77,6 +80,7 @@ def write_report(
             title=title,
             tables=tables,
             provenance=provenance,
+            doubts=doubts,
         ),
     )
 
@@ -94,6 +98,7 @@ def render_report(
     title: str = "trinoc report",
     tables: Sequence[ExtraTable] = (),
     provenance: Mapping[str, str] | None = None,
+    doubts: Mapping[str, str] | None = None,
 ) -> str:
     """The page of `write_report` as text."""
     rig = rig if rig is not None else (result.rig if result is not None else None)
@@ -115,18 +120,26 @@ def render_report(
         points = ends_of_tracks(matches)
         in_rig_order = points[:, [matches.views.index(name) for name in rig]]
         epipolar.append(epipolar_part("scene", "ends of tracks", rig, in_rig_order, scene))
+    epipolar = [part for part in epipolar if part is not None]
+    coverage = coverage_part(result, sheet) if result is not None else ()
+    seen = sheet if result is not None else scene
+    field = field_part(rig, pattern, matches, seen)
+    space = space_figure(rig, pattern, matches)
     page = {
         "title": title,
-        "headlines": summary_part(result, matches),
+        "verdict": verdict_part(result, matches, doubts or {}, coverage, epipolar, field),
         "calibration": calibration_part(rig, result, sheet, reference, reference_name),
-        "epipolar": [part for part in epipolar if part is not None],
+        "meanings": MEANINGS,
+        "coverage": coverage,
+        "field": field,
+        "epipolar": epipolar,
         "matches": matches_part(_views(rig, matches), segments or {}, matches, scene)
         if segments or matches is not None
         else None,
         "pictures": [picture for picture in (*sheet.values(), *scene.values()) if picture.uri],
         "plans": plan_part(rig, pattern, matches),
-        "space": space_figure(rig, pattern, matches),
-        "plotly_script": _plotly_script(),
+        "space": space,
+        "space_numbers": space.numbers(),
         "tables": tables,
         "provenance": dict(provenance or {}),
     }
@@ -154,9 +167,3 @@ def _environment() -> jinja2.Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-
-
-def _plotly_script() -> str:
-    """plotly.js, which its Python package carries; "</script" cannot end it early."""
-    file = resources.files("plotly") / "package_data" / "plotly.min.js"
-    return file.read_text(encoding="utf-8").replace("</script", "<\\/script")

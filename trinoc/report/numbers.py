@@ -48,6 +48,15 @@ def plain(value: float) -> str:
     return f"{value:.10f}".rstrip("0").rstrip(".")
 
 
+def millimetres(value: float) -> str:
+    """A small length to two digits, in micrometres where that reads better: 0.35 mm, 1.2 µm."""
+    if not math.isfinite(value):
+        return "not known"
+    number, unit = (1000 * value, "µm") if value < 0.01 else (value, "mm")
+    decimals = decimals_for(number, fallback=0)
+    return f"{number:.{min(decimals, 3)}f} {unit}"
+
+
 def in_words(name: str) -> str:
     """A name of the code as people read it."""
     return name.replace("_", " ")

@@ -7,7 +7,6 @@ import numpy as np
 from trinoc.calib import Pattern
 from trinoc.geometry import Rig
 from trinoc.match import BINOCULAR, TRINOCULAR, Matches
-from trinoc.report.colours import BLUE, GREEN, VERMILION
 from trinoc.report.numbers import plain, round_scale
 from trinoc.report.space_content import Box, content_box, frusta, sheet_outlines, whole_box
 
@@ -15,11 +14,14 @@ GRID_LINES = 6
 
 
 class Path(NamedTuple):
-    """A drawn line: the data of an SVG path, its colour and width (in screen dots)."""
+    """Drawn lines: the data of an SVG path, and the role that decides its look.
+
+    track : of the line, -1 for none.
+    """
 
     data: str
-    colour: str
-    width: float
+    role: str
+    track: int = -1
 
 
 class Tick(NamedTuple):
@@ -50,15 +52,16 @@ def plan_part(rig: Rig, pattern: Pattern | None, matches: Matches | None) -> tup
     with_segments = matches is not None and len(matches) > 0
     content = content_box(pattern, matches)
     box = content if with_segments and content is not None else whole_box(rig, content)
-    lines: list[tuple[list[np.ndarray], str, float]] = []
+    lines: list[tuple[list[np.ndarray], str, int]] = []
     if pattern is not None:
-        lines.append((sheet_outlines(pattern), "#9a9a9a", 1.0))
+        lines.append((sheet_outlines(pattern), "sheet", -1))
     if matches is not None and with_segments:
         stage, ends = np.asarray(matches.stage), np.asarray(matches.lines_mm)
-        for name, colour in ((TRINOCULAR, BLUE), (BINOCULAR, VERMILION)):
-            lines.append((list(ends[stage == name]), colour, 1.8))
+        for name, role in ((TRINOCULAR, "three"), (BINOCULAR, "two")):
+            for track in np.flatnonzero(stage == name).tolist():
+                lines.append(([ends[track]], role, track))
     else:
-        lines.append((frusta(rig), GREEN, 1.4))
+        lines.append((frusta(rig), "cameras", -1))
     names = [] if with_segments else [(c.centre_world_mm, name) for name, c in rig.items()]
     return (
         _drawing("Plan, seen from above", "X", "Y", (0, 1), box, lines, names),
@@ -72,13 +75,13 @@ def _drawing(
     vertical: str,
     axes: tuple[int, int],
     box: Box,
-    lines: list[tuple[list[np.ndarray], str, float]],
+    lines: list[tuple[list[np.ndarray], str, int]],
     names: list[tuple[np.ndarray, str]],
 ) -> Drawing:
     low, high = box.low_mm[list(axes)], box.high_mm[list(axes)]
     paths = tuple(
-        Path(" ".join(_path(part[:, list(axes)]) for part in parts), colour, width)
-        for parts, colour, width in lines
+        Path(" ".join(_path(part[:, list(axes)]) for part in parts), role, track)
+        for parts, role, track in lines
         if parts
     )
     step = round_scale(float(np.max(box.high_mm - box.low_mm)) / GRID_LINES)

@@ -1,8 +1,10 @@
 """Static figures for notebooks and papers, on matplotlib axes (`pip install trinoc[plot]`)."""
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+from jaxtyping import Float
 
 from trinoc.calib import CameraFit
 from trinoc.geometry import Rig, Segments
@@ -78,21 +80,34 @@ def draw_tracks(axes: "Axes", picture: np.ndarray, matches: Matches, view: str, 
 
 def draw_space(axes: "Axes3D", matches: Matches, rig: Rig | None = None) -> None:
     """The 3-D segments, and the cameras where a rig is given, in mm with equal axes."""
-    from mpl_toolkits.mplot3d.art3d import Line3DCollection
-
     lines, stage = np.asarray(matches.lines_mm), np.asarray(matches.stage)
-    for name, colour in ((TRINOCULAR, BLUE), (BINOCULAR, VERMILION)):
-        if (stage == name).any():
-            axes.add_collection3d(
-                Line3DCollection(list(lines[stage == name]), colors=colour, linewidths=1.5)
-            )
     box = content_box(None, matches)
     corners = np.zeros((1, 3)) if box is None else np.stack(box)
+    strokes = [
+        (list(lines[stage == name]), colour)
+        for name, colour in ((TRINOCULAR, BLUE), (BINOCULAR, VERMILION))
+    ]
     if rig is not None:
-        outlines = frusta(rig)
-        axes.add_collection3d(Line3DCollection(outlines, colors=GREEN, linewidths=1.0))
-        corners = np.concatenate([corners, *outlines])
-    low, high = corners.min(axis=0), corners.max(axis=0)
+        strokes.append((frusta(rig), GREEN))
+        corners = np.concatenate([corners, *frusta(rig)])
+    draw_lines_in_space(axes, strokes, corners)
+
+
+def draw_lines_in_space(
+    axes: "Axes3D",
+    strokes: Sequence[tuple[Sequence[np.ndarray], str]],
+    within: Float[np.ndarray, "n 3"] | None = None,
+) -> None:
+    """Lines (n, 3) with the colour of each group, in mm with equal axes that hold `within`."""
+    from mpl_toolkits.mplot3d.art3d import Line3DCollection
+
+    for lines, colour in strokes:
+        if len(lines):
+            axes.add_collection3d(Line3DCollection(list(lines), colors=colour, linewidths=1.4))
+    if within is None:
+        every = [line for lines, _ in strokes for line in lines]
+        within = np.concatenate(every) if every else np.zeros((1, 3))
+    low, high = np.nanmin(within, axis=0), np.nanmax(within, axis=0)
     axes.set_xlim(low[0], high[0])
     axes.set_ylim(low[1], high[1])
     axes.set_zlim(low[2], high[2])

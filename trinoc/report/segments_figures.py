@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from trinoc.geometry import Segments
 from trinoc.match import Matches
+from trinoc.report.labels import PlacedLabel, place_labels
 from trinoc.report.numbers import in_words, with_sigma
 from trinoc.report.pictures import PagePicture
 from trinoc.report.track_sigmas import TrackSigmas
@@ -16,7 +17,10 @@ NUMBERED = 14
 
 
 class Stroke(NamedTuple):
-    """A segment or a fragment on a picture; `track` is -1 where it belongs to none."""
+    """A segment or a fragment on a picture; `track` is -1 where it belongs to none.
+
+    matched : None where nothing was matched.
+    """
 
     u1: float
     v1: float
@@ -24,8 +28,8 @@ class Stroke(NamedTuple):
     v2: float
     track: int
     colour: str
-    label: str
     words: str
+    matched: bool | None = None
 
 
 class SegmentsFigure(NamedTuple):
@@ -36,30 +40,40 @@ class SegmentsFigure(NamedTuple):
     strokes: tuple[Stroke, ...]
     faint: Float[np.ndarray, "n 2 2"]
     caption: str
+    labels: tuple[PlacedLabel, ...] = ()
 
 
 def segments_figure(
     name: str, segments: Segments, matches: Matches | None, picture: PagePicture
 ) -> SegmentsFigure:
-    """All segments of one view, each with the reason why it is on no track."""
+    """All segments of one view, each with its longest track or the reason why it is on none."""
     reasons = None if matches is None else matches.reasons.get(name)
+    track_of = {} if matches is None else _longest_tracks(matches, name)
     strokes = []
     for row, ((u1, v1), (u2, v2)) in enumerate(np.asarray(segments.endpoints_px).tolist()):
-        words = f"segment {row}: {np.hypot(u2 - u1, v2 - v1):.1f} px"
+        words = f"segment {row} of {name}: {np.hypot(u2 - u1, v2 - v1):.1f} px"
         contrast = float(segments.contrast[row])
         if np.isfinite(contrast):
             words += f", step of {contrast:.0f} grey levels"
         if reasons is not None:
             words += f", {in_words(str(reasons[row]))}"
-        strokes.append(Stroke(u1, v1, u2, v2, -1, "", "", words))
+        track = track_of.get(row, -1)
+        words += f" (track {track})" if track >= 0 else ""
+        matched = None if matches is None else track >= 0
+        strokes.append(Stroke(u1, v1, u2, v2, track, "", words, matched))
     length = float(np.sum(segments.length_px))
-    return SegmentsFigure(
-        name,
-        picture,
-        tuple(strokes),
-        np.zeros((0, 2, 2)),
-        f"{len(segments):,} segments, {length:,.0f} px in all",
-    )
+    caption = f"{len(segments):,} segments, {length:,.0f} px in all"
+    if matches is not None:
+        caption = f"{len(segments):,} segments, {len(track_of):,} matched"
+    return SegmentsFigure(name, picture, tuple(strokes), np.zeros((0, 2, 2)), caption)
+
+
+def _longest_tracks(matches: Matches, name: str) -> dict[int, int]:
+    """The longest track that each matched segment of a view is on."""
+    lengths = np.linalg.norm(np.diff(np.asarray(matches.lines_mm), axis=1)[:, 0], axis=-1)
+    column = np.asarray(matches.index)[:, matches.views.index(name)]
+    order = [track for track in np.argsort(lengths, kind="stable").tolist() if column[track] >= 0]
+    return {int(column[track]): track for track in order}
 
 
 def tracks_figures(
@@ -75,7 +89,6 @@ def tracks_figures(
     if len(tracks) == 0:
         return ()
     longest = tracks[np.argsort(-sigmas.length_mm[tracks], kind="stable")][:NUMBERED]
-    numbered = set(longest.tolist())
     figures = []
     for view, name in enumerate(matches.views):
         strokes = []
@@ -88,11 +101,16 @@ def tracks_figures(
                 float(sigmas.length_mm[track]), float(sigmas.length_sigma_mm[track])
             )
             words = f"track {track}: segment {segment} of {name}, {length} mm"
-            label = str(track) if track in numbered else ""
-            strokes.append(Stroke(u1, v1, u2, v2, track, colours[track], label, words))
+            strokes.append(Stroke(u1, v1, u2, v2, track, colours[track], words))
         ends = np.asarray(segments[name].endpoints_px) if name in segments else np.zeros((0, 2, 2))
         faint = ends[~np.isin(np.arange(len(ends)), matches.index[tracks, view])]
-        figures.append(
-            SegmentsFigure(name, pictures[name], tuple(strokes), faint, f"{len(strokes):,} tracks")
+        picture, caption = pictures[name], f"{len(strokes):,} tracks"
+        by_track = {stroke.track: stroke for stroke in strokes}
+        named = [(str(t), by_track[t]) for t in longest.tolist() if t in by_track]
+        labels = place_labels(
+            [text for text, _ in named],
+            np.array([((s.u1, s.v1), (s.u2, s.v2)) for _, s in named]).reshape(-1, 2, 2),
+            picture.window,
         )
+        figures.append(SegmentsFigure(name, picture, tuple(strokes), faint, caption, tuple(labels)))
     return tuple(figures)

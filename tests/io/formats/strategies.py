@@ -2,10 +2,10 @@
 
 import jax
 import numpy as np
-from hypothesis import strategies as st
+from hypothesis import assume, strategies as st
 
 from tests.geometry.strategies import cameras, real
-from tests.io.strategies import without_fold
+from tests.io.strategies import are_apart, without_fold
 from trinoc.geometry import Camera, Intrinsics, Rig, project
 
 NAMES = st.from_regex(r"\A[a-v][a-z0-9_]{0,7}\Z")
@@ -36,7 +36,9 @@ def rigs(
 ) -> Rig:
     """Cameras around the sheet."""
     names = draw(st.lists(NAMES, min_size=fewest, max_size=most, unique=True))
-    return Rig({name: draw(cameras(draw(lenses(coefficients, skew)))) for name in names})
+    members = {name: draw(cameras(draw(lenses(coefficients, skew)))) for name in names}
+    assume(are_apart(members))
+    return Rig(members)
 
 
 def pixels(camera: Camera, points: np.ndarray = CORNERS) -> np.ndarray:

@@ -75,7 +75,7 @@ ANY_NAME = st.text(st.characters(exclude_categories=["Cs", "Cc"]), min_size=1, m
 @settings(max_examples=25)
 @given(names=st.lists(ANY_NAME, min_size=3, max_size=3, unique=True))
 def test_any_printable_name_comes_back_from_opencv(ending, names):
-    rig = Rig(dict.fromkeys(names, bench_rig().cameras[0]))
+    rig = Rig(dict(zip(names, bench_rig(cameras=3).cameras, strict=True)))
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"rig{ending}"
         FORMATS["opencv"].save(rig, path)

@@ -8,9 +8,11 @@ import pytest
 
 from tests.match.made import rig_of
 from tests.match.scene import VIEWS, MadeScene
+from trinoc.errors import MatchError
 from trinoc.geometry import Rig, Segments
 from trinoc.match import MatchInput, prepare
 from trinoc.match.observations import distorted, undistorted
+from trinoc.match.observations.match_input import MOST_SEGMENTS
 
 Pictures = dict[str, Segments]
 
@@ -113,3 +115,9 @@ def test_distortion_is_taken_out_and_put_back(noisy: MadeScene) -> None:
     plain = noisy.rig["upper"].intrinsics
     np.testing.assert_array_equal(undistorted(plain, ends), ends)
     assert distorted(lens, ends[:0]).shape == (0, 2, 2)
+
+
+def test_more_segments_than_memory_bears_are_refused() -> None:
+    many = np.random.default_rng(0).uniform(0, 400, (MOST_SEGMENTS + 1, 4))
+    with pytest.raises(MatchError, match="40000 segments of a view at most"):
+        prepare({"upper": many[:9], "left": many}, rig_of("upper", "left"), None)

@@ -44,6 +44,39 @@ def test_parts_that_do_not_overlap_do_not_conflict() -> None:
     assert len(conflict_graph(index, part).slot) == 2
 
 
+def one_by_one(score: np.ndarray, index: np.ndarray) -> np.ndarray:
+    """Taken in order of score, the first of equals first, where no segment is used yet."""
+    taken, used = np.zeros(len(score), dtype=bool), set()
+    for m in np.argsort(-score, kind="stable"):
+        own = set(enumerate(index[m].tolist()))
+        if score[m] > 0 and not own & used:
+            taken[m] = True
+            used |= own
+    return taken
+
+
+@given(st.integers(0, 1000), st.booleans())
+def test_rounds_choose_what_taking_one_by_one_does(seed: int, ties: bool) -> None:
+    rng = np.random.default_rng(seed)
+    index, score = rng.integers(0, 6, (25, 3)), rng.normal(1, 2, 25)
+    score = np.round(score) if ties else score
+    graph = conflict_graph(index, np.broadcast_to(WHOLE, (25, 3, 2)))
+    np.testing.assert_array_equal(chosen_greedily(score, graph), one_by_one(score, index))
+
+
+def test_frames_of_a_stack_settle_as_each_does_alone() -> None:
+    rng = np.random.default_rng(5)
+    # The second frame has hardly a conflict, and settles long before the first.
+    index = np.concatenate([rng.integers(0, 8, (30, 3)), 8 + rng.integers(0, 40, (20, 3))])
+    log_odds, frame = rng.normal(0, 3, 50), np.repeat([0, 1], [30, 20])
+    whole = np.broadcast_to(WHOLE, (50, 3, 2))
+    both = sum_product(log_odds, conflict_graph(index, whole), frame=frame)
+    for number in (0, 1):
+        own = frame == number
+        alone = sum_product(log_odds[own], conflict_graph(index[own], whole[own]))
+        np.testing.assert_allclose(both[own], alone, atol=1e-12)
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_what_is_chosen_uses_no_segment_twice(seed: int) -> None:
     rng = np.random.default_rng(seed)

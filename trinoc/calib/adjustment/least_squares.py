@@ -21,9 +21,11 @@ from trinoc.calib.model import SheetPoints
 from trinoc.geometry import AbstractLens, Pose, PoseModel, project_point
 from trinoc.numerics import ArrayLike, GemanMcClure
 
-_MOST_STEPS = 60
-_STEP_TOLERANCE = 1e-7
-_COST_TOLERANCE = 1e-7
+_TOLERANCE = 1e-7
+# Steps without damping go wrong soon or not at all.
+_MOST_STEPS, _MOST_DAMPED_STEPS = 15, 60
+# By which rounding may raise the cost of an answer from which nothing moves, as a share.
+_ROUNDING = 1e-9
 
 
 class Unknowns(NamedTuple):
@@ -85,7 +87,7 @@ class Adjusted(NamedTuple):
     by_shape : (v, 2n, s) by the sheet's shape.
     d_parameters_d_pose : (v, p, p) of the named parameters, in rad and mm, by the step of the
         pose from where it ended.
-    converged : whether the solver says so.
+    converged : whether the solver says so, at no larger cost than where it began.
     """
 
     unknowns: Unknowns
@@ -101,12 +103,20 @@ class Adjusted(NamedTuple):
     converged: Bool[ArrayLike, ""]
 
 
-@partial(jax.jit, static_argnames="model")
 def adjust(start: Unknowns, views: Views, *, model: PoseModel) -> Adjusted:
-    """The unknowns of least cost, from `start`, and what they are known by."""
-    solver = optx.LevenbergMarquardt(
-        rtol=_COST_TOLERANCE, atol=_STEP_TOLERANCE, linear_solver=lx.Normal(lx.Cholesky())
-    )
+    """The unknowns of least cost, from `start`, and what they are known by.
+
+    Circles give a start so near that three to eight steps of Gauss and Newton do; damping, which
+    crawls where rounding hides the last gains, is for what is left.
+    """
+    found = _adjust(start, views, model=model, damped=False)
+    return found if found.converged else _adjust(start, views, model=model, damped=True)
+
+
+@partial(jax.jit, static_argnames=("model", "damped"))
+def _adjust(start: Unknowns, views: Views, *, model: PoseModel, damped: bool) -> Adjusted:
+    method = optx.LevenbergMarquardt if damped else optx.GaussNewton
+    solver = method(rtol=_TOLERANCE, atol=_TOLERANCE, linear_solver=lx.Normal(lx.Cholesky()))
     # One vector each way: unknowns and costs by kind would make a block of every pair of kinds.
     begin, unflatten = jax.flatten_util.ravel_pytree(start)
     solution = optx.least_squares(
@@ -114,10 +124,11 @@ def adjust(start: Unknowns, views: Views, *, model: PoseModel) -> Adjusted:
         solver,
         begin,
         args=views,
-        max_steps=_MOST_STEPS,
+        max_steps=_MOST_DAMPED_STEPS if damped else _MOST_STEPS,
         throw=False,
     )
     found = unflatten(solution.value)
+    before, after = (jnp.sum(_costs(model, one, views) ** 2) for one in (start, found))
     pose, lens = _cameras(found, views, model)
     shape = views.shape_sigma * found.shape
     look = partial(_derivatives, shape, views.reach_mm)
@@ -136,7 +147,7 @@ def adjust(start: Unknowns, views: Views, *, model: PoseModel) -> Adjusted:
         by_lens,
         by_shape,
         jax.vmap(lambda one: one.d_parameters_d_delta(model, one.distance_mm, one))(pose),
-        solution.result == optx.RESULTS.successful,
+        (solution.result == optx.RESULTS.successful) & (after <= before * (1 + _ROUNDING)),
     )
 
 

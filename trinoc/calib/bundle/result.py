@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from trinoc.geometry import LineObservations, Rig, UncertainLines
+from trinoc.numerics import Shown
 
 
 class RefineStatus(enum.Enum):
@@ -18,7 +19,7 @@ class RefineStatus(enum.Enum):
     AMBIGUOUS = "Other rigs explain the segments about as well: the rig is returned as it was."
 
 
-class RefineResult(eqx.Module):
+class RefineResult(Shown, eqx.Module):
     """Cameras and lines refined together.
 
     Fields

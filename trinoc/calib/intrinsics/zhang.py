@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from trinoc.calib.detection import Detection
-from trinoc.calib.targets import Pattern
+from trinoc.calib.targets import AbstractTarget
 from trinoc.errors import CalibrationError
 from trinoc.geometry import AbstractLens, BrownConrady
 
@@ -42,7 +42,7 @@ class ZhangStart(NamedTuple):
 
 def zhang_start(
     detections: Sequence[Detection],
-    pattern: Pattern,
+    pattern: AbstractTarget,
     model: type[AbstractLens] = BrownConrady,
     aspect: float | None = None,
 ) -> ZhangStart:
@@ -78,7 +78,7 @@ def zhang_start(
     return first._replace(lens=ideal)
 
 
-def roughly_right(detection: Detection, pattern: Pattern) -> Bool[np.ndarray, "m"]:
+def roughly_right(detection: Detection, pattern: AbstractTarget) -> Bool[np.ndarray, "m"]:
     """Circles that lie near the homography of most; all where there is no such homography."""
     sheet = pattern.centres_mm[detection.circle_index]
     extent_px = float(np.max(np.ptp(detection.centres_px, axis=0)))

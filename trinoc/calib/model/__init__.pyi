@@ -14,6 +14,7 @@ from .observed_circles import (
     bucket_size as bucket_size,
     circle_observations as circle_observations,
     stack_observations as stack_observations,
+    whitening_of_covariance as whitening_of_covariance,
 )
 from .outliers import (
     ANNEALING as ANNEALING,

@@ -109,8 +109,11 @@ class CameraPrediction(NamedTuple):
 
 def light_terms(place: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "15 n"]:
     """The light's polynomial at places in the picture."""
-    x, y = place.T
-    return np.stack([x**i * y**j for i, j in powers(LIGHT_DEGREE)]).astype(np.float32)
+    linear = np.ascontiguousarray(place.T, dtype=np.float32)
+    raised = [np.ones_like(linear)]
+    for _ in range(LIGHT_DEGREE):
+        raised.append(raised[-1] * linear)
+    return np.stack([raised[i][0] * raised[j][1] for i, j in powers(LIGHT_DEGREE)])
 
 
 def predict_scene(scene: CameraScene, state: CameraState) -> CameraPrediction:

@@ -75,7 +75,8 @@ class ImageRefinement(NamedTuple):
     information : (p, p) of a step of the pose, lengths in units of its distance, for noise of one
         grey level, after the appearance has taken its share.
     noise : standard deviation of the residuals of the pixels that stayed, grey levels.
-    noise_floor : the same of the picture's flat parts.
+    noise_floor : the same of the picture's flat parts; `noise` itself of an extended model, whose
+        noise depends on the grey level.
     pixels : number of pixels that stayed.
     pixels_cut : number of pixels near an edge that show something else than the sheet.
     converged : whether the last step was small against its own standard deviation.
@@ -215,12 +216,10 @@ def refine_image(
     extended = fit_camera(scene, jax.tree.map(np.asarray, first.state), start, blocks)
     if extended is None or not np.isfinite(extended.covariance).all():
         return simple(last, groups)
-    return _as_refinement(scene, extended, floor, shown(*camera_rows(scene, everything, extended)))
+    return _as_refinement(scene, extended, shown(*camera_rows(scene, everything, extended)))
 
 
-def _as_refinement(
-    scene: CameraScene, fit: CameraFit, floor: float, points: SheetPoints
-) -> ImageRefinement:
+def _as_refinement(scene: CameraScene, fit: CameraFit, points: SheetPoints) -> ImageRefinement:
     """The extended fit in the words of the simple one.
 
     The information is that of the covariance for the noise at the middle grey level.
@@ -237,7 +236,7 @@ def _as_refinement(
         appearance,
         np.linalg.inv(fit.covariance) * fit.sigma**2,
         fit.sigma,
-        floor,
+        fit.sigma,
         int(fit.kept.sum()),
         int(np.sum(~fit.kept)),
         True,

@@ -100,6 +100,22 @@ def _solve(
     )
 
 
+@jax.jit
+def image_shifts(
+    pose: Pose,
+    lens: AbstractLens,
+    lens_changes: Float[ArrayLike, "q r"],
+    points_mm: Float[ArrayLike, "n 3"],
+) -> Float[ArrayLike, "n 2 r"]:
+    """By how much each point's image moves, in px, for a unit of each change of the lens."""
+
+    def images(amount: Float[ArrayLike, "r"]) -> Float[ArrayLike, "n 2"]:
+        changed = lens.retract(lens_changes @ amount)
+        return jax.vmap(project_point, in_axes=(None, None, 0))(pose, changed, points_mm)
+
+    return jax.jacfwd(images)(jnp.zeros(lens_changes.shape[1]))
+
+
 def _weighted(
     model: PoseModel, step: Float[ArrayLike, "s"], data: _Data
 ) -> Float[ArrayLike, "m 2"]:

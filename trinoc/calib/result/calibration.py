@@ -9,6 +9,7 @@ from trinoc.calib.result.alternative import Alternative
 from trinoc.calib.result.status import Status
 from trinoc.calib.targets import Pattern
 from trinoc.geometry import PARAMETER_NAMES, Rig
+from trinoc.numerics import Shown
 
 
 class ImageQuality(eqx.Module):
@@ -17,7 +18,8 @@ class ImageQuality(eqx.Module):
     Fields
     ------
     noise : standard deviation of the residuals, grey levels.
-    noise_floor : the same of the picture's flat parts, which no fit can go below.
+    noise_floor : the same of the picture's flat parts, which no fit can go below; `noise` itself
+        where it depends on the grey level, so that flat parts do not tell.
     pixels : number of pixels that took part.
     pixels_cut : number of pixels near an edge of the sheet that show something else.
     blur_px : sigma of the lens's blur.
@@ -78,7 +80,7 @@ class CameraFit(eqx.Module):
         return float(np.sqrt(np.mean(np.sum(self.residuals_px[self.used] ** 2, axis=1))))
 
 
-class CalibrationResult(eqx.Module):
+class CalibrationResult(Shown, eqx.Module):
     """A calibrated rig with parameters, covariance, and the fit of each camera.
 
     Fields

@@ -1,1 +1,8 @@
+from .abstract_target import AbstractTarget as AbstractTarget
+from .checkers import (
+    DICTIONARIES as DICTIONARIES,
+    Charuco as Charuco,
+    Chessboard as Chessboard,
+    dark_squares as dark_squares,
+)
 from .pattern import Pattern as Pattern

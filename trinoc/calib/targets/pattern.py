@@ -6,9 +6,10 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.calib.targets.ring_code import ring_code
 from trinoc.errors import InputError
-from trinoc.numerics import ArrayLike
+from trinoc.numerics import ArrayLike, Shown
 
 LINE_STYLES = ("stop", "through", "white")
 
@@ -16,7 +17,7 @@ LINE_STYLES = ("stop", "through", "white")
 _LATTICE_TOLERANCE = 0.25
 
 
-class Pattern(eqx.Module):
+class Pattern(Shown, AbstractTarget):
     """Circles (discs or rings) and two crossed lines, in millimetres on the sheet Z = 0.
 
     The lines lie along X and Y and cross at the origin of the world. Seen from the printed
@@ -48,9 +49,6 @@ class Pattern(eqx.Module):
     line_half_length_mm: tuple[float, float] = eqx.field(static=True)
     line_style: str = eqx.field(static=True)
     line_gap_mm: float = eqx.field(static=True)
-
-    def __len__(self) -> int:
-        return len(self.centres_mm)
 
     def __check_init__(self) -> None:
         problem = _problem(self)

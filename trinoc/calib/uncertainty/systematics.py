@@ -5,7 +5,7 @@ parameters in one covariance, and they are larger than the noise: a tenth of a p
 scale is half a millimetre of distance, a hundred times the bound of a good picture.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple, TypeVar
 
@@ -142,6 +142,15 @@ class Systematics(NamedTuple):
             raise InputError(
                 "A sigma of `Systematics` is negative or not finite: give standard deviations."
             )
+
+    def of_cameras(self, names: Collection[str]) -> "Systematics":
+        """What concerns some of the cameras."""
+        given = self.lens_covariance
+        if not isinstance(given, Mapping):
+            return self
+        return self._replace(
+            lens_covariance={name: own for name, own in given.items() if name in names} or None
+        )
 
     @property
     def are_none(self) -> bool:

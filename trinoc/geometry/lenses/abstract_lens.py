@@ -1,13 +1,14 @@
 """A lens: where in the picture a ray of the camera frame is imaged, and the way back."""
 
 import abc
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from trinoc.geometry.lenses.radial import RadialPart
 from trinoc.numerics import ArrayLike, namespace_of
 
 # Type checkers know this one by the name that it has in a class that is not abstract.
@@ -45,6 +46,7 @@ class AbstractLens(eqx.Module):
     coefficient_counts : numbers of coefficients that people fit; the first so many of their names.
     dispensable : coefficients to give up, one after the other, where pictures do not determine
         all.
+    zero_is_ideal : whether the lens with all coefficients zero is `Pinhole`.
     """
 
     focal_length_px: Float[ArrayLike, "2"]
@@ -58,6 +60,7 @@ class AbstractLens(eqx.Module):
     coefficient_powers: AbstractClassVar[tuple[int, ...]]
     coefficient_counts: AbstractClassVar[tuple[int, ...]]
     dispensable: AbstractClassVar[tuple[str, ...]]
+    zero_is_ideal: ClassVar[bool] = True
 
     @abc.abstractmethod
     def distort(self, ray_cam: Float[ArrayLike, "3"]) -> Float[ArrayLike, "2"]:
@@ -72,13 +75,33 @@ class AbstractLens(eqx.Module):
         """Whether the lens is of a model that bends rays."""
         return bool(self.coefficient_names)
 
+    def radial_part(self) -> RadialPart | None:
+        """The distortion along the direction from the axis, of numbers that are not traced; None
+        where the lens has none or its model does not say."""
+        return None
+
+    def fold_angle_rad(self) -> float:
+        """Angle from the optical axis up to which rays and places of the picture are one to one.
+
+        Beyond, the radial part of the distortion folds back, or there is no ray.
+        """
+        radial = self.radial_part()
+        if radial is None:
+            return float(np.pi / 2)
+        return min(radial.fold, np.pi) if radial.by_angle else float(np.arctan(radial.fold))
+
     def fold_radius_px(self) -> float:
         """Distance from the principal point, in pixels, beyond which no ray of the central view is
         imaged, because the distortion folds back there; infinite where it never does.
 
-        Of the radial part alone, and of numbers that are not traced.
+        Also infinite where it does so beyond 90 degrees: pictures of fisheyes end in a circle
+        before it, and their corners are black.
         """
-        return float("inf")
+        radial = self.radial_part()
+        if radial is None or not self.fold_angle_rad() < np.pi / 2:
+            return float("inf")
+        radius = radial.radius(radial.fold)
+        return float(np.mean(self.focal_length_px) * radius) if np.isfinite(radius) else np.inf
 
     @property
     def matrix(self) -> Float[ArrayLike, "3 3"]:

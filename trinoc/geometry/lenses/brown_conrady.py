@@ -5,15 +5,14 @@ Source: D. C. Brown, "Close-range camera calibration", Photogrammetric Engineeri
 
 from typing import ClassVar
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS, AbstractLens, ray_of_normalised
+from trinoc.geometry.lenses.newton import inverse_in_plane
+from trinoc.geometry.lenses.radial import RadialPart
 from trinoc.numerics import ArrayLike
-
-NEWTON_STEPS = 8
 
 
 class BrownConrady(AbstractLens):
@@ -34,19 +33,10 @@ class BrownConrady(AbstractLens):
         """(x, y, 1), by Newton's method."""
         return ray_of_normalised(undistort(distorted, self.coefficients))
 
-    def fold_radius_px(self) -> float:
-        """Where the radius r (1 + k1 r^2 + k2 r^4 + k3 r^6) stops to grow with r."""
+    def radial_part(self) -> RadialPart:
+        """r (1 + k1 r^2 + k2 r^4 + k3 r^6)."""
         k1, k2, _, _, k3 = np.asarray(self.coefficients, dtype=np.float64)
-        # Coefficients near zero put the fold beyond what floats hold.
-        with np.errstate(all="ignore"):
-            slope = np.array([7 * k3, 5 * k2, 3 * k1, 1.0])
-            slope[np.abs(slope) < 1e-30] = 0.0
-            roots = np.roots(slope)
-            square = roots.real[(np.abs(roots.imag) <= 1e-9 * np.abs(roots)) & (roots.real > 0)]
-            r2 = square.min(initial=np.inf)
-            radius = np.sqrt(r2) * (1 + r2 * (k1 + r2 * (k2 + r2 * k3)))
-        folds = len(square) and np.isfinite(radius)
-        return float(np.mean(np.asarray(self.focal_length_px)) * radius) if folds else float("inf")
+        return RadialPart(np.array([k3, k2, k1, 1.0]), np.ones(1), by_angle=False)
 
 
 def distort(
@@ -68,18 +58,5 @@ def distort(
 def undistort(
     distorted: Float[ArrayLike, "2"], coefficients: Float[ArrayLike, "5"]
 ) -> Float[ArrayLike, "2"]:
-    """Inverse of `distort` by Newton's method.
-
-    Converges to rounding error wherever the lens maps one to one between the optical axis
-    and the point; beyond the radius where distortion folds back the result is meaningless.
-    """
-    jacobian_of = jax.jacfwd(distort)
-
-    def step(_: ArrayLike, ideal: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
-        residual = distort(ideal, coefficients) - distorted
-        (a, b), (c, d) = jacobian_of(ideal, coefficients)
-        return ideal - jnp.stack(
-            [d * residual[0] - b * residual[1], a * residual[1] - c * residual[0]]
-        ) / (a * d - b * c)
-
-    return jax.lax.fori_loop(0, NEWTON_STEPS, step, jnp.asarray(distorted))
+    """Inverse of `distort`: see `inverse_in_plane` for where there is one."""
+    return inverse_in_plane(lambda ideal: distort(ideal, coefficients), distorted)

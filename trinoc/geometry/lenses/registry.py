@@ -8,10 +8,14 @@ import numpy as np
 from trinoc.errors import InputError
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.geometry.lenses.brown_conrady import BrownConrady
+from trinoc.geometry.lenses.kannala_brandt import KannalaBrandt
 from trinoc.geometry.lenses.pinhole import Pinhole
+from trinoc.geometry.lenses.rational import Rational, ThinPrism
 from trinoc.numerics import namespace_of
 
-LENS_MODELS: dict[str, type[AbstractLens]] = {lens.model: lens for lens in (Pinhole, BrownConrady)}
+LENS_MODELS: dict[str, type[AbstractLens]] = {
+    lens.model: lens for lens in (Pinhole, BrownConrady, Rational, ThinPrism, KannalaBrandt)
+}
 # The model of coefficients that come without a name, and that an ideal lens is given where its
 # distortion is asked for.
 DEFAULT_DISTORTION = BrownConrady
@@ -27,7 +31,7 @@ def lens_model(name: str) -> type[AbstractLens]:
 
 
 def promoted(lens: AbstractLens, model: type[AbstractLens] = DEFAULT_DISTORTION) -> AbstractLens:
-    """An ideal lens as one of `model` whose coefficients are zero; any other as it is."""
+    """An ideal lens as one of `model`, at whose zero it is ideal; any other as it is."""
     if lens.has_distortion:
         return lens
     zeros = np.zeros(len(model.coefficient_names))
@@ -35,8 +39,8 @@ def promoted(lens: AbstractLens, model: type[AbstractLens] = DEFAULT_DISTORTION)
 
 
 def simplified(lens: AbstractLens) -> AbstractLens:
-    """An ideal lens where all coefficients are zero; the lens as it is otherwise."""
-    if np.any(np.asarray(lens.coefficients) != 0.0):
+    """An ideal lens where all coefficients are zero and say so; the lens as it is otherwise."""
+    if not lens.zero_is_ideal or np.any(np.asarray(lens.coefficients) != 0.0):
         return lens
     none = np.zeros(0)
     return Pinhole(lens.focal_length_px, lens.principal_point_px, lens.skew_px, none)
@@ -48,6 +52,8 @@ def stack_lenses(lenses: Sequence[AbstractLens]) -> AbstractLens:
     Raises InputError where they are of two models that both distort.
     """
     models = {type(lens) for lens in lenses if lens.has_distortion}
+    if not all(model.zero_is_ideal for model in models):
+        models |= {type(lens) for lens in lenses}
     if len(models) > 1:
         raise InputError(
             f"Lenses of the models {' and '.join(sorted(model.model for model in models))} cannot "

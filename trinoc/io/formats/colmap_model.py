@@ -28,6 +28,8 @@ ROWS = (
     LensRow("PINHOLE", "none", ()),
     LensRow("OPENCV", "brown_conrady", _OPENCV),
     LensRow("FULL_OPENCV", "brown_conrady", (*_OPENCV, "k3", "k4", "k5", "k6")),
+    LensRow("FULL_OPENCV", "rational", (*_OPENCV, "k3", "k4", "k5", "k6")),
+    LensRow("OPENCV_FISHEYE", "kannala_brandt", ("k1", "k2", "k3", "k4")),
     LensRow("SIMPLE_PINHOLE", "none", ()),
     LensRow("SIMPLE_RADIAL", "brown_conrady", ("k1",)),
     LensRow("RADIAL", "brown_conrady", ("k1", "k2")),

@@ -1,7 +1,8 @@
 """OpenCV's FileStorage, YAML or JSON, as its calibration samples write it.
 
-One lens is `camera_matrix`, `distortion_coefficients`, `image_width` and `image_height`. A rig is
-the list `cameras`, each with a `name`, these four, and `R` and `T` of x_cam = R x_world + T; two
+One lens is `camera_matrix`, `distortion_coefficients`, `image_width` and `image_height`, and for
+`cv2.fisheye` `fisheye_model: 1`. A rig is the list `cameras`, each with a `name`, these, and `R`
+and `T` of x_cam = R x_world + T; two
 cameras stand there as `M1`, `D1`, `M2`, `D2` and `R`, `T` (second from first) besides, which
 `cv2.stereoRectify` takes. Read is any of the three. The covariance of a rig stands under
 `covariance`, in degrees and mm, as in rig.json.
@@ -24,8 +25,17 @@ from trinoc.io.rig_json import covariance_of
 TITLE = "OpenCV's FileStorage"
 # cv2.projectPoints takes 4, 5, 8, 12 or 14 coefficients in this order.
 _ALL = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4", "tau_x", "tau_y")
-WRITTEN = (LensRow("", "brown_conrady", _ALL[:5]),)
-READ = (LensRow("", "brown_conrady", _ALL),)
+_FISHEYE = LensRow("fisheye", "kannala_brandt", ("k1", "k2", "k3", "k4"))
+WRITTEN = (
+    LensRow("", "brown_conrady", _ALL[:5]),
+    LensRow("", "rational", _ALL[:8]),
+    LensRow("", "thin_prism", _ALL[:12]),
+    _FISHEYE,
+)
+READ = (
+    *(LensRow("", model, _ALL) for model in ("brown_conrady", "rational", "thin_prism")),
+    _FISHEYE,
+)
 _STEREO = (("M1", "D1", "M2", "D2"), ("K1", "D1", "K2", "D2"),
            ("cameraMatrix1", "distCoeffs1", "cameraMatrix2", "distCoeffs2"))  # fmt: skip
 
@@ -76,12 +86,13 @@ def _lens_to_map(lens: Intrinsics, camera: str) -> dict[str, Any]:
             ]
         ),
         "distortion_coefficients": np.array([numbers.coefficients]),
+        **({"fisheye_model": 1} if numbers.called == _FISHEYE.called else {}),
     }
 
 
 def _stereo(rig: Rig, cameras: list[dict[str, Any]], unit_mm: float) -> dict[str, Any]:
-    """The keys of OpenCV's stereo sample, for two cameras."""
-    if len(cameras) != 2:
+    """The keys of OpenCV's stereo sample, for two cameras; it knows no fisheyes."""
+    if len(cameras) != 2 or any("fisheye_model" in camera for camera in cameras):
         return {}
     poses = [np.asarray(camera.cam_from_world) for camera in rig.cameras]
     second_from_first = chained(poses[1], inverse(poses[0]))
@@ -144,8 +155,10 @@ def _lens_from_map(block: Block, matrix_key: str, distortion_key: str) -> Intrin
         coefficients = block.numbers(distortion_key, (None, None)).reshape(-1).tolist()
     size = Block({"size": [block.number("image_width"), block.number("image_height")]},
                  block.file, block.place).image_size_px("size")  # fmt: skip
+    fisheye = "fisheye_model" in block.values and block.number("fisheye_model") != 0
+    called = _FISHEYE.called if fisheye else ""
     numbers = LensNumbers(
-        "", (matrix[0, 0], matrix[1, 1]), (matrix[0, 2], matrix[1, 2]), 0.0, coefficients
+        called, (matrix[0, 0], matrix[1, 1]), (matrix[0, 2], matrix[1, 2]), 0.0, coefficients
     )
     return lens_of(numbers, size, READ, block.file)
 

@@ -23,6 +23,7 @@ TITLE = "Kalibr's camchain"
 METRE_MM = 1000.0
 ROWS = (
     LensRow("radtan", "brown_conrady", ("k1", "k2", "p1", "p2")),
+    LensRow("equidistant", "kannala_brandt", ("k1", "k2", "k3", "k4")),
     LensRow("none", "none", ()),
 )
 
@@ -76,8 +77,8 @@ def _lens(block: Block) -> Intrinsics:
     fx, fy, cx, cy = block.numbers("intrinsics", (4,)).tolist()
     called = block.text("distortion_model")
     coefficients = block.numbers("distortion_coeffs", (None,)).tolist()
-    if called == "radtan" and len(coefficients) != 4:
-        raise block.error("distortion_coeffs", "must be the four of radtan: k1, k2, p1, p2.")
+    if called in ("radtan", "equidistant") and len(coefficients) != 4:
+        raise block.error("distortion_coeffs", f"must be the four of {called}.")
     numbers = LensNumbers(called, (fx, fy), (cx, cy), 0.0, coefficients)
     where = f'{block.file}: "{block.place}"'
     return lens_of(numbers, block.image_size_px("resolution"), ROWS, where)

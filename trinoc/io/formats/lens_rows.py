@@ -71,8 +71,9 @@ def numbers_of(
             strict=True,
         )
     )
+    ideal = lens.lens.zero_is_ideal and not any(values.values())
     fitting = [row for row in rows if row.model == lens.lens.model] or [
-        row for row in rows if not any(values.values())
+        row for row in rows if ideal and LENS_MODELS[row.model].zero_is_ideal
     ]
     if not fitting:
         raise InputError(f"{who} is {lens.lens.model}, which {title} cannot hold: choose another.")
@@ -108,32 +109,34 @@ def lens_of(
     `where` begins the sentence of the InputError for a model or a coefficient that trinoc does
     not know, and for numbers that are no lens.
     """
-    row = next((row for row in rows if row.called == numbers.called), None)
-    if row is None:
-        known = ", ".join(row.called for row in rows)
+    called = [row for row in rows if row.called == numbers.called]
+    if not called:
+        known = ", ".join(dict.fromkeys(row.called for row in rows))
         raise InputError(
             f'{where} has the lens model "{numbers.called}", but trinoc reads {known} here: '
             "convert the lens first."
         )
-    if len(numbers.coefficients) > len(row.coefficients):
+    most = max(len(row.coefficients) for row in called)
+    if len(numbers.coefficients) > most:
         raise InputError(
             f"{where} has {len(numbers.coefficients)} distortion coefficients, but "
-            f"{numbers.called or 'its model'} has {len(row.coefficients)}: check the file."
+            f"{numbers.called or 'its model'} has {most}: check the file."
         )
+    # The first row, the simplest lens, that knows what is not zero.
+    row = next((row for row in called if not _unknown(numbers, row)), called[-1])
     given = dict(zip(row.coefficients, numbers.coefficients))
     ours = LENS_MODELS[row.model].coefficient_names
-    for name, value in given.items():
-        if value and name not in ours:
-            raise InputError(
-                f"{where} has {name} = {value:g}, which trinoc's lens {row.model} does not have: "
-                "convert the lens first."
-            )
+    for name in _unknown(numbers, row):
+        raise InputError(
+            f"{where} has {name} = {given[name]:g}, which trinoc's lens {row.model} does not have: "
+            "convert the lens first."
+        )
     if not all(focal > 0 for focal in numbers.focal_px):
         raise InputError(
             f"{where} has the focal lengths {numbers.focal_px[0]:g} and {numbers.focal_px[1]:g} "
             "px, but both must be positive: correct them."
         )
-    distorted = any(given.values())
+    distorted = any(given.values()) or not LENS_MODELS[row.model].zero_is_ideal
     return Intrinsics(
         image_size_px=image_size_px,
         focal_length_px=numbers.focal_px,
@@ -142,3 +145,13 @@ def lens_of(
         distortion=[given.get(name, 0.0) for name in ours] if distorted else None,
         distortion_model=row.model if distorted else None,
     )
+
+
+def _unknown(numbers: LensNumbers, row: LensRow) -> list[str]:
+    """Coefficients that are not zero and that our model of a row does not have."""
+    ours = LENS_MODELS[row.model].coefficient_names
+    beyond = [
+        f"coefficient {k + 1}" for k in range(len(row.coefficients), len(numbers.coefficients))
+    ]
+    names = (*row.coefficients, *beyond)
+    return [name for name, value in zip(names, numbers.coefficients) if value and name not in ours]

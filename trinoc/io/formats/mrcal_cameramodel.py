@@ -28,6 +28,8 @@ _OPENCV = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4
 ROWS = (
     LensRow("LENSMODEL_PINHOLE", "none", ()),
     *(LensRow(f"LENSMODEL_OPENCV{n}", "brown_conrady", _OPENCV[:n]) for n in (4, 5, 8, 12)),
+    *(LensRow(f"LENSMODEL_OPENCV{n}", "rational", _OPENCV[:n]) for n in (8, 12)),
+    LensRow("LENSMODEL_OPENCV12", "thin_prism", _OPENCV),
 )
 # The key of the pose, as mrcal writes it now and wrote it before.
 POSE_KEYS = ("extrinsics", "rt_cam_ref")

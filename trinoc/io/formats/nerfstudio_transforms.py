@@ -26,6 +26,7 @@ HALF_PX = 0.5
 COEFFICIENTS = ("k1", "k2", "k3", "k4", "p1", "p2")
 ROWS = (
     LensRow("OPENCV", "brown_conrady", COEFFICIENTS),
+    LensRow("OPENCV_FISHEYE", "kannala_brandt", ("k1", "k2", "k3", "k4")),
     LensRow("PINHOLE", "none", ()),
     LensRow("SIMPLE_PINHOLE", "none", ()),
 )

@@ -25,9 +25,13 @@ from trinoc.io.json_document import Block
 TITLE = "ROS camera_info"
 POSES = "tf_static.yaml"
 _PLUMB_BOB = ("k1", "k2", "p1", "p2", "k3")
+_RATIONAL = (*_PLUMB_BOB, "k4", "k5", "k6")
 ROWS = (
     LensRow("plumb_bob", "brown_conrady", _PLUMB_BOB),
-    LensRow("rational_polynomial", "brown_conrady", (*_PLUMB_BOB, "k4", "k5", "k6")),
+    LensRow("rational_polynomial", "brown_conrady", _RATIONAL),
+    LensRow("rational_polynomial", "rational", _RATIONAL),
+    LensRow("rational_polynomial", "thin_prism", (*_RATIONAL, "s1", "s2", "s3", "s4")),
+    LensRow("equidistant", "kannala_brandt", ("k1", "k2", "k3", "k4")),
 )
 
 

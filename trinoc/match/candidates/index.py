@@ -45,13 +45,14 @@ class Grid(NamedTuple):
 
     sigma_px : typical standard deviation of the segments. cell_px : sides of the cells.
     first : number of the first key of each layer; the last number is of a key without entries.
+    Of each frame of a stack, as all fields are.
     """
 
-    sigma_px: Float[ArrayLike, ""]
-    cell_px: Float[ArrayLike, "l"]
-    columns: Int[ArrayLike, "l"]
-    rows: Int[ArrayLike, "l"]
-    first: Int[ArrayLike, "l+1"]
+    sigma_px: Float[ArrayLike, "*f"]
+    cell_px: Float[ArrayLike, "*f l"]
+    columns: Int[ArrayLike, "*f l"]
+    rows: Int[ArrayLike, "*f l"]
+    first: Int[ArrayLike, "*f l+1"]
 
 
 class SpatialIndex(NamedTuple):
@@ -70,40 +71,64 @@ def spatial_index(
     ends_px: Float[np.ndarray, "n 2 2"],
     slack_rad: Float[np.ndarray, "n"],
     margins_px: Float[np.ndarray, "l n"],
-    size_px: Float[np.ndarray, "2"],
-    cell_px: float,
-    sigma_px: float,
+    size_px: Float[np.ndarray, "*f 2"],
+    cell_px: Float[np.ndarray, "*f"] | float,
+    sigma_px: Float[np.ndarray, "*f"] | float,
+    frame: Int[np.ndarray, "n"] | None = None,
 ) -> SpatialIndex:
     """Enter each segment, in each layer, in every cell that it passes within the margin, and
-    in each sector that holds a direction within `slack_rad` and the layer's slack of its own."""
-    cells_px = cell_px * np.array([layer.cell for layer in LAYERS], dtype=np.float64)
-    columns, rows = (np.ceil(side / cells_px).astype(np.int32) for side in size_px)
-    keys = columns * rows * np.array([layer.sectors for layer in LAYERS], dtype=np.int32)
-    first_key = np.concatenate([[0], np.cumsum(keys)]).astype(np.int32)
+    in each sector that holds a direction within `slack_rad` and the layer's slack of its own.
+
+    Segments of a stack are entered in the cells of their own `frame`."""
+    grid = _grid(size_px, np.asarray(cell_px, dtype=np.float64), np.asarray(sigma_px))
+    # Of each segment's own frame, or one for all.
+    owners = np.zeros(len(ends_px), np.int64) if frame is None else frame
+    cells_px, columns, rows, first_key = (np.atleast_2d(x)[owners] for x in grid[1:])
     step = ends_px[:, 1] - ends_px[:, 0]
     angle = np.arctan2(step[:, 1], step[:, 0])
     entries = []
     for number, layer in enumerate(LAYERS):
-        owner, column, row = _cells_passed(ends_px, margins_px[number], cells_px[number])
-        inside = (column >= 0) & (column < columns[number]) & (row >= 0) & (row < rows[number])
-        owner, cell = owner[inside], (row * columns[number] + column)[inside]
+        owner, column, row = _cells_passed(ends_px, margins_px[number], cells_px[:, number])
+        inside = (column >= 0) & (column < columns[owner, number])
+        inside &= (row >= 0) & (row < rows[owner, number])
+        owner, column, row = owner[inside], column[inside], row[inside]
+        cell = row * columns[owner, number] + column
         slack, sector = slack_rad + layer.slack_rad, np.pi / layer.sectors
         first = np.floor((angle - slack) / sector).astype(int)
         last = np.floor((angle + slack) / sector).astype(int)
         last = np.minimum(last, first + layer.sectors - 1)
         entry, turned = expand_ranges(first[owner], last[owner] + 1)
-        key = first_key[number] + cell[entry] * layer.sectors + np.mod(turned, layer.sectors)
+        key = first_key[owner, number] + cell * layer.sectors
+        key = key[entry] + np.mod(turned, layer.sectors)
         # Key and segment in one number: sorting it is several times faster than by key.
-        entries.append((key << 32) | owner[entry])
+        entries.append((key.astype(np.int64) << 32) | owner[entry])
     ordered = np.sort(np.concatenate(entries))
-    count = np.bincount(ordered >> 32, minlength=first_key[-1] + 1)
-    grid = Grid(np.asarray(sigma_px), cells_px, columns, rows, first_key)
+    count = np.bincount(ordered >> 32, minlength=int(np.max(grid.first)) + 1)
     start = np.cumsum(count) - count
     return SpatialIndex(grid, *(x.astype(np.int32) for x in (start, count, ordered & 0xFFFFFFFF)))
 
 
+def _grid(
+    size_px: Float[np.ndarray, "*f 2"],
+    cell_px: Float[np.ndarray, "*f"],
+    sigma_px: Float[np.ndarray, "*f"],
+) -> Grid:
+    cells_px = cell_px[..., None] * np.array([layer.cell for layer in LAYERS], dtype=np.float64)
+    columns, rows = np.ceil(np.moveaxis(size_px, -1, 0)[..., None] / cells_px).astype(np.int32)
+    keys = columns * rows * np.array([layer.sectors for layer in LAYERS], dtype=np.int32)
+    none = np.zeros_like(keys[..., :1])
+    first = np.concatenate([none, np.cumsum(keys, axis=-1, dtype=np.int32)], axis=-1)
+    if first.ndim > 1:
+        # The keys of each frame, and its one without entries, follow those of the one before.
+        every = first[:, -1] + 1
+        first = first + (np.cumsum(every) - every)[:, None].astype(np.int32)
+    return Grid(sigma_px, cells_px, columns, rows, first)
+
+
 def _cells_passed(
-    ends_px: Float[np.ndarray, "n 2 2"], margin_px: Float[np.ndarray, "n"], cell_px: float
+    ends_px: Float[np.ndarray, "n 2 2"],
+    margin_px: Float[np.ndarray, "n"],
+    cell_px: Float[np.ndarray, "n"],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(segment, column, row) of every cell within the margin of a segment, and of a few more."""
     steep = np.abs(ends_px[:, 1, 1] - ends_px[:, 0, 1]) > np.abs(
@@ -123,12 +148,13 @@ def _cells_passed(
         reached = np.clip(place, low[owner], high[owner])
         return other[owner, 0] + slope[owner] * (reached - walk[owner, 0])
 
-    left, right = other_at(along * cell_px), other_at((along + 1) * cell_px)
+    side = cell_px[owner]
+    left, right = other_at(along * side), other_at((along + 1) * side)
     # Across a slanting segment the margin is longer along the rows or columns.
     margin = (margin_px * np.sqrt(1 + slope**2))[owner]
     entry, across = expand_ranges(
-        np.floor((np.minimum(left, right) - margin) / cell_px).astype(int),
-        np.floor((np.maximum(left, right) + margin) / cell_px).astype(int) + 1,
+        np.floor((np.minimum(left, right) - margin) / side).astype(int),
+        np.floor((np.maximum(left, right) + margin) / side).astype(int) + 1,
     )
     owner, along = owner[entry], along[entry]
     return owner, np.where(steep[owner], across, along), np.where(steep[owner], along, across)

@@ -15,29 +15,34 @@ from trinoc.match.candidates.index import (
 from trinoc.match.candidates.transfer import Prediction
 from trinoc.match.observations import SegmentTable
 from trinoc.match.tuning import DEFAULT, CandidateTuning
-from trinoc.numerics import ArrayLike
+from trinoc.numerics import ArrayLike, group_medians, group_sums, of_group
 
 # Where a prediction is looked up, as shares of its length: its middle first.
 SAMPLES = (0.5, 1 / 6, 5 / 6)
 # Finest cell: at least CELL_SIGMAS standard deviations wide. Along the longer side of the image
 # there are CELLS sqrt(n) of them for n segments, clipped to FEWEST .. MOST.
-CELL_SIGMAS, CELLS, FEWEST, MOST = 8.0, 4.0, 64, 320
+CELL_SIGMAS, CELLS, FEWEST, MOST = 8.0, 4.0, 16, 320
 
 
 def lookup(
     lines: SegmentTable, view: int, count: int, tuning: CandidateTuning = DEFAULT.candidates
 ) -> SpatialIndex:
     """The segments of a view by place and direction."""
-    ends, size = np.asarray(lines.ends_px[view])[:count], np.asarray(lines.size_px[view])
-    length = np.asarray(lines.length_px[view])[:count]
-    sigma = np.sqrt(np.asarray(lines.across_px2[view])[:count, [0, 1], [0, 1]].max(axis=1))
-    typical = float(np.median(sigma)) if count else 1.0
+    ends, size = np.asarray(lines.ends_px)[view, :count], np.asarray(lines.size_px)[..., view, :]
+    length, across = np.asarray(lines.length_px), np.asarray(lines.across_px2)
+    sigma = np.sqrt(across[view, :count, [0, 1], [0, 1]].max(axis=0))
+    frame = None if lines.frame is None else np.asarray(lines.frame)[view, :count]
+    frames = int(np.prod(size.shape[:-1]))
+    typical = group_medians(sigma, frame, frames)
+    typical = np.where(np.isfinite(typical), typical, 1.0)
     reach = tuning.reach_sigmas
-    margins = reach * np.hypot(sigma, typical * np.array([[layer.sigmas] for layer in LAYERS]))
-    slack = reach * np.sqrt(2) * sigma / length
-    cells = float(np.clip(CELLS * np.sqrt(count), FEWEST, MOST))
-    cell = max(CELL_SIGMAS * typical, float(size.max()) / cells)
-    return spatial_index(ends, slack, margins, size, cell, typical)
+    near = of_group(typical, frame) * np.array([[layer.sigmas] for layer in LAYERS])
+    margins = reach * np.hypot(sigma, near)
+    slack = reach * np.sqrt(2) * sigma / length[view, :count]
+    number = group_sums(np.ones(count), frame, frames)
+    cells = np.clip(CELLS * np.sqrt(number), FEWEST, MOST)
+    cell = np.maximum(CELL_SIGMAS * typical, size.max(axis=-1) / cells)
+    return spatial_index(ends, slack, margins, size, cell, typical, frame)
 
 
 def keys_of(

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from trinoc.match.evidence import END_COMPONENTS, SIDE_COMPONENTS, MixtureParameters, log_odds
-from trinoc.match.observations import SegmentTable
+from trinoc.match.observations import SegmentTable, frames_of, matrices_of
 from trinoc.match.tuning import DEFAULT, EvidenceTuning
 from trinoc.numerics import take_rows
 
@@ -56,10 +56,13 @@ def prior_log_odds(
     candidates: Candidates,
     mixture: MixtureParameters,
     tuning: EvidenceTuning = DEFAULT.evidence,
+    frame: Int[np.ndarray, "m"] | None = None,
 ) -> Float[np.ndarray, "m"]:
-    """Log odds of each on its own evidence."""
+    """Log odds of each on its own evidence, under the parameters of its own frame of a stack."""
     c = candidates
-    return log_odds(c.chi_square, c.log_density, c.end_log, c.ends_mm, c.side_log, mixture, tuning)
+    return log_odds(
+        c.chi_square, c.log_density, c.end_log, c.ends_mm, c.side_log, mixture, tuning, frame
+    )
 
 
 def in_depth_range(
@@ -67,8 +70,8 @@ def in_depth_range(
 ) -> Bool[np.ndarray, "m"]:
     """Whether the ends lie within a range of depths before every camera that sees them; without
     a range, anywhere before them."""
-    matrix = np.asarray(lines.matrix_px)
-    depth = np.einsum("vi,mei->mve", matrix[:, 2, :3], candidates.ends_mm) + matrix[:, 2, 3:]
+    matrix = matrices_of(lines, frames_of(lines, candidates.index))
+    depth = matrix[..., 2, :3] @ candidates.ends_mm.mT + matrix[..., 2, 3:]
     near, far = (0.0, np.inf) if depth_range_mm is None else depth_range_mm
     inside = ((depth > near) & (depth < far)).all(axis=2) | (candidates.index < 0)
-    return inside.all(axis=1)
+    return np.asarray(inside.all(axis=1))

@@ -27,9 +27,18 @@ from trinoc.match.observations import (
     ClutterModel,
     SegmentTable,
     block_of,
+    of_frame,
 )
 from trinoc.match.tuning import DEFAULT, CandidateTuning, EndTuning, MatchTuning
-from trinoc.match.two_view import Pencil, cut_pair, pencil, points_of, row_of
+from trinoc.match.two_view import (
+    Pencil,
+    cut_pair,
+    pencil,
+    pencil_of,
+    plane_angles,
+    points_of,
+    row_of,
+)
 from trinoc.numerics import (
     ArrayLike,
     blocks,
@@ -57,7 +66,10 @@ def trinocular_candidates(
     numbers = [counts[view] for view in views]
     parts = [no_candidates(3)]
     for turn in range(3):
-        parts += _in_order(three, np.roll(np.arange(3), turn), numbers, own, tuning)
+        for part in _in_order(three, np.roll(np.arange(3), turn), numbers, own, tuning):
+            parts.append(part)
+            if sum(len(found.index) for found in parts) > tuning.candidates.most_candidates:
+                parts = [_likelier_half(concatenate_rows(parts), numbers, tuning)]
     found = concatenate_rows(parts)
     # Two orderings may find one triple where they cross about as well.
     i, j, k = found.index.T.astype(np.int64)
@@ -74,7 +86,15 @@ def _views_of(
     lines: SegmentTable, clutter: ClutterModel, views: Int[ArrayLike, "k"]
 ) -> tuple[SegmentTable, ClutterModel]:
     densities = jnp.asarray(clutter.log_density)[views]
-    return jax.tree.map(lambda table: table[views], lines), ClutterModel(densities, clutter[1])
+    cameras = ("matrix_px", "centre_mm", "inverse", "size_px")
+    shapes = {name: getattr(lines, name) for name in cameras}
+    if lines.frame is not None:
+        shapes = {name: jnp.moveaxis(column, 1, 0) for name, column in shapes.items()}
+    three = jax.tree.map(lambda table: table[views], lines._replace(**shapes))
+    if lines.frame is not None:
+        moved = {name: jnp.moveaxis(getattr(three, name), 0, 1) for name in cameras}
+        three = three._replace(**moved)
+    return three, ClutterModel(densities, clutter.typical_px)
 
 
 def _in_order(
@@ -88,33 +108,46 @@ def _in_order(
     typical = float(np.mean([counts[view] for view in order]))
     table = lookup(lines, int(order[2]), counts[order[2]], tuning.candidates)
     planes = pencil(lines, order[0], order[1])
-    for i, j in _pairs(planes, counts[order[0]], counts[order[1]]):
+    for i, j in _pairs(lines, order, planes, counts):
         triple = _triples(lines, order, planes, table, i, j, tuning.candidates)
         found = _candidates_of(lines, order, planes, triple, clutter, tuning)
-        many = len(found.index) > tuning.candidates.prune_above
+        # Frames of a stack are small.
+        many = lines.frame is None and len(found.index) > tuning.candidates.prune_above
         yield _pruned(found, typical, tuning) if many else found
 
 
 def _pruned(found: Candidates, typical_count: float, tuning: MatchTuning) -> Candidates:
     """Those that may yet be likely: most of what passes the gate is not, and takes memory."""
-    mixture = prior_parameters(found.ends_mm, typical_count, tuning)
-    # One block shows how large the volume is, but not yet where lines lie in it.
-    everywhere = mixture.volume._replace(precision=np.zeros((3, 3)))
-    odds = prior_log_odds(found, mixture._replace(volume=everywhere), tuning.evidence)
+    odds = _odds_anywhere(found, typical_count, tuning)
     return found.take(odds > tuning.candidates.prune_log_odds)
 
 
+def _likelier_half(found: Candidates, counts: list[int], tuning: MatchTuning) -> Candidates:
+    odds = _odds_anywhere(found, float(np.mean(counts)), tuning)
+    return found.take(odds > np.median(odds))
+
+
+def _odds_anywhere(
+    found: Candidates, typical_count: float, tuning: MatchTuning
+) -> Float[np.ndarray, "m"]:
+    mixture = prior_parameters(found.ends_mm, typical_count, tuning)
+    # One block shows how large the volume is, but not yet where lines lie in it.
+    everywhere = mixture.volume._replace(precision=np.zeros((3, 3)))
+    return prior_log_odds(found, mixture._replace(volume=everywhere), tuning.evidence)
+
+
 def _pairs(
-    planes: Pencil, count_a: int, count_b: int
+    lines: SegmentTable, order: Int[np.ndarray, "3"], planes: Pencil, counts: list[int]
 ) -> Iterator[tuple[Int[np.ndarray, "_p"], Int[np.ndarray, "_p"]]]:
     """Pairs that share epipolar planes, in blocks of segments of the first view."""
     angles_a, angles_b = (
-        np.stack([np.asarray(s.low)[:count], np.asarray(s.high)[:count]], axis=1)
-        for s, count in ((planes.first, count_a), (planes.second, count_b))
+        plane_angles(lines, int(view), segments)[: counts[view]]
+        for view, segments in zip(order[:2], (planes.first, planes.second), strict=True)
     )
-    # About one in four pairs shares epipolar planes.
-    rows = max(1, 4 * PAIRS_AT_A_TIME // max(count_b, 1))
-    for block in blocks(count_a, rows):
+    frames = 1 if lines.frame is None else 1 + int(np.max(lines.frame))
+    # About one in four pairs of a frame shares epipolar planes.
+    rows = max(1, 4 * PAIRS_AT_A_TIME * frames // max(counts[order[1]], 1))
+    for block in blocks(counts[order[0]], rows):
         i, j = overlapping(angles_a[block], angles_b)
         yield (i + block.start).astype(np.int32), j.astype(np.int32)
 
@@ -133,7 +166,7 @@ def _triples(
     found = [np.zeros((0, 3), dtype=np.int32)]
     for block in blocks(len(i), size):
         rows = padded(i[block], size), padded(j[block], size)
-        guess, keys = _predicted(lines, order[2], planes, table.grid, *rows, tuning=tuning)
+        guess, keys = _predicted(lines, order, planes, table.grid, *rows, tuning=tuning)
         keys = np.stack([np.asarray(key)[: block.stop - block.start] for key in keys])
         pair, k = segments_near(table, keys)
 
@@ -152,7 +185,7 @@ def _triples(
 @partial(jax.jit, static_argnames="tuning")
 def _predicted(
     lines: SegmentTable,
-    third: Int[ArrayLike, ""],
+    order: Int[ArrayLike, "3"],
     planes: Pencil,
     grid: Grid,
     i: Int[ArrayLike, "p"],
@@ -161,8 +194,13 @@ def _predicted(
 ) -> tuple[Prediction, list[Int[ArrayLike, "_p"]]]:
     def predicted(i: ArrayLike, j: ArrayLike) -> tuple[Prediction, list[ArrayLike]]:
         rows = row_of(planes.first, i), row_of(planes.second, j)
-        guess = predict(lines, third, planes, *rows, tuning)
-        return guess, keys_of(grid, guess, tuning)
+        own = of_frame(lines, order[0], i)
+        guess = predict(own, order[2], pencil_of(planes, lines, order[0], i), *rows, tuning)
+        cells = grid
+        if lines.frame is not None:
+            frame = lines.frame[order[0], i]
+            cells = jax.tree.map(lambda column: column[frame], grid)
+        return guess, keys_of(cells, guess, tuning)
 
     return jax.vmap(predicted)(i, j)
 
@@ -200,8 +238,8 @@ def _candidates_of(
     found, end_log = in_blocks(judged, block_of(lines, TRIPLES_IN_BLOCK), triple)
     keep = np.flatnonzero(found.possible)
     polarity = np.asarray(lines.polarity)
-    index = np.full((len(keep), len(lines.size_px)), -1)
-    interval = np.zeros((len(keep), len(lines.size_px), 2))
+    index = np.full((len(keep), len(lines.ends_px)), -1)
+    interval = np.zeros((len(keep), len(lines.ends_px), 2))
     index[:, order] = triple[keep]
     interval[:, order] = stacked(found.interval, keep)
     return Candidates(
@@ -229,11 +267,16 @@ def _evidence_of(
     ends: EndTuning,
 ) -> tuple[TripleEvidence, tuple[tuple[Float[ArrayLike, "_h"], ...], ...]]:
     def judge(segments: Int[ArrayLike, "3"]) -> tuple[TripleEvidence, tuple]:
-        first, second = row_of(planes.first, segments[0]), row_of(planes.second, segments[1])
-        near_mm = points_of(planes, cut_pair(planes.baseline_mm, first, second, tuning))
-        first = triple_evidence(lines, order, segments, near_mm, clutter, tuning)
+        own, among = of_frame(lines, order[0], segments[0]), clutter
+        if lines.frame is not None:
+            frame = lines.frame[order[0], segments[0]]
+            among = clutter._replace(typical_px=clutter.typical_px[frame])
+        of_pencil = pencil_of(planes, lines, order[0], segments[0])
+        rows = row_of(planes.first, segments[0]), row_of(planes.second, segments[1])
+        near_mm = points_of(of_pencil, cut_pair(of_pencil.baseline_mm, *rows, tuning))
+        first = triple_evidence(own, order, segments, near_mm, among, tuning)
         # Once more on the line fitted to all three: then it does not matter which pair came first.
-        evidence = triple_evidence(lines, order, segments, first.ends_mm, clutter, tuning)
+        evidence = triple_evidence(own, order, segments, first.ends_mm, among, tuning)
         evidence = evidence._replace(possible=first.possible & evidence.possible)
         return evidence, end_evidence(evidence.extent_px, ends)
 

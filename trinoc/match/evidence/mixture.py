@@ -1,12 +1,18 @@
-"""Prior log odds of a triple from its log likelihood ratios: the mixtures, fitted by EM."""
+"""Prior log odds of a triple from its log likelihood ratios: the mixtures, fitted by EM.
+
+Triples of a stack of frames have the parameters of their own `frame`: then all parameters have an
+axis of frames in front."""
 
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
-from scipy.special import expit, logsumexp
+from jaxtyping import Float, Int
+from scipy.special import expit
 
 from trinoc.match.tuning import DEFAULT, EvidenceTuning, MatchTuning
+from trinoc.numerics import group_sums, of_group, taken
+
+Frame = Int[np.ndarray, "m"] | None
 
 
 class Volume(NamedTuple):
@@ -15,9 +21,9 @@ class Volume(NamedTuple):
     precision : inverse of the covariance of places, 1/mm^2. log_size : of the box, mm^3.
     """
 
-    centre_mm: Float[np.ndarray, "3"]
-    precision: Float[np.ndarray, "3 3"]
-    log_size: float
+    centre_mm: Float[np.ndarray, "*f 3"]
+    precision: Float[np.ndarray, "*f 3 3"]
+    log_size: Float[np.ndarray, "*f"] | float
 
 
 class MixtureParameters(NamedTuple):
@@ -28,25 +34,34 @@ class MixtureParameters(NamedTuple):
     of the levels beside them.
     """
 
-    tail: Float[np.ndarray, "k"]
-    ends: Float[np.ndarray, "c"]
+    tail: Float[np.ndarray, "*f k"]
+    ends: Float[np.ndarray, "*f c"]
     volume: Volume
-    log_count: float
-    sides: Float[np.ndarray, "s"]
+    log_count: Float[np.ndarray, "*f"] | float
+    sides: Float[np.ndarray, "*f s"]
 
 
 def prior_parameters(
-    ends_mm: Float[np.ndarray, "m 2 3"], count: float, tuning: MatchTuning = DEFAULT
+    ends_mm: Float[np.ndarray, "m 2 3"],
+    count: Float[np.ndarray, "f"] | float,
+    tuning: MatchTuning = DEFAULT,
+    frame: Frame = None,
 ) -> MixtureParameters:
     """Before the first EM step: `count` lines among candidates that are all equally likely."""
-    share = min(1.0, count / max(len(ends_mm), 1))
-    posterior = np.full(len(ends_mm), share)
+    frames = np.size(count)
+    number = group_sums(np.ones(len(ends_mm)), frame, frames)
+    share = np.minimum(1.0, count / np.maximum(number, 1))
+    posterior = np.broadcast_to(of_group(share, frame), len(ends_mm))
+
+    def of_all(shares: tuple[float, ...]) -> np.ndarray:
+        return np.broadcast_to(_normalised(shares), (*np.shape(number), len(shares)))
+
     return MixtureParameters(
-        _normalised(tuning.evidence.prior_tail),
-        _normalised(tuning.ends.prior_shares),
-        volume_of(ends_mm, posterior, tuning.evidence),
-        float(np.log(max(posterior.sum(), 1.0))),
-        _normalised(tuning.sides.prior_shares),
+        of_all(tuning.evidence.prior_tail),
+        of_all(tuning.ends.prior_shares),
+        volume_of(ends_mm, posterior, tuning.evidence, frame, frames),
+        np.log(np.maximum(share * number, 1.0)),
+        of_all(tuning.sides.prior_shares),
     )
 
 
@@ -54,10 +69,12 @@ def log_place(
     ends_mm: Float[np.ndarray, "m 2 3"],
     volume: Volume,
     tuning: EvidenceTuning = DEFAULT.evidence,
+    frame: Frame = None,
 ) -> Float[np.ndarray, "m"]:
     """Log density of a line at each place, per volume (mm^3) and direction (of 2 pi)."""
-    centred = ends_mm - volume.centre_mm
-    square = np.einsum("mei,ij,mej->me", centred, volume.precision, centred).max(axis=1)
+    volume = Volume(*(of_group(field, frame) for field in volume))
+    centred = ends_mm - np.expand_dims(volume.centre_mm, -2)
+    square = (centred @ volume.precision * centred).sum(axis=2).max(axis=1)
     # The corners of a box lie three standard deviations out; beyond is for the few.
     outside = 0.5 * np.clip(square - tuning.box_corner_sigmas**2, 0.0, tuning.box_cost)
     return -volume.log_size - np.log(2 * np.pi) - outside
@@ -71,12 +88,16 @@ def log_odds(
     side_log: Float[np.ndarray, "m s"],
     mixture: MixtureParameters,
     tuning: EvidenceTuning = DEFAULT.evidence,
+    frame: Frame = None,
 ) -> Float[np.ndarray, "m"]:
     """Log odds that each triple is one line rather than three segments of clutter."""
-    tail = np.logaddexp.reduce(_tail_terms(chi_square, mixture.tail, tuning), axis=1)
-    ends = _log_mixture(end_log, mixture.ends).sum(axis=1)
-    prior = mixture.log_count + log_place(ends_mm, mixture.volume, tuning)
-    return prior + log_density + tail + ends + tuning.log_odds_offset + log_sides(side_log, mixture)
+    tail = np.log(
+        np.exp(_tail_terms(chi_square, of_group(mixture.tail, frame), tuning)).sum(axis=1)
+    )
+    ends = _log_mixture(end_log, of_group(mixture.ends, frame)).sum(axis=1)
+    prior = of_group(mixture.log_count, frame) + log_place(ends_mm, mixture.volume, tuning, frame)
+    sides = log_sides(side_log, mixture, frame)
+    return prior + log_density + tail + ends + tuning.log_odds_offset + sides
 
 
 def temper(
@@ -90,12 +111,12 @@ def temper(
 
 
 def log_sides(
-    side_log: Float[np.ndarray, "m s"], mixture: MixtureParameters
+    side_log: Float[np.ndarray, "m s"], mixture: MixtureParameters, frame: Frame = None
 ) -> Float[np.ndarray, "m"]:
     """Evidence of the levels beside the members, zero where they are not known."""
     if not side_log.any():
         return np.zeros(len(side_log))
-    mixed = _log_mixture(side_log[:, None], mixture.sides)[:, 0]
+    mixed = _log_mixture(side_log[:, None], of_group(mixture.sides, frame))[:, 0]
     return np.where(side_log.any(axis=1), mixed, 0.0)
 
 
@@ -107,28 +128,34 @@ def em_step(
     posterior: Float[np.ndarray, "m"],
     mixture: MixtureParameters,
     tuning: MatchTuning = DEFAULT,
+    frame: Frame = None,
 ) -> MixtureParameters:
     """One round of expectation maximisation, given the current posterior of each triple."""
-    evidence = tuning.evidence
-    likely = posterior > evidence.negligible
-    weight = posterior[likely]
-    tail_terms = _tail_terms(chi_square[likely], mixture.tail, evidence)
-    tail = np.exp(tail_terms - logsumexp(tail_terms, axis=1, keepdims=True))
+    evidence, frames = tuning.evidence, np.size(mixture.log_count)
+    likely = np.flatnonzero(posterior > evidence.negligible)
+    weight, frame, side_log = posterior[likely], taken(frame, likely), side_log[likely]
+
+    def learned(
+        log_terms: Float[np.ndarray, "n e k"], weight: np.ndarray, prior: np.ndarray
+    ) -> np.ndarray:
+        terms = np.exp(log_terms - log_terms.max(axis=2, keepdims=True))
+        responsibility = (terms / terms.sum(axis=2, keepdims=True)).sum(axis=1)
+        return _shares(group_sums(weight[:, None] * responsibility, frame, frames), prior, evidence)
+
+    def log_shares(shares: np.ndarray) -> np.ndarray:
+        return np.log(np.expand_dims(of_group(shares, frame), -2))
+
+    sides_known = weight * side_log.any(axis=1)
+    prior_sides = _normalised(tuning.sides.prior_shares)
+    tail = _tail_terms(chi_square[likely], of_group(mixture.tail, frame), evidence)
     return MixtureParameters(
-        _shares(weight @ tail, np.array(evidence.prior_tail), evidence),
-        _shares(
-            weight @ _responsibilities(end_log[likely], mixture.ends),
-            np.array(tuning.ends.prior_shares),
-            evidence,
+        learned(tail[:, None], weight, np.array(evidence.prior_tail)),
+        learned(
+            end_log[likely] + log_shares(mixture.ends), weight, np.array(tuning.ends.prior_shares)
         ),
-        volume_of(ends_mm[likely], weight, evidence),
-        float(np.log(max(weight.sum(), 1.0))),
-        _shares(
-            (weight * side_log[likely].any(axis=1))
-            @ _responsibilities(side_log[likely][:, None], mixture.sides),
-            _normalised(tuning.sides.prior_shares),
-            evidence,
-        ),
+        volume_of(ends_mm[likely], weight, evidence, frame, frames),
+        np.log(np.maximum(group_sums(weight, frame, frames), 1.0)),
+        learned(side_log[:, None] + log_shares(mixture.sides), sides_known, prior_sides),
     )
 
 
@@ -136,45 +163,45 @@ def volume_of(
     ends_mm: Float[np.ndarray, "m 2 3"],
     posterior: Float[np.ndarray, "m"],
     tuning: EvidenceTuning = DEFAULT.evidence,
+    frame: Frame = None,
+    frames: int = 1,
 ) -> Volume:
     """The box that has the spread of the lines' middles."""
     middles = ends_mm.mean(axis=1)
-    count = posterior.sum() + 1e-9
-    centre = posterior @ middles / count
-    centred = middles - centre
-    spread = np.einsum("m,mi,mj->ij", posterior, centred, centred) / count
+    count = np.expand_dims(group_sums(posterior, frame, frames) + 1e-9, -1)
+    centre = group_sums(posterior[:, None] * middles, frame, frames) / count
+    centred = middles - of_group(centre, frame)
+    square = posterior[:, None, None] * centred[:, :, None] * centred[:, None, :]
+    spread = group_sums(square, frame, frames) / count[..., None]
     variance, axes = np.linalg.eigh(spread)
-    variance = np.maximum(variance, tuning.thinnest**2 * variance.max() + 1e-30)
+    largest = variance.max(axis=-1, keepdims=True)
+    variance = np.maximum(variance, tuning.thinnest**2 * largest + 1e-30)
     # Of a box, each side is sqrt(12) standard deviations.
-    log_size = 0.5 * float(np.log(12 * variance).sum())
-    return Volume(centre, (axes / variance) @ axes.T, log_size)
+    log_size = 0.5 * np.log(12 * variance).sum(axis=-1)
+    return Volume(centre, (axes / variance[..., None, :]) @ axes.mT, log_size)
 
 
 def _log_mixture(
-    log_terms: Float[np.ndarray, "m e c"], shares: Float[np.ndarray, "c"]
+    log_terms: Float[np.ndarray, "m e c"], shares: Float[np.ndarray, "*m c"]
 ) -> Float[np.ndarray, "m e"]:
-    highest = log_terms.max(axis=2)
-    return highest + np.log(np.exp(log_terms - highest[..., None]) @ shares)
-
-
-def _responsibilities(end_log, shares):
-    terms = end_log + np.log(shares)
-    return np.exp(terms - logsumexp(terms, axis=2, keepdims=True)).sum(axis=1)
+    highest = log_terms.max(axis=2, keepdims=True)
+    mixed = np.exp(log_terms - highest) @ shares[..., None]
+    return (highest + np.log(mixed))[..., 0]
 
 
 def _tail_terms(
-    chi_square: Float[np.ndarray, "m"], shares: Float[np.ndarray, "k"], tuning: EvidenceTuning
+    chi_square: Float[np.ndarray, "m"], shares: Float[np.ndarray, "*m k"], tuning: EvidenceTuning
 ) -> Float[np.ndarray, "m k"]:
     variance = np.array(tuning.tail_scales) ** 2
     return np.log(shares / (2 * np.pi * variance)) - chi_square[:, None] / (2 * variance)
 
 
 def _shares(
-    weights: Float[np.ndarray, "k"], prior: Float[np.ndarray, "k"], tuning: EvidenceTuning
-) -> np.ndarray:
+    weights: Float[np.ndarray, "*f k"], prior: Float[np.ndarray, "k"], tuning: EvidenceTuning
+) -> Float[np.ndarray, "*f k"]:
     # The prior shares count as observations: a Dirichlet prior, for scenes of few lines.
     shares = weights + tuning.prior_observations * prior
-    return np.maximum(shares / shares.sum(), tuning.min_share)
+    return np.maximum(shares / shares.sum(axis=-1, keepdims=True), tuning.min_share)
 
 
 def _normalised(shares: tuple[float, ...]) -> np.ndarray:

@@ -5,9 +5,14 @@ from .common_view import (
     turned_round as turned_round,
 )
 from .match_input import (
+    CamerasInput as CamerasInput,
+    FrameInput as FrameInput,
     MatchInput as MatchInput,
+    cameras_of as cameras_of,
     distorted as distorted,
     prepare as prepare,
+    prepare_frame as prepare_frame,
+    stacked_frames as stacked_frames,
     undistorted as undistorted,
 )
 from .noise import with_noise_scale as with_noise_scale
@@ -16,4 +21,8 @@ from .table import (
     TRIPLES_IN_BLOCK as TRIPLES_IN_BLOCK,
     SegmentTable as SegmentTable,
     block_of as block_of,
+    frames_of as frames_of,
+    matrices_of as matrices_of,
+    of_frame as of_frame,
+    segments_per_view as segments_per_view,
 )

@@ -3,47 +3,66 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
 from trinoc.match.observations.table import SegmentTable
 from trinoc.match.tuning import DEFAULT, ClutterTuning
-from trinoc.numerics import ArrayLike
+from trinoc.numerics import ArrayLike, group_medians, group_sums
+
+# How far apart frames are put, beyond the size of any picture.
+_FAR_PX = 1e7
 
 
 class ClutterModel(NamedTuple):
     """How segments of no line are distributed.
 
     log_density : about each segment, log of segments per pixel of area and per radian, N / (pi A).
-    typical_px : typical length; lengths are spread as t / (length + t)^2.
+    typical_px : typical length; lengths are spread as t / (length + t)^2. Of each frame of a stack.
     """
 
     log_density: Float[ArrayLike, "v n"]
-    typical_px: Float[ArrayLike, ""]
+    typical_px: Float[ArrayLike, "*f"]
 
 
 def fit_clutter(
     lines: SegmentTable, counts: list[int], tuning: ClutterTuning = DEFAULT.clutter
 ) -> ClutterModel:
-    """The clutter model of all segments of the images: most of them belong to other lines."""
-    density, lengths = [], []
+    """The clutter model of all segments of a frame: most of them belong to other lines."""
+    sizes = np.asarray(lines.size_px)
+    sizes = sizes[None] if lines.frame is None else sizes
+    density, lengths, labels = [], [], []
     for view, count in enumerate(counts):
-        middle = np.asarray(lines.ends_px[view])[:count].mean(axis=1)
-        lengths.append(np.asarray(lines.length_px[view])[:count])
-        area = float(np.prod(np.asarray(lines.size_px[view])))
-        if count > 2:
-            # Segments often fill only a part of the picture: that of a box with their spread.
-            spread = np.sqrt(np.linalg.det(np.cov(middle.T)))
-            area = min(area, max(12 * float(spread), 1e-3 * area))
-        everywhere = max(count, 1) / area
-        here = np.full(lines.ends_px.shape[1], everywhere)
-        if count > tuning.neighbours:
-            # Texture and the rims of shadows put much clutter in one place.
-            distance = KDTree(middle).query(middle, tuning.neighbours + 1)[0][:, -1]
+        middle = np.asarray(lines.ends_px)[view, :count].mean(axis=1)
+        length, label = np.asarray(lines.length_px)[view], np.zeros(lines.ends_px.shape[1], int)
+        label = label if lines.frame is None else np.asarray(lines.frame)[view]
+        lengths.append(length[:count])
+        labels.append(label[:count])
+        here = _everywhere(middle, label[:count], sizes[:, view].prod(axis=1))[label]
+        number = np.bincount(label[:count], minlength=len(sizes))
+        if (number > tuning.neighbours).any():
+            # Texture and the rims of shadows put much clutter in one place. Frames lie apart.
+            apart = np.column_stack([middle, _FAR_PX * label[:count]])
+            distance = KDTree(apart).query(apart, tuning.neighbours + 1)[0][:, -1]
             local = tuning.neighbours / (np.pi * np.maximum(distance, 1.0) ** 2)
-            here[:count] = np.maximum(everywhere, local)
+            here[:count] = np.maximum(here[:count], local)
         density.append(np.log(here / np.pi))
-    all_lengths = np.concatenate(lengths)
-    return ClutterModel(
-        np.array(density), np.median(all_lengths) if len(all_lengths) else np.array(1.0)
-    )
+    label = None if lines.frame is None else np.concatenate(labels)
+    typical = group_medians(np.concatenate(lengths), label, len(sizes))
+    return ClutterModel(np.array(density), np.where(np.isfinite(typical), typical, 1.0))
+
+
+def _everywhere(
+    middle_px: Float[np.ndarray, "n 2"], frame: Int[np.ndarray, "n"], area_px2: np.ndarray
+) -> Float[np.ndarray, "f"]:
+    """Segments per pixel of each frame."""
+    frames = len(area_px2)
+    count = np.bincount(frame, minlength=frames)[:, None]
+    mean = group_sums(middle_px, frame, frames) / np.maximum(count, 1)
+    u, v = (middle_px - mean[frame]).T
+    square = group_sums(np.column_stack([u * u, u * v, v * v]), frame, frames)
+    uu, uv, vv = (square / np.maximum(count - 1, 1)).T
+    # Segments often fill only a part of the picture: that of a box with their spread.
+    box = 12 * np.sqrt(np.maximum(uu * vv - uv**2, 0.0))
+    filled = np.minimum(area_px2, np.maximum(box, 1e-3 * area_px2))
+    return np.maximum(count[:, 0], 1) / np.where(count[:, 0] > 2, filled, area_px2)

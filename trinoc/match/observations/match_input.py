@@ -4,8 +4,9 @@ Everything after this works on views sorted by name, segments sorted by place an
 within a segment, so that no answer depends on the order in which the caller gave any of them.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
+from itertools import combinations
 from typing import NamedTuple
 
 import equinox as eqx
@@ -14,33 +15,91 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from trinoc.errors import MatchError
-from trinoc.geometry import DEFAULT_SIGMA_PX, Camera, Intrinsics, Rig, Segments, covariance_of_ends
+from trinoc.geometry import (
+    DEFAULT_SIGMA_PX,
+    Intrinsics,
+    Rig,
+    Segments,
+    at_one_place,
+    covariance_of_ends,
+)
 from trinoc.match.observations.common_view import check_not_mirrored
 from trinoc.match.observations.side_intensity import side_table
 from trinoc.match.observations.table import SegmentTable, segment_table
 from trinoc.match.tuning import DEFAULT, SideTuning
-from trinoc.numerics import ArrayLike, in_bucket
+from trinoc.numerics import ArrayLike, bucket, in_bucket, padded
+
+# Two views of a scene may have one segment at the same place by chance, but not all of so many.
+FEWEST_TO_TELL = 3
+# More candidates than memory bears are let go; of so many segments, too few would be left.
+MOST_SEGMENTS = 40_000
 
 
-class MatchInput(NamedTuple):
+class CamerasInput(NamedTuple):
+    """Projection matrices, centres, sizes of the pictures and intrinsics, in order of the views."""
+
+    matrix_px: Float[np.ndarray, "v 3 4"]
+    centre_mm: Float[np.ndarray, "v 3"]
+    size_px: Float[np.ndarray, "v 2"]
+    intrinsics: tuple[Intrinsics, ...]
+
+    def take(self, views: list[int]) -> "CamerasInput":
+        """Those of some views, in that order."""
+        intrinsics = tuple(self.intrinsics[view] for view in views)
+        return CamerasInput(
+            self.matrix_px[views], self.centre_mm[views], self.size_px[views], intrinsics
+        )
+
+
+class FrameInput(NamedTuple):
     """Views in an order that depends on what they show, not on what they are called.
 
     names : of the views. order : (n,) per view, the caller's number of each segment.
     ends_px : (n, 2, 2) per view, undistorted. covariance_px2 : (n, 4, 4) per view.
-    intrinsics : per view. lines : the padded tables of all views.
+    polarity, sides : per view, as in SegmentTable. cameras : their matrices, sizes and lenses.
     """
 
     names: tuple[str, ...]
     order: list[Int[np.ndarray, "_"]]
     ends_px: list[Float[np.ndarray, "_ 2 2"]]
     covariance_px2: list[Float[np.ndarray, "_ 4 4"]]
-    intrinsics: list[Intrinsics]
+    polarity: list[Int[np.ndarray, "_"]]
+    sides: list[Float[np.ndarray, "_ 5"]]
+    cameras: CamerasInput
+
+
+class MatchInput(NamedTuple):
+    """One frame, or a stack of frames of as many views each, as one table per view.
+
+    ends_px : (n, 2, 2) per view, undistorted, the segments of each frame after those of the one
+    before. covariance_px2 : (n, 4, 4) per view. lines : the padded tables of all views.
+    """
+
+    frames: tuple[FrameInput, ...]
+    ends_px: list[Float[np.ndarray, "_ 2 2"]]
+    covariance_px2: list[Float[np.ndarray, "_ 4 4"]]
     lines: SegmentTable
 
     @property
     def counts(self) -> list[int]:
         """Number of segments in each view."""
         return [len(ends) for ends in self.ends_px]
+
+    @property
+    def starts(self) -> Int[np.ndarray, "_ v"]:
+        """Where each frame's segments begin in every view, and where the last one's end."""
+        counts = np.array([[len(ends) for ends in frame.ends_px] for frame in self.frames])
+        return np.concatenate([np.zeros_like(counts[:1]), np.cumsum(counts, axis=0)])
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the views of a single frame."""
+        return self.frames[0].names
+
+    @property
+    def order(self) -> list[Int[np.ndarray, "_"]]:
+        """The caller's numbers of the segments of a single frame."""
+        return self.frames[0].order
 
 
 def prepare(
@@ -49,19 +108,71 @@ def prepare(
     sigma_px: float | None,
     tuning: SideTuning = DEFAULT.sides,
 ) -> MatchInput:
-    """Check and prepare; raises MatchError and InputError in one sentence."""
+    """Check and prepare one frame; raises MatchError and InputError in one sentence."""
+    return stacked_frames([prepare_frame(segments, rig, sigma_px, tuning)])
+
+
+def cameras_of(rig: Rig, names: Iterable[str]) -> CamerasInput:
+    """What is needed of a rig's cameras.
+
+    Raises InputError where one is mirrored, MatchError where two stand at one place.
+    """
+    cameras = {name: rig[name] for name in names}
+    check_not_mirrored(cameras)
+    _check_apart(cameras, rig)
+    return CamerasInput(
+        np.stack([camera.matrix_px for camera in cameras.values()]),
+        np.stack([np.asarray(camera.centre_world_mm) for camera in cameras.values()]),
+        np.array([camera.image_size_px for camera in cameras.values()], dtype=np.float64),
+        tuple(camera.intrinsics for camera in cameras.values()),
+    )
+
+
+def prepare_frame(
+    segments: Mapping[str, Segments | ArrayLike],
+    rig: Rig,
+    sigma_px: float | None,
+    tuning: SideTuning = DEFAULT.sides,
+    cameras: CamerasInput | None = None,
+) -> FrameInput:
+    """The same without tables; `cameras` are those of `cameras_of(rig, segments)`, if at hand."""
     _check_names(segments, rig)
-    check_not_mirrored({name: rig[name] for name in segments})
-    prepared = {name: _view(segments[name], rig[name], sigma_px) for name in segments}
-    # Views that show the same, which no real ones do, are left to their names.
+    _check_counts(segments)
+    cameras = cameras_of(rig, segments) if cameras is None else cameras
+    prepared = {
+        name: _view(segments[name], lens, sigma_px)
+        for name, lens in zip(segments, cameras.intrinsics, strict=True)
+    }
+    _check_different(prepared)
+    # Views that show the same, which only those with hardly a segment may, are left to their names.
     names = tuple(sorted(prepared, key=lambda name: (_content(prepared[name]), name)))
     views = [prepared[name] for name in names]
     order, ends, covariances, polarities, levels = (list(c) for c in zip(*views, strict=True))
-    matrices = np.stack([rig[name].matrix_px for name in names])
-    sizes = np.array([rig[name].image_size_px for name in names], dtype=np.float64)
     sides = side_table(levels, [each.mean(axis=1) for each in ends], tuning)
-    lines = segment_table(matrices, sizes, ends, covariances, polarities, sides)
-    return MatchInput(names, order, ends, covariances, [rig[n].intrinsics for n in names], lines)
+    given = list(segments)
+    own = cameras.take([given.index(name) for name in names])
+    return FrameInput(names, order, ends, covariances, polarities, sides, own)
+
+
+def stacked_frames(frames: Sequence[FrameInput]) -> MatchInput:
+    """Frames of as many views each as one problem."""
+    ends, covariances, polarities, sides = (
+        [np.concatenate(column) for column in zip(*columns, strict=True)]
+        for columns in zip(*(frame[2:6] for frame in frames), strict=True)
+    )
+    matrices = np.stack([frame.cameras.matrix_px for frame in frames])
+    sizes = np.stack([frame.cameras.size_px for frame in frames])
+    if len(frames) == 1:
+        lines = segment_table(matrices[0], sizes[0], ends, covariances, polarities, sides)
+    else:
+        of_view = zip(*(frame.ends_px for frame in frames), strict=True)
+        owners = [
+            np.repeat(np.arange(len(frames)), [len(own) for own in column]) for column in of_view
+        ]
+        most = bucket(len(frames))
+        matrices, sizes = padded(matrices, most, matrices[0]), padded(sizes, most, sizes[0])
+        lines = segment_table(matrices, sizes, ends, covariances, polarities, sides, owners)
+    return MatchInput(tuple(frames), ends, covariances, lines)
 
 
 class _PreparedView(NamedTuple):
@@ -72,10 +183,10 @@ class _PreparedView(NamedTuple):
     levels: Float[np.ndarray, "n 2"]
 
 
-def _view(given: Segments | ArrayLike, camera: Camera, sigma_px: float | None) -> _PreparedView:
+def _view(given: Segments | ArrayLike, lens: Intrinsics, sigma_px: float | None) -> _PreparedView:
     """Segments without distortion, from left to right, in order of their coordinates."""
     segments = _as_segments(given, sigma_px)
-    flat = undistorted(camera.intrinsics, np.asarray(segments.endpoints_px))
+    flat = undistorted(lens, np.asarray(segments.endpoints_px))
     swap = (flat[:, 0, 0] > flat[:, 1, 0]) | (
         (flat[:, 0, 0] == flat[:, 1, 0]) & (flat[:, 0, 1] > flat[:, 1, 1])
     )
@@ -110,6 +221,36 @@ def _check_names(segments: Mapping[str, Segments | ArrayLike], rig: Rig) -> None
             f"Matching needs segments of at least two cameras, but got {len(segments)}: give "
             f"those of {', '.join(rig.names)}."
         )
+
+
+def _check_apart(names: Iterable[str], rig: Rig) -> None:
+    pair = at_one_place({name: rig[name] for name in names})
+    if pair is not None:
+        raise MatchError(
+            f'The cameras "{pair[0]}" and "{pair[1]}" stand at one place, which leaves depth '
+            "unknown: leave one of them out, or calibrate them again."
+        )
+
+
+def _check_different(views: Mapping[str, _PreparedView]) -> None:
+    """Raise MatchError for the segments of one picture under two names."""
+    for first, second in combinations(views, 2):
+        ends = views[first].ends_px
+        if len(ends) >= FEWEST_TO_TELL and np.array_equal(ends, views[second].ends_px):
+            raise MatchError(
+                f'Views "{first}" and "{second}" have the same segments: give those of the '
+                "picture that each camera took."
+            )
+
+
+def _check_counts(segments: Mapping[str, Segments | ArrayLike]) -> None:
+    for name, given in segments.items():
+        count = np.size(given.endpoints_px if isinstance(given, Segments) else given) // 4
+        if count > MOST_SEGMENTS:
+            raise MatchError(
+                f"Matching takes {MOST_SEGMENTS} segments of a view at most, but "
+                f'"{name}" has {count}: leave out the shortest, or match parts of the picture.'
+            )
 
 
 def _as_segments(given: Segments | ArrayLike, sigma_px: float | None) -> Segments:

@@ -3,11 +3,10 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from trinoc.geometry import centre_of_matrix, line_through
 from trinoc.numerics import ArrayLike, bucket, inverse_3x3, padded
@@ -20,6 +19,9 @@ PAIRS_IN_BLOCK, TRIPLES_IN_BLOCK, MANY_SEGMENTS = 1 << 14, 1 << 11, 1 << 9
 class SegmentTable(NamedTuple):
     """Segments of all views on undistorted pixels; rows beyond a view's count are padding.
 
+    Of one frame, or of a stack of frames of as many views each: then their segments follow one
+    another, and what belongs to cameras has an axis of frames in front.
+
     matrix_px : projection matrices, scaled so that the third row gives the depth.
     centre_mm : centres of projection. inverse : of the left 3x3 part of each matrix.
     size_px : width and height of each picture.
@@ -28,12 +30,13 @@ class SegmentTable(NamedTuple):
     length_px : distance between the ends.
     polarity : +1, -1, or 0 where not known. sides : see `side_evidence.side_table`.
     rays : viewing rays of both ends, world frame, of any length.
+    frame : of a stack, the frame of each segment.
     """
 
-    matrix_px: Float[ArrayLike, "v 3 4"]
-    centre_mm: Float[ArrayLike, "v 3"]
-    inverse: Float[ArrayLike, "v 3 3"]
-    size_px: Float[ArrayLike, "v 2"]
+    matrix_px: Float[ArrayLike, "*f v 3 4"]
+    centre_mm: Float[ArrayLike, "*f v 3"]
+    inverse: Float[ArrayLike, "*f v 3 3"]
+    size_px: Float[ArrayLike, "*f v 2"]
     ends_px: Float[ArrayLike, "v n 2 2"]
     line: Float[ArrayLike, "v n 3"]
     across_px2: Float[ArrayLike, "v n 2 2"]
@@ -41,17 +44,19 @@ class SegmentTable(NamedTuple):
     polarity: Float[ArrayLike, "v n"]
     rays: Float[ArrayLike, "v n 2 3"]
     sides: Float[ArrayLike, "v n 5"]
+    frame: Int[ArrayLike, "v n"] | None = None
 
 
 def segment_table(
-    matrices_px: Float[np.ndarray, "v 3 4"],
-    sizes_px: Float[np.ndarray, "v 2"],
+    matrices_px: Float[np.ndarray, "*f v 3 4"],
+    sizes_px: Float[np.ndarray, "*f v 2"],
     ends_px: Sequence[Float[np.ndarray, "_ 2 2"]],
     covariances_px2: Sequence[Float[np.ndarray, "_ 4 4"]],
     polarities: Sequence[np.ndarray],
     sides: Sequence[Float[np.ndarray, "_ 5"]],
+    frames: Sequence[Int[np.ndarray, "_"]] | None = None,
 ) -> SegmentTable:
-    """Tables for all views, padded to one bucket."""
+    """Tables for all views, padded to one bucket; `frames` are those of a stack's segments."""
     size = bucket(max(len(ends) for ends in ends_px))
     # Rows of padding are a segment like any other, so that nothing divides by zero.
     filler = np.array([[0.0, 0.0], [1.0, 0.0]])
@@ -62,28 +67,36 @@ def segment_table(
         np.stack([padded(covariance, size, np.eye(4)) for covariance in covariances_px2]),
         np.stack([padded(np.asarray(p, dtype=np.float64), size, 0.0) for p in polarities]),
         np.stack([padded(table, size, np.full(5, np.nan)) for table in sides]),
+        None if frames is None else np.stack([padded(f.astype(np.int32), size) for f in frames]),
     )
 
 
-@eqx.filter_jit
+@jax.jit
 def _prepared(
-    matrices_px: Float[ArrayLike, "v 3 4"],
-    sizes_px: Float[ArrayLike, "v 2"],
+    matrices_px: Float[ArrayLike, "*f v 3 4"],
+    sizes_px: Float[ArrayLike, "*f v 2"],
     ends_px: Float[ArrayLike, "v n 2 2"],
     covariance_px2: Float[ArrayLike, "v n 4 4"],
     polarity: Float[ArrayLike, "v n"],
     sides: Float[ArrayLike, "v n 5"],
+    frame: Int[ArrayLike, "v n"] | None,
 ) -> SegmentTable:
-    third_row = matrices_px[:, 2, :3]
-    matrices = matrices_px / jnp.sqrt((third_row**2).sum(-1))[:, None, None]
+    third_row = matrices_px[..., 2, :3]
+    matrices = matrices_px / jnp.sqrt((third_row**2).sum(-1))[..., None, None]
+    every = matrices.reshape(-1, 3, 4)
     line = jax.vmap(jax.vmap(line_through))(ends_px[:, :, 0], ends_px[:, :, 1])
     across = jax.vmap(jax.vmap(covariance_across))(line, covariance_px2)
     length = jnp.sqrt(((ends_px[:, :, 1] - ends_px[:, :, 0]) ** 2).sum(-1))
-    inverse = jax.vmap(inverse_3x3)(matrices[:, :, :3])
+    inverse = jax.vmap(inverse_3x3)(every[:, :, :3]).reshape(matrices[..., :3].shape)
     homogeneous = jnp.concatenate([ends_px, jnp.ones_like(ends_px[..., :1])], axis=-1)
+    if frame is None:
+        rays = jnp.einsum("vij,vnej->vnei", inverse, homogeneous)
+    else:
+        own = inverse[frame, jnp.arange(len(frame))[:, None]]
+        rays = jnp.einsum("vnij,vnej->vnei", own, homogeneous)
     return SegmentTable(
         matrices,
-        jax.vmap(centre_of_matrix)(matrices),
+        jax.vmap(centre_of_matrix)(every).reshape(matrices.shape[:-1]),
         inverse,
         sizes_px,
         ends_px,
@@ -91,9 +104,50 @@ def _prepared(
         across,
         length,
         polarity,
-        jnp.einsum("vij,vnej->vnei", inverse, homogeneous),
+        rays,
         sides,
+        frame,
     )
+
+
+def of_frame(
+    lines: SegmentTable, view: Int[ArrayLike, ""], segment: Int[ArrayLike, ""]
+) -> SegmentTable:
+    """The table with the cameras of one segment's frame alone: all that belongs to one line."""
+    if lines.frame is None:
+        return lines
+    frame = lines.frame[view, segment]
+    return lines._replace(
+        matrix_px=lines.matrix_px[frame],
+        centre_mm=lines.centre_mm[frame],
+        inverse=lines.inverse[frame],
+        size_px=lines.size_px[frame],
+    )
+
+
+def frames_of(lines: SegmentTable, index: Int[np.ndarray, "m v"]) -> Int[np.ndarray, "m"] | None:
+    """The frame of each group of segments, -1 where it has none in a view; None without frames."""
+    if lines.frame is None:
+        return None
+    view = np.argmax(index >= 0, axis=1)
+    return np.asarray(lines.frame)[view, index[np.arange(len(index)), view]]
+
+
+def segments_per_view(lines: SegmentTable, counts: list[int]) -> Float[np.ndarray, "*f"] | float:
+    """Mean number of segments of a view, of each frame."""
+    if lines.frame is None:
+        return float(np.mean(counts))
+    frame, frames = np.asarray(lines.frame), len(lines.matrix_px)
+    each = [np.bincount(own[:n], minlength=frames) for own, n in zip(frame, counts, strict=True)]
+    return np.mean(each, axis=0)
+
+
+def matrices_of(
+    lines: SegmentTable, frame: Int[np.ndarray, "m"] | None
+) -> Float[np.ndarray, "_ v 3 4"]:
+    """Projection matrices of each group's frame; one row for all without frames."""
+    matrix = np.asarray(lines.matrix_px)
+    return matrix[None] if frame is None else matrix[frame]
 
 
 def covariance_across(

@@ -14,6 +14,7 @@ from trinoc.match.candidates import Candidates
 from trinoc.match.evidence import MixtureParameters, volume_of
 from trinoc.match.selection import JunctionParameters
 from trinoc.match.tuning import MatchTuning
+from trinoc.numerics import group_sums, of_group
 
 
 class PairRates(NamedTuple):
@@ -21,8 +22,8 @@ class PairRates(NamedTuple):
     log_by_length : log of lines of each class of length over what clutter's lengths say.
     mixture : where lines are and how many. junctions : how often ends meet."""
 
-    ends: Float[np.ndarray, "c"]
-    log_by_length: Float[np.ndarray, "k"]
+    ends: Float[np.ndarray, "*f c"]
+    log_by_length: Float[np.ndarray, "*f k"]
     mixture: MixtureParameters
     junctions: JunctionParameters
 
@@ -40,23 +41,26 @@ def learned_rates(
     posterior: Float[np.ndarray, "m"],
     rates: PairRates,
     junctions: JunctionParameters,
-    typical_px: float,
+    typical_px: Float[np.ndarray, "*f"] | float,
     tuning: MatchTuning,
+    frame: Int[np.ndarray, "m"] | None = None,
 ) -> PairRates:
-    """One round of EM."""
-    rules = tuning.occlusion
-    terms = np.exp(candidates.end_log) * rates.ends
+    """One round of EM, in each frame."""
+    rules, frames = tuning.occlusion, np.size(rates.mixture.log_count)
+    terms = np.exp(candidates.end_log) * np.expand_dims(of_group(rates.ends, frame), -2)
     terms /= terms.sum(axis=2, keepdims=True)
-    ends = np.einsum("m,mec->c", posterior, terms) + rules.prior_observations * rates.ends
+    ends = group_sums(posterior[:, None] * terms.sum(axis=1), frame, frames)
+    ends += rules.prior_observations * rates.ends
     # Clutter's lengths are spread as t / (length + t)^2.
-    borders = np.array([0.0, *rules.length_classes_px, np.inf])
-    below = np.append(borders[:-1] / (borders[:-1] + typical_px), 1.0)
-    usual = np.diff(below)
-    count = np.bincount(length_class(candidates, tuning), posterior, len(usual))
-    total, prior = posterior.sum(), rules.prior_observations
-    by_length = np.log((count + prior * usual) / ((total + prior) * usual))
+    borders = np.array([0.0, *rules.length_classes_px])
+    below = borders / (borders + np.expand_dims(typical_px, -1))
+    usual = np.diff(below, axis=-1, append=1.0)
+    in_class = np.eye(len(borders))[length_class(candidates, tuning)]
+    count = group_sums(posterior[:, None] * in_class, frame, frames)
+    total, prior = group_sums(posterior, frame, frames), rules.prior_observations
+    by_length = np.log((count + prior * usual) / (np.expand_dims(total + prior, -1) * usual))
     mixture = rates.mixture._replace(
-        volume=volume_of(candidates.ends_mm, posterior, tuning.evidence),
-        log_count=float(np.log(max(total, 1.0))),
+        volume=volume_of(candidates.ends_mm, posterior, tuning.evidence, frame, frames),
+        log_count=np.log(np.maximum(total, 1.0)),
     )
-    return PairRates(ends / ends.sum(), by_length, mixture, junctions)
+    return PairRates(ends / ends.sum(axis=-1, keepdims=True), by_length, mixture, junctions)

@@ -1,8 +1,7 @@
 from .exclusivity import (
-    chosen_greedily as chosen_greedily,
+    affordable as affordable,
     claimed as claimed,
     conflict_graph as conflict_graph,
-    sum_product as sum_product,
 )
 from .junction_support import (
     JunctionParameters as JunctionParameters,
@@ -15,5 +14,10 @@ from .marginals import (
     Tracks as Tracks,
     select as select,
     tracks_of as tracks_of,
+)
+from .messages import (
+    FRAMES_AT_ONCE as FRAMES_AT_ONCE,
+    chosen_greedily as chosen_greedily,
+    sum_product as sum_product,
 )
 from .noise_scale import residual_scale as residual_scale

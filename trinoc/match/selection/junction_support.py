@@ -13,6 +13,7 @@ from scipy.spatial import KDTree
 from trinoc.match.candidates import Candidates
 from trinoc.match.evidence import log_gap_density, passing
 from trinoc.match.tuning import DEFAULT, EvidenceTuning, JunctionTuning
+from trinoc.numerics import group_medians, group_sums, of_group, taken
 
 
 class EndpointPairs(NamedTuple):
@@ -28,26 +29,39 @@ class EndpointPairs(NamedTuple):
 
 
 class JunctionParameters(NamedTuple):
-    """Share of ends at a junction, and of each gap scale at those."""
+    """Share of ends at a junction, and of each gap scale at those; of each frame of a stack."""
 
-    end_at_junction: float
-    gap_shares: Float[np.ndarray, "k"]
+    end_at_junction: Float[np.ndarray, "*f"] | float
+    gap_shares: Float[np.ndarray, "*f k"]
 
 
-def prior_junctions(tuning: JunctionTuning = DEFAULT.junctions) -> JunctionParameters:
-    """Before anything is learned."""
-    return JunctionParameters(tuning.prior_at_junction, np.array(tuning.prior_gaps))
+def prior_junctions(
+    tuning: JunctionTuning = DEFAULT.junctions, frames: tuple[int, ...] = ()
+) -> JunctionParameters:
+    """Before anything is learned; `frames` is the shape of one number of each frame."""
+    gaps = np.array(tuning.prior_gaps)
+    return JunctionParameters(
+        np.full(frames, tuning.prior_at_junction), np.broadcast_to(gaps, (*frames, len(gaps)))
+    )
 
 
 def endpoint_pairs(
     candidates: Candidates,
     tuning: JunctionTuning = DEFAULT.junctions,
     evidence: EvidenceTuning = DEFAULT.evidence,
+    frame: Int[np.ndarray, "m"] | None = None,
 ) -> EndpointPairs:
-    """All meetings of ends of candidates that have no segment in common."""
+    """All meetings of ends of candidates of one frame that have no segment in common."""
+    if len(candidates.index) == 0:
+        return EndpointPairs(_NONE[:, 0], _NONE[:, 0], np.zeros((0, len(tuning.gaps_px))))
     ends = candidates.union_ends_mm.reshape(-1, 3)
-    reach = tuning.reach_px / float(np.median(candidates.px_per_mm)) if len(ends) else 0.0
-    pairs = KDTree(ends).query_pairs(reach, output_type="ndarray") if len(ends) else _NONE
+    frames = 1 if frame is None else int(frame.max()) + 1
+    reach = tuning.reach_px / group_medians(candidates.px_per_mm, frame, frames)
+    if frame is not None:
+        # Frames lie further apart than anything reaches, along an axis of their own.
+        own = np.repeat(frame, 2)
+        ends, reach = np.column_stack([ends / reach[own, None], 2.0 * own]), 1.0
+    pairs = KDTree(ends).query_pairs(reach, output_type="ndarray")
     first, second = pairs[:, 0] // 2, pairs[:, 1] // 2
     apart = (first != second) & ~_share_a_segment(candidates.index, first, second)
     pairs = pairs[apart]
@@ -107,29 +121,36 @@ def _log_ratio(
 def junction_log_odds(
     graph: EndpointPairs,
     posterior: Float[np.ndarray, "m"],
-    log_ends_density: float,
+    log_ends_density: Float[np.ndarray, "*f"] | float,
     parameters: JunctionParameters,
     tuning: JunctionTuning = DEFAULT.junctions,
+    frame: Int[np.ndarray, "m"] | None = None,
 ) -> tuple[Float[np.ndarray, "m"], JunctionParameters]:
     """(log odds that its neighbours add to each candidate, updated junction parameters).
 
     `log_ends_density` is the log of ends of lines per volume.
     """
-    ends = 2 * len(posterior)
-    terms = np.exp(np.clip(graph.log_ratio - log_ends_density, -50, 50)) * parameters.gap_shares
-    terms *= posterior[graph.other // 2, None]
+    ends, of_end = 2 * len(posterior), None if frame is None else np.repeat(frame, 2)
+    of_edge = taken(of_end, graph.other)
+    frames = np.size(parameters.end_at_junction)
+    density = np.expand_dims(of_group(log_ends_density, of_edge), -1)
+    terms = np.exp(np.clip(graph.log_ratio - density, -50, 50))
+    terms *= of_group(parameters.gap_shares, of_edge) * posterior[graph.other // 2, None]
     total = np.stack(
         [np.bincount(graph.site, terms[:, k], minlength=ends) for k in range(terms.shape[1])],
         axis=1,
     )
-    end_at_junction = parameters.end_at_junction * total.sum(axis=1)
-    gain = np.log(1 - parameters.end_at_junction + end_at_junction)
+    at_junction = of_group(parameters.end_at_junction, of_end)
+    gain = np.log(1 - at_junction + at_junction * total.sum(axis=1))
     # How much of each end is a junction, and at which gap, if its candidate is right.
-    share = parameters.end_at_junction * total / np.exp(gain)[:, None]
+    share = np.expand_dims(at_junction, -1) * total / np.exp(gain)[:, None]
     weight = np.repeat(posterior, 2)
     prior, count = prior_junctions(tuning), tuning.prior_observations
-    seen = weight @ share + count * prior.end_at_junction * prior.gap_shares
+    seen = group_sums(weight[:, None] * share, of_end, frames)
+    seen = seen + count * prior.end_at_junction * prior.gap_shares
+    both = seen.sum(axis=-1)
     learned = JunctionParameters(
-        float(np.clip(seen.sum() / (weight.sum() + count), 0.01, 0.99)), seen / seen.sum()
+        np.clip(both / (group_sums(weight, of_end, frames) + count), 0.01, 0.99),
+        seen / np.expand_dims(both, -1),
     )
     return gain.reshape(-1, 2).sum(axis=1), learned

@@ -3,28 +3,25 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from trinoc.match.candidates import Candidates, prior_log_odds
 from trinoc.match.evidence import MixtureParameters, em_step, prior_parameters, probability, temper
-from trinoc.match.selection.exclusivity import (
-    ConflictGraph,
-    chosen_greedily,
-    conflict_graph,
-    sum_product,
-)
+from trinoc.match.selection.exclusivity import ConflictGraph, affordable, conflict_graph
 from trinoc.match.selection.junction_support import (
     JunctionParameters,
     endpoint_pairs,
     junction_log_odds,
     prior_junctions,
 )
+from trinoc.match.selection.messages import chosen_greedily, sum_product
 from trinoc.match.tuning import DEFAULT, EvidenceTuning, MatchTuning
-from trinoc.numerics import take_rows
+from trinoc.numerics import of_group, take_rows, taken
 
 
 class Selection(NamedTuple):
-    """Candidates, their log odds without and with rivals, and which of them were taken."""
+    """Candidates, their log odds without and with rivals, which of them were taken, and, of a
+    stack, their frames."""
 
     candidates: Candidates
     log_odds: Float[np.ndarray, "m"]
@@ -33,6 +30,7 @@ class Selection(NamedTuple):
     graph: ConflictGraph
     mixture: MixtureParameters
     junctions: JunctionParameters
+    frame: Int[np.ndarray, "m"] | None = None
 
 
 class Tracks(NamedTuple):
@@ -52,33 +50,40 @@ class Tracks(NamedTuple):
 
 def select(
     candidates: Candidates,
-    typical_count: float,
+    typical_count: Float[np.ndarray, "f"] | float,
     *,
     neighbours: bool = True,
     tuning: MatchTuning = DEFAULT,
+    frame: Int[np.ndarray, "m"] | None = None,
 ) -> Selection:
     """Fit the mixture parameters by EM, and take candidates in order of posterior log odds.
 
     Without `neighbours`, junctions add nothing: only a candidate's evidence and its rivals count.
+    Candidates of a stack have the parameters of their own `frame`, and each frame has its
+    `typical_count` of segments.
     """
     evidence, rules = tuning.evidence, tuning.selection
-    mixture = prior_parameters(candidates.ends_mm, typical_count, tuning)
+    mixture = prior_parameters(candidates.ends_mm, typical_count, tuning, frame)
     # EM on the likely candidates alone: far fewer, with far fewer conflicts.
-    odds = prior_log_odds(candidates, mixture, evidence)
-    likely = candidates.take(odds > rules.learn_log_odds)
+    odds = prior_log_odds(candidates, mixture, evidence, frame)
+    keep = np.flatnonzero(odds > rules.learn_log_odds)
+    keep = keep[affordable(odds[keep], candidates.index[keep], rules)]
+    likely, own = candidates.take(keep), taken(frame, keep)
     graph = conflict_graph(likely.index, likely.interval, rules)
     for _ in range(rules.rounds):
-        posterior_log_odds = sum_product(prior_log_odds(likely, mixture, evidence), graph, rules)
-        mixture = _learned(likely, posterior_log_odds, mixture, tuning)
-    odds = prior_log_odds(candidates, mixture, evidence)
-    candidates = candidates.take(odds > rules.prune_log_odds)
+        odds = prior_log_odds(likely, mixture, evidence, own)
+        posterior_log_odds = sum_product(odds, graph, rules, own)
+        mixture = _learned(likely, posterior_log_odds, mixture, tuning, own)
+    odds = prior_log_odds(candidates, mixture, evidence, frame)
+    keep = np.flatnonzero(odds > rules.prune_log_odds)
+    keep = keep[affordable(odds[keep], candidates.index[keep], rules)]
+    candidates, odds, frame = candidates.take(keep), odds[keep], taken(frame, keep)
     graph = conflict_graph(candidates.index, candidates.interval, rules)
-    odds = prior_log_odds(candidates, mixture, evidence)
-    posterior_log_odds = sum_product(odds, graph, rules)
-    junctions = prior_junctions(tuning.junctions)
+    posterior_log_odds = sum_product(odds, graph, rules, frame)
+    junctions = prior_junctions(tuning.junctions, np.shape(mixture.log_count))
     if neighbours:
         odds, posterior_log_odds, junctions = _with_junctions(
-            candidates, graph, odds, posterior_log_odds, mixture, tuning
+            candidates, graph, odds, posterior_log_odds, mixture, tuning, frame
         )
     return Selection(
         candidates,
@@ -88,6 +93,7 @@ def select(
         graph,
         mixture,
         junctions,
+        frame,
     )
 
 
@@ -96,11 +102,14 @@ def tracks_of(selection: Selection, tuning: EvidenceTuning = DEFAULT.evidence) -
     graph = selection.graph
     rival_posterior = np.full(len(selection.posterior_log_odds), -np.inf)
     owner, rival = graph.slot // graph.views, graph.rival_slot // graph.views
-    np.maximum.at(rival_posterior, owner, selection.posterior_log_odds[rival])
-    taken = selection.taken
-    candidates = selection.candidates.take(taken)
+    first = np.flatnonzero(np.diff(owner, prepend=-1))
+    if len(first):
+        of_rivals = selection.posterior_log_odds[rival]
+        rival_posterior[owner[first]] = np.maximum.reduceat(of_rivals, first)
+    chosen = selection.taken
+    candidates = selection.candidates.take(chosen)
     posterior_log_odds, rivals = (
-        temper(values[taken], candidates.side_log, tuning)
+        temper(values[chosen], candidates.side_log, tuning)
         for values in (selection.posterior_log_odds, rival_posterior)
     )
     return Tracks(candidates, posterior_log_odds, rivals)
@@ -113,9 +122,10 @@ def _with_junctions(
     posterior_log_odds: Float[np.ndarray, "m"],
     mixture: MixtureParameters,
     tuning: MatchTuning,
+    frame: Int[np.ndarray, "m"] | None,
 ) -> tuple[Float[np.ndarray, "m"], Float[np.ndarray, "m"], JunctionParameters]:
-    meetings = endpoint_pairs(candidates, tuning.junctions, tuning.evidence)
-    junctions = prior_junctions(tuning.junctions)
+    meetings = endpoint_pairs(candidates, tuning.junctions, tuning.evidence, frame)
+    junctions = prior_junctions(tuning.junctions, np.shape(mixture.log_count))
     log_ends_density = mixture.log_count - mixture.volume.log_size + np.log(2)
     alone = odds, posterior_log_odds
     for _ in range(tuning.selection.junction_rounds):
@@ -125,11 +135,15 @@ def _with_junctions(
             log_ends_density,
             junctions,
             tuning.junctions,
+            frame,
         )
         odds = alone[0] + gain
-        posterior_log_odds = sum_product(odds, graph, tuning.selection)
-    if junctions.end_at_junction < tuning.junctions.min_at_junction:
-        return *alone, junctions
+        posterior_log_odds = sum_product(odds, graph, tuning.selection, frame)
+    helped = of_group(junctions.end_at_junction >= tuning.junctions.min_at_junction, frame)
+    odds, posterior_log_odds = (
+        np.where(helped, one, other)
+        for one, other in zip((odds, posterior_log_odds), alone, strict=True)
+    )
     return odds, posterior_log_odds, junctions
 
 
@@ -138,6 +152,9 @@ def _learned(
     posterior_log_odds: Float[np.ndarray, "m"],
     mixture: MixtureParameters,
     tuning: MatchTuning,
+    frame: Int[np.ndarray, "m"] | None,
 ) -> MixtureParameters:
     c, posterior = candidates, probability(posterior_log_odds)
-    return em_step(c.chi_square, c.end_log, c.ends_mm, c.side_log, posterior, mixture, tuning)
+    return em_step(
+        c.chi_square, c.end_log, c.ends_mm, c.side_log, posterior, mixture, tuning, frame
+    )

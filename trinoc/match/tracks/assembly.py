@@ -1,10 +1,13 @@
 """From what was selected to tracks: fragments, lines in space with covariance, and reasons."""
 
+from collections.abc import Sequence
+from typing import NamedTuple
+
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Bool, Float, Int, Shaped
 
 from trinoc.match.evidence import probability
-from trinoc.match.observations import MatchInput, distorted
+from trinoc.match.observations import FrameInput, MatchInput, distorted, frames_of
 from trinoc.match.occlusion import Pairs
 from trinoc.match.selection import Selection, Tracks
 from trinoc.match.tracks.fragments import ending_view, fragments_of
@@ -15,6 +18,21 @@ from trinoc.match.tracks.notes import notes_of
 from trinoc.match.tracks.rejection import counted, reasons
 from trinoc.match.tracks.viewpoint import flag_viewpoint_dependent
 from trinoc.match.tuning import DEFAULT, MatchTuning, TrackTuning
+from trinoc.numerics import take_rows
+
+
+class _Lines(NamedTuple):
+    """Tracks of all frames, by the matcher's own numbers of segments and order of views."""
+
+    index: Int[np.ndarray, "t v"]
+    fragments_px: Float[np.ndarray, "t v 2 2"]
+    ends_mm: Float[np.ndarray, "t 2 3"]
+    covariance_mm2: Float[np.ndarray, "t 6 6"]
+    posterior_log_odds: Float[np.ndarray, "t"]
+    rival_posterior: Float[np.ndarray, "t"]
+    fragments_covariance_px2: Float[np.ndarray, "t v 4 4"]
+    misfit: Float[np.ndarray, "t"]
+    viewpoint_dependent: Bool[np.ndarray, "t"]
 
 
 def assemble(
@@ -23,17 +41,65 @@ def assemble(
     selections: list[Selection],
     pairs: Pairs,
     outside: Int[np.ndarray, "o v"],
-    names: tuple[str, ...],
-    noise_scale: float = 1.0,
+    names: Sequence[tuple[str, ...]],
+    noise_scale: Float[np.ndarray, "f"],
     rules: MatchTuning = DEFAULT,
-) -> Matches:
-    """Matches in the caller's order of views and numbers of segments.
+) -> list[Matches]:
+    """Matches of each frame, in the caller's order of views (`names`) and numbers of segments.
 
     `seen` holds covariances that are `noise_scale` times as large, in standard deviations, as
     stated, `outside` the segments of triples that the depth range excluded, or that lie behind a
     camera. Tracks that no pair of views can locate are left out, and their segments say so.
     """
-    tuning, taken = rules.tracks, pairs.take(pairs.taken)
+    found, unlocated = _lines(seen, tracks, pairs.take(pairs.taken), rules.tracks)
+    words = _reasons(seen, selections, pairs, outside, unlocated, found.index, rules.tracks)
+    of_each = {
+        "triples considered": [selection.candidates.index for selection in selections],
+        "triples outside depth": [outside],
+        "tracks in three views or more": [tracks.candidates.index],
+        "pairs considered": [pairs.candidates.index],
+        "tracks in two views": [pairs.candidates.index[pairs.taken]],
+        "tracks along the epipolar lines": [unlocated],
+        "tracks that seem to move with the viewpoint": [found.index[found.viewpoint_dependent]],
+    }
+    counts = {name: _of_each_frame(seen, groups) for name, groups in of_each.items()}
+    frame = frames_of(seen.lines, found.index)
+    each = np.zeros(len(found.index), np.int64) if frame is None else frame
+    order = np.argsort(each, kind="stable")
+    bounds = np.searchsorted(each[order], np.arange(len(seen.frames) + 1))
+    starts, results = seen.starts, []
+    for number, own in enumerate(seen.frames):
+        rows = take_rows(found, order[bounds[number] : bounds[number + 1]])
+        said = [view[starts[number, v] : starts[number + 1, v]] for v, view in enumerate(words)]
+        numbers = {name: int(of_frames[number]) for name, of_frames in counts.items()}
+        notes = notes_of(
+            own.cameras.centre_mm,
+            numbers["tracks along the epipolar lines"],
+            float(noise_scale[number]),
+            rules.noise,
+        )
+        scale = float(noise_scale[number])
+        results.append(
+            _matches(own, starts[number], rows, said, numbers, names[number], scale, notes)
+        )
+    return results
+
+
+def _of_each_frame(seen: MatchInput, groups: list[np.ndarray]) -> Int[np.ndarray, "f"]:
+    """How many groups of segments there are in each frame."""
+    frames = [frames_of(seen.lines, index) for index in groups]
+    labels = [
+        np.zeros(len(index), np.int64) if frame is None else frame
+        for frame, index in zip(frames, groups, strict=True)
+    ]
+    every = np.concatenate([np.zeros(0, np.int64), *labels])
+    return np.bincount(every, minlength=len(seen.frames))
+
+
+def _lines(
+    seen: MatchInput, tracks: Tracks, taken: Pairs, tuning: TrackTuning
+) -> tuple[_Lines, Int[np.ndarray, "u v"]]:
+    """(lines in space, segments of tracks that no pair of views can locate)."""
     index = np.concatenate([tracks.candidates.index, taken.candidates.index])
     interval = np.concatenate([tracks.candidates.interval, taken.candidates.interval])
     posterior_log_odds = np.concatenate([tracks.posterior_log_odds, taken.posterior_log_odds])
@@ -41,55 +107,66 @@ def assemble(
     common_mm = np.concatenate([tracks.candidates.ends_mm, taken.candidates.ends_mm])
     doubt = direction_doubt(seen.lines, index)
     located = doubt < tuning.largest_direction_doubt
-    unlocated = index[~located]
     ends_here = ending_view(seen, index, common_mm)
     fragments, covariance = fragments_of(seen, index, interval, ends_here)
     ends_mm, covariance_mm2, misfit = lines_in_space(seen, index, common_mm)
     covariance_mm2 = covariance_mm2 * (1 + tuning.second_order * doubt**2)[:, None, None]
     sound = np.isfinite(ends_mm).all(axis=(1, 2)) & np.isfinite(covariance_mm2).all(axis=(1, 2))
     sound &= located & before_cameras(seen.lines, index, ends_mm)
-    index, posterior_log_odds, rival_posterior = (
-        index[sound],
-        posterior_log_odds[sound],
-        rival_posterior[sound],
+    every = _Lines(
+        index,
+        fragments,
+        ends_mm,
+        covariance_mm2,
+        posterior_log_odds,
+        rival_posterior,
+        covariance,
+        misfit,
+        np.zeros(len(index), dtype=bool),
     )
-    fragments, covariance = fragments[sound], covariance[sound]
-    ends_mm, covariance_mm2, misfit = ends_mm[sound], covariance_mm2[sound], misfit[sound]
-    viewpoint_dependent = flag_viewpoint_dependent(seen, index, ends_mm, misfit, tuning)
-    given = np.full(index.shape, -1)
-    for view in range(len(names)):
-        on = index[:, view] >= 0
-        given[on, view] = seen.order[view][index[on, view]]
-        fragments[on, view] = distorted(seen.intrinsics[view], fragments[on, view])
-    turn = [seen.names.index(name) for name in names]
-    given, fragments, covariance = given[:, turn], fragments[:, turn], covariance[:, turn]
+    found = take_rows(every, sound)
+    dependent = flag_viewpoint_dependent(seen, found.index, found.ends_mm, found.misfit, tuning)
+    return found._replace(viewpoint_dependent=dependent), index[~located]
+
+
+def _matches(
+    own: FrameInput,
+    start: Int[np.ndarray, "v"],
+    rows: _Lines,
+    words: list[Shaped[np.ndarray, "_"]],
+    counts: dict[str, int],
+    names: tuple[str, ...],
+    noise_scale: float,
+    notes: tuple[str, ...],
+) -> Matches:
+    """The answer of one frame, whose segments begin at `start` in the tables."""
+    given = np.full(rows.index.shape, -1)
+    fragments, why = rows.fragments_px, {}
+    for view, name in enumerate(own.names):
+        on = np.flatnonzero(rows.index[:, view] >= 0)
+        given[on, view] = own.order[view][rows.index[on, view] - start[view]]
+        fragments[on, view] = distorted(own.cameras.intrinsics[view], fragments[on, view])
+        why[name] = np.empty_like(words[view])
+        why[name][own.order[view]] = words[view]
+    turn = [own.names.index(name) for name in names]
+    given, fragments = given[:, turn], fragments[:, turn]
     sort = np.lexsort((*fragments[:, :, 0].reshape(-1, 2 * len(names)).T, *given.T[::-1]))
-    why = _reasons(seen, selections, pairs, outside, unlocated, index, tuning)
-    counts = {
-        "triples considered": sum(len(s.candidates.index) for s in selections),
-        "triples outside depth": len(outside),
-        "tracks in three views or more": len(tracks.posterior_log_odds),
-        "pairs considered": len(pairs.candidates.index),
-        "tracks in two views": int(pairs.taken.sum()),
-        "tracks along the epipolar lines": len(unlocated),
-        "tracks that seem to move with the viewpoint": int(viewpoint_dependent.sum()),
-    }
     return Matches(
         names,
         given[sort],
         fragments[sort],
-        ends_mm[sort],
-        covariance_mm2[sort],
+        rows.ends_mm[sort],
+        rows.covariance_mm2[sort],
         np.where((given >= 0).sum(axis=1) > 2, TRINOCULAR, BINOCULAR)[sort],
-        probability(posterior_log_odds)[sort],
-        probability(rival_posterior)[sort],
+        probability(rows.posterior_log_odds)[sort],
+        probability(rows.rival_posterior)[sort],
         {name: why[name] for name in names},
         counts | counted(why),
-        covariance[sort],
-        misfit[sort],
-        viewpoint_dependent[sort],
+        rows.fragments_covariance_px2[:, turn][sort],
+        rows.misfit[sort],
+        rows.viewpoint_dependent[sort],
         noise_scale,
-        notes_of(seen.lines, len(unlocated), noise_scale, rules.noise),
+        notes,
     )
 
 
@@ -101,20 +178,20 @@ def _reasons(
     unlocated: Int[np.ndarray, "u v"],
     index: Int[np.ndarray, "t v"],
     tuning: TrackTuning,
-) -> dict[str, np.ndarray]:
+) -> list[Shaped[np.ndarray, "_"]]:
     running = [*selections, pairs]
     candidate = np.concatenate([found.candidates.index for found in running])
     log_odds = np.concatenate([found.log_odds for found in running])
-    found = {}
-    for view, name in enumerate(seen.names):
-        excluded, along, matched, missed = np.zeros((4, seen.counts[view]), dtype=bool)
+    words = []
+    for view, count in enumerate(seen.counts):
+        excluded, along, matched, missed = np.zeros((4, count), dtype=bool)
         matched[index[index[:, view] >= 0, view]] = True
         excluded[outside[outside[:, view] >= 0, view]] = True
         along[unlocated[unlocated[:, view] >= 0, view]] = True
         turned = (pairs.log_odds <= 0) & (pairs.log_odds > pairs.missed)
         owner = pairs.candidates.index[turned, view]
         missed[owner[owner >= 0]] = True
-        words = reasons(candidate[:, view], log_odds, excluded, along, matched, missed, tuning)
-        found[name] = np.empty_like(words)
-        found[name][seen.order[view]] = words
-    return found
+        words.append(
+            reasons(candidate[:, view], log_odds, excluded, along, matched, missed, tuning)
+        )
+    return words

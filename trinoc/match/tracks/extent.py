@@ -3,8 +3,8 @@
 import numpy as np
 from jaxtyping import Float, Int
 
-from trinoc.geometry import project_by_matrix
-from trinoc.match.observations import MatchInput
+from trinoc.match.observations import MatchInput, frames_of, matrices_of
+from trinoc.numerics import taken
 
 
 def two_view_part(
@@ -26,13 +26,13 @@ def interval_of(
 
     On segments that end before, this is outside [0, 1]: their lines run on.
     """
-    interval = np.zeros((*index.shape, 2))
+    interval, frame = np.zeros((*index.shape, 2)), frames_of(seen.lines, index)
     for view in range(index.shape[1]):
         on = np.flatnonzero(index[:, view] >= 0)
-        matrix = np.asarray(seen.lines.matrix_px)[view]
+        matrix = matrices_of(seen.lines, taken(frame, on))[:, view]
         segment = seen.ends_px[view][index[on, view]]
         along = segment[:, 1] - segment[:, 0]
-        offset = project_by_matrix(matrix, ends_mm[on]) - segment[:, :1]
+        offset = images_of(matrix, ends_mm[on]) - segment[:, :1]
         interval[on, view] = (offset @ along[:, :, None])[..., 0] / (along**2).sum(axis=1)[:, None]
     return interval
 
@@ -41,24 +41,32 @@ def reach_of(
     seen: MatchInput, index: Int[np.ndarray, "t v"], ends_mm: Float[np.ndarray, "t 2 3"]
 ) -> Float[np.ndarray, "t v 2"]:
     """Where every segment begins and ends along its track's line, 0 and 1 at the line's ends."""
-    reach = np.full((*index.shape, 2), np.nan)
+    reach, frame = np.full((*index.shape, 2), np.nan), frames_of(seen.lines, index)
     for view in range(index.shape[1]):
         on = np.flatnonzero(index[:, view] >= 0)
         segment = seen.ends_px[view][index[on, view]]
-        reach[on, view] = np.sort(
-            positions_abreast(np.asarray(seen.lines.matrix_px)[view], segment, ends_mm[on]), axis=1
-        )
+        matrix = matrices_of(seen.lines, taken(frame, on))[:, view]
+        reach[on, view] = np.sort(positions_abreast(matrix, segment, ends_mm[on]), axis=1)
     return reach
 
 
+def images_of(
+    matrix_px: Float[np.ndarray, "*t 3 4"], points_mm: Float[np.ndarray, "t e 3"]
+) -> Float[np.ndarray, "t e 2"]:
+    """Undistorted pixels of points, by one matrix or by one for each row."""
+    image = points_mm @ matrix_px[..., :3].mT + matrix_px[..., None, :, 3]
+    return image[..., :2] / image[..., 2:]
+
+
 def positions_abreast(
-    matrix_px: Float[np.ndarray, "3 4"],
+    matrix_px: Float[np.ndarray, "*t 3 4"],
     segment_px: Float[np.ndarray, "t 2 2"],
     ends_mm: Float[np.ndarray, "t 2 3"],
 ) -> Float[np.ndarray, "t 2"]:
     """Positions on each line, 0 and 1 at its ends, whose images lie abreast of a segment's ends."""
-    first = ends_mm[:, 0] @ matrix_px[:, :3].T + matrix_px[:, 3]
-    step = (ends_mm[:, 1] - ends_mm[:, 0]) @ matrix_px[:, :3].T
+    turn = matrix_px[..., :3]
+    first = (turn @ ends_mm[:, 0, :, None])[..., 0] + matrix_px[..., 3]
+    step = (turn @ (ends_mm[:, 1] - ends_mm[:, 0])[:, :, None])[..., 0]
     along = segment_px[:, 1] - segment_px[:, 0]
     place = (segment_px @ along[:, :, None])[..., 0]
     # The image at position s is (first + s step) / its depth: linear over linear.

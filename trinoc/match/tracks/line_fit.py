@@ -2,16 +2,27 @@
 
 import jax
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from trinoc.geometry import Segment3D, triangulate_segment
-from trinoc.match.observations import MatchInput
+from trinoc.match.observations import MatchInput, frames_of
 from trinoc.match.tracks.extent import interval_of, two_view_part
 from trinoc.match.tracks.fragments import ending_view, fragments_of
 from trinoc.match.tracks.location import before_cameras
-from trinoc.numerics import in_blocks
+from trinoc.numerics import ArrayLike, in_blocks
 
-_triangulated = jax.jit(jax.vmap(triangulate_segment, in_axes=(None, 0, 0, 0)))
+
+@jax.jit
+def _triangulated(
+    matrix_px: Float[ArrayLike, "*f v 3 4"],
+    frame: Int[ArrayLike, "t"] | None,
+    fragments_px: Float[ArrayLike, "t v 2 2"],
+    covariance_px2: Float[ArrayLike, "t v 4 4"],
+    shown: Bool[ArrayLike, "t v"],
+) -> Segment3D:
+    matrix = matrix_px if frame is None else matrix_px[frame]
+    each = jax.vmap(triangulate_segment, in_axes=(None if frame is None else 0, 0, 0, 0))
+    return each(matrix, fragments_px, covariance_px2, shown)
 
 
 def lines_in_space(
@@ -28,11 +39,15 @@ def lines_in_space(
     ends_here = ending_view(seen, index, part_mm)
     shown = fragments_of(seen, index, interval_of(seen, index, part_mm), ends_here)
     # Rows of padding hold no view, which leaves their lines undetermined, and harmless.
-    block = seen.lines.ends_px.shape[1]
+    block, frame = seen.lines.ends_px.shape[1], frames_of(seen.lines, index)
 
-    def triangulated(*columns: np.ndarray) -> Segment3D:
-        return _triangulated(seen.lines.matrix_px, *columns)
+    def triangulated(
+        fragments: np.ndarray, covariance: np.ndarray, members: np.ndarray, *frames: np.ndarray
+    ) -> Segment3D:
+        own = frames[0] if frames else None
+        return _triangulated(seen.lines.matrix_px, own, fragments, covariance, members)
 
-    found = in_blocks(triangulated, block, *shown, index >= 0)
+    frames = () if frame is None else (frame,)
+    found = in_blocks(triangulated, block, *shown, index >= 0, *frames)
     misfit = np.where((index >= 0).sum(axis=1) > 2, found.chi_square, 0.0)
     return np.asarray(found.ends_mm), np.asarray(found.covariance_mm2), misfit

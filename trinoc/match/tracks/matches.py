@@ -6,11 +6,12 @@ from jaxtyping import Bool, Float, Int, Shaped
 
 from trinoc.errors import InputError
 from trinoc.geometry import LineObservations
+from trinoc.numerics import Shown
 
 TRINOCULAR, BINOCULAR = "trinocular", "binocular"
 
 
-class Matches(eqx.Module):
+class Matches(Shown, eqx.Module):
     """Tracks: each joins one segment of every view that sees it, and holds the 3-D segment.
 
     Fields

@@ -21,7 +21,7 @@ def view_triplets(
     lines: SegmentTable, tuning: TrackTuning = DEFAULT.tracks
 ) -> list[tuple[int, int, int]]:
     """The triplets of views to match: all of a few views, or each view with two of its nearest."""
-    views = len(lines.size_px)
+    views = lines.size_px.shape[-2]
     if views <= tuning.all_triplets:
         return list(combinations(range(views), 3))
     centre = np.asarray(lines.centre_mm)

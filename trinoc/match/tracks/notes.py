@@ -1,8 +1,8 @@
 """What a user should know of the matches as a whole, in sentences."""
 
 import numpy as np
+from jaxtyping import Float
 
-from trinoc.match.observations import SegmentTable
 from trinoc.match.tuning import DEFAULT, NoiseTuning
 
 # Centres lie on a line where they are off it by less than this share of their spread along it.
@@ -10,7 +10,10 @@ ON_A_LINE = 0.05
 
 
 def notes_of(
-    lines: SegmentTable, unlocated: int, noise_scale: float, tuning: NoiseTuning = DEFAULT.noise
+    centre_mm: Float[np.ndarray, "v 3"],
+    unlocated: int,
+    noise_scale: float,
+    tuning: NoiseTuning = DEFAULT.noise,
 ) -> tuple[str, ...]:
     """Sentences on noise that is not as stated, and on cameras in one line."""
     notes = []
@@ -21,9 +24,8 @@ def notes_of(
             "are of the errors found; give a sigma_px that is as much "
             f"{word} to have candidates judged by it too."
         )
-    centre = np.asarray(lines.centre_mm)
-    if len(centre) > 2:
-        spread = np.linalg.svd(centre - centre.mean(axis=0), compute_uv=False)
+    if len(centre_mm) > 2:
+        spread = np.linalg.svd(centre_mm - centre_mm.mean(axis=0), compute_uv=False)
         if spread[1] < ON_A_LINE * spread[0]:
             notes.append(
                 "The cameras' centres lie on one line: segments along it are along the epipolar "

@@ -1,5 +1,7 @@
 """Why a segment is on no track: every segment has an answer."""
 
+from collections import Counter
+
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
@@ -53,6 +55,5 @@ def reasons(
 
 def counted(words: dict[str, Shaped[np.ndarray, "_"]]) -> dict[str, int]:
     """How many segments of all views share each reason; ambiguous ones are one kind."""
-    short = [word.split(" with ")[0] for view in words.values() for word in view.tolist()]
-    kinds, number = np.unique(np.array(short, dtype="U40"), return_counts=True)
-    return {f"segments {kind}": int(n) for kind, n in zip(kinds, number, strict=True)}
+    number = Counter(word.split(" with ")[0] for view in words.values() for word in view.tolist())
+    return {f"segments {kind}": number[kind] for kind in sorted(number)}

@@ -9,12 +9,13 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.stats import chi2
 
-from trinoc.geometry import project_by_matrix
-from trinoc.match.observations import MatchInput
+from trinoc.match.observations import MatchInput, frames_of, matrices_of
+from trinoc.match.tracks.extent import images_of
 from trinoc.match.tuning import DEFAULT, TrackTuning
+from trinoc.numerics import blocks, expand_ranges, group_medians, group_sums, of_group, taken
 
-# Lines of two views, and segments, compared at once.
-ROWS = 1024
+# Lines of two views compared at once with all segments of a view.
+ROWS = 256
 
 
 def flag_viewpoint_dependent(
@@ -30,21 +31,31 @@ def flag_viewpoint_dependent(
     Where the segments' covariances are too small for most tracks, they are scaled first.
     """
     views = (index >= 0).sum(axis=1)
-    in_three = views > 2
+    in_three, frame = views > 2, frames_of(seen.lines, index)
     marked = np.zeros(len(index), dtype=bool)
     if in_three.any():
         limit = chi2.isf(tuning.significance, 2 * (views[in_three] - 2))
-        marked[in_three] = misfit[in_three] > typical_misfit(index, misfit, tuning) * limit
+        usual = of_group(typical_misfit(index, misfit, tuning, frame), taken(frame, in_three))
+        marked[in_three] = misfit[in_three] > usual * limit
     for view in range(index.shape[1]):
         free = np.ones(seen.counts[view], dtype=bool)
         matched = index[in_three, view]
         free[matched[matched >= 0]] = False
+        free = np.flatnonzero(free)
         rows = np.flatnonzero(~in_three & (index[:, view] < 0))
-        matrix = np.asarray(seen.lines.matrix_px)[view]
-        expected = project_by_matrix(matrix, ends_mm[rows])
-        for start in range(0, len(rows), ROWS):
-            part = slice(start, start + ROWS)
-            marked[rows[part]] |= _one_beside(expected[part], seen.ends_px[view][free], tuning)
+        matrix = matrices_of(seen.lines, taken(frame, rows))[:, view]
+        expected = images_of(matrix, ends_mm[rows])
+        # The free segments of a row's own frame follow one another.
+        first, last = np.zeros(len(rows), np.int64), np.full(len(rows), len(free))
+        if frame is not None:
+            bounds = np.searchsorted(free, seen.starts[:, view])
+            first, last = bounds[frame[rows]], bounds[frame[rows] + 1]
+        size = ROWS if frame is None else max(len(rows), 1)
+        for part in blocks(len(rows), size):
+            i, j = expand_ranges(first[part], last[part])
+            segments = seen.ends_px[view][free[j]]
+            beside = _is_beside(expected[part][i], segments, tuning)
+            marked[rows[part][i[beside]]] = True
     return marked
 
 
@@ -52,36 +63,40 @@ def typical_misfit(
     index: Int[np.ndarray, "t v"],
     misfit: Float[np.ndarray, "t"],
     tuning: TrackTuning = DEFAULT.tracks,
-) -> float:
-    """How much larger than stated the variance of segments is for most tracks; at least 1."""
+    frame: Int[np.ndarray, "t"] | None = None,
+) -> Float[np.ndarray, "*f"] | float:
+    """How much larger than stated the variance of segments is for most tracks; at least 1.
+
+    With the `frame` of each track, for each frame.
+    """
     views = (index >= 0).sum(axis=1)
     in_three = views > 2
-    if in_three.sum() < tuning.min_tracks_to_learn:
-        return 1.0
+    frames = 1 if frame is None or len(frame) == 0 else int(frame.max()) + 1
+    own = taken(frame, in_three)
+    enough = group_sums(np.ones(in_three.sum()), own, frames) >= tuning.min_tracks_to_learn
     share = misfit[in_three] / chi2.median(2 * (views[in_three] - 2))
-    return max(float(np.median(share)), 1.0)
+    typical = np.where(enough, group_medians(share, own, frames), 1.0)
+    return np.maximum(typical, 1.0)
 
 
-def _one_beside(
-    expected_px: Float[np.ndarray, "m 2 2"],
-    segments_px: Float[np.ndarray, "n 2 2"],
+def _is_beside(
+    expected_px: Float[np.ndarray, "p 2 2"],
+    segments_px: Float[np.ndarray, "p 2 2"],
     tuning: TrackTuning,
-) -> Bool[np.ndarray, "m"]:
-    """Whether a segment lies beside each place at which one was expected."""
-    way = expected_px[:, 1] - expected_px[:, 0]
-    length = np.linalg.norm(way, axis=1)[:, None]
-    u, v = (way / length).T[:, :, None]
-    turn = segments_px[:, 1] - segments_px[:, 0]
-    size = np.linalg.norm(turn, axis=1)
-    sine = np.abs(u * turn[:, 1] - v * turn[:, 0]) / size
-    i, j = np.nonzero(sine < np.sin(np.radians(tuning.beside_deg)))
-    offset = segments_px[j] - expected_px[i, 0, None]
-    u, v, length, size = u[i], v[i], length[i, 0], size[j]
+) -> Bool[np.ndarray, "p"]:
+    """Whether each segment lies beside the place at which one was expected."""
+    beside = np.zeros(len(expected_px), dtype=bool)
+    way, turn = expected_px[:, 1] - expected_px[:, 0], segments_px[:, 1] - segments_px[:, 0]
+    area = way[:, 0] * turn[:, 1] - way[:, 1] * turn[:, 0]
+    squares = (way**2).sum(axis=1), (turn**2).sum(axis=1)
+    sine = np.sin(np.radians(tuning.beside_deg))
+    rows = np.flatnonzero(area**2 < sine**2 * squares[0] * squares[1])
+    length, size = (np.sqrt(square[rows]) for square in squares)
+    u, v = (way[rows] / length[:, None]).T[:, :, None]
+    offset = segments_px[rows] - expected_px[rows, :1]
     along = np.sort(offset[..., 0] * u + offset[..., 1] * v, axis=1)
     across = np.abs(offset[..., 1] * u - offset[..., 0] * v).max(axis=1)
     common = np.minimum(along[:, 1], length) - np.maximum(along[:, 0], 0.0)
     enough = tuning.abreast_share * np.minimum(length, size)
-    beside = (across < tuning.beside_px) & (common > enough)
-    found = np.zeros(len(expected_px), dtype=bool)
-    found[i[beside]] = True
-    return found
+    beside[rows] = (across < tuning.beside_px) & (common > enough)
+    return beside

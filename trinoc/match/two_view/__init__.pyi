@@ -3,6 +3,8 @@ from .epipolar_pencil import (
     Pencil as Pencil,
     PencilSegments as PencilSegments,
     pencil as pencil,
+    pencil_of as pencil_of,
+    plane_angles as plane_angles,
     row_of as row_of,
 )
 from .planes import (

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Float, Int
 
 from trinoc.match.observations import SegmentTable
@@ -45,12 +46,12 @@ class Pencil(NamedTuple):
     """Frame of the planes through two centres, and the segments of both views in it.
 
     frame : rows axis, first, second. origin_mm : centre of the first view.
-    baseline_mm : distance of the centres.
+    baseline_mm : distance of the centres. Of each frame of a stack.
     """
 
-    frame: Float[ArrayLike, "3 3"]
-    origin_mm: Float[ArrayLike, "3"]
-    baseline_mm: Float[ArrayLike, ""]
+    frame: Float[ArrayLike, "*f 3 3"]
+    origin_mm: Float[ArrayLike, "*f 3"]
+    baseline_mm: Float[ArrayLike, "*f"]
     first: PencilSegments
     second: PencilSegments
 
@@ -58,23 +59,46 @@ class Pencil(NamedTuple):
 @jax.jit
 def pencil(lines: SegmentTable, a: Int[ArrayLike, ""], b: Int[ArrayLike, ""]) -> Pencil:
     """The pencil of views a and b."""
-    across = lines.centre_mm[b] - lines.centre_mm[a]
-    baseline = jnp.sqrt(across @ across)
-    axis = across / baseline
-    # Angle zero lies in the middle of what the cameras look at, and the jump behind them.
-    forward = lines.matrix_px[a, 2, :3] + lines.matrix_px[b, 2, :3]
-    first = forward - (forward @ axis) * axis
-    first = first / jnp.sqrt(first @ first)
-    frame = jnp.stack([axis, first, jnp.cross(axis, first)])
+
+    def axes(
+        centre_mm: Float[ArrayLike, "v 3"], matrix_px: Float[ArrayLike, "v 3 4"]
+    ) -> tuple[Float[ArrayLike, "3 3"], Float[ArrayLike, ""]]:
+        across = centre_mm[b] - centre_mm[a]
+        baseline = jnp.sqrt(across @ across)
+        axis = across / baseline
+        # Angle zero lies in the middle of what the cameras look at, and the jump behind them.
+        forward = matrix_px[a, 2, :3] + matrix_px[b, 2, :3]
+        first = forward - (forward @ axis) * axis
+        first = first / jnp.sqrt(first @ first)
+        return jnp.stack([axis, first, jnp.cross(axis, first)]), baseline
+
+    each = axes if lines.frame is None else jax.vmap(axes)
+    frame, baseline = each(lines.centre_mm, lines.matrix_px)
 
     def segments(view: Int[ArrayLike, ""]) -> PencilSegments:
-        place = jax.vmap(_in_pencil, in_axes=(None, 0, 0, 0))
-        homography = frame @ lines.inverse[view]
+        homography = frame @ lines.inverse[..., view, :, :]
+        if lines.frame is not None:
+            homography = homography[lines.frame[view]]
+        place = jax.vmap(_in_pencil, in_axes=(None if lines.frame is None else 0, 0, 0, 0))
         return place(
             homography, lines.ends_px[view], lines.line[view, :, :2], lines.across_px2[view]
         )
 
-    return Pencil(frame, lines.centre_mm[a], baseline, segments(a), segments(b))
+    return Pencil(frame, lines.centre_mm[..., a, :], baseline, segments(a), segments(b))
+
+
+def pencil_of(
+    planes: Pencil, lines: SegmentTable, view: Int[ArrayLike, ""], segment: Int[ArrayLike, ""]
+) -> Pencil:
+    """The pencil with the planes of one segment's frame alone."""
+    if lines.frame is None:
+        return planes
+    frame = lines.frame[view, segment]
+    return planes._replace(
+        frame=planes.frame[frame],
+        origin_mm=planes.origin_mm[frame],
+        baseline_mm=planes.baseline_mm[frame],
+    )
 
 
 def _in_pencil(
@@ -130,3 +154,14 @@ def _in_pencil(
 def row_of(table: PencilSegments, index: Int[ArrayLike, "*p"]) -> PencilSegments:
     """The segments of given numbers."""
     return jax.tree.map(lambda column: column[index], table)
+
+
+def plane_angles(
+    lines: SegmentTable, view: int, segments: PencilSegments
+) -> Float[np.ndarray, "n 2"]:
+    """Plane angles of all ends of a view, low and high; those of other frames lie apart."""
+    angles = np.stack([np.asarray(segments.low), np.asarray(segments.high)], axis=1)
+    if lines.frame is None:
+        return angles
+    # Half a turn on either side, and not more than another for what one segment spans.
+    return angles + 16.0 * np.asarray(lines.frame)[view][:, None]

@@ -1,30 +1,42 @@
-"""JAX's compiled kernels kept between runs, so that the second command starts at once.
+"""JAX's compiled kernels kept between runs, so that the second process starts at once.
 
-Only the command line and notebooks switch this on: whoever imports the package keeps the JAX
-settings they chose.
+The command line switches this on, and whoever calls `enable_compile_cache`; to import the package
+alone leaves the JAX settings as they are.
 """
 
+import contextlib
+import logging
 import os
 import stat
 import sys
 import warnings
 from pathlib import Path
 
-from trinoc.cli.progress import LOGGER
-
-VARIABLE = "TRINOC_COMPILE_CACHE"
+LOGGER = logging.getLogger("trinoc")
+COMPILE_CACHE_VARIABLE = "TRINOC_COMPILE_CACHE"
 MOST_BYTES = 512 * 2**20
 
 
-def enable_compile_cache() -> Path | None:
+def enable_compile_cache(folder: str | os.PathLike[str] | None = None) -> Path | None:
     """Keep compiled kernels in a folder that only this user can write to; returns it.
 
-    The environment variable TRINOC_COMPILE_CACHE names another folder, or is "off". Returns
-    None, after a warning, where the folder cannot be made or others could write to it:
-    the kernels in it are executed.
+    Call it once, before or after anything has compiled: later processes of this user then start
+    without compiling. It sets JAX's persistent cache for the whole process, for other packages
+    too, and keeps the folder under 512 MiB.
+
+    Parameters
+    ----------
+    folder : where to keep them, made with mode 0700 where it is not there. By default that of the
+        environment variable TRINOC_COMPILE_CACHE, which may also be "off", or else the user's own
+        cache folder.
+
+    Returns
+    -------
+    The folder, or None where the variable says "off". None too, after a warning in the log, where
+    the folder cannot be made or others could write to it: the kernels in it are executed.
     """
-    wanted = os.environ.get(VARIABLE, "")
-    if wanted.lower() in ("off", "0", "no"):
+    wanted = os.environ.get(COMPILE_CACHE_VARIABLE, "") if folder is None else os.fspath(folder)
+    if folder is None and wanted.lower() in ("off", "0", "no"):
         return None
     folder = Path(wanted) if wanted else _user_cache() / "trinoc" / "jax"
     try:
@@ -37,18 +49,21 @@ def enable_compile_cache() -> Path | None:
         LOGGER.warning(
             "no compile cache in %s, because others may write to it: chmod 700 it, or set %s",
             folder,
-            VARIABLE,
+            COMPILE_CACHE_VARIABLE,
         )
         return None
     _forget_oldest(folder)
 
     import jax
+    from jax.experimental.compilation_cache import compilation_cache
 
     # A kernel that another process is just writing is compiled once more, which is no news.
     warnings.filterwarnings("ignore", message="Error (reading|writing) persistent compilation")
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+    # JAX decides at its first compilation whether there is a cache: it is to decide anew.
+    compilation_cache.reset_cache()
     return folder
 
 
@@ -69,7 +84,12 @@ def _is_private(folder: Path) -> bool:
 
 def _forget_oldest(folder: Path) -> None:
     """Keep the folder under MOST_BYTES. JAX can, too, but only with a further package."""
-    files = [(file.stat(), file) for file in folder.iterdir() if file.is_file()]
+    files = []
+    for file in folder.iterdir():
+        # Another process may be doing the same.
+        with contextlib.suppress(FileNotFoundError):
+            files.append((file.stat(), file))
+    files = [(status, file) for status, file in files if stat.S_ISREG(status.st_mode)]
     size = sum(status.st_size for status, _ in files)
     for status, file in sorted(files, key=lambda pair: pair[0].st_mtime):
         if size <= MOST_BYTES:

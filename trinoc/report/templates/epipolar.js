@@ -1,40 +1,3 @@
-"use strict";
-
-// Tracks: one lights up in every picture and in the table.
-(() => {
-  let pinned = null;
-  const light = (track) => {
-    document.querySelectorAll(".lit").forEach((element) => element.classList.remove("lit"));
-    document.body.classList.toggle("has-lit", track !== null);
-    if (track === null) return;
-    document.querySelectorAll(`[data-track="${track}"]`).forEach((e) => e.classList.add("lit"));
-  };
-  const trackOf = (event) => {
-    const element = event.target.closest ? event.target.closest("[data-track]") : null;
-    return element ? element.dataset.track : null;
-  };
-  document.addEventListener("mouseover", (event) => light(trackOf(event) ?? pinned));
-  document.addEventListener("focusin", (event) => light(trackOf(event) ?? pinned));
-  document.addEventListener("click", (event) => {
-    const track = trackOf(event);
-    pinned = track === pinned ? null : track;
-    light(pinned);
-  });
-})();
-
-document.querySelectorAll(".enlarge").forEach((button) => {
-  button.addEventListener("click", () => {
-    const large = button.closest("figure").classList.toggle("large");
-    button.textContent = large ? "reduce" : "enlarge";
-  });
-});
-
-document.querySelectorAll(".dimmer input").forEach((input) => {
-  input.addEventListener("input", () => {
-    document.documentElement.style.setProperty("--strength", input.value / 100);
-  });
-});
-
 // Epipolar lines of a clicked point, lens distortion included.
 (() => {
   const distort = ([x, y], [k1, k2, p1, p2, k3]) => {
@@ -116,22 +79,5 @@ document.querySelectorAll(".dimmer input").forEach((input) => {
         svg.querySelector(".clicked").innerHTML = "";
       });
     });
-  });
-})();
-
-// The figure to turn, or a sentence where the browser cannot show it.
-(() => {
-  const element = document.getElementById("space-figure");
-  const figure = JSON.parse(document.getElementById("space-numbers").textContent);
-  const probe = document.createElement("canvas");
-  if (!(probe.getContext("webgl2") || probe.getContext("webgl"))) {
-    document.getElementById("space-absent").hidden = false;
-    element.hidden = true;
-    return;
-  }
-  Plotly.newPlot(element, figure.data, figure.layout, {
-    responsive: true, displaylogo: false,
-    // Named one by one: the default set has a button that sends the figure to a server.
-    modeBarButtons: [["toImage", "zoom3d", "pan3d", "tableRotation", "resetCameraDefault3d"]],
   });
 })();

@@ -5,9 +5,10 @@ import stat
 
 import jax
 import pytest
+from jax.experimental.compilation_cache.compilation_cache import reset_cache
 
-from trinoc.cli import compile_cache
-from trinoc.cli.compile_cache import VARIABLE, enable_compile_cache
+from trinoc.io import compile_cache
+from trinoc.io.compile_cache import COMPILE_CACHE_VARIABLE, enable_compile_cache
 
 SETTINGS = (
     "jax_compilation_cache_dir",
@@ -26,17 +27,26 @@ def _settings_as_before():
     yield
     for name, value in before.items():
         jax.config.update(name, value)
+    reset_cache()
+
+
+def test_folder_given_holds_what_compiles_from_then_on(tmp_path, monkeypatch):
+    monkeypatch.setenv(COMPILE_CACHE_VARIABLE, "off")
+    jax.jit(lambda x: x + 1)(1.0)
+    assert enable_compile_cache(tmp_path / "kernels") == tmp_path / "kernels"
+    jax.jit(lambda x: x - 2)(1.0)
+    assert list((tmp_path / "kernels").iterdir())
 
 
 def test_folder_is_made_for_the_user_alone(tmp_path, monkeypatch):
-    monkeypatch.setenv(VARIABLE, str(tmp_path / "a" / "b"))
+    monkeypatch.setenv(COMPILE_CACHE_VARIABLE, str(tmp_path / "a" / "b"))
     assert enable_compile_cache() == tmp_path / "a" / "b"
     assert stat.S_IMODE((tmp_path / "a" / "b").stat().st_mode) == 0o700
     assert cache_dir() == str(tmp_path / "a" / "b")
 
 
 def test_default_is_the_user_s_cache_folder(tmp_path, monkeypatch):
-    monkeypatch.delenv(VARIABLE)
+    monkeypatch.delenv(COMPILE_CACHE_VARIABLE, raising=False)
     for name in ("XDG_CACHE_HOME", "LOCALAPPDATA", "HOME"):
         monkeypatch.setenv(name, str(tmp_path))
     folder = enable_compile_cache()
@@ -46,14 +56,14 @@ def test_default_is_the_user_s_cache_folder(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("value", ["off", "OFF", "0", "no"])
 def test_off(monkeypatch, value):
-    monkeypatch.setenv(VARIABLE, value)
+    monkeypatch.setenv(COMPILE_CACHE_VARIABLE, value)
     before = cache_dir()
     assert enable_compile_cache() is None
     assert cache_dir() == before
 
 
 def test_folder_that_others_may_write_to_is_not_used(tmp_path, monkeypatch):
-    monkeypatch.setenv(VARIABLE, str(tmp_path))
+    monkeypatch.setenv(COMPILE_CACHE_VARIABLE, str(tmp_path))
     tmp_path.chmod(0o770)
     before = cache_dir()
     assert enable_compile_cache() is None
@@ -62,15 +72,40 @@ def test_folder_that_others_may_write_to_is_not_used(tmp_path, monkeypatch):
 
 def test_folder_that_cannot_be_made_is_done_without(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("")
-    monkeypatch.setenv(VARIABLE, str(tmp_path / "file"))
+    monkeypatch.setenv(COMPILE_CACHE_VARIABLE, str(tmp_path / "file"))
     assert enable_compile_cache() is None
 
 
 def test_oldest_kernels_go_first(tmp_path, monkeypatch):
-    monkeypatch.setenv(VARIABLE, str(tmp_path))
+    monkeypatch.setenv(COMPILE_CACHE_VARIABLE, str(tmp_path))
     monkeypatch.setattr(compile_cache, "MOST_BYTES", 250)
     for age, name in enumerate("dcba"):
         (tmp_path / name).write_bytes(b"x" * 100)
         os.utime(tmp_path / name, (1000 - age, 1000 - age))
     enable_compile_cache()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["c", "d"]
+
+
+@pytest.mark.parametrize(
+    "poison",
+    [lambda b: b"", lambda b: b"poison" * 50, lambda b: b[: len(b) // 2], lambda b: b[::-1]],
+)
+def test_entries_that_are_damaged_change_no_answer(tmp_path, poison):
+    enable_compile_cache(tmp_path / "kernels")
+
+    def answers():
+        jax.clear_caches()
+        return float(jax.jit(lambda x: 3 * x - 1)(5.0))
+
+    assert answers() == 14.0
+    entries = [path for path in (tmp_path / "kernels").iterdir() if path.name.endswith("-cache")]
+    assert entries
+    for entry in entries:
+        entry.write_bytes(poison(entry.read_bytes()))
+    assert answers() == 14.0
+
+
+def test_a_kernel_that_another_process_has_just_removed_is_no_error(tmp_path, monkeypatch):
+    gone = tmp_path / "gone"
+    monkeypatch.setattr(type(tmp_path), "iterdir", lambda _: iter([gone]))
+    assert enable_compile_cache(tmp_path) == tmp_path

@@ -1,0 +1,80 @@
+"""The window of tasks in the air, and the memory that bounds it."""
+
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+
+import pytest
+from hypothesis import given, strategies as st
+
+from trinoc.batch.flow import in_window
+from trinoc.batch.memory import (
+    BASE_BYTES,
+    BYTES_PER_PIXEL,
+    half_of_the_machine,
+    resident_bytes,
+    threads_within,
+)
+from trinoc.synth import table1_rig
+
+
+class AtOnce(Executor):
+    """Does every task when it is submitted, and counts those not yet handed on."""
+
+    def __init__(self):
+        self.submitted = 0
+
+    def submit(self, fn, /, *args, **kwargs):
+        self.submitted += 1
+        future = Future()
+        future.set_result(fn(*args, **kwargs))
+        return future
+
+
+@given(count=st.integers(0, 30), most=st.integers(1, 8), full=st.sets(st.integers(0, 30)))
+def test_each_task_once_and_never_more_than_the_window(count, most, full):
+    executor, taken = AtOnce(), []
+
+    def room():
+        return len(taken) not in full
+
+    for task, future in in_window(executor, lambda k: -k, range(count), most, room):
+        assert future.result() == -task
+        taken.append(task)
+        assert executor.submitted - len(taken) <= most - 1
+    assert sorted(taken) == list(range(count))
+
+
+def test_where_there_is_no_room_tasks_go_one_by_one():
+    executor, taken = AtOnce(), 0
+    for _ in in_window(executor, lambda k: k, range(10), 4, lambda: False):
+        taken += 1
+        assert executor.submitted == taken
+    assert taken == 10
+
+
+def test_a_task_that_fails_hands_on_its_error_and_the_others_go_on():
+    def work(k):
+        if k == 2:
+            raise ValueError("two")
+        return k
+
+    with ThreadPoolExecutor(2) as executor:
+        ended = dict(in_window(executor, work, range(5), 3))
+    assert {k: future.result() for k, future in ended.items() if k != 2} == {
+        k: k for k in (0, 1, 3, 4)
+    }
+    with pytest.raises(ValueError, match="two"):
+        ended[2].result()
+
+
+@given(threads=st.integers(1, 64), gigabytes=st.floats(0, 1000))
+def test_threads_fit_into_the_memory_or_are_one(threads, gigabytes):
+    rig = table1_rig()
+    width, height = rig["upper"].image_size_px
+    found = threads_within(gigabytes * 1e9, rig, threads)
+    assert 1 <= found <= threads
+    need = BASE_BYTES + found * BYTES_PER_PIXEL * width * height
+    assert found == 1 or need <= gigabytes * 1e9
+
+
+def test_this_process_takes_some_of_the_machine_s_memory():
+    assert 0 <= resident_bytes() < half_of_the_machine() * 2

@@ -1,0 +1,96 @@
+"""Boards are found and labelled whichever way they lie; what cannot be labelled is refused."""
+
+import cv2
+import numpy as np
+import pytest
+
+from trinoc.calib import Charuco, Chessboard, Pattern, detect_target, opencv_board
+from trinoc.errors import DetectionError, InputError
+from trinoc.io.board_figures import ink_polygons
+
+BOARDS = {
+    "chessboard": Chessboard(rows=5, columns=8, square_mm=10.0),
+    "symmetric": Chessboard(rows=5, columns=7, square_mm=10.0),
+    "charuco": Charuco(rows=6, columns=8, square_mm=10.0, marker_mm=7.5, dictionary="4x4_50"),
+}
+FINER = 6
+SHIFT = 4  # bits behind the point of cv2.fillPoly
+
+
+def picture(board, turn_deg=20.0, size=(480, 640)):
+    """(picture, place in mm to pixel) of a board drawn from its own figures, slightly slanted."""
+    angle, scale = np.radians(turn_deg), 4.2
+    turn = scale * np.array([[np.cos(angle), np.sin(angle)], [np.sin(angle), -np.cos(angle)]])
+
+    def pixels(place_mm):
+        place = np.asarray(place_mm, dtype=float)
+        slant = 1 + 0.001 * place[..., :1]
+        return place @ turn.T / slant + np.array([size[1], size[0]]) / 2 - 0.5
+
+    large = np.full((FINER * size[0], FINER * size[1]), 225, np.uint8)
+    for corners in ink_polygons(board):
+        on_large = FINER * (pixels(corners) + 0.5) - 0.5
+        cv2.fillPoly(large, [np.rint(on_large * 2**SHIFT).astype(np.int32)], 30, shift=SHIFT)
+    image = cv2.resize(large, size[::-1], interpolation=cv2.INTER_AREA)
+    return cv2.GaussianBlur(image, (0, 0), 0.8), pixels
+
+
+@pytest.mark.parametrize("name", BOARDS)
+@pytest.mark.parametrize("turn_deg", [0.0, 75.0, 170.0, -100.0])
+def test_a_board_is_found_where_it_was_drawn(name, turn_deg):
+    board = BOARDS[name]
+    image, pixels = picture(board, turn_deg)
+    found = detect_target(image, board)
+    choices = [found.circle_index]
+    choices += [] if found.ambiguity is None else list(found.ambiguity)
+    assert len(choices) == (2 if name == "symmetric" else 1)
+    misses = [np.abs(found.centres_px - pixels(board.centres_mm[index])).max() for index in choices]
+    assert min(misses) < 0.25
+    assert len(found) == len(board)
+    sigma = np.sqrt(np.linalg.eigvalsh(found.covariance_px2))
+    assert (sigma > 0).all()
+    assert (sigma < 0.2).all()
+
+
+def test_a_covered_charuco_is_found_and_a_mirrored_one_refused():
+    board = BOARDS["charuco"]
+    image, pixels = picture(board)
+    covered = image.copy()
+    covered[:, :280] = 128
+    found = detect_target(covered, board)
+    assert 6 <= len(found) < len(board)
+    miss = np.abs(found.centres_px - pixels(board.centres_mm[found.circle_index])).max()
+    assert miss < 0.25
+    with pytest.raises(DetectionError, match="as in a mirror"):
+        detect_target(image[:, ::-1].copy(), board)
+
+
+def test_what_is_no_such_board_is_refused():
+    image, _ = picture(BOARDS["chessboard"])
+    with pytest.raises(DetectionError, match="No chessboard"):
+        detect_target(image, Chessboard(rows=6, columns=9, square_mm=10.0))
+    with pytest.raises(DetectionError, match="corners of the board"):
+        detect_target(image, BOARDS["charuco"])
+    with pytest.raises(DetectionError):
+        detect_target(np.full((100, 100), 90, np.uint8), Pattern.default())
+
+
+def test_boards_that_cannot_be_are_refused():
+    for wrong in (
+        {"rows": 2, "columns": 9, "square_mm": 10.0},
+        {"rows": 5, "columns": 9, "square_mm": 0.0},
+    ):
+        with pytest.raises(InputError, match="board"):
+            Chessboard(**wrong)
+    with pytest.raises(InputError, match="smaller than the squares"):
+        Charuco(rows=5, columns=5, square_mm=10.0, marker_mm=10.0)
+    with pytest.raises(InputError, match="dictionary '9x9' is unknown"):
+        Charuco(rows=5, columns=5, square_mm=10.0, marker_mm=7.0, dictionary="9x9")
+
+
+def test_every_dictionary_is_one_of_opencv():
+    from trinoc.calib import DICTIONARIES
+
+    for name in DICTIONARIES:
+        board = Charuco(rows=3, columns=3, square_mm=2.0, marker_mm=1.0, dictionary=name)
+        assert len(opencv_board(board).getChessboardCorners()) == len(board)

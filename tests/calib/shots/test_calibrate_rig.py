@@ -1,0 +1,162 @@
+"""Lenses and cameras are found together with true error bars; what cannot be is said."""
+
+import numpy as np
+import pytest
+
+from tests.calib.shots.made_shots import BOARD, LENSES, cam_from_rig, lens_of, shots
+from trinoc.calib import Systematics, calibrate_rig, projection_sigma
+from trinoc.calib.result import Status
+from trinoc.errors import CalibrationError, InputError
+from trinoc.geometry import Intrinsics
+from trinoc.io import load_rig, save
+
+EXACT = Systematics()
+
+
+@pytest.fixture(scope="module")
+def found():
+    return calibrate_rig(shots(), BOARD, systematics=EXACT)
+
+
+def relative(poses, first, second):
+    """second_from_first as (3, 4)."""
+    rotation = poses[second][:, :3] @ poses[first][:, :3].T
+    return np.column_stack([rotation, poses[second][:, 3] - rotation @ poses[first][:, 3]])
+
+
+def test_lenses_and_cameras_are_found_within_their_sigmas(found):
+    assert found.status is Status.CONVERGED
+    names = [f"{camera}.{name}" for camera in LENSES for name in lens_of(camera).parameter_names]
+    truth = np.concatenate(list(LENSES.values()))
+    free = np.array([found.sigma(name) > 0 for name in names])
+    assert free.sum() >= 24
+    rows = [found.parameters.index(name) for name in np.array(names)[free]]
+    error = found.values[rows] - truth[free]
+    whole = error @ np.linalg.solve(found.covariance[np.ix_(rows, rows)], error)
+    # Chi-square of 24 to 27: between its quantiles of 1e-4.
+    assert 7.0 < whole < 63.0
+    poses = {name: np.asarray(found.rig[name].cam_from_world) for name in LENSES}
+    exact = {name: cam_from_rig(name) for name in LENSES}
+    for other in ("left", "right"):
+        step, true = relative(poses, "middle", other), relative(exact, "middle", other)
+        np.testing.assert_allclose(step[:, :3], true[:, :3], atol=1.5e-2)
+        np.testing.assert_allclose(step[:, 3], true[:, 3], atol=5.0)
+
+
+def test_what_is_true_of_the_fit_is_said(found):
+    assert 0.8 < found.reduced_chi_square < 1.2
+    assert all(0.85 < factor < 1.15 for factor in found.sigma_factor.values())
+    assert found.halves is not None
+    assert 0.5 < found.halves.ratio < 1.6
+    assert "halves of the shots" in found.summary()
+    assert found.failures == {}
+    assert found.refused == ()
+    sigma = projection_sigma(found.rig, "left", 600.0)
+    assert sigma.sigma_px.shape == (25,)
+    assert (sigma.sigma_px > 0).all()
+    assert sigma.sigma_px.max() < 5.0
+    assert projection_sigma(found.rig, "left", 6000.0).sigma_px.max() > sigma.sigma_px.max()
+
+
+def test_the_world_may_be_a_camera(found):
+    rig = calibrate_rig(shots(), BOARD, systematics=EXACT, world="middle").rig
+    assert rig is not None
+    np.testing.assert_allclose(np.asarray(rig["middle"].cam_from_world), np.eye(3, 4), atol=1e-9)
+    poses = {name: np.asarray(rig[name].cam_from_world) for name in LENSES}
+    before = {name: np.asarray(found.rig[name].cam_from_world) for name in LENSES}
+    np.testing.assert_allclose(
+        relative(poses, "left", "right"), relative(before, "left", "right"), atol=1e-4
+    )
+    assert "middle.turn_x_deg" not in rig.parameters
+    with pytest.raises(InputError, match="neither a camera"):
+        calibrate_rig(shots(), BOARD, systematics=EXACT, world="attic")
+
+
+def test_rig_json_holds_the_covariance_of_poses_and_lenses(found, tmp_path):
+    save(found, tmp_path / "rig.json")
+    back = load_rig(tmp_path / "rig.json")
+    assert back.parameters == found.rig.parameters
+    assert {"left.pan_deg", "left.fx_px", "right.k1"} <= set(back.parameters)
+    np.testing.assert_allclose(back.covariance, found.rig.covariance, rtol=1e-12)
+    assert back.sigma("left.fx_px") == pytest.approx(found.sigma("left.fx_px"))
+
+
+def test_a_picture_of_another_moment_is_refused_by_name(found):
+    seen = shots()
+    seen["left"][3] = seen["left"][5]
+    again = calibrate_rig(seen, BOARD, systematics=EXACT)
+    assert found.refused == ()
+    (sentence,) = again.refused
+    assert sentence.startswith('shot 4: "left" shows the board')
+    for name in ("left.fx_px", "right.cx_px"):
+        assert abs(again.value(name) - found.value(name)) < 5 * found.sigma(name)
+
+
+def test_corners_located_wrongly_are_left_out():
+    seen = shots()
+    spoilt = np.array(seen["right"][2].centres_px)
+    spoilt[4] += 30.0
+    seen["right"][2] = type(seen["right"][2])(**{**vars(seen["right"][2]), "centres_px": spoilt})
+    (sentence,) = calibrate_rig(seen, BOARD, systematics=EXACT).refused
+    assert sentence.startswith('shot 3: "right": 1 of')
+
+
+def test_cameras_that_never_share_a_shot_are_chained():
+    seen = shots()
+    seen["left"][::2] = [None] * 4
+    seen["right"][1::2] = [None] * 3
+    rig = calibrate_rig(seen, BOARD, systematics=EXACT).rig
+    assert rig is not None
+    poses = {name: np.asarray(rig[name].cam_from_world) for name in LENSES}
+    exact = {name: cam_from_rig(name) for name in LENSES}
+    step, true = relative(poses, "left", "right"), relative(exact, "left", "right")
+    np.testing.assert_allclose(step[:, :3], true[:, :3], atol=1e-2)
+    assert rig.sigma("left.fx_px") > 0
+
+
+def test_cameras_that_nothing_connects_are_named_in_groups():
+    seen = shots()
+    seen["left"][4:] = [None] * 3
+    seen["middle"][:4] = [None] * 4
+    seen["right"][:4] = [None] * 4
+    with pytest.raises(CalibrationError, match="groups are left; middle, right"):
+        calibrate_rig(seen, BOARD)
+
+
+def test_cameras_out_of_step_by_one_are_told_so():
+    seen = shots(cameras=("left", "right"))
+    seen["right"] = [None, *seen["right"][:-1]]
+    with pytest.raises(CalibrationError, match="1 shot earlier: the cameras are out of step"):
+        calibrate_rig(seen, BOARD)
+
+
+def test_a_camera_that_sees_nothing_is_named():
+    seen = shots()
+    seen["right"] = [np.full((480, 640), 128, np.uint8)]
+    with pytest.raises(CalibrationError, match='Camera "right" sees the board in no picture'):
+        calibrate_rig(seen, BOARD)
+
+
+def test_shots_that_determine_nothing_are_told_why():
+    with pytest.raises(CalibrationError, match="there is one shot"):
+        calibrate_rig(shots(count=1), BOARD)
+
+
+def test_known_lenses_are_held():
+    known = {name: Intrinsics.of_lens(lens_of(name), (640, 480)) for name in LENSES}
+    result = calibrate_rig(shots(count=1), BOARD, lens=known, systematics=EXACT)
+    assert result.status is Status.CONVERGED
+    assert result.rig is not None
+    assert result.sigma("left.fx_px") == 0.0
+    poses = {name: np.asarray(result.rig[name].cam_from_world) for name in LENSES}
+    exact = {name: cam_from_rig(name) for name in LENSES}
+    step, true = relative(poses, "middle", "left"), relative(exact, "middle", "left")
+    np.testing.assert_allclose(step[:, :3], true[:, :3], atol=5e-3)
+
+
+def test_pictures_of_two_sizes_are_refused():
+    seen = shots(count=2)
+    other = seen["left"][1]
+    seen["left"][1] = type(other)(**{**vars(other), "image_size_px": (480, 640)})
+    with pytest.raises(InputError, match="turned one way"):
+        calibrate_rig(seen, BOARD)

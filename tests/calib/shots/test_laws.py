@@ -1,0 +1,121 @@
+"""Laws of the pieces: poses from rays, gradients, centres of circles' images, labellings."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from tests.calib.shots.made_shots import BOARD, SIZE_PX, board_poses, cam_from_rig, lens_of, shots
+from trinoc.calib import Chessboard, Pattern, Systematics
+from trinoc.calib.model import predicted_centre_px
+from trinoc.calib.shots.messages import undetermined_sentence
+from trinoc.calib.shots.motions import chained, inverse, motion_in_plane
+from trinoc.calib.shots.normal_equations import cost, shot_equations
+from trinoc.calib.shots.plane_pose import plane_pose
+from trinoc.calib.shots.problem import Freedom, problem_of
+from trinoc.calib.shots.residual import view_residuals
+from trinoc.calib.shots.state import retracted
+from trinoc.calib.shots.table import View, padded_count
+from trinoc.geometry import KannalaBrandt, Pose
+from trinoc.numerics import GemanMcClure
+
+CAMERAS = ("left", "middle", "right")
+
+
+def problem(poses, systematics=None):
+    """At the truth, with noise in what was seen."""
+    seen = shots(count=len(poses))
+    views = [
+        View(c, s, each, np.ones(len(each), dtype=bool))
+        for c, own in enumerate(seen.values())
+        for s, each in enumerate(own)
+    ]
+    lenses = [lens_of(name) for name in CAMERAS]
+    return problem_of(
+        views,
+        BOARD,
+        lenses,
+        np.stack([cam_from_rig(name) for name in CAMERAS]),
+        poses,
+        [SIZE_PX] * 3,
+        Freedom(np.arange(3), np.ones((3, 9), dtype=bool)),
+        Systematics.typical({}) if systematics is None else systematics,
+    )
+
+
+@pytest.mark.parametrize("focal_px", [800.0, 120.0])
+def test_a_plane_pose_is_found_from_its_rays(focal_px):
+    pose = board_poses(1)[0].copy()
+    if focal_px < 200.0:  # so near that a fisheye sees a part of it from behind
+        turn = np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])
+        pose = np.column_stack([turn @ pose[:, :3], [70.0, 0.0, 10.0]])
+    lens = KannalaBrandt(np.full(2, focal_px), np.array([320.0, 240.0]), np.zeros(()), np.zeros(4))
+    seen = BOARD.centres_mm @ pose[:, :2].T + pose[:, 3]
+    assert (seen[:, 2] < 0).any() == (focal_px < 200.0)
+    rays = np.stack([lens.unproject(lens.project_ray(ray)) for ray in seen])
+    found = plane_pose(rays, BOARD.centres_mm)
+    assert found is not None
+    np.testing.assert_allclose(found, pose, atol=1e-6)
+
+
+def test_points_on_a_line_have_no_pose():
+    places = np.stack([np.arange(6.0), np.zeros(6)], axis=1)
+    assert plane_pose(np.pad(places, ((0, 0), (0, 1)), constant_values=9.0), places) is None
+
+
+def test_the_equations_are_those_of_the_cost():
+    here, loss = problem(board_poses(3)), GemanMcClure.from_scale(jnp.asarray(3.0))
+    table, chart, state = jax.tree.map(jnp.asarray, (here.table, here.chart, here.state))
+    off = 1e-3 * np.random.default_rng(0).normal(size=len(chart.free))
+    start = retracted(state, chart, off, np.zeros((8, 6)))
+
+    def at(head, boards):
+        return cost(retracted(start, chart, head, boards), chart, table, loss)
+
+    zero = jnp.zeros(len(chart.free)), jnp.zeros((8, 6))
+    by_head, by_boards = jax.jit(jax.grad(at, argnums=(0, 1)))(*zero)
+    equations = jax.jit(shot_equations)(start, chart, table, loss)
+    np.testing.assert_allclose(2 * equations.gradient[0], by_head, rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(2 * equations.gradient[1], by_boards, rtol=1e-6, atol=1e-6)
+
+
+def test_a_circle_is_predicted_as_the_exact_model_has_it():
+    sheet, lens, pose = Pattern.default(), lens_of("left"), board_poses(1)[0]
+    chart = problem(board_poses(1)).chart
+    chart = type(chart)(**{**vars(chart), "has_circles": True, "half_mm": np.full(2, 70.0)})
+    places, radius = sheet.centres_mm[:5], sheet.radius_mm[:5]
+    found = view_residuals(
+        lens, np.eye(3, 4), pose, np.zeros(4), chart, places, radius, np.zeros((5, 2))
+    )
+    exact = [predicted_centre_px(Pose(pose), lens, p, r) for p, r in zip(places, radius)]
+    np.testing.assert_allclose(found, exact, atol=2e-4)
+
+
+def test_motions_are_chained_and_undone():
+    first, second = board_poses(2)
+    np.testing.assert_allclose(chained(inverse(first), first), np.eye(3, 4), atol=1e-12)
+    both = chained(second, first)
+    np.testing.assert_allclose(chained(both, inverse(first)), second, atol=1e-9)
+
+
+@pytest.mark.parametrize("board", [Chessboard(rows=5, columns=7, square_mm=1.0),
+                                   Chessboard(rows=4, columns=4, square_mm=1.0)])  # fmt: skip
+def test_turns_of_a_board_are_motions_in_its_plane(board):
+    assert len(board.turns) == (2 if board.rows == 5 else 4)
+    for turn in board.turns:
+        there = board.centres_mm[turn]
+        motion = motion_in_plane(board.centres_mm, there)
+        moved = there @ motion[:2, :2].T + motion[:2, 3]
+        np.testing.assert_allclose(moved, board.centres_mm, atol=1e-12)
+
+
+def test_lengths_of_arrays_are_few():
+    padded = {padded_count(count, 8) for count in range(1, 200)}
+    assert padded == {8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256}
+    assert all(padded_count(count, 8) >= count for count in range(1, 200))
+
+
+def test_a_board_that_is_parallel_in_all_shots_is_told():
+    flat = np.stack([board_poses(1)[0]] * 3)
+    flat[:, :, 3] += np.arange(3)[:, None] * 20.0
+    assert "parallel in all shots" in undetermined_sentence(problem(flat), ("left.fx_px",))

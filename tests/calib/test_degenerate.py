@@ -1,0 +1,71 @@
+"""Sheets and points that tell no camera are named (table in docs/limits.md)."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import trinoc
+from trinoc.errors import TrinocError
+from trinoc.geometry import Camera
+from trinoc.synth import render_sheet, table1_lens, table1_rig
+
+RIG, LENS = table1_rig(), table1_lens()
+PATTERN = trinoc.Pattern.cross_grid(rows=6, columns=6, pitch_mm=24.0, radius_mm=7.0)
+STEPS_MM = 20.0 * np.arange(-3, 4)
+TABLE = (Path(__file__).parents[2] / "docs" / "limits.md").read_text(encoding="utf-8")
+
+
+def picture(camera=RIG["upper"], pattern=PATTERN):
+    return render_sheet(pattern, camera, supersampling=2, noise_sigma=1.0)
+
+
+def by_points(points_mm):
+    image = points_mm @ RIG["upper"].matrix_px[:, :3].T + RIG["upper"].matrix_px[:, 3]
+    return trinoc.calibrate_points(points_mm, image[:, :2] / image[:, 2:], LENS)
+
+
+def calibrated(**images):
+    return trinoc.calibrate(images, PATTERN, LENS, method="circles")
+
+
+def edge_on():
+    pose = {"pan_deg": 0.0, "tilt_deg": 3.0, "swing_deg": 0.0, "distance_mm": 470.0}
+    return calibrated(upper=picture(Camera.from_degrees(LENS, **pose)))
+
+
+def one_row():
+    pattern = trinoc.Pattern.circle_grid(rows=1, columns=6, pitch_mm=24.0, radius_mm=7.0)
+    return trinoc.calibrate({"upper": picture(pattern=pattern)}, pattern, LENS)
+
+
+CASES = {
+    "sheet edge-on": (edge_on, "was found in the picture; see that it lies flat, in focus"),
+    "all circles in one line": (one_row, "has too few circles off one line to be found"),
+    "all points in one line": (
+        lambda: by_points(np.stack([STEPS_MM, STEPS_MM, 0 * STEPS_MM], axis=1)),
+        "do not spread enough to tell a pose: give points that spread in depth and across",
+    ),
+    "all points at one place": (
+        lambda: by_points(np.full((8, 3), 5.0)),
+        "points do not spread enough to tell a pose",
+    ),
+    "identical pictures": (
+        lambda: calibrated(upper=picture(), left=picture()),
+        "The same picture was given for cameras",
+    ),
+    "mirrored picture": (
+        lambda: calibrated(upper=picture()[:, ::-1].copy()),
+        "mirrored; flip it left to right, or photograph the printed side.",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_what_tells_no_camera_is_named(case):
+    call, sentence = CASES[case]
+    with pytest.raises(TrinocError) as caught:
+        call()
+    assert sentence in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert sentence in TABLE

@@ -1,0 +1,41 @@
+"""`trinoc pattern --board` and `trinoc calibrate-rig`: files, and what they say of mistakes."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+
+from trinoc.cli.main import main
+from trinoc.io import load_target
+
+
+@pytest.mark.parametrize(("board", "corners"), [("chessboard", 24), ("charuco", 24)])
+def test_a_board_is_drawn_with_its_layout(board, corners, tmp_path, capsys):
+    layout = tmp_path / "board.json"
+    size = ["--rows", "5", "--columns", "7", "--square-mm", "20"]
+    assert main(["pattern", "--board", board, *size, "-o", str(layout), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["corners"] == corners
+    assert len(load_target(layout)) == corners
+    assert "<polygon" in layout.with_suffix(".svg").read_text()
+
+
+@pytest.mark.parametrize(
+    ("places", "says", "status"),
+    [
+        ([], "No pictures are given", 2),
+        (["left"], "names no view", 2),
+        (["left=nowhere"], 'no picture of "left"', 1),
+        (["left=pictures", "right=pictures"], 'of "left" and of "right"', 1),
+        (["left=pictures"], 'Camera "left" sees the board in no picture', 1),
+    ],
+)
+def test_mistakes_are_told_in_one_sentence(places, says, status, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "pictures").mkdir()
+    cv2.imwrite("pictures/1.png", np.full((60, 80), 100, np.uint8))
+    assert main(["pattern", "--board", "charuco", "-o", "board.json", "--quiet"]) == 0
+    capsys.readouterr()
+    assert main(["calibrate-rig", *places, "--board", "board.json", "--quiet"]) == status
+    assert says in capsys.readouterr().err
+    assert not (tmp_path / "rig.json").exists()

@@ -1,0 +1,122 @@
+"""A small valid file of every kind that is read, with its reader, for tests that damage it."""
+
+import importlib.util
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+
+import trinoc
+from tests.io.formats.bench import bench_matches, bench_rig
+from trinoc.io import (
+    FORMATS,
+    load_any,
+    load_frames,
+    load_intrinsics,
+    load_rig_status,
+    load_scene_truth,
+    load_shape,
+    read_image,
+    save_frames,
+)
+from trinoc.recording import FrameMatches, frames_of_table
+
+RIG = bench_rig()
+
+
+class ValidFile(NamedTuple):
+    """A file to damage, and what reads it (or the folder that it is a part of)."""
+
+    path: Path
+    load: Callable[[], Any]
+
+
+def valid_files(folder: Path) -> dict[str, ValidFile]:
+    """All of them, written below a folder."""
+    found: dict[str, ValidFile] = {}
+
+    def add(kind: str, name: str, load: Callable[[Path], Any]) -> Path:
+        path = folder / kind / name
+        path.parent.mkdir(parents=True)
+        found[kind] = ValidFile(path, lambda: load(path))
+        return path
+
+    trinoc.save(RIG, add("rig", "rig.json", trinoc.load_rig))
+    trinoc.save(RIG, add("status", "rig.json", load_rig_status))
+    trinoc.save(RIG["upper"].intrinsics, add("lens", "camera.json", load_intrinsics))
+    pattern = trinoc.Pattern.cross_grid(rows=2, columns=2, pitch_mm=20.0, radius_mm=6.0)
+    trinoc.save(pattern, add("pattern", "pattern.json", trinoc.load_pattern))
+    matches = measured()
+    trinoc.save(matches, add("matches", "matches.npz", trinoc.load_matches))
+    trinoc.save(matches, add("any", "any.npz", load_any))
+    ends = np.random.default_rng(2).uniform(0, 400, (5, 4))
+    segments = trinoc.Segments.from_endpoints(ends)
+    trinoc.save(segments, add("segments", "segments.npz", trinoc.load_segments))
+    np.savetxt(add("table", "segments.csv", trinoc.load_segments), ends, delimiter=",")
+    np.save(add("array", "segments.npy", trinoc.load_segments), ends)
+    results = [FrameMatches("1", "ok", matches), FrameMatches("2", "has no picture.", None)]
+    save_frames(results, matches.views, add("frames", "matches-000000.npz", load_frames))
+    if importlib.util.find_spec("pyarrow"):
+        file = add("frames in parquet", "matches-000000.parquet", load_frames)
+        save_frames(results, matches.views, file)
+    listed = add("frame table", "frames.csv", _frame_table)
+    listed.write_text("frame,upper,left\n1,a.png,b.png\n2,c/a.png,\n")
+    add("shape", "shape.obj", load_shape).write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\nl 1 2\n")
+    add("edges", "edges.csv", load_shape).write_text("0,0,0,1,1,1\n2,2,2,3,4,5\n")
+    truth = Path(trinoc.__file__).parent / "synth" / "demo" / "truth.json"
+    shutil.copy(truth, add("truth", "truth.json", load_scene_truth))
+    image = np.random.default_rng(3).integers(0, 256, (12, 16), np.uint8)
+    for ending in ("png", "tif", "jpg", "bmp", "pgm", "webp"):
+        encoded = cv2.imencode(f".{ending}", image)[1].tobytes()
+        add(ending, f"picture.{ending}", read_image).write_bytes(encoded)
+    found |= _of_other_tools(folder, segments)
+    return found
+
+
+def measured() -> trinoc.Matches:
+    """Matches with all fields, as the matcher gives them."""
+    plain = bench_matches(4)
+    random = np.random.default_rng(9)
+    root = random.normal(size=(*plain.index.shape, 4, 4))
+    covariance = root @ root.swapaxes(-1, -2)
+    covariance[plain.index < 0] = np.nan
+    return trinoc.Matches(
+        **{
+            **{name: getattr(plain, name) for name in plain.__dataclass_fields__},
+            "fragments_covariance_px2": covariance,
+            "misfit": np.ones(len(plain)),
+            "viewpoint_dependent": np.zeros(len(plain), dtype=bool),
+            "notes": ("a note.",),
+        }
+    )
+
+
+def _frame_table(path: Path) -> Any:
+    from trinoc.io import read_text
+
+    return frames_of_table(read_text(path), ("upper", "left"), str(path))
+
+
+def _of_other_tools(folder: Path, segments: trinoc.Segments) -> dict[str, ValidFile]:
+    """Files of formats that are read; of a folder, each of its files in turn."""
+    found = {}
+    lenses = {name: camera.intrinsics for name, camera in RIG.items()}
+    for name, form in FORMATS.items():
+        if not form.reads:
+            continue
+        below = folder / f"of {name}"
+        below.mkdir(parents=True)
+        rig = bench_rig(0 if name.startswith("colmap") else 4)
+        value = segments if "segments" in form.reads else rig
+        target = below / f"rig{(form.endings or ('.txt',))[0]}"
+        if form.place == "folder" or ("folder" in form.place and "rig" in form.reads):
+            target = below / "rig"
+        form.save(value, target)
+        for path in sorted(target.rglob("*")) if target.is_dir() else [target]:
+            if path.is_file():
+                load = lambda form=form, target=target: form.load(target, lenses=lenses)  # noqa: E731
+                found[f"{name} {path.name}"] = ValidFile(path, load)
+    return found

@@ -1,0 +1,176 @@
+"""What leaves nothing to measure is named, and never yields a number that means nothing.
+
+The sentences are those of the table in docs/limits.md.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import trinoc
+from tests.match.made import loose_lines, pictures, rig_of
+from trinoc.errors import InputError, MatchError, TrinocError
+from trinoc.geometry import Camera, Pose, Rig
+
+RIG = rig_of("upper", "right", "left")
+LENS = RIG["upper"].intrinsics
+TABLE = (Path(__file__).parents[2] / "docs" / "limits.md").read_text(encoding="utf-8")
+COUNT = 30
+
+
+def looking(centre_mm, target_mm=(0.0, 0.0, 0.0)):
+    """A camera at a place, that looks at a place."""
+    forward = np.subtract(target_mm, centre_mm)
+    forward = forward / np.linalg.norm(forward)
+    right = np.cross(forward, [0.0, 1.0, 0.3])
+    right /= np.linalg.norm(right)
+    turn = np.stack([right, np.cross(forward, right), forward])
+    return Camera(LENS, Pose(np.c_[turn, -turn @ np.asarray(centre_mm)]))
+
+
+IN_LINE = Rig({name: looking((x, 0.0, 400.0)) for name, x in zip("abc", (-100, 0, 100))})
+# The second stands in the first one's picture.
+BEHIND_EACH_OTHER = Rig(
+    {"a": looking((0, 0, 500.0)), "b": looking((0, 0, 400.0)), "c": looking((5, 80, 420.0))}
+)
+AT_ONE_PLACE = Rig(
+    {"a": looking((-100, 0, 400)), "b": looking((-100, 0, 400), (9, 0, 0)), "c": IN_LINE["c"]}
+)
+
+
+def flipped(ends_px):
+    """Segments of the picture turned left to right."""
+    return ends_px * [-1, 1, -1, 1] + np.array([511, 0, 511, 0])
+
+
+def along(direction):
+    """Segments all of one direction."""
+    lines = loose_lines(COUNT, 3)
+    step = np.multiply(direction, np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1)[:, None])
+    return np.stack([lines[:, 0], lines[:, 0] + step], axis=1)
+
+
+def spokes(inner_mm, outer_mm):
+    """Segments of the sheet on lines through its origin, where the epipole of "a" and "b" is."""
+    angle = np.linspace(0, 6, 20)
+    ring = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    return np.stack([inner_mm * ring, outer_mm * ring], axis=1)
+
+
+def matched(rig, lines_mm, noise_px=0.2):
+    return trinoc.match_segments(seen(rig, lines_mm, noise_px), rig)
+
+
+def seen(rig, lines_mm, noise_px=0.2):
+    return {n: e.reshape(-1, 4) for n, e in pictures(rig, lines_mm, noise_px, seed=4).items()}
+
+
+def expect_sound(matches):
+    """Every number of every track is finite, and every covariance has full rank."""
+    shown = np.asarray(matches.index) >= 0
+    for values in (matches.lines_mm, matches.covariance_mm2, matches.posterior, matches.misfit):
+        assert np.isfinite(values).all()
+    assert np.isfinite(matches.fragments_px[shown]).all()
+    if len(matches):
+        assert (np.linalg.eigvalsh(matches.covariance_mm2)[:, 0] > 0).all()
+
+
+def expect_in_table(sentence):
+    """The sentence stands in the table, but for the names and numbers of this case."""
+    assert sentence in TABLE, sentence
+
+
+ERRORS = {
+    "two cameras at one place": (
+        lambda: matched(AT_ONE_PLACE, loose_lines(COUNT, 3)),
+        'The cameras "a" and "b" stand at one place, which leaves depth unknown',
+    ),
+    "identical pictures": (
+        lambda: trinoc.match_segments(dict.fromkeys(RIG, seen(RIG, along([1, 0, 0]))["left"]), RIG),
+        "have the same segments: give those of the picture that each camera took.",
+    ),
+    "zero length": (
+        lambda: trinoc.match_segments(
+            {n: np.r_[e, [[5, 5, 5, 5]]] for n, e in seen(RIG, along([1, 0, 0])).items()}, RIG
+        ),
+        "has two equal ends (1 such segments in all): remove them before matching.",
+    ),
+    "mirrored rig": (
+        lambda: trinoc.match_segments(
+            {n: flipped(e) for n, e in seen(RIG, loose_lines(COUNT, 3)).items()},
+            mirrored(RIG.names),
+        ),
+        "give the matrices of unmirrored pictures in a right-handed world.",
+    ),
+    "one mirrored camera": (
+        lambda: matched(mirrored(["upper"]), loose_lines(COUNT, 3)),
+        "is mirrored or looks the wrong way",
+    ),
+    "no centre": (
+        lambda: Rig.from_matrices({"a": np.zeros((3, 4)), "b": np.ones((3, 4))}, (512, 480)),
+        "The projection matrix has no finite centre",
+    ),
+}
+
+
+def mirrored(names):
+    """The rig with the pictures of these cameras turned left to right."""
+    flip = np.array([[-1.0, 0, 511], [0, 1, 0], [0, 0, 1]])
+    matrices = {n: flip @ c.matrix_px if n in names else c.matrix_px for n, c in RIG.items()}
+    return Rig.from_matrices(matrices, (512, 480))
+
+
+@pytest.mark.parametrize("case", ERRORS)
+def test_what_cannot_be_matched_is_named(case):
+    call, sentence = ERRORS[case]
+    with pytest.raises(TrinocError) as caught:
+        call()
+    assert isinstance(caught.value, InputError | MatchError)
+    assert sentence in str(caught.value)
+    assert "\n" not in str(caught.value)
+    expect_in_table(sentence)
+
+
+def test_centres_in_a_line_are_noted_and_what_lies_along_it_is_left_out():
+    across, lengthwise = matched(IN_LINE, loose_lines(COUNT, 3)), matched(IN_LINE, along([1, 0, 0]))
+    note = "The cameras' centres lie on one line"
+    for matches in (across, lengthwise):
+        expect_sound(matches)
+        assert any(note in said for said in matches.notes)
+    expect_in_table(note)
+    assert len(lengthwise) < COUNT / 5 < len(across)
+    assert (lengthwise.reasons["a"] == "along the epipolar lines").sum() > 0
+    expect_in_table("along the epipolar lines")
+
+
+@pytest.mark.parametrize("direction", [[1, 0, 0], [0, 1, 0], [0, 0, 1]])
+def test_parallel_segments_are_matched_where_some_pair_of_views_locates_them(direction):
+    matches = matched(RIG, along(np.array(direction, dtype=float)))
+    expect_sound(matches)
+    assert len(matches) > COUNT / 2
+
+
+@pytest.mark.parametrize("span_mm", [(5, 50), (-30, 50), (0, 50)])
+def test_segments_through_an_epipole_are_sound_or_left_out(span_mm):
+    matches = matched(BEHIND_EACH_OTHER, spokes(*span_mm))
+    expect_sound(matches)
+    reasons = set(matches.reasons["a"].tolist())
+    assert reasons <= {"matched", "no partner in the zone", "evidence too weak"} | {
+        word for word in reasons if word.startswith(("ambiguous", "lost", "along", "missing"))
+    }
+
+
+def test_what_lies_behind_the_cameras_is_not_matched():
+    matches = matched(RIG, loose_lines(COUNT, 3) + np.array([0, 0, 2000]))
+    assert len(matches) == 0
+    assert set(matches.reasons["upper"].tolist()) == {"no partner in the zone"}
+    expect_in_table("no partner in the zone")
+
+
+def test_no_degenerate_answer_is_written_with_a_nan(tmp_path):
+    for rig, lines in ((IN_LINE, along([1, 0, 0])), (BEHIND_EACH_OTHER, spokes(-30, 50))):
+        matches = matched(rig, lines)
+        trinoc.save(matches, tmp_path / "matches.npz")
+        # The reader refuses what is not finite.
+        assert len(trinoc.load_matches(tmp_path / "matches.npz")) == len(matches)

@@ -1,0 +1,142 @@
+"""The verdict: the worst check decides, and what is not good says what to do."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from trinoc.calib import CalibrationResult, Status, point_covariance
+from trinoc.geometry import Rig
+from trinoc.match import Matches
+from trinoc.report.coverage_part import CoverageFigure, coverage_part
+from trinoc.report.field_part import FieldPart, field_part
+from trinoc.report.labels import HEIGHT, LETTER, place_labels
+from trinoc.report.pictures import PagePicture, Window
+from trinoc.report.verdict_part import LEAST_COVERAGE, Level, Verdict, verdict_part
+
+
+@pytest.fixture(scope="module")
+def pictures(rig: Rig) -> dict[str, PagePicture]:
+    return {name: PagePicture(name, *camera.image_size_px, "") for name, camera in rig.items()}
+
+
+@pytest.fixture(scope="module")
+def coverage(
+    result: CalibrationResult, pictures: dict[str, PagePicture]
+) -> tuple[CoverageFigure, ...]:
+    return coverage_part(result, pictures)
+
+
+@pytest.fixture(scope="module")
+def field(result: CalibrationResult, pictures: dict[str, PagePicture]) -> FieldPart:
+    part = field_part(result.rig, result.pattern, None, pictures)
+    assert part is not None
+    return part
+
+
+def judged(
+    result: CalibrationResult | None = None,
+    matches: Matches | None = None,
+    doubts: dict[str, str] | None = None,
+    coverage: tuple[CoverageFigure, ...] = (),
+    field: FieldPart | None = None,
+) -> Verdict:
+    verdict = verdict_part(result, matches, doubts or {}, coverage, (), field)
+    assert verdict is not None
+    return verdict
+
+
+def test_a_good_calibration_is_decided_by_how_well_a_place_is_known(
+    result: CalibrationResult, coverage: tuple[CoverageFigure, ...], field: FieldPart
+) -> None:
+    verdict = judged(result, coverage=coverage, field=field)
+    assert verdict.level is Level.GOOD
+    assert verdict.sentence == "You can use this rig."
+    assert verdict.reason.startswith("± ")
+    assert all(check.remedy for check in verdict.checks if check.level is not Level.GOOD)
+
+
+def test_a_suspect_camera_decides_in_the_words_of_its_note(result: CalibrationResult) -> None:
+    status = {**result.status, "left": Status.SUSPECT}
+    verdict = judged(dataclasses.replace(result, status=status))
+    assert verdict.level is Level.BAD
+    assert "2 of 3 cameras calibrated: left: suspect. Circle 7 was left out" in verdict.reason
+
+
+def test_a_rig_that_was_doubted_spoils_its_matches(matches: Matches) -> None:
+    assert judged(matches=matches).level is Level.GOOD
+    verdict = judged(matches=matches, doubts={"upper": "Its residuals are a swirl."})
+    assert verdict.sentence == "Do not rely on these matches."
+    assert "Its residuals are a swirl." in verdict.reason
+
+
+def test_residuals_beyond_noise_ask_for_care_and_then_are_bad(result: CalibrationResult) -> None:
+    for chi_square, level in ((1.9, Level.GOOD), (2.1, Level.CARE), (9.1, Level.BAD)):
+        fit = dataclasses.replace(result.fits["right"], reduced_chi_square=chi_square)
+        worse = dataclasses.replace(result, fits={**result.fits, "right": fit})
+        (check,) = [c for c in judged(worse).checks if c.question.startswith("Are the residuals")]
+        assert check.level is level
+        assert "right" in check.words or chi_square < 1.03
+
+
+def test_views_that_disagree_ask_for_a_check_of_the_rig(matches: Matches) -> None:
+    verdict = judged(matches=dataclasses.replace(matches, noise_scale=2.5))
+    assert verdict.level is Level.CARE
+    assert verdict.reason.startswith("2.50 times")
+    assert any("trinoc check" in check.remedy for check in verdict.checks)
+
+
+def test_few_matches_are_no_matches(matches: Matches) -> None:
+    three = np.flatnonzero(matches.stage == "trinocular")
+    stage = np.array(matches.stage)
+    stage[three[8:]] = "binocular"
+    assert judged(matches=dataclasses.replace(matches, stage=stage)).level is Level.BAD
+
+
+def test_coverage_is_the_share_that_the_circles_surround(
+    result: CalibrationResult, coverage: tuple[CoverageFigure, ...]
+) -> None:
+    for figure in coverage:
+        inside = figure.centres_px
+        low, high = inside.min(axis=0), inside.max(axis=0)
+        box = np.prod(high - low) / np.prod(result.rig[figure.name].image_size_px)
+        assert 0.4 * box < figure.share < box
+    small = tuple(figure._replace(share=0.9 * LEAST_COVERAGE) for figure in coverage)
+    assert judged(result, coverage=small).level is Level.CARE
+
+
+def test_the_maps_show_what_the_library_says(
+    result: CalibrationResult, field: FieldPart, rig: Rig
+) -> None:
+    low = field.planes[0]
+    assert low.name == "Z = 0 mm"
+    middle = low.cells[12]
+    covariance = point_covariance(rig, np.array([middle.u, -middle.v, 0.0]))
+    largest = float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
+    assert field.middle_mm == pytest.approx(largest)
+    shown = float(middle.text) * (1e-3 if "µm" in low.caption else 1)
+    assert shown == pytest.approx(largest, abs=5e-5)
+    assert len(field.pictures) == len(rig)
+    assert all(0 <= cell.shade <= 1 for map_ in field.pictures for cell in map_.cells)
+    assert max(cell.shade for map_ in field.pictures for cell in map_.cells) == 1
+
+
+def test_a_rig_without_errors_has_no_maps(rig: Rig, pictures: dict[str, PagePicture]) -> None:
+    bare = Rig(dict(rig.items()))
+    assert field_part(bare, None, None, pictures) is None
+
+
+def test_labels_stand_beside_their_lines_and_not_on_each_other() -> None:
+    window = Window(-0.5, -0.5, 512, 480)
+    random = np.random.default_rng(5)
+    first = random.uniform(40, 440, size=(60, 2))
+    lines = np.stack([first, first + random.normal(scale=25, size=(60, 2))], axis=1)
+    placed = place_labels([str(k) for k in range(60)], lines, window)
+    assert 20 < len(placed) <= 60
+    boxes = np.array([(p.u, p.v, len(p.text) * LETTER / 2, HEIGHT / 2) for p in placed])
+    for row, (u, v, width, height) in enumerate(boxes):
+        others = np.delete(boxes, row, axis=0)
+        apart = (abs(others[:, 0] - u) >= others[:, 2] + width - 1e-9) | (
+            abs(others[:, 1] - v) >= others[:, 3] + height - 1e-9
+        )
+        assert apart.all()

@@ -1,0 +1,99 @@
+"""Pages name what exists: commands and options, names of the package, files, other pages."""
+
+import ast
+import importlib
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+import yaml
+
+import trinoc
+from trinoc.cli.main import main
+
+ROOT = Path(__file__).parent.parent
+PAGES = sorted([*(ROOT / "docs").glob("*.md"), ROOT / "README.md"])
+
+
+def blocks(page: Path, language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(encoding="utf-8"), re.M | re.S)
+
+
+def command_lines(page: Path) -> list[list[str]]:
+    lines = "\n".join(blocks(page, "sh")).replace("\\\n", " ").splitlines()
+    words = [shlex.split(line, comments=True) for line in lines if line.startswith("trinoc ")]
+    return [line for line in words if "..." not in line and not line[1].startswith("-")]
+
+
+@pytest.fixture(scope="module")
+def options() -> dict[str, set[str]]:
+    """Of each command, what its help offers."""
+    import contextlib
+    import io
+
+    found = {}
+    for command in re.findall(
+        r"^### `trinoc (\w+)`", (ROOT / "docs/reference.md").read_text(), re.M
+    ):
+        said = io.StringIO()
+        with contextlib.redirect_stdout(said):
+            assert main([command, "--help"]) == 0
+        found[command] = set(re.findall(r"(?<![\w-])--?[a-z][a-z0-9-]*", said.getvalue()))
+    return found
+
+
+def test_every_command_line_names_a_command_and_its_options(options: dict[str, set[str]]) -> None:
+    wrong = [
+        f"{page.name}: {' '.join(line)}"
+        for page in PAGES
+        for line in command_lines(page)
+        if line[1] not in options
+        or {word for word in line if re.fullmatch(r"--?[a-z][a-z-]*", word)} - options[line[1]]
+    ]
+    assert wrong == []
+
+
+def test_every_name_in_python_exists() -> None:
+    wrong = []
+    for page in PAGES:
+        for block in blocks(page, "python"):
+            # An ellipsis stands for what the reader adds.
+            for node in ast.walk(ast.parse(re.sub(r", \.\.\.(?=[})])", "", block))):
+                if (
+                    isinstance(node, ast.Attribute)
+                    and isinstance(node.value, ast.Name)
+                    and node.value.id == "trinoc"
+                    and not hasattr(trinoc, node.attr)
+                ):
+                    wrong.append(f"{page.name}: trinoc.{node.attr}")
+                if isinstance(node, ast.ImportFrom) and node.module and "trinoc" in node.module:
+                    room = importlib.import_module(node.module)
+                    wrong += [
+                        f"{page.name}: {node.module}.{alias.name}"
+                        for alias in node.names
+                        if not hasattr(room, alias.name)
+                    ]
+    assert wrong == []
+
+
+def test_links_and_pictures_lead_somewhere() -> None:
+    wrong = [
+        f"{page.name}: {target}"
+        for page in PAGES
+        for target in re.findall(r"\]\(([^)#:]+?)(?:#[^)]*)?\)", page.read_text(encoding="utf-8"))
+        if not (page.parent / target).exists()
+    ]
+    assert wrong == []
+
+
+def test_every_page_is_in_the_table_of_contents() -> None:
+    listed = re.findall(r"(\S+\.md)$", (ROOT / "mkdocs.yml").read_text(encoding="utf-8"), re.M)
+    assert sorted(listed) == sorted(page.name for page in (ROOT / "docs").glob("*.md"))
+    assert yaml.safe_load((ROOT / "mkdocs.yml").read_text())["strict"]
+
+
+def test_every_notebook_is_described() -> None:
+    page = (ROOT / "docs" / "start-notebook.md").read_text(encoding="utf-8")
+    named = set(re.findall(r"^\| `(\w+)` \|", page, re.M))
+    assert {path.stem for path in (ROOT / "notebooks").glob("*.ipynb")} <= named

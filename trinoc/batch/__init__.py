@@ -1,0 +1,11 @@
+"""Recordings matched frame by frame: on threads or a cluster, stopped and taken up at any time.
+
+`source` finds the frames of a folder or a table; `work` reads one part's pictures and matches them;
+`flow` keeps so many parts in the air and no more; `memory` says how many; `workers` are the threads
+or the cluster; `folder` is where results go and what is there already. `run` puts them together,
+`results` reads what was written.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

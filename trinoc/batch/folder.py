@@ -1,0 +1,153 @@
+"""The folder of results: what is to be done, what is done, and one program at a time.
+
+    recording.json            what every file here was made from, and how
+    matches-000012.npz        what became of the frames of part 12; there or not, never in part
+    manifest.jsonl            a line for each frame; manifest-2-of-4.jsonl of job 2 of 4
+
+A part is done when its file is there. Its lines are appended to the manifest after that, so that a
+kill between the two is mended from the file. When all parts of a job are done, the lines are put
+in order.
+"""
+
+import contextlib
+import json
+import os
+import re
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from trinoc.batch.manifest import lines_of, read_lines, text_of
+from trinoc.errors import InputError
+from trinoc.io import load_frames, parsed_json, read_text, save_frames, write_text
+from trinoc.recording import OK, FrameMatches, Part
+
+DESCRIPTION = "recording.json"
+
+
+class Folder:
+    """Results of one job in a folder.
+
+    done : number of a part to its manifest lines. tally : "frames", "failed" and "tracks" of all.
+    """
+
+    def __init__(self, path: Path, ending: str, manifest: Path, stream: Any) -> None:
+        self.path, self.ending, self.manifest, self._stream = path, ending, manifest, stream
+        self.done: dict[int, list[dict[str, Any]]] = {}
+        self.tally: Counter[str] = Counter()
+
+    def file_of(self, number: int) -> Path:
+        """The file of a part."""
+        return self.path / f"matches-{number:06d}{self.ending}"
+
+    def look(self, parts: Sequence[Part]) -> None:
+        """Find out which parts are done; sweep what a killed program left of the others."""
+        files = {self.file_of(part.number).name: part for part in parts}
+        scratch = re.compile(r"\.(matches-\d{6,}\.\w+)\.[0-9a-f]{8}\.tmp")
+        present = set()
+        for name in sorted(os.listdir(self.path)):
+            left = scratch.fullmatch(name)
+            # The manifest is locked: nobody else writes these.
+            if left is not None and left[1] in files:
+                (self.path / name).unlink(missing_ok=True)
+            elif name in files:
+                present.add(name)
+        lines = read_lines(self.manifest)
+        for name in sorted(present):
+            part, known = files[name], lines.get(name, [])
+            if [line.get("frame") for line in known] == [frame.name for frame in part.frames]:
+                self._note(part.number, known)
+                continue
+            try:
+                results = load_frames(self.path / name)
+            except InputError:
+                (self.path / name).unlink()
+                continue
+            self._append(part.number, results)
+
+    def commit(self, number: int, results: Sequence[FrameMatches], views: Sequence[str]) -> None:
+        """Write a part, then its lines. Raises InputError where the disk does not take it."""
+        save_frames(results, views, self.file_of(number))
+        self._append(number, results)
+
+    def order(self) -> None:
+        """Put the lines in the order of the frames."""
+        texts = (
+            json.dumps(line, ensure_ascii=False) for k in sorted(self.done) for line in self.done[k]
+        )
+        write_text(self.manifest, "".join(f"{text}\n" for text in texts))
+
+    def _append(self, number: int, results: Sequence[FrameMatches]) -> None:
+        lines = lines_of(results, self.file_of(number).name)
+        self._stream.write(text_of(lines).encode("utf-8"))
+        self._note(number, lines)
+
+    def _note(self, number: int, lines: list[dict[str, Any]]) -> None:
+        self.done[number] = lines
+        for line in lines:
+            self.tally["frames"] += 1
+            self.tally["failed"] += line["status"] != OK
+            self.tally["tracks"] += sum(line.get("tracks", {}).values())
+
+
+@contextlib.contextmanager
+def opened(
+    path: Path, shard: tuple[int, int], description: Mapping[str, Any], ending: str
+) -> Iterator[Folder]:
+    """The folder for one job, made where it is not there, and locked against a second program.
+
+    Raises InputError where it holds the results of something else, or is in use.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        _describe(path / DESCRIPTION, description)
+        job, jobs = shard
+        manifest = path / ("manifest.jsonl" if jobs == 1 else f"manifest-{job}-of-{jobs}.jsonl")
+        stream = open(manifest, "ab", buffering=0)  # noqa: SIM115
+    except OSError as error:
+        raise InputError(
+            f"{path} cannot be written to ({error.strerror}): choose another folder."
+        ) from error
+    with stream:
+        _lock(stream, manifest)
+        _cut_torn_line(manifest)
+        yield Folder(path, ending, manifest, stream)
+
+
+def _describe(file: Path, description: Mapping[str, Any]) -> None:
+    """Write what the results are made from, or compare it with what stands there."""
+    if not file.exists():
+        write_text(file, json.dumps(description, indent=2, ensure_ascii=False) + "\n")
+        return
+    there = parsed_json(read_text(file), file)
+    there = there if isinstance(there, dict) else {}
+    for key in {**description, **there}:
+        if there.get(key) != description.get(key):
+            raise InputError(
+                f'{file.parent} holds results that differ in "{key}": give the same recording, '
+                "rig and options to go on with them, or choose another folder."
+            )
+
+
+def _lock(stream: Any, manifest: Path) -> None:
+    try:
+        import fcntl
+    except ImportError:  # Windows
+        return
+    try:
+        fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        raise InputError(
+            f"Another trinoc batch is writing {manifest}: let it end, or give each its own shard."
+        ) from error
+    except OSError:
+        pass  # a file system without locks
+
+
+def _cut_torn_line(manifest: Path) -> None:
+    """What a kill left of the last line goes, so that the next line begins anew."""
+    content = manifest.read_bytes()
+    whole = content.rfind(b"\n") + 1
+    if whole < len(content):
+        os.truncate(manifest, whole)

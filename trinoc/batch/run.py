@@ -1,0 +1,197 @@
+"""A recording matched into a folder, from wherever an earlier run of it stopped."""
+
+import dataclasses
+import hashlib
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Future
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import trinoc
+from trinoc.batch.flow import in_window
+from trinoc.batch.folder import Folder, opened
+from trinoc.batch.memory import (
+    PARTS_PER_WORKER,
+    half_of_the_machine,
+    resident_bytes,
+    threads_within,
+)
+from trinoc.batch.source import Source, find_frames
+from trinoc.batch.work import Work
+from trinoc.batch.workers import Workers, cluster, threads
+from trinoc.errors import InputError, TrinocError
+from trinoc.geometry import Rig
+from trinoc.io import frames_ending, rig_text
+from trinoc.recording import FrameMatches, Part, parts_of, share_of
+
+
+class BatchProgress(NamedTuple):
+    """How many frames of the job are done, of these failed, and there in all."""
+
+    done: int
+    failed: int
+    total: int
+
+
+@dataclasses.dataclass(frozen=True)
+class BatchOutcome:
+    """What became of the frames of a job.
+
+    frames, failed, tracks : numbers of frames, of those that failed, and of tracks in all.
+    earlier : how many of the frames an earlier run had done.
+    workers : how many worked at once, and `where` ("threads", or the cluster's address).
+    """
+
+    folder: Path
+    manifest: Path
+    frames: int
+    failed: int
+    tracks: int
+    earlier: int
+    workers: int
+    where: str
+
+
+def match_recording(
+    frames: str | os.PathLike[str],
+    rig: Rig,
+    out: str | os.PathLike[str],
+    *,
+    template: str | None = None,
+    find: Mapping[str, Any] | None = None,
+    depth_range_mm: tuple[float, float] | None = None,
+    shard: tuple[int, int] = (1, 1),
+    frames_per_file: int = 16,
+    ending: str | None = None,
+    threads_at_most: int | None = None,
+    scheduler: str | None = None,
+    memory_gb: float | None = None,
+    on_progress: Callable[[BatchProgress], None] | None = None,
+) -> BatchOutcome:
+    """Find and match the segments of every frame of a recording, and write them to a folder.
+
+    Parameters
+    ----------
+    frames : a folder, or a CSV table with the columns frame and one for each camera of the rig.
+        Files are pictures, or segments as `load_segments` reads them.
+    rig : the cameras; a frame needs a file of each.
+    out : the folder of results. Where it holds some of the same recording, the rest is done.
+    template : how the files are named, such as "{frame}_{camera}.png" or
+        "{camera}/{frame}.tif"; the usual ways are tried where it is None.
+    find : options of `find_segments`.
+    depth_range_mm : as of `match_segments`.
+    shard : (i, n), job i of n, from 1 on, which does each n-th file of results. Jobs may run at
+        once and share the folder.
+    frames_per_file : frames that are matched together and stand in one file of results.
+    ending : ".npz" or ".parquet"; Parquet where pyarrow is installed.
+    threads_at_most : threads of this process; as many as the machine has cores. Fewer are taken
+        where the pictures are so large that memory would not suffice.
+    scheduler : address of a Dask scheduler, whose workers are used in place of threads.
+    memory_gb : how much memory this process may take; half of the machine's. Where it takes more,
+        no part is begun before others are written.
+    on_progress : called after each file of results.
+
+    A frame that fails has a line in the manifest that says why, and does not stop the others.
+    The files do not depend on threads, cluster, jobs or interruptions. Whatever ends the program,
+    what is written stays, and the same call goes on from there.
+
+    Raises InputError: no frames, results of something else in `out`, another program at work there.
+    """
+    for name, value in (("frames_per_file", frames_per_file), ("threads_at_most", threads_at_most)):
+        if value is not None and value < 1:
+            raise InputError(f"{name} is {value}, but must be 1 or more.")
+    if memory_gb is not None and not memory_gb > 0:
+        raise InputError(f"memory_gb is {memory_gb}, but must be positive.")
+    if ending not in (None, ".npz", ".parquet"):
+        raise InputError(f'ending is "{ending}": choose ".npz" or ".parquet".')
+    source = find_frames(frames, rig.names, template)
+    own = share_of(parts_of(source.frames, frames_per_file), shard)
+    ending = ending or _ending_there(Path(out)) or frames_ending()
+    work = Work(source.folder.resolve(), rig, dict(find or {}), depth_range_mm)
+    description = _description(source, work, frames_per_file, ending)
+    memory = half_of_the_machine() if memory_gb is None else memory_gb * 1e9
+    with opened(Path(out), shard, description, ending) as folder:
+        folder.look(own)
+        earlier = folder.tally["frames"]
+        left = [part for part in own if part.number not in folder.done]
+        total = sum(len(part.frames) for part in own)
+
+        def tell() -> None:
+            if on_progress is not None:
+                tally = folder.tally
+                on_progress(BatchProgress(tally["frames"], tally["failed"], total))
+
+        tell()
+        wanted = threads_at_most or os.cpu_count() or 1
+        count = min(threads_within(memory, rig, wanted), max(len(left), 1))
+        crew = threads(work, count) if scheduler is None else cluster(work, scheduler)
+        with crew as workers:
+            for number, results in _results(workers, left, memory):
+                folder.commit(number, results, rig.names)
+                tell()
+        folder.order()
+        return _outcome(folder, earlier, workers)
+
+
+def _results(
+    workers: Workers, parts: Sequence[Part], memory: float
+) -> Iterator[tuple[int, list[FrameMatches]]]:
+    most = PARTS_PER_WORKER * workers.count
+    finished = in_window(
+        workers.executor, workers.do, parts, most, lambda: resident_bytes() < memory
+    )
+    for part, future in finished:
+        yield part.number, _result(part, future, workers.where)
+
+
+def _result(part: Part, future: Future[Any], where: str) -> list[FrameMatches]:
+    try:
+        return future.result()
+    except TrinocError:
+        raise
+    except Exception as error:
+        if type(error).__name__ == "KilledWorker":
+            said = "The workers that took this frame's part died: look at their logs for memory."
+            return [FrameMatches(frame.name, said, None) for frame in part.frames]
+        raise InputError(
+            f"The work at {where} ended early ({type(error).__name__}: {error}): what is done is "
+            "kept, and the same command goes on from there."
+        ) from error
+
+
+def _description(source: Source, work: Work, frames_per_file: int, ending: str) -> dict[str, Any]:
+    """What the results depend on, by content, so that equal ones can be told from others."""
+    listed = "\n".join(f"{f.name}\t{c}\t{f.files[c]}" for f in source.frames for c in f.files)
+    return {
+        "format": "trinoc-recording",
+        "version": 1,
+        "trinoc": trinoc.__version__,
+        "views": list(work.rig.names),
+        "frames": len(source.frames),
+        "files_sha256": hashlib.sha256(listed.encode("utf-8", "surrogateescape")).hexdigest(),
+        "rig_sha256": hashlib.sha256(rig_text(work.rig).encode()).hexdigest(),
+        "find": dict(sorted(work.find.items())),
+        "depth_range_mm": None if work.depth_range_mm is None else list(work.depth_range_mm),
+        "frames_per_file": frames_per_file,
+        "ending": ending,
+    }
+
+
+def _ending_there(out: Path) -> str | None:
+    """The ending of the results that are there: they go on as they began."""
+    found = {path.suffix for path in out.glob("matches-*")} & {".npz", ".parquet"}
+    return min(found, default=None)
+
+
+def _outcome(folder: Folder, earlier: int, workers: Workers) -> BatchOutcome:
+    return BatchOutcome(
+        folder=folder.path,
+        manifest=folder.manifest,
+        frames=folder.tally["frames"],
+        failed=folder.tally["failed"],
+        tracks=folder.tally["tracks"],
+        earlier=earlier,
+        workers=workers.count,
+        where=workers.where,
+    )

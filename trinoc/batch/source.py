@@ -1,0 +1,62 @@
+"""Where the frames of a recording lie."""
+
+import os
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from trinoc.errors import InputError
+from trinoc.io import IMAGE_SUFFIXES, read_text
+from trinoc.recording import (
+    Frame,
+    depth_of,
+    fitting_template,
+    frames_of_names,
+    frames_of_table,
+)
+
+SEGMENT_SUFFIXES = (".npz", ".npy", ".csv", ".txt")
+
+
+class Source(NamedTuple):
+    """Frames, and the folder that their files are relative to."""
+
+    folder: Path
+    frames: list[Frame]
+
+
+def find_frames(
+    place: str | os.PathLike[str], cameras: Sequence[str], template: str | None = None
+) -> Source:
+    """The frames of a folder, by a template of file names, or those that a CSV table lists.
+
+    Without a template the usual ones are tried. Raises InputError.
+    """
+    path = Path(place)
+    if path.suffix.lower() == ".csv" and not path.is_dir():
+        if template is not None:
+            raise InputError(f"{path} lists the files by itself: leave the template out.")
+        return Source(path.parent, frames_of_table(read_text(path), cameras, str(path)))
+    if not path.is_dir():
+        raise InputError(f"{path} is no folder and no CSV table: give the recording's folder.")
+    try:
+        names = sorted(_files(path, 1 if template is None else depth_of(template)))
+    except OSError as error:
+        raise InputError(f"{error.filename} cannot be listed ({error.strerror}).") from error
+    if template is None:
+        known = (*IMAGE_SUFFIXES, *SEGMENT_SUFFIXES)
+        names = [name for name in names if name.lower().endswith(known)]
+        template = fitting_template(names, cameras)
+    return Source(path, frames_of_names(names, template, cameras))
+
+
+def _files(folder: Path, depth: int, prefix: str = "") -> Iterator[str]:
+    """Names of the files at most so many folders deep; hidden ones are left out."""
+    with os.scandir(folder) as entries:
+        for entry in entries:
+            if entry.name.startswith("."):
+                continue
+            if entry.is_file():
+                yield prefix + entry.name
+            elif depth > 0 and entry.is_dir():
+                yield from _files(folder / entry.name, depth - 1, f"{prefix}{entry.name}/")

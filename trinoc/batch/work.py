@@ -1,0 +1,72 @@
+"""What one worker does: the pictures of the frames of a part to their matches."""
+
+import os
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from trinoc.batch.source import SEGMENT_SUFFIXES
+from trinoc.errors import InputError, TrinocError
+from trinoc.geometry import Rig, Segments
+from trinoc.io import expect_inside, expect_size, load_segments, picture_digest, read_image
+from trinoc.recording import Frame, FrameMatches, Part, matched_frames, unexpected
+from trinoc.segments import find_segments
+
+
+class Work(NamedTuple):
+    """All that is needed beside the part; it travels to the machines of a cluster."""
+
+    folder: Path
+    rig: Rig
+    find: Mapping[str, Any]
+    depth_range_mm: tuple[float, float] | None
+
+
+class Stopped(Exception):
+    """The work on a part was given up, because the program ends."""
+
+
+def part_results(
+    work: Work, part: Part, stopped: Callable[[], bool] = lambda: False
+) -> list[FrameMatches]:
+    """What becomes of each frame. One picture is in memory at a time.
+
+    Raises Stopped where `stopped` says so between two pictures; no frame's failure is raised.
+    """
+    found: dict[str, dict[str, Segments] | str] = {}
+    for frame in part.frames:
+        try:
+            found[frame.name] = _segments(work, frame, stopped)
+        except TrinocError as error:
+            # The recording may be moved between two runs: its folder is no part of the answer.
+            found[frame.name] = str(error).replace(f"{work.folder}{os.sep}", "")
+        except Stopped:
+            raise
+        except Exception as error:
+            found[frame.name] = unexpected(error)
+    return matched_frames(found, work.rig, depth_range_mm=work.depth_range_mm)
+
+
+def _segments(work: Work, frame: Frame, stopped: Callable[[], bool]) -> dict[str, Segments]:
+    segments: dict[str, Segments] = {}
+    view_of: dict[bytes, str] = {}
+    for camera in work.rig.names:
+        if stopped():
+            raise Stopped
+        if camera not in frame.files:
+            raise InputError(f'Frame "{frame.name}" has no picture of "{camera}": add it.')
+        file = work.folder / frame.files[camera]
+        if file.suffix.lower() in SEGMENT_SUFFIXES:
+            segments[camera] = load_segments(file)
+            expect_inside(camera, segments[camera], work.rig, file)
+            continue
+        image = read_image(file)
+        expect_size(camera, image, work.rig)
+        other = view_of.setdefault(picture_digest(image), camera)
+        if other != camera:
+            raise InputError(
+                f'Views "{other}" and "{camera}" of frame "{frame.name}" are the same picture '
+                f"({file}): give the picture that each camera took."
+            )
+        segments[camera] = find_segments(image, **work.find)
+    return segments

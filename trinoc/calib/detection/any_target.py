@@ -1,0 +1,33 @@
+"""The detector that belongs to a board."""
+
+import numpy as np
+from jaxtyping import Shaped
+
+from trinoc.calib.detection.charuco import detect_charuco
+from trinoc.calib.detection.chessboard import detect_chessboard
+from trinoc.calib.detection.detection import Detection
+from trinoc.calib.detection.search import detect_pattern
+from trinoc.calib.targets import AbstractTarget, Charuco, Chessboard, Pattern
+from trinoc.errors import InputError
+
+
+def detect_target(image: Shaped[np.ndarray, "..."], target: AbstractTarget) -> Detection:
+    """The labelled places of a board in one picture, with their covariances.
+
+    image : (height, width) or (height, width, channels), 8 or 16 bit or real numbers.
+
+    Raises
+    ------
+    InputError : `image` is no picture, or nothing detects such a target.
+    DetectionError : the board is not seen, or not in a way that can be trusted.
+    """
+    match target:
+        case Pattern():
+            return detect_pattern(image, target)
+        case Chessboard():
+            return detect_chessboard(image, target)
+        case Charuco():
+            return detect_charuco(image, target)
+    raise InputError(
+        f"Nothing detects a {type(target).__name__}: give a Pattern, a Chessboard or a Charuco."
+    )

@@ -1,0 +1,51 @@
+"""How well a picture shows the corner between four squares."""
+
+import cv2
+import numpy as np
+from jaxtyping import Float
+
+from trinoc.calib.detection.grey import SearchImage
+
+# The least that corner detectors miss a corner by, per axis, in the best of pictures.
+_FLOOR_PX = 0.01
+# Half the width of the window, as a share of the distance to the nearest corner.
+_WINDOW_SHARE = 0.4
+_SMALLEST_HALF_PX, _LARGEST_HALF_PX = 3, 12
+
+
+def corner_covariance_px2(
+    image: SearchImage, corners_px: Float[np.ndarray, "m 2"]
+) -> Float[np.ndarray, "m 2 2"]:
+    """Covariance of each corner by the grey levels around it.
+
+    Noise of variance s^2 leaves a corner the covariance s^2 (sum of g g^T)^-1, where g are the
+    gradients in a window about it; that of the detector's own error comes on top. Only their
+    ratios are to be trusted: what corners really miss by, their fit tells.
+    """
+    grey = np.asarray(image.grey, dtype=np.float32)
+    by_u = cv2.Scharr(grey, cv2.CV_32F, 1, 0, scale=1 / 32)
+    by_v = cv2.Scharr(grey, cv2.CV_32F, 0, 1, scale=1 / 32)
+    half = _half_window_px(corners_px)
+    side = 2 * half + 1
+    products = [
+        cv2.boxFilter(product, cv2.CV_32F, (side, side), normalize=False)
+        for product in (by_u * by_u, by_u * by_v, by_v * by_v)
+    ]
+    column, row = np.clip(
+        np.rint(corners_px).astype(int), 0, np.array([grey.shape[1], grey.shape[0]]) - 1
+    ).T
+    a, b, c = (product[row, column].astype(np.float64) for product in products)
+    # A window without structure must not make a matrix that has no inverse.
+    floor = 1e-6 * (a + c).max() + 1e-12
+    a, c = a + floor, c + floor
+    determinant = np.maximum(a * c - b * b, floor**2)
+    inverse = np.stack([np.stack([c, -b], axis=1), np.stack([-b, a], axis=1)], axis=1)
+    noise = max(image.noise_sigma, 0.3)
+    return noise**2 * inverse / determinant[:, None, None] + _FLOOR_PX**2 * np.eye(2)
+
+
+def _half_window_px(corners_px: Float[np.ndarray, "m 2"]) -> int:
+    apart = np.linalg.norm(corners_px[:, None] - corners_px[None], axis=2)
+    np.fill_diagonal(apart, np.inf)
+    pitch = float(np.median(apart.min(axis=1)))
+    return int(np.clip(_WINDOW_SHARE * pitch, _SMALLEST_HALF_PX, _LARGEST_HALF_PX))

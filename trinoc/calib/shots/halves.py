@@ -1,0 +1,97 @@
+"""Do two halves of the shots agree as well as their covariances claim?"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from trinoc.calib.shots.covariance import information_of
+from trinoc.calib.shots.problem import Problem, lens_number, with_sheet_held
+from trinoc.calib.shots.robust_fit import fitted
+
+_FEWEST_SHOTS = 4
+
+
+class HalvesCheck(NamedTuple):
+    """The rig from one half of the shots against that from the other.
+
+    Fields
+    ------
+    ratio : difference over claimed sigma, root mean square over everything determined: 1 where
+        the model is right, more where something is not in it.
+    worst : name of the parameter with the largest difference in sigmas, as "camera 1" has them.
+    worst_ratio : that difference.
+    parameters : how many were compared.
+    """
+
+    ratio: float
+    worst: str
+    worst_ratio: float
+    parameters: int
+
+
+def halves_check(
+    problem: Problem, cameras: tuple[str, ...], variance_factor: float
+) -> HalvesCheck | None:
+    """Compare every second shot with the others; None where a half does not determine the rig.
+
+    The board is taken as the whole fit found it, since both halves share it; `variance_factor` is
+    that by which its covariance was enlarged.
+    """
+    shots = sorted({view.shot for view in problem.views if view.used.any()})
+    if len(shots) < _FEWEST_SHOTS:
+        return None
+    problem = with_sheet_held(problem)
+    ends = []
+    for remainder in (0, 1):
+        half = set(shots[remainder::2])
+        views = tuple(
+            view if view.shot in half else view._replace(used=np.zeros_like(view.used))
+            for view in problem.views
+        )
+        end, converged = fitted(problem._replace(views=views))
+        information = information_of(end)
+        seen = information.seen
+        if not converged or seen.rank < len(information.free):
+            return None
+        ends.append((_steps_between(problem, end)[information.free], seen.covariance))
+    (first, first_covariance), (second, second_covariance) = ends
+    covariance = variance_factor * (first_covariance + second_covariance)
+    difference = first - second
+    sigma = np.sqrt(np.diag(covariance))
+    ratio = float(np.sqrt(difference @ np.linalg.solve(covariance, difference) / len(difference)))
+    each = np.abs(difference) / sigma
+    worst = int(np.argmax(each))
+    names = _head_names(problem, cameras)
+    column = int(np.flatnonzero(problem.chart.free)[worst])
+    return HalvesCheck(ratio, names[column], float(each[worst]), len(difference))
+
+
+def _steps_between(problem: Problem, end: Problem) -> np.ndarray:
+    """The step of the head that takes the whole fit to that of a half."""
+    start, stop, chart = problem.state, end.state, problem.chart
+    count = len(chart.lens_scale)
+    lenses = [
+        np.asarray(lens_number(end, k).parameters) - np.asarray(lens_number(problem, k).parameters)
+        for k in range(count)
+    ]
+    by_lens = np.stack(lenses) / np.asarray(chart.lens_scale)
+    poses = []
+    for after, before in zip(stop.cam_from_rig, start.cam_from_rig, strict=True):
+        turn = np.asarray(after)[:, :3] @ np.asarray(before)[:, :3].T
+        skew = 0.5 * np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0],
+                               turn[1, 0] - turn[0, 1]])  # fmt: skip
+        shift = (np.asarray(after)[:, 3] - np.asarray(before)[:, 3]) / float(chart.unit_mm)
+        poses.append(np.concatenate([skew, shift]))
+    return np.concatenate([by_lens.ravel(), np.ravel(poses), np.zeros(4)])
+
+
+def _head_names(problem: Problem, cameras: tuple[str, ...]) -> list[str]:
+    of_lens = problem.state.lenses.parameter_names
+    owner = [
+        cameras[int(np.flatnonzero(problem.chart.lens_of_camera == k)[0])]
+        for k in range(len(problem.chart.lens_scale))
+    ]
+    pose = ("turn_x", "turn_y", "turn_z", "x", "y", "z")
+    names = [f"{name}.{each}" for name in owner for each in of_lens]
+    names += [f"{name}.{each}" for name in cameras for each in pose]
+    return [*names, "scale_x", "scale_y", "warp_x", "warp_y"]

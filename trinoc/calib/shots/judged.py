@@ -1,0 +1,197 @@
+"""From a fitted rig to one judged result."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from jaxtyping import Float
+
+from trinoc.calib.result import Status
+from trinoc.calib.shots.covariance import (
+    Information,
+    World,
+    cam_from_world,
+    information_of,
+    named_covariance,
+)
+from trinoc.calib.shots.halves import halves_check
+from trinoc.calib.shots.messages import notes_of_rig, refused_sentences, undetermined_sentence
+from trinoc.calib.shots.motions import chained, inverse
+from trinoc.calib.shots.placing import PlacedRig
+from trinoc.calib.shots.problem import Problem, lens_number, with_lens_free
+from trinoc.calib.shots.result import RigFromShots
+from trinoc.calib.shots.robust_fit import RobustFit, errors_px, refitted
+from trinoc.calib.shots.shot_scatter import shot_scatter, with_factor
+from trinoc.calib.shots.sightings_of_shots import FoundShots
+from trinoc.calib.uncertainty import Systematics
+from trinoc.errors import CalibrationError, InputError
+from trinoc.geometry import Camera, Intrinsics, Pose, Rig, simplified
+
+# Of the largest sigma: below, there is none.
+_EXACT = 1e-12
+
+
+def judged(
+    fit: RobustFit,
+    placed: PlacedRig,
+    found: FoundShots,
+    cameras: tuple[str, ...],
+    world: str | None,
+    known: Mapping[str, Intrinsics],
+    systematics: Systematics,
+    *,
+    may_give_up: bool,
+    throw: bool,
+) -> RigFromShots:
+    """What the shots determine, in the world asked for, and what to do where that is not all.
+
+    With `may_give_up`, coefficients that the lens's model calls dispensable are held at 0, one
+    after the other, where the shots do not determine all.
+    """
+    place = _world(world, placed, fit.problem, cameras)
+    fit, given_up = _determined(fit) if may_give_up else (fit, ())
+    problem, information = fit.problem, information_of(fit.problem)
+    seen = information.seen
+    full = seen.rank == len(information.free)
+    status = Status.CONVERGED
+    if not full:
+        status = Status.RANK_DEFICIENT
+    elif not fit.converged:
+        status = Status.NOT_CONVERGED
+    head_covariance = np.nan_to_num(seen.covariance)
+    scatter = shot_scatter(information, head_covariance)
+    factor = scatter.variance_factor if full else 1.0
+    enlarged = with_factor(head_covariance, factor, information.prior)
+    named = named_covariance(problem, information, enlarged, factor, cameras, place)
+    covariance, open_rows = named.covariance, _open_rows(problem, information, named.names)
+    values = np.array(named.values)
+    if not full:
+        covariance[open_rows], covariance[:, open_rows], values[open_rows] = np.nan, np.nan, np.nan
+    gauge = tuple(name for name, is_open in zip(named.names, open_rows) if is_open and not full)
+    poses = np.asarray(cam_from_world(problem.state, place))
+    rig = None
+    if status is Status.CONVERGED:
+        rig = _rig(problem, cameras, poses, found, known, named.names, covariance)
+    notes = notes_of_rig(fit, cameras, given_up, factor)
+    if status is Status.RANK_DEFICIENT:
+        notes = (undetermined_sentence(problem, gauge), *notes)
+    elif status is Status.NOT_CONVERGED:
+        notes = (f"{status.value} See that all pictures show this board.", *notes)
+    base = inverse(chained(inverse(poses[0]), np.asarray(problem.state.cam_from_rig)[0]))
+    boards = problem.state.rig_from_board[: problem.shots]
+    result = RigFromShots(
+        rig=rig,
+        status=status,
+        parameters=named.names,
+        values=values,
+        covariance=covariance,
+        gauge=gauge,
+        world=f"the board in {placed.shots[place.shot]}"
+        if place.shot is not None
+        else f"the camera {cameras[place.camera or 0]}",
+        target=problem.target,
+        cameras=cameras,
+        shots=placed.shots,
+        world_from_board=np.stack([chained(inverse(base), np.asarray(b)) for b in boards]),
+        views=problem.views,
+        residuals_px=tuple(errors_px(problem)),
+        sigma_factor=dict(zip(cameras, problem.sigma_factor.tolist(), strict=True)),
+        reduced_chi_square=fit.chi_square / fit.freedom if fit.freedom > 0 else float("nan"),
+        halves=halves_check(problem, cameras, factor) if status is Status.CONVERGED else None,
+        failures={f"{camera}, {shot}": why for (camera, shot), why in found.failures.items()},
+        refused=(*placed.refused, *refused_sentences(fit, placed, cameras)),
+        systematics=systematics.words,
+        notes=notes,
+    )
+    if throw and status is not Status.CONVERGED:
+        raise CalibrationError(notes[0], {}, result)
+    return result
+
+
+def _world(
+    world: str | None, placed: PlacedRig, problem: Problem, cameras: tuple[str, ...]
+) -> World:
+    """The shot or the camera asked for; the first of the shots that most cameras saw."""
+    counts = np.bincount(
+        [view.shot for view in problem.views if view.used.any()], minlength=problem.shots
+    )
+    if world is None:
+        return World(int(np.argmax(counts)), None)
+    if world in placed.shots:
+        shot = placed.shots.index(world)
+        if counts[shot]:
+            return World(shot, None)
+    if world in cameras:
+        return World(None, cameras.index(world))
+    raise InputError(
+        f'The world is to lie in "{world}", which is neither a camera ({", ".join(cameras)}) nor a '
+        "shot in which the board was found."
+    )
+
+
+def _determined(fit: RobustFit) -> tuple[RobustFit, tuple[str, ...]]:
+    """The fit with as many coefficients as are determined, and those that were given up."""
+    richest, given_up = fit, []
+    lenses = fit.problem.state.lenses
+    for name in ("", *lenses.dispensable):
+        if name:
+            column = lenses.parameter_names.index(name)
+            count, size = fit.problem.chart.lens_scale.shape
+            free = np.asarray(fit.problem.chart.free)[: count * size].reshape(count, size) > 0
+            if not free[:, column].any():
+                continue
+            free = free.copy()
+            free[:, column] = False
+            fit = refitted(fit, with_lens_free(fit.problem, free))
+            given_up.append(name)
+        information = information_of(fit.problem)
+        if information.seen.rank == len(information.free):
+            return fit, tuple(given_up)
+    return richest, ()
+
+
+def _open_rows(problem: Problem, information: Information, names: tuple[str, ...]) -> np.ndarray:
+    """Which named parameters what is not determined touches."""
+    chart = problem.chart
+    count, size = np.asarray(chart.lens_scale).shape
+    open_head = np.zeros(len(chart.free), dtype=bool)
+    open_head[information.free[list(information.seen.gauge)]] = True
+    of_lens = open_head[: count * size].reshape(count, size)
+    any_pose = bool(open_head[count * size :].any())
+    rows = []
+    for lens in chart.lens_of_camera:
+        rows += [any_pose or bool(of_lens.any())] * 6 + of_lens[lens].tolist()
+    rows += open_head[-4:].tolist()
+    assert len(rows) == len(names)
+    return np.array(rows)
+
+
+def _rig(
+    problem: Problem,
+    cameras: tuple[str, ...],
+    poses: Float[np.ndarray, "c 3 4"],
+    found: FoundShots,
+    known: Mapping[str, Intrinsics],
+    names: tuple[str, ...],
+    covariance: Float[np.ndarray, "p p"],
+) -> Rig:
+    """The cameras, with the covariance of everything that is theirs and was fitted."""
+    members = {}
+    for number, camera in enumerate(cameras):
+        own = int(problem.chart.lens_of_camera[number])
+        if camera in known:
+            intrinsics = known[camera]
+        else:
+            lens = lens_number(problem, own)
+            size = next(iter(found.detections[camera].values())).image_size_px
+            intrinsics = Intrinsics.of_lens(simplified(lens), size)
+        members[camera] = Camera(intrinsics, Pose(poses[number]))
+    # What is held, and the pose of a camera that is the world, has the variance of rounding.
+    sigma = np.sqrt(np.diag(covariance))
+    kept = [
+        k
+        for k, name in enumerate(names)
+        if not name.startswith("board.") and sigma[k] > _EXACT * max(float(sigma.max()), 1e-300)
+    ]
+    return Rig(
+        members, parameters=[names[k] for k in kept], covariance=covariance[np.ix_(kept, kept)]
+    )

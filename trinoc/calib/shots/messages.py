@@ -1,0 +1,117 @@
+"""What the fit of a rig from many shots tells its user, in sentences."""
+
+import numpy as np
+
+from trinoc.calib.shots.motions import chained
+from trinoc.calib.shots.placing import PlacedRig
+from trinoc.calib.shots.problem import Problem
+from trinoc.calib.shots.robust_fit import RobustFit
+from trinoc.calib.shots.state import SHEET_NAMES
+
+# Boards tilted by less hardly shorten: focal length and distance look alike.
+_SQUARE_DEG = 8.0
+# A scale or a warp beyond this many sigmas of what was known of it before is told.
+_SURPRISING = 3.0
+
+
+def undetermined_sentence(problem: Problem, gauge: tuple[str, ...]) -> str:
+    """Which parameters the shots cannot determine, and why where that is plain."""
+    few = ", ".join(gauge[:8]) + (f" and {len(gauge) - 8} more" if len(gauge) > 8 else "")
+    return f"The shots do not determine {few}{_reason(problem)}."
+
+
+def _reason(problem: Problem) -> str:
+    used = [view for view in problem.views if view.used.any()]
+    shots = {view.shot for view in used}
+    if len(shots) == 1:
+        return (
+            ": there is one shot, and a plane tells two numbers of a lens and no more. Take more, "
+            "the board tilted another way in each, or give the lenses"
+        )
+    tilts = []
+    for view in used:
+        cam_from_rig = np.asarray(problem.state.cam_from_rig)[view.camera]
+        pose = chained(cam_from_rig, np.asarray(problem.state.rig_from_board)[view.shot])
+        tilts.append(np.degrees(np.arccos(np.clip(abs(pose[2, 2]), 0.0, 1.0))))
+    facing = [np.asarray(problem.state.rig_from_board)[shot][:, 2] for shot in shots]
+    spread = np.degrees(np.arccos(np.clip(np.abs(np.array(facing) @ facing[0]), 0.0, 1.0)))
+    if max(tilts) < _SQUARE_DEG:
+        return (
+            ": all pictures show the board square to the camera, where a longer focal length and a "
+            "larger distance look the same. Tilt the board by 30 to 50 degrees, another way each "
+            "time"
+        )
+    if spread.max() < _SQUARE_DEG:
+        return (
+            ": the board is parallel in all shots. Tilt it by 30 to 50 degrees, another way each "
+            "time"
+        )
+    return ": take more shots, the board tilted another way in each"
+
+
+def refused_sentences(
+    fit: RobustFit, placed: PlacedRig, cameras: tuple[str, ...]
+) -> tuple[str, ...]:
+    """Pictures that show the board elsewhere, and how many places were located wrongly."""
+    sentences = [
+        f'{placed.shots[shot]}: "{cameras[camera]}" shows the board {miss:.1f} px from where the '
+        "rig has it, so the board moved or the picture is of another moment; it was left out."
+        for camera, shot, miss in fit.moved
+    ]
+    moved = {(camera, shot) for camera, shot, _ in fit.moved}
+    for view in fit.problem.views:
+        wrong = int((~view.used).sum())
+        if wrong and (view.camera, view.shot) not in moved:
+            sentences.append(
+                f'{placed.shots[view.shot]}: "{cameras[view.camera]}": {wrong} of '
+                f"{len(view.used)} places {'was' if wrong == 1 else 'were'} located wrongly and "
+                "left out."
+            )
+    return tuple(sentences)
+
+
+def notes_of_rig(
+    fit: RobustFit, cameras: tuple[str, ...], given_up: tuple[str, ...], variance_factor: float
+) -> tuple[str, ...]:
+    """Sentences on lens, board and shots."""
+    notes = []
+    if variance_factor > 1.0:
+        notes.append(
+            f"The shots disagree {np.sqrt(variance_factor):.1f} times as much as their places "
+            "scatter, and all sigmas are enlarged by that: the board bends, or the cameras do not "
+            "look at the same moment, or the lens is of another model."
+        )
+    if given_up:
+        notes.append(f"The shots cannot determine {', '.join(given_up)}, held at 0.")
+    problem = fit.problem
+    if problem.chart.has_circles:
+        for camera, factor in zip(cameras, problem.sigma_factor, strict=True):
+            if factor > np.sqrt(2.0):
+                notes.append(
+                    f"The circles of {camera} scatter {factor:.1f} times as much as their own "
+                    "sigmas say; all sigmas are enlarged by that. See that the board is flat and "
+                    "does not move, and that focus and zoom stay."
+                )
+    notes += _surprises(problem)
+    return tuple(notes)
+
+
+def _surprises(problem: Problem) -> list[str]:
+    """Where the board is not as it was said to be."""
+    information = np.asarray(problem.chart.sheet_information)
+    free = np.flatnonzero(np.diag(information) > 0)
+    if not len(free):
+        return []
+    covariance = np.linalg.inv(information[np.ix_(free, free)])
+    found = np.asarray(problem.state.sheet)[free]
+    told = []
+    for name, value, sigma in zip(
+        np.array(SHEET_NAMES)[free], found, np.sqrt(np.diag(covariance)), strict=True
+    ):
+        if abs(value) > _SURPRISING * sigma:
+            said = f"{value:.2f} mm" if name.endswith("_mm") else f"{100 * value:.2f} %"
+            told.append(
+                f"The board's {name.removesuffix('_mm')} is {said}, more than was thought possible "
+                f"({abs(value) / sigma:.0f} sigmas): check the layout and the size of its squares."
+            )
+    return told

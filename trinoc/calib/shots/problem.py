@@ -1,0 +1,166 @@
+"""A rig to be fitted: its views, where the fit starts, and what of it is free."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import Bool, Float
+
+from trinoc.calib.shots.state import POSE_SIZE, SHEET_SIZE, Chart, RigState
+from trinoc.calib.shots.table import FEWEST_SHOTS, View, ViewTable, padded_count, view_table
+from trinoc.calib.targets import AbstractTarget
+from trinoc.calib.uncertainty import Systematics
+from trinoc.geometry import AFFINE_PARAMETERS, AbstractLens, stack_lenses
+
+_SMALLEST_SIGMA = 1e-12
+
+
+class Freedom(NamedTuple):
+    """What is fitted of the lenses.
+
+    Fields
+    ------
+    lens_of_camera : (c,) which lens each camera has.
+    free : (l, q) which parameters of each lens are fitted.
+    """
+
+    lens_of_camera: np.ndarray
+    free: Bool[np.ndarray, "l q"]
+
+
+class Problem(NamedTuple):
+    """Everything that the fit takes.
+
+    Fields
+    ------
+    views : what was seen.
+    target : the board.
+    state : where the fit starts, or where it ended.
+    chart : units, and what is free.
+    shots : how many there are; arrays have more rows.
+    sigma_factor : (c,) by how much the places' sigmas are multiplied for each camera.
+    """
+
+    views: tuple[View, ...]
+    target: AbstractTarget
+    state: RigState
+    chart: Chart
+    shots: int
+    sigma_factor: Float[np.ndarray, "c"]
+
+    @property
+    def cameras(self) -> int:
+        """How many cameras there are."""
+        return len(self.chart.lens_of_camera)
+
+    @property
+    def table(self) -> ViewTable:
+        """The views as arrays."""
+        table = view_table(self.views, self.target)
+        by_view = self.sigma_factor[np.asarray(table.camera)]
+        return table._replace(whitening=table.whitening / by_view[:, None, None, None])
+
+
+def problem_of(
+    views: Sequence[View],
+    target: AbstractTarget,
+    lenses: Sequence[AbstractLens],
+    cam_from_rig: Float[np.ndarray, "c 3 4"],
+    rig_from_board: Float[np.ndarray, "s 3 4"],
+    image_sizes_px: Sequence[tuple[int, int]],
+    freedom: Freedom,
+    systematics: Systematics,
+) -> Problem:
+    """The problem at its start. The first camera stays where it is.
+
+    image_sizes_px : (width, height) of the pictures of each lens.
+    """
+    shots = len(rig_from_board)
+    more = padded_count(shots, FEWEST_SHOTS) - shots
+    boards = np.concatenate([rig_from_board, np.broadcast_to(np.eye(3, 4), (more, 3, 4))])
+    stacked = stack_lenses([_plain(lens) for lens in lenses])
+    scale = np.stack(
+        [lens.parameter_scales(size) for lens, size in zip(lenses, image_sizes_px, strict=True)]
+    )
+    depths = [
+        np.linalg.norm(cam_from_rig[v.camera][:, :3] @ boards[v.shot][:, 3]
+                       + cam_from_rig[v.camera][:, 3]) for v in views
+    ]  # fmt: skip
+    information, sheet_free = _sheet_prior(systematics)
+    pose_free = np.ones((len(cam_from_rig), POSE_SIZE))
+    pose_free[0] = 0.0
+    chart = Chart(
+        lens_scale=scale,
+        unit_mm=np.asarray(float(np.median(depths))),
+        half_mm=np.abs(target.centres_mm).max(axis=0),
+        lens_of_camera=np.asarray(freedom.lens_of_camera),
+        free=np.concatenate([freedom.free.astype(float).ravel(), pose_free.ravel(), sheet_free]),
+        sheet_information=information,
+        has_circles=bool(np.any(target.radius_mm > 0)),
+    )
+    state = RigState(stacked, np.asarray(cam_from_rig), boards, np.zeros(SHEET_SIZE))
+    factor = np.ones(len(cam_from_rig))
+    problem = Problem(tuple(views), target, state, chart, shots, factor)
+    return with_lens_free(problem, freedom.free)
+
+
+def with_lens_free(problem: Problem, free: Bool[np.ndarray, "l q"]) -> Problem:
+    """The problem with other parameters of the lenses held; held coefficients are zero, but for
+    lenses that are held as a whole."""
+    lenses, size = problem.chart.lens_scale.shape
+    head = np.array(problem.chart.free)
+    head[: lenses * size] = free.astype(float).ravel()
+    given = np.asarray(problem.state.lenses.coefficients)
+    whole = ~free.any(axis=1, keepdims=True)
+    kept = np.where(free[:, len(AFFINE_PARAMETERS) :] | whole, given, 0.0)
+    state = eqx.tree_at(lambda state: state.lenses.coefficients, problem.state, kept)
+    return problem._replace(chart=_with_free(problem.chart, head), state=state)
+
+
+def with_sheet_held(problem: Problem) -> Problem:
+    """The problem with the board taken as it was found."""
+    head = np.array(problem.chart.free)
+    head[-SHEET_SIZE:] = 0.0
+    return problem._replace(chart=_with_free(problem.chart, head))
+
+
+def lens_number(problem: Problem, number: int) -> AbstractLens:
+    """One of the stacked lenses of the state."""
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[number], problem.state.lenses)
+
+
+def _with_free(chart: Chart, free: Float[np.ndarray, "h"]) -> Chart:
+    return eqx.tree_at(lambda chart: chart.free, chart, free)
+
+
+def _sheet_prior(
+    systematics: Systematics,
+) -> tuple[Float[np.ndarray, "4 4"], Float[np.ndarray, "4"]]:
+    """Information on scales and warps, and which of these are free: those that are not exact."""
+    covariance = np.zeros((SHEET_SIZE, SHEET_SIZE))
+    covariance[:2, :2] = systematics.print_size_sigma**2
+    covariance += np.diag([*np.square(systematics.print_scale_sigma), 0.0, 0.0])
+    covariance += np.diag([0.0, 0.0, systematics.flatness_mm**2, systematics.flatness_mm**2])
+    free = (np.diag(covariance) > _SMALLEST_SIGMA**2).astype(float)
+    # A size that is off with sides in proportion is one unknown, not two.
+    covariance += np.diag(np.where(free > 0, 1e-6 * np.diag(covariance), 0.0))
+    rows = np.flatnonzero(free)
+    information = np.zeros_like(covariance)
+    information[np.ix_(rows, rows)] = np.linalg.inv(covariance[np.ix_(rows, rows)])
+    return information, free
+
+
+def _plain(lens: AbstractLens) -> AbstractLens:
+    return type(lens)(
+        *(
+            np.asarray(part, dtype=np.float64)
+            for part in (
+                lens.focal_length_px,
+                lens.principal_point_px,
+                lens.skew_px,
+                lens.coefficients,
+            )
+        )
+    )

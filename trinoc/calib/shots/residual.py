@@ -1,0 +1,97 @@
+"""Predicted minus observed places of the board in one view."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from trinoc.calib.shots.state import POSE_SIZE, SHEET_SIZE, Chart, moved
+from trinoc.geometry import AbstractLens
+from trinoc.numerics import ArrayLike
+
+# A circle's edge is smooth: so many points of it tell its image's centre to rounding.
+_EDGE_POINTS = 16
+_ANGLES_RAD = 2 * np.pi * np.arange(_EDGE_POINTS) / _EDGE_POINTS
+
+
+def point_on_board(
+    place_mm: Float[ArrayLike, "2"], sheet: Float[ArrayLike, "4"], half_mm: Float[ArrayLike, "2"]
+) -> Float[ArrayLike, "3"]:
+    """Where a place of the drawing lies on the board as it is: scaled, and risen in its middle.
+
+    The rise is w_x (1 - x^2) + w_y (1 - y^2), where x and y are shares of half the board.
+    Source: mrcal, "Board deformation" in its formulation.
+    """
+    share = place_mm / half_mm
+    rise = sheet[2:] @ (1 - share * share)
+    return jnp.append(place_mm * (1 + sheet[:2]), rise)
+
+
+def view_residuals(
+    lens: AbstractLens,
+    cam_from_rig: Float[ArrayLike, "3 4"],
+    rig_from_board: Float[ArrayLike, "3 4"],
+    sheet: Float[ArrayLike, "4"],
+    chart: Chart,
+    place_mm: Float[ArrayLike, "n 2"],
+    radius_mm: Float[ArrayLike, "n"],
+    uv_px: Float[ArrayLike, "n 2"],
+    step: Float[ArrayLike, "k"] | None = None,
+) -> Float[ArrayLike, "n 2"]:
+    """Residuals in pixels, after a step of (lens, camera, sheet, board) where one is given.
+
+    The centre of a circle's image is not the image of its centre; by how much is taken where the
+    step begins: it changes a thousand times less than the places themselves.
+    """
+    here = lens, cam_from_rig, rig_from_board, sheet
+    if step is not None:
+        here = _stepped(here, chart, step)
+
+    def project(place: Float[ArrayLike, "2"], at: tuple) -> Float[ArrayLike, "2"]:
+        own_lens, own_pose, board, own_sheet = at
+        point = point_on_board(place, own_sheet, chart.half_mm)
+        in_rig = board[:, :3] @ point + board[:, 3]
+        return own_lens.project_ray(own_pose[:, :3] @ in_rig + own_pose[:, 3])
+
+    predicted = jax.vmap(project, (0, None))(place_mm, here)
+    if chart.has_circles:
+        still = jax.lax.stop_gradient(here)
+        predicted += jax.vmap(lambda place, radius: _offset(
+            lambda at: project(at, still), place, radius))(place_mm, radius_mm)  # fmt: skip
+    return predicted - uv_px
+
+
+def _stepped(here: tuple, chart: Chart, step: Float[ArrayLike, "k"]) -> tuple:
+    lens, cam_from_rig, rig_from_board, sheet = here
+    size = step.shape[0] - 2 * POSE_SIZE - SHEET_SIZE
+    by_pose, by_sheet = step[size : size + POSE_SIZE], step[size + POSE_SIZE : -POSE_SIZE]
+    return (
+        lens.retract(step[:size]),
+        moved(cam_from_rig, by_pose, chart.unit_mm),
+        moved(rig_from_board, step[-POSE_SIZE:], chart.unit_mm),
+        sheet + chart.sheet_scale * by_sheet,
+    )
+
+
+def _offset(project, place_mm: Float[ArrayLike, "2"], radius_mm: Float[ArrayLike, ""]) -> Array:
+    """Centroid of the image of a circle less the image of its centre; 0 for a corner."""
+    is_circle = radius_mm > 0
+    around = np.stack([np.cos(_ANGLES_RAD), np.sin(_ANGLES_RAD)], axis=1)
+    edge = place_mm[None] + jnp.where(is_circle, radius_mm, 1.0) * around.astype(place_mm.dtype)
+    middle = project(place_mm)
+    offset = jax.vmap(project)(edge) - middle[None]
+    tangent = _DERIVATIVE.astype(offset.dtype) @ offset
+    # Green's theorem: twice the area, and three times its first moment.
+    area = offset[:, 0] * tangent[:, 1] - offset[:, 1] * tangent[:, 0]
+    centroid = 2.0 / 3.0 * (area @ offset) / jnp.sum(area)
+    return jnp.where(is_circle, centroid, 0.0)
+
+
+def _trigonometric_derivative(count: int) -> Float[np.ndarray, "n n"]:
+    """Derivative at equidistant angles of the trigonometric polynomial through values there."""
+    step = np.arange(count)[:, None] - np.arange(count)[None]
+    cotangent = 1.0 / np.tan(np.pi * np.where(step == 0, 0.5, step) / count)
+    return np.where(step == 0, 0.0, 0.5 * (-1.0) ** step * cotangent)
+
+
+_DERIVATIVE = _trigonometric_derivative(_EDGE_POINTS)

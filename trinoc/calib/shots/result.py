@@ -1,0 +1,125 @@
+"""A rig from many shots, which never travels without its status and its sigmas."""
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from trinoc.calib.result import Status
+from trinoc.calib.shots.halves import HalvesCheck
+from trinoc.calib.shots.table import View
+from trinoc.calib.targets import AbstractTarget
+from trinoc.geometry import Rig
+
+
+class RigFromShots(eqx.Module):
+    """Lenses and cameras fitted together, with their covariance, and what each shot said.
+
+    Fields
+    ------
+    rig : the cameras in the world, with a covariance that holds their lenses, too; None unless
+        `status` is CONVERGED.
+    status : how the fit ended.
+    parameters : names such as "left.pan_deg", "left.fx_px", "board.warp_x_mm".
+    values : (p,) of `parameters`; NaN where not determined.
+    covariance : (p, p), degrees, mm and px; zero for what was held, NaN where not determined.
+    gauge : the parameters that the shots leave open.
+    world : the shot, or the camera, that is the world's frame.
+    target : the board.
+    shots : names of the shots that took part.
+    world_from_board : (s, 3, 4) the board in each shot, mm.
+    views : what each camera saw in each shot, by their indices, and which places took part.
+    residuals_px : for each view (m, 2) predicted minus observed.
+    sigma_factor : for each camera by how much its places scatter more than their sigmas say.
+    reduced_chi_square : after the sigmas were multiplied by it.
+    halves : two halves of the shots compared, or None where there are too few.
+    failures : for "camera shot" in which the board was not found, why.
+    refused : sentences on shots and pictures that were left out.
+    systematics : the errors of the board that the covariance holds, in words.
+    notes : sentences on what a user should know.
+    """
+
+    rig: Rig | None
+    status: Status
+    parameters: tuple[str, ...] = eqx.field(static=True)
+    values: Float[np.ndarray, "p"]
+    covariance: Float[np.ndarray, "p p"]
+    gauge: tuple[str, ...] = eqx.field(static=True)
+    world: str = eqx.field(static=True)
+    target: AbstractTarget
+    cameras: tuple[str, ...] = eqx.field(static=True)
+    shots: tuple[str, ...] = eqx.field(static=True)
+    world_from_board: Float[np.ndarray, "s 3 4"]
+    views: tuple[View, ...]
+    residuals_px: tuple[Float[np.ndarray, "_m 2"], ...]
+    sigma_factor: dict[str, float] = eqx.field(static=True)
+    reduced_chi_square: float = eqx.field(static=True)
+    halves: HalvesCheck | None
+    failures: dict[str, str] = eqx.field(static=True)
+    refused: tuple[str, ...] = eqx.field(static=True)
+    systematics: tuple[str, ...] = eqx.field(static=True)
+    notes: tuple[str, ...] = eqx.field(static=True)
+
+    def sigma(self, parameter: str) -> float:
+        """Standard deviation of a parameter such as "left.fx_px"; 0 if held, NaN if not known."""
+        row = self.parameters.index(parameter)
+        return float(np.sqrt(self.covariance[row, row]))
+
+    def value(self, parameter: str) -> float:
+        """Value of a parameter such as "left.fx_px"."""
+        return float(self.values[self.parameters.index(parameter)])
+
+    def rms_px(self, camera: str | None = None) -> float:
+        """Root mean square length of the residuals of one camera, or of all."""
+        kept = [
+            errors[view.used]
+            for view, errors in zip(self.views, self.residuals_px, strict=True)
+            if camera in (None, self.cameras[view.camera])
+        ]
+        every = np.concatenate([np.zeros((0, 2)), *kept])
+        return float(np.sqrt(np.mean(np.sum(every**2, axis=1)))) if len(every) else float("nan")
+
+    def summary(self) -> str:
+        """The lenses and cameras with their sigmas, and how good the fit is, as text."""
+        return summary_text(self)
+
+
+def summary_text(result: RigFromShots) -> str:
+    """A block for each camera, then the board and what a user should know."""
+    lines = []
+    for number, camera in enumerate(result.cameras):
+        own = [view for view in result.views if view.camera == number and view.used.any()]
+        places = sum(int(view.used.sum()) for view in own)
+        lines.append(
+            f"{camera}: {places} places in {len(own)} pictures, rms {result.rms_px(camera):.3f} px,"
+            f" sigmas x {result.sigma_factor[camera]:.2f}"
+        )
+        prefix = f"{camera}."
+        lines += [
+            f"  {name.removeprefix(prefix):12} {_with_sigma(result, name)}"
+            for name in result.parameters
+            if name.startswith(prefix) and result.sigma(name) != 0.0
+        ]
+    lines += [
+        f"{name:14} {_with_sigma(result, name)}"
+        for name in result.parameters
+        if name.startswith("board.") and result.sigma(name) != 0.0
+    ]
+    lines.append(f"world: {result.world}")
+    if result.halves is not None:
+        lines.append(
+            f"halves of the shots differ by {result.halves.ratio:.2f} claimed sigmas over "
+            f"{result.halves.parameters} parameters (most in {result.halves.worst}: "
+            f"{result.halves.worst_ratio:.1f})"
+        )
+    lines.append(f"sigmas include {', '.join(('noise', *result.systematics))}.")
+    lines += list(result.notes) + list(result.refused)
+    lines += [f"{where}: {why}" for where, why in result.failures.items()]
+    return "\n".join(lines)
+
+
+def _with_sigma(result: RigFromShots, name: str) -> str:
+    value, sigma = result.value(name), result.sigma(name)
+    if not (np.isfinite(value) and np.isfinite(sigma)):
+        return "not determined"
+    decimals = max(0, 1 - int(np.floor(np.log10(sigma))))
+    return f"{value:.{decimals}f} +- {sigma:.{decimals}f}"

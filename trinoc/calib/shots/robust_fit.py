@@ -1,0 +1,140 @@
+"""The fit of a rig without the places, and the pictures, that it does not explain."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from trinoc.calib.model import ANNEALING, inliers, robust_scale
+from trinoc.calib.shots.levenberg_marquardt import minimise
+from trinoc.calib.shots.normal_equations import residuals_px, whitened_residuals
+from trinoc.calib.shots.problem import Problem
+from trinoc.numerics import GemanMcClure, as_numpy
+
+# A picture of which fewer places than this share agree with the rig shows the board elsewhere.
+_FEWEST_AGREE = 0.5
+# Chi-square beyond this many of its own standard deviations is not noise: the sigmas grow.
+_CHI_SQUARE_DEVIATIONS = 4.0
+_whitened = eqx.filter_jit(whitened_residuals)
+_residuals = eqx.filter_jit(residuals_px)
+
+
+class RobustFit(NamedTuple):
+    """Where the fit ended.
+
+    Fields
+    ------
+    problem : at its end, with the places that take part.
+    converged : whether the solver says so.
+    moved : views that show the board elsewhere: (camera, shot, median miss in px).
+    chi_square, freedom : of the places that take part, by the sigmas as they were enlarged.
+    """
+
+    problem: Problem
+    converged: bool
+    moved: list[tuple[int, int, float]]
+    chi_square: float
+    freedom: int
+
+
+def fit_robustly(problem: Problem) -> RobustFit:
+    """Bounded ever more tightly, then without what noise does not make, then as least squares.
+
+    The sigmas of corners, which detectors do not know, are those that each camera's residuals
+    show; those of circles grow where the residuals refute them.
+    """
+    for factor in ANNEALING:
+        scale = factor * robust_scale(_spoken(problem, whitened(problem)))
+        problem, _ = fitted(problem, scale)
+    problem, moved = _without_wrong_places(problem)
+    problem, converged = fitted(problem)
+    problem = _with_factors(problem)
+    problem, converged = fitted(problem)
+    chi_square = float(np.sum(np.square(whitened(problem))))
+    freedom = _freedom(problem)
+    return RobustFit(problem, converged, moved, chi_square, freedom)
+
+
+def refitted(fit: RobustFit, problem: Problem) -> RobustFit:
+    """The same places fitted by another problem, from where the fit ended."""
+    problem, converged = fitted(problem)
+    chi_square = float(np.sum(np.square(whitened(problem))))
+    return RobustFit(problem, converged, fit.moved, chi_square, _freedom(problem))
+
+
+def fitted(problem: Problem, outlier_scale: float = np.inf) -> tuple[Problem, bool]:
+    """The problem where the fit ends, and whether it converged."""
+    loss = GemanMcClure.from_scale(np.asarray(float(outlier_scale)))
+    fit = as_numpy(minimise(problem.state, problem.table, problem.chart, loss))
+    return problem._replace(state=fit.state), bool(fit.converged)
+
+
+def whitened(problem: Problem) -> Float[np.ndarray, "v n 2"]:
+    """Residuals in sigmas, unused ones zero, padded as the table is."""
+    return np.asarray(_whitened(problem.state, problem.chart, problem.table))
+
+
+def errors_px(problem: Problem) -> list[Float[np.ndarray, "_m 2"]]:
+    """Predicted minus observed of all places of each view."""
+    every = np.asarray(_residuals(problem.state, problem.chart, problem.table))
+    return [rows[: len(view.detection)] for rows, view in zip(every, problem.views)]
+
+
+def _spoken(problem: Problem, errors: Float[np.ndarray, "v n 2"]) -> Float[np.ndarray, "m 2"]:
+    return np.concatenate(
+        [rows[: len(view.used)][view.used] for rows, view in zip(errors, problem.views)]
+    )
+
+
+def _without_wrong_places(
+    problem: Problem,
+) -> tuple[Problem, list[tuple[int, int, float]]]:
+    errors = whitened(problem)
+    pixels = errors_px(problem)
+    right: dict[int, np.ndarray] = {}
+    for camera in range(problem.cameras):
+        rows = [k for k, view in enumerate(problem.views) if view.camera == camera]
+        if not rows:
+            continue
+        own = [errors[k][: len(problem.views[k].detection)] for k in rows]
+        kept = inliers(np.concatenate(own))
+        ends = np.cumsum([len(each) for each in own])[:-1]
+        right |= dict(zip(rows, np.split(kept, ends), strict=True))
+    views, moved = [], []
+    for k, view in enumerate(problem.views):
+        if right[k].mean() < _FEWEST_AGREE:
+            miss = float(np.median(np.linalg.norm(pixels[k], axis=1)))
+            moved.append((view.camera, view.shot, miss))
+            views.append(view._replace(used=np.zeros_like(right[k])))
+        else:
+            views.append(view._replace(used=right[k]))
+    return problem._replace(views=tuple(views)), moved
+
+
+def _with_factors(problem: Problem) -> Problem:
+    errors = whitened(problem)
+    squared = np.sum(errors**2, axis=(1, 2))
+    total = 2 * sum(int(view.used.sum()) for view in problem.views)
+    share = max(_freedom(problem), 1) / max(total, 1)
+    is_circle = problem.chart.has_circles
+    factor = np.array(problem.sigma_factor)
+    for camera in range(problem.cameras):
+        rows = [k for k, view in enumerate(problem.views) if view.camera == camera]
+        own = share * 2 * sum(int(problem.views[k].used.sum()) for k in rows)
+        if own <= 0:
+            continue
+        reduced = float(squared[rows].sum()) / own
+        refuted = reduced > 1.0 + _CHI_SQUARE_DEVIATIONS * np.sqrt(2.0 / own)
+        if refuted or not is_circle:
+            factor[camera] *= np.sqrt(max(reduced, 1e-12))
+    return problem._replace(sigma_factor=factor)
+
+
+def _freedom(problem: Problem) -> int:
+    """Residuals less unknowns; the sheet's have a prior each."""
+    residuals = 2 * sum(int(view.used.sum()) for view in problem.views)
+    shots = {view.shot for view in problem.views if view.used.any()}
+    lenses, size = problem.chart.lens_scale.shape
+    steps = int(np.sum(problem.chart.free[: lenses * size + 6 * problem.cameras]))
+    return residuals - steps - 6 * len(shots)

@@ -1,0 +1,54 @@
+"""Do the shots pull at the rig as their places' sigmas say, or more?
+
+At the end of a fit the pulls of all shots, the gradients g_s of their chi-squares with each board
+eliminated, cancel; one by one each has the covariance H_s, its own information. A board that
+bends, a detector with a bias, or pictures that are not quite of one moment make whole shots pull
+more, which no scatter of places within a picture tells.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from trinoc.calib.shots.covariance import Information
+
+# A variance factor this many of its own sigmas above 1 is no chance.
+_DEVIATIONS = 3.0
+
+
+class ShotScatter(NamedTuple):
+    """factor : variance of the shots' pulls over what their places' sigmas say.
+    sigma : of that factor, where it is 1."""
+
+    factor: float
+    sigma: float
+
+    @property
+    def variance_factor(self) -> float:
+        """What the covariance is to be multiplied by: 1 unless the shots refute it."""
+        return self.factor if self.factor > 1.0 + _DEVIATIONS * self.sigma else 1.0
+
+
+def shot_scatter(information: Information, covariance: np.ndarray) -> ShotScatter:
+    """The variance factor of the shots; `covariance` is of the free steps of the head.
+
+    sum_s g_s^T H^-1 g_s has the expectation sum_s tr H^-1 H_s - sum_s tr (H^-1 H_s)^2.
+    """
+    free, of_shot = information.free, information.of_shot
+    pulls = information.pulls[:, free]
+    products = of_shot[:, free[:, None], free[None, :]] @ covariance
+    squares = float(np.einsum("sij,sji->", products, products))
+    expected = float(np.einsum("sii->", products)) - squares
+    if expected < 0.5:
+        return ShotScatter(1.0, float("inf"))
+    found = float(np.einsum("si,ij,sj->", pulls, covariance, pulls))
+    return ShotScatter(found / expected, float(np.sqrt(2.0 * squares) / expected))
+
+
+def with_factor(
+    covariance: Float[np.ndarray, "f f"], factor: float, prior: Float[np.ndarray, "f f"]
+) -> Float[np.ndarray, "f f"]:
+    """The covariance of a fit whose shots' noise has `factor` times its variance, and whose prior
+    of information `prior` is what it is said to be."""
+    return factor * covariance - (factor - 1.0) * covariance @ prior @ covariance

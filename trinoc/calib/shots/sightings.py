@@ -1,0 +1,81 @@
+"""The board in one picture, with every labelling that the board's symmetry leaves open."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from trinoc.calib.detection import Detection
+from trinoc.calib.shots.lens_start import miss_px
+from trinoc.calib.shots.motions import chained, motion_in_plane
+from trinoc.calib.targets import AbstractTarget
+from trinoc.geometry import AbstractLens
+
+# A first lens is a few percent off, and so is where it expects the board, in extents of it.
+_AGREEMENT = 0.06
+_SMALLEST_AGREEMENT_PX = 3.0
+
+
+class Sighting(NamedTuple):
+    """What one camera saw in one shot, and where the board then stood before it.
+
+    Fields
+    ------
+    camera, shot : which; indices.
+    lens : the camera's first lens.
+    detections : the detection, in each labelling.
+    cam_from_board : (3, 4) for each labelling.
+    """
+
+    camera: int
+    shot: int
+    lens: AbstractLens
+    detections: tuple[Detection, ...]
+    cam_from_board: tuple[Float[np.ndarray, "3 4"], ...]
+
+    @property
+    def agreement_px(self) -> float:
+        """By how much the board may lie elsewhere and still be the same."""
+        extent = float(np.ptp(self.detections[0].centres_px, axis=0).max())
+        return max(_SMALLEST_AGREEMENT_PX, _AGREEMENT * extent)
+
+    def nearest(
+        self, cam_from_board: Float[np.ndarray, "3 4"], target: AbstractTarget
+    ) -> tuple[int, float]:
+        """The labelling that a given pose of the board fits best, and by how many pixels not."""
+        misses = [
+            miss_px(self.lens, cam_from_board, each, target.centres_mm[each.circle_index])
+            for each in self.detections
+        ]
+        best = int(np.argmin(misses))
+        return best, misses[best]
+
+
+def sighting(
+    camera: int,
+    shot: int,
+    lens: AbstractLens,
+    detection: Detection,
+    cam_from_board: Float[np.ndarray, "3 4"],
+    target: AbstractTarget,
+) -> Sighting:
+    """All labellings of a detection, with the pose of the board in each."""
+    index = [detection.circle_index]
+    index += [] if detection.ambiguity is None else list(detection.ambiguity)
+    places = [target.centres_mm[each] for each in index]
+    return Sighting(
+        camera,
+        shot,
+        lens,
+        tuple(
+            eqx.tree_at(
+                lambda d: (d.circle_index, d.ambiguity),
+                detection,
+                (each, None),
+                is_leaf=lambda leaf: leaf is None,
+            )
+            for each in index
+        ),
+        tuple(chained(cam_from_board, motion_in_plane(places[0], place)) for place in places),
+    )

@@ -1,0 +1,104 @@
+"""The unknowns of a rig of many shots, and the small steps that change them.
+
+The frame of the rig is that of its first camera while it is fitted; where the world lies is
+chosen at the end.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Float, Int
+
+from trinoc.geometry import AbstractLens, rotation_from_vector
+from trinoc.numerics import ArrayLike
+
+# Scale along X and along Y, and the rise of the middle of the board over its edges along both.
+SHEET_NAMES = ("scale_x", "scale_y", "warp_x_mm", "warp_y_mm")
+SHEET_SIZE, POSE_SIZE = len(SHEET_NAMES), 6
+
+
+class RigState(eqx.Module):
+    """Lenses, cameras, boards of all shots, and how the board was made.
+
+    Fields
+    ------
+    lenses : l lenses of one model, along the first axis of their fields.
+    cam_from_rig : (c, 3, 4) of each camera.
+    rig_from_board : (s, 3, 4) of the board in each shot.
+    sheet : (4,) `SHEET_NAMES`: scales over nominal less one, and warps in mm.
+    """
+
+    lenses: AbstractLens
+    cam_from_rig: Float[ArrayLike, "c 3 4"]
+    rig_from_board: Float[ArrayLike, "s 3 4"]
+    sheet: Float[ArrayLike, "4"]
+
+
+class Chart(eqx.Module):
+    """Units of all steps, and which are taken.
+
+    Fields
+    ------
+    lens_scale : (l, q) change of each lens's parameters for a step of one.
+    unit_mm : length of a step of one in translations.
+    half_mm : (2,) half the extent of the board, where its warp is zero.
+    lens_of_camera : (c,) which of the lenses each camera has.
+    free : (h,) 1 for steps of the head that are taken, 0 for others.
+    sheet_information : (4, 4) inverse covariance of the prior on `sheet`, whose mean is 0.
+    has_circles : whether some place is a circle.
+    """
+
+    lens_scale: Float[ArrayLike, "l q"]
+    unit_mm: Float[ArrayLike, ""]
+    half_mm: Float[ArrayLike, "2"]
+    lens_of_camera: Int[ArrayLike, "c"]
+    free: Float[ArrayLike, "h"]
+    sheet_information: Float[ArrayLike, "4 4"]
+    has_circles: bool = eqx.field(static=True)
+
+    @property
+    def sheet_scale(self) -> Float[ArrayLike, "4"]:
+        """Change of `sheet` for a step of one."""
+        return jnp.stack([jnp.ones_like(self.unit_mm)] * 2 + [jnp.asarray(self.unit_mm)] * 2)
+
+
+def head_columns(chart: Chart, camera: Int[ArrayLike, ""]) -> Int[ArrayLike, "k"]:
+    """Where, in the head, the steps of one camera's lens, its pose and the sheet stand."""
+    lenses, size = chart.lens_scale.shape
+    cameras = chart.lens_of_camera.shape[0]
+    lens = chart.lens_of_camera[camera] * size + jnp.arange(size)
+    pose = lenses * size + camera * POSE_SIZE + jnp.arange(POSE_SIZE)
+    sheet = lenses * size + cameras * POSE_SIZE + jnp.arange(SHEET_SIZE)
+    return jnp.concatenate([lens, pose, sheet])
+
+
+def moved(
+    transform: Float[ArrayLike, "3 4"],
+    step: Float[ArrayLike, "6"],
+    unit_mm: Float[ArrayLike, ""],
+) -> Float[ArrayLike, "3 4"]:
+    """A rigid motion after a rotation vector and a translation in units of `unit_mm`."""
+    rotation = rotation_from_vector(step[:3]) @ transform[:, :3]
+    translation = transform[:, 3] + unit_mm * step[3:]
+    return jnp.concatenate([rotation, translation[:, None]], axis=1)
+
+
+def retracted(
+    state: RigState,
+    chart: Chart,
+    head: Float[ArrayLike, "h"],
+    boards: Float[ArrayLike, "s 6"],
+) -> RigState:
+    """The state after a step."""
+    lenses, size = chart.lens_scale.shape
+    cameras = state.cam_from_rig.shape[0]
+    head = head * chart.free
+    by_lens = head[: lenses * size].reshape(lenses, size)
+    by_camera = head[lenses * size : lenses * size + cameras * POSE_SIZE].reshape(cameras, -1)
+    step_all = jax.vmap(moved, (0, 0, None))
+    return RigState(
+        jax.vmap(lambda lens, step: lens.retract(step))(state.lenses, chart.lens_scale * by_lens),
+        step_all(state.cam_from_rig, by_camera, chart.unit_mm),
+        step_all(state.rig_from_board, boards, chart.unit_mm),
+        state.sheet + chart.sheet_scale * head[-SHEET_SIZE:],
+    )

@@ -1,0 +1,204 @@
+"""`trinoc batch`: a recording, frame by frame, to matched 3-D segments."""
+
+import contextlib
+import dataclasses
+import math
+import re
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from trinoc.cli.command import Command, Interrupted, Outcome, UsageError
+from trinoc.cli.progress import LOGGER
+from trinoc.cli.rig_file import read_rig
+from trinoc.cli.segment_options import SegmentOptions
+
+if TYPE_CHECKING:
+    from trinoc.batch import BatchOutcome, BatchProgress
+
+ANYWHERE = (0.0, math.inf)
+# Where no bar can be drawn, a line so often.
+LINE_EVERY_S = 60.0
+_BY_ITSELF = "(default: found by itself)"
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Batch(SegmentOptions, Command):
+    """Match every frame of a recording. Stopped or killed, the same command goes on."""
+
+    frames: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FOLDER|TABLE.csv")]
+    """A folder of pictures (or segments), or a CSV table: a column frame, and a column of file
+    names for each camera."""
+
+    rig: Path
+    """The cameras, as `trinoc calibrate` writes them; a frame needs a file of each."""
+
+    template: Annotated[str | None, tyro.conf.arg(help_behavior_hint=_BY_ITSELF)] = None
+    """How the files are named: {frame}_{camera}.png, {camera}/{frame}.tif, with * for anything."""
+
+    depth_range_mm: Annotated[
+        tuple[float, float],
+        tyro.conf.arg(metavar="NEAR FAR", help_behavior_hint="(default: anywhere before them)"),
+    ] = ANYWHERE
+    """Least and greatest depth of lines before every camera that sees them."""
+
+    shard: Annotated[str, tyro.conf.arg(metavar="I/N")] = "1/1"
+    """Job I of N, which does each N-th file of results; jobs may run at once in one folder."""
+
+    frames_per_file: int = 16
+    """Frames that are matched together and stand in one file of results."""
+
+    files: Literal["auto", "npz", "parquet"] = "auto"
+    """Kind of the files of results; Parquet where pyarrow is installed."""
+
+    threads: Annotated[int | None, tyro.conf.arg(help_behavior_hint="(default: all cores)")] = None
+    """Threads of this machine, at most."""
+
+    scheduler: Annotated[
+        str | None, tyro.conf.arg(metavar="tcp://...", help_behavior_hint="(default: none)")
+    ] = None
+    """Use the workers of this Dask scheduler in place of threads."""
+
+    memory_gb: Annotated[
+        float | None, tyro.conf.arg(help_behavior_hint="(default: half of the machine's)")
+    ] = None
+    """Memory that this process may take."""
+
+    out: Annotated[Path, tyro.conf.arg(aliases=("-o",))] = Path("matches")
+    """The folder of results."""
+
+    def run(self, command_line: str) -> Outcome:
+        """Match all frames that are not done."""
+        self.check()
+        shard = _shard(self.shard)
+        near, far = self.depth_range_mm
+        if not 0 <= near < far:
+            raise UsageError(
+                f"--depth-range-mm {near:g} {far:g} holds no depth: give the least, then the "
+                "greatest, in mm."
+            )
+        for name in ("threads", "frames_per_file", "memory_gb"):
+            value = getattr(self, name)
+            if value is not None and not value > 0:
+                raise UsageError(f"--{name.replace('_', '-')} is {value:g}: give more than 0.")
+
+        from trinoc.batch import match_recording
+
+        rig = read_rig(self.rig)
+        with _progress(self.quiet) as tell:
+            try:
+                outcome = match_recording(
+                    self.frames,
+                    rig,
+                    self.out,
+                    template=self.template,
+                    find=self.find_options(),
+                    depth_range_mm=None if self.depth_range_mm == ANYWHERE else (near, far),
+                    shard=shard,
+                    frames_per_file=self.frames_per_file,
+                    ending=None if self.files == "auto" else f".{self.files}",
+                    threads_at_most=self.threads,
+                    scheduler=self.scheduler,
+                    memory_gb=self.memory_gb,
+                    on_progress=tell,
+                )
+            except KeyboardInterrupt as error:
+                raise Interrupted(
+                    f"Interrupted: {tell.done} of {tell.total} frames are done and kept in "
+                    f"{self.out}; the same command goes on from there."
+                ) from error
+        return _outcome(outcome)
+
+
+def _outcome(found: "BatchOutcome") -> Outcome:
+    here = found.frames - found.earlier
+    parts = [f"{found.frames} frames done, {found.tracks} tracks"]
+    if found.earlier:
+        parts.append(f"{found.earlier} of the frames by an earlier run")
+    if found.failed:
+        parts.append(f"{found.failed} failed; the manifest says why")
+    record = {
+        "frames": found.frames,
+        "failed": found.failed,
+        "tracks": found.tracks,
+        "earlier": found.earlier,
+        "workers": found.workers if here else 0,
+        "written": [str(found.folder), str(found.manifest)],
+    }
+    refusal = None
+    if found.frames and found.failed == found.frames:
+        refusal = f"All {found.frames} frames failed: {found.manifest} says why."
+    text = f"{'; '.join(parts)}.\nwritten: {found.folder}, {found.manifest}"
+    return Outcome(text, record, refusal)
+
+
+def _shard(text: str) -> tuple[int, int]:
+    found = re.fullmatch(r"([0-9]{1,6})/([0-9]{1,6})", text)
+    job, jobs = (int(found[1]), int(found[2])) if found else (0, 0)
+    if not 1 <= job <= jobs:
+        raise UsageError(f"--shard {text} is no job: write 1/4 to 4/4 for four of them.")
+    return job, jobs
+
+
+class _Teller:
+    """Takes note of the progress, and shows it on stderr."""
+
+    def __init__(self, show: "Callable[[BatchProgress], None]") -> None:
+        self.done, self.total, self._show = 0, 0, show
+
+    def __call__(self, progress: "BatchProgress") -> None:
+        self.done, self.total = progress.done, progress.total
+        self._show(progress)
+
+
+@contextlib.contextmanager
+def _progress(quiet: bool) -> Iterator[_Teller]:
+    """A bar with rate and time left on a terminal, a line a minute elsewhere."""
+    if quiet:
+        yield _Teller(lambda _: None)
+        return
+    if not sys.stderr.isatty():
+        yield _Teller(_Lines())
+        return
+
+    from tqdm import tqdm
+
+    with tqdm(desc="trinoc: frames", unit="frame", leave=False, file=sys.stderr) as bar:
+
+        def show(progress: "BatchProgress") -> None:
+            if bar.total is None:
+                bar.total, bar.initial, bar.n = progress.total, progress.done, progress.done
+            if progress.failed:
+                bar.set_postfix_str(f"{progress.failed} failed", refresh=False)
+            bar.update(progress.done - bar.n)
+
+        yield _Teller(show)
+
+
+class _Lines:
+    """Progress as lines of a log."""
+
+    def __init__(self) -> None:
+        self._start, self._last, self._at_start = 0.0, 0.0, 0
+
+    def __call__(self, progress: "BatchProgress") -> None:
+        now = time.monotonic()
+        if not self._start:
+            self._start = self._last = now
+            self._at_start = progress.done
+            LOGGER.info("%d of %d frames are done", progress.done, progress.total)
+            return
+        if now - self._last < LINE_EVERY_S and progress.done < progress.total:
+            return
+        self._last = now
+        rate = max((progress.done - self._at_start) / max(now - self._start, 1e-9), 1e-9)
+        minutes = (progress.total - progress.done) / rate / 60
+        failed = f", {progress.failed} failed" if progress.failed else ""
+        LOGGER.info(
+            "%d of %d frames%s, %.2f frames/s, %.0f min left",
+            *(progress.done, progress.total, failed, rate, minutes),
+        )

@@ -1,0 +1,143 @@
+"""`trinoc calibrate-rig`: many shots of a board by several cameras to a rig.json with lenses."""
+
+import dataclasses
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
+
+from trinoc.cli.command import Command, Outcome, UsageError
+from trinoc.cli.numbers import expect_sigmas
+from trinoc.cli.progress import LOGGER, Bar
+from trinoc.cli.views import files_of_views
+
+if TYPE_CHECKING:
+    from trinoc.calib import RigFromShots
+
+# Not None: an option that may be a pair or nothing would take pictures that follow it.
+UNKNOWN = (-1.0, -1.0)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class CalibrateRig(Command):
+    """Calibrate lenses and cameras together from many shots of a board that is moved about."""
+
+    shots: Annotated[
+        tyro.conf.Positional[tuple[str, ...]],
+        tyro.conf.arg(metavar="NAME=FOLDER", help_behavior_hint="(required)"),
+    ]
+    """The folder of each camera's pictures, or a pattern in quotes, such as left=left/
+    right='right_*.png'. Pictures of equal names are of one moment."""
+
+    board: Path
+    """Layout of the board (JSON), as `trinoc pattern` writes it: sheet or board."""
+
+    lens_model: Literal["brown_conrady", "rational", "thin_prism", "kannala_brandt", "none"] = (
+        "brown_conrady"
+    )
+    """Model of the lenses; kannala_brandt for fisheyes."""
+
+    distortion: Annotated[
+        int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: all determined)")
+    ] = None
+    """Number of coefficients of that model."""
+
+    same_lens: bool = False
+    """All cameras have one lens, such as pictures of one camera moved about."""
+
+    intrinsics: Annotated[
+        tyro.conf.UseAppendAction[tuple[str, ...]],
+        tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: lenses are found)"),
+    ] = ()
+    """Lenses that are known and held: camera.json of all cameras, or NAME=camera.json."""
+
+    world: Annotated[
+        str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: a shot)")
+    ] = None
+    """The shot whose board, or the camera whose frame, is the world."""
+
+    print_scale_sigma: Annotated[
+        tuple[float, float],
+        tyro.conf.arg(metavar="X Y", help_behavior_hint="(default: .002, as printers do)"),
+    ] = UNKNOWN
+    """Standard deviations of the board's scale along X and Y; 0 0 for an exact one."""
+
+    flatness_mm: Annotated[float, tyro.conf.arg(metavar="MM")] = 0.3
+    """By how much the board may be warped (standard deviation); 0 for an exact plane."""
+
+    out: Annotated[Path, tyro.conf.arg(aliases=("-o",))] = Path("rig.json")
+    """Where the rig goes."""
+
+    def run(self, command_line: str) -> Outcome:
+        """Calibrate and write the rig."""
+        places = files_of_views(self.shots)
+        if not places:
+            raise UsageError("No pictures are given: write NAME=FOLDER for each camera.")
+        expect_sigmas("--flatness-mm", (self.flatness_mm,))
+        if self.print_scale_sigma != UNKNOWN:
+            expect_sigmas("--print-scale-sigma", self.print_scale_sigma)
+
+        from trinoc.calib import Systematics, calibrate_rig
+        from trinoc.cli.provenance import provenance
+        from trinoc.io import expect_place, load_intrinsics, load_shots, load_target, save
+
+        expect_place(self.out)
+        target = load_target(self.board)
+        pictures = load_shots(places)
+        known: Any = None
+        if len(self.intrinsics) == 1 and "=" not in self.intrinsics[0]:
+            known = load_intrinsics(self.intrinsics[0])
+        elif self.intrinsics:
+            lens_files = files_of_views(self.intrinsics)
+            known = {name: load_intrinsics(file) for name, file in lens_files.items()}
+        usual = Systematics.typical({})._replace(flatness_mm=self.flatness_mm)
+        if self.print_scale_sigma != UNKNOWN:
+            usual = usual._replace(print_scale_sigma=self.print_scale_sigma, print_size_sigma=0.0)
+        LOGGER.info(
+            "looking for the board in %d pictures", sum(len(own) for own in pictures.values())
+        )
+        with Bar("looking", quiet=self.quiet) as bar:
+            result = calibrate_rig(
+                pictures,
+                target,
+                lens=known,
+                lens_model=self.lens_model,
+                distortion=self.distortion,
+                same_lens=self.same_lens,
+                world=self.world,
+                systematics=usual,
+                progress=bar.at,
+            )
+        save(result, self.out, provenance=provenance(command_line, {"board": self.board}))
+        text = f"{result.summary()}\nwritten: {self.out}"
+        return Outcome(text, {**rig_record(result), "written": [str(self.out)]})
+
+
+def rig_record(result: "RigFromShots") -> dict[str, Any]:
+    """What programs want to know of a rig from many shots, as JSON can hold it."""
+    halves = result.halves
+    return {
+        "parameters": {
+            name: {"value": float(value), "sigma": result.sigma(name)}
+            for name, value in zip(result.parameters, result.values, strict=True)
+        },
+        "cameras": {
+            name: {
+                "pictures": sum(
+                    view.camera == k and bool(view.used.any()) for view in result.views
+                ),
+                "rms_px": result.rms_px(name),
+                "sigma_factor": result.sigma_factor[name],
+            }
+            for k, name in enumerate(result.cameras)
+        },
+        "shots": list(result.shots),
+        "world": result.world,
+        "halves": None
+        if halves is None
+        else {"ratio": halves.ratio, "worst": halves.worst, "worst_ratio": halves.worst_ratio},
+        "sigmas_include": ["noise", *result.systematics],
+        "failures": dict(result.failures),
+        "refused": list(result.refused),
+        "notes": list(result.notes),
+    }

@@ -1,0 +1,86 @@
+"""trinoc.toml: what the commands of one rig are always told, so that they need no arguments.
+
+Each table is a command, each key one of its options, `pictures` the files of its cameras:
+
+    [calibrate]
+    pictures = {upper = "sheet/upper.png", left = "sheet/left.png", right = "sheet/right.png"}
+    pattern = "sheet.json"
+    focal_length_mm = 16
+    pixel_pitch_mm = [0.0162, 0.0134]
+
+    [match]
+    pictures = {upper = "upper.png", left = "left.png", right = "right.png"}
+    rig = "rig.json"
+"""
+
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from trinoc.cli.command import UsageError
+
+FILE = Path("trinoc.toml")
+POSITIONAL = "pictures"
+
+
+def with_file(arguments: Sequence[str], file: Path = FILE) -> list[str]:
+    """The arguments with what the file says of their command; what is typed counts more.
+
+    Raises UsageError for a file that cannot be read.
+    """
+    if not arguments or "--help" in arguments or "-h" in arguments or not file.is_file():
+        return list(arguments)
+    table = _read(file).get(arguments[0])
+    if not isinstance(table, dict):
+        return list(arguments)
+    command, typed = arguments[0], list(arguments[1:])
+    added: list[str] = []
+    for key, value in table.items():
+        option = f"--{key.replace('_', '-')}"
+        if key == POSITIONAL:
+            positional = [] if _names_files(typed) else _files(value, file)
+            typed = [*positional, *typed]
+        elif not _says(option, typed):
+            added += _words(option, value, file)
+    return [command, *typed, *added]
+
+
+def _read(file: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(file.read_text(encoding="utf-8-sig"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise UsageError(f"{file} cannot be read ({error}): correct it there.") from error
+
+
+def _says(option: str, typed: Sequence[str]) -> bool:
+    short = {"--out": "-o"}.get(option)
+    return any(word in (option, short) or word.startswith(f"{option}=") for word in typed)
+
+
+def _names_files(typed: Sequence[str]) -> bool:
+    """Whether pictures are given: they come first, or have the form NAME=FILE."""
+    return any("=" in word for word in typed if not word.startswith("-")) or (
+        bool(typed) and not typed[0].startswith("-")
+    )
+
+
+def _files(value: object, file: Path) -> list[str]:
+    if isinstance(value, dict):
+        return [f"{name}={path}" for name, path in value.items()]
+    if isinstance(value, list):
+        return [str(path) for path in value]
+    raise UsageError(
+        f'{file}: "{POSITIONAL}" must be a table of names and files, such as '
+        '{upper = "upper.png"}, or a list of files.'
+    )
+
+
+def _words(option: str, value: object, file: Path) -> list[str]:
+    if isinstance(value, bool):
+        return [option] if value else []
+    if isinstance(value, list):
+        return [option, *(str(each) for each in value)]
+    if isinstance(value, (str, int, float)):
+        return [option, str(value)]
+    raise UsageError(f'{file}: "{option[2:]}" must be a text, a number, true, false or a list.')

@@ -1,0 +1,94 @@
+"""The fisheye of Kannala and Brandt: a polynomial of the angle from the optical axis.
+
+Source: J. Kannala and S. S. Brandt, "A generic camera model and calibration method for
+conventional, wide-angle, and fish-eye lenses", PAMI 28(8), 2006; the coefficients are those of
+`cv2.fisheye`, Kalibr's and ROS's "equidistant".
+"""
+
+from typing import ClassVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS, AbstractLens
+from trinoc.geometry.lenses.radial import RadialPart
+from trinoc.numerics import ArrayLike
+
+_NEWTON_STEPS = 20
+# Below this square of the angle's tangent, series replace quotients of two small numbers.
+_NEAR_AXIS = 1e-6
+
+
+class KannalaBrandt(AbstractLens):
+    """A fisheye: a ray at the angle t from the optical axis is imaged at the radius
+    t (1 + k1 t^2 + k2 t^4 + k3 t^6 + k4 t^8), up to t = 180 degrees."""
+
+    model: ClassVar[str] = "kannala_brandt"
+    coefficient_names: ClassVar[tuple[str, ...]] = ("k1", "k2", "k3", "k4")
+    parameter_names: ClassVar[tuple[str, ...]] = (*AFFINE_PARAMETERS, *coefficient_names)
+    coefficient_powers: ClassVar[tuple[int, ...]] = (2, 4, 6, 8)
+    coefficient_counts: ClassVar[tuple[int, ...]] = (0, 1, 2, 3, 4)
+    dispensable: ClassVar[tuple[str, ...]] = ("k4", "k3", "k2")
+    zero_is_ideal: ClassVar[bool] = False
+
+    def distort(self, ray_cam: Float[ArrayLike, "3"]) -> Float[ArrayLike, "2"]:
+        """The radius along the direction of (x, y)."""
+        across, forward = ray_cam[:2], ray_cam[2]
+        square = across @ across
+        angle_per_across = _angle_per_across(square, forward)
+        angle_square = square * angle_per_across**2
+        return across * (angle_per_across * _radius_per_angle(angle_square, self.coefficients))
+
+    def undistort(self, distorted: Float[ArrayLike, "2"]) -> Float[ArrayLike, "3"]:
+        """The unit ray, its angle by Newton's method."""
+        square = distorted @ distorted
+        on_axis = square < 1e-30
+        radius = jnp.sqrt(jnp.where(on_axis, 1.0, square))
+        angle = _angle_of_radius(radius, self.coefficients)
+        across = jnp.where(on_axis, 1.0, jnp.sin(angle) / radius) * distorted
+        return jnp.concatenate([across, jnp.where(on_axis, 1.0, jnp.cos(angle))[None]])
+
+    def radial_part(self) -> RadialPart:
+        """The polynomial."""
+        falling = np.asarray(self.coefficients, dtype=np.float64)[::-1]
+        return RadialPart(np.append(falling, 1.0), np.ones(1), by_angle=True)
+
+
+def _angle_per_across(
+    square: Float[ArrayLike, ""], forward: Float[ArrayLike, ""]
+) -> Float[ArrayLike, ""]:
+    """atan2(a, z) / a of a ray, where a^2 is `square`; smooth on the optical axis."""
+    near = (forward > 0) & (square < _NEAR_AXIS * forward * forward)
+    safe = jnp.where(near, 1.0, forward)
+    across = jnp.sqrt(jnp.where(near, 1.0, square))
+    far = jnp.arctan2(across, safe) / across
+    z = jnp.where(near, forward, 1.0)
+    q = jnp.where(near, square, 0.0) / (z * z)
+    return jnp.where(near, (1 - q * (1 / 3 - q * (1 / 5 - q / 7))) / z, far)
+
+
+def _radius_per_angle(
+    angle_square: Float[ArrayLike, ""], coefficients: Float[ArrayLike, "4"]
+) -> Float[ArrayLike, ""]:
+    """1 + k1 t^2 + k2 t^4 + k3 t^6 + k4 t^8."""
+    k1, k2, k3, k4 = (coefficients[i] for i in range(4))
+    t2 = angle_square
+    return 1 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4)))
+
+
+def _angle_of_radius(
+    radius: Float[ArrayLike, ""], coefficients: Float[ArrayLike, "4"]
+) -> Float[ArrayLike, ""]:
+    """The angle whose radius this is, between 0 and 180 degrees."""
+    k1, k2, k3, k4 = (coefficients[i] for i in range(4))
+
+    def step(_: ArrayLike, angle: Float[ArrayLike, ""]) -> Float[ArrayLike, ""]:
+        t2 = angle * angle
+        slope = 1 + t2 * (3 * k1 + t2 * (5 * k2 + t2 * (7 * k3 + t2 * 9 * k4)))
+        off = angle * _radius_per_angle(t2, coefficients) - radius
+        # A slope near zero would throw the next angle far beyond the lens.
+        return jnp.clip(angle - off / jnp.maximum(slope, 0.05), 0.0, jnp.pi)
+
+    return jax.lax.fori_loop(0, _NEWTON_STEPS, step, jnp.clip(radius, 0.0, jnp.pi))

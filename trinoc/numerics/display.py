@@ -1,0 +1,57 @@
+"""How values show themselves, without knowing who draws them.
+
+Drawing stands on a floor above the values. The package's front door says who draws
+(`display_with`), and a value asks for it when it is first shown.
+"""
+
+from collections.abc import Callable
+from typing import Any, Protocol
+
+
+class Displays(Protocol):
+    """Who draws values: one function for each way to show one."""
+
+    def html(self, value: Any) -> str:
+        """A table and a small picture, as HTML."""
+        ...
+
+    def plot(self, value: Any, axes: Any, **options: Any) -> Any:
+        """On axes of matplotlib, which are returned."""
+        ...
+
+    def show(self, value: Any, **options: Any) -> Any:
+        """A figure of plotly to turn."""
+        ...
+
+    def to_frame(self, value: Any) -> Any:
+        """A table of pandas."""
+        ...
+
+
+_sources: list[Callable[[], Displays]] = []
+
+
+def display_with(source: Callable[[], Displays]) -> None:
+    """Let values be shown by what `source` returns; it is asked when a value is shown."""
+    _sources[:] = [source]
+
+
+class Shown:
+    """A value that shows itself in notebooks."""
+
+    def _repr_html_(self) -> str:
+        """A table and a small picture, for notebooks."""
+        return _sources[0]().html(self)
+
+    def plot(self, axes: Any = None, **options: Any) -> Any:
+        """Draw this on matplotlib axes (`pip install 'trinoc[plot]'`), new ones where none are
+        given, and return them. docs/notebooks.md has the options of each kind of value."""
+        return _sources[0]().plot(self, axes, **options)
+
+    def show(self, **options: Any) -> Any:
+        """A figure of plotly to turn and to zoom (`pip install 'trinoc[notebook]'`)."""
+        return _sources[0]().show(self, **options)
+
+    def to_frame(self) -> Any:
+        """This as a table of pandas (`pip install 'trinoc[notebook]'`), a row for each item."""
+        return _sources[0]().to_frame(self)

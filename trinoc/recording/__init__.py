@@ -1,0 +1,11 @@
+"""A recording: many frames of one rig, and how the work on them is cut up.
+
+1. `name_templates`, `frame_table`: names of files to frames, one file for each camera.
+2. `parts`: some frames in a row are a part, the unit of work and one file of results; a share of
+   the parts is a job.
+3. `matched`: the segments of the frames of a part to their matches, where no frame ends the rest.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,57 @@
+"""A table that lists frames: a column "frame", and a column for each camera."""
+
+import csv
+import re
+from collections.abc import Sequence
+
+from trinoc.errors import InputError
+from trinoc.recording.frame import Frame
+
+
+def frames_of_table(text: str, cameras: Sequence[str], where: str) -> list[Frame]:
+    """The frames of a CSV text, in its order; `where` names it in errors.
+
+    Its first line names the columns; those of no camera are read over, and an empty cell is a
+    camera without a picture. Files are named relative to the table's folder, and may not lie
+    outside it. Raises InputError, with the line.
+    """
+    try:
+        rows = list(csv.reader(text.splitlines(), strict=True))
+    except csv.Error as error:
+        raise InputError(f"{where} is not a table in CSV ({error}): write it again.") from error
+    head = [name.strip() for name in rows[0]] if rows else []
+    for column in ("frame", *cameras):
+        if head.count(column) != 1:
+            raise InputError(
+                f'{where} must have one column "{column}" in its first line, but has '
+                f"{', '.join(head) or 'none'}: name frame, {', '.join(cameras)}."
+            )
+    frames: dict[str, Frame] = {}
+    for line, row in enumerate(rows[1:], 2):
+        if not any(cell.strip() for cell in row):
+            continue
+        if len(row) != len(head):
+            raise InputError(
+                f"{where}, row {line}, has {len(row)} cells under {len(head)} names: correct it."
+            )
+        cells = dict(zip(head, (cell.strip() for cell in row), strict=True))
+        name = cells["frame"]
+        if not name or name in frames:
+            problem = f'names the frame "{name}" again' if name else "names no frame"
+            raise InputError(f"{where}, row {line}, {problem}: give each frame one name.")
+        files = {camera: cells[camera] for camera in cameras if cells[camera]}
+        for file in files.values():
+            _expect_inside(file, f"{where}, row {line}")
+        frames[name] = Frame(name, files)
+    if not frames:
+        raise InputError(f"{where} lists no frame: add a row for each.")
+    return list(frames.values())
+
+
+def _expect_inside(file: str, where: str) -> None:
+    leaves = file.startswith(("/", "\\", "~")) or re.match(r"[A-Za-z]:", file)
+    if leaves or ".." in re.split(r"[/\\]", file) or not file.isprintable():
+        raise InputError(
+            f"{where}, names the file {file!r}, which is not inside the table's folder: name files "
+            "relative to that folder."
+        )

@@ -1,0 +1,111 @@
+"""File names to frames, by a template such as "{frame}_{camera}.png"."""
+
+import re
+from collections.abc import Iterable, Sequence
+
+from trinoc.errors import InputError
+from trinoc.recording.frame import Frame
+
+# How recorders name files, tried in this order where nobody says.
+USUAL = (
+    "{camera}/{frame}.*",
+    "{frame}/{camera}.*",
+    "{frame}_{camera}.*",
+    "{camera}_{frame}.*",
+    "{frame}-{camera}.*",
+    "{camera}-{frame}.*",
+    "{frame}.{camera}.*",
+)
+_FIELD = re.compile(r"\{(\w*)\}|(\*)")
+
+
+def frames_of_names(names: Iterable[str], template: str, cameras: Sequence[str]) -> list[Frame]:
+    """The frames among file names, which are relative and parted by "/".
+
+    `template` has {camera} and {frame}, once or more each, and may have * for any part of a name.
+    Names that do not fit are left out. Frames come in the order of the numbers in their names: 2
+    before 10. Raises InputError for a template that lacks a field or has another, where nothing
+    fits, and where two files are one camera's picture of one frame.
+    """
+    pattern = _pattern(template, cameras)
+    found: dict[str, dict[str, str]] = {}
+    for name in names:
+        fit = pattern.fullmatch(name)
+        if fit is None:
+            continue
+        files = found.setdefault(fit["frame"], {})
+        other = files.setdefault(fit["camera"], name)
+        if other != name:
+            raise InputError(
+                f'{other} and {name} are both the picture of "{fit["camera"]}" in frame '
+                f'"{fit["frame"]}": remove one, or give a template that only one fits.'
+            )
+    if not found:
+        raise InputError(
+            f'No file fits the template "{template}" with the cameras {", ".join(cameras)}: check '
+            "the folder, the template, and that files are named after the cameras of the rig."
+        )
+    ordered = sorted(found, key=_by_numbers)
+    return [
+        Frame(frame, {c: found[frame][c] for c in cameras if c in found[frame]})
+        for frame in ordered
+    ]
+
+
+def fitting_template(names: Sequence[str], cameras: Sequence[str]) -> str:
+    """The usual template by which most frames have all cameras. Raises InputError for none."""
+
+    def whole_frames(template: str) -> int:
+        try:
+            frames = frames_of_names(names, template, cameras)
+        except InputError:
+            return 0
+        return sum(len(frame.files) == len(cameras) for frame in frames)
+
+    best = max(USUAL, key=whole_frames)
+    if whole_frames(best) == 0:
+        raise InputError(
+            f"No frame has files named after all cameras ({', '.join(cameras)}): say how they are "
+            'named by a template, such as "{frame}_{camera}.png" or "{camera}/{frame}.png".'
+        )
+    return best
+
+
+def depth_of(template: str) -> int:
+    """How many folders deep the files of a template lie."""
+    return template.count("/")
+
+
+def _pattern(template: str, cameras: Sequence[str]) -> re.Pattern[str]:
+    # Longer names first: "left" is no camera of "1_left_wide".
+    either = "|".join(re.escape(name) for name in sorted(cameras, key=len, reverse=True))
+    fields = {"frame": "[^/]+?", "camera": either}
+    parts, end, seen = [], 0, set()
+    for field in _FIELD.finditer(template):
+        parts.append(re.escape(template[end : field.start()]))
+        end = field.end()
+        name = field[1]
+        if field[2]:
+            parts.append("[^/]*")
+        elif name in seen:
+            parts.append(f"(?P={name})")
+        elif name in fields:
+            seen.add(name)
+            parts.append(f"(?P<{name}>{fields[name]})")
+        else:
+            raise InputError(
+                f'The template "{template}" has {field[0]}: use {{frame}} and {{camera}}.'
+            )
+    missing = [name for name in fields if name not in seen]
+    if missing:
+        raise InputError(
+            f'The template "{template}" lacks {{{missing[0]}}}: write both, such as '
+            '"{frame}_{camera}.png".'
+        )
+    return re.compile("".join([*parts, re.escape(template[end:])]))
+
+
+def _by_numbers(name: str) -> tuple[list[tuple[int, str]], str]:
+    """A key by which "a2" comes before "a10"; names that read alike keep a fixed order."""
+    pieces = re.findall(r"[0-9]+|[^0-9]+", name)
+    return [(int(p[:4000]), "") if p[0] in "0123456789" else (-1, p) for p in pieces], name

@@ -1,0 +1,1 @@
+from .displays import NotebookDisplays as NotebookDisplays

@@ -1,0 +1,198 @@
+"""A value as a notebook shows it: a heading, a small picture and the head of its table."""
+
+from functools import singledispatch
+from html import escape
+
+import numpy as np
+
+from trinoc.calib import CalibrationResult, Pattern, RefineResult
+from trinoc.evaluation import Evaluation
+from trinoc.geometry import Rig, Segments
+from trinoc.match import BINOCULAR, TRINOCULAR, Matches
+from trinoc.report.colours import BLUE, GREEN, VERMILION
+from trinoc.report.notebook.tables import columns_of
+from trinoc.report.numbers import with_decimals, with_sigma
+from trinoc.report.space_content import frusta, sheet_outlines
+
+ROWS = 8
+SIDE_PX = 220
+# A picture of thousands of lines would make the notebook heavy.
+MOST_LINES = 400
+
+Strokes = list[tuple[list[np.ndarray], str]]
+
+
+def card(value: object) -> str:
+    """HTML that needs nothing but itself."""
+    columns = {name: np.asarray(column) for name, column in columns_of(value).items()}
+    picture = _svg(small_picture(value))
+    return (
+        f'<div style="display:flex;gap:1.5em;align-items:flex-start;flex-wrap:wrap">{picture}'
+        f"<div><p><b>{escape(type(value).__name__)}</b>: {escape(heading(value))}</p>"
+        f"{_table(columns)}</div></div>"
+    )
+
+
+def _table(columns: dict[str, np.ndarray]) -> str:
+    """The first rows; one row alone stands upright."""
+    count = len(next(iter(columns.values()), []))
+    if count == 1:
+        cells = "".join(
+            f"<tr><th style='text-align:left'>{escape(name)}</th><td>{_cell(column[0])}</td></tr>"
+            for name, column in columns.items()
+        )
+        return f"<table>{cells}</table>"
+    if "sigma" in columns:
+        columns = {**columns, "value": _with_sigmas(columns["value"], columns["sigma"])}
+        del columns["sigma"]
+    head = "".join(f"<th>{escape(name)}</th>" for name in columns)
+    shown = min(count, ROWS if "parameter" not in columns else 24)
+    rows = "".join(
+        f"<tr>{''.join(f'<td>{_cell(column[row])}</td>' for column in columns.values())}</tr>"
+        for row in range(shown)
+    )
+    more = f"<p>{count - shown} more rows: to_frame()</p>" if count > shown else ""
+    return f"<table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>{more}"
+
+
+def _with_sigmas(values: np.ndarray, sigmas: np.ndarray) -> np.ndarray:
+    pairs = zip(values.tolist(), sigmas.tolist(), strict=True)
+    return np.array([with_sigma(value, sigma) for value, sigma in pairs])
+
+
+def _cell(value: object) -> str:
+    if isinstance(value, float):
+        return with_decimals(value, 3)
+    return escape(str(value))
+
+
+@singledispatch
+def heading(value: object) -> str:
+    """What matters of a value, in a line."""
+    return ""
+
+
+@heading.register
+def _(rig: Rig) -> str:
+    known = "with a covariance" if len(rig.parameters) else "without a covariance"
+    return f"{len(rig)} cameras ({', '.join(rig.names)}), {known}"
+
+
+@heading.register
+def _(result: CalibrationResult) -> str:
+    said = ", ".join(f"{name} {status.name}" for name, status in result.status.items())
+    notes = " ".join(result.notes)
+    included = ", ".join(("noise", *result.systematics))
+    return f"{said}; sigmas include {included}. {notes}".strip()
+
+
+@heading.register
+def _(result: RefineResult) -> str:
+    agree = int(np.asarray(result.inlier).sum())
+    return f"{result.status.value} {len(result.lines)} lines, {agree} fragments agree"
+
+
+@heading.register
+def _(pattern: Pattern) -> str:
+    rings = int((np.asarray(pattern.inner_radius_mm) > 0).sum())
+    return f"{pattern.name}, {len(pattern)} circles, {rings} of them rings"
+
+
+@heading.register
+def _(segments: Segments) -> str:
+    total = float(np.sum(np.asarray(segments.length_px)))
+    return f"{len(segments)} segments, {total:.0f} px in all"
+
+
+@heading.register
+def _(matches: Matches) -> str:
+    stage = np.asarray(matches.stage)
+    three, two = int((stage == TRINOCULAR).sum()), int((stage == BINOCULAR).sum())
+    notes = " ".join(matches.notes)
+    views = ", ".join(matches.views)
+    return f"{three} tracks in three views or more, {two} in two ({views}). {notes}".strip()
+
+
+@heading.register
+def _(evaluation: Evaluation) -> str:
+    return f"{evaluation.status.value} Wanted: {evaluation.wanted}."
+
+
+@singledispatch
+def small_picture(value: object) -> Strokes:
+    """Lines in the plane, y downward, with their colours."""
+    return []
+
+
+def _from_above(lines: list[np.ndarray]) -> list[np.ndarray]:
+    return [np.asarray(line)[:, :2] * [1, -1] for line in lines]
+
+
+@small_picture.register
+def _(rig: Rig) -> Strokes:
+    return [(_from_above(frusta(rig)), GREEN)]
+
+
+@small_picture.register
+def _(result: CalibrationResult) -> Strokes:
+    return [
+        (_from_above(sheet_outlines(result.pattern)), "#8a8a8a"),
+        (_from_above(frusta(result.rig)) if len(result.rig) else [], GREEN),
+    ]
+
+
+@small_picture.register
+def _(pattern: Pattern) -> Strokes:
+    return [(_from_above(sheet_outlines(pattern)), BLUE)]
+
+
+@small_picture.register
+def _(segments: Segments) -> Strokes:
+    return [(list(np.asarray(segments.endpoints_px)), BLUE)]
+
+
+@small_picture.register
+def _(matches: Matches) -> Strokes:
+    lines, stage = np.asarray(matches.lines_mm), np.asarray(matches.stage)
+    return [
+        (_from_above(list(lines[stage == name])), colour)
+        for name, colour in ((TRINOCULAR, BLUE), (BINOCULAR, VERMILION))
+    ]
+
+
+@small_picture.register
+def _(result: RefineResult) -> Strokes:
+    return [(_from_above(list(np.asarray(result.lines.ends_mm))), BLUE)]
+
+
+def _svg(strokes: Strokes) -> str:
+    """The lines in a square; nothing where there are none."""
+    points = [part for parts, _ in strokes for part in parts[:MOST_LINES]]
+    if not points:
+        return ""
+    together = np.concatenate(points)
+    together = together[np.isfinite(together).all(axis=1)]
+    if not len(together):
+        return ""
+    low, high = together.min(axis=0), together.max(axis=0)
+    room = 0.05 * max(float(np.max(high - low)), 1e-9)
+    left, top = (low - room).tolist()
+    width, height = (high - low + 2 * room).tolist()
+    step = max(width, height) / 2000
+    paths = "".join(
+        f'<path fill="none" vector-effect="non-scaling-stroke" stroke-width="1.3" '
+        f'stroke="{colour}" d="{"".join(_path(part, step) for part in parts[:MOST_LINES])}"/>'
+        for parts, colour in strokes
+    )
+    return (
+        f'<svg width="{SIDE_PX}" height="{SIDE_PX}" role="img" aria-label="small picture" '
+        f'viewBox="{left:.3g} {top:.3g} {width:.4g} {height:.4g}">{paths}</svg>'
+    )
+
+
+def _path(part: np.ndarray, step: float) -> str:
+    """Coordinates to half a dot of the picture."""
+    if not np.isfinite(part).all():
+        return ""
+    decimals = max(0, round(-np.log10(step)))
+    return "M" + "L".join(f"{x:.{decimals}f} {y:.{decimals}f}" for x, y in part.tolist())

@@ -1,0 +1,119 @@
+"""Values as figures of plotly, to turn and to zoom."""
+
+from functools import singledispatch
+from typing import Any
+
+import numpy as np
+
+from trinoc.calib import CalibrationResult, Pattern, RefineResult
+from trinoc.evaluation import Evaluation
+from trinoc.geometry import Rig, Segments
+from trinoc.match import Matches
+from trinoc.report.colours import BLACK, BLUE, GREEN, VERMILION
+from trinoc.report.notebook.extras import expect_extra
+from trinoc.report.space_content import frusta, polyline, sheet_outlines
+from trinoc.report.space_part import Layer, SpaceFigure, space_figure
+
+COLOURS = {"three": BLUE, "two": VERMILION, "cameras": GREEN, "sheet": "#777777"}
+
+
+def figure_of(value: object, **options: Any) -> Any:
+    """A Figure of plotly. Raises InputError where plotly is missing."""
+    expect_extra("plotly", "notebook")
+    return _figure(value, **options)
+
+
+@singledispatch
+def _figure(value: object) -> Any:
+    raise TypeError(f"{type(value).__name__} has no figure.")
+
+
+@_figure.register
+def _(rig: Rig) -> Any:
+    return _in_space(space_figure(rig, None, None).layers)
+
+
+@_figure.register
+def _(result: CalibrationResult) -> Any:
+    return _in_space(space_figure(result.rig, result.pattern, None).layers)
+
+
+@_figure.register
+def _(matches: Matches, *, rig: Rig | None = None) -> Any:
+    """The segments with their ends and sigmas under the pointer, and the cameras of `rig`."""
+    if rig is not None:
+        return _in_space(space_figure(rig, None, matches).layers)
+    return _in_space(SpaceFigure.of_tracks(matches).layers)
+
+
+@_figure.register
+def _(result: RefineResult) -> Any:
+    lines = Layer("lines", "three", list(np.asarray(result.lines.ends_mm)))
+    return _in_space((lines, Layer("cameras", "cameras", frusta(result.rig))))
+
+
+@_figure.register
+def _(pattern: Pattern) -> Any:
+    return _flat([outline[:, :2] for outline in sheet_outlines(pattern)], "X (mm)", "Y (mm)")
+
+
+@_figure.register
+def _(segments: Segments) -> Any:
+    figure = _flat(list(np.asarray(segments.endpoints_px)), "u (px)", "v (px)")
+    figure.update_yaxes(autorange="reversed")
+    return figure
+
+
+@_figure.register
+def _(evaluation: Evaluation) -> Any:
+    import plotly.graph_objects as go
+
+    shares = {"precision": evaluation.precision, "completeness": evaluation.completeness}
+    traces = [
+        go.Scatter(x=list(evaluation.tolerances_mm), y=list(share), name=name)
+        for name, share in shares.items()
+    ]
+    labels = {"xaxis_title": "within (mm)", "yaxis_title": "share of length"}
+    return go.Figure(traces, labels)
+
+
+def _in_space(layers: tuple[Layer, ...]) -> Any:
+    import plotly.graph_objects as go
+
+    traces = []
+    for layer in layers:
+        x, y, z = polyline(layer.parts or [np.full((1, 3), np.nan)]).T
+        words = [
+            text
+            for part, said in zip(layer.parts, layer.words or ("",) * len(layer.parts), strict=True)
+            for text in (*[said.replace(". ", ".<br>").replace("; ", "<br>")] * len(part), "")
+        ]
+        traces.append(
+            go.Scatter3d(
+                x=x,
+                y=y,
+                z=z,
+                name=layer.name,
+                text=words,
+                hoverinfo="text" if layer.words else "skip",
+                mode="lines" if all(len(part) > 1 for part in layer.parts) else "markers",
+                visible=True if layer.shown else "legendonly",
+                line={"color": COLOURS.get(layer.role, BLACK), "width": 4},
+                marker={"color": COLOURS.get(layer.role, BLACK), "size": 3},
+            )
+        )
+    scene = {f"{axis}axis_title": f"{axis.upper()} (mm)" for axis in "xyz"}
+    figure = go.Figure(traces)
+    figure.update_layout(scene={**scene, "aspectmode": "data"}, margin=dict.fromkeys("lrtb", 0))
+    return figure
+
+
+def _flat(lines: list[np.ndarray], x_label: str, y_label: str) -> Any:
+    import plotly.graph_objects as go
+
+    gap = np.full((1, 2), np.nan)
+    points = np.concatenate([row for line in lines for row in (line, gap)] or [gap])
+    figure = go.Figure(go.Scatter(x=points[:, 0], y=points[:, 1], mode="lines"))
+    figure.update_layout(xaxis_title=x_label, yaxis_title=y_label)
+    figure.update_yaxes(scaleanchor="x")
+    return figure
