@@ -25,6 +25,7 @@ from trinoc.segments.nevatia_babu import (
     collinear_successors,
     combined_kernel,
     end_covariances,
+    end_sigmas,
     error_model,
     fine_level,
     fit_lines,
@@ -228,7 +229,7 @@ def _as_segments(
     place = lines.centre_px, lines.direction, lines.extent_px
     near = lines_near_ends(*place, tuning.snap_px)
     partner, position = snapped_ends(*place, tuning.snap_px, near)
-    sigma_along = np.where(partner >= 0, tuning.sigma_crossing_px, tuning.sigma_free_px)
+    sigma_along = end_sigmas(*place, lines.contrast, partner, near, tuning)
     endpoints = lines._replace(extent_px=position).endpoints_px
     return with_junctions(
         Segments(

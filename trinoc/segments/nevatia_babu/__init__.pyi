@@ -6,6 +6,7 @@ from .edge_interference import overlaps as overlaps, without_neighbours as witho
 from .edge_points import EdgePoints as EdgePoints
 from .endpoints import (
     NearEnds as NearEnds,
+    end_sigmas as end_sigmas,
     endpoint_crossings as endpoint_crossings,
     lines_near_ends as lines_near_ends,
     snapped_ends as snapped_ends,

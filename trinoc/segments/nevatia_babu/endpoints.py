@@ -6,9 +6,12 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from trinoc.numerics import cross_2d, distinct, point_tree
+from trinoc.segments.tuning import DEFAULT, EndTuning
 
 _SAMPLE_PX = 3.0
 _NEIGHBOURS = 12
+# `lines_near_ends` looks so many times its reach around each end.
+_NEXT_OF_SNAP = 1.5
 _LEAST_SINE = np.sin(np.radians(15.0))
 
 
@@ -50,7 +53,9 @@ def lines_near_ends(
     owner, samples = line_samples(centre_px, direction, extent_px, _SAMPLE_PX)
     ends = centre_px[:, None] + extent_px[:, :, None] * direction[:, None]
     _, neighbours = point_tree(samples).query(
-        ends.reshape(-1, 2), k=min(_NEIGHBOURS, len(samples)), distance_upper_bound=1.5 * reach_px
+        ends.reshape(-1, 2),
+        k=min(_NEIGHBOURS, len(samples)),
+        distance_upper_bound=_NEXT_OF_SNAP * reach_px,
     )
     near = np.asarray(neighbours).reshape(2 * len(centre_px), -1)
     found = np.flatnonzero(near < len(samples))
@@ -120,6 +125,33 @@ def snapped_ends(
     partner[line, side] = other
     position[line, side] = where
     return partner, position
+
+
+def end_sigmas(
+    centre_px: Float[np.ndarray, "r 2"],
+    direction: Float[np.ndarray, "r 2"],
+    extent_px: Float[np.ndarray, "r 2"],
+    contrast: Float[np.ndarray, "r"],
+    partner: Int[np.ndarray, "r 2"],
+    near: NearEnds,
+    tuning: EndTuning = DEFAULT.ends,
+) -> Float[np.ndarray, "r 2"]:
+    """(r, 2) standard deviation of each end along its line, in px.
+
+    An end with a `partner` is at a crossing. A free end is where the evidence stops: the edge
+    goes on to the next crossing, if `near` knows one, or unseen into its background, the
+    farther the fainter it is.
+    """
+    faint = np.sqrt(tuning.free_contrast / np.maximum(contrast, 1e-6))
+    free = np.clip(tuning.sigma_free_px * faint, tuning.least_free_px, tuning.most_free_px)
+    sigma = np.repeat(free[:, None], 2, axis=1)
+    reach = np.full(len(centre_px), _NEXT_OF_SNAP * tuning.snap_px)
+    ahead = endpoint_crossings(centre_px, direction, extent_px, reach, near)
+    distance = np.abs(ahead.position - extent_px[ahead.line, ahead.side])
+    farthest_first = np.argsort(-distance, kind="stable")
+    line, side = ahead.line[farthest_first], ahead.side[farthest_first]
+    sigma[line, side] = np.maximum(distance[farthest_first], tuning.least_free_px)
+    return np.where(partner >= 0, tuning.sigma_crossing_px, sigma)
 
 
 def line_samples(

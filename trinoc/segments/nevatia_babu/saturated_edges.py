@@ -11,23 +11,21 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.special import ndtr, ndtri
+from scipy.special import ndtri
 
 from trinoc.numerics import members
 from trinoc.segments.nevatia_babu.edge_errors import ErrorModel
 from trinoc.segments.nevatia_babu.edge_points import EdgePoints
 from trinoc.segments.nevatia_babu.line_fit import FittedLines
+from trinoc.segments.nevatia_babu.step_fit import step_fit
 from trinoc.segments.tuning import DEFAULT, SaturationTuning
 
 _BIN_PX = 0.25
 # The profile is looked at so far to both sides, and fitted from so many widths before the line.
 _REACH_PX, _WIDTHS = 9, 3.5
-_ROUNDS = 10
 _LEAST_BINS, _MOST_WIDTHS = 5, 3.0
-# The fit starts from steps so high, in logarithms of the height over the visible one, and moves
-# by so much at a time.
+# The fit starts from steps so high, in logarithms of the height over the visible one.
 _STARTS = (0.05, 0.4, 1.0)
-_LARGEST = np.array([0.4, 0.3, np.inf, 0.2])
 _SIGMAS_BELOW_WHITE = 2.5
 # The blur comes from so many of the longest edges without saturation, that have less than this
 # share of their points beside others and so many times the noise in contrast.
@@ -111,7 +109,7 @@ def _blur_of_clear(
     start[:, 2] = np.where(used, level, np.inf).min(axis=1)
     start[:, 3] = unknown[0]
     weight = np.array([1.0, 1 / tuning.log_above_sigma**2, 0.0, 1 / unknown[1] ** 2])
-    fit = _step_fit(across, level, information, rise, start, start, weight, -np.inf)
+    fit = step_fit(across, level, information, rise, start, start, weight, -np.inf)
     low, middle, high = np.quantile(fit.log_width, (0.16, 0.5, 0.84))
     return BlurPrior(float(middle), float(np.hypot((high - low) / 2, tuning.blur_spread)))
 
@@ -197,7 +195,7 @@ def _fitted(
         # Where the visible step is half way, a higher one is so many widths before its middle.
         start[:, 0] = -width * ndtri(0.5 * np.exp(-above))
         start[:, 1] = above
-        fits.append(_step_fit(*data, visible, start, prior, weight, 0.0))
+        fits.append(step_fit(*data, visible, start, prior, weight, 0.0))
     place, _, variance, cost, misfit = (np.array(column) for column in zip(*fits, strict=True))
     # Starts that end alike are one answer; several answers count by how well they explain.
     share = np.exp(-0.5 * (cost - cost.min(axis=0)))
@@ -212,59 +210,3 @@ def _fitted(
         np.where(poor, 0.0, shift),
         np.where(poor, np.square(tuning.unfitted_widths * width), variance),
     )
-
-
-class StepFit(NamedTuple):
-    """Of each line: place, logarithm of the width, variance of the place, cost, and its part that
-    is the data's."""
-
-    place_px: Float[np.ndarray, "s"]
-    log_width: Float[np.ndarray, "s"]
-    variance_px2: Float[np.ndarray, "s"]
-    cost: Float[np.ndarray, "s"]
-    misfit: Float[np.ndarray, "s"]
-
-
-def _step_fit(
-    across: Float[np.ndarray, "s b"],
-    level: Float[np.ndarray, "s b"],
-    information: Float[np.ndarray, "s b"],
-    visible: Float[np.ndarray, "s"],
-    start: Float[np.ndarray, "s 4"],
-    prior: Float[np.ndarray, "s 4"],
-    weight: Float[np.ndarray, "4"],
-    least_above: float,
-) -> StepFit:
-    """Gauss and Newton for all lines together, with what is known beforehand.
-
-    Unknowns: place, logarithm of the height over the visible one, floor, logarithm of the width.
-    """
-    state = start
-    for _ in range(_ROUNDS):
-        residual, jacobian = _residuals(state, across, level, visible)
-        weighted = jacobian * information[..., None]
-        normal = np.einsum("sbi,sbj->sij", weighted, jacobian) + np.diag(weight + 1e-6)
-        gradient = np.einsum("sbi,sb->si", weighted, residual) + weight * (prior - state)
-        change = np.linalg.solve(normal, gradient[..., None])[..., 0]
-        state = state + np.clip(change, -_LARGEST, _LARGEST)
-        state[:, 1] = np.maximum(state[:, 1], least_above)
-    residual, _ = _residuals(state, across, level, visible)
-    misfit = (information * residual**2).sum(axis=1)
-    cost = misfit + (weight * np.square(state - prior)).sum(axis=1)
-    return StepFit(state[:, 0], state[:, 3], np.linalg.inv(normal)[:, 0, 0], cost, misfit)
-
-
-def _residuals(
-    state: Float[np.ndarray, "s 4"],
-    across: Float[np.ndarray, "s b"],
-    level: Float[np.ndarray, "s b"],
-    visible: Float[np.ndarray, "s"],
-) -> tuple[np.ndarray, np.ndarray]:
-    """(residual, jacobian of the model): a blurred step beside the levels."""
-    place, above, base, log_width = (column[:, None] for column in state.T)
-    rise, width = visible[:, None] * np.exp(above), np.exp(log_width)
-    t = (across - place) / width
-    step = rise * ndtr(t)
-    slope = rise * np.exp(-0.5 * t * t) / np.sqrt(2 * np.pi)
-    jacobian = np.stack([-slope / width, step, np.ones_like(t), -slope * t], axis=-1)
-    return level - base - step, jacobian
