@@ -12,7 +12,7 @@ import numpy as np
 
 import trinoc
 from trinoc.calib import calibrate_points
-from trinoc.cli.compile_cache import enable_compile_cache
+from trinoc.io import enable_compile_cache
 from trinoc.geometry import project
 from trinoc.synth import table1_rig
 

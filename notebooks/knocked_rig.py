@@ -9,7 +9,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import trinoc
-from trinoc.cli.compile_cache import enable_compile_cache
+from trinoc.io import enable_compile_cache
 from trinoc.geometry import Camera, Rig
 from trinoc.synth import Detector, block_scene, simulate_segments, table1_rig
 

@@ -8,7 +8,7 @@
 import matplotlib.pyplot as plt
 
 import trinoc
-from trinoc.cli.compile_cache import enable_compile_cache
+from trinoc.io import enable_compile_cache
 from trinoc.io import demo_paths, demo_pattern, read_views
 
 enable_compile_cache()

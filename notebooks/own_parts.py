@@ -11,7 +11,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import trinoc
-from trinoc.cli.compile_cache import enable_compile_cache
+from trinoc.io import enable_compile_cache
 from trinoc.geometry import project
 from trinoc.io import demo_images
 from trinoc.synth import table1_rig

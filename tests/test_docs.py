@@ -34,7 +34,7 @@ def options() -> dict[str, set[str]]:
 
     found = {}
     for command in re.findall(
-        r"^### `trinoc (\w+)`", (ROOT / "docs/reference.md").read_text(), re.M
+        r"^### `trinoc ([\w-]+)`", (ROOT / "docs/reference.md").read_text(), re.M
     ):
         said = io.StringIO()
         with contextlib.redirect_stdout(said):

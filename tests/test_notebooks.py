@@ -10,6 +10,7 @@ import pytest
 
 FOLDER = Path(__file__).parent.parent / "notebooks"
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
+SLOW = pytest.mark.slow
 TOOLS = runpy.run_path(str(FOLDER / "execute.py"), run_name="tools")
 
 
@@ -35,7 +36,11 @@ def test_every_figure_is_a_picture(path: Path) -> None:
     assert all("image/png" in data for data in shown)
 
 
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "path",
+    [path if path.stem == "end_to_end" else pytest.param(path, marks=SLOW) for path in NOTEBOOKS],
+    ids=lambda path: path.stem,
+)
 def test_a_script_runs_to_its_checks(
     path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -297,6 +297,7 @@ def batch(place, *options):
     )
 
 
+@pytest.mark.slow
 def test_the_command_matches_as_the_library_does(recording, tmp_path, capsys):
     out = tmp_path / "out"
     assert batch(recording, "-o", str(out), "--frames-per-file", "8") == 0

@@ -51,6 +51,7 @@ def test_the_paper_s_rig_is_recovered() -> None:
         assert quality.ink_over_paper == pytest.approx(25 / 230, abs=0.01)
 
 
+@pytest.mark.slow
 def test_distortion_is_modelled_and_missed_when_it_is_left_out() -> None:
     images = {"left": picture("left", lens_is_distorted=True)}
     known = calibrate(images, SHEET, DISTORTED_LENS, systematics=EXACT)

@@ -1,6 +1,7 @@
 """Many frames at once give what each gives alone, and one bad frame spoils no other."""
 
 import numpy as np
+import pytest
 
 from tests.calib.simulated import (
     EXACT,
@@ -45,6 +46,7 @@ def test_frames_are_independent() -> None:
         )
 
 
+@pytest.mark.slow
 def test_frames_have_the_errors_of_each_calibration_alone() -> None:
     frames = [
         {

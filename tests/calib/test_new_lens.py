@@ -67,6 +67,7 @@ def test_it_survives_a_file(lens: Intrinsics, tmp_path) -> None:
     np.testing.assert_allclose(again.lens.parameters, lens.lens.parameters, rtol=1e-15)
 
 
+@pytest.mark.slow
 def test_a_camera_behind_it_is_found_from_circles(lens: Intrinsics) -> None:
     values = TABLE_1["right"]
     detection = simulated_detection(camera_of(values, lens), reference_sheet(), seed=1)

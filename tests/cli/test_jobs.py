@@ -94,6 +94,7 @@ def test_calibrate_says_the_same_to_people(run):
     assert out.endswith("written: people.json\n")
 
 
+@pytest.mark.slow
 def test_a_suspect_rig_is_written_only_where_it_is_accepted_and_says_so(run, folder):
     command = *calibrate("upper=upper.png"), "--print-scale", "1.004", "0.996", "-o", "doubt.json"
     status, out, err = run(*command, "--json")

@@ -54,6 +54,7 @@ def calibrate(*options: str) -> tuple[str, ...]:
     return "calibrate", *VIEWS, "--pattern", "sheet.json", *LENS, *options
 
 
+@pytest.mark.slow
 def test_what_a_data_sheet_gives_is_read_by_every_command(run, folder):
     status, out, err = run(*calibrate("--report", "report.html", "--json"))
     assert (status, err) == (0, "")

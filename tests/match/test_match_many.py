@@ -25,6 +25,7 @@ def test_a_batch_gives_what_its_items_give_and_a_bad_item_spoils_no_other() -> N
         np.testing.assert_allclose(found.lines_mm, alone.lines_mm, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_frames_of_one_stack_learn_their_own_parameters() -> None:
     # Rigs, numbers of views and of segments, and noise beyond what is stated, which takes
     # another pass, differ by frame.

@@ -139,6 +139,7 @@ def test_five_views_give_one_track_per_line() -> None:
     assert (matches.stage == "trinocular").all()
 
 
+@pytest.mark.slow
 def test_eight_views_give_one_track_per_line() -> None:
     pans = {f"view {k}": (-50.0 + 14 * k, 45.0 + 8 * (-1) ** k, 0.0, 470.0 + k) for k in range(8)}
     rig, lines = rig_of(**pans), loose_lines(20, seed=23)

@@ -39,6 +39,7 @@ EXACT = Systematics()
 BENCH = Systematics.typical({})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "known", "method"),
     [

@@ -4,6 +4,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from tests.calib.bundle.made_tracks import SHEET_SIGMA, TRUTH, made_tracks, rig_at
 from trinoc.calib import camera_state, refined, stacked_states
@@ -26,6 +27,7 @@ def crossing(line, ends):
     return line[0] + (normal @ (ends[1] - line[0])) / (normal @ along) * along
 
 
+@pytest.mark.slow
 def test_gradients_of_a_line_and_of_a_camera_agree_with_differences():
     lines, ends, _ = made_tracks(0, 12, hidden=0.0)
     rig = rig_at(TRUTH, with_covariance=True)

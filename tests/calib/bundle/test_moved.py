@@ -20,6 +20,7 @@ def knocked(seed, cameras, size):
     return rig_at(values, with_covariance=True)
 
 
+@pytest.mark.slow
 def test_a_rig_at_rest_is_left_in_peace():
     suspected = 0
     for seed in range(10):

@@ -1,6 +1,7 @@
 """A calibration whose lens is uncertain: segments refine pose and lens together."""
 
 import numpy as np
+import pytest
 
 from tests.calib.bundle.made_tracks import ANGLES_AND_DISTANCES, made_tracks
 from tests.calib.simulated import LENS, camera_of, reference_sheet, simulated_detection
@@ -34,6 +35,7 @@ def errors(rig: Rig) -> np.ndarray:
     )
 
 
+@pytest.mark.slow
 def test_segments_join_what_the_sheet_says_of_pose_and_lens() -> None:
     squared, gain = [], []
     for seed in range(5):
@@ -61,6 +63,7 @@ def test_a_lens_that_is_exact_stays_while_others_are_open() -> None:
     assert not any(name.endswith(AFFINE_PARAMETERS) for name in held.parameters)
 
 
+@pytest.mark.slow
 def test_an_open_lens_hides_no_knock_and_makes_none_up() -> None:
     sheet, lines = data_sheet_calibration(9).rig, made_tracks(9, 100)[0]
     assert check_rig(sheet, lines).moved == ()

@@ -121,6 +121,7 @@ def test_the_order_of_cameras_does_not_matter():
     np.testing.assert_allclose(one.values, two.values, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_intrinsics_on_request_follow_their_covariance():
     """Twelve pose and twelve intrinsic parameters from a start with wrong focal lengths."""
     lines, _, _ = made_tracks(15, 300, sigma_px=0.1)

@@ -56,6 +56,7 @@ def test_nobody_chooses_unless_told_by_what() -> None:
     assert 'orientation="upright"' in result.summary()
 
 
+@pytest.mark.slow
 def test_upright_takes_what_the_detector_put_first() -> None:
     result = calibrate_detections(
         detections((0, 0, 0)), SHEET, LENS, orientation="upright", systematics=EXACT

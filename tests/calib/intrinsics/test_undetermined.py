@@ -56,6 +56,7 @@ def test_a_held_principal_point_lets_one_picture_do():
     ).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("poses", [good_poses()[:3], good_poses(seed=3), SQUARE[:4]])
 def test_the_advised_picture_lowers_the_sigma_that_it_promises(poses):
     before = calibrate_intrinsics(detections(poses), SHEET, throw=False)

@@ -142,6 +142,7 @@ def scene_of(picture: np.ndarray) -> CameraScene:
     )
 
 
+@pytest.mark.slow
 def test_derivatives_are_those_of_differences_and_local_light_too() -> None:
     scene = scene_of(np.zeros(LENS.image_size_px[::-1]))
     blocks = blocks_of_pixels(scene.uv_px, pose_of(RIGHT), LENS.lens, reference_sheet())

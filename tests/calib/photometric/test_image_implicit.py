@@ -104,6 +104,7 @@ def test_derivatives_are_those_of_whole_fits(
     assert (error < 0.02 * size).all()
 
 
+@pytest.mark.slow
 def test_the_gradient_is_the_transpose(
     groups: tuple[Group, ...], followed: Callable[[ArrayLike], jax.Array]
 ) -> None:

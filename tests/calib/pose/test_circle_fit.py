@@ -66,7 +66,7 @@ def test_jacobian_is_the_limit_of_differences(lens: Intrinsics, model: PoseModel
         np.testing.assert_allclose(jacobian[..., k], difference, rtol=1e-6, atol=1e-3)
 
 
-@settings(max_examples=25)
+@settings(max_examples=10)
 @given(pan=PANS, tilt=TILTS, swing=PANS, distance=st.floats(300.0, 900.0), free=st.booleans())
 def test_without_noise_the_camera_is_recovered(
     pan: float, tilt: float, swing: float, distance: float, free: bool

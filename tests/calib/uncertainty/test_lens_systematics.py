@@ -80,6 +80,7 @@ def test_lenses_of_their_own_err_independently() -> None:
     assert "sigmas include noise, the lens's own covariance of upper, left." in result.summary()
 
 
+@pytest.mark.slow
 def test_errors_of_the_lens_scatter_the_pose_as_claimed() -> None:
     """100 lenses drawn from the covariance: normalised squared errors are chi-square.
 

@@ -96,6 +96,7 @@ def test_one_direction_of_errors_is_that_of_moved_cameras(seed: int) -> None:
         assert field.sigma_px[row] == pytest.approx(abs(slope), rel=1e-3, abs=1e-4)
 
 
+@pytest.mark.slow
 def test_points_of_calibrations_with_other_lenses_scatter_as_their_rigs_say() -> None:
     """Pose and lens err together: near the sheet a point is known far better than the cameras."""
     random = np.random.default_rng(5)

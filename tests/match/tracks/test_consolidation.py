@@ -59,6 +59,7 @@ def test_parts_of_one_line_become_one_track(scene: MadeScene) -> None:
     }
 
 
+@pytest.mark.slow
 def test_seven_views_lose_none_and_misfit_no_more_than_chance() -> None:
     rig, lines = rig_of(**POSES), loose_lines(25, seed=12)
     matches = match_segments(pictures(rig, lines, 0.4, seed=3), rig, sigma_px=0.4)

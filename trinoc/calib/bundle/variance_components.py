@@ -35,14 +35,15 @@ def segment_factor(
     """Factor on the sigma of segments from tracks whose every fragment fits.
 
     `cameras_trace` is the trace of the segments' share in the cameras' estimate. A track with
-    n views leaves 2 n - 4 distances for the noise; two views leave none.
+    n views leaves 2 n - 4 distances for the noise; two views leave none. With less than one in all
+    the claimed sigmas are kept.
     """
     factor = 1.0
     for _ in range(10):
         inlier = seen & (squared <= INLIER_SQUARED * max(factor, 1e-3) ** 2)
         whole = (inlier == seen).all(axis=1) & (seen.sum(axis=1) >= 3)
         redundancy = (2 * seen[whole].sum(axis=1) - 4).sum() - cameras_trace
-        if redundancy <= 0:
+        if redundancy < 1:
             return 1.0, inlier
         update = float(np.sqrt(squared[whole].sum() / redundancy))
         if abs(update - factor) < 1e-4 * factor:

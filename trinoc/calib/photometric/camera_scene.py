@@ -14,6 +14,7 @@ from trinoc.calib.photometric.gauss_newton import Group, sheet_from_normalised
 from trinoc.calib.photometric.ink_coverage import Cross, Drawing
 from trinoc.calib.photometric.local_light import Blocks, local_rows
 from trinoc.calib.photometric.normal_equations import CHUNK
+from trinoc.calib.photometric.pixel_selection import SMALLEST_CAPACITY
 from trinoc.calib.photometric.unknowns import (
     LIGHT_DEGREE,
     VEIL_TERMS,
@@ -132,19 +133,24 @@ def predict_scene(scene: CameraScene, state: CameraState) -> CameraPrediction:
         start += count
         fields = np.ones((2, len(group.pixels.grey)), single)
         fields[0, :count], fields[1, :count] = (light * factor)[part], veil[part]
-        predicted = predicted_rows(
-            homography.reshape(3, 3),
-            state.look,
-            *fields,
-            group.pixels,
-            np.asarray(-(-count // CHUNK), dtype=np.int32),
-            np.asarray(state.light[0]),
-            np.asarray(scene.white),
-            scene.cross,
-            drawing=scene.drawing,
-            near_line=near_line,
-        )
-        rows[:, part] = np.asarray(predicted)[:, :count]
+        # The program is a large one: it is compiled for blocks of one size, whatever the picture's.
+        for first in range(0, count, SMALLEST_CAPACITY):
+            block = slice(first, first + SMALLEST_CAPACITY)
+            left = min(count - first, SMALLEST_CAPACITY)
+            predicted = predicted_rows(
+                homography.reshape(3, 3),
+                state.look,
+                *fields[:, block],
+                jax.tree.map(lambda leaf, block=block: leaf[block], group.pixels),
+                np.asarray(-(-left // CHUNK), dtype=np.int32),
+                np.asarray(state.light[0]),
+                np.asarray(scene.white),
+                scene.cross,
+                drawing=scene.drawing,
+                near_line=near_line,
+            )
+            at = part.start + first
+            rows[:, at : at + left] = np.asarray(predicted)[:, :left]
     # Pixels are predicted in single precision: what the unknowns lose there, all of them lose.
     exact = np.concatenate([homography, state.look])
     lost = (exact - exact.astype(single)).astype(single)

@@ -22,7 +22,7 @@ _REACH_SIGMAS = 3.0
 _REACH_PX = 0.4
 # Fixed-point bits of OpenCV's drawing coordinates.
 _SHIFT = 4
-_SMALLEST_CAPACITY = 16384
+SMALLEST_CAPACITY = 16384
 # The first of so many parts of the chosen pixels lies as evenly on the sheet as all of them.
 PARTS = 4
 
@@ -150,7 +150,7 @@ def _draw(canvas: np.ndarray, outline: Int[np.ndarray, "k 2"], value: int, thick
 
 def capacity_for(count: int) -> int:
     """The padded length for `count` pixels; few lengths, because each compiles anew."""
-    capacity = _SMALLEST_CAPACITY
+    capacity = SMALLEST_CAPACITY
     while capacity < count:
         capacity *= 4
     return capacity
