@@ -71,6 +71,7 @@ def test_an_aim_beside_the_origin_is_said_and_allowed_for() -> None:
     assert result.sigma("a.aim_x_mm") < 0.01
 
 
+@pytest.mark.slow
 def test_an_exact_aim_that_is_not_is_suspect() -> None:
     result, _ = answer("aim .1 mm off", EXACT)
     assert result.status["a"] is Status.SUSPECT

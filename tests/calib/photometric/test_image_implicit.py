@@ -92,6 +92,7 @@ def followed(groups: tuple[Group, ...]) -> Callable[[ArrayLike], jax.Array]:
     return product
 
 
+@pytest.mark.slow
 def test_derivatives_are_those_of_whole_fits(
     groups: tuple[Group, ...], followed: Callable[[ArrayLike], jax.Array]
 ) -> None:
