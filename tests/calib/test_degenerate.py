@@ -30,8 +30,8 @@ def calibrated(**images):
 
 
 def edge_on():
-    pose = {"pan_deg": 0.0, "tilt_deg": 3.0, "swing_deg": 0.0, "distance_mm": 470.0}
-    return calibrated(upper=picture(Camera.from_degrees(LENS, **pose)))
+    camera = Camera.from_degrees(LENS, pan_deg=0.0, tilt_deg=3.0, swing_deg=0.0, distance_mm=470.0)
+    return calibrated(upper=picture(camera))
 
 
 def one_row():

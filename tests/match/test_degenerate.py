@@ -87,7 +87,9 @@ ERRORS = {
         'The cameras "a" and "b" stand at one place, which leaves depth unknown',
     ),
     "identical pictures": (
-        lambda: trinoc.match_segments(dict.fromkeys(RIG, seen(RIG, along([1, 0, 0]))["left"]), RIG),
+        lambda: trinoc.match_segments(
+            {name: seen(RIG, along([1, 0, 0]))["left"] for name in RIG}, RIG
+        ),
         "have the same segments: give those of the picture that each camera took.",
     ),
     "zero length": (

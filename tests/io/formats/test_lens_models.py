@@ -83,9 +83,11 @@ def test_opencv_s_fisheye_projects_what_is_written(tmp_path):
     storage = cv2.FileStorage(str(tmp_path / "rig.yml"), cv2.FILE_STORAGE_READ)
     node, still = storage.getNode("cameras").at(0), np.zeros(3)
     assert node.getNode("fisheye_model").real() == 1
-    lens = (node.getNode(key).mat() for key in ("camera_matrix", "distortion_coefficients"))
+    matrix, distortion = (
+        node.getNode(key).mat() for key in ("camera_matrix", "distortion_coefficients")
+    )
     seen = in_frame_of(rig.cameras[0])[:, None]
-    found, _ = cv2.fisheye.projectPoints(seen, still, still, *lens)
+    found, _ = cv2.fisheye.projectPoints(seen, still, still, matrix, distortion)
     np.testing.assert_allclose(found.reshape(-1, 2), pixels(rig.cameras[0]), **SAME)
 
 
