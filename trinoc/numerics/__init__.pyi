@@ -34,6 +34,10 @@ from .interval_join import (
     overlapping as overlapping,
     pairs_of_equal_keys as pairs_of_equal_keys,
 )
+from .manifold_minimiser import (
+    AbstractManifoldMinimiser as AbstractManifoldMinimiser,
+    DampedDescent as DampedDescent,
+)
 from .neighbours_in_plane import (
     distinct as distinct,
     group_labels as group_labels,
