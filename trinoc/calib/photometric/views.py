@@ -12,11 +12,9 @@ from jaxtyping import Float
 
 from trinoc.calib.model import SheetPoints
 from trinoc.calib.photometric.encoding import AS_DELIVERED, Encoding
-from trinoc.calib.photometric.image_fit import (
-    ImageRefinement,
-    ShiftOfPlaces,
-    refine_image,
-)
+from trinoc.calib.photometric.image_fit import refine_image
+from trinoc.calib.photometric.image_problem import ShiftOfPlaces
+from trinoc.calib.photometric.image_refinement import ImageRefinement
 from trinoc.calib.photometric.outlines import project_to_image
 from trinoc.calib.pose import DEGREES
 from trinoc.calib.result import ImageQuality
