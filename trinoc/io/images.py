@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from trinoc.errors import InputError
-from trinoc.io.picture_size import MOST_PIXELS, size_px
+from trinoc.io.picture_size import MOST_PIXELS, is_complete, size_px
 from trinoc.io.whole_files import read_bytes
 
 IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm", ".webp")
@@ -68,6 +68,11 @@ def _decoded(file: Path, content: bytes) -> np.ndarray:
         raise InputError(
             f"{file} announces {size[0]} x {size[1]} px, more than any camera has: give a picture "
             f"of at most {MOST_PIXELS / 1e6:.0f} megapixels."
+        )
+    if not is_complete(content):
+        raise InputError(
+            f"{file} is a PNG that is cut off or announces more than it holds: copy the picture "
+            "again from where it came."
         )
     # OpenCV warns on stderr about broken files; the sentence below says it better.
     level = cv2.utils.logging.getLogLevel()

@@ -28,6 +28,7 @@ from .information import (
     LARGEST_SIGMA as LARGEST_SIGMA,
     Observability as Observability,
     observability as observability,
+    observability_of_root as observability_of_root,
 )
 from .interval_join import (
     expand_ranges as expand_ranges,
