@@ -84,7 +84,7 @@ def image_problem(
     encoding: Encoding,
 ) -> tuple[ImageProblem, float] | None:
     """The problem, and the noise of the picture's flat parts; None where no ink shows."""
-    noise_scale = np.ones_like(image)
+    noise_scale = np.broadcast_to(np.float32(1.0), image.shape)
     if encoding.bayer is not None:
         image, noise_scale = balanced_mosaic(image, encoding.bayer, start, lens, pattern)
     appearance = initial_appearance(image, start, lens, pattern)
