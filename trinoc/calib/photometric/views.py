@@ -1,7 +1,7 @@
 """The pictures of a rig, each fitted from where its circles place the camera."""
 
 import functools
-import os
+import multiprocessing
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -89,7 +89,7 @@ def _threads() -> ThreadPoolExecutor:
 
     One for each core, because a picture of 16 megapixels takes 300 MB while it is fitted.
     """
-    return ThreadPoolExecutor(os.cpu_count(), thread_name_prefix="trinoc-refine")
+    return ThreadPoolExecutor(multiprocessing.cpu_count(), thread_name_prefix="trinoc-refine")
 
 
 def _refine(
