@@ -55,7 +55,7 @@ def test_places_that_cannot_be_written_to(tmp_path):
 def test_a_folder_that_takes_no_files_is_told_before_the_work(tmp_path, monkeypatch):
     # Permissions do not bind the superuser, whom tests may run as.
     monkeypatch.setattr(os, "access", lambda path, mode: mode != os.W_OK)
-    with pytest.raises(InputError, match="rig.json cannot be written"):
+    with pytest.raises(InputError, match=r"rig\.json cannot be written"):
         expect_place(tmp_path / "rig.json")
 
 
