@@ -16,6 +16,7 @@ from .buckets import (
     in_bucket as in_bucket,
     padded as padded,
 )
+from .compilation import one_compiles as one_compiles
 from .display import Displays as Displays, Shown as Shown, display_with as display_with
 from .grey import GreyImage as GreyImage, grey_image as grey_image
 from .grouped import (

@@ -1,6 +1,5 @@
 """The fit of an ideal camera: robust steps, a gate for pixels, steps of least squares."""
 
-import threading
 from typing import NamedTuple
 
 import jax
@@ -21,7 +20,7 @@ from trinoc.calib.photometric.image_problem import ImageProblem
 from trinoc.calib.photometric.patches import PixelRows, homography_of_pose
 from trinoc.calib.photometric.pixel_selection import PARTS
 from trinoc.geometry import PoseModel
-from trinoc.numerics import GemanMcClure
+from trinoc.numerics import GemanMcClure, one_compiles
 
 # Shares of the contrast at which a residual loses its influence while the fit finds its way.
 _SCALES = (0.12, 0.07, 0.05)
@@ -150,11 +149,6 @@ def _plain_fit(
     return _run(start, groups, problem, _plain(gate.sigma, problem.model))
 
 
-# Threads that meet an uncompiled program would each compile it; the first one does.
-_COMPILING = threading.Lock()
-_compiled: set[tuple[object, ...]] = set()
-
-
 def _run(
     start: ImageState,
     groups: tuple[Group, Group],
@@ -162,14 +156,8 @@ def _run(
     solver: StagedGaussNewton,
 ) -> Fit:
     drawing, model = problem.drawing, problem.model
-    arguments = (start, *groups, problem.cross, solver)
-    key = (drawing, model, groups[0].pixels.grey.shape)
-    if key in _compiled:
-        return run_fit(*arguments, drawing=drawing, model=model)
-    with _COMPILING:
-        fit = run_fit(*arguments, drawing=drawing, model=model)
-        _compiled.add(key)
-    return fit
+    with one_compiles("run_fit", drawing, model, groups[0].pixels.grey.shape):
+        return run_fit(start, *groups, problem.cross, solver, drawing=drawing, model=model)
 
 
 def _robust(contrast: float, model: PoseModel) -> StagedGaussNewton:
