@@ -109,12 +109,15 @@ def spatial_index(
         # Key and segment in one number: sorting it is several times faster than by key.
         entries.append((key.astype(np.int64) << 32) | owner[entry])
     ordered = np.sort(np.concatenate(entries))
-    count = np.bincount(ordered >> 32, minlength=int(np.max(grid.first)) + 1)
-    start = np.cumsum(count) - count
-    start, segment = start.astype(np.int32), (ordered & 0xFFFFFFFF).astype(np.int32)
-    # Short numbers where they do: every prediction looks here, and most find nothing.
-    small = np.uint16 if len(ordered) < 1 << 16 or count.max() < 1 << 16 else np.int32
-    return SpatialIndex(grid, start, count.astype(small), segment)
+    key = ordered >> 32
+    edge = np.flatnonzero(np.diff(key, prepend=-1))
+    each = np.diff(edge, append=len(key))
+    # Most keys have no entries. Counts are short numbers where they can be: every prediction
+    # looks here.
+    keys, small = int(np.max(grid.first)) + 1, each.max(initial=0) < 1 << 16
+    start, count = np.zeros(keys, np.int32), np.zeros(keys, np.uint16 if small else np.int32)
+    start[key[edge]], count[key[edge]] = edge, each
+    return SpatialIndex(grid, start, count, (ordered & 0xFFFFFFFF).astype(np.int32))
 
 
 def _half_turns(u: Any, v: Any) -> Any:

@@ -22,7 +22,7 @@ from trinoc.numerics import ArrayLike, group_medians, group_sums, of_group
 SAMPLES = (0.5, 1 / 6, 5 / 6)
 # Finest cell: at least CELL_SIGMAS standard deviations wide. Along the longer side of the image
 # there are CELLS sqrt(n) of them for n segments, clipped to FEWEST .. MOST.
-CELL_SIGMAS, CELLS, FEWEST, MOST = 8.0, 4.0, 16, 320
+CELL_SIGMAS, CELLS, FEWEST, MOST = 8.0, 3.0, 16, 320
 
 
 def lookup(
