@@ -39,6 +39,7 @@ from .match import (
     match_many as match_many,
     match_segments as match_segments,
     snap_corners as snap_corners,
+    warm_up as warm_up,
 )
 from .segments import (
     find_segments as find_segments,

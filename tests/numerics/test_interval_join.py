@@ -59,9 +59,10 @@ def test_the_table_holds_every_segment_near_a_point_and_a_direction(seed: int) -
     known_px = 0.99 * np.array([one.sigmas for one in LAYERS])[layer]
     point = on + rng.uniform(-4, 4, (30, 1)) * known_px[:, None] * normal
     point = np.clip(point, 0.0, 199.9)
-    asked = np.mod(angle + rng.uniform(-1, 1, 30) * (known_rad + 0.05), np.pi)
+    asked = angle + rng.uniform(-1, 1, 30) * (known_rad + 0.05)
+    direction = np.cos(asked), np.sin(asked)
     keys = jax.vmap(lambda p, *known: key_at(table.grid, [(p[0], p[1])], *known)[0])(
-        point, asked, known_rad, known_px
+        point, direction, known_rad, known_px
     )
     query, segment = segments_at(table, np.asarray(keys))
     found = set(zip(query.tolist(), segment.tolist(), strict=True))

@@ -12,3 +12,4 @@ from .occlusion.pairs import occluded_pairs as occluded_pairs
 from .selection.marginals import Selection as Selection, select as select
 from .tracks.matches import BINOCULAR as BINOCULAR, TRINOCULAR as TRINOCULAR, Matches as Matches
 from .tuning import MatchTuning as MatchTuning
+from .warming import warm_up as warm_up

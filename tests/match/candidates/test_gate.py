@@ -9,7 +9,7 @@ import pytest
 from tests.match.scene import MadeScene
 from trinoc.match.candidates.gate import passes_third_view_gate
 from trinoc.match.candidates.lookup import SAMPLES, keys_of, lookup, segments_near
-from trinoc.match.candidates.transfer import Prediction, predict
+from trinoc.match.candidates.transfer import Prediction, predict, third_view
 from trinoc.match.tuning import DEFAULT
 from trinoc.match.two_view import pencil, row_of
 
@@ -38,11 +38,10 @@ class Dense(NamedTuple):
 @jax.jit
 def predicted_and_gated(lines, grid, ends_px, line):
     planes = pencil(lines, np.array(FIRST), np.array(SECOND))
+    view = third_view(lines, planes, np.array(THIRD))
 
     def one(i, j):
-        guess = predict(
-            lines, np.array(THIRD), planes, row_of(planes.first, i), row_of(planes.second, j)
-        )
+        guess = predict(view, row_of(planes.first, i), row_of(planes.second, j))
         gate = jax.vmap(lambda *k: passes_third_view_gate(guess, *k))
         return guess, keys_of(grid, guess), gate(ends_px, line, lines.across_px2[THIRD, :COUNT])
 

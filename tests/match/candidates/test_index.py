@@ -1,6 +1,7 @@
 """The table of cells finds every segment that a search through all of them finds."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -31,7 +32,8 @@ def table(segments: tuple[np.ndarray, np.ndarray]) -> SpatialIndex:
 @jax.jit
 def keys(grid, points, angle, slack, sigma):
     def one(point, angle, slack, sigma):
-        return key_at(grid, [(point[0], point[1])], angle, slack, sigma)[0]
+        direction = jnp.cos(angle), jnp.sin(angle)
+        return key_at(grid, [(point[0], point[1])], direction, slack, sigma)[0]
 
     return jax.vmap(one)(points, angle, slack, sigma)
 
@@ -52,12 +54,12 @@ def turns_rad(angle: np.ndarray, ends: np.ndarray) -> np.ndarray:
 
 
 def near_to(ends: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """(points, directions from 0 to half a turn) of about the segments' own, in the picture."""
+    """(points, directions, in rad) of about the segments' own, in the picture."""
     inside = ((ends > 20) & (ends < 460)).all(axis=(1, 2))
     first, last = np.moveaxis(ends[rng.choice(np.flatnonzero(inside), QUERIES)], 1, 0)
     points = first + rng.uniform(0, 1, (QUERIES, 1)) * (last - first)
     angle = np.arctan2(*(last - first).T[::-1]) + rng.normal(0, 0.05, QUERIES)
-    return points + rng.normal(0, 2, points.shape), np.mod(angle, np.pi)
+    return points + rng.normal(0, 2, points.shape), angle
 
 
 @pytest.mark.parametrize("layer", range(len(LAYERS)))

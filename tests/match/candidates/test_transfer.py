@@ -4,7 +4,7 @@ import jax
 import numpy as np
 
 from tests.match.scene import MadeScene, image_px
-from trinoc.match.candidates.transfer import Prediction, predict
+from trinoc.match.candidates.transfer import Prediction, predict, third_view
 from trinoc.match.observations import SegmentTable
 from trinoc.match.two_view import pencil, row_of
 
@@ -16,10 +16,11 @@ def predictions(lines: SegmentTable, ends_px, pairs) -> Prediction:
     """What pairs of views 0 and 1 predict in view 2, with the ends of all segments replaced."""
     lines = lines._replace(ends_px=ends_px)
     planes = pencil(lines, np.array(FIRST), np.array(SECOND))
+    view = third_view(lines, planes, np.array(THIRD))
 
     def one(pair):
         rows = row_of(planes.first, pair[0]), row_of(planes.second, pair[1])
-        return predict(lines, np.array(THIRD), planes, *rows)
+        return predict(view, *rows)
 
     return jax.vmap(one)(pairs)
 

@@ -31,7 +31,7 @@ def test_beliefs_on_a_chain_are_the_marginals(odds: list[float]) -> None:
     index = np.array([[0, 0, 0], [0, 1, 1], [1, 1, 2], [2, 2, 2]])
     log_odds = np.array(odds)
     graph = conflict_graph(index, np.broadcast_to(WHOLE, (4, 3, 2)))
-    posterior_log_odds = sum_product(log_odds, graph)
+    posterior_log_odds = sum_product(log_odds, graph).log_odds
     exact = exact_marginals(log_odds, index)
     np.testing.assert_allclose(1 / (1 + np.exp(-posterior_log_odds)), exact, atol=0.01)
 
@@ -70,11 +70,21 @@ def test_frames_of_a_stack_settle_as_each_does_alone() -> None:
     index = np.concatenate([rng.integers(0, 8, (30, 3)), 8 + rng.integers(0, 40, (20, 3))])
     log_odds, frame = rng.normal(0, 3, 50), np.repeat([0, 1], [30, 20])
     whole = np.broadcast_to(WHOLE, (50, 3, 2))
-    both = sum_product(log_odds, conflict_graph(index, whole), frame=frame)
+    both = sum_product(log_odds, conflict_graph(index, whole), frame=frame).log_odds
     for number in (0, 1):
         own = frame == number
-        alone = sum_product(log_odds[own], conflict_graph(index[own], whole[own]))
+        alone = sum_product(log_odds[own], conflict_graph(index[own], whole[own])).log_odds
         np.testing.assert_allclose(both[own], alone, atol=1e-12)
+
+
+@given(st.lists(st.floats(-4, 4), min_size=4, max_size=4), st.floats(-2, 2))
+def test_messages_go_on_from_those_under_other_odds(odds: list[float], change: float) -> None:
+    index = np.array([[0, 0, 0], [0, 1, 1], [1, 1, 2], [2, 2, 2]])
+    graph = conflict_graph(index, np.broadcast_to(WHOLE, (4, 3, 2)))
+    before = sum_product(np.array(odds), graph)
+    log_odds = np.array(odds) + change * np.array([1, -1, 1, -1])
+    again = sum_product(log_odds, graph, before=before).log_odds
+    np.testing.assert_allclose(again, sum_product(log_odds, graph).log_odds, atol=0.05)
 
 
 @pytest.mark.parametrize("seed", range(3))

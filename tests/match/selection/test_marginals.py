@@ -41,7 +41,7 @@ def test_odds_alone_are_those_of_what_was_learned(triples: Candidates) -> None:
     alone = select(triples, TYPICAL, neighbours=False)
     odds = prior_log_odds(alone.candidates, alone.mixture)
     np.testing.assert_array_equal(alone.log_odds, odds)
-    np.testing.assert_array_equal(alone.posterior_log_odds, sum_product(odds, alone.graph))
+    np.testing.assert_array_equal(alone.posterior_log_odds, sum_product(odds, alone.graph).log_odds)
     assert (odds > PRUNE_LOG_ODDS).all()
     # Rivals only ever lower the odds.
     assert (alone.posterior_log_odds <= odds).all()

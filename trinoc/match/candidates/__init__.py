@@ -1,7 +1,8 @@
 """Step 1: triples of segments that can be one line.
 
-transfer (what a pair predicts in the third view) -> index, lookup (who is there) -> gate ->
-triples, all three orderings; `table` is the value they come in."""
+transfer (what a pair predicts in the third view) -> index, lookup (who is there) -> gate: all by
+search, in single_precision -> triples, all three orderings, in double precision; `table` is the
+value they come in."""
 
 import lazy_loader
 

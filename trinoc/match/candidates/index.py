@@ -8,15 +8,16 @@ of all directions for the rest.
 """
 
 import functools
+import math
 import operator
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from trinoc.numerics import ArrayLike, Scalar, Vector2, expand_ranges
+from trinoc.numerics import ArrayLike, Scalar, Vector2, expand_ranges, namespace_of
 
 
 class Layer(NamedTuple):
@@ -34,9 +35,9 @@ class Layer(NamedTuple):
 
 
 LAYERS = (
-    Layer(24, np.radians(3.0), 1.5, 1),
-    Layer(6, np.radians(15.0), 3.0, 2),
-    Layer(1, np.pi, 6.0, 4),
+    Layer(24, math.radians(3.0), 1.5, 1),
+    Layer(6, math.radians(15.0), 3.0, 2),
+    Layer(1, math.pi, 6.0, 4),
 )
 
 
@@ -86,6 +87,12 @@ def spatial_index(
     cells_px, columns, rows, first_key = (np.atleast_2d(x)[owners] for x in grid[1:])
     step = ends_px[:, 1] - ends_px[:, 0]
     angle = np.arctan2(step[:, 1], step[:, 0])
+
+    def sector_of(angle: Float[np.ndarray, "n"], sectors: int) -> Int[np.ndarray, "n"]:
+        turns = np.floor(angle / np.pi)
+        rest = angle - np.pi * turns
+        return np.floor((turns + _half_turns(np.cos(rest), np.sin(rest))) * sectors).astype(int)
+
     entries = []
     for number, layer in enumerate(LAYERS):
         owner, column, row = _cells_passed(ends_px, margins_px[number], cells_px[:, number])
@@ -93,9 +100,8 @@ def spatial_index(
         inside &= (row >= 0) & (row < rows[owner, number])
         owner, column, row = owner[inside], column[inside], row[inside]
         cell = row * columns[owner, number] + column
-        slack, sector = slack_rad + layer.slack_rad, np.pi / layer.sectors
-        first = np.floor((angle - slack) / sector).astype(int)
-        last = np.floor((angle + slack) / sector).astype(int)
+        slack = slack_rad + layer.slack_rad
+        first, last = (sector_of(angle + side * slack, layer.sectors) for side in (-1, 1))
         last = np.minimum(last, first + layer.sectors - 1)
         entry, turned = expand_ranges(first[owner], last[owner] + 1)
         key = first_key[owner, number] + cell * layer.sectors
@@ -103,9 +109,23 @@ def spatial_index(
         # Key and segment in one number: sorting it is several times faster than by key.
         entries.append((key.astype(np.int64) << 32) | owner[entry])
     ordered = np.sort(np.concatenate(entries))
-    count = np.bincount(ordered >> 32, minlength=int(np.max(grid.first)) + 1)
-    start = np.cumsum(count) - count
-    return SpatialIndex(grid, *(x.astype(np.int32) for x in (start, count, ordered & 0xFFFFFFFF)))
+    key = ordered >> 32
+    edge = np.flatnonzero(np.diff(key, prepend=-1))
+    each = np.diff(edge, append=len(key))
+    # Most keys have no entries. Counts are short numbers where they can be: every prediction
+    # looks here.
+    keys, small = int(np.max(grid.first)) + 1, each.max(initial=0) < 1 << 16
+    start, count = np.zeros(keys, np.int32), np.zeros(keys, np.uint16 if small else np.int32)
+    start[key[edge]], count[key[edge]] = edge, each
+    return SpatialIndex(grid, start, count, (ordered & 0xFFFFFFFF).astype(np.int32))
+
+
+def _half_turns(u: Any, v: Any) -> Any:
+    """A direction from 0 to half a turn (v >= 0), as a number from 0 to 1 that grows with its
+    angle, though not evenly: it takes no arc tangent."""
+    xp = namespace_of(u, v)
+    share = v / (abs(u) + v) / 2
+    return xp.where(u >= 0, share, 1 - share)
 
 
 def _grid(
@@ -161,13 +181,17 @@ def _cells_passed(
 
 
 def key_at(
-    grid: Grid, points_px: Sequence[Vector2], angle_rad: Scalar, slack_rad: Scalar, sigma_px: Scalar
+    grid: Grid,
+    points_px: Sequence[Vector2],
+    direction: Vector2,
+    slack_rad: Scalar,
+    sigma_px: Scalar,
 ) -> list[ArrayLike]:
     """Where to look for a segment that passes each point, in about a direction.
 
-    The direction, from 0 to half a turn, is known to `slack_rad`, the points to `sigma_px`: the
-    keys are of the finest layer that allows for both, that without entries where none does,
-    or where a point lies outside the picture.
+    The direction, either way along, is known to `slack_rad`, the points to `sigma_px`: the keys are
+    of the finest layer that allows for both, that without entries where none does, or where a
+    point lies outside the picture.
     """
     nowhere = grid.first[-1]
     known = [
@@ -187,8 +211,9 @@ def key_at(
         for column in (grid.cell_px, grid.columns, grid.rows, grid.first)
     )
     sectors = of_layer(list(np.array([layer.sectors for layer in LAYERS], dtype=np.int32)))
-    turns = angle_rad / np.pi * sectors.astype(angle_rad.dtype)
-    sector = jnp.floor(turns).astype(jnp.int32)
+    u, v = direction
+    turns = _half_turns(jnp.where(v < 0, -u, u), abs(v))
+    sector = jnp.floor(turns * sectors.astype(turns.dtype)).astype(jnp.int32)
     sector = jnp.minimum(sector, sectors - 1)
     allowed = functools.reduce(operator.or_, known)
     keys: list[ArrayLike] = []
@@ -206,7 +231,7 @@ def segments_at(
     """(query, segment) for every segment entered where a query looks."""
     count = index.count[key]
     asked = np.flatnonzero(count).astype(np.int32)
-    count = count[asked]
+    count = count[asked].astype(np.int32)
     stop = np.cumsum(count, dtype=np.int32)
     position = np.arange(stop[-1] if len(stop) else 0, dtype=np.int32)
     position += np.repeat(index.start[key[asked]] - stop + count, count)

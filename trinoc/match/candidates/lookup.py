@@ -12,6 +12,7 @@ from trinoc.match.candidates.index import (
     segments_at,
     spatial_index,
 )
+from trinoc.match.candidates.single_precision import rounding_px
 from trinoc.match.candidates.transfer import Prediction
 from trinoc.match.observations import SegmentTable
 from trinoc.match.tuning import DEFAULT, CandidateTuning
@@ -21,7 +22,7 @@ from trinoc.numerics import ArrayLike, group_medians, group_sums, of_group
 SAMPLES = (0.5, 1 / 6, 5 / 6)
 # Finest cell: at least CELL_SIGMAS standard deviations wide. Along the longer side of the image
 # there are CELLS sqrt(n) of them for n segments, clipped to FEWEST .. MOST.
-CELL_SIGMAS, CELLS, FEWEST, MOST = 8.0, 4.0, 16, 320
+CELL_SIGMAS, CELLS, FEWEST, MOST = 8.0, 3.0, 16, 320
 
 
 def lookup(
@@ -31,8 +32,10 @@ def lookup(
     ends, size = np.asarray(lines.ends_px)[view, :count], np.asarray(lines.size_px)[..., view, :]
     length, across = np.asarray(lines.length_px), np.asarray(lines.across_px2)
     sigma = np.sqrt(across[view, :count, [0, 1], [0, 1]].max(axis=0))
+    rounding = np.asarray(rounding_px(lines, view))
     frame = None if lines.frame is None else np.asarray(lines.frame)[view, :count]
     frames = int(np.prod(size.shape[:-1]))
+    sigma = np.maximum(sigma, of_group(rounding, frame))
     typical = group_medians(sigma, frame, frames)
     typical = np.where(np.isfinite(typical), typical, 1.0)
     reach = tuning.reach_sigmas
@@ -42,21 +45,24 @@ def lookup(
     number = group_sums(np.ones(count), frame, frames)
     cells = np.clip(CELLS * np.sqrt(number), FEWEST, MOST)
     cell = np.maximum(CELL_SIGMAS * typical, size.max(axis=-1) / cells)
-    return spatial_index(ends, slack, margins, size, cell, typical, frame)
+    # Sides that single precision holds: those who ask compute in it.
+    cell = cell.astype(np.float32).astype(np.float64)
+    table = spatial_index(ends, slack, margins, size, cell, typical, frame)
+    sides, typical = (x.astype(np.float32) for x in (table.grid.cell_px, typical))
+    return table._replace(grid=table.grid._replace(cell_px=sides, sigma_px=typical))
 
 
 def keys_of(
     grid: Grid, guess: Prediction, tuning: CandidateTuning = DEFAULT.candidates
 ) -> list[Int[ArrayLike, ""]]:
-    """Where in the table to look for each sample of a prediction."""
+    """Where in the table to look for each sample of a prediction, in the table's precision."""
+    guess = Prediction(guess.possible, *(x.astype(grid.cell_px.dtype) for x in guess[1:]))
     du, dv = guess.u1 - guess.u0, guess.v1 - guess.v0
     length = jnp.sqrt(du * du + dv * dv)
     slack = tuning.reach_sigmas * jnp.sqrt(guess.c00 + guess.c11 - 2 * guess.c01) / length
     sigma = jnp.sqrt(jnp.maximum(guess.c00, guess.c11))
     points = [(guess.u0 + sample * du, guess.v0 + sample * dv) for sample in SAMPLES]
-    # The direction without its sign.
-    sign = jnp.where(dv < 0, -1.0, 1.0).astype(dv.dtype)
-    keys = key_at(grid, points, jnp.arctan2(sign * dv, sign * du), slack, sigma)
+    keys = key_at(grid, points, (du, dv), slack, sigma)
     nowhere, asked = grid.first[-1], guess.possible
     for k in range(1, len(SAMPLES)):
         # What two samples find is found once.

@@ -1,5 +1,6 @@
 """What a pair of segments predicts in a third view: epipolar transfer of their common part."""
 
+from itertools import combinations
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -41,19 +42,36 @@ class Prediction(NamedTuple):
     c11: Float[ArrayLike, "*p"]
 
 
+class ThirdView(NamedTuple):
+    """How a third view sees the planes of a pencil; of each frame of a stack.
+
+    turned : homogeneous pixels of a direction in the pencil's frame. origin : those of its origin.
+    """
+
+    turned: Float[ArrayLike, "*f 3 3"]
+    origin: Float[ArrayLike, "*f 3"]
+    baseline_mm: Float[ArrayLike, "*f"]
+    size_px: Float[ArrayLike, "*f 2"]
+
+
+def third_view(lines: SegmentTable, planes: Pencil, third: Int[ArrayLike, ""]) -> ThirdView:
+    """The `third` view of a pencil."""
+    matrix = lines.matrix_px[..., third, :, :]
+    left = matrix[..., :3]
+    origin = (left @ planes.origin_mm[..., None])[..., 0] + matrix[..., 3]
+    size_px = lines.size_px[..., third, :]
+    return ThirdView(left @ planes.frame.mT, origin, planes.baseline_mm, size_px)
+
+
 def predict(
-    lines: SegmentTable,
-    third: Int[ArrayLike, ""],
-    planes: Pencil,
+    view: ThirdView,
     a: PencilSegments,
     b: PencilSegments,
     tuning: CandidateTuning = DEFAULT.candidates,
 ) -> Prediction:
-    """What a segment of the first and one of the second view predict in the `third` view."""
-    part = cut_pair(planes.baseline_mm, a, b, tuning)
-    matrix = lines.matrix_px[third]
-    turned = matrix[:, :3] @ planes.frame.T
-    origin = vector3(matrix[:, :3] @ planes.origin_mm + matrix[:, 3])
+    """What a segment of the first and one of the second view of a pencil predict in the third."""
+    part = cut_pair(view.baseline_mm, a, b, tuning)
+    turned, origin = view.turned, vector3(view.origin)
     image_low, image_high = (
         add3(times_matrix(turned, at[:3]), origin, at[3]) for at in (part.at_low, part.at_high)
     )
@@ -64,7 +82,7 @@ def predict(
     nu, nv = -(v1 - v0) / length, (u1 - u0) / length
 
     # How far a unit of slope, in either view, moves the image across itself.
-    by_b = scaled3(origin, -1 / planes.baseline_mm)
+    by_b = scaled3(origin, -1 / view.baseline_mm)
     by_a = add3(vector3(turned[:, 0]), by_b, -1.0)
 
     def effect(by: Vector3, image: Vector3, u: Scalar, v: Scalar) -> Scalar:
@@ -82,7 +100,7 @@ def predict(
 
     c00, c01, c11 = add3(covariance(a, by_a), covariance(b, by_b))
     possible = part.possible & (image_low[2] > 0) & (image_high[2] > 0)
-    width, height = lines.size_px[third, 0], lines.size_px[third, 1]
+    width, height = view.size_px[0], view.size_px[1]
     outside = tuning.outside_share
     middle_u, middle_v = (u0 + u1) / 2, (v0 + v1) / 2
     possible &= (middle_u > -outside * width) & (middle_u < (1 + outside) * width)
@@ -104,9 +122,7 @@ def _crosses_best(
 ) -> Bool[ArrayLike, ""]:
     """Whether the interpretation planes of the pair cross at the widest angle of the three."""
     normal_c = unit3(times_matrix(turned.T, cross3(image_low, image_high)))
-    sine_ab, sine_ac, sine_bc = (
-        1 - dot3(m, n) ** 2
-        for m, n in ((a.normal, b.normal), (a.normal, normal_c), (b.normal, normal_c))
-    )
+    across = [cross3(*both) for both in combinations((a.normal, b.normal, normal_c), 2)]
+    sine_ab, sine_ac, sine_bc = (dot3(normal, normal) for normal in across)
     best = jnp.maximum(sine_ac, sine_bc)
     return sine_ab > tuning.nearly_best**2 * best

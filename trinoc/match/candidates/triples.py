@@ -6,13 +6,12 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
-from trinoc.match.candidates.gate import passes_third_view_gate
-from trinoc.match.candidates.index import Grid, SpatialIndex
-from trinoc.match.candidates.lookup import keys_of, lookup, segments_near
+from trinoc.match.candidates.lookup import lookup
+from trinoc.match.candidates.search import gated_triples
+from trinoc.match.candidates.single_precision import prepared_order
 from trinoc.match.candidates.table import Candidates, no_candidates, prior_log_odds
-from trinoc.match.candidates.transfer import Prediction, predict
 from trinoc.match.evidence import (
     TripleEvidence,
     end_evidence,
@@ -22,7 +21,6 @@ from trinoc.match.evidence import (
     triple_evidence,
 )
 from trinoc.match.observations import (
-    PAIRS_IN_BLOCK,
     TRIPLES_IN_BLOCK,
     ClutterModel,
     SegmentTable,
@@ -33,7 +31,6 @@ from trinoc.match.tuning import DEFAULT, CandidateTuning, EndTuning, MatchTuning
 from trinoc.match.two_view import (
     Pencil,
     cut_pair,
-    pencil,
     pencil_of,
     plane_angles,
     points_of,
@@ -45,7 +42,6 @@ from trinoc.numerics import (
     concatenate_rows,
     in_blocks,
     overlapping,
-    padded,
     stacked,
 )
 
@@ -64,21 +60,29 @@ def trinocular_candidates(
     # Tables of three views, whichever and of how many, so that kernels compile once for all.
     three, own = _views_of(lines, clutter, np.array(views))
     numbers = [counts[view] for view in views]
-    parts = [no_candidates(3)]
+    parts, known = [no_candidates(3)], np.zeros(0, np.int64)
     for turn in range(3):
-        for part in _in_order(three, np.roll(np.arange(3), turn), numbers, own, tuning):
+        here = [known]
+        for number, part in _in_order(
+            three, np.roll(np.arange(3), turn), numbers, own, known, tuning
+        ):
+            here.append(number)
             parts.append(part)
             if sum(len(found.index) for found in parts) > tuning.candidates.most_candidates:
                 parts = [_likelier_half(concatenate_rows(parts), numbers, tuning)]
+        known = np.sort(np.concatenate(here))
     found = concatenate_rows(parts)
-    # Two orderings may find one triple where they cross about as well.
-    i, j, k = found.index.T.astype(np.int64)
-    once = np.unique((i * numbers[1] + j) * numbers[2] + k, return_index=True)[1]
-    found = found.take(once)
-    index = np.full((len(once), len(counts)), -1)
-    interval = np.zeros((len(once), len(counts), 2))
+    found = found.take(np.argsort(_number_of(found.index, numbers)))
+    index = np.full((len(found.index), len(counts)), -1)
+    interval = np.zeros((len(found.index), len(counts), 2))
     index[:, views], interval[:, views] = found.index, found.interval
     return found._replace(index=index, interval=interval)
+
+
+def _number_of(index: Int[np.ndarray, "m 3"], counts: list[int]) -> Int[np.ndarray, "m"]:
+    """A number of its own for each triple."""
+    i, j, k = index.T.astype(np.int64)
+    return (i * counts[1] + j) * counts[2] + k
 
 
 @jax.jit
@@ -102,18 +106,25 @@ def _in_order(
     order: Int[np.ndarray, "3"],
     counts: list[int],
     clutter: ClutterModel,
+    known: Int[np.ndarray, "t"],
     tuning: MatchTuning,
-) -> Iterator[Candidates]:
-    """Triples of which the first two views predict the third segment."""
+) -> Iterator[tuple[Int[np.ndarray, "_"], Candidates]]:
+    """(numbers of triples, those that may be likely) of which the first two views predict the third
+    segment, but those `known`: two orderings find one triple where they cross about as well."""
     typical = float(np.mean([counts[view] for view in order]))
     table = lookup(lines, int(order[2]), counts[order[2]], tuning.candidates)
-    planes = pencil(lines, order[0], order[1])
+    planes, single = prepared_order(lines, order)
     for i, j in _pairs(lines, order, planes, counts):
-        triple = _triples(lines, order, planes, table, i, j, tuning.candidates)
+        triple = gated_triples(lines, single, table, i, j, tuning.candidates)
+        if len(known):
+            number = _number_of(triple[:, np.argsort(order)], counts)
+            place = np.minimum(np.searchsorted(known, number), len(known) - 1)
+            triple = triple[known[place] != number]
         found = _candidates_of(lines, order, planes, triple, clutter, tuning)
         # Frames of a stack are small.
         many = lines.frame is None and len(found.index) > tuning.candidates.prune_above
-        yield _pruned(found, typical, tuning) if many else found
+        number = _number_of(found.index, counts)
+        yield number, _pruned(found, typical, tuning) if many else found
 
 
 def _pruned(found: Candidates, typical_count: float, tuning: MatchTuning) -> Candidates:
@@ -150,77 +161,6 @@ def _pairs(
     for block in blocks(counts[order[0]], rows):
         i, j = overlapping(angles_a[block], angles_b)
         yield (i + block.start).astype(np.int32), j.astype(np.int32)
-
-
-def _triples(
-    lines: SegmentTable,
-    order: Int[np.ndarray, "3"],
-    planes: Pencil,
-    table: SpatialIndex,
-    i: Int[np.ndarray, "p"],
-    j: Int[np.ndarray, "p"],
-    tuning: CandidateTuning,
-) -> Int[np.ndarray, "h 3"]:
-    """(segments in the views of `order`) of what passes the gate in the third view."""
-    size = block_of(lines, PAIRS_IN_BLOCK)
-    found = [np.zeros((0, 3), dtype=np.int32)]
-    for block in blocks(len(i), size):
-        rows = padded(i[block], size), padded(j[block], size)
-        guess, keys = _predicted(lines, order, planes, table.grid, *rows, tuning=tuning)
-        keys = np.stack([np.asarray(key)[: block.stop - block.start] for key in keys])
-        pair, k = segments_near(table, keys)
-
-        def gated(pair: np.ndarray, k: np.ndarray, guess: Prediction = guess) -> ArrayLike:
-            return _passes_gate(lines, order[2], guess, pair, k, tuning=tuning)
-
-        near_enough = in_blocks(gated, size, pair.astype(np.int32), k.astype(np.int32))
-        pair, k = pair[near_enough], k[near_enough]
-        # Several samples of one prediction may find one segment.
-        once = np.unique(pair.astype(np.int64) * (k.max(initial=0) + 1) + k, return_index=True)[1]
-        pair, k = pair[once] + block.start, k[once]
-        found.append(np.stack([i[pair], j[pair], k], axis=1).astype(np.int32))
-    return np.concatenate(found)
-
-
-@partial(jax.jit, static_argnames="tuning")
-def _predicted(
-    lines: SegmentTable,
-    order: Int[ArrayLike, "3"],
-    planes: Pencil,
-    grid: Grid,
-    i: Int[ArrayLike, "p"],
-    j: Int[ArrayLike, "p"],
-    tuning: CandidateTuning,
-) -> tuple[Prediction, list[Int[ArrayLike, "_p"]]]:
-    def predicted(i: ArrayLike, j: ArrayLike) -> tuple[Prediction, list[ArrayLike]]:
-        rows = row_of(planes.first, i), row_of(planes.second, j)
-        own = of_frame(lines, order[0], i)
-        guess = predict(own, order[2], pencil_of(planes, lines, order[0], i), *rows, tuning)
-        cells = grid
-        if lines.frame is not None:
-            frame = lines.frame[order[0], i]
-            cells = jax.tree.map(lambda column: column[frame], grid)
-        return guess, keys_of(cells, guess, tuning)
-
-    return jax.vmap(predicted)(i, j)
-
-
-@partial(jax.jit, static_argnames="tuning")
-def _passes_gate(
-    lines: SegmentTable,
-    third: Int[ArrayLike, ""],
-    guesses: Prediction,
-    pair: Int[ArrayLike, "h"],
-    k: Int[ArrayLike, "h"],
-    tuning: CandidateTuning,
-) -> Bool[ArrayLike, "h"]:
-    def gated(pair: ArrayLike, k: ArrayLike) -> ArrayLike:
-        guess = jax.tree.map(lambda column: column[pair], guesses)
-        return passes_third_view_gate(
-            guess, lines.ends_px[third, k], lines.line[third, k], lines.across_px2[third, k], tuning
-        )
-
-    return jax.vmap(gated)(pair, k)
 
 
 def _candidates_of(

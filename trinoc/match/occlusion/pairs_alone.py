@@ -66,9 +66,11 @@ def pairs_alone(
     meetings = endpoint_pairs(candidates, tuning.junctions, tuning.evidence, frame)
     gain = np.zeros(len(evidence))
     odds = posterior_log_odds = gain
+    beliefs = None
     for _ in range(rules.rounds_alone):
         odds = odds_of(found, evidence, rates, frame) + gain
-        posterior_log_odds = sum_product(odds, graph, tuning.selection, frame)
+        beliefs = sum_product(odds, graph, tuning.selection, frame, beliefs)
+        posterior_log_odds = beliefs.log_odds
         posterior = probability(posterior_log_odds)
         density = rates.mixture.log_count - rates.mixture.volume.log_size + np.log(2)
         gain, junctions = junction_log_odds(

@@ -47,9 +47,11 @@ def pairs_beside_lines(
     helped = of_group(junctions.end_at_junction >= tuning.junctions.min_at_junction, frame)
     gain = np.zeros(len(evidence))
     odds = posterior_log_odds = gain
+    beliefs = None
     for _ in range(rules.rounds):
         odds = evidence + of_group(np.log(share), frame) + gain
-        posterior_log_odds = sum_product(odds, graph, tuning.selection, frame)
+        beliefs = sum_product(odds, graph, tuning.selection, frame, beliefs)
+        posterior_log_odds = beliefs.log_odds
         posterior = probability(posterior_log_odds)
         share = (group_sums(posterior, frame, frames) + 1) / (lines_known + 10)
         if np.any(helped):

@@ -17,6 +17,7 @@ from .marginals import (
 )
 from .messages import (
     FRAMES_AT_ONCE as FRAMES_AT_ONCE,
+    Beliefs as Beliefs,
     chosen_greedily as chosen_greedily,
     sum_product as sum_product,
 )

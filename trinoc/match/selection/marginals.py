@@ -14,7 +14,7 @@ from trinoc.match.selection.junction_support import (
     junction_log_odds,
     prior_junctions,
 )
-from trinoc.match.selection.messages import chosen_greedily, sum_product
+from trinoc.match.selection.messages import Beliefs, chosen_greedily, sum_product
 from trinoc.match.tuning import DEFAULT, EvidenceTuning, MatchTuning
 from trinoc.numerics import of_group, take_rows, taken
 
@@ -70,20 +70,22 @@ def select(
     keep = keep[affordable(odds[keep], candidates.index[keep], rules)]
     likely, own = candidates.take(keep), taken(frame, keep)
     graph = conflict_graph(likely.index, likely.interval, rules)
+    beliefs = None
     for _ in range(rules.rounds):
         odds = prior_log_odds(likely, mixture, evidence, own)
-        posterior_log_odds = sum_product(odds, graph, rules, own)
-        mixture = _learned(likely, posterior_log_odds, mixture, tuning, own)
+        beliefs = sum_product(odds, graph, rules, own, beliefs)
+        mixture = _learned(likely, beliefs.log_odds, mixture, tuning, own)
     odds = prior_log_odds(candidates, mixture, evidence, frame)
     keep = np.flatnonzero(odds > rules.prune_log_odds)
     keep = keep[affordable(odds[keep], candidates.index[keep], rules)]
     candidates, odds, frame = candidates.take(keep), odds[keep], taken(frame, keep)
     graph = conflict_graph(candidates.index, candidates.interval, rules)
-    posterior_log_odds = sum_product(odds, graph, rules, frame)
+    beliefs = sum_product(odds, graph, rules, frame)
+    posterior_log_odds = beliefs.log_odds
     junctions = prior_junctions(tuning.junctions, np.shape(mixture.log_count))
     if neighbours:
         odds, posterior_log_odds, junctions = _with_junctions(
-            candidates, graph, odds, posterior_log_odds, mixture, tuning, frame
+            candidates, graph, odds, beliefs, mixture, tuning, frame
         )
     return Selection(
         candidates,
@@ -119,7 +121,7 @@ def _with_junctions(
     candidates: Candidates,
     graph: ConflictGraph,
     odds: Float[np.ndarray, "m"],
-    posterior_log_odds: Float[np.ndarray, "m"],
+    beliefs: Beliefs,
     mixture: MixtureParameters,
     tuning: MatchTuning,
     frame: Int[np.ndarray, "m"] | None,
@@ -127,22 +129,22 @@ def _with_junctions(
     meetings = endpoint_pairs(candidates, tuning.junctions, tuning.evidence, frame)
     junctions = prior_junctions(tuning.junctions, np.shape(mixture.log_count))
     log_ends_density = mixture.log_count - mixture.volume.log_size + np.log(2)
-    alone = odds, posterior_log_odds
+    alone = odds, beliefs.log_odds
     for _ in range(tuning.selection.junction_rounds):
         gain, junctions = junction_log_odds(
             meetings,
-            probability(posterior_log_odds),
+            probability(beliefs.log_odds),
             log_ends_density,
             junctions,
             tuning.junctions,
             frame,
         )
         odds = alone[0] + gain
-        posterior_log_odds = sum_product(odds, graph, tuning.selection, frame)
+        beliefs = sum_product(odds, graph, tuning.selection, frame, beliefs)
     helped = of_group(junctions.end_at_junction >= tuning.junctions.min_at_junction, frame)
     odds, posterior_log_odds = (
         np.where(helped, one, other)
-        for one, other in zip((odds, posterior_log_odds), alone, strict=True)
+        for one, other in zip((odds, beliefs.log_odds), alone, strict=True)
     )
     return odds, posterior_log_odds, junctions
 

@@ -35,33 +35,46 @@ class _Rules(NamedTuple):
 _State = tuple[Float[ArrayLike, "m v"], Bool[ArrayLike, "f"], Int[ArrayLike, ""]]
 
 
+class Beliefs(NamedTuple):
+    """Log odds of each candidate after exclusion; the messages that they come from."""
+
+    log_odds: Float[np.ndarray, "m"]
+    messages: Float[np.ndarray, "m v"]
+
+
 def sum_product(
     log_odds: Float[np.ndarray, "m"],
     graph: ConflictGraph,
     tuning: SelectionTuning = DEFAULT.selection,
     frame: Int[np.ndarray, "m"] | None = None,
-) -> Float[np.ndarray, "m"]:
-    """Log odds of each candidate after exclusion, at the fixed point of the messages.
+    before: Beliefs | None = None,
+) -> Beliefs:
+    """The fixed point of the messages, from the greedy choice on, or from where they were `before`
+    under other odds.
 
     Candidates of several frames (`frame`, below FRAMES_AT_ONCE) each have as many rounds as their
     own frame takes to settle.
     """
     count = len(log_odds)
     if len(graph.slot) == 0:
-        return log_odds
+        return Beliefs(log_odds, np.zeros((count, graph.views)))
     # A candidate of padding has the last slots, which all conflicts of padding are between.
     candidates, conflicts = bucket(count + 1), bucket(len(graph.slot))
     nobody = candidates * graph.views - 1
-    found = _propagated(
+    given = np.zeros((count, graph.views)) if before is None else before.messages
+    chosen = chosen_greedily(log_odds, graph) if before is None else np.zeros(count, dtype=bool)
+    found, messages = _propagated(
         padded(log_odds, candidates, _NEVER),
-        padded(chosen_greedily(log_odds, graph), candidates, False),
+        padded(chosen, candidates, False),
+        padded(given, candidates),
+        np.asarray(before is None),
         padded(graph.slot.astype(np.int32), conflicts, nobody),
         padded(graph.rival_slot.astype(np.int32), conflicts, nobody),
         padded(_frames(frame, count), candidates),
         _Rules(tuning.damping, tuning.settled, tuning.iterations),
         graph.views,
     )
-    return np.asarray(found)[:count]
+    return Beliefs(np.asarray(found)[:count], np.asarray(messages)[:count])
 
 
 def _frames(frame: Int[np.ndarray, "m"] | None, count: int) -> Int[np.ndarray, "m"]:
@@ -72,12 +85,14 @@ def _frames(frame: Int[np.ndarray, "m"] | None, count: int) -> Int[np.ndarray, "
 def _propagated(
     log_odds: Float[ArrayLike, "m"],
     chosen: Bool[ArrayLike, "m"],
+    before: Float[ArrayLike, "m v"],
+    afresh: Bool[ArrayLike, ""],
     slot: Int[ArrayLike, "e"],
     rival_slot: Int[ArrayLike, "e"],
     frame: Int[ArrayLike, "m"],
     rules: _Rules,
     views: int,
-) -> Float[ArrayLike, "m"]:
+) -> tuple[Float[ArrayLike, "m"], Float[ArrayLike, "m v"]]:
     def message(odds: Float[ArrayLike, "m v"]) -> Float[ArrayLike, "m v"]:
         """What each slot hears, given what each says."""
         heard = odds.reshape(-1)[rival_slot]
@@ -98,11 +113,11 @@ def _propagated(
 
     # The start: only the candidates of the greedy choice send.
     alone = jnp.where(chosen, jnp.exp(jnp.minimum(log_odds, _HIGHEST)), 0.0)
-    first = message(jnp.repeat(alone[:, None], views, axis=1))
+    first = jnp.where(afresh, message(jnp.repeat(alone[:, None], views, axis=1)), before)
     active = jnp.ones(FRAMES_AT_ONCE, dtype=bool)
     left = jnp.asarray(rules.iterations)
     messages = jax.lax.while_loop(goes_on, step, (first, active, left))[0]
-    return log_odds + messages.sum(axis=1)
+    return log_odds + messages.sum(axis=1), messages
 
 
 def chosen_greedily(score: Float[np.ndarray, "m"], graph: ConflictGraph) -> Bool[np.ndarray, "m"]:

@@ -55,5 +55,8 @@ def reasons(
 
 def counted(words: dict[str, Shaped[np.ndarray, "_"]]) -> dict[str, int]:
     """How many segments of all views share each reason; ambiguous ones are one kind."""
-    number = Counter(word.split(" with ")[0] for view in words.values() for word in view.tolist())
+    number: Counter[str] = Counter()
+    # Few words are different: those are taken apart, not every segment's.
+    for word, count in Counter(word for view in words.values() for word in view.tolist()).items():
+        number[word.split(" with ")[0]] += count
     return {f"segments {kind}": number[kind] for kind in sorted(number)}

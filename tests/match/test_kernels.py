@@ -1,0 +1,78 @@
+"""The matcher's kernels: warmed up before the first call, and without a way back to the host."""
+
+import importlib
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+
+from tests.match.made import loose_lines, pictures, rig_of
+from trinoc.match import match_many, match_segments, warm_up
+
+KERNELS = {
+    "observations.table": ["_prepared"],
+    "candidates.search": ["_predicted", "_passes_gate"],
+    "candidates.triples": ["_views_of", "prepared_order", "_evidence_of"],
+    "selection.messages": ["_propagated"],
+    "occlusion.possible_pairs": ["pencil", "_evidence_of"],
+    "tracks.line_fit": ["_triangulated"],
+}
+COUNT = 20
+
+
+@pytest.fixture
+def calls(monkeypatch: pytest.MonkeyPatch) -> dict[str, tuple[Any, tuple, dict]]:
+    """Each kernel with its last arguments, as they come."""
+    seen = {}
+    for room, names in KERNELS.items():
+        module = importlib.import_module(f"trinoc.match.{room}")
+        for name in names:
+            kernel = getattr(module, name)
+
+            def recorded(*args, kernel=kernel, key=f"{room}.{name}", **kwargs):
+                seen[key] = kernel, args, kwargs
+                return kernel(*args, **kwargs)
+
+            monkeypatch.setattr(module, name, recorded)
+    return seen
+
+
+def doubled(seed: int) -> dict:
+    """Pictures of lines with a second segment beside each, so that there are rivals."""
+    lines_mm = loose_lines(COUNT // 2, seed)
+    given = pictures(rig_of("upper", "left", "right"), lines_mm, sigma_px=0.3, seed=seed)
+    return {name: np.concatenate([ends, ends + 0.7]) for name, ends in given.items()}
+
+
+@pytest.mark.parametrize("frames", [1, 3])
+def test_no_kernel_calls_the_host_on_a_gpu(calls, frames: int) -> None:
+    rig = rig_of("upper", "left", "right")
+    given = [doubled(seed) for seed in range(frames)]
+    found = match_many(given, rig)
+    assert (found.status == "ok").all()
+    assert set(calls) == {f"{room}.{name}" for room, names in KERNELS.items() for name in names}
+    for name, (kernel, args, kwargs) in calls.items():
+        with jax.enable_x64(True):
+            lowered = kernel.trace(*args, **kwargs).lower(lowering_platforms=("cuda",))
+        program = lowered.as_text()
+        assert "stablehlo" in program
+        for word in ("custom_call", "callback", "infeed", "outfeed", "send", "recv"):
+            assert word not in program, f"{name} has a {word}"
+
+
+def test_nothing_compiles_after_a_warm_up(caplog: pytest.LogCaptureFixture) -> None:
+    rig = rig_of("upper", "left", "right")
+    warm_up(rig, COUNT)
+    given = pictures(rig, loose_lines(COUNT, 3), sigma_px=0.3, seed=3)
+    with jax.log_compiles(), caplog.at_level("WARNING"):
+        match_segments(given, rig)
+    compiled = [r.getMessage() for r in caplog.records if "Compiling" in r.getMessage()]
+    # How many rivals there are depends on the pictures.
+    assert [text for text in compiled if "_propagated" not in text] == []
+
+
+@pytest.mark.parametrize(("segments", "frames"), [(0, 1), (10, 0)])
+def test_nothing_to_warm_up_for_is_refused(segments: int, frames: int) -> None:
+    with pytest.raises(ValueError, match="at least one segment and one frame"):
+        warm_up(rig_of("upper", "left"), segments, frames=frames)
