@@ -1,5 +1,7 @@
 """What the fit of a rig from many shots tells its user, in sentences."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from trinoc.calib.shots.motions import chained
@@ -68,6 +70,16 @@ def refused_sentences(
                 "left out."
             )
     return tuple(sentences)
+
+
+def silent_sentences(
+    silent: Sequence[tuple[int, int, str]], placed: PlacedRig, cameras: tuple[str, ...]
+) -> tuple[str, ...]:
+    """Pictures whose grey levels say nothing; (camera, shot, why) of each."""
+    return tuple(
+        f'{placed.shots[shot]}: "{cameras[camera]}": {why} Its places count as they were detected.'
+        for camera, shot, why in silent
+    )
 
 
 def notes_of_rig(

@@ -28,7 +28,8 @@ class RigFromShots(eqx.Module):
     shots : names of the shots that took part.
     world_from_board : (s, 3, 4) the board in each shot, mm.
     views : what each camera saw in each shot, by their indices, and which places took part.
-    residuals_px : for each view (m, 2) predicted minus observed.
+    residuals_px : for each view (m, 2) predicted minus observed, of its places, or of what its
+        grey levels show: each circle and, across it, each piece of a line.
     sigma_factor : for each camera by how much its places scatter more than their sigmas say.
     reduced_chi_square : after the sigmas were multiplied by it.
     halves : two halves of the shots compared, or None where there are too few.
@@ -71,7 +72,7 @@ class RigFromShots(eqx.Module):
     def rms_px(self, camera: str | None = None) -> float:
         """Root mean square length of the residuals of one camera, or of all."""
         kept = [
-            errors[view.used]
+            errors[view.kept]
             for view, errors in zip(self.views, self.residuals_px, strict=True)
             if camera in (None, self.cameras[view.camera])
         ]
