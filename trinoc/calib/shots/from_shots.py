@@ -77,7 +77,7 @@ def calibrate_rig(
     CalibrationError : a camera that never sees the board, cameras that no shot connects or whose
         shots are out of step, or, with `throw`, parameters that the shots do not determine.
     """
-    expect_method(method, target)
+    expect_method(method, target, pictures)
     model = _model(lens_model, distortion)
     known = _known_lenses(lens, tuple(pictures))
     found = found_shots(pictures, target, progress)

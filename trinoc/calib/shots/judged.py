@@ -100,6 +100,7 @@ def judged(
         cameras=cameras,
         shots=placed.shots,
         world_from_board=np.stack([chained(inverse(base), np.asarray(b)) for b in boards]),
+        place_shifts_mm=np.asarray(problem.state.shape),
         views=problem.views,
         residuals_px=tuple(errors_px(problem)),
         sigma_factor=dict(zip(cameras, problem.sigma_factor.tolist(), strict=True)),

@@ -104,8 +104,21 @@ def notes_of_rig(
                     "sigmas say; all sigmas are enlarged by that. See that the board is flat and "
                     "does not move, and that focus and zoom stay."
                 )
+    notes += _uneven(problem)
     notes += _surprises(problem)
     return tuple(notes)
+
+
+def _uneven(problem: Problem) -> list[str]:
+    """How far the board's places lie off, where the shots show that they do."""
+    shape = np.asarray(problem.state.shape)
+    if not len(shape):
+        return []
+    across, above = np.sqrt(np.mean(shape[:, :2] ** 2)), np.sqrt(np.mean(shape[:, 2] ** 2))
+    return [
+        f"The board's places lie {across:.2g} mm aside of the drawing and {above:.2g} mm off its "
+        "plane (root mean square); this was found with the rig, and is taken into account."
+    ]
 
 
 def _surprises(problem: Problem) -> list[str]:

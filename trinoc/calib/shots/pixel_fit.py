@@ -11,28 +11,30 @@ from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from trinoc.calib.detection import Detection
-from trinoc.calib.photometric import ShiftOfPlaces, refine_views
+from trinoc.calib.photometric import refine_views
 from trinoc.calib.shots.motions import chained
+from trinoc.calib.shots.place_shifts import shift_of_places
 from trinoc.calib.shots.placing import of_one_moment
 from trinoc.calib.shots.problem import Problem, lens_number
-from trinoc.calib.shots.residual import point_on_board
 from trinoc.calib.shots.robust_fit import RobustFit, errors_px, fitted, judged_fit
 from trinoc.calib.shots.sightings_of_shots import Pictures, delivered, named_pictures
 from trinoc.calib.shots.table import View
+from trinoc.calib.shots.wrong_circles import without_wrong_circles
 from trinoc.calib.targets import AbstractTarget, Pattern
 from trinoc.errors import InputError
-from trinoc.geometry import AbstractLens, Pose, PoseModel
-from trinoc.numerics import ArrayLike, grey_image
+from trinoc.geometry import Pose, PoseModel
+from trinoc.numerics import blocks, grey_image
 
-_MOST_ROUNDS = 4
-# Another look at the pictures changes nothing once the rig moves no place by more than this.
-_STILL_PX = 0.002
+_MOST_ROUNDS = 3
+# Another look at the pictures changes nothing once the rig moves places by no more than this: what
+# a picture shows is linear in the places' shifts as far as these are small beside its blur.
+_STILL_PX = 0.02
+# Pictures that are held in memory at a time.
+_PICTURES_AT_ONCE = 32
 
 # The grey levels of what a view has seen.
 GreyOfView = Callable[[View], Float[np.ndarray, "h w"]]
@@ -46,8 +48,8 @@ class PixelFit(NamedTuple):
     silent: list[tuple[int, int, str]]
 
 
-def expect_method(method: str, target: AbstractTarget) -> None:
-    """Raises InputError for a method that there is not, or not for this board."""
+def expect_method(method: str, target: AbstractTarget, pictures: Mapping[str, Pictures]) -> None:
+    """Raises InputError for a method that there is not, or not for these."""
     if method not in ("points", "pixels"):
         raise InputError(f'method is {method!r}, but must be "points" or "pixels".')
     if method == "pixels" and not isinstance(target, Pattern):
@@ -55,6 +57,17 @@ def expect_method(method: str, target: AbstractTarget) -> None:
             f'The board {target.name!r} has no circles, and method "pixels" fits sheets of circles '
             'alone: give method="points".'
         )
+    for camera, own in named_pictures(pictures).items():
+        for shot, given in own.items():
+            if method == "pixels" and isinstance(given, Detection):
+                raise InputError(_no_picture(camera, shot))
+
+
+def _no_picture(camera: str, shot: str) -> str:
+    return (
+        f'{shot} of "{camera}" is a detection, in which no grey levels are left: give the picture, '
+        'or method="points".'
+    )
 
 
 def grey_levels(
@@ -68,10 +81,7 @@ def grey_levels(
         shot = of_one_moment(shots[view.shot], camera)
         image = delivered(named[camera][shot])
         if isinstance(image, Detection):
-            raise InputError(
-                f'{shot} of "{camera}" is a detection, in which no grey levels are left: give the '
-                'picture, or method="points".'
-            )
+            raise InputError(_no_picture(camera, shot))
         return grey_image(np.asarray(image)).grey
 
     return grey_of
@@ -84,9 +94,9 @@ def fit_pixels(fit: RobustFit, grey_of: GreyOfView) -> PixelFit:
         views, silent = _shown_views(problem, grey_of)
         problem = problem._replace(views=views)
         before = errors_px(problem)
-        problem, _ = fitted(problem)
+        problem, _ = fitted(without_wrong_circles(fitted(problem)[0]))
         moves = [
-            float(np.sqrt(np.mean((after - then)[:, None] ** 2)))
+            np.sqrt(np.mean((after - then) ** 2))
             for after, then, view in zip(errors_px(problem), before, views, strict=True)
             if view.used.any()
         ]
@@ -121,10 +131,14 @@ def _shown_views(
         pose = chained(np.asarray(problem.state.cam_from_rig)[view.camera], board)
         poses[name] = Pose(pose)
         lenses[name] = lens_number(problem, int(problem.chart.lens_of_camera[view.camera]))
-        if np.any(problem.state.sheet):
-            shifts[name] = _shift_of_sheet(problem, lenses[name], pose)
-    pictures = {name: grey_of(view) for name, view in asked.items()}
-    told = refine_views(pictures, poses, problem.target, lenses, PoseModel.RIGID, shifts)
+        shift = shift_of_places(problem, lenses[name], pose)
+        if shift is not None:
+            shifts[name] = shift
+    told, names = {}, list(asked)
+    for part in blocks(len(names), _PICTURES_AT_ONCE):
+        pictures = {name: grey_of(asked[name]) for name in names[part]}
+        own = {name: poses[name] for name in names[part]}
+        told |= refine_views(pictures, own, problem.target, lenses, PoseModel.RIGID, shifts)
     views, silent = list(problem.views), []
     for name, view in asked.items():
         one = told[name]
@@ -132,32 +146,3 @@ def _shown_views(
         if one.points is None:
             silent.append((view.camera, view.shot, one.note or ""))
     return tuple(views), silent
-
-
-def _shift_of_sheet(
-    problem: Problem, lens: AbstractLens, cam_from_board: Float[np.ndarray, "3 4"]
-) -> ShiftOfPlaces:
-    """By how much the board's scale and warp move the images of its places."""
-    sheet, half_mm = np.asarray(problem.state.sheet), np.asarray(problem.chart.half_mm)
-
-    def shift(places_mm: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
-        return np.asarray(_shifts(lens, cam_from_board, sheet, half_mm, places_mm))
-
-    return shift
-
-
-@jax.jit
-def _shifts(
-    lens: AbstractLens,
-    cam_from_board: Float[ArrayLike, "3 4"],
-    sheet: Float[ArrayLike, "4"],
-    half_mm: Float[ArrayLike, "2"],
-    places_mm: Float[ArrayLike, "n 2"],
-) -> Float[ArrayLike, "n 2"]:
-    def image(point: Float[ArrayLike, "3"]) -> Float[ArrayLike, "2"]:
-        return lens.project_ray(cam_from_board[:, :3] @ point + cam_from_board[:, 3])
-
-    def shift(place: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
-        return image(point_on_board(place, sheet, half_mm)) - image(jnp.append(place, 0.0))
-
-    return jax.vmap(shift)(places_mm)

@@ -45,7 +45,9 @@ class View(NamedTuple):
     @property
     def kept(self) -> Bool[np.ndarray, "_r"]:
         """Which of the rows take part."""
-        return self.used if self.shown is None else np.full(self.rows, bool(self.used.any()))
+        if self.shown is None:
+            return self.used
+        return np.any(self.shown.whitening != 0, axis=0)[::2] & self.used.any()
 
     @property
     def numbers(self) -> int:
@@ -103,7 +105,7 @@ def view_table(views: Sequence[View], target: AbstractTarget) -> ViewTable:
         table.camera[v], table.shot[v] = view.camera, view.shot
         seen = slice(view.rows)
         if view.shown is not None:
-            table.place[v, seen] = _circle_of(view.shown.place_mm, target)
+            table.place[v, seen] = circle_of(view.shown.place_mm, target)
             table.place_mm[v, seen], table.uv_px[v, seen] = view.shown.place_mm, view.shown.uv_px
             numbers = slice(2 * view.rows)
             table.whitening[v, 0, numbers, numbers] = view.shown.whitening * view.used.any()
@@ -123,7 +125,7 @@ def view_table(views: Sequence[View], target: AbstractTarget) -> ViewTable:
     return table
 
 
-def _circle_of(place_mm: Float[np.ndarray, "m 2"], target: AbstractTarget) -> Int[np.ndarray, "m"]:
+def circle_of(place_mm: Float[np.ndarray, "m 2"], target: AbstractTarget) -> Int[np.ndarray, "m"]:
     """The circle in which each place lies; a piece of a line lies in none."""
     away, nearest = cKDTree(target.centres_mm).query(place_mm)
     return np.where(away < target.radius_mm[nearest], nearest, NO_PLACE)
