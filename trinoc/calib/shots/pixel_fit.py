@@ -24,7 +24,7 @@ from trinoc.calib.shots.robust_fit import RobustFit, errors_px, fitted, judged_f
 from trinoc.calib.shots.sightings_of_shots import Pictures, delivered, named_pictures
 from trinoc.calib.shots.table import View
 from trinoc.calib.shots.wrong_circles import without_wrong_circles
-from trinoc.calib.targets import AbstractTarget, Pattern
+from trinoc.calib.targets import AbstractTarget, Chessboard, Pattern, corner_sheet
 from trinoc.errors import InputError
 from trinoc.geometry import Pose, PoseModel
 from trinoc.numerics import blocks, grey_image
@@ -52,10 +52,10 @@ def expect_method(method: str, target: AbstractTarget, pictures: Mapping[str, Pi
     """Raises InputError for a method that there is not, or not for these."""
     if method not in ("points", "pixels"):
         raise InputError(f'method is {method!r}, but must be "points" or "pixels".')
-    if method == "pixels" and not isinstance(target, Pattern):
+    if method == "pixels" and not isinstance(target, Pattern | Chessboard):
         raise InputError(
-            f'The board {target.name!r} has no circles, and method "pixels" fits sheets of circles '
-            'alone: give method="points".'
+            f'The board {target.name!r} holds markers, and method "pixels" fits sheets of circles '
+            'and chessboards: give method="points".'
         )
     for camera, own in named_pictures(pictures).items():
         for shot, given in own.items():
@@ -123,7 +123,9 @@ def _shown_views(
     problem: Problem, grey_of: GreyOfView
 ) -> tuple[tuple[View, ...], list[tuple[int, int, str]]]:
     """The views with what their pictures show, given the rig as it is."""
-    assert isinstance(problem.target, Pattern)
+    target = problem.target
+    drawn = corner_sheet(target) if isinstance(target, Chessboard) else target
+    assert isinstance(drawn, Pattern)
     asked = {str(k): view for k, view in enumerate(problem.views) if view.used.any()}
     poses, lenses, shifts = {}, {}, {}
     for name, view in asked.items():
@@ -138,7 +140,7 @@ def _shown_views(
     for part in blocks(len(names), _PICTURES_AT_ONCE):
         pictures = {name: grey_of(asked[name]) for name in names[part]}
         own = {name: poses[name] for name in names[part]}
-        told |= refine_views(pictures, own, problem.target, lenses, PoseModel.RIGID, shifts)
+        told |= refine_views(pictures, own, drawn, lenses, PoseModel.RIGID, shifts)
     views, silent = list(problem.views), []
     for name, view in asked.items():
         one = told[name]

@@ -126,6 +126,7 @@ def view_table(views: Sequence[View], target: AbstractTarget) -> ViewTable:
 
 
 def circle_of(place_mm: Float[np.ndarray, "m 2"], target: AbstractTarget) -> Int[np.ndarray, "m"]:
-    """The circle in which each place lies; a piece of a line lies in none."""
+    """The circle in which each place lies, or the nearest corner; a piece of a line has none."""
     away, nearest = cKDTree(target.centres_mm).query(place_mm)
-    return np.where(away < target.radius_mm[nearest], nearest, NO_PLACE)
+    radius = target.radius_mm[nearest]
+    return np.where((away < radius) | (radius == 0), nearest, NO_PLACE)
