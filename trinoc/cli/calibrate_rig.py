@@ -44,7 +44,7 @@ class CalibrateRig(Command):
 
     method: Literal["points", "pixels"] = "points"
     """Fit the places that the detector found, or go on to the grey levels near every edge of a
-    sheet of circles."""
+    sheet of circles or a chessboard."""
 
     same_lens: bool = False
     """All cameras have one lens, such as pictures of one camera moved about."""

@@ -66,7 +66,7 @@ def corner_pixels(
 
 def places_to_look_at(
     pattern: Pattern,
-) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2"]]:
+) -> tuple[Float[np.ndarray, "_i 2"], Float[np.ndarray, "_e 2"], Float[np.ndarray, "_p 2"]]:
     """Places in ink, on edges and on paper, two or four about each corner."""
     away = 2 * _INSIDE * pattern.radius_mm[:, None]
     falling = np.where(pattern.inner_radius_mm[:, None] > 0, [1.0, 1.0], [1.0, -1.0])
