@@ -80,7 +80,7 @@ def _residuals(
     uv_px,
     whitening,
     step=None,
-    aside_mm=0.0,
+    aside_mm: ArrayLike | float = 0.0,
 ) -> ArrayLike:
     """Predicted minus observed, after a step, and with all places `aside_mm` of their own."""
     # What is no place of the board, and every place of a board that is as drawn, lies as drawn.
@@ -124,7 +124,7 @@ def view_blocks(
     count = lens_size + 2 * POSE_SIZE + SHEET_SIZE
     units = jnp.concatenate([lens_scale, jnp.ones(count - lens_size, lens_scale.dtype)])
 
-    def after(step: Float[Array, "k"]) -> tuple[Array, Array]:
+    def after(step: Float[Array, "k"]) -> tuple[ArrayLike, ArrayLike]:
         own, aside = units * step[:count], chart.unit_mm * step[None, count:]
         residual = _residuals(
             state, chart, camera, shot, place, *rest, step=own, aside_mm=aside if places else 0.0

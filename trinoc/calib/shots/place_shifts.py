@@ -4,13 +4,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial import cKDTree
 
 from trinoc.calib.photometric import ShiftOfPlaces
 from trinoc.calib.shots.problem import Problem
 from trinoc.calib.shots.residual import point_on_board
 from trinoc.geometry import AbstractLens
-from trinoc.numerics import ArrayLike, in_blocks
+from trinoc.numerics import ArrayLike, in_blocks, point_tree
 
 # Places at a time, so that another number of them does not compile again.
 _BLOCK = 8192
@@ -27,7 +26,7 @@ def shift_of_places(
     state = jax.tree.map(np.asarray, problem.state)
     if not (np.any(state.sheet) or np.any(state.shape)):
         return None
-    half_mm, tree = np.asarray(problem.chart.half_mm), cKDTree(problem.target.centres_mm)
+    half_mm, tree = np.asarray(problem.chart.half_mm), point_tree(problem.target.centres_mm)
 
     def shift(places_mm: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
         aside = np.zeros((len(places_mm), 3))
@@ -37,7 +36,7 @@ def shift_of_places(
         def block(places: np.ndarray, asides: np.ndarray) -> Float[ArrayLike, "n 2"]:
             return _shifts(lens, cam_from_board, state.sheet, half_mm, places, asides)
 
-        return in_blocks(block, _BLOCK, places_mm, aside)
+        return np.asarray(in_blocks(block, _BLOCK, places_mm, aside))
 
     return shift
 

@@ -6,12 +6,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.linalg import block_diag
-from scipy.spatial import cKDTree
 
 from trinoc.calib.detection import Detection
 from trinoc.calib.model import SheetPoints, bucket_size, whitening_of_covariance
 from trinoc.calib.targets import AbstractTarget
-from trinoc.numerics import ArrayLike
+from trinoc.numerics import ArrayLike, point_tree
 
 # Views and shots are padded to these numbers, so that one more seldom compiles anew.
 _FEWEST_VIEWS, FEWEST_SHOTS = 32, 8
@@ -127,6 +126,6 @@ def view_table(views: Sequence[View], target: AbstractTarget) -> ViewTable:
 
 def circle_of(place_mm: Float[np.ndarray, "m 2"], target: AbstractTarget) -> Int[np.ndarray, "m"]:
     """The circle in which each place lies, or the nearest corner; a piece of a line has none."""
-    away, nearest = cKDTree(target.centres_mm).query(place_mm)
+    away, nearest = point_tree(target.centres_mm).query(place_mm)
     radius = target.radius_mm[nearest]
     return np.where((away < radius) | (radius == 0), nearest, NO_PLACE)

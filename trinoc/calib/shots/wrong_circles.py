@@ -27,6 +27,7 @@ def without_wrong_circles(problem: Problem) -> Problem:
         right = np.split(inliers(np.concatenate(every)), np.cumsum([len(e) for e in every])[:-1])
         for k, is_right in zip(own, right, strict=True):
             shown, detection = views[k].shown, views[k].detection
+            assert shown is not None
             place = circle_of(shown.place_mm[circles[k]], problem.target)
             is_right &= ~np.isin(place, detection.circle_index[~views[k].used])
             if not is_right.all():
