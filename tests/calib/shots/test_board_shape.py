@@ -11,7 +11,7 @@ FLAT_ENOUGH = Systematics(print_scale_sigma=(1e-4, 1e-4), flatness_mm=0.05)
 
 
 def fitted(aside_mm, systematics=FLAT_ENOUGH):
-    seen = shots(count=12, aside_mm=aside_mm)
+    seen = shots(count=8, aside_mm=aside_mm)
     return calibrate_rig(seen, BOARD, systematics=systematics, distortion=4)
 
 

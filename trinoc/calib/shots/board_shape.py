@@ -6,8 +6,6 @@ it away, and lenses bend to follow it. Where the residuals show it, each place b
 three coordinates, whose spread over the board is estimated with them.
 """
 
-from typing import NamedTuple
-
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -20,15 +18,16 @@ from trinoc.calib.shots.problem import Problem
 from trinoc.calib.shots.robust_fit import (
     RobustFit,
     all_places_used,
+    errors_px,
     fitted,
     freedom,
     judged_fit,
-    whitened,
     with_factors,
     without_wrong_places,
 )
 from trinoc.calib.shots.state import Chart, RigState
 from trinoc.calib.shots.table import ViewTable
+from trinoc.calib.shots.wrong_circles import without_wrong_circles
 from trinoc.numerics import GemanMcClure
 
 # Chi-square per unknown, over what is left per residual, this many of its deviations above 1.
@@ -40,37 +39,38 @@ _MOST_ROUNDS, _SETTLED = 6, 0.05
 _FIRST_SPREAD = 3.0
 
 
-class _Gain(NamedTuple):
-    """What free places would take off a chi-square, to first order."""
-
-    gain: float
-    chi_square: float
-
-
 def with_board_shape(fit: RobustFit) -> RobustFit:
     """The fit with every place of the board free, where the shots show that they lie elsewhere."""
     problem = fit.problem
-    if problem.state.shape.shape[0] or not _may_lie_elsewhere(problem):
+    if len(problem.state.shape) or not _may_lie_elsewhere(problem):
         return fit
     spread_mm = np.full(3, _FIRST_SPREAD * _residual_mm(problem))
     opened = _with_spread(with_free_places(problem), spread_mm)
-    found = _first_gain(opened)
-    unknowns = 3 * len(problem.target)
-    left = freedom(problem) - unknowns
+    if not _is_shown(opened):
+        return fit
+    told_by_pixels = any(view.shown is not None for view in opened.views)
+    if not told_by_pixels:
+        # Places that seemed to be located wrongly may only have lain elsewhere.
+        opened = all_places_used(opened, fit.moved)
+    opened, _ = fitted(opened)
+    opened = _settled(opened, spread_mm)
+    if told_by_pixels:
+        opened = without_wrong_circles(opened)
+    else:
+        opened, _ = without_wrong_places(opened)
+    opened, _ = fitted(opened)
+    return judged_fit(_settled(opened, _spread_of(opened)), fit.moved)
+
+
+def _is_shown(opened: Problem) -> bool:
+    """Whether free places would take more off the chi-square than chance."""
+    gain, chi_square = (float(part) for part in _gained(opened.state, opened.chart, opened.table))
+    unknowns = 3 * len(opened.target)
+    left = freedom(opened) - unknowns
     if left <= unknowns:
-        return fit
-    ratio = found.gain / unknowns / max((found.chi_square - found.gain) / left, 1e-300)
-    if ratio < 1.0 + _DEVIATIONS * np.sqrt(2.0 / unknowns + 2.0 / left):
-        return fit
-    opened = all_places_used(opened, fit.moved)
-    for kept in (False, True):
-        opened, _ = fitted(opened)
-        opened = _settled(opened, spread_mm)
-        if not kept:
-            # Places that were taken for wrong ones only lay elsewhere.
-            opened, _ = without_wrong_places(opened)
-        spread_mm = _spread_of(opened)
-    return judged_fit(opened, fit.moved)
+        return False
+    ratio = gain / unknowns / max((chi_square - gain) / left, 1e-300)
+    return bool(ratio > 1.0 + _DEVIATIONS * np.sqrt(2.0 / unknowns + 2.0 / left))
 
 
 def _may_lie_elsewhere(problem: Problem) -> bool:
@@ -80,13 +80,12 @@ def _may_lie_elsewhere(problem: Problem) -> bool:
 
 
 def _residual_mm(problem: Problem) -> float:
-    """Residuals on the board, in the middle of where it was."""
+    """Residuals on the board, at the distance at which it was."""
     focal_px = float(np.mean(np.asarray(problem.state.lenses.focal_length_px)))
-    error = whitened(problem)
-    scale = float(np.sqrt(np.sum(error**2) / max(freedom(problem), 1)))
-    weights = np.asarray(problem.table.whitening)
-    sigma_px = np.sqrt(2 * np.count_nonzero(np.any(weights, axis=-1)) / 2 / np.sum(weights**2))
-    return scale * float(sigma_px) * float(problem.chart.unit_mm) / focal_px
+    errors = np.concatenate(
+        [each[view.kept] for view, each in zip(problem.views, errors_px(problem), strict=True)]
+    )
+    return float(np.sqrt(np.mean(errors**2)) * problem.chart.unit_mm / focal_px)
 
 
 def with_free_places(problem: Problem) -> Problem:
@@ -107,13 +106,9 @@ def _spread_of(problem: Problem) -> Float[np.ndarray, "3"]:
     return np.asarray(problem.chart.shape_information) ** -0.5
 
 
-def _first_gain(problem: Problem) -> _Gain:
-    gain, total = _gained(problem.state, problem.chart, problem.table)
-    return _Gain(float(gain), float(total))
-
-
 @eqx.filter_jit
 def _gained(state: RigState, chart: Chart, table: ViewTable) -> tuple:
+    """What free places would take off the chi-square, to first order, and it."""
     plain = GemanMcClure.from_scale(jnp.asarray(jnp.inf))
     equations = shot_equations(state, chart, table, plain)
     head, boards = damped_step(equations, jnp.asarray(FLOOR_DAMPING))
