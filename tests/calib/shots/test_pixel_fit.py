@@ -1,5 +1,7 @@
 """What pictures show counts as points whose errors they share; what cannot be is said."""
 
+from typing import Literal
+
 import jax
 import numpy as np
 import pytest
@@ -14,7 +16,7 @@ from tests.calib.shots.made_shots import (
     lens_of,
     shots as made,
 )
-from trinoc.calib import Charuco, Pattern, Systematics, calibrate_rig
+from trinoc.calib import AbstractTarget, Charuco, Pattern, Systematics, calibrate_rig
 from trinoc.calib.model import SheetPoints, whitening_of_covariance
 from trinoc.calib.shots.pixel_fit import expect_method
 from trinoc.calib.shots.place_shifts import shift_of_places
@@ -29,7 +31,7 @@ from trinoc.synth import render_sheet
 SHEET = Pattern.cross_grid(rows=5, columns=6, pitch_mm=25.0, radius_mm=7.0, line_width_mm=0.0)
 
 
-def problem(target=BOARD):
+def problem(target: AbstractTarget = BOARD):
     poses = board_poses(2)
     seen = made(count=2)
     views = [
@@ -49,10 +51,10 @@ def problem(target=BOARD):
     )
 
 
-def shown(view, target=BOARD):
+def shown(view, target: AbstractTarget = BOARD):
     """The detection's points, as a picture would show them."""
     found = view.detection
-    whitening = block_diag(*whitening_of_covariance(found.covariance_px2))
+    whitening = np.asarray(block_diag(*whitening_of_covariance(found.covariance_px2)))
     return SheetPoints(target.centres_mm[found.circle_index], found.centres_px, whitening)
 
 
@@ -63,7 +65,7 @@ def test_points_count_alike_whether_detected_or_shown():
     views[0] = detected.views[0]
     both = detected._replace(views=tuple(views))
     errors = [whitened(each).reshape(len(each.table.shot), -1) for each in (detected, both)]
-    np.testing.assert_allclose(*errors, atol=1e-9)
+    np.testing.assert_allclose(errors[0], errors[1], atol=1e-9)
     assert freedom(detected) == freedom(both)
     silenced = both._replace(views=tuple(v._replace(used=0 * v.used > 0) for v in both.views))
     assert not whitened(silenced).any()
@@ -129,7 +131,8 @@ def test_what_cannot_be_fitted_to_pixels_is_said(method, target, says):
 def test_pixels_tell_more_than_circles_and_what_they_claim_is_true():
     sheet = Pattern.default()
     poses = board_poses(8, seed=2)
-    keys, errors = [], {"points": [], "pixels": []}
+    keys: list = []
+    errors: dict[Literal["points", "pixels"], list] = {"points": [], "pixels": []}
     for seed in range(2):
         random = np.random.default_rng(seed)
         pictures = {
