@@ -42,6 +42,10 @@ class CalibrateRig(Command):
     ] = None
     """Number of coefficients of that model."""
 
+    method: Literal["points", "pixels"] = "points"
+    """Fit the places that the detector found, or go on to the grey levels near every edge of a
+    sheet of circles or a chessboard."""
+
     same_lens: bool = False
     """All cameras have one lens, such as pictures of one camera moved about."""
 
@@ -104,6 +108,7 @@ class CalibrateRig(Command):
                 lens_model=self.lens_model,
                 distortion=self.distortion,
                 same_lens=self.same_lens,
+                method=self.method,
                 world=self.world,
                 systematics=usual,
                 progress=bar.at,

@@ -51,7 +51,7 @@ def board_poses(count: int, seed: int = 0, tilt_deg: float = 40.0) -> np.ndarray
 @jax.jit
 def _pixels(lens, cam, board, places):
     def pixel(place):
-        in_rig = board[:, :2] @ place + board[:, 3]
+        in_rig = board[:, :3] @ place + board[:, 3]
         return lens.project_ray(cam[:, :3] @ in_rig + cam[:, 3])
 
     return jax.vmap(pixel)(places)
@@ -63,9 +63,15 @@ def detection(
     random: np.random.Generator,
     target: AbstractTarget = BOARD,
     sigma_px: float = SIGMA_PX,
+    aside_mm: np.ndarray | None = None,
 ) -> Detection:
-    """What a perfect detector of corners with this noise reports; only what lies in the picture."""
-    exact = np.asarray(_pixels(lens_of(name), cam_from_rig(name), board_pose, target.centres_mm))
+    """What a perfect detector of corners with this noise reports; only what lies in the picture.
+
+    aside_mm : by which each corner lies elsewhere on the board.
+    """
+    places = np.pad(target.centres_mm, ((0, 0), (0, 1)))
+    places = places if aside_mm is None else places + aside_mm
+    exact = np.asarray(_pixels(lens_of(name), cam_from_rig(name), board_pose, places))
     inside = ((exact > 2) & (exact < np.array(SIZE_PX) - 3)).all(axis=1)
     count = int(inside.sum())
     return Detection(
@@ -79,8 +85,15 @@ def detection(
 
 
 def shots(
-    seed: int = 1, count: int = 7, cameras: tuple[str, ...] = tuple(LENSES), **poses
+    seed: int = 1,
+    count: int = 7,
+    cameras: tuple[str, ...] = tuple(LENSES),
+    aside_mm: np.ndarray | None = None,
+    **poses,
 ) -> dict[str, list[Any]]:
     random = np.random.default_rng(seed)
     boards = board_poses(count, **poses)
-    return {name: [detection(name, board, random) for board in boards] for name in cameras}
+    return {
+        name: [detection(name, board, random, aside_mm=aside_mm) for board in boards]
+        for name in cameras
+    }

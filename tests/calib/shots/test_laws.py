@@ -8,6 +8,7 @@ import pytest
 from tests.calib.shots.made_shots import BOARD, SIZE_PX, board_poses, cam_from_rig, lens_of, shots
 from trinoc.calib import Chessboard, Pattern, Systematics
 from trinoc.calib.model import predicted_centre_px
+from trinoc.calib.shots.board_shape import with_free_places
 from trinoc.calib.shots.messages import undetermined_sentence
 from trinoc.calib.shots.motions import chained, inverse, motion_in_plane
 from trinoc.calib.shots.normal_equations import cost, shot_equations
@@ -63,8 +64,10 @@ def test_points_on_a_line_have_no_pose():
     assert plane_pose(np.pad(places, ((0, 0), (0, 1)), constant_values=9.0), places) is None
 
 
-def test_the_equations_are_those_of_the_cost():
+@pytest.mark.parametrize("places_are_free", [False, True])
+def test_the_equations_are_those_of_the_cost(places_are_free):
     here, loss = problem(board_poses(3)), GemanMcClure.from_scale(jnp.asarray(3.0))
+    here = with_free_places(here) if places_are_free else here
     table, chart, state = jax.tree.map(jnp.asarray, (here.table, here.chart, here.state))
     off = 1e-3 * np.random.default_rng(0).normal(size=len(chart.free))
     start = retracted(state, chart, off, np.zeros((8, 6)))
@@ -85,7 +88,15 @@ def test_a_circle_is_predicted_as_the_exact_model_has_it():
     chart = type(chart)(**{**vars(chart), "has_circles": True, "half_mm": np.full(2, 70.0)})
     places, radius = sheet.centres_mm[:5], sheet.radius_mm[:5]
     found = view_residuals(
-        lens, np.eye(3, 4), pose, np.zeros(4), chart, places, radius, np.zeros((5, 2))
+        lens,
+        np.eye(3, 4),
+        pose,
+        np.zeros(4),
+        chart,
+        np.zeros((5, 3)),
+        places,
+        radius,
+        np.zeros((5, 2)),
     )
     exact = [predicted_centre_px(Pose(pose), lens, p, r) for p, r in zip(places, radius)]
     np.testing.assert_allclose(found, exact, atol=2e-4)

@@ -83,6 +83,10 @@ def judged(scene: CameraScene, point: Point, sums: Equations, active: list[int])
     if np.isfinite(scene.top):
         by_shift = by_shift * clipped(point.prediction.level, point.sigma, scene.top).slope
     information = np.linalg.pinv(inverse, hermitian=True)
+    inflation = float(np.trace(information @ covariance)) / size
+    if not inflation > 0:
+        # Nothing is left of what the pixels would say: there is no fit.
+        covariance = np.full_like(covariance, np.nan)
     return CameraFit(
         point.state,
         active,
@@ -94,7 +98,7 @@ def judged(scene: CameraScene, point: Point, sums: Equations, active: list[int])
         look,
         sums,
         by_shift,
-        float(np.trace(information @ covariance)) / size,
+        inflation,
     )
 
 

@@ -4,8 +4,9 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.calib.photometric.appearance import LIGHT_TERMS, Appearance
+from trinoc.calib.photometric.corner_pixels import places_to_look_at
 from trinoc.calib.photometric.outlines import circle_points_mm, project_to_image
-from trinoc.calib.targets import Pattern
+from trinoc.calib.targets import CORNERS, Pattern
 from trinoc.geometry import AbstractLens, Pose
 
 # A central difference over two pixels sees an edge as if blurred by this variance more.
@@ -16,17 +17,13 @@ _LEAST_SIGMA_PX, _LARGEST_SIGMA_PX = 0.4, 8.0
 def initial_appearance(
     image: Float[np.ndarray, "h w"], pose: Pose, lens: AbstractLens, pattern: Pattern
 ) -> Appearance:
-    """Medians over all circles: of the paper beside, the ink inside, the steepness between."""
-    outer, inner = pattern.radius_mm, pattern.inner_radius_mm
-    radii = (0.5 * (outer + inner), outer, outer + 0.3 * outer)
-    outlines = [circle_points_mm(pattern.centres_mm, radius).reshape(-1, 2) for radius in radii]
+    """Medians over all places: of the paper beside, the ink inside, the steepness between."""
+    outlines = _places(pattern)
     sampled = np.asarray(project_to_image(pose, lens, np.concatenate(outlines)))
-    height, width = image.shape
-    places = np.split(np.round(sampled).astype(int), len(radii))
-    inside = np.all(
-        [((p >= 1) & (p < np.array([width - 1, height - 1]))).all(axis=1) for p in places], axis=0
-    )
-    ink, edge, paper = (p[inside] for p in places)
+    limit = np.array(image.shape[::-1]) - 1
+    ends = np.cumsum([len(part) for part in outlines])[:-1]
+    places = np.split(np.round(sampled).astype(int), ends)
+    ink, edge, paper = (p[((p >= 1) & (p < limit)).all(axis=1)] for p in places)
     u, v = edge[:, 0], edge[:, 1]
     slope = 0.5 * np.hypot(image[v, u + 1] - image[v, u - 1], image[v + 1, u] - image[v - 1, u])
     paper_grey = float(np.median(image[paper[:, 1], paper[:, 0]]))
@@ -42,3 +39,12 @@ def initial_appearance(
         np.asarray(ink_grey / max(paper_grey, 1e-6) - 1),
         light,
     )
+
+
+def _places(pattern: Pattern) -> tuple[Float[np.ndarray, "_n 2"], ...]:
+    """Of the sheet: in ink, on edges, on paper."""
+    if pattern.line_style == CORNERS:
+        return places_to_look_at(pattern)
+    outer, inner = pattern.radius_mm, pattern.inner_radius_mm
+    radii = (0.5 * (outer + inner), outer, outer + 0.3 * outer)
+    return tuple(circle_points_mm(pattern.centres_mm, radius).reshape(-1, 2) for radius in radii)

@@ -22,6 +22,7 @@ from trinoc.calib.photometric.edges import (
 )
 from trinoc.calib.photometric.kernels import Kernel, kernel_coverage
 from trinoc.calib.photometric.sheet_point import Ray, SheetPoint
+from trinoc.calib.targets import CORNERS
 from trinoc.numerics import ArrayLike
 
 Scalar = Float[ArrayLike, ""]
@@ -82,7 +83,12 @@ class View(NamedTuple):
 
 
 def ink_of_circle(view: View, circle: Circle, drawing: Drawing) -> InkShare:
-    """Ink of a disc or ring; a hole lies wholly inside its disc, so shares subtract."""
+    """Ink of a disc or ring; a hole lies wholly inside its disc, so shares subtract.
+
+    On a chessboard, ink about a corner.
+    """
+    if drawing.line_style == CORNERS:
+        return _ink_of_corner(view, circle)
     outer = view.circle(circle, circle.radius_mm)
     hole, has_hole = _hole(view, circle, drawing)
 
@@ -91,6 +97,31 @@ def ink_of_circle(view: View, circle: Circle, drawing: Drawing) -> InkShare:
         if hole is None:
             return ink
         return ink - has_hole * _coverage(hole, _shift(hole, dx, dy) + spread, blur).share
+
+    return share
+
+
+def _ink_of_corner(view: View, corner: Circle) -> InkShare:
+    """Ink of the two dark squares that meet in a corner; see `corner_sheet` for their places."""
+    one, zero = jnp.ones_like(corner.present), jnp.zeros_like(corner.present)
+    left = straight_edge(view.point, one, zero, corner.centre_mm[0])
+    below = straight_edge(view.point, zero, one, corner.centre_mm[1])
+
+    def share(dx: Scalar, dy: Scalar, spread: Scalar, blur: Scalar | Kernel) -> Scalar:
+        def sides(edge: Edge) -> tuple[Coverage, Coverage]:
+            """What lies left of (or below) the edge, and of where ink's spread has it."""
+            at = _shift(edge, dx, dy)
+            return _coverage(edge, at + spread, blur), _coverage(edge, at - spread, blur)
+
+        (less_left, more_left), (less_below, more_below) = sides(left), sides(below)
+        upper_left = more_left.share - common(more_left, less_below)
+        lower_right = more_below.share - common(less_left, more_below)
+        upper_right = 1 - less_left.share - less_below.share + common(less_left, less_below)
+        lower_left = common(more_left, more_below)
+        rising = corner.inner_radius_mm > 0
+        return corner.present * jnp.where(
+            rising, upper_right + lower_left, upper_left + lower_right
+        )
 
     return share
 

@@ -85,7 +85,8 @@ def patch_points(
     # A picture that is shifted by d shows at x what it showed at x - d.
     by_normalised = -homography[:, :2].T @ pixels.by_homography
     by_px = np.einsum("jn,njk->kn", by_normalised, np.asarray(pixels.ray.by_pixel))
-    if not (np.isfinite(place).all() and np.isfinite(by_px).all()):
+    numbers = place, by_px, pixels.weight, pixels.by_look
+    if not all(np.isfinite(part).all() for part in numbers):
         return _NOTHING
     label = np.where(
         pixels.circle >= 0, pixels.circle, len(pattern) + _piece_of_line(place, pattern)

@@ -8,13 +8,14 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from trinoc.calib.photometric.appearance import Pixels
+from trinoc.calib.photometric.corner_pixels import corner_pixels
 from trinoc.calib.photometric.gauss_newton import Group
 from trinoc.calib.photometric.ink_coverage import Circle
 from trinoc.calib.photometric.line_pixels import line_view
 from trinoc.calib.photometric.normal_equations import CHUNK
 from trinoc.calib.photometric.outlines import circle_points_mm, line_outlines_mm, project_to_image
 from trinoc.calib.photometric.rays import rays_of_pixels
-from trinoc.calib.targets import Pattern
+from trinoc.calib.targets import CORNERS, Pattern
 from trinoc.geometry import AbstractLens, Pose
 
 # Pixels within this many sigmas of an edge, and a little more for an error of the start.
@@ -69,6 +70,11 @@ def select_pixels(
     Pixels within reach of two circles are left out: the model knows one.
     """
     reach_px = _REACH_SIGMAS * sigma_px + _REACH_PX
+    if pattern.line_style == CORNERS:
+        seen = corner_pixels(pose, lens, pattern, image_size_px, reach_px)
+        none = np.zeros(0, dtype=np.int64)
+        near = _spread(SelectedPixels(seen.column, seen.row, seen.corner))
+        return PixelSelection(near, SelectedPixels(none, none, none), seen.first, seen.flat)
     # OpenCV draws an even thickness one pixel wider: half a thickness and a half to each side.
     thickness = 2 * max(1, round(reach_px - 0.5))
     drawn, of_circle, cross = _outlines(pose, lens, pattern)

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from trinoc.calib.shots.normal_equations import view_blocks
 from trinoc.calib.shots.problem import Problem
@@ -33,6 +33,7 @@ class Information(NamedTuple):
     own : (s, 6, 6) covariance of each board, the head given.
     free : (f,) columns of the head that were fitted.
     prior : (f, f) information that was known of the board beforehand.
+    shape_first : where, in the head, the steps of the board's places begin.
     """
 
     of_shot: Float[np.ndarray, "s h h"]
@@ -41,12 +42,18 @@ class Information(NamedTuple):
     own: Float[np.ndarray, "s 6 6"]
     free: np.ndarray
     prior: Float[np.ndarray, "f f"]
+    shape_first: int
 
     @property
     def seen(self) -> Observability:
         """What is determined of the free steps of the head."""
-        kept = self.of_shot.sum(axis=0)[np.ix_(self.free, self.free)] + self.prior
-        count = len(self.free)
+        return self.seen_of(np.ones(len(self.free), dtype=bool))
+
+    def seen_of(self, rows: Bool[np.ndarray, "f"]) -> Observability:
+        """What is determined of some of the free steps, the others held."""
+        free = self.free[rows]
+        kept = self.of_shot.sum(axis=0)[np.ix_(free, free)] + self.prior[np.ix_(rows, rows)]
+        count = len(free)
         return observability(0.5 * (kept + kept.T), np.eye(count), np.full(count, np.inf))
 
 
@@ -57,10 +64,10 @@ def information_of(problem: Problem) -> Information:
     )
     free = np.flatnonzero(problem.chart.free)
     prior = np.zeros((len(problem.chart.free),) * 2)
-    scale = np.asarray(problem.chart.sheet_scale)
-    known = np.asarray(problem.chart.sheet_information)
-    prior[-SHEET_SIZE:, -SHEET_SIZE:] = scale[:, None] * known * scale
-    return Information(of_shot, pulls, follow, own, free, prior[np.ix_(free, free)])
+    first = problem.chart.sheet_first
+    prior[first:, first:] = np.asarray(problem.chart.board_prior)
+    shape_first = first + SHEET_SIZE
+    return Information(of_shot, pulls, follow, own, free, prior[np.ix_(free, free)], shape_first)
 
 
 @eqx.filter_jit

@@ -1,13 +1,16 @@
 """A rig and its lenses from many shots of a board."""
 
 from collections.abc import Callable, Mapping
+from typing import Literal
 
 import numpy as np
 
 from trinoc.calib.detection import Detection
 from trinoc.calib.intrinsics import FEWEST_CIRCLES
+from trinoc.calib.shots.board_shape import with_board_shape
 from trinoc.calib.shots.judged import judged
 from trinoc.calib.shots.lens_start import CameraStart, camera_start
+from trinoc.calib.shots.pixel_fit import expect_method, fit_pixels, grey_levels
 from trinoc.calib.shots.placing import PlacedRig, placed_rig
 from trinoc.calib.shots.problem import Freedom, Problem, problem_of
 from trinoc.calib.shots.result import RigFromShots
@@ -37,6 +40,7 @@ def calibrate_rig(
     distortion: int | None = None,
     same_lens: bool = False,
     world: str | None = None,
+    method: Literal["points", "pixels"] = "points",
     systematics: Systematics | None = None,
     throw: bool = True,
     progress: Callable[[int, int], None] | None = None,
@@ -56,6 +60,8 @@ def calibrate_rig(
     same_lens : whether all cameras have one lens, such as pictures of one camera moved about.
     world : the shot whose board is the world's plane Z = 0, or the camera whose frame is the
         world's; by default the first of the shots that most cameras saw.
+    method : "points" fits the places that the detector found, circles or corners; "pixels" goes on
+        from there to the grey levels near every edge of a sheet of circles or a chessboard.
     systematics : what is known of print and board: `print_size_sigma`, `print_scale_sigma` and
         `flatness_mm`, as `Systematics.typical` has them unless given.
     throw : whether a rig that is not determined raises; without it the result says so.
@@ -66,10 +72,12 @@ def calibrate_rig(
 
     Raises
     ------
-    InputError : no picture, pictures of several sizes, or names that are not there.
+    InputError : no picture, pictures of several sizes, or names that are not there; with
+        "pixels" a detection where a picture is needed, or a board with markers.
     CalibrationError : a camera that never sees the board, cameras that no shot connects or whose
         shots are out of step, or, with `throw`, parameters that the shots do not determine.
     """
+    expect_method(method, target, pictures)
     model = _model(lens_model, distortion)
     known = _known_lenses(lens, tuple(pictures))
     found = found_shots(pictures, target, progress)
@@ -90,14 +98,19 @@ def calibrate_rig(
     placed = placed_rig(starts, usable, found.shots, target)
     known_board = _board_systematics(systematics)
     problem = _problem(placed, starts, usable, target, known, distortion, same_lens, known_board)
+    fit, silent = with_board_shape(fit_robustly(problem)), ()
+    if method == "pixels":
+        fit, silent = fit_pixels(fit, grey_levels(pictures, tuple(starts), placed.shots))
+        fit = with_board_shape(fit)
     return judged(
-        fit_robustly(problem),
+        fit,
         placed,
         found,
         tuple(starts),
         world,
         known,
         known_board,
+        silent=silent,
         may_give_up=distortion is None,
         throw=throw,
     )

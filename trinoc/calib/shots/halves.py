@@ -82,7 +82,9 @@ def _steps_between(problem: Problem, end: Problem) -> np.ndarray:
                                turn[1, 0] - turn[0, 1]])  # fmt: skip
         shift = (np.asarray(after)[:, 3] - np.asarray(before)[:, 3]) / float(chart.unit_mm)
         poses.append(np.concatenate([skew, shift]))
-    return np.concatenate([by_lens.ravel(), np.ravel(poses), np.zeros(4)])
+    return np.concatenate(
+        [by_lens.ravel(), np.ravel(poses), np.zeros(len(chart.free) - chart.sheet_first)]
+    )
 
 
 def _head_names(problem: Problem, cameras: tuple[str, ...]) -> list[str]:

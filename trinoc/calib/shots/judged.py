@@ -1,6 +1,6 @@
 """From a fitted rig to one judged result."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -14,7 +14,12 @@ from trinoc.calib.shots.covariance import (
     named_covariance,
 )
 from trinoc.calib.shots.halves import halves_check
-from trinoc.calib.shots.messages import notes_of_rig, refused_sentences, undetermined_sentence
+from trinoc.calib.shots.messages import (
+    notes_of_rig,
+    refused_sentences,
+    silent_sentences,
+    undetermined_sentence,
+)
 from trinoc.calib.shots.motions import chained, inverse
 from trinoc.calib.shots.placing import PlacedRig
 from trinoc.calib.shots.problem import Problem, lens_number, with_lens_free
@@ -22,6 +27,7 @@ from trinoc.calib.shots.result import RigFromShots
 from trinoc.calib.shots.robust_fit import RobustFit, errors_px, refitted
 from trinoc.calib.shots.shot_scatter import shot_scatter, with_factor
 from trinoc.calib.shots.sightings_of_shots import FoundShots
+from trinoc.calib.shots.state import SHEET_NAMES
 from trinoc.calib.uncertainty import Systematics
 from trinoc.errors import CalibrationError, InputError
 from trinoc.geometry import Camera, Intrinsics, Pose, Rig, simplified
@@ -39,6 +45,7 @@ def judged(
     known: Mapping[str, Intrinsics],
     systematics: Systematics,
     *,
+    silent: Sequence[tuple[int, int, str]],
     may_give_up: bool,
     throw: bool,
 ) -> RigFromShots:
@@ -58,7 +65,7 @@ def judged(
     elif not fit.converged:
         status = Status.NOT_CONVERGED
     head_covariance = np.nan_to_num(seen.covariance)
-    scatter = shot_scatter(information, head_covariance)
+    scatter = shot_scatter(information)
     factor = scatter.variance_factor if full else 1.0
     enlarged = with_factor(head_covariance, factor, information.prior)
     named = named_covariance(problem, information, enlarged, factor, cameras, place)
@@ -72,6 +79,7 @@ def judged(
     if status is Status.CONVERGED:
         rig = _rig(problem, cameras, poses, found, known, named.names, covariance)
     notes = notes_of_rig(fit, cameras, given_up, factor)
+    notes = (*notes, *silent_sentences(silent, placed, cameras))
     if status is Status.RANK_DEFICIENT:
         notes = (undetermined_sentence(problem, gauge), *notes)
     elif status is Status.NOT_CONVERGED:
@@ -92,6 +100,7 @@ def judged(
         cameras=cameras,
         shots=placed.shots,
         world_from_board=np.stack([chained(inverse(base), np.asarray(b)) for b in boards]),
+        place_shifts_mm=np.asarray(problem.state.shape),
         views=problem.views,
         residuals_px=tuple(errors_px(problem)),
         sigma_factor=dict(zip(cameras, problem.sigma_factor.tolist(), strict=True)),
@@ -157,10 +166,11 @@ def _open_rows(problem: Problem, information: Information, names: tuple[str, ...
     open_head[information.free[list(information.seen.gauge)]] = True
     of_lens = open_head[: count * size].reshape(count, size)
     any_pose = bool(open_head[count * size :].any())
+    sheet = open_head[chart.sheet_first :][: len(SHEET_NAMES)]
     rows = []
     for lens in chart.lens_of_camera:
         rows += [any_pose or bool(of_lens.any())] * 6 + of_lens[lens].tolist()
-    rows += open_head[-4:].tolist()
+    rows += sheet.tolist()
     assert len(rows) == len(names)
     return np.array(rows)
 

@@ -75,7 +75,7 @@ class ShotLevenbergMarquardt(AbstractManifoldMinimiser[RigState, None, DampedDes
     ) -> tuple[RigState, DampedDescent, None]:
         """Try one step, and take it where it gains."""
         equations = shot_equations(y, args.chart, args.table, args.loss)
-        head, boards = _step(equations, state.damping)
+        head, boards = damped_step(equations, state.damping)
         tried = retracted(y, args.chart, head, boards)
         tried_cost = fn(tried, args)[0]
         better = tried_cost <= state.cost
@@ -110,7 +110,7 @@ def minimise(state: RigState, table: ViewTable, chart: Chart, loss: AbstractRobu
     )
 
 
-def _step(
+def damped_step(
     equations: ShotEquations, damping: Float[ArrayLike, ""]
 ) -> tuple[Float[ArrayLike, "h"], Float[ArrayLike, "s 6"]]:
     """The damped Gauss-Newton step."""

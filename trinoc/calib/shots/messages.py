@@ -1,5 +1,7 @@
 """What the fit of a rig from many shots tells its user, in sentences."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from trinoc.calib.shots.motions import chained
@@ -70,6 +72,16 @@ def refused_sentences(
     return tuple(sentences)
 
 
+def silent_sentences(
+    silent: Sequence[tuple[int, int, str]], placed: PlacedRig, cameras: tuple[str, ...]
+) -> tuple[str, ...]:
+    """Pictures whose grey levels say nothing; (camera, shot, why) of each."""
+    return tuple(
+        f'{placed.shots[shot]}: "{cameras[camera]}": {why} Its places count as they were detected.'
+        for camera, shot, why in silent
+    )
+
+
 def notes_of_rig(
     fit: RobustFit, cameras: tuple[str, ...], given_up: tuple[str, ...], variance_factor: float
 ) -> tuple[str, ...]:
@@ -92,8 +104,21 @@ def notes_of_rig(
                     "sigmas say; all sigmas are enlarged by that. See that the board is flat and "
                     "does not move, and that focus and zoom stay."
                 )
+    notes += _uneven(problem)
     notes += _surprises(problem)
     return tuple(notes)
+
+
+def _uneven(problem: Problem) -> list[str]:
+    """How far the board's places lie off, where the shots show that they do."""
+    shape = np.asarray(problem.state.shape)
+    if not len(shape):
+        return []
+    across, above = np.sqrt(np.mean(shape[:, :2] ** 2)), np.sqrt(np.mean(shape[:, 2] ** 2))
+    return [
+        f"The board's places lie {across:.2g} mm aside of the drawing and {above:.2g} mm off its "
+        "plane (root mean square); this was found with the rig, and is taken into account."
+    ]
 
 
 def _surprises(problem: Problem) -> list[str]:

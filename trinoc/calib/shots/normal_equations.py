@@ -22,8 +22,8 @@ class ShotEquations(NamedTuple):
     gradient: tuple[Float[ArrayLike, "h"], Float[ArrayLike, "s 6"]]
 
 
-def whitened_residuals(state: RigState, chart: Chart, table: ViewTable) -> Float[Array, "v n 2"]:
-    """Residuals of all places in units of their sigmas; zero where unused."""
+def whitened_residuals(state: RigState, chart: Chart, table: ViewTable) -> Float[Array, "v g k"]:
+    """Residuals of all groups of places in units of their sigmas; zero where unused."""
     return jax.vmap(lambda *view: _whitened(state, chart, *view))(*table)
 
 
@@ -35,9 +35,15 @@ def residuals_px(state: RigState, chart: Chart, table: ViewTable) -> Float[Array
 def cost(
     state: RigState, chart: Chart, table: ViewTable, loss: AbstractRobustLoss
 ) -> Float[Array, ""]:
-    """Robust chi-square of all places, and that of the sheet's prior."""
+    """Robust chi-square of all groups of places, and that of the board's prior."""
     squared = jnp.sum(jnp.square(whitened_residuals(state, chart, table)), axis=-1)
-    return jnp.sum(loss.rho(squared)) + state.sheet @ chart.sheet_information @ state.sheet
+    return jnp.sum(loss.rho(squared)) + prior_cost(state, chart)
+
+
+def prior_cost(state: RigState, chart: Chart) -> Float[ArrayLike, ""]:
+    """Chi-square of the board's sheet and places under what was known of them."""
+    of_shape = jnp.sum(jnp.square(state.shape) * chart.shape_information[None])
+    return state.sheet @ chart.sheet_information @ state.sheet + of_shape
 
 
 def shot_equations(
@@ -55,16 +61,31 @@ def shot_equations(
     blocks = blocks.at[table.shot].add(own[:, size:, size:])
     of_head = jnp.zeros_like(chart.free).at[columns].add(gradient[:, :size])
     of_boards = jnp.zeros((shots, POSE_SIZE), own.dtype).at[table.shot].add(gradient[:, size:])
-    scale = chart.sheet_scale * chart.free[-SHEET_SIZE:]
-    prior = scale[:, None] * chart.sheet_information * scale[None, :]
-    head = head.at[-SHEET_SIZE:, -SHEET_SIZE:].add(prior)
-    of_head = of_head.at[-SHEET_SIZE:].add(scale * (chart.sheet_information @ state.sheet))
+    first = chart.sheet_first
+    free = chart.free[first:]
+    head = head.at[first:, first:].add(free[:, None] * chart.board_prior * free[None, :])
+    board = jnp.concatenate([state.sheet / chart.sheet_scale, state.shape.ravel() / chart.unit_mm])
+    of_head = of_head.at[first:].add(free * (chart.board_prior @ board))
     return ShotEquations(BlockArrow(head, coupling, blocks), (of_head, of_boards))
 
 
 def _residuals(
-    state: RigState, chart: Chart, camera, shot, place_mm, radius_mm, uv_px, whitening, step=None
+    state: RigState,
+    chart: Chart,
+    camera,
+    shot,
+    place,
+    place_mm,
+    radius_mm,
+    uv_px,
+    whitening,
+    step=None,
+    aside_mm: ArrayLike | float = 0.0,
 ) -> ArrayLike:
+    """Predicted minus observed, after a step, and with all places `aside_mm` of their own."""
+    # What is no place of the board, and every place of a board that is as drawn, lies as drawn.
+    none = len(state.shape)
+    shape = jnp.concatenate([jnp.asarray(state.shape), jnp.zeros((1, 3), uv_px.dtype)])
     lens = jax.tree.map(lambda leaf: leaf[chart.lens_of_camera[camera]], state.lenses)
     return view_residuals(
         lens,
@@ -72,6 +93,7 @@ def _residuals(
         state.rig_from_board[shot],
         state.sheet,
         chart,
+        shape[jnp.minimum(place, none)] + aside_mm,
         place_mm,
         radius_mm,
         uv_px,
@@ -79,30 +101,47 @@ def _residuals(
     )
 
 
-def _whitened(state: RigState, chart: Chart, *view, step=None) -> Array:
-    whitening = view[-1]
+def _whitened(state: RigState, chart: Chart, *view) -> Array:
+    return _in_sigmas(view[-1], _residuals(state, chart, *view)[..., None])[..., 0]
+
+
+def _in_sigmas(whitening: ArrayLike, columns: ArrayLike) -> Array:
+    """Columns of numbers in px, (n, 2, c), as (g, k, c) in units of sigmas."""
+    grouped = columns.reshape(*whitening.shape[:2], columns.shape[-1])
     # Places that take no part may lie where the lens has no image.
-    spoken = jnp.any(whitening != 0, axis=(1, 2))
-    residual = _residuals(state, chart, *view, step=step)
-    return jnp.where(spoken[:, None], jnp.einsum("nij,nj->ni", whitening, residual), 0.0)
+    spoken = jnp.any(whitening != 0, axis=1)[..., None]
+    return jnp.einsum("gij,gjc->gic", whitening, jnp.where(spoken, grouped, 0.0))
 
 
 def view_blocks(
-    state: RigState, chart: Chart, loss: AbstractRobustLoss, camera, *rest
+    state: RigState, chart: Chart, loss: AbstractRobustLoss, camera, shot, place, *rest
 ) -> tuple[ArrayLike, Array, Array]:
     """Columns of the head, J^T J and J^T r of one view over them and its board's pose."""
     columns = head_columns(chart, camera)
+    places = len(state.shape)
     lens_size = chart.lens_scale.shape[1]
     lens_scale = chart.lens_scale[chart.lens_of_camera[camera]]
-    units = jnp.concatenate([lens_scale, jnp.ones(2 * POSE_SIZE + SHEET_SIZE, lens_scale.dtype)])
-    taken = jnp.concatenate([chart.free[columns], jnp.ones(POSE_SIZE, lens_scale.dtype)])
+    count = lens_size + 2 * POSE_SIZE + SHEET_SIZE
+    units = jnp.concatenate([lens_scale, jnp.ones(count - lens_size, lens_scale.dtype)])
 
-    def whitened(step: Float[Array, "k"]) -> tuple[Array, Array]:
-        residual = _whitened(state, chart, camera, *rest, step=units * taken * step)
+    def after(step: Float[Array, "k"]) -> tuple[ArrayLike, ArrayLike]:
+        own, aside = units * step[:count], chart.unit_mm * step[None, count:]
+        residual = _residuals(
+            state, chart, camera, shot, place, *rest, step=own, aside_mm=aside if places else 0.0
+        )
         return residual, residual
 
-    zero = jnp.zeros(lens_size + 2 * POSE_SIZE + SHEET_SIZE, lens_scale.dtype)
-    jacobian, residual = jax.jacfwd(whitened, has_aux=True)(zero)
+    zero = jnp.zeros(count + (3 if places else 0), lens_scale.dtype)
+    jacobian, residual = jax.jacfwd(after, has_aux=True)(zero)
+    by_head, by_board, by_aside = jnp.split(jacobian, [count - POSE_SIZE, count], axis=-1)
+    # Every place moves its own image alone.
+    own = place[:, None] == jnp.arange(places)[None]
+    by_shape = jnp.where(own[:, None, :, None], by_aside[:, :, None, :], 0.0)
+    by_shape = by_shape.reshape(*residual.shape, 3 * places)
+    by_head = jnp.concatenate([by_head, by_shape], axis=-1) * chart.free[columns][None, None]
+    every = jnp.concatenate([by_head, by_board, residual[..., None]], axis=-1)
+    standard = _in_sigmas(rest[-1], every)
+    jacobian, residual = standard[..., :-1], standard[..., -1]
     weight = loss.weight(jnp.sum(jnp.square(residual), axis=-1))
     weighted = weight[:, None, None] * jacobian
     return (

@@ -17,6 +17,8 @@ from trinoc.errors import CalibrationError
 
 # Cameras whose pictures were counted differently are tried this many shots apart.
 _MOST_SHIFT = 3
+# What the name of a shot goes on with where one camera's picture of it stands for itself.
+_ALONE = " of {} alone"
 
 
 class PlacedRig(NamedTuple):
@@ -83,7 +85,7 @@ def placed_rig(
             alone = placed_shot([straggler], poses, target)
             views.append(_view(straggler, 0, len(boards)))
             boards.append(alone.rig_from_board)
-            taken.append(f"{shot} of {names[straggler.camera]} alone")
+            taken.append(f"{shot}{_ALONE.format(names[straggler.camera])}")
             others = ", ".join(names[each.camera] for each, _ in placed.members)
             refused.append(
                 f'{shot}: "{names[straggler.camera]}" shows the board {miss:.0f} px from where '
@@ -92,6 +94,11 @@ def placed_rig(
             )
     stacked = np.stack([poses[k] for k in range(len(names))])
     return PlacedRig(stacked, np.stack(boards), tuple(taken), tuple(views), tuple(refused))
+
+
+def of_one_moment(shot: str, camera: str) -> str:
+    """The shot as it was given, from its name in a `PlacedRig`."""
+    return shot.removesuffix(_ALONE.format(camera))
 
 
 def _view(seen: Sighting, labelling: int, shot: int) -> View:

@@ -41,6 +41,7 @@ class Problem(NamedTuple):
     chart : units, and what is free.
     shots : how many there are; arrays have more rows.
     sigma_factor : (c,) by how much the places' sigmas are multiplied for each camera.
+    spent : how many numbers the residuals have told of where the board's places lie.
     """
 
     views: tuple[View, ...]
@@ -49,6 +50,7 @@ class Problem(NamedTuple):
     chart: Chart
     shots: int
     sigma_factor: Float[np.ndarray, "c"]
+    spent: float = 0.0
 
     @property
     def cameras(self) -> int:
@@ -98,9 +100,12 @@ def problem_of(
         lens_of_camera=np.asarray(freedom.lens_of_camera),
         free=np.concatenate([freedom.free.astype(float).ravel(), pose_free.ravel(), sheet_free]),
         sheet_information=information,
+        shape_information=np.ones(3),
         has_circles=bool(np.any(target.radius_mm > 0)),
     )
-    state = RigState(stacked, np.asarray(cam_from_rig), boards, np.zeros(SHEET_SIZE))
+    state = RigState(
+        stacked, np.asarray(cam_from_rig), boards, np.zeros(SHEET_SIZE), np.zeros((0, 3))
+    )
     factor = np.ones(len(cam_from_rig))
     problem = Problem(tuple(views), target, state, chart, shots, factor)
     return with_lens_free(problem, freedom.free)
@@ -122,7 +127,7 @@ def with_lens_free(problem: Problem, free: Bool[np.ndarray, "l q"]) -> Problem:
 def with_sheet_held(problem: Problem) -> Problem:
     """The problem with the board taken as it was found."""
     head = np.array(problem.chart.free)
-    head[-SHEET_SIZE:] = 0.0
+    head[problem.chart.sheet_first :] = 0.0
     return problem._replace(chart=_with_free(problem.chart, head))
 
 

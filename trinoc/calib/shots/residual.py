@@ -33,12 +33,15 @@ def view_residuals(
     rig_from_board: Float[ArrayLike, "3 4"],
     sheet: Float[ArrayLike, "4"],
     chart: Chart,
+    shape_mm: Float[ArrayLike, "n 3"],
     place_mm: Float[ArrayLike, "n 2"],
     radius_mm: Float[ArrayLike, "n"],
     uv_px: Float[ArrayLike, "n 2"],
     step: Float[ArrayLike, "k"] | None = None,
 ) -> Float[ArrayLike, "n 2"]:
     """Residuals in pixels, after a step of (lens, camera, sheet, board) where one is given.
+
+    shape_mm : by which each place lies elsewhere on the board.
 
     The centre of a circle's image is not the image of its centre; by how much is taken where the
     step begins: it changes a thousand times less than the places themselves.
@@ -47,17 +50,24 @@ def view_residuals(
     if step is not None:
         here = _stepped(here, chart, step)
 
-    def project(place: Float[ArrayLike, "2"], at: tuple) -> Float[ArrayLike, "2"]:
+    def project(
+        place: Float[ArrayLike, "2"], aside: Float[ArrayLike, "3"], at: tuple
+    ) -> Float[ArrayLike, "2"]:
         own_lens, own_pose, board, own_sheet = at
-        point = point_on_board(place, own_sheet, chart.half_mm)
+        point = point_on_board(place, own_sheet, chart.half_mm) + aside
         in_rig = board[:, :3] @ point + board[:, 3]
         return own_lens.project_ray(own_pose[:, :3] @ in_rig + own_pose[:, 3])
 
-    predicted = jax.vmap(project, (0, None))(place_mm, here)
+    predicted = jax.vmap(project, (0, 0, None))(place_mm, shape_mm, here)
     if chart.has_circles:
         still = jax.lax.stop_gradient(here)
-        predicted += jax.vmap(lambda place, radius: _offset(
-            lambda at: project(at, still), place, radius))(place_mm, radius_mm)  # fmt: skip
+        flat = jax.lax.stop_gradient(shape_mm)
+        offset = jax.vmap(
+            lambda place, aside, radius: _offset(
+                lambda at: project(at, aside, still), place, radius
+            )
+        )
+        predicted += offset(place_mm, flat, radius_mm)
     return predicted - uv_px
 
 

@@ -27,8 +27,11 @@ class RigFromShots(eqx.Module):
     target : the board.
     shots : names of the shots that took part.
     world_from_board : (s, 3, 4) the board in each shot, mm.
+    place_shifts_mm : (n, 3) by which each place of the board lies elsewhere than its drawing and
+        its warp have it, X, Y and Z; no rows where the shots do not show it.
     views : what each camera saw in each shot, by their indices, and which places took part.
-    residuals_px : for each view (m, 2) predicted minus observed.
+    residuals_px : for each view (m, 2) predicted minus observed, of its places, or of what its
+        grey levels show: each circle and, across it, each piece of a line.
     sigma_factor : for each camera by how much its places scatter more than their sigmas say.
     reduced_chi_square : after the sigmas were multiplied by it.
     halves : two halves of the shots compared, or None where there are too few.
@@ -49,6 +52,7 @@ class RigFromShots(eqx.Module):
     cameras: tuple[str, ...] = eqx.field(static=True)
     shots: tuple[str, ...] = eqx.field(static=True)
     world_from_board: Float[np.ndarray, "s 3 4"]
+    place_shifts_mm: Float[np.ndarray, "n 3"]
     views: tuple[View, ...]
     residuals_px: tuple[Float[np.ndarray, "_m 2"], ...]
     sigma_factor: dict[str, float] = eqx.field(static=True)
@@ -71,7 +75,7 @@ class RigFromShots(eqx.Module):
     def rms_px(self, camera: str | None = None) -> float:
         """Root mean square length of the residuals of one camera, or of all."""
         kept = [
-            errors[view.used]
+            errors[view.kept]
             for view, errors in zip(self.views, self.residuals_px, strict=True)
             if camera in (None, self.cameras[view.camera])
         ]

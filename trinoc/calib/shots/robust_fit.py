@@ -6,7 +6,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.model import ANNEALING, inliers, robust_scale
+from trinoc.calib.model import ANNEALING, SheetPoints, inliers, robust_scale
 from trinoc.calib.shots.levenberg_marquardt import minimise
 from trinoc.calib.shots.normal_equations import residuals_px, whitened_residuals
 from trinoc.calib.shots.problem import Problem
@@ -16,6 +16,8 @@ from trinoc.numerics import GemanMcClure, as_numpy
 _FEWEST_AGREE = 0.5
 # Chi-square beyond this many of its own standard deviations is not noise: the sigmas grow.
 _CHI_SQUARE_DEVIATIONS = 4.0
+# A direction that has less of the information of the best one is not told.
+_LEAST_SHARE = 1e-3
 _whitened = eqx.filter_jit(whitened_residuals)
 _residuals = eqx.filter_jit(residuals_px)
 
@@ -47,20 +49,23 @@ def fit_robustly(problem: Problem) -> RobustFit:
     for factor in ANNEALING:
         scale = factor * robust_scale(_spoken(problem, whitened(problem)))
         problem, _ = fitted(problem, scale)
-    problem, moved = _without_wrong_places(problem)
-    problem, converged = fitted(problem)
-    problem = _with_factors(problem)
-    problem, converged = fitted(problem)
+    problem, moved = without_wrong_places(problem)
+    problem, _ = fitted(problem)
+    return judged_fit(problem, moved)
+
+
+def judged_fit(problem: Problem, moved: list[tuple[int, int, float]]) -> RobustFit:
+    """The end of a fit, after the sigmas have become those that its residuals show."""
+    problem, converged = fitted(with_factors(problem))
     chi_square = float(np.sum(np.square(whitened(problem))))
-    freedom = _freedom(problem)
-    return RobustFit(problem, converged, moved, chi_square, freedom)
+    return RobustFit(problem, converged, moved, chi_square, freedom(problem))
 
 
 def refitted(fit: RobustFit, problem: Problem) -> RobustFit:
     """The same places fitted by another problem, from where the fit ended."""
     problem, converged = fitted(problem)
     chi_square = float(np.sum(np.square(whitened(problem))))
-    return RobustFit(problem, converged, fit.moved, chi_square, _freedom(problem))
+    return RobustFit(problem, converged, fit.moved, chi_square, freedom(problem))
 
 
 def fitted(problem: Problem, outlier_scale: float = np.inf) -> tuple[Problem, bool]:
@@ -70,15 +75,26 @@ def fitted(problem: Problem, outlier_scale: float = np.inf) -> tuple[Problem, bo
     return problem._replace(state=fit.state), bool(fit.converged)
 
 
-def whitened(problem: Problem) -> Float[np.ndarray, "v n 2"]:
-    """Residuals in sigmas, unused ones zero, padded as the table is."""
+def whitened(problem: Problem) -> Float[np.ndarray, "v g k"]:
+    """Residuals in sigmas, unused ones zero, padded and grouped as the table is."""
     return np.asarray(_whitened(problem.state, problem.chart, problem.table))
 
 
 def errors_px(problem: Problem) -> list[Float[np.ndarray, "_m 2"]]:
-    """Predicted minus observed of all places of each view."""
+    """Predicted minus observed of all places of each view; 0 along a line that has no ends."""
     every = np.asarray(_residuals(problem.state, problem.chart, problem.table))
-    return [rows[: len(view.detection)] for rows, view in zip(every, problem.views)]
+    return [
+        rows[: view.rows] if view.shown is None else _across(view.shown, rows[: view.rows])
+        for rows, view in zip(every, problem.views)
+    ]
+
+
+def _across(shown: SheetPoints, errors: Float[np.ndarray, "m 2"]) -> Float[np.ndarray, "m 2"]:
+    """The part of the errors in directions in which the picture shows the place at all."""
+    columns = shown.whitening.reshape(len(shown.whitening), -1, 2)
+    values, vectors = np.linalg.eigh(np.einsum("nmi,nmj->mij", columns, columns))
+    told = values > _LEAST_SHARE * values[:, -1:]
+    return np.einsum("mik,mk,mjk,mj->mi", vectors, told, vectors, errors)
 
 
 def _spoken(problem: Problem, errors: Float[np.ndarray, "v n 2"]) -> Float[np.ndarray, "m 2"]:
@@ -87,9 +103,20 @@ def _spoken(problem: Problem, errors: Float[np.ndarray, "v n 2"]) -> Float[np.nd
     )
 
 
-def _without_wrong_places(
+def all_places_used(problem: Problem, moved: list[tuple[int, int, float]]) -> Problem:
+    """The problem with every place, but for views that show the board elsewhere."""
+    out = {(camera, shot) for camera, shot, _ in moved}
+    views = tuple(
+        view if (view.camera, view.shot) in out else view._replace(used=np.ones_like(view.used))
+        for view in problem.views
+    )
+    return problem._replace(views=views)
+
+
+def without_wrong_places(
     problem: Problem,
 ) -> tuple[Problem, list[tuple[int, int, float]]]:
+    """The problem without places, and without pictures, that noise does not explain."""
     errors = whitened(problem)
     pixels = errors_px(problem)
     right: dict[int, np.ndarray] = {}
@@ -112,29 +139,32 @@ def _without_wrong_places(
     return problem._replace(views=tuple(views)), moved
 
 
-def _with_factors(problem: Problem) -> Problem:
+def with_factors(problem: Problem) -> Problem:
+    """The problem with the sigmas that each camera's residuals show."""
     errors = whitened(problem)
     squared = np.sum(errors**2, axis=(1, 2))
-    total = 2 * sum(int(view.used.sum()) for view in problem.views)
-    share = max(_freedom(problem), 1) / max(total, 1)
-    is_circle = problem.chart.has_circles
+    total = sum(view.numbers for view in problem.views)
+    share = max(freedom(problem), 1) / max(total, 1)
+    are_known = problem.chart.has_circles or any(v.shown is not None for v in problem.views)
     factor = np.array(problem.sigma_factor)
     for camera in range(problem.cameras):
         rows = [k for k, view in enumerate(problem.views) if view.camera == camera]
-        own = share * 2 * sum(int(problem.views[k].used.sum()) for k in rows)
+        own = share * sum(problem.views[k].numbers for k in rows)
         if own <= 0:
             continue
-        reduced = float(squared[rows].sum()) / own
+        reduced = float(squared[rows].sum()) / own * factor[camera] ** 2
         refuted = reduced > 1.0 + _CHI_SQUARE_DEVIATIONS * np.sqrt(2.0 / own)
-        if refuted or not is_circle:
-            factor[camera] *= np.sqrt(max(reduced, 1e-12))
+        if refuted or not are_known:
+            factor[camera] = np.sqrt(max(reduced, 1e-12))
+        else:
+            factor[camera] = 1.0
     return problem._replace(sigma_factor=factor)
 
 
-def _freedom(problem: Problem) -> int:
-    """Residuals less unknowns; the sheet's have a prior each."""
-    residuals = 2 * sum(int(view.used.sum()) for view in problem.views)
+def freedom(problem: Problem) -> int:
+    """Residuals less unknowns; the sheet's have a prior each, the places' are told."""
+    residuals = sum(view.numbers for view in problem.views)
     shots = {view.shot for view in problem.views if view.used.any()}
     lenses, size = problem.chart.lens_scale.shape
     steps = int(np.sum(problem.chart.free[: lenses * size + 6 * problem.cameras]))
-    return residuals - steps - 6 * len(shots)
+    return residuals - steps - 6 * len(shots) - round(problem.spent)

@@ -30,12 +30,17 @@ class ShotScatter(NamedTuple):
         return self.factor if self.factor > 1.0 + _DEVIATIONS * self.sigma else 1.0
 
 
-def shot_scatter(information: Information, covariance: np.ndarray) -> ShotScatter:
-    """The variance factor of the shots; `covariance` is of the free steps of the head.
+def shot_scatter(information: Information) -> ShotScatter:
+    """The variance factor of the shots, the places of the board taken as they were found.
+
+    Free places would follow the noise of each, and many of them would hide what the shots' pulls
+    at lenses and cameras say.
 
     sum_s g_s^T H^-1 g_s has the expectation sum_s tr H^-1 H_s - sum_s tr (H^-1 H_s)^2.
     """
-    free, of_shot = information.free, information.of_shot
+    is_rig = information.free < information.shape_first
+    free, of_shot = information.free[is_rig], information.of_shot
+    covariance = np.nan_to_num(information.seen_of(is_rig).covariance)
     pulls = information.pulls[:, free]
     products = of_shot[:, free[:, None], free[None, :]] @ covariance
     squares = float(np.einsum("sij,sji->", products, products))

@@ -43,7 +43,7 @@ def found_shots(
     Pictures of equal names, or of equal places in lists, are of one shot; None leaves one out.
     Raises InputError where there is no picture, or a camera's differ in size.
     """
-    named = {camera: _named(camera, given) for camera, given in pictures.items()}
+    named = named_pictures(pictures)
     if not named or not any(named.values()):
         raise InputError("No picture was given: give each camera's pictures of the board.")
     shots = _ordered([list(own) for own in named.values()])
@@ -52,8 +52,7 @@ def found_shots(
     failures: dict[tuple[str, str], str] = {}
 
     def look(job: tuple[str, str]) -> Detection | str:
-        given = named[job[0]][job[1]]
-        given: Any = given() if callable(given) else given
+        given = delivered(named[job[0]][job[1]])
         try:
             return given if isinstance(given, Detection) else detect_target(given, target)
         except DetectionError as error:
@@ -70,6 +69,16 @@ def found_shots(
     for camera, own in detections.items():
         _check_sizes(camera, own)
     return FoundShots(tuple(shots), detections, failures)
+
+
+def named_pictures(pictures: Mapping[str, Pictures]) -> dict[str, dict[str, Picture]]:
+    """For each camera its pictures by the name of the shot, as they were given."""
+    return {camera: _named(camera, given) for camera, given in pictures.items()}
+
+
+def delivered(given: Picture) -> Any:
+    """An array or a detection, from what may be a function that delivers it."""
+    return given() if callable(given) else given
 
 
 def _named(camera: str, given: Pictures) -> dict[str, Picture]:

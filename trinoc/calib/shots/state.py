@@ -7,6 +7,7 @@ chosen at the end.
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.scipy.linalg import block_diag
 from jaxtyping import Float, Int
 
 from trinoc.geometry import AbstractLens, rotation_from_vector
@@ -26,12 +27,15 @@ class RigState(eqx.Module):
     cam_from_rig : (c, 3, 4) of each camera.
     rig_from_board : (s, 3, 4) of the board in each shot.
     sheet : (4,) `SHEET_NAMES`: scales over nominal less one, and warps in mm.
+    shape : (p, 3) by which each place of the board lies elsewhere, X, Y and Z in mm; no rows where
+        all lie where the drawing and `sheet` have them.
     """
 
     lenses: AbstractLens
     cam_from_rig: Float[ArrayLike, "c 3 4"]
     rig_from_board: Float[ArrayLike, "s 3 4"]
     sheet: Float[ArrayLike, "4"]
+    shape: Float[ArrayLike, "p 3"]
 
 
 class Chart(eqx.Module):
@@ -45,6 +49,7 @@ class Chart(eqx.Module):
     lens_of_camera : (c,) which of the lenses each camera has.
     free : (h,) 1 for steps of the head that are taken, 0 for others.
     sheet_information : (4, 4) inverse covariance of the prior on `sheet`, whose mean is 0.
+    shape_information : (3,) inverse variance of the prior on each axis of `shape`.
     has_circles : whether some place is a circle.
     """
 
@@ -54,6 +59,7 @@ class Chart(eqx.Module):
     lens_of_camera: Int[ArrayLike, "c"]
     free: Float[ArrayLike, "h"]
     sheet_information: Float[ArrayLike, "4 4"]
+    shape_information: Float[ArrayLike, "3"]
     has_circles: bool = eqx.field(static=True)
 
     @property
@@ -61,15 +67,27 @@ class Chart(eqx.Module):
         """Change of `sheet` for a step of one."""
         return jnp.stack([jnp.ones_like(self.unit_mm)] * 2 + [jnp.asarray(self.unit_mm)] * 2)
 
+    @property
+    def sheet_first(self) -> int:
+        """Where, in the head, the steps of the sheet begin; those of its places follow."""
+        return self.lens_scale.size + POSE_SIZE * self.lens_of_camera.shape[0]
+
+    @property
+    def board_prior(self) -> Float[ArrayLike, "b b"]:
+        """Information that was known beforehand on the steps of sheet and places."""
+        scale = self.sheet_scale
+        sheet = scale[:, None] * self.sheet_information * scale[None, :]
+        places = (self.free.shape[0] - self.sheet_first - SHEET_SIZE) // 3
+        of_shape = jnp.tile(self.unit_mm**2 * self.shape_information, places)
+        return block_diag(sheet, jnp.diag(of_shape))
+
 
 def head_columns(chart: Chart, camera: Int[ArrayLike, ""]) -> Int[ArrayLike, "k"]:
-    """Where, in the head, the steps of one camera's lens, its pose and the sheet stand."""
+    """Where, in the head, the steps of one camera's lens, its pose, sheet and places stand."""
     lenses, size = chart.lens_scale.shape
-    cameras = chart.lens_of_camera.shape[0]
     lens = chart.lens_of_camera[camera] * size + jnp.arange(size)
     pose = lenses * size + camera * POSE_SIZE + jnp.arange(POSE_SIZE)
-    sheet = lenses * size + cameras * POSE_SIZE + jnp.arange(SHEET_SIZE)
-    return jnp.concatenate([lens, pose, sheet])
+    return jnp.concatenate([lens, pose, jnp.arange(chart.sheet_first, chart.free.shape[0])])
 
 
 def moved(
@@ -94,11 +112,13 @@ def retracted(
     cameras = state.cam_from_rig.shape[0]
     head = head * chart.free
     by_lens = head[: lenses * size].reshape(lenses, size)
-    by_camera = head[lenses * size : lenses * size + cameras * POSE_SIZE].reshape(cameras, -1)
+    by_camera = head[lenses * size : chart.sheet_first].reshape(cameras, -1)
+    by_sheet, by_shape = jnp.split(head[chart.sheet_first :], [SHEET_SIZE])
     step_all = jax.vmap(moved, (0, 0, None))
     return RigState(
         jax.vmap(lambda lens, step: lens.retract(step))(state.lenses, chart.lens_scale * by_lens),
         step_all(state.cam_from_rig, by_camera, chart.unit_mm),
         step_all(state.rig_from_board, boards, chart.unit_mm),
-        state.sheet + chart.sheet_scale * head[-SHEET_SIZE:],
+        state.sheet + chart.sheet_scale * by_sheet,
+        state.shape + chart.unit_mm * by_shape.reshape(-1, 3),
     )

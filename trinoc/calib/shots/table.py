@@ -5,14 +5,17 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.linalg import block_diag
 
 from trinoc.calib.detection import Detection
-from trinoc.calib.model import bucket_size, whitening_of_covariance
+from trinoc.calib.model import SheetPoints, bucket_size, whitening_of_covariance
 from trinoc.calib.targets import AbstractTarget
-from trinoc.numerics import ArrayLike
+from trinoc.numerics import ArrayLike, point_tree
 
 # Views and shots are padded to these numbers, so that one more seldom compiles anew.
 _FEWEST_VIEWS, FEWEST_SHOTS = 32, 8
+# The index of what is no place of the target: beyond all of them.
+NO_PLACE = 1 << 30
 
 
 class View(NamedTuple):
@@ -23,12 +26,34 @@ class View(NamedTuple):
     camera, shot : which; indices.
     detection : the board's places in the picture, labelled in one way.
     used : (m,) which places take part.
+    shown : where the grey levels show the board, which then counts instead of the detection, as a
+        whole unless no place is used.
     """
 
     camera: int
     shot: int
     detection: Detection
     used: Bool[np.ndarray, "_m"]
+    shown: SheetPoints | None = None
+
+    @property
+    def rows(self) -> int:
+        """How many places stand for this view in the table."""
+        return len(self.detection) if self.shown is None else len(self.shown.place_mm)
+
+    @property
+    def kept(self) -> Bool[np.ndarray, "_r"]:
+        """Which of the rows take part."""
+        if self.shown is None:
+            return self.used
+        return np.any(self.shown.whitening != 0, axis=0)[::2] & self.used.any()
+
+    @property
+    def numbers(self) -> int:
+        """How many numbers the places that take part have told."""
+        if self.shown is None:
+            return 2 * int(self.used.sum())
+        return int(np.any(self.shown.whitening != 0, axis=1).sum()) if self.used.any() else 0
 
 
 class ViewTable(NamedTuple):
@@ -37,18 +62,22 @@ class ViewTable(NamedTuple):
     Fields
     ------
     camera, shot : (v,) of each view.
+    place : (v, n) index of each in the target; `NO_PLACE` for pieces of lines.
     place_mm : (v, n, 2) on the board.
     radius_mm : (v, n) of the circle there; 0 for a corner.
     uv_px : (v, n, 2) centre of its image, or the corner's.
-    whitening : (v, n, 2, 2) W, with W^T W the inverse of each covariance; 0 for unused ones.
+    whitening : (v, g, k, k) W, with W^T W the inverse covariance of each of g groups of places, 0
+        for unused ones: of (n, 2, 2) where errors of places share nothing, of (1, 2n, 2n) where
+        they do, as those that one picture's grey levels tell.
     """
 
     camera: Int[ArrayLike, "v"]
     shot: Int[ArrayLike, "v"]
+    place: Int[ArrayLike, "v n"]
     place_mm: Float[ArrayLike, "v n 2"]
     radius_mm: Float[ArrayLike, "v n"]
     uv_px: Float[ArrayLike, "v n 2"]
-    whitening: Float[ArrayLike, "v n 2 2"]
+    whitening: Float[ArrayLike, "v g k k"]
 
 
 def padded_count(count: int, fewest: int) -> int:
@@ -59,22 +88,44 @@ def padded_count(count: int, fewest: int) -> int:
 
 def view_table(views: Sequence[View], target: AbstractTarget) -> ViewTable:
     """All views, padded."""
-    rows = max(bucket_size(max(len(view.detection) for view in views)), 1)
+    rows = max(bucket_size(max(view.rows for view in views)), 1)
+    shared = any(view.shown is not None for view in views)
     count = padded_count(len(views), _FEWEST_VIEWS)
     table = ViewTable(
         np.zeros(count, dtype=int),
         np.zeros(count, dtype=int),
+        np.full((count, rows), NO_PLACE),
         np.zeros((count, rows, 2)),
         np.zeros((count, rows)),
         np.zeros((count, rows, 2)),
-        np.zeros((count, rows, 2, 2)),
+        np.zeros((count, 1, 2 * rows, 2 * rows) if shared else (count, rows, 2, 2)),
     )
     for v, view in enumerate(views):
-        seen, index = slice(len(view.detection)), view.detection.circle_index
         table.camera[v], table.shot[v] = view.camera, view.shot
+        seen = slice(view.rows)
+        if view.shown is not None:
+            table.place[v, seen] = circle_of(view.shown.place_mm, target)
+            table.place_mm[v, seen], table.uv_px[v, seen] = view.shown.place_mm, view.shown.uv_px
+            numbers = slice(2 * view.rows)
+            table.whitening[v, 0, numbers, numbers] = view.shown.whitening * view.used.any()
+            continue
+        index = view.detection.circle_index
+        table.place[v, seen] = index
         table.place_mm[v, seen] = target.centres_mm[index]
         table.radius_mm[v, seen] = target.radius_mm[index]
         table.uv_px[v, seen] = view.detection.centres_px
         whitening = whitening_of_covariance(view.detection.covariance_px2)
-        table.whitening[v, seen] = np.where(view.used[:, None, None], whitening, 0.0)
+        whitening = np.where(view.used[:, None, None], whitening, 0.0)
+        if shared:
+            numbers = slice(2 * view.rows)
+            table.whitening[v, 0, numbers, numbers] = block_diag(*whitening)
+        else:
+            table.whitening[v, seen] = whitening
     return table
+
+
+def circle_of(place_mm: Float[np.ndarray, "m 2"], target: AbstractTarget) -> Int[np.ndarray, "m"]:
+    """The circle in which each place lies, or the nearest corner; a piece of a line has none."""
+    away, nearest = point_tree(target.centres_mm).query(place_mm)
+    radius = target.radius_mm[nearest]
+    return np.where((away < radius) | (radius == 0), nearest, NO_PLACE)

@@ -5,4 +5,5 @@ from .checkers import (
     Chessboard as Chessboard,
     dark_squares as dark_squares,
 )
-from .pattern import Pattern as Pattern
+from .corners import corner_sheet as corner_sheet
+from .pattern import CORNERS as CORNERS, Pattern as Pattern

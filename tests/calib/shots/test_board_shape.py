@@ -1,0 +1,72 @@
+"""Places that lie elsewhere on the board are found where the shots show them, and only there."""
+
+import numpy as np
+import pytest
+
+from tests.calib.shots.made_shots import BOARD, LENSES, lens_of, shots
+from trinoc.calib import Systematics, calibrate_rig
+from trinoc.calib.shots.shot_scatter import ShotScatter
+
+FLAT_ENOUGH = Systematics(print_scale_sigma=(1e-4, 1e-4), flatness_mm=0.05)
+
+
+def fitted(aside_mm, systematics=FLAT_ENOUGH):
+    seen = shots(count=8, aside_mm=aside_mm)
+    return calibrate_rig(seen, BOARD, systematics=systematics, distortion=4)
+
+
+@pytest.fixture(scope="module")
+def wavy():
+    random = np.random.default_rng(5)
+    return random.normal(0.0, [0.04, 0.04, 0.3], (len(BOARD), 3))
+
+
+@pytest.fixture(scope="module")
+def found(wavy):
+    return fitted(wavy)
+
+
+def lens_errors(result):
+    """Errors of all lenses in claimed sigmas."""
+    return np.concatenate(
+        [
+            (result.value(name) - true) / result.sigma(name)
+            for camera, values in LENSES.items()
+            for name, true in zip(
+                [f"{camera}.{each}" for each in lens_of(camera).parameter_names], values
+            )
+            if result.sigma(name) > 0
+        ],
+        axis=None,
+    )
+
+
+def test_a_wavy_board_is_found_with_the_rig(found, wavy):
+    assert found.place_shifts_mm.shape == wavy.shape
+    # What is left is the noise's, and what a motion or a scale of the whole board stands for.
+    basis = np.column_stack([np.ones(len(BOARD)), BOARD.centres_mm])
+    rise = wavy[:, 2] - found.place_shifts_mm[:, 2]
+    bowl = BOARD.centres_mm**2
+    basis = np.column_stack([basis, bowl])
+    rise = rise - basis @ np.linalg.lstsq(basis, rise)[0]
+    assert np.sqrt(np.mean(rise**2)) < 0.3 * 0.3
+    assert any("places lie" in note for note in found.notes)
+    errors = lens_errors(found)
+    assert 0.5 < np.sqrt(np.mean(errors**2)) < 1.6
+    assert found.rms_px() < 0.08
+
+
+def test_a_flat_board_stays_as_drawn():
+    assert fitted(np.zeros((len(BOARD), 3))).place_shifts_mm.shape == (0, 3)
+
+
+def test_a_board_that_is_said_to_be_exact_stays_as_drawn(wavy):
+    result = fitted(wavy, Systematics())
+    assert len(result.place_shifts_mm) == 0
+    # Its lenses bend to follow it: the sigmas grow, but not to what a wavy board does.
+    assert max(result.sigma_factor.values()) > 0
+
+
+def test_scatter_that_chance_makes_enlarges_nothing():
+    assert ShotScatter(1.2, 0.1).variance_factor == 1.0
+    assert ShotScatter(2.0, 0.1).variance_factor == 2.0

@@ -1,0 +1,171 @@
+"""What pictures show counts as points whose errors they share; what cannot be is said."""
+
+from typing import Literal
+
+import jax
+import numpy as np
+import pytest
+from scipy.linalg import block_diag
+
+from tests.calib.shots.made_shots import (
+    BOARD,
+    LENSES,
+    SIZE_PX,
+    board_poses,
+    cam_from_rig,
+    lens_of,
+    shots as made,
+)
+from trinoc.calib import AbstractTarget, Charuco, Pattern, Systematics, calibrate_rig
+from trinoc.calib.model import SheetPoints, whitening_of_covariance
+from trinoc.calib.shots.pixel_fit import expect_method
+from trinoc.calib.shots.place_shifts import shift_of_places
+from trinoc.calib.shots.problem import Freedom, problem_of
+from trinoc.calib.shots.robust_fit import freedom, whitened
+from trinoc.calib.shots.table import View
+from trinoc.calib.shots.wrong_circles import without, without_wrong_circles
+from trinoc.errors import InputError
+from trinoc.geometry import Camera, Intrinsics, Pose
+from trinoc.synth import render_sheet
+
+SHEET = Pattern.cross_grid(rows=5, columns=6, pitch_mm=25.0, radius_mm=7.0, line_width_mm=0.0)
+
+
+def problem(target: AbstractTarget = BOARD):
+    poses = board_poses(2)
+    seen = made(count=2)
+    views = [
+        View(c, s, each, np.ones(len(each), dtype=bool))
+        for c, own in enumerate(seen.values())
+        for s, each in enumerate(own)
+    ]
+    return problem_of(
+        views,
+        target,
+        [lens_of(name) for name in LENSES],
+        np.stack([cam_from_rig(name) for name in LENSES]),
+        poses,
+        [SIZE_PX] * 3,
+        Freedom(np.arange(3), np.ones((3, 9), dtype=bool)),
+        Systematics.typical({}),
+    )
+
+
+def shown(view, target: AbstractTarget = BOARD):
+    """The detection's points, as a picture would show them."""
+    found = view.detection
+    whitening = np.asarray(block_diag(*whitening_of_covariance(found.covariance_px2)))
+    return SheetPoints(target.centres_mm[found.circle_index], found.centres_px, whitening)
+
+
+def test_points_count_alike_whether_detected_or_shown():
+    detected = problem()
+    views = [view._replace(shown=shown(view)) for view in detected.views]
+    # One of them is silent, and counts as it was detected.
+    views[0] = detected.views[0]
+    both = detected._replace(views=tuple(views))
+    errors = [whitened(each).reshape(len(each.table.shot), -1) for each in (detected, both)]
+    np.testing.assert_allclose(errors[0], errors[1], atol=1e-9)
+    assert freedom(detected) == freedom(both)
+    silenced = both._replace(views=tuple(v._replace(used=0 * v.used > 0) for v in both.views))
+    assert not whitened(silenced).any()
+
+
+def test_points_that_may_lie_anywhere_take_their_information_along():
+    random = np.random.default_rng(3)
+    root = random.normal(size=(8, 8))
+    points = SheetPoints(np.zeros((4, 2)), np.zeros((4, 2)), root)
+    left = without(points, np.array([1])).whitening
+    rest = [0, 1, 4, 5, 6, 7]
+    covariance = np.linalg.inv(root.T @ root)[np.ix_(rest, rest)]
+    np.testing.assert_allclose(np.linalg.inv((left.T @ left)[np.ix_(rest, rest)]), covariance)
+    assert not left[:, 2:4].any()
+
+
+def test_a_circle_that_is_shown_elsewhere_is_left_out():
+    here = problem(SHEET)
+    views = []
+    for view in here.views:
+        own = shown(view, SHEET)
+        aside = np.zeros_like(own.uv_px)
+        aside[4] = 3.0
+        views.append(view._replace(shown=own._replace(uv_px=own.uv_px + aside)))
+    left = without_wrong_circles(here._replace(views=tuple(views)))
+    assert all(np.flatnonzero(~view.kept).tolist() == [4] for view in left.views)
+
+
+def test_a_board_as_drawn_shifts_nothing_and_a_warped_one_its_middle():
+    here = problem(SHEET)
+    lens, pose = lens_of("left"), board_poses(1)[0]
+    assert shift_of_places(here, lens, pose) is None
+    state = here.state
+    warped = type(state)(
+        state.lenses,
+        state.cam_from_rig,
+        state.rig_from_board,
+        np.array([0.0, 0.0, 1.0, 0.0]),
+        state.shape,
+    )
+    shift = shift_of_places(here._replace(state=warped), lens, pose)
+    assert shift is not None
+    edge = np.array([[0.0, 0.0], [62.5, 10.0], [-62.5, 0.0]])
+    lengths = np.linalg.norm(shift(edge), axis=1)
+    assert lengths[0] > 0.1
+    np.testing.assert_allclose(lengths[1:], 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("method", "target", "says"),
+    [
+        ("grey", SHEET, 'must be "points" or "pixels"'),
+        ("pixels", Charuco(rows=5, columns=7, square_mm=9, marker_mm=6), "holds markers"),
+        ("pixels", SHEET, "is a detection, in which no grey levels are left"),
+    ],
+)
+def test_what_cannot_be_fitted_to_pixels_is_said(method, target, says):
+    with pytest.raises(InputError, match=says):
+        expect_method(method, target, made(count=1))
+
+
+@pytest.mark.slow
+def test_pixels_tell_more_than_circles_and_what_they_claim_is_true():
+    sheet = Pattern.default()
+    poses = board_poses(8, seed=2)
+    keys: list = []
+    errors: dict[Literal["points", "pixels"], list] = {"points": [], "pixels": []}
+    for seed in range(2):
+        random = np.random.default_rng(seed)
+        pictures = {
+            name: [
+                render_sheet(
+                    sheet, _camera(name, pose), noise_sigma=2.0, supersampling=4,
+                    seed=int(random.integers(1 << 30)),
+                )
+                for pose in poses
+            ]
+            for name in ("left", "middle")
+        }  # fmt: skip
+        sigmas = {}
+        for method, own in errors.items():
+            found = calibrate_rig(
+                pictures, sheet, systematics=Systematics(), distortion=4, method=method
+            )
+            keys = [
+                (f"{name}.{each}", value)
+                for name in pictures
+                for each, value in zip(lens_of(name).parameter_names[:8], LENSES[name])
+            ]
+            sigmas[method] = np.array([found.sigma(key) for key, _ in keys])
+            own.append([(found.value(key) - value) / found.sigma(key) for key, value in keys])
+            assert found.halves is not None
+            assert 0.5 < found.halves.ratio < 1.6
+        assert np.all(sigmas["pixels"] < sigmas["points"])
+    for own in errors.values():
+        assert 0.6 < np.sqrt(np.mean(np.square(own))) < 1.5
+
+
+def _camera(name, pose):
+    own = cam_from_rig(name)
+    both = np.column_stack([own[:, :3] @ pose[:, :3], own[:, :3] @ pose[:, 3] + own[:, 3]])
+    with jax.enable_x64(True):
+        return Camera(Intrinsics.of_lens(lens_of(name), SIZE_PX), Pose(both))

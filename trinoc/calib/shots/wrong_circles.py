@@ -1,0 +1,73 @@
+"""Circles that a picture shows elsewhere than noise explains: something else was fitted there."""
+
+import numpy as np
+from jaxtyping import Float
+
+from trinoc.calib.model import SheetPoints, inliers, whitening_of_covariance
+from trinoc.calib.shots.problem import Problem
+from trinoc.calib.shots.robust_fit import errors_px
+from trinoc.calib.shots.table import NO_PLACE, View, circle_of
+
+# Of the largest eigenvalue: below, the information tells nothing.
+_ROUNDING = 1e-12
+
+
+def without_wrong_circles(problem: Problem) -> Problem:
+    """The problem, what its pictures show less circles that do not agree with the rig.
+
+    Each camera's are judged by the spread of them all; those that points left out stay out.
+    """
+    errors, views = errors_px(problem), list(problem.views)
+    for camera in range(problem.cameras):
+        own = [k for k, view in enumerate(views) if view.camera == camera and _speaks(view)]
+        if not own:
+            continue
+        circles = {k: _circles(views[k], problem) for k in own}
+        every = [_in_sigmas(views[k].shown, errors[k], circles[k]) for k in own]
+        right = np.split(inliers(np.concatenate(every)), np.cumsum([len(e) for e in every])[:-1])
+        for k, is_right in zip(own, right, strict=True):
+            shown, detection = views[k].shown, views[k].detection
+            assert shown is not None
+            place = circle_of(shown.place_mm[circles[k]], problem.target)
+            is_right &= ~np.isin(place, detection.circle_index[~views[k].used])
+            if not is_right.all():
+                wrong = circles[k][~is_right]
+                views[k] = views[k]._replace(shown=without(shown, wrong))
+    return problem._replace(views=tuple(views))
+
+
+def without(shown: SheetPoints, rows: np.ndarray) -> SheetPoints:
+    """The same points, some of which may lie anywhere: their information goes."""
+    size = len(shown.whitening)
+    gone = np.zeros(size, dtype=bool)
+    gone[np.concatenate([2 * rows, 2 * rows + 1])] = True
+    information = shown.whitening.T @ shown.whitening
+    across = information[np.ix_(~gone, gone)]
+    inner = np.linalg.pinv(information[np.ix_(gone, gone)], _ROUNDING, hermitian=True)
+    values, vectors = np.linalg.eigh(information[np.ix_(~gone, ~gone)] - across @ inner @ across.T)
+    told = values > _ROUNDING * values[-1]
+    whitening = np.zeros((size, size))
+    whitening[: told.sum(), ~gone] = np.sqrt(values[told])[:, None] * vectors[:, told].T
+    return shown._replace(whitening=whitening)
+
+
+def _speaks(view: View) -> bool:
+    return view.shown is not None and bool(view.used.any())
+
+
+def _circles(view: View, problem: Problem) -> np.ndarray:
+    """Rows of what is shown that are circles, and are told."""
+    assert view.shown is not None
+    is_circle = circle_of(view.shown.place_mm, problem.target) != NO_PLACE
+    return np.flatnonzero(is_circle & view.kept)
+
+
+def _in_sigmas(
+    shown: SheetPoints | None, errors: Float[np.ndarray, "n 2"], rows: np.ndarray
+) -> Float[np.ndarray, "m 2"]:
+    """Errors of some points in sigmas of each for itself."""
+    assert shown is not None
+    information = shown.whitening.T @ shown.whitening
+    covariance = np.linalg.pinv(information, _ROUNDING, hermitian=True)
+    own = np.stack([covariance[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] for k in rows])
+    return np.einsum("kij,kj->ki", whitening_of_covariance(own), errors[rows])
