@@ -391,7 +391,7 @@ class GuidedTuning:
     asked_again_mm: float = 1.0
     # Of the places along it, so many must have a gradient of so many standard deviations near. By
     # hand, for time.
-    plausible_share: float = 0.25
+    plausible_share: float = 0.15
     plausible_sigmas: float = 2.5
     usual_directions: int = 3
     parallel_deg: float = 0.3

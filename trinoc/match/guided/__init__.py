@@ -1,4 +1,4 @@
-"""Matched lines asked for again in every picture: what a search of one picture alone cannot find."""
+"""Matched lines asked for again in every picture: what no search of one picture alone finds."""
 
 import lazy_loader
 

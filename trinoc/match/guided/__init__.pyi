@@ -1,1 +1,1 @@
-from .evidence import Evidence as Evidence
+from .guide import GuidedMatches as GuidedMatches, guide_matches as guide_matches

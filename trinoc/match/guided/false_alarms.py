@@ -8,13 +8,12 @@ median of the sums' sizes, which the edges that controls meet do not move.
 
 import numpy as np
 from jaxtyping import Float
-from scipy.stats import norm
-from scipy.stats import t as student
+from scipy.stats import norm, t as student
 
-from trinoc.match.guided.evidence import NEXT, SECOND, SHOULDER, WINDOW_SIZE, WINDOWS, window_scores
+from trinoc.geometry import Intrinsics
 from trinoc.match.guided.gradient import SMOOTHING_PX, Gradient
 from trinoc.match.guided.probes import STEP_PX, STEPS, samples_of
-from trinoc.geometry import Intrinsics
+from trinoc.match.guided.ridges import NEXT, SECOND, SHOULDER, WINDOW_SIZE, WINDOWS, window_scores
 
 CONTROLS = 128
 _MAD = 1.4826
@@ -48,13 +47,13 @@ def growth_of(
     places = samples_of(np.stack([middle - half, middle + half], axis=1), lens, size_px)
     narrow = [np.asarray(column, np.float32) for column in places[:2]]
     least = np.float32(block_noise(gradient))
-    scores, whole = (
+    scores, complete = (
         np.asarray(x) for x in window_scores(gradient.by_uv, least, *narrow, places.inside)
     )
     growth = white_growth()
     for k, window in enumerate(WINDOWS):
-        column = WINDOW_SIZE == window
-        values = np.abs(scores[:, column][whole[:, column]])
+        column = window == WINDOW_SIZE
+        values = np.abs(scores[:, column][complete[:, column]])
         if len(values) > 20:
             growth[k] = max(growth[k], (_MAD * np.median(values)) ** 2)
     return np.maximum.accumulate(growth)

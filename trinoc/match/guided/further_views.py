@@ -1,9 +1,9 @@
 """Lines that a view lacks: is the edge there after all, and what does it mean if it is not?
 
 A line that two views show is asked for in the others. How often a place has an edge by chance is
-measured beside it, on lines moved across; how often a right line is hidden, on the lines themselves.
-An edge that is there makes a pair a triple. One that is not, where right lines are seldom hidden,
-speaks against the pair.
+measured beside it, on lines moved across; how often a right line is hidden, on the lines
+themselves. An edge that is there makes a pair a triple. One that is not, where right lines are
+seldom hidden, speaks against the pair.
 """
 
 from typing import NamedTuple
@@ -15,7 +15,7 @@ from trinoc.geometry import project_by_matrix
 from trinoc.match.guided.attach import known_in
 from trinoc.match.guided.joint import asked
 from trinoc.match.guided.state import State, Tracks, refitted, with_segments
-from trinoc.match.guided.views import PictureInput, ask
+from trinoc.match.guided.views import Answer, PictureInput, ask
 from trinoc.match.tuning import GuidedTuning
 
 
@@ -39,19 +39,17 @@ def with_further_views(
     tracks = state.tracks
     if len(tracks.index) == 0:
         return state, 0
-    found = asked(state, pictures, tracks.ends_mm, tracks.covariance_mm2, tuning)
+    found = asked(pictures, tracks.ends_mm, tracks.covariance_mm2, tracks.index < 0, tuning)
     lacking = (tracks.index < 0) & found.inside
     strict = np.log(tuning.false_alarms / max(int(lacking.sum()), 1))
     chances = np.stack([answer.log_chance for answer in found.answers], axis=1)
-    spread = np.einsum(
-        "nvei,nij,nvfj->nvef", found.by_ends, tracks.covariance_mm2, found.by_ends
-    )
+    spread = np.einsum("nvei,nij,nvfj->nvef", found.by_ends, tracks.covariance_mm2, found.by_ends)
     spread = spread + found.variance_px2 + tuning.straight_px**2 * np.eye(2)
     off = found.offset_px
     square = (off * np.linalg.solve(spread, off[..., None])[..., 0]).sum(axis=2)
     covered = np.stack([answer.covered for answer in found.answers], axis=1)
     hit = lacking & (chances < strict) & (square < tuning.gate) & (covered > tuning.least_covered)
-    state, added = _attached(state, [answer.ends_px for answer in found.answers], found, hit, tuning)
+    state, added = _attached(state, found.answers, hit, tuning)
     if weigh:
         shown = Shown(lacking, hit, _by_chance(state, pictures, lacking, strict, tuning))
         odds = state.tracks.log_odds + weight_of(shown, tracks.log_odds, tuning)
@@ -104,22 +102,20 @@ def _by_chance(
 
 def _attached(
     state: State,
-    ends_px: list[np.ndarray],
-    found: object,
+    answers: list[Answer],
     hit: Bool[np.ndarray, "t v"],
     tuning: GuidedTuning,
 ) -> tuple[State, int]:
     """Tracks with the edges found, where these are no other track's and fit."""
     before = state.tracks
     index, grown = before.index.copy(), state
-    for view, ends in enumerate(ends_px):
+    for view, answer in enumerate(answers):
         rows = np.flatnonzero(hit[:, view])
-        known = known_in(state, view, ends[rows], tuning)
+        known = known_in(state, view, answer.ends_px[rows], tuning)
         for row, segment, track in zip(rows, known.segment, known.track, strict=True):
             if track >= 0:
                 continue
             if segment < 0:
-                answer = found.answers[view]
                 one = slice(row, row + 1)
                 contrast = answer.sign[one] * answer.contrast[one]
                 grown = with_segments(

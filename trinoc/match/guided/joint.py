@@ -1,13 +1,13 @@
 """What all pictures answer about one line that may be there, taken together."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
 from trinoc.geometry import project_by_matrix
-from trinoc.match.guided.evidence import REACH
-from trinoc.match.guided.state import State
+from trinoc.match.guided.ridges import REACH
 from trinoc.match.guided.views import Answer, PictureInput, ask
 from trinoc.match.tuning import GuidedTuning
 
@@ -34,19 +34,32 @@ class Asked(NamedTuple):
 
 
 def asked(
-    state: State,
     pictures: list[PictureInput],
     ends_mm: Float[np.ndarray, "n 2 3"],
     covariance_mm2: Float[np.ndarray, "n 6 6"],
+    wanted: Bool[np.ndarray, "n v"],
     tuning: GuidedTuning,
 ) -> Asked:
-    """Every picture about every line."""
-    columns = [
-        _of_view(picture, ends_mm, covariance_mm2, tuning) for picture in pictures
-    ]
+    """The pictures about the lines for which they are `wanted`; the others show nothing."""
+    columns = []
+    for view, picture in enumerate(pictures):
+        rows = np.flatnonzero(wanted[:, view])
+        part = _of_view(picture, ends_mm[rows], covariance_mm2[rows], tuning)
+        columns.append(tuple(_spread_out(column, rows, len(ends_mm)) for column in part))
     answers = [column[0] for column in columns]
     rest = [np.stack(list(part), axis=1) for part in zip(*(c[1:] for c in columns), strict=True)]
     return Asked(answers, *rest)
+
+
+def _spread_out(column: Any, rows: np.ndarray, count: int) -> Any:
+    """Rows of zeros between those of an array, or of all arrays of a table."""
+
+    def one(array: np.ndarray) -> np.ndarray:
+        whole = np.zeros((count, *array.shape[1:]), array.dtype)
+        whole[rows] = array
+        return whole
+
+    return jax.tree.map(one, column)
 
 
 def _of_view(
@@ -99,8 +112,8 @@ def log_odds_of(
     members: Bool[np.ndarray, "n v"],
     chance: Float[np.ndarray, "v"],
 ) -> Float[np.ndarray, "n"]:
-    """Log likelihood ratio of one line in space that all members show, against edges that happen to
-    lie beside it; `chance` is how often one does in each view, where noise may look like one, too."""
+    """Log likelihood ratio of one line in space that all members show, against edges that happen
+    to lie beside it; `chance` is how often one does in each view, where noise may look like one."""
     count, views = members.shape
     design = found.by_ends.reshape(count, 2 * views, 6)
     spread = design @ covariance_mm2 @ design.mT
@@ -112,8 +125,11 @@ def log_odds_of(
     spread = np.where(both, spread, 2 * np.pi * np.eye(2 * views) / (2 * np.pi))
     offset = np.where(on, found.offset_px.reshape(count, -1), 0.0)
     square = (offset * np.linalg.solve(spread, offset[..., None])[..., 0]).sum(axis=1)
-    log_density = -0.5 * (square + np.linalg.slogdet(spread)[1] + on.sum(axis=1) * np.log(2 * np.pi))
+    log_density = -0.5 * (
+        square + np.linalg.slogdet(spread)[1] + on.sum(axis=1) * np.log(2 * np.pi)
+    )
     noise = np.exp(np.stack([answer.log_chance for answer in found.answers], axis=1))
     happens = np.log(np.minimum(chance + noise, 1.0))
-    clutter = np.where(members, np.log(found.area_px2) - happens, 0.0).sum(axis=1)
+    area = np.log(np.where(members, found.area_px2, 1.0))
+    clutter = np.where(members, area - happens, 0.0).sum(axis=1)
     return log_density + clutter

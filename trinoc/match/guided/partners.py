@@ -1,4 +1,4 @@
-"""Lines that may be there: from a corner parallel to a line beside it, and from corner to corner."""
+"""Lines that may be there: from a corner parallel to a line near it, and from corner to corner."""
 
 from typing import NamedTuple
 
@@ -21,9 +21,7 @@ class Hypotheses(NamedTuple):
     covariance_mm2: Float[np.ndarray, "n 6 6"]
 
 
-def hypotheses_of(
-    state: State, ends: Ends, corners: Corners, tuning: GuidedTuning
-) -> Hypotheses:
+def hypotheses_of(state: State, ends: Ends, corners: Corners, tuning: GuidedTuning) -> Hypotheses:
     """Of both kinds, without those where a line begins already."""
     parts = [_parallel(state, ends, corners, tuning), _between(state, ends, corners, tuning)]
     lines = np.concatenate([part.ends_mm for part in parts])
@@ -59,13 +57,17 @@ def _parallel(state: State, ends: Ends, corners: Corners, tuning: GuidedTuning) 
     length = np.linalg.norm(way, axis=1)
     unit = way / length[:, None]
     # The nearest lines by their three places.
-    known = np.concatenate([tracks.ends_mm[:, 0], tracks.ends_mm.mean(axis=1), tracks.ends_mm[:, 1]])
+    known = np.concatenate(
+        [tracks.ends_mm[:, 0], tracks.ends_mm.mean(axis=1), tracks.ends_mm[:, 1]]
+    )
     most = min(3 * tuning.partners, len(known))
     near = np.asarray(KDTree(known).query(corners.place_mm, most)[1]).reshape(-1, most)
     rows: list[tuple[int, int, float]] = []
     everywhere = _usual(unit, length, tuning)
     for place, own in enumerate((near % len(length)).tolist()):
-        lines = np.array(list(dict.fromkeys([*own, *everywhere]))[: tuning.partners + len(everywhere)])
+        lines = np.array(
+            list(dict.fromkeys([*own, *everywhere]))[: tuning.partners + len(everywhere)]
+        )
         alike = np.abs(unit[lines] @ unit[lines].T) > np.cos(np.radians(_SAME_DEG))
         seen: list[int] = []
         for k in np.argsort(-length[lines]).tolist():

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float
 
 from trinoc.geometry import project_by_matrix
 from trinoc.match.guided.corners import ends_of
+from trinoc.match.guided.lengthen import lengthened
 from trinoc.match.guided.state import State, ViewSegments, refitted, with_view
 from trinoc.match.guided.views import Answer, PictureInput, ask
 from trinoc.match.tracks import positions_abreast
@@ -25,8 +26,8 @@ def prolonged(
         allowed = _allowed(state, found, view)
         own = state.segments[view]
         table = [own.ends_px.copy(), own.covariance_px2.copy(), own.contrast, own.guided.copy()]
-        for row in np.flatnonzero(hit):
-            segment, end = ends[row]
+        for row in np.flatnonzero(hit).tolist():
+            segment, end = ends[row].tolist()
             length = min(answer.along_px[row, 1], allowed[row])
             if length < tuning.least_gain_px:
                 continue
@@ -136,7 +137,9 @@ def _wanted(
     matrix = state.cameras.matrix_px[view]
     wanted = np.zeros(len(ends))
     row_of = {tuple(pair): row for row, pair in enumerate(ends.tolist())}
-    span = np.stack([np.nanmin(tracks.reach[..., 0], axis=1), np.nanmax(tracks.reach[..., 1], axis=1)])
+    span = np.stack(
+        [np.nanmin(tracks.reach[..., 0], axis=1), np.nanmax(tracks.reach[..., 1], axis=1)]
+    )
     step = tracks.ends_mm[:, 1] - tracks.ends_mm[:, 0]
     far = tracks.ends_mm[:, :1] + span.T[..., None] * step[:, None]
     image = project_by_matrix(matrix, far)
@@ -200,45 +203,3 @@ def _reach_after(
         places = positions_abreast(matrix, longer[tracks.index[on, view]], tracks.ends_mm[on])
         reach[on, view] = np.sort(places, axis=1)
     return reach
-
-
-def lengthened(
-    ends_px: Float[np.ndarray, "2 2"],
-    covariance_px2: Float[np.ndarray, "4 4"],
-    end: int,
-    length: float,
-    answer: Answer,
-    row: int,
-) -> tuple[Float[np.ndarray, "2 2"], Float[np.ndarray, "4 4"]]:
-    """A segment whose `end` moves out by `length`, by least squares of its line and of the
-    edge found beyond it."""
-    here, there = ends_px[end], ends_px[1 - end]
-    before = float(np.linalg.norm(here - there))
-    unit = (here - there) / before
-    right = np.array([-unit[1], unit[0]])
-    total = before + length
-
-    def rows_at(along: np.ndarray) -> np.ndarray:
-        share = along / total
-        return np.stack([1 - share, share], axis=1)
-
-    # Offsets from the segment's own line, at its ends and at those of the piece found beyond.
-    order = [1 - end, end]
-    old = covariance_px2.reshape(2, 2, 2, 2)[np.ix_(order, [0, 1], order, [0, 1])]
-    own = np.einsum("eifj,i,j->ef", old, right, right)
-    piece = answer.ends_px[row] - there
-    new = answer.covariance_px2[row].reshape(2, 2, 2, 2)
-    beyond = np.einsum("eifj,i,j->ef", new, right, right)
-    design = np.concatenate([rows_at(np.array([0.0, before])), rows_at(piece @ unit)])
-    information = np.zeros((4, 4))
-    information[:2, :2], information[2:, 2:] = np.linalg.inv(own), np.linalg.inv(beyond)
-    seen = np.concatenate([np.zeros(2), piece @ right])
-    spread = np.linalg.inv(design.T @ information @ design)
-    offset = spread @ design.T @ information @ seen
-    places = np.stack([there + offset[0] * right, there + total * unit + offset[1] * right])
-    along = np.array([unit @ old[0, :, 0] @ unit, unit @ new[1, :, 1] @ unit])
-    covariance = np.einsum("ef,i,j->eifj", spread, right, right)
-    covariance += np.einsum("ef,e,i,j->eifj", np.eye(2), along, unit, unit)
-    back = np.argsort(order)
-    covariance = covariance[np.ix_(back, [0, 1], back, [0, 1])]
-    return places[back], covariance.reshape(4, 4)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.geometry import Rig, Segments
+from trinoc.geometry import Intrinsics, Rig, Segments
 from trinoc.match.observations import (
     CamerasInput,
     FrameInput,
@@ -14,6 +14,7 @@ from trinoc.match.observations import (
     cameras_of,
     prepare,
     stacked_frames,
+    undistorted,
     with_noise_scale,
 )
 from trinoc.match.tracks import Matches, common_ends, lines_in_space, reach_of
@@ -58,9 +59,7 @@ class State(NamedTuple):
     tracks: Tracks
 
 
-def start_of(
-    matches: Matches, segments: Mapping[str, Segments], rig: Rig
-) -> State:
+def start_of(matches: Matches, segments: Mapping[str, Segments], rig: Rig) -> State:
     """The state before any picture is asked again."""
     given = {name: segments[name] for name in matches.views}
     seen = with_noise_scale(prepare(given, rig, None), np.array([matches.noise_scale]))
@@ -70,11 +69,8 @@ def start_of(
         back = np.argsort(seen.order[view])
         own = given[name]
         # The order of a segment's ends is that of the tables, which is theirs or turned round.
-        first = np.asarray(own.endpoints_px)
-        turned = (first[:, 0, 0] > first[:, 1, 0]) | (
-            (first[:, 0, 0] == first[:, 1, 0]) & (first[:, 0, 1] > first[:, 1, 1])
-        )
-        darker = np.where(turned, -1.0, 1.0) * np.asarray(own.polarity)
+        turn = turned_round(seen.ends_px[view][back], rig[name].intrinsics, own)
+        darker = np.where(turn, -1.0, 1.0) * np.asarray(own.polarity)
         height = np.nan_to_num(np.abs(np.asarray(own.contrast)))
         views.append(
             ViewSegments(
@@ -95,6 +91,14 @@ def start_of(
     )
     state = State(matches.views, cameras_of(rig, matches.views), tuple(views), tracks)
     return refitted(state, tracks)
+
+
+def turned_round(
+    table_px: Float[np.ndarray, "n 2 2"], lens: Intrinsics, given: Segments
+) -> Bool[np.ndarray, "n"]:
+    """Whether the tables hold the ends of the caller's segments in the other order."""
+    first = undistorted(lens, np.asarray(given.endpoints_px))[:, 0]
+    return (table_px[:, 0] != first).any(axis=1)
 
 
 def tables_of(state: State) -> MatchInput:
@@ -122,9 +126,10 @@ def refitted(state: State, tracks: Tracks) -> State:
     seen = tables_of(state)
     common = common_ends(seen, tracks.index, tracks.ends_mm)
     ends, covariance, misfit = lines_in_space(seen, tracks.index, common)
-    sound = np.isfinite(ends).all(axis=(1, 2)) & np.isfinite(covariance).all(axis=(1, 2))
-    ends = np.where(sound[:, None, None], ends, tracks.ends_mm)
-    covariance = np.where(sound[:, None, None], covariance, tracks.covariance_mm2)
+    finite = np.isfinite(ends).all(axis=(1, 2)) & np.isfinite(covariance).all(axis=(1, 2))
+    sound = np.asarray(finite)[:, None, None]
+    ends = np.where(sound, ends, tracks.ends_mm)
+    covariance = np.where(sound, covariance, tracks.covariance_mm2)
     reach = reach_of(seen, tracks.index, ends)
     return state._replace(
         tracks=Tracks(tracks.index, tracks.log_odds, ends, covariance, misfit, reach)

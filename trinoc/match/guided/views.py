@@ -7,10 +7,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Shaped
 
 from trinoc.geometry import Intrinsics, Rig
-from trinoc.match.guided.evidence import REACH, Evidence, evidence_along
+from trinoc.match.guided.evidence import Evidence, evidence_along
 from trinoc.match.guided.false_alarms import block_noise, growth_of, log_chance
 from trinoc.match.guided.gradient import gradient_of
 from trinoc.match.guided.probes import samples_of, step_of
+from trinoc.match.guided.ridges import REACH
 from trinoc.match.observations import distorted
 from trinoc.numerics import bucket, in_blocks
 
@@ -18,7 +19,7 @@ AT_ONCE = 512
 _LOOKS = 16
 # Of the place across, what noise does not explain: sampling and interpolation, px; and the share
 # of the slope between both shoulders that moves the ridge.
-_FLOOR_PX, _PULL = 0.04, 0.4
+_FLOOR_PX, _PULL = 0.06, 0.6
 
 
 class PictureInput(NamedTuple):
@@ -72,7 +73,9 @@ class Answer(NamedTuple):
         return self.along_px[:, 1] - self.along_px[:, 0]
 
 
-def picture_inputs(rig: Rig, pictures: Mapping[str, Shaped[np.ndarray, "..."]]) -> list[PictureInput]:
+def picture_inputs(
+    rig: Rig, pictures: Mapping[str, Shaped[np.ndarray, "..."]]
+) -> list[PictureInput]:
     """Gradients and noise of all pictures."""
     found = []
     for name, picture in pictures.items():
@@ -102,9 +105,8 @@ def plausible(
     right = np.stack([-unit[:, 1], unit[:, 0]], axis=1)
     along, across = (np.arange(_LOOKS) + 0.5) / _LOOKS, np.arange(-REACH, REACH + 1)
     middle = ends_px[:, None, :1] + along[:, None, None] * way[:, None, None]
-    places = distorted(
-        picture.lens, (middle + across[:, None] * right[:, None, None]).reshape(-1, 1, 2)
-    )
+    places = middle + across[:, None] * right[:, None, None]
+    places = distorted(picture.lens, places.reshape(-1, 2, 2))
     column, row = np.rint(places).astype(np.int64).reshape(len(way), -1, 2).transpose(2, 0, 1)
     height, width = picture.by_uv.shape[:2]
     inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
@@ -163,7 +165,9 @@ def _answer(
             unit[:, :, None] * unit[:, None, :]
         )
     places = ends_px[:, :1] + along[..., None] * unit[:, None] + across[..., None] * right[:, None]
-    one = np.where(found.score > 0, log_chance(found.score, found.excess), 0.0)
+    one = np.where(
+        found.score > 0, log_chance(np.asarray(found.score), np.asarray(found.excess)), 0.0
+    )
     chance = np.minimum(one + np.log(np.maximum(found.tests, 1.0)), 0.0)
     return Answer(
         chance,

@@ -33,27 +33,37 @@ def with_new_lines(
     rows = np.flatnonzero(new)
     if len(rows) == 0:
         return state, 0, before_mm
-    looks = np.zeros(len(rows), dtype=np.int64)
-    for picture in pictures:
-        image = project_by_matrix(picture.matrix_px, hypotheses.ends_mm[rows])
-        looks += plausible(picture, image, tuning.plausible_share, tuning.plausible_sigmas)
-    rows = rows[looks >= 2]
+    quick = np.stack(
+        [
+            plausible(
+                picture,
+                project_by_matrix(picture.matrix_px, hypotheses.ends_mm[rows]),
+                tuning.plausible_share,
+                tuning.plausible_sigmas,
+            )
+            for picture in pictures
+        ],
+        axis=1,
+    )
+    enough = quick.sum(axis=1) >= 2
+    rows, quick = rows[enough], quick[enough]
     if len(rows) == 0:
         return state, 0, before_mm
     lines, covariance = hypotheses.ends_mm[rows], hypotheses.covariance_mm2[rows]
-    found = asked(state, pictures, lines, covariance, tuning)
+    found = asked(pictures, lines, covariance, quick, tuning)
     members = _overlapping(state, found, lines, tuning)
     views = len(pictures)
     chance = (found.hit.sum(axis=0) + 1) / (found.inside.sum(axis=0) + views)
     strict = np.log(tuning.false_alarms / len(lines))
     sure = np.stack([answer.log_chance < strict for answer in found.answers], axis=1)
+    in_picture = _in_picture(pictures, lines)
     log_odds = np.full(len(lines), -np.inf)
     best = members.copy()
     for left in [()] + [(view,) for view in range(views) if views > 2]:
         trial = members.copy()
         trial[:, list(left)] = False
         odds = log_odds_of(found, covariance, trial, chance) + np.log(tuning.prior_new)
-        odds += (found.inside & ~trial).sum(axis=1) * np.log(tuning.missed)
+        odds += (in_picture & ~trial).sum(axis=1) * np.log(tuning.missed)
         odds = np.where((trial.sum(axis=1) >= 2) & (trial & sure).any(axis=1), odds, -np.inf)
         better = odds > log_odds
         log_odds[better], best[better] = odds[better], trial[better]
@@ -63,8 +73,22 @@ def with_new_lines(
     return *_accepted(state, found, members, lines, log_odds, rows, tuning), before_mm
 
 
+def _in_picture(
+    pictures: list[PictureInput], lines_mm: Float[np.ndarray, "n 2 3"]
+) -> Bool[np.ndarray, "n v"]:
+    """Which pictures have the middle of each line within their borders."""
+    middle = lines_mm.mean(axis=1)
+    inside = []
+    for picture in pictures:
+        place = project_by_matrix(picture.matrix_px, middle)
+        inside.append(((place >= 0) & (place <= np.array(picture.size_px) - 1)).all(axis=1))
+    return np.stack(inside, axis=1)
+
+
 def _first_time(
-    lines_mm: Float[np.ndarray, "n 2 3"], before_mm: Float[np.ndarray, "m 2 3"], tuning: GuidedTuning
+    lines_mm: Float[np.ndarray, "n 2 3"],
+    before_mm: Float[np.ndarray, "m 2 3"],
+    tuning: GuidedTuning,
 ) -> Bool[np.ndarray, "n"]:
     """Whether no such line has been asked for, either way round."""
     if len(before_mm) == 0 or len(lines_mm) == 0:
@@ -78,13 +102,12 @@ def _overlapping(
     state: State, found: Asked, lines: Float[np.ndarray, "n 2 3"], tuning: GuidedTuning
 ) -> Bool[np.ndarray, "n v"]:
     """The views of which each shares most of the shorter part with the longest."""
-    reach = np.stack(
-        [
-            np.sort(positions_abreast(matrix, answer.ends_px, lines), axis=1)
-            for matrix, answer in zip(state.cameras.matrix_px, found.answers, strict=True)
-        ],
-        axis=1,
-    )
+    reach = np.zeros((*found.hit.shape, 2))
+    for view, (matrix, answer) in enumerate(
+        zip(state.cameras.matrix_px, found.answers, strict=True)
+    ):
+        on = np.flatnonzero(found.hit[:, view])
+        reach[on, view] = np.sort(positions_abreast(matrix, answer.ends_px[on], lines[on]), axis=1)
     length = np.where(found.hit, reach[..., 1] - reach[..., 0], 0.0)
     longest = reach[np.arange(len(lines)), length.argmax(axis=1)]
     low = np.maximum(reach[..., 0], longest[:, None, 0])
@@ -126,14 +149,12 @@ def _accepted(
         if claims:
             continue
         trial = refitted(
-            grown._replace(tracks=_one(index, log_odds[row], lines[row])),
-            _one(index, log_odds[row], lines[row]),
+            grown._replace(tracks=_one(index, float(log_odds[row]), lines[row])),
+            _one(index, float(log_odds[row]), lines[row]),
         ).tracks
         if trial.misfit[0] > tuning.gate or not _as_asked(grown, trial, lines[row], tuning):
             continue
-        merged = Tracks(
-            *(np.concatenate([a, b]) for a, b in zip(now.tracks, trial, strict=True))
-        )
+        merged = Tracks(*(np.concatenate([a, b]) for a, b in zip(now.tracks, trial, strict=True)))
         now, count = grown._replace(tracks=merged), count + 1
     return now, count
 
