@@ -167,7 +167,7 @@ def test_what_no_picture_shows_loses_posterior():
         more[view] = Segments.from_endpoints(ends, sigma_px=0.1, sigma_along_px=0.5)
     given = made(lines, index, more, np.full(6, 0.7))
     found = guide_matches(given, more, RIG, PICTURES).matches
-    assert found.posterior[5] < 0.6
+    assert found.posterior[5] < 0.65
     assert (found.posterior[1:4] > 0.75).all()
 
 

@@ -20,7 +20,6 @@ from trinoc.match.guided.ridges import (
     WINDOW_FIRST,
     WINDOW_SIZE,
     block_gradients,
-    mean_in_windows,
     ridge,
     ridge_sigma,
     whole_windows,
@@ -115,7 +114,8 @@ def probe_evidence(
     straight = jnp.abs(beside) < _OBLIQUE * jnp.abs(plain) + _OBLIQUE_NOISE
     good = whole & top & straight & (jnp.sign(scores) == jnp.sign(plain))
     # Of edges that are sure, the nearest to the line; of others, the surest.
-    off = mean_in_windows(inner) / jnp.maximum(near_px, 0.3)
+    ends = jnp.abs(inner[..., WINDOW_FIRST]), jnp.abs(inner[..., WINDOW_FIRST + WINDOW_SIZE - 1])
+    off = jnp.maximum(*ends) / jnp.maximum(near_px, 0.3)
     value = jnp.minimum(jnp.abs(scores), _SURE) ** 2 + 2 * jnp.log1p(jnp.abs(scores)) - off**2
     value = jnp.where(good, value, -jnp.inf)
     value, good, scores = (x.reshape(-1, x.shape[-1]) for x in (value, good, scores))

@@ -93,11 +93,6 @@ def windows(
     return values @ jnp.asarray(_IN_WINDOW, values.dtype) / spread[None]
 
 
-def mean_in_windows(values: Float[ArrayLike, "*l b"]) -> Float[ArrayLike, "*l x"]:
-    """Means over all windows."""
-    return values @ jnp.asarray(_IN_WINDOW / WINDOW_SIZE, values.dtype)
-
-
 def whole_windows(inside: Bool[ArrayLike, "*l b"]) -> Bool[ArrayLike, "*l x"]:
     """Whether all blocks of each window are inside."""
     outside = jnp.where(inside, 0.0, 1.0) @ jnp.asarray(_IN_WINDOW, float)
