@@ -11,6 +11,7 @@ across of segments that were added, in claimed standard deviations.
 
 import argparse
 import time
+from collections.abc import Iterable
 from pathlib import Path
 
 import cv2
@@ -19,12 +20,13 @@ from matching import _calibration_error as calibration_error
 from matching_rendered import GREY_STEP, TOLERANCE_MM, Place, _place, _samples
 
 import trinoc
+import trinoc.synth
 from trinoc.evaluation import score_lengths
 from trinoc.evaluation.distances import distance_to_segments_mm, sampled_segments
 from trinoc.geometry import Rig, Segments
 from trinoc.io import load_rig
 from trinoc.match import Matches
-from trinoc.synth import SceneTruth, shown_parts_mm
+from trinoc.synth import SceneTruth, shown_parts_mm, table1_rig
 
 Outcome = tuple[float, bool, bool]
 
@@ -101,15 +103,12 @@ def words(found: np.ndarray, views: np.ndarray) -> str:
     )
 
 
-def of_scenes(folder: Path) -> None:
-    """The figures of all scenes of a folder."""
+def of_scenes(name: str, places: Iterable[Place]) -> None:
+    """The figures of all these scenes."""
     rows, views, outcomes = [[], []], np.zeros((2, 4)), [[], []]
     seconds, errors, triples = np.zeros(2), [], np.zeros(2, dtype=np.int64)
-    for path in sorted(folder.iterdir()):
-        if not (path / "truth.json").exists():
-            continue
-        place = _place(path, load_rig(path / "rig.json"))
-        for _ in range(2):  # the first run of a size compiles
+    for place in places:
+        for _ in range(1 if rows[0] else 2):  # the first run compiles
             start = time.process_time()
             segments = {view: trinoc.find_segments(p) for view, p in place.pictures.items()}
             matches = trinoc.match_segments(segments, place.rig)
@@ -128,7 +127,7 @@ def of_scenes(folder: Path) -> None:
         strict = calibration_error([(p, right) for p, right, _ in outcomes[k]])
         lenient = calibration_error([(p, right or shadow) for p, right, shadow in outcomes[k]])
         print(
-            f"{folder.name:12s} {label:7s} {words(np.mean(rows[k], axis=0), views[k])}; "
+            f"{name:12s} {label:7s} {words(np.mean(rows[k], axis=0), views[k])}; "
             f"{len(outcomes[k])} tracks, {triples[k]} in three; calibration error {strict:.3f} "
             f"({lenient:.3f}); {seconds[: k + 1].sum() / len(rows[k]):.2f} s",
             flush=True,
@@ -136,7 +135,7 @@ def of_scenes(folder: Path) -> None:
     z = np.array(errors)
     if len(z):
         print(
-            f"{folder.name:12s} added segments, ends: {len(z)}, normalised error: variance "
+            f"{name:12s} added segments, ends: {len(z)}, normalised error: variance "
             f"{np.mean(z**2):.2f}, by the median {(1.4826 * np.median(np.abs(z))) ** 2:.2f}, "
             f"beyond three sigmas {np.mean(np.abs(z) > 3):.3f}"
         )
@@ -191,8 +190,11 @@ def main() -> None:
     parser.add_argument("--merton", type=Path, help="folder of merton1.npz and its photographs")
     given = parser.parse_args()
     trinoc.enable_compile_cache()
+    demo = Path(trinoc.synth.__file__).parent / "demo"
+    of_scenes("demo", [_place(demo, table1_rig())])
     for folder in given.folders:
-        of_scenes(folder)
+        paths = [path for path in sorted(folder.iterdir()) if (path / "truth.json").exists()]
+        of_scenes(folder.name, (_place(path, load_rig(path / "rig.json")) for path in paths))
     if given.merton:
         of_merton(given.merton)
 
