@@ -43,7 +43,8 @@ def extent_of(
         return jnp.sqrt((weight * (places - middle) ** 2).sum() + 1 / 12)
 
     sigmas = jnp.stack([spread(from_on), spread(up_to)])
-    return (*(jnp.argmax(log).astype(jnp.int32) for log in (from_on, up_to)), sigmas)
+    first, last = (jnp.argmax(log).astype(jnp.int32) for log in (from_on, up_to))
+    return first, last, sigmas
 
 
 def placed(
