@@ -34,7 +34,7 @@ INNER_FLOORS = {
     ),
     "match": (
         *("observations", "two_view", "evidence", "candidates", "selection", "occlusion"),
-        *("tracks", "line_map"),
+        *("tracks", "guided", "line_map"),
     ),
     "segments": ("nevatia_babu",),
     "geometry": ("lenses",),

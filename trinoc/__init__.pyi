@@ -33,8 +33,10 @@ from .io import (
 )
 from .match import (
     Corners as Corners,
+    GuidedMatches as GuidedMatches,
     JoinedLines as JoinedLines,
     Matches as Matches,
+    guide_matches as guide_matches,
     join_collinear as join_collinear,
     match_many as match_many,
     match_segments as match_segments,

@@ -143,6 +143,20 @@ def test_segments_then_match_is_match_of_pictures(run, folder):
     assert json.loads(found[1])["tracks"] == json.loads(directly[1])["tracks"]
 
 
+def test_guided_matches_need_pictures_and_hold_at_least_as_many_tracks(run, folder):
+    status, _, error = run("match", *views("csv"), "--rig", "rig.json", "--guided")
+    assert status == 2
+    assert "--guided needs pictures" in error
+    command = "match", *views("png"), "--rig", "rig.json"
+    assert run(*command, "-o", "plain.npz")[0] == 0
+    assert run(*command, "--guided", "-o", "guided.npz")[0] == 0
+    plain, guided = (trinoc.load_matches(folder / f"{name}.npz") for name in ("plain", "guided"))
+    assert plain.guided is None
+    assert guided.guided is not None
+    assert guided.guided.shape == guided.index.shape
+    assert len(guided) >= len(plain)
+
+
 def test_match_finds_the_box_and_reports_it(run, folder):
     written = ["box.npz", "box.html"]
     command = "match", *views("csv"), "--rig", "rig.json", "-o", written[0], "--report", written[1]

@@ -13,7 +13,7 @@ from trinoc.cli.command import Command, Outcome, UsageError
 from trinoc.cli.plan import plan
 from trinoc.cli.progress import LOGGER
 from trinoc.cli.rig_file import doubts_of, doubts_table, read_rig
-from trinoc.cli.scene_files import check_views, read_segments
+from trinoc.cli.scene_files import SEGMENT_SUFFIXES, check_views, read_segments
 from trinoc.cli.segment_options import SegmentOptions
 from trinoc.cli.views import files_of_rig, files_of_views
 
@@ -48,6 +48,9 @@ class Match(SegmentOptions, Command):
     ] = ANYWHERE
     """Least and greatest depth of lines before every camera that sees them."""
 
+    guided: bool = False
+    """Ask every picture again where matched lines must be: finds faint edges, takes longer."""
+
     out: Annotated[Path, tyro.conf.arg(aliases=("-o",))] = Path("matches.npz")
     """Where the matches go."""
 
@@ -74,12 +77,14 @@ class Match(SegmentOptions, Command):
         self.check()
 
         from trinoc.io import expect_place, save
-        from trinoc.match import match_segments
+        from trinoc.match import guide_matches, match_segments
 
         expect_place(self.out, self.report)
         rig = read_rig(self.rig)
         files = files_of_rig(self.pictures, rig.names)
         check_views(files, rig, self.rig)
+        if self.guided:
+            _check_pictures(files)
         if self.dry_run:
             sizes = {name: rig[name].image_size_px for name in files}
             return plan(f"match with {self.rig}", files, sizes, (self.out, self.report))
@@ -87,6 +92,10 @@ class Match(SegmentOptions, Command):
         LOGGER.info("matching %s", ", ".join(f"{len(s)} ({n})" for n, s in segments.items()))
         depths = None if self.depth_range_mm == ANYWHERE else self.depth_range_mm
         matches = match_segments(segments, rig, depth_range_mm=depths)
+        if self.guided:
+            LOGGER.info("asking the pictures again along %d lines", len(matches))
+            guided = guide_matches(matches, segments, rig, images)
+            segments, matches = guided.segments, guided.matches
         save(matches, self.out)
         if self.report is not None:
             from trinoc.cli.provenance import for_people, provenance
@@ -107,6 +116,16 @@ class Match(SegmentOptions, Command):
         written = [str(path) for path in (self.out, self.report) if path is not None]
         text = f"{match_text(matches)}\nwritten: {', '.join(written)}"
         return Outcome(text, {**match_record(segments, matches), "written": written})
+
+
+def _check_pictures(files: Mapping[str, Path]) -> None:
+    """Raise UsageError where a view is given by its segments alone."""
+    for name, file in files.items():
+        if file.suffix.lower() in SEGMENT_SUFFIXES:
+            raise UsageError(
+                f"--guided needs pictures, but {file} of {name} holds segments: give its picture, "
+                "or leave --guided out."
+            )
 
 
 def match_record(segments: "Mapping[str, Segments]", matches: "Matches") -> dict[str, Any]:

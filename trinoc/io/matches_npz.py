@@ -12,6 +12,7 @@ FORMAT, VERSION = "trinoc-matches", 1
 _REASONS = "reasons/"
 # What files of earlier versions do not hold.
 _FRAGMENTS_COVARIANCE, _MISFIT, _MOVES = "fragments_covariance_px2", "misfit", "viewpoint_dependent"
+_GUIDED = "guided"
 
 
 def save_matches(matches: Matches, path: str | os.PathLike[str]) -> None:
@@ -35,7 +36,7 @@ def arrays_of_matches(matches: Matches) -> dict[str, np.ndarray]:
         "notes": _texts(matches.notes),
         "count_values": np.array(list(matches.counts.values()), dtype=np.int64),
     }
-    for name in (_FRAGMENTS_COVARIANCE, _MISFIT, _MOVES):
+    for name in (_FRAGMENTS_COVARIANCE, _MISFIT, _MOVES, _GUIDED):
         if getattr(matches, name) is not None:
             arrays[name] = getattr(matches, name)
     reasons = {_REASONS + view: _texts(words) for view, words in matches.reasons.items()}
@@ -106,6 +107,10 @@ def matches_of_fields(fields: ArrayFields) -> Matches:
         fields.expect(_MISFIT, ~(misfit < 0) & ~np.isinf(misfit), "is no chi-square")
     if _MOVES in fields:
         moves = take(_MOVES, kind="b")
+    guided = None
+    if _GUIDED in fields:
+        guided = take(_GUIDED, sides, kind="b")
+        fields.expect(_GUIDED, seen | ~guided, "is guided where no view sees the line")
     noise_scale = 1.0
     if "noise_scale" in fields:
         noise_scale = float(fields.take("noise_scale", "f", (), "matches"))
@@ -129,6 +134,7 @@ def matches_of_fields(fields: ArrayFields) -> Matches:
         viewpoint_dependent=moves,
         noise_scale=noise_scale,
         notes=tuple(map(str, notes)),
+        guided=guided,
     )
 
 

@@ -1,6 +1,17 @@
 from .assembly import assemble as assemble
 from .consolidation import consolidated as consolidated
-from .extent import positions_abreast as positions_abreast
-from .matches import Matches as Matches
+from .extent import (
+    common_ends as common_ends,
+    interval_of as interval_of,
+    positions_abreast as positions_abreast,
+    reach_of as reach_of,
+)
+from .fragments import ending_view as ending_view, fragments_of as fragments_of
+from .line_fit import lines_in_space as lines_in_space
+from .location import direction_doubt as direction_doubt
+from .matches import BINOCULAR as BINOCULAR, TRINOCULAR as TRINOCULAR, Matches as Matches
 from .multiview import merge_triplets as merge_triplets, view_triplets as view_triplets
-from .viewpoint import typical_misfit as typical_misfit
+from .viewpoint import (
+    flag_viewpoint_dependent as flag_viewpoint_dependent,
+    typical_misfit as typical_misfit,
+)

@@ -19,6 +19,18 @@ def two_view_part(
     return ends_mm[:, :1] + np.stack([begin, end], axis=1)[..., None] * step[:, None]
 
 
+def common_ends(
+    seen: MatchInput, index: Int[np.ndarray, "t v"], ends_mm: Float[np.ndarray, "t 2 3"]
+) -> Float[np.ndarray, "t 2 3"]:
+    """The ends, on each line, of what all of its views show; the line's own where they share
+    nothing."""
+    reach = reach_of(seen, index, ends_mm)
+    begin, end = np.nanmax(reach[..., 0], axis=1), np.nanmin(reach[..., 1], axis=1)
+    shared = begin < end
+    span = np.stack([np.where(shared, begin, 0.0), np.where(shared, end, 1.0)], axis=1)
+    return ends_mm[:, :1] + span[..., None] * (ends_mm[:, 1] - ends_mm[:, 0])[:, None]
+
+
 def interval_of(
     seen: MatchInput, index: Int[np.ndarray, "t v"], ends_mm: Float[np.ndarray, "t 2 3"]
 ) -> Float[np.ndarray, "t v 2"]:

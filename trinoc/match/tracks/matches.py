@@ -38,6 +38,8 @@ class Matches(Shown, eqx.Module):
         the viewpoint: the outline of a round body, or a highlight. In three views its misfit is
         larger than that of 99 in 100 straight edges. In two, another view shows a segment beside
         the place where the line should be, and none on it. None where not known.
+    guided : (t, v) whether a fragment's segment was added, or made longer, by guided detection
+        (`guide_matches`); None where that has not been asked for.
     noise_scale : standard deviation of the segments across themselves over what they state, as
         three views show it: all covariances here are of the errors found. 1 where two views are
         all there is.
@@ -60,6 +62,7 @@ class Matches(Shown, eqx.Module):
     viewpoint_dependent: Bool[np.ndarray, "t"] | None = None
     noise_scale: float = eqx.field(static=True, default=1.0)
     notes: tuple[str, ...] = eqx.field(static=True, default=())
+    guided: Bool[np.ndarray, "t v"] | None = None
 
     def __len__(self) -> int:
         return len(self.index)

@@ -1,0 +1,145 @@
+"""Laws of the one test: its rate of false alarms, what it sees, where it says an edge is."""
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import pytest
+from scipy.special import ndtr
+
+from trinoc.match.guided.false_alarms import growth_of, log_chance
+from trinoc.match.guided.gradient import gradient_of
+from trinoc.match.guided.views import Answer, PictureInput, ask, picture_inputs
+from trinoc.numerics import in_float64
+from trinoc.synth import table1_rig
+
+RIG = table1_rig()
+WIDTH, HEIGHT = RIG["upper"].image_size_px
+# Blur of the made edges, px.
+BLUR = 1.0
+
+
+class Edge(NamedTuple):
+    """A step along the line through a place in a direction, from a place along it to another."""
+
+    picture: np.ndarray
+    ends_px: np.ndarray
+
+
+def as_levels(grey: np.ndarray) -> np.ndarray:
+    return np.clip(np.rint(grey), 0, 255).astype(np.uint8)
+
+
+def step_edge(angle: float, contrast: float, noise: float, seed: int, length: float = 80) -> Edge:
+    """An edge of a given length in a noisy picture, brighter on the right of its way."""
+    u, v = np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT))
+    way = np.array([np.cos(angle), np.sin(angle)])
+    offset = np.stack([u, v], axis=-1) - np.array([255.3, 240.6])
+    along, across = offset @ way, offset @ np.array([-way[1], way[0]])
+    held = ndtr((along + length / 2) / BLUR) * ndtr((length / 2 - along) / BLUR)
+    grey = 120 + contrast * (ndtr(across / BLUR) - 0.5) * held
+    grey = grey + noise * np.random.default_rng(seed).normal(size=grey.shape)
+    ends = np.array([255.3, 240.6]) + np.array([[-0.5], [0.5]]) * length * way
+    return Edge(as_levels(grey), ends)
+
+
+@in_float64
+def seen(picture: np.ndarray) -> PictureInput:
+    return picture_inputs(RIG, {"upper": picture})[0]
+
+
+@in_float64
+def answers(picture: PictureInput, ends_px: np.ndarray, gate: float = 2.0) -> Answer:
+    count = len(ends_px)
+    return ask(picture, ends_px, np.full(count, gate), np.ones(count), np.full(count, np.inf))
+
+
+def probes(count: int, length: float, seed: int) -> np.ndarray:
+    """Probes anywhere, in any direction."""
+    rng = np.random.default_rng(seed)
+    middle = rng.uniform(length, np.array([WIDTH, HEIGHT]) - length, (count, 2))
+    angle = rng.uniform(0, 2 * np.pi, count)
+    half = length / 2 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return np.stack([middle - half, middle + half], axis=1)
+
+
+def noise_picture(kind: str) -> np.ndarray:
+    rng = np.random.default_rng(4)
+    white = rng.normal(size=(HEIGHT, WIDTH))
+    if kind == "white":
+        return as_levels(128 + 4 * white)
+    if kind == "on a ramp":
+        return as_levels(np.linspace(30, 220, WIDTH) + 3 * white)
+    smooth = cv2.GaussianBlur(white, (0, 0), 2.0)
+    return as_levels(128 + 20 * smooth / smooth.std() + rng.normal(size=white.shape))
+
+
+@pytest.mark.parametrize("kind", ["white", "on a ramp", "texture"])
+def test_noise_passes_as_seldom_as_claimed(kind):
+    found = answers(seen(noise_picture(kind)), probes(2048, 90, 9))
+    # All windows and lines of a probe are counted as if they were independent.
+    for rate in (0.1, 0.01):
+        passed = int((found.log_chance < np.log(rate)).sum())
+        assert passed <= rate * 2048 + 3 * np.sqrt(rate * 2048)
+
+
+def test_one_test_alone_has_the_rate_of_a_normal_variable():
+    from trinoc.match.guided.false_alarms import block_noise
+    from trinoc.match.guided.probes import samples_of
+    from trinoc.match.guided.ridges import WINDOW_SIZE, WINDOWS, window_scores
+
+    gradient = gradient_of(noise_picture("white"))
+    places = samples_of(probes(2048, 100, 3), RIG["upper"].intrinsics, (WIDTH, HEIGHT))
+    growth = growth_of(gradient, RIG["upper"].intrinsics, (WIDTH, HEIGHT))
+    columns = (np.asarray(column, np.float32) for column in places[:2])
+    scores, _ = window_scores(
+        gradient.by_uv, np.float32(block_noise(gradient)), *columns, places.inside
+    )
+    window = int(np.flatnonzero(WINDOW_SIZE == 8)[1])
+    score = np.abs(np.asarray(scores)[:, window]) / np.sqrt(growth[WINDOWS.index(8)])
+    chance = np.exp(log_chance(score.astype(np.float64), np.ones(len(score))))
+    for rate in (0.3, 0.1, 0.03):
+        share = float((chance < rate).mean())
+        assert share == pytest.approx(rate, abs=4 * np.sqrt(rate / 2048), rel=0.25)
+
+
+def test_a_faint_edge_is_seen_where_it_is_asked_for():
+    edge = step_edge(0.4, contrast=2.5, noise=1.0, seed=1)
+    found = answers(seen(edge.picture), edge.ends_px[None], gate=1.0)
+    assert found.log_chance[0] < np.log(1e-4)
+    assert found.sign[0] == 1
+
+
+def test_neither_a_ramp_nor_an_edge_that_crosses_is_one():
+    edge = step_edge(0.4, contrast=60, noise=1.0, seed=2, length=300)
+    middle = edge.ends_px.mean(axis=0)
+    for turn in (0.5, 1.0, 1.5):
+        way = 40 * np.array([np.cos(0.4 + turn), np.sin(0.4 + turn)])
+        found = answers(seen(edge.picture), np.stack([middle - way, middle + way])[None])
+        assert found.log_chance[0] > np.log(1e-3)
+
+
+def test_place_ends_and_contrast_within_their_errors():
+    across, along = [], []
+    for seed in range(12):
+        edge = step_edge(0.25 * seed, contrast=40, noise=2.0, seed=seed)
+        way = np.array([np.cos(0.25 * seed), np.sin(0.25 * seed)])
+        right = np.array([-way[1], way[0]])
+        longer = edge.ends_px + np.array([[-1], [1]]) * 20 * way
+        found = answers(seen(edge.picture), (longer + 0.6 * right)[None])
+        off = found.ends_px[0] - edge.ends_px
+        blocks = found.covariance_px2[0].reshape(2, 2, 2, 2)
+        for places, unit in ((across, right), (along, way)):
+            sigma = np.sqrt(np.einsum("eiej,i,j->e", blocks, unit, unit))
+            places += (off @ unit / sigma).tolist()
+        assert found.contrast[0] == pytest.approx(40, rel=0.15)
+    assert np.mean(np.square(across)) < 2.0
+    assert np.mean(np.square(along)) < 4.0
+    assert np.abs(across).max() < 4.0
+
+
+def test_the_other_way_round_the_answer_is_the_same():
+    edge = step_edge(1.1, contrast=30, noise=2.0, seed=5, length=64)
+    both = answers(seen(edge.picture), np.stack([edge.ends_px, edge.ends_px[::-1]]))
+    assert both.sign.tolist() == [1, -1]
+    np.testing.assert_allclose(both.ends_px[0], both.ends_px[1][::-1], atol=0.05)

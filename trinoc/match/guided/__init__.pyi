@@ -1,0 +1,1 @@
+from .guide import GuidedMatches as GuidedMatches, guide_matches as guide_matches

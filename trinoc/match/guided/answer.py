@@ -1,0 +1,123 @@
+"""From tables that have grown back to the caller's values: segments and matches."""
+
+import dataclasses
+
+import numpy as np
+
+from trinoc.geometry import Segments
+from trinoc.match.guided.state import State, tables_of, turned_round
+from trinoc.match.observations import distorted
+from trinoc.match.tracks import (
+    BINOCULAR,
+    TRINOCULAR,
+    Matches,
+    common_ends,
+    ending_view,
+    flag_viewpoint_dependent,
+    fragments_of,
+    interval_of,
+)
+from trinoc.match.tuning import MatchTuning
+from trinoc.numerics import ArrayLike
+
+MATCHED = "matched"
+
+
+def segments_of(before: State, after: State, given: dict[str, Segments]) -> dict[str, Segments]:
+    """The segments of each view: those that were given, some longer, and those that were added."""
+    return {
+        name: _of_view(before, after, view, given[name]) for view, name in enumerate(after.names)
+    }
+
+
+def _of_view(before: State, after: State, view: int, given: Segments) -> Segments:
+    old, now = before.segments[view], after.segments[view]
+    count = len(given)
+    changed = np.flatnonzero(now.guided[:count])
+    lens = after.cameras.intrinsics[view]
+    if len(changed) == 0 and len(now.ends_px) == count:
+        return given
+    ends, covariance = distorted(lens, now.ends_px), now.covariance_px2
+    back = turned_round(old.ends_px, lens, given)
+    turn = np.concatenate([back, np.zeros(len(now.ends_px) - count, dtype=bool)])
+    ends = np.where(turn[:, None, None], ends[:, ::-1], ends)
+    blocks = covariance.reshape(-1, 2, 2, 2, 2)
+    blocks = np.where(turn[:, None, None, None, None], blocks[:, ::-1, :, ::-1], blocks)
+    covariance = blocks.reshape(-1, 4, 4)
+    keep = np.ones(len(ends), dtype=bool)
+    keep[changed] = keep[count:] = False
+    keep = keep[:count]
+    new = len(ends) - count
+    ends[:count][keep] = np.asarray(given.endpoints_px)[keep]
+    covariance[:count][keep] = np.asarray(given.covariance_px2)[keep]
+    height = now.contrast[len(old.contrast) :]
+
+    def more(values: ArrayLike | None, added: np.ndarray) -> np.ndarray | None:
+        return None if values is None else np.concatenate([np.asarray(values), added])
+
+    chain = None
+    if given.chain is not None:
+        first = int(np.max(given.chain, initial=-1)) + 1
+        chain = more(given.chain, np.arange(first, first + new))
+    reasons = None
+    if given.reasons is not None:
+        reasons = more(given.reasons, np.full(new, ""))
+    return Segments(
+        ends,
+        covariance,
+        np.concatenate([given.polarity, -np.sign(height).astype(np.int64)]),
+        np.concatenate([given.contrast, np.abs(height)]),
+        np.concatenate([given.support, np.zeros(new, dtype=np.int64)]),
+        given.image_size_px,
+        reasons,
+        chain,
+        given.junctions,
+        more(given.side_levels, np.full((new, 2), np.nan)),
+    )
+
+
+def matches_of(after: State, given: Matches, added: dict[str, int], tuning: MatchTuning) -> Matches:
+    """The given tracks, in their order, and after them the new ones."""
+    tracks = after.tracks
+    if len(tracks.index) == 0:
+        return dataclasses.replace(given, counts=given.counts | added)
+    seen = tables_of(after)
+    common = common_ends(seen, tracks.index, tracks.ends_mm)
+    here = ending_view(seen, tracks.index, common)
+    interval = interval_of(seen, tracks.index, common)
+    fragments, covariance = fragments_of(seen, tracks.index, interval, here)
+    guided = np.zeros(tracks.index.shape, dtype=bool)
+    for view, own in enumerate(after.segments):
+        on = np.flatnonzero(tracks.index[:, view] >= 0)
+        guided[on, view] = own.guided[tracks.index[on, view]]
+        fragments[on, view] = distorted(after.cameras.intrinsics[view], fragments[on, view])
+    new = len(tracks.index) - len(given)
+    views = (tracks.index >= 0).sum(axis=1)
+    return Matches(
+        given.views,
+        tracks.index,
+        fragments,
+        tracks.ends_mm,
+        tracks.covariance_mm2,
+        np.where(views > 2, TRINOCULAR, BINOCULAR),
+        1 / (1 + np.exp(-tracks.log_odds)),
+        np.concatenate([given.rival_posterior, np.zeros(new)]),
+        {
+            name: _reasons(given.reasons[name], tracks.index[:, view], len(own.ends_px))
+            for view, (name, own) in enumerate(zip(after.names, after.segments, strict=True))
+        },
+        given.counts | added,
+        covariance,
+        np.where(views > 2, tracks.misfit, 0.0),
+        flag_viewpoint_dependent(seen, tracks.index, tracks.ends_mm, tracks.misfit, tuning.tracks),
+        given.noise_scale,
+        given.notes,
+        guided,
+    )
+
+
+def _reasons(words: np.ndarray, index: np.ndarray, count: int) -> np.ndarray:
+    """The words on each segment, those that are on a track now "matched"."""
+    longer = np.concatenate([words, np.full(count - len(words), MATCHED)])
+    longer[index[index >= 0]] = MATCHED
+    return longer

@@ -1,0 +1,135 @@
+"""What all pictures answer about one line that may be there, taken together."""
+
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Bool, Float
+
+from trinoc.geometry import project_by_matrix
+from trinoc.match.guided.ridges import REACH
+from trinoc.match.guided.views import Answer, PictureInput, ask
+from trinoc.match.tuning import GuidedTuning
+
+
+class Asked(NamedTuple):
+    """Fields
+    ------
+    answers : of every picture.
+    hit : (n, v) which show an edge.
+    offset_px : (n, v, 2) where it lies beside the projected line, abreast of its two ends.
+    variance_px2 : (n, v, 2, 2) of these.
+    by_ends : (n, v, 2, 6) derivative of the projected ends across the line by the ends in space.
+    area_px2 : (n, v) within which the two offsets may lie.
+    inside : (n, v) whether the picture could show it.
+    """
+
+    answers: list[Answer]
+    hit: Bool[np.ndarray, "n v"]
+    offset_px: Float[np.ndarray, "n v 2"]
+    variance_px2: Float[np.ndarray, "n v 2 2"]
+    by_ends: Float[np.ndarray, "n v 2 6"]
+    area_px2: Float[np.ndarray, "n v"]
+    inside: Bool[np.ndarray, "n v"]
+
+
+def asked(
+    pictures: list[PictureInput],
+    ends_mm: Float[np.ndarray, "n 2 3"],
+    covariance_mm2: Float[np.ndarray, "n 6 6"],
+    wanted: Bool[np.ndarray, "n v"],
+    tuning: GuidedTuning,
+) -> Asked:
+    """The pictures about the lines for which they are `wanted`; the others show nothing."""
+    columns = []
+    for view, picture in enumerate(pictures):
+        rows = np.flatnonzero(wanted[:, view])
+        part = _of_view(picture, ends_mm[rows], covariance_mm2[rows], tuning)
+        columns.append(tuple(_spread_out(column, rows, len(ends_mm)) for column in part))
+    answers = [column[0] for column in columns]
+    rest = [np.stack(list(part), axis=1) for part in zip(*(c[1:] for c in columns), strict=True)]
+    return Asked(answers, *rest)
+
+
+def _spread_out(column: Any, rows: np.ndarray, count: int) -> Any:
+    """Rows of zeros between those of an array, or of all arrays of a table."""
+
+    def one(array: np.ndarray) -> np.ndarray:
+        whole = np.zeros((count, *array.shape[1:]), array.dtype)
+        whole[rows] = array
+        return whole
+
+    return jax.tree.map(one, column)
+
+
+def _of_view(
+    picture: PictureInput, ends_mm: np.ndarray, covariance_mm2: np.ndarray, tuning: GuidedTuning
+) -> tuple[Answer, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    matrix = picture.matrix_px
+    depth = ends_mm @ matrix[2, :3] + matrix[2, 3]
+    before = (depth > 0).all(axis=1)
+    image = project_by_matrix(matrix, np.where(before[:, None, None], ends_mm, 0.0))
+    way = image[:, 1] - image[:, 0]
+    length = np.maximum(np.linalg.norm(way, axis=1), 1e-9)
+    right = np.stack([-way[:, 1], way[:, 0]], axis=1) / length[:, None]
+    slope = (matrix[:2, :3] - image[..., :, None] * matrix[2, :3]) / depth[..., None, None]
+    across = np.einsum("ni,neij->nej", right, slope)
+    by_ends = np.zeros((len(image), 2, 6))
+    by_ends[:, 0, :3], by_ends[:, 1, 3:] = across[:, 0], across[:, 1]
+    spread = np.einsum("nei,nij,nej->ne", by_ends, covariance_mm2, by_ends)
+    most = np.sqrt(spread.max(axis=1))
+    gate = np.clip(tuning.reach_sigmas * most + tuning.corner_gate_px, 1.0, REACH)
+    answer = ask(picture, image, gate, most, np.full(len(image), np.inf))
+    known = before & (length > tuning.shortest_px)
+    hit = known & (answer.log_chance < np.log(tuning.weak))
+    hit &= answer.length_px >= tuning.least_piece_px
+    # The line of the edge abreast of the two ends.
+    unit = way / length[:, None]
+    off = answer.ends_px - image[:, :1]
+    along = np.einsum("nei,ni->ne", off, unit)
+    seen = np.einsum("nei,ni->ne", off, right)
+    apart = along[:, 1] - along[:, 0]
+    apart = np.where(np.abs(apart) > 1e-6, apart, 1.0)
+    share = (np.stack([np.zeros(len(length)), length], axis=1) - along[:, :1]) / apart[:, None]
+    weight = np.stack([1 - share, share], axis=2)
+    blocks = answer.covariance_px2.reshape(-1, 2, 2, 2, 2)
+    own = np.einsum("neifj,ni,nj->nef", blocks, right, right)
+    width = 2 * gate + 1
+    return (
+        answer,
+        hit,
+        (weight @ seen[..., None])[..., 0],
+        weight @ own @ weight.mT,
+        by_ends,
+        width * np.minimum(width, 5.0),
+        known,
+    )
+
+
+def log_odds_of(
+    found: Asked,
+    covariance_mm2: Float[np.ndarray, "n 6 6"],
+    members: Bool[np.ndarray, "n v"],
+    chance: Float[np.ndarray, "v"],
+) -> Float[np.ndarray, "n"]:
+    """Log likelihood ratio of one line in space that all members show, against edges that happen
+    to lie beside it; `chance` is how often one does in each view, where noise may look like one."""
+    count, views = members.shape
+    design = found.by_ends.reshape(count, 2 * views, 6)
+    spread = design @ covariance_mm2 @ design.mT
+    for view in range(views):
+        part = slice(2 * view, 2 * view + 2)
+        spread[:, part, part] += found.variance_px2[:, view]
+    on = np.repeat(members, 2, axis=1)
+    both = on[:, :, None] & on[:, None, :]
+    spread = np.where(both, spread, 2 * np.pi * np.eye(2 * views) / (2 * np.pi))
+    offset = np.where(on, found.offset_px.reshape(count, -1), 0.0)
+    square = (offset * np.linalg.solve(spread, offset[..., None])[..., 0]).sum(axis=1)
+    log_density = -0.5 * (
+        square + np.linalg.slogdet(spread)[1] + on.sum(axis=1) * np.log(2 * np.pi)
+    )
+    noise = np.exp(np.stack([answer.log_chance for answer in found.answers], axis=1))
+    happens = np.log(np.minimum(chance + noise, 1.0))
+    area = np.log(np.where(members, found.area_px2, 1.0))
+    clutter = np.where(members, area - happens, 0.0).sum(axis=1)
+    return log_density + clutter

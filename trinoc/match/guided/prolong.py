@@ -1,0 +1,205 @@
+"""Segments of matched lines lengthened to where the edge ends, and gaps closed.
+
+Beyond each end of a matched segment the picture is asked along its own line, whose place is known
+better than any projection. A segment is lengthened no further than a second view shows the line.
+"""
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from trinoc.geometry import project_by_matrix
+from trinoc.match.guided.corners import ends_of
+from trinoc.match.guided.lengthen import lengthened
+from trinoc.match.guided.state import State, ViewSegments, refitted, with_view
+from trinoc.match.guided.views import Answer, PictureInput, ask
+from trinoc.match.tracks import positions_abreast
+from trinoc.match.tuning import GuidedTuning
+
+
+def prolonged(
+    state: State, pictures: list[PictureInput], tuning: GuidedTuning
+) -> tuple[State, int]:
+    """(the state with longer segments, how many ends have moved)."""
+    found = [_beyond(state, view, picture, tuning) for view, picture in enumerate(pictures)]
+    changed, moved = state, 0
+    for view, (ends, answer, hit) in enumerate(found):
+        allowed = _allowed(state, found, view)
+        own = state.segments[view]
+        table = [own.ends_px.copy(), own.covariance_px2.copy(), own.contrast, own.guided.copy()]
+        for row in np.flatnonzero(hit).tolist():
+            segment, end = ends[row].tolist()
+            length = min(answer.along_px[row, 1], allowed[row])
+            if length < tuning.least_gain_px:
+                continue
+            ends_px, covariance = lengthened(
+                table[0][segment], table[1][segment], end, length, answer, row
+            )
+            table[0][segment], table[1][segment], table[3][segment] = ends_px, covariance, True
+            moved += 1
+        changed = with_view(changed, view, own._make(table))
+    return _kept(state, changed, tuning) if moved else (state, 0)
+
+
+def _kept(state: State, changed: State, tuning: GuidedTuning) -> tuple[State, int]:
+    """Without what makes views disagree that agreed before."""
+    trial = refitted(changed, state.tracks).tracks
+    worse = trial.misfit > np.maximum(state.tracks.misfit, 0.0) + tuning.gate
+    moved = 0
+    for view, own in enumerate(state.segments):
+        new = changed.segments[view]
+        back = state.tracks.index[worse, view]
+        keep = np.ones(len(own.ends_px), dtype=bool)
+        keep[back[back >= 0]] = False
+        table = [
+            np.where(keep.reshape(-1, *[1] * (column.ndim - 1)), column, before)
+            for column, before in zip(new, own, strict=True)
+        ]
+        changed = with_view(changed, view, ViewSegments(*table))
+        moved += int((changed.segments[view].ends_px != own.ends_px).any(axis=(1, 2)).sum())
+    return (refitted(changed, state.tracks), moved) if moved else (state, 0)
+
+
+def _beyond(
+    state: State, view: int, picture: PictureInput, tuning: GuidedTuning
+) -> tuple[np.ndarray, Answer, Bool[np.ndarray, "n"]]:
+    """(segment and end, the answers beyond them, which are edges)."""
+    own = state.segments[view]
+    index = state.tracks.index[state.tracks.log_odds > tuning.trusted_log_odds, view]
+    used = np.unique(index[index >= 0])
+    ends = np.stack([np.repeat(used, 2), np.tile([0, 1], len(used))], axis=1)
+    here = own.ends_px[ends[:, 0], ends[:, 1]]
+    there = own.ends_px[ends[:, 0], 1 - ends[:, 1]]
+    length = np.linalg.norm(here - there, axis=1)
+    out = (here - there) / length[:, None]
+    least = tuning.prolong_px + tuning.prolong_share * length
+    reach = np.maximum(least, _wanted(state, view, ends, here, out) + tuning.prolong_px / 2)
+    # Right at the end there may be a corner, with other edges about it.
+    start = here + tuning.corner_px * out
+    reach = np.clip(reach, 0, tuning.longest_px)
+    probe = np.stack([start, start + reach[:, None] * out], axis=1)
+    count = len(ends)
+    gate = np.full(count, tuning.prolong_gate_px)
+    answer = ask(picture, probe, gate, 0.5 * gate, np.full(count, tuning.gap_px))
+    answer = answer._replace(along_px=answer.along_px + tuning.corner_px)
+    hit = answer.log_chance < np.log(tuning.false_alarms / max(count, 1))
+    hit &= answer.length_px > tuning.least_piece_px
+    hit &= ~_at_corner(state, view, ends, tuning)
+    return ends, answer, hit & _goes_on(own, ends, answer, tuning)
+
+
+def _at_corner(
+    state: State, view: int, ends: np.ndarray, tuning: GuidedTuning
+) -> Bool[np.ndarray, "n"]:
+    """Whether the segment's end is that of a line that ends in a corner."""
+    tracks = state.tracks
+    met = ends_of(state, tuning).met.reshape(-1, 2)
+    on = np.flatnonzero(tracks.index[:, view] >= 0)
+    image = project_by_matrix(state.cameras.matrix_px[view], tracks.ends_mm[on])
+    corner = np.zeros((len(state.segments[view].ends_px), 2), dtype=bool)
+    own = state.segments[view].ends_px[tracks.index[on, view]]
+    apart = np.linalg.norm(own[:, :, None] - image[:, None], axis=3)
+    close = (apart < tuning.meet_px + 2) & met[on][:, None, :]
+    np.logical_or.at(corner, tracks.index[on, view], close.any(axis=2))
+    return corner[ends[:, 0], ends[:, 1]]
+
+
+def _goes_on(
+    own: ViewSegments, ends: np.ndarray, answer: Answer, tuning: GuidedTuning
+) -> Bool[np.ndarray, "n"]:
+    """Whether the pieces found lie on the segments' own lines, as far as both are known.
+
+    Another edge that leaves the same corner at a small angle does not.
+    """
+    segment, end = ends.T
+    here, there = own.ends_px[segment, end], own.ends_px[segment, 1 - end]
+    before = np.linalg.norm(here - there, axis=1)
+    unit = (here - there) / before[:, None]
+    right = np.stack([-unit[:, 1], unit[:, 0]], axis=1)
+    piece = answer.ends_px - there[:, None]
+    seen = np.einsum("nei,ni->ne", piece, right)
+    share = np.einsum("nei,ni->ne", piece, unit) / before[:, None]
+    weight = np.stack([1 - share, share], axis=2)
+    blocks = own.covariance_px2[segment].reshape(-1, 2, 2, 2, 2)
+    blocks = np.where((end == 0)[:, None, None, None, None], blocks[:, ::-1, :, ::-1], blocks)
+    across = np.einsum("neifj,ni,nj->nef", blocks, right, right)
+    spread = weight @ across @ weight.mT + tuning.straight_px**2 * np.eye(2)
+    found = answer.covariance_px2.reshape(-1, 2, 2, 2, 2)
+    spread += np.einsum("neifj,ni,nj->nef", found, right, right)
+    square = (seen * np.linalg.solve(spread, seen[..., None])[..., 0]).sum(axis=1)
+    return square < tuning.gate
+
+
+def _wanted(
+    state: State, view: int, ends: np.ndarray, here: np.ndarray, out: np.ndarray
+) -> Float[np.ndarray, "n"]:
+    """How far beyond each end any other view shows the line, px."""
+    tracks = state.tracks
+    matrix = state.cameras.matrix_px[view]
+    wanted = np.zeros(len(ends))
+    row_of = {tuple(pair): row for row, pair in enumerate(ends.tolist())}
+    span = np.stack(
+        [np.nanmin(tracks.reach[..., 0], axis=1), np.nanmax(tracks.reach[..., 1], axis=1)]
+    )
+    step = tracks.ends_mm[:, 1] - tracks.ends_mm[:, 0]
+    far = tracks.ends_mm[:, :1] + span.T[..., None] * step[:, None]
+    image = project_by_matrix(matrix, far)
+    for track in np.flatnonzero(tracks.index[:, view] >= 0):
+        for end in (0, 1):
+            row = row_of.get((int(tracks.index[track, view]), end))
+            if row is None:
+                continue
+            beyond = ((image[track] - here[row]) @ out[row]).max()
+            if np.isfinite(beyond):
+                wanted[row] = max(wanted[row], beyond)
+    return wanted
+
+
+def _allowed(
+    state: State, found: list[tuple[np.ndarray, Answer, np.ndarray]], view: int
+) -> Float[np.ndarray, "n"]:
+    """How far each end may move, px, so that a second view shows the line there too."""
+    tracks = state.tracks
+    ends = found[view][0]
+    row_of = {tuple(pair): row for row, pair in enumerate(ends.tolist())}
+    reach = _reach_after(state, found)
+    others = reach.copy()
+    others[:, view] = np.nan
+    with np.errstate(all="ignore"):
+        low, high = np.fmin.reduce(others[..., 0], axis=1), np.fmax.reduce(others[..., 1], axis=1)
+    matrix = state.cameras.matrix_px[view]
+    step = tracks.ends_mm[:, 1] - tracks.ends_mm[:, 0]
+    far = tracks.ends_mm[:, :1] + np.stack([low, high], axis=1)[..., None] * step[:, None]
+    image = project_by_matrix(matrix, far)
+    allowed = np.zeros(len(ends))
+    for track in np.flatnonzero(tracks.index[:, view] >= 0):
+        segment = int(tracks.index[track, view])
+        for end in (0, 1):
+            here = state.segments[view].ends_px[segment, end]
+            out = here - state.segments[view].ends_px[segment, 1 - end]
+            out = out / np.linalg.norm(out)
+            most = float(((image[track] - here) @ out).max())
+            row = row_of.get((segment, end))
+            if row is None:
+                continue
+            allowed[row] = max(allowed[row], most)
+    return allowed
+
+
+def _reach_after(
+    state: State, found: list[tuple[np.ndarray, Answer, np.ndarray]]
+) -> Float[np.ndarray, "t v 2"]:
+    """Where every view's segment would begin and end along its track if all ends moved."""
+    tracks = state.tracks
+    reach = np.full(tracks.reach.shape, np.nan)
+    for view, (ends, answer, hit) in enumerate(found):
+        longer = state.segments[view].ends_px.copy()
+        rows = np.flatnonzero(hit)
+        segment, end = ends[rows].T
+        here, there = longer[segment, end], longer[segment, 1 - end]
+        out = (here - there) / np.linalg.norm(here - there, axis=1)[:, None]
+        longer[segment, end] = here + answer.along_px[rows, 1:] * out
+        on = np.flatnonzero(tracks.index[:, view] >= 0)
+        matrix = state.cameras.matrix_px[view]
+        places = positions_abreast(matrix, longer[tracks.index[on, view]], tracks.ends_mm[on])
+        reach[on, view] = np.sort(places, axis=1)
+    return reach
