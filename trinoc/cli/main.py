@@ -32,6 +32,7 @@ from trinoc.cli.refine import Refine
 from trinoc.cli.rig_toml import with_file
 from trinoc.cli.segments import Segments
 from trinoc.cli.view import View
+from trinoc.cli.watch import Watch
 from trinoc.cli.words import in_options
 from trinoc.errors import TrinocError
 
@@ -43,6 +44,7 @@ DESCRIPTION = (
 AnyCommand = (
     Annotated[Demo, tyro.conf.subcommand("demo")]
     | Annotated[Pattern, tyro.conf.subcommand("pattern")]
+    | Annotated[Watch, tyro.conf.subcommand("watch")]
     | Annotated[Intrinsics, tyro.conf.subcommand("intrinsics")]
     | Annotated[Calibrate, tyro.conf.subcommand("calibrate")]
     | Annotated[CalibrateRig, tyro.conf.subcommand("calibrate-rig")]

@@ -75,3 +75,4 @@ from .table_csv import save_table as save_table
 from .usable_cameras import expect_lens as expect_lens, expect_pitch as expect_pitch
 from .views_of_rig import expect_inside as expect_inside, expect_size as expect_size
 from .whole_files import read_text as read_text
+from .whole_picture import is_whole_picture as is_whole_picture

@@ -1,6 +1,6 @@
 from .against_reference import parameter_errors as parameter_errors
 from .colours import COLOUR_OF_ROLE as COLOUR_OF_ROLE
-from .error_ellipsoids import (
+from .ellipsoids import (
     Ellipsoids as Ellipsoids,
     error_ellipsoids as error_ellipsoids,
     visible_factor as visible_factor,
