@@ -44,6 +44,7 @@ from trinoc.numerics import (
     blocks,
     concatenate_rows,
     in_blocks,
+    kept_jit,
     overlapping,
     padded,
     stacked,
@@ -182,7 +183,7 @@ def _triples(
     return np.concatenate(found)
 
 
-@partial(jax.jit, static_argnames="tuning")
+@partial(kept_jit, static_argnames=("tuning",))
 def _predicted(
     lines: SegmentTable,
     order: Int[ArrayLike, "3"],
@@ -256,7 +257,7 @@ def _candidates_of(
     )
 
 
-@partial(jax.jit, static_argnames=("tuning", "ends"))
+@partial(kept_jit, static_argnames=("tuning", "ends"))
 def _evidence_of(
     lines: SegmentTable,
     order: Int[ArrayLike, "3"],
