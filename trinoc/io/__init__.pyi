@@ -60,6 +60,11 @@ from .known_shape import load_shape as load_shape
 from .loading import load_any as load_any
 from .matches_npz import load_matches as load_matches
 from .pattern_json import load_pattern as load_pattern, save_pattern as save_pattern
+from .pattern_page import (
+    PAPER_SIZES_MM as PAPER_SIZES_MM,
+    drawing_room_mm as drawing_room_mm,
+    lay_out as lay_out,
+)
 from .pattern_pdf import save_pattern_pdf as save_pattern_pdf
 from .pattern_svg import save_pattern_svg as save_pattern_svg
 from .rig_json import (

@@ -6,3 +6,4 @@ from .checkers import (
     dark_squares as dark_squares,
 )
 from .pattern import Pattern as Pattern
+from .proposal import SheetProposal as SheetProposal, propose_sheet as propose_sheet
