@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from trinoc.errors import InputError
-from trinoc.io import atomic_write, save_frames, write_text
+from trinoc.io import atomic_write, expect_place, save_frames, write_text
 from trinoc.recording import FrameMatches
 
 
@@ -52,6 +52,13 @@ def test_places_that_cannot_be_written_to(tmp_path):
 
 
 @pytest.mark.skipif(os.name != "posix", reason="links and pipes of POSIX")
+def test_a_folder_that_takes_no_files_is_told_before_the_work(tmp_path, monkeypatch):
+    # Permissions do not bind the superuser, whom tests may run as.
+    monkeypatch.setattr(os, "access", lambda path, mode: mode != os.W_OK)
+    with pytest.raises(InputError, match=r"rig\.json cannot be written"):
+        expect_place(tmp_path / "rig.json")
+
+
 def test_a_link_stays_and_what_it_names_is_replaced(tmp_path):
     (tmp_path / "there").mkdir()
     target, link = tmp_path / "there" / "real.txt", tmp_path / "link.txt"

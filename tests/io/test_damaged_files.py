@@ -2,6 +2,7 @@
 
 import io
 import json
+import resource
 import struct
 import zipfile
 import zlib
@@ -313,6 +314,26 @@ def test_pictures_with_other_bytes(folder, pictures, data, kind):
     for damaged in (content[:at], content[:at] + new + content[at + len(new) :]):
         path.write_bytes(damaged)
         sentence_or_value(read_image, path)
+
+
+@pytest.mark.parametrize(
+    ("at", "announced"), [(16, 14_000), (33, 0xFFFFFFF0)], ids=["size", "chunk"]
+)
+def test_a_picture_that_announces_more_than_it_holds_takes_no_memory(folder, at, announced):
+    whole = cv2.imencode(".png", np.zeros((14_000, 64), np.uint8))[1].tobytes()
+    file = folder / "short.png"
+    file.write_bytes(whole[:at] + struct.pack(">I", announced) + whole[at + 4 :])
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(InputError, match="announces more than it holds"):
+        read_image(file)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100_000
+
+
+def test_what_deflates_best_is_no_picture_too_short(folder):
+    flat = np.zeros((3000, 4000, 3), np.uint16)
+    file = folder / "flat.png"
+    cv2.imwrite(str(file), flat, [cv2.IMWRITE_PNG_COMPRESSION, 9])
+    assert read_image(file).shape == flat.shape
 
 
 def test_a_picture_that_announces_gigabytes_is_refused_by_its_header(folder):

@@ -34,9 +34,14 @@ def test_colours_come_as_red_green_blue_without_transparency(tmp_path):
 
 
 def test_what_is_no_picture_is_refused(tmp_path, capfd):
-    for name, content in [("empty.png", b""), ("text.png", b"hello")]:
+    cut = cv2.imencode(".png", GREY)[1].tobytes()[:40]
+    for name, content, said in [
+        ("empty.png", b"", "is not a readable picture"),
+        ("text.png", b"hello", "is not a readable picture"),
+        ("cut.png", cut, "is a PNG that is cut off"),
+    ]:
         (tmp_path / name).write_bytes(content)
-        with pytest.raises(InputError, match=f"{name} is not a readable picture"):
+        with pytest.raises(InputError, match=f"{name} {said}"):
             read_image(tmp_path / name)
     with pytest.raises(InputError, match="does not exist"):
         read_image(tmp_path / "none.png")
@@ -51,7 +56,7 @@ def test_a_picture_that_was_not_written_to_its_end_is_refused(tmp_path, capfd, e
         path.write_bytes(whole[:length])
         assert not is_whole_picture(path)
         if length > 8:
-            with pytest.raises(InputError, match=r"not a readable picture|ends before its picture"):
+            with pytest.raises(InputError, match=r"not a readable picture|ends before its|cut off"):
                 read_image(path)
     path.write_bytes(whole + b"what cameras add")
     assert is_whole_picture(path)

@@ -29,7 +29,7 @@ from trinoc.geometry import (
     Rig,
     simplified,
 )
-from trinoc.numerics import LARGEST_SIGMA, Observability, in_float64, observability
+from trinoc.numerics import LARGEST_SIGMA, Observability, in_float64, observability_of_root
 
 
 @in_float64
@@ -82,8 +82,8 @@ def _observability(adjustment: Adjustment, view: int) -> Observability:
     size = adjustment.parameters.shape[1]
     distance = adjustment.parameters[view, 3]
     largest = LARGEST_SIGMA * DEGREES * np.array([1, 1, 1, *np.full(3, distance)])
-    information = np.linalg.inv(adjustment.pose_covariance(view))
-    return observability(information, _by_step(adjustment, view), largest[:size])
+    root = adjustment.pose_root(view)
+    return observability_of_root(root, _by_step(adjustment, view), largest[:size])
 
 
 def _by_step(adjustment: Adjustment, view: int) -> Float[np.ndarray, "p p"]:

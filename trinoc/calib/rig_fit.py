@@ -140,7 +140,42 @@ def fit_rig(
     circles : a converged fit of each.
     """
     starts = [pose_of_values(fit.values) for fit in circles]
-    by_circles = [
+    by_circles, of_circles = _fitted_by_circles(sheets, starts, known)
+    pictures = _pictures(sheets, starts, [view.points for view in by_circles], of_circles, known)
+    spreads_mm = [
+        picture.quality.ink_spread_mm if picture and picture.quality else 0.0
+        for picture in pictures
+    ]
+    if max(abs(spread) for spread in spreads_mm) > _LEAST_SPREAD_MM:
+        # Larger circles are seen with their centres further aside.
+        by_circles = _corrected(by_circles, sheets, of_circles, known, spreads_mm)
+        of_circles = _adjusted(by_circles, known, of_circles)
+    by_picture = [
+        _seen_by_picture(view, picture) for view, picture in zip(by_circles, pictures, strict=True)
+    ]
+    asked = [view is not None for view in by_picture]
+    either = [old if new is None else new for new, old in zip(by_picture, by_circles, strict=True)]
+    of_pictures = _adjusted(either, known, of_circles) if any(asked) else of_circles
+    cameras = [
+        _judged(k, sheet, by_circles[k].points, pictures[k], asked[k], of_circles, of_pictures)
+        for k, sheet in enumerate(sheets)
+    ]
+    final = of_pictures if any(one.method == "picture" for one in cameras) else of_circles
+    # Some cameras by their pictures and some not, or circles that know less than they say.
+    if len({one.method for one in cameras}) > 1 or max(one.scatter for one in cameras) > 1.0:
+        views = [
+            either[k] if one.method == "picture" else _scattered(by_circles[k], one.scatter)
+            for k, one in enumerate(cameras)
+        ]
+        final = _adjusted(views, known, of_circles)
+    return RigFit(cameras, final, of_circles)
+
+
+def _fitted_by_circles(
+    sheets: Sequence[FoundSheet], starts: Sequence[Pose], known: Knowledge
+) -> tuple[list[SheetView], Adjustment]:
+    """The circles' centres, and all cameras adjusted by them."""
+    views = [
         SheetView(
             points_before_flat_sheet(sheet.detection, known.pattern, start, sheet.lens.lens),
             start,
@@ -150,65 +185,40 @@ def fit_rig(
         )
         for start, sheet in zip(starts, sheets, strict=True)
     ]
-    of_circles = _adjusted(by_circles, known)
-    if not known.systematics.are_none:
-        by_circles = _corrected(by_circles, sheets, of_circles, known, [0.0] * len(sheets))
-        of_circles = _adjusted(by_circles, known, of_circles)
-    points = [view.points for view in by_circles]
-    pictures = _pictures(sheets, starts, points, of_circles, known)
-    spreads = [
-        picture.quality.ink_spread_mm if picture and picture.quality else 0.0
-        for picture in pictures
-    ]
-    if max(abs(spread) for spread in spreads) > _LEAST_SPREAD_MM:
-        # Larger circles are seen with their centres further aside.
-        by_circles = _corrected(by_circles, sheets, of_circles, known, spreads)
-        of_circles = _adjusted(by_circles, known, of_circles)
-        points = [view.points for view in by_circles]
-    by_picture = [
-        view
-        if picture is None or picture.points is None
-        # What its own pixels left out is no place that may be wrong.
-        else view._replace(points=picture.points, has_outliers=False)
-        for view, picture in zip(by_circles, pictures, strict=True)
-    ]
-    asked = [view.points is not one for view, one in zip(by_picture, points, strict=True)]
-    of_pictures = _adjusted(by_picture, known, of_circles) if any(asked) else of_circles
-    agreement = [
-        probability_of_agreement(of_circles, of_pictures, points[k], k)
-        if asked[k]
-        else float("nan")
-        for k in range(len(sheets))
-    ]
-    chosen = [
-        asked[k]
-        and (agreement[k] >= LEAST_PROBABILITY or _circles_are_wrong(of_circles, of_pictures, k))
-        for k in range(len(sheets))
-    ]
-    scatter = [
-        1.0 if chosen[k] else _scatter(of_circles, one, k, refuted=asked[k])
-        for k, one in enumerate(points)
-    ]
-    final = of_pictures if any(chosen) else of_circles
-    # Some cameras by their pictures and some not, or circles that know less than they say.
-    if any(chosen) != all(chosen) or max(scatter) > 1.0:
-        views = [
-            by_picture[k] if chosen[k] else _scattered(by_circles[k], scatter[k])
-            for k in range(len(sheets))
-        ]
-        final = _adjusted(views, known, of_circles)
-    cameras = [
-        CameraFitting(
-            sheet,
-            points[k],
-            pictures[k],
-            "picture" if chosen[k] else "circles",
-            agreement[k],
-            scatter[k],
-        )
-        for k, sheet in enumerate(sheets)
-    ]
-    return RigFit(cameras, final, of_circles)
+    adjustment = _adjusted(views, known)
+    if known.systematics.are_none:
+        return views, adjustment
+    views = _corrected(views, sheets, adjustment, known, [0.0] * len(sheets))
+    return views, _adjusted(views, known, adjustment)
+
+
+def _seen_by_picture(view: SheetView, picture: PictureFit | None) -> SheetView | None:
+    """The view with the places that its grey levels show; None where they show none."""
+    if picture is None or picture.points is None:
+        return None
+    # What its own pixels left out is no place that may be wrong.
+    return view._replace(points=picture.points, has_outliers=False)
+
+
+def _judged(
+    view: int,
+    sheet: FoundSheet,
+    points: SheetPoints,
+    picture: PictureFit | None,
+    asked: bool,
+    of_circles: Adjustment,
+    of_pictures: Adjustment,
+) -> CameraFitting:
+    """Whose answer one camera takes."""
+    agreement = (
+        probability_of_agreement(of_circles, of_pictures, points, view) if asked else float("nan")
+    )
+    if asked and (
+        agreement >= LEAST_PROBABILITY or _circles_are_wrong(of_circles, of_pictures, view)
+    ):
+        return CameraFitting(sheet, points, picture, "picture", agreement, 1.0)
+    scatter = _scatter(of_circles, points, view, refuted=asked)
+    return CameraFitting(sheet, points, picture, "circles", agreement, scatter)
 
 
 def _corrected(

@@ -66,6 +66,11 @@ def expect_place(*paths: str | os.PathLike[str] | None) -> None:
             raise InputError(f"{named} is a folder: give the name of a file to write.")
         if not target.parent.is_dir():
             raise InputError(f"The folder {target.parent} does not exist: create it first.")
+        if not os.access(target.parent, os.W_OK):
+            raise InputError(
+                f"{target} cannot be written (nothing may be written to its folder): choose "
+                "another place."
+            )
         if named.exists() and not named.is_file():
             raise InputError(
                 f"{named} is a device or a pipe, which cannot be replaced in one step: give the "

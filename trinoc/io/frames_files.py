@@ -76,6 +76,7 @@ def _read_parquet(path: Path) -> dict[str, np.ndarray]:
             said = file.schema_arrow.metadata or {}
             document = parsed_json(said.get(b"trinoc", b"").decode(), path)
             table = file.read(columns=list(OF_TRACKS))
+            table.validate(full=True)
     except FileNotFoundError as error:
         raise InputError(f"{path} does not exist: check the name.") from error
     except (pyarrow.ArrowException, OSError, ValueError) as error:

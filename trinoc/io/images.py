@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from trinoc.errors import InputError
-from trinoc.io.picture_size import MOST_PIXELS, size_px
+from trinoc.io.picture_size import MOST_PIXELS, is_complete, size_px
 from trinoc.io.whole_files import read_bytes
 from trinoc.io.whole_picture import ends_as_it_should
 
@@ -69,6 +69,11 @@ def _decoded(file: Path, content: bytes) -> np.ndarray:
         raise InputError(
             f"{file} announces {size[0]} x {size[1]} px, more than any camera has: give a picture "
             f"of at most {MOST_PIXELS / 1e6:.0f} megapixels."
+        )
+    if not is_complete(content):
+        raise InputError(
+            f"{file} is a PNG that is cut off or announces more than it holds: copy the picture "
+            "again from where it came."
         )
     if not ends_as_it_should(content):
         raise InputError(f"{file} ends before its picture does: copy it again.")

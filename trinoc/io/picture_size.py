@@ -11,6 +11,28 @@ import struct
 MOST_PIXELS = 200_000_000
 
 _TIFF_WIDTH, _TIFF_HEIGHT = 256, 257
+# DEFLATE makes no more of a byte (RFC 1951: 258 bytes by two codes of one bit each).
+_MOST_INFLATED = 1032
+# Signature and first chunk.
+_PNG_HEADER_BYTES = 33
+_PNG_CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
+
+
+def is_complete(content: bytes) -> bool:
+    """Whether a PNG holds the chunks and pixels that it announces; True for other formats.
+
+    OpenCV takes memory for a chunk by the length that stands before it.
+    """
+    if not content.startswith(b"\x89PNG\r\n\x1a\n"):
+        return True
+    if len(content) < _PNG_HEADER_BYTES:
+        return False
+    width, height, depth, colours = struct.unpack_from(">IIBB", content, 16)
+    unpacked = width * height * depth * _PNG_CHANNELS.get(colours, 1) // 8
+    at = 8
+    while at + 12 <= len(content) and content[at + 4 : at + 8] != b"IEND":
+        at += 12 + struct.unpack_from(">I", content, at)[0]
+    return at + 12 <= len(content) and unpacked <= _MOST_INFLATED * len(content)
 
 
 def size_px(content: bytes) -> tuple[int, int] | None:

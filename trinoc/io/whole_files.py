@@ -2,11 +2,13 @@
 
 import os
 from pathlib import Path
+from typing import BinaryIO
 
 from trinoc.errors import InputError
 
 # A rig of a hundred cameras with its covariance has 10 MB.
 MOST_BYTES = 64_000_000
+_PART_BYTES = 1 << 22
 
 
 def read_bytes(path: str | os.PathLike[str], most: int = MOST_BYTES) -> bytes:
@@ -18,7 +20,7 @@ def read_bytes(path: str | os.PathLike[str], most: int = MOST_BYTES) -> bytes:
     try:
         with file.open("rb") as stream:
             size = os.fstat(stream.fileno()).st_size
-            content = stream.read(most + 1) if size <= most else b""
+            content = _read(stream, most + 1) if size <= most else b""
     except FileNotFoundError as error:
         raise InputError(f"{file} does not exist: check the name.") from error
     except (OSError, ValueError) as error:
@@ -30,6 +32,15 @@ def read_bytes(path: str | os.PathLike[str], most: int = MOST_BYTES) -> bytes:
             f"{most / 1e6:.0f}: give another file."
         )
     return content
+
+
+def _read(stream: BinaryIO, most: int) -> bytes:
+    """Up to `most` bytes. Python takes memory for all that one call may read."""
+    parts = []
+    while most > 0 and (part := stream.read(min(most, _PART_BYTES))):
+        parts.append(part)
+        most -= len(part)
+    return b"".join(parts)
 
 
 def read_text(path: str | os.PathLike[str], most: int = MOST_BYTES) -> str:

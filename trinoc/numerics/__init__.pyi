@@ -22,6 +22,7 @@ from .chi_square import (
     chi_square_tail as chi_square_tail,
     normal_limit as normal_limit,
 )
+from .compilation import one_compiles as one_compiles
 from .display import Displays as Displays, Shown as Shown, display_with as display_with
 from .grey import GreyImage as GreyImage, grey_image as grey_image
 from .grouped import (
@@ -34,6 +35,7 @@ from .information import (
     LARGEST_SIGMA as LARGEST_SIGMA,
     Observability as Observability,
     observability as observability,
+    observability_of_root as observability_of_root,
 )
 from .interval_join import (
     expand_ranges as expand_ranges,
@@ -44,6 +46,10 @@ from .kept_programs import (
     ProgramStore as ProgramStore,
     keep_programs_in as keep_programs_in,
     kept_jit as kept_jit,
+)
+from .manifold_minimiser import (
+    AbstractManifoldMinimiser as AbstractManifoldMinimiser,
+    DampedDescent as DampedDescent,
 )
 from .neighbours_in_plane import (
     distinct as distinct,

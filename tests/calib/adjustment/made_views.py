@@ -35,6 +35,7 @@ def made_views(
     *,
     lens_factor: np.ndarray | None = None,
     cameras: tuple[str, ...] = tuple(TABLE_1),
+    sigma_px: float = SIGMA_PX,
 ) -> MadeViews:
     """Everything that `known` leaves open drawn from its prior, and noise on every circle."""
     random = np.random.default_rng([4, seed])
@@ -52,8 +53,8 @@ def made_views(
         uv = np.asarray(_seen(pose, promoted(LENS.lens).retract(change), shape))
         points = SheetPoints(
             SHEET.centres_mm,
-            uv + SIGMA_PX * random.normal(size=uv.shape),
-            np.eye(uv.size) / SIGMA_PX,
+            uv + sigma_px * random.normal(size=uv.shape),
+            np.eye(uv.size) / sigma_px,
         )
         # From where a circle fit would start.
         start = Pose.from_parameters(jnp.array([*(values + 0.002), TABLE_1[name][3] + 1, 0, 0]))

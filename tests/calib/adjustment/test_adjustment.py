@@ -23,6 +23,10 @@ def off(found: Adjustment, truth: Pose, view: int) -> np.ndarray:
     return np.asarray(pose.step_to(truth, pose.distance_mm))
 
 
+def pose_covariance(found: Adjustment, view: int) -> np.ndarray:
+    return found.covariance[found.rows(view), found.rows(view)]
+
+
 @pytest.mark.parametrize("lens_factor", [None, LENS_FACTOR], ids=["lens exact", "lens open"])
 def test_errors_are_as_large_as_the_joint_covariance_says(lens_factor) -> None:
     """Sheet, print, aims, lenses and noise drawn 60 times: all 18 numbers together."""
@@ -36,6 +40,18 @@ def test_errors_are_as_large_as_the_joint_covariance_says(lens_factor) -> None:
         squared.append(error @ np.linalg.solve(covariance, error))
     total = float(np.sum(squared))
     assert chi2.ppf(1e-4, 18 * 60) < total < chi2.ppf(1 - 1e-4, 18 * 60)
+
+
+@pytest.mark.parametrize("sigma_px", [1e-2, 1e-6], ids=["circles", "far finer than the priors"])
+def test_one_camera_is_known_by_the_rest_of_the_root(sigma_px) -> None:
+    """However much finer the picture is than the priors on sheet and lens."""
+    found = adjusted(made_views(4, lens_factor=LENS_FACTOR, sigma_px=sigma_px).views)
+    assert found.converged
+    scale = np.sqrt(np.diag(found.covariance))
+    assert np.linalg.eigvalsh(found.covariance / np.outer(scale, scale)).min() > -1e-15
+    root, own = found.pose_root(1), pose_covariance(found, 1)
+    np.testing.assert_allclose(root @ own @ root.T, np.eye(6), atol=1e-5)
+    np.testing.assert_array_less(0, np.linalg.svd(root, compute_uv=False))
 
 
 def test_residuals_scatter_as_the_noise_does() -> None:
@@ -80,15 +96,15 @@ def test_the_order_of_the_cameras_is_no_matter() -> None:
     made = made_views(5)
     there, back = adjusted(made.views), adjusted(made.views[::-1])
     np.testing.assert_allclose(there.parameters, back.parameters[::-1], rtol=1e-8, atol=1e-6)
-    scale = np.sqrt(np.diag(there.pose_covariance(0)))
-    share = (there.pose_covariance(0) - back.pose_covariance(2)) / np.outer(scale, scale)
+    scale = np.sqrt(np.diag(pose_covariance(there, 0)))
+    share = (pose_covariance(there, 0) - pose_covariance(back, 2)) / np.outer(scale, scale)
     np.testing.assert_allclose(share, 0, atol=1e-5)
 
 
 def test_two_cameras_know_more_of_the_bend_than_one() -> None:
     made = made_views(6)
     alone, both = adjusted(made.views[:1]), adjusted(made.views)
-    assert np.linalg.eigvalsh(alone.pose_covariance(0) - both.pose_covariance(0)).min() > -1e-18
+    assert np.linalg.eigvalsh(pose_covariance(alone, 0) - pose_covariance(both, 0)).min() > -1e-18
 
 
 def test_a_circle_that_is_elsewhere_is_left_out() -> None:
@@ -110,5 +126,5 @@ def test_places_that_scatter_more_than_they_claim_enlarge_their_camera_alone() -
     found, honest = adjusted([*made.views[:2], bold]), adjusted(made.views)
     assert found.enlarged[:2].tolist() == [1.0, 1.0]
     assert found.enlarged[2] == pytest.approx(3, rel=0.3)
-    ratio = np.diag(found.pose_covariance(2)) / np.diag(honest.pose_covariance(2))
+    ratio = np.diag(pose_covariance(found, 2)) / np.diag(pose_covariance(honest, 2))
     assert (np.abs(np.log(ratio)) < np.log(1.5)).all()

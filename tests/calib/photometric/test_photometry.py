@@ -9,7 +9,7 @@ from trinoc.calib import Pattern
 from trinoc.calib.photometric import refine_image
 from trinoc.calib.photometric.appearance import Appearance, Pixels, Prediction, predict
 from trinoc.calib.photometric.gauss_newton import sheet_from_normalised
-from trinoc.calib.photometric.image_fit import ImageRefinement
+from trinoc.calib.photometric.image_refinement import ImageRefinement
 from trinoc.calib.photometric.ink_coverage import Cross, Drawing
 from trinoc.calib.photometric.pixel_selection import group_of, select_pixels
 from trinoc.calib.pose import pose_of_values

@@ -49,7 +49,9 @@ class Adjustment(NamedTuple):
     jacobian : (v, 2n, k) of whitened residuals by all unknowns: the steps of the poses one after
         the other, lengths in units of each distance, then lenses and sheet in standard deviations
         of their priors.
-    prior : (k,) information of the priors on them.
+    root : (k, k) upper triangular R, of their information R^T R, the priors included. Pixels of
+        one picture and a prior on its lens differ by so much in weight that the information itself
+        would not hold both.
     covariance : (k, k) of them.
     adjusted : see `Adjusted`; its cameras beyond the first v are padding.
     reach_mm : () distance from the origin at which the sheet's heights count.
@@ -63,7 +65,7 @@ class Adjustment(NamedTuple):
 
     parameters: Float[np.ndarray, "v p"]
     jacobian: Float[np.ndarray, "v m k"]
-    prior: Float[np.ndarray, "k"]
+    root: Float[np.ndarray, "k k"]
     covariance: Float[np.ndarray, "k k"]
     adjusted: Adjusted
     reach_mm: Float[ArrayLike, ""]
@@ -74,15 +76,12 @@ class Adjustment(NamedTuple):
     enlarged: Float[np.ndarray, "v"]
     converged: bool
 
-    @property
-    def information(self) -> Float[np.ndarray, "k k"]:
-        """Of all unknowns, the priors included."""
-        return _information(self.jacobian, self.prior)
-
-    def pose_covariance(self, view: int) -> Float[np.ndarray, "p p"]:
-        """Of one camera's step."""
+    def pose_root(self, view: int) -> Float[np.ndarray, "p p"]:
+        """R of the information R^T R of one camera's step, all else being as uncertain as it is."""
         rows = self.rows(view)
-        return self.covariance[rows, rows]
+        others = np.delete(np.arange(len(self.root)), rows)
+        last = np.concatenate([others, np.arange(rows.start, rows.stop)])
+        return _triangle(self.root[:, last])[len(others) :, len(others) :]
 
     def lens_row(self, view: int) -> int:
         """The first row of one camera's lens in `covariance`."""
@@ -126,12 +125,14 @@ def adjusted_views(
         known = known._replace(points=known.points._replace(whitening=whitening))
         found = as_numpy(adjust(found.unknowns, known, model=model))
     jacobian, prior = _jacobian(found, known, count, model)
+    root = _root(jacobian, prior)
+    inverse = np.linalg.inv(root)
     parameters = _parameters(found.pose, count, model)
     return Adjustment(
         parameters,
         jacobian,
-        prior,
-        np.linalg.inv(_information(jacobian, prior)),
+        root,
+        inverse @ inverse.T,
         found,
         known.reach_mm,
         np.asarray(known.lens_index),
@@ -239,12 +240,16 @@ def _jacobian(
     return jacobian, prior
 
 
-def _information(
+def _root(
     jacobian: Float[np.ndarray, "v m k"], prior: Float[np.ndarray, "k"]
 ) -> Float[np.ndarray, "k k"]:
-    """Of all unknowns, the priors included."""
+    """R of the information R^T R of all unknowns, the priors included."""
     rows = jacobian.reshape(-1, jacobian.shape[2])
-    return rows.T @ rows + np.diag(prior)
+    return _triangle(np.concatenate([rows, np.diag(np.sqrt(prior))]))
+
+
+def _triangle(rows: Float[np.ndarray, "m k"]) -> Float[np.ndarray, "k k"]:
+    return np.asarray(np.linalg.qr(rows, mode="r"))
 
 
 def _reduced_chi_squares(
@@ -252,10 +257,10 @@ def _reduced_chi_squares(
 ) -> tuple[Float[np.ndarray, "v"], Float[np.ndarray, "v"]]:
     """Chi-square of each camera over its degrees of freedom, and these."""
     jacobian, prior = _jacobian(found, known, count, model)
-    covariance = np.linalg.inv(_information(jacobian, prior))
+    inverse = np.linalg.inv(_root(jacobian, prior))
     reduced, freedom = np.full(count, np.nan), np.zeros(count)
     for k, rows in enumerate(jacobian):
-        taken = float(np.sum((rows @ covariance) * rows))
+        taken = float(np.sum((rows @ inverse) ** 2))
         shown = int((np.asarray(known.points.whitening[k]) != 0).any(axis=1).sum())
         freedom[k] = shown - taken
         if freedom[k] >= 1:

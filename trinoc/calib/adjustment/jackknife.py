@@ -23,16 +23,17 @@ def scatter_of_blocks(adjustment: Adjustment, place_mm: np.ndarray, view: int) -
     size = adjustment.parameters.shape[1]
     own = slice(view * size, (view + 1) * size)
     jacobian, residuals = np.asarray(adjustment.jacobian[view]), np.asarray(found.whitened[view])
-    information = adjustment.information
-    inverse = np.linalg.inv(information)
+    covariance = adjustment.covariance
     steps, expected = [], []
     for block in _blocks(place_mm[: len(adjustment.used[view])], adjustment.used[view]):
         rows = np.concatenate([2 * block, 2 * block + 1])
-        taken = jacobian[rows].T @ jacobian[rows]
-        without = np.linalg.inv(information - taken)
-        steps.append((without @ (jacobian[rows].T @ residuals[rows]))[own])
+        # The answer without the block, by its rows alone (M. A. Woodbury): what they fit of
+        # themselves is the leverage.
+        taken = jacobian[rows] @ covariance
+        left = np.eye(len(rows)) - taken @ jacobian[rows].T
+        steps.append(np.linalg.solve(left, residuals[rows]) @ taken[:, own])
         # What independent noise makes of such a step, the residuals being less than the noise.
-        expected.append((without @ (taken - taken @ inverse @ taken) @ without)[own, own])
+        expected.append(taken[:, own].T @ np.linalg.solve(left, taken[:, own]))
     if len(steps) < _FEWEST_BLOCKS:
         return 1.0
     spread = np.stack(steps)

@@ -6,6 +6,7 @@ it would take away, without another adjustment.
 
 import numpy as np
 from jaxtyping import Float
+from scipy.linalg import solve_triangular
 
 from trinoc.calib.adjustment.estimate import Adjustment
 from trinoc.calib.result import Alternative
@@ -50,8 +51,8 @@ def _score(
     """The test of one alternative; None where the residuals cannot tell it from what is fitted."""
     found = adjustment.adjusted
     base, residual = np.asarray(adjustment.jacobian[view]), np.asarray(found.whitened[view])
-    across = base.T @ extra
-    normal = extra.T @ extra - across.T @ np.linalg.solve(adjustment.information, across)
+    fitted = solve_triangular(adjustment.root, base.T @ extra, trans=1)
+    normal = extra.T @ extra - fitted.T @ fitted
     whole = np.sqrt(np.diag(extra.T @ extra))
     if np.linalg.eigvalsh(normal / np.outer(whole, whole)).min() < _LEAST_SHARE:
         return None

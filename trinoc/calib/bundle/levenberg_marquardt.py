@@ -10,7 +10,6 @@ thousands some lie nearly in an epipolar plane, and the one that strays most wou
 back all others.
 """
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -18,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import lineax as lx
 import optimistix as optx
-from jaxtyping import Array, Bool, Float, Int, PyTree, Scalar
+from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from trinoc.calib.bundle.line_retraction import moved_anchors
 from trinoc.calib.bundle.pose_prior import PosePrior
@@ -31,16 +30,21 @@ from trinoc.calib.bundle.schur import (
 )
 from trinoc.calib.bundle.two_view_lines import placed_by_two_views
 from trinoc.calib.model import CameraState
-from trinoc.numerics import AbstractRobustLoss, ArrayLike, BlockArrowSolver, ScalarLike
+from trinoc.numerics import (
+    AbstractManifoldMinimiser,
+    AbstractRobustLoss,
+    ArrayLike,
+    BlockArrowSolver,
+    DampedDescent,
+    ScalarLike,
+)
 
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-4, 1e-12, 1e8
 # Keeps directions that nothing determines at rest, and no more.
 FLOOR_DAMPING = 1e-13
 MOST_STEPS = 300
-# The cost is a chi-square: a gain this small moves no parameter by some hundredths of its sigma.
-# It is asked of the cameras' own share, and of every hundred lines together, a few of which
-# always creep along the flank of the robust loss.
-CONVERGED_GAIN = 1e-4
+# The gain at which a fit has converged is asked of the cameras' own share, and of every hundred
+# lines together, a few of which always creep along the flank of the robust loss.
 LINES_THAT_CREEP = 100
 
 
@@ -118,27 +122,13 @@ def joint_system(
     )
 
 
-class _State(eqx.Module):
-    """Cost where the solver stands, and how it is damped there."""
-
-    cost: Float[ArrayLike, ""]
-    damping: Float[ArrayLike, ""]
+class _State(DampedDescent):
     line_damping: Float[ArrayLike, "t"]
-    done: Bool[ArrayLike, ""]
 
 
-class JointLevenbergMarquardt(optx.AbstractMinimiser[Point, Costs, _State]):
-    """Minimises `joint_costs` over a `Point`, given `Observations`.
-
-    Fields
-    ------
-    atol : gain in chi-square at which cameras have converged, and lines that creep.
-    rtol, norm : not used; a chi-square has a scale of its own.
-    """
-
-    rtol: float = 0.0
-    atol: float = CONVERGED_GAIN
-    norm: Callable[[PyTree], Scalar] = eqx.field(default=optx.max_norm, static=True)
+class JointLevenbergMarquardt(AbstractManifoldMinimiser[Point, Costs, _State]):
+    """Minimises `joint_costs` over a `Point`, given `Observations`; `atol` is for the gain of the
+    cameras, and for that of lines that creep."""
 
     def init(
         self,
@@ -154,8 +144,8 @@ class JointLevenbergMarquardt(optx.AbstractMinimiser[Point, Costs, _State]):
         return _State(
             fn(y, args)[0],
             jnp.asarray(FIRST_DAMPING),
-            jnp.full(y.anchors_mm.shape[0], FIRST_DAMPING),
             jnp.asarray(False),
+            jnp.full(y.anchors_mm.shape[0], FIRST_DAMPING),
         )
 
     def step(
@@ -194,38 +184,10 @@ class JointLevenbergMarquardt(optx.AbstractMinimiser[Point, Costs, _State]):
         after = _State(
             jnp.where(better, cost, state.cost),
             jnp.maximum(damping, LEAST_DAMPING),
-            jnp.clip(line_damping, LEAST_DAMPING, MOST_DAMPING),
             jnp.where(better, still, damping > MOST_DAMPING),
+            jnp.clip(line_damping, LEAST_DAMPING, MOST_DAMPING),
         )
         return jax.tree.map(lambda new, old: jnp.where(better, new, old), tried, y), after, costs
-
-    def terminate(
-        self,
-        fn: Any,
-        y: Point,
-        args: Observations,
-        options: dict[str, Any],
-        state: _State,
-        tags: frozenset[object],
-    ) -> tuple[Bool[Array, ""], optx.RESULTS]:
-        """Converged, or nowhere to go; a cost that is no number ends at once."""
-        failed = ~jnp.isfinite(state.cost)
-        result = optx.RESULTS.where(failed, optx.RESULTS.nonfinite, optx.RESULTS.successful)
-        return jnp.asarray(state.done) | failed, result
-
-    def postprocess(
-        self,
-        fn: Any,
-        y: Point,
-        aux: Costs,
-        args: Observations,
-        options: dict[str, Any],
-        state: _State,
-        tags: frozenset[object],
-        result: optx.RESULTS,
-    ) -> tuple[Point, Costs, dict[str, Any]]:
-        """The point as it is, with its cost among the statistics."""
-        return y, aux, {"cost": state.cost}
 
 
 @eqx.filter_jit

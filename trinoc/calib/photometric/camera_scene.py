@@ -23,7 +23,7 @@ from trinoc.calib.photometric.unknowns import (
     powers,
 )
 from trinoc.geometry import Pose, PoseModel
-from trinoc.numerics import ArrayLike
+from trinoc.numerics import ArrayLike, one_compiles
 
 
 class CameraScene(NamedTuple):
@@ -137,18 +137,20 @@ def predict_scene(scene: CameraScene, state: CameraState) -> CameraPrediction:
         for first in range(0, count, SMALLEST_CAPACITY):
             block = slice(first, first + SMALLEST_CAPACITY)
             left = min(count - first, SMALLEST_CAPACITY)
-            predicted = predicted_rows(
-                homography.reshape(3, 3),
-                state.look,
-                *fields[:, block],
-                jax.tree.map(lambda leaf, block=block: leaf[block], group.pixels),
-                np.asarray(-(-left // CHUNK), dtype=np.int32),
-                np.asarray(state.light[0]),
-                np.asarray(scene.white),
-                scene.cross,
-                drawing=scene.drawing,
-                near_line=near_line,
-            )
+            pixels = jax.tree.map(lambda leaf, block=block: leaf[block], group.pixels)
+            with one_compiles("predicted_rows", scene.drawing, near_line, len(pixels.grey)):
+                predicted = predicted_rows(
+                    homography.reshape(3, 3),
+                    state.look,
+                    *fields[:, block],
+                    pixels,
+                    np.asarray(-(-left // CHUNK), dtype=np.int32),
+                    np.asarray(state.light[0]),
+                    np.asarray(scene.white),
+                    scene.cross,
+                    drawing=scene.drawing,
+                    near_line=near_line,
+                )
             at = part.start + first
             rows[:, at : at + left] = np.asarray(predicted)[:, :left]
     # Pixels are predicted in single precision: what the unknowns lose there, all of them lose.

@@ -1,27 +1,32 @@
 """Noise that neighbouring pixels share, as mosaics, JPEG, denoising and resampling make it."""
 
-import cv2
 import numpy as np
-import scipy.fft
 from jaxtyping import Bool, Float, Int
 
-_REACH_PX = 4
+REACH_PX = 4
 # A correlation below this many of its standard deviations counts as none.
 _SIGNIFICANT = 3.0
 
 
 class OnGrid:
-    """Scattered pixels as a small picture, and back."""
+    """Scattered pixels, and which of them are neighbours."""
 
     def __init__(self, column: Int[np.ndarray, "n"], row: Int[np.ndarray, "n"]) -> None:
-        self.place = (row - row.min(), column - column.min())
-        self.shape = (int(self.place[0].max()) + 1, int(self.place[1].max()) + 1)
+        self._place = (row - row.min() + REACH_PX, column - column.min() + REACH_PX)
+        size = [int(part.max()) + 1 + REACH_PX for part in self._place]
+        self._index = np.full(size, -1, dtype=np.int32)
+        self._index[self._place] = np.arange(len(row), dtype=np.int32)
 
-    def picture(self, values: Float[np.ndarray, "n"]) -> Float[np.ndarray, "h w"]:
-        """The values at their pixels, 0 elsewhere."""
-        field = np.zeros(self.shape)
-        field[self.place] = values
-        return field
+    def neighbours(self, down: int, right: int) -> Int[np.ndarray, "n"]:
+        """Which pixel lies so far from each, up to `REACH_PX`; -1 where none was chosen."""
+        row, column = self._place
+        return self._index[row + down, column + right]
+
+    def pairs(self, down: int, right: int) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
+        """All pixels that have such a neighbour, and these."""
+        there = self.neighbours(down, right)
+        here = np.flatnonzero(there >= 0)
+        return here, there[here]
 
 
 def autocorrelation(
@@ -31,13 +36,18 @@ def autocorrelation(
 
     What cannot be told from none is 0: the sum over all lags would else be noise.
     """
-    sums, counts = (_products(grid.picture(values * kept)) for values in (residual, kept * 1.0))
-    counts = np.maximum(np.round(counts), 1.0)
-    middle = _REACH_PX
-    variance = max(sums[middle, middle] / counts[middle, middle], 1e-12)
+    standing = residual * kept
+    sums, counts = np.zeros((2, 2 * REACH_PX + 1, 2 * REACH_PX + 1))
+    for down, right in _half_of_the_lags():
+        here, there = grid.pairs(down, right)
+        for at in ((down, right), (-down, -right)):
+            sums[REACH_PX + at[0], REACH_PX + at[1]] = standing[here] @ standing[there]
+            counts[REACH_PX + at[0], REACH_PX + at[1]] = np.count_nonzero(kept[here] & kept[there])
+    counts = np.maximum(counts, 1.0)
+    variance = max(sums[REACH_PX, REACH_PX] / counts[REACH_PX, REACH_PX], 1e-12)
     correlation = sums / counts / variance
     correlation[np.abs(correlation) < _SIGNIFICANT / np.sqrt(counts)] = 0.0
-    correlation[middle, middle] = 1.0
+    correlation[REACH_PX, REACH_PX] = 1.0
     return correlation
 
 
@@ -53,19 +63,15 @@ def correlated_sum(
 
     The middle of a sandwich covariance, for rows over the noise's standard deviation.
     """
-    pictures = [grid.picture(row) for row in rows]
-    spread = [
-        cv2.filter2D(picture, -1, correlation, borderType=cv2.BORDER_CONSTANT)
-        for picture in pictures
-    ]
-    total = np.array([[np.sum(one * other) for other in spread] for one in pictures])
+    spread = np.zeros_like(rows)
+    for down, right in (np.argwhere(correlation) - REACH_PX).tolist():
+        here, there = grid.pairs(down, right)
+        spread[:, here] += correlation[REACH_PX + down, REACH_PX + right] * rows[:, there]
+    total = rows @ spread.T
     return 0.5 * (total + total.T)
 
 
-def _products(field: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "9 9"]:
-    """Sums of products of pixels at each lag."""
-    height, width = (scipy.fft.next_fast_len(size + _REACH_PX, real=True) for size in field.shape)
-    power = np.abs(np.asarray(scipy.fft.rfft2(field, (height, width)))) ** 2
-    lags = np.arange(-_REACH_PX, _REACH_PX + 1)
-    products = np.asarray(scipy.fft.irfft2(power, (height, width)))
-    return products[np.ix_(lags, lags)]
+def _half_of_the_lags() -> list[tuple[int, int]]:
+    """(down, right) of one of each two opposite lags, and of none."""
+    reach = range(-REACH_PX, REACH_PX + 1)
+    return [(down, right) for down in reach for right in reach if (down, right) >= (0, 0)]

@@ -87,14 +87,11 @@ def _neighbours_agree(
     scene: CameraScene, r: Float[np.ndarray, "n"], kept: Bool[np.ndarray, "n"]
 ) -> bool:
     grid = scene.grid
-    picture, mask = grid.picture(r), grid.picture(kept * 1.0)
     variance = np.sum(r**2) / max(kept.sum(), 1)
-    lags = [(0, 1), (1, 0), (1, 1), (0, 2), (2, 0)]
-    height, width = grid.shape
-    for down, right in lags:
-        here, there = np.s_[: height - down, : width - right], np.s_[down:, right:]
-        pairs = max(float(np.sum(mask[here] * mask[there])), 1.0)
-        shared = float(np.sum(picture[here] * picture[there])) / pairs / max(variance, 1e-12)
+    for down, right in [(0, 1), (1, 0), (1, 1), (0, 2), (2, 0)]:
+        here, there = grid.pairs(down, right)
+        pairs = max(np.count_nonzero(kept[here] & kept[there]), 1)
+        shared = float(r[here] @ r[there]) / pairs / max(variance, 1e-12)
         if abs(shared) > _LARGEST_CORRELATION + 3 / np.sqrt(pairs):
             return True
     return False
@@ -111,13 +108,12 @@ def _have_direction(
     What a wider edge adds on its one side it takes from the other: the sign of share - 1/2
     times cos and sin of twice the angle of the light's gradient.
     """
-    grid = scene.grid
-    picture, mask = grid.picture(scene.grey), grid.picture(np.ones(len(scene.grey)))
-    inside = np.zeros(grid.shape, dtype=bool)
-    inside[1:-1, 1:-1] = (mask[:-2, 1:-1] * mask[2:, 1:-1] * mask[1:-1, :-2] * mask[1:-1, 2:]) > 0
-    v, u = np.gradient(picture)
-    place = tuple(part[kept] for part in grid.place)
-    u, v, usable = u[place], v[place], inside[place]
+    around = [
+        scene.grid.neighbours(down, right) for down, right in ((0, 1), (0, -1), (1, 0), (-1, 0))
+    ]
+    right, left, below, above = (scene.grey[there][kept] for there in around)
+    usable = np.all([there[kept] >= 0 for there in around], axis=0)
+    u, v = 0.5 * (right - left), 0.5 * (below - above)
     usable &= (share > _PAPER) & (share < _INK)
     length = np.maximum(u * u + v * v, 1e-12)
     side = np.where(share > 0.5, 1.0, -1.0) * usable * (np.abs(share - 0.5) > _PAPER)

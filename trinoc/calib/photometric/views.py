@@ -1,6 +1,7 @@
 """The pictures of a rig, each fitted from where its circles place the camera."""
 
 import functools
+import multiprocessing
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -12,11 +13,9 @@ from jaxtyping import Float
 
 from trinoc.calib.model import SheetPoints
 from trinoc.calib.photometric.encoding import AS_DELIVERED, Encoding
-from trinoc.calib.photometric.image_fit import (
-    ImageRefinement,
-    ShiftOfPlaces,
-    refine_image,
-)
+from trinoc.calib.photometric.image_fit import refine_image
+from trinoc.calib.photometric.image_problem import ShiftOfPlaces
+from trinoc.calib.photometric.image_refinement import ImageRefinement
 from trinoc.calib.photometric.outlines import project_to_image
 from trinoc.calib.pose import DEGREES
 from trinoc.calib.result import ImageQuality
@@ -86,8 +85,11 @@ def in_threads(task: Callable[[str], _Answer], names: Sequence[str]) -> dict[str
 
 @functools.cache
 def _threads() -> ThreadPoolExecutor:
-    """The threads of all fits: what the compiler keeps for each thread is never given back."""
-    return ThreadPoolExecutor(thread_name_prefix="trinoc-refine")
+    """The threads of all fits: what the compiler keeps for each thread is never given back.
+
+    One for each core, because a picture of 16 megapixels takes 300 MB while it is fitted.
+    """
+    return ThreadPoolExecutor(multiprocessing.cpu_count(), thread_name_prefix="trinoc-refine")
 
 
 def _refine(

@@ -4,7 +4,6 @@ A solver of optimistix' kind that steps on the manifold of poses, whose charts a
 every point; the Jacobian is never formed.
 """
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -12,19 +11,24 @@ import jax
 import jax.numpy as jnp
 import lineax as lx
 import optimistix as optx
-from jaxtyping import Array, Bool, Float, Int, PyTree, Scalar
+from jaxtyping import Bool, Float, Int, PyTree
 
 from trinoc.calib.shots.normal_equations import ShotEquations, cost, shot_equations
 from trinoc.calib.shots.state import Chart, RigState, retracted
 from trinoc.calib.shots.table import ViewTable
-from trinoc.numerics import AbstractRobustLoss, ArrayLike, BlockArrow, BlockArrowSolver
+from trinoc.numerics import (
+    AbstractManifoldMinimiser,
+    AbstractRobustLoss,
+    ArrayLike,
+    BlockArrow,
+    BlockArrowSolver,
+    DampedDescent,
+)
 
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-12, 1e8
 # Keeps directions that nothing determines, and those that are held, at rest.
 FLOOR_DAMPING = 1e-12
 MOST_STEPS = 100
-# The cost is a chi-square: a gain this small moves no parameter by some hundredths of its sigma.
-CONVERGED_GAIN = 1e-4
 
 
 class Observed(NamedTuple):
@@ -44,24 +48,8 @@ class ShotFit(NamedTuple):
     converged: Bool[ArrayLike, ""]
 
 
-class _Progress(eqx.Module):
-    cost: Float[ArrayLike, ""]
-    damping: Float[ArrayLike, ""]
-    done: Bool[ArrayLike, ""]
-
-
-class ShotLevenbergMarquardt(optx.AbstractMinimiser[RigState, None, _Progress]):
-    """Minimises `cost` over a `RigState`, given `Observed`.
-
-    Fields
-    ------
-    atol : gain in chi-square at which the fit has converged.
-    rtol, norm : not used; a chi-square has a scale of its own.
-    """
-
-    rtol: float = 0.0
-    atol: float = CONVERGED_GAIN
-    norm: Callable[[PyTree], Scalar] = eqx.field(default=optx.max_norm, static=True)
+class ShotLevenbergMarquardt(AbstractManifoldMinimiser[RigState, None, DampedDescent]):
+    """Minimises `cost` over a `RigState`, given `Observed`."""
 
     def init(
         self,
@@ -72,9 +60,9 @@ class ShotLevenbergMarquardt(optx.AbstractMinimiser[RigState, None, _Progress]):
         f_struct: PyTree,
         aux_struct: PyTree,
         tags: frozenset[object],
-    ) -> _Progress:
+    ) -> DampedDescent:
         """Nothing tried yet."""
-        return _Progress(fn(y, args)[0], jnp.asarray(FIRST_DAMPING), jnp.asarray(False))
+        return DampedDescent(fn(y, args)[0], jnp.asarray(FIRST_DAMPING), jnp.asarray(False))
 
     def step(
         self,
@@ -82,9 +70,9 @@ class ShotLevenbergMarquardt(optx.AbstractMinimiser[RigState, None, _Progress]):
         y: RigState,
         args: Observed,
         options: dict[str, Any],
-        state: _Progress,
+        state: DampedDescent,
         tags: frozenset[object],
-    ) -> tuple[RigState, _Progress, None]:
+    ) -> tuple[RigState, DampedDescent, None]:
         """Try one step, and take it where it gains."""
         equations = shot_equations(y, args.chart, args.table, args.loss)
         head, boards = _step(equations, state.damping)
@@ -94,40 +82,12 @@ class ShotLevenbergMarquardt(optx.AbstractMinimiser[RigState, None, _Progress]):
         promised = -(equations.gradient[0] @ head) - jnp.sum(equations.gradient[1] * boards)
         still = (promised < self.atol) & (state.cost - tried_cost < self.atol)
         damping = jnp.where(better, state.damping / 10, state.damping * 10)
-        after = _Progress(
+        after = DampedDescent(
             jnp.where(better, tried_cost, state.cost),
             jnp.maximum(damping, LEAST_DAMPING),
             jnp.where(better, still, (damping > MOST_DAMPING) | (promised < self.atol * 1e-3)),
         )
         return jax.tree.map(lambda new, old: jnp.where(better, new, old), tried, y), after, None
-
-    def terminate(
-        self,
-        fn: Any,
-        y: RigState,
-        args: Observed,
-        options: dict[str, Any],
-        state: _Progress,
-        tags: frozenset[object],
-    ) -> tuple[Bool[Array, ""], optx.RESULTS]:
-        """Converged, or nowhere to go; a cost that is no number ends at once."""
-        failed = ~jnp.isfinite(state.cost)
-        result = optx.RESULTS.where(failed, optx.RESULTS.nonfinite, optx.RESULTS.successful)
-        return jnp.asarray(state.done) | failed, result
-
-    def postprocess(
-        self,
-        fn: Any,
-        y: RigState,
-        aux: None,
-        args: Observed,
-        options: dict[str, Any],
-        state: _Progress,
-        tags: frozenset[object],
-        result: optx.RESULTS,
-    ) -> tuple[RigState, None, dict[str, Any]]:
-        """The state as it is, with its cost among the statistics."""
-        return y, aux, {"cost": state.cost}
 
 
 @eqx.filter_jit

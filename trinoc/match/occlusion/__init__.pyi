@@ -1,1 +1,2 @@
-from .pairs import Pairs as Pairs, occluded_pairs as occluded_pairs
+from .pair_evidence import Pairs as Pairs
+from .pairs import occluded_pairs as occluded_pairs

@@ -1,0 +1,27 @@
+"""What single precision takes from the fit to grey levels, as docs/limits.md says."""
+
+import numpy as np
+import pytest
+
+from trinoc.calib import Systematics, calibrate
+from trinoc.calib.photometric import image_problem
+from trinoc.io import demo_images, demo_pattern
+from trinoc.synth import table1_lens
+
+
+@pytest.mark.slow
+def test_double_precision_moves_no_parameter_by_a_hundredth_of_its_sigma(monkeypatch) -> None:
+    known = demo_images("sheet"), demo_pattern(), table1_lens()
+    single = calibrate(*known, systematics=Systematics())
+    group_of = image_problem.group_of
+
+    def in_double_precision(part, image, lens, pattern, capacity, dtype, shift_px):
+        assert dtype is np.float32
+        return group_of(part, image, lens, pattern, capacity, np.float64, shift_px)
+
+    monkeypatch.setattr(image_problem, "group_of", in_double_precision)
+    double = calibrate(*known, systematics=Systematics())
+    assert {fit.method for fit in double.fits.values()} == {"picture"}
+    sigma = np.sqrt(np.diag(double.covariance))
+    np.testing.assert_array_less(np.abs(single.values - double.values), 0.01 * sigma)
+    np.testing.assert_allclose(np.sqrt(np.diag(single.covariance)), sigma, rtol=1e-4)

@@ -1,0 +1,85 @@
+"""Pairs where hardly any line is seen in three views: they themselves say how they are."""
+
+from functools import partial
+
+import numpy as np
+
+from trinoc.match.evidence import log_place, log_sides, probability, temper
+from trinoc.match.occlusion.pair_evidence import (
+    Pairs,
+    PairsBeside,
+    PairStart,
+    end_shares,
+    likely_rows,
+    log_ends,
+)
+from trinoc.match.occlusion.possible_pairs import PossiblePairs
+from trinoc.match.occlusion.two_views import PairRates, learned_rates, length_class
+from trinoc.match.selection import (
+    chosen_greedily,
+    conflict_graph,
+    endpoint_pairs,
+    junction_log_odds,
+    sum_product,
+)
+from trinoc.match.tuning import MatchTuning
+from trinoc.numerics import of_group
+
+
+def pairs_alone(
+    beside: PairsBeside, start: PairStart, typical_px: np.ndarray | float, tuning: MatchTuning
+) -> Pairs:
+    """Posterior log odds of pairs whose rates are learned from them, round by round."""
+    rules, place = tuning.occlusion, partial(log_place, tuning=tuning.evidence)
+    found, frame = beside.found, beside.frame
+    mixture, junctions = start
+    in_images = found.candidates.side_log.any(axis=1)
+    offset = np.where(in_images, rules.log_odds_offset_in_images, rules.log_odds_offset_alone)
+    evidence = (
+        found.candidates.log_density
+        + log_sides(found.candidates.side_log, mixture, frame)
+        + found.expected * float(np.log(rules.missed))
+        + offset
+    )
+    frames, classes = np.shape(mixture.log_count), len(rules.length_classes_px) + 1
+    ends = end_shares(mixture, tuning.ends)
+    rates = PairRates(ends, np.zeros((*frames, classes)), mixture, junctions)
+
+    def odds_of(
+        found: PossiblePairs, evidence: np.ndarray, rates: PairRates, frame: np.ndarray | None
+    ) -> np.ndarray:
+        c = found.candidates
+        ends = log_ends(c, of_group(rates.ends, frame))
+        classes = length_class(c, tuning)
+        every = of_group(rates.log_by_length, frame)
+        lengths = every[classes] if frame is None else every[np.arange(len(classes)), classes]
+        prior = of_group(rates.mixture.log_count, frame)
+        return (
+            evidence + ends + lengths + prior + place(c.ends_mm, rates.mixture.volume, frame=frame)
+        )
+
+    keep = likely_rows(beside, odds_of(found, evidence, rates, frame), tuning)
+    beside, evidence = beside.take(keep), evidence[keep]
+    found, frame = beside.found, beside.frame
+    candidates, expected = found
+    graph = conflict_graph(candidates.index, candidates.interval, tuning.selection)
+    meetings = endpoint_pairs(candidates, tuning.junctions, tuning.evidence, frame)
+    gain = np.zeros(len(evidence))
+    odds = posterior_log_odds = gain
+    for _ in range(rules.rounds_alone):
+        odds = odds_of(found, evidence, rates, frame) + gain
+        posterior_log_odds = sum_product(odds, graph, tuning.selection, frame)
+        posterior = probability(posterior_log_odds)
+        density = rates.mixture.log_count - rates.mixture.volume.log_size + np.log(2)
+        gain, junctions = junction_log_odds(
+            meetings, posterior, density, rates.junctions, tuning.junctions, frame
+        )
+        helped = junctions.end_at_junction >= tuning.junctions.min_at_junction
+        gain = np.where(of_group(helped, frame), gain, 0.0)
+        rates = learned_rates(candidates, posterior, rates, junctions, typical_px, tuning, frame)
+    chosen = chosen_greedily(posterior_log_odds, graph)
+    tempered = temper(posterior_log_odds, candidates.side_log, tuning.evidence)
+    most = rules.most_alone * probability(tempered)
+    tempered = np.log(most) - np.log1p(-most)
+    missed = np.where(expected > 0, expected * float(np.log(rules.missed)), 0.0)
+    return Pairs(candidates, odds, tempered, chosen, missed)
