@@ -2,6 +2,7 @@
 
 import ast
 import importlib
+import importlib.util
 import re
 import shlex
 from pathlib import Path
@@ -97,3 +98,28 @@ def test_every_notebook_is_described() -> None:
     page = (ROOT / "docs" / "start-notebook.md").read_text(encoding="utf-8")
     named = set(re.findall(r"^\| `(\w+)` \|", page, re.M))
     assert {path.stem for path in (ROOT / "notebooks").glob("*.ipynb")} <= named
+
+
+def test_every_public_docstring_is_on_its_page() -> None:
+    page = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
+    shown = re.findall(r"^::: trinoc\.(\S+)$", page, re.M)
+    assert sorted(name for name in shown if "." not in name) == sorted(trinoc.__all__)
+    for name in shown:
+        room, _, last = f"trinoc.{name}".rpartition(".")
+        assert getattr(importlib.import_module(room), last).__doc__, name
+
+
+def test_docstrings_become_lists_and_sections() -> None:
+    spec = importlib.util.spec_from_file_location("shown", ROOT / "docs" / "docstring_markdown.py")
+    assert spec is not None
+    assert spec.loader is not None
+    pytest.importorskip("griffe")
+    shown = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(shown)
+    found = shown.as_markdown(
+        "Say.\n\nx, y : of a point,\n    in mm.\nz : up.\n\nRaises\n------\nError : no."
+    )
+    assert [line for line in found.splitlines() if line] == [
+        *("Say.", "- `x, y`: of a point,", "    in mm.", "- `z`: up."),
+        *("**Raises**", "- `Error`: no."),
+    ]

@@ -20,10 +20,12 @@ MAY_IMPORT = {
     "synth": {"numerics", "geometry"},
     "evaluation": {"numerics", "geometry", "segments", "calib", "match", "synth"},
     "recording": {"numerics", "geometry", "match"},
+    "capture": {"numerics", "geometry", "calib"},
 }
 MAY_IMPORT["io"] = {*MAY_IMPORT["evaluation"], "evaluation", "recording"}
 MAY_IMPORT["report"] = MAY_IMPORT["batch"] = {*MAY_IMPORT["io"], "io"}
-MAY_IMPORT["cli"] = {*MAY_IMPORT["report"], "report", "batch"}
+MAY_IMPORT["serving"] = {*MAY_IMPORT["report"], "report", "capture"}
+MAY_IMPORT["cli"] = {*MAY_IMPORT["serving"], "serving", "batch"}
 
 # Rooms inside a room, from the ground up: each may import those before it. The files of the room
 # itself put them together and stand above all.
@@ -44,11 +46,15 @@ INNER_FLOORS = {
 FOUNDATION = "tuning"
 
 # Imported where they are used, because a plain `pip install` does not bring them.
-EXTRAS = {"matplotlib", "reportlab", "dask", "distributed", "ruamel", "pyarrow", "plotly", "pandas"}
+EXTRAS = {
+    *("matplotlib", "reportlab", "dask", "distributed", "ruamel", "pyarrow", "plotly", "pandas"),
+    *("viser", "trimesh", "websockets"),
+}
 FORBIDDEN = {"numba", "torch", "tkinter"}
 # Below io there are no files, no command line, no screen, no settings.
 BELOW_IO = (
     *("numerics", "geometry", "segments", "calib", "match", "synth", "evaluation", "recording"),
+    "capture",
 )
 OUTER_MODULES = {"argparse", "io", "logging", "os", "pathlib", "shutil", "subprocess", "sys"}
 

@@ -11,6 +11,7 @@ import trinoc
 from trinoc.cli.calibrate import Calibrate
 from trinoc.cli.command import UsageError
 from trinoc.cli.lens_options import LensOptions
+from trinoc.cli.main import main
 from trinoc.cli.views import files_of_views
 from trinoc.errors import InputError
 from trinoc.io.intrinsics_json import save_intrinsics
@@ -120,3 +121,13 @@ def test_pictures_may_follow_the_options(lens):
     after = tyro.cli(Calibrate, args=[*options, *pictures], config=config)
     assert before == after
     assert after.pictures == pictures
+
+
+def test_a_sheet_is_proposed_for_a_camera_and_a_distance(tmp_path, capsys):
+    place = str(tmp_path / "sheet.json")
+    camera = ("--field-deg", "30", "--image-size-px", "1280", "960")
+    assert main(["pattern", "--for-distance-mm", "500", *camera, "-o", place]) == 0
+    assert "px wide" in capsys.readouterr().out
+    assert main(["pattern", "--for-distance-mm", "500", "-o", place]) == 2
+    assert "--field-deg" in capsys.readouterr().err
+    assert main(["pattern", "--board", "charuco", "--for-distance-mm", "500", "-o", place]) == 2

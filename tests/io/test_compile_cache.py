@@ -2,13 +2,17 @@
 
 import os
 import stat
+from pathlib import Path
 
 import jax
 import pytest
 from jax.experimental.compilation_cache.compilation_cache import reset_cache
 
+import trinoc
 from trinoc.io import compile_cache
 from trinoc.io.compile_cache import COMPILE_CACHE_VARIABLE, enable_compile_cache
+from trinoc.io.program_store import ROOMS, FolderStore, surroundings
+from trinoc.numerics import keep_programs_in
 
 SETTINGS = (
     "jax_compilation_cache_dir",
@@ -24,7 +28,9 @@ def cache_dir():
 @pytest.fixture(autouse=True)
 def _settings_as_before():
     before = {name: getattr(jax.config, name) for name in SETTINGS}
+    store = keep_programs_in(None)
     yield
+    keep_programs_in(store)
     for name, value in before.items():
         jax.config.update(name, value)
     reset_cache()
@@ -109,3 +115,44 @@ def test_a_kernel_that_another_process_has_just_removed_is_no_error(tmp_path, mo
     gone = tmp_path / "gone"
     monkeypatch.setattr(type(tmp_path), "iterdir", lambda _: iter([gone]))
     assert enable_compile_cache(tmp_path) == tmp_path
+
+
+def test_a_program_comes_back_whole_or_not_at_all(tmp_path):
+    store = FolderStore(tmp_path)
+    assert store.get("a") is None
+    store.put("a", b"program")
+    assert FolderStore(tmp_path).get("a") == b"program"
+    assert store.get("b") is None
+    (place,) = tmp_path.iterdir()
+    for damage in (b"", b"short", place.read_bytes()[:-1], place.read_bytes() + b"x"):
+        place.write_bytes(damage)
+        assert store.get("a") is None
+
+
+def test_a_folder_that_is_gone_is_done_without(tmp_path):
+    store = FolderStore(tmp_path / "gone")
+    store.put("a", b"program")
+    assert store.get("a") is None
+
+
+def test_a_program_is_not_found_after_anything_changed(tmp_path, monkeypatch):
+    FolderStore(tmp_path).put("a", b"program")
+    before = surroundings()
+    assert surroundings() == before
+    monkeypatch.setenv("XLA_FLAGS", "--xla_cpu_enable_fast_math=true")
+    assert surroundings() != before
+    assert FolderStore(tmp_path).get("a") is None
+    monkeypatch.delenv("XLA_FLAGS", raising=False)
+    monkeypatch.setattr("trinoc.io.program_store.version", lambda name: "99")
+    assert surroundings() != before
+
+
+def test_programs_are_made_where_their_sources_are_looked_at():
+    root = Path(trinoc.__file__).parent
+    made_in = {
+        path.relative_to(root).parts[0]
+        for path in root.rglob("*.py")
+        if "kept_jit(" in (text := path.read_text(encoding="utf-8")) or "@kept_jit" in text
+    }
+    assert "match" in made_in
+    assert made_in <= set(ROOMS)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from trinoc.errors import InputError
-from trinoc.io import read_image, read_views
+from trinoc.io import is_whole_picture, read_image, read_views
 
 RANDOM = np.random.default_rng(5)
 GREY = RANDOM.integers(0, 256, (12, 17), dtype=np.uint8)
@@ -45,6 +45,22 @@ def test_what_is_no_picture_is_refused(tmp_path, capfd):
             read_image(tmp_path / name)
     with pytest.raises(InputError, match="does not exist"):
         read_image(tmp_path / "none.png")
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("ending", [".png", ".jpg"])
+def test_a_picture_that_was_not_written_to_its_end_is_refused(tmp_path, capfd, ending):
+    path = tmp_path / f"cut{ending}"
+    whole = cv2.imencode(ending, GREY)[1].tobytes()
+    for length in (0, 40, len(whole) // 2, len(whole) - 1):
+        path.write_bytes(whole[:length])
+        assert not is_whole_picture(path)
+        if length > 8:
+            with pytest.raises(InputError, match=r"not a readable picture|ends before its|cut off"):
+                read_image(path)
+    path.write_bytes(whole + b"what cameras add")
+    assert is_whole_picture(path)
+    np.testing.assert_allclose(read_image(path), GREY, atol=0 if ending == ".png" else 60)
     assert capfd.readouterr() == ("", "")
 
 

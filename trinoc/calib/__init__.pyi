@@ -35,6 +35,7 @@ from .targets.checkers import (
 )
 from .targets.pattern import Pattern as Pattern
 from .targets.print_scale import printed_sheet as printed_sheet
+from .targets.proposal import SheetProposal as SheetProposal, propose_sheet as propose_sheet
 from .uncertainty.propagation import (
     epipolar_sigma as epipolar_sigma,
     point_covariance as point_covariance,

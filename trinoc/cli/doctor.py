@@ -20,6 +20,7 @@ EXTRAS = {
     "batch": ("dask", "distributed"),
     "export": ("ruamel.yaml",),
     "parquet": ("pyarrow",),
+    "view": ("viser",),
 }
 # All of these install the module cv2, each over the others.
 OPENCV = (

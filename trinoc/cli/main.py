@@ -31,6 +31,8 @@ from trinoc.cli.pattern import Pattern
 from trinoc.cli.refine import Refine
 from trinoc.cli.rig_toml import with_file
 from trinoc.cli.segments import Segments
+from trinoc.cli.view import View
+from trinoc.cli.watch import Watch
 from trinoc.cli.words import in_options
 from trinoc.errors import TrinocError
 
@@ -42,6 +44,7 @@ DESCRIPTION = (
 AnyCommand = (
     Annotated[Demo, tyro.conf.subcommand("demo")]
     | Annotated[Pattern, tyro.conf.subcommand("pattern")]
+    | Annotated[Watch, tyro.conf.subcommand("watch")]
     | Annotated[Intrinsics, tyro.conf.subcommand("intrinsics")]
     | Annotated[Calibrate, tyro.conf.subcommand("calibrate")]
     | Annotated[CalibrateRig, tyro.conf.subcommand("calibrate-rig")]
@@ -51,6 +54,7 @@ AnyCommand = (
     | Annotated[Refine, tyro.conf.subcommand("refine")]
     | Annotated[Check, tyro.conf.subcommand("check")]
     | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
+    | Annotated[View, tyro.conf.subcommand("view")]
     | Annotated[Export, tyro.conf.subcommand("export")]
     | Annotated[Import, tyro.conf.subcommand("import")]
     | Annotated[Doctor, tyro.conf.subcommand("doctor")]

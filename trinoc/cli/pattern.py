@@ -2,6 +2,7 @@
 
 import dataclasses
 import importlib.util
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -10,7 +11,7 @@ import tyro
 from trinoc.cli.command import Command, Outcome, UsageError
 
 if TYPE_CHECKING:
-    from trinoc.calib import AbstractTarget
+    from trinoc.calib import AbstractTarget, SheetProposal
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -47,6 +48,23 @@ class Pattern(Command):
     """Where a line of an odd grid meets a circle: it stops before it, runs through it in black,
     or runs through it in white."""
 
+    for_distance_mm: Annotated[
+        float | None, tyro.conf.arg(metavar="MM", help_behavior_hint="(default: as stated)")
+    ] = None
+    """Choose number, pitch and radius of the circles for a camera that looks at the sheet from so
+    far. Give its --field-deg and --image-size-px, too."""
+
+    field_deg: Annotated[
+        float | None, tyro.conf.arg(metavar="DEG", help_behavior_hint="(default: none)")
+    ] = None
+    """Angle that the camera sees from the left to the right edge of its picture: for a focal
+    length f and a sensor w wide, 2 atan(w / 2f)."""
+
+    image_size_px: Annotated[
+        tuple[int, int], tyro.conf.arg(metavar="W H", help_behavior_hint="(default: none)")
+    ] = (0, 0)
+    """Width and height of the camera's pictures."""
+
     paper: Literal["a4", "letter", "a3", "a2", "a1", "a0"] = "a4"
     """Paper of the drawings."""
 
@@ -60,7 +78,8 @@ class Pattern(Command):
 
         from trinoc.io import save_pattern_pdf, save_pattern_svg, save_target
 
-        sheet = self._target()
+        proposal = self._proposal()
+        sheet = self._target(proposal)
         drawing, page = self.out.with_suffix(".svg"), self.out.with_suffix(".pdf")
         written = [self.out, drawing]
         # First the drawing, which fails where the sheet is larger than the paper.
@@ -70,6 +89,12 @@ class Pattern(Command):
             "Print at 100 %, measure the two scale bars, and give measured over nominal length",
             "to `trinoc calibrate --print-scale`.",
         ]
+        if proposal is not None:
+            said = (
+                f"Circles are {proposal.circle_px:.0f} px wide, and the sheet takes "
+                f"{proposal.field_share:.0%} of the shorter side, from {self.for_distance_mm:g} mm."
+            )
+            notes = [said, *notes]
         places = "circles"
         if self.board != "sheet":
             notes = ["Print at 100 %, and give the side of a square as you measure it."]
@@ -84,7 +109,30 @@ class Pattern(Command):
         record = {"name": sheet.name, places: len(sheet), "written": files}
         return Outcome(f"{text}\nwritten: {', '.join(files)}", record)
 
-    def _target(self) -> "AbstractTarget":
+    def _proposal(self) -> "SheetProposal | None":
+        if self.for_distance_mm is None:
+            return None
+        if self.board != "sheet":
+            raise UsageError("--for-distance-mm is of the sheet: give --square-mm of a board.")
+        width, height = self.image_size_px
+        angle = self.field_deg or 0.0
+        if not (min(width, height) > 0 and 0 < angle < 170 and self.for_distance_mm > 0):
+            raise UsageError(
+                "--for-distance-mm needs the camera: give --field-deg, such as 30, and "
+                "--image-size-px, such as 1280 960."
+            )
+
+        from trinoc.calib import propose_sheet
+        from trinoc.io import drawing_room_mm
+
+        across = 2 * self.for_distance_mm * math.tan(math.radians(angle) / 2)
+        return propose_sheet(
+            field_mm=(across, across * height / width),
+            size_px=(width, height),
+            room_mm=drawing_room_mm(self.paper),
+        )
+
+    def _target(self, proposal: "SheetProposal | None") -> "AbstractTarget":
         from trinoc.calib import Charuco, Chessboard, Pattern as Sheet
 
         if self.board == "chessboard":
@@ -99,6 +147,14 @@ class Pattern(Command):
                 square_mm=self.square_mm,
                 marker_mm=marker_mm,
                 dictionary=self.dictionary,
+            )
+        if proposal is not None:
+            return Sheet.cross_grid(
+                rows=proposal.count,
+                columns=proposal.count,
+                pitch_mm=proposal.pitch_mm,
+                radius_mm=proposal.radius_mm,
+                line_style=self.line_style,
             )
         return Sheet.cross_grid(
             rows=self.rows,

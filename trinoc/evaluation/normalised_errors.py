@@ -4,14 +4,14 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy import stats
 
 from trinoc.evaluation.lines_on_edges import OffsetsAcross
+from trinoc.numerics import chi_square_quantile
 
 NUMBERS_PER_LINE = 4
 WITHIN_SIGMAS = 1.96
-_MEDIAN = float(stats.chi2.median(NUMBERS_PER_LINE))
-_LARGEST_95 = float(stats.chi2.ppf(0.95, NUMBERS_PER_LINE))
+_MEDIAN = float(chi_square_quantile(0.5, NUMBERS_PER_LINE))
+_LARGEST_95 = float(chi_square_quantile(0.95, NUMBERS_PER_LINE))
 
 
 class NormalisedErrors(NamedTuple):

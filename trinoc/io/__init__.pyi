@@ -60,6 +60,11 @@ from .known_shape import load_shape as load_shape
 from .loading import load_any as load_any
 from .matches_npz import load_matches as load_matches
 from .pattern_json import load_pattern as load_pattern, save_pattern as save_pattern
+from .pattern_page import (
+    PAPER_SIZES_MM as PAPER_SIZES_MM,
+    drawing_room_mm as drawing_room_mm,
+    lay_out as lay_out,
+)
 from .pattern_pdf import save_pattern_pdf as save_pattern_pdf
 from .pattern_svg import save_pattern_svg as save_pattern_svg
 from .rig_json import (
@@ -75,3 +80,4 @@ from .table_csv import save_table as save_table
 from .usable_cameras import expect_lens as expect_lens, expect_pitch as expect_pitch
 from .views_of_rig import expect_inside as expect_inside, expect_size as expect_size
 from .whole_files import read_text as read_text
+from .whole_picture import is_whole_picture as is_whole_picture

@@ -22,7 +22,8 @@ def enable_compile_cache(folder: str | os.PathLike[str] | None = None) -> Path |
 
     Call it once, before or after anything has compiled: later processes of this user then start
     without compiling. It sets JAX's persistent cache for the whole process, for other packages
-    too, and keeps the folder under 512 MiB.
+    too, keeps trinoc's large programs so that they need no tracing either, and holds the folder
+    under 512 MiB.
 
     Parameters
     ----------
@@ -57,6 +58,9 @@ def enable_compile_cache(folder: str | os.PathLike[str] | None = None) -> Path |
     import jax
     from jax.experimental.compilation_cache import compilation_cache
 
+    from trinoc.io.program_store import FolderStore
+    from trinoc.numerics import keep_programs_in
+
     # A kernel that another process is just writing is compiled once more, which is no news.
     warnings.filterwarnings("ignore", message="Error (reading|writing) persistent compilation")
     jax.config.update("jax_compilation_cache_dir", str(folder))
@@ -64,6 +68,7 @@ def enable_compile_cache(folder: str | os.PathLike[str] | None = None) -> Path |
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
     # JAX decides at its first compilation whether there is a cache: it is to decide anew.
     compilation_cache.reset_cache()
+    keep_programs_in(FolderStore(folder))
     return folder
 
 

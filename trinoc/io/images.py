@@ -11,6 +11,7 @@ import numpy as np
 from trinoc.errors import InputError
 from trinoc.io.picture_size import MOST_PIXELS, is_complete, size_px
 from trinoc.io.whole_files import read_bytes
+from trinoc.io.whole_picture import ends_as_it_should
 
 IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm", ".webp")
 # Uncompressed, colours of 16 bit.
@@ -74,6 +75,8 @@ def _decoded(file: Path, content: bytes) -> np.ndarray:
             f"{file} is a PNG that is cut off or announces more than it holds: copy the picture "
             "again from where it came."
         )
+    if not ends_as_it_should(content):
+        raise InputError(f"{file} ends before its picture does: copy it again.")
     # OpenCV warns on stderr about broken files; the sentence below says it better.
     level = cv2.utils.logging.getLogLevel()
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)

@@ -65,6 +65,17 @@ class Page(NamedTuple):
     bars_mm: tuple[float, float]
 
 
+def drawing_room_mm(paper: str) -> tuple[float, float]:
+    """Width and height that a drawing may take of a paper, upright."""
+    width, height = PAPER_SIZES_MM[paper] - _around_mm()
+    return float(width), float(height)
+
+
+def _around_mm() -> Float[np.ndarray, "2"]:
+    """What margins, bars and text take."""
+    return 2 * _MARGIN_MM + np.array([2 * _BAR_GAP_MM, _BAR_GAP_MM + _TEXT_ROOM_MM])
+
+
 def lay_out(pattern: AbstractTarget, paper: str = "a4") -> Page:
     """The sheet or board in true scale on a page, with a scale bar on both axes.
 
@@ -95,7 +106,7 @@ def _page(
         raise InputError(
             f"The paper {paper!r} is unknown; give one of {', '.join(PAPER_SIZES_MM)}."
         )
-    needed = high - low + 2 * _MARGIN_MM + np.array([2 * _BAR_GAP_MM, _BAR_GAP_MM + _TEXT_ROOM_MM])
+    needed = high - low + _around_mm()
     size = PAPER_SIZES_MM[paper.lower()]
     fitting = [page for page in (size, (size[1], size[0])) if np.all(needed <= page)]
     if not fitting:

@@ -1,9 +1,11 @@
 """What a calibration said of its own cameras, kept in rig.json beside them."""
 
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from trinoc.calib import CalibrationResult, RigFromShots
 from trinoc.io.json_document import Block
+
+if TYPE_CHECKING:
+    from trinoc.calib import CalibrationResult, RigFromShots
 
 CONVERGED = "converged"
 
@@ -32,7 +34,7 @@ class RigStatus(NamedTuple):
         }
 
 
-def status_to_block(result: CalibrationResult) -> dict[str, Any]:
+def status_to_block(result: "CalibrationResult") -> dict[str, Any]:
     """The "status" object of a file."""
     return {
         "cameras": {
@@ -46,7 +48,7 @@ def status_to_block(result: CalibrationResult) -> dict[str, Any]:
     }
 
 
-def status_of_shots(result: RigFromShots) -> dict[str, Any]:
+def status_of_shots(result: "RigFromShots") -> dict[str, Any]:
     """The same of a rig from many shots, whose cameras were fitted together."""
     return {
         "cameras": {

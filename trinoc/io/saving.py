@@ -5,13 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from trinoc.calib import (
-    AbstractTarget,
-    CalibrationResult,
-    IntrinsicsResult,
-    Pattern,
-    RigFromShots,
-)
+from trinoc.calib import AbstractTarget, Pattern
 from trinoc.errors import InputError
 from trinoc.geometry import Intrinsics, Rig, Segments
 from trinoc.io.board_json import save_target
@@ -23,9 +17,7 @@ from trinoc.io.rig_status import status_of_shots, status_to_block
 from trinoc.io.segments_npz import save_segments
 from trinoc.match import Matches
 
-Saveable = (
-    Rig | CalibrationResult | Intrinsics | IntrinsicsResult | AbstractTarget | Segments | Matches
-)
+_AS_JSON = Rig | Intrinsics | AbstractTarget
 
 
 def save(
@@ -42,28 +34,19 @@ def save(
     ("command", "version", "inputs"). Raises InputError for other values and for a name whose
     ending is not that of the file.
     """
-    status = None
-    if isinstance(value, CalibrationResult):
-        value, status = value.rig, status_to_block(value)
-    if isinstance(value, RigFromShots):
-        if value.rig is None:
-            raise InputError(f"{path} was not written: {value.status.value}")
-        value, status = value.rig, status_of_shots(value)
-    as_json = isinstance(value, Rig | Intrinsics | IntrinsicsResult | AbstractTarget)
-    ending = ".json" if as_json else ".npz"
-    if isinstance(value, Saveable) and Path(path).suffix.lower() != ending:
+    more: dict[str, Any] = {}
+    if not isinstance(value, _AS_JSON | Segments | Matches):
+        value, more = _content_of_result(value, path)
+    ending = ".json" if isinstance(value, _AS_JSON) else ".npz"
+    if Path(path).suffix.lower() != ending:
         raise InputError(
             f"{path}: a {type(value).__name__} is written as {ending}: choose such a name."
         )
     match value:
         case Rig():
-            save_rig(value, path, provenance=provenance, status=status)
+            save_rig(value, path, provenance=provenance, **more)
         case Intrinsics():
-            save_intrinsics(value, path, provenance=provenance)
-        case IntrinsicsResult():
-            if value.lens is None:
-                raise InputError(f"{path} was not written: {value.status.value}")
-            save_intrinsics(value.lens, path, covariance=value.covariance, provenance=provenance)
+            save_intrinsics(value, path, provenance=provenance, **more)
         case Pattern():
             save_pattern(value, path)
         case AbstractTarget():
@@ -72,8 +55,25 @@ def save(
             save_segments(value, path)
         case Matches():
             save_matches(value, path)
-        case _:
-            raise InputError(
-                f"A {type(value).__name__} cannot be saved: give a Rig, CalibrationResult, "
-                "Intrinsics, IntrinsicsResult, Pattern, Segments or Matches."
-            )
+
+
+def _content_of_result(
+    value: object, path: str | os.PathLike[str]
+) -> tuple[Rig | Intrinsics, dict[str, Any]]:
+    """What a result of a calibration has to be written, and what is written beside it."""
+    # Here, because these bring the calibrations with them, and a match wants none.
+    from trinoc.calib import CalibrationResult, IntrinsicsResult, RigFromShots
+
+    match value:
+        case CalibrationResult():
+            return value.rig, {"status": status_to_block(value)}
+        case RigFromShots() if value.rig is not None:
+            return value.rig, {"status": status_of_shots(value)}
+        case IntrinsicsResult() if value.lens is not None:
+            return value.lens, {"covariance": value.covariance}
+        case RigFromShots() | IntrinsicsResult():
+            raise InputError(f"{path} was not written: {value.status.value}")
+    raise InputError(
+        f"A {type(value).__name__} cannot be saved: give a Rig, CalibrationResult, "
+        "Intrinsics, IntrinsicsResult, Pattern, Segments or Matches."
+    )

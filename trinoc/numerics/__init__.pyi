@@ -16,6 +16,12 @@ from .buckets import (
     in_bucket as in_bucket,
     padded as padded,
 )
+from .chi_square import (
+    chi_square_limit as chi_square_limit,
+    chi_square_quantile as chi_square_quantile,
+    chi_square_tail as chi_square_tail,
+    normal_limit as normal_limit,
+)
 from .compilation import one_compiles as one_compiles
 from .display import Displays as Displays, Shown as Shown, display_with as display_with
 from .grey import GreyImage as GreyImage, grey_image as grey_image
@@ -35,6 +41,11 @@ from .interval_join import (
     expand_ranges as expand_ranges,
     overlapping as overlapping,
     pairs_of_equal_keys as pairs_of_equal_keys,
+)
+from .kept_programs import (
+    ProgramStore as ProgramStore,
+    keep_programs_in as keep_programs_in,
+    kept_jit as kept_jit,
 )
 from .manifold_minimiser import (
     AbstractManifoldMinimiser as AbstractManifoldMinimiser,

@@ -30,6 +30,11 @@ def namespace_of(*trees: Any) -> ModuleType:
     return jnp if is_traced(*trees) else np
 
 
+def is_outside() -> bool:
+    """Whether no `jit`, `grad` or `vmap` encloses the call."""
+    return get_opaque_trace_state() == _OUTSIDE
+
+
 def as_numpy(tree: Any) -> Any:
     """`tree` with every JAX array replaced by a NumPy array of the same dtype."""
 
@@ -61,8 +66,7 @@ def in_float64(function: Callable[_Arguments, _Result]) -> Callable[_Arguments, 
         if is_traced(args, kwargs):
             return function(*args, **kwargs)
         # Constants inside a trace are computed at once; elsewhere to say so costs compilations.
-        inside = get_opaque_trace_state() != _OUTSIDE
-        at_once = jax.ensure_compile_time_eval() if inside else contextlib.nullcontext()
+        at_once = contextlib.nullcontext() if is_outside() else jax.ensure_compile_time_eval()
         with at_once, jax.enable_x64(True):
             return as_numpy(function(*args, **kwargs))
 

@@ -1,7 +1,18 @@
 from .against_reference import parameter_errors as parameter_errors
+from .colours import COLOUR_OF_ROLE as COLOUR_OF_ROLE
+from .ellipsoids import (
+    Ellipsoids as Ellipsoids,
+    error_ellipsoids as error_ellipsoids,
+    visible_factor as visible_factor,
+)
 from .evaluation_plot import expect_plotter as expect_plotter, write_plot as write_plot
 from .html import ExtraTable as ExtraTable, write_report as write_report
-from .notebook import NotebookDisplays as NotebookDisplays
+from .notebook import NotebookDisplays as NotebookDisplays, expect_extra as expect_extra
+from .space_part import (
+    Layer as Layer,
+    SpaceFigure as SpaceFigure,
+    space_figure as space_figure,
+)
 from .text import (
     counts_text as counts_text,
     errors_text as errors_text,

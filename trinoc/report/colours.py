@@ -9,6 +9,14 @@ from jaxtyping import Float, Int
 
 BLUE, VERMILION, GREEN = "#0072b2", "#d55e00", "#009e73"
 PURPLE, ORANGE, SKY, BLACK = "#b8478f", "#e69f00", "#3a9bdc", "#222222"
+# What stands in space, by the role of its layer.
+COLOUR_OF_ROLE = {
+    "three": BLUE,
+    "two": VERMILION,
+    "cameras": GREEN,
+    "sheet": "#777777",
+    "ellipsoids": PURPLE,
+}
 PALETTE = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BLACK)
 
 

@@ -60,7 +60,9 @@ class SpaceFigure(NamedTuple):
     @classmethod
     def of_tracks(cls, matches: Matches) -> "SpaceFigure":
         """The segments and their error bars alone."""
-        return cls(tuple(_track_layers(matches)), (), ())
+        content = content_box(None, matches)
+        views = () if content is None else (View("Segments", content),)
+        return cls(tuple(_track_layers(matches)), (), views)
 
     def numbers(self) -> dict[str, Any]:
         """The same as the page's script reads it: rounded to a micrometre."""

@@ -10,11 +10,11 @@ answers nearly as uncertain as each other, then drop out.
 
 import jax
 import numpy as np
-from scipy.stats import chi2
 
 from trinoc.calib.adjustment.estimate import Adjustment
 from trinoc.calib.adjustment.least_squares import residuals_px
 from trinoc.calib.model import SheetPoints, bucket_size
+from trinoc.numerics import chi_square_tail
 
 # Of the circles' own covariance that the difference has at least.
 _LEAST_SHARE = 0.1
@@ -39,4 +39,4 @@ def probability_of_agreement(
     squared = float(slope @ np.linalg.solve(information, slope))
     by_grey = np.asarray(image.jacobian[view])[:, image.rows(view)]
     kept = np.trace(np.linalg.solve(by_grey.T @ by_grey, information)) / len(slope)
-    return float(chi2.sf(squared / max(1 - kept, _LEAST_SHARE), len(slope)))
+    return float(chi_square_tail(squared / max(1 - kept, _LEAST_SHARE), len(slope)))

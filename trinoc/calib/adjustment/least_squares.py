@@ -19,7 +19,7 @@ from jaxtyping import Bool, Float, Int
 from trinoc.calib.adjustment.sheet_shape import point_of_place
 from trinoc.calib.model import SheetPoints
 from trinoc.geometry import AbstractLens, Pose, PoseModel, project_point
-from trinoc.numerics import ArrayLike, GemanMcClure
+from trinoc.numerics import ArrayLike, GemanMcClure, kept_jit
 
 _TOLERANCE = 1e-7
 # Steps without damping go wrong soon or not at all.
@@ -113,7 +113,7 @@ def adjust(start: Unknowns, views: Views, *, model: PoseModel) -> Adjusted:
     return found if found.converged else _adjust(start, views, model=model, damped=True)
 
 
-@partial(jax.jit, static_argnames=("model", "damped"))
+@partial(kept_jit, static_argnames=("model", "damped"))
 def _adjust(start: Unknowns, views: Views, *, model: PoseModel, damped: bool) -> Adjusted:
     method = optx.LevenbergMarquardt if damped else optx.GaussNewton
     solver = method(rtol=_TOLERANCE, atol=_TOLERANCE, linear_solver=lx.Normal(lx.Cholesky()))

@@ -7,10 +7,10 @@ it would take away, without another adjustment.
 import numpy as np
 from jaxtyping import Float
 from scipy.linalg import solve_triangular
-from scipy.stats import chi2
 
 from trinoc.calib.adjustment.estimate import Adjustment
 from trinoc.calib.result import Alternative
+from trinoc.numerics import chi_square_tail
 
 # An alternative of which less than this share is not fitted along already is no other model.
 _LEAST_SHARE = 1e-9
@@ -61,7 +61,7 @@ def _score(
     # Places that scatter more than they claim scatter alike in every direction.
     scale = max(1.0, (float(residual @ residual) - drop) / (freedom - len(estimate)))
     sigma = unit * np.sqrt(scale * np.diag(np.linalg.inv(normal)))
-    p_value = float(chi2.sf(drop / scale, len(estimate)))
+    p_value = float(chi_square_tail(drop / scale, len(estimate)))
     sentence = _sentence(name, unit * estimate, sigma)
     return Alternative(name, drop / scale, p_value, unit * estimate, sigma, sentence)
 

@@ -19,7 +19,7 @@ from trinoc.calib.photometric.appearance import NUISANCE, Appearance, Pixels
 from trinoc.calib.photometric.ink_coverage import Cross, Drawing
 from trinoc.calib.photometric.normal_equations import normal_equations
 from trinoc.geometry import Pose, PoseModel
-from trinoc.numerics import ArrayLike, GemanMcClure, ScalarLike, inverse_3x3
+from trinoc.numerics import ArrayLike, GemanMcClure, ScalarLike, inverse_3x3, kept_jit
 
 MOST_STEPS = 8
 
@@ -280,4 +280,4 @@ def _kept_possible(vector: Float[ArrayLike, "9"]) -> Appearance:
     return appearance._replace(sigma_px=jnp.maximum(appearance.sigma_px, 0.1))
 
 
-run_fit = jax.jit(fit_picture, static_argnames=("drawing", "model"))
+run_fit = kept_jit(fit_picture, static_argnames=("drawing", "model"))

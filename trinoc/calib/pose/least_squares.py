@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int
 from trinoc.calib.model import CircleObservations, circle_residuals_px, whitened_residuals
 from trinoc.calib.pose.initial import initial_pose_from_circles, initial_pose_from_lines
 from trinoc.geometry import AbstractLens, Pose, PoseModel
-from trinoc.numerics import ArrayLike, GemanMcClure
+from trinoc.numerics import ArrayLike, GemanMcClure, kept_jit
 
 MAX_STEPS = 64
 # Steps are in rad and in shares of the distance; a good sheet determines them to 1e-5.
@@ -123,7 +123,7 @@ def fit_from_circles(
     return fit_circles(start, lens, circles, outlier_scale, model)
 
 
-@partial(jax.jit, static_argnames="model")
+@partial(kept_jit, static_argnames=("model",))
 def fit_images_from_lines(
     lens: AbstractLens, circles: CircleObservations, *, model: PoseModel
 ) -> CircleFit:
@@ -135,7 +135,7 @@ def fit_images_from_lines(
     return jax.vmap(fit)(lens, circles)
 
 
-@partial(jax.jit, static_argnames="model")
+@partial(kept_jit, static_argnames=("model",))
 def fit_images_from_circles(
     lens: AbstractLens, circles: CircleObservations, *, model: PoseModel
 ) -> CircleFit:
@@ -147,7 +147,7 @@ def fit_images_from_circles(
     return jax.vmap(fit)(lens, circles)
 
 
-@partial(jax.jit, static_argnames="model")
+@partial(kept_jit, static_argnames=("model",))
 def refit_images(
     start: Pose,
     lens: AbstractLens,

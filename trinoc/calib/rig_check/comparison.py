@@ -4,10 +4,10 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.stats import chi2, norm
 
 from trinoc.calib.result import CalibrationResult
 from trinoc.geometry import PARAMETER_NAMES, Camera, Rig
+from trinoc.numerics import chi_square_tail, normal_limit
 
 # A camera has moved when noise alone would say so once in 10^5 comparisons of it.
 _MOVED_SIGMAS = 4.5
@@ -120,9 +120,9 @@ def _sigmas_of_change(now: Rig, before: Rig, name: str) -> float:
         return float("nan")
     whitened = np.linalg.solve(total / np.outer(scale, scale), change / scale)
     squared = max(float(whitened @ (change / scale)), 0.0)
-    probability = float(chi2.sf(squared, len(change)))
+    probability = float(chi_square_tail(squared, len(change)))
     # The probability of so long a change, as the deviation of one number that has it.
-    return float(norm.isf(0.5 * probability)) if probability > 0 else float(np.sqrt(squared))
+    return float(normal_limit(0.5 * probability)) if probability > 0 else float(np.sqrt(squared))
 
 
 def _block(rig: Rig, keys: list[str]) -> Float[np.ndarray, "k k"]:

@@ -10,11 +10,11 @@ from collections.abc import Sequence
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float
-from scipy import stats
 
 from trinoc.calib.bundle import Matched, Matcher, RefineResult, RefineStatus, refine
 from trinoc.errors import CalibrationError
 from trinoc.geometry import AFFINE_PARAMETERS, LineObservations, Rig
+from trinoc.numerics import chi_square_tail, normal_limit
 
 # Below this many sigmas a motion may be chance; with three cameras asked, one rig
 # in 120 that stands still is suspected all the same.
@@ -215,5 +215,5 @@ def _of_poses(result: RefineResult) -> list[int]:
 
 def _sigmas(chi_square: float, freedom: int) -> float:
     """Sigmas of a normal distribution, two-sided, of as small a probability."""
-    log_tail = stats.chi2.logsf(chi_square, freedom)
-    return float(stats.norm.isf(np.exp(max(log_tail, -700.0)) / 2))
+    log_tail = np.log(chi_square_tail(chi_square, freedom))
+    return float(normal_limit(np.exp(max(log_tail, -700.0)) / 2))

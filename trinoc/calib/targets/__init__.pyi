@@ -7,3 +7,4 @@ from .checkers import (
 )
 from .corners import corner_sheet as corner_sheet
 from .pattern import CORNERS as CORNERS, Pattern as Pattern
+from .proposal import SheetProposal as SheetProposal, propose_sheet as propose_sheet

@@ -14,7 +14,7 @@ from trinoc.match.candidates.transfer import Prediction, predict
 from trinoc.match.observations import PAIRS_IN_BLOCK, SegmentTable, block_of
 from trinoc.match.tuning import CandidateTuning
 from trinoc.match.two_view import row_of
-from trinoc.numerics import ArrayLike, blocks, in_blocks, padded
+from trinoc.numerics import ArrayLike, blocks, in_blocks, kept_jit, padded
 
 
 def gated_triples(
@@ -45,7 +45,7 @@ def gated_triples(
     return np.concatenate(found)
 
 
-@partial(jax.jit, static_argnames="tuning")
+@partial(kept_jit, static_argnames=("tuning",))
 def _predicted(
     single: SingleOrder,
     grid: Grid,

@@ -41,6 +41,7 @@ from trinoc.numerics import (
     blocks,
     concatenate_rows,
     in_blocks,
+    kept_jit,
     overlapping,
     stacked,
 )
@@ -196,7 +197,7 @@ def _candidates_of(
     )
 
 
-@partial(jax.jit, static_argnames=("tuning", "ends"))
+@partial(kept_jit, static_argnames=("tuning", "ends"))
 def _evidence_of(
     lines: SegmentTable,
     order: Int[ArrayLike, "3"],

@@ -11,7 +11,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.special import expit
-from scipy.stats import chi2
 
 from trinoc.errors import InputError
 from trinoc.geometry import Rig
@@ -22,7 +21,7 @@ from trinoc.match.line_map.lines import JoinedLines
 from trinoc.match.line_map.table import TrackTable, fragments_of, track_table
 from trinoc.match.tracks import Matches
 from trinoc.match.tuning import DEFAULT, CollinearTuning, MatchTuning
-from trinoc.numerics import in_float64
+from trinoc.numerics import chi_square_tail, in_float64
 
 
 class _Group(NamedTuple):
@@ -220,7 +219,7 @@ def _joined(one: _Group, other: _Group, problem: _Problem) -> _Group | None:
     rules = problem.tuning.collinear
     reach = longer.ends_mm[0] + place[outer, None] * way
     fit = fit_line(fragments_of(problem.pieces, tracks), reach, rules)
-    if not chi2.sf(fit.chi_square, fit.degrees) >= rules.significance:
+    if not chi_square_tail(fit.chi_square, fit.degrees) >= rules.significance:
         return None
     way = fit.ends_mm[1] - fit.ends_mm[0]
     way /= np.linalg.norm(way)

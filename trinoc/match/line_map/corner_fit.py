@@ -10,13 +10,12 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.stats import chi2
 
 from trinoc.match.line_map.corner_pairs import Ends, carried, corner_candidates, ends_of
 from trinoc.match.line_map.corners import Corners
 from trinoc.match.line_map.lines import JoinedLines
 from trinoc.match.tuning import DEFAULT, MatchTuning
-from trinoc.numerics import group_labels
+from trinoc.numerics import chi_square_tail, group_labels
 
 
 class _Corner(NamedTuple):
@@ -77,7 +76,7 @@ def _common_point(ends: Ends, together: tuple[int, ...], tuning: MatchTuning) ->
     outward = ((point - ends.point_mm[chosen]) * ends.way[chosen]).sum(axis=1)
     error = point - lines[:, 0]
     square = float(np.einsum("ki,kij,kj->", error, precision, error))
-    fits = chi2.sf(square, 2 * len(chosen) - 3) >= tuning.corners.significance
+    fits = chi_square_tail(square, 2 * len(chosen) - 3) >= tuning.corners.significance
     near = (np.abs(outward) * ends.px_per_mm[chosen] < tuning.junctions.reach_px).all()
     return _Corner(together, point, square) if fits and near else None
 

@@ -20,7 +20,7 @@ from trinoc.match.observations import (
 )
 from trinoc.match.tuning import CandidateTuning, EndTuning, MatchTuning
 from trinoc.match.two_view import Pencil, pencil, pencil_of, plane_angles, row_of
-from trinoc.numerics import ArrayLike, blocks, in_blocks, overlapping, stacked
+from trinoc.numerics import ArrayLike, blocks, in_blocks, kept_jit, overlapping, stacked
 
 # About as many pairs are held at a time.
 PAIRS_AT_A_TIME = 1 << 17
@@ -90,7 +90,7 @@ def _judged(
     return PossiblePairs(candidates, np.asarray(found.expected)[keep])
 
 
-@partial(jax.jit, static_argnames=("tuning", "ends"))
+@partial(kept_jit, static_argnames=("tuning", "ends"))
 def _evidence_of(
     lines: SegmentTable,
     views: Int[ArrayLike, "2"],

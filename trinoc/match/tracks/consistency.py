@@ -8,10 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.stats import chi2
 
 from trinoc.match.observations import MatchInput
 from trinoc.match.tracks.line_fit import lines_in_space
+from trinoc.numerics import chi_square_limit, chi_square_tail
 
 
 class FittedTracks(NamedTuple):
@@ -35,7 +35,7 @@ def consistent(tracks: FittedTracks, gate: float) -> Bool[np.ndarray, "t"]:
     """Whether tracks misfit no more than as likely as a triple passes the gate (chi-square of 2
     degrees of freedom)."""
     degrees = 2 * ((tracks.index >= 0).sum(axis=1) - 2)
-    limit = chi2.isf(chi2.sf(gate, 2), np.maximum(degrees, 1))
+    limit = chi_square_limit(chi_square_tail(gate, 2), np.maximum(degrees, 1))
     return (tracks.misfit <= np.where(degrees > 0, limit, np.inf)) & np.isfinite(tracks.misfit)
 
 

@@ -9,10 +9,10 @@ from trinoc.match.observations import MatchInput, frames_of
 from trinoc.match.tracks.extent import interval_of, two_view_part
 from trinoc.match.tracks.fragments import ending_view, fragments_of
 from trinoc.match.tracks.location import before_cameras
-from trinoc.numerics import ArrayLike, in_blocks
+from trinoc.numerics import ArrayLike, in_blocks, kept_jit
 
 
-@jax.jit
+@kept_jit
 def _triangulated(
     matrix_px: Float[ArrayLike, "*f v 3 4"],
     frame: Int[ArrayLike, "t"] | None,

@@ -7,12 +7,20 @@ view was rejected, its own outline is left over beside the place where the track
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.stats import chi2
 
 from trinoc.match.observations import MatchInput, frames_of, matrices_of
 from trinoc.match.tracks.extent import images_of
 from trinoc.match.tuning import DEFAULT, TrackTuning
-from trinoc.numerics import blocks, expand_ranges, group_medians, group_sums, of_group, taken
+from trinoc.numerics import (
+    blocks,
+    chi_square_limit,
+    chi_square_quantile,
+    expand_ranges,
+    group_medians,
+    group_sums,
+    of_group,
+    taken,
+)
 
 # Lines of two views compared at once with all segments of a view.
 ROWS = 256
@@ -34,7 +42,7 @@ def flag_viewpoint_dependent(
     in_three, frame = views > 2, frames_of(seen.lines, index)
     marked = np.zeros(len(index), dtype=bool)
     if in_three.any():
-        limit = chi2.isf(tuning.significance, 2 * (views[in_three] - 2))
+        limit = chi_square_limit(tuning.significance, 2 * (views[in_three] - 2))
         usual = of_group(typical_misfit(index, misfit, tuning, frame), taken(frame, in_three))
         marked[in_three] = misfit[in_three] > usual * limit
     for view in range(index.shape[1]):
@@ -74,7 +82,7 @@ def typical_misfit(
     frames = 1 if frame is None or len(frame) == 0 else int(frame.max()) + 1
     own = taken(frame, in_three)
     enough = group_sums(np.ones(in_three.sum()), own, frames) >= tuning.min_tracks_to_learn
-    share = misfit[in_three] / chi2.median(2 * (views[in_three] - 2))
+    share = misfit[in_three] / chi_square_quantile(0.5, 2 * (views[in_three] - 2))
     typical = np.where(enough, group_medians(share, own, frames), 1.0)
     return np.maximum(typical, 1.0)
 

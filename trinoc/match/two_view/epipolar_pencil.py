@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from trinoc.match.observations import SegmentTable
-from trinoc.numerics import ArrayLike
+from trinoc.numerics import ArrayLike, kept_jit
 
 
 class PencilSegments(NamedTuple):
@@ -56,7 +56,7 @@ class Pencil(NamedTuple):
     second: PencilSegments
 
 
-@jax.jit
+@kept_jit
 def pencil(lines: SegmentTable, a: Int[ArrayLike, ""], b: Int[ArrayLike, ""]) -> Pencil:
     """The pencil of views a and b."""
 

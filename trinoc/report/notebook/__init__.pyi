@@ -1,1 +1,2 @@
 from .displays import NotebookDisplays as NotebookDisplays
+from .extras import expect_extra as expect_extra

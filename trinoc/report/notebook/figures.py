@@ -9,12 +9,10 @@ from trinoc.calib import CalibrationResult, Pattern, RefineResult
 from trinoc.evaluation import Evaluation
 from trinoc.geometry import Rig, Segments
 from trinoc.match import Matches
-from trinoc.report.colours import BLACK, BLUE, GREEN, VERMILION
+from trinoc.report.colours import BLACK, COLOUR_OF_ROLE
 from trinoc.report.notebook.extras import expect_extra
 from trinoc.report.space_content import frusta, polyline, sheet_outlines
 from trinoc.report.space_part import Layer, SpaceFigure, space_figure
-
-COLOURS = {"three": BLUE, "two": VERMILION, "cameras": GREEN, "sheet": "#777777"}
 
 
 def figure_of(value: object, **options: Any) -> Any:
@@ -98,8 +96,8 @@ def _in_space(layers: tuple[Layer, ...]) -> Any:
                 hoverinfo="text" if layer.words else "skip",
                 mode="lines" if all(len(part) > 1 for part in layer.parts) else "markers",
                 visible=True if layer.shown else "legendonly",
-                line={"color": COLOURS.get(layer.role, BLACK), "width": 4},
-                marker={"color": COLOURS.get(layer.role, BLACK), "size": 3},
+                line={"color": COLOUR_OF_ROLE.get(layer.role, BLACK), "width": 4},
+                marker={"color": COLOUR_OF_ROLE.get(layer.role, BLACK), "size": 3},
             )
         )
     scene = {f"{axis}axis_title": f"{axis.upper()} (mm)" for axis in "xyz"}

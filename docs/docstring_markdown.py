@@ -1,0 +1,31 @@
+"""For the page of docstrings: sections as bold words, and "name : what it is" as a list."""
+
+import re
+from typing import Any
+
+import griffe
+
+
+class DocstringMarkdown(griffe.Extension):
+    """Rewrites every docstring before it is shown."""
+
+    def on_object(self, *, obj: Any, **_: Any) -> None:
+        """Of each module, class and function."""
+        if obj.docstring is not None:
+            obj.docstring.value = as_markdown(obj.docstring.value)
+
+
+def as_markdown(text: str) -> str:
+    """Underlined words are sections; lines such as "x, y : of a point" begin items."""
+    text = re.sub(r"(?m)^([A-Z]\w+)\n-{3,}$", r"\n**\1**\n", text)
+    # The tree of errors is drawn with lines.
+    text = re.sub(r"(?m)^(.*\n(?:[├└│].*\n?)+)", r"```text\n\1\n```\n", text)
+    lines, listed = [], False
+    for line in text.splitlines():
+        item = re.match(r"^([\w.*]+(?:, [\w.*]+)*) : (.*)", line)
+        if item:
+            lines += ([] if listed else [""]) + [f"- `{item[1]}`: {item[2]}"]
+        else:
+            lines.append(line)
+        listed = bool(item) or (listed and line.startswith("    "))
+    return "\n".join(lines)

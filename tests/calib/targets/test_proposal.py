@@ -1,0 +1,49 @@
+"""A proposed sheet fits the paper and the field, and its circles are wide enough."""
+
+import pytest
+from hypothesis import given, strategies as st
+
+from trinoc.calib import Pattern, propose_sheet
+from trinoc.errors import InputError
+from trinoc.io import PAPER_SIZES_MM, drawing_room_mm, lay_out
+
+SIZE_PX = (1280, 960)
+
+
+@given(
+    width=st.floats(60, 5000),
+    paper=st.sampled_from(sorted(PAPER_SIZES_MM)),
+    across=st.integers(640, 8000),
+)
+def test_it_fits_paper_and_field(width: float, paper: str, across: int) -> None:
+    field, size = (width, 0.75 * width), (across, across * 3 // 4)
+    try:
+        found = propose_sheet(field_mm=field, size_px=size, room_mm=drawing_room_mm(paper))
+    except InputError:
+        # Six circles of 10 px would not fit.
+        side = min(0.6 * min(field), *drawing_room_mm(paper))
+        assert 0.6 * side / 6.5 * across / width < 10.5 + 0.3 * across / width
+        return
+    assert found.circle_px >= 10
+    assert found.field_share <= 0.6 + 1e-9
+    sheet = Pattern.cross_grid(
+        rows=found.count,
+        columns=found.count,
+        pitch_mm=found.pitch_mm,
+        radius_mm=found.radius_mm,
+    )
+    assert sorted(lay_out(sheet, paper).size_mm) == sorted(PAPER_SIZES_MM[paper])
+    scale = size[0] / field[0]
+    assert found.circle_px == pytest.approx(2 * found.radius_mm * scale, rel=0.01)
+
+
+def test_more_pixels_allow_more_circles_and_distance_takes_them() -> None:
+    room = drawing_room_mm("a4")
+    counts = [
+        propose_sheet(field_mm=(400 * far, 300 * far), size_px=SIZE_PX, room_mm=room).count
+        for far in (1.0, 1.6, 3.0)
+    ]
+    assert counts == sorted(counts, reverse=True)
+    assert counts[0] > counts[-1]
+    with pytest.raises(InputError, match="under 10 px"):
+        propose_sheet(field_mm=(40000.0, 30000.0), size_px=SIZE_PX, room_mm=room)

@@ -1,0 +1,76 @@
+"""Sharpness, exposure, coverage and lean against what was put in."""
+
+import numpy as np
+import pytest
+from hypothesis import given, strategies as st
+
+from tests.capture.made import GRID_MM, SIZE_PX, camera, rectangle, step_picture
+from trinoc.capture import GRID, covered_cells, edge_blur_px, exposure_of, lean_of
+from trinoc.geometry import depth_mm
+from trinoc.numerics import grey_image
+
+
+@pytest.mark.parametrize("blur_px", [0.7, 1.0, 2.0, 4.0])
+@pytest.mark.parametrize(("contrast", "noise"), [(200.0, 0.0), (60.0, 0.5), (200.0, 2.0)])
+def test_the_blur_of_an_edge_is_found(blur_px: float, contrast: float, noise: float) -> None:
+    for turn_deg in (0.0, 27.0, 90.0):
+        found = edge_blur_px(step_picture(blur_px, contrast, noise, turn_deg))
+        assert found == pytest.approx(blur_px, rel=0.15, abs=0.1)
+
+
+def test_blur_does_not_depend_on_the_unit_of_grey() -> None:
+    picture = step_picture(1.5, 150.0, 0.0, 20.0)
+    assert edge_blur_px(16 * picture) == pytest.approx(edge_blur_px(picture), rel=1e-4)
+
+
+def test_where_there_is_no_edge_no_blur_is_told() -> None:
+    assert np.isnan(edge_blur_px(np.full((60, 80), 90.0, dtype=np.float32)))
+
+
+@given(saturated=st.integers(0, 40), dark=st.integers(0, 40), bits=st.sampled_from([8, 10, 12, 16]))
+def test_shares_of_saturated_and_dark_pixels_in_any_depth(
+    saturated: int, dark: int, bits: int
+) -> None:
+    full = 2**bits - 1
+    picture = np.full((20, 20), full // 2, dtype=np.uint16 if bits > 8 else np.uint8)
+    picture.flat[:saturated] = full
+    picture.flat[picture.size - dark :] = 0
+    # One full pixel tells the range of a deeper picture.
+    picture.flat[0] = full
+    grey = grey_image(picture)
+    found = exposure_of(grey.grey, grey.full)
+    assert found.saturated == pytest.approx(max(saturated, 1) / 400)
+    assert found.dark == pytest.approx(dark / 400)
+
+
+def test_cells_are_covered_where_places_are_and_between_them() -> None:
+    columns = GRID[1]
+    assert covered_cells(rectangle(0.01, 0.01, 0.99, 0.99), SIZE_PX).all()
+    half = covered_cells(rectangle(0.01, 0.01, 0.49, 0.99), SIZE_PX)
+    assert half[:, : columns // 2].all()
+    assert not half[:, columns // 2 :].any()
+    corners = rectangle(0.01, 0.01, 0.99, 0.99)[[0, 4, 20, 24]]
+    assert covered_cells(corners, SIZE_PX).all()
+    assert not covered_cells(np.zeros((0, 2)), SIZE_PX).any()
+
+
+@given(pan=st.floats(-40, 40), tilt=st.floats(35, 90))
+def test_lean_is_the_depth_from_side_to_side(pan: float, tilt: float) -> None:
+    eye = camera(pan, tilt)
+    matrix = np.asarray(eye.matrix_px)
+    homogeneous = np.column_stack([GRID_MM, np.zeros(25), np.ones(25)]) @ matrix.T
+    places_px = homogeneous[:, :2] / homogeneous[:, 2:]
+    found = np.array(lean_of(GRID_MM, places_px))
+    centre, ends = homogeneous[:, 2].mean(), np.ptp(homogeneous[:, 2])
+    # Along the steepest way it is the whole difference of depth over the places' extent.
+    assert np.abs(found).max() <= ends / centre + 0.02
+    assert found @ found >= (0.4 * ends / centre) ** 2
+    # The optical axis leans up: what is up in the picture is farther away.
+    if tilt < 80:
+        assert found[1] < 0
+
+
+def test_a_board_square_to_the_camera_does_not_lean() -> None:
+    np.testing.assert_allclose(lean_of(GRID_MM, 2.0 * GRID_MM + 100.0), 0.0, atol=1e-9)
+    assert lean_of(GRID_MM[:5], GRID_MM[:5]) == (0.0, 0.0)
+    assert float(depth_mm(camera(0.0, 90.0), np.zeros(3))) == pytest.approx(300.0)

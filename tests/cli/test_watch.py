@@ -1,0 +1,170 @@
+"""`trinoc watch` and `trinoc view`: pictures judged as they arrive, and how both end."""
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+import trinoc
+from tests.serving.asking import ask
+from trinoc.calib import Chessboard, dark_squares
+from trinoc.cli.arrivals import PATIENCE, FolderArrivals
+from trinoc.cli.main import main
+from trinoc.io import save_target
+from trinoc.synth import table1_rig
+
+BOARD = Chessboard(rows=5, columns=7, square_mm=20.0)
+
+
+def board_picture(shift_px: tuple[int, int] = (0, 0)) -> np.ndarray:
+    """The board square to the camera, 40 px a square."""
+    picture = np.full((480, 640), 210, dtype=np.uint8)
+    squares = np.kron(dark_squares(BOARD.rows + 1, BOARD.columns + 1), np.ones((40, 40)))
+    left, upper = 160 + shift_px[0], 120 + shift_px[1]
+    place = picture[upper : upper + squares.shape[0], left : left + squares.shape[1]]
+    place[squares > 0] = 30
+    return cv2.GaussianBlur(picture, (0, 0), 1.0)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    save_target(BOARD, tmp_path / "board.json")
+    (tmp_path / "in").mkdir()
+    return tmp_path
+
+
+def watch(folder: Path, *options: str) -> tuple[str, ...]:
+    return "watch", str(folder / "in"), "--pattern", str(folder / "board.json"), *options
+
+
+def test_pictures_that_are_there_are_judged_once(folder, capsys) -> None:
+    cv2.imwrite(str(folder / "in" / "a.png"), board_picture())
+    cv2.imwrite(str(folder / "in" / "b.png"), np.full((480, 640), 255, np.uint8))
+    (folder / "in" / "c.png").write_bytes(b"no picture")
+    (folder / "in" / "notes.txt").write_text("not looked at")
+    assert main(watch(folder, "--once", "--json", "--quiet")) == 0
+    out, err = capsys.readouterr()
+    assert err == ""
+    found = {each["name"]: each for each in json.loads(out)["pictures"]}
+    assert set(found) == {"a.png", "b.png", "c.png"}
+    assert found["a.png"]["good"]
+    assert found["a.png"]["found"] == found["a.png"]["of"] == len(BOARD)
+    assert not found["b.png"]["good"]
+    assert any("saturated" in fault for fault in found["b.png"]["faults"])
+    assert "not a readable picture" in found["c.png"]["refusal"]
+
+
+def test_a_picture_is_told_once_it_is_whole_and_again_when_it_is_replaced(folder) -> None:
+    arrivals = FolderArrivals(folder / "in")
+    place = folder / "in" / "slow.png"
+    content = cv2.imencode(".png", board_picture())[1].tobytes()
+    place.write_bytes(content[: len(content) // 2])
+    # It does not change, but has no end.
+    assert [arrivals.ready() for _ in range(3)] == [[], [], []]
+    place.write_bytes(content)
+    assert arrivals.ready() == []
+    assert arrivals.ready() == [place]
+    assert arrivals.ready() == []
+    place.write_bytes(content + b"\0")
+    assert [arrivals.ready(), arrivals.ready()] == [[], [place]]
+    # What never gets its end is told in the end, as broken.
+    place.write_bytes(content[:-20])
+    assert [place] in [arrivals.ready() for _ in range(PATIENCE + 1)]
+
+
+def test_ctrl_c_ends_with_the_summary_and_the_page_was_there(folder, capsys, monkeypatch) -> None:
+    cv2.imwrite(str(folder / "in" / "a.png"), board_picture())
+    seen: list[tuple[int, str]] = []
+
+    def sleep(_: float) -> None:
+        said = capsys.readouterr()
+        if "http" in said.err:
+            sleep.url = re.search(r"http://\S+", said.err)[0]  # pyright: ignore
+        if "a.png" in said.out:
+            seen.extend([ask(sleep.url), ask(sleep.url, "/last.jpg"), ask(sleep.url, "/a.png")])  # pyright: ignore
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr("time.sleep", sleep)
+    assert main(watch(folder)) == 0
+    assert [status for status, _ in seen] == [200, 200, 404]
+    assert "a.png" in seen[0][1]
+    out = capsys.readouterr().out
+    assert "1 pictures: 1 good" in out
+    assert "Move the board" in out
+
+
+class _Camera:
+    """Three pictures, of which the second is as the first, and then none."""
+
+    pictures = (board_picture(), board_picture(), board_picture((60, 40)))
+
+    def __init__(self, number: int) -> None:
+        self.number, self.count = number, -1
+
+    def isOpened(self) -> bool:
+        return self.number == 0
+
+    def grab(self) -> bool:
+        self.count += 1
+        return self.count < len(self.pictures)
+
+    def retrieve(self) -> tuple[bool, Any]:
+        return True, self.pictures[self.count]
+
+    def release(self) -> None:
+        self.number = -1
+
+
+def test_of_a_camera_pictures_that_show_something_new_are_kept(folder, capsys, monkeypatch) -> None:
+    monkeypatch.setattr(cv2, "VideoCapture", _Camera)
+    keep = folder / "kept"
+    board = str(folder / "board.json")
+    options = ("--keep", str(keep), "--every-s", "1e-9", "--no-page")
+    assert main(("watch", "0", "--pattern", board, *options)) == 1
+    out, err = capsys.readouterr()
+    assert "sends no picture any more" in err
+    assert "picture 3: good" in out
+    kept = sorted(keep.iterdir())
+    assert [path.name for path in kept] == ["shot_0001.png", "shot_0002.png"]
+    np.testing.assert_array_equal(cv2.imread(str(kept[0]), 0), _Camera.pictures[0])
+    assert main(("watch", "3", "--pattern", board)) == 1
+    assert "Camera 3 does not open" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("watch", "in", "--every-s", "0"), "--every-s is 0"),
+        (("watch", "in", "--keep", "k"), "--keep goes with a camera"),
+        (("watch", "0", "--once"), "--once goes with a folder"),
+    ],
+)
+def test_options_that_do_not_go_together_are_named(options, said, capsys) -> None:
+    assert main((*options, "--pattern", "none.json")) == 2
+    assert said in capsys.readouterr().err
+
+
+def test_a_folder_that_is_none_is_named(folder, capsys) -> None:
+    command = ("watch", str(folder / "no"), "--pattern", str(folder / "board.json"))
+    assert main((*command, "--once")) == 1
+    assert "is no folder" in capsys.readouterr().err
+
+
+def test_view_serves_until_ctrl_c(tmp_path, capsys, monkeypatch) -> None:
+    pytest.importorskip("viser")
+    trinoc.save(table1_rig(), tmp_path / "rig.json")
+    seen = []
+
+    def wait() -> None:
+        seen.append(ask(re.search(r"http://\S+", capsys.readouterr().err)[0])[0])  # pyright: ignore
+
+    monkeypatch.setattr("trinoc.cli.view.wait_for_interruption", wait)
+    assert main(("view", str(tmp_path / "rig.json"), "--json")) == 0
+    assert seen == [200]
+    assert json.loads(capsys.readouterr().out)["shown"].endswith("rig.json")
+    assert main(("view", str(tmp_path / "rig.json"), "--rig", "other.json")) == 2
+    assert "is a rig itself" in capsys.readouterr().err

@@ -1,0 +1,131 @@
+"""Programs that are kept give what `jax.jit` gives, and are found again where nothing changed."""
+
+from collections.abc import Iterator
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, strategies as st
+from scipy import stats
+
+from trinoc.geometry import Pose
+from trinoc.numerics import (
+    chi_square_limit,
+    chi_square_quantile,
+    chi_square_tail,
+    keep_programs_in,
+    kept_jit,
+    normal_limit,
+)
+
+
+class _Drawer(dict[str, bytes]):
+    """A store in memory that counts what was found."""
+
+    found = 0
+
+    def get(self, name: str) -> bytes | None:  # pyright: ignore[reportIncompatibleMethodOverride]
+        content = super().get(name)
+        self.found += content is not None
+        return content
+
+    def put(self, name: str, content: bytes) -> None:
+        self[name] = content
+
+
+@pytest.fixture
+def drawer() -> Iterator[_Drawer]:
+    drawer = _Drawer()
+    before = keep_programs_in(drawer)
+    yield drawer
+    keep_programs_in(before)
+
+
+def line_up(pose: Pose, by: jax.Array, times: int = 1) -> Pose:
+    """A value of trinoc in and out, with LAPACK on the way."""
+    root = jnp.linalg.cholesky(by @ by.T + 3.0 * jnp.eye(3))
+    return Pose(pose.cam_from_world * times + root @ jnp.ones((3, 4)))
+
+
+@pytest.fixture
+def arguments() -> tuple[Pose, np.ndarray]:
+    rng = np.random.default_rng(3)
+    return Pose(np.eye(3, 4)), rng.normal(size=(3, 3))
+
+
+def test_a_program_found_again_gives_the_same_bits(drawer, arguments) -> None:
+    plain = jax.jit(line_up)(*arguments)
+    first = kept_jit(line_up)(*arguments)
+    assert len(drawer) == 1
+    second = kept_jit(line_up)(*arguments)
+    assert drawer.found == 1
+    for one, other in zip(jax.tree.leaves(first), jax.tree.leaves(second), strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert isinstance(second, Pose)
+    np.testing.assert_array_equal(second.cam_from_world, plain.cam_from_world)
+
+
+def test_other_arguments_and_settings_are_other_programs(drawer, arguments) -> None:
+    pose, by = arguments
+    kept = kept_jit(line_up, static_argnames=("times",))
+    kept(pose, by)
+    kept(pose, by, times=2)
+    kept(pose, np.ones((3, 5)))
+    kept(pose=pose, by=by, times=1)
+    assert len(drawer) == 3
+
+
+def test_damage_is_compiled_anew(drawer, arguments) -> None:
+    expected = kept_jit(line_up)(*arguments)
+    (name,) = drawer
+    for damage in (b"", b"poison", drawer[name][:-9]):
+        drawer[name] = damage
+        found = kept_jit(line_up)(*arguments)
+        np.testing.assert_array_equal(found.cam_from_world, expected.cam_from_world)
+
+
+class OwnLens(eqx.Module):
+    """A class of the user's, whose methods trinoc's version says nothing of."""
+
+    strength: jax.Array
+
+    def bend(self, x: jax.Array) -> jax.Array:
+        return self.strength * x
+
+
+def bent(lens: OwnLens, x: jax.Array) -> jax.Array:
+    return lens.bend(x)
+
+
+def test_what_a_user_may_edit_is_not_kept(drawer) -> None:
+    lens = OwnLens(jnp.asarray(2.0))
+    assert float(kept_jit(bent)(lens, 3.0)) == 6.0
+    assert drawer == {}
+
+
+def test_inside_traces_it_is_jit(drawer, arguments) -> None:
+    pose, by = arguments
+    kept = kept_jit(line_up)
+    gradient = jax.grad(lambda by: jnp.sum(kept(pose, by).cam_from_world))(by)
+    expected = jax.grad(lambda by: jnp.sum(line_up(pose, by).cam_from_world))(by)
+    np.testing.assert_allclose(gradient, expected, rtol=1e-12)
+    np.testing.assert_allclose(jax.jit(lambda x: kept(pose, x).cam_from_world)(by).shape, (3, 4))
+    assert drawer == {}
+
+
+def test_without_a_store_it_is_jit(arguments) -> None:
+    before = keep_programs_in(None)
+    try:
+        assert isinstance(kept_jit(line_up)(*arguments), Pose)
+    finally:
+        keep_programs_in(before)
+
+
+@given(value=st.floats(0, 500), degrees=st.integers(1, 400), tail=st.floats(1e-12, 1.0))
+def test_tails_are_those_of_scipy_stats(value: float, degrees: int, tail: float) -> None:
+    assert chi_square_tail(value, degrees) == stats.chi2.sf(value, degrees)
+    assert chi_square_limit(tail, degrees) == stats.chi2.isf(tail, degrees)
+    assert chi_square_quantile(tail, degrees) == stats.chi2.ppf(tail, degrees)
+    assert normal_limit(tail) == stats.norm.isf(tail)

@@ -1,0 +1,104 @@
+"""The scene to turn: served to this machine alone, and gone when it is stopped."""
+
+import contextlib
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from tests.serving.asking import ask
+from trinoc.errors import InputError
+from trinoc.report import error_ellipsoids, space_figure, visible_factor
+from trinoc.serving import SpaceServer, space
+from trinoc.synth import table1_rig
+
+
+def some_lines(tracks: int = 4) -> tuple[np.ndarray, np.ndarray]:
+    """Ends and covariances, one of which is not known."""
+    rng = np.random.default_rng(5)
+    factors = rng.normal(size=(tracks, 6, 6))
+    covariance = factors @ factors.swapaxes(1, 2)
+    covariance[1, 3:, 3:] = np.nan
+    return rng.normal(size=(tracks, 2, 3)), covariance
+
+
+def test_ellipsoids_have_the_covariance_of_their_ends() -> None:
+    lines_mm, covariance_mm2 = some_lines()
+    found = error_ellipsoids(lines_mm, covariance_mm2)
+    assert list(zip(found.track, found.end, strict=True)) == [
+        *((0, 0), (0, 1), (1, 0), (2, 0), (2, 1), (3, 0), (3, 1))
+    ]
+    for track, end, centre, axes, sigmas in zip(*found, strict=True):
+        block = covariance_mm2[track, 3 * end : 3 * end + 3, 3 * end : 3 * end + 3]
+        np.testing.assert_allclose(axes * sigmas**2 @ axes.T, block, atol=1e-9)
+        np.testing.assert_allclose(np.linalg.det(axes), 1.0)
+        np.testing.assert_array_equal(centre, lines_mm[track, end])
+
+
+@pytest.mark.parametrize(("sigma", "factor"), [(1e-9, 1000), (0.01, 100), (0.1, 10), (30.0, 1)])
+def test_ellipsoids_are_enlarged_until_they_are_seen(sigma: float, factor: int) -> None:
+    sigmas = np.full((5, 3), sigma)
+    assert visible_factor(sigmas, 100.0) == factor
+    assert visible_factor(sigmas[:0], 100.0) == visible_factor(sigmas, 0.0) == 1
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[SpaceServer]:
+    pytest.importorskip("viser")
+    figure = space_figure(table1_rig(), None, None)
+    found = error_ellipsoids(*some_lines())
+    with SpaceServer(figure, found, title="a rig") as running:
+        yield running
+
+
+def test_a_page_of_this_machine_sees_the_scene(server: SpaceServer) -> None:
+    assert server.url.startswith("http://127.0.0.1:")
+    status, page = ask(server.url)
+    assert status == 200
+    assert "<html" in page
+
+
+def test_other_names_and_other_pages_are_refused(server: SpaceServer) -> None:
+    assert ask(server.url, Host="evil.example")[0] == 403
+    assert ask(server.url, Origin="http://evil.example")[0] == 403
+    upgrade = {
+        "Upgrade": "websocket",
+        "Connection": "Upgrade",
+        "Sec_WebSocket_Key": "dGhlIHNhbXBsZSBub25jZQ==",
+        "Sec_WebSocket_Version": "13",
+    }
+    assert ask(server.url, Origin="http://evil.example", **upgrade)[0] == 403
+    assert ask(server.url, Host="evil.example", **upgrade)[0] == 403
+
+
+@pytest.mark.parametrize("path", ["/../__init__.py", "/%2e%2e/__init__.py", "//etc/passwd"])
+def test_no_path_leads_out_of_the_folder(server: SpaceServer, path: str) -> None:
+    assert ask(server.url, path)[0] == 404
+
+
+def test_a_port_that_is_taken_is_named(server: SpaceServer) -> None:
+    port = int(server.url.rstrip("/").rpartition(":")[2])
+    with pytest.raises(InputError, match=f"Port {port} is taken"):
+        SpaceServer(space_figure(table1_rig(), None, None), None, title="again", port=port)
+
+
+def test_stopped_it_answers_no_more(capfd: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("viser")
+    with SpaceServer(space_figure(table1_rig(), None, None), None, title="short") as running:
+        url = running.url
+    with pytest.raises(ConnectionRefusedError):
+        ask(url)
+    assert capfd.readouterr().out == ""
+
+
+def test_without_viser_a_sentence_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(InputError, match=r"This needs viser: pip install 'trinoc\[view\]'"):
+        SpaceServer(space_figure(table1_rig(), None, None), None, title="none")
+
+
+def test_an_unguarded_viser_is_not_left_running(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("viser")
+    monkeypatch.setattr(space, "_guarded", lambda: contextlib.nullcontext([]))
+    with pytest.raises(InputError, match="in another way"):
+        SpaceServer(space_figure(table1_rig(), None, None), None, title="open")

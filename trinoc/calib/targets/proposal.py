@@ -1,0 +1,59 @@
+"""A sheet that suits a camera, a distance and a paper."""
+
+import math
+from typing import NamedTuple
+
+from trinoc.errors import InputError
+
+# Of the shorter side of the field: room is left for aiming, and for the sheet to be seen aslant.
+_FIELD_SHARE = 0.6
+# docs/pictures.md says why.
+_GOOD_PX, _LEAST_PX = 20.0, 10.0
+_RADIUS_SHARE = 0.3
+_STEP_MM = 0.5
+# So far the crossed lines of `Pattern.cross_grid` reach beyond the outer centres, in pitches.
+_LINES_BEYOND = 0.75
+
+
+class SheetProposal(NamedTuple):
+    """Sizes of a cross grid.
+
+    Fields
+    ------
+    count : circles along each side; even, so that no line meets a circle.
+    pitch_mm, radius_mm : distance of neighbours, and radius of a circle.
+    circle_px : how wide a circle is in the picture of a camera square to the sheet.
+    field_share : how much of the field's shorter side the sheet takes.
+    """
+
+    count: int
+    pitch_mm: float
+    radius_mm: float
+    circle_px: float
+    field_share: float
+
+
+def propose_sheet(
+    *, field_mm: tuple[float, float], size_px: tuple[int, int], room_mm: tuple[float, float]
+) -> SheetProposal:
+    """As many circles as are still 20 px wide, over 60 % of the field or the room on the paper.
+
+    field_mm : width and height of what the camera sees at the distance of the sheet.
+    size_px : (width, height) of its pictures.
+    room_mm : for the drawing on the paper.
+
+    Raises InputError where circles would be under 10 px wide.
+    """
+    side = min(_FIELD_SHARE * min(field_mm), *room_mm)
+    px_per_mm = min(size / field for size, field in zip(size_px, field_mm, strict=True))
+    for count in (12, 10, 8, 6):
+        extent = count - 1 + 2 * _LINES_BEYOND
+        pitch = _STEP_MM * math.floor(side / extent / _STEP_MM)
+        width = 2 * _RADIUS_SHARE * pitch * px_per_mm
+        if width >= (_GOOD_PX if count > 6 else _LEAST_PX):
+            share = extent * pitch / min(field_mm)
+            return SheetProposal(count, pitch, _RADIUS_SHARE * pitch, width, share)
+    raise InputError(
+        f"On a sheet of {side:.0f} mm circles would be under {_LEAST_PX:.0f} px wide from there: "
+        "take larger paper, or go nearer."
+    )

@@ -1,0 +1,99 @@
+"""What the next picture should show, from all pictures so far."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Bool
+
+from trinoc.capture.judgement import Judgement
+from trinoc.capture.placement import GRID, covered_cells
+
+# Share of the field's cells that good pictures together cover when it is enough.
+ENOUGH_FIELD = 0.9
+# A board leans when one side is farther away than the other by this share of the distance: with a
+# normal lens and a board that fills half the picture, about 20 degrees.
+LEAN = 0.08
+FEWEST_PICTURES = 6
+# Which side of the picture is the far one: along which axis, with which sign.
+_SIDES = (("right", 0, 1), ("left", 0, -1), ("upper", 1, -1), ("lower", 1, 1))
+_COLUMN_WORDS, _ROW_WORDS = ("left", "middle", "right"), ("upper", "middle", "lower")
+
+
+def field(judgements: Sequence[Judgement]) -> Bool[np.ndarray, "r c"]:
+    """Cells of the field that the good pictures cover together."""
+    cells = np.zeros(GRID, dtype=bool)
+    for judgement in judgements:
+        if judgement.good:
+            cells |= covered_cells(judgement.places_px, judgement.size_px)
+    return cells
+
+
+def field_share(judgements: Sequence[Judgement]) -> float:
+    """The share of the field that the good pictures cover, 0 to 1."""
+    return float(field(judgements).mean())
+
+
+def next_step(judgements: Sequence[Judgement]) -> str:
+    """One sentence: what to do next. What is wrong with the last picture comes first."""
+    if not judgements:
+        return "Hold the board square to the camera, in the middle of the picture."
+    last = judgements[-1]
+    if not last.found:
+        return "Take it again: " + last.refusal
+    if last.faults:
+        return f"Take it again: {last.faults[0]}."
+    cells = field(judgements)
+    if cells.mean() < ENOUGH_FIELD:
+        return f"Move the board to {_emptiest(cells)} of the picture."
+    missing = _missing_sides(judgements)
+    if missing:
+        return f"Tilt the board, its {missing[0]} side farther away, filling half the picture."
+    good = sum(judgement.good for judgement in judgements)
+    if good < FEWEST_PICTURES:
+        return f"Take {FEWEST_PICTURES - good} more, turned and tilted otherwise."
+    return "Enough: the field is covered and the board was tilted to all sides."
+
+
+def shows_something_new(earlier: Sequence[Judgement], last: Judgement) -> bool:
+    """Whether a good picture covers a new cell of the field, or leans to a side not seen yet."""
+    if not last.good:
+        return False
+    before, after = [j for j in earlier if j.good], [*earlier, last]
+    if not before or field(after).sum() > field(before).sum():
+        return True
+    return len(_missing_sides(after)) < len(_missing_sides(before))
+
+
+def _emptiest(cells: Bool[np.ndarray, "r c"]) -> str:
+    """The ninth of the field that is covered least, in words."""
+    rows, columns = cells.shape
+    row_of = np.minimum(np.arange(rows) * 3 // rows, 2)
+    column_of = np.minimum(np.arange(columns) * 3 // columns, 2)
+    shares = np.array(
+        [[cells[row_of == r][:, column_of == c].mean() for c in range(3)] for r in range(3)]
+    )
+    # The middle decides least of what a lens does: among equals it comes last.
+    shares[1, 1] += 1e-6
+    row, column = divmod(int(np.argmin(shares)), 3)
+    if (row, column) == (1, 1):
+        return "the middle"
+    if row == 1:
+        return f"the {_COLUMN_WORDS[column]} edge"
+    if column == 1:
+        return f"the {_ROW_WORDS[row]} edge"
+    return f"the {_ROW_WORDS[row]} {_COLUMN_WORDS[column]} corner"
+
+
+def _missing_sides(judgements: Sequence[Judgement]) -> list[str]:
+    """The sides that were never the far one."""
+    leans = np.array([judgement.lean for judgement in judgements if judgement.good])
+    return [
+        side
+        for side, axis, sign in (
+            ("right", 0, 1),
+            ("left", 0, -1),
+            ("upper", 1, -1),
+            ("lower", 1, 1),
+        )
+        if not (sign * leans[:, axis] > LEAN).any()
+    ]

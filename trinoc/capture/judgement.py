@@ -1,0 +1,131 @@
+"""One picture of a board: is it good to calibrate with, and if not, why?"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Shaped
+
+from trinoc.calib import AbstractTarget, Pattern, detect_target
+from trinoc.capture.exposure import Exposure, exposure_of
+from trinoc.capture.placement import lean_of
+from trinoc.capture.sharpness import edge_blur_px
+from trinoc.errors import DetectionError
+from trinoc.numerics import grey_image
+
+# Bounds of what docs/pictures.md asks for.
+SOFTEST_PX = 2.5
+MOST_SATURATED = 0.02
+DARKEST_PAPER = 0.3
+SMALLEST_CIRCLE_PX = 10.0
+# Around the places, in their extent, so that the paper beside the outer ones is seen.
+_MARGIN = 0.08
+
+
+class Judgement(NamedTuple):
+    """What was seen of the board in one picture.
+
+    Fields
+    ------
+    name : of the picture.
+    size_px : (width, height); (0, 0) of a file that could not be read.
+    places_px : (m, 2) circles or corners found; none where the board was refused.
+    places_mm : (m, 2) where on the board these are.
+    of_places : how many the board has.
+    kind : "circles" or "corners".
+    refusal : why the board was not found; "" where it was.
+    blur_px : width of the edges, as the sigma of a Gaussian; NaN where there are hardly any.
+    exposure : of the board where it was found, else of the whole picture.
+    lean : see `lean_of`.
+    faults : what is wrong with the picture, each with what to do; where the board was not found,
+        perhaps the cause.
+    """
+
+    name: str
+    size_px: tuple[int, int]
+    places_px: Float[np.ndarray, "m 2"]
+    places_mm: Float[np.ndarray, "m 2"]
+    of_places: int
+    kind: str
+    refusal: str
+    blur_px: float
+    exposure: Exposure
+    lean: tuple[float, float]
+    faults: tuple[str, ...]
+
+    @property
+    def found(self) -> bool:
+        """Whether the board was found."""
+        return not self.refusal
+
+    @property
+    def good(self) -> bool:
+        """Whether to keep the picture."""
+        return self.found and not self.faults
+
+
+def judge(name: str, image: Shaped[np.ndarray, "..."], target: AbstractTarget) -> Judgement:
+    """Look for the board in a picture, and measure sharpness and exposure where it stands.
+
+    image : (h, w) or (h, w, channels), of any range. Raises InputError for what is no picture.
+    """
+    picture = grey_image(image)
+    kind = "circles" if isinstance(target, Pattern) else "corners"
+    places, on_board, refusal = np.zeros((0, 2)), np.zeros((0, 2)), ""
+    smallest = np.inf
+    try:
+        detection = detect_target(image, target)
+    except DetectionError as error:
+        refusal = str(error)
+    else:
+        places = np.asarray(detection.centres_px)
+        on_board = np.asarray(target.centres_mm)[detection.circle_index]
+        if kind == "circles":
+            axes = np.linalg.eigvalsh(detection.shape_px2)[:, 0]
+            smallest = 2 * float(np.sqrt(max(float(np.min(axes)), 0.0)))
+    region = picture.grey[_window(places, picture.size_px)]
+    blur, exposure = edge_blur_px(region), exposure_of(region, picture.full)
+    return Judgement(
+        name=name,
+        size_px=picture.size_px,
+        places_px=places,
+        places_mm=on_board,
+        of_places=len(target),
+        kind=kind,
+        refusal=refusal,
+        blur_px=blur,
+        exposure=exposure,
+        lean=lean_of(on_board, places),
+        faults=tuple(_faults(blur, exposure, smallest)),
+    )
+
+
+def judge_unread(name: str, target: AbstractTarget, why: str) -> Judgement:
+    """What is to be said of a file that is no picture."""
+    none, nan = np.zeros((0, 2)), float("nan")
+    kind = "circles" if isinstance(target, Pattern) else "corners"
+    unknown = Exposure(nan, nan, nan)
+    return Judgement(name, (0, 0), none, none, len(target), kind, why, nan, unknown, (0.0, 0.0), ())
+
+
+def _window(places_px: Float[np.ndarray, "m 2"], size_px: tuple[int, int]) -> tuple[slice, slice]:
+    """Rows and columns that hold the board, or all of them."""
+    if not len(places_px):
+        return slice(None), slice(None)
+    low, high = places_px.min(axis=0), places_px.max(axis=0)
+    room = _MARGIN * (high - low) + 12.0
+    left, upper = np.maximum(np.floor(low - room), 0).astype(int)
+    right, lower = np.minimum(np.ceil(high + room), size_px).astype(int)
+    return slice(upper, lower), slice(left, right)
+
+
+def _faults(blur_px: float, exposure: Exposure, smallest_px: float) -> list[str]:
+    found = []
+    if blur_px > SOFTEST_PX:
+        found.append(f"edges are {blur_px:.1f} px wide: focus on the board, hold it still")
+    if exposure.saturated > MOST_SATURATED:
+        found.append(f"{exposure.saturated:.0%} is saturated: shorten the exposure")
+    if exposure.paper < DARKEST_PAPER:
+        found.append(f"the paper reaches {exposure.paper:.0%} of white: more light")
+    if smallest_px < SMALLEST_CIRCLE_PX:
+        found.append(f"circles are {smallest_px:.0f} px across: nearer, or a larger sheet")
+    return found

@@ -1,0 +1,91 @@
+"""`trinoc view`: cameras and 3-D segments in a browser, to turn."""
+
+import dataclasses
+import sys
+import threading
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from trinoc.cli.command import Command, Outcome, UsageError
+from trinoc.cli.rig_file import read_rig
+from trinoc.cli.serving_options import Port, show
+
+if TYPE_CHECKING:
+    from trinoc.report import Ellipsoids, SpaceFigure
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class View(Command):
+    """Turn cameras, sheet and 3-D segments in a browser, until Ctrl-C. Needs trinoc[view]."""
+
+    file: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="rig.json|matches.npz")]
+    """What to show."""
+
+    rig: Annotated[
+        Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")
+    ] = None
+    """The cameras to show beside matches."""
+
+    pattern: Annotated[
+        Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")
+    ] = None
+    """The sheet to show beside cameras."""
+
+    port: Port = 0
+    """Port on this machine's own address, 127.0.0.1, which no other machine reaches."""
+
+    open: bool = False
+    """Open the browser."""
+
+    def run(self, command_line: str) -> Outcome:
+        """Serve until interrupted."""
+        from trinoc.report import expect_extra
+
+        expect_extra("viser", "view")
+        figure, ellipsoids, said = self._content()
+
+        from trinoc.serving import SpaceServer
+
+        title = f"trinoc: {self.file.name}"
+        with SpaceServer(figure, ellipsoids, title=title, port=self.port) as server:
+            url = server.url
+            show(url, self.open)
+            wait_for_interruption()
+        return Outcome(f"{said}, no longer shown.", {"shown": str(self.file), "url": url})
+
+    def _content(self) -> "tuple[SpaceFigure, Ellipsoids | None, str]":
+        from trinoc.geometry import Rig
+        from trinoc.io import load_any, load_pattern
+        from trinoc.match import Matches
+        from trinoc.report import SpaceFigure, error_ellipsoids, space_figure
+
+        value = load_any(self.file)
+        if not isinstance(value, Rig | Matches):
+            raise UsageError(f"{self.file} holds nothing in space: give a rig.json or matches.npz.")
+        pattern = None if self.pattern is None else load_pattern(self.pattern)
+        if isinstance(value, Rig):
+            if self.rig is not None:
+                raise UsageError(f"{self.file} is a rig itself: --rig goes with a matches.npz.")
+            rig = read_rig(self.file)
+            return space_figure(rig, pattern, None), None, f"{len(rig)} cameras"
+        if self.rig is None:
+            if self.pattern is not None:
+                raise UsageError("--pattern goes with cameras: give --rig, too.")
+            figure = SpaceFigure.of_tracks(value)
+        else:
+            figure = space_figure(read_rig(self.rig), pattern, value)
+        return (
+            figure,
+            error_ellipsoids(value.lines_mm, value.covariance_mm2),
+            f"{len(value)} tracks",
+        )
+
+
+def wait_for_interruption() -> None:
+    """Until Ctrl-C, which is how a view ends."""
+    try:
+        threading.Event().wait()
+    except KeyboardInterrupt:
+        print(file=sys.stderr)

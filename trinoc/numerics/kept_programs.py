@@ -1,0 +1,197 @@
+"""Compiled programs that outlive the process, so that the next one need not trace them again.
+
+JAX's own cache keeps what was compiled, but finds it by the traced and lowered program: a process
+that computes for a tenth of a second traces for ten. Large programs that `kept_jit` makes are found
+by what they are made from: the function, its static arguments, the kinds of its arrays, and,
+through the store, everything else that could change them. Without a store (`keep_programs_in`),
+inside `jit`, `grad` or `vmap`, and with values of classes that are not trinoc's, they are plain
+`jax.jit`.
+"""
+
+import functools
+import hashlib
+import inspect
+import pickle
+import re
+import secrets
+from collections.abc import Callable, Hashable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
+
+import jax
+import jax.numpy as jnp
+
+from trinoc.numerics.precision import is_outside, is_traced
+
+# Whose classes a version number or the store's own key stands for.
+_KNOWN = {
+    *("trinoc", "jax", "jaxlib", "jaxtyping", "numpy", "equinox", "optimistix", "lineax"),
+    *("builtins", "collections", "functools"),
+}
+# Beginning of the names by which compiled programs call LAPACK.
+_LAPACK = "lapack_"
+
+
+@runtime_checkable
+class ProgramStore(Protocol):
+    """Where programs are kept. Content comes back as it was put, or not at all."""
+
+    def get(self, name: str) -> bytes | None:
+        """What was put under the name, by this version on this machine."""
+        ...
+
+    def put(self, name: str, content: bytes) -> None:
+        """Keep it, or do without."""
+        ...
+
+
+class _Kept(NamedTuple):
+    """A program on flat lists of arrays, and the shape of what it returns."""
+
+    program: Callable[[list[Any]], list[Any]]
+    result: Any
+
+
+class _Where:
+    """The store of this process."""
+
+    store: ProgramStore | None = None
+
+
+def keep_programs_in(store: ProgramStore | None) -> ProgramStore | None:
+    """Use a store from now on, or none; returns the one before."""
+    before, _Where.store = _Where.store, store
+    return before
+
+
+def kept_jit(
+    function: Callable[..., Any], *, static_argnames: tuple[str, ...] = ()
+) -> Callable[..., Any]:
+    """`jax.jit` of a function without side effects, whose programs a store may keep.
+
+    The function must take no value from outside but constants of trinoc's own modules.
+    """
+    plain = jax.jit(function, static_argnames=static_argnames)
+    signature = inspect.signature(function)
+    known: dict[Hashable, _Kept | None] = {}
+
+    @functools.wraps(function)
+    def call(*args: Any, **kwargs: Any) -> Any:
+        store = _Where.store
+        config: Any = jax.config
+        if (
+            store is None
+            or config.jax_disable_jit
+            or is_traced(args, kwargs)
+            or not is_outside()
+            or jax.default_backend() != "cpu"
+        ):
+            return plain(*args, **kwargs)
+        given = signature.bind(*args, **kwargs)
+        given.apply_defaults()
+        static = {name: given.arguments.pop(name) for name in static_argnames}
+        leaves, tree = jax.tree.flatten(dict(given.arguments))
+        kinds = tuple(jax.api_util.shaped_abstractify(leaf) for leaf in leaves)
+        precision = (config.jax_enable_x64, config.jax_default_matmul_precision)
+        key = (tree, kinds, tuple(static.values()), precision)
+        if key not in known:
+            known[key] = _found_or_made(store, function, static, tree, leaves, key)
+        kept = known[key]
+        if kept is None:
+            return plain(*args, **kwargs)
+        return jax.tree.unflatten(kept.result, kept.program(leaves))
+
+    return call
+
+
+def _found_or_made(
+    store: ProgramStore,
+    function: Callable[..., Any],
+    static: dict[str, Any],
+    tree: Any,
+    leaves: list[Any],
+    key: tuple[Hashable, ...],
+) -> _Kept | None:
+    """The program, from the store or compiled and put there; None where it cannot be kept."""
+    from jax.experimental import serialize_executable
+
+    in_tree = jax.tree.structure(((leaves,), {}))
+    try:
+        name = _name(function, key)
+    except (pickle.PicklingError, TypeError, AttributeError):
+        return None
+    content = store.get(name)
+    if content is not None:
+        try:
+            payload, like, with_lapack = pickle.loads(content)
+            if with_lapack:
+                _make_lapack_ready()
+            values, result = jax.tree.flatten(like)
+            out_tree = jax.tree.structure(values)
+            return _Kept(
+                serialize_executable.deserialize_and_load(payload, in_tree, out_tree), result
+            )
+        except Exception:
+            pass
+    found: list[Any] = []
+
+    def flat(leaves: list[Any]) -> list[Any]:
+        values, result = jax.tree.flatten(function(**jax.tree.unflatten(tree, leaves), **static))
+        found[:] = [result]
+        return values
+
+    # What JAX's own cache hands out cannot be kept again: a name of its own, so that it compiles.
+    flat.__name__ = f"{function.__name__}_{secrets.token_hex(4)}"
+    compiled = jax.jit(flat).lower(leaves).compile()
+    result = found[0]
+    try:
+        # What a program calls must be there when it is loaded.
+        calls = set(re.findall(r'custom_call_target="([^"]*)"', compiled.as_text() or ""))
+        if all(call.startswith(_LAPACK) for call in calls):
+            # A value of the result's kind and not its tree, whose marks do not survive pickling.
+            like = jax.tree.unflatten(result, range(result.num_leaves))
+            payload = serialize_executable.serialize(compiled)[0]
+            store.put(name, _pickled((payload, like, bool(calls))))
+    except Exception:
+        pass
+    return _Kept(compiled, result)
+
+
+@functools.cache
+def _make_lapack_ready() -> None:
+    """JAX looks LAPACK's addresses up when it first lowers a call; a loaded program does not."""
+    jax.jit(jnp.linalg.cholesky).lower(jnp.eye(2))
+
+
+def _name(function: Callable[..., Any], key: tuple[Hashable, ...]) -> str:
+    """A name that differs where anything differs that the program is made from."""
+    tree, kinds, *rest = key
+    kinds = [(k.shape, str(k.dtype), k.weak_type) for k in kinds]  # pyright: ignore
+    made_of = (function.__module__, function.__qualname__, tree, kinds, rest)
+    return hashlib.sha256(_pickled(made_of)).hexdigest()
+
+
+class _OwnClasses(pickle.Pickler):
+    """Refuses values whose class may change without trinoc's knowing, such as a user's own lens."""
+
+    def reducer_override(self, value: Any) -> Any:
+        if isinstance(value, type) or inspect.isroutine(value):
+            room = (getattr(value, "__module__", "") or "").partition(".")[0]
+            if room not in _KNOWN:
+                raise pickle.PicklingError(f"{value} is not of trinoc")
+        return NotImplemented
+
+
+def _pickled(value: Any) -> bytes:
+    sink = _Sink()
+    _OwnClasses(sink, protocol=5).dump(value)
+    return b"".join(sink.parts)
+
+
+class _Sink:
+    """What a pickler writes to."""
+
+    def __init__(self) -> None:
+        self.parts: list[bytes] = []
+
+    def write(self, part: bytes) -> None:
+        self.parts.append(bytes(part))
