@@ -7,7 +7,7 @@ from tests.match.made import as_set, loose_lines, pictures, rig_of
 from trinoc.errors import InputError, MatchError
 from trinoc.geometry import Rig, Segments
 from trinoc.match import match_segments
-from trinoc.match.candidates import triples as candidates
+from trinoc.match.candidates import search, triples as candidates
 from trinoc.match.occlusion import possible_pairs as occluded
 from trinoc.match.tracks.rejection import reasons
 
@@ -232,8 +232,8 @@ def test_lens_distortion_is_taken_out_and_put_back() -> None:
 def compiled() -> list[int]:
     """How many versions of each kernel have been compiled."""
     kernels = (
-        candidates._predicted,
-        candidates._passes_gate,
+        search._predicted,
+        search._passes_gate,
         candidates._evidence_of,
         occluded._evidence_of,
     )
