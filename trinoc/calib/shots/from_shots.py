@@ -89,13 +89,14 @@ def calibrate_rig(
     starts = {}
     for camera, own in usable.items():
         given = known.get(camera)
+        _expect_size(camera, given, next(iter(own.values())))
         try:
             starts[camera] = camera_start(
                 list(own.values()), target, model, None if given is None else given.lens
             )
         except CalibrationError as error:
             raise CalibrationError(f'Camera "{camera}": {error}') from error
-    placed = placed_rig(starts, usable, found.shots, target)
+    placed = placed_rig(starts, usable, found.shots, target, known)
     known_board = _board_systematics(systematics)
     problem = _problem(placed, starts, usable, target, known, distortion, same_lens, known_board)
     fit, silent = with_board_shape(fit_robustly(problem)), ()
@@ -156,6 +157,16 @@ def _expect_seen(found: FoundShots) -> None:
         why = [words for (name, _), words in found.failures.items() if name == camera]
         said = f" In its first picture: {why[0]}" if why else " It has no picture."
         raise CalibrationError(f'Camera "{camera}" sees the board in no picture.{said}')
+
+
+def _expect_size(camera: str, lens: Intrinsics | None, detection: Detection) -> None:
+    if lens is None or tuple(lens.image_size_px) == tuple(detection.image_size_px):
+        return
+    (width, height), (given_width, given_height) = detection.image_size_px, lens.image_size_px
+    raise InputError(
+        f'The lens of "{camera}" is for pictures of {given_width} x {given_height} px, but its '
+        f"pictures have {width} x {height}: see that neither lenses nor folders are exchanged."
+    )
 
 
 def _problem(
