@@ -78,7 +78,7 @@ def chosen_lens(tried: Mapping[str, HeldOut]) -> LensChoice:
     squares = {
         name: np.array(
             [
-                np.mean(np.concatenate([
+                1e-24 + np.mean(np.concatenate([
                     np.minimum(each.errors_px[key], cap) ** 2 for key in keys if key[1] == shot
                 ]))
                 for shot in shots
@@ -88,7 +88,8 @@ def chosen_lens(tried: Mapping[str, HeldOut]) -> LensChoice:
     }  # fmt: skip
     best = min(squares, key=lambda name: float(squares[name].mean()))
     for name in tried:
-        worse = squares[name] - squares[best]
+        # Quotients, since a few shots with large errors would drown all others in a difference.
+        worse = np.log(squares[name] / squares[best])
         sigma = worse.std(ddof=1) / np.sqrt(len(shots)) if len(shots) > 1 else np.inf
         if name == best or worse.mean() <= _DEVIATIONS * sigma:
             break
