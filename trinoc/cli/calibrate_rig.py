@@ -32,10 +32,11 @@ class CalibrateRig(Command):
     board: Path
     """Layout of the board (JSON), as `trinoc pattern` writes it: sheet or board."""
 
-    lens_model: Literal["brown_conrady", "rational", "thin_prism", "kannala_brandt", "none"] = (
-        "brown_conrady"
-    )
-    """Model of the lenses; kannala_brandt for fisheyes."""
+    lens_model: Literal[
+        "brown_conrady", "rational", "thin_prism", "kannala_brandt", "none", "auto"
+    ] = "brown_conrady"
+    """Model of the lenses; kannala_brandt for fisheyes, auto for the one that the shots call
+    for."""
 
     distortion: Annotated[
         int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: all determined)")

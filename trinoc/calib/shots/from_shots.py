@@ -3,30 +3,18 @@
 from collections.abc import Callable, Mapping
 from typing import Literal
 
-import numpy as np
-
-from trinoc.calib.detection import Detection
 from trinoc.calib.intrinsics import FEWEST_CIRCLES
 from trinoc.calib.shots.board_shape import with_board_shape
 from trinoc.calib.shots.judged import judged
-from trinoc.calib.shots.lens_start import CameraStart, camera_start
+from trinoc.calib.shots.lens_choice import LENSES_TRIED
 from trinoc.calib.shots.pixel_fit import expect_method, fit_pixels, grey_levels
-from trinoc.calib.shots.placing import PlacedRig, placed_rig
-from trinoc.calib.shots.problem import Freedom, Problem, problem_of
+from trinoc.calib.shots.point_fit import Asked, fit_of_lens
 from trinoc.calib.shots.result import RigFromShots
-from trinoc.calib.shots.robust_fit import fit_robustly
 from trinoc.calib.shots.sightings_of_shots import FoundShots, Pictures, found_shots
 from trinoc.calib.targets import AbstractTarget
 from trinoc.calib.uncertainty import Systematics
 from trinoc.errors import CalibrationError, InputError
-from trinoc.geometry import (
-    AFFINE_PARAMETERS,
-    DEFAULT_DISTORTION,
-    AbstractLens,
-    Intrinsics,
-    lens_model,
-    promoted,
-)
+from trinoc.geometry import DEFAULT_DISTORTION, AbstractLens, Intrinsics, lens_model
 from trinoc.numerics import in_float64
 
 
@@ -54,7 +42,8 @@ def calibrate_rig(
         alone is a rig, too.
     target : the board: a Pattern, a Chessboard or a Charuco.
     lens : lenses that are known and held, of all cameras or by name; others are found.
-    lens_model : model of the lenses that are found.
+    lens_model : model of the lenses that are found; "auto" takes that which, fitted to one half of
+        the shots, tells best of the other half, and a note says why.
     distortion : how many of its coefficients are fitted; as many as the shots determine unless
         given.
     same_lens : whether all cameras have one lens, such as pictures of one camera moved about.
@@ -78,27 +67,19 @@ def calibrate_rig(
         shots are out of step, or, with `throw`, parameters that the shots do not determine.
     """
     expect_method(method, target, pictures)
-    model = _model(lens_model, distortion)
     known = _known_lenses(lens, tuple(pictures))
+    models = _models(lens_model, distortion, known)
     found = found_shots(pictures, target, progress)
     _expect_seen(found)
     usable = {
         camera: {shot: each for shot, each in own.items() if len(each) >= FEWEST_CIRCLES}
         for camera, own in found.detections.items()
     }
-    starts = {}
-    for camera, own in usable.items():
-        given = known.get(camera)
-        try:
-            starts[camera] = camera_start(
-                list(own.values()), target, model, None if given is None else given.lens
-            )
-        except CalibrationError as error:
-            raise CalibrationError(f'Camera "{camera}": {error}') from error
-    placed = placed_rig(starts, usable, found.shots, target)
     known_board = _board_systematics(systematics)
-    problem = _problem(placed, starts, usable, target, known, distortion, same_lens, known_board)
-    fit, silent = with_board_shape(fit_robustly(problem)), ()
+    asked = Asked(usable, found.shots, target, known, distortion, same_lens, known_board)
+    points, remark = fit_of_lens(asked, models)
+    starts, placed, fit = points
+    fit, silent = with_board_shape(fit), ()
     if method == "pixels":
         fit, silent = fit_pixels(fit, grey_levels(pictures, tuple(starts), placed.shots))
         fit = with_board_shape(fit)
@@ -111,12 +92,22 @@ def calibrate_rig(
         known,
         known_board,
         silent=silent,
+        remarks=() if remark is None else (remark,),
         may_give_up=distortion is None,
         throw=throw,
     )
 
 
-def _model(name: str, distortion: int | None) -> type[AbstractLens]:
+def _models(
+    name: str, distortion: int | None, known: Mapping[str, Intrinsics]
+) -> tuple[type[AbstractLens], ...]:
+    if name == "auto":
+        if distortion is not None or known:
+            raise InputError(
+                'lens_model is "auto", which finds every lens and all its coefficients: name a '
+                "model, or leave out distortion and lens."
+            )
+        return tuple(lens_model(each) for each in LENSES_TRIED)
     model = lens_model(name)
     counts = model.coefficient_counts
     if distortion is not None and distortion not in counts:
@@ -124,7 +115,7 @@ def _model(name: str, distortion: int | None) -> type[AbstractLens]:
             f"distortion is {distortion}, but must be one of {', '.join(map(str, counts))} "
             f"coefficients of {', '.join(model.coefficient_names) or name}, or None."
         )
-    return model
+    return (model,)
 
 
 def _known_lenses(
@@ -156,43 +147,3 @@ def _expect_seen(found: FoundShots) -> None:
         why = [words for (name, _), words in found.failures.items() if name == camera]
         said = f" In its first picture: {why[0]}" if why else " It has no picture."
         raise CalibrationError(f'Camera "{camera}" sees the board in no picture.{said}')
-
-
-def _problem(
-    placed: PlacedRig,
-    starts: Mapping[str, CameraStart],
-    detections: Mapping[str, Mapping[str, Detection]],
-    target: AbstractTarget,
-    known: Mapping[str, Intrinsics],
-    distortion: int | None,
-    same_lens: bool,
-    systematics: Systematics,
-) -> Problem:
-    lenses = [start.lens for start in starts.values()]
-    sizes = [next(iter(detections[camera].values())).image_size_px for camera in starts]
-    models = {type(lens) for lens in lenses if lens.has_distortion}
-    if len(models) == 1:
-        (only,) = models
-        lenses = [promoted(lens, only) for lens in lenses]
-    if same_lens:
-        if len(set(sizes)) > 1:
-            raise InputError("same_lens is asked for, but the cameras' pictures differ in size.")
-        middle = np.argsort([float(lens.focal_length_px[0]) for lens in lenses])[len(lenses) // 2]
-        lenses, sizes = [lenses[middle]], sizes[:1]
-    lens_of_camera = np.zeros(len(starts), dtype=int) if same_lens else np.arange(len(starts))
-    names = lenses[0].parameter_names
-    fitted = np.arange(len(names)) < len(AFFINE_PARAMETERS) + (
-        len(names) if distortion is None else distortion
-    )
-    held = [camera in known for camera in starts][: len(lenses)]
-    free = np.stack([np.zeros(len(names), dtype=bool) if is_held else fitted for is_held in held])
-    return problem_of(
-        placed.views,
-        target,
-        lenses,
-        placed.cam_from_rig,
-        placed.rig_from_board,
-        sizes,
-        Freedom(lens_of_camera, free),
-        systematics,
-    )

@@ -46,6 +46,7 @@ def judged(
     systematics: Systematics,
     *,
     silent: Sequence[tuple[int, int, str]],
+    remarks: tuple[str, ...],
     may_give_up: bool,
     throw: bool,
 ) -> RigFromShots:
@@ -79,7 +80,7 @@ def judged(
     if status is Status.CONVERGED:
         rig = _rig(problem, cameras, poses, found, known, named.names, covariance)
     notes = notes_of_rig(fit, cameras, given_up, factor)
-    notes = (*notes, *silent_sentences(silent, placed, cameras))
+    notes = (*remarks, *notes, *silent_sentences(silent, placed, cameras))
     if status is Status.RANK_DEFICIENT:
         notes = (undetermined_sentence(problem, gauge), *notes)
     elif status is Status.NOT_CONVERGED:

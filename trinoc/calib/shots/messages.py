@@ -4,14 +4,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from trinoc.calib.shots.motions import chained
+from trinoc.calib.shots.motions import PARALLEL_DEG, boards_parallel, chained
 from trinoc.calib.shots.placing import PlacedRig
 from trinoc.calib.shots.problem import Problem
 from trinoc.calib.shots.robust_fit import RobustFit
 from trinoc.calib.shots.state import SHEET_NAMES
 
-# Boards tilted by less hardly shorten: focal length and distance look alike.
-_SQUARE_DEG = 8.0
 # A scale or a warp beyond this many sigmas of what was known of it before is told.
 _SURPRISING = 3.0
 
@@ -35,15 +33,13 @@ def _reason(problem: Problem) -> str:
         cam_from_rig = np.asarray(problem.state.cam_from_rig)[view.camera]
         pose = chained(cam_from_rig, np.asarray(problem.state.rig_from_board)[view.shot])
         tilts.append(np.degrees(np.arccos(np.clip(abs(pose[2, 2]), 0.0, 1.0))))
-    facing = [np.asarray(problem.state.rig_from_board)[shot][:, 2] for shot in shots]
-    spread = np.degrees(np.arccos(np.clip(np.abs(np.array(facing) @ facing[0]), 0.0, 1.0)))
-    if max(tilts) < _SQUARE_DEG:
+    if max(tilts) < PARALLEL_DEG:
         return (
             ": all pictures show the board square to the camera, where a longer focal length and a "
             "larger distance look the same. Tilt the board by 30 to 50 degrees, another way each "
             "time"
         )
-    if spread.max() < _SQUARE_DEG:
+    if boards_parallel([np.asarray(problem.state.rig_from_board)[shot] for shot in shots]):
         return (
             ": the board is parallel in all shots. Tilt it by 30 to 50 degrees, another way each "
             "time"
@@ -104,9 +100,26 @@ def notes_of_rig(
                     "sigmas say; all sigmas are enlarged by that. See that the board is flat and "
                     "does not move, and that focus and zoom stay."
                 )
+    notes += _backs(problem)
     notes += _uneven(problem)
     notes += _surprises(problem)
     return tuple(notes)
+
+
+def _backs(problem: Problem) -> list[str]:
+    """Whether the pictures show what would be the back of the board as it is drawn."""
+    state, towards = problem.state, []
+    for view in problem.views:
+        if view.used.any():
+            cam_from_rig = np.asarray(state.cam_from_rig)[view.camera]
+            pose = chained(cam_from_rig, np.asarray(state.rig_from_board)[view.shot])
+            towards.append(float(pose[:, 2] @ pose[:, 3]))
+    if not towards or np.mean(np.array(towards) > 0) <= 0.5:
+        return []
+    return [
+        "Most pictures show the board from behind: the board, its layout or the pictures are "
+        "mirrored, unless it is of glass. Mirrored pictures make a mirrored rig."
+    ]
 
 
 def _uneven(problem: Problem) -> list[str]:

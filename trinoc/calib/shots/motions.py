@@ -1,7 +1,12 @@
 """Rigid motions (3, 4) one after the other, and back."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Float
+
+# Boards whose planes differ by less look parallel: focal length and distance look alike then.
+PARALLEL_DEG = 8.0
 
 
 def chained(second: Float[np.ndarray, "3 4"], first: Float[np.ndarray, "3 4"]) -> np.ndarray:
@@ -28,3 +33,10 @@ def motion_in_plane(
     motion[:2, :2] = turn
     motion[:2, 3] = here_mm.mean(axis=0) - turn @ there_mm.mean(axis=0)
     return motion
+
+
+def boards_parallel(poses: Sequence[Float[np.ndarray, "3 4"]]) -> bool:
+    """Whether boards at these poses are parallel to each other, of which there are several."""
+    facing = np.array([pose[:, 2] for pose in poses])
+    between = np.degrees(np.arccos(np.clip(np.abs(facing @ facing[0]), 0.0, 1.0)))
+    return len(facing) > 1 and bool(between.max() < PARALLEL_DEG)

@@ -1,6 +1,6 @@
 """From what each camera saw to cameras in one frame and a board in every shot."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from itertools import combinations
 from typing import NamedTuple
 
@@ -9,7 +9,9 @@ from jaxtyping import Float
 
 from trinoc.calib.detection import Detection
 from trinoc.calib.shots.chain import PairLink, linked_groups, pair_link, placed_shot
+from trinoc.calib.shots.exchanged import exchanged_pair
 from trinoc.calib.shots.lens_start import CameraStart
+from trinoc.calib.shots.motions import boards_parallel
 from trinoc.calib.shots.sightings import Sighting, sighting
 from trinoc.calib.shots.table import View
 from trinoc.calib.targets import AbstractTarget
@@ -45,8 +47,9 @@ def placed_rig(
     detections: Mapping[str, Mapping[str, Detection]],
     shots: Sequence[str],
     target: AbstractTarget,
+    known: Collection[str] = (),
 ) -> PlacedRig:
-    """Chain the cameras and place the board of every shot.
+    """Chain the cameras and place the board of every shot. `known` : cameras with a given lens.
 
     A picture that shows the board elsewhere than the other cameras of its shot keeps a board of
     its own: it still speaks of its lens. Raises CalibrationError where cameras are not connected,
@@ -70,7 +73,7 @@ def placed_rig(
             links[a, b] = pair_link(first, second, target)
     groups = linked_groups(links, range(len(names)))
     if len(groups) > 1:
-        raise CalibrationError(_apart(groups, links, names, seen, target))
+        raise CalibrationError(_apart(groups, links, names, seen, target, known))
     poses = groups[0]
     boards, taken, views, refused = [], [], [], []
     for number, shot in enumerate(shots):
@@ -81,6 +84,12 @@ def placed_rig(
         views += [_view(each, labelling, len(boards)) for each, labelling in placed.members]
         boards.append(placed.rig_from_board)
         taken.append(shot)
+        if placed.stragglers and (pair := exchanged_pair(own, poses, target)):
+            a, b = (names[camera] for camera in pair)
+            refused.append(
+                f'{shot}: the pictures of "{a}" and "{b}" look exchanged: with each under the '
+                "other's name, all cameras show the board in one place."
+            )
         for straggler, miss in placed.stragglers:
             alone = placed_shot([straggler], poses, target)
             views.append(_view(straggler, 0, len(boards)))
@@ -90,7 +99,8 @@ def placed_rig(
             refused.append(
                 f'{shot}: "{names[straggler.camera]}" shows the board {miss:.0f} px from where '
                 f"{others} show{'s' if len(placed.members) == 1 else ''} it, so it was not "
-                "taken at the same moment; it serves for its lens alone."
+                "taken at the same moment, or shows another board that looks alike; it serves for "
+                "its lens alone."
             )
     stacked = np.stack([poses[k] for k in range(len(names))])
     return PlacedRig(stacked, np.stack(boards), tuple(taken), tuple(views), tuple(refused))
@@ -112,6 +122,7 @@ def _apart(
     names: list[str],
     seen: dict[str, dict[int, Sighting]],
     target: AbstractTarget,
+    known: Collection[str],
 ) -> str:
     """Why the cameras are not in one frame."""
     broken = [(pair, link) for pair, link in links.items() if not link.holds]
@@ -127,6 +138,14 @@ def _apart(
     parts = "; ".join(", ".join(names[k] for k in sorted(group)) for group in groups)
     if broken:
         (a, b), link = broken[0]
+        for camera in (names[a], names[b]):
+            poses = [each.cam_from_board[0] for each in seen[camera].values()]
+            if camera not in known and boards_parallel(poses):
+                return (
+                    f'The board is parallel in all shots of "{camera}", which tells no lens, and '
+                    "without its lens not how it stands. Tilt the board by 30 to 50 degrees, "
+                    "another way each time, or give the lenses."
+                )
         return (
             f'"{names[a]}" and "{names[b]}" share {link.shared} shots, but only {link.agreeing} of '
             f"them agree on how the cameras stand (the groups are {parts}): see that pictures of "

@@ -131,6 +131,11 @@ def with_sheet_held(problem: Problem) -> Problem:
     return problem._replace(chart=_with_free(problem.chart, head))
 
 
+def with_head_held(problem: Problem) -> Problem:
+    """The problem with lenses, cameras and board as they are: only where it stands is free."""
+    return problem._replace(chart=_with_free(problem.chart, np.zeros(len(problem.chart.free))))
+
+
 def lens_number(problem: Problem, number: int) -> AbstractLens:
     """One of the stacked lenses of the state."""
     return jax.tree.map(lambda leaf: np.asarray(leaf)[number], problem.state.lenses)

@@ -109,6 +109,10 @@ def summary_text(result: RigFromShots) -> str:
         if name.startswith("board.") and result.sigma(name) != 0.0
     ]
     lines.append(f"world: {result.world}")
+    lines.append(
+        f"lengths: as long as the board's are; it was said to be {_extent(result.target)} mm from "
+        "first to last place, which no picture can check"
+    )
     if result.halves is not None:
         lines.append(
             f"halves of the shots differ by {result.halves.ratio:.2f} claimed sigmas over "
@@ -119,6 +123,10 @@ def summary_text(result: RigFromShots) -> str:
     lines += list(result.notes) + list(result.refused)
     lines += [f"{where}: {why}" for where, why in result.failures.items()]
     return "\n".join(lines)
+
+
+def _extent(target: AbstractTarget) -> str:
+    return " x ".join(f"{side:.6g}" for side in np.ptp(target.centres_mm, axis=0))
 
 
 def _with_sigma(result: RigFromShots, name: str) -> str:

@@ -1,0 +1,126 @@
+"""The fit of the places that were detected, by the lens that is asked for or called for."""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from trinoc.calib.detection import Detection
+from trinoc.calib.shots.covariance import information_of
+from trinoc.calib.shots.lens_choice import choice_sentence, chosen_lens, held_out, score_chance
+from trinoc.calib.shots.lens_start import CameraStart, camera_start
+from trinoc.calib.shots.placing import PlacedRig, placed_rig
+from trinoc.calib.shots.problem import Freedom, Problem, problem_of
+from trinoc.calib.shots.robust_fit import RobustFit, fit_robustly
+from trinoc.calib.shots.shot_scatter import shot_scatter
+from trinoc.calib.targets import AbstractTarget
+from trinoc.calib.uncertainty import Systematics
+from trinoc.errors import CalibrationError, InputError
+from trinoc.geometry import AFFINE_PARAMETERS, AbstractLens, BrownConrady, Intrinsics, promoted
+
+
+class Asked(NamedTuple):
+    """What is to be fitted: the detections of each camera by shot, the names of all shots, and
+    what `calibrate_rig` was told of board and lenses."""
+
+    detections: Mapping[str, Mapping[str, Detection]]
+    shots: Sequence[str]
+    target: AbstractTarget
+    known: Mapping[str, Intrinsics]
+    distortion: int | None
+    same_lens: bool
+    systematics: Systematics
+
+
+class PointFit(NamedTuple):
+    """The first lenses, the rig where the fit began, and where it ended."""
+
+    starts: Mapping[str, CameraStart]
+    placed: PlacedRig
+    fit: RobustFit
+
+
+def fit_of_lens(asked: Asked, models: Sequence[type[AbstractLens]]) -> tuple[PointFit, str | None]:
+    """The fit by the one model, or by that of several which the shots call for, and why.
+
+    Raises CalibrationError where no model places the cameras.
+    """
+    if len(models) == 1:
+        return _fitted(asked, models[0]), None
+    fits, errors = {}, []
+    for model in models:
+        try:
+            fits[model.model] = _fitted(asked, model)
+        except CalibrationError as error:
+            errors.append(error)
+    if not fits:
+        raise errors[0]
+    cameras = tuple(asked.detections)
+    tried = {name: held_out(each.fit.problem, each.placed, cameras) for name, each in fits.items()}
+    choice = chosen_lens(tried)
+    best, chance = fits[choice.model], None
+    if choice.model == BrownConrady.model:
+        problem = best.fit.problem
+        factor = shot_scatter(information_of(problem)).variance_factor
+        chance = score_chance(problem, _sizes(asked)[: len(problem.chart.lens_scale)], factor)
+    return best, choice_sentence(choice, chance)
+
+
+def _fitted(asked: Asked, model: type[AbstractLens]) -> PointFit:
+    starts = {}
+    for camera, own in asked.detections.items():
+        given = asked.known.get(camera)
+        _expect_size(camera, given, next(iter(own.values())))
+        try:
+            starts[camera] = camera_start(
+                list(own.values()), asked.target, model, None if given is None else given.lens
+            )
+        except CalibrationError as error:
+            raise CalibrationError(f'Camera "{camera}": {error}') from error
+    placed = placed_rig(starts, asked.detections, asked.shots, asked.target, asked.known)
+    return PointFit(starts, placed, fit_robustly(_problem(asked, placed, starts)))
+
+
+def _sizes(asked: Asked) -> list[tuple[int, int]]:
+    return [next(iter(own.values())).image_size_px for own in asked.detections.values()]
+
+
+def _expect_size(camera: str, lens: Intrinsics | None, detection: Detection) -> None:
+    if lens is None or tuple(lens.image_size_px) == tuple(detection.image_size_px):
+        return
+    (width, height), (given_width, given_height) = detection.image_size_px, lens.image_size_px
+    raise InputError(
+        f'The lens of "{camera}" is for pictures of {given_width} x {given_height} px, but its '
+        f"pictures have {width} x {height}: see that neither lenses nor folders are exchanged."
+    )
+
+
+def _problem(asked: Asked, placed: PlacedRig, starts: Mapping[str, CameraStart]) -> Problem:
+    lenses = [start.lens for start in starts.values()]
+    sizes = _sizes(asked)
+    models = {type(lens) for lens in lenses if lens.has_distortion}
+    if len(models) == 1:
+        (only,) = models
+        lenses = [promoted(lens, only) for lens in lenses]
+    if asked.same_lens:
+        if len(set(sizes)) > 1:
+            raise InputError("same_lens is asked for, but the cameras' pictures differ in size.")
+        middle = np.argsort([float(lens.focal_length_px[0]) for lens in lenses])[len(lenses) // 2]
+        lenses, sizes = [lenses[middle]], sizes[:1]
+    lens_of_camera = np.zeros(len(starts), dtype=int) if asked.same_lens else np.arange(len(starts))
+    names = lenses[0].parameter_names
+    fitted = np.arange(len(names)) < len(AFFINE_PARAMETERS) + (
+        len(names) if asked.distortion is None else asked.distortion
+    )
+    held = [camera in asked.known for camera in starts][: len(lenses)]
+    free = np.stack([np.zeros(len(names), dtype=bool) if is_held else fitted for is_held in held])
+    return problem_of(
+        placed.views,
+        asked.target,
+        lenses,
+        placed.cam_from_rig,
+        placed.rig_from_board,
+        sizes,
+        Freedom(lens_of_camera, free),
+        asked.systematics,
+    )
