@@ -130,6 +130,10 @@ def test_a_sheet_is_proposed_for_a_camera_and_a_distance(tmp_path, capsys):
     assert "px wide" in capsys.readouterr().out
     assert main(["pattern", "--for-distance-mm", "500", "-o", place]) == 2
     assert "--field-deg" in capsys.readouterr().err
+    for wrong in ("--for-distance-mm", "-5"), ("--field-deg", "200"):
+        options = ["--for-distance-mm", "500", *camera, *wrong]
+        assert main(["pattern", *options, "-o", place]) == 2
+        assert f"{wrong[0]} is {wrong[1]}" in capsys.readouterr().err
     assert main(["pattern", "--board", "charuco", "--for-distance-mm", "500", "-o", place]) == 2
 
 

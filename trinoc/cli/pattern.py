@@ -162,8 +162,15 @@ class Pattern(Command):
         if self.board != "sheet":
             raise UsageError("--for-distance-mm is of the sheet: give --square-mm of a board.")
         width, height = self.image_size_px
-        angle = self.field_deg or 0.0
-        if not (min(width, height) > 0 and 0 < angle < 170 and self.for_distance_mm > 0):
+        angle = self.field_deg
+        if self.for_distance_mm <= 0:
+            raise UsageError(
+                f"--for-distance-mm is {self.for_distance_mm:g}: give the distance from the camera "
+                "to the sheet."
+            )
+        if angle is not None and not 0 < angle < 170:
+            raise UsageError(f"--field-deg is {angle:g}: give an angle above 0 and below 170.")
+        if angle is None or min(width, height) <= 0:
             raise UsageError(
                 "--for-distance-mm needs the camera: give --field-deg, such as 30, and "
                 "--image-size-px, such as 1280 960."
