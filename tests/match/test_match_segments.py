@@ -233,9 +233,9 @@ def compilations() -> list[str]:
     """Grows with the name of each program that is compiled."""
     seen: list[str] = []
 
-    def listen(event: str, duration_s: float, *, fun_name: str = "", **_: object) -> None:
+    def listen(event: str, duration_secs: float, **said: str | int) -> None:
         if event.endswith("backend_compile_duration"):
-            seen.append(fun_name)
+            seen.append(str(said["fun_name"]))
 
     jax.monitoring.register_event_duration_secs_listener(listen)
     return seen

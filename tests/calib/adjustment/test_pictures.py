@@ -59,6 +59,7 @@ def test_no_error_beyond_four_sigmas_is_silent(name, known, method) -> None:
     )
 
 
+@pytest.mark.slow
 def test_an_aim_beside_the_origin_is_said_and_allowed_for() -> None:
     result, _ = answer("aim .1 mm off", BENCH)
     assert "misses the origin of the sheet by (0.06, 0.08)" in result.fits["a"].notes[0]

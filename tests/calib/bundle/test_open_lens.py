@@ -52,6 +52,7 @@ def test_segments_join_what_the_sheet_says_of_pose_and_lens() -> None:
     assert max(gain) < 1
 
 
+@pytest.mark.slow
 def test_a_lens_that_is_exact_stays_while_others_are_open() -> None:
     sheet = data_sheet_calibration(7, exact=("upper",))
     refined = refine(sheet, made_tracks(7, 60)[0])

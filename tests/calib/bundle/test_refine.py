@@ -29,6 +29,7 @@ def normalised(error, covariance):
     return np.einsum("...i,...ij,...j->...", error, np.linalg.inv(covariance), error)
 
 
+@pytest.mark.slow
 def test_sheet_and_segments_together_know_more_than_the_sheet_and_say_how_much():
     """Monte Carlo over 60 rigs: errors of parameters and segments follow their covariance."""
     of_rig, of_lines, before, after = [], [], [], []

@@ -1,6 +1,6 @@
 """Laws of a chessboard's picture: the model is the renderer's, and ink's spread is what it says."""
 
-from types import SimpleNamespace
+from dataclasses import dataclass, field
 
 import jax
 import numpy as np
@@ -23,15 +23,19 @@ BOARD = Chessboard(rows=4, columns=5, square_mm=20.0)
 RIGHT = (*TABLE_1["right"], 0.0, 0.0)
 NO_CROSS = Cross(np.array(0.0), np.zeros(2), np.array(0.0))
 BLUR_PX, PAPER, INK = 0.7, 230.0, 25.0
-BARE = SimpleNamespace(
-    centres_mm=np.zeros((0, 2)),
-    radius_mm=np.zeros(0),
-    inner_radius_mm=np.zeros(0),
-    line_width_mm=0.0,
-    line_half_length_mm=(0.0, 0.0),
-    line_style="stop",
-    line_gap_mm=0.0,
-)
+
+
+@dataclass
+class Bare:
+    """A sheet without a print."""
+
+    centres_mm: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
+    radius_mm: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    inner_radius_mm: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    line_width_mm: float = 0.0
+    line_half_length_mm: tuple[float, float] = (0.0, 0.0)
+    line_style: str = "stop"
+    line_gap_mm: float = 0.0
 
 
 @pytest.fixture(scope="module")
@@ -40,9 +44,10 @@ def picture():
     middles = BOARD.square_mm * np.stack(
         [dark[:, 1] - 0.5 * BOARD.columns, 0.5 * BOARD.rows - dark[:, 0]], axis=1
     )
-    squares = [ConvexPolygon.rectangle(middle, (BOARD.square_mm,) * 2) for middle in middles]
+    side = BOARD.square_mm
+    squares = [ConvexPolygon.rectangle(middle, (side, side)) for middle in middles]
     return render_sheet(
-        BARE,
+        Bare(),
         camera_of(RIGHT[:4], LENS, (0.0, 0.0)),
         above=tuple(Paint(square, INK) for square in squares),
         paper=PAPER,
