@@ -24,7 +24,7 @@ def test_a_board_is_drawn_with_its_layout(board, corners, tmp_path, capsys):
     ("places", "says", "status"),
     [
         ([], "No pictures are given", 2),
-        (["left"], "names no view", 2),
+        (["left"], "names no camera", 2),
         (["left=nowhere"], 'no picture of "left"', 1),
         (["left=pictures", "right=pictures"], 'of "left" and of "right"', 1),
         (["left=pictures"], 'Camera "left" sees the board in no picture', 1),
@@ -38,4 +38,17 @@ def test_mistakes_are_told_in_one_sentence(places, says, status, tmp_path, monke
     capsys.readouterr()
     assert main(["calibrate-rig", *places, "--board", "board.json", "--quiet"]) == status
     assert says in capsys.readouterr().err
+    assert not (tmp_path / "rig.json").exists()
+
+
+def test_markers_are_refused_by_the_option_and_not_by_its_name_in_python(
+    tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    assert main(["pattern", "--board", "charuco", "-o", "board.json", "--quiet"]) == 0
+    (tmp_path / "pictures").mkdir()
+    cv2.imwrite("pictures/1.png", np.full((60, 80), 100, np.uint8))
+    options = ["--method", "pixels", "--board", "board.json"]
+    assert main(["calibrate-rig", "left=pictures", *options]) == 1
+    assert "give --method points." in capsys.readouterr().err
     assert not (tmp_path / "rig.json").exists()

@@ -153,3 +153,10 @@ def test_a_program_told_to_end_takes_its_scratch_file_with_it(tmp_path):
         process.terminate()
         assert process.wait() == 128 + signal.SIGTERM
     assert list(tmp_path.iterdir()) == []
+
+
+def test_an_orientation_that_is_neither_word_nor_file_is_named(capsys):
+    lens = ("--focal-length-mm", "16", "--pixel-pitch-mm", "0.0162", "0.0134")
+    options = ("--pattern", "none.json", *lens, "--orientation", "sideways")
+    assert main(["calibrate", "a=none.png", *options]) == 2
+    assert "give upright, or the file" in capsys.readouterr().err

@@ -130,4 +130,46 @@ def test_a_sheet_is_proposed_for_a_camera_and_a_distance(tmp_path, capsys):
     assert "px wide" in capsys.readouterr().out
     assert main(["pattern", "--for-distance-mm", "500", "-o", place]) == 2
     assert "--field-deg" in capsys.readouterr().err
+    for wrong in ("--for-distance-mm", "-5"), ("--field-deg", "200"):
+        options = ["--for-distance-mm", "500", *camera, *wrong]
+        assert main(["pattern", *options, "-o", place]) == 2
+        assert f"{wrong[0]} is {wrong[1]}" in capsys.readouterr().err
     assert main(["pattern", "--board", "charuco", "--for-distance-mm", "500", "-o", place]) == 2
+
+
+SCREEN = ("--screen-px", "1920", "1080", "--screen-inch", "24")
+
+
+def test_a_screen_as_target_gets_a_picture_and_a_layout(tmp_path, capsys):
+    place = tmp_path / "sheet.png"
+    assert main(["pattern", "-o", str(place), *SCREEN]) == 0
+    out = capsys.readouterr().out
+    assert "Pixels of 0.2767 mm" in out
+    assert "--print-scale" in out
+    assert {each.name for each in tmp_path.iterdir()} == {"sheet.png", "sheet.json"}
+    camera = ("--for-distance-mm", "900", "--field-deg", "30", "--image-size-px", "1280", "960")
+    assert main(["pattern", "-o", str(place), *SCREEN, *camera]) == 0
+    assert "px wide" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("options", "status", "says"),
+    [
+        (("-o", "sheet.png"), 2, "--screen-px 1920 1080"),
+        (("-o", "sheet.png", "--screen-px", "1920", "-1080", "--screen-inch", "24"), 2, "width"),
+        (("-o", "sheet.png", "--screen-px", "1920", "1080"), 2, "--screen-inch"),
+        (("-o", "sheet.png", *SCREEN, "--screen-pitch-mm", "0.27"), 2, "one of two"),
+        (("-o", "sheet.png", "--screen-px", "1920", "1080", "--screen-inch", "610"), 2, "inches"),
+        (("-o", "sheet.png", "--screen-px", "4", "3", "--screen-inch", "24"), 2, "millimetres"),
+        (("-o", "sheet.png", *SCREEN[:-1], "9"), 1, "the screen is 199 x 112 mm"),
+        (("-o", "sheet.json", *SCREEN), 2, "FILE.png"),
+        (("-o", "sheet.tiff", *SCREEN), 2, ".png"),
+    ],
+)
+def test_a_screen_that_is_not_said_or_too_small(
+    options, status, says, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    assert main(["pattern", *options]) == status
+    assert says in capsys.readouterr().err
+    assert not any(tmp_path.iterdir())

@@ -6,8 +6,11 @@ import hypothesis.strategies as st
 import pytest
 from hypothesis import given
 
+import trinoc
 from trinoc.cli.command import UsageError
+from trinoc.cli.main import main
 from trinoc.cli.views import files_of_rig, files_of_views
+from trinoc.synth import table1_rig
 
 NAMES = st.lists(st.text("abcdefgh", min_size=1, max_size=6), min_size=2, max_size=4, unique=True)
 PART = st.text("xyz", max_size=4)
@@ -51,3 +54,11 @@ def test_the_names_of_the_rig_are_found_in_those_of_the_files() -> None:
     assert list(files_of_rig(("one.png", "two.png"), rig)) == ["one", "two"]
     # A name that is given is meant.
     assert list(files_of_rig(("lower=left.png", "upper=upper.png"), rig)) == ["lower", "upper"]
+
+
+def test_a_match_says_once_how_it_names_the_cameras(tmp_path, monkeypatch, capsys) -> None:
+    monkeypatch.chdir(tmp_path)
+    trinoc.save(table1_rig(), "rig.json")
+    files = [f"{name}.png" for name in table1_rig().names]
+    assert main(["match", *files, "--rig", "rig.json"]) == 1
+    assert capsys.readouterr().err.count("named after") == 1

@@ -140,18 +140,24 @@ def test_of_a_camera_pictures_that_show_something_new_are_kept(folder, capsys, m
     [
         (("watch", "in", "--every-s", "0"), "--every-s is 0"),
         (("watch", "in", "--keep", "k"), "--keep goes with a camera"),
+        (("watch", "in", "--port", "65536"), "--port is 65536"),
+        (("view", "rig.json", "--port", "-1"), "--port is -1"),
         (("watch", "0", "--once"), "--once goes with a folder"),
     ],
 )
 def test_options_that_do_not_go_together_are_named(options, said, capsys) -> None:
-    assert main((*options, "--pattern", "none.json")) == 2
+    pattern = ("--pattern", "none.json") if options[0] == "watch" else ()
+    assert main((*options, *pattern)) == 2
     assert said in capsys.readouterr().err
 
 
 def test_a_folder_that_is_none_is_named(folder, capsys) -> None:
     command = ("watch", str(folder / "no"), "--pattern", str(folder / "board.json"))
-    assert main((*command, "--once")) == 1
-    assert "is no folder" in capsys.readouterr().err
+    for options in ((), ("--once",)):
+        assert main((*command, *options)) == 1
+        said = capsys.readouterr().err
+        assert "is no folder" in said
+        assert "http" not in said
 
 
 def test_view_serves_until_ctrl_c(tmp_path, capsys, monkeypatch) -> None:

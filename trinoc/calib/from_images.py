@@ -64,6 +64,7 @@ def calibrate(
     """
     if method not in ("picture", "circles"):
         raise InputError(f'method is {method!r}, but must be "picture" or "circles".')
+    expect_pictures(images, pattern)
     model = pose_model_over_sheet(pose_model, parameters)
     lenses = lens_of_each(lens, images)
     _check_images(images, lenses)
@@ -81,6 +82,27 @@ def calibrate(
     images = {name: grey_image(np.asarray(images[name])).grey for name in detections}
     search = Search(tuple(lenses), detections, images if method == "picture" else {}, failures)
     return calibration_of_search(search, lenses, known, orientation, throw=throw)
+
+
+def expect_pictures(images: object, pattern: object) -> None:
+    """Raises InputError for the slips of a first call, such as a file that was not read."""
+    if not isinstance(pattern, Pattern):
+        raise InputError(
+            f"The pattern is of type {type(pattern).__name__}: give a trinoc.Pattern, such as "
+            "load_pattern reads from a file."
+        )
+    if not isinstance(images, Mapping):
+        raise InputError(
+            f"The pictures are of type {type(images).__name__}: give a dictionary of each camera's "
+            'name and picture, such as {"left": image}.'
+        )
+    for name, image in images.items():
+        if image is None or np.ndim(image) not in (2, 3):
+            given = "None" if image is None else f"a {type(image).__name__}"
+            raise InputError(
+                f'The picture of camera "{name}" is {given} and no array of height and width: was '
+                "the file found and read?"
+            )
 
 
 def _check_images(images: Mapping[str, ArrayLike], lenses: Mapping[str, Intrinsics]) -> None:

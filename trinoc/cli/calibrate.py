@@ -111,6 +111,10 @@ class Calibrate(Command):
             )
         self._check_sigmas()
         expect_pixel_pitch(self.lens.pixel_pitch_mm)
+        if self.orientation not in (None, "upright") and not Path(self.orientation).is_file():
+            raise UsageError(
+                f"--orientation is {self.orientation}: give upright, or the file of an earlier rig."
+            )
 
         from trinoc.calib import calibrate
         from trinoc.cli.provenance import for_people, provenance

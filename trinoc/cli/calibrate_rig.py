@@ -75,6 +75,11 @@ class CalibrateRig(Command):
 
     def run(self, command_line: str) -> Outcome:
         """Calibrate and write the rig."""
+        for shot in self.shots:
+            if "=" not in shot:
+                raise UsageError(
+                    f'"{shot}" names no camera: write NAME=FOLDER, such as left=left/.'
+                )
         places = files_of_views(self.shots)
         if not places:
             raise UsageError("No pictures are given: write NAME=FOLDER for each camera.")
@@ -99,7 +104,7 @@ class CalibrateRig(Command):
         if self.print_scale_sigma != UNKNOWN:
             usual = usual._replace(print_scale_sigma=self.print_scale_sigma, print_size_sigma=0.0)
         LOGGER.info(
-            "looking for the board in %d pictures", sum(len(own) for own in pictures.values())
+            "looking for the board; pictures: %d", sum(len(own) for own in pictures.values())
         )
         with Bar("looking", quiet=self.quiet) as bar:
             result = calibrate_rig(

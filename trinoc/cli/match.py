@@ -64,8 +64,8 @@ class Match(SegmentOptions, Command):
 
     def run(self, command_line: str) -> Outcome:
         """Match and write the matches."""
-        files = files_of_views(self.pictures, guess=True)
-        if not files:
+        # Mistakes of usage come before any file is read; the names are said with the rig's below.
+        if not files_of_views(self.pictures, guess=True, say=False):
             raise UsageError("No picture is given: write NAME=FILE for each camera.")
         near, far = self.depth_range_mm
         if not 0 <= near < far:

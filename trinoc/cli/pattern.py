@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from trinoc.cli.command import Command, Outcome, UsageError
+from trinoc.cli.screen_options import ScreenOptions
 
 if TYPE_CHECKING:
     from trinoc.calib import AbstractTarget, SheetProposal
@@ -68,68 +69,125 @@ class Pattern(Command):
     paper: Literal["a4", "letter", "a3", "a2", "a1", "a0"] = "a4"
     """Paper of the drawings."""
 
+    screen_px: Annotated[
+        tuple[int, int], tyro.conf.arg(metavar="W H", help_behavior_hint="(default: none)")
+    ] = (0, 0)
+    """For -o FILE.png, a screen as target: width and height of the screen."""
+
+    screen_inch: Annotated[
+        float | None, tyro.conf.arg(metavar="INCH", help_behavior_hint="(default: none)")
+    ] = None
+    """Diagonal of the screen, which says how large its pixels are."""
+
+    screen_pitch_mm: Annotated[
+        float | None, tyro.conf.arg(metavar="MM", help_behavior_hint="(default: none)")
+    ] = None
+    """Instead of the diagonal: from one pixel of the screen to the next."""
+
     out: Annotated[Path, tyro.conf.arg(aliases=("-o",), metavar="FILE")] = Path("pattern.json")
-    """Where the layout goes. The drawings, .svg and .pdf, go beside it."""
+    """Where the layout goes, a .json. The drawings, .svg and .pdf, go beside it. A .png is the
+    picture for a screen, with its layout beside it."""
 
     def run(self, command_line: str) -> Outcome:
         """Write the files."""
-        if self.out.suffix.lower() != ".json":
-            raise UsageError(f"{self.out}: a layout is JSON: choose a name that ends in .json.")
-
-        from trinoc.io import save_pattern_pdf, save_pattern_svg, save_target
-
-        proposal = self._proposal()
+        kind = self.out.suffix.lower()
+        if kind not in (".json", ".png"):
+            raise UsageError(
+                f"{self.out}: a layout is JSON: choose a name that ends in .json, or in .png for "
+                "a screen as target."
+            )
+        screen = ScreenOptions(self.screen_px, self.screen_inch, self.screen_pitch_mm)
+        pitch_mm = screen.checked_pitch_mm(is_meant=kind == ".png")
+        proposal = self._proposal(pitch_mm)
         sheet = self._target(proposal)
-        drawing, page = self.out.with_suffix(".svg"), self.out.with_suffix(".pdf")
-        written = [self.out, drawing]
-        # First the drawing, which fails where the sheet is larger than the paper.
-        save_pattern_svg(sheet, drawing, paper=self.paper)
-        save_target(sheet, self.out)
-        notes = [
-            "Print at 100 %, measure the two scale bars, and give measured over nominal length",
-            "to `trinoc calibrate --print-scale`.",
-        ]
+        if pitch_mm is None:
+            written, notes = self._print(sheet)
+        else:
+            written, notes = self._show(sheet, pitch_mm)
         if proposal is not None:
             said = (
                 f"Circles are {proposal.circle_px:.0f} px wide, and the sheet takes "
                 f"{proposal.field_share:.0%} of the shorter side, from {self.for_distance_mm:g} mm."
             )
             notes = [said, *notes]
-        places = "circles"
-        if self.board != "sheet":
-            notes = ["Print at 100 %, and give the side of a square as you measure it."]
-            places = "corners"
-        if importlib.util.find_spec("reportlab") is None:
-            notes.append("No PDF, because reportlab is missing: pip install 'trinoc[print]'.")
-        else:
-            save_pattern_pdf(sheet, page, paper=self.paper)
-            written.append(page)
+        places = "circles" if self.board == "sheet" else "corners"
         files = [str(path) for path in written]
         text = f"{len(sheet)} {places}, {sheet.name}\n" + "\n".join(notes)
         record = {"name": sheet.name, places: len(sheet), "written": files}
         return Outcome(f"{text}\nwritten: {', '.join(files)}", record)
 
-    def _proposal(self) -> "SheetProposal | None":
+    def _print(self, sheet: "AbstractTarget") -> tuple[list[Path], list[str]]:
+        """Layout and drawings on paper: the files, and what to do with them."""
+        from trinoc.io import save_pattern_pdf, save_pattern_svg, save_target
+
+        drawing, page = self.out.with_suffix(".svg"), self.out.with_suffix(".pdf")
+        # First the drawing, which fails where the sheet is larger than the paper.
+        save_pattern_svg(sheet, drawing, paper=self.paper)
+        save_target(sheet, self.out)
+        notes = ["Print at 100 %, and give the side of a square as you measure it."]
+        if self.board == "sheet":
+            notes = [
+                "Print at 100 %, measure the two scale bars, and give measured over nominal length",
+                "to `trinoc calibrate --print-scale`.",
+            ]
+        if importlib.util.find_spec("reportlab") is None:
+            notes.append("No PDF, because reportlab is missing: pip install 'trinoc[print]'.")
+            return [self.out, drawing], notes
+        save_pattern_pdf(sheet, page, paper=self.paper)
+        return [self.out, drawing, page], notes
+
+    def _show(self, sheet: "AbstractTarget", pitch_mm: float) -> tuple[list[Path], list[str]]:
+        """Picture for the screen and layout: the files, and what to do with them."""
+        from trinoc.io import drawing_size_mm, save_pattern_png, save_target
+
+        layout = self.out.with_suffix(".json")
+        save_pattern_png(sheet, self.out, size_px=self.screen_px, pitch_mm=pitch_mm)
+        save_target(sheet, layout)
+        width, height = drawing_size_mm(sheet)
+        notes = [
+            f"Pixels of {pitch_mm:.4f} mm. Show it full screen at 100 %, with no scaling by the "
+            "desktop or the viewer.",
+            f"From outer edge to outer edge the ink is {width:.1f} x {height:.1f} mm: measure it "
+            + (
+                "and give measured\nover nominal length to `trinoc calibrate --print-scale`."
+                if self.board == "sheet"
+                else "on the screen."
+            ),
+        ]
+        return [self.out, layout], notes
+
+    def _proposal(self, screen_pitch_mm: float | None) -> "SheetProposal | None":
         if self.for_distance_mm is None:
             return None
         if self.board != "sheet":
             raise UsageError("--for-distance-mm is of the sheet: give --square-mm of a board.")
         width, height = self.image_size_px
-        angle = self.field_deg or 0.0
-        if not (min(width, height) > 0 and 0 < angle < 170 and self.for_distance_mm > 0):
+        angle = self.field_deg
+        if self.for_distance_mm <= 0:
+            raise UsageError(
+                f"--for-distance-mm is {self.for_distance_mm:g}: give the distance from the camera "
+                "to the sheet."
+            )
+        if angle is not None and not 0 < angle < 170:
+            raise UsageError(f"--field-deg is {angle:g}: give an angle above 0 and below 170.")
+        if angle is None or min(width, height) <= 0:
             raise UsageError(
                 "--for-distance-mm needs the camera: give --field-deg, such as 30, and "
                 "--image-size-px, such as 1280 960."
             )
 
         from trinoc.calib import propose_sheet
-        from trinoc.io import drawing_room_mm
+        from trinoc.io import drawing_room_mm, screen_room_mm
 
         across = 2 * self.for_distance_mm * math.tan(math.radians(angle) / 2)
         return propose_sheet(
             field_mm=(across, across * height / width),
             size_px=(width, height),
-            room_mm=drawing_room_mm(self.paper),
+            room_mm=(
+                drawing_room_mm(self.paper)
+                if screen_pitch_mm is None
+                else screen_room_mm(self.screen_px, screen_pitch_mm)
+            ),
         )
 
     def _target(self, proposal: "SheetProposal | None") -> "AbstractTarget":

@@ -5,7 +5,15 @@ from typing import Annotated
 
 import tyro
 
+from trinoc.cli.command import UsageError
+
 Port = Annotated[int, tyro.conf.arg(help_behavior_hint="(default: a free one)")]
+
+
+def expect_port(port: int) -> None:
+    """Raises UsageError: a server's thread would fail by itself, and the command wait on."""
+    if not 0 <= port <= 65535:
+        raise UsageError(f"--port is {port}: give one up to 65535, or none for a free one.")
 
 
 def show(url: str, browser: bool) -> None:

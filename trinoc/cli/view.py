@@ -10,7 +10,7 @@ import tyro
 
 from trinoc.cli.command import Command, Outcome, UsageError
 from trinoc.cli.rig_file import read_rig
-from trinoc.cli.serving_options import Port, show
+from trinoc.cli.serving_options import Port, expect_port, show
 
 if TYPE_CHECKING:
     from trinoc.report import Ellipsoids, SpaceFigure
@@ -41,6 +41,7 @@ class View(Command):
 
     def run(self, command_line: str) -> Outcome:
         """Serve until interrupted."""
+        expect_port(self.port)
         from trinoc.report import expect_extra
 
         expect_extra("viser", "view")

@@ -10,16 +10,18 @@ from trinoc.cli.progress import LOGGER
 _BETWEEN = "_-. "
 
 
-def files_of_views(arguments: Sequence[str], *, guess: bool = False) -> dict[str, Path]:
+def files_of_views(
+    arguments: Sequence[str], *, guess: bool = False, say: bool = True
+) -> dict[str, Path]:
     """The file of each view, in the order given.
 
-    guess : where no name is given at all, take them from the files' names, and say so.
+    guess : where no name is given at all, take them from the files' names; say : and say so.
 
     Raises UsageError.
     """
     named = [argument.partition("=") for argument in arguments]
     if guess and arguments and all(not separator for _, separator, _ in named):
-        return _guessed([Path(argument) for argument in arguments])
+        return _guessed([Path(argument) for argument in arguments], say=say)
     files: dict[str, Path] = {}
     for argument, (name, separator, file) in zip(arguments, named, strict=True):
         if not (name and separator and file):
@@ -32,14 +34,15 @@ def files_of_views(arguments: Sequence[str], *, guess: bool = False) -> dict[str
     return files
 
 
-def _guessed(files: Sequence[Path]) -> dict[str, Path]:
+def _guessed(files: Sequence[Path], *, say: bool) -> dict[str, Path]:
     """Named after what differs between the files' names, or the folders' where the names agree."""
     for words in ([file.stem for file in files], [file.parent.name for file in files]):
         names = _differing(words)
         if all(names) and len(set(names)) == len(names):
             found = dict(zip(names, files, strict=True))
-            said = " ".join(f"{name}={file}" for name, file in found.items())
-            LOGGER.info("cameras are named after their files: %s", said)
+            if say:
+                said = " ".join(f"{name}={file}" for name, file in found.items())
+                LOGGER.info("cameras are named after their files: %s", said)
             return found
     raise UsageError(
         f"The names of the files do not tell cameras apart: write NAME=FILE, such as "

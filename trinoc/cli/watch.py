@@ -13,7 +13,7 @@ import tyro
 from trinoc.cli.arrivals import FolderArrivals, camera_frames
 from trinoc.cli.command import Command, Outcome, UsageError
 from trinoc.cli.progress import LOGGER
-from trinoc.cli.serving_options import Port, show
+from trinoc.cli.serving_options import Port, expect_port, show
 from trinoc.cli.watch_session import WatchSession
 from trinoc.errors import InputError
 
@@ -58,6 +58,7 @@ class Watch(Command):
         """Watch until interrupted."""
         if not 0 < self.every_s <= 3600:
             raise UsageError(f"--every-s is {self.every_s:g}: give seconds, such as 1.")
+        expect_port(self.port)
         number = int(self.source) if self.source.isdecimal() else None
         if number is None and self.keep is not None:
             raise UsageError("--keep goes with a camera: the pictures of a folder are kept there.")
@@ -66,29 +67,32 @@ class Watch(Command):
 
         from trinoc.io import load_target
 
+        # Before the page is shown: a folder that is none ends the command.
+        source = FolderArrivals(Path(self.source)) if number is None else number
         session = WatchSession(load_target(self.pattern), self.source, self.json, self.quiet)
         with contextlib.ExitStack() as stack:
             if not self.no_page and not self.once:
                 show(stack.enter_context(_page(session, self.port)), self.open)
             try:
-                for name, image in self._pictures(number):
+                for name, image in self._pictures(source):
                     self._keep(session, session.look(name, image), image)
             except KeyboardInterrupt:
                 print(file=sys.stderr)
         return session.outcome()
 
-    def _pictures(self, number: int | None) -> "Iterator[tuple[str, np.ndarray | InputError]]":
-        """Names and pictures, or why one is none."""
-        if number is not None:
-            for count, frame in enumerate(camera_frames(number, self.every_s), 1):
+    def _pictures(
+        self, source: int | FolderArrivals
+    ) -> "Iterator[tuple[str, np.ndarray | InputError]]":
+        """Names and pictures of a camera or a folder, or why one is none."""
+        if isinstance(source, int):
+            for count, frame in enumerate(camera_frames(source, self.every_s), 1):
                 yield f"picture {count}", frame
             return
 
         from trinoc.io import read_image
 
-        arrivals = FolderArrivals(Path(self.source))
         while True:
-            for path in arrivals.ready(at_once=self.once):
+            for path in source.ready(at_once=self.once):
                 try:
                     image = read_image(path)
                 except (InputError, OSError) as error:

@@ -22,8 +22,8 @@ def in_options(sentence: str, command: object) -> str:
         sentence = sentence.replace(phrase, said)
     for name in _names(command):
         option = f"--{name.replace('_', '-')}"
-        given = rf"(?<![\w\".`/-]){re.escape(name)}=(?=\w)"
-        sentence = re.sub(given, f"{option} ", sentence)
+        given = rf"(?<![\w\".`/-]){re.escape(name)}="
+        sentence = re.sub(rf'{given}(?:(?=\w)|"(\w+)")', rf"{option} \1", sentence)
         if "_" in name and '.json: "' not in sentence:
             sentence = re.sub(rf"(?<![\w\".`/-]){re.escape(name)}(?![\w\".=/-])", option, sentence)
     return sentence

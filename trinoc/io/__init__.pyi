@@ -63,9 +63,15 @@ from .pattern_json import load_pattern as load_pattern, save_pattern as save_pat
 from .pattern_page import (
     PAPER_SIZES_MM as PAPER_SIZES_MM,
     drawing_room_mm as drawing_room_mm,
+    drawing_size_mm as drawing_size_mm,
     lay_out as lay_out,
 )
 from .pattern_pdf import save_pattern_pdf as save_pattern_pdf
+from .pattern_png import (
+    pattern_picture as pattern_picture,
+    save_pattern_png as save_pattern_png,
+    screen_room_mm as screen_room_mm,
+)
 from .pattern_svg import save_pattern_svg as save_pattern_svg
 from .rig_json import (
     load_rig as load_rig,

@@ -85,19 +85,31 @@ def lay_out(pattern: AbstractTarget, paper: str = "a4") -> Page:
     ------
     InputError : an unknown paper, or a sheet too large for it.
     """
-    if not isinstance(pattern, Pattern):
-        ink = ink_polygons(pattern)
-        every = np.concatenate(ink)
-        figures = [Polygon(corners, True) for corners in ink]
-        return _page(pattern, paper, "corners", figures, every.min(axis=0), every.max(axis=0))
-    return _page(pattern, paper, "circles", _sheet_figures(pattern), *_box(pattern))
+    figures, low, high = drawing(pattern)
+    return _page(pattern, paper, figures, low, high)
+
+
+def drawing(
+    pattern: AbstractTarget,
+) -> tuple[list[Disc | Polygon | Text], Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
+    """Figures in the pattern's own mm, and the lower left and upper right corner of the ink."""
+    if isinstance(pattern, Pattern):
+        return _sheet_figures(pattern), *_box(pattern)
+    ink = ink_polygons(pattern)
+    every = np.concatenate(ink)
+    return [Polygon(corners, True) for corners in ink], every.min(axis=0), every.max(axis=0)
+
+
+def drawing_size_mm(pattern: AbstractTarget) -> tuple[float, float]:
+    """Width and height of the ink, from outer edge to outer edge."""
+    _, low, high = drawing(pattern)
+    return _pair(high - low)
 
 
 def _page(
     pattern: AbstractTarget,
     paper: str,
-    places: str,
-    drawing: Sequence[Disc | Polygon | Text],
+    figures: Sequence[Disc | Polygon | Text],
     low: Float[np.ndarray, "2"],
     high: Float[np.ndarray, "2"],
 ) -> Page:
@@ -120,8 +132,9 @@ def _page(
     below = max(0.5 * free, _MARGIN_MM + _BAR_GAP_MM + _TEXT_ROOM_MM)
     shift = np.array([0.0, -0.5 * page_mm[1] + below]) - np.array([0.5 * (low + high)[0], low[1]])
     bar_x, bar_y = (max(_BAR_STEP_MM * np.floor(side / _BAR_STEP_MM), 10.0) for side in high - low)
-    figures = [_moved(figure, shift) for figure in drawing]
+    figures = [_moved(figure, shift) for figure in figures]
     figures += _bars(low + shift, high + shift, bar_x, bar_y)
+    places = "circles" if isinstance(pattern, Pattern) else "corners"
     words = (
         f"{pattern.name}   {len(pattern)} {places}   {paper.upper()}",
         "print at 100 % (actual size, no fit to page); then measure both bars",

@@ -45,5 +45,7 @@ def test_more_pixels_allow_more_circles_and_distance_takes_them() -> None:
     ]
     assert counts == sorted(counts, reverse=True)
     assert counts[0] > counts[-1]
-    with pytest.raises(InputError, match="under 10 px"):
+    with pytest.raises(InputError, match="less than 10 px"):
         propose_sheet(field_mm=(40000.0, 30000.0), size_px=SIZE_PX, room_mm=room)
+    with pytest.raises(InputError, match="no room for a sheet"):
+        propose_sheet(field_mm=(0.4, 0.3), size_px=SIZE_PX, room_mm=room)

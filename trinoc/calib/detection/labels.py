@@ -66,7 +66,8 @@ def label_circles(
     if wrong > _allowed(len(cell)):
         raise DetectionError(
             f"The picture shows a grid of {len(cell)} circles, but {wrong} of them do not fit"
-            f" the pattern {pattern.name!r}; give the pattern that was printed."
+            f" the pattern {pattern.name!r}; give the pattern that was printed, or, where "
+            "the picture is blurred, focus the camera."
         )
     rivals = np.flatnonzero(seen.score > seen.score[best] - _MARGIN).tolist()
     symmetric = layout.symmetries

@@ -53,7 +53,13 @@ def propose_sheet(
         if width >= (_GOOD_PX if count > 6 else _LEAST_PX):
             share = extent * pitch / min(field_mm)
             return SheetProposal(count, pitch, _RADIUS_SHARE * pitch, width, share)
+    if _FIELD_SHARE * min(field_mm) < min(room_mm):
+        raise InputError(
+            f"A camera that sees {field_mm[0]:.3g} x {field_mm[1]:.3g} mm in {size_px[0]} x "
+            f"{size_px[1]} pixels has no room for a sheet: check the distance, the angle and the "
+            "size of the pictures."
+        )
     raise InputError(
-        f"On a sheet of {side:.0f} mm circles would be under {_LEAST_PX:.0f} px wide from there: "
-        "take larger paper, or go nearer."
+        f"A sheet of {side:.0f} mm would have circles less than {_LEAST_PX:.0f} px wide in the "
+        "picture: take larger paper, or go nearer."
     )

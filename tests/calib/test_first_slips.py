@@ -1,0 +1,30 @@
+"""What a first call in Python gets wrong is said in words."""
+
+import numpy as np
+import pytest
+
+from trinoc.calib.from_images import expect_pictures
+from trinoc.calib.targets import Pattern
+from trinoc.errors import InputError
+
+PICTURE = np.zeros((4, 6), np.uint8)
+SHEET = Pattern.circle_grid(rows=3, columns=4, pitch_mm=10.0, radius_mm=2.0)
+
+
+@pytest.mark.parametrize(
+    ("images", "pattern", "says"),
+    [
+        ({"left": None}, SHEET, 'camera "left" is None'),
+        ({"left": "left.png"}, SHEET, "is a str and no array"),
+        ({"left": PICTURE[0]}, SHEET, "no array of height and width"),
+        ([PICTURE], SHEET, "of type list: give a dictionary"),
+        ({"left": PICTURE}, "sheet.json", "of type str: give a trinoc.Pattern"),
+    ],
+)
+def test_slips_are_named(images, pattern, says):
+    with pytest.raises(InputError, match=says):
+        expect_pictures(images, pattern)
+
+
+def test_grey_and_colours_pass():
+    expect_pictures({"left": PICTURE, "right": np.zeros((4, 6, 3))}, SHEET)

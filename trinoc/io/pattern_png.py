@@ -1,0 +1,132 @@
+"""A sheet or board as the picture that a screen shows pixel by pixel, for a screen as target."""
+
+import os
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+
+from trinoc.calib import AbstractTarget
+from trinoc.errors import InputError
+from trinoc.io.atomic import atomic_write
+from trinoc.io.pattern_page import Disc, Polygon, drawing
+
+# Lattice of points per pixel side, by which the ink of a pixel is counted.
+_DIVISION = 16
+# Rows of pixels counted at a time: bounds the memory of large screens.
+_BAND_PX = 32
+# White that detection needs around the ink.
+_MARGIN_MM = 5.0
+
+
+def screen_room_mm(size_px: tuple[int, int], pitch_mm: float) -> tuple[float, float]:
+    """Width and height that a drawing may take of a screen."""
+    return size_px[0] * pitch_mm - 2 * _MARGIN_MM, size_px[1] * pitch_mm - 2 * _MARGIN_MM
+
+
+def save_pattern_png(
+    pattern: AbstractTarget,
+    path: str | os.PathLike[str],
+    *,
+    size_px: tuple[int, int],
+    pitch_mm: float,
+) -> None:
+    """Write the picture of `pattern_picture`. Raises InputError where the screen is too small."""
+    _, content = cv2.imencode(".png", pattern_picture(pattern, size_px=size_px, pitch_mm=pitch_mm))
+    with atomic_write(path) as file:
+        file.write(content.tobytes())
+
+
+def pattern_picture(
+    pattern: AbstractTarget, *, size_px: tuple[int, int], pitch_mm: float
+) -> UInt8[np.ndarray, "h w"]:
+    """The drawing in true scale in the middle of a screen of square pixels, white around it.
+
+    size_px : width and height of the screen; pitch_mm : from one pixel to the next. A pixel that
+    an edge crosses gives off the light of its white part, its level by sRGB (IEC 61966-2-1), so
+    that edges stand between pixels where they belong. Raises InputError where the screen is too
+    small.
+    """
+    figures, low, high = drawing(pattern)
+    needed, room = high - low, np.array(screen_room_mm(size_px, pitch_mm))
+    if np.any(needed > room):
+        whole = np.array(size_px) * pitch_mm
+        raise InputError(
+            f"The pattern {pattern.name!r} is {needed[0]:.0f} x {needed[1]:.0f} mm and needs "
+            f"{_MARGIN_MM:g} mm of white around it, but the screen is {whole[0]:.0f} x "
+            f"{whole[1]:.0f} mm: take a smaller pitch or fewer rows."
+        )
+    middle = 0.5 * (low + high)
+    shapes = [
+        _on_screen(figure, middle, size_px, pitch_mm)
+        for figure in figures
+        if isinstance(figure, Disc | Polygon)
+    ]
+    bands = [
+        _white_share(shapes, top, min(top + _BAND_PX, size_px[1]), size_px[0])
+        for top in range(0, size_px[1], _BAND_PX)
+    ]
+    return np.rint(255 * _level(np.concatenate(bands))).astype(np.uint8)
+
+
+def _on_screen(
+    figure: Disc | Polygon,
+    middle: Float[np.ndarray, "2"],
+    size_px: tuple[int, int],
+    pitch_mm: float,
+) -> Disc | Polygon:
+    """In pixels, x right and y down from the outer corner of the top left one."""
+    half, flip = 0.5 * np.array(size_px), np.array([1.0, -1.0]) / pitch_mm
+    if isinstance(figure, Polygon):
+        return figure._replace(corners_mm=half + (figure.corners_mm - middle) * flip)
+    x, y = half + (np.array(figure.centre_mm) - middle) * flip
+    return Disc((float(x), float(y)), figure.radius_mm / pitch_mm, figure.is_ink)
+
+
+def _white_share(
+    shapes: list[Disc | Polygon], top: int, bottom: int, width: int
+) -> Float[np.ndarray, "h w"]:
+    """Part of each pixel that no ink covers, of the rows from `top` until `bottom`."""
+    white = np.ones(((bottom - top) * _DIVISION, width * _DIVISION), dtype=bool)
+    for shape in shapes:
+        low, high = _bounds(shape)
+        first, last = (np.floor(low) - [0, top]), (np.ceil(high) - [0, top])
+        limit = np.array([width, bottom - top])
+        (left, upper), (right, lower) = (
+            np.clip(side, 0, limit).astype(int) * _DIVISION for side in (first, last)
+        )
+        if left >= right or upper >= lower:
+            continue
+        x = (np.arange(left, right) + 0.5) / _DIVISION
+        y = (np.arange(upper, lower) + 0.5) / _DIVISION + top
+        part = white[upper:lower, left:right]
+        part[_inside(shape, x[None, :], y[:, None])] = not shape.is_ink
+    cells = white.reshape(bottom - top, _DIVISION, width, _DIVISION)
+    return np.count_nonzero(cells, axis=(1, 3)) / _DIVISION**2
+
+
+def _bounds(shape: Disc | Polygon) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
+    if isinstance(shape, Polygon):
+        return shape.corners_mm.min(axis=0), shape.corners_mm.max(axis=0)
+    centre = np.array(shape.centre_mm)
+    return centre - shape.radius_mm, centre + shape.radius_mm
+
+
+def _inside(
+    shape: Disc | Polygon, x: Float[np.ndarray, "1 w"], y: Float[np.ndarray, "h 1"]
+) -> Bool[np.ndarray, "h w"]:
+    """Which points a figure covers; polygons are convex, whichever way their corners run."""
+    if isinstance(shape, Disc):
+        return np.hypot(x - shape.centre_mm[0], y - shape.centre_mm[1]) < shape.radius_mm
+    corners = shape.corners_mm
+    along = np.roll(corners, -1, axis=0) - corners
+    turn = np.sign(along[0, 0] * along[1, 1] - along[0, 1] * along[1, 0])
+    covered = np.ones((y.size, x.size), dtype=bool)
+    for corner, step in zip(corners, along, strict=True):
+        covered &= turn * (step[0] * (y - corner[1]) - step[1] * (x - corner[0])) > 0
+    return covered
+
+
+def _level(light: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
+    """The sRGB level, 0 to 1, of light from 0 to 1."""
+    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
