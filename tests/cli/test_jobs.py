@@ -178,10 +178,6 @@ def test_match_finds_the_box_and_reports_it(run, folder):
 REFUSED = {
     "empty folder": (calibrate("upper=empty", "left=left.png"), "empty is a folder without"),
     "folder": (calibrate("upper=.", "left=left.png"), "give one picture in it"),
-    "a photograph of something else": (
-        calibrate("upper=photo.png", "left=left.png"),
-        'Camera "upper": No sheet of the pattern',
-    ),
     "the same picture twice": (
         calibrate("upper=left.png", "left=left.tif", "right=left.png"),
         '"upper" and "right" are the same picture',
@@ -243,6 +239,17 @@ def test_refusal_is_one_line_and_status_1(run, folder, what):
     assert sentence in err
     assert (status, out, err.count("\n")) == (1, "", 1)
     assert sorted(folder.iterdir()) == before
+
+
+def test_a_camera_that_fails_leaves_the_others_and_a_picture_of_why(run, folder):
+    command = *calibrate("upper/a=photo.png", "left=left.png"), "-o", "part.json"
+    status, out, err = run(*command)
+    assert (status, out, err.count("\n")) == (1, "", 1)
+    assert 'Camera "upper/a": No sheet of the pattern' in err
+    assert "part-incomplete.json holds the others (left); part.json is as it was" in err
+    assert not (folder / "part.json").exists()
+    assert trinoc.load_rig(folder / "part-incomplete.json").names == ("left",)
+    assert trinoc.io.read_image(folder / "part-upper_a-failed.png").ndim == 3
 
 
 @pytest.mark.parametrize("shuffled", ["upper=left.csv left=right.csv right=upper.csv", "nothing"])

@@ -7,7 +7,10 @@ from .bundle.result import RefineResult as RefineResult, RefineStatus as RefineS
 from .detection.any_target import detect_target as detect_target
 from .detection.charuco import opencv_board as opencv_board
 from .detection.detection import Detection as Detection
-from .detection.search import detect_pattern as detect_pattern
+from .detection.search import (
+    circle_candidates as circle_candidates,
+    detect_pattern as detect_pattern,
+)
 from .from_detections import calibrate_detections as calibrate_detections
 from .from_images import calibrate as calibrate
 from .from_points import calibrate_points as calibrate_points

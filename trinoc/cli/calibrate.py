@@ -7,11 +7,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from trinoc.cli.command import Command, Outcome, UsageError
+from trinoc.cli.failed_cameras import kept_of_failure
 from trinoc.cli.lens_options import LensOptions, expect_pixel_pitch
 from trinoc.cli.numbers import expect_sigmas
 from trinoc.cli.plan import plan
 from trinoc.cli.progress import LOGGER
 from trinoc.cli.views import files_of_views
+from trinoc.errors import CalibrationError
 
 if TYPE_CHECKING:
     from trinoc.calib import CalibrationResult, Systematics
@@ -130,19 +132,29 @@ class Calibrate(Command):
             sizes = {name: _size(image) for name, image in images.items()}
             return plan(f"calibrate by {pattern.name}", files, sizes, (self.out, self.report))
         LOGGER.info("calibrating %s", ", ".join(files))
-        result = calibrate(
-            images,
-            pattern,
-            lenses,
-            parameters=self.parameters,
-            pose_model=self.pose_model,
-            method=self.method,
-            bayer=self.bayer,
-            response=self.response,
-            systematics=known,
-            orientation="upright" if self.orientation == "upright" else earlier,
-        )
         origin = provenance(command_line, {**files, "pattern": self.pattern, **self.lens.files()})
+        try:
+            result = calibrate(
+                images,
+                pattern,
+                lenses,
+                parameters=self.parameters,
+                pose_model=self.pose_model,
+                method=self.method,
+                bayer=self.bayer,
+                response=self.response,
+                systematics=known,
+                orientation="upright" if self.orientation == "upright" else earlier,
+            )
+        except CalibrationError as error:
+            raise kept_of_failure(
+                error,
+                images,
+                pattern,
+                self.out,
+                refusal=lambda found: None if self.accept_suspect else suspicion(found, self.out),
+                provenance=origin,
+            ) from error
         included = ["noise", *result.systematics]
         refusal = None if self.accept_suspect else suspicion(result, self.out)
         if refusal is None:

@@ -50,6 +50,7 @@ from .images import (
     picture_digest as picture_digest,
     read_image as read_image,
     read_views as read_views,
+    write_picture as write_picture,
 )
 from .intrinsics_json import (
     load_intrinsics as load_intrinsics,

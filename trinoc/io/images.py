@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from trinoc.errors import InputError
+from trinoc.io.atomic import atomic_write
 from trinoc.io.picture_size import MOST_PIXELS, is_complete, size_px
 from trinoc.io.whole_files import read_bytes
 from trinoc.io.whole_picture import ends_as_it_should
@@ -43,6 +44,17 @@ def read_views(paths: Mapping[str, str | os.PathLike[str]]) -> dict[str, np.ndar
             )
         images[view] = image
     return images
+
+
+def write_picture(path: str | os.PathLike[str], image: np.ndarray) -> None:
+    """Write (h, w) grey levels or (h, w, 3) red, green, blue as a PNG, whole or not at all.
+
+    Raises InputError where it cannot be written.
+    """
+    ordered = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
+    _, content = cv2.imencode(".png", ordered)
+    with atomic_write(path) as file:
+        file.write(content.tobytes())
 
 
 def picture_digest(image: np.ndarray) -> bytes:

@@ -2,13 +2,12 @@
 
 import os
 
-import cv2
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from trinoc.calib import AbstractTarget
 from trinoc.errors import InputError
-from trinoc.io.atomic import atomic_write
+from trinoc.io.images import write_picture
 from trinoc.io.pattern_page import Disc, Polygon, drawing
 
 # Lattice of points per pixel side, by which the ink of a pixel is counted.
@@ -32,9 +31,7 @@ def save_pattern_png(
     pitch_mm: float,
 ) -> None:
     """Write the picture of `pattern_picture`. Raises InputError where the screen is too small."""
-    _, content = cv2.imencode(".png", pattern_picture(pattern, size_px=size_px, pitch_mm=pitch_mm))
-    with atomic_write(path) as file:
-        file.write(content.tobytes())
+    write_picture(path, pattern_picture(pattern, size_px=size_px, pitch_mm=pitch_mm))
 
 
 def pattern_picture(

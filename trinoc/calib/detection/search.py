@@ -61,6 +61,14 @@ def detect_pattern(image: Shaped[np.ndarray, "..."], pattern: Pattern) -> Detect
     )
 
 
+def circle_candidates(image: Shaped[np.ndarray, "..."]) -> Blobs:
+    """Dark regions of a picture that could be circles, before any pattern is asked of them.
+
+    image : as of `detect_pattern`, which looks in other ways too where these are no sheet.
+    """
+    return next(_searches(search_image(image)))
+
+
 def _both_polarities(picture: SearchImage) -> Iterator[SearchImage]:
     """Dark circles on light paper, then light ones on dark."""
     yield picture
