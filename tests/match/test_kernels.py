@@ -45,7 +45,7 @@ def doubled(seed: int) -> dict:
     return {name: np.concatenate([ends, ends + 0.7]) for name, ends in given.items()}
 
 
-@pytest.mark.parametrize("frames", [1, 3])
+@pytest.mark.parametrize("frames", [1, pytest.param(3, marks=pytest.mark.slow)])
 def test_no_kernel_calls_the_host_on_a_gpu(calls, frames: int) -> None:
     rig = rig_of("upper", "left", "right")
     given = [doubled(seed) for seed in range(frames)]

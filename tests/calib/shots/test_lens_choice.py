@@ -38,6 +38,7 @@ def test_one_place_located_wrongly_decides_nothing():
     )
 
 
+@pytest.mark.slow
 def test_auto_takes_the_true_lens_and_says_why():
     result = calibrate_rig(
         shots(cameras=("left",), count=10), BOARD, lens_model="auto", systematics=Systematics()
