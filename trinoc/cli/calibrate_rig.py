@@ -73,6 +73,11 @@ class CalibrateRig(Command):
     out: Annotated[Path, tyro.conf.arg(aliases=("-o",))] = Path("rig.json")
     """Where the rig goes."""
 
+    report: Annotated[
+        Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")
+    ] = None
+    """Also write an HTML report here: verdict, shots, residuals and uncertainty over the field."""
+
     def run(self, command_line: str) -> Outcome:
         """Calibrate and write the rig."""
         for shot in self.shots:
@@ -91,7 +96,7 @@ class CalibrateRig(Command):
         from trinoc.cli.provenance import provenance
         from trinoc.io import expect_place, load_intrinsics, load_shots, load_target, save
 
-        expect_place(self.out)
+        expect_place(self.out, self.report)
         target = load_target(self.board)
         pictures = load_shots(places)
         known: Any = None
@@ -119,9 +124,18 @@ class CalibrateRig(Command):
                 systematics=usual,
                 progress=bar.at,
             )
-        save(result, self.out, provenance=provenance(command_line, {"board": self.board}))
-        text = f"{result.summary()}\nwritten: {self.out}"
-        return Outcome(text, {**rig_record(result), "written": [str(self.out)]})
+        made_by = provenance(command_line, {"board": self.board})
+        save(result, self.out, provenance=made_by)
+        written = [str(self.out)]
+        if self.report is not None:
+            from trinoc.cli.provenance import for_people
+            from trinoc.report import write_shots_report
+
+            LOGGER.info("writing %s", self.report)
+            write_shots_report(self.report, result, provenance=for_people(made_by))
+            written.append(str(self.report))
+        text = f"{result.summary()}\nwritten: {', '.join(written)}"
+        return Outcome(text, {**rig_record(result), "written": written})
 
 
 def rig_record(result: "RigFromShots") -> dict[str, Any]:
