@@ -1,4 +1,4 @@
-"""The corners of a grid of AprilTags, labelled by the tags, by OpenCV's detector."""
+"""The corners of a grid of AprilTags, labelled by the tags."""
 
 import cv2
 import numpy as np
@@ -9,6 +9,7 @@ from trinoc.calib.detection.chessboard import levels_of_8_bit
 from trinoc.calib.detection.corner_accuracy import corner_covariance_px2
 from trinoc.calib.detection.detection import Detection
 from trinoc.calib.detection.grey import search_image
+from trinoc.calib.detection.tag_reading import tags_in
 from trinoc.calib.targets import AprilGrid
 from trinoc.errors import DetectionError
 
@@ -60,23 +61,13 @@ def _found(
     grey: UInt8[np.ndarray, "h w"], board: AprilGrid
 ) -> tuple[Int[np.ndarray, "t"], Float[np.ndarray, "t 4 2"]]:
     """(which tags, their corners from the board's lower left counter-clockwise), by number."""
-    options = cv2.aruco.DetectorParameters()
-    options.markerBorderBits = board.border
-    detector = cv2.aruco.ArucoDetector(opencv_dictionary(board.dictionary), options)
-    found, numbers, _ = detector.detectMarkers(grey)
-    none = np.zeros(0, dtype=int), np.zeros((0, 4, 2))
-    if numbers is None or not len(found):
-        return none
-    tags = np.asarray(numbers).ravel().astype(int) - board.first
-    corners = np.asarray(found, dtype=np.float64).reshape(-1, 4, 2)
-    # A number seen twice belongs to another board, or to nothing.
-    known = (tags >= 0) & (tags < board.rows * board.columns)
-    known &= np.isin(tags, np.flatnonzero(np.bincount(tags[known], minlength=1) == 1))
-    order = np.argsort(tags[known])
-    tags, corners = tags[known][order], corners[known][order]
-    if len(tags) < FEWEST_TAGS:
-        return none
-    return _in_place(tags, corners, board)
+    seen = tags_in(grey, opencv_dictionary(board.dictionary), board.border)
+    last = board.first + board.rows * board.columns
+    own = {number: corners for number, corners in seen.items() if board.first <= number < last}
+    if len(own) < FEWEST_TAGS:
+        return np.zeros(0, dtype=int), np.zeros((0, 4, 2))
+    tags = np.array(sorted(own))
+    return _in_place(tags - board.first, np.stack([own[number] for number in tags]), board)
 
 
 def _in_place(
