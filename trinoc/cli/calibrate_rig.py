@@ -126,7 +126,7 @@ class CalibrateRig(Command):
 
 def rig_record(result: "RigFromShots") -> dict[str, Any]:
     """What programs want to know of a rig from many shots, as JSON can hold it."""
-    halves = result.halves
+    halves, held_out = result.halves, result.cross_validation
     return {
         "parameters": {
             name: {"value": float(value), "sigma": result.sigma(name)}
@@ -147,6 +147,13 @@ def rig_record(result: "RigFromShots") -> dict[str, Any]:
         "halves": None
         if halves is None
         else {"ratio": halves.ratio, "worst": halves.worst, "worst_ratio": halves.worst_ratio},
+        "cross_validation": None
+        if held_out is None
+        else {
+            "shots": held_out.shots,
+            "own_px": dict(held_out.own_px),
+            "across_px": dict(held_out.across_px),
+        },
         "sigmas_include": ["noise", *result.systematics],
         "failures": dict(result.failures),
         "refused": list(result.refused),

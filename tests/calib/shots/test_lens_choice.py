@@ -48,6 +48,8 @@ def test_auto_takes_the_true_lens_and_says_why():
     assert "brown_conrady was chosen" in result.notes[0]
     assert "do not ask for k4, k5, k6" in result.notes[0]
     assert abs(result.value("left.fx_px") - 800.0) < 4 * result.sigma("left.fx_px")
+    assert result.cross_validation is not None
+    assert result.cross_validation.across_px == {}
 
 
 def test_auto_leaves_nothing_to_be_given():

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from trinoc.calib.shots.cross_validation import halves_fitted, of_shots
 from trinoc.calib.shots.placing import PlacedRig, of_one_moment
 from trinoc.calib.shots.problem import Problem, with_head_held, with_sheet_held
 from trinoc.calib.shots.robust_fit import errors_px, fitted
@@ -36,26 +37,15 @@ class HeldOut(NamedTuple):
 
 def held_out(problem: Problem, placed: PlacedRig, cameras: Sequence[str]) -> HeldOut:
     """Lenses and cameras from every second shot; the others tell where their board is, and err."""
-    shots = sorted({view.shot for view in problem.views if view.used.any()})
     errors = {}
-    for remainder in (0, 1):
-        half, rest = shots[remainder::2], shots[1 - remainder :: 2]
-        end, _ = fitted(_of_shots(with_sheet_held(problem), half))
-        end, _ = fitted(with_head_held(_of_shots(end._replace(views=problem.views), rest)))
+    for end, held in halves_fitted(with_sheet_held(problem)):
+        end, _ = fitted(with_head_held(of_shots(end._replace(views=problem.views), held)))
         for view, pixels in zip(end.views, errors_px(end), strict=True):
-            if view.shot in rest:
+            if view.shot in held:
                 shot = of_one_moment(placed.shots[view.shot], cameras[view.camera])
                 length = np.linalg.norm(pixels, axis=1)
                 errors[view.camera, shot] = np.where(np.isfinite(length), length, np.inf)
     return HeldOut(errors)
-
-
-def _of_shots(problem: Problem, shots: Sequence[int]) -> Problem:
-    views = tuple(
-        view if view.shot in shots else view._replace(used=np.zeros_like(view.used))
-        for view in problem.views
-    )
-    return problem._replace(views=views)
 
 
 class LensChoice(NamedTuple):

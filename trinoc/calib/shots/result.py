@@ -5,6 +5,7 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.calib.result import Status
+from trinoc.calib.shots.cross_validation import CrossValidation
 from trinoc.calib.shots.halves import HalvesCheck
 from trinoc.calib.shots.table import View
 from trinoc.calib.targets import AbstractTarget
@@ -35,6 +36,7 @@ class RigFromShots(eqx.Module):
     sigma_factor : for each camera by how much its places scatter more than their sigmas say.
     reduced_chi_square : after the sigmas were multiplied by it.
     halves : two halves of the shots compared, or None where there are too few.
+    cross_validation : errors of shots that the rig was not fitted to, or None likewise.
     failures : for "camera shot" in which the board was not found, why.
     refused : sentences on shots and pictures that were left out.
     systematics : the errors of the board that the covariance holds, in words.
@@ -58,6 +60,7 @@ class RigFromShots(eqx.Module):
     sigma_factor: dict[str, float] = eqx.field(static=True)
     reduced_chi_square: float = eqx.field(static=True)
     halves: HalvesCheck | None
+    cross_validation: CrossValidation | None
     failures: dict[str, str] = eqx.field(static=True)
     refused: tuple[str, ...] = eqx.field(static=True)
     systematics: tuple[str, ...] = eqx.field(static=True)
@@ -119,6 +122,8 @@ def summary_text(result: RigFromShots) -> str:
             f"{result.halves.parameters} parameters (most in {result.halves.worst}: "
             f"{result.halves.worst_ratio:.1f})"
         )
+    if result.cross_validation is not None:
+        lines.append(result.cross_validation.sentence)
     lines.append(f"sigmas include {', '.join(('noise', *result.systematics))}.")
     lines += list(result.notes) + list(result.refused)
     lines += [f"{where}: {why}" for where, why in result.failures.items()]
