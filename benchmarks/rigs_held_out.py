@@ -157,7 +157,7 @@ def main() -> None:
         print("TRINOC_DATA names no folder with the real sets.")
         return
     for name, (target, files) in sets(data).items():
-        images = {c: [cv2.imread(str(f), 0) for f in own] for c, own in files.items()}
+        images = {c: [np.asarray(cv2.imread(str(f), 0)) for f in own] for c, own in files.items()}
         found = {c: [detect_target(image, target) for image in own] for c, own in images.items()}
         result = calibrate_rig(found, target)
         size_px = next(iter(found.values()))[0].image_size_px

@@ -12,7 +12,7 @@ from trinoc.cli.progress import LOGGER, Bar
 from trinoc.cli.views import files_of_views
 
 if TYPE_CHECKING:
-    from trinoc.calib import RigFromShots
+    from trinoc.calib import NextShot, RigFromShots
 
 # Not None: an option that may be a pair or nothing would take pictures that follow it.
 UNKNOWN = (-1.0, -1.0)
@@ -87,7 +87,7 @@ class CalibrateRig(Command):
         if self.print_scale_sigma != UNKNOWN:
             expect_sigmas("--print-scale-sigma", self.print_scale_sigma)
 
-        from trinoc.calib import Systematics, calibrate_rig
+        from trinoc.calib import Systematics, calibrate_rig, next_shot
         from trinoc.cli.provenance import provenance
         from trinoc.io import expect_place, load_intrinsics, load_shots, load_target, save
 
@@ -120,8 +120,25 @@ class CalibrateRig(Command):
                 progress=bar.at,
             )
         save(result, self.out, provenance=provenance(command_line, {"board": self.board}))
-        text = f"{result.summary()}\nwritten: {self.out}"
-        return Outcome(text, {**rig_record(result), "written": [str(self.out)]})
+        advice = next_shot(result)
+        told = "" if advice is None else f"\n{advice.sentence}"
+        text = f"{result.summary()}{told}\nwritten: {self.out}"
+        record = {**rig_record(result), "next_shot": shot_record(advice)}
+        return Outcome(text, {**record, "written": [str(self.out)]})
+
+
+def shot_record(advice: "NextShot | None") -> dict[str, Any] | None:
+    """The shot to take next, as JSON can hold it."""
+    if advice is None:
+        return None
+    return {
+        "sentence": advice.sentence,
+        "cameras": list(advice.cameras),
+        "world_from_board": advice.world_from_board.tolist(),
+        "error_now_px": advice.error_now_px,
+        "error_then_px": advice.error_then_px,
+        "sigma_then": dict(advice.sigma_then),
+    }
 
 
 def rig_record(result: "RigFromShots") -> dict[str, Any]:

@@ -1,2 +1,3 @@
+from .advised_shot import NextShot as NextShot, next_shot as next_shot
 from .from_shots import calibrate_rig as calibrate_rig
 from .result import RigFromShots as RigFromShots

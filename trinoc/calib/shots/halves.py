@@ -55,7 +55,7 @@ def halves_check(
     ratio = float(np.sqrt(difference @ np.linalg.solve(covariance, difference) / len(difference)))
     each = np.abs(difference) / sigma
     worst = int(np.argmax(each))
-    names = _head_names(problem, cameras)
+    names = head_names(problem, cameras)
     column = int(np.flatnonzero(problem.chart.free)[worst])
     return HalvesCheck(ratio, names[column], float(each[worst]), len(difference))
 
@@ -81,7 +81,8 @@ def _steps_between(problem: Problem, end: Problem) -> np.ndarray:
     )
 
 
-def _head_names(problem: Problem, cameras: tuple[str, ...]) -> list[str]:
+def head_names(problem: Problem, cameras: tuple[str, ...]) -> list[str]:
+    """Names of the steps of the head, the places of the board left out."""
     of_lens = problem.state.lenses.parameter_names
     owner = [
         cameras[int(np.flatnonzero(problem.chart.lens_of_camera == k)[0])]

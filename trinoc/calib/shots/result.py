@@ -7,6 +7,7 @@ from jaxtyping import Float
 from trinoc.calib.result import Status
 from trinoc.calib.shots.cross_validation import CrossValidation
 from trinoc.calib.shots.halves import HalvesCheck
+from trinoc.calib.shots.problem import EndedProblem
 from trinoc.calib.shots.table import View
 from trinoc.calib.targets import AbstractTarget
 from trinoc.geometry import Rig
@@ -37,6 +38,8 @@ class RigFromShots(eqx.Module):
     reduced_chi_square : after the sigmas were multiplied by it.
     halves : two halves of the shots compared, or None where there are too few.
     cross_validation : errors of shots that the rig was not fitted to, or None likewise.
+    ended : where the fit ended, in its own units, which `next_shot` goes on from; None unless
+        `status` is CONVERGED.
     failures : for "camera shot" in which the board was not found, why.
     refused : sentences on shots and pictures that were left out.
     systematics : the errors of the board that the covariance holds, in words.
@@ -61,6 +64,7 @@ class RigFromShots(eqx.Module):
     reduced_chi_square: float = eqx.field(static=True)
     halves: HalvesCheck | None
     cross_validation: CrossValidation | None
+    ended: EndedProblem | None
     failures: dict[str, str] = eqx.field(static=True)
     refused: tuple[str, ...] = eqx.field(static=True)
     systematics: tuple[str, ...] = eqx.field(static=True)
