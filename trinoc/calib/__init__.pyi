@@ -14,8 +14,8 @@ from .detection.search import (
 from .from_detections import calibrate_detections as calibrate_detections
 from .from_images import calibrate as calibrate
 from .from_points import calibrate_points as calibrate_points
-from .intrinsics.from_images import calibrate_intrinsics as calibrate_intrinsics
 from .intrinsics.result import IntrinsicsResult as IntrinsicsResult
+from .lens_from_images import calibrate_intrinsics as calibrate_intrinsics
 from .model.camera import (
     CameraState as CameraState,
     camera_state as camera_state,

@@ -88,7 +88,7 @@ def next_shot(result: RigFromShots) -> NextShot | None:
     )
     return NextShot(
         cameras=tuple(names),
-        words=f"show the board to {_listed(names)}, {candidate.distance_mm:.3g} mm from "
+        words=f"show the board to {_listed(names)}, {_length(candidate.distance_mm)} from "
         f"{result.cameras[candidate.camera]}, {candidate.words}",
         world_from_board=chained(world_from_rig, candidate.rig_from_board),
         error_now_px=float(now.max()),
@@ -126,3 +126,7 @@ def _lens_sigmas(result: RigFromShots, covariance: Float[np.ndarray, "f f"]) -> 
 def _listed(names: list[str]) -> str:
     *others, last = names
     return f"{', '.join(others)} and {last}" if others else last
+
+
+def _length(length_mm: float) -> str:
+    return f"{length_mm:.0f} mm" if length_mm >= 100.0 else f"{length_mm:.3g} mm"
