@@ -1,5 +1,7 @@
 """The shot to take next: what it promises is what comes, and more than others give."""
 
+import json
+
 import equinox as eqx
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ from trinoc.calib.shots.advised_shot import shot_error_px, with_shot
 from trinoc.calib.shots.candidate_shots import candidate_shots
 from trinoc.calib.shots.foreseen import foreseen, place_sigma_px
 from trinoc.calib.shots.motions import chained
+from trinoc.cli.calibrate_rig import rig_record, shot_record
 from trinoc.errors import InputError
 
 CAMERAS = tuple(LENSES)
@@ -95,6 +98,14 @@ def test_the_sentence_says_who_sees_it_and_where(advice, before):
     held = advice._replace(sigma_now={}, sigma_then={})
     assert held.parameter is None
     assert "sigma of" not in held.sentence
+
+
+def test_the_command_s_record_is_json(advice, before):
+    record = json.loads(json.dumps({**rig_record(before), "next_shot": shot_record(advice)}))
+    assert record["next_shot"]["sentence"] == advice.sentence
+    assert np.shape(record["next_shot"]["world_from_board"]) == (3, 4)
+    assert set(record["cross_validation"]["across_px"]) == set(CAMERAS)
+    assert shot_record(None) is None
 
 
 def test_what_did_not_converge_has_no_next_shot(before):
