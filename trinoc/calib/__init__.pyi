@@ -5,7 +5,10 @@ from .bundle.pose_prior import d_parameters_d_delta as d_parameters_d_delta
 from .bundle.refinement import refine as refine
 from .bundle.result import RefineResult as RefineResult, RefineStatus as RefineStatus
 from .detection.any_target import detect_target as detect_target
-from .detection.charuco import opencv_board as opencv_board
+from .detection.charuco import (
+    opencv_board as opencv_board,
+    opencv_dictionary as opencv_dictionary,
+)
 from .detection.detection import Detection as Detection
 from .detection.search import (
     circle_candidates as circle_candidates,
@@ -31,6 +34,7 @@ from .shots.from_shots import calibrate_rig as calibrate_rig
 from .shots.projection import projection_sigma as projection_sigma
 from .shots.result import RigFromShots as RigFromShots
 from .targets.abstract_target import AbstractTarget as AbstractTarget
+from .targets.april_grid import AprilGrid as AprilGrid
 from .targets.checkers import (
     DICTIONARIES as DICTIONARIES,
     Charuco as Charuco,

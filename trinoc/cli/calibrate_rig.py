@@ -73,6 +73,11 @@ class CalibrateRig(Command):
     out: Annotated[Path, tyro.conf.arg(aliases=("-o",))] = Path("rig.json")
     """Where the rig goes."""
 
+    report: Annotated[
+        Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")
+    ] = None
+    """Also write an HTML report here: verdict, shots, residuals and uncertainty over the field."""
+
     def run(self, command_line: str) -> Outcome:
         """Calibrate and write the rig."""
         for shot in self.shots:
@@ -91,7 +96,7 @@ class CalibrateRig(Command):
         from trinoc.cli.provenance import provenance
         from trinoc.io import expect_place, load_intrinsics, load_shots, load_target, save
 
-        expect_place(self.out)
+        expect_place(self.out, self.report)
         target = load_target(self.board)
         pictures = load_shots(places)
         known: Any = None
@@ -119,12 +124,21 @@ class CalibrateRig(Command):
                 systematics=usual,
                 progress=bar.at,
             )
-        save(result, self.out, provenance=provenance(command_line, {"board": self.board}))
+        made_by = provenance(command_line, {"board": self.board})
+        save(result, self.out, provenance=made_by)
+        written = [str(self.out)]
+        if self.report is not None:
+            from trinoc.cli.provenance import for_people
+            from trinoc.report import write_shots_report
+
+            LOGGER.info("writing %s", self.report)
+            write_shots_report(self.report, result, provenance=for_people(made_by))
+            written.append(str(self.report))
         advice = next_shot(result)
         told = "" if advice is None else f"\n{advice.sentence}"
-        text = f"{result.summary()}{told}\nwritten: {self.out}"
+        text = f"{result.summary()}{told}\nwritten: {', '.join(written)}"
         record = {**rig_record(result), "next_shot": shot_record(advice)}
-        return Outcome(text, {**record, "written": [str(self.out)]})
+        return Outcome(text, {**record, "written": written})
 
 
 def shot_record(advice: "NextShot | None") -> dict[str, Any] | None:
