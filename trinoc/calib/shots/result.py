@@ -37,13 +37,13 @@ class RigFromShots(eqx.Module):
     sigma_factor : for each camera by how much its places scatter more than their sigmas say.
     reduced_chi_square : after the sigmas were multiplied by it.
     halves : two halves of the shots compared, or None where there are too few.
-    cross_validation : errors of shots that the rig was not fitted to, or None likewise.
-    ended : where the fit ended, in its own units, which `next_shot` goes on from; None unless
-        `status` is CONVERGED.
     failures : for "camera shot" in which the board was not found, why.
     refused : sentences on shots and pictures that were left out.
     systematics : the errors of the board that the covariance holds, in words.
     notes : sentences on what a user should know.
+    cross_validation : errors of shots that the rig was not fitted to; None where there are too few.
+    ended : where the fit ended, in its own units, which `next_shot` goes on from; None unless
+        `status` is CONVERGED.
     """
 
     rig: Rig | None
@@ -63,12 +63,12 @@ class RigFromShots(eqx.Module):
     sigma_factor: dict[str, float] = eqx.field(static=True)
     reduced_chi_square: float = eqx.field(static=True)
     halves: HalvesCheck | None
-    cross_validation: CrossValidation | None
-    ended: EndedProblem | None
     failures: dict[str, str] = eqx.field(static=True)
     refused: tuple[str, ...] = eqx.field(static=True)
     systematics: tuple[str, ...] = eqx.field(static=True)
     notes: tuple[str, ...] = eqx.field(static=True)
+    cross_validation: CrossValidation | None = None
+    ended: EndedProblem | None = None
 
     def sigma(self, parameter: str) -> float:
         """Standard deviation of a parameter such as "left.fx_px"; 0 if held, NaN if not known."""
