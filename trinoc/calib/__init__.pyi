@@ -17,8 +17,8 @@ from .detection.search import (
 from .from_detections import calibrate_detections as calibrate_detections
 from .from_images import calibrate as calibrate
 from .from_points import calibrate_points as calibrate_points
-from .intrinsics.from_images import calibrate_intrinsics as calibrate_intrinsics
 from .intrinsics.result import IntrinsicsResult as IntrinsicsResult
+from .lens_from_images import calibrate_intrinsics as calibrate_intrinsics
 from .model.camera import (
     CameraState as CameraState,
     camera_state as camera_state,
@@ -29,6 +29,7 @@ from .result.calibration import CalibrationResult as CalibrationResult, CameraFi
 from .result.status import Status as Status
 from .rig_check.comparison import compare_rigs as compare_rigs
 from .rig_check.knocked import RigCheck as RigCheck, check_rig as check_rig
+from .shots.advised_shot import NextShot as NextShot, next_shot as next_shot
 from .shots.from_shots import calibrate_rig as calibrate_rig
 from .shots.projection import projection_sigma as projection_sigma
 from .shots.result import RigFromShots as RigFromShots
