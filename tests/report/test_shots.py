@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from trinoc.calib import Chessboard, Detection, RigFromShots, Status
+from trinoc.calib.shots.cross_validation import CrossValidation
 from trinoc.calib.shots.halves import HalvesCheck
 from trinoc.calib.shots.table import View
 from trinoc.geometry import Rig
@@ -165,6 +166,16 @@ def test_mean_residuals_tell_a_pattern_from_chance(result) -> None:
         scale = float(field.magnification)
         arrows = np.array([np.array(m.tip) - (m.u, m.v) for m in field.means]) / scale
         np.testing.assert_allclose(arrows.mean(axis=0), shift, atol=0.02)
+
+
+def test_what_shots_held_out_and_the_next_one_say_is_shown(result) -> None:
+    text = render_shots_report(
+        made_up(cross_validation=CrossValidation(12, {"left": 0.1}, {"left": 0.234})),
+        advice="Show the board to left & right.",
+    )
+    assert "0.234 px" in Page(text).text
+    assert "To take next: Show the board to left & right." in Page(text).text
+    assert "To take next" not in render_shots_report(result)
 
 
 def test_the_maps_grow_as_the_sigmas_of_the_rig(result) -> None:

@@ -126,15 +126,19 @@ class CalibrateRig(Command):
             )
         made_by = provenance(command_line, {"board": self.board})
         save(result, self.out, provenance=made_by)
-        written = [str(self.out)]
+        written, advice = [str(self.out)], next_shot(result)
         if self.report is not None:
             from trinoc.cli.provenance import for_people
             from trinoc.report import write_shots_report
 
             LOGGER.info("writing %s", self.report)
-            write_shots_report(self.report, result, provenance=for_people(made_by))
+            write_shots_report(
+                self.report,
+                result,
+                advice="" if advice is None else advice.sentence,
+                provenance=for_people(made_by),
+            )
             written.append(str(self.report))
-        advice = next_shot(result)
         told = "" if advice is None else f"\n{advice.sentence}"
         text = f"{result.summary()}{told}\nwritten: {', '.join(written)}"
         record = {**rig_record(result), "next_shot": shot_record(advice)}

@@ -18,6 +18,7 @@ def write_shots_report(
     path: str | os.PathLike[str],
     result: RigFromShots,
     *,
+    advice: str = "",
     title: str = "trinoc calibrate-rig",
     provenance: Mapping[str, str] | None = None,
 ) -> None:
@@ -28,16 +29,19 @@ def write_shots_report(
 
     Parameters
     ----------
+    advice : a sentence on what to do next, such as that of `next_shot`.
     provenance : what to say at the foot: command, version, files.
 
     Raises InputError where `path` cannot be written.
     """
-    write_text(path, render_shots_report(result, title=title, provenance=provenance))
+    page = render_shots_report(result, advice=advice, title=title, provenance=provenance)
+    write_text(path, page)
 
 
 def render_shots_report(
     result: RigFromShots,
     *,
+    advice: str = "",
     title: str = "trinoc calibrate-rig",
     provenance: Mapping[str, str] | None = None,
 ) -> str:
@@ -50,6 +54,7 @@ def render_shots_report(
     page = {
         "title": title,
         "result": result,
+        "advice": advice,
         "parameters": parameter_columns(result),
         "table": shot_table(result),
         "fields": fields,

@@ -29,7 +29,7 @@ def verdict_of_shots(
 ) -> Verdict:
     """Every check that the result can answer."""
     checks = [_determined(result), _shots(result), *_covered(fields), *_noise(result)]
-    checks += [*_pattern(fields), _halves(result)]
+    checks += [*_pattern(fields), _halves(result), *_held_out(result)]
     if uncertainty is not None:
         checks.append(_known(uncertainty))
     return verdict_of(checks, "this rig")
@@ -149,6 +149,26 @@ def _halves(result: RigFromShots) -> Check:
         "sigmas claim too much.",
         part,
     )
+
+
+def _held_out(result: RigFromShots) -> list[Check]:
+    """Through other cameras, which is what a rig is for; of one camera, its own."""
+    found = result.cross_validation
+    if found is None:
+        return []
+    errors = found.across_px or found.own_px
+    worst = max(errors, key=lambda name: errors[name])
+    by = "placed by another camera" if found.across_px else "placed by itself"
+    return [
+        Check(
+            "How far off are shots held out?",
+            Level.JUDGE,
+            f"{with_decimals(errors[worst], 3)} px",
+            f"rms of the places in {worst}, the board {by}; lenses and cameras from the others.",
+            "If that is much more than the residuals: more shots, at more places and tilts.",
+            "shots",
+        )
+    ]
 
 
 def _known(uncertainty: Uncertainty) -> Check:
