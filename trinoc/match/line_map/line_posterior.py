@@ -1,0 +1,153 @@
+"""Where lines are, given segments of which some err by more than they say.
+
+Each segment errs by one of a few factors times what it states, and which is not known. Given the
+factors, a line is a least squares fit; its posterior is the mixture of these fits, each as likely
+as it makes the segments. Where views agree it is hardly wider than the fit. Where they disagree it
+reaches as far as any of them may be right, and where only two views show a line, nothing tells:
+then it has the variance that segments have on the average.
+"""
+
+from itertools import combinations, product
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from trinoc.match.line_map.line_fit import LineFragments, distances_across
+from trinoc.match.tuning import DEFAULT, CollinearTuning
+from trinoc.numerics import axes_across
+
+# Of lines of more segments than this, factors are tried that differ from the likeliest in two.
+ALL_FACTORS_TO = 4
+PAIRS_TO = 16
+ROUNDS = 10
+
+
+class LinePosteriors(NamedTuple):
+    """Mean and covariance across of lines at the places they were asked for.
+
+    ends_mm : moved across only. covariance_mm2 : of the ends, nothing along the line.
+    error_shares : how often segments err by each factor, as these lines show it.
+    """
+
+    ends_mm: Float[np.ndarray, "e 2 3"]
+    covariance_mm2: Float[np.ndarray, "e 6 6"]
+    error_shares: Float[np.ndarray, "3"]
+
+
+class _Equations(NamedTuple):
+    """Of one line, each segment's part: of the information, of the gradient, and its square."""
+
+    information: Float[np.ndarray, "n 4 4"]
+    gradient: Float[np.ndarray, "n 4"]
+    square: Float[np.ndarray, "n"]
+
+
+class _Answer(NamedTuple):
+    """Of one line: mean and covariance of its four offsets, and how likely each factor is."""
+
+    offset: Float[np.ndarray, "4"]
+    covariance: Float[np.ndarray, "4 4"]
+    factors: Float[np.ndarray, "n 3"]
+
+
+def line_posteriors(
+    shown: list[LineFragments],
+    ends_mm: Float[np.ndarray, "e 2 3"],
+    tuning: CollinearTuning = DEFAULT.collinear,
+) -> LinePosteriors:
+    """Lines near their ends, each with the segments that show it."""
+    way = ends_mm[:, 1] - ends_mm[:, 0]
+    axes = axes_across(way / np.linalg.norm(way, axis=1, keepdims=True))
+    equations = [_equations(*line) for line in zip(shown, ends_mm, axes, strict=True)]
+    prior, weight = np.array(tuning.error_shares), tuning.error_observations
+    shares, answers = prior, list[_Answer]()
+    for _ in range(ROUNDS):
+        answers = [_answer(each, shares, np.array(tuning.error_scales)) for each in equations]
+        # Two segments agree whatever their errors.
+        checked = [answer.factors for answer in answers if len(answer.factors) > 2]
+        seen = np.concatenate([*checked, np.zeros((0, 3))])
+        shares = (seen.sum(axis=0) + weight * prior) / (len(seen) + weight)
+    ends, covariance = ends_mm.copy(), np.zeros((len(ends_mm), 6, 6))
+    for line, answer in enumerate(answers):
+        ends[line] += answer.offset.reshape(2, 2) @ axes[line]
+        jacobian = np.kron(np.eye(2), axes[line].T)
+        covariance[line] = jacobian @ answer.covariance @ jacobian.T
+    return LinePosteriors(ends, covariance, shares)
+
+
+def _equations(
+    shown: LineFragments, ends_mm: Float[np.ndarray, "2 3"], axes: Float[np.ndarray, "2 3"]
+) -> _Equations:
+    error, by_offset, precision = distances_across(shown, ends_mm, axes)
+    weighted = by_offset.mT @ precision
+    return _Equations(
+        weighted @ by_offset,
+        (weighted @ error[:, :, None])[..., 0],
+        np.einsum("ni,nij,nj->n", error, precision, error),
+    )
+
+
+def _answer(
+    equations: _Equations, shares: Float[np.ndarray, "3"], scales: Float[np.ndarray, "3"]
+) -> _Answer:
+    """The mixture over factors, as its mean and covariance."""
+    factors = _likely_factors(equations, shares, scales)
+    log_weight, offset, covariance = _fits(equations, factors, shares, scales)
+    weight = np.exp(log_weight - log_weight.max())
+    weight /= weight.sum()
+    mean = weight @ offset
+    spread = np.einsum("k,kab->ab", weight, covariance)
+    spread += np.einsum("k,ka,kb->ab", weight, offset - mean, offset - mean)
+    likely = [weight @ (factors == kind) for kind in range(len(scales))]
+    return _Answer(mean, spread, np.stack(likely, axis=1))
+
+
+def _fits(
+    equations: _Equations,
+    factors: Int[np.ndarray, "k n"],
+    shares: Float[np.ndarray, "3"],
+    scales: Float[np.ndarray, "3"],
+) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k 4"], Float[np.ndarray, "k 4 4"]]:
+    """(log likelihood, the line integrated out; best offsets; their covariance) for factors."""
+    scale = scales[factors]
+    weight = scale**-2
+    covariance = np.linalg.inv(np.einsum("kn,nab->kab", weight, equations.information))
+    gradient = weight @ equations.gradient
+    offset = -(covariance @ gradient[:, :, None])[..., 0]
+    square = weight @ equations.square + (gradient * offset).sum(axis=1)
+    density = (np.log(shares)[factors] - 2 * np.log(scale)).sum(axis=1)
+    log_weight = density - square / 2 + np.linalg.slogdet(covariance)[1] / 2
+    return log_weight, offset, covariance
+
+
+def _likely_factors(
+    equations: _Equations, shares: Float[np.ndarray, "3"], scales: Float[np.ndarray, "3"]
+) -> Int[np.ndarray, "k n"]:
+    """All combinations of few segments; of many, the likeliest and what is near it."""
+    count, kinds = len(equations.square), len(scales)
+    if count <= ALL_FACTORS_TO:
+        return np.array(list(product(range(kinds), repeat=count)))
+    here = np.zeros(count, dtype=np.int64)
+    while True:
+        around = _beside(here, kinds)
+        best = around[np.argmax(_fits(equations, around, shares, scales)[0])]
+        if (best == here).all():
+            return around
+        here = best
+
+
+def _beside(here: Int[np.ndarray, "n"], kinds: int) -> Int[np.ndarray, "k n"]:
+    """These factors, and those that differ in one place or two."""
+    count = len(here)
+    places = [(), *((i,) for i in range(count))]
+    if count <= PAIRS_TO:
+        places += combinations(range(count), 2)
+    found = []
+    for chosen in places:
+        others = [[kind for kind in range(kinds) if kind != here[i]] for i in chosen]
+        for values in product(*others):
+            there = here.copy()
+            there[list(chosen)] = values
+            found.append(there)
+    return np.array(found)
