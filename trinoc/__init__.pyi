@@ -36,12 +36,14 @@ from .match import (
     GuidedMatches as GuidedMatches,
     JoinedLines as JoinedLines,
     Matches as Matches,
+    Wireframe as Wireframe,
     guide_matches as guide_matches,
     join_collinear as join_collinear,
     match_many as match_many,
     match_segments as match_segments,
     snap_corners as snap_corners,
     warm_up as warm_up,
+    wireframe as wireframe,
 )
 from .segments import (
     find_segments as find_segments,

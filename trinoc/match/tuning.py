@@ -346,6 +346,20 @@ class CornerTuning:
 
 
 @dataclass(frozen=True)
+class WireframeTuning:
+    """Faces of the wire frame, with `CornerTuning` for what fits its corner. Shown by
+    benchmarks/wireframe.py."""
+
+    # Vertices lie in one plane no worse than this share of true faces do.
+    plane_significance: float = 0.01
+    # A loop is a face where its vertices are known across it to this share of its size. By hand.
+    plane_doubt: float = 0.1
+    # Sine of the least angle of a corner, and the most edges that a face has. By hand.
+    smallest_sine: float = 0.1
+    most_edges: int = 12
+
+
+@dataclass(frozen=True)
 class DepthTuning:
     """Faces of depth maps. No benchmark shows it."""
 
@@ -447,6 +461,7 @@ class MatchTuning:
     tracks: TrackTuning = field(default_factory=TrackTuning)
     collinear: CollinearTuning = field(default_factory=CollinearTuning)
     corners: CornerTuning = field(default_factory=CornerTuning)
+    wireframe: WireframeTuning = field(default_factory=WireframeTuning)
     depth: DepthTuning = field(default_factory=DepthTuning)
     guided: GuidedTuning = field(default_factory=GuidedTuning)
 
