@@ -254,7 +254,8 @@ def _as_lines(
     given = np.array([group.ends_mm for group in groups]).reshape(-1, 2, 3)
     blocks = np.array([group.covariance_mm2 for group in groups]).reshape(-1, 6, 6)
     shown = [fragments_of(pieces, group.tracks) for group in groups]
-    likely = line_posteriors(shown, given, rules)
+    posterior = np.array([group.posterior for group in groups])
+    likely = line_posteriors(shown, given, posterior, rules)
     line_of_track = np.zeros(len(order), dtype=np.int64)
     place = np.zeros((len(order), 2))
     for number, group in enumerate(groups):
@@ -271,7 +272,7 @@ def _as_lines(
         line_of_track,
         place,
         np.array(scale),
-        np.array([group.posterior for group in groups]),
+        posterior,
     )
 
 

@@ -54,18 +54,30 @@ class _Answer(NamedTuple):
 def line_posteriors(
     shown: list[LineFragments],
     ends_mm: Float[np.ndarray, "e 2 3"],
+    posterior: Float[np.ndarray, "e"],
     tuning: CollinearTuning = DEFAULT.collinear,
 ) -> LinePosteriors:
-    """Lines near their ends, each with the segments that show it."""
+    """Lines near their ends, each with the segments that show it and the posterior of the match.
+
+    Where a match is wrong, a segment of it is of another edge beside: it errs by the widest.
+    """
     way = ends_mm[:, 1] - ends_mm[:, 0]
     axes = axes_across(way / np.linalg.norm(way, axis=1, keepdims=True))
     equations = [_equations(*line) for line in zip(shown, ends_mm, axes, strict=True)]
     prior, weight = np.array(tuning.error_shares), tuning.error_observations
+    widest = np.array([0.0, 0.0, 1.0])
     shares, answers = prior, list[_Answer]()
     for _ in range(ROUNDS):
-        answers = [_answer(each, shares, np.array(tuning.error_scales)) for each in equations]
+        answers = [
+            _answer(each, p * shares + (1 - p) * widest, np.array(tuning.error_scales))
+            for each, p in zip(equations, posterior.tolist(), strict=True)
+        ]
         # Two segments agree whatever their errors.
-        checked = [answer.factors for answer in answers if len(answer.factors) > 2]
+        checked = [
+            answer.factors
+            for answer, p in zip(answers, posterior.tolist(), strict=True)
+            if len(answer.factors) > 2 and p >= tuning.min_posterior
+        ]
         seen = np.concatenate([*checked, np.zeros((0, 3))])
         shares = (seen.sum(axis=0) + weight * prior) / (len(seen) + weight)
     ends, covariance = ends_mm.copy(), np.zeros((len(ends_mm), 6, 6))

@@ -38,8 +38,9 @@ def end_fit(graph: Graph, answer: Adjusted) -> EndFit:
     square = np.zeros((len(answer.lines), 2))
     degrees = np.zeros((len(answer.lines), 2), dtype=np.int64)
     vertex = graph.vertex[answer.lines]
+    shared = np.bincount(vertex.reshape(-1), minlength=graph.count)[vertex] > 1
     for row in range(len(answer.lines)):
-        for end in (0, 1):
+        for end in np.flatnonzero(shared[row]).tolist():
             across = slice(3 * end, 3 * end + 2)
             known = answer.joint(vertex[row, end : end + 1])[0, :, 0]
             axes = answer.axes[row, :2]
