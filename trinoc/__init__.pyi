@@ -29,6 +29,7 @@ from .io import (
     load_shape as load_shape,
     load_shots as load_shots,
     load_target as load_target,
+    load_wireframe as load_wireframe,
     save as save,
 )
 from .match import (

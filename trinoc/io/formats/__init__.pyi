@@ -17,3 +17,4 @@ from .registry import FORMATS as FORMATS
 from .ros_camera_info import ros as ros
 from .segments_text import elsed as elsed, limap_segments as limap_segments, lsd as lsd
 from .tf_static import tf as tf
+from .wireframe_json import wireframe_json as wireframe_json

@@ -17,8 +17,9 @@ from trinoc.io.formats.ply_edges import ply
 from trinoc.io.formats.ros_camera_info import ros
 from trinoc.io.formats.segments_text import elsed, limap_segments, lsd
 from trinoc.io.formats.tf_static import tf
+from trinoc.io.formats.wireframe_json import wireframe_json
 
 _CAMERAS = (opencv, ros, kalibr, colmap, colmap_text, mrcal, matlab, nerfstudio, tf)
-_LINES = (ply, obj, gltf, dxf, csv, parquet, limap)
+_LINES = (ply, obj, gltf, dxf, csv, parquet, limap, wireframe_json)
 _SEGMENTS = (lsd, elsed, limap_segments)
 FORMATS: dict[str, Format] = {each.name: each for each in (*_CAMERAS, *_LINES, *_SEGMENTS)}

@@ -30,9 +30,10 @@ def snap_corners(joined: JoinedLines, *, tuning: MatchTuning = DEFAULT) -> Corne
     """The corners at which ends of lines meet, and the lines with their ends there.
 
     Ends meet where that is at least 0.9 likely, against ends that are near by chance and with
-    the posteriors of both lines, for which their meeting speaks, and where all lines of the corner pass through one point at a
-    level of 0.001. Of an end, the place across its line counts with its covariance; along it, a
-    standard deviation of 7 pixels is added, since a detector stops where it does. An end
+    the posteriors of both lines, for which their meeting speaks, and where all lines of the
+    corner pass through one point at a level of 0.001. Of an end, the place across its line counts
+    with its covariance; along it, a standard deviation of 7 pixels is added, since a detector
+    stops where it does. An end
     on the middle of another line (a T) is not a corner here. Lines are taken to err
     independently of each other, though some share a segment.
     """

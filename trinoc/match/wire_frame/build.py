@@ -42,7 +42,8 @@ def wireframe(
     loops = faces_of(found.answer, edges, tuning.wireframe)
     answer = flattened(found.answer, loops) if flat else found.answer
     faces = [
-        plane_through(answer, face.loop)._replace(chi_square=face.chi_square) for face in loops
+        plane_through(answer, face.loop, flattened=flat)._replace(chi_square=face.chi_square)
+        for face in loops
     ]
     seen = np.asarray(matches.index) >= 0
     faces, facing = _turned(faces, _views_of_vertices(seen, edges, edge_of_track), matches, rig)

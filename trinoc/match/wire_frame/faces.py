@@ -11,6 +11,9 @@ from trinoc.match.tuning import WireframeTuning
 from trinoc.match.wire_frame.adjustment import Adjusted
 from trinoc.numerics import chi_square_limit, chi_square_tail
 
+# Gauss-Newton steps of a plane.
+STEPS = 3
+
 
 class Face(NamedTuple):
     """A loop of vertices, and the plane through them.
@@ -93,33 +96,40 @@ def _loop(
     return loop
 
 
-def plane_through(answer: Adjusted, loop: Int[np.ndarray, "k"]) -> Face:
-    """The likeliest plane of some vertices under their joint covariance."""
+def plane_through(answer: Adjusted, loop: Int[np.ndarray, "k"], *, flattened: bool = False) -> Face:
+    """The likeliest plane of some vertices under their joint covariance.
+
+    Of vertices that are held to one plane already, any three have the same: they count alike.
+    """
     points, joint = answer.points_mm[loop], answer.joint(loop)
     centre = points.mean(axis=0)
     normal = np.linalg.svd(points - centre)[2][2]
     area = np.cross(points - centre, np.roll(points, -1, axis=0) - centre).sum(axis=0)
     normal = normal if area @ normal > 0 else -normal
-    axes = np.linalg.svd(normal[None])[2][1:]
-    offset, covariance, square = 0.0, np.zeros((3, 3)), 0.0
-    for _ in range(3):
-        weight = np.linalg.pinv(np.einsum("i,aibj,j->ab", normal, joint, normal), hermitian=True)
+    offset, square = 0.0, 0.0
+    axes, spread, gain = (
+        np.zeros((2, 3)),
+        np.zeros((len(loop), len(loop))),
+        np.zeros((3, len(loop))),
+    )
+    for _ in range(STEPS):
+        axes = np.linalg.svd(normal[None])[2][1:]
+        spread = np.einsum("i,aibj,j->ab", normal, joint, normal)
+        weight = np.eye(len(loop)) if flattened else np.linalg.inv(spread)
         distance = (points - centre) @ normal - offset
         jacobian = np.column_stack([(points - centre) @ axes.T, -np.ones(len(loop))])
-        covariance = np.linalg.inv(jacobian.T @ weight @ jacobian)
-        step = -covariance @ jacobian.T @ weight @ distance
+        gain = -np.linalg.solve(jacobian.T @ weight @ jacobian, jacobian.T @ weight)
+        step = gain @ distance
+        left = distance + jacobian @ step
+        square = 0.0 if flattened else float(left @ weight @ left)
         normal = normal + step[:2] @ axes
         normal, offset = normal / np.linalg.norm(normal), offset + step[2]
-        axes = axes - np.outer(axes @ normal, normal)
-        axes = np.linalg.svd(axes, full_matrices=False)
-        axes = axes[0] @ axes[2]
-        left = distance + jacobian @ step
-        square = float(left @ weight @ left)
     by_step = np.zeros((4, 3))
     by_step[:3, :2] = axes.T
     by_step[3] = [*(axes @ centre), 1.0]
+    covariance = by_step @ gain @ spread @ gain.T @ by_step.T
     plane = np.append(normal, normal @ centre + offset)
-    return Face(loop, plane, by_step @ covariance @ by_step.T, square, len(loop) - 3)
+    return Face(loop, plane, (covariance + covariance.T) / 2, square, len(loop) - 3)
 
 
 def _is_plane(answer: Adjusted, face: Face, tuning: WireframeTuning) -> bool:

@@ -126,7 +126,7 @@ class Wireframe(Shown, eqx.Module):
 
     def covariance_of(
         self, vertices: Sequence[int] | Int[np.ndarray, "k"]
-    ) -> Float[np.ndarray, "3*k 3*k"]:
+    ) -> Float[np.ndarray, "m m"]:
         """The joint covariance in mm^2 of some vertices, three rows for each in turn."""
         chosen = np.asarray(vertices, dtype=np.int64)
         spread = np.zeros((len(chosen), 3, len(chosen), 3))

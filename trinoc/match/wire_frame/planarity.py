@@ -33,9 +33,9 @@ def flattened(answer: Adjusted, faces: list[Face]) -> Adjusted:
 
 def _rows(
     answer: Adjusted, loop: Int[np.ndarray, "k"], members: Int[np.ndarray, "m"]
-) -> Float[np.ndarray, "c 3*m"]:
+) -> Float[np.ndarray, "c d"]:
     """k - 3 numbers that vanish where k vertices lie in one plane, by all vertices of the part."""
-    points, normal = answer.points_mm[loop], plane_through(answer, loop).plane[:3]
+    points, normal = answer.points_mm[loop], plane_through(answer, loop, flattened=True).plane[:3]
     axes = np.linalg.svd(normal[None])[2][1:]
     inside = (points - points.mean(axis=0)) @ axes.T
     free = np.column_stack([inside, np.ones(len(loop))])
