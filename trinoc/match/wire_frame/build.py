@@ -12,6 +12,7 @@ from trinoc.match.wire_frame.fit import Snooped, end_fit, snooped
 from trinoc.match.wire_frame.frame import LetGo, Wireframe
 from trinoc.match.wire_frame.graph import Graph, graph_of
 from trinoc.match.wire_frame.planarity import flattened
+from trinoc.match.wire_frame.refused import Refused, refused_ends
 from trinoc.numerics import in_float64
 
 
@@ -24,7 +25,8 @@ def wireframe(
     Collinear tracks are joined (`join_collinear`), ends that meet are corners (`snap_corners`).
     Then all vertices are estimated at once: every edge runs through both of its vertices, and its
     line was measured with the covariance of its segments. An end that does not fit its corner at a
-    level of 0.001 is let go, the worst first, and named in `let_go`; it stays as a free end. Lines
+    level of 0.001 is let go, the worst first, and stays as a free end. It is named in `let_go`, as
+    is an end that stops beside a corner, within 7 pixels, but does not run through it. Lines
     between the same two vertices are one edge. A face is a shortest loop of three edges or more
     whose vertices lie in one plane at a level of 0.01; with `flat` they are then held to it.
 
@@ -48,6 +50,13 @@ def wireframe(
     seen = np.asarray(matches.index) >= 0
     faces, facing = _turned(faces, _views_of_vertices(seen, edges, edge_of_track), matches, rig)
     square, degrees = _of_vertices(found)
+    refused = refused_ends(
+        found.graph,
+        found.answer,
+        joined.px_per_mm,
+        tuning.corners.free_end_px,
+        tuning.corners.significance,
+    )
     return Wireframe(
         vertices_mm=answer.points_mm,
         corner=np.bincount(edges.reshape(-1), minlength=len(answer.points_mm)) > 1,
@@ -69,7 +78,7 @@ def wireframe(
         face_chi_square=np.array([face.chi_square for face in faces]),
         face_degrees=np.array([face.degrees for face in faces], dtype=np.int64),
         facing=facing,
-        let_go=_named(found, joined),
+        let_go=_named(found, refused, joined),
     )
 
 
@@ -148,14 +157,19 @@ def _turned(
     return turned, np.array(facing, dtype=bool)
 
 
-def _named(found: Snooped, joined: JoinedLines) -> tuple[LetGo, ...]:
-    """What was let go, in words."""
-    said = []
+def _named(found: Snooped, refused: tuple[Refused, ...], joined: JoinedLines) -> tuple[LetGo, ...]:
+    """What was let go, in words: an end once, and that it left its corner rather than why not."""
+    words = {
+        (each.line, each.end): f"ends beside a corner that it passes at {each.distance_mm:.2f} mm: "
+        f"chi-square {each.chi_square:.0f} with 2 degrees of freedom; not held to it"
+        for each in refused
+    }
     for line, end, square, degrees in found.let_go:
-        place = joined.lines_mm[line, end].tolist()
-        reason = (
+        words[line, end] = (
             f"does not run through the corner that it ends at: chi-square {square:.0f} with "
             f"{degrees} degrees of freedom; its end is free"
         )
-        said.append(LetGo(int(joined.tracks_of(line)[0]), tuple(place), reason))
-    return tuple(said)
+    return tuple(
+        LetGo(int(joined.tracks_of(line)[0]), tuple(joined.lines_mm[line, end].tolist()), reason)
+        for (line, end), reason in sorted(words.items())
+    )
