@@ -3,6 +3,7 @@ from .cv_storage import opencv as opencv
 from .dxf_lines import dxf as dxf
 from .format import Format as Format
 from .gltf_lines import gltf as gltf
+from .json_of_wireframe import wireframe_json as wireframe_json
 from .kalibr_camchain import kalibr as kalibr
 from .limap_tracks import limap as limap
 from .lines_csv import csv as csv
@@ -17,4 +18,3 @@ from .registry import FORMATS as FORMATS
 from .ros_camera_info import ros as ros
 from .segments_text import elsed as elsed, limap_segments as limap_segments, lsd as lsd
 from .tf_static import tf as tf
-from .wireframe_json import wireframe_json as wireframe_json
