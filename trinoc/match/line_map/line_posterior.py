@@ -21,6 +21,7 @@ from trinoc.numerics import axes_across
 ALL_FACTORS_TO = 4
 PAIRS_TO = 16
 ROUNDS = 10
+LEAST_POSTERIOR = 1e-6
 
 
 class LinePosteriors(NamedTuple):
@@ -36,19 +37,21 @@ class LinePosteriors(NamedTuple):
 
 
 class _Equations(NamedTuple):
-    """Of one line, each segment's part: of the information, of the gradient, and its square."""
+    """Of lines of as many segments each, every segment's part: of the information, of the
+    gradient, and its square. `lines` : which lines they are."""
 
-    information: Float[np.ndarray, "n 4 4"]
-    gradient: Float[np.ndarray, "n 4"]
-    square: Float[np.ndarray, "n"]
+    lines: Int[np.ndarray, "l"]
+    information: Float[np.ndarray, "l n 4 4"]
+    gradient: Float[np.ndarray, "l n 4"]
+    square: Float[np.ndarray, "l n"]
 
 
 class _Answer(NamedTuple):
-    """Of one line: mean and covariance of its four offsets, and how likely each factor is."""
+    """Of each line: mean and covariance of its four offsets, and how likely each factor is."""
 
-    offset: Float[np.ndarray, "4"]
-    covariance: Float[np.ndarray, "4 4"]
-    factors: Float[np.ndarray, "n 3"]
+    offset: Float[np.ndarray, "l 4"]
+    covariance: Float[np.ndarray, "l 4 4"]
+    factors: Float[np.ndarray, "l n 3"]
 
 
 def line_posteriors(
@@ -63,87 +66,102 @@ def line_posteriors(
     """
     way = ends_mm[:, 1] - ends_mm[:, 0]
     axes = axes_across(way / np.linalg.norm(way, axis=1, keepdims=True))
-    equations = [_equations(*line) for line in zip(shown, ends_mm, axes, strict=True)]
-    prior, weight = np.array(tuning.error_shares), tuning.error_observations
-    widest = np.array([0.0, 0.0, 1.0])
+    equations = _equations(shown, ends_mm, axes)
+    # None is surely wrong: every factor keeps a share.
+    right = np.maximum(posterior, LEAST_POSTERIOR)[:, None]
+    scales, prior = np.array(tuning.error_scales), np.array(tuning.error_shares)
+    widest, weight = np.array([0.0, 0.0, 1.0]), tuning.error_observations
     shares, answers = prior, list[_Answer]()
     for _ in range(ROUNDS):
-        answers = [
-            _answer(each, p * shares + (1 - p) * widest, np.array(tuning.error_scales))
-            for each, p in zip(equations, posterior.tolist(), strict=True)
-        ]
+        of_line = right * shares + (1 - right) * widest
+        answers = [_answer(group, of_line[group.lines], scales) for group in equations]
         # Two segments agree whatever their errors.
         checked = [
-            answer.factors
-            for answer, p in zip(answers, posterior.tolist(), strict=True)
-            if len(answer.factors) > 2 and p >= tuning.min_posterior
+            answer.factors[posterior[group.lines] >= tuning.min_posterior].reshape(-1, 3)
+            for group, answer in zip(equations, answers, strict=True)
+            if answer.factors.shape[1] > 2
         ]
         seen = np.concatenate([*checked, np.zeros((0, 3))])
         shares = (seen.sum(axis=0) + weight * prior) / (len(seen) + weight)
     ends, covariance = ends_mm.copy(), np.zeros((len(ends_mm), 6, 6))
-    for line, answer in enumerate(answers):
-        ends[line] += answer.offset.reshape(2, 2) @ axes[line]
-        jacobian = np.kron(np.eye(2), axes[line].T)
-        covariance[line] = jacobian @ answer.covariance @ jacobian.T
+    for group, answer in zip(equations, answers, strict=True):
+        across = axes[group.lines]
+        ends[group.lines] += answer.offset.reshape(-1, 2, 2) @ across
+        spread = answer.covariance.reshape(-1, 2, 2, 2, 2)
+        spread = np.einsum("lai,leafb,lbj->leifj", across, spread, across)
+        covariance[group.lines] = spread.reshape(-1, 6, 6)
     return LinePosteriors(ends, covariance, shares)
 
 
 def _equations(
-    shown: LineFragments, ends_mm: Float[np.ndarray, "2 3"], axes: Float[np.ndarray, "2 3"]
-) -> _Equations:
-    error, by_offset, precision = distances_across(shown, ends_mm, axes)
-    weighted = by_offset.mT @ precision
-    return _Equations(
-        weighted @ by_offset,
-        (weighted @ error[:, :, None])[..., 0],
-        np.einsum("ni,nij,nj->n", error, precision, error),
-    )
+    shown: list[LineFragments], ends_mm: Float[np.ndarray, "e 2 3"], axes: np.ndarray
+) -> list[_Equations]:
+    """All lines of two segments, all of three, and so on; those of many one by one."""
+    counts = np.array([len(each.ends_px) for each in shown], dtype=np.int64)
+    groups = [np.flatnonzero(counts == count) for count in np.unique(counts)]
+    few = [group for group in groups if counts[group[0]] <= ALL_FACTORS_TO]
+    many = [line[None] for line in np.flatnonzero(counts > ALL_FACTORS_TO)]
+    found = []
+    for lines in (*few, *many):
+        parts = [distances_across(shown[line], ends_mm[line], axes[line]) for line in lines]
+        error, by_offset, precision = (np.stack(each) for each in zip(*parts, strict=True))
+        weighted = by_offset.mT @ precision
+        found.append(
+            _Equations(
+                lines,
+                weighted @ by_offset,
+                (weighted @ error[..., None])[..., 0],
+                np.einsum("lni,lnij,lnj->ln", error, precision, error),
+            )
+        )
+    return found
 
 
 def _answer(
-    equations: _Equations, shares: Float[np.ndarray, "3"], scales: Float[np.ndarray, "3"]
+    equations: _Equations, shares: Float[np.ndarray, "l 3"], scales: Float[np.ndarray, "3"]
 ) -> _Answer:
     """The mixture over factors, as its mean and covariance."""
     factors = _likely_factors(equations, shares, scales)
     log_weight, offset, covariance = _fits(equations, factors, shares, scales)
-    weight = np.exp(log_weight - log_weight.max())
-    weight /= weight.sum()
-    mean = weight @ offset
-    spread = np.einsum("k,kab->ab", weight, covariance)
-    spread += np.einsum("k,ka,kb->ab", weight, offset - mean, offset - mean)
+    weight = np.exp(log_weight - log_weight.max(axis=1, keepdims=True))
+    weight /= weight.sum(axis=1, keepdims=True)
+    mean = np.einsum("lk,lka->la", weight, offset)
+    spread = np.einsum("lk,lkab->lab", weight, covariance)
+    apart = offset - mean[:, None]
+    spread += (weight[..., None] * apart).mT @ apart
     likely = [weight @ (factors == kind) for kind in range(len(scales))]
-    return _Answer(mean, spread, np.stack(likely, axis=1))
+    return _Answer(mean, spread, np.stack(likely, axis=2))
 
 
 def _fits(
     equations: _Equations,
     factors: Int[np.ndarray, "k n"],
-    shares: Float[np.ndarray, "3"],
+    shares: Float[np.ndarray, "l 3"],
     scales: Float[np.ndarray, "3"],
-) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k 4"], Float[np.ndarray, "k 4 4"]]:
+) -> tuple[Float[np.ndarray, "l k"], Float[np.ndarray, "l k 4"], Float[np.ndarray, "l k 4 4"]]:
     """(log likelihood, the line integrated out; best offsets; their covariance) for factors."""
     scale = scales[factors]
     weight = scale**-2
-    covariance = np.linalg.inv(np.einsum("kn,nab->kab", weight, equations.information))
+    covariance = np.linalg.inv(np.einsum("kn,lnab->lkab", weight, equations.information))
     gradient = weight @ equations.gradient
-    offset = -(covariance @ gradient[:, :, None])[..., 0]
-    square = weight @ equations.square + (gradient * offset).sum(axis=1)
-    density = (np.log(shares)[factors] - 2 * np.log(scale)).sum(axis=1)
+    offset = -(covariance @ gradient[..., None])[..., 0]
+    square = equations.square @ weight.T + (gradient * offset).sum(axis=2)
+    density = np.log(shares)[:, factors].sum(axis=2) - 2 * np.log(scale).sum(axis=1)
     log_weight = density - square / 2 + np.linalg.slogdet(covariance)[1] / 2
     return log_weight, offset, covariance
 
 
 def _likely_factors(
-    equations: _Equations, shares: Float[np.ndarray, "3"], scales: Float[np.ndarray, "3"]
+    equations: _Equations, shares: Float[np.ndarray, "l 3"], scales: Float[np.ndarray, "3"]
 ) -> Int[np.ndarray, "k n"]:
-    """All combinations of few segments; of many, the likeliest and what is near it."""
-    count, kinds = len(equations.square), len(scales)
+    """All combinations of few segments; of the many of one line, the likeliest and its like."""
+    count, kinds = equations.square.shape[1], len(scales)
     if count <= ALL_FACTORS_TO:
         return np.array(list(product(range(kinds), repeat=count)))
     here = np.zeros(count, dtype=np.int64)
     while True:
         around = _beside(here, kinds)
-        best = around[np.argmax(_fits(equations, around, shares, scales)[0])]
+        best = around[np.argmax(_fits(equations, around, shares, scales)[0][0])]
         if (best == here).all():
             return around
         here = best
