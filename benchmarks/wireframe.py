@@ -16,7 +16,6 @@ import time
 from collections import Counter
 from pathlib import Path
 
-import cv2
 import numpy as np
 from matching import VIEWS, fresh_problems
 from scipy.stats import chi2
@@ -24,7 +23,7 @@ from scipy.stats import chi2
 import trinoc
 from trinoc.evaluation import KnownShape
 from trinoc.geometry import Rig
-from trinoc.io import load_rig, load_scene_truth
+from trinoc.io import load_rig, load_scene_truth, read_image
 from trinoc.match import Matches
 from trinoc.synth import SegmentTruth, block_scene, shown_parts_of_segments_mm
 from trinoc.synth.solids import Polyhedron
@@ -114,7 +113,7 @@ def rendered(folder: Path) -> str:
         if kept.exists():
             matches = trinoc.load_matches(kept)
         else:
-            pictures = {v: cv2.imread(str(place / f"scene_{v}.png"), 0) for v in VIEWS}
+            pictures = {v: read_image(place / f"scene_{v}.png") for v in VIEWS}
             segments = {v: trinoc.find_segments(picture) for v, picture in pictures.items()}
             matches = trinoc.match_segments(segments, rig)
         seed = json.loads((place / "truth.json").read_text()).get("seed")

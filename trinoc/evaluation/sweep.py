@@ -130,7 +130,7 @@ def evaluate_matches(
     count = sum(len(words) for words in matches.reasons.values())
     for choice in choices:
         try:
-            frame, lines = chosen_lines(matches, rig, choice)
+            frame, lines = chosen_frame(matches, rig, choice)
             found = evaluate(
                 lines, shape, tolerances_mm=tolerances_mm, aligned=aligned, frame=frame
             )
@@ -142,14 +142,18 @@ def evaluate_matches(
         yield Row(None, choice, count, found, problem, time.perf_counter() - start)
 
 
-def chosen_lines(
-    matches: Matches, rig: Rig | None, choice: SweepSetting
-) -> tuple[Wireframe | None, UncertainLines]:
-    """(the wire frame, where that is asked for; the lines of the tracks that count, with the
-    cameras' errors where the rig states them).
+def chosen_lines(matches: Matches, rig: Rig | None, choice: SweepSetting) -> UncertainLines:
+    """The lines of the tracks that count, with the cameras' errors where the rig states them.
 
     Raises InputError where lines are to be joined and no rig is given.
     """
+    return chosen_frame(matches, rig, choice)[1]
+
+
+def chosen_frame(
+    matches: Matches, rig: Rig | None, choice: SweepSetting
+) -> tuple[Wireframe | None, UncertainLines]:
+    """The wire frame, where that is asked for, and `chosen_lines`."""
     kept = np.asarray(matches.posterior) >= choice.least_posterior
     if choice.stage == TRINOCULAR:
         kept &= np.asarray(matches.stage) == TRINOCULAR

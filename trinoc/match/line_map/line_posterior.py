@@ -100,7 +100,7 @@ def _equations(
     counts = np.array([len(each.ends_px) for each in shown], dtype=np.int64)
     groups = [np.flatnonzero(counts == count) for count in np.unique(counts)]
     few = [group for group in groups if counts[group[0]] <= ALL_FACTORS_TO]
-    many = [line[None] for line in np.flatnonzero(counts > ALL_FACTORS_TO)]
+    many = np.flatnonzero(counts > ALL_FACTORS_TO)[:, None]
     found = []
     for lines in (*few, *many):
         parts = [distances_across(shown[line], ends_mm[line], axes[line]) for line in lines]

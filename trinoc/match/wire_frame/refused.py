@@ -38,10 +38,10 @@ def refused_ends(
     for row, line in enumerate(answer.lines.tolist()):
         for end in np.flatnonzero(~shared[vertex[row]]).tolist():
             own, other = vertex[row, end], vertex[row, 1 - end]
-            reach = reach_px / px_per_mm[line]
-            apart, at = near.query(answer.points_mm[own], k=2, distance_upper_bound=reach)
-            at = [corners[k] for k, d in zip(at, apart, strict=True) if d < reach]
-            at = [corner for corner in at if corner != other]
+            # The corner at the line's other end is no candidate; the next one may be.
+            apart, numbers = map(np.asarray, near.query(answer.points_mm[own], k=2))
+            close = numbers[apart < reach_px / px_per_mm[line]]
+            at = [corner for corner in corners[close].tolist() if corner != other]
             if not at:
                 continue
             axes, across = answer.axes[row, :2], slice(3 * end, 3 * end + 2)
