@@ -31,6 +31,7 @@ from .io import (
     load_shape as load_shape,
     load_shots as load_shots,
     load_target as load_target,
+    load_wireframe as load_wireframe,
     save as save,
 )
 from .match import (
@@ -38,12 +39,14 @@ from .match import (
     GuidedMatches as GuidedMatches,
     JoinedLines as JoinedLines,
     Matches as Matches,
+    Wireframe as Wireframe,
     guide_matches as guide_matches,
     join_collinear as join_collinear,
     match_many as match_many,
     match_segments as match_segments,
     snap_corners as snap_corners,
     warm_up as warm_up,
+    wireframe as wireframe,
 )
 from .segments import (
     find_segments as find_segments,

@@ -164,3 +164,24 @@ def test_lines_far_from_the_shape_are_said_and_not_refused(run, folder):
     status, out, _ = run(*of_matches("far.csv"))
     assert status == 0
     assert "No line lies on a known edge" in out
+
+
+def test_a_box_becomes_a_wire_frame_and_is_compared_with_its_edges(run, folder, capsys):
+    status, out, _ = run(
+        *of_matches(), "--rig", "rig.json", "--forms", "wireframe", "-o", "frame.csv", "--json"
+    )
+    assert status == 0
+    (row,) = json.loads(out)["rows"]
+    assert (row["edges_wanted"], row["edges_found"], row["edges_extra"]) == (12, 12, 0)
+    assert (row["corners_wanted"], row["corners_found"], row["corners_extra"]) == (8, 8, 0)
+    assert row["corner_error_median_mm"] < 1e-3
+    assert row["faces"] == 6
+    made = ["wireframe", "matches.npz", "--rig", "rig.json", "-o", "wireframe.npz", "--json"]
+    assert main(made) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert (said["edges"], said["corners"], said["free_ends"], said["faces"]) == (12, 8, 0, 6)
+    assert said["let_go"] == []
+    assert len(trinoc.load_wireframe(folder / "wireframe.npz")) == 12
+    assert main(["export", "wireframe.npz", "--to", "obj", "-o", "box.obj"]) == 0
+    shape = trinoc.load_shape(folder / "box.obj")
+    assert len(shape.edges_mm) == 12

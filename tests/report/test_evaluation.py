@@ -129,7 +129,12 @@ def test_a_line_of_one_track_follows_the_cameras_as_the_track_does():
     alone = np.flatnonzero(joined.pieces == 1)
     of = np.array([joined.tracks_of(line)[0] for line in alone])
     assert len(alone) > 50
-    np.testing.assert_allclose(lines.ends_mm[alone], tracks.ends_mm[of], atol=1e-9)
+    # It is weighed anew among errors of several sizes, and moves across itself a little.
+    moved = lines.ends_mm[alone] - tracks.ends_mm[of]
+    way = tracks.ends_mm[of, 1] - tracks.ends_mm[of, 0]
+    np.testing.assert_allclose((moved @ way[:, :, None])[..., 0], 0.0, atol=1e-6)
+    sigma = np.sqrt(np.trace(lines.own_covariance_mm2[alone], axis1=1, axis2=2))
+    assert (np.linalg.norm(moved, axis=(1, 2)) < sigma).all()
     np.testing.assert_allclose(lines.by_parameters[alone], tracks.by_parameters[of], atol=1e-9)
     with pytest.raises(InputError, match="give the rig"):
         chosen_lines(matches, None, SweepSetting(form="joined"))

@@ -59,8 +59,9 @@ class Evaluate(Command):
     stages: tuple[Literal["all", "trinocular"], ...] = ("all",)
     """All tracks, or only those seen in three views."""
 
-    forms: tuple[Literal["tracks", "joined", "corners"], ...] = ("tracks",)
-    """Tracks one by one, joined to straight lines, or these carried to the corners they meet in."""
+    forms: tuple[Literal["tracks", "joined", "corners", "wireframe"], ...] = ("tracks",)
+    """Tracks one by one, joined to straight lines, these carried to the corners they meet in, or
+    all as a wire frame, whose corners and edges are counted, too."""
 
     within_mm: tuple[float, ...] = (0.1, 0.25, 0.5, 1.0)
     """Distances at which precision and completeness are given."""

@@ -35,6 +35,7 @@ WrittenFormat = Literal[
     "csv",
     "parquet",
     "limap",
+    "json",
     "lsd",
     "elsed",
     "limap-segments",

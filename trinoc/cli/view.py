@@ -20,13 +20,13 @@ if TYPE_CHECKING:
 class View(Command):
     """Turn cameras, sheet and 3-D segments in a browser, until Ctrl-C. Needs trinoc[view]."""
 
-    file: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="rig.json|matches.npz")]
-    """What to show."""
+    file: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FILE")]
+    """What to show: rig.json, matches.npz or wireframe.npz."""
 
     rig: Annotated[
         Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")
     ] = None
-    """The cameras to show beside matches."""
+    """The cameras to show beside matches or a wire frame."""
 
     pattern: Annotated[
         Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")
@@ -59,13 +59,27 @@ class View(Command):
     def _content(self) -> "tuple[SpaceFigure, Ellipsoids | None, str]":
         from trinoc.geometry import Rig
         from trinoc.io import load_any, load_pattern
-        from trinoc.match import Matches
-        from trinoc.report import SpaceFigure, error_ellipsoids, space_figure
+        from trinoc.match import Matches, Wireframe
+        from trinoc.report import (
+            SpaceFigure,
+            error_ellipsoids,
+            space_figure,
+            wireframe_figure,
+        )
 
         value = load_any(self.file)
-        if not isinstance(value, Rig | Matches):
-            raise UsageError(f"{self.file} holds nothing in space: give a rig.json or matches.npz.")
+        if not isinstance(value, Rig | Matches | Wireframe):
+            raise UsageError(
+                f"{self.file} holds nothing in space: give a rig.json, matches.npz or "
+                "wireframe.npz."
+            )
         pattern = None if self.pattern is None else load_pattern(self.pattern)
+        if isinstance(value, Wireframe):
+            if self.pattern is not None:
+                raise UsageError("--pattern goes with cameras and matches: leave it out.")
+            rig = None if self.rig is None else read_rig(self.rig)
+            ellipsoids = error_ellipsoids(value.lines_mm, value.covariance_mm2)
+            return wireframe_figure(value, rig), ellipsoids, f"{len(value)} edges"
         if isinstance(value, Rig):
             if self.rig is not None:
                 raise UsageError(f"{self.file} is a rig itself: --rig goes with a matches.npz.")

@@ -18,3 +18,4 @@ from .sweep import (
     evaluate_settings as evaluate_settings,
     settings_of as settings_of,
 )
+from .wire_frames import WireframeScore as WireframeScore

@@ -15,7 +15,9 @@ from trinoc.evaluation.edge_lengths import EdgeLengths, edge_lengths
 from trinoc.evaluation.known_shape import KnownShape
 from trinoc.evaluation.lines_on_edges import angles_deg, edge_of_lines, offsets_across, selected
 from trinoc.evaluation.normalised_errors import NormalisedErrors, normalised_errors
+from trinoc.evaluation.wire_frames import WireframeScore, score_wireframe
 from trinoc.geometry import UncertainLines
+from trinoc.match import Wireframe
 from trinoc.numerics import MAD_TO_SIGMA, ArrayLike, Shown
 from trinoc.synth import SceneTruth
 
@@ -80,6 +82,7 @@ class Evaluation(Shown, eqx.Module):
     lengths : those edges one by one.
     normalised : errors across of the lines that lie on an edge, in units of what they claim.
     motion : what laid the lines on the shape, where that was asked for; figures are those after.
+    wireframe : corners and edges found, missing and extra, where a wire frame was compared.
     """
 
     status: EvaluationStatus = eqx.field(static=True)
@@ -96,6 +99,7 @@ class Evaluation(Shown, eqx.Module):
     lengths: EdgeLengths
     normalised: NormalisedErrors
     motion: RigidMotion | None
+    wireframe: WireframeScore | None = None
 
     def record(self) -> dict[str, Any]:
         """All numbers by name, as a row of a table; NaN where there is none."""
@@ -129,6 +133,7 @@ class Evaluation(Shown, eqx.Module):
             "share_within_1.96_sigma": self.normalised.share_within,
             "share_of_lines_within_95": self.normalised.share_of_lines,
             "joint_chi_square": self.normalised.joint,
+            **({} if self.wireframe is None else self.wireframe.record()),
         }
 
 
@@ -138,24 +143,30 @@ def evaluate(
     *,
     tolerances_mm: Sequence[float] = TOLERANCES_MM,
     aligned: bool = False,
+    frame: Wireframe | None = None,
 ) -> Evaluation:
     """Accuracy, completeness, lengths and normalised errors of lines against known edges.
 
     Parameters
     ----------
-    lines : Matches, or a refinement's `lines` (then with the errors that the cameras share), or
-        bare ends, of which nothing is claimed.
+    lines : Matches, a Wireframe (then its corners and edges are counted, too), or a refinement's
+        `lines` (then with the errors that the cameras share), or bare ends, of which nothing is
+        claimed.
     shape : known edges in the same frame, of `trinoc.load_shape` or as ends in mm; of a made scene
         those parts are wanted that two pictures show.
     tolerances_mm : distances at which precision and completeness are given; within the largest, a
         line lies on an edge.
     aligned : lay the lines on the shape by a rigid motion first. It takes up six numbers of the
         error, and `motion` says which.
+    frame : the wire frame whose edges the lines are, where these hold the cameras' errors, too.
 
     Lengths are sampled every quarter of a millimetre, or at 50,000 places where those are fewer.
     Raises InputError for tolerances that are not positive and for coordinates that are not finite.
     """
     claimed, known = _as_lines(lines), _as_shape(shape)
+    frame = lines if isinstance(lines, Wireframe) else frame
+    if frame is not None and len(frame) != len(claimed):
+        raise InputError("The lines are not the edges of the wire frame: give both of one answer.")
     tolerances = tuple(sorted(float(tolerance) for tolerance in tolerances_mm))
     if not tolerances or not tolerances[0] > 0:
         raise InputError("The tolerances must be one or more positive distances in millimetres.")
@@ -187,6 +198,7 @@ def evaluate(
         lengths,
         normalised_errors(offsets, claimed.parameter_covariance),
         motion,
+        None if frame is None else score_wireframe(frame, edge_of, known, tolerances[-1], motion),
     )
 
 

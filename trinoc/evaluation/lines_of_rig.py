@@ -20,7 +20,7 @@ from trinoc.calib import (
 )
 from trinoc.errors import InputError
 from trinoc.geometry import AFFINE_PARAMETERS, LineObservations, PoseModel, Rig, UncertainLines
-from trinoc.match import Matches, join_collinear, snap_corners
+from trinoc.match import Matches, Wireframe, join_collinear, snap_corners, wireframe
 from trinoc.numerics import ArrayLike, as_numpy, in_float64
 
 # Tracks are padded to a multiple of this, so that few sizes compile.
@@ -76,6 +76,19 @@ def joined_lines_of_rig(matches: Matches, rig: Rig, *, corners: bool = False) ->
     )
     by_parameters = _carried(tracks.by_parameters[longest], tracks.ends_mm[longest], ends)
     return UncertainLines(ends, own, by_parameters, tracks.parameter_covariance)
+
+
+def wireframe_of_rig(matches: Matches, rig: Rig) -> tuple[Wireframe, UncertainLines]:
+    """The wire frame of the tracks, and its edges as `joined_lines_of_rig` gives lines."""
+    tracks, frame = lines_of_rig(matches, rig), wireframe(matches, rig)
+    length = np.linalg.norm(tracks.ends_mm[:, 1] - tracks.ends_mm[:, 0], axis=1)
+    longest = np.array(
+        [t[length[t].argmax()] for t in map(frame.tracks_of, range(len(frame)))], dtype=np.int64
+    )
+    ends = frame.lines_mm
+    by_parameters = _carried(tracks.by_parameters[longest], tracks.ends_mm[longest], ends)
+    own = frame.covariance_mm2
+    return frame, UncertainLines(ends, own, by_parameters, tracks.parameter_covariance)
 
 
 def _carried(

@@ -18,13 +18,17 @@ from trinoc.evaluation.evaluation import (
     evaluate,
 )
 from trinoc.evaluation.known_shape import KnownShape
-from trinoc.evaluation.lines_of_rig import joined_lines_of_rig, lines_of_rig
+from trinoc.evaluation.lines_of_rig import (
+    joined_lines_of_rig,
+    lines_of_rig,
+    wireframe_of_rig,
+)
 from trinoc.evaluation.lines_on_edges import selected
 from trinoc.geometry import Rig, UncertainLines
-from trinoc.match import TRINOCULAR, Matches, match_segments
+from trinoc.match import TRINOCULAR, Matches, Wireframe, match_segments
 from trinoc.segments import find_segments
 
-TRACKS, JOINED, CORNERS = "tracks", "joined", "corners"
+TRACKS, JOINED, CORNERS, WIREFRAME = "tracks", "joined", "corners", "wireframe"
 
 
 class Setting(NamedTuple):
@@ -37,7 +41,8 @@ class Setting(NamedTuple):
 
 class SweepSetting(NamedTuple):
     """Which tracks count: of a posterior or above, of all stages or of three views only; and what
-    is compared: "tracks" one by one, "joined" to straight lines, or these carried to "corners"."""
+    is compared: "tracks" one by one, "joined" to straight lines, these carried to "corners", or
+    the edges of the "wireframe", with its corners."""
 
     least_posterior: float = 0.0
     stage: str = "all"
@@ -125,8 +130,10 @@ def evaluate_matches(
     count = sum(len(words) for words in matches.reasons.values())
     for choice in choices:
         try:
-            lines = chosen_lines(matches, rig, choice)
-            found = evaluate(lines, shape, tolerances_mm=tolerances_mm, aligned=aligned)
+            frame, lines = chosen_frame(matches, rig, choice)
+            found = evaluate(
+                lines, shape, tolerances_mm=tolerances_mm, aligned=aligned, frame=frame
+            )
         except TrinocError as error:
             seconds = time.perf_counter() - start
             yield Row(None, choice, count, None, str(error), seconds)
@@ -140,16 +147,26 @@ def chosen_lines(matches: Matches, rig: Rig | None, choice: SweepSetting) -> Unc
 
     Raises InputError where lines are to be joined and no rig is given.
     """
+    return chosen_frame(matches, rig, choice)[1]
+
+
+def chosen_frame(
+    matches: Matches, rig: Rig | None, choice: SweepSetting
+) -> tuple[Wireframe | None, UncertainLines]:
+    """The wire frame, where that is asked for, and `chosen_lines`."""
     kept = np.asarray(matches.posterior) >= choice.least_posterior
     if choice.stage == TRINOCULAR:
         kept &= np.asarray(matches.stage) == TRINOCULAR
     if choice.form != TRACKS:
         if rig is None:
             raise InputError("Lines are joined by what the cameras saw of them: give the rig.")
-        return joined_lines_of_rig(_of_tracks(matches, kept), rig, corners=choice.form == CORNERS)
+        tracks = _of_tracks(matches, kept)
+        if choice.form == WIREFRAME:
+            return wireframe_of_rig(tracks, rig)
+        return None, joined_lines_of_rig(tracks, rig, corners=choice.form == CORNERS)
     if rig is None:
-        return certain_lines(matches.lines_mm[kept], matches.covariance_mm2[kept])
-    return selected(lines_of_rig(matches, rig), kept)
+        return None, certain_lines(matches.lines_mm[kept], matches.covariance_mm2[kept])
+    return None, selected(lines_of_rig(matches, rig), kept)
 
 
 def _of_tracks(matches: Matches, kept: Bool[np.ndarray, "t"]) -> Matches:

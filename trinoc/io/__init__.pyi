@@ -39,6 +39,7 @@ from .formats import (
     ply as ply,
     ros as ros,
     tf as tf,
+    wireframe_json as wireframe_json,
 )
 from .frames_files import (
     frames_ending as frames_ending,
@@ -88,3 +89,4 @@ from .usable_cameras import expect_lens as expect_lens, expect_pitch as expect_p
 from .views_of_rig import expect_inside as expect_inside, expect_size as expect_size
 from .whole_files import read_text as read_text
 from .whole_picture import is_whole_picture as is_whole_picture
+from .wireframe_npz import load_wireframe as load_wireframe, save_wireframe as save_wireframe

@@ -56,9 +56,16 @@ def edges_of_obj(text: str, file: str, *, crease_deg: float = CREASE_DEG) -> Obj
     runs += [straight_runs(points[[place[i] for i in polyline]]) for polyline in polylines]
     triangles = [corner for face in faces for corner in _triangles(points, face)]
     return ObjModel(
-        np.concatenate([np.zeros((0, 2, 3)), *runs]),
+        _each_once(np.concatenate([np.zeros((0, 2, 3)), *runs])),
         points[np.array(triangles, dtype=np.int64).reshape(-1, 3)],
     )
+
+
+def _each_once(edges: Float[np.ndarray, "m 2 3"]) -> Float[np.ndarray, "e 2 3"]:
+    """A polyline may run along an edge of faces, as in wire frames."""
+    ordered = np.array([sorted(edge) for edge in edges.tolist()]).reshape(-1, 6)
+    _, first = np.unique(ordered, axis=0, return_index=True)
+    return edges[np.sort(first)]
 
 
 def _joined_lines(text: str) -> list[str]:

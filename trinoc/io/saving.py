@@ -15,7 +15,8 @@ from trinoc.io.pattern_json import save_pattern
 from trinoc.io.rig_json import save_rig
 from trinoc.io.rig_status import status_of_shots, status_to_block
 from trinoc.io.segments_npz import save_segments
-from trinoc.match import Matches
+from trinoc.io.wireframe_npz import save_wireframe
+from trinoc.match import Matches, Wireframe
 
 _AS_JSON = Rig | Intrinsics | AbstractTarget
 
@@ -30,12 +31,12 @@ def save(
 
     A Rig (or the rig of a CalibrationResult or a RigFromShots, then with its status), Intrinsics
     (or the lens of an IntrinsicsResult, then with its covariance), a Pattern and a board become
-    JSON; Segments and Matches become npz. `provenance`, of rigs and lenses, says how it was found
-    ("command", "version", "inputs"). Raises InputError for other values and for a name whose
-    ending is not that of the file.
+    JSON; Segments, Matches and a Wireframe become npz. `provenance`, of rigs and lenses, says how
+    it was found ("command", "version", "inputs"). Raises InputError for other values and for a
+    name whose ending is not that of the file.
     """
     more: dict[str, Any] = {}
-    if not isinstance(value, _AS_JSON | Segments | Matches):
+    if not isinstance(value, _AS_JSON | Segments | Matches | Wireframe):
         value, more = _content_of_result(value, path)
     ending = ".json" if isinstance(value, _AS_JSON) else ".npz"
     if Path(path).suffix.lower() != ending:
@@ -55,6 +56,8 @@ def save(
             save_segments(value, path)
         case Matches():
             save_matches(value, path)
+        case Wireframe():
+            save_wireframe(value, path)
 
 
 def _content_of_result(
@@ -75,5 +78,5 @@ def _content_of_result(
             raise InputError(f"{path} was not written: {value.status.value}")
     raise InputError(
         f"A {type(value).__name__} cannot be saved: give a Rig, CalibrationResult, "
-        "Intrinsics, IntrinsicsResult, Pattern, Segments or Matches."
+        "Intrinsics, IntrinsicsResult, Pattern, Segments, Matches or Wireframe."
     )

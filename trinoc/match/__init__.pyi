@@ -14,3 +14,4 @@ from .selection.marginals import Selection as Selection, select as select
 from .tracks.matches import BINOCULAR as BINOCULAR, TRINOCULAR as TRINOCULAR, Matches as Matches
 from .tuning import MatchTuning as MatchTuning
 from .warming import warm_up as warm_up
+from .wire_frame import LetGo as LetGo, Wireframe as Wireframe, wireframe as wireframe

@@ -20,3 +20,4 @@ from .text import (
     reasons_text as reasons_text,
 )
 from .text_of_evaluation import evaluation_text as evaluation_text
+from .wireframe_part import wireframe_figure as wireframe_figure

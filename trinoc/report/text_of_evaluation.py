@@ -1,6 +1,7 @@
 """Evaluations for people: a table of settings, and what each word means."""
 
 from collections.abc import Sequence
+from typing import Any
 
 from trinoc.evaluation import Row
 from trinoc.report.numbers import with_decimals
@@ -31,6 +32,9 @@ def evaluation_text(rows: Sequence[Row]) -> str:
             "sigmas: share of the errors across within 1.96 sigma (true: 95 %), and by how much\n"
             "the sigma of the median line is too small (true: 1)"
         )
+    for row in rows:
+        if row.evaluation is not None and row.evaluation.wireframe is not None:
+            parts.append(_wireframe_text(row.evaluation.wireframe.record()))
     motions = [found.motion for found in done if found.motion is not None]
     if motions:
         parts.append(
@@ -44,6 +48,17 @@ def evaluation_text(rows: Sequence[Row]) -> str:
             parts.append("the edges leave a part of this motion free, which was not moved")
     parts.extend(dict.fromkeys(row.problem for row in rows if row.problem))
     return "\n\n".join(parts)
+
+
+def _wireframe_text(found: dict[str, Any]) -> str:
+    return (
+        f"wire frame: {found['edges_found']} of {found['edges_wanted']} edges found, "
+        f"{found['edges_extra']} extra; {found['corners_found']} of {found['corners_wanted']} "
+        f"corners found, {found['corners_extra']} extra, median error "
+        f"{_number(found['corner_error_median_mm'], 3)} mm, "
+        f"{_number(found['share_of_corners_within_95'], 3)} in their 95 % ellipsoids; "
+        f"{found['faces']} faces"
+    )
 
 
 def evaluation_table(rows: Sequence[Row]) -> tuple[list[str], list[list[str]]]:

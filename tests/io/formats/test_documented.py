@@ -10,6 +10,7 @@ import pytest
 
 import trinoc
 from tests.io.formats.bench import bench_matches, bench_rig
+from tests.io.made_wireframe import made_wireframe
 from trinoc.cli.main import main
 from trinoc.io import FORMATS
 from trinoc.io.formats.losses import LOSSES
@@ -37,11 +38,12 @@ def test_the_page_has_no_other_row():
 
 
 def test_the_examples_of_the_page_run(tmp_path, monkeypatch, capsys):
-    """Each command, in the order of the page, on a rig, a lens, matches and segments."""
+    """Each command, in the order of the page, on a value of each kind."""
     monkeypatch.chdir(tmp_path)
     trinoc.save(bench_rig(coefficients=4), "rig.json")
     trinoc.save(bench_rig()["upper"].intrinsics, "camera.json")
     trinoc.save(bench_matches(), "matches.npz")
+    trinoc.save(made_wireframe(), "wireframe.npz")
     trinoc.save(trinoc.Segments.from_endpoints(np.array([[1.0, 2, 3, 4]])), "segments.npz")
     blocks = re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL)
     lines = [line.split("#")[0] for block in blocks for line in block.splitlines()]

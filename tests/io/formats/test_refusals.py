@@ -13,6 +13,7 @@ from hypothesis import given, settings, strategies as st
 
 from tests.geometry.strategies import LENS
 from tests.io.formats.bench import bench_matches, bench_rig
+from tests.io.made_wireframe import made_wireframe
 from trinoc.errors import InputError
 from trinoc.geometry import Camera, Intrinsics, Pose, Rig, Segments
 from trinoc.io import FORMATS
@@ -115,6 +116,9 @@ def test_numbers_that_are_not_finite_do_not_leave(name, tmp_path):
     if "matches" in form.holds:
         lines = np.full((12, 2, 3), np.nan)
         value = eqx.tree_at(lambda matches: matches.lines_mm, bench_matches(), lines)
+    elif "wireframe" in form.holds:
+        places = np.full((7, 3), np.nan)
+        value = eqx.tree_at(lambda frame: frame.vertices_mm, made_wireframe(), places)
     else:
         value = Rig(
             dict(RIG.items()), parameters=("upper.pan_deg",), covariance=np.full((1, 1), np.nan)

@@ -10,14 +10,28 @@ from scipy.stats import chi2
 from tests.match.made import loose_lines, rig_of
 from trinoc.errors import InputError
 from trinoc.geometry import Rig, triangulate_segment
-from trinoc.match import TRINOCULAR, Corners, JoinedLines, Matches, join_collinear, snap_corners
+from trinoc.match import (
+    TRINOCULAR,
+    Corners,
+    JoinedLines,
+    Matches,
+    MatchTuning,
+    join_collinear,
+    snap_corners,
+)
 from trinoc.match.line_map.line_fit import LineFragments, fit_line
 from trinoc.match.observations import distorted
-from trinoc.numerics import axes_across
+from trinoc.numerics import axes_across, with_field
 
 VIEWS = ("upper", "left", "right")
 _triangulated = jax.jit(jax.vmap(triangulate_segment, in_axes=(None, 0, 0, 0)))
 ROOM = 128
+# For segments that err as they say, whatever those of pictures do.
+AS_STATED = with_field(
+    with_field(MatchTuning(), "collinear.error_shares", (1 - 2e-9, 1e-9, 1e-9)),
+    "collinear.error_observations",
+    1e9,
+)
 
 
 @pytest.fixture(scope="module")
@@ -100,7 +114,8 @@ def same_lines(joined: JoinedLines, count: int) -> bool:
 
 def test_pieces_of_a_line_say_as_much_as_the_whole_line(rig) -> None:
     whole = loose_lines(12, seed=4)
-    joined = join_collinear(tracks_of(rig, pieces_of(whole, (0.0, 0.4), (0.4, 1.0))), rig)
+    pieces = tracks_of(rig, pieces_of(whole, (0.0, 0.4), (0.4, 1.0)))
+    joined = join_collinear(pieces, rig, tuning=AS_STATED)
     assert same_lines(joined, 12)
     unsplit = tracks_of(rig, whole)
     matrices = np.stack([rig[name].matrix_px for name in VIEWS])
@@ -122,7 +137,7 @@ def test_joined_lines_are_as_far_from_the_true_ones_as_their_covariance_says(rig
     for part in np.split(whole, 3):
         pieces = pieces_of(part, (0.0, 0.3), (0.35, 0.7), (0.72, 1.0))
         matches = tracks_of(rig, pieces, seed=len(squares))
-        joined = join_collinear(matches, rig)
+        joined = join_collinear(matches, rig, tuning=AS_STATED)
         for line in np.flatnonzero(joined.pieces == 3):
             truth = part[joined.tracks_of(line)[0] % 40]
             error, covariance = across_of(joined.lines_mm[line], joined.covariance_mm2[line], truth)
@@ -134,6 +149,42 @@ def test_joined_lines_are_as_far_from_the_true_ones_as_their_covariance_says(rig
     # Of nine segments each, and large errors count for less than their square.
     assert degrees == 14 * len(squares)
     assert 0.75 < fits / degrees < 1.1
+
+
+def test_what_is_not_known_along_a_segment_says_nothing_across(rig) -> None:
+    whole = loose_lines(10, seed=21)
+    matches = tracks_of(rig, pieces_of(whole, (0.0, 0.45), (0.5, 1.0)), seed=4)
+    assert matches.fragments_covariance_px2 is not None
+    way = np.diff(matches.fragments_px, axis=2)[:, :, 0]
+    way = way / np.linalg.norm(way, axis=2, keepdims=True)
+    # As where an epipolar plane cuts a segment: ten thousand pixels.
+    free = 1e8 * np.einsum("ef,tvi,tvj->tveifj", np.eye(2), way, way).reshape(-1, 3, 4, 4)
+    covariance = matches.fragments_covariance_px2 + free
+    loose = dataclasses.replace(matches, fragments_covariance_px2=covariance)
+    joined, again = join_collinear(matches, rig), join_collinear(loose, rig)
+    np.testing.assert_array_equal(again.line_of_track, joined.line_of_track)
+    np.testing.assert_allclose(again.lines_mm, joined.lines_mm, atol=1e-6)
+
+
+def test_where_views_disagree_a_line_is_known_no_better_than_they_agree(rig) -> None:
+    line = loose_lines(8, seed=22)
+    matches = tracks_of(rig, line, sigma_px=0.2)
+    off = matches.fragments_px.copy()
+    way = off[:, 0, 1] - off[:, 0, 0]
+    normal = np.stack([-way[:, 1], way[:, 0]], axis=1) / np.linalg.norm(way, axis=1)[:, None]
+    off[:, 0] += normal[:, None]
+    agree = join_collinear(matches, rig)
+    differ = join_collinear(dataclasses.replace(matches, fragments_px=off), rig)
+    own, wider = (
+        [
+            np.trace(across_of(*each)[1])
+            for each in zip(joined.lines_mm, joined.covariance_mm2, line, strict=True)
+        ]
+        for joined in (agree, differ)
+    )
+    ratio = np.array(wider) / own
+    assert ratio.min() > 1
+    assert np.median(ratio) > 3
 
 
 def test_order_of_tracks_and_of_ends_changes_only_the_numbering(rig) -> None:
@@ -196,13 +247,13 @@ def test_a_segment_of_two_tracks_counts_once(rig) -> None:
     spread = np.einsum("knef,ij->kneifj", weight, np.eye(2)).reshape(2, 10, 4, 4)
     covariance[:, 0] = (spread @ own @ spread.mT).reshape(20, 4, 4)
     # Along the fitted covariance has room enough to be inverted.
-    joined = join_collinear(_matches(rig, index, matches.fragments_px, covariance), rig)
+    shared = _matches(rig, index, matches.fragments_px, covariance)
+    joined = join_collinear(shared, rig, tuning=AS_STATED)
     assert same_lines(joined, 10)
     assert (joined.degrees == 2 * 5 - 4).all()
     for line in range(10):
-        expected = join_collinear(
-            tracks_of(rig, pieces_of(whole[line : line + 1], (0.0, 0.45), (0.55, 1.0))), rig
-        )
+        apart = tracks_of(rig, pieces_of(whole[line : line + 1], (0.0, 0.45), (0.55, 1.0)))
+        expected = join_collinear(apart, rig, tuning=AS_STATED)
         _, most = across_of(expected.lines_mm[0], expected.covariance_mm2[0], whole[line])
         _, found = across_of(joined.lines_mm[line], joined.covariance_mm2[line], whole[line])
         # The one segment also shows what the others leave out, a tenth of it.
@@ -235,7 +286,7 @@ def corners_of_lines(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def lines_alone(matches: Matches, rig: Rig) -> JoinedLines:
-    joined = join_collinear(matches, rig)
+    joined = join_collinear(matches, rig, tuning=AS_STATED)
     assert len(joined) == len(matches)
     return joined
 

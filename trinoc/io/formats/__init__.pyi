@@ -3,6 +3,7 @@ from .cv_storage import opencv as opencv
 from .dxf_lines import dxf as dxf
 from .format import Format as Format
 from .gltf_lines import gltf as gltf
+from .json_of_wireframe import wireframe_json as wireframe_json
 from .kalibr_camchain import kalibr as kalibr
 from .limap_tracks import limap as limap
 from .lines_csv import csv as csv

@@ -1,5 +1,8 @@
 """3-D segments as the LINE entities of a DXF (R12, which every CAD reads), a layer for each stage.
 
+A wire frame has its edges on two layers, those of three views and those of two, and its faces as
+3DFACE on a third, in triangles where they have more than four corners.
+
 R12 has no unit of its own: tell the program that reads it millimetres.
 """
 
@@ -9,30 +12,57 @@ from typing import Any
 from trinoc.io.atomic import write_text
 from trinoc.io.formats.format import Format
 from trinoc.io.formats.losses import COVARIANCE, TRACKS
-from trinoc.match import Matches
+from trinoc.match import BINOCULAR, TRINOCULAR, Matches, Wireframe
+
+# Of 3DFACE, a bit for each edge that is not drawn.
+HIDDEN_FIRST, HIDDEN_THIRD = 1, 4
 
 
-def write_dxf(matches: Matches, path: Path, unit_mm: float) -> None:
-    """Write a line for each track."""
+def write_dxf(value: Matches | Wireframe, path: Path, unit_mm: float) -> None:
+    """Write a line for each track or edge, and the faces of a wire frame."""
     pairs: list[tuple[int, Any]] = [
         (999, f"trinoc: unit {unit_mm!r} mm, Z up"),
         *((0, "SECTION"), (2, "HEADER"), (9, "$ACADVER"), (1, "AC1009"), (0, "ENDSEC")),
         *((0, "SECTION"), (2, "ENTITIES")),
     ]
-    for stage, (start, end) in zip(
-        matches.stage, (matches.lines_mm / unit_mm).tolist(), strict=True
-    ):
+    if isinstance(value, Wireframe):
+        layers = [TRINOCULAR if checked else BINOCULAR for checked in value.checked]
+    else:
+        layers = value.stage
+    for stage, (start, end) in zip(layers, (value.lines_mm / unit_mm).tolist(), strict=True):
         pairs += [(0, "LINE"), (8, str(stage).upper())]
         pairs += zip((10, 20, 30), start, strict=True)
         pairs += zip((11, 21, 31), end, strict=True)
+    if isinstance(value, Wireframe):
+        for loop in value.faces:
+            pairs += _face((value.vertices_mm[loop] / unit_mm).tolist())
     pairs += [(0, "ENDSEC"), (0, "EOF")]
     write_text(path, "".join(f"{code}\n{value}\n" for code, value in pairs))
+
+
+def _face(corners: list[list[float]]) -> list[tuple[int, Any]]:
+    """One 3DFACE of three corners or four, or a fan of triangles."""
+    count = len(corners)
+    parts = [(list(range(count)), 0)]
+    if count > 4:
+        parts = [
+            ([0, k, k + 1], HIDDEN_FIRST * (k > 1) + HIDDEN_THIRD * (k < count - 2))
+            for k in range(1, count - 1)
+        ]
+    pairs: list[tuple[int, Any]] = []
+    for chosen, hidden in parts:
+        pairs += [(0, "3DFACE"), (8, "FACES")]
+        # A triangle has its last corner twice.
+        for number, vertex in enumerate((*chosen, chosen[-1])[:4]):
+            pairs += zip((10 + number, 20 + number, 30 + number), corners[vertex], strict=True)
+        pairs.append((70, hidden))
+    return pairs
 
 
 dxf = Format(
     name="dxf",
     title="DXF",
-    holds=("matches",),
+    holds=("matches", "wireframe"),
     reads=(),
     place="file",
     endings=(".dxf",),

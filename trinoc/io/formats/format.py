@@ -14,12 +14,24 @@ from trinoc.geometry import Intrinsics, Rig, Segments
 from trinoc.io.atomic import expect_place
 from trinoc.io.formats.losses import COVARIANCE, LOSSES, lost_of
 from trinoc.io.usable_cameras import expect_apart, expect_lens
-from trinoc.match import Matches
+from trinoc.match import Matches, Wireframe
 
 Lenses = Mapping[str, Intrinsics]
 # The words of `Format.holds` and `Format.reads`.
-KIND_OF = {Rig: "rig", Intrinsics: "lens", Matches: "matches", Segments: "segments"}
-IN_WORDS = {"rig": "a rig", "lens": "a lens", "matches": "matches", "segments": "segments"}
+KIND_OF = {
+    Rig: "rig",
+    Intrinsics: "lens",
+    Matches: "matches",
+    Segments: "segments",
+    Wireframe: "wireframe",
+}
+IN_WORDS = {
+    "rig": "a rig",
+    "lens": "a lens",
+    "matches": "matches",
+    "segments": "segments",
+    "wireframe": "a wire frame",
+}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -30,7 +42,7 @@ class Format:
     ------
     name : as `trinoc export --to` and `trinoc import --from` take it.
     title : what people call it.
-    holds : what can be written to it: "rig", "lens", "matches", "segments".
+    holds : what can be written to it: "rig", "lens", "matches", "wireframe", "segments".
     reads : what can be read from it; empty where it is only written.
     place : "file", "folder", or "file or folder": a lens is then a file, a rig a folder of them.
     endings : of the file's name; empty where any will do.
@@ -59,7 +71,8 @@ class Format:
     def save(
         self, value: object, path: str | os.PathLike[str], *, unit_mm: float | None = None
     ) -> None:
-        """Write a Rig (or the rig of a CalibrationResult), Intrinsics, Matches or Segments.
+        """Write a Rig (or the rig of a CalibrationResult), Intrinsics, Matches, a Wireframe or
+        Segments.
 
         The file or folder is whole or not there. `unit_mm` is the length in mm of one unit of
         the file, for formats that leave it open. A covariance is lost where `lost` says so.
@@ -156,6 +169,8 @@ def _expect_writable(value: object) -> None:
             names, lenses, numbers = (), [value], []
         case Matches():
             names, lenses, numbers = value.views, [], [value.lines_mm]
+        case Wireframe():
+            names, lenses, numbers = (), [], [value.vertices_mm]
         case _:
             return
     for name in names:

@@ -1,26 +1,34 @@
-"""3-D segments as the lines of a Wavefront OBJ."""
+"""3-D segments as the lines of a Wavefront OBJ, a wire frame with its faces, too."""
 
 from pathlib import Path
+
+import numpy as np
 
 from trinoc.io.atomic import write_text
 from trinoc.io.formats.format import Format
 from trinoc.io.formats.losses import COVARIANCE, TRACKS
-from trinoc.match import Matches
+from trinoc.match import Matches, Wireframe
 
 
-def write_obj(matches: Matches, path: Path, unit_mm: float) -> None:
-    """Write two vertices and a line for each track."""
+def write_obj(value: Matches | Wireframe, path: Path, unit_mm: float) -> None:
+    """Write two vertices and a line for each track; or vertices, lines and faces."""
     lines = [f"# unit {unit_mm!r} mm, Z up"]
-    for end in (matches.lines_mm / unit_mm).reshape(-1, 3).tolist():
-        lines.append("v " + " ".join(map(repr, end)))
-    lines.extend(f"l {2 * track + 1} {2 * track + 2}" for track in range(len(matches)))
+    if isinstance(value, Wireframe):
+        places, pairs = value.vertices_mm, value.edges
+        loops = [loop.tolist() for loop in value.faces]
+    else:
+        places, pairs = value.lines_mm.reshape(-1, 3), np.arange(2 * len(value)).reshape(-1, 2)
+        loops = []
+    lines.extend("v " + " ".join(map(repr, place)) for place in (places / unit_mm).tolist())
+    lines.extend(f"l {one + 1} {other + 1}" for one, other in pairs.tolist())
+    lines.extend("f " + " ".join(str(vertex + 1) for vertex in loop) for loop in loops)
     write_text(path, "\n".join(lines) + "\n")
 
 
 obj = Format(
     name="obj",
     title="OBJ",
-    holds=("matches",),
+    holds=("matches", "wireframe"),
     reads=(),
     place="file",
     endings=(".obj",),

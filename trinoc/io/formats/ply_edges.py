@@ -8,11 +8,18 @@ from trinoc.io.atomic import write_text
 from trinoc.io.formats.format import Format
 from trinoc.io.formats.lines_table import COORDINATES, UPPER
 from trinoc.io.formats.losses import TRACKS
-from trinoc.match import TRINOCULAR, Matches
+from trinoc.match import TRINOCULAR, Matches, Wireframe
 
 
-def write_ply(matches: Matches, path: Path, unit_mm: float) -> None:
-    """Write two vertices and an edge for each track, as text."""
+def write_ply(value: Matches | Wireframe, path: Path, unit_mm: float) -> None:
+    """Write two vertices and an edge for each track, or a wire frame with its faces, as text."""
+    if isinstance(value, Wireframe):
+        write_text(path, "\n".join(_of_wireframe(value, unit_mm)) + "\n")
+    else:
+        write_text(path, "\n".join(_of_matches(value, unit_mm)) + "\n")
+
+
+def _of_matches(matches: Matches, unit_mm: float) -> list[str]:
     covariances = [f"cov_{COORDINATES[row]}_{COORDINATES[column]}" for row, column in UPPER]
     header = [
         "ply",
@@ -37,7 +44,46 @@ def write_ply(matches: Matches, path: Path, unit_mm: float) -> None:
         f"{2 * k} {2 * k + 1} {int(stage == TRINOCULAR)} {_joined(row)}"
         for k, (stage, row) in enumerate(zip(matches.stage, numbers, strict=True))
     ]
-    write_text(path, "\n".join([*header, *vertices, *edges]) + "\n")
+    return [*header, *vertices, *edges]
+
+
+def _of_wireframe(frame: Wireframe, unit_mm: float) -> list[str]:
+    """Vertices with their covariance, faces as lists of vertices, edges with their posterior."""
+    rows, columns = np.triu_indices(3)
+    names = [f"cov_{'xyz'[row]}_{'xyz'[column]}" for row, column in zip(rows, columns, strict=True)]
+    faces = frame.faces
+    header = [
+        "ply",
+        "format ascii 1.0",
+        f"comment unit {unit_mm!r} mm, Z up; cov_* is the covariance of a vertex in that unit",
+        f"element vertex {len(frame.vertices_mm)}",
+        *(f"property double {axis}" for axis in "xyz"),
+        "property uchar corner",
+        *(f"property double {name}" for name in names),
+        f"element face {len(faces)}",
+        "property list uchar int vertex_indices",
+        f"element edge {len(frame)}",
+        "property int vertex1",
+        "property int vertex2",
+        "property uchar views",
+        "property double posterior",
+        "end_header",
+    ]
+    covariance = (frame.vertices_covariance_mm2 / unit_mm**2)[:, rows, columns]
+    vertices = [
+        f"{_joined(place)} {int(corner)} {_joined(spread)}"
+        for place, corner, spread in zip(
+            frame.vertices_mm / unit_mm, frame.corner, covariance, strict=True
+        )
+    ]
+    loops = [f"{len(loop)} {' '.join(map(str, loop.tolist()))}" for loop in faces]
+    edges = [
+        f"{one} {other} {views} {posterior!r}"
+        for (one, other), views, posterior in zip(
+            frame.edges.tolist(), frame.views.tolist(), frame.posterior.tolist(), strict=True
+        )
+    ]
+    return [*header, *vertices, *loops, *edges]
 
 
 def _joined(numbers: np.ndarray) -> str:
@@ -47,7 +93,7 @@ def _joined(numbers: np.ndarray) -> str:
 ply = Format(
     name="ply",
     title="PLY",
-    holds=("matches",),
+    holds=("matches", "wireframe"),
     reads=(),
     place="file",
     endings=(".ply",),

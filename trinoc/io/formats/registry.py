@@ -5,6 +5,7 @@ from trinoc.io.formats.cv_storage import opencv
 from trinoc.io.formats.dxf_lines import dxf
 from trinoc.io.formats.format import Format
 from trinoc.io.formats.gltf_lines import gltf
+from trinoc.io.formats.json_of_wireframe import wireframe_json
 from trinoc.io.formats.kalibr_camchain import kalibr
 from trinoc.io.formats.limap_tracks import limap
 from trinoc.io.formats.lines_csv import csv
@@ -19,6 +20,6 @@ from trinoc.io.formats.segments_text import elsed, limap_segments, lsd
 from trinoc.io.formats.tf_static import tf
 
 _CAMERAS = (opencv, ros, kalibr, colmap, colmap_text, mrcal, matlab, nerfstudio, tf)
-_LINES = (ply, obj, gltf, dxf, csv, parquet, limap)
+_LINES = (ply, obj, gltf, dxf, csv, parquet, limap, wireframe_json)
 _SEGMENTS = (lsd, elsed, limap_segments)
 FORMATS: dict[str, Format] = {each.name: each for each in (*_CAMERAS, *_LINES, *_SEGMENTS)}

@@ -17,6 +17,7 @@ from trinoc.geometry import Rig
 from trinoc.match.line_map.collinearity import Evidence, LineDensity, difference, gap_mm, log_odds
 from trinoc.match.line_map.density import line_density, nearby_lines, parallel_density
 from trinoc.match.line_map.line_fit import fit_line
+from trinoc.match.line_map.line_posterior import line_posteriors
 from trinoc.match.line_map.lines import JoinedLines
 from trinoc.match.line_map.table import TrackTable, fragments_of, track_table
 from trinoc.match.tracks import Matches
@@ -72,7 +73,7 @@ def join_collinear(matches: Matches, rig: Rig, *, tuning: MatchTuning = DEFAULT)
     order = np.lexsort(np.asarray(matches.lines_mm).reshape(-1, 6).T)
     pieces = track_table(matches, rig, order, tuning.tracks)
     if len(order) == 0:
-        return _as_lines([], pieces, order)
+        return _as_lines([], pieces, order, tuning.collinear)
     rules = tuning.collinear
     near = nearby_lines(pieces.ends_mm, pieces.covariance_mm2, rules)
     one, other = near.pairs.T
@@ -107,7 +108,7 @@ def join_collinear(matches: Matches, rig: Rig, *, tuning: MatchTuning = DEFAULT)
     ]
     problem = _Problem(pieces, scene, share, tuning)
     groups = _agglomerated(alone, near.pairs[~surely_others], problem)
-    return _as_lines(groups, pieces, order)
+    return _as_lines(groups, pieces, order, rules)
 
 
 def _agglomerated(
@@ -245,24 +246,43 @@ def _length_mm(group: _Group) -> float:
     return float(np.linalg.norm(group.ends_mm[1] - group.ends_mm[0]))
 
 
-def _as_lines(groups: list[_Group], pieces: TrackTable, order: Int[np.ndarray, "t"]) -> JoinedLines:
+def _as_lines(
+    groups: list[_Group], pieces: TrackTable, order: Int[np.ndarray, "t"], rules: CollinearTuning
+) -> JoinedLines:
     """Lines in the order of the first of the caller's tracks on each."""
     groups = sorted(groups, key=lambda group: int(order[list(group.tracks)].min()))
+    given = np.array([group.ends_mm for group in groups]).reshape(-1, 2, 3)
+    blocks = np.array([group.covariance_mm2 for group in groups]).reshape(-1, 6, 6)
+    shown = [fragments_of(pieces, group.tracks) for group in groups]
+    posterior = np.array([group.posterior for group in groups])
+    likely = line_posteriors(shown, given, posterior, rules)
     line_of_track = np.zeros(len(order), dtype=np.int64)
     place = np.zeros((len(order), 2))
     for number, group in enumerate(groups):
-        tracks = list(group.tracks)
-        way = group.ends_mm[1] - group.ends_mm[0]
-        along = (pieces.ends_mm[tracks] - group.ends_mm[0]) @ (way / np.linalg.norm(way))
+        tracks, ends = list(group.tracks), likely.ends_mm[number]
+        way = ends[1] - ends[0]
+        along = (pieces.ends_mm[tracks] - ends[0]) @ (way / np.linalg.norm(way))
         line_of_track[order[tracks]], place[order[tracks]] = number, np.sort(along, axis=1)
     scale = [pieces.px_per_mm[list(group.tracks)].mean() for group in groups]
     return JoinedLines(
-        np.array([group.ends_mm for group in groups]).reshape(-1, 2, 3),
-        np.array([group.covariance_mm2 for group in groups]).reshape(-1, 6, 6),
+        likely.ends_mm,
+        likely.covariance_mm2 + _along(likely.ends_mm, blocks),
         np.array([group.chi_square for group in groups]),
         np.array([group.degrees for group in groups], dtype=np.int64),
         line_of_track,
         place,
         np.array(scale),
-        np.array([group.posterior for group in groups]),
+        posterior,
     )
+
+
+def _along(
+    ends_mm: Float[np.ndarray, "e 2 3"], covariance_mm2: Float[np.ndarray, "e 6 6"]
+) -> Float[np.ndarray, "e 6 6"]:
+    """What of a covariance lies along the lines, at each end alone."""
+    way = ends_mm[:, 1] - ends_mm[:, 0]
+    way = way / np.linalg.norm(way, axis=1, keepdims=True)
+    blocks = covariance_mm2.reshape(-1, 2, 3, 2, 3)
+    variance = np.einsum("ni,neiej,nj->ne", way, blocks, way)
+    spread = np.einsum("ne,ef,ni,nj->neifj", variance, np.eye(2), way, way)
+    return spread.reshape(-1, 6, 6)

@@ -30,9 +30,10 @@ def snap_corners(joined: JoinedLines, *, tuning: MatchTuning = DEFAULT) -> Corne
     """The corners at which ends of lines meet, and the lines with their ends there.
 
     Ends meet where that is at least 0.9 likely, against ends that are near by chance and with
-    the posteriors of both lines, and where all lines of the corner pass through one point at a
-    level of 0.001. Of an end, the place across its line counts with its covariance; along it, a
-    standard deviation of 7 pixels is added, since a detector stops where it does. An end
+    the posteriors of both lines, for which their meeting speaks, and where all lines of the
+    corner pass through one point at a level of 0.001. Of an end, the place across its line counts
+    with its covariance; along it, a standard deviation of 7 pixels is added, since a detector
+    stops where it does. An end
     on the middle of another line (a T) is not a corner here. Lines are taken to err
     independently of each other, though some share a segment.
     """
@@ -42,11 +43,11 @@ def snap_corners(joined: JoinedLines, *, tuning: MatchTuning = DEFAULT) -> Corne
 
 
 def _agglomerated(
-    ends: Ends, pairs: Int[np.ndarray, "p 2"], odds: Float[np.ndarray, "p"], tuning: MatchTuning
+    ends: Ends, pairs: Int[np.ndarray, "p 2"], likely: Float[np.ndarray, "p"], tuning: MatchTuning
 ) -> list[_Corner]:
     """Corners from pairs of ends, the likeliest first."""
     corner_of: dict[int, _Corner] = {}
-    for one, other in pairs[np.lexsort((*pairs.T, -odds))].tolist():
+    for one, other in pairs[np.lexsort((*pairs.T, -likely))].tolist():
         first = corner_of.get(one, _Corner((one,), ends.point_mm[one], 0.0))
         second = corner_of.get(other, _Corner((other,), ends.point_mm[other], 0.0))
         together = tuple(sorted({*first.ends, *second.ends}))

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import KDTree
-from scipy.special import expit
+from scipy.special import expit, log_expit, logit
 
 from trinoc.match.evidence import log_gap_density, passing
 from trinoc.match.line_map.density import line_density
@@ -42,7 +42,7 @@ def ends_of(joined: JoinedLines) -> Ends:
 def corner_candidates(
     ends: Ends, joined: JoinedLines, tuning: MatchTuning = DEFAULT
 ) -> tuple[Int[np.ndarray, "p 2"], Float[np.ndarray, "p"]]:
-    """(pairs of ends that are likely to meet, their log odds)."""
+    """(pairs of ends that are likely to meet, log probability of each)."""
     if len(joined) < 2:
         return np.zeros((0, 2), dtype=np.int64), np.zeros(0)
     rules = tuning.junctions
@@ -66,9 +66,20 @@ def corner_candidates(
     density = count / line_density(joined.lines_mm, tuning.evidence).volume
     log_passing = -0.5 * (np.log(2 * np.pi * variance) + distance**2 / variance)
     odds = _learned_odds(m, n, log_passing - np.log(sine * density), stop, count, tuning)
-    right = joined.posterior[m // 2] * joined.posterior[n // 2]
-    sure = expit(odds) * right >= tuning.corners.min_posterior
-    return np.stack([m, n], axis=1)[sure], odds[sure]
+    likely = log_likely(odds, joined.posterior[m // 2] * joined.posterior[n // 2])
+    sure = likely >= np.log(tuning.corners.min_posterior)
+    return np.stack([m, n], axis=1)[sure], likely[sure]
+
+
+def log_likely(
+    odds: Float[np.ndarray, "p"], right: Float[np.ndarray, "p"]
+) -> Float[np.ndarray, "p"]:
+    """Log probability that ends meet and their lines are right, `right` before they met.
+
+    Lines of wrong matches meet others by chance only, so that what speaks for a corner speaks for
+    its lines. It is tempered, as the wrong ones of one place have segments in common.
+    """
+    return log_expit(odds) + log_expit(odds / 2 + logit(right))
 
 
 def _learned_odds(

@@ -55,14 +55,14 @@ def fit_line(
     way = near_mm[1] - near_mm[0]
     ends, axes = near_mm, axes_across(way / np.linalg.norm(way))
     for _ in range(STEPS):
-        error, by_offset, precision = _distances(shown, ends, axes)
+        error, by_offset, precision = distances_across(shown, ends, axes)
         weight, _ = _weights(np.einsum("ni,nij,nj->n", error, precision, error), tuning)
         weighted = weight[:, None, None] * precision
         information = np.einsum("nia,nij,njb->ab", by_offset, weighted, by_offset)
         gradient = np.einsum("nia,nij,nj->a", by_offset, weighted, error)
         covariance = _inverse(information)
         ends = ends - (covariance @ gradient).reshape(2, 2) @ axes
-    error, _, precision = _distances(shown, ends, axes)
+    error, _, precision = distances_across(shown, ends, axes)
     _, squares = _weights(np.einsum("ni,nij,nj->n", error, precision, error), tuning)
     spread = np.einsum("eafb,ai,bj->eifj", covariance.reshape(2, 2, 2, 2), axes, axes)
     return LineFit(ends, spread.reshape(6, 6), float(squares.sum()), 2 * len(error) - 4)
@@ -92,7 +92,7 @@ def _weights(
     return (terms / variance).sum(axis=1) / total, -2 * np.log(total / density.sum())
 
 
-def _distances(
+def distances_across(
     shown: LineFragments, ends_mm: Float[np.ndarray, "2 3"], axes: Float[np.ndarray, "2 3"]
 ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2 4"], Float[np.ndarray, "n 2 2"]]:
     """(distance of each segment's ends from the line's image, its derivative by the offsets of
@@ -102,7 +102,6 @@ def _distances(
     moved = axes @ matrix[:, :, :3].mT
     line = cross_3d(image[:, 0], image[:, 1])
     steepness = np.hypot(line[:, 0], line[:, 1])
-    normal = line[:, :2] / steepness[:, None]
     homogeneous = np.concatenate([shown.ends_px, np.ones((len(matrix), 2, 1))], axis=2)
     error = np.einsum("nek,nk->ne", homogeneous, line) / steepness[:, None]
     by_first = cross_3d(moved, image[:, None, 1])
@@ -110,5 +109,10 @@ def _distances(
     by_offset = np.concatenate([by_first, by_second], axis=1)
     jacobian = np.einsum("nek,nok->neo", homogeneous, by_offset) / steepness[:, None, None]
     blocks = shown.covariance_px2.reshape(-1, 2, 2, 2, 2)
+    # Across the segment itself: along it an end that a plane cuts is not known at all, and of
+    # that the line's own normal, a fraction of a degree away, would take in pixels.
+    along = shown.ends_px[:, 1] - shown.ends_px[:, 0]
+    along = along / np.linalg.norm(along, axis=1)[:, None]
+    normal = np.stack([-along[:, 1], along[:, 0]], axis=1)
     spread = np.einsum("ni,neifj,nj->nef", normal, blocks, normal)
     return error, jacobian, np.linalg.inv(spread)

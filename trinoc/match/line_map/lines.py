@@ -10,9 +10,11 @@ class JoinedLines(eqx.Module):
 
     Fields
     ------
-    lines_mm : (e, 2, 3) the likeliest line of all segments of its tracks, from the first to the
-        last place that a track shows; of a track that is alone, the track's own.
+    lines_mm : (e, 2, 3) the mean line that all segments of its tracks leave, from the first to
+        the last place that a track shows.
     covariance_mm2 : (e, 6, 6) of the ends; along the line, that of the track which ends there.
+        It allows for segments that err by more than they say, above all where views disagree or
+        only two see the line.
     chi_square, degrees : (e,) misfit of all its segments, and its degrees of freedom; 0 where
         one track is alone.
     line_of_track : (t,) the line of each track of the matches.

@@ -9,9 +9,9 @@ import numpy as np
 from trinoc.calib import CalibrationResult, Pattern, RefineResult
 from trinoc.evaluation import Evaluation
 from trinoc.geometry import Rig, Segments
-from trinoc.match import TRINOCULAR, Matches
+from trinoc.match import TRINOCULAR, Matches, Wireframe
 from trinoc.report import plot
-from trinoc.report.colours import BLUE, GREEN, VERMILION
+from trinoc.report.colours import BLACK, BLUE, GREEN, VERMILION
 from trinoc.report.notebook.extras import expect_extra
 from trinoc.report.numbers import plain, round_scale
 from trinoc.report.space_content import frusta, sheet_outlines
@@ -141,6 +141,25 @@ def _(
     seen = np.asarray(matches.fragments_px)[:, matches.views.index(view)]
     plot.draw_tracks(axes, _picture(image, None, seen), matches, view, stage)
     axes.set_title(f"{view}, {stage}")
+    return axes
+
+
+@_plot.register
+def _(frame: Wireframe, axes: Any, *, rig: Rig | None = None) -> Any:
+    """Edges of three views and of two, faces shaded, corners as dots, the cameras of `rig`."""
+    from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+
+    axes = _in_space(axes)
+    lines = frame.lines_mm
+    strokes = [
+        (list(lines[frame.checked]), BLUE),
+        (list(lines[~frame.checked]), VERMILION),
+        ([] if rig is None else frusta(rig), GREEN),
+    ]
+    plot.draw_lines_in_space(axes, strokes)
+    faces = [frame.vertices_mm[loop] for loop in frame.faces]
+    axes.add_collection3d(Poly3DCollection(faces, facecolors=BLUE, alpha=0.12))
+    axes.scatter(*frame.vertices_mm[frame.corner].T, color=BLACK, s=9, depthshade=False)
     return axes
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from trinoc.calib import CalibrationResult, Pattern, RefineResult
 from trinoc.evaluation import Evaluation
 from trinoc.geometry import Rig, Segments
-from trinoc.match import BINOCULAR, TRINOCULAR, Matches
+from trinoc.match import BINOCULAR, TRINOCULAR, Matches, Wireframe
 from trinoc.report.colours import BLUE, GREEN, VERMILION
 from trinoc.report.notebook.tables import columns_of
 from trinoc.report.numbers import with_decimals, with_sigma
@@ -114,6 +114,15 @@ def _(matches: Matches) -> str:
 
 
 @heading.register
+def _(frame: Wireframe) -> str:
+    corners, unchecked = int(frame.corner.sum()), int((~frame.checked).sum())
+    return (
+        f"{len(frame)} edges ({unchecked} seen by two views only), {corners} corners, "
+        f"{len(frame.corner) - corners} free ends, {len(frame.planes)} planar faces"
+    )
+
+
+@heading.register
 def _(evaluation: Evaluation) -> str:
     return f"{evaluation.status.value} Wanted: {evaluation.wanted}."
 
@@ -157,6 +166,15 @@ def _(matches: Matches) -> Strokes:
     return [
         (_from_above(list(lines[stage == name])), colour)
         for name, colour in ((TRINOCULAR, BLUE), (BINOCULAR, VERMILION))
+    ]
+
+
+@small_picture.register
+def _(frame: Wireframe) -> Strokes:
+    lines = frame.lines_mm
+    return [
+        (_from_above(list(lines[frame.checked == checked])), colour)
+        for checked, colour in ((True, BLUE), (False, VERMILION))
     ]
 
 

@@ -8,11 +8,12 @@ import numpy as np
 from trinoc.calib import CalibrationResult, Pattern, RefineResult
 from trinoc.evaluation import Evaluation
 from trinoc.geometry import Rig, Segments
-from trinoc.match import Matches
+from trinoc.match import Matches, Wireframe
 from trinoc.report.colours import BLACK, COLOUR_OF_ROLE
 from trinoc.report.notebook.extras import expect_extra
 from trinoc.report.space_content import frusta, polyline, sheet_outlines
 from trinoc.report.space_part import Layer, SpaceFigure, space_figure
+from trinoc.report.wireframe_part import wireframe_figure
 
 
 def figure_of(value: object, **options: Any) -> Any:
@@ -42,6 +43,12 @@ def _(matches: Matches, *, rig: Rig | None = None) -> Any:
     if rig is not None:
         return _in_space(space_figure(rig, None, matches).layers)
     return _in_space(SpaceFigure.of_tracks(matches).layers)
+
+
+@_figure.register
+def _(frame: Wireframe, *, rig: Rig | None = None) -> Any:
+    """Edges, faces and corners with their sigmas under the pointer, and the cameras of `rig`."""
+    return _in_space(wireframe_figure(frame, rig).layers)
 
 
 @_figure.register

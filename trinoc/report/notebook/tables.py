@@ -8,7 +8,7 @@ import numpy as np
 from trinoc.calib import CalibrationResult, Pattern, RefineResult
 from trinoc.evaluation import Evaluation
 from trinoc.geometry import Rig, Segments
-from trinoc.match import Matches
+from trinoc.match import Matches, Wireframe
 from trinoc.report.against_reference import parameter_value
 from trinoc.report.parameter_table import shown_parameters
 from trinoc.report.track_sigmas import track_sigmas
@@ -86,6 +86,28 @@ def _matches(matches: Matches) -> Columns:
         "posterior": np.asarray(matches.posterior),
         "rival_posterior": np.asarray(matches.rival_posterior),
         **dict(zip(names, ends.T, strict=True)),
+    }
+
+
+@columns_of.register
+def _wireframe(frame: Wireframe) -> Columns:
+    ends, pairs = frame.lines_mm, frame.edges
+    step = ends[:, 1] - ends[:, 0]
+    length = np.linalg.norm(step, axis=1)
+    way = np.concatenate([-step, step], axis=1) / np.maximum(length, 1e-12)[:, None]
+    variance = np.einsum("ei,eij,ej->e", way, frame.covariance_mm2, way)
+    names = ("x1_mm", "y1_mm", "z1_mm", "x2_mm", "y2_mm", "z2_mm")
+    return {
+        "vertex_1": pairs[:, 0],
+        "vertex_2": pairs[:, 1],
+        "length_mm": length,
+        "length_sigma_mm": np.sqrt(np.maximum(variance, 0.0)),
+        "posterior": frame.posterior,
+        "views": frame.views,
+        "viewpoint_dependent": frame.viewpoint_dependent,
+        "corner_1": frame.corner[pairs[:, 0]],
+        "corner_2": frame.corner[pairs[:, 1]],
+        **dict(zip(names, ends.reshape(-1, 6).T, strict=True)),
     }
 
 

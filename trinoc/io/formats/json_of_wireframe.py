@@ -1,0 +1,79 @@
+"""A wire frame as JSON: vertices, edges and faces by name, each with its own covariance."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from trinoc.io.atomic import write_text
+from trinoc.io.formats.format import Format
+from trinoc.match import Wireframe
+
+
+def write_json(frame: Wireframe, path: Path, unit_mm: float) -> None:
+    """Write vertices, edges and faces, and what was let go; lengths in units of `unit_mm`."""
+    area = unit_mm**2
+    vertex_covariance, edge_covariance = frame.vertices_covariance_mm2, frame.covariance_mm2
+    # Of a plane, the offset alone is a length.
+    scale = np.array([1.0, 1.0, 1.0, 1 / unit_mm])
+    document = {
+        "format": "trinoc-wireframe",
+        "version": 1,
+        "unit_mm": unit_mm,
+        "vertices": [
+            {
+                "place": (place / unit_mm).tolist(),
+                "covariance": (vertex_covariance[vertex] / area).tolist(),
+                "corner": bool(frame.corner[vertex]),
+            }
+            for vertex, place in enumerate(frame.vertices_mm)
+        ],
+        "edges": [
+            {
+                "vertices": pair,
+                "covariance": (edge_covariance[edge] / area).tolist(),
+                "posterior": float(frame.posterior[edge]),
+                "views": int(frame.views[edge]),
+                "viewpoint_dependent": bool(frame.viewpoint_dependent[edge]),
+                "tracks": frame.tracks_of(edge).tolist(),
+            }
+            for edge, pair in enumerate(frame.edges.tolist())
+        ],
+        "faces": [
+            {
+                "vertices": loop.tolist(),
+                "normal": plane[:3].tolist(),
+                "offset": float(plane[3] / unit_mm),
+                "covariance": (frame.planes_covariance[face] * np.outer(scale, scale)).tolist(),
+                "posterior": float(posterior),
+                "facing": bool(frame.facing[face]),
+            }
+            for face, (loop, plane, posterior) in enumerate(
+                zip(frame.faces, frame.planes, frame.face_posterior, strict=True)
+            )
+        ],
+        "let_go": [
+            {
+                "track": each.track,
+                "place": [x / unit_mm for x in each.place_mm],
+                "reason": each.reason,
+            }
+            for each in frame.let_go
+        ],
+    }
+    write_text(path, json.dumps(document, indent=1) + "\n")
+
+
+wireframe_json = Format(
+    name="json",
+    title="JSON",
+    holds=("wireframe",),
+    reads=(),
+    place="file",
+    endings=(".json",),
+    unit_mm=1.0,
+    unit_is_fixed=False,
+    frames="the world of the rig, Z up",
+    loses=(),
+    write=write_json,
+)

@@ -1,0 +1,129 @@
+"""All vertices at once: the least squares that puts every line through both of its vertices.
+
+A line is observed across itself, at both ends with their covariance, and along itself where it
+stops, which is known to some pixels. Where the vertices lie abreast of other places of the line,
+its covariance is carried there. Vertices that no chain of edges ties together are independent, so
+that the covariance is a block for each part of the graph.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+
+from trinoc.match.wire_frame.graph import Graph
+from trinoc.numerics import axes_across
+
+# The covariance of a line depends on where along it its vertices lie.
+STEPS = 3
+
+
+class Adjusted(NamedTuple):
+    """Vertices, and what each line says of its two.
+
+    points_mm : (n, 3). part : (n,). covariance_mm2 : for each part, of its vertices in their
+    order. lines : (l,) the lines that are in the graph. axes : (l, 3, 3) rows: two across each,
+    then along it. residual_mm : (l, 6) both vertices less where the line has them, in its axes;
+    own_mm2 : (l, 6, 6) what of this the line itself leaves open.
+    """
+
+    points_mm: Float[np.ndarray, "n 3"]
+    part: Int[np.ndarray, "n"]
+    covariance_mm2: tuple[Float[np.ndarray, "_ _"], ...]
+    lines: Int[np.ndarray, "l"]
+    axes: Float[np.ndarray, "l 3 3"]
+    residual_mm: Float[np.ndarray, "l 6"]
+    own_mm2: Float[np.ndarray, "l 6 6"]
+
+    def joint(self, vertices: Int[np.ndarray, "k"]) -> Float[np.ndarray, "k 3 k 3"]:
+        """Covariance of some vertices of one part."""
+        part = int(self.part[vertices[0]])
+        at = np.searchsorted(np.flatnonzero(self.part == part), vertices)
+        blocks = self.covariance_mm2[part]
+        blocks = blocks.reshape(len(blocks) // 3, 3, -1, 3)
+        return blocks[at][:, :, at]
+
+
+def adjusted(graph: Graph) -> Adjusted:
+    """The likeliest vertices."""
+    lines = np.flatnonzero((graph.vertex >= 0).all(axis=1))
+    vertex, ends = graph.vertex[lines], graph.lines_mm[lines]
+    axes = line_axes(ends)
+    count = graph.count
+    members = _members(vertex, count)
+    points = _means(vertex, ends, count)
+    jacobian = np.zeros((len(lines), 6, 6))
+    jacobian[:, :3, :3] = jacobian[:, 3:, 3:] = axes
+    rows = (3 * vertex[:, :, None] + np.arange(3)).reshape(-1, 6)
+    covariance: list[np.ndarray] = []
+    residual, own = _observed(graph, lines, axes, points)
+    for _ in range(STEPS):
+        weighted = jacobian.mT @ np.linalg.inv(own)
+        information = _scattered(weighted @ jacobian, rows, 3 * count)
+        gradient = np.zeros(3 * count)
+        np.add.at(gradient, rows, (weighted @ residual[:, :, None])[..., 0])
+        covariance = []
+        for of in members:
+            at = (3 * of[:, None] + np.arange(3)).reshape(-1)
+            covariance.append(np.linalg.inv(information[at][:, at].toarray()))
+            points[of] -= (covariance[-1] @ gradient[at]).reshape(-1, 3)
+        residual, own = _observed(graph, lines, axes, points)
+    part = np.zeros(count, dtype=np.int64)
+    for number, of in enumerate(members):
+        part[of] = number
+    return Adjusted(points, part, tuple(covariance), lines, axes, residual, own)
+
+
+def line_axes(ends_mm: Float[np.ndarray, "l 2 3"]) -> Float[np.ndarray, "l 3 3"]:
+    """Two directions across each line, and the one along it."""
+    way = ends_mm[:, 1] - ends_mm[:, 0]
+    way = way / np.linalg.norm(way, axis=1, keepdims=True)
+    return np.concatenate([axes_across(way), way[:, None]], axis=1)
+
+
+def _members(vertex: Int[np.ndarray, "l 2"], count: int) -> list[Int[np.ndarray, "_"]]:
+    """The vertices of each part of the graph."""
+    ties = sparse.csr_matrix((np.ones(len(vertex)), vertex.T), shape=(count, count))
+    parts, label = connected_components(ties, directed=False)
+    return [np.flatnonzero(label == part) for part in range(parts)]
+
+
+def _means(
+    vertex: Int[np.ndarray, "l 2"], ends_mm: Float[np.ndarray, "l 2 3"], count: int
+) -> Float[np.ndarray, "n 3"]:
+    total, number = np.zeros((count, 3)), np.zeros(count)
+    np.add.at(total, vertex, ends_mm)
+    np.add.at(number, vertex, 1.0)
+    return total / np.maximum(number, 1.0)[:, None]
+
+
+def _observed(
+    graph: Graph,
+    lines: Int[np.ndarray, "l"],
+    axes: Float[np.ndarray, "l 3 3"],
+    points_mm: Float[np.ndarray, "n 3"],
+) -> tuple[Float[np.ndarray, "l 6"], Float[np.ndarray, "l 6 6"]]:
+    """(both vertices less where each line has them, in its axes; covariance of the latter)."""
+    ends, vertex = graph.lines_mm[lines], graph.vertex[lines]
+    residual = np.einsum("lai,lei->lea", axes, points_mm[vertex] - ends)
+    length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    place = residual[:, :, 2] + np.stack([np.zeros(len(lines)), length], axis=1)
+    share = place / length[:, None]
+    carry = np.stack([1 - share, share], axis=2)
+    across, blocks = axes[:, :2], graph.covariance_mm2[lines].reshape(-1, 2, 3, 2, 3)
+    measured = np.einsum("lai,lfigj,lbj->lfagb", across, blocks, across)
+    own = np.zeros((len(lines), 2, 3, 2, 3))
+    own[:, :, :2, :, :2] = np.einsum("lef,lfagb,lhg->leahb", carry, measured, carry)
+    for end in (0, 1):
+        own[:, end, 2, end, 2] = graph.along_mm[lines, end] ** 2
+    return residual.reshape(-1, 6), own.reshape(-1, 6, 6)
+
+
+def _scattered(
+    blocks: Float[np.ndarray, "l 6 6"], rows: Int[np.ndarray, "l 6"], size: int
+) -> sparse.csr_matrix:
+    row = np.broadcast_to(rows[:, :, None], blocks.shape).reshape(-1)
+    column = np.broadcast_to(rows[:, None], blocks.shape).reshape(-1)
+    return sparse.csr_matrix((blocks.reshape(-1), (row, column)), shape=(size, size))

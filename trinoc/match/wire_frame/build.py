@@ -1,0 +1,175 @@
+"""From matches to the wire frame: lines joined, corners found, all made consistent."""
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from trinoc.geometry import Rig
+from trinoc.match.line_map import JoinedLines, join_collinear, snap_corners
+from trinoc.match.tracks import Matches
+from trinoc.match.tuning import DEFAULT, MatchTuning
+from trinoc.match.wire_frame.faces import Face, faces_of, plane_through
+from trinoc.match.wire_frame.fit import Snooped, end_fit, snooped
+from trinoc.match.wire_frame.frame import LetGo, Wireframe
+from trinoc.match.wire_frame.graph import Graph, graph_of
+from trinoc.match.wire_frame.planarity import flattened
+from trinoc.match.wire_frame.refused import Refused, refused_ends
+from trinoc.numerics import in_float64
+
+
+@in_float64
+def wireframe(
+    matches: Matches, rig: Rig, *, flat: bool = True, tuning: MatchTuning = DEFAULT
+) -> Wireframe:
+    """The corners, edges and planar faces that the matches show, as one consistent graph.
+
+    Collinear tracks are joined (`join_collinear`), ends that meet are corners (`snap_corners`).
+    Then all vertices are estimated at once: every edge runs through both of its vertices, and its
+    line was measured with the covariance of its segments. An end that does not fit its corner at a
+    level of 0.001 is let go, the worst first, and stays as a free end. It is named in `let_go`, as
+    is an end that stops beside a corner, within 7 pixels, but does not run through it. Lines
+    between the same two vertices are one edge. A face is a shortest loop of three edges or more
+    whose vertices lie in one plane at a level of 0.01; with `flat` they are then held to it.
+
+    Free ends are where detectors stopped: along its edge each has a standard deviation of 7 pixels
+    and more. The cameras count as exact. Raises InputError where the covariance of the fragments
+    is not known.
+    """
+    joined = join_collinear(matches, rig, tuning=tuning)
+    corners = snap_corners(joined, tuning=tuning)
+    graph = graph_of(joined, corners, tuning.corners.free_end_px)
+    found = snooped(graph, joined.posterior, tuning.corners.significance)
+    edges, edge_of_line = _edges(found.graph)
+    edge_of_track = edge_of_line[joined.line_of_track]
+    fit = end_fit(found.graph, found.answer)
+    loops = faces_of(found.answer, edges, tuning.wireframe)
+    answer = flattened(found.answer, loops) if flat else found.answer
+    faces = [
+        plane_through(answer, face.loop, flattened=flat)._replace(chi_square=face.chi_square)
+        for face in loops
+    ]
+    seen = np.asarray(matches.index) >= 0
+    faces, facing = _turned(faces, _views_of_vertices(seen, edges, edge_of_track), matches, rig)
+    square, degrees = _of_vertices(found)
+    refused = refused_ends(
+        found.graph,
+        found.answer,
+        joined.px_per_mm,
+        tuning.corners.free_end_px,
+        tuning.corners.significance,
+    )
+    return Wireframe(
+        vertices_mm=answer.points_mm,
+        corner=np.bincount(edges.reshape(-1), minlength=len(answer.points_mm)) > 1,
+        vertex_chi_square=square,
+        vertex_degrees=degrees,
+        part=answer.part,
+        joint_covariance_mm2=answer.covariance_mm2,
+        edges=edges,
+        posterior=_largest(joined.posterior, edge_of_line, len(edges)),
+        views=_views(seen, edges, edge_of_track).sum(axis=1),
+        viewpoint_dependent=_viewpoint_dependent(matches, edge_of_track, len(edges)),
+        chi_square=_largest(fit.square.sum(axis=1), edge_of_line, len(edges)),
+        degrees=_largest(fit.degrees.sum(axis=1), edge_of_line, len(edges)),
+        edge_of_track=edge_of_track,
+        face=np.repeat(np.arange(len(faces)), [len(face.loop) for face in faces]),
+        face_vertex=np.concatenate([*(face.loop for face in faces), np.zeros(0, dtype=np.int64)]),
+        planes=np.array([face.plane for face in faces]).reshape(-1, 4),
+        planes_covariance=np.array([face.covariance for face in faces]).reshape(-1, 4, 4),
+        face_chi_square=np.array([face.chi_square for face in faces]),
+        face_degrees=np.array([face.degrees for face in faces], dtype=np.int64),
+        facing=facing,
+        let_go=_named(found, refused, joined),
+    )
+
+
+def _edges(graph: Graph) -> tuple[Int[np.ndarray, "e 2"], Int[np.ndarray, "l"]]:
+    """(the vertices of each edge, in the order of its first line; the edge of each line)."""
+    pairs = np.sort(graph.vertex, axis=1)
+    unique, first, inverse = np.unique(pairs, axis=0, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    rank = np.empty_like(order)
+    rank[order] = np.arange(len(order))
+    return unique[order].reshape(-1, 2), rank[inverse.reshape(-1)]
+
+
+def _largest(values: np.ndarray, edge_of_line: Int[np.ndarray, "l"], count: int) -> np.ndarray:
+    """Of the lines of each edge."""
+    most = np.zeros(count, dtype=values.dtype)
+    np.maximum.at(most, edge_of_line, values)
+    return most
+
+
+def _views(
+    seen: Bool[np.ndarray, "t v"], edges: Int[np.ndarray, "e 2"], edge_of_track: np.ndarray
+) -> Bool[np.ndarray, "e v"]:
+    """Which views see each edge."""
+    views = np.zeros((len(edges), seen.shape[1]), dtype=bool)
+    np.logical_or.at(views, edge_of_track, seen)
+    return views
+
+
+def _views_of_vertices(
+    seen: Bool[np.ndarray, "t v"], edges: Int[np.ndarray, "e 2"], edge_of_track: np.ndarray
+) -> Bool[np.ndarray, "n v"]:
+    """Which views see an edge at each vertex."""
+    views = np.zeros((int(edges.max(initial=-1)) + 1, seen.shape[1]), dtype=bool)
+    of_edges = _views(seen, edges, edge_of_track)
+    for end in (0, 1):
+        np.logical_or.at(views, edges[:, end], of_edges)
+    return views
+
+
+def _viewpoint_dependent(
+    matches: Matches, edge_of_track: Int[np.ndarray, "t"], count: int
+) -> Bool[np.ndarray, "e"]:
+    moving = np.ones(count, dtype=bool)
+    if matches.viewpoint_dependent is None:
+        return ~moving
+    np.logical_and.at(moving, edge_of_track, matches.viewpoint_dependent)
+    return moving
+
+
+def _of_vertices(found: Snooped) -> tuple[Float[np.ndarray, "n"], Int[np.ndarray, "n"]]:
+    """Chi-square of what lines say across themselves at each vertex, and degrees of freedom."""
+    vertex, answer = found.graph.vertex[found.answer.lines], found.answer
+    count = len(answer.points_mm)
+    square, number = np.zeros(count), np.bincount(vertex.reshape(-1), minlength=count)
+    for end in (0, 1):
+        across = slice(3 * end, 3 * end + 2)
+        residual, own = answer.residual_mm[:, across], answer.own_mm2[:, across, across]
+        own_square = (residual * np.linalg.solve(own, residual[:, :, None])[..., 0]).sum(axis=1)
+        np.add.at(square, vertex[:, end], own_square)
+    return square, np.maximum(2 * number - 3, 0)
+
+
+def _turned(
+    faces: list[Face], views: Bool[np.ndarray, "n v"], matches: Matches, rig: Rig
+) -> tuple[list[Face], Bool[np.ndarray, "f"]]:
+    """(faces whose normals point to most cameras that see them, whether all lie there)."""
+    centres = np.stack([np.asarray(rig[name].centre_world_mm) for name in matches.views])
+    turned, facing = [], []
+    for face in faces:
+        sides = np.sign(centres @ face.plane[:3] - face.plane[3])[views[face.loop].any(axis=0)]
+        if sides.sum() < 0:
+            face = face._replace(loop=face.loop[::-1], plane=-face.plane)
+        turned.append(face)
+        facing.append(abs(sides.sum()) == len(sides))
+    return turned, np.array(facing, dtype=bool)
+
+
+def _named(found: Snooped, refused: tuple[Refused, ...], joined: JoinedLines) -> tuple[LetGo, ...]:
+    """What was let go, in words: an end once, and that it left its corner rather than why not."""
+    words = {
+        (each.line, each.end): f"ends beside a corner that it passes at {each.distance_mm:.2f} mm: "
+        f"chi-square {each.chi_square:.0f} with 2 degrees of freedom; not held to it"
+        for each in refused
+    }
+    for line, end, square, degrees in found.let_go:
+        words[line, end] = (
+            f"does not run through the corner that it ends at: chi-square {square:.0f} with "
+            f"{degrees} degrees of freedom; its end is free"
+        )
+    return tuple(
+        LetGo(int(joined.tracks_of(line)[0]), tuple(joined.lines_mm[line, end].tolist()), reason)
+        for (line, end), reason in sorted(words.items())
+    )

@@ -1,0 +1,139 @@
+"""The wire frame: vertices, edges and planar faces with their covariance."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from trinoc.numerics import Shown
+
+TWO_VIEWS = 2
+
+
+class LetGo(NamedTuple):
+    """What did not fit: the first track of the line, where in mm, and why in a sentence."""
+
+    track: int
+    place_mm: tuple[float, float, float]
+    reason: str
+
+
+class Wireframe(Shown, eqx.Module):
+    """A graph in space: edges are straight from vertex to vertex, faces are loops of edges.
+
+    Vertices, edges and faces are numbered from 0. `face` and `face_vertex` are one table with a
+    row for each vertex of each face, in order round it.
+
+    Fields
+    ------
+    vertices_mm : (n, 3) corners, and free ends where an edge's evidence stops.
+    corner : (n,) whether two edges or more meet there; False for a free end.
+    vertex_chi_square, vertex_degrees : (n,) how well the edges pass through one point.
+    part : (n,) which vertices hang together, and are known together.
+    joint_covariance_mm2 : for each part, (3 k, 3 k) of its vertices in their order.
+    edges : (e, 2) the two vertices of each edge, the lower number first.
+    posterior : (e,) probability that the best match on it is right.
+    views : (e,) number of views that see it; an edge of two is checked by no third.
+    viewpoint_dependent : (e,) whether all of its tracks are likely to be no line in space.
+    chi_square, degrees : (e,) how well its lines fit what else is known of its vertices; 0
+        degrees where nothing else is.
+    edge_of_track : (t,) the edge that each track of the matches is on, -1 where let go.
+    face, face_vertex : (m,) number of the face, and of the vertex.
+    planes : (f, 4) unit normal and offset in mm of each face, normal . x = offset. The vertices
+        run counter-clockwise about the normal.
+    planes_covariance : (f, 4, 4) of these.
+    face_chi_square, face_degrees : (f,) how well the vertices lie in one plane.
+    facing : (f,) whether all cameras that see its edges lie on the normal's side; where not, the
+        normal points to most of them.
+    let_go : what did not fit, and why.
+    """
+
+    vertices_mm: Float[np.ndarray, "n 3"]
+    corner: Bool[np.ndarray, "n"]
+    vertex_chi_square: Float[np.ndarray, "n"]
+    vertex_degrees: Int[np.ndarray, "n"]
+    part: Int[np.ndarray, "n"]
+    joint_covariance_mm2: tuple[Float[np.ndarray, "_ _"], ...]
+    edges: Int[np.ndarray, "e 2"]
+    posterior: Float[np.ndarray, "e"]
+    views: Int[np.ndarray, "e"]
+    viewpoint_dependent: Bool[np.ndarray, "e"]
+    chi_square: Float[np.ndarray, "e"]
+    degrees: Int[np.ndarray, "e"]
+    edge_of_track: Int[np.ndarray, "t"]
+    face: Int[np.ndarray, "m"]
+    face_vertex: Int[np.ndarray, "m"]
+    planes: Float[np.ndarray, "f 4"]
+    planes_covariance: Float[np.ndarray, "f 4 4"]
+    face_chi_square: Float[np.ndarray, "f"]
+    face_degrees: Int[np.ndarray, "f"]
+    facing: Bool[np.ndarray, "f"]
+    let_go: tuple[LetGo, ...] = eqx.field(static=True, default=())
+
+    def __len__(self) -> int:
+        return len(self.edges)
+
+    @property
+    def checked(self) -> Bool[np.ndarray, "e"]:
+        """(e,) whether three views or more see the edge."""
+        return self.views > TWO_VIEWS
+
+    @property
+    def lines_mm(self) -> Float[np.ndarray, "e 2 3"]:
+        """(e, 2, 3) both ends of each edge."""
+        return self.vertices_mm[self.edges].reshape(-1, 2, 3)
+
+    @property
+    def covariance_mm2(self) -> Float[np.ndarray, "e 6 6"]:
+        """(e, 6, 6) of both ends of each edge together."""
+        found = [self.covariance_of(pair) for pair in self.edges]
+        return np.array(found).reshape(-1, 6, 6)
+
+    @property
+    def vertices_covariance_mm2(self) -> Float[np.ndarray, "n 3 3"]:
+        """(n, 3, 3) of each vertex."""
+        found = [self.covariance_of([vertex]) for vertex in range(len(self.vertices_mm))]
+        return np.array(found).reshape(-1, 3, 3)
+
+    @property
+    def faces(self) -> list[Int[np.ndarray, "_"]]:
+        """The vertices of each face, in order round it."""
+        return [self.face_vertex[self.face == face] for face in range(len(self.planes))]
+
+    @property
+    def face_posterior(self) -> Float[np.ndarray, "f"]:
+        """(f,) the least posterior of the edges round each face."""
+        of_pair = {tuple(pair): p for pair, p in zip(self.edges.tolist(), self.posterior.tolist())}
+        return np.array(
+            [
+                min(
+                    of_pair[min(a, b), max(a, b)]
+                    for a, b in zip(loop.tolist(), np.roll(loop, -1).tolist(), strict=True)
+                )
+                for loop in self.faces
+            ]
+        )
+
+    def tracks_of(self, edge: int | np.integer) -> Int[np.ndarray, "_"]:
+        """The tracks of the matches that are on an edge."""
+        return np.flatnonzero(self.edge_of_track == edge)
+
+    def edges_at(self, vertex: int | np.integer) -> Int[np.ndarray, "_"]:
+        """The edges that meet in a vertex."""
+        return np.flatnonzero((self.edges == vertex).any(axis=1))
+
+    def covariance_of(
+        self, vertices: Sequence[int] | Int[np.ndarray, "k"]
+    ) -> Float[np.ndarray, "m m"]:
+        """The joint covariance in mm^2 of some vertices, three rows for each in turn."""
+        chosen = np.asarray(vertices, dtype=np.int64)
+        spread = np.zeros((len(chosen), 3, len(chosen), 3))
+        for part in np.unique(self.part[chosen]).tolist():
+            rows = np.flatnonzero(self.part[chosen] == part)
+            at = np.searchsorted(np.flatnonzero(self.part == part), chosen[rows])
+            blocks = self.joint_covariance_mm2[part]
+            blocks = blocks.reshape(len(blocks) // 3, 3, -1, 3)[at][:, :, at]
+            spread[rows[:, None], :, rows[None]] = blocks.transpose(0, 2, 1, 3)
+        return spread.reshape(3 * len(chosen), 3 * len(chosen))
