@@ -21,11 +21,11 @@ class Wireframe(Command):
     rig: Annotated[Path, tyro.conf.arg(metavar="FILE")]
     """The cameras that the matches were made with."""
 
-    out: Annotated[Path, tyro.conf.arg(aliases=("-o",), metavar="FILE")]
-    """Where it goes: wireframe.npz."""
+    out: Annotated[Path, tyro.conf.arg(aliases=("-o",))] = Path("wireframe.npz")
+    """Where it goes."""
 
-    flat: bool = True
-    """Hold the vertices of each face to its plane."""
+    no_flat: bool = False
+    """Do not hold the vertices of each face to its plane."""
 
     def run(self, command_line: str) -> Outcome:
         """Read, put together, and write."""
@@ -33,7 +33,7 @@ class Wireframe(Command):
         from trinoc.match import wireframe
 
         expect_place(self.out)
-        frame = wireframe(load_matches(self.file), read_rig(self.rig), flat=self.flat)
+        frame = wireframe(load_matches(self.file), read_rig(self.rig), flat=not self.no_flat)
         save(frame, self.out)
         for each in frame.let_go:
             LOGGER.warning("track %d %s", each.track, each.reason)
