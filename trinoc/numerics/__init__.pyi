@@ -78,6 +78,8 @@ from .scalar_vectors import (
     between as between,
     cross3 as cross3,
     dot3 as dot3,
+    largest_of as largest_of,
+    least_of as least_of,
     outer3 as outer3,
     scaled3 as scaled3,
     stacked as stacked,

@@ -2,7 +2,8 @@
 
 Under `vmap` a scalar becomes one long array, and arithmetic on such arrays fuses into one loop
 over the items; a batch of 3-vectors and 2x2 matrices becomes thousands of tiny products, tens
-of times slower on a CPU.
+of times slower on a CPU. Scalars may as well be arrays of many items from the start, with axes
+that broadcast.
 """
 
 import functools
@@ -15,21 +16,31 @@ from jaxtyping import Float, Int
 
 from trinoc.numerics.arrays import ArrayLike
 
-Scalar = Float[ArrayLike, ""]
+Scalar = Float[ArrayLike, "..."]
 Vector2 = tuple[Scalar, Scalar]
 Vector3 = tuple[Scalar, Scalar, Scalar]
 # xx, xy, xz, yy, yz, zz
 Symmetric3 = tuple[Scalar, Scalar, Scalar, Scalar, Scalar, Scalar]
 
 
-def vector3(array: Float[ArrayLike, "3"]) -> Vector3:
+def vector3(array: Float[ArrayLike, "... 3"]) -> Vector3:
     """The components of an array."""
-    return array[0], array[1], array[2]
+    return array[..., 0], array[..., 1], array[..., 2]
 
 
 def total(terms: Iterable[Scalar]) -> Scalar:
-    """Sum of at least one scalar."""
+    """Sum of at least one scalar, or over the first axis of an array."""
     return functools.reduce(operator.add, terms)
+
+
+def largest_of(terms: Iterable[Scalar]) -> Scalar:
+    """The largest of at least one scalar, or along the first axis of an array."""
+    return functools.reduce(jnp.maximum, terms)
+
+
+def least_of(terms: Iterable[Scalar]) -> Scalar:
+    """The least of at least one scalar, or along the first axis of an array."""
+    return functools.reduce(jnp.minimum, terms)
 
 
 def dot3(a: Vector3, b: Vector3) -> Scalar:
@@ -71,12 +82,12 @@ def outer3(a: Vector3, b: Vector3, weights: tuple[Scalar, Scalar, Scalar]) -> Sy
     return xx, xy, xz, yy, yz, zz
 
 
-def times_matrix(matrix: Float[ArrayLike, "3 3"], a: Vector3) -> Vector3:
+def times_matrix(matrix: Float[ArrayLike, "... 3 3"], a: Vector3) -> Vector3:
     """matrix a."""
     return (
-        dot3(vector3(matrix[0]), a),
-        dot3(vector3(matrix[1]), a),
-        dot3(vector3(matrix[2]), a),
+        dot3(vector3(matrix[..., 0, :]), a),
+        dot3(vector3(matrix[..., 1, :]), a),
+        dot3(vector3(matrix[..., 2, :]), a),
     )
 
 

@@ -15,6 +15,7 @@ from trinoc.match.candidates.table import Candidates, no_candidates, prior_log_o
 from trinoc.match.evidence import (
     TripleEvidence,
     end_evidence,
+    line_of_three,
     polarity_evidence,
     prior_parameters,
     side_evidence,
@@ -25,7 +26,7 @@ from trinoc.match.observations import (
     ClutterModel,
     SegmentTable,
     block_of,
-    of_frame,
+    clutter_of,
 )
 from trinoc.match.tuning import DEFAULT, CandidateTuning, EndTuning, MatchTuning
 from trinoc.match.two_view import (
@@ -207,18 +208,13 @@ def _evidence_of(
     tuning: CandidateTuning,
     ends: EndTuning,
 ) -> tuple[TripleEvidence, tuple[tuple[Float[ArrayLike, "_h"], ...], ...]]:
-    def judge(segments: Int[ArrayLike, "3"]) -> tuple[TripleEvidence, tuple]:
-        own, among = of_frame(lines, order[0], segments[0]), clutter
-        if lines.frame is not None:
-            frame = lines.frame[order[0], segments[0]]
-            among = clutter._replace(typical_px=clutter.typical_px[frame])
-        of_pencil = pencil_of(planes, lines, order[0], segments[0])
-        rows = row_of(planes.first, segments[0]), row_of(planes.second, segments[1])
-        near_mm = points_of(of_pencil, cut_pair(of_pencil.baseline_mm, *rows, tuning))
-        first = triple_evidence(own, order, segments, near_mm, among, tuning)
-        # Once more on the line fitted to all three: then it does not matter which pair came first.
-        evidence = triple_evidence(own, order, segments, first.ends_mm, among, tuning)
-        evidence = evidence._replace(possible=first.possible & evidence.possible)
-        return evidence, end_evidence(evidence.extent_px, ends)
-
-    return jax.vmap(judge)(jnp.asarray(triple))
+    segments = jnp.asarray(triple).T
+    among = clutter_of(clutter, lines, order[0], segments[0])
+    of_pencil = pencil_of(planes, lines, order[0], segments[0])
+    rows = row_of(planes.first, segments[0]), row_of(planes.second, segments[1])
+    near_mm = points_of(of_pencil, cut_pair(of_pencil.baseline_mm, *rows, tuning))
+    # Once more on the line fitted to all three: then it does not matter which pair came first.
+    fitted_mm, possible = line_of_three(lines, order, segments, near_mm, tuning)
+    evidence = triple_evidence(lines, order, segments, fitted_mm, among, tuning)
+    evidence = evidence._replace(possible=possible & evidence.possible)
+    return evidence, end_evidence(evidence.extent_px, ends)

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from trinoc.match.tuning import DEFAULT, EndTuning
-from trinoc.numerics import Scalar
+from trinoc.numerics import Scalar, largest_of
 
 # All agree, by scale; two agree and the third stops short, by scale; or runs on; none agree.
 END_COMPONENTS = len(DEFAULT.ends.prior_shares)
@@ -21,13 +21,11 @@ def end_evidence(
     extent_px: tuple[tuple[Scalar, Scalar], ...], tuning: EndTuning = DEFAULT.ends
 ) -> tuple[tuple[Scalar, ...], tuple[Scalar, ...]]:
     """Log of each component's density over that of clutter, at both ends of a triple."""
-    longest = extent_px[0][1] - extent_px[0][0]
-    for low, high in extent_px[1:]:
-        longest = jnp.maximum(longest, high - low)
-    return (
-        _components(tuple(low for low, _ in extent_px), longest, tuning),
-        _components(tuple(-high for _, high in extent_px), longest, tuning),
-    )
+    # Both ends at once, each inward.
+    inward = [jnp.stack([low, -high]) for low, high in extent_px]
+    longest = largest_of(high - low for low, high in extent_px)
+    components = _components((inward[0], inward[1], inward[2]), longest, tuning)
+    return tuple(c[0] for c in components), tuple(c[1] for c in components)
 
 
 def _components(
@@ -60,5 +58,5 @@ def _components(
         *agreeing,
         *(two_agree(s, True) for s in tuning.pair_px),
         *(two_agree(s, False) for s in tuning.pair_px),
-        jnp.zeros_like(log_longest),
+        jnp.zeros_like(first),
     )

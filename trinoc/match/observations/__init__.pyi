@@ -1,4 +1,8 @@
-from .clutter import ClutterModel as ClutterModel, fit_clutter as fit_clutter
+from .clutter import (
+    ClutterModel as ClutterModel,
+    clutter_of as clutter_of,
+    fit_clutter as fit_clutter,
+)
 from .common_view import (
     look_apart as look_apart,
     mirrored_error as mirrored_error,
@@ -23,6 +27,5 @@ from .table import (
     block_of as block_of,
     frames_of as frames_of,
     matrices_of as matrices_of,
-    of_frame as of_frame,
     segments_per_view as segments_per_view,
 )

@@ -110,21 +110,6 @@ def _prepared(
     )
 
 
-def of_frame(
-    lines: SegmentTable, view: Int[ArrayLike, ""], segment: Int[ArrayLike, ""]
-) -> SegmentTable:
-    """The table with the cameras of one segment's frame alone: all that belongs to one line."""
-    if lines.frame is None:
-        return lines
-    frame = lines.frame[view, segment]
-    return lines._replace(
-        matrix_px=lines.matrix_px[frame],
-        centre_mm=lines.centre_mm[frame],
-        inverse=lines.inverse[frame],
-        size_px=lines.size_px[frame],
-    )
-
-
 def frames_of(lines: SegmentTable, index: Int[np.ndarray, "m v"]) -> Int[np.ndarray, "m"] | None:
     """The frame of each group of segments, -1 where it has none in a view; None without frames."""
     if lines.frame is None:

@@ -4,7 +4,6 @@ from collections.abc import Iterator
 from functools import partial
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
@@ -16,7 +15,7 @@ from trinoc.match.observations import (
     ClutterModel,
     SegmentTable,
     block_of,
-    of_frame,
+    clutter_of,
 )
 from trinoc.match.tuning import CandidateTuning, EndTuning, MatchTuning
 from trinoc.match.two_view import Pencil, pencil, pencil_of, plane_angles, row_of
@@ -100,13 +99,8 @@ def _evidence_of(
     tuning: CandidateTuning,
     ends: EndTuning,
 ) -> PairEvidence:
-    def judge(segments: Int[ArrayLike, "2"]) -> PairEvidence:
-        rows = row_of(planes.first, segments[0]), row_of(planes.second, segments[1])
-        own, among = of_frame(lines, views[0], segments[0]), clutter
-        if lines.frame is not None:
-            frame = lines.frame[views[0], segments[0]]
-            among = clutter._replace(typical_px=clutter.typical_px[frame])
-        of_pencil = pencil_of(planes, lines, views[0], segments[0])
-        return pair_evidence(own, views, of_pencil, rows, segments, among, tuning, ends)
-
-    return jax.vmap(judge)(jnp.asarray(pairs))
+    segments = jnp.asarray(pairs).T
+    rows = row_of(planes.first, segments[0]), row_of(planes.second, segments[1])
+    among = clutter_of(clutter, lines, views[0], segments[0])
+    of_pencil = pencil_of(planes, lines, views[0], segments[0])
+    return pair_evidence(lines, views, of_pencil, rows, segments, among, tuning, ends)

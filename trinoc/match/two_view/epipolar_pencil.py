@@ -88,9 +88,9 @@ def pencil(lines: SegmentTable, a: Int[ArrayLike, ""], b: Int[ArrayLike, ""]) ->
 
 
 def pencil_of(
-    planes: Pencil, lines: SegmentTable, view: Int[ArrayLike, ""], segment: Int[ArrayLike, ""]
+    planes: Pencil, lines: SegmentTable, view: Int[ArrayLike, ""], segment: Int[ArrayLike, "..."]
 ) -> Pencil:
-    """The pencil with the planes of one segment's frame alone."""
+    """The pencil with the planes of some segments' frames alone."""
     if lines.frame is None:
         return planes
     frame = lines.frame[view, segment]
