@@ -21,6 +21,7 @@ for _variable in (
 # Tests compile far longer than they compute: XLA's costly passes do not pay here. What users run,
 # with these passes, is run by `.ci/run` in the demo.
 os.environ.setdefault("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
+os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false")
 
 # Workers and notebooks compile the same kernels. They share them through a folder that the
 # first process makes and removes; the others find its name in their environment.

@@ -77,6 +77,23 @@ def test_other_arguments_and_settings_are_other_programs(drawer, arguments) -> N
     assert len(drawer) == 3
 
 
+def doubled(x: jax.Array) -> jax.Array:
+    return x + x
+
+
+@pytest.mark.parametrize("kind", [np.float64, np.float32, np.int32])
+def test_each_kind_of_number_is_a_program_of_its_own(drawer, kind) -> None:
+    others = [k for k in (np.float64, np.float32, np.int32) if k is not kind]
+    for other in others:
+        kept_jit(doubled)(np.ones(3, other))
+    again = kept_jit(doubled)(np.ones(3, kind))
+    assert again.dtype == kind and len(drawer) == 3
+    # A number of Python takes the kind of what it meets: another program again.
+    kept_jit(doubled)(1.0)
+    kept_jit(doubled)(np.float64(1.0))
+    assert len(drawer) == 5
+
+
 def test_damage_is_compiled_anew(drawer, arguments) -> None:
     expected = kept_jit(line_up)(*arguments)
     (name,) = drawer

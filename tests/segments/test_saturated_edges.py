@@ -1,5 +1,6 @@
 """Edges with a saturated bright side lie where the unsaturated side says, within their sigmas."""
 
+import cv2
 import numpy as np
 import pytest
 from scipy.special import ndtr
@@ -88,3 +89,14 @@ def test_the_parts_of_a_covariance_add_up() -> None:
     rows = np.kron(np.eye(2), forward)
     np.testing.assert_allclose(rows @ covariance @ rows.T, np.diag([0.25, 4.0]), atol=1e-12)
     assert np.linalg.eigvalsh(covariance).min() > 0
+
+
+def test_an_edge_with_no_level_below_white_has_finite_errors_without_a_warning() -> None:
+    grey = np.full((300, 300), 247.0)
+    grey[140:291, 150:291] = 300
+    grey[20:121, 20:121] = 20
+    grey = cv2.GaussianBlur(grey, (0, 0), 4.0) + np.random.default_rng(0).normal(0, 3, grey.shape)
+    segments = find_segments(np.clip(np.rint(grey), 0, 255).astype(np.uint8))
+    assert np.isfinite(segments.endpoints_px).all()
+    assert (np.linalg.eigvalsh(segments.covariance_px2) > 0).all()
+    assert (np.asarray(segments.endpoints_px).mean(axis=(1, 2)) > 135).any()

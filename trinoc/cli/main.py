@@ -89,9 +89,11 @@ def _run(command: Command, command_line: str) -> int:
     # Small LAPACK calls are many times slower when their threads fight over busy cores.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+    from trinoc.cli.compiler import compile_quickly
     from trinoc.cli.progress import set_up_logging
     from trinoc.io import enable_compile_cache
 
+    compile_quickly()
     set_up_logging(quiet=command.quiet)
     enable_compile_cache()
     try:

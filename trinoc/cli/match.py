@@ -77,7 +77,7 @@ class Match(SegmentOptions, Command):
         self.check()
 
         from trinoc.io import expect_place, save
-        from trinoc.match import guide_matches, match_segments
+        from trinoc.match import match_segments
 
         expect_place(self.out, self.report)
         rig = read_rig(self.rig)
@@ -93,6 +93,8 @@ class Match(SegmentOptions, Command):
         depths = None if self.depth_range_mm == ANYWHERE else self.depth_range_mm
         matches = match_segments(segments, rig, depth_range_mm=depths)
         if self.guided:
+            from trinoc.match import guide_matches
+
             LOGGER.info("asking the pictures again along %d lines", len(matches))
             guided = guide_matches(matches, segments, rig, images)
             segments, matches = guided.segments, guided.matches

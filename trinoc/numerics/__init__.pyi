@@ -23,6 +23,7 @@ from .chi_square import (
     normal_limit as normal_limit,
 )
 from .compilation import one_compiles as one_compiles
+from .compiler_options import quick_compiling as quick_compiling
 from .display import Displays as Displays, Shown as Shown, display_with as display_with
 from .grey import GreyImage as GreyImage, grey_image as grey_image
 from .grouped import (

@@ -20,6 +20,7 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 import jax
 import jax.numpy as jnp
 
+from trinoc.numerics.compiler_options import quick_compiling
 from trinoc.numerics.precision import is_outside, is_traced
 
 # Whose classes a version number or the store's own key stands for.
@@ -70,7 +71,11 @@ def kept_jit(
 
     The function must take no value from outside but constants of trinoc's own modules.
     """
-    plain = jax.jit(function, static_argnames=static_argnames)
+    # Options of the compiler are for whole programs alone.
+    inner = jax.jit(function, static_argnames=static_argnames)
+    whole = jax.jit(
+        function, static_argnames=static_argnames, compiler_options=quick_compiling() or None
+    )
     signature = inspect.signature(function)
     known: dict[Hashable, _Kept | None] = {}
 
@@ -78,14 +83,10 @@ def kept_jit(
     def call(*args: Any, **kwargs: Any) -> Any:
         store = _Where.store
         config: Any = jax.config
-        if (
-            store is None
-            or config.jax_disable_jit
-            or is_traced(args, kwargs)
-            or not is_outside()
-            or jax.default_backend() != "cpu"
-        ):
-            return plain(*args, **kwargs)
+        if is_traced(args, kwargs) or not is_outside():
+            return inner(*args, **kwargs)
+        if store is None or config.jax_disable_jit or jax.default_backend() != "cpu":
+            return whole(*args, **kwargs)
         given = signature.bind(*args, **kwargs)
         given.apply_defaults()
         static = {name: given.arguments.pop(name) for name in static_argnames}
@@ -97,7 +98,7 @@ def kept_jit(
             known[key] = _found_or_made(store, function, static, tree, leaves, key)
         kept = known[key]
         if kept is None:
-            return plain(*args, **kwargs)
+            return whole(*args, **kwargs)
         return jax.tree.unflatten(kept.result, kept.program(leaves))
 
     return call
@@ -141,7 +142,7 @@ def _found_or_made(
 
     # What JAX's own cache hands out cannot be kept again: a name of its own, so that it compiles.
     flat.__name__ = f"{function.__name__}_{secrets.token_hex(4)}"
-    compiled = jax.jit(flat).lower(leaves).compile()
+    compiled = jax.jit(flat).lower(leaves).compile(compiler_options=quick_compiling() or None)
     result = found[0]
     try:
         # What a program calls must be there when it is loaded.

@@ -182,7 +182,8 @@ def _fitted(
     used = (
         seen & (across < cut - 1.5 * _BIN_PX) & (across > np.minimum(cut, 0) - _WIDTHS * width - 1)
     )
-    floor = np.where(used, level, np.inf).min(axis=1)
+    # A line all of whose levels are near white has none to fit, and is poor below.
+    floor = np.where(used, level, white).min(axis=1)
     visible = np.maximum(white - floor, 1.0)
     information = _information(used, count, noise, visible, tuning)
     data = across, level, information

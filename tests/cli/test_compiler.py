@@ -1,0 +1,28 @@
+"""The commands choose XLA's quicker code generator where it is known, and users have the last word."""
+
+import os
+
+import jaxlib.version
+import pytest
+
+from trinoc.cli.compiler import compile_quickly
+
+
+@pytest.mark.parametrize(
+    ("version", "own", "expected"),
+    [
+        ("0.10.2", None, "--xla_cpu_use_fusion_emitters=false"),
+        ("0.10.2", "--xla_a=1", "--xla_cpu_use_fusion_emitters=false --xla_a=1"),
+        ("0.10.2", "--xla_cpu_use_fusion_emitters=true", "--xla_cpu_use_fusion_emitters=true"),
+        ("0.11.0", None, None),
+        ("0.100.0", "--xla_a=1", "--xla_a=1"),
+    ],
+)
+def test_only_versions_that_know_the_flag_get_it(monkeypatch, version, own, expected) -> None:
+    monkeypatch.setattr(jaxlib.version, "__version__", version)
+    monkeypatch.delenv("XLA_FLAGS", raising=False)
+    if own is not None:
+        monkeypatch.setenv("XLA_FLAGS", own)
+    compile_quickly()
+    compile_quickly()
+    assert os.environ.get("XLA_FLAGS") == expected
