@@ -22,6 +22,11 @@ from .chi_square import (
     chi_square_tail as chi_square_tail,
     normal_limit as normal_limit,
 )
+from .columns import (
+    as_columns as as_columns,
+    judged_in_blocks as judged_in_blocks,
+    split_columns as split_columns,
+)
 from .compilation import one_compiles as one_compiles
 from .compiler_options import quick_compiling as quick_compiling
 from .display import Displays as Displays, Shown as Shown, display_with as display_with

@@ -12,9 +12,8 @@ for both ends together.
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
-from trinoc.match.observations import ClutterModel, SegmentTable
 from trinoc.match.tuning import DEFAULT, CandidateTuning
 from trinoc.match.two_view import (
     InterpretationPlanes,
@@ -22,7 +21,6 @@ from trinoc.match.two_view import (
     extents_on_line,
     image_length_px,
     interpretation_planes,
-    sight_of,
     variance_mm2,
 )
 from trinoc.numerics import (
@@ -85,15 +83,11 @@ class _Cut(NamedTuple):
 
 
 def triple_evidence(
-    lines: SegmentTable,
-    views: Int[ArrayLike, "3"],
-    segments: Int[ArrayLike, "3 *h"],
+    sight: Sight,
     near_mm: tuple[Vector3, Vector3],
-    clutter: ClutterModel,
     tuning: CandidateTuning = DEFAULT.candidates,
 ) -> TripleEvidence:
     """Evidence of one segment in each of three views, near a line given by two points."""
-    sight = sight_of(lines, views, segments)
     cut = _cut(sight, near_mm, tuning)
     begin, end = cut.begin, cut.begin + cut.common
     first, last = least_of(cut.low), largest_of(cut.high)
@@ -109,8 +103,8 @@ def triple_evidence(
         - total(jnp.log(planes.px_per_mm[:, 0] * planes.px_per_mm[:, 1]))
         - jnp.log(cut.common * cut.common * px_per_mm)
         + jnp.log(image_px[0] * image_px[1] * image_px[2])
-        + log_lengths(high - low, clutter.typical_px)
-        - total(clutter.log_density[views[k], segments[k]] for k in range(3))
+        + log_lengths(high - low, sight.typical_px)
+        - total(sight.log_clutter)
     )
     moved, spread = adjusted(sight, planes, points, cut.along)
     each = [tuple(x[e] for x in moved) for e in range(4)]
@@ -129,14 +123,11 @@ def triple_evidence(
 
 
 def line_of_three(
-    lines: SegmentTable,
-    views: Int[ArrayLike, "3"],
-    segments: Int[ArrayLike, "3 *h"],
+    sight: Sight,
     near_mm: tuple[Vector3, Vector3],
     tuning: CandidateTuning = DEFAULT.candidates,
 ) -> tuple[tuple[Vector3, Vector3], Bool[ArrayLike, "*h"]]:
     """(ends of the common part, adjusted to all three views, whether they can be one line)."""
-    sight = sight_of(lines, views, segments)
     cut = _cut(sight, near_mm, tuning)
     points = cut.points(cut.begin, cut.begin + cut.common)
     planes = interpretation_planes(sight, points)

@@ -1,8 +1,4 @@
-from .clutter import (
-    ClutterModel as ClutterModel,
-    clutter_of as clutter_of,
-    fit_clutter as fit_clutter,
-)
+from .clutter import ClutterModel as ClutterModel, fit_clutter as fit_clutter
 from .common_view import (
     look_apart as look_apart,
     mirrored_error as mirrored_error,

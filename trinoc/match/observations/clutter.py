@@ -52,18 +52,6 @@ def fit_clutter(
     return ClutterModel(np.array(density), np.where(np.isfinite(typical), typical, 1.0))
 
 
-def clutter_of(
-    clutter: ClutterModel,
-    lines: SegmentTable,
-    view: Int[ArrayLike, ""],
-    segments: Int[ArrayLike, "..."],
-) -> ClutterModel:
-    """The model of some segments' frames."""
-    if lines.frame is None:
-        return clutter
-    return clutter._replace(typical_px=clutter.typical_px[lines.frame[view, segments]])
-
-
 def _everywhere(
     middle_px: Float[np.ndarray, "n 2"], frame: Int[np.ndarray, "n"], area_px2: np.ndarray
 ) -> Float[np.ndarray, "f"]:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Float, Int
 
-from trinoc.match.observations import SegmentTable
+from trinoc.match.observations import ClutterModel, SegmentTable
 from trinoc.numerics import (
     ArrayLike,
     Scalar,
@@ -28,10 +28,11 @@ OfPoints = Float[ArrayLike, "v e *h"]
 
 
 class Sight(NamedTuple):
-    """One segment in each of some views, with what is needed of its camera.
+    """One segment in each of some views, with what is needed of its camera and of clutter.
 
     matrix_px, centre_mm : of the cameras, the same for all items or of each. line, ends_px,
     length_px, rays : as in SegmentTable. variance_px2 : (c00, c01, c11) of the ends across it.
+    log_clutter, typical_px : as in ClutterModel, about each segment and of its frame.
     """
 
     matrix_px: Float[ArrayLike, "v *_h 3 4"]
@@ -41,6 +42,8 @@ class Sight(NamedTuple):
     length_px: OfViews
     variance_px2: tuple[OfViews, OfViews, OfViews]
     rays: Float[ArrayLike, "v *h 2 3"]
+    log_clutter: OfViews
+    typical_px: Scalar
 
 
 class InterpretationPlanes(NamedTuple):
@@ -60,24 +63,30 @@ class InterpretationPlanes(NamedTuple):
 
 
 def sight_of(
-    lines: SegmentTable, views: Int[ArrayLike, "v"], segments: Int[ArrayLike, "v *h"]
+    lines: SegmentTable,
+    clutter: ClutterModel,
+    views: Int[ArrayLike, "v"],
+    segments: Int[ArrayLike, "v *h"],
 ) -> Sight:
     """The rows of segments, one in each view; those of one item are of one frame."""
     view = views.reshape(-1, *(1 for _ in segments.shape[1:]))
-    camera = view if lines.frame is None else (lines.frame[views[0], segments[0]][None], view)
+    camera, typical = view, clutter.typical_px
+    if lines.frame is not None:
+        frame = lines.frame[views[0], segments[0]]
+        camera, typical = (frame[None], view), typical[frame]
     across = lines.across_px2
+    entries = across[..., 0, 0], across[..., 0, 1], across[..., 1, 1]
+    c00, c01, c11 = (entry[view, segments] for entry in entries)
     return Sight(
         lines.matrix_px[camera],
         lines.centre_mm[camera],
         lines.line[view, segments],
         lines.ends_px[view, segments],
         lines.length_px[view, segments],
-        (
-            across[..., 0, 0][view, segments],
-            across[..., 0, 1][view, segments],
-            across[..., 1, 1][view, segments],
-        ),
+        (c00, c01, c11),
         lines.rays[view, segments],
+        jnp.asarray(clutter.log_density)[view, segments],
+        typical,
     )
 
 
