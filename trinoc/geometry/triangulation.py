@@ -93,7 +93,7 @@ def triangulate_segment(
         of_error = (information * error[:, None, :]).sum(-1)
         gradient = (slope * of_error.reshape(-1, 2, 2)[..., None]).sum((0, 2))
         covariance = inverse_positive_definite(hessian.reshape(6, 6))
-        step = (covariance * gradient.reshape(6)).sum(-1).reshape(2, 3)
+        step = (covariance * gradient.reshape(1, 6)).sum(-1).reshape(2, 3)
         return _Fit(ends, covariance, (error * of_error).sum(), ends - step)
 
     start = jax.vmap(triangulate_point, in_axes=(None, 1, None))(matrices_px, fragments, weight)

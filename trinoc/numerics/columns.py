@@ -37,7 +37,7 @@ def judged_in_blocks(
 
 def split_columns(
     columns: Float[np.ndarray, "c m"], shapes: Sequence[tuple[int, ...]]
-) -> Iterable[Float[np.ndarray, "m *k"]]:
+) -> Iterable[Float[np.ndarray, "..."]]:
     """Arrays of these shapes for each item, from as many columns as they have entries."""
     sizes = [int(np.prod(shape)) for shape in shapes]
     parts = np.split(columns, np.cumsum(sizes)[:-1])

@@ -11,8 +11,7 @@ import operator
 from collections.abc import Iterable
 
 import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from trinoc.numerics.arrays import ArrayLike
 
@@ -26,6 +25,11 @@ Symmetric3 = tuple[Scalar, Scalar, Scalar, Scalar, Scalar, Scalar]
 def vector3(array: Float[ArrayLike, "... 3"]) -> Vector3:
     """The components of an array."""
     return array[..., 0], array[..., 1], array[..., 2]
+
+
+def in_front(a: Vector3) -> Vector3:
+    """With an axis of length 1 before all others."""
+    return a[0][None], a[1][None], a[2][None]
 
 
 def total(terms: Iterable[Scalar]) -> Scalar:
@@ -95,8 +99,3 @@ def between(covariance: tuple[Scalar, Scalar, Scalar], s: Scalar, t: Scalar) -> 
     """Covariance of two interpolated places, from (c00, c01, c11) of the places 0 and 1."""
     c00, c01, c11 = covariance
     return (1 - s) * (1 - t) * c00 + (s * (1 - t) + t * (1 - s)) * c01 + s * t * c11
-
-
-def stacked(columns: tuple, keep: Int[np.ndarray, "m"] | slice) -> Float[np.ndarray, "m a b"]:
-    """Tuples of tuples of columns as one array, with the items in front."""
-    return np.stack([np.stack([c[keep] for c in row], axis=1) for row in columns], axis=1)

@@ -24,7 +24,7 @@ def end_evidence(
     # Both ends at once, each inward.
     inward = [jnp.stack([low, -high]) for low, high in extent_px]
     longest = largest_of(high - low for low, high in extent_px)
-    components = _components((inward[0], inward[1], inward[2]), longest, tuning)
+    components = _components((inward[0], inward[1], inward[2]), longest[None], tuning)
     return tuple(c[0] for c in components), tuple(c[1] for c in components)
 
 
@@ -41,12 +41,13 @@ def _components(
     )
     # The difference of two, and whether the odd one stops short of their mean: each of the three is
     # the odd one with the same probability.
-    apart = jnp.stack([second - first, third - second, first - third])
+    apart = jnp.stack([second - first, third - second, first - third])[None]
     sums = [(third, first + second), (first, second + third), (second, third + first)]
     short = jnp.stack([2 * odd > both for odd, both in sums])
-    scales = np.array(tuning.pair_px).reshape(-1, *(1,) * apart.ndim)
+    scales = np.array(tuning.pair_px).reshape(-1, *(1,) * (apart.ndim - 1))
     density = jnp.exp(-(apart**2) / (4 * scales**2))
-    shared = [total(jnp.where(odd, density, 0.0).swapaxes(0, 1)) for odd in (short, ~short)]
+    shared = [total(jnp.where(o[None], density, 0.0).swapaxes(0, 1)) for o in (short, ~short)]
     log_shared = jnp.log(jnp.stack(shared) + LEAST_DENSITY)
-    two_agree = log_longest - np.log(6 * np.sqrt(np.pi) * scales[:, 0]) + log_shared
+    uniform = np.log(6 * np.sqrt(np.pi) * scales[:, 0])[None]
+    two_agree = log_longest[None, None] - uniform + log_shared
     return (*agreeing, *two_agree[0], *two_agree[1], jnp.zeros_like(first))

@@ -35,6 +35,7 @@ from trinoc.numerics import (
     add3,
     cross3,
     dot3,
+    in_front,
     largest_of,
     least_of,
     total,
@@ -80,13 +81,13 @@ def pair_evidence(
     sight = sight_of(lines, clutter, views, segments)
     low_mm, high_mm = extents_on_line(sight, ends_mm[0], along)
     places = jnp.zeros_like(length_mm), length_mm, least_of(low_mm), largest_of(high_mm)
-    points = add3(ends_mm[0], along, jnp.stack(places))
+    points = add3(in_front(ends_mm[0]), in_front(along), jnp.stack(places))
     sights = interpretation_planes(sight, points)
     normals = [tuple(x[k] for x in sights.normal) for k in range(2)]
     sine = jnp.abs(dot3(along, cross3(normals[0], normals[1])))
     image_px = image_length_px(sights)
     px_per_mm = total(image_px) / (2 * length_mm)
-    low, high = low_mm * px_per_mm, high_mm * px_per_mm
+    low, high = low_mm * px_per_mm[None], high_mm * px_per_mm[None]
     lengths = high - low
     log_density = (
         -2 * jnp.log(sine)
@@ -102,7 +103,7 @@ def pair_evidence(
     spread = adjusted(sight, sights, points, along)[1]
     possible = common.possible & (sine > tuning.smallest_crossing) & jnp.isfinite(log_density)
     possible &= (shortest > tuning.shortest_to_longest * longest) & (common.high > common.low)
-    components = _components(difference, slack, longest, ends)
+    components = _components(difference, slack, longest[None], ends)
     place = sights.interval
     return PairEvidence(
         ends_mm,
@@ -140,7 +141,7 @@ def _views_expected(
     view = every.reshape(-1, *items)
     camera = view if lines.frame is None else (lines.frame[views[0], segments[0]][None], view)
     x, y, z = (coordinate[:2] for coordinate in points_mm)
-    (u, v), depth = image_of(lines.matrix_px[camera][:, None], (x, y, z))
+    (u, v), depth = image_of(lines.matrix_px[camera][:, None], in_front((x, y, z)))
     size = lines.size_px[camera][:, None]
     inside = (depth > 0) & (u > 0) & (u < size[..., 0]) & (v > 0) & (v < size[..., 1])
     other = (views[0] != every) & (views[1] != every)

@@ -31,6 +31,7 @@ from trinoc.numerics import (
     add3,
     cross3,
     dot3,
+    in_front,
     largest_of,
     least_of,
     outer3,
@@ -78,8 +79,7 @@ class _Cut(NamedTuple):
 
     def points(self, *places: Scalar) -> Vector3:
         """Points at some places on the line, one after the other in front."""
-        place = jnp.stack(places)
-        return add3(self.origin, self.along, place)
+        return add3(in_front(self.origin), in_front(self.along), jnp.stack(places))
 
 
 def triple_evidence(
@@ -97,7 +97,7 @@ def triple_evidence(
 
     image_px = image_length_px(planes)
     px_per_mm = total(image_px) / (3 * cut.common)
-    low, high = (cut.low - begin) * px_per_mm, (cut.high - begin) * px_per_mm
+    low, high = ((x - begin[None]) * px_per_mm[None] for x in (cut.low, cut.high))
     log_density = (
         -0.5 * jnp.log(determinant)
         - total(jnp.log(planes.px_per_mm[:, 0] * planes.px_per_mm[:, 1]))
@@ -167,13 +167,14 @@ def _misfit(sight: Sight, planes: InterpretationPlanes, along: Vector3) -> tuple
 
 def log_lengths(lengths_px: Float[ArrayLike, "v *h"], typical_px: Scalar) -> Float[ArrayLike, "*h"]:
     """Log density of one length over clutter's, with ends uniform on the longest."""
-    longest = largest_of(lengths_px)
+    longest = largest_of(lengths_px)[None]
 
     def log_share(length: Scalar) -> Scalar:
         return jnp.log(typical_px) - 2 * jnp.log(length + typical_px)
 
     others = lengths_px.shape[0] - 1
-    return log_share(longest) - total(log_share(lengths_px)) - 2 * others * jnp.log(longest)
+    one = log_share(longest) - 2 * others * jnp.log(longest)
+    return one[0] - total(log_share(lengths_px))
 
 
 def adjusted(
@@ -181,9 +182,9 @@ def adjusted(
 ) -> tuple[Vector3, Symmetric3]:
     """(points moved across the line to the weighted least-squares fit of all planes, their
     covariance across the line); a number for each point in front."""
-    ax, ay, az = (x[0] for x in planes.normal)
-    first = ax, ay, az
-    second = cross3(along, first)
+    nx, ny, nz = planes.normal
+    first = nx[:1], ny[:1], nz[:1]
+    second = cross3(in_front(along), first)
     n0, n1 = dot3(first, planes.normal)[:, None], dot3(second, planes.normal)[:, None]
     points = range(planes.interval.shape[1])
     weight = 1 / jnp.stack([variance_mm2(sight, planes, e, e) for e in points], axis=1)

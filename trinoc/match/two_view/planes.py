@@ -18,6 +18,7 @@ from trinoc.numerics import (
     add3,
     between,
     dot3,
+    in_front,
     scaled3,
     vector3,
 )
@@ -43,7 +44,7 @@ class Sight(NamedTuple):
     variance_px2: tuple[OfViews, OfViews, OfViews]
     rays: Float[ArrayLike, "v *h 2 3"]
     log_clutter: OfViews
-    typical_px: Scalar
+    typical_px: Float[ArrayLike, "1 *_h"]
 
 
 class InterpretationPlanes(NamedTuple):
@@ -70,8 +71,10 @@ def sight_of(
 ) -> Sight:
     """The rows of segments, one in each view; those of one item are of one frame."""
     view = views.reshape(-1, *(1 for _ in segments.shape[1:]))
-    camera, typical = view, clutter.typical_px
-    if lines.frame is not None:
+    typical = jnp.asarray(clutter.typical_px)
+    if lines.frame is None:
+        camera, typical = view, typical.reshape(view.shape[1:])
+    else:
         frame = lines.frame[views[0], segments[0]]
         camera, typical = (frame[None], view), typical[frame]
     across = lines.across_px2
@@ -86,7 +89,7 @@ def sight_of(
         (c00, c01, c11),
         lines.rays[view, segments],
         jnp.asarray(clutter.log_density)[view, segments],
-        typical,
+        typical[None],
     )
 
 
@@ -97,7 +100,7 @@ def interpretation_planes(sight: Sight, points_mm: Vector3) -> InterpretationPla
     gradient = add3(gradient, vector3(matrix[..., 1, :3]), line[1])
     gradient = add3(gradient, vector3(matrix[..., 2, :3]), line[2])
     steepness = jnp.sqrt(dot3(gradient, gradient))
-    image, depth = image_of(matrix[:, None], points_mm)
+    image, depth = image_of(matrix[:, None], in_front(points_mm))
     # Along the segment is a quarter turn from its normal, which points to its right.
     du, dv = line[1] / sight.length_px, -line[0] / sight.length_px
     u0, v0 = sight.ends_px[..., 0, 0], sight.ends_px[..., 0, 1]
@@ -132,7 +135,8 @@ def image_of(matrix_px: Float[ArrayLike, "... 3 4"], point: Vector3) -> tuple[Ve
 def extents_on_line(sight: Sight, origin: Vector3, along: Vector3) -> tuple[OfViews, OfViews]:
     """(low, high) positions on a line in space (unit direction), in mm, nearest to the rays of
     both ends of each segment."""
-    centre = add3(vector3(sight.centre_mm), origin, -1.0)
+    along = in_front(along)
+    centre = add3(vector3(sight.centre_mm), in_front(origin), -1.0)
     along_centre = dot3(along, centre)
 
     def position(e: int) -> OfViews:
