@@ -87,6 +87,8 @@ from .scalar_vectors import (
     in_front as in_front,
     largest_of as largest_of,
     least_of as least_of,
+    nth3 as nth3,
+    nth6 as nth6,
     outer3 as outer3,
     scaled3 as scaled3,
     times_matrix as times_matrix,

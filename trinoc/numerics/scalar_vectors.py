@@ -32,6 +32,16 @@ def in_front(a: Vector3) -> Vector3:
     return a[0][None], a[1][None], a[2][None]
 
 
+def nth3(a: Vector3, k: int) -> Vector3:
+    """The k-th along the first axis."""
+    return a[0][k], a[1][k], a[2][k]
+
+
+def nth6(a: Symmetric3, k: int) -> Symmetric3:
+    """The k-th along the first axis."""
+    return a[0][k], a[1][k], a[2][k], a[3][k], a[4][k], a[5][k]
+
+
 def total(terms: Iterable[Scalar]) -> Scalar:
     """Sum of at least one scalar, or over the first axis of an array."""
     return functools.reduce(operator.add, terms)

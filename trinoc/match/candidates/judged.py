@@ -50,13 +50,15 @@ def candidates_of(
         return _evidence_of(*fitted, tuning=tuning.candidates, ends=tuning.ends)
 
     keep, columns = judged_in_blocks(judged, block_of(lines, TRIPLES_IN_BLOCK), triple)
-    of_order, ends_mm, chi_square, log_density, *others = split_columns(columns, _SHAPES)
+    of_order, ends_mm, chi_square, log_density, end_log, *union = split_columns(columns, _SHAPES)
+    outer_mm, spread, px_per_mm = union
     index = np.full((len(keep), len(lines.ends_px)), -1)
     interval = np.zeros((len(keep), len(lines.ends_px), 2))
     index[:, order], interval[:, order] = triple[keep], of_order
     log_density += polarity_evidence(np.asarray(lines.polarity), index, interval, tuning.evidence)
     sides = side_evidence(np.asarray(lines.sides), index, interval, tuning.sides)
-    return Candidates(index, interval, ends_mm, chi_square, log_density, *others, sides)
+    judged_by = ends_mm, chi_square, log_density, end_log
+    return Candidates(index, interval, *judged_by, outer_mm, spread, px_per_mm, sides)
 
 
 @partial(kept_jit, static_argnames=("tuning",))

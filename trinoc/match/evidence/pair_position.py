@@ -38,6 +38,8 @@ from trinoc.numerics import (
     in_front,
     largest_of,
     least_of,
+    nth3,
+    nth6,
     total,
     unit3,
 )
@@ -83,8 +85,7 @@ def pair_evidence(
     places = jnp.zeros_like(length_mm), length_mm, least_of(low_mm), largest_of(high_mm)
     points = add3(in_front(ends_mm[0]), in_front(along), jnp.stack(places))
     sights = interpretation_planes(sight, points)
-    normals = [tuple(x[k] for x in sights.normal) for k in range(2)]
-    sine = jnp.abs(dot3(along, cross3(normals[0], normals[1])))
+    sine = jnp.abs(dot3(along, cross3(nth3(sights.normal, 0), nth3(sights.normal, 1))))
     image_px = image_length_px(sights)
     px_per_mm = total(image_px) / (2 * length_mm)
     low, high = low_mm * px_per_mm[None], high_mm * px_per_mm[None]
@@ -111,8 +112,8 @@ def pair_evidence(
         log_density,
         (tuple(c[0] for c in components), tuple(c[1] for c in components)),
         ((place[0, 0], place[0, 1]), (place[1, 0], place[1, 1])),
-        (tuple(x[2] for x in points), tuple(x[3] for x in points)),
-        (tuple(x[2] for x in spread), tuple(x[3] for x in spread)),
+        (nth3(points, 2), nth3(points, 3)),
+        (nth6(spread, 2), nth6(spread, 3)),
         px_per_mm,
         _views_expected(lines, views, segments, points),
     )

@@ -34,6 +34,8 @@ from trinoc.numerics import (
     in_front,
     largest_of,
     least_of,
+    nth3,
+    nth6,
     outer3,
     total,
     unit3,
@@ -107,17 +109,15 @@ def triple_evidence(
         - total(sight.log_clutter)
     )
     moved, spread = adjusted(sight, planes, points, cut.along)
-    each = [tuple(x[e] for x in moved) for e in range(4)]
-    covariance = [tuple(x[e] for x in spread) for e in (2, 3)]
     return TripleEvidence(
-        (each[0], each[1]),
+        (nth3(moved, 0), nth3(moved, 1)),
         cut.possible & (chi_square < tuning.gate) & jnp.isfinite(log_density),
         chi_square,
         log_density,
         tuple((low[k], high[k]) for k in range(3)),
         tuple((planes.interval[k, 0], planes.interval[k, 1]) for k in range(3)),
-        (each[2], each[3]),
-        (covariance[0], covariance[1]),
+        (nth3(moved, 2), nth3(moved, 3)),
+        (nth6(spread, 2), nth6(spread, 3)),
         px_per_mm,
     )
 
@@ -133,8 +133,7 @@ def line_of_three(
     planes = interpretation_planes(sight, points)
     moved = adjusted(sight, planes, points, cut.along)[0]
     possible = cut.possible & (_misfit(sight, planes, cut.along)[0] < tuning.gate)
-    (x0, x1), (y0, y1), (z0, z1) = moved
-    return ((x0, y0, z0), (x1, y1, z1)), possible
+    return (nth3(moved, 0), nth3(moved, 1)), possible
 
 
 def _cut(sight: Sight, near_mm: tuple[Vector3, Vector3], tuning: CandidateTuning) -> _Cut:
@@ -154,7 +153,7 @@ def _cut(sight: Sight, near_mm: tuple[Vector3, Vector3], tuning: CandidateTuning
 
 def _misfit(sight: Sight, planes: InterpretationPlanes, along: Vector3) -> tuple[Scalar, Scalar]:
     """(chi-square of the residuals at the first two points, determinant of their covariance)."""
-    normals = [tuple(x[k] for x in planes.normal) for k in range(3)]
+    normals = [nth3(planes.normal, k) for k in range(3)]
     across = [cross3(normals[(k + 1) % 3], normals[(k + 2) % 3]) for k in range(3)]
     c = jnp.stack([dot3(along, normal) for normal in across])
     r = [total(c * planes.distance_mm[:, e]) for e in range(2)]

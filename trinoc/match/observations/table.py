@@ -11,9 +11,16 @@ from jaxtyping import Float, Int
 from trinoc.geometry import centre_of_matrix, line_through
 from trinoc.numerics import ArrayLike, bucket, inverse_3x3, padded
 
-# Rows handed to a kernel at a time, few enough for a processor's cache, where pictures hold
-# this many segments or more; fewer rows in proportion where they hold less.
-PAIRS_IN_BLOCK, TRIPLES_IN_BLOCK, MANY_SEGMENTS = 1 << 14, 1 << 11, 1 << 9
+
+class Block(NamedTuple):
+    """Rows handed to a kernel at a time: so many for each segment of a view, up to a limit."""
+
+    per_segment: int
+    most: int
+
+
+# Of pairs as many as make the handing over cheap, of triples few enough for a processor's cache.
+PAIRS_IN_BLOCK, TRIPLES_IN_BLOCK = Block(16, 1 << 16), Block(4, 1 << 11)
 
 
 class SegmentTable(NamedTuple):
@@ -143,6 +150,6 @@ def covariance_across(
     return jnp.einsum("i,eifj,j->ef", line[:2], blocks, line[:2])
 
 
-def block_of(lines: SegmentTable, most: int) -> int:
+def block_of(lines: SegmentTable, block: Block) -> int:
     """Rows to hand over at a time: fewer where pictures hold little."""
-    return min(most, most * lines.ends_px.shape[1] // MANY_SEGMENTS)
+    return min(block.most, block.per_segment * lines.ends_px.shape[1])

@@ -76,14 +76,16 @@ def _judged(
     keep, columns = judged_in_blocks(judged, block_of(lines, TRIPLES_IN_BLOCK), segments)
     ends = len(tuning.ends.agreeing_px) + 1
     shapes = ((2, 2), (2, 3), (), (2, ends), (2, 3), (2, 6), (), ())
-    of_views, ends_mm, log_density, *others, expected = split_columns(columns, shapes)
+    of_views, ends_mm, log_density, end_log, outer_mm, spread, px_per_mm, expected = split_columns(
+        columns, shapes
+    )
     index = np.full((len(keep), len(lines.ends_px)), -1)
     interval = np.zeros((len(keep), len(lines.ends_px), 2))
     index[:, views], interval[:, views] = segments[keep], of_views
     log_density += polarity_evidence(np.asarray(lines.polarity), index, interval, tuning.evidence)
     sides = side_evidence(np.asarray(lines.sides), index, interval, tuning.sides)
-    chi_square = np.zeros(len(keep))
-    found = Candidates(index, interval, ends_mm, chi_square, log_density, *others, sides)
+    judged_by = ends_mm, np.zeros(len(keep)), log_density, end_log
+    found = Candidates(index, interval, *judged_by, outer_mm, spread, px_per_mm, sides)
     return PossiblePairs(found, expected)
 
 
