@@ -1,12 +1,12 @@
 """Intrinsics from ten pictures: error over the Cramer-Rao bound, and whether sigmas are true.
 
-    python benchmarks/intrinsics.py [--sets 4] [--trials 10] [--pictures 10]
+    python benchmarks/intrinsics.py [--sets 4] [--trials 10] [--pictures 10] [--pixels]
 
 A set is a lens and ten poses of the sheet; each of its trials draws new noise. Pictures come
 from the ray caster, whose model is independent of the fit's. The bound is that of all grey
-levels of all pictures, the poses unknown, blur and grey levels known. Beside trinoc:
-cv2.calibrateCamera on trinoc's centres, and on those of cv2.SimpleBlobDetector, with the same
-five coefficients of distortion.
+levels of all pictures, the poses unknown, blur and grey levels known. Beside trinoc's fit of
+centres, with `--pixels` its fit of the grey levels; cv2.calibrateCamera on trinoc's centres, and on
+those of cv2.SimpleBlobDetector, with the same five coefficients of distortion.
 """
 
 import argparse
@@ -158,12 +158,15 @@ def main() -> None:
     parser.add_argument("--sets", type=int, default=4)
     parser.add_argument("--trials", type=int, default=10)
     parser.add_argument("--pictures", type=int, default=10)
+    parser.add_argument("--first-set", type=int, default=0)
+    parser.add_argument("--pixels", action="store_true")
     options = parser.parse_args()
-    names = ["trinoc", "trinoc, distortion=4", "cv2, trinoc's centres", "cv2, blobs"]
+    ours = ["trinoc", "trinoc, distortion=4", *(["trinoc, pixels"] if options.pixels else [])]
+    names = [*ours, "cv2, trinoc's centres", "cv2, blobs"]
     errors: dict[str, list[np.ndarray]] = {name: [] for name in names}
-    claimed: dict[str, list[np.ndarray]] = {name: [] for name in names[:2]}
+    claimed: dict[str, list[np.ndarray]] = {name: [] for name in ours}
     times: dict[str, list[float]] = {name: [] for name in names}
-    for number in range(options.sets):
+    for number in range(options.first_set, options.first_set + options.sets):
         poses = random_poses(number, options.pictures)
         crb = bound(poses)
         clean = [image_of(LENS, pose) for pose in poses]
@@ -174,23 +177,22 @@ def main() -> None:
                 for c in clean
             ]
             detections = [detect_pattern(image, SHEET) for image in images]
-            ours = [each.centres_px for each in detections]
+            centres = [each.centres_px for each in detections]
             blobs = [blob_centres(i, d) for i, d in zip(images, detections, strict=True)]
-            results = [
-                timed(lambda d=detections: calibrate_intrinsics(d, SHEET), times[names[0]]),
-                timed(
-                    lambda d=detections: calibrate_intrinsics(d, SHEET, distortion=4),
-                    times[names[1]],
-                ),
+            chains: list[Callable[[], Any]] = [
+                lambda d=detections: calibrate_intrinsics(d, SHEET),
+                lambda d=detections: calibrate_intrinsics(d, SHEET, distortion=4),
+                lambda i=images: calibrate_intrinsics(i, SHEET, method="pixels"),
             ]
-            answers = dict(zip(names[:2], [result.values for result in results], strict=True))
-            for name, uv_px in zip(names[2:], (ours, blobs), strict=True):
+            results = [timed(chain, times[name]) for name, chain in zip(ours, chains, strict=False)]
+            answers = dict(zip(ours, [result.values for result in results], strict=True))
+            for name, uv_px in zip(names[len(ours) :], (centres, blobs), strict=True):
                 answers[name] = timed(
                     lambda d=detections, uv=uv_px: opencv_lens(d, uv), times[name]
                 )
             for name, values in answers.items():
                 errors[name].append((values - LENS) / crb)
-            for name, result in zip(names[:2], results, strict=True):
+            for name, result in zip(ours, results, strict=True):
                 sigma = np.sqrt(np.diag(result.covariance))
                 sigma = np.where(sigma > 0, sigma, np.nan)
                 claimed[name].append((result.values - LENS) / sigma)
@@ -207,7 +209,7 @@ def main() -> None:
         total = np.sqrt(np.mean(ratio**2))
         print(f"{name:26}{cells}{total:8.2f}{1e3 * np.median(times[name]):5.0f}")
     print("rms error / claimed sigma (a coefficient left out has none)")
-    for name in names[:2]:
+    for name in ours:
         scores = np.array(claimed[name])
         known = np.isfinite(scores)
         total = np.sqrt(np.nansum(scores**2, axis=0) / np.maximum(known.sum(axis=0), 1))

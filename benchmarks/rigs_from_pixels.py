@@ -31,14 +31,7 @@ from rigs_from_shots import (
     truth,
 )
 
-from trinoc.calib import (
-    Chessboard,
-    Pattern,
-    Systematics,
-    calibrate_rig,
-    dark_squares,
-    detect_target,
-)
+from trinoc.calib import Chessboard, Pattern, Systematics, calibrate_rig, dark_squares
 from trinoc.geometry import BrownConrady, Camera, Intrinsics, Pose, rotation_from_vector
 from trinoc.synth import render_sheet
 from trinoc.synth.layers import Paint
@@ -159,7 +152,15 @@ def by_trinoc(board, pictures, method):
     values = dict(zip(found.parameters, found.values.tolist(), strict=True))
     for name in LENSES:
         values |= pose_numbers(name, np.asarray(found.rig[name].cam_from_world))
-    return values, {name: found.sigma(name) for name in found.parameters}
+    return values, {name: found.sigma(name) for name in found.parameters}, found
+
+
+def labelled(result) -> dict:
+    """The detections of each camera by shot, turned as all cameras have them."""
+    found = {name: [None] * SHOTS for name in result.cameras}
+    for view in result.views:
+        found[result.cameras[view.camera]][view.shot] = view.detection
+    return found
 
 
 def measure(title: str, scenes: int, trials: int) -> None:
@@ -190,14 +191,13 @@ def measure(title: str, scenes: int, trials: int) -> None:
             }
             for method in ("pixels", "points"):
                 start = time.perf_counter()
-                values, sigmas = by_trinoc(board, pictures, method)
+                values, sigmas, result = by_trinoc(board, pictures, method)
                 seconds.setdefault(method, []).append(time.perf_counter() - start)
                 off = np.array([values[k] - true[k] for k in keys])
                 errors.setdefault(method, []).append(off / [least[k] for k in keys])
                 claimed.setdefault(method, []).append(off / [sigmas[k] for k in keys])
-            found = {n: [detect_target(p, board) for p in own] for n, own in pictures.items()}
             try:
-                values = by_opencv(board, found, free=True)
+                values = by_opencv(board, labelled(result), free=True)
             except cv2.error as error:
                 print(f"  cv2 fails: {str(error)[:120]}")
                 continue

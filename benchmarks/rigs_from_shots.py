@@ -167,10 +167,10 @@ def by_opencv(target, found, *, free: bool) -> dict[str, float]:
         shared = [(a, b) for a, b in zip(found["left"], found[name], strict=True) if a and b]
         place, one, other = [], [], []
         for a, b in shared:
-            both = np.intersect1d(a.circle_index, b.circle_index)
+            both, in_a, in_b = np.intersect1d(a.circle_index, b.circle_index, return_indices=True)
             place.append(np.pad(target.centres_mm[both], ((0, 0), (0, 1))).astype(np.float32))
-            one.append(a.centres_px[np.isin(a.circle_index, both)].astype(np.float32))
-            other.append(b.centres_px[np.isin(b.circle_index, both)].astype(np.float32))
+            one.append(a.centres_px[in_a].astype(np.float32))
+            other.append(b.centres_px[in_b].astype(np.float32))
         flags = cv2.CALIB_USE_INTRINSIC_GUESS | cv2.CALIB_FIX_K3
         flags = flags if free else cv2.CALIB_FIX_INTRINSIC
         (m1, d1), (m2, d2) = lenses["left"], lenses[name]

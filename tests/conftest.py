@@ -19,7 +19,7 @@ for _variable in (
     os.environ.setdefault(_variable, "1")
 
 # Tests compile far longer than they compute: XLA's costly passes do not pay here. What users run,
-# with these passes, is run by `.ci/run` in the demo.
+# with these passes, is run by `.ci/run` in the demo. The code generator is the commands' own.
 os.environ.setdefault("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
 os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false")
 

@@ -1,6 +1,7 @@
 from . import errors as errors
 from .batch import load_recording as load_recording, match_recording as match_recording
 from .calib import (
+    AprilGrid as AprilGrid,
     Charuco as Charuco,
     Chessboard as Chessboard,
     Pattern as Pattern,
@@ -13,6 +14,7 @@ from .calib import (
     detect_pattern as detect_pattern,
     detect_target as detect_target,
     epipolar_sigma as epipolar_sigma,
+    next_shot as next_shot,
     point_covariance as point_covariance,
     projection_sigma as projection_sigma,
     refine as refine,

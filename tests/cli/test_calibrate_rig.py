@@ -10,10 +10,12 @@ from trinoc.cli.main import main
 from trinoc.io import load_target
 
 
-@pytest.mark.parametrize(("board", "corners"), [("chessboard", 24), ("charuco", 24)])
+@pytest.mark.parametrize(
+    ("board", "corners"), [("chessboard", 24), ("charuco", 24), ("aprilgrid", 140)]
+)
 def test_a_board_is_drawn_with_its_layout(board, corners, tmp_path, capsys):
     layout = tmp_path / "board.json"
-    size = ["--rows", "5", "--columns", "7", "--square-mm", "20"]
+    size = ["--rows", "5", "--columns", "7", "--square-mm", "20", "--tag-mm", "20"]
     assert main(["pattern", "--board", board, *size, "-o", str(layout), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["corners"] == corners
     assert len(load_target(layout)) == corners

@@ -1,4 +1,4 @@
-"""The commands choose XLA's quicker code generator where it is known, and users have the last word."""
+"""The commands choose XLA's quicker code generator; users have the last word."""
 
 import os
 

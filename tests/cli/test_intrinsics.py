@@ -8,6 +8,7 @@ import pytest
 
 import trinoc
 from trinoc.cli.main import main
+from trinoc.errors import InputError
 from trinoc.geometry import Camera, Intrinsics
 from trinoc.io import load_intrinsics, load_lens_covariance
 from trinoc.synth import render_sheet
@@ -48,6 +49,38 @@ def test_pictures_become_a_lens_with_covariance(folder, capsys):
     assert lens.image_size_px == (320, 300)
     assert covariance is not None
     assert np.sqrt(covariance[0, 0]) == pytest.approx(record["parameters"]["fx_px"]["sigma"])
+
+
+@pytest.mark.slow
+def test_grey_levels_tell_more_than_circles(folder):
+    images = [np.asarray(cv2.imread(path, cv2.IMREAD_GRAYSCALE)) for path in pictures(folder)]
+    circles, pixels = (
+        trinoc.calibrate_intrinsics(images, SHEET, distortion=2, method=method)
+        for method in ("points", "pixels")
+    )
+    assert pixels.free == circles.free
+    assert pixels.rms_px == pytest.approx(circles.rms_px, rel=0.2)
+    for name, true in (("fx_px", 610.0), ("fy_px", 745.0), ("cx_px", 159.5), ("k1", -0.2)):
+        assert pixels.sigma(name) < circles.sigma(name)
+        value = pixels.values[pixels.parameters.index(name)]
+        assert abs(value - true) < 5 * pixels.sigma(name)
+    assert pixels.lens is not None
+    assert pixels.lens.image_size_px == (320, 300)
+    assert pixels.next_image is not None
+    assert 0.7 < pixels.reduced_chi_square < 1.3
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"method": "pixels", "aspect": "pitch"}, "frees both focal lengths"),
+        ({"method": "pixels"}, "Detections are given"),
+    ],
+)
+def test_what_grey_levels_cannot_do_is_said(options, says, folder):
+    image = np.asarray(cv2.imread(pictures(folder)[0], cv2.IMREAD_GRAYSCALE))
+    with pytest.raises(InputError, match=says):
+        trinoc.calibrate_intrinsics([trinoc.detect_pattern(image, SHEET)], SHEET, **options)
 
 
 def test_a_picture_without_sheet_is_named_and_one_alone_fails(folder, capsys):

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from trinoc.calib import Charuco, Chessboard, Pattern
+from trinoc.calib import AprilGrid, Charuco, Chessboard, Pattern
 from trinoc.errors import InputError
 from trinoc.io import load_shots, load_target, save
 from trinoc.io.pattern_page import Polygon, lay_out
@@ -13,6 +13,7 @@ from trinoc.io.pattern_svg import pattern_svg
 BOARDS = [
     Chessboard(rows=5, columns=8, square_mm=10.5, name="mine"),
     Charuco(rows=6, columns=8, square_mm=10.0, marker_mm=7.5, legacy=True),
+    AprilGrid(rows=2, columns=3, tag_mm=20.0, spacing=0.25, border=1, first=5),
     Pattern.circle_grid(rows=3, columns=4, pitch_mm=10.0, radius_mm=2.0),
 ]
 
@@ -27,6 +28,9 @@ def test_a_board_comes_back(board, tmp_path):
     if isinstance(board, Charuco):
         assert isinstance(again, Charuco)
         assert (again.dictionary, again.legacy) == (board.dictionary, True)
+    if isinstance(board, AprilGrid):
+        assert isinstance(again, AprilGrid)
+        assert (again.border, again.first) == (1, 5)
 
 
 @pytest.mark.parametrize(

@@ -87,7 +87,8 @@ def test_each_kind_of_number_is_a_program_of_its_own(drawer, kind) -> None:
     for other in others:
         kept_jit(doubled)(np.ones(3, other))
     again = kept_jit(doubled)(np.ones(3, kind))
-    assert again.dtype == kind and len(drawer) == 3
+    assert again.dtype == kind
+    assert len(drawer) == 3
     # A number of Python takes the kind of what it meets: another program again.
     kept_jit(doubled)(1.0)
     kept_jit(doubled)(np.float64(1.0))

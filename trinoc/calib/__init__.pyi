@@ -5,7 +5,10 @@ from .bundle.pose_prior import d_parameters_d_delta as d_parameters_d_delta
 from .bundle.refinement import refine as refine
 from .bundle.result import RefineResult as RefineResult, RefineStatus as RefineStatus
 from .detection.any_target import detect_target as detect_target
-from .detection.charuco import opencv_board as opencv_board
+from .detection.charuco import (
+    opencv_board as opencv_board,
+    opencv_dictionary as opencv_dictionary,
+)
 from .detection.detection import Detection as Detection
 from .detection.search import (
     circle_candidates as circle_candidates,
@@ -14,8 +17,8 @@ from .detection.search import (
 from .from_detections import calibrate_detections as calibrate_detections
 from .from_images import calibrate as calibrate
 from .from_points import calibrate_points as calibrate_points
-from .intrinsics.from_images import calibrate_intrinsics as calibrate_intrinsics
 from .intrinsics.result import IntrinsicsResult as IntrinsicsResult
+from .lens_from_images import calibrate_intrinsics as calibrate_intrinsics
 from .model.camera import (
     CameraState as CameraState,
     camera_state as camera_state,
@@ -26,10 +29,12 @@ from .result.calibration import CalibrationResult as CalibrationResult, CameraFi
 from .result.status import Status as Status
 from .rig_check.comparison import compare_rigs as compare_rigs
 from .rig_check.knocked import RigCheck as RigCheck, check_rig as check_rig
+from .shots.advised_shot import NextShot as NextShot, next_shot as next_shot
 from .shots.from_shots import calibrate_rig as calibrate_rig
 from .shots.projection import projection_sigma as projection_sigma
 from .shots.result import RigFromShots as RigFromShots
 from .targets.abstract_target import AbstractTarget as AbstractTarget
+from .targets.april_grid import AprilGrid as AprilGrid
 from .targets.checkers import (
     DICTIONARIES as DICTIONARIES,
     Charuco as Charuco,

@@ -12,7 +12,7 @@ from trinoc.cli.progress import LOGGER, Bar
 from trinoc.cli.views import files_of_views
 
 if TYPE_CHECKING:
-    from trinoc.calib import RigFromShots
+    from trinoc.calib import NextShot, RigFromShots
 
 # Not None: an option that may be a pair or nothing would take pictures that follow it.
 UNKNOWN = (-1.0, -1.0)
@@ -73,6 +73,11 @@ class CalibrateRig(Command):
     out: Annotated[Path, tyro.conf.arg(aliases=("-o",))] = Path("rig.json")
     """Where the rig goes."""
 
+    report: Annotated[
+        Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")
+    ] = None
+    """Also write an HTML report here: verdict, shots, residuals and uncertainty over the field."""
+
     def run(self, command_line: str) -> Outcome:
         """Calibrate and write the rig."""
         for shot in self.shots:
@@ -87,11 +92,11 @@ class CalibrateRig(Command):
         if self.print_scale_sigma != UNKNOWN:
             expect_sigmas("--print-scale-sigma", self.print_scale_sigma)
 
-        from trinoc.calib import Systematics, calibrate_rig
+        from trinoc.calib import Systematics, calibrate_rig, next_shot
         from trinoc.cli.provenance import provenance
         from trinoc.io import expect_place, load_intrinsics, load_shots, load_target, save
 
-        expect_place(self.out)
+        expect_place(self.out, self.report)
         target = load_target(self.board)
         pictures = load_shots(places)
         known: Any = None
@@ -119,14 +124,40 @@ class CalibrateRig(Command):
                 systematics=usual,
                 progress=bar.at,
             )
-        save(result, self.out, provenance=provenance(command_line, {"board": self.board}))
-        text = f"{result.summary()}\nwritten: {self.out}"
-        return Outcome(text, {**rig_record(result), "written": [str(self.out)]})
+        made_by = provenance(command_line, {"board": self.board})
+        save(result, self.out, provenance=made_by)
+        written = [str(self.out)]
+        if self.report is not None:
+            from trinoc.cli.provenance import for_people
+            from trinoc.report import write_shots_report
+
+            LOGGER.info("writing %s", self.report)
+            write_shots_report(self.report, result, provenance=for_people(made_by))
+            written.append(str(self.report))
+        advice = next_shot(result)
+        told = "" if advice is None else f"\n{advice.sentence}"
+        text = f"{result.summary()}{told}\nwritten: {', '.join(written)}"
+        record = {**rig_record(result), "next_shot": shot_record(advice)}
+        return Outcome(text, {**record, "written": written})
+
+
+def shot_record(advice: "NextShot | None") -> dict[str, Any] | None:
+    """The shot to take next, as JSON can hold it."""
+    if advice is None:
+        return None
+    return {
+        "sentence": advice.sentence,
+        "cameras": list(advice.cameras),
+        "world_from_board": advice.world_from_board.tolist(),
+        "error_now_px": advice.error_now_px,
+        "error_then_px": advice.error_then_px,
+        "sigma_then": dict(advice.sigma_then),
+    }
 
 
 def rig_record(result: "RigFromShots") -> dict[str, Any]:
     """What programs want to know of a rig from many shots, as JSON can hold it."""
-    halves = result.halves
+    halves, held_out = result.halves, result.cross_validation
     return {
         "parameters": {
             name: {"value": float(value), "sigma": result.sigma(name)}
@@ -147,6 +178,13 @@ def rig_record(result: "RigFromShots") -> dict[str, Any]:
         "halves": None
         if halves is None
         else {"ratio": halves.ratio, "worst": halves.worst, "worst_ratio": halves.worst_ratio},
+        "cross_validation": None
+        if held_out is None
+        else {
+            "shots": held_out.shots,
+            "own_px": dict(held_out.own_px),
+            "across_px": dict(held_out.across_px),
+        },
         "sigmas_include": ["noise", *result.systematics],
         "failures": dict(result.failures),
         "refused": list(result.refused),

@@ -42,6 +42,9 @@ class Intrinsics(Command):
     aspect: Literal["free", "pitch"] = "free"
     """Whether both focal lengths are fitted, or their ratio is held at that of the pixels."""
 
+    method: Literal["points", "pixels"] = "points"
+    """Fit the circles' centres, or go on from there to the grey levels near every edge."""
+
     out: Annotated[Path, tyro.conf.arg(aliases=("-o",))] = Path("camera.json")
     """Where the lens goes."""
 
@@ -67,6 +70,7 @@ class Intrinsics(Command):
             principal_point=self.principal_point,
             pixel_pitch_mm=pitch_mm,
             aspect=self.aspect,
+            method=self.method,
         )
         inputs = {f"picture {k + 1}": path for k, path in enumerate(self.pictures)}
         save(

@@ -19,14 +19,16 @@ if TYPE_CHECKING:
 class Pattern(Command):
     """Make a sheet of circles and crossed lines, or a board: its layout, and drawings to print."""
 
-    board: Literal["sheet", "chessboard", "charuco"] = "sheet"
-    """What to draw: the sheet of `trinoc calibrate`, or a board of squares for `calibrate-rig`."""
+    board: Literal["sheet", "chessboard", "charuco", "aprilgrid"] = "sheet"
+    """What to draw: the sheet of `trinoc calibrate`, or a board of squares or tags for
+    `calibrate-rig`."""
 
     rows: int = 8
-    """Circles from top to bottom; even, so that no line meets a circle. Of a board, squares."""
+    """Circles from top to bottom; even, so that no line meets a circle. Of a board, squares or
+    tags."""
 
     columns: int = 8
-    """Circles from left to right; even, too. Of a board, squares."""
+    """Circles from left to right; even, too. Of a board, squares or tags."""
 
     square_mm: float = 20.0
     """Side of a board's squares."""
@@ -36,8 +38,17 @@ class Pattern(Command):
     ] = None
     """Side of a ChArUco board's markers."""
 
-    dictionary: str = "4x4_250"
-    """Of a ChArUco board's markers, by OpenCV's name."""
+    tag_mm: float = 16.0
+    """Side of an AprilGrid's tags."""
+
+    tag_spacing: float = 0.3
+    """Gap between an AprilGrid's tags over their side, as Kalibr has it."""
+
+    dictionary: Annotated[
+        str | None,
+        tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: 4x4_250; APRILTAG_36h11)"),
+    ] = None
+    """Of a ChArUco board's markers or an AprilGrid's tags, by OpenCV's name."""
 
     pitch_mm: float = 20.0
     """Distance between the centres of neighbours."""
@@ -124,7 +135,8 @@ class Pattern(Command):
         # First the drawing, which fails where the sheet is larger than the paper.
         save_pattern_svg(sheet, drawing, paper=self.paper)
         save_target(sheet, self.out)
-        notes = ["Print at 100 %, and give the side of a square as you measure it."]
+        side = "tag" if self.board == "aprilgrid" else "square"
+        notes = [f"Print at 100 %, and give the side of a {side} as you measure it."]
         if self.board == "sheet":
             notes = [
                 "Print at 100 %, measure the two scale bars, and give measured over nominal length",
@@ -160,7 +172,9 @@ class Pattern(Command):
         if self.for_distance_mm is None:
             return None
         if self.board != "sheet":
-            raise UsageError("--for-distance-mm is of the sheet: give --square-mm of a board.")
+            raise UsageError(
+                "--for-distance-mm is of the sheet: give --square-mm or --tag-mm of a board."
+            )
         width, height = self.image_size_px
         angle = self.field_deg
         if self.for_distance_mm <= 0:
@@ -191,7 +205,7 @@ class Pattern(Command):
         )
 
     def _target(self, proposal: "SheetProposal | None") -> "AbstractTarget":
-        from trinoc.calib import Charuco, Chessboard, Pattern as Sheet
+        from trinoc.calib import AprilGrid, Charuco, Chessboard, Pattern as Sheet
 
         if self.board == "chessboard":
             return Chessboard(
@@ -204,7 +218,15 @@ class Pattern(Command):
                 columns=self.columns,
                 square_mm=self.square_mm,
                 marker_mm=marker_mm,
-                dictionary=self.dictionary,
+                dictionary=self.dictionary or "4x4_250",
+            )
+        if self.board == "aprilgrid":
+            return AprilGrid(
+                rows=self.rows,
+                columns=self.columns,
+                tag_mm=self.tag_mm,
+                spacing=self.tag_spacing,
+                dictionary=self.dictionary or "APRILTAG_36h11",
             )
         if proposal is not None:
             return Sheet.cross_grid(

@@ -124,7 +124,7 @@ def _page(
     if not fitting:
         raise InputError(
             f"The pattern {pattern.name!r} needs {needed[0]:.0f} x {needed[1]:.0f} mm, more than"
-            f" {paper} offers; take larger paper or a smaller pitch."
+            f" {paper} offers; take larger paper, or a smaller board."
         )
     page_mm = fitting[0]
     # The text stands below, so the sheet sits a little above the middle if room is short.

@@ -8,6 +8,7 @@ from .ellipsoids import (
 from .evaluation_plot import expect_plotter as expect_plotter, write_plot as write_plot
 from .html import ExtraTable as ExtraTable, write_report as write_report
 from .notebook import NotebookDisplays as NotebookDisplays, expect_extra as expect_extra
+from .shots import write_shots_report as write_shots_report
 from .space_part import (
     Layer as Layer,
     SpaceFigure as SpaceFigure,

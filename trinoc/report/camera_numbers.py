@@ -8,11 +8,8 @@ from jaxtyping import Float
 
 from trinoc.geometry import (
     Camera,
-    epipolar_line,
-    fundamental_matrix,
     image_of_circle_centre,
     project,
-    projection_matrix,
 )
 from trinoc.numerics import ArrayLike, in_float64
 
@@ -21,36 +18,32 @@ FEWEST_POINTS = 64
 
 
 @in_float64
-def calibration_matrix(camera: Camera) -> Float[np.ndarray, "3 3"]:
-    """K of a camera."""
-    return np.asarray(_calibration_matrix(camera))
+def rays_of_pixels(camera: Camera, uv_px: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 3"]:
+    """Unit rays in the camera's frame, whatever its lens."""
+    return np.asarray(_rays(camera, _padded(uv_px)))[: len(uv_px)]
 
 
 @in_float64
-def fundamental_from(camera_a: Camera, camera_b: Camera) -> Float[np.ndarray, "3 3"]:
-    """F_ba of undistorted pixels, from view a to view b, scaled to unit norm."""
-    matrix = np.asarray(_fundamental(camera_b, camera_a))
-    return matrix / np.linalg.norm(matrix)
-
-
-@in_float64
-def epipolar_lines(
+def epipolar_planes(
     camera_b: Camera, camera_a: Camera, uv_a_px: Float[np.ndarray, "n 2"]
 ) -> Float[np.ndarray, "n 3"]:
-    """Lines of view b, in undistorted pixels, that belong to points of view a."""
-    return np.asarray(_epipolar_lines(camera_b, camera_a, _padded(uv_a_px)))[: len(uv_a_px)]
+    """Unit normals, in the frame of view b, of the planes of points of view a and both centres.
+
+    A pixel of view b lies on the epipolar curve where its ray is square to the normal.
+    """
+    return np.asarray(_planes(camera_b, camera_a, _padded(uv_a_px)))[: len(uv_a_px)]
 
 
 @in_float64
-def undistorted_pixels(camera: Camera, uv_px: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
-    """Where the points would lie if the lens had no distortion."""
-    return np.asarray(_undistorted(camera, _padded(uv_px)))[: len(uv_px)]
-
-
-@in_float64
-def distorted_pixels(camera: Camera, uv_px: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
-    """Inverse of `undistorted_pixels`."""
-    return np.asarray(_distorted(camera, _padded(uv_px)))[: len(uv_px)]
+def epipolar_distances_px(
+    camera_b: Camera,
+    camera_a: Camera,
+    uv_b_px: Float[np.ndarray, "n 2"],
+    uv_a_px: Float[np.ndarray, "n 2"],
+) -> Float[np.ndarray, "n"]:
+    """How far points of view b lie from the epipolar curves of their partners in view a."""
+    distances = _distances_px(camera_b, camera_a, _padded(uv_b_px), _padded(uv_a_px))
+    return np.asarray(distances)[: len(uv_b_px)]
 
 
 @in_float64
@@ -67,32 +60,42 @@ def _padded(points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "m 2"]:
 
 
 @eqx.filter_jit
-def _calibration_matrix(camera: Camera) -> Float[ArrayLike, "3 3"]:
-    return camera.intrinsics.matrix
+def _rays(camera: Camera, uv_px: Float[ArrayLike, "n 2"]) -> Float[ArrayLike, "n 3"]:
+    return jax.vmap(camera.intrinsics.lens.unproject)(uv_px)
 
 
 @eqx.filter_jit
-def _fundamental(camera_b: Camera, camera_a: Camera) -> Float[ArrayLike, "3 3"]:
-    return fundamental_matrix(projection_matrix(camera_b), projection_matrix(camera_a))
-
-
-@eqx.filter_jit
-def _epipolar_lines(
+def _planes(
     camera_b: Camera, camera_a: Camera, uv_a_px: Float[ArrayLike, "n 2"]
 ) -> Float[ArrayLike, "n 3"]:
-    fundamental = fundamental_matrix(projection_matrix(camera_b), projection_matrix(camera_a))
-    undistorted = jax.vmap(camera_a.intrinsics.undistort_pixel)(uv_a_px)
-    return jax.vmap(epipolar_line, in_axes=(None, 0))(fundamental, undistorted)
+    to_centre = camera_b.pose.rotation @ (
+        camera_a.pose.centre_world_mm - camera_b.pose.centre_world_mm
+    )
+    turn = camera_b.pose.rotation @ camera_a.pose.rotation.T
+
+    def normal(uv_px: Float[ArrayLike, "2"]) -> Float[ArrayLike, "3"]:
+        across = jnp.cross(to_centre, turn @ camera_a.intrinsics.lens.unproject(uv_px))
+        return across / jnp.linalg.norm(across)
+
+    return jax.vmap(normal)(uv_a_px)
 
 
 @eqx.filter_jit
-def _undistorted(camera: Camera, uv_px: Float[ArrayLike, "n 2"]) -> Float[ArrayLike, "n 2"]:
-    return jax.vmap(camera.intrinsics.undistort_pixel)(uv_px)
+def _distances_px(
+    camera_b: Camera,
+    camera_a: Camera,
+    uv_b_px: Float[ArrayLike, "n 2"],
+    uv_a_px: Float[ArrayLike, "n 2"],
+) -> Float[ArrayLike, "n"]:
+    def distance(
+        normal: Float[ArrayLike, "3"], uv_px: Float[ArrayLike, "2"]
+    ) -> Float[ArrayLike, ""]:
+        off, slope = jax.value_and_grad(lambda uv: normal @ camera_b.intrinsics.lens.unproject(uv))(
+            uv_px
+        )
+        return jnp.abs(off) / jnp.linalg.norm(slope)
 
-
-@eqx.filter_jit
-def _distorted(camera: Camera, uv_px: Float[ArrayLike, "n 2"]) -> Float[ArrayLike, "n 2"]:
-    return jax.vmap(camera.intrinsics.distort_pixel)(uv_px)
+    return jax.vmap(distance)(_planes(camera_b, camera_a, uv_a_px), uv_b_px)
 
 
 @eqx.filter_jit

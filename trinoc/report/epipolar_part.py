@@ -5,26 +5,25 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from skimage.measure import find_contours
 
 from trinoc.calib import CalibrationResult
 from trinoc.geometry import Camera, Rig
 from trinoc.match import TRINOCULAR, Matches
 from trinoc.report.camera_numbers import (
-    calibration_matrix,
-    distorted_pixels,
-    epipolar_lines,
-    fundamental_from,
+    epipolar_distances_px,
+    epipolar_planes,
+    rays_of_pixels,
     shift_of_circle_centres,
-    undistorted_pixels,
 )
-from trinoc.report.clipping import clip_line
 from trinoc.report.colours import PALETTE
 from trinoc.report.numbers import with_decimals
 from trinoc.report.pictures import PagePicture
 
 SHOWN = 6
-# Points along an epipolar line that lens distortion bends.
-CURVE_POINTS = 25
+# Rays of a bent picture are kept at so many places along each side: between them the curves are
+# within a tenth of a pixel. A straight one needs its corners alone.
+PLACES, PLACES_OF_STRAIGHT = 25, 2
 
 
 class Curve(NamedTuple):
@@ -107,6 +106,7 @@ def epipolar_part(
     if len(everywhere) < 3 or len(rig) < 2:
         return None
     shown = _spread(everywhere, SHOWN)
+    grids = {name: _rays_over(camera) for name, camera in rig.items()}
     figures = []
     for view, (name, camera) in enumerate(rig.items()):
         marks = tuple(
@@ -115,14 +115,14 @@ def epipolar_part(
         )
         curves = []
         for order, other in enumerate(v for v in range(len(rig)) if v != view):
-            lines = epipolar_lines(camera, rig.cameras[other], everywhere[:, other])[shown]
-            for line, mark in zip(lines, marks, strict=True):
-                curve = _curve(camera, line)
+            planes = epipolar_planes(camera, rig.cameras[other], everywhere[shown, other])
+            for plane, mark in zip(planes, marks, strict=True):
+                curve = _curve(grids[name], plane, camera.image_size_px)
                 if curve is not None:
                     curves.append(Curve(curve, rig.names[other], mark.colour, order > 0))
         figures.append(EpipolarFigure(name, pictures[name], marks, tuple(curves)))
     distances = {
-        (first, second): _rms_distance_px(rig, everywhere, a, b)
+        (first, second): _rms_distance_px(rig[first], rig[second], everywhere[:, [a, b]])
         for a, first in enumerate(rig)
         for b, second in enumerate(rig)
         if a < b
@@ -134,7 +134,7 @@ def epipolar_part(
         len(everywhere),
         tuple((*pair, with_decimals(distance, 3)) for pair, distance in distances.items()),
         max(distances.values()),
-        [_numbers(rig, name) for name in rig],
+        [_numbers(rig, name, grids[name]) for name in rig],
     )
 
 
@@ -149,31 +149,43 @@ def _spread(points: Float[np.ndarray, "n v 2"], count: int) -> list[int]:
     return chosen
 
 
-def _curve(camera: Camera, line: Float[np.ndarray, "3"]) -> Float[np.ndarray, "n 2"] | None:
+def _rays_over(camera: Camera) -> Float[np.ndarray, "r c 3"]:
+    """Rays at a grid of pixels from corner to corner, as (x/z, y/z, 1) where all look forward."""
+    count = PLACES if camera.intrinsics.has_distortion else PLACES_OF_STRAIGHT
+    width, height = camera.image_size_px
+    u, v = np.meshgrid(np.linspace(0, width - 1, count), np.linspace(0, height - 1, count))
+    rays = rays_of_pixels(camera, np.stack([u.ravel(), v.ravel()], axis=1))
+    if (rays[:, 2] > 0.1).all():
+        rays = rays / rays[:, 2:]
+    return rays.reshape(count, count, 3)
+
+
+def _curve(
+    rays: Float[np.ndarray, "r c 3"], plane: Float[np.ndarray, "3"], size_px: tuple[int, int]
+) -> Float[np.ndarray, "n 2"] | None:
     """An epipolar line as the lens shows it, or None where it misses the picture."""
-    ends = clip_line(line, camera.image_size_px)
-    if ends is None or not camera.intrinsics.has_distortion:
-        return ends
-    share = np.linspace(-0.1, 1.1, CURVE_POINTS)[:, None]
-    return distorted_pixels(camera, ends[0] + share * (ends[1] - ends[0]))
+    parts = find_contours(rays @ plane, 0.0)
+    if not parts:
+        return None
+    longest = max(
+        parts, key=lambda part: float(np.linalg.norm(np.diff(part, axis=0), axis=1).sum())
+    )
+    # Rows and columns of the grid.
+    return longest[:, ::-1] * (np.array(size_px) - 1) / (np.array(rays.shape[1::-1]) - 1)
 
 
-def _rms_distance_px(rig: Rig, points: Float[np.ndarray, "n v 2"], a: int, b: int) -> float:
-    lines = epipolar_lines(rig.cameras[b], rig.cameras[a], points[:, a])
-    in_b = undistorted_pixels(rig.cameras[b], points[:, b])
-    return float(np.sqrt(np.mean((np.sum(lines[:, :2] * in_b, axis=1) + lines[:, 2]) ** 2)))
+def _rms_distance_px(a: Camera, b: Camera, points: Float[np.ndarray, "n 2 2"]) -> float:
+    distances = epipolar_distances_px(b, a, points[:, 1], points[:, 0])
+    return float(np.sqrt(np.mean(distances**2)))
 
 
-def _numbers(rig: Rig, name: str) -> dict[str, Any]:
+def _numbers(rig: Rig, name: str, rays: Float[np.ndarray, "r c 3"]) -> dict[str, Any]:
     """What the page's script needs to draw the epipolar lines of any point of this view."""
     camera = rig[name]
-    distorted = camera.intrinsics.has_distortion
     return {
         "size": list(camera.image_size_px),
-        "calibration": calibration_matrix(camera).tolist(),
-        "distortion": np.asarray(camera.intrinsics.distortion).tolist() if distorted else None,
-        "fundamental": [
-            None if other == name else fundamental_from(camera, rig[other]).tolist()
-            for other in rig
-        ],
+        "places": len(rays),
+        "rays": np.round(rays, 6).ravel().tolist(),
+        "rotation": np.asarray(camera.pose.rotation).tolist(),
+        "centre": np.asarray(camera.centre_world_mm).tolist(),
     }

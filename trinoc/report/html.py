@@ -4,7 +4,6 @@ import os
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-import jinja2
 import numpy as np
 
 from trinoc.calib import CalibrationResult
@@ -14,6 +13,7 @@ from trinoc.io import write_text
 from trinoc.match import Matches
 from trinoc.report.calibration_part import MEANINGS, calibration_part
 from trinoc.report.coverage_part import coverage_part
+from trinoc.report.environment import environment
 from trinoc.report.epipolar_part import corrected_circle_centres, ends_of_tracks, epipolar_part
 from trinoc.report.field_part import field_part
 from trinoc.report.matches_part import matches_part
@@ -143,7 +143,7 @@ def render_report(
         "tables": tables,
         "provenance": dict(provenance or {}),
     }
-    return _environment().get_template("report.html.j2").render(page)
+    return environment().get_template("report.html.j2").render(page)
 
 
 def _views(rig: Rig, matches: Matches | None) -> tuple[str, ...]:
@@ -157,13 +157,3 @@ def _check_views(what: str, names: Mapping[str, Any] | Sequence[str], rig: Rig) 
             f"The views of the {what} are {', '.join(names)}, but the cameras of the rig are "
             f"{', '.join(rig.names)}: give the rig that the {what} belong to."
         )
-
-
-def _environment() -> jinja2.Environment:
-    return jinja2.Environment(
-        loader=jinja2.PackageLoader("trinoc.report", "templates"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )

@@ -1,5 +1,6 @@
 """Plan and elevation: the same content as the figure to turn, to scale, without any script."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -63,6 +64,15 @@ def plan_part(rig: Rig, pattern: Pattern | None, matches: Matches | None) -> tup
     else:
         lines.append((frusta(rig), "cameras", -1))
     names = [] if with_segments else [(c.centre_world_mm, name) for name, c in rig.items()]
+    return plan_and_elevation(box, lines, names)
+
+
+def plan_and_elevation(
+    box: Box,
+    lines: Sequence[tuple[list[np.ndarray], str, int]],
+    names: Sequence[tuple[np.ndarray, str]],
+) -> tuple[Drawing, Drawing]:
+    """(X, Y) and (X, Z) of what a box holds: lines with role and track, places with names."""
     return (
         _drawing("Plan, seen from above", "X", "Y", (0, 1), box, lines, names),
         _drawing("Elevation, seen from the front", "X", "Z", (0, 2), box, lines, names),
@@ -75,8 +85,8 @@ def _drawing(
     vertical: str,
     axes: tuple[int, int],
     box: Box,
-    lines: list[tuple[list[np.ndarray], str, int]],
-    names: list[tuple[np.ndarray, str]],
+    lines: Sequence[tuple[list[np.ndarray], str, int]],
+    names: Sequence[tuple[np.ndarray, str]],
 ) -> Drawing:
     low, high = box.low_mm[list(axes)], box.high_mm[list(axes)]
     paths = tuple(

@@ -83,10 +83,14 @@ def verdict_part(
         checks += [_matched(matches), *_agreeing(matches), *_located(matches)]
     if not checks or (result is None and matches is None):
         return None
+    return verdict_of(checks, "this rig" if result is not None else "these matches")
+
+
+def verdict_of(checks: Sequence[Check], what: str) -> Verdict:
+    """The worst of the checks, of which there is one at least."""
     order = [Level.BAD, Level.CARE, Level.JUDGE, Level.GOOD]
     worst = min(checks, key=lambda check: order.index(check.level))
     level = worst.level if worst.level in (Level.BAD, Level.CARE) else Level.GOOD
-    what = "this rig" if result is not None else "these matches"
     sentence = {
         Level.GOOD: f"You can use {what}.",
         Level.CARE: f"Use {what} with care.",

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from trinoc.calib import Charuco, Chessboard, Pattern, detect_target, opencv_board
+from trinoc.calib import AprilGrid, Charuco, Chessboard, Pattern, detect_target, opencv_board
 from trinoc.errors import DetectionError, InputError
 from trinoc.io.board_figures import ink_polygons
 
@@ -12,13 +12,15 @@ BOARDS = {
     "chessboard": Chessboard(rows=5, columns=8, square_mm=10.0),
     "symmetric": Chessboard(rows=5, columns=7, square_mm=10.0),
     "charuco": Charuco(rows=6, columns=8, square_mm=10.0, marker_mm=7.5, dictionary="4x4_50"),
+    "aprilgrid": AprilGrid(rows=3, columns=4, tag_mm=18.0),
+    "numbered": AprilGrid(rows=2, columns=3, tag_mm=24.0, spacing=0.2, border=1, first=7),
 }
 FINER = 6
 SHIFT = 4  # bits behind the point of cv2.fillPoly
 
 
-def picture(board, turn_deg=20.0, size=(480, 640)):
-    """(picture, place in mm to pixel) of a board drawn from its own figures, slightly slanted."""
+def picture(board, turn_deg=20.0, size=(480, 640), figures=None):
+    """(picture, place in mm to pixel) of a board drawn from its figures, slightly slanted."""
     angle, scale = np.radians(turn_deg), 4.2
     turn = scale * np.array([[np.cos(angle), np.sin(angle)], [np.sin(angle), -np.cos(angle)]])
 
@@ -28,7 +30,7 @@ def picture(board, turn_deg=20.0, size=(480, 640)):
         return place @ turn.T / slant + np.array([size[1], size[0]]) / 2 - 0.5
 
     large = np.full((FINER * size[0], FINER * size[1]), 225, np.uint8)
-    for corners in ink_polygons(board):
+    for corners in ink_polygons(board) if figures is None else figures:
         on_large = FINER * (pixels(corners) + 0.5) - 0.5
         cv2.fillPoly(large, [np.rint(on_large * 2**SHIFT).astype(np.int32)], 30, shift=SHIFT)
     image = cv2.resize(large, size[::-1], interpolation=cv2.INTER_AREA)
@@ -52,8 +54,9 @@ def test_a_board_is_found_where_it_was_drawn(name, turn_deg):
     assert (sigma < 0.2).all()
 
 
-def test_a_covered_charuco_is_found_and_a_mirrored_one_refused():
-    board = BOARDS["charuco"]
+@pytest.mark.parametrize("name", ["charuco", "aprilgrid"])
+def test_a_covered_board_is_found_and_a_mirrored_one_refused(name):
+    board = BOARDS[name]
     image, pixels = picture(board)
     covered = image.copy()
     covered[:, :280] = 128
@@ -65,12 +68,46 @@ def test_a_covered_charuco_is_found_and_a_mirrored_one_refused():
         detect_target(image[:, ::-1].copy(), board)
 
 
+@pytest.mark.parametrize("quarters", [1, 2, 3])
+def test_tags_that_are_printed_turned_are_the_same_board(quarters):
+    board = BOARDS["aprilgrid"]
+    turn = np.linalg.matrix_power(np.array([[0.0, -1.0], [1.0, 0.0]]), quarters)
+    figures = []
+    for corners in ink_polygons(board):
+        offset = corners.mean(axis=0) - board.tags_mm
+        tag = int(np.abs(offset).max(axis=1).argmin())
+        of_tag = np.abs(offset[tag]).max() < 0.5 * board.tag_mm
+        middle = board.tags_mm[tag]
+        figures.append((corners - middle) @ turn.T + middle if of_tag else corners)
+    image, pixels = picture(board, figures=figures)
+    found = detect_target(image, board)
+    assert len(found) == len(board)
+    assert np.abs(found.centres_px - pixels(board.centres_mm[found.circle_index])).max() < 0.25
+
+
+def test_a_tag_of_another_board_in_view_is_left_out():
+    board = BOARDS["aprilgrid"]
+    image, pixels = picture(board, 0.0)
+    own = [np.rint(pixels(middle)).astype(int) for middle in board.tags_mm[[0, 5]]]
+    half = int(np.rint(0.5 * board.tag_mm * 4.2)) + 3
+    (u, v), (to_u, to_v) = own
+    image[to_v - half : to_v + half, to_u - half : to_u + half] = image[
+        v - half : v + half, u - half : u + half
+    ]
+    found = detect_target(image, board)
+    assert not set(found.circle_index) & {*range(4), *range(20, 24)}
+    miss = np.abs(found.centres_px - pixels(board.centres_mm[found.circle_index])).max()
+    assert miss < 0.25
+
+
 def test_what_is_no_such_board_is_refused():
     image, _ = picture(BOARDS["chessboard"])
     with pytest.raises(DetectionError, match="No chessboard"):
         detect_target(image, Chessboard(rows=6, columns=9, square_mm=10.0))
     with pytest.raises(DetectionError, match="corners of the board"):
         detect_target(image, BOARDS["charuco"])
+    with pytest.raises(DetectionError, match="tags of the board"):
+        detect_target(image, BOARDS["aprilgrid"])
     with pytest.raises(DetectionError):
         detect_target(np.full((100, 100), 90, np.uint8), Pattern.default())
 
@@ -82,6 +119,15 @@ def test_boards_that_cannot_be_are_refused():
     ):
         with pytest.raises(InputError, match="board"):
             Chessboard(**wrong)
+    for wrong, says in (
+        ({"rows": 1, "columns": 1}, "two tags"),
+        ({"spacing": 2.0}, "gaps"),
+        ({"border": 3}, "borders of 3"),
+        ({"tag_mm": np.nan}, "give a side"),
+        ({"dictionary": "9x9"}, "unknown"),
+    ):
+        with pytest.raises(InputError, match=says):
+            AprilGrid(**{"rows": 3, "columns": 3, "tag_mm": 20.0, **wrong})
     with pytest.raises(InputError, match="smaller than the squares"):
         Charuco(rows=5, columns=5, square_mm=10.0, marker_mm=10.0)
     with pytest.raises(InputError, match="dictionary '9x9' is unknown"):

@@ -12,7 +12,7 @@ from tests.calib.intrinsics.simulated_lens import (
     pose,
 )
 from trinoc.calib import Detection, IntrinsicsResult, Status, calibrate_intrinsics
-from trinoc.calib.intrinsics.next_image import generic_views
+from trinoc.calib.intrinsics.next_picture import generic_views
 from trinoc.errors import CalibrationError, InputError
 from trinoc.geometry import BrownConrady
 

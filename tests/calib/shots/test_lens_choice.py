@@ -5,7 +5,9 @@ import pytest
 
 from tests.calib.shots.made_shots import BOARD, shots
 from trinoc.calib import Systematics, calibrate_rig
+from trinoc.calib.shots.covariance import Information
 from trinoc.calib.shots.lens_choice import HeldOut, choice_sentence, chosen_lens
+from trinoc.calib.shots.score_test import score_test
 from trinoc.errors import InputError
 
 
@@ -46,8 +48,54 @@ def test_auto_takes_the_true_lens_and_says_why():
     assert "brown_conrady was chosen" in result.notes[0]
     assert "do not ask for k4, k5, k6" in result.notes[0]
     assert abs(result.value("left.fx_px") - 800.0) < 4 * result.sigma("left.fx_px")
+    assert result.cross_validation is not None
+    assert result.cross_validation.across_px == {}
 
 
 def test_auto_leaves_nothing_to_be_given():
     with pytest.raises(InputError, match="auto"):
         calibrate_rig(shots(count=2), BOARD, lens_model="auto", distortion=2)
+
+
+def information(random, share):
+    """Of 40 shots, with noise: four parameters, and three more that tell something else only by
+    `share` of what they do, and the last nothing at all."""
+    free, own = random.normal(size=(2, 40, 4, 4)), random.normal(size=(40, 4, 3))
+    more = free[0] @ np.arange(12.0).reshape(4, 3) + np.sqrt(share) * own
+    more[..., 2] = free[0] @ np.ones(4)
+    rows = np.concatenate([free[0], more], axis=2)
+    noise = random.normal(size=(40, 4))
+    return Information(
+        np.swapaxes(rows, 1, 2) @ rows, np.einsum("sji,sj->si", rows, noise), np.zeros((40, 6, 7)),
+        np.zeros((40, 6, 6)), np.arange(7), np.zeros((7, 7)), 7,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("share", [1.0, 1e-5])
+def test_without_need_of_more_parameters_the_score_test_gives_any_chance_alike(share):
+    random = np.random.default_rng(0)
+    tests = [score_test(information(random, share), np.arange(7) >= 4) for _ in range(500)]
+    assert {test.freedom for test in tests} == {2}
+    chances = np.sort([test.chance for test in tests])
+    # Kolmogorov and Smirnov's distance, which exceeds this once in a hundred times.
+    assert np.abs(chances - (np.arange(500) + 0.5) / 500).max() < 1.63 / np.sqrt(500)
+
+
+def test_the_score_test_sees_what_was_held_wrongly():
+    """What other parameters explain does not count, and an offset of five sigmas does."""
+    random = np.random.default_rng(1)
+    here, held = information(random, 1.0), np.arange(7) >= 4
+    noise = score_test(here, held).chi_square
+    whole = here.of_shot.sum(axis=0)
+    pulled = here._replace(pulls=here.pulls + (whole @ [3.0, -2, 5, 1, 0, 0, 0]) / 40)
+    assert score_test(pulled, held).chi_square == pytest.approx(noise)
+    left = whole[4, 4] - whole[4, :4] @ np.linalg.solve(whole[:4, :4], whole[:4, 4])
+    off = np.eye(7)[4] * 5 / np.sqrt(left)
+    off = here._replace(pulls=here.pulls + whole @ off / 40)
+    assert score_test(off, held).chance < 1e-3
+
+
+def test_where_the_shots_cannot_pull_chance_is_all():
+    here = information(np.random.default_rng(0), 1.0)
+    assert score_test(here, np.arange(7) == 6) == (0.0, 0)
+    assert score_test(here, np.arange(7) == 6).chance == 1.0

@@ -19,7 +19,8 @@ PLACES = np.random.default_rng(0).uniform(-90.0, 90.0, (40, 2))
 
 @pytest.mark.parametrize("surface", BENDS.values(), ids=BENDS.keys())
 def test_the_metric_of_bent_paper_is_that_of_flat_paper(surface):
-    jacobians = jax.jit(jax.vmap(jax.jacfwd(surface.point_world_mm)))(PLACES)
+    # Step by step: XLA without its optimisations, as tests have it, gets the deep cone wrong.
+    jacobians = jax.vmap(jax.jacfwd(surface.point_world_mm))(PLACES)
     metrics = np.einsum("nki,nkj->nij", jacobians, jacobians)
     np.testing.assert_allclose(metrics, np.broadcast_to(np.eye(2), metrics.shape), atol=1e-12)
 

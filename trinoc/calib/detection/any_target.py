@@ -3,11 +3,12 @@
 import numpy as np
 from jaxtyping import Shaped
 
+from trinoc.calib.detection.april_grid import detect_april_grid
 from trinoc.calib.detection.charuco import detect_charuco
 from trinoc.calib.detection.chessboard import detect_chessboard
 from trinoc.calib.detection.detection import Detection
 from trinoc.calib.detection.search import detect_pattern
-from trinoc.calib.targets import AbstractTarget, Charuco, Chessboard, Pattern
+from trinoc.calib.targets import AbstractTarget, AprilGrid, Charuco, Chessboard, Pattern
 from trinoc.errors import InputError
 
 
@@ -28,6 +29,9 @@ def detect_target(image: Shaped[np.ndarray, "..."], target: AbstractTarget) -> D
             return detect_chessboard(image, target)
         case Charuco():
             return detect_charuco(image, target)
+        case AprilGrid():
+            return detect_april_grid(image, target)
     raise InputError(
-        f"Nothing detects a {type(target).__name__}: give a Pattern, a Chessboard or a Charuco."
+        f"Nothing detects a {type(target).__name__}: give a Pattern, a Chessboard, a Charuco or an "
+        "AprilGrid."
     )

@@ -18,13 +18,21 @@ from trinoc.errors import DetectionError
 FEWEST_CORNERS = 6
 
 
+def opencv_dictionary(name: str) -> cv2.aruco.Dictionary:
+    """One of `DICTIONARIES`."""
+    own, count = name.split("_")
+    return cv2.aruco.getPredefinedDictionary(
+        getattr(cv2.aruco, f"DICT_{own.replace('x', 'X')}_{count}")
+    )
+
+
 def opencv_board(board: Charuco) -> cv2.aruco.CharucoBoard:
     """The same board as OpenCV has it."""
-    own, count = board.dictionary.split("_")
-    name = f"DICT_{own.replace('x', 'X')}_{count}"
-    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
     theirs = cv2.aruco.CharucoBoard(
-        (board.columns, board.rows), board.square_mm, board.marker_mm, dictionary
+        (board.columns, board.rows),
+        board.square_mm,
+        board.marker_mm,
+        opencv_dictionary(board.dictionary),
     )
     theirs.setLegacyPattern(board.legacy)
     return theirs

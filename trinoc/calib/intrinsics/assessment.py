@@ -14,7 +14,7 @@ from trinoc.calib.intrinsics.lens_messages import (
 )
 from trinoc.calib.intrinsics.lens_parameters import LensModel
 from trinoc.calib.intrinsics.model_choice import Candidate, choice_sentence, variance_factor
-from trinoc.calib.intrinsics.next_image import next_image
+from trinoc.calib.intrinsics.next_picture import next_image
 from trinoc.calib.intrinsics.result import IntrinsicsResult
 from trinoc.calib.intrinsics.robust_lens import LensImages
 from trinoc.calib.result import Status

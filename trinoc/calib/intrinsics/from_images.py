@@ -1,4 +1,4 @@
-"""The lens of one camera from several pictures of the sheet."""
+"""The lens of one camera from the circles in several pictures of the sheet."""
 
 from collections.abc import Sequence
 
@@ -14,48 +14,26 @@ from trinoc.calib.intrinsics.zhang import FEWEST_CIRCLES, zhang_start
 from trinoc.calib.result import Status
 from trinoc.calib.targets import Pattern
 from trinoc.errors import CalibrationError, DetectionError, InputError
-from trinoc.geometry import DEFAULT_DISTORTION, lens_model
-from trinoc.numerics import ArrayLike, in_float64
+from trinoc.geometry import lens_model
+from trinoc.numerics import ArrayLike
 
 
-@in_float64
-def calibrate_intrinsics(
+def lens_of_circles(
     images_or_detections: Sequence[ArrayLike | Detection],
     pattern: Pattern,
     *,
-    image_size_px: tuple[int, int] | None = None,
-    distortion: int | None = None,
-    distortion_model: str = DEFAULT_DISTORTION.model,
-    principal_point: str = "free",
-    pixel_pitch_mm: tuple[float, float] | None = None,
-    aspect: str = "free",
-    throw: bool = True,
+    image_size_px: tuple[int, int] | None,
+    distortion: int | None,
+    distortion_model: str,
+    principal_point: str,
+    pixel_pitch_mm: tuple[float, float] | None,
+    aspect: str,
+    throw: bool,
 ) -> IntrinsicsResult:
-    """Focal lengths, principal point and distortion of a lens, with their covariance.
+    """`calibrate_intrinsics` by the circles alone.
 
-    images_or_detections : pictures by one camera at one zoom and focus, the sheet held
-        differently in each; or what `detect_pattern` found in them.
-    image_size_px : (width, height) that all pictures must have; that of the first by default.
-    distortion : number of coefficients, for Brown-Conrady 0, 1, 2, 4 or 5 of k1, k2, p1, p2, k3.
-        As many as the pictures determine unless given; a note says how many they ask for.
-    distortion_model : name of the lens model, of `lenses.registry.LENS_MODELS`.
-    principal_point : "free", or "centre" to hold it in the middle of the picture.
-    pixel_pitch_mm : size of a pixel along u and v, where it is known: the lens then has a
-        focal length in millimetres, too.
-    aspect : "free", or "pitch" to hold fx / fy at what `pixel_pitch_mm` says (1 without it).
-    throw : whether an undetermined lens raises; without it the result says so by its status.
-
-    Pictures in which no sheet is found are left out and named in `failures`. Starts from
-    Zhang's method in OpenCV, then least squares over the lens and six parameters of each
-    picture's pose with the exact centres of the circles' images.
-
-    Raises
-    ------
-    InputError : no picture, pictures of different sizes, one picture given twice, or an
-        option that is not one of those above.
-    CalibrationError : no sheet in any picture, no lens that explains the circles, or, with
-        `throw`, parameters that the pictures do not determine. The sentence names them and
-        the picture to take next; `result` of the error is the IntrinsicsResult.
+    Starts from Zhang's method in OpenCV, then least squares over the lens and six parameters of
+    each picture's pose with the exact centres of the circles' images.
     """
     model = _largest_model(distortion, distortion_model, principal_point, aspect)
     ratio = None

@@ -2,8 +2,8 @@
 
 lens_start (a first lens and poses for each camera) -> chain (cameras in one frame, by the shots
 that they share) -> state, residual, normal_equations, levenberg_marquardt (all together) ->
-rejection -> covariance, halves, projection -> summary, result; `from_shots` is the door that users
-take, `shot_names` tells which pictures are of one moment."""
+robust_fit -> covariance, halves, cross_validation, projection -> judged, result; `from_shots` is
+the door that users take. candidate_shots -> foreseen -> advised_shot tell what to show next."""
 
 import lazy_loader
 

@@ -5,10 +5,9 @@ from typing import NamedTuple
 import numpy as np
 
 from trinoc.calib.shots.covariance import information_of
+from trinoc.calib.shots.cross_validation import FEWEST_SHOTS, of_shots, shots_of
 from trinoc.calib.shots.problem import Problem, lens_number, with_sheet_held
 from trinoc.calib.shots.robust_fit import fitted
-
-_FEWEST_SHOTS = 4
 
 
 class HalvesCheck(NamedTuple):
@@ -37,18 +36,13 @@ def halves_check(
     The board is taken as the whole fit found it, since both halves share it; `variance_factor` is
     that by which its covariance was enlarged.
     """
-    shots = sorted({view.shot for view in problem.views if view.used.any()})
-    if len(shots) < _FEWEST_SHOTS:
+    shots = shots_of(problem)
+    if len(shots) < FEWEST_SHOTS:
         return None
     problem = with_sheet_held(problem)
     ends = []
     for remainder in (0, 1):
-        half = set(shots[remainder::2])
-        views = tuple(
-            view if view.shot in half else view._replace(used=np.zeros_like(view.used))
-            for view in problem.views
-        )
-        end, converged = fitted(problem._replace(views=views))
+        end, converged = fitted(of_shots(problem, shots[remainder::2]))
         information = information_of(end)
         seen = information.seen
         if not converged or seen.rank < len(information.free):
@@ -61,7 +55,7 @@ def halves_check(
     ratio = float(np.sqrt(difference @ np.linalg.solve(covariance, difference) / len(difference)))
     each = np.abs(difference) / sigma
     worst = int(np.argmax(each))
-    names = _head_names(problem, cameras)
+    names = head_names(problem, cameras)
     column = int(np.flatnonzero(problem.chart.free)[worst])
     return HalvesCheck(ratio, names[column], float(each[worst]), len(difference))
 
@@ -87,7 +81,8 @@ def _steps_between(problem: Problem, end: Problem) -> np.ndarray:
     )
 
 
-def _head_names(problem: Problem, cameras: tuple[str, ...]) -> list[str]:
+def head_names(problem: Problem, cameras: tuple[str, ...]) -> list[str]:
+    """Names of the steps of the head, the places of the board left out."""
     of_lens = problem.state.lenses.parameter_names
     owner = [
         cameras[int(np.flatnonzero(problem.chart.lens_of_camera == k)[0])]

@@ -13,6 +13,7 @@ from trinoc.calib.shots.covariance import (
     information_of,
     named_covariance,
 )
+from trinoc.calib.shots.cross_validation import cross_validation
 from trinoc.calib.shots.halves import halves_check
 from trinoc.calib.shots.messages import (
     notes_of_rig,
@@ -22,7 +23,7 @@ from trinoc.calib.shots.messages import (
 )
 from trinoc.calib.shots.motions import chained, inverse
 from trinoc.calib.shots.placing import PlacedRig
-from trinoc.calib.shots.problem import Problem, lens_number, with_lens_free
+from trinoc.calib.shots.problem import EndedProblem, Problem, lens_number, with_lens_free
 from trinoc.calib.shots.result import RigFromShots
 from trinoc.calib.shots.robust_fit import RobustFit, errors_px, refitted
 from trinoc.calib.shots.shot_scatter import shot_scatter, with_factor
@@ -106,7 +107,9 @@ def judged(
         residuals_px=tuple(errors_px(problem)),
         sigma_factor=dict(zip(cameras, problem.sigma_factor.tolist(), strict=True)),
         reduced_chi_square=fit.chi_square / fit.freedom if fit.freedom > 0 else float("nan"),
-        halves=halves_check(problem, cameras, factor) if status is Status.CONVERGED else None,
+        halves=halves_check(problem, cameras, factor) if rig is not None else None,
+        cross_validation=cross_validation(problem, cameras) if rig is not None else None,
+        ended=EndedProblem(problem, enlarged, factor) if rig is not None else None,
         failures={f"{camera}, {shot}": why for (camera, shot), why in found.failures.items()},
         refused=(*placed.refused, *refused_sentences(fit, placed, cameras)),
         systematics=systematics.words,

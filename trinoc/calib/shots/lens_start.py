@@ -59,7 +59,7 @@ def with_poses(
     """The pose of the board in each picture through a known lens."""
     poses = []
     for detection in detections:
-        rays = in_bucket(partial(_unprojected, lens), detection.centres_px)
+        rays = rays_of_places(lens, detection.centres_px)
         pose = plane_pose(rays, target.centres_mm[detection.circle_index])
         if pose is None:
             raise CalibrationError(
@@ -67,6 +67,11 @@ def with_poses(
             )
         poses.append(pose)
     return CameraStart(lens, np.stack(poses))
+
+
+def rays_of_places(lens: AbstractLens, uv_px: Float[np.ndarray, "m 2"]) -> Float[np.ndarray, "m 3"]:
+    """Unit rays, in the camera's frame, that are imaged there."""
+    return in_bucket(partial(_unprojected, lens), uv_px)
 
 
 def places_px(

@@ -7,11 +7,12 @@ import numpy as np
 
 from trinoc.calib.detection import Detection
 from trinoc.calib.shots.covariance import information_of
-from trinoc.calib.shots.lens_choice import choice_sentence, chosen_lens, held_out, score_chance
+from trinoc.calib.shots.lens_choice import choice_sentence, chosen_lens, held_out
 from trinoc.calib.shots.lens_start import CameraStart, camera_start
 from trinoc.calib.shots.placing import PlacedRig, placed_rig
 from trinoc.calib.shots.problem import Freedom, Problem, problem_of
 from trinoc.calib.shots.robust_fit import RobustFit, fit_robustly
+from trinoc.calib.shots.score_test import rational_lens_test
 from trinoc.calib.shots.shot_scatter import shot_scatter
 from trinoc.calib.targets import AbstractTarget
 from trinoc.calib.uncertainty import Systematics
@@ -58,12 +59,13 @@ def fit_of_lens(asked: Asked, models: Sequence[type[AbstractLens]]) -> tuple[Poi
     cameras = tuple(asked.detections)
     tried = {name: held_out(each.fit.problem, each.placed, cameras) for name, each in fits.items()}
     choice = chosen_lens(tried)
-    best, chance = fits[choice.model], None
+    best, test = fits[choice.model], None
     if choice.model == BrownConrady.model:
         problem = best.fit.problem
         factor = shot_scatter(information_of(problem)).variance_factor
-        chance = score_chance(problem, _sizes(asked)[: len(problem.chart.lens_scale)], factor)
-    return best, choice_sentence(choice, chance)
+        sizes = _sizes(asked)[: len(problem.chart.lens_scale)]
+        test = rational_lens_test(problem, sizes, factor)
+    return best, choice_sentence(choice, test)
 
 
 def _fitted(asked: Asked, model: type[AbstractLens]) -> PointFit:

@@ -65,6 +65,21 @@ class Problem(NamedTuple):
         return table._replace(whitening=table.whitening / by_view[:, None, None, None])
 
 
+class EndedProblem(NamedTuple):
+    """Where a fit ended, and how well that is known.
+
+    Fields
+    ------
+    problem : at its end.
+    covariance : (f, f) of the free steps of the head.
+    variance_factor : of the shots' noise, which is in the covariance.
+    """
+
+    problem: Problem
+    covariance: Float[np.ndarray, "f f"]
+    variance_factor: float
+
+
 def problem_of(
     views: Sequence[View],
     target: AbstractTarget,

@@ -5,7 +5,9 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.calib.result import Status
+from trinoc.calib.shots.cross_validation import CrossValidation
 from trinoc.calib.shots.halves import HalvesCheck
+from trinoc.calib.shots.problem import EndedProblem
 from trinoc.calib.shots.table import View
 from trinoc.calib.targets import AbstractTarget
 from trinoc.geometry import Rig
@@ -39,6 +41,9 @@ class RigFromShots(eqx.Module):
     refused : sentences on shots and pictures that were left out.
     systematics : the errors of the board that the covariance holds, in words.
     notes : sentences on what a user should know.
+    cross_validation : errors of shots that the rig was not fitted to; None where there are too few.
+    ended : where the fit ended, in its own units, which `next_shot` goes on from; None unless
+        `status` is CONVERGED.
     """
 
     rig: Rig | None
@@ -62,6 +67,8 @@ class RigFromShots(eqx.Module):
     refused: tuple[str, ...] = eqx.field(static=True)
     systematics: tuple[str, ...] = eqx.field(static=True)
     notes: tuple[str, ...] = eqx.field(static=True)
+    cross_validation: CrossValidation | None = None
+    ended: EndedProblem | None = None
 
     def sigma(self, parameter: str) -> float:
         """Standard deviation of a parameter such as "left.fx_px"; 0 if held, NaN if not known."""
@@ -119,6 +126,8 @@ def summary_text(result: RigFromShots) -> str:
             f"{result.halves.parameters} parameters (most in {result.halves.worst}: "
             f"{result.halves.worst_ratio:.1f})"
         )
+    if result.cross_validation is not None:
+        lines.append(result.cross_validation.sentence)
     lines.append(f"sigmas include {', '.join(('noise', *result.systematics))}.")
     lines += list(result.notes) + list(result.refused)
     lines += [f"{where}: {why}" for where, why in result.failures.items()]

@@ -1,4 +1,5 @@
 from .abstract_target import AbstractTarget as AbstractTarget
+from .april_grid import AprilGrid as AprilGrid
 from .checkers import (
     DICTIONARIES as DICTIONARIES,
     Charuco as Charuco,

@@ -1,0 +1,114 @@
+"""The shot to take next: what it promises is what comes, and more than others give."""
+
+import json
+
+import equinox as eqx
+import numpy as np
+import pytest
+
+from tests.calib.shots.made_shots import BOARD, LENSES, board_poses, detection, shots
+from trinoc.calib import Systematics, calibrate_rig, next_shot
+from trinoc.calib.shots.advised_shot import shot_error_px, with_shot
+from trinoc.calib.shots.candidate_shots import candidate_shots
+from trinoc.calib.shots.foreseen import foreseen, place_sigma_px
+from trinoc.calib.shots.motions import chained
+from trinoc.cli.calibrate_rig import rig_record, shot_record
+from trinoc.errors import InputError
+
+CAMERAS = tuple(LENSES)
+
+
+def calibrated(seen):
+    return calibrate_rig(seen, BOARD, systematics=Systematics(), distortion=4)
+
+
+def worst_error_px(result):
+    end = result.ended
+    return max(
+        shot_error_px(shot, end.covariance)
+        for shot in foreseen(end.problem, candidate_shots(end.problem))
+    )
+
+
+@pytest.fixture(scope="module")
+def before():
+    return calibrated(shots())
+
+
+@pytest.fixture(scope="module")
+def advice(before):
+    return next_shot(before)
+
+
+@pytest.fixture(scope="module")
+def after(advice):
+    """The rig with the shot added that was advised: its world is the board of the first shot."""
+    pose, random = chained(board_poses(7)[0], advice.world_from_board), np.random.default_rng(9)
+    seen = shots()
+    for name, own in seen.items():
+        own.append(detection(name, pose, random) if name in advice.cameras else None)
+    return calibrated(seen)
+
+
+def test_what_is_promised_comes(advice, after):
+    assert advice.error_then_px < 0.5 * advice.error_now_px
+    assert worst_error_px(after) == pytest.approx(advice.error_then_px, rel=0.35)
+    promised = np.array(list(advice.sigma_then.values()))
+    found = np.array([after.sigma(name) for name in advice.sigma_then])
+    # Noise's scale, and with it all sigmas, is told anew by each camera's residuals.
+    np.testing.assert_allclose(found, promised, rtol=0.25)
+
+
+def test_the_advice_gives_more_than_another_shot(after):
+    assert worst_error_px(after) < 0.5 * worst_error_px(calibrated(shots(count=8)))
+
+
+def test_a_shot_never_takes_away(before):
+    end = before.ended
+    told = foreseen(end.problem, candidate_shots(end.problem))
+    assert {camera for shot in told for camera in shot.cameras} == {0, 1, 2}
+    for shot in told[::17]:
+        less = end.covariance - with_shot(end.covariance, shot, end.variance_factor)
+        assert np.linalg.eigvalsh(less).min() > -1e-9 * np.abs(end.covariance).max()
+        assert shot_error_px(shot, end.covariance) > 0
+
+
+def test_a_shot_that_was_taken_is_foreseen_as_it_was(before):
+    """As many places, each as accurate as the fit counts those that were seen."""
+    problem = before.ended.problem
+    shot = foreseen(problem, candidate_shots(problem)[:2])[0]
+    np.testing.assert_allclose(
+        place_sigma_px(problem), 0.05 * np.array([before.sigma_factor[c] for c in CAMERAS])
+    )
+    again = foreseen(
+        problem,
+        [shot.candidate._replace(rig_from_board=problem.state.rig_from_board[k]) for k in range(7)],
+    )
+    assert [each.places for each in again] == [
+        sum(len(view.detection) for view in problem.views if view.shot == k) for k in range(7)
+    ]
+
+
+def test_the_sentence_says_who_sees_it_and_where(advice, before):
+    for name in advice.cameras:
+        assert name in advice.sentence
+    assert "of its picture" in advice.sentence
+    assert advice.parameter in before.parameters
+    assert f"sigma of {advice.parameter}" in advice.sentence
+    held = advice._replace(sigma_now={}, sigma_then={})
+    assert held.parameter is None
+    assert "sigma of" not in held.sentence
+
+
+def test_the_command_s_record_is_json(advice, before):
+    record = json.loads(json.dumps({**rig_record(before), "next_shot": shot_record(advice)}))
+    assert record["next_shot"]["sentence"] == advice.sentence
+    assert np.shape(record["next_shot"]["world_from_board"]) == (3, 4)
+    assert set(record["cross_validation"]["across_px"]) == set(CAMERAS)
+    assert shot_record(None) is None
+
+
+def test_what_did_not_converge_has_no_next_shot(before):
+    nothing = eqx.tree_at(lambda result: result.ended, before, None)
+    with pytest.raises(InputError, match="no rig that a shot could be added to"):
+        next_shot(nothing)

@@ -1,0 +1,183 @@
+"""The page about a rig from many shots: complete, safe, and its figures are what they say."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from trinoc.calib import Chessboard, Detection, RigFromShots, Status
+from trinoc.calib.shots.halves import HalvesCheck
+from trinoc.calib.shots.table import View
+from trinoc.geometry import Rig
+from trinoc.report import write_shots_report
+from trinoc.report.shots.camera_field import fields_of_cameras
+from trinoc.report.shots.page import render_shots_report
+from trinoc.report.shots.shot_table import shot_table
+from trinoc.report.shots.uncertainty import uncertainty_maps
+from trinoc.report.shots.verdict import verdict_of_shots
+from trinoc.report.verdict_part import Level, Verdict
+
+from .conftest import made_up_rig
+from .test_html import Page
+
+BOARD = Chessboard(rows=4, columns=6, square_mm=20.0)
+SHOTS = tuple(f"{number:02}" for number in range(12))
+SIZE_PX = (512, 480)
+HALVES = HalvesCheck(1.02, "left.fx", 1.1, 24)
+
+
+def seen(camera: int, shot: int, random: np.random.Generator, *, used: bool = True) -> View:
+    """A board upright somewhere in the picture, in the corners at first."""
+    corner = (
+        np.array([(0, 0), (1, 0), (1, 1), (0, 1)][shot]) if shot < 4 else random.uniform(size=2)
+    )
+    spread = BOARD.centres_mm - BOARD.centres_mm.min(axis=0)
+    centres = 8 + corner * (np.array(SIZE_PX) - 17 - spread.max(axis=0)) + spread
+    count = len(BOARD)
+    detection = Detection(
+        circle_index=np.arange(count),
+        centres_px=centres,
+        covariance_px2=np.tile(0.01 * np.eye(2), (count, 1, 1)),
+        shape_px2=np.full((count, 2, 2), np.nan),
+        lines_px=np.full((2, 3), np.nan),
+        image_size_px=SIZE_PX,
+    )
+    return View(camera, shot, detection, np.full(count, used))
+
+
+def made_up(**changes: Any) -> RigFromShots:
+    """Three cameras that saw twelve boards; `changes` replaces fields of the result."""
+    random, rig = np.random.default_rng(5), made_up_rig()
+    views = tuple(seen(k, s, random) for k in range(3) for s in range(len(SHOTS)))
+    poses = np.tile(np.eye(3, 4), (len(SHOTS), 1, 1))
+    poses[:, :, 3] = random.uniform(-60, 60, (len(SHOTS), 3))
+    fields = {
+        "rig": rig,
+        "status": Status.CONVERGED,
+        "parameters": (*rig.parameters, "board.scale_x"),
+        "values": np.append(np.arange(12.0), 0.001),
+        "covariance": np.diag(np.append(np.diag(rig.covariance), 4e-8)),
+        "gauge": (),
+        "world": "the board in 00",
+        "target": BOARD,
+        "cameras": rig.names,
+        "shots": SHOTS,
+        "world_from_board": poses,
+        "place_shifts_mm": np.zeros((0, 3)),
+        "views": views,
+        "residuals_px": tuple(random.normal(0, 0.1, (len(BOARD), 2)) for _ in views),
+        "sigma_factor": dict.fromkeys(rig.names, 1.0),
+        "reduced_chi_square": 1.0,
+        "halves": HALVES,
+        "failures": {},
+        "refused": (),
+        "systematics": ("print size (0.2 %)",),
+        "notes": (),
+    }
+    return RigFromShots(**{**fields, **changes})
+
+
+def judged(result: RigFromShots) -> Verdict:
+    return verdict_of_shots(result, fields_of_cameras(result), uncertainty_maps(result))
+
+
+@pytest.fixture(scope="module")
+def result() -> RigFromShots:
+    return made_up()
+
+
+def test_every_camera_parameter_and_shot_is_shown_and_nothing_is_fetched(result) -> None:
+    page = Page(render_shots_report(result))
+    for word in (*result.cameras, *SHOTS, "pan_deg", "scale_x", "print size (0.2 %)"):
+        assert word in page.text
+    assert {"cameras", "shots", "field-of-board", "uncertainty", "space"} <= set(
+        page.attributes("id")
+    )
+    assert not page.attributes("src")
+    assert all(link.startswith(("#", "data:")) for link in page.attributes("href"))
+    assert page.text.count("You can use this rig.") == 1
+
+
+def test_equal_results_give_equal_files(result, tmp_path: Path) -> None:
+    write_shots_report(tmp_path / "a.html", result)
+    write_shots_report(tmp_path / "b.html", made_up())
+    assert (tmp_path / "a.html").read_bytes() == (tmp_path / "b.html").read_bytes()
+
+
+def test_names_cannot_break_the_page(result) -> None:
+    shots = ("<script>alert(1)</script>", *SHOTS[1:])
+    text = render_shots_report(
+        made_up(shots=shots, notes=("<b>bold</b>",), failures={'left "><i>': "no <board>"})
+    )
+    page = Page(text)
+    assert "<script>alert(1)</script>" in page.text
+    assert "no <board>" in page.text
+    assert "<i>" not in text
+
+
+def test_a_fit_that_failed_shows_its_shots_and_no_rig() -> None:
+    page = Page(render_shots_report(made_up(rig=None, status=Status.NOT_CONVERGED)))
+    assert "Do not rely on this rig." in page.text
+    assert not {"space", "uncertainty"} & set(page.attributes("id"))
+    assert "shots" in page.attributes("id")
+
+
+@pytest.mark.parametrize(
+    ("changes", "level", "says"),
+    [
+        ({}, Level.GOOD, "px"),
+        ({"gauge": ("left.pan_deg",)}, Level.BAD, "left.pan_deg"),
+        ({"halves": HALVES._replace(ratio=2.0)}, Level.CARE, "2.00 claimed sigmas"),
+        ({"halves": HALVES._replace(ratio=9.0)}, Level.BAD, "9.00 claimed sigmas"),
+        ({"halves": None}, Level.CARE, "does not determine"),
+        ({"sigma_factor": {"upper": 1.0, "right": 5.0, "left": 1.0}}, Level.CARE, "in right"),
+    ],
+)
+def test_the_verdict_is_that_of_the_worst_check(changes, level, says) -> None:
+    verdict = judged(made_up(**changes))
+    assert verdict.level is level
+    assert says in f"{verdict.reason} {' '.join(check.figure for check in verdict.checks)}"
+
+
+def test_pictures_are_counted_by_what_became_of_them(result) -> None:
+    views = (result.views[0]._replace(used=np.zeros(len(BOARD), bool)), *result.views[1:])
+    table = shot_table(made_up(views=views, failures={"left 99": "too dark"}))
+    assert [table.count(role) for role in ("used", "left-out", "missing", "none")] == [35, 1, 1, 2]
+    assert judged(made_up(views=views, refused=("00: moved.",))).level is Level.CARE
+
+
+def test_a_board_in_all_corners_covers_the_picture(result) -> None:
+    assert all(field.share > 0.9 for field in fields_of_cameras(result))
+    middle = tuple(view for view in result.views if view.shot >= 4)
+    errors = tuple(e for v, e in zip(result.views, result.residuals_px, strict=True) if v.shot >= 4)
+    fewer = fields_of_cameras(made_up(views=middle, residuals_px=errors))
+    assert all(a.share < b.share for a, b in zip(fewer, fields_of_cameras(result), strict=True))
+
+
+def test_mean_residuals_tell_a_pattern_from_chance(result) -> None:
+    by_chance = fields_of_cameras(result)
+    assert all(0.6 < field.over_chance < 1.5 for field in by_chance)
+    shift = np.array([0.3, -0.1])
+    moved = tuple(errors + shift for errors in result.residuals_px)
+    for field in fields_of_cameras(made_up(residuals_px=moved)):
+        assert field.over_chance > 3
+        scale = float(field.magnification)
+        arrows = np.array([np.array(m.tip) - (m.u, m.v) for m in field.means]) / scale
+        np.testing.assert_allclose(arrows.mean(axis=0), shift, atol=0.02)
+
+
+def test_the_maps_grow_as_the_sigmas_of_the_rig(result) -> None:
+    maps = uncertainty_maps(result)
+    assert maps is not None
+    wider = made_up(
+        rig=Rig(
+            dict(result.rig.items()),
+            parameters=result.rig.parameters,
+            covariance=4 * result.rig.covariance,
+        )
+    )
+    doubled = uncertainty_maps(wider)
+    assert doubled is not None
+    assert doubled.worst_at_boards_px == pytest.approx(2 * maps.worst_at_boards_px)
+    assert doubled.worst_farther_px == pytest.approx(2 * maps.worst_farther_px)

@@ -1,0 +1,88 @@
+"""Rao's score test: do the shots ask for parameters that were held? Nothing is fitted anew."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Bool
+
+from trinoc.calib.shots.covariance import Information, information_of
+from trinoc.calib.shots.problem import Problem, lens_number
+from trinoc.geometry import BrownConrady, lens_model, stack_lenses
+from trinoc.numerics import chi_square_tail
+
+# Shares of the information on held parameters, after all that is free has explained what it can,
+# below which a direction is not told apart from rounding.
+_LEAST_SHARE = 1e-10
+# The same of what is free: lengths, and shifts of the board's places, are open in part.
+_OPEN_SHARE = 1e-11
+
+
+class ScoreTest(NamedTuple):
+    """chi_square : of the pull at the held parameters. freedom : in how many directions of them
+    the shots can pull at all."""
+
+    chi_square: float
+    freedom: int
+
+    @property
+    def chance(self) -> float:
+        """Probability by which noise pulls so much; uniform where the held values are right."""
+        return float(chi_square_tail(self.chi_square, self.freedom)) if self.freedom else 1.0
+
+
+def score_test(information: Information, held: Bool[np.ndarray, "f"]) -> ScoreTest:
+    """The pull at some of the free parameters, had they been held, and the others fitted.
+
+    held : which of `information.free`.
+
+    What the others can explain is taken off the pull and off its covariance: what is left of k
+    parameters often has fewer directions than k. What was known of the board beforehand is left
+    out: the test then holds for any board, whether or not it is as typical as that prior says.
+    """
+    rows = information.free
+    whole = information.of_shot.sum(axis=0)[np.ix_(rows, rows)]
+    scale = np.sqrt(np.maximum(np.diag(whole), 1e-300))
+    whole = whole / np.outer(scale, scale)
+    pull = information.pulls.sum(axis=0)[rows] / scale
+    explained = whole[np.ix_(held, ~held)] @ np.linalg.pinv(
+        whole[np.ix_(~held, ~held)], rcond=_OPEN_SHARE, hermitian=True
+    )
+    left = whole[np.ix_(held, held)] - explained @ whole[np.ix_(~held, held)]
+    shares, directions = np.linalg.eigh(left)
+    told = shares > _LEAST_SHARE
+    along = directions[:, told].T @ (pull[held] - explained @ pull[~held])
+    return ScoreTest(float(np.sum(along**2 / shares[told])), int(told.sum()))
+
+
+def rational_lens_test(
+    problem: Problem, image_sizes_px: Sequence[tuple[int, int]], variance_factor: float
+) -> ScoreTest:
+    """Whether the shots ask for k4, k5 and k6, at the end of a fit of Brown and Conrady's lens.
+
+    That is the rational lens whose last three coefficients are 0. image_sizes_px : of each lens.
+    """
+    model, count = lens_model("rational"), len(problem.chart.lens_scale)
+    more = len(model.parameter_names) - len(BrownConrady.parameter_names)
+    lenses = []
+    for k in range(count):
+        lens = lens_number(problem, k)
+        wider = np.append(lens.coefficients, np.zeros(more))
+        lenses.append(model(lens.focal_length_px, lens.principal_point_px, lens.skew_px, wider))
+    size = problem.chart.lens_scale.shape[1]
+    free = np.asarray(problem.chart.free)
+    of_lens, of_rest = free[: count * size].reshape(count, size), free[count * size :]
+    fitted = np.repeat(of_lens.any(axis=1, keepdims=True), more, axis=1)
+    scale = np.stack([a.parameter_scales(b) for a, b in zip(lenses, image_sizes_px, strict=True)])
+    chart = eqx.tree_at(
+        lambda chart: (chart.lens_scale, chart.free),
+        problem.chart,
+        (scale, np.append(np.append(of_lens, fitted, axis=1).ravel(), of_rest)),
+    )
+    state = eqx.tree_at(lambda state: state.lenses, problem.state, stack_lenses(lenses))
+    information = information_of(problem._replace(state=state, chart=chart))
+    added = np.append(np.zeros((count, size), dtype=bool), fitted, axis=1).ravel()
+    held = np.append(added, np.zeros(len(of_rest), dtype=bool))[information.free]
+    test = score_test(information, held)
+    return test._replace(chi_square=test.chi_square / variance_factor)

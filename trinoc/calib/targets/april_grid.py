@@ -1,0 +1,101 @@
+"""A grid of AprilTags with small squares between their corners, as Kalibr prints it."""
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from trinoc.calib.targets.abstract_target import AbstractTarget
+from trinoc.calib.targets.checkers import DICTIONARIES
+from trinoc.errors import InputError
+
+# Corners of a tag about its middle, in tags: from the lower left counter-clockwise.
+_CORNERS = 0.5 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+
+
+class AprilGrid(AbstractTarget):
+    """A grid of AprilTags whose numbers grow along the rows, the lowest row first.
+
+    Squares of the width of the gap stand where gaps cross, so that every corner of a tag is one of
+    a chessboard. A part of the board tells where it lies. Places are the corners of the tags, four
+    of each from its lower left counter-clockwise, tag by tag; the origin is in the middle.
+
+    Fields
+    ------
+    rows, columns : tags.
+    tag_mm : side of a tag's ink, its border included.
+    spacing : width of the gap between two tags over their side, Kalibr's tagSpacing.
+    dictionary : of the tags (`DICTIONARIES`).
+    border : width of a tag's black border in its cells: 2 as Kalibr has it, 1 for others.
+    first : number of the tag at the lower left.
+    name : what the board is called; from the numbers unless given.
+
+    Source: E. Olson, "AprilTag: a robust and flexible visual fiducial system", ICRA 2011.
+    """
+
+    rows: int = eqx.field(static=True)
+    columns: int = eqx.field(static=True)
+    tag_mm: float = eqx.field(static=True)
+    spacing: float = eqx.field(static=True)
+    dictionary: str = eqx.field(static=True)
+    border: int = eqx.field(static=True)
+    first: int = eqx.field(static=True)
+    name: str = eqx.field(static=True)
+
+    def __init__(
+        self,
+        *,
+        rows: int,
+        columns: int,
+        tag_mm: float,
+        spacing: float = 0.3,
+        dictionary: str = "APRILTAG_36h11",
+        border: int = 2,
+        first: int = 0,
+        name: str | None = None,
+    ) -> None:
+        self.rows, self.columns, self.first = int(rows), int(columns), int(first)
+        self.tag_mm, self.spacing = float(tag_mm), float(spacing)
+        self.dictionary, self.border = dictionary, int(border)
+        self.name = name or f"aprilgrid_{rows}x{columns}_{tag_mm:g}mm"
+
+    def __check_init__(self) -> None:
+        if min(self.rows, self.columns) < 1 or self.rows * self.columns < 2:
+            raise InputError(f"The board {self.name!r} is too small: give at least two tags.")
+        if not (np.isfinite(self.tag_mm) and self.tag_mm > 0.0):
+            raise InputError(
+                f"The board {self.name!r} has tags of {self.tag_mm:g} mm: give a side."
+            )
+        if not 0.05 <= self.spacing <= 1.0:
+            raise InputError(
+                f"The board {self.name!r} has gaps of {self.spacing:g} tags: give their width over "
+                "the side of a tag, from .05 to 1."
+            )
+        if self.dictionary not in DICTIONARIES:
+            raise InputError(
+                f"The dictionary {self.dictionary!r} is unknown: give one of "
+                f"{', '.join(DICTIONARIES)}."
+            )
+        if self.border not in (1, 2) or self.first < 0:
+            raise InputError(
+                f"The board {self.name!r} has borders of {self.border} cells and begins at tag "
+                f"{self.first}: give 1 or 2, and a number from 0 on."
+            )
+
+    @property
+    def tags_mm(self) -> Float[np.ndarray, "t 2"]:
+        """The middles of the tags, in the order of their numbers."""
+        row, column = np.divmod(np.arange(self.rows * self.columns), self.columns)
+        pitch = self.tag_mm * (1 + self.spacing)
+        return pitch * np.stack(
+            [column - 0.5 * (self.columns - 1), row - 0.5 * (self.rows - 1)], axis=1
+        )
+
+    @property
+    def centres_mm(self) -> Float[np.ndarray, "n 2"]:
+        """The corners of the tags."""
+        return (self.tags_mm[:, None] + self.tag_mm * _CORNERS).reshape(-1, 2)
+
+    @property
+    def radius_mm(self) -> Float[np.ndarray, "n"]:
+        """Zeros: corners have none."""
+        return np.zeros(4 * self.rows * self.columns)

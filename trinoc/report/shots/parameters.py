@@ -1,0 +1,38 @@
+"""Lenses, cameras and board beside their sigmas."""
+
+import numpy as np
+
+from trinoc.calib import RigFromShots
+from trinoc.report.numbers import with_decimals, with_sigma
+
+# (name, cell of each camera); a cell of no text is a parameter that the camera has not.
+Rows = tuple[tuple[str, tuple[str, ...]], ...]
+
+
+def parameter_columns(result: RigFromShots) -> tuple[Rows, Rows]:
+    """Rows of the cameras, a cell for each; and those of the board, with one cell."""
+    prefixes = [f"{camera}." for camera in result.cameras]
+    names = dict.fromkeys(
+        name.removeprefix(prefix)
+        for prefix in prefixes
+        for name in result.parameters
+        if name.startswith(prefix)
+    )
+    cameras = tuple(
+        (name, tuple(_words(result, prefix + name) for prefix in prefixes)) for name in names
+    )
+    board = tuple(
+        (name.removeprefix("board."), (_words(result, name),))
+        for name in result.parameters
+        if name.startswith("board.")
+    )
+    return cameras, board
+
+
+def _words(result: RigFromShots, name: str) -> str:
+    if name not in result.parameters:
+        return ""
+    value, sigma = result.value(name), result.sigma(name)
+    if not np.isfinite(value):
+        return "not determined"
+    return f"{with_decimals(value, 4)}, held" if sigma == 0 else with_sigma(value, sigma)

@@ -1,0 +1,58 @@
+"""What each camera saw of the board in each shot."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from trinoc.calib import RigFromShots
+from trinoc.report.numbers import with_decimals
+
+
+class ShotCell(NamedTuple):
+    """One picture: what was found, and how far off; `role` is "used", "left-out", "missing" or
+    "none" where the camera took no picture."""
+
+    text: str
+    words: str
+    role: str
+
+
+class ShotTable(NamedTuple):
+    """A row for each shot, a cell for each camera."""
+
+    cameras: tuple[str, ...]
+    rows: tuple[tuple[str, tuple[ShotCell, ...]], ...]
+
+    def count(self, role: str) -> int:
+        """How many pictures are of a role."""
+        return sum(cell.role == role for _, cells in self.rows for cell in cells)
+
+
+def shot_table(result: RigFromShots) -> ShotTable:
+    """Every picture that was given, shots that took no part last."""
+    cells = {
+        (result.cameras[view.camera], result.shots[view.shot]): _seen(result, k)
+        for k, view in enumerate(result.views)
+    }
+    for picture, why in result.failures.items():
+        camera = max((c for c in result.cameras if picture.startswith(f"{c} ")), key=len)
+        place = camera, picture.removeprefix(f"{camera} ")
+        cells.setdefault(place, ShotCell("not found", why, "missing"))
+    shots = dict.fromkeys([*result.shots, *sorted(shot for _, shot in cells)])
+    none = ShotCell("\N{EN DASH}", "no picture", "none")
+    rows = tuple(
+        (shot, tuple(cells.get((camera, shot), none) for camera in result.cameras))
+        for shot in shots
+    )
+    return ShotTable(result.cameras, rows)
+
+
+def _seen(result: RigFromShots, row: int) -> ShotCell:
+    view = result.views[row]
+    used, found = int(view.used.sum()), len(view.detection)
+    if not used:
+        return ShotCell("left out", f"{found} places found, none of them used", "left-out")
+    errors = result.residuals_px[row][view.kept]
+    rms = float(np.sqrt(np.mean(np.sum(errors**2, axis=1)))) if len(errors) else float("nan")
+    text = f"{used} of {len(result.target)}, {with_decimals(rms, 3)} px"
+    return ShotCell(text, f"{used} of {found} places found are used; rms of the residuals", "used")
