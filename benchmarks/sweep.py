@@ -2,7 +2,7 @@
 
     python benchmarks/sweep.py selection.damping 0.1 0.3 0.6 [--seeds 3] [--list]
 
-Names are those of trinoc/match/tuning.py, and --list prints them with their values; a tuple is
+Names are those of trinoc/match/tuning, and --list prints them with their values; a tuple is
 written like (1.0,3.0,8.0). Scenes are drawn from seeds that nothing was tuned on: blocks on a
 table, see-through boxes with cut ends, loose segments. Columns are precision/recall of triples and
 of pairs, as in benchmarks/matching.py, whose rows are larger: judge by those. A kind of scene and

@@ -35,14 +35,14 @@ INNER_FLOORS = {
         *("uncertainty", "shots", "adjustment", "bundle", "rig_check"),
     ),
     "match": (
-        *("observations", "two_view", "evidence", "candidates", "selection", "occlusion"),
-        *("tracks", "guided", "line_map", "wire_frame"),
+        *("tuning", "observations", "two_view", "evidence", "candidates", "selection"),
+        *("occlusion", "tracks", "guided", "line_map", "wire_frame"),
     ),
     "segments": ("nevatia_babu",),
     "geometry": ("lenses",),
 }
 
-# Files of a room that its inner rooms stand on: its tuned constants.
+# What the inner rooms of a room stand on, a file or a room: its tuned constants.
 FOUNDATION = "tuning"
 
 # Imported where they are used, because a plain `pip install` does not bring them.

@@ -13,7 +13,8 @@ from trinoc.match import match_many, match_segments, warm_up
 KERNELS = {
     "observations.table": ["_prepared"],
     "candidates.search": ["_predicted", "_passes_gate"],
-    "candidates.triples": ["_views_of", "prepared_order", "_evidence_of"],
+    "candidates.single_precision": ["pencil", "_single_order"],
+    "candidates.judged": ["_fitted", "_evidence_of"],
     "selection.messages": ["_propagated"],
     "occlusion.possible_pairs": ["pencil", "_evidence_of"],
     "tracks.line_fit": ["_triangulated"],

@@ -30,6 +30,15 @@ class Segment3D(NamedTuple):
     chi_square: Float[ArrayLike, ""]
 
 
+class _Fit(NamedTuple):
+    """At some ends: the covariance and chi-square there, and the next ends of Gauss-Newton."""
+
+    ends_mm: Float[ArrayLike, "2 3"]
+    covariance_mm2: Float[ArrayLike, "6 6"]
+    chi_square: Float[ArrayLike, ""]
+    next_mm: Float[ArrayLike, "2 3"]
+
+
 def triangulate_point(
     matrices_px: Float[ArrayLike, "v 3 4"],
     uv_px: Float[ArrayLike, "v 2"],
@@ -68,25 +77,28 @@ def triangulate_segment(
     covariance = jnp.where(seen[:, None, None], covariance_px2, identity)
     information = weight[:, None, None] * jax.vmap(inverse_positive_definite)(covariance)
 
-    def residual(ends: Float[ArrayLike, "6"]) -> Float[ArrayLike, "v 4"]:
-        homogeneous = jnp.concatenate([ends.reshape(2, 3), jnp.ones((2, 1))], axis=1)
-        image = jnp.einsum("vij,ej->vei", matrices_px, homogeneous)
-        return (image[..., :2] / image[..., 2:] - fragments).reshape(-1, 4)
-
-    def normal_equations(
-        ends: Float[ArrayLike, "6"],
-    ) -> tuple[Float[ArrayLike, "6 6"], Float[ArrayLike, "6"], Float[ArrayLike, ""]]:
-        error, jacobian = residual(ends), jax.jacfwd(residual)(ends)
-        weighted = jnp.einsum("vij,vjk->vik", information, jacobian)
-        hessian = jnp.einsum("vij,vik->jk", jacobian, weighted)
-        gradient = jnp.einsum("vij,vi->j", weighted, error)
-        return hessian, gradient, jnp.einsum("vi,vij,vj->", error, information, error)
-
-    def step(_: ArrayLike, ends: Float[ArrayLike, "6"]) -> Float[ArrayLike, "6"]:
-        hessian, gradient, _chi_square = normal_equations(ends)
-        return ends - solve_positive_definite(hessian, gradient)
+    def fitted(ends: Float[ArrayLike, "2 3"]) -> _Fit:
+        # Sums of products and no matrix products, which XLA computes one by one.
+        image = (matrices_px[:, None, :, :3] * ends[None, :, None, :]).sum(-1)
+        image = image + matrices_px[:, None, :, 3]
+        uv, depth = image[..., :2] / image[..., 2:], image[..., 2]
+        error = (uv - fragments).reshape(-1, 4)
+        # Of each end's two coordinates by its own three: (v, e, 2, 3).
+        slope = matrices_px[:, None, :2, :3] - uv[..., None] * matrices_px[:, None, 2:, :3]
+        slope = slope / depth[..., None, None]
+        blocks = information.reshape(-1, 2, 2, 2, 2)
+        # Axes: view, end, coordinate of the image, end, coordinate, place.
+        weighted = (blocks[..., None] * slope[:, None, None]).sum(4)
+        hessian = (slope[:, :, :, :, None, None] * weighted[:, :, :, None]).sum((0, 2))
+        of_error = (information * error[:, None, :]).sum(-1)
+        gradient = (slope * of_error.reshape(-1, 2, 2)[..., None]).sum((0, 2))
+        covariance = inverse_positive_definite(hessian.reshape(6, 6))
+        step = (covariance * gradient.reshape(1, 6)).sum(-1).reshape(2, 3)
+        return _Fit(ends, covariance, (error * of_error).sum(), ends - step)
 
     start = jax.vmap(triangulate_point, in_axes=(None, 1, None))(matrices_px, fragments, weight)
-    ends = jax.lax.fori_loop(0, GAUSS_NEWTON_STEPS, step, start.reshape(6))
-    hessian, _, chi_square = normal_equations(ends)
-    return Segment3D(ends.reshape(2, 3), inverse_positive_definite(hessian), chi_square)
+    nothing = _Fit(start, jnp.zeros((6, 6)), jnp.zeros(()), start)
+    # The last round only computes what holds at the ends that the others found.
+    rounds = GAUSS_NEWTON_STEPS + 1
+    found = jax.lax.fori_loop(0, rounds, lambda _, fit: fitted(fit.next_mm), nothing)
+    return Segment3D(found.ends_mm, found.covariance_mm2, found.chi_square)

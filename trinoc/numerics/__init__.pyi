@@ -22,6 +22,11 @@ from .chi_square import (
     chi_square_tail as chi_square_tail,
     normal_limit as normal_limit,
 )
+from .columns import (
+    as_columns as as_columns,
+    judged_in_blocks as judged_in_blocks,
+    split_columns as split_columns,
+)
 from .compilation import one_compiles as one_compiles
 from .compiler_options import quick_compiling as quick_compiling
 from .display import Displays as Displays, Shown as Shown, display_with as display_with
@@ -79,9 +84,13 @@ from .scalar_vectors import (
     between as between,
     cross3 as cross3,
     dot3 as dot3,
+    in_front as in_front,
+    largest_of as largest_of,
+    least_of as least_of,
+    nth3 as nth3,
+    nth6 as nth6,
     outer3 as outer3,
     scaled3 as scaled3,
-    stacked as stacked,
     times_matrix as times_matrix,
     total as total,
     unit3 as unit3,

@@ -2,7 +2,8 @@
 
 Under `vmap` a scalar becomes one long array, and arithmetic on such arrays fuses into one loop
 over the items; a batch of 3-vectors and 2x2 matrices becomes thousands of tiny products, tens
-of times slower on a CPU.
+of times slower on a CPU. Scalars may as well be arrays of many items from the start, with axes
+that broadcast.
 """
 
 import functools
@@ -10,26 +11,50 @@ import operator
 from collections.abc import Iterable
 
 import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from trinoc.numerics.arrays import ArrayLike
 
-Scalar = Float[ArrayLike, ""]
+Scalar = Float[ArrayLike, "..."]
 Vector2 = tuple[Scalar, Scalar]
 Vector3 = tuple[Scalar, Scalar, Scalar]
 # xx, xy, xz, yy, yz, zz
 Symmetric3 = tuple[Scalar, Scalar, Scalar, Scalar, Scalar, Scalar]
 
 
-def vector3(array: Float[ArrayLike, "3"]) -> Vector3:
+def vector3(array: Float[ArrayLike, "... 3"]) -> Vector3:
     """The components of an array."""
-    return array[0], array[1], array[2]
+    return array[..., 0], array[..., 1], array[..., 2]
+
+
+def in_front(a: Vector3) -> Vector3:
+    """With an axis of length 1 before all others."""
+    return a[0][None], a[1][None], a[2][None]
+
+
+def nth3(a: Vector3, k: int) -> Vector3:
+    """The k-th along the first axis."""
+    return a[0][k], a[1][k], a[2][k]
+
+
+def nth6(a: Symmetric3, k: int) -> Symmetric3:
+    """The k-th along the first axis."""
+    return a[0][k], a[1][k], a[2][k], a[3][k], a[4][k], a[5][k]
 
 
 def total(terms: Iterable[Scalar]) -> Scalar:
-    """Sum of at least one scalar."""
+    """Sum of at least one scalar, or over the first axis of an array."""
     return functools.reduce(operator.add, terms)
+
+
+def largest_of(terms: Iterable[Scalar]) -> Scalar:
+    """The largest of at least one scalar, or along the first axis of an array."""
+    return functools.reduce(jnp.maximum, terms)
+
+
+def least_of(terms: Iterable[Scalar]) -> Scalar:
+    """The least of at least one scalar, or along the first axis of an array."""
+    return functools.reduce(jnp.minimum, terms)
 
 
 def dot3(a: Vector3, b: Vector3) -> Scalar:
@@ -71,12 +96,12 @@ def outer3(a: Vector3, b: Vector3, weights: tuple[Scalar, Scalar, Scalar]) -> Sy
     return xx, xy, xz, yy, yz, zz
 
 
-def times_matrix(matrix: Float[ArrayLike, "3 3"], a: Vector3) -> Vector3:
+def times_matrix(matrix: Float[ArrayLike, "... 3 3"], a: Vector3) -> Vector3:
     """matrix a."""
     return (
-        dot3(vector3(matrix[0]), a),
-        dot3(vector3(matrix[1]), a),
-        dot3(vector3(matrix[2]), a),
+        dot3(vector3(matrix[..., 0, :]), a),
+        dot3(vector3(matrix[..., 1, :]), a),
+        dot3(vector3(matrix[..., 2, :]), a),
     )
 
 
@@ -84,8 +109,3 @@ def between(covariance: tuple[Scalar, Scalar, Scalar], s: Scalar, t: Scalar) -> 
     """Covariance of two interpolated places, from (c00, c01, c11) of the places 0 and 1."""
     c00, c01, c11 = covariance
     return (1 - s) * (1 - t) * c00 + (s * (1 - t) + t * (1 - s)) * c01 + s * t * c11
-
-
-def stacked(columns: tuple, keep: Int[np.ndarray, "m"] | slice) -> Float[np.ndarray, "m a b"]:
-    """Tuples of tuples of columns as one array, with the items in front."""
-    return np.stack([np.stack([c[keep] for c in row], axis=1) for row in columns], axis=1)

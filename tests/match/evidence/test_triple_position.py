@@ -15,6 +15,7 @@ from tests.match.scene import MadeScene, seen_by
 from trinoc.geometry import line_through, signed_distance, trifocal
 from trinoc.match.evidence import TripleEvidence, triple_evidence
 from trinoc.match.observations import ClutterModel
+from trinoc.match.two_view import sight_of
 from trinoc.numerics import vector3
 
 ORDER = np.arange(3)
@@ -22,9 +23,15 @@ ORDER = np.arange(3)
 
 @jax.jit
 def evidence_on(lines, order, segments, near_mm, clutter) -> TripleEvidence:
+    points = vector3(near_mm[:, 0]), vector3(near_mm[:, 1])
+    return triple_evidence(sight_of(lines, clutter, order, segments.T), points)
+
+
+@jax.jit
+def one_by_one(lines, order, segments, near_mm, clutter) -> TripleEvidence:
     def one(segments, near_mm):
         points = vector3(near_mm[0]), vector3(near_mm[1])
-        return triple_evidence(lines, order, segments, points, clutter)
+        return triple_evidence(sight_of(lines, clutter, order, segments), points)
 
     return jax.vmap(one)(segments, near_mm)
 
@@ -75,6 +82,14 @@ def log_share_of_lengths(lengths_px: np.ndarray, typical_px: float) -> float:
     longest, others = lengths_px.max(), len(lengths_px) - 1
     ratio = density(longest) / np.prod(density(lengths_px)) / longest ** (2 * others)
     return float(np.log(ratio))
+
+
+def test_triples_at_once_are_what_each_is_alone(precise: MadeScene, clutter: ClutterModel) -> None:
+    given = precise.seen.lines, ORDER, precise.true, precise.lines_mm, clutter
+    for together, alone in zip(
+        jax.tree.leaves(evidence_on(*given)), jax.tree.leaves(one_by_one(*given)), strict=True
+    ):
+        np.testing.assert_allclose(together, alone, rtol=1e-6, atol=1e-9)
 
 
 def test_misfit_is_that_of_the_line_which_the_trifocal_tensor_transfers(

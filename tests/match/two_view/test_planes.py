@@ -5,29 +5,42 @@ import numpy as np
 import pytest
 
 from tests.match.scene import MadeScene, image_px, place_on
-from trinoc.match.two_view import InterpretationPlane, extent_on_line, interpretation_plane
+from trinoc.match.observations import ClutterModel
+from trinoc.match.two_view import (
+    InterpretationPlanes,
+    extents_on_line,
+    image_length_px,
+    interpretation_planes,
+    sight_of,
+    variance_mm2,
+)
 from trinoc.numerics import unit3, vector3
 
 VIEW = 1
 
 
+def sights(lines, segments):
+    """Of one view, all segments at once."""
+    clutter = ClutterModel(np.zeros(lines.length_px.shape), np.array(30.0))
+    return sight_of(lines, clutter, np.array([VIEW]), segments[None])
+
+
 @jax.jit
 def planes_at(lines, segments, points_mm):
-    def one(segment, points):
-        return interpretation_plane(
-            lines, np.array(VIEW), segment, (vector3(points[0]), vector3(points[1]))
-        )
-
-    return jax.vmap(one)(segments, points_mm)
+    """(planes, (v00, v01, v11) of the distances, length of the image), of the only view."""
+    points = vector3(points_mm.swapaxes(0, 1))
+    sight = sights(lines, segments)
+    planes = interpretation_planes(sight, points)
+    pairs = ((0, 0), (0, 1), (1, 1))
+    variance = [variance_mm2(sight, planes, *pair) for pair in pairs]
+    return jax.tree.map(lambda x: x[0], (planes, variance, image_length_px(planes)))
 
 
 @jax.jit
 def extents(lines, segments, points_mm):
-    def one(segment, points):
-        along = unit3(vector3(points[1] - points[0]))
-        return extent_on_line(lines, np.array(VIEW), segment, vector3(points[0]), along)
-
-    return jax.vmap(one)(segments, points_mm)
+    along = unit3(vector3(points_mm[:, 1] - points_mm[:, 0]))
+    low, high = extents_on_line(sights(lines, segments), vector3(points_mm[:, 0]), along)
+    return low[0], high[0]
 
 
 def plane_of_sight(matrix_px: np.ndarray, ends_px: np.ndarray) -> np.ndarray:
@@ -42,7 +55,7 @@ def distances_mm(plane: np.ndarray, points_mm: np.ndarray) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def found(exact: MadeScene) -> InterpretationPlane:
+def found(exact: MadeScene) -> tuple[InterpretationPlanes, list, np.ndarray]:
     """At both ends of the lines, moved away from their planes by some millimetres."""
     return jax.tree.map(
         np.asarray, planes_at(exact.seen.lines, exact.true[:, VIEW], exact.lines_mm + 1.0)
@@ -52,25 +65,26 @@ def found(exact: MadeScene) -> InterpretationPlane:
 def test_normals_and_distances_are_those_of_the_plane(exact: MadeScene, found) -> None:
     table = exact.table
     plane = plane_of_sight(table.matrix_px[VIEW], table.ends_px[VIEW, exact.true[:, VIEW]])
-    normal = np.stack(found.normal, axis=1)
+    normal = np.stack(found[0].normal, axis=1)
     sign = np.sign((normal * plane[:, :3]).sum(1))
     np.testing.assert_allclose(normal, sign[:, None] * plane[:, :3], atol=1e-10)
     expected = sign[:, None] * distances_mm(plane, exact.lines_mm + 1.0)
-    np.testing.assert_allclose(np.stack(found.distance_mm, axis=1), expected, atol=1e-8)
+    np.testing.assert_allclose(found[0].distance_mm.T, expected, atol=1e-8)
 
 
 def test_places_and_lengths_are_those_of_the_images(exact: MadeScene, found) -> None:
     table = exact.table
     image = image_px(table.matrix_px[VIEW], exact.lines_mm + 1.0)
     ends = table.ends_px[VIEW, exact.true[:, VIEW]]
-    np.testing.assert_allclose(np.stack(found.interval, axis=1), place_on(ends, image), atol=1e-10)
-    np.testing.assert_allclose(found.length_px, np.linalg.norm(image[:, 1] - image[:, 0], axis=1))
+    np.testing.assert_allclose(found[0].interval.T, place_on(ends, image), atol=1e-10)
+    np.testing.assert_allclose(found[2], np.linalg.norm(image[:, 1] - image[:, 0], axis=1))
 
 
 def test_magnification_and_variance_are_derivatives(exact: MadeScene) -> None:
     table, step, true = exact.table, 1e-4, exact.true[:, VIEW]
     matrix, ends, line = table.matrix_px[VIEW], table.ends_px[VIEW, true], table.line[VIEW, true]
-    on_plane = jax.tree.map(np.asarray, planes_at(exact.seen.lines, true, exact.lines_mm))
+    at_line = planes_at(exact.seen.lines, true, exact.lines_mm)
+    on_plane, stated_mm2, _ = jax.tree.map(np.asarray, at_line)
     normal = np.stack(on_plane.normal, axis=1)
 
     def across_px(points_mm: np.ndarray) -> np.ndarray:
@@ -78,7 +92,7 @@ def test_magnification_and_variance_are_derivatives(exact: MadeScene) -> None:
 
     moved = exact.lines_mm + step * normal[:, None]
     expected = (across_px(moved) - across_px(exact.lines_mm)) / step
-    np.testing.assert_allclose(np.stack(on_plane.px_per_mm, axis=1), expected, rtol=1e-4)
+    np.testing.assert_allclose(on_plane.px_per_mm.T, expected, rtol=1e-4)
 
     effect = []
     for end in range(2):
@@ -87,7 +101,7 @@ def test_magnification_and_variance_are_derivatives(exact: MadeScene) -> None:
         effect.append(distances_mm(plane_of_sight(matrix, turned), exact.lines_mm) / step)
     effect = np.stack(effect, axis=2)
     variance = effect @ table.across_px2[VIEW, true] @ effect.mT
-    for stated, (i, j) in zip(on_plane.variance_mm2, ((0, 0), (0, 1), (1, 1)), strict=True):
+    for stated, (i, j) in zip(stated_mm2, ((0, 0), (0, 1), (1, 1)), strict=True):
         np.testing.assert_allclose(stated, variance[:, i, j], rtol=1e-3, atol=1e-9)
 
 
@@ -98,6 +112,7 @@ def test_extents_are_nearest_to_the_rays(exact: MadeScene) -> None:
     table = exact.table
     along = lines_mm[:, 1] - lines_mm[:, 0]
     along /= np.linalg.norm(along, axis=1, keepdims=True)
+    nearest = np.zeros_like(found)
     for n in range(len(true)):
         for end in range(2):
             ray = np.linalg.solve(
@@ -106,4 +121,5 @@ def test_extents_are_nearest_to_the_rays(exact: MadeScene) -> None:
             # The least of |origin + s along - centre - t ray|.
             system = np.stack([along[n], -ray], axis=1)
             solution = np.linalg.lstsq(system, table.centre_mm[VIEW] - lines_mm[n, 0])[0]
-            np.testing.assert_allclose(found[n, end], solution[0], atol=1e-7)
+            nearest[n, end] = solution[0]
+    np.testing.assert_allclose(found, np.sort(nearest, axis=1), atol=1e-7)

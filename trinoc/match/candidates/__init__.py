@@ -1,8 +1,8 @@
 """Step 1: triples of segments that can be one line.
 
 transfer (what a pair predicts in the third view) -> index, lookup (who is there) -> gate: all by
-search, in single_precision -> triples, all three orderings, in double precision; `table` is the
-value they come in."""
+search, in single_precision -> judged, in double precision, the value of `table`: for all three
+orderings by triples."""
 
 import lazy_loader
 

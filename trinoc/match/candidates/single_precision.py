@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 from trinoc.match.candidates.transfer import ThirdView, third_view
 from trinoc.match.observations import SegmentTable
 from trinoc.match.two_view import Pencil, PencilSegments, pencil
-from trinoc.numerics import ArrayLike
+from trinoc.numerics import ArrayLike, kept_jit
 
 # Rounding errors of a few operations, relative to their largest term.
 ROUNDING = 4 * float(np.finfo(np.float32).eps)
@@ -36,10 +36,15 @@ class SingleOrder(NamedTuple):
     frame: Int[ArrayLike, "n"] | None
 
 
-@jax.jit
-def prepared_order(lines: SegmentTable, order: Int[ArrayLike, "3"]) -> tuple[Pencil, SingleOrder]:
+def prepared_order(lines: SegmentTable, order: Int[np.ndarray, "3"]) -> tuple[Pencil, SingleOrder]:
     """(the pencil of the first two views of an order, what single precision needs of it)."""
-    planes, third = pencil(lines, order[0], order[1]), order[2]
+    planes = pencil(lines, order[0], order[1])
+    return planes, _single_order(lines, planes, order)
+
+
+@kept_jit
+def _single_order(lines: SegmentTable, planes: Pencil, order: Int[ArrayLike, "3"]) -> SingleOrder:
+    third = order[2]
     view = third_view(lines, planes, third)
     count = lines.ends_px.shape[1]
     rounding = rounding_px(lines, third) ** 2
@@ -56,7 +61,7 @@ def prepared_order(lines: SegmentTable, order: Int[ArrayLike, "3"]) -> tuple[Pen
         segments,
         None if lines.frame is None else lines.frame[order[0]],
     )
-    return planes, jax.tree.map(_single, single)
+    return jax.tree.map(_single, single)
 
 
 def _single(column: ArrayLike) -> ArrayLike:

@@ -1,50 +1,22 @@
 """Step 1: triples of segments that can be one line, from all three orderings of the views."""
 
 from collections.abc import Iterator
-from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
+from trinoc.match.candidates.judged import candidates_of
 from trinoc.match.candidates.lookup import lookup
 from trinoc.match.candidates.search import gated_triples
 from trinoc.match.candidates.single_precision import prepared_order
 from trinoc.match.candidates.table import Candidates, no_candidates, prior_log_odds
-from trinoc.match.evidence import (
-    TripleEvidence,
-    end_evidence,
-    polarity_evidence,
-    prior_parameters,
-    side_evidence,
-    triple_evidence,
-)
-from trinoc.match.observations import (
-    TRIPLES_IN_BLOCK,
-    ClutterModel,
-    SegmentTable,
-    block_of,
-    of_frame,
-)
-from trinoc.match.tuning import DEFAULT, CandidateTuning, EndTuning, MatchTuning
-from trinoc.match.two_view import (
-    Pencil,
-    cut_pair,
-    pencil_of,
-    plane_angles,
-    points_of,
-    row_of,
-)
-from trinoc.numerics import (
-    ArrayLike,
-    blocks,
-    concatenate_rows,
-    in_blocks,
-    kept_jit,
-    overlapping,
-    stacked,
-)
+from trinoc.match.evidence import prior_parameters
+from trinoc.match.observations import ClutterModel, SegmentTable
+from trinoc.match.tuning import DEFAULT, MatchTuning
+from trinoc.match.two_view import Pencil, plane_angles
+from trinoc.numerics import ArrayLike, blocks, concatenate_rows, overlapping
 
 # About as many pairs are held at a time.
 PAIRS_AT_A_TIME = 1 << 19
@@ -59,7 +31,9 @@ def trinocular_candidates(
 ) -> Candidates:
     """All triples of three views; each is found from the pair of views that crosses best."""
     # Tables of three views, whichever and of how many, so that kernels compile once for all.
-    three, own = _views_of(lines, clutter, np.array(views))
+    three, own = lines, clutter
+    if views != tuple(range(len(counts))):
+        three, own = _views_of(lines, clutter, np.array(views))
     numbers = [counts[view] for view in views]
     parts, known = [no_candidates(3)], np.zeros(0, np.int64)
     for turn in range(3):
@@ -121,7 +95,7 @@ def _in_order(
             number = _number_of(triple[:, np.argsort(order)], counts)
             place = np.minimum(np.searchsorted(known, number), len(known) - 1)
             triple = triple[known[place] != number]
-        found = _candidates_of(lines, order, planes, triple, clutter, tuning)
+        found = candidates_of(lines, order, planes, triple, clutter, tuning)
         # Frames of a stack are small.
         many = lines.frame is None and len(found.index) > tuning.candidates.prune_above
         number = _number_of(found.index, counts)
@@ -162,63 +136,3 @@ def _pairs(
     for block in blocks(counts[order[0]], rows):
         i, j = overlapping(angles_a[block], angles_b)
         yield (i + block.start).astype(np.int32), j.astype(np.int32)
-
-
-def _candidates_of(
-    lines: SegmentTable,
-    order: Int[np.ndarray, "3"],
-    planes: Pencil,
-    triple: Int[np.ndarray, "h 3"],
-    clutter: ClutterModel,
-    tuning: MatchTuning,
-) -> Candidates:
-    def judged(triple: np.ndarray) -> tuple:
-        groups = {"tuning": tuning.candidates, "ends": tuning.ends}
-        return _evidence_of(lines, order, planes, triple, clutter, **groups)
-
-    found, end_log = in_blocks(judged, block_of(lines, TRIPLES_IN_BLOCK), triple)
-    keep = np.flatnonzero(found.possible)
-    polarity = np.asarray(lines.polarity)
-    index = np.full((len(keep), len(lines.ends_px)), -1)
-    interval = np.zeros((len(keep), len(lines.ends_px), 2))
-    index[:, order] = triple[keep]
-    interval[:, order] = stacked(found.interval, keep)
-    return Candidates(
-        index,
-        interval,
-        stacked(found.ends_mm, keep),
-        found.chi_square[keep],
-        found.log_density[keep] + polarity_evidence(polarity, index, interval, tuning.evidence),
-        stacked(end_log, keep),
-        stacked(found.union_ends_mm, keep),
-        stacked(found.union_covariance_mm2, keep),
-        found.px_per_mm[keep],
-        side_evidence(np.asarray(lines.sides), index, interval, tuning.sides),
-    )
-
-
-@partial(kept_jit, static_argnames=("tuning", "ends"))
-def _evidence_of(
-    lines: SegmentTable,
-    order: Int[ArrayLike, "3"],
-    planes: Pencil,
-    triple: Int[ArrayLike, "h 3"],
-    clutter: ClutterModel,
-    tuning: CandidateTuning,
-    ends: EndTuning,
-) -> tuple[TripleEvidence, tuple[tuple[Float[ArrayLike, "_h"], ...], ...]]:
-    def judge(segments: Int[ArrayLike, "3"]) -> tuple[TripleEvidence, tuple]:
-        own, among = of_frame(lines, order[0], segments[0]), clutter
-        if lines.frame is not None:
-            frame = lines.frame[order[0], segments[0]]
-            among = clutter._replace(typical_px=clutter.typical_px[frame])
-        of_pencil = pencil_of(planes, lines, order[0], segments[0])
-        rows = row_of(planes.first, segments[0]), row_of(planes.second, segments[1])
-        near_mm = points_of(of_pencil, cut_pair(of_pencil.baseline_mm, *rows, tuning))
-        first = triple_evidence(own, order, segments, near_mm, among, tuning)
-        # Once more on the line fitted to all three: then it does not matter which pair came first.
-        evidence = triple_evidence(own, order, segments, first.ends_mm, among, tuning)
-        evidence = evidence._replace(possible=first.possible & evidence.possible)
-        return evidence, end_evidence(evidence.extent_px, ends)
-
-    return jax.vmap(judge)(jnp.asarray(triple))

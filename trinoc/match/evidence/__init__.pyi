@@ -14,4 +14,8 @@ from .mixture import (
 from .pair_position import PairEvidence as PairEvidence, pair_evidence as pair_evidence
 from .polarity import polarity_evidence as polarity_evidence
 from .side_intensity import SIDE_COMPONENTS as SIDE_COMPONENTS, side_evidence as side_evidence
-from .triple_position import TripleEvidence as TripleEvidence, triple_evidence as triple_evidence
+from .triple_position import (
+    TripleEvidence as TripleEvidence,
+    line_of_three as line_of_three,
+    triple_evidence as triple_evidence,
+)

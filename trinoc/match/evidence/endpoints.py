@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from trinoc.match.tuning import DEFAULT, EndTuning
-from trinoc.numerics import Scalar
+from trinoc.numerics import Scalar, largest_of, total
 
 # All agree, by scale; two agree and the third stops short, by scale; or runs on; none agree.
 END_COMPONENTS = len(DEFAULT.ends.prior_shares)
@@ -21,17 +21,15 @@ def end_evidence(
     extent_px: tuple[tuple[Scalar, Scalar], ...], tuning: EndTuning = DEFAULT.ends
 ) -> tuple[tuple[Scalar, ...], tuple[Scalar, ...]]:
     """Log of each component's density over that of clutter, at both ends of a triple."""
-    longest = extent_px[0][1] - extent_px[0][0]
-    for low, high in extent_px[1:]:
-        longest = jnp.maximum(longest, high - low)
-    return (
-        _components(tuple(low for low, _ in extent_px), longest, tuning),
-        _components(tuple(-high for _, high in extent_px), longest, tuning),
-    )
+    # Both ends at once, each inward.
+    inward = [jnp.stack([low, -high]) for low, high in extent_px]
+    longest = largest_of(high - low for low, high in extent_px)
+    components = _components((inward[0], inward[1], inward[2]), longest[None], tuning)
+    return tuple(c[0] for c in components), tuple(c[1] for c in components)
 
 
 def _components(
-    inward_px: tuple[Scalar, ...], longest_px: Scalar, tuning: EndTuning
+    inward_px: tuple[Scalar, Scalar, Scalar], longest_px: Scalar, tuning: EndTuning
 ) -> tuple[Scalar, ...]:
     log_longest = jnp.log(longest_px)
     first, second, third = inward_px
@@ -41,24 +39,15 @@ def _components(
         2 * log_longest - np.log(2 * np.pi * np.sqrt(3.0) * s * s) - scatter / (2 * s * s)
         for s in tuning.agreeing_px
     )
-    # The difference of two, and whether the odd one stops short of their mean.
-    pairs = [
-        (second - first, 2 * third > first + second),
-        (third - second, 2 * first > second + third),
-        (first - third, 2 * second > third + first),
-    ]
-
-    def two_agree(s: float, odd_is_short: bool) -> Scalar:
-        # Each of the three is the odd one with the same probability.
-        terms = [
-            jnp.where(short == odd_is_short, jnp.exp(-(d**2) / (4 * s * s)), 0.0)
-            for d, short in pairs
-        ]
-        return log_longest - np.log(6 * s * np.sqrt(np.pi)) + jnp.log(sum(terms) + LEAST_DENSITY)
-
-    return (
-        *agreeing,
-        *(two_agree(s, True) for s in tuning.pair_px),
-        *(two_agree(s, False) for s in tuning.pair_px),
-        jnp.zeros_like(log_longest),
-    )
+    # The difference of two, and whether the odd one stops short of their mean: each of the three is
+    # the odd one with the same probability.
+    apart = jnp.stack([second - first, third - second, first - third])[None]
+    sums = [(third, first + second), (first, second + third), (second, third + first)]
+    short = jnp.stack([2 * odd > both for odd, both in sums])
+    scales = np.array(tuning.pair_px).reshape(-1, *(1,) * (apart.ndim - 1))
+    density = jnp.exp(-(apart**2) / (4 * scales**2))
+    shared = [total(jnp.where(o[None], density, 0.0).swapaxes(0, 1)) for o in (short, ~short)]
+    log_shared = jnp.log(jnp.stack(shared) + LEAST_DENSITY)
+    uniform = np.log(6 * np.sqrt(np.pi) * scales[:, 0])[None]
+    two_agree = log_longest[None, None] - uniform + log_shared
+    return (*agreeing, *two_agree[0], *two_agree[1], jnp.zeros_like(first))

@@ -74,7 +74,10 @@ def log_place(
     """Log density of a line at each place, per volume (mm^3) and direction (of 2 pi)."""
     volume = Volume(*(of_group(field, frame) for field in volume))
     centred = ends_mm - np.expand_dims(volume.centre_mm, -2)
-    square = (centred @ volume.precision * centred).sum(axis=2).max(axis=1)
+    square = np.zeros(len(ends_mm))
+    for e in range(2):
+        own = centred[:, e]
+        square = np.maximum(square, (_times(own, volume.precision) * own).sum(axis=1))
     # The corners of a box lie three standard deviations out; beyond is for the few.
     outside = 0.5 * np.clip(square - tuning.box_corner_sigmas**2, 0.0, tuning.box_cost)
     return -volume.log_size - np.log(2 * np.pi) - outside
@@ -171,8 +174,11 @@ def volume_of(
     count = np.expand_dims(group_sums(posterior, frame, frames) + 1e-9, -1)
     centre = group_sums(posterior[:, None] * middles, frame, frames) / count
     centred = middles - of_group(centre, frame)
-    square = posterior[:, None, None] * centred[:, :, None] * centred[:, None, :]
-    spread = group_sums(square, frame, frames) / count[..., None]
+    if frame is None:
+        spread = (posterior[:, None] * centred).T @ centred / count[..., None]
+    else:
+        square = posterior[:, None, None] * centred[:, :, None] * centred[:, None, :]
+        spread = group_sums(square, frame, frames) / count[..., None]
     variance, axes = np.linalg.eigh(spread)
     largest = variance.max(axis=-1, keepdims=True)
     variance = np.maximum(variance, tuning.thinnest**2 * largest + 1e-30)
@@ -181,12 +187,21 @@ def volume_of(
     return Volume(centre, (axes / variance[..., None, :]) @ axes.mT, log_size)
 
 
+def _times(rows: Float[np.ndarray, "m a"], matrix: Float[np.ndarray, "*m a b"]) -> np.ndarray:
+    """Each row times the matrix of all, or its own: one product, or sums of columns, and not as
+    many small products."""
+    if matrix.ndim == 2:
+        return rows @ matrix
+    return (rows[:, :, None] * matrix).sum(axis=1)
+
+
 def _log_mixture(
     log_terms: Float[np.ndarray, "m e c"], shares: Float[np.ndarray, "*m c"]
 ) -> Float[np.ndarray, "m e"]:
-    highest = log_terms.max(axis=2, keepdims=True)
-    mixed = np.exp(log_terms - highest) @ shares[..., None]
-    return (highest + np.log(mixed))[..., 0]
+    highest = log_terms.max(axis=2)
+    terms = np.exp(log_terms - highest[..., None])
+    mixed = [_times(terms[:, e], shares[..., None])[:, 0] for e in range(terms.shape[1])]
+    return highest + np.log(np.stack(mixed, axis=1))
 
 
 def _tail_terms(

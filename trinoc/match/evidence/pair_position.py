@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Float, Int
 
 from trinoc.match.evidence.endpoints import LEAST_DENSITY
 from trinoc.match.evidence.triple_position import adjusted, log_lengths
@@ -20,12 +20,29 @@ from trinoc.match.two_view import (
     Pencil,
     PencilSegments,
     cut_pair,
-    extent_on_line,
+    extents_on_line,
+    image_length_px,
     image_of,
-    interpretation_plane,
+    interpretation_planes,
     points_of,
+    sight_of,
 )
-from trinoc.numerics import ArrayLike, Scalar, Symmetric3, Vector3, add3, cross3, dot3, total, unit3
+from trinoc.numerics import (
+    ArrayLike,
+    Scalar,
+    Symmetric3,
+    Vector3,
+    add3,
+    cross3,
+    dot3,
+    in_front,
+    largest_of,
+    least_of,
+    nth3,
+    nth6,
+    total,
+    unit3,
+)
 
 
 class PairEvidence(NamedTuple):
@@ -37,7 +54,7 @@ class PairEvidence(NamedTuple):
     """
 
     ends_mm: tuple[Vector3, Vector3]
-    possible: Bool[ArrayLike, ""]
+    possible: Bool[ArrayLike, "..."]
     log_density: Scalar
     end_log: tuple[tuple[Scalar, ...], tuple[Scalar, ...]]
     interval: tuple[tuple[Scalar, Scalar], tuple[Scalar, Scalar]]
@@ -52,56 +69,53 @@ def pair_evidence(
     views: Int[ArrayLike, "2"],
     planes: Pencil,
     rows: tuple[PencilSegments, PencilSegments],
-    segments: Int[ArrayLike, "2"],
+    segments: Int[ArrayLike, "2 *h"],
     clutter: ClutterModel,
     tuning: CandidateTuning = DEFAULT.candidates,
     ends: EndTuning = DEFAULT.ends,
 ) -> PairEvidence:
     """Evidence of one segment in each of two views; `rows` are the same in their pencil."""
     common = cut_pair(planes.baseline_mm, *rows, tuning)
-    points = points_of(planes, common)
-    step = add3(points[1], points[0], -1.0)
+    ends_mm = points_of(planes, common)
+    step = add3(ends_mm[1], ends_mm[0], -1.0)
     length_mm = jnp.sqrt(dot3(step, step))
     along = unit3(step)
-    sights = [interpretation_plane(lines, views[k], segments[k], points) for k in range(2)]
-    sine = jnp.abs(dot3(along, cross3(sights[0].normal, sights[1].normal)))
-    px_per_mm = (sights[0].length_px + sights[1].length_px) / (2 * length_mm)
-    extents = [extent_on_line(lines, views[k], segments[k], points[0], along) for k in range(2)]
-    low = [jnp.minimum(a, b) * px_per_mm for a, b in extents]
-    high = [jnp.maximum(a, b) * px_per_mm for a, b in extents]
-    lengths = [high[k] - low[k] for k in range(2)]
+    sight = sight_of(lines, clutter, views, segments)
+    low_mm, high_mm = extents_on_line(sight, ends_mm[0], along)
+    places = jnp.zeros_like(length_mm), length_mm, least_of(low_mm), largest_of(high_mm)
+    points = add3(in_front(ends_mm[0]), in_front(along), jnp.stack(places))
+    sights = interpretation_planes(sight, points)
+    sine = jnp.abs(dot3(along, cross3(nth3(sights.normal, 0), nth3(sights.normal, 1))))
+    image_px = image_length_px(sights)
+    px_per_mm = total(image_px) / (2 * length_mm)
+    low, high = low_mm * px_per_mm[None], high_mm * px_per_mm[None]
+    lengths = high - low
     log_density = (
         -2 * jnp.log(sine)
-        - total(jnp.log(s.px_per_mm[0] * s.px_per_mm[1]) for s in sights)
+        - total(jnp.log(sights.px_per_mm[:, 0] * sights.px_per_mm[:, 1]))
         - jnp.log(length_mm * length_mm * px_per_mm)
-        + total(jnp.log(s.length_px) for s in sights)
-        + log_lengths(lengths, clutter.typical_px)
-        - total(clutter.log_density[views[k], segments[k]] for k in range(2))
+        + total(jnp.log(image_px))
+        + log_lengths(lengths, sight.typical_px)
+        - total(sight.log_clutter)
     )
-    longest = jnp.maximum(lengths[0], lengths[1])
-    shortest = jnp.minimum(lengths[0], lengths[1])
-    slack = [total(row.end_variance_px2[e] for row in rows) for e in range(2)]
-    outer = (
-        add3(points[0], along, jnp.minimum(low[0], low[1]) / px_per_mm),
-        add3(points[0], along, jnp.maximum(high[0], high[1]) / px_per_mm),
-    )
-    outer_sights = [interpretation_plane(lines, views[k], segments[k], outer) for k in range(2)]
-    spread = [adjusted(outer[e], e, along, outer_sights)[1] for e in range(2)]
+    longest, shortest = largest_of(lengths), least_of(lengths)
+    slack = jnp.stack([total(row.end_variance_px2[e] for row in rows) for e in range(2)])
+    difference = jnp.stack([low[0] - low[1], high[0] - high[1]])
+    spread = adjusted(sight, sights, points, along)[1]
     possible = common.possible & (sine > tuning.smallest_crossing) & jnp.isfinite(log_density)
     possible &= (shortest > tuning.shortest_to_longest * longest) & (common.high > common.low)
+    components = _components(difference, slack, longest[None], ends)
+    place = sights.interval
     return PairEvidence(
-        points,
+        ends_mm,
         possible,
         log_density,
-        (
-            _components(low[0] - low[1], slack[0], longest, ends),
-            _components(high[0] - high[1], slack[1], longest, ends),
-        ),
-        (sights[0].interval, sights[1].interval),
-        outer,
-        (spread[0], spread[1]),
+        (tuple(c[0] for c in components), tuple(c[1] for c in components)),
+        ((place[0, 0], place[0, 1]), (place[1, 0], place[1, 1])),
+        (nth3(points, 2), nth3(points, 3)),
+        (nth6(spread, 2), nth6(spread, 3)),
         px_per_mm,
-        _views_expected(lines, views, points),
+        _views_expected(lines, views, segments, points),
     )
 
 
@@ -117,15 +131,20 @@ def _components(
 
 
 def _views_expected(
-    lines: SegmentTable, views: Int[ArrayLike, "2"], points: tuple[Vector3, Vector3]
-) -> Scalar:
-    """Number of other views within whose borders, and before which, both points lie."""
-    expected = jnp.zeros_like(points[0][0])
-    for view in range(lines.matrix_px.shape[0]):
-        width, height = lines.size_px[view, 0], lines.size_px[view, 1]
-        inside = (views[0] != view) & (views[1] != view)
-        for point in points:
-            (u, v), depth = image_of(lines.matrix_px[view], point)
-            inside &= (depth > 0) & (u > 0) & (u < width) & (v > 0) & (v < height)
-        expected = expected + jnp.where(inside, 1.0, 0.0)
-    return expected
+    lines: SegmentTable,
+    views: Int[ArrayLike, "2"],
+    segments: Int[ArrayLike, "2 *h"],
+    points_mm: Vector3,
+) -> Float[ArrayLike, "*h"]:
+    """Number of other views within whose borders, and before which, the first two points lie."""
+    every = np.arange(lines.matrix_px.shape[-3])
+    items = (1,) * (segments.ndim - 1)
+    view = every.reshape(-1, *items)
+    camera = view if lines.frame is None else (lines.frame[views[0], segments[0]][None], view)
+    x, y, z = (coordinate[:2] for coordinate in points_mm)
+    (u, v), depth = image_of(lines.matrix_px[camera][:, None], in_front((x, y, z)))
+    size = lines.size_px[camera][:, None]
+    inside = (depth > 0) & (u > 0) & (u < size[..., 0]) & (v > 0) & (v < size[..., 1])
+    other = (views[0] != every) & (views[1] != every)
+    seen = inside.all(axis=1) & other.reshape(-1, *items)
+    return seen.astype(u.dtype).sum(axis=0)

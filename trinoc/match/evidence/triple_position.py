@@ -9,15 +9,20 @@ prior on the line, the evidence of the three places is exactly N(r; 0, S) / prod
 for both ends together.
 """
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
-from trinoc.match.observations import ClutterModel, SegmentTable
 from trinoc.match.tuning import DEFAULT, CandidateTuning
-from trinoc.match.two_view import InterpretationPlane, extent_on_line, interpretation_plane
+from trinoc.match.two_view import (
+    InterpretationPlanes,
+    Sight,
+    extents_on_line,
+    image_length_px,
+    interpretation_planes,
+    variance_mm2,
+)
 from trinoc.numerics import (
     ArrayLike,
     Scalar,
@@ -26,6 +31,11 @@ from trinoc.numerics import (
     add3,
     cross3,
     dot3,
+    in_front,
+    largest_of,
+    least_of,
+    nth3,
+    nth6,
     outer3,
     total,
     unit3,
@@ -48,7 +58,7 @@ class TripleEvidence(NamedTuple):
     """
 
     ends_mm: tuple[Vector3, Vector3]
-    possible: Bool[ArrayLike, ""]
+    possible: Bool[ArrayLike, "..."]
     chi_square: Scalar
     log_density: Scalar
     extent_px: tuple[tuple[Scalar, Scalar], ...]
@@ -58,105 +68,130 @@ class TripleEvidence(NamedTuple):
     px_per_mm: Scalar
 
 
+class _Cut(NamedTuple):
+    """The segments on a line: where each begins and ends, where they all do, in mm."""
+
+    origin: Vector3
+    along: Vector3
+    low: Float[ArrayLike, "3 *h"]
+    high: Float[ArrayLike, "3 *h"]
+    begin: Float[ArrayLike, "*h"]
+    common: Float[ArrayLike, "*h"]
+    possible: Bool[ArrayLike, "*h"]
+
+    def points(self, *places: Scalar) -> Vector3:
+        """Points at some places on the line, one after the other in front."""
+        return add3(in_front(self.origin), in_front(self.along), jnp.stack(places))
+
+
 def triple_evidence(
-    lines: SegmentTable,
-    views: Int[ArrayLike, "3"],
-    segments: Int[ArrayLike, "3"],
+    sight: Sight,
     near_mm: tuple[Vector3, Vector3],
-    clutter: ClutterModel,
     tuning: CandidateTuning = DEFAULT.candidates,
 ) -> TripleEvidence:
     """Evidence of one segment in each of three views, near a line given by two points."""
-    origin = near_mm[0]
-    along = unit3(add3(near_mm[1], origin, -1.0))
-    extents = [extent_on_line(lines, views[k], segments[k], origin, along) for k in range(3)]
-    low = [jnp.minimum(first, second) for first, second in extents]
-    high = [jnp.maximum(first, second) for first, second in extents]
-    begin = jnp.maximum(jnp.maximum(low[0], low[1]), low[2])
-    common = jnp.minimum(jnp.minimum(high[0], high[1]), high[2]) - begin
-    overlaps = common > 0
-    common = jnp.where(overlaps, common, 1.0)
-    points = add3(origin, along, begin), add3(origin, along, begin + common)
+    cut = _cut(sight, near_mm, tuning)
+    begin, end = cut.begin, cut.begin + cut.common
+    first, last = least_of(cut.low), largest_of(cut.high)
+    points = cut.points(begin, end, first, last)
+    planes = interpretation_planes(sight, points)
+    chi_square, determinant = _misfit(sight, planes, cut.along)
 
-    planes = [interpretation_plane(lines, views[k], segments[k], points) for k in range(3)]
-    normals = [plane.normal for plane in planes]
-    c = [dot3(along, cross3(normals[(k + 1) % 3], normals[(k + 2) % 3])) for k in range(3)]
-    r = [total(c[k] * planes[k].distance_mm[e] for k in range(3)) for e in range(2)]
-    s00, s01, s11 = (
-        total(c[k] ** 2 * planes[k].variance_mm2[i] for k in range(3)) for i in range(3)
-    )
-    determinant = s00 * s11 - s01**2
-    chi_square = (s11 * r[0] ** 2 - 2 * s01 * r[0] * r[1] + s00 * r[1] ** 2) / determinant
-
-    px_per_mm = total(plane.length_px for plane in planes) / (3 * common)
-    extents_px = tuple(
-        ((low[k] - begin) * px_per_mm, (high[k] - begin) * px_per_mm) for k in range(3)
-    )
+    image_px = image_length_px(planes)
+    px_per_mm = total(image_px) / (3 * cut.common)
+    low, high = ((x - begin[None]) * px_per_mm[None] for x in (cut.low, cut.high))
     log_density = (
         -0.5 * jnp.log(determinant)
-        - total(jnp.log(p.px_per_mm[0] * p.px_per_mm[1]) for p in planes)
-        - jnp.log(common * common * px_per_mm)
-        + jnp.log(planes[0].length_px * planes[1].length_px * planes[2].length_px)
-        + log_lengths([second - first for first, second in extents_px], clutter.typical_px)
-        - total(clutter.log_density[views[k], segments[k]] for k in range(3))
+        - total(jnp.log(planes.px_per_mm[:, 0] * planes.px_per_mm[:, 1]))
+        - jnp.log(cut.common * cut.common * px_per_mm)
+        + jnp.log(image_px[0] * image_px[1] * image_px[2])
+        + log_lengths(high - low, sight.typical_px)
+        - total(sight.log_clutter)
     )
-    length = [high[k] - low[k] for k in range(3)]
-    shortest = jnp.minimum(jnp.minimum(length[0], length[1]), length[2])
-    longest = jnp.maximum(jnp.maximum(length[0], length[1]), length[2])
-    second = length[0] + length[1] + length[2] - shortest - longest
-    possible = overlaps & (common > tuning.smallest_overlap * shortest) & (chi_square < tuning.gate)
-    possible &= (second > tuning.shortest_to_longest * longest) & jnp.isfinite(log_density)
-    first = jnp.minimum(jnp.minimum(low[0], low[1]), low[2])
-    last = jnp.maximum(jnp.maximum(high[0], high[1]), high[2])
-    outer = add3(origin, along, first), add3(origin, along, last)
-    outer_planes = [interpretation_plane(lines, views[k], segments[k], outer) for k in range(3)]
-    (outer_first, covariance_first), (outer_last, covariance_last) = (
-        adjusted(outer[e], e, along, outer_planes) for e in range(2)
-    )
+    moved, spread = adjusted(sight, planes, points, cut.along)
     return TripleEvidence(
-        (adjusted(points[0], 0, along, planes)[0], adjusted(points[1], 1, along, planes)[0]),
-        possible,
+        (nth3(moved, 0), nth3(moved, 1)),
+        cut.possible & (chi_square < tuning.gate) & jnp.isfinite(log_density),
         chi_square,
         log_density,
-        extents_px,
-        tuple(plane.interval for plane in planes),
-        (outer_first, outer_last),
-        (covariance_first, covariance_last),
+        tuple((low[k], high[k]) for k in range(3)),
+        tuple((planes.interval[k, 0], planes.interval[k, 1]) for k in range(3)),
+        (nth3(moved, 2), nth3(moved, 3)),
+        (nth6(spread, 2), nth6(spread, 3)),
         px_per_mm,
     )
 
 
-def log_lengths(lengths_px: Sequence[Scalar], typical_px: Float[ArrayLike, ""]) -> Scalar:
+def line_of_three(
+    sight: Sight,
+    near_mm: tuple[Vector3, Vector3],
+    tuning: CandidateTuning = DEFAULT.candidates,
+) -> tuple[tuple[Vector3, Vector3], Bool[ArrayLike, "*h"]]:
+    """(ends of the common part, adjusted to all three views, whether they can be one line)."""
+    cut = _cut(sight, near_mm, tuning)
+    points = cut.points(cut.begin, cut.begin + cut.common)
+    planes = interpretation_planes(sight, points)
+    moved = adjusted(sight, planes, points, cut.along)[0]
+    possible = cut.possible & (_misfit(sight, planes, cut.along)[0] < tuning.gate)
+    return (nth3(moved, 0), nth3(moved, 1)), possible
+
+
+def _cut(sight: Sight, near_mm: tuple[Vector3, Vector3], tuning: CandidateTuning) -> _Cut:
+    origin = near_mm[0]
+    along = unit3(add3(near_mm[1], origin, -1.0))
+    low, high = extents_on_line(sight, origin, along)
+    begin = largest_of(low)
+    common = least_of(high) - begin
+    overlaps = common > 0
+    length = high - low
+    shortest, longest = least_of(length), largest_of(length)
+    second = total(length) - shortest - longest
+    possible = overlaps & (common > tuning.smallest_overlap * shortest)
+    possible &= second > tuning.shortest_to_longest * longest
+    return _Cut(origin, along, low, high, begin, jnp.where(overlaps, common, 1.0), possible)
+
+
+def _misfit(sight: Sight, planes: InterpretationPlanes, along: Vector3) -> tuple[Scalar, Scalar]:
+    """(chi-square of the residuals at the first two points, determinant of their covariance)."""
+    normals = [nth3(planes.normal, k) for k in range(3)]
+    across = [cross3(normals[(k + 1) % 3], normals[(k + 2) % 3]) for k in range(3)]
+    c = jnp.stack([dot3(along, normal) for normal in across])
+    r = [total(c * planes.distance_mm[:, e]) for e in range(2)]
+    pairs = ((0, 0), (0, 1), (1, 1))
+    s00, s01, s11 = (total(c**2 * variance_mm2(sight, planes, *pair)) for pair in pairs)
+    determinant = s00 * s11 - s01**2
+    chi_square = (s11 * r[0] ** 2 - 2 * s01 * r[0] * r[1] + s00 * r[1] ** 2) / determinant
+    return chi_square, determinant
+
+
+def log_lengths(lengths_px: Float[ArrayLike, "v *h"], typical_px: Scalar) -> Float[ArrayLike, "*h"]:
     """Log density of one length over clutter's, with ends uniform on the longest."""
-    longest = lengths_px[0]
-    for length in lengths_px[1:]:
-        longest = jnp.maximum(longest, length)
+    longest = largest_of(lengths_px)[None]
 
     def log_share(length: Scalar) -> Scalar:
         return jnp.log(typical_px) - 2 * jnp.log(length + typical_px)
 
-    strange = total(log_share(length) for length in lengths_px)
-    return log_share(longest) - strange - 2 * (len(lengths_px) - 1) * jnp.log(longest)
+    others = lengths_px.shape[0] - 1
+    one = log_share(longest) - 2 * others * jnp.log(longest)
+    return one[0] - total(log_share(lengths_px))
 
 
 def adjusted(
-    point: Vector3, end: int, along: Vector3, planes: list[InterpretationPlane]
+    sight: Sight, planes: InterpretationPlanes, points_mm: Vector3, along: Vector3
 ) -> tuple[Vector3, Symmetric3]:
-    """(a point moved across the line to the weighted least-squares fit of all planes, its
-    covariance across the line); `end` is 0 or 1, the point's number in the planes."""
-    first = planes[0].normal
-    second = cross3(along, first)
-    n = [(dot3(first, plane.normal), dot3(second, plane.normal)) for plane in planes]
-    weight = [1 / plane.variance_mm2[2 * end] for plane in planes]
-    each = list(zip(weight, n, [plane.distance_mm[end] for plane in planes], strict=True))
-    a00, a01 = (
-        total(w * m[0] * m[0] for w, m, _ in each),
-        total(w * m[0] * m[1] for w, m, _ in each),
-    )
-    a11 = total(w * m[1] * m[1] for w, m, _ in each)
-    b0, b1 = total(w * m[0] * d for w, m, d in each), total(w * m[1] * d for w, m, d in each)
+    """(points moved across the line to the weighted least-squares fit of all planes, their
+    covariance across the line); a number for each point in front."""
+    nx, ny, nz = planes.normal
+    first = nx[:1], ny[:1], nz[:1]
+    second = cross3(in_front(along), first)
+    n0, n1 = dot3(first, planes.normal)[:, None], dot3(second, planes.normal)[:, None]
+    points = range(planes.interval.shape[1])
+    weight = 1 / jnp.stack([variance_mm2(sight, planes, e, e) for e in points], axis=1)
+    distance = planes.distance_mm
+    a00, a01, a11 = total(weight * n0 * n0), total(weight * n0 * n1), total(weight * n1 * n1)
+    b0, b1 = total(weight * n0 * distance), total(weight * n1 * distance)
     determinant = a00 * a11 - a01 * a01
-    moved = add3(point, first, -(a11 * b0 - a01 * b1) / determinant)
+    moved = add3(points_mm, first, -(a11 * b0 - a01 * b1) / determinant)
     moved = add3(moved, second, -(a00 * b1 - a01 * b0) / determinant)
     spread = (a11 / determinant, -a01 / determinant, a00 / determinant)
     return moved, outer3(first, second, spread)

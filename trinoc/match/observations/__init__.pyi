@@ -23,6 +23,5 @@ from .table import (
     block_of as block_of,
     frames_of as frames_of,
     matrices_of as matrices_of,
-    of_frame as of_frame,
     segments_per_view as segments_per_view,
 )

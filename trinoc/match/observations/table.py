@@ -11,9 +11,16 @@ from jaxtyping import Float, Int
 from trinoc.geometry import centre_of_matrix, line_through
 from trinoc.numerics import ArrayLike, bucket, inverse_3x3, padded
 
-# Rows handed to a kernel at a time, few enough for a processor's cache, where pictures hold
-# this many segments or more; fewer rows in proportion where they hold less.
-PAIRS_IN_BLOCK, TRIPLES_IN_BLOCK, MANY_SEGMENTS = 1 << 14, 1 << 11, 1 << 9
+
+class Block(NamedTuple):
+    """Rows handed to a kernel at a time: so many for each segment of a view, up to a limit."""
+
+    per_segment: int
+    most: int
+
+
+# Of pairs as many as make the handing over cheap, of triples few enough for a processor's cache.
+PAIRS_IN_BLOCK, TRIPLES_IN_BLOCK = Block(16, 1 << 16), Block(4, 1 << 11)
 
 
 class SegmentTable(NamedTuple):
@@ -110,21 +117,6 @@ def _prepared(
     )
 
 
-def of_frame(
-    lines: SegmentTable, view: Int[ArrayLike, ""], segment: Int[ArrayLike, ""]
-) -> SegmentTable:
-    """The table with the cameras of one segment's frame alone: all that belongs to one line."""
-    if lines.frame is None:
-        return lines
-    frame = lines.frame[view, segment]
-    return lines._replace(
-        matrix_px=lines.matrix_px[frame],
-        centre_mm=lines.centre_mm[frame],
-        inverse=lines.inverse[frame],
-        size_px=lines.size_px[frame],
-    )
-
-
 def frames_of(lines: SegmentTable, index: Int[np.ndarray, "m v"]) -> Int[np.ndarray, "m"] | None:
     """The frame of each group of segments, -1 where it has none in a view; None without frames."""
     if lines.frame is None:
@@ -158,6 +150,6 @@ def covariance_across(
     return jnp.einsum("i,eifj,j->ef", line[:2], blocks, line[:2])
 
 
-def block_of(lines: SegmentTable, most: int) -> int:
+def block_of(lines: SegmentTable, block: Block) -> int:
     """Rows to hand over at a time: fewer where pictures hold little."""
-    return min(most, most * lines.ends_px.shape[1] // MANY_SEGMENTS)
+    return min(block.most, block.per_segment * lines.ends_px.shape[1])

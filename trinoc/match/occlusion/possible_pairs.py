@@ -4,23 +4,28 @@ from collections.abc import Iterator
 from functools import partial
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from trinoc.match.candidates import Candidates
-from trinoc.match.evidence import PairEvidence, pair_evidence, polarity_evidence, side_evidence
+from trinoc.match.evidence import pair_evidence, polarity_evidence, side_evidence
 from trinoc.match.observations import (
     TRIPLES_IN_BLOCK,
     ClutterModel,
     SegmentTable,
     block_of,
-    of_frame,
 )
 from trinoc.match.tuning import CandidateTuning, EndTuning, MatchTuning
 from trinoc.match.two_view import Pencil, pencil, pencil_of, plane_angles, row_of
-from trinoc.numerics import ArrayLike, blocks, in_blocks, kept_jit, overlapping, stacked
+from trinoc.numerics import (
+    ArrayLike,
+    as_columns,
+    blocks,
+    judged_in_blocks,
+    kept_jit,
+    overlapping,
+    split_columns,
+)
 
 # About as many pairs are held at a time.
 PAIRS_AT_A_TIME = 1 << 17
@@ -64,30 +69,24 @@ def _judged(
     clutter: ClutterModel,
     tuning: MatchTuning,
 ) -> PossiblePairs:
-    def judged(segments: np.ndarray) -> PairEvidence:
+    def judged(segments: np.ndarray) -> tuple[ArrayLike, ArrayLike]:
         groups = {"tuning": tuning.candidates, "ends": tuning.ends}
         return _evidence_of(lines, views, planes, segments, clutter, **groups)
 
-    found = in_blocks(judged, block_of(lines, TRIPLES_IN_BLOCK), segments)
-    keep = np.flatnonzero(found.possible)
-    polarity = np.asarray(lines.polarity)
+    keep, columns = judged_in_blocks(judged, block_of(lines, TRIPLES_IN_BLOCK), segments)
+    ends = len(tuning.ends.agreeing_px) + 1
+    shapes = ((2, 2), (2, 3), (), (2, ends), (2, 3), (2, 6), (), ())
+    of_views, ends_mm, log_density, end_log, outer_mm, spread, px_per_mm, expected = split_columns(
+        columns, shapes
+    )
     index = np.full((len(keep), len(lines.ends_px)), -1)
     interval = np.zeros((len(keep), len(lines.ends_px), 2))
-    index[:, views], interval[:, views] = segments[keep], stacked(found.interval, keep)
-    candidates = Candidates(
-        index,
-        interval,
-        stacked(found.ends_mm, keep),
-        np.zeros(len(keep)),
-        np.asarray(found.log_density)[keep]
-        + polarity_evidence(polarity, index, interval, tuning.evidence),
-        stacked(found.end_log, keep),
-        stacked(found.union_ends_mm, keep),
-        stacked(found.union_covariance_mm2, keep),
-        np.asarray(found.px_per_mm)[keep],
-        side_evidence(np.asarray(lines.sides), index, interval, tuning.sides),
-    )
-    return PossiblePairs(candidates, np.asarray(found.expected)[keep])
+    index[:, views], interval[:, views] = segments[keep], of_views
+    log_density += polarity_evidence(np.asarray(lines.polarity), index, interval, tuning.evidence)
+    sides = side_evidence(np.asarray(lines.sides), index, interval, tuning.sides)
+    judged_by = ends_mm, np.zeros(len(keep)), log_density, end_log
+    found = Candidates(index, interval, *judged_by, outer_mm, spread, px_per_mm, sides)
+    return PossiblePairs(found, expected)
 
 
 @partial(kept_jit, static_argnames=("tuning", "ends"))
@@ -99,14 +98,14 @@ def _evidence_of(
     clutter: ClutterModel,
     tuning: CandidateTuning,
     ends: EndTuning,
-) -> PairEvidence:
-    def judge(segments: Int[ArrayLike, "2"]) -> PairEvidence:
-        rows = row_of(planes.first, segments[0]), row_of(planes.second, segments[1])
-        own, among = of_frame(lines, views[0], segments[0]), clutter
-        if lines.frame is not None:
-            frame = lines.frame[views[0], segments[0]]
-            among = clutter._replace(typical_px=clutter.typical_px[frame])
-        of_pencil = pencil_of(planes, lines, views[0], segments[0])
-        return pair_evidence(own, views, of_pencil, rows, segments, among, tuning, ends)
-
-    return jax.vmap(judge)(jnp.asarray(pairs))
+) -> tuple[Bool[ArrayLike, "h"], Float[ArrayLike, "c h"]]:
+    """(whether each can be one line, what is kept of it)."""
+    segments = pairs.T
+    rows = row_of(planes.first, segments[0]), row_of(planes.second, segments[1])
+    of_pencil = pencil_of(planes, lines, views[0], segments[0])
+    found = pair_evidence(lines, views, of_pencil, rows, segments, clutter, tuning, ends)
+    columns = (
+        *(found.interval, found.ends_mm, found.log_density, found.end_log, found.union_ends_mm),
+        *(found.union_covariance_mm2, found.px_per_mm, found.expected),
+    )
+    return found.possible, as_columns(columns)

@@ -8,8 +8,12 @@ from .epipolar_pencil import (
     row_of as row_of,
 )
 from .planes import (
-    InterpretationPlane as InterpretationPlane,
-    extent_on_line as extent_on_line,
+    InterpretationPlanes as InterpretationPlanes,
+    Sight as Sight,
+    extents_on_line as extents_on_line,
+    image_length_px as image_length_px,
     image_of as image_of,
-    interpretation_plane as interpretation_plane,
+    interpretation_planes as interpretation_planes,
+    sight_of as sight_of,
+    variance_mm2 as variance_mm2,
 )

@@ -21,7 +21,7 @@ class CommonPart(NamedTuple):
     high: Scalar
     at_low: tuple[Scalar, Scalar, Scalar, Scalar]
     at_high: tuple[Scalar, Scalar, Scalar, Scalar]
-    possible: Bool[ArrayLike, ""]
+    possible: Bool[ArrayLike, "..."]
 
 
 def cut_pair(
@@ -51,6 +51,6 @@ def points_of(planes: Pencil, part: CommonPart) -> tuple[Vector3, Vector3]:
 
     def point(at: tuple[Scalar, Scalar, Scalar, Scalar]) -> Vector3:
         in_frame = scaled3(at[:3], 1 / at[3])
-        return add3(vector3(planes.origin_mm), times_matrix(planes.frame.T, in_frame))
+        return add3(vector3(planes.origin_mm), times_matrix(planes.frame.mT, in_frame))
 
     return point(part.at_low), point(part.at_high)

@@ -84,13 +84,15 @@ def pencil(lines: SegmentTable, a: Int[ArrayLike, ""], b: Int[ArrayLike, ""]) ->
             homography, lines.ends_px[view], lines.line[view, :, :2], lines.across_px2[view]
         )
 
-    return Pencil(frame, lines.centre_mm[..., a, :], baseline, segments(a), segments(b))
+    both = jax.vmap(segments)(jnp.stack([jnp.asarray(a), jnp.asarray(b)]))
+    first, second = (jax.tree.map(lambda column: column[k], both) for k in range(2))  # noqa: B023
+    return Pencil(frame, lines.centre_mm[..., a, :], baseline, first, second)
 
 
 def pencil_of(
-    planes: Pencil, lines: SegmentTable, view: Int[ArrayLike, ""], segment: Int[ArrayLike, ""]
+    planes: Pencil, lines: SegmentTable, view: Int[ArrayLike, ""], segment: Int[ArrayLike, "..."]
 ) -> Pencil:
-    """The pencil with the planes of one segment's frame alone."""
+    """The pencil with the planes of some segments' frames alone."""
     if lines.frame is None:
         return planes
     frame = lines.frame[view, segment]

@@ -1,11 +1,15 @@
-"""A segment's interpretation plane, and where it begins and ends along a line in space."""
+"""Interpretation planes of segments of several views, and where these begin and end along a line.
+
+Columns have the axis of views in front, that of the points (or of a segment's ends) next, and those
+of the items, if any, last: one program for all views and points, and long loops over items.
+"""
 
 from typing import NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Float, Int
 
-from trinoc.match.observations import SegmentTable
+from trinoc.match.observations import ClutterModel, SegmentTable
 from trinoc.numerics import (
     ArrayLike,
     Scalar,
@@ -14,89 +18,133 @@ from trinoc.numerics import (
     add3,
     between,
     dot3,
+    in_front,
     scaled3,
     vector3,
 )
 
+# One number for each view, each view and point, or each point; and of each item.
+OfViews = Float[ArrayLike, "v *h"]
+OfPoints = Float[ArrayLike, "v e *h"]
 
-class InterpretationPlane(NamedTuple):
-    """The plane through a camera's centre and a segment, at two points near it.
 
-    normal : unit normal. distance_mm : signed distance of each point from the plane.
-    variance_mm2 : (s00, s01, s11) of these distances, due to the segment's errors.
-    px_per_mm : image displacement across the segment per mm along `normal`, at each point.
-    interval : place of each point along the segment, 0 at its first end and 1 at its second.
-    length_px : distance of the points' images.
+class Sight(NamedTuple):
+    """One segment in each of some views, with what is needed of its camera and of clutter.
+
+    matrix_px, centre_mm : of the cameras, the same for all items or of each. line, ends_px,
+    length_px, rays : as in SegmentTable. variance_px2 : (c00, c01, c11) of the ends across it.
+    log_clutter, typical_px : as in ClutterModel, about each segment and of its frame.
     """
 
-    normal: Vector3
-    distance_mm: tuple[Scalar, Scalar]
-    variance_mm2: tuple[Scalar, Scalar, Scalar]
-    px_per_mm: tuple[Scalar, Scalar]
-    interval: tuple[Scalar, Scalar]
-    length_px: Scalar
+    matrix_px: Float[ArrayLike, "v *_h 3 4"]
+    centre_mm: Float[ArrayLike, "v *_h 3"]
+    line: Float[ArrayLike, "v *h 3"]
+    ends_px: Float[ArrayLike, "v *h 2 2"]
+    length_px: OfViews
+    variance_px2: tuple[OfViews, OfViews, OfViews]
+    rays: Float[ArrayLike, "v *h 2 3"]
+    log_clutter: OfViews
+    typical_px: Float[ArrayLike, "1 *_h"]
 
 
-def interpretation_plane(
+class InterpretationPlanes(NamedTuple):
+    """The planes through a camera's centre and a segment, at points near them.
+
+    normal : unit normals. distance_mm : signed distance of each point from each plane.
+    px_per_mm : image displacement across the segment per mm along `normal`, at each point.
+    interval : place of each point along the segment, 0 at its first end and 1 at its second.
+    image_px : of each point.
+    """
+
+    normal: tuple[OfViews, OfViews, OfViews]
+    distance_mm: OfPoints
+    px_per_mm: OfPoints
+    interval: OfPoints
+    image_px: tuple[OfPoints, OfPoints]
+
+
+def sight_of(
     lines: SegmentTable,
-    view: Int[ArrayLike, ""],
-    segment: Int[ArrayLike, ""],
-    points_mm: tuple[Vector3, Vector3],
-) -> InterpretationPlane:
-    """The interpretation plane of one segment at two points in space."""
-    matrix, line = lines.matrix_px[view], vector3(lines.line[view, segment])
-    ends, length = lines.ends_px[view, segment], lines.length_px[view, segment]
-    gradient = scaled3(vector3(matrix[0, :3]), line[0])
-    gradient = add3(gradient, vector3(matrix[1, :3]), line[1])
-    gradient = add3(gradient, vector3(matrix[2, :3]), line[2])
-    steepness = jnp.sqrt(dot3(gradient, gradient))
-    # Along the segment is a quarter turn from its normal, which points to its right.
-    du, dv = line[1] / length, -line[0] / length
-
-    def at(point: Vector3) -> tuple[Scalar, Scalar, Scalar, Vector2]:
-        (u, v), depth = image_of(matrix, point)
-        interval = (u - ends[0, 0]) * du + (v - ends[0, 1]) * dv
-        return line[0] * u + line[1] * v + line[2], steepness / depth, interval, (u, v)
-
-    first, second = at(points_mm[0]), at(points_mm[1])
-    across = lines.across_px2[view, segment]
-    own = (across[0, 0], across[0, 1], across[1, 1])
-    (u0, v0), (u1, v1) = first[3], second[3]
-    return InterpretationPlane(
-        scaled3(gradient, 1 / steepness),
-        (first[0] / first[1], second[0] / second[1]),
-        (
-            between(own, first[2], first[2]) / first[1] ** 2,
-            between(own, first[2], second[2]) / (first[1] * second[1]),
-            between(own, second[2], second[2]) / second[1] ** 2,
-        ),
-        (first[1], second[1]),
-        (first[2], second[2]),
-        jnp.sqrt((u1 - u0) ** 2 + (v1 - v0) ** 2),
+    clutter: ClutterModel,
+    views: Int[ArrayLike, "v"],
+    segments: Int[ArrayLike, "v *h"],
+) -> Sight:
+    """The rows of segments, one in each view; those of one item are of one frame."""
+    view = views.reshape(-1, *(1 for _ in segments.shape[1:]))
+    typical = jnp.asarray(clutter.typical_px)
+    if lines.frame is None:
+        camera, typical = view, typical.reshape(view.shape[1:])
+    else:
+        frame = lines.frame[views[0], segments[0]]
+        camera, typical = (frame[None], view), typical[frame]
+    across = lines.across_px2
+    entries = across[..., 0, 0], across[..., 0, 1], across[..., 1, 1]
+    c00, c01, c11 = (entry[view, segments] for entry in entries)
+    return Sight(
+        lines.matrix_px[camera],
+        lines.centre_mm[camera],
+        lines.line[view, segments],
+        lines.ends_px[view, segments],
+        lines.length_px[view, segments],
+        (c00, c01, c11),
+        lines.rays[view, segments],
+        jnp.asarray(clutter.log_density)[view, segments],
+        typical[None],
     )
 
 
-def image_of(matrix: Float[ArrayLike, "3 4"], point: Vector3) -> tuple[Vector2, Scalar]:
+def interpretation_planes(sight: Sight, points_mm: Vector3) -> InterpretationPlanes:
+    """The interpretation plane of each segment at points in space, (e, *h) of each coordinate."""
+    matrix, line = sight.matrix_px, vector3(sight.line)
+    gradient = scaled3(vector3(matrix[..., 0, :3]), line[0])
+    gradient = add3(gradient, vector3(matrix[..., 1, :3]), line[1])
+    gradient = add3(gradient, vector3(matrix[..., 2, :3]), line[2])
+    steepness = jnp.sqrt(dot3(gradient, gradient))
+    image, depth = image_of(matrix[:, None], in_front(points_mm))
+    # Along the segment is a quarter turn from its normal, which points to its right.
+    du, dv = line[1] / sight.length_px, -line[0] / sight.length_px
+    u0, v0 = sight.ends_px[..., 0, 0], sight.ends_px[..., 0, 1]
+    across = line[0][:, None] * image[0] + line[1][:, None] * image[1] + line[2][:, None]
+    along = (image[0] - u0[:, None]) * du[:, None] + (image[1] - v0[:, None]) * dv[:, None]
+    px_per_mm = steepness[:, None] / depth
+    normal = scaled3(gradient, 1 / steepness)
+    return InterpretationPlanes(normal, across / px_per_mm, px_per_mm, along, image)
+
+
+def variance_mm2(sight: Sight, planes: InterpretationPlanes, e: int, f: int) -> OfViews:
+    """Covariance of the distances of two points from each plane, due to the segments' errors."""
+    place, px_per_mm = planes.interval, planes.px_per_mm
+    covariance = between(sight.variance_px2, place[:, e], place[:, f])
+    return covariance / (px_per_mm[:, e] * px_per_mm[:, f])
+
+
+def image_length_px(planes: InterpretationPlanes) -> OfViews:
+    """Distance of the images of the first two points."""
+    u, v = planes.image_px
+    return jnp.sqrt((u[:, 1] - u[:, 0]) ** 2 + (v[:, 1] - v[:, 0]) ** 2)
+
+
+def image_of(matrix_px: Float[ArrayLike, "... 3 4"], point: Vector3) -> tuple[Vector2, Scalar]:
     """(undistorted pixel, depth) of a point, for a matrix whose third row gives the depth."""
-    u, v, depth = (dot3(vector3(matrix[k, :3]), point) + matrix[k, 3] for k in range(3))
+    u, v, depth = (
+        dot3(vector3(matrix_px[..., k, :3]), point) + matrix_px[..., k, 3] for k in range(3)
+    )
     return (u / depth, v / depth), depth
 
 
-def extent_on_line(
-    lines: SegmentTable,
-    view: Int[ArrayLike, ""],
-    segment: Int[ArrayLike, ""],
-    origin: Vector3,
-    along: Vector3,
-) -> tuple[Scalar, Scalar]:
-    """Positions on a line in space (unit direction), in mm, nearest to the rays of both ends."""
-    centre = add3(vector3(lines.centre_mm[view]), origin, -1.0)
+def extents_on_line(sight: Sight, origin: Vector3, along: Vector3) -> tuple[OfViews, OfViews]:
+    """(low, high) positions on a line in space (unit direction), in mm, nearest to the rays of
+    both ends of each segment."""
+    along = in_front(along)
+    centre = add3(vector3(sight.centre_mm), in_front(origin), -1.0)
+    along_centre = dot3(along, centre)
 
-    def position(e: int) -> Scalar:
-        ray = vector3(lines.rays[view, segment, e])
-        ray_ray, ray_along, along_centre = dot3(ray, ray), dot3(ray, along), dot3(along, centre)
+    def position(e: int) -> OfViews:
+        ray = vector3(sight.rays[..., e, :])
+        ray_ray, ray_along = dot3(ray, ray), dot3(ray, along)
         return (along_centre * ray_ray - ray_along * dot3(ray, centre)) / (
             ray_ray - ray_along * ray_along
         )
 
-    return position(0), position(1)
+    first, second = position(0), position(1)
+    return jnp.minimum(first, second), jnp.maximum(first, second)

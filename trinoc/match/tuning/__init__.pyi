@@ -1,0 +1,18 @@
+from .candidates import CandidateTuning as CandidateTuning
+from .every_group import DEFAULT as DEFAULT, MatchTuning as MatchTuning
+from .evidence import EndTuning as EndTuning, EvidenceTuning as EvidenceTuning
+from .guided import GuidedTuning as GuidedTuning
+from .line_map import (
+    CollinearTuning as CollinearTuning,
+    CornerTuning as CornerTuning,
+    DepthTuning as DepthTuning,
+    WireframeTuning as WireframeTuning,
+)
+from .observations import ClutterTuning as ClutterTuning, SideTuning as SideTuning
+from .occlusion import OcclusionTuning as OcclusionTuning
+from .selection import (
+    JunctionTuning as JunctionTuning,
+    NoiseTuning as NoiseTuning,
+    SelectionTuning as SelectionTuning,
+)
+from .tracks import TrackTuning as TrackTuning

@@ -1,0 +1,41 @@
+"""All groups of tuned constants as one value."""
+
+from dataclasses import dataclass, field
+
+from trinoc.match.tuning.candidates import CandidateTuning
+from trinoc.match.tuning.evidence import EndTuning, EvidenceTuning
+from trinoc.match.tuning.guided import GuidedTuning
+from trinoc.match.tuning.line_map import (
+    CollinearTuning,
+    CornerTuning,
+    DepthTuning,
+    WireframeTuning,
+)
+from trinoc.match.tuning.observations import ClutterTuning, SideTuning
+from trinoc.match.tuning.occlusion import OcclusionTuning
+from trinoc.match.tuning.selection import JunctionTuning, NoiseTuning, SelectionTuning
+from trinoc.match.tuning.tracks import TrackTuning
+
+
+@dataclass(frozen=True)
+class MatchTuning:
+    """All groups; the default is what everything was measured with."""
+
+    clutter: ClutterTuning = field(default_factory=ClutterTuning)
+    sides: SideTuning = field(default_factory=SideTuning)
+    candidates: CandidateTuning = field(default_factory=CandidateTuning)
+    ends: EndTuning = field(default_factory=EndTuning)
+    evidence: EvidenceTuning = field(default_factory=EvidenceTuning)
+    junctions: JunctionTuning = field(default_factory=JunctionTuning)
+    selection: SelectionTuning = field(default_factory=SelectionTuning)
+    noise: NoiseTuning = field(default_factory=NoiseTuning)
+    occlusion: OcclusionTuning = field(default_factory=OcclusionTuning)
+    tracks: TrackTuning = field(default_factory=TrackTuning)
+    collinear: CollinearTuning = field(default_factory=CollinearTuning)
+    corners: CornerTuning = field(default_factory=CornerTuning)
+    wireframe: WireframeTuning = field(default_factory=WireframeTuning)
+    depth: DepthTuning = field(default_factory=DepthTuning)
+    guided: GuidedTuning = field(default_factory=GuidedTuning)
+
+
+DEFAULT = MatchTuning()

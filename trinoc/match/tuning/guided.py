@@ -1,0 +1,77 @@
+"""Tuned constants of guided detection."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class GuidedTuning:
+    """Pictures asked again where lines must be. Shown by benchmarks/guided.py."""
+
+    # Rounds at most; they end where nothing is added. By hand.
+    rounds: int = 3
+    # False alarms from noise that are expected in one picture, one round and one kind of question.
+    false_alarms: float = 0.05
+    # Only lines surer than this are lengthened, log odds. By hand.
+    trusted_log_odds: float = 0.8
+    # Beyond each end so much is asked, px and share of the segment, and never more than the
+    # longest; the edge goes on within the gate of the segment's line, after a gap no longer than
+    # this; a segment is not lengthened by less than the least gain, px. By hand.
+    prolong_px: float = 24.0
+    prolong_share: float = 0.3
+    longest_px: float = 256.0
+    prolong_gate_px: float = 1.0
+    gap_px: float = 6.0
+    corner_px: float = 4.0
+    least_gain_px: float = 8.0
+    least_piece_px: float = 7.9
+    straight_px: float = 0.3
+    gate: float = 9.2
+    # Ends of lines that differ by this angle, degrees, and lie this near are a corner, px of the
+    # picture that shows it largest; what a corner is off by at least, and along its line where
+    # it is an end that meets nothing, px. By hand.
+    meet_px: float = 4.0
+    meet_deg: float = 10.0
+    corner_floor_px: float = 0.2
+    free_end_px: float = 3.0
+    # New lines are asked for from each corner along so many lines about it, which may differ from
+    # the partner's direction by this, degrees, in length by this share, and toward so many other
+    # corners. By hand.
+    partners: int = 14
+    asked_again_mm: float = 1.0
+    # Of the places along it, so many must have a gradient of so many standard deviations near. By
+    # hand, for time.
+    plausible_share: float = 0.15
+    plausible_sigmas: float = 2.5
+    usual_directions: int = 3
+    parallel_deg: float = 0.3
+    longer: float = 1.2
+    corners: int = 8
+    # Beside a projected line an edge is looked for within so many standard deviations, and so much
+    # more, px. By hand.
+    reach_sigmas: float = 2.5
+    corner_gate_px: float = 0.5
+    # A line is asked for in a further view where it is so long there, px, and an edge is its own
+    # where it covers this share. By hand.
+    shortest_px: float = 12.0
+    least_covered: float = 0.4
+    # With the further view a line keeps this share of its length. By hand.
+    kept_share: float = 0.7
+    # An edge found and a segment there are one within this distance and overlap. By hand.
+    same_px: float = 1.2
+    same_overlap: float = 0.5
+    claimed_overlap: float = 0.3
+    # Where lines beside a line are asked for, px across; what the answers weigh in log odds.
+    control_px: tuple[float, ...] = (-11.0, -7.0, 7.0, 11.0)
+    temperature: float = 0.5
+    # Before anything is seen, how likely a line is that is asked for, and how likely a picture
+    # is to miss one. By hand.
+    prior_new: float = 0.02
+    # A new line is put out from these log odds on, where its views locate it as well as this, and
+    # so near to where it was asked for, px. By hand.
+    new_log_odds: float = 1.0
+    largest_doubt: float = 0.5
+    as_asked_px: float = 4.0
+    # An edge in one picture counts beside a sure one in another where noise shows as much so
+    # seldom.
+    weak: float = 0.01
+    missed: float = 0.5

@@ -1,0 +1,35 @@
+"""Tuned constants of step 3: pairs of views."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class OcclusionTuning:
+    """Step 3: pairs of views. Shown by "1+2+3" and "step 3 alone", and the calibration error
+    (benchmarks/matching.py)."""
+
+    # Rounds of marginals, prior and junctions. By hand.
+    rounds: int = 6
+    # With fewer lines than this in three views, nothing is learned from them. By hand.
+    min_tracks_to_learn: int = 10
+    # A segment of which less than this is matched may be half of a pair. From the prototype.
+    max_matched_share: float = 0.5
+    # Pairs before any is known, as a share of the lines matched in three views. By hand; learned.
+    prior_share: float = 0.1
+    # Probability that a view misses a line within its borders. By hand.
+    missed: float = 0.5
+    # Added to the log odds of every pair, so that posteriors match the share that is right:
+    # fitted on made scenes (seeds from 700,000 on), better on four of five kinds of scene.
+    log_odds_offset: float = 2.25
+    # The same in two views, where no third checks: rates of lines by length, of ends and of
+    # junctions are learned from the pairs in more rounds, beside so many usual ones; and however
+    # well a pair fits, it is right no oftener than this: other edges, parallel ones and outlines
+    # of round bodies, may fit as well. Both fitted on made scenes (seeds 8,000 to 8,009).
+    log_odds_offset_alone: float = 1.0
+    most_alone: float = 0.97
+    rounds_alone: int = 10
+    prior_observations: float = 10.0
+    length_classes_px: tuple[float, ...] = (12.0, 18.0, 27.0, 40.0, 60.0, 90.0, 135.0)
+    # The same for segments with side levels, of pictures, where clutter is alike: with
+    # `EvidenceTuning.temperature` fitted on rendered scenes (seeds 0 to 5 and 12 to 17).
+    log_odds_offset_in_images: float = -1.5

@@ -1,0 +1,40 @@
+"""Tuned constants of the tracks."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class TrackTuning:
+    """From selections to `Matches`. Shown by "What moves with the viewpoint" (docs/matching.md)
+    and, for more than three views, by tests/match/test_match_segments.py."""
+
+    # Up to so many views, every three of them are matched; beyond, each with so many nearest.
+    # By hand, for time.
+    all_triplets: int = 5
+    nearest_views: int = 3
+    # Rounds in which tracks grow into views that they lack, and join. By hand; few are needed.
+    merge_rounds: int = 20
+    # A further view must show this share of a track's common part. By hand.
+    min_shared: float = 0.5
+    # A track is located where, in a pair of its views, the standard deviation of a segment's
+    # direction is below this share of its angle to the epipolar line. Errors in space are larger
+    # by a term of second order, this times the share squared, in variance. Fitted on made scenes
+    # (seeds 2,000 to 5,019): 95 % ellipsoids of pairs hold 93 to 97 % at every angle, on others.
+    largest_direction_doubt: float = 1.0
+    second_order: float = 6.0
+    # Where fewer lines are found than this share of a view's segments, and the cameras diverge,
+    # those behind the cameras are counted: of a mirrored rig, they are all there. By hand.
+    few_share: float = 0.1
+    # A candidate within this much of log odds of a segment's best is a serious rival: in
+    # `reasons` alone. By hand.
+    rival_log_odds: float = 3.0
+    # Share of straight lines, seen in three views, that are marked as moving by chance.
+    significance: float = 0.01
+    # Fewer tracks do not tell how large errors usually are. By hand.
+    min_tracks_to_learn: int = 10
+    # What a third view shows beside the place of a line of two views: this near, px, this nearly
+    # parallel, degrees, and beside this share of the shorter. By hand; shown by the 3.5 % of
+    # straight edges that are marked in two views.
+    beside_px: float = 10.0
+    beside_deg: float = 3.0
+    abreast_share: float = 0.5
