@@ -17,6 +17,8 @@ from trinoc.numerics import (
     chi_square_tail,
     keep_programs_in,
     kept_jit,
+    log_normal_tail,
+    log_student_tail,
     normal_limit,
 )
 
@@ -129,3 +131,5 @@ def test_tails_are_those_of_scipy_stats(value: float, degrees: int, tail: float)
     assert chi_square_limit(tail, degrees) == stats.chi2.isf(tail, degrees)
     assert chi_square_quantile(tail, degrees) == stats.chi2.ppf(tail, degrees)
     assert normal_limit(tail) == stats.norm.isf(tail)
+    assert log_normal_tail(np.array([value])) == pytest.approx(stats.norm.logsf(value), rel=1e-12)
+    assert log_student_tail(np.array([value]), degrees) == stats.t.logsf(value, degrees)

@@ -91,12 +91,9 @@ def test_one_test_alone_has_the_rate_of_a_normal_variable():
     gradient = gradient_of(noise_picture("white"))
     places = samples_of(probes(2048, 100, 3), RIG["upper"].intrinsics, (WIDTH, HEIGHT))
     growth = growth_of(gradient, RIG["upper"].intrinsics, (WIDTH, HEIGHT))
-    columns = (np.asarray(column, np.float32) for column in places[:2])
-    scores, _ = window_scores(
-        gradient.by_uv, np.float32(block_noise(gradient)), *columns, places.inside
-    )
+    scores, _ = window_scores(gradient.by_uv, block_noise(gradient), places)
     window = int(np.flatnonzero(WINDOW_SIZE == 8)[1])
-    score = np.abs(np.asarray(scores)[:, window]) / np.sqrt(growth[WINDOWS.index(8)])
+    score = np.abs(scores[:, window]) / np.sqrt(growth[WINDOWS.index(8)])
     chance = np.exp(log_chance(score.astype(np.float64), np.ones(len(score))))
     for rate in (0.3, 0.1, 0.03):
         share = float((chance < rate).mean())

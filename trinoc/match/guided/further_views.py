@@ -91,12 +91,13 @@ def _by_chance(
         way = image[:, 1] - image[:, 0]
         right = np.stack([-way[:, 1], way[:, 0]], axis=1)
         right /= np.linalg.norm(way, axis=1)[:, None]
-        for move in tuning.control_px:
-            probe = image + move * right[:, None]
-            one = np.ones(len(rows))
-            answer = ask(picture, probe, one, 0.5 * one, np.full(len(rows), np.inf))
-            met += ((answer.log_chance < strict) & (answer.covered > tuning.least_covered)).sum()
-            number += len(rows)
+        moves = np.repeat(tuning.control_px, len(rows))[:, None, None]
+        probe = np.tile(image, (len(tuning.control_px), 1, 1))
+        probe += moves * np.tile(right, (len(tuning.control_px), 1))[:, None]
+        one = np.ones(len(probe))
+        answer = ask(picture, probe, one, 0.5 * one, np.full(len(probe), np.inf))
+        met += ((answer.log_chance < strict) & (answer.covered > tuning.least_covered)).sum()
+        number += len(probe)
     return float(met / number)
 
 
