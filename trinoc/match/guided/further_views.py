@@ -124,11 +124,15 @@ def _attached(
                 )
                 segment = len(grown.segments[view].ends_px) - 1
             index[row, view] = segment
-    trial = refitted(grown, before._replace(index=index))
     changed = (index != before.index).any(axis=1)
+    if not changed.any():
+        return state, 0
+    trial = refitted(grown, before._replace(index=index))
     fits = trial.tracks.misfit < np.maximum(before.misfit, 0) + tuning.gate
     long = lengths_mm(trial.tracks.ends_mm) > tuning.kept_share * lengths_mm(before.ends_mm)
     bad = changed & ~(fits & long)
+    if not bad.any():
+        return trial, int((index != before.index).sum())
     index[bad] = before.index[bad]
     if not (changed & ~bad).any():
         return state, 0

@@ -42,8 +42,8 @@ def prolonged(
 
 def _kept(state: State, changed: State, tuning: GuidedTuning) -> tuple[State, int]:
     """Without what makes views disagree that agreed before."""
-    trial = refitted(changed, state.tracks).tracks
-    worse = trial.misfit > np.maximum(state.tracks.misfit, 0.0) + tuning.gate
+    trial = refitted(changed, state.tracks)
+    worse = trial.tracks.misfit > np.maximum(state.tracks.misfit, 0.0) + tuning.gate
     moved = 0
     for view, own in enumerate(state.segments):
         new = changed.segments[view]
@@ -56,7 +56,9 @@ def _kept(state: State, changed: State, tuning: GuidedTuning) -> tuple[State, in
         ]
         changed = with_view(changed, view, ViewSegments(*table))
         moved += int((changed.segments[view].ends_px != own.ends_px).any(axis=(1, 2)).sum())
-    return (refitted(changed, state.tracks), moved) if moved else (state, 0)
+    if not moved:
+        return state, 0
+    return refitted(changed, state.tracks) if worse.any() else trial, moved
 
 
 def _beyond(
