@@ -140,3 +140,27 @@ def test_the_other_way_round_the_answer_is_the_same():
     both = answers(seen(edge.picture), np.stack([edge.ends_px, edge.ends_px[::-1]]))
     assert both.sign.tolist() == [1, -1]
     np.testing.assert_allclose(both.ends_px[0], both.ends_px[1][::-1], atol=0.05)
+
+
+def test_another_edge_that_comes_near_moves_no_end_beyond_its_error():
+    u, v = np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT))
+    normalised, away = [], []
+    for seed in range(16):
+        angle = 0.4 * seed
+        way = np.array([np.cos(angle), np.sin(angle)])
+        right = np.array([-way[1], way[0]])
+        offset = np.stack([u, v], axis=-1) - np.array([255.3, 240.6])
+        # A second edge, 3 px beside the first at one end and further away at the other.
+        turn = angle + 0.15
+        other = (offset - 40 * way - 3 * right) @ np.array([-np.sin(turn), np.cos(turn)])
+        grey = 100 + 40 * ndtr((offset @ right) / BLUR) + 30 * ndtr(other / BLUR)
+        grey = grey + np.random.default_rng(seed).normal(size=grey.shape)
+        ends = np.array([255.3, 240.6]) + np.array([[-40], [40]]) * way
+        found = answers(seen(as_levels(grey)), ends[None], gate=1.0)
+        off = (found.ends_px[0] - ends) @ right
+        blocks = found.covariance_px2[0].reshape(2, 2, 2, 2)
+        sigma = np.sqrt(np.einsum("eiej,i,j->e", blocks, right, right))
+        normalised += (off / sigma).tolist()
+        away += sigma.tolist()
+    assert np.mean(np.square(normalised)) < 1.5
+    assert np.median(away) < 0.5

@@ -12,6 +12,11 @@ from trinoc.match.guided.ridges import SHOULDER
 _MOST_OF_BLOCK = 4.0
 # Most that the ridge of either half may lie off its line, px, and least bend of its logarithm.
 _MOST_SHIFT, _LEAST_BEND = 1.5, 0.05
+# A block whose shoulders differ by so much more than by noise, as a share of the ridge's height,
+# has half the weight: another edge is beside it. One of no weight at all still tells something.
+_UNLIKE, _UNLIKE_BY_CHANCE, _LEAST_WEIGHT = 0.1, 0.1, 1e-3
+# Least height of a ridge, grey levels per px, and of what is beside it, as a share of it.
+_LEAST_TOP, _LEAST_SHARE = 1e-3, 0.05
 
 
 class Extent(NamedTuple):
@@ -25,15 +30,18 @@ class Extent(NamedTuple):
 class Place(NamedTuple):
     """Fields
     ------
-    offset_px, variance_px2 : (n, 2) across, of the first and the second half, from noise.
+    middle : (n, 2) of the first and the second half, in blocks along the probe.
+    offset_px, variance_px2 : (n, 2) across at these, the variance from noise and from what is not
+        straight.
+    asymmetry : (n, 2) how far the two shoulders differ there, as a share of the ridge's height.
     contrast : (n,) grey levels of the step.
-    asymmetry : (n,) how far its two shoulders differ, as a share of its height.
     """
 
+    middle: Float[np.ndarray, "n 2"]
     offset_px: Float[np.ndarray, "n 2"]
     variance_px2: Float[np.ndarray, "n 2"]
+    asymmetry: Float[np.ndarray, "n 2"]
     contrast: Float[np.ndarray, "n"]
-    asymmetry: Float[np.ndarray, "n"]
 
 
 def extent_of(
@@ -81,23 +89,93 @@ def placed(
 ) -> Place:
     """Where the edge lies in either half, by a log-parabola; `column` and `at` are where its line
     is at every block, `variance` is that of one block in the sum of many."""
-    blocks = np.arange(BLOCKS)
-    first, last = extent.first[:, None], extent.last[:, None]
-    split = first + (np.maximum(last - first, 1) + 1) // 2
-    halves = [(blocks >= first) & (blocks < split), (blocks >= split) & (blocks < last)]
-    halves = np.stack(halves, axis=1).astype(np.float64)
-    number = np.maximum(halves.sum(axis=2), 1.0)
     beside = np.array([-SHOULDER, -1, 0, 1, SHOULDER])[:, None]
     near = np.take_along_axis(across, column[:, None] + beside, axis=1)
-    means = (halves @ near.mT) / number[..., None]
-    whole = (means * number[..., None]).sum(axis=1) / number.sum(axis=1)[:, None]
-    top = np.maximum(whole[:, 2], 1e-3)
-    log = np.log(np.maximum(whole[:, 1:4], 0.05 * top[:, None]))
+    halves = _halves(extent)
+    inside = halves.max(axis=1)
+    top = np.maximum((near[:, 2] * inside).sum(axis=1) / inside.sum(axis=1), _LEAST_TOP)
+    alone = _alone(near, top, np.sqrt(2 * variance))
+    profile = (near @ (inside * alone)[..., None])[..., 0] / (inside * alone).sum(axis=1)[:, None]
+    top = np.maximum(profile[:, 2], _LEAST_TOP)
+    log = np.log(np.maximum(profile[:, 1:4], _LEAST_SHARE * top[:, None]))
     bend = np.maximum(2 * log[:, 1] - log[:, 0] - log[:, 2], _LEAST_BEND)
-    log = np.log(np.maximum(means[..., 1:4], 0.05 * top[:, None, None]))
-    shift = (log[..., 2] - log[..., 0]) / (2 * bend[:, None])
-    where = (halves @ at[..., None])[..., 0] / number + np.clip(shift, -_MOST_SHIFT, _MOST_SHIFT)
     # The difference of two places, 2 px apart, has about the ridge's own variance.
-    scale = variance / (2 * bend * top) ** 2
-    contrast = top * np.sqrt(2 * np.pi / bend)
-    return Place(where, scale[:, None] / number, contrast, (whole[:, 4] - whole[:, 0]) / top)
+    of_block = variance / (2 * bend * top) ** 2
+    weight = halves * alone[:, None]
+    middle, offset = _middles(weight, extent), _offsets(weight, near, at, bend, top)
+    means = weight @ near.mT / weight.sum(axis=2, keepdims=True)
+    own = of_block[:, None] * (weight**2).sum(axis=2) / weight.sum(axis=2) ** 2
+    quarters = _quartered(halves) * alone[:, None]
+    apart = _offsets(quarters, near, at, bend, top) - _on_line(quarters, middle, offset)
+    noise = (
+        of_block[:, None] * (quarters**2).sum(axis=2) / np.maximum(quarters.sum(axis=2), 1e-9) ** 2
+    )
+    # Noise alone is not straight either: what exceeds three of its variances is a bend.
+    bow = np.where(quarters.sum(axis=2) > 0, np.maximum(apart**2 - 3 * noise, 0.0), 0.0).mean(
+        axis=1
+    )
+    return Place(
+        middle,
+        offset,
+        own + bow[:, None],
+        (means[..., 4] - means[..., 0]) / top[:, None],
+        top * np.sqrt(2 * np.pi / bend),
+    )
+
+
+def _offsets(
+    weight: Float[np.ndarray, "n k b"],
+    near: Float[np.ndarray, "n p b"],
+    at: Int[np.ndarray, "n b"],
+    bend: Float[np.ndarray, "n"],
+    top: Float[np.ndarray, "n"],
+) -> Float[np.ndarray, "n k"]:
+    """Where the edge lies across in each part, by the parabola of all."""
+    total = np.maximum(weight.sum(axis=2), 1e-9)
+    means = (weight @ near.mT) / total[..., None]
+    log = np.log(np.maximum(means[..., 1:4], _LEAST_SHARE * top[:, None, None]))
+    shift = np.clip((log[..., 2] - log[..., 0]) / (2 * bend[:, None]), -_MOST_SHIFT, _MOST_SHIFT)
+    return (weight @ at[..., None])[..., 0] / total + shift
+
+
+def _on_line(
+    weight: Float[np.ndarray, "n k b"],
+    middle: Float[np.ndarray, "n 2"],
+    offset: Float[np.ndarray, "n 2"],
+) -> Float[np.ndarray, "n k"]:
+    """Where the line through the middles of both halves lies across, at the middles of parts."""
+    place = weight @ (np.arange(BLOCKS) + 0.5) / np.maximum(weight.sum(axis=2), 1e-9)
+    slope = (offset[:, 1] - offset[:, 0]) / (middle[:, 1] - middle[:, 0])
+    return offset[:, :1] + slope[:, None] * (place - middle[:, :1])
+
+
+def _quartered(halves: Float[np.ndarray, "n 2 b"]) -> Float[np.ndarray, "n 4 b"]:
+    """The first and the second part of both halves."""
+    number = np.cumsum(halves, axis=2)
+    first = halves * (number <= (halves.sum(axis=2, keepdims=True) + 1) // 2)
+    return np.concatenate([first, halves - first], axis=1)
+
+
+def _halves(extent: Extent) -> Float[np.ndarray, "n 2 b"]:
+    """1 on the blocks of the first and of the second half; both are the block of a single one."""
+    blocks, first, last = np.arange(BLOCKS), extent.first[:, None], extent.last[:, None]
+    split = first + (np.maximum(last - first, 1) + 1) // 2
+    left = (blocks >= first) & (blocks < split)
+    right = (blocks >= np.minimum(split, last - 1)) & (blocks < last)
+    return np.stack([left, right], axis=1).astype(np.float64)
+
+
+def _alone(
+    near: Float[np.ndarray, "n p b"], top: Float[np.ndarray, "n"], noise: Float[np.ndarray, "n"]
+) -> Float[np.ndarray, "n b"]:
+    """Weight of each block, 1 where both shoulders are alike: no other edge is beside it."""
+    unlike = np.abs(near[:, -1] - near[:, 0]) - 2 * noise[:, None]
+    excess = np.maximum(unlike / top[:, None] - _UNLIKE_BY_CHANCE, 0.0)
+    return np.maximum(1 / (1 + (excess / _UNLIKE) ** 2), _LEAST_WEIGHT)
+
+
+def _middles(weight: Float[np.ndarray, "n 2 b"], extent: Extent) -> Float[np.ndarray, "n 2"]:
+    """Where the halves lie along the probe, in blocks; those of one block, at its quarters."""
+    middle = weight @ (np.arange(BLOCKS) + 0.5) / weight.sum(axis=2)
+    one = (extent.last - extent.first == 1)[:, None]
+    return middle + np.where(one, np.array([-0.25, 0.25]), 0.0)
