@@ -29,6 +29,14 @@ def test_a_quick_look_sees_edges_and_neither_noise_nor_what_crosses():
     assert (empty <= 3).all()
 
 
+def test_a_quick_look_is_the_same_at_any_number_of_probes():
+    picture, asked = seen(noise_picture("texture")), probes(16, 60, 3)
+    few = quick_look(picture, asked)
+    many = quick_look(picture, np.tile(asked, (2100, 1, 1)))
+    np.testing.assert_array_equal(many, np.tile(few, 2100))
+    assert len(quick_look(picture, asked[:0])) == 0
+
+
 def test_what_matched_segments_show_is_not_new():
     edge = step_edge(0.4, contrast=40, noise=1.0, seed=1)
     picture = seen(edge.picture)

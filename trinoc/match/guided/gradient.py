@@ -40,7 +40,7 @@ def gradient_of(picture: Shaped[np.ndarray, "..."]) -> Gradient:
     gain = np.sqrt((smooth**2).sum() * (slope**2).sum() * _between(smooth) * _between(slope))
     # A quarter of the pixels tell it to a percent.
     noise = noise_sigma(given.grey, quantum=given.quantum, stride=(2, 2)) * scale
-    return Gradient(np.stack([along_u, along_v], axis=2), float(noise * gain))
+    return Gradient(cv2.merge([along_u, along_v]), float(noise * gain))
 
 
 def _between(kernel: np.ndarray) -> float:

@@ -64,8 +64,6 @@ def _promising(
 ) -> Bool[np.ndarray, "n"]:
     """Whether two pictures may show each line, apart from what shows matched lines already."""
     number = np.zeros(len(lines_mm), dtype=np.int64)
-    if len(lines_mm) == 0:
-        return number >= 2
     for view, picture in enumerate(pictures):
         used = np.unique(state.tracks.index[:, view])
         matched = state.segments[view].ends_px[used[used >= 0]]

@@ -16,6 +16,8 @@ from trinoc.match.observations import distorted
 LOOKS = 16
 # One place counts so many standard deviations of noise at most.
 _MOST = 3.0
+# Probes at once; OpenCV takes 32,766 rows at most.
+_AT_ONCE = 2048
 # Lines are drawn with their ends in so many binary digits of a pixel.
 _DIGITS = 4
 
@@ -25,6 +27,16 @@ def quick_look(
 ) -> Float[np.ndarray, "n"]:
     """Mean of the gradient across along the better half of each probe, in standard deviations of
     its noise; without sign, 0 to 3."""
+    found = np.zeros(len(ends_px))
+    for start in range(0, len(ends_px), _AT_ONCE):
+        rows = slice(start, start + _AT_ONCE)
+        found[rows] = _looked_at(picture, ends_px[rows])
+    return found
+
+
+def _looked_at(
+    picture: PictureInput, ends_px: Float[np.ndarray, "n 2 2"]
+) -> Float[np.ndarray, "n"]:
     ends_px = distorted(picture.lens, ends_px)
     way = ends_px[:, 1] - ends_px[:, 0]
     unit = way / np.maximum(np.linalg.norm(way, axis=1), 1e-9)[:, None]
@@ -34,7 +46,7 @@ def quick_look(
         (start[:, None] + along * step[:, None])[:, None] + beside[:, None] * side[:, None, None]
         for start, step, side in zip(ends_px[:, 0].T, way.T, right.T, strict=True)
     )
-    u, v = (place.reshape(len(way), -1).astype(np.float32) for place in (u, v))
+    u, v = (place.reshape(len(way), LOOKS * len(beside)).astype(np.float32) for place in (u, v))
     found = cv2.remap(picture.by_uv, u, v, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT)
     noise = max(picture.noise, 1e-3)
     across, crossing = (
