@@ -393,6 +393,8 @@ class GuidedTuning:
     # noise, apart from what lies within this width, px, of matched segments. By hand, for time:
     # lines that were put out showed 1.5 and more.
     plausible_sigmas: float = 1.2
+    # Then all pictures that show so much are asked, and the others show nothing. By hand.
+    asked_sigmas: float = 0.7
     matched_width_px: int = 5
     # Directions nearer than this are one, degrees.
     same_direction_deg: float = 4.0

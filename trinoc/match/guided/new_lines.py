@@ -36,7 +36,7 @@ def with_new_lines(
     if not promising.any():
         return state, 0, before_mm
     hypotheses = take_rows(hypotheses, promising)
-    wanted = np.ones((len(hypotheses.ends_mm), len(pictures)), dtype=bool)
+    wanted = _looks(pictures, hypotheses.ends_mm) > tuning.asked_sigmas
     found = asked(pictures, hypotheses.ends_mm, hypotheses.covariance_mm2, wanted, tuning)
     sizes = [picture.size_px for picture in pictures]
     proposals = proposals_of(state, found, hypotheses, sizes, len(promising), tuning)
@@ -63,11 +63,18 @@ def _promising(
     tuning: GuidedTuning,
 ) -> Bool[np.ndarray, "n"]:
     """Whether two pictures may show each line, apart from what shows matched lines already."""
-    number = np.zeros(len(lines_mm), dtype=np.int64)
+    rest = []
     for view, picture in enumerate(pictures):
         used = np.unique(state.tracks.index[:, view])
         matched = state.segments[view].ends_px[used[used >= 0]]
-        rest = without(picture, matched, tuning.matched_width_px)
-        image = project_by_matrix(picture.matrix_px, lines_mm)
-        number += quick_look(rest, image) > tuning.plausible_sigmas
-    return number >= 2
+        rest.append(without(picture, matched, tuning.matched_width_px))
+    return (_looks(rest, lines_mm) > tuning.plausible_sigmas).sum(axis=1) >= 2
+
+
+def _looks(
+    pictures: list[PictureInput], lines_mm: Float[np.ndarray, "n 2 3"]
+) -> Float[np.ndarray, "n v"]:
+    """A quick look at every line in every picture."""
+    images = [project_by_matrix(picture.matrix_px, lines_mm) for picture in pictures]
+    looks = [quick_look(*both) for both in zip(pictures, images, strict=True)]
+    return np.stack(looks, axis=1)
