@@ -53,6 +53,10 @@ from .kept_programs import (
     keep_programs_in as keep_programs_in,
     kept_jit as kept_jit,
 )
+from .log_tails import (
+    log_normal_tail as log_normal_tail,
+    log_student_tail as log_student_tail,
+)
 from .manifold_minimiser import (
     AbstractManifoldMinimiser as AbstractManifoldMinimiser,
     DampedDescent as DampedDescent,

@@ -91,12 +91,9 @@ def test_one_test_alone_has_the_rate_of_a_normal_variable():
     gradient = gradient_of(noise_picture("white"))
     places = samples_of(probes(2048, 100, 3), RIG["upper"].intrinsics, (WIDTH, HEIGHT))
     growth = growth_of(gradient, RIG["upper"].intrinsics, (WIDTH, HEIGHT))
-    columns = (np.asarray(column, np.float32) for column in places[:2])
-    scores, _ = window_scores(
-        gradient.by_uv, np.float32(block_noise(gradient)), *columns, places.inside
-    )
+    scores, _ = window_scores(gradient.by_uv, block_noise(gradient), places)
     window = int(np.flatnonzero(WINDOW_SIZE == 8)[1])
-    score = np.abs(np.asarray(scores)[:, window]) / np.sqrt(growth[WINDOWS.index(8)])
+    score = np.abs(scores[:, window]) / np.sqrt(growth[WINDOWS.index(8)])
     chance = np.exp(log_chance(score.astype(np.float64), np.ones(len(score))))
     for rate in (0.3, 0.1, 0.03):
         share = float((chance < rate).mean())
@@ -143,3 +140,27 @@ def test_the_other_way_round_the_answer_is_the_same():
     both = answers(seen(edge.picture), np.stack([edge.ends_px, edge.ends_px[::-1]]))
     assert both.sign.tolist() == [1, -1]
     np.testing.assert_allclose(both.ends_px[0], both.ends_px[1][::-1], atol=0.05)
+
+
+def test_another_edge_that_comes_near_moves_no_end_beyond_its_error():
+    u, v = np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT))
+    normalised, away = [], []
+    for seed in range(16):
+        angle = 0.4 * seed
+        way = np.array([np.cos(angle), np.sin(angle)])
+        right = np.array([-way[1], way[0]])
+        offset = np.stack([u, v], axis=-1) - np.array([255.3, 240.6])
+        # A second edge, 3 px beside the first at one end and further away at the other.
+        turn = angle + 0.15
+        other = (offset - 40 * way - 3 * right) @ np.array([-np.sin(turn), np.cos(turn)])
+        grey = 100 + 40 * ndtr((offset @ right) / BLUR) + 30 * ndtr(other / BLUR)
+        grey = grey + np.random.default_rng(seed).normal(size=grey.shape)
+        ends = np.array([255.3, 240.6]) + np.array([[-40], [40]]) * way
+        found = answers(seen(as_levels(grey)), ends[None], gate=1.0)
+        off = (found.ends_px[0] - ends) @ right
+        blocks = found.covariance_px2[0].reshape(2, 2, 2, 2)
+        sigma = np.sqrt(np.einsum("eiej,i,j->e", blocks, right, right))
+        normalised += (off / sigma).tolist()
+        away += sigma.tolist()
+    assert np.mean(np.square(normalised)) < 1.5
+    assert np.median(away) < 0.5

@@ -1,79 +1,181 @@
 """From where to where an edge goes along a probe, and where across it lies."""
 
-import jax
-import jax.numpy as jnp
+from typing import NamedTuple
+
+import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from trinoc.match.guided.probes import BLOCKS
 from trinoc.match.guided.ridges import SHOULDER
-from trinoc.numerics import ArrayLike
 
 # What one block may say for or against an edge that goes on, log likelihood.
 _MOST_OF_BLOCK = 4.0
+# Most that the ridge of either half may lie off its line, px, and least bend of its logarithm.
+_MOST_SHIFT, _LEAST_BEND = 1.5, 0.05
+# A block whose shoulders differ by so much more than by noise, as a share of the ridge's height,
+# has half the weight: another edge is beside it. One of no weight at all still tells something.
+_UNLIKE, _UNLIKE_BY_CHANCE, _LEAST_WEIGHT = 0.1, 0.1, 1e-3
+# Least height of a ridge, grey levels per px, and of what is beside it, as a share of it.
+_LEAST_TOP, _LEAST_SHARE = 1e-3, 0.05
+
+
+class Extent(NamedTuple):
+    """first, last : (n,) blocks, last excluded. sigma : (n, 2) of these, in blocks."""
+
+    first: Int[np.ndarray, "n"]
+    last: Int[np.ndarray, "n"]
+    sigma: Float[np.ndarray, "n 2"]
+
+
+class Place(NamedTuple):
+    """Fields
+    ------
+    middle : (n, 2) of the first and the second half, in blocks along the probe.
+    offset_px, variance_px2 : (n, 2) across at these, the variance from noise and from what is not
+        straight.
+    asymmetry : (n, 2) how far the two shoulders differ there, as a share of the ridge's height.
+    contrast : (n,) grey levels of the step.
+    """
+
+    middle: Float[np.ndarray, "n 2"]
+    offset_px: Float[np.ndarray, "n 2"]
+    variance_px2: Float[np.ndarray, "n 2"]
+    asymmetry: Float[np.ndarray, "n 2"]
+    contrast: Float[np.ndarray, "n"]
 
 
 def extent_of(
-    own: Float[ArrayLike, "b"],
-    mean: Float[ArrayLike, ""],
-    usable: Bool[ArrayLike, "b"],
-    begin: Int[ArrayLike, ""],
-    end: Int[ArrayLike, ""],
-    growth: Float[ArrayLike, "k"],
-) -> tuple[ArrayLike, ArrayLike, ArrayLike]:
-    """From where to where the edge goes on at the height of its window, by likelihood."""
-    blocks = jnp.arange(BLOCKS, dtype=jnp.int32)
-    gain = jnp.clip((own * mean - 0.5 * mean**2) / growth[0], -_MOST_OF_BLOCK, _MOST_OF_BLOCK)
-    gain = jnp.where(usable, gain, -4 * _MOST_OF_BLOCK)
-    # Ends may move inward as well: half a window's first and last blocks may hold no edge.
-    half = (begin + end) // 2
-    right = jnp.where(blocks >= half, gain, 0.0)
-    left = jnp.where(blocks < half, gain, 0.0)
+    own: Float[np.ndarray, "n b"],
+    mean: Float[np.ndarray, "n"],
+    usable: Bool[np.ndarray, "n b"],
+    half: Int[np.ndarray, "n"],
+    growth: float,
+) -> Extent:
+    """From where to where the edge goes on at the height of its window, by likelihood.
+
+    `half` is the middle of the window: ends may move inward as well, since the first and last
+    blocks of a window may hold no edge.
+    """
+    gain = (own * mean[:, None] - 0.5 * mean[:, None] ** 2) / growth
+    gain = np.where(usable, np.clip(gain, -_MOST_OF_BLOCK, _MOST_OF_BLOCK), -4 * _MOST_OF_BLOCK)
+    blocks, cuts = np.arange(BLOCKS), np.arange(BLOCKS + 1)
+    right = np.where(blocks >= half[:, None], gain, 0.0)
+    left = np.where(blocks < half[:, None], gain, 0.0)
     # Cut k: the edge goes on up to block k, excluded, or from block k on.
-    cuts = jnp.arange(BLOCKS + 1, dtype=jnp.int32)
-    places = cuts.astype(own.dtype)
-    zero = jnp.zeros(1, own.dtype)
-    up_to = jnp.concatenate([zero, jnp.cumsum(right)])
-    up_to = jnp.where(cuts > half, up_to, -jnp.inf)
-    from_on = jnp.concatenate([jnp.cumsum(left[::-1])[::-1], zero])
-    from_on = jnp.where(cuts <= half, from_on, -jnp.inf)
+    zero = np.zeros((len(own), 1))
+    up_to = np.concatenate([zero, np.cumsum(right, axis=1)], axis=1)
+    from_on = np.concatenate([np.cumsum(left[:, ::-1], axis=1)[:, ::-1], zero], axis=1)
+    up_to = np.where(cuts > half[:, None], up_to, -np.inf)
+    from_on = np.where(cuts <= half[:, None], from_on, -np.inf)
+    sigma = np.stack([_spread(from_on), _spread(up_to)], axis=1)
+    return Extent(from_on.argmax(axis=1), up_to.argmax(axis=1), sigma)
 
-    def spread(log: ArrayLike) -> ArrayLike:
-        weight = jax.nn.softmax(log)
-        middle = (weight * places).sum()
-        return jnp.sqrt((weight * (places - middle) ** 2).sum() + 1 / 12)
 
-    sigmas = jnp.stack([spread(from_on), spread(up_to)])
-    first, last = (jnp.argmax(log).astype(jnp.int32) for log in (from_on, up_to))
-    return first, last, sigmas
+def _spread(log: Float[np.ndarray, "n c"]) -> Float[np.ndarray, "n"]:
+    """Standard deviation of a cut with these log likelihoods, which lies anywhere in its block."""
+    weight = np.exp(log - log.max(axis=1, keepdims=True))
+    weight /= weight.sum(axis=1, keepdims=True)
+    places = np.arange(log.shape[1])
+    middle = weight @ places
+    return np.sqrt((weight * (places - middle[:, None]) ** 2).sum(axis=1) + 1 / 12)
 
 
 def placed(
-    across: Float[ArrayLike, "b o"],
-    column: Int[ArrayLike, "b"],
-    at: Float[ArrayLike, "b"],
-    first: Int[ArrayLike, ""],
-    last: Int[ArrayLike, ""],
-    sigma: Float[ArrayLike, ""],
-    growth: Float[ArrayLike, "k"],
-) -> tuple[ArrayLike, ArrayLike, ArrayLike, ArrayLike]:
-    """(place in either half, its variance, contrast, asymmetry), by a log-parabola."""
-    blocks = jnp.arange(BLOCKS, dtype=jnp.int32)
-    count = jnp.maximum(last - first, 1)
-    split = first + (count + 1) // 2
-    near = jnp.stack([across[blocks, column + k] for k in (-SHOULDER, -1, 0, 1, SHOULDER)])
-    halves = jnp.stack([(blocks >= first) & (blocks < split), (blocks >= split) & (blocks < last)])
-    halves = halves.astype(across.dtype)
-    number = jnp.maximum(halves.sum(axis=1), 1.0)
-    means = (near[None] * halves[:, None]).sum(axis=2) / number[:, None]
-    whole = (means * number[:, None]).sum(axis=0) / number.sum()
-    top = jnp.maximum(whole[2], 1e-3)
-    log = jnp.log(jnp.maximum(whole[1:4], 0.05 * top))
-    bend = jnp.maximum(2 * log[1] - log[0] - log[2], 0.05)
-    log = jnp.log(jnp.maximum(means[:, 1:4], 0.05 * top))
-    shift = jnp.clip((log[:, 2] - log[:, 0]) / (2 * bend), -1.5, 1.5)
-    where = (at[None] * halves).sum(axis=1) / number + shift
+    across: Float[np.ndarray, "n o b"],
+    column: Int[np.ndarray, "n b"],
+    at: Int[np.ndarray, "n b"],
+    extent: Extent,
+    variance: Float[np.ndarray, "n"],
+) -> Place:
+    """Where the edge lies in either half, by a log-parabola; `column` and `at` are where its line
+    is at every block, `variance` is that of one block in the sum of many."""
+    beside = np.array([-SHOULDER, -1, 0, 1, SHOULDER])[:, None]
+    near = np.take_along_axis(across, column[:, None] + beside, axis=1)
+    halves = _halves(extent)
+    inside = halves.max(axis=1)
+    top = np.maximum((near[:, 2] * inside).sum(axis=1) / inside.sum(axis=1), _LEAST_TOP)
+    alone = _alone(near, top, np.sqrt(2 * variance))
+    profile = (near @ (inside * alone)[..., None])[..., 0] / (inside * alone).sum(axis=1)[:, None]
+    top = np.maximum(profile[:, 2], _LEAST_TOP)
+    log = np.log(np.maximum(profile[:, 1:4], _LEAST_SHARE * top[:, None]))
+    bend = np.maximum(2 * log[:, 1] - log[:, 0] - log[:, 2], _LEAST_BEND)
     # The difference of two places, 2 px apart, has about the ridge's own variance.
-    variance = growth[2] / number * sigma**2 / (2 * bend * top) ** 2
-    width = 1 / jnp.sqrt(bend)
-    contrast = top * width * jnp.sqrt(2 * jnp.pi).astype(across.dtype)
-    return where, variance, contrast, (whole[4] - whole[0]) / top
+    of_block = variance / (2 * bend * top) ** 2
+    weight = halves * alone[:, None]
+    middle, offset = _middles(weight, extent), _offsets(weight, near, at, bend, top)
+    means = weight @ near.mT / weight.sum(axis=2, keepdims=True)
+    own = of_block[:, None] * (weight**2).sum(axis=2) / weight.sum(axis=2) ** 2
+    quarters = _quartered(halves) * alone[:, None]
+    apart = _offsets(quarters, near, at, bend, top) - _on_line(quarters, middle, offset)
+    noise = (
+        of_block[:, None] * (quarters**2).sum(axis=2) / np.maximum(quarters.sum(axis=2), 1e-9) ** 2
+    )
+    # Noise alone is not straight either: what exceeds three of its variances is a bend.
+    bow = np.where(quarters.sum(axis=2) > 0, np.maximum(apart**2 - 3 * noise, 0.0), 0.0).mean(
+        axis=1
+    )
+    return Place(
+        middle,
+        offset,
+        own + bow[:, None],
+        (means[..., 4] - means[..., 0]) / top[:, None],
+        top * np.sqrt(2 * np.pi / bend),
+    )
+
+
+def _offsets(
+    weight: Float[np.ndarray, "n k b"],
+    near: Float[np.ndarray, "n p b"],
+    at: Int[np.ndarray, "n b"],
+    bend: Float[np.ndarray, "n"],
+    top: Float[np.ndarray, "n"],
+) -> Float[np.ndarray, "n k"]:
+    """Where the edge lies across in each part, by the parabola of all."""
+    total = np.maximum(weight.sum(axis=2), 1e-9)
+    means = (weight @ near.mT) / total[..., None]
+    log = np.log(np.maximum(means[..., 1:4], _LEAST_SHARE * top[:, None, None]))
+    shift = np.clip((log[..., 2] - log[..., 0]) / (2 * bend[:, None]), -_MOST_SHIFT, _MOST_SHIFT)
+    return (weight @ at[..., None])[..., 0] / total + shift
+
+
+def _on_line(
+    weight: Float[np.ndarray, "n k b"],
+    middle: Float[np.ndarray, "n 2"],
+    offset: Float[np.ndarray, "n 2"],
+) -> Float[np.ndarray, "n k"]:
+    """Where the line through the middles of both halves lies across, at the middles of parts."""
+    place = weight @ (np.arange(BLOCKS) + 0.5) / np.maximum(weight.sum(axis=2), 1e-9)
+    slope = (offset[:, 1] - offset[:, 0]) / (middle[:, 1] - middle[:, 0])
+    return offset[:, :1] + slope[:, None] * (place - middle[:, :1])
+
+
+def _quartered(halves: Float[np.ndarray, "n 2 b"]) -> Float[np.ndarray, "n 4 b"]:
+    """The first and the second part of both halves."""
+    number = np.cumsum(halves, axis=2)
+    first = halves * (number <= (halves.sum(axis=2, keepdims=True) + 1) // 2)
+    return np.concatenate([first, halves - first], axis=1)
+
+
+def _halves(extent: Extent) -> Float[np.ndarray, "n 2 b"]:
+    """1 on the blocks of the first and of the second half; both are the block of a single one."""
+    blocks, first, last = np.arange(BLOCKS), extent.first[:, None], extent.last[:, None]
+    split = first + (np.maximum(last - first, 1) + 1) // 2
+    left = (blocks >= first) & (blocks < split)
+    right = (blocks >= np.minimum(split, last - 1)) & (blocks < last)
+    return np.stack([left, right], axis=1).astype(np.float64)
+
+
+def _alone(
+    near: Float[np.ndarray, "n p b"], top: Float[np.ndarray, "n"], noise: Float[np.ndarray, "n"]
+) -> Float[np.ndarray, "n b"]:
+    """Weight of each block, 1 where both shoulders are alike: no other edge is beside it."""
+    unlike = np.abs(near[:, -1] - near[:, 0]) - 2 * noise[:, None]
+    excess = np.maximum(unlike / top[:, None] - _UNLIKE_BY_CHANCE, 0.0)
+    return np.maximum(1 / (1 + (excess / _UNLIKE) ** 2), _LEAST_WEIGHT)
+
+
+def _middles(weight: Float[np.ndarray, "n 2 b"], extent: Extent) -> Float[np.ndarray, "n 2"]:
+    """Where the halves lie along the probe, in blocks; those of one block, at its quarters."""
+    middle = weight @ (np.arange(BLOCKS) + 0.5) / weight.sum(axis=2)
+    one = (extent.last - extent.first == 1)[:, None]
+    return middle + np.where(one, np.array([-0.25, 0.25]), 0.0)

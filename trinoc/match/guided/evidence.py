@@ -6,165 +6,195 @@ the edges that are sure the nearest to the known place is taken, since others ma
 
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.match.guided.edge_piece import extent_of, placed
-from trinoc.match.guided.probes import BLOCKS
+from trinoc.match.guided.edge_piece import Extent, Place, extent_of, placed
+from trinoc.match.guided.lines_across import MIDDLES, TILTS, Lines, lines_at, on_lines, within
+from trinoc.match.guided.probes import BLOCKS, Samples
 from trinoc.match.guided.ridges import (
-    OFFSETS,
     REACH,
     SHOULDER,
     WINDOW_FIRST,
+    WINDOW_LAST,
     WINDOW_SIZE,
     block_gradients,
     ridge,
     ridge_sigma,
     whole_windows,
+    window_spread,
     windows,
 )
-from trinoc.numerics import ArrayLike
+from trinoc.numerics import normal_limit, take_rows
 
-# How far the line's two ends may lie on different sides of the probe, px.
-TILTS = np.array([-2, 0, 2])
 # Score above which an edge is no surer for being stronger: the nearest of such is the line's own.
 _SURE = 8.0
 # An edge that crosses the line has a gradient along it: at most this share of that across, and
 # what noise adds to it, in standard deviations.
 _OBLIQUE, _OBLIQUE_NOISE = 0.15, 1.5
+# What noise shows more often than this, in the best of all tests of a probe, is no evidence.
+_USUAL = 0.1
 
 
 class Evidence(NamedTuple):
-    """Of each probe, the window of blocks and the line across that shows an edge best.
+    """Of probes that show anything, the window of blocks and the line that shows an edge best.
 
     Fields
     ------
-    score : the sum of its ridge in standard deviations, without sign.
-    sign : +1 where it is brighter on the right.
-    first, last : blocks from where to where the edge goes, last excluded.
-    end_sigma : (2,) standard deviations of these, in blocks.
-    offset_px : (2,) where the edge lies across, in the middles of its first and second half.
-    variance_px2 : (2,) of these, from noise.
-    contrast : grey levels of the step.
-    asymmetry : how far its two shoulders differ, as a share of its height.
-    excess : sigma of its blocks over what the picture's noise makes of them, at least 1.
-    tests : windows and lines that were looked at.
+    probe : (n,) which of the probes.
+    score : (n,) the sum of its ridge in standard deviations, without sign.
+    sign : (n,) +1 where it is brighter on the right.
+    extent, place : along the probe, and across.
+    excess : (n,) sigma of its blocks over what the picture's noise makes of them, at least 1.
+    tests : (n,) windows and lines that were looked at.
     """
 
-    score: Float[ArrayLike, "*n"]
-    sign: Float[ArrayLike, "*n"]
-    first: Int[ArrayLike, "*n"]
-    last: Int[ArrayLike, "*n"]
-    end_sigma: Float[ArrayLike, "*n 2"]
-    offset_px: Float[ArrayLike, "*n 2"]
-    variance_px2: Float[ArrayLike, "*n 2"]
-    contrast: Float[ArrayLike, "*n"]
-    asymmetry: Float[ArrayLike, "*n"]
-    excess: Float[ArrayLike, "*n"]
-    tests: Float[ArrayLike, "*n"]
+    probe: Int[np.ndarray, "n"]
+    score: Float[np.ndarray, "n"]
+    sign: Float[np.ndarray, "n"]
+    extent: Extent
+    place: Place
+    excess: Float[np.ndarray, "n"]
+    tests: Float[np.ndarray, "n"]
 
 
-def probe_evidence(
-    gradient: Float[ArrayLike, "h w 2"],
-    least: Float[ArrayLike, ""],
-    growth: Float[ArrayLike, "k"],
-    uv_px: Float[ArrayLike, "s 2"],
-    normal: Float[ArrayLike, "s 2"],
-    inside: Bool[ArrayLike, "s"],
-    gate_px: Float[ArrayLike, ""],
-    near_px: Float[ArrayLike, ""],
-    latest: Int[ArrayLike, ""],
+class Band(NamedTuple):
+    """The gradient about each probe.
+
+    Fields
+    ------
+    across, along : (n, o, b) at all offsets. height : (n, r, b) ridge of `across`.
+    sigma : (n,) of one block's. known : (n, b) whether a block is inside.
+    """
+
+    across: Float[np.ndarray, "n o b"]
+    along: Float[np.ndarray, "n o b"]
+    height: Float[np.ndarray, "n r b"]
+    sigma: Float[np.ndarray, "n"]
+    known: Bool[np.ndarray, "n b"]
+
+
+class Tests(NamedTuple):
+    """Of windows x on lines l: score : (n, l, x), with sign. whole : whether it was one at all."""
+
+    score: Float[np.ndarray, "n l x"]
+    whole: Bool[np.ndarray, "n l x"]
+
+
+def evidence_along(
+    by_uv: Float[np.ndarray, "h w 2"],
+    least: float,
+    growth: Float[np.ndarray, "k"],
+    places: Samples,
+    gate_px: Float[np.ndarray, "n"],
+    near_px: Float[np.ndarray, "n"],
+    latest: Int[np.ndarray, "n"],
 ) -> Evidence:
-    """The best window of a probe that begins at block `latest` or before, within the gate.
+    """The best window of each probe that begins at block `latest` or before, within the gate.
 
     `near_px` is the standard deviation of the line's place, `least` that of a block's ridge from
     the picture's noise, and `growth` is g(n) of every window's size.
     """
-    across, along, known = block_gradients(gradient, uv_px, normal, inside)
-    height = ridge(across)
-    sigma = ridge_sigma(height, known, least)
-    kind = height.dtype
-    count = jnp.maximum(known.sum(), 1).astype(kind)
-    # Lines within the reach, and one more to either side: where each is at every block.
-    place = (jnp.arange(BLOCKS, dtype=kind) + 0.5) / count - 0.5
-    middle = jnp.arange(-REACH - 1, REACH + 2).astype(kind)
-    tilt = jnp.asarray(TILTS, dtype=kind)[:, None, None]
-    at = middle[None, :, None] + jnp.rint(tilt * place[None, None])
-    allowed = (jnp.abs(at[:, 1:-1]) <= jnp.minimum(gate_px, REACH)) & known[None, None]
-    rows = jnp.arange(BLOCKS, dtype=jnp.int32)
-
-    def summed(part: ArrayLike, lines: ArrayLike) -> ArrayLike:
-        own = part[
-            rows[None, None],
-            jnp.clip(lines + SHOULDER + REACH, 0, len(OFFSETS) - 1).astype(jnp.int32),
-        ]
-        sums = windows((own / sigma).reshape(-1, BLOCKS), growth)
-        return sums.reshape(len(TILTS), lines.shape[1], -1)
-
-    padded = jnp.pad(height, ((0, 0), (SHOULDER, SHOULDER)))
-    inner = at[:, 1:-1]
-    scores, beside, plain = summed(padded, inner), summed(along, inner), summed(across, at)
-    size = jnp.abs(plain)
-    top = (size[:, 1:-1] >= size[:, :-2]) & (size[:, 1:-1] >= size[:, 2:])
-    plain = plain[:, 1:-1]
-    begins = jnp.asarray(WINDOW_FIRST, jnp.int32) <= latest
-    whole = whole_windows(allowed) & begins[None, None]
-    straight = jnp.abs(beside) < _OBLIQUE * jnp.abs(plain) + _OBLIQUE_NOISE
-    good = whole & top & straight & (jnp.sign(scores) == jnp.sign(plain))
-    # Of edges that are sure, the nearest to the line; of others, the surest.
-    ends = jnp.abs(inner[..., WINDOW_FIRST]), jnp.abs(inner[..., WINDOW_FIRST + WINDOW_SIZE - 1])
-    off = jnp.maximum(*ends) / jnp.maximum(near_px, 0.3)
-    value = jnp.minimum(jnp.abs(scores), _SURE) ** 2 + 2 * jnp.log1p(jnp.abs(scores)) - off**2
-    value = jnp.where(good, value, -jnp.inf)
-    value, good, scores = (x.reshape(-1, x.shape[-1]) for x in (value, good, scores))
-    at, column = inner.reshape(-1, BLOCKS), (inner + REACH).reshape(-1, BLOCKS)
-    column = jnp.clip(column, 0, 2 * REACH).astype(jnp.int32)
-    allowed = allowed.reshape(-1, BLOCKS)
-    of_line = height[rows[None], column]
-    best = jnp.argmax(value)
-    line, window = jnp.divmod(best, good.shape[1])
-    score = jnp.where(good.reshape(-1)[best], jnp.abs(scores).reshape(-1)[best], 0.0)
-    begin = jnp.asarray(WINDOW_FIRST, jnp.int32)[window]
-    size = jnp.asarray(WINDOW_SIZE, jnp.int32)[window]
-    sign = jnp.sign(scores[line, window])
-    own, usable = sign * of_line[line], allowed[line]
-    within = (rows >= begin) & (rows < begin + size)
-    mean = jnp.where(within, own, 0.0).sum() / size.astype(kind)
-    first, last, end_sigma = extent_of(
-        own / sigma, mean / sigma, usable, begin, begin + size, growth
-    )
-    own = sign * across, column[line] + SHOULDER, at[line]
-    offset, variance, contrast, asymmetry = placed(*own, first, last, sigma, growth)
-    tests = whole.sum().astype(kind)
+    band = band_of(by_uv, least, places)
+    lines = lines_at(band.known)
+    tests = tests_of(band, lines, growth, gate_px, latest)
+    number = tests.whole.sum(axis=(1, 2))
+    limit = normal_limit(_USUAL / 2 / np.maximum(number, 1))
+    size = np.where(tests.whole, np.abs(tests.score), 0.0).max(axis=(1, 2))
+    probe = np.flatnonzero(size > limit)
+    band, lines, tests = take_rows((band, lines, tests), probe)
+    good = tests.whole & is_edge(band, lines, tests, growth)
+    best = nearest_of_surest(lines, tests.score, good, near_px[probe])
+    row = np.flatnonzero(good.any(axis=(1, 2)))
+    band, lines = take_rows((band, lines), row)
+    line, window = np.divmod(best[row], tests.score.shape[2])
+    score, probe = tests.score[row, line, window], probe[row]
+    sign = np.sign(score).astype(np.float64)
+    extent, place = piece_of(band, lines, line, window, sign, gate_px[probe], growth)
     return Evidence(
-        score,
+        probe,
+        np.abs(score).astype(np.float64),
         sign,
-        first,
-        last,
-        end_sigma,
-        offset,
-        variance,
-        contrast,
-        asymmetry,
-        sigma / least,
-        tests,
+        extent,
+        place,
+        band.sigma / least,
+        number[probe].astype(np.float64),
     )
 
 
-@jax.jit
-def evidence_along(
-    gradient: Float[ArrayLike, "h w 2"],
-    least: Float[ArrayLike, ""],
-    growth: Float[ArrayLike, "k"],
-    uv_px: Float[ArrayLike, "n s 2"],
-    normal: Float[ArrayLike, "n s 2"],
-    inside: Bool[ArrayLike, "n s"],
-    gate_px: Float[ArrayLike, "n"],
-    near_px: Float[ArrayLike, "n"],
-    latest: Int[ArrayLike, "n"],
-) -> Evidence:
-    """`probe_evidence` of many probes of one picture."""
-    each = jax.vmap(probe_evidence, in_axes=(None, None, None, 0, 0, 0, 0, 0, 0))
-    return each(gradient, least, growth, uv_px, normal, inside, gate_px, near_px, latest)
+def band_of(by_uv: Float[np.ndarray, "h w 2"], least: float, places: Samples) -> Band:
+    """What the picture shows about each probe."""
+    across, along, known = block_gradients(by_uv, places)
+    height = ridge(across)
+    return Band(across, along, height, ridge_sigma(height, known, least), known)
+
+
+def tests_of(
+    band: Band,
+    lines: Lines,
+    growth: Float[np.ndarray, "k"],
+    gate_px: Float[np.ndarray, "n"],
+    latest: Int[np.ndarray, "n"],
+) -> Tests:
+    """The sum of the ridge over every window on every line."""
+    height = np.pad(band.height, ((0, 0), (1, 1), (0, 0)))
+    sums = windows(on_lines(height, lines)) / band.sigma[:, None, None]
+    begins = latest[:, None] >= WINDOW_FIRST
+    whole = whole_windows(within(lines, band.known, gate_px)) & begins[:, None]
+    return Tests(sums / window_spread(growth), whole)
+
+
+def is_edge(
+    band: Band, lines: Lines, tests: Tests, growth: Float[np.ndarray, "k"]
+) -> Bool[np.ndarray, "n l x"]:
+    """Whether the gradient across is largest on a line itself, and hardly any goes along it."""
+    count = len(band.sigma)
+    across = windows(on_lines(band.across, lines, REACH + 1))
+    size = np.abs(across).reshape(count, len(TILTS), len(MIDDLES) + 2, len(WINDOW_FIRST))
+    top = (size[:, :, 1:-1] >= size[:, :, :-2]) & (size[:, :, 1:-1] >= size[:, :, 2:])
+    own = across.reshape(size.shape)[:, :, 1:-1].reshape(tests.score.shape)
+    along = np.abs(windows(on_lines(band.along, lines)))
+    noise = _OBLIQUE_NOISE * band.sigma[:, None, None] * window_spread(growth)
+    straight = along < _OBLIQUE * np.abs(own) + noise
+    return top.reshape(own.shape) & straight & ((own > 0) == (tests.score > 0))
+
+
+def nearest_of_surest(
+    lines: Lines,
+    score: Float[np.ndarray, "n l x"],
+    good: Bool[np.ndarray, "n l x"],
+    near_px: Float[np.ndarray, "n"],
+) -> Int[np.ndarray, "n"]:
+    """Line and window as one number: of edges that are sure the nearest, of others the surest."""
+    row, line, window = np.nonzero(good)
+    size = np.abs(score[row, line, window])
+    ends = (lines.at[row, line, end[window]] for end in (WINDOW_FIRST, WINDOW_LAST))
+    off = np.maximum(*np.abs(np.stack(list(ends)))) / np.maximum(near_px, 0.3)[row]
+    value = np.full(score.shape, -np.inf)
+    value[row, line, window] = np.minimum(size, _SURE) ** 2 + 2 * np.log1p(size) - off**2
+    count, number, kinds = score.shape
+    return value.reshape(count, number * kinds).argmax(axis=1)
+
+
+def piece_of(
+    band: Band,
+    lines: Lines,
+    line: Int[np.ndarray, "n"],
+    window: Int[np.ndarray, "n"],
+    sign: Float[np.ndarray, "n"],
+    gate_px: Float[np.ndarray, "n"],
+    growth: Float[np.ndarray, "k"],
+) -> tuple[Extent, Place]:
+    """The edge that shows best in one window on one line: as far as it goes on, and its place."""
+    at = lines.at[np.arange(len(line)), line]
+    column = np.clip(at, -REACH, REACH) + REACH
+    own = np.take_along_axis(band.height, column[:, None], axis=1)[:, 0]
+    own = (sign / band.sigma)[:, None] * own
+    blocks = np.arange(BLOCKS)
+    inside = (blocks >= WINDOW_FIRST[window, None]) & (blocks <= WINDOW_LAST[window, None])
+    mean = (own * inside).sum(axis=1) / WINDOW_SIZE[window]
+    usable = within(lines, band.known, gate_px)[np.arange(len(line)), line]
+    half = WINDOW_FIRST[window] + WINDOW_SIZE[window] // 2
+    extent = extent_of(own, mean, usable, half, growth[0])
+    across = sign[:, None, None] * band.across
+    return extent, placed(across, column + SHOULDER, at, extent, growth[2] * band.sigma**2)

@@ -8,15 +8,14 @@ median of the sums' sizes, which the edges that controls meet do not move.
 
 import numpy as np
 from jaxtyping import Float
-from scipy.stats import norm, t as student
 
 from trinoc.geometry import Intrinsics
 from trinoc.match.guided.gradient import SMOOTHING_PX, Gradient
 from trinoc.match.guided.probes import STEP_PX, STEPS, samples_of
 from trinoc.match.guided.ridges import NEXT, SECOND, SHOULDER, WINDOW_SIZE, WINDOWS, window_scores
+from trinoc.numerics import MAD_TO_SIGMA, log_normal_tail, log_student_tail
 
 CONTROLS = 128
-_MAD = 1.4826
 # Blocks of a probe tell their sigma like so many independent ones; below this excess it is chance.
 DEGREES = 12
 KNOWN_BELOW = 1.3
@@ -45,17 +44,13 @@ def growth_of(
     angle = rng.uniform(0, np.pi, controls)
     half = 0.5 * length * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     places = samples_of(np.stack([middle - half, middle + half], axis=1), lens, size_px)
-    narrow = [np.asarray(column, np.float32) for column in places[:2]]
-    least = np.float32(block_noise(gradient))
-    scores, complete = (
-        np.asarray(x) for x in window_scores(gradient.by_uv, least, *narrow, places.inside)
-    )
+    scores, complete = window_scores(gradient.by_uv, max(block_noise(gradient), 1e-3), places)
     growth = white_growth()
     for k, window in enumerate(WINDOWS):
         column = window == WINDOW_SIZE
         values = np.abs(scores[:, column][complete[:, column]])
         if len(values) > 20:
-            growth[k] = max(growth[k], (_MAD * np.median(values)) ** 2)
+            growth[k] = max(growth[k], (MAD_TO_SIGMA * np.median(values)) ** 2)
     return np.maximum.accumulate(growth)
 
 
@@ -71,6 +66,6 @@ def log_chance(score: Float[np.ndarray, "n"], excess: Float[np.ndarray, "n"]) ->
     Where blocks scatter as the picture's noise says, their sigma is known; where they scatter more
     (`excess`), it is an estimate from few, and the score is one of Student's.
     """
-    known = norm.logsf(score)
-    estimated = student.logsf(score, DEGREES)
+    known = log_normal_tail(score)
+    estimated = log_student_tail(score, DEGREES)
     return np.log(2) + np.where(excess > KNOWN_BELOW, np.maximum(estimated, known), known)

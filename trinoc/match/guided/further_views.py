@@ -91,12 +91,13 @@ def _by_chance(
         way = image[:, 1] - image[:, 0]
         right = np.stack([-way[:, 1], way[:, 0]], axis=1)
         right /= np.linalg.norm(way, axis=1)[:, None]
-        for move in tuning.control_px:
-            probe = image + move * right[:, None]
-            one = np.ones(len(rows))
-            answer = ask(picture, probe, one, 0.5 * one, np.full(len(rows), np.inf))
-            met += ((answer.log_chance < strict) & (answer.covered > tuning.least_covered)).sum()
-            number += len(rows)
+        moves = np.repeat(tuning.control_px, len(rows))[:, None, None]
+        probe = np.tile(image, (len(tuning.control_px), 1, 1))
+        probe += moves * np.tile(right, (len(tuning.control_px), 1))[:, None]
+        one = np.ones(len(probe))
+        answer = ask(picture, probe, one, 0.5 * one, np.full(len(probe), np.inf))
+        met += ((answer.log_chance < strict) & (answer.covered > tuning.least_covered)).sum()
+        number += len(probe)
     return float(met / number)
 
 
@@ -123,11 +124,15 @@ def _attached(
                 )
                 segment = len(grown.segments[view].ends_px) - 1
             index[row, view] = segment
-    trial = refitted(grown, before._replace(index=index))
     changed = (index != before.index).any(axis=1)
+    if not changed.any():
+        return state, 0
+    trial = refitted(grown, before._replace(index=index))
     fits = trial.tracks.misfit < np.maximum(before.misfit, 0) + tuning.gate
     long = lengths_mm(trial.tracks.ends_mm) > tuning.kept_share * lengths_mm(before.ends_mm)
     bad = changed & ~(fits & long)
+    if not bad.any():
+        return trial, int((index != before.index).sum())
     index[bad] = before.index[bad]
     if not (changed & ~bad).any():
         return state, 0

@@ -123,7 +123,7 @@ def log_odds_of(
     on = np.repeat(members, 2, axis=1)
     both = on[:, :, None] & on[:, None, :]
     spread = np.where(both, spread, 2 * np.pi * np.eye(2 * views) / (2 * np.pi))
-    offset = np.where(on, found.offset_px.reshape(count, -1), 0.0)
+    offset = np.where(on, found.offset_px.reshape(count, 2 * views), 0.0)
     square = (offset * np.linalg.solve(spread, offset[..., None])[..., 0]).sum(axis=1)
     log_density = -0.5 * (
         square + np.linalg.slogdet(spread)[1] + on.sum(axis=1) * np.log(2 * np.pi)

@@ -23,7 +23,7 @@ _BORDER_PX = 4.0
 class Samples(NamedTuple):
     """Fields
     ------
-    uv_px : (n, s, 2) places along each probe, in pixels of the picture.
+    uv_px : (n, s, 2) places along each probe, in pixels of the picture, single precision.
     normal : (n, s, 2) unit normals there, on the right of the way.
     inside : (n, s) whether a place is on its probe and in the picture.
     """
@@ -57,4 +57,4 @@ def samples_of(
         normal = normal / np.linalg.norm(normal, axis=2, keepdims=True)
     most = np.array(size_px) - 1 - _BORDER_PX
     inside = (at < length[:, None] + 1e-6) & ((uv >= _BORDER_PX) & (uv <= most)).all(axis=2)
-    return Samples(uv, normal, inside)
+    return Samples(uv.astype(np.float32), normal.astype(np.float32), inside)

@@ -42,8 +42,8 @@ def prolonged(
 
 def _kept(state: State, changed: State, tuning: GuidedTuning) -> tuple[State, int]:
     """Without what makes views disagree that agreed before."""
-    trial = refitted(changed, state.tracks).tracks
-    worse = trial.misfit > np.maximum(state.tracks.misfit, 0.0) + tuning.gate
+    trial = refitted(changed, state.tracks)
+    worse = trial.tracks.misfit > np.maximum(state.tracks.misfit, 0.0) + tuning.gate
     moved = 0
     for view, own in enumerate(state.segments):
         new = changed.segments[view]
@@ -56,7 +56,9 @@ def _kept(state: State, changed: State, tuning: GuidedTuning) -> tuple[State, in
         ]
         changed = with_view(changed, view, ViewSegments(*table))
         moved += int((changed.segments[view].ends_px != own.ends_px).any(axis=(1, 2)).sum())
-    return (refitted(changed, state.tracks), moved) if moved else (state, 0)
+    if not moved:
+        return state, 0
+    return refitted(changed, state.tracks) if worse.any() else trial, moved
 
 
 def _beyond(
@@ -67,23 +69,23 @@ def _beyond(
     index = state.tracks.index[state.tracks.log_odds > tuning.trusted_log_odds, view]
     used = np.unique(index[index >= 0])
     ends = np.stack([np.repeat(used, 2), np.tile([0, 1], len(used))], axis=1)
+    tests = max(len(ends), 1)
+    ends = ends[~_at_corner(state, view, ends, tuning)]
     here = own.ends_px[ends[:, 0], ends[:, 1]]
     there = own.ends_px[ends[:, 0], 1 - ends[:, 1]]
     length = np.linalg.norm(here - there, axis=1)
     out = (here - there) / length[:, None]
     least = tuning.prolong_px + tuning.prolong_share * length
-    reach = np.maximum(least, _wanted(state, view, ends, here, out) + tuning.prolong_px / 2)
+    reach = np.maximum(least, _wanted(state, view, ends) + tuning.prolong_px / 2)
     # Right at the end there may be a corner, with other edges about it.
     start = here + tuning.corner_px * out
     reach = np.clip(reach, 0, tuning.longest_px)
     probe = np.stack([start, start + reach[:, None] * out], axis=1)
-    count = len(ends)
-    gate = np.full(count, tuning.prolong_gate_px)
-    answer = ask(picture, probe, gate, 0.5 * gate, np.full(count, tuning.gap_px))
+    gate = np.full(len(ends), tuning.prolong_gate_px)
+    answer = ask(picture, probe, gate, 0.5 * gate, np.full(len(ends), tuning.gap_px))
     answer = answer._replace(along_px=answer.along_px + tuning.corner_px)
-    hit = answer.log_chance < np.log(tuning.false_alarms / max(count, 1))
+    hit = answer.log_chance < np.log(tuning.false_alarms / tests)
     hit &= answer.length_px > tuning.least_piece_px
-    hit &= ~_at_corner(state, view, ends, tuning)
     return ends, answer, hit & _goes_on(own, ends, answer, tuning)
 
 
@@ -129,60 +131,45 @@ def _goes_on(
     return square < tuning.gate
 
 
-def _wanted(
-    state: State, view: int, ends: np.ndarray, here: np.ndarray, out: np.ndarray
-) -> Float[np.ndarray, "n"]:
+def _wanted(state: State, view: int, ends: np.ndarray) -> Float[np.ndarray, "n"]:
     """How far beyond each end any other view shows the line, px."""
     tracks = state.tracks
-    matrix = state.cameras.matrix_px[view]
-    wanted = np.zeros(len(ends))
-    row_of = {tuple(pair): row for row, pair in enumerate(ends.tolist())}
     span = np.stack(
-        [np.nanmin(tracks.reach[..., 0], axis=1), np.nanmax(tracks.reach[..., 1], axis=1)]
+        [np.nanmin(tracks.reach[..., 0], axis=1), np.nanmax(tracks.reach[..., 1], axis=1)], axis=1
     )
-    step = tracks.ends_mm[:, 1] - tracks.ends_mm[:, 0]
-    far = tracks.ends_mm[:, :1] + span.T[..., None] * step[:, None]
-    image = project_by_matrix(matrix, far)
-    for track in np.flatnonzero(tracks.index[:, view] >= 0):
-        for end in (0, 1):
-            row = row_of.get((int(tracks.index[track, view]), end))
-            if row is None:
-                continue
-            beyond = ((image[track] - here[row]) @ out[row]).max()
-            if np.isfinite(beyond):
-                wanted[row] = max(wanted[row], beyond)
-    return wanted
+    return _farthest(state, view, ends, span)
+
+
+def _farthest(
+    state: State, view: int, ends: np.ndarray, span: Float[np.ndarray, "t 2"]
+) -> Float[np.ndarray, "n"]:
+    """How far beyond each end the image of any of its tracks' lines goes, px, at least 0; `span`
+    are the ends of these, where 0 and 1 are the tracks' own."""
+    tracks, own = state.tracks, state.segments[view].ends_px
+    on = np.flatnonzero(tracks.index[:, view] >= 0)
+    step = tracks.ends_mm[on, 1] - tracks.ends_mm[on, 0]
+    line = tracks.ends_mm[on, :1] + span[on, :, None] * step[:, None]
+    image = project_by_matrix(state.cameras.matrix_px[view], line)
+    segment = own[tracks.index[on, view]]
+    out = segment - segment[:, ::-1]
+    out = out / np.linalg.norm(out, axis=2, keepdims=True)
+    # Of both ends of a segment (axis 1) both ends of the line (axis 2).
+    beyond = ((image[:, None] - segment[:, :, None]) * out[:, :, None]).sum(axis=3).max(axis=2)
+    most = np.zeros((len(own), 2))
+    np.maximum.at(most, tracks.index[on, view], np.nan_to_num(beyond, nan=0.0, posinf=0.0))
+    return most[ends[:, 0], ends[:, 1]]
 
 
 def _allowed(
     state: State, found: list[tuple[np.ndarray, Answer, np.ndarray]], view: int
 ) -> Float[np.ndarray, "n"]:
     """How far each end may move, px, so that a second view shows the line there too."""
-    tracks = state.tracks
-    ends = found[view][0]
-    row_of = {tuple(pair): row for row, pair in enumerate(ends.tolist())}
-    reach = _reach_after(state, found)
-    others = reach.copy()
+    others = _reach_after(state, found)
     others[:, view] = np.nan
-    with np.errstate(all="ignore"):
-        low, high = np.fmin.reduce(others[..., 0], axis=1), np.fmax.reduce(others[..., 1], axis=1)
-    matrix = state.cameras.matrix_px[view]
-    step = tracks.ends_mm[:, 1] - tracks.ends_mm[:, 0]
-    far = tracks.ends_mm[:, :1] + np.stack([low, high], axis=1)[..., None] * step[:, None]
-    image = project_by_matrix(matrix, far)
-    allowed = np.zeros(len(ends))
-    for track in np.flatnonzero(tracks.index[:, view] >= 0):
-        segment = int(tracks.index[track, view])
-        for end in (0, 1):
-            here = state.segments[view].ends_px[segment, end]
-            out = here - state.segments[view].ends_px[segment, 1 - end]
-            out = out / np.linalg.norm(out)
-            most = float(((image[track] - here) @ out).max())
-            row = row_of.get((segment, end))
-            if row is None:
-                continue
-            allowed[row] = max(allowed[row], most)
-    return allowed
+    span = np.stack(
+        [np.fmin.reduce(others[..., 0], axis=1), np.fmax.reduce(others[..., 1], axis=1)], axis=1
+    )
+    return _farthest(state, view, found[view][0], span)
 
 
 def _reach_after(

@@ -11,7 +11,6 @@ from trinoc.match.observations import (
     CamerasInput,
     FrameInput,
     MatchInput,
-    cameras_of,
     prepare,
     stacked_frames,
     undistorted,
@@ -89,7 +88,8 @@ def start_of(matches: Matches, segments: Mapping[str, Segments], rig: Rig) -> St
         np.zeros(len(p)) if matches.misfit is None else matches.misfit,
         np.zeros((*matches.index.shape, 2)),
     )
-    state = State(matches.views, cameras_of(rig, matches.views), tuple(views), tracks)
+    cameras = seen.frames[0].cameras.take([seen.names.index(name) for name in matches.views])
+    state = State(matches.views, cameras, tuple(views), tracks)
     return refitted(state, tracks)
 
 

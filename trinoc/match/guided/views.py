@@ -4,22 +4,21 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Shaped
+from jaxtyping import Float, Int, Shaped
 
 from trinoc.geometry import Intrinsics, Rig
 from trinoc.match.guided.evidence import Evidence, evidence_along
 from trinoc.match.guided.false_alarms import block_noise, growth_of, log_chance
 from trinoc.match.guided.gradient import gradient_of
 from trinoc.match.guided.probes import samples_of, step_of
-from trinoc.match.guided.ridges import REACH
-from trinoc.match.observations import distorted
-from trinoc.numerics import bucket, in_blocks
+from trinoc.numerics import concatenate_rows
 
-AT_ONCE = 512
-_LOOKS = 16
-# Of the place across, what noise does not explain: sampling and interpolation, px; and the share
-# of the slope between both shoulders that moves the ridge.
-_FLOOR_PX, _PULL = 0.06, 0.6
+# Probes at once, so that what is read of the picture stays near the processor.
+AT_ONCE = 128
+# Of the place across, what noise does not explain: sampling and interpolation, px; and how far
+# an edge beside it moves the ridge, px by the difference of both shoulders as a share of its
+# height, beyond what shading makes. On edges of rendered pictures, seeds 0 to 11 and others.
+_FLOOR_PX, _PULL, _UNPULLED = 0.03, 0.7, 0.05
 
 
 class PictureInput(NamedTuple):
@@ -37,7 +36,7 @@ class PictureInput(NamedTuple):
     size_px: tuple[int, int]
     by_uv: Float[np.ndarray, "h w 2"]
     noise: float
-    least: np.float32
+    least: float
     growth: Float[np.ndarray, "k"]
 
 
@@ -89,32 +88,11 @@ def picture_inputs(
                 size,
                 gradient.by_uv,
                 gradient.noise,
-                np.float32(max(block_noise(gradient), 1e-3)),
+                max(block_noise(gradient), 1e-3),
                 growth_of(gradient, lens, size),
             )
         )
     return found
-
-
-def plausible(
-    picture: PictureInput, ends_px: Float[np.ndarray, "n 2 2"], share: float, sigmas: float
-) -> Bool[np.ndarray, "n"]:
-    """Whether there is any gradient near a share of the places along each probe: a quick look."""
-    way = ends_px[:, 1] - ends_px[:, 0]
-    unit = way / np.maximum(np.linalg.norm(way, axis=1), 1e-9)[:, None]
-    right = np.stack([-unit[:, 1], unit[:, 0]], axis=1)
-    along, across = (np.arange(_LOOKS) + 0.5) / _LOOKS, np.arange(-REACH, REACH + 1)
-    middle = ends_px[:, None, :1] + along[:, None, None] * way[:, None, None]
-    places = middle + across[:, None] * right[:, None, None]
-    places = distorted(picture.lens, places.reshape(-1, 2, 2))
-    column, row = np.rint(places).astype(np.int64).reshape(len(way), -1, 2).transpose(2, 0, 1)
-    height, width = picture.by_uv.shape[:2]
-    inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
-    found = picture.by_uv[np.where(inside, row, 0), np.where(inside, column, 0)]
-    steep = np.abs((found * right[:, None]).sum(axis=2)) > sigmas * picture.noise
-    near = (steep & inside).reshape(len(way), _LOOKS, -1).any(axis=2)
-    seen = inside.reshape(len(way), _LOOKS, -1).all(axis=2)
-    return near.sum(axis=1) >= np.maximum(share * seen.sum(axis=1), 2)
 
 
 def ask(
@@ -125,58 +103,71 @@ def ask(
     latest_px: Float[np.ndarray, "n"],
 ) -> Answer:
     """The best edge along each probe that begins at most `latest_px` after the probe does."""
-    places = samples_of(ends_px, picture.lens, picture.size_px)
     block_px = 2 * step_of(ends_px)
-    latest = np.floor(np.minimum(latest_px / block_px, 99)).astype(np.int32)
+    latest = np.floor(np.minimum(latest_px / block_px, 99)).astype(np.int64)
+    found = []
+    for start in range(0, len(ends_px), AT_ONCE):
+        rows = slice(start, start + AT_ONCE)
+        places = samples_of(ends_px[rows], picture.lens, picture.size_px)
+        columns = gate_px[rows], near_px[rows], latest[rows]
+        one = evidence_along(picture.by_uv, picture.least, picture.growth, places, *columns)
+        found.append(one._replace(probe=one.probe + start))
+    if not found:
+        return _nothing(0)
+    whole = concatenate_rows(found)
+    return spread_out(
+        _answer(ends_px[whole.probe], block_px[whole.probe], whole), whole.probe, len(ends_px)
+    )
 
-    def along(*columns: np.ndarray) -> Evidence:
-        growth = picture.growth.astype(np.float32)
-        return evidence_along(picture.by_uv, picture.least, growth, *columns)
 
-    columns = places.uv_px, places.normal, places.inside, gate_px, near_px, latest
-    dtypes = np.float32, np.float32, np.bool_, np.float32, np.float32, np.int32
-    size = min(bucket(len(ends_px)), AT_ONCE)
-    found = in_blocks(along, size, *(c.astype(d) for c, d in zip(columns, dtypes, strict=True)))
-    return _answer(ends_px, block_px, Evidence(*(np.asarray(c, np.float64) for c in found)))
+def spread_out(answer: Answer, rows: Int[np.ndarray, "n"], count: int) -> Answer:
+    """Answers of some of `count` probes, among those that show nothing."""
+    whole = _nothing(count)
+    for column, own in zip(whole, answer, strict=True):
+        column[rows] = own
+    return whole
+
+
+def _nothing(count: int) -> Answer:
+    zero, ends = np.zeros(count), np.zeros((count, 2, 2))
+    rest = np.zeros((count, 4, 4)), np.zeros((count, 2)), zero.copy(), zero.copy(), zero.copy()
+    return Answer(zero.copy(), zero.copy(), zero.copy(), ends, *rest)
 
 
 def _answer(
     ends_px: Float[np.ndarray, "n 2 2"], block_px: Float[np.ndarray, "n"], found: Evidence
 ) -> Answer:
     way = ends_px[:, 1] - ends_px[:, 0]
-    unit = way / np.maximum(np.linalg.norm(way, axis=1), 1e-9)[:, None]
+    length = np.maximum(np.linalg.norm(way, axis=1), 1e-9)
+    unit = way / length[:, None]
     right = np.stack([-unit[:, 1], unit[:, 0]], axis=1)
-    along = np.stack([found.first, found.last], axis=1) * block_px[:, None]
+    extent, place = found.extent, found.place
+    along = np.stack([extent.first, extent.last], axis=1) * block_px[:, None]
     # The line through the middles of both halves.
-    count = np.maximum(found.last - found.first, 1)
-    split = found.first + (count + 1) // 2
-    middle = np.stack([found.first + split, split + found.last], axis=1) / 2 * block_px[:, None]
+    middle = place.middle * block_px[:, None]
     apart = np.maximum(middle[:, 1] - middle[:, 0], 1e-9)
     share = (along - middle[:, :1]) / apart[:, None]
     weight = np.stack([1 - share, share], axis=2)
-    across = (weight @ found.offset_px[:, :, None])[..., 0]
-    own = np.asarray(found.variance_px2) + _FLOOR_PX**2
-    own += (_PULL * np.clip(np.abs(found.asymmetry) - 0.2, 0.0, 2.0))[:, None] ** 2
+    across = (weight @ place.offset_px[:, :, None])[..., 0]
+    own = place.variance_px2 + _FLOOR_PX**2
+    own += (_PULL * np.clip(np.abs(place.asymmetry) - _UNPULLED, 0.0, 2.0)) ** 2
     spread = np.einsum("nij,nj,nkj->nik", weight, own, weight)
-    end_sigma = np.asarray(found.end_sigma) * block_px[:, None]
+    end_sigma = extent.sigma * block_px[:, None]
     covariance = np.einsum("nef,ni,nj->neifj", spread, right, right)
     for end in (0, 1):
         covariance[:, end, :, end] += (end_sigma[:, end] ** 2)[:, None, None] * (
             unit[:, :, None] * unit[:, None, :]
         )
     places = ends_px[:, :1] + along[..., None] * unit[:, None] + across[..., None] * right[:, None]
-    one = np.where(
-        found.score > 0, log_chance(np.asarray(found.score), np.asarray(found.excess)), 0.0
-    )
-    chance = np.minimum(one + np.log(np.maximum(found.tests, 1.0)), 0.0)
+    one = log_chance(found.score, found.excess)
     return Answer(
-        chance,
+        np.minimum(one + np.log(np.maximum(found.tests, 1.0)), 0.0),
         one,
-        np.asarray(found.sign),
+        found.sign,
         places,
         covariance.reshape(-1, 4, 4),
         along,
-        np.asarray(found.contrast),
-        np.asarray(found.tests),
-        (along[:, 1] - along[:, 0]) / np.maximum(np.linalg.norm(way, axis=1), 1e-9),
+        place.contrast,
+        found.tests,
+        (along[:, 1] - along[:, 0]) / length,
     )

@@ -38,10 +38,15 @@ class GuidedTuning:
     # corners. By hand.
     partners: int = 14
     asked_again_mm: float = 1.0
-    # Of the places along it, so many must have a gradient of so many standard deviations near. By
-    # hand, for time.
-    plausible_share: float = 0.15
-    plausible_sigmas: float = 2.5
+    # A quick look must show so much in two pictures, mean standard deviations of the gradient's
+    # noise, apart from what lies within this width, px, of matched segments. By hand, for time:
+    # lines that were put out showed 1.5 and more.
+    plausible_sigmas: float = 1.2
+    # Then all pictures that show so much are asked, and the others show nothing. By hand.
+    asked_sigmas: float = 0.7
+    matched_width_px: int = 5
+    # Directions nearer than this are one, degrees.
+    same_direction_deg: float = 4.0
     usual_directions: int = 3
     parallel_deg: float = 0.3
     longer: float = 1.2
@@ -63,14 +68,16 @@ class GuidedTuning:
     # Where lines beside a line are asked for, px across; what the answers weigh in log odds.
     control_px: tuple[float, ...] = (-11.0, -7.0, 7.0, 11.0)
     temperature: float = 0.5
-    # Before anything is seen, how likely a line is that is asked for, and how likely a picture
-    # is to miss one. By hand.
-    prior_new: float = 0.02
+    # How likely a line is that a quick look has chosen, and how likely a picture is to miss one.
+    # By hand, on seeds 0 to 11.
+    prior_new: float = 0.05
     # A new line is put out from these log odds on, where its views locate it as well as this, and
-    # so near to where it was asked for, px. By hand.
+    # so near to where it was asked for, px, and no further from a corner than this share of what
+    # was asked for. By hand.
     new_log_odds: float = 1.0
     largest_doubt: float = 0.5
     as_asked_px: float = 4.0
+    corner_gap: float = 0.35
     # An edge in one picture counts beside a sure one in another where noise shows as much so
     # seldom.
     weak: float = 0.01
