@@ -36,7 +36,7 @@ INNER_FLOORS = {
     ),
     "match": (
         *("observations", "two_view", "evidence", "candidates", "selection", "occlusion"),
-        *("tracks", "guided", "line_map"),
+        *("tracks", "guided", "line_pixels", "line_map"),
     ),
     "segments": ("nevatia_babu",),
     "geometry": ("lenses",),
