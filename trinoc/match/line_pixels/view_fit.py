@@ -78,6 +78,16 @@ def _usual_blur(found: StripFit, otherwise: float) -> tuple[float, float]:
     return middle, float(MAD_TO_SIGMA * np.median(np.abs(log - middle)))
 
 
+def _hidden_widening(
+    off: Float[np.ndarray, "s"], own: Float[np.ndarray, "s"], spread: float, tuning: PixelTuning
+) -> Float[np.ndarray, "s"]:
+    """Mean square of the widening that is to be expected where the blur is not known well."""
+    least, most = tuning.hidden_widening
+    typical = np.clip(spread**2 - np.median(own), least**2, most**2)
+    share = typical / (typical + own)
+    return share * own + np.square(share * off)
+
+
 def _judged(
     images: LineImages, strips: Strips, found: StripFit, guess: float, tuning: PixelTuning
 ) -> ViewFit:
@@ -86,10 +96,13 @@ def _judged(
     prior = tuning.prior_blocks
     scatter = (prior + found.scatter) / (prior + np.maximum(found.blocks - 2, 0.0))
     usual, spread = _usual_blur(found, guess)
-    widening = np.square(found.place[:, 2] - usual) - inverse[:, 2, 2]
-    widening -= max(spread, tuning.least_blur_spread) ** 2
+    off, own = found.place[:, 2] - usual, np.clip(inverse[:, 2, 2], 1e-9, 1.0)
+    widening = np.maximum(
+        np.square(off) - own - max(spread, tuning.least_blur_spread) ** 2,
+        _hidden_widening(off, own, spread, tuning),
+    )
     widened = np.square(tuning.widening_moves * np.exp(found.place[:, 2]))
-    widened = widened * np.clip(widening, 0.0, tuning.most_widening**2)
+    widened = widened * np.minimum(widening, tuning.most_widening**2)
     floor = (tuning.floor_px**2 + widened)[:, None, None] * np.ones((2, 2))
     covariance = inverse[:, :2, :2] * np.maximum(scatter, 1.0)[:, None, None] + floor
 
