@@ -15,7 +15,9 @@ _LEAST_INFORMATION = 1e-12
 
 
 class LineFit(NamedTuple):
-    """Fields
+    """Lines, or the normal equations of one: then `move_mm` is the gradient.
+
+    Fields
     ------
     move_mm : (t, 4) of the first end, then of the last, along the two axes across the line.
     information : (t, 4, 4) of these. misfit : (t,) chi-square by which the views disagree.
@@ -33,7 +35,7 @@ def offsets_of(
     right: Float[ArrayLike, "2"],
 ) -> Float[ArrayLike, "2"]:
     """Distances, along `right`, of the image of a line from two places."""
-    image = ends_mm @ matrix_px[:, :3].T + matrix_px[:, 3]
+    image = ends_mm @ matrix_px[:, :3].T + matrix_px[None, :, 3]
     line = jnp.cross(image[0], image[1])
     return -(place_px @ line[:2] + line[2]) / (right @ line[:2])
 
@@ -51,7 +53,9 @@ def fit_line(
 
     def residual(move: Float[ArrayLike, "4"]) -> Float[ArrayLike, "v 2"]:
         ends = ends_mm + move.reshape(2, 2) @ axes
-        return jax.vmap(offsets_of, (None, 0, 0, 0))(ends, matrices_px, places_px, right) - offset_px
+        return (
+            jax.vmap(offsets_of, (None, 0, 0, 0))(ends, matrices_px, places_px, right) - offset_px
+        )
 
     def normal(move: Float[ArrayLike, "4"]) -> LineFit:
         off, slope = residual(move), jax.jacfwd(residual)(move)

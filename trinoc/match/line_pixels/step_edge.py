@@ -58,11 +58,12 @@ def fit_block(
     width = jnp.exp(place[2])
     scaled = across / width
     inner = usable & (jnp.abs(across) < core[0] * width + core[1])
-    fitted = usable & (inner | reach)
+    fitted = usable & (inner | reach[None])
     weight = fitted.astype(level.dtype).reshape(-1)
 
     right, bell = ndtr(scaled), jnp.exp(-0.5 * scaled**2) / (jnp.sqrt(2 * jnp.pi) * width)
-    along = jnp.broadcast_to((jnp.arange(ROWS) - (ROWS - 1) / 2)[:, None], across.shape)
+    rows = jnp.arange(ROWS, dtype=level.dtype) - (ROWS - 1) / 2
+    along = jnp.broadcast_to(rows[:, None], across.shape)
     side = jnp.stack([jnp.ones_like(across), across, along], axis=-1).reshape(-1, 3)
     right, bell = right.reshape(-1, 1), bell.reshape(-1)
     basis = jnp.concatenate([side * (1 - right), side * right], axis=1)
@@ -88,7 +89,7 @@ def fit_block(
         weighted.T @ residual,
         weight @ residual**2,
         jnp.stack([(fitted & (across < 0)).sum(), (fitted & (across >= 0)).sum()]),
-        (grid * usable).sum(axis=0),
+        jnp.where(usable, grid, 0.0).sum(axis=0),
         inner.any(axis=0),
         levels[3] - levels[0],
     )

@@ -18,8 +18,9 @@ _CORE_STEPS = 2
 _LARGEST_STEP_PX, _LARGEST_BLUR_STEP = 0.7, 0.3
 # Pixels that a block must have on either side, and unknowns that it has of its own.
 _LEAST_PIXELS, _OWN_UNKNOWNS = 8, 6
-# Noise grows with the light: a line's own, over the picture's, within these factors.
-_NOISE_RANGE = (0.5, 4.0)
+# Noise grows with the light, and before the place is found misfit counts as noise: a line's own
+# variance, over the picture's, is this at least.
+_LEAST_NOISE = 0.5
 
 
 class StripFit(NamedTuple):
@@ -135,7 +136,7 @@ def _weighed(
     chi = found.square / freedom / noise**2
     usual = group_medians(chi[complete], line[complete], count)
     usual = np.where(np.isfinite(usual), usual, 1.0)
-    scale = np.clip(usual, *_NOISE_RANGE)
+    scale = np.maximum(usual, _LEAST_NOISE)
     limit = 1 + tuning.block_chi_sigmas * np.sqrt(2 / freedom)
     good = complete & (chi < scale[line] * limit)
     # All blocks of an edge are brighter on the same side.

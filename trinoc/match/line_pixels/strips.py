@@ -82,7 +82,9 @@ def outward(good: Bool[np.ndarray, "*b c"]) -> Bool[np.ndarray, "*b c"]:
 
 def _rows_of(
     lens: Intrinsics, images: LineImages, inside_px: Float[np.ndarray, "s 2"]
-) -> tuple[Int[np.ndarray, "b r c"], Int[np.ndarray, "b r c"], Bool[np.ndarray, "b r 1"], np.ndarray]:
+) -> tuple[
+    Int[np.ndarray, "b r c"], Int[np.ndarray, "b r c"], Bool[np.ndarray, "b r 1"], np.ndarray
+]:
     """(column, row, whether a block has this row, line) of the pixels across each line."""
     chord = np.linspace(0, 1, _CHORDS)
     along = inside_px[:, :1] + chord * (inside_px[:, 1:] - inside_px[:, :1])

@@ -1,4 +1,4 @@
-"""What one picture says of the images of all lines that it shows, and where it cannot be trusted."""
+"""What one picture says of the images of the lines that it shows, and where that cannot hold."""
 
 from typing import NamedTuple
 
@@ -47,7 +47,7 @@ def fit_view(
     images: LineImages,
     tuning: PixelTuning,
 ) -> ViewFit:
-    """Fit the images of lines to a picture; `every_px` are all of its segments, as they lie in it."""
+    """Fit the images of lines to a picture; `every_px` are all segments, as they lie in it."""
     if len(images.track) == 0:
         none = np.zeros(0)
         return ViewFit(none.astype("<U1"), images.offset_px, images.covariance_px2, none)
