@@ -1,4 +1,4 @@
-"""Pictures of separate lines: in each patch of a picture, an exact blurred step along one of them."""
+"""Pictures of separate lines: each patch of a picture holds an exact blurred step along one."""
 
 import numpy as np
 from scipy.special import ndtr
@@ -28,7 +28,9 @@ def lines_of(seed):
     return np.stack([middle - 11 * way, middle + 11 * way], axis=1)
 
 
-def light_of(view, lines, blur_px=BLUR_PX, low=70.0, high=130.0):
+def light_of(
+    view, lines, blur_px: float | np.ndarray = BLUR_PX, low: float = 70.0, high: float = 130.0
+):
     """The light without noise; `blur_px` may be one number per line."""
     width, height = RIG[view].image_size_px
     v, u = np.mgrid[:height, :width]

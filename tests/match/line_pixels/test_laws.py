@@ -65,8 +65,8 @@ def test_the_difference_of_two_answers_is_a_chi_square():
     # A mean of ten, against a mean of the first five: the former is efficient.
     data = generator.normal(size=(4000, 10, 2))
     difference = data.mean(axis=1) - data[:, :5].mean(axis=1)
-    each = (np.tile(np.eye(2) / n, (4000, 1, 1)) for n in (5, 10))
-    square = hausman(difference, *each, 0.1)
+    usual, efficient = (np.tile(np.eye(2) / n, (4000, 1, 1)) for n in (5, 10))
+    square = hausman(difference, usual, efficient, 0.1)
     assert abs(square.mean() - 2) < 0.15
     assert abs(np.mean(square > 5.991) - 0.05) < 0.02
 

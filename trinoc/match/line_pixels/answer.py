@@ -43,7 +43,8 @@ def measured(
     axes = axes_across(unit)
     matrices = np.stack([np.asarray(rig[name].matrix_px) for name in matches.views])
     found = fit_lines(matrices, matches.lines_mm, axes, place, right, offset, information)
-    move, spread, sound = _sound(found.move_mm, found.information)
+    misfit = np.asarray(found.misfit)
+    move, spread, sound = _sound(np.asarray(found.move_mm), np.asarray(found.information))
     sound &= (words == PIXELS).any(axis=1)
 
     # Both answers in coordinates across both ends and along the line.
@@ -52,11 +53,13 @@ def measured(
     turn[:, 4, 0:3] = turn[:, 5, 3:6] = unit
     before = turn @ matches.covariance_mm2 @ turn.mT
     freedom = np.maximum(2 * (matches.index >= 0).sum(axis=1) - _UNKNOWNS, 1)
-    factor = np.maximum(found.misfit / freedom, 1.0)
+    factor = np.maximum(misfit / freedom, 1.0)
     spread = spread * factor[:, None, None]
     difference = hausman(move, before[:, :4, :4], spread, tuning.least_difference)
     limit = chi_square_limit(tuning.least_probability, _UNKNOWNS)
-    agree = chi_square_tail(found.misfit, freedom) > tuning.least_probability
+    # Where the answers differ too much, views that agree among themselves decide. Two always do.
+    three = (matches.index >= 0).sum(axis=1) > 2
+    agree = three & (chi_square_tail(misfit, freedom) > tuning.least_probability)
     holds = sound & ((difference <= limit) | agree)
     spread = spread * np.maximum(difference / limit, 1.0)[:, None, None]
     ends, covariance = _moved(matches.lines_mm, turn, before, move, spread)
@@ -65,10 +68,6 @@ def measured(
     holds &= ((depth > 0).all(axis=2) | ~seen).all(axis=1) & np.isfinite(ends).all(axis=(1, 2))
     words = np.where((words == PIXELS) & ~holds[:, None], DISAGREES, words)
     fragments, of_fragments = _fragments(matches, rig, images, views, words)
-    misfit = None
-    if matches.misfit is not None:
-        three = holds & (seen.sum(axis=1) > 2)
-        misfit = np.where(three, found.misfit, matches.misfit)
     counts = {
         "measured: lines by their pixels": int(holds.sum()),
         "measured: lines by their segments": int((~holds).sum()),
@@ -80,7 +79,7 @@ def measured(
         covariance_mm2=np.where(holds[:, None, None], covariance, matches.covariance_mm2),
         counts=matches.counts | counts,
         fragments_covariance_px2=of_fragments,
-        misfit=misfit,
+        misfit=None if matches.misfit is None else np.where(holds & three, misfit, matches.misfit),
         measure=words,
     )
 
@@ -107,10 +106,11 @@ def _sound(
     move: Float[np.ndarray, "t 4"], information: Float[np.ndarray, "t 4 4"]
 ) -> tuple[np.ndarray, np.ndarray, Bool[np.ndarray, "t"]]:
     """(moves, covariances, whether they are any), something harmless where they are not."""
-    finite = np.isfinite(move).all(axis=1) & np.isfinite(information).all(axis=(1, 2))
+    both = np.column_stack([move, information.reshape(len(move), -1)])
+    finite = np.asarray(np.isfinite(both).all(axis=1))
     safe = np.where(finite[:, None, None], information, np.eye(_UNKNOWNS))
     values = np.linalg.eigvalsh(safe)
-    finite &= values[:, 0] > 1e-12 * values[:, -1]
+    finite = finite & np.asarray(values[:, 0] > 1e-12 * values[:, -1])
     safe = np.where(finite[:, None, None], safe, np.eye(_UNKNOWNS))
     return np.where(finite[:, None], move, 0.0), np.linalg.inv(safe), finite
 

@@ -90,6 +90,6 @@ def fit_block(
         weight @ residual**2,
         jnp.stack([(fitted & (across < 0)).sum(), (fitted & (across >= 0)).sum()]),
         jnp.where(usable, grid, 0.0).sum(axis=0),
-        inner.any(axis=0),
+        jnp.any(inner, axis=0),
         levels[3] - levels[0],
     )

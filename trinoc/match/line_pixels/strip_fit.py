@@ -131,9 +131,10 @@ def _weighed(
     tuning: PixelTuning,
 ) -> _Weighed:
     """Sums over the blocks of each line; what is no step like the others' counts little."""
+    found = BlockFit(*(np.asarray(column) for column in found))
     freedom = np.maximum(found.count.sum(axis=1) - _OWN_UNKNOWNS, 1)
     complete = (found.count >= _LEAST_PIXELS).all(axis=1)
-    chi = found.square / freedom / noise**2
+    chi = np.asarray(found.square / freedom / noise**2)
     usual = group_medians(chi[complete], line[complete], count)
     usual = np.where(np.isfinite(usual), usual, 1.0)
     scale = np.maximum(usual, _LEAST_NOISE)
@@ -149,8 +150,8 @@ def _weighed(
     if robust:
         weight = weight / (1 + np.square(off / tuning.block_sigmas))
     share = weight / variance
-    information = group_sums(found.information * share[:, None, None], line, count)
-    gradient = group_sums(found.gradient * share[:, None], line, count)
+    information = group_sums(np.asarray(found.information * share[:, None, None]), line, count)
+    gradient = group_sums(np.asarray(found.gradient * share[:, None]), line, count)
     information[:, 2, 2] += 1 / log_blur[1] ** 2
     gradient[:, 2] -= (place[:, 2] - log_blur[0]) / log_blur[1] ** 2
     return _Weighed(
