@@ -3,8 +3,9 @@
 import numpy as np
 from scipy.special import ndtr
 
-from trinoc.geometry import Segments
+from trinoc.geometry import Intrinsics, Segments
 from trinoc.match import Matches
+from trinoc.match.observations import undistorted
 from trinoc.synth import table1_rig
 
 RIG = table1_rig()
@@ -29,11 +30,19 @@ def lines_of(seed):
 
 
 def light_of(
-    view, lines, blur_px: float | np.ndarray = BLUR_PX, low: float = 70.0, high: float = 130.0
+    view,
+    lines,
+    blur_px: float | np.ndarray = BLUR_PX,
+    low: float = 70.0,
+    high: float = 130.0,
+    lens: Intrinsics | None = None,
 ):
     """The light without noise; `blur_px` may be one number per line."""
     width, height = RIG[view].image_size_px
-    v, u = np.mgrid[:height, :width]
+    v, u = np.mgrid[:height, :width].astype(float)
+    if lens is not None:
+        pixels = np.stack([u, v], axis=-1)
+        u, v = np.moveaxis(undistorted(lens, pixels.reshape(-1, 2, 2)).reshape(pixels.shape), -1, 0)
     ends = image_px(view, lines)
     middle = ends.mean(axis=1)
     owner = np.hypot(u[..., None] - middle[:, 0], v[..., None] - middle[:, 1]).argmin(axis=-1)

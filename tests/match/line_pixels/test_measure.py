@@ -17,8 +17,10 @@ from tests.match.line_pixels.made import (
     noisy,
 )
 from trinoc.errors import InputError
+from trinoc.geometry import Intrinsics, Rig
 from trinoc.io import load_matches, save
 from trinoc.match import measure_lines
+from trinoc.match.observations import distorted
 from trinoc.numerics import axes_across, level_of_light
 
 
@@ -130,6 +132,29 @@ def test_levels_of_srgb_are_placed_in_the_light():
         for response in ("linear", "srgb")
     }
     assert off["srgb"] < 0.5 * off["linear"]
+
+
+def test_a_lens_that_bends_the_picture_changes_nothing():
+    lens = Intrinsics(
+        focal_length_mm=16,
+        pixel_pitch_mm=(0.0162, 0.0134),
+        image_size_px=(512, 480),
+        distortion=(-0.25, 0.1, 0.0, 0.0, 0.0),
+    )
+    rig = Rig({view: dataclasses.replace(RIG[view], intrinsics=lens) for view in VIEWS})
+    generator = np.random.default_rng(50)
+    lines, _, segments, matches = setting(0)
+    pictures = {view: noisy(light_of(view, lines, lens=lens), generator) for view in VIEWS}
+    bent = {
+        view: dataclasses.replace(own, endpoints_px=distorted(lens, np.asarray(own.endpoints_px)))
+        for view, own in segments.items()
+    }
+    fragments = np.stack([bent[view].endpoints_px for view in VIEWS], axis=1)
+    matches = dataclasses.replace(matches, fragments_px=fragments)
+    found = measure_lines(matches, bent, rig, pictures)
+    assert (words_of(found) == "pixels").mean() > 0.9
+    assert np.mean(chi_square(found, lines) < chi2.ppf(0.95, 4)) > 0.8
+    assert np.abs(found.fragments_px - fragments).max() < 1.0
 
 
 def test_words_and_lines_are_kept_in_a_file(tmp_path):

@@ -57,9 +57,10 @@ def measured(
     spread = spread * factor[:, None, None]
     difference = hausman(move, before[:, :4, :4], spread, tuning.least_difference)
     limit = chi_square_limit(tuning.least_probability, _UNKNOWNS)
-    # Where the answers differ too much, views that agree among themselves decide. Two always do.
+    # Where the answers differ too much, the pixels' holds if its views agree among themselves, as
+    # two always do: segments are off more often than pixels. Its covariance then covers both.
     three = (matches.index >= 0).sum(axis=1) > 2
-    agree = three & (chi_square_tail(misfit, freedom) > tuning.least_probability)
+    agree = chi_square_tail(misfit, freedom) > tuning.least_probability
     holds = sound & ((difference <= limit) | agree)
     spread = spread * np.maximum(difference / limit, 1.0)[:, None, None]
     ends, covariance = _moved(matches.lines_mm, turn, before, move, spread)
