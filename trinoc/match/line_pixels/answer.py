@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 
 from trinoc.geometry import Rig
 from trinoc.match.line_pixels.images import LineImages, offset_at
-from trinoc.match.line_pixels.line_fit import fit_lines
+from trinoc.match.line_pixels.line_fit import LineFit, fit_lines
 from trinoc.match.line_pixels.tuning import PixelTuning
 from trinoc.match.line_pixels.view_fit import PIXELS, ViewFit
 from trinoc.match.observations import distorted, undistorted
@@ -17,6 +17,8 @@ from trinoc.numerics import axes_across, chi_square_limit, chi_square_tail
 
 DISAGREES = "disagrees"
 _UNKNOWNS = 4
+# Of a line that views do not determine, the information has no smaller ratio of eigenvalues.
+_LEAST_CONDITION = 1e-12
 
 
 def measured(
@@ -43,8 +45,8 @@ def measured(
     axes = axes_across(unit)
     matrices = np.stack([np.asarray(rig[name].matrix_px) for name in matches.views])
     found = fit_lines(matrices, matches.lines_mm, axes, place, right, offset, information)
-    misfit = np.asarray(found.misfit)
-    move, spread, sound = _sound(np.asarray(found.move_mm), np.asarray(found.information))
+    move, spread, sound = _sound(found)
+    misfit = np.where(sound, found.misfit, 0.0)
     sound &= (words == PIXELS).any(axis=1)
 
     # Both answers in coordinates across both ends and along the line.
@@ -103,15 +105,14 @@ def hausman(
     return (along**2 / np.maximum(values - 1, least)).sum(axis=1)
 
 
-def _sound(
-    move: Float[np.ndarray, "t 4"], information: Float[np.ndarray, "t 4 4"]
-) -> tuple[np.ndarray, np.ndarray, Bool[np.ndarray, "t"]]:
+def _sound(found: LineFit) -> tuple[np.ndarray, np.ndarray, Bool[np.ndarray, "t"]]:
     """(moves, covariances, whether they are any), something harmless where they are not."""
-    both = np.column_stack([move, information.reshape(len(move), -1)])
-    finite = np.asarray(np.isfinite(both).all(axis=1))
+    move, information = np.asarray(found.move_mm), np.asarray(found.information)
+    every = np.column_stack([move, information.reshape(len(move), -1), found.misfit])
+    finite = np.asarray(np.isfinite(every).all(axis=1))
     safe = np.where(finite[:, None, None], information, np.eye(_UNKNOWNS))
     values = np.linalg.eigvalsh(safe)
-    finite = finite & np.asarray(values[:, 0] > 1e-12 * values[:, -1])
+    finite = finite & np.asarray(values[:, 0] > _LEAST_CONDITION * values[:, -1])
     safe = np.where(finite[:, None, None], safe, np.eye(_UNKNOWNS))
     return np.where(finite[:, None], move, 0.0), np.linalg.inv(safe), finite
 
