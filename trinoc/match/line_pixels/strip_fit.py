@@ -11,7 +11,7 @@ from trinoc.match.line_pixels.strips import Strips, outward
 from trinoc.match.line_pixels.tuning import PixelTuning
 from trinoc.numerics import ArrayLike, group_medians, group_sums, in_blocks, kept_jit
 
-BLOCKS_AT_ONCE = 512
+BLOCKS_AT_ONCE = 64
 _STEPS = 7
 # The first steps fit the core alone, with all blocks alike.
 _CORE_STEPS = 2

@@ -17,7 +17,7 @@ from trinoc.match.observations import distorted, undistorted
 
 # Rows along the edge, and columns to either side of the one in the middle. Rows and columns are
 # the picture's own, whichever crosses the edge more steeply.
-ROWS, HALF = 6, 13
+ROWS, HALF = 6, 11
 COLUMNS = 2 * HALF + 1
 _LEAST_ROWS = 3
 # A lens bends the image of a line by less than this many chords show.

@@ -17,7 +17,7 @@ from trinoc.numerics import MAD_TO_SIGMA
 PIXELS = "pixels"
 SHORT, NEIGHBOURS, UNEVEN, MOVED = "too short", "neighbours", "no clean step", "another edge"
 # The blur of a picture is found first, from this many of its longest lines and this guess, px.
-_FIRST_LINES, _FIRST_BLUR_PX, _FIRST_SIGMA = 48, 1.0, 0.5
+_FIRST_LINES, _FIRST_BLUR_PX, _FIRST_SIGMA = 32, 1.0, 0.5
 _FEWEST = 6
 # A blur known this well tells what is usual.
 _KNOWN_BLUR = 0.15
