@@ -112,6 +112,15 @@ def test_a_place_beside_another_segment_is_not_asked():
     assert (np.delete(words_of(found), 4, axis=0) == "pixels").mean() > 0.9
 
 
+def test_a_picture_without_edges_changes_nothing():
+    _, pictures, segments, matches = setting(0)
+    flat = {view: np.full_like(picture, 90) for view, picture in pictures.items()}
+    found = measure_lines(matches, segments, RIG, flat)
+    assert (words_of(found) != "pixels").all()
+    np.testing.assert_array_equal(found.lines_mm, matches.lines_mm)
+    np.testing.assert_array_equal(found.covariance_mm2, matches.covariance_mm2)
+
+
 def test_levels_of_srgb_are_placed_in_the_light():
     lines, _, segments, matches = setting(3)
     generator = np.random.default_rng(40)

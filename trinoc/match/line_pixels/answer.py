@@ -108,7 +108,7 @@ def hausman(
 def _sound(found: LineFit) -> tuple[np.ndarray, np.ndarray, Bool[np.ndarray, "t"]]:
     """(moves, covariances, whether they are any), something harmless where they are not."""
     move, information = np.asarray(found.move_mm), np.asarray(found.information)
-    every = np.column_stack([move, information.reshape(len(move), -1), found.misfit])
+    every = np.column_stack([move, information.reshape(len(move), _UNKNOWNS**2), found.misfit])
     finite = np.asarray(np.isfinite(every).all(axis=1))
     safe = np.where(finite[:, None, None], information, np.eye(_UNKNOWNS))
     values = np.linalg.eigvalsh(safe)

@@ -8,7 +8,6 @@ from jaxtyping import Float, Int
 from trinoc.geometry import Intrinsics, Segments, project_by_matrix
 from trinoc.match.observations import undistorted
 from trinoc.match.tracks import Matches
-from trinoc.numerics import cross_2d
 
 
 class LineImages(NamedTuple):
@@ -81,8 +80,3 @@ def offset_at(
 ) -> Float[np.ndarray, "s k"]:
     """Offsets at positions along the line, 0 and 1 at its ends."""
     return (1 - share) * offset_px[:, :1] + share * offset_px[:, 1:]
-
-
-def turned_from(images: LineImages, points_px: Float[np.ndarray, "s k 2"]) -> np.ndarray:
-    """Distance across the image of a line of points that belong to it."""
-    return cross_2d(images.way[:, None], points_px - images.ends_px[:, :1])

@@ -50,6 +50,8 @@ class PixelTuning:
     # Where a strip's own blur is not known, it is widened as others of the picture are: that much
     # at least, and at most.
     hidden_widening: tuple[float, float] = (0.004, 0.05)
+    # Where an end is not known to this many blur widths, the pixels show no edge.
+    most_sigma_widths: float = 1.0
     # A place this many blur widths and standard deviations from the segment is another edge's.
     most_moved_widths: float = 1.0
     most_moved_sigmas: float = 4.0

@@ -15,7 +15,8 @@ from trinoc.match.line_pixels.tuning import PixelTuning
 from trinoc.numerics import MAD_TO_SIGMA
 
 PIXELS = "pixels"
-SHORT, NEIGHBOURS, UNEVEN, MOVED = "too short", "neighbours", "no clean step", "another edge"
+SHORT, NEIGHBOURS, FAINT = "too short", "neighbours", "too faint"
+UNEVEN, MOVED = "no clean step", "another edge"
 # The blur of a picture is found first, from this many of its longest lines and this guess, px.
 _FIRST_LINES, _FIRST_BLUR_PX, _FIRST_SIGMA = 32, 1.0, 0.5
 _FEWEST = 6
@@ -112,6 +113,8 @@ def _judged(
     moved = np.abs((weight @ (found.place[:, :2] - images.offset_px)[..., None])[..., 0])
     own = np.einsum("sei,sij,sej->se", weight, images.covariance_px2, weight)
     most = tuning.most_moved_widths * np.exp(usual) + tuning.most_moved_sigmas * np.sqrt(own)
+    known = np.einsum("sei,sij,sej->se", weight, inverse[:, :2, :2], weight)
+    faint = (known > np.square(tuning.most_sigma_widths * np.exp(usual))).any(axis=1)
     typical = np.median(found.chi_square[found.blocks > 0]) if (found.blocks > 0).any() else 1.0
     uneven = (scatter > tuning.most_scatter) | (found.chi_square > tuning.most_chi * typical)
     uneven |= widening > tuning.most_widening**2
@@ -120,10 +123,11 @@ def _judged(
         [
             number == 0,
             (found.blocks < 1) | (found.share <= tuning.least_share),
+            faint,
             uneven,
             (moved > most).any(axis=1) | ~np.isfinite(covariance).all(axis=(1, 2)),
         ],
-        [SHORT, NEIGHBOURS, UNEVEN, MOVED],
+        [SHORT, NEIGHBOURS, FAINT, UNEVEN, MOVED],
         PIXELS,
     )
     good = words == PIXELS
