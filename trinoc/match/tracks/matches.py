@@ -42,8 +42,8 @@ class Matches(Shown, eqx.Module):
         (`guide_matches`); None where that has not been asked for.
     measure : (t, v) "pixels" where a view's place rests on its grey levels (`measure_lines`), else
         why its segment's place is kept: "too short", "neighbours" (other edges are too near), "too
-        faint", "no clean step", "another edge", or "disagrees" (the line's pixels and its segments do, and so
-        do its views); "" where not seen. None where that has not been asked for.
+        faint", "no clean step", "another edge", or "disagrees" (the line's pixels and its segments
+        do, and so do its views); "" where not seen. None where that has not been asked for.
     noise_scale : standard deviation of the segments across themselves over what they state, as
         three views show it: all covariances here are of the errors found. 1 where two views are
         all there is.
