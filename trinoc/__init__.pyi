@@ -44,6 +44,7 @@ from .match import (
     join_collinear as join_collinear,
     match_many as match_many,
     match_segments as match_segments,
+    measure_lines as measure_lines,
     snap_corners as snap_corners,
     warm_up as warm_up,
     wireframe as wireframe,

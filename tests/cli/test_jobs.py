@@ -157,6 +157,23 @@ def test_guided_matches_need_pictures_and_hold_at_least_as_many_tracks(run, fold
     assert len(guided) >= len(plain)
 
 
+def test_lines_measured_in_pictures_are_those_of_the_segments_placed_anew(run, folder):
+    status, _, error = run("match", *views("csv"), "--rig", "rig.json", "--measure", "pixels")
+    assert status == 2
+    assert "--measure pixels needs pictures" in error
+    command = "match", *views("png"), "--rig", "rig.json"
+    assert run(*command, "-o", "plain.npz")[0] == 0
+    assert run(*command, "--measure", "pixels", "-o", "measured.npz")[0] == 0
+    plain, after = (trinoc.load_matches(folder / f"{name}.npz") for name in ("plain", "measured"))
+    assert plain.measure is None
+    assert after.measure is not None
+    assert ((after.measure == "") == (after.index < 0)).all()
+    np.testing.assert_array_equal(after.index, plain.index)
+    moved = np.abs(after.lines_mm - plain.lines_mm).max(axis=(1, 2))
+    assert (moved > 0).any()
+    assert np.median(moved) < 1.0
+
+
 def test_match_finds_the_box_and_reports_it(run, folder):
     written = ["box.npz", "box.html"]
     command = "match", *views("csv"), "--rig", "rig.json", "-o", written[0], "--report", written[1]

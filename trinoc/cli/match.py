@@ -5,7 +5,7 @@ import math
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
@@ -51,6 +51,10 @@ class Match(SegmentOptions, Command):
     guided: bool = False
     """Ask every picture again where matched lines must be: finds faint edges, takes longer."""
 
+    measure: Literal["segments", "pixels"] = "segments"
+    """What places the lines: their segments, or the grey levels of all their views, which are more
+    exact and take longer."""
+
     out: Annotated[Path, tyro.conf.arg(aliases=("-o",))] = Path("matches.npz")
     """Where the matches go."""
 
@@ -84,7 +88,9 @@ class Match(SegmentOptions, Command):
         files = files_of_rig(self.pictures, rig.names)
         check_views(files, rig, self.rig)
         if self.guided:
-            _check_pictures(files)
+            _check_pictures(files, "--guided")
+        if self.measure == "pixels":
+            _check_pictures(files, "--measure pixels")
         if self.dry_run:
             sizes = {name: rig[name].image_size_px for name in files}
             return plan(f"match with {self.rig}", files, sizes, (self.out, self.report))
@@ -98,6 +104,11 @@ class Match(SegmentOptions, Command):
             LOGGER.info("asking the pictures again along %d lines", len(matches))
             guided = guide_matches(matches, segments, rig, images)
             segments, matches = guided.segments, guided.matches
+        if self.measure == "pixels":
+            from trinoc.match import measure_lines
+
+            LOGGER.info("measuring %d lines in the pictures", len(matches))
+            matches = measure_lines(matches, segments, rig, images, response=self.response)
         save(matches, self.out)
         if self.report is not None:
             from trinoc.cli.provenance import for_people, provenance
@@ -120,13 +131,13 @@ class Match(SegmentOptions, Command):
         return Outcome(text, {**match_record(segments, matches), "written": written})
 
 
-def _check_pictures(files: Mapping[str, Path]) -> None:
+def _check_pictures(files: Mapping[str, Path], option: str) -> None:
     """Raise UsageError where a view is given by its segments alone."""
     for name, file in files.items():
         if file.suffix.lower() in SEGMENT_SUFFIXES:
             raise UsageError(
-                f"--guided needs pictures, but {file} of {name} holds segments: give its picture, "
-                "or leave --guided out."
+                f"{option} needs pictures, but {file} of {name} holds segments: give its picture, "
+                f"or leave {option} out."
             )
 
 

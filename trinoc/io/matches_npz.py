@@ -12,7 +12,7 @@ FORMAT, VERSION = "trinoc-matches", 1
 _REASONS = "reasons/"
 # What files of earlier versions do not hold.
 _FRAGMENTS_COVARIANCE, _MISFIT, _MOVES = "fragments_covariance_px2", "misfit", "viewpoint_dependent"
-_GUIDED = "guided"
+_GUIDED, _MEASURE = "guided", "measure"
 
 
 def save_matches(matches: Matches, path: str | os.PathLike[str]) -> None:
@@ -39,6 +39,8 @@ def arrays_of_matches(matches: Matches) -> dict[str, np.ndarray]:
     for name in (_FRAGMENTS_COVARIANCE, _MISFIT, _MOVES, _GUIDED):
         if getattr(matches, name) is not None:
             arrays[name] = getattr(matches, name)
+    if matches.measure is not None:
+        arrays[_MEASURE] = _texts(matches.measure.ravel()).reshape(matches.measure.shape)
     reasons = {_REASONS + view: _texts(words) for view, words in matches.reasons.items()}
     return {**arrays, **reasons}
 
@@ -111,6 +113,10 @@ def matches_of_fields(fields: ArrayFields) -> Matches:
     if _GUIDED in fields:
         guided = take(_GUIDED, sides, kind="b")
         fields.expect(_GUIDED, seen | ~guided, "is guided where no view sees the line")
+    measure = None
+    if _MEASURE in fields:
+        measure = take(_MEASURE, sides, kind="U")
+        fields.expect(_MEASURE, seen == (measure != ""), "is no word where a view sees the line")
     noise_scale = 1.0
     if "noise_scale" in fields:
         noise_scale = float(fields.take("noise_scale", "f", (), "matches"))
@@ -135,6 +141,7 @@ def matches_of_fields(fields: ArrayFields) -> Matches:
         noise_scale=noise_scale,
         notes=tuple(map(str, notes)),
         guided=guided,
+        measure=measure,
     )
 
 

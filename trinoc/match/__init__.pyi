@@ -6,6 +6,7 @@ from .line_map.corner_fit import snap_corners as snap_corners
 from .line_map.corners import Corners as Corners
 from .line_map.depth import depth_map as depth_map
 from .line_map.lines import JoinedLines as JoinedLines
+from .line_pixels import PixelTuning as PixelTuning, measure_lines as measure_lines
 from .matcher import match_segments as match_segments
 from .observations.clutter import fit_clutter as fit_clutter
 from .observations.match_input import MatchInput as MatchInput, prepare as prepare

@@ -40,6 +40,10 @@ class Matches(Shown, eqx.Module):
         the place where the line should be, and none on it. None where not known.
     guided : (t, v) whether a fragment's segment was added, or made longer, by guided detection
         (`guide_matches`); None where that has not been asked for.
+    measure : (t, v) "pixels" where a view's place rests on its grey levels (`measure_lines`), else
+        why its segment's place is kept: "too short", "neighbours" (other edges are too near), "too
+        faint", "no clean step", "another edge", or "disagrees" (the line's pixels and its segments
+        do, and so do its views); "" where not seen. None where that has not been asked for.
     noise_scale : standard deviation of the segments across themselves over what they state, as
         three views show it: all covariances here are of the errors found. 1 where two views are
         all there is.
@@ -63,6 +67,7 @@ class Matches(Shown, eqx.Module):
     noise_scale: float = eqx.field(static=True, default=1.0)
     notes: tuple[str, ...] = eqx.field(static=True, default=())
     guided: Bool[np.ndarray, "t v"] | None = None
+    measure: Shaped[np.ndarray, "t v"] | None = None
 
     def __len__(self) -> int:
         return len(self.index)

@@ -1,0 +1,173 @@
+"""From the views' fits to lines in space, the test of both answers, and matches."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from trinoc.geometry import Rig
+from trinoc.match.line_pixels.images import LineImages, offset_at
+from trinoc.match.line_pixels.line_fit import LineFit, fit_lines
+from trinoc.match.line_pixels.tuning import PixelTuning
+from trinoc.match.line_pixels.view_fit import PIXELS, ViewFit
+from trinoc.match.observations import distorted, undistorted
+from trinoc.match.tracks import Matches
+from trinoc.numerics import axes_across, chi_square_limit, chi_square_tail
+
+DISAGREES = "disagrees"
+_UNKNOWNS = 4
+# Of a line that views do not determine, the information has no smaller ratio of eigenvalues.
+_LEAST_CONDITION = 1e-12
+
+
+def measured(
+    matches: Matches,
+    rig: Rig,
+    images: Sequence[LineImages],
+    views: Sequence[ViewFit],
+    tuning: PixelTuning,
+) -> Matches:
+    """Matches whose lines and fragments rest on pixels where these hold."""
+    tracks, sides = matches.index.shape
+    words = np.full((tracks, sides), "", dtype="<U16")
+    place = np.zeros((tracks, sides, 2, 2))
+    right = np.tile(np.array([1.0, 0.0]), (tracks, sides, 1))
+    offset, information = np.zeros((tracks, sides, 2)), np.zeros((tracks, sides, 2, 2))
+    for view, (seen, fit) in enumerate(zip(images, views, strict=True)):
+        rows = seen.track
+        words[rows, view] = fit.words
+        place[rows, view], right[rows, view] = seen.ends_px, seen.right
+        offset[rows, view] = fit.offset_px
+        information[rows, view] = np.linalg.inv(fit.covariance_px2)
+    way = matches.lines_mm[:, 1] - matches.lines_mm[:, 0]
+    unit = way / np.linalg.norm(way, axis=1)[:, None]
+    axes = axes_across(unit)
+    matrices = np.stack([np.asarray(rig[name].matrix_px) for name in matches.views])
+    found = fit_lines(matrices, matches.lines_mm, axes, place, right, offset, information)
+    move, spread, sound = _sound(found)
+    misfit = np.where(sound, found.misfit, 0.0)
+    sound &= (words == PIXELS).any(axis=1)
+
+    # Both answers in coordinates across both ends and along the line.
+    turn = np.zeros((tracks, 6, 6))
+    turn[:, 0:2, 0:3] = turn[:, 2:4, 3:6] = axes
+    turn[:, 4, 0:3] = turn[:, 5, 3:6] = unit
+    before = turn @ matches.covariance_mm2 @ turn.mT
+    freedom = np.maximum(2 * (matches.index >= 0).sum(axis=1) - _UNKNOWNS, 1)
+    factor = np.maximum(misfit / freedom, 1.0)
+    spread = spread * factor[:, None, None]
+    difference = hausman(move, before[:, :4, :4], spread, tuning.least_difference)
+    limit = chi_square_limit(tuning.least_probability, _UNKNOWNS)
+    # Where the answers differ too much, the pixels' holds if its views agree among themselves, as
+    # two always do: segments are off more often than pixels. Its covariance then covers both.
+    three = (matches.index >= 0).sum(axis=1) > 2
+    agree = chi_square_tail(misfit, freedom) > tuning.least_probability
+    holds = sound & ((difference <= limit) | agree)
+    spread = spread * np.maximum(difference / limit, 1.0)[:, None, None]
+    ends, covariance = _moved(matches.lines_mm, turn, before, move, spread)
+    depth = np.einsum("vj,tej->tve", matrices[:, 2, :3], ends) + matrices[:, 2, 3][:, None]
+    seen = matches.index >= 0
+    holds &= ((depth > 0).all(axis=2) | ~seen).all(axis=1) & np.isfinite(ends).all(axis=(1, 2))
+    words = np.where((words == PIXELS) & ~holds[:, None], DISAGREES, words)
+    fragments, of_fragments = _fragments(matches, rig, images, views, words)
+    counts = {
+        "measured: lines by their pixels": int(holds.sum()),
+        "measured: lines by their segments": int((~holds).sum()),
+    }
+    return dataclasses.replace(
+        matches,
+        fragments_px=fragments,
+        lines_mm=np.where(holds[:, None, None], ends, matches.lines_mm),
+        covariance_mm2=np.where(holds[:, None, None], covariance, matches.covariance_mm2),
+        counts=matches.counts | counts,
+        fragments_covariance_px2=of_fragments,
+        misfit=None if matches.misfit is None else np.where(holds & three, misfit, matches.misfit),
+        measure=words,
+    )
+
+
+def hausman(
+    difference: Float[np.ndarray, "t k"],
+    usual: Float[np.ndarray, "t k k"],
+    efficient: Float[np.ndarray, "t k k"],
+    least: float,
+) -> Float[np.ndarray, "t"]:
+    """Chi-square, with k degrees of freedom, of the difference of two answers to one question.
+
+    Its covariance is the difference of theirs, if one of them is efficient; where that is not
+    positive, or small, it is `least` of the efficient one's.
+    """
+    root = np.linalg.cholesky(efficient)
+    inverse = np.linalg.inv(root)
+    values, vectors = np.linalg.eigh(inverse @ usual @ inverse.mT)
+    along = (vectors.mT @ inverse @ difference[..., None])[..., 0]
+    return (along**2 / np.maximum(values - 1, least)).sum(axis=1)
+
+
+def _sound(found: LineFit) -> tuple[np.ndarray, np.ndarray, Bool[np.ndarray, "t"]]:
+    """(moves, covariances, whether they are any), something harmless where they are not."""
+    move, information = np.asarray(found.move_mm), np.asarray(found.information)
+    every = np.column_stack([move, information.reshape(len(move), _UNKNOWNS**2), found.misfit])
+    finite = np.asarray(np.isfinite(every).all(axis=1))
+    safe = np.where(finite[:, None, None], information, np.eye(_UNKNOWNS))
+    values = np.linalg.eigvalsh(safe)
+    finite = finite & np.asarray(values[:, 0] > _LEAST_CONDITION * values[:, -1])
+    safe = np.where(finite[:, None, None], safe, np.eye(_UNKNOWNS))
+    return np.where(finite[:, None], move, 0.0), np.linalg.inv(safe), finite
+
+
+def _moved(
+    ends_mm: Float[np.ndarray, "t 2 3"],
+    turn: Float[np.ndarray, "t 6 6"],
+    before: Float[np.ndarray, "t 6 6"],
+    move: Float[np.ndarray, "t 4"],
+    spread: Float[np.ndarray, "t 4 4"],
+) -> tuple[np.ndarray, np.ndarray]:
+    """(ends, covariance) after lines moved across: along, ends follow as they did before."""
+    follow = np.linalg.solve(before[:, :4, :4], before[:, :4, 4:]).mT
+    along = (follow @ move[..., None])[..., 0]
+    own = before[:, 4:, 4:] - follow @ before[:, :4, 4:]
+    both = follow @ spread
+    after = np.zeros_like(before)
+    after[:, :4, :4], after[:, 4:, :4], after[:, :4, 4:] = spread, both, both.mT
+    after[:, 4:, 4:] = own + both @ follow.mT
+    step = (turn.mT @ np.concatenate([move, along], axis=1)[..., None])[..., 0]
+    return ends_mm + step.reshape(-1, 2, 3), turn.mT @ after @ turn
+
+
+def _fragments(
+    matches: Matches,
+    rig: Rig,
+    images: Sequence[LineImages],
+    views: Sequence[ViewFit],
+    words: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """Fragments on the images of lines that their pixels show, with covariance."""
+    fragments, covariance = matches.fragments_px.copy(), None
+    if matches.fragments_covariance_px2 is not None:
+        covariance = matches.fragments_covariance_px2.copy()
+    for view, (seen, fit) in enumerate(zip(images, views, strict=True)):
+        lens, rows = rig[matches.views[view]].intrinsics, seen.track
+        good = words[rows, view] == PIXELS
+        flat = undistorted(lens, matches.fragments_px[rows, view])
+        along = np.einsum("sei,si->se", flat - seen.ends_px[:, :1], seen.way)
+        share = along / seen.length_px[:, None]
+        across = offset_at(fit.offset_px, share)
+        place = seen.ends_px[:, :1] + along[..., None] * seen.way[:, None]
+        place = distorted(lens, place + across[..., None] * seen.right[:, None])
+        fragments[rows[good], view] = place[good]
+        if covariance is None:
+            continue
+        weight = np.stack([1 - share, share], axis=2)
+        spread = np.where(
+            good[:, None, None],
+            weight @ fit.covariance_px2 @ weight.mT,
+            fit.widened_px2[:, None, None] * np.ones((2, 2)),
+        )
+        added = np.einsum("sef,si,sj->seifj", spread, seen.right, seen.right).reshape(-1, 4, 4)
+        beside = np.einsum("ef,si,sj->seifj", np.eye(2), seen.way, seen.way).reshape(-1, 4, 4)
+        old = covariance[rows, view]
+        kept = np.where(good[:, None, None], beside @ old @ beside, old)
+        covariance[rows, view] = kept + added
+    return fragments, covariance

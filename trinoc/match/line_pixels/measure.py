@@ -1,0 +1,91 @@
+"""Matched lines measured in the grey levels of all their views."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from jaxtyping import Shaped
+
+from trinoc.errors import InputError
+from trinoc.geometry import Rig, Segments
+from trinoc.match.line_pixels.answer import measured
+from trinoc.match.line_pixels.images import line_images
+from trinoc.match.line_pixels.light import Response, light_of_picture
+from trinoc.match.line_pixels.tuning import DEFAULT, PixelTuning
+from trinoc.match.line_pixels.view_fit import fit_view
+from trinoc.match.tracks import Matches
+from trinoc.numerics import ArrayLike, in_float64
+
+
+@in_float64
+def measure_lines(
+    matches: Matches,
+    segments: Mapping[str, Segments | ArrayLike],
+    rig: Rig,
+    pictures: Mapping[str, Shaped[np.ndarray, "..."]],
+    *,
+    response: Response = "linear",
+    tuning: PixelTuning = DEFAULT,
+) -> Matches:
+    """Fit every matched line to the grey levels of all its views.
+
+    Beside the image of a line, each view's pixels are a step between two levels, blurred by a
+    Gaussian. Levels and blur are fitted in every view and eliminated. What remains says where the
+    line's image is, and the four parameters of the line in space follow from all views together.
+    A view that shows no clean step there keeps its segment's place. A Hausman test compares both
+    answers.
+
+    Parameters
+    ----------
+    matches : of `match_segments`, or of `guide_matches`.
+    segments : those that the matches number.
+    rig : the cameras that they were matched with.
+    pictures : for each view of `matches` its picture, as `find_segments` takes it.
+    response : how the cameras make grey levels of light, as in `find_segments`.
+    tuning : every tuned constant.
+
+    Returns
+    -------
+    The same tracks. `measure` says which view rests on its pixels, or why it does not. Lines,
+    fragments, their covariances and `misfit` follow; ends keep their places along the lines.
+
+    Raises
+    ------
+    InputError : views without a picture or segments, pictures of another size than their camera's.
+
+    Source of the test: J. A. Hausman, "Specification tests in econometrics", 1978,
+    doi:10.2307/1913827.
+    """
+    _check(matches, segments, rig, pictures)
+    images, views = [], []
+    for view, name in enumerate(matches.views):
+        own = _as_segments(segments[name])
+        lens = rig[name].intrinsics
+        seen = line_images(matches, view, own, np.asarray(rig[name].matrix_px), lens)
+        light = light_of_picture(pictures[name], response)
+        every = np.asarray(own.endpoints_px, dtype=np.float64)
+        images.append(seen)
+        views.append(fit_view(light, every, lens, seen, tuning))
+    return measured(matches, rig, images, views, tuning)
+
+
+def _as_segments(given: Segments | ArrayLike) -> Segments:
+    return given if isinstance(given, Segments) else Segments.from_endpoints(given)
+
+
+def _check(
+    matches: Matches, segments: Mapping[str, object], rig: Rig, pictures: Mapping[str, np.ndarray]
+) -> None:
+    for name in matches.views:
+        for what, held in (("picture", pictures), ("segments", segments)):
+            if name not in held:
+                raise InputError(
+                    f'Measuring lines needs the {what} of every view, but "{name}" has none: '
+                    f"give what was matched of {', '.join(matches.views)}."
+                )
+        width, height = rig[name].image_size_px
+        shape = np.shape(pictures[name])[:2]
+        if shape != (height, width):
+            raise InputError(
+                f'The picture of "{name}" has the shape {shape}, but its camera has {width} x '
+                f"{height} px: give the picture that its segments were found in."
+            )
