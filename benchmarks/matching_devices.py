@@ -1,0 +1,80 @@
+"""Matching on every device that JAX finds, each beside the CPU: time, peak memory, same answer.
+
+    python benchmarks/matching_devices.py [--counts 500 2000] [--frames 200] [--once]
+
+Loose segments at four times the resolution of the paper's pictures, as in `matching.py`; --counts
+are lines in space, of which each view shows about 1.4 segments. With --once nothing is run warm,
+for counts that take minutes (14600 gives 20,000 segments per view).
+"""
+
+import argparse
+import resource
+import time
+from collections.abc import Callable
+
+import jax
+import numpy as np
+from matching import FRESH_SEED
+
+from trinoc.match import Matches, match_many, match_segments
+from trinoc.synth import Detector, loose_segments, simulate_segments, table1_rig
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--counts", type=int, nargs="+", default=[500, 2000])
+    parser.add_argument("--frames", type=int, default=200)
+    parser.add_argument("--once", action="store_true")
+    given = parser.parse_args()
+    devices = [*jax.devices("cpu")[:1], *(d for d in jax.devices() if d.platform != "cpu")]
+    print(f"devices: {', '.join(f'{d.platform} {d.device_kind}' for d in devices)}")
+    rig = table1_rig(resolution=4)
+    for count in given.counts:
+        scene = loose_segments(FRESH_SEED + 500, count=count)
+        segments, _ = simulate_segments(scene, rig, Detector(shortest_px=32.0), seed=FRESH_SEED)
+        answers = []
+        for device in devices:
+            with jax.default_device(device):
+                line, found = _timed(lambda: match_segments(segments, rig), given.once)  # noqa: B023
+            answers.append(found)
+            print(f"{len(segments['upper']):6d} per view, {device.platform}: {line}", flush=True)
+        _compare(answers)
+    if given.frames:
+        frames = [
+            simulate_segments(
+                loose_segments(seed, count=75), rig, Detector(shortest_px=32.0), seed=seed
+            )[0]
+            for seed in range(FRESH_SEED, FRESH_SEED + given.frames)
+        ]
+        for device in devices:
+            with jax.default_device(device):
+                line, _ = _timed(lambda: match_many(frames, rig), given.once)
+            print(f"{given.frames} frames, {device.platform}: {line}", flush=True)
+
+
+def _timed(call: Callable[[], Matches], once: bool) -> tuple[str, Matches]:
+    found, *first = _seconds(call)
+    line = "first {:.2f} s ({:.2f} s of processor)".format(*first)
+    if not once:
+        rows = [_seconds(call)[1:] for _ in range(3)]
+        line += ", warm {:.3f} s ({:.3f} s of processor)".format(*np.median(rows, axis=0))
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    return f"{line}, peak memory so far {peak:.0f} MiB", found
+
+
+def _seconds(call: Callable[[], Matches]) -> tuple[Matches, float, float]:
+    """(what it returns, seconds of the clock, seconds of processor)."""
+    wall, processor = time.perf_counter(), time.process_time()
+    found = call()
+    return found, time.perf_counter() - wall, time.process_time() - processor
+
+
+def _compare(answers: list[Matches]) -> None:
+    first = {tuple(row) for row in answers[0].index.tolist()}
+    for other in answers[1:]:
+        same = first & {tuple(row) for row in other.index.tolist()}
+        print(f"       tracks of both {len(same)}, of the CPU {len(first)}, of this {len(other)}")
+
+
+if __name__ == "__main__":
+    main()
