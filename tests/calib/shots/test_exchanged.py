@@ -1,10 +1,15 @@
-"""Which two cameras' pictures were exchanged is said only where one pair alone explains the shot."""
+"""Which cameras' pictures were exchanged is said only where one pair alone explains the shot."""
 
-from types import SimpleNamespace
-
+import numpy as np
 import pytest
 
 from trinoc.calib.shots import exchanged
+from trinoc.calib.shots.chain import PlacedShot
+from trinoc.calib.shots.sightings import Sighting
+
+from .made_shots import BOARD, board_poses, detection, lens_of
+
+NAMES = ("left", "middle", "right")
 
 
 @pytest.mark.parametrize(
@@ -12,16 +17,15 @@ from trinoc.calib.shots import exchanged
     [([], None), ([(0, 2)], (0, 2)), ([(0, 1), (1, 2)], None), ([(0, 1), (0, 2), (1, 2)], None)],
 )
 def test_two_explanations_are_none(monkeypatch, explaining, expected) -> None:
-    size = SimpleNamespace(image_size_px=(640, 480))
-    cameras = [SimpleNamespace(camera=k, detections=[size], held_by=k) for k in range(3)]
+    random, pose = np.random.default_rng(0), board_poses(1)[0]
+    pictures = [(detection(name, pose, random),) for name in NAMES]
+    sightings = [
+        Sighting(k, 0, lens_of(name), pictures[k], (np.eye(3, 4),)) for k, name in enumerate(NAMES)
+    ]
 
-    def through(owner, other, target):
-        return SimpleNamespace(camera=owner.camera, detections=[size], held_by=other.camera)
+    def placed(trial, cam_from_rig, target) -> PlacedShot:
+        moved = tuple(s.camera for s in trial if s.detections is not pictures[s.camera])
+        return PlacedShot([], np.eye(3, 4), [] if moved in explaining else [(trial[0], 9.0)])
 
-    def placed(trial, cam_from_rig, target):
-        moved = tuple(s.camera for s in trial if s.held_by != s.camera)
-        return SimpleNamespace(stragglers=() if moved in explaining else (0,))
-
-    monkeypatch.setattr(exchanged, "_through", through)
     monkeypatch.setattr(exchanged, "placed_shot", placed)
-    assert exchanged.exchanged_pair(cameras, {}, None) == expected  # pyright: ignore
+    assert exchanged.exchanged_pair(sightings, {}, BOARD) == expected
