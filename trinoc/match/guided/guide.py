@@ -6,7 +6,6 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Shaped
 
-from trinoc.errors import InputError
 from trinoc.geometry import Rig, Segments
 from trinoc.match.guided.answer import matches_of, segments_of
 from trinoc.match.guided.further_views import with_further_views
@@ -14,6 +13,7 @@ from trinoc.match.guided.new_lines import with_new_lines
 from trinoc.match.guided.prolong import prolonged
 from trinoc.match.guided.state import State, start_of
 from trinoc.match.guided.views import PictureInput, picture_inputs
+from trinoc.match.observations import as_segments, check_pictures
 from trinoc.match.tracks import Matches
 from trinoc.match.tuning import DEFAULT, GuidedTuning, MatchTuning
 from trinoc.numerics import ArrayLike, in_float64
@@ -64,8 +64,8 @@ def guide_matches(
     ------
     InputError : views without a picture or segments, pictures of another size than their camera's.
     """
-    _check(matches, segments, rig, pictures)
-    given = {name: _as_segments(segments[name]) for name in matches.views}
+    check_pictures("Guided detection", matches.views, segments, rig, pictures)
+    given = {name: as_segments(segments[name]) for name in matches.views}
     inputs = picture_inputs(rig, {name: pictures[name] for name in matches.views})
     before = start_of(matches, given, rig)
     after, added = rounds(before, inputs, tuning.guided)
@@ -88,26 +88,3 @@ def rounds(
             break
     words = "guided: views added to tracks", "guided: new tracks", "guided: segments lengthened"
     return state, dict(zip(words, total.tolist(), strict=True))
-
-
-def _as_segments(given: Segments | ArrayLike) -> Segments:
-    return given if isinstance(given, Segments) else Segments.from_endpoints(given)
-
-
-def _check(
-    matches: Matches, segments: Mapping[str, object], rig: Rig, pictures: Mapping[str, np.ndarray]
-) -> None:
-    for name in matches.views:
-        for what, held in (("picture", pictures), ("segments", segments)):
-            if name not in held:
-                raise InputError(
-                    f'Guided detection needs the {what} of every view, but "{name}" has none: '
-                    f"give what was matched of {', '.join(matches.views)}."
-                )
-        width, height = rig[name].image_size_px
-        shape = np.shape(pictures[name])[:2]
-        if shape != (height, width):
-            raise InputError(
-                f'The picture of "{name}" has the shape {shape}, but its camera has {width} x '
-                f"{height} px: give the picture that its segments were found in."
-            )

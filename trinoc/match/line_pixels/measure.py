@@ -5,13 +5,13 @@ from collections.abc import Mapping
 import numpy as np
 from jaxtyping import Shaped
 
-from trinoc.errors import InputError
 from trinoc.geometry import Rig, Segments
 from trinoc.match.line_pixels.answer import measured
 from trinoc.match.line_pixels.images import line_images
 from trinoc.match.line_pixels.light import Response, light_of_picture
 from trinoc.match.line_pixels.tuning import DEFAULT, PixelTuning
 from trinoc.match.line_pixels.view_fit import fit_view
+from trinoc.match.observations import as_segments, check_pictures
 from trinoc.match.tracks import Matches
 from trinoc.numerics import ArrayLike, in_float64
 
@@ -55,10 +55,10 @@ def measure_lines(
     Source of the test: J. A. Hausman, "Specification tests in econometrics", 1978,
     doi:10.2307/1913827.
     """
-    _check(matches, segments, rig, pictures)
+    check_pictures("Measuring lines", matches.views, segments, rig, pictures)
     images, views = [], []
     for view, name in enumerate(matches.views):
-        own = _as_segments(segments[name])
+        own = as_segments(segments[name])
         lens = rig[name].intrinsics
         seen = line_images(matches, view, own, np.asarray(rig[name].matrix_px), lens)
         light = light_of_picture(pictures[name], response)
@@ -66,26 +66,3 @@ def measure_lines(
         images.append(seen)
         views.append(fit_view(light, every, lens, seen, tuning))
     return measured(matches, rig, images, views, tuning)
-
-
-def _as_segments(given: Segments | ArrayLike) -> Segments:
-    return given if isinstance(given, Segments) else Segments.from_endpoints(given)
-
-
-def _check(
-    matches: Matches, segments: Mapping[str, object], rig: Rig, pictures: Mapping[str, np.ndarray]
-) -> None:
-    for name in matches.views:
-        for what, held in (("picture", pictures), ("segments", segments)):
-            if name not in held:
-                raise InputError(
-                    f'Measuring lines needs the {what} of every view, but "{name}" has none: '
-                    f"give what was matched of {', '.join(matches.views)}."
-                )
-        width, height = rig[name].image_size_px
-        shape = np.shape(pictures[name])[:2]
-        if shape != (height, width):
-            raise InputError(
-                f'The picture of "{name}" has the shape {shape}, but its camera has {width} x '
-                f"{height} px: give the picture that its segments were found in."
-            )

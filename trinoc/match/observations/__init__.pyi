@@ -16,6 +16,7 @@ from .match_input import (
     undistorted as undistorted,
 )
 from .noise import with_noise_scale as with_noise_scale
+from .pictures_of_views import as_segments as as_segments, check_pictures as check_pictures
 from .table import (
     PAIRS_IN_BLOCK as PAIRS_IN_BLOCK,
     TRIPLES_IN_BLOCK as TRIPLES_IN_BLOCK,
