@@ -68,6 +68,17 @@ def test_a_covered_board_is_found_and_a_mirrored_one_refused(name):
         detect_target(image[:, ::-1].copy(), board)
 
 
+def test_tags_that_touch_at_their_corners_are_told_apart():
+    board = AprilGrid(rows=6, columns=6, tag_mm=9.0)
+    image, pixels = picture(board)
+    image = cv2.GaussianBlur(image, (0, 0), 0.8)
+    image = image + np.random.default_rng(0).normal(0, 4.0, image.shape)
+    found = detect_target(np.clip(image, 0, 255).astype(np.uint8), board)
+    assert len(found) > 0.9 * len(board)
+    miss = np.linalg.norm(found.centres_px - pixels(board.centres_mm[found.circle_index]), axis=1)
+    assert np.quantile(miss, 0.95) < 0.3
+
+
 @pytest.mark.parametrize("quarters", [1, 2, 3])
 def test_tags_that_are_printed_turned_are_the_same_board(quarters):
     board = BOARDS["aprilgrid"]

@@ -1,101 +1,25 @@
-"""Collinear tracks joined, and ends snapped to corners: what holds whatever the scene."""
+"""Collinear tracks joined: what holds whatever the scene."""
 
 import dataclasses
 
-import jax
 import numpy as np
 import pytest
 from scipy.stats import chi2
 
 from tests.match.made import loose_lines, rig_of
 from trinoc.errors import InputError
-from trinoc.geometry import Rig, triangulate_segment
-from trinoc.match import (
-    TRINOCULAR,
-    Corners,
-    JoinedLines,
-    Matches,
-    MatchTuning,
-    join_collinear,
-    snap_corners,
-)
+from trinoc.match import TRINOCULAR, JoinedLines, Matches, join_collinear, snap_corners
 from trinoc.match.line_map.line_fit import LineFragments, fit_line
 from trinoc.match.observations import distorted
-from trinoc.numerics import axes_across, with_field
+from trinoc.numerics import axes_across
 
-VIEWS = ("upper", "left", "right")
-_triangulated = jax.jit(jax.vmap(triangulate_segment, in_axes=(None, 0, 0, 0)))
-ROOM = 128
-# For segments that err as they say, whatever those of pictures do.
-AS_STATED = with_field(
-    with_field(MatchTuning(), "collinear.error_shares", (1 - 2e-9, 1e-9, 1e-9)),
-    "collinear.error_observations",
-    1e9,
+from .made_tracks import (
+    AS_STATED,
+    VIEWS,
+    matches_of,
+    pieces_of,
+    tracks_of,
 )
-
-
-@pytest.fixture(scope="module")
-def rig() -> Rig:
-    return rig_of(*VIEWS)
-
-
-def fitted_covariance(ends_px: np.ndarray, sigma_px: float) -> np.ndarray:
-    """(n, 4, 4) of segments that are lines fitted to points, `sigma_px` each, a pixel apart."""
-    way = ends_px[:, 1] - ends_px[:, 0]
-    length = np.linalg.norm(way, axis=1)
-    way = way / length[:, None]
-    normal = np.stack([-way[:, 1], way[:, 0]], axis=1)
-    across = np.array([[4.0, -2.0], [-2.0, 4.0]]) * (sigma_px**2 / length)[:, None, None]
-    spread = np.einsum("nef,ni,nj->neifj", across, normal, normal)
-    along = np.einsum("ef,ni,nj->neifj", np.eye(2), way, way)
-    return (spread + along).reshape(-1, 4, 4)
-
-
-def tracks_of(
-    rig: Rig, lines_mm: np.ndarray, *, sigma_px: float = 0.5, seed: int | None = None
-) -> Matches:
-    """A track of three segments for every line, which err as their covariances say."""
-    count = len(lines_mm)
-    fragments, covariance = np.zeros((count, 3, 2, 2)), np.zeros((count, 3, 4, 4))
-    rng = np.random.default_rng(seed)
-    for view, name in enumerate(VIEWS):
-        matrix = rig[name].matrix_px
-        image = lines_mm @ matrix[:, :3].T + matrix[:, 3]
-        ends = image[..., :2] / image[..., 2:]
-        covariance[:, view] = fitted_covariance(ends, sigma_px)
-        noise = np.linalg.cholesky(covariance[:, view]) @ rng.normal(size=(count, 4, 1))
-        fragments[:, view] = ends + (0 if seed is None else noise.reshape(-1, 2, 2))
-    return _matches(rig, np.repeat(np.arange(count)[:, None], 3, axis=1), fragments, covariance)
-
-
-def _matches(rig: Rig, index: np.ndarray, fragments: np.ndarray, covariance: np.ndarray) -> Matches:
-    count = len(index)
-    assert 0 < count <= ROOM
-    rows = np.minimum(np.arange(ROOM), count - 1)
-    matrices = np.stack([rig[name].matrix_px for name in VIEWS])
-    found = _triangulated(matrices, fragments[rows], covariance[rows], index[rows] >= 0)
-    return Matches(
-        VIEWS,
-        index,
-        fragments,
-        np.asarray(found.ends_mm)[:count],
-        np.asarray(found.covariance_mm2)[:count],
-        np.full(count, TRINOCULAR),
-        np.ones(count),
-        np.zeros(count),
-        {},
-        {},
-        covariance,
-    )
-
-
-def pieces_of(lines_mm: np.ndarray, *borders: tuple[float, float]) -> np.ndarray:
-    """Parts of all lines, from 0 to 1 along each: all first ones, then all second ones."""
-    parts = [
-        lines_mm[:, :1] + np.array(b)[:, None] * (lines_mm[:, 1:] - lines_mm[:, :1])
-        for b in borders
-    ]
-    return np.concatenate(parts)
 
 
 def across_of(ends_mm: np.ndarray, covariance: np.ndarray, truth: np.ndarray) -> tuple:
@@ -247,7 +171,7 @@ def test_a_segment_of_two_tracks_counts_once(rig) -> None:
     spread = np.einsum("knef,ij->kneifj", weight, np.eye(2)).reshape(2, 10, 4, 4)
     covariance[:, 0] = (spread @ own @ spread.mT).reshape(20, 4, 4)
     # Along the fitted covariance has room enough to be inverted.
-    shared = _matches(rig, index, matches.fragments_px, covariance)
+    shared = matches_of(rig, index, matches.fragments_px, covariance)
     joined = join_collinear(shared, rig, tuning=AS_STATED)
     assert same_lines(joined, 10)
     assert (joined.degrees == 2 * 5 - 4).all()
@@ -273,101 +197,6 @@ def test_gaps_and_overlaps_are_where_tracks_leave_them(rig) -> None:
         gaps, overlaps = 1 - gaps[:, ::-1], 1 - overlaps[:, ::-1]
     np.testing.assert_allclose(gaps, [[0.6, 0.7]], atol=1e-3)
     np.testing.assert_allclose(overlaps, [[0.35, 0.4]], atol=1e-3)
-
-
-def corners_of_lines(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """(corner of each of `count`, three lines from each (3 count, 2, 3) whose first end it is)."""
-    rng = np.random.default_rng(seed)
-    point = rng.uniform([-60, -50, 0], [60, 50, 40], (count, 3))
-    way = np.linalg.qr(rng.normal(size=(count, 3, 3)))[0]
-    far = point[:, None] + rng.uniform(18, 30, (count, 3, 1)) * way
-    lines = np.stack([np.broadcast_to(point[:, None], far.shape), far], axis=2)
-    return point, lines.reshape(-1, 2, 3)
-
-
-def lines_alone(matches: Matches, rig: Rig) -> JoinedLines:
-    joined = join_collinear(matches, rig, tuning=AS_STATED)
-    assert len(joined) == len(matches)
-    return joined
-
-
-def test_corners_are_as_far_from_the_true_ones_as_their_covariance_says(rig) -> None:
-    squares, before, after = [], [], []
-    for seed in range(5):
-        point, lines = corners_of_lines(16, seed)
-        joined = lines_alone(tracks_of(rig, lines, seed=seed), rig)
-        corners = snap_corners(joined)
-        for corner in range(len(corners)):
-            of = corners.corner == corner
-            of_truth = corners.line[of] // 3
-            if of.sum() != 3 or len(set(of_truth.tolist())) > 1:
-                continue
-            truth = point[of_truth[0]]
-            error = corners.points_mm[corner] - truth
-            squares.append(error @ np.linalg.solve(corners.covariance_mm2[corner], error))
-            after.append(np.linalg.norm(error))
-            ends = joined.lines_mm[corners.line[of], corners.end[of]]
-            before.extend(np.linalg.norm(ends - truth, axis=1))
-    assert len(squares) > 60
-    assert 0.85 < float(np.mean(np.array(squares) < chi2.ppf(0.95, 3))) < 0.999
-    assert np.median(after) < 0.7 * np.median(before)
-
-
-def test_snapped_ends_meet_and_the_other_lines_stay(rig) -> None:
-    _, lines = corners_of_lines(6, seed=7)
-    alone = loose_lines(6, seed=13) + np.array([0.0, 0.0, 150.0])
-    joined = lines_alone(tracks_of(rig, np.concatenate([lines, alone]), seed=8), rig)
-    corners = snap_corners(joined)
-    assert len(corners) >= 5
-    ends = corners.lines_mm[corners.line, corners.end]
-    np.testing.assert_allclose(ends, corners.points_mm[corners.corner], atol=1e-8)
-    others = np.setdiff1d(np.arange(len(joined)), corners.line)
-    np.testing.assert_array_equal(corners.lines_mm[others], joined.lines_mm[others])
-    np.testing.assert_array_equal(
-        corners.lines_covariance_mm2[others], joined.covariance_mm2[others]
-    )
-    # Nothing is known worse across its line for having been held to a corner.
-    for line in np.unique(corners.line[np.isin(corners.line, _at_one_corner(corners))]):
-        end = int(corners.end[corners.line == line][0])
-        way = joined.lines_mm[line, 1] - joined.lines_mm[line, 0]
-        axes = axes_across(way / np.linalg.norm(way))
-        own, snapped = (
-            axes @ covariance[line].reshape(2, 3, 2, 3)[end, :, end] @ axes.T
-            for covariance in (joined.covariance_mm2, corners.lines_covariance_mm2)
-        )
-        # But for the few pixels by which the end has moved out.
-        assert np.linalg.eigvalsh(1.3 * own - snapped).min() > 0
-
-
-def _at_one_corner(corners: Corners) -> np.ndarray:
-    line, count = np.unique(corners.line, return_counts=True)
-    return line[count == 1]
-
-
-def test_snapping_what_is_snapped_moves_nothing(rig) -> None:
-    _, lines = corners_of_lines(10, seed=14)
-    joined = lines_alone(tracks_of(rig, lines, seed=9), rig)
-    corners = snap_corners(joined)
-    again = snap_corners(dataclasses.replace(joined, lines_mm=corners.lines_mm))
-    assert len(again) >= len(corners) > 7
-    table = {
-        (int(a), int(b)): c for a, b, c in zip(again.line, again.end, again.corner, strict=True)
-    }
-    for line, end, corner in zip(corners.line, corners.end, corners.corner, strict=True):
-        np.testing.assert_allclose(
-            again.points_mm[table[int(line), int(end)]], corners.points_mm[corner], atol=1e-7
-        )
-
-
-def test_ends_that_pass_each_other_do_not_meet(rig) -> None:
-    # Two lines cross at a right angle, 3 mm apart, which is ten standard deviations and more.
-    one = np.array([[0.0, 0.0, 10.0], [25.0, 0.0, 10.0]])
-    other = np.array([[0.0, 0.0, 13.0], [0.0, 25.0, 13.0]])
-    joined = lines_alone(tracks_of(rig, np.stack([one, other])), rig)
-    assert len(snap_corners(joined)) == 0
-    met = lines_alone(tracks_of(rig, np.stack([one, other - [0.0, 0.0, 3.0]])), rig)
-    corners = snap_corners(met)
-    np.testing.assert_allclose(corners.points_mm, [[0.0, 0.0, 10.0]], atol=1e-5)
 
 
 def test_fragments_are_taken_where_the_lens_shows_them(rig) -> None:

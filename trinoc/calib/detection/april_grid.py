@@ -75,28 +75,29 @@ def _in_place(
 ) -> tuple[Int[np.ndarray, "t"], Float[np.ndarray, "t 4 2"]]:
     """Tags that lie as the board has them, with corners in the board's order.
 
-    Programs print tags turned by quarters: all of a board are turned alike.
+    Programs print tags turned by quarters: all of a board are turned alike, and the turn that puts
+    most of them in place is theirs.
     """
     places = board.centres_mm.reshape(-1, 4, 2)[tags]
-    best = None
-    for quarters in range(4):
-        # OpenCV goes round clockwise in the picture, the board's order counter-clockwise.
-        order = np.roll([3, 2, 1, 0], quarters)
-        turned = corners_px[:, order]
-        homography, _ = cv2.findHomography(
-            places.reshape(-1, 1, 2), turned.reshape(-1, 1, 2), cv2.LMEDS
-        )
-        if homography is None:
-            continue
-        ideal = cv2.perspectiveTransform(places.reshape(-1, 1, 2), homography).reshape(-1, 4, 2)
-        side = np.linalg.norm(ideal - np.roll(ideal, 1, axis=1), axis=2).mean(axis=1)
-        off = np.linalg.norm(ideal - turned, axis=2).max(axis=1) / np.maximum(side, 1e-9)
-        if best is None or np.median(off) < best[0]:
-            best = float(np.median(off)), off < _MOST_OFF, turned
-    if best is None:
-        return np.zeros(0, dtype=int), np.zeros((0, 4, 2))
-    _, kept, turned = best
-    return tags[kept], turned[kept]
+    # OpenCV goes round clockwise in the picture, the board's order counter-clockwise.
+    turned = [corners_px[:, np.roll([3, 2, 1, 0], quarters)] for quarters in range(4)]
+    off = [_off_sides(places, corners) for corners in turned]
+    best = int(np.argmin([np.median(each) for each in off]))
+    kept = off[best] < _MOST_OFF
+    return tags[kept], turned[best][kept]
+
+
+def _off_sides(
+    places_mm: Float[np.ndarray, "t 4 2"], corners_px: Float[np.ndarray, "t 4 2"]
+) -> Float[np.ndarray, "t"]:
+    """How far each tag lies from where most of them have it, in sides of its own."""
+    flat = places_mm.reshape(-1, 1, 2)
+    homography, _ = cv2.findHomography(flat, corners_px.reshape(-1, 1, 2), cv2.LMEDS)
+    if homography is None:
+        return np.full(len(places_mm), np.inf)
+    ideal = cv2.perspectiveTransform(flat, homography).reshape(-1, 4, 2)
+    side = np.linalg.norm(ideal - np.roll(ideal, 1, axis=1), axis=2).mean(axis=1)
+    return np.linalg.norm(ideal - corners_px, axis=2).max(axis=1) / np.maximum(side, 1e-9)
 
 
 def _refined(

@@ -1,0 +1,13 @@
+"""The rig that lines and corners are seen by."""
+
+import pytest
+
+from tests.match.made import rig_of
+from trinoc.geometry import Rig
+
+from .made_tracks import VIEWS
+
+
+@pytest.fixture(scope="module")
+def rig() -> Rig:
+    return rig_of(*VIEWS)

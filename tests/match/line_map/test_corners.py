@@ -1,0 +1,107 @@
+"""Ends snapped to corners: what holds whatever the scene."""
+
+import dataclasses
+
+import numpy as np
+from scipy.stats import chi2
+
+from tests.match.made import loose_lines
+from trinoc.match import (
+    Corners,
+    snap_corners,
+)
+from trinoc.numerics import axes_across
+
+from .made_tracks import (
+    lines_alone,
+    tracks_of,
+)
+
+
+def corners_of_lines(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """(corner of each of `count`, three lines from each (3 count, 2, 3) whose first end it is)."""
+    rng = np.random.default_rng(seed)
+    point = rng.uniform([-60, -50, 0], [60, 50, 40], (count, 3))
+    way = np.linalg.qr(rng.normal(size=(count, 3, 3)))[0]
+    far = point[:, None] + rng.uniform(18, 30, (count, 3, 1)) * way
+    lines = np.stack([np.broadcast_to(point[:, None], far.shape), far], axis=2)
+    return point, lines.reshape(-1, 2, 3)
+
+
+def test_corners_are_as_far_from_the_true_ones_as_their_covariance_says(rig) -> None:
+    squares, before, after = [], [], []
+    for seed in range(5):
+        point, lines = corners_of_lines(16, seed)
+        joined = lines_alone(tracks_of(rig, lines, seed=seed), rig)
+        corners = snap_corners(joined)
+        for corner in range(len(corners)):
+            of = corners.corner == corner
+            of_truth = corners.line[of] // 3
+            if of.sum() != 3 or len(set(of_truth.tolist())) > 1:
+                continue
+            truth = point[of_truth[0]]
+            error = corners.points_mm[corner] - truth
+            squares.append(error @ np.linalg.solve(corners.covariance_mm2[corner], error))
+            after.append(np.linalg.norm(error))
+            ends = joined.lines_mm[corners.line[of], corners.end[of]]
+            before.extend(np.linalg.norm(ends - truth, axis=1))
+    assert len(squares) > 60
+    assert 0.85 < float(np.mean(np.array(squares) < chi2.ppf(0.95, 3))) < 0.999
+    assert np.median(after) < 0.7 * np.median(before)
+
+
+def test_snapped_ends_meet_and_the_other_lines_stay(rig) -> None:
+    _, lines = corners_of_lines(6, seed=7)
+    alone = loose_lines(6, seed=13) + np.array([0.0, 0.0, 150.0])
+    joined = lines_alone(tracks_of(rig, np.concatenate([lines, alone]), seed=8), rig)
+    corners = snap_corners(joined)
+    assert len(corners) >= 5
+    ends = corners.lines_mm[corners.line, corners.end]
+    np.testing.assert_allclose(ends, corners.points_mm[corners.corner], atol=1e-8)
+    others = np.setdiff1d(np.arange(len(joined)), corners.line)
+    np.testing.assert_array_equal(corners.lines_mm[others], joined.lines_mm[others])
+    np.testing.assert_array_equal(
+        corners.lines_covariance_mm2[others], joined.covariance_mm2[others]
+    )
+    # Nothing is known worse across its line for having been held to a corner.
+    for line in np.unique(corners.line[np.isin(corners.line, _at_one_corner(corners))]):
+        end = int(corners.end[corners.line == line][0])
+        way = joined.lines_mm[line, 1] - joined.lines_mm[line, 0]
+        axes = axes_across(way / np.linalg.norm(way))
+        own, snapped = (
+            axes @ covariance[line].reshape(2, 3, 2, 3)[end, :, end] @ axes.T
+            for covariance in (joined.covariance_mm2, corners.lines_covariance_mm2)
+        )
+        # But for the few pixels by which the end has moved out.
+        assert np.linalg.eigvalsh(1.3 * own - snapped).min() > 0
+
+
+def _at_one_corner(corners: Corners) -> np.ndarray:
+    line, count = np.unique(corners.line, return_counts=True)
+    return line[count == 1]
+
+
+def test_snapping_what_is_snapped_moves_nothing(rig) -> None:
+    _, lines = corners_of_lines(10, seed=14)
+    joined = lines_alone(tracks_of(rig, lines, seed=9), rig)
+    corners = snap_corners(joined)
+    again = snap_corners(dataclasses.replace(joined, lines_mm=corners.lines_mm))
+    assert len(again) >= len(corners) > 7
+    table = {
+        (int(a), int(b)): c for a, b, c in zip(again.line, again.end, again.corner, strict=True)
+    }
+    for line, end, corner in zip(corners.line, corners.end, corners.corner, strict=True):
+        np.testing.assert_allclose(
+            again.points_mm[table[int(line), int(end)]], corners.points_mm[corner], atol=1e-7
+        )
+
+
+def test_ends_that_pass_each_other_do_not_meet(rig) -> None:
+    # Two lines cross at a right angle, 3 mm apart, which is ten standard deviations and more.
+    one = np.array([[0.0, 0.0, 10.0], [25.0, 0.0, 10.0]])
+    other = np.array([[0.0, 0.0, 13.0], [0.0, 25.0, 13.0]])
+    joined = lines_alone(tracks_of(rig, np.stack([one, other])), rig)
+    assert len(snap_corners(joined)) == 0
+    met = lines_alone(tracks_of(rig, np.stack([one, other - [0.0, 0.0, 3.0]])), rig)
+    corners = snap_corners(met)
+    np.testing.assert_allclose(corners.points_mm, [[0.0, 0.0, 10.0]], atol=1e-5)
