@@ -8,11 +8,13 @@ import pytest
 
 from trinoc.calib import Chessboard, Detection, RigFromShots, Status
 from trinoc.calib.shots.cross_validation import CrossValidation
+from trinoc.calib.shots.field_difference import FieldDifference
 from trinoc.calib.shots.halves import HalvesCheck
 from trinoc.calib.shots.table import View
 from trinoc.geometry import Rig
 from trinoc.report import write_shots_report
 from trinoc.report.shots.camera_field import fields_of_cameras
+from trinoc.report.shots.halves import halves_maps
 from trinoc.report.shots.page import render_shots_report
 from trinoc.report.shots.shot_table import shot_table
 from trinoc.report.shots.uncertainty import uncertainty_maps
@@ -26,6 +28,7 @@ BOARD = Chessboard(rows=4, columns=6, square_mm=20.0)
 SHOTS = tuple(f"{number:02}" for number in range(12))
 SIZE_PX = (512, 480)
 HALVES = HalvesCheck(1.02, "left.fx", 1.1, 24)
+MIDDLES = np.stack(np.meshgrid(*(np.linspace(50, side - 50, 5) for side in SIZE_PX)), -1)
 
 
 def seen(camera: int, shot: int, random: np.random.Generator, *, used: bool = True) -> View:
@@ -176,6 +179,28 @@ def test_what_shots_held_out_and_the_next_one_say_is_shown(result) -> None:
     assert "0.234 px" in Page(text).text
     assert "To take next: Show the board to left & right." in Page(text).text
     assert "To take next" not in render_shots_report(result)
+
+
+def test_the_halves_are_compared_over_the_field(result) -> None:
+    difference = np.full((2, 25, 2), [0.03, 0.04])
+    difference[1, 3] = np.nan
+    sigma, away = np.full((2, 25), 0.01), np.array([512.0, 1536.0])
+    fields = tuple(
+        FieldDifference(name, away, MIDDLES.reshape(-1, 2), difference, sigma)
+        for name in result.cameras
+    )
+    with_maps = made_up(halves=HALVES._replace(over_field=fields))
+    near, far = halves_maps(with_maps)
+    assert [each.name for each in near] == list(result.cameras)
+    assert {(cell.px, cell.sigmas) for cell in near[0].cells} == {
+        ("0.05", "3.5 \N{GREEK SMALL LETTER SIGMA}")
+    }
+    assert far[0].cells[3].words == "no ray of the lens"
+    page = Page(render_shots_report(with_maps))
+    for word in ("512 mm away, 3.54 sigmas rms", "1536 mm away", "Two halves"):
+        assert word in page.text
+    assert "halves" in page.attributes("id")
+    assert "halves" not in Page(render_shots_report(result)).attributes("id")
 
 
 def test_the_maps_grow_as_the_sigmas_of_the_rig(result) -> None:

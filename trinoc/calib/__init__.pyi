@@ -30,6 +30,7 @@ from .result.status import Status as Status
 from .rig_check.comparison import compare_rigs as compare_rigs
 from .rig_check.knocked import RigCheck as RigCheck, check_rig as check_rig
 from .shots.advised_shot import NextShot as NextShot, next_shot as next_shot
+from .shots.field_difference import FieldDifference as FieldDifference
 from .shots.from_shots import calibrate_rig as calibrate_rig
 from .shots.projection import projection_sigma as projection_sigma
 from .shots.result import RigFromShots as RigFromShots

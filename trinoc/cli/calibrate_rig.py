@@ -12,7 +12,7 @@ from trinoc.cli.progress import LOGGER, Bar
 from trinoc.cli.views import files_of_views
 
 if TYPE_CHECKING:
-    from trinoc.calib import NextShot, RigFromShots
+    from trinoc.calib import FieldDifference, NextShot, RigFromShots
 
 # Not None: an option that may be a pair or nothing would take pictures that follow it.
 UNKNOWN = (-1.0, -1.0)
@@ -159,6 +159,16 @@ def shot_record(advice: "NextShot | None") -> dict[str, Any] | None:
     }
 
 
+def field_record(field: "FieldDifference") -> dict[str, Any]:
+    """How far apart two halves image the same points, at the boards and farther, root mean square
+    over the field."""
+    return {
+        "distance_mm": field.distance_mm.tolist(),
+        "rms_px": field.rms_px.tolist(),
+        "over_sigma": field.rms_over_sigma.tolist(),
+    }
+
+
 def rig_record(result: "RigFromShots") -> dict[str, Any]:
     """What programs want to know of a rig from many shots, as JSON can hold it."""
     halves, held_out = result.halves, result.cross_validation
@@ -181,7 +191,12 @@ def rig_record(result: "RigFromShots") -> dict[str, Any]:
         "world": result.world,
         "halves": None
         if halves is None
-        else {"ratio": halves.ratio, "worst": halves.worst, "worst_ratio": halves.worst_ratio},
+        else {
+            "ratio": halves.ratio,
+            "worst": halves.worst,
+            "worst_ratio": halves.worst_ratio,
+            "over_field": {field.camera: field_record(field) for field in halves.over_field},
+        },
         "cross_validation": None
         if held_out is None
         else {

@@ -6,6 +6,7 @@ import numpy as np
 
 from trinoc.calib.shots.covariance import information_of
 from trinoc.calib.shots.cross_validation import FEWEST_SHOTS, of_shots, shots_of
+from trinoc.calib.shots.field_difference import FieldDifference, field_differences
 from trinoc.calib.shots.problem import Problem, lens_number, with_sheet_held
 from trinoc.calib.shots.robust_fit import fitted
 
@@ -20,12 +21,15 @@ class HalvesCheck(NamedTuple):
     worst : name of the parameter with the largest difference in sigmas, as "camera 1" has them.
     worst_ratio : that difference.
     parameters : how many were compared.
+    over_field : for each camera how far apart both image the same points, in px and beside what
+        is claimed.
     """
 
     ratio: float
     worst: str
     worst_ratio: float
     parameters: int
+    over_field: tuple[FieldDifference, ...] = ()
 
 
 def halves_check(
@@ -40,7 +44,7 @@ def halves_check(
     if len(shots) < FEWEST_SHOTS:
         return None
     problem = with_sheet_held(problem)
-    ends = []
+    ends, states = [], []
     for remainder in (0, 1):
         end, converged = fitted(of_shots(problem, shots[remainder::2]))
         information = information_of(end)
@@ -48,6 +52,7 @@ def halves_check(
         if not converged or seen.rank < len(information.free):
             return None
         ends.append((_steps_between(problem, end)[information.free], seen.covariance))
+        states.append(end.state)
     (first, first_covariance), (second, second_covariance) = ends
     covariance = variance_factor * (first_covariance + second_covariance)
     difference = first - second
@@ -57,7 +62,8 @@ def halves_check(
     worst = int(np.argmax(each))
     names = head_names(problem, cameras)
     column = int(np.flatnonzero(problem.chart.free)[worst])
-    return HalvesCheck(ratio, names[column], float(each[worst]), len(difference))
+    over_field = field_differences(problem, states, covariance, cameras)
+    return HalvesCheck(ratio, names[column], float(each[worst]), len(difference), over_field)
 
 
 def _steps_between(problem: Problem, end: Problem) -> np.ndarray:

@@ -8,6 +8,7 @@ from trinoc.io import write_text
 from trinoc.report.environment import environment
 from trinoc.report.shots.boards import boards_in_space, plans_of_boards
 from trinoc.report.shots.camera_field import caption_of_means, fields_of_cameras
+from trinoc.report.shots.halves import halves_maps
 from trinoc.report.shots.parameters import parameter_columns
 from trinoc.report.shots.shot_table import shot_table
 from trinoc.report.shots.uncertainty import uncertainty_maps
@@ -59,6 +60,7 @@ def render_shots_report(
         "table": shot_table(result),
         "fields": fields,
         "captions": [caption_of_means(field) for field in fields],
+        "halves": halves_maps(result),
         "uncertainty": maps,
         "space": space,
         "space_numbers": None if space is None else space.numbers(),

@@ -135,6 +135,7 @@ def _halves(result: RigFromShots) -> Check:
         words = "a half of the shots does not determine the rig."
         remedy = "Nothing checks the sigmas: take more shots."
         return Check(question, Level.CARE, "not known", words, remedy, part)
+    part = "halves" if halves.over_field else part
     level = Level.GOOD if halves.ratio <= APART else Level.CARE
     level = level if halves.ratio <= FAR_APART else Level.BAD
     return Check(
