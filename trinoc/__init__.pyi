@@ -2,6 +2,7 @@ from . import errors as errors
 from .batch import load_recording as load_recording, match_recording as match_recording
 from .calib import (
     AprilGrid as AprilGrid,
+    BoardSet as BoardSet,
     Charuco as Charuco,
     Chessboard as Chessboard,
     Pattern as Pattern,

@@ -68,6 +68,7 @@ def made_up(**changes: Any) -> RigFromShots:
         "cameras": rig.names,
         "shots": SHOTS,
         "world_from_board": poses,
+        "reference_from_board": np.eye(3, 4)[None],
         "place_shifts_mm": np.zeros((0, 3)),
         "views": views,
         "residuals_px": tuple(random.normal(0, 0.1, (len(BOARD), 2)) for _ in views),

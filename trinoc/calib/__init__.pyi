@@ -36,6 +36,11 @@ from .shots.projection import projection_sigma as projection_sigma
 from .shots.result import RigFromShots as RigFromShots
 from .targets.abstract_target import AbstractTarget as AbstractTarget
 from .targets.april_grid import AprilGrid as AprilGrid
+from .targets.board_set import (
+    BoardSet as BoardSet,
+    board_prefixes as board_prefixes,
+    boards_of as boards_of,
+)
 from .targets.checkers import (
     DICTIONARIES as DICTIONARIES,
     Charuco as Charuco,

@@ -85,7 +85,7 @@ def test_the_equations_are_those_of_the_cost(places_are_free):
 def test_a_circle_is_predicted_as_the_exact_model_has_it():
     sheet, lens, pose = Pattern.default(), lens_of("left"), board_poses(1)[0]
     chart = problem(board_poses(1)).chart
-    chart = type(chart)(**{**vars(chart), "has_circles": True, "half_mm": np.full(2, 70.0)})
+    chart = type(chart)(**{**vars(chart), "has_circles": True, "half_mm": np.full((1, 2), 70.0)})
     places, radius = sheet.centres_mm[:5], sheet.radius_mm[:5]
     found = view_residuals(
         lens,

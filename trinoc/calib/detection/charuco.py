@@ -33,6 +33,7 @@ def opencv_board(board: Charuco) -> cv2.aruco.CharucoBoard:
         board.square_mm,
         board.marker_mm,
         opencv_dictionary(board.dictionary),
+        np.arange(board.first, board.first + board.rows * board.columns // 2),
     )
     theirs.setLegacyPattern(board.legacy)
     return theirs

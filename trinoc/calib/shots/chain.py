@@ -5,6 +5,7 @@ shots agree on is believed. Cameras that never share a shot are chained over oth
 """
 
 from collections.abc import Sequence
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -41,21 +42,63 @@ class PairLink(NamedTuple):
 def pair_link(
     first: Sequence[Sighting], second: Sequence[Sighting], target: AbstractTarget
 ) -> PairLink:
-    """The relative pose that most pairs of sightings, taken in turn, agree on."""
+    """The relative pose that most pairs of sightings, taken in turn, agree on.
+
+    Both of a pair are of one board, or of boards of which it is known how they are fixed.
+    """
     pairs = list(zip(first, second, strict=True))
     judges = [pairs[k] for k in _spread(len(pairs), _JUDGES)]
     best, best_score = PairLink(np.eye(3, 4), len(judges), 0), (-1, 0.0)
     for k in _spread(len(pairs), _ASKED):
         one, other = pairs[k]
-        for pose in other.cam_from_board:
-            step = chained(pose, inverse(one.cam_from_board[0]))
+        for pose, own in product(other.cam_from_set, _from(one, other)):
+            step = chained(pose, inverse(own))
             misses = [
-                b.nearest(chained(step, a.cam_from_board[0]), target)[1] / b.agreement_px
+                min(b.nearest(chained(step, start), target)[1] for start in _from(a, b))
+                / b.agreement_px
                 for a, b in judges
             ]
             agreeing = int(np.sum(np.array(misses) < 1.0))
             score = (agreeing, -float(np.median(misses)))
             if score > best_score:
+                best, best_score = PairLink(step, len(judges), agreeing), score
+    return best
+
+
+def _from(one: Sighting, other: Sighting) -> tuple[Float[np.ndarray, "3 4"], ...]:
+    """Labellings of a sighting that count: where both are of one board, the other's adapt."""
+    return one.cam_from_set[:1] if one.board == other.board else one.cam_from_set
+
+
+def board_link(
+    pairs: Sequence[tuple[Sighting, Sighting, dict[int, Float[np.ndarray, "3 4"]]]],
+    target: AbstractTarget,
+) -> PairLink:
+    """How a second board is fixed to a first one: second_from_first that most pairs agree on.
+
+    pairs : of sightings of both in one shot, with cam_from_rig of cameras fixed to each other.
+    """
+
+    def expected(one: Sighting, other: Sighting, poses: dict) -> list[Float[np.ndarray, "3 4"]]:
+        """Where the first board stands before the second's camera, in each labelling."""
+        step = chained(poses[other.camera], inverse(poses[one.camera]))
+        return [chained(step, pose) for pose in one.cam_from_board]
+
+    judges = [pairs[k] for k in _spread(len(pairs), _JUDGES)]
+    judged = [(expected(*pair), pair[1]) for pair in judges]
+    best, best_score = PairLink(np.eye(3, 4), len(judges), 0), (-1, 0.0)
+    for k in _spread(len(pairs), _ASKED):
+        for start, end in product(expected(*pairs[k]), pairs[k][1].cam_from_board):
+            first_from_second = chained(inverse(start), end)
+            misses = [
+                min(b.nearest(chained(own, first_from_second), target)[1] for own in starts)
+                / b.agreement_px
+                for starts, b in judged
+            ]
+            agreeing = int(np.sum(np.array(misses) < 1.0))
+            score = (agreeing, -float(np.median(misses)))
+            if score > best_score:
+                step = inverse(first_from_second)
                 best, best_score = PairLink(step, len(judges), agreeing), score
     return best
 
@@ -112,13 +155,19 @@ def placed_shot(
     target: AbstractTarget,
 ) -> PlacedShot:
     """The pose of the board that most sightings of a shot agree on."""
+    # A board alone stands as well turned as it looks the same; among others it does not.
+    several = len({sighting.board for sighting in sightings}) > 1
+    candidates = [
+        (one, turn, chained(inverse(cam_from_rig[one.camera]), own))
+        for one in sightings
+        for turn, own in enumerate(one.cam_from_set if several else one.cam_from_set[:1])
+    ]
     best = None
-    for one in sightings:
-        board = chained(inverse(cam_from_rig[one.camera]), one.cam_from_board[0])
+    for one, turn, board in candidates:
         members, stragglers, total = [], [], 0.0
         for other in sightings:
             if other is one:
-                members.append((one, 0))
+                members.append((one, turn))
                 continue
             seen = chained(cam_from_rig[other.camera], board)
             labelling, miss = other.nearest(seen, target)

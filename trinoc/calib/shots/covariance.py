@@ -10,8 +10,16 @@ from jaxtyping import Array, Bool, Float
 
 from trinoc.calib.shots.normal_equations import view_blocks
 from trinoc.calib.shots.problem import Problem
-from trinoc.calib.shots.state import POSE_SIZE, SHEET_NAMES, SHEET_SIZE, Chart, RigState, retracted
+from trinoc.calib.shots.state import (
+    IN_SET_NAMES,
+    POSE_SIZE,
+    SHEET_NAMES,
+    Chart,
+    RigState,
+    retracted,
+)
 from trinoc.calib.shots.table import ViewTable
+from trinoc.calib.targets import board_prefixes
 from trinoc.geometry import Pose, PoseModel
 from trinoc.numerics import (
     ArrayLike,
@@ -66,8 +74,8 @@ def information_of(problem: Problem) -> Information:
     prior = np.zeros((len(problem.chart.free),) * 2)
     first = problem.chart.sheet_first
     prior[first:, first:] = np.asarray(problem.chart.board_prior)
-    shape_first = first + SHEET_SIZE
-    return Information(of_shot, pulls, follow, own, free, prior[np.ix_(free, free)], shape_first)
+    prior = prior[np.ix_(free, free)]
+    return Information(of_shot, pulls, follow, own, free, prior, problem.chart.shape_first)
 
 
 @eqx.filter_jit
@@ -110,7 +118,8 @@ class NamedCovariance(NamedTuple):
 
     Fields
     ------
-    names : "upper.pan_deg", ..., "upper.fx_px", ..., "board.scale_x", ...
+    names : "upper.pan_deg", ..., "upper.fx_px", ..., "board.scale_x", ...; of several boards
+        "board.NAME.turn_x_deg", ..., and "board.NAME.scale_x", ...
     values : (p,).
     covariance : (p, p).
     """
@@ -152,7 +161,11 @@ def named_covariance(
     for name in cameras:
         names += [f"{name}.{each}" for each in model.parameter_names]
         names += [f"{name}.{each}" for each in problem.state.lenses.parameter_names]
-    names += [f"board.{each}" for each in SHEET_NAMES]
+    prefixes = board_prefixes(problem.target)
+    for prefix in prefixes[1:]:
+        names += [f"{prefix}{each}" for each in IN_SET_NAMES]
+    for prefix in prefixes:
+        names += [f"{prefix}{each}" for each in SHEET_NAMES]
     return NamedCovariance(tuple(names), values, 0.5 * (covariance + covariance.T))
 
 
@@ -203,7 +216,11 @@ def _parameters(
             return jnp.concatenate([in_degrees, own.parameters])
 
         every = jax.vmap(of_camera)(poses, start, jnp.asarray(chart.lens_of_camera))
-        return jnp.concatenate([every.ravel(), here.sheet])
+        # How far a board turns is told from where it stands; its reference does not move.
+        turn_deg = jnp.degrees((head * chart.free)[chart.boards_first : chart.sheet_first])
+        turn_deg = turn_deg.reshape(-1, POSE_SIZE)[1:, :3]
+        in_set = jnp.concatenate([turn_deg, here.set_from_board[1:, :, 3]], axis=1)
+        return jnp.concatenate([every.ravel(), in_set.ravel(), here.sheet])
 
     head = jnp.zeros_like(jnp.asarray(chart.free))
     boards = jnp.zeros((state.rig_from_board.shape[0], POSE_SIZE), head.dtype)

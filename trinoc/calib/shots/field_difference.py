@@ -13,9 +13,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from trinoc.calib.shots.field_images import image_derivatives, images_px, points_seen
-from trinoc.calib.shots.motions import chained
-from trinoc.calib.shots.problem import Problem
+from trinoc.calib.shots.problem import Problem, cam_from_board
 from trinoc.calib.shots.state import POSE_SIZE, Chart, RigState, moved
+from trinoc.calib.targets import boards_of
 from trinoc.numerics import ArrayLike
 
 # Places across the picture, along each side.
@@ -158,12 +158,13 @@ def _grid(size_px: tuple[int, int]) -> Float[np.ndarray, "n 2"]:
 
 def _distance_mm(problem: Problem, camera: int) -> float:
     """The median from a camera to the middles of the boards that it saw."""
-    state, centres = problem.state, problem.target.centres_mm
-    middle = np.append((centres.min(axis=0) + centres.max(axis=0)) / 2, 0.0)
-    own = np.asarray(state.cam_from_rig)[camera]
-    poses = [
-        chained(own, np.asarray(state.rig_from_board)[view.shot])
+    middles = [
+        np.append((board.centres_mm.min(axis=0) + board.centres_mm.max(axis=0)) / 2, 0.0)
+        for board in boards_of(problem.target)
+    ]
+    places = [
+        np.append(middles[view.board], 1.0) @ cam_from_board(problem.state, view).T
         for view in problem.views
         if view.camera == camera and view.used.any()
     ]
-    return float(np.median([np.linalg.norm(pose[:, :3] @ middle + pose[:, 3]) for pose in poses]))
+    return float(np.median(np.linalg.norm(places, axis=1)))

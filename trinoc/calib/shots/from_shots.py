@@ -3,11 +3,13 @@
 from collections.abc import Callable, Mapping
 from typing import Literal
 
+from trinoc.calib.detection import Detection, split_by_board
 from trinoc.calib.intrinsics import FEWEST_CIRCLES
 from trinoc.calib.shots.board_shape import with_board_shape
 from trinoc.calib.shots.judged import judged
 from trinoc.calib.shots.lens_choice import LENSES_TRIED
 from trinoc.calib.shots.pixel_fit import expect_method, fit_pixels, grey_levels
+from trinoc.calib.shots.placing import ShotBoard
 from trinoc.calib.shots.point_fit import Asked, fit_of_lens
 from trinoc.calib.shots.result import RigFromShots
 from trinoc.calib.shots.sightings_of_shots import FoundShots, Pictures, found_shots
@@ -40,7 +42,8 @@ def calibrate_rig(
         `detect_target` found in one, or a function without arguments that returns one. Not every
         camera need see the board in every shot, but shots must connect all cameras. One camera
         alone is a rig, too.
-    target : the board: a Pattern, a Chessboard or a Charuco.
+    target : the board: a Pattern, a Chessboard, a Charuco or an AprilGrid; or a BoardSet of several
+        that are fixed to each other, whose places are found with the rig.
     lens : lenses that are known and held, of all cameras or by name; others are found.
     lens_model : model of the lenses that are found; "auto" takes that which, fitted to one half of
         the shots, tells best of the other half, and a note says why.
@@ -70,11 +73,16 @@ def calibrate_rig(
     known = _known_lenses(lens, tuple(pictures))
     models = _models(lens_model, distortion, known)
     found = found_shots(pictures, target, progress)
-    _expect_seen(found)
     usable = {
-        camera: {shot: each for shot, each in own.items() if len(each) >= FEWEST_CIRCLES}
+        camera: {
+            (shot, board): each
+            for shot, every in own.items()
+            for board, each in split_by_board(every, target).items()
+            if len(each) >= FEWEST_CIRCLES
+        }
         for camera, own in found.detections.items()
     }
+    _expect_seen(found, usable)
     known_board = _board_systematics(systematics)
     asked = Asked(usable, found.shots, target, known, distortion, same_lens, known_board)
     points, remark = fit_of_lens(asked, models)
@@ -140,9 +148,9 @@ def _board_systematics(given: Systematics | None) -> Systematics:
     return known._replace(lens_covariance=None, aim_sigma_mm=0.0)
 
 
-def _expect_seen(found: FoundShots) -> None:
-    for camera, own in found.detections.items():
-        if any(len(each) >= FEWEST_CIRCLES for each in own.values()):
+def _expect_seen(found: FoundShots, usable: Mapping[str, Mapping[ShotBoard, Detection]]) -> None:
+    for camera, own in usable.items():
+        if own:
             continue
         why = [words for (name, _), words in found.failures.items() if name == camera]
         said = f" In its first picture: {why[0]}" if why else " It has no picture."

@@ -9,6 +9,7 @@ from trinoc.calib.shots.cross_validation import FEWEST_SHOTS, of_shots, shots_of
 from trinoc.calib.shots.field_difference import FieldDifference, field_differences
 from trinoc.calib.shots.problem import Problem, lens_number, with_sheet_held
 from trinoc.calib.shots.robust_fit import fitted
+from trinoc.calib.targets import board_prefixes
 
 
 class HalvesCheck(NamedTuple):
@@ -75,8 +76,9 @@ def _steps_between(problem: Problem, end: Problem) -> np.ndarray:
         for k in range(count)
     ]
     by_lens = np.stack(lenses) / np.asarray(chart.lens_scale)
-    poses = []
-    for after, before in zip(stop.cam_from_rig, start.cam_from_rig, strict=True):
+    poses, pairs = [], [*zip(stop.cam_from_rig, start.cam_from_rig, strict=True)]
+    pairs += zip(stop.set_from_board, start.set_from_board, strict=True)
+    for after, before in pairs:
         turn = np.asarray(after)[:, :3] @ np.asarray(before)[:, :3].T
         skew = 0.5 * np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0],
                                turn[1, 0] - turn[0, 1]])  # fmt: skip
@@ -97,4 +99,8 @@ def head_names(problem: Problem, cameras: tuple[str, ...]) -> list[str]:
     pose = ("turn_x", "turn_y", "turn_z", "x", "y", "z")
     names = [f"{name}.{each}" for name in owner for each in of_lens]
     names += [f"{name}.{each}" for name in cameras for each in pose]
-    return [*names, "scale_x", "scale_y", "warp_x", "warp_y"]
+    prefixes = board_prefixes(problem.target)
+    if len(problem.state.set_from_board):
+        names += [f"{prefix}{each}" for prefix in prefixes for each in pose]
+    sheet = ("scale_x", "scale_y", "warp_x", "warp_y")
+    return [*names, *(f"{prefix}{each}" for prefix in prefixes for each in sheet)]

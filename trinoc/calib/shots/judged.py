@@ -28,7 +28,6 @@ from trinoc.calib.shots.result import RigFromShots
 from trinoc.calib.shots.robust_fit import RobustFit, errors_px, refitted
 from trinoc.calib.shots.shot_scatter import shot_scatter, with_factor
 from trinoc.calib.shots.sightings_of_shots import FoundShots
-from trinoc.calib.shots.state import SHEET_NAMES
 from trinoc.calib.uncertainty import Systematics
 from trinoc.errors import CalibrationError, InputError
 from trinoc.geometry import Camera, Intrinsics, Pose, Rig, simplified
@@ -101,6 +100,7 @@ def judged(
         target=problem.target,
         cameras=cameras,
         shots=placed.shots,
+        reference_from_board=_in_set(problem),
         world_from_board=np.stack([chained(inverse(base), np.asarray(b)) for b in boards]),
         place_shifts_mm=np.asarray(problem.state.shape),
         views=problem.views,
@@ -170,13 +170,19 @@ def _open_rows(problem: Problem, information: Information, names: tuple[str, ...
     open_head[information.free[list(information.seen.gauge)]] = True
     of_lens = open_head[: count * size].reshape(count, size)
     any_pose = bool(open_head[count * size :].any())
-    sheet = open_head[chart.sheet_first :][: len(SHEET_NAMES)]
+    sheet = open_head[chart.sheet_first : chart.shape_first]
     rows = []
     for lens in chart.lens_of_camera:
         rows += [any_pose or bool(of_lens.any())] * 6 + of_lens[lens].tolist()
+    rows += [any_pose] * (6 * max(len(problem.state.set_from_board) - 1, 0))
     rows += sheet.tolist()
     assert len(rows) == len(names)
     return np.array(rows)
+
+
+def _in_set(problem: Problem) -> Float[np.ndarray, "b 3 4"]:
+    own = np.asarray(problem.state.set_from_board)
+    return own if len(own) else np.eye(3, 4)[None]
 
 
 def _rig(

@@ -44,7 +44,9 @@ def held_out(problem: Problem, placed: PlacedRig, cameras: Sequence[str]) -> Hel
             if view.shot in held:
                 shot = of_one_moment(placed.shots[view.shot], cameras[view.camera])
                 length = np.linalg.norm(pixels, axis=1)
-                errors[view.camera, shot] = np.where(np.isfinite(length), length, np.inf)
+                length = np.where(np.isfinite(length), length, np.inf)
+                before = errors.get((view.camera, shot), np.zeros(0))
+                errors[view.camera, shot] = np.append(before, length)
     return HeldOut(errors)
 
 

@@ -4,11 +4,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from trinoc.calib.shots.motions import PARALLEL_DEG, boards_parallel, chained
+from trinoc.calib.shots.motions import PARALLEL_DEG, boards_parallel
 from trinoc.calib.shots.placing import PlacedRig
-from trinoc.calib.shots.problem import Problem
+from trinoc.calib.shots.problem import Problem, cam_from_board
 from trinoc.calib.shots.robust_fit import RobustFit
 from trinoc.calib.shots.state import SHEET_NAMES
+from trinoc.calib.targets import board_names, boards_of
 
 # A scale or a warp beyond this many sigmas of what was known of it before is told.
 _SURPRISING = 3.0
@@ -30,8 +31,7 @@ def _reason(problem: Problem) -> str:
         )
     tilts = []
     for view in used:
-        cam_from_rig = np.asarray(problem.state.cam_from_rig)[view.camera]
-        pose = chained(cam_from_rig, np.asarray(problem.state.rig_from_board)[view.shot])
+        pose = cam_from_board(problem.state, view)
         tilts.append(np.degrees(np.arccos(np.clip(abs(pose[2, 2]), 0.0, 1.0))))
     if max(tilts) < PARALLEL_DEG:
         return (
@@ -39,7 +39,9 @@ def _reason(problem: Problem) -> str:
             "larger distance look the same. Tilt the board by 30 to 50 degrees, another way each "
             "time"
         )
-    if boards_parallel([np.asarray(problem.state.rig_from_board)[shot] for shot in shots]):
+    if not len(problem.state.set_from_board) and boards_parallel(
+        [np.asarray(problem.state.rig_from_board)[shot] for shot in shots]
+    ):
         return (
             ": the board is parallel in all shots. Tilt it by 30 to 50 degrees, another way each "
             "time"
@@ -108,11 +110,10 @@ def notes_of_rig(
 
 def _backs(problem: Problem) -> list[str]:
     """Whether the pictures show what would be the back of the board as it is drawn."""
-    state, towards = problem.state, []
+    towards = []
     for view in problem.views:
         if view.used.any():
-            cam_from_rig = np.asarray(state.cam_from_rig)[view.camera]
-            pose = chained(cam_from_rig, np.asarray(state.rig_from_board)[view.shot])
+            pose = cam_from_board(problem.state, view)
             towards.append(float(pose[:, 2] @ pose[:, 3]))
     if not towards or np.mean(np.array(towards) > 0) <= 0.5:
         return []
@@ -143,13 +144,16 @@ def _surprises(problem: Problem) -> list[str]:
     covariance = np.linalg.inv(information[np.ix_(free, free)])
     found = np.asarray(problem.state.sheet)[free]
     told = []
-    for name, value, sigma in zip(
-        np.array(SHEET_NAMES)[free], found, np.sqrt(np.diag(covariance)), strict=True
-    ):
+    several = len(boards_of(problem.target)) > 1
+    names = [(whose, name) for whose in board_names(problem.target) for name in SHEET_NAMES]
+    for row, value, sigma in zip(free, found, np.sqrt(np.diag(covariance)), strict=True):
+        whose, name = names[row]
         if abs(value) > _SURPRISING * sigma:
+            of = f" {whose}" if several else ""
             said = f"{value:.2f} mm" if name.endswith("_mm") else f"{100 * value:.2f} %"
             told.append(
-                f"The board's {name.removesuffix('_mm')} is {said}, more than was thought possible "
-                f"({abs(value) / sigma:.0f} sigmas): check the layout and the size of its squares."
+                f"The board{of}'s {name.removesuffix('_mm')} is {said}, more than was thought "
+                f"possible ({abs(value) / sigma:.0f} sigmas): check the layout and the size of its "
+                "squares."
             )
     return told

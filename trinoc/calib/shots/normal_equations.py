@@ -74,6 +74,7 @@ def _residuals(
     chart: Chart,
     camera,
     shot,
+    board,
     place,
     place_mm,
     radius_mm,
@@ -91,13 +92,15 @@ def _residuals(
         lens,
         state.cam_from_rig[camera],
         state.rig_from_board[shot],
-        state.sheet,
+        state.sheet.reshape(-1, SHEET_SIZE)[board],
         chart,
         shape[jnp.minimum(place, none)] + aside_mm,
         place_mm,
         radius_mm,
         uv_px,
         step,
+        board,
+        state.set_from_board[board] if len(state.set_from_board) else None,
     )
 
 
@@ -114,21 +117,23 @@ def _in_sigmas(whitening: ArrayLike, columns: ArrayLike) -> Array:
 
 
 def view_blocks(
-    state: RigState, chart: Chart, loss: AbstractRobustLoss, camera, shot, place, *rest
+    state: RigState, chart: Chart, loss: AbstractRobustLoss, camera, shot, board, place, *rest
 ) -> tuple[ArrayLike, Array, Array]:
     """Columns of the head, J^T J and J^T r of one view over them and its board's pose."""
-    columns = head_columns(chart, camera)
+    columns = head_columns(chart, camera, board)
     places = len(state.shape)
     lens_size = chart.lens_scale.shape[1]
     lens_scale = chart.lens_scale[chart.lens_of_camera[camera]]
-    count = lens_size + 2 * POSE_SIZE + SHEET_SIZE
+    poses = 3 if len(state.set_from_board) else 2
+    count = lens_size + poses * POSE_SIZE + SHEET_SIZE
     units = jnp.concatenate([lens_scale, jnp.ones(count - lens_size, lens_scale.dtype)])
 
     def after(step: Float[Array, "k"]) -> tuple[ArrayLike, ArrayLike]:
         own, aside = units * step[:count], chart.unit_mm * step[None, count:]
         residual = _residuals(
-            state, chart, camera, shot, place, *rest, step=own, aside_mm=aside if places else 0.0
-        )
+            state, chart, camera, shot, board, place, *rest,
+            step=own, aside_mm=aside if places else 0.0,
+        )  # fmt: skip
         return residual, residual
 
     zero = jnp.zeros(count + (3 if places else 0), lens_scale.dtype)

@@ -26,7 +26,7 @@ def shift_of_places(
     state = jax.tree.map(np.asarray, problem.state)
     if not (np.any(state.sheet) or np.any(state.shape)):
         return None
-    half_mm, tree = np.asarray(problem.chart.half_mm), point_tree(problem.target.centres_mm)
+    half_mm, tree = np.asarray(problem.chart.half_mm)[0], point_tree(problem.target.centres_mm)
 
     def shift(places_mm: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
         aside = np.zeros((len(places_mm), 3))

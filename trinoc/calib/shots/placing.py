@@ -1,22 +1,24 @@
 """From what each camera saw to cameras in one frame and a board in every shot."""
 
 from collections.abc import Collection, Mapping, Sequence
-from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from trinoc.calib.detection import Detection
-from trinoc.calib.shots.chain import PairLink, linked_groups, pair_link, placed_shot
+from trinoc.calib.shots.chain import pair_link, placed_shot
+from trinoc.calib.shots.connected import Connected, connected, in_set
 from trinoc.calib.shots.exchanged import exchanged_pair
 from trinoc.calib.shots.lens_start import CameraStart
 from trinoc.calib.shots.motions import boards_parallel
 from trinoc.calib.shots.sightings import Sighting, sighting
 from trinoc.calib.shots.table import View
-from trinoc.calib.targets import AbstractTarget
+from trinoc.calib.targets import AbstractTarget, board_names
 from trinoc.errors import CalibrationError
 
+# A shot by its name, and a board by its number; the same with the shot's number.
+ShotBoard, ShotOf = tuple[str, int], tuple[int, int]
 # Cameras whose pictures were counted differently are tried this many shots apart.
 _MOST_SHIFT = 3
 # What the name of a shot goes on with where one camera's picture of it stands for itself.
@@ -29,6 +31,7 @@ class PlacedRig(NamedTuple):
     Fields
     ------
     cam_from_rig : (c, 3, 4).
+    set_from_board : (b, 3, 4) of each of several boards; of one no motion.
     rig_from_board : (s, 3, 4) of each shot, those included that were split off.
     shots : the name of each.
     views : what was seen, labelled.
@@ -36,6 +39,7 @@ class PlacedRig(NamedTuple):
     """
 
     cam_from_rig: Float[np.ndarray, "c 3 4"]
+    set_from_board: Float[np.ndarray, "b 3 4"]
     rig_from_board: Float[np.ndarray, "s 3 4"]
     shots: tuple[str, ...]
     views: tuple[View, ...]
@@ -44,66 +48,76 @@ class PlacedRig(NamedTuple):
 
 def placed_rig(
     starts: Mapping[str, CameraStart],
-    detections: Mapping[str, Mapping[str, Detection]],
+    detections: Mapping[str, Mapping[ShotBoard, Detection]],
     shots: Sequence[str],
     target: AbstractTarget,
     known: Collection[str] = (),
 ) -> PlacedRig:
     """Chain the cameras and place the board of every shot. `known` : cameras with a given lens.
 
+    detections : of each camera, by the shot's name and the number of the board.
+
     A picture that shows the board elsewhere than the other cameras of its shot keeps a board of
     its own: it still speaks of its lens. Raises CalibrationError where cameras are not connected,
-    naming the groups, or out of step.
+    naming the groups, or out of step, and where boards are not.
     """
     names = list(starts)
     seen = {
-        camera: {
-            shots.index(shot): sighting(k, shots.index(shot), start.lens, each, pose, target)
-            for (shot, each), pose in zip(
+        k: [
+            sighting(k, shots.index(shot), start.lens, each, pose, target, board)
+            for ((shot, board), each), pose in zip(
                 detections[camera].items(), start.cam_from_board, strict=True
             )
-        }
+        ]
         for k, (camera, start) in enumerate(starts.items())
     }
-    links = {}
-    for a, b in combinations(range(len(names)), 2):
-        shared = sorted(set(seen[names[a]]) & set(seen[names[b]]))
-        if shared:
-            first, second = ([seen[names[k]][shot] for shot in shared] for k in (a, b))
-            links[a, b] = pair_link(first, second, target)
-    groups = linked_groups(links, range(len(names)))
-    if len(groups) > 1:
-        raise CalibrationError(_apart(groups, links, names, seen, target, known))
-    poses = groups[0]
+    members = board_names(target)
+    found = connected(seen, range(len(members)), target)
+    _expect_boards_seen(seen, members)
+    if len(found.cameras) > 1:
+        raise CalibrationError(_apart(found, names, seen, target, known))
+    if len(found.boards) > 1:
+        raise CalibrationError(boards_apart(found.boards, members))
+    poses, fixed = found.cameras[0], found.boards
     boards, taken, views, refused = [], [], [], []
     for number, shot in enumerate(shots):
-        own = [seen[camera][number] for camera in names if number in seen[camera]]
+        own = [in_set(each, fixed) for k in seen for each in seen[k] if each.shot == number]
         if not own:
             continue
         placed = placed_shot(own, poses, target)
         views += [_view(each, labelling, len(boards)) for each, labelling in placed.members]
         boards.append(placed.rig_from_board)
         taken.append(shot)
-        if placed.stragglers and (pair := exchanged_pair(own, poses, target)):
+        several = len({each.camera for each in own}) < len(own)
+        pair = None
+        if placed.stragglers and not several:
+            pair = exchanged_pair(own, poses, target)
+        if pair:
             a, b = (names[camera] for camera in pair)
             refused.append(
                 f'{shot}: the pictures of "{a}" and "{b}" look exchanged: with each under the '
                 "other's name, all cameras show the board in one place."
             )
+        others = ", ".join(dict.fromkeys(names[each.camera] for each, _ in placed.members))
+        for camera in dict.fromkeys(each.camera for each, _ in placed.stragglers):
+            left = [each for each, _ in placed.stragglers if each.camera == camera]
+            while left:
+                alone = placed_shot(left, poses, target)
+                views += [_view(each, turn, len(boards)) for each, turn in alone.members]
+                boards.append(alone.rig_from_board)
+                taken.append(f"{shot}{_ALONE.format(names[camera])}")
+                left = [each for each, _ in alone.stragglers]
         for straggler, miss in placed.stragglers:
-            alone = placed_shot([straggler], poses, target)
-            views.append(_view(straggler, 0, len(boards)))
-            boards.append(alone.rig_from_board)
-            taken.append(f"{shot}{_ALONE.format(names[straggler.camera])}")
-            others = ", ".join(names[each.camera] for each, _ in placed.members)
+            which = f' "{members[straggler.board]}"' if len(members) > 1 else ""
             refused.append(
-                f'{shot}: "{names[straggler.camera]}" shows the board {miss:.0f} px from where '
-                f"{others} show{'s' if len(placed.members) == 1 else ''} it, so it was not "
+                f'{shot}: "{names[straggler.camera]}" shows the board{which} {miss:.0f} px from '
+                f"where {others} show{'' if ',' in others else 's'} it, so it was not "
                 "taken at the same moment, or shows another board that looks alike; it serves for "
                 "its lens alone."
             )
     stacked = np.stack([poses[k] for k in range(len(names))])
-    return PlacedRig(stacked, np.stack(boards), tuple(taken), tuple(views), tuple(refused))
+    in_one = np.stack([fixed[0][board] for board in range(len(members))])
+    return PlacedRig(stacked, in_one, np.stack(boards), tuple(taken), tuple(views), tuple(refused))
 
 
 def of_one_moment(shot: str, camera: str) -> str:
@@ -113,21 +127,22 @@ def of_one_moment(shot: str, camera: str) -> str:
 
 def _view(seen: Sighting, labelling: int, shot: int) -> View:
     detection = seen.detections[labelling]
-    return View(seen.camera, shot, detection, np.ones(len(detection), dtype=bool))
+    used = np.ones(len(detection), dtype=bool)
+    return View(seen.camera, shot, detection, used, board=seen.board)
 
 
 def _apart(
-    groups: list[dict[int, np.ndarray]],
-    links: dict[tuple[int, int], PairLink],
+    found: Connected,
     names: list[str],
-    seen: dict[str, dict[int, Sighting]],
+    seen: Mapping[int, Sequence[Sighting]],
     target: AbstractTarget,
     known: Collection[str],
 ) -> str:
     """Why the cameras are not in one frame."""
-    broken = [(pair, link) for pair, link in links.items() if not link.holds]
+    groups = found.cameras
+    broken = [(pair, link) for pair, link in found.links.items() if not link.holds]
     for (a, b), _ in broken:
-        shift = _shift_between(seen[names[a]], seen[names[b]], target)
+        shift = _shift_between(_by_shot(seen[a]), _by_shot(seen[b]), target)
         if shift:
             earlier = "earlier" if shift > 0 else "later"
             return (
@@ -138,8 +153,9 @@ def _apart(
     parts = "; ".join(", ".join(names[k] for k in sorted(group)) for group in groups)
     if broken:
         (a, b), link = broken[0]
-        for camera in (names[a], names[b]):
-            poses = [each.cam_from_board[0] for each in seen[camera].values()]
+        for number in (a, b):
+            camera = names[number]
+            poses = [each.cam_from_board[0] for each in seen[number]]
             if camera not in known and boards_parallel(poses):
                 return (
                     f'The board is parallel in all shots of "{camera}", which tells no lens, and '
@@ -155,20 +171,52 @@ def _apart(
     return (
         f"No shot connects the cameras: the groups are {parts}. Show the board to cameras of two "
         "groups at once, in two shots at least."
+        + (
+            " Where they see different boards, these must turn about two axes at least from shot "
+            "to shot."
+            if len(found.boards) > 1
+            else ""
+        )
     )
 
 
+def _expect_boards_seen(seen: Mapping[int, Sequence[Sighting]], names: Sequence[str]) -> None:
+    shown = {each.board for own in seen.values() for each in own}
+    for board, name in enumerate(names):
+        if board not in shown:
+            raise CalibrationError(
+                f'The board "{name}" is found in no picture, so that nothing tells where it is '
+                "fixed: leave it out of the set, or show it."
+            )
+
+
+def boards_apart(groups: Sequence[Mapping[int, np.ndarray]], names: Sequence[str]) -> str:
+    """Which boards nothing connects, and what to do."""
+    parts = "; ".join(", ".join(names[k] for k in sorted(group)) for group in groups)
+    return (
+        f"No shot tells how the boards are fixed to each other: the groups are {parts}. Show "
+        "boards of two groups in one shot, to one camera or to cameras that other shots connect, "
+        "and see that the boards stay fixed."
+    )
+
+
+def _by_shot(own: Sequence[Sighting]) -> dict[ShotOf, Sighting]:
+    return {(each.shot, each.board): each for each in own}
+
+
 def _shift_between(
-    first: dict[int, Sighting], second: dict[int, Sighting], target: AbstractTarget
+    first: Mapping[ShotOf, Sighting], second: Mapping[ShotOf, Sighting], target: AbstractTarget
 ) -> int:
     """By how many shots the second camera's pictures come too late; 0 where no shift helps."""
     for size in range(1, _MOST_SHIFT + 1):
         for shift in (size, -size):
-            shared = sorted(shot for shot in first if shot + shift in second)
+            shared = sorted(key for key in first if (key[0] + shift, key[1]) in second)
             if len(shared) < 3:
                 continue
             link = pair_link(
-                [first[shot] for shot in shared], [second[shot + shift] for shot in shared], target
+                [first[key] for key in shared],
+                [second[shot + shift, board] for shot, board in shared],
+                target,
             )
             if 2 * link.agreeing > link.shared:
                 return shift

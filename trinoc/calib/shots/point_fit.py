@@ -9,7 +9,7 @@ from trinoc.calib.detection import Detection
 from trinoc.calib.shots.covariance import information_of
 from trinoc.calib.shots.lens_choice import choice_sentence, chosen_lens, held_out
 from trinoc.calib.shots.lens_start import CameraStart, camera_start
-from trinoc.calib.shots.placing import PlacedRig, placed_rig
+from trinoc.calib.shots.placing import PlacedRig, ShotBoard, placed_rig
 from trinoc.calib.shots.problem import Freedom, Problem, problem_of
 from trinoc.calib.shots.robust_fit import RobustFit, fit_robustly
 from trinoc.calib.shots.score_test import rational_lens_test
@@ -21,10 +21,10 @@ from trinoc.geometry import AFFINE_PARAMETERS, AbstractLens, BrownConrady, Intri
 
 
 class Asked(NamedTuple):
-    """What is to be fitted: the detections of each camera by shot, the names of all shots, and
-    what `calibrate_rig` was told of board and lenses."""
+    """What is to be fitted: the detections of each camera by shot and board, the names of all
+    shots, and what `calibrate_rig` was told of board and lenses."""
 
-    detections: Mapping[str, Mapping[str, Detection]]
+    detections: Mapping[str, Mapping[ShotBoard, Detection]]
     shots: Sequence[str]
     target: AbstractTarget
     known: Mapping[str, Intrinsics]
@@ -125,4 +125,5 @@ def _problem(asked: Asked, placed: PlacedRig, starts: Mapping[str, CameraStart])
         sizes,
         Freedom(lens_of_camera, free),
         asked.systematics,
+        placed.set_from_board,
     )

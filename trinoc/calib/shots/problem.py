@@ -7,10 +7,12 @@ import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.linalg import block_diag
 
+from trinoc.calib.shots.motions import chained
 from trinoc.calib.shots.state import POSE_SIZE, SHEET_SIZE, Chart, RigState
 from trinoc.calib.shots.table import FEWEST_SHOTS, View, ViewTable, padded_count, view_table
-from trinoc.calib.targets import AbstractTarget
+from trinoc.calib.targets import AbstractTarget, boards_of
 from trinoc.calib.uncertainty import Systematics
 from trinoc.geometry import AFFINE_PARAMETERS, AbstractLens, stack_lenses
 
@@ -89,11 +91,17 @@ def problem_of(
     image_sizes_px: Sequence[tuple[int, int]],
     freedom: Freedom,
     systematics: Systematics,
+    set_from_board: Float[np.ndarray, "b 3 4"] | None = None,
 ) -> Problem:
-    """The problem at its start. The first camera stays where it is.
+    """The problem at its start. The first camera, and of several boards the first, stay in place.
 
-    image_sizes_px : (width, height) of the pictures of each lens.
+    image_sizes_px : (width, height) of the pictures of each lens. set_from_board : of each of
+    several boards.
     """
+    members = boards_of(target)
+    in_set = np.zeros((0, 3, 4))
+    if len(members) > 1 and set_from_board is not None:
+        in_set = np.asarray(set_from_board)
     shots = len(rig_from_board)
     more = padded_count(shots, FEWEST_SHOTS) - shots
     boards = np.concatenate([rig_from_board, np.broadcast_to(np.eye(3, 4), (more, 3, 4))])
@@ -101,25 +109,29 @@ def problem_of(
     scale = np.stack(
         [lens.parameter_scales(size) for lens, size in zip(lenses, image_sizes_px, strict=True)]
     )
-    depths = [
-        np.linalg.norm(cam_from_rig[v.camera][:, :3] @ boards[v.shot][:, 3]
-                       + cam_from_rig[v.camera][:, 3]) for v in views
-    ]  # fmt: skip
+    state = RigState(
+        stacked,
+        np.asarray(cam_from_rig),
+        boards,
+        in_set,
+        np.zeros(SHEET_SIZE * len(members)),
+        np.zeros((0, 3)),
+    )
+    depths = [np.linalg.norm(cam_from_board(state, view)[:, 3]) for view in views]
     information, sheet_free = _sheet_prior(systematics)
-    pose_free = np.ones((len(cam_from_rig), POSE_SIZE))
+    pose_free, set_free = np.ones((len(cam_from_rig), POSE_SIZE)), np.ones((len(in_set), POSE_SIZE))
     pose_free[0] = 0.0
+    set_free[:1] = 0.0
+    free = (freedom.free, pose_free, set_free, np.tile(sheet_free, len(members)))
     chart = Chart(
         lens_scale=scale,
         unit_mm=np.asarray(float(np.median(depths))),
-        half_mm=np.abs(target.centres_mm).max(axis=0),
+        half_mm=np.stack([np.abs(board.centres_mm).max(axis=0) for board in members]),
         lens_of_camera=np.asarray(freedom.lens_of_camera),
-        free=np.concatenate([freedom.free.astype(float).ravel(), pose_free.ravel(), sheet_free]),
-        sheet_information=information,
+        free=np.concatenate([part.astype(float).ravel() for part in free]),
+        sheet_information=block_diag(*[information] * len(members)),
         shape_information=np.ones(3),
         has_circles=bool(np.any(target.radius_mm > 0)),
-    )
-    state = RigState(
-        stacked, np.asarray(cam_from_rig), boards, np.zeros(SHEET_SIZE), np.zeros((0, 3))
     )
     factor = np.ones(len(cam_from_rig))
     problem = Problem(tuple(views), target, state, chart, shots, factor)
@@ -149,6 +161,16 @@ def with_sheet_held(problem: Problem) -> Problem:
 def with_head_held(problem: Problem) -> Problem:
     """The problem with lenses, cameras and board as they are: only where it stands is free."""
     return problem._replace(chart=_with_free(problem.chart, np.zeros(len(problem.chart.free))))
+
+
+def cam_from_board(state: RigState, view: View) -> Float[np.ndarray, "3 4"]:
+    """The pose of a view's board before its camera."""
+    pose = chained(
+        np.asarray(state.cam_from_rig)[view.camera], np.asarray(state.rig_from_board)[view.shot]
+    )
+    if not len(state.set_from_board):
+        return pose
+    return chained(pose, np.asarray(state.set_from_board)[view.board])
 
 
 def lens_number(problem: Problem, number: int) -> AbstractLens:

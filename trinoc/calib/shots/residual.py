@@ -3,7 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from trinoc.calib.shots.state import POSE_SIZE, SHEET_SIZE, Chart, moved
 from trinoc.geometry import AbstractLens
@@ -38,24 +38,30 @@ def view_residuals(
     radius_mm: Float[ArrayLike, "n"],
     uv_px: Float[ArrayLike, "n 2"],
     step: Float[ArrayLike, "k"] | None = None,
+    board: Int[ArrayLike, ""] | int = 0,
+    set_from_board: Float[ArrayLike, "3 4"] | None = None,
 ) -> Float[ArrayLike, "n 2"]:
     """Residuals in pixels, after a step of (lens, camera, sheet, board) where one is given.
 
-    shape_mm : by which each place lies elsewhere on the board.
+    shape_mm : by which each place lies elsewhere on the board. board : which of several, whose
+    place in their set is `set_from_board`; its step then follows the camera's.
 
     The centre of a circle's image is not the image of its centre; by how much is taken where the
     step begins: it changes a thousand times less than the places themselves.
     """
-    here = lens, cam_from_rig, rig_from_board, sheet
+    here = lens, cam_from_rig, rig_from_board, sheet, set_from_board
+    half_mm = chart.half_mm[board]
     if step is not None:
         here = _stepped(here, chart, step)
 
     def project(
         place: Float[ArrayLike, "2"], aside: Float[ArrayLike, "3"], at: tuple
     ) -> Float[ArrayLike, "2"]:
-        own_lens, own_pose, board, own_sheet = at
-        point = point_on_board(place, own_sheet, chart.half_mm) + aside
-        in_rig = board[:, :3] @ point + board[:, 3]
+        own_lens, own_pose, stands, own_sheet, in_set = at
+        point = point_on_board(place, own_sheet, half_mm) + aside
+        if in_set is not None:
+            point = in_set[:, :3] @ point + in_set[:, 3]
+        in_rig = stands[:, :3] @ point + stands[:, 3]
         return own_lens.project_ray(own_pose[:, :3] @ in_rig + own_pose[:, 3])
 
     predicted = jax.vmap(project, (0, 0, None))(place_mm, shape_mm, here)
@@ -72,14 +78,19 @@ def view_residuals(
 
 
 def _stepped(here: tuple, chart: Chart, step: Float[ArrayLike, "k"]) -> tuple:
-    lens, cam_from_rig, rig_from_board, sheet = here
-    size = step.shape[0] - 2 * POSE_SIZE - SHEET_SIZE
-    by_pose, by_sheet = step[size : size + POSE_SIZE], step[size + POSE_SIZE : -POSE_SIZE]
+    lens, cam_from_rig, rig_from_board, sheet, set_from_board = here
+    poses = 2 if set_from_board is None else 3
+    size = step.shape[0] - poses * POSE_SIZE - SHEET_SIZE
+    by_pose, by_sheet = step[size : size + POSE_SIZE], step[-POSE_SIZE - SHEET_SIZE : -POSE_SIZE]
+    if set_from_board is not None:
+        by_board = step[size + POSE_SIZE : size + 2 * POSE_SIZE]
+        set_from_board = moved(set_from_board, by_board, chart.unit_mm)
     return (
         lens.retract(step[:size]),
         moved(cam_from_rig, by_pose, chart.unit_mm),
         moved(rig_from_board, step[-POSE_SIZE:], chart.unit_mm),
-        sheet + chart.sheet_scale * by_sheet,
+        sheet + chart.sheet_scale[:SHEET_SIZE] * by_sheet,
+        set_from_board,
     )
 
 

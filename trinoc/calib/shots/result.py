@@ -28,7 +28,10 @@ class RigFromShots(eqx.Module):
     world : the shot, or the camera, that is the world's frame.
     target : the board.
     shots : names of the shots that took part.
-    world_from_board : (s, 3, 4) the board in each shot, mm.
+    world_from_board : (s, 3, 4) the board in each shot, mm; of a set its first one.
+    reference_from_board : (b, 3, 4) how each board of a set is fixed to the first one, mm; of one
+        board no motion. Their sigmas are those of "board.NAME.turn_x_deg", about the axes of the
+        first one from where each stands, and of "board.NAME.x_mm", where its origin lies.
     place_shifts_mm : (n, 3) by which each place of the board lies elsewhere than its drawing and
         its warp have it, X, Y and Z; no rows where the shots do not show it.
     views : what each camera saw in each shot, by their indices, and which places took part.
@@ -57,6 +60,7 @@ class RigFromShots(eqx.Module):
     cameras: tuple[str, ...] = eqx.field(static=True)
     shots: tuple[str, ...] = eqx.field(static=True)
     world_from_board: Float[np.ndarray, "s 3 4"]
+    reference_from_board: Float[np.ndarray, "b 3 4"]
     place_shifts_mm: Float[np.ndarray, "n 3"]
     views: tuple[View, ...]
     residuals_px: tuple[Float[np.ndarray, "_m 2"], ...]

@@ -165,6 +165,5 @@ def freedom(problem: Problem) -> int:
     """Residuals less unknowns; the sheet's have a prior each, the places' are told."""
     residuals = sum(view.numbers for view in problem.views)
     shots = {view.shot for view in problem.views if view.used.any()}
-    lenses, size = problem.chart.lens_scale.shape
-    steps = int(np.sum(problem.chart.free[: lenses * size + 6 * problem.cameras]))
+    steps = int(np.sum(problem.chart.free[: problem.chart.sheet_first]))
     return residuals - steps - 6 * len(shots) - round(problem.spent)

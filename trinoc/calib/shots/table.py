@@ -28,6 +28,7 @@ class View(NamedTuple):
     used : (m,) which places take part.
     shown : where the grey levels show the board, which then counts instead of the detection, as a
         whole unless no place is used.
+    board : which of several boards it shows.
     """
 
     camera: int
@@ -35,6 +36,7 @@ class View(NamedTuple):
     detection: Detection
     used: Bool[np.ndarray, "_m"]
     shown: SheetPoints | None = None
+    board: int = 0
 
     @property
     def rows(self) -> int:
@@ -61,7 +63,7 @@ class ViewTable(NamedTuple):
 
     Fields
     ------
-    camera, shot : (v,) of each view.
+    camera, shot, board : (v,) of each view.
     place : (v, n) index of each in the target; `NO_PLACE` for pieces of lines.
     place_mm : (v, n, 2) on the board.
     radius_mm : (v, n) of the circle there; 0 for a corner.
@@ -73,6 +75,7 @@ class ViewTable(NamedTuple):
 
     camera: Int[ArrayLike, "v"]
     shot: Int[ArrayLike, "v"]
+    board: Int[ArrayLike, "v"]
     place: Int[ArrayLike, "v n"]
     place_mm: Float[ArrayLike, "v n 2"]
     radius_mm: Float[ArrayLike, "v n"]
@@ -94,6 +97,7 @@ def view_table(views: Sequence[View], target: AbstractTarget) -> ViewTable:
     table = ViewTable(
         np.zeros(count, dtype=int),
         np.zeros(count, dtype=int),
+        np.zeros(count, dtype=int),
         np.full((count, rows), NO_PLACE),
         np.zeros((count, rows, 2)),
         np.zeros((count, rows)),
@@ -101,7 +105,7 @@ def view_table(views: Sequence[View], target: AbstractTarget) -> ViewTable:
         np.zeros((count, 1, 2 * rows, 2 * rows) if shared else (count, rows, 2, 2)),
     )
     for v, view in enumerate(views):
-        table.camera[v], table.shot[v] = view.camera, view.shot
+        table.camera[v], table.shot[v], table.board[v] = view.camera, view.shot, view.board
         seen = slice(view.rows)
         if view.shown is not None:
             table.place[v, seen] = circle_of(view.shown.place_mm, target)

@@ -1,5 +1,12 @@
 from .abstract_target import AbstractTarget as AbstractTarget
 from .april_grid import AprilGrid as AprilGrid
+from .board_set import (
+    BoardSet as BoardSet,
+    board_names as board_names,
+    board_prefixes as board_prefixes,
+    boards_of as boards_of,
+    first_places as first_places,
+)
 from .checkers import (
     DICTIONARIES as DICTIONARIES,
     Charuco as Charuco,

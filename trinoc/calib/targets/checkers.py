@@ -14,6 +14,16 @@ DICTIONARIES = (
 )
 
 
+# How many markers the others hold.
+_COUNTS = {
+    "ARUCO_ORIGINAL": 1024,
+    "APRILTAG_16h5": 30,
+    "APRILTAG_25h9": 35,
+    "APRILTAG_36h10": 2320,
+    "APRILTAG_36h11": 587,
+}
+
+
 class Chessboard(AbstractTarget):
     """A chessboard, by its inner corners as OpenCV counts them; its top left square is dark.
 
@@ -79,6 +89,7 @@ class Charuco(AbstractTarget):
     dictionary : of the markers, such as "4x4_50" (`DICTIONARIES`).
     legacy : whether the board was made before OpenCV 4.6, with a marker in the top left square
         where the number of rows is even.
+    first : number of its first marker.
     name : what the board is called; from the numbers unless given.
     """
 
@@ -88,6 +99,7 @@ class Charuco(AbstractTarget):
     marker_mm: float = eqx.field(static=True)
     dictionary: str = eqx.field(static=True)
     legacy: bool = eqx.field(static=True)
+    first: int = eqx.field(static=True)
     name: str = eqx.field(static=True)
 
     def __init__(
@@ -99,11 +111,12 @@ class Charuco(AbstractTarget):
         marker_mm: float,
         dictionary: str = "4x4_250",
         legacy: bool = False,
+        first: int = 0,
         name: str | None = None,
     ) -> None:
         self.rows, self.columns = int(rows), int(columns)
         self.square_mm, self.marker_mm = float(square_mm), float(marker_mm)
-        self.dictionary, self.legacy = dictionary, bool(legacy)
+        self.dictionary, self.legacy, self.first = dictionary, bool(legacy), int(first)
         self.name = name or f"charuco_{rows}x{columns}_{square_mm:g}mm"
 
     def __check_init__(self) -> None:
@@ -117,6 +130,13 @@ class Charuco(AbstractTarget):
             raise InputError(
                 f"The dictionary {self.dictionary!r} is unknown: give one of "
                 f"{', '.join(DICTIONARIES)}."
+            )
+        last = self.first + self.rows * self.columns // 2 - 1
+        held = _COUNTS.get(self.dictionary) or int(self.dictionary.split("_")[1])
+        if self.first < 0 or (self.first > 0 and last >= held):
+            raise InputError(
+                f"The board {self.name!r} has the markers {self.first} to {last}, but "
+                f"{self.dictionary} has 0 to {held - 1}: give another first one or dictionary."
             )
 
     @property

@@ -1,0 +1,99 @@
+"""Several boards fixed to each other, such as on the sides of a cube or on two walls."""
+
+from collections.abc import Mapping, Sequence
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float, Int
+
+from trinoc.calib.targets.abstract_target import AbstractTarget
+from trinoc.calib.targets.told_apart import why_alike
+from trinoc.errors import InputError
+
+
+class BoardSet(AbstractTarget):
+    """Boards fixed to each other in places that nobody knows, and that the shots tell.
+
+    The first board is the reference: its frame is that of the set. Places are those of the boards
+    one after the other, each in the frame of its own board.
+
+    Fields
+    ------
+    names : of the boards, in order.
+    boards : sheets and boards that pictures tell apart: by kind, by numbers of corners, by
+        dictionaries, or by the numbers of their markers.
+    name : what the set is called; from its boards unless given.
+
+    Raises
+    ------
+    InputError : no board, two of one name, a set in a set, or two boards that look alike.
+    """
+
+    names: tuple[str, ...] = eqx.field(static=True)
+    boards: tuple[AbstractTarget, ...]
+    name: str = eqx.field(static=True)
+
+    def __init__(
+        self,
+        boards: Mapping[str, AbstractTarget] | Sequence[AbstractTarget],
+        *,
+        name: str | None = None,
+    ) -> None:
+        is_named = isinstance(boards, Mapping)
+        self.boards = tuple(boards.values()) if is_named else tuple(boards)
+        self.names = tuple(boards) if is_named else tuple(board.name for board in self.boards)
+        self.name = name or " + ".join(self.names)
+
+    def __check_init__(self) -> None:
+        if not self.boards:
+            raise InputError("A set of boards needs at least one board: give it.")
+        for name, board in zip(self.names, self.boards, strict=True):
+            if isinstance(board, BoardSet):
+                raise InputError(f'The board "{name}" is a set itself: give its boards singly.')
+            if self.names.count(name) > 1:
+                raise InputError(f'Two boards are called "{name}": give each a name of its own.')
+        for second, other in enumerate(self.boards):
+            for first, board in enumerate(self.boards[:second]):
+                why = why_alike(board, other)
+                if why is not None:
+                    raise InputError(
+                        f'The boards "{self.names[first]}" and "{self.names[second]}" look alike '
+                        f"in view: {why}."
+                    )
+
+    @property
+    def centres_mm(self) -> Float[np.ndarray, "n 2"]:
+        """The places of all boards, each in the frame of its own."""
+        return np.concatenate([board.centres_mm for board in self.boards])
+
+    @property
+    def radius_mm(self) -> Float[np.ndarray, "n"]:
+        """The radii of all boards' circles; 0 for corners."""
+        return np.concatenate([board.radius_mm for board in self.boards])
+
+    @property
+    def board_of_place(self) -> Int[np.ndarray, "n"]:
+        """Which of the boards each place is on."""
+        return np.repeat(np.arange(len(self.boards)), [len(board) for board in self.boards])
+
+
+def boards_of(target: AbstractTarget) -> tuple[AbstractTarget, ...]:
+    """The boards of a set; a board alone is its own."""
+    return target.boards if isinstance(target, BoardSet) else (target,)
+
+
+def board_names(target: AbstractTarget) -> tuple[str, ...]:
+    """What the boards are called."""
+    return target.names if isinstance(target, BoardSet) else (target.name,)
+
+
+def board_prefixes(target: AbstractTarget) -> tuple[str, ...]:
+    """What the names of each board's parameters begin with."""
+    if not isinstance(target, BoardSet):
+        return ("board.",)
+    return tuple(f"board.{name}." for name in target.names)
+
+
+def first_places(target: AbstractTarget) -> Int[np.ndarray, "b"]:
+    """The index of each board's first place among all."""
+    return np.cumsum([0, *(len(board) for board in boards_of(target))])[:-1]
