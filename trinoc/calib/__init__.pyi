@@ -38,7 +38,7 @@ from .targets.abstract_target import AbstractTarget as AbstractTarget
 from .targets.april_grid import AprilGrid as AprilGrid
 from .targets.board_set import (
     BoardSet as BoardSet,
-    board_prefixes as board_prefixes,
+    board_names as board_names,
     boards_of as boards_of,
 )
 from .targets.checkers import (

@@ -12,7 +12,7 @@ from trinoc.cli.progress import LOGGER, Bar
 from trinoc.cli.views import files_of_views
 
 if TYPE_CHECKING:
-    from trinoc.calib import FieldDifference, NextShot, RigFromShots
+    from trinoc.calib import AbstractTarget, FieldDifference, NextShot, RigFromShots
 
 # Not None: an option that may be a pair or nothing would take pictures that follow it.
 UNKNOWN = (-1.0, -1.0)
@@ -29,8 +29,9 @@ class CalibrateRig(Command):
     """The folder of each camera's pictures, or a pattern in quotes, such as left=left/
     right='right_*.png'. Pictures of equal names are of one moment."""
 
-    board: Path
-    """Layout of the board (JSON), as `trinoc pattern` writes it: sheet or board."""
+    board: tyro.conf.UseAppendAction[tuple[Path, ...]]
+    """Layout of the board (JSON), as `trinoc pattern` writes it: sheet or board. Given several
+    times for boards that are fixed to each other; how they are is found."""
 
     lens_model: Literal[
         "brown_conrady", "rational", "thin_prism", "kannala_brandt", "none", "auto"
@@ -97,7 +98,7 @@ class CalibrateRig(Command):
         from trinoc.io import expect_place, load_intrinsics, load_shots, load_target, save
 
         expect_place(self.out, self.report)
-        target = load_target(self.board)
+        target = one_target([(board.stem, load_target(board)) for board in self.board])
         pictures = load_shots(places)
         known: Any = None
         if len(self.intrinsics) == 1 and "=" not in self.intrinsics[0]:
@@ -124,7 +125,7 @@ class CalibrateRig(Command):
                 systematics=usual,
                 progress=bar.at,
             )
-        made_by = provenance(command_line, {"board": self.board})
+        made_by = provenance(command_line, board_files(self.board))
         save(result, self.out, provenance=made_by)
         written, advice = [str(self.out)], next_shot(result)
         if self.report is not None:
@@ -143,6 +144,29 @@ class CalibrateRig(Command):
         text = f"{result.summary()}{told}\nwritten: {', '.join(written)}"
         record = {**rig_record(result), "next_shot": shot_record(advice)}
         return Outcome(text, {**record, "written": written})
+
+
+def board_files(files: tuple[Path, ...]) -> dict[str, Path]:
+    """The layouts, for the provenance of files."""
+    if len(files) == 1:
+        return {"board": files[0]}
+    return {f"board {number}": file for number, file in enumerate(files, 1)}
+
+
+def one_target(given: "list[tuple[str, AbstractTarget]]") -> "AbstractTarget":
+    """The board, or the set of boards that are fixed to each other, each with the name of its file.
+
+    Their own names count where they differ, else those of the files, else their numbers.
+    """
+    from trinoc.calib import BoardSet
+
+    if len(given) == 1:
+        return given[0][1]
+    boards = [board for _, board in given]
+    for names in ([board.name for board in boards], [stem for stem, _ in given]):
+        if len(set(names)) == len(names):
+            return BoardSet(dict(zip(names, boards, strict=True)))
+    return BoardSet({f"board {number}": board for number, board in enumerate(boards, 1)})
 
 
 def shot_record(advice: "NextShot | None") -> dict[str, Any] | None:
@@ -171,6 +195,8 @@ def field_record(field: "FieldDifference") -> dict[str, Any]:
 
 def rig_record(result: "RigFromShots") -> dict[str, Any]:
     """What programs want to know of a rig from many shots, as JSON can hold it."""
+    from trinoc.calib import board_names
+
     halves, held_out = result.halves, result.cross_validation
     return {
         "parameters": {
@@ -189,6 +215,12 @@ def rig_record(result: "RigFromShots") -> dict[str, Any]:
         },
         "shots": list(result.shots),
         "world": result.world,
+        "boards": {
+            name: {"reference_from_board": pose.tolist()}
+            for name, pose in zip(
+                board_names(result.target), result.reference_from_board, strict=True
+            )
+        },
         "halves": None
         if halves is None
         else {

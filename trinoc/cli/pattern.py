@@ -50,6 +50,10 @@ class Pattern(Command):
     ] = None
     """Of a ChArUco board's markers or an AprilGrid's tags, by OpenCV's name."""
 
+    first: Annotated[int, tyro.conf.arg(metavar="N")] = 0
+    """Number of a ChArUco board's or an AprilGrid's first marker, so that several boards fixed to
+    each other are told apart."""
+
     pitch_mm: float = 20.0
     """Distance between the centres of neighbours."""
 
@@ -219,6 +223,7 @@ class Pattern(Command):
                 square_mm=self.square_mm,
                 marker_mm=marker_mm,
                 dictionary=self.dictionary or "4x4_250",
+                first=self.first,
             )
         if self.board == "aprilgrid":
             return AprilGrid(
@@ -227,6 +232,7 @@ class Pattern(Command):
                 tag_mm=self.tag_mm,
                 spacing=self.tag_spacing,
                 dictionary=self.dictionary or "APRILTAG_36h11",
+                first=self.first,
             )
         if proposal is not None:
             return Sheet.cross_grid(

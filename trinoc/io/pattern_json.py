@@ -1,6 +1,7 @@
 """Layouts of sheets as JSON: every circle and line in mm, whatever made the grid."""
 
 import os
+from typing import Any
 
 import numpy as np
 
@@ -21,6 +22,11 @@ def load_pattern(path: str | os.PathLike[str]) -> Pattern:
     """Read a layout. Raises InputError, in one sentence with file and key."""
     document = read_document(path, FORMAT, VERSION)
     document.expect_keys(("format", "version", "name", "circles"), ("lines", "conventions"))
+    return pattern_of(document, document.text("name"))
+
+
+def pattern_of(document: Block, name: str) -> Pattern:
+    """The sheet whose circles and lines an object holds. Raises InputError."""
     circles = document.block("circles")
     circles.expect_keys(("centres_mm", "radius_mm", "lattice"), ("inner_radius_mm",))
     centres_mm = circles.numbers("centres_mm", (None, 2))
@@ -29,7 +35,7 @@ def load_pattern(path: str | os.PathLike[str]) -> Pattern:
         raise circles.error("lattice", "must hold whole numbers.")
     try:
         return Pattern(
-            name=document.text("name"),
+            name=name,
             centres_mm=centres_mm,
             radius_mm=_per_circle(circles, "radius_mm", len(centres_mm)),
             inner_radius_mm=_per_circle(circles, "inner_radius_mm", len(centres_mm)),
@@ -48,6 +54,15 @@ def save_pattern(pattern: Pattern, path: str | os.PathLike[str]) -> None:
         "format": FORMAT,
         "version": VERSION,
         "name": pattern.name,
+        **figures_of(pattern),
+        "conventions": _CONVENTIONS,
+    }
+    write_document(path, document)
+
+
+def figures_of(pattern: Pattern) -> dict[str, Any]:
+    """Its circles and lines, as `pattern_of` reads them."""
+    return {
         "circles": {
             "centres_mm": pattern.centres_mm.tolist(),
             "radius_mm": pattern.radius_mm.tolist(),
@@ -60,9 +75,7 @@ def save_pattern(pattern: Pattern, path: str | os.PathLike[str]) -> None:
             "style": pattern.line_style,
             "gap_mm": pattern.line_gap_mm,
         },
-        "conventions": _CONVENTIONS,
     }
-    write_document(path, document)
 
 
 def _per_circle(circles: Block, key: str, count: int) -> np.ndarray:

@@ -103,6 +103,7 @@ def test_a_board_as_drawn_shifts_nothing_and_a_warped_one_its_middle():
         state.lenses,
         state.cam_from_rig,
         state.rig_from_board,
+        state.set_from_board,
         np.array([0.0, 0.0, 1.0, 0.0]),
         state.shape,
     )

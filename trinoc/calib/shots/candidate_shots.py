@@ -1,5 +1,6 @@
 """Ways to hold the board before a rig that anybody can follow."""
 
+from itertools import product
 from typing import NamedTuple
 
 import cv2
@@ -9,7 +10,7 @@ from jaxtyping import Float
 from trinoc.calib.shots.lens_start import rays_of_places
 from trinoc.calib.shots.motions import chained, inverse
 from trinoc.calib.shots.problem import Problem, lens_number
-from trinoc.calib.targets import AbstractTarget
+from trinoc.calib.targets import AbstractTarget, board_names, boards_of
 from trinoc.geometry import AbstractLens
 
 _TILT_RAD = np.radians(40.0)
@@ -42,17 +43,36 @@ def candidate_shots(problem: Problem) -> list[Candidate]:
     for camera, size_px in image_sizes_px(problem).items():
         lens = lens_number(problem, int(problem.chart.lens_of_camera[camera]))
         rig_from_cam = inverse(np.asarray(problem.state.cam_from_rig)[camera])
-        for fill in _FILLS:
-            distance = _distance_mm(problem.target, lens, fill * min(size_px))
+        for fill, held in product(_FILLS, _held_boards(problem)):
+            distance = _distance_mm(held.board, lens, fill * min(size_px))
             share = np.array([0.5 * fill + _MARGIN, 0.5, 1.0 - 0.5 * fill - _MARGIN])
             down, across = (grid.ravel() for grid in np.meshgrid(range(3), range(3)))
             at = np.stack([share[across], share[down]], axis=1) * (np.array(size_px) - 1.0)
             for row, column, ray in zip(down, across, rays_of_places(lens, at), strict=True):
-                place = _place_words(_ROWS[row], _COLUMNS[column])
+                place = held.words + _place_words(_ROWS[row], _COLUMNS[column])
                 for words, about in _TURNS.items():
-                    pose = chained(rig_from_cam, _held(problem.target, ray, distance, about))
+                    pose = chained(rig_from_cam, _held(held.board, ray, distance, about))
+                    pose = chained(pose, held.board_from_set)
                     shots.append(Candidate(camera, f"{place}, {words}", distance, pose))
     return shots
+
+
+class _HeldBoard(NamedTuple):
+    """A board that is held before a camera, which of several it is in words, and their frame."""
+
+    board: AbstractTarget
+    words: str
+    board_from_set: Float[np.ndarray, "3 4"]
+
+
+def _held_boards(problem: Problem) -> list[_HeldBoard]:
+    members, fixed = boards_of(problem.target), np.asarray(problem.state.set_from_board)
+    if len(members) == 1:
+        return [_HeldBoard(members[0], "", np.eye(3, 4))]
+    return [
+        _HeldBoard(board, f'"{name}" ', inverse(pose))
+        for board, name, pose in zip(members, board_names(problem.target), fixed, strict=True)
+    ]
 
 
 def image_sizes_px(problem: Problem) -> dict[int, tuple[int, int]]:

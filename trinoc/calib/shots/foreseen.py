@@ -9,11 +9,10 @@ from jaxtyping import Float
 from trinoc.calib.detection import Detection
 from trinoc.calib.shots.candidate_shots import Candidate, image_sizes_px
 from trinoc.calib.shots.covariance import information_of
-from trinoc.calib.shots.motions import chained
-from trinoc.calib.shots.problem import Problem, lens_number
+from trinoc.calib.shots.problem import Problem, cam_from_board, lens_number
 from trinoc.calib.shots.robust_fit import errors_px
 from trinoc.calib.shots.table import View
-from trinoc.calib.targets import AbstractTarget, Chessboard
+from trinoc.calib.targets import Chessboard, boards_of, first_places
 from trinoc.geometry import AbstractLens
 from trinoc.numerics import blocks
 
@@ -51,7 +50,8 @@ def foreseen(problem: Problem, candidates: list[Candidate]) -> list[ForeseenShot
     sigma_px, told = place_sigma_px(problem), []
     lenses = [lens_number(problem, int(k)) for k in problem.chart.lens_of_camera]
     fold_rad = [lens.fold_angle_rad() for lens in lenses]
-    portion = max(1, min(len(problem.state.rig_from_board), len(problem.views) // problem.cameras))
+    in_each = problem.cameras * len(boards_of(problem.target))
+    portion = max(1, min(len(problem.state.rig_from_board), len(problem.views) // in_each))
     for part in blocks(len(candidates), portion):
         own = candidates[part]
         posed = _posed(problem, own, sigma_px)
@@ -63,11 +63,13 @@ def foreseen(problem: Problem, candidates: list[Candidate]) -> list[ForeseenShot
         rows = np.ix_(information.free, information.free)
         for shot, candidate in enumerate(own):
             seen = [v for v in views if v.shot == shot and v.used.any()]
-            cameras = tuple(v.camera for v in seen)
+            cameras = tuple(dict.fromkeys(v.camera for v in seen))
             if candidate.camera not in cameras:
                 continue
             counts = np.array([v.used.sum() for v in seen])
-            mean = float(np.sqrt(np.average(sigma_px[list(cameras)] ** 2, weights=counts)))
+            mean = float(
+                np.sqrt(np.average(sigma_px[[v.camera for v in seen]] ** 2, weights=counts))
+            )
             telling = information.of_shot[shot][rows]
             told.append(ForeseenShot(candidate, cameras, int(counts.sum()), mean, telling))
     return told
@@ -88,12 +90,15 @@ def _posed(problem: Problem, candidates: list[Candidate], sigma_px: np.ndarray) 
     boards[: len(candidates)] = [each.rig_from_board for each in candidates]
     state = eqx.tree_at(lambda s: s.rig_from_board, problem.state, boards)
     views = []
+    firsts, members = first_places(problem.target), boards_of(problem.target)
     for camera, size_px in sizes.items():
-        everywhere = _everywhere(problem.target, float(sigma_px[camera]), size_px)
-        all_used = np.ones(len(everywhere), dtype=bool)
-        views += [View(camera, s, everywhere, all_used) for s in range(len(candidates))]
+        for number, (first, board) in enumerate(zip(firsts, members, strict=True)):
+            index = first + np.arange(len(board))
+            everywhere = _everywhere(index, float(sigma_px[camera]), size_px)
+            whole = View(camera, 0, everywhere, np.ones(len(board), dtype=bool), board=number)
+            views += [whole._replace(shot=s) for s in range(len(candidates))]
     # As many views as there were, lest the programs compile anew.
-    idle = views[0]._replace(shot=len(boards) - 1, used=np.zeros(len(problem.target), dtype=bool))
+    idle = views[0]._replace(shot=len(boards) - 1, used=np.zeros_like(views[0].used))
     views += [idle] * (len(problem.views) - len(views))
     ones = np.ones_like(problem.sigma_factor)
     return problem._replace(
@@ -101,10 +106,10 @@ def _posed(problem: Problem, candidates: list[Candidate], sigma_px: np.ndarray) 
     )
 
 
-def _everywhere(target: AbstractTarget, sigma_px: float, size_px: tuple[int, int]) -> Detection:
-    count = len(target)
+def _everywhere(index: np.ndarray, sigma_px: float, size_px: tuple[int, int]) -> Detection:
+    count = len(index)
     return Detection(
-        circle_index=np.arange(count),
+        circle_index=index,
         centres_px=np.zeros((count, 2)),
         covariance_px2=np.tile(sigma_px**2 * np.eye(2), (count, 1, 1)),
         shape_px2=np.full((count, 2, 2), np.nan),
@@ -117,16 +122,13 @@ def _as_seen(
     problem: Problem, view: View, lens: AbstractLens, fold_rad: float, uv_px: np.ndarray
 ) -> View:
     """The view with the places (n, 2) that the camera sees, if it would find the board at all."""
-    pose = chained(
-        np.asarray(problem.state.cam_from_rig)[view.camera],
-        np.asarray(problem.state.rig_from_board)[view.shot],
-    )
-    places = problem.target.centres_mm @ pose[:, :2].T + pose[:, 3]
+    board, pose = boards_of(problem.target)[view.board], cam_from_board(problem.state, view)
+    places = board.centres_mm @ pose[:, :2].T + pose[:, 3]
     away = np.linalg.norm(places, axis=1)
     angle = np.arccos(np.clip(places[:, 2] / away, -1.0, 1.0))
     oblique = np.arccos(np.clip(-(places @ pose[:, 2]) / away, -1.0, 1.0))
-    border = 1.0 + float(np.max(lens.focal_length_px)) * problem.target.radius_mm / away
+    border = 1.0 + float(np.max(lens.focal_length_px)) * board.radius_mm / away
     inside = np.minimum(uv_px, np.array(view.detection.image_size_px) - 1.0 - uv_px).min(axis=1)
     seen = view.used & (angle < fold_rad) & (inside > border) & (oblique < _MOST_OBLIQUE)
-    least = 1.0 if isinstance(problem.target, Chessboard) else _LEAST_SEEN
+    least = 1.0 if isinstance(board, Chessboard) else _LEAST_SEEN
     return view._replace(used=seen & (seen.mean() >= least))

@@ -28,6 +28,7 @@ from trinoc.calib.shots.result import RigFromShots
 from trinoc.calib.shots.robust_fit import RobustFit, errors_px, refitted
 from trinoc.calib.shots.shot_scatter import shot_scatter, with_factor
 from trinoc.calib.shots.sightings_of_shots import FoundShots
+from trinoc.calib.targets import board_names
 from trinoc.calib.uncertainty import Systematics
 from trinoc.errors import CalibrationError, InputError
 from trinoc.geometry import Camera, Intrinsics, Pose, Rig, simplified
@@ -94,7 +95,7 @@ def judged(
         values=values,
         covariance=covariance,
         gauge=gauge,
-        world=f"the board in {placed.shots[place.shot]}"
+        world=f"the board {_of_set(problem)}in {placed.shots[place.shot]}"
         if place.shot is not None
         else f"the camera {cameras[place.camera or 0]}",
         target=problem.target,
@@ -183,6 +184,12 @@ def _open_rows(problem: Problem, information: Information, names: tuple[str, ...
 def _in_set(problem: Problem) -> Float[np.ndarray, "b 3 4"]:
     own = np.asarray(problem.state.set_from_board)
     return own if len(own) else np.eye(3, 4)[None]
+
+
+def _of_set(problem: Problem) -> str:
+    """Which board's frame is the set's, in words."""
+    names = board_names(problem.target)
+    return f'"{names[0]}" ' if len(names) > 1 else ""
 
 
 def _rig(

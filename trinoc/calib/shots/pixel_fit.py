@@ -24,7 +24,7 @@ from trinoc.calib.shots.robust_fit import RobustFit, errors_px, fitted, judged_f
 from trinoc.calib.shots.sightings_of_shots import Pictures, delivered, named_pictures
 from trinoc.calib.shots.table import View
 from trinoc.calib.shots.wrong_circles import without_wrong_circles
-from trinoc.calib.targets import AbstractTarget, Chessboard, Pattern, corner_sheet
+from trinoc.calib.targets import AbstractTarget, BoardSet, Chessboard, Pattern, corner_sheet
 from trinoc.errors import InputError
 from trinoc.geometry import Pose, PoseModel
 from trinoc.numerics import blocks, grey_image
@@ -52,6 +52,11 @@ def expect_method(method: str, target: AbstractTarget, pictures: Mapping[str, Pi
     """Raises InputError for a method that there is not, or not for these."""
     if method not in ("points", "pixels"):
         raise InputError(f'method is {method!r}, but must be "points" or "pixels".')
+    if method == "pixels" and isinstance(target, BoardSet):
+        raise InputError(
+            f'"{target.name}" holds several boards, and method "pixels" fits one: give '
+            'method="points".'
+        )
     if method == "pixels" and not isinstance(target, Pattern | Chessboard):
         raise InputError(
             f'The board {target.name!r} holds markers, and method "pixels" fits sheets of circles '

@@ -7,7 +7,6 @@ import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.linalg import block_diag
 
 from trinoc.calib.shots.motions import chained
 from trinoc.calib.shots.state import POSE_SIZE, SHEET_SIZE, Chart, RigState
@@ -118,18 +117,18 @@ def problem_of(
         np.zeros((0, 3)),
     )
     depths = [np.linalg.norm(cam_from_board(state, view)[:, 3]) for view in views]
-    information, sheet_free = _sheet_prior(systematics)
+    information, sheet_free = _sheet_prior(systematics, len(members))
     pose_free, set_free = np.ones((len(cam_from_rig), POSE_SIZE)), np.ones((len(in_set), POSE_SIZE))
     pose_free[0] = 0.0
     set_free[:1] = 0.0
-    free = (freedom.free, pose_free, set_free, np.tile(sheet_free, len(members)))
+    free = (freedom.free, pose_free, set_free, sheet_free)
     chart = Chart(
         lens_scale=scale,
         unit_mm=np.asarray(float(np.median(depths))),
         half_mm=np.stack([np.abs(board.centres_mm).max(axis=0) for board in members]),
         lens_of_camera=np.asarray(freedom.lens_of_camera),
         free=np.concatenate([part.astype(float).ravel() for part in free]),
-        sheet_information=block_diag(*[information] * len(members)),
+        sheet_information=information,
         shape_information=np.ones(3),
         has_circles=bool(np.any(target.radius_mm > 0)),
     )
@@ -183,13 +182,18 @@ def _with_free(chart: Chart, free: Float[np.ndarray, "h"]) -> Chart:
 
 
 def _sheet_prior(
-    systematics: Systematics,
-) -> tuple[Float[np.ndarray, "4 4"], Float[np.ndarray, "4"]]:
-    """Information on scales and warps, and which of these are free: those that are not exact."""
-    covariance = np.zeros((SHEET_SIZE, SHEET_SIZE))
-    covariance[:2, :2] = systematics.print_size_sigma**2
-    covariance += np.diag([*np.square(systematics.print_scale_sigma), 0.0, 0.0])
-    covariance += np.diag([0.0, 0.0, systematics.flatness_mm**2, systematics.flatness_mm**2])
+    systematics: Systematics, boards: int
+) -> tuple[Float[np.ndarray, "w w"], Float[np.ndarray, "w"]]:
+    """Information on scales and warps, and which of these are free: those that are not exact.
+
+    The size is off alike for all boards of a set, as one printer makes it; scales along X and Y,
+    and warps, are each board's own.
+    """
+    size = np.zeros((SHEET_SIZE, SHEET_SIZE))
+    size[:2, :2] = systematics.print_size_sigma**2
+    own = np.diag([*np.square(systematics.print_scale_sigma), 0.0, 0.0])
+    own += np.diag([0.0, 0.0, systematics.flatness_mm**2, systematics.flatness_mm**2])
+    covariance = np.kron(np.ones((boards, boards)), size) + np.kron(np.eye(boards), own)
     free = (np.diag(covariance) > _SMALLEST_SIGMA**2).astype(float)
     # A size that is off with sides in proportion is one unknown, not two.
     covariance += np.diag(np.where(free > 0, 1e-6 * np.diag(covariance), 0.0))

@@ -6,10 +6,12 @@ from jaxtyping import Float
 
 from trinoc.calib.result import Status
 from trinoc.calib.shots.cross_validation import CrossValidation
+from trinoc.calib.shots.fixed_boards import fixed_sentence
 from trinoc.calib.shots.halves import HalvesCheck
 from trinoc.calib.shots.problem import EndedProblem
+from trinoc.calib.shots.state import IN_SET_NAMES
 from trinoc.calib.shots.table import View
-from trinoc.calib.targets import AbstractTarget
+from trinoc.calib.targets import AbstractTarget, board_names, boards_of
 from trinoc.geometry import Rig
 
 
@@ -83,6 +85,23 @@ class RigFromShots(eqx.Module):
         """Value of a parameter such as "left.fx_px"."""
         return float(self.values[self.parameters.index(parameter)])
 
+    @property
+    def fixed_boards(self) -> tuple[str, ...]:
+        """A sentence on where each board of a set is fixed to the first one, with sigmas."""
+        if self.rig is None:
+            return ()
+        reference, *others = board_names(self.target)
+        return tuple(
+            fixed_sentence(
+                name,
+                reference,
+                pose,
+                [self.sigma(f"board.{name}.{axis}_mm") for axis in "xyz"],
+                [self.sigma(f"board.{name}.turn_{axis}_deg") for axis in "xyz"],
+            )
+            for name, pose in zip(others, self.reference_from_board[1:], strict=True)
+        )
+
     def rms_px(self, camera: str | None = None) -> float:
         """Root mean square length of the residuals of one camera, or of all."""
         kept = [
@@ -104,8 +123,9 @@ def summary_text(result: RigFromShots) -> str:
     for number, camera in enumerate(result.cameras):
         own = [view for view in result.views if view.camera == number and view.used.any()]
         places = sum(int(view.used.sum()) for view in own)
+        pictures = len({view.shot for view in own})
         lines.append(
-            f"{camera}: {places} places in {len(own)} pictures, rms {result.rms_px(camera):.3f} px,"
+            f"{camera}: {places} places in {pictures} pictures, rms {result.rms_px(camera):.3f} px,"
             f" sigmas x {result.sigma_factor[camera]:.2f}"
         )
         prefix = f"{camera}."
@@ -117,8 +137,11 @@ def summary_text(result: RigFromShots) -> str:
     lines += [
         f"{name:14} {_with_sigma(result, name)}"
         for name in result.parameters
-        if name.startswith("board.") and result.sigma(name) != 0.0
+        if name.startswith("board.")
+        and name.rpartition(".")[2] not in IN_SET_NAMES
+        and result.sigma(name) != 0.0
     ]
+    lines += result.fixed_boards
     lines.append(f"world: {result.world}")
     lines.append(
         f"lengths: as long as the board's are; it was said to be {_extent(result.target)} mm from "
@@ -139,7 +162,8 @@ def summary_text(result: RigFromShots) -> str:
 
 
 def _extent(target: AbstractTarget) -> str:
-    return " x ".join(f"{side:.6g}" for side in np.ptp(target.centres_mm, axis=0))
+    sides = [np.ptp(board.centres_mm, axis=0) for board in boards_of(target)]
+    return ", ".join(" x ".join(f"{side:.6g}" for side in own) for own in sides)
 
 
 def _with_sigma(result: RigFromShots, name: str) -> str:

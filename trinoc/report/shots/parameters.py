@@ -2,10 +2,11 @@
 
 import numpy as np
 
-from trinoc.calib import RigFromShots
+from trinoc.calib import RigFromShots, board_names
 from trinoc.report.numbers import with_decimals, with_sigma
 
 # (name, cell of each camera); a cell of no text is a parameter that the camera has not.
+_IN_SET = ("turn_x_deg", "turn_y_deg", "turn_z_deg", "x_mm", "y_mm", "z_mm")
 Rows = tuple[tuple[str, tuple[str, ...]], ...]
 
 
@@ -21,10 +22,12 @@ def parameter_columns(result: RigFromShots) -> tuple[Rows, Rows]:
     cameras = tuple(
         (name, tuple(_words(result, prefix + name) for prefix in prefixes)) for name in names
     )
+    # How boards are fixed to each other stands in sentences of its own.
+    apart = [f"board.{name}.{axis}" for name in board_names(result.target) for axis in _IN_SET]
     board = tuple(
         (name.removeprefix("board."), (_words(result, name),))
         for name in result.parameters
-        if name.startswith("board.")
+        if name.startswith("board.") and name not in apart
     )
     return cameras, board
 

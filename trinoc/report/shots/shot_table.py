@@ -30,29 +30,31 @@ class ShotTable(NamedTuple):
 
 def shot_table(result: RigFromShots) -> ShotTable:
     """Every picture that was given, shots that took no part last."""
-    cells = {
-        (result.cameras[view.camera], result.shots[view.shot]): _seen(result, k)
-        for k, view in enumerate(result.views)
-    }
+    rows: dict[tuple[str, str], list[int]] = {}
+    for k, view in enumerate(result.views):
+        rows.setdefault((result.cameras[view.camera], result.shots[view.shot]), []).append(k)
+    cells = {place: _seen(result, own) for place, own in rows.items()}
     for picture, why in result.failures.items():
         camera = max((c for c in result.cameras if picture.startswith(f"{c} ")), key=len)
         place = camera, picture.removeprefix(f"{camera} ")
         cells.setdefault(place, ShotCell("not found", why, "missing"))
     shots = dict.fromkeys([*result.shots, *sorted(shot for _, shot in cells)])
     none = ShotCell("\N{EN DASH}", "no picture", "none")
-    rows = tuple(
+    table = tuple(
         (shot, tuple(cells.get((camera, shot), none) for camera in result.cameras))
         for shot in shots
     )
-    return ShotTable(result.cameras, rows)
+    return ShotTable(result.cameras, table)
 
 
-def _seen(result: RigFromShots, row: int) -> ShotCell:
-    view = result.views[row]
-    used, found = int(view.used.sum()), len(view.detection)
+def _seen(result: RigFromShots, rows: list[int]) -> ShotCell:
+    """One picture, which may show several boards."""
+    views = [result.views[row] for row in rows]
+    used = sum(int(view.used.sum()) for view in views)
+    found = sum(len(view.detection) for view in views)
     if not used:
         return ShotCell("left out", f"{found} places found, none of them used", "left-out")
-    errors = result.residuals_px[row][view.kept]
+    errors = np.concatenate([result.residuals_px[row][result.views[row].kept] for row in rows])
     rms = float(np.sqrt(np.mean(np.sum(errors**2, axis=1)))) if len(errors) else float("nan")
     text = f"{used} of {len(result.target)}, {with_decimals(rms, 3)} px"
     return ShotCell(text, f"{used} of {found} places found are used; rms of the residuals", "used")

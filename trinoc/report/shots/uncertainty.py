@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trinoc.calib import RigFromShots, projection_sigma
+from trinoc.calib import RigFromShots, boards_of, projection_sigma
 from trinoc.report.field_part import PLACES, FieldCell, FieldMap, Scale
 from trinoc.report.numbers import with_decimals
 from trinoc.report.pictures import PagePicture
@@ -63,14 +63,19 @@ def _map(result: RigFromShots, camera: str, times: float) -> tuple[FieldMap, flo
 def _distance_mm(result: RigFromShots, camera: str) -> float:
     """The median from the camera to the middle of the boards that it saw."""
     assert result.rig is not None
-    number, middle = result.cameras.index(camera), _middle_mm(result)
+    number, middles = result.cameras.index(camera), _middles_mm(result)
     centre = result.rig[camera].centre_world_mm
-    shots = [view.shot for view in result.views if view.camera == number and view.used.any()]
-    boards = result.world_from_board[shots] if shots else result.world_from_board
-    places = boards[:, :, :3] @ middle + boards[:, :, 3]
+    seen = {(v.shot, v.board) for v in result.views if v.camera == number and v.used.any()}
+    seen = seen or {(shot, 0) for shot in range(len(result.world_from_board))}
+    shots, which = np.array(sorted(seen)).T
+    boards = result.world_from_board[shots]
+    places = np.einsum("sij,sj->si", boards[:, :, :3], middles[which]) + boards[:, :, 3]
     return float(np.median(np.linalg.norm(places - centre, axis=1)))
 
 
-def _middle_mm(result: RigFromShots) -> np.ndarray:
-    centres = np.asarray(result.target.centres_mm)
-    return np.append((centres.min(axis=0) + centres.max(axis=0)) / 2, 0.0)
+def _middles_mm(result: RigFromShots) -> np.ndarray:
+    """(b, 3) of the boards, in the frame of the first."""
+    extents = [np.asarray(board.centres_mm) for board in boards_of(result.target)]
+    middles = np.stack([(own.min(axis=0) + own.max(axis=0)) / 2 for own in extents])
+    fixed = result.reference_from_board
+    return np.einsum("bij,bj->bi", fixed[:, :, :2], middles) + fixed[:, :, 3]

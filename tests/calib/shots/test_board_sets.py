@@ -1,0 +1,226 @@
+"""Boards fixed to each other: found with the rig, whatever board comes first, and told honestly."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from tests.calib.shots.made_board_sets import (
+    BOARDS,
+    CAMERAS,
+    FRONT,
+    IN_SET,
+    LENS_OF,
+    SIGMA_PX,
+    fixed,
+    seen,
+    set_of,
+    set_shots,
+    sets_held,
+)
+from tests.calib.shots.made_shots import SIZE_PX, board_poses, lens_of
+from trinoc.calib import BoardSet, Chessboard, Systematics, calibrate_rig, next_shot
+from trinoc.calib.detection import split_by_board
+from trinoc.calib.shots.covariance import information_of
+from trinoc.calib.shots.hand_eye import hand_eye
+from trinoc.calib.shots.motions import chained, inverse
+from trinoc.calib.shots.normal_equations import cost, shot_equations
+from trinoc.calib.shots.problem import Freedom, Problem, problem_of
+from trinoc.calib.shots.robust_fit import fitted
+from trinoc.calib.shots.state import retracted
+from trinoc.calib.shots.table import View
+from trinoc.errors import CalibrationError, InputError
+from trinoc.geometry import Intrinsics
+from trinoc.numerics import GemanMcClure
+
+EXACT = Systematics()
+OPPOSITE = ("left", "far"), ("front", "back")
+KNOWN = {name: Intrinsics.of_lens(lens_of(lens), SIZE_PX) for name, lens in LENS_OF.items()}
+
+
+def far_from_left(rig) -> np.ndarray:
+    return chained(
+        np.asarray(rig["far"].cam_from_world), inverse(np.asarray(rig["left"].cam_from_world))
+    )
+
+
+def known_problem(random: np.random.Generator, systematics: Systematics = EXACT) -> Problem:
+    """Cameras that face each other, and a board for each, at the truth; their lenses are known."""
+    cameras, boards = OPPOSITE
+    target, poses, views = set_of(boards), sets_held(6), []
+    for number, camera in enumerate(cameras):
+        for shot, pose in enumerate(poses):
+            found = seen(camera, pose, boards, random)
+            if found is None:
+                continue
+            for board, own in split_by_board(found, target).items():
+                views.append(View(number, shot, own, np.ones(len(own), bool), board=board))
+    return problem_of(
+        views,
+        target,
+        [lens_of(LENS_OF[camera]) for camera in cameras],
+        np.stack([CAMERAS[camera] for camera in cameras]),
+        poses,
+        [SIZE_PX] * 2,
+        Freedom(np.arange(2), np.zeros((2, 9), dtype=bool)),
+        systematics,
+        np.stack([IN_SET[board] for board in boards]),
+    )
+
+
+@pytest.fixture(scope="module")
+def found():
+    """Cameras that face each other: neither ever sees what the other sees."""
+    cameras, boards = OPPOSITE
+    shots = set_shots(boards, cameras, count=8)
+    return calibrate_rig(
+        shots, set_of(boards), lens=KNOWN_OPPOSITE, systematics=EXACT, world="left"
+    )
+
+
+KNOWN_OPPOSITE = {name: KNOWN[name] for name in OPPOSITE[0]}
+
+
+def test_cameras_that_never_see_one_board_are_connected_by_their_motions(found):
+    assert found.rig is not None
+    true = chained(CAMERAS["far"], inverse(CAMERAS["left"]))
+    np.testing.assert_allclose(far_from_left(found.rig), true, atol=0.3)
+    np.testing.assert_allclose(found.reference_from_board[1], fixed("front", "back"), atol=0.2)
+    for k, axis in enumerate("xyz"):
+        name = f"board.back.{axis}_mm"
+        assert abs(found.value(name) - fixed("front", "back")[k, 3]) < 4 * found.sigma(name)
+        assert 0 < found.sigma(name) < 0.2
+        assert 0 < found.sigma(f"board.back.turn_{axis}_deg") < 0.1
+    assert 0.8 < found.reduced_chi_square < 1.2
+    (sentence,) = found.fixed_boards
+    assert sentence.startswith('"back" lies at x ')
+    assert sentence in found.summary()
+    assert 0.4 < found.halves.ratio < 1.8
+
+
+def test_which_board_is_the_reference_changes_the_frame_alone(found):
+    cameras, boards = OPPOSITE
+    turned = boards[::-1]
+    shots = {}
+    for camera, own in set_shots(boards, cameras, count=8).items():
+        # The same noise: the labels alone change.
+        counts = [len(BOARDS[name]) for name in boards]
+        order = np.concatenate([np.arange(counts[0]) + counts[1], np.arange(counts[1])])
+        shots[camera] = [
+            type(each)(**{**vars(each), "circle_index": order[each.circle_index]}) for each in own
+        ]
+    other = calibrate_rig(
+        shots, set_of(turned), lens=KNOWN_OPPOSITE, systematics=EXACT, world="left"
+    )
+    np.testing.assert_allclose(far_from_left(other.rig), far_from_left(found.rig), atol=1e-5)
+    np.testing.assert_allclose(
+        other.reference_from_board[1], inverse(found.reference_from_board[1]), atol=1e-5
+    )
+    for name in found.rig.parameters:
+        assert other.rig.sigma(name) == pytest.approx(found.rig.sigma(name), rel=1e-4)
+    # The set lies where its first board does.
+    np.testing.assert_allclose(
+        chained(found.world_from_board[0], found.reference_from_board[1]),
+        other.world_from_board[0],
+        atol=1e-5,
+    )
+
+
+def test_one_board_in_a_set_is_that_board():
+    shots = set_shots(("front",), ("left", "right"), count=5)
+    known = {name: KNOWN[name] for name in ("left", "right")}
+    alone = calibrate_rig(shots, FRONT, lens=known, systematics=EXACT)
+    one = calibrate_rig(shots, BoardSet([FRONT]), lens=known, systematics=EXACT)
+    np.testing.assert_array_equal(one.values, alone.values)
+    np.testing.assert_array_equal(one.covariance, alone.covariance)
+
+
+def test_the_equations_of_a_set_are_those_of_the_cost():
+    here = known_problem(np.random.default_rng(0), Systematics.typical({}))
+    loss = GemanMcClure.from_scale(jnp.asarray(3.0))
+    table, chart, state = jax.tree.map(jnp.asarray, (here.table, here.chart, here.state))
+    off = 1e-3 * np.random.default_rng(0).normal(size=len(chart.free))
+    start = retracted(state, chart, off, np.zeros((8, 6)))
+
+    def at(head, boards):
+        return cost(retracted(start, chart, head, boards), chart, table, loss)
+
+    zero = jnp.zeros(len(chart.free)), jnp.zeros((8, 6))
+    by_head, by_boards = jax.jit(jax.grad(at, argnums=(0, 1)))(*zero)
+    equations = jax.jit(shot_equations)(start, chart, table, loss)
+    np.testing.assert_allclose(2 * equations.gradient[0], by_head, rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(2 * equations.gradient[1], by_boards, rtol=1e-6, atol=1e-6)
+
+
+def test_errors_are_as_large_as_is_claimed():
+    squares, truth = [], known_problem(np.random.default_rng(0))
+    unit = float(truth.chart.unit_mm)
+    for seed in range(40):
+        start = known_problem(np.random.default_rng(100 + seed))._replace(state=truth.state)
+        end, converged = fitted(start)
+        assert converged
+        covariance = information_of(end).seen.covariance
+        shifts = [
+            end.state.cam_from_rig[1][:, 3] - CAMERAS["far"][:, 3],
+            end.state.set_from_board[1][:, 3] - IN_SET["back"][:, 3],
+        ]
+        sigma = unit * np.sqrt(np.diag(covariance).reshape(2, 6)[:, 3:])
+        squares.append((np.stack(shifts) / sigma) ** 2)
+    ratio = np.sqrt(np.mean(squares, axis=(0, 2)))
+    np.testing.assert_allclose(ratio, 1.0, atol=0.2)
+    assert 0.9 < np.sqrt(np.mean(squares)) < 1.1
+
+
+def test_motions_that_turn_about_one_axis_leave_something_open():
+    cameras, boards = board_poses(1, seed=8)[0], board_poses(1, seed=9)[0]
+    first = board_poses(5)
+    second = np.stack([chained(chained(cameras, pose), boards) for pose in first])
+    found = hand_eye(first, second)
+    assert found is not None
+    np.testing.assert_allclose(found.cameras, cameras, atol=1e-8)
+    np.testing.assert_allclose(found.boards, boards, atol=1e-8)
+    angles = 0.2 * np.arange(5)
+    on_a_table = np.stack(
+        [[[np.cos(a), -np.sin(a), 0, 9 * a], [np.sin(a), np.cos(a), 0, 5.0], [0, 0, 1, 600.0]]
+         for a in angles]
+    )  # fmt: skip
+    assert hand_eye(on_a_table, on_a_table) is None
+    assert hand_eye(first[:2], second[:2]) is None
+
+
+def test_boards_that_nothing_connects_are_named():
+    shots = set_shots(("front", "side"), ("left",), count=6)
+    one_at_a_time = []
+    for number, each in enumerate(shots["left"]):
+        parts = split_by_board(each, set_of(("front", "side")))
+        one_at_a_time.append(parts.get(number % 2, parts[0]))
+    with pytest.raises(CalibrationError, match="fixed to each other: the groups are front; side"):
+        calibrate_rig({"left": one_at_a_time}, set_of(("front", "side")), lens=KNOWN["left"])
+    with pytest.raises(CalibrationError, match='"other" is found in no picture'):
+        calibrate_rig(
+            shots,
+            BoardSet({**{n: BOARDS[n] for n in ("front", "side")},
+                      "other": Chessboard(rows=8, columns=9, square_mm=10.0)}),
+            lens=KNOWN["left"],
+        )  # fmt: skip
+
+
+def test_a_set_is_fitted_by_its_points_alone():
+    picture = np.full((480, 640), 128, np.uint8)
+    with pytest.raises(InputError, match="holds several boards"):
+        calibrate_rig({"left": [picture]}, set_of(("front", "side")), method="pixels")
+
+
+def test_a_camera_sees_several_boards_in_a_shot():
+    names = ("front", "side")
+    known = {name: KNOWN[name] for name in ("left", "right")}
+    result = calibrate_rig(set_shots(names, ("left", "right"), count=5), set_of(names), lens=known)
+    assert result.rig is not None
+    np.testing.assert_allclose(result.reference_from_board[1], fixed(*names), atol=0.5)
+    assert {view.board for view in result.views} == {0, 1}
+    assert {"board.front.scale_x", "board.side.warp_x_mm"} <= set(result.parameters)
+    assert result.sigma("board.side.x_mm") > 0
+    assert SIGMA_PX * 1.2 < result.rms_px() < SIGMA_PX * 1.6
+    advice = next_shot(result)
+    assert advice is not None
+    assert '"side"' in advice.sentence or '"front"' in advice.sentence
