@@ -8,7 +8,7 @@ from trinoc.calib.shots.motions import chained, inverse
 from trinoc.geometry import rotation_from_vector
 
 SIGMA_PX = 0.05
-FRONT = Chessboard(rows=5, columns=6, square_mm=25.0)
+FRONT = Chessboard(rows=5, columns=7, square_mm=22.0)
 BACK = AprilGrid(rows=3, columns=3, tag_mm=36.0, spacing=0.3, name="back")
 SIDE = Chessboard(rows=4, columns=6, square_mm=25.0)
 # A block that a person holds: the back looks the other way, the side to the right.

@@ -52,7 +52,7 @@ def halves_check(
         seen = information.seen
         if not converged or seen.rank < len(information.free):
             return None
-        ends.append((_steps_between(problem, end)[information.free], seen.covariance))
+        ends.append((steps_between(problem, end)[information.free], seen.covariance))
         states.append(end.state)
     (first, first_covariance), (second, second_covariance) = ends
     covariance = variance_factor * (first_covariance + second_covariance)
@@ -67,7 +67,7 @@ def halves_check(
     return HalvesCheck(ratio, names[column], float(each[worst]), len(difference), over_field)
 
 
-def _steps_between(problem: Problem, end: Problem) -> np.ndarray:
+def steps_between(problem: Problem, end: Problem) -> np.ndarray:
     """The step of the head that takes the whole fit to that of a half."""
     start, stop, chart = problem.state, end.state, problem.chart
     count = len(chart.lens_scale)
