@@ -36,6 +36,13 @@ from .lenses.registry import (
     simplified as simplified,
     stack_lenses as stack_lenses,
 )
+from .lenses.splined import (
+    SPLINED as SPLINED,
+    AbstractSplined as AbstractSplined,
+    SplinedBrownConrady as SplinedBrownConrady,
+    SplinedKannalaBrandt as SplinedKannalaBrandt,
+    SplinedRational as SplinedRational,
+)
 from .line_observations import LineObservations as LineObservations
 from .lines import (
     line_of_planes as line_of_planes,
