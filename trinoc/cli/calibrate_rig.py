@@ -33,10 +33,19 @@ class CalibrateRig(Command):
     """Layout of the board (JSON), as `trinoc pattern` writes it: sheet or board."""
 
     lens_model: Literal[
-        "brown_conrady", "rational", "thin_prism", "kannala_brandt", "none", "auto"
+        "brown_conrady",
+        "rational",
+        "thin_prism",
+        "kannala_brandt",
+        "none",
+        "auto",
+        "splined",
+        "splined_brown_conrady",
+        "splined_rational",
+        "splined_kannala_brandt",
     ] = "brown_conrady"
     """Model of the lenses; kannala_brandt for fisheyes, auto for the one that the shots call
-    for."""
+    for, splined for the best one corrected by B-splines."""
 
     distortion: Annotated[
         int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: all determined)")

@@ -34,9 +34,11 @@ from .lenses.registry import (
     lens_model as lens_model,
     promoted as promoted,
     simplified as simplified,
+    splined as splined,
     stack_lenses as stack_lenses,
 )
 from .lenses.splined import (
+    CONTROL_POINTS as CONTROL_POINTS,
     SPLINED as SPLINED,
     AbstractSplined as AbstractSplined,
     SplinedBrownConrady as SplinedBrownConrady,

@@ -10,7 +10,7 @@ from trinoc.calib.shots.halves import HalvesCheck
 from trinoc.calib.shots.problem import EndedProblem
 from trinoc.calib.shots.table import View
 from trinoc.calib.targets import AbstractTarget
-from trinoc.geometry import Rig
+from trinoc.geometry import CONTROL_POINTS, Rig
 
 
 class RigFromShots(eqx.Module):
@@ -108,7 +108,9 @@ def summary_text(result: RigFromShots) -> str:
         lines += [
             f"  {name.removeprefix(prefix):12} {_with_sigma(result, name)}"
             for name in result.parameters
-            if name.startswith(prefix) and result.sigma(name) != 0.0
+            if name.startswith(prefix)
+            and result.sigma(name) != 0.0
+            and name.removeprefix(prefix) not in CONTROL_POINTS
         ]
     lines += [
         f"{name:14} {_with_sigma(result, name)}"

@@ -48,6 +48,8 @@ class Chart(eqx.Module):
     half_mm : (2,) half the extent of the board, where its warp is zero.
     lens_of_camera : (c,) which of the lenses each camera has.
     free : (h,) 1 for steps of the head that are taken, 0 for others.
+    lens_information : (l, q, q) inverse covariance of the prior on each lens's parameters, whose
+        mean is 0; zero where nothing was known.
     sheet_information : (4, 4) inverse covariance of the prior on `sheet`, whose mean is 0.
     shape_information : (3,) inverse variance of the prior on each axis of `shape`.
     has_circles : whether some place is a circle.
@@ -58,6 +60,7 @@ class Chart(eqx.Module):
     half_mm: Float[ArrayLike, "2"]
     lens_of_camera: Int[ArrayLike, "c"]
     free: Float[ArrayLike, "h"]
+    lens_information: Float[ArrayLike, "l q q"]
     sheet_information: Float[ArrayLike, "4 4"]
     shape_information: Float[ArrayLike, "3"]
     has_circles: bool = eqx.field(static=True)
@@ -71,6 +74,12 @@ class Chart(eqx.Module):
     def sheet_first(self) -> int:
         """Where, in the head, the steps of the sheet begin; those of its places follow."""
         return self.lens_scale.size + POSE_SIZE * self.lens_of_camera.shape[0]
+
+    @property
+    def lens_prior(self) -> Float[ArrayLike, "k k"]:
+        """Information known beforehand on the steps of all lenses, which begin the head."""
+        of_each = self.lens_scale[:, :, None] * self.lens_information * self.lens_scale[:, None, :]
+        return block_diag(*of_each)
 
     @property
     def board_prior(self) -> Float[ArrayLike, "b b"]:

@@ -51,6 +51,20 @@ def simplified(lens: AbstractLens) -> AbstractLens:
     return Pinhole(lens.focal_length_px, lens.principal_point_px, lens.skew_px, none)
 
 
+def splined(lens: AbstractLens, image_size_px: tuple[int, int]) -> AbstractSplined:
+    """A lens with a correction that is zero, and may be fitted.
+
+    Raises InputError for a model that is no core of a splined lens.
+    """
+    core = promoted(lens)
+    if type(core) not in SPLINED:
+        raise InputError(
+            f"The lens model {core.model} takes no correction by splines: use one of "
+            f"{', '.join(each.model for each in SPLINED)}."
+        )
+    return SPLINED[type(core)].of_core(core, image_size_px)
+
+
 def stack_lenses(lenses: Sequence[AbstractLens]) -> AbstractLens:
     """Several lenses along a new first axis, ideal ones promoted to the model of the others.
 

@@ -6,29 +6,33 @@ Source of the idea: mrcal's splined models, whose surface lies over a stereograp
 """
 
 from functools import cache
-from typing import ClassVar, Self
+from typing import TYPE_CHECKING, ClassVar
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.geometry.lenses.abstract_lens import (
-    AFFINE_PARAMETERS,
-    AbstractClassVar,
-    AbstractLens,
-)
+from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS, AbstractLens
 from trinoc.geometry.lenses.brown_conrady import BrownConrady
 from trinoc.geometry.lenses.kannala_brandt import KannalaBrandt
 from trinoc.geometry.lenses.newton import inverse_in_plane
 from trinoc.geometry.lenses.radial import RadialPart
 from trinoc.geometry.lenses.rational import Rational
-from trinoc.geometry.lenses.spline_surface import ORDER, smoothness, surface
+from trinoc.geometry.lenses.spline_surface import ORDER, basis, smoothness, surface
 from trinoc.numerics import ArrayLike, namespace_of
+
+# Type checkers know this one by the name that it has in a class that is not abstract.
+if TYPE_CHECKING:
+    from typing import ClassVar as AbstractClassVar
+else:
+    from equinox import AbstractClassVar
 
 ROWS, COLUMNS = 10, 12
 _CELLS = np.array([COLUMNS, ROWS]) - ORDER + 1
 _EXTENT = ("log_half_u", "log_half_v")
 _CONTROL = tuple(f"{d}_{r}_{c}" for d in ("du", "dv") for r in range(ROWS) for c in range(COLUMNS))
+# Names of the control points, too many to be listed one by one.
+CONTROL_POINTS = frozenset(_CONTROL)
 _ADDED = (*_EXTENT, *_CONTROL)
 _POWERS = (0,) * len(_ADDED)
 # The grid goes beyond the edges of the picture by this share.
@@ -47,6 +51,7 @@ class AbstractSplined(AbstractLens):
     """
 
     core_model: AbstractClassVar[type[AbstractLens]]
+    control_count: ClassVar[int] = len(_CONTROL)
     never_fitted: ClassVar[tuple[str, ...]] = _EXTENT
 
     @property
@@ -98,17 +103,36 @@ class AbstractSplined(AbstractLens):
         of_control = xp.stack([corner_px] * len(_CONTROL))
         return xp.concatenate([self.core.parameter_scales(image_size_px), extent, of_control])
 
+    def with_focal_factor(self, factor: Float[ArrayLike, "2"]) -> "AbstractSplined":
+        """This lens with focal lengths multiplied, and the correction with them."""
+        xp = namespace_of(self, factor)
+        scaled = super().with_focal_factor(factor)
+        control = (self.control_px * factor[:, None, None]).ravel()
+        values = xp.concatenate([self.parameters[: -len(_CONTROL)], control])
+        return scaled.with_parameters(xp.concatenate([scaled.parameters[:2], values[2:]]))
+
     def _corrected(self, place: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
         """A place of the core's picture, in focal lengths, after the correction."""
-        half = jnp.exp(self.coefficients[-len(_CONTROL) - 2 : -len(_CONTROL)])
-        cells = _CELLS.astype(place.dtype)
-        in_cells = 0.5 * (place / half + 1.0) * cells
-        du, dv = self.control_px
+        in_cells, (du, dv) = self._in_cells(place), self.control_px
         shift_px = jnp.stack([surface(du, in_cells), surface(dv, in_cells)])
         return place + shift_px / self.focal_length_px
 
+    def by_control(self, uv_of_core_px: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2 k"]:
+        """Derivative of a pixel, of a lens without skew, by the control points, the last of its
+        parameters. Which count is told by the pixel that the core has.
+        """
+        along, across = basis(self._in_cells(self.affine_inverse(uv_of_core_px)), ROWS, COLUMNS)
+        counts = (along[:, None] * across[None]).ravel()
+        none = jnp.zeros_like(counts)
+        return jnp.stack([jnp.concatenate([counts, none]), jnp.concatenate([none, counts])])
+
+    def _in_cells(self, place: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
+        """A place of the core's picture, in cells from the corner of the grid."""
+        half = jnp.exp(self.coefficients[-len(_CONTROL) - 2 : -len(_CONTROL)])
+        return 0.5 * (place / half + 1.0) * _CELLS.astype(place.dtype)
+
     @classmethod
-    def of_core(cls, core: AbstractLens, image_size_px: tuple[int, int]) -> Self:
+    def of_core(cls, core: AbstractLens, image_size_px: tuple[int, int]) -> "AbstractSplined":
         """A lens of `core_model`, its correction zero, on a grid that covers the picture."""
         centre, size = np.asarray(core.principal_point_px), np.asarray(image_size_px, float)
         reach_px = np.maximum(centre + 0.5, size - 0.5 - centre)
