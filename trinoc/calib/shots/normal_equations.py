@@ -158,7 +158,8 @@ def view_blocks(
     jacobian, residual = jax.jacfwd(after, has_aux=True)(zero)
     if isinstance(state.lenses, AbstractSplined):
         by_control = _by_control(state, chart, camera, shot, place, *rest)
-        parts = [jacobian[..., :curved], lens_scale[curved:] * by_control, jacobian[..., curved:]]
+        by_control = lens_scale[None, None, curved:] * by_control
+        parts = [jacobian[..., :curved], by_control, jacobian[..., curved:]]
         jacobian = jnp.concatenate(parts, axis=-1)
     by_head, by_board, by_aside = jnp.split(jacobian, [count - POSE_SIZE, count], axis=-1)
     # Every place moves its own image alone.
