@@ -11,6 +11,7 @@ from scipy.interpolate import BSpline
 from trinoc.errors import InputError
 from trinoc.geometry import (
     SPLINED,
+    AbstractSplined,
     BrownConrady,
     Intrinsics,
     KannalaBrandt,
@@ -37,10 +38,11 @@ def corrected(core=CORE, scale_px=2.0, seed=0):
     """A lens whose control points are scattered about 0."""
     lens = splined(core, SIZE_PX)
     values = np.array(lens.parameters)
-    values[-lens.control_count :] = np.random.default_rng(seed).normal(
-        0.0, scale_px, lens.control_count
-    )
-    return lens.with_parameters(values)
+    control = np.random.default_rng(seed).normal(0.0, scale_px, lens.control_count)
+    values[-lens.control_count :] = control
+    moved = lens.with_parameters(values)
+    assert isinstance(moved, AbstractSplined)
+    return moved
 
 
 def pixels(count=60, seed=1):

@@ -38,7 +38,7 @@ from .lenses.registry import (
     stack_lenses as stack_lenses,
 )
 from .lenses.splined import (
-    CONTROL_POINTS as CONTROL_POINTS,
+    SPLINE_PARAMETERS as SPLINE_PARAMETERS,
     SPLINED as SPLINED,
     AbstractSplined as AbstractSplined,
     SplinedBrownConrady as SplinedBrownConrady,

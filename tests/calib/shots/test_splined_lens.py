@@ -24,6 +24,7 @@ from trinoc.calib.shots.state import retracted
 from trinoc.calib.shots.table import View
 from trinoc.errors import InputError
 from trinoc.geometry import (
+    AbstractSplined,
     Camera,
     Intrinsics,
     Pose,
@@ -128,7 +129,8 @@ def test_two_fits_under_one_prior_differ_as_their_covariances_say():
         told = truth @ own.T + np.sqrt(factor) * random.normal(size=(4000, 5))
         ends.append(told @ own @ covariance)
         covariances.append(covariance)
-    expected = covariance_of_difference(*covariances, prior, factor)
+    first, second = covariances
+    expected = covariance_of_difference(first, second, prior, factor)
     found = np.cov((ends[0] - ends[1]).T)
     scale = np.sqrt(np.diag(expected))
     np.testing.assert_allclose(
@@ -169,6 +171,7 @@ def test_a_bump_is_found_as_well_as_is_claimed():
     covariance = np.zeros((len(scale), len(scale)))
     covariance[rows] = information.seen.covariance[:249, :249]
     lens = lens_number(end, 0)
+    assert isinstance(lens, AbstractSplined)
     error, claimed = field_error(lens, covariance * np.outer(scale, scale))
     assert 0.8 < np.sqrt(np.mean(error**2) / np.mean(np.diag(claimed))) < 1.25
     near = np.linalg.norm(field_px() - WHERE_PX, axis=1) < 1.5 * WIDTH_PX
@@ -186,6 +189,9 @@ def test_a_rig_is_calibrated_with_splines_where_its_shots_ask_for_them(tmp_path)
     found = calibrate_rig(shots, BOARD, lens_model="auto", systematics=Systematics())
     assert "ask for a correction by splines" in found.notes[0]
     assert "splined_brown_conrady was chosen" in found.notes[0]
+    assert found.halves is not None
+    assert found.cross_validation is not None
+    assert found.rig is not None
     assert found.halves.ratio == pytest.approx(1.0, abs=0.3)
     assert found.cross_validation.own_px["left"] < 1.3 * np.sqrt(2) * SIGMA_PX
     assert "du_3_4" not in found.summary()

@@ -10,7 +10,7 @@ from trinoc.calib.shots.halves import HalvesCheck
 from trinoc.calib.shots.problem import EndedProblem
 from trinoc.calib.shots.table import View
 from trinoc.calib.targets import AbstractTarget
-from trinoc.geometry import CONTROL_POINTS, Rig
+from trinoc.geometry import SPLINE_PARAMETERS, Rig
 
 
 class RigFromShots(eqx.Module):
@@ -110,7 +110,7 @@ def summary_text(result: RigFromShots) -> str:
             for name in result.parameters
             if name.startswith(prefix)
             and result.sigma(name) != 0.0
-            and name.removeprefix(prefix) not in CONTROL_POINTS
+            and name.removeprefix(prefix) not in SPLINE_PARAMETERS
         ]
     lines += [
         f"{name:14} {_with_sigma(result, name)}"

@@ -31,9 +31,9 @@ ROWS, COLUMNS = 10, 12
 _CELLS = np.array([COLUMNS, ROWS]) - ORDER + 1
 _EXTENT = ("log_half_u", "log_half_v")
 _CONTROL = tuple(f"{d}_{r}_{c}" for d in ("du", "dv") for r in range(ROWS) for c in range(COLUMNS))
-# Names of the control points, too many to be listed one by one.
-CONTROL_POINTS = frozenset(_CONTROL)
 _ADDED = (*_EXTENT, *_CONTROL)
+# Names of the coefficients of the correction, too many to be listed one by one.
+SPLINE_PARAMETERS = frozenset(_ADDED)
 _POWERS = (0,) * len(_ADDED)
 # The grid goes beyond the edges of the picture by this share.
 _MARGIN = 0.02

@@ -79,8 +79,8 @@ def numbers_of(
         advice = "choose another"
         if isinstance(lens.lens, AbstractSplined):
             advice = (
-                "no other tool's format holds these splines; calibrate with "
-                f"{lens.lens.core_model.model}, or export its rig.json"
+                "no other tool's format holds these splines; calibrate it with "
+                f"{lens.lens.core_model.model} for that"
             )
         raise InputError(f"{who} is {lens.lens.model}, which {title} cannot hold: {advice}.")
     for row in fitting:
