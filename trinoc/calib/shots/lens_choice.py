@@ -104,17 +104,15 @@ def choice_sentence(
         f"Of the lenses tried, {choice.model} was chosen: fitted to one half of the shots it "
         f"misses the places of the other half by {choice.rms_px[choice.model]:.3g} px{against}"
     )
-    tests = {
-        "k4, k5, k6 of the rational lens": rational,
-        "a correction by splines, since no polynomial describes the lens": correction,
-    }
+    tests = {"k4, k5, k6 of the rational lens": rational, "a correction by splines": correction}
     verdicts = [
         f"{'ask for' if asked_for(test) else 'do not ask for'} {what} (chance {test.chance:.2g})"
         for what, test in tests.items()
         if test is not None
     ]
-    return (
-        f"{sentence}; by score tests the shots {', and '.join(verdicts)}."
-        if verdicts
-        else (f"{sentence}.")
-    )
+    if not verdicts:
+        return f"{sentence}."
+    told = f"{sentence}; by score tests the shots {', and '.join(verdicts)}"
+    if correction is None or not asked_for(correction):
+        return f"{told}."
+    return f"{told}: the polynomial does not describe the lens, or the board is not as drawn."
