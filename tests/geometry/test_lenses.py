@@ -11,6 +11,7 @@ from trinoc.errors import InputError
 from trinoc.geometry import (
     AFFINE_PARAMETERS,
     LENS_MODELS,
+    SPLINED,
     AbstractLens,
     BrownConrady,
     Intrinsics,
@@ -37,8 +38,14 @@ def example(model: type[AbstractLens]) -> AbstractLens:
     )
 
 
-LENSES = [example(model) for model in LENS_MODELS.values()]
-every_lens = pytest.mark.parametrize("lens", LENSES, ids=LENS_MODELS)
+# Of the splined ones, which differ by their cores, one.
+MODELS = {
+    name: model
+    for name, model in LENS_MODELS.items()
+    if model not in SPLINED.values() or model.core_model is KannalaBrandt
+}
+LENSES = [example(model) for model in MODELS.values()]
+every_lens = pytest.mark.parametrize("lens", LENSES, ids=MODELS)
 project_ray = jax.jit(lambda lens, ray: lens.project_ray(ray))
 unproject = jax.jit(lambda lens, uv_px: lens.unproject(uv_px))
 
@@ -108,7 +115,7 @@ def test_lenses_of_one_model_stack_and_go_through_vmap(lens):
 def test_an_ideal_lens_is_promoted_to_the_others_it_is_stacked_with(lens):
     ideal = Pinhole.from_parameters(np.array(AFFINE))
     if not lens.zero_is_ideal:
-        with pytest.raises(InputError, match=f"{lens.model} and none"):
+        with pytest.raises(InputError, match=" and ".join(sorted((lens.model, "none")))):
             stack_lenses([ideal, lens])
         return
     stacked = stack_lenses([ideal, lens])

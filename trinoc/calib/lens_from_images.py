@@ -7,11 +7,14 @@ import numpy as np
 
 from trinoc.calib.detection import Detection
 from trinoc.calib.intrinsics import IntrinsicsResult, lens_of_circles
-from trinoc.calib.shots import lens_of_pixels
+from trinoc.calib.shots import lens_of_rig
 from trinoc.calib.targets import Pattern
 from trinoc.errors import InputError
-from trinoc.geometry import DEFAULT_DISTORTION
+from trinoc.geometry import DEFAULT_DISTORTION, AbstractSplined, SplinedBrownConrady, lens_model
 from trinoc.numerics import ArrayLike, in_float64
+
+# Names that stand for models.
+_CALLED = {"splined": SplinedBrownConrady.model}
 
 
 @in_float64
@@ -35,7 +38,9 @@ def calibrate_intrinsics(
     image_size_px : (width, height) that all pictures must have; that of the first by default.
     distortion : number of coefficients, for Brown-Conrady 0, 1, 2, 4 or 5 of k1, k2, p1, p2, k3.
         As many as the pictures determine unless given; a note says how many they ask for.
-    distortion_model : name of the lens model, of `lenses.registry.LENS_MODELS`.
+    distortion_model : name of the lens model, of `lenses.registry.LENS_MODELS`. "splined_" before
+        the name of a polynomial model corrects it by B-splines; "splined" is Brown-Conrady's so
+        corrected. It frees both focal lengths.
     principal_point : "free", or "centre" to hold it in the middle of the picture.
     pixel_pitch_mm : size of a pixel along u and v, where it is known: the lens then has a
         focal length in millimetres, too.
@@ -67,17 +72,24 @@ def calibrate_intrinsics(
             "Detections are given, in which no grey levels are left: give the pictures, or "
             'method="points".'
         )
+    distortion_model = _CALLED.get(distortion_model, distortion_model)
+    model = lens_model(distortion_model)
+    is_splined = issubclass(model, AbstractSplined) and distortion is None
+    if is_splined and aspect != "free":
+        raise InputError("A splined lens frees both focal lengths: leave out aspect.")
+    core = model.core_model.model if issubclass(model, AbstractSplined) else distortion_model
     result = lens_of_circles(
         images_or_detections,
         pattern,
         image_size_px=image_size_px,
         distortion=distortion,
-        distortion_model=distortion_model,
+        distortion_model=core,
         principal_point=principal_point,
         pixel_pitch_mm=pixel_pitch_mm,
         aspect=aspect,
         throw=throw,
     )
-    if method == "points" or result.lens is None:
+    if result.lens is None or (method == "points" and not is_splined):
         return result
-    return lens_of_pixels(result, [np.asarray(each) for each in pictures], distortion_model)
+    images = [np.asarray(each) for each in pictures] if method == "pixels" else None
+    return lens_of_rig(result, distortion_model if is_splined else core, images)

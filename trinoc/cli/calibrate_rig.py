@@ -34,10 +34,19 @@ class CalibrateRig(Command):
     times for boards that are fixed to each other; how they are is found."""
 
     lens_model: Literal[
-        "brown_conrady", "rational", "thin_prism", "kannala_brandt", "none", "auto"
+        "brown_conrady",
+        "rational",
+        "thin_prism",
+        "kannala_brandt",
+        "none",
+        "auto",
+        "splined",
+        "splined_brown_conrady",
+        "splined_rational",
+        "splined_kannala_brandt",
     ] = "brown_conrady"
     """Model of the lenses; kannala_brandt for fisheyes, auto for the one that the shots call
-    for."""
+    for, splined for the best one corrected by B-splines."""
 
     distortion: Annotated[
         int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: all determined)")

@@ -27,11 +27,24 @@ class Intrinsics(Command):
     pattern: Path
     """Layout of the sheet (JSON), as `trinoc pattern` writes it."""
 
+    lens_model: Literal[
+        "brown_conrady",
+        "rational",
+        "thin_prism",
+        "kannala_brandt",
+        "splined",
+        "splined_brown_conrady",
+        "splined_rational",
+        "splined_kannala_brandt",
+    ] = "brown_conrady"
+    """Model of the lens; splined is brown_conrady corrected by B-splines, for a lens that no
+    polynomial describes."""
+
     distortion: Annotated[
-        Literal[0, 1, 2, 4, 5] | None,
-        tyro.conf.arg(help_behavior_hint="(default: all that are determined)"),
+        int | None,
+        tyro.conf.arg(metavar="N", help_behavior_hint="(default: all that are determined)"),
     ] = None
-    """Number of coefficients k1, k2, p1, p2, k3."""
+    """Number of coefficients of that model; of brown_conrady, of k1, k2, p1, p2, k3."""
 
     principal_point: Literal["free", "centre"] = "free"
     """Whether the principal point is fitted, or held in the middle of the picture."""
@@ -67,6 +80,7 @@ class Intrinsics(Command):
             images,
             pattern,
             distortion=self.distortion,
+            distortion_model=self.lens_model,
             principal_point=self.principal_point,
             pixel_pitch_mm=pitch_mm,
             aspect=self.aspect,

@@ -34,7 +34,16 @@ from .lenses.registry import (
     lens_model as lens_model,
     promoted as promoted,
     simplified as simplified,
+    splined as splined,
     stack_lenses as stack_lenses,
+)
+from .lenses.splined import (
+    SPLINE_PARAMETERS as SPLINE_PARAMETERS,
+    SPLINED as SPLINED,
+    AbstractSplined as AbstractSplined,
+    SplinedBrownConrady as SplinedBrownConrady,
+    SplinedKannalaBrandt as SplinedKannalaBrandt,
+    SplinedRational as SplinedRational,
 )
 from .line_observations import LineObservations as LineObservations
 from .lines import (

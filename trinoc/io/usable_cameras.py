@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from trinoc.errors import InputError
-from trinoc.geometry import Camera, Intrinsics, at_one_place
+from trinoc.geometry import AbstractSplined, Camera, Intrinsics, at_one_place
 
 # Focal length over the longer side of the picture: from nearly 180 degrees to a large telescope.
 FOCAL_RANGE = (1e-3, 1e5)
@@ -42,6 +42,11 @@ def expect_lens(lens: Intrinsics, where: str) -> Intrinsics:
             f"{where} has a distortion that folds the picture {fold_px:.0f} px from the principal "
             f"point, where corners lie {corner_px:.0f} px away: check the coefficients, their "
             "order and signs, or fit fewer of them."
+        )
+    if isinstance(lens.lens, AbstractSplined) and not lens.lens.steepness() < 1.0:
+        raise InputError(
+            f"{where} has a correction that folds the picture: neighbouring control points differ "
+            f"by {lens.lens.steepness():.2g} times their distance. Check their order and unit (px)."
         )
     return lens
 

@@ -51,7 +51,7 @@ def assess_lens(
         notes.append(not_converged_sentence(fit))
     choice = choice_sentence(chosen, asked)
     notes += [] if choice is None else [choice]
-    notes += notes_of_lens(fit, images, model, reduced, image_index)
+    notes += notes_of_lens(fit.lens, images, model, reduced, image_index)
     values = np.array(fit.lens.parameters)
     values[list(seen.gauge)] = np.nan
     good = status is Status.CONVERGED

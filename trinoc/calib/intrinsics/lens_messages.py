@@ -5,6 +5,7 @@ import numpy as np
 from trinoc.calib.intrinsics.lens_fit import LensFit
 from trinoc.calib.intrinsics.lens_parameters import LensModel
 from trinoc.calib.intrinsics.robust_lens import LensImages
+from trinoc.geometry import AbstractLens
 
 # A sheet tilted by less hardly shortens: focal length and distance look alike.
 _SQUARE_DEG = 8.0
@@ -70,7 +71,7 @@ def misfit_sentence(fit: LensFit, images: LensImages) -> str | None:
 
 
 def notes_of_lens(
-    fit: LensFit,
+    lens: AbstractLens,
     images: LensImages,
     model: LensModel,
     reduced_chi_square: float,
@@ -91,7 +92,7 @@ def notes_of_lens(
             "sigmas say; the parameters' sigmas are enlarged by that factor. See that the sheet "
             "is flat and that all pictures were taken at one zoom and focus."
         )
-    share = reach(fit, images)
+    share = reach(lens, images)
     if model.distortion and share < _ENOUGH_REACH:
         notes.append(
             f"No circle lies further than {100 * share:.0f} % of the way from the principal point "
@@ -100,9 +101,9 @@ def notes_of_lens(
     return tuple(notes)
 
 
-def reach(fit: LensFit, images: LensImages) -> float:
+def reach(lens: AbstractLens, images: LensImages) -> float:
     """How far circles lie from the principal point, as a share of the farthest corner."""
-    middle = np.asarray(fit.lens.principal_point_px)
+    middle = np.asarray(lens.principal_point_px)
     width, height = images.image_size_px
     corners = np.array([[0, 0], [width, 0], [0, height], [width, height]]) - 0.5
     farthest = np.linalg.norm(corners - middle, axis=1).max()

@@ -10,7 +10,7 @@ from trinoc.calib.detection import Detection
 from trinoc.calib.intrinsics.advice import NextImage
 from trinoc.calib.result import Status
 from trinoc.calib.targets import Pattern
-from trinoc.geometry import Intrinsics
+from trinoc.geometry import SPLINE_PARAMETERS, Intrinsics
 
 
 class IntrinsicsResult(eqx.Module):
@@ -82,7 +82,7 @@ def summary_text(result: IntrinsicsResult) -> str:
     lines = [
         f"{name:6} {_with_sigma(value, result.sigma(name), name in result.free)}"
         for name, value in zip(result.parameters, result.values, strict=True)
-        if name in result.free or value != 0.0
+        if (name in result.free or value != 0.0) and name not in SPLINE_PARAMETERS
     ]
     circles = sum(int(used.sum()) for used in result.used)
     lines.append(

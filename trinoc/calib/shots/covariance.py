@@ -40,7 +40,7 @@ class Information(NamedTuple):
     follow : (s, 6, h) how each board follows the head.
     own : (s, 6, 6) covariance of each board, the head given.
     free : (f,) columns of the head that were fitted.
-    prior : (f, f) information that was known of the board beforehand.
+    prior : (f, f) information that was known of lenses and board beforehand.
     shape_first : where, in the head, the steps of the board's places begin.
     """
 
@@ -72,7 +72,8 @@ def information_of(problem: Problem) -> Information:
     )
     free = np.flatnonzero(problem.chart.free)
     prior = np.zeros((len(problem.chart.free),) * 2)
-    first = problem.chart.sheet_first
+    first, lenses = problem.chart.sheet_first, problem.chart.lens_scale.size
+    prior[:lenses, :lenses] = np.asarray(problem.chart.lens_prior)
     prior[first:, first:] = np.asarray(problem.chart.board_prior)
     prior = prior[np.ix_(free, free)]
     return Information(of_shot, pulls, follow, own, free, prior, problem.chart.shape_first)

@@ -8,6 +8,7 @@ from trinoc.calib.intrinsics import FEWEST_CIRCLES
 from trinoc.calib.shots.board_shape import with_board_shape
 from trinoc.calib.shots.judged import judged
 from trinoc.calib.shots.lens_choice import LENSES_TRIED
+from trinoc.calib.shots.lens_correction import with_settled_correction
 from trinoc.calib.shots.pixel_fit import expect_method, fit_pixels, grey_levels
 from trinoc.calib.shots.placing import ShotBoard
 from trinoc.calib.shots.point_fit import Asked, fit_of_lens
@@ -46,7 +47,9 @@ def calibrate_rig(
         that are fixed to each other, whose places are found with the rig.
     lens : lenses that are known and held, of all cameras or by name; others are found.
     lens_model : model of the lenses that are found; "auto" takes that which, fitted to one half of
-        the shots, tells best of the other half, and a note says why.
+        the shots, tells best of the other half, and a note says why. "splined" corrects the best
+        polynomial lens by B-splines, and "splined_" before the name of a model that one; "auto"
+        does so where the shots ask for it.
     distortion : how many of its coefficients are fitted; as many as the shots determine unless
         given.
     same_lens : whether all cameras have one lens, such as pictures of one camera moved about.
@@ -71,7 +74,7 @@ def calibrate_rig(
     """
     expect_method(method, target, pictures)
     known = _known_lenses(lens, tuple(pictures))
-    models = _models(lens_model, distortion, known)
+    models, correction = _models(lens_model, distortion, known)
     found = found_shots(pictures, target, progress)
     usable = {
         camera: {
@@ -85,12 +88,12 @@ def calibrate_rig(
     _expect_seen(found, usable)
     known_board = _board_systematics(systematics)
     asked = Asked(usable, found.shots, target, known, distortion, same_lens, known_board)
-    points, remark = fit_of_lens(asked, models)
+    points, remark = fit_of_lens(asked, models, correction)
     starts, placed, fit = points
     fit, silent = with_board_shape(fit), ()
     if method == "pixels":
         fit, silent = fit_pixels(fit, grey_levels(pictures, tuple(starts), placed.shots))
-        fit = with_board_shape(fit)
+        fit = with_settled_correction(with_board_shape(fit))
     return judged(
         fit,
         placed,
@@ -108,22 +111,23 @@ def calibrate_rig(
 
 def _models(
     name: str, distortion: int | None, known: Mapping[str, Intrinsics]
-) -> tuple[type[AbstractLens], ...]:
-    if name == "auto":
+) -> tuple[tuple[type[AbstractLens], ...], bool | None]:
+    """The models to be tried, and whether the best is corrected by splines; None where asked."""
+    if name in ("auto", "splined"):
         if distortion is not None or known:
             raise InputError(
-                'lens_model is "auto", which finds every lens and all its coefficients: name a '
+                f'lens_model is "{name}", which finds every lens and all its coefficients: name a '
                 "model, or leave out distortion and lens."
             )
-        return tuple(lens_model(each) for each in LENSES_TRIED)
+        return tuple(lens_model(each) for each in LENSES_TRIED), name == "splined" or None
     model = lens_model(name)
     counts = model.coefficient_counts
     if distortion is not None and distortion not in counts:
         raise InputError(
             f"distortion is {distortion}, but must be one of {', '.join(map(str, counts))} "
-            f"coefficients of {', '.join(model.coefficient_names) or name}, or None."
+            f"coefficients of {', '.join(model.coefficient_names[:20]) or name}, or None."
         )
-    return (model,)
+    return (model,), False
 
 
 def _known_lenses(

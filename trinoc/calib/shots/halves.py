@@ -3,13 +3,18 @@
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from trinoc.calib.shots.covariance import information_of
 from trinoc.calib.shots.cross_validation import FEWEST_SHOTS, of_shots, shots_of
 from trinoc.calib.shots.field_difference import FieldDifference, field_differences
 from trinoc.calib.shots.problem import Problem, lens_number, with_sheet_held
 from trinoc.calib.shots.robust_fit import fitted
+from trinoc.calib.shots.shot_scatter import with_factor
 from trinoc.calib.targets import board_prefixes
+
+# Of the largest variance: below, a prior that both halves share has left no difference.
+_LEAST_SHARE = 1e-10
 
 
 class HalvesCheck(NamedTuple):
@@ -52,19 +57,50 @@ def halves_check(
         seen = information.seen
         if not converged or seen.rank < len(information.free):
             return None
+        prior = information.prior
         ends.append((steps_between(problem, end)[information.free], seen.covariance))
         states.append(end.state)
     (first, first_covariance), (second, second_covariance) = ends
-    covariance = variance_factor * (first_covariance + second_covariance)
+    covariance = covariance_of_difference(
+        first_covariance, second_covariance, prior, variance_factor
+    )
     difference = first - second
-    sigma = np.sqrt(np.diag(covariance))
-    ratio = float(np.sqrt(difference @ np.linalg.solve(covariance, difference) / len(difference)))
+    sigma = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    told, square = _squared(difference, covariance)
+    ratio = float(np.sqrt(square / told))
     each = np.abs(difference) / sigma
     worst = int(np.argmax(each))
     names = head_names(problem, cameras)
     column = int(np.flatnonzero(problem.chart.free)[worst])
     over_field = field_differences(problem, states, covariance, cameras)
-    return HalvesCheck(ratio, names[column], float(each[worst]), len(difference), over_field)
+    return HalvesCheck(ratio, names[column], float(each[worst]), told, over_field)
+
+
+def covariance_of_difference(
+    first: Float[np.ndarray, "f f"],
+    second: Float[np.ndarray, "f f"],
+    prior: Float[np.ndarray, "f f"],
+    variance_factor: float,
+) -> Float[np.ndarray, "f f"]:
+    """Of two fits to other data, of these covariances, that one prior of information P draws both.
+
+    Each has noise of its own, of covariance f C_i (P^-1 - C_i) P; the prior's error, which both
+    have in the shares C_i P, is left in (C_1 - C_2) P (C_1 - C_2).
+    """
+    shared = first @ prior @ second
+    own = [with_factor(each, variance_factor, prior) for each in (first, second)]
+    return own[0] + own[1] - shared - shared.T
+
+
+def _squared(
+    difference: Float[np.ndarray, "f"], covariance: Float[np.ndarray, "f f"]
+) -> tuple[int, float]:
+    """In how many directions the halves can differ at all, and by how many squared sigmas."""
+    scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    can = values > _LEAST_SHARE * values[-1]
+    along = vectors[:, can].T @ (difference / scale)
+    return int(can.sum()), float(np.sum(along**2 / values[can]))
 
 
 def steps_between(problem: Problem, end: Problem) -> np.ndarray:

@@ -15,6 +15,7 @@ from trinoc.calib.shots.covariance import (
 )
 from trinoc.calib.shots.cross_validation import cross_validation
 from trinoc.calib.shots.halves import halves_check
+from trinoc.calib.shots.lens_correction import correction_sentences
 from trinoc.calib.shots.messages import (
     notes_of_rig,
     refused_sentences,
@@ -81,7 +82,8 @@ def judged(
     if status is Status.CONVERGED:
         rig = _rig(problem, cameras, poses, found, known, named.names, covariance)
     notes = notes_of_rig(fit, cameras, given_up, factor)
-    notes = (*remarks, *notes, *silent_sentences(silent, placed, cameras))
+    notes = (*remarks, *correction_sentences(problem, cameras), *notes)
+    notes = (*notes, *silent_sentences(silent, placed, cameras))
     if status is Status.RANK_DEFICIENT:
         notes = (undetermined_sentence(problem, gauge), *notes)
     elif status is Status.NOT_CONVERGED:

@@ -88,8 +88,16 @@ def _mean_squares(tried: Mapping[str, HeldOut]) -> dict[str, Float[np.ndarray, "
     }
 
 
-def choice_sentence(choice: LensChoice, test: ScoreTest | None) -> str:
-    """Which lens was chosen and why."""
+def asked_for(test: ScoreTest) -> bool:
+    """Whether chance alone hardly pulls so much."""
+    return test.chance < _CHANCE
+
+
+def choice_sentence(
+    choice: LensChoice, rational: ScoreTest | None, correction: ScoreTest | None = None
+) -> str:
+    """Which lens was chosen and why. The tests are of k4, k5, k6 and of a correction by splines, of
+    the best of the lenses without one."""
     rivals = ", ".join(
         f"{name} {rms:.3g}" for name, rms in choice.rms_px.items() if name != choice.model
     )
@@ -98,10 +106,15 @@ def choice_sentence(choice: LensChoice, test: ScoreTest | None) -> str:
         f"Of the lenses tried, {choice.model} was chosen: fitted to one half of the shots it "
         f"misses the places of the other half by {choice.rms_px[choice.model]:.3g} px{against}"
     )
-    if test is None:
+    tests = {"k4, k5, k6 of the rational lens": rational, "a correction by splines": correction}
+    verdicts = [
+        f"{'ask for' if asked_for(test) else 'do not ask for'} {what} (chance {test.chance:.2g})"
+        for what, test in tests.items()
+        if test is not None
+    ]
+    if not verdicts:
         return f"{sentence}."
-    verdict = "ask for" if test.chance < _CHANCE else "do not ask for"
-    return (
-        f"{sentence}; by a score test the shots {verdict} k4, k5, k6 of the rational lens "
-        f"(chance {test.chance:.2g})."
-    )
+    told = f"{sentence}; by score tests the shots {', and '.join(verdicts)}"
+    if correction is None or not asked_for(correction):
+        return f"{told}."
+    return f"{told}: the polynomial does not describe the lens, or the board is not as drawn."

@@ -5,6 +5,7 @@ The head holds the lenses, the cameras and the sheet; each block the board's pos
 
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -12,6 +13,7 @@ from jaxtyping import Array, Float
 from trinoc.calib.shots.residual import view_residuals
 from trinoc.calib.shots.state import POSE_SIZE, SHEET_SIZE, Chart, RigState, head_columns
 from trinoc.calib.shots.table import ViewTable
+from trinoc.geometry import AbstractSplined
 from trinoc.numerics import AbstractRobustLoss, ArrayLike, BlockArrow
 
 
@@ -35,15 +37,17 @@ def residuals_px(state: RigState, chart: Chart, table: ViewTable) -> Float[Array
 def cost(
     state: RigState, chart: Chart, table: ViewTable, loss: AbstractRobustLoss
 ) -> Float[Array, ""]:
-    """Robust chi-square of all groups of places, and that of the board's prior."""
+    """Robust chi-square of all groups of places, and that of what was known beforehand."""
     squared = jnp.sum(jnp.square(whitened_residuals(state, chart, table)), axis=-1)
     return jnp.sum(loss.rho(squared)) + prior_cost(state, chart)
 
 
 def prior_cost(state: RigState, chart: Chart) -> Float[ArrayLike, ""]:
-    """Chi-square of the board's sheet and places under what was known of them."""
+    """Chi-square of lenses, and of the board's sheet and places, under what was known of them."""
+    lenses = jax.vmap(lambda lens: jnp.asarray(lens.parameters))(state.lenses)
+    of_lenses = jnp.einsum("lp,lpq,lq->", lenses, chart.lens_information, lenses)
     of_shape = jnp.sum(jnp.square(state.shape) * chart.shape_information[None])
-    return state.sheet @ chart.sheet_information @ state.sheet + of_shape
+    return of_lenses + state.sheet @ chart.sheet_information @ state.sheet + of_shape
 
 
 def shot_equations(
@@ -66,6 +70,11 @@ def shot_equations(
     head = head.at[first:, first:].add(free[:, None] * chart.board_prior * free[None, :])
     board = jnp.concatenate([state.sheet / chart.sheet_scale, state.shape.ravel() / chart.unit_mm])
     of_head = of_head.at[first:].add(free * (chart.board_prior @ board))
+    lenses = jax.vmap(lambda lens: jnp.asarray(lens.parameters))(state.lenses)
+    last, prior = chart.lens_scale.size, chart.lens_prior
+    free = chart.free[:last]
+    head = head.at[:last, :last].add(free[:, None] * prior * free[None, :])
+    of_head = of_head.at[:last].add(free * (prior @ (lenses / chart.lens_scale).ravel()))
     return ShotEquations(BlockArrow(head, coupling, blocks), (of_head, of_boards))
 
 
@@ -116,6 +125,15 @@ def _in_sigmas(whitening: ArrayLike, columns: ArrayLike) -> Array:
     return jnp.einsum("gij,gjc->gic", whitening, jnp.where(spoken, grouped, 0.0))
 
 
+def _by_control(state: RigState, chart: Chart, camera, *view) -> Float[Array, "n 2 k"]:
+    """Derivative of all places of a view by the control points of its splined lens."""
+    assert isinstance(state.lenses, AbstractSplined)
+    cores = eqx.tree_at(lambda s: s.lenses, state, jax.vmap(lambda lens: lens.core)(state.lenses))
+    uv_px = _residuals(cores, chart, camera, *view) + view[4]
+    lens = jax.tree.map(lambda leaf: leaf[chart.lens_of_camera[camera]], state.lenses)
+    return jax.vmap(lens.by_control)(uv_px)
+
+
 def view_blocks(
     state: RigState, chart: Chart, loss: AbstractRobustLoss, camera, shot, board, place, *rest
 ) -> tuple[ArrayLike, Array, Array]:
@@ -128,7 +146,12 @@ def view_blocks(
     count = lens_size + poses * POSE_SIZE + SHEET_SIZE
     units = jnp.concatenate([lens_scale, jnp.ones(count - lens_size, lens_scale.dtype)])
 
+    # Control points of splined lenses are many, and pixels are linear in them.
+    linear = state.lenses.control_count if isinstance(state.lenses, AbstractSplined) else 0
+    curved = lens_size - linear
+
     def after(step: Float[Array, "k"]) -> tuple[ArrayLike, ArrayLike]:
+        step = jnp.concatenate([step[:curved], jnp.zeros(linear, step.dtype), step[curved:]])
         own, aside = units * step[:count], chart.unit_mm * step[None, count:]
         residual = _residuals(
             state, chart, camera, shot, board, place, *rest,
@@ -136,8 +159,13 @@ def view_blocks(
         )  # fmt: skip
         return residual, residual
 
-    zero = jnp.zeros(count + (3 if places else 0), lens_scale.dtype)
+    zero = jnp.zeros(count - linear + (3 if places else 0), lens_scale.dtype)
     jacobian, residual = jax.jacfwd(after, has_aux=True)(zero)
+    if isinstance(state.lenses, AbstractSplined):
+        by_control = _by_control(state, chart, camera, shot, place, *rest)
+        by_control = lens_scale[None, None, curved:] * by_control
+        parts = [jacobian[..., :curved], by_control, jacobian[..., curved:]]
+        jacobian = jnp.concatenate(parts, axis=-1)
     by_head, by_board, by_aside = jnp.split(jacobian, [count - POSE_SIZE, count], axis=-1)
     # Every place moves its own image alone.
     own = place[:, None] == jnp.arange(places)[None]

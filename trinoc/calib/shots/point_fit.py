@@ -7,17 +7,31 @@ import numpy as np
 
 from trinoc.calib.detection import Detection
 from trinoc.calib.shots.covariance import information_of
-from trinoc.calib.shots.lens_choice import choice_sentence, chosen_lens, held_out
+from trinoc.calib.shots.lens_choice import (
+    LensChoice,
+    asked_for,
+    choice_sentence,
+    chosen_lens,
+    held_out,
+)
+from trinoc.calib.shots.lens_correction import splined_problem, with_correction
 from trinoc.calib.shots.lens_start import CameraStart, camera_start
 from trinoc.calib.shots.placing import PlacedRig, ShotBoard, placed_rig
 from trinoc.calib.shots.problem import Freedom, Problem, problem_of
 from trinoc.calib.shots.robust_fit import RobustFit, fit_robustly
-from trinoc.calib.shots.score_test import rational_lens_test
+from trinoc.calib.shots.score_test import ScoreTest, rational_lens_test, wider_lens_test
 from trinoc.calib.shots.shot_scatter import shot_scatter
 from trinoc.calib.targets import AbstractTarget
 from trinoc.calib.uncertainty import Systematics
 from trinoc.errors import CalibrationError, InputError
-from trinoc.geometry import AFFINE_PARAMETERS, AbstractLens, BrownConrady, Intrinsics, promoted
+from trinoc.geometry import (
+    AFFINE_PARAMETERS,
+    AbstractLens,
+    AbstractSplined,
+    BrownConrady,
+    Intrinsics,
+    promoted,
+)
 
 
 class Asked(NamedTuple):
@@ -41,8 +55,12 @@ class PointFit(NamedTuple):
     fit: RobustFit
 
 
-def fit_of_lens(asked: Asked, models: Sequence[type[AbstractLens]]) -> tuple[PointFit, str | None]:
+def fit_of_lens(
+    asked: Asked, models: Sequence[type[AbstractLens]], correction: bool | None = False
+) -> tuple[PointFit, str | None]:
     """The fit by the one model, or by that of several which the shots call for, and why.
+
+    correction : whether the best of several is corrected by splines; None where the shots ask.
 
     Raises CalibrationError where no model places the cameras.
     """
@@ -59,16 +77,38 @@ def fit_of_lens(asked: Asked, models: Sequence[type[AbstractLens]]) -> tuple[Poi
     cameras = tuple(asked.detections)
     tried = {name: held_out(each.fit.problem, each.placed, cameras) for name, each in fits.items()}
     choice = chosen_lens(tried)
-    best, test = fits[choice.model], None
+    best, rational, spline = fits[choice.model], None, _correction_test(asked, fits[choice.model])
     if choice.model == BrownConrady.model:
-        problem = best.fit.problem
-        factor = shot_scatter(information_of(problem)).variance_factor
-        sizes = _sizes(asked)[: len(problem.chart.lens_scale)]
-        test = rational_lens_test(problem, sizes, factor)
-    return best, choice_sentence(choice, test)
+        rational = rational_lens_test(best.fit.problem, _sizes(asked), _factor(best))
+    if correction or (correction is None and asked_for(spline)):
+        wider = _corrected(asked, best)
+        name = wider.fit.problem.state.lenses.model
+        tried[name] = held_out(wider.fit.problem, wider.placed, cameras)
+        among = chosen_lens({choice.model: tried[choice.model], name: tried[name]})
+        rms_px = {**choice.rms_px, **among.rms_px}
+        choice = LensChoice(name if correction else among.model, rms_px)
+        best = wider if choice.model == name else best
+    return best, choice_sentence(choice, rational, spline)
+
+
+def _correction_test(asked: Asked, point_fit: PointFit) -> ScoreTest:
+    problem = point_fit.fit.problem
+    wider = splined_problem(problem, _sizes(asked))
+    return wider_lens_test(problem, wider, _factor(point_fit))
+
+
+def _factor(point_fit: PointFit) -> float:
+    return shot_scatter(information_of(point_fit.fit.problem)).variance_factor
+
+
+def _corrected(asked: Asked, point_fit: PointFit) -> PointFit:
+    return point_fit._replace(fit=with_correction(point_fit.fit, _sizes(asked)))
 
 
 def _fitted(asked: Asked, model: type[AbstractLens]) -> PointFit:
+    if issubclass(model, AbstractSplined):
+        core = _fitted(asked, model.core_model)
+        return core if asked.distortion is not None else _corrected(asked, core)
     starts = {}
     for camera, own in asked.detections.items():
         given = asked.known.get(camera)

@@ -43,6 +43,7 @@ class Problem(NamedTuple):
     shots : how many there are; arrays have more rows.
     sigma_factor : (c,) by how much the places' sigmas are multiplied for each camera.
     spent : how many numbers the residuals have told of where the board's places lie.
+    spent_on_lenses : how many they have told of what has a prior in the lenses.
     """
 
     views: tuple[View, ...]
@@ -52,6 +53,7 @@ class Problem(NamedTuple):
     shots: int
     sigma_factor: Float[np.ndarray, "c"]
     spent: float = 0.0
+    spent_on_lenses: float = 0.0
 
     @property
     def cameras(self) -> int:
@@ -128,6 +130,7 @@ def problem_of(
         half_mm=np.stack([np.abs(board.centres_mm).max(axis=0) for board in members]),
         lens_of_camera=np.asarray(freedom.lens_of_camera),
         free=np.concatenate([part.astype(float).ravel() for part in free]),
+        lens_information=np.zeros((*scale.shape, scale.shape[1])),
         sheet_information=information,
         shape_information=np.ones(3),
         has_circles=bool(np.any(target.radius_mm > 0)),
@@ -139,15 +142,47 @@ def problem_of(
 
 def with_lens_free(problem: Problem, free: Bool[np.ndarray, "l q"]) -> Problem:
     """The problem with other parameters of the lenses held; held coefficients are zero, but for
-    lenses that are held as a whole."""
+    lenses that are held as a whole, and for what is never fitted."""
     lenses, size = problem.chart.lens_scale.shape
     head = np.array(problem.chart.free)
     head[: lenses * size] = free.astype(float).ravel()
     given = np.asarray(problem.state.lenses.coefficients)
     whole = ~free.any(axis=1, keepdims=True)
-    kept = np.where(free[:, len(AFFINE_PARAMETERS) :] | whole, given, 0.0)
+    model = problem.state.lenses
+    never = np.array([[name in model.never_fitted for name in model.coefficient_names]], dtype=bool)
+    kept = np.where(free[:, len(AFFINE_PARAMETERS) :] | whole | never, given, 0.0)
     state = eqx.tree_at(lambda state: state.lenses.coefficients, problem.state, kept)
     return problem._replace(chart=_with_free(problem.chart, head), state=state)
+
+
+def with_wider_lenses(
+    problem: Problem, lenses: Sequence[AbstractLens], image_sizes_px: Sequence[tuple[int, int]]
+) -> Problem:
+    """The problem with lenses of a model whose parameters begin with those of its own.
+
+    What is added is free, without a prior, of lenses that are not held as a whole.
+    """
+    count, size = problem.chart.lens_scale.shape
+    names, never = lenses[0].parameter_names[size:], lenses[0].never_fitted
+    scale = np.stack(
+        [lens.parameter_scales(each) for lens, each in zip(lenses, image_sizes_px[:count])]
+    )
+    head = np.asarray(problem.chart.free)
+    of_lens, of_rest = head[: count * size].reshape(count, size), head[count * size :]
+    added = of_lens.any(axis=1, keepdims=True) * np.array([name not in never for name in names])
+    chart = eqx.tree_at(
+        lambda chart: (chart.lens_scale, chart.free, chart.lens_information),
+        problem.chart,
+        (
+            scale,
+            np.append(np.append(of_lens, added, axis=1).ravel(), of_rest),
+            np.zeros((*scale.shape, scale.shape[1])),
+        ),
+    )
+    state = eqx.tree_at(
+        lambda state: state.lenses, problem.state, stack_lenses([_plain(lens) for lens in lenses])
+    )
+    return problem._replace(state=state, chart=chart)
 
 
 def with_sheet_held(problem: Problem) -> Problem:

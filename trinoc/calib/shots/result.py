@@ -12,7 +12,7 @@ from trinoc.calib.shots.problem import EndedProblem
 from trinoc.calib.shots.state import IN_SET_NAMES
 from trinoc.calib.shots.table import View
 from trinoc.calib.targets import AbstractTarget, board_names, boards_of
-from trinoc.geometry import Rig
+from trinoc.geometry import SPLINE_PARAMETERS, Rig
 
 
 class RigFromShots(eqx.Module):
@@ -132,7 +132,9 @@ def summary_text(result: RigFromShots) -> str:
         lines += [
             f"  {name.removeprefix(prefix):12} {_with_sigma(result, name)}"
             for name in result.parameters
-            if name.startswith(prefix) and result.sigma(name) != 0.0
+            if name.startswith(prefix)
+            and result.sigma(name) != 0.0
+            and name.removeprefix(prefix) not in SPLINE_PARAMETERS
         ]
     lines += [
         f"{name:14} {_with_sigma(result, name)}"

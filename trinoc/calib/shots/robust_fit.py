@@ -162,8 +162,13 @@ def with_factors(problem: Problem) -> Problem:
 
 
 def freedom(problem: Problem) -> int:
-    """Residuals less unknowns; the sheet's have a prior each, the places' are told."""
+    """Residuals less unknowns; the sheet's have a prior each, the places' are told, and so are
+    those of lenses that have a prior."""
     residuals = sum(view.numbers for view in problem.views)
     shots = {view.shot for view in problem.views if view.used.any()}
-    steps = int(np.sum(problem.chart.free[: problem.chart.sheet_first]))
-    return residuals - steps - 6 * len(shots) - round(problem.spent)
+    lenses, size = problem.chart.lens_scale.shape
+    steps = np.array(problem.chart.free[: problem.chart.sheet_first])
+    known = np.einsum("lqq->lq", np.asarray(problem.chart.lens_information)) > 0
+    steps[: lenses * size][known.ravel()] = 0
+    told = problem.spent + problem.spent_on_lenses
+    return residuals - int(steps.sum()) - 6 * len(shots) - round(told)

@@ -3,13 +3,12 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Bool
 
 from trinoc.calib.shots.covariance import Information, information_of
-from trinoc.calib.shots.problem import Problem, lens_number
-from trinoc.geometry import BrownConrady, lens_model, stack_lenses
+from trinoc.calib.shots.problem import Problem, lens_number, with_wider_lenses
+from trinoc.geometry import BrownConrady, lens_model
 from trinoc.numerics import chi_square_tail
 
 # Shares of the information on held parameters, after all that is free has explained what it can,
@@ -70,19 +69,17 @@ def rational_lens_test(
         lens = lens_number(problem, k)
         wider = np.append(lens.coefficients, np.zeros(more))
         lenses.append(model(lens.focal_length_px, lens.principal_point_px, lens.skew_px, wider))
-    size = problem.chart.lens_scale.shape[1]
-    free = np.asarray(problem.chart.free)
-    of_lens, of_rest = free[: count * size].reshape(count, size), free[count * size :]
-    fitted = np.repeat(of_lens.any(axis=1, keepdims=True), more, axis=1)
-    scale = np.stack([a.parameter_scales(b) for a, b in zip(lenses, image_sizes_px, strict=True)])
-    chart = eqx.tree_at(
-        lambda chart: (chart.lens_scale, chart.free),
-        problem.chart,
-        (scale, np.append(np.append(of_lens, fitted, axis=1).ravel(), of_rest)),
+    return wider_lens_test(
+        problem, with_wider_lenses(problem, lenses, image_sizes_px), variance_factor
     )
-    state = eqx.tree_at(lambda state: state.lenses, problem.state, stack_lenses(lenses))
-    information = information_of(problem._replace(state=state, chart=chart))
-    added = np.append(np.zeros((count, size), dtype=bool), fitted, axis=1).ravel()
-    held = np.append(added, np.zeros(len(of_rest), dtype=bool))[information.free]
-    test = score_test(information, held)
+
+
+def wider_lens_test(problem: Problem, wider: Problem, variance_factor: float) -> ScoreTest:
+    """Whether the shots ask for what `wider`, a problem `with_wider_lenses`, has besides."""
+    information = information_of(wider)
+    size = problem.chart.lens_scale.shape[1]
+    of_lenses = wider.chart.lens_scale.size
+    column = np.arange(len(wider.chart.free))
+    is_added = (column < of_lenses) & (column % wider.chart.lens_scale.shape[1] >= size)
+    test = score_test(information, is_added[information.free])
     return test._replace(chi_square=test.chi_square / variance_factor)

@@ -53,6 +53,8 @@ class Chart(eqx.Module):
     half_mm : (b, 2) half the extent of each board, where its warp is zero.
     lens_of_camera : (c,) which of the lenses each camera has.
     free : (h,) 1 for steps of the head that are taken, 0 for others.
+    lens_information : (l, q, q) inverse covariance of the prior on each lens's parameters, whose
+        mean is 0; zero where nothing was known.
     sheet_information : (4 b, 4 b) inverse covariance of the prior on `sheet`, whose mean is 0.
     shape_information : (3,) inverse variance of the prior on each axis of `shape`.
     has_circles : whether some place is a circle.
@@ -63,6 +65,7 @@ class Chart(eqx.Module):
     half_mm: Float[ArrayLike, "b 2"]
     lens_of_camera: Int[ArrayLike, "c"]
     free: Float[ArrayLike, "h"]
+    lens_information: Float[ArrayLike, "l q q"]
     sheet_information: Float[ArrayLike, "w w"]
     shape_information: Float[ArrayLike, "3"]
     has_circles: bool = eqx.field(static=True)
@@ -88,6 +91,12 @@ class Chart(eqx.Module):
     def shape_first(self) -> int:
         """Where, in the head, the steps of the boards' places begin."""
         return self.sheet_first + SHEET_SIZE * self.half_mm.shape[0]
+
+    @property
+    def lens_prior(self) -> Float[ArrayLike, "k k"]:
+        """Information known beforehand on the steps of all lenses, which begin the head."""
+        of_each = self.lens_scale[:, :, None] * self.lens_information * self.lens_scale[:, None, :]
+        return block_diag(*of_each)
 
     @property
     def board_prior(self) -> Float[ArrayLike, "b b"]:

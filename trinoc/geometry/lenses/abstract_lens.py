@@ -47,6 +47,7 @@ class AbstractLens(eqx.Module):
     dispensable : coefficients to give up, one after the other, where pictures do not determine
         all.
     zero_is_ideal : whether the lens with all coefficients zero is `Pinhole`.
+    never_fitted : coefficients that say where others apply: they are held as they are given.
     """
 
     focal_length_px: Float[ArrayLike, "2"]
@@ -61,6 +62,7 @@ class AbstractLens(eqx.Module):
     coefficient_counts: AbstractClassVar[tuple[int, ...]]
     dispensable: AbstractClassVar[tuple[str, ...]]
     zero_is_ideal: ClassVar[bool] = True
+    never_fitted: ClassVar[tuple[str, ...]] = ()
 
     @abc.abstractmethod
     def distort(self, ray_cam: Float[ArrayLike, "3"]) -> Float[ArrayLike, "2"]:

@@ -11,10 +11,12 @@ from trinoc.geometry.lenses.brown_conrady import BrownConrady
 from trinoc.geometry.lenses.kannala_brandt import KannalaBrandt
 from trinoc.geometry.lenses.pinhole import Pinhole
 from trinoc.geometry.lenses.rational import Rational, ThinPrism
+from trinoc.geometry.lenses.splined import SPLINED, AbstractSplined
 from trinoc.numerics import namespace_of
 
 LENS_MODELS: dict[str, type[AbstractLens]] = {
-    lens.model: lens for lens in (Pinhole, BrownConrady, Rational, ThinPrism, KannalaBrandt)
+    lens.model: lens
+    for lens in (Pinhole, BrownConrady, Rational, ThinPrism, KannalaBrandt, *SPLINED.values())
 }
 # The model of coefficients that come without a name, and that an ideal lens is given where its
 # distortion is asked for.
@@ -39,11 +41,28 @@ def promoted(lens: AbstractLens, model: type[AbstractLens] = DEFAULT_DISTORTION)
 
 
 def simplified(lens: AbstractLens) -> AbstractLens:
-    """An ideal lens where all coefficients are zero and say so; the lens as it is otherwise."""
+    """An ideal lens where all coefficients are zero and say so, the core of a splined lens without
+    a correction; the lens as it is otherwise."""
+    if isinstance(lens, AbstractSplined) and not np.any(np.asarray(lens.control_px)):
+        lens = lens.core
     if not lens.zero_is_ideal or np.any(np.asarray(lens.coefficients) != 0.0):
         return lens
     none = np.zeros(0)
     return Pinhole(lens.focal_length_px, lens.principal_point_px, lens.skew_px, none)
+
+
+def splined(lens: AbstractLens, image_size_px: tuple[int, int]) -> AbstractSplined:
+    """A lens with a correction that is zero, and may be fitted.
+
+    Raises InputError for a model that is no core of a splined lens.
+    """
+    core = promoted(lens)
+    if type(core) not in SPLINED:
+        raise InputError(
+            f"The lens model {core.model} takes no correction by splines: use one of "
+            f"{', '.join(each.model for each in SPLINED)}."
+        )
+    return SPLINED[type(core)].of_core(core, image_size_px)
 
 
 def stack_lenses(lenses: Sequence[AbstractLens]) -> AbstractLens:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from trinoc.errors import InputError
-from trinoc.geometry import LENS_MODELS, Intrinsics, Rig
+from trinoc.geometry import LENS_MODELS, AbstractSplined, Intrinsics, Rig
 
 # What rounding leaves where a projection matrix was taken apart.
 NEGLIGIBLE_SKEW_PX = 1e-9
@@ -76,7 +76,13 @@ def numbers_of(
         row for row in rows if ideal and LENS_MODELS[row.model].zero_is_ideal
     ]
     if not fitting:
-        raise InputError(f"{who} is {lens.lens.model}, which {title} cannot hold: choose another.")
+        advice = "choose another"
+        if isinstance(lens.lens, AbstractSplined):
+            advice = (
+                "no other tool's format holds these splines; calibrate it with "
+                f"{lens.lens.core_model.model} for that"
+            )
+        raise InputError(f"{who} is {lens.lens.model}, which {title} cannot hold: {advice}.")
     for row in fitting:
         left = [name for name, value in values.items() if value and name not in row.coefficients]
         if not left:

@@ -3,6 +3,7 @@
 import numpy as np
 
 from trinoc.calib import RigFromShots, board_names
+from trinoc.geometry import SPLINE_PARAMETERS
 from trinoc.report.numbers import with_decimals, with_sigma
 
 # (name, cell of each camera); a cell of no text is a parameter that the camera has not.
@@ -17,7 +18,7 @@ def parameter_columns(result: RigFromShots) -> tuple[Rows, Rows]:
         name.removeprefix(prefix)
         for prefix in prefixes
         for name in result.parameters
-        if name.startswith(prefix)
+        if name.startswith(prefix) and name.removeprefix(prefix) not in SPLINE_PARAMETERS
     )
     cameras = tuple(
         (name, tuple(_words(result, prefix + name) for prefix in prefixes)) for name in names

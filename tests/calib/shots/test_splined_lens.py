@@ -1,0 +1,243 @@
+"""A lens that no polynomial describes, found with its correction by splines."""
+
+import pickle
+from functools import partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from tests.calib.intrinsics import simulated_lens
+from tests.calib.shots.made_shots import BOARD, SIZE_PX, lens_of
+from trinoc.calib import Detection, Systematics, calibrate_intrinsics, calibrate_rig
+from trinoc.calib.shots.covariance import information_of
+from trinoc.calib.shots.halves import covariance_of_difference
+from trinoc.calib.shots.lens_correction import (
+    correction_sentences,
+    splined_problem,
+    with_correction,
+)
+from trinoc.calib.shots.normal_equations import cost, shot_equations
+from trinoc.calib.shots.problem import Freedom, lens_number, problem_of
+from trinoc.calib.shots.robust_fit import RobustFit
+from trinoc.calib.shots.state import retracted
+from trinoc.calib.shots.table import View
+from trinoc.errors import InputError
+from trinoc.geometry import (
+    AbstractSplined,
+    Camera,
+    Intrinsics,
+    Pose,
+    Rig,
+    SplinedBrownConrady,
+    rotation_from_vector,
+    splined,
+)
+from trinoc.io import FORMATS, load_rig, save
+from trinoc.numerics import GemanMcClure
+
+SIGMA_PX = 0.05
+TOP_PX, WHERE_PX, WIDTH_PX = np.array([0.6, -0.4]), np.array([450.0, 170.0]), 75.0
+unproject = jax.jit(jax.vmap(lambda lens, uv_px: lens.unproject(uv_px), (None, 0)))
+project = jax.jit(jax.vmap(lambda lens, ray: lens.project_ray(ray), (None, 0)))
+
+
+def seen(rays):
+    """Pixels of a lens of Brown and Conrady with a bump."""
+    uv_px = np.asarray(project(lens_of("left"), rays))
+    away = np.sum((uv_px - WHERE_PX) ** 2, axis=1) / WIDTH_PX**2
+    return uv_px + np.exp(-0.5 * away)[:, None] * TOP_PX
+
+
+def poses(count, seed=3):
+    """The board near the camera, everywhere in its picture."""
+    random = np.random.default_rng(seed)
+    made = []
+    for _ in range(count):
+        about, tilt = random.uniform(0, 2 * np.pi), np.radians(random.uniform(15, 40))
+        turn = np.asarray(rotation_from_vector(tilt * np.array([np.cos(about), np.sin(about), 0])))
+        depth = random.uniform(250.0, 400.0)
+        place = depth * np.array([*random.uniform((-0.22, -0.15), (0.22, 0.15)), 1.0])
+        made.append(np.column_stack([turn @ np.diag([1.0, -1.0, -1.0]), place]))
+    return np.stack(made)
+
+
+def detections(boards, seed=0):
+    random, made = np.random.default_rng(seed), []
+    for board in boards:
+        uv_px = seen(BOARD.centres_mm @ board[:, :2].T + board[:, 3])
+        inside = ((uv_px > 2) & (uv_px < np.array(SIZE_PX) - 3)).all(axis=1)
+        count = int(inside.sum())
+        made.append(
+            Detection(
+                circle_index=np.flatnonzero(inside),
+                centres_px=uv_px[inside] + random.normal(0, SIGMA_PX, (count, 2)),
+                covariance_px2=np.broadcast_to(SIGMA_PX**2 * np.eye(2), (count, 2, 2)).copy(),
+                shape_px2=np.full((count, 2, 2), np.nan),
+                lines_px=np.full((2, 3), np.nan),
+                image_size_px=SIZE_PX,
+            )
+        )
+    return made
+
+
+def core_problem(count, seed=0):
+    """Without the bump, at the truth."""
+    boards = poses(count)
+    views = [
+        View(0, shot, each, np.ones(len(each), dtype=bool))
+        for shot, each in enumerate(detections(boards, seed))
+    ]
+    return problem_of(
+        views, BOARD, [lens_of("left")], np.eye(3, 4)[None], boards, [SIZE_PX],
+        Freedom(np.zeros(1, dtype=int), np.ones((1, 9), dtype=bool)), Systematics(),
+    )  # fmt: skip
+
+
+def test_the_equations_are_those_of_the_cost_with_control_points_and_their_prior():
+    here = splined_problem(core_problem(3), [SIZE_PX])
+    table, chart, state = jax.tree.map(jnp.asarray, (here.table, here.chart, here.state))
+    prior = 9.0 * SplinedBrownConrady.correction_information()[None]
+    chart = type(chart)(**{**vars(chart), "lens_information": prior})
+    off = 1e-3 * np.random.default_rng(0).normal(size=len(chart.free))
+    start, loss = retracted(state, chart, off, np.zeros((8, 6))), GemanMcClure.from_scale(3.0)
+    zero = jnp.zeros(len(chart.free)), jnp.zeros((8, 6))
+
+    @jax.jit
+    @partial(jax.grad, argnums=(0, 1))
+    def gradient(head, boards):
+        return cost(retracted(start, chart, head, boards), chart, table, loss)
+
+    by_head, by_boards = gradient(*zero)
+    equations = jax.jit(shot_equations)(start, chart, table, loss)
+    np.testing.assert_allclose(2 * equations.gradient[0], by_head, rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(2 * equations.gradient[1], by_boards, rtol=1e-6, atol=1e-6)
+    lens = here.state.lenses
+    held = [lens.parameter_names.index(name) for name in lens.never_fitted]
+    assert not np.asarray(chart.free)[held].any()
+
+
+def test_two_fits_under_one_prior_differ_as_their_covariances_say():
+    """Of linear models, truth and noise drawn 4,000 times; `factor` : the noise's variance."""
+    random, factor = np.random.default_rng(0), 2.0
+    rows = random.normal(size=(2, 5, 4))
+    prior = np.diag([4.0, 1.0, 0.0, 0.0])
+    truth = random.normal(size=(4000, 4)) / np.array([2.0, 1.0, 1.0, 1.0])
+    ends, covariances = [], []
+    for own in rows:
+        covariance = np.linalg.inv(own.T @ own + prior)
+        told = truth @ own.T + np.sqrt(factor) * random.normal(size=(4000, 5))
+        ends.append(told @ own @ covariance)
+        covariances.append(covariance)
+    first, second = covariances
+    expected = covariance_of_difference(first, second, prior, factor)
+    found = np.cov((ends[0] - ends[1]).T)
+    scale = np.sqrt(np.diag(expected))
+    np.testing.assert_allclose(
+        found / np.outer(scale, scale), expected / np.outer(scale, scale), atol=0.1
+    )
+
+
+def field_px():
+    u, v = np.meshgrid(np.linspace(20, 620, 13), np.linspace(20, 460, 10))
+    return np.stack([u.ravel(), v.ravel()], axis=1)
+
+
+def field_error(lens, covariance):
+    """Errors (n, 2) over the field in px, and their covariance by the claimed one, a turn of the
+    camera taken out."""
+    rays = unproject(lens_of("left"), field_px())
+
+    @jax.jit
+    @partial(jax.jacfwd, has_aux=True)
+    def by_parameters(step):
+        turned = rays @ rotation_from_vector(step[-3:]).T
+        moved = lens.with_parameters(lens.parameters + step[:-3])
+        uv_px = jax.vmap(moved.project_ray)(turned).ravel()
+        return uv_px, uv_px
+
+    by_step, uv_px = by_parameters(jnp.zeros(len(lens.parameters) + 3))
+    by_lens, by_turn = np.asarray(by_step)[:, :-3], np.asarray(by_step)[:, -3:]
+    apart = np.eye(len(by_turn)) - by_turn @ np.linalg.pinv(by_turn)
+    by_lens = apart @ by_lens
+    return apart @ (uv_px - seen(rays).ravel()), by_lens @ covariance @ by_lens.T
+
+
+def test_a_bump_is_found_as_well_as_is_claimed():
+    core = RobustFit(core_problem(24), True, [], 0.0, 0)
+    end = with_correction(core, [SIZE_PX]).problem
+    information, scale = information_of(end), np.asarray(end.chart.lens_scale)[0]
+    rows = np.ix_(information.free[:249], information.free[:249])
+    covariance = np.zeros((len(scale), len(scale)))
+    covariance[rows] = information.seen.covariance[:249, :249]
+    lens = lens_number(end, 0)
+    assert isinstance(lens, AbstractSplined)
+    error, claimed = field_error(lens, covariance * np.outer(scale, scale))
+    assert 0.8 < np.sqrt(np.mean(error**2) / np.mean(np.diag(claimed))) < 1.25
+    near = np.linalg.norm(field_px() - WHERE_PX, axis=1) < 1.5 * WIDTH_PX
+    assert np.sqrt(np.mean(error.reshape(-1, 2)[near] ** 2)) < SIGMA_PX
+    moved_px = np.asarray(project(lens, unproject(lens.core, WHERE_PX[None]))) - WHERE_PX[None]
+    assert np.abs(moved_px).max() > 0.3
+    assert end.sigma_factor[0] == pytest.approx(1.0, abs=0.1)
+    (sentence,) = correction_sentences(end, ("left",))
+    assert sentence.startswith("Splines correct the lens brown_conrady of left by ")
+
+
+@pytest.mark.slow
+def test_a_rig_is_calibrated_with_splines_where_its_shots_ask_for_them(tmp_path):
+    shots = {"left": detections(poses(24))}
+    found = calibrate_rig(shots, BOARD, lens_model="auto", systematics=Systematics())
+    assert "ask for a correction by splines" in found.notes[0]
+    assert "splined_brown_conrady was chosen" in found.notes[0]
+    assert found.halves is not None
+    assert found.cross_validation is not None
+    assert found.rig is not None
+    assert found.halves.ratio == pytest.approx(1.0, abs=0.3)
+    assert found.cross_validation.own_px["left"] < 1.3 * np.sqrt(2) * SIGMA_PX
+    assert "du_3_4" not in found.summary()
+    assert found.sigma("left.du_3_4") > 0.0
+    save(found.rig, tmp_path / "rig.json")
+    back = load_rig(tmp_path / "rig.json")
+    np.testing.assert_allclose(back.covariance, found.rig.covariance, rtol=1e-12)
+
+
+@pytest.mark.slow
+def test_one_camera_is_corrected_from_its_circles():
+    """The residuals of circles without a correction are several times those with it."""
+    middle, width = np.array([330.0, 180.0]), 60.0
+    bent = []
+    for each in simulated_lens.detections(simulated_lens.good_poses(0, 12), seed=1):
+        away = np.sum((each.centres_px - middle) ** 2, axis=1) / width**2
+        moved = each.centres_px + np.exp(-0.5 * away)[:, None] * np.array([0.3, -0.2])
+        bent.append(eqx.tree_at(lambda detection: detection.centres_px, each, moved))
+    sheet = simulated_lens.SHEET
+    plain = calibrate_intrinsics(bent, sheet)
+    found = calibrate_intrinsics(bent, sheet, distortion_model="splined")
+    assert found.lens is not None
+    assert found.lens.distortion_model == "splined_brown_conrady"
+    assert found.rms_px < 0.2 * plain.rms_px
+    assert 0.8 < found.reduced_chi_square < 1.2
+    assert found.rank == len(found.free) == 249
+    assert "du_3_4" not in found.summary()
+    assert any(note.startswith("Splines correct the lens brown_conrady") for note in found.notes)
+
+
+def test_a_rig_is_pickled_and_other_tools_files_say_that_they_cannot_hold_it(tmp_path):
+    lens = Intrinsics.of_lens(splined(lens_of("left"), SIZE_PX), SIZE_PX)
+    values = np.array(lens.lens.parameters)
+    values[-5:] = 0.5
+    lens = Intrinsics.of_lens(lens.lens.with_parameters(values), SIZE_PX)
+    rig = Rig({"left": Camera(lens, Pose(poses(1)[0]))})
+    save(rig, tmp_path / "rig.json")
+    for back in (load_rig(tmp_path / "rig.json"), pickle.loads(pickle.dumps(rig))):
+        np.testing.assert_array_equal(back["left"].intrinsics.lens.parameters, values)
+    for name in ("colmap", "mrcal", "opencv"):
+        with pytest.raises(InputError, match=r"splined_brown_conrady, which .* these splines"):
+            FORMATS[name].save(rig, tmp_path / "out.yml")
+
+
+def test_names_that_choose_leave_nothing_to_be_given():
+    with pytest.raises(InputError, match='lens_model is "splined"'):
+        calibrate_rig({"left": detections(poses(2))}, BOARD, lens_model="splined", distortion=2)

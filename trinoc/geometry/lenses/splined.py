@@ -1,0 +1,212 @@
+"""Lenses that no polynomial describes: one that does, and a correction by B-splines.
+
+The correction is a smooth surface over the picture that the polynomial gives, so that its inverse
+is a small step in the plane and all rays are those of the polynomial, beyond 90 degrees, too.
+Source of the idea: mrcal's splined models, whose surface lies over a stereographic picture.
+"""
+
+from functools import cache
+from typing import TYPE_CHECKING, ClassVar
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS, AbstractLens
+from trinoc.geometry.lenses.brown_conrady import BrownConrady
+from trinoc.geometry.lenses.kannala_brandt import KannalaBrandt
+from trinoc.geometry.lenses.newton import inverse_in_plane
+from trinoc.geometry.lenses.radial import RadialPart
+from trinoc.geometry.lenses.rational import Rational
+from trinoc.geometry.lenses.spline_surface import ORDER, basis, smoothness, surface
+from trinoc.numerics import ArrayLike, namespace_of
+
+# Type checkers know this one by the name that it has in a class that is not abstract.
+if TYPE_CHECKING:
+    from typing import ClassVar as AbstractClassVar
+else:
+    from equinox import AbstractClassVar
+
+ROWS, COLUMNS = 10, 12
+_CELLS = np.array([COLUMNS, ROWS]) - ORDER + 1
+_EXTENT = ("log_half_u", "log_half_v")
+_CONTROL = tuple(f"{d}_{r}_{c}" for d in ("du", "dv") for r in range(ROWS) for c in range(COLUMNS))
+_ADDED = (*_EXTENT, *_CONTROL)
+# Names of the coefficients of the correction, too many to be listed one by one.
+SPLINE_PARAMETERS = frozenset(_ADDED)
+_POWERS = (0,) * len(_ADDED)
+# The grid goes beyond the edges of the picture by this share.
+_MARGIN = 0.02
+# Cells over which the correction goes together, as far as the prior has it.
+_REACH = 4.0
+
+
+class AbstractSplined(AbstractLens):
+    """A lens whose pixels are those of `core`, moved by (du, dv) of a bicubic B-spline.
+
+    The control points, 10 rows of 12 for du and then for dv, in pixels, are coefficients, after
+    those of the core and the logarithms of half the extent of the grid along u and v, in focal
+    lengths from the principal point. The extent is never fitted. Beyond the grid the correction
+    stays what it is at its edge.
+    """
+
+    core_model: AbstractClassVar[type[AbstractLens]]
+    control_count: ClassVar[int] = len(_CONTROL)
+    never_fitted: ClassVar[tuple[str, ...]] = _EXTENT
+
+    @property
+    def core(self) -> AbstractLens:
+        """The lens without the correction."""
+        count = len(self.core_model.coefficient_names)
+        return self.core_model(
+            self.focal_length_px, self.principal_point_px, self.skew_px, self.coefficients[:count]
+        )
+
+    @property
+    def control_px(self) -> Float[ArrayLike, "2 rows columns"]:
+        """The control points of du and of dv."""
+        return self.coefficients[-len(_CONTROL) :].reshape(2, ROWS, COLUMNS)
+
+    def distort(self, ray_cam: Float[ArrayLike, "3"]) -> Float[ArrayLike, "2"]:
+        """What the core has, corrected."""
+        return self._corrected(self.core.distort(ray_cam))
+
+    def undistort(self, distorted: Float[ArrayLike, "2"]) -> Float[ArrayLike, "3"]:
+        """The ray of the core's picture, which is found by Newton's method."""
+        return self.core.undistort(inverse_in_plane(self._corrected, distorted))
+
+    def radial_part(self) -> RadialPart | None:
+        """That of the core."""
+        return self.core.radial_part()
+
+    def steepness(self) -> float:
+        """A bound on how much the correction changes from one pixel to the next.
+
+        Below 1 the correction is one to one, and its inverse exists everywhere. The lens must not
+        be traced.
+        """
+        half = np.exp(np.asarray(self.coefficients[-len(_CONTROL) - 2 : -len(_CONTROL)]))
+        cell_px = 2.0 * half * np.asarray(self.focal_length_px) / _CELLS
+        control = np.asarray(self.control_px)
+        steps = [
+            np.abs(np.diff(control, axis=axis)).max(axis=(1, 2)) / cell_px[k]
+            for k, axis in enumerate((2, 1))
+        ]
+        return float(np.linalg.norm(steps))
+
+    def parameter_scales(self, image_size_px: tuple[int, int]) -> Float[ArrayLike, "q"]:
+        """Those of the core; for control points, half the diagonal of the picture."""
+        xp = namespace_of(self)
+        fu = self.focal_length_px[0]
+        corner_px = 0.5 * fu * xp.hypot(image_size_px[0] / fu, image_size_px[1] / fu)
+        extent = xp.ones(len(_EXTENT), fu.dtype)
+        of_control = xp.stack([corner_px] * len(_CONTROL))
+        return xp.concatenate([self.core.parameter_scales(image_size_px), extent, of_control])
+
+    def with_focal_factor(self, factor: Float[ArrayLike, "2"]) -> "AbstractSplined":
+        """This lens with focal lengths multiplied, and the correction with them."""
+        xp = namespace_of(self, factor)
+        scaled = super().with_focal_factor(factor)
+        control = (self.control_px * factor[:, None, None]).ravel()
+        values = xp.concatenate([self.parameters[: -len(_CONTROL)], control])
+        return scaled.with_parameters(xp.concatenate([scaled.parameters[:2], values[2:]]))
+
+    def _corrected(self, place: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
+        """A place of the core's picture, in focal lengths, after the correction."""
+        in_cells, (du, dv) = self._in_cells(place), self.control_px
+        shift_px = jnp.stack([surface(du, in_cells), surface(dv, in_cells)])
+        return place + shift_px / self.focal_length_px
+
+    def by_control(self, uv_of_core_px: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2 k"]:
+        """Derivative of a pixel, of a lens without skew, by the control points, the last of its
+        parameters. Which count is told by the pixel that the core has.
+        """
+        along, across = basis(self._in_cells(self.affine_inverse(uv_of_core_px)), ROWS, COLUMNS)
+        counts = (along[:, None] * across[None]).ravel()
+        none = jnp.zeros_like(counts)
+        return jnp.stack([jnp.concatenate([counts, none]), jnp.concatenate([none, counts])])
+
+    def _in_cells(self, place: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
+        """A place of the core's picture, in cells from the corner of the grid."""
+        half = jnp.exp(self.coefficients[-len(_CONTROL) - 2 : -len(_CONTROL)])
+        return 0.5 * (place / half + 1.0) * _CELLS.astype(place.dtype)
+
+    @classmethod
+    def of_core(cls, core: AbstractLens, image_size_px: tuple[int, int]) -> "AbstractSplined":
+        """A lens of `core_model`, its correction zero, on a grid that covers the picture."""
+        centre, size = np.asarray(core.principal_point_px), np.asarray(image_size_px, float)
+        reach_px = np.maximum(centre + 0.5, size - 0.5 - centre)
+        half = (1.0 + _MARGIN) * reach_px / np.asarray(core.focal_length_px)
+        coefficients = np.concatenate([core.coefficients, np.log(half), np.zeros(len(_CONTROL))])
+        return cls(core.focal_length_px, core.principal_point_px, core.skew_px, coefficients)
+
+    @classmethod
+    def correction_information(cls) -> Float[np.ndarray, "q q"]:
+        """Inverse covariance of `parameters` under a prior on the correction alone.
+
+        The prior has the mean zero and a standard deviation of 1 px over the field, going
+        together over four cells of the grid; divide by the square of another sigma for that.
+        """
+        return _information(cls)
+
+
+@cache
+def _information(model: type[AbstractSplined]) -> Float[np.ndarray, "q q"]:
+    information = np.zeros((len(model.parameter_names),) * 2)
+    count = len(_CONTROL)
+    information[-count:, -count:] = np.kron(np.eye(2), smoothness(ROWS, COLUMNS, _REACH))
+    return information
+
+
+class SplinedBrownConrady(AbstractSplined):
+    """`BrownConrady` with a correction."""
+
+    model: ClassVar[str] = "splined_brown_conrady"
+    core_model: ClassVar[type[AbstractLens]] = BrownConrady
+    coefficient_names: ClassVar[tuple[str, ...]] = BrownConrady.coefficient_names + _ADDED
+    parameter_names: ClassVar[tuple[str, ...]] = (*AFFINE_PARAMETERS, *coefficient_names)
+    coefficient_powers: ClassVar[tuple[int, ...]] = BrownConrady.coefficient_powers + _POWERS
+    coefficient_counts: ClassVar[tuple[int, ...]] = (
+        *BrownConrady.coefficient_counts,
+        len(coefficient_names),
+    )
+    dispensable: ClassVar[tuple[str, ...]] = BrownConrady.dispensable
+    zero_is_ideal: ClassVar[bool] = BrownConrady.zero_is_ideal
+
+
+class SplinedRational(AbstractSplined):
+    """`Rational` with a correction."""
+
+    model: ClassVar[str] = "splined_rational"
+    core_model: ClassVar[type[AbstractLens]] = Rational
+    coefficient_names: ClassVar[tuple[str, ...]] = Rational.coefficient_names + _ADDED
+    parameter_names: ClassVar[tuple[str, ...]] = (*AFFINE_PARAMETERS, *coefficient_names)
+    coefficient_powers: ClassVar[tuple[int, ...]] = Rational.coefficient_powers + _POWERS
+    coefficient_counts: ClassVar[tuple[int, ...]] = (
+        *Rational.coefficient_counts,
+        len(coefficient_names),
+    )
+    dispensable: ClassVar[tuple[str, ...]] = Rational.dispensable
+    zero_is_ideal: ClassVar[bool] = Rational.zero_is_ideal
+
+
+class SplinedKannalaBrandt(AbstractSplined):
+    """`KannalaBrandt` with a correction."""
+
+    model: ClassVar[str] = "splined_kannala_brandt"
+    core_model: ClassVar[type[AbstractLens]] = KannalaBrandt
+    coefficient_names: ClassVar[tuple[str, ...]] = KannalaBrandt.coefficient_names + _ADDED
+    parameter_names: ClassVar[tuple[str, ...]] = (*AFFINE_PARAMETERS, *coefficient_names)
+    coefficient_powers: ClassVar[tuple[int, ...]] = KannalaBrandt.coefficient_powers + _POWERS
+    coefficient_counts: ClassVar[tuple[int, ...]] = (
+        *KannalaBrandt.coefficient_counts,
+        len(coefficient_names),
+    )
+    dispensable: ClassVar[tuple[str, ...]] = KannalaBrandt.dispensable
+    zero_is_ideal: ClassVar[bool] = KannalaBrandt.zero_is_ideal
+
+
+# The splined lens of each core.
+SPLINED: dict[type[AbstractLens], type[AbstractSplined]] = {
+    lens.core_model: lens for lens in (SplinedBrownConrady, SplinedRational, SplinedKannalaBrandt)
+}
