@@ -16,7 +16,7 @@ from tests.calib.shots.made_shots import (
     lens_of,
     shots as made,
 )
-from trinoc.calib import AbstractTarget, Charuco, Pattern, Systematics, calibrate_rig
+from trinoc.calib import AbstractTarget, Pattern, Systematics, calibrate_rig
 from trinoc.calib.model import SheetPoints, whitening_of_covariance
 from trinoc.calib.shots.pixel_fit import expect_method
 from trinoc.calib.shots.place_shifts import shift_of_places
@@ -118,7 +118,6 @@ def test_a_board_as_drawn_shifts_nothing_and_a_warped_one_its_middle():
     ("method", "target", "says"),
     [
         ("grey", SHEET, 'must be "points" or "pixels"'),
-        ("pixels", Charuco(rows=5, columns=7, square_mm=9, marker_mm=6), "holds markers"),
         ("pixels", SHEET, "is a detection, in which no grey levels are left"),
     ],
 )
