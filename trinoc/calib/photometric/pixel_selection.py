@@ -35,7 +35,7 @@ class SelectedPixels(NamedTuple):
     Fields
     ------
     column, row : (n,) of the pixel.
-    circle : (n,) index of the nearest circle, -1 where none is near; of the nearest place of a
+    circle : (n,) index of the nearest circle, -1 where none is near; of the nearest node of a
         board of squares.
     squares : (n, ...) of such a board, the ink about each.
     """
@@ -85,7 +85,7 @@ def select_pixels(
     reach_px = _REACH_SIGMAS * sigma_px + _REACH_PX
     if isinstance(pattern, SquareSheet):
         seen = square_pixels(pose, lens, pattern, image_size_px, reach_px)
-        near = _spread(SelectedPixels(seen.column, seen.row, seen.place, seen.squares))
+        near = _spread(SelectedPixels(seen.column, seen.row, seen.node, seen.squares))
         return PixelSelection(near, near.part(np.zeros(0, dtype=int)), seen.first, seen.flat)
     # OpenCV draws an even thickness one pixel wider: half a thickness and a half to each side.
     thickness = 2 * max(1, round(reach_px - 0.5))

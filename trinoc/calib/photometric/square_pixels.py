@@ -28,7 +28,7 @@ class SquarePixels(NamedTuple):
     Fields
     ------
     column, row : (n,) of those near an edge.
-    place : (n,) the board's place nearest to each.
+    node : (n,) the board's node nearest to each.
     squares : (n, ...) the ink about each.
     first : (row, column) of the board's box.
     flat : (h, w) pixels of that box within ink and near no edge.
@@ -36,7 +36,7 @@ class SquarePixels(NamedTuple):
 
     column: Int[np.ndarray, "n"]
     row: Int[np.ndarray, "n"]
-    place: Int[np.ndarray, "n"]
+    node: Int[np.ndarray, "n"]
     squares: Squares
     first: tuple[int, int]
     flat: Bool[np.ndarray, "h w"]
@@ -74,7 +74,7 @@ def square_pixels(
     return SquarePixels(
         columns.ravel()[at],
         rows.ravel()[at],
-        np.asarray(point_tree(sheet.centres_mm).query(point[:, at].T)[1]),
+        np.asarray(point_tree(sheet.nodes_mm).query(point[:, at].T)[1]),
         Squares(x_mm, y_mm, ink),
         (int(low[1]), int(low[0])),
         flat.reshape(rows.shape),

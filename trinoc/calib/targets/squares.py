@@ -8,7 +8,12 @@ from jaxtyping import Bool, Float, Int
 
 from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.calib.targets.april_grid import AprilGrid
-from trinoc.calib.targets.checkers import Charuco, Chessboard, dark_squares
+from trinoc.calib.targets.checkers import (
+    Charuco,
+    Chessboard,
+    dark_squares,
+    inner_corners_mm,
+)
 from trinoc.calib.targets.markers import charuco_markers, marker_cells, opencv_dictionary
 from trinoc.errors import InputError
 
@@ -21,7 +26,9 @@ class SquareSheet(AbstractTarget):
 
     Fields
     ------
-    name, centres_mm, radius_mm : see `AbstractTarget`; every edge counts to the nearest place.
+    name, centres_mm, radius_mm : see `AbstractTarget`.
+    nodes_mm : (k, 2) the corners of all squares, those on the rim too, or of tags: every edge
+        counts to the nearest.
     x_mm, y_mm : (n,), (m,) rising, the lines on which the edges of the ink lie.
     ink : (m + 1, n + 1) which of the cells between them are inked, the lowest row first; the
         outermost ones, beyond all lines, are paper.
@@ -30,6 +37,7 @@ class SquareSheet(AbstractTarget):
     name: str = eqx.field(static=True)
     centres_mm: Float[np.ndarray, "p 2"]
     radius_mm: Float[np.ndarray, "p"]
+    nodes_mm: Float[np.ndarray, "k 2"]
     x_mm: Float[np.ndarray, "n"]
     y_mm: Float[np.ndarray, "m"]
     ink: Bool[np.ndarray, "_r _c"]
@@ -44,10 +52,13 @@ def square_sheet(board: AbstractTarget, *, quarters: int = 0) -> SquareSheet:
     match board:
         case Chessboard():
             parts = [_squares(board.rows + 1, board.columns + 1, board.square_mm)]
+            nodes_mm = inner_corners_mm(board.rows + 2, board.columns + 2, board.square_mm)
         case Charuco():
             parts = _charuco(board)
+            nodes_mm = inner_corners_mm(board.rows + 1, board.columns + 1, board.square_mm)
         case AprilGrid():
             parts = _april_grid(board, quarters)
+            nodes_mm = board.centres_mm
         case _:
             raise InputError(f"A {type(board).__name__} is no board of squares.")
     bounds = np.concatenate([part.bounds_mm for part in parts])
@@ -58,7 +69,7 @@ def square_sheet(board: AbstractTarget, *, quarters: int = 0) -> SquareSheet:
     low, high = (_numbers(y_mm, bounds[:, 1, k], same) for k in (0, 1))
     for box in zip(low, high, left, right, strict=True):
         ink[box[0] : box[1], box[2] : box[3]] = True
-    return SquareSheet(board.name, board.centres_mm, board.radius_mm, x_mm, y_mm, ink)
+    return SquareSheet(board.name, board.centres_mm, board.radius_mm, nodes_mm, x_mm, y_mm, ink)
 
 
 class _Rectangles(NamedTuple):
