@@ -14,6 +14,7 @@ cv2.fisheye.stereoCalibrate with lenses held).
 """
 
 import argparse
+import sys
 import time
 from collections.abc import Callable
 from functools import partial
@@ -136,7 +137,7 @@ FISHEYE = Setup(
 )
 
 
-def rendered(board, lens, pose, *, paper=PAPER, ink=INK, blur_px=BLUR_PX, fine=6):
+def rendered(board, lens, pose, *, paper=PAPER, ink=INK, blur_px=BLUR_PX, fine=12):
     """The picture without noise."""
     camera = Camera(Intrinsics.of_lens(lens, SIZE_PX), Pose(pose))
     drawn, above = board, ()
@@ -253,14 +254,14 @@ def labelled(result) -> dict:
 
 def by_opencv_fisheye(setup, board, found) -> dict[str, float]:
     values, lenses = {}, {}
-    fixed = cv2.fisheye.CALIB_FIX_SKEW | cv2.fisheye.CALIB_USE_INTRINSIC_GUESS
-    flags = fixed | cv2.fisheye.CALIB_RECOMPUTE_EXTRINSIC
+    fixed = cv2.CALIB_FIX_SKEW | cv2.CALIB_USE_INTRINSIC_GUESS
+    flags = fixed | cv2.CALIB_RECOMPUTE_EXTRINSIC
     for name, own in found.items():
         pairs = [points(board, each) for each in own if each is not None]
         start = np.array([[260.0, 0, 319.5], [0, 260.0, 239.5], [0, 0, 1]])
-        place, seen = [p.astype(float) for p, _ in pairs], [q.astype(float) for _, q in pairs]
+        place, seen = ([each.astype(float).swapaxes(0, 1) for each in part] for part in zip(*pairs))
         _, matrix, curve, *_ = cv2.fisheye.calibrate(
-            place, seen, SIZE_PX, start, np.zeros(4), flags=flags,
+            list(place), list(seen), SIZE_PX, start, np.zeros(4), flags=flags,
             criteria=(cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 200, 1e-9),
         )  # fmt: skip
         lenses[name] = matrix, np.ravel(curve)
@@ -273,14 +274,14 @@ def by_opencv_fisheye(setup, board, found) -> dict[str, float]:
             if not (a and b):
                 continue
             both, in_a, in_b = np.intersect1d(a.circle_index, b.circle_index, return_indices=True)
-            place.append(np.pad(board.centres_mm[both], ((0, 0), (0, 1)))[:, None])
-            one.append(a.centres_px[in_a][:, None])
-            other.append(b.centres_px[in_b][:, None])
+            place.append(np.pad(board.centres_mm[both], ((0, 0), (0, 1)))[None])
+            one.append(a.centres_px[in_a][None])
+            other.append(b.centres_px[in_b][None])
         (m1, d1), (m2, d2) = lenses["left"], lenses[name]
-        fewest = min(map(len, place))  # it takes as many places of every shot
-        cut = [[each[:fewest] for each in part] for part in (place, one, other)]
+        fewest = min(each.shape[1] for each in place)  # it takes as many places of every shot
+        cut = [[each[:, :fewest] for each in part] for part in (place, one, other)]
         turn, shift = cv2.fisheye.stereoCalibrate(
-            *cut, m1, d1, m2, d2, SIZE_PX, flags=cv2.fisheye.CALIB_FIX_INTRINSIC
+            *cut, m1, d1, m2, d2, SIZE_PX, flags=cv2.CALIB_FIX_INTRINSIC
         )[5:7]
         values |= setup.pose_numbers(name, np.column_stack([turn, np.ravel(shift)]))
     return values
@@ -319,6 +320,8 @@ def measure(setup: Setup, title: str, scenes: int, trials: int) -> None:
                 own = np.array([sigmas[k] for k in keys])
                 claimed.setdefault(method, []).append(off / own)
                 claims.setdefault(method, []).append(own / [least[k] for k in keys])
+                print(f"  {scene} {trial} {method}", *(f"{rms(rows[method][-1]):.2f}" for rows in
+                      (errors, claimed, claims)), file=sys.stderr)  # fmt: skip
             try:
                 if setup is FISHEYE:
                     values = by_opencv_fisheye(setup, board, labelled(result))

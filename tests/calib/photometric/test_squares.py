@@ -121,7 +121,7 @@ def test_the_grid_is_what_is_printed(board):
     sheet = square_sheet(board)
     random = np.random.default_rng(0)
     extent = np.array([[sheet.x_mm[0], sheet.y_mm[0]], [sheet.x_mm[-1], sheet.y_mm[-1]]])
-    places = random.uniform(*(1.1 * extent), (2000, 2))
+    places = random.uniform(1.1 * extent[0], 1.1 * extent[1], (2000, 2))
     level = np.min([ConvexPolygon(each).level_mm(places) for each in ink_polygons(board)], axis=0)
     ink = sheet.ink[
         np.searchsorted(sheet.y_mm, places[:, 1]), np.searchsorted(sheet.x_mm, places[:, 0])

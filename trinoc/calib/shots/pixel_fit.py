@@ -1,7 +1,7 @@
 """The rig from the grey levels: what every picture shows near the board's edges, taken together.
 
 At a rig that points have found, each picture is fitted by itself: light, ink, blur and the board's
-pose. That leaves, for each circle and each piece of a line, where the picture shows it, and the
+pose. That leaves, for each circle, piece of a line or corner, where the picture shows it, and the
 information on all of them together, light, ink and blur eliminated. The rig is fitted to these as
 to points whose errors they share; the lenses it has then are those for the next look at the
 pictures.
@@ -25,7 +25,7 @@ from trinoc.calib.shots.robust_fit import RobustFit, errors_px, fitted, judged_f
 from trinoc.calib.shots.sightings_of_shots import Pictures, delivered, named_pictures
 from trinoc.calib.shots.table import View
 from trinoc.calib.shots.wrong_circles import without_wrong_circles
-from trinoc.calib.targets import AbstractTarget, AprilGrid, Pattern, SquareSheet, square_sheet
+from trinoc.calib.targets import AprilGrid, Pattern, SquareSheet, square_sheet
 from trinoc.errors import InputError
 from trinoc.geometry import Pose, PoseModel
 from trinoc.numerics import blocks, grey_image
@@ -49,7 +49,7 @@ class PixelFit(NamedTuple):
     silent: list[tuple[int, int, str]]
 
 
-def expect_method(method: str, target: AbstractTarget, pictures: Mapping[str, Pictures]) -> None:
+def expect_method(method: str, pictures: Mapping[str, Pictures]) -> None:
     """Raises InputError for a method that there is not, or not for these."""
     if method not in ("points", "pixels"):
         raise InputError(f'method is {method!r}, but must be "points" or "pixels".')
