@@ -5,10 +5,6 @@ from .bundle.pose_prior import d_parameters_d_delta as d_parameters_d_delta
 from .bundle.refinement import refine as refine
 from .bundle.result import RefineResult as RefineResult, RefineStatus as RefineStatus
 from .detection.any_target import detect_target as detect_target
-from .detection.charuco import (
-    opencv_board as opencv_board,
-    opencv_dictionary as opencv_dictionary,
-)
 from .detection.detection import Detection as Detection
 from .detection.search import (
     circle_candidates as circle_candidates,
@@ -47,9 +43,16 @@ from .targets.checkers import (
     Chessboard as Chessboard,
     dark_squares as dark_squares,
 )
+from .targets.markers import (
+    charuco_markers as charuco_markers,
+    marker_cells as marker_cells,
+    opencv_board as opencv_board,
+    opencv_dictionary as opencv_dictionary,
+)
 from .targets.pattern import Pattern as Pattern
 from .targets.print_scale import printed_sheet as printed_sheet
 from .targets.proposal import SheetProposal as SheetProposal, propose_sheet as propose_sheet
+from .targets.squares import SquareSheet as SquareSheet, square_sheet as square_sheet
 from .uncertainty.propagation import (
     epipolar_sigma as epipolar_sigma,
     point_covariance as point_covariance,

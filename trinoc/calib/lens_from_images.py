@@ -64,6 +64,11 @@ def calibrate_intrinsics(
     """
     if method not in ("points", "pixels"):
         raise InputError(f'method is {method!r}, but must be "points" or "pixels".')
+    if not isinstance(pattern, Pattern):
+        raise InputError(
+            f"The board {pattern.name!r} is no sheet of circles: give the pictures to "
+            "calibrate_rig, for which one camera alone is a rig, too."
+        )
     if method == "pixels" and aspect != "free":
         raise InputError('method="pixels" frees both focal lengths: leave out aspect.')
     pictures = [each for each in images_or_detections if not isinstance(each, Detection)]

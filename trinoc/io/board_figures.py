@@ -1,6 +1,5 @@
 """What is printed of a board: its dark squares and markers."""
 
-import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -9,14 +8,13 @@ from trinoc.calib import (
     AprilGrid,
     Charuco,
     Chessboard,
+    charuco_markers,
     dark_squares,
-    opencv_board,
+    marker_cells,
     opencv_dictionary,
 )
 from trinoc.errors import InputError
 
-# Pixels of OpenCV's drawing for one cell of a marker: read off in their middles.
-_CELL_PX = 4
 # Half the height of what covers a seam, in cells.
 _STRIP = 0.25
 
@@ -38,21 +36,15 @@ def ink_polygons(target: AbstractTarget) -> list[Float[np.ndarray, "4 2"]]:
 
 
 def _charuco(board: Charuco) -> list[Float[np.ndarray, "4 2"]]:
-    theirs = opencv_board(board)
-    middle = np.array([board.columns, board.rows]) * 0.5 * board.square_mm
-    corner_of_marker = [np.asarray(corners)[:, :2] for corners in theirs.getObjPoints()]
     with_marker = np.zeros((board.rows, board.columns), dtype=bool)
     figures = []
-    dictionary = theirs.getDictionary()
-    for number, corners in zip(np.ravel(theirs.getIds()), corner_of_marker, strict=True):
-        column, row = (corners.mean(axis=0) // board.square_mm).astype(int)
-        with_marker[row, column] = True
-        # OpenCV counts from the top left, downward.
-        place = corners.mean(axis=0) - middle
-        figures += [
-            each + place * np.array([1.0, -1.0])
-            for each in _marker(dictionary, int(number), board.marker_mm, border=1)
-        ]
+    dictionary = opencv_dictionary(board.dictionary)
+    half = 0.5 * np.array([board.columns, board.rows])
+    for number, middle in zip(*charuco_markers(board), strict=True):
+        column, up = np.floor(middle / board.square_mm + half).astype(int)
+        with_marker[board.rows - 1 - up, column] = True
+        cells = marker_cells(dictionary, int(number), border=1)
+        figures += [each + middle for each in _rectangles(cells, board.marker_mm / len(cells))]
     return _rectangles(~with_marker, board.square_mm) + figures
 
 
@@ -60,8 +52,8 @@ def _april_grid(board: AprilGrid) -> list[Float[np.ndarray, "4 2"]]:
     dictionary = opencv_dictionary(board.dictionary)
     figures = []
     for number, middle in enumerate(board.tags_mm, board.first):
-        tag = _marker(dictionary, number, board.tag_mm, border=board.border)
-        figures += [each + middle for each in tag]
+        cells = marker_cells(dictionary, number, border=board.border)
+        figures += [each + middle for each in _rectangles(cells, board.tag_mm / len(cells))]
     # Squares where gaps cross, around the outer tags too.
     gap, pitch = board.tag_mm * board.spacing, board.tag_mm * (1 + board.spacing)
     square = 0.5 * gap * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
@@ -69,18 +61,6 @@ def _april_grid(board: AprilGrid) -> list[Float[np.ndarray, "4 2"]]:
         for column in np.arange(board.columns + 1) - 0.5 * board.columns:
             figures.append(pitch * np.array([column, row]) + square)
     return figures
-
-
-def _marker(
-    dictionary: cv2.aruco.Dictionary, number: int, side_mm: float, *, border: int
-) -> list[Float[np.ndarray, "4 2"]]:
-    """The ink of a marker about its middle."""
-    cells = dictionary.markerSize + 2 * border
-    picture = np.asarray(
-        cv2.aruco.generateImageMarker(dictionary, number, cells * _CELL_PX, borderBits=border)
-    )
-    ink = picture[_CELL_PX // 2 :: _CELL_PX, _CELL_PX // 2 :: _CELL_PX] < 128
-    return _rectangles(ink, side_mm / cells)
 
 
 def _rectangles(

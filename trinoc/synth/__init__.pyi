@@ -1,3 +1,4 @@
+from .cells import Cells as Cells
 from .observations import Detector as Detector, simulate_segments as simulate_segments
 from .rigs import random_rig as random_rig, table1_lens as table1_lens, table1_rig as table1_rig
 from .scenes import (

@@ -19,7 +19,7 @@ from trinoc.calib.photometric.gauss_newton import (
 )
 from trinoc.calib.photometric.implicit_diff import fitted
 from trinoc.calib.photometric.ink_coverage import Drawing
-from trinoc.calib.photometric.pixel_selection import SelectedPixels, group_of, select_pixels
+from trinoc.calib.photometric.pixel_selection import group_of, select_pixels
 from trinoc.geometry import PoseModel
 from trinoc.numerics import ArrayLike, GemanMcClure
 
@@ -48,7 +48,7 @@ def groups() -> tuple[Group, ...]:
     picture = picture + np.random.default_rng(0).normal(0.0, 2.0, picture.shape)
     choice = select_pixels(STATE.pose, LENS.lens, sheet, LENS.image_size_px, float(LOOK.sigma_px))
     chosen = [
-        SelectedPixels(*(field[:COUNT] for field in part))
+        part.part(np.arange(min(COUNT, len(part.row))))
         for part in (choice.near_circles, choice.near_lines)
     ]
     return tuple(group_of(part, picture, LENS.lens, sheet, COUNT, np.float64) for part in chosen)

@@ -5,10 +5,10 @@ import numpy as np
 
 from tests.calib.simulated import TABLE_1, reference_sheet
 from trinoc.calib.photometric.appearance import Appearance
-from trinoc.calib.photometric.gauss_newton import sheet_from_normalised
+from trinoc.calib.photometric.gauss_newton import sheet_from_camera
 from trinoc.calib.photometric.ink_coverage import Cross, Drawing
 from trinoc.calib.photometric.normal_equations import NormalEquations, normal_equations
-from trinoc.calib.photometric.pixel_selection import SelectedPixels, group_of, select_pixels
+from trinoc.calib.photometric.pixel_selection import group_of, select_pixels
 from trinoc.calib.pose import pose_of_values
 from trinoc.numerics import GemanMcClure
 from trinoc.synth import table1_rig
@@ -27,8 +27,8 @@ def test_rounding_of_the_unknowns_moves_no_large_picture() -> None:
     lens, size = camera.intrinsics.lens, camera.intrinsics.image_size_px
     pose = pose_of_values(np.array((*TABLE_1["left"], 0.0, 0.0)))
     chosen = select_pixels(pose, lens, pattern, size, float(LOOK.sigma_px)).near_circles
-    chosen = SelectedPixels(*(field[::8] for field in chosen))
-    homography = np.asarray(sheet_from_normalised(pose))
+    chosen = chosen.part(np.arange(0, len(chosen.row), 8))
+    homography = np.asarray(sheet_from_camera(pose))
 
     def sums(grey: np.ndarray, dtype: type) -> NormalEquations:
         group = group_of(chosen, grey, lens, pattern, 65536, dtype)

@@ -8,7 +8,7 @@ from tests.calib.simulated import LENS, TABLE_1, camera_of, reference_sheet
 from trinoc.calib import Pattern
 from trinoc.calib.photometric import refine_image
 from trinoc.calib.photometric.appearance import Appearance, Pixels, Prediction, predict
-from trinoc.calib.photometric.gauss_newton import sheet_from_normalised
+from trinoc.calib.photometric.gauss_newton import sheet_from_camera
 from trinoc.calib.photometric.image_refinement import ImageRefinement
 from trinoc.calib.photometric.ink_coverage import Cross, Drawing
 from trinoc.calib.photometric.pixel_selection import group_of, select_pixels
@@ -49,7 +49,7 @@ def model_residuals(pattern: Pattern, values: tuple[float, ...]) -> list[np.ndar
     picture, pose = image_of(pattern, values), pose_of(values)
     choice = select_pixels(pose, LENS.lens, pattern, LENS.image_size_px, float(LOOK.sigma_px))
     drawing = Drawing(pattern.line_style, bool((pattern.inner_radius_mm > 0).any()))
-    homography = np.asarray(sheet_from_normalised(pose))
+    homography = np.asarray(sheet_from_camera(pose))
     residuals = []
     for chosen, near_line in ((choice.near_circles, False), (choice.near_lines, True)):
         pixels = group_of(chosen, picture, LENS.lens, pattern, 16384, np.float64).pixels
@@ -98,7 +98,7 @@ def test_derivatives_are_those_of_differences(near_line: bool) -> None:
 
         return jax.vmap(one)(pixels)
 
-    homography, look = np.asarray(sheet_from_normalised(pose)), np.asarray(LOOK.vector)
+    homography, look = np.asarray(sheet_from_camera(pose)), np.asarray(LOOK.vector)
 
     @jax.jit
     @jax.vmap

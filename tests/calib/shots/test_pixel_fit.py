@@ -16,17 +16,27 @@ from tests.calib.shots.made_shots import (
     lens_of,
     shots as made,
 )
-from trinoc.calib import AbstractTarget, Charuco, Pattern, Systematics, calibrate_rig
+from trinoc.calib import (
+    AbstractTarget,
+    AprilGrid,
+    BoardSet,
+    Pattern,
+    Systematics,
+    calibrate_rig,
+    square_sheet,
+)
 from trinoc.calib.model import SheetPoints, whitening_of_covariance
 from trinoc.calib.shots.pixel_fit import expect_method
 from trinoc.calib.shots.place_shifts import shift_of_places
+from trinoc.calib.shots.printed_tags import quarters_of_tags
 from trinoc.calib.shots.problem import Freedom, problem_of
 from trinoc.calib.shots.robust_fit import freedom, whitened
 from trinoc.calib.shots.table import View
 from trinoc.calib.shots.wrong_circles import without, without_wrong_circles
 from trinoc.errors import InputError
 from trinoc.geometry import Camera, Intrinsics, Pose
-from trinoc.synth import render_sheet
+from trinoc.synth import Cells, render_sheet
+from trinoc.synth.layers import Paint
 
 SHEET = Pattern.cross_grid(rows=5, columns=6, pitch_mm=25.0, radius_mm=7.0, line_width_mm=0.0)
 
@@ -115,12 +125,27 @@ def test_a_board_as_drawn_shifts_nothing_and_a_warped_one_its_middle():
     np.testing.assert_allclose(lengths[1:], 0.0, atol=1e-9)
 
 
+@pytest.mark.parametrize("quarters", [1, 2])
+def test_how_tags_are_turned_is_read_off_a_picture(quarters):
+    board = AprilGrid(rows=2, columns=3, tag_mm=40.0)
+    here = problem(board)
+    seen = here._replace(views=here.views[:1])
+    sheet = square_sheet(board, quarters=quarters)
+    picture = render_sheet(
+        Pattern.circle_grid(rows=1, columns=1, pitch_mm=1, radius_mm=0.1),
+        _camera("left", board_poses(2)[0]),
+        above=(Paint(Cells(sheet.x_mm, sheet.y_mm, sheet.ink), 25.0),),
+        supersampling=2,
+    )
+    assert quarters_of_tags(seen, board, lambda _: picture) == quarters
+
+
 @pytest.mark.parametrize(
     ("method", "target", "says"),
     [
-        ("grey", SHEET, 'must be "points" or "pixels"'),
-        ("pixels", Charuco(rows=5, columns=7, square_mm=9, marker_mm=6), "holds markers"),
-        ("pixels", SHEET, "is a detection, in which no grey levels are left"),
+        ("grey", BOARD, 'must be "points" or "pixels"'),
+        ("pixels", BOARD, "is a detection, in which no grey levels are left"),
+        ("pixels", BoardSet([BOARD, SHEET]), "holds several boards"),
     ],
 )
 def test_what_cannot_be_fitted_to_pixels_is_said(method, target, says):

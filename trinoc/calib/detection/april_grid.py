@@ -4,13 +4,12 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped, UInt8
 
-from trinoc.calib.detection.charuco import opencv_dictionary
 from trinoc.calib.detection.chessboard import levels_of_8_bit
 from trinoc.calib.detection.corner_accuracy import corner_covariance_px2
 from trinoc.calib.detection.detection import Detection
 from trinoc.calib.detection.grey import search_image
 from trinoc.calib.detection.tag_reading import tags_in
-from trinoc.calib.targets import AprilGrid
+from trinoc.calib.targets import AprilGrid, opencv_dictionary
 from trinoc.errors import DetectionError
 
 FEWEST_TAGS = 2

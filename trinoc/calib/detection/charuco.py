@@ -12,31 +12,10 @@ from trinoc.calib.detection.chessboard import levels_of_8_bit
 from trinoc.calib.detection.corner_accuracy import corner_covariance_px2
 from trinoc.calib.detection.detection import Detection
 from trinoc.calib.detection.grey import search_image
-from trinoc.calib.targets import Charuco
+from trinoc.calib.targets import Charuco, opencv_board
 from trinoc.errors import DetectionError
 
 FEWEST_CORNERS = 6
-
-
-def opencv_dictionary(name: str) -> cv2.aruco.Dictionary:
-    """One of `DICTIONARIES`."""
-    own, count = name.split("_")
-    return cv2.aruco.getPredefinedDictionary(
-        getattr(cv2.aruco, f"DICT_{own.replace('x', 'X')}_{count}")
-    )
-
-
-def opencv_board(board: Charuco) -> cv2.aruco.CharucoBoard:
-    """The same board as OpenCV has it."""
-    theirs = cv2.aruco.CharucoBoard(
-        (board.columns, board.rows),
-        board.square_mm,
-        board.marker_mm,
-        opencv_dictionary(board.dictionary),
-        np.arange(board.first, board.first + board.rows * board.columns // 2),
-    )
-    theirs.setLegacyPattern(board.legacy)
-    return theirs
 
 
 def detect_charuco(image: Shaped[np.ndarray, "..."], board: Charuco) -> Detection:

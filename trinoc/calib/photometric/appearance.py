@@ -16,10 +16,10 @@ from trinoc.calib.photometric.ink_coverage import (
     Cross,
     Drawing,
     View,
-    ink_of_circle,
-    ink_of_sheet,
+    ink_near,
 )
 from trinoc.calib.photometric.sheet_point import Ray, sheet_point
+from trinoc.calib.photometric.square_coverage import Squares
 from trinoc.numerics import ArrayLike
 
 LIGHT_TERMS = 6
@@ -65,7 +65,7 @@ class Pixels(NamedTuple):
     grey : observed.
     weight : 1, or 0 for padding and for pixels that were cut.
     unit : 1 (see `SheetPoint`).
-    circle : the nearest circle.
+    figure : the nearest circle, or the ink about it on a board of squares.
     """
 
     ray: Ray
@@ -73,7 +73,7 @@ class Pixels(NamedTuple):
     grey: Float[ArrayLike, ""]
     weight: Float[ArrayLike, ""]
     unit: Float[ArrayLike, ""]
-    circle: Circle
+    figure: Circle | Squares
 
 
 class Prediction(NamedTuple):
@@ -85,7 +85,7 @@ class Prediction(NamedTuple):
     Fields
     ------
     residual : grey levels.
-    by_homography : nine, with respect to the rows of the sheet-from-normalised homography.
+    by_homography : nine, with respect to the rows of the sheet-from-camera homography.
     by_appearance : nine, with respect to `Appearance.vector`.
     """
 
@@ -95,7 +95,7 @@ class Prediction(NamedTuple):
 
 
 def predict(
-    sheet_from_normalised: Float[ArrayLike, "3 3"],
+    sheet_from_camera: Float[ArrayLike, "3 3"],
     appearance: Appearance,
     pixel: Pixels,
     cross: Cross,
@@ -103,12 +103,9 @@ def predict(
     near_line: bool,
 ) -> Prediction:
     """Residual and derivatives of one pixel; one that is near no line has a simpler model."""
-    point = sheet_point(sheet_from_normalised, pixel.ray, pixel.unit)
-    view = View(sheet_from_normalised, pixel.ray, point)
-    if near_line:
-        ink = ink_of_sheet(view, pixel.circle, cross, drawing)
-    else:
-        ink = ink_of_circle(view, pixel.circle, drawing)
+    point = sheet_point(sheet_from_camera, pixel.ray, pixel.unit)
+    view = View(sheet_from_camera, pixel.ray, point)
+    ink = ink_near(view, pixel.figure, cross, drawing, near_line)
     zero = jnp.zeros_like(appearance.sigma_px)
     at = (zero, zero, appearance.spread_mm, appearance.sigma_px)
     share, partials = jax.value_and_grad(ink, argnums=(0, 1, 2, 3))(*at)

@@ -16,8 +16,7 @@ from trinoc.calib.photometric.ink_coverage import (
     Cross,
     Drawing,
     View,
-    ink_of_circle,
-    ink_of_sheet,
+    ink_near,
 )
 from trinoc.calib.photometric.kernels import Kernel
 from trinoc.calib.photometric.normal_equations import CHUNK
@@ -84,7 +83,7 @@ def grey_level(
 
 
 def predict_camera(
-    sheet_from_normalised: Float[ArrayLike, "3 3"],
+    sheet_from_camera: Float[ArrayLike, "3 3"],
     vector: Float[ArrayLike, "k"],
     light: Scalar,
     veil: Scalar,
@@ -96,12 +95,9 @@ def predict_camera(
     near_line: bool,
 ) -> tuple[Scalar, ...]:
     """`ROWS` numbers of one pixel: its grey level and that's derivatives."""
-    point = sheet_point(sheet_from_normalised, pixel.ray, pixel.unit)
-    view = View(sheet_from_normalised, pixel.ray, point)
-    if near_line:
-        ink = ink_of_sheet(view, pixel.circle, cross, drawing)
-    else:
-        ink = ink_of_circle(view, pixel.circle, drawing)
+    point = sheet_point(sheet_from_camera, pixel.ray, pixel.unit)
+    view = View(sheet_from_camera, pixel.ray, point)
+    ink = ink_near(view, pixel.figure, cross, drawing, near_line)
 
     def grey(
         dx: Scalar, dy: Scalar, terms: tuple[Scalar, ...], light: Scalar, veil: Scalar
@@ -128,7 +124,7 @@ def predict_camera(
 
 @partial(jax.jit, static_argnames=("drawing", "near_line"))
 def predicted_rows(
-    sheet_from_normalised: Float[ArrayLike, "3 3"],
+    sheet_from_camera: Float[ArrayLike, "3 3"],
     vector: Float[ArrayLike, "k"],
     light: Float[ArrayLike, "n"],
     veil: Float[ArrayLike, "n"],
@@ -145,7 +141,7 @@ def predicted_rows(
     dtype = pixels.grey.dtype
     one = partial(predict_camera, drawing=drawing, near_line=near_line)
     many = jax.vmap(one, in_axes=(None, None, 0, 0, 0, None, None, None))
-    shared = (sheet_from_normalised, vector, paper, white, cross)
+    shared = (sheet_from_camera, vector, paper, white, cross)
     homography, look, paper, white, cross = jax.tree.map(lambda leaf: leaf.astype(dtype), shared)
 
     def add(k: Int[ArrayLike, ""], rows: Float[ArrayLike, "rows n"]) -> Float[ArrayLike, "rows n"]:

@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 
 from trinoc.calib.photometric.camera_look import LOOK_TERMS, ROWS, predicted_rows
 from trinoc.calib.photometric.correlated_noise import OnGrid
-from trinoc.calib.photometric.gauss_newton import Group, sheet_from_normalised
+from trinoc.calib.photometric.gauss_newton import Group, sheet_from_camera, step_unit_mm
 from trinoc.calib.photometric.ink_coverage import Cross, Drawing
 from trinoc.calib.photometric.local_light import Blocks, local_rows
 from trinoc.calib.photometric.normal_equations import CHUNK
@@ -177,7 +177,7 @@ def moved_pose(pose: Pose, motion: Float[np.ndarray, "p"], model: PoseModel) -> 
 
 @partial(jax.jit, static_argnames="model")
 def _moved(pose: Pose, motion: Float[ArrayLike, "p"], *, model: PoseModel) -> Pose:
-    return pose.retract(motion, model, pose.distance_mm)
+    return pose.retract(motion, model, step_unit_mm(pose, model))
 
 
 @partial(jax.jit, static_argnames="model")
@@ -187,7 +187,7 @@ def _posed(
     """The homography to the sheet and its derivative by a step of the pose."""
 
     def after(motion: Float[ArrayLike, "p"]) -> Float[ArrayLike, "9"]:
-        return sheet_from_normalised(pose.retract(motion, model, pose.distance_mm)).reshape(9)
+        return sheet_from_camera(pose.retract(motion, model, step_unit_mm(pose, model))).reshape(9)
 
     zero = jnp.zeros(model.size)
     return after(zero), jax.jacfwd(after)(zero)

@@ -56,15 +56,26 @@ def straight_edge(point: SheetPoint, normal_x: Scalar, normal_y: Scalar, offset_
     value = normal_x * point.point_mm[0] + normal_y * point.point_mm[1] - offset_mm
     gradient, normal_u, normal_v = _gradient(point, normal_x, normal_y)
     slope_n, slope_t = _along(point.depth_slope[0], point.depth_slope[1], normal_u, normal_v)
-    # The image is a straight line: its distance, to third order in the change of scale.
+    # The image is a straight line but for the lens: its distance, to third order.
+    lens = _lens_bend(point, normal_x, normal_y, normal_u, normal_v, gradient)
+    along_n, across = lens.along_n - 2 * slope_n, lens.across - slope_t
     first = value / gradient
     distance = (
         first
-        - first * first * slope_n
-        + 0.5 * first**3 * (4 * slope_n * slope_n - slope_t * slope_t)
+        + 0.5 * first * first * along_n
+        + 0.5 * first**3 * (along_n * along_n - across * across)
     )
-    zero = jnp.zeros_like(gradient)
-    return Edge(distance, gradient, normal_u, normal_v, normal_x, normal_y, zero, zero, point.unit)
+    return Edge(
+        distance,
+        gradient,
+        normal_u,
+        normal_v,
+        normal_x,
+        normal_y,
+        lens.along_t,
+        jnp.zeros_like(gradient),
+        point.unit,
+    )
 
 
 def opposite(edge: Edge, distance: Scalar) -> Edge:
@@ -75,11 +86,13 @@ def opposite(edge: Edge, distance: Scalar) -> Edge:
         normal_v=-edge.normal_v,
         normal_x=-edge.normal_x,
         normal_y=-edge.normal_y,
+        curvature=-edge.curvature,
+        curvature_change=-edge.curvature_change,
     )
 
 
 def circular_edge(
-    sheet_from_normalised: Float[ArrayLike, "3 3"],
+    sheet_from_camera: Float[ArrayLike, "3 3"],
     ray: Ray,
     point: SheetPoint,
     centre_mm: Float[ArrayLike, "2"],
@@ -95,20 +108,23 @@ def circular_edge(
     tangent_n, _ = _tangent(point, normal_x, normal_y, normal_u, normal_v)
     slope_n, _ = _along(point.depth_slope[0], point.depth_slope[1], normal_u, normal_v)
     far = jnp.maximum(centre_distance, _NEAREST_TO_CENTRE * radius_mm)
-    bend = tangent_n * tangent_n / (far * gradient) - 2 * slope_n
+    lens = _lens_bend(point, normal_x, normal_y, normal_u, normal_v, gradient)
+    bend = tangent_n * tangent_n / (far * gradient) - 2 * slope_n + lens.along_n
     value = centre_distance - radius_mm
     first = value / gradient
     root = jnp.sqrt(jnp.maximum(1 - 2 * bend * first, _LEAST_ROOT))
     step = 2 * first / (1 + root)
     shift_u, shift_v = -step * normal_u, -step * normal_v
 
-    foot = sheet_point(sheet_from_normalised, ray.moved(shift_u, shift_v), point.unit)
+    foot = sheet_point(sheet_from_camera, ray.moved(shift_u, shift_v), point.unit)
     normal_x, normal_y, centre_distance = _from_centre(foot, centre_mm)
     gradient, normal_u, normal_v = _gradient(foot, normal_x, normal_y)
     tangent_n, tangent_t = _tangent(foot, normal_x, normal_y, normal_u, normal_v)
     curvature = tangent_t * tangent_t / (radius_mm * gradient)
     ratio = (15 * tangent_n * tangent_n - 3 * tangent_t * tangent_t) / (gradient * gradient)
+    lens = _lens_bend(foot, normal_x, normal_y, normal_u, normal_v, gradient)
     change = curvature * tangent_t * tangent_t / (radius_mm * radius_mm) * (3 + ratio)
+    curvature = curvature + lens.along_t
     outward, aside = _along(-shift_u, -shift_v, normal_u, normal_v)
     rest = (centre_distance - radius_mm) / gradient
     rounding = 0.5 * curvature * aside * aside / jnp.maximum(1 + curvature * outward, 0.5)
@@ -199,6 +215,36 @@ def _tangent(
     (a00, a01), (a10, a11) = point.by_pixel
     u, v = -normal_y * a00 + normal_x * a10, -normal_y * a01 + normal_x * a11
     return _along(u, v, normal_u, normal_v)
+
+
+class _LensBend(NamedTuple):
+    """Second derivatives of F that the lens adds, over g: along N, along N and T, along T."""
+
+    along_n: Scalar
+    across: Scalar
+    along_t: Scalar
+
+
+def _lens_bend(
+    point: SheetPoint,
+    normal_x: Scalar,
+    normal_y: Scalar,
+    normal_u: Scalar,
+    normal_v: Scalar,
+    gradient: Scalar,
+) -> _LensBend:
+    if point.bend is None:
+        zero = jnp.zeros_like(gradient)
+        return _LensBend(zero, zero, zero)
+    uu, uv, vv = (
+        (normal_x * point.bend[0, k] + normal_y * point.bend[1, k]) / gradient for k in range(3)
+    )
+    square_u, both, square_v = normal_u * normal_u, normal_u * normal_v, normal_v * normal_v
+    return _LensBend(
+        uu * square_u + 2 * uv * both + vv * square_v,
+        (vv - uu) * both + uv * (square_u - square_v),
+        uu * square_v - 2 * uv * both + vv * square_u,
+    )
 
 
 def _along(u: Scalar, v: Scalar, normal_u: Scalar, normal_v: Scalar) -> tuple[Scalar, Scalar]:

@@ -101,10 +101,10 @@ def gradient_and_sums(
     zero = jnp.zeros(model.size, state.pose.rotation.dtype)
 
     def retracted(motion: Float[ArrayLike, "p"]) -> Pose:
-        return state.pose.retract(motion, model, state.pose.distance_mm)
+        return state.pose.retract(motion, model, step_unit_mm(state.pose, model))
 
     def homography_after(motion: Float[ArrayLike, "p"]) -> Float[ArrayLike, "9"]:
-        return sheet_from_normalised(retracted(motion)).reshape(9)
+        return sheet_from_camera(retracted(motion)).reshape(9)
 
     homography, by_motion = homography_after(zero), jax.jacfwd(homography_after)(zero)
     sums = [
@@ -189,7 +189,7 @@ class StagedGaussNewton(optx.AbstractRootFinder[ImageState, Array, Sums, _State]
         motion = -_solve(sums.information, gradient, stage.held)
         count = self.model.size
         after = ImageState(
-            y.pose.retract(motion[:count], self.model, y.pose.distance_mm),
+            y.pose.retract(motion[:count], self.model, step_unit_mm(y.pose, self.model)),
             _kept_possible(y.appearance.vector + motion[count:]),
         )
         return after, _State(state.steps + 1, jnp.sqrt(-motion @ gradient)), sums
@@ -251,10 +251,21 @@ def fit_picture(
     return Fit(solution.value, solution.aux, solution.result == optx.RESULTS.successful)
 
 
-def sheet_from_normalised(pose: Pose) -> Float[ArrayLike, "3 3"]:
-    """Homography from normalised image coordinates to the sheet, scaled by its last entry."""
+def sheet_from_camera(pose: Pose) -> Float[ArrayLike, "3 3"]:
+    """Homography from directions in the camera to the sheet.
+
+    Its last row is of unit length: a sheet may lie anywhere about the camera.
+    """
     inverse = inverse_3x3(pose.cam_from_sheet)
-    return inverse / inverse[2, 2]
+    return inverse / jnp.sqrt(inverse[2] @ inverse[2])
+
+
+def step_unit_mm(pose: Pose, model: PoseModel) -> Float[ArrayLike, ""]:
+    """The unit of lengths in steps of a pose: its distance along the axis, or from the sheet's
+    middle where the axis need not meet the sheet."""
+    if model is PoseModel.RIGID:
+        return jnp.sqrt(pose.translation_mm @ pose.translation_mm)
+    return pose.distance_mm
 
 
 def _solve(

@@ -19,7 +19,7 @@ from trinoc.calib.photometric.local_light import blocks_of_pixels
 from trinoc.calib.photometric.noise_by_level import noise_by_level
 from trinoc.calib.photometric.patches import PixelRows, patch_points
 from trinoc.calib.photometric.refutation import refuted_part
-from trinoc.calib.targets import Pattern
+from trinoc.calib.targets import Pattern, SquareSheet
 from trinoc.geometry import AbstractLens, Pose, PoseModel
 
 # The median of flat parts sees no more noise than the residuals, a mosaic's colours apart.
@@ -28,7 +28,7 @@ _MOSAIC_NOISE = 1.5
 
 def refine_image(
     image: Float[np.ndarray, "h w"],
-    pattern: Pattern,
+    pattern: Pattern | SquareSheet,
     lens: AbstractLens,
     start: Pose,
     model: PoseModel,

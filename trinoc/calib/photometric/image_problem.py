@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from typing import NamedTuple
 
+import jax
 import numpy as np
 from jaxtyping import Float
 
@@ -12,7 +13,7 @@ from trinoc.calib.photometric.clipped_noise import saturation_level, white_of
 from trinoc.calib.photometric.encoding import Encoding
 from trinoc.calib.photometric.gauss_newton import Group
 from trinoc.calib.photometric.initial import initial_appearance
-from trinoc.calib.photometric.ink_coverage import Cross, Drawing
+from trinoc.calib.photometric.ink_coverage import SQUARES, Cross, Drawing
 from trinoc.calib.photometric.line_pixels import places_of_pixels
 from trinoc.calib.photometric.mosaic import balanced_mosaic
 from trinoc.calib.photometric.pixel_selection import (
@@ -22,7 +23,7 @@ from trinoc.calib.photometric.pixel_selection import (
     group_of,
     select_pixels,
 )
-from trinoc.calib.targets import Pattern
+from trinoc.calib.targets import Pattern, SquareSheet
 from trinoc.geometry import AbstractLens, Pose, PoseModel
 from trinoc.numerics import noise_sigma
 
@@ -71,12 +72,12 @@ class ImageProblem(NamedTuple):
     @property
     def everything(self) -> SelectedPixels:
         """The pixels of both groups."""
-        return SelectedPixels(*(np.concatenate(pair) for pair in zip(*self.chosen, strict=True)))
+        return jax.tree.map(lambda *pair: np.concatenate(pair), *self.chosen)
 
 
 def image_problem(
     image: Float[np.ndarray, "h w"],
-    pattern: Pattern,
+    pattern: Pattern | SquareSheet,
     lens: AbstractLens,
     start: Pose,
     model: PoseModel,
@@ -86,6 +87,7 @@ def image_problem(
     """The problem, and the noise of the picture's flat parts; None where no ink shows."""
     noise_scale = np.broadcast_to(np.float32(1.0), image.shape)
     if encoding.bayer is not None:
+        assert isinstance(pattern, Pattern)
         image, noise_scale = balanced_mosaic(image, encoding.bayer, start, lens, pattern)
     appearance = initial_appearance(image, start, lens, pattern)
     if not -appearance.ratio * appearance.light[0] > _LEAST_CONTRAST:
@@ -109,7 +111,7 @@ def image_problem(
         chosen,
         (near_circles, near_lines),
         _cross(pattern),
-        Drawing(pattern.line_style, bool((pattern.inner_radius_mm > 0).any())),
+        _drawing(pattern),
     )
     return problem, noise_sigma(_cut_out(image, choice), flat=choice.flat)
 
@@ -136,7 +138,15 @@ def camera_scene(problem: ImageProblem, encoding: Encoding) -> CameraScene:
     )
 
 
-def _cross(pattern: Pattern) -> Cross:
+def _drawing(pattern: Pattern | SquareSheet) -> Drawing:
+    if isinstance(pattern, SquareSheet):
+        return Drawing(SQUARES, False)
+    return Drawing(pattern.line_style, bool((pattern.inner_radius_mm > 0).any()))
+
+
+def _cross(pattern: Pattern | SquareSheet) -> Cross:
+    if isinstance(pattern, SquareSheet):
+        return Cross(np.zeros(()), np.zeros(2), np.zeros(()))
     return Cross(
         np.asarray(0.5 * pattern.line_width_mm),
         np.array(pattern.line_half_length_mm, dtype=np.float64),

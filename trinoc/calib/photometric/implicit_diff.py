@@ -15,7 +15,12 @@ import optimistix as optx
 from jaxtyping import Float
 
 from trinoc.calib.photometric.appearance import NUISANCE, Appearance, predict
-from trinoc.calib.photometric.gauss_newton import Group, ImageState, sheet_from_normalised
+from trinoc.calib.photometric.gauss_newton import (
+    Group,
+    ImageState,
+    sheet_from_camera,
+    step_unit_mm,
+)
 from trinoc.calib.photometric.ink_coverage import Cross, Drawing
 from trinoc.geometry import PoseModel
 from trinoc.numerics import ArrayLike
@@ -51,7 +56,7 @@ def fitted(
 
 def _after(state: ImageState, step: Float[ArrayLike, "k"], model: PoseModel) -> ImageState:
     appearance = Appearance.from_vector(state.appearance.vector + step[model.size :])
-    pose = state.pose.retract(step[: model.size], model, state.pose.distance_mm)
+    pose = state.pose.retract(step[: model.size], model, step_unit_mm(state.pose, model))
     return ImageState(pose, appearance)
 
 
@@ -65,8 +70,8 @@ def _gradient_after(
     state, near_circles, near_lines, cross = args
 
     def homography_after(step: Float[ArrayLike, "k"]) -> Float[ArrayLike, "3 3"]:
-        pose = state.pose.retract(step[: model.size], model, state.pose.distance_mm)
-        return sheet_from_normalised(pose)
+        pose = state.pose.retract(step[: model.size], model, step_unit_mm(state.pose, model))
+        return sheet_from_camera(pose)
 
     by_step = jax.jacfwd(homography_after)(step).reshape(9, -1)
     appearance_by_step = jnp.eye(NUISANCE, len(step), model.size, dtype=step.dtype)

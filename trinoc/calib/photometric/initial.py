@@ -4,9 +4,9 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.calib.photometric.appearance import LIGHT_TERMS, Appearance
-from trinoc.calib.photometric.corner_pixels import places_to_look_at
 from trinoc.calib.photometric.outlines import circle_points_mm, project_to_image
-from trinoc.calib.targets import CORNERS, Pattern
+from trinoc.calib.photometric.square_pixels import places_to_look_at
+from trinoc.calib.targets import Pattern, SquareSheet
 from trinoc.geometry import AbstractLens, Pose
 
 # A central difference over two pixels sees an edge as if blurred by this variance more.
@@ -15,7 +15,7 @@ _LEAST_SIGMA_PX, _LARGEST_SIGMA_PX = 0.4, 8.0
 
 
 def initial_appearance(
-    image: Float[np.ndarray, "h w"], pose: Pose, lens: AbstractLens, pattern: Pattern
+    image: Float[np.ndarray, "h w"], pose: Pose, lens: AbstractLens, pattern: Pattern | SquareSheet
 ) -> Appearance:
     """Medians over all places: of the paper beside, the ink inside, the steepness between."""
     outlines = _places(pattern)
@@ -41,9 +41,9 @@ def initial_appearance(
     )
 
 
-def _places(pattern: Pattern) -> tuple[Float[np.ndarray, "_n 2"], ...]:
+def _places(pattern: Pattern | SquareSheet) -> tuple[Float[np.ndarray, "_n 2"], ...]:
     """Of the sheet: in ink, on edges, on paper."""
-    if pattern.line_style == CORNERS:
+    if isinstance(pattern, SquareSheet):
         return places_to_look_at(pattern)
     outer, inner = pattern.radius_mm, pattern.inner_radius_mm
     radii = (0.5 * (outer + inner), outer, outer + 0.3 * outer)

@@ -1,4 +1,4 @@
-"""The share of a blurred pixel that is ink: circles, rings, and the crossed lines.
+"""The share of a blurred pixel that is ink: circles, rings, and the crossed lines, or squares.
 
 The part of the model that is differentiated takes a small displacement of the pixel's point
 on the sheet: the edges' directions and curvatures stay as they are, which changes a row of
@@ -6,6 +6,7 @@ the Jacobian by a percent and the answer not at all.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -22,13 +23,15 @@ from trinoc.calib.photometric.edges import (
 )
 from trinoc.calib.photometric.kernels import Kernel, kernel_coverage
 from trinoc.calib.photometric.sheet_point import Ray, SheetPoint
-from trinoc.calib.targets import CORNERS
+from trinoc.calib.photometric.square_coverage import Squares, ink_of_squares
 from trinoc.numerics import ArrayLike
 
 Scalar = Float[ArrayLike, ""]
 # (displacement on the sheet X, Y in mm, ink spread in mm, sigma in px or kernel) -> share of ink.
 InkShare = Callable[[Scalar, Scalar, Scalar, Scalar | Kernel], Scalar]
 Band = tuple[Coverage, Coverage]
+# The line style of boards of squares, which have no lines.
+SQUARES = "squares"
 
 
 class Drawing(NamedTuple):
@@ -36,7 +39,7 @@ class Drawing(NamedTuple):
 
     Fields
     ------
-    line_style : of the pattern.
+    line_style : of the pattern; SQUARES for a board of squares.
     has_rings : whether some circle is a ring.
     """
 
@@ -71,24 +74,30 @@ class Cross(NamedTuple):
 class View(NamedTuple):
     """A pixel on the sheet, from which edges can be looked at."""
 
-    sheet_from_normalised: Float[ArrayLike, "3 3"]
+    sheet_from_camera: Float[ArrayLike, "3 3"]
     ray: Ray
     point: SheetPoint
 
     def circle(self, circle: Circle, radius_mm: Scalar) -> Edge:
         """The edge of given radius about a circle's centre."""
         return circular_edge(
-            self.sheet_from_normalised, self.ray, self.point, circle.centre_mm, radius_mm
+            self.sheet_from_camera, self.ray, self.point, circle.centre_mm, radius_mm
         )
 
 
-def ink_of_circle(view: View, circle: Circle, drawing: Drawing) -> InkShare:
-    """Ink of a disc or ring; a hole lies wholly inside its disc, so shares subtract.
+def ink_near(
+    view: View, figure: Circle | Squares, cross: Cross, drawing: Drawing, near_line: bool
+) -> InkShare:
+    """Ink of what is nearest to a pixel."""
+    if isinstance(figure, Squares):
+        return partial(ink_of_squares, view.point, figure)
+    if near_line:
+        return ink_of_sheet(view, figure, cross, drawing)
+    return ink_of_circle(view, figure, drawing)
 
-    On a chessboard, ink about a corner.
-    """
-    if drawing.line_style == CORNERS:
-        return _ink_of_corner(view, circle)
+
+def ink_of_circle(view: View, circle: Circle, drawing: Drawing) -> InkShare:
+    """Ink of a disc or ring; a hole lies wholly inside its disc, so shares subtract."""
     outer = view.circle(circle, circle.radius_mm)
     hole, has_hole = _hole(view, circle, drawing)
 
@@ -97,31 +106,6 @@ def ink_of_circle(view: View, circle: Circle, drawing: Drawing) -> InkShare:
         if hole is None:
             return ink
         return ink - has_hole * _coverage(hole, _shift(hole, dx, dy) + spread, blur).share
-
-    return share
-
-
-def _ink_of_corner(view: View, corner: Circle) -> InkShare:
-    """Ink of the two dark squares that meet in a corner; see `corner_sheet` for their places."""
-    one, zero = jnp.ones_like(corner.present), jnp.zeros_like(corner.present)
-    left = straight_edge(view.point, one, zero, corner.centre_mm[0])
-    below = straight_edge(view.point, zero, one, corner.centre_mm[1])
-
-    def share(dx: Scalar, dy: Scalar, spread: Scalar, blur: Scalar | Kernel) -> Scalar:
-        def sides(edge: Edge) -> tuple[Coverage, Coverage]:
-            """What lies left of (or below) the edge, and of where ink's spread has it."""
-            at = _shift(edge, dx, dy)
-            return _coverage(edge, at + spread, blur), _coverage(edge, at - spread, blur)
-
-        (less_left, more_left), (less_below, more_below) = sides(left), sides(below)
-        upper_left = more_left.share - common(more_left, less_below)
-        lower_right = more_below.share - common(less_left, more_below)
-        upper_right = 1 - less_left.share - less_below.share + common(less_left, less_below)
-        lower_left = common(more_left, more_below)
-        rising = corner.inner_radius_mm > 0
-        return corner.present * jnp.where(
-            rising, upper_right + lower_left, upper_left + lower_right
-        )
 
     return share
 

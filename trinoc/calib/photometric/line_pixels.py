@@ -6,7 +6,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
-from trinoc.calib.photometric.gauss_newton import sheet_from_normalised
+from trinoc.calib.photometric.gauss_newton import sheet_from_camera
 from trinoc.calib.photometric.rays import rays_of_pixels
 from trinoc.calib.targets import Pattern
 from trinoc.geometry import AbstractLens, Pose
@@ -67,18 +67,28 @@ def places_of_pixels(
     column: Shaped[np.ndarray, "n"], row: Shaped[np.ndarray, "n"], pose: Pose, lens: AbstractLens
 ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n"]]:
     """Places of a flat sheet under pixels, in mm, and the largest mm per pixel about each."""
-    normalised, by_pixel = rays_of_pixels(lens, np.stack([column, row], axis=1).astype(np.float64))
-    x, y = np.asarray(normalised).T
-    matrix = np.asarray(_homography(pose))
-    scale = 1 / (matrix[2, 0] * x + matrix[2, 1] * y + matrix[2, 2])
-    point = (matrix[:2, :2] @ np.stack([x, y]) + matrix[:2, 2:]) * scale
-    slope = (matrix[:2, :2, None] - point[:, None] * matrix[2, :2, None]) * scale
-    (xu, xv), (yu, yv) = np.moveaxis(np.asarray(by_pixel), 0, -1)
-    along_u, along_v = slope[:, 0] * xu + slope[:, 1] * yu, slope[:, 0] * xv + slope[:, 1] * yv
+    point, (along_u, along_v) = places_and_slopes(column, row, pose, lens)
     squares = (along_u**2).sum(axis=0) + (along_v**2).sum(axis=0)
     area = along_u[0] * along_v[1] - along_u[1] * along_v[0]
     flat = np.sqrt(np.maximum(squares**2 - 4 * area**2, 0.0))
     return point.T, np.sqrt(0.5 * (squares + flat))
 
 
-_homography = jax.jit(sheet_from_normalised)
+def places_and_slopes(
+    column: Shaped[np.ndarray, "n"], row: Shaped[np.ndarray, "n"], pose: Pose, lens: AbstractLens
+) -> tuple[Float[np.ndarray, "2 n"], tuple[Float[np.ndarray, "2 n"], Float[np.ndarray, "2 n"]]]:
+    """Places of a flat sheet under pixels, in mm, and their derivatives by u and by v."""
+    uv_px = np.stack([column, row], axis=1).astype(np.float64)
+    ray = rays_of_pixels(lens, uv_px, with_bend=False)
+    direction = np.asarray(ray.direction).T
+    matrix = np.asarray(_homography(pose))
+    scale = 1 / (matrix[2] @ direction)
+    point = (matrix[:2] @ direction) * scale
+    along_u, along_v = (
+        (matrix[:2] @ by - point * (matrix[2] @ by)) * scale
+        for by in np.moveaxis(np.asarray(ray.by_pixel), 0, -1).swapaxes(0, 1)
+    )
+    return point, (along_u, along_v)
+
+
+_homography = jax.jit(sheet_from_camera)

@@ -11,7 +11,7 @@ import scipy.sparse
 from jaxtyping import Float, Int
 
 from trinoc.calib.photometric.outlines import project_to_image
-from trinoc.calib.targets import Pattern
+from trinoc.calib.targets import Pattern, SquareSheet
 from trinoc.geometry import AbstractLens, Pose
 from trinoc.numerics import point_tree
 
@@ -50,7 +50,7 @@ class Blocks(NamedTuple):
 
 
 def blocks_of_pixels(
-    uv_px: Int[np.ndarray, "n 2"], pose: Pose, lens: AbstractLens, pattern: Pattern
+    uv_px: Int[np.ndarray, "n 2"], pose: Pose, lens: AbstractLens, pattern: Pattern | SquareSheet
 ) -> Blocks:
     """The nearest circle of each pixel."""
     middle = np.asarray(project_to_image(pose, lens, pattern.centres_mm))

@@ -39,7 +39,7 @@ class NormalEquations(NamedTuple):
 
 
 def normal_equations(
-    sheet_from_normalised: Float[ArrayLike, "3 3"],
+    sheet_from_camera: Float[ArrayLike, "3 3"],
     appearance: Appearance,
     pixels: Pixels,
     chunks: Int[ArrayLike, ""],
@@ -55,9 +55,7 @@ def normal_equations(
 
     def add(k: Int[ArrayLike, ""], sums: NormalEquations) -> NormalEquations:
         part = _chunk(pixels, k)
-        predicted = _predict_chunk(
-            sheet_from_normalised, appearance, part, cross, drawing, near_line
-        )
+        predicted = _predict_chunk(sheet_from_camera, appearance, part, cross, drawing, near_line)
         residual = predicted.residual
         # The square root of the weight: rows and residual then share one product.
         root = part.weight * loss.root_weight(residual**2)
@@ -75,7 +73,7 @@ def normal_equations(
             ),
         )
 
-    dtype = sheet_from_normalised.dtype
+    dtype = sheet_from_camera.dtype
     loss = jax.tree.map(lambda leaf: leaf.astype(pixels.grey.dtype), loss)
     start = NormalEquations(
         jnp.zeros((_ROW, _ROW), dtype),
@@ -84,18 +82,18 @@ def normal_equations(
         jnp.zeros((3 + NUISANCE, len(pixels.grey)), pixels.grey.dtype),
     )
     sums = jax.lax.fori_loop(0, chunks, add, start)
-    rounding = _rounding(sheet_from_normalised, appearance, pixels.grey.dtype)
+    rounding = _rounding(sheet_from_camera, appearance, pixels.grey.dtype)
     return sums._replace(gradient=sums.gradient + sums.matrix @ rounding)
 
 
 def _rounding(
-    sheet_from_normalised: Float[ArrayLike, "3 3"], appearance: Appearance, dtype: jnp.dtype
+    sheet_from_camera: Float[ArrayLike, "3 3"], appearance: Appearance, dtype: jnp.dtype
 ) -> Float[ArrayLike, "18"]:
     """What the unknowns lose in the precision of the pixels.
 
     All pixels lose it alike, so that in a large picture it outweighs their noise.
     """
-    exact = jnp.concatenate([sheet_from_normalised.reshape(9), appearance.vector])
+    exact = jnp.concatenate([sheet_from_camera.reshape(9), appearance.vector])
     return exact - exact.astype(dtype).astype(exact.dtype)
 
 
@@ -104,7 +102,7 @@ def _chunk(pixels: Pixels, k: Int[ArrayLike, ""]) -> Pixels:
 
 
 def _predict_chunk(
-    sheet_from_normalised: Float[ArrayLike, "3 3"],
+    sheet_from_camera: Float[ArrayLike, "3 3"],
     appearance: Appearance,
     pixels: Pixels,
     cross: Cross,
@@ -112,6 +110,6 @@ def _predict_chunk(
     near_line: bool,
 ) -> Prediction:
     one = partial(predict, drawing=drawing, near_line=near_line)
-    shared = (sheet_from_normalised, appearance, cross)
+    shared = (sheet_from_camera, appearance, cross)
     homography, look, lines = jax.tree.map(lambda leaf: leaf.astype(pixels.grey.dtype), shared)
     return jax.vmap(one, in_axes=(None, None, 0, None))(homography, look, pixels, lines)

@@ -14,10 +14,10 @@ import scipy.sparse
 from jaxtyping import Float, Int
 
 from trinoc.calib.model import SheetPoints
-from trinoc.calib.photometric.gauss_newton import sheet_from_normalised
+from trinoc.calib.photometric.gauss_newton import sheet_from_camera
 from trinoc.calib.photometric.local_light import WIDTH, Blocks
 from trinoc.calib.photometric.sheet_point import Ray
-from trinoc.calib.targets import Pattern
+from trinoc.calib.targets import Pattern, SquareSheet
 from trinoc.geometry import AbstractLens
 from trinoc.numerics import ArrayLike
 
@@ -73,24 +73,29 @@ class PixelRows(NamedTuple):
 
 
 def patch_points(
-    lens: AbstractLens, pattern: Pattern, homography: Float[np.ndarray, "3 3"], pixels: PixelRows
+    lens: AbstractLens,
+    pattern: Pattern | SquareSheet,
+    homography: Float[np.ndarray, "3 3"],
+    pixels: PixelRows,
 ) -> SheetPoints:
     """The patches that a picture shows; none where the fit has left all that is finite.
 
-    homography : from normalised coordinates to the sheet, at which the rows are.
+    homography : from directions in the camera to the sheet, at which the rows are.
     """
-    x, y = np.asarray(pixels.ray.normalised, dtype=np.float64).T
-    on_sheet = homography @ np.stack([x, y, np.ones_like(x)])
+    direction = np.asarray(pixels.ray.direction, dtype=np.float64).T
+    on_sheet = homography @ direction
     place = (on_sheet[:2] / on_sheet[2]).T
-    # A picture that is shifted by d shows at x what it showed at x - d.
-    by_normalised = -homography[:, :2].T @ pixels.by_homography
-    by_px = np.einsum("jn,njk->kn", by_normalised, np.asarray(pixels.ray.by_pixel))
+    # A picture that is shifted by d shows at x what it showed at x - d. The third column of the
+    # homography acts by the third coordinate of the ray.
+    by_direction = -homography.T @ (pixels.by_homography / direction[2])
+    by_px = np.einsum("jn,njk->kn", by_direction, np.asarray(pixels.ray.by_pixel))
     numbers = place, by_px, pixels.weight, pixels.by_look
     if not all(np.isfinite(part).all() for part in numbers):
         return _NOTHING
-    label = np.where(
-        pixels.circle >= 0, pixels.circle, len(pattern) + _piece_of_line(place, pattern)
-    )
+    label = pixels.circle
+    if isinstance(pattern, Pattern):
+        piece = len(pattern) + _piece_of_line(place, pattern)
+        label = np.where(label >= 0, label, piece)
     known = (by_px**2).sum(axis=0) * pixels.weight
     label, known = _numbered(label, known)
     total = np.bincount(label, known)
@@ -103,17 +108,17 @@ def patch_points(
     return SheetPoints(middle, shown + shift, whitening)
 
 
-homography_of_pose = jax.jit(sheet_from_normalised)
+homography_of_pose = jax.jit(sheet_from_camera)
 
 
 @jax.jit
 def _images(
     lens: AbstractLens,
-    normalised_from_sheet: Float[ArrayLike, "3 3"],
+    camera_from_sheet: Float[ArrayLike, "3 3"],
     places_mm: Float[ArrayLike, "m 2"],
 ) -> Float[ArrayLike, "m 2"]:
     def image(place: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
-        return lens.project_ray(normalised_from_sheet @ jnp.append(place, 1.0))
+        return lens.project_ray(camera_from_sheet @ jnp.append(place, 1.0))
 
     return jax.vmap(image)(places_mm)
 

@@ -8,14 +8,15 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from trinoc.calib.photometric.appearance import Pixels
-from trinoc.calib.photometric.corner_pixels import corner_pixels
 from trinoc.calib.photometric.gauss_newton import Group
 from trinoc.calib.photometric.ink_coverage import Circle
 from trinoc.calib.photometric.line_pixels import line_view
 from trinoc.calib.photometric.normal_equations import CHUNK
 from trinoc.calib.photometric.outlines import circle_points_mm, line_outlines_mm, project_to_image
 from trinoc.calib.photometric.rays import rays_of_pixels
-from trinoc.calib.targets import CORNERS, Pattern
+from trinoc.calib.photometric.square_coverage import Squares
+from trinoc.calib.photometric.square_pixels import square_pixels
+from trinoc.calib.targets import Pattern, SquareSheet
 from trinoc.geometry import AbstractLens, Pose
 
 # Pixels within this many sigmas of an edge, and a little more for an error of the start.
@@ -34,12 +35,24 @@ class SelectedPixels(NamedTuple):
     Fields
     ------
     column, row : (n,) of the pixel.
-    circle : (n,) index of the nearest circle, -1 where none is near.
+    circle : (n,) index of the nearest circle, -1 where none is near; of the nearest node of a
+        board of squares.
+    squares : (n, ...) of such a board, the ink about each.
     """
 
     column: Int[np.ndarray, "n"]
     row: Int[np.ndarray, "n"]
     circle: Int[np.ndarray, "n"]
+    squares: Squares | None = None
+
+    @property
+    def places(self) -> tuple[np.ndarray, np.ndarray]:
+        """To index a picture by."""
+        return self.row, self.column
+
+    def part(self, chosen: np.ndarray) -> "SelectedPixels":
+        """Some of them, in that order."""
+        return jax.tree.map(lambda field: field[chosen], self)
 
 
 class PixelSelection(NamedTuple):
@@ -61,7 +74,7 @@ class PixelSelection(NamedTuple):
 def select_pixels(
     pose: Pose,
     lens: AbstractLens,
-    pattern: Pattern,
+    pattern: Pattern | SquareSheet,
     image_size_px: tuple[int, int],
     sigma_px: float,
 ) -> PixelSelection:
@@ -70,11 +83,10 @@ def select_pixels(
     Pixels within reach of two circles are left out: the model knows one.
     """
     reach_px = _REACH_SIGMAS * sigma_px + _REACH_PX
-    if pattern.line_style == CORNERS:
-        seen = corner_pixels(pose, lens, pattern, image_size_px, reach_px)
-        none = np.zeros(0, dtype=np.int64)
-        near = _spread(SelectedPixels(seen.column, seen.row, seen.corner))
-        return PixelSelection(near, SelectedPixels(none, none, none), seen.first, seen.flat)
+    if isinstance(pattern, SquareSheet):
+        seen = square_pixels(pose, lens, pattern, image_size_px, reach_px)
+        near = _spread(SelectedPixels(seen.column, seen.row, seen.node, seen.squares))
+        return PixelSelection(near, near.part(np.zeros(0, dtype=int)), seen.first, seen.flat)
     # OpenCV draws an even thickness one pixel wider: half a thickness and a half to each side.
     thickness = 2 * max(1, round(reach_px - 0.5))
     drawn, of_circle, cross = _outlines(pose, lens, pattern)
@@ -111,7 +123,7 @@ def select_pixels(
 def _spread(chosen: SelectedPixels) -> SelectedPixels:
     """The same pixels in an order whose beginning already covers the whole sheet."""
     order = np.concatenate([np.arange(k, len(chosen.row), PARTS) for k in range(PARTS)])
-    return SelectedPixels(*(field[order] for field in chosen))
+    return chosen.part(order)
 
 
 def _outlines(
@@ -166,7 +178,7 @@ def group_of(
     chosen: SelectedPixels,
     image: np.ndarray,
     lens: AbstractLens,
-    pattern: Pattern,
+    pattern: Pattern | SquareSheet,
     capacity: int,
     dtype: type,
     shift_px: Float[np.ndarray, "n 2"] | None = None,
@@ -178,23 +190,17 @@ def group_of(
     """
     count = len(chosen.row)
     if not count:
-        chosen, shift_px = SelectedPixels(*(np.array([value]) for value in (0, 0, -1))), None
-    column, row, circle = chosen
+        chosen, shift_px = _nothing(pattern), None
+    column, row, circle, squares = chosen
     height, width = image.shape
     uv_px = np.stack([column, row], axis=1).astype(np.float64)
-    nearest = np.maximum(circle, 0)
     fields = Pixels(
         ray=rays_of_pixels(lens, uv_px if shift_px is None else uv_px - shift_px),
         place=(uv_px - 0.5 * np.array([width - 1, height - 1])) / (0.5 * width),
         grey=image[row, column],
         weight=np.ones(len(row)),
         unit=np.ones(len(row)),
-        circle=Circle(
-            pattern.centres_mm[nearest],
-            pattern.radius_mm[nearest],
-            pattern.inner_radius_mm[nearest],
-            circle >= 0,
-        ),
+        figure=_circles(pattern, circle) if squares is None else squares,
     )
 
     def padded(leaf: np.ndarray) -> np.ndarray:
@@ -205,3 +211,23 @@ def group_of(
     pixels = jax.tree.map(padded, fields)
     pixels.weight[count:] = 0.0
     return Group(pixels, np.asarray(-(-count // CHUNK), dtype=np.int32))
+
+
+def _circles(pattern: Pattern | SquareSheet, circle: Int[np.ndarray, "n"]) -> Circle:
+    assert isinstance(pattern, Pattern)
+    nearest = np.maximum(circle, 0)
+    return Circle(
+        pattern.centres_mm[nearest],
+        pattern.radius_mm[nearest],
+        pattern.inner_radius_mm[nearest],
+        circle >= 0,
+    )
+
+
+def _nothing(pattern: Pattern | SquareSheet) -> SelectedPixels:
+    """One pixel that is near nothing, to pad with."""
+    squares = None
+    if isinstance(pattern, SquareSheet):
+        squares = Squares(np.zeros((1, 2)), np.zeros((1, 2)), np.zeros((1, 9)))
+    zero = np.zeros(1, dtype=int)
+    return SelectedPixels(zero, zero, zero - 1, squares)

@@ -1,5 +1,6 @@
 """Where the ray of a pixel meets the sheet, and how that point moves with the pixel."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -13,19 +14,29 @@ class Ray(NamedTuple):
 
     Fields
     ------
-    normalised : (2,) (x/z, y/z) of the pixel's centre in the camera frame.
-    by_pixel : (2, 2) derivative of `normalised` with respect to (u, v).
+    direction : (3,) of the pixel's centre in the camera frame, of any length.
+    by_pixel : (3, 2) derivative of `direction` with respect to (u, v).
+    bend : (3, 3) second derivatives by uu, uv and vv, by which straight edges look curved; None
+        for a lens that keeps lines straight.
     """
 
-    normalised: Float[ArrayLike, "2"]
-    by_pixel: Float[ArrayLike, "2 2"]
+    direction: Float[ArrayLike, "3"]
+    by_pixel: Float[ArrayLike, "3 2"]
+    bend: Float[ArrayLike, "3 3"] | None = None
 
     def moved(self, du: Float[ArrayLike, ""], dv: Float[ArrayLike, ""]) -> "Ray":
-        """The ray of a place (du, dv) pixels aside, by the lens's derivative here."""
-        (xu, xv), (yu, yv) = self.by_pixel
-        x, y = self.normalised[0], self.normalised[1]
-        aside = jnp.stack([x + xu * du + xv * dv, y + yu * du + yv * dv])
-        return Ray(aside, self.by_pixel)
+        """The ray of a place (du, dv) pixels aside, by the lens's derivatives here."""
+        direction, by_pixel = [], []
+        for k in range(3):
+            by_u, by_v = self.by_pixel[k, 0], self.by_pixel[k, 1]
+            aside = self.direction[k] + by_u * du + by_v * dv
+            if self.bend is not None:
+                uu, uv, vv = (self.bend[k, j] for j in range(3))
+                aside = aside + 0.5 * (uu * du * du + vv * dv * dv) + uv * du * dv
+                by_u, by_v = by_u + uu * du + uv * dv, by_v + uv * du + vv * dv
+            direction.append(aside)
+            by_pixel.append(jnp.stack([by_u, by_v]))
+        return Ray(jnp.stack(direction), jnp.stack(by_pixel), self.bend)
 
 
 class SheetPoint(NamedTuple):
@@ -36,11 +47,12 @@ class SheetPoint(NamedTuple):
     point_mm : (2,) (X, Y).
     by_pixel : (2, 2) A, derivative of the point with respect to (u, v), mm per px.
     depth_slope : (2,) w, derivative of the logarithm of the homogeneous coordinate, per px:
-        the second derivatives of the point are -(A_ij w_k + A_ik w_j).
+        the second derivatives of the point are -(A_ij w_k + A_ik w_j), and `bend`.
     by_matrix : (3,) ray / homogeneous coordinate, which carries a change of the homography:
         d point_i = (dM_i - point_i dM_2) . by_matrix, for rows M_i.
     unit : 1, used as a fusion barrier. XLA computes cheap elementwise values again at every use;
         dividing by a 1 that it cannot see through makes it compute them once.
+    bend : (2, 3) second derivatives by uu, uv and vv that the lens adds; None for none.
     """
 
     point_mm: Float[ArrayLike, "2"]
@@ -48,34 +60,37 @@ class SheetPoint(NamedTuple):
     depth_slope: Float[ArrayLike, "2"]
     by_matrix: Float[ArrayLike, "3"]
     unit: Float[ArrayLike, ""]
+    bend: Float[ArrayLike, "2 3"] | None = None
 
 
 def sheet_point(
-    sheet_from_normalised: Float[ArrayLike, "3 3"], ray: Ray, unit: Float[ArrayLike, ""]
+    sheet_from_camera: Float[ArrayLike, "3 3"], ray: Ray, unit: Float[ArrayLike, ""]
 ) -> SheetPoint:
-    """The point of a ray under the homography M from normalised coordinates to the sheet.
+    """The point of a ray under the homography M from directions in the camera to the sheet.
 
     Written in scalars: over thousands of pixels the compiler fuses them into one loop, which
     it does not do for products of small matrices.
     """
-    (m00, m01, m02), (m10, m11, m12), (m20, m21, m22) = sheet_from_normalised
-    x, y = ray.normalised[0], ray.normalised[1]
-    (xu, xv), (yu, yv) = ray.by_pixel
-    scale = 1 / (m20 * x + m21 * y + m22)
-    point_x = (m00 * x + m01 * y + m02) * scale
-    point_y = (m10 * x + m11 * y + m12) * scale
-    slope_x, slope_y = m20 * scale, m21 * scale
-    a00, a01 = m00 * scale - point_x * slope_x, m01 * scale - point_x * slope_y
-    a10, a11 = m10 * scale - point_y * slope_x, m11 * scale - point_y * slope_y
+    (m00, m01, m02), (m10, m11, m12), (m20, m21, m22) = sheet_from_camera
+    x, y, z = ray.direction[0], ray.direction[1], ray.direction[2]
+    scale = 1 / (m20 * x + m21 * y + m22 * z)
+    point_x = (m00 * x + m01 * y + m02 * z) * scale
+    point_y = (m10 * x + m11 * y + m12 * z) * scale
+    depth = (m20 * scale, m21 * scale, m22 * scale)
+    of_x = [m * scale - point_x * d for m, d in zip((m00, m01, m02), depth, strict=True)]
+    of_y = [m * scale - point_y * d for m, d in zip((m10, m11, m12), depth, strict=True)]
+
+    def along(row: Sequence[ArrayLike], columns: ArrayLike, count: int) -> Float[ArrayLike, "k"]:
+        return jnp.stack([sum(row[k] * columns[k, j] for k in range(3)) for j in range(count)])
+
+    bend = None
+    if ray.bend is not None:
+        bend = jnp.stack([along(of_x, ray.bend, 3), along(of_y, ray.bend, 3)])
     return SheetPoint(
         jnp.stack([point_x, point_y]),
-        jnp.stack(
-            [
-                jnp.stack([a00 * xu + a01 * yu, a00 * xv + a01 * yv]),
-                jnp.stack([a10 * xu + a11 * yu, a10 * xv + a11 * yv]),
-            ]
-        ),
-        jnp.stack([slope_x * xu + slope_y * yu, slope_x * xv + slope_y * yv]),
-        jnp.stack([x * scale, y * scale, scale]),
+        jnp.stack([along(of_x, ray.by_pixel, 2), along(of_y, ray.by_pixel, 2)]),
+        along(depth, ray.by_pixel, 2),
+        jnp.stack([x * scale, y * scale, z * scale]),
         unit,
+        bend,
     )

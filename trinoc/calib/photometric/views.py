@@ -13,13 +13,14 @@ from jaxtyping import Float
 
 from trinoc.calib.model import SheetPoints
 from trinoc.calib.photometric.encoding import AS_DELIVERED, Encoding
+from trinoc.calib.photometric.gauss_newton import step_unit_mm
 from trinoc.calib.photometric.image_fit import refine_image
 from trinoc.calib.photometric.image_problem import ShiftOfPlaces
 from trinoc.calib.photometric.image_refinement import ImageRefinement
 from trinoc.calib.photometric.outlines import project_to_image
 from trinoc.calib.pose import DEGREES
 from trinoc.calib.result import ImageQuality
-from trinoc.calib.targets import Pattern
+from trinoc.calib.targets import Pattern, SquareSheet
 from trinoc.geometry import AbstractLens, Pose, PoseModel
 from trinoc.numerics import LARGEST_SIGMA, ArrayLike, observability
 
@@ -51,7 +52,7 @@ class PictureFit(NamedTuple):
 def refine_views(
     images: Mapping[str, Float[np.ndarray, "_h _w"]],
     starts: Mapping[str, Pose],
-    pattern: Pattern,
+    pattern: Pattern | SquareSheet,
     lenses: Mapping[str, AbstractLens],
     model: PoseModel,
     shifts: Mapping[str, ShiftOfPlaces],
@@ -95,7 +96,7 @@ def _threads() -> ThreadPoolExecutor:
 def _refine(
     image: Float[np.ndarray, "h w"],
     start: Pose,
-    pattern: Pattern,
+    pattern: Pattern | SquareSheet,
     lens: AbstractLens,
     model: PoseModel,
     shift: ShiftOfPlaces | None,
@@ -122,7 +123,7 @@ def _refine(
 
 def _quality(refined: ImageRefinement, model: PoseModel) -> ImageQuality:
     look = refined.appearance
-    distance = float(np.asarray(refined.pose.distance_mm))
+    distance = float(np.asarray(step_unit_mm(refined.pose, model)))
     by_delta = DEGREES[: model.size, None] * np.asarray(_by_delta(refined.pose, model=model))
     largest = LARGEST_SIGMA * DEGREES * np.array([1, 1, 1, *np.full(3, distance)])
     seen = observability(refined.information / refined.noise**2, by_delta, largest[: model.size])
@@ -142,4 +143,4 @@ def _quality(refined: ImageRefinement, model: PoseModel) -> ImageQuality:
 @partial(jax.jit, static_argnames="model")
 def _by_delta(pose: Pose, *, model: PoseModel) -> Float[ArrayLike, "p p"]:
     """Derivative of the parameters of a pose by a step in units of its distance."""
-    return pose.d_parameters_d_delta(model, pose.distance_mm, pose)
+    return pose.d_parameters_d_delta(model, step_unit_mm(pose, model), pose)

@@ -56,7 +56,7 @@ def calibrate_rig(
     world : the shot whose board is the world's plane Z = 0, or the camera whose frame is the
         world's; by default the first of the shots that most cameras saw.
     method : "points" fits the places that the detector found, circles or corners; "pixels" goes on
-        from there to the grey levels near every edge of a sheet of circles or a chessboard.
+        from there to the grey levels near every edge of the board.
     systematics : what is known of print and board: `print_size_sigma`, `print_scale_sigma` and
         `flatness_mm`, as `Systematics.typical` has them unless given.
     throw : whether a rig that is not determined raises; without it the result says so.
@@ -68,7 +68,7 @@ def calibrate_rig(
     Raises
     ------
     InputError : no picture, pictures of several sizes, or names that are not there; with
-        "pixels" a detection where a picture is needed, or a board with markers.
+        "pixels" a detection where a picture is needed.
     CalibrationError : a camera that never sees the board, cameras that no shot connects or whose
         shots are out of step, or, with `throw`, parameters that the shots do not determine.
     """

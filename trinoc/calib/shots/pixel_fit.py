@@ -1,7 +1,7 @@
 """The rig from the grey levels: what every picture shows near the board's edges, taken together.
 
 At a rig that points have found, each picture is fitted by itself: light, ink, blur and the board's
-pose. That leaves, for each circle and each piece of a line, where the picture shows it, and the
+pose. That leaves, for each circle, piece of a line or corner, where the picture shows it, and the
 information on all of them together, light, ink and blur eliminated. The rig is fitted to these as
 to points whose errors they share; the lenses it has then are those for the next look at the
 pictures.
@@ -19,12 +19,20 @@ from trinoc.calib.photometric import refine_views
 from trinoc.calib.shots.motions import chained
 from trinoc.calib.shots.place_shifts import shift_of_places
 from trinoc.calib.shots.placing import of_one_moment
+from trinoc.calib.shots.printed_tags import quarters_of_tags
 from trinoc.calib.shots.problem import Problem, lens_number
 from trinoc.calib.shots.robust_fit import RobustFit, errors_px, fitted, judged_fit
 from trinoc.calib.shots.sightings_of_shots import Pictures, delivered, named_pictures
 from trinoc.calib.shots.table import View
 from trinoc.calib.shots.wrong_circles import without_wrong_circles
-from trinoc.calib.targets import AbstractTarget, BoardSet, Chessboard, Pattern, corner_sheet
+from trinoc.calib.targets import (
+    AbstractTarget,
+    AprilGrid,
+    BoardSet,
+    Pattern,
+    SquareSheet,
+    square_sheet,
+)
 from trinoc.errors import InputError
 from trinoc.geometry import Pose, PoseModel
 from trinoc.numerics import blocks, grey_image
@@ -56,11 +64,6 @@ def expect_method(method: str, target: AbstractTarget, pictures: Mapping[str, Pi
         raise InputError(
             f'"{target.name}" holds several boards, and method "pixels" fits one: give '
             'method="points".'
-        )
-    if method == "pixels" and not isinstance(target, Pattern | Chessboard):
-        raise InputError(
-            f'The board {target.name!r} holds markers, and method "pixels" fits sheets of circles '
-            'and chessboards: give method="points".'
         )
     for camera, own in named_pictures(pictures).items():
         for shot, given in own.items():
@@ -95,8 +98,9 @@ def grey_levels(
 def fit_pixels(fit: RobustFit, grey_of: GreyOfView) -> PixelFit:
     """Go on from the fit of points, looking at the pictures as often as the lenses change."""
     problem, silent = _with_own_sigmas(fit.problem), []
+    drawn = _drawn(problem, grey_of)
     for _ in range(_MOST_ROUNDS):
-        views, silent = _shown_views(problem, grey_of)
+        views, silent = _shown_views(problem, drawn, grey_of)
         problem = problem._replace(views=views)
         before = errors_px(problem)
         problem, _ = fitted(without_wrong_circles(fitted(problem)[0]))
@@ -108,6 +112,16 @@ def fit_pixels(fit: RobustFit, grey_of: GreyOfView) -> PixelFit:
         if max(moves, default=0.0) < _STILL_PX:
             break
     return PixelFit(judged_fit(problem, fit.moved), silent)
+
+
+def _drawn(problem: Problem, grey_of: GreyOfView) -> Pattern | SquareSheet:
+    """The board's ink."""
+    board = problem.target
+    if isinstance(board, Pattern):
+        return board
+    if isinstance(board, AprilGrid):
+        return square_sheet(board, quarters=quarters_of_tags(problem, board, grey_of))
+    return square_sheet(board)
 
 
 def _with_own_sigmas(problem: Problem) -> Problem:
@@ -125,12 +139,9 @@ def _scaled(detection: Detection, variance: float) -> Detection:
 
 
 def _shown_views(
-    problem: Problem, grey_of: GreyOfView
+    problem: Problem, drawn: Pattern | SquareSheet, grey_of: GreyOfView
 ) -> tuple[tuple[View, ...], list[tuple[int, int, str]]]:
     """The views with what their pictures show, given the rig as it is."""
-    target = problem.target
-    drawn = corner_sheet(target) if isinstance(target, Chessboard) else target
-    assert isinstance(drawn, Pattern)
     asked = {str(k): view for k, view in enumerate(problem.views) if view.used.any()}
     poses, lenses, shifts = {}, {}, {}
     for name, view in asked.items():

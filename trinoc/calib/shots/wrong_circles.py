@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.model import SheetPoints, inliers, whitening_of_covariance
+from trinoc.calib.model import SheetPoints, inliers
 from trinoc.calib.shots.problem import Problem
 from trinoc.calib.shots.robust_fit import errors_px
 from trinoc.calib.shots.table import NO_PLACE, View, circle_of
@@ -70,4 +70,8 @@ def _in_sigmas(
     information = shown.whitening.T @ shown.whitening
     covariance = np.linalg.pinv(information, _ROUNDING, hermitian=True)
     own = np.stack([covariance[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] for k in rows])
-    return np.einsum("kij,kj->ki", whitening_of_covariance(own), errors[rows])
+    values, vectors = np.linalg.eigh(own)
+    # Of an edge alone, where it lies along itself is not told.
+    told = values > _ROUNDING * values[:, -1:]
+    sigma = np.sqrt(np.where(told, values, np.inf))
+    return np.einsum("kji,kj->ki", vectors, errors[rows]) / sigma

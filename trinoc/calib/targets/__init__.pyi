@@ -13,6 +13,12 @@ from .checkers import (
     Chessboard as Chessboard,
     dark_squares as dark_squares,
 )
-from .corners import corner_sheet as corner_sheet
-from .pattern import CORNERS as CORNERS, Pattern as Pattern
+from .markers import (
+    charuco_markers as charuco_markers,
+    marker_cells as marker_cells,
+    opencv_board as opencv_board,
+    opencv_dictionary as opencv_dictionary,
+)
+from .pattern import Pattern as Pattern
 from .proposal import SheetProposal as SheetProposal, propose_sheet as propose_sheet
+from .squares import SquareSheet as SquareSheet, square_sheet as square_sheet

@@ -12,8 +12,6 @@ from trinoc.errors import InputError
 from trinoc.numerics import ArrayLike, Shown
 
 LINE_STYLES = ("stop", "through", "white")
-# Of a sheet that shows no circles, but the corners of a chessboard: see `corner_sheet`.
-CORNERS = "corners"
 
 # Centres may lie this far, in pitches, from an even lattice: measured sheets, not misprints.
 _LATTICE_TOLERANCE = 0.25
@@ -237,7 +235,7 @@ def _problem(pattern: Pattern) -> str | None:
         return f"the hole of circle {worst} is not between 0 and its radius"
     if min(pattern.line_width_mm, pattern.line_gap_mm, *pattern.line_half_length_mm) < 0.0:
         return "the width, the gap or the length of the lines is negative"
-    if pattern.line_style not in (*LINE_STYLES, CORNERS):
+    if pattern.line_style not in LINE_STYLES:
         return f"the line style {pattern.line_style!r} is none of {', '.join(LINE_STYLES)}"
     if len(np.unique(pattern.lattice, axis=0)) != len(centres):
         return "two circles share one place in the lattice"
