@@ -10,11 +10,15 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.segments.nevatia_babu.gradient import Gradient
+from trinoc.numerics import concatenate_rows
+from trinoc.segments.nevatia_babu.gradient import Gradient, gradient_of
+from trinoc.segments.nevatia_babu.masks import GradientKernel
 
 # Linking looks two pixels to each side.
 BORDER_PX = 2
 _SMALLEST = np.float32(1e-6)
+# Pixels that are worked on at a time; rows that smoothing and masks look beyond their own.
+_STRIP_PX, _HALO_PX = 1 << 15, 3
 
 
 class ThinnedPixels(NamedTuple):
@@ -47,41 +51,74 @@ class ThinnedPixels(NamedTuple):
 
 
 def thinned_pixels(
-    gradient: Gradient,
+    grey: Float[np.ndarray, "h w"],
+    kernel: GradientKernel,
     least_strength: float,
     excluded: Bool[np.ndarray, "h w"] | None = None,
 ) -> ThinnedPixels:
-    """Pixels with a gradient of at least `least_strength` that is largest across the edge.
+    """Pixels of a picture with a gradient of at least `least_strength` that is largest across.
 
     The neighbours are taken along the axis of the picture that is nearer to the gradient,
     where samples need no interpolation. Pixels that are `excluded` are left out.
     """
-    width = gradient.u.shape[1]
-    strong = gradient.squared > np.float32(least_strength**2)
-    if excluded is not None:
-        strong &= ~excluded
-    strong[:BORDER_PX] = strong[-BORDER_PX:] = False
-    strong[:, :BORDER_PX] = strong[:, -BORDER_PX:] = False
-    pixel = np.flatnonzero(strong)
-    u, v = gradient.u.ravel(), gradient.v.ravel()
-    gu, gv = u[pixel], v[pixel]
-    along_u = np.abs(gu) >= np.abs(gv)
-    step = np.where(along_u, 1, width)
-    centre = gu * gu + gv * gv
-    before = gu * u[pixel - step] + gv * v[pixel - step]
-    after = gu * u[pixel + step] + gv * v[pixel + step]
-    # One of the two comparisons admits equality, or a plateau of two would lose both.
-    peak = np.flatnonzero((centre > before) & (centre >= after))
+    height, width = grey.shape
+    # Strip by strip: what a strip needs stays in the processor's cache.
+    rows = max(_STRIP_PX // width, 2 * _HALO_PX)
+    strips: list[ThinnedPixels] = []
+    for top in range(BORDER_PX, height - BORDER_PX, rows):
+        bottom = min(top + rows, height - BORDER_PX)
+        above = max(top - 1 - _HALO_PX, 0)
+        gradient = gradient_of(grey[above : bottom + 1 + _HALO_PX], kernel)
+        seen = slice(top - 1 - above, bottom + 1 - above)
+        free = None if excluded is None else ~excluded[top:bottom]
+        strips.append(_peaks(Gradient(*(part[seen] for part in gradient)), top, least_strength, free))
+    return concatenate_rows(strips)
 
-    pixel, along_u = pixel[peak], along_u[peak]
-    size = np.sqrt(centre[peak])
-    profile = np.stack([before[peak] / size, size, after[peak] / size], axis=-1)
+
+def _peaks(
+    gradient: Gradient,
+    top: int,
+    least_strength: float,
+    free: Bool[np.ndarray, "_h w"] | None,
+) -> ThinnedPixels:
+    """Thinned pixels of a strip, of which one row more is given on either side.
+
+    The strip begins at row `top` of the picture.
+    """
+    width = gradient.u.shape[1]
+    # Flat, and all pixels at once: neighbours share their products. What is wrong at the ends of
+    # rows is not looked at.
+    u, v, squared = (part.ravel() for part in gradient)
+    right = u[width:-width] * u[width + 1 : 1 - width]
+    right += v[width:-width] * v[width + 1 : 1 - width]
+    below = u[:-width] * u[width:]
+    below += v[:-width] * v[width:]
+    u, v, squared = (part[width:-width] for part in (u, v, squared))
+    along_u = np.abs(u) >= np.abs(v)
+    # One of the two comparisons admits equality, or a plateau of two would lose both.
+    peak = squared >= right
+    peak[1:] &= squared[1:] > right[:-1]
+    peak &= along_u
+    peak |= (squared > below[:-width]) & (squared >= below[width:]) & ~along_u
+    peak &= squared > np.float32(least_strength**2)
+    shown = peak.reshape(-1, width)
+    shown[:, :BORDER_PX] = shown[:, -BORDER_PX:] = False
+    if free is not None:
+        shown &= free
+
+    pixel = np.flatnonzero(peak)
     row, column = np.divmod(pixel, width)
-    uv_px = np.stack([column, row], axis=-1).astype(np.float32)
+    along_u = along_u[pixel]
+    size = np.sqrt(squared[pixel])
+    before = np.where(along_u, right[pixel - 1], below[pixel])
+    after = np.where(along_u, right[pixel], below[pixel + width])
+    profile = np.stack([before / size, size, after / size], axis=-1)
+    uv_px = np.stack([column, row + top], axis=-1).astype(np.float32)
     offset, _ = peak_of_profile(profile)
     uv_px[:, 0] += offset * along_u
     uv_px[:, 1] += offset * ~along_u
-    return ThinnedPixels(pixel, np.stack([gu[peak], gv[peak]], axis=-1), along_u, profile, uv_px)
+    toward_bright = np.stack([u[pixel], v[pixel]], axis=-1)
+    return ThinnedPixels(pixel + top * width, toward_bright, along_u, profile, uv_px)
 
 
 def profile_across(gradient: Gradient, pixels: ThinnedPixels) -> Float[np.ndarray, "n 5"]:
