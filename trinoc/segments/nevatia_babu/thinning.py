@@ -18,7 +18,10 @@ from trinoc.segments.nevatia_babu.masks import GradientKernel
 BORDER_PX = 2
 _SMALLEST = np.float32(1e-6)
 # Pixels that are worked on at a time; rows that smoothing and masks look beyond their own.
-_STRIP_PX, _HALO_PX = 1 << 15, 3
+_STRIP_PX, _HALO_PX = 1 << 16, 3
+
+# From this share of strong pixels on, all pixels are compared first.
+_BUSY = 0.3
 
 
 class ThinnedPixels(NamedTuple):
@@ -85,40 +88,56 @@ def _peaks(
 
     The strip begins at row `top` of the picture.
     """
-    width = gradient.u.shape[1]
-    # Flat, and all pixels at once: neighbours share their products. What is wrong at the ends of
-    # rows is not looked at.
+    height, width = gradient.u.shape
+    strong = gradient.squared > np.float32(least_strength**2)
+    strong[0] = strong[-1] = False
+    strong[:, :BORDER_PX] = strong[:, -BORDER_PX:] = False
+    if free is not None:
+        strong[1:-1] &= free
     u, v, squared = (part.ravel() for part in gradient)
+    if np.count_nonzero(strong) > _BUSY * strong.size:
+        strong.ravel()[width:-width] &= _largest_across(u, v, squared, width)
+    pixel = np.flatnonzero(strong)
+    gu, gv, centre = np.take(u, pixel), np.take(v, pixel), np.take(squared, pixel)
+    along_u = np.abs(gu) >= np.abs(gv)
+    # width where along v, and 1 where along u.
+    step = width - (width - 1) * along_u
+    one, other = pixel - step, pixel + step
+    before = gu * np.take(u, one) + gv * np.take(v, one)
+    after = gu * np.take(u, other) + gv * np.take(v, other)
+    # One of the two comparisons admits equality, or a plateau of two would lose both.
+    peak = np.flatnonzero((centre > before) & (centre >= after))
+
+    pixel, along_u, size = pixel[peak], along_u[peak], np.sqrt(centre[peak])
+    profile = np.stack([before[peak] / size, size, after[peak] / size], axis=-1)
+    row, column = np.divmod(pixel, width)
+    uv_px = np.stack([column, row + (top - 1)], axis=-1).astype(np.float32)
+    offset, _ = peak_of_profile(profile)
+    uv_px[:, 0] += offset * along_u
+    uv_px[:, 1] += offset * ~along_u
+    toward_bright = np.stack([gu[peak], gv[peak]], axis=-1)
+    return ThinnedPixels(pixel + (top - 1) * width, toward_bright, along_u, profile, uv_px)
+
+
+def _largest_across(
+    u: Float[np.ndarray, "n"], v: Float[np.ndarray, "n"], squared: Float[np.ndarray, "n"], width: int
+) -> Bool[np.ndarray, "m"]:
+    """Where a strip's gradient is largest across the edge, in all rows but the first and the last.
+
+    Without a gather, as neighbours share their products. The first and the last pixel of a row are
+    compared with pixels of other rows.
+    """
     right = u[width:-width] * u[width + 1 : 1 - width]
     right += v[width:-width] * v[width + 1 : 1 - width]
     below = u[:-width] * u[width:]
     below += v[:-width] * v[width:]
     u, v, squared = (part[width:-width] for part in (u, v, squared))
     along_u = np.abs(u) >= np.abs(v)
-    # One of the two comparisons admits equality, or a plateau of two would lose both.
-    peak = squared >= right
-    peak[1:] &= squared[1:] > right[:-1]
-    peak &= along_u
-    peak |= (squared > below[:-width]) & (squared >= below[width:]) & ~along_u
-    peak &= squared > np.float32(least_strength**2)
-    shown = peak.reshape(-1, width)
-    shown[:, :BORDER_PX] = shown[:, -BORDER_PX:] = False
-    if free is not None:
-        shown &= free
-
-    pixel = np.flatnonzero(peak)
-    row, column = np.divmod(pixel, width)
-    along_u = along_u[pixel]
-    size = np.sqrt(squared[pixel])
-    before = np.where(along_u, right[pixel - 1], below[pixel])
-    after = np.where(along_u, right[pixel], below[pixel + width])
-    profile = np.stack([before / size, size, after / size], axis=-1)
-    uv_px = np.stack([column, row + top], axis=-1).astype(np.float32)
-    offset, _ = peak_of_profile(profile)
-    uv_px[:, 0] += offset * along_u
-    uv_px[:, 1] += offset * ~along_u
-    toward_bright = np.stack([u[pixel], v[pixel]], axis=-1)
-    return ThinnedPixels(pixel + top * width, toward_bright, along_u, profile, uv_px)
+    largest = squared >= right
+    largest[1:] &= squared[1:] > right[:-1]
+    largest &= along_u
+    largest |= (squared > below[:-width]) & (squared >= below[width:]) & ~along_u
+    return largest
 
 
 def profile_across(gradient: Gradient, pixels: ThinnedPixels) -> Float[np.ndarray, "n 5"]:
