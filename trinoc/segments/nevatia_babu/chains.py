@@ -24,7 +24,11 @@ def ordered_chains(
         predecessor[_lowest_of_loops(predecessor, closed)] = -1
         opened = np.flatnonzero(predecessor < 0)
         predecessor[opened] = opened
-        head, distance = _heads(predecessor)
+        # Only theirs: others are none of their points.
+        place = np.empty(count, dtype=np.int64)
+        place[closed] = np.arange(len(closed))
+        of_closed, distance[closed] = _heads(place[predecessor[closed]])
+        head[closed] = closed[of_closed]
     length = np.bincount(head, minlength=count)
     kept = np.flatnonzero(length >= least_points)
     length = length[kept]

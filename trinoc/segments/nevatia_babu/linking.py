@@ -69,18 +69,23 @@ def _links(
 ) -> tuple[Int[np.ndarray, "k"], Int[np.ndarray, "k"], Float[np.ndarray, "k"]]:
     """Of pairs of points near each other, those that may follow each other, and their cost."""
     one, other = np.take(way, first), np.take(way, second)
-    cosine = one.real * other.real + one.imag * other.imag
+    cosine = _dot(one, other)
     turning = np.flatnonzero(cosine > _LEAST_COSINE)
     first, second, cosine = (np.take(each, turning) for each in (first, second, cosine))
     mean = np.take(one, turning) + np.take(other, turning)
     between = np.take(place, second) - np.take(place, first)
     # Two unit vectors with this cosine add up to a vector of this length.
     size = np.sqrt(2 + 2 * cosine)
-    along = (between.real * mean.real + between.imag * mean.imag) / size
-    across = np.abs(between.real * mean.imag - between.imag * mean.real) / size
+    along = _dot(between, mean) / size
+    across = np.abs(np.real(between) * np.imag(mean) - np.imag(between) * np.real(mean)) / size
     cost = along + np.float32(1.5) * across + 2 * (1 - cosine)
     ahead = np.flatnonzero(along > 0)
     return np.take(first, ahead), np.take(second, ahead), np.take(cost, ahead)
+
+
+def _dot(a: np.ndarray, b: np.ndarray) -> Float[np.ndarray, "m"]:
+    """Scalar products of vectors as complex numbers."""
+    return np.real(a) * np.real(b) + np.imag(a) * np.imag(b)
 
 
 @functools.cache

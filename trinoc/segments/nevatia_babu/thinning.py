@@ -10,7 +10,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.numerics import concatenate_rows
 from trinoc.segments.nevatia_babu.gradient import Gradient, gradient_of
 from trinoc.segments.nevatia_babu.masks import GradientKernel
 
@@ -74,8 +73,10 @@ def thinned_pixels(
         gradient = gradient_of(grey[above : bottom + 1 + _HALO_PX], kernel)
         seen = slice(top - 1 - above, bottom + 1 - above)
         free = None if excluded is None else ~excluded[top:bottom]
-        strips.append(_peaks(Gradient(*(part[seen] for part in gradient)), top, least_strength, free))
-    return concatenate_rows(strips)
+        strips.append(
+            _peaks(Gradient(*(part[seen] for part in gradient)), top, least_strength, free)
+        )
+    return ThinnedPixels(*(np.concatenate(field) for field in zip(*strips, strict=True)))
 
 
 def _peaks(
@@ -88,7 +89,7 @@ def _peaks(
 
     The strip begins at row `top` of the picture.
     """
-    height, width = gradient.u.shape
+    width = gradient.u.shape[1]
     strong = gradient.squared > np.float32(least_strength**2)
     strong[0] = strong[-1] = False
     strong[:, :BORDER_PX] = strong[:, -BORDER_PX:] = False
@@ -110,8 +111,9 @@ def _peaks(
 
     pixel, along_u, size = pixel[peak], along_u[peak], np.sqrt(centre[peak])
     profile = np.stack([before[peak] / size, size, after[peak] / size], axis=-1)
-    row, column = np.divmod(pixel, width)
-    uv_px = np.stack([column, row + (top - 1)], axis=-1).astype(np.float32)
+    row = pixel // width
+    uv_px = np.empty((len(pixel), 2), np.float32)
+    uv_px[:, 0], uv_px[:, 1] = pixel - row * width, row + (top - 1)
     offset, _ = peak_of_profile(profile)
     uv_px[:, 0] += offset * along_u
     uv_px[:, 1] += offset * ~along_u
@@ -120,7 +122,10 @@ def _peaks(
 
 
 def _largest_across(
-    u: Float[np.ndarray, "n"], v: Float[np.ndarray, "n"], squared: Float[np.ndarray, "n"], width: int
+    u: Float[np.ndarray, "n"],
+    v: Float[np.ndarray, "n"],
+    squared: Float[np.ndarray, "n"],
+    width: int,
 ) -> Bool[np.ndarray, "m"]:
     """Where a strip's gradient is largest across the edge, in all rows but the first and the last.
 
