@@ -82,7 +82,7 @@ plt.show()
 
 # %%
 least = max(3 * noise * kernel.noise_gain, 0.9)
-points = thinned_pixels(gradient, least)
+points = thinned_pixels(grey, kernel, least)
 following = successors(points, grey.shape)
 linked = np.flatnonzero(following >= 0)
 order, starts = ordered_chains(following)

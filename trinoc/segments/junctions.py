@@ -54,13 +54,17 @@ def find_junctions(segments: Segments, near: NearEnds | None = None) -> Junction
     node, other_node = 2 * line + side, 2 * other + other_end
     group = group_labels(2 * count, node[both_ends], other_node[both_ends])
     met = distinct(np.concatenate([node, other_node[both_ends]]))
-    rows = np.concatenate(
+    body = ~both_ends
+    # One key for group, segment and end, that sorts as they do; a body comes before the ends.
+    keys = np.concatenate(
         [
-            np.stack([group[met], met // 2, met % 2], axis=-1),
-            np.stack([group[node], other, np.full(len(node), BODY)], axis=-1)[~both_ends],
+            (group[met] * count + met // 2) * 3 + 1 + met % 2,
+            (group[node[body]] * count + other[body]) * 3,
         ]
     )
-    return _assembled(np.unique(rows, axis=0), centre, direction, across)
+    group_and_segment, end = np.divmod(distinct(keys), 3)
+    end = np.where(end == 0, BODY, end - 1)
+    return _assembled(*np.divmod(group_and_segment, count), end, centre, direction, across)
 
 
 def collinear_chains(segments: Segments) -> Int[np.ndarray, "n"]:
@@ -80,10 +84,11 @@ def collinear_chains(segments: Segments) -> Int[np.ndarray, "n"]:
     across, _ = _sigmas(segments, direction)
     pairs = point_tree(ends.reshape(-1, 2)).query_pairs(_CHAIN_GAP_PX, output_type="ndarray")
     outward = np.stack([-direction, direction], axis=1).reshape(-1, 2)
-    out_u, out_v = (np.ascontiguousarray(column) for column in outward.T)
-    first, second = np.ascontiguousarray(pairs[:, 0]), np.ascontiguousarray(pairs[:, 1])
+    out_u, out_v = (column.astype(np.float32) for column in outward.T)
+    first, second = pairs.T
     # Nearly all pairs fail this: the others cost little.
     facing = out_u[first] * out_u[second] + out_v[first] * out_v[second] < -_CHAIN_COSINE
+    facing = np.flatnonzero(facing)
     first, second = first[facing], second[facing]
     (one, side), (other, other_side) = np.divmod(first, 2), np.divmod(second, 2)
     outward, other_outward = outward[first], outward[second]
@@ -118,42 +123,47 @@ def _sigmas(
 ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
     """(across, along): larger of the two ends' sigmas across and along each segment."""
     covariance = np.asarray(segments.covariance_px2)
-    normal = np.stack([-direction[:, 1], direction[:, 0]], axis=-1)
-    blocks = np.stack([covariance[:, :2, :2], covariance[:, 2:, 2:]], axis=1)
-    variances = (
-        np.einsum("ni,neij,nj->ne", axis, blocks, axis).max(axis=1) for axis in (normal, direction)
+    u, v = direction.T
+    across, along = (
+        np.maximum(
+            *(
+                a * a * covariance[:, k, k]
+                + 2 * a * b * covariance[:, k, k + 1]
+                + b * b * covariance[:, k + 1, k + 1]
+                for k in (0, 2)
+            )
+        )
+        for a, b in ((-v, u), (u, v))
     )
-    across, along = (np.sqrt(np.maximum(variance, 0.0)) for variance in variances)
-    return across, along
+    return np.sqrt(np.maximum(across, 0.0)), np.sqrt(np.maximum(along, 0.0))
 
 
 def _assembled(
-    rows: Int[np.ndarray, "m 3"],
+    group: Int[np.ndarray, "m"],
+    segment: Int[np.ndarray, "m"],
+    end: Int[np.ndarray, "m"],
     centre: Float[np.ndarray, "n 2"],
     direction: Float[np.ndarray, "n 2"],
     across: Float[np.ndarray, "n"],
 ) -> Junctions:
-    """Junctions from rows (group, segment, end), sorted by group."""
-    if len(rows) == 0:
+    """Junctions from groups of ends and bodies of segments, sorted by group."""
+    if len(group) == 0:
         return _no_junctions()
-    _, junction = np.unique(rows[:, 0], return_inverse=True)
-    segment, end = rows[:, 1], rows[:, 2]
+    begins = np.diff(group, prepend=-1) != 0
+    junction, earliest = np.cumsum(begins) - 1, np.flatnonzero(begins)
     normal = np.stack([-direction[:, 1], direction[:, 0]], axis=-1)[segment]
     weight = 1 / np.square(np.maximum(across[segment], 1e-3))
-    count = int(junction.max()) + 1
-    information = np.zeros((count, 2, 2))
-    np.add.at(
-        information, junction, weight[:, None, None] * normal[:, :, None] * normal[:, None, :]
+    information = np.add.reduceat(
+        weight[:, None, None] * normal[:, :, None] * normal[:, None, :], earliest, axis=0
     )
     # Positions count from a line of the junction itself, where the sums keep their digits.
-    _, earliest = np.unique(junction, return_index=True)
     origin = centre[segment[earliest]]
     offset = ((centre[segment] - origin[junction]) * normal).sum(axis=-1)
-    pulled = np.zeros((count, 2))
-    np.add.at(pulled, junction, (weight * offset)[:, None] * normal)
+    pulled = np.add.reduceat((weight * offset)[:, None] * normal, earliest, axis=0)
     covariance = np.linalg.inv(information)
     uv_px = origin + np.einsum("jab,jb->ja", covariance, pulled)
-    kind = _kinds(junction, end, direction[segment] * np.where(end == 0, 1, -1)[:, None], count)
+    inward = direction[segment] * np.where(end == 0, 1, -1)[:, None]
+    kind = _kinds(junction, end, inward, len(earliest))
     return Junctions(uv_px, covariance, kind, junction, segment, end)
 
 
@@ -168,8 +178,9 @@ def _kinds(
     bodies = np.bincount(junction[end == BODY], minlength=count)
     straight = np.zeros(count, dtype=bool)
     straight[_with_opposite_ends(junction, end, inward)] = True
-    kind = np.where(ends >= 4, "X", np.where(ends == 3, "Y", "L"))
-    return np.where((bodies > 0) | (straight & (ends == 3)), "T", kind)
+    code = np.clip(ends - 2, 0, 2)
+    code[(bodies > 0) | (straight & (ends == 3))] = 3
+    return np.array(["L", "Y", "X", "T"])[code]
 
 
 def _with_opposite_ends(

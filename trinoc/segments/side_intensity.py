@@ -38,17 +38,27 @@ def side_levels(
         return np.zeros((0, 2))
     step = endpoints_px[:, 1] - endpoints_px[:, 0]
     right = np.stack([-step[:, 1], step[:, 0]], axis=1) / np.linalg.norm(step, axis=1)[:, None]
-    off = np.stack([_BESIDE_PX, -_BESIDE_PX])[:, :, None, None] * right[:, None, None, None]
-    on = endpoints_px[:, :1] + _ALONG[:, None] * step[:, None]
-    beside = to_image((on[:, None, None] + off).reshape(-1, 2))
-    levels = _levels_at(grey, beside).reshape(len(step), 2, -1)
-    return np.median(levels, axis=2).astype(np.float64)
+    off = np.concatenate([_BESIDE_PX, -_BESIDE_PX])[:, None]
+    beside = np.empty((2, len(step), 2 * len(_BESIDE_PX), len(_ALONG)))
+    for axis in (0, 1):
+        on = endpoints_px[:, 0, axis, None] + step[:, axis, None] * _ALONG
+        np.add(on[:, None], right[:, axis, None, None] * off, out=beside[axis])
+    if to_image is not np.asarray:
+        beside = to_image(beside.reshape(2, -1).T).T.reshape(beside.shape)
+    levels = _levels_at(grey, *beside).reshape(len(step), 2, -1)
+    # The mean of the two in the middle; of so few, sorting is faster than partition.
+    middle = levels.shape[2] // 2
+    levels.sort(axis=2)
+    return levels[:, :, middle - 1 : middle + 1].mean(axis=2).astype(np.float64)
 
 
 def _levels_at(
-    grey: Float[np.ndarray, "h w"], uv_px: Float[np.ndarray, "p 2"]
-) -> Float[np.ndarray, "p"]:
+    grey: Float[np.ndarray, "h w"], u_px: Float[np.ndarray, "..."], v_px: Float[np.ndarray, "..."]
+) -> Float[np.ndarray, "..."]:
     """Grey levels of the nearest pixels."""
     height, width = grey.shape
-    column, row = np.rint(uv_px).astype(np.int64).T
-    return grey[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)]
+    column, row = (
+        np.rint(at).astype(np.int32).clip(0, side - 1)
+        for at, side in ((u_px, width), (v_px, height))
+    )
+    return grey.ravel()[row * width + column]

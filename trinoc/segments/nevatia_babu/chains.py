@@ -5,13 +5,14 @@ from jaxtyping import Int
 
 
 def ordered_chains(
-    successor: Int[np.ndarray, "n"],
-) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "c"]]:
+    successor: Int[np.ndarray, "n"], least_points: int = 1
+) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "c"]]:
     """(order, starts): the points chain by chain, and where in that order each chain starts.
 
     Pointer doubling: after k rounds each point knows its 2^k-th predecessor, so that the
     longest chain of the picture needs some twelve rounds and no loop over points. A closed
-    chain is opened at its point of lowest index.
+    chain is opened at its point of lowest index. Chains of fewer than `least_points` points are
+    left out.
     """
     count = len(successor)
     linked = np.flatnonzero(successor >= 0)
@@ -23,9 +24,21 @@ def ordered_chains(
         predecessor[_lowest_of_loops(predecessor, closed)] = -1
         opened = np.flatnonzero(predecessor < 0)
         predecessor[opened] = opened
-        head, distance = _heads(predecessor)
-    order = np.argsort((head << 32) | distance)
-    starts = np.flatnonzero(distance[order] == 0)
+        # Only theirs: others are none of their points.
+        place = np.empty(count, dtype=np.int64)
+        place[closed] = np.arange(len(closed))
+        of_closed, distance[closed] = _heads(place[predecessor[closed]])
+        head[closed] = closed[of_closed]
+    length = np.bincount(head, minlength=count)
+    kept = np.flatnonzero(length >= least_points)
+    length = length[kept]
+    starts = np.cumsum(length) - length
+    place = np.full(count, -1)
+    place[kept] = starts
+    place = place[head]
+    within = np.flatnonzero(place >= 0)
+    order = np.empty(len(within), dtype=np.int64)
+    order[place[within] + distance[within]] = within
     return order, starts
 
 
@@ -35,14 +48,18 @@ def _heads(predecessor: Int[np.ndarray, "n"]) -> tuple[np.ndarray, np.ndarray]:
     Points of a closed chain have no first point: some other point of the chain stands there.
     """
     count = len(predecessor)
-    head = predecessor
+    head = predecessor.copy()
     distance = (predecessor != np.arange(count)).astype(np.int64)
+    # Points that know the first of their chain are done; most chains are short.
+    under_way = np.flatnonzero(predecessor[predecessor] != predecessor)
     for _ in range(max(1, int(count).bit_length())):
-        further = head[head]
-        if np.array_equal(further, head):
+        if len(under_way) == 0:
             break
-        distance = distance + distance[head]
-        head = further
+        before = head[under_way]
+        further, steps = head[before], distance[before]
+        head[under_way] = further
+        distance[under_way] += steps
+        under_way = under_way[head[further] != further]
     return head, distance
 
 

@@ -74,7 +74,7 @@ def error_model(
     height, width = grey.shape
     level = grey[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)]
     return ErrorModel(
-        sums(np.linalg.norm(shift, axis=-1), first) / count,
+        sums(np.hypot(shift[:, 0], shift[:, 1]), first) / count,
         sums(near, first) / count,
         np.sqrt(np.maximum(lines.blur_px2 - usual_blur_px2, 0.0)),
         sums((level >= white).astype(np.float64), first) / count,

@@ -28,7 +28,7 @@ def gradient_of(grey: Float[np.ndarray, "h w"], kernel: GradientKernel) -> Gradi
         smooth = cv2.sepFilter2D(smooth, cv2.CV_32F, _BINOMIAL, _BINOMIAL, borderType=_BORDER)
     u = cv2.filter2D(smooth, cv2.CV_32F, kernel.mask_u.astype(np.float32), borderType=_BORDER)
     v = cv2.filter2D(smooth, cv2.CV_32F, kernel.mask_v.astype(np.float32), borderType=_BORDER)
-    # In place: fresh memory costs more than the arithmetic on it.
-    squared = cv2.multiply(u, u, dst=None if smooth is grey else smooth)
-    cv2.accumulateSquare(v, squared)
+    # Rounded as NumPy rounds the products of neighbours: on a plateau they are equal.
+    squared = u * u
+    squared += v * v
     return Gradient(u, v, squared)

@@ -12,6 +12,8 @@ _SECTORS = 16
 # Of the 24 steps, those within some sixty degrees of the direction.
 _AHEAD = 10
 _LEAST_COSINE = np.float32(np.cos(np.radians(30.0)))
+# Points that are worked on at a time: what they need stays in the processor's cache.
+_AT_ONCE = 1 << 13
 
 
 def successors(pixels: ThinnedPixels, shape: tuple[int, int]) -> Int[np.ndarray, "n"]:
@@ -23,6 +25,8 @@ def successors(pixels: ThinnedPixels, shape: tuple[int, int]) -> Int[np.ndarray,
     """
     count = len(pixels.pixel)
     successor = np.full(count, -1, dtype=np.int64)
+    if count == 0:
+        return successor
     first, second, cost = _candidate_links(pixels, shape)
     least_before, least_after = (np.full(count, np.inf, dtype=np.float32) for _ in range(2))
     np.minimum.at(least_after, first, cost)
@@ -37,31 +41,51 @@ def _candidate_links(
 ) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"], Float[np.ndarray, "m"]]:
     """Every pair (from, to) that may follow each other, and its cost."""
     width = shape[1]
-    at_pixel = np.full(shape[0] * width, -1, dtype=np.int32)
-    at_pixel[pixels.pixel] = np.arange(len(pixels.pixel), dtype=np.int32)
-    # Columns one by one: arrays of pairs would be walked in steps of two.
-    along_u, along_v = (np.ascontiguousarray(column) for column in pixels.direction.T)
-    u, v = (np.ascontiguousarray(column) for column in pixels.uv_px.T)
-    sector = np.rint(np.arctan2(along_v, along_u) * np.float32(_SECTORS / (2 * np.pi)))
-    offsets = (_offsets_ahead() @ np.array([1, width]))[sector.astype(np.int64) % _SECTORS]
-    found = np.take(at_pixel, pixels.pixel[:, None] + offsets).ravel()
-    slot = np.flatnonzero(found >= 0)
-    first, second = slot // _AHEAD, found[slot].astype(np.int64)
+    index = np.full(shape[0] * width, -1, dtype=np.int32)
+    index[pixels.pixel] = np.arange(len(pixels.pixel), dtype=np.int32)
+    # As complex numbers, vectors are gathered whole.
+    place = np.ascontiguousarray(pixels.uv_px).view(np.complex64).ravel()
+    way = np.empty_like(place)
+    way.real, way.imag = -pixels.gradient[:, 1], pixels.gradient[:, 0]
+    way /= pixels.profile[:, 1]
+    ahead = _offsets_ahead() @ np.array([1, width])
+    parts: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+    for begin in range(0, len(way), _AT_ONCE):
+        chosen = slice(begin, begin + _AT_ONCE)
+        here = way[chosen]
+        sector = np.rint(np.arctan2(here.imag, here.real) * np.float32(_SECTORS / (2 * np.pi)))
+        at = np.take(ahead, sector.astype(np.int8) & (_SECTORS - 1), axis=0)
+        at += pixels.pixel[chosen, None]
+        found = np.take(index, at).ravel()
+        slot = np.flatnonzero(found >= 0)
+        second = np.take(found, slot).astype(np.int64)
+        parts.append(_links(slot // _AHEAD + begin, second, way, place))
+    first, second, cost = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return first, second, cost
 
-    one_u, one_v = along_u[first], along_v[first]
-    other_u, other_v = along_u[second], along_v[second]
-    cosine = one_u * other_u + one_v * other_v
+
+def _links(
+    first: Int[np.ndarray, "m"], second: Int[np.ndarray, "m"], way: np.ndarray, place: np.ndarray
+) -> tuple[Int[np.ndarray, "k"], Int[np.ndarray, "k"], Float[np.ndarray, "k"]]:
+    """Of pairs of points near each other, those that may follow each other, and their cost."""
+    one, other = np.take(way, first), np.take(way, second)
+    cosine = _dot(one, other)
     turning = np.flatnonzero(cosine > _LEAST_COSINE)
-    first, second, cosine = first[turning], second[turning], cosine[turning]
-    mean_u, mean_v = one_u[turning] + other_u[turning], one_v[turning] + other_v[turning]
-    between_u, between_v = u[second] - u[first], v[second] - v[first]
+    first, second, cosine = (np.take(each, turning) for each in (first, second, cosine))
+    mean = np.take(one, turning) + np.take(other, turning)
+    between = np.take(place, second) - np.take(place, first)
     # Two unit vectors with this cosine add up to a vector of this length.
     size = np.sqrt(2 + 2 * cosine)
-    along = (between_u * mean_u + between_v * mean_v) / size
-    across = np.abs(between_u * mean_v - between_v * mean_u) / size
-    ahead = np.flatnonzero(along > 0)
+    along = _dot(between, mean) / size
+    across = np.abs(np.real(between) * np.imag(mean) - np.imag(between) * np.real(mean)) / size
     cost = along + np.float32(1.5) * across + 2 * (1 - cosine)
-    return first[ahead], second[ahead], cost[ahead]
+    ahead = np.flatnonzero(along > 0)
+    return np.take(first, ahead), np.take(second, ahead), np.take(cost, ahead)
+
+
+def _dot(a: np.ndarray, b: np.ndarray) -> Float[np.ndarray, "m"]:
+    """Scalar products of vectors as complex numbers."""
+    return np.real(a) * np.real(b) + np.imag(a) * np.imag(b)
 
 
 @functools.cache

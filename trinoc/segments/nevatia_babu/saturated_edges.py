@@ -25,7 +25,7 @@ _BIN_PX = 0.25
 _REACH_PX, _WIDTHS = 9, 3.5
 _LEAST_BINS, _MOST_WIDTHS = 5, 3.0
 # The fit starts from steps so high, in logarithms of the height over the visible one.
-_STARTS = (0.05, 0.4, 1.0)
+_STARTS = np.array([0.05, 0.4, 1.0])
 _SIGMAS_BELOW_WHITE = 2.5
 # The blur comes from so many of the longest edges without saturation, that have less than this
 # share of their points beside others and so many times the noise in contrast.
@@ -186,18 +186,20 @@ def _fitted(
     floor = np.where(used, level, white).min(axis=1)
     visible = np.maximum(white - floor, 1.0)
     information = _information(used, count, noise, visible, tuning)
-    data = across, level, information
     prior = np.stack([np.zeros_like(floor), np.full_like(floor, tuning.log_above), floor,
                       np.full_like(floor, blur.log_width)], axis=-1)  # fmt: skip
     weight = np.array([0.0, 1 / tuning.log_above_sigma**2, 0.0, 1 / blur.sigma**2])
-    fits = []
-    for above in _STARTS:
-        start = prior.copy()
-        # Where the visible step is half way, a higher one is so many widths before its middle.
-        start[:, 0] = -width * ndtri(0.5 * np.exp(-above))
-        start[:, 1] = above
-        fits.append(step_fit(*data, visible, start, prior, weight, 0.0))
-    place, _, variance, cost, misfit = (np.array(column) for column in zip(*fits, strict=True))
+    start = np.tile(prior, (len(_STARTS), 1, 1))
+    # Where the visible step is half way, a higher one is so many widths before its middle.
+    start[:, :, 0] = -width * ndtri(0.5 * np.exp(-_STARTS[:, None]))
+    start[:, :, 1] = _STARTS[:, None]
+    # All lines from all starts at once.
+    across, level, information, visible, prior = (
+        np.concatenate([each] * len(_STARTS))
+        for each in (across, level, information, visible, prior)
+    )
+    fit = step_fit(across, level, information, visible, start.reshape(-1, 4), prior, weight, 0.0)
+    place, _, variance, cost, misfit = (column.reshape(len(_STARTS), -1) for column in fit)
     # Starts that end alike are one answer; several answers count by how well they explain.
     share = np.exp(-0.5 * (cost - cost.min(axis=0)))
     share = share / share.sum(axis=0)

@@ -40,8 +40,9 @@ def step_fit(
     for _ in range(_ROUNDS):
         residual, jacobian = _residuals(state, across, level, visible)
         weighted = jacobian * information[..., None]
-        normal = np.einsum("sbi,sbj->sij", weighted, jacobian) + np.diag(weight + 1e-6)
-        gradient = np.einsum("sbi,sb->si", weighted, residual) + weight * (prior - state)
+        transposed = weighted.transpose(0, 2, 1)
+        normal = transposed @ jacobian + np.diag(weight + 1e-6)
+        gradient = (transposed @ residual[..., None])[..., 0] + weight * (prior - state)
         change = np.linalg.solve(normal, gradient[..., None])[..., 0]
         state = state + np.clip(change, -_LARGEST, _LARGEST)
         state[:, 1] = np.maximum(state[:, 1], least_above)

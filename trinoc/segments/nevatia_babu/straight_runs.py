@@ -32,9 +32,8 @@ def straight_runs(
     `tolerance_px` the largest deviation of a run from its chord. Runs of fewer than
     `least_points` points are left out, and pixels that are `excluded`.
     """
-    gradient = gradient_of(level.grey, kernel)
-    pixels = thinned_pixels(gradient, least_strength * level.spacing_px, excluded)
-    order, starts = ordered_chains(successors(pixels, level.grey.shape))
+    pixels = thinned_pixels(level.grey, kernel, least_strength * level.spacing_px, excluded)
+    order, starts = ordered_chains(successors(pixels, level.grey.shape), least_points)
     start, stop = split_chains(pixels.uv_px[order], starts, tolerance_px, least_points)
     index, _, first = members(start + TRIMMED_POINTS, stop - TRIMMED_POINTS)
     points = EdgePoints.of_level(pixels := pixels.take(order[index]), level)

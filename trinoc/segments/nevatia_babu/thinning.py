@@ -10,11 +10,17 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.segments.nevatia_babu.gradient import Gradient
+from trinoc.segments.nevatia_babu.gradient import Gradient, gradient_of
+from trinoc.segments.nevatia_babu.masks import GradientKernel
 
 # Linking looks two pixels to each side.
 BORDER_PX = 2
 _SMALLEST = np.float32(1e-6)
+# Pixels that are worked on at a time; rows that smoothing and masks look beyond their own.
+_STRIP_PX, _HALO_PX = 1 << 16, 3
+
+# From this share of strong pixels on, all pixels are compared first.
+_BUSY = 0.3
 
 
 class ThinnedPixels(NamedTuple):
@@ -47,41 +53,96 @@ class ThinnedPixels(NamedTuple):
 
 
 def thinned_pixels(
-    gradient: Gradient,
+    grey: Float[np.ndarray, "h w"],
+    kernel: GradientKernel,
     least_strength: float,
     excluded: Bool[np.ndarray, "h w"] | None = None,
 ) -> ThinnedPixels:
-    """Pixels with a gradient of at least `least_strength` that is largest across the edge.
+    """Pixels of a picture with a gradient of at least `least_strength` that is largest across.
 
     The neighbours are taken along the axis of the picture that is nearer to the gradient,
     where samples need no interpolation. Pixels that are `excluded` are left out.
     """
+    height, width = grey.shape
+    # Strip by strip: what a strip needs stays in the processor's cache.
+    rows = max(_STRIP_PX // width, 2 * _HALO_PX)
+    strips: list[ThinnedPixels] = []
+    for top in range(BORDER_PX, height - BORDER_PX, rows):
+        bottom = min(top + rows, height - BORDER_PX)
+        above = max(top - 1 - _HALO_PX, 0)
+        gradient = gradient_of(grey[above : bottom + 1 + _HALO_PX], kernel)
+        seen = slice(top - 1 - above, bottom + 1 - above)
+        free = None if excluded is None else ~excluded[top:bottom]
+        strips.append(
+            _peaks(Gradient(*(part[seen] for part in gradient)), top, least_strength, free)
+        )
+    return ThinnedPixels(*(np.concatenate(field) for field in zip(*strips, strict=True)))
+
+
+def _peaks(
+    gradient: Gradient,
+    top: int,
+    least_strength: float,
+    free: Bool[np.ndarray, "_h w"] | None,
+) -> ThinnedPixels:
+    """Thinned pixels of a strip, of which one row more is given on either side.
+
+    The strip begins at row `top` of the picture.
+    """
     width = gradient.u.shape[1]
     strong = gradient.squared > np.float32(least_strength**2)
-    if excluded is not None:
-        strong &= ~excluded
-    strong[:BORDER_PX] = strong[-BORDER_PX:] = False
+    strong[0] = strong[-1] = False
     strong[:, :BORDER_PX] = strong[:, -BORDER_PX:] = False
+    if free is not None:
+        strong[1:-1] &= free
+    u, v, squared = (part.ravel() for part in gradient)
+    if np.count_nonzero(strong) > _BUSY * strong.size:
+        strong.ravel()[width:-width] &= _largest_across(u, v, squared, width)
     pixel = np.flatnonzero(strong)
-    u, v = gradient.u.ravel(), gradient.v.ravel()
-    gu, gv = u[pixel], v[pixel]
+    gu, gv, centre = np.take(u, pixel), np.take(v, pixel), np.take(squared, pixel)
     along_u = np.abs(gu) >= np.abs(gv)
-    step = np.where(along_u, 1, width)
-    centre = gu * gu + gv * gv
-    before = gu * u[pixel - step] + gv * v[pixel - step]
-    after = gu * u[pixel + step] + gv * v[pixel + step]
+    # width where along v, and 1 where along u.
+    step = width - (width - 1) * along_u
+    one, other = pixel - step, pixel + step
+    before = gu * np.take(u, one) + gv * np.take(v, one)
+    after = gu * np.take(u, other) + gv * np.take(v, other)
     # One of the two comparisons admits equality, or a plateau of two would lose both.
     peak = np.flatnonzero((centre > before) & (centre >= after))
 
-    pixel, along_u = pixel[peak], along_u[peak]
-    size = np.sqrt(centre[peak])
+    pixel, along_u, size = pixel[peak], along_u[peak], np.sqrt(centre[peak])
     profile = np.stack([before[peak] / size, size, after[peak] / size], axis=-1)
-    row, column = np.divmod(pixel, width)
-    uv_px = np.stack([column, row], axis=-1).astype(np.float32)
+    row = pixel // width
+    uv_px = np.empty((len(pixel), 2), np.float32)
+    uv_px[:, 0], uv_px[:, 1] = pixel - row * width, row + (top - 1)
     offset, _ = peak_of_profile(profile)
     uv_px[:, 0] += offset * along_u
     uv_px[:, 1] += offset * ~along_u
-    return ThinnedPixels(pixel, np.stack([gu[peak], gv[peak]], axis=-1), along_u, profile, uv_px)
+    toward_bright = np.stack([gu[peak], gv[peak]], axis=-1)
+    return ThinnedPixels(pixel + (top - 1) * width, toward_bright, along_u, profile, uv_px)
+
+
+def _largest_across(
+    u: Float[np.ndarray, "n"],
+    v: Float[np.ndarray, "n"],
+    squared: Float[np.ndarray, "n"],
+    width: int,
+) -> Bool[np.ndarray, "m"]:
+    """Where a strip's gradient is largest across the edge, in all rows but the first and the last.
+
+    Without a gather, as neighbours share their products. The first and the last pixel of a row are
+    compared with pixels of other rows.
+    """
+    right = u[width:-width] * u[width + 1 : 1 - width]
+    right += v[width:-width] * v[width + 1 : 1 - width]
+    below = u[:-width] * u[width:]
+    below += v[:-width] * v[width:]
+    u, v, squared = (part[width:-width] for part in (u, v, squared))
+    along_u = np.abs(u) >= np.abs(v)
+    largest = squared >= right
+    largest[1:] &= squared[1:] > right[:-1]
+    largest &= along_u
+    largest |= (squared > below[:-width]) & (squared >= below[width:]) & ~along_u
+    return largest
 
 
 def profile_across(gradient: Gradient, pixels: ThinnedPixels) -> Float[np.ndarray, "n 5"]:

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Int
 
-from trinoc.numerics import concatenate_rows, members, sums
+from trinoc.numerics import members, sums
 from trinoc.segments.nevatia_babu.edge_points import EdgePoints
 from trinoc.segments.nevatia_babu.masks import GradientKernel
 from trinoc.segments.nevatia_babu.pyramid import Level, half_level
@@ -52,7 +52,8 @@ def runs_of_both_scales(
     seen_again = _neighbourhood(_half_pixel(coarse, half), half.grey.shape).ravel()[half_pixel]
     keep = clear | (sums(seen_again.astype(np.float64), first) < 0.5 * support)
     index, _, fine_first = members(first[keep], (first + support)[keep])
-    points = concatenate_rows([points.take(index), coarse])
+    both = zip(points.take(index), coarse, strict=True)
+    points = EdgePoints(*(np.concatenate(field) for field in both))
     return points, np.concatenate([fine_first, coarse_first + len(index)])
 
 
