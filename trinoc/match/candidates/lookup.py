@@ -32,7 +32,7 @@ def lookup(
     ends, size = np.asarray(lines.ends_px)[view, :count], np.asarray(lines.size_px)[..., view, :]
     length, across = np.asarray(lines.length_px), np.asarray(lines.across_px2)
     sigma = np.sqrt(across[view, :count, [0, 1], [0, 1]].max(axis=0))
-    rounding = np.asarray(rounding_px(lines, view))
+    rounding = rounding_px(np.asarray(lines.matrix_px), view)
     frame = None if lines.frame is None else np.asarray(lines.frame)[view, :count]
     frames = int(np.prod(size.shape[:-1]))
     sigma = np.maximum(sigma, of_group(rounding, frame))

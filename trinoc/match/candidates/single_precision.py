@@ -47,7 +47,7 @@ def _single_order(lines: SegmentTable, planes: Pencil, order: Int[ArrayLike, "3"
     third = order[2]
     view = third_view(lines, planes, third)
     count = lines.ends_px.shape[1]
-    rounding = rounding_px(lines, third) ** 2
+    rounding = rounding_px(lines.matrix_px, third) ** 2
     if lines.frame is not None:
         rounding = rounding[lines.frame[third]]
     across = lines.across_px2[third]
@@ -74,6 +74,8 @@ def _with_rounding(segments: PencilSegments) -> PencilSegments:
     return segments._replace(slope_variance=(c00 + own, c01, c11 + own))
 
 
-def rounding_px(lines: SegmentTable, view: Int[ArrayLike, ""] | int) -> Float[ArrayLike, "*f"]:
+def rounding_px(
+    matrix_px: Float[ArrayLike, "*f v 3 4"], view: Int[ArrayLike, ""] | int
+) -> Float[ArrayLike, "*f"]:
     """Rounding error of places in a view, in pixels; of each frame of a stack."""
-    return ROUNDING * abs(lines.matrix_px[..., view, :2, :3]).sum(axis=(-2, -1))
+    return ROUNDING * abs(matrix_px[..., view, :2, :3]).sum(axis=(-2, -1))

@@ -192,7 +192,7 @@ def _times(rows: Float[np.ndarray, "m a"], matrix: Float[np.ndarray, "*m a b"]) 
     many small products."""
     if matrix.ndim == 2:
         return rows @ matrix
-    return (rows[:, :, None] * matrix).sum(axis=1)
+    return np.einsum("ma,mab->mb", rows, matrix)
 
 
 def _log_mixture(

@@ -10,8 +10,8 @@ from trinoc.match.observations.table import SegmentTable
 from trinoc.match.tuning import DEFAULT, ClutterTuning
 from trinoc.numerics import ArrayLike, group_medians, group_sums
 
-# How far apart frames are put, beyond the size of any picture.
-_FAR_PX = 1e7
+# Of frames with so many segments at most, all distances are computed: sooner than by a tree.
+_FEW = 512
 
 
 class ClutterModel(NamedTuple):
@@ -41,15 +41,37 @@ def fit_clutter(
         here = _everywhere(middle, label[:count], sizes[:, view].prod(axis=1))[label]
         number = np.bincount(label[:count], minlength=len(sizes))
         if (number > tuning.neighbours).any():
-            # Texture and the rims of shadows put much clutter in one place. Frames lie apart.
-            apart = np.column_stack([middle, _FAR_PX * label[:count]])
-            distance = KDTree(apart).query(apart, tuning.neighbours + 1)[0][:, -1]
+            # Texture and the rims of shadows put much clutter in one place.
+            distance = _to_neighbour(middle, label[:count], number, tuning.neighbours)
             local = tuning.neighbours / (np.pi * np.maximum(distance, 1.0) ** 2)
             here[:count] = np.maximum(here[:count], local)
         density.append(np.log(here / np.pi))
     label = None if lines.frame is None else np.concatenate(labels)
     typical = group_medians(np.concatenate(lengths), label, len(sizes))
     return ClutterModel(np.array(density), np.where(np.isfinite(typical), typical, 1.0))
+
+
+def _to_neighbour(
+    middle_px: Float[np.ndarray, "n 2"],
+    frame: Int[np.ndarray, "n"],
+    number: Int[np.ndarray, "f"],
+    neighbour: int,
+) -> Float[np.ndarray, "n"]:
+    """Distance to the neighbour of that rank in the same frame; infinite where there are fewer.
+
+    Segments of a frame follow those of the one before, as many as `number` says.
+    """
+    most = int(number.max())
+    if most > _FEW:  # a frame alone
+        return np.asarray(KDTree(middle_px).query(middle_px, neighbour + 1)[0][:, -1])
+    place = np.arange(len(frame)) - (np.cumsum(number) - number)[frame]
+    # Places without a segment are not at any distance, and sort last.
+    u, v = table = np.full((2, len(number), most), np.nan)
+    table[:, frame, place] = middle_px.T
+    square = (u[:, :, None] - u[:, None]) ** 2 + (v[:, :, None] - v[:, None]) ** 2
+    square.partition(neighbour, axis=2)
+    ranked = np.sqrt(square[frame, place, neighbour])
+    return np.where(np.isnan(ranked), np.inf, ranked)
 
 
 def _everywhere(

@@ -45,7 +45,8 @@ def interval_of(
         segment = seen.ends_px[view][index[on, view]]
         along = segment[:, 1] - segment[:, 0]
         offset = images_of(matrix, ends_mm[on]) - segment[:, :1]
-        interval[on, view] = (offset @ along[:, :, None])[..., 0] / (along**2).sum(axis=1)[:, None]
+        square = (along**2).sum(axis=1)[:, None]
+        interval[on, view] = np.einsum("tei,ti->te", offset, along) / square
     return interval
 
 
@@ -77,10 +78,10 @@ def positions_abreast(
 ) -> Float[np.ndarray, "t 2"]:
     """Positions on each line, 0 and 1 at its ends, whose images lie abreast of a segment's ends."""
     turn = matrix_px[..., :3]
-    first = (turn @ ends_mm[:, 0, :, None])[..., 0] + matrix_px[..., 3]
-    step = (turn @ (ends_mm[:, 1] - ends_mm[:, 0])[:, :, None])[..., 0]
+    first = np.einsum("...ij,...j->...i", turn, ends_mm[:, 0]) + matrix_px[..., 3]
+    step = np.einsum("...ij,...j->...i", turn, ends_mm[:, 1] - ends_mm[:, 0])
     along = segment_px[:, 1] - segment_px[:, 0]
-    place = (segment_px @ along[:, :, None])[..., 0]
+    place = np.einsum("tei,ti->te", segment_px, along)
     # The image at position s is (first + s step) / its depth: linear over linear.
     at_first, at_step = (first[:, :2] * along).sum(axis=1), (step[:, :2] * along).sum(axis=1)
     return (place * first[:, 2:] - at_first[:, None]) / (at_step[:, None] - place * step[:, 2:])

@@ -40,24 +40,40 @@ def fragments_of(
     for view in range(views):
         on = np.flatnonzero(index[:, view] >= 0)
         segment = index[on, view]
-        ends, share = seen.ends_px[view][segment], interval[on, view]
-        weight = np.stack([1 - share, share], axis=2)
-        fragments[on, view] = weight @ ends
-        # Each end of the fragment is a mean of the segment's ends; so is its error.
-        spread = np.einsum("tef,ij->teifj", weight, np.eye(2)).reshape(-1, 4, 4)
-        own = spread @ seen.covariance_px2[view][segment] @ spread.mT
+        ends, share = seen.ends_px[view][segment], interval[on, view][:, :, None]
+        fragments[on, view] = (1 - share) * ends[:, :1] + share * ends[:, 1:]
+        own = _of_parts(seen.covariance_px2[view][segment], interval[on, view])
         covariance[on, view] = _free_where_cut(own, ends, ends_here[on, view])
     return fragments, covariance
 
 
+def _of_parts(
+    covariance_px2: Float[np.ndarray, "n 4 4"], interval: Float[np.ndarray, "n 2"]
+) -> Float[np.ndarray, "e i f j n"]:
+    """Each end of a fragment is a mean of its segment's ends; so is its error."""
+    # Rows last: many sums of long columns, and not as many small products of matrices.
+    weight = np.stack([1 - interval.T, interval.T])
+    given = covariance_px2.T.reshape(2, 2, 2, 2, -1)
+    half = _weighted(given, weight)
+    return _weighted(half.transpose(2, 3, 0, 1, 4), weight).transpose(2, 3, 0, 1, 4)
+
+
+def _weighted(
+    values: Float[np.ndarray, "a i b j n"], weight: Float[np.ndarray, "a e n"]
+) -> Float[np.ndarray, "e i b j n"]:
+    first, second = weight[:, :, None, None, None]
+    return first * values[0] + second * values[1]
+
+
 def _free_where_cut(
-    covariance_px2: Float[np.ndarray, "n 4 4"],
+    covariance_px2: Float[np.ndarray, "e i f j n"],
     segment_px: Float[np.ndarray, "n 2 2"],
     ends_here: Bool[np.ndarray, "n 2"],
 ) -> Float[np.ndarray, "n 4 4"]:
     """Covariance of ends of which those that are cut may lie anywhere along the segment."""
-    along = segment_px[:, 1] - segment_px[:, 0]
-    along = along / np.linalg.norm(along, axis=1)[:, None]
-    freed = np.where(ends_here, 0.0, FREE_PX**2)
-    push = np.einsum("ne,ef,ni,nj->neifj", freed, np.eye(2), along, along)
-    return covariance_px2 + push.reshape(-1, 4, 4)
+    along = (segment_px[:, 1] - segment_px[:, 0]).T
+    along = along / np.sqrt((along**2).sum(axis=0))
+    push = FREE_PX**2 * along[:, None] * along
+    for e in range(2):
+        covariance_px2[e, :, e] += np.where(ends_here[:, e], 0.0, push)
+    return covariance_px2.reshape(4, 4, -1).transpose(2, 0, 1)
