@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 import trinoc
+from tests.io.made_cylinders import made_cylinders
 from tests.match.cylinders.made_outlines import Placed, seen_by
 from tests.match.made import loose_lines, rig_of
+from trinoc.cli.cylinders import cylinders_text
 from trinoc.cli.main import main
 
 
@@ -37,7 +39,9 @@ def test_cylinders_are_written_told_and_shown(scene, capsys):
     with open("page.html", encoding="utf-8") as page:
         assert "cylinders (1)" in page.read()
     assert main(["export", "cylinders.npz", "--to", "obj", "-o", "cylinders.obj"]) == 0
-    plain = ["match", *scene, "--rig", "rig.json", "-o", "plain.npz", "--cylinders", "again.npz"]
-    capsys.readouterr()
-    assert main([*plain, "--quiet"]) == 0
-    assert "1 cylinder; 0 tracks hold an outline" in capsys.readouterr().out
+
+
+def test_people_read_how_many_and_how_large():
+    said = cylinders_text(made_cylinders()).splitlines()
+    assert said[0] == "2 cylinders; 2 tracks hold an outline of one."
+    assert said[1] == "cylinder 0: radius 12.000 +- 0.200 mm, posterior 0.990"

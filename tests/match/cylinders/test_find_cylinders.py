@@ -71,16 +71,16 @@ def test_exact_outlines_leave_their_cylinders(views) -> None:
 
 def test_errors_are_those_of_their_covariance(rig) -> None:
     squares, fits = [], []
-    for seed in range(24):
+    for seed in range(16):
         segments = seen_by(rig, [TILTED], sigma_px=0.2, seed=seed)
         found = find_cylinders(nothing_matched(segments), segments, rig, tuning=AS_STATED)
         assert len(found) == 1
         error, covariance = errors_of(found, 0, TILTED)
         squares.append(error @ np.linalg.solve(covariance, error))
         fits.append(found.chi_square[0])
-    # Means of 24 chi-squares, within four standard deviations.
+    # Means of 16 chi-squares, within four standard deviations.
     for values, degrees in ((squares, 5), (fits, 7)):
-        assert abs(np.mean(values) - degrees) < 4 * np.sqrt(2 * degrees / 24)
+        assert abs(np.mean(values) - degrees) < 4 * np.sqrt(2 * degrees / 16)
     assert 0.85 < np.mean(np.array(squares) < chi2.ppf(0.95, 5)) <= 1.0
 
 

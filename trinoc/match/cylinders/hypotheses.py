@@ -51,7 +51,10 @@ def hypotheses(table: Outlines, views: int, tuning: CylinderTuning) -> Start:
             own = _Pairs(*(column[i] for column in pairs[first]))
             found += _consistent(table, own, third[j], tuning)
     columns = zip(*((*start.members, *start[1:]) for start in found), strict=True)
-    row, side, *rest = map(np.concatenate, columns)
+    columns = [np.concatenate(column) for column in columns]
+    # The table begins with the longest.
+    kept = np.argsort(columns[0].sum(axis=1), kind="stable")[: tuning.most_hypotheses]
+    row, side, *rest = (column[kept] for column in columns)
     return Start(Members(row, side), *rest)
 
 

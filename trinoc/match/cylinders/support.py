@@ -1,7 +1,5 @@
 """Every segment that touches a cylinder within errors, in all views: its outlines."""
 
-from collections.abc import Iterator
-
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -19,7 +17,7 @@ FEWEST = 4
 
 
 def with_support(table: Outlines, start: Start, tuning: CylinderTuning) -> tuple[Fits, Members]:
-    """Cylinders that fit their four outlines, each with every outline that fits it.
+    """Cylinders that fit their three outlines, each with every outline that fits it.
 
     Rounds, since more outlines leave a better cylinder. Cylinders of the same outlines are one.
     """
@@ -51,9 +49,12 @@ def _touching(table: Outlines, fits: Fits, members: Members, tuning: CylinderTun
     """The outlines of each cylinder: those whose ends lie where they must, within errors."""
     low, high = _extent(table, fits, members)
     known = _inverse(fits.information)
-    side = np.zeros((len(fits.radius_mm), len(table.view)))
-    for owner, row in _roughly_touching(table, fits, tuning):
-        rays = Rays(*(part[row] for part in table.rays))
+    limit = chi_square_limit(tuning.significance, 2)
+    parts = [Members(np.zeros((0, 1), dtype=np.int64), np.zeros((0, 1)))]
+    for part in blocks(len(fits.radius_mm), AT_ONCE):
+        here, row = _roughly_touching(table, fits, part, tuning)
+        owner = here + part.start
+        rays = Rays(*(column[row] for column in table.rays))
         point, direction = fits.point_mm[owner], fits.direction[owner]
         beside = passing(rays, point, direction)
         own = np.sign(beside.distance_mm.mean(axis=1))
@@ -65,28 +66,26 @@ def _touching(table: Outlines, fits: Fits, members: Members, tuning: CylinderTun
         square = np.einsum("me,mef,mf->m", residual, np.linalg.inv(spread), residual)
         along = np.sort(abreast_mm(rays, point, direction), axis=1)
         common = np.minimum(along[:, 1], high[owner]) - np.maximum(along[:, 0], low[owner])
-        good = square < chi_square_limit(tuning.significance, 2)
+        good = (square < limit) & before_camera(rays, point)
         good &= common > tuning.abreast_share * (along[:, 1] - along[:, 0])
-        good &= before_camera(rays, point)
-        side[owner[good], row[good]] = own[good]
-    return _packed(side)
+        side = np.zeros((len(fits.radius_mm[part]), len(table.view)))
+        side[here[good], row[good]] = own[good]
+        parts.append(_packed(side))
+    return _stacked(parts)
 
 
 def _roughly_touching(
-    table: Outlines, fits: Fits, tuning: CylinderTuning
-) -> Iterator[tuple[Int[np.ndarray, "_"], Int[np.ndarray, "_"]]]:
+    table: Outlines, fits: Fits, part: slice, tuning: CylinderTuning
+) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
     """(cylinder, outline) where the outline's plane is along the axis and about a radius off."""
     normal = table.normals
     offset = (normal * table.rays.centre_mm).sum(axis=1)
-    for part in blocks(len(fits.radius_mm), AT_ONCE):
-        turn = np.abs(fits.direction[part] @ normal.T)
-        radius = fits.radius_mm[part, None]
-        gap = np.abs(np.abs(fits.point_mm[part] @ normal.T - offset) - radius)
-        near = (turn < np.sin(np.radians(tuning.parallel_deg))) & (
-            gap < tuning.radius_share * radius
-        )
-        owner, row = np.nonzero(near)
-        yield owner + part.start, row
+    turn = np.abs(fits.direction[part] @ normal.T)
+    radius = fits.radius_mm[part, None]
+    gap = np.abs(np.abs(fits.point_mm[part] @ normal.T - offset) - radius)
+    near = turn < np.sin(np.radians(tuning.parallel_deg))
+    here, row = np.nonzero(near & (gap < tuning.radius_share * radius))
+    return here, row
 
 
 def _extent(
@@ -116,6 +115,15 @@ def _packed(side: Float[np.ndarray, "h n"]) -> Members:
     order = np.argsort(side == 0, axis=1, kind="stable")[:, :width]
     own = np.take_along_axis(side, order, axis=1)
     return Members(np.where(own != 0, order, -1), own)
+
+
+def _stacked(parts: list[Members]) -> Members:
+    """One table of all, as wide as the widest."""
+    width = max(part.row.shape[1] for part in parts)
+    wide = [((0, 0), (0, width - part.row.shape[1])) for part in parts]
+    row = [np.pad(part.row, pad, constant_values=-1) for part, pad in zip(parts, wide, strict=True)]
+    side = [np.pad(part.side, pad) for part, pad in zip(parts, wide, strict=True)]
+    return Members(np.concatenate(row), np.concatenate(side))
 
 
 def _packed_rows(row: Int[np.ndarray, "h k"], side: Float[np.ndarray, "h k"]) -> Members:

@@ -24,6 +24,8 @@ class CylinderTuning:
     widest_lengths: float = 4.0
     # So many pairs of outlines of a view at most, those that share most. By hand, for time.
     most_pairs: int = 1000
+    # So many hypotheses at most, those of the longest outlines. By hand, for memory.
+    most_hypotheses: int = 40_000
     # The planes half-way between the outlines of two views meet at this angle or more, deg.
     least_turn_deg: float = 2.0
     # Further outlines are looked at within this share of the radius. By hand, for time.
