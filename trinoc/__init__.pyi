@@ -25,6 +25,7 @@ from .evaluation import evaluate as evaluate
 from .geometry import Camera as Camera, Intrinsics as Intrinsics, Rig as Rig, Segments as Segments
 from .io import (
     enable_compile_cache as enable_compile_cache,
+    load_cylinders as load_cylinders,
     load_matches as load_matches,
     load_pattern as load_pattern,
     load_rig as load_rig,
@@ -37,10 +38,12 @@ from .io import (
 )
 from .match import (
     Corners as Corners,
+    Cylinders as Cylinders,
     GuidedMatches as GuidedMatches,
     JoinedLines as JoinedLines,
     Matches as Matches,
     Wireframe as Wireframe,
+    find_cylinders as find_cylinders,
     guide_matches as guide_matches,
     join_collinear as join_collinear,
     match_many as match_many,

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from trinoc.cli.command import Command, Outcome, UsageError
+from trinoc.cli.cylinders import cylinders_record, cylinders_text
 from trinoc.cli.plan import plan
 from trinoc.cli.progress import LOGGER
 from trinoc.cli.rig_file import doubts_of, doubts_table, read_rig
@@ -55,6 +56,12 @@ class Match(SegmentOptions, Command):
     """What places the lines: their segments, or the grey levels of all their views, which are more
     exact and take longer."""
 
+    cylinders: Annotated[
+        Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")
+    ] = None
+    """Also find right circular cylinders by their outlines, and write them here (npz). Tracks that
+    hold an outline are marked."""
+
     out: Annotated[Path, tyro.conf.arg(aliases=("-o",))] = Path("matches.npz")
     """Where the matches go."""
 
@@ -83,7 +90,7 @@ class Match(SegmentOptions, Command):
         from trinoc.io import expect_place, save
         from trinoc.match import match_segments
 
-        expect_place(self.out, self.report)
+        expect_place(self.out, self.report, self.cylinders)
         rig = read_rig(self.rig)
         files = files_of_rig(self.pictures, rig.names)
         check_views(files, rig, self.rig)
@@ -93,7 +100,9 @@ class Match(SegmentOptions, Command):
             _check_pictures(files, "--measure pixels")
         if self.dry_run:
             sizes = {name: rig[name].image_size_px for name in files}
-            return plan(f"match with {self.rig}", files, sizes, (self.out, self.report))
+            places = (self.out, self.cylinders, self.report)
+            places = (self.out, self.cylinders, self.report)
+            return plan(f"match with {self.rig}", files, sizes, places)
         images, segments = read_segments(files, rig, self.find, quiet=self.quiet)
         LOGGER.info("matching %s", ", ".join(f"{len(s)} ({n})" for n, s in segments.items()))
         depths = None if self.depth_range_mm == ANYWHERE else self.depth_range_mm
@@ -109,6 +118,13 @@ class Match(SegmentOptions, Command):
 
             LOGGER.info("measuring %d lines in the pictures", len(matches))
             matches = measure_lines(matches, segments, rig, images, response=self.response)
+        cylinders = None
+        if self.cylinders is not None:
+            from trinoc.match import find_cylinders
+
+            cylinders = find_cylinders(matches, segments, rig)
+            matches = cylinders.marked(matches)
+            save(cylinders, self.cylinders)
         save(matches, self.out)
         if self.report is not None:
             from trinoc.cli.provenance import for_people, provenance
@@ -125,10 +141,16 @@ class Match(SegmentOptions, Command):
                 tables=doubts_table(self.rig),
                 doubts=doubts_of(self.rig),
                 provenance=for_people(provenance(command_line, {**files, "rig": self.rig})),
+                cylinders=cylinders,
             )
-        written = [str(path) for path in (self.out, self.report) if path is not None]
-        text = f"{match_text(matches)}\nwritten: {', '.join(written)}"
-        return Outcome(text, {**match_record(segments, matches), "written": written})
+        places = (self.out, self.cylinders, self.report)
+        written = [str(path) for path in places if path is not None]
+        text, record = match_text(matches), match_record(segments, matches)
+        if cylinders is not None:
+            text = f"{text}\n\n{cylinders_text(cylinders)}"
+            record["cylinders"] = cylinders_record(cylinders)
+        text = f"{text}\nwritten: {', '.join(written)}"
+        return Outcome(text, {**record, "written": written})
 
 
 def _check_pictures(files: Mapping[str, Path], option: str) -> None:

@@ -21,12 +21,12 @@ class View(Command):
     """Turn cameras, sheet and 3-D segments in a browser, until Ctrl-C. Needs trinoc[view]."""
 
     file: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FILE")]
-    """What to show: rig.json, matches.npz or wireframe.npz."""
+    """What to show: rig.json, matches.npz, wireframe.npz or cylinders.npz."""
 
     rig: Annotated[
         Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")
     ] = None
-    """The cameras to show beside matches or a wire frame."""
+    """The cameras to show beside matches, a wire frame or cylinders."""
 
     pattern: Annotated[
         Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")
@@ -59,25 +59,28 @@ class View(Command):
     def _content(self) -> "tuple[SpaceFigure, Ellipsoids | None, str]":
         from trinoc.geometry import Rig
         from trinoc.io import load_any, load_pattern
-        from trinoc.match import Matches, Wireframe
+        from trinoc.match import Cylinders, Matches, Wireframe
         from trinoc.report import (
             SpaceFigure,
+            cylinders_figure,
             error_ellipsoids,
             space_figure,
             wireframe_figure,
         )
 
         value = load_any(self.file)
-        if not isinstance(value, Rig | Matches | Wireframe):
+        if not isinstance(value, Rig | Matches | Wireframe | Cylinders):
             raise UsageError(
-                f"{self.file} holds nothing in space: give a rig.json, matches.npz or "
-                "wireframe.npz."
+                f"{self.file} holds nothing in space: give a rig.json, matches.npz, wireframe.npz "
+                "or cylinders.npz."
             )
         pattern = None if self.pattern is None else load_pattern(self.pattern)
-        if isinstance(value, Wireframe):
+        if isinstance(value, Wireframe | Cylinders):
             if self.pattern is not None:
                 raise UsageError("--pattern goes with cameras and matches: leave it out.")
             rig = None if self.rig is None else read_rig(self.rig)
+            if isinstance(value, Cylinders):
+                return cylinders_figure(value, rig), None, f"{len(value)} cylinders"
             ellipsoids = error_ellipsoids(value.lines_mm, value.covariance_mm2)
             return wireframe_figure(value, rig), ellipsoids, f"{len(value)} edges"
         if isinstance(value, Rig):

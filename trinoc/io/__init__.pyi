@@ -8,6 +8,7 @@ from .compile_cache import (
     COMPILE_CACHE_VARIABLE as COMPILE_CACHE_VARIABLE,
     enable_compile_cache as enable_compile_cache,
 )
+from .cylinders_npz import load_cylinders as load_cylinders
 from .demo import (
     demo_images as demo_images,
     demo_paths as demo_paths,

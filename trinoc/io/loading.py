@@ -5,24 +5,34 @@ from pathlib import Path
 
 from trinoc.errors import InputError
 from trinoc.geometry import Intrinsics, Rig, Segments
-from trinoc.io import intrinsics_json, matches_npz, rig_json, segments_npz, wireframe_npz
+from trinoc.io import (
+    cylinders_npz,
+    intrinsics_json,
+    matches_npz,
+    rig_json,
+    segments_npz,
+    wireframe_npz,
+)
 from trinoc.io.arrays_npz import format_of_arrays
 from trinoc.io.json_text import parsed_json
 from trinoc.io.whole_files import read_text
-from trinoc.match import Matches, Wireframe
+from trinoc.match import Cylinders, Matches, Wireframe
 
 READERS = {
     rig_json.FORMAT: rig_json.load_rig,
     intrinsics_json.FORMAT: intrinsics_json.load_intrinsics,
     matches_npz.FORMAT: matches_npz.load_matches,
     segments_npz.FORMAT: segments_npz.load_segments,
+    cylinders_npz.FORMAT: cylinders_npz.load_cylinders,
     wireframe_npz.FORMAT: wireframe_npz.load_wireframe,
 }
 
 
-def load_any(path: str | os.PathLike[str]) -> Rig | Intrinsics | Matches | Segments | Wireframe:
-    """The value in a rig.json, camera.json or npz of matches, segments or a wire frame, by what
-    the file says.
+def load_any(
+    path: str | os.PathLike[str],
+) -> Rig | Intrinsics | Matches | Segments | Cylinders | Wireframe:
+    """The value in a rig.json, camera.json or npz of matches, segments, cylinders or a wire frame,
+    by what the file says.
 
     Raises InputError for other files.
     """
@@ -30,8 +40,8 @@ def load_any(path: str | os.PathLike[str]) -> Rig | Intrinsics | Matches | Segme
     found = _format_of_json(file) if file.suffix.lower() == ".json" else format_of_arrays(file)
     if not isinstance(found, str) or found not in READERS:
         raise InputError(
-            f"{file} is no rig, camera, matches, segments or wire frame of trinoc: give a "
-            "rig.json, camera.json, matches.npz, segments.npz or wireframe.npz."
+            f"{file} is no rig, camera, matches, segments, cylinders or wire frame of trinoc: give "
+            "a rig.json, camera.json, matches.npz, segments.npz, cylinders.npz or wireframe.npz."
         )
     return READERS[found](file)
 

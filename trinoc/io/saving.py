@@ -9,6 +9,7 @@ from trinoc.calib import AbstractTarget, Pattern
 from trinoc.errors import InputError
 from trinoc.geometry import Intrinsics, Rig, Segments
 from trinoc.io.board_json import save_target
+from trinoc.io.cylinders_npz import save_cylinders
 from trinoc.io.intrinsics_json import save_intrinsics
 from trinoc.io.matches_npz import save_matches
 from trinoc.io.pattern_json import save_pattern
@@ -16,7 +17,7 @@ from trinoc.io.rig_json import save_rig
 from trinoc.io.rig_status import status_of_shots, status_to_block
 from trinoc.io.segments_npz import save_segments
 from trinoc.io.wireframe_npz import save_wireframe
-from trinoc.match import Matches, Wireframe
+from trinoc.match import Cylinders, Matches, Wireframe
 
 _AS_JSON = Rig | Intrinsics | AbstractTarget
 
@@ -31,12 +32,12 @@ def save(
 
     A Rig (or the rig of a CalibrationResult or a RigFromShots, then with its status), Intrinsics
     (or the lens of an IntrinsicsResult, then with its covariance), a Pattern and a board become
-    JSON; Segments, Matches and a Wireframe become npz. `provenance`, of rigs and lenses, says how
-    it was found ("command", "version", "inputs"). Raises InputError for other values and for a
-    name whose ending is not that of the file.
+    JSON; Segments, Matches, Cylinders and a Wireframe become npz. `provenance`, of rigs and lenses,
+    says how it was found ("command", "version", "inputs"). Raises InputError for other values and
+    for a name whose ending is not that of the file.
     """
     more: dict[str, Any] = {}
-    if not isinstance(value, _AS_JSON | Segments | Matches | Wireframe):
+    if not isinstance(value, _AS_JSON | Segments | Matches | Cylinders | Wireframe):
         value, more = _content_of_result(value, path)
     ending = ".json" if isinstance(value, _AS_JSON) else ".npz"
     if Path(path).suffix.lower() != ending:
@@ -56,6 +57,8 @@ def save(
             save_segments(value, path)
         case Matches():
             save_matches(value, path)
+        case Cylinders():
+            save_cylinders(value, path)
         case Wireframe():
             save_wireframe(value, path)
 
@@ -78,5 +81,5 @@ def _content_of_result(
             raise InputError(f"{path} was not written: {value.status.value}")
     raise InputError(
         f"A {type(value).__name__} cannot be saved: give a Rig, CalibrationResult, "
-        "Intrinsics, IntrinsicsResult, Pattern, Segments, Matches or Wireframe."
+        "Intrinsics, IntrinsicsResult, Pattern, Segments, Matches, Cylinders or Wireframe."
     )

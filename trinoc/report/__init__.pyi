@@ -1,5 +1,6 @@
 from .against_reference import parameter_errors as parameter_errors
 from .colours import COLOUR_OF_ROLE as COLOUR_OF_ROLE
+from .cylinders_part import cylinders_figure as cylinders_figure
 from .ellipsoids import (
     Ellipsoids as Ellipsoids,
     error_ellipsoids as error_ellipsoids,

@@ -16,6 +16,7 @@ from trinoc.report.track_sigmas import TrackSigmas, track_sigmas
 
 TABLE_ROWS = 300
 MATCHED = "matched"
+EVEN = 0.5
 
 
 class TrackRow(NamedTuple):
@@ -131,6 +132,7 @@ def _track_rows(matches: Matches, colours: list[str], sigmas: TrackSigmas) -> tu
         if matches.viewpoint_dependent is None
         else matches.viewpoint_dependent
     )
+    silhouette = np.zeros(len(matches)) if matches.silhouette is None else matches.silhouette
     rows = []
     for track in order.tolist():
         members = tuple("" if i < 0 else str(i) for i in np.asarray(matches.index[track]).tolist())
@@ -138,9 +140,9 @@ def _track_rows(matches: Matches, colours: list[str], sigmas: TrackSigmas) -> tu
             TrackRow(
                 track,
                 colours[track],
-                f"{matches.stage[track]}, moves"
-                if viewpoint_dependent[track]
-                else str(matches.stage[track]),
+                str(matches.stage[track])
+                + (", moves" if viewpoint_dependent[track] else "")
+                + (", outline of a cylinder" if silhouette[track] > EVEN else ""),
                 members,
                 with_sigma(float(sigmas.length_mm[track]), float(sigmas.length_sigma_mm[track])),
                 with_decimals(float(sigmas.across_sigma_mm[track]), 3),

@@ -14,7 +14,7 @@ from trinoc.geometry import Intrinsics, Rig, Segments
 from trinoc.io.atomic import expect_place
 from trinoc.io.formats.losses import COVARIANCE, LOSSES, lost_of
 from trinoc.io.usable_cameras import expect_apart, expect_lens
-from trinoc.match import Matches, Wireframe
+from trinoc.match import Cylinders, Matches, Wireframe
 
 Lenses = Mapping[str, Intrinsics]
 # The words of `Format.holds` and `Format.reads`.
@@ -23,6 +23,7 @@ KIND_OF = {
     Intrinsics: "lens",
     Matches: "matches",
     Segments: "segments",
+    Cylinders: "cylinders",
     Wireframe: "wireframe",
 }
 IN_WORDS = {
@@ -30,6 +31,7 @@ IN_WORDS = {
     "lens": "a lens",
     "matches": "matches",
     "segments": "segments",
+    "cylinders": "cylinders",
     "wireframe": "a wire frame",
 }
 
@@ -42,7 +44,8 @@ class Format:
     ------
     name : as `trinoc export --to` and `trinoc import --from` take it.
     title : what people call it.
-    holds : what can be written to it: "rig", "lens", "matches", "wireframe", "segments".
+    holds : what can be written to it: "rig", "lens", "matches", "wireframe", "cylinders",
+        "segments".
     reads : what can be read from it; empty where it is only written.
     place : "file", "folder", or "file or folder": a lens is then a file, a rig a folder of them.
     endings : of the file's name; empty where any will do.
@@ -71,8 +74,8 @@ class Format:
     def save(
         self, value: object, path: str | os.PathLike[str], *, unit_mm: float | None = None
     ) -> None:
-        """Write a Rig (or the rig of a CalibrationResult), Intrinsics, Matches, a Wireframe or
-        Segments.
+        """Write a Rig (or the rig of a CalibrationResult), Intrinsics, Matches, a Wireframe,
+        Cylinders or Segments.
 
         The file or folder is whole or not there. `unit_mm` is the length in mm of one unit of
         the file, for formats that leave it open. A covariance is lost where `lost` says so.
@@ -169,6 +172,8 @@ def _expect_writable(value: object) -> None:
             names, lenses, numbers = (), [value], []
         case Matches():
             names, lenses, numbers = value.views, [], [value.lines_mm]
+        case Cylinders():
+            names, lenses, numbers = (), [], [value.axis_mm, value.radius_mm]
         case Wireframe():
             names, lenses, numbers = (), [], [value.vertices_mm]
         case _:

@@ -29,6 +29,8 @@ def lines_table(matches: Matches, unit_mm: float) -> dict[str, np.ndarray]:
         columns["misfit"] = matches.misfit
     if matches.viewpoint_dependent is not None:
         columns["viewpoint_dependent"] = matches.viewpoint_dependent
+    if matches.silhouette is not None:
+        columns["silhouette"] = matches.silhouette
     for number, view in enumerate(matches.views):
         columns[f"{view}_segment"] = matches.index[:, number]
         fragments = matches.fragments_px[:, number].reshape(-1, 4)

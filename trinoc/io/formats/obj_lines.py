@@ -1,4 +1,4 @@
-"""3-D segments as the lines of a Wavefront OBJ, a wire frame with its faces, too."""
+"""3-D segments as the lines of a Wavefront OBJ; a wire frame with its faces, cylinders as wires."""
 
 from pathlib import Path
 
@@ -7,15 +7,18 @@ import numpy as np
 from trinoc.io.atomic import write_text
 from trinoc.io.formats.format import Format
 from trinoc.io.formats.losses import COVARIANCE, TRACKS
-from trinoc.match import Matches, Wireframe
+from trinoc.io.formats.wires import wires_of
+from trinoc.match import Cylinders, Matches, Wireframe
 
 
-def write_obj(value: Matches | Wireframe, path: Path, unit_mm: float) -> None:
+def write_obj(value: Matches | Wireframe | Cylinders, path: Path, unit_mm: float) -> None:
     """Write two vertices and a line for each track; or vertices, lines and faces."""
     lines = [f"# unit {unit_mm!r} mm, Z up"]
     if isinstance(value, Wireframe):
         places, pairs = value.vertices_mm, value.edges
         loops = [loop.tolist() for loop in value.faces]
+    elif isinstance(value, Cylinders):
+        (places, pairs, _), loops = wires_of(value), []
     else:
         places, pairs = value.lines_mm.reshape(-1, 3), np.arange(2 * len(value)).reshape(-1, 2)
         loops = []
@@ -28,7 +31,7 @@ def write_obj(value: Matches | Wireframe, path: Path, unit_mm: float) -> None:
 obj = Format(
     name="obj",
     title="OBJ",
-    holds=("matches", "wireframe"),
+    holds=("matches", "wireframe", "cylinders"),
     reads=(),
     place="file",
     endings=(".obj",),

@@ -1,4 +1,4 @@
-"""3-D segments as the edges of a PLY, with posterior and covariance as properties of each edge."""
+"""3-D segments as the edges of a PLY, with what is known of each; wire frames, and cylinders."""
 
 from pathlib import Path
 
@@ -8,13 +8,16 @@ from trinoc.io.atomic import write_text
 from trinoc.io.formats.format import Format
 from trinoc.io.formats.lines_table import COORDINATES, UPPER
 from trinoc.io.formats.losses import TRACKS
-from trinoc.match import TRINOCULAR, Matches, Wireframe
+from trinoc.io.formats.wires import wires_of
+from trinoc.match import TRINOCULAR, Cylinders, Matches, Wireframe
 
 
-def write_ply(value: Matches | Wireframe, path: Path, unit_mm: float) -> None:
+def write_ply(value: Matches | Wireframe | Cylinders, path: Path, unit_mm: float) -> None:
     """Write two vertices and an edge for each track, or a wire frame with its faces, as text."""
     if isinstance(value, Wireframe):
         write_text(path, "\n".join(_of_wireframe(value, unit_mm)) + "\n")
+    elif isinstance(value, Cylinders):
+        write_text(path, "\n".join(_of_cylinders(value, unit_mm)) + "\n")
     else:
         write_text(path, "\n".join(_of_matches(value, unit_mm)) + "\n")
 
@@ -86,6 +89,32 @@ def _of_wireframe(frame: Wireframe, unit_mm: float) -> list[str]:
     return [*header, *vertices, *loops, *edges]
 
 
+def _of_cylinders(cylinders: Cylinders, unit_mm: float) -> list[str]:
+    """Edges of rims and mantles, each with its cylinder, and what is known of that."""
+    wires = wires_of(cylinders)
+    known = np.column_stack(
+        [cylinders.radius_mm / unit_mm, cylinders.radius_sigma_mm / unit_mm, cylinders.posterior]
+    )
+    return [
+        "ply",
+        "format ascii 1.0",
+        f"comment unit {unit_mm!r} mm, Z up",
+        f"element vertex {len(wires.places_mm)}",
+        *(f"property double {axis}" for axis in "xyz"),
+        f"element edge {len(wires.pairs)}",
+        "property int vertex1",
+        "property int vertex2",
+        "property int cylinder",
+        *(f"property double {name}" for name in ("radius", "radius_sigma", "posterior")),
+        "end_header",
+        *(_joined(place) for place in wires.places_mm / unit_mm),
+        *(
+            f"{one} {other} {row} {_joined(known[row])}"
+            for (one, other), row in zip(wires.pairs.tolist(), wires.owner.tolist(), strict=True)
+        ),
+    ]
+
+
 def _joined(numbers: np.ndarray) -> str:
     return " ".join(map(repr, numbers.tolist()))
 
@@ -93,7 +122,7 @@ def _joined(numbers: np.ndarray) -> str:
 ply = Format(
     name="ply",
     title="PLY",
-    holds=("matches", "wireframe"),
+    holds=("matches", "wireframe", "cylinders"),
     reads=(),
     place="file",
     endings=(".ply",),

@@ -44,6 +44,8 @@ class Matches(Shown, eqx.Module):
         why its segment's place is kept: "too short", "neighbours" (other edges are too near), "too
         faint", "no clean step", "another edge", or "disagrees" (the line's pixels and its segments
         do, and so do its views); "" where not seen. None where that has not been asked for.
+    silhouette : (t,) probability that a track holds an outline of a cylinder, and so is no line in
+        space (`find_cylinders`); None where that has not been asked for.
     noise_scale : standard deviation of the segments across themselves over what they state, as
         three views show it: all covariances here are of the errors found. 1 where two views are
         all there is.
@@ -68,6 +70,7 @@ class Matches(Shown, eqx.Module):
     notes: tuple[str, ...] = eqx.field(static=True, default=())
     guided: Bool[np.ndarray, "t v"] | None = None
     measure: Shaped[np.ndarray, "t v"] | None = None
+    silhouette: Float[np.ndarray, "t"] | None = None
 
     def __len__(self) -> int:
         return len(self.index)

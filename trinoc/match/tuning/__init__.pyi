@@ -1,4 +1,5 @@
 from .candidates import CandidateTuning as CandidateTuning
+from .cylinders import CylinderTuning as CylinderTuning
 from .every_group import DEFAULT as DEFAULT, MatchTuning as MatchTuning
 from .evidence import EndTuning as EndTuning, EvidenceTuning as EvidenceTuning
 from .guided import GuidedTuning as GuidedTuning

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 
 from trinoc.match.tuning.candidates import CandidateTuning
+from trinoc.match.tuning.cylinders import CylinderTuning
 from trinoc.match.tuning.evidence import EndTuning, EvidenceTuning
 from trinoc.match.tuning.guided import GuidedTuning
 from trinoc.match.tuning.line_map import (
@@ -36,6 +37,7 @@ class MatchTuning:
     wireframe: WireframeTuning = field(default_factory=WireframeTuning)
     depth: DepthTuning = field(default_factory=DepthTuning)
     guided: GuidedTuning = field(default_factory=GuidedTuning)
+    cylinders: CylinderTuning = field(default_factory=CylinderTuning)
 
 
 DEFAULT = MatchTuning()

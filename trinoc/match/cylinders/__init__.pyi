@@ -1,0 +1,2 @@
+from .cylinders import Cylinders as Cylinders
+from .search import find_cylinders as find_cylinders

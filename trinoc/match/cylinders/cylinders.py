@@ -1,0 +1,84 @@
+"""Right circular cylinders in space, and the segments that are their outlines."""
+
+import dataclasses
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float, Int
+
+from trinoc.match.tracks import Matches
+from trinoc.numerics import axes_across
+
+
+class Cylinders(eqx.Module):
+    """Cylinders, each from its outlines in two views or more.
+
+    `cylinder`, `view`, `segment` and `side` are one table with a row for each outline's segment.
+
+    Fields
+    ------
+    views : names of the views, the order of their numbers.
+    axis_mm : (c, 2, 3) ends of each axis, in the world frame: as far as two outlines reach.
+    radius_mm : (c,)
+    covariance_mm2 : (c, 7, 7) of both ends and the radius. Along the axis, ends are where
+        detectors stopped.
+    posterior : (c,) probability that the outlines are those of one cylinder.
+    rival_posterior : (c,) posterior of the best other cylinder that shares an outline and was
+        excluded; 0 where none.
+    chi_square, degrees : (c,) misfit of all outlines under their stated covariance, and its
+        degrees of freedom.
+    cylinder, view, segment : (m,) number of the cylinder, of the view, and of the segment there.
+    side : (m,) side of the axis on which the outline passes: 1 or -1, for all views alike.
+    silhouette : (t,) probability that each track of the matches holds an outline, and so is no
+        line in space.
+    counts : what each step of the search produced and rejected, by name.
+    """
+
+    views: tuple[str, ...] = eqx.field(static=True)
+    axis_mm: Float[np.ndarray, "c 2 3"]
+    radius_mm: Float[np.ndarray, "c"]
+    covariance_mm2: Float[np.ndarray, "c 7 7"]
+    posterior: Float[np.ndarray, "c"]
+    rival_posterior: Float[np.ndarray, "c"]
+    chi_square: Float[np.ndarray, "c"]
+    degrees: Int[np.ndarray, "c"]
+    cylinder: Int[np.ndarray, "m"]
+    view: Int[np.ndarray, "m"]
+    segment: Int[np.ndarray, "m"]
+    side: Int[np.ndarray, "m"]
+    silhouette: Float[np.ndarray, "t"]
+    counts: dict[str, int]
+
+    def __len__(self) -> int:
+        return len(self.radius_mm)
+
+    def marked(self, matches: Matches) -> Matches:
+        """The matches that the cylinders were found in, with `silhouette`."""
+        return dataclasses.replace(matches, silhouette=self.silhouette)
+
+    @property
+    def radius_sigma_mm(self) -> Float[np.ndarray, "c"]:
+        """(c,) standard deviation of each radius."""
+        return np.sqrt(self.covariance_mm2[:, 6, 6])
+
+    def outlines_of(self, cylinder: int | np.integer) -> dict[str, Int[np.ndarray, "_"]]:
+        """The segments of each view that are outlines of a cylinder."""
+        own = self.cylinder == cylinder
+        return {name: self.segment[own & (self.view == k)] for k, name in enumerate(self.views)}
+
+    def circles_mm(self, sides: int = 48) -> Float[np.ndarray, "c 2 n 3"]:
+        """(c, 2, sides, 3) points round both ends of each cylinder, opposite each other."""
+        way = self.axis_mm[:, 1] - self.axis_mm[:, 0]
+        length = np.linalg.norm(way, axis=1, keepdims=True)
+        across = axes_across(way / np.maximum(length, np.finfo(float).tiny))
+        angle = np.arange(sides) * (2 * np.pi / sides)
+        circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        around = self.radius_mm[:, None, None] * (circle @ across)
+        return self.axis_mm[:, :, None] + around[:, None]
+
+    def wires_mm(self, sides: int = 48, rulings: int = 4) -> list[list[np.ndarray]]:
+        """For each cylinder lines (n, 3) to draw: both circles, closed, and lines along it."""
+        circles = self.circles_mm(sides)
+        closed = np.concatenate([circles, circles[:, :, :1]], axis=2)
+        along = circles[:, :, :: max(sides // rulings, 1)].swapaxes(1, 2)
+        return [[*rims, *lines] for rims, lines in zip(closed, along, strict=True)]

@@ -1,0 +1,175 @@
+"""Every segment that touches a cylinder within errors, in all views: its outlines."""
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from trinoc.match.cylinders.fit import ROUND, Fits, Members, fitted
+from trinoc.match.cylinders.hypotheses import Start
+from trinoc.match.cylinders.outlines import Outlines
+from trinoc.match.cylinders.tangency import Rays, abreast_mm, before_camera, passing
+from trinoc.match.tuning import CylinderTuning
+from trinoc.numerics import blocks, chi_square_limit
+
+# Cylinders that are compared with all outlines at once.
+AT_ONCE = 1024
+# Outlines that say more than five parameters take.
+FEWEST = 4
+
+
+def with_support(table: Outlines, start: Start, tuning: CylinderTuning) -> tuple[Fits, Members]:
+    """Cylinders that fit their three outlines, each with every outline that fits it.
+
+    Rounds, since more outlines leave a better cylinder. Cylinders of the same outlines are one.
+    """
+    fits = fitted(table, start.members, start.point_mm, start.direction, start.radius_mm, tuning)
+    good = _settled(fits, tuning)
+    good &= fits.square < chi_square_limit(tuning.significance, fits.degrees)
+    rows = np.flatnonzero(good)
+    members = Members(start.members.row[rows], start.members.side[rows])
+    fits = fits.take(rows)
+    for _ in range(tuning.rounds):
+        members = _single(table, fits, _touching(table, fits, members, tuning), tuning)
+        members, kept = _distinct(table, members)
+        fits = fits.take(kept)
+        fits = fitted(table, members, fits.point_mm, fits.direction, fits.radius_mm, tuning)
+        kept = np.flatnonzero(_settled(fits, tuning))
+        fits, members = fits.take(kept), Members(members.row[kept], members.side[kept])
+    return fits, members
+
+
+def _settled(fits: Fits, tuning: CylinderTuning) -> Bool[np.ndarray, "h"]:
+    """Cylinders that their outlines determine: a linear error holds for axis and radius."""
+    determined = (fits.rank == ROUND) & np.isfinite(fits.square) & (fits.degrees > 0)
+    variance = np.einsum("hii->hi", _inverse(fits.information))
+    size = np.stack([*[fits.radius_mm] * 2, *[np.ones_like(fits.radius_mm)] * 2, fits.radius_mm])
+    return determined & (variance < (tuning.largest_doubt * size.T) ** 2).all(axis=1)
+
+
+def _touching(table: Outlines, fits: Fits, members: Members, tuning: CylinderTuning) -> Members:
+    """The outlines of each cylinder: those whose ends lie where they must, within errors."""
+    low, high = _extent(table, fits, members)
+    known = _inverse(fits.information)
+    limit = chi_square_limit(tuning.significance, 2)
+    parts = [Members(np.zeros((0, 1), dtype=np.int64), np.zeros((0, 1)))]
+    for part in blocks(len(fits.radius_mm), AT_ONCE):
+        here, row = _roughly_touching(table, fits, part, tuning)
+        owner = here + part.start
+        rays = Rays(*(column[row] for column in table.rays))
+        point, direction = fits.point_mm[owner], fits.direction[owner]
+        beside = passing(rays, point, direction)
+        own = np.sign(beside.distance_mm.mean(axis=1))
+        residual = own[:, None] * fits.radius_mm[owner, None] - beside.distance_mm
+        residual = residual / beside.per_px
+        turned = -np.broadcast_to(own[:, None, None], (*residual.shape, 1))
+        jacobian = np.concatenate([beside.by_axis, turned], axis=-1) / beside.per_px[..., None]
+        spread = jacobian @ known[owner] @ jacobian.mT + table.across_px2[row]
+        square = np.einsum("me,mef,mf->m", residual, np.linalg.inv(spread), residual)
+        along = np.sort(abreast_mm(rays, point, direction), axis=1)
+        common = np.minimum(along[:, 1], high[owner]) - np.maximum(along[:, 0], low[owner])
+        good = (square < limit) & before_camera(rays, point)
+        good &= common > tuning.abreast_share * (along[:, 1] - along[:, 0])
+        side = np.zeros((len(fits.radius_mm[part]), len(table.view)))
+        side[here[good], row[good]] = own[good]
+        parts.append(_packed(side))
+    return _stacked(parts)
+
+
+def _roughly_touching(
+    table: Outlines, fits: Fits, part: slice, tuning: CylinderTuning
+) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
+    """(cylinder, outline) where the outline's plane is along the axis and about a radius off."""
+    normal = table.normals
+    offset = (normal * table.rays.centre_mm).sum(axis=1)
+    turn = np.abs(fits.direction[part] @ normal.T)
+    radius = fits.radius_mm[part, None]
+    gap = np.abs(np.abs(fits.point_mm[part] @ normal.T - offset) - radius)
+    near = turn < np.sin(np.radians(tuning.parallel_deg))
+    here, row = np.nonzero(near & (gap < tuning.radius_share * radius))
+    return here, row
+
+
+def _extent(
+    table: Outlines, fits: Fits, members: Members
+) -> tuple[Float[np.ndarray, "h"], Float[np.ndarray, "h"]]:
+    """From where to where along its axis the outlines of each cylinder reach."""
+    own = table.take(np.maximum(members.row, 0))
+    along = abreast_mm(own.rays, fits.point_mm[:, None], fits.direction[:, None])
+    low = np.where(members.held, along.min(axis=2), np.inf).min(axis=1)
+    high = np.where(members.held, along.max(axis=2), -np.inf).max(axis=1)
+    return low, high
+
+
+def _inverse(information: Float[np.ndarray, "h 5 5"]) -> Float[np.ndarray, "h 5 5"]:
+    scale = 1 / np.sqrt(np.maximum(np.einsum("hii->hi", information), 1e-300))
+    scaled = information * scale[:, :, None] * scale[:, None]
+    inverse = np.linalg.pinv(scaled, rcond=1e-9, hermitian=True)
+    return inverse * scale[:, :, None] * scale[:, None]
+
+
+def _packed(side: Float[np.ndarray, "h n"]) -> Members:
+    """Outlines of each cylinder in order, side by side."""
+    count = (side != 0).sum(axis=1)
+    width = max(int(count.max(initial=0)), 1)
+    # A column of none, so that there is one where there are no outlines at all.
+    side = np.pad(side, ((0, 0), (0, 1)))
+    order = np.argsort(side == 0, axis=1, kind="stable")[:, :width]
+    own = np.take_along_axis(side, order, axis=1)
+    return Members(np.where(own != 0, order, -1), own)
+
+
+def _stacked(parts: list[Members]) -> Members:
+    """One table of all, as wide as the widest."""
+    width = max(part.row.shape[1] for part in parts)
+    wide = [((0, 0), (0, width - part.row.shape[1])) for part in parts]
+    row = [np.pad(part.row, pad, constant_values=-1) for part, pad in zip(parts, wide, strict=True)]
+    side = [np.pad(part.side, pad) for part, pad in zip(parts, wide, strict=True)]
+    return Members(np.concatenate(row), np.concatenate(side))
+
+
+def _packed_rows(row: Int[np.ndarray, "h k"], side: Float[np.ndarray, "h k"]) -> Members:
+    """The same of outlines in order, some of which are left out (-1)."""
+    order = np.argsort(row < 0, axis=1, kind="stable")
+    row = np.take_along_axis(row, order, axis=1)
+    return Members(row, np.where(row >= 0, np.take_along_axis(side, order, axis=1), 0.0))
+
+
+def _single(table: Outlines, fits: Fits, members: Members, tuning: CylinderTuning) -> Members:
+    """Without those mostly abreast of a longer one that lies on the same side in its view."""
+    own = table.take(np.maximum(members.row, 0))
+    along = abreast_mm(own.rays, fits.point_mm[:, None], fits.direction[:, None])
+    low, high = along.min(axis=2), along.max(axis=2)
+    common = np.minimum(high[:, :, None], high[:, None]) - np.maximum(low[:, :, None], low[:, None])
+    abreast = common > tuning.abreast_share * (high - low)[:, :, None]
+    doubled = (abreast & same_outline(table, members)).any(axis=2)
+    return _packed_rows(np.where(doubled, -1, members.row), members.side)
+
+
+def same_outline(table: Outlines, members: Members) -> Bool[np.ndarray, "h k k"]:
+    """Whether a longer one of the same view and side, which stands before, is as good as each."""
+    outline = outline_of(table, members)
+    same = (outline[:, :, None] == outline[:, None]) & members.held[:, :, None]
+    return same & np.tri(members.row.shape[1], k=-1, dtype=bool)
+
+
+def _distinct(table: Outlines, members: Members) -> tuple[Members, np.ndarray]:
+    """(each set of outlines once, where it is enough, of which cylinder)."""
+    _, kept = np.unique(members.row, axis=0, return_index=True)
+    views = int(table.view.max(initial=0)) + 1
+    shown = outlines_shown(table, Members(members.row[kept], members.side[kept]), views)
+    kept = kept[(shown.sum(axis=(1, 2)) >= FEWEST) & (shown.any(axis=2).sum(axis=1) > 1)]
+    return Members(members.row[kept], members.side[kept]), kept
+
+
+def outlines_shown(table: Outlines, members: Members, views: int) -> Bool[np.ndarray, "h v 2"]:
+    """Which of the two outlines of each view have a segment."""
+    shown = np.zeros((len(members.row), 2 * views), dtype=bool)
+    outline = outline_of(table, members)
+    owner, column = np.nonzero(members.held)
+    shown[owner, outline[owner, column]] = True
+    return shown.reshape(-1, views, 2)
+
+
+def outline_of(table: Outlines, members: Members) -> Int[np.ndarray, "h k"]:
+    """Which of the two outlines of all views each is a piece of; -1 beyond the last."""
+    outline = 2 * table.view[np.maximum(members.row, 0)] + (members.side > 0)
+    return np.where(members.held, outline, -1)
