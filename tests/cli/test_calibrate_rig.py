@@ -43,6 +43,22 @@ def test_mistakes_are_told_in_one_sentence(places, says, status, tmp_path, monke
     assert not (tmp_path / "rig.json").exists()
 
 
+def test_boards_that_look_alike_are_told_apart_by_their_first_marker(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "pictures").mkdir()
+    cv2.imwrite("pictures/1.png", np.full((60, 80), 100, np.uint8))
+    size = ["--rows", "4", "--columns", "5", "--board", "aprilgrid", "--quiet"]
+    for name, first in (("front", "0"), ("back", "19"), ("side", "20")):
+        assert main(["pattern", *size, "--first", first, "-o", f"{name}.json"]) == 0
+    capsys.readouterr()
+    both = ["calibrate-rig", "left=pictures", "--quiet", "--board", "front.json", "--board"]
+    assert main([*both, "back.json"]) == 1
+    said = capsys.readouterr().err
+    assert 'The boards "front" and "back" look alike in view: both have the marker 19 of' in said
+    assert main([*both, "side.json"]) == 1
+    assert "None of the boards front, side was found" in capsys.readouterr().err
+
+
 def test_markers_are_refused_by_the_option_and_not_by_its_name_in_python(
     tmp_path, monkeypatch, capsys
 ):

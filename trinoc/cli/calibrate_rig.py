@@ -214,8 +214,8 @@ def rig_record(result: "RigFromShots") -> dict[str, Any]:
         },
         "cameras": {
             name: {
-                "pictures": sum(
-                    view.camera == k and bool(view.used.any()) for view in result.views
+                "pictures": len(
+                    {view.shot for view in result.views if view.camera == k and view.used.any()}
                 ),
                 "rms_px": result.rms_px(name),
                 "sigma_factor": result.sigma_factor[name],

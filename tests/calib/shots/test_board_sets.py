@@ -18,7 +18,7 @@ from tests.calib.shots.made_board_sets import (
     sets_held,
 )
 from tests.calib.shots.made_shots import BOARD, SIZE_PX, board_poses, lens_of, shots
-from trinoc.calib import BoardSet, Chessboard, Systematics, calibrate_rig, next_shot
+from trinoc.calib import BoardSet, Chessboard, Detection, Systematics, calibrate_rig, next_shot
 from trinoc.calib.detection import split_by_board
 from trinoc.calib.shots.covariance import information_of
 from trinoc.calib.shots.halves import steps_between
@@ -107,11 +107,14 @@ def test_which_board_is_the_reference_changes_the_frame_alone(found):
         counts = [len(BOARDS[name]) for name in boards]
         order = np.concatenate([np.arange(counts[0]) + counts[1], np.arange(counts[1])])
         pictures[camera] = [
-            type(each)(**{**vars(each), "circle_index": order[each.circle_index]}) for each in own
+            Detection(**{**vars(each), "circle_index": order[each.circle_index]})
+            for each in own
+            if each is not None
         ]
     other = calibrate_rig(
         pictures, set_of(turned), lens=KNOWN_OPPOSITE, systematics=EXACT, world="left"
     )
+    assert other.rig is not None
     np.testing.assert_allclose(far_from_left(other.rig), far_from_left(found.rig), atol=1e-5)
     np.testing.assert_allclose(
         other.reference_from_board[1], inverse(found.reference_from_board[1]), atol=1e-5
@@ -185,6 +188,7 @@ def test_boards_that_nothing_connects_are_named():
     pictures = set_shots(("front", "side"), ("left",), count=6)
     one_at_a_time = []
     for number, each in enumerate(pictures["left"]):
+        assert each is not None
         parts = split_by_board(each, set_of(("front", "side")))
         one_at_a_time.append(parts.get(number % 2, parts[0]))
     with pytest.raises(CalibrationError, match="fixed to each other: the groups are front; side"):

@@ -122,6 +122,8 @@ def _as_seen(
     problem: Problem, view: View, lens: AbstractLens, fold_rad: float, uv_px: np.ndarray
 ) -> View:
     """The view with the places (n, 2) that the camera sees, if it would find the board at all."""
+    if not view.used.any():
+        return view
     board, pose = boards_of(problem.target)[view.board], cam_from_board(problem.state, view)
     places = board.centres_mm @ pose[:, :2].T + pose[:, 3]
     away = np.linalg.norm(places, axis=1)

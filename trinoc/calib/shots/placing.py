@@ -7,20 +7,18 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.calib.detection import Detection
-from trinoc.calib.shots.chain import pair_link, placed_shot
-from trinoc.calib.shots.connected import Connected, connected, in_set
+from trinoc.calib.shots.apart import boards_apart, cameras_apart
+from trinoc.calib.shots.chain import placed_shot
+from trinoc.calib.shots.connected import connected, in_set
 from trinoc.calib.shots.exchanged import exchanged_pair
 from trinoc.calib.shots.lens_start import CameraStart
-from trinoc.calib.shots.motions import boards_parallel
 from trinoc.calib.shots.sightings import Sighting, sighting
 from trinoc.calib.shots.table import View
 from trinoc.calib.targets import AbstractTarget, board_names
 from trinoc.errors import CalibrationError
 
-# A shot by its name, and a board by its number; the same with the shot's number.
-ShotBoard, ShotOf = tuple[str, int], tuple[int, int]
-# Cameras whose pictures were counted differently are tried this many shots apart.
-_MOST_SHIFT = 3
+# A shot by its name, and a board by its number.
+ShotBoard = tuple[str, int]
 # What the name of a shot goes on with where one camera's picture of it stands for itself.
 _ALONE = " of {} alone"
 
@@ -75,7 +73,7 @@ def placed_rig(
     found = connected(seen, range(len(members)), target)
     _expect_boards_seen(seen, members)
     if len(found.cameras) > 1:
-        raise CalibrationError(_apart(found, names, seen, target, known))
+        raise CalibrationError(cameras_apart(found, names, seen, target, known))
     if len(found.boards) > 1:
         raise CalibrationError(boards_apart(found.boards, members))
     poses, fixed = found.cameras[0], found.boards
@@ -131,55 +129,6 @@ def _view(seen: Sighting, labelling: int, shot: int) -> View:
     return View(seen.camera, shot, detection, used, board=seen.board)
 
 
-def _apart(
-    found: Connected,
-    names: list[str],
-    seen: Mapping[int, Sequence[Sighting]],
-    target: AbstractTarget,
-    known: Collection[str],
-) -> str:
-    """Why the cameras are not in one frame."""
-    groups = found.cameras
-    broken = [(pair, link) for pair, link in found.links.items() if not link.holds]
-    for (a, b), _ in broken:
-        shift = _shift_between(_by_shot(seen[a]), _by_shot(seen[b]), target)
-        if shift:
-            earlier = "earlier" if shift > 0 else "later"
-            return (
-                f'The pictures of "{names[b]}" fit those of "{names[a]}" that were taken '
-                f"{abs(shift)} shot{'' if abs(shift) == 1 else 's'} {earlier}: the cameras are out "
-                "of step; leave out the pictures that only one of them has, or name them alike."
-            )
-    parts = "; ".join(", ".join(names[k] for k in sorted(group)) for group in groups)
-    if broken:
-        (a, b), link = broken[0]
-        for number in (a, b):
-            camera = names[number]
-            poses = [each.cam_from_board[0] for each in seen[number]]
-            if camera not in known and boards_parallel(poses):
-                return (
-                    f'The board is parallel in all shots of "{camera}", which tells no lens, and '
-                    "without its lens not how it stands. Tilt the board by 30 to 50 degrees, "
-                    "another way each time, or give the lenses."
-                )
-        return (
-            f'"{names[a]}" and "{names[b]}" share {link.shared} shots, but only {link.agreeing} of '
-            f"them agree on how the cameras stand (the groups are {parts}): see that pictures of "
-            "equal names are of one moment, that no picture is mirrored, and that the cameras "
-            "did not move."
-        )
-    return (
-        f"No shot connects the cameras: the groups are {parts}. Show the board to cameras of two "
-        "groups at once, in two shots at least."
-        + (
-            " Where they see different boards, these must turn about two axes at least from shot "
-            "to shot."
-            if len(found.boards) > 1
-            else ""
-        )
-    )
-
-
 def _expect_boards_seen(seen: Mapping[int, Sequence[Sighting]], names: Sequence[str]) -> None:
     shown = {each.board for own in seen.values() for each in own}
     for board, name in enumerate(names):
@@ -188,36 +137,3 @@ def _expect_boards_seen(seen: Mapping[int, Sequence[Sighting]], names: Sequence[
                 f'The board "{name}" is found in no picture, so that nothing tells where it is '
                 "fixed: leave it out of the set, or show it."
             )
-
-
-def boards_apart(groups: Sequence[Mapping[int, np.ndarray]], names: Sequence[str]) -> str:
-    """Which boards nothing connects, and what to do."""
-    parts = "; ".join(", ".join(names[k] for k in sorted(group)) for group in groups)
-    return (
-        f"No shot tells how the boards are fixed to each other: the groups are {parts}. Show "
-        "boards of two groups in one shot, to one camera or to cameras that other shots connect, "
-        "and see that the boards stay fixed."
-    )
-
-
-def _by_shot(own: Sequence[Sighting]) -> dict[ShotOf, Sighting]:
-    return {(each.shot, each.board): each for each in own}
-
-
-def _shift_between(
-    first: Mapping[ShotOf, Sighting], second: Mapping[ShotOf, Sighting], target: AbstractTarget
-) -> int:
-    """By how many shots the second camera's pictures come too late; 0 where no shift helps."""
-    for size in range(1, _MOST_SHIFT + 1):
-        for shift in (size, -size):
-            shared = sorted(key for key in first if (key[0] + shift, key[1]) in second)
-            if len(shared) < 3:
-                continue
-            link = pair_link(
-                [first[key] for key in shared],
-                [second[shot + shift, board] for shot, board in shared],
-                target,
-            )
-            if 2 * link.agreeing > link.shared:
-                return shift
-    return 0

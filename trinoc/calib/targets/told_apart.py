@@ -25,8 +25,9 @@ def why_alike(first: AbstractTarget, second: AbstractTarget) -> str | None:
     shared = range(max(ours[1].start, theirs[1].start), min(ours[1].stop, theirs[1].stop))
     if not shared:
         return None
+    numbers = f"s {shared.start} to {shared.stop - 1}" if len(shared) > 1 else f" {shared.start}"
     return (
-        f"both have the markers {shared.start} to {shared.stop - 1} of {ours[0]}; give them "
+        f"both have the marker{numbers} of {ours[0]}; give them "
         "different dictionaries, or numbers that differ (`first`)"
     )
 
