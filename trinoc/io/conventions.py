@@ -8,7 +8,7 @@ CONVENTIONS = (
     "sheet, on the optical axis, to the camera's centre. Distortion brown_conrady: k1, k2, p1, "
     "p2, k3 on normalised coordinates; rational and thin_prism: OpenCV's 8 and 12 coefficients; "
     "kannala_brandt: k1 to k4 of OpenCV's fisheye; splined_ before a name: its coefficients, then "
-    "the logarithms of half the extent of a grid in focal lengths, and 10 rows of 12 control points "
-    "(px) of a cubic B-spline for du, and for dv, by which its pixels are moved. Covariance: degrees "
-    "and mm."
+    "the logarithms of half the extent of a grid in focal lengths, and 10 rows of 12 control "
+    "points (px) of a cubic B-spline for du, and for dv, by which its pixels are moved. "
+    "Covariance: degrees and mm."
 )

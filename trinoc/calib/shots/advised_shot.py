@@ -12,6 +12,7 @@ from trinoc.calib.shots.halves import head_names
 from trinoc.calib.shots.motions import chained, inverse
 from trinoc.calib.shots.result import RigFromShots
 from trinoc.errors import InputError
+from trinoc.geometry import SPLINE_PARAMETERS
 from trinoc.numerics import in_float64
 
 # Of all candidates so many are compared: those of which the rig tells least.
@@ -120,7 +121,11 @@ def _lens_sigmas(result: RigFromShots, covariance: Float[np.ndarray, "f f"]) -> 
     free = np.flatnonzero(problem.chart.free)
     of_lens = free[free < len(scale)]
     sigma = np.sqrt(np.diag(covariance)[: len(of_lens)])
-    return {names[k]: float(scale[k] * s) for k, s in zip(of_lens, sigma, strict=True)}
+    return {
+        names[k]: float(scale[k] * s)
+        for k, s in zip(of_lens, sigma, strict=True)
+        if names[k].rpartition(".")[2] not in SPLINE_PARAMETERS
+    }
 
 
 def _listed(names: list[str]) -> str:

@@ -102,6 +102,8 @@ def _factor(point_fit: PointFit) -> float:
 
 
 def _corrected(asked: Asked, point_fit: PointFit) -> PointFit:
+    if isinstance(point_fit.fit.problem.state.lenses, AbstractSplined):
+        return point_fit
     return point_fit._replace(fit=with_correction(point_fit.fit, _sizes(asked)))
 
 
