@@ -137,7 +137,7 @@ FISHEYE = Setup(
 )
 
 
-def rendered(board, lens, pose, *, paper=PAPER, ink=INK, blur_px=BLUR_PX, fine=12):
+def rendered(board, lens, pose, *, paper=PAPER, ink=INK, blur_px=BLUR_PX, fine=8):
     """The picture without noise."""
     camera = Camera(Intrinsics.of_lens(lens, SIZE_PX), Pose(pose))
     drawn, above = board, ()

@@ -20,10 +20,11 @@ class Cells(eqx.Module):
     inside: Bool[np.ndarray, "_r _c"]
 
     def level_mm(self, points_mm: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n"]:
-        """Distance from the nearest side or corner of a cell's neighbours that are unlike it."""
+        """Distance from the nearest cell unlike the own one, up to the least width of a cell."""
         x, y = points_mm[..., 0], points_mm[..., 1]
         column, row = np.searchsorted(self.x_mm, x), np.searchsorted(self.y_mm, y)
-        far = float(np.ptp(self.x_mm) + np.ptp(self.y_mm))
+        # Cells farther than the neighbours are no nearer than this: the level has no jump.
+        far = min(float(np.diff(lines).min()) for lines in (self.x_mm, self.y_mm))
         lines_x = np.concatenate([[-np.inf], self.x_mm, [np.inf]])
         lines_y = np.concatenate([[-np.inf], self.y_mm, [np.inf]])
         across = {-1: x - lines_x[column], 0: 0.0 * x, 1: lines_x[column + 1] - x}

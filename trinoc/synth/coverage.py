@@ -32,7 +32,9 @@ def _share(level: Float[np.ndarray, "m s s"]) -> Float[np.ndarray, "m s s"]:
     outer, inner = (wide + narrow) / 2, (wide - narrow) / 2
     share = _ramp(outer - level) - _ramp(inner - level)
     share += _ramp(-outer - level) - _ramp(-inner - level)
-    return np.nan_to_num(np.clip(share / (2 * wide * narrow), 0.0, 1.0))
+    share = np.nan_to_num(np.clip(share / (2 * wide * narrow), 0.0, 1.0))
+    # Off the boundary, where the level may be even, the formula has no digits left.
+    return np.where(np.abs(level) > outer, coverage_of_points(level), share)
 
 
 def _ramp(x: np.ndarray) -> np.ndarray:
