@@ -189,7 +189,7 @@ def test_a_bump_is_found_as_well_as_is_claimed():
 def test_a_rig_is_calibrated_with_splines_where_its_shots_ask_for_them(tmp_path):
     shots = {"left": detections(poses(24))}
     found = calibrate_rig(shots, BOARD, lens_model="auto", systematics=Systematics())
-    assert "ask for a correction by splines" in found.notes[0]
+    assert ", and ask for a correction by splines" in found.notes[0]
     assert "splined_brown_conrady was chosen" in found.notes[0]
     assert found.halves is not None
     assert found.cross_validation is not None
