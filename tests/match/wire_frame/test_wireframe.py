@@ -75,6 +75,18 @@ def test_faces_are_planes_and_turn_to_the_cameras_that_see_them(rig) -> None:
     assert max(off) > 1e-3
 
 
+@pytest.mark.parametrize("field", ["viewpoint_dependent", "silhouette"])
+def test_an_edge_whose_track_is_no_line_in_space_is_marked(rig, field) -> None:
+    matches = tracks_of(rig, CUBE.edges_mm, sigma_px=0.2, seed=1)
+    marks = np.zeros(len(matches), dtype=bool)
+    marks[4] = True
+    values = marks if field == "viewpoint_dependent" else np.where(marks, 0.9, 0.1)
+    frame = wireframe(dataclasses.replace(matches, **{field: values}), rig, tuning=AS_STATED)
+    np.testing.assert_array_equal(
+        np.flatnonzero(frame.viewpoint_dependent), [frame.edge_of_track[4]]
+    )
+
+
 def test_planes_and_vertices_are_as_far_off_as_their_covariance_says(rig) -> None:
     corners, planes = [], []
     for seed in range(24):

@@ -122,10 +122,13 @@ def _views_of_vertices(
 def _viewpoint_dependent(
     matches: Matches, edge_of_track: Int[np.ndarray, "t"], count: int
 ) -> Bool[np.ndarray, "e"]:
+    no_line = np.zeros(len(edge_of_track), dtype=bool)
+    if matches.viewpoint_dependent is not None:
+        no_line |= matches.viewpoint_dependent
+    if matches.silhouette is not None:
+        no_line |= matches.silhouette > 0.5
     moving = np.ones(count, dtype=bool)
-    if matches.viewpoint_dependent is None:
-        return ~moving
-    np.logical_and.at(moving, edge_of_track, matches.viewpoint_dependent)
+    np.logical_and.at(moving, edge_of_track, no_line)
     return moving
 
 
