@@ -11,7 +11,7 @@ import pytest
 
 import trinoc
 from tests.serving.asking import ask
-from trinoc.calib import Chessboard, dark_squares
+from trinoc.calib import BoardSet, Chessboard, dark_squares
 from trinoc.cli.arrivals import PATIENCE, FolderArrivals
 from trinoc.cli.main import main
 from trinoc.io import save_target
@@ -39,6 +39,12 @@ def folder(tmp_path: Path) -> Path:
 
 def watch(folder: Path, *options: str) -> tuple[str, ...]:
     return "watch", str(folder / "in"), "--pattern", str(folder / "board.json"), *options
+
+
+def test_a_set_of_boards_is_not_watched(folder, capsys) -> None:
+    save_target(BoardSet([BOARD]), folder / "board.json")
+    assert main(watch(folder, "--once", "--quiet")) == 2
+    assert "holds several boards" in capsys.readouterr().err
 
 
 def test_pictures_that_are_there_are_judged_once(folder, capsys) -> None:

@@ -65,11 +65,18 @@ class Watch(Command):
         if number is not None and self.once:
             raise UsageError("--once goes with a folder: a camera has always one more picture.")
 
+        from trinoc.calib import BoardSet
         from trinoc.io import load_target
 
         # Before the page is shown: a folder that is none ends the command.
         source = FolderArrivals(Path(self.source)) if number is None else number
-        session = WatchSession(load_target(self.pattern), self.source, self.json, self.quiet)
+        target = load_target(self.pattern)
+        if isinstance(target, BoardSet):
+            raise UsageError(
+                f"{self.pattern} holds several boards, and one is watched at a time: give the "
+                "layout of one of them."
+            )
+        session = WatchSession(target, self.source, self.json, self.quiet)
         with contextlib.ExitStack() as stack:
             if not self.no_page and not self.once:
                 show(stack.enter_context(_page(session, self.port)), self.open)
