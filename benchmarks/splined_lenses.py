@@ -126,7 +126,7 @@ def turned_error(
     def off(turn: np.ndarray) -> np.ndarray:
         return (pixels(rays @ Rotation.from_rotvec(turn).as_matrix().T) - true).ravel()
 
-    turn = least_squares(off, np.zeros(3), x_scale=1e-3, diff_step=1e-4, max_nfev=6).x
+    turn = least_squares(off, np.zeros(3), x_scale=0.1, max_nfev=12).x
     return off(turn).reshape(-1, 2), turn
 
 
