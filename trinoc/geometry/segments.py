@@ -26,7 +26,7 @@ class Segments(Shown, eqx.Module):
     support : (n,) number of edge points behind each segment; 0 where not known.
     image_size_px : (width, height) of the picture, or None where not known.
     reasons : (n,) what besides noise widened the covariance most: "neighbour", "wide" (more
-        blurred than usual), "saturated", "bent", or "" for nothing; None where not known.
+        blurred than usual), "saturated", "shaded", "bent", or "" for nothing; None where not known.
     chain : (n,) collinear pieces of one broken edge share a number; None where not searched.
     junctions : where the segments meet; None where not searched.
     side_levels : (n, 2) grey level beside each segment, on the right and on the left of the way

@@ -21,6 +21,7 @@ from trinoc.segments.junctions import with_junctions
 from trinoc.segments.nevatia_babu import (
     EdgePoints,
     FittedLines,
+    Shifts,
     bridged_runs,
     collinear_successors,
     combined_kernel,
@@ -38,7 +39,9 @@ from trinoc.segments.nevatia_babu import (
     noise_variance,
     overlaps,
     runs_of_both_scales,
+    shading_shifts,
     shifts_of_saturated,
+    side_slopes,
     snapped_ends,
     typical_blur,
     without_neighbours,
@@ -112,14 +115,18 @@ def find_segments(
     points, first, lines = _merged(points, first, lines, tolerance_px, tuning.ends.gap_px)
 
     usual_px2 = typical_blur(lines)
+    slopes = side_slopes(picture.grey, points, first, usual_px2)
     keep = (
         is_sharp(lines, usual_px2, tuning.accept)
-        & ~is_on_ramp(picture.grey, points, first, usual_px2)
+        & ~is_on_ramp(slopes)
         & (lines.snr2 > least_snr2(false_alarms, height * width))
         & (lines.contrast > tuning.accept.faint_share * least_contrast)
     )
     points, first = _points_of(points, first, keep)
-    lines = lines.take(keep)
+    lines, slopes = lines.take(keep), slopes.take(keep)
+    if bend:
+        # Edges are placed in the light: what slopes there moves them.
+        slopes = side_slopes(light, points, first, usual_px2)
 
     usual_profile_px2 = fine.kernel_variance_px2 + usual_px2
     found = overlaps(points, first, lines, usual_profile_px2)
@@ -149,7 +156,11 @@ def find_segments(
         disturbed,
         tuning.saturation,
     )
-    undisturbed, lines = _shifted(undisturbed, lines, moved.shift_px)
+    # What is clipped does not slope.
+    seen = moved.variance_px2 == 0
+    shading = shading_shifts(slopes, lines, disturbed.crowded, tuning.errors)
+    shaded = Shifts(*(seen * part for part in shading))
+    undisturbed, lines = _shifted(undisturbed, lines, moved.shift_px + shaded.shift_px)
     to_image: Callable[[np.ndarray], np.ndarray] = np.asarray
     if intrinsics is not None and intrinsics.has_distortion:
         uv_px = _mapped(undisturbed.uv_px, intrinsics.undistort_pixel)
@@ -158,15 +169,17 @@ def find_segments(
     length = np.ptp(lines.extent_px, axis=1)
     variance, reasons = inflate_variance(
         disturbed,
-        noise_variance(lines.variance_middle_px2, length) + moved.uneven_px2,
-        moved.variance_px2,
+        noise_variance(lines.variance_middle_px2, length),
+        moved,
+        shaded,
         tuning.errors,
     )
     rules = tuning.accept
     bevel = (length < rules.bevel_px) & (disturbed.crowded > rules.bevel_crowded)
     keep = (arcs | is_straight(lines, width, rules)) & (lines.contrast >= least_contrast) & ~bevel
     off_px2 = np.square(tuning.errors.off_share * disturbed.off_px)
-    kept = lines.take(keep), variance[keep], moved.variance_px2[keep], off_px2[keep], reasons[keep]
+    common_px2 = moved.variance_px2 + shaded.variance_px2
+    kept = lines.take(keep), variance[keep], common_px2[keep], off_px2[keep], reasons[keep]
     return _as_segments(*kept, picture.grey, to_image, tuning.ends)
 
 

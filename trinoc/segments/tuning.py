@@ -113,6 +113,12 @@ class ErrorTuning:
     scatter_noise: float = 2.0
     off_share: float = 0.7
     off_sigmas: float = 3.0
+    # Share of the shift that slopes beside a line promise by which it is moved, share of their size
+    # that stays as an error of the whole line, and the largest that both count, px. On twelve
+    # rendered scenes with soft shadows.
+    shade_shift: float = 0.3
+    shade_share: float = 0.5
+    shade_most_px: float = 0.5
     # How far toward the brighter side a pixel must be saturated to bend the profile: at least so
     # many pixels of the level, and so many widths of the blur.
     bright_side_px: float = 2.0

@@ -16,5 +16,10 @@ from .masks import combined_kernel as combined_kernel
 from .nfa import least_snr2 as least_snr2
 from .pyramid import fine_level as fine_level
 from .saturated_edges import shifts_of_saturated as shifts_of_saturated
-from .shading import is_on_ramp as is_on_ramp
+from .shading import (
+    is_on_ramp as is_on_ramp,
+    shading_shifts as shading_shifts,
+    side_slopes as side_slopes,
+)
+from .shifts import Shifts as Shifts
 from .two_scale import runs_of_both_scales as runs_of_both_scales

@@ -10,6 +10,7 @@ from trinoc.segments.nevatia_babu.accept import BOW_OF_MIDDLE
 from trinoc.segments.nevatia_babu.edge_interference import Overlaps
 from trinoc.segments.nevatia_babu.edge_points import EdgePoints
 from trinoc.segments.nevatia_babu.line_fit import FittedLines
+from trinoc.segments.nevatia_babu.shifts import Shifts
 from trinoc.segments.tuning import DEFAULT, ErrorTuning
 
 _PIXEL_VARIANCE = 1 / 12
@@ -109,14 +110,15 @@ def _off_line(
 def inflate_variance(
     disturbed: ErrorModel,
     noise_px2: Float[np.ndarray, "r"],
-    saturated_px2: Float[np.ndarray, "r"],
+    saturated: Shifts,
+    shaded: Shifts,
     tuning: ErrorTuning = DEFAULT.errors,
 ) -> tuple[Float[np.ndarray, "r"], Shaped[np.ndarray, "r"]]:
     """(variance, reason): of each line's place across it, and what added most to it.
 
-    `noise_px2` is the variance from noise alone. The reason is "neighbour", "wide",
-    "saturated" or "bent" where that adds more than noise does, and "" elsewhere. The variance
-    leaves out `saturated_px2`, the part that moves a line as a whole.
+    `noise_px2` is the variance from noise alone. The reason is "neighbour", "wide", "bent",
+    "saturated" or "shaded" where that adds more than noise does, and "" elsewhere. The variance
+    leaves out what moves a line as a whole.
     """
     parts = {
         "neighbour": np.hypot(
@@ -129,8 +131,10 @@ def inflate_variance(
         ),
     }
     squares = np.square(np.stack(list(parts.values())))
-    all_parts = np.concatenate([squares, saturated_px2[None]])
+    whole = [shifts.variance_px2 + shifts.uneven_px2 for shifts in (saturated, shaded)]
+    all_parts = np.concatenate([squares, whole])
     most = all_parts.argmax(axis=0)
-    names = np.array([*parts, "saturated"])
+    names = np.array([*parts, "saturated", "shaded"])
     reasons = np.where(all_parts.max(axis=0) > noise_px2, names[most], "")
-    return noise_px2 + squares.sum(axis=0), reasons
+    uneven_px2 = saturated.uneven_px2 + shaded.uneven_px2
+    return noise_px2 + uneven_px2 + squares.sum(axis=0), reasons

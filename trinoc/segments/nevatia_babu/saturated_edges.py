@@ -17,6 +17,7 @@ from trinoc.numerics import members
 from trinoc.segments.nevatia_babu.edge_errors import ErrorModel
 from trinoc.segments.nevatia_babu.edge_points import EdgePoints
 from trinoc.segments.nevatia_babu.line_fit import FittedLines
+from trinoc.segments.nevatia_babu.shifts import Shifts
 from trinoc.segments.nevatia_babu.step_fit import step_fit
 from trinoc.segments.tuning import DEFAULT, SaturationTuning
 
@@ -31,21 +32,6 @@ _SIGMAS_BELOW_WHITE = 2.5
 # share of their points beside others and so many times the noise in contrast.
 _REFERENCES, _CLEAR_OF_OTHERS, _CLEAR_CONTRAST = 40, 0.2, 8.0
 _CLEAR_REACH_PX = 4.0
-
-
-class Shifts(NamedTuple):
-    """How far saturated lines are moved; others are not.
-
-    Fields
-    ------
-    shift_px : (r,) toward the brighter side.
-    variance_px2 : (r,) of that shift, which both ends have in common.
-    uneven_px2 : (r,) of the line's middle, as if points scattered: the shift changes along it.
-    """
-
-    shift_px: Float[np.ndarray, "r"]
-    variance_px2: Float[np.ndarray, "r"]
-    uneven_px2: Float[np.ndarray, "r"]
 
 
 def shifts_of_saturated(

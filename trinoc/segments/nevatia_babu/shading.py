@@ -1,4 +1,12 @@
-"""Noise on a slope of grey levels looks like short edges: which lines are only that."""
+"""Slopes of grey levels beside lines: which lines are only slopes, and how far slopes move others.
+
+Noise on a slope of grey levels looks like short edges. And a soft shadow that ends near an edge of
+the scene, or lies on both its sides by other reflectances, adds more slope to one side than to the
+other: the steepest place of the profile moves to that side, by the difference of the slopes times
+the profile's variance over the height of the step.
+"""
+
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -6,6 +14,9 @@ from jaxtyping import Bool, Float, Int
 
 from trinoc.numerics import sums
 from trinoc.segments.nevatia_babu.edge_points import EdgePoints
+from trinoc.segments.nevatia_babu.line_fit import FittedLines
+from trinoc.segments.nevatia_babu.shifts import Shifts
+from trinoc.segments.tuning import DEFAULT, ErrorTuning
 
 # Beside an edge the grey levels are compared from here, in widths of its profile, to so many
 # pixels farther out.
@@ -13,32 +24,90 @@ _FROM_WIDTHS, _FURTHER_PX = 1.5, 3.0
 # Beside an edge the grey levels are flat; in a soft shadow they slope on both sides.
 _MOST_SLOPE = 0.25
 _BOX = (3, 3)
+# Of so many points next to each other the smoothed levels are one answer.
+_ALIKE = 3
 
 
-def is_on_ramp(
+class SideSlopes(NamedTuple):
+    """Of each line, mean slopes toward its bright side, in grey levels per pixel.
+
+    Fields
+    ------
+    dark, bright : (r,) beside it on either side.
+    sigma : (r,) of the difference, from how it scatters along the line.
+    own : (r,) on the line itself.
+    """
+
+    dark: Float[np.ndarray, "r"]
+    bright: Float[np.ndarray, "r"]
+    sigma: Float[np.ndarray, "r"]
+    own: Float[np.ndarray, "r"]
+
+    def take(self, which: Bool[np.ndarray, "r"]) -> "SideSlopes":
+        """Those of the lines where the mask is true."""
+        return SideSlopes(*(field[which] for field in self))
+
+
+def side_slopes(
     grey: Float[np.ndarray, "h w"],
     points: EdgePoints,
     first: Int[np.ndarray, "r"],
     usual_blur_px2: float,
-) -> Bool[np.ndarray, "r"]:
-    """Lines whose slope goes on beyond both sides, by `_MOST_SLOPE` of what it is on the line.
-
-    Both sides must show it: another edge beside an edge of the scene makes one side steep.
-    """
+) -> SideSlopes:
+    """Slopes of grey levels or light beside lines, whose points lie run by run from first[k] on."""
     smooth = cv2.blur(grey, _BOX, borderType=cv2.BORDER_REPLICATE)
     near = np.float32(_FROM_WIDTHS) * np.sqrt(
         points.kernel_variance_px2 + np.float32(usual_blur_px2)
     )
-    sides = [
-        sums(
-            _level(smooth, points, sign * (near + np.float32(_FURTHER_PX)))
-            - _level(smooth, points, sign * near),
-            first,
-        )
-        for sign in (-1, 1)
-    ]
-    slope = np.minimum(-sides[0], sides[1]) / _FURTHER_PX
-    return slope > _MOST_SLOPE * sums(points.strength, first)
+    far = near + np.float32(_FURTHER_PX)
+    dark = _level(smooth, points, -near) - _level(smooth, points, -far)
+    bright = _level(smooth, points, far) - _level(smooth, points, near)
+    count = np.diff(np.append(first, len(near)))
+    of_dark, of_bright = sums(dark, first) / count, sums(bright, first) / count
+    more = bright - dark
+    square = sums(np.square(more), first) / count - np.square(of_bright - of_dark)
+    variance = np.maximum(square, 0.0) / np.maximum(count / _ALIKE, 1.0)
+    return SideSlopes(
+        of_dark / _FURTHER_PX,
+        of_bright / _FURTHER_PX,
+        np.sqrt(variance) / _FURTHER_PX,
+        sums(points.strength, first) / count,
+    )
+
+
+def is_on_ramp(slopes: SideSlopes) -> Bool[np.ndarray, "r"]:
+    """Lines whose slope goes on beyond both sides, by `_MOST_SLOPE` of what it is on the line.
+
+    Both sides must show it: another edge beside an edge of the scene makes one side steep.
+    """
+    return np.minimum(slopes.dark, slopes.bright) > _MOST_SLOPE * slopes.own
+
+
+def shading_shifts(
+    slopes: SideSlopes,
+    lines: FittedLines,
+    crowded: Float[np.ndarray, "r"],
+    tuning: ErrorTuning = DEFAULT.errors,
+) -> Shifts:
+    """How far to move lines that shading has moved, and what is not known of it.
+
+    `slopes` are of the light in which lines were placed; `crowded` is the share of each line's
+    points that have another line within reach, whose step is no slope.
+
+    The slopes on the line itself are not seen: part of the shift that those beside it promise is
+    taken, beyond one standard deviation of noise, and part of their size stays as an error.
+    """
+    profile_px2 = lines.kernel_variance_px2 + np.maximum(lines.blur_px2, 0.0)
+    per_slope = profile_px2 / np.maximum(lines.contrast * lines.light_per_level, 1e-6)
+    most = tuning.shade_most_px
+    promised = slopes.bright - slopes.dark
+    beyond = np.maximum(np.abs(promised) - slopes.sigma, 0.0) * per_slope
+    # The edge's own blur reaches so far, too. Without its part the errors of blurred edges are
+    # claimed too small.
+    size = np.maximum(np.abs(slopes.dark) + np.abs(slopes.bright) - slopes.sigma, 0.0) * per_slope
+    shift = -tuning.shade_shift * np.sign(promised) * np.minimum(beyond, most) * (1 - crowded)
+    variance = np.square(tuning.shade_share * np.minimum(size, most))
+    return Shifts(shift, variance, np.zeros_like(shift))
 
 
 def _level(
@@ -46,6 +115,10 @@ def _level(
 ) -> Float[np.ndarray, "n"]:
     """Grey level so far from each point across its edge, toward the brighter side."""
     height, width = grey.shape
-    column = np.rint(points.uv_px[:, 0] + across_px * points.normal[:, 0]).astype(np.int64)
-    row = np.rint(points.uv_px[:, 1] + across_px * points.normal[:, 1]).astype(np.int64)
-    return grey.ravel()[np.clip(row, 0, height - 1) * width + np.clip(column, 0, width - 1)]
+    column, row = (
+        np.rint(points.uv_px[:, axis] + across_px * points.normal[:, axis])
+        .astype(np.int32)
+        .clip(0, side - 1)
+        for axis, side in ((0, width), (1, height))
+    )
+    return grey.ravel()[row * width + column]
