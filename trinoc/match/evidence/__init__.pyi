@@ -2,6 +2,7 @@ from .endpoints import END_COMPONENTS as END_COMPONENTS, end_evidence as end_evi
 from .junction_geometry import log_gap_density as log_gap_density, passing as passing
 from .mixture import (
     MixtureParameters as MixtureParameters,
+    Volume as Volume,
     em_step as em_step,
     log_odds as log_odds,
     log_place as log_place,

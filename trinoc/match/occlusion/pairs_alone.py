@@ -1,7 +1,5 @@
 """Pairs where hardly any line is seen in three views: they themselves say how they are."""
 
-from functools import partial
-
 import numpy as np
 
 from trinoc.match.evidence import log_place, log_sides, probability, temper
@@ -30,7 +28,7 @@ def pairs_alone(
     beside: PairsBeside, start: PairStart, typical_px: np.ndarray | float, tuning: MatchTuning
 ) -> Pairs:
     """Posterior log odds of pairs whose rates are learned from them, round by round."""
-    rules, place = tuning.occlusion, partial(log_place, tuning=tuning.evidence)
+    rules = tuning.occlusion
     found, frame = beside.found, beside.frame
     mixture, junctions = start
     in_images = found.candidates.side_log.any(axis=1)
@@ -43,7 +41,7 @@ def pairs_alone(
     )
     frames, classes = np.shape(mixture.log_count), len(rules.length_classes_px) + 1
     ends = end_shares(mixture, tuning.ends)
-    rates = PairRates(ends, np.zeros((*frames, classes)), mixture, junctions)
+    rates = PairRates(ends, np.zeros((*frames, classes)), mixture, junctions, None)
 
     def odds_of(
         found: PossiblePairs, evidence: np.ndarray, rates: PairRates, frame: np.ndarray | None
@@ -54,21 +52,25 @@ def pairs_alone(
         every = of_group(rates.log_by_length, frame)
         lengths = every[classes] if frame is None else every[np.arange(len(classes)), classes]
         prior = of_group(rates.mixture.log_count, frame)
-        return (
-            evidence + ends + lengths + prior + place(c.ends_mm, rates.mixture.volume, frame=frame)
-        )
+        place = rates.log_place
+        if place is None:
+            place = log_place(c.ends_mm, rates.mixture.volume, tuning.evidence, frame)
+        return evidence + ends + lengths + prior + place
 
     keep = likely_rows(beside, odds_of(found, evidence, rates, frame), tuning)
     beside, evidence = beside.take(keep), evidence[keep]
     found, frame = beside.found, beside.frame
-    candidates, expected = found
+    candidates, expected, crossing_sine = found
     graph = conflict_graph(candidates.index, candidates.interval, tuning.selection)
     meetings = endpoint_pairs(candidates, tuning.junctions, tuning.evidence, frame)
     gain = np.zeros(len(evidence))
     odds = posterior_log_odds = gain
     beliefs = None
     for _ in range(rules.rounds_alone):
-        odds = odds_of(found, evidence, rates, frame) + gain
+        # Where lines meet nowhere, what pairs they make by chance is independent, as odds take it.
+        free = 1 - of_group(rates.junctions.end_at_junction, frame)
+        free = np.where(candidates.side_log.any(axis=1), 0.0, rules.offset_unjoined * free)
+        odds = odds_of(found, evidence, rates, frame) + gain + free
         beliefs = sum_product(odds, graph, tuning.selection, frame, beliefs)
         posterior_log_odds = beliefs.log_odds
         posterior = probability(posterior_log_odds)
@@ -81,7 +83,11 @@ def pairs_alone(
         rates = learned_rates(candidates, posterior, rates, junctions, typical_px, tuning, frame)
     chosen = chosen_greedily(posterior_log_odds, graph)
     tempered = temper(posterior_log_odds, candidates.side_log, tuning.evidence)
-    most = rules.most_alone * probability(tempered)
+    # The further the viewpoint turns about an edge, the more often another edge, or an outline, of
+    # the same body is seen in its place. Lines that meet nowhere are of no bodies.
+    turned = 1 - np.sqrt(np.maximum(1 - crossing_sine**2, 0.0))
+    doubt = rules.doubt_turned * of_group(junctions.end_at_junction, frame) * turned
+    most = (rules.most_alone - doubt) * probability(tempered)
     tempered = np.log(most) - np.log1p(-most)
     missed = np.where(expected > 0, expected * float(np.log(rules.missed)), 0.0)
     return Pairs(candidates, odds, tempered, chosen, missed)

@@ -32,7 +32,7 @@ def pairs_beside_lines(
     evidence = evidence_beside_lines(beside.found, mixture, beside.frame, tuning)
     keep = likely_rows(beside, evidence, tuning)
     beside, evidence = beside.take(keep), evidence[keep]
-    (candidates, expected), frame = beside.found, beside.frame
+    (candidates, expected, _), frame = beside.found, beside.frame
     graph = conflict_graph(candidates.index, candidates.interval, tuning.selection)
     everyone = _joined(beside.matched.candidates, candidates)
     known_frame, both = beside.matched_frame, None

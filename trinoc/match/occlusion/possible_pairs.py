@@ -32,10 +32,12 @@ PAIRS_AT_A_TIME = 1 << 17
 
 
 class PossiblePairs(NamedTuple):
-    """Pairs that can be one line, and in how many other views each should be seen."""
+    """Pairs that can be one line, in how many other views each should be seen, and the sine of the
+    angle between its interpretation planes."""
 
     candidates: Candidates
     expected: Float[np.ndarray, "m"]
+    crossing_sine: Float[np.ndarray, "m"]
 
 
 def possible_pairs(
@@ -75,10 +77,9 @@ def _judged(
 
     keep, columns = judged_in_blocks(judged, block_of(lines, TRIPLES_IN_BLOCK), segments)
     ends = len(tuning.ends.agreeing_px) + 1
-    shapes = ((2, 2), (2, 3), (), (2, ends), (2, 3), (2, 6), (), ())
-    of_views, ends_mm, log_density, end_log, outer_mm, spread, px_per_mm, expected = split_columns(
-        columns, shapes
-    )
+    shapes = ((2, 2), (2, 3), (), (2, ends), (2, 3), (2, 6), (), (), ())
+    of_views, ends_mm, log_density, end_log, *union = split_columns(columns, shapes)
+    outer_mm, spread, px_per_mm, expected, crossing_sine = union
     index = np.full((len(keep), len(lines.ends_px)), -1)
     interval = np.zeros((len(keep), len(lines.ends_px), 2))
     index[:, views], interval[:, views] = segments[keep], of_views
@@ -86,7 +87,7 @@ def _judged(
     sides = side_evidence(np.asarray(lines.sides), index, interval, tuning.sides)
     judged_by = ends_mm, np.zeros(len(keep)), log_density, end_log
     found = Candidates(index, interval, *judged_by, outer_mm, spread, px_per_mm, sides)
-    return PossiblePairs(found, expected)
+    return PossiblePairs(found, expected, crossing_sine)
 
 
 @partial(kept_jit, static_argnames=("tuning", "ends"))
@@ -107,5 +108,6 @@ def _evidence_of(
     columns = (
         *(found.interval, found.ends_mm, found.log_density, found.end_log, found.union_ends_mm),
         *(found.union_covariance_mm2, found.px_per_mm, found.expected),
+        found.crossing_sine,
     )
     return found.possible, as_columns(columns)

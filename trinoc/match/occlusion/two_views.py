@@ -12,6 +12,7 @@ from jaxtyping import Float, Int
 
 from trinoc.match.candidates import Candidates
 from trinoc.match.evidence import MixtureParameters, volume_of
+from trinoc.match.occlusion.places import log_place_among
 from trinoc.match.selection import JunctionParameters
 from trinoc.match.tuning import MatchTuning
 from trinoc.numerics import group_sums, of_group
@@ -26,6 +27,7 @@ class PairRates(NamedTuple):
     log_by_length: Float[np.ndarray, "*f k"]
     mixture: MixtureParameters
     junctions: JunctionParameters
+    log_place: Float[np.ndarray, "m"] | None
 
 
 def length_class(candidates: Candidates, tuning: MatchTuning) -> Int[np.ndarray, "m"]:
@@ -63,4 +65,6 @@ def learned_rates(
         volume=volume_of(candidates.ends_mm, posterior, tuning.evidence, frame, frames),
         log_count=np.log(np.maximum(total, 1.0)),
     )
-    return PairRates(ends / ends.sum(axis=-1, keepdims=True), by_length, mixture, junctions)
+    place = log_place_among(candidates.ends_mm, posterior, mixture.volume, rules, frame)
+    ends = ends / ends.sum(axis=-1, keepdims=True)
+    return PairRates(ends, by_length, mixture, junctions, place)

@@ -22,14 +22,27 @@ class OcclusionTuning:
     # fitted on made scenes (seeds from 700,000 on), better on four of five kinds of scene.
     log_odds_offset: float = 2.25
     # The same in two views, where no third checks: rates of lines by length, of ends and of
-    # junctions are learned from the pairs in more rounds, beside so many usual ones; and however
-    # well a pair fits, it is right no oftener than this: other edges, parallel ones and outlines
-    # of round bodies, may fit as well. Both fitted on made scenes (seeds 8,000 to 8,009).
-    log_odds_offset_alone: float = 1.0
-    most_alone: float = 0.97
+    # junctions, and where lines lie, are learned from the pairs in more rounds, beside so many
+    # usual ones. More is added as fewer ends meet: parts of one body fit each other by more than
+    # chance. All fitted on made scenes (seeds 8,000 to 8,019).
+    log_odds_offset_alone: float = 1.75
+    offset_unjoined: float = 0.75
     rounds_alone: int = 10
     prior_observations: float = 10.0
     length_classes_px: tuple[float, ...] = (12.0, 18.0, 27.0, 40.0, 60.0, 90.0, 135.0)
+    # However well a pair fits, it is right no oftener than this, and that less a share of the
+    # cosine that the angle between the interpretation planes takes from 1, times the share of ends
+    # that meet: the further the viewpoint turns about an edge, the more often other edges of the
+    # body, or its outline, are seen in place. Fitted on the same scenes, as a compromise of
+    # see-through boxes (less) and of blocks on a table (more).
+    most_alone: float = 0.98
+    doubt_turned: float = 0.35
+    # Profiles of where lines lie: bins, over so many standard deviations to either side; how much
+    # wider the outermost count; what share lies anywhere before a line is known. By hand.
+    place_bins: int = 32
+    place_reach: float = 4.0
+    place_beyond: float = 4.0
+    place_anywhere: float = 0.1
     # The same for segments with side levels, of pictures, where clutter is alike: with
     # `EvidenceTuning.temperature` fitted on rendered scenes (seeds 0 to 5 and 12 to 17).
     log_odds_offset_in_images: float = -1.5
