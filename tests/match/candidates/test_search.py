@@ -58,4 +58,4 @@ def test_what_is_found_passes_in_double_precision_too(noisy: MadeScene) -> None:
 
 
 def test_rounding_is_far_below_the_errors_of_segments(noisy: MadeScene) -> None:
-    assert 0 < float(rounding_px(noisy.seen.lines, 2)) < 0.02
+    assert 0 < float(rounding_px(noisy.seen.lines.matrix_px, 2)) < 0.02

@@ -125,13 +125,16 @@ def _in_sigmas(whitening: ArrayLike, columns: ArrayLike) -> Array:
     return jnp.einsum("gij,gjc->gic", whitening, jnp.where(spoken, grouped, 0.0))
 
 
-def _by_control(state: RigState, chart: Chart, camera, *view) -> Float[Array, "n 2 k"]:
+def _by_control(
+    state: RigState, chart: Chart, camera, shot, board, place, place_mm, radius_mm, uv_px, whitening
+) -> Float[Array, "n 2 k"]:
     """Derivative of all places of a view by the control points of its splined lens."""
     assert isinstance(state.lenses, AbstractSplined)
     cores = eqx.tree_at(lambda s: s.lenses, state, jax.vmap(lambda lens: lens.core)(state.lenses))
-    uv_px = _residuals(cores, chart, camera, *view) + view[4]
+    view = shot, board, place, place_mm, radius_mm, uv_px, whitening
+    of_core_px = _residuals(cores, chart, camera, *view) + uv_px
     lens = jax.tree.map(lambda leaf: leaf[chart.lens_of_camera[camera]], state.lenses)
-    return jax.vmap(lens.by_control)(uv_px)
+    return jax.vmap(lens.by_control)(of_core_px)
 
 
 def view_blocks(
@@ -162,7 +165,7 @@ def view_blocks(
     zero = jnp.zeros(count - linear + (3 if places else 0), lens_scale.dtype)
     jacobian, residual = jax.jacfwd(after, has_aux=True)(zero)
     if isinstance(state.lenses, AbstractSplined):
-        by_control = _by_control(state, chart, camera, shot, place, *rest)
+        by_control = _by_control(state, chart, camera, shot, board, place, *rest)
         by_control = lens_scale[None, None, curved:] * by_control
         parts = [jacobian[..., :curved], by_control, jacobian[..., curved:]]
         jacobian = jnp.concatenate(parts, axis=-1)

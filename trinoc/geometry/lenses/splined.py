@@ -103,7 +103,7 @@ class AbstractSplined(AbstractLens):
         of_control = xp.stack([corner_px] * len(_CONTROL))
         return xp.concatenate([self.core.parameter_scales(image_size_px), extent, of_control])
 
-    def with_focal_factor(self, factor: Float[ArrayLike, "2"]) -> "AbstractSplined":
+    def with_focal_factor(self, factor: Float[ArrayLike, "2"]) -> AbstractLens:
         """This lens with focal lengths multiplied, and the correction with them."""
         xp = namespace_of(self, factor)
         scaled = super().with_focal_factor(factor)
