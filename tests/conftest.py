@@ -8,6 +8,7 @@ import random
 import shutil
 import tempfile
 from collections.abc import Iterator
+from pathlib import Path
 
 # Threads of several test workers fight over the cores: one each, set before NumPy and OpenCV load.
 for _variable in (
@@ -65,8 +66,10 @@ hypothesis.settings.register_profile(
 )
 hypothesis.settings.load_profile("trinoc")
 
-# More would wait for the longest tests, and each takes about 1.5 GB.
+# More would wait for the longest tests, and each takes some 2 GB.
 MOST_WORKERS = 8
+# Bytes, of which programs take most. Beyond, they are forgotten between folders of tests.
+MOST_MEMORY = 2_000_000_000
 
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int | None:
@@ -95,8 +98,9 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 
 @pytest.hookimpl(trylast=True)
 def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> None:
-    """Tests of one folder share programs, those of another hardly any."""
-    if nextitem is None or nextitem.path.parent != item.path.parent:
+    """Tests of one folder share programs, those of another fewer."""
+    is_last = nextitem is None or nextitem.path.parent != item.path.parent
+    if is_last and memory_in_use() > MOST_MEMORY:
         forget_what_was_compiled()
 
 
@@ -106,6 +110,14 @@ def large_programs() -> Iterator[None]:
     forget_what_was_compiled()
     yield
     forget_what_was_compiled()
+
+
+def memory_in_use() -> float:
+    """Bytes that this process holds; infinitely many where the system does not say."""
+    with contextlib.suppress(OSError, ValueError, IndexError):
+        pages = Path("/proc/self/statm").read_text(encoding="ascii").split()[1]
+        return float(pages) * os.sysconf("SC_PAGE_SIZE")
+    return float("inf")
 
 
 def forget_what_was_compiled() -> None:

@@ -88,3 +88,13 @@ def test_a_wrong_focal_length_is_named() -> None:
     )
     result = calibrate({"left": picture("left")}, SHEET, wrong, method="circles", systematics=EXACT)
     assert "focal length" in result.fits["left"].notes[0]
+
+
+def test_colours_may_come_in_either_order() -> None:
+    tint = np.random.default_rng(2).integers(-9, 10, (*picture("upper").shape, 3))
+    colour = np.clip(picture("upper")[..., None] + tint, 0, 255).astype(np.uint8)
+    answers = [
+        calibrate({"upper": image}, SHEET, LENS, method="circles", systematics=EXACT).values
+        for image in (colour, colour[..., ::-1])
+    ]
+    np.testing.assert_array_equal(answers[0], answers[1])

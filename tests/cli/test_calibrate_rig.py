@@ -59,14 +59,15 @@ def test_boards_that_look_alike_are_told_apart_by_their_first_marker(tmp_path, m
     assert "None of the boards front, side was found" in capsys.readouterr().err
 
 
-def test_markers_are_refused_by_the_option_and_not_by_its_name_in_python(
+def test_a_set_from_pixels_is_refused_by_the_option_and_not_by_its_name_in_python(
     tmp_path, monkeypatch, capsys
 ):
     monkeypatch.chdir(tmp_path)
-    assert main(["pattern", "--board", "charuco", "-o", "board.json", "--quiet"]) == 0
+    for board in ("charuco", "chessboard"):
+        assert main(["pattern", "--board", board, "-o", f"{board}.json", "--quiet"]) == 0
     (tmp_path / "pictures").mkdir()
     cv2.imwrite("pictures/1.png", np.full((60, 80), 100, np.uint8))
-    options = ["--method", "pixels", "--board", "board.json"]
+    options = ["--method", "pixels", "--board", "charuco.json", "--board", "chessboard.json"]
     assert main(["calibrate-rig", "left=pictures", *options]) == 1
     assert "give --method points." in capsys.readouterr().err
     assert not (tmp_path / "rig.json").exists()

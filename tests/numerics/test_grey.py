@@ -7,7 +7,6 @@ from hypothesis.extra.numpy import arrays
 
 import trinoc
 from trinoc.numerics import grey_image
-from trinoc.synth import render_sheet, table1_lens, table1_rig
 
 SHAPE = (16, 17, 3)
 COLOURS = st.sampled_from((np.uint8, np.uint16, np.float32)).flatmap(
@@ -49,21 +48,3 @@ def test_alpha_says_nothing():
 def test_what_is_no_picture_is_refused(image, said):
     with pytest.raises(trinoc.errors.InputError, match=said):
         grey_image(image)
-
-
-def test_calibration_takes_either_order_of_colours():
-    pattern = trinoc.Pattern.cross_grid(rows=6, columns=6, pitch_mm=24.0, radius_mm=7.0)
-    grey = render_sheet(pattern, table1_rig()["upper"], supersampling=4, noise_sigma=1.0)
-    tint = np.random.default_rng(2).integers(-9, 10, (*grey.shape, 3))
-    colour = np.clip(grey[..., None] + tint, 0, 255).astype(np.uint8)
-    answers = [
-        trinoc.calibrate(
-            {"upper": image},
-            pattern,
-            table1_lens(),
-            method="circles",
-            systematics=trinoc.Systematics(),
-        ).values
-        for image in (colour, colour[..., ::-1])
-    ]
-    np.testing.assert_array_equal(answers[0], answers[1])

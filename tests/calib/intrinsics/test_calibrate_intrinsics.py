@@ -53,6 +53,7 @@ def test_turning_the_sheet_by_90_degrees_leaves_the_lens():
     np.testing.assert_allclose(sigmas(one), sigmas(other), rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_errors_scatter_as_the_covariance_says():
     trials, squared, scores = 40, [], []
     for seed in range(trials):

@@ -26,7 +26,8 @@ def overexposed(light: np.ndarray) -> np.ndarray:
 PICTURES = {"as sRGB": srgb, "saturated": overexposed}
 
 
-@pytest.mark.parametrize("word", [pytest.param("as sRGB", marks=pytest.mark.slow), "saturated"])
+@pytest.mark.slow
+@pytest.mark.parametrize("word", ["as sRGB", "saturated"])
 def test_errors_scatter_as_the_covariance_says(word: str) -> None:
     camera: Callable[[np.ndarray], np.ndarray] = PICTURES[word]
     exact, trials, squared = image_of(reference_sheet(), RIGHT, supersampling=24), 8, []

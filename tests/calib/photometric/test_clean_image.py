@@ -9,6 +9,7 @@ from trinoc.io import demo_images, demo_pattern
 LENS = Intrinsics(focal_length_mm=16, pixel_pitch_mm=(0.0162, 0.0134), image_size_px=(512, 480))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("view", ["upper", "left"])
 def test_the_fit_has_settled_before_it_judges_pixels(view):
     result = calibrate(

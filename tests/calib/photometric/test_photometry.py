@@ -61,9 +61,19 @@ def model_residuals(pattern: Pattern, values: tuple[float, ...]) -> list[np.ndar
     return residuals
 
 
-@pytest.mark.parametrize("style", ["stop", "through", "white"])
-@pytest.mark.parametrize("rings", ["none", "code"])
-def test_model_is_the_picture(style: str, rings: str) -> None:
+@pytest.mark.parametrize(
+    ("rings", "style"),
+    [
+        ("none", "stop"),
+        ("code", "through"),
+        ("code", "white"),
+        *(
+            pytest.param(*both, marks=pytest.mark.slow)
+            for both in (("none", "through"), ("none", "white"), ("code", "stop"))
+        ),
+    ],
+)
+def test_model_is_the_picture(rings: str, style: str) -> None:
     pattern = Pattern.cross_grid(
         rows=5,
         columns=5,

@@ -136,7 +136,8 @@ def test_turning_the_sheet_turns_the_pan() -> None:
     np.testing.assert_allclose(moved.covariance, plain.covariance, rtol=1e-4, atol=1e-12)
 
 
-@pytest.mark.parametrize("count", [4, pytest.param(6, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [4, 6])
 def test_errors_scatter_as_the_covariance_says(count: int) -> None:
     camera, trials = camera_of(TABLE_1["right"]), 300
     detections = {str(k): simulated_detection(camera, SHEET, seed=100 + k) for k in range(trials)}

@@ -129,6 +129,7 @@ def test_which_board_is_the_reference_changes_the_frame_alone(found):
     )
 
 
+@pytest.mark.slow
 def test_one_board_in_a_set_is_that_board():
     alone, one = (
         calibrate_rig(shots(), board, systematics=EXACT) for board in (BOARD, BoardSet([BOARD]))
@@ -208,6 +209,7 @@ def test_a_set_is_fitted_by_its_points_alone():
         calibrate_rig({"left": [picture]}, set_of(("front", "side")), method="pixels")
 
 
+@pytest.mark.slow
 def test_a_camera_sees_several_boards_in_a_shot():
     names = ("front", "side")
     known = {name: KNOWN[name] for name in ("left", "right")}

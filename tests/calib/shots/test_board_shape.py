@@ -41,6 +41,7 @@ def lens_errors(result):
     )
 
 
+@pytest.mark.slow
 def test_a_wavy_board_is_found_with_the_rig(found, wavy):
     assert found.place_shifts_mm.shape == wavy.shape
     # What is left is the noise's, and what a motion or a scale of the whole board stands for.

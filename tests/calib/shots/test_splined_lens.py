@@ -165,6 +165,7 @@ def field_error(lens, covariance):
     return apart @ (uv_px - seen(rays).ravel()), by_lens @ covariance @ by_lens.T
 
 
+@pytest.mark.slow
 def test_a_bump_is_found_as_well_as_is_claimed():
     core = RobustFit(core_problem(24), True, [], 0.0, 0)
     end = with_correction(core, [SIZE_PX]).problem

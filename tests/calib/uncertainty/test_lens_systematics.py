@@ -104,6 +104,7 @@ def test_errors_of_the_lens_scatter_the_pose_as_claimed() -> None:
     assert abs(np.mean(squared) - 4) < 4 * np.sqrt(2 * 4 / 100)
 
 
+@pytest.mark.slow
 def test_a_lens_off_by_its_own_sigma_is_not_suspect() -> None:
     detection = simulated_detection(camera_of(TABLE_1["left"]), SHEET, seed=0, sigma_px=0.002)
     focal = np.asarray(LENS.focal_length_px)
