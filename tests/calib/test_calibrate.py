@@ -60,6 +60,7 @@ def test_distortion_is_modelled_and_missed_when_it_is_left_out() -> None:
     assert "radial distortion" in ignored.fits["left"].notes[0]
 
 
+@pytest.mark.slow
 def test_grey_levels_of_any_depth_give_one_answer() -> None:
     eight = picture("left")
     results = [

@@ -27,7 +27,13 @@ def pose_covariance(found: Adjustment, view: int) -> np.ndarray:
     return found.covariance[found.rows(view), found.rows(view)]
 
 
-@pytest.mark.parametrize("lens_factor", [None, LENS_FACTOR], ids=["lens exact", "lens open"])
+@pytest.mark.parametrize(
+    "lens_factor",
+    [
+        pytest.param(None, marks=pytest.mark.slow, id="lens exact"),
+        pytest.param(LENS_FACTOR, id="lens open"),
+    ],
+)
 def test_errors_are_as_large_as_the_joint_covariance_says(lens_factor) -> None:
     """Sheet, print, aims, lenses and noise drawn 60 times: all 18 numbers together."""
     squared = []

@@ -72,6 +72,7 @@ def test_errors_are_as_large_as_claimed():
     assert 0.75 < np.mean(scaled) / 2 < 1.25
 
 
+@pytest.mark.slow
 def test_errors_of_large_circles_are_as_large_as_claimed():
     camera = table1_rig(resolution=4)["left"]
     picture = render_sheet(SHEET, camera, supersampling=8, noise_sigma=2.0, seed=1)

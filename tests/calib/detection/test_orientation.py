@@ -93,6 +93,7 @@ def test_an_earlier_rig_that_does_not_tell_is_no_answer() -> None:
     assert "no such camera" in result.failures["right"]
 
 
+@pytest.mark.slow
 def test_frames_of_a_batch_have_the_status_too() -> None:
     batch = calibrate_batch([detections((0, 0, 0))], SHEET, LENS)
     assert set(batch.status[0].values()) == {Status.AMBIGUOUS}

@@ -75,7 +75,7 @@ def test_derivatives_of_rays_are_those_of_the_lens():
 @pytest.mark.parametrize(
     ("board", "lens", "where"),
     [
-        (CHESSBOARD, PERSPECTIVE, AHEAD),
+        pytest.param(CHESSBOARD, PERSPECTIVE, AHEAD, marks=pytest.mark.slow),
         (CHESSBOARD, FISHEYE, ASIDE),
         (Charuco(rows=4, columns=5, square_mm=24.0, marker_mm=18.0), PERSPECTIVE, AHEAD),
     ],

@@ -44,6 +44,7 @@ def spread(fit, step: float) -> np.ndarray:
     return jacobian @ COVARIANCE @ jacobian.T
 
 
+@pytest.mark.slow
 def test_the_term_is_that_of_fits_with_a_moved_lens() -> None:
     detections = {
         name: simulated_detection(camera_of(values), SHEET, seed=k)
@@ -65,6 +66,7 @@ def test_the_term_is_that_of_fits_with_a_moved_lens() -> None:
     np.testing.assert_array_equal(wide.values, plain.values)
 
 
+@pytest.mark.slow
 def test_lenses_of_their_own_err_independently() -> None:
     detections = {
         name: simulated_detection(camera_of(TABLE_1[name]), SHEET, seed=3) for name in TABLE_1
