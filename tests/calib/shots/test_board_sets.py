@@ -1,10 +1,9 @@
 """Boards fixed to each other: found with the rig, whatever board comes first, and told honestly."""
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from tests.calib.shots.equations import assert_equations_are_those_of_the_cost
 from tests.calib.shots.made_board_sets import (
     BOARDS,
     CAMERAS,
@@ -24,14 +23,11 @@ from trinoc.calib.shots.covariance import information_of
 from trinoc.calib.shots.halves import steps_between
 from trinoc.calib.shots.hand_eye import hand_eye
 from trinoc.calib.shots.motions import chained, inverse
-from trinoc.calib.shots.normal_equations import cost, shot_equations
 from trinoc.calib.shots.problem import Freedom, Problem, problem_of
 from trinoc.calib.shots.robust_fit import fitted
-from trinoc.calib.shots.state import retracted
 from trinoc.calib.shots.table import View
 from trinoc.errors import CalibrationError, InputError
 from trinoc.geometry import Intrinsics
-from trinoc.numerics import GemanMcClure
 
 EXACT = Systematics()
 OPPOSITE = ("left", "far"), ("front", "back")
@@ -140,19 +136,7 @@ def test_one_board_in_a_set_is_that_board():
 
 def test_the_equations_of_a_set_are_those_of_the_cost():
     here = known_problem(np.random.default_rng(0), Systematics.typical({}))
-    loss = GemanMcClure.from_scale(jnp.asarray(3.0))
-    table, chart, state = jax.tree.map(jnp.asarray, (here.table, here.chart, here.state))
-    off = 1e-3 * np.random.default_rng(0).normal(size=len(chart.free))
-    start = retracted(state, chart, off, np.zeros((8, 6)))
-
-    def at(head, boards):
-        return cost(retracted(start, chart, head, boards), chart, table, loss)
-
-    zero = jnp.zeros(len(chart.free)), jnp.zeros((8, 6))
-    by_head, by_boards = jax.jit(jax.grad(at, argnums=(0, 1)))(*zero)
-    equations = jax.jit(shot_equations)(start, chart, table, loss)
-    np.testing.assert_allclose(2 * equations.gradient[0], by_head, rtol=1e-6, atol=1e-6)
-    np.testing.assert_allclose(2 * equations.gradient[1], by_boards, rtol=1e-6, atol=1e-6)
+    assert_equations_are_those_of_the_cost(here)
 
 
 def test_errors_are_as_large_as_is_claimed():

@@ -1,24 +1,20 @@
 """Laws of the pieces: poses from rays, gradients, centres of circles' images, labellings."""
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from tests.calib.shots.equations import assert_equations_are_those_of_the_cost
 from tests.calib.shots.made_shots import BOARD, SIZE_PX, board_poses, cam_from_rig, lens_of, shots
 from trinoc.calib import Chessboard, Pattern, Systematics
 from trinoc.calib.model import predicted_centre_px
 from trinoc.calib.shots.board_shape import with_free_places
 from trinoc.calib.shots.messages import undetermined_sentence
 from trinoc.calib.shots.motions import chained, inverse, motion_in_plane
-from trinoc.calib.shots.normal_equations import cost, shot_equations
 from trinoc.calib.shots.plane_pose import plane_pose
 from trinoc.calib.shots.problem import Freedom, problem_of
 from trinoc.calib.shots.residual import view_residuals
-from trinoc.calib.shots.state import retracted
 from trinoc.calib.shots.table import View, padded_count
 from trinoc.geometry import KannalaBrandt, Pose
-from trinoc.numerics import GemanMcClure
 
 CAMERAS = ("left", "middle", "right")
 
@@ -66,20 +62,8 @@ def test_points_on_a_line_have_no_pose():
 
 @pytest.mark.parametrize("places_are_free", [False, True])
 def test_the_equations_are_those_of_the_cost(places_are_free):
-    here, loss = problem(board_poses(3)), GemanMcClure.from_scale(jnp.asarray(3.0))
-    here = with_free_places(here) if places_are_free else here
-    table, chart, state = jax.tree.map(jnp.asarray, (here.table, here.chart, here.state))
-    off = 1e-3 * np.random.default_rng(0).normal(size=len(chart.free))
-    start = retracted(state, chart, off, np.zeros((8, 6)))
-
-    def at(head, boards):
-        return cost(retracted(start, chart, head, boards), chart, table, loss)
-
-    zero = jnp.zeros(len(chart.free)), jnp.zeros((8, 6))
-    by_head, by_boards = jax.jit(jax.grad(at, argnums=(0, 1)))(*zero)
-    equations = jax.jit(shot_equations)(start, chart, table, loss)
-    np.testing.assert_allclose(2 * equations.gradient[0], by_head, rtol=1e-6, atol=1e-6)
-    np.testing.assert_allclose(2 * equations.gradient[1], by_boards, rtol=1e-6, atol=1e-6)
+    here = problem(board_poses(3))
+    assert_equations_are_those_of_the_cost(with_free_places(here) if places_are_free else here)
 
 
 def test_a_circle_is_predicted_as_the_exact_model_has_it():

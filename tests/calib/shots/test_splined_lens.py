@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from tests.calib.intrinsics import simulated_lens
+from tests.calib.shots.equations import assert_equations_are_those_of_the_cost
 from tests.calib.shots.made_shots import BOARD, SIZE_PX, lens_of
 from trinoc.calib import Detection, Systematics, calibrate_intrinsics, calibrate_rig
 from trinoc.calib.shots.covariance import information_of
@@ -19,10 +20,8 @@ from trinoc.calib.shots.lens_correction import (
     splined_problem,
     with_correction,
 )
-from trinoc.calib.shots.normal_equations import cost, shot_equations
 from trinoc.calib.shots.problem import Freedom, lens_number, problem_of
 from trinoc.calib.shots.robust_fit import RobustFit
-from trinoc.calib.shots.state import retracted
 from trinoc.calib.shots.table import View
 from trinoc.errors import InputError
 from trinoc.geometry import (
@@ -36,7 +35,6 @@ from trinoc.geometry import (
     splined,
 )
 from trinoc.io import FORMATS, load_rig, save
-from trinoc.numerics import GemanMcClure
 
 SIGMA_PX = 0.05
 TOP_PX, WHERE_PX, WIDTH_PX = np.array([0.6, -0.4]), np.array([450.0, 170.0]), 75.0
@@ -98,22 +96,9 @@ def core_problem(count, seed=0):
 
 def test_the_equations_are_those_of_the_cost_with_control_points_and_their_prior():
     here = splined_problem(core_problem(3), [SIZE_PX])
-    table, chart, state = jax.tree.map(jnp.asarray, (here.table, here.chart, here.state))
     prior = 9.0 * SplinedBrownConrady.correction_information()[None]
-    chart = type(chart)(**{**vars(chart), "lens_information": prior})
-    off = 1e-3 * np.random.default_rng(0).normal(size=len(chart.free))
-    start, loss = retracted(state, chart, off, np.zeros((8, 6))), GemanMcClure.from_scale(3.0)
-    zero = jnp.zeros(len(chart.free)), jnp.zeros((8, 6))
-
-    @jax.jit
-    @partial(jax.grad, argnums=(0, 1))
-    def gradient(head, boards):
-        return cost(retracted(start, chart, head, boards), chart, table, loss)
-
-    by_head, by_boards = gradient(*zero)
-    equations = jax.jit(shot_equations)(start, chart, table, loss)
-    np.testing.assert_allclose(2 * equations.gradient[0], by_head, rtol=1e-6, atol=1e-6)
-    np.testing.assert_allclose(2 * equations.gradient[1], by_boards, rtol=1e-6, atol=1e-6)
+    chart = type(here.chart)(**{**vars(here.chart), "lens_information": prior})
+    assert_equations_are_those_of_the_cost(here._replace(chart=chart))
     lens = here.state.lenses
     held = [lens.parameter_names.index(name) for name in lens.never_fitted]
     assert not np.asarray(chart.free)[held].any()

@@ -125,13 +125,11 @@ def _in_sigmas(whitening: ArrayLike, columns: ArrayLike) -> Array:
     return jnp.einsum("gij,gjc->gic", whitening, jnp.where(spoken, grouped, 0.0))
 
 
-def _by_control(
-    state: RigState, chart: Chart, camera, shot, board, place, place_mm, radius_mm, uv_px, whitening
-) -> Float[Array, "n 2 k"]:
+def _by_control(state: RigState, chart: Chart, camera, *view) -> Float[Array, "n 2 k"]:
     """Derivative of all places of a view by the control points of its splined lens."""
     assert isinstance(state.lenses, AbstractSplined)
     cores = eqx.tree_at(lambda s: s.lenses, state, jax.vmap(lambda lens: lens.core)(state.lenses))
-    view = shot, board, place, place_mm, radius_mm, uv_px, whitening
+    *_, uv_px, _ = view
     of_core_px = _residuals(cores, chart, camera, *view) + uv_px
     lens = jax.tree.map(lambda leaf: leaf[chart.lens_of_camera[camera]], state.lenses)
     return jax.vmap(lens.by_control)(of_core_px)
