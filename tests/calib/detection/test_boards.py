@@ -123,6 +123,17 @@ def test_what_is_no_such_board_is_refused():
         detect_target(np.full((100, 100), 90, np.uint8), Pattern.default())
 
 
+def test_boards_of_one_dictionary_are_told_apart_by_their_first_markers():
+    board, other = (
+        Charuco(rows=4, columns=6, square_mm=15.0, marker_mm=11.0, dictionary="4x4_50", first=first)
+        for first in (0, 12)
+    )
+    image, _ = picture(other)
+    assert len(detect_target(image, other)) == len(other)
+    with pytest.raises(DetectionError, match="corners of the board"):
+        detect_target(image, board)
+
+
 def test_boards_that_cannot_be_are_refused():
     for wrong in (
         {"rows": 2, "columns": 9, "square_mm": 10.0},
