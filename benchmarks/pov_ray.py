@@ -37,11 +37,14 @@ class Light(NamedTuple):
     shadows: bool = True
 
 
-def render(body: str, camera: Camera, *, fold: int, threads: int = 2) -> np.ndarray:
+def render(
+    body: str, camera: Camera, *, fold: int, threads: int = 2, colour: bool = False
+) -> np.ndarray:
     """The picture before blur and noise, (h fold, w fold), in grey levels from 0 to 255.
 
     Each of its pixels, of which a camera's pixel holds fold x fold, is the mean over its
-    square as far as POV-Ray's antialiasing makes it so.
+    square as far as POV-Ray's antialiasing makes it so. In `colour`, (h fold, w fold, 3): red,
+    green and blue.
     """
     width, height = (side * fold for side in camera.image_size_px)
     with tempfile.TemporaryDirectory() as folder:
@@ -49,19 +52,27 @@ def render(body: str, camera: Camera, *, fold: int, threads: int = 2) -> np.ndar
         scene.write_text(_HEADER + _camera(camera) + body)
         command = [
             "povray", f"+I{scene}", f"+O{picture}", f"+W{width}", f"+H{height}", f"+WT{threads}",
-            "+FN16", "Grayscale_Output=on", "File_Gamma=1.0", "-D", "-J", "+A0.02", "+AM1", "+R3",
+            "+FN16", f"Grayscale_Output={'off' if colour else 'on'}", "File_Gamma=1.0",
+            "-D", "-J", "+A0.02", "+AM1", "+R3",
         ]  # fmt: skip
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         if done.returncode != 0:
             raise RuntimeError(f"POV-Ray failed:\n{done.stderr[-3000:]}")
-        grey = cv2.imread(str(picture), cv2.IMREAD_UNCHANGED)
-    if grey is None or grey.dtype != np.uint16:
+        levels = cv2.imread(str(picture), cv2.IMREAD_UNCHANGED)
+    if levels is None or levels.dtype != np.uint16:
         raise RuntimeError("POV-Ray wrote no 16-bit picture.")
-    return (grey if grey.ndim == 2 else grey[..., 0]) * (255.0 / 65535.0)
+    if colour:
+        levels = levels[..., ::-1]
+    elif levels.ndim == 3:
+        levels = levels[..., 0]
+    return levels * (255.0 / 65535.0)
 
 
 def blocks_text(scene: Scene, face_greys: list[np.ndarray], table_grey: float, light: Light) -> str:
-    """A table at Z = 0 with the scene's solids; one reflectance, 0 to 1, per face."""
+    """A table at Z = 0 with the scene's solids.
+
+    Each face has one reflectance, 0 to 1, or three: of red, green and blue.
+    """
     parts = [_lights(light), f"plane {{ z, 0 {_matt(table_grey, light.ambient)} }}\n"]
     for solid, greys in zip(scene.solids, face_greys, strict=True):
         if isinstance(solid, Cylinder):
@@ -152,9 +163,10 @@ def _polygon(x0: float, x1: float, y0: float, y1: float, z: float, grey: float) 
     return f"polygon {{ 5, {points} {_matt(grey, 0.0)} }}\n"
 
 
-def _matt(grey: float, ambient: float) -> str:
+def _matt(reflectance: float | np.ndarray, ambient: float) -> str:
+    red, green, blue = np.broadcast_to(reflectance, 3)
     return (
-        f"pigment {{ color rgb {grey:.6f} }} "
+        f"pigment {{ color rgb <{red:.6f}, {green:.6f}, {blue:.6f}> }} "
         f"finish {{ ambient 0 diffuse 1 emission {ambient:.6f} }}"
     )
 

@@ -2,6 +2,7 @@
 
     python benchmarks/render_pictures.py demo [--out trinoc/synth/demo]
     python benchmarks/render_pictures.py blocks OUT --seeds 0 1 2 [--resolution 4] [--no-shadows]
+    python benchmarks/render_pictures.py colours OUT --seeds 0 1 2
 
 Needs the program povray (Debian: apt-get install povray); nothing else in trinoc does.
 
@@ -14,6 +15,11 @@ shadows_<view>.png (the grey levels that shadows take away, without blur and noi
 clean_<view>.png (scene_<view>.png without noise, in 256ths of a grey level) and
 truth.json: other solids, light, greys, blur (sigma 0.5 to 2 px) and noise (1 to 8 grey levels)
 for every seed; --resolution 4 divides each pixel by four along both sides (2048 x 1920).
+
+`colours` makes the solids, greys and light of `blocks`, each face in a colour whose mean is its
+grey, and writes light_<view>.png instead of scene_<view>.png: what falls on each pixel behind a
+lens that blurs by 0.8 px, red, green and blue, 16 bits, linear, without noise.
+benchmarks/delivered_scenes.py makes of it what cameras deliver.
 
 truth.json (format "trinoc-scene-truth"; `trinoc.io.demo.load_scene_truth` reads it):
   edges_mm    ends of every edge of the solids, in the world's frame
@@ -50,6 +56,7 @@ DEMO_LIGHT = Light(
 )  # fmt: skip
 DEMO_GREYS = (0.80, 0.52, 0.70, 0.88, 0.60, 0.74)
 DEMO_TABLE_GREY = 0.17
+COLOUR_FOLD, COLOUR_BLUR_PX = 4, 0.8
 
 
 def main() -> None:
@@ -68,11 +75,17 @@ def main() -> None:
         "--resolution", type=int, default=1, choices=(1, 2, 4), help="pixels per pixel"
     )
     blocks.add_argument("--no-shadows", action="store_true")
-    for command in (demo, blocks):
+    colours = commands.add_parser("colours", help="scenes of coloured blocks, as light")
+    colours.add_argument("out", type=Path, help="folder of the scenes; made if needed")
+    colours.add_argument("--seeds", type=int, nargs="+", default=list(range(6)), help="one each")
+    for command in (demo, blocks, colours):
         command.add_argument("--threads", type=int, default=2, help="of POV-Ray")
     arguments = parser.parse_args()
     if arguments.command == "demo":
         make_demo(arguments.out, arguments.threads)
+    elif arguments.command == "colours":
+        for seed in arguments.seeds:
+            make_colours(arguments.out, seed, arguments.threads)
     else:
         for seed in arguments.seeds:
             make_blocks(
@@ -106,11 +119,8 @@ def make_blocks(
     folder.mkdir(parents=True, exist_ok=True)
     rig, scene = table1_rig(resolution=resolution), block_scene(seed)
     generator = np.random.default_rng([seed, 1])
-    contrast = float(generator.uniform(0.5, 1.3))
-    mean_greys = np.clip(0.62 + 0.22 * contrast * generator.uniform(-1, 1, len(scene.solids)), 0, 1)
-    greys = face_greys(scene, mean_greys, generator, spread=0.06 * contrast)
-    table = float(generator.uniform(0.25, 0.6))
-    light = random_light(generator, contrast)._replace(shadows=shadows)
+    greys, table, light = random_look(scene, generator)
+    light = light._replace(shadows=shadows)
     text = blocks_text(scene, greys, table, light)
     bare_text = blocks_text(scene, greys, table, light._replace(shadows=False))
     blur, noise = float(generator.uniform(0.5, 2.0)), float(np.exp(generator.uniform(0, np.log(8))))
@@ -120,6 +130,46 @@ def make_blocks(
         fold=4 // min(resolution, 2), threads=threads, about={"seed": seed},
         bare_text=bare_text if shadows else None,
     )  # fmt: skip
+
+
+def make_colours(out: Path, seed: int, threads: int) -> None:
+    """The scene of `make_blocks` in colours: the light that falls on each pixel, and the truth."""
+    folder = out / f"block_{seed}"
+    folder.mkdir(parents=True, exist_ok=True)
+    rig, scene = table1_rig(), block_scene(seed)
+    greys, table, light = random_look(scene, np.random.default_rng([seed, 1]))
+    generator = np.random.default_rng([seed, 2])
+    colours = [coloured(grey, generator) for grey in greys]
+    text = blocks_text(scene, colours, table, light)
+    seen = {}
+    for view, camera in rig.items():
+        fine = render(text, camera, fold=COLOUR_FOLD, threads=threads, colour=True)
+        light_levels = 257 * exposed_pixels(fine, fold=COLOUR_FOLD, blur_px=COLOUR_BLUR_PX)
+        levels = np.clip(np.rint(light_levels), 0, 65535).astype(np.uint16)
+        cv2.imwrite(str(folder / f"light_{view}.png"), levels[..., ::-1])
+        seen[view] = seen_parts(scene, camera, fine.mean(axis=-1), fold=COLOUR_FOLD)
+    save_rig(rig, folder / "rig.json")
+    truth = SceneTruth(scene.edges_mm, scene.edge_kinds, seen)
+    save_scene_truth(truth, folder / "truth.json", {"seed": seed, "blur_px": COLOUR_BLUR_PX})
+
+
+def random_look(
+    scene: Scene, generator: np.random.Generator
+) -> tuple[list[np.ndarray], float, Light]:
+    """Reflectances of the faces and of the table, and the light."""
+    contrast = float(generator.uniform(0.5, 1.3))
+    mean_greys = np.clip(0.62 + 0.22 * contrast * generator.uniform(-1, 1, len(scene.solids)), 0, 1)
+    greys = face_greys(scene, mean_greys, generator, spread=0.06 * contrast)
+    table = float(generator.uniform(0.25, 0.6))
+    return greys, table, random_light(generator, contrast)
+
+
+def coloured(greys: np.ndarray, generator: np.random.Generator) -> np.ndarray:
+    """(faces, 3) one solid's reflectances: a hue of its own, of a saturation that fits in."""
+    hue = generator.normal(size=3)
+    hue = (hue - hue.mean()) / np.ptp(hue)
+    share = generator.uniform(0.2, 0.9) * np.minimum(greys - 0.02, 0.98 - greys)
+    return greys[:, None] + share[:, None] * hue / np.abs(hue).max()
 
 
 def make_scene(
@@ -180,8 +230,8 @@ def write_clean(path: Path, grey: np.ndarray, *, fold: int, blur_px: float) -> N
 def exposed_pixels(grey: np.ndarray, *, fold: int, blur_px: float) -> np.ndarray:
     """Blurred by a Gaussian of `blur_px` and averaged over fold x fold: the camera's pixels."""
     blurred = cv2.GaussianBlur(grey, (0, 0), blur_px * fold, borderType=cv2.BORDER_REPLICATE)
-    height, width = (side // fold for side in grey.shape)
-    return blurred.reshape(height, fold, width, fold).mean(axis=(1, 3))
+    height, width = (side // fold for side in grey.shape[:2])
+    return blurred.reshape(height, fold, width, fold, *grey.shape[2:]).mean(axis=(1, 3))
 
 
 def face_greys(

@@ -1,0 +1,146 @@
+"""Scenes of coloured blocks as cameras deliver them: what colour, exposure and JPEG cost a matcher.
+
+    python benchmarks/delivered_scenes.py FOLDER [--only WORD]
+
+FOLDER holds scenes of `benchmarks/render_pictures.py colours`. Each row delivers the same light in
+another way. Printed, over all scenes, of plain matching and of guided detection: precision (lines
+along shadows count as wrong) and recall of length at 1 mm (edges of 8 grey levels), of edges that
+three views show and two, tracks in three views of all, calibration error.
+"""
+
+import argparse
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from guided import figures
+from matching import _calibration_error as calibration_error
+from matching_rendered import Place
+from shared_scenes import VIEWS
+
+import trinoc
+from trinoc.io import load_rig, load_scene_truth
+from trinoc.segments.grey import Response
+from trinoc.synth.camera_picture import Processing, Sensor, Sharpening, delivered_picture
+from trinoc.synth.camera_picture.response import SRGB
+from trinoc.synth.camera_picture.sensor import Mosaic
+
+# In light that is white to the camera the brightest face stays below saturation.
+EXPOSURE = 1.2
+
+
+class Delivery(NamedTuple):
+    """How the cameras deliver; `exposures` and `balances` (red, green, blue) are one per view."""
+
+    name: str
+    mosaic: Mosaic | None = None
+    processing: Processing = Processing()
+    exposures: tuple[float, ...] = (1.0, 1.0, 1.0)
+    balances: tuple[tuple[float, float, float], ...] = ((1.0, 1.0, 1.0),) * 3
+    response: Response = "linear"
+
+
+_BAYER = Mosaic()
+_UNLIKE = {
+    "exposures": (1.0, 0.6, 1.3),
+    "balances": ((1.0, 1.0, 1.0), (1.35, 1.0, 0.7), (0.75, 1.0, 1.3)),
+}
+DELIVERIES = (
+    Delivery("grey, linear, 8 bits"),
+    Delivery("grey, linear, 12 bits in 16", processing=Processing(bits=12)),
+    Delivery("colour mosaic, bilinear", _BAYER),
+    Delivery("colour mosaic, edge-aware", _BAYER, Processing(interpolation="edge-aware")),
+    Delivery("the same, sRGB", _BAYER, Processing(response=SRGB()), response="srgb"),
+    Delivery(
+        "the same, sRGB not said", _BAYER, Processing(response=SRGB()),
+    ),
+    Delivery(
+        "sRGB, JPEG 90", _BAYER, Processing(response=SRGB(), jpeg_quality=90), response="srgb"
+    ),
+    Delivery(
+        "sRGB, JPEG 60", _BAYER, Processing(response=SRGB(), jpeg_quality=60), response="srgb"
+    ),
+    Delivery(
+        "sRGB, sharpened by .5, JPEG 90", _BAYER,
+        Processing(response=SRGB(), sharpening=Sharpening(), jpeg_quality=90), response="srgb",
+    ),
+    Delivery("three unlike exposures and white balances", _BAYER, **_UNLIKE),
+    Delivery(
+        "the same, sRGB, JPEG 90", _BAYER, Processing(response=SRGB(), jpeg_quality=90),
+        response="srgb", **_UNLIKE,
+    ),
+)  # fmt: skip
+
+
+def picture(light: np.ndarray, delivery: Delivery, view: int, *, seed: int) -> np.ndarray:
+    """What a camera makes of (h, w, 3) light, of which 1 is a white face in full light."""
+    tinted = light * np.array(delivery.balances[view])
+    sensor = Sensor(
+        exposure=EXPOSURE * delivery.exposures[view],
+        read_levels=1.0,
+        electrons_per_level=60.0,
+        mosaic=delivery.mosaic,
+    )
+    if delivery.mosaic is None:
+        seen = tinted.mean(axis=-1)
+    else:
+        rows, columns = np.indices(light.shape[:2]) % 2
+        seen = np.take_along_axis(tinted, (rows + columns)[..., None], axis=-1)[..., 0]
+    return delivered_picture(seen, sensor, delivery.processing, seed=seed)
+
+
+def of_delivery(delivery: Delivery, folders: list[Path]) -> str:
+    """A row: the figures over all scenes, plain and guided."""
+    rows, views, outcomes, triples = [[], []], np.zeros((2, 4)), [[], []], np.zeros(2, dtype=int)
+    for number, folder in enumerate(folders):
+        pictures = {
+            name: picture(_light(folder, name), delivery, view, seed=10 * number + view)
+            for view, name in enumerate(VIEWS)
+        }
+        truth = load_scene_truth(folder / "truth.json")
+        rig = load_rig(folder / "rig.json")
+        place = Place(folder.name, rig, truth, pictures, np.zeros((0, 3, 3)), None)
+        segments = {
+            name: trinoc.find_segments(image, response=delivery.response)
+            for name, image in pictures.items()
+        }
+        plain = trinoc.match_segments(segments, rig)
+        guided = trinoc.guide_matches(plain, segments, rig, pictures).matches
+        for k, matches in enumerate((plain, guided)):
+            found, by, outcome = figures(place, matches)
+            rows[k].append(found)
+            views[k] += by
+            outcomes[k] += outcome
+            triples[k] += (matches.stage == "trinocular").sum()
+    return "; ".join(
+        f"{label} {np.mean(rows[k], axis=0)[0]:.3f}/{np.mean(rows[k], axis=0)[2]:.3f}, "
+        f"three views {views[k, 0] / views[k, 1]:.3f}, two {views[k, 2] / views[k, 3]:.3f}, "
+        f"{triples[k]} of {len(outcomes[k])} in three, calibration error "
+        f"{calibration_error([(p, right) for p, right, _ in outcomes[k]]):.3f}"
+        for k, label in enumerate(("plain", "guided"))
+    )
+
+
+def _light(folder: Path, view: str) -> np.ndarray:
+    levels = cv2.imread(str(folder / f"light_{view}.png"), cv2.IMREAD_UNCHANGED)
+    if levels is None:
+        raise SystemExit(f"{folder} holds no light_{view}.png: render it with `colours`.")
+    return levels[..., ::-1] / 65535.0
+
+
+def main() -> None:
+    """Print a row for each way of delivery."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--only", default="", help="rows whose name holds this")
+    given = parser.parse_args()
+    trinoc.enable_compile_cache()
+    folders = [path for path in sorted(given.folder.iterdir()) if (path / "truth.json").exists()]
+    for delivery in DELIVERIES:
+        if given.only in delivery.name:
+            print(f"{delivery.name:45s} {of_delivery(delivery, folders)}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
