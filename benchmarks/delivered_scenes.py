@@ -85,8 +85,10 @@ def picture(light: np.ndarray, delivery: Delivery, view: int, *, seed: int) -> n
     if delivery.mosaic is None:
         seen = tinted.mean(axis=-1)
     else:
-        rows, columns = np.indices(light.shape[:2]) % 2
-        seen = np.take_along_axis(tinted, (rows + columns)[..., None], axis=-1)[..., 0]
+        rows, columns = (np.arange(side) % 2 for side in light.shape[:2])
+        # Rows R G R G ... and G B G B ...
+        channel = np.add.outer(rows, columns)[..., None]
+        seen = np.take_along_axis(tinted, channel, axis=-1)[..., 0]
     return delivered_picture(seen, sensor, delivery.processing, seed=seed)
 
 
