@@ -7,10 +7,10 @@ import pytest
 from tests.calib.shots.made_shots import BOARD, LENSES, SIZE_PX, board_poses
 from tests.calib.shots.test_laws import problem
 from trinoc.calib import Systematics
-from trinoc.calib.shots.covariance import information_of
 from trinoc.calib.shots.field_difference import field_differences
+from trinoc.calib.shots.freedom import with_lens_free
+from trinoc.calib.shots.information import information_of
 from trinoc.calib.shots.motions import chained, inverse
-from trinoc.calib.shots.problem import with_lens_free
 from trinoc.calib.shots.state import retracted
 from trinoc.numerics import as_numpy
 

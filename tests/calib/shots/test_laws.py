@@ -8,11 +8,12 @@ from tests.calib.shots.made_shots import BOARD, SIZE_PX, board_poses, cam_from_r
 from trinoc.calib import Chessboard, Pattern, Systematics
 from trinoc.calib.model import predicted_centre_px
 from trinoc.calib.shots.board_shape import with_free_places
+from trinoc.calib.shots.freedom import Freedom
 from trinoc.calib.shots.messages import undetermined_sentence
 from trinoc.calib.shots.motions import chained, inverse, motion_in_plane
 from trinoc.calib.shots.plane_pose import plane_pose
-from trinoc.calib.shots.problem import Freedom, problem_of
 from trinoc.calib.shots.residual import view_residuals
+from trinoc.calib.shots.starting_problem import problem_of
 from trinoc.calib.shots.table import View, padded_count
 from trinoc.geometry import KannalaBrandt, Pose
 

@@ -5,7 +5,7 @@ import pytest
 
 from tests.calib.shots.made_shots import BOARD, shots
 from trinoc.calib import Systematics, calibrate_rig
-from trinoc.calib.shots.covariance import Information
+from trinoc.calib.shots.information import Information
 from trinoc.calib.shots.lens_choice import HeldOut, choice_sentence, chosen_lens
 from trinoc.calib.shots.score_test import score_test
 from trinoc.errors import InputError

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.shots.covariance import information_of
+from trinoc.calib.shots.information import information_of
 from trinoc.calib.shots.levenberg_marquardt import FLOOR_DAMPING, damped_step
 from trinoc.calib.shots.normal_equations import shot_equations, whitened_residuals
 from trinoc.calib.shots.problem import Problem

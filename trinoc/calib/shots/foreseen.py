@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from trinoc.calib.detection import Detection
 from trinoc.calib.shots.candidate_shots import Candidate, image_sizes_px
-from trinoc.calib.shots.covariance import information_of
+from trinoc.calib.shots.information import information_of
 from trinoc.calib.shots.problem import Problem, cam_from_board, lens_number
 from trinoc.calib.shots.robust_fit import errors_px
 from trinoc.calib.shots.table import View

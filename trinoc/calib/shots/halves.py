@@ -5,10 +5,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.shots.covariance import information_of
 from trinoc.calib.shots.cross_validation import FEWEST_SHOTS, of_shots, shots_of
 from trinoc.calib.shots.field_difference import FieldDifference, field_differences
-from trinoc.calib.shots.problem import Problem, lens_number, with_sheet_held
+from trinoc.calib.shots.freedom import with_sheet_held
+from trinoc.calib.shots.information import information_of
+from trinoc.calib.shots.problem import Problem, lens_number
 from trinoc.calib.shots.robust_fit import fitted
 from trinoc.calib.shots.shot_scatter import with_factor
 from trinoc.calib.targets import board_prefixes

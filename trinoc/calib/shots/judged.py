@@ -6,15 +6,10 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.calib.result import Status
-from trinoc.calib.shots.covariance import (
-    Information,
-    World,
-    cam_from_world,
-    information_of,
-    named_covariance,
-)
 from trinoc.calib.shots.cross_validation import cross_validation
+from trinoc.calib.shots.determined import determined, open_rows
 from trinoc.calib.shots.halves import halves_check
+from trinoc.calib.shots.information import information_of
 from trinoc.calib.shots.lens_correction import correction_sentences
 from trinoc.calib.shots.messages import (
     notes_of_rig,
@@ -23,10 +18,11 @@ from trinoc.calib.shots.messages import (
     undetermined_sentence,
 )
 from trinoc.calib.shots.motions import chained, inverse
+from trinoc.calib.shots.named_covariance import World, cam_from_world, named_covariance
 from trinoc.calib.shots.placing import PlacedRig
-from trinoc.calib.shots.problem import EndedProblem, Problem, lens_number, with_lens_free
+from trinoc.calib.shots.problem import EndedProblem, Problem, lens_number
 from trinoc.calib.shots.result import RigFromShots
-from trinoc.calib.shots.robust_fit import RobustFit, errors_px, refitted
+from trinoc.calib.shots.robust_fit import RobustFit, errors_px
 from trinoc.calib.shots.shot_scatter import shot_scatter, with_factor
 from trinoc.calib.shots.sightings_of_shots import FoundShots
 from trinoc.calib.targets import board_names
@@ -58,7 +54,7 @@ def judged(
     after the other, where the shots do not determine all.
     """
     place = _world(world, placed, fit.problem, cameras)
-    fit, given_up = _determined(fit) if may_give_up else (fit, ())
+    fit, given_up = determined(fit) if may_give_up else (fit, ())
     problem, information = fit.problem, information_of(fit.problem)
     seen = information.seen
     full = seen.rank == len(information.free)
@@ -72,11 +68,11 @@ def judged(
     factor = scatter.variance_factor if full else 1.0
     enlarged = with_factor(head_covariance, factor, information.prior)
     named = named_covariance(problem, information, enlarged, factor, cameras, place)
-    covariance, open_rows = named.covariance, _open_rows(problem, information, named.names)
+    covariance, is_open = named.covariance, open_rows(problem, information, named.names)
     values = np.array(named.values)
     if not full:
-        covariance[open_rows], covariance[:, open_rows], values[open_rows] = np.nan, np.nan, np.nan
-    gauge = tuple(name for name, is_open in zip(named.names, open_rows) if is_open and not full)
+        covariance[is_open], covariance[:, is_open], values[is_open] = np.nan, np.nan, np.nan
+    gauge = tuple(name for name, it_is in zip(named.names, is_open) if it_is and not full)
     poses = np.asarray(cam_from_world(problem.state, place))
     rig = None
     if status is Status.CONVERGED:
@@ -142,45 +138,6 @@ def _world(
         f'The world is to lie in "{world}", which is neither a camera ({", ".join(cameras)}) nor a '
         "shot in which the board was found."
     )
-
-
-def _determined(fit: RobustFit) -> tuple[RobustFit, tuple[str, ...]]:
-    """The fit with as many coefficients as are determined, and those that were given up."""
-    richest, given_up = fit, []
-    lenses = fit.problem.state.lenses
-    for name in ("", *lenses.dispensable):
-        if name:
-            column = lenses.parameter_names.index(name)
-            count, size = fit.problem.chart.lens_scale.shape
-            free = np.asarray(fit.problem.chart.free)[: count * size].reshape(count, size) > 0
-            if not free[:, column].any():
-                continue
-            free = free.copy()
-            free[:, column] = False
-            fit = refitted(fit, with_lens_free(fit.problem, free))
-            given_up.append(name)
-        information = information_of(fit.problem)
-        if information.seen.rank == len(information.free):
-            return fit, tuple(given_up)
-    return richest, ()
-
-
-def _open_rows(problem: Problem, information: Information, names: tuple[str, ...]) -> np.ndarray:
-    """Which named parameters what is not determined touches."""
-    chart = problem.chart
-    count, size = np.asarray(chart.lens_scale).shape
-    open_head = np.zeros(len(chart.free), dtype=bool)
-    open_head[information.free[list(information.seen.gauge)]] = True
-    of_lens = open_head[: count * size].reshape(count, size)
-    any_pose = bool(open_head[count * size :].any())
-    sheet = open_head[chart.sheet_first : chart.shape_first]
-    rows = []
-    for lens in chart.lens_of_camera:
-        rows += [any_pose or bool(of_lens.any())] * 6 + of_lens[lens].tolist()
-    rows += [any_pose] * (6 * max(len(problem.state.set_from_board) - 1, 0))
-    rows += sheet.tolist()
-    assert len(rows) == len(names)
-    return np.array(rows)
 
 
 def _in_set(problem: Problem) -> Float[np.ndarray, "b 3 4"]:

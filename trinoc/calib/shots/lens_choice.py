@@ -7,8 +7,9 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.calib.shots.cross_validation import halves_fitted, of_shots
+from trinoc.calib.shots.freedom import with_head_held, with_sheet_held
 from trinoc.calib.shots.placing import PlacedRig, of_one_moment
-from trinoc.calib.shots.problem import Problem, with_head_held, with_sheet_held
+from trinoc.calib.shots.problem import Problem
 from trinoc.calib.shots.robust_fit import errors_px, fitted
 from trinoc.calib.shots.score_test import ScoreTest
 

@@ -11,8 +11,9 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.shots.covariance import information_of
-from trinoc.calib.shots.problem import Problem, lens_number, with_wider_lenses
+from trinoc.calib.shots.freedom import with_wider_lenses
+from trinoc.calib.shots.information import information_of
+from trinoc.calib.shots.problem import Problem, lens_number
 from trinoc.calib.shots.robust_fit import (
     RobustFit,
     all_places_used,

@@ -6,7 +6,8 @@ from typing import NamedTuple
 import numpy as np
 
 from trinoc.calib.detection import Detection
-from trinoc.calib.shots.covariance import information_of
+from trinoc.calib.shots.freedom import Freedom
+from trinoc.calib.shots.information import information_of
 from trinoc.calib.shots.lens_choice import (
     LensChoice,
     asked_for,
@@ -17,10 +18,11 @@ from trinoc.calib.shots.lens_choice import (
 from trinoc.calib.shots.lens_correction import splined_problem, with_correction
 from trinoc.calib.shots.lens_start import CameraStart, camera_start
 from trinoc.calib.shots.placing import PlacedRig, ShotBoard, placed_rig
-from trinoc.calib.shots.problem import Freedom, Problem, problem_of
+from trinoc.calib.shots.problem import Problem
 from trinoc.calib.shots.robust_fit import RobustFit, fit_robustly
 from trinoc.calib.shots.score_test import ScoreTest, rational_lens_test, wider_lens_test
 from trinoc.calib.shots.shot_scatter import shot_scatter
+from trinoc.calib.shots.starting_problem import problem_of
 from trinoc.calib.targets import AbstractTarget
 from trinoc.calib.uncertainty import Systematics
 from trinoc.errors import CalibrationError, InputError

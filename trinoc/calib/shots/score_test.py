@@ -6,8 +6,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool
 
-from trinoc.calib.shots.covariance import Information, information_of
-from trinoc.calib.shots.problem import Problem, lens_number, with_wider_lenses
+from trinoc.calib.shots.freedom import with_wider_lenses
+from trinoc.calib.shots.information import Information, information_of
+from trinoc.calib.shots.problem import Problem, lens_number
 from trinoc.geometry import BrownConrady, lens_model
 from trinoc.numerics import chi_square_tail
 

@@ -1,0 +1,92 @@
+"""What each shot says of lenses, cameras and board, at the end of a fit."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from trinoc.calib.shots.normal_equations import view_blocks
+from trinoc.calib.shots.problem import Problem
+from trinoc.calib.shots.state import POSE_SIZE, Chart, RigState
+from trinoc.calib.shots.table import ViewTable
+from trinoc.numerics import GemanMcClure, Observability, inverse_positive_definite, observability
+
+
+class Information(NamedTuple):
+    """What each shot says of the head, its board eliminated, at the end of a fit.
+
+    Fields
+    ------
+    of_shot : (s, h, h) information of each shot, without what was known beforehand.
+    pulls : (s, h) gradient of half of each shot's chi-square; with the prior's they cancel.
+    follow : (s, 6, h) how each board follows the head.
+    own : (s, 6, 6) covariance of each board, the head given.
+    free : (f,) columns of the head that were fitted.
+    prior : (f, f) information that was known of lenses and board beforehand.
+    shape_first : where, in the head, the steps of the board's places begin.
+    """
+
+    of_shot: Float[np.ndarray, "s h h"]
+    pulls: Float[np.ndarray, "s h"]
+    follow: Float[np.ndarray, "s 6 h"]
+    own: Float[np.ndarray, "s 6 6"]
+    free: np.ndarray
+    prior: Float[np.ndarray, "f f"]
+    shape_first: int
+
+    @property
+    def seen(self) -> Observability:
+        """What is determined of the free steps of the head."""
+        return self.seen_of(np.ones(len(self.free), dtype=bool))
+
+    def seen_of(self, rows: Bool[np.ndarray, "f"]) -> Observability:
+        """What is determined of some of the free steps, the others held."""
+        free = self.free[rows]
+        kept = self.of_shot.sum(axis=0)[np.ix_(free, free)] + self.prior[np.ix_(rows, rows)]
+        count = len(free)
+        return observability(0.5 * (kept + kept.T), np.eye(count), np.full(count, np.inf))
+
+
+def information_of(problem: Problem) -> Information:
+    """The information at a problem's state."""
+    of_shot, pulls, follow, own = (
+        np.asarray(part) for part in _of_shots(problem.state, problem.chart, problem.table)
+    )
+    free = np.flatnonzero(problem.chart.free)
+    prior = np.zeros((len(problem.chart.free),) * 2)
+    first, lenses = problem.chart.sheet_first, problem.chart.lens_scale.size
+    prior[:lenses, :lenses] = np.asarray(problem.chart.lens_prior)
+    prior[first:, first:] = np.asarray(problem.chart.board_prior)
+    prior = prior[np.ix_(free, free)]
+    return Information(of_shot, pulls, follow, own, free, prior, problem.chart.shape_first)
+
+
+@eqx.filter_jit
+def _of_shots(state: RigState, chart: Chart, table: ViewTable) -> tuple[Array, ...]:
+    plain = GemanMcClure.from_scale(jnp.asarray(jnp.inf))
+    columns, own, gradient = jax.vmap(lambda *view: view_blocks(state, chart, plain, *view))(*table)
+    size, shots, heads = columns.shape[1], state.rig_from_board.shape[0], chart.free.shape[0]
+    shot = jnp.asarray(table.shot)
+    head = jnp.zeros((shots, heads, heads), own.dtype)
+    head = head.at[shot[:, None, None], columns[:, :, None], columns[:, None, :]].add(
+        own[:, :size, :size]
+    )
+    coupling = jnp.zeros((shots, heads, POSE_SIZE), own.dtype)
+    coupling = coupling.at[shot[:, None], columns].add(own[:, :size, size:])
+    block = jnp.zeros((shots, POSE_SIZE, POSE_SIZE), own.dtype).at[shot].add(own[:, size:, size:])
+    of_head = jnp.zeros((shots, heads), own.dtype)
+    of_head = of_head.at[shot[:, None], columns].add(gradient[:, :size])
+    of_board = jnp.zeros((shots, POSE_SIZE), own.dtype).at[shot].add(gradient[:, size:])
+    inverse = jax.vmap(inverse_positive_definite)(block)
+    determined = jnp.all(jnp.isfinite(inverse), axis=(1, 2))
+    inverse = jnp.where(determined[:, None, None], inverse, 0.0)
+    follow = -jnp.einsum("spq,shq->sph", inverse, coupling)
+    return (
+        head + jnp.einsum("shp,spg->shg", coupling, follow),
+        of_head + jnp.einsum("sph,sp->sh", follow, of_board),
+        follow,
+        inverse,
+    )

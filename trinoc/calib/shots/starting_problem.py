@@ -1,0 +1,95 @@
+"""The problem at its start: lenses, cameras and boards as they were placed, and what is known."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from trinoc.calib.shots.freedom import Freedom, stacked_lenses, with_lens_free
+from trinoc.calib.shots.problem import Problem, cam_from_board
+from trinoc.calib.shots.state import POSE_SIZE, SHEET_SIZE, Chart, RigState
+from trinoc.calib.shots.table import FEWEST_SHOTS, View, padded_count
+from trinoc.calib.targets import AbstractTarget, boards_of
+from trinoc.calib.uncertainty import Systematics
+from trinoc.geometry import AbstractLens
+
+_SMALLEST_SIGMA = 1e-12
+
+
+def problem_of(
+    views: Sequence[View],
+    target: AbstractTarget,
+    lenses: Sequence[AbstractLens],
+    cam_from_rig: Float[np.ndarray, "c 3 4"],
+    rig_from_board: Float[np.ndarray, "s 3 4"],
+    image_sizes_px: Sequence[tuple[int, int]],
+    freedom: Freedom,
+    systematics: Systematics,
+    set_from_board: Float[np.ndarray, "b 3 4"] | None = None,
+) -> Problem:
+    """The problem at its start. The first camera, and of several boards the first, stay in place.
+
+    image_sizes_px : (width, height) of the pictures of each lens. set_from_board : of each of
+    several boards.
+    """
+    members = boards_of(target)
+    in_set = np.zeros((0, 3, 4))
+    if len(members) > 1 and set_from_board is not None:
+        in_set = np.asarray(set_from_board)
+    shots = len(rig_from_board)
+    more = padded_count(shots, FEWEST_SHOTS) - shots
+    boards = np.concatenate([rig_from_board, np.broadcast_to(np.eye(3, 4), (more, 3, 4))])
+    stacked = stacked_lenses(lenses)
+    scale = np.stack(
+        [lens.parameter_scales(size) for lens, size in zip(lenses, image_sizes_px, strict=True)]
+    )
+    state = RigState(
+        stacked,
+        np.asarray(cam_from_rig),
+        boards,
+        in_set,
+        np.zeros(SHEET_SIZE * len(members)),
+        np.zeros((0, 3)),
+    )
+    depths = [np.linalg.norm(cam_from_board(state, view)[:, 3]) for view in views]
+    information, sheet_free = _sheet_prior(systematics, len(members))
+    pose_free, set_free = np.ones((len(cam_from_rig), POSE_SIZE)), np.ones((len(in_set), POSE_SIZE))
+    pose_free[0] = 0.0
+    set_free[:1] = 0.0
+    free = (freedom.free, pose_free, set_free, sheet_free)
+    chart = Chart(
+        lens_scale=scale,
+        unit_mm=np.asarray(float(np.median(depths))),
+        half_mm=np.stack([np.abs(board.centres_mm).max(axis=0) for board in members]),
+        lens_of_camera=np.asarray(freedom.lens_of_camera),
+        free=np.concatenate([part.astype(float).ravel() for part in free]),
+        lens_information=np.zeros((*scale.shape, scale.shape[1])),
+        sheet_information=information,
+        shape_information=np.ones(3),
+        has_circles=bool(np.any(target.radius_mm > 0)),
+    )
+    factor = np.ones(len(cam_from_rig))
+    problem = Problem(tuple(views), target, state, chart, shots, factor)
+    return with_lens_free(problem, freedom.free)
+
+
+def _sheet_prior(
+    systematics: Systematics, boards: int
+) -> tuple[Float[np.ndarray, "w w"], Float[np.ndarray, "w"]]:
+    """Information on scales and warps, and which of these are free: those that are not exact.
+
+    The size is off alike for all boards of a set, as one printer makes it; scales along X and Y,
+    and warps, are each board's own.
+    """
+    size = np.zeros((SHEET_SIZE, SHEET_SIZE))
+    size[:2, :2] = systematics.print_size_sigma**2
+    own = np.diag([*np.square(systematics.print_scale_sigma), 0.0, 0.0])
+    own += np.diag([0.0, 0.0, systematics.flatness_mm**2, systematics.flatness_mm**2])
+    covariance = np.kron(np.ones((boards, boards)), size) + np.kron(np.eye(boards), own)
+    free = (np.diag(covariance) > _SMALLEST_SIGMA**2).astype(float)
+    # A size that is off with sides in proportion is one unknown, not two.
+    covariance += np.diag(np.where(free > 0, 1e-6 * np.diag(covariance), 0.0))
+    rows = np.flatnonzero(free)
+    information = np.zeros_like(covariance)
+    information[np.ix_(rows, rows)] = np.linalg.inv(covariance[np.ix_(rows, rows)])
+    return information, free
