@@ -101,6 +101,25 @@ def test_forward_reverse_and_numeric_derivatives_agree(lens):
         np.testing.assert_allclose(forward[0][:, k], numeric, rtol=1e-6, atol=1e-4)
 
 
+# One that is inverted in the plane, and one by its radius.
+@pytest.mark.parametrize("model", [BrownConrady, KannalaBrandt])
+def test_there_and_back_is_the_identity_to_second_order(model):
+    lens = example(model)
+
+    def back(delta, uv_px):
+        here = lens.retract(lens.parameter_scales(SIZE_PX) * delta)
+        return here.project_ray(here.unproject(uv_px))
+
+    place = np.zeros(len(lens.parameter_names)), np.array([400.0, 90.0])
+    by_both = jax.jacfwd(back, argnums=(0, 1))
+    (by_lens, by_pixel), (_, bend) = jax.jit(
+        lambda delta, uv_px: (by_both(delta, uv_px), jax.jacfwd(by_both, argnums=1)(delta, uv_px))
+    )(*place)
+    np.testing.assert_allclose(by_lens, 0.0, atol=1e-9)
+    np.testing.assert_allclose(by_pixel, np.eye(2), atol=1e-9)
+    np.testing.assert_allclose(bend, 0.0, atol=1e-9)
+
+
 @every_lens
 def test_lenses_of_one_model_stack_and_go_through_vmap(lens):
     ray = np.array([0.1, -0.2, 1.0])

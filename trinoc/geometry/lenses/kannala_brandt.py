@@ -7,12 +7,12 @@ conventional, wide-angle, and fish-eye lenses", PAMI 28(8), 2006; the coefficien
 
 from typing import ClassVar
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS, AbstractLens
+from trinoc.geometry.lenses.newton import newton_iterations
 from trinoc.geometry.lenses.radial import RadialPart
 from trinoc.numerics import ArrayLike
 
@@ -91,4 +91,4 @@ def _angle_of_radius(
         # A slope near zero would throw the next angle far beyond the lens.
         return jnp.clip(angle - off / jnp.maximum(slope, 0.05), 0.0, jnp.pi)
 
-    return jax.lax.fori_loop(0, _NEWTON_STEPS, step, jnp.clip(radius, 0.0, jnp.pi))
+    return newton_iterations(step, jnp.clip(radius, 0.0, jnp.pi), _NEWTON_STEPS)

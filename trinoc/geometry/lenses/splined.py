@@ -37,6 +37,8 @@ SPLINE_PARAMETERS = frozenset(_ADDED)
 _POWERS = (0,) * len(_ADDED)
 # The grid goes beyond the edges of the picture by this share.
 _MARGIN = 0.02
+# The correction is small and smooth: of one of 5 px, four leave rounding.
+_NEWTON_STEPS = 5
 # Cells over which the correction goes together, as far as the prior has it.
 _REACH = 4.0
 
@@ -73,7 +75,8 @@ class AbstractSplined(AbstractLens):
 
     def undistort(self, distorted: Float[ArrayLike, "2"]) -> Float[ArrayLike, "3"]:
         """The ray of the core's picture, which is found by Newton's method."""
-        return self.core.undistort(inverse_in_plane(self._corrected, distorted))
+        of_core = inverse_in_plane(self._corrected, distorted, _NEWTON_STEPS)
+        return self.core.undistort(of_core)
 
     def radial_part(self) -> RadialPart | None:
         """That of the core."""
