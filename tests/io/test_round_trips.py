@@ -70,10 +70,12 @@ def test_matches(folder, matches):
 def test_matches_of_earlier_versions_are_of_noise_as_stated(folder, matches):
     trinoc.save(matches, folder / "matches.npz")
     with np.load(folder / "matches.npz") as file:
-        earlier = {name: file[name] for name in file.files if name not in ("noise_scale", "notes")}
+        later = "noise_scale", "noise_tail", "notes"
+        earlier = {name: file[name] for name in file.files if name not in later}
     np.savez(folder / "earlier.npz", **earlier)
     loaded = trinoc.load_matches(folder / "earlier.npz")
     assert loaded.noise_scale == 1.0
+    assert loaded.noise_tail == 0.0
     assert loaded.notes == ()
 
 
