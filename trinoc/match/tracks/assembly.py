@@ -16,7 +16,7 @@ from trinoc.match.tracks.location import before_cameras, direction_doubt
 from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, Matches
 from trinoc.match.tracks.notes import notes_of
 from trinoc.match.tracks.rejection import counted, reasons
-from trinoc.match.tracks.variance_factor import (
+from trinoc.match.tracks.unequal_errors import (
     degrees_of_misfit,
     learned_tail,
     scaled_across,
