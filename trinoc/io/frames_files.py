@@ -25,8 +25,10 @@ from trinoc.recording import FrameMatches
 FORMAT, VERSION = "trinoc-frames", 1
 _BESIDE_TRACKS = ("views", *OF_FRAMES, "reasons")
 _DTYPES = {
-    "tracks": np.int64, "segments": np.int64,
-    "noise_scale": np.float64, "noise_tail": np.float64,
+    "tracks": np.int64,
+    "segments": np.int64,
+    "noise_scale": np.float64,
+    "noise_tail": np.float64,
 }
 
 
