@@ -21,8 +21,9 @@ AT_ONCE = 128
 # height, beyond what shading makes. On edges of rendered pictures, seeds 0 to 11 and others.
 _FLOOR_PX, _PULL, _UNPULLED = 0.03, 0.7, 0.05
 # How far a second edge, too near to make a ridge of its own, moves the ridge of both: in widths of
-# it for each unit of the logarithm by which it is wider than is usual in the picture. And what noise
-# makes of that logarithm, for each px that it moves the ridge (their standard deviations).
+# it for each unit of the logarithm by which it is wider than is usual in the picture. And what
+# noise makes of that logarithm, for each px that it moves the ridge (their standard deviations).
+# On edges of rendered pictures, seeds 0 to 11 and 200 to 205, that thresholds of 7 to 26 hid.
 _HIDDEN, _WIDENED_BY_NOISE = 1.0, 0.8
 
 
