@@ -1,8 +1,8 @@
 """How unequal the errors of lines are: a variance factor of each track, learned from all of them.
 
 Segments state a variance each, and `noise_scale` says how large errors are for most of them. Some
-are larger all the same: a shadow lies beside the edge, in every view. So the variance of a track is
-what is stated times a factor of its own, whose inverse has a gamma distribution with mean 1. Errors
+are larger all the same, as where a shadow lies beside the edge. So the variance of a track is what
+is stated times a factor of its own, whose inverse has a gamma distribution with mean 1. Errors
 then have Student's distribution, and the misfit of a track in n views that of Fisher and Snedecor,
 with 2 (n - 2) and with so many degrees of freedom as the factors leave: few where they differ much,
 infinitely many where all errors are normal. One over these degrees of freedom is the tail. Its
