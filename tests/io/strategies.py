@@ -142,5 +142,6 @@ def match_sets(draw: st.DrawFn) -> Matches:
         misfit=draw(st.sampled_from([None, random.uniform(size=tracks)])),
         viewpoint_dependent=draw(st.sampled_from([None, random.uniform(size=tracks) < 0.5])),
         noise_scale=draw(st.sampled_from([1.0, 0.37])),
+        noise_tail=draw(st.sampled_from([0.0, 0.2])),
         notes=draw(st.sampled_from([(), ("Noise is larger.", "é")])),
     )

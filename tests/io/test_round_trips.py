@@ -9,7 +9,8 @@ from hypothesis import given, settings
 import trinoc
 from tests.io.strategies import lenses, match_sets, rigs, segment_sets
 from trinoc.errors import InputError
-from trinoc.io import load_intrinsics
+from trinoc.io import load_frames, load_intrinsics, save_frames
+from trinoc.recording import OK, FrameMatches
 
 
 @pytest.fixture(scope="module")
@@ -70,10 +71,12 @@ def test_matches(folder, matches):
 def test_matches_of_earlier_versions_are_of_noise_as_stated(folder, matches):
     trinoc.save(matches, folder / "matches.npz")
     with np.load(folder / "matches.npz") as file:
-        earlier = {name: file[name] for name in file.files if name not in ("noise_scale", "notes")}
+        later = "noise_scale", "noise_tail", "notes"
+        earlier = {name: file[name] for name in file.files if name not in later}
     np.savez(folder / "earlier.npz", **earlier)
     loaded = trinoc.load_matches(folder / "earlier.npz")
     assert loaded.noise_scale == 1.0
+    assert loaded.noise_tail == 0.0
     assert loaded.notes == ()
 
 
@@ -101,3 +104,20 @@ def test_each_value_has_its_kind_of_file(folder):
         trinoc.save(segments, folder / "segments.json")
     with pytest.raises(InputError, match="ndarray cannot be saved"):
         trinoc.save(np.zeros(3), folder / "array.npz")
+
+
+@settings(max_examples=3)
+@given(matches=match_sets())
+def test_frames_of_earlier_versions_have_normal_errors(folder, matches):
+    matches = dataclasses.replace(
+        matches,
+        fragments_covariance_px2=np.tile(np.eye(4), (*matches.index.shape, 1, 1)),
+        misfit=np.zeros(len(matches)),
+        viewpoint_dependent=np.zeros(len(matches), dtype=bool),
+    )
+    save_frames([FrameMatches("one", OK, matches)], matches.views, folder / "frames.npz")
+    assert load_frames(folder / "frames.npz")[0].matches.noise_tail == matches.noise_tail
+    with np.load(folder / "frames.npz") as file:
+        earlier = {name: file[name] for name in file.files if name != "noise_tail"}
+    np.savez(folder / "earlier.npz", **earlier)
+    assert load_frames(folder / "earlier.npz")[0].matches.noise_tail == 0.0

@@ -34,6 +34,8 @@ OF_TRACKS = {
 }
 _KINDS = {"index": "i", "stage": "U", "viewpoint_dependent": "b"}
 OF_FRAMES = ("frame", "status", "tracks", "segments", "noise_scale", "counts", "notes")
+# What each frame may have besides: files of earlier versions do not.
+ALSO_OF_FRAMES = ("noise_tail",)
 
 
 def arrays_of_frames(
@@ -55,6 +57,7 @@ def arrays_of_frames(
             [none if m is None else np.array([len(m.reasons[v]) for v in views]) for m in found]
         ),
         "noise_scale": np.array([1.0 if m is None else m.noise_scale for m in found]),
+        "noise_tail": np.array([0.0 if m is None else m.noise_tail for m in found]),
         "counts": _texts([json.dumps(counts) for counts in said]),
         "notes": _texts([json.dumps(list(notes), ensure_ascii=False) for notes in noted]),
         "reasons": _texts([word for m in good for view in views for word in m.reasons[view]]),
@@ -78,6 +81,9 @@ def frames_of_arrays(
     tracks = fields.take("tracks", "i", names.shape, what)
     segments = fields.take("segments", "i", (len(names), len(views)), what)
     noise_scale = fields.take("noise_scale", "f", names.shape, what)
+    also = {
+        name: fields.take(name, "f", names.shape, what) for name in ALSO_OF_FRAMES if name in fields
+    }
     counts = fields.take("counts", "U", names.shape, what)
     notes = fields.take("notes", "U", names.shape, what)
     rows = {
@@ -107,6 +113,7 @@ def frames_of_arrays(
             own |= {
                 "views": views,
                 "noise_scale": noise_scale[k],
+                **{column: values[k] for column, values in also.items()},
                 "count_names": _texts(numbers),
                 "count_values": np.array(list(numbers.values()), dtype=np.int64),
                 "notes": _texts(_sentences(of_notes, fields)),

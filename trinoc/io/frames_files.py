@@ -12,13 +12,24 @@ from trinoc.errors import InputError
 from trinoc.io.array_checks import REMEDY
 from trinoc.io.arrays_npz import MOST_BYTES, read_arrays, write_arrays
 from trinoc.io.atomic import atomic_write
-from trinoc.io.frames_arrays import OF_FRAMES, OF_TRACKS, arrays_of_frames, frames_of_arrays
+from trinoc.io.frames_arrays import (
+    ALSO_OF_FRAMES,
+    OF_FRAMES,
+    OF_TRACKS,
+    arrays_of_frames,
+    frames_of_arrays,
+)
 from trinoc.io.json_text import parsed_json
 from trinoc.recording import FrameMatches
 
 FORMAT, VERSION = "trinoc-frames", 1
 _BESIDE_TRACKS = ("views", *OF_FRAMES, "reasons")
-_DTYPES = {"tracks": np.int64, "segments": np.int64, "noise_scale": np.float64}
+_DTYPES = {
+    "tracks": np.int64,
+    "segments": np.int64,
+    "noise_scale": np.float64,
+    "noise_tail": np.float64,
+}
 
 
 def frames_ending() -> str:
@@ -60,7 +71,7 @@ def _write_parquet(arrays: dict[str, np.ndarray], path: Path) -> None:
         )
         if array.dtype.kind == "U":
             columns[name] = columns[name].cast(pyarrow.string())
-    beside = {name: arrays[name].tolist() for name in _BESIDE_TRACKS}
+    beside = {name: arrays[name].tolist() for name in (*_BESIDE_TRACKS, *ALSO_OF_FRAMES)}
     said = {"format": FORMAT, "version": VERSION, **beside}
     metadata = {b"trinoc": json.dumps(said, ensure_ascii=False, allow_nan=False).encode()}
     table = pyarrow.table(columns).replace_schema_metadata(metadata)
@@ -92,7 +103,7 @@ def _read_parquet(path: Path) -> dict[str, np.ndarray]:
     if not isinstance(views, list):
         raise InputError(f'{path}: "views" is no list: {REMEDY}.')
     arrays = {}
-    for name in _BESIDE_TRACKS:
+    for name in (*_BESIDE_TRACKS, *(also for also in ALSO_OF_FRAMES if also in document)):
         arrays[name] = _array_of_list(name, document.get(name), path, len(views))
     for name, shape in OF_TRACKS.items():
         if name not in table.column_names:

@@ -33,6 +33,7 @@ def arrays_of_matches(matches: Matches) -> dict[str, np.ndarray]:
         "rival_posterior": matches.rival_posterior,
         "count_names": _texts(matches.counts),
         "noise_scale": np.array(matches.noise_scale, dtype=np.float64),
+        "noise_tail": np.array(matches.noise_tail, dtype=np.float64),
         "notes": _texts(matches.notes),
         "count_values": np.array(list(matches.counts.values()), dtype=np.int64),
     }
@@ -126,6 +127,10 @@ def matches_of_fields(fields: ArrayFields) -> Matches:
     if "noise_scale" in fields:
         noise_scale = float(fields.take("noise_scale", "f", (), "matches"))
         fields.expect("noise_scale", np.array([0 < noise_scale < np.inf]), "is no scale")
+    noise_tail = 0.0
+    if "noise_tail" in fields:
+        noise_tail = float(fields.take("noise_tail", "f", (), "matches"))
+        fields.expect("noise_tail", np.array([0 <= noise_tail < np.inf]), "is no tail")
     names = fields.take("count_names", "U", (None,), "counts")
     counts = fields.take("count_values", "i", names.shape, f"{len(names)} names")
     notes = fields.take("notes", "U", (None,), "notes") if "notes" in fields else ()
@@ -148,6 +153,7 @@ def matches_of_fields(fields: ArrayFields) -> Matches:
         guided=guided,
         measure=measure,
         silhouette=silhouette,
+        noise_tail=noise_tail,
     )
 
 

@@ -9,6 +9,7 @@ from scipy.special import ndtr
 
 from trinoc.match.guided.false_alarms import growth_of, log_chance
 from trinoc.match.guided.gradient import gradient_of
+from trinoc.match.guided.usual_width import with_usual_width
 from trinoc.match.guided.views import Answer, PictureInput, ask, picture_inputs
 from trinoc.numerics import in_float64
 from trinoc.synth import table1_rig
@@ -164,3 +165,46 @@ def test_another_edge_that_comes_near_moves_no_end_beyond_its_error():
         away += sigma.tolist()
     assert np.mean(np.square(normalised)) < 1.5
     assert np.median(away) < 0.5
+
+
+@in_float64
+def sliver(gap_px: float, contrast: float = 60.0) -> Edge:
+    """Two steps, one as high as the other, so near each other that they look like one."""
+    edge = step_edge(0.4, 0.0, 0.5, seed=8, length=120)
+    u, v = np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT))
+    across = (v - 240.6) * np.cos(0.4) - (u - 255.3) * np.sin(0.4)
+    both = ndtr(across / BLUR) + ndtr((across - gap_px) / BLUR)
+    return Edge(as_levels(edge.picture + contrast * (both / 2 - 0.5)), edge.ends_px)
+
+
+def test_a_wider_ridge_than_usual_may_hide_an_edge_and_is_placed_so():
+    sigma, off, width = [], [], []
+    alone = seen(sliver(0.0).picture)
+    usual = with_usual_width(alone, np.repeat(sliver(0.0).ends_px[None], 6, axis=0)).usual_px
+    for gap in (0.0, 1.5, 2.5):
+        edge = sliver(gap)
+        picture = seen(edge.picture)._replace(usual_px=usual)
+        found = answers(picture, edge.ends_px[None])
+        way = edge.ends_px[1] - edge.ends_px[0]
+        right = np.array([-way[1], way[0]]) / np.linalg.norm(way)
+        across = (found.ends_px[0] - edge.ends_px) @ right
+        blocks = found.covariance_px2[0].reshape(2, 2, 2, 2)
+        sigma.append(np.sqrt(np.einsum("i,eiej,j->e", right, blocks, right)).mean())
+        off.append(across.mean())
+        width.append(found.width_px.mean())
+        np.testing.assert_allclose(across, gap / 2, atol=0.2)
+        assert abs(across.mean()) < 3 * sigma[-1]
+    assert (np.diff(sigma) > 0).all()
+    assert (np.diff(width) > 0).all()
+    assert sigma[0] < 0.1
+    assert width[0] == pytest.approx(usual, rel=0.05)
+    # Where nobody knows what is usual, nothing is added.
+    unknown = answers(seen(sliver(2.5).picture), sliver(2.5).ends_px[None])
+    assert np.trace(unknown.covariance_px2[0]) < np.trace(found.covariance_px2[0])
+
+
+def test_few_segments_do_not_tell_how_wide_ridges_are():
+    edge = sliver(0.0)
+    picture = with_usual_width(seen(edge.picture), edge.ends_px[None])
+    assert picture.usual_px == np.inf
+    assert with_usual_width(picture, np.zeros((0, 2, 2))).usual_px == np.inf

@@ -12,10 +12,13 @@ from trinoc.match.tracks import (
     TRINOCULAR,
     Matches,
     common_ends,
+    degrees_of_misfit,
     ending_view,
     flag_viewpoint_dependent,
     fragments_of,
     interval_of,
+    scaled_across,
+    variance_factor,
 )
 from trinoc.match.tuning import MatchTuning
 from trinoc.numerics import ArrayLike
@@ -93,12 +96,13 @@ def matches_of(after: State, given: Matches, added: dict[str, int], tuning: Matc
         fragments[on, view] = distorted(after.cameras.intrinsics[view], fragments[on, view])
     new = len(tracks.index) - len(given)
     views = (tracks.index >= 0).sum(axis=1)
+    factor = variance_factor(tracks.misfit, degrees_of_misfit(tracks.index), given.noise_tail)
     return Matches(
         given.views,
         tracks.index,
         fragments,
         tracks.ends_mm,
-        tracks.covariance_mm2,
+        scaled_across(tracks.ends_mm, tracks.covariance_mm2, factor),
         np.where(views > 2, TRINOCULAR, BINOCULAR),
         1 / (1 + np.exp(-tracks.log_odds)),
         np.concatenate([given.rival_posterior, np.zeros(new)]),
@@ -113,6 +117,7 @@ def matches_of(after: State, given: Matches, added: dict[str, int], tuning: Matc
         given.noise_scale,
         given.notes,
         guided,
+        noise_tail=given.noise_tail,
     )
 
 

@@ -34,6 +34,7 @@ class Place(NamedTuple):
     offset_px, variance_px2 : (n, 2) across at these, the variance from noise and from what is not
         straight.
     asymmetry : (n, 2) how far the two shoulders differ there, as a share of the ridge's height.
+    width_px : (n, 2) standard deviation there of the ridge, as a Gaussian, across the edge.
     contrast : (n,) grey levels of the step.
     """
 
@@ -41,6 +42,7 @@ class Place(NamedTuple):
     offset_px: Float[np.ndarray, "n 2"]
     variance_px2: Float[np.ndarray, "n 2"]
     asymmetry: Float[np.ndarray, "n 2"]
+    width_px: Float[np.ndarray, "n 2"]
     contrast: Float[np.ndarray, "n"]
 
 
@@ -97,8 +99,7 @@ def placed(
     alone = _alone(near, top, np.sqrt(2 * variance))
     profile = (near @ (inside * alone)[..., None])[..., 0] / (inside * alone).sum(axis=1)[:, None]
     top = np.maximum(profile[:, 2], _LEAST_TOP)
-    log = np.log(np.maximum(profile[:, 1:4], _LEAST_SHARE * top[:, None]))
-    bend = np.maximum(2 * log[:, 1] - log[:, 0] - log[:, 2], _LEAST_BEND)
+    bend = _bend(profile, top)
     # The difference of two places, 2 px apart, has about the ridge's own variance.
     of_block = variance / (2 * bend * top) ** 2
     weight = halves * alone[:, None]
@@ -119,8 +120,17 @@ def placed(
         offset,
         own + bow[:, None],
         (means[..., 4] - means[..., 0]) / top[:, None],
+        1 / np.sqrt(_bend(means, np.maximum(means[..., 2], _LEAST_TOP))),
         top * np.sqrt(2 * np.pi / bend),
     )
+
+
+def _bend(
+    profile: Float[np.ndarray, "*n p"], top: Float[np.ndarray, "*n"]
+) -> Float[np.ndarray, "*n"]:
+    """Of the logarithm of a ridge, about its middle."""
+    log = np.log(np.maximum(profile[..., 1:4], _LEAST_SHARE * top[..., None]))
+    return np.maximum(2 * log[..., 1] - log[..., 0] - log[..., 2], _LEAST_BEND)
 
 
 def _offsets(

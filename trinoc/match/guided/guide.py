@@ -12,6 +12,7 @@ from trinoc.match.guided.further_views import with_further_views
 from trinoc.match.guided.new_lines import with_new_lines
 from trinoc.match.guided.prolong import prolonged
 from trinoc.match.guided.state import State, start_of
+from trinoc.match.guided.usual_width import with_usual_width
 from trinoc.match.guided.views import PictureInput, picture_inputs
 from trinoc.match.observations import as_segments, check_pictures
 from trinoc.match.tracks import Matches
@@ -68,6 +69,10 @@ def guide_matches(
     given = {name: as_segments(segments[name]) for name in matches.views}
     inputs = picture_inputs(rig, {name: pictures[name] for name in matches.views})
     before = start_of(matches, given, rig)
+    inputs = [
+        with_usual_width(picture, shown.ends_px)
+        for picture, shown in zip(inputs, before.segments, strict=True)
+    ]
     after, added = rounds(before, inputs, tuning.guided)
     tables = segments_of(before, after, given)
     return GuidedMatches(tables, matches_of(after, matches, added, tuning))

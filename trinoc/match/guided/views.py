@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int, Shaped
 
 from trinoc.geometry import Intrinsics, Rig
+from trinoc.match.guided.edge_piece import Place
 from trinoc.match.guided.evidence import Evidence, evidence_along
 from trinoc.match.guided.false_alarms import block_noise, growth_of, log_chance
 from trinoc.match.guided.gradient import gradient_of
@@ -19,6 +20,11 @@ AT_ONCE = 128
 # an edge beside it moves the ridge, px by the difference of both shoulders as a share of its
 # height, beyond what shading makes. On edges of rendered pictures, seeds 0 to 11 and others.
 _FLOOR_PX, _PULL, _UNPULLED = 0.03, 0.7, 0.05
+# How far a second edge, too near to make a ridge of its own, moves the ridge of both: in widths of
+# it for each unit of the logarithm by which it is wider than is usual in the picture. And what
+# noise makes of that logarithm, for each px that it moves the ridge (their standard deviations).
+# On edges of rendered pictures, seeds 0 to 11 and 200 to 205, that thresholds of 7 to 26 hid.
+_HIDDEN, _WIDENED_BY_NOISE = 1.0, 0.8
 
 
 class PictureInput(NamedTuple):
@@ -28,6 +34,8 @@ class PictureInput(NamedTuple):
     noise : standard deviation of the gradient from noise.
     least : the same of one block's ridge.
     growth : (k,) what windows of correlated noise sum up to, see `false_alarms.py`.
+    usual_px : how wide the ridges of edges are here, see `usual_width.py`; infinite where nobody
+        knows.
     """
 
     name: str
@@ -38,6 +46,7 @@ class PictureInput(NamedTuple):
     noise: float
     least: float
     growth: Float[np.ndarray, "k"]
+    usual_px: float = np.inf
 
 
 class Answer(NamedTuple):
@@ -52,6 +61,7 @@ class Answer(NamedTuple):
     ends_px : (n, 2, 2) ends of the edge, undistorted.
     covariance_px2 : (n, 4, 4) of them.
     along_px : (n, 2) where the ends lie along the probe.
+    width_px : (n, 2) of its ridge, in the first and the second half.
     contrast : (n,) grey levels of the step. tests : (n,) how many were made.
     covered : (n,) share of the probe that the edge covers.
     """
@@ -62,6 +72,7 @@ class Answer(NamedTuple):
     ends_px: Float[np.ndarray, "n 2 2"]
     covariance_px2: Float[np.ndarray, "n 4 4"]
     along_px: Float[np.ndarray, "n 2"]
+    width_px: Float[np.ndarray, "n 2"]
     contrast: Float[np.ndarray, "n"]
     tests: Float[np.ndarray, "n"]
     covered: Float[np.ndarray, "n"]
@@ -116,7 +127,9 @@ def ask(
         return _nothing(0)
     whole = concatenate_rows(found)
     return spread_out(
-        _answer(ends_px[whole.probe], block_px[whole.probe], whole), whole.probe, len(ends_px)
+        _answer(picture.usual_px, ends_px[whole.probe], block_px[whole.probe], whole),
+        whole.probe,
+        len(ends_px),
     )
 
 
@@ -130,12 +143,15 @@ def spread_out(answer: Answer, rows: Int[np.ndarray, "n"], count: int) -> Answer
 
 def _nothing(count: int) -> Answer:
     zero, ends = np.zeros(count), np.zeros((count, 2, 2))
-    rest = np.zeros((count, 4, 4)), np.zeros((count, 2)), zero.copy(), zero.copy(), zero.copy()
+    rest = np.zeros((count, 4, 4)), *np.zeros((2, count, 2)), *np.zeros((3, count))
     return Answer(zero.copy(), zero.copy(), zero.copy(), ends, *rest)
 
 
 def _answer(
-    ends_px: Float[np.ndarray, "n 2 2"], block_px: Float[np.ndarray, "n"], found: Evidence
+    usual_px: float,
+    ends_px: Float[np.ndarray, "n 2 2"],
+    block_px: Float[np.ndarray, "n"],
+    found: Evidence,
 ) -> Answer:
     way = ends_px[:, 1] - ends_px[:, 0]
     length = np.maximum(np.linalg.norm(way, axis=1), 1e-9)
@@ -151,6 +167,7 @@ def _answer(
     across = (weight @ place.offset_px[:, :, None])[..., 0]
     own = place.variance_px2 + _FLOOR_PX**2
     own += (_PULL * np.clip(np.abs(place.asymmetry) - _UNPULLED, 0.0, 2.0)) ** 2
+    own += _hidden_edges_px2(place, usual_px)
     spread = np.einsum("nij,nj,nkj->nik", weight, own, weight)
     end_sigma = extent.sigma * block_px[:, None]
     covariance = np.einsum("nef,ni,nj->neifj", spread, right, right)
@@ -167,7 +184,16 @@ def _answer(
         places,
         covariance.reshape(-1, 4, 4),
         along,
+        place.width_px,
         place.contrast,
         found.tests,
         (along[:, 1] - along[:, 0]) / length,
     )
+
+
+def _hidden_edges_px2(place: Place, usual_px: float) -> Float[np.ndarray, "n 2"]:
+    """Variance of the place of ridges that are wider than usual, so that another edge may be in
+    them."""
+    wider = np.log(np.maximum(place.width_px / usual_px, 1.0))
+    beyond_noise = np.maximum(wider**2 - _WIDENED_BY_NOISE**2 * place.variance_px2, 0.0)
+    return np.square(_HIDDEN * place.width_px) * beyond_noise

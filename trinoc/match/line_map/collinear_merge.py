@@ -73,7 +73,7 @@ def join_collinear(matches: Matches, rig: Rig, *, tuning: MatchTuning = DEFAULT)
     order = np.lexsort(np.asarray(matches.lines_mm).reshape(-1, 6).T)
     pieces = track_table(matches, rig, order, tuning.tracks)
     if len(order) == 0:
-        return _as_lines([], pieces, order, tuning.collinear)
+        return _as_lines([], pieces, order, 0.0, tuning.collinear)
     rules = tuning.collinear
     near = nearby_lines(pieces.ends_mm, pieces.covariance_mm2, rules)
     one, other = near.pairs.T
@@ -108,7 +108,7 @@ def join_collinear(matches: Matches, rig: Rig, *, tuning: MatchTuning = DEFAULT)
     ]
     problem = _Problem(pieces, scene, share, tuning)
     groups = _agglomerated(alone, near.pairs[~surely_others], problem)
-    return _as_lines(groups, pieces, order, rules)
+    return _as_lines(groups, pieces, order, matches.noise_tail, rules)
 
 
 def _agglomerated(
@@ -247,7 +247,11 @@ def _length_mm(group: _Group) -> float:
 
 
 def _as_lines(
-    groups: list[_Group], pieces: TrackTable, order: Int[np.ndarray, "t"], rules: CollinearTuning
+    groups: list[_Group],
+    pieces: TrackTable,
+    order: Int[np.ndarray, "t"],
+    tail: float,
+    rules: CollinearTuning,
 ) -> JoinedLines:
     """Lines in the order of the first of the caller's tracks on each."""
     groups = sorted(groups, key=lambda group: int(order[list(group.tracks)].min()))
@@ -255,7 +259,7 @@ def _as_lines(
     blocks = np.array([group.covariance_mm2 for group in groups]).reshape(-1, 6, 6)
     shown = [fragments_of(pieces, group.tracks) for group in groups]
     posterior = np.array([group.posterior for group in groups])
-    likely = line_posteriors(shown, given, posterior, rules)
+    likely = line_posteriors(shown, given, posterior, tail, rules)
     line_of_track = np.zeros(len(order), dtype=np.int64)
     place = np.zeros((len(order), 2))
     for number, group in enumerate(groups):

@@ -58,9 +58,11 @@ def line_posteriors(
     shown: list[LineFragments],
     ends_mm: Float[np.ndarray, "e 2 3"],
     posterior: Float[np.ndarray, "e"],
+    tail: float = 0.0,
     tuning: CollinearTuning = DEFAULT.collinear,
 ) -> LinePosteriors:
-    """Lines near their ends, each with the segments that show it and the posterior of the match.
+    """Lines near their ends, each with the segments that show it and the posterior of the match;
+    `tail` is the `noise_tail` of the matches.
 
     Where a match is wrong, a segment of it is of another edge beside: it errs by the widest.
     """
@@ -69,7 +71,7 @@ def line_posteriors(
     equations = _equations(shown, ends_mm, axes)
     # None is surely wrong: every factor keeps a share.
     right = np.maximum(posterior, LEAST_POSTERIOR)[:, None]
-    scales, prior = np.array(tuning.error_scales), np.array(tuning.error_shares)
+    scales, prior = np.array(tuning.error_scales), shares_of_tail(tail, tuning)
     widest, weight = np.array([0.0, 0.0, 1.0]), tuning.error_observations
     shares, answers = prior, list[_Answer]()
     for _ in range(ROUNDS):
@@ -91,6 +93,15 @@ def line_posteriors(
         spread = np.einsum("lai,leafb,lbj->leifj", across, spread, across)
         covariance[group.lines] = spread.reshape(-1, 6, 6)
     return LinePosteriors(ends, covariance, shares)
+
+
+def shares_of_tail(
+    tail: float, tuning: CollinearTuning = DEFAULT.collinear
+) -> Float[np.ndarray, "3"]:
+    """How often segments err by each factor, before lines of three views are looked at."""
+    more = np.clip(tail / tuning.error_tail, 1.0, tuning.most_error_shares)
+    larger = more * np.array(tuning.error_shares[1:])
+    return np.concatenate([[1 - larger.sum()], larger])
 
 
 def _equations(

@@ -12,7 +12,8 @@ from trinoc.match.line_pixels.line_fit import LineFit, fit_lines
 from trinoc.match.line_pixels.tuning import PixelTuning
 from trinoc.match.line_pixels.view_fit import PIXELS, ViewFit
 from trinoc.match.observations import distorted, undistorted
-from trinoc.match.tracks import Matches
+from trinoc.match.tracks import Matches, degrees_of_misfit, learned_tail, variance_factor
+from trinoc.match.tuning import NoiseTuning
 from trinoc.numerics import axes_across, chi_square_limit, chi_square_tail
 
 DISAGREES = "disagrees"
@@ -54,15 +55,17 @@ def measured(
     turn[:, 0:2, 0:3] = turn[:, 2:4, 3:6] = axes
     turn[:, 4, 0:3] = turn[:, 5, 3:6] = unit
     before = turn @ matches.covariance_mm2 @ turn.mT
-    freedom = np.maximum(2 * (matches.index >= 0).sum(axis=1) - _UNKNOWNS, 1)
-    factor = np.maximum(misfit / freedom, 1.0)
-    spread = spread * factor[:, None, None]
+    freedom = degrees_of_misfit(matches.index)
+    sure = sound & (freedom > 0) & (matches.posterior > tuning.sure)
+    rules = NoiseTuning(tail_of_pictures=tuning.tail)
+    tail = learned_tail(misfit[sure], freedom[sure], of_pictures=True, tuning=rules)
+    spread = spread * variance_factor(misfit, freedom, tail)[:, None, None]
     difference = hausman(move, before[:, :4, :4], spread, tuning.least_difference)
     limit = chi_square_limit(tuning.least_probability, _UNKNOWNS)
     # Where the answers differ too much, the pixels' holds if its views agree among themselves, as
     # two always do: segments are off more often than pixels. Its covariance then covers both.
     three = (matches.index >= 0).sum(axis=1) > 2
-    agree = chi_square_tail(misfit, freedom) > tuning.least_probability
+    agree = chi_square_tail(misfit, np.maximum(freedom, 1)) > tuning.least_probability
     holds = sound & ((difference <= limit) | agree)
     spread = spread * np.maximum(difference / limit, 1.0)[:, None, None]
     ends, covariance = _moved(matches.lines_mm, turn, before, move, spread)

@@ -55,6 +55,10 @@ class PixelTuning:
     # A place this many blur widths and standard deviations from the segment is another edge's.
     most_moved_widths: float = 1.0
     most_moved_sigmas: float = 4.0
+    # Tail of the errors of lines before it is known, as in `NoiseTuning.tail_of_pictures`; lines as
+    # likely as this tell.
+    tail: tuple[float, float] = (3.0, 0.35)
+    sure: float = 0.9
     # Probability of a larger difference between both answers, if both are right.
     least_probability: float = 0.001
     # The variance of their difference is at least this share of the smaller variance.

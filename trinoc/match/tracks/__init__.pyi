@@ -11,6 +11,12 @@ from .line_fit import lines_in_space as lines_in_space
 from .location import direction_doubt as direction_doubt
 from .matches import BINOCULAR as BINOCULAR, TRINOCULAR as TRINOCULAR, Matches as Matches
 from .multiview import merge_triplets as merge_triplets, view_triplets as view_triplets
+from .unequal_errors import (
+    degrees_of_misfit as degrees_of_misfit,
+    learned_tail as learned_tail,
+    scaled_across as scaled_across,
+    variance_factor as variance_factor,
+)
 from .viewpoint import (
     flag_viewpoint_dependent as flag_viewpoint_dependent,
     typical_misfit as typical_misfit,

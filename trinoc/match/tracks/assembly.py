@@ -16,8 +16,14 @@ from trinoc.match.tracks.location import before_cameras, direction_doubt
 from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, Matches
 from trinoc.match.tracks.notes import notes_of
 from trinoc.match.tracks.rejection import counted, reasons
+from trinoc.match.tracks.unequal_errors import (
+    degrees_of_misfit,
+    learned_tail,
+    scaled_across,
+    variance_factor,
+)
 from trinoc.match.tracks.viewpoint import flag_viewpoint_dependent
-from trinoc.match.tuning import DEFAULT, MatchTuning, TrackTuning
+from trinoc.match.tuning import DEFAULT, MatchTuning, NoiseTuning, TrackTuning
 from trinoc.numerics import take_rows
 
 
@@ -78,11 +84,25 @@ def assemble(
             float(noise_scale[number]),
             rules.noise,
         )
-        scale = float(noise_scale[number])
+        rows, tail = _with_unequal_errors(rows, own, rules.noise)
+        noise = float(noise_scale[number]), tail
         results.append(
-            _matches(own, starts[number], rows, said, numbers, names[number], scale, notes)
+            _matches(own, starts[number], rows, said, numbers, names[number], noise, notes)
         )
     return results
+
+
+def _with_unequal_errors(
+    rows: _Lines, own: FrameInput, tuning: NoiseTuning
+) -> tuple[_Lines, float]:
+    """(lines whose covariances allow for errors that differ from track to track, their tail)."""
+    degrees = degrees_of_misfit(rows.index)
+    sure = (degrees > 0) & (probability(rows.posterior_log_odds) > tuning.sure)
+    of_pictures = any(np.isfinite(levels).any() for levels in own.sides)
+    tail = learned_tail(rows.misfit[sure], degrees[sure], of_pictures=of_pictures, tuning=tuning)
+    factor = variance_factor(rows.misfit, degrees, tail)
+    covariance = scaled_across(rows.ends_mm, rows.covariance_mm2, factor)
+    return rows._replace(covariance_mm2=covariance), tail
 
 
 def _of_each_frame(seen: MatchInput, groups: list[np.ndarray]) -> Int[np.ndarray, "f"]:
@@ -136,10 +156,11 @@ def _matches(
     words: list[Shaped[np.ndarray, "_"]],
     counts: dict[str, int],
     names: tuple[str, ...],
-    noise_scale: float,
+    noise: tuple[float, float],
     notes: tuple[str, ...],
 ) -> Matches:
-    """The answer of one frame, whose segments begin at `start` in the tables."""
+    """The answer of one frame, whose segments begin at `start` in the tables; `noise` is its scale
+    and its tail."""
     given = np.full(rows.index.shape, -1)
     fragments, why = rows.fragments_px, {}
     for view, name in enumerate(own.names):
@@ -165,8 +186,9 @@ def _matches(
         rows.fragments_covariance_px2[:, turn][sort],
         rows.misfit[sort],
         rows.viewpoint_dependent[sort],
-        noise_scale,
+        noise[0],
         notes,
+        noise_tail=noise[1],
     )
 
 

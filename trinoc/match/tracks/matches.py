@@ -49,6 +49,9 @@ class Matches(Shown, eqx.Module):
     noise_scale : standard deviation of the segments across themselves over what they state, as
         three views show it: all covariances here are of the errors found. 1 where two views are
         all there is.
+    noise_tail : how unequal the tracks' errors are, as three views show it: one over the degrees of
+        freedom of their Student distribution, 0 where they are normal. The 95 % ellipsoids of
+        `covariance_mm2` hold in 95 % of cases, each with the misfit of its own track in mind.
     notes : sentences on what a user should know of the whole: noise far from what is stated,
         cameras in one line.
     """
@@ -71,6 +74,7 @@ class Matches(Shown, eqx.Module):
     guided: Bool[np.ndarray, "t v"] | None = None
     measure: Shaped[np.ndarray, "t v"] | None = None
     silhouette: Float[np.ndarray, "t"] | None = None
+    noise_tail: float = eqx.field(static=True, default=0.0)
 
     def __len__(self) -> int:
         return len(self.index)

@@ -44,10 +44,15 @@ class CollinearTuning:
     # Segments err by more than they say: by one of these factors, in so many cases. Fitted to the
     # segments of 18 rendered scenes (seeds 0 to 11 and 200 to 205). Smaller errors are not assumed,
     # so that no covariance is smaller than the segments' own. How often they do is learned from
-    # lines that three segments or more show, beside so many of these observations.
+    # lines that three segments or more show, beside so many of these observations: what moves an
+    # edge in all views alike, no line shows. The shares of larger errors are those of tracks with
+    # this tail (`Matches.noise_tail`), and grow with it, at most so many times. The last three from
+    # seeds 0 to 11 and 200 to 205.
     error_scales: tuple[float, float, float] = (1.0, 2.0, 5.0)
     error_shares: tuple[float, float, float] = (0.84, 0.12, 0.04)
-    error_observations: float = 50.0
+    error_observations: float = 200.0
+    error_tail: float = 0.1
+    most_error_shares: float = 2.5
 
 
 @dataclass(frozen=True)
