@@ -44,7 +44,7 @@ def find_rims(
     Chords of one arc are cut at other places in every view, so that matched chords are near the
     arc, and not on it. All chords of a rim, in all views, leave six numbers: its centre, its plane
     and its radius. Circles are suggested by pairs of matched lines, judged by the segments of all
-    views, and put out where chords of two views show a quarter and more. Tracks of their chords
+    views, and put out where chords of two views show more than a quarter. Tracks of their chords
     are replaced by pieces of the circle, cut where segments end; tracks of the body's outlines
     below a rim are marked (`Matches.silhouette`).
 
