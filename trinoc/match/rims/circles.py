@@ -15,6 +15,7 @@ GAUSS = 1 / np.sqrt(3)
 # Places along a chord: both of these, its middle, its ends.
 _PLACES = np.array([-GAUSS, GAUSS, 0.0, -1.0, 1.0])
 ON_ARC, MIDDLE, ENDS = slice(0, 2), 2, slice(3, 5)
+_BUT_ENDS = 3
 
 
 class Circles(NamedTuple):
@@ -35,8 +36,8 @@ class Chords(NamedTuple):
 
     view: Int[np.ndarray, "n"]
     segment: Int[np.ndarray, "n"]
-    places_px: Float[np.ndarray, "n 5 2"]
-    rays: Float[np.ndarray, "n 5 3"]
+    places_px: Float[np.ndarray, "n k 2"]
+    rays: Float[np.ndarray, "n k 3"]
     centre_mm: Float[np.ndarray, "n 3"]
     matrix_px: Float[np.ndarray, "n 3 4"]
     sigma_px: Float[np.ndarray, "n"]
@@ -46,13 +47,13 @@ class Chords(NamedTuple):
 class Off(NamedTuple):
     """Of chords s from circles h.
 
-    px : (h, s, 5) how far each place is outside the circle's image. cosine : (h, s) of the angle
-    between chord and tangent. around_mm : (h, s, 5, 3) the circle's points next to the places.
+    px : (h, s, k) how far each place is outside the circle's image. cosine : (h, s) of the angle
+    between chord and tangent. around_mm : (h, s, k, 3) the circle's points next to the places.
     """
 
-    px: Float[np.ndarray, "h s 5"]
+    px: Float[np.ndarray, "h s k"]
     cosine: Float[np.ndarray, "h s"]
-    around_mm: Float[np.ndarray, "h s 5 3"]
+    around_mm: Float[np.ndarray, "h s k 3"]
 
 
 def chords_of(seen: MatchInput, views: tuple[str, ...], tuning: RimTuning) -> Chords:
@@ -86,9 +87,13 @@ def chords_of(seen: MatchInput, views: tuple[str, ...], tuning: RimTuning) -> Ch
     return Chords(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
-def off_circles(chords: Chords, circles: Circles) -> Off:
-    """How far chords are off circles."""
+def off_circles(chords: Chords, circles: Circles, *, with_ends: bool = False) -> Off:
+    """How far chords are off circles, at three places of each or, with the ends, at all five."""
     centre, normal, radius = circles
+    unit = (chords.places_px[:, 4] - chords.places_px[:, 3]) / chords.length_px[:, None]
+    if not with_ends:
+        places, rays = chords.places_px[:, :_BUT_ENDS], chords.rays[:, :_BUT_ENDS]
+        chords = chords._replace(places_px=places, rays=rays)
     to_plane = (normal * centre).sum(axis=1)[:, None] - normal @ chords.centre_mm.T
     toward = (normal @ chords.rays.reshape(-1, 3).T).reshape(len(normal), *chords.rays.shape[:2])
     depth = to_plane[..., None] / np.where(np.abs(toward) > 1e-9, toward, 1e-9)
@@ -109,8 +114,6 @@ def off_circles(chords: Chords, circles: Circles) -> Off:
     gap = chords.places_px - uv
     across = np.abs(gap[..., 0] * way[..., 1] - gap[..., 1] * way[..., 0])
     across = np.where(behind | (depth <= 0), np.inf, across)
-    along = chords.places_px[:, ENDS]
-    unit = (along[:, 1] - along[:, 0]) / chords.length_px[:, None]
     cosine = np.abs((way[:, :, MIDDLE] * unit).sum(axis=2))
     return Off(np.where(distance >= radius[:, None, None], across, -across), cosine, around)
 

@@ -7,7 +7,7 @@ from trinoc.match.rims.circles import ON_ARC, Chords, Circles, off_circles
 from trinoc.numerics import axes_across
 
 PARAMETERS = 6
-_STEPS = 3
+_STEPS = 2
 # Residuals of so many standard deviations have half the weight.
 _ROBUST = 3.0
 # Derivatives are differences over this share of the radius.

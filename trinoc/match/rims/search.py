@@ -138,7 +138,7 @@ def _fitted(
         if np.sort(np.bincount(chords.view[own], minlength=views))[-2] < tuning.least_chords:
             return None
         circle, covariance, _ = fitted(take_rows(chords, own), circle)
-    off = off_circles(chords, circle)
+    off = off_circles(chords, circle, with_ends=True)
     support = _support(chords, off, tuning.last_px, tuning)[0] * free
     own = np.flatnonzero(support > 0)
     if np.sort(np.bincount(chords.view[own], minlength=views))[-2] < tuning.least_chords:
