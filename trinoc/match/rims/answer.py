@@ -6,19 +6,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.match.observations import MatchInput, distorted
-from trinoc.match.rims.circles import MIDDLE, ON_ARC, Chords, Circles, off_circles, points_at
+from trinoc.match.observations import MatchInput
+from trinoc.match.rims.circles import Chords, Circles, points_at
+from trinoc.match.rims.fragments import fragments_abreast
 from trinoc.match.rims.outlines import are_outlines
 from trinoc.match.rims.pieces import Arcs, pieces_of
 from trinoc.match.rims.rims import Rims
-from trinoc.match.tracks import (
-    BINOCULAR,
-    TRINOCULAR,
-    Matches,
-    ending_view,
-    fragments_of,
-    interval_of,
-)
+from trinoc.match.tracks import BINOCULAR, TRINOCULAR, Matches
 from trinoc.match.tuning import RimTuning
 from trinoc.numerics import axes_across, cross_3d
 
@@ -168,7 +162,9 @@ def _with_pieces(
     number = len(pieces.chord)
     shown = pieces.chord >= 0
     index = np.where(shown, chords.segment[np.maximum(pieces.chord, 0)], -1)
-    fragments, covariance = _fragments(matches.views, seen, chords, circles, pieces, index)
+    fragments, covariance = fragments_abreast(
+        matches.views, seen, chords, circles, pieces.chord, pieces.lines_mm, index
+    )
     new: dict[str, Any] = {
         "index": index,
         "fragments_px": fragments,
@@ -194,50 +190,3 @@ def _with_pieces(
     for view, name in enumerate(matches.views):
         words[name][index[shown[:, view], view]] = "matched"
     return dataclasses.replace(matches, **rows, reasons=words)
-
-
-def _fragments(
-    views: tuple[str, ...],
-    seen: MatchInput,
-    chords: Chords,
-    circles: Circles,
-    pieces: RimPieces,
-    index: Int[np.ndarray, "p v"],
-) -> tuple[Float[np.ndarray, "p v 2 2"], Float[np.ndarray, "p v 4 4"]]:
-    """The parts of segments abreast of pieces, and their covariance: how far a segment bows off
-    its arc is an error of both ends."""
-    column = [views.index(name) for name in seen.names]
-    own = np.full(index.shape, -1)
-    for view, at in enumerate(column):
-        back = np.argsort(seen.order[view])
-        own[:, view] = np.where(index[:, at] >= 0, back[np.maximum(index[:, at], 0)], -1)
-    here = ending_view(seen, own, pieces.lines_mm)
-    interval = np.clip(interval_of(seen, own, pieces.lines_mm), 0.0, 1.0)
-    parts, covariance = fragments_of(seen, own, interval, here)
-    fragments, spread = np.full(parts.shape, np.nan), np.full(covariance.shape, np.nan)
-    for view, at in enumerate(column):
-        on = np.flatnonzero(index[:, at] >= 0)
-        way = parts[on, view, 1] - parts[on, view, 0]
-        way = way / np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-9)
-        right = np.stack([-way[:, 1], way[:, 0]], axis=1)
-        bow = _bows(chords, circles, pieces.chord[on, at])
-        blocks = covariance[on, view].reshape(-1, 2, 2, 2, 2)
-        more = (bow**2)[:, None, None] * right[:, :, None] * right[:, None]
-        for end in (0, 1):
-            blocks[:, end, :, end] += more
-        spread[on, at] = blocks.reshape(-1, 4, 4)
-        lens = seen.frames[0].cameras.intrinsics[view]
-        fragments[on, at] = distorted(lens, parts[on, view])
-    return fragments, spread
-
-
-def _bows(chords: Chords, circles: Circles, row: Int[np.ndarray, "p"]) -> Float[np.ndarray, "p"]:
-    """How far chords are off their arcs between the places where they cross them, px; each chord
-    is that of the circle which it is nearest to."""
-    if len(row) == 0:
-        return np.zeros(0)
-    unique, back = np.unique(row, return_inverse=True)
-    px = off_circles(Chords(*(part[unique] for part in chords)), circles).px
-    nearest = np.abs(px[..., ON_ARC]).max(axis=2).argmin(axis=0)
-    px = px[nearest, np.arange(len(unique))]
-    return np.abs(px[:, MIDDLE] - px[:, ON_ARC].mean(axis=1))[back]
