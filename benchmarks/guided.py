@@ -1,4 +1,4 @@
-"""Matches of rendered pictures and of photographs, as they are and after guided detection.
+"""Matches of rendered pictures and of photographs, as they are, after guided detection, with rims.
 
     python benchmarks/guided.py FOLDER... [--merton DIR]
 
@@ -6,10 +6,13 @@ FOLDER holds scenes of `benchmarks/render_pictures.py blocks`. Of each: precisio
 (in brackets, lines along shadows neither way), recall of length (edges of 8 grey levels, rims of
 cylinders included; of straight edges alone; of those that three views show, and two), tracks in
 three views, processor time. Over all: expected calibration error of posteriors, and the error
-across of segments that were added, in claimed standard deviations.
+across of segments that were added, in claimed standard deviations. The third row is of segments
+found with `arcs=True`, guided, with rims (`find_rims`) and without the tracks that these mark as
+outlines.
 """
 
 import argparse
+import dataclasses
 import time
 from collections.abc import Iterable
 from pathlib import Path
@@ -103,10 +106,25 @@ def words(found: np.ndarray, views: np.ndarray) -> str:
     )
 
 
+def with_rims(place: Place) -> Matches:
+    """Matches of chords and all, guided, with rims, without what is marked as an outline."""
+    segments = {view: trinoc.find_segments(p, arcs=True) for view, p in place.pictures.items()}
+    matches = trinoc.match_segments(segments, place.rig)
+    guided = trinoc.guide_matches(matches, segments, place.rig, place.pictures)
+    found = trinoc.find_rims(guided.matches, guided.segments, place.rig).matches
+    edges = np.flatnonzero(np.asarray(found.silhouette) < 0.5)
+    rows = {
+        name: column[edges]
+        for name, column in vars(found).items()
+        if isinstance(column, np.ndarray) and len(column) == len(found)
+    }
+    return dataclasses.replace(found, **rows)
+
+
 def of_scenes(name: str, places: Iterable[Place]) -> None:
     """The figures of all these scenes."""
-    rows, views, outcomes = [[], []], np.zeros((2, 4)), [[], []]
-    seconds, errors, triples = np.zeros(2), [], np.zeros(2, dtype=np.int64)
+    rows, views, outcomes = [[], [], []], np.zeros((3, 4)), [[], [], []]
+    seconds, errors, triples = np.zeros(3), [], np.zeros(3, dtype=np.int64)
     for place in places:
         for _ in range(1 if rows[0] else 2):  # the first run compiles
             start = time.process_time()
@@ -114,16 +132,19 @@ def of_scenes(name: str, places: Iterable[Place]) -> None:
             matches = trinoc.match_segments(segments, place.rig)
             middle = time.process_time()
             guided = trinoc.guide_matches(matches, segments, place.rig, place.pictures)
-            spent = np.array([middle - start, time.process_time() - middle])
+            spent = np.array([middle - start, time.process_time() - middle, 0.0])
+            start = time.process_time()
+            rims = with_rims(place)
+            spent[2] = time.process_time() - start - spent.sum()
         seconds += spent
         errors += normalised_errors(place, guided.segments, added_rows(segments, guided.segments))
-        for k, one in enumerate((matches, guided.matches)):
+        for k, one in enumerate((matches, guided.matches, rims)):
             found, by, out = figures(place, one)
             rows[k].append(found)
             views[k] += by
             outcomes[k] += out
             triples[k] += (one.stage == "trinocular").sum()
-    for k, label in enumerate(("plain", "guided")):
+    for k, label in enumerate(("plain", "guided", "rims")):
         strict = calibration_error([(p, right) for p, right, _ in outcomes[k]])
         lenient = calibration_error([(p, right or shadow) for p, right, shadow in outcomes[k]])
         print(

@@ -1,0 +1,138 @@
+"""Rims by their chords: exact ones, noisy ones, none, and the matches that they change."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from tests.match.made import loose_lines, rig_of
+from tests.match.rims.made_rims import Ring, chords_seen, projected
+from trinoc.errors import InputError
+from trinoc.match import MatchTuning, find_rims, match_segments
+from trinoc.match.tuning import RimTuning
+from trinoc.synth.solids import Cylinder
+
+VIEWS = ("upper", "left", "right")
+FLAT = Ring((20.0, -15.0, 30.0), (0.0, 0.0, 1.0), 14.0)
+TILTED = Ring((-35.0, 12.0, 15.0), (0.2, -0.1, 1.0), 9.0)
+AS_STATED = MatchTuning(rims=RimTuning(floor_px=0.0))
+
+
+@pytest.fixture(scope="module")
+def rig():
+    return rig_of(*VIEWS)
+
+
+def test_exact_chords_leave_their_circles(rig) -> None:
+    lines = loose_lines(8, seed=1)
+    segments = chords_seen(rig, [FLAT, TILTED], lines)
+    matches = match_segments(segments, rig)
+    found = find_rims(matches, segments, rig)
+    assert len(found) == 2
+    for row, ring in enumerate((FLAT, TILTED)):
+        # A chord crosses its ellipse where it crosses the parabola, to the third order.
+        np.testing.assert_allclose(found.centre_mm[row], ring.centre_mm, atol=0.05)
+        assert abs(found.normal[row] @ ring.normal) > 1 - 1e-5
+        assert found.radius_mm[row] == pytest.approx(ring.radius_mm, abs=0.02)
+        assert found.covered[row] > 0.9
+        for chords in found.chords_of(row).values():
+            assert sorted(chords.tolist()) == list(range(14 * row, 14 * (row + 1)))
+    # Pieces lie on their rims, and do not overlap; tracks of lines are as they were.
+    pieces = found.matches.lines_mm[len(found.kept) :]
+    off = [
+        np.abs(np.linalg.norm(pieces - ring.centre_mm, axis=2) - ring.radius_mm)
+        for ring in (FLAT, TILTED)
+    ]
+    assert np.minimum(*off).max() < 0.06
+    round_mm = 2 * np.pi * (FLAT.radius_mm + TILTED.radius_mm)
+    assert 0.85 * round_mm < np.linalg.norm(pieces[:, 1] - pieces[:, 0], axis=1).sum() < round_mm
+    np.testing.assert_array_equal(
+        found.matches.lines_mm[: len(found.kept)], matches.lines_mm[found.kept]
+    )
+    for view in range(3):
+        own = found.matches.index[len(found.kept) :, view]
+        assert set(own.tolist()) <= {-1, *range(28)}
+        on = np.flatnonzero(own >= 0) + len(found.kept)
+        image = projected(
+            np.asarray(rig[matches.views[view]].matrix_px), found.matches.lines_mm[on]
+        )
+        assert np.abs(found.matches.fragments_px[on, view] - image).max() < 2.0
+
+
+def test_errors_are_those_of_their_covariance(rig) -> None:
+    exact = chords_seen(rig, [FLAT])
+    matches, squares = match_segments(exact, rig), []
+    for seed in range(8):
+        segments = chords_seen(rig, [FLAT], sigma_px=0.2, seed=seed)
+        found = find_rims(matches, segments, rig, tuning=AS_STATED)
+        assert len(found) == 1
+        error = np.array([*(found.centre_mm[0] - FLAT.centre_mm), found.radius_mm[0] - 14.0])
+        rows = np.array([0, 1, 2, 6])
+        covariance = found.covariance_mm2[0][np.ix_(rows, rows)]
+        squares.append(error @ np.linalg.solve(covariance, error))
+    # Four numbers of each of eight.
+    assert chi2.ppf(0.001, 32) < np.sum(squares) < chi2.ppf(0.999, 32)
+
+
+def test_lines_make_no_rims(rig) -> None:
+    segments = chords_seen(rig, [], loose_lines(60, seed=3))
+    matches = match_segments(segments, rig)
+    found = find_rims(matches, segments, rig)
+    assert len(found) == 0
+    assert len(found.matches) == len(matches)
+    assert found.matches.silhouette is not None
+    assert not found.matches.silhouette.any()
+
+
+def test_views_and_segments_in_another_order_leave_the_same(rig) -> None:
+    segments = chords_seen(rig, [FLAT], loose_lines(8, seed=1), sigma_px=0.1)
+    found = find_rims(match_segments(segments, rig), segments, rig)
+    turned = {
+        name: np.asarray(segments[name].endpoints_px)[::-1, ::-1].reshape(-1, 4)
+        for name in reversed(VIEWS)
+    }
+    again = find_rims(match_segments(turned, rig, sigma_px=0.2), turned, rig)
+    np.testing.assert_allclose(again.centre_mm, found.centre_mm, atol=1e-3)
+    np.testing.assert_allclose(again.radius_mm, found.radius_mm, atol=1e-3)
+
+
+def test_outlines_below_a_rim_are_marked(rig) -> None:
+    body = Cylinder(np.zeros(3), 14.0, 30.0)
+    ring = Ring((0.0, 0.0, 30.0), (0.0, 0.0, 1.0), 14.0)
+    segments = chords_seen(rig, [ring])
+    outlines = {
+        name: projected(
+            np.asarray(camera.matrix_px), body.silhouette_mm(np.asarray(camera.centre_world_mm))
+        )
+        for name, camera in rig.items()
+    }
+    both = {
+        name: np.concatenate([np.asarray(segments[name].endpoints_px), outlines[name]]).reshape(
+            -1, 4
+        )
+        for name in segments
+    }
+    # The outlines of a thick body do not match; wrong tracks of theirs, and of one with a chord.
+    matches = match_segments(both, rig)
+    wrong = np.array([[-1, 14, 14], [15, 15, -1], [14, -1, 3]])
+    last = np.full(len(wrong), len(matches) - 1)
+    rows = {
+        name: np.concatenate([value, value[last]])
+        for name, value in vars(matches).items()
+        if isinstance(value, np.ndarray)
+    }
+    rows["index"] = np.concatenate([matches.index, wrong])
+    found = find_rims(dataclasses.replace(matches, **rows), both, rig)
+    assert len(found) == 1
+    held = (found.matches.index >= 14).sum(axis=1) >= 2
+    assert held.sum() == 2
+    assert found.matches.silhouette is not None
+    np.testing.assert_array_equal(found.matches.silhouette > 0.5, held)
+
+
+def test_views_without_segments_are_named(rig) -> None:
+    segments = chords_seen(rig, [FLAT])
+    matches = match_segments(segments, rig)
+    with pytest.raises(InputError, match='"right" has none'):
+        find_rims(matches, {name: segments[name] for name in VIEWS[:2]}, rig)

@@ -1,0 +1,2 @@
+from .rims import Rims as Rims
+from .search import find_rims as find_rims

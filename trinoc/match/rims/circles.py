@@ -1,0 +1,135 @@
+"""Circles in space, and how far the segments of pictures are off them."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from trinoc.match.observations import MatchInput
+from trinoc.match.tuning import RimTuning
+from trinoc.numerics import axes_across, cross_3d
+
+# Where a chord, fitted to the points of an arc, lies on it: the places of Gauss, as shares of its
+# half length. What noise moves one of them by tells nothing of the other.
+GAUSS = 1 / np.sqrt(3)
+# Places along a chord: both of these, its middle, its ends.
+_PLACES = np.array([-GAUSS, GAUSS, 0.0, -1.0, 1.0])
+ON_ARC, MIDDLE, ENDS = slice(0, 2), 2, slice(3, 5)
+_BUT_ENDS = 3
+
+
+class Circles(NamedTuple):
+    """centre_mm : (h, 3). normal : (h, 3) unit vectors across their planes. radius_mm : (h,)."""
+
+    centre_mm: Float[np.ndarray, "h 3"]
+    normal: Float[np.ndarray, "h 3"]
+    radius_mm: Float[np.ndarray, "h"]
+
+
+class Chords(NamedTuple):
+    """Segments of all views in one table.
+
+    view : in the order of the matches. segment : the caller's number. places_px : (n, 5, 2)
+    undistorted, see `ON_ARC`, `MIDDLE` and `ENDS`. rays : (n, 5, 3) of them. centre_mm, matrix_px :
+    of the camera. sigma_px : of each of the first two places, across. length_px : of each.
+    """
+
+    view: Int[np.ndarray, "n"]
+    segment: Int[np.ndarray, "n"]
+    places_px: Float[np.ndarray, "n k 2"]
+    rays: Float[np.ndarray, "n k 3"]
+    centre_mm: Float[np.ndarray, "n 3"]
+    matrix_px: Float[np.ndarray, "n 3 4"]
+    sigma_px: Float[np.ndarray, "n"]
+    length_px: Float[np.ndarray, "n"]
+
+
+class Off(NamedTuple):
+    """Of chords s from circles h.
+
+    px : (h, s, k) how far each place is outside the circle's image. cosine : (h, s) of the angle
+    between chord and tangent. around_mm : (h, s, k, 3) the circle's points next to the places.
+    """
+
+    px: Float[np.ndarray, "h s k"]
+    cosine: Float[np.ndarray, "h s"]
+    around_mm: Float[np.ndarray, "h s k 3"]
+
+
+def chords_of(seen: MatchInput, views: tuple[str, ...], tuning: RimTuning) -> Chords:
+    """All segments of all views."""
+    parts = []
+    for number, name in enumerate(views):
+        view = seen.names.index(name)
+        matrix = np.asarray(seen.frames[0].cameras.matrix_px)[view]
+        ends, covariance = seen.ends_px[view], seen.covariance_px2[view]
+        half = (ends[:, 1] - ends[:, 0]) / 2
+        length = 2 * np.linalg.norm(half, axis=1)
+        places = ends.mean(axis=1)[:, None] + _PLACES[:, None] * half[:, None]
+        inverse = np.linalg.inv(matrix[:, :3])
+        rays = np.concatenate([places, np.ones((len(ends), len(_PLACES), 1))], axis=2) @ inverse.T
+        right = np.stack([-half[:, 1], half[:, 0]], axis=1) / (length / 2)[:, None]
+        blocks = covariance.reshape(-1, 2, 2, 2, 2)
+        of_ends = np.einsum("neiej,ni,nj->ne", blocks, right, right).mean(axis=1)
+        parts.append(
+            Chords(
+                np.full(len(ends), number),
+                seen.order[view],
+                places,
+                rays / np.linalg.norm(rays, axis=2, keepdims=True),
+                np.tile(-inverse @ matrix[:, 3], (len(ends), 1)),
+                np.tile(matrix, (len(ends), 1, 1)),
+                # The ends of a line through many points have twice the variance.
+                np.sqrt(of_ends / 2 + tuning.floor_px**2),
+                length,
+            )
+        )
+    return Chords(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
+
+def off_circles(chords: Chords, circles: Circles, *, with_ends: bool = False) -> Off:
+    """How far chords are off circles, at three places of each or, with the ends, at all five."""
+    centre, normal, radius = circles
+    unit = (chords.places_px[:, 4] - chords.places_px[:, 3]) / chords.length_px[:, None]
+    if not with_ends:
+        places, rays = chords.places_px[:, :_BUT_ENDS], chords.rays[:, :_BUT_ENDS]
+        chords = chords._replace(places_px=places, rays=rays)
+    to_plane = (normal * centre).sum(axis=1)[:, None] - normal @ chords.centre_mm.T
+    toward = (normal @ chords.rays.reshape(-1, 3).T).reshape(len(normal), *chords.rays.shape[:2])
+    depth = to_plane[..., None] / np.where(np.abs(toward) > 1e-9, toward, 1e-9)
+    out = chords.centre_mm[:, None] + depth[..., None] * chords.rays - centre[:, None, None]
+    distance = np.linalg.norm(out, axis=3)
+    radial = out / np.maximum(distance, 1e-12)[..., None]
+    around = centre[:, None, None] + radius[:, None, None, None] * radial
+    tangent = cross_3d(normal[:, None, None], radial)
+    image = np.empty_like(around)
+    for view in np.unique(chords.view).tolist():
+        own = chords.view == view
+        matrix = chords.matrix_px[own.argmax()]
+        image[:, own] = around[:, own] @ matrix[:, :3].T + matrix[:, 3]
+        tangent[:, own] = tangent[:, own] @ matrix[:, :3].T
+    uv, behind = image[..., :2] / image[..., 2:], image[..., 2] <= 0
+    way = tangent[..., :2] - uv * tangent[..., 2:]
+    way = way / np.maximum(np.linalg.norm(way, axis=3, keepdims=True), 1e-12)
+    gap = chords.places_px - uv
+    across = np.abs(gap[..., 0] * way[..., 1] - gap[..., 1] * way[..., 0])
+    across = np.where(behind | (depth <= 0), np.inf, across)
+    cosine = np.abs((way[:, :, MIDDLE] * unit).sum(axis=2))
+    return Off(np.where(distance >= radius[:, None, None], across, -across), cosine, around)
+
+
+def touching(off: Off, within_px: float, tuning: RimTuning) -> Bool[np.ndarray, "h s"]:
+    """Whether chords are those of arcs of circles."""
+    near = np.abs(off.px[..., ON_ARC]).max(axis=2) < within_px
+    # Between the places on the arc a chord lies a third of its bow inside.
+    with np.errstate(invalid="ignore"):
+        bow = 3 * np.abs(off.px[..., MIDDLE] - off.px[..., ON_ARC].mean(axis=2))
+    tangent = off.cosine > np.cos(np.radians(tuning.tangent_deg))
+    return near & tangent & (bow < tuning.most_bow_px)
+
+
+def points_at(circles: Circles, angle: Float[np.ndarray, "h n"]) -> Float[np.ndarray, "h n 3"]:
+    """Points of circles; angles are counted from the first of the axes across their normals."""
+    frame = axes_across(circles.normal)
+    around = np.stack([np.cos(angle), np.sin(angle)], axis=-1) @ frame
+    return circles.centre_mm[:, None] + circles.radius_mm[:, None, None] * around

@@ -1,0 +1,71 @@
+"""Circles that two matched lines suggest, those first for which other lines speak."""
+
+import numpy as np
+from jaxtyping import Float
+
+from trinoc.match.rims.circles import Circles
+from trinoc.match.tuning import RimTuning
+from trinoc.numerics import concatenate_rows, cross_3d, take_rows
+
+
+def hypotheses(
+    lines_mm: Float[np.ndarray, "t 2 3"], mm_per_px: float, tuning: RimTuning
+) -> Circles:
+    """Circles that touch two lines each at their middles, the best supported ones."""
+    middle = lines_mm.mean(axis=1)
+    way = lines_mm[:, 1] - lines_mm[:, 0]
+    length = np.linalg.norm(way, axis=1)
+    unit = way / np.maximum(length, 1e-12)[:, None]
+    one, other = np.triu_indices(len(lines_mm), 1)
+    least, most = (mm_per_px * radius for radius in tuning.radii_px)
+    normal = cross_3d(unit[one], unit[other])
+    sine = np.linalg.norm(normal, axis=1)
+    apart = np.linalg.norm(middle[one] - middle[other], axis=1)
+    near = (sine > np.sin(np.radians(tuning.least_turn_deg))) & (apart < 2 * most)
+    one, other, normal = one[near], other[near], normal[near] / sine[near, None]
+    step = middle[other] - middle[one]
+    inward = [cross_3d(normal, unit[own]) for own in (one, other)]
+    found = []
+    # Both touch from the same side of their directions, or from opposite ones.
+    for side in (1.0, -1.0):
+        between = inward[0] - side * inward[1]
+        reach = (between * step).sum(axis=1) / np.maximum((between**2).sum(axis=1), 1e-12)
+        open_mm = np.linalg.norm(step - reach[:, None] * between, axis=1)
+        radius = np.abs(reach)
+        # Each line is a chord, shorter than the circle is wide.
+        wide = radius > np.maximum(length[one], length[other]) / 2
+        closes = np.maximum(tuning.closes_px * mm_per_px, tuning.closes_share * radius)
+        good = (open_mm < closes) & wide & (radius > least) & (radius < most)
+        centre = (middle[one] + middle[other]) / 2
+        centre = centre + reach[:, None] * (inward[0] + side * inward[1]) / 2
+        found.append((one[good], Circles(centre[good], normal[good], radius[good])))
+    line, circles = concatenate_rows(found)
+    support = _support(circles, middle, unit, length, mm_per_px, tuning)
+    # The best of each line, so that one rim of many chords does not hide another.
+    best = np.lexsort((-support, line))
+    rank = np.arange(len(best)) - np.searchsorted(line[best], line[best])
+    best = best[rank < tuning.most_of_line]
+    return take_rows(circles, best[np.argsort(-support[best], kind="stable")])
+
+
+def _support(
+    circles: Circles,
+    middle_mm: Float[np.ndarray, "t 3"],
+    unit: Float[np.ndarray, "t 3"],
+    length_mm: Float[np.ndarray, "t"],
+    mm_per_px: float,
+    tuning: RimTuning,
+) -> Float[np.ndarray, "h"]:
+    """Length of the lines that lie on each circle, as far as lines in space are known."""
+    centre, normal, radius = circles
+    height = normal @ middle_mm.T - (normal * centre).sum(axis=1)[:, None]
+    square = (middle_mm**2).sum(axis=1) - 2 * centre @ middle_mm.T
+    square = square + (centre**2).sum(axis=1)[:, None]
+    distance = np.sqrt(np.maximum(square - height**2, 1e-12))
+    out_of_plane = normal @ unit.T
+    radial = (middle_mm * unit).sum(axis=1) - centre @ unit.T - height * out_of_plane
+    alike = np.sin(np.radians(tuning.alike_deg))
+    near = (tuning.near_px * mm_per_px + tuning.near_share * radius)[:, None]
+    on = (np.abs(height) < near) & (np.abs(distance - radius[:, None]) < near)
+    on &= (np.abs(out_of_plane) < alike) & (np.abs(radial) < alike * distance)
+    return on @ length_mm
