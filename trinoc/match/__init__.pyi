@@ -12,7 +12,12 @@ from .matcher import match_segments as match_segments
 from .observations.clutter import fit_clutter as fit_clutter
 from .observations.match_input import MatchInput as MatchInput, prepare as prepare
 from .occlusion.pairs import occluded_pairs as occluded_pairs
-from .rims import Rims as Rims, find_rims as find_rims
+from .rims import (
+    MatchesWithRims as MatchesWithRims,
+    Rims as Rims,
+    add_rims as add_rims,
+    find_rims as find_rims,
+)
 from .selection.marginals import Selection as Selection, select as select
 from .tracks.matches import BINOCULAR as BINOCULAR, TRINOCULAR as TRINOCULAR, Matches as Matches
 from .tuning import MatchTuning as MatchTuning

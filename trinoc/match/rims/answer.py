@@ -1,17 +1,17 @@
 """Rims as the caller's values: their table, and the matches with pieces of them."""
 
 import dataclasses
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from trinoc.match.observations import MatchInput
 from trinoc.match.rims.circles import Chords, Circles, points_at
 from trinoc.match.rims.fragments import fragments_abreast
-from trinoc.match.rims.outlines import are_outlines
 from trinoc.match.rims.pieces import Arcs, pieces_of
 from trinoc.match.rims.rims import Rims
+from trinoc.match.rims.rows import tracks_beside_rims, with_rows
 from trinoc.match.tracks import BINOCULAR, TRINOCULAR, Matches
 from trinoc.match.tuning import RimTuning
 from trinoc.numerics import axes_across, cross_3d
@@ -60,21 +60,17 @@ def answer_of(
     circles = Circles(
         *map(np.concatenate, zip(_NO_CIRCLES, *(r.circle for r in found), strict=True))
     )
-    kept = np.flatnonzero(~_explained(matches, chords, rim))
-    outline = are_outlines(chords, circles, mm_per_px, tuning) & (rim < 0)
-    held = _on_tracks(matches, chords, outline).sum(axis=1) >= 2
-    mark = np.where(held, tuning.outline_posterior, 0.0)[kept]
-    if matches.silhouette is not None:
-        mark = np.maximum(mark, matches.silhouette[kept])
+    tracks = tracks_beside_rims(matches, chords, circles, rim, mm_per_px, tuning)
     own = np.flatnonzero(rim >= 0)
     own = own[np.lexsort((chords.segment[own], chords.view[own], rim[own]))]
     counts = {
         "rims": len(found),
-        "tracks that rims explain": len(matches) - len(kept),
+        "tracks that rims explain": len(matches) - len(tracks.kept),
         "pieces of rims": len(pieces.chord),
-        "tracks of outlines below rims": int(held[kept].sum()),
+        "tracks of outlines below rims": tracks.outlines,
     }
-    joined = _with_pieces(matches, kept, seen, chords, circles, pieces, mark, tuning)
+    rows = _rows_of(matches.views, seen, chords, circles, pieces, tuning)
+    joined = with_rows(matches, tracks, rows)
     return Rims(
         matches.views,
         *circles,
@@ -84,33 +80,12 @@ def answer_of(
         chords.view[own],
         chords.segment[own],
         dataclasses.replace(joined, counts=matches.counts | counts),
-        kept,
+        tracks.kept,
         counts,
     )
 
 
 _NO_CIRCLES = Circles(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
-
-
-def _on_tracks(
-    matches: Matches, chords: Chords, which: Bool[np.ndarray, "n"]
-) -> Bool[np.ndarray, "t v"]:
-    """Whether the segment of each view on each track is one of these."""
-    found = np.zeros(matches.index.shape, dtype=bool)
-    for view in range(matches.index.shape[1]):
-        own = chords.segment[which & (chords.view == view)]
-        found[:, view] = np.isin(matches.index[:, view], own)
-    return found
-
-
-def _explained(
-    matches: Matches, chords: Chords, rim: Int[np.ndarray, "n"]
-) -> Bool[np.ndarray, "t"]:
-    """Tracks of which two segments are chords of one rim, or one of two is a rim's chord."""
-    number = np.zeros(len(matches), dtype=np.int64)
-    for each in range(rim.max(initial=-1) + 1):
-        number = np.maximum(number, _on_tracks(matches, chords, rim == each).sum(axis=1))
-    return number > np.where((matches.index >= 0).sum(axis=1) > 2, 1, 0)
 
 
 def _pieces(
@@ -148,24 +123,22 @@ def _public(rim: Fitted) -> Float[np.ndarray, "7 7"]:
     return slope @ rim.covariance @ slope.T
 
 
-def _with_pieces(
-    matches: Matches,
-    kept: Int[np.ndarray, "k"],
+def _rows_of(
+    views: tuple[str, ...],
     seen: MatchInput,
     chords: Chords,
     circles: Circles,
     pieces: RimPieces,
-    silhouette: Float[np.ndarray, "k"],
     tuning: RimTuning,
-) -> Matches:
-    """The tracks that are kept, and after them pieces of rims."""
+) -> dict[str, np.ndarray]:
+    """Pieces as rows of matches, by the names of their columns."""
     number = len(pieces.chord)
     shown = pieces.chord >= 0
     index = np.where(shown, chords.segment[np.maximum(pieces.chord, 0)], -1)
     fragments, covariance = fragments_abreast(
-        matches.views, seen, chords, circles, pieces.chord, pieces.lines_mm, index
+        views, seen, chords, circles, pieces.chord, pieces.lines_mm, index
     )
-    new: dict[str, Any] = {
+    return {
         "index": index,
         "fragments_px": fragments,
         "lines_mm": pieces.lines_mm,
@@ -176,17 +149,4 @@ def _with_pieces(
         "fragments_covariance_px2": covariance,
         "misfit": np.zeros(number),
         "viewpoint_dependent": np.zeros(number, dtype=bool),
-        "guided": np.zeros(shown.shape, dtype=bool),
-        "measure": np.full(shown.shape, ""),
-        "silhouette": np.zeros(number),
     }
-    rows = {
-        name: np.concatenate([np.asarray(before)[kept], new[name]])
-        for name in new
-        if (before := getattr(matches, name)) is not None
-    }
-    rows["silhouette"] = np.concatenate([silhouette, new["silhouette"]])
-    words = {name: column.copy() for name, column in matches.reasons.items()}
-    for view, name in enumerate(matches.views):
-        words[name][index[shown[:, view], view]] = "matched"
-    return dataclasses.replace(matches, **rows, reasons=words)

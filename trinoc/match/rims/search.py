@@ -5,8 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.errors import InputError
-from trinoc.geometry import Rig, Segments, project_by_matrix
+from trinoc.geometry import Rig, Segments
 from trinoc.match.observations import prepare, with_noise_scale
 from trinoc.match.rims.answer import Fitted, answer_of
 from trinoc.match.rims.circles import (
@@ -19,6 +18,7 @@ from trinoc.match.rims.circles import (
     touching,
 )
 from trinoc.match.rims.fit import fitted
+from trinoc.match.rims.given import mm_per_px_of, segments_of_views
 from trinoc.match.rims.hypotheses import hypotheses
 from trinoc.match.rims.pieces import arcs_of, covered_by_two
 from trinoc.match.rims.rims import Rims
@@ -59,33 +59,14 @@ def find_rims(
     ------
     InputError : views of the matches without segments.
     """
-    missing = [name for name in matches.views if name not in segments]
-    if missing:
-        raise InputError(
-            f'Rims need the segments of every view, but "{missing[0]}" has none: give what was '
-            f"matched of {', '.join(matches.views)}."
-        )
-    given = {name: segments[name] for name in matches.views}
-    stated = prepare(given, rig, None)
+    stated = prepare(segments_of_views(segments, matches.views), rig, None)
     # Matched chords disagree: what that makes of their errors is none of the rims'.
     chords = chords_of(stated, matches.views, tuning.rims)
     seen = with_noise_scale(stated, np.array([matches.noise_scale]))
-    scale = _mm_per_px(
-        matches.lines_mm, [np.asarray(rig[name].matrix_px) for name in matches.views]
-    )
+    scale = mm_per_px_of(matches.lines_mm, rig, matches.views)
     start = hypotheses(matches.lines_mm, scale, tuning.rims)
     found = _chosen(chords, start, tuning.rims)
     return answer_of(matches, seen, chords, found, scale, tuning.rims)
-
-
-def _mm_per_px(lines_mm: Float[np.ndarray, "t 2 3"], matrices: list[np.ndarray]) -> float:
-    """Usual size of a pixel at the lines."""
-    length = np.linalg.norm(lines_mm[:, 1] - lines_mm[:, 0], axis=1)
-    shares = []
-    for matrix in matrices:
-        image = project_by_matrix(matrix, lines_mm)
-        shares.append(length / np.linalg.norm(image[:, 1] - image[:, 0], axis=1))
-    return float(np.median(shares)) if len(lines_mm) else 1.0
 
 
 def _chosen(chords: Chords, start: Circles, tuning: RimTuning) -> list[Fitted]:

@@ -1,0 +1,148 @@
+"""Rims beside matches of straight edges."""
+
+import dataclasses
+from collections.abc import Mapping
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Int
+
+from trinoc.errors import InputError
+from trinoc.geometry import Rig, Segments
+from trinoc.match.observations import prepare
+from trinoc.match.rims.circles import ON_ARC, Chords, Circles, chords_of, off_circles, touching
+from trinoc.match.rims.given import mm_per_px_of, segments_of_views
+from trinoc.match.rims.rims import Rims
+from trinoc.match.rims.rows import tracks_beside_rims, with_rows
+from trinoc.match.tracks import Matches
+from trinoc.match.tuning import DEFAULT, MatchTuning, RimTuning
+from trinoc.numerics import ArrayLike, in_float64
+
+_ROWS = (
+    "index",
+    "fragments_px",
+    "lines_mm",
+    "covariance_mm2",
+    "stage",
+    "posterior",
+    "rival_posterior",
+    "fragments_covariance_px2",
+    "misfit",
+    "viewpoint_dependent",
+)
+
+
+class MatchesWithRims(eqx.Module):
+    """Matches of straight edges and pieces of rims, and the segments that they number.
+
+    Fields
+    ------
+    segments : of each view, those that were given, in their order, and after them chords of rims.
+    matches : the given tracks that no rim explains, in their order, and after them pieces of rims;
+        tracks that hold an outline of the body below a rim are marked by `silhouette`.
+    kept : (k,) the numbers that the first k tracks had before.
+    """
+
+    segments: dict[str, Segments]
+    matches: Matches
+    kept: Int[np.ndarray, "k"]
+
+
+@in_float64
+def add_rims(
+    matches: Matches,
+    segments: Mapping[str, Segments | ArrayLike],
+    rims: Rims,
+    chords: Mapping[str, Segments | ArrayLike],
+    rig: Rig,
+    *,
+    tuning: MatchTuning = DEFAULT,
+) -> MatchesWithRims:
+    """Matches of straight edges, with the rims that were found among the chords of arcs.
+
+    A detector that keeps the chords of arcs (`find_segments(arcs=True)`) keeps what is no edge,
+    too. So edges are matched without them, rims are found with them, and joined here.
+
+    Parameters
+    ----------
+    matches : of `match_segments` or `guide_matches`, of segments without arcs.
+    segments : those that were matched.
+    rims : of `find_rims`, of segments with arcs.
+    chords : the segments that the rims were found among.
+    rig : the cameras of both.
+    tuning : every tuned constant; `rims` are those of this function.
+
+    Raises
+    ------
+    InputError : views without segments, or rims of other views than the matches.
+    """
+    views = matches.views
+    given, more = segments_of_views(segments, views), segments_of_views(chords, views)
+    if rims.views != views:
+        raise InputError(
+            f"The rims are of the views {', '.join(rims.views)}, but the matches of "
+            f"{', '.join(views)}: find both in the same pictures, the views in one order."
+        )
+    own = chords_of(prepare(given, rig, None), views, tuning.rims)
+    circles = Circles(rims.centre_mm, rims.normal, rims.radius_mm)
+    rim = _rim_of(own, circles, tuning.rims)
+    scale = mm_per_px_of(matches.lines_mm, rig, views)
+    tracks = tracks_beside_rims(matches, own, circles, rim, scale, tuning.rims)
+    first = len(rims.kept)
+    rows = {name: np.asarray(getattr(rims.matches, name))[first:].copy() for name in _ROWS}
+    joined, reasons = {}, {}
+    for view, name in enumerate(views):
+        column = rows["index"][:, view]
+        used = np.unique(column[column >= 0])
+        column[column >= 0] = len(given[name]) + np.searchsorted(used, column[column >= 0])
+        joined[name] = _followed_by(given[name], more[name], used)
+        reasons[name] = np.concatenate([matches.reasons[name], np.full(len(used), "matched")])
+    counts = {
+        "rims": len(rims),
+        "tracks that rims explain": len(matches) - len(tracks.kept),
+        "pieces of rims": len(rows["index"]),
+        "tracks of outlines below rims": tracks.outlines,
+    }
+    before = dataclasses.replace(matches, reasons=reasons, counts=matches.counts | counts)
+    return MatchesWithRims(joined, with_rows(before, tracks, rows), tracks.kept)
+
+
+def _rim_of(chords: Chords, circles: Circles, tuning: RimTuning) -> Int[np.ndarray, "n"]:
+    """The rim that each segment is a chord of, the nearest of several; -1 for none."""
+    if len(circles.radius_mm) == 0:
+        return np.full(len(chords.view), -1)
+    off = off_circles(chords, circles)
+    apart = np.abs(off.px[..., ON_ARC]).max(axis=2)
+    apart = np.where(touching(off, tuning.last_px, tuning), apart, np.inf)
+    return np.where(np.isfinite(apart.min(axis=0)), apart.argmin(axis=0), -1)
+
+
+def _followed_by(given: Segments, more: Segments, rows: Int[np.ndarray, "m"]) -> Segments:
+    """Segments, and after them some of others, which meet nothing and belong to no chain."""
+
+    def column(name: str, unknown: object) -> np.ndarray | None:
+        before, after = getattr(given, name), getattr(more, name)
+        if before is None:
+            return None
+        if after is None:
+            added = np.full((len(rows), *np.shape(before)[1:]), unknown)
+        else:
+            added = np.asarray(after)[rows]
+        return np.concatenate([np.asarray(before), added])
+
+    chain = None
+    if given.chain is not None:
+        first = int(np.max(given.chain, initial=-1)) + 1
+        chain = np.concatenate([given.chain, np.arange(first, first + len(rows))])
+    return Segments(
+        np.concatenate([given.endpoints_px, np.asarray(more.endpoints_px)[rows]]),
+        np.concatenate([given.covariance_px2, np.asarray(more.covariance_px2)[rows]]),
+        np.concatenate([given.polarity, np.asarray(more.polarity)[rows]]),
+        np.concatenate([given.contrast, np.asarray(more.contrast)[rows]]),
+        np.concatenate([given.support, np.asarray(more.support)[rows]]),
+        given.image_size_px,
+        column("reasons", ""),
+        chain,
+        given.junctions,
+        column("side_levels", np.nan),
+    )

@@ -1,0 +1,83 @@
+"""Matches without the tracks that rims explain, and with pieces of the rims."""
+
+import dataclasses
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from trinoc.match.rims.circles import Chords, Circles
+from trinoc.match.rims.outlines import are_outlines
+from trinoc.match.tracks import Matches
+from trinoc.match.tuning import RimTuning
+
+
+class TracksBesideRims(NamedTuple):
+    """kept : (k,) the tracks that no rim explains. silhouette : (k,) probability that each holds an
+    outline. outlines : how many are thought to."""
+
+    kept: Int[np.ndarray, "k"]
+    silhouette: Float[np.ndarray, "k"]
+    outlines: int
+
+
+def tracks_beside_rims(
+    matches: Matches,
+    chords: Chords,
+    circles: Circles,
+    rim: Int[np.ndarray, "n"],
+    mm_per_px: float,
+    tuning: RimTuning,
+) -> TracksBesideRims:
+    """What rims leave of the tracks; `rim` is that of each segment, -1 for none."""
+    kept = np.flatnonzero(~_explained(matches, chords, rim))
+    outline = are_outlines(chords, circles, mm_per_px, tuning) & (rim < 0)
+    held = _on_tracks(matches, chords, outline).sum(axis=1) >= 2
+    mark = np.where(held, tuning.outline_posterior, 0.0)[kept]
+    if matches.silhouette is not None:
+        mark = np.maximum(mark, matches.silhouette[kept])
+    return TracksBesideRims(kept, mark, int(held[kept].sum()))
+
+
+def with_rows(
+    matches: Matches, tracks: TracksBesideRims, rows: Mapping[str, np.ndarray]
+) -> Matches:
+    """The tracks that are kept, and after them the rows of pieces, whose segments are matched."""
+    index = rows["index"]
+    new = {
+        **rows,
+        "guided": np.zeros(index.shape, dtype=bool),
+        "measure": np.full(index.shape, ""),
+    }
+    columns = {
+        name: np.concatenate([np.asarray(before)[tracks.kept], new[name]])
+        for name in new
+        if (before := getattr(matches, name)) is not None
+    }
+    columns["silhouette"] = np.concatenate([tracks.silhouette, np.zeros(len(index))])
+    words = {name: column.copy() for name, column in matches.reasons.items()}
+    for view, name in enumerate(matches.views):
+        words[name][index[index[:, view] >= 0, view]] = "matched"
+    return dataclasses.replace(matches, **columns, reasons=words)
+
+
+def _on_tracks(
+    matches: Matches, chords: Chords, which: Bool[np.ndarray, "n"]
+) -> Bool[np.ndarray, "t v"]:
+    """Whether the segment of each view on each track is one of these."""
+    found = np.zeros(matches.index.shape, dtype=bool)
+    for view in range(matches.index.shape[1]):
+        own = chords.segment[which & (chords.view == view)]
+        found[:, view] = np.isin(matches.index[:, view], own)
+    return found
+
+
+def _explained(
+    matches: Matches, chords: Chords, rim: Int[np.ndarray, "n"]
+) -> Bool[np.ndarray, "t"]:
+    """Tracks of which two segments are chords of one rim, or one of two is a rim's chord."""
+    number = np.zeros(len(matches), dtype=np.int64)
+    for each in range(rim.max(initial=-1) + 1):
+        number = np.maximum(number, _on_tracks(matches, chords, rim == each).sum(axis=1))
+    return number > np.where((matches.index >= 0).sum(axis=1) > 2, 1, 0)
