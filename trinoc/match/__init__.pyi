@@ -13,6 +13,7 @@ from .observations.clutter import fit_clutter as fit_clutter
 from .observations.match_input import MatchInput as MatchInput, prepare as prepare
 from .occlusion.pairs import occluded_pairs as occluded_pairs
 from .selection.marginals import Selection as Selection, select as select
+from .shadows import Shadows as Shadows, find_shadows as find_shadows
 from .tracks.matches import BINOCULAR as BINOCULAR, TRINOCULAR as TRINOCULAR, Matches as Matches
 from .tuning import MatchTuning as MatchTuning
 from .warming import warm_up as warm_up

@@ -15,6 +15,7 @@ from trinoc.match.tuning.line_map import (
 from trinoc.match.tuning.observations import ClutterTuning, SideTuning
 from trinoc.match.tuning.occlusion import OcclusionTuning
 from trinoc.match.tuning.selection import JunctionTuning, NoiseTuning, SelectionTuning
+from trinoc.match.tuning.shadows import ShadowTuning
 from trinoc.match.tuning.tracks import TrackTuning
 
 
@@ -38,6 +39,7 @@ class MatchTuning:
     depth: DepthTuning = field(default_factory=DepthTuning)
     guided: GuidedTuning = field(default_factory=GuidedTuning)
     cylinders: CylinderTuning = field(default_factory=CylinderTuning)
+    shadows: ShadowTuning = field(default_factory=ShadowTuning)
 
 
 DEFAULT = MatchTuning()
