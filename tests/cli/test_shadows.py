@@ -25,9 +25,11 @@ def test_shadows_are_told_written_and_shown(tmp_path, monkeypatch, capsys):
     assert told["tracks_marked"] == shadow.sum()
     assert told["lamp_posterior"] > 0.9
     matches = trinoc.load_matches("matches.npz")
-    assert (matches.shadow > 0.5).sum() == shadow.sum()
+    assert (np.asarray(matches.shadow) > 0.5).sum() == shadow.sum()
     with open("page.html", encoding="utf-8") as page:
-        assert ", shadow" in page.read()
+        words = page.read()
+    assert ", shadow" in words
+    assert ", of a shadow 0." in words
     assert main(["export", "matches.npz", "--to", "csv", "-o", "lines.csv", "--quiet"]) == 0
     with open("lines.csv", encoding="utf-8") as table:
         assert "shadow" in table.readline().strip().split(",")

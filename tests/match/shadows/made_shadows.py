@@ -28,7 +28,7 @@ def edges_of(boxes=BOXES) -> np.ndarray:
         flat = np.array([[0, 0], [width, 0], [width, depth], [0, depth]])
         flat = flat @ np.array([[cosine, sine], [-sine, cosine]]) + corner
         low = np.column_stack([flat, np.zeros(4)])
-        high = low + [0, 0, height]
+        high = low + np.array([0.0, 0.0, height])
         parts.append(np.stack([low, np.roll(low, -1, axis=0)], axis=1))
         parts.append(np.stack([low, high], axis=1))
         parts.append(np.stack([high, np.roll(high, -1, axis=0)], axis=1))
@@ -61,10 +61,8 @@ def scene_of(lamp: np.ndarray | None, sigma_px: float = 0.05, boxes=BOXES, seed:
     levels = np.concatenate(
         [generator.uniform(*BODIES, (len(edges), 2)), np.tile([TABLE, DARK], (len(shadows), 1))]
     )
-    segments = {
-        name: with_levels(ends, levels)
-        for name, ends in pictures(rig, lines, sigma_px, seed).items()
-    }
+    seen = pictures(rig, lines, sigma_px, seed)
+    segments = {name: with_levels(ends, levels) for name, ends in seen.items()}
     matches = match_segments(segments, rig)
     return rig, segments, matches, is_shadow_of(matches, len(edges))
 
@@ -78,7 +76,7 @@ def with_levels(ends_px: np.ndarray, levels: np.ndarray) -> Segments:
 def is_shadow_of(matches: Matches, edges: int) -> np.ndarray:
     """Whether each track holds shadows' segments alone, which come after those of edges."""
     held = np.where(matches.index >= 0, matches.index, edges)
-    return (held >= edges).all(axis=1)
+    return np.all(held >= edges, axis=1)
 
 
 def unit_toward(lamp: np.ndarray, middle_mm: np.ndarray) -> np.ndarray:

@@ -57,7 +57,8 @@ def test_nothing_casts_toward_the_lamp(lamp) -> None:
 
 
 def test_the_scene_may_be_moved_and_ends_exchanged() -> None:
-    shadow = np.stack([cast(NEAR_LAMP, end) for end in EDGE]) + [0.05, 0.02, 0.0]
+    exact = np.stack([cast(NEAR_LAMP, end) for end in EDGE])
+    shadow = exact + np.array([0.05, 0.02, 0.0])
     turn = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
     turn *= np.linalg.det(turn)
     shift = np.array([40.0, -7.0, 12.0])
