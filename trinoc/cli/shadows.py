@@ -2,8 +2,6 @@
 
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 if TYPE_CHECKING:
     from trinoc.match import Shadows
 
@@ -26,7 +24,7 @@ def shadows_text(shadows: "Shadows") -> str:
 def shadows_record(shadows: "Shadows") -> dict[str, Any]:
     """What programs want to know of them, as JSON can hold it."""
     return {
-        "tracks_marked": int((np.asarray(shadows.shadow) > EVEN).sum()),
+        "tracks_marked": int((shadows.shadow > EVEN).sum()),
         "lamp_posterior": shadows.lamp_posterior,
         "middle_mm": shadows.middle_mm.tolist(),
         "toward_lamp": shadows.toward_lamp.tolist(),
