@@ -1,7 +1,8 @@
 """Make pictures of the sheet and of block scenes with POV-Ray, and their truth.
 
     python benchmarks/render_pictures.py demo [--out trinoc/synth/demo]
-    python benchmarks/render_pictures.py blocks OUT --seeds 0 1 2 [--resolution 4] [--no-shadows]
+    python benchmarks/render_pictures.py blocks OUT --seeds 0 1 2 [--resolution 4]
+        [--no-shadows] [--sharp]
     python benchmarks/render_pictures.py colours OUT --seeds 0 1 2
 
 Needs the program povray (Debian: apt-get install povray); nothing else in trinoc does.
@@ -14,7 +15,8 @@ sees them, 512 x 480 pixels that are not square, with truth.json and pattern.jso
 shadows_<view>.png (the grey levels that shadows take away, without blur and noise),
 clean_<view>.png (scene_<view>.png without noise, in 256ths of a grey level) and
 truth.json: other solids, light, greys, blur (sigma 0.5 to 2 px) and noise (1 to 8 grey levels)
-for every seed; --resolution 4 divides each pixel by four along both sides (2048 x 1920).
+for every seed; --resolution 4 divides each pixel by four along both sides (2048 x 1920), and
+--sharp makes the lamp a point.
 
 `colours` makes the solids, greys and light of `blocks`, each face in a colour whose mean is its
 grey, and writes light_<view>.png instead of scene_<view>.png: what falls on each pixel behind a
@@ -75,6 +77,7 @@ def main() -> None:
         "--resolution", type=int, default=1, choices=(1, 2, 4), help="pixels per pixel"
     )
     blocks.add_argument("--no-shadows", action="store_true")
+    blocks.add_argument("--sharp", action="store_true", help="the lamp is a point")
     colours = commands.add_parser("colours", help="scenes of coloured blocks, as light")
     colours.add_argument("out", type=Path, help="folder of the scenes; made if needed")
     colours.add_argument("--seeds", type=int, nargs="+", default=list(range(6)), help="one each")
@@ -90,7 +93,7 @@ def main() -> None:
         for seed in arguments.seeds:
             make_blocks(
                 arguments.out, seed, arguments.resolution, arguments.threads,
-                shadows=not arguments.no_shadows,
+                shadows=not arguments.no_shadows, sharp=arguments.sharp,
             )  # fmt: skip
 
 
@@ -112,15 +115,22 @@ def make_demo(out: Path, threads: int) -> None:
 
 
 def make_blocks(
-    out: Path, seed: int, resolution: int, threads: int, *, shadows: bool = True
+    out: Path,
+    seed: int,
+    resolution: int,
+    threads: int,
+    *,
+    shadows: bool = True,
+    sharp: bool = False,
 ) -> None:
     """One block scene with all that `seed` decides about it."""
     folder = out / f"block_{seed}"
     folder.mkdir(parents=True, exist_ok=True)
     rig, scene = table1_rig(resolution=resolution), block_scene(seed)
     generator = np.random.default_rng([seed, 1])
-    greys, table, light = random_look(scene, generator)
+    greys, table, light = greys_and_light(scene, generator)
     light = light._replace(shadows=shadows)
+    light = light._replace(key_side_mm=0.0) if sharp else light
     text = blocks_text(scene, greys, table, light)
     bare_text = blocks_text(scene, greys, table, light._replace(shadows=False))
     blur, noise = float(generator.uniform(0.5, 2.0)), float(np.exp(generator.uniform(0, np.log(8))))
@@ -137,7 +147,7 @@ def make_colours(out: Path, seed: int, threads: int) -> None:
     folder = out / f"block_{seed}"
     folder.mkdir(parents=True, exist_ok=True)
     rig, scene = table1_rig(), block_scene(seed)
-    greys, table, light = random_look(scene, np.random.default_rng([seed, 1]))
+    greys, table, light = greys_and_light(scene, np.random.default_rng([seed, 1]))
     generator = np.random.default_rng([seed, 2])
     colours = [coloured(grey, generator) for grey in greys]
     text = blocks_text(scene, colours, table, light)
@@ -153,15 +163,14 @@ def make_colours(out: Path, seed: int, threads: int) -> None:
     save_scene_truth(truth, folder / "truth.json", {"seed": seed, "blur_px": COLOUR_BLUR_PX})
 
 
-def random_look(
+def greys_and_light(
     scene: Scene, generator: np.random.Generator
 ) -> tuple[list[np.ndarray], float, Light]:
-    """Reflectances of the faces and of the table, and the light."""
+    """The reflectances of faces and of the table, and the light."""
     contrast = float(generator.uniform(0.5, 1.3))
     mean_greys = np.clip(0.62 + 0.22 * contrast * generator.uniform(-1, 1, len(scene.solids)), 0, 1)
     greys = face_greys(scene, mean_greys, generator, spread=0.06 * contrast)
-    table = float(generator.uniform(0.25, 0.6))
-    return greys, table, random_light(generator, contrast)
+    return greys, float(generator.uniform(0.25, 0.6)), random_light(generator, contrast)
 
 
 def coloured(greys: np.ndarray, generator: np.random.Generator) -> np.ndarray:

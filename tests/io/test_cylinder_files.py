@@ -30,13 +30,17 @@ def test_what_is_written_is_what_is_read(tmp_path):
 def test_marked_tracks_stay_marked_in_their_file(tmp_path):
     matches = bench_matches()
     silhouette = np.linspace(0.0, 1.0, len(matches))
-    marked = dataclasses.replace(matches, silhouette=silhouette)
+    marked = dataclasses.replace(matches, silhouette=silhouette, shadow=silhouette[::-1])
     trinoc.save(marked, tmp_path / "matches.npz")
     np.testing.assert_array_equal(
         trinoc.load_matches(tmp_path / "matches.npz").silhouette, silhouette
     )
     trinoc.save(matches, tmp_path / "plain.npz")
+    np.testing.assert_array_equal(
+        trinoc.load_matches(tmp_path / "matches.npz").shadow, silhouette[::-1]
+    )
     assert trinoc.load_matches(tmp_path / "plain.npz").silhouette is None
+    assert trinoc.load_matches(tmp_path / "plain.npz").shadow is None
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,7 @@ from trinoc.cli.progress import LOGGER
 from trinoc.cli.rig_file import doubts_of, doubts_table, read_rig
 from trinoc.cli.scene_files import SEGMENT_SUFFIXES, check_views, read_segments
 from trinoc.cli.segment_options import SegmentOptions
+from trinoc.cli.shadows import shadows_record, shadows_text
 from trinoc.cli.views import files_of_rig, files_of_views
 
 if TYPE_CHECKING:
@@ -61,6 +62,9 @@ class Match(SegmentOptions, Command):
     ] = None
     """Also find right circular cylinders by their outlines, and write them here (npz). Tracks that
     hold an outline are marked."""
+
+    shadows: bool = False
+    """Also say how likely each track is the boundary of a cast shadow, and where the lamp is."""
 
     out: Annotated[Path, tyro.conf.arg(aliases=("-o",))] = Path("matches.npz")
     """Where the matches go."""
@@ -125,6 +129,13 @@ class Match(SegmentOptions, Command):
             cylinders = find_cylinders(matches, segments, rig)
             matches = cylinders.marked(matches)
             save(cylinders, self.cylinders)
+        shadows = None
+        if self.shadows:
+            from trinoc.match import find_shadows
+
+            LOGGER.info("looking for the lamp of %d lines", len(matches))
+            shadows = find_shadows(matches, segments, rig)
+            matches = shadows.marked(matches)
         save(matches, self.out)
         if self.report is not None:
             from trinoc.cli.provenance import for_people, provenance
@@ -149,6 +160,9 @@ class Match(SegmentOptions, Command):
         if cylinders is not None:
             text = f"{text}\n\n{cylinders_text(cylinders)}"
             record["cylinders"] = cylinders_record(cylinders)
+        if shadows is not None:
+            text = f"{text}\n\n{shadows_text(shadows)}"
+            record["shadows"] = shadows_record(shadows)
         text = f"{text}\nwritten: {', '.join(written)}"
         return Outcome(text, {**record, "written": written})
 

@@ -12,7 +12,8 @@ FORMAT, VERSION = "trinoc-matches", 1
 _REASONS = "reasons/"
 # What files of earlier versions do not hold.
 _FRAGMENTS_COVARIANCE, _MISFIT, _MOVES = "fragments_covariance_px2", "misfit", "viewpoint_dependent"
-_GUIDED, _MEASURE, _SILHOUETTE = "guided", "measure", "silhouette"
+_GUIDED, _MEASURE = "guided", "measure"
+_SILHOUETTE, _SHADOW = "silhouette", "shadow"
 
 
 def save_matches(matches: Matches, path: str | os.PathLike[str]) -> None:
@@ -37,7 +38,7 @@ def arrays_of_matches(matches: Matches) -> dict[str, np.ndarray]:
         "notes": _texts(matches.notes),
         "count_values": np.array(list(matches.counts.values()), dtype=np.int64),
     }
-    for name in (_FRAGMENTS_COVARIANCE, _MISFIT, _MOVES, _GUIDED, _SILHOUETTE):
+    for name in (_FRAGMENTS_COVARIANCE, _MISFIT, _MOVES, _GUIDED, _SILHOUETTE, _SHADOW):
         if getattr(matches, name) is not None:
             arrays[name] = getattr(matches, name)
     if matches.measure is not None:
@@ -118,11 +119,11 @@ def matches_of_fields(fields: ArrayFields) -> Matches:
     if _MEASURE in fields:
         measure = take(_MEASURE, sides, kind="U")
         fields.expect(_MEASURE, seen == (measure != ""), "is no word where a view sees the line")
-    silhouette = None
-    if _SILHOUETTE in fields:
-        silhouette = take(_SILHOUETTE)
-        known = (silhouette >= 0) & (silhouette <= 1 + 1e-9)
-        fields.expect(_SILHOUETTE, known, "is no probability")
+    marks: dict[str, np.ndarray | None] = {_SILHOUETTE: None, _SHADOW: None}
+    for name in marks:
+        if name in fields:
+            marks[name] = mark = take(name)
+            fields.expect(name, (mark >= 0) & (mark <= 1 + 1e-9), "is no probability")
     noise_scale = 1.0
     if "noise_scale" in fields:
         noise_scale = float(fields.take("noise_scale", "f", (), "matches"))
@@ -152,8 +153,9 @@ def matches_of_fields(fields: ArrayFields) -> Matches:
         notes=tuple(map(str, notes)),
         guided=guided,
         measure=measure,
-        silhouette=silhouette,
+        silhouette=marks[_SILHOUETTE],
         noise_tail=noise_tail,
+        shadow=marks[_SHADOW],
     )
 
 

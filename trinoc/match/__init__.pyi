@@ -19,6 +19,7 @@ from .rims import (
     find_rims as find_rims,
 )
 from .selection.marginals import Selection as Selection, select as select
+from .shadows import Shadows as Shadows, find_shadows as find_shadows
 from .tracks.matches import BINOCULAR as BINOCULAR, TRINOCULAR as TRINOCULAR, Matches as Matches
 from .tuning import MatchTuning as MatchTuning
 from .warming import warm_up as warm_up

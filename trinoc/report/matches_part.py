@@ -133,6 +133,7 @@ def _track_rows(matches: Matches, colours: list[str], sigmas: TrackSigmas) -> tu
         else matches.viewpoint_dependent
     )
     silhouette = np.zeros(len(matches)) if matches.silhouette is None else matches.silhouette
+    shadow = np.zeros(len(matches)) if matches.shadow is None else matches.shadow
     rows = []
     for track in order.tolist():
         members = tuple("" if i < 0 else str(i) for i in np.asarray(matches.index[track]).tolist())
@@ -142,7 +143,8 @@ def _track_rows(matches: Matches, colours: list[str], sigmas: TrackSigmas) -> tu
                 colours[track],
                 str(matches.stage[track])
                 + (", moves" if viewpoint_dependent[track] else "")
-                + (", outline of a cylinder" if silhouette[track] > EVEN else ""),
+                + (", outline of a cylinder" if silhouette[track] > EVEN else "")
+                + (", shadow" if shadow[track] > EVEN else ""),
                 members,
                 with_sigma(float(sigmas.length_mm[track]), float(sigmas.length_sigma_mm[track])),
                 with_decimals(float(sigmas.across_sigma_mm[track]), 3),

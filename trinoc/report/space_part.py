@@ -143,9 +143,12 @@ def track_words(matches: Matches, sigmas: TrackSigmas, track: int) -> str:
     )
     across = with_decimals(float(sigmas.across_sigma_mm[track]), 3)
     posterior = with_decimals(float(matches.posterior[track]), 3)
+    shadow = ""
+    if matches.shadow is not None:
+        shadow = f", of a shadow {with_decimals(float(matches.shadow[track]), 3)}"
     return (
         f"track {track}, {matches.stage[track]}: length {length} mm, sigma across {across} mm, "
-        f"posterior {posterior}, segments {seen}. {ends} mm"
+        f"posterior {posterior}{shadow}, segments {seen}. {ends} mm"
     )
 
 

@@ -10,6 +10,7 @@ from trinoc.match import (
     Corners,
     snap_corners,
 )
+from trinoc.match.line_map.corner_fit import _constrain
 from trinoc.numerics import axes_across
 
 from .made_tracks import (
@@ -105,3 +106,14 @@ def test_ends_that_pass_each_other_do_not_meet(rig) -> None:
     met = lines_alone(tracks_of(rig, np.stack([one, other - [0.0, 0.0, 3.0]])), rig)
     corners = snap_corners(met)
     np.testing.assert_allclose(corners.points_mm, [[0.0, 0.0, 10.0]], atol=1e-5)
+
+
+def test_lines_that_meet_at_both_ends_are_held_although_that_is_said_twice() -> None:
+    """Nothing is known amiss along lines: of six conditions on two lines, some say the same."""
+    lines = np.array([[[0.0, 0, 0], [9, 0, 0]], [[0, 0.1, 0], [9, 0.2, 0]]])
+    across = np.diag([0.0, 0.01, 0.04])
+    covariance = np.tile(np.kron(np.eye(2), across), (2, 1, 1))
+    _constrain(lines, covariance, np.array([0, 1]), [(0, 2), (1, 3)])
+    np.testing.assert_allclose(lines[0], lines[1], atol=1e-12)
+    np.testing.assert_allclose(lines[0, :, 1], [0.05, 0.1])
+    np.testing.assert_allclose(np.diagonal(covariance[0]), [0, 0.005, 0.02] * 2, atol=1e-12)

@@ -31,6 +31,8 @@ def lines_table(matches: Matches, unit_mm: float) -> dict[str, np.ndarray]:
         columns["viewpoint_dependent"] = matches.viewpoint_dependent
     if matches.silhouette is not None:
         columns["silhouette"] = matches.silhouette
+    if matches.shadow is not None:
+        columns["shadow"] = matches.shadow
     for number, view in enumerate(matches.views):
         columns[f"{view}_segment"] = matches.index[:, number]
         fragments = matches.fragments_px[:, number].reshape(-1, 4)

@@ -166,7 +166,12 @@ def _constrain(
     spread = np.einsum("rki,kij->rkj", constraint, covariance_mm2[members])
     flat = (len(equal) * 3, len(members) * 6)
     between = spread.reshape(flat) @ constraint.reshape(flat).T
-    gain = np.linalg.solve(between, spread.reshape(flat)).reshape(spread.shape)
+    try:
+        gain = np.linalg.solve(between, spread.reshape(flat))
+    except np.linalg.LinAlgError:
+        # Loops of ends that say the same twice: any solution moves the lines alike.
+        gain = np.linalg.pinv(between, hermitian=True) @ spread.reshape(flat)
+    gain = gain.reshape(spread.shape)
     wrong = np.einsum("rki,ki->r", constraint, lines_mm[members].reshape(-1, 6))
     lines_mm[members] -= np.einsum("rki,r->ki", gain, wrong).reshape(-1, 2, 3)
     covariance_mm2[members] -= np.einsum("rki,rkj->kij", spread, gain)

@@ -49,6 +49,7 @@ def with_rows(
         **rows,
         "guided": np.zeros(index.shape, dtype=bool),
         "measure": np.full(index.shape, ""),
+        "shadow": np.zeros(len(index)),
     }
     columns = {
         name: np.concatenate([np.asarray(before)[tracks.kept], new[name]])

@@ -46,6 +46,8 @@ class Matches(Shown, eqx.Module):
         do, and so do its views); "" where not seen. None where that has not been asked for.
     silhouette : (t,) probability that a track holds an outline of a cylinder, and so is no line in
         space (`find_cylinders`); None where that has not been asked for.
+    shadow : (t,) probability that a track is the boundary of a cast shadow, and so no edge of a
+        body (`find_shadows`); None where that has not been asked for.
     noise_scale : standard deviation of the segments across themselves over what they state, as
         three views show it: all covariances here are of the errors found. 1 where two views are
         all there is.
@@ -75,6 +77,7 @@ class Matches(Shown, eqx.Module):
     measure: Shaped[np.ndarray, "t v"] | None = None
     silhouette: Float[np.ndarray, "t"] | None = None
     noise_tail: float = eqx.field(static=True, default=0.0)
+    shadow: Float[np.ndarray, "t"] | None = None
 
     def __len__(self) -> int:
         return len(self.index)

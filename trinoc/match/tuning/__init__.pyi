@@ -17,4 +17,5 @@ from .selection import (
     NoiseTuning as NoiseTuning,
     SelectionTuning as SelectionTuning,
 )
+from .shadows import ShadowTuning as ShadowTuning
 from .tracks import TrackTuning as TrackTuning

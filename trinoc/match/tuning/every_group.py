@@ -16,6 +16,7 @@ from trinoc.match.tuning.observations import ClutterTuning, SideTuning
 from trinoc.match.tuning.occlusion import OcclusionTuning
 from trinoc.match.tuning.rims import RimTuning
 from trinoc.match.tuning.selection import JunctionTuning, NoiseTuning, SelectionTuning
+from trinoc.match.tuning.shadows import ShadowTuning
 from trinoc.match.tuning.tracks import TrackTuning
 
 
@@ -40,6 +41,7 @@ class MatchTuning:
     guided: GuidedTuning = field(default_factory=GuidedTuning)
     cylinders: CylinderTuning = field(default_factory=CylinderTuning)
     rims: RimTuning = field(default_factory=RimTuning)
+    shadows: ShadowTuning = field(default_factory=ShadowTuning)
 
 
 DEFAULT = MatchTuning()

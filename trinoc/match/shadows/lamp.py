@@ -1,0 +1,151 @@
+"""The lamp that most lines agree on: a vote of every line that may be a shadow of another."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from trinoc.match.shadows.casting import Lamps, Pairs, cast_density
+from trinoc.match.tuning import ShadowTuning
+from trinoc.numerics import axes_across
+
+# Lamps that are judged at once, for memory.
+AT_ONCE = 64
+
+
+class Votes(NamedTuple):
+    """What lines say of lamps.
+
+    prior : of each line, that it is a shadow. weight : of each pair, that its edge is one.
+    mean : of each line's density over all lamps, by which it is a likelihood ratio.
+    """
+
+    pairs: Pairs
+    prior: Float[np.ndarray, "e"]
+    weight: Float[np.ndarray, "p"]
+    size_mm: float
+    mean: Float[np.ndarray, "e"] | None = None
+
+    def ratios(
+        self, lamps: Lamps, turn_deg: float, tuning: ShadowTuning
+    ) -> Float[np.ndarray, "l e"]:
+        """Likelihood of each line as a shadow of each lamp, over that of any lamp."""
+        found = np.zeros((len(lamps.nearness), len(self.prior)))
+        for start in range(0, len(found), AT_ONCE):
+            part = lamps.take(np.arange(start, min(start + AT_ONCE, len(found))))
+            turn = float(np.radians(turn_deg))
+            density = cast_density(self.pairs, part, turn, self.size_mm, tuning) * self.weight
+            rows, starts = np.unique(self.pairs.shadow, return_index=True)
+            if len(rows):
+                sums = np.add.reduceat(density, starts, axis=1)
+                found[start : start + AT_ONCE, rows] = sums
+        return found if self.mean is None else found / self.mean
+
+    def scores(self, ratios: Float[np.ndarray, "l e"], tuning: ShadowTuning) -> np.ndarray:
+        """Log likelihood of each lamp over that of none."""
+        gain = (1 - tuning.unexplained) * (ratios - 1)
+        return np.log1p(self.prior * gain).sum(axis=1)
+
+
+class Lamp(NamedTuple):
+    """The best lamp. score : its log likelihood over none. rival : score of the best lamp of
+    another direction. covariance : of its turn about two axes across (`axes_across`), rad, and of
+    its nearness, per mm. ratios : of each line, see `Votes`."""
+
+    direction: Float[np.ndarray, "3"]
+    nearness: float
+    covariance: Float[np.ndarray, "3 3"]
+    score: float
+    rival: float
+    ratios: Float[np.ndarray, "e"]
+
+
+def best_lamp(votes: Votes, upward: Float[np.ndarray, "3"], tuning: ShadowTuning) -> Lamp:
+    """The lamp of the highest score above a plane, from a coarse search to a fine one."""
+    step, size = tuning.coarse_deg, votes.size_mm
+    directions = _above(upward, step, tuning)
+    far = np.repeat([0.0, tuning.nearest / 2], len(directions)) / size
+    lamps = Lamps(np.tile(directions, (2, 1)), far)
+    density = votes.ratios(lamps, step / 2, tuning)
+    votes = votes._replace(mean=density.mean(axis=0) + 1e-12)
+    scores = votes.scores(density / votes.mean, tuning)
+    peaks = _peaks(lamps, scores, tuning.peaks, 1.5 * step)
+    change = tuning.nearest / 2
+    for _ in range(3):
+        step, change = step / 2.5, change / 2
+        rows, values = [], []
+        for row in peaks:
+            around = _around(lamps.take(np.array([row])), step, change / size, 2, 1)
+            inside = np.arcsin(np.clip(around.direction @ upward, -1, 1))
+            # The peak itself may lie on the bound: rounding is allowed for.
+            inside = np.abs(np.degrees(inside) - tuning.middle_deg) <= tuning.reach_deg + 1e-6
+            inside &= around.nearness <= tuning.nearest / size * (1 + 1e-9)
+            around = around.take(np.flatnonzero(inside))
+            found = votes.scores(votes.ratios(around, step / 2, tuning), tuning)
+            best = int(np.argmax(found))
+            rows.append(around.take(np.array([best])))
+            values.append(found[best])
+        lamps = Lamps(*(np.concatenate(column) for column in zip(*rows, strict=True)))
+        scores = np.array(values)
+        peaks = _peaks(lamps, scores, max(len(peaks) // 2, 2), tuning.apart_deg)
+    best = lamps.take(peaks[:1])
+    rival = float(scores[peaks[1]]) if len(peaks) > 1 else 0.0
+    return _settled(votes, best, step, change / size, rival, tuning)
+
+
+def _settled(
+    votes: Votes, best: Lamps, step: float, change: float, rival: float, tuning: ShadowTuning
+) -> Lamp:
+    """The mean of the lamps about the best one, by their likelihood, and its spread."""
+    for _ in range(2):
+        around = _around(best, step / 2, change, 4, 3)
+        score = votes.scores(votes.ratios(around, tuning.fine_deg, tuning), tuning)
+        weight = np.exp(score - score.max())
+        weight /= weight.sum()
+        mean = weight @ around.direction
+        best = Lamps((mean / np.linalg.norm(mean))[None], (weight @ around.nearness)[None])
+        step, change = step / 2, change / 2
+    off = np.column_stack(
+        [around.direction @ axes_across(best.direction[0]).T, around.nearness - best.nearness]
+    )
+    covariance = (off * weight[:, None]).T @ off
+    # No finer than the lamps that were tried.
+    covariance += np.diag([np.radians(step) ** 2 / 3] * 2 + [change**2 / 3])
+    ratios = votes.ratios(best, tuning.fine_deg, tuning)
+    top = float(votes.scores(ratios, tuning)[0])
+    return Lamp(best.direction[0], float(best.nearness[0]), covariance, top, rival, ratios[0])
+
+
+def _above(upward: np.ndarray, step_deg: float, tuning: ShadowTuning) -> np.ndarray:
+    """Directions about `step_deg` apart, neither too low nor straight above a plane."""
+    rows = [np.zeros((0, 3))]
+    across = axes_across(upward)
+    low, high = tuning.middle_deg - tuning.reach_deg, tuning.middle_deg + tuning.reach_deg
+    for height in np.radians(np.arange(low, high + 1e-9, step_deg)):
+        number = max(int(np.ceil(2 * np.pi * np.cos(height) / np.radians(step_deg))), 1)
+        angle = 2 * np.pi * np.arange(number) / number
+        round_it = np.stack([np.cos(angle), np.sin(angle)], axis=1) @ across
+        rows.append(np.cos(height) * round_it + np.sin(height) * upward)
+    return np.concatenate(rows)
+
+
+def _around(lamp: Lamps, step_deg: float, change: float, wide: int, deep: int) -> Lamps:
+    """A grid of lamps about one."""
+    turn = np.arange(-wide, wide + 1) * np.radians(step_deg)
+    one, other = np.meshgrid(turn, turn, indexing="ij")
+    across = axes_across(lamp.direction[0])
+    direction = lamp.direction[0] + np.stack([one.ravel(), other.ravel()], axis=1) @ across
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    near = np.unique(np.maximum(lamp.nearness[0] + np.arange(-deep, deep + 1) * change, 0.0))
+    return Lamps(np.tile(direction, (len(near), 1)), np.repeat(near, len(direction)))
+
+
+def _peaks(lamps: Lamps, scores: np.ndarray, most: int, apart_deg: float) -> np.ndarray:
+    """The best lamps that are so far apart in direction, the best first."""
+    left, found = np.ones(len(scores), dtype=bool), []
+    while left.any() and len(found) < most:
+        best = int(np.argmax(np.where(left, scores, -np.inf)))
+        found.append(best)
+        left &= lamps.direction @ lamps.direction[best] < np.cos(np.radians(apart_deg))
+        left[best] = False
+    return np.array(found, dtype=np.int64)
