@@ -12,6 +12,7 @@ from trinoc.match.occlusion.pair_evidence import (
     log_ends,
 )
 from trinoc.match.occlusion.possible_pairs import PossiblePairs
+from trinoc.match.occlusion.see_through import see_through_share
 from trinoc.match.occlusion.two_views import PairRates, learned_rates, length_class
 from trinoc.match.selection import (
     chosen_greedily,
@@ -21,7 +22,7 @@ from trinoc.match.selection import (
     sum_product,
 )
 from trinoc.match.tuning import MatchTuning
-from trinoc.numerics import of_group
+from trinoc.numerics import of_group, taken
 
 
 def pairs_alone(
@@ -84,9 +85,19 @@ def pairs_alone(
     chosen = chosen_greedily(posterior_log_odds, graph)
     tempered = temper(posterior_log_odds, candidates.side_log, tuning.evidence)
     # The further the viewpoint turns about an edge, the more often another edge, or an outline, of
-    # the same body is seen in its place. Lines that meet nowhere are of no bodies.
+    # the same body is seen in its place. Lines that meet nowhere are of no bodies, and bodies that
+    # are seen through hide none of their own edges.
     turned = 1 - np.sqrt(np.maximum(1 - crossing_sine**2, 0.0))
-    doubt = rules.doubt_turned * of_group(junctions.end_at_junction, frame) * turned
+    through = see_through_share(
+        beside.ends_px,
+        candidates.index[chosen],
+        probability(tempered[chosen]),
+        rules,
+        taken(frame, chosen),
+        np.size(mixture.log_count),
+    )
+    solid = (1 - through).reshape(np.shape(mixture.log_count)) * junctions.end_at_junction
+    doubt = rules.doubt_turned * of_group(solid, frame) * turned
     most = (rules.most_alone - doubt) * probability(tempered)
     tempered = np.log(most) - np.log1p(-most)
     missed = np.where(expected > 0, expected * float(np.log(rules.missed)), 0.0)

@@ -32,11 +32,15 @@ class OcclusionTuning:
     length_classes_px: tuple[float, ...] = (12.0, 18.0, 27.0, 40.0, 60.0, 90.0, 135.0)
     # However well a pair fits, it is right no oftener than this, and that less a share of the
     # cosine that the angle between the interpretation planes takes from 1, times the share of ends
-    # that meet: the further the viewpoint turns about an edge, the more often other edges of the
-    # body, or its outline, are seen in place. Fitted on the same scenes, as a compromise of
-    # see-through boxes (less) and of blocks on a table (more).
+    # that meet, times the share that is not seen through (`see_through.py`): the further the
+    # viewpoint turns about an edge, the more often other edges of the body, or its outline, are
+    # seen in place. Fitted on made scenes (seeds 0 to 9).
     most_alone: float = 0.98
-    doubt_turned: float = 0.35
+    doubt_turned: float = 0.45
+    # Segments that cross each other do so by more than this beyond either, px; of more segments of
+    # a view than so many, that many are counted, for time. By hand.
+    crossing_margin_px: float = 3.0
+    most_crossing: int = 500
     # Profiles of where lines lie: bins, over so many standard deviations to either side; how much
     # wider the outermost count; what share lies anywhere before a line is known. By hand.
     place_bins: int = 32
