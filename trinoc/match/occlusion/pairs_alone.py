@@ -3,6 +3,7 @@
 import numpy as np
 
 from trinoc.match.evidence import log_place, log_sides, probability, temper
+from trinoc.match.occlusion.companions import companion_log_odds, companions
 from trinoc.match.occlusion.pair_evidence import (
     Pairs,
     PairsBeside,
@@ -67,14 +68,20 @@ def pairs_alone(
     gain = np.zeros(len(evidence))
     odds = posterior_log_odds = gain
     beliefs = None
+    graph_of_companions, more = None, np.zeros(len(evidence))
+    rows, count = np.arange(len(evidence)), np.size(mixture.log_count)
     for _ in range(rules.rounds_alone):
         # Where lines meet nowhere, what pairs they make by chance is independent, as odds take it.
         free = 1 - of_group(rates.junctions.end_at_junction, frame)
         free = np.where(candidates.side_log.any(axis=1), 0.0, rules.offset_unjoined * free)
-        odds = odds_of(found, evidence, rates, frame) + gain + free
+        odds = odds_of(found, evidence, rates, frame) + gain + free + more
         beliefs = sum_product(odds, graph, tuning.selection, frame, beliefs)
         posterior_log_odds = beliefs.log_odds
         posterior = probability(posterior_log_odds)
+        if graph_of_companions is None:
+            likely = np.flatnonzero(posterior > rules.companion_likely)
+            graph_of_companions = companions(candidates, likely, beside.ends_px, tuning, frame)
+        more = companion_log_odds(graph_of_companions, posterior, rows, rules, frame, count)
         density = rates.mixture.log_count - rates.mixture.volume.log_size + np.log(2)
         gain, junctions = junction_log_odds(
             meetings, posterior, density, rates.junctions, tuning.junctions, frame
@@ -94,7 +101,7 @@ def pairs_alone(
         probability(tempered[chosen]),
         rules,
         taken(frame, chosen),
-        np.size(mixture.log_count),
+        count,
     )
     solid = (1 - through).reshape(np.shape(mixture.log_count)) * junctions.end_at_junction
     doubt = rules.doubt_turned * of_group(solid, frame) * turned

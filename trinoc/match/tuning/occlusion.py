@@ -47,6 +47,17 @@ class OcclusionTuning:
     place_reach: float = 4.0
     place_beyond: float = 4.0
     place_anywhere: float = 0.1
+    # Companions: parallel segments are beside each other at distances between these, px, and
+    # segments go on from ends as near as that, px. By hand, as is all that follows: the share of
+    # pairs that have one before any is known; the log ratio of shares below which nothing is
+    # added; the most that is added; and how likely who supports must be at first. Shown by frames
+    # of bars and by curves (benchmarks/companions.py).
+    beside_px: tuple[float, float] = (1.5, 15.0)
+    continues_px: float = 8.0
+    companion_share: float = 0.05
+    least_companion_ratio: float = 0.5
+    most_companion: float = 4.0
+    companion_likely: float = 0.02
     # The same for segments with side levels, of pictures, where clutter is alike: with
     # `EvidenceTuning.temperature` fitted on rendered scenes (seeds 0 to 5 and 12 to 17).
     log_odds_offset_in_images: float = -1.5
