@@ -66,14 +66,20 @@ def table_of_rendered(folder: Path | None, calibration_error: Callable) -> None:
         print(f"calibration error {errors}", flush=True)
 
 
-def _without_levels(image: np.ndarray) -> Segments:
+def _contrast_alone(image: np.ndarray) -> Segments:
     found = find_segments(image)
     return eqx.tree_at(lambda s: s.side_levels, found, None, is_leaf=lambda leaf: leaf is None)
 
 
+def _geometry_alone(image: np.ndarray) -> Segments:
+    found = _contrast_alone(image)
+    return eqx.tree_at(lambda s: s.contrast, found, np.full(len(found.contrast), np.nan))
+
+
 # For matching, arcs are kept in shorter pieces: chords of one arc that views cut differently.
 DETECTORS: dict[str, Callable[[np.ndarray], Segments]] = {
-    "find_segments, geometry alone": _without_levels,
+    "find_segments, geometry alone": _geometry_alone,
+    "find_segments, contrast alone": _contrast_alone,
     "find_segments": find_segments,
     "find_segments with arcs": partial(find_segments, arcs=True, tolerance_px=1.0),
     "LSD": find_segments_lsd,

@@ -18,15 +18,48 @@ SIDE_COMPONENTS = list(combinations_with_replacement(range(_NONE + 1), 2))
 
 
 def side_evidence(
-    sides: Float[np.ndarray, "v n 5"],
+    sides: Float[np.ndarray, "v n 7"],
     index: Int[np.ndarray, "m v"],
     interval: Float[np.ndarray, "m v 2"],
     tuning: SideTuning = DEFAULT.sides,
 ) -> Float[np.ndarray, "m s"]:
     """Log density of the members' levels under each of SIDE_COMPONENTS, over that of clutter.
 
-    Zero where the levels of fewer than two members are known. `sides` is of `side_table`.
+    Zero where the levels of fewer than two members are known, and the contrasts of fewer than two
+    others. `sides` is of `side_table`.
     """
+    by_levels = _of_levels(sides[..., :5], index, interval, tuning)
+    return by_levels + _of_contrasts(sides[..., 5:], index, tuning)
+
+
+def _of_contrasts(
+    contrasts: Float[np.ndarray, "v n 2"], index: Int[np.ndarray, "m v"], tuning: SideTuning
+) -> Float[np.ndarray, "m s"]:
+    """The same of the step between both levels alone: where one differs, the step may be any."""
+    evidence = np.zeros((len(index), len(SIDE_COMPONENTS)))
+    if np.isnan(contrasts[..., 0]).all():
+        return evidence
+    own = contrasts[np.arange(len(contrasts)), index]
+    known = (index >= 0) & ~np.isnan(own[..., 0])
+    own = np.where(known[..., None], own, 0.0)
+    count = np.maximum(known.sum(axis=1), 1)
+    mean = own[..., 0].sum(axis=1) / count
+    scatter = (np.where(known, own[..., 0] - mean[:, None], 0.0) ** 2).sum(axis=1)
+    strange = own[..., 1].sum(axis=1) * (count - 1) / count
+    for column, (one, other) in enumerate(SIDE_COMPONENTS):
+        if other < _NONE:
+            variance = tuning.agreeing[one] ** 2 + tuning.agreeing[other] ** 2
+            alike = -0.5 * scatter / variance - (count - 1) / 2 * np.log(2 * np.pi * variance)
+            evidence[:, column] = alike - 0.5 * np.log(count) - strange
+    return np.where((count > 1)[:, None], evidence, 0.0)
+
+
+def _of_levels(
+    sides: Float[np.ndarray, "v n 5"],
+    index: Int[np.ndarray, "m v"],
+    interval: Float[np.ndarray, "m v 2"],
+    tuning: SideTuning,
+) -> Float[np.ndarray, "m s"]:
     if np.isnan(sides[..., 0]).all():
         return np.zeros((len(index), len(SIDE_COMPONENTS)))
     own = sides[np.arange(len(sides)), index]

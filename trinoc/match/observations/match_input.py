@@ -64,7 +64,7 @@ class FrameInput(NamedTuple):
     ends_px: list[Float[np.ndarray, "_ 2 2"]]
     covariance_px2: list[Float[np.ndarray, "_ 4 4"]]
     polarity: list[Int[np.ndarray, "_"]]
-    sides: list[Float[np.ndarray, "_ 5"]]
+    sides: list[Float[np.ndarray, "_ 7"]]
     cameras: CamerasInput
 
 
@@ -147,8 +147,10 @@ def prepare_frame(
     # Views that show the same, which only those with hardly a segment may, are left to their names.
     names = tuple(sorted(prepared, key=lambda name: (_content(prepared[name]), name)))
     views = [prepared[name] for name in names]
-    order, ends, covariances, polarities, levels = (list(c) for c in zip(*views, strict=True))
-    sides = side_table(levels, [each.mean(axis=1) for each in ends], tuning)
+    order, ends, covariances, polarities, levels, contrasts = (
+        list(column) for column in zip(*views, strict=True)
+    )
+    sides = side_table(levels, contrasts, [each.mean(axis=1) for each in ends], tuning)
     given = list(segments)
     own = cameras.take([given.index(name) for name in names])
     return FrameInput(names, order, ends, covariances, polarities, sides, own)
@@ -181,6 +183,7 @@ class _PreparedView(NamedTuple):
     covariance_px2: Float[np.ndarray, "n 4 4"]
     polarity: Int[np.ndarray, "n"]
     levels: Float[np.ndarray, "n 2"]
+    contrast: Float[np.ndarray, "n"]
 
 
 def _view(given: Segments | ArrayLike, lens: Intrinsics, sigma_px: float | None) -> _PreparedView:
@@ -201,8 +204,11 @@ def _view(given: Segments | ArrayLike, lens: Intrinsics, sigma_px: float | None)
         levels = np.where(swap[:, None], levels[:, ::-1], levels)
         # Which side is darker follows from the levels: it is no evidence of its own.
         polarity = np.where(np.isfinite(levels).all(axis=1), 0, polarity)
+    contrast = np.abs(np.asarray(segments.contrast, dtype=np.float64))
     rank = np.lexsort(flat.reshape(-1, 4).T[::-1])
-    return _PreparedView(rank, flat[rank], covariance[rank], polarity[rank], levels[rank])
+    return _PreparedView(
+        rank, flat[rank], covariance[rank], polarity[rank], levels[rank], contrast[rank]
+    )
 
 
 def _content(view: _PreparedView) -> tuple[int, list[float]]:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import gaussian_filter, gaussian_filter1d
 from scipy.spatial import KDTree
 
 from trinoc.match.tuning import DEFAULT, SideTuning
@@ -15,15 +15,35 @@ _LEAST, _MOST = -10.0, 110.0
 
 def side_table(
     levels: Sequence[Float[np.ndarray, "_ 2"]],
+    contrasts: Sequence[Float[np.ndarray, "_"]],
     middles_px: Sequence[Float[np.ndarray, "_ 2"]],
     tuning: SideTuning = DEFAULT.sides,
-) -> list[Float[np.ndarray, "_ 5"]]:
-    """Per view: levels on the right and on the left, and their log density under clutter.
+) -> list[Float[np.ndarray, "_ 7"]]:
+    """Per view: what is known of the grey levels beside each segment, NaN where nothing is.
 
-    Columns are right and left, in hundredths of the range of all, and the log densities of the
-    right, of the left and of both together; NaN where the levels are not known. About each
-    segment, the density is that of the nearby segments or of the image, whichever is larger.
+    Columns are the levels on the right and on the left, in hundredths of the range of all, and the
+    log densities under clutter of the right, of the left and of both together; then, of segments
+    whose levels are not known, the size of the step between the two, in hundredths of the largest,
+    and its log density. About each segment, a density is that of the nearby segments or of the
+    image, whichever is larger.
     """
+    unknown = [
+        np.where(_known(own), np.nan, np.abs(contrast))
+        for own, contrast in zip(levels, contrasts, strict=True)
+    ]
+    both = zip(
+        _level_tables(levels, middles_px, tuning),
+        _contrast_tables(unknown, middles_px, tuning),
+        strict=True,
+    )
+    return [np.concatenate(tables, axis=1) for tables in both]
+
+
+def _level_tables(
+    levels: Sequence[Float[np.ndarray, "_ 2"]],
+    middles_px: Sequence[Float[np.ndarray, "_ 2"]],
+    tuning: SideTuning,
+) -> list[Float[np.ndarray, "_ 5"]]:
     every = np.concatenate([view[_known(view)] for view in levels])
     if len(every) == 0:
         return [np.full((len(view), 5), np.nan) for view in levels]
@@ -36,6 +56,24 @@ def side_table(
         usual = np.maximum(_in_image(own, tuning), _nearby(own, middle[known], tuning))
         table[known] = np.column_stack([own, np.log(usual)])
         tables.append(table)
+    return tables
+
+
+def _contrast_tables(
+    contrasts: Sequence[Float[np.ndarray, "_"]],
+    middles_px: Sequence[Float[np.ndarray, "_ 2"]],
+    tuning: SideTuning,
+) -> list[Float[np.ndarray, "_ 2"]]:
+    every = np.concatenate([view[np.isfinite(view)] for view in contrasts])
+    tables = [np.full((len(view), 2), np.nan) for view in contrasts]
+    if len(every) == 0:
+        return tables
+    unit = max(float(np.percentile(every, tuning.percentiles[1])), 1e-9) / 100
+    for table, view, middle in zip(tables, contrasts, middles_px, strict=True):
+        known = np.isfinite(view)
+        own = view[known] / unit
+        usual = np.maximum(_steps_in_image(own, tuning), _steps_nearby(own, middle[known], tuning))
+        table[known] = np.column_stack([own, np.log(usual)])
     return tables
 
 
@@ -64,10 +102,9 @@ def _nearby(
     levels: Float[np.ndarray, "n 2"], middles_px: Float[np.ndarray, "n 2"], tuning: SideTuning
 ) -> Float[np.ndarray, "n 3"]:
     """The same among the nearest segments of each."""
-    count = min(tuning.neighbours, len(levels) - 1)
-    if count < 2:
+    near = _nearest(middles_px, tuning)
+    if near.shape[1] == 0:
         return np.zeros((len(levels), 3))
-    near = np.asarray(KDTree(middles_px).query(middles_px, count + 1)[1])[:, 1:]
     apart = levels[:, None, :, None] - levels[near][:, :, None, :]
     # As narrow as levels can agree, so that levels which are the same everywhere say nothing.
     width = tuning.agreeing[0]
@@ -75,3 +112,34 @@ def _nearby(
     both = kernel[..., 0, 0] * kernel[..., 1, 1] + kernel[..., 0, 1] * kernel[..., 1, 0]
     one = kernel.sum(axis=3)
     return np.column_stack([one.mean(axis=1), both.mean(axis=1)]) / 2
+
+
+def _steps_in_image(contrast: Float[np.ndarray, "n"], tuning: SideTuning) -> np.ndarray:
+    """Density of each contrast among the segments of one picture."""
+    if len(contrast) == 0:
+        return np.zeros(0)
+    width, any_level = tuning.bin_width, tuning.any_level_share
+    bins = np.arange(0.0, _MOST + width, width)
+    inside = np.clip(contrast, 0.0, _MOST - 1e-6)
+    counts = gaussian_filter1d(np.histogram(inside, bins)[0].astype(float), 1.0, mode="nearest")
+    density = (1 - any_level) * counts / (counts.sum() * width) + any_level / _MOST
+    return density[(inside // width).astype(np.int64)]
+
+
+def _steps_nearby(
+    contrast: Float[np.ndarray, "n"], middles_px: Float[np.ndarray, "n 2"], tuning: SideTuning
+) -> np.ndarray:
+    """The same among the nearest segments of each."""
+    near = _nearest(middles_px, tuning)
+    # Two levels differ by as much as each of them may.
+    width = np.sqrt(2) * tuning.agreeing[0]
+    kernel = np.exp(-0.5 * ((contrast[:, None] - contrast[near]) / width) ** 2)
+    return kernel.sum(axis=1) / (max(near.shape[1], 1) * np.sqrt(2 * np.pi) * width)
+
+
+def _nearest(middles_px: Float[np.ndarray, "n 2"], tuning: SideTuning) -> np.ndarray:
+    """Numbers of the segments nearest to each; none where there are hardly any."""
+    count = min(tuning.neighbours, len(middles_px) - 1)
+    if count < 2:
+        return np.zeros((len(middles_px), 0), dtype=np.int64)
+    return np.asarray(KDTree(middles_px).query(middles_px, count + 1)[1])[:, 1:]

@@ -35,7 +35,7 @@ class SegmentTable(NamedTuple):
     ends_px : ends of each segment. line : through them, with unit normal.
     across_px2 : covariance of the two ends' errors across the segment.
     length_px : distance between the ends.
-    polarity : +1, -1, or 0 where not known. sides : see `side_evidence.side_table`.
+    polarity : +1, -1, or 0 where not known. sides : see `side_intensity.side_table`.
     rays : viewing rays of both ends, world frame, of any length.
     frame : of a stack, the frame of each segment.
     """
@@ -50,7 +50,7 @@ class SegmentTable(NamedTuple):
     length_px: Float[ArrayLike, "v n"]
     polarity: Float[ArrayLike, "v n"]
     rays: Float[ArrayLike, "v n 2 3"]
-    sides: Float[ArrayLike, "v n 5"]
+    sides: Float[ArrayLike, "v n 7"]
     frame: Int[ArrayLike, "v n"] | None = None
 
 
@@ -60,7 +60,7 @@ def segment_table(
     ends_px: Sequence[Float[np.ndarray, "_ 2 2"]],
     covariances_px2: Sequence[Float[np.ndarray, "_ 4 4"]],
     polarities: Sequence[np.ndarray],
-    sides: Sequence[Float[np.ndarray, "_ 5"]],
+    sides: Sequence[Float[np.ndarray, "_ 7"]],
     frames: Sequence[Int[np.ndarray, "_"]] | None = None,
 ) -> SegmentTable:
     """Tables for all views, padded to one bucket; `frames` are those of a stack's segments."""
@@ -73,7 +73,7 @@ def segment_table(
         np.stack([padded(ends, size, filler) for ends in ends_px]),
         np.stack([padded(covariance, size, np.eye(4)) for covariance in covariances_px2]),
         np.stack([padded(np.asarray(p, dtype=np.float64), size, 0.0) for p in polarities]),
-        np.stack([padded(table, size, np.full(5, np.nan)) for table in sides]),
+        np.stack([padded(table, size, np.full(7, np.nan)) for table in sides]),
         None if frames is None else np.stack([padded(f.astype(np.int32), size) for f in frames]),
     )
 
@@ -85,7 +85,7 @@ def _prepared(
     ends_px: Float[ArrayLike, "v n 2 2"],
     covariance_px2: Float[ArrayLike, "v n 4 4"],
     polarity: Float[ArrayLike, "v n"],
-    sides: Float[ArrayLike, "v n 5"],
+    sides: Float[ArrayLike, "v n 7"],
     frame: Int[ArrayLike, "v n"] | None,
 ) -> SegmentTable:
     third_row = matrices_px[..., 2, :3]

@@ -38,12 +38,14 @@ class PairStart(NamedTuple):
 
 
 class PairsBeside(NamedTuple):
-    """Pairs of some frames, the lines of these that are matched, and the frames of both."""
+    """Pairs of some frames, the lines of these that are matched, the frames of both, and the ends
+    of all segments in their pictures."""
 
     found: PossiblePairs
     matched: Tracks
     frame: Int[np.ndarray, "m"] | None
     matched_frame: Int[np.ndarray, "t"] | None
+    ends_px: Float[np.ndarray, "v n 2 2"]
 
     def take(self, rows: np.ndarray) -> "PairsBeside":
         """With some of the pairs."""

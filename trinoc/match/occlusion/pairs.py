@@ -131,7 +131,7 @@ def _of_frames(
         rows, tracks = np.flatnonzero(those[frame]), np.flatnonzero(those[matched_frame])
         found, frame = take_rows(found, rows), frame[rows]
         matched, matched_frame = matched.take(tracks), matched_frame[tracks]
-    beside = PairsBeside(found, matched, frame, matched_frame)
+    beside = PairsBeside(found, matched, frame, matched_frame, np.asarray(lines.ends_px))
     return select(beside, start, np.asarray(clutter.typical_px), tuning)
 
 

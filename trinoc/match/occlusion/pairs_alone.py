@@ -3,6 +3,7 @@
 import numpy as np
 
 from trinoc.match.evidence import log_place, log_sides, probability, temper
+from trinoc.match.occlusion.companions import companion_log_odds, companions
 from trinoc.match.occlusion.pair_evidence import (
     Pairs,
     PairsBeside,
@@ -12,6 +13,7 @@ from trinoc.match.occlusion.pair_evidence import (
     log_ends,
 )
 from trinoc.match.occlusion.possible_pairs import PossiblePairs
+from trinoc.match.occlusion.see_through import see_through_share
 from trinoc.match.occlusion.two_views import PairRates, learned_rates, length_class
 from trinoc.match.selection import (
     chosen_greedily,
@@ -21,7 +23,7 @@ from trinoc.match.selection import (
     sum_product,
 )
 from trinoc.match.tuning import MatchTuning
-from trinoc.numerics import of_group
+from trinoc.numerics import of_group, taken
 
 
 def pairs_alone(
@@ -66,14 +68,20 @@ def pairs_alone(
     gain = np.zeros(len(evidence))
     odds = posterior_log_odds = gain
     beliefs = None
+    graph_of_companions, more = None, np.zeros(len(evidence))
+    rows, count = np.arange(len(evidence)), np.size(mixture.log_count)
     for _ in range(rules.rounds_alone):
         # Where lines meet nowhere, what pairs they make by chance is independent, as odds take it.
         free = 1 - of_group(rates.junctions.end_at_junction, frame)
         free = np.where(candidates.side_log.any(axis=1), 0.0, rules.offset_unjoined * free)
-        odds = odds_of(found, evidence, rates, frame) + gain + free
+        odds = odds_of(found, evidence, rates, frame) + gain + free + more
         beliefs = sum_product(odds, graph, tuning.selection, frame, beliefs)
         posterior_log_odds = beliefs.log_odds
         posterior = probability(posterior_log_odds)
+        if graph_of_companions is None:
+            likely = np.flatnonzero(posterior > rules.companion_likely)
+            graph_of_companions = companions(candidates, likely, beside.ends_px, tuning, frame)
+        more = companion_log_odds(graph_of_companions, posterior, rows, rules, frame, count)
         density = rates.mixture.log_count - rates.mixture.volume.log_size + np.log(2)
         gain, junctions = junction_log_odds(
             meetings, posterior, density, rates.junctions, tuning.junctions, frame
@@ -84,9 +92,19 @@ def pairs_alone(
     chosen = chosen_greedily(posterior_log_odds, graph)
     tempered = temper(posterior_log_odds, candidates.side_log, tuning.evidence)
     # The further the viewpoint turns about an edge, the more often another edge, or an outline, of
-    # the same body is seen in its place. Lines that meet nowhere are of no bodies.
+    # the same body is seen in its place. Lines that meet nowhere are of no bodies, and bodies that
+    # are seen through hide none of their own edges.
     turned = 1 - np.sqrt(np.maximum(1 - crossing_sine**2, 0.0))
-    doubt = rules.doubt_turned * of_group(junctions.end_at_junction, frame) * turned
+    through = see_through_share(
+        beside.ends_px,
+        candidates.index[chosen],
+        probability(tempered[chosen]),
+        rules,
+        taken(frame, chosen),
+        count,
+    )
+    solid = (1 - through).reshape(np.shape(mixture.log_count)) * junctions.end_at_junction
+    doubt = rules.doubt_turned * of_group(solid, frame) * turned
     most = (rules.most_alone - doubt) * probability(tempered)
     tempered = np.log(most) - np.log1p(-most)
     missed = np.where(expected > 0, expected * float(np.log(rules.missed)), 0.0)

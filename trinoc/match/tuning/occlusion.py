@@ -32,17 +32,32 @@ class OcclusionTuning:
     length_classes_px: tuple[float, ...] = (12.0, 18.0, 27.0, 40.0, 60.0, 90.0, 135.0)
     # However well a pair fits, it is right no oftener than this, and that less a share of the
     # cosine that the angle between the interpretation planes takes from 1, times the share of ends
-    # that meet: the further the viewpoint turns about an edge, the more often other edges of the
-    # body, or its outline, are seen in place. Fitted on the same scenes, as a compromise of
-    # see-through boxes (less) and of blocks on a table (more).
+    # that meet, times the share that is not seen through (`see_through.py`): the further the
+    # viewpoint turns about an edge, the more often other edges of the body, or its outline, are
+    # seen in place. Fitted on made scenes (seeds 0 to 9).
     most_alone: float = 0.98
-    doubt_turned: float = 0.35
+    doubt_turned: float = 0.45
+    # Segments that cross each other do so by more than this beyond either, px; of more segments of
+    # a view than so many, that many are counted, for time. By hand.
+    crossing_margin_px: float = 3.0
+    most_crossing: int = 500
     # Profiles of where lines lie: bins, over so many standard deviations to either side; how much
     # wider the outermost count; what share lies anywhere before a line is known. By hand.
     place_bins: int = 32
     place_reach: float = 4.0
     place_beyond: float = 4.0
     place_anywhere: float = 0.1
+    # Companions: parallel segments are beside each other at distances between these, px, and
+    # segments go on from ends as near as that, px. By hand, as is all that follows: the share of
+    # pairs that have one before any is known; the log ratio of shares below which nothing is
+    # added; the most that is added; and how likely who supports must be at first. Shown by frames
+    # of bars and by curves (benchmarks/companions.py).
+    beside_px: tuple[float, float] = (1.5, 15.0)
+    continues_px: float = 8.0
+    companion_share: float = 0.05
+    least_companion_ratio: float = 0.5
+    most_companion: float = 4.0
+    companion_likely: float = 0.02
     # The same for segments with side levels, of pictures, where clutter is alike: with
     # `EvidenceTuning.temperature` fitted on rendered scenes (seeds 0 to 5 and 12 to 17).
     log_odds_offset_in_images: float = -1.5

@@ -1,0 +1,117 @@
+"""Neighbours of pairs whose ends do not meet at an angle: the sides of a bar, pieces of a curve.
+
+Two sides of a bar lie beside each other in all pictures, each on its side, and pieces of a curve
+go on from each other. So the neighbour of a segment in one view is matched with the neighbour of
+its partner in the other. Right pairs have such a companion more often than wrong ones do, as far
+as there are bars and curves at all: how often is learned from the pairs.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from trinoc.match.candidates import Candidates
+from trinoc.match.occlusion.picture_neighbours import (
+    BESIDE,
+    CONTINUES,
+    PictureNeighbours,
+    picture_neighbours,
+)
+from trinoc.match.tuning import MatchTuning, OcclusionTuning
+from trinoc.numerics import expand_ranges, group_sums, of_group
+
+
+class Companions(NamedTuple):
+    """Directed: `site`, a pair, has `other`, a pair or a line, as a companion of a `kind`."""
+
+    site: Int[np.ndarray, "e"]
+    other: Int[np.ndarray, "e"]
+    kind: Int[np.ndarray, "e"]
+
+
+def companions(
+    candidates: Candidates,
+    likely: Int[np.ndarray, "k"],
+    ends_px: Float[np.ndarray, "v n 2 2"],
+    tuning: MatchTuning,
+    frame: Int[np.ndarray, "m"] | None = None,
+) -> Companions:
+    """Who has which of the `likely` rows as a companion, in every view that shows both.
+
+    Two views or more show both, by different segments.
+    """
+    index, count = candidates.index, len(candidates.index)
+    forward = candidates.interval[..., 1] > candidates.interval[..., 0]
+    numbers = [np.zeros(0, np.int64)]
+    for view in range(index.shape[1]):
+        rows = np.flatnonzero(index[:, view] >= 0)
+        if len(rows) == 0:
+            continue
+        segments, first = np.unique(index[rows, view], return_index=True)
+        own = None if frame is None else frame[rows[first]]
+        beside = picture_neighbours(ends_px[view, segments], tuning, own)
+        site, other, edge = _holders(beside, segments, index[:, view], rows, likely)
+        way = beside.way[edge] ^ ~forward[site, view]
+        numbers.append(np.unique(((site * count + other) * 2 + beside.kind[edge]) * 2 + way))
+    number, seen = np.unique(np.concatenate(numbers), return_counts=True)
+    kind, (site, other) = number // 2 % 2, np.divmod(number // 4, max(count, 1))
+    both = (index[site] >= 0) & (index[other] >= 0)
+    apart = ~((index[site] == index[other]) & both).any(axis=1)
+    every = apart & (seen > 1) & (seen == both.sum(axis=1))
+    return Companions(site[every], other[every], kind[every])
+
+
+def _holders(
+    beside: PictureNeighbours,
+    segments: Int[np.ndarray, "s"],
+    index: Int[np.ndarray, "m"],
+    rows: Int[np.ndarray, "r"],
+    likely: Int[np.ndarray, "k"],
+) -> tuple[Int[np.ndarray, "e"], Int[np.ndarray, "e"], Int[np.ndarray, "e"]]:
+    """(candidates that hold the first, likely ones that hold the second, of which neighbours)."""
+    edge = np.arange(len(beside.first))
+    held = []
+    for segment, among in ((beside.second, likely), (beside.first, rows)):
+        owners = among[np.argsort(index[among], kind="stable")]
+        wanted = segments[segment[edge]]
+        bounds = (np.searchsorted(index[owners], wanted, side) for side in ("left", "right"))
+        turn, position = expand_ranges(*bounds)
+        edge = edge[turn]
+        held = [column[turn] for column in held] + [owners[position]]
+    return held[1], held[0], edge
+
+
+def companion_log_odds(
+    graph: Companions,
+    posterior: Float[np.ndarray, "m"],
+    rows: Int[np.ndarray, "p"],
+    tuning: OcclusionTuning,
+    frame: Int[np.ndarray, "p"] | None = None,
+    frames: int = 1,
+) -> Float[np.ndarray, "p"]:
+    """Log odds that companions, or their want, add to the pairs, which are `rows` of all.
+
+    The shares of right and of wrong pairs that have one are learned in each frame; where they
+    hardly differ, nothing is added.
+    """
+    gain, own = np.zeros(len(rows)), posterior[rows]
+    prior, usual = tuning.prior_observations, tuning.companion_share
+    for kind in (BESIDE, CONTINUES):
+        of_kind = graph.kind == kind
+        doubt = np.log1p(-np.minimum(posterior[graph.other[of_kind]], 1 - 1e-6))
+        none = np.bincount(graph.site[of_kind], doubt, minlength=len(posterior))
+        has = -np.expm1(none[rows])
+        right, wrong = (
+            (group_sums(weight * has, frame, frames) + prior * usual)
+            / (group_sums(weight, frame, frames) + prior)
+            for weight in (own, 1 - own)
+        )
+        with_one, without = np.log(right / wrong), np.log((1 - right) / (1 - wrong))
+        tells = with_one > tuning.least_companion_ratio
+        with_one, without = (
+            of_group(np.where(tells, term, 0.0), frame) for term in (with_one, without)
+        )
+        most = tuning.most_companion
+        gain += np.clip(has * with_one + (1 - has) * without, -most, most)
+    return gain
