@@ -11,6 +11,7 @@ from .line_map import (
 )
 from .observations import ClutterTuning as ClutterTuning, SideTuning as SideTuning
 from .occlusion import OcclusionTuning as OcclusionTuning
+from .scouting import ScoutTuning as ScoutTuning
 from .selection import (
     JunctionTuning as JunctionTuning,
     NoiseTuning as NoiseTuning,
