@@ -59,7 +59,7 @@ def _learned(found: Candidates, count: float, tuning: MatchTuning) -> Learned | 
     rules = tuning.scouting
     selection = select(found, float(rules.sample), neighbours=False, tuning=tuning)
     sure = selection.taken & (probability(selection.posterior_log_odds) > rules.sure)
-    if sure.sum() < rules.fewest:
+    if sure.sum() < max(rules.fewest, 2):
         return None
     region = region_of(selection.candidates.union_ends_mm[sure], rules)
     # As many lines more as there are segments, and as likely wherever they lie.

@@ -12,7 +12,7 @@ from trinoc.match.candidates.region import Region
 from trinoc.match.candidates.single_precision import in_single
 from trinoc.match.evidence import MixtureParameters, end_evidence, triple_evidence
 from trinoc.match.observations import TRIPLES_IN_BLOCK, ClutterModel, SegmentTable, block_of
-from trinoc.match.tuning import EvidenceTuning, MatchTuning
+from trinoc.match.tuning import CandidateTuning, EndTuning, EvidenceTuning, MatchTuning
 from trinoc.match.two_view import Pencil, cut_pair, points_of, row_of, sight_of
 from trinoc.numerics import ArrayLike, in_blocks
 
@@ -71,13 +71,14 @@ def likely_triples(
         prior += 2 * np.log(2)
 
     def odds(rows: np.ndarray) -> ArrayLike:
-        return _log_odds(*screen, rows, (tail, ends), tuning=tuning)
+        groups = {"tuning": tuning.candidates, "of_ends": tuning.ends, "evidence": tuning.evidence}
+        return _log_odds(*screen, rows, (tail, ends), **groups)
 
     found = in_blocks(odds, block_of(screen.lines, TRIPLES_IN_BLOCK), triple)
     return triple[found + prior > learned.least_log_odds]
 
 
-@partial(jax.jit, static_argnames="tuning")
+@partial(jax.jit, static_argnames=("tuning", "of_ends", "evidence"))
 def _log_odds(
     lines: SegmentTable,
     order: Int[ArrayLike, "3"],
@@ -85,17 +86,19 @@ def _log_odds(
     clutter: ClutterModel,
     triple: Int[ArrayLike, "h 3"],
     log_shares: tuple[Float[ArrayLike, "k"], Float[ArrayLike, "c"]],
-    tuning: MatchTuning,
+    tuning: CandidateTuning,
+    of_ends: EndTuning,
+    evidence: EvidenceTuning,
 ) -> Float[ArrayLike, "h"]:
     """Log odds of each apart from the prior, -inf where it cannot be one line."""
     segments = triple.T
     sight = sight_of(lines, clutter, order, segments)
     rows = row_of(planes.first, segments[0]), row_of(planes.second, segments[1])
-    near_mm = points_of(planes, cut_pair(planes.baseline_mm, *rows, tuning.candidates))
-    found = triple_evidence(sight, near_mm, tuning.candidates)
+    near_mm = points_of(planes, cut_pair(planes.baseline_mm, *rows, tuning))
+    found = triple_evidence(sight, near_mm, tuning)
     tail, shares = log_shares
-    total = found.log_density + _log_tail(found.chi_square, tail, tuning.evidence)
-    for terms in end_evidence(found.extent_px, tuning.ends):
+    total = found.log_density + _log_tail(found.chi_square, tail, evidence)
+    for terms in end_evidence(found.extent_px, of_ends):
         mixed = [share + term for share, term in zip(shares, terms, strict=True)]
         total += jax.nn.logsumexp(jnp.stack(mixed), axis=0)
     return jnp.where(found.possible, total, -jnp.inf)
