@@ -1,7 +1,6 @@
 """Lengths are rounded up, to few of them, and in finer steps where padding is work."""
 
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from trinoc.numerics import bucket, finer_bucket
 

@@ -19,7 +19,7 @@ class ScoutTuning:
     # a share of its side, and the least margin as a share of its longest side. By hand: what lies
     # further out is found by the segments that nothing inside explains.
     left_out: float = 0.0025
-    margin: float = 0.08
+    margin: float = 0.16
     thinnest: float = 0.02
     # Candidates are let go that are so much less likely than selection asks, as far as the
     # sample tells. By hand: it learns the parameters anew.
