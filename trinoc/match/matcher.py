@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from trinoc.geometry import Rig, Segments
-from trinoc.match.candidates import in_depth_range, no_candidates, trinocular_candidates
+from trinoc.match.candidates import in_depth_range, no_candidates
 from trinoc.match.observations import (
     ClutterModel,
     FrameInput,
@@ -22,6 +22,7 @@ from trinoc.match.observations import (
     with_noise_scale,
 )
 from trinoc.match.occlusion import occluded_pairs
+from trinoc.match.scouting import scouted_candidates
 from trinoc.match.selection import Selection, Tracks, residual_scale, select, tracks_of
 from trinoc.match.tracks import (
     Matches,
@@ -164,7 +165,7 @@ def _triples(
     selections: list[Selection] = []
     outside = [np.zeros((0, len(seen.ends_px)), dtype=np.int64)]
     for views in view_triplets(seen.lines, tuning.tracks):
-        candidates = trinocular_candidates(seen.lines, views, seen.counts, clutter, tuning)
+        candidates = scouted_candidates(seen.lines, views, seen.counts, clutter, tuning)
         inside = in_depth_range(candidates, seen.lines, depth_range_mm)
         outside.append(candidates.index[~inside])
         candidates = candidates.take(inside)

@@ -8,7 +8,7 @@ from trinoc.match.batch import match_many
 from trinoc.match.matcher import match_frames
 from trinoc.match.observations import prepare_frame
 from trinoc.match.tuning import DEFAULT, MatchTuning
-from trinoc.numerics import in_float64
+from trinoc.numerics import in_float64, with_field
 
 # Lengths of made segments, as shares of the picture's longer side.
 SHORTEST, LONGEST = 0.01, 0.05
@@ -44,6 +44,9 @@ def warm_up(
     if frames > 1:
         match_many(pictures, rig, tuning=tuning)
     else:
+        # Random segments make few lines, which would not be learned from in large pictures.
+        for name, value in {"fewest": 0, "sure": 0.0}.items():
+            tuning = with_field(tuning, f"scouting.{name}", value)
         frame = prepare_frame(pictures[0], rig, None, tuning.sides)
         match_frames([frame], [rig.names], None, tuning)
 

@@ -12,6 +12,7 @@ from .block_arrow import (
 from .buckets import (
     blocks as blocks,
     bucket as bucket,
+    finer_bucket as finer_bucket,
     in_blocks as in_blocks,
     in_bucket as in_bucket,
     padded as padded,

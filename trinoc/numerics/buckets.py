@@ -18,6 +18,15 @@ def bucket(count: int) -> int:
     return max(SMALLEST_BUCKET, 1 << max(int(count) - 1, 0).bit_length())
 
 
+def finer_bucket(count: int) -> int:
+    """As `bucket`, but above 2^16 in steps of a quarter of the power of two below `count`.
+
+    For where the work on padding costs more than one small program more.
+    """
+    step = bucket(count) // 8
+    return bucket(count) if count <= 1 << 16 else -(-count // step) * step
+
+
 def padded(array: np.ndarray, size: int, filler: float | np.ndarray = 0) -> np.ndarray:
     """`array` with rows of `filler` appended up to `size` rows."""
     result = np.empty((size, *array.shape[1:]), dtype=array.dtype)

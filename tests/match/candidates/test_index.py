@@ -5,7 +5,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from trinoc.match.candidates.index import LAYERS, SpatialIndex, key_at, segments_at, spatial_index
+from trinoc.match.candidates.index import (
+    CROWDED_LAYERS,
+    LAYERS,
+    SpatialIndex,
+    key_at,
+    segments_at,
+    spatial_index,
+)
 
 SIZE_PX = np.array([512.0, 480.0])
 SIGMA_PX, REACH = 0.4, 4.0
@@ -23,10 +30,15 @@ def segments() -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.fixture(scope="module")
 def table(segments: tuple[np.ndarray, np.ndarray]) -> SpatialIndex:
+    return table_of(segments, LAYERS)
+
+
+def table_of(segments: tuple[np.ndarray, np.ndarray], layers) -> SpatialIndex:
+    """The segments in cells of 9 px."""
     ends, sigma = segments
     slack = REACH * sigma / np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-    margins = REACH * np.hypot(sigma, SIGMA_PX * np.array([[x.sigmas] for x in LAYERS]))
-    return spatial_index(ends, slack, margins, SIZE_PX, 9.0, SIGMA_PX)
+    margins = REACH * np.hypot(sigma, SIGMA_PX * np.array([[x.sigmas] for x in layers]))
+    return spatial_index(ends, slack, margins, SIZE_PX, 9.0, SIGMA_PX, layers=layers)
 
 
 @jax.jit
@@ -62,14 +74,17 @@ def near_to(ends: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.
     return points + rng.normal(0, 2, points.shape), angle
 
 
-@pytest.mark.parametrize("layer", range(len(LAYERS)))
-def test_all_that_passes_near_enough_is_found_once(segments, table, layer: int) -> None:
-    ends, sigma = segments
+@pytest.mark.parametrize(
+    ("layers", "layer"),
+    [(layers, n) for layers in (LAYERS, CROWDED_LAYERS) for n in range(len(layers))],
+)
+def test_all_that_passes_near_enough_is_found_once(segments, layers, layer: int) -> None:
+    table, (ends, sigma) = table_of(segments, layers), segments
     rng = np.random.default_rng(layer)
     points, angle = near_to(ends, rng)
     # As uncertain as this layer allows, and the one before it does not.
-    slack = np.full(QUERIES, 0.99 * min(LAYERS[layer].slack_rad, np.pi))
-    place = np.full(QUERIES, 0.99 * LAYERS[layer].sigmas * SIGMA_PX)
+    slack = np.full(QUERIES, 0.99 * min(layers[layer].slack_rad, np.pi))
+    place = np.full(QUERIES, 0.99 * layers[layer].sigmas * SIGMA_PX)
     key = np.asarray(keys(table.grid, points, angle, slack, place))
     first = np.asarray(table.grid.first)
     assert ((key >= first[layer]) & (key < first[layer + 1])).all()
@@ -83,7 +98,7 @@ def test_all_that_passes_near_enough_is_found_once(segments, table, layer: int) 
     assert pairs >= set(zip(*(x.tolist() for x in np.nonzero(near)), strict=True))
     # A cell and its margin are all that is found too much.
     cells = np.sqrt(2) * float(table.grid.cell_px[layer])
-    margin = np.sqrt(2) * REACH * np.hypot(sigma, LAYERS[layer].sigmas * SIGMA_PX) + 2 * cells
+    margin = np.sqrt(2) * REACH * np.hypot(sigma, layers[layer].sigmas * SIGMA_PX) + 2 * cells
     assert (distances_px(points, ends)[query, found] < margin[found]).all()
 
 

@@ -1,5 +1,6 @@
 """Pairs beside what is matched: never of matched parts, whatever the order of what is matched."""
 
+import jax
 import numpy as np
 import pytest
 
@@ -16,7 +17,12 @@ from trinoc.match import (
 from trinoc.match.candidates import Candidates, no_candidates
 from trinoc.match.observations import ClutterModel
 from trinoc.match.occlusion import Pairs
+from trinoc.match.occlusion.likely_pairs import pair_bound
+from trinoc.match.occlusion.pair_evidence import end_shares, evidence_beside_lines
+from trinoc.match.occlusion.possible_pairs import possible_pairs
 from trinoc.match.selection import Tracks, tracks_of
+from trinoc.match.tuning import DEFAULT
+from trinoc.numerics import with_field
 
 HIDDEN = 5
 
@@ -128,3 +134,24 @@ def test_hidden_lines_that_meet_matched_ones_are_paired(exact: MadeScene) -> Non
     )
     paired = {tuple(row) for row in named.tolist()}
     assert len(paired & {(-1, rod, rod) for rod in range(30, 35)}) >= 4
+
+
+def test_pairs_that_are_let_go_unseen_change_nothing(noisy, clutter, tracks, selection) -> None:
+    seen, tuning = noisy.seen, with_field(DEFAULT, "scouting.above", 0)
+    args = seen.lines, seen.counts, clutter, tracks, [selection], None
+    one, other = occluded_pairs(*args), occluded_pairs(*args, tuning)
+    for every, bounded in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
+        np.testing.assert_array_equal(every, bounded)
+    views = np.array([0, 1])
+    free = [np.arange(count) for count in seen.counts]
+    shares = end_shares(selection.mixture, DEFAULT.ends)
+    bound = pair_bound(seen.lines, selection.mixture, shares, DEFAULT)
+    assert bound is not None
+    (made,) = possible_pairs(seen.lines, views, free, clutter, DEFAULT)
+    (left,) = possible_pairs(seen.lines, views, free, clutter, DEFAULT, bound)
+    odds = evidence_beside_lines(made, selection.mixture, None, DEFAULT)
+    likely = {tuple(row) for row in made.candidates.index[odds > bound.least].tolist()}
+    kept = {tuple(row) for row in left.candidates.index.tolist()}
+    assert likely <= kept
+    assert len(kept) <= len(likely) + 1
+    assert len(likely) < len(odds) / 2

@@ -1,7 +1,13 @@
+from .learned import Learned as Learned
+from .orders import prepared_orders as prepared_orders
+from .region import Region as Region, region_of as region_of
 from .table import (
     Candidates as Candidates,
     in_depth_range as in_depth_range,
     no_candidates as no_candidates,
     prior_log_odds as prior_log_odds,
 )
-from .triples import trinocular_candidates as trinocular_candidates
+from .triples import (
+    candidates_among as candidates_among,
+    trinocular_candidates as trinocular_candidates,
+)

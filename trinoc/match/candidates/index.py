@@ -4,7 +4,8 @@ The place that a pair predicts in a third view is known to a fraction of a pixel
 of a short pair only to degrees: so the table goes by place first, in square cells that a
 segment enters wherever it passes, and by direction in sectors second. It has three layers: fine
 sectors for predictions that are known well, coarse ones with wider margins for others, and one
-of all directions for the rest.
+of all directions for the rest. Crowded pictures have a finer one: there, what is looked up in vain
+takes longer than the entries.
 """
 
 import functools
@@ -25,19 +26,24 @@ class Layer(NamedTuple):
 
     sectors : in half a turn. slack_rad, sigmas : the largest error allowed of the direction of
         a prediction, and of its place, in typical standard deviations of the segments.
-    cell : side of the cells, over that of the finest.
+    cell : side of the cells, over that of the table.
     """
 
     sectors: int
     slack_rad: float
     sigmas: float
-    cell: int
+    cell: float
 
 
 LAYERS = (
     Layer(24, math.radians(3.0), 1.5, 1),
     Layer(6, math.radians(15.0), 3.0, 2),
     Layer(1, math.pi, 6.0, 4),
+)
+CROWDED_LAYERS = (
+    Layer(36, math.radians(2.0), 1.2, 0.75),
+    Layer(24, math.radians(4.0), 1.5, 1),
+    *LAYERS[1:],
 )
 
 
@@ -76,12 +82,13 @@ def spatial_index(
     cell_px: Float[np.ndarray, "*f"] | float,
     sigma_px: Float[np.ndarray, "*f"] | float,
     frame: Int[np.ndarray, "n"] | None = None,
+    layers: tuple[Layer, ...] = LAYERS,
 ) -> SpatialIndex:
     """Enter each segment, in each layer, in every cell that it passes within the margin, and
     in each sector that holds a direction within `slack_rad` and the layer's slack of its own.
 
     Segments of a stack are entered in the cells of their own `frame`."""
-    grid = _grid(size_px, np.asarray(cell_px, dtype=np.float64), np.asarray(sigma_px))
+    grid = _grid(size_px, np.asarray(cell_px, dtype=np.float64), np.asarray(sigma_px), layers)
     # Of each segment's own frame, or one for all.
     owners = np.zeros(len(ends_px), np.int64) if frame is None else frame
     cells_px, columns, rows, first_key = (np.atleast_2d(x)[owners] for x in grid[1:])
@@ -94,7 +101,7 @@ def spatial_index(
         return np.floor((turns + _half_turns(np.cos(rest), np.sin(rest))) * sectors).astype(int)
 
     entries = []
-    for number, layer in enumerate(LAYERS):
+    for number, layer in enumerate(layers):
         owner, column, row = _cells_passed(ends_px, margins_px[number], cells_px[:, number])
         inside = (column >= 0) & (column < columns[owner, number])
         inside &= (row >= 0) & (row < rows[owner, number])
@@ -132,10 +139,11 @@ def _grid(
     size_px: Float[np.ndarray, "*f 2"],
     cell_px: Float[np.ndarray, "*f"],
     sigma_px: Float[np.ndarray, "*f"],
+    layers: tuple[Layer, ...],
 ) -> Grid:
-    cells_px = cell_px[..., None] * np.array([layer.cell for layer in LAYERS], dtype=np.float64)
+    cells_px = cell_px[..., None] * np.array([layer.cell for layer in layers], dtype=np.float64)
     columns, rows = np.ceil(np.moveaxis(size_px, -1, 0)[..., None] / cells_px).astype(np.int32)
-    keys = columns * rows * np.array([layer.sectors for layer in LAYERS], dtype=np.int32)
+    keys = columns * rows * np.array([layer.sectors for layer in layers], dtype=np.int32)
     none = np.zeros_like(keys[..., :1])
     first = np.concatenate([none, np.cumsum(keys, axis=-1, dtype=np.int32)], axis=-1)
     if first.ndim > 1:
@@ -180,6 +188,11 @@ def _cells_passed(
     return owner, np.where(steep[owner], across, along), np.where(steep[owner], along, across)
 
 
+def layers_of(grid: Grid) -> tuple[Layer, ...]:
+    """The layers of a table, by their number."""
+    return LAYERS if np.shape(grid.cell_px)[-1] == len(LAYERS) else CROWDED_LAYERS
+
+
 def key_at(
     grid: Grid,
     points_px: Sequence[Vector2],
@@ -193,24 +206,23 @@ def key_at(
     of the finest layer that allows for both, that without entries where none does, or where a
     point lies outside the picture.
     """
-    nowhere = grid.first[-1]
+    nowhere, every = grid.first[-1], layers_of(grid)
     known = [
-        (slack_rad < layer.slack_rad) & (sigma_px < layer.sigmas * grid.sigma_px)
-        for layer in LAYERS
+        (slack_rad < layer.slack_rad) & (sigma_px < layer.sigmas * grid.sigma_px) for layer in every
     ]
 
     def of_layer(values: Sequence[ArrayLike]) -> ArrayLike:
         chosen = jnp.asarray(values[-1])
-        for number in reversed(range(len(LAYERS) - 1)):
+        for number in reversed(range(len(every) - 1)):
             chosen = jnp.where(known[number], jnp.asarray(values[number]), chosen)
         return chosen
 
-    layers = range(len(LAYERS))
+    layers = range(len(every))
     side, columns, rows, first = (
         of_layer([column[number] for number in layers])
         for column in (grid.cell_px, grid.columns, grid.rows, grid.first)
     )
-    sectors = of_layer(list(np.array([layer.sectors for layer in LAYERS], dtype=np.int32)))
+    sectors = of_layer(list(np.array([layer.sectors for layer in every], dtype=np.int32)))
     u, v = direction
     turns = _half_turns(jnp.where(v < 0, -u, u), abs(v))
     sector = jnp.floor(turns * sectors.astype(turns.dtype)).astype(jnp.int32)

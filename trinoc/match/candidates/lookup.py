@@ -5,6 +5,7 @@ import numpy as np
 from jaxtyping import Int
 
 from trinoc.match.candidates.index import (
+    CROWDED_LAYERS,
     LAYERS,
     Grid,
     SpatialIndex,
@@ -23,6 +24,8 @@ SAMPLES = (0.5, 1 / 6, 5 / 6)
 # Finest cell: at least CELL_SIGMAS standard deviations wide. Along the longer side of the image
 # there are CELLS sqrt(n) of them for n segments, clipped to FEWEST .. MOST.
 CELL_SIGMAS, CELLS, FEWEST, MOST = 8.0, 3.0, 16, 320
+# Pictures with more segments than this have finer layers.
+CROWDED = 1 << 13
 
 
 def lookup(
@@ -39,7 +42,8 @@ def lookup(
     typical = group_medians(sigma, frame, frames)
     typical = np.where(np.isfinite(typical), typical, 1.0)
     reach = tuning.reach_sigmas
-    near = of_group(typical, frame) * np.array([[layer.sigmas] for layer in LAYERS])
+    layers = LAYERS if count <= CROWDED or frame is not None else CROWDED_LAYERS
+    near = of_group(typical, frame) * np.array([[layer.sigmas] for layer in layers])
     margins = reach * np.hypot(sigma, near)
     slack = reach * np.sqrt(2) * sigma / length[view, :count]
     number = group_sums(np.ones(count), frame, frames)
@@ -47,7 +51,7 @@ def lookup(
     cell = np.maximum(CELL_SIGMAS * typical, size.max(axis=-1) / cells)
     # Sides that single precision holds: those who ask compute in it.
     cell = cell.astype(np.float32).astype(np.float64)
-    table = spatial_index(ends, slack, margins, size, cell, typical, frame)
+    table = spatial_index(ends, slack, margins, size, cell, typical, frame, layers)
     sides, typical = (x.astype(np.float32) for x in (table.grid.cell_px, typical))
     return table._replace(grid=table.grid._replace(cell_px=sides, sigma_px=typical))
 

@@ -61,10 +61,11 @@ def _single_order(lines: SegmentTable, planes: Pencil, order: Int[ArrayLike, "3"
         segments,
         None if lines.frame is None else lines.frame[order[0]],
     )
-    return jax.tree.map(_single, single)
+    return jax.tree.map(in_single, single)
 
 
-def _single(column: ArrayLike) -> ArrayLike:
+def in_single(column: ArrayLike) -> ArrayLike:
+    """Numbers in single precision, and integers as they are."""
     return column.astype(np.float32) if jnp.issubdtype(column.dtype, jnp.floating) else column
 
 

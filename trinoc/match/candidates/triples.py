@@ -2,24 +2,26 @@
 
 from collections.abc import Iterator
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
 from trinoc.match.candidates.judged import candidates_of
-from trinoc.match.candidates.lookup import lookup
+from trinoc.match.candidates.learned import Learned, likely_triples, screen_of
+from trinoc.match.candidates.orders import Order, Orders, prepared_orders
+from trinoc.match.candidates.region import pairs_within, region_of_pencil
 from trinoc.match.candidates.search import gated_triples
-from trinoc.match.candidates.single_precision import prepared_order
 from trinoc.match.candidates.table import Candidates, no_candidates, prior_log_odds
 from trinoc.match.evidence import prior_parameters
 from trinoc.match.observations import ClutterModel, SegmentTable
 from trinoc.match.tuning import DEFAULT, MatchTuning
 from trinoc.match.two_view import Pencil, plane_angles
-from trinoc.numerics import ArrayLike, blocks, concatenate_rows, overlapping
+from trinoc.numerics import blocks, concatenate_rows, overlapping
 
 # About as many pairs are held at a time.
 PAIRS_AT_A_TIME = 1 << 19
+
+# Of each view, the segments that come first in a pair, and those that come second.
+Rows = tuple[tuple[Int[np.ndarray, "_"], ...], tuple[Int[np.ndarray, "_"], ...]]
 
 
 def trinocular_candidates(
@@ -30,17 +32,29 @@ def trinocular_candidates(
     tuning: MatchTuning = DEFAULT,
 ) -> Candidates:
     """All triples of three views; each is found from the pair of views that crosses best."""
-    # Tables of three views, whichever and of how many, so that kernels compile once for all.
-    three, own = lines, clutter
-    if views != tuple(range(len(counts))):
-        three, own = _views_of(lines, clutter, np.array(views))
-    numbers = [counts[view] for view in views]
+    return candidates_among(prepared_orders(lines, views, counts, clutter, tuning), tuning)
+
+
+def candidates_among(
+    orders: Orders,
+    tuning: MatchTuning = DEFAULT,
+    *,
+    learned: Learned | None = None,
+    rows: Rows | None = None,
+) -> Candidates:
+    """All triples, each found from the pair of views that crosses best.
+
+    With `learned`, those in its region alone that may be likely. With `rows`, those of pairs of
+    certain segments.
+    """
+    numbers = orders.numbers
+    every = tuple(np.arange(number) for number in numbers)
+    first, second = (every, every) if rows is None else rows
     parts, known = [no_candidates(3)], np.zeros(0, np.int64)
-    for turn in range(3):
+    for own in orders.each:
         here = [known]
-        for number, part in _in_order(
-            three, np.roll(np.arange(3), turn), numbers, own, known, tuning
-        ):
+        pair = first[own.order[0]], second[own.order[1]]
+        for number, part in _in_order(orders, own, known, tuning, learned, pair):
             here.append(number)
             parts.append(part)
             if sum(len(found.index) for found in parts) > tuning.candidates.most_candidates:
@@ -48,9 +62,9 @@ def trinocular_candidates(
         known = np.sort(np.concatenate(here))
     found = concatenate_rows(parts)
     found = found.take(np.argsort(_number_of(found.index, numbers)))
-    index = np.full((len(found.index), len(counts)), -1)
-    interval = np.zeros((len(found.index), len(counts), 2))
-    index[:, views], interval[:, views] = found.index, found.interval
+    index = np.full((len(found.index), len(orders.counts)), -1)
+    interval = np.zeros((len(found.index), len(orders.counts), 2))
+    index[:, orders.views], interval[:, orders.views] = found.index, found.interval
     return found._replace(index=index, interval=interval)
 
 
@@ -60,45 +74,38 @@ def _number_of(index: Int[np.ndarray, "m 3"], counts: list[int]) -> Int[np.ndarr
     return (i * counts[1] + j) * counts[2] + k
 
 
-@jax.jit
-def _views_of(
-    lines: SegmentTable, clutter: ClutterModel, views: Int[ArrayLike, "k"]
-) -> tuple[SegmentTable, ClutterModel]:
-    densities = jnp.asarray(clutter.log_density)[views]
-    cameras = ("matrix_px", "centre_mm", "inverse", "size_px")
-    shapes = {name: getattr(lines, name) for name in cameras}
-    if lines.frame is not None:
-        shapes = {name: jnp.moveaxis(column, 1, 0) for name, column in shapes.items()}
-    three = jax.tree.map(lambda table: table[views], lines._replace(**shapes))
-    if lines.frame is not None:
-        moved = {name: jnp.moveaxis(getattr(three, name), 0, 1) for name in cameras}
-        three = three._replace(**moved)
-    return three, ClutterModel(densities, clutter.typical_px)
-
-
 def _in_order(
-    lines: SegmentTable,
-    order: Int[np.ndarray, "3"],
-    counts: list[int],
-    clutter: ClutterModel,
+    orders: Orders,
+    own: Order,
     known: Int[np.ndarray, "t"],
     tuning: MatchTuning,
+    learned: Learned | None,
+    pair: tuple[Int[np.ndarray, "n"], Int[np.ndarray, "m"]],
 ) -> Iterator[tuple[Int[np.ndarray, "_"], Candidates]]:
     """(numbers of triples, those that may be likely) of which the first two views predict the third
     segment, but those `known`: two orderings find one triple where they cross about as well."""
-    typical = float(np.mean([counts[view] for view in order]))
-    table = lookup(lines, int(order[2]), counts[order[2]], tuning.candidates)
-    planes, single = prepared_order(lines, order)
-    for i, j in _pairs(lines, order, planes, counts):
+    lines, clutter, numbers = orders.lines, orders.clutter, orders.numbers
+    order, planes, single, table = own
+    typical = float(np.mean(numbers))
+    within, screen = None, None
+    if learned is not None:
+        screen = screen_of(lines, order, planes, clutter)
+        within = None if learned.region is None else region_of_pencil(learned.region, planes)
+    for i, j in _pairs(lines, order, planes, pair):
+        if within is not None:
+            i, j = pairs_within(lines, single, within, i, j, tuning.candidates)
         triple = gated_triples(lines, single, table, i, j, tuning.candidates)
         if len(known):
-            number = _number_of(triple[:, np.argsort(order)], counts)
+            number = _number_of(triple[:, np.argsort(order)], numbers)
             place = np.minimum(np.searchsorted(known, number), len(known) - 1)
             triple = triple[known[place] != number]
+        if learned is not None and screen is not None:
+            triple = likely_triples(screen, triple, learned, tuning)
         found = candidates_of(lines, order, planes, triple, clutter, tuning)
         # Frames of a stack are small.
-        many = lines.frame is None and len(found.index) > tuning.candidates.prune_above
-        number = _number_of(found.index, counts)
+        many = lines.frame is None and learned is None
+        many = many and len(found.index) > tuning.candidates.prune_above
+        number = _number_of(found.index, numbers)
         yield number, _pruned(found, typical, tuning) if many else found
 
 
@@ -123,16 +130,20 @@ def _odds_anywhere(
 
 
 def _pairs(
-    lines: SegmentTable, order: Int[np.ndarray, "3"], planes: Pencil, counts: list[int]
+    lines: SegmentTable,
+    order: Int[np.ndarray, "3"],
+    planes: Pencil,
+    pair: tuple[Int[np.ndarray, "n"], Int[np.ndarray, "m"]],
 ) -> Iterator[tuple[Int[np.ndarray, "_p"], Int[np.ndarray, "_p"]]]:
     """Pairs that share epipolar planes, in blocks of segments of the first view."""
     angles_a, angles_b = (
-        plane_angles(lines, int(view), segments)[: counts[view]]
-        for view, segments in zip(order[:2], (planes.first, planes.second), strict=True)
+        plane_angles(lines, int(view), segments)[rows]
+        for view, segments, rows in zip(order, (planes.first, planes.second), pair, strict=False)
     )
+    first, second = (rows.astype(np.int32) for rows in pair)
     frames = 1 if lines.frame is None else 1 + int(np.max(lines.frame))
     # About one in four pairs of a frame shares epipolar planes.
-    rows = max(1, 4 * PAIRS_AT_A_TIME * frames // max(counts[order[1]], 1))
-    for block in blocks(counts[order[0]], rows):
+    at_once = max(1, 4 * PAIRS_AT_A_TIME * frames // max(len(second), 1))
+    for block in blocks(len(first), at_once):
         i, j = overlapping(angles_a[block], angles_b)
-        yield (i + block.start).astype(np.int32), j.astype(np.int32)
+        yield first[block][i], second[j]

@@ -36,7 +36,7 @@ def _components(
     mean = (first + second + third) / 3
     scatter = (first - mean) ** 2 + (second - mean) ** 2 + (third - mean) ** 2
     agreeing = tuple(
-        2 * log_longest - np.log(2 * np.pi * np.sqrt(3.0) * s * s) - scatter / (2 * s * s)
+        2 * log_longest - float(np.log(2 * np.pi * np.sqrt(3.0) * s * s)) - scatter / (2 * s * s)
         for s in tuning.agreeing_px
     )
     # The difference of two, and whether the odd one stops short of their mean: each of the three is
@@ -45,9 +45,10 @@ def _components(
     sums = [(third, first + second), (first, second + third), (second, third + first)]
     short = jnp.stack([2 * odd > both for odd, both in sums])
     scales = np.array(tuning.pair_px).reshape(-1, *(1,) * (apart.ndim - 1))
-    density = jnp.exp(-(apart**2) / (4 * scales**2))
+    twice_variance = (4 * scales**2).astype(apart.dtype)
+    density = jnp.exp(-(apart**2) / twice_variance)
     shared = [total(jnp.where(o[None], density, 0.0).swapaxes(0, 1)) for o in (short, ~short)]
     log_shared = jnp.log(jnp.stack(shared) + LEAST_DENSITY)
-    uniform = np.log(6 * np.sqrt(np.pi) * scales[:, 0])[None]
+    uniform = np.log(6 * np.sqrt(np.pi) * scales[:, 0]).astype(apart.dtype)[None]
     two_agree = log_longest[None, None] - uniform + log_shared
     return (*agreeing, *two_agree[0], *two_agree[1], jnp.zeros_like(first))

@@ -19,10 +19,12 @@ from jaxtyping import Bool, Float, Int
 from trinoc.match.candidates import Candidates, in_depth_range
 from trinoc.match.evidence import prior_parameters
 from trinoc.match.observations import ClutterModel, SegmentTable, frames_of, segments_per_view
+from trinoc.match.occlusion.likely_pairs import pair_bound
 from trinoc.match.occlusion.pair_evidence import (
     Pairs,
     PairsBeside,
     PairStart,
+    end_shares,
     evidence_beside_lines,
 )
 from trinoc.match.occlusion.pairs_alone import pairs_alone
@@ -49,11 +51,17 @@ def occluded_pairs(
     number = _rows_of(matched.candidates, lines, frames)
     alone = number < tuning.occlusion.min_tracks_to_learn
     learned = _learned_from(selections, tuning)
+    several = lines.frame is not None or alone.any()
+    bound = None
+    # In small pictures one more program costs more than it saves.
+    if learned is not None and not several and max(counts) > tuning.scouting.above:
+        shares = end_shares(learned.mixture, tuning.ends)
+        bound = pair_bound(lines, learned.mixture, shares, tuning)
 
     def kept(found: PossiblePairs) -> PossiblePairs:
         """In range, and, as far as that is known by now, likely at all: it bounds the memory."""
         found = take_rows(found, in_depth_range(found.candidates, lines, depth_range_mm))
-        if learned is None or lines.frame is not None or alone.any():
+        if learned is None or several:
             return found
         evidence = evidence_beside_lines(found, learned.mixture, None, tuning)
         return take_rows(found, evidence > tuning.selection.prune_log_odds)
@@ -62,7 +70,7 @@ def occluded_pairs(
         [
             kept(part)
             for views in combinations(range(len(counts)), 2)
-            for part in possible_pairs(lines, np.array(views), free, clutter, tuning)
+            for part in possible_pairs(lines, np.array(views), free, clutter, tuning, bound)
         ]
     )
     frame = frames_of(lines, found.candidates.index)

@@ -15,6 +15,7 @@ from trinoc.match.observations import (
     SegmentTable,
     block_of,
 )
+from trinoc.match.occlusion.likely_pairs import PairBound, may_be_likely
 from trinoc.match.tuning import CandidateTuning, EndTuning, MatchTuning
 from trinoc.match.two_view import Pencil, pencil, pencil_of, plane_angles, row_of
 from trinoc.numerics import (
@@ -46,8 +47,10 @@ def possible_pairs(
     free: list[Int[np.ndarray, "_"]],
     clutter: ClutterModel,
     tuning: MatchTuning,
+    bound: PairBound | None = None,
 ) -> Iterator[PossiblePairs]:
-    """All pairs of free segments of two views that can be one line, block by block."""
+    """All pairs of free segments of two views that can be one line, and may be likely as far as a
+    `bound` tells, block by block."""
     planes, own_free = pencil(lines, views[0], views[1]), [free[view] for view in views]
     low_high = [
         plane_angles(lines, int(view), segments)
@@ -60,7 +63,7 @@ def possible_pairs(
     for block in blocks(len(first), rows):
         i, j = overlapping(first[block], second)
         segments = np.stack([own_free[0][i + block.start], own_free[1][j]], axis=1)
-        yield _judged(lines, views, planes, segments, clutter, tuning)
+        yield _judged(lines, views, planes, segments, clutter, tuning, bound)
 
 
 def _judged(
@@ -70,14 +73,19 @@ def _judged(
     segments: Int[np.ndarray, "p 2"],
     clutter: ClutterModel,
     tuning: MatchTuning,
+    bound: PairBound | None,
 ) -> PossiblePairs:
-    def judged(segments: np.ndarray) -> tuple[ArrayLike, ArrayLike]:
-        groups = {"tuning": tuning.candidates, "ends": tuning.ends}
-        return _evidence_of(lines, views, planes, segments, clutter, **groups)
-
-    keep, columns = judged_in_blocks(judged, block_of(lines, TRIPLES_IN_BLOCK), segments)
     ends = len(tuning.ends.agreeing_px) + 1
     shapes = ((2, 2), (2, 3), (), (2, ends), (2, 3), (2, 6), (), (), ())
+
+    def judged(segments: np.ndarray) -> tuple[ArrayLike, ArrayLike]:
+        groups = {"tuning": tuning.candidates, "ends": tuning.ends}
+        possible, columns = _evidence_of(lines, views, planes, segments, clutter, **groups)
+        if bound is not None:
+            possible = may_be_likely(bound, possible, columns, tuning=tuning.evidence)
+        return possible, columns
+
+    keep, columns = judged_in_blocks(judged, block_of(lines, TRIPLES_IN_BLOCK), segments)
     of_views, ends_mm, log_density, end_log, *union = split_columns(columns, shapes)
     outer_mm, spread, px_per_mm, expected, crossing_sine = union
     index = np.full((len(keep), len(lines.ends_px)), -1)

@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float, Int
 
 from trinoc.match.selection.exclusivity import ConflictGraph
 from trinoc.match.tuning import DEFAULT, SelectionTuning
-from trinoc.numerics import ArrayLike, bucket, padded
+from trinoc.numerics import ArrayLike, bucket, finer_bucket, padded
 
 # Frames that are one problem, at most.
 FRAMES_AT_ONCE = 64
@@ -59,7 +59,7 @@ def sum_product(
     if len(graph.slot) == 0:
         return Beliefs(log_odds, np.zeros((count, graph.views)))
     # A candidate of padding has the last slots, which all conflicts of padding are between.
-    candidates, conflicts = bucket(count + 1), bucket(len(graph.slot))
+    candidates, conflicts = bucket(count + 1), finer_bucket(len(graph.slot))
     nobody = candidates * graph.views - 1
     given = np.zeros((count, graph.views)) if before is None else before.messages
     chosen = chosen_greedily(log_odds, graph) if before is None else np.zeros(count, dtype=bool)

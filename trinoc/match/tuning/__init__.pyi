@@ -12,6 +12,7 @@ from .line_map import (
 from .observations import ClutterTuning as ClutterTuning, SideTuning as SideTuning
 from .occlusion import OcclusionTuning as OcclusionTuning
 from .rims import RimTuning as RimTuning
+from .scouting import ScoutTuning as ScoutTuning
 from .selection import (
     JunctionTuning as JunctionTuning,
     NoiseTuning as NoiseTuning,

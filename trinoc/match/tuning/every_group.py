@@ -15,6 +15,7 @@ from trinoc.match.tuning.line_map import (
 from trinoc.match.tuning.observations import ClutterTuning, SideTuning
 from trinoc.match.tuning.occlusion import OcclusionTuning
 from trinoc.match.tuning.rims import RimTuning
+from trinoc.match.tuning.scouting import ScoutTuning
 from trinoc.match.tuning.selection import JunctionTuning, NoiseTuning, SelectionTuning
 from trinoc.match.tuning.shadows import ShadowTuning
 from trinoc.match.tuning.tracks import TrackTuning
@@ -27,6 +28,7 @@ class MatchTuning:
     clutter: ClutterTuning = field(default_factory=ClutterTuning)
     sides: SideTuning = field(default_factory=SideTuning)
     candidates: CandidateTuning = field(default_factory=CandidateTuning)
+    scouting: ScoutTuning = field(default_factory=ScoutTuning)
     ends: EndTuning = field(default_factory=EndTuning)
     evidence: EvidenceTuning = field(default_factory=EvidenceTuning)
     junctions: JunctionTuning = field(default_factory=JunctionTuning)

@@ -1,0 +1,126 @@
+"""What a sample tells of large pictures takes no line away: as in the search of everything."""
+
+import numpy as np
+import pytest
+
+from tests.match.made import as_set, loose_lines, pictures, rig_of
+from trinoc.match import MatchTuning, match_segments, prepare
+from trinoc.match.candidates import Learned, Region, candidates_among, prepared_orders, region_of
+from trinoc.match.candidates.table import prior_log_odds
+from trinoc.match.evidence import prior_parameters
+from trinoc.match.observations import fit_clutter
+from trinoc.match.tuning import DEFAULT
+from trinoc.numerics import in_float64, with_field
+
+VIEWS = ("upper", "left", "right")
+RIG = rig_of(*VIEWS)
+
+
+def scouting(tuning: MatchTuning = DEFAULT) -> MatchTuning:
+    """As in large pictures, for pictures of a hundred segments."""
+    for name, value in {"above": 0, "sample": 50, "fewest": 10}.items():
+        tuning = with_field(tuning, f"scouting.{name}", value)
+    return tuning
+
+
+@pytest.fixture(scope="module")
+def lines_mm() -> np.ndarray:
+    """Many lines above the sheet, and three far above all of them."""
+    lines = loose_lines(110, seed=5)
+    lines[-3:] += np.array([[-9, 4, 80], [0, -7, 88], [8, 9, 96]])[:, None] - middles(lines[-3:])
+    return lines
+
+
+@pytest.fixture(scope="module")
+def seen(lines_mm: np.ndarray) -> dict:
+    return pictures(RIG, lines_mm, sigma_px=0.3, seed=6)
+
+
+def test_tracks_are_those_of_the_search_of_everything(seen: dict) -> None:
+    exhaustive, scouted = match_segments(seen, RIG), match_segments(seen, RIG, tuning=scouting())
+    assert as_set(scouted, VIEWS) == as_set(exhaustive, VIEWS)
+    assert len(scouted) >= 100
+
+
+def test_lines_outside_the_box_are_found(seen: dict, lines_mm: np.ndarray) -> None:
+    narrow = with_field(with_field(scouting(), "scouting.left_out", 0.05), "scouting.margin", 0.0)
+    outside = ~inside(region_of(lines_mm, narrow.scouting), lines_mm)
+    assert outside.sum() > 20
+    assert outside[-3:].all()
+    found = as_set(match_segments(seen, RIG, tuning=narrow), VIEWS)
+    assert found == as_set(match_segments(seen, RIG), VIEWS)
+    assert found >= {(n, n, n) for n in range(len(lines_mm) - 3, len(lines_mm))}
+
+
+def test_the_order_of_views_changes_nothing(seen: dict) -> None:
+    turned = {name: seen[name] for name in reversed(VIEWS)}
+    one, other = (match_segments(given, RIG, tuning=scouting()) for given in (seen, turned))
+    assert as_set(one, VIEWS) == as_set(other, VIEWS)
+
+
+def test_too_few_sure_lines_search_everything(seen: dict) -> None:
+    few = with_field(scouting(), "scouting.fewest", 1000)
+    one, other = match_segments(seen, RIG, tuning=few), match_segments(seen, RIG)
+    np.testing.assert_array_equal(one.posterior, other.posterior)
+
+
+def test_the_box_holds_its_lines_wherever_the_world_begins() -> None:
+    lines = loose_lines(200, seed=7)
+    far = np.array([3e5, -2e6, 1e4])
+    for shift in (np.zeros(3), far):
+        assert inside(region_of(lines + shift, DEFAULT.scouting), lines + shift).mean() > 0.98
+
+
+@in_float64
+def test_the_search_within_a_box_finds_what_has_its_common_part_there(seen: dict) -> None:
+    orders = orders_of(seen)
+    every = candidates_among(orders)
+    # A box whose walls are far from all ends, so that the fit to three views crosses none.
+    region = Region(np.eye(3), np.array([-200.0, -200.0, -50.0]), np.array([200.0, 200.0, 100.0]))
+    learned = Learned(region, prior_parameters(every.ends_mm, 110.0), -np.inf)
+    found = candidates_among(orders, learned=learned)
+    assert {tuple(row) for row in found.index} <= {tuple(row) for row in every.index}
+    true = {(n, n, n) for n in range(107)}
+    numbers = np.stack([order[found.index[:, v]] for v, order in enumerate(orders_seen(seen))], 1)
+    assert true <= {tuple(row) for row in numbers.tolist()}
+
+
+@in_float64
+def test_what_is_dropped_at_sight_is_unlikely(seen: dict) -> None:
+    orders = orders_of(seen)
+    every = candidates_among(orders)
+    mixture = prior_parameters(every.ends_mm, 110.0)
+    anywhere = mixture._replace(volume=mixture.volume._replace(precision=np.zeros((3, 3))))
+    odds = prior_log_odds(every, anywhere)
+    slack = DEFAULT.scouting.slack_log_odds
+    for least in (-5.0, 0.0, 5.0):
+        found = candidates_among(orders, learned=Learned(None, mixture, least))
+        likely = every.index[odds > least + slack]
+        kept = {tuple(row) for row in found.index.tolist()}
+        missing = {tuple(row) for row in likely.tolist()} - kept
+        assert len(likely) > 100
+        assert len(missing) <= 0.01 * len(likely)
+        assert (prior_log_odds(found, anywhere) > least - slack).mean() > 0.95
+
+
+def middles(lines_mm: np.ndarray) -> np.ndarray:
+    """(n, 1, 3) the middle of each line."""
+    return lines_mm.mean(axis=1, keepdims=True)
+
+
+def inside(region: Region, lines_mm: np.ndarray) -> np.ndarray:
+    """Whether both ends of each line lie in a box."""
+    place = lines_mm @ region.axes.T
+    return np.all((place > region.low_mm) & (place < region.high_mm), axis=(1, 2))
+
+
+def orders_seen(seen: dict) -> list[np.ndarray]:
+    """Of each of the matcher's views, the number of the line that each segment shows."""
+    return list(prepare(seen, RIG, None).order)
+
+
+def orders_of(seen: dict):
+    """The three views, ready to be searched."""
+    given = prepare(seen, RIG, None)
+    clutter = fit_clutter(given.lines, given.counts)
+    return prepared_orders(given.lines, (0, 1, 2), given.counts, clutter)
