@@ -51,9 +51,9 @@ DELIVERIES = (
     Delivery("grey, linear, 12 bits in 16", processing=Processing(bits=12)),
     Delivery("colour mosaic, bilinear", _BAYER),
     Delivery("colour mosaic, edge-aware", _BAYER, Processing(interpolation="edge-aware")),
-    Delivery("the same, sRGB", _BAYER, Processing(response=SRGB()), response="srgb"),
+    Delivery("mosaic, sRGB", _BAYER, Processing(response=SRGB()), response="srgb"),
     Delivery(
-        "the same, sRGB not said", _BAYER, Processing(response=SRGB()),
+        "mosaic, sRGB, not told", _BAYER, Processing(response=SRGB()),
     ),
     Delivery(
         "sRGB, JPEG 90", _BAYER, Processing(response=SRGB(), jpeg_quality=90), response="srgb"
@@ -67,7 +67,7 @@ DELIVERIES = (
     ),
     Delivery("three unlike exposures and white balances", _BAYER, **_UNLIKE),
     Delivery(
-        "the same, sRGB, JPEG 90", _BAYER, Processing(response=SRGB(), jpeg_quality=90),
+        "these, sRGB, JPEG 90", _BAYER, Processing(response=SRGB(), jpeg_quality=90),
         response="srgb", **_UNLIKE,
     ),
 )  # fmt: skip

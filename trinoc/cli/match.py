@@ -14,6 +14,7 @@ from trinoc.cli.cylinders import cylinders_record, cylinders_text
 from trinoc.cli.plan import plan
 from trinoc.cli.progress import LOGGER
 from trinoc.cli.rig_file import doubts_of, doubts_table, read_rig
+from trinoc.cli.rims import rims_record, rims_text
 from trinoc.cli.scene_files import SEGMENT_SUFFIXES, check_views, read_segments
 from trinoc.cli.segment_options import SegmentOptions
 from trinoc.cli.shadows import shadows_record, shadows_text
@@ -56,6 +57,10 @@ class Match(SegmentOptions, Command):
     measure: Literal["segments", "pixels"] = "segments"
     """What places the lines: their segments, or the grey levels of all their views, which are more
     exact and take longer."""
+
+    rims: bool = False
+    """Also find the circular rims of round bodies among the chords of arcs, which are no segments
+    otherwise, and add pieces of them to the tracks."""
 
     cylinders: Annotated[
         Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")
@@ -102,9 +107,10 @@ class Match(SegmentOptions, Command):
             _check_pictures(files, "--guided")
         if self.measure == "pixels":
             _check_pictures(files, "--measure pixels")
+        if self.rims:
+            _check_pictures(files, "--rims")
         if self.dry_run:
             sizes = {name: rig[name].image_size_px for name in files}
-            places = (self.out, self.cylinders, self.report)
             places = (self.out, self.cylinders, self.report)
             return plan(f"match with {self.rig}", files, sizes, places)
         images, segments = read_segments(files, rig, self.find, quiet=self.quiet)
@@ -122,6 +128,16 @@ class Match(SegmentOptions, Command):
 
             LOGGER.info("measuring %d lines in the pictures", len(matches))
             matches = measure_lines(matches, segments, rig, images, response=self.response)
+        rims = None
+        if self.rims:
+            from trinoc.match import add_rims, find_rims
+
+            LOGGER.info("looking for rims")
+            keep_arcs = dataclasses.replace(self, arcs=True)
+            chords = {name: keep_arcs.find(image) for name, image in images.items()}
+            rims = find_rims(match_segments(chords, rig, depth_range_mm=depths), chords, rig)
+            joined = add_rims(matches, segments, rims, chords, rig)
+            segments, matches = joined.segments, joined.matches
         cylinders = None
         if self.cylinders is not None:
             from trinoc.match import find_cylinders
@@ -157,6 +173,9 @@ class Match(SegmentOptions, Command):
         places = (self.out, self.cylinders, self.report)
         written = [str(path) for path in places if path is not None]
         text, record = match_text(matches), match_record(segments, matches)
+        if rims is not None:
+            text = f"{text}\n\n{rims_text(rims)}"
+            record["rims"] = rims_record(rims)
         if cylinders is not None:
             text = f"{text}\n\n{cylinders_text(cylinders)}"
             record["cylinders"] = cylinders_record(cylinders)

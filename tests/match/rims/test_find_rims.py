@@ -9,7 +9,7 @@ from scipy.stats import chi2
 from tests.match.made import loose_lines, rig_of
 from tests.match.rims.made_rims import Ring, chords_seen, projected
 from trinoc.errors import InputError
-from trinoc.match import MatchTuning, find_rims, match_segments
+from trinoc.match import MatchTuning, add_rims, find_rims, match_segments
 from trinoc.match.tuning import RimTuning
 from trinoc.synth.solids import Cylinder
 
@@ -136,3 +136,39 @@ def test_views_without_segments_are_named(rig) -> None:
     matches = match_segments(segments, rig)
     with pytest.raises(InputError, match='"right" has none'):
         find_rims(matches, {name: segments[name] for name in VIEWS[:2]}, rig)
+
+
+def test_rims_stand_beside_matches_of_straight_edges(rig) -> None:
+    chords = chords_seen(rig, [FLAT], loose_lines(8, seed=1), sigma_px=0.1)
+    # The other detector keeps the lines, and of the ring the first two chords.
+    segments = {
+        name: np.asarray(each.endpoints_px)[[0, 1, *range(14, len(each))]].reshape(-1, 4)
+        for name, each in chords.items()
+    }
+    rims = find_rims(match_segments(chords, rig), chords, rig)
+    matches = match_segments(segments, rig)
+    joined = add_rims(matches, segments, rims, chords, rig)
+    first = len(joined.kept)
+    np.testing.assert_array_equal(joined.matches.lines_mm[:first], matches.lines_mm[joined.kept])
+    np.testing.assert_array_equal(joined.matches.index[:first], matches.index[joined.kept])
+    assert (joined.matches.index[:first] >= 2)[joined.matches.index[:first] >= 0].all()
+    pieces, own = joined.matches.index[first:], rims.matches.index[len(rims.kept) :]
+    assert len(pieces) == len(own) > 0
+    for view, name in enumerate(matches.views):
+        shown = own[:, view] >= 0
+        np.testing.assert_array_equal(
+            joined.segments[name].endpoints_px[pieces[shown, view]],
+            chords[name].endpoints_px[own[shown, view]],
+        )
+        assert len(joined.matches.reasons[name]) == len(joined.segments[name])
+        np.testing.assert_array_equal(
+            joined.segments[name].endpoints_px[: len(segments[name])].reshape(-1, 4), segments[name]
+        )
+
+
+def test_rims_of_other_views_are_refused(rig) -> None:
+    segments = chords_seen(rig, [FLAT])
+    rims = find_rims(match_segments(segments, rig), segments, rig)
+    two = {name: segments[name] for name in VIEWS[:2]}
+    with pytest.raises(InputError, match="upper, left, right, but the matches of upper, left"):
+        add_rims(match_segments(two, rig), two, rims, segments, rig)

@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float, Int
 
 from trinoc.geometry import Intrinsics, Rig, Segments
 from trinoc.match.observations import (
+    SIDE_COLUMNS,
     CamerasInput,
     FrameInput,
     MatchInput,
@@ -112,7 +113,7 @@ def tables_of(state: State) -> MatchInput:
                 [view.ends_px for view in state.segments],
                 [view.covariance_px2 for view in state.segments],
                 [np.zeros(count, dtype=np.int64) for count in counts],
-                [np.full((count, 5), np.nan) for count in counts],
+                [np.full((count, SIDE_COLUMNS), np.nan) for count in counts],
                 state.cameras,
             )
         ]

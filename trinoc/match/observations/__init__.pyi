@@ -17,6 +17,7 @@ from .match_input import (
 )
 from .noise import with_noise_scale as with_noise_scale
 from .pictures_of_views import as_segments as as_segments, check_pictures as check_pictures
+from .side_intensity import SIDE_COLUMNS as SIDE_COLUMNS
 from .table import (
     PAIRS_IN_BLOCK as PAIRS_IN_BLOCK,
     TRIPLES_IN_BLOCK as TRIPLES_IN_BLOCK,

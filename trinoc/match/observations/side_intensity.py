@@ -11,6 +11,8 @@ from trinoc.match.tuning import DEFAULT, SideTuning
 
 # Ends of the histogram, in hundredths of the range of all levels; what lies beyond counts there.
 _LEAST, _MOST = -10.0, 110.0
+# Columns of a table: five of levels, two of contrasts.
+SIDE_COLUMNS = 7
 
 
 def side_table(

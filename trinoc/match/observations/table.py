@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from trinoc.geometry import centre_of_matrix, line_through
+from trinoc.match.observations.side_intensity import SIDE_COLUMNS
 from trinoc.numerics import ArrayLike, bucket, inverse_3x3, padded
 
 
@@ -73,7 +74,7 @@ def segment_table(
         np.stack([padded(ends, size, filler) for ends in ends_px]),
         np.stack([padded(covariance, size, np.eye(4)) for covariance in covariances_px2]),
         np.stack([padded(np.asarray(p, dtype=np.float64), size, 0.0) for p in polarities]),
-        np.stack([padded(table, size, np.full(7, np.nan)) for table in sides]),
+        np.stack([padded(table, size, np.full(SIDE_COLUMNS, np.nan)) for table in sides]),
         None if frames is None else np.stack([padded(f.astype(np.int32), size) for f in frames]),
     )
 

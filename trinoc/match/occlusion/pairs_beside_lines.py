@@ -4,7 +4,6 @@ import numpy as np
 
 from trinoc.match.candidates import Candidates
 from trinoc.match.evidence import probability, temper
-from trinoc.match.occlusion.companions import companion_log_odds, companions
 from trinoc.match.occlusion.pair_evidence import (
     Pairs,
     PairsBeside,
@@ -49,23 +48,16 @@ def pairs_beside_lines(
     gain = np.zeros(len(evidence))
     odds = posterior_log_odds = gain
     beliefs = None
-    graph_of_companions, more = None, np.zeros(len(evidence))
-    rows = np.arange(len(known), len(known) + len(evidence))
     for _ in range(rules.rounds):
-        odds = evidence + of_group(np.log(share), frame) + gain + more
+        odds = evidence + of_group(np.log(share), frame) + gain
         beliefs = sum_product(odds, graph, tuning.selection, frame, beliefs)
         posterior_log_odds = beliefs.log_odds
         posterior = probability(posterior_log_odds)
         share = (group_sums(posterior, frame, frames) + 1) / (lines_known + 10)
-        every = np.concatenate([known, posterior])
-        if graph_of_companions is None:
-            likely = np.flatnonzero(every > rules.companion_likely)
-            graph_of_companions = companions(everyone, likely, beside.ends_px, tuning, both)
-        more = companion_log_odds(graph_of_companions, every, rows, rules, frame, frames)
         if np.any(helped):
             gain, _ = junction_log_odds(
                 meetings,
-                every,
+                np.concatenate([known, posterior]),
                 density,
                 junctions,
                 tuning.junctions,

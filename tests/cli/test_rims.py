@@ -1,0 +1,43 @@
+"""`trinoc match --rims`: on the bundled scene, and with segments in place of pictures."""
+
+import json
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+import trinoc
+from trinoc.cli.main import main
+from trinoc.synth import demo, table1_rig
+
+VIEWS = ("upper", "left", "right")
+
+
+@pytest.fixture
+def scene(tmp_path, monkeypatch):
+    """The rig and the pictures of the demo's scene, which has one cylinder, 15 mm in radius."""
+    monkeypatch.chdir(tmp_path)
+    trinoc.save(table1_rig(), "rig.json")
+    for view in VIEWS:
+        shutil.copy(Path(*demo.__path__) / f"scene_{view}.png", tmp_path)
+    return [f"{view}=scene_{view}.png" for view in VIEWS]
+
+
+def test_rims_are_added_and_told(scene, capsys):
+    assert main(["match", *scene, "--rig", "rig.json", "--rims", "--json", "--quiet"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    (rim,) = told["rims"]["found"]
+    assert abs(rim["radius_mm"] - 15.0) < 5 * rim["radius_sigma_mm"] < 1.0
+    matches = trinoc.load_matches("matches.npz")
+    added = told["rims"]["counts"]["pieces of rims"]
+    off = np.linalg.norm(matches.lines_mm[-added:] - rim["centre_mm"], axis=2)
+    np.testing.assert_allclose(off, rim["radius_mm"], atol=0.01)
+
+
+def test_rims_need_pictures(scene, capsys):
+    trinoc.save(trinoc.find_segments(cv2.imread("scene_left.png")), "left.npz")
+    files = [name.replace("scene_left.png", "left.npz") for name in scene]
+    assert main(["match", *files, "--rig", "rig.json", "--rims", "--quiet"]) == 2
+    assert "--rims needs pictures" in capsys.readouterr().err
