@@ -1,4 +1,4 @@
-"""What parallel partners and curves add to pairs: with and without them, in two views and three.
+"""What parallel partners and curves add to pairs of two views: with and without them.
 
     python benchmarks/companions.py [--seeds N]
 
@@ -28,7 +28,7 @@ from trinoc.synth import (
 from trinoc.synth.solids import box
 
 SEED, UNSAID = 60_000, 0.05
-VIEWS = {"two": ("left", "right"), "three": ("upper", "left", "right")}
+VIEWS = "left", "right"
 
 
 def bars(seed: int, count: int = 45) -> Scene:
@@ -67,13 +67,13 @@ def scenes(seeds: int) -> Iterator[tuple[str, list[tuple[int, Scene]]]]:
     yield "loose segments", [(seed, loose_segments(seed, count=500)) for seed in every]
 
 
-def figures(seed: int, scene: Scene, names: tuple[str, ...], most: float) -> np.ndarray:
+def figures(seed: int, scene: Scene, most: float) -> np.ndarray:
     """Precision and recall of pairs, log score, calibration error."""
     rig = table1_rig()
     segments, truth = simulate_segments(scene, rig, Detector(), seed=seed)
     usual = MatchTuning()
     tuning = replace(usual, occlusion=replace(usual.occlusion, most_companion=most))
-    matches = match_segments({name: segments[name] for name in names}, rig, tuning=tuning)
+    matches = match_segments({name: segments[name] for name in VIEWS}, rig, tuning=tuning)
     pairs = score_matches(matches, truth).pairs
     stated, right = np.array(_outcomes(matches, truth), dtype=float).T
     stated = np.clip(stated, 1e-4, 1 - 1e-4)
@@ -88,22 +88,20 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=5)
     given = parser.parse_args()
     for kind, drawn in scenes(given.seeds):
-        for label, names in VIEWS.items():
-            without, found = (
-                np.array([figures(seed, scene, names, most) for seed, scene in drawn])
-                for most in (0.0, 4.0)
-            )
-            change = found - without
-            spread = change.std(axis=0, ddof=1) / np.sqrt(len(drawn))
-            print(
-                f"{kind:18s} {label:6s}"
-                + " {:.3f}/{:.3f}, error {:.3f}".format(*without.mean(axis=0)[[0, 1, 3]])
-                + " to {:.3f}/{:.3f}, {:.3f};".format(*found.mean(axis=0)[[0, 1, 3]])
-                + f" precision {change.mean(axis=0)[0]:+.3f} +- {spread[0]:.3f},"
-                + f" recall {change.mean(axis=0)[1]:+.3f} +- {spread[1]:.3f},"
-                + f" log score {change.mean(axis=0)[2]:+.1f} +- {spread[2]:.1f}",
-                flush=True,
-            )
+        without, found = (
+            np.array([figures(seed, scene, most) for seed, scene in drawn]) for most in (0.0, 4.0)
+        )
+        change = found - without
+        spread = change.std(axis=0, ddof=1) / np.sqrt(len(drawn))
+        print(
+            f"{kind:18s}"
+            + " {:.3f}/{:.3f}, error {:.3f}".format(*without.mean(axis=0)[[0, 1, 3]])
+            + " to {:.3f}/{:.3f}, {:.3f};".format(*found.mean(axis=0)[[0, 1, 3]])
+            + f" precision {change.mean(axis=0)[0]:+.3f} +- {spread[0]:.3f},"
+            + f" recall {change.mean(axis=0)[1]:+.3f} +- {spread[1]:.3f},"
+            + f" log score {change.mean(axis=0)[2]:+.1f} +- {spread[2]:.1f}",
+            flush=True,
+        )
 
 
 if __name__ == "__main__":

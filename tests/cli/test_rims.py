@@ -26,11 +26,16 @@ def scene(tmp_path, monkeypatch):
 
 
 def test_rims_are_added_and_told(scene, capsys):
-    assert main(["match", *scene, "--rig", "rig.json", "--rims", "--json", "--quiet"]) == 0
+    options = ["--rims", "--cylinders", "cylinders.npz", "--json", "--quiet"]
+    assert main(["match", *scene, "--rig", "rig.json", *options]) == 0
     told = json.loads(capsys.readouterr().out)
     (rim,) = told["rims"]["found"]
     assert abs(rim["radius_mm"] - 15.0) < 5 * rim["radius_sigma_mm"] < 1.0
     matches = trinoc.load_matches("matches.npz")
+    # The body below is found by its outlines, as without rims.
+    (body,) = told["cylinders"]["found"]
+    assert abs(body["radius_mm"] - rim["radius_mm"]) < 5 * body["radius_sigma_mm"]
+    assert len(trinoc.load_cylinders("cylinders.npz").silhouette) == len(matches)
     added = told["rims"]["counts"]["pieces of rims"]
     off = np.linalg.norm(matches.lines_mm[-added:] - rim["centre_mm"], axis=2)
     np.testing.assert_allclose(off, rim["radius_mm"], atol=0.01)

@@ -1,22 +1,21 @@
 """`trinoc match`: the pictures of a rig, or their segments, to matched 3-D segments."""
 
 import dataclasses
-import math
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
 from trinoc.cli.command import Command, Outcome, UsageError
 from trinoc.cli.cylinders import cylinders_record, cylinders_text
+from trinoc.cli.match_steps import MatchOptions, found_in
 from trinoc.cli.plan import plan
 from trinoc.cli.progress import LOGGER
 from trinoc.cli.rig_file import doubts_of, doubts_table, read_rig
 from trinoc.cli.rims import rims_record, rims_text
 from trinoc.cli.scene_files import SEGMENT_SUFFIXES, check_views, read_segments
-from trinoc.cli.segment_options import SegmentOptions
 from trinoc.cli.shadows import shadows_record, shadows_text
 from trinoc.cli.views import files_of_rig, files_of_views
 
@@ -27,12 +26,10 @@ if TYPE_CHECKING:
 # Of the segments of the view that has fewest. The demo's scene reaches 0.66; 0.06 where two of its
 # pictures are swapped, and 0.23 where one of them is a photograph of something else.
 LEAST_SHARE = 0.25
-# Not None: an option that may be a pair or nothing would take pictures that follow it.
-ANYWHERE = (0.0, math.inf)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Match(SegmentOptions, Command):
+class Match(MatchOptions, Command):
     """Match line segments across the pictures of a calibrated rig."""
 
     pictures: Annotated[
@@ -44,32 +41,6 @@ class Match(SegmentOptions, Command):
 
     rig: Path
     """The cameras, as `trinoc calibrate` writes them."""
-
-    depth_range_mm: Annotated[
-        tuple[float, float],
-        tyro.conf.arg(metavar="NEAR FAR", help_behavior_hint="(default: anywhere before them)"),
-    ] = ANYWHERE
-    """Least and greatest depth of lines before every camera that sees them."""
-
-    guided: bool = False
-    """Ask every picture again where matched lines must be: finds faint edges, takes longer."""
-
-    measure: Literal["segments", "pixels"] = "segments"
-    """What places the lines: their segments, or the grey levels of all their views, which are more
-    exact and take longer."""
-
-    rims: bool = False
-    """Also find the circular rims of round bodies among the chords of arcs, which are no segments
-    otherwise, and add pieces of them to the tracks."""
-
-    cylinders: Annotated[
-        Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")
-    ] = None
-    """Also find right circular cylinders by their outlines, and write them here (npz). Tracks that
-    hold an outline are marked."""
-
-    shadows: bool = False
-    """Also say how likely each track is the boundary of a cast shadow, and where the lamp is."""
 
     out: Annotated[Path, tyro.conf.arg(aliases=("-o",))] = Path("matches.npz")
     """Where the matches go."""
@@ -97,7 +68,6 @@ class Match(SegmentOptions, Command):
         self.check()
 
         from trinoc.io import expect_place, save
-        from trinoc.match import match_segments
 
         expect_place(self.out, self.report, self.cylinders)
         rig = read_rig(self.rig)
@@ -115,43 +85,10 @@ class Match(SegmentOptions, Command):
             return plan(f"match with {self.rig}", files, sizes, places)
         images, segments = read_segments(files, rig, self.find, quiet=self.quiet)
         LOGGER.info("matching %s", ", ".join(f"{len(s)} ({n})" for n, s in segments.items()))
-        depths = None if self.depth_range_mm == ANYWHERE else self.depth_range_mm
-        matches = match_segments(segments, rig, depth_range_mm=depths)
-        if self.guided:
-            from trinoc.match import guide_matches
-
-            LOGGER.info("asking the pictures again along %d lines", len(matches))
-            guided = guide_matches(matches, segments, rig, images)
-            segments, matches = guided.segments, guided.matches
-        if self.measure == "pixels":
-            from trinoc.match import measure_lines
-
-            LOGGER.info("measuring %d lines in the pictures", len(matches))
-            matches = measure_lines(matches, segments, rig, images, response=self.response)
-        rims = None
-        if self.rims:
-            from trinoc.match import add_rims, find_rims
-
-            LOGGER.info("looking for rims")
-            keep_arcs = dataclasses.replace(self, arcs=True)
-            chords = {name: keep_arcs.find(image) for name, image in images.items()}
-            rims = find_rims(match_segments(chords, rig, depth_range_mm=depths), chords, rig)
-            joined = add_rims(matches, segments, rims, chords, rig)
-            segments, matches = joined.segments, joined.matches
-        cylinders = None
-        if self.cylinders is not None:
-            from trinoc.match import find_cylinders
-
-            cylinders = find_cylinders(matches, segments, rig)
-            matches = cylinders.marked(matches)
+        found = found_in(self, images, segments, rig)
+        segments, matches, cylinders = found.segments, found.matches, found.cylinders
+        if cylinders is not None and self.cylinders is not None:
             save(cylinders, self.cylinders)
-        shadows = None
-        if self.shadows:
-            from trinoc.match import find_shadows
-
-            LOGGER.info("looking for the lamp of %d lines", len(matches))
-            shadows = find_shadows(matches, segments, rig)
-            matches = shadows.marked(matches)
         save(matches, self.out)
         if self.report is not None:
             from trinoc.cli.provenance import for_people, provenance
@@ -173,15 +110,15 @@ class Match(SegmentOptions, Command):
         places = (self.out, self.cylinders, self.report)
         written = [str(path) for path in places if path is not None]
         text, record = match_text(matches), match_record(segments, matches)
-        if rims is not None:
-            text = f"{text}\n\n{rims_text(rims)}"
-            record["rims"] = rims_record(rims)
+        if found.rims is not None:
+            text = f"{text}\n\n{rims_text(found.rims)}"
+            record["rims"] = rims_record(found.rims)
         if cylinders is not None:
             text = f"{text}\n\n{cylinders_text(cylinders)}"
             record["cylinders"] = cylinders_record(cylinders)
-        if shadows is not None:
-            text = f"{text}\n\n{shadows_text(shadows)}"
-            record["shadows"] = shadows_record(shadows)
+        if found.shadows is not None:
+            text = f"{text}\n\n{shadows_text(found.shadows)}"
+            record["shadows"] = shadows_record(found.shadows)
         text = f"{text}\nwritten: {', '.join(written)}"
         return Outcome(text, {**record, "written": written})
 

@@ -56,6 +56,11 @@ class Cylinders(eqx.Module):
         """The matches that the cylinders were found in, with `silhouette`."""
         return dataclasses.replace(matches, silhouette=self.silhouette)
 
+    def of_tracks(self, kept: Int[np.ndarray, "k"], count: int) -> "Cylinders":
+        """The same for matches that begin with the tracks `kept` of these, of `count` tracks."""
+        more = np.zeros(count - len(kept))
+        return dataclasses.replace(self, silhouette=np.append(self.silhouette[kept], more))
+
     @property
     def radius_sigma_mm(self) -> Float[np.ndarray, "c"]:
         """(c,) standard deviation of each radius."""
