@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 
 import trinoc
+import trinoc.synth
 from trinoc.cli.main import main
-from trinoc.synth import demo, table1_rig
+from trinoc.synth import table1_rig
 
 VIEWS = ("upper", "left", "right")
+DEMO = Path(trinoc.synth.__file__).parent / "demo"
 
 
 @pytest.fixture
@@ -21,7 +23,7 @@ def scene(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     trinoc.save(table1_rig(), "rig.json")
     for view in VIEWS:
-        shutil.copy(Path(*demo.__path__) / f"scene_{view}.png", tmp_path)
+        shutil.copy(DEMO / f"scene_{view}.png", tmp_path)
     return [f"{view}=scene_{view}.png" for view in VIEWS]
 
 
@@ -42,7 +44,7 @@ def test_rims_are_added_and_told(scene, capsys):
 
 
 def test_rims_need_pictures(scene, capsys):
-    trinoc.save(trinoc.find_segments(cv2.imread("scene_left.png")), "left.npz")
+    trinoc.save(trinoc.find_segments(np.asarray(cv2.imread("scene_left.png"))), "left.npz")
     files = [name.replace("scene_left.png", "left.npz") for name in scene]
     assert main(["match", *files, "--rig", "rig.json", "--rims", "--quiet"]) == 2
     assert "--rims needs pictures" in capsys.readouterr().err

@@ -116,8 +116,12 @@ def test_frames_of_earlier_versions_have_normal_errors(folder, matches):
         viewpoint_dependent=np.zeros(len(matches), dtype=bool),
     )
     save_frames([FrameMatches("one", OK, matches)], matches.views, folder / "frames.npz")
-    assert load_frames(folder / "frames.npz")[0].matches.noise_tail == matches.noise_tail
+    for now in load_frames(folder / "frames.npz"):
+        assert now.matches is not None
+        assert now.matches.noise_tail == matches.noise_tail
     with np.load(folder / "frames.npz") as file:
         earlier = {name: file[name] for name in file.files if name != "noise_tail"}
     np.savez(folder / "earlier.npz", **earlier)
-    assert load_frames(folder / "earlier.npz")[0].matches.noise_tail == 0.0
+    for then in load_frames(folder / "earlier.npz"):
+        assert then.matches is not None
+        assert then.matches.noise_tail == 0.0

@@ -1,11 +1,15 @@
 """Circles that two matched lines suggest, those first for which other lines speak."""
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
+from scipy.spatial import KDTree
 
 from trinoc.match.rims.circles import Circles
 from trinoc.match.tuning import RimTuning
 from trinoc.numerics import concatenate_rows, cross_3d, take_rows
+
+# Lines that are held against circles at once: for memory, some 100 bytes each.
+MOST_AT_ONCE = 1 << 21
 
 
 def hypotheses(
@@ -16,7 +20,7 @@ def hypotheses(
     way = lines_mm[:, 1] - lines_mm[:, 0]
     length = np.linalg.norm(way, axis=1)
     unit = way / np.maximum(length, 1e-12)[:, None]
-    one, other = np.triu_indices(len(lines_mm), 1)
+    one, other = _neighbours(middle, tuning.neighbours)
     least, most = (mm_per_px * radius for radius in tuning.radii_px)
     normal = cross_3d(unit[one], unit[other])
     sine = np.linalg.norm(normal, axis=1)
@@ -40,12 +44,38 @@ def hypotheses(
         centre = centre + reach[:, None] * (inward[0] + side * inward[1]) / 2
         found.append((one[good], Circles(centre[good], normal[good], radius[good])))
     line, circles = concatenate_rows(found)
-    support = _support(circles, middle, unit, length, mm_per_px, tuning)
+    at_once = max(MOST_AT_ONCE // max(len(lines_mm), 1), 1)
+    support = np.concatenate(
+        [
+            _support(take_rows(circles, rows), middle, unit, length, mm_per_px, tuning)
+            for rows in in_parts(len(line), at_once)
+        ]
+    )
     # The best of each line, so that one rim of many chords does not hide another.
     best = np.lexsort((-support, line))
     rank = np.arange(len(best)) - np.searchsorted(line[best], line[best])
     best = best[rank < tuning.most_of_line]
-    return take_rows(circles, best[np.argsort(-support[best], kind="stable")])
+    best = best[np.argsort(-support[best], kind="stable")[: tuning.most_circles]]
+    return take_rows(circles, best)
+
+
+def in_parts(count: int, at_once: int) -> list[Int[np.ndarray, "_"]]:
+    """Numbers below `count`, so many at a time; one part, of none, where there is none."""
+    return np.split(np.arange(count), np.arange(at_once, count, at_once))
+
+
+def _neighbours(
+    middle_mm: Float[np.ndarray, "t 3"], most: int
+) -> tuple[Int[np.ndarray, "p"], Int[np.ndarray, "p"]]:
+    """Pairs of lines, each with the nearest so many others."""
+    count = len(middle_mm)
+    if count <= most + 1:
+        return np.triu_indices(count, 1)
+    near = np.asarray(KDTree(middle_mm).query(middle_mm, most + 1)[1])
+    pairs = np.stack([np.repeat(np.arange(count), most + 1), near.ravel()], axis=1)
+    pairs = np.unique(np.sort(pairs, axis=1), axis=0)
+    first, second = pairs[pairs[:, 0] < pairs[:, 1]].T
+    return first, second
 
 
 def _support(

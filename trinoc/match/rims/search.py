@@ -19,7 +19,7 @@ from trinoc.match.rims.circles import (
 )
 from trinoc.match.rims.fit import fitted
 from trinoc.match.rims.given import mm_per_px_of, segments_of_views
-from trinoc.match.rims.hypotheses import hypotheses
+from trinoc.match.rims.hypotheses import MOST_AT_ONCE, hypotheses, in_parts
 from trinoc.match.rims.pieces import arcs_of, covered_by_two
 from trinoc.match.rims.rims import Rims
 from trinoc.match.tracks import Matches
@@ -71,8 +71,13 @@ def find_rims(
 
 def _chosen(chords: Chords, start: Circles, tuning: RimTuning) -> list[Fitted]:
     """Rims, one after the other, those of the longest chords first; a chord belongs to one."""
-    off = off_circles(chords, start)
-    support = _support(chords, off, tuning.first_px, tuning)
+    at_once = max(MOST_AT_ONCE // (8 * max(len(chords.view), 1)), 1)
+    support = np.concatenate(
+        [
+            _support(chords, off_circles(chords, take_rows(start, rows)), tuning.first_px, tuning)
+            for rows in in_parts(len(start.radius_mm), at_once)
+        ]
+    )
     views = int(chords.view.max(initial=-1)) + 1
     by_view = (chords.view[:, None] == np.arange(views)).astype(np.float64)
     free, found = np.ones(len(chords.view), dtype=bool), []

@@ -12,6 +12,10 @@ class RimTuning:
     least_turn_deg: float = 17.0
     closes_px: float = 5.0
     closes_share: float = 0.2
+    # Of each line so many nearest others are tried with it, and so many circles in all are looked
+    # for in the pictures, those of most support: measured scenes have fewer of both.
+    neighbours: int = 150
+    most_circles: int = 1500
     # Radii, px of the usual picture. By hand.
     radii_px: tuple[float, float] = (4.0, 200.0)
     # Other matched lines speak for a circle that are this near, px and share of the radius, and

@@ -7,6 +7,10 @@ from dataclasses import dataclass
 class ShadowTuning:
     """From tracks to shadow boundaries and their lamp. Shown by benchmarks/shadows.py."""
 
+    # Among more lines than these some agree on a lamp by chance, as on photographs of buildings:
+    # no lamp is looked for. Measured scenes have half as many. By hand; and what is stated then.
+    most_lines: int = 150
+    share_unknown: float = 0.06
     # Lines of a plane, at least; a line lies in it within so many sigmas and this share of the
     # median length of lines. Lines less turned than this sine suggest no plane. By hand.
     fewest_in_plane: int = 4
