@@ -93,6 +93,56 @@ class Segments(Shown, eqx.Module):
     def __len__(self) -> int:
         return len(self.endpoints_px)
 
+    def take(self, rows: Int[np.ndarray, "m"]) -> "Segments":
+        """Some of them, without their junctions, which number all."""
+
+        def some(column: ArrayLike | None) -> np.ndarray | None:
+            return None if column is None else np.asarray(column)[rows]
+
+        return Segments(
+            np.asarray(self.endpoints_px)[rows],
+            np.asarray(self.covariance_px2)[rows],
+            np.asarray(self.polarity)[rows],
+            np.asarray(self.contrast)[rows],
+            np.asarray(self.support)[rows],
+            self.image_size_px,
+            some(self.reasons),
+            some(self.chain),
+            None,
+            some(self.side_levels),
+        )
+
+    def followed_by(self, more: "Segments") -> "Segments":
+        """These, and after them others, which meet none and belong to no chain of them.
+
+        What these do not know is not known of the others either.
+        """
+
+        def joined(name: str, unknown: str | float) -> np.ndarray | None:
+            own, other = getattr(self, name), getattr(more, name)
+            if own is None:
+                return None
+            if other is None:
+                other = np.full((len(more), *np.shape(own)[1:]), unknown)
+            return np.concatenate([np.asarray(own), np.asarray(other)])
+
+        chain = None
+        if self.chain is not None:
+            first = int(np.max(self.chain, initial=-1)) + 1
+            chain = np.concatenate([self.chain, np.arange(first, first + len(more))])
+        return Segments(
+            np.concatenate([self.endpoints_px, more.endpoints_px]),
+            np.concatenate([self.covariance_px2, more.covariance_px2]),
+            np.concatenate([self.polarity, more.polarity]),
+            np.concatenate([self.contrast, more.contrast]),
+            np.concatenate([self.support, more.support]),
+            self.image_size_px,
+            joined("reasons", ""),
+            chain,
+            self.junctions,
+            joined("side_levels", np.nan),
+        )
+
     @property
     def length_px(self) -> Float[ArrayLike, "n"]:
         """Distance between the two ends."""

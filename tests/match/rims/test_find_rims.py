@@ -10,6 +10,7 @@ from tests.match.made import loose_lines, rig_of
 from tests.match.rims.made_rims import Ring, chords_seen, projected
 from trinoc.errors import InputError
 from trinoc.match import MatchTuning, add_rims, find_rims, match_segments
+from trinoc.match.rims import hypotheses, search
 from trinoc.match.tuning import RimTuning
 from trinoc.synth.solids import Cylinder
 
@@ -58,6 +59,19 @@ def test_exact_chords_leave_their_circles(rig) -> None:
             np.asarray(rig[matches.views[view]].matrix_px), found.matches.lines_mm[on]
         )
         assert np.abs(found.matches.fragments_px[on, view] - image).max() < 2.0
+
+
+def test_few_neighbours_and_small_parts_find_the_same(rig, monkeypatch) -> None:
+    segments = chords_seen(rig, [FLAT, TILTED], loose_lines(8, seed=1))
+    matches = match_segments(segments, rig)
+    whole = find_rims(matches, segments, rig)
+    for room in (hypotheses, search):
+        monkeypatch.setattr(room, "MOST_AT_ONCE", 1000)
+    near = MatchTuning(rims=RimTuning(neighbours=12))
+    parts = find_rims(matches, segments, rig, tuning=near)
+    assert len(matches) > 13
+    np.testing.assert_allclose(parts.centre_mm, whole.centre_mm, atol=1e-6)
+    np.testing.assert_array_equal(parts.segment, whole.segment)
 
 
 def test_errors_are_those_of_their_covariance(rig) -> None:

@@ -9,7 +9,8 @@ import pytest
 from tests.match.made import loose_lines, pictures
 from tests.match.shadows.made_shadows import NEAR_LAMP, scene_of, unit_toward
 from trinoc.errors import InputError
-from trinoc.match import find_shadows, match_segments
+from trinoc.match import MatchTuning, find_shadows, match_segments
+from trinoc.match.tuning import ShadowTuning
 
 
 @pytest.fixture(scope="module")
@@ -60,6 +61,15 @@ def test_without_a_lamp_nothing_is_marked() -> None:
     found = find_shadows(matches, segments, rig)
     assert not found.lamp_known
     assert found.shadow.max() < 0.5
+
+
+def test_among_more_lines_than_were_measured_no_lamp_is_looked_for(lit) -> None:
+    rig, segments, matches, _, _ = lit
+    few = dataclasses.replace(ShadowTuning(), most_lines=10)
+    found = find_shadows(matches, segments, rig, tuning=MatchTuning(shadows=few))
+    assert found.lamp_posterior == 0.0
+    assert found.shadow.max() < 0.1
+    assert len(found.shadow) == len(matches)
 
 
 def test_without_a_plane_nothing_is_marked(lit) -> None:

@@ -21,7 +21,6 @@ from trinoc.match.tracks import (
     variance_factor,
 )
 from trinoc.match.tuning import MatchTuning
-from trinoc.numerics import ArrayLike
 
 MATCHED = "matched"
 
@@ -50,33 +49,19 @@ def _of_view(before: State, after: State, view: int, given: Segments) -> Segment
     keep = np.ones(len(ends), dtype=bool)
     keep[changed] = keep[count:] = False
     keep = keep[:count]
-    new = len(ends) - count
-    ends[:count][keep] = np.asarray(given.endpoints_px)[keep]
-    covariance[:count][keep] = np.asarray(given.covariance_px2)[keep]
     height = now.contrast[len(old.contrast) :]
-
-    def more(values: ArrayLike | None, added: np.ndarray) -> np.ndarray | None:
-        return None if values is None else np.concatenate([np.asarray(values), added])
-
-    chain = None
-    if given.chain is not None:
-        first = int(np.max(given.chain, initial=-1)) + 1
-        chain = more(given.chain, np.arange(first, first + new))
-    reasons = None
-    if given.reasons is not None:
-        reasons = more(given.reasons, np.full(new, ""))
-    return Segments(
-        ends,
-        covariance,
-        np.concatenate([given.polarity, -np.sign(height).astype(np.int64)]),
-        np.concatenate([given.contrast, np.abs(height)]),
-        np.concatenate([given.support, np.zeros(new, dtype=np.int64)]),
-        given.image_size_px,
-        reasons,
-        chain,
-        given.junctions,
-        more(given.side_levels, np.full((new, 2), np.nan)),
+    longer = dataclasses.replace(
+        given, endpoints_px=ends[:count], covariance_px2=covariance[:count]
     )
+    added = Segments(
+        ends[count:],
+        covariance[count:],
+        -np.sign(height).astype(np.int64),
+        np.abs(height),
+        np.zeros(len(height), dtype=np.int64),
+        given.image_size_px,
+    )
+    return longer.followed_by(added)
 
 
 def matches_of(after: State, given: Matches, added: dict[str, int], tuning: MatchTuning) -> Matches:

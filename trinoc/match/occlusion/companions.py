@@ -23,7 +23,7 @@ from trinoc.numerics import expand_ranges, group_sums, of_group
 
 
 class Companions(NamedTuple):
-    """Directed: `site`, a pair, has `other`, a pair or a line, as a companion of a `kind`."""
+    """Directed: `site`, a pair, has `other` as a companion of a `kind`."""
 
     site: Int[np.ndarray, "e"]
     other: Int[np.ndarray, "e"]
@@ -85,27 +85,26 @@ def _holders(
 def companion_log_odds(
     graph: Companions,
     posterior: Float[np.ndarray, "m"],
-    rows: Int[np.ndarray, "p"],
     tuning: OcclusionTuning,
-    frame: Int[np.ndarray, "p"] | None = None,
+    frame: Int[np.ndarray, "m"] | None = None,
     frames: int = 1,
-) -> Float[np.ndarray, "p"]:
-    """Log odds that companions, or their want, add to the pairs, which are `rows` of all.
+) -> Float[np.ndarray, "m"]:
+    """Log odds that companions, or their want, add to pairs.
 
     The shares of right and of wrong pairs that have one are learned in each frame; where they
     hardly differ, nothing is added.
     """
-    gain, own = np.zeros(len(rows)), posterior[rows]
+    gain = np.zeros(len(posterior))
     prior, usual = tuning.prior_observations, tuning.companion_share
     for kind in (BESIDE, CONTINUES):
         of_kind = graph.kind == kind
         doubt = np.log1p(-np.minimum(posterior[graph.other[of_kind]], 1 - 1e-6))
         none = np.bincount(graph.site[of_kind], doubt, minlength=len(posterior))
-        has = -np.expm1(none[rows])
+        has = -np.expm1(none)
         right, wrong = (
             (group_sums(weight * has, frame, frames) + prior * usual)
             / (group_sums(weight, frame, frames) + prior)
-            for weight in (own, 1 - own)
+            for weight in (posterior, 1 - posterior)
         )
         with_one, without = np.log(right / wrong), np.log((1 - right) / (1 - wrong))
         tells = with_one > tuning.least_companion_ratio

@@ -69,7 +69,7 @@ def pairs_alone(
     odds = posterior_log_odds = gain
     beliefs = None
     graph_of_companions, more = None, np.zeros(len(evidence))
-    rows, count = np.arange(len(evidence)), np.size(mixture.log_count)
+    count = np.size(mixture.log_count)
     for _ in range(rules.rounds_alone):
         # Where lines meet nowhere, what pairs they make by chance is independent, as odds take it.
         free = 1 - of_group(rates.junctions.end_at_junction, frame)
@@ -81,7 +81,7 @@ def pairs_alone(
         if graph_of_companions is None:
             likely = np.flatnonzero(posterior > rules.companion_likely)
             graph_of_companions = companions(candidates, likely, beside.ends_px, tuning, frame)
-        more = companion_log_odds(graph_of_companions, posterior, rows, rules, frame, count)
+        more = companion_log_odds(graph_of_companions, posterior, rules, frame, count)
         density = rates.mixture.log_count - rates.mixture.volume.log_size + np.log(2)
         gain, junctions = junction_log_odds(
             meetings, posterior, density, rates.junctions, tuning.junctions, frame

@@ -13,7 +13,7 @@ from trinoc.match.observations import prepare
 from trinoc.match.rims.circles import ON_ARC, Chords, Circles, chords_of, off_circles, touching
 from trinoc.match.rims.given import mm_per_px_of, segments_of_views
 from trinoc.match.rims.rims import Rims
-from trinoc.match.rims.rows import tracks_beside_rims, with_rows
+from trinoc.match.rims.rows import counts_of, tracks_beside_rims, with_rows
 from trinoc.match.tracks import Matches
 from trinoc.match.tuning import DEFAULT, MatchTuning, RimTuning
 from trinoc.numerics import ArrayLike, in_float64
@@ -95,14 +95,9 @@ def add_rims(
         column = rows["index"][:, view]
         used = np.unique(column[column >= 0])
         column[column >= 0] = len(given[name]) + np.searchsorted(used, column[column >= 0])
-        joined[name] = _followed_by(given[name], more[name], used)
+        joined[name] = given[name].followed_by(more[name].take(used))
         reasons[name] = np.concatenate([matches.reasons[name], np.full(len(used), "matched")])
-    counts = {
-        "rims": len(rims),
-        "tracks that rims explain": len(matches) - len(tracks.kept),
-        "pieces of rims": len(rows["index"]),
-        "tracks of outlines below rims": tracks.outlines,
-    }
+    counts = counts_of(len(rims), matches, tracks, len(rows["index"]))
     before = dataclasses.replace(matches, reasons=reasons, counts=matches.counts | counts)
     return MatchesWithRims(joined, with_rows(before, tracks, rows), tracks.kept)
 
@@ -115,34 +110,3 @@ def _rim_of(chords: Chords, circles: Circles, tuning: RimTuning) -> Int[np.ndarr
     apart = np.abs(off.px[..., ON_ARC]).max(axis=2)
     apart = np.where(touching(off, tuning.last_px, tuning), apart, np.inf)
     return np.where(np.isfinite(apart.min(axis=0)), apart.argmin(axis=0), -1)
-
-
-def _followed_by(given: Segments, more: Segments, rows: Int[np.ndarray, "m"]) -> Segments:
-    """Segments, and after them some of others, which meet nothing and belong to no chain."""
-
-    def column(name: str, unknown: object) -> np.ndarray | None:
-        before, after = getattr(given, name), getattr(more, name)
-        if before is None:
-            return None
-        if after is None:
-            added = np.full((len(rows), *np.shape(before)[1:]), unknown)
-        else:
-            added = np.asarray(after)[rows]
-        return np.concatenate([np.asarray(before), added])
-
-    chain = None
-    if given.chain is not None:
-        first = int(np.max(given.chain, initial=-1)) + 1
-        chain = np.concatenate([given.chain, np.arange(first, first + len(rows))])
-    return Segments(
-        np.concatenate([given.endpoints_px, np.asarray(more.endpoints_px)[rows]]),
-        np.concatenate([given.covariance_px2, np.asarray(more.covariance_px2)[rows]]),
-        np.concatenate([given.polarity, np.asarray(more.polarity)[rows]]),
-        np.concatenate([given.contrast, np.asarray(more.contrast)[rows]]),
-        np.concatenate([given.support, np.asarray(more.support)[rows]]),
-        given.image_size_px,
-        column("reasons", ""),
-        chain,
-        given.junctions,
-        column("side_levels", np.nan),
-    )

@@ -11,7 +11,7 @@ from trinoc.match.rims.circles import Chords, Circles, points_at
 from trinoc.match.rims.fragments import fragments_abreast
 from trinoc.match.rims.pieces import Arcs, pieces_of
 from trinoc.match.rims.rims import Rims
-from trinoc.match.rims.rows import tracks_beside_rims, with_rows
+from trinoc.match.rims.rows import counts_of, tracks_beside_rims, with_rows
 from trinoc.match.tracks import BINOCULAR, TRINOCULAR, Matches
 from trinoc.match.tuning import RimTuning
 from trinoc.numerics import axes_across, cross_3d
@@ -63,12 +63,7 @@ def answer_of(
     tracks = tracks_beside_rims(matches, chords, circles, rim, mm_per_px, tuning)
     own = np.flatnonzero(rim >= 0)
     own = own[np.lexsort((chords.segment[own], chords.view[own], rim[own]))]
-    counts = {
-        "rims": len(found),
-        "tracks that rims explain": len(matches) - len(tracks.kept),
-        "pieces of rims": len(pieces.chord),
-        "tracks of outlines below rims": tracks.outlines,
-    }
+    counts = counts_of(len(found), matches, tracks, len(pieces.chord))
     rows = _rows_of(matches.views, seen, chords, circles, pieces, tuning)
     joined = with_rows(matches, tracks, rows)
     return Rims(

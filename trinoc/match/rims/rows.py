@@ -40,6 +40,16 @@ def tracks_beside_rims(
     return TracksBesideRims(kept, mark, int(held[kept].sum()))
 
 
+def counts_of(rims: int, matches: Matches, tracks: TracksBesideRims, pieces: int) -> dict[str, int]:
+    """What became of the tracks, by name."""
+    return {
+        "rims": rims,
+        "tracks that rims explain": len(matches) - len(tracks.kept),
+        "pieces of rims": pieces,
+        "tracks of outlines below rims": tracks.outlines,
+    }
+
+
 def with_rows(
     matches: Matches, tracks: TracksBesideRims, rows: Mapping[str, np.ndarray]
 ) -> Matches:
