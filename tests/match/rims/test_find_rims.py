@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from tests.match.made import loose_lines, rig_of
+from tests.match.made import loose_lines, pictures, rig_of
 from tests.match.rims.made_rims import Ring, chords_seen, projected
 from trinoc.errors import InputError
 from trinoc.match import MatchTuning, add_rims, find_rims, match_segments
-from trinoc.match.rims import hypotheses, search
+from trinoc.match.rims import hypotheses, support
+from trinoc.match.rims.circles import Circles, images_of
 from trinoc.match.tuning import RimTuning
 from trinoc.synth.solids import Cylinder
 
@@ -65,7 +66,7 @@ def test_few_neighbours_and_small_parts_find_the_same(rig, monkeypatch) -> None:
     segments = chords_seen(rig, [FLAT, TILTED], loose_lines(8, seed=1))
     matches = match_segments(segments, rig)
     whole = find_rims(matches, segments, rig)
-    for room in (hypotheses, search):
+    for room in (hypotheses, support):
         monkeypatch.setattr(room, "MOST_AT_ONCE", 1000)
     near = MatchTuning(rims=RimTuning(neighbours=12))
     parts = find_rims(matches, segments, rig, tuning=near)
@@ -186,3 +187,51 @@ def test_rims_of_other_views_are_refused(rig) -> None:
     two = {name: segments[name] for name in VIEWS[:2]}
     with pytest.raises(InputError, match="upper, left, right, but the matches of upper, left"):
         add_rims(match_segments(two, rig), two, rims, segments, rig)
+
+
+def brick_wall(seed: int) -> np.ndarray:
+    """(200, 2, 3) short level lines, in rows, of a wall that stands before the cameras."""
+    random = np.random.default_rng(seed)
+    height = np.repeat(np.linspace(-60, 60, 25), 8)
+    begin = random.uniform(-80, 60, len(height))
+    length = random.uniform(5, 14, len(height))
+    ends = [np.stack([x, height, np.full(len(x), 20.0)], axis=1) for x in (begin, begin + length)]
+    return np.stack(ends, axis=1)
+
+
+def test_rows_of_bricks_are_no_circles_seen_edge_on(rig) -> None:
+    segments = pictures(rig, brick_wall(seed=1), sigma_px=0.5)
+    matches = match_segments(segments, rig, sigma_px=0.5)
+    assert len(matches) > 100
+    edge_on = MatchTuning(rims=RimTuning(least_axis_ratio=0.0))
+    assert len(find_rims(matches, segments, rig, tuning=edge_on)) > 0
+    assert len(find_rims(matches, segments, rig)) == 0
+
+
+def test_a_circle_facing_the_camera_is_round_and_one_in_a_plane_through_it_flat(rig) -> None:
+    camera = rig["upper"]
+    centre = np.asarray(camera.centre_world_mm)
+    sight = centre / np.linalg.norm(centre)
+    across = np.cross(sight, [0.3, 0.5, 0.8])
+    normals = np.stack([sight, across / np.linalg.norm(across)])
+    circles = Circles(np.zeros((2, 3)), normals, np.array([10.0, 10.0]))
+    ratio = images_of(circles, np.asarray(camera.matrix_px)).axis_ratio
+    # Pixels are wider than high.
+    along_x, along_y = np.asarray(camera.intrinsics.focal_length_px)
+    np.testing.assert_allclose(ratio, [along_x / along_y, 0.0], atol=0.02)
+
+
+def test_two_views_make_a_rim_of_a_circle_and_none_of_short_arcs(rig) -> None:
+    whole = chords_seen(rig, [FLAT], loose_lines(8, seed=1))
+    two = {name: whole[name] for name in VIEWS[:2]}
+    matches = match_segments(two, rig)
+    found = find_rims(matches, two, rig)
+    assert len(found) == 1
+    pieces = found.matches.posterior[len(found.kept) :]
+    np.testing.assert_array_equal(pieces, RimTuning().posterior_of_two)
+    # A third of each ring, and the lines.
+    part = {name: each.take(np.r_[0:5, 14 : len(each)]) for name, each in two.items()}
+    kept = dataclasses.replace(RimTuning(), least_covered_of_two=0.2)
+    lax = find_rims(match_segments(part, rig), part, rig, tuning=MatchTuning(rims=kept))
+    assert len(lax) == 1
+    assert len(find_rims(match_segments(part, rig), part, rig)) == 0

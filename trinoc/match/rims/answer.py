@@ -33,26 +33,36 @@ class Fitted(NamedTuple):
     support: float
 
 
+class Chosen(NamedTuple):
+    """rims : those put out. ambiguous : how many were not, as one of two views has another."""
+
+    rims: list[Fitted]
+    ambiguous: int
+
+
 class RimPieces(NamedTuple):
-    """Pieces of rims as rows of matches. chord : (p, v), -1 for none."""
+    """Pieces of rims as rows of matches. chord : (p, v), -1 for none. posterior : of its rim."""
 
     chord: Int[np.ndarray, "p v"]
     lines_mm: Float[np.ndarray, "p 2 3"]
     covariance_mm2: Float[np.ndarray, "p 6 6"]
+    posterior: Float[np.ndarray, "p"]
 
 
 def answer_of(
     matches: Matches,
     seen: MatchInput,
     chords: Chords,
-    found: list[Fitted],
+    chosen: Chosen,
     mm_per_px: float,
     tuning: RimTuning,
 ) -> Rims:
     """The rims put out, with their chords in the order of views and segments."""
-    views = len(matches.views)
+    views, found = len(matches.views), chosen.rims
     parts = [_pieces(rim, chords, views, mm_per_px, tuning) for rim in found]
-    empty = RimPieces(np.zeros((0, views), np.int64), np.zeros((0, 2, 3)), np.zeros((0, 6, 6)))
+    empty = RimPieces(
+        np.zeros((0, views), np.int64), np.zeros((0, 2, 3)), np.zeros((0, 6, 6)), np.zeros(0)
+    )
     pieces = RimPieces(*map(np.concatenate, zip(empty, *parts, strict=True)))
     rim = np.full(len(chords.view), -1)
     for number, each in enumerate(found):
@@ -64,7 +74,8 @@ def answer_of(
     own = np.flatnonzero(rim >= 0)
     own = own[np.lexsort((chords.segment[own], chords.view[own], rim[own]))]
     counts = counts_of(len(found), matches, tracks, len(pieces.chord))
-    rows = _rows_of(matches.views, seen, chords, circles, pieces, tuning)
+    counts["rims of two views that fit another as well"] = chosen.ambiguous
+    rows = _rows_of(matches.views, seen, chords, circles, pieces)
     joined = with_rows(matches, tracks, rows)
     return Rims(
         matches.views,
@@ -107,7 +118,9 @@ def _pieces(
         part = slice(3 * end, 3 * end + 3)
         covariance[:, part, part] += along[:, end, :, None] * along[:, end, None]
     chord = np.where(found.chord >= 0, rim.own[np.maximum(found.chord, 0)], -1)
-    return RimPieces(chord, ends, covariance)
+    two = len(np.unique(chords.view[rim.own])) == 2
+    posterior = np.full(len(chord), tuning.posterior_of_two if two else tuning.posterior)
+    return RimPieces(chord, ends, covariance, posterior)
 
 
 def _public(rim: Fitted) -> Float[np.ndarray, "7 7"]:
@@ -124,7 +137,6 @@ def _rows_of(
     chords: Chords,
     circles: Circles,
     pieces: RimPieces,
-    tuning: RimTuning,
 ) -> dict[str, np.ndarray]:
     """Pieces as rows of matches, by the names of their columns."""
     number = len(pieces.chord)
@@ -139,7 +151,7 @@ def _rows_of(
         "lines_mm": pieces.lines_mm,
         "covariance_mm2": pieces.covariance_mm2,
         "stage": np.where(shown.sum(axis=1) > 2, TRINOCULAR, BINOCULAR),
-        "posterior": np.full(number, tuning.posterior),
+        "posterior": pieces.posterior,
         "rival_posterior": np.zeros(number),
         "fragments_covariance_px2": covariance,
         "misfit": np.zeros(number),

@@ -16,6 +16,8 @@ GAUSS = 1 / np.sqrt(3)
 _PLACES = np.array([-GAUSS, GAUSS, 0.0, -1.0, 1.0])
 ON_ARC, MIDDLE, ENDS = slice(0, 2), 2, slice(3, 5)
 _BUT_ENDS = 3
+# Points round a circle that tell the axes of its image.
+_AROUND = 8
 
 
 class Circles(NamedTuple):
@@ -48,11 +50,13 @@ class Off(NamedTuple):
     """Of chords s from circles h.
 
     px : (h, s, k) how far each place is outside the circle's image. cosine : (h, s) of the angle
-    between chord and tangent. around_mm : (h, s, k, 3) the circle's points next to the places.
+    between chord and tangent. axis_ratio : (h, s) shorter over longer axis of the circle's image in
+    the chord's view. around_mm : (h, s, k, 3) the circle's points next to the places.
     """
 
     px: Float[np.ndarray, "h s k"]
     cosine: Float[np.ndarray, "h s"]
+    axis_ratio: Float[np.ndarray, "h s"]
     around_mm: Float[np.ndarray, "h s k 3"]
 
 
@@ -103,11 +107,13 @@ def off_circles(chords: Chords, circles: Circles, *, with_ends: bool = False) ->
     around = centre[:, None, None] + radius[:, None, None, None] * radial
     tangent = cross_3d(normal[:, None, None], radial)
     image = np.empty_like(around)
+    ratio = np.zeros(distance.shape[:2])
     for view in np.unique(chords.view).tolist():
         own = chords.view == view
         matrix = chords.matrix_px[own.argmax()]
         image[:, own] = around[:, own] @ matrix[:, :3].T + matrix[:, 3]
         tangent[:, own] = tangent[:, own] @ matrix[:, :3].T
+        ratio[:, own] = images_of(circles, matrix).axis_ratio[:, None]
     uv, behind = image[..., :2] / image[..., 2:], image[..., 2] <= 0
     way = tangent[..., :2] - uv * tangent[..., 2:]
     way = way / np.maximum(np.linalg.norm(way, axis=3, keepdims=True), 1e-12)
@@ -115,17 +121,44 @@ def off_circles(chords: Chords, circles: Circles, *, with_ends: bool = False) ->
     across = np.abs(gap[..., 0] * way[..., 1] - gap[..., 1] * way[..., 0])
     across = np.where(behind | (depth <= 0), np.inf, across)
     cosine = np.abs((way[:, :, MIDDLE] * unit).sum(axis=2))
-    return Off(np.where(distance >= radius[:, None, None], across, -across), cosine, around)
+    return Off(np.where(distance >= radius[:, None, None], across, -across), cosine, ratio, around)
+
+
+class Images(NamedTuple):
+    """Circles in one view. middle_px : (h, 2). axes_px : (h, 2) half of them, the longer one first;
+    not a number and 0 where the camera does not look at a circle."""
+
+    middle_px: Float[np.ndarray, "h 2"]
+    axes_px: Float[np.ndarray, "h 2"]
+
+    @property
+    def axis_ratio(self) -> Float[np.ndarray, "h"]:
+        """Shorter over longer axis."""
+        return self.axes_px[:, 1] / np.maximum(self.axes_px[:, 0], 1e-12)
+
+
+def images_of(circles: Circles, matrix_px: Float[np.ndarray, "3 4"]) -> Images:
+    """Where a view shows circles."""
+    angle = np.arange(_AROUND) * (2 * np.pi / _AROUND)
+    points = points_at(circles, np.tile(angle, (len(circles.radius_mm), 1)))
+    image = points @ matrix_px[:, :3].T + matrix_px[:, 3]
+    depth = image[..., 2:]
+    seen = (depth.min(axis=(1, 2)) > 0)[:, None]
+    uv = image[..., :2] / np.where(depth > 0, depth, 1.0)
+    middle = uv.mean(axis=1)
+    axes = np.linalg.svd(uv - middle[:, None], compute_uv=False) * np.sqrt(2 / _AROUND)
+    return Images(np.where(seen, middle, np.nan), np.where(seen, axes, 0.0))
 
 
 def touching(off: Off, within_px: float, tuning: RimTuning) -> Bool[np.ndarray, "h s"]:
-    """Whether chords are those of arcs of circles."""
+    """Whether chords are those of arcs of circles, in views that do not show them edge-on."""
     near = np.abs(off.px[..., ON_ARC]).max(axis=2) < within_px
     # Between the places on the arc a chord lies a third of its bow inside.
     with np.errstate(invalid="ignore"):
         bow = 3 * np.abs(off.px[..., MIDDLE] - off.px[..., ON_ARC].mean(axis=2))
     tangent = off.cosine > np.cos(np.radians(tuning.tangent_deg))
-    return near & tangent & (bow < tuning.most_bow_px)
+    opened = off.axis_ratio > tuning.least_axis_ratio
+    return near & tangent & opened & (bow < tuning.most_bow_px)
 
 
 def points_at(circles: Circles, angle: Float[np.ndarray, "h n"]) -> Float[np.ndarray, "h n 3"]:

@@ -4,18 +4,22 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
-from trinoc.match.rims.circles import Circles
+from trinoc.match.rims.circles import Circles, images_of
 from trinoc.match.tuning import RimTuning
-from trinoc.numerics import concatenate_rows, cross_3d, take_rows
+from trinoc.numerics import blocks, concatenate_rows, cross_3d, take_rows
 
 # Lines that are held against circles at once: for memory, some 100 bytes each.
 MOST_AT_ONCE = 1 << 21
 
 
 def hypotheses(
-    lines_mm: Float[np.ndarray, "t 2 3"], mm_per_px: float, tuning: RimTuning
+    lines_mm: Float[np.ndarray, "t 2 3"],
+    cameras_px: Float[np.ndarray, "v 3 4"],
+    mm_per_px: float,
+    tuning: RimTuning,
 ) -> Circles:
-    """Circles that touch two lines each at their middles, the best supported ones."""
+    """Circles that touch two lines each at their middles and that two cameras at least do not see
+    edge-on, the best supported ones."""
     middle = lines_mm.mean(axis=1)
     way = lines_mm[:, 1] - lines_mm[:, 0]
     length = np.linalg.norm(way, axis=1)
@@ -44,24 +48,19 @@ def hypotheses(
         centre = centre + reach[:, None] * (inward[0] + side * inward[1]) / 2
         found.append((one[good], Circles(centre[good], normal[good], radius[good])))
     line, circles = concatenate_rows(found)
-    at_once = max(MOST_AT_ONCE // max(len(lines_mm), 1), 1)
-    support = np.concatenate(
-        [
-            _support(take_rows(circles, rows), middle, unit, length, mm_per_px, tuning)
-            for rows in in_parts(len(line), at_once)
-        ]
-    )
+    ratios = np.stack([images_of(circles, camera).axis_ratio for camera in cameras_px])
+    opened = np.flatnonzero((ratios > tuning.least_axis_ratio).sum(axis=0) >= 2)
+    line, circles = line[opened], take_rows(circles, opened)
+    support = np.zeros(len(line))
+    for part in blocks(len(line), max(MOST_AT_ONCE // max(len(lines_mm), 1), 1)):
+        some = Circles(*(column[part] for column in circles))
+        support[part] = _support(some, middle, unit, length, mm_per_px, tuning)
     # The best of each line, so that one rim of many chords does not hide another.
     best = np.lexsort((-support, line))
     rank = np.arange(len(best)) - np.searchsorted(line[best], line[best])
     best = best[rank < tuning.most_of_line]
     best = best[np.argsort(-support[best], kind="stable")[: tuning.most_circles]]
     return take_rows(circles, best)
-
-
-def in_parts(count: int, at_once: int) -> list[Int[np.ndarray, "_"]]:
-    """Numbers below `count`, so many at a time; one part, of none, where there is none."""
-    return np.split(np.arange(count), np.arange(at_once, count, at_once))
 
 
 def _neighbours(

@@ -3,32 +3,27 @@
 from collections.abc import Mapping
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool
 
 from trinoc.geometry import Rig, Segments
 from trinoc.match.observations import prepare, with_noise_scale
-from trinoc.match.rims.answer import Fitted, answer_of
-from trinoc.match.rims.circles import (
-    ON_ARC,
-    Chords,
-    Circles,
-    Off,
-    chords_of,
-    off_circles,
-    touching,
-)
+from trinoc.match.rims.answer import Chosen, Fitted, answer_of
+from trinoc.match.rims.circles import Chords, Circles, chords_of, off_circles, touching
 from trinoc.match.rims.fit import fitted
 from trinoc.match.rims.given import mm_per_px_of, segments_of_views
-from trinoc.match.rims.hypotheses import MOST_AT_ONCE, hypotheses, in_parts
+from trinoc.match.rims.hypotheses import hypotheses
 from trinoc.match.rims.pieces import arcs_of, covered_by_two
 from trinoc.match.rims.rims import Rims
+from trinoc.match.rims.rivals import has_rival
+from trinoc.match.rims.support import about, support_of, supports
 from trinoc.match.tracks import Matches
 from trinoc.match.tuning import DEFAULT, MatchTuning, RimTuning
 from trinoc.numerics import ArrayLike, in_float64, take_rows
 
-# Of the circles of most support so many are fitted before the best is chosen, and so many times at
-# most.
-_AT_ONCE, _MOST_ROUNDS = 6, 40
+# Of the circles of most support so many are fitted before the best is chosen.
+_AT_ONCE = 6
+# While it is fitted, a circle's image moves by less than this.
+_ROOM_PX = 30.0
 
 
 @in_float64
@@ -64,73 +59,71 @@ def find_rims(
     chords = chords_of(stated, matches.views, tuning.rims)
     seen = with_noise_scale(stated, np.array([matches.noise_scale]))
     scale = mm_per_px_of(matches.lines_mm, rig, matches.views)
-    start = hypotheses(matches.lines_mm, scale, tuning.rims)
-    found = _chosen(chords, start, tuning.rims)
-    return answer_of(matches, seen, chords, found, scale, tuning.rims)
+    cameras = np.asarray(stated.frames[0].cameras.matrix_px)
+    start = hypotheses(matches.lines_mm, cameras, scale, tuning.rims)
+    chosen = _chosen(chords, start, tuning.rims)
+    return answer_of(matches, seen, chords, chosen, scale, tuning.rims)
 
 
-def _chosen(chords: Chords, start: Circles, tuning: RimTuning) -> list[Fitted]:
+def _chosen(chords: Chords, start: Circles, tuning: RimTuning) -> Chosen:
     """Rims, one after the other, those of the longest chords first; a chord belongs to one."""
-    at_once = max(MOST_AT_ONCE // (8 * max(len(chords.view), 1)), 1)
-    support = np.concatenate(
-        [
-            _support(chords, off_circles(chords, take_rows(start, rows)), tuning.first_px, tuning)
-            for rows in in_parts(len(start.radius_mm), at_once)
-        ]
-    )
+    support = supports(chords, start, tuning.first_px, tuning)
     views = int(chords.view.max(initial=-1)) + 1
     by_view = (chords.view[:, None] == np.arange(views)).astype(np.float64)
-    free, found = np.ones(len(chords.view), dtype=bool), []
-    for _ in range(_MOST_ROUNDS):
+    free, found, ambiguous = np.ones(len(chords.view), dtype=bool), [], 0
+    while True:
         # Some of a circle's chords lie further off before it is fitted.
         number = ((support > 0) & free) @ by_view >= tuning.least_chords - 1
         total = np.where(number.sum(axis=1) >= 2, support @ free, 0.0)
         tried = np.argsort(-total, kind="stable")[:_AT_ONCE]
         tried = tried[total[tried] > 0]
         if len(tried) == 0:
-            break
-        rims = [
-            _fitted(chords, take_rows(start, np.array([row])), free, views, tuning)
-            for row in tried.tolist()
-        ]
-        rim = max(rims, key=lambda each: -1.0 if each is None else each.support)
-        if rim is None:
-            support[tried] = 0.0
+            return Chosen(found, ambiguous)
+        best = None
+        for row in tried:
+            rim = _fitted(chords, take_rows(start, row[None]), free, views, tuning)
+            if rim is None:
+                # Nor will it be one later, since chords are taken and never given back.
+                support[row] = 0.0
+            elif best is None or rim.support > best.support:
+                best = rim
+        if best is None:
+            continue
+        free[best.own] = False
+        if _of_two_views(chords, best) and has_rival(chords, best.circle, best.own, tuning):
+            ambiguous += 1
         else:
-            free[rim.own] = False
-            found.append(rim)
-    return found
+            found.append(best)
 
 
-def _support(
-    chords: Chords, off: Off, within_px: float, tuning: RimTuning
-) -> Float[np.ndarray, "h n"]:
-    """Length of the chords that touch circles; those that lie near count for more, so that of the
-    circles about one rim the truest comes first."""
-    apart = np.abs(off.px[..., ON_ARC]).max(axis=2) / within_px
-    weight = np.sqrt(np.clip(1 - apart, 0.0, 1.0)) * chords.length_px
-    return np.where(touching(off, within_px, tuning), weight, 0.0)
+def _of_two_views(chords: Chords, rim: Fitted) -> bool:
+    return len(np.unique(chords.view[rim.own])) == 2
 
 
 def _fitted(
-    chords: Chords, circle: Circles, free: np.ndarray, views: int, tuning: RimTuning
+    chords: Chords, circle: Circles, free: Bool[np.ndarray, "n"], views: int, tuning: RimTuning
 ) -> Fitted | None:
     """The rim near a circle; None where too little touches it."""
+    rows = np.flatnonzero(about(chords, circle, _ROOM_PX)[0] & free)
+    chords = take_rows(chords, rows)
     covariance = np.zeros((6, 6))
     between = (tuning.first_px + tuning.last_px) / 2
     for within in (tuning.first_px, between, tuning.last_px, tuning.last_px):
-        touch = touching(off_circles(chords, circle), within, tuning)[0]
-        own = np.flatnonzero(touch & free)
+        own = np.flatnonzero(touching(off_circles(chords, circle), within, tuning)[0])
         if np.sort(np.bincount(chords.view[own], minlength=views))[-2] < tuning.least_chords:
             return None
         circle, covariance, _ = fitted(take_rows(chords, own), circle)
     off = off_circles(chords, circle, with_ends=True)
-    support = _support(chords, off, tuning.last_px, tuning)[0] * free
+    support = support_of(chords, off, tuning.last_px, tuning)[0]
     own = np.flatnonzero(support > 0)
-    if np.sort(np.bincount(chords.view[own], minlength=views))[-2] < tuning.least_chords:
+    number = np.bincount(chords.view[own], minlength=views)
+    if np.sort(number)[-2] < tuning.least_chords:
         return None
     arcs = arcs_of(off.around_mm[0, own], circle)
     covered = covered_by_two(arcs, chords.view[own], views)
-    if covered < tuning.least_covered:
+    # Two arcs of two views leave three numbers each, place, direction and bend, as many as a circle
+    # takes: they always lie on one, unless they are long.
+    two = np.count_nonzero(number) == 2
+    if covered < (tuning.least_covered_of_two if two else tuning.least_covered):
         return None
-    return Fitted(circle, covariance, own, arcs, covered, float(support.sum()))
+    return Fitted(circle, covariance, rows[own], arcs, covered, float(support.sum()))

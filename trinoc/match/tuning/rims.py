@@ -32,6 +32,11 @@ class RimTuning:
     last_px: float = 1.0
     tangent_deg: float = 12.0
     most_bow_px: float = 2.0
+    # Chords speak for a circle in views whose image of it has more than this, its shorter over its
+    # longer axis: a row of bricks lies on many a narrow ellipse. By hand: 18 wrong circles on
+    # photographs of Merton College have less than .08 in all views, the rims of seeds 0 to 11
+    # more than .6.
+    least_axis_ratio: float = 0.15
     # Beyond what segments claim, a chord's two places on its arc are off by this, px: where arcs
     # are cut, their ends bend. By hand.
     floor_px: float = 0.15
@@ -39,8 +44,15 @@ class RimTuning:
     # this share of it. By hand, on seeds 0 to 11 and the demo: wrong ones showed .10 to .25.
     least_chords: int = 3
     least_covered: float = 0.28
+    # The same where all chords are of two views. By hand.
+    least_covered_of_two: float = 0.5
     # Of the 23 that were put out on these, none was wrong: one more of each kind.
     posterior: float = 0.96
+    # The same where no third view has chords. By hand.
+    posterior_of_two: float = 0.9
+    # Such a rim is dropped where other chords of one view fit as well, by their length: this share.
+    # By hand, on photographs of a plate of 100 equal circles.
+    rival_share: float = 0.5
     # Pieces of a rim are at most this long, rad, and at least this, px. By hand.
     longest_piece_rad: float = 0.7
     shortest_piece_px: float = 1.5
