@@ -235,3 +235,15 @@ def test_two_views_make_a_rim_of_a_circle_and_none_of_short_arcs(rig) -> None:
     lax = find_rims(match_segments(part, rig), part, rig, tuning=MatchTuning(rims=kept))
     assert len(lax) == 1
     assert len(find_rims(match_segments(part, rig), part, rig)) == 0
+
+
+def test_one_of_many_equal_circles_in_a_row_is_not_guessed_by_two_views(rig) -> None:
+    # Left and right stand side by side, so that their epipolar planes run along the row.
+    row = [Ring((20.0 * x, 5.0, 10.0), (0.0, 0.0, 1.0), 7.0) for x in (-1.5, -0.5, 0.5, 1.5)]
+    chords = chords_seen(rig, row, sigma_px=0.1)
+    matches = match_segments(chords, rig)
+    assert len(find_rims(matches, chords, rig)) == 4
+    two = {name: chords[name] for name in VIEWS[1:]}
+    alone = find_rims(match_segments(two, rig), two, rig)
+    assert len(alone) == 0
+    assert alone.counts["rims of two views that fit another as well"] > 0

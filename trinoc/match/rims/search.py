@@ -1,9 +1,11 @@
 """From matches to rims."""
 
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Int
+from scipy.sparse import csr_array
 
 from trinoc.geometry import Rig, Segments
 from trinoc.match.observations import prepare, with_noise_scale
@@ -12,7 +14,7 @@ from trinoc.match.rims.circles import Chords, Circles, chords_of, off_circles, t
 from trinoc.match.rims.fit import fitted
 from trinoc.match.rims.given import mm_per_px_of, segments_of_views
 from trinoc.match.rims.hypotheses import hypotheses
-from trinoc.match.rims.pieces import arcs_of, covered_by_two
+from trinoc.match.rims.pieces import Arcs, arcs_of, covered_by_two
 from trinoc.match.rims.rims import Rims
 from trinoc.match.rims.rivals import has_rival
 from trinoc.match.rims.support import about, support_of, supports
@@ -23,7 +25,7 @@ from trinoc.numerics import ArrayLike, in_float64, take_rows
 # Of the circles of most support so many are fitted before the best is chosen.
 _AT_ONCE = 6
 # While it is fitted, a circle's image moves by less than this.
-_ROOM_PX = 30.0
+_ROOM_PX = 15.0
 
 
 @in_float64
@@ -68,13 +70,16 @@ def find_rims(
 def _chosen(chords: Chords, start: Circles, tuning: RimTuning) -> Chosen:
     """Rims, one after the other, those of the longest chords first; a chord belongs to one."""
     support = supports(chords, start, tuning.first_px, tuning)
+    ones = np.ones_like(support.data)
+    touches = csr_array((ones, support.indices, support.indptr), support.shape)
     views = int(chords.view.max(initial=-1)) + 1
     by_view = (chords.view[:, None] == np.arange(views)).astype(np.float64)
     free, found, ambiguous = np.ones(len(chords.view), dtype=bool), [], 0
+    left = np.ones(len(start.radius_mm), dtype=bool)
     while True:
         # Some of a circle's chords lie further off before it is fitted.
-        number = ((support > 0) & free) @ by_view >= tuning.least_chords - 1
-        total = np.where(number.sum(axis=1) >= 2, support @ free, 0.0)
+        number = touches @ (by_view * free[:, None]) >= tuning.least_chords - 1
+        total = np.where(left & (number.sum(axis=1) >= 2), support @ free.astype(np.float64), 0.0)
         tried = np.argsort(-total, kind="stable")[:_AT_ONCE]
         tried = tried[total[tried] > 0]
         if len(tried) == 0:
@@ -84,7 +89,7 @@ def _chosen(chords: Chords, start: Circles, tuning: RimTuning) -> Chosen:
             rim = _fitted(chords, take_rows(start, row[None]), free, views, tuning)
             if rim is None:
                 # Nor will it be one later, since chords are taken and never given back.
-                support[row] = 0.0
+                left[row] = False
             elif best is None or rim.support > best.support:
                 best = rim
         if best is None:
@@ -106,6 +111,9 @@ def _fitted(
     """The rim near a circle; None where too little touches it."""
     rows = np.flatnonzero(about(chords, circle, _ROOM_PX)[0] & free)
     chords = take_rows(chords, rows)
+    first = _shown(chords, circle, tuning.first_px, views, tuning)
+    if first.covered < tuning.least_covered_at_first:
+        return None
     covariance = np.zeros((6, 6))
     between = (tuning.first_px + tuning.last_px) / 2
     for within in (tuning.first_px, between, tuning.last_px, tuning.last_px):
@@ -113,17 +121,32 @@ def _fitted(
         if np.sort(np.bincount(chords.view[own], minlength=views))[-2] < tuning.least_chords:
             return None
         circle, covariance, _ = fitted(take_rows(chords, own), circle)
-    off = off_circles(chords, circle, with_ends=True)
-    support = support_of(chords, off, tuning.last_px, tuning)[0]
-    own = np.flatnonzero(support > 0)
-    number = np.bincount(chords.view[own], minlength=views)
-    if np.sort(number)[-2] < tuning.least_chords:
-        return None
-    arcs = arcs_of(off.around_mm[0, own], circle)
-    covered = covered_by_two(arcs, chords.view[own], views)
+    last = _shown(chords, circle, tuning.last_px, views, tuning)
+    number = np.bincount(chords.view[last.own], minlength=views)
     # Two arcs of two views leave three numbers each, place, direction and bend, as many as a circle
     # takes: they always lie on one, unless they are long.
     two = np.count_nonzero(number) == 2
-    if covered < (tuning.least_covered_of_two if two else tuning.least_covered):
+    least = tuning.least_covered_of_two if two else tuning.least_covered
+    if np.sort(number)[-2] < tuning.least_chords or last.covered < least:
         return None
-    return Fitted(circle, covariance, rows[own], arcs, covered, float(support.sum()))
+    return Fitted(circle, covariance, rows[last.own], last.arcs, last.covered, last.support)
+
+
+class _Shown(NamedTuple):
+    """What chords show of a circle. support : in all."""
+
+    own: Int[np.ndarray, "k"]
+    arcs: Arcs
+    covered: float
+    support: float
+
+
+def _shown(
+    chords: Chords, circle: Circles, within_px: float, views: int, tuning: RimTuning
+) -> _Shown:
+    off = off_circles(chords, circle, with_ends=True)
+    support = support_of(chords, off, within_px, tuning)[0]
+    own = np.flatnonzero(support > 0)
+    arcs = arcs_of(off.around_mm[0, own], circle)
+    covered = covered_by_two(arcs, chords.view[own], views)
+    return _Shown(own, arcs, covered, float(support.sum()))

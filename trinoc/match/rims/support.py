@@ -2,6 +2,7 @@
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.sparse import coo_array, csr_array
 
 from trinoc.match.rims.circles import (
     MIDDLE,
@@ -17,25 +18,28 @@ from trinoc.match.tuning import RimTuning
 from trinoc.numerics import blocks, take_rows
 
 # Chords that are held against circles at once, some 800 bytes each.
-MOST_AT_ONCE = 1 << 18
+MOST_AT_ONCE = 1 << 16
 # Circles whose centres share a cell of so many radii are looked at together.
-_CELL_RADII = 8.0
+_CELL_RADII = 2.0
 
 
-def supports(
-    chords: Chords, circles: Circles, within_px: float, tuning: RimTuning
-) -> Float[np.ndarray, "h s"]:
-    """`support_of` all chords for all circles; neighbours are held against what is about them."""
-    found = np.zeros((len(circles.radius_mm), len(chords.view)))
-    cell = _CELL_RADII * np.median(circles.radius_mm) if len(found) else 1.0
+def supports(chords: Chords, circles: Circles, within_px: float, tuning: RimTuning) -> csr_array:
+    """(h, s) `support_of` all chords for all circles, of which few touch; neighbours are held
+    against what is about them."""
+    shape = len(circles.radius_mm), len(chords.view)
+    entries = [(np.zeros(0), (np.zeros(0, np.int64), np.zeros(0, np.int64)))]
+    cell = _CELL_RADII * np.median(circles.radius_mm) if shape[0] else 1.0
     order = np.lexsort(np.floor(circles.centre_mm / cell).T)
-    for part in blocks(len(order), max(MOST_AT_ONCE // max(len(chords.view), 1), 1)):
-        rows = order[part]
-        some = take_rows(circles, rows)
+    for part in blocks(shape[0], max(MOST_AT_ONCE // max(shape[1], 1), 1)):
+        some = take_rows(circles, order[part])
         near = np.flatnonzero(about(chords, some, within_px).any(axis=0))
         own = take_rows(chords, near)
-        found[np.ix_(rows, near)] = support_of(own, off_circles(own, some), within_px, tuning)
-    return found
+        found = support_of(own, off_circles(own, some), within_px, tuning)
+        row, column = np.nonzero(found)
+        entries.append((found[row, column], (order[part][row], near[column])))
+    values = np.concatenate([value for value, _ in entries])
+    index = np.concatenate([np.stack(places) for _, places in entries], axis=1)
+    return coo_array((values, (index[0], index[1])), shape=shape).tocsr()
 
 
 def support_of(
