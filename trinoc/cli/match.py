@@ -67,9 +67,12 @@ class Match(MatchOptions, Command):
 
         self.check()
 
-        from trinoc.io import expect_place, save
+        from trinoc.io import expect_ending, expect_place, save
+        from trinoc.match import Cylinders, Matches
 
         expect_place(self.out, self.report, self.cylinders)
+        expect_ending(self.out, Matches)
+        expect_ending(self.cylinders, Cylinders)
         rig = read_rig(self.rig)
         files = files_of_rig(self.pictures, rig.names)
         check_views(files, rig, self.rig)

@@ -29,10 +29,11 @@ class Wireframe(Command):
 
     def run(self, command_line: str) -> Outcome:
         """Read, put together, and write."""
-        from trinoc.io import expect_place, load_matches, save
-        from trinoc.match import wireframe
+        from trinoc.io import expect_ending, expect_place, load_matches, save
+        from trinoc.match import Wireframe as Frame, wireframe
 
         expect_place(self.out)
+        expect_ending(self.out, Frame)
         frame = wireframe(load_matches(self.file), read_rig(self.rig), flat=not self.no_flat)
         save(frame, self.out)
         for each in frame.let_go:

@@ -19,7 +19,24 @@ from trinoc.io.segments_npz import save_segments
 from trinoc.io.wireframe_npz import save_wireframe
 from trinoc.match import Cylinders, Matches, Wireframe
 
-_AS_JSON = Rig | Intrinsics | AbstractTarget
+# What is written, in words, and the ending of its file.
+_ENDINGS = (
+    (Rig, "a rig is", ".json"),
+    (Intrinsics, "a lens is", ".json"),
+    (AbstractTarget, "a layout is", ".json"),
+    (Segments, "segments are", ".npz"),
+    (Matches, "matches are", ".npz"),
+    (Cylinders, "cylinders are", ".npz"),
+    (Wireframe, "a wire frame is", ".npz"),
+)
+_WRITTEN = tuple(kind for kind, _, _ in _ENDINGS)
+
+
+def expect_ending(path: str | os.PathLike[str] | None, kind: type) -> None:
+    """Before a long job: raise InputError for a name that `save` would refuse a value of a kind."""
+    for each, words, ending in _ENDINGS:
+        if path is not None and issubclass(kind, each) and Path(path).suffix.lower() != ending:
+            raise InputError(f"{path}: {words} written as {ending}: choose such a name.")
 
 
 def save(
@@ -37,13 +54,9 @@ def save(
     for a name whose ending is not that of the file.
     """
     more: dict[str, Any] = {}
-    if not isinstance(value, _AS_JSON | Segments | Matches | Cylinders | Wireframe):
+    if not isinstance(value, _WRITTEN):
         value, more = _content_of_result(value, path)
-    ending = ".json" if isinstance(value, _AS_JSON) else ".npz"
-    if Path(path).suffix.lower() != ending:
-        raise InputError(
-            f"{path}: a {type(value).__name__} is written as {ending}: choose such a name."
-        )
+    expect_ending(path, type(value))
     match value:
         case Rig():
             save_rig(value, path, provenance=provenance, **more)
