@@ -15,9 +15,10 @@ from trinoc.io.matches_npz import save_matches
 from trinoc.io.pattern_json import save_pattern
 from trinoc.io.rig_json import save_rig
 from trinoc.io.rig_status import status_of_shots, status_to_block
+from trinoc.io.rims_npz import save_rims
 from trinoc.io.segments_npz import save_segments
 from trinoc.io.wireframe_npz import save_wireframe
-from trinoc.match import Cylinders, Matches, Wireframe
+from trinoc.match import Cylinders, Matches, Rims, Wireframe
 
 # What is written, in words, and the ending of its file.
 _ENDINGS = (
@@ -27,6 +28,7 @@ _ENDINGS = (
     (Segments, "segments are", ".npz"),
     (Matches, "matches are", ".npz"),
     (Cylinders, "cylinders are", ".npz"),
+    (Rims, "rims are", ".npz"),
     (Wireframe, "a wire frame is", ".npz"),
 )
 _WRITTEN = tuple(kind for kind, _, _ in _ENDINGS)
@@ -49,9 +51,9 @@ def save(
 
     A Rig (or the rig of a CalibrationResult or a RigFromShots, then with its status), Intrinsics
     (or the lens of an IntrinsicsResult, then with its covariance), a Pattern and a board become
-    JSON; Segments, Matches, Cylinders and a Wireframe become npz. `provenance`, of rigs and lenses,
-    says how it was found ("command", "version", "inputs"). Raises InputError for other values and
-    for a name whose ending is not that of the file.
+    JSON; Segments, Matches, Cylinders, Rims and a Wireframe become npz. `provenance`, of rigs and
+    lenses, says how it was found ("command", "version", "inputs"). Raises InputError for other
+    values and for a name whose ending is not that of the file.
     """
     more: dict[str, Any] = {}
     if not isinstance(value, _WRITTEN):
@@ -72,6 +74,8 @@ def save(
             save_matches(value, path)
         case Cylinders():
             save_cylinders(value, path)
+        case Rims():
+            save_rims(value, path)
         case Wireframe():
             save_wireframe(value, path)
 
@@ -94,5 +98,5 @@ def _content_of_result(
             raise InputError(f"{path} was not written: {value.status.value}")
     raise InputError(
         f"A {type(value).__name__} cannot be saved: give a Rig, CalibrationResult, "
-        "Intrinsics, IntrinsicsResult, Pattern, Segments, Matches, Cylinders or Wireframe."
+        "Intrinsics, IntrinsicsResult, Pattern, Segments, Matches, Cylinders, Rims or Wireframe."
     )
