@@ -43,8 +43,8 @@ def load_any(
     if not isinstance(found, str) or found not in READERS:
         raise InputError(
             f"{file} is no rig, camera, matches, segments, cylinders, rims or wire frame of "
-            "trinoc: give a rig.json, camera.json, matches.npz, segments.npz, cylinders.npz, rims.npz or "
-            "wireframe.npz."
+            "trinoc: give a rig.json, camera.json, matches.npz, segments.npz, cylinders.npz, "
+            "rims.npz or wireframe.npz."
         )
     return READERS[found](file)
 

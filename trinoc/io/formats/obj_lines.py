@@ -1,4 +1,4 @@
-"""3-D segments as lines of a Wavefront OBJ; a wire frame with faces, cylinders and rims as wires."""
+"""3-D segments as lines of a Wavefront OBJ; wire frames with faces, cylinders and rims as wires."""
 
 from pathlib import Path
 
