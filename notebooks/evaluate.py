@@ -87,9 +87,9 @@ plt.show()
 # What a person measures. An edge's length is from the first to the last end of the lines on it.
 # Where the lines reach the corners it is right to a tenth of a millimetre, and the sigmas, which let
 # ends slide along the line, are too large rather than too small. Joining collinear tracks and
-# carrying the lines to the corners where they meet halves that error. Where a line stops short and
-# no corner is found, the length is too short by millimetres, and no sigma says so: a covariance is
-# of the line that was put out, and does not know of the piece that is missing.
+# carrying the lines to the corners where they meet more than halves that error. Where a line stops
+# short and no corner is found, the length is too short by millimetres. The sigma says that the end may
+# slide, but not how much of the edge is missing.
 
 # %%
 figure, axes = plt.subplots(1, 2, figsize=(11, 3.6), layout="constrained", sharey=True)
@@ -114,10 +114,10 @@ plt.show()
 # %% [markdown]
 # ## The settings of the segmentation, and noise
 # `tolerance_px` says how far an edge may bend before it is cut. On the pictures as they are, a
-# small one gives more and shorter segments, and the lines are a little better for it: an edge is not
-# fitted together with what it meets. With noise of 8 grey levels added, a small one cuts edges to
-# pieces that noise has bent: short segments have poor directions and match wrongly, and the tenth of
-# the length that is worst gets worse.
+# small one gives more and shorter segments. Directions are a little better for it, since an edge is
+# not fitted together with what it meets; the worst twentieth of the length is worse. With noise of 8
+# grey levels added, a small one cuts edges to pieces that noise has bent: short segments have poor
+# directions and match wrongly, and the tenth of the length that is worst gets worse.
 
 # %%
 noise = np.random.default_rng(1)
@@ -216,10 +216,11 @@ for one, (name, z) in zip(axes, errors.items(), strict=True):
 plt.show()
 
 # %% [markdown]
-# Where they do not: on the pictures fewer errors are within 1.96 sigma than should be, above all
-# of lines that only two cameras see. Two views always agree, so that nothing tells a wrong pair from
-# a right one that is a little off, and what a picture does to an edge beyond its noise (a neighbour
-# near by, a shadow along it, a rim that is no straight line) is in both.
+# They do for lines that three cameras see. Of lines that only two see, too few errors are within 1.96
+# sigma: two views always agree, so that nothing tells a wrong pair from a right one that is a little
+# off, and what a picture does to an edge beyond its noise (a neighbour near by, a shadow along it, a
+# rim that is no straight line) is in both. Neither is a normal distribution: most lines are better
+# than they claim, and a few are much worse.
 #
 # Checks, run with the tests: half of the shape is accurate to a tenth of a pixel, true sigmas are
 # found true and false ones false, and with noise a small tolerance costs directions.

@@ -106,7 +106,8 @@ plt.show()
 # A chain is split where it is farthest from its chord, until nothing lies more than 1.6 pixels
 # off. Then a line goes through the points of each piece; collinear pieces are merged, what noise
 # may have made or what is too soft or too curved is dropped, what neighbouring edges pull is taken
-# out, and the ends go to the crossings with what stops them.
+# out, as is part of what shading does to an edge, and the ends go to the crossings with what stops
+# them.
 
 # %%
 start, stop = split_chains(points.uv_px[order], starts, 1.6, 6)
@@ -120,15 +121,19 @@ for first, last in zip(start, stop, strict=True):
 show(right, "segments and junctions")
 for ends in segments.endpoints_px:
     right.plot(*ends.T, color="tab:orange", linewidth=1.5)
-right.plot(*segments.junctions.uv_px.T, "c.", markersize=7)
+right.plot(*segments.junctions.uv_px.T, ".", color="cyan", markersize=7)
 for place, kind in zip(segments.junctions.uv_px, segments.junctions.kind, strict=True):
-    right.annotate(kind, place, color="c", xytext=(4, 4), textcoords="offset points", clip_on=True)
+    right.annotate(
+        kind, place, color="cyan", size=11, xytext=(6, 6), textcoords="offset points",
+        bbox={"facecolor": "black", "edgecolor": "none", "pad": 1}, clip_on=True,
+    )  # fmt: skip
 plt.show()
 
 # %% [markdown]
 # ## How well each one is known
-# Across a segment its ends are known to hundredths of a pixel, along it to half a pixel at a
-# crossing and to two where the evidence just stops. `reasons` says what widened a covariance.
+# Across a segment its ends are known to hundredths of a pixel, or to tenths where something disturbs
+# the edge: `reasons` says what. Along it they are known to half a pixel at a crossing, and to some
+# pixels where the evidence just stops.
 
 # %%
 way = np.diff(segments.endpoints_px, axis=1)[:, 0]
@@ -142,9 +147,9 @@ for name, count in zip(names, counts, strict=True):
 
 lsd = find_segments_lsd(picture)
 left, right = pair()
-show(left, f"trinoc: {len(segments)} segments; yellow: sigma of 0.15 px and more")
+show(left, f"trinoc: {len(segments)} segments; magenta: sigma of 0.15 px and more")
 for ends, sigma in zip(segments.endpoints_px, sigma_px, strict=True):
-    left.plot(*ends.T, color=plt.get_cmap("viridis")(min(sigma / 0.15, 1.0)), linewidth=2)
+    left.plot(*ends.T, color=plt.get_cmap("cool")(min(sigma / 0.15, 1.0)), linewidth=2)
 show(right, f"OpenCV's LSD: {len(lsd)} segments")
 for ends in lsd.endpoints_px:
     right.plot(*ends.T, color="tab:green", linewidth=2)

@@ -29,6 +29,7 @@ from .io import (
     load_matches as load_matches,
     load_pattern as load_pattern,
     load_rig as load_rig,
+    load_rims as load_rims,
     load_segments as load_segments,
     load_shape as load_shape,
     load_shots as load_shots,

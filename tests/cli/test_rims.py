@@ -28,10 +28,15 @@ def scene(tmp_path, monkeypatch):
 
 
 def test_rims_are_added_and_told(scene, capsys):
-    options = ["--rims", "--cylinders", "cylinders.npz", "--json", "--quiet"]
+    options = ["--rims-out", "rims.npz", "--cylinders", "cylinders.npz", "--json", "--quiet"]
     assert main(["match", *scene, "--rig", "rig.json", *options]) == 0
     told = json.loads(capsys.readouterr().out)
     (rim,) = told["rims"]["found"]
+    assert told["written"] == ["matches.npz", "rims.npz", "cylinders.npz"]
+    found = trinoc.load_rims("rims.npz")
+    assert found.centre_mm.tolist() == [rim["centre_mm"]]
+    assert found.radius_sigma_mm.tolist() == [rim["radius_sigma_mm"]]
+    assert main(["export", "rims.npz", "--to", "obj", "-o", "rims.obj", "--quiet"]) == 0
     assert abs(rim["radius_mm"] - 15.0) < 5 * rim["radius_sigma_mm"] < 1.0
     matches = trinoc.load_matches("matches.npz")
     # The body below is found by its outlines, as without rims.
@@ -46,5 +51,6 @@ def test_rims_are_added_and_told(scene, capsys):
 def test_rims_need_pictures(scene, capsys):
     trinoc.save(trinoc.find_segments(np.asarray(cv2.imread("scene_left.png"))), "left.npz")
     files = [name.replace("scene_left.png", "left.npz") for name in scene]
-    assert main(["match", *files, "--rig", "rig.json", "--rims", "--quiet"]) == 2
-    assert "--rims needs pictures" in capsys.readouterr().err
+    for option in (["--rims"], ["--rims-out", "rims.npz"]):
+        assert main(["match", *files, "--rig", "rig.json", *option, "--quiet"]) == 2
+        assert f"{option[0]} needs pictures" in capsys.readouterr().err

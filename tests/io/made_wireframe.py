@@ -39,4 +39,5 @@ def made_wireframe() -> Wireframe:
         face_degrees=np.array([1, 0]),
         facing=np.array([True, False]),
         let_go=(LetGo(7, (50.0, 50.0, 10.0), "ends beside a corner."),),
+        shadow=np.linspace(0.0, 1.0, 7),
     )

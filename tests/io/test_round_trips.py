@@ -100,7 +100,7 @@ def test_segment_tables_are_read_as_their_ends(folder, segments):
 
 def test_each_value_has_its_kind_of_file(folder):
     segments = trinoc.Segments.from_endpoints(np.zeros((0, 4)))
-    with pytest.raises(InputError, match=r"Segments is written as \.npz"):
+    with pytest.raises(InputError, match=r"segments are written as \.npz"):
         trinoc.save(segments, folder / "segments.json")
     with pytest.raises(InputError, match="ndarray cannot be saved"):
         trinoc.save(np.zeros(3), folder / "array.npz")

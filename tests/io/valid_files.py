@@ -12,6 +12,7 @@ import numpy as np
 import trinoc
 from tests.io.formats.bench import bench_matches, bench_rig
 from tests.io.made_cylinders import made_cylinders
+from tests.io.made_rims import made_rims
 from tests.io.made_wireframe import made_wireframe
 from trinoc.io import (
     FORMATS,
@@ -55,6 +56,7 @@ def valid_files(folder: Path) -> dict[str, ValidFile]:
     trinoc.save(matches, add("matches", "matches.npz", trinoc.load_matches))
     trinoc.save(matches, add("any", "any.npz", load_any))
     trinoc.save(made_wireframe(), add("wireframe", "wireframe.npz", trinoc.load_wireframe))
+    trinoc.save(made_rims(), add("rims", "rims.npz", trinoc.load_rims))
     trinoc.save(made_cylinders(), add("cylinders", "cylinders.npz", trinoc.load_cylinders))
     ends = np.random.default_rng(2).uniform(0, 400, (5, 4))
     segments = trinoc.Segments.from_endpoints(ends)

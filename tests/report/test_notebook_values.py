@@ -8,13 +8,25 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
+import trinoc
 from trinoc.calib import CalibrationResult, RefineResult, RefineStatus
 from trinoc.errors import InputError
 from trinoc.evaluation import Evaluation, evaluate
 from trinoc.geometry import LineObservations, Rig, Segments, UncertainLines
 from trinoc.match import Matches
+from trinoc.numerics import Shown
+from trinoc.report.notebook import axes, cards, figures
+from trinoc.report.notebook.tables import columns_of
 
 mpl.use("agg")
+
+
+def test_every_value_that_shows_itself_can() -> None:
+    shown = {getattr(trinoc, name, None) for name in trinoc.__all__}
+    shown = {kind for kind in shown if isinstance(kind, type) and issubclass(kind, Shown)}
+    assert len(shown) >= 5
+    for verb in (axes._plot, cards.heading, cards.small_picture, figures._figure, columns_of):
+        assert {kind for kind in shown if verb.dispatch(kind) is verb.dispatch(object)} == set()
 
 
 @pytest.fixture(scope="module")

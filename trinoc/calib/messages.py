@@ -86,6 +86,11 @@ def notes_of_priors(
 ) -> tuple[str, ...]:
     """What the pictures say against what was said of the aim and the lens."""
     notes = []
+    if strain > LARGEST_STRAIN:
+        notes.append(
+            f"the lens is another than was said, by {strain:.1f} of its sigmas: check focal "
+            "length, pixel pitch and focus, or calibrate its intrinsics."
+        )
     if known.aim_sigma_mm:
         step = adjustment.rows(view)
         distance = adjustment.parameters[view, 3]
@@ -97,11 +102,6 @@ def notes_of_priors(
                 f"the optical axis misses the origin of the sheet by ({aim[0]:.2f}, {aim[1]:.2f}) "
                 f"+- ({sigma[0]:.1g}, {sigma[1]:.1g}) mm, which the parameters allow for."
             )
-    if strain > LARGEST_STRAIN:
-        notes.append(
-            f"the lens is another than was said, by {strain:.1f} of its sigmas: check focal "
-            "length, pixel pitch and focus, or calibrate its intrinsics."
-        )
     return tuple(notes)
 
 

@@ -8,7 +8,7 @@ import tyro
 
 from trinoc.cli.command import Command, Outcome, UsageError
 from trinoc.cli.failed_cameras import kept_of_failure
-from trinoc.cli.lens_options import LensOptions, expect_pixel_pitch
+from trinoc.cli.lens_options import LensOptions, expect_focal_length, expect_pixel_pitch
 from trinoc.cli.numbers import expect_sigmas
 from trinoc.cli.plan import plan
 from trinoc.cli.progress import LOGGER
@@ -63,7 +63,10 @@ class Calibrate(Command):
     """picture: the grey levels of each picture count where its circles agree; circles: the circles
     alone."""
 
-    bayer: Literal["RGGB", "BGGR", "GRBG", "GBRG"] | None = None
+    bayer: Annotated[
+        Literal["RGGB", "BGGR", "GRBG", "GBRG"] | None,
+        tyro.conf.arg(metavar="RGGB|BGGR|GRBG|GBRG", help_behavior_hint="(default: none)"),
+    ] = None
     """The pictures are raw mosaics of these colours: each pixel is fitted as it is."""
 
     response: Literal["linear", "srgb", "fit"] = "fit"
@@ -77,13 +80,15 @@ class Calibrate(Command):
     every picture, or as the cameras of an earlier rig.json saw it."""
 
     pose_model: Annotated[
-        Literal["aimed", "aim-free"] | None, tyro.conf.arg(help_behavior_hint="(default: aimed)")
+        Literal["aimed", "aim-free"] | None,
+        tyro.conf.arg(metavar="aimed|aim-free", help_behavior_hint="(default: aimed)"),
     ] = None
     """aimed: the optical axis meets the origin of the sheet; aim-free: where it meets the sheet is
     free."""
 
     parameters: Annotated[
-        Literal[4, 6] | None, tyro.conf.arg(help_behavior_hint="(default: by --pose-model)")
+        Literal[4, 6] | None,
+        tyro.conf.arg(metavar="4|6", help_behavior_hint="(default: by --pose-model)"),
     ] = None
     """The pose model by its number of parameters: 4 is aimed, 6 is aim-free."""
 
@@ -112,6 +117,7 @@ class Calibrate(Command):
                 "1.001, for X and for Y."
             )
         self._check_sigmas()
+        expect_focal_length(self.lens.focal_length_mm)
         expect_pixel_pitch(self.lens.pixel_pitch_mm)
         if self.orientation not in (None, "upright") and not Path(self.orientation).is_file():
             raise UsageError(
@@ -120,9 +126,11 @@ class Calibrate(Command):
 
         from trinoc.calib import calibrate
         from trinoc.cli.provenance import for_people, provenance
-        from trinoc.io import expect_place, load_pattern, load_rig, read_views, save
+        from trinoc.geometry import Rig
+        from trinoc.io import expect_ending, expect_place, load_pattern, load_rig, read_views, save
 
         expect_place(self.out, self.report)
+        expect_ending(self.out, Rig)
         pattern = load_pattern(self.pattern).rescaled(*self.print_scale)
         images = read_views(files)
         lenses = self.lens.lenses({name: _size(image) for name, image in images.items()})

@@ -104,9 +104,18 @@ class CalibrateRig(Command):
 
         from trinoc.calib import Systematics, calibrate_rig, next_shot
         from trinoc.cli.provenance import provenance
-        from trinoc.io import expect_place, load_intrinsics, load_shots, load_target, save
+        from trinoc.geometry import Rig
+        from trinoc.io import (
+            expect_ending,
+            expect_place,
+            load_intrinsics,
+            load_shots,
+            load_target,
+            save,
+        )
 
         expect_place(self.out, self.report)
+        expect_ending(self.out, Rig)
         target = one_target([(board.stem, load_target(board)) for board in self.board])
         pictures = load_shots(places)
         known: Any = None

@@ -41,9 +41,11 @@ class Check(Command):
         from trinoc.calib import check_rig
         from trinoc.cli.provenance import provenance
         from trinoc.cli.scene import scene_of
-        from trinoc.io import expect_place, save
+        from trinoc.geometry import Rig
+        from trinoc.io import expect_ending, expect_place, save
 
         expect_place(self.out)
+        expect_ending(self.out, Rig)
         rig = read_rig(self.rig)
         scene = scene_of(self.pictures, self.matches, rig, self.rig, quiet=self.quiet)
         LOGGER.info("checking %d cameras with %d lines", len(rig), len(scene.matches))

@@ -16,13 +16,13 @@ class Export(Command):
     """Write cameras, 3-D segments or segments of a picture as another tool reads them."""
 
     file: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FILE")]
-    """What to write: rig.json, camera.json, matches.npz, wireframe.npz, cylinders.npz or
-    segments.npz."""
+    """What to write: rig.json, camera.json, matches.npz, wireframe.npz, cylinders.npz,
+    rims.npz or segments.npz."""
 
     to: Annotated[WrittenFormat, tyro.conf.arg(metavar="FORMAT")]
     """Cameras: opencv, ros, kalibr, colmap, colmap-text, mrcal, matlab, nerfstudio, tf. Matches:
     ply, obj, gltf, dxf, csv, parquet, limap. Wire frames: ply, obj, dxf, json. Cylinders: ply,
-    obj. Segments: lsd, elsed, limap-segments."""
+    obj. Rims: obj. Segments: lsd, elsed, limap-segments."""
 
     out: Annotated[Path, tyro.conf.arg(aliases=("-o",), metavar="OUT")]
     """Where it goes: a file, or a new folder for formats of several files."""

@@ -69,9 +69,11 @@ class Intrinsics(Command):
 
         from trinoc.calib import calibrate_intrinsics
         from trinoc.cli.provenance import provenance
-        from trinoc.io import expect_place, load_pattern, read_image, save
+        from trinoc.geometry import Intrinsics as Lens
+        from trinoc.io import expect_ending, expect_place, load_pattern, read_image, save
 
         expect_place(self.out)
+        expect_ending(self.out, Lens)
         pattern = load_pattern(self.pattern)
         images = [read_image(path) for path in each(self.pictures, "reading", quiet=self.quiet)]
         LOGGER.info("calibrating the lens of %d pictures", len(images))

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 # Not None: an option that may be a pair or nothing would take pictures that follow it.
 NOT_GIVEN = (0.0, 0.0)
+# From an endoscope's lens to a telescope.
+FOCAL_RANGE_MM = (0.1, 10_000.0)
 
 # The same option wherever a command asks for it.
 PixelPitch = Annotated[
@@ -33,6 +35,21 @@ def expect_pixel_pitch(pitch_mm: tuple[float, float]) -> None:
         expect_pitch(None if pitch_mm == NOT_GIVEN else pitch_mm, "--pixel-pitch-mm is")
     except InputError as error:
         raise UsageError(str(error)) from error
+
+
+def expect_focal_length(focal_length_mm: float | None) -> None:
+    """Raise UsageError for a focal length in another unit than mm, before any picture is read."""
+    if focal_length_mm is None:
+        return
+    shortest, longest = FOCAL_RANGE_MM
+    for unit, factor in (("metres", 1e3), ("micrometres", 1e-3)):
+        meant = focal_length_mm * factor
+        wrong = 0 < focal_length_mm < shortest if factor > 1 else focal_length_mm > longest
+        if wrong and shortest <= meant <= longest:
+            raise UsageError(
+                f"--focal-length-mm is {focal_length_mm:g} mm, which looks like {unit}: write "
+                f"{meant:g} millimetres."
+            )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -53,8 +70,13 @@ class LensOptions:
     pixel_pitch_mm: PixelPitch = NOT_GIVEN
     """Width and height of a pixel in mm; both, also where they are equal."""
 
-    lens_covariance: bool = True
-    """Whether the covariance that a camera.json states joins the sigmas of the cameras."""
+    lens_covariance: Annotated[
+        bool,
+        tyro.conf.arg(
+            help="Leave the covariance that a camera.json states out of the cameras' sigmas.",
+            help_behavior_hint="(default: it counts)",
+        ),
+    ] = True
 
     lens_exact: bool = False
     """Take the lens as exactly what is said of it. Without it, one from a data sheet may be off by

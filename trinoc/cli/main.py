@@ -28,6 +28,7 @@ from trinoc.cli.intrinsics import Intrinsics
 from trinoc.cli.match import Match
 from trinoc.cli.numbers import expect_numbers
 from trinoc.cli.pattern import Pattern
+from trinoc.cli.places import expect_places
 from trinoc.cli.refine import Refine
 from trinoc.cli.rig_toml import with_file
 from trinoc.cli.segments import Segments
@@ -39,7 +40,8 @@ from trinoc.errors import TrinocError
 
 DESCRIPTION = (
     "Calibrate fixed cameras from one picture of a printed sheet each, and match line segments "
-    "across their pictures into 3-D segments with error bars."
+    "across their pictures into 3-D segments with error bars. `trinoc COMMAND --help` explains a "
+    "command, `trinoc --version` says which trinoc this is."
 )
 
 AnyCommand = (
@@ -100,6 +102,7 @@ def _run(command: Command, command_line: str) -> int:
     enable_compile_cache()
     try:
         expect_numbers(command)
+        expect_places(command)
         outcome = command.run(command_line)
     except TrinocError as error:
         return _failed(command, str(error), status=2 if isinstance(error, UsageError) else 1)

@@ -67,9 +67,13 @@ class Match(MatchOptions, Command):
 
         self.check()
 
-        from trinoc.io import expect_place, save
+        from trinoc.io import expect_ending, expect_place, save
+        from trinoc.match import Cylinders, Matches, Rims
 
-        expect_place(self.out, self.report, self.cylinders)
+        expect_place(self.out, self.report, self.cylinders, self.rims_out)
+        expect_ending(self.out, Matches)
+        expect_ending(self.cylinders, Cylinders)
+        expect_ending(self.rims_out, Rims)
         rig = read_rig(self.rig)
         files = files_of_rig(self.pictures, rig.names)
         check_views(files, rig, self.rig)
@@ -77,11 +81,11 @@ class Match(MatchOptions, Command):
             _check_pictures(files, "--guided")
         if self.measure == "pixels":
             _check_pictures(files, "--measure pixels")
-        if self.rims:
-            _check_pictures(files, "--rims")
+        if self.rims or self.rims_out is not None:
+            _check_pictures(files, "--rims" if self.rims else "--rims-out")
         if self.dry_run:
             sizes = {name: rig[name].image_size_px for name in files}
-            places = (self.out, self.cylinders, self.report)
+            places = (self.out, self.rims_out, self.cylinders, self.report)
             return plan(f"match with {self.rig}", files, sizes, places)
         images, segments = read_segments(files, rig, self.find, quiet=self.quiet)
         LOGGER.info("matching %s", ", ".join(f"{len(s)} ({n})" for n, s in segments.items()))
@@ -89,6 +93,8 @@ class Match(MatchOptions, Command):
         segments, matches, cylinders = found.segments, found.matches, found.cylinders
         if cylinders is not None and self.cylinders is not None:
             save(cylinders, self.cylinders)
+        if found.rims is not None and self.rims_out is not None:
+            save(found.rims, self.rims_out)
         save(matches, self.out)
         if self.report is not None:
             from trinoc.cli.provenance import for_people, provenance
@@ -107,7 +113,7 @@ class Match(MatchOptions, Command):
                 provenance=for_people(provenance(command_line, {**files, "rig": self.rig})),
                 cylinders=cylinders,
             )
-        places = (self.out, self.cylinders, self.report)
+        places = (self.out, self.rims_out, self.cylinders, self.report)
         written = [str(path) for path in places if path is not None]
         text, record = match_text(matches), match_record(segments, matches)
         if found.rims is not None:
@@ -173,6 +179,12 @@ def remarks(matches: "Matches") -> list[str]:
     found = matches.stage == "trinocular" if len(matches.views) > 2 else matches.index[:, 0] >= 0
     if found.sum() > LEAST_SHARE * fewest:
         return []
+    words = Counter(str(word) for column in matches.reasons.values() for word in column)
+    if words["outside depth"] > words["matched"]:
+        return [
+            f"{words['outside depth']} segments have no partner in the depths allowed: check "
+            "--depth-range-mm, which is from each camera, in mm."
+        ]
     many = "three views" if len(matches.views) > 2 else "both views"
     return [
         f"Few segments were matched in {many}: check that this rig took these pictures of "

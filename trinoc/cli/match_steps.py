@@ -42,6 +42,11 @@ class MatchOptions(SegmentOptions):
     """Also find the circular rims of round bodies among the chords of arcs, which are no segments
     otherwise, and add pieces of them to the tracks."""
 
+    rims_out: Annotated[
+        Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")
+    ] = None
+    """As --rims, and write the circles with their covariance here (npz)."""
+
     cylinders: Annotated[
         Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")
     ] = None
@@ -90,7 +95,7 @@ def found_in(
 
         cylinders = find_cylinders(matches, segments, rig)
         matches = cylinders.marked(matches)
-    if options.rims:
+    if options.rims or options.rims_out is not None:
         from trinoc.match import add_rims, find_rims
 
         LOGGER.info("looking for rims")

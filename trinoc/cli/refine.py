@@ -36,7 +36,10 @@ class Refine(Command):
 
     pose_model: Annotated[
         Literal["aimed", "aim-free", "rigid"] | None,
-        tyro.conf.arg(help_behavior_hint="(default: those the calibration knows)"),
+        tyro.conf.arg(
+            metavar="aimed|aim-free|rigid",
+            help_behavior_hint="(default: those the calibration knows)",
+        ),
     ] = None
     """What may change in each camera: aimed: pan, tilt, swing and distance; aim-free: where the
     optical axis meets the sheet, too; rigid: any motion."""
@@ -58,9 +61,11 @@ class Refine(Command):
         from trinoc.calib import RefineStatus, refine
         from trinoc.cli.provenance import provenance
         from trinoc.cli.scene import scene_of
-        from trinoc.io import expect_place, save
+        from trinoc.geometry import Rig
+        from trinoc.io import expect_ending, expect_place, save
 
         expect_place(self.out)
+        expect_ending(self.out, Rig)
         rig = read_rig(self.rig)
         scene = scene_of(self.pictures, self.matches, rig, self.rig, quiet=self.quiet)
         LOGGER.info("refining %d cameras and %d lines", len(rig), len(scene.matches))

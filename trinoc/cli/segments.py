@@ -22,9 +22,12 @@ class Segments(SegmentOptions, Command):
 
     def run(self, command_line: str) -> Outcome:
         """Find the segments and write them."""
-        from trinoc.io import read_image, save
+        from trinoc.geometry import Segments as Found
+        from trinoc.io import expect_ending, expect_place, read_image, save
 
         self.check()
+        expect_place(self.out)
+        expect_ending(self.out, Found)
         image = read_image(self.picture)
         segments = self.find(image)
         save(segments, self.out)

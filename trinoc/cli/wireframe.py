@@ -29,21 +29,24 @@ class Wireframe(Command):
 
     def run(self, command_line: str) -> Outcome:
         """Read, put together, and write."""
-        from trinoc.io import expect_place, load_matches, save
-        from trinoc.match import wireframe
+        from trinoc.io import expect_ending, expect_place, load_matches, save
+        from trinoc.match import Wireframe as Frame, wireframe
 
         expect_place(self.out)
+        expect_ending(self.out, Frame)
         frame = wireframe(load_matches(self.file), read_rig(self.rig), flat=not self.no_flat)
         save(frame, self.out)
         for each in frame.let_go:
             LOGGER.warning("track %d %s", each.track, each.reason)
         corners = int(frame.corner.sum())
+        shadows = 0 if frame.shadow is None else int((frame.shadow > 0.5).sum())
         record = {
             "edges": len(frame),
             "edges_of_two_views": int((~frame.checked).sum()),
             "corners": corners,
             "free_ends": len(frame.corner) - corners,
             "faces": len(frame.planes),
+            "edges_of_shadows": shadows,
             "let_go": [{"track": each.track, "reason": each.reason} for each in frame.let_go],
             "written": [str(self.out)],
         }
@@ -51,4 +54,6 @@ class Wireframe(Command):
             f"{len(frame)} edges, {record['edges_of_two_views']} of them seen by two views only; "
             f"{corners} corners, {record['free_ends']} free ends, {len(frame.planes)} planar faces"
         )
+        if shadows:
+            text += f"; {shadows} of the edges are likely of shadows, and bound no face"
         return Outcome(f"{text}\nwritten: {self.out}", record)

@@ -9,6 +9,7 @@ _PHRASES = {
         "A standard deviation of --print-scale-sigma or --flatness-mm is negative"
     ),
     "give `rings=` yourself or": "choose a sheet with",
+    "; give a sigma_px that is as much smaller to have candidates judged by it too": "",
 }
 
 
@@ -25,7 +26,8 @@ def in_options(sentence: str, command: object) -> str:
         given = rf"(?<![\w\".`/-]){re.escape(name)}="
         sentence = re.sub(rf'{given}(?:(?=\w)|"(\w+)")', rf"{option} \1", sentence)
         if "_" in name and '.json: "' not in sentence:
-            sentence = re.sub(rf"(?<![\w\".`/-]){re.escape(name)}(?![\w\".=/-])", option, sentence)
+            alone = rf"(?<![\w\".`/-]){re.escape(name)}(?![\w\"=/-]|\.\w)"
+            sentence = re.sub(alone, option, sentence)
     return sentence
 
 

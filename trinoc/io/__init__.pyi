@@ -82,7 +82,8 @@ from .rig_json import (
     rig_text as rig_text,
 )
 from .rig_status import CameraStatus as CameraStatus, RigStatus as RigStatus
-from .saving import save as save
+from .rims_npz import load_rims as load_rims
+from .saving import expect_ending as expect_ending, save as save
 from .segments_npz import load_segments as load_segments
 from .shots import load_shots as load_shots
 from .table_csv import save_table as save_table

@@ -22,10 +22,10 @@ def parsed_json(text: str, file: str | os.PathLike[str]) -> Any:
     try:
         values = json.loads(text, parse_constant=_refuse_constant, object_pairs_hook=_unique)
     except json.JSONDecodeError as error:
-        raise InputError(
-            f"{file} is not JSON (line {error.lineno}, column {error.colno}: {error.msg}): "
-            "correct it there."
-        ) from error
+        if os.fspath(file).lower().endswith(".json"):
+            place = f"line {error.lineno}, column {error.colno}: {error.msg}"
+            raise InputError(f"{file} is not JSON ({place}): correct it there.") from error
+        raise InputError(f"{file} is not JSON: give the .json file.") from error
     except _NotStrictError as error:
         raise InputError(f"{file}: {error}") from error
     except ValueError as error:  # of Python, whose integers have at most 4,300 digits

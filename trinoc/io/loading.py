@@ -10,13 +10,14 @@ from trinoc.io import (
     intrinsics_json,
     matches_npz,
     rig_json,
+    rims_npz,
     segments_npz,
     wireframe_npz,
 )
 from trinoc.io.arrays_npz import format_of_arrays
 from trinoc.io.json_text import parsed_json
 from trinoc.io.whole_files import read_text
-from trinoc.match import Cylinders, Matches, Wireframe
+from trinoc.match import Cylinders, Matches, Rims, Wireframe
 
 READERS = {
     rig_json.FORMAT: rig_json.load_rig,
@@ -24,15 +25,16 @@ READERS = {
     matches_npz.FORMAT: matches_npz.load_matches,
     segments_npz.FORMAT: segments_npz.load_segments,
     cylinders_npz.FORMAT: cylinders_npz.load_cylinders,
+    rims_npz.FORMAT: rims_npz.load_rims,
     wireframe_npz.FORMAT: wireframe_npz.load_wireframe,
 }
 
 
 def load_any(
     path: str | os.PathLike[str],
-) -> Rig | Intrinsics | Matches | Segments | Cylinders | Wireframe:
-    """The value in a rig.json, camera.json or npz of matches, segments, cylinders or a wire frame,
-    by what the file says.
+) -> Rig | Intrinsics | Matches | Segments | Cylinders | Rims | Wireframe:
+    """The value in a rig.json, camera.json or npz of matches, segments, cylinders, rims or a wire
+    frame, by what the file says.
 
     Raises InputError for other files.
     """
@@ -40,8 +42,9 @@ def load_any(
     found = _format_of_json(file) if file.suffix.lower() == ".json" else format_of_arrays(file)
     if not isinstance(found, str) or found not in READERS:
         raise InputError(
-            f"{file} is no rig, camera, matches, segments, cylinders or wire frame of trinoc: give "
-            "a rig.json, camera.json, matches.npz, segments.npz, cylinders.npz or wireframe.npz."
+            f"{file} is no rig, camera, matches, segments, cylinders, rims or wire frame of "
+            "trinoc: give a rig.json, camera.json, matches.npz, segments.npz, cylinders.npz, "
+            "rims.npz or wireframe.npz."
         )
     return READERS[found](file)
 

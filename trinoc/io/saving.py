@@ -15,11 +15,30 @@ from trinoc.io.matches_npz import save_matches
 from trinoc.io.pattern_json import save_pattern
 from trinoc.io.rig_json import save_rig
 from trinoc.io.rig_status import status_of_shots, status_to_block
+from trinoc.io.rims_npz import save_rims
 from trinoc.io.segments_npz import save_segments
 from trinoc.io.wireframe_npz import save_wireframe
-from trinoc.match import Cylinders, Matches, Wireframe
+from trinoc.match import Cylinders, Matches, Rims, Wireframe
 
-_AS_JSON = Rig | Intrinsics | AbstractTarget
+# What is written, in words, and the ending of its file.
+_ENDINGS = (
+    (Rig, "a rig is", ".json"),
+    (Intrinsics, "a lens is", ".json"),
+    (AbstractTarget, "a layout is", ".json"),
+    (Segments, "segments are", ".npz"),
+    (Matches, "matches are", ".npz"),
+    (Cylinders, "cylinders are", ".npz"),
+    (Rims, "rims are", ".npz"),
+    (Wireframe, "a wire frame is", ".npz"),
+)
+_WRITTEN = tuple(kind for kind, _, _ in _ENDINGS)
+
+
+def expect_ending(path: str | os.PathLike[str] | None, kind: type) -> None:
+    """Before a long job: raise InputError for a name that `save` would refuse a value of a kind."""
+    for each, words, ending in _ENDINGS:
+        if path is not None and issubclass(kind, each) and Path(path).suffix.lower() != ending:
+            raise InputError(f"{path}: {words} written as {ending}: choose such a name.")
 
 
 def save(
@@ -32,18 +51,14 @@ def save(
 
     A Rig (or the rig of a CalibrationResult or a RigFromShots, then with its status), Intrinsics
     (or the lens of an IntrinsicsResult, then with its covariance), a Pattern and a board become
-    JSON; Segments, Matches, Cylinders and a Wireframe become npz. `provenance`, of rigs and lenses,
-    says how it was found ("command", "version", "inputs"). Raises InputError for other values and
-    for a name whose ending is not that of the file.
+    JSON; Segments, Matches, Cylinders, Rims and a Wireframe become npz. `provenance`, of rigs and
+    lenses, says how it was found ("command", "version", "inputs"). Raises InputError for other
+    values and for a name whose ending is not that of the file.
     """
     more: dict[str, Any] = {}
-    if not isinstance(value, _AS_JSON | Segments | Matches | Cylinders | Wireframe):
+    if not isinstance(value, _WRITTEN):
         value, more = _content_of_result(value, path)
-    ending = ".json" if isinstance(value, _AS_JSON) else ".npz"
-    if Path(path).suffix.lower() != ending:
-        raise InputError(
-            f"{path}: a {type(value).__name__} is written as {ending}: choose such a name."
-        )
+    expect_ending(path, type(value))
     match value:
         case Rig():
             save_rig(value, path, provenance=provenance, **more)
@@ -59,6 +74,8 @@ def save(
             save_matches(value, path)
         case Cylinders():
             save_cylinders(value, path)
+        case Rims():
+            save_rims(value, path)
         case Wireframe():
             save_wireframe(value, path)
 
@@ -81,5 +98,5 @@ def _content_of_result(
             raise InputError(f"{path} was not written: {value.status.value}")
     raise InputError(
         f"A {type(value).__name__} cannot be saved: give a Rig, CalibrationResult, "
-        "Intrinsics, IntrinsicsResult, Pattern, Segments, Matches, Cylinders or Wireframe."
+        "Intrinsics, IntrinsicsResult, Pattern, Segments, Matches, Cylinders, Rims or Wireframe."
     )

@@ -16,7 +16,11 @@ _JOINT, _LET_GO = "joint_covariance_mm2", "let_go"
 def save_wireframe(frame: Wireframe, path: str | os.PathLike[str]) -> None:
     """Write a wire frame as npz, whole or not at all."""
     names = [field.name for field in dataclasses.fields(frame)]
-    arrays = {name: getattr(frame, name) for name in names if name not in (_JOINT, _LET_GO)}
+    arrays = {
+        name: value
+        for name in names
+        if name not in (_JOINT, _LET_GO) and (value := getattr(frame, name)) is not None
+    }
     blocks = [np.asarray(block).reshape(-1) for block in frame.joint_covariance_mm2]
     arrays[_JOINT] = np.concatenate([*blocks, np.zeros(0)])
     arrays["let_go_track"] = np.array([each.track for each in frame.let_go], dtype=np.int64)
@@ -65,6 +69,10 @@ def load_wireframe(path: str | os.PathLike[str]) -> Wireframe:
     fields.expect("posterior", (posterior >= 0) & (posterior <= 1 + 1e-9), "is no probability")
     of_planes = of_faces("planes_covariance", "f", 4, 4)
     fields.expect("planes_covariance", is_covariance(of_planes), "is no covariance")
+    # Known where shadows were looked for, and to no earlier trinoc.
+    shadow = of_edges("shadow", "f") if "shadow" in fields else None
+    if shadow is not None:
+        fields.expect("shadow", (shadow >= 0) & (shadow <= 1 + 1e-9), "is no probability")
     part = of_vertices("part", "i")
     return Wireframe(
         vertices_mm=vertices,
@@ -88,6 +96,7 @@ def load_wireframe(path: str | os.PathLike[str]) -> Wireframe:
         face_degrees=of_faces("face_degrees", "i"),
         facing=of_faces("facing", "b"),
         let_go=_let_go(fields),
+        shadow=shadow,
     )
 
 

@@ -99,6 +99,7 @@ def draw_lines_in_space(
     within: Float[np.ndarray, "n 3"] | None = None,
 ) -> None:
     """Lines (n, 3) with the colour of each group, in mm with equal axes that hold `within`."""
+    from matplotlib.ticker import MaxNLocator
     from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
     for lines, colour in strokes:
@@ -113,7 +114,12 @@ def draw_lines_in_space(
     axes.set_zlim(low[2], high[2])
     axes.set_aspect("equal")
     axes.view_init(elev=28, azim=-72)
-    axes.locator_params(nbins=5)
+    # Y points into the page: its numbers have a third of the room.
+    shares = np.array([1.0, 1 / 3, 1.0]) * (high - low) / max(np.max(high - low), 1e-9)
+    for axis, share in zip((axes.xaxis, axes.yaxis, axes.zaxis), shares.tolist(), strict=True):
+        axis.set_major_locator(
+            MaxNLocator(max(int(np.ceil(5 * share)), 1), steps=[1, 2, 2.5, 5, 10])
+        )
     axes.set_xlabel("X (mm)")
-    axes.set_ylabel("Y (mm)")
+    axes.set_ylabel("Y (mm)", labelpad=8)
     axes.set_zlabel("Z (mm)")

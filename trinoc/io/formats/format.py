@@ -14,7 +14,7 @@ from trinoc.geometry import Intrinsics, Rig, Segments
 from trinoc.io.atomic import expect_place
 from trinoc.io.formats.losses import COVARIANCE, LOSSES, lost_of
 from trinoc.io.usable_cameras import expect_apart, expect_lens
-from trinoc.match import Cylinders, Matches, Wireframe
+from trinoc.match import Cylinders, Matches, Rims, Wireframe
 
 Lenses = Mapping[str, Intrinsics]
 # The words of `Format.holds` and `Format.reads`.
@@ -24,6 +24,7 @@ KIND_OF = {
     Matches: "matches",
     Segments: "segments",
     Cylinders: "cylinders",
+    Rims: "rims",
     Wireframe: "wireframe",
 }
 IN_WORDS = {
@@ -32,6 +33,7 @@ IN_WORDS = {
     "matches": "matches",
     "segments": "segments",
     "cylinders": "cylinders",
+    "rims": "rims",
     "wireframe": "a wire frame",
 }
 
@@ -45,7 +47,7 @@ class Format:
     name : as `trinoc export --to` and `trinoc import --from` take it.
     title : what people call it.
     holds : what can be written to it: "rig", "lens", "matches", "wireframe", "cylinders",
-        "segments".
+        "rims", "segments".
     reads : what can be read from it; empty where it is only written.
     place : "file", "folder", or "file or folder": a lens is then a file, a rig a folder of them.
     endings : of the file's name; empty where any will do.
@@ -75,7 +77,7 @@ class Format:
         self, value: object, path: str | os.PathLike[str], *, unit_mm: float | None = None
     ) -> None:
         """Write a Rig (or the rig of a CalibrationResult), Intrinsics, Matches, a Wireframe,
-        Cylinders or Segments.
+        Cylinders, Rims or Segments.
 
         The file or folder is whole or not there. `unit_mm` is the length in mm of one unit of
         the file, for formats that leave it open. A covariance is lost where `lost` says so.
@@ -174,6 +176,8 @@ def _expect_writable(value: object) -> None:
             names, lenses, numbers = value.views, [], [value.lines_mm]
         case Cylinders():
             names, lenses, numbers = (), [], [value.axis_mm, value.radius_mm]
+        case Rims():
+            names, lenses, numbers = (), [], [value.centre_mm, value.normal, value.radius_mm]
         case Wireframe():
             names, lenses, numbers = (), [], [value.vertices_mm]
         case _:

@@ -3,7 +3,7 @@
 import numpy as np
 
 from trinoc.geometry import Intrinsics, Rig, Segments
-from trinoc.match import Cylinders, Matches, Wireframe
+from trinoc.match import Cylinders, Matches, Rims, Wireframe
 
 COVARIANCE = "covariance"
 PIXEL_PITCH = "pixel pitch"
@@ -41,7 +41,7 @@ def _has(value: object, loss: str) -> bool:
             return True
         case Intrinsics():
             return loss == PIXEL_PITCH and value.pixel_pitch_mm is not None
-        case Matches() | Wireframe() | Cylinders():
+        case Matches() | Wireframe() | Cylinders() | Rims():
             return len(value) > 0
         case Segments() if loss == DETAILS:
             return value.junctions is not None or bool(np.any(np.asarray(value.polarity) != 0))

@@ -1,4 +1,4 @@
-"""3-D segments as the lines of a Wavefront OBJ; a wire frame with its faces, cylinders as wires."""
+"""3-D segments as lines of a Wavefront OBJ; wire frames with faces, cylinders and rims as wires."""
 
 from pathlib import Path
 
@@ -8,16 +8,16 @@ from trinoc.io.atomic import write_text
 from trinoc.io.formats.format import Format
 from trinoc.io.formats.losses import COVARIANCE, TRACKS
 from trinoc.io.formats.wires import wires_of
-from trinoc.match import Cylinders, Matches, Wireframe
+from trinoc.match import Cylinders, Matches, Rims, Wireframe
 
 
-def write_obj(value: Matches | Wireframe | Cylinders, path: Path, unit_mm: float) -> None:
+def write_obj(value: Matches | Wireframe | Cylinders | Rims, path: Path, unit_mm: float) -> None:
     """Write two vertices and a line for each track; or vertices, lines and faces."""
     lines = [f"# unit {unit_mm!r} mm, Z up"]
     if isinstance(value, Wireframe):
         places, pairs = value.vertices_mm, value.edges
         loops = [loop.tolist() for loop in value.faces]
-    elif isinstance(value, Cylinders):
+    elif isinstance(value, Cylinders | Rims):
         (places, pairs, _), loops = wires_of(value), []
     else:
         places, pairs = value.lines_mm.reshape(-1, 3), np.arange(2 * len(value)).reshape(-1, 2)
@@ -31,7 +31,7 @@ def write_obj(value: Matches | Wireframe | Cylinders, path: Path, unit_mm: float
 obj = Format(
     name="obj",
     title="OBJ",
-    holds=("matches", "wireframe", "cylinders"),
+    holds=("matches", "wireframe", "cylinders", "rims"),
     reads=(),
     place="file",
     endings=(".obj",),

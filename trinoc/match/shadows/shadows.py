@@ -7,10 +7,9 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.match.tracks import Matches
-from trinoc.numerics import Shown
 
 
-class Shadows(Shown, eqx.Module):
+class Shadows(eqx.Module):
     """Probabilities of tracks, and the lamp that they rest on.
 
     Fields

@@ -15,6 +15,9 @@ from trinoc.match.wire_frame.planarity import flattened
 from trinoc.match.wire_frame.refused import Refused, refused_ends
 from trinoc.numerics import in_float64
 
+# More likely than not.
+EVEN = 0.5
+
 
 @in_float64
 def wireframe(
@@ -29,6 +32,7 @@ def wireframe(
     is an end that stops beside a corner, within 7 pixels, but does not run through it. Lines
     between the same two vertices are one edge. A face is a shortest loop of three edges or more
     whose vertices lie in one plane at a level of 0.01; with `flat` they are then held to it.
+    An edge that is likely the boundary of a shadow (`Matches.shadow`) stays and bounds no face.
 
     Free ends are where detectors stopped: along its edge each has a standard deviation of 7 pixels
     and more. The cameras count as exact. Raises InputError where the covariance of the fragments
@@ -41,7 +45,9 @@ def wireframe(
     edges, edge_of_line = _edges(found.graph)
     edge_of_track = edge_of_line[joined.line_of_track]
     fit = end_fit(found.graph, found.answer)
-    loops = faces_of(found.answer, edges, tuning.wireframe)
+    shadow = _shadow(matches, edge_of_track, len(edges))
+    solid = np.ones(len(edges), dtype=bool) if shadow is None else shadow <= EVEN
+    loops = faces_of(found.answer, edges[solid], tuning.wireframe)
     answer = flattened(found.answer, loops) if flat else found.answer
     faces = [
         plane_through(answer, face.loop, flattened=flat)._replace(chi_square=face.chi_square)
@@ -79,6 +85,7 @@ def wireframe(
         face_degrees=np.array([face.degrees for face in faces], dtype=np.int64),
         facing=facing,
         let_go=_named(found, refused, joined),
+        shadow=shadow,
     )
 
 
@@ -126,10 +133,22 @@ def _viewpoint_dependent(
     if matches.viewpoint_dependent is not None:
         no_line |= matches.viewpoint_dependent
     if matches.silhouette is not None:
-        no_line |= matches.silhouette > 0.5
+        no_line |= matches.silhouette > EVEN
     moving = np.ones(count, dtype=bool)
     np.logical_and.at(moving, edge_of_track, no_line)
     return moving
+
+
+def _shadow(
+    matches: Matches, edge_of_track: Int[np.ndarray, "t"], count: int
+) -> Float[np.ndarray, "e"] | None:
+    """Of each edge, the least of its tracks: one that is no shadow is enough for an edge."""
+    if matches.shadow is None:
+        return None
+    least = np.ones(count)
+    on_edges = edge_of_track >= 0
+    np.minimum.at(least, edge_of_track[on_edges], np.asarray(matches.shadow)[on_edges])
+    return least
 
 
 def _of_vertices(found: Snooped) -> tuple[Float[np.ndarray, "n"], Int[np.ndarray, "n"]]:

@@ -49,6 +49,8 @@ class Wireframe(Shown, eqx.Module):
     facing : (f,) whether all cameras that see its edges lie on the normal's side; where not, the
         normal points to most of them.
     let_go : what did not fit, and why.
+    shadow : (e,) probability that nothing on an edge but the boundary of a cast shadow was seen, of
+        matches that know it; such an edge bounds no face where it is above a half.
     """
 
     vertices_mm: Float[np.ndarray, "n 3"]
@@ -72,6 +74,7 @@ class Wireframe(Shown, eqx.Module):
     face_degrees: Int[np.ndarray, "f"]
     facing: Bool[np.ndarray, "f"]
     let_go: tuple[LetGo, ...] = eqx.field(static=True, default=())
+    shadow: Float[np.ndarray, "e"] | None = None
 
     def __len__(self) -> int:
         return len(self.edges)

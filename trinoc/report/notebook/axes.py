@@ -17,7 +17,7 @@ from trinoc.report.numbers import plain, round_scale
 from trinoc.report.space_content import frusta, sheet_outlines
 
 # The longest residual arrow, as a share of the picture's width.
-ARROW_SHARE = 0.06
+ARROW_SHARE = 0.09
 
 
 def plot_value(value: object, axes: Any, **options: Any) -> Any:
@@ -54,8 +54,9 @@ def _in_space(axes: Any) -> Any:
 def _(rig: Rig, axes: Any) -> Any:
     axes = _in_space(axes)
     plot.draw_lines_in_space(axes, [(frusta(rig), GREEN)])
+    ground = {"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 0.5}
     for name, camera in rig.items():
-        axes.text(*camera.centre_world_mm, name)
+        axes.text(*camera.centre_world_mm, name, ha="center", va="bottom", bbox=ground)
     return axes
 
 

@@ -105,6 +105,7 @@ def _wireframe(frame: Wireframe) -> Columns:
         "posterior": frame.posterior,
         "views": frame.views,
         "viewpoint_dependent": frame.viewpoint_dependent,
+        **({} if frame.shadow is None else {"shadow": frame.shadow}),
         "corner_1": frame.corner[pairs[:, 0]],
         "corner_2": frame.corner[pairs[:, 1]],
         **dict(zip(names, ends.reshape(-1, 6).T, strict=True)),

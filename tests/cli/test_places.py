@@ -1,0 +1,109 @@
+"""Where results may go: never over what is read or over each other, and known before the work."""
+
+import re
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+import trinoc
+from trinoc.cli.main import main
+from trinoc.synth import table1_rig
+
+VIEWS = ("upper", "left", "right")
+MATCH = ("match", *(f"{view}={view}.npz" for view in VIEWS), "--rig", "rig.json")
+CALIBRATE = (
+    *("calibrate", *(f"{view}={view}.png" for view in VIEWS), "--pattern", "sheet.json"),
+    *("--focal-length-mm", "16", "--pixel-pitch-mm", "0.0162", "0.0134"),
+)
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A rig, a sheet, and a picture and segments of each camera."""
+    monkeypatch.chdir(tmp_path)
+    trinoc.save(table1_rig(), "rig.json")
+    pattern = trinoc.Pattern.cross_grid(rows=2, columns=2, pitch_mm=20.0, radius_mm=6.0)
+    trinoc.save(pattern, "sheet.json")
+    ends = np.random.default_rng(3).uniform(20, 400, (6, 4))
+    for view in VIEWS:
+        trinoc.save(trinoc.Segments.from_endpoints(ends), f"{view}.npz")
+        cv2.imwrite(f"{view}.png", np.zeros((480, 512), np.uint8))
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ((*MATCH, "-o", "left.npz"), "--out is left.npz, which is read"),
+        ((*MATCH, "--report", "./rig.json"), "--report is rig.json, which is read"),
+        ((*MATCH, "-o", "x.npz", "--cylinders", "x.npz"), "are both x.npz"),
+        ((*MATCH, "-o", "x.npz", "--report", "x.npz"), "are both x.npz"),
+        ((*CALIBRATE, "-o", "sheet.json"), "--out is sheet.json, which is read"),
+        ((*CALIBRATE, "-o", "r.json", "--report", "r.json"), "are both r.json"),
+        (("wireframe", "left.npz", "--rig", "rig.json", "-o", "left.npz"), "would be lost"),
+        (("refine", "--matches", "left.npz", "--rig", "rig.json", "-o", "rig.json"), "is read"),
+        (("export", "left.npz", "--to", "lsd", "-o", "left.npz"), "which is read"),
+        (("segments", "left.png", "-o", "left.png"), "which is read"),
+    ],
+)
+def test_no_result_goes_over_another_file_of_the_job(folder, arguments, said, capsys):
+    before = {path: path.read_bytes() for path in folder.iterdir()}
+    assert main([*arguments, "--quiet"]) == 2
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1
+    assert re.search(said, err)
+    assert {path: path.read_bytes() for path in folder.iterdir()} == before
+
+
+def test_a_link_to_what_is_read_is_what_is_read(folder, capsys):
+    Path("other.npz").symlink_to("left.npz")
+    assert main([*MATCH, "-o", "other.npz", "--quiet"]) == 2
+    assert "which is read" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ((*MATCH, "-o", "m.csv"), "matches are written as .npz"),
+        ((*MATCH, "--cylinders", "c.txt"), "cylinders are written as .npz"),
+        ((*CALIBRATE, "-o", "rig.npz"), "a rig is written as .json"),
+        (("segments", "left.png", "-o", "s.csv"), "segments are written as .npz"),
+        (("wireframe", "none.npz", "--rig", "rig.json", "-o", "w.obj"), "a wire frame is written"),
+        (("refine", "--matches", "none.npz", "--rig", "rig.json", "-o", "r.txt"), "a rig is"),
+    ],
+)
+def test_a_name_that_cannot_be_written_is_said_before_the_work(folder, arguments, said, capsys):
+    # Before: where files are missing, too, the name comes first; `--dry-run` says it as well.
+    dry = ["--dry-run"] if arguments[0] in ("match", "calibrate") else []
+    assert main([*arguments, *dry]) == 1
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1
+    assert said in err
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [("0.016", "metres: write 16 millimetres"), ("16000", "micrometres: write 16 millimetres")],
+)
+def test_a_focal_length_in_another_unit_is_named(folder, given, said, capsys):
+    arguments = list(CALIBRATE)
+    arguments[arguments.index("16")] = given
+    assert main([*arguments, "--quiet"]) == 2
+    assert said in capsys.readouterr().err
+
+
+def test_a_drawing_given_for_its_layout_is_not_to_be_corrected(folder, capsys):
+    Path("sheet.svg").write_text("<svg/>")
+    arguments = ["sheet.svg" if word == "sheet.json" else word for word in CALIBRATE]
+    assert main([*arguments, "--quiet"]) == 1
+    assert "sheet.svg is not JSON: give the .json file." in capsys.readouterr().err
+
+
+def test_names_of_python_at_the_end_of_a_sentence_are_options_too(folder, capsys):
+    image = np.full((40, 40), 100, np.uint8)
+    image[:, 20:] = 110
+    cv2.imwrite("faint.png", image)
+    assert main(["segments", "faint.png", "--least-contrast", "200", "--quiet"]) == 0
+    assert "take a smaller --least-contrast." in capsys.readouterr().out

@@ -1,0 +1,74 @@
+"""Rims as files: what is written is what is read, and what other tools find in it."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import trinoc
+from tests.io.made_rims import made_rims
+from trinoc.errors import InputError
+from trinoc.io import FORMATS, load_any
+
+RIMS = made_rims()
+
+
+def fields_are_equal(one: object, other: object) -> None:
+    for field in dataclasses.fields(one):  # pyright: ignore[reportArgumentType]
+        first, second = getattr(one, field.name), getattr(other, field.name)
+        if dataclasses.is_dataclass(first):
+            fields_are_equal(first, second)
+        elif isinstance(first, np.ndarray):
+            np.testing.assert_array_equal(first, second)
+            assert first.dtype.kind == second.dtype.kind
+        elif isinstance(first, dict):
+            np.testing.assert_equal(first, second)
+        else:
+            assert first == second
+
+
+def test_what_is_written_is_what_is_read(tmp_path):
+    file = tmp_path / "rims.npz"
+    trinoc.save(RIMS, file)
+    for back in (trinoc.load_rims(file), load_any(file)):
+        fields_are_equal(RIMS, back)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("radius_mm", np.array([12.0, 0.0]), "of row 1 is no radius"),
+        ("centre_mm", np.full((2, 3), np.nan), "is not finite or beyond all scenes"),
+        ("normal", np.full((2, 3), 1.0), "is no unit vector"),
+        ("covariance_mm2", np.full((2, 7, 7), np.nan), "is no covariance"),
+        ("covered", np.full(2, 1.5), "is no share"),
+        ("rim", np.full(5, 2), "is no rim"),
+        ("view", np.full(5, 9), "is no view"),
+        ("segment", np.full(5, -1), "is no segment"),
+        ("kept", np.full(2, -1), "is no track"),
+        ("views", np.array(["a", "b"]), "are not those of the matches"),
+        ("matches/posterior", np.full(len(RIMS.matches), 2.0), "is no probability"),
+    ],
+)
+def test_what_no_rims_have_is_refused(tmp_path, name, value, said):
+    file = tmp_path / "rims.npz"
+    trinoc.save(RIMS, file)
+    with np.load(file) as content:
+        arrays = dict(content)
+    np.savez(tmp_path / "wrong.npz", **{**arrays, name: value})
+    with pytest.raises(InputError, match=said):
+        trinoc.load_rims(tmp_path / "wrong.npz")
+
+
+def test_an_obj_has_the_circles(tmp_path):
+    FORMATS["obj"].save(RIMS, tmp_path / "rims.obj", unit_mm=10.0)
+    lines = (tmp_path / "rims.obj").read_text().splitlines()
+    places = np.array([line.split()[1:] for line in lines if line[0] == "v"], dtype=float) * 10
+    pairs = np.array([line.split()[1:] for line in lines if line[0] == "l"], dtype=int) - 1
+    assert len(pairs) == 2 * 48
+    for row, own in enumerate(np.split(places, 2)):
+        np.testing.assert_array_equal(own[0], own[-1])
+        spoke = own - RIMS.centre_mm[row]
+        np.testing.assert_allclose(np.linalg.norm(spoke, axis=1), RIMS.radius_mm[row])
+        np.testing.assert_allclose(spoke @ RIMS.normal[row], 0.0, atol=1e-9)
+    assert (np.linalg.norm(np.diff(places[pairs], axis=1), axis=2) > 0).all()
