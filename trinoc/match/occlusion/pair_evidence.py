@@ -38,14 +38,15 @@ class PairStart(NamedTuple):
 
 
 class PairsBeside(NamedTuple):
-    """Pairs of some frames, the lines of these that are matched, the frames of both, and the ends
-    of all segments in their pictures."""
+    """Pairs of some frames, the lines of these that are matched, the frames of both, the ends of
+    all segments in their pictures, and how far edges are those of solids, as lines say."""
 
     found: PossiblePairs
     matched: Tracks
     frame: Int[np.ndarray, "m"] | None
     matched_frame: Int[np.ndarray, "t"] | None
     ends_px: Float[np.ndarray, "v n 2 2"]
+    solid: Float[np.ndarray, "*f"] | float = 0.0
 
     def take(self, rows: np.ndarray) -> "PairsBeside":
         """With some of the pairs."""

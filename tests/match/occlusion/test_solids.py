@@ -1,0 +1,58 @@
+"""Edges of solids take each other's place: how that tempers odds, and that they come true."""
+
+import numpy as np
+
+from trinoc.match import match_segments
+from trinoc.match.evidence import SIDE_COMPONENTS, temper
+from trinoc.match.occlusion.solids import tempered_pairs
+from trinoc.match.tuning import DEFAULT
+from trinoc.synth import Detector, block_scene, simulate_segments, table1_rig
+
+ODDS = np.array([-3.0, 0.0, 2.0, 9.0, 30.0])
+UNKNOWN = np.zeros((len(ODDS), len(SIDE_COMPONENTS)))
+KNOWN = UNKNOWN + 0.5
+
+
+def of_pairs(sine: float, solid: float, sides: np.ndarray) -> np.ndarray:
+    return tempered_pairs(ODDS, sides, np.full(len(ODDS), sine), np.full(len(ODDS), solid), DEFAULT)
+
+
+def test_where_nothing_is_solid_odds_stay() -> None:
+    np.testing.assert_array_equal(temper(ODDS, UNKNOWN, DEFAULT.evidence, 0.0), ODDS)
+    np.testing.assert_array_equal(of_pairs(0.7, 0.0, UNKNOWN), ODDS)
+
+
+def test_tempered_odds_keep_their_order_and_their_sign_and_shrink_as_more_is_solid() -> None:
+    before = ODDS
+    for solid in (0.3, 0.6, 1.0):
+        tempered = temper(ODDS, UNKNOWN, DEFAULT.evidence, np.full(len(ODDS), solid))
+        assert (np.diff(tempered) > 0).all()
+        assert (np.sign(tempered) == np.sign(ODDS)).all()
+        assert (np.abs(tempered) <= np.abs(before)).all()
+        before = tempered
+    np.testing.assert_allclose(before, DEFAULT.evidence.temperature * ODDS)
+
+
+def test_pairs_of_solids_are_less_likely_as_the_viewpoint_turns_unless_levels_are_known() -> None:
+    by_sine = np.array([of_pairs(sine, 0.8, UNKNOWN) for sine in (0.1, 0.5, 0.9)])
+    assert (np.diff(by_sine, axis=0) < 0).all()
+    in_pictures = of_pairs(0.1, 0.8, KNOWN)
+    np.testing.assert_array_equal(in_pictures, of_pairs(0.9, 0.2, KNOWN))
+    np.testing.assert_allclose(in_pictures, DEFAULT.evidence.temperature * ODDS)
+
+
+def test_posteriors_of_blocks_come_true() -> None:
+    stated, right = [], []
+    for seed in range(3):
+        scene = block_scene(seed, count=8)
+        segments, truth = simulate_segments(scene, table1_rig(), Detector(), seed=seed)
+        matches = match_segments(segments, table1_rig())
+        for row, posterior in zip(matches.index, matches.posterior, strict=True):
+            views = np.flatnonzero(row >= 0)
+            edges = {int(truth.edge_of[matches.views[v]][row[v]]) for v in views}
+            if edges != {-2}:
+                stated.append(posterior)
+                right.append(len(edges) == 1 and min(edges) >= 0)
+    p = np.array(stated)
+    # Three standard deviations, and as much again, since wrong matches of one body come together.
+    assert abs(np.sum(right) - p.sum()) < 6 * np.sqrt((p * (1 - p)).sum())
