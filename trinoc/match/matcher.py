@@ -21,7 +21,7 @@ from trinoc.match.observations import (
     turned_round,
     with_noise_scale,
 )
-from trinoc.match.occlusion import occluded_pairs, solid_share, tempered_tracks
+from trinoc.match.occlusion import bodies_of, occluded_pairs, tempered_tracks
 from trinoc.match.scouting import scouted_candidates
 from trinoc.match.selection import Selection, Tracks, residual_scale, select, tracks_of
 from trinoc.match.tracks import (
@@ -149,10 +149,10 @@ def _finished(
         tracks = Tracks(no_candidates(len(seen.ends_px)), np.zeros(0), np.zeros(0))
     if len(triples) > 1:
         tracks = consolidated(seen, merge_triplets(seen.lines, tracks, tuning), tuning)
-    solid = solid_share(seen.lines, tracks, selections, tuning)
-    tracks = tempered_tracks(seen.lines, tracks, solid, tuning)
+    bodies = bodies_of(seen.lines, tracks, selections, tuning)
+    tracks = tempered_tracks(seen.lines, tracks, bodies, tuning)
     pairs = occluded_pairs(
-        seen.lines, seen.counts, clutter, tracks, selections, depth_range_mm, tuning, solid
+        seen.lines, seen.counts, clutter, tracks, selections, depth_range_mm, tuning, bodies
     )
     return assemble(seen, tracks, selections, pairs, outside, names, noise_scale, tuning)
 

@@ -1,10 +1,13 @@
 """Edges of solids take each other's place: how that tempers odds, and that they come true."""
 
 import numpy as np
+import pytest
 
 from trinoc.match import match_segments
-from trinoc.match.evidence import SIDE_COMPONENTS, temper
-from trinoc.match.occlusion.solids import tempered_pairs
+from trinoc.match.candidates import no_candidates
+from trinoc.match.evidence import SIDE_COMPONENTS
+from trinoc.match.occlusion.solids import NO_BODIES, Bodies, tempered_pairs, tempered_tracks
+from trinoc.match.selection import Tracks
 from trinoc.match.tuning import DEFAULT
 from trinoc.synth import Detector, block_scene, simulate_segments, table1_rig
 
@@ -13,31 +16,38 @@ UNKNOWN = np.zeros((len(ODDS), len(SIDE_COMPONENTS)))
 KNOWN = UNKNOWN + 0.5
 
 
-def of_pairs(sine: float, solid: float, sides: np.ndarray) -> np.ndarray:
-    return tempered_pairs(ODDS, sides, np.full(len(ODDS), sine), np.full(len(ODDS), solid), DEFAULT)
+def of_tracks(lines, bodies: Bodies, sides: np.ndarray = UNKNOWN) -> np.ndarray:
+    candidates = no_candidates(3)._replace(index=np.zeros((len(ODDS), 3), int), side_log=sides)
+    tracks = tempered_tracks(lines, Tracks(candidates, ODDS, ODDS - 1), bodies, DEFAULT)
+    np.testing.assert_allclose(np.diff(tracks.posterior_log_odds), np.diff(tracks.rival_posterior))
+    return tracks.posterior_log_odds
 
 
-def test_where_nothing_is_solid_odds_stay() -> None:
-    np.testing.assert_array_equal(temper(ODDS, UNKNOWN, DEFAULT.evidence, 0.0), ODDS)
-    np.testing.assert_array_equal(of_pairs(0.7, 0.0, UNKNOWN), ODDS)
+def of_pairs(sine: float, bodies: Bodies, sides: np.ndarray) -> np.ndarray:
+    return tempered_pairs(ODDS, sides, np.full(len(ODDS), sine), bodies, DEFAULT)
 
 
-def test_tempered_odds_keep_their_order_and_their_sign_and_shrink_as_more_is_solid() -> None:
+def test_lines_that_meet_nowhere_keep_their_odds(noisy) -> None:
+    np.testing.assert_array_equal(of_tracks(noisy.seen.lines, NO_BODIES), ODDS)
+    np.testing.assert_array_equal(of_pairs(0.7, NO_BODIES, UNKNOWN), ODDS)
+
+
+@pytest.mark.parametrize("through", [0.0, 0.8])
+def test_odds_of_tracks_keep_order_and_sign_and_shrink_as_more_ends_meet(noisy, through) -> None:
     before = ODDS
-    for solid in (0.3, 0.6, 1.0):
-        tempered = temper(ODDS, UNKNOWN, DEFAULT.evidence, np.full(len(ODDS), solid))
+    for joined in (0.3, 0.6, 1.0):
+        tempered = of_tracks(noisy.seen.lines, Bodies(joined, through))
         assert (np.diff(tempered) > 0).all()
         assert (np.sign(tempered) == np.sign(ODDS)).all()
         assert (np.abs(tempered) <= np.abs(before)).all()
         before = tempered
-    np.testing.assert_allclose(before, DEFAULT.evidence.temperature * ODDS)
 
 
 def test_pairs_of_solids_are_less_likely_as_the_viewpoint_turns_unless_levels_are_known() -> None:
-    by_sine = np.array([of_pairs(sine, 0.8, UNKNOWN) for sine in (0.1, 0.5, 0.9)])
+    by_sine = np.array([of_pairs(sine, Bodies(0.8, 0.0), UNKNOWN) for sine in (0.1, 0.5, 0.9)])
     assert (np.diff(by_sine, axis=0) < 0).all()
-    in_pictures = of_pairs(0.1, 0.8, KNOWN)
-    np.testing.assert_array_equal(in_pictures, of_pairs(0.9, 0.2, KNOWN))
+    in_pictures = of_pairs(0.1, Bodies(0.8, 0.0), KNOWN)
+    np.testing.assert_array_equal(in_pictures, of_pairs(0.9, Bodies(0.2, 0.9), KNOWN))
     np.testing.assert_allclose(in_pictures, DEFAULT.evidence.temperature * ODDS)
 
 

@@ -107,12 +107,10 @@ def temper(
     posterior_log_odds: Float[np.ndarray, "m"],
     side_log: Float[np.ndarray, "m s"],
     tuning: EvidenceTuning = DEFAULT.evidence,
-    solid: Float[np.ndarray, "*m"] | float = 0.0,
 ) -> Float[np.ndarray, "m"]:
-    """Tempered log odds: times the temperature where side intensities are known, and elsewhere as
-    far as edges are those of solids."""
-    share = np.where(side_log.any(axis=1), 1.0, solid)
-    return (1 - (1 - tuning.temperature) * share) * posterior_log_odds
+    """Tempered log odds: times the temperature where side intensities are known."""
+    tempered = tuning.temperature * posterior_log_odds
+    return np.where(side_log.any(axis=1), tempered, posterior_log_odds)
 
 
 def log_sides(

@@ -29,6 +29,7 @@ from trinoc.match.occlusion.pair_evidence import (
 from trinoc.match.occlusion.pairs_alone import pairs_alone
 from trinoc.match.occlusion.pairs_beside_lines import pairs_beside_lines
 from trinoc.match.occlusion.possible_pairs import PossiblePairs, possible_pairs
+from trinoc.match.occlusion.solids import NO_BODIES, Bodies
 from trinoc.match.selection import Selection, Tracks, prior_junctions
 from trinoc.match.tuning import DEFAULT, MatchTuning
 from trinoc.numerics import ArrayLike, concatenate_rows, group_sums, take_rows
@@ -42,10 +43,10 @@ def occluded_pairs(
     selections: list[Selection],
     depth_range_mm: tuple[float, float] | None,
     tuning: MatchTuning = DEFAULT,
-    solid: Float[np.ndarray, "*f"] | float = 0.0,
+    bodies: Bodies = NO_BODIES,
 ) -> Pairs:
-    """Pairs of views matched beside the tracks through three or more, in each frame of a stack,
-    whose edges are those of solids as far as `solid` says (see `solids.py`)."""
+    """Pairs of views matched beside the tracks through three or more, in each frame of a stack;
+    `bodies` are what these tracks tell of each frame's (see `solids.py`)."""
     free = _free_segments(matched.candidates, counts, tuning.occlusion.max_matched_share)
     frames = 1 if lines.frame is None else len(lines.matrix_px)
     # Where hardly any line is seen in three views, pairs themselves say how they are.
@@ -77,11 +78,11 @@ def occluded_pairs(
     frame = frames_of(lines, found.candidates.index)
     typical = segments_per_view(lines, counts)
     start = _start(found, selections, typical, frame, tuning)
-    solid = np.broadcast_to(solid, np.shape(typical))
+    bodies = Bodies(*(np.broadcast_to(each, np.shape(typical)) for each in bodies))
     results = []
     for select, those in ((pairs_alone, alone), (pairs_beside_lines, ~alone)):
         if those.any():
-            own = _of_frames(lines, found, matched, those)._replace(solid=solid)
+            own = _of_frames(lines, found, matched, those)._replace(bodies=bodies)
             results.append(select(own, start, np.asarray(clutter.typical_px), tuning))
     return concatenate_rows(results)
 

@@ -14,7 +14,7 @@ from trinoc.match.occlusion.pair_evidence import (
 )
 from trinoc.match.occlusion.possible_pairs import PossiblePairs
 from trinoc.match.occlusion.see_through import see_through_share
-from trinoc.match.occlusion.solids import tempered_pairs
+from trinoc.match.occlusion.solids import Bodies, tempered_pairs
 from trinoc.match.occlusion.two_views import PairRates, learned_rates, length_class
 from trinoc.match.selection import (
     chosen_greedily,
@@ -101,8 +101,9 @@ def pairs_alone(
         taken(frame, chosen),
         count,
     )
-    solid = (1 - through).reshape(np.shape(mixture.log_count)) * junctions.end_at_junction
-    of_pair = posterior_log_odds, candidates.side_log, crossing_sine, of_group(solid, frame)
+    every = junctions.end_at_junction, through.reshape(np.shape(mixture.log_count))
+    bodies = Bodies(*(of_group(each, frame) for each in every))
+    of_pair = posterior_log_odds, candidates.side_log, crossing_sine, bodies
     tempered = tempered_pairs(*of_pair, tuning)
     most = rules.most_alone * probability(tempered)
     in_images = candidates.side_log.any(axis=1)

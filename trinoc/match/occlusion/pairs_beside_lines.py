@@ -11,7 +11,7 @@ from trinoc.match.occlusion.pair_evidence import (
     evidence_beside_lines,
     likely_rows,
 )
-from trinoc.match.occlusion.solids import tempered_pairs
+from trinoc.match.occlusion.solids import Bodies, tempered_pairs
 from trinoc.match.selection import (
     chosen_greedily,
     conflict_graph,
@@ -68,8 +68,9 @@ def pairs_beside_lines(
     of_share = of_group(np.log(share), frame)
     missed = np.where(expected > 0, expected * log_missed + of_share, 0.0)
     chosen = chosen_greedily(posterior_log_odds, graph)
-    solid = of_group(beside.solid, frame)
-    tempered = tempered_pairs(posterior_log_odds, candidates.side_log, crossing_sine, solid, tuning)
+    bodies = Bodies(*(of_group(each, frame) for each in beside.bodies))
+    of_pair = posterior_log_odds, candidates.side_log, crossing_sine, bodies
+    tempered = tempered_pairs(*of_pair, tuning)
     return Pairs(candidates, odds, tempered, chosen, missed)
 
 

@@ -49,8 +49,7 @@ class EvidenceTuning:
     # Clutter of made scenes is independent; in pictures its pieces lie along one shadow or round
     # one body, and summed log odds are five times too high. Log odds of segments with known side
     # levels, which is to say from pictures, are multiplied by this: fitted on twelve rendered
-    # scenes (seeds 0 to 5 and 12 to 17), for triples and for pairs alike. Edges of made solids are
-    # tempered by the same as far as they are solid (`occlusion/solids.py`).
+    # scenes (seeds 0 to 5 and 12 to 17), for triples and for pairs alike.
     temperature: float = 0.2
     # Candidates less likely than this teach nothing. By hand.
     negligible: float = 1e-3
