@@ -129,8 +129,23 @@ def merton(folder: Path) -> None:
             near = np.mean(_reprojection_px(matches, rig) < 1.5)
             print(
                 f"{name} {label:17s} {share:.3f} ({len(triples)}), under 1.5 px {near:.3f}; "
-                f"{elsewhere}"
+                f"published, of p {_published(matches, data['line_matches'])}; {elsewhere}",
+                flush=True,
             )
+
+
+def _published(matches: Matches, published: np.ndarray) -> str:
+    """Of triples with a segment of a published match, the share that is published, by posterior."""
+    three = (matches.index >= 0).all(axis=1)
+    rows, p = matches.index[three], matches.posterior[three]
+    known = np.stack([np.isin(rows[:, v], published[:, v]) for v in range(len(VIEWS))]).any(axis=0)
+    right = (rows[:, None] == published).all(axis=2).any(axis=1)
+    cells = []
+    for low, high in ((0.7, 0.9), (0.9, 0.97), (0.97, 0.99), (0.99, 1.01)):
+        inside = known & (p >= low) & (p < high)
+        share = right[inside].mean() if inside.any() else np.nan
+        cells.append(f"{low} to {min(high, 1.0)}: {share:.2f} ({inside.sum()})")
+    return ", ".join(cells)
 
 
 def _sided(plain: dict[str, np.ndarray]) -> dict[str, Segments]:

@@ -1,6 +1,6 @@
 """Whether what the matcher claims is true: ellipsoids, noise, posteriors, places, many views.
 
-    python benchmarks/matching_truth.py [--seeds N] [--only angle noise posterior behind views]
+    python benchmarks/matching_truth.py [--seeds N] [--first SEED] [--only angle noise ...]
 
 Scenes are drawn by trinoc.synth from seeds that nothing was tuned on. A match is right when its
 segments come from one edge; its error is that of its two ends across the edge, four numbers,
@@ -33,11 +33,13 @@ from trinoc.synth import (
 
 SEED = 950_000
 ANGLES = (0, 2, 5, 10, 20, 45, 90.1)
+# Outcomes drawn from the stated posteriors.
+DRAWS = 200
 Found = tuple[Matches, SegmentTruth]
 
 
-def scenes(seeds: int, loose: int = 150, boxes: int = 12) -> Iterator[tuple[str, int, Scene]]:
-    for seed in range(SEED, SEED + seeds):
+def scenes(seeds: range, loose: int = 150, boxes: int = 12) -> Iterator[tuple[str, int, Scene]]:
+    for seed in seeds:
         yield "loose", seed, loose_segments(seed, count=loose)
         yield "boxes", seed, see_through_boxes(seed, count=boxes)
         yield "table", seed, block_scene(seed, count=8)
@@ -126,7 +128,7 @@ def held(square: np.ndarray) -> str:
     return f"{np.mean(known < chi2.ppf(0.95, 4)):.3f} ({len(known):4d})"
 
 
-def by_angle(seeds: int) -> None:
+def by_angle(seeds: range) -> None:
     print("\n## Pairs by their angle to the epipolar line: 95 % ellipsoids hold (right pairs)")
     print(f"{'rig':24s}" + " ".join(f"{a:>4g}-{b:<6.0f}" for a, b in pairwise(ANGLES)))
     cases = (
@@ -156,7 +158,7 @@ def by_angle(seeds: int) -> None:
         )
 
 
-def by_noise(seeds: int) -> None:
+def by_noise(seeds: range) -> None:
     print("\n## Noise given wrongly: what is learned, what holds, precision/recall of pairs")
     for true, given in ((0.5, 0.5), (1.0, 0.5), (0.1, 0.5), (0.5, 0.05), (0.5, 5.0)):
         triples, pairs, scores, scales, stated = [], [], [], [], []
@@ -186,8 +188,8 @@ def _plain(segments: dict[str, Segments]) -> dict[str, np.ndarray]:
     return {v: np.asarray(given.endpoints_px).reshape(-1, 4) for v, given in segments.items()}
 
 
-def posteriors(seeds: int) -> None:
-    print("\n## Posteriors: stated, right, expected calibration error (matches)")
+def posteriors(seeds: range) -> None:
+    print("\n## Posteriors: stated, right, expected calibration error, of a perfect one (matches)")
     views = {
         "two: upper, left": ("upper", "left"),
         "two: left, right": ("left", "right"),
@@ -216,18 +218,30 @@ def _outcomes(matches: Matches, truth: SegmentTruth) -> list[tuple[float, bool]]
     return found
 
 
+def _calibration_error(p: np.ndarray, right: np.ndarray) -> float:
+    """The expected calibration error over ten bins."""
+    place = np.clip((10 * p).astype(int), 0, 9)
+    return float(np.abs(np.bincount(place, p - right, 10)).sum() / len(p))
+
+
+def _of_a_perfect_one(p: np.ndarray) -> float:
+    """The mean error that posteriors which are true show with so few matches: it is no zero."""
+    generator = np.random.default_rng(0)
+    drawn = (generator.random(len(p)) < p for _ in range(DRAWS))
+    return float(np.mean([_calibration_error(p, right) for right in drawn]))
+
+
 def _reliability(outcomes: list[tuple[float, bool]]) -> str:
     p, right = np.array(outcomes, dtype=float).T
-    place = np.clip((10 * p).astype(int), 0, 9)
-    error = sum(abs((p - right)[place == k].sum()) for k in range(10)) / len(p)
     sure = p > 0.95
     return (
-        f"{p.mean():.3f} {right.mean():.3f} {error:.3f} ({len(p)}); "
+        f"{p.mean():.3f} {right.mean():.3f} {_calibration_error(p, right):.3f} "
+        f"{_of_a_perfect_one(p):.3f} ({len(p)}); "
         f"p > .95: {right[sure].mean() if sure.any() else np.nan:.3f} ({sure.sum()})"
     )
 
 
-def behind(seeds: int) -> None:
+def behind(seeds: range) -> None:
     print("\n## Places: lines behind a camera that sees them; mirrored rigs")
     out, wrong = 0, 0
     for _, seed, scene in scenes(seeds):
@@ -240,7 +254,7 @@ def behind(seeds: int) -> None:
             wrong += int(((depth <= 0).any(axis=2) & (matches.index >= 0)).any(axis=1).sum())
             out += len(matches)
     print(f"{wrong} of {out} lines are behind a camera")
-    _, seed, scene = next(scenes(1))
+    _, seed, scene = next(scenes(seeds[:1]))
     rig = table1_rig()
     segments, _ = simulate_segments(scene, rig, Detector(), seed=seed)
     flip, width = np.diag([1.0, 1.0, -1.0, 1.0]), rig["left"].image_size_px[0] - 1
@@ -271,7 +285,7 @@ def _turned(segments: Segments, width: int) -> np.ndarray:
     return ends
 
 
-def many_views(seeds: int) -> None:
+def many_views(seeds: range) -> None:
     print("\n## Many views: pairs found, tracks, the worst misfit")
     for count in (3, 4, 5, 6, 8):
         rig, scores, worst, views, beyond, began = ring(count), [], (0.0, 1, 0.0), [], 0, 0.0
@@ -311,10 +325,11 @@ PARTS = {
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--first", type=int, default=SEED)
     parser.add_argument("--only", nargs="*", default=list(PARTS), choices=PARTS)
     given = parser.parse_args()
     for part in given.only:
-        PARTS[part](given.seeds)
+        PARTS[part](range(given.first, given.first + given.seeds))
 
 
 if __name__ == "__main__":

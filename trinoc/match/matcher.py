@@ -21,7 +21,7 @@ from trinoc.match.observations import (
     turned_round,
     with_noise_scale,
 )
-from trinoc.match.occlusion import occluded_pairs
+from trinoc.match.occlusion import bodies_of, occluded_pairs, tempered_tracks
 from trinoc.match.scouting import scouted_candidates
 from trinoc.match.selection import Selection, Tracks, residual_scale, select, tracks_of
 from trinoc.match.tracks import (
@@ -142,15 +142,17 @@ def _finished(
     tuning: MatchTuning,
 ) -> list[Matches]:
     """From triples to the answer of each frame."""
-    triples = [tracks_of(selection, tuning.evidence) for selection in selections]
+    triples = [tracks_of(selection) for selection in selections]
     if triples:
         tracks = concatenate_rows(triples)
     else:
         tracks = Tracks(no_candidates(len(seen.ends_px)), np.zeros(0), np.zeros(0))
     if len(triples) > 1:
         tracks = consolidated(seen, merge_triplets(seen.lines, tracks, tuning), tuning)
+    bodies = bodies_of(seen.lines, tracks, selections, tuning)
+    tracks = tempered_tracks(seen.lines, tracks, bodies, tuning)
     pairs = occluded_pairs(
-        seen.lines, seen.counts, clutter, tracks, selections, depth_range_mm, tuning
+        seen.lines, seen.counts, clutter, tracks, selections, depth_range_mm, tuning, bodies
     )
     return assemble(seen, tracks, selections, pairs, outside, names, noise_scale, tuning)
 

@@ -1,2 +1,3 @@
 from .pair_evidence import Pairs as Pairs
 from .pairs import occluded_pairs as occluded_pairs
+from .solids import bodies_of as bodies_of, tempered_tracks as tempered_tracks

@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float, Int
 from trinoc.match.candidates import Candidates
 from trinoc.match.evidence import MixtureParameters, log_place, log_sides
 from trinoc.match.occlusion.possible_pairs import PossiblePairs
+from trinoc.match.occlusion.solids import NO_BODIES, Bodies
 from trinoc.match.selection import JunctionParameters, Tracks, affordable, claimed
 from trinoc.match.tuning import EndTuning, MatchTuning
 from trinoc.numerics import of_group, take_rows, taken
@@ -38,14 +39,15 @@ class PairStart(NamedTuple):
 
 
 class PairsBeside(NamedTuple):
-    """Pairs of some frames, the lines of these that are matched, the frames of both, and the ends
-    of all segments in their pictures."""
+    """Pairs of some frames, the lines of these that are matched, the frames of both, the ends of
+    all segments in their pictures, and what lines tell of the frames' bodies."""
 
     found: PossiblePairs
     matched: Tracks
     frame: Int[np.ndarray, "m"] | None
     matched_frame: Int[np.ndarray, "t"] | None
     ends_px: Float[np.ndarray, "v n 2 2"]
+    bodies: Bodies = NO_BODIES
 
     def take(self, rows: np.ndarray) -> "PairsBeside":
         """With some of the pairs."""

@@ -9,7 +9,6 @@ possible_pairs -> pair_evidence -> pairs_beside_lines, or pairs_alone (two_views
 line is matched.
 """
 
-from collections.abc import Callable
 from itertools import combinations
 
 import jax
@@ -30,6 +29,7 @@ from trinoc.match.occlusion.pair_evidence import (
 from trinoc.match.occlusion.pairs_alone import pairs_alone
 from trinoc.match.occlusion.pairs_beside_lines import pairs_beside_lines
 from trinoc.match.occlusion.possible_pairs import PossiblePairs, possible_pairs
+from trinoc.match.occlusion.solids import NO_BODIES, Bodies
 from trinoc.match.selection import Selection, Tracks, prior_junctions
 from trinoc.match.tuning import DEFAULT, MatchTuning
 from trinoc.numerics import ArrayLike, concatenate_rows, group_sums, take_rows
@@ -43,8 +43,10 @@ def occluded_pairs(
     selections: list[Selection],
     depth_range_mm: tuple[float, float] | None,
     tuning: MatchTuning = DEFAULT,
+    bodies: Bodies = NO_BODIES,
 ) -> Pairs:
-    """Pairs of views matched beside the tracks through three or more, in each frame of a stack."""
+    """Pairs of views matched beside the tracks through three or more, in each frame of a stack;
+    `bodies` are what these tracks tell of each frame's (see `solids.py`)."""
     free = _free_segments(matched.candidates, counts, tuning.occlusion.max_matched_share)
     frames = 1 if lines.frame is None else len(lines.matrix_px)
     # Where hardly any line is seen in three views, pairs themselves say how they are.
@@ -74,11 +76,14 @@ def occluded_pairs(
         ]
     )
     frame = frames_of(lines, found.candidates.index)
-    start = _start(found, selections, segments_per_view(lines, counts), frame, tuning)
+    typical = segments_per_view(lines, counts)
+    start = _start(found, selections, typical, frame, tuning)
+    bodies = Bodies(*(np.broadcast_to(each, np.shape(typical)) for each in bodies))
     results = []
     for select, those in ((pairs_alone, alone), (pairs_beside_lines, ~alone)):
         if those.any():
-            results.append(_of_frames(lines, found, matched, start, those, select, clutter, tuning))
+            own = _of_frames(lines, found, matched, those)._replace(bodies=bodies)
+            results.append(select(own, start, np.asarray(clutter.typical_px), tuning))
     return concatenate_rows(results)
 
 
@@ -126,12 +131,8 @@ def _of_frames(
     lines: SegmentTable,
     found: PossiblePairs,
     matched: Tracks,
-    start: PairStart,
     those: Bool[np.ndarray, "f"],
-    select: Callable[[PairsBeside, PairStart, np.ndarray | float, MatchTuning], Pairs],
-    clutter: ClutterModel,
-    tuning: MatchTuning,
-) -> Pairs:
+) -> PairsBeside:
     """The pairs of those frames alone."""
     frame = frames_of(lines, found.candidates.index)
     matched_frame = frames_of(lines, matched.candidates.index)
@@ -139,8 +140,7 @@ def _of_frames(
         rows, tracks = np.flatnonzero(those[frame]), np.flatnonzero(those[matched_frame])
         found, frame = take_rows(found, rows), frame[rows]
         matched, matched_frame = matched.take(tracks), matched_frame[tracks]
-    beside = PairsBeside(found, matched, frame, matched_frame, np.asarray(lines.ends_px))
-    return select(beside, start, np.asarray(clutter.typical_px), tuning)
+    return PairsBeside(found, matched, frame, matched_frame, np.asarray(lines.ends_px))
 
 
 def _free_segments(

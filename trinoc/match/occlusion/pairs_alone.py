@@ -14,6 +14,7 @@ from trinoc.match.occlusion.pair_evidence import (
 )
 from trinoc.match.occlusion.possible_pairs import PossiblePairs
 from trinoc.match.occlusion.see_through import see_through_share
+from trinoc.match.occlusion.solids import Bodies, tempered_pairs
 from trinoc.match.occlusion.two_views import PairRates, learned_rates, length_class
 from trinoc.match.selection import (
     chosen_greedily,
@@ -91,10 +92,7 @@ def pairs_alone(
         rates = learned_rates(candidates, posterior, rates, junctions, typical_px, tuning, frame)
     chosen = chosen_greedily(posterior_log_odds, graph)
     tempered = temper(posterior_log_odds, candidates.side_log, tuning.evidence)
-    # The further the viewpoint turns about an edge, the more often another edge, or an outline, of
-    # the same body is seen in its place. Lines that meet nowhere are of no bodies, and bodies that
-    # are seen through hide none of their own edges.
-    turned = 1 - np.sqrt(np.maximum(1 - crossing_sine**2, 0.0))
+    # Lines that meet nowhere are of no bodies, and bodies that are seen through hide no edges.
     through = see_through_share(
         beside.ends_px,
         candidates.index[chosen],
@@ -103,9 +101,12 @@ def pairs_alone(
         taken(frame, chosen),
         count,
     )
-    solid = (1 - through).reshape(np.shape(mixture.log_count)) * junctions.end_at_junction
-    doubt = rules.doubt_turned * of_group(solid, frame) * turned
-    most = (rules.most_alone - doubt) * probability(tempered)
-    tempered = np.log(most) - np.log1p(-most)
+    every = junctions.end_at_junction, through.reshape(np.shape(mixture.log_count))
+    bodies = Bodies(*(of_group(each, frame) for each in every))
+    of_pair = posterior_log_odds, candidates.side_log, crossing_sine, bodies
+    tempered = tempered_pairs(*of_pair, tuning)
+    most = rules.most_alone * probability(tempered)
+    in_images = candidates.side_log.any(axis=1)
+    tempered = np.where(in_images, tempered, np.log(most) - np.log1p(-most))
     missed = np.where(expected > 0, expected * float(np.log(rules.missed)), 0.0)
     return Pairs(candidates, odds, tempered, chosen, missed)

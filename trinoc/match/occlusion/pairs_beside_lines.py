@@ -3,7 +3,7 @@
 import numpy as np
 
 from trinoc.match.candidates import Candidates
-from trinoc.match.evidence import probability, temper
+from trinoc.match.evidence import probability
 from trinoc.match.occlusion.pair_evidence import (
     Pairs,
     PairsBeside,
@@ -11,6 +11,7 @@ from trinoc.match.occlusion.pair_evidence import (
     evidence_beside_lines,
     likely_rows,
 )
+from trinoc.match.occlusion.solids import Bodies, tempered_pairs
 from trinoc.match.selection import (
     chosen_greedily,
     conflict_graph,
@@ -32,7 +33,7 @@ def pairs_beside_lines(
     evidence = evidence_beside_lines(beside.found, mixture, beside.frame, tuning)
     keep = likely_rows(beside, evidence, tuning)
     beside, evidence = beside.take(keep), evidence[keep]
-    (candidates, expected, _), frame = beside.found, beside.frame
+    (candidates, expected, crossing_sine), frame = beside.found, beside.frame
     graph = conflict_graph(candidates.index, candidates.interval, tuning.selection)
     everyone = _joined(beside.matched.candidates, candidates)
     known_frame, both = beside.matched_frame, None
@@ -67,7 +68,9 @@ def pairs_beside_lines(
     of_share = of_group(np.log(share), frame)
     missed = np.where(expected > 0, expected * log_missed + of_share, 0.0)
     chosen = chosen_greedily(posterior_log_odds, graph)
-    tempered = temper(posterior_log_odds, candidates.side_log, tuning.evidence)
+    bodies = Bodies(*(of_group(each, frame) for each in beside.bodies))
+    of_pair = posterior_log_odds, candidates.side_log, crossing_sine, bodies
+    tempered = tempered_pairs(*of_pair, tuning)
     return Pairs(candidates, odds, tempered, chosen, missed)
 
 

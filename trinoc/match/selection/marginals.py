@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from trinoc.match.candidates import Candidates, prior_log_odds
-from trinoc.match.evidence import MixtureParameters, em_step, prior_parameters, probability, temper
+from trinoc.match.evidence import MixtureParameters, em_step, prior_parameters, probability
 from trinoc.match.selection.exclusivity import ConflictGraph, affordable, conflict_graph
 from trinoc.match.selection.junction_support import (
     JunctionParameters,
@@ -15,7 +15,7 @@ from trinoc.match.selection.junction_support import (
     prior_junctions,
 )
 from trinoc.match.selection.messages import Beliefs, chosen_greedily, sum_product
-from trinoc.match.tuning import DEFAULT, EvidenceTuning, MatchTuning
+from trinoc.match.tuning import DEFAULT, MatchTuning
 from trinoc.numerics import of_group, take_rows, taken
 
 
@@ -99,8 +99,8 @@ def select(
     )
 
 
-def tracks_of(selection: Selection, tuning: EvidenceTuning = DEFAULT.evidence) -> Tracks:
-    """What was taken, with the posterior log odds of the best rival of each, tempered."""
+def tracks_of(selection: Selection) -> Tracks:
+    """What was taken, with the posterior log odds of the best rival of each."""
     graph = selection.graph
     rival_posterior = np.full(len(selection.posterior_log_odds), -np.inf)
     owner, rival = graph.slot // graph.views, graph.rival_slot // graph.views
@@ -109,12 +109,11 @@ def tracks_of(selection: Selection, tuning: EvidenceTuning = DEFAULT.evidence) -
         of_rivals = selection.posterior_log_odds[rival]
         rival_posterior[owner[first]] = np.maximum.reduceat(of_rivals, first)
     chosen = selection.taken
-    candidates = selection.candidates.take(chosen)
-    posterior_log_odds, rivals = (
-        temper(values[chosen], candidates.side_log, tuning)
-        for values in (selection.posterior_log_odds, rival_posterior)
+    return Tracks(
+        selection.candidates.take(chosen),
+        selection.posterior_log_odds[chosen],
+        rival_posterior[chosen],
     )
-    return Tracks(candidates, posterior_log_odds, rivals)
 
 
 def _with_junctions(

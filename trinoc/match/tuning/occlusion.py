@@ -30,13 +30,18 @@ class OcclusionTuning:
     rounds_alone: int = 10
     prior_observations: float = 10.0
     length_classes_px: tuple[float, ...] = (12.0, 18.0, 27.0, 40.0, 60.0, 90.0, 135.0)
-    # However well a pair fits, it is right no oftener than this, and that less a share of the
-    # cosine that the angle between the interpretation planes takes from 1, times the share of ends
-    # that meet, times the share that is not seen through (`see_through.py`): the further the
-    # viewpoint turns about an edge, the more often other edges of the body, or its outline, are
-    # seen in place. Fitted on made scenes (seeds 0 to 9).
+    # In two views, however well a pair fits, it is right no oftener than this, where no levels
+    # beside segments are known. Fitted on made scenes (seeds 0 to 9).
     most_alone: float = 0.98
-    doubt_turned: float = 0.45
+    # Temperature of tracks where all ends meet, and by how much less it counts of bodies that are
+    # seen through; that of pairs of solids; what is added to their log odds, and taken off by the
+    # sine of the angle between the interpretation planes (`solids.py`). All fitted on made scenes,
+    # blocks on a table, see-through boxes and loose segments (seeds from 1,100,000 on).
+    track_temperature: float = 0.15
+    seen_through_gain: float = 0.3
+    pair_temperature: float = 0.2
+    solid_offset: float = 3.0
+    doubt_turned: float = 7.0
     # Segments that cross each other do so by more than this beyond either, px; of more segments of
     # a view than so many, that many are counted, for time. By hand.
     crossing_margin_px: float = 3.0
