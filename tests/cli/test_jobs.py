@@ -263,7 +263,7 @@ def test_a_camera_that_fails_leaves_the_others_and_a_picture_of_why(run, folder)
     status, out, err = run(*command)
     assert (status, out, err.count("\n")) == (1, "", 1)
     assert 'Camera "upper/a": No sheet of the pattern' in err
-    assert "part-incomplete.json holds the others (left); part.json is as it was" in err
+    assert "part-incomplete.json holds the others (left); part.json was not written" in err
     assert not (folder / "part.json").exists()
     assert trinoc.load_rig(folder / "part-incomplete.json").names == ("left",)
     assert trinoc.io.read_image(folder / "part-upper_a-failed.png").ndim == 3

@@ -1,5 +1,6 @@
 """Where results may go: never over what is read or over each other, and known before the work."""
 
+import dataclasses
 import re
 from pathlib import Path
 
@@ -8,7 +9,10 @@ import numpy as np
 import pytest
 
 import trinoc
+from tests.io.formats.bench import bench_matches
 from trinoc.cli.main import main
+from trinoc.cli.match import Match, remarks
+from trinoc.cli.words import in_options
 from trinoc.synth import table1_rig
 
 VIEWS = ("upper", "left", "right")
@@ -107,3 +111,18 @@ def test_names_of_python_at_the_end_of_a_sentence_are_options_too(folder, capsys
     cv2.imwrite("faint.png", image)
     assert main(["segments", "faint.png", "--least-contrast", "200", "--quiet"]) == 0
     assert "take a smaller --least-contrast." in capsys.readouterr().out
+
+
+def test_depths_that_leave_nothing_are_named():
+    matches = bench_matches()
+    words = {view: np.full(len(w), "outside depth") for view, w in matches.reasons.items()}
+    none = dataclasses.replace(matches, stage=np.full(len(matches), "binocular"), reasons=words)
+    (said,) = remarks(none)
+    assert "check --depth-range-mm" in said
+
+
+def test_a_remedy_that_no_option_has_is_not_said():
+    note = "covariances are of the errors found; give a sigma_px that is as much smaller to have "
+    command = Match(pictures=(), rig=Path("rig.json"))
+    said = in_options(f"{note}candidates judged by it too.", command)
+    assert said == "covariances are of the errors found."

@@ -47,6 +47,7 @@ def kept_of_failure(
         if why is None:
             save(result, place, provenance=provenance)
             others = ", ".join(result.rig.names)
-            why = f"{place} holds the others ({others}); {out} is as it was."
+            kept = "is as it was" if out.exists() else "was not written"
+            why = f"{place} holds the others ({others}); {out} {kept}."
         said.append(why)
     return CalibrationError(" ".join(said), error.failures, result)

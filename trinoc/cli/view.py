@@ -71,8 +71,8 @@ class View(Command):
         value = load_any(self.file)
         if not isinstance(value, Rig | Matches | Wireframe | Cylinders):
             raise UsageError(
-                f"{self.file} holds nothing in space: give a rig.json, matches.npz, wireframe.npz "
-                "or cylinders.npz."
+                f"{self.file} holds nothing that is shown here: give a rig.json, matches.npz, "
+                "wireframe.npz or cylinders.npz."
             )
         pattern = None if self.pattern is None else load_pattern(self.pattern)
         if isinstance(value, Wireframe | Cylinders):
