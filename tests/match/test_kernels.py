@@ -11,12 +11,10 @@ from tests.match.made import loose_lines, pictures, rig_of
 from trinoc.match import match_many, match_segments, warm_up
 
 KERNELS = {
-    "observations.table": ["_prepared"],
     "candidates.search": ["_predicted", "_passes_gate"],
-    "candidates.single_precision": ["pencil", "_single_order"],
     "candidates.judged": ["_fitted", "_evidence_of"],
     "selection.messages": ["_propagated"],
-    "occlusion.possible_pairs": ["pencil", "_evidence_of"],
+    "occlusion.possible_pairs": ["_evidence_of"],
     "tracks.line_fit": ["_triangulated"],
 }
 COUNT = 20

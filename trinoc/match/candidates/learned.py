@@ -49,7 +49,8 @@ def screen_of(
         centre_mm=np.asarray(lines.centre_mm) - origin,
     )
     planes = planes._replace(origin_mm=np.zeros(3))
-    return Screen(*jax.tree.map(in_single, (lines, order, planes, clutter)))
+    single = jax.tree.map(in_single, (lines, order, planes, clutter))
+    return Screen(*jax.device_put(single))
 
 
 def likely_triples(

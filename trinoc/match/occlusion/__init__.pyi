@@ -1,2 +1,3 @@
 from .pair_evidence import Pairs as Pairs
 from .pairs import occluded_pairs as occluded_pairs
+from .possible_pairs import rehearse_pairs as rehearse_pairs

@@ -59,7 +59,7 @@ def sum_product(
     if len(graph.slot) == 0:
         return Beliefs(log_odds, np.zeros((count, graph.views)))
     # A candidate of padding has the last slots, which all conflicts of padding are between.
-    candidates, conflicts = bucket(count + 1), finer_bucket(len(graph.slot))
+    candidates, conflicts = _capacities(count + 1, len(graph.slot))
     nobody = candidates * graph.views - 1
     given = np.zeros((count, graph.views)) if before is None else before.messages
     chosen = chosen_greedily(log_odds, graph) if before is None else np.zeros(count, dtype=bool)
@@ -75,6 +75,18 @@ def sum_product(
         graph.views,
     )
     return Beliefs(np.asarray(found)[:count], np.asarray(messages)[:count])
+
+
+def _capacities(candidates: int, conflicts: int) -> tuple[int, int]:
+    """Of what is padded. Of few kinds where there are few, since one program more takes as long as
+    hundreds of rounds on padding."""
+    candidates = next((size for size in (256, 2048) if candidates <= size), bucket(candidates))
+    if conflicts > 1 << 16:
+        return candidates, finer_bucket(conflicts)
+    size = 2 * candidates
+    while size < conflicts:
+        size *= 4
+    return candidates, min(size, max(2 * candidates, 1 << 16))
 
 
 def _frames(frame: Int[np.ndarray, "m"] | None, count: int) -> Int[np.ndarray, "m"]:
