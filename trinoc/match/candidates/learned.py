@@ -14,7 +14,7 @@ from trinoc.match.evidence import MixtureParameters, end_evidence, triple_eviden
 from trinoc.match.observations import TRIPLES_IN_BLOCK, ClutterModel, SegmentTable, block_of
 from trinoc.match.tuning import CandidateTuning, EndTuning, EvidenceTuning, MatchTuning
 from trinoc.match.two_view import Pencil, cut_pair, points_of, row_of, sight_of
-from trinoc.numerics import ArrayLike, in_blocks
+from trinoc.numerics import ArrayLike, in_blocks, kept_jit
 
 
 class Learned(NamedTuple):
@@ -79,7 +79,7 @@ def likely_triples(
     return triple[found + prior > learned.least_log_odds]
 
 
-@partial(jax.jit, static_argnames=("tuning", "of_ends", "evidence"))
+@partial(kept_jit, static_argnames=("tuning", "of_ends", "evidence"))
 def _log_odds(
     lines: SegmentTable,
     order: Int[ArrayLike, "3"],

@@ -45,7 +45,7 @@ def gated_triples(
     return np.concatenate(found)
 
 
-@partial(kept_jit, static_argnames=("tuning",))
+@partial(kept_jit, static_argnames=("tuning",), beside_others=True)
 def _predicted(
     single: SingleOrder,
     grid: Grid,
@@ -67,7 +67,7 @@ def _predicted(
     return jax.vmap(predicted, in_axes=(0, 1, 1))(i, *pairs)
 
 
-@partial(jax.jit, static_argnames="tuning")
+@partial(kept_jit, static_argnames=("tuning",), beside_others=True)
 def _passes_gate(
     segments: Float[ArrayLike, "n 11"],
     guesses: Prediction,

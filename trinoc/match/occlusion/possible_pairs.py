@@ -105,7 +105,7 @@ def _judged(
     return PossiblePairs(found, expected, crossing_sine)
 
 
-@partial(kept_jit, static_argnames=("tuning", "ends"))
+@partial(kept_jit, static_argnames=("tuning", "ends"), beside_others=True)
 def _evidence_of(
     lines: SegmentTable,
     views: Int[ArrayLike, "2"],

@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float, Int
 
 from trinoc.match.selection.exclusivity import ConflictGraph
 from trinoc.match.tuning import DEFAULT, SelectionTuning
-from trinoc.numerics import ArrayLike, bucket, finer_bucket, padded
+from trinoc.numerics import ArrayLike, bucket, finer_bucket, kept_jit, padded
 
 # Frames that are one problem, at most.
 FRAMES_AT_ONCE = 64
@@ -93,7 +93,7 @@ def _frames(frame: Int[np.ndarray, "m"] | None, count: int) -> Int[np.ndarray, "
     return np.zeros(count, np.int32) if frame is None else frame.astype(np.int32)
 
 
-@partial(jax.jit, static_argnames="views")
+@partial(kept_jit, static_argnames=("views",), beside_others=True)
 def _propagated(
     log_odds: Float[ArrayLike, "m"],
     chosen: Bool[ArrayLike, "m"],
