@@ -8,15 +8,16 @@ import numpy as np
 import pytest
 
 from tests.match.made import loose_lines, pictures, rig_of
-from trinoc.match import match_many, match_segments, warm_up
+from trinoc.match import match_many, match_segments, prepare, warm_up
+from trinoc.match.rehearsal import compile_together
+from trinoc.match.tuning import DEFAULT
+from trinoc.numerics import in_float64, with_field
 
 KERNELS = {
-    "observations.table": ["_prepared"],
     "candidates.search": ["_predicted", "_passes_gate"],
-    "candidates.single_precision": ["pencil", "_single_order"],
     "candidates.judged": ["_fitted", "_evidence_of"],
     "selection.messages": ["_propagated"],
-    "occlusion.possible_pairs": ["pencil", "_evidence_of"],
+    "occlusion.possible_pairs": ["_evidence_of"],
     "tracks.line_fit": ["_triangulated"],
 }
 COUNT = 20
@@ -71,6 +72,17 @@ def test_nothing_compiles_after_a_warm_up(caplog: pytest.LogCaptureFixture) -> N
         match_segments(given, rig)
     compiled = [r.getMessage() for r in caplog.records if "Compiling" in r.getMessage()]
     # How many rivals there are depends on the pictures.
+    assert [text for text in compiled if "_propagated" not in text] == []
+
+
+def test_a_call_runs_what_was_compiled_together(caplog: pytest.LogCaptureFixture) -> None:
+    # A tuning of its own, for which nothing is compiled yet.
+    tuning = with_field(DEFAULT, "candidates.gate_slack", 1.11)
+    given, rig = doubled(4), rig_of("upper", "left", "right")
+    in_float64(compile_together)(prepare(given, rig, None), tuning)
+    with jax.log_compiles(), caplog.at_level("WARNING"):
+        match_segments(given, rig, tuning=tuning)
+    compiled = [r.getMessage() for r in caplog.records if "Compiling" in r.getMessage()]
     assert [text for text in compiled if "_propagated" not in text] == []
 
 

@@ -22,6 +22,7 @@ from trinoc.match.observations import (
     with_noise_scale,
 )
 from trinoc.match.occlusion import bodies_of, occluded_pairs, tempered_tracks
+from trinoc.match.rehearsal import compile_together
 from trinoc.match.scouting import scouted_candidates
 from trinoc.match.selection import Selection, Tracks, residual_scale, select, tracks_of
 from trinoc.match.tracks import (
@@ -108,6 +109,7 @@ def match_frames(
     errors of its own segments, in as many passes as that takes.
     """
     stated, left = stacked_frames(frames), np.arange(len(frames))
+    compile_together(stated, tuning)
     scale, found = np.ones(len(frames)), {}
     for step in range(tuning.noise.passes):
         seen = with_noise_scale(stated, scale[left])

@@ -28,7 +28,7 @@ from .columns import (
     judged_in_blocks as judged_in_blocks,
     split_columns as split_columns,
 )
-from .compilation import one_compiles as one_compiles
+from .compilation import at_once as at_once, one_compiles as one_compiles
 from .compiler_options import quick_compiling as quick_compiling
 from .display import Displays as Displays, Shown as Shown, display_with as display_with
 from .grey import GreyImage as GreyImage, grey_image as grey_image

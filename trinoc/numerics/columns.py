@@ -15,8 +15,10 @@ Judged = tuple[Bool[ArrayLike, "h"], Float[ArrayLike, "c h"]]
 
 
 def as_columns(tree: Any) -> Float[ArrayLike, "c h"]:
-    """All leaves of a tree, arrays of equal length, as rows of one array, in their order."""
-    return jnp.stack(jax.tree.leaves(tree))
+    """All leaves of a tree, arrays of items or of rows of items, as rows of one array, in their
+    order."""
+    leaves = [jnp.asarray(leaf) for leaf in jax.tree.leaves(tree)]
+    return jnp.concatenate([leaf.reshape(-1, leaf.shape[-1]) for leaf in leaves])
 
 
 def judged_in_blocks(

@@ -1,8 +1,12 @@
-"""A program that several threads want at once is compiled by one of them."""
+"""Compiling with threads: of several programs at the same time, and of one only once."""
 
 import contextlib
 import threading
-from collections.abc import Hashable, Iterator
+from collections.abc import Callable, Hashable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import jax
 
 _compiling = threading.Lock()
 _compiled: set[Hashable] = set()
@@ -22,3 +26,22 @@ def one_compiles(*program: Hashable) -> Iterator[None]:
     with _compiling:
         yield
         _compiled.add(program)
+
+
+def at_once(*works: Callable[[], object]) -> None:
+    """Run functions at the same time, in threads with the caller's precision; the first error is
+    raised when all are done.
+
+    For what compiles: XLA does it outside Python's lock, on a core of its own.
+    """
+    config: Any = jax.config
+    precision = config.jax_enable_x64
+
+    def run(work: Callable[[], object]) -> None:
+        # The setting belongs to the thread.
+        with jax.enable_x64(precision):
+            work()
+
+    with ThreadPoolExecutor(len(works)) as threads:
+        for done in [threads.submit(run, work) for work in works]:
+            done.result()

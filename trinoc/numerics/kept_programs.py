@@ -65,17 +65,20 @@ def keep_programs_in(store: ProgramStore | None) -> ProgramStore | None:
 
 
 def kept_jit(
-    function: Callable[..., Any], *, static_argnames: tuple[str, ...] = ()
+    function: Callable[..., Any],
+    *,
+    static_argnames: tuple[str, ...] = (),
+    beside_others: bool = False,
 ) -> Callable[..., Any]:
     """`jax.jit` of a function without side effects, whose programs a store may keep.
 
-    The function must take no value from outside but constants of trinoc's own modules.
+    The function must take no value from outside but constants of trinoc's own modules. With
+    `beside_others` it is compiled on one thread, for those whose first calls are made `at_once`.
     """
     # Options of the compiler are for whole programs alone.
     inner = jax.jit(function, static_argnames=static_argnames)
-    whole = jax.jit(
-        function, static_argnames=static_argnames, compiler_options=quick_compiling() or None
-    )
+    options = quick_compiling(beside_others=beside_others) or None
+    whole = jax.jit(function, static_argnames=static_argnames, compiler_options=options)
     signature = inspect.signature(function)
     known: dict[Hashable, _Kept | None] = {}
 
@@ -95,7 +98,7 @@ def kept_jit(
         precision = (config.jax_enable_x64, config.jax_default_matmul_precision)
         key = (tree, kinds, tuple(static.values()), precision)
         if key not in known:
-            known[key] = _found_or_made(store, function, static, tree, leaves, key)
+            known[key] = _found_or_made(store, function, static, tree, leaves, key, options)
         kept = known[key]
         if kept is None:
             return whole(*args, **kwargs)
@@ -111,6 +114,7 @@ def _found_or_made(
     tree: Any,
     leaves: list[Any],
     key: tuple[Hashable, ...],
+    options: dict[str, str | bool] | None,
 ) -> _Kept | None:
     """The program, from the store or compiled and put there; None where it cannot be kept."""
     from jax.experimental import serialize_executable
@@ -142,7 +146,7 @@ def _found_or_made(
 
     # What JAX's own cache hands out cannot be kept again: a name of its own, so that it compiles.
     flat.__name__ = f"{function.__name__}_{secrets.token_hex(4)}"
-    compiled = jax.jit(flat).lower(leaves).compile(compiler_options=quick_compiling() or None)
+    compiled = jax.jit(flat).lower(leaves).compile(compiler_options=options)
     result = found[0]
     try:
         # What a program calls must be there when it is loaded.

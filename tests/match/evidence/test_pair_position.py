@@ -101,8 +101,7 @@ def test_which_view_comes_first_means_nothing(
     ends = ends_of(evidence.ends_mm)[:, ::-1]
     np.testing.assert_allclose(ends_of(again.ends_mm), ends, atol=1e-6)
     np.testing.assert_allclose(again.px_per_mm, evidence.px_per_mm, rtol=1e-9)
-    end_log = np.array(evidence.end_log)[::-1]
-    np.testing.assert_allclose(np.array(again.end_log), end_log, atol=1e-7)
+    np.testing.assert_allclose(again.end_log, evidence.end_log[:, ::-1], atol=1e-7)
     np.testing.assert_array_equal(again.expected, evidence.expected)
 
 
@@ -120,6 +119,6 @@ def test_ends_that_agree_are_likelier_than_strangers(
 ) -> None:
     found = evidence_of(exact.seen.lines, VIEWS, exact.true[:, VIEWS], clutter)
     end_log = np.array(found.end_log)
-    assert end_log.shape == (2, len(AGREEING_PX) + 1, 30)
-    assert (end_log[:, :-1].max(axis=1) > 0).mean() > 0.9
-    np.testing.assert_array_equal(end_log[:, -1], 0)
+    assert end_log.shape == (30, 2, len(AGREEING_PX) + 1)
+    assert (end_log[:, :, :-1].max(axis=2) > 0).mean() > 0.9
+    np.testing.assert_array_equal(end_log[:, :, -1], 0)

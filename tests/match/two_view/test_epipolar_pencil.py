@@ -21,7 +21,7 @@ def planes(exact: MadeScene) -> Pencil:
 
 def rows(segments: PencilSegments, index: np.ndarray) -> Any:
     """Some of the segments, as PencilSegments of NumPy arrays."""
-    return jax.tree.map(lambda column: np.asarray(column)[index], segments)
+    return jax.tree.map(lambda column: np.asarray(column)[..., index], segments)
 
 
 def slopes(segments: PencilSegments, angle: np.ndarray) -> np.ndarray:

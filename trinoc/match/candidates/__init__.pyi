@@ -1,6 +1,8 @@
+from .judged import candidates_of as candidates_of
 from .learned import Learned as Learned
 from .orders import prepared_orders as prepared_orders
 from .region import Region as Region, region_of as region_of
+from .search import gated_triples as gated_triples
 from .table import (
     Candidates as Candidates,
     in_depth_range as in_depth_range,

@@ -61,7 +61,7 @@ def candidates_of(
     return Candidates(index, interval, *judged_by, outer_mm, spread, px_per_mm, sides)
 
 
-@partial(kept_jit, static_argnames=("tuning",))
+@partial(kept_jit, static_argnames=("tuning",), beside_others=True)
 def _fitted(
     lines: SegmentTable,
     order: Int[ArrayLike, "3"],
@@ -79,7 +79,7 @@ def _fitted(
     return sight, *line_of_three(sight, near_mm, tuning)
 
 
-@partial(kept_jit, static_argnames=("tuning", "ends"))
+@partial(kept_jit, static_argnames=("tuning", "ends"), beside_others=True)
 def _evidence_of(
     sight: Sight,
     fitted_mm: tuple[Vector3, Vector3],

@@ -14,7 +14,7 @@ from trinoc.match.evidence import MixtureParameters, end_evidence, triple_eviden
 from trinoc.match.observations import TRIPLES_IN_BLOCK, ClutterModel, SegmentTable, block_of
 from trinoc.match.tuning import CandidateTuning, EndTuning, EvidenceTuning, MatchTuning
 from trinoc.match.two_view import Pencil, cut_pair, points_of, row_of, sight_of
-from trinoc.numerics import ArrayLike, in_blocks
+from trinoc.numerics import ArrayLike, in_blocks, kept_jit
 
 
 class Learned(NamedTuple):
@@ -49,7 +49,8 @@ def screen_of(
         centre_mm=np.asarray(lines.centre_mm) - origin,
     )
     planes = planes._replace(origin_mm=np.zeros(3))
-    return Screen(*jax.tree.map(in_single, (lines, order, planes, clutter)))
+    single = jax.tree.map(in_single, (lines, order, planes, clutter))
+    return Screen(*jax.device_put(single))
 
 
 def likely_triples(
@@ -78,7 +79,7 @@ def likely_triples(
     return triple[found + prior > learned.least_log_odds]
 
 
-@partial(jax.jit, static_argnames=("tuning", "of_ends", "evidence"))
+@partial(kept_jit, static_argnames=("tuning", "of_ends", "evidence"))
 def _log_odds(
     lines: SegmentTable,
     order: Int[ArrayLike, "3"],

@@ -7,7 +7,6 @@ a pencil of epipolar planes the box is a range of disparities, so that such pair
 from functools import partial
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -16,7 +15,7 @@ from trinoc.match.candidates.single_precision import SingleOrder
 from trinoc.match.observations import PAIRS_IN_BLOCK, SegmentTable, block_of
 from trinoc.match.tuning import CandidateTuning, ScoutTuning
 from trinoc.match.two_view import Pencil, PencilSegments, cut_pair, row_of
-from trinoc.numerics import ArrayLike, add3, in_blocks, times_matrix, vector3
+from trinoc.numerics import ArrayLike, add3, in_blocks, kept_jit, times_matrix, vector3
 
 
 class Region(NamedTuple):
@@ -73,7 +72,7 @@ def pairs_within(
     return i[keep], j[keep]
 
 
-@partial(jax.jit, static_argnames="tuning")
+@partial(kept_jit, static_argnames=("tuning",))
 def _lies_within(
     region: RegionOfPencil,
     baseline_mm: Float[ArrayLike, ""],

@@ -13,7 +13,7 @@ from trinoc.match.candidates.single_precision import SingleOrder
 from trinoc.match.candidates.transfer import Prediction, predict
 from trinoc.match.observations import PAIRS_IN_BLOCK, SegmentTable, block_of
 from trinoc.match.tuning import CandidateTuning
-from trinoc.match.two_view import row_of
+from trinoc.match.two_view import PencilSegments, row_of
 from trinoc.numerics import ArrayLike, blocks, in_blocks, kept_jit, padded
 
 
@@ -45,7 +45,7 @@ def gated_triples(
     return np.concatenate(found)
 
 
-@partial(kept_jit, static_argnames=("tuning",))
+@partial(kept_jit, static_argnames=("tuning",), beside_others=True)
 def _predicted(
     single: SingleOrder,
     grid: Grid,
@@ -53,18 +53,21 @@ def _predicted(
     j: Int[ArrayLike, "p"],
     tuning: CandidateTuning,
 ) -> tuple[Prediction, list[Int[ArrayLike, "_p"]]]:
-    def predicted(i: ArrayLike, j: ArrayLike) -> tuple[Prediction, list[ArrayLike]]:
+    def predicted(
+        i: ArrayLike, first: PencilSegments, second: PencilSegments
+    ) -> tuple[Prediction, list[ArrayLike]]:
         own = single.view, grid
         if single.frame is not None:
             frame = single.frame[i]
             own = jax.tree.map(lambda column: column[frame], own)
-        guess = predict(own[0], row_of(single.first, i), row_of(single.second, j), tuning)
+        guess = predict(own[0], first, second, tuning)
         return guess, keys_of(own[1], guess, tuning)
 
-    return jax.vmap(predicted)(i, j)
+    pairs = row_of(single.first, i), row_of(single.second, j)
+    return jax.vmap(predicted, in_axes=(0, 1, 1))(i, *pairs)
 
 
-@partial(jax.jit, static_argnames="tuning")
+@partial(kept_jit, static_argnames=("tuning",), beside_others=True)
 def _passes_gate(
     segments: Float[ArrayLike, "n 11"],
     guesses: Prediction,

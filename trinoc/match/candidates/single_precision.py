@@ -8,14 +8,13 @@ the segments, some ten thousandths of a pixel to some tenths.
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
 from trinoc.match.candidates.transfer import ThirdView, third_view
 from trinoc.match.observations import SegmentTable
 from trinoc.match.two_view import Pencil, PencilSegments, pencil
-from trinoc.numerics import ArrayLike, kept_jit
+from trinoc.numerics import ArrayLike
 
 # Rounding errors of a few operations, relative to their largest term.
 ROUNDING = 4 * float(np.finfo(np.float32).eps)
@@ -38,41 +37,40 @@ class SingleOrder(NamedTuple):
 
 def prepared_order(lines: SegmentTable, order: Int[np.ndarray, "3"]) -> tuple[Pencil, SingleOrder]:
     """(the pencil of the first two views of an order, what single precision needs of it)."""
-    planes = pencil(lines, order[0], order[1])
-    return planes, _single_order(lines, planes, order)
+    first, second, third = order.tolist()
+    planes = pencil(lines, first, second)
+    return planes, _single_order(lines, planes, first, third)
 
 
-@kept_jit
-def _single_order(lines: SegmentTable, planes: Pencil, order: Int[ArrayLike, "3"]) -> SingleOrder:
-    third = order[2]
-    view = third_view(lines, planes, third)
-    count = lines.ends_px.shape[1]
-    rounding = rounding_px(lines.matrix_px, third) ** 2
-    if lines.frame is not None:
-        rounding = rounding[lines.frame[third]]
-    across = lines.across_px2[third]
-    own = jnp.broadcast_to(rounding, count)[:, None, None] * jnp.eye(2)[None]
-    of_third = (lines.ends_px[third], lines.line[third], across + own)
-    segments = jnp.concatenate([column.reshape(count, -1) for column in of_third], axis=1)
+def _single_order(lines: SegmentTable, planes: Pencil, first: int, third: int) -> SingleOrder:
+    rounding, count = rounding_px(np.asarray(lines.matrix_px), third) ** 2, lines.ends_px.shape[1]
+    frame = None if lines.frame is None else np.asarray(lines.frame)
+    if frame is not None:
+        rounding = rounding[frame[third]]
+    own = np.broadcast_to(rounding, count)[:, None, None] * np.eye(2)
+    ends, line, across = (
+        np.asarray(column)[third] for column in (lines.ends_px, lines.line, lines.across_px2)
+    )
+    of_third = (ends, line, across + own)
+    segments = np.concatenate([column.reshape(count, -1) for column in of_third], axis=1)
     single = SingleOrder(
         _with_rounding(planes.first),
         _with_rounding(planes.second),
-        view,
+        third_view(lines, planes, third),
         segments,
-        None if lines.frame is None else lines.frame[order[0]],
+        None if frame is None else frame[first],
     )
     return jax.tree.map(in_single, single)
 
 
-def in_single(column: ArrayLike) -> ArrayLike:
+def in_single(column: ArrayLike) -> np.ndarray:
     """Numbers in single precision, and integers as they are."""
-    return column.astype(np.float32) if jnp.issubdtype(column.dtype, jnp.floating) else column
+    column = np.asarray(column)
+    return column.astype(np.float32) if np.issubdtype(column.dtype, np.floating) else column
 
 
 def _with_rounding(segments: PencilSegments) -> PencilSegments:
-    own = (ROUNDING * (jnp.abs(segments.p) + jnp.abs(segments.q))) ** 2
-    c00, c01, c11 = segments.slope_variance
-    return segments._replace(slope_variance=(c00 + own, c01, c11 + own))
+    return segments.with_slope_error((ROUNDING * (abs(segments.p) + abs(segments.q))) ** 2)
 
 
 def rounding_px(

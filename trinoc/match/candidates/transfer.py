@@ -17,6 +17,7 @@ from trinoc.numerics import (
     between,
     cross3,
     dot3,
+    namespace_of,
     scaled3,
     times_matrix,
     unit3,
@@ -54,13 +55,13 @@ class ThirdView(NamedTuple):
     size_px: Float[ArrayLike, "*f 2"]
 
 
-def third_view(lines: SegmentTable, planes: Pencil, third: Int[ArrayLike, ""]) -> ThirdView:
+def third_view(lines: SegmentTable, planes: Pencil, third: Int[ArrayLike, ""] | int) -> ThirdView:
     """The `third` view of a pencil."""
-    matrix = lines.matrix_px[..., third, :, :]
-    left = matrix[..., :3]
-    origin = (left @ planes.origin_mm[..., None])[..., 0] + matrix[..., 3]
-    size_px = lines.size_px[..., third, :]
-    return ThirdView(left @ planes.frame.mT, origin, planes.baseline_mm, size_px)
+    xp = namespace_of(lines, planes, third)
+    matrix, size_px = xp.asarray(lines.matrix_px), xp.asarray(lines.size_px)
+    left = matrix[..., third, :, :3]
+    origin = (left @ planes.origin_mm[..., None])[..., 0] + matrix[..., third, :, 3]
+    return ThirdView(left @ planes.frame.mT, origin, planes.baseline_mm, size_px[..., third, :])
 
 
 def predict(

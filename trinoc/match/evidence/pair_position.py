@@ -56,7 +56,7 @@ class PairEvidence(NamedTuple):
     ends_mm: tuple[Vector3, Vector3]
     possible: Bool[ArrayLike, "..."]
     log_density: Scalar
-    end_log: tuple[tuple[Scalar, ...], tuple[Scalar, ...]]
+    end_log: Float[ArrayLike, "2 c *h"]
     interval: tuple[tuple[Scalar, Scalar], tuple[Scalar, Scalar]]
     union_ends_mm: tuple[Vector3, Vector3]
     union_covariance_mm2: tuple[Symmetric3, Symmetric3]
@@ -111,7 +111,7 @@ def pair_evidence(
         ends_mm,
         possible,
         log_density,
-        (tuple(c[0] for c in components), tuple(c[1] for c in components)),
+        jnp.swapaxes(components, 0, 1),
         ((place[0, 0], place[0, 1]), (place[1, 0], place[1, 1])),
         (nth3(points, 2), nth3(points, 3)),
         (nth6(spread, 2), nth6(spread, 3)),
@@ -123,13 +123,12 @@ def pair_evidence(
 
 def _components(
     difference: Scalar, slack: Scalar, longest: Scalar, tuning: EndTuning
-) -> tuple[Scalar, ...]:
-    def agreeing(scale: float) -> Scalar:
-        variance = 2 * scale**2 + slack
-        density = jnp.exp(-0.5 * difference**2 / variance) / jnp.sqrt(2 * np.pi * variance)
-        return jnp.log(longest * density + LEAST_DENSITY)
-
-    return (*(agreeing(scale) for scale in tuning.agreeing_px), jnp.zeros_like(difference))
+) -> Float[ArrayLike, "c 2 *h"]:
+    scale = np.array(tuning.agreeing_px, difference.dtype).reshape(-1, *(1,) * difference.ndim)
+    variance = 2 * scale**2 + slack[None]
+    density = jnp.exp(-0.5 * difference[None] ** 2 / variance) / jnp.sqrt(2 * np.pi * variance)
+    agreeing = jnp.log(longest[None] * density + LEAST_DENSITY)
+    return jnp.concatenate([agreeing, jnp.zeros_like(difference)[None]])
 
 
 def _views_expected(

@@ -4,13 +4,11 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from trinoc.geometry import centre_of_matrix, line_through
 from trinoc.match.observations.side_intensity import SIDE_COLUMNS
-from trinoc.numerics import ArrayLike, bucket, inverse_3x3, padded
+from trinoc.numerics import ArrayLike, bucket, cross_3d, padded
 
 
 class Block(NamedTuple):
@@ -68,7 +66,7 @@ def segment_table(
     size = bucket(max(len(ends) for ends in ends_px))
     # Rows of padding are a segment like any other, so that nothing divides by zero.
     filler = np.array([[0.0, 0.0], [1.0, 0.0]])
-    return _prepared(
+    prepared = _prepared(
         np.asarray(matrices_px),
         np.asarray(sizes_px),
         np.stack([padded(ends, size, filler) for ends in ends_px]),
@@ -77,45 +75,52 @@ def segment_table(
         np.stack([padded(table, size, np.full(SIDE_COLUMNS, np.nan)) for table in sides]),
         None if frames is None else np.stack([padded(f.astype(np.int32), size) for f in frames]),
     )
+    # Kernels take the tables many times: they are handed over once.
+    return jax.device_put(prepared)
 
 
-@jax.jit
 def _prepared(
-    matrices_px: Float[ArrayLike, "*f v 3 4"],
-    sizes_px: Float[ArrayLike, "*f v 2"],
-    ends_px: Float[ArrayLike, "v n 2 2"],
-    covariance_px2: Float[ArrayLike, "v n 4 4"],
-    polarity: Float[ArrayLike, "v n"],
-    sides: Float[ArrayLike, "v n 7"],
-    frame: Int[ArrayLike, "v n"] | None,
+    matrices_px: Float[np.ndarray, "*f v 3 4"],
+    sizes_px: Float[np.ndarray, "*f v 2"],
+    ends_px: Float[np.ndarray, "v n 2 2"],
+    covariance_px2: Float[np.ndarray, "v n 4 4"],
+    polarity: Float[np.ndarray, "v n"],
+    sides: Float[np.ndarray, "v n 7"],
+    frame: Int[np.ndarray, "v n"] | None,
 ) -> SegmentTable:
     third_row = matrices_px[..., 2, :3]
-    matrices = matrices_px / jnp.sqrt((third_row**2).sum(-1))[..., None, None]
-    every = matrices.reshape(-1, 3, 4)
-    line = jax.vmap(jax.vmap(line_through))(ends_px[:, :, 0], ends_px[:, :, 1])
-    across = jax.vmap(jax.vmap(covariance_across))(line, covariance_px2)
-    length = jnp.sqrt(((ends_px[:, :, 1] - ends_px[:, :, 0]) ** 2).sum(-1))
-    inverse = jax.vmap(inverse_3x3)(every[:, :, :3]).reshape(matrices[..., :3].shape)
-    homogeneous = jnp.concatenate([ends_px, jnp.ones_like(ends_px[..., :1])], axis=-1)
+    matrices = matrices_px / np.sqrt((third_row**2).sum(-1))[..., None, None]
+    inverse = _inverse(matrices[..., :3])
+    step = ends_px[:, :, 1] - ends_px[:, :, 0]
+    length = np.sqrt((step**2).sum(-1))
+    normal = np.stack([-step[..., 1], step[..., 0]], axis=-1) / length[..., None]
+    offset = -(normal * ends_px[:, :, 0]).sum(-1)
+    homogeneous = np.concatenate([ends_px, np.ones_like(ends_px[..., :1])], axis=-1)
     if frame is None:
-        rays = jnp.einsum("vij,vnej->vnei", inverse, homogeneous)
+        rays = homogeneous @ inverse.mT[:, None]
     else:
-        own = inverse[frame, jnp.arange(len(frame))[:, None]]
-        rays = jnp.einsum("vnij,vnej->vnei", own, homogeneous)
+        rays = homogeneous @ inverse[frame, np.arange(len(frame))[:, None]].mT
     return SegmentTable(
         matrices,
-        jax.vmap(centre_of_matrix)(every).reshape(matrices.shape[:-1]),
+        -(inverse @ matrices[..., 3:])[..., 0],
         inverse,
         sizes_px,
         ends_px,
-        line,
-        across,
+        np.concatenate([normal, offset[..., None]], axis=-1),
+        covariance_across(normal, covariance_px2),
         length,
         polarity,
         rays,
         sides,
         frame,
     )
+
+
+def _inverse(matrix: Float[np.ndarray, "*n 3 3"]) -> Float[np.ndarray, "*n 3 3"]:
+    """By cofactors."""
+    a, b, c = (matrix[..., k, :] for k in range(3))
+    cofactors = np.stack([cross_3d(b, c), cross_3d(c, a), cross_3d(a, b)], axis=-1)
+    return cofactors / (a * cofactors[..., 0]).sum(-1)[..., None, None]
 
 
 def frames_of(lines: SegmentTable, index: Int[np.ndarray, "m v"]) -> Int[np.ndarray, "m"] | None:
@@ -144,11 +149,12 @@ def matrices_of(
 
 
 def covariance_across(
-    line: Float[ArrayLike, "3"], covariance_px2: Float[ArrayLike, "4 4"]
-) -> Float[ArrayLike, "2 2"]:
+    normal: Float[np.ndarray, "*n 2"], covariance_px2: Float[np.ndarray, "*n 4 4"]
+) -> Float[np.ndarray, "*n 2 2"]:
     """Covariance of the two ends' displacements along the normal of their line."""
-    blocks = covariance_px2.reshape(2, 2, 2, 2)
-    return jnp.einsum("i,eifj,j->ef", line[:2], blocks, line[:2])
+    blocks = covariance_px2.reshape(*normal.shape[:-1], 2, 2, 2, 2)
+    across = (blocks * normal[..., None, None, None, :]).sum(-1)
+    return (across * normal[..., None, :, None]).sum(-2)
 
 
 def block_of(lines: SegmentTable, block: Block) -> int:

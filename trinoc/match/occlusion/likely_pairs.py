@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 from trinoc.match.evidence import MixtureParameters
 from trinoc.match.observations import SegmentTable
 from trinoc.match.tuning import EvidenceTuning, MatchTuning
-from trinoc.numerics import ArrayLike
+from trinoc.numerics import ArrayLike, kept_jit
 
 
 class PairBound(NamedTuple):
@@ -51,7 +51,7 @@ def pair_bound(
     )
 
 
-@partial(jax.jit, static_argnames="tuning")
+@partial(kept_jit, static_argnames=("tuning",))
 def may_be_likely(
     bound: PairBound,
     possible: Bool[ArrayLike, "h"],

@@ -51,7 +51,7 @@ def possible_pairs(
 ) -> Iterator[PossiblePairs]:
     """All pairs of free segments of two views that can be one line, and may be likely as far as a
     `bound` tells, block by block."""
-    planes, own_free = pencil(lines, views[0], views[1]), [free[view] for view in views]
+    planes, own_free = pencil(lines, *views.tolist()), [free[view] for view in views]
     low_high = [
         plane_angles(lines, int(view), segments)
         for view, segments in zip(views, (planes.first, planes.second), strict=True)
@@ -64,6 +64,13 @@ def possible_pairs(
         i, j = overlapping(first[block], second)
         segments = np.stack([own_free[0][i + block.start], own_free[1][j]], axis=1)
         yield _judged(lines, views, planes, segments, clutter, tuning, bound)
+
+
+def rehearse_pairs(lines: SegmentTable, clutter: ClutterModel, tuning: MatchTuning) -> None:
+    """Judge no pairs, which compiles what judges them."""
+    nobody = [np.zeros(0, np.int64)] * len(lines.ends_px)
+    for _ in possible_pairs(lines, np.arange(2), nobody, clutter, tuning):
+        pass
 
 
 def _judged(
@@ -98,7 +105,7 @@ def _judged(
     return PossiblePairs(found, expected, crossing_sine)
 
 
-@partial(kept_jit, static_argnames=("tuning", "ends"))
+@partial(kept_jit, static_argnames=("tuning", "ends"), beside_others=True)
 def _evidence_of(
     lines: SegmentTable,
     views: Int[ArrayLike, "2"],

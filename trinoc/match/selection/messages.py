@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float, Int
 
 from trinoc.match.selection.exclusivity import ConflictGraph
 from trinoc.match.tuning import DEFAULT, SelectionTuning
-from trinoc.numerics import ArrayLike, bucket, finer_bucket, padded
+from trinoc.numerics import ArrayLike, bucket, finer_bucket, kept_jit, padded
 
 # Frames that are one problem, at most.
 FRAMES_AT_ONCE = 64
@@ -59,7 +59,7 @@ def sum_product(
     if len(graph.slot) == 0:
         return Beliefs(log_odds, np.zeros((count, graph.views)))
     # A candidate of padding has the last slots, which all conflicts of padding are between.
-    candidates, conflicts = bucket(count + 1), finer_bucket(len(graph.slot))
+    candidates, conflicts = _capacities(count + 1, len(graph.slot))
     nobody = candidates * graph.views - 1
     given = np.zeros((count, graph.views)) if before is None else before.messages
     chosen = chosen_greedily(log_odds, graph) if before is None else np.zeros(count, dtype=bool)
@@ -77,11 +77,23 @@ def sum_product(
     return Beliefs(np.asarray(found)[:count], np.asarray(messages)[:count])
 
 
+def _capacities(candidates: int, conflicts: int) -> tuple[int, int]:
+    """Of what is padded. Of few kinds where there are few, since one program more takes as long as
+    hundreds of rounds on padding."""
+    candidates = next((size for size in (256, 2048) if candidates <= size), bucket(candidates))
+    if conflicts > 1 << 16:
+        return candidates, finer_bucket(conflicts)
+    size = 2 * candidates
+    while size < conflicts:
+        size *= 4
+    return candidates, min(size, max(2 * candidates, 1 << 16))
+
+
 def _frames(frame: Int[np.ndarray, "m"] | None, count: int) -> Int[np.ndarray, "m"]:
     return np.zeros(count, np.int32) if frame is None else frame.astype(np.int32)
 
 
-@partial(jax.jit, static_argnames="views")
+@partial(kept_jit, static_argnames=("views",), beside_others=True)
 def _propagated(
     log_odds: Float[ArrayLike, "m"],
     chosen: Bool[ArrayLike, "m"],

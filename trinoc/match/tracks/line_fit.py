@@ -1,5 +1,7 @@
 """The line in space of each track: maximum likelihood of all of its segments."""
 
+from functools import partial
+
 import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -12,7 +14,7 @@ from trinoc.match.tracks.location import before_cameras
 from trinoc.numerics import ArrayLike, in_blocks, kept_jit
 
 
-@kept_jit
+@partial(kept_jit, beside_others=True)
 def _triangulated(
     matrix_px: Float[ArrayLike, "*f v 3 4"],
     frame: Int[ArrayLike, "t"] | None,

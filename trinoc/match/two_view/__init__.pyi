@@ -1,12 +1,11 @@
 from .common_part import cut_pair as cut_pair, points_of as points_of
 from .epipolar_pencil import (
     Pencil as Pencil,
-    PencilSegments as PencilSegments,
     pencil as pencil,
     pencil_of as pencil_of,
     plane_angles as plane_angles,
-    row_of as row_of,
 )
+from .pencil_segments import PencilSegments as PencilSegments, row_of as row_of
 from .planes import (
     InterpretationPlanes as InterpretationPlanes,
     Sight as Sight,

@@ -6,7 +6,8 @@ import jax.numpy as jnp
 from jaxtyping import Bool
 
 from trinoc.match.tuning import CandidateTuning
-from trinoc.match.two_view.epipolar_pencil import Pencil, PencilSegments
+from trinoc.match.two_view.epipolar_pencil import Pencil
+from trinoc.match.two_view.pencil_segments import PencilSegments
 from trinoc.numerics import ArrayLike, Scalar, Vector3, add3, scaled3, times_matrix, vector3
 
 

@@ -11,35 +11,12 @@ angle: slope = p cos phi + q sin phi.
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
 from trinoc.match.observations import SegmentTable
-from trinoc.numerics import ArrayLike, kept_jit
-
-
-class PencilSegments(NamedTuple):
-    """The segments of one view in a pencil, one column per quantity.
-
-    low, high : plane angles of the ends, in rad, without a jump between them; cosine_low, ...
-    their cosines and sines. p, q : coefficients of the slope. normal : of the plane.
-    slope_variance : (c00, c01, c11) of the slopes at the angles low and high, due to the
-        errors of the ends across the segment. end_variance_px2 : of the places along the
-        segment, at low and high, that have the plane angles of a partner's ends.
-    """
-
-    low: Float[ArrayLike, "*n"]
-    high: Float[ArrayLike, "*n"]
-    cosine_low: Float[ArrayLike, "*n"]
-    sine_low: Float[ArrayLike, "*n"]
-    cosine_high: Float[ArrayLike, "*n"]
-    sine_high: Float[ArrayLike, "*n"]
-    p: Float[ArrayLike, "*n"]
-    q: Float[ArrayLike, "*n"]
-    normal: tuple[Float[ArrayLike, "*n"], Float[ArrayLike, "*n"], Float[ArrayLike, "*n"]]
-    slope_variance: tuple[Float[ArrayLike, "*n"], Float[ArrayLike, "*n"], Float[ArrayLike, "*n"]]
-    end_variance_px2: tuple[Float[ArrayLike, "*n"], Float[ArrayLike, "*n"]]
+from trinoc.match.two_view.pencil_segments import PencilSegments
+from trinoc.numerics import ArrayLike, cross3, dot3, namespace_of, scaled3, vector3
 
 
 class Pencil(NamedTuple):
@@ -56,37 +33,33 @@ class Pencil(NamedTuple):
     second: PencilSegments
 
 
-@kept_jit
-def pencil(lines: SegmentTable, a: Int[ArrayLike, ""], b: Int[ArrayLike, ""]) -> Pencil:
-    """The pencil of views a and b."""
+def pencil(lines: SegmentTable, a: Int[ArrayLike, ""] | int, b: Int[ArrayLike, ""] | int) -> Pencil:
+    """The pencil of views a and b.
 
-    def axes(
-        centre_mm: Float[ArrayLike, "v 3"], matrix_px: Float[ArrayLike, "v 3 4"]
-    ) -> tuple[Float[ArrayLike, "3 3"], Float[ArrayLike, ""]]:
-        across = centre_mm[b] - centre_mm[a]
-        baseline = jnp.sqrt(across @ across)
-        axis = across / baseline
-        # Angle zero lies in the middle of what the cameras look at, and the jump behind them.
-        forward = matrix_px[a, 2, :3] + matrix_px[b, 2, :3]
-        first = forward - (forward @ axis) * axis
-        first = first / jnp.sqrt(first @ first)
-        return jnp.stack([axis, first, jnp.cross(axis, first)]), baseline
+    In NumPy outside `jit`: each segment is placed once, which takes less than compiling it would.
+    """
+    xp = namespace_of(lines, a, b)
+    lines = jax.tree.map(xp.asarray, lines)
+    across = lines.centre_mm[..., b, :] - lines.centre_mm[..., a, :]
+    baseline = xp.sqrt((across**2).sum(-1))
+    axis = across / baseline[..., None]
+    # Angle zero lies in the middle of what the cameras look at, and the jump behind them.
+    forward = lines.matrix_px[..., a, 2, :3] + lines.matrix_px[..., b, 2, :3]
+    first = forward - (forward * axis).sum(-1)[..., None] * axis
+    first = first / xp.sqrt((first**2).sum(-1))[..., None]
+    frame = xp.stack([axis, first, xp.cross(axis, first)], axis=-2)
 
-    each = axes if lines.frame is None else jax.vmap(axes)
-    frame, baseline = each(lines.centre_mm, lines.matrix_px)
-
-    def segments(view: Int[ArrayLike, ""]) -> PencilSegments:
-        homography = frame @ lines.inverse[..., view, :, :]
-        if lines.frame is not None:
-            homography = homography[lines.frame[view]]
-        place = jax.vmap(_in_pencil, in_axes=(None if lines.frame is None else 0, 0, 0, 0))
-        return place(
-            homography, lines.ends_px[view], lines.line[view, :, :2], lines.across_px2[view]
-        )
-
-    both = jax.vmap(segments)(jnp.stack([jnp.asarray(a), jnp.asarray(b)]))
-    first, second = (jax.tree.map(lambda column: column[k], both) for k in range(2))  # noqa: B023
-    return Pencil(frame, lines.centre_mm[..., a, :], baseline, first, second)
+    views = xp.stack([xp.asarray(a), xp.asarray(b)])
+    homography = frame[..., None, :, :] @ lines.inverse[..., views, :, :]
+    if lines.frame is None:
+        homography = homography[:, None]
+    else:
+        homography = homography[lines.frame[views], xp.arange(2)[:, None]]
+    first, second = _in_pencil(
+        homography, lines.ends_px[views], lines.line[views, :, :2], lines.across_px2[views]
+    )
+    both = PencilSegments(first), PencilSegments(second)
+    return Pencil(frame, lines.centre_mm[..., a, :], baseline, *both)
 
 
 def pencil_of(
@@ -104,58 +77,43 @@ def pencil_of(
 
 
 def _in_pencil(
-    homography: Float[ArrayLike, "3 3"],
-    ends_px: Float[ArrayLike, "2 2"],
-    line_normal: Float[ArrayLike, "2"],
-    across_px2: Float[ArrayLike, "2 2"],
-) -> PencilSegments:
-    """One segment; `homography` takes homogeneous pixels to rays in the frame."""
-    rays = jnp.stack([homography @ jnp.append(ends_px[e], 1.0) for e in range(2)])
-    first = jnp.arctan2(rays[0, 2], rays[0, 1])
-    turn = jnp.arctan2(rays[0, 1] * rays[1, 2] - rays[0, 2] * rays[1, 1], rays[0, 1:] @ rays[1, 1:])
-    normal = jnp.cross(rays[0], rays[1])
+    homography: Float[ArrayLike, "2 *n 3 3"],
+    ends_px: Float[ArrayLike, "2 n 2 2"],
+    line_normal: Float[ArrayLike, "2 n 2"],
+    across_px2: Float[ArrayLike, "2 n 2 2"],
+) -> Float[ArrayLike, "2 c n"]:
+    """The columns of both views' segments; `homography` takes homogeneous pixels to rays in the
+    frame."""
+    xp = namespace_of(homography, ends_px)
+    rows = [vector3(homography[..., k, :]) for k in range(3)]
+    # Both ends in front: (2, view, n).
+    u, v = xp.moveaxis(ends_px, -1, 0).transpose(0, 3, 1, 2)
+    x, y, z = (c0[None] * u + c1[None] * v + c2[None] for c0, c1, c2 in rows)
+    first = xp.arctan2(z[0], y[0])
+    turn = xp.arctan2(y[0] * z[1] - z[0] * y[1], y[0] * y[1] + z[0] * z[1])
+    normal = cross3((x[0], y[0], z[0]), (x[1], y[1], z[1]))
     p, q = -normal[1] / normal[0], -normal[2] / normal[0]
-
-    def slope_per_px(ray: Float[ArrayLike, "3"]) -> Float[ArrayLike, ""]:
-        # An error moves the ray by `push`; on its own plane angle that is this much slope.
-        push = homography[:, :2] @ line_normal
-        radius = jnp.hypot(ray[1], ray[2])
-        return normal @ push / (normal[0] * radius)
-
-    def slide_per_px(ray: Float[ArrayLike, "3"]) -> Float[ArrayLike, ""]:
-        # An error across the segment turns the end's plane as so much way along it would.
-        direction = jnp.stack([line_normal[1], -line_normal[0]])
-        across, along = homography[1:, :2] @ line_normal, homography[1:, :2] @ direction
-        return (ray[1] * across[1] - ray[2] * across[0]) / (ray[1] * along[1] - ray[2] * along[0])
-
-    slide = [slide_per_px(rays[e]) ** 2 * across_px2[e, e] for e in range(2)]
-    effect = jnp.stack([slope_per_px(rays[0]), slope_per_px(rays[1])])
-    variance = jnp.outer(effect, effect) * across_px2
-    swap = turn < 0
-    low, high = jnp.where(swap, first + turn, first), jnp.where(swap, first, first + turn)
-    unit = normal / jnp.sqrt(normal @ normal)
-    return PencilSegments(
-        low,
-        high,
-        jnp.cos(low),
-        jnp.sin(low),
-        jnp.cos(high),
-        jnp.sin(high),
-        p,
-        q,
-        (unit[0], unit[1], unit[2]),
-        (
-            jnp.where(swap, variance[1, 1], variance[0, 0]),
-            variance[0, 1],
-            jnp.where(swap, variance[0, 0], variance[1, 1]),
-        ),
-        (jnp.where(swap, slide[1], slide[0]), jnp.where(swap, slide[0], slide[1])),
+    # An error across the segment moves the ray by `across`; on its own plane angle that is so much
+    # slope. It turns the end's plane as so much way along the segment would.
+    nu, nv = line_normal[..., 0], line_normal[..., 1]
+    across = [c0 * nu + c1 * nv for c0, c1, _ in rows]
+    along = [c0 * nv - c1 * nu for c0, c1, _ in rows[1:]]
+    push = (normal[0] * across[0] + normal[1] * across[1] + normal[2] * across[2]) / normal[0]
+    slope_per_px = push[None] / xp.sqrt(y * y + z * z)
+    turned, by_way = (y * w[1][None] - z * w[0][None] for w in (across[1:], along))
+    slide_per_px = turned / by_way
+    own = xp.stack([across_px2[..., 0, 0], across_px2[..., 1, 1]])
+    ends = xp.stack([first, first + turn]), slope_per_px**2 * own, slide_per_px**2 * own
+    swap = turn[None] < 0
+    angles, variance, end_variance = (xp.where(swap, end[::-1], end) for end in ends)
+    (low, high), cosine, sine = angles, xp.cos(angles), xp.sin(angles)
+    unit = scaled3(normal, 1 / xp.sqrt(dot3(normal, normal)))
+    together = slope_per_px[0] * slope_per_px[1] * across_px2[..., 0, 1]
+    columns = (
+        *(low, high, cosine[0], sine[0], cosine[1], sine[1], p, q, *unit),
+        *(variance[0], together, variance[1], *end_variance),
     )
-
-
-def row_of(table: PencilSegments, index: Int[ArrayLike, "*p"]) -> PencilSegments:
-    """The segments of given numbers."""
-    return jax.tree.map(lambda column: column[index], table)
+    return xp.stack(columns, axis=1)
 
 
 def plane_angles(
