@@ -11,6 +11,9 @@ from trinoc.match.tracks.fragments import ending_view, fragments_of
 from trinoc.match.tracks.location import before_cameras
 from trinoc.numerics import ArrayLike, in_blocks, kept_jit
 
+# Few enough for a processor's cache.
+MOST_AT_ONCE = 1 << 10
+
 
 @kept_jit
 def _triangulated(
@@ -39,7 +42,7 @@ def lines_in_space(
     ends_here = ending_view(seen, index, part_mm)
     shown = fragments_of(seen, index, interval_of(seen, index, part_mm), ends_here)
     # Rows of padding hold no view, which leaves their lines undetermined, and harmless.
-    block, frame = seen.lines.ends_px.shape[1], frames_of(seen.lines, index)
+    block, frame = min(seen.lines.ends_px.shape[1], MOST_AT_ONCE), frames_of(seen.lines, index)
 
     def triangulated(
         fragments: np.ndarray, covariance: np.ndarray, members: np.ndarray, *frames: np.ndarray
