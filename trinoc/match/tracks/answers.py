@@ -65,7 +65,11 @@ def answers(
         column[rows] for column in (given, fragments, found.fragments_covariance_px2)
     )
     places = fragments[:, :, 0].reshape(len(frame), 2 * turn.shape[1])
-    order = np.lexsort((*places.T, *given.T[::-1], frame))
+    keys = *given.T[::-1], frame
+    order = np.lexsort(keys)
+    # Parts of the same segments follow their places.
+    if np.all([np.diff(key[order]) == 0 for key in keys], axis=0).any():
+        order = np.lexsort((*places.T, *keys))
     columns = _Columns(
         given,
         fragments,

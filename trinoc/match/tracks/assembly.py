@@ -9,7 +9,8 @@ from trinoc.match.observations import MatchInput, frames_of
 from trinoc.match.occlusion import Pairs
 from trinoc.match.selection import Selection, Tracks
 from trinoc.match.tracks.answers import UNLOCATED, Lines, answers
-from trinoc.match.tracks.fragments import ending_view, fragments_of
+from trinoc.match.tracks.extent import reach_of
+from trinoc.match.tracks.fragments import ending_at, fragments_of
 from trinoc.match.tracks.line_fit import lines_in_space
 from trinoc.match.tracks.location import before_cameras, direction_doubt
 from trinoc.match.tracks.matches import Matches
@@ -74,9 +75,10 @@ def _lines(
     common_mm = np.concatenate([tracks.candidates.ends_mm, taken.candidates.ends_mm])
     doubt = direction_doubt(seen.lines, index)
     located = doubt < tuning.largest_direction_doubt
-    ends_here = ending_view(seen, index, common_mm)
+    reach = reach_of(seen, index, common_mm)
+    ends_here = ending_at(reach, np.array([0.0, 1.0]))
     fragments, covariance = fragments_of(seen, index, interval, ends_here)
-    ends_mm, covariance_mm2, misfit = lines_in_space(seen, index, common_mm)
+    ends_mm, covariance_mm2, misfit = lines_in_space(seen, index, common_mm, reach)
     covariance_mm2 = covariance_mm2 * (1 + tuning.second_order * doubt**2)[:, None, None]
     sound = np.isfinite(ends_mm).all(axis=(1, 2)) & np.isfinite(covariance_mm2).all(axis=(1, 2))
     sound &= located & before_cameras(seen.lines, index, ends_mm)
