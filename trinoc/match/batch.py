@@ -1,8 +1,12 @@
 """Many rigs, or many frames of one, matched in one call that no single failure ends."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import multiprocessing
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import equinox as eqx
+import jax
 import numpy as np
 from jaxtyping import Shaped
 
@@ -13,12 +17,14 @@ from trinoc.match.observations import CamerasInput, FrameInput, cameras_of, prep
 from trinoc.match.selection import FRAMES_AT_ONCE
 from trinoc.match.tracks import Matches
 from trinoc.match.tuning import DEFAULT, MatchTuning
-from trinoc.numerics import ArrayLike, in_float64
+from trinoc.numerics import ArrayLike, bucket, in_float64, one_compiles
 
 OK = "ok"
 # Frames with more segments in a view than this, or of more views, fill a problem alone; a stack
 # holds as many segments of a view as this at most.
 LARGEST_FRAME, LARGEST_STACK, MOST_VIEWS = 1 << 8, 1 << 13, 3
+# More threads than these would wait for the interpreter.
+MOST_THREADS = 4
 
 
 class MatchBatch(eqx.Module):
@@ -44,7 +50,8 @@ def match_many(
 
     An item that cannot be matched has its sentence for a status, and the others their
     matches. Small frames are stacked and matched as one problem, up to 64 at a time, which gives
-    what each gives alone: every frame learns its own parameters.
+    what each gives alone: every frame learns its own parameters. Stacks are matched on as many
+    threads as there are processors, up to four.
 
     Raises ValueError where there are not as many rigs as items.
     """
@@ -53,15 +60,22 @@ def match_many(
     found: list[Matches | None] = [None] * len(items)
     status = [OK] * len(items)
     frames: dict[int, FrameInput] = {}
-    checked: dict[tuple[int, tuple[str, ...]], CamerasInput] = {}
-    for number, (item, rig) in enumerate(items):
-        try:
-            frames[number] = _prepared(item, rig, sigma_px, tuning, checked)
-        except TrinocError as error:
-            status[number] = str(error)
-    for stack in _stacks(frames):
+
+    def prepared() -> Iterator[tuple[int, FrameInput]]:
+        checked: dict[tuple[int, tuple[str, ...]], CamerasInput] = {}
+        for number, (item, rig) in enumerate(items):
+            try:
+                frames[number] = _prepared(item, rig, sigma_px, tuning, checked)
+            except TrinocError as error:
+                status[number] = str(error)
+            else:
+                yield number, frames[number]
+
+    def matched(stack: list[int]) -> list[Matches]:
         names = [tuple(items[number][0]) for number in stack]
-        results = match_frames([frames[k] for k in stack], names, depth_range_mm, tuning)
+        return match_frames([frames[k] for k in stack], names, depth_range_mm, tuning)
+
+    for stack, results in _each_matched(_stacks(prepared()), frames, matched):
         for number, matches in zip(stack, results, strict=True):
             item, rig = items[number]
             try:
@@ -73,6 +87,36 @@ def match_many(
             else:
                 found[number] = matches
     return MatchBatch(tuple(found), np.array(status, dtype=np.str_))
+
+
+def _each_matched(
+    stacks: Iterable[list[int]],
+    frames: Mapping[int, FrameInput],
+    matched: Callable[[list[int]], list[Matches]],
+) -> list[tuple[list[int], list[Matches]]]:
+    """Stacks and their matches: small frames on threads, while others are prepared.
+
+    Large ones, whose programs have threads of their own and which take much memory, come after.
+    """
+    config: Any = jax.config
+    device, large = config.jax_default_device, []
+
+    def on_thread(stack: list[int]) -> list[Matches]:
+        numbers = [[len(ends) for ends in frames[k].ends_px] for k in stack]
+        sizes = bucket(max(map(sum, zip(*numbers, strict=True)))), bucket(len(stack))
+        # Settings of JAX are each thread's own.
+        with jax.default_device(device), one_compiles("match_frames", len(numbers[0]), *sizes):
+            return in_float64(matched)(stack)
+
+    with ThreadPoolExecutor(min(multiprocessing.cpu_count(), MOST_THREADS)) as threads:
+        waiting = []
+        for stack in stacks:
+            if _is_small(frames[stack[0]]):
+                waiting.append((stack, threads.submit(on_thread, stack)))
+            else:
+                large.append(stack)
+        done = [(stack, results.result()) for stack, results in waiting]
+    return done + [(stack, matched(stack)) for stack in large]
 
 
 def _prepared(
@@ -89,15 +133,25 @@ def _prepared(
     return prepare_frame(segments, rig, sigma_px, tuning.sides, checked.get(key))
 
 
-def _stacks(frames: Mapping[int, FrameInput]) -> Iterator[list[int]]:
+def _size(frame: FrameInput) -> tuple[int, int]:
+    """(number of views, segments in the fullest of them)."""
+    return len(frame.names), max(len(ends) for ends in frame.ends_px)
+
+
+def _is_small(frame: FrameInput) -> bool:
+    views, size = _size(frame)
+    return views <= MOST_VIEWS and size <= LARGEST_FRAME
+
+
+def _stacks(frames: Iterable[tuple[int, FrameInput]]) -> Iterator[list[int]]:
     """Numbers of the frames that are matched together."""
     waiting: dict[int, list[int]] = {}
     filled: dict[int, int] = {}
-    for number, frame in frames.items():
-        views, size = len(frame.names), max(len(ends) for ends in frame.ends_px)
-        if views > MOST_VIEWS or size > LARGEST_FRAME:
+    for number, frame in frames:
+        if not _is_small(frame):
             yield [number]
             continue
+        views, size = _size(frame)
         stack = waiting.setdefault(views, [])
         if len(stack) == FRAMES_AT_ONCE or filled.get(views, 0) + size > LARGEST_STACK:
             yield stack

@@ -4,12 +4,7 @@ import numpy as np
 
 from tests.match.made import pictures
 from tests.match.scene import MadeScene, image_px, place_on, seen_by
-from trinoc.match.tracks.extent import interval_of, two_view_part
-
-
-def points_at(lines_mm: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """(n, 2, 3) points at two shares of the way along each line."""
-    return lines_mm[:, :1] + share[..., None] * (lines_mm[:, 1:] - lines_mm[:, :1])
+from trinoc.match.tracks.extent import interval_of, points_at, reach_of, two_view_span
 
 
 def test_lines_reach_as_far_as_the_second_furthest_view(exact: MadeScene) -> None:
@@ -35,7 +30,8 @@ def test_lines_reach_as_far_as_the_second_furthest_view(exact: MadeScene) -> Non
         lines_mm, np.stack([np.nanmax(by_view[..., 0], 0), np.nanmin(by_view[..., 1], 0)], axis=1)
     )
     for ends_mm, expected in ((common_mm, expected_mm), (common_mm[:, ::-1], expected_mm[:, ::-1])):
-        found = interval_of(scene.seen, index, two_view_part(scene.seen, index, ends_mm))
+        span = two_view_span(reach_of(scene.seen, index, ends_mm))
+        found = interval_of(scene.seen, index, points_at(ends_mm, span))
         for view in range(3):
             on = index[:, view] >= 0
             image = image_px(scene.table.matrix_px[view], expected[on])

@@ -22,8 +22,9 @@ from trinoc.numerics import ArrayLike, group_medians, group_sums, of_group
 # Where a prediction is looked up, as shares of its length: its middle first.
 SAMPLES = (0.5, 1 / 6, 5 / 6)
 # Finest cell: at least CELL_SIGMAS standard deviations wide. Along the longer side of the image
-# there are CELLS sqrt(n) of them for n segments, clipped to FEWEST .. MOST.
-CELL_SIGMAS, CELLS, FEWEST, MOST = 8.0, 3.0, 16, 320
+# there are CELLS sqrt(n) of them for n segments, and in small pictures, where the table takes
+# longer than the looking up, one for so many segments; clipped to FEWEST .. MOST.
+CELL_SIGMAS, CELLS, SEGMENTS_OF_CELL, FEWEST, MOST = 8.0, 3.0, 8, 8, 320
 # Pictures with more segments than this have finer layers.
 CROWDED = 1 << 13
 
@@ -47,7 +48,8 @@ def lookup(
     margins = reach * np.hypot(sigma, near)
     slack = reach * np.sqrt(2) * sigma / length[view, :count]
     number = group_sums(np.ones(count), frame, frames)
-    cells = np.clip(CELLS * np.sqrt(number), FEWEST, MOST)
+    cells = np.minimum(CELLS * np.sqrt(number), number / SEGMENTS_OF_CELL)
+    cells = np.clip(cells, FEWEST, MOST)
     cell = np.maximum(CELL_SIGMAS * typical, size.max(axis=-1) / cells)
     # Sides that single precision holds: those who ask compute in it.
     cell = cell.astype(np.float32).astype(np.float64)

@@ -94,9 +94,7 @@ def log_odds(
     frame: Frame = None,
 ) -> Float[np.ndarray, "m"]:
     """Log odds that each triple is one line rather than three segments of clutter."""
-    tail = np.log(
-        np.exp(_tail_terms(chi_square, of_group(mixture.tail, frame), tuning)).sum(axis=1)
-    )
+    tail = np.log(np.exp(_tail_terms(chi_square, mixture.tail, tuning, frame)).sum(axis=1))
     ends = _log_mixture(end_log, of_group(mixture.ends, frame)).sum(axis=1)
     prior = of_group(mixture.log_count, frame) + log_place(ends_mm, mixture.volume, tuning, frame)
     sides = log_sides(side_log, mixture, frame)
@@ -146,11 +144,11 @@ def em_step(
         return _shares(group_sums(weight[:, None] * responsibility, frame, frames), prior, evidence)
 
     def log_shares(shares: np.ndarray) -> np.ndarray:
-        return np.log(np.expand_dims(of_group(shares, frame), -2))
+        return np.expand_dims(of_group(np.log(shares), frame), -2)
 
     sides_known = weight * side_log.any(axis=1)
     prior_sides = _normalised(tuning.sides.prior_shares)
-    tail = _tail_terms(chi_square[likely], of_group(mixture.tail, frame), evidence)
+    tail = _tail_terms(chi_square[likely], mixture.tail, evidence, frame)
     return MixtureParameters(
         learned(tail[:, None], weight, np.array(evidence.prior_tail)),
         learned(
@@ -170,7 +168,7 @@ def volume_of(
     frames: int = 1,
 ) -> Volume:
     """The box that has the spread of the lines' middles."""
-    middles = ends_mm.mean(axis=1)
+    middles = (ends_mm[:, 0] + ends_mm[:, 1]) / 2
     count = np.expand_dims(group_sums(posterior, frame, frames) + 1e-9, -1)
     centre = group_sums(posterior[:, None] * middles, frame, frames) / count
     centred = middles - of_group(centre, frame)
@@ -205,10 +203,14 @@ def _log_mixture(
 
 
 def _tail_terms(
-    chi_square: Float[np.ndarray, "m"], shares: Float[np.ndarray, "*m k"], tuning: EvidenceTuning
+    chi_square: Float[np.ndarray, "m"],
+    shares: Float[np.ndarray, "*f k"],
+    tuning: EvidenceTuning,
+    frame: Frame,
 ) -> Float[np.ndarray, "m k"]:
     variance = np.array(tuning.tail_scales) ** 2
-    return np.log(shares / (2 * np.pi * variance)) - chi_square[:, None] / (2 * variance)
+    height = of_group(np.log(shares / (2 * np.pi * variance)), frame)
+    return height - chi_square[:, None] / (2 * variance)
 
 
 def _shares(

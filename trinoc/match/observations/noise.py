@@ -31,8 +31,8 @@ def _scaled_across(
     along = ends_px[:, 1] - ends_px[:, 0]
     along = along / np.linalg.norm(along, axis=1)[:, None]
     parallel = along[:, :, None] * along[:, None, :]
-    stretch = np.einsum(
-        "ef,nij->neifj", np.eye(2), parallel + scale[:, None, None] * (np.eye(2) - parallel)
-    )
+    stretch = np.zeros((len(ends_px), 2, 2, 2, 2))
+    for end in range(2):
+        stretch[:, end, :, end] = parallel + scale[:, None, None] * (np.eye(2) - parallel)
     stretch = stretch.reshape(-1, 4, 4)
     return stretch @ covariance_px2 @ stretch.mT

@@ -7,16 +7,18 @@ from trinoc.match.observations import MatchInput, frames_of, matrices_of
 from trinoc.numerics import taken
 
 
-def two_view_part(
-    seen: MatchInput, index: Int[np.ndarray, "t v"], ends_mm: Float[np.ndarray, "t 2 3"]
-) -> Float[np.ndarray, "t 2 3"]:
-    """The ends, on each line, of what at least two views show of it."""
-    reach = reach_of(seen, index, ends_mm)
+def two_view_span(reach: Float[np.ndarray, "t v 2"]) -> Float[np.ndarray, "t 2"]:
+    """Where what at least two views show of each line begins and ends, given what each does."""
     # NaN, where a view does not see the line, sorts last.
     begin = np.sort(reach[..., 0], axis=1)[:, 1]
-    end = -np.sort(-reach[..., 1], axis=1)[:, 1]
-    step = ends_mm[:, 1] - ends_mm[:, 0]
-    return ends_mm[:, :1] + np.stack([begin, end], axis=1)[..., None] * step[:, None]
+    return np.stack([begin, -np.sort(-reach[..., 1], axis=1)[:, 1]], axis=1)
+
+
+def points_at(
+    ends_mm: Float[np.ndarray, "t 2 3"], span: Float[np.ndarray, "t 2"]
+) -> Float[np.ndarray, "t 2 3"]:
+    """Points at two positions on each line, 0 and 1 at its ends."""
+    return ends_mm[:, :1] + span[..., None] * (ends_mm[:, 1] - ends_mm[:, 0])[:, None]
 
 
 def common_ends(
@@ -28,7 +30,7 @@ def common_ends(
     begin, end = np.nanmax(reach[..., 0], axis=1), np.nanmin(reach[..., 1], axis=1)
     shared = begin < end
     span = np.stack([np.where(shared, begin, 0.0), np.where(shared, end, 1.0)], axis=1)
-    return ends_mm[:, :1] + span[..., None] * (ends_mm[:, 1] - ends_mm[:, 0])[:, None]
+    return points_at(ends_mm, span)
 
 
 def interval_of(

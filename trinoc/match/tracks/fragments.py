@@ -21,10 +21,16 @@ def ending_view(
     seen: MatchInput, index: Int[np.ndarray, "t v"], ends_mm: Float[np.ndarray, "t 2 3"]
 ) -> Bool[np.ndarray, "t v 2"]:
     """Whether it is this view's segment that ends at each of the ends of a track's line."""
-    reach = reach_of(seen, index, ends_mm)
-    off = np.abs(reach - np.array([0.0, 1.0]))
-    nearest = np.nanargmin(off, axis=1) if len(index) else np.zeros((0, 2), dtype=np.int64)
-    return np.arange(index.shape[1])[None, :, None] == nearest[:, None, :]
+    return ending_at(reach_of(seen, index, ends_mm), np.array([0.0, 1.0]))
+
+
+def ending_at(
+    reach: Float[np.ndarray, "t v 2"], span: Float[np.ndarray, "*t 2"]
+) -> Bool[np.ndarray, "t v 2"]:
+    """The same of lines of which the part `span` is meant, where segments `reach` along them."""
+    off = np.abs(reach - np.expand_dims(span, -2))
+    nearest = np.nanargmin(off, axis=1) if len(reach) else np.zeros((0, 2), dtype=np.int64)
+    return np.arange(reach.shape[1])[None, :, None] == nearest[:, None, :]
 
 
 def fragments_of(
@@ -53,7 +59,7 @@ def _of_parts(
     """Each end of a fragment is a mean of its segment's ends; so is its error."""
     # Rows last: many sums of long columns, and not as many small products of matrices.
     weight = np.stack([1 - interval.T, interval.T])
-    given = covariance_px2.T.reshape(2, 2, 2, 2, -1)
+    given = np.ascontiguousarray(covariance_px2.reshape(-1, 16).T).reshape(2, 2, 2, 2, -1)
     half = _weighted(given, weight)
     return _weighted(half.transpose(2, 3, 0, 1, 4), weight).transpose(2, 3, 0, 1, 4)
 

@@ -1,7 +1,7 @@
 """What a user should know of the matches as a whole, in sentences."""
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from trinoc.match.tuning import DEFAULT, NoiseTuning
 
@@ -9,8 +9,16 @@ from trinoc.match.tuning import DEFAULT, NoiseTuning
 ON_A_LINE = 0.05
 
 
+def in_line(centre_mm: Float[np.ndarray, "f v 3"]) -> Bool[np.ndarray, "f"]:
+    """Whether the cameras' centres lie on one line, of each frame."""
+    centred = centre_mm - centre_mm.mean(axis=1, keepdims=True)
+    spread = np.linalg.svd(centred, compute_uv=False)
+    return spread[:, 1] < ON_A_LINE * spread[:, 0]
+
+
 def notes_of(
-    centre_mm: Float[np.ndarray, "v 3"],
+    views: int,
+    cameras_in_line: bool,
     unlocated: int,
     noise_scale: float,
     tuning: NoiseTuning = DEFAULT.noise,
@@ -24,9 +32,8 @@ def notes_of(
             "are of the errors found; give a sigma_px that is as much "
             f"{word} to have candidates judged by it too."
         )
-    if len(centre_mm) > 2:
-        spread = np.linalg.svd(centre_mm - centre_mm.mean(axis=0), compute_uv=False)
-        if spread[1] < ON_A_LINE * spread[0]:
+    if views > 2:
+        if cameras_in_line:
             notes.append(
                 "The cameras' centres lie on one line: segments along it are along the epipolar "
                 f"lines of all views, and no pair of views locates them ({unlocated} tracks left "

@@ -1,0 +1,172 @@
+"""The answer of each frame, from the tracks of a whole stack, in the caller's order and numbers.
+
+Whatever rows need is done for all frames at once; a frame then takes its own rows.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, Shaped
+
+from trinoc.match.evidence import probability
+from trinoc.match.observations import FrameInput, MatchInput, distorted
+from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, Matches
+from trinoc.match.tracks.notes import in_line, notes_of
+from trinoc.match.tracks.rejection import counted
+from trinoc.match.tracks.unequal_errors import (
+    degrees_of_misfit,
+    learned_tails,
+    scaled_across,
+    variance_factor,
+)
+from trinoc.match.tuning import NoiseTuning
+from trinoc.numerics import take_rows
+
+# The count of tracks that no pair of views can locate, of which notes speak.
+UNLOCATED = "tracks along the epipolar lines"
+
+
+class Lines(NamedTuple):
+    """Tracks of all frames, by the matcher's own numbers of segments and order of views."""
+
+    index: Int[np.ndarray, "t v"]
+    fragments_px: Float[np.ndarray, "t v 2 2"]
+    ends_mm: Float[np.ndarray, "t 2 3"]
+    covariance_mm2: Float[np.ndarray, "t 6 6"]
+    posterior_log_odds: Float[np.ndarray, "t"]
+    rival_posterior: Float[np.ndarray, "t"]
+    fragments_covariance_px2: Float[np.ndarray, "t v 4 4"]
+    misfit: Float[np.ndarray, "t"]
+    viewpoint_dependent: Bool[np.ndarray, "t"]
+
+
+def answers(
+    seen: MatchInput,
+    found: Lines,
+    frame: Int[np.ndarray, "t"],
+    words: list[Shaped[np.ndarray, "_"]],
+    counts: Mapping[str, Int[np.ndarray, "_f"]],
+    names: Sequence[tuple[str, ...]],
+    noise_scale: Float[np.ndarray, "f"],
+    tuning: NoiseTuning,
+) -> list[Matches]:
+    """Matches of each frame, whose views are the caller's `names`.
+
+    `frame` is that of each track, `words` say of every segment of a view why it is on no track,
+    and `counts` are of each frame.
+    """
+    found, tail = _with_unequal_errors(found, frame, seen.frames, tuning)
+    given, fragments = _as_given(seen, found, frame)
+    pairs = zip(seen.frames, names, strict=True)
+    turn = np.array([[own.names.index(name) for name in called] for own, called in pairs])
+    rows = np.arange(len(frame))[:, None], turn[frame]
+    given, fragments, covariance = (
+        column[rows] for column in (given, fragments, found.fragments_covariance_px2)
+    )
+    places = fragments[:, :, 0].reshape(len(frame), 2 * turn.shape[1])
+    keys = *given.T[::-1], frame
+    order = np.lexsort(keys)
+    # Parts of the same segments follow their places.
+    if np.all([np.diff(key[order]) == 0 for key in keys], axis=0).any():
+        order = np.lexsort((*places.T, *keys))
+    columns = _Columns(
+        given,
+        fragments,
+        found.ends_mm,
+        found.covariance_mm2,
+        np.where((given >= 0).sum(axis=1) > 2, TRINOCULAR, BINOCULAR),
+        probability(found.posterior_log_odds),
+        probability(found.rival_posterior),
+        covariance,
+        found.misfit,
+        found.viewpoint_dependent,
+    )
+    columns = take_rows(columns, order)
+    bounds = np.searchsorted(frame[order], np.arange(len(names) + 1))
+    starts, words = seen.starts, _words_as_given(seen, words)
+    aligned = in_line(np.stack([own.cameras.centre_mm for own in seen.frames]))
+    results = []
+    for number, called in enumerate(names):
+        own = slice(*bounds[number : number + 2])
+        # Copies, so that an answer does not keep those of the whole stack.
+        mine = {name: column[own].copy() for name, column in columns._asdict().items()}
+        why = {
+            name: words[view][slice(*starts[number : number + 2, view])].copy()
+            for name, view in zip(called, turn[number].tolist(), strict=True)
+        }
+        scale = float(noise_scale[number])
+        numbers = {name: int(of_frames[number]) for name, of_frames in counts.items()}
+        results.append(
+            Matches(
+                **mine,
+                views=called,
+                reasons=why,
+                counts=numbers | counted(why),
+                noise_scale=scale,
+                notes=notes_of(
+                    len(called), bool(aligned[number]), numbers[UNLOCATED], scale, tuning
+                ),
+                noise_tail=float(tail[number]),
+            )
+        )
+    return results
+
+
+class _Columns(NamedTuple):
+    """Fields of `Matches` with a row for each track."""
+
+    index: Int[np.ndarray, "t v"]
+    fragments_px: Float[np.ndarray, "t v 2 2"]
+    lines_mm: Float[np.ndarray, "t 2 3"]
+    covariance_mm2: Float[np.ndarray, "t 6 6"]
+    stage: Shaped[np.ndarray, "t"]
+    posterior: Float[np.ndarray, "t"]
+    rival_posterior: Float[np.ndarray, "t"]
+    fragments_covariance_px2: Float[np.ndarray, "t v 4 4"]
+    misfit: Float[np.ndarray, "t"]
+    viewpoint_dependent: Bool[np.ndarray, "t"]
+
+
+def _with_unequal_errors(
+    found: Lines, frame: Int[np.ndarray, "t"], frames: Sequence[FrameInput], tuning: NoiseTuning
+) -> tuple[Lines, Float[np.ndarray, "f"]]:
+    """(lines whose covariances allow for errors that differ from track to track, the tail of these
+    in each frame)."""
+    degrees = degrees_of_misfit(found.index)
+    sure = (degrees > 0) & (probability(found.posterior_log_odds) > tuning.sure)
+    of_pictures = np.array([any(np.isfinite(view).any() for view in own.sides) for own in frames])
+    tail = learned_tails(found.misfit[sure], degrees[sure], frame[sure], of_pictures, tuning)
+    factor = variance_factor(found.misfit, degrees, tail[frame])
+    covariance = scaled_across(found.ends_mm, found.covariance_mm2, factor)
+    return found._replace(covariance_mm2=covariance), tail
+
+
+def _as_given(
+    seen: MatchInput, found: Lines, frame: Int[np.ndarray, "t"]
+) -> tuple[Int[np.ndarray, "t v"], Float[np.ndarray, "t v 2 2"]]:
+    """(the caller's numbers of segments, parts of these in pixels of the picture)."""
+    given, fragments = np.full(found.index.shape, -1), found.fragments_px.copy()
+    for view in range(found.index.shape[1]):
+        on = np.flatnonzero(found.index[:, view] >= 0)
+        order = np.concatenate([own.order[view] for own in seen.frames])
+        given[on, view] = order[found.index[on, view]]
+        lenses = [own.cameras.intrinsics[view] for own in seen.frames]
+        # Frames of one rig share their lenses.
+        for lens in {id(lens): lens for lens in lenses if lens.has_distortion}.values():
+            rows = on[np.array([own is lens for own in lenses])[frame[on]]]
+            fragments[rows, view] = distorted(lens, fragments[rows, view])
+    return given, fragments
+
+
+def _words_as_given(
+    seen: MatchInput, words: list[Shaped[np.ndarray, "_"]]
+) -> list[Shaped[np.ndarray, "_"]]:
+    """Words of each view's segments in the caller's order within every frame."""
+    turned = []
+    for view, own in enumerate(words):
+        starts = seen.starts[:-1, view].tolist()
+        place = [start + each.order[view] for start, each in zip(starts, seen.frames, strict=True)]
+        turned.append(np.empty_like(own))
+        turned[-1][np.concatenate(place)] = own
+    return turned
