@@ -55,9 +55,11 @@ def pencil(lines: SegmentTable, a: Int[ArrayLike, ""] | int, b: Int[ArrayLike, "
         homography = homography[:, None]
     else:
         homography = homography[lines.frame[views], xp.arange(2)[:, None]]
-    first, second = _in_pencil(
-        homography, lines.ends_px[views], lines.line[views, :, :2], lines.across_px2[views]
-    )
+    # A segment in a plane with the baseline has slopes that are infinite, as it has under `jit`.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        first, second = _in_pencil(
+            homography, lines.ends_px[views], lines.line[views, :, :2], lines.across_px2[views]
+        )
     both = PencilSegments(first), PencilSegments(second)
     return Pencil(frame, lines.centre_mm[..., a, :], baseline, *both)
 
