@@ -7,11 +7,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import tyro
 
 import trinoc
 from tests.io.formats.bench import bench_matches
-from trinoc.cli.main import main
+from trinoc.cli.main import AnyCommand, main
 from trinoc.cli.match import Match, remarks
+from trinoc.cli.places import expect_places
 from trinoc.cli.words import in_options
 from trinoc.synth import table1_rig
 
@@ -47,7 +49,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ((*CALIBRATE, "-o", "sheet.json"), "--out is sheet.json, which is read"),
         ((*CALIBRATE, "-o", "r.json", "--report", "r.json"), "are both r.json"),
         (("wireframe", "left.npz", "--rig", "rig.json", "-o", "left.npz"), "would be lost"),
-        (("refine", "--matches", "left.npz", "--rig", "rig.json", "-o", "rig.json"), "is read"),
+        (("refine", "--matches", "left.npz", "--rig", "rig.json", "-o", "left.npz"), "is read"),
         (("export", "left.npz", "--to", "lsd", "-o", "left.npz"), "which is read"),
         (("segments", "left.png", "-o", "left.png"), "which is read"),
     ],
@@ -59,6 +61,13 @@ def test_no_result_goes_over_another_file_of_the_job(folder, arguments, said, ca
     assert err.count("\n") == 1
     assert re.search(said, err)
     assert {path: path.read_bytes() for path in folder.iterdir()} == before
+
+
+def test_a_rig_may_take_the_place_of_the_one_it_was_made_from() -> None:
+    refine = ("refine", "--matches", "left.npz", "--rig", "rig.json", "-o", "rig.json")
+    for arguments in (refine, (*CALIBRATE, "--orientation", "rig.json", "-o", "rig.json")):
+        config = (tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes)
+        expect_places(tyro.cli(AnyCommand, args=arguments, config=config))
 
 
 def test_a_link_to_what_is_read_is_what_is_read(folder, capsys):

@@ -8,18 +8,21 @@ from trinoc.cli.command import UsageError
 
 # Options of commands that name a file to write; all other paths are read.
 _WRITTEN = ("out", "report", "cylinders", "rims_out", "plot")
+# A rig may take the place of the one that it was made from.
+_REPLACED = ("rig", "orientation")
 
 
 def expect_places(command: object) -> None:
     """Raise UsageError where two results, or a result and what it is made of, are one file."""
     taken: dict[Path, str] = {}
-    read = {_same(path) for path in _read(command)}
+    kept = {_same(path) for path in _read(command, (*_WRITTEN, *_REPLACED))}
+    read = {_same(path) for path in _read(command, _WRITTEN)}
     for name in _WRITTEN:
         path = getattr(command, name, None)
         if not isinstance(path, Path):
             continue
         option, place = f"--{name.replace('_', '-')}", _same(path)
-        if place in read:
+        if place in (kept if name == "out" else read):
             raise UsageError(
                 f"{option} is {path}, which is read, and would be lost: give another name."
             )
@@ -30,14 +33,14 @@ def expect_places(command: object) -> None:
         taken[place] = option
 
 
-def _read(options: object) -> Iterator[Path]:
+def _read(options: object, but: tuple[str, ...]) -> Iterator[Path]:
     """Files that options name, those of groups of options and of NAME=FILE, too."""
     for field in dataclasses.fields(options):  # pyright: ignore[reportArgumentType]
         value = getattr(options, field.name)
-        if field.name in _WRITTEN:
+        if field.name in but:
             continue
         if dataclasses.is_dataclass(value):
-            yield from _read(value)
+            yield from _read(value, but)
         for each in value if isinstance(value, tuple) else (value,):
             if isinstance(each, Path):
                 yield each

@@ -2,10 +2,9 @@
 
 from typing import NamedTuple
 
-import numpy as np
 from jaxtyping import Float, Int
 
-from trinoc.numerics import ArrayLike, Scalar, Vector3
+from trinoc.numerics import ArrayLike, Scalar, Vector3, namespace_of
 
 
 class PencilSegments(NamedTuple):
@@ -75,9 +74,10 @@ class PencilSegments(NamedTuple):
 
     def with_slope_error(self, variance: Scalar) -> "PencilSegments":
         """With an error of the slope at either end beside the others."""
-        both = np.zeros((16, 1), self.columns.dtype)
-        both[[11, 13]] = 1
-        return PencilSegments(self.columns + both * variance)
+        rows = list(self.columns)
+        for row in (11, 13):
+            rows[row] = rows[row] + variance
+        return PencilSegments(namespace_of(rows[0]).stack(rows))
 
 
 def row_of(table: PencilSegments, index: Int[ArrayLike, "*p"]) -> PencilSegments:
