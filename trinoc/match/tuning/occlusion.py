@@ -45,7 +45,7 @@ class OcclusionTuning:
     # Segments that cross each other do so by more than this beyond either, px; of more segments of
     # a view than so many, that many are counted, for time. By hand.
     crossing_margin_px: float = 3.0
-    most_crossing: int = 500
+    most_crossing: int = 200
     # Profiles of where lines lie: bins, over so many standard deviations to either side; how much
     # wider the outermost count; what share lies anywhere before a line is known. By hand.
     place_bins: int = 32
