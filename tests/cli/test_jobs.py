@@ -202,7 +202,7 @@ REFUSED = {
     "a file that is missing": (calibrate("upper=none.png"), "none.png does not exist"),
     "a file of another kind": (calibrate("upper=pattern.json"), "not a readable picture"),
     "a rig for a sheet": (
-        ("calibrate", "upper=upper.png", "--pattern", "rig.json", *LENS),
+        ("calibrate", "upper=upper.png", "--pattern", "rig.json", *LENS, "-o", "new.json"),
         '"trinoc-pattern" is needed',
     ),
     "a lens of another camera": (
