@@ -50,6 +50,21 @@ def test_frames_of_one_stack_learn_their_own_parameters() -> None:
     assert max(scales) > 2 * scales[0]
 
 
+def test_stacks_on_several_threads_give_what_one_stack_gives(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    rig = rig_of(*VIEWS)
+    seen = [pictures(rig, loose_lines(12 + k, seed=k), 0.3, seed=k) for k in range(5)]
+    one = match_many(seen, rig)
+    monkeypatch.setattr("trinoc.match.batch.FRAMES_AT_ONCE", 2)
+    several = match_many(seen, rig)
+    for found, expected in zip(several.matches, one.matches, strict=True):
+        assert found is not None
+        assert expected is not None
+        np.testing.assert_array_equal(found.index, expected.index)
+        np.testing.assert_allclose(found.lines_mm, expected.lines_mm, rtol=1e-9)
+
+
 def test_one_rig_serves_all_items_and_no_items_are_no_matches() -> None:
     rig = rig_of(*VIEWS)
     seen = [pictures(rig, loose_lines(20, seed=k)) for k in range(2)]

@@ -29,6 +29,9 @@ def side_table(
     and its log density. About each segment, a density is that of the nearby segments or of the
     image, whichever is larger.
     """
+    known = (np.isfinite(view).any() for view in (*levels, *contrasts))
+    if not any(known):
+        return [np.full((len(view), SIDE_COLUMNS), np.nan) for view in levels]
     unknown = [
         np.where(_known(own), np.nan, np.abs(contrast))
         for own, contrast in zip(levels, contrasts, strict=True)
