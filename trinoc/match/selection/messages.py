@@ -81,12 +81,12 @@ def _capacities(candidates: int, conflicts: int) -> tuple[int, int]:
     """Of what is padded. Of few kinds where there are few, since one program more takes as long as
     hundreds of rounds on padding."""
     candidates = next((size for size in (256, 2048) if candidates <= size), bucket(candidates))
-    if conflicts > 1 << 16:
+    if candidates > 2048 or conflicts > 1 << 16:
         return candidates, finer_bucket(conflicts)
     size = 2 * candidates
     while size < conflicts:
         size *= 4
-    return candidates, min(size, max(2 * candidates, 1 << 16))
+    return candidates, size
 
 
 def _frames(frame: Int[np.ndarray, "m"] | None, count: int) -> Int[np.ndarray, "m"]:
