@@ -6,7 +6,7 @@ import jax
 import numpy as np
 import pytest
 
-from trinoc.match.evidence import END_COMPONENTS, end_evidence
+from trinoc.match.evidence import END_COMPONENTS, end_evidence, scale_of_ends
 from trinoc.match.tuning import DEFAULT
 from trinoc.numerics import in_blocks
 
@@ -68,3 +68,11 @@ def test_the_component_that_made_the_ends_is_the_likeliest() -> None:
     kind = logs(np.stack([low, low + 100.0], axis=2))[:, 0].argmax(axis=1)
     agreeing, pairs = len(AGREEING_PX), len(PAIR_PX)
     assert kind.tolist() == [0, agreeing, agreeing + pairs, END_COMPONENTS - 1]
+
+
+@pytest.mark.parametrize("number", range(len(AGREEING_PX)))
+def test_the_scale_of_ends_is_the_widest_that_counts(number: int) -> None:
+    shares = np.zeros(END_COMPONENTS)
+    shares[[0, number, -1]] += 0.4, 0.3, 0.3
+    assert scale_of_ends(shares, 0.05) == AGREEING_PX[number]
+    assert scale_of_ends(shares, 0.35) == AGREEING_PX[0]

@@ -14,8 +14,8 @@ from trinoc.match.candidates.table import Candidates, no_candidates, prior_log_o
 from trinoc.match.evidence import prior_parameters
 from trinoc.match.observations import ClutterModel, SegmentTable
 from trinoc.match.tuning import DEFAULT, MatchTuning
-from trinoc.match.two_view import Pencil, plane_angles
-from trinoc.numerics import blocks, concatenate_rows, overlapping
+from trinoc.match.two_view import Pencil, end_angles, plane_angles
+from trinoc.numerics import blocks_of_overlapping, concatenate_rows, overlapping
 
 # About as many pairs are held at a time.
 PAIRS_AT_A_TIME = 1 << 19
@@ -91,10 +91,13 @@ def _in_order(
     if learned is not None:
         screen = screen_of(lines, order, planes, clutter)
         within = None if learned.region is None else region_of_pencil(learned.region, planes)
-    for i, j in _pairs(lines, order, planes, pair):
+    ends_px = None if learned is None else learned.ends_px
+    for i, j in _pairs(lines, order, planes, pair, ends_px):
         if within is not None:
             i, j = pairs_within(lines, single, within, i, j, tuning.candidates)
-        triple = gated_triples(lines, single, table, i, j, tuning.candidates)
+        # Of three ends two may agree whose pair crosses worse than another.
+        any_order = ends_px is not None
+        triple = gated_triples(lines, single, table, i, j, tuning.candidates, any_order)
         if len(known):
             number = _number_of(triple[:, np.argsort(order)], numbers)
             place = np.minimum(np.searchsorted(known, number), len(known) - 1)
@@ -134,16 +137,32 @@ def _pairs(
     order: Int[np.ndarray, "3"],
     planes: Pencil,
     pair: tuple[Int[np.ndarray, "n"], Int[np.ndarray, "m"]],
+    ends_px: float | None,
 ) -> Iterator[tuple[Int[np.ndarray, "_p"], Int[np.ndarray, "_p"]]]:
-    """Pairs that share epipolar planes, in blocks of segments of the first view."""
+    """Pairs that share epipolar planes, and of which an end agrees where `ends_px` asks for it, in
+    blocks of segments of the first view."""
     angles_a, angles_b = (
-        plane_angles(lines, int(view), segments)[rows]
-        for view, segments, rows in zip(order, (planes.first, planes.second), pair, strict=False)
+        plane_angles(lines, int(view), segments)
+        for view, segments in zip(order, (planes.first, planes.second), strict=False)
     )
     first, second = (rows.astype(np.int32) for rows in pair)
-    frames = 1 if lines.frame is None else 1 + int(np.max(lines.frame))
-    # About one in four pairs of a frame shares epipolar planes.
-    at_once = max(1, 4 * PAIRS_AT_A_TIME * frames // max(len(second), 1))
-    for block in blocks(len(first), at_once):
-        i, j = overlapping(angles_a[block], angles_b)
-        yield first[block][i], second[j]
+    if ends_px is None:
+        joined = [(angles_a[first], angles_b[second])]
+    else:
+        around_a, around_b = (
+            end_angles(lines, int(view), segments, angles, ends_px)
+            for view, segments, angles in zip(
+                order, (planes.first, planes.second), (angles_a, angles_b), strict=False
+            )
+        )
+        joined = [(around_a[first, e], around_b[second, e]) for e in range(2)]
+    for number, (of_a, of_b) in enumerate(joined):
+        for block in blocks_of_overlapping(of_a, of_b, PAIRS_AT_A_TIME):
+            i, j = overlapping(of_a[block], of_b)
+            i += block.start
+            if number:
+                # Those of which both ends agree have been met.
+                one, other = joined[0][0][i], joined[0][1][j]
+                fresh = (one[:, 1] <= other[:, 0]) | (other[:, 1] <= one[:, 0])
+                i, j = i[fresh], j[fresh]
+            yield first[i], second[j]

@@ -8,6 +8,7 @@ mixture depend on the detector. `em_step` estimates them from the images at hand
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from trinoc.match.tuning import DEFAULT, EndTuning
 from trinoc.numerics import Scalar, largest_of, total
@@ -26,6 +27,16 @@ def end_evidence(
     longest = largest_of(high - low for low, high in extent_px)
     components = _components((inward[0], inward[1], inward[2]), longest[None], tuning)
     return tuple(c[0] for c in components), tuple(c[1] for c in components)
+
+
+def scale_of_ends(
+    shares: Float[np.ndarray, "c"], wider: float, tuning: EndTuning = DEFAULT.ends
+) -> float:
+    """The least scale, px, such that no larger share of ends than `wider` agrees at larger ones."""
+    scales = np.array([*tuning.agreeing_px, *tuning.pair_px, *tuning.pair_px])
+    every = np.sort(tuning.agreeing_px)
+    beyond = np.array([shares[:-1][scales > scale].sum() for scale in every])
+    return float(every[np.argmax(beyond <= wider)])
 
 
 def _components(

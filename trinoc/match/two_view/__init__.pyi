@@ -2,6 +2,7 @@ from .common_part import cut_pair as cut_pair, points_of as points_of
 from .epipolar_pencil import (
     Pencil as Pencil,
     PencilSegments as PencilSegments,
+    end_angles as end_angles,
     pencil as pencil,
     pencil_of as pencil_of,
     plane_angles as plane_angles,
