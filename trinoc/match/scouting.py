@@ -18,7 +18,7 @@ from trinoc.match.candidates import (
     prior_log_odds,
     region_of,
 )
-from trinoc.match.evidence import probability, scale_of_ends
+from trinoc.match.evidence import probability, reach_of_ends
 from trinoc.match.observations import ClutterModel, SegmentTable
 from trinoc.match.selection import affordable, conflict_graph, select, sum_product
 from trinoc.match.tuning import MatchTuning
@@ -71,9 +71,8 @@ def _learned(
     log_count = mixture.log_count + np.log(count / rules.sample)
     least = tuning.selection.prune_log_odds - rules.slack_log_odds
     mixture = mixture._replace(log_count=log_count)
-    reach_px = rules.ends_sigmas * scale_of_ends(mixture.ends, rules.ends_wider, tuning.ends)
-    near = reach_px < rules.ends_below * float(np.asarray(clutter.typical_px))
-    return Learned(region, mixture, least, reach_px if near else None)
+    ends_px = reach_of_ends(mixture.ends, float(np.asarray(clutter.typical_px)), rules, tuning.ends)
+    return Learned(region, mixture, least, ends_px)
 
 
 def _unexplained(

@@ -25,7 +25,7 @@ SAMPLES = (0.5, 1 / 6, 5 / 6)
 # there are CELLS sqrt(n) of them for n segments, clipped to FEWEST .. MOST.
 CELL_SIGMAS, CELLS, FEWEST, MOST = 8.0, 3.0, 16, 320
 # Pictures with more segments than this have finer layers.
-CROWDED = 1 << 13
+CROWDED = 1 << 14
 
 
 def lookup(

@@ -14,8 +14,8 @@ from trinoc.match.candidates.table import Candidates, no_candidates, prior_log_o
 from trinoc.match.evidence import prior_parameters
 from trinoc.match.observations import ClutterModel, SegmentTable
 from trinoc.match.tuning import DEFAULT, MatchTuning
-from trinoc.match.two_view import Pencil, end_angles, plane_angles
-from trinoc.numerics import blocks_of_overlapping, concatenate_rows, overlapping
+from trinoc.match.two_view import pairs_sharing_planes
+from trinoc.numerics import concatenate_rows
 
 # About as many pairs are held at a time.
 PAIRS_AT_A_TIME = 1 << 19
@@ -92,7 +92,7 @@ def _in_order(
         screen = screen_of(lines, order, planes, clutter)
         within = None if learned.region is None else region_of_pencil(learned.region, planes)
     ends_px = None if learned is None else learned.ends_px
-    for i, j in _pairs(lines, order, planes, pair, ends_px):
+    for i, j in pairs_sharing_planes(lines, order[:2], planes, pair, PAIRS_AT_A_TIME, ends_px):
         if within is not None:
             i, j = pairs_within(lines, single, within, i, j, tuning.candidates)
         # Of three ends two may agree whose pair crosses worse than another.
@@ -130,39 +130,3 @@ def _odds_anywhere(
     # One block shows how large the volume is, but not yet where lines lie in it.
     everywhere = mixture.volume._replace(precision=np.zeros((3, 3)))
     return prior_log_odds(found, mixture._replace(volume=everywhere), tuning.evidence)
-
-
-def _pairs(
-    lines: SegmentTable,
-    order: Int[np.ndarray, "3"],
-    planes: Pencil,
-    pair: tuple[Int[np.ndarray, "n"], Int[np.ndarray, "m"]],
-    ends_px: float | None,
-) -> Iterator[tuple[Int[np.ndarray, "_p"], Int[np.ndarray, "_p"]]]:
-    """Pairs that share epipolar planes, and of which an end agrees where `ends_px` asks for it, in
-    blocks of segments of the first view."""
-    angles_a, angles_b = (
-        plane_angles(lines, int(view), segments)
-        for view, segments in zip(order, (planes.first, planes.second), strict=False)
-    )
-    first, second = (rows.astype(np.int32) for rows in pair)
-    if ends_px is None:
-        joined = [(angles_a[first], angles_b[second])]
-    else:
-        around_a, around_b = (
-            end_angles(lines, int(view), segments, angles, ends_px)
-            for view, segments, angles in zip(
-                order, (planes.first, planes.second), (angles_a, angles_b), strict=False
-            )
-        )
-        joined = [(around_a[first, e], around_b[second, e]) for e in range(2)]
-    for number, (of_a, of_b) in enumerate(joined):
-        for block in blocks_of_overlapping(of_a, of_b, PAIRS_AT_A_TIME):
-            i, j = overlapping(of_a[block], of_b)
-            i += block.start
-            if number:
-                # Those of which both ends agree have been met.
-                one, other = joined[0][0][i], joined[0][1][j]
-                fresh = (one[:, 1] <= other[:, 0]) | (other[:, 1] <= one[:, 0])
-                i, j = i[fresh], j[fresh]
-            yield first[i], second[j]

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.match.tuning import DEFAULT, EndTuning
+from trinoc.match.tuning import DEFAULT, EndTuning, ScoutTuning
 from trinoc.numerics import Scalar, largest_of, total
 
 # All agree, by scale; two agree and the third stops short, by scale; or runs on; none agree.
@@ -29,14 +29,19 @@ def end_evidence(
     return tuple(c[0] for c in components), tuple(c[1] for c in components)
 
 
-def scale_of_ends(
-    shares: Float[np.ndarray, "c"], wider: float, tuning: EndTuning = DEFAULT.ends
-) -> float:
-    """The least scale, px, such that no larger share of ends than `wider` agrees at larger ones."""
+def reach_of_ends(
+    shares: Float[np.ndarray, "c"],
+    typical_px: float,
+    rules: ScoutTuning,
+    tuning: EndTuning = DEFAULT.ends,
+) -> float | None:
+    """How far from its place, px, an end lies at most that agrees, by the learned shares of the
+    components; None where that is too much of the usual length of segments to tell."""
     scales = np.array([*tuning.agreeing_px, *tuning.pair_px, *tuning.pair_px])
     every = np.sort(tuning.agreeing_px)
-    beyond = np.array([shares[:-1][scales > scale].sum() for scale in every])
-    return float(every[np.argmax(beyond <= wider)])
+    wider = np.array([shares[:-1][scales > scale].sum() for scale in every])
+    reach = rules.ends_sigmas * float(every[np.argmax(wider <= rules.ends_wider)])
+    return reach if reach < rules.ends_below * typical_px else None
 
 
 def _components(

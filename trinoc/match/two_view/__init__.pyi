@@ -2,7 +2,6 @@ from .common_part import cut_pair as cut_pair, points_of as points_of
 from .epipolar_pencil import (
     Pencil as Pencil,
     PencilSegments as PencilSegments,
-    end_angles as end_angles,
     pencil as pencil,
     pencil_of as pencil_of,
     plane_angles as plane_angles,
@@ -18,3 +17,4 @@ from .planes import (
     sight_of as sight_of,
     variance_mm2 as variance_mm2,
 )
+from .shared_planes import end_angles as end_angles, pairs_sharing_planes as pairs_sharing_planes

@@ -167,20 +167,3 @@ def plane_angles(
         return angles
     # Half a turn on either side, and not more than another for what one segment spans.
     return angles + 16.0 * np.asarray(lines.frame)[view][:, None]
-
-
-def end_angles(
-    lines: SegmentTable,
-    view: int,
-    segments: PencilSegments,
-    angles: Float[np.ndarray, "n 2"],
-    reach_px: float,
-    sigmas: float = 4.0,
-) -> Float[np.ndarray, "n 2 2"]:
-    """Ranges of plane angle about both ends, low and high, that reach so far along the segment, and
-    as many standard deviations further as its direction turns the end's plane."""
-    variance = np.stack([np.asarray(x) for x in segments.end_variance_px2], axis=1)
-    span = (angles[:, 1] - angles[:, 0])[:, None]
-    length = np.asarray(lines.length_px)[view, : len(angles), None]
-    reach = (reach_px + sigmas * np.sqrt(variance)) * span / length
-    return np.stack([angles - reach, angles + reach], axis=2)
