@@ -78,5 +78,6 @@ def test_ends_reach_as_far_as_the_widest_scale_that_counts(number: int) -> None:
     assert reach_of_ends(shares, 1e3, rules) == rules.ends_sigmas * AGREEING_PX[0]
     shares[number] += 0.2
     reach_px = reach_of_ends(shares, 1e3, rules)
+    assert reach_px is not None
     assert reach_px == rules.ends_sigmas * AGREEING_PX[number]
     assert reach_of_ends(shares, 0.9 * reach_px / rules.ends_below, rules) is None
