@@ -6,7 +6,12 @@ import numpy as np
 from hypothesis import given
 
 from trinoc.match.candidates.index import LAYERS, key_at, segments_at, spatial_index
-from trinoc.numerics import expand_ranges, overlapping, pairs_of_equal_keys
+from trinoc.numerics import (
+    blocks_of_overlapping,
+    expand_ranges,
+    overlapping,
+    pairs_of_equal_keys,
+)
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -20,6 +25,16 @@ def test_overlapping_intervals_are_those_of_a_comparison_of_all(seed: int, n: in
     assert sorted(zip(i.tolist(), j.tolist(), strict=True)) == [
         tuple(p) for p in np.argwhere(expected)
     ]
+
+
+@given(SEEDS, st.integers(0, 40), st.integers(0, 40), st.integers(1, 60))
+def test_blocks_hold_all_intervals_and_few_pairs(seed: int, n: int, m: int, at_once: int) -> None:
+    rng = np.random.default_rng(seed)
+    first, second = np.sort(rng.random((n, 2)), axis=1), np.sort(rng.random((m, 2)), axis=1)
+    blocks = list(blocks_of_overlapping(first, second, at_once))
+    assert [row for block in blocks for row in range(block.start, block.stop)] == list(range(n))
+    # One interval of `first` has m pairs at most.
+    assert all(len(overlapping(first[block], second)[0]) <= at_once + m for block in blocks)
 
 
 @given(st.lists(st.integers(0, 5), max_size=30), st.integers(1, 40))

@@ -1,8 +1,10 @@
 """Triples of large pictures: a sample of the segments tells where all lines lie.
 
 The sample is matched against everything. From its sure triples come a box in space, with a margin,
-and the parameters of the evidence. All pairs are then searched within the box, and what cannot be
-likely is dropped at sight. Segments that nothing explains by then are searched everywhere.
+and the parameters of the evidence, among them how nearly ends agree. Pairs of which an end agrees
+are then searched within the box, all pairs where ends do not tell; what cannot be likely is dropped
+at sight. Segments that are not explained by then, or not on all of their length, are searched
+everywhere.
 """
 
 import numpy as np
@@ -16,7 +18,7 @@ from trinoc.match.candidates import (
     prior_log_odds,
     region_of,
 )
-from trinoc.match.evidence import probability
+from trinoc.match.evidence import probability, reach_of_ends
 from trinoc.match.observations import ClutterModel, SegmentTable
 from trinoc.match.selection import affordable, conflict_graph, select, sum_product
 from trinoc.match.tuning import MatchTuning
@@ -38,13 +40,13 @@ def scouted_candidates(
     every = tuple(np.arange(number) for number in numbers)
     sample = tuple(_spread(number, tuning.scouting.sample) for number in numbers)
     found = candidates_among(orders, tuning, rows=(sample, every))
-    learned = _learned(found, float(np.mean(numbers)), tuning)
+    learned = _learned(found, float(np.mean(numbers)), clutter, tuning)
     if learned is None:
         return candidates_among(orders, tuning)
     inside = candidates_among(orders, tuning, learned=learned)
     free = _unexplained(inside, views, numbers, learned, tuning)
     left = tuple(np.flatnonzero(own) for own in free)
-    anywhere = learned._replace(region=None)
+    anywhere = learned._replace(region=None, ends_px=None)
     outside = candidates_among(orders, tuning, learned=anywhere, rows=(left, left))
     return _united(inside, outside)
 
@@ -54,7 +56,9 @@ def _spread(count: int, sample: int) -> Int[np.ndarray, "_"]:
     return np.unique(np.linspace(0, count - 1, min(sample, count)).astype(np.int64))
 
 
-def _learned(found: Candidates, count: float, tuning: MatchTuning) -> Learned | None:
+def _learned(
+    found: Candidates, count: float, clutter: ClutterModel, tuning: MatchTuning
+) -> Learned | None:
     """What the triples of a sample say, None where too few of them are sure."""
     rules = tuning.scouting
     selection = select(found, float(rules.sample), neighbours=False, tuning=tuning)
@@ -66,7 +70,9 @@ def _learned(found: Candidates, count: float, tuning: MatchTuning) -> Learned | 
     mixture = selection.mixture
     log_count = mixture.log_count + np.log(count / rules.sample)
     least = tuning.selection.prune_log_odds - rules.slack_log_odds
-    return Learned(region, mixture._replace(log_count=log_count), least)
+    mixture = mixture._replace(log_count=log_count)
+    ends_px = reach_of_ends(mixture.ends, float(np.asarray(clutter.typical_px)), rules, tuning.ends)
+    return Learned(region, mixture, least, ends_px)
 
 
 def _unexplained(
@@ -76,18 +82,21 @@ def _unexplained(
     learned: Learned,
     tuning: MatchTuning,
 ) -> list[Bool[np.ndarray, "_"]]:
-    """Segments of each view that are in no likely candidate, as far as their rivals say."""
+    """Segments of each view that likely candidates show little of, as far as their rivals say."""
     odds = prior_log_odds(found, learned.mixture, tuning.evidence)
     keep = np.flatnonzero(odds > tuning.selection.learn_log_odds)
     keep = keep[affordable(odds[keep], found.index[keep], tuning.selection)]
-    index, odds = found.index[keep], odds[keep]
-    graph = conflict_graph(index, found.interval[keep], tuning.selection)
+    index, interval, odds = found.index[keep], found.interval[keep], odds[keep]
+    graph = conflict_graph(index, interval, tuning.selection)
     posterior = probability(sum_product(odds, graph, tuning.selection).log_odds)
-    likely = index[posterior > tuning.scouting.explained]
-    free = [np.ones(number, dtype=bool) for number in numbers]
-    for own, view in zip(free, views, strict=True):
-        own[likely[:, view]] = False
-    return free
+    likely = posterior > tuning.scouting.explained
+    length = np.abs(np.diff(interval[likely], axis=2)[..., 0])
+    # Where all pairs have been tried, any part is enough.
+    enough = 0.0 if learned.ends_px is None else tuning.scouting.covered
+    return [
+        np.bincount(index[likely, view], length[:, view], minlength=number) <= enough
+        for number, view in zip(numbers, views, strict=True)
+    ]
 
 
 def _united(one: Candidates, other: Candidates) -> Candidates:

@@ -45,6 +45,7 @@ from .information import (
     observability_of_root as observability_of_root,
 )
 from .interval_join import (
+    blocks_of_overlapping as blocks_of_overlapping,
     expand_ranges as expand_ranges,
     overlapping as overlapping,
     pairs_of_equal_keys as pairs_of_equal_keys,

@@ -41,6 +41,21 @@ def overlapping(
     )
 
 
+def blocks_of_overlapping(
+    first: Float[np.ndarray, "n 2"], second: Float[np.ndarray, "m 2"], at_once: int
+) -> Iterator[slice]:
+    """Slices of `first` of which about `at_once` pairs overlap, and more only of a single one; one
+    empty slice for none."""
+    begun = np.searchsorted(np.sort(second[:, 0]), first[:, 1], "left")
+    over = np.searchsorted(np.sort(second[:, 1]), first[:, 0], "right")
+    before = np.cumsum(begun - over)
+    borders = np.searchsorted(before, np.arange(at_once, before[-1] if len(before) else 0, at_once))
+    if len(first) == 0:
+        yield slice(0, 0)
+    for start, stop in pairwise(np.unique([0, *borders, len(first)]).tolist()):
+        yield slice(start, stop)
+
+
 def pairs_of_equal_keys(
     keys: Int[np.ndarray, "n"], at_once: int = 1 << 21
 ) -> Iterator[tuple[Int[np.ndarray, "_p"], Int[np.ndarray, "_p"]]]:

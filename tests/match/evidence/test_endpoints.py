@@ -6,7 +6,7 @@ import jax
 import numpy as np
 import pytest
 
-from trinoc.match.evidence import END_COMPONENTS, end_evidence
+from trinoc.match.evidence import END_COMPONENTS, end_evidence, reach_of_ends
 from trinoc.match.tuning import DEFAULT
 from trinoc.numerics import in_blocks
 
@@ -68,3 +68,16 @@ def test_the_component_that_made_the_ends_is_the_likeliest() -> None:
     kind = logs(np.stack([low, low + 100.0], axis=2))[:, 0].argmax(axis=1)
     agreeing, pairs = len(AGREEING_PX), len(PAIR_PX)
     assert kind.tolist() == [0, agreeing, agreeing + pairs, END_COMPONENTS - 1]
+
+
+@pytest.mark.parametrize("number", range(len(AGREEING_PX)))
+def test_ends_reach_as_far_as_the_widest_scale_that_counts(number: int) -> None:
+    rules = DEFAULT.scouting
+    shares = np.zeros(END_COMPONENTS)
+    shares[[0, number, -1]] += 0.65, 0.9 * rules.ends_wider, 0.25
+    assert reach_of_ends(shares, 1e3, rules) == rules.ends_sigmas * AGREEING_PX[0]
+    shares[number] += 0.2
+    reach_px = reach_of_ends(shares, 1e3, rules)
+    assert reach_px is not None
+    assert reach_px == rules.ends_sigmas * AGREEING_PX[number]
+    assert reach_of_ends(shares, 0.9 * reach_px / rules.ends_below, rules) is None

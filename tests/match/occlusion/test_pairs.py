@@ -138,6 +138,7 @@ def test_hidden_lines_that_meet_matched_ones_are_paired(exact: MadeScene) -> Non
 
 def test_pairs_that_are_let_go_unseen_change_nothing(noisy, clutter, tracks, selection) -> None:
     seen, tuning = noisy.seen, with_field(DEFAULT, "scouting.above", 0)
+    tuning = with_field(tuning, "scouting.ends_below", 0.0)
     args = seen.lines, seen.counts, clutter, tracks, [selection], None
     one, other = occluded_pairs(*args), occluded_pairs(*args, tuning)
     for every, bounded in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
@@ -155,3 +156,18 @@ def test_pairs_that_are_let_go_unseen_change_nothing(noisy, clutter, tracks, sel
     assert likely <= kept
     assert len(kept) <= len(likely) + 1
     assert len(likely) < len(odds) / 2
+
+
+def test_pairs_of_which_an_end_agrees_are_few_and_hold_partners(noisy, clutter) -> None:
+    seen, views = noisy.seen, np.array([0, 1])
+    free = [np.arange(count) for count in seen.counts]
+
+    def pairs(ends_px: float | None) -> list[tuple[int, ...]]:
+        found = possible_pairs(seen.lines, views, free, clutter, DEFAULT, None, ends_px)
+        return [tuple(row) for part in found for row in part.candidates.index[:, :2].tolist()]
+
+    every, near = pairs(None), pairs(2.0)
+    assert len(set(near)) == len(near) < len(every) / 2
+    assert set(near) <= set(every)
+    partners = {tuple(row) for row in noisy.true[:, :2].tolist()} & set(every)
+    assert len(partners & set(near)) > 0.95 * len(partners) > 10

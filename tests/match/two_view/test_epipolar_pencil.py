@@ -9,7 +9,7 @@ import pytest
 from tests.match.scene import MadeScene
 from trinoc.geometry import Rig, rotation_from_vector
 from trinoc.match import prepare
-from trinoc.match.two_view import Pencil, PencilSegments, pencil
+from trinoc.match.two_view import Pencil, PencilSegments, end_angles, pencil, plane_angles
 
 FIRST, SECOND = np.array(0), np.array(1)
 
@@ -100,3 +100,28 @@ def test_a_rigid_motion_of_the_world_changes_nothing(exact: MadeScene, planes: P
             np.testing.assert_allclose(
                 np.asarray(column)[..., :30], np.asarray(other)[..., :30], rtol=1e-7, atol=1e-9
             )
+
+
+def test_ranges_about_ends_hold_partners_and_reach_as_far_as_asked(
+    noisy: MadeScene, exact: MadeScene
+) -> None:
+    def ranges(scene: MadeScene, reach_px: float) -> list[np.ndarray]:
+        lines, both = scene.seen.lines, pencil(scene.seen.lines, FIRST, SECOND)
+        found = []
+        for view, segments in enumerate((both.first, both.second)):
+            angles = plane_angles(lines, view, segments)
+            found.append(end_angles(lines, view, segments, angles, reach_px)[scene.true[:, view]])
+        return found
+
+    def meet(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+        return (one[..., 0] < other[..., 1]) & (other[..., 0] < one[..., 1])
+
+    assert meet(*ranges(exact, 0.1)).all()
+    assert meet(*ranges(noisy, 2.0)).mean() > 0.95
+    # As a share of the segment, the reach is what it is as a share of its length.
+    lines, near, far = exact.table, ranges(exact, 0.0)[0], ranges(exact, 5.0)[0]
+    span = np.diff(near.mean(axis=2), axis=1)
+    share = 5.0 / np.asarray(lines.length_px)[0, exact.true[:, 0], None]
+    np.testing.assert_allclose(
+        (far - near)[..., 1] / span, np.broadcast_to(share, (*span.shape[:1], 2))
+    )

@@ -21,11 +21,13 @@ class Learned(NamedTuple):
     """Where to search, everywhere where None, and the parameters of the evidence.
 
     least_log_odds : what is less likely than this, about, is no candidate.
+    ends_px : pairs of which no end agrees as nearly as this are left out; None leaves out none.
     """
 
     region: Region | None
     mixture: MixtureParameters
     least_log_odds: float
+    ends_px: float | None = None
 
 
 class Screen(NamedTuple):

@@ -26,7 +26,7 @@ SAMPLES = (0.5, 1 / 6, 5 / 6)
 # longer than the looking up, one for so many segments; clipped to FEWEST .. MOST.
 CELL_SIGMAS, CELLS, SEGMENTS_OF_CELL, FEWEST, MOST = 8.0, 3.0, 8, 8, 320
 # Pictures with more segments than this have finer layers.
-CROWDED = 1 << 13
+CROWDED = 1 << 14
 
 
 def lookup(

@@ -24,13 +24,15 @@ def gated_triples(
     i: Int[np.ndarray, "p"],
     j: Int[np.ndarray, "p"],
     tuning: CandidateTuning,
+    any_order: bool = False,
 ) -> Int[np.ndarray, "h 3"]:
-    """(segments in the views of an order) of what passes the gate in the third view."""
+    """(segments in the views of an order) of what passes the gate in the third view; in
+    `any_order`, also of pairs that predict it worse than another pair of the three would."""
     size = block_of(lines, PAIRS_IN_BLOCK)
     found = [np.zeros((0, 3), dtype=np.int32)]
     for block in blocks(len(i), size):
         rows = padded(i[block], size), padded(j[block], size)
-        guess, keys = _predicted(single, table.grid, *rows, tuning=tuning)
+        guess, keys = _predicted(single, table.grid, *rows, np.asarray(any_order), tuning=tuning)
         keys = np.stack([np.asarray(key)[: block.stop - block.start] for key in keys])
         pair, k = segments_near(table, keys)
 
@@ -51,6 +53,7 @@ def _predicted(
     grid: Grid,
     i: Int[ArrayLike, "p"],
     j: Int[ArrayLike, "p"],
+    any_order: Bool[ArrayLike, ""],
     tuning: CandidateTuning,
 ) -> tuple[Prediction, list[Int[ArrayLike, "_p"]]]:
     def predicted(
@@ -60,7 +63,7 @@ def _predicted(
         if single.frame is not None:
             frame = single.frame[i]
             own = jax.tree.map(lambda column: column[frame], own)
-        guess = predict(own[0], first, second, tuning)
+        guess = predict(own[0], first, second, tuning, any_order)
         return guess, keys_of(own[1], guess, tuning)
 
     pairs = row_of(single.first, i), row_of(single.second, j)

@@ -69,8 +69,10 @@ def predict(
     a: PencilSegments,
     b: PencilSegments,
     tuning: CandidateTuning = DEFAULT.candidates,
+    any_order: Bool[ArrayLike, ""] | bool = False,
 ) -> Prediction:
-    """What a segment of the first and one of the second view of a pencil predict in the third."""
+    """What a segment of the first and one of the second view of a pencil predict in the third; in
+    `any_order`, also where another pair of the three crosses better, if this one predicts well."""
     part = cut_pair(view.baseline_mm, a, b, tuning)
     turned, origin = view.turned, vector3(view.origin)
     image_low, image_high = (
@@ -109,7 +111,10 @@ def predict(
     # The angle at which the pair's planes cross would not do in place of the uncertainty: it is
     # small for any pair with a short baseline.
     possible &= c00 + c11 < tuning.vaguest_px**2
-    possible &= _crosses_best(turned, image_low, image_high, a, b, tuning)
+    turn = c00 + c11 - 2 * c01
+    well = (c00 + c11 < tuning.well_known_px**2) & (turn < (tuning.well_known_rad * length) ** 2)
+    best = _crosses_best(turned, image_low, image_high, a, b, tuning)
+    possible &= best | (any_order & well)
     return Prediction(possible, u0, v0, u1, v1, c00, c01, c11)
 
 

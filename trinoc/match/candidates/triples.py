@@ -14,8 +14,8 @@ from trinoc.match.candidates.table import Candidates, no_candidates, prior_log_o
 from trinoc.match.evidence import prior_parameters
 from trinoc.match.observations import ClutterModel, SegmentTable
 from trinoc.match.tuning import DEFAULT, MatchTuning
-from trinoc.match.two_view import Pencil, plane_angles
-from trinoc.numerics import blocks, concatenate_rows, overlapping
+from trinoc.match.two_view import pairs_sharing_planes
+from trinoc.numerics import concatenate_rows
 
 # About as many pairs are held at a time.
 PAIRS_AT_A_TIME = 1 << 19
@@ -91,10 +91,13 @@ def _in_order(
     if learned is not None:
         screen = screen_of(lines, order, planes, clutter)
         within = None if learned.region is None else region_of_pencil(learned.region, planes)
-    for i, j in _pairs(lines, order, planes, pair):
+    ends_px = None if learned is None else learned.ends_px
+    for i, j in pairs_sharing_planes(lines, order[:2], planes, pair, PAIRS_AT_A_TIME, ends_px):
         if within is not None:
             i, j = pairs_within(lines, single, within, i, j, tuning.candidates)
-        triple = gated_triples(lines, single, table, i, j, tuning.candidates)
+        # Of three ends two may agree whose pair crosses worse than another.
+        any_order = ends_px is not None
+        triple = gated_triples(lines, single, table, i, j, tuning.candidates, any_order)
         if len(known):
             number = _number_of(triple[:, np.argsort(order)], numbers)
             place = np.minimum(np.searchsorted(known, number), len(known) - 1)
@@ -127,23 +130,3 @@ def _odds_anywhere(
     # One block shows how large the volume is, but not yet where lines lie in it.
     everywhere = mixture.volume._replace(precision=np.zeros((3, 3)))
     return prior_log_odds(found, mixture._replace(volume=everywhere), tuning.evidence)
-
-
-def _pairs(
-    lines: SegmentTable,
-    order: Int[np.ndarray, "3"],
-    planes: Pencil,
-    pair: tuple[Int[np.ndarray, "n"], Int[np.ndarray, "m"]],
-) -> Iterator[tuple[Int[np.ndarray, "_p"], Int[np.ndarray, "_p"]]]:
-    """Pairs that share epipolar planes, in blocks of segments of the first view."""
-    angles_a, angles_b = (
-        plane_angles(lines, int(view), segments)[rows]
-        for view, segments, rows in zip(order, (planes.first, planes.second), pair, strict=False)
-    )
-    first, second = (rows.astype(np.int32) for rows in pair)
-    frames = 1 if lines.frame is None else 1 + int(np.max(lines.frame))
-    # About one in four pairs of a frame shares epipolar planes.
-    at_once = max(1, 4 * PAIRS_AT_A_TIME * frames // max(len(second), 1))
-    for block in blocks(len(first), at_once):
-        i, j = overlapping(angles_a[block], angles_b)
-        yield first[block][i], second[j]

@@ -1,4 +1,8 @@
-from .endpoints import END_COMPONENTS as END_COMPONENTS, end_evidence as end_evidence
+from .endpoints import (
+    END_COMPONENTS as END_COMPONENTS,
+    end_evidence as end_evidence,
+    reach_of_ends as reach_of_ends,
+)
 from .junction_geometry import log_gap_density as log_gap_density, passing as passing
 from .mixture import (
     MixtureParameters as MixtureParameters,

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.match.tuning import DEFAULT, EndTuning
+from trinoc.match.tuning import DEFAULT, EndTuning, ScoutTuning
 from trinoc.numerics import ArrayLike, Scalar, largest_of, total
 
 # All agree, by scale; two agree and the third stops short, by scale; or runs on; none agree.
@@ -27,6 +27,21 @@ def end_evidence(
     longest = largest_of(high - low for low, high in extent_px)
     components = _components((inward[0], inward[1], inward[2]), longest[None], tuning)
     return jnp.swapaxes(components, 0, 1)
+
+
+def reach_of_ends(
+    shares: Float[np.ndarray, "c"],
+    typical_px: float,
+    rules: ScoutTuning,
+    tuning: EndTuning = DEFAULT.ends,
+) -> float | None:
+    """How far from its place, px, an end lies at most that agrees, by the learned shares of the
+    components; None where that is too much of the usual length of segments to tell."""
+    scales = np.array([*tuning.agreeing_px, *tuning.pair_px, *tuning.pair_px])
+    every = np.sort(tuning.agreeing_px)
+    wider = np.array([shares[:-1][scales > scale].sum() for scale in every])
+    reach = rules.ends_sigmas * float(every[np.argmax(wider <= rules.ends_wider)])
+    return reach if reach < rules.ends_below * typical_px else None
 
 
 def _components(

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from trinoc.match.candidates import Candidates, in_depth_range
-from trinoc.match.evidence import prior_parameters
+from trinoc.match.evidence import prior_parameters, reach_of_ends
 from trinoc.match.observations import ClutterModel, SegmentTable, frames_of, segments_per_view
 from trinoc.match.occlusion.likely_pairs import pair_bound
 from trinoc.match.occlusion.pair_evidence import (
@@ -54,11 +54,16 @@ def occluded_pairs(
     alone = number < tuning.occlusion.min_tracks_to_learn
     learned = _learned_from(selections, tuning)
     several = lines.frame is not None or alone.any()
-    bound = None
+    bound, ends_px = None, None
     # In small pictures one more program costs more than it saves.
     if learned is not None and not several and max(counts) > tuning.scouting.above:
         shares = end_shares(learned.mixture, tuning.ends)
         bound = pair_bound(lines, learned.mixture, shares, tuning)
+        # Where ends meet others, a pair may be right whose own ends do not agree.
+        if not np.any(learned.junctions.end_at_junction >= tuning.junctions.min_at_junction):
+            typical_px = float(np.asarray(clutter.typical_px))
+            reach_px = reach_of_ends(learned.mixture.ends, typical_px, tuning.scouting, tuning.ends)
+            ends_px = None if reach_px is None else tuning.occlusion.ends_reach * reach_px
 
     def kept(found: PossiblePairs) -> PossiblePairs:
         """In range, and, as far as that is known by now, likely at all: it bounds the memory."""
@@ -72,7 +77,9 @@ def occluded_pairs(
         [
             kept(part)
             for views in combinations(range(len(counts)), 2)
-            for part in possible_pairs(lines, np.array(views), free, clutter, tuning, bound)
+            for part in possible_pairs(
+                lines, np.array(views), free, clutter, tuning, bound, ends_px
+            )
         ]
     )
     frame = frames_of(lines, found.candidates.index)

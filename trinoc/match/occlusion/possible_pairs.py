@@ -17,14 +17,12 @@ from trinoc.match.observations import (
 )
 from trinoc.match.occlusion.likely_pairs import PairBound, may_be_likely
 from trinoc.match.tuning import CandidateTuning, EndTuning, MatchTuning
-from trinoc.match.two_view import Pencil, pencil, pencil_of, plane_angles, row_of
+from trinoc.match.two_view import Pencil, pairs_sharing_planes, pencil, pencil_of, row_of
 from trinoc.numerics import (
     ArrayLike,
     as_columns,
-    blocks,
     judged_in_blocks,
     kept_jit,
-    overlapping,
     split_columns,
 )
 
@@ -48,21 +46,14 @@ def possible_pairs(
     clutter: ClutterModel,
     tuning: MatchTuning,
     bound: PairBound | None = None,
+    ends_px: float | None = None,
 ) -> Iterator[PossiblePairs]:
     """All pairs of free segments of two views that can be one line, and may be likely as far as a
-    `bound` tells, block by block."""
-    planes, own_free = pencil(lines, *views.tolist()), [free[view] for view in views]
-    low_high = [
-        plane_angles(lines, int(view), segments)
-        for view, segments in zip(views, (planes.first, planes.second), strict=True)
-    ]
-    first, second = (angles[own] for angles, own in zip(low_high, own_free, strict=True))
-    frames = 1 if lines.frame is None else len(lines.matrix_px)
-    # About one in four pairs of a frame shares epipolar planes.
-    rows = max(1, 4 * PAIRS_AT_A_TIME * frames // max(len(second), 1))
-    for block in blocks(len(first), rows):
-        i, j = overlapping(first[block], second)
-        segments = np.stack([own_free[0][i + block.start], own_free[1][j]], axis=1)
+    `bound` tells, and of which an end agrees by `ends_px`, if that is given, block by block."""
+    planes = pencil(lines, *views.tolist())
+    rows = free[views[0]], free[views[1]]
+    for pair in pairs_sharing_planes(lines, views, planes, rows, PAIRS_AT_A_TIME, ends_px):
+        segments = np.stack(pair, axis=1).astype(np.int64)
         yield _judged(lines, views, planes, segments, clutter, tuning, bound)
 
 

@@ -28,6 +28,10 @@ class CandidateTuning:
     # Of the three orderings of a triple, that whose pair crosses best finds it, or one whose sine
     # is this share of the best. By hand.
     nearly_best: float = 0.8
+    # What is predicted as well as this, in place and in direction, may be found by any ordering
+    # where not all pairs are tried (large pictures). By hand, for time: vaguer ones find too much.
+    well_known_px: float = 1.2
+    well_known_rad: float = 0.0175
     # The middle of a prediction may lie this share of the picture outside. By hand.
     outside_share: float = 0.1
     # Standard deviations within which a segment may lie of where a pair predicts it. By hand.

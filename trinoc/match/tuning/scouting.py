@@ -26,3 +26,13 @@ class ScoutTuning:
     slack_log_odds: float = 1.5
     # Segments are explained by candidates as likely as this. By hand.
     explained: float = 0.5
+    # Only pairs of which an end agrees are tried first, where ends agree: each end may be off by so
+    # many of the largest scales of agreement, but for a share of wider ones, and by no more than a
+    # share of the usual length of segments. By hand.
+    ends_sigmas: float = 3.0
+    ends_wider: float = 0.05
+    ends_below: float = 0.125
+    # Segments are searched again everywhere of which likely candidates show no more than this
+    # share. By hand: .9 lost .002 of the triples of random2000_x4, .8 .003 and any part .013 of
+    # those of 9,500 segments per view.
+    covered: float = 0.95

@@ -16,3 +16,4 @@ from .planes import (
     sight_of as sight_of,
     variance_mm2 as variance_mm2,
 )
+from .shared_planes import end_angles as end_angles, pairs_sharing_planes as pairs_sharing_planes
