@@ -3,8 +3,7 @@
 On the factor graph of the conflicts, the message from a segment to a candidate is -log(1 + sum of
 the rivals' cavity odds). The posterior log odds of a candidate are its prior log odds plus its
 messages. We use marginals and not the MAP assignment: MAP may trade one strong triple for two weak
-ones, and hides ambiguity. Most candidates share most of their segments with nobody: messages are
-computed for slots in conflict alone, the others are zero.
+ones, and hides ambiguity. Candidates without rivals hear nothing, and are left out.
 """
 
 from functools import partial
@@ -17,11 +16,13 @@ from jaxtyping import Bool, Float, Int
 
 from trinoc.match.selection.exclusivity import ConflictGraph
 from trinoc.match.tuning import DEFAULT, SelectionTuning
-from trinoc.numerics import ArrayLike, finer_bucket, kept_jit, padded
+from trinoc.numerics import ArrayLike, finer_bucket, padded
 
 # Frames that are one problem, at most.
 FRAMES_AT_ONCE = 64
 
+# Of more conflicts than these, rounds on padding would take longer than another program.
+_FEW_CONFLICTS = 1 << 14
 # Log odds whose exponential is no overflow, and such as nothing has.
 _HIGHEST, _NEVER = 60.0, -1e4
 
@@ -32,18 +33,8 @@ class _Rules(NamedTuple):
     iterations: Int[ArrayLike, ""] | int
 
 
-class _Contest(NamedTuple):
-    """Slots in conflict: the others of the same candidate (the last slot where there are fewer),
-    their frames, and the edges between slots, sorted by the first."""
-
-    others: tuple[Int[ArrayLike, "_s"], ...]
-    frame: Int[ArrayLike, "s"]
-    slot: Int[ArrayLike, "e"]
-    rival_slot: Int[ArrayLike, "e"]
-
-
-# Messages, which frames have not settled, how many rounds are left.
-_State = tuple[Float[ArrayLike, "s"], Bool[ArrayLike, "f"], Int[ArrayLike, ""]]
+# Messages (candidates, views), which frames have not settled, how many rounds are left.
+_State = tuple[Float[ArrayLike, "m v"], Bool[ArrayLike, "f"], Int[ArrayLike, ""]]
 
 
 class Beliefs(NamedTuple):
@@ -69,88 +60,93 @@ def sum_product(
     count = len(log_odds)
     if len(graph.slot) == 0:
         return Beliefs(log_odds, np.zeros((count, graph.views)))
-    slots = graph.slot[np.flatnonzero(np.diff(graph.slot, prepend=-1))]
-    contest, owner = _contest(graph, slots, frame), slots // graph.views
-    chosen = chosen_greedily(log_odds, graph) if before is None else np.zeros(count, dtype=bool)
-    messages = np.zeros(count * graph.views)
-    given = messages if before is None else before.messages.reshape(-1)
-    size = len(contest.frame)
-    found = _propagated(
-        padded(log_odds[owner], size, _NEVER),
-        padded(chosen[owner], size, False),
-        padded(given[slots], size),
-        np.asarray(before is None),
-        contest,
-        _Rules(tuning.damping, tuning.settled, tuning.iterations),
+    rival = np.zeros(count, dtype=bool)
+    rival[graph.slot // graph.views] = True
+    rows, number = np.flatnonzero(rival), np.cumsum(rival) - 1
+    candidates, conflicts = _capacities(len(rows) + 1, len(graph.slot))
+    # A candidate of padding has the last slots, which all conflicts of padding are between.
+    nobody = candidates * graph.views - 1
+    slot, rival_slot = (
+        padded(_renumbered(own, number, graph.views), conflicts, nobody)
+        for own in (graph.slot, graph.rival_slot)
     )
-    messages[slots] = np.asarray(found)[: len(slots)]
-    messages = messages.reshape(-1, graph.views)
+    messages = np.zeros((count, graph.views))
+    given = messages if before is None else before.messages
+    chosen = chosen_greedily(log_odds, graph) if before is None else rival
+    found = _propagated(
+        padded(log_odds[rows], candidates, _NEVER),
+        padded(chosen[rows], candidates, False),
+        padded(given[rows], candidates),
+        np.asarray(before is None),
+        slot,
+        rival_slot,
+        padded(_frames(frame, count)[rows], candidates),
+        _Rules(tuning.damping, tuning.settled, tuning.iterations),
+        graph.views,
+    )
+    messages[rows] = np.asarray(found)[: len(rows)]
     return Beliefs(log_odds + messages.sum(axis=1), messages)
 
 
-def _capacities(slots: int, conflicts: int) -> tuple[int, int]:
+def _capacities(candidates: int, conflicts: int) -> tuple[int, int]:
     """Of what is padded. Of few kinds where there are few, since one program more takes as long as
     hundreds of rounds on padding."""
-    few = next((size for size in (256, 2048) if slots <= size), None)
-    if few is None:
-        return finer_bucket(slots), finer_bucket(conflicts)
+    few = next((size for size in (256, 2048) if candidates <= size), None)
+    if few is None or conflicts > _FEW_CONFLICTS:
+        return few or finer_bucket(candidates), finer_bucket(conflicts)
     size = 2 * few
     while size < conflicts:
         size *= 4
     return few, size
 
 
-def _contest(
-    graph: ConflictGraph, slots: Int[np.ndarray, "s"], frame: Int[np.ndarray, "m"] | None
-) -> _Contest:
-    """The slots numbered among themselves. The last one is of padding, whose message is none and
-    which all conflicts of padding are between."""
-    size, conflicts = _capacities(len(slots) + 1, len(graph.slot))
-    owner, view = np.divmod(slots, graph.views)
-    number = np.full((owner[-1] + 1) * graph.views, size - 1, np.int32)
-    number[slots] = np.arange(len(slots), dtype=np.int32)
-    of_owner = number.reshape(-1, graph.views)
-    others = [of_owner[owner, (view + turn) % graph.views] for turn in range(1, graph.views)]
-    own = np.zeros(len(slots), np.int32) if frame is None else frame[owner].astype(np.int32)
-    return _Contest(
-        tuple(padded(other, size, size - 1) for other in others),
-        padded(own, size),
-        padded(number[graph.slot], conflicts, size - 1),
-        padded(number[graph.rival_slot], conflicts, size - 1),
-    )
+def _renumbered(
+    slot: Int[np.ndarray, "e"], number: Int[np.ndarray, "m"], views: int
+) -> Int[np.ndarray, "e"]:
+    """Slots by new numbers of their candidates."""
+    owner, view = np.divmod(slot, views)
+    return (number[owner] * views + view).astype(np.int32)
 
 
-@partial(kept_jit, beside_others=True)
+def _frames(frame: Int[np.ndarray, "m"] | None, count: int) -> Int[np.ndarray, "m"]:
+    return np.zeros(count, np.int32) if frame is None else frame.astype(np.int32)
+
+
+@partial(jax.jit, static_argnames="views")
 def _propagated(
-    log_odds: Float[ArrayLike, "s"],
-    chosen: Bool[ArrayLike, "s"],
-    before: Float[ArrayLike, "s"],
+    log_odds: Float[ArrayLike, "m"],
+    chosen: Bool[ArrayLike, "m"],
+    before: Float[ArrayLike, "m v"],
     afresh: Bool[ArrayLike, ""],
-    contest: _Contest,
+    slot: Int[ArrayLike, "e"],
+    rival_slot: Int[ArrayLike, "e"],
+    frame: Int[ArrayLike, "m"],
     rules: _Rules,
-) -> Float[ArrayLike, "s"]:
-    """Messages of slots, given their candidates' log odds and choice, and the messages before."""
-    others, frame, slot, rival_slot = contest
-    size = log_odds.size
+    views: int,
+) -> Float[ArrayLike, "m v"]:
+    """Messages to candidates, from a greedy choice of theirs or from the messages before."""
 
-    def message(odds: Float[ArrayLike, "s"]) -> Float[ArrayLike, "s"]:
+    def message(odds: Float[ArrayLike, "m v"]) -> Float[ArrayLike, "m v"]:
         """What each slot hears, given what each says."""
-        return -jnp.log1p(jax.ops.segment_sum(odds[rival_slot], slot, size, True))
+        heard = odds.reshape(-1)[rival_slot]
+        total = jax.ops.segment_sum(heard, slot, num_segments=odds.size, indices_are_sorted=True)
+        return -jnp.log1p(total).reshape(-1, views)
 
     def step(state: _State) -> _State:
         messages, active, left = state
-        cavity = sum((messages[own] for own in others), start=log_odds)
+        total = log_odds + messages.sum(axis=1)
+        cavity = total[:, None] - messages
         change = message(jnp.exp(jnp.minimum(cavity, _HIGHEST))) - messages
-        worst = jax.ops.segment_max(jnp.abs(change), frame, num_segments=len(active))
+        worst = jax.ops.segment_max(jnp.abs(change).max(axis=1), frame, num_segments=len(active))
         share = jnp.where(active[frame], 1 - rules.damping, 0.0)
-        return messages + share * change, active & (worst >= rules.settled), left - 1
+        return messages + share[:, None] * change, active & (worst >= rules.settled), left - 1
 
     def goes_on(state: _State) -> Bool[ArrayLike, ""]:
         return state[1].any() & (state[2] > 0)
 
     # The start: only the candidates of the greedy choice send.
     alone = jnp.where(chosen, jnp.exp(jnp.minimum(log_odds, _HIGHEST)), 0.0)
-    first = jnp.where(afresh, message(alone), before)
+    first = jnp.where(afresh, message(jnp.repeat(alone[:, None], views, axis=1)), before)
     active = jnp.ones(FRAMES_AT_ONCE, dtype=bool)
     return jax.lax.while_loop(goes_on, step, (first, active, jnp.asarray(rules.iterations)))[0]
 
