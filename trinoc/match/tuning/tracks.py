@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class TrackTuning:
-    """From selections to `Matches`. Shown by "What moves with the viewpoint" (docs/matching.md)
+    """From selections to `Matches`. Shown by "Viewpoint-dependent tracks" (docs/matching.md)
     and, for more than three views, by tests/match/test_match_segments.py."""
 
     # Up to so many views, every three of them are matched; beyond, each with so many nearest.
