@@ -23,7 +23,7 @@ _END_PX = 1.0
 class Fitted(NamedTuple):
     """A rim. circle : one row. covariance : of what `moved` moves. own : its chords. arcs : what
     these cover of it. covered : share of it that two views show. support : length of its chords,
-    px, less as they lie off it."""
+    px, less as they lie off it. of_two : whether two views alone have chords of it."""
 
     circle: Circles
     covariance: Float[np.ndarray, "6 6"]
@@ -31,6 +31,7 @@ class Fitted(NamedTuple):
     arcs: Arcs
     covered: float
     support: float
+    of_two: bool
 
 
 class Chosen(NamedTuple):
@@ -118,8 +119,7 @@ def _pieces(
         part = slice(3 * end, 3 * end + 3)
         covariance[:, part, part] += along[:, end, :, None] * along[:, end, None]
     chord = np.where(found.chord >= 0, rim.own[np.maximum(found.chord, 0)], -1)
-    two = len(np.unique(chords.view[rim.own])) == 2
-    posterior = np.full(len(chord), tuning.posterior_of_two if two else tuning.posterior)
+    posterior = np.full(len(chord), tuning.posterior_of_two if rim.of_two else tuning.posterior)
     return RimPieces(chord, ends, covariance, posterior)
 
 

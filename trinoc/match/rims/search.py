@@ -95,14 +95,10 @@ def _chosen(chords: Chords, start: Circles, tuning: RimTuning) -> Chosen:
         if best is None:
             continue
         free[best.own] = False
-        if _of_two_views(chords, best) and has_rival(chords, best.circle, best.own, tuning):
+        if best.of_two and has_rival(chords, best.circle, best.own, tuning):
             ambiguous += 1
         else:
             found.append(best)
-
-
-def _of_two_views(chords: Chords, rim: Fitted) -> bool:
-    return len(np.unique(chords.view[rim.own])) == 2
 
 
 def _fitted(
@@ -125,11 +121,12 @@ def _fitted(
     number = np.bincount(chords.view[last.own], minlength=views)
     # Two arcs of two views leave three numbers each, place, direction and bend, as many as a circle
     # takes: they always lie on one, unless they are long.
-    two = np.count_nonzero(number) == 2
-    least = tuning.least_covered_of_two if two else tuning.least_covered
+    of_two = np.count_nonzero(number) == 2
+    least = tuning.least_covered_of_two if of_two else tuning.least_covered
     if np.sort(number)[-2] < tuning.least_chords or last.covered < least:
         return None
-    return Fitted(circle, covariance, rows[last.own], last.arcs, last.covered, last.support)
+    own, arcs, covered, support = last
+    return Fitted(circle, covariance, rows[own], arcs, covered, support, of_two)
 
 
 class _Shown(NamedTuple):
