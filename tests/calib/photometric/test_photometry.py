@@ -152,6 +152,7 @@ def mahalanobis(result: ImageRefinement) -> float:
     return float(step @ (result.information / result.noise**2) @ step)
 
 
+@pytest.mark.slow
 def test_errors_scatter_as_the_covariance_says() -> None:
     exact, trials = image_of(reference_sheet(), RIGHT, supersampling=32), 24
     squared = []

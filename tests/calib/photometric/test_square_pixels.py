@@ -77,7 +77,12 @@ def test_derivatives_of_rays_are_those_of_the_lens():
     [
         pytest.param(CHESSBOARD, PERSPECTIVE, AHEAD, marks=pytest.mark.slow),
         (CHESSBOARD, FISHEYE, ASIDE),
-        (Charuco(rows=4, columns=5, square_mm=24.0, marker_mm=18.0), PERSPECTIVE, AHEAD),
+        pytest.param(
+            Charuco(rows=4, columns=5, square_mm=24.0, marker_mm=18.0),
+            PERSPECTIVE,
+            AHEAD,
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_one_picture_tells_its_pose_as_it_claims(board, lens, where):

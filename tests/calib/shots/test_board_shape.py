@@ -57,6 +57,7 @@ def test_a_wavy_board_is_found_with_the_rig(found, wavy):
     assert found.rms_px() < 0.08
 
 
+@pytest.mark.slow
 def test_a_flat_board_stays_as_drawn():
     assert fitted(np.zeros((len(BOARD), 3))).place_shifts_mm.shape == (0, 3)
 

@@ -11,6 +11,7 @@ import pytest
 import trinoc
 from tests.io.formats.bench import bench_matches, bench_rig
 from tests.io.made_cylinders import made_cylinders
+from tests.io.made_rims import made_rims
 from tests.io.made_wireframe import made_wireframe
 from trinoc.cli.main import main
 from trinoc.io import FORMATS
@@ -46,6 +47,7 @@ def test_the_examples_of_the_page_run(tmp_path, monkeypatch, capsys):
     trinoc.save(bench_matches(), "matches.npz")
     trinoc.save(made_wireframe(), "wireframe.npz")
     trinoc.save(made_cylinders(), "cylinders.npz")
+    trinoc.save(made_rims(), "rims.npz")
     trinoc.save(trinoc.Segments.from_endpoints(np.array([[1.0, 2, 3, 4]])), "segments.npz")
     blocks = re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL)
     lines = [line.split("#")[0] for block in blocks for line in block.splitlines()]
