@@ -81,7 +81,8 @@ def test_variances_are_those_of_moved_ends(exact: MadeScene, planes: Pencil) -> 
     covariance = lines.across_px2[0, true]
     expected = np.einsum("pen,nef,qfn->npq", effect, covariance, effect)
     for stated, (i, j) in zip(a.slope_variance, ((0, 0), (0, 1), (1, 1)), strict=True):
-        np.testing.assert_allclose(stated, expected[:, i, j], rtol=1e-3, atol=1e-12)
+        # Differences over 1e-4 px are good to some 1e-12.
+        np.testing.assert_allclose(stated, expected[:, i, j], rtol=1e-3, atol=1e-11)
     for place, stated in enumerate(a.end_variance_px2):
         np.testing.assert_allclose(stated, slide[place] * covariance[:, 0, 0], rtol=1e-2)
 

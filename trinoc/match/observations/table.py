@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from trinoc.match.observations.side_intensity import SIDE_COLUMNS
-from trinoc.numerics import ArrayLike, bucket, cross_3d, padded
+from trinoc.numerics import ArrayLike, bucket, padded
 
 
 class Block(NamedTuple):
@@ -90,7 +90,7 @@ def _prepared(
 ) -> SegmentTable:
     third_row = matrices_px[..., 2, :3]
     matrices = matrices_px / np.sqrt((third_row**2).sum(-1))[..., None, None]
-    inverse = _inverse(matrices[..., :3])
+    inverse = np.linalg.inv(matrices[..., :3])
     step = ends_px[:, :, 1] - ends_px[:, :, 0]
     length = np.sqrt((step**2).sum(-1))
     normal = np.stack([-step[..., 1], step[..., 0]], axis=-1) / length[..., None]
@@ -114,13 +114,6 @@ def _prepared(
         sides,
         frame,
     )
-
-
-def _inverse(matrix: Float[np.ndarray, "*n 3 3"]) -> Float[np.ndarray, "*n 3 3"]:
-    """By cofactors."""
-    a, b, c = (matrix[..., k, :] for k in range(3))
-    cofactors = np.stack([cross_3d(b, c), cross_3d(c, a), cross_3d(a, b)], axis=-1)
-    return cofactors / (a * cofactors[..., 0]).sum(-1)[..., None, None]
 
 
 def frames_of(lines: SegmentTable, index: Int[np.ndarray, "m v"]) -> Int[np.ndarray, "m"] | None:

@@ -57,7 +57,8 @@ def _of_one_image(
     way = circle.centre_mm[0] - eye_mm
     here = other_px @ np.append(circle.centre_mm[0], 1.0)
     afar = other_px[:, :3] @ way
-    path = np.linalg.norm(here[:2] / here[2] - afar[:2] / afar[2])
+    # From what is far away to here; where it leaves the view sideways, as many steps as allowed.
+    path = np.linalg.norm(here[:2] / here[2] - afar[:2] / max(afar[2], 1e-9 * abs(here[2])))
     steps = int(np.clip(_NEAREST * path / tuning.first_px, 1, _MOST_STEPS))
     larger = steps / (_NEAREST * np.arange(1, steps + 1))
     return Circles(

@@ -72,7 +72,7 @@ def sum_product(
     )
     messages = np.zeros((count, graph.views))
     given = messages if before is None else before.messages
-    chosen = chosen_greedily(log_odds, graph) if before is None else rival
+    chosen = chosen_greedily(log_odds, graph) if before is None else np.zeros(count, dtype=bool)
     found = _propagated(
         padded(log_odds[rows], candidates, _NEVER),
         padded(chosen[rows], candidates, False),

@@ -6,6 +6,8 @@ from jaxtyping import Float, Int
 
 from trinoc.numerics import ArrayLike, Scalar, Vector3, namespace_of
 
+_SLOPE_VARIANCES = (11, 12, 13)
+
 
 class PencilSegments(NamedTuple):
     """The segments of one view in a pencil.
@@ -64,7 +66,8 @@ class PencilSegments(NamedTuple):
     def slope_variance(self) -> Vector3:
         """(c00, c01, c11) of the slopes at the angles low and high, due to the errors of the ends
         across the segment."""
-        return self.columns[11], self.columns[12], self.columns[13]
+        low, both, high = _SLOPE_VARIANCES
+        return self.columns[low], self.columns[both], self.columns[high]
 
     @property
     def end_variance_px2(self) -> tuple[Scalar, Scalar]:
@@ -75,7 +78,7 @@ class PencilSegments(NamedTuple):
     def with_slope_error(self, variance: Scalar) -> "PencilSegments":
         """With an error of the slope at either end beside the others."""
         rows = list(self.columns)
-        for row in (11, 13):
+        for row in (_SLOPE_VARIANCES[0], _SLOPE_VARIANCES[-1]):
             rows[row] = rows[row] + variance
         return PencilSegments(namespace_of(rows[0]).stack(rows))
 
