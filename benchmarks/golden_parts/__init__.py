@@ -1,0 +1,34 @@
+"""What `golden.py` runs: a file for each area of the package, the inputs, and what is recorded."""
+
+from golden_parts.calibration import (
+    calibrate_circles,
+    calibrate_delivered,
+    calibrate_pictures,
+    calibrate_suspect,
+    points,
+)
+from golden_parts.edges import capture, segments
+from golden_parts.exports import exports
+from golden_parts.joint import refine, rig_check
+from golden_parts.matching import (
+    bodies,
+    guided,
+    made,
+    matching,
+    measured_lines,
+    photographs,
+    shared,
+    wire_frame,
+)
+from golden_parts.shots import lens, rig_pixels, rig_points
+
+PARTS = {
+    part.__name__: part
+    for part in (
+        *(calibrate_circles, calibrate_pictures, calibrate_delivered, calibrate_suspect, points),
+        *(lens, rig_points, rig_pixels, refine, rig_check, segments, capture, matching, made),
+        *(guided, measured_lines, wire_frame, bodies, exports, shared, photographs),
+    )
+}
+
+__all__ = ["PARTS"]

@@ -1,0 +1,173 @@
+"""Calibrations from one picture each: by circles, by grey levels, as cameras deliver, by points."""
+
+from functools import partial
+
+import numpy as np
+
+import trinoc
+from golden_parts import records
+from golden_parts.inputs import EXACT, TERMS, delivered, digest
+from golden_parts.records import Values, attempt
+from trinoc.calib import calibrate_batch, calibrate_detections, compare_rigs
+from trinoc.geometry import Intrinsics
+from trinoc.io import demo_images, demo_pattern
+from trinoc.synth import render_sheet, table1_lens, table1_rig
+
+
+def calibrate_circles() -> Values:
+    """The demo's sheet by the centres of its circles; detections, batches, a plain grid."""
+    pattern, images, lens = demo_pattern(), demo_images("sheet"), table1_lens()
+    found = {view: trinoc.detect_pattern(image, pattern) for view, image in images.items()}
+    for view, own in found.items():
+        yield from records.detection(view, own)
+    results = {}
+    for label, options in {
+        "typical": {},
+        "exact": {"systematics": EXACT},
+        "six": {"parameters": 6},
+        "exact six": {"systematics": EXACT, "parameters": 6},
+        "terms": {"systematics": TERMS},
+    }.items():
+        results[label] = calibrate_detections(found, pattern, lens, **options)
+        yield from records.calibration(label, results[label])
+    given = {"systematics": EXACT, "method": "circles"}
+    from_images = trinoc.calibrate(images, pattern, lens, **given)
+    yield from records.calibration("images", from_images)
+    yield from records.calibration("carried", trinoc.with_systematics(results["exact"], TERMS))
+    yield from _batch(found, pattern, lens)
+    change = compare_rigs(results["typical"], results["exact six"])
+    yield "compared.sentences", change.sentences
+    yield "compared.sigmas", [own.sigmas for own in change.cameras.values()]
+    yield from _uncertainty(results)
+    yield from _plain_grid()
+
+
+def _batch(found, pattern, lens) -> Values:
+    """Two frames of the same rig, of which one lacks a camera."""
+    frames = [found, {view: found[view] for view in ("upper", "left")}]
+    for label, systematics in {"exact": EXACT, "terms": TERMS}.items():
+        batch = calibrate_batch(frames, pattern, lens, systematics=systematics)
+        names = ("parameters", "values", "covariance", "good")
+        yield from records.fields(f"batch {label}", batch, names)
+        yield f"batch {label}.failures", [str(own) for own in batch.failures]
+
+
+def _uncertainty(results) -> Values:
+    for label in ("typical", "exact six"):
+        rig = results[label].rig
+        sigma = trinoc.epipolar_sigma(rig, "upper", "left")
+        yield f"{label}.epipolar_sigma_px", sigma.sigma_px
+        point = np.array([5.0, 9.0, 3.0])
+        yield f"{label}.point_covariance", trinoc.point_covariance(rig, point)
+
+
+def _plain_grid() -> Values:
+    """A sheet that looks the same turned: refused, or as the user says it lies."""
+    grid = trinoc.Pattern.circle_grid(rows=6, columns=7, pitch_mm=20.0, radius_mm=6.0)
+    rig = table1_rig()
+    images = {name: render_sheet(grid, camera, seed=3) for name, camera in rig.items()}
+    yield "grid.inputs", digest(*images.values())
+    for label, orientation in {"open": None, "upright": "upright", "earlier": rig}.items():
+        call = partial(
+            trinoc.calibrate, images, grid, table1_lens(), method="circles", orientation=orientation
+        )
+        yield from attempt(f"grid {label}", call, records.calibration)
+
+
+def calibrate_pictures() -> Values:
+    """The demo's sheet by all of its grey levels: four and six parameters, systematics."""
+    pattern, images, lens = demo_pattern(), demo_images("sheet"), table1_lens()
+    for label, options in {
+        "typical": {},
+        "exact": {"systematics": EXACT},
+        "exact six": {"systematics": EXACT, "parameters": 6},
+        "terms": {"systematics": TERMS},
+    }.items():
+        result = trinoc.calibrate(images, pattern, lens, **options)
+        yield from records.calibration(label, result)
+    blank = {**images, "left": np.full_like(images["left"], 200)}
+    yield from attempt(
+        "blank", partial(trinoc.calibrate, blank, pattern, lens), records.calibration
+    )
+    partly = trinoc.calibrate(blank, pattern, lens, throw=False)
+    yield from records.calibration("without left", partly)
+
+
+def calibrate_delivered() -> Values:
+    """Pictures as cameras deliver them, which the extended model fits."""
+    yield from _conditions(
+        *("sRGB", "motion 3 px", "raw RGGB, told", "vignette and broad glare", "JPEG 90"),
+        *("overexposed", "16 bit"),
+    )
+
+
+def calibrate_suspect() -> Values:
+    """What the model refutes: lenses that are not as said, bent paper, covered sheets."""
+    yield from _conditions(
+        *("focal length .05 % off", "aim .1 mm off", "bent .3 mm", "print 1 % larger", "card"),
+        *("correlated noise", "principal point 5 px off, six"),
+    )
+    picture, _, _ = delivered("reference")
+    wrong = Intrinsics(focal_length_px=(1030.0, 1200.0), image_size_px=(512, 480))
+    call = partial(
+        trinoc.calibrate, {"a": picture}, trinoc.Pattern.default(), wrong, systematics=EXACT
+    )
+    yield from attempt("another lens", call, records.calibration)
+
+
+def _conditions(*names: str) -> Values:
+    pattern = trinoc.Pattern.default()
+    for name in names:
+        picture, lens, condition = delivered(name)
+        yield f"{name}.inputs", digest(picture)
+        told = condition.told
+        options = {} if told.exact == "nothing" else {"systematics": EXACT}
+        call = partial(
+            trinoc.calibrate, {"a": picture}, pattern, lens, parameters=told.parameters,
+            bayer=told.bayer, response=told.response, **options,
+        )  # fmt: skip
+        yield from attempt(name, call, records.calibration)
+
+
+def points() -> Values:
+    """One camera from points of known places, planar and not, with all that may be free."""
+    generator = np.random.default_rng(3)
+    solid = generator.uniform(-80, 80, (60, 3))
+    flat = np.column_stack([generator.uniform(-80, 80, (40, 2)), np.zeros(40)])
+    camera, lens = table1_rig()["right"], table1_lens()
+    off = Intrinsics(
+        focal_length_px=np.asarray(lens.focal_length_px) * 1.01,
+        principal_point_px=np.asarray(lens.principal_point_px) + 2.0,
+        image_size_px=lens.image_size_px,
+    )
+    everything = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2")
+    bare = {"image_size_px": lens.image_size_px}
+    for label, places, given, options in (
+        ("solid", solid, lens, {}),
+        ("solid exact", solid, lens, {"systematics": EXACT}),
+        ("solid aim-free", solid, lens, {"pose_model": "aim-free"}),
+        ("solid aimed", solid, lens, {"pose_model": "aimed"}),
+        ("solid focal", solid, off, {"free": ("fx_px", "fy_px")}),
+        ("solid lens", solid, off, {"free": everything}),
+        ("solid terms", solid, lens, {"systematics": _lens_terms(), "free": ("k1",)}),
+        ("bare", solid, None, bare),
+        ("bare with k1", solid, None, {**bare, "free": everything[:5]}),
+        ("flat", flat, lens, {}),
+        ("flat aim-free", flat, lens, {"pose_model": "aim-free", "systematics": EXACT}),
+        ("flat lens", flat, off, {"free": everything}),
+        ("flat bare", flat, None, bare),
+        ("five points", solid[:5], lens, {}),
+        ("three points", solid[:3], lens, {}),
+        ("one line", solid[:1] + np.arange(9)[:, None] * [1.0, 2, 3], lens, {}),
+    ):
+        image = places @ camera.matrix_px[:, :3].T + camera.matrix_px[:, 3]
+        seen = image[:, :2] / image[:, 2:]
+        seen = seen + 0.1 * np.random.default_rng(9).standard_normal(seen.shape)
+        if label == "solid":
+            seen[7] += 12.0
+        call = partial(trinoc.calibrate_points, places, seen, given, **options)
+        yield from attempt(label, call, records.points_calibration)
+
+
+def _lens_terms() -> trinoc.Systematics:
+    return trinoc.Systematics(lens_covariance=np.diag([4.0, 4.0, 9.0, 9.0]))

@@ -1,0 +1,89 @@
+"""Edges of single pictures: segments, junctions, and whether a picture is good."""
+
+import numpy as np
+
+import trinoc
+from golden_parts import records
+from golden_parts.inputs import (
+    arcs_picture,
+    delivered,
+    demo_segments,
+    digest,
+    saturated_picture,
+)
+from golden_parts.records import Values
+from trinoc.capture import (
+    covered_cells,
+    edge_blur_px,
+    exposure_of,
+    judge,
+    judge_unread,
+    judgement_line,
+    next_step,
+    summary_lines,
+)
+from trinoc.geometry import Intrinsics
+from trinoc.io import demo_images, demo_pattern
+from trinoc.segments import find_junctions
+from trinoc.synth.camera_picture import Processing, Sensor, delivered_picture
+from trinoc.synth.camera_picture.response import SRGB
+
+
+def segments() -> Values:
+    """Segments of the demo, and of saturated, curved, coloured, 16 bit and encoded pictures."""
+    images = demo_images("scene")
+    upper = images["upper"]
+    for view, found in demo_segments().items():
+        yield from records.segments(view, found)
+        junctions = find_junctions(found)
+        yield from records.fields(f"{view}.junctions", junctions, ("uv_px", "covariance_px2"))
+    colour = np.stack([upper, images["left"], images["right"]], axis=-1)
+    light = upper.astype(float) / 255
+    curved = delivered_picture(light, Sensor(), Processing(response=SRGB()), seed=2)
+    saturated, arcs = saturated_picture(), arcs_picture()
+    yield "inputs", digest(colour, curved, saturated, arcs)
+    barrel = Intrinsics(
+        focal_length_mm=16,
+        pixel_pitch_mm=(0.0162, 0.0134),
+        image_size_px=(512, 480),
+        distortion=(-0.15, 0.02),
+    )
+    for label, image, options in (
+        ("arcs", arcs, {"arcs": True}),
+        ("arcs of the demo", upper, {"arcs": True, "tolerance_px": 1.0}),
+        ("colour", colour, {}),
+        ("16 bit", (upper.astype(np.uint16) << 8) + 17, {}),
+        ("saturated", saturated, {}),
+        ("srgb", curved, {"response": "srgb"}),
+        ("srgb saturated", np.clip(1.4 * curved.astype(float), 0, 255).astype("u1"), {
+            "response": "srgb"}),
+        ("distorted", upper, {"intrinsics": barrel}),
+        ("strict", upper, {"false_alarms": 0.01, "least_contrast": 20.0}),
+    ):  # fmt: skip
+        yield from records.segments(label, trinoc.find_segments(image, **options))
+    bare = trinoc.Segments.from_endpoints(np.asarray(demo_segments()["left"].endpoints_px))
+    yield from records.segments("levels", trinoc.with_side_levels(bare, images["left"]))
+    yield from records.segments("lsd", trinoc.find_segments_lsd(upper))
+
+
+def capture() -> Values:
+    """Judgements of good pictures and of bad ones."""
+    sheet, demo = trinoc.Pattern.default(), demo_images("sheet")
+    pictures = {name: delivered(name)[0] for name in ("reference", "overexposed", "16 bit", "card")}
+    pictures["blur 2 px"] = delivered("blur 2 px")[0]
+    pictures["nothing"] = np.full((480, 512), 120, np.uint8)
+    judged = [judge(name, picture, sheet) for name, picture in pictures.items()]
+    judged += [judge(name, picture, demo_pattern()) for name, picture in demo.items()]
+    judged += [judge_unread("gone.png", sheet, "The file is no picture.")]
+    for own in judged:
+        names = ("places_px", "places_mm", "of_places", "kind", "refusal", "blur_px")
+        yield from records.fields(own.name, own, (*names, "exposure", "lean", "faults"))
+        yield f"{own.name}.line", judgement_line(own)
+    yield "summary", summary_lines(judged[:5])
+    yield "next_step", next_step(judged[:5])
+    for name, picture in (*pictures.items(), *demo_images("scene").items()):
+        grey = picture.astype(float)
+        yield f"{name}.edge_blur_px", edge_blur_px(grey)
+        yield f"{name}.exposure_of", exposure_of(grey, float(np.iinfo(picture.dtype).max))
+    places = judged[0].places_px
+    yield "covered_cells", covered_cells(places, (512, 480))

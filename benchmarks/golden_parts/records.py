@@ -1,0 +1,170 @@
+"""Which numbers and sentences of each answer are frozen, as (name, array) pairs."""
+
+import enum
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+import cv2
+import numpy as np
+
+from trinoc.errors import TrinocError
+from trinoc.synth import table1_rig
+
+Values = Iterator[tuple[str, Any]]
+
+SEGMENTS = (
+    *("endpoints_px", "covariance_px2", "polarity", "contrast", "support", "chain"),
+    *("side_levels", "reasons"),
+)
+MATCHES = (
+    *("index", "fragments_px", "fragments_covariance_px2", "lines_mm", "covariance_mm2", "stage"),
+    *("posterior", "rival_posterior", "misfit", "viewpoint_dependent", "noise_scale", "noise_tail"),
+    *("notes", "counts", "guided", "measure", "silhouette", "shadow"),
+)
+FIT = ("status", "parameters", "values", "covariance")
+
+
+def array_of(value: Any) -> np.ndarray:
+    """Numbers as they are, those of unequal shapes in a row; words, statuses, mappings as text."""
+    match value:
+        case None:
+            return np.array("none")
+        case enum.Enum():
+            return np.array(value.name)
+        case Mapping():
+            return np.array([f"{key}: {array_of(own)}" for key, own in value.items()], dtype=str)
+        case tuple() | list() if not value or isinstance(value[0], str):
+            return np.array(value, dtype=str)
+        case tuple() | list() if len({np.shape(own) for own in value}) > 1:
+            return np.concatenate([np.ravel(own) for own in value])
+    return np.asarray(value)
+
+
+def fields(prefix: str, value: Any, names: tuple[str, ...]) -> Values:
+    """The named attributes of an answer; one that is gone is a difference and no end."""
+    for name in names:
+        yield f"{prefix}.{name}", getattr(value, name, "no such field")
+
+
+def attempt(prefix: str, call: Callable[[], Any], record: Callable[[str, Any], Values]) -> Values:
+    """An answer, or the sentence with which it was refused."""
+    try:
+        value = call()
+    except TrinocError as error:
+        yield f"{prefix}.refusal", f"{type(error).__name__}: {error}"
+    else:
+        yield from record(prefix, value)
+
+
+def detection(prefix: str, found: Any) -> Values:
+    """Places that a detector found."""
+    names = ("circle_index", "centres_px", "covariance_px2", "shape_px2", "lines_px")
+    yield from fields(prefix, found, names)
+
+
+def calibration(prefix: str, result: Any) -> Values:
+    """A CalibrationResult with everything that each camera's fit says of itself."""
+    yield from fields(prefix, result, (*FIT, "failures", "systematics", "notes"))
+    yield f"{prefix}.summary", result.summary()
+    yield from rig(f"{prefix}.rig", result.rig)
+    for name, fit in result.fits.items():
+        own = f"{prefix}.{name}"
+        names = ("method", "used", "residuals_px", "rank", "gauge", "reduced_chi_square", "notes")
+        yield from fields(own, fit, names)
+        for other in fit.alternatives:
+            names = ("chi_square_drop", "p_value", "estimate", "sigma", "sentence")
+            yield from fields(f"{own}.{other.name}", other, names)
+        if fit.image is not None:
+            names = ("noise", "noise_floor", "pixels", "pixels_cut", "blur_px", "ink_spread_mm")
+            names += ("ink_over_paper", "found", "bound")
+            yield from fields(f"{own}.image", fit.image, names)
+
+
+def rig(prefix: str, value: Any) -> Values:
+    """Projections, and the covariance that travels with them."""
+    yield f"{prefix}.matrices_px", value.matrices_px
+    yield from fields(prefix, value, ("names", "parameters", "covariance"))
+
+
+def points_calibration(prefix: str, result: Any) -> Values:
+    """One camera from points."""
+    yield from fields(prefix, result, ("status", "parameters", "covariance", "residuals_px"))
+    yield from fields(prefix, result, ("used", "noise_px"))
+    yield f"{prefix}.cam_from_world", result.camera.cam_from_world
+    yield f"{prefix}.lens", result.camera.intrinsics.lens.parameters
+    numbers = _numbers_of(result.camera)
+    yield f"{prefix}.values", [numbers.get(name, 0.0) for name in result.parameters]
+
+
+def _numbers_of(camera: Any) -> dict[str, float]:
+    """Pose and lens by the names of parameters; turns are those from the paper's right camera."""
+    reference = np.asarray(table1_rig()["right"].cam_from_world)[:, :3]
+    turn = cv2.Rodrigues(np.asarray(camera.cam_from_world)[:, :3] @ reference.T)[0].ravel()
+    numbers = {f"turn_{axis}_deg": np.degrees(own) for axis, own in zip("xyz", turn)}
+    numbers |= {f"centre_{axis}_mm": own for axis, own in zip("xyz", camera.centre_world_mm)}
+    numbers |= {f"aim_{axis}_mm": own for axis, own in zip("xy", camera.aim_mm)}
+    for name in ("pan_deg", "tilt_deg", "swing_deg", "distance_mm"):
+        numbers[name] = getattr(camera, name)
+    lens = camera.intrinsics.lens
+    return numbers | dict(zip(lens.parameter_names, np.asarray(lens.parameters), strict=True))
+
+
+def lens_calibration(prefix: str, result: Any) -> Values:
+    """One lens from pictures."""
+    names = ("gauge", "rank", "free", "reduced_chi_square", "field_sigma_px", "cam_from_world")
+    names += ("residuals_px", "used", "image_index", "failures", "notes")
+    yield from fields(prefix, result, (*FIT, *names))
+    yield f"{prefix}.summary", result.summary()
+    if result.next_image is not None:
+        names = ("sentence", "cam_from_world", "sigma_now", "sigma_then")
+        yield from fields(f"{prefix}.next_image", result.next_image, names)
+
+
+def rig_of_shots(prefix: str, result: Any) -> Values:
+    """A rig from many shots."""
+    names = ("gauge", "world", "shots", "world_from_board", "reference_from_board", "failures")
+    names += ("place_shifts_mm", "sigma_factor", "reduced_chi_square", "refused", "systematics")
+    yield from fields(prefix, result, (*FIT, *names, "notes"))
+    yield f"{prefix}.summary", result.summary()
+    yield f"{prefix}.residuals_px", np.concatenate(result.residuals_px)
+    yield f"{prefix}.used", np.concatenate([view.used for view in result.views])
+    if result.halves is not None:
+        names = ("ratio", "worst", "worst_ratio", "parameters")
+        yield from fields(f"{prefix}.halves", result.halves, names)
+    if result.cross_validation is not None:
+        yield from fields(f"{prefix}.held_out", result.cross_validation, ("own_px", "across_px"))
+    if result.rig is not None:
+        yield from rig(f"{prefix}.rig", result.rig)
+
+
+def refinement(prefix: str, result: Any) -> Values:
+    """Cameras and lines together."""
+    names = ("inlier", "distance_sigma", "rank", "gauge", "segment_sigma_factor", "history")
+    names += ("sheet_sigma_factor", "sheet_chi_square", "chi_square", "log_posterior")
+    yield from fields(prefix, result, (*FIT, *names))
+    yield f"{prefix}.ends_mm", result.lines.ends_mm
+    yield f"{prefix}.summary", result.summary()
+    yield from rig(f"{prefix}.rig", result.rig)
+
+
+def check(prefix: str, result: Any) -> Values:
+    """Whether a camera was knocked."""
+    yield from fields(prefix, result, ("moved", "conclusive"))
+    yield f"{prefix}.summary", result.summary()
+    for motion in result.motions:
+        names = ("sigmas", "parameters", "change", "sigma")
+        yield from fields(f"{prefix}.{motion.name}", motion, names)
+    if result.refined is not None:
+        yield from refinement(f"{prefix}.refined", result.refined)
+
+
+def segments(prefix: str, found: Any) -> Values:
+    """Segments of one picture."""
+    yield from fields(prefix, found, SEGMENTS)
+
+
+def matches(prefix: str, found: Any) -> Values:
+    """Tracks of one scene."""
+    yield from fields(prefix, found, MATCHES)
+    for view, words in found.reasons.items():
+        yield f"{prefix}.reasons.{view}", words
