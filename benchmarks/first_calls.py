@@ -260,21 +260,21 @@ def measure(name: str, folder: Path) -> dict[str, float]:
     return {**figures, "warm": statistics.median(warm)}
 
 
-def in_a_process(checkout: Path, name: str, inputs: Path, cache: str) -> dict[str, float]:
-    """The figures of one call with a checkout, in a fresh process."""
+def in_a_process(checkout: Path, cache: str, *arguments: str) -> str:
+    """What this file prints with a checkout, in a fresh process."""
     environment = os.environ | {
         "PYTHONPATH": str(checkout),
         "TRINOC_COMPILE_CACHE": cache,
         "OMP_NUM_THREADS": "1",
         "OPENBLAS_NUM_THREADS": "1",
     }
-    command = [sys.executable, __file__, "--measure", name, "--inputs", str(inputs)]
+    command = [sys.executable, __file__, *arguments]
     done = subprocess.run(
         command, env=environment, cwd=checkout, capture_output=True, text=True, check=False
     )
     if done.returncode:
-        raise SystemExit(f"{name} fails in {checkout}:\n{done.stderr[-3000:]}")
-    return json.loads(done.stdout.splitlines()[-1])
+        raise SystemExit(f"{' '.join(arguments)} fails in {checkout}:\n{done.stderr[-3000:]}")
+    return done.stdout
 
 
 def rounds(options: argparse.Namespace, checkouts: list[Path], folder: Path) -> None:
@@ -291,7 +291,8 @@ def rounds(options: argparse.Namespace, checkouts: list[Path], folder: Path) -> 
                 for number, checkout in enumerate(checkouts):
                     cache = folder / f"cache_{name}_{run}_{number}"
                     place = "off" if state == "off" else str(cache)
-                    own = in_a_process(checkout, name, folder, place)
+                    said = in_a_process(checkout, place, "--measure", name, "--inputs", str(folder))
+                    own = json.loads(said.splitlines()[-1])
                     found.setdefault((state, number), []).append(own)
         for state in options.states:
             medians = [
@@ -325,10 +326,14 @@ def main() -> None:
     if options.measure:
         print(json.dumps(measure(options.measure, options.inputs)))
         return
+    if options.inputs:
+        make_inputs(options.inputs)
+        return
     checkouts = [options.checkout.resolve()]
     checkouts += [options.against.resolve()] if options.against else []
     with tempfile.TemporaryDirectory() as folder:
-        make_inputs(Path(folder))
+        # Not here: a process inherits the memory peak of the one that starts it.
+        in_a_process(checkouts[0], os.environ.get("TRINOC_COMPILE_CACHE", ""), "--inputs", folder)
         print(
             f"{', against '.join(map(str, checkouts))}; processor seconds (start, first, warm), "
             "seconds (trace, compile), MiB (peak)"
