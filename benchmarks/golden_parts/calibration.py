@@ -96,9 +96,13 @@ def calibrate_pictures() -> Values:
 def calibrate_delivered() -> Values:
     """Pictures as cameras deliver them, which the extended model fits."""
     yield from _conditions(
-        *("sRGB", "motion 3 px", "raw RGGB, told", "vignette and broad glare", "JPEG 90"),
-        *("overexposed", "16 bit"),
+        *("sRGB", "motion 3 px", "raw RGGB, told", "JPEG 90"),
     )
+
+
+def calibrate_lit() -> Values:
+    """Pictures under light that is not even, or too much, and of more than eight bits."""
+    yield from _conditions("vignette and broad glare", "overexposed", "16 bit")
 
 
 def calibrate_suspect() -> Values:

@@ -45,10 +45,9 @@ def refine() -> Values:
     two = {view: demo_segments()[view] for view in ("upper", "left")}
     pairs = trinoc.match_segments(two, calibrated.rig)
     yield from attempt("two views", partial(trinoc.refine, calibrated, pairs), records.refinement)
-    yield from _made()
 
 
-def _made() -> Values:
+def refine_made() -> Values:
     """A knocked camera without a sheet, and five views."""
     scene = see_through_boxes(900_002, count=12)
     segments, _ = simulate_segments(scene, table1_rig(), Detector(), seed=8)
