@@ -48,7 +48,7 @@ def refine() -> Values:
 
 
 def refine_made() -> Values:
-    """A knocked camera without a sheet, and five views."""
+    """A knocked camera without a sheet, five views, and two cameras."""
     scene = see_through_boxes(900_002, count=12)
     segments, _ = simulate_segments(scene, table1_rig(), Detector(), seed=8)
     rig = knocked_rig()
@@ -59,6 +59,11 @@ def refine_made() -> Values:
     segments, _ = simulate_segments(scene, five, Detector(), seed=9)
     call = partial(trinoc.refine, five, trinoc.match_segments(segments, five))
     yield from attempt("five views", call, records.refinement)
+    two = {view: demo_images("sheet")[view] for view in ("upper", "left")}
+    sheet = trinoc.calibrate(two, demo_pattern(), table1_lens(), method="circles")
+    pairs = trinoc.match_segments({view: demo_segments()[view] for view in two}, sheet.rig)
+    call = partial(trinoc.refine, sheet, pairs)
+    yield from attempt("two cameras", call, records.refinement)
 
 
 def rig_check() -> Values:
