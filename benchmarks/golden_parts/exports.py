@@ -54,6 +54,7 @@ def _values() -> Values:
     yield "matches", matches
     yield "wireframe", trinoc.wireframe(matches, table1_rig())
     yield "cylinders", trinoc.find_cylinders(matches, segments, table1_rig())
+    yield "rims", trinoc.find_rims(matches, segments, table1_rig())
 
 
 def _written(name: str, kind: str, format_: Any, value: Any) -> Values:
@@ -89,6 +90,8 @@ def _own_file(name: str, value: Any, path: Path) -> Values:
 def _content(file: Path, folder: str) -> str:
     """The text of a file without the day and place of its writing; of other bytes their digest."""
     data = file.read_bytes()
+    if file.suffix == ".mat":
+        data = data[128:]  # the header holds the day
     try:
         text = data.decode()
     except UnicodeDecodeError:
