@@ -31,8 +31,8 @@ MAY_IMPORT["cli"] = {*MAY_IMPORT["serving"], "serving", "batch"}
 # itself put them together and stand above all.
 INNER_FLOORS = {
     "calib": (
-        *("targets", "detection", "model", "result", "pose", "photometric", "intrinsics"),
-        *("uncertainty", "shots", "adjustment", "bundle", "rig_check"),
+        *("targets", "detection", "model", "result", "problem", "pose", "photometric"),
+        *("intrinsics", "uncertainty", "shots", "adjustment", "bundle", "rig_check"),
     ),
     "match": (
         *("tuning", "observations", "two_view", "evidence", "candidates", "selection"),

@@ -1,0 +1,6 @@
+from .solver import (
+    AbstractArrowProblem as AbstractArrowProblem,
+    ArrowEquations as ArrowEquations,
+    Solution as Solution,
+    solve as solve,
+)
