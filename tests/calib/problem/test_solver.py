@@ -8,7 +8,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 from scipy.optimize import least_squares
 
-from trinoc.calib.problem import AbstractArrowProblem, ArrowEquations, solve
+from trinoc.calib.problem.solver import AbstractArrowProblem, ArrowEquations, solve
 from trinoc.numerics import BlockArrow, GemanMcClure
 
 COUNT, ROWS = 6, 5

@@ -1,7 +1,7 @@
 """One calibration problem: variables on manifolds, factors that observe them, one solver.
 
-`solve` minimises whatever has a cost, Gauss-Newton equations that form a block arrow, and steps."""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+`variables` are lenses, cameras, boards and how these were made, with their priors (`sheet` bends a
+board); `views` are what was seen of them; `places` are the factor that all fits share;
+`equations` sums them up, `solver` minimises. `problem` holds all this, `starting_problem` begins
+it, `robust_fit` ends it without what is wrong. `information` says what it determines,
+`named_covariance` in the terms that people use, `score_test` what else the views ask for."""

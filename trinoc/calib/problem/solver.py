@@ -140,3 +140,10 @@ class _ArrowDescent(optx.AbstractMinimiser[Any, None, _Progress]):
     ) -> tuple[Any, None, dict[str, Any]]:
         """The state as it is, with its cost among the statistics."""
         return y, aux, {"cost": state.cost}
+
+
+def gauss_newton_gain(equations: ArrowEquations) -> Float[Array, ""]:
+    """What an undamped step takes off the cost, to first order in the residuals."""
+    solver = BlockArrowSolver(FLOOR_DAMPING)
+    solved = lx.linear_solve(equations.information, equations.gradient, solver, throw=False).value
+    return sum(jnp.sum(g * s) for g, s in zip(equations.gradient, solved, strict=True))
