@@ -90,5 +90,5 @@ def _of_shots(state: RigState, chart: Chart, table: ViewTable) -> tuple[Array, .
         of_head + jnp.einsum("sph,sp->sh", follow, of_board),
         follow,
         inverse,
-        prior_of(state, chart).information,
+        jnp.asarray(prior_of(state, chart).information),
     )

@@ -98,7 +98,11 @@ def predict_places(
     """
     after = here if step is None else here.retract(chart, step)
     sheet = chart.sheet_model
-    predicted = jax.vmap(lambda *place: after.project(*place, sheet, board))(place_mm, aside_mm)
+
+    def image(place: ArrayLike, aside: ArrayLike) -> ArrayLike:
+        return after.project(place, aside, sheet, board)
+
+    predicted = jnp.asarray(jax.vmap(image)(place_mm, aside_mm))
     if not chart.has_circles:
         return predicted
     still, flat_mm = jax.lax.stop_gradient((here, aside_mm))

@@ -146,4 +146,5 @@ def gauss_newton_gain(equations: ArrowEquations) -> Float[Array, ""]:
     """What an undamped step takes off the cost, to first order in the residuals."""
     solver = BlockArrowSolver(FLOOR_DAMPING)
     solved = lx.linear_solve(equations.information, equations.gradient, solver, throw=False).value
-    return sum(jnp.sum(g * s) for g, s in zip(equations.gradient, solved, strict=True))
+    (head, blocks), (of_head, of_blocks) = solved, equations.gradient
+    return of_head @ head + jnp.sum(of_blocks * blocks)

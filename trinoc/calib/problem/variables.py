@@ -185,9 +185,9 @@ class Prior(NamedTuple):
     """What was known beforehand: chi-square, half its gradient and half its Hessian by the steps
     of the head."""
 
-    cost: Float[Array, ""]
-    gradient: Float[Array, "h"]
-    information: Float[Array, "h h"]
+    cost: Float[ArrayLike, ""]
+    gradient: Float[ArrayLike, "h"]
+    information: Float[ArrayLike, "h h"]
 
 
 def prior_of(state: RigState, chart: Chart) -> Prior:
