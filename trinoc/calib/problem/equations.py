@@ -45,14 +45,16 @@ class PlacesProblem(AbstractArrowProblem):
         size, heads = columns.shape[1], self.chart.free.shape[0]
         shots, shot = state.rig_from_board.shape[0], self.table.shot
         prior = prior_of(state, self.chart)
-        head = prior.information.at[columns[:, :, None], columns[:, None, :]].add(
-            own[:, :size, :size]
+        head = (
+            jnp.asarray(prior.information)
+            .at[columns[:, :, None], columns[:, None, :]]
+            .add(own[:, :size, :size])
         )
         coupling = jnp.zeros((shots, heads, POSE_SIZE), own.dtype)
         coupling = coupling.at[shot[:, None], columns].add(own[:, :size, size:])
         blocks = jnp.zeros((shots, POSE_SIZE, POSE_SIZE), own.dtype)
         blocks = blocks.at[shot].add(own[:, size:, size:])
-        of_head = prior.gradient.at[columns].add(gradient[:, :size])
+        of_head = jnp.asarray(prior.gradient).at[columns].add(gradient[:, :size])
         of_boards = jnp.zeros((shots, POSE_SIZE), own.dtype).at[shot].add(gradient[:, size:])
         return ArrowEquations(BlockArrow(head, coupling, blocks), (of_head, of_boards))
 
