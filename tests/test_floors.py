@@ -31,7 +31,7 @@ MAY_IMPORT["cli"] = {*MAY_IMPORT["serving"], "serving", "batch"}
 # itself put them together and stand above all.
 INNER_FLOORS = {
     "calib": (
-        *("targets", "detection", "model", "result", "pose", "uncertainty", "problem"),
+        *("targets", "detection", "model", "result", "uncertainty", "problem"),
         *("photometric", "intrinsics", "shots", "adjustment", "bundle", "rig_check"),
     ),
     "match": (

@@ -39,7 +39,7 @@ class PlacesProblem(AbstractArrowProblem):
 
         def of_view(view: ViewTable, loss: AbstractRobustLoss) -> tuple[Array, Array, Array]:
             near = linearise(state, self.chart, view)
-            return near.columns, *near.weighted(loss)
+            return near.columns, *near.weighted(self.chart, loss)
 
         columns, own, gradient = jax.vmap(of_view)(self.table, self.loss)
         size, heads = columns.shape[1], self.chart.free.shape[0]

@@ -66,7 +66,7 @@ def _of_shots(state: RigState, chart: Chart, table: ViewTable) -> tuple[Array, .
 
     def of_view(view: ViewTable) -> tuple[Array, Array, Array]:
         near = linearise(state, chart, view)
-        return near.columns, *near.weighted(plain)
+        return near.columns, *near.weighted(chart, plain)
 
     columns, own, gradient = jax.vmap(of_view)(table)
     size, shots, heads = columns.shape[1], state.rig_from_board.shape[0], chart.free.shape[0]
@@ -92,3 +92,36 @@ def _of_shots(state: RigState, chart: Chart, table: ViewTable) -> tuple[Array, .
         inverse,
         jnp.asarray(prior_of(state, chart).information),
     )
+
+
+class WhitenedViews(NamedTuple):
+    """All views at a state, by every step of the head, those that are held too.
+
+    Fields
+    ------
+    jacobian : (v, 2n, h) of the whitened residuals.
+    residual : (v, 2n) predicted minus observed, in sigmas.
+    """
+
+    jacobian: Float[np.ndarray, "v m h"]
+    residual: Float[np.ndarray, "v m"]
+
+
+def whitened_views(problem: Problem) -> WhitenedViews:
+    """Residuals of each view and their derivatives; dense, for problems of few views."""
+    columns, jacobian, residual = (
+        np.asarray(part)[: len(problem.views)]
+        for part in _whitened_views(problem.state, problem.chart, problem.table)
+    )
+    dense = np.zeros((*jacobian.shape[:2], len(problem.chart.free)))
+    for k, own in enumerate(columns):
+        dense[k][:, own] = jacobian[k]
+    return WhitenedViews(dense, residual)
+
+
+@eqx.filter_jit
+def _whitened_views(state: RigState, chart: Chart, table: ViewTable) -> tuple[Array, Array, Array]:
+    near = jax.vmap(lambda view: linearise(state, chart, view))(table)
+    views, places, _, columns = near.jacobian.shape
+    jacobian = near.jacobian.reshape(views, 2 * places, columns)[..., :-POSE_SIZE]
+    return near.columns, jacobian, near.residual.reshape(views, 2 * places)

@@ -10,7 +10,7 @@ from trinoc.calib.problem.sheet import AbstractSheet
 from trinoc.calib.problem.variables import POSE_SIZE, Chart, RigState, head_columns, step_motion
 from trinoc.calib.problem.views import ViewTable
 from trinoc.geometry import AbstractLens, AbstractSplined, Pose
-from trinoc.numerics import AbstractRobustLoss, ArrayLike
+from trinoc.numerics import AbstractRobustLoss, ArrayLike, ScalarLike
 
 # A circle's edge is smooth: so many points of it tell its image's centre to rounding.
 _EDGE_POINTS = 16
@@ -67,7 +67,7 @@ class BoardView(eqx.Module):
 
 
 def board_view(
-    state: RigState, chart: Chart, camera: ArrayLike, shot: ArrayLike, board: ArrayLike
+    state: RigState, chart: Chart, camera: ScalarLike, shot: ScalarLike, board: ScalarLike
 ) -> BoardView:
     """What a camera looks at in a shot."""
     return BoardView(
@@ -157,7 +157,7 @@ class Linearised(eqx.Module):
     Fields
     ------
     columns : (k,) of the head by whose steps, and those of the shot's board, they change.
-    jacobian : (n, 2, k + 6) by these steps, lastly the board's.
+    jacobian : (n, 2, k + 6) by these steps, lastly the board's, whether they are free or not.
     residual : (n, 2) predicted minus observed.
     """
 
@@ -165,12 +165,17 @@ class Linearised(eqx.Module):
     jacobian: Float[Array, "n 2 k"]
     residual: Float[Array, "n 2"]
 
-    def weighted(self, loss: AbstractRobustLoss) -> tuple[Float[Array, "k k"], Float[Array, "k"]]:
-        """J^T W J and J^T W r, W the loss's weight of each place."""
+    def weighted(
+        self, chart: Chart, loss: AbstractRobustLoss
+    ) -> tuple[Float[Array, "k k"], Float[Array, "k"]]:
+        """J^T W J and J^T W r by the free steps, W the loss's weight of each place."""
+        boards = jnp.full(POSE_SIZE, chart.boards_free)
+        free = jnp.concatenate([jnp.asarray(chart.free)[self.columns], boards])
+        jacobian = free[None, None] * self.jacobian
         weight = loss.weight(jnp.sum(jnp.square(self.residual), axis=-1))
-        scaled = weight[:, None, None] * self.jacobian
+        scaled = weight[:, None, None] * jacobian
         return (
-            jnp.einsum("nik,nil->kl", scaled, self.jacobian),
+            jnp.einsum("nik,nil->kl", scaled, jacobian),
             jnp.einsum("nik,ni->k", scaled, self.residual),
         )
 
@@ -204,8 +209,7 @@ def linearise(state: RigState, chart: Chart, view: ViewTable) -> Linearised:
     by_shape = by_shape.reshape(*residual.shape, 3 * places)
     columns = head_columns(chart, view.camera, view.board)
     by_head = jnp.concatenate([by_lens, by_rest, by_shape], axis=-1)
-    by_head = chart.free[columns][None, None] * by_head
-    every = [by_head, chart.boards_free * by_board, residual[..., None]]
+    every = [by_head, by_board, residual[..., None]]
     standard = _whiten(view.whitening, jnp.concatenate(every, axis=-1))
     return Linearised(columns, standard[..., :-1], standard[..., -1])
 

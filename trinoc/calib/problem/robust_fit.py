@@ -10,7 +10,7 @@ from trinoc.calib.model import ANNEALING, SheetPoints, inliers, robust_scale
 from trinoc.calib.problem.equations import PlacesProblem
 from trinoc.calib.problem.places import residuals_px, whitened_residuals
 from trinoc.calib.problem.problem import Problem
-from trinoc.calib.problem.solver import solve
+from trinoc.calib.problem.solver import FIRST_DAMPING, solve
 from trinoc.numerics import GemanMcClure, as_numpy
 
 # A picture of which fewer places than this share agree with the rig shows the board elsewhere.
@@ -69,11 +69,20 @@ def refitted(fit: RobustFit, problem: Problem) -> RobustFit:
     return RobustFit(problem, converged, fit.moved, chi_square, freedom(problem))
 
 
-def fitted(problem: Problem, outlier_scale: float = np.inf) -> tuple[Problem, bool]:
-    """The problem where the fit ends, and whether it converged."""
+def fitted(
+    problem: Problem,
+    outlier_scale: float | Float[np.ndarray, "_v"] = np.inf,
+    first_damping: float = FIRST_DAMPING,
+) -> tuple[Problem, bool]:
+    """The problem where the fit ends, and whether it converged.
+
+    outlier_scale : in sigmas, at which the influence of places is bounded: of all, or of each view.
+    """
     table = problem.table
-    loss = GemanMcClure.from_scale(np.full(len(table.shot), outlier_scale))
-    end = as_numpy(solve(PlacesProblem(problem.chart, table, loss), problem.state))
+    scale = np.full(len(table.shot), np.inf)
+    scale[: len(problem.views)] = outlier_scale
+    observed = PlacesProblem(problem.chart, table, GemanMcClure.from_scale(scale))
+    end = as_numpy(solve(observed, problem.state, np.asarray(first_damping)))
     return problem._replace(state=end.state), bool(end.converged)
 
 

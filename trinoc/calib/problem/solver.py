@@ -16,7 +16,7 @@ import lineax as lx
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
-from trinoc.numerics import BlockArrow, BlockArrowSolver
+from trinoc.numerics import BlockArrow, BlockArrowSolver, ScalarLike
 
 State = TypeVar("State")
 
@@ -68,15 +68,23 @@ class Solution(eqx.Module, Generic[State]):
 
 
 @eqx.filter_jit
-def solve(problem: AbstractArrowProblem[State], state: State) -> Solution[State]:
+def solve(
+    problem: AbstractArrowProblem[State],
+    state: State,
+    first_damping: ScalarLike = FIRST_DAMPING,
+) -> Solution[State]:
     """The state of least cost near a start.
+
+    first_damping : of the first step, over the diagonal of the equations. With `LEAST_DAMPING` it
+    is Gauss and Newton's, for a start so near that it gains: directions that are known a million
+    times less well than others move at once.
 
     Directions that nothing determines keep their start. Differentiating it raises: a state has
     more numbers than freedoms.
     """
     solution = optx.minimise(
         lambda state, problem: problem.cost(state),
-        _ArrowDescent(),
+        _ArrowDescent(first_damping=jnp.asarray(first_damping)),
         jax.tree.map(jnp.asarray, state),
         problem,
         max_steps=MOST_STEPS,
@@ -101,13 +109,14 @@ class _Progress(eqx.Module):
 class _ArrowDescent(optx.AbstractMinimiser[Any, None, _Progress]):
     """Tries a damped step from where it stands, and takes it where that gains."""
 
+    first_damping: Float[Array, ""]
     rtol: float = 0.0  # not used: a chi-square has a scale of its own
     atol: float = CONVERGED_GAIN
     norm: Callable[[PyTree], Float[Array, ""]] = eqx.field(default=optx.max_norm, static=True)
 
     def init(self, fn, y, args, options, f_struct, aux_struct, tags) -> _Progress:
         """Nothing tried yet."""
-        return _Progress(fn(y, args)[0], jnp.asarray(FIRST_DAMPING), jnp.asarray(False))
+        return _Progress(fn(y, args)[0], self.first_damping, jnp.asarray(False))
 
     def step(self, fn, y, args, options, state, tags) -> tuple[Any, _Progress, None]:
         """Try one step."""
