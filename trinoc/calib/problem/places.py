@@ -1,5 +1,7 @@
 """Predicted minus observed places of the board in one view: the factor that all fits share."""
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -10,7 +12,7 @@ from trinoc.calib.problem.sheet import AbstractSheet
 from trinoc.calib.problem.variables import POSE_SIZE, Chart, RigState, head_columns, step_motion
 from trinoc.calib.problem.views import ViewTable
 from trinoc.geometry import AbstractLens, AbstractSplined, Pose
-from trinoc.numerics import AbstractRobustLoss, ArrayLike, ScalarLike
+from trinoc.numerics import AbstractRobustLoss, ArrayLike
 
 # A circle's edge is smooth: so many points of it tell its image's centre to rounding.
 _EDGE_POINTS = 16
@@ -66,10 +68,8 @@ class BoardView(eqx.Module):
         return self.lens.project_ray(Pose(self.cam_from_rig).transform(point))
 
 
-def board_view(
-    state: RigState, chart: Chart, camera: ScalarLike, shot: ScalarLike, board: ScalarLike
-) -> BoardView:
-    """What a camera looks at in a shot."""
+def board_view(state: RigState, chart: Chart, camera: Any, shot: Any, board: Any) -> BoardView:
+    """What a camera looks at in a shot; all three are numbers, or traced ones."""
     return BoardView(
         jax.tree.map(lambda leaf: leaf[chart.lens_of_camera[camera]], state.lenses),
         state.cam_from_rig[camera],
