@@ -31,14 +31,13 @@ from trinoc.calib import (
     calibrate_detections,
     detect_pattern,
 )
+from trinoc.calib.adjustment.each_camera import fit_camera
 from trinoc.calib.from_detections import Search, calibration_of_search
-from trinoc.calib.model import circle_observations, stack_observations, whitened_residuals
 from trinoc.calib.photometric import refine_image, refine_views
-from trinoc.calib.pose import fit_views, pose_of_values
-from trinoc.calib.pose.least_squares import fit_images_from_lines
+from trinoc.calib.result.degrees import pose_of_values
 from trinoc.calib.rig_fit import Knowledge
 from trinoc.errors import DetectionError
-from trinoc.geometry import Camera, PoseModel, stack_lenses
+from trinoc.geometry import Camera, PoseModel, image_of_circle_centre
 from trinoc.synth import render_sheet, table1_lens
 
 LENS, NOISE = table1_lens(), 2.0
@@ -121,20 +120,23 @@ def by_pycolmap(centres: np.ndarray) -> np.ndarray | None:
 
 
 def by_scipy(detection: Detection, start: np.ndarray) -> np.ndarray:
-    circles, lens = circle_observations(detection, SHEET, 32), LENS.lens
     pose = pose_of_values(np.append(start, [0.0, 0.0]))
-    residual = _scipy_residual
+    sigma_px = np.sqrt(np.einsum("nii->ni", detection.covariance_px2))
+    index = detection.circle_index
+    circles = SHEET.centres_mm[index], SHEET.radius_mm[index], detection.centres_px, sigma_px
     answer = least_squares(
-        lambda step: np.asarray(residual(pose, lens, circles, step)), np.zeros(4)
+        lambda step: np.asarray(_scipy_residual(pose, circles, step)).ravel(), np.zeros(4)
     )
     end = pose.retract(answer.x, PoseModel.AIMED, pose.distance_mm)
     return values_of(np.asarray(end.rotation), np.asarray(end.translation_mm))
 
 
 @jax.jit
-def _scipy_residual(pose, lens, circles, step):
-    end = pose.retract(step, PoseModel.AIMED, pose.distance_mm)
-    return whitened_residuals(end, lens, circles).reshape(-1)
+def _scipy_residual(pose, circles, step):
+    end = Camera(LENS, pose.retract(step, PoseModel.AIMED, pose.distance_mm))
+    centres_mm, radius_mm, seen_px, sigma_px = circles
+    predicted = jax.vmap(image_of_circle_centre, (None, 0, 0))(end, centres_mm, radius_mm)
+    return (predicted - seen_px) / sigma_px
 
 
 def labelled(detection: Detection, true_px: np.ndarray) -> Detection:
@@ -229,21 +231,13 @@ def milliseconds(call: Callable[[], object], repeats: int = 60) -> float:
 def report_times(picture: np.ndarray, truth: np.ndarray, true_px: np.ndarray) -> None:
     detection = labelled(detect_pattern(picture, SHEET), true_px)
     centres, grey = detection.centres_px, picture.astype(np.float32)
-    one = stack_observations([circle_observations(detection, SHEET, 32)])
-    many = jax.tree.map(lambda leaf: np.repeat(leaf, 1000, axis=0), one)
-    lens, lenses = stack_lenses([LENS.lens]), stack_lenses([LENS.lens] * 1000)
     start, aimed = pose_of_values(np.append(truth + 0.01, [0, 0])), PoseModel.AIMED
     greys, starts = dict.fromkeys("abc", grey), dict.fromkeys("abc", start)
     three_lenses = dict.fromkeys("abc", LENS.lens)
     calls: dict[str, tuple[Callable[[], object], int]] = {
         "cv2.solvePnP": (lambda: by_solve_pnp_alone(centres), 1),
         "scipy least_squares": (lambda: by_scipy(detection, truth + 0.05), 1),
-        "circle fit, compiled": (lambda: fit_images_from_lines(lens, one, model=aimed), 1),
-        "circle fit, judged": (lambda: fit_views([detection], SHEET, [LENS], aimed), 1),
-        "circle fit, of 1000": (
-            lambda: fit_images_from_lines(lenses, many, model=aimed),
-            1000,
-        ),
+        "circle fit": (lambda: fit_camera(detection, SHEET, LENS, aimed), 1),
         "detect_pattern": (lambda: detect_pattern(picture, SHEET), 1),
         "refinement": (lambda: refine_image(grey, SHEET, LENS.lens, start, aimed), 1),
         "refinement, three": (

@@ -20,7 +20,6 @@ from .model.camera import (
     camera_state as camera_state,
     stacked_states as stacked_states,
 )
-from .pose.least_squares import fit_circles as fit_circles
 from .result.calibration import CalibrationResult as CalibrationResult, CameraFit as CameraFit
 from .result.status import Status as Status
 from .rig_check.comparison import compare_rigs as compare_rigs
@@ -57,7 +56,5 @@ from .uncertainty.propagation import (
     epipolar_sigma as epipolar_sigma,
     point_covariance as point_covariance,
 )
-from .uncertainty.systematics import (
-    Systematics as Systematics,
-    with_systematics as with_systematics,
-)
+from .uncertainty.systematics import Systematics as Systematics
+from .with_systematics import with_systematics as with_systematics

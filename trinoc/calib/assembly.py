@@ -2,12 +2,12 @@
 
 from collections.abc import Mapping, Sequence
 
-import jax
 import numpy as np
 from jaxtyping import Float
 from scipy.linalg import block_diag
 
-from trinoc.calib.adjustment import Adjustment, alternatives, residuals_px
+from trinoc.calib.adjustment.estimate import Adjustment
+from trinoc.calib.adjustment.model_tests import alternatives
 from trinoc.calib.messages import (
     LARGEST_STRAIN,
     is_suspect,
@@ -16,16 +16,15 @@ from trinoc.calib.messages import (
     notes_of_priors,
     notes_of_sheet,
 )
-from trinoc.calib.model import bucket_size
-from trinoc.calib.pose import DEGREES
+from trinoc.calib.problem.robust_fit import errors_px
 from trinoc.calib.result import CalibrationResult, CameraFit, Status
+from trinoc.calib.result.degrees import DEGREES, values_of_parameters
 from trinoc.calib.rig_fit import Knowledge, RigFit
 from trinoc.geometry import (
     AFFINE_PARAMETERS,
     PARAMETER_NAMES,
     Camera,
     Intrinsics,
-    Pose,
     Rig,
     simplified,
 )
@@ -54,12 +53,12 @@ def result_of_fits(
         keys += own_keys
         blocks.append(block)
         for k, camera in enumerate(fit.cameras):
-            name = camera.sheet.name
+            name = camera.camera.name
             cameras[name] = _camera(fit, k)
             said[name], suspect = _camera_fit(fit, k, known, seen[k])
             if suspect:
                 judged[name] = Status.SUSPECT
-            values.append(DEGREES[: len(reported)] * fit.adjustment.parameters[k, : len(reported)])
+            values.append(values_of_parameters(fit.adjustment.parameters(k))[: len(reported)])
             told += [f"{name}.{parameter}" for parameter in reported]
     covariance = np.asarray(block_diag(*blocks))
     rows = [keys.index(key) for key in told]
@@ -79,8 +78,7 @@ def result_of_fits(
 
 def _observability(adjustment: Adjustment, view: int) -> Observability:
     """Of one camera's pose, all else being as uncertain as it is."""
-    size = adjustment.parameters.shape[1]
-    distance = adjustment.parameters[view, 3]
+    size, distance = adjustment.model.size, adjustment.distance_mm(view)
     largest = LARGEST_SIGMA * DEGREES * np.array([1, 1, 1, *np.full(3, distance)])
     root = adjustment.pose_root(view)
     return observability_of_root(root, _by_step(adjustment, view), largest[:size])
@@ -88,8 +86,7 @@ def _observability(adjustment: Adjustment, view: int) -> Observability:
 
 def _by_step(adjustment: Adjustment, view: int) -> Float[np.ndarray, "p p"]:
     """Named parameters in degrees and mm by a step of one camera's pose."""
-    size = adjustment.parameters.shape[1]
-    return DEGREES[:size, None] * np.asarray(adjustment.adjusted.d_parameters_d_pose[view])
+    return DEGREES[: adjustment.model.size, None] * adjustment.parameters_by_step(view)
 
 
 def _named_covariance(
@@ -99,19 +96,18 @@ def _named_covariance(
     uncertain; NaN for parameters that are not determined."""
     adjustment = fit.adjustment
     names, blocks, unknown = [], [], []
-    for k, camera in enumerate(fit.cameras):
-        rows = adjustment.rows(k)
-        by_pose = np.zeros((rows.stop - rows.start, len(adjustment.covariance)))
+    for k, choice in enumerate(fit.cameras):
+        camera, rows = choice.camera, adjustment.rows(k)
+        by_pose = np.zeros((len(rows), len(adjustment.covariance)))
         by_pose[:, rows] = _by_step(adjustment, k)
         unknown += [len(names) + row for row in seen[k].gauge]
-        names += [f"{camera.sheet.name}.{key}" for key in PARAMETER_NAMES[: len(by_pose)]]
+        names += [f"{camera.name}.{key}" for key in PARAMETER_NAMES[: len(by_pose)]]
         blocks.append(by_pose)
-        if camera.sheet.lens_factor is not None:
+        if camera.lens_factor is not None:
             by_lens = np.zeros((len(AFFINE_PARAMETERS), len(adjustment.covariance)))
-            factor = camera.sheet.lens_factor[: len(AFFINE_PARAMETERS)]
-            start = adjustment.lens_row(k)
-            by_lens[: len(factor), start : start + factor.shape[1]] = factor
-            names += [f"{camera.sheet.name}.{key}" for key in AFFINE_PARAMETERS]
+            factor = camera.lens_factor[: len(AFFINE_PARAMETERS)]
+            by_lens[: len(factor), adjustment.lens_rows(k)] = factor
+            names += [f"{camera.name}.{key}" for key in AFFINE_PARAMETERS]
             blocks.append(by_lens)
     by_unknowns = np.concatenate(blocks)
     covariance = by_unknowns @ adjustment.covariance @ by_unknowns.T
@@ -123,12 +119,10 @@ def _named_covariance(
 
 
 def _camera(fit: RigFit, view: int) -> Camera:
-    sheet, found = fit.cameras[view].sheet, fit.adjustment.adjusted
-    pose: Pose = jax.tree.map(lambda leaf: np.asarray(leaf[view]), found.pose)
-    if sheet.lens_factor is None:
-        return Camera(sheet.lens, pose)
-    lens = simplified(jax.tree.map(lambda leaf: np.asarray(leaf[view]), found.lens))
-    said = sheet.lens
+    camera, pose = fit.cameras[view].camera, fit.adjustment.pose(view)
+    if camera.lens_factor is None:
+        return Camera(camera.lens, pose)
+    lens, said = simplified(fit.adjustment.lens(view)), camera.lens
     return Camera(Intrinsics.of_lens(lens, said.image_size_px, said.pixel_pitch_mm), pose)
 
 
@@ -136,41 +130,33 @@ def _camera_fit(
     fit: RigFit, view: int, known: Knowledge, seen: Observability
 ) -> tuple[CameraFit, bool]:
     """What is said of one camera, and whether it is suspect."""
-    camera, of_circles = fit.cameras[view], fit.of_circles
+    choice, of_circles = fit.cameras[view], fit.of_circles
     used = of_circles.used[view]
-    source = fit.adjustment if camera.method == "picture" else of_circles
+    source = fit.adjustment if choice.method == "picture" else of_circles
     tests = alternatives(
         source,
         view,
         source.freedom[view],
-        lens_is_free=camera.sheet.lens_factor is not None,
+        lens_is_free=choice.camera.lens_factor is not None,
         aim_is_held=known.aim_is_held,
     )
     reduced = float(of_circles.reduced_chi_square[view])
     gauge = tuple(PARAMETER_NAMES[k] for k in seen.gauge)
-    strain = lens_strain(fit.adjustment, view, camera)
-    notes = notes_of_camera(camera, known.pattern, used, tests, reduced, gauge)
+    strain = lens_strain(fit.adjustment, view, choice)
+    notes = notes_of_camera(choice, known.pattern, used, tests, reduced, gauge)
+    by_answer = of_circles.problem._replace(state=fit.adjustment.problem.state)
+    picture = choice.picture if choice.method == "picture" else None
     result = CameraFit(
-        detection=camera.sheet.detection,
-        residuals_px=_circle_residuals_px(fit, view),
+        detection=choice.camera.detection,
+        residuals_px=errors_px(by_answer)[view],
         rank=seen.rank,
         reduced_chi_square=reduced,
         gauge=gauge,
         notes=(*notes_of_priors(fit.adjustment, view, known, strain), *notes),
         used=used,
-        image=camera.picture.quality if camera.picture and camera.method == "picture" else None,
+        image=picture.quality if picture is not None else None,
         alternatives=tuple(tests),
-        method=camera.method,
+        method=choice.method,
     )
     scatter = float(source.reduced_chi_square[view])
     return result, is_suspect(tests, scatter) or strain > LARGEST_STRAIN
-
-
-def _circle_residuals_px(fit: RigFit, view: int) -> Float[np.ndarray, "m 2"]:
-    """Predicted minus observed centres, by the answer."""
-    found, points = fit.adjustment.adjusted, fit.cameras[view].points
-    pose, lens = jax.tree.map(lambda leaf: leaf[view], (found.pose, found.lens))
-    count = len(points.place_mm)
-    padded = points.padded(bucket_size(count))
-    reach = fit.adjustment.reach_mm
-    return np.asarray(residuals_px(pose, lens, found.shape, padded, reach))[:count]

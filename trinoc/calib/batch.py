@@ -6,10 +6,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from trinoc.calib.adjustment.each_camera import fit_cameras
 from trinoc.calib.detection import Detection, Orientation, oriented
 from trinoc.calib.from_detections import Search, lens_of_each, outcome_of_search
 from trinoc.calib.messages import failure_sentence
-from trinoc.calib.pose import fit_views
 from trinoc.calib.result import Status
 from trinoc.calib.rig_fit import Knowledge
 from trinoc.calib.targets import Pattern
@@ -128,7 +128,7 @@ def _fit_circles(
     places = [
         (k, name) for k, frame in enumerate(frames) for name in frame if name not in settled[k][1]
     ]
-    fits = fit_views(
+    fits = fit_cameras(
         [frames[k][name] for k, name in places],
         known.pattern,
         [lenses[name] for _, name in places],

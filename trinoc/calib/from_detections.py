@@ -6,12 +6,14 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from trinoc.calib.adjustment.each_camera import PoseEstimate
 from trinoc.calib.assembly import result_of_fits
 from trinoc.calib.detection import Detection, Orientation, oriented
 from trinoc.calib.messages import failure_sentence
-from trinoc.calib.pose import PoseEstimate
+from trinoc.calib.problem.sheet_problem import SheetCamera
 from trinoc.calib.result import CalibrationResult, CameraFit, Status
-from trinoc.calib.rig_fit import FoundSheet, Knowledge, fit_rig, fitted_circles
+from trinoc.calib.result.degrees import pose_of_values
+from trinoc.calib.rig_fit import Knowledge, fit_circles, fit_rig
 from trinoc.calib.targets import Pattern
 from trinoc.calib.uncertainty import Systematics
 from trinoc.errors import CalibrationError, InputError
@@ -103,38 +105,34 @@ def outcome_of_search(
     """Fit the cameras whose sheet was found, and say of each what became of it."""
     factors = known.systematics.lens_factors(lenses)
     detections, ambiguous = oriented(search.detections, known.pattern, orientation)
-    sheets = [
-        FoundSheet(name, detections[name], lenses[name], factors.get(name), search.images.get(name))
-        for name in search.names
-        if name in detections and name not in ambiguous
-    ]
-    circles = fitted_circles(sheets, known)
     status = dict.fromkeys(search.names, Status.NOT_DETECTED)
     failures = {**search.failures, **ambiguous}
-    good, others = [], {}
-    for sheet, fit in zip(sheets, circles, strict=True):
-        status[sheet.name] = fit.status
-        sentence = failure_sentence(fit, sheet.detection, known.fitted_model, sheet.lens_factor)
+    cameras, others = [], {}
+    for name in search.names:
+        if name not in detections or name in ambiguous:
+            continue
+        detection, lens, factor = detections[name], lenses[name], factors.get(name)
+        fit = fit_circles(detection, lens, known)
+        status[name] = fit.status
+        sentence = failure_sentence(fit, detection, known.fitted_model, factor)
         if sentence is None:
-            good.append((sheet, fit))
+            pose, image = pose_of_values(fit.values), search.images.get(name)
+            cameras.append(SheetCamera(name, detection, lens, factor, pose, image))
         else:
-            failures[sheet.name] = sentence
-            others[sheet.name] = _failed(sheet, fit)
+            failures[name] = sentence
+            others[name] = _failed(detection, fit)
     status |= dict.fromkeys(ambiguous, Status.AMBIGUOUS)
     result = None
-    if good:
-        fits = [
-            fit_rig([sheet for sheet, _ in group], [fit for _, fit in group], known)
-            for group in known.systematics.groups(good)
-        ]
+    if cameras:
+        fits = [fit_rig(group, known) for group in known.systematics.groups(cameras)]
         result = result_of_fits(fits, known, status, failures, others)
     return Outcome(status, failures, result)
 
 
-def _failed(sheet: FoundSheet, fit: PoseEstimate) -> CameraFit:
+def _failed(detection: Detection, fit: PoseEstimate) -> CameraFit:
     """What is known of a camera whose circles give no pose."""
     return CameraFit(
-        detection=sheet.detection,
+        detection=detection,
         residuals_px=fit.residuals_px,
         rank=fit.rank,
         reduced_chi_square=fit.reduced_chi_square,

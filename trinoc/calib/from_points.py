@@ -9,8 +9,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from trinoc.calib.pose import DEGREES, PointFit, fit_points, image_shifts
+from trinoc.calib.detection import Detection
+from trinoc.calib.problem.information import whitened_views
+from trinoc.calib.problem.problem import Problem, lens_number
+from trinoc.calib.problem.robust_fit import errors_px, fitted
+from trinoc.calib.problem.sheet_problem import SheetCamera, sheet_problem
 from trinoc.calib.result import Status
+from trinoc.calib.result.degrees import DEGREES
+from trinoc.calib.targets import AbstractTarget
 from trinoc.calib.uncertainty import Systematics
 from trinoc.errors import CalibrationError, InputError
 from trinoc.geometry import (
@@ -108,53 +114,98 @@ def calibrate_points(
         camera = _linear_camera(points, seen, image_size_px)
     else:
         camera = Camera(lens, _first_pose(points, seen, lens))
-    start = promoted(camera.intrinsics.lens)
-    chosen = np.array([name in names for name in start.parameter_names], dtype=np.float64)
-    directions = np.diag(chosen * start.parameter_scales(camera.image_size_px))
-    used = np.ones(len(points), dtype=bool)
-    pose = camera.pose.aimed() if model is PoseModel.AIMED else camera.pose
-    for _ in range(_CUTS):
-        fit = fit_points(pose, start, directions, points, seen, used, model)
-        if not fit.converged:
-            raise CalibrationError(
-                f"The fit to {int(used.sum())} points did not converge: check that the places, "
-                "the pixels and the lens belong together."
-            )
-        far = np.linalg.norm(fit.residuals_px, axis=1)
-        # The median of a Rayleigh distribution is 1.18 sigma.
-        kept = far <= _OUTLIER_SIGMAS * np.median(far[used]) / 1.18 + 1e-9
-        if np.array_equal(kept, used):
-            break
-        used = kept
+    problem = _without_outliers(_problem_of_points(camera, points, seen, names, model))
     known = systematics or Systematics.typical({_CAMERA: camera.intrinsics} if lens else {})
     factor = known.lens_factors({_CAMERA: camera.intrinsics}).get(_CAMERA, np.zeros((0, 0)))
-    held = np.zeros((len(start.parameter_names), factor.shape[1]))
+    held = np.zeros((problem.chart.lens_shape[1], factor.shape[1]))
     held[: len(factor)] = factor
-    held *= (1 - chosen)[:, None]
-    by_lens = np.asarray(image_shifts(fit.pose, fit.lens, held, points))
-    return _judged(fit, used, names, model, camera.intrinsics, directions, by_lens)
+    held[[name in names for name in problem.state.lenses.parameter_names]] = 0.0
+    return _result(problem, names, model, camera.intrinsics, held)
 
 
-def _judged(
-    fit: PointFit,
-    used: Bool[np.ndarray, "n"],
+class _Points(AbstractTarget):
+    """Places anywhere in space, under a name that nobody sees.
+
+    Fields
+    ------
+    centres_mm : (n, 3).
+    """
+
+    name: str = eqx.field(static=True)
+    centres_mm: Float[np.ndarray, "n 3"]
+    radius_mm: Float[np.ndarray, "n"]
+
+
+def _problem_of_points(
+    camera: Camera,
+    points_mm: Float[np.ndarray, "n 3"],
+    uv_px: Float[np.ndarray, "n 2"],
+    names: tuple[str, ...],
+    model: PoseModel,
+) -> Problem:
+    """One camera that sees the points, each to a pixel; the lens's `names` are free."""
+    count = len(points_mm)
+    unit = np.broadcast_to(np.eye(2), (count, 2, 2))
+    no_lines = np.full((2, 3), np.nan)
+    seen = Detection(np.arange(count), uv_px, unit, unit, no_lines, camera.image_size_px)
+    pose = camera.pose.aimed() if model is PoseModel.AIMED else camera.pose
+    target = _Points("points", points_mm, np.zeros(count))
+    one = SheetCamera(_CAMERA, seen, camera.intrinsics, None, pose)
+    problem = sheet_problem([one], target, Systematics(), model, aim_sigma_mm=0.0)
+    free = np.array(problem.chart.free)
+    free[: problem.chart.lens_shape[1]] = [
+        name in names for name in problem.state.lenses.parameter_names
+    ]
+    return problem._replace(chart=eqx.tree_at(lambda c: c.free, problem.chart, free))
+
+
+def _without_outliers(problem: Problem) -> Problem:
+    """The problem where its fit ends, without points that are not those that they are said to be.
+
+    Raises CalibrationError where it does not.
+    """
+    (view,) = problem.views
+    for _ in range(_CUTS):
+        problem, converged = fitted(problem._replace(views=(view,)))
+        pose = Pose(np.asarray(problem.state.cam_from_rig)[0])
+        in_front = (problem.target.centres_mm @ pose.rotation[2] + pose.translation_mm[2]) > 0
+        if not (converged and in_front[view.used].all()):
+            raise CalibrationError(
+                f"The fit to {int(view.used.sum())} points did not converge: check that the "
+                "places, the pixels and the lens belong together."
+            )
+        far = np.linalg.norm(errors_px(problem)[0], axis=1)
+        # The median of a Rayleigh distribution is 1.18 sigma.
+        kept = far <= _OUTLIER_SIGMAS * np.median(far[view.used]) / 1.18 + 1e-9
+        if np.array_equal(kept, view.used):
+            break
+        view = view._replace(used=kept)
+    return problem
+
+
+def _result(
+    problem: Problem,
     names: tuple[str, ...],
     model: PoseModel,
     lens: Intrinsics,
-    directions: Float[np.ndarray, "q q"],
-    by_lens: Float[np.ndarray, "n 2 r"],
+    held: Float[np.ndarray, "q r"],
 ) -> PointsCalibration:
-    """by_lens : shift of the images, in px, for a sigma of each error of the lens that is held."""
-    rows = [fit.lens.parameter_names.index(name) for name in names]
-    columns = [*range(model.size), *(model.size + row for row in rows)]
+    """held : change of the lens's parameters for a sigma of each error that is not fitted."""
+    (view,), chart = problem.views, problem.chart
+    used = view.used
+    every = whitened_views(problem).jacobian[0][: 2 * len(used)][np.repeat(used, 2)]
+    scale, pose_rows = np.asarray(chart.lens_scale)[0], chart.camera_rows(0)
+    rows = [problem.state.lenses.parameter_names.index(name) for name in names]
+    columns = [*range(pose_rows.start, pose_rows.start + model.size), *rows]
     parameters = (*model.parameter_names, *names)
-    jacobian = fit.jacobian.reshape(-1, fit.jacobian.shape[2])[np.repeat(used, 2)][:, columns]
+    jacobian = every[:, columns]
+    residuals_px = errors_px(problem)[0]
     freedom = len(jacobian) - len(columns)
     if freedom < 0:
         raise CalibrationError(
             f"{int(used.sum())} points do not determine {len(columns)} parameters: give more."
         )
-    chi = float(np.sum(fit.residuals_px[used] ** 2))
+    chi = float(np.sum(residuals_px[used] ** 2))
     noise = float(np.sqrt(chi / freedom)) if freedom else float("nan")
     values, vectors = np.linalg.eigh(jacobian.T @ jacobian)
     sigma = (noise if freedom else 1.0) / np.sqrt(np.maximum(values, 1e-300))
@@ -167,18 +218,21 @@ def _judged(
             "across the picture, or hold more of the lens."
         )
     by_step = np.zeros((len(columns), len(columns)))
-    by_step[: model.size, : model.size] = DEGREES[: model.size, None] * fit.d_parameters_d_delta
-    by_step[model.size :, model.size :] = np.diag(np.diag(directions)[rows])
+    pose = Pose(np.asarray(problem.state.cam_from_rig)[0])
+    by_pose = np.asarray(pose.d_parameters_d_delta(model, chart.unit_mm, pose))
+    by_step[: model.size, : model.size] = DEGREES[: model.size, None] * by_pose
+    by_step[model.size :, model.size :] = np.diag(scale[rows])
     inverse = (vectors / values) @ vectors.T
-    by_error = inverse @ jacobian.T @ by_lens[used].reshape(len(jacobian), by_lens.shape[2])
+    by_error = inverse @ jacobian.T @ every[:, : len(scale)] @ (held / scale[:, None])
     covariance = by_step @ (noise**2 * inverse + by_error @ by_error.T) @ by_step.T
-    fitted = Intrinsics.of_lens(simplified(fit.lens), lens.image_size_px, lens.pixel_pitch_mm)
+    found = simplified(lens_number(problem, 0))
+    intrinsics = Intrinsics.of_lens(found, lens.image_size_px, lens.pixel_pitch_mm)
     return PointsCalibration(
-        camera=Camera(fitted if names else lens, fit.pose),
+        camera=Camera(intrinsics if names else lens, pose),
         status=Status.CONVERGED,
         parameters=parameters,
         covariance=covariance,
-        residuals_px=fit.residuals_px,
+        residuals_px=residuals_px,
         used=used,
         noise_px=noise,
     )

@@ -5,11 +5,12 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool, Float
 
-from trinoc.calib.adjustment import HEIGHT_TERMS, PRINT_TERMS, Adjustment
+from trinoc.calib.adjustment.each_camera import PoseEstimate
+from trinoc.calib.adjustment.estimate import Adjustment
 from trinoc.calib.detection import Detection
-from trinoc.calib.pose import PoseEstimate
+from trinoc.calib.problem.sheet import BentPaper
 from trinoc.calib.result import Alternative, Status
-from trinoc.calib.rig_fit import LEAST_PROBABILITY, CameraFitting, Knowledge
+from trinoc.calib.rig_fit import LEAST_PROBABILITY, CameraChoice, Knowledge
 from trinoc.calib.targets import Pattern
 from trinoc.calib.uncertainty import Systematics
 from trinoc.geometry import PoseModel
@@ -73,12 +74,11 @@ def is_suspect(tests: Sequence[Alternative], reduced_chi_square: float) -> bool:
     return bool(tests and tests[0].found) and reduced_chi_square > _LARGE_CHI_SQUARE
 
 
-def lens_strain(adjustment: Adjustment, view: int, camera: CameraFitting) -> float:
+def lens_strain(adjustment: Adjustment, view: int, choice: CameraChoice) -> float:
     """By how many of its own sigmas a lens is another than it was said to be, at the most."""
-    if camera.sheet.lens_factor is None:
+    if choice.camera.lens_factor is None:
         return 0.0
-    own = np.asarray(adjustment.adjusted.unknowns.lens)[adjustment.lens_index[view]]
-    return float(np.abs(own).max())
+    return float(np.abs(adjustment.lens_steps(view)).max())
 
 
 def notes_of_priors(
@@ -93,9 +93,8 @@ def notes_of_priors(
         )
     if known.aim_sigma_mm:
         step = adjustment.rows(view)
-        distance = adjustment.parameters[view, 3]
-        aim = adjustment.parameters[view, 4:6]
-        covariance = adjustment.covariance[step, step][4:6, 4:6] * distance**2
+        aim, unit_mm = adjustment.parameters(view)[4:6], float(adjustment.problem.chart.unit_mm)
+        covariance = adjustment.covariance[np.ix_(step, step)][4:6, 4:6] * unit_mm**2
         if aim @ np.linalg.solve(covariance, aim) > _LARGEST_AIM_CHI_SQUARE:
             sigma = np.sqrt(np.diag(covariance))
             notes.append(
@@ -108,16 +107,18 @@ def notes_of_priors(
 def notes_of_sheet(adjustment: Adjustment, systematics: Systematics) -> tuple[str, ...]:
     """What the pictures say against what was said of the sheet."""
     notes = []
-    shape = dict(zip((*PRINT_TERMS, *HEIGHT_TERMS), adjustment.adjusted.shape, strict=True))
-    strain = dict(zip(shape, np.abs(adjustment.adjusted.unknowns.shape), strict=True))
-    height = max((float(abs(shape[term])) for term in HEIGHT_TERMS), default=0.0)
-    if max(strain[term] for term in HEIGHT_TERMS) > LARGEST_STRAIN:
+    state, chart = adjustment.problem.state, adjustment.problem.chart
+    shape = dict(zip(BentPaper.names, np.asarray(state.sheet), strict=True))
+    strain = dict(zip(shape, np.abs(state.sheet) / chart.sheet_scale, strict=True))
+    heights, prints = BentPaper.height_terms, BentPaper.print_terms
+    height = max(float(abs(shape[term])) for term in heights)
+    if max(strain[term] for term in heights) > LARGEST_STRAIN:
         notes.append(
             f"The sheet bends by {height:.1f} mm, where {systematics.flatness_mm:.2g} mm was "
             "expected: lay it flat, or say so with flatness_mm."
         )
-    if max(strain[term] for term in PRINT_TERMS[1:]) > LARGEST_STRAIN:
-        longer = 100 * float(shape[PRINT_TERMS[1]] - shape[PRINT_TERMS[2]])
+    if max(strain[term] for term in prints[1:]) > LARGEST_STRAIN:
+        longer = 100 * float(shape[prints[1]] - shape[prints[2]])
         notes.append(
             f"The print is {abs(longer):.2f} % longer along {'X' if longer > 0 else 'Y'} than "
             "along the other axis: measure its two bars, and give the print scale."
@@ -126,7 +127,7 @@ def notes_of_sheet(adjustment: Adjustment, systematics: Systematics) -> tuple[st
 
 
 def notes_of_camera(
-    camera: CameraFitting,
+    choice: CameraChoice,
     pattern: Pattern,
     used: Bool[np.ndarray, "m"],
     tests: Sequence[Alternative],
@@ -138,19 +139,19 @@ def notes_of_camera(
     used : circles that took part. tests : of the places that were used. reduced_chi_square : of
         the circles.
     """
-    detection, picture = camera.sheet.detection, camera.picture
+    detection, picture = choice.camera.detection, choice.picture
     notes = []
     if tests and tests[0].found:
         notes.append(tests[0].sentence)
     if picture is not None and picture.note is not None:
         notes.append(f"{picture.note} Its circles alone were used.")
-    elif picture is not None and camera.method == "circles":
+    elif picture is not None and choice.method == "circles":
         notes.append(
             "the grey levels disagree with the circles' centres more than noise can explain: the "
             "picture is processed, uneven or covered in a way that the model does not know. Its "
             "circles alone were used."
         )
-    elif camera.agreement < LEAST_PROBABILITY:
+    elif choice.agreement < LEAST_PROBABILITY:
         notes.append(
             "the circles' centres disagree with the grey levels and with each other, which uneven "
             "light does. The grey levels were used."
@@ -179,14 +180,14 @@ def notes_of_camera(
             f"the picture departs from the model by {quality.noise:.1f} grey levels, where its "
             f"own noise is {quality.noise_floor:.1f}; its sigmas are those of the larger."
         )
-    if camera.method == "circles" and reduced_chi_square > _LARGE_CHI_SQUARE:
+    if choice.method == "circles" and reduced_chi_square > _LARGE_CHI_SQUARE:
         notes.append(
             f"the circles scatter {np.sqrt(reduced_chi_square):.1f} times as much as their "
             "own sigmas say; the parameters' sigmas are enlarged by that factor."
         )
-    if camera.scatter > 1.0:
+    if choice.scatter > 1.0:
         notes.append(
-            f"parts of the sheet disagree {camera.scatter:.1f} times as much as their circles' "
+            f"parts of the sheet disagree {choice.scatter:.1f} times as much as their circles' "
             "sigmas say; the parameters' sigmas are enlarged by that factor."
         )
     return tuple(notes)

@@ -4,26 +4,19 @@ from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 
-from trinoc.calib.adjustment import (
-    Adjustment,
-    SheetView,
-    adjusted_views,
-    apparent_shift,
-    points_as_adjusted,
-    points_before_flat_sheet,
-    probability_of_agreement,
-    scatter_of_blocks,
-)
+from trinoc.calib.adjustment.agreement import probability_of_agreement
+from trinoc.calib.adjustment.each_camera import PoseEstimate, fit_camera
+from trinoc.calib.adjustment.estimate import Adjustment, adjust_cameras
+from trinoc.calib.adjustment.jackknife import scatter_of_blocks
 from trinoc.calib.detection import Detection
-from trinoc.calib.model import SheetPoints
 from trinoc.calib.photometric import Encoding, PictureFit, ShiftOfPlaces, refine_views
-from trinoc.calib.pose import PoseEstimate, fit_views, pose_of_values
+from trinoc.calib.problem.apparent_shift import apparent_shift
+from trinoc.calib.problem.sheet_problem import SheetCamera
 from trinoc.calib.result import Status
 from trinoc.calib.targets import Pattern
 from trinoc.calib.uncertainty import Systematics
-from trinoc.geometry import Intrinsics, Pose, PoseModel
+from trinoc.geometry import Intrinsics, PoseModel
 
 # Both answers of a picture differ by more than this allows in one of a hundred right pictures,
 # which pays with a third of its sigmas.
@@ -32,30 +25,10 @@ LEAST_PROBABILITY = 1e-2
 _LEAST_SHIFT_PX = 0.02
 # Blocks of right circles scatter by a half more than they claim once in hundreds of pictures.
 _LARGEST_SCATTER = 1.5
-
 # Ink that spreads less moves the centres of circles by less than they are known to.
 _LEAST_SPREAD_MM = 0.01
 
 Method = Literal["picture", "circles"]
-
-
-class FoundSheet(NamedTuple):
-    """One camera's picture of the sheet, before any fit.
-
-    Fields
-    ------
-    name : of the camera.
-    detection : the circles and lines that were found.
-    lens : as the user says it.
-    lens_factor : (k, r) of its covariance; None for a lens that is exact.
-    image : (h, w) grey levels; None where the circles alone count.
-    """
-
-    name: str
-    detection: Detection
-    lens: Intrinsics
-    lens_factor: Float[np.ndarray, "_k _r"] | None
-    image: Float[np.ndarray, "_h _w"] | None
 
 
 class Knowledge(NamedTuple):
@@ -89,22 +62,26 @@ class Knowledge(NamedTuple):
         """Of the prior on the aim; 0 for none."""
         return self.systematics.aim_sigma_mm if self.model is PoseModel.AIMED else 0.0
 
+    def adjust(self, cameras: Sequence[SheetCamera], near: Adjustment | None = None) -> Adjustment:
+        """The cameras fitted together under what is known."""
+        return adjust_cameras(
+            cameras, self.pattern, self.systematics, self.fitted_model, self.aim_sigma_mm, near
+        )
 
-class CameraFitting(NamedTuple):
-    """How one camera came to its answer.
+
+class CameraChoice(NamedTuple):
+    """Whose answer one camera takes, and why.
 
     Fields
     ------
-    sheet : what was found.
-    points : the circles.
-    picture : what its grey levels say; None where they were not asked.
+    camera : what was found in its picture.
+    picture : what its grey levels say; None where they were not looked at.
     method : whose answer it is.
     agreement : probability that both answers differ as they do; NaN where there is one.
     scatter : by how much its circles' blocks scatter beyond their noise.
     """
 
-    sheet: FoundSheet
-    points: SheetPoints
+    camera: SheetCamera
     picture: PictureFit | None
     method: Method
     agreement: float
@@ -114,157 +91,100 @@ class CameraFitting(NamedTuple):
 class RigFit(NamedTuple):
     """All cameras: how each came to its answer, the answer, and that of the circles alone."""
 
-    cameras: list[CameraFitting]
+    cameras: list[CameraChoice]
     adjustment: Adjustment
     of_circles: Adjustment
 
 
-def fitted_circles(sheets: Sequence[FoundSheet], known: Knowledge) -> list[PoseEstimate]:
-    """Each camera from its circles alone; with its aim held where that is all they determine."""
-    detections, lenses = [sheet.detection for sheet in sheets], [sheet.lens for sheet in sheets]
-    fits = fit_views(detections, known.pattern, lenses, known.fitted_model)
-    if known.model is PoseModel.AIM_FREE or known.aim_is_held:
-        return fits
-    weak = [k for k, fit in enumerate(fits) if fit.status is not Status.CONVERGED]
-    chosen = [detections[k] for k in weak], known.pattern, [lenses[k] for k in weak]
-    for k, fit in zip(weak, fit_views(*chosen, known.model), strict=True):
-        fits[k] = fit
-    return fits
+def fit_circles(detection: Detection, lens: Intrinsics, known: Knowledge) -> PoseEstimate:
+    """One camera from its circles; with its aim held where that is all they determine."""
+    fit = fit_camera(detection, known.pattern, lens, known.fitted_model)
+    if fit.status is Status.CONVERGED or known.model is known.fitted_model:
+        return fit
+    return fit_camera(detection, known.pattern, lens, known.model)
 
 
-def fit_rig(
-    sheets: Sequence[FoundSheet], circles: Sequence[PoseEstimate], known: Knowledge
-) -> RigFit:
+def fit_rig(cameras: Sequence[SheetCamera], known: Knowledge) -> RigFit:
     """All cameras adjusted together, each by its picture where that agrees with its circles.
 
-    circles : a converged fit of each.
+    cameras : at poses that their circles determine.
     """
-    starts = [pose_of_values(fit.values) for fit in circles]
-    by_circles, of_circles = _fitted_by_circles(sheets, starts, known)
-    pictures = _pictures(sheets, starts, [view.points for view in by_circles], of_circles, known)
+    of_circles = known.adjust(cameras)
+    pictures = _fit_pictures(cameras, of_circles, known)
     spreads_mm = [
         picture.quality.ink_spread_mm if picture and picture.quality else 0.0
         for picture in pictures
     ]
-    if max(abs(spread) for spread in spreads_mm) > _LEAST_SPREAD_MM:
+    if max(map(abs, spreads_mm)) > _LEAST_SPREAD_MM:
         # Larger circles are seen with their centres further aside.
-        by_circles = _corrected(by_circles, sheets, of_circles, known, spreads_mm)
-        of_circles = _adjusted(by_circles, known, of_circles)
-    by_picture = [
-        _seen_by_picture(view, picture) for view, picture in zip(by_circles, pictures, strict=True)
-    ]
-    asked = [view is not None for view in by_picture]
-    either = [old if new is None else new for new, old in zip(by_picture, by_circles, strict=True)]
-    of_pictures = _adjusted(either, known, of_circles) if any(asked) else of_circles
-    cameras = [
-        _judged(k, sheet, by_circles[k].points, pictures[k], asked[k], of_circles, of_pictures)
-        for k, sheet in enumerate(sheets)
-    ]
-    final = of_pictures if any(one.method == "picture" for one in cameras) else of_circles
-    # Some cameras by their pictures and some not, or circles that know less than they say.
-    if len({one.method for one in cameras}) > 1 or max(one.scatter for one in cameras) > 1.0:
-        views = [
-            either[k] if one.method == "picture" else _scattered(by_circles[k], one.scatter)
-            for k, one in enumerate(cameras)
-        ]
-        final = _adjusted(views, known, of_circles)
-    return RigFit(cameras, final, of_circles)
-
-
-def _fitted_by_circles(
-    sheets: Sequence[FoundSheet], starts: Sequence[Pose], known: Knowledge
-) -> tuple[list[SheetView], Adjustment]:
-    """The circles' centres, and all cameras adjusted by them."""
-    views = [
-        SheetView(
-            points_before_flat_sheet(sheet.detection, known.pattern, start, sheet.lens.lens),
-            start,
-            sheet.lens.lens,
-            sheet.lens_factor,
-            has_outliers=True,
-        )
-        for start, sheet in zip(starts, sheets, strict=True)
-    ]
-    adjustment = _adjusted(views, known)
-    if known.systematics.are_none:
-        return views, adjustment
-    views = _corrected(views, sheets, adjustment, known, [0.0] * len(sheets))
-    return views, _adjusted(views, known, adjustment)
-
-
-def _seen_by_picture(view: SheetView, picture: PictureFit | None) -> SheetView | None:
-    """The view with the places that its grey levels show; None where they show none."""
-    if picture is None or picture.points is None:
-        return None
+        pairs = zip(cameras, spreads_mm, strict=True)
+        cameras = [camera._replace(ink_spread_mm=spread) for camera, spread in pairs]
+        of_circles = known.adjust(cameras, of_circles)
     # What its own pixels left out is no place that may be wrong.
-    return view._replace(points=picture.points, has_outliers=False)
+    either = [
+        camera if picture is None else camera._replace(shown=picture.points)
+        for camera, picture in zip(cameras, pictures, strict=True)
+    ]
+    is_shown = any(camera.shown is not None for camera in either)
+    of_pictures = known.adjust(either, of_circles) if is_shown else of_circles
+    choices = [
+        _choose(k, camera, picture, of_circles, of_pictures)
+        for k, (camera, picture) in enumerate(zip(either, pictures, strict=True))
+    ]
+    final = of_pictures if any(one.method == "picture" for one in choices) else of_circles
+    # Some cameras by their pictures and some not, or circles that know less than they say.
+    if len({one.method for one in choices}) > 1 or max(one.scatter for one in choices) > 1.0:
+        views = [
+            one.camera if one.method == "picture" else _scattered(camera, one.scatter)
+            for one, camera in zip(choices, cameras, strict=True)
+        ]
+        final = known.adjust(views, of_circles)
+    return RigFit(choices, final, of_circles)
 
 
-def _judged(
+def _choose(
     view: int,
-    sheet: FoundSheet,
-    points: SheetPoints,
+    camera: SheetCamera,
     picture: PictureFit | None,
-    asked: bool,
     of_circles: Adjustment,
     of_pictures: Adjustment,
-) -> CameraFitting:
-    """Whose answer one camera takes."""
-    agreement = (
-        probability_of_agreement(of_circles, of_pictures, points, view) if asked else float("nan")
-    )
-    if asked and (
-        agreement >= LEAST_PROBABILITY or _circles_are_wrong(of_circles, of_pictures, view)
-    ):
-        return CameraFitting(sheet, points, picture, "picture", agreement, 1.0)
-    scatter = _scatter(of_circles, points, view, refuted=asked)
-    return CameraFitting(sheet, points, picture, "circles", agreement, scatter)
+) -> CameraChoice:
+    is_shown = camera.shown is not None
+    agreement = float("nan")
+    if is_shown:
+        agreement = probability_of_agreement(of_circles, of_pictures, view)
+        if agreement >= LEAST_PROBABILITY or _circles_are_wrong(of_circles, of_pictures, view):
+            return CameraChoice(camera, picture, "picture", agreement, 1.0)
+    # By all that blocks say where the model is wrong.
+    scatter = scatter_of_blocks(of_circles, view)
+    scatter = scatter if is_shown or scatter > _LARGEST_SCATTER else 1.0
+    return CameraChoice(camera, picture, "circles", agreement, scatter)
 
 
-def _corrected(
-    views: Sequence[SheetView],
-    sheets: Sequence[FoundSheet],
-    of_circles: Adjustment,
-    known: Knowledge,
-    spreads_mm: Sequence[float],
-) -> list[SheetView]:
-    """The views with their circles' centres as the adjustment and the ink's spread have them."""
-    return [
-        view._replace(
-            points=points_as_adjusted(sheet.detection, known.pattern, of_circles, k, spread)
-        )
-        for k, (view, sheet, spread) in enumerate(zip(views, sheets, spreads_mm, strict=True))
-    ]
-
-
-def _adjusted(
-    views: Sequence[SheetView], known: Knowledge, near: Adjustment | None = None
-) -> Adjustment:
-    model, aim_sigma_mm = known.fitted_model, known.aim_sigma_mm
-    return adjusted_views(views, known.systematics, model, aim_sigma_mm, near)
-
-
-def _pictures(
-    sheets: Sequence[FoundSheet],
-    starts: Sequence[Pose],
-    points: Sequence[SheetPoints],
-    of_circles: Adjustment,
-    known: Knowledge,
+def _fit_pictures(
+    cameras: Sequence[SheetCamera], of_circles: Adjustment, known: Knowledge
 ) -> list[PictureFit | None]:
     """The fit of each picture that is there, around what the circles show of bend and lens."""
-    images, poses, lenses = {}, {}, {}
+    looked_at = {
+        camera.name: (k, camera) for k, camera in enumerate(cameras) if camera.image is not None
+    }
     shifts: dict[str, ShiftOfPlaces] = {}
-    for k, sheet in enumerate(sheets):
-        if sheet.image is None:
-            continue
-        images[sheet.name], poses[sheet.name] = sheet.image, starts[k]
-        lenses[sheet.name] = sheet.lens.lens
-        shift = apparent_shift(of_circles, k, starts[k], sheet.lens.lens)
-        if np.abs(shift(points[k].place_mm)).max() > _LEAST_SHIFT_PX:
-            shifts[sheet.name] = shift
-    model = known.fitted_model
-    found = refine_views(images, poses, known.pattern, lenses, model, shifts, known.encoding)
-    return [found.get(sheet.name) for sheet in sheets]
+    for name, (k, camera) in looked_at.items():
+        view = of_circles.problem.views[k]
+        shift = apparent_shift(of_circles.problem, view, camera.pose, camera.lens.lens)
+        places_mm = known.pattern.centres_mm[camera.detection.circle_index]
+        if np.abs(shift(places_mm)).max() > _LEAST_SHIFT_PX:
+            shifts[name] = shift
+    found = refine_views(
+        {name: camera.image for name, (_, camera) in looked_at.items() if camera.image is not None},
+        {name: camera.pose for name, (_, camera) in looked_at.items()},
+        known.pattern,
+        {name: camera.lens.lens for name, (_, camera) in looked_at.items()},
+        known.fitted_model,
+        shifts,
+        known.encoding,
+    )
+    return [found.get(camera.name) for camera in cameras]
 
 
 def _circles_are_wrong(of_circles: Adjustment, of_pictures: Adjustment, view: int) -> bool:
@@ -272,12 +192,6 @@ def _circles_are_wrong(of_circles: Adjustment, of_pictures: Adjustment, view: in
     return bool(of_circles.enlarged[view] > _LARGEST_SCATTER and of_pictures.enlarged[view] == 1.0)
 
 
-def _scatter(of_circles: Adjustment, points: SheetPoints, view: int, *, refuted: bool) -> float:
-    """How much the circles' sigmas must grow; by all that blocks say where the model is wrong."""
-    scatter = scatter_of_blocks(of_circles, points.place_mm, view)
-    return scatter if refuted or scatter > _LARGEST_SCATTER else 1.0
-
-
-def _scattered(view: SheetView, scatter: float) -> SheetView:
-    whitening = view.points.whitening / scatter
-    return view._replace(points=view.points._replace(whitening=whitening))
+def _scattered(camera: SheetCamera, scatter: float) -> SheetCamera:
+    """The camera by its circles, whose sigmas are `scatter` times as large."""
+    return camera._replace(detection=camera.detection.with_larger_sigmas(scatter))

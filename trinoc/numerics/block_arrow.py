@@ -72,6 +72,12 @@ class BlockArrow(lx.AbstractLinearOperator):
         blocks = jax.vmap(block_columns)(jnp.eye(width, dtype=dtype))
         return cls(head, jnp.swapaxes(coupling, 0, 1), jnp.moveaxis(blocks, 0, 2))
 
+    def with_damped_blocks(self, damping: ScalarLike | Float[ArrayLike, "k"]) -> "BlockArrow":
+        """The arrow with the diagonals of its blocks enlarged by a share, of all or of each."""
+        count, width, _ = self.blocks.shape
+        factor = 1 + jnp.broadcast_to(damping, (count,))[:, None, None] * jnp.eye(width)[None]
+        return BlockArrow(self.head, self.coupling, self.blocks * factor)
+
     def mv(self, vector: Unknowns) -> Unknowns:
         """The arrow times a vector."""
         head, blocks = vector
@@ -150,20 +156,22 @@ class FactoredArrow(NamedTuple):
 
 
 class BlockArrowSolver(lx.AbstractLinearSolver[FactoredArrow]):
-    """Solves arrows by eliminating their blocks.
+    """Solves arrows by eliminating their blocks, damped as Levenberg and Marquardt do.
 
     Fields
     ------
-    damping : added to the diagonal of the reduced matrix after that was scaled to ones, as
-        Levenberg and Marquardt do: the head moves less where little is left to determine it.
+    damping : added to the diagonal of the reduced matrix after that was scaled to ones: the head
+        moves less where little is left to determine it.
+    block_damping : by which share the diagonals of the blocks grow, of all or of each.
     """
 
     damping: ScalarLike = 0.0
+    block_damping: ScalarLike | Float[ArrayLike, "k"] = 0.0
 
     def init(self, operator: lx.AbstractLinearOperator, options: dict[str, Any]) -> FactoredArrow:
         """Read the arrow, eliminate its blocks, and factor what is left."""
         arrow = operator if isinstance(operator, BlockArrow) else BlockArrow.of_operator(operator)
-        elimination = eliminate(arrow)
+        elimination = eliminate(arrow.with_damped_blocks(self.block_damping))
         # The floor serves directions of which nothing is known.
         scale = jnp.sqrt(jnp.maximum(jnp.diag(elimination.reduced), 1e-300))
         scaled = elimination.reduced / scale[:, None] / scale[None, :]

@@ -2,20 +2,20 @@
 
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from tests.calib.simulated import LENS, TABLE_1, reference_sheet
-from trinoc.calib.adjustment import HEIGHT_TERMS, PRINT_TERMS, SheetView, point_of_place
-from trinoc.calib.adjustment.sheet_shape import shape_sigmas
-from trinoc.calib.model import SheetPoints
+from trinoc.calib import Detection
+from trinoc.calib.problem.robust_fit import errors_px
+from trinoc.calib.problem.sheet import BentPaper
+from trinoc.calib.problem.sheet_problem import SheetCamera, sheet_problem
 from trinoc.calib.uncertainty import Systematics, data_sheet_covariance
-from trinoc.geometry import AbstractLens, Pose, project_point, promoted
-from trinoc.numerics import ArrayLike
+from trinoc.geometry import Pose, PoseModel, promoted
 
 SHEET = reference_sheet()
-REACH_MM = float(np.hypot(*SHEET.centres_mm.T).max())
 SIGMA_PX = 0.01
 # A lens that its data sheet describes ten times better than most.
 LENS_FACTOR = 0.1 * np.linalg.cholesky(data_sheet_covariance(LENS) + 1e-12 * np.eye(5))
@@ -25,7 +25,7 @@ TYPICAL = Systematics.typical({})
 class MadeViews(NamedTuple):
     """What the adjustment is given, and the truth."""
 
-    views: list[SheetView]
+    cameras: list[SheetCamera]
     poses: list[Pose]
 
 
@@ -39,10 +39,9 @@ def made_views(
 ) -> MadeViews:
     """Everything that `known` leaves open drawn from its prior, and noise on every circle."""
     random = np.random.default_rng([4, seed])
-    terms = len(PRINT_TERMS) + len(HEIGHT_TERMS)
-    sigma = shape_sigmas(known.print_size_sigma, known.print_scale_sigma, known.flatness_mm)
-    shape = sigma * random.normal(size=terms)
-    views, poses = [], []
+    sigma = BentPaper.sigmas(known.print_size_sigma, known.print_scale_sigma, known.flatness_mm)
+    shape = sigma * random.normal(size=len(sigma))
+    made, poses = [], []
     for name in cameras:
         values = np.radians(TABLE_1[name][:3])
         aim = min(known.aim_sigma_mm, 2.0) * random.normal(size=2)
@@ -50,22 +49,34 @@ def made_views(
         change = np.zeros(5)
         if lens_factor is not None:
             change = lens_factor @ random.normal(size=5)
-        uv = np.asarray(_seen(pose, promoted(LENS.lens).retract(change), shape))
-        points = SheetPoints(
-            SHEET.centres_mm,
-            uv + sigma_px * random.normal(size=uv.shape),
-            np.eye(uv.size) / sigma_px,
-        )
+        uv = _seen_px(pose, change, shape) + sigma_px * random.normal(size=(len(SHEET), 2))
         # From where a circle fit would start.
         start = Pose.from_parameters(jnp.array([*(values + 0.002), TABLE_1[name][3] + 1, 0, 0]))
-        views.append(SheetView(points, start, LENS.lens, lens_factor, has_outliers=True))
+        made.append(SheetCamera(name, detection(uv, sigma_px), LENS, lens_factor, start))
         poses.append(pose)
-    return MadeViews(views, poses)
+    return MadeViews(made, poses)
 
 
-@jax.jit
-def _seen(pose: Pose, lens: AbstractLens, shape: np.ndarray) -> ArrayLike:
-    def one(place: ArrayLike) -> ArrayLike:
-        return project_point(pose, lens, point_of_place(place, shape, jnp.asarray(REACH_MM)))
+def detection(uv_px: np.ndarray, sigma_px: float) -> Detection:
+    """All circles of the sheet at these pixels."""
+    each = np.broadcast_to(np.eye(2), (len(SHEET), 2, 2))
+    return Detection(
+        circle_index=np.arange(len(SHEET)),
+        centres_px=uv_px,
+        covariance_px2=sigma_px**2 * each,
+        shape_px2=100.0 * each,
+        lines_px=np.full((2, 3), np.nan),
+        image_size_px=LENS.image_size_px,
+    )
 
-    return jax.vmap(one)(jnp.asarray(SHEET.centres_mm))
+
+def _seen_px(pose: Pose, change: np.ndarray, shape: np.ndarray) -> np.ndarray:
+    """Where one camera sees the circles of a sheet of that shape, through a lens so changed."""
+    nothing = detection(np.zeros((len(SHEET), 2)), 1.0)
+    one = SheetCamera("one", nothing, LENS, None, pose)
+    problem = sheet_problem([one], SHEET, Systematics(), PoseModel.AIM_FREE, 0.0)
+    state, parameters = problem.state, np.array(promoted(LENS.lens).parameters)
+    parameters[: len(change)] += change
+    lenses = jax.vmap(lambda lens: lens.with_parameters(parameters))(state.lenses)
+    state = eqx.tree_at(lambda s: (s.lenses, s.sheet), state, (lenses, shape))
+    return errors_px(problem._replace(state=state))[0]

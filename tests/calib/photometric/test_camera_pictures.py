@@ -8,7 +8,7 @@ import pytest
 from tests.calib.photometric.test_photometry import RIGHT, START, image_of, mahalanobis, refined
 from tests.calib.simulated import LENS, reference_sheet
 from trinoc.calib.photometric import Encoding, refine_image
-from trinoc.calib.pose import pose_of_values
+from trinoc.calib.result.degrees import pose_of_values
 from trinoc.geometry import PoseModel
 from trinoc.synth.camera_picture.response import SRGB
 

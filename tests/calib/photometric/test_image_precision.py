@@ -9,7 +9,7 @@ from trinoc.calib.photometric.gauss_newton import sheet_from_camera
 from trinoc.calib.photometric.ink_coverage import Cross, Drawing
 from trinoc.calib.photometric.normal_equations import NormalEquations, normal_equations
 from trinoc.calib.photometric.pixel_selection import group_of, select_pixels
-from trinoc.calib.pose import pose_of_values
+from trinoc.calib.result.degrees import pose_of_values
 from trinoc.numerics import GemanMcClure
 from trinoc.synth import table1_rig
 

@@ -12,7 +12,7 @@ from trinoc.calib.photometric.gauss_newton import sheet_from_camera
 from trinoc.calib.photometric.image_refinement import ImageRefinement
 from trinoc.calib.photometric.ink_coverage import Cross, Drawing
 from trinoc.calib.photometric.pixel_selection import group_of, select_pixels
-from trinoc.calib.pose import pose_of_values
+from trinoc.calib.result.degrees import pose_of_values
 from trinoc.geometry import Pose, PoseModel
 from trinoc.numerics import ArrayLike
 from trinoc.synth import render_sheet

@@ -13,7 +13,7 @@ from trinoc.calib.photometric.gauss_newton import sheet_from_camera
 from trinoc.calib.photometric.initial import initial_appearance
 from trinoc.calib.photometric.ink_coverage import SQUARES, Cross, Drawing
 from trinoc.calib.photometric.pixel_selection import group_of, select_pixels
-from trinoc.calib.pose import pose_of_values
+from trinoc.calib.result.degrees import pose_of_values
 from trinoc.calib.targets import square_sheet
 from trinoc.errors import InputError
 from trinoc.io.board_figures import ink_polygons

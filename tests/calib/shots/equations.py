@@ -4,9 +4,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from trinoc.calib.shots.normal_equations import cost, shot_equations
-from trinoc.calib.shots.problem import Problem
-from trinoc.calib.shots.state import retracted
+from trinoc.calib.problem.equations import PlacesProblem
+from trinoc.calib.problem.problem import Problem
+from trinoc.calib.problem.variables import retract
 from trinoc.numerics import GemanMcClure
 
 # `problem_of` rounds the number of shots up to this one, in all tests.
@@ -15,16 +15,16 @@ SHOTS = 8
 
 def assert_equations_are_those_of_the_cost(here: Problem) -> None:
     """Half the gradient of the cost, a little off the state, is that of the equations."""
-    loss = GemanMcClure.from_scale(jnp.asarray(3.0))
     table, chart, state = jax.tree.map(jnp.asarray, (here.table, here.chart, here.state))
+    problem = PlacesProblem(chart, table, GemanMcClure.from_scale(jnp.full(len(table.shot), 3.0)))
     off = 1e-3 * np.random.default_rng(0).normal(size=len(chart.free))
-    start = retracted(state, chart, off, np.zeros((SHOTS, 6)))
+    start = retract(state, chart, off, np.zeros((SHOTS, 6)))
 
     def at(head, boards):
-        return cost(retracted(start, chart, head, boards), chart, table, loss)
+        return problem.cost(problem.retract(start, head, boards))
 
     zero = jnp.zeros(len(chart.free)), jnp.zeros((SHOTS, 6))
     gradients = jax.jit(jax.grad(at, argnums=(0, 1)))(*zero)
-    equations = jax.jit(shot_equations)(start, chart, table, loss)
+    equations = jax.jit(lambda state: problem.equations(state))(start)
     for found, expected in zip(equations.gradient, gradients, strict=True):
         np.testing.assert_allclose(2 * found, expected, rtol=1e-6, atol=1e-6)

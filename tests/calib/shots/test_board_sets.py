@@ -19,15 +19,14 @@ from tests.calib.shots.made_board_sets import (
 from tests.calib.shots.made_shots import BOARD, SIZE_PX, board_poses, lens_of, shots
 from trinoc.calib import BoardSet, Chessboard, Detection, Systematics, calibrate_rig, next_shot
 from trinoc.calib.detection import split_by_board
-from trinoc.calib.shots.freedom import Freedom
+from trinoc.calib.problem.information import information_of
+from trinoc.calib.problem.motions import chained, inverse
+from trinoc.calib.problem.problem import Freedom, Problem
+from trinoc.calib.problem.robust_fit import fitted
+from trinoc.calib.problem.starting_problem import problem_of
+from trinoc.calib.problem.views import View
 from trinoc.calib.shots.halves import steps_between
 from trinoc.calib.shots.hand_eye import hand_eye
-from trinoc.calib.shots.information import information_of
-from trinoc.calib.shots.motions import chained, inverse
-from trinoc.calib.shots.problem import Problem
-from trinoc.calib.shots.robust_fit import fitted
-from trinoc.calib.shots.starting_problem import problem_of
-from trinoc.calib.shots.table import View
 from trinoc.errors import CalibrationError, InputError
 from trinoc.geometry import Intrinsics
 

@@ -7,11 +7,11 @@ import pytest
 from tests.calib.shots.made_shots import BOARD, LENSES, SIZE_PX, board_poses
 from tests.calib.shots.test_laws import problem
 from trinoc.calib import Systematics
+from trinoc.calib.problem.information import information_of
+from trinoc.calib.problem.motions import chained, inverse
+from trinoc.calib.problem.problem import with_lens_free
+from trinoc.calib.problem.variables import retract
 from trinoc.calib.shots.field_difference import field_differences
-from trinoc.calib.shots.freedom import with_lens_free
-from trinoc.calib.shots.information import information_of
-from trinoc.calib.shots.motions import chained, inverse
-from trinoc.calib.shots.state import retracted
 from trinoc.numerics import as_numpy
 
 CAMERAS = tuple(LENSES)
@@ -32,7 +32,7 @@ def a_half(problem, covariance, random):
         np.zeros(len(covariance)), covariance, method="cholesky"
     )
     boards = np.zeros((len(problem.state.rig_from_board), 6))
-    return as_numpy(retracted(problem.state, problem.chart, head, boards))
+    return as_numpy(retract(problem.state, problem.chart, head, boards))
 
 
 def elsewhere(state):

@@ -7,14 +7,14 @@ from tests.calib.shots.equations import assert_equations_are_those_of_the_cost
 from tests.calib.shots.made_shots import BOARD, SIZE_PX, board_poses, cam_from_rig, lens_of, shots
 from trinoc.calib import Chessboard, Pattern, Systematics
 from trinoc.calib.model import predicted_centre_px
+from trinoc.calib.problem.motions import chained, inverse, motion_in_plane
+from trinoc.calib.problem.places import BoardView, predict_places
+from trinoc.calib.problem.problem import Freedom
+from trinoc.calib.problem.starting_problem import problem_of
+from trinoc.calib.problem.views import View, padded_count
 from trinoc.calib.shots.board_shape import with_free_places
-from trinoc.calib.shots.freedom import Freedom
 from trinoc.calib.shots.messages import undetermined_sentence
-from trinoc.calib.shots.motions import chained, inverse, motion_in_plane
 from trinoc.calib.shots.plane_pose import plane_pose
-from trinoc.calib.shots.residual import view_residuals
-from trinoc.calib.shots.starting_problem import problem_of
-from trinoc.calib.shots.table import View, padded_count
 from trinoc.geometry import KannalaBrandt, Pose
 
 CAMERAS = ("left", "middle", "right")
@@ -70,18 +70,11 @@ def test_the_equations_are_those_of_the_cost(places_are_free):
 def test_a_circle_is_predicted_as_the_exact_model_has_it():
     sheet, lens, pose = Pattern.default(), lens_of("left"), board_poses(1)[0]
     chart = problem(board_poses(1)).chart
-    chart = type(chart)(**{**vars(chart), "has_circles": True, "half_mm": np.full((1, 2), 70.0)})
+    chart = type(chart)(**{**vars(chart), "has_circles": True})
     places, radius = sheet.centres_mm[:5], sheet.radius_mm[:5]
-    found = view_residuals(
-        lens,
-        np.eye(3, 4),
-        pose,
-        np.zeros(4),
-        chart,
-        np.zeros((5, 3)),
-        places,
-        radius,
-        np.zeros((5, 2)),
+    view = BoardView(lens, np.eye(3, 4), pose, None, np.zeros(4))
+    found = predict_places(
+        view, chart, 0, np.pad(places, ((0, 0), (0, 1))), np.zeros((5, 3)), radius
     )
     exact = [predicted_centre_px(Pose(pose), lens, p, r) for p, r in zip(places, radius)]
     np.testing.assert_allclose(found, exact, atol=2e-4)

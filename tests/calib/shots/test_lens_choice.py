@@ -5,9 +5,9 @@ import pytest
 
 from tests.calib.shots.made_shots import BOARD, shots
 from trinoc.calib import Systematics, calibrate_rig
-from trinoc.calib.shots.information import Information
+from trinoc.calib.problem.information import Information
+from trinoc.calib.problem.score_test import score_test
 from trinoc.calib.shots.lens_choice import HeldOut, choice_sentence, chosen_lens
-from trinoc.calib.shots.score_test import score_test
 from trinoc.errors import InputError
 
 

@@ -8,10 +8,10 @@ import pytest
 
 from tests.calib.shots.made_shots import BOARD, LENSES, board_poses, detection, shots
 from trinoc.calib import Systematics, calibrate_rig, next_shot
+from trinoc.calib.problem.motions import chained
 from trinoc.calib.shots.advised_shot import shot_error_px, with_shot
 from trinoc.calib.shots.candidate_shots import candidate_shots
 from trinoc.calib.shots.foreseen import foreseen, place_sigma_px
-from trinoc.calib.shots.motions import chained
 from trinoc.cli.calibrate_rig import rig_record, shot_record
 from trinoc.errors import InputError
 

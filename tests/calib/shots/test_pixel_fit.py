@@ -26,14 +26,14 @@ from trinoc.calib import (
     square_sheet,
 )
 from trinoc.calib.model import SheetPoints, whitening_of_covariance
-from trinoc.calib.shots.freedom import Freedom
+from trinoc.calib.problem.problem import Freedom
+from trinoc.calib.problem.robust_fit import freedom, whitened
+from trinoc.calib.problem.starting_problem import problem_of
+from trinoc.calib.problem.views import View
+from trinoc.calib.problem.wrong_circles import without, without_wrong_circles
 from trinoc.calib.shots.pixel_fit import expect_method
 from trinoc.calib.shots.place_shifts import shift_of_places
 from trinoc.calib.shots.printed_tags import quarters_of_tags
-from trinoc.calib.shots.robust_fit import freedom, whitened
-from trinoc.calib.shots.starting_problem import problem_of
-from trinoc.calib.shots.table import View
-from trinoc.calib.shots.wrong_circles import without, without_wrong_circles
 from trinoc.errors import InputError
 from trinoc.geometry import Camera, Intrinsics, Pose
 from trinoc.synth import Cells, render_sheet

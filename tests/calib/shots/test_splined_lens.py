@@ -13,18 +13,17 @@ from tests.calib.intrinsics import simulated_lens
 from tests.calib.shots.equations import assert_equations_are_those_of_the_cost
 from tests.calib.shots.made_shots import BOARD, SIZE_PX, lens_of
 from trinoc.calib import Detection, Systematics, calibrate_intrinsics, calibrate_rig
-from trinoc.calib.shots.freedom import Freedom
+from trinoc.calib.problem.information import information_of
+from trinoc.calib.problem.problem import Freedom, lens_number
+from trinoc.calib.problem.robust_fit import RobustFit
+from trinoc.calib.problem.starting_problem import problem_of
+from trinoc.calib.problem.views import View
 from trinoc.calib.shots.halves import covariance_of_difference
-from trinoc.calib.shots.information import information_of
 from trinoc.calib.shots.lens_correction import (
     correction_sentences,
     splined_problem,
     with_correction,
 )
-from trinoc.calib.shots.problem import lens_number
-from trinoc.calib.shots.robust_fit import RobustFit
-from trinoc.calib.shots.starting_problem import problem_of
-from trinoc.calib.shots.table import View
 from trinoc.errors import InputError
 from trinoc.geometry import (
     AbstractSplined,

@@ -7,9 +7,9 @@ import pytest
 
 from tests.calib.shots.made_shots import BOARD, LENSES, SIZE_PX, cam_from_rig, lens_of, shots
 from trinoc.calib import Chessboard, Detection, Systematics, calibrate_rig
+from trinoc.calib.problem.motions import boards_parallel
 from trinoc.calib.shots.exchanged import exchanged_pair
 from trinoc.calib.shots.lens_start import with_poses
-from trinoc.calib.shots.motions import boards_parallel
 from trinoc.calib.shots.sightings import sighting
 from trinoc.errors import CalibrationError, InputError
 from trinoc.geometry import Intrinsics

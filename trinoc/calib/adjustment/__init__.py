@@ -1,8 +1,4 @@
-"""All cameras over one sheet adjusted together, with everything that nobody knows exactly.
+"""The cameras over one sheet, with everything that nobody knows exactly.
 
-`sheet_shape` (print and bend) -> `least_squares` (poses, lenses and sheet, with their priors) ->
-`estimate` (outliers, chi-square, covariance)."""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+`each_camera` fits one by its circles (`crossed_lines` begin it), `estimate` all together: outliers,
+chi-square, covariance. `agreement`, `jackknife` and `model_tests` ask whether that can be true."""

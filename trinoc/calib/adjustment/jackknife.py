@@ -14,18 +14,17 @@ _BLOCKS = 4
 _FEWEST_BLOCKS = 6
 
 
-def scatter_of_blocks(adjustment: Adjustment, place_mm: np.ndarray, view: int) -> float:
+def scatter_of_blocks(adjustment: Adjustment, view: int) -> float:
     """By how much blocks scatter beyond the noise that the circles of a camera claim; at least 1.
 
-    place_mm : (n, 2) of the camera's circles, which err one by one as far as they claim.
+    The circles of the camera's detection err one by one as far as they claim.
     """
-    found = adjustment.adjusted
-    size = adjustment.parameters.shape[1]
-    own = slice(view * size, (view + 1) * size)
-    jacobian, residuals = np.asarray(adjustment.jacobian[view]), np.asarray(found.whitened[view])
-    covariance = adjustment.covariance
+    own, problem = adjustment.rows(view), adjustment.problem
+    jacobian = adjustment.near.jacobian[view][:, adjustment.free]
+    residuals, covariance = adjustment.near.residual[view], adjustment.covariance
+    place_mm = problem.target.centres_mm[problem.views[view].detection.circle_index]
     steps, expected = [], []
-    for block in _blocks(place_mm[: len(adjustment.used[view])], adjustment.used[view]):
+    for block in _blocks(place_mm, adjustment.used[view]):
         rows = np.concatenate([2 * block, 2 * block + 1])
         # The answer without the block, by its rows alone (M. A. Woodbury): what they fit of
         # themselves is the leverage.
@@ -38,7 +37,7 @@ def scatter_of_blocks(adjustment: Adjustment, place_mm: np.ndarray, view: int) -
         return 1.0
     spread = np.stack(steps)
     ratio = np.linalg.solve(np.sum(expected, axis=0), spread.T @ spread)
-    return float(np.sqrt(max(1.0, np.trace(ratio) / size)))
+    return float(np.sqrt(max(1.0, np.trace(ratio) / len(own))))
 
 
 def _blocks(place_mm: np.ndarray, used: np.ndarray) -> list[np.ndarray]:

@@ -14,7 +14,7 @@ from trinoc.numerics import chi_square_tail
 
 # An alternative of which less than this share is not fitted along already is no other model.
 _LEAST_SHARE = 1e-9
-_FOCAL, _RADIAL, _AIM = (0, 1), 4, (4, 5)
+_FOCAL, _RADIAL, _AIM = (0, 1), 4, (4, 6)
 
 
 def alternatives(
@@ -24,14 +24,17 @@ def alternatives(
 
     freedom : degrees of freedom of its residuals.
     """
-    found = adjustment.adjusted
-    distance = float(adjustment.parameters[view, 3])
-    by_lens, focal = np.asarray(found.by_lens[view]), np.asarray(found.lens.focal_length_px[view])
-    columns = {"aim": np.asarray(found.by_pose[view])[:, _AIM]} if aim_is_held else {}
+    chart, by_head = adjustment.problem.chart, adjustment.near.jacobian[view]
+    pose = chart.camera_rows(view).start
+    columns = {"aim": by_head[:, pose + _AIM[0] : pose + _AIM[1]]} if aim_is_held else {}
     if not lens_is_free:
+        # A step of a lens that is exact is a change of one parameter.
+        row, (_, size) = int(chart.lens_of_camera[view]), chart.lens_shape
+        by_lens = by_head[:, row * size : (row + 1) * size] / chart.lens_scale[row]
+        focal = np.asarray(adjustment.lens(view).focal_length_px)
         columns["focal length"] = (by_lens[:, _FOCAL] @ focal)[:, None]
         columns["radial distortion"] = by_lens[:, _RADIAL : _RADIAL + 1]
-    unit = {"aim": distance}
+    unit = {"aim": float(chart.unit_mm)}
     tests = [
         _score(name, extra, adjustment, view, freedom, unit.get(name, 1.0))
         for name, extra in columns.items()
@@ -49,8 +52,8 @@ def _score(
     unit: float,
 ) -> Alternative | None:
     """The test of one alternative; None where the residuals cannot tell it from what is fitted."""
-    found = adjustment.adjusted
-    base, residual = np.asarray(adjustment.jacobian[view]), np.asarray(found.whitened[view])
+    base, residual = adjustment.near.jacobian[view], adjustment.near.residual[view]
+    base = base[:, adjustment.free]
     fitted = solve_triangular(adjustment.root, base.T @ extra, trans=1)
     normal = extra.T @ extra - fitted.T @ fitted
     whole = np.sqrt(np.diag(extra.T @ extra))

@@ -32,3 +32,8 @@ class Detection(eqx.Module):
 
     def __len__(self) -> int:
         return len(self.circle_index)
+
+    def with_larger_sigmas(self, factor: float) -> "Detection":
+        """The same circles, their centres' standard deviations `factor` times as large."""
+        covariance_px2 = factor**2 * self.covariance_px2
+        return eqx.tree_at(lambda detection: detection.covariance_px2, self, covariance_px2)

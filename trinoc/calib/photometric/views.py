@@ -18,8 +18,8 @@ from trinoc.calib.photometric.image_fit import refine_image
 from trinoc.calib.photometric.image_problem import ShiftOfPlaces
 from trinoc.calib.photometric.image_refinement import ImageRefinement
 from trinoc.calib.photometric.outlines import project_to_image
-from trinoc.calib.pose import DEGREES
 from trinoc.calib.result import ImageQuality
+from trinoc.calib.result.degrees import DEGREES
 from trinoc.calib.targets import Pattern, SquareSheet
 from trinoc.geometry import AbstractLens, Pose, PoseModel
 from trinoc.numerics import LARGEST_SIGMA, ArrayLike, observability

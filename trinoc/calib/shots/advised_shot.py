@@ -6,10 +6,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from trinoc.calib.problem.motions import chained, inverse
 from trinoc.calib.shots.candidate_shots import candidate_shots
 from trinoc.calib.shots.foreseen import ForeseenShot, foreseen
 from trinoc.calib.shots.halves import head_names
-from trinoc.calib.shots.motions import chained, inverse
 from trinoc.calib.shots.result import RigFromShots
 from trinoc.errors import InputError
 from trinoc.geometry import SPLINE_PARAMETERS

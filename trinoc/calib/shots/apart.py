@@ -4,9 +4,9 @@ from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
+from trinoc.calib.problem.motions import boards_parallel
 from trinoc.calib.shots.chain import pair_link
 from trinoc.calib.shots.connected import Connected
-from trinoc.calib.shots.motions import boards_parallel
 from trinoc.calib.shots.sightings import Sighting
 from trinoc.calib.targets import AbstractTarget
 

@@ -11,11 +11,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.shots.information import information_of
-from trinoc.calib.shots.levenberg_marquardt import FLOOR_DAMPING, damped_step
-from trinoc.calib.shots.normal_equations import shot_equations, whitened_residuals
-from trinoc.calib.shots.problem import Problem
-from trinoc.calib.shots.robust_fit import (
+from trinoc.calib.problem.equations import PlacesProblem
+from trinoc.calib.problem.information import information_of
+from trinoc.calib.problem.places import whitened_residuals
+from trinoc.calib.problem.problem import Problem
+from trinoc.calib.problem.robust_fit import (
     RobustFit,
     all_places_used,
     errors_px,
@@ -25,9 +25,10 @@ from trinoc.calib.shots.robust_fit import (
     with_factors,
     without_wrong_places,
 )
-from trinoc.calib.shots.state import Chart, RigState
-from trinoc.calib.shots.table import ViewTable
-from trinoc.calib.shots.wrong_circles import without_wrong_circles
+from trinoc.calib.problem.solver import gauss_newton_gain
+from trinoc.calib.problem.variables import Chart, RigState
+from trinoc.calib.problem.views import ViewTable
+from trinoc.calib.problem.wrong_circles import without_wrong_circles
 from trinoc.numerics import GemanMcClure
 
 # Chi-square per unknown, over what is left per residual, this many of its deviations above 1.
@@ -109,10 +110,9 @@ def _spread_of(problem: Problem) -> Float[np.ndarray, "3"]:
 @eqx.filter_jit
 def _gained(state: RigState, chart: Chart, table: ViewTable) -> tuple:
     """What free places would take off the chi-square, to first order, and it."""
-    plain = GemanMcClure.from_scale(jnp.asarray(jnp.inf))
-    equations = shot_equations(state, chart, table, plain)
-    head, boards = damped_step(equations, jnp.asarray(FLOOR_DAMPING))
-    gain = -(equations.gradient[0] @ head) - jnp.sum(equations.gradient[1] * boards)
+    plain = GemanMcClure.from_scale(jnp.full(len(table.shot), jnp.inf))
+    equations = PlacesProblem(chart, table, plain).equations(state)
+    gain = gauss_newton_gain(equations)
     return gain, jnp.sum(jnp.square(whitened_residuals(state, chart, table)))
 
 

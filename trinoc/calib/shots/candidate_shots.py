@@ -7,9 +7,9 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
+from trinoc.calib.problem.motions import chained, inverse
+from trinoc.calib.problem.problem import Problem, lens_number
 from trinoc.calib.shots.lens_start import rays_of_places
-from trinoc.calib.shots.motions import chained, inverse
-from trinoc.calib.shots.problem import Problem, lens_number
 from trinoc.calib.targets import AbstractTarget, board_names, boards_of
 from trinoc.geometry import AbstractLens
 

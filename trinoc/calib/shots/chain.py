@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.shots.motions import chained, inverse
+from trinoc.calib.problem.motions import chained, inverse
 from trinoc.calib.shots.sightings import Sighting
 from trinoc.calib.targets import AbstractTarget
 

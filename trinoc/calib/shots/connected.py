@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from trinoc.calib.problem.motions import inverse
 from trinoc.calib.shots.chain import board_link, linked_groups, pair_link
-from trinoc.calib.shots.motions import inverse
 from trinoc.calib.shots.moving_together import Links, Poses, moving_together
 from trinoc.calib.shots.sightings import Sighting
 from trinoc.calib.targets import AbstractTarget

@@ -5,10 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trinoc.calib.shots.freedom import with_head_held
-from trinoc.calib.shots.information import information_of
-from trinoc.calib.shots.problem import Problem
-from trinoc.calib.shots.robust_fit import errors_px, fitted
+from trinoc.calib.problem.information import information_of
+from trinoc.calib.problem.problem import Problem, with_head_held
+from trinoc.calib.problem.robust_fit import errors_px, fitted
 
 FEWEST_SHOTS = 4
 

@@ -2,10 +2,9 @@
 
 import numpy as np
 
-from trinoc.calib.shots.freedom import with_lens_free
-from trinoc.calib.shots.information import Information, information_of
-from trinoc.calib.shots.problem import Problem
-from trinoc.calib.shots.robust_fit import RobustFit, refitted
+from trinoc.calib.problem.information import Information, information_of
+from trinoc.calib.problem.problem import Problem, with_lens_free
+from trinoc.calib.problem.robust_fit import RobustFit, refitted
 
 
 def determined(fit: RobustFit) -> tuple[RobustFit, tuple[str, ...]]:
@@ -15,7 +14,7 @@ def determined(fit: RobustFit) -> tuple[RobustFit, tuple[str, ...]]:
     for name in ("", *lenses.dispensable):
         if name:
             column = lenses.parameter_names.index(name)
-            count, size = fit.problem.chart.lens_scale.shape
+            count, size = fit.problem.chart.lens_shape
             free = np.asarray(fit.problem.chart.free)[: count * size].reshape(count, size) > 0
             if not free[:, column].any():
                 continue
@@ -32,7 +31,7 @@ def determined(fit: RobustFit) -> tuple[RobustFit, tuple[str, ...]]:
 def open_rows(problem: Problem, information: Information, names: tuple[str, ...]) -> np.ndarray:
     """Which named parameters what is not determined touches."""
     chart = problem.chart
-    count, size = np.asarray(chart.lens_scale).shape
+    count, size = chart.lens_shape
     open_head = np.zeros(len(chart.free), dtype=bool)
     open_head[information.free[list(information.seen.gauge)]] = True
     of_lens = open_head[: count * size].reshape(count, size)

@@ -12,9 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
+from trinoc.calib.problem.problem import Problem, cam_from_board
+from trinoc.calib.problem.variables import Chart, RigState, step_motion
 from trinoc.calib.shots.field_images import image_derivatives, images_px, points_seen
-from trinoc.calib.shots.problem import Problem, cam_from_board
-from trinoc.calib.shots.state import POSE_SIZE, Chart, RigState, moved
 from trinoc.calib.targets import boards_of
 from trinoc.numerics import ArrayLike
 
@@ -124,7 +124,7 @@ def _aligned(
     """Where a half images the points once it is moved to where these are."""
     for _ in range(_MOVES):
         off = np.asarray(images_px(half, chart, points))[known] - seen_px
-        motion = np.asarray(moved(jnp.eye(3, 4), -(along @ off), chart.unit_mm))
+        motion = np.asarray(step_motion(jnp.eye(3, 4), -(along @ off), chart.unit_mm))
         points = np.asarray(points) @ motion[:, :3].T + motion[:, 3]
     return np.asarray(images_px(half, chart, points))[known]
 
@@ -132,12 +132,11 @@ def _aligned(
 def _by_free_head(problem: Problem, by_own: np.ndarray) -> Float[np.ndarray, "c 2 n 2 f"]:
     """Derivatives by each camera's own lens and pose, as those by the free steps of the head."""
     chart = problem.chart
-    lenses, size = np.shape(chart.lens_scale)
+    _, size = chart.lens_shape
     whole = np.zeros((*by_own.shape[:-1], len(chart.free)))
     for camera, lens in enumerate(np.asarray(chart.lens_of_camera)):
-        pose = lenses * size + POSE_SIZE * camera
         whole[camera, ..., lens * size : (lens + 1) * size] = by_own[camera, ..., :size]
-        whole[camera, ..., pose : pose + POSE_SIZE] = by_own[camera, ..., size:]
+        whole[camera, ..., chart.camera_rows(camera)] = by_own[camera, ..., size:]
     return whole[..., np.flatnonzero(chart.free)]
 
 

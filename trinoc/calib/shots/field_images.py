@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from trinoc.calib.shots.state import POSE_SIZE, Chart, RigState, moved
+from trinoc.calib.problem.variables import POSE_SIZE, Chart, RigState, step_motion
 from trinoc.geometry import AbstractLens
 from trinoc.numerics import ArrayLike
 
@@ -64,19 +64,19 @@ def _image_of_point(lens: AbstractLens, pose: ArrayLike, point: ArrayLike) -> Ar
 @eqx.filter_jit
 def image_derivatives(state: RigState, chart: Chart, points: ArrayLike) -> tuple[Array, Array]:
     """Of the images by steps of each camera's lens and pose, and by a motion of all points."""
-    size = chart.lens_scale.shape[1]
+    _, size = chart.lens_shape
 
     def of_camera(pose: Array, lens: Array, own: ArrayLike) -> tuple[Array, Array]:
         here = jax.tree.map(lambda leaf: jnp.asarray(leaf)[lens], state.lenses)
-        scale = jnp.asarray(chart.lens_scale)[lens]
+        basis = jnp.asarray(chart.lens_basis)[lens]
 
         def after(step: Array, motion: Array) -> ArrayLike:
-            changed = here.retract(scale * step[:size])
-            place = moved(jnp.eye(3, 4), motion, chart.unit_mm)
+            changed = here.retract(basis @ step[:size])
+            place = step_motion(jnp.eye(3, 4), motion, chart.unit_mm)
             turned = jax.vmap(jax.vmap(lambda point: place[:, :3] @ point + place[:, 3]))(own)
-            return _image(changed, moved(pose, step[size:], chart.unit_mm), turned)
+            return _image(changed, step_motion(pose, step[size:], chart.unit_mm), turned)
 
-        zero = jnp.zeros(size + POSE_SIZE, scale.dtype), jnp.zeros(POSE_SIZE, scale.dtype)
+        zero = jnp.zeros(size + POSE_SIZE, basis.dtype), jnp.zeros(POSE_SIZE, basis.dtype)
         return jax.jacfwd(after, argnums=(0, 1))(*zero)
 
     return jax.vmap(of_camera)(

@@ -7,11 +7,11 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.calib.detection import Detection
+from trinoc.calib.problem.information import information_of
+from trinoc.calib.problem.problem import Problem, cam_from_board, lens_number
+from trinoc.calib.problem.robust_fit import errors_px
+from trinoc.calib.problem.views import View
 from trinoc.calib.shots.candidate_shots import Candidate, image_sizes_px
-from trinoc.calib.shots.information import information_of
-from trinoc.calib.shots.problem import Problem, cam_from_board, lens_number
-from trinoc.calib.shots.robust_fit import errors_px
-from trinoc.calib.shots.table import View
 from trinoc.calib.targets import Chessboard, boards_of, first_places
 from trinoc.geometry import AbstractLens
 from trinoc.numerics import blocks

@@ -17,21 +17,20 @@ from trinoc.calib.intrinsics import (
     next_image,
     notes_of_lens,
 )
+from trinoc.calib.problem.information import information_of
+from trinoc.calib.problem.motions import chained
+from trinoc.calib.problem.problem import Freedom, Problem, lens_number
+from trinoc.calib.problem.robust_fit import RobustFit, errors_px
+from trinoc.calib.problem.shot_scatter import shot_scatter, with_factor
+from trinoc.calib.problem.starting_problem import problem_of
+from trinoc.calib.problem.views import View
 from trinoc.calib.shots.foreseen import place_sigma_px
-from trinoc.calib.shots.freedom import Freedom
-from trinoc.calib.shots.information import information_of
 from trinoc.calib.shots.lens_correction import (
     correction_sentences,
     with_correction,
     with_settled_correction,
 )
-from trinoc.calib.shots.motions import chained
 from trinoc.calib.shots.pixel_fit import fit_pixels
-from trinoc.calib.shots.problem import Problem, lens_number
-from trinoc.calib.shots.robust_fit import RobustFit, errors_px
-from trinoc.calib.shots.shot_scatter import shot_scatter, with_factor
-from trinoc.calib.shots.starting_problem import problem_of
-from trinoc.calib.shots.table import View
 from trinoc.calib.uncertainty import Systematics
 from trinoc.geometry import (
     AbstractLens,

@@ -5,13 +5,12 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from trinoc.calib.problem.information import information_of
+from trinoc.calib.problem.problem import Problem, lens_number, with_sheet_held
+from trinoc.calib.problem.robust_fit import fitted
+from trinoc.calib.problem.shot_scatter import with_factor
 from trinoc.calib.shots.cross_validation import FEWEST_SHOTS, of_shots, shots_of
 from trinoc.calib.shots.field_difference import FieldDifference, field_differences
-from trinoc.calib.shots.freedom import with_sheet_held
-from trinoc.calib.shots.information import information_of
-from trinoc.calib.shots.problem import Problem, lens_number
-from trinoc.calib.shots.robust_fit import fitted
-from trinoc.calib.shots.shot_scatter import with_factor
 from trinoc.calib.targets import board_prefixes
 
 # Of the largest variance: below, a prior that both halves share has left no difference.
@@ -107,7 +106,7 @@ def _squared(
 def steps_between(problem: Problem, end: Problem) -> np.ndarray:
     """The step of the head that takes the whole fit to that of a half."""
     start, stop, chart = problem.state, end.state, problem.chart
-    count = len(chart.lens_scale)
+    count, _ = chart.lens_shape
     lenses = [
         np.asarray(lens_number(end, k).parameters) - np.asarray(lens_number(problem, k).parameters)
         for k in range(count)
@@ -119,7 +118,10 @@ def steps_between(problem: Problem, end: Problem) -> np.ndarray:
         turn = np.asarray(after)[:, :3] @ np.asarray(before)[:, :3].T
         skew = 0.5 * np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0],
                                turn[1, 0] - turn[0, 1]])  # fmt: skip
-        shift = (np.asarray(after)[:, 3] - np.asarray(before)[:, 3]) / float(chart.unit_mm)
+        ends = [
+            -np.asarray(motion)[:, :3].T @ np.asarray(motion)[:, 3] for motion in (after, before)
+        ]
+        shift = (ends[0] - ends[1]) / float(chart.unit_mm)
         poses.append(np.concatenate([skew, shift]))
     return np.concatenate(
         [by_lens.ravel(), np.ravel(poses), np.zeros(len(chart.free) - chart.sheet_first)]
@@ -131,7 +133,7 @@ def head_names(problem: Problem, cameras: tuple[str, ...]) -> list[str]:
     of_lens = problem.state.lenses.parameter_names
     owner = [
         cameras[int(np.flatnonzero(problem.chart.lens_of_camera == k)[0])]
-        for k in range(len(problem.chart.lens_scale))
+        for k in range(problem.chart.lens_shape[0])
     ]
     pose = ("turn_x", "turn_y", "turn_z", "x", "y", "z")
     names = [f"{name}.{each}" for name in owner for each in of_lens]
@@ -139,5 +141,5 @@ def head_names(problem: Problem, cameras: tuple[str, ...]) -> list[str]:
     prefixes = board_prefixes(problem.target)
     if len(problem.state.set_from_board):
         names += [f"{prefix}{each}" for prefix in prefixes for each in pose]
-    sheet = ("scale_x", "scale_y", "warp_x", "warp_y")
+    sheet = [name.removesuffix("_mm") for name in problem.chart.sheet_model.names]
     return [*names, *(f"{prefix}{each}" for prefix in prefixes for each in sheet)]

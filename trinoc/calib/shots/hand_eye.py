@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.shots.motions import chained, inverse
+from trinoc.calib.problem.motions import chained, inverse
 
 FEWEST_SHOTS = 3
 # Turns about one axis alone leave how far the cameras lie along it open: those about others have

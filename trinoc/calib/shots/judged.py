@@ -5,11 +5,16 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from jaxtyping import Float
 
+from trinoc.calib.problem.information import information_of
+from trinoc.calib.problem.motions import chained, inverse
+from trinoc.calib.problem.named_covariance import World, cam_from_world, named_covariance
+from trinoc.calib.problem.problem import EndedProblem, Problem, lens_number
+from trinoc.calib.problem.robust_fit import RobustFit, errors_px
+from trinoc.calib.problem.shot_scatter import shot_scatter, with_factor
 from trinoc.calib.result import Status
 from trinoc.calib.shots.cross_validation import cross_validation
 from trinoc.calib.shots.determined import determined, open_rows
 from trinoc.calib.shots.halves import halves_check
-from trinoc.calib.shots.information import information_of
 from trinoc.calib.shots.lens_correction import correction_sentences
 from trinoc.calib.shots.messages import (
     notes_of_rig,
@@ -17,13 +22,8 @@ from trinoc.calib.shots.messages import (
     silent_sentences,
     undetermined_sentence,
 )
-from trinoc.calib.shots.motions import chained, inverse
-from trinoc.calib.shots.named_covariance import World, cam_from_world, named_covariance
 from trinoc.calib.shots.placing import PlacedRig
-from trinoc.calib.shots.problem import EndedProblem, Problem, lens_number
 from trinoc.calib.shots.result import RigFromShots
-from trinoc.calib.shots.robust_fit import RobustFit, errors_px
-from trinoc.calib.shots.shot_scatter import shot_scatter, with_factor
 from trinoc.calib.shots.sightings_of_shots import FoundShots
 from trinoc.calib.targets import board_names
 from trinoc.calib.uncertainty import Systematics

@@ -6,12 +6,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from trinoc.calib.problem.problem import Problem, with_head_held, with_sheet_held
+from trinoc.calib.problem.robust_fit import errors_px, fitted
+from trinoc.calib.problem.score_test import ScoreTest
 from trinoc.calib.shots.cross_validation import halves_fitted, of_shots
-from trinoc.calib.shots.freedom import with_head_held, with_sheet_held
 from trinoc.calib.shots.placing import PlacedRig, of_one_moment
-from trinoc.calib.shots.problem import Problem
-from trinoc.calib.shots.robust_fit import errors_px, fitted
-from trinoc.calib.shots.score_test import ScoreTest
 
 # From the one that people expect to the one with most coefficients.
 LENSES_TRIED = ("brown_conrady", "kannala_brandt", "rational")

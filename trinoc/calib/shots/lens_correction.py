@@ -11,10 +11,9 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.shots.freedom import with_wider_lenses
-from trinoc.calib.shots.information import information_of
-from trinoc.calib.shots.problem import Problem, lens_number
-from trinoc.calib.shots.robust_fit import (
+from trinoc.calib.problem.information import information_of
+from trinoc.calib.problem.problem import Problem, lens_number, with_wider_lenses
+from trinoc.calib.problem.robust_fit import (
     RobustFit,
     all_places_used,
     errors_px,
@@ -52,7 +51,7 @@ def splined_problem(problem: Problem, sizes_px: Sequence[tuple[int, int]]) -> Pr
     """The problem with splined lenses, whose corrections are zero and free, without a prior."""
     lenses = [
         splined(lens_number(problem, k), each)
-        for k, each in enumerate(sizes_px[: len(problem.chart.lens_scale)])
+        for k, each in enumerate(sizes_px[: problem.chart.lens_shape[0]])
     ]
     return with_wider_lenses(problem, lenses, sizes_px)
 
@@ -142,7 +141,7 @@ def _with_sigmas(problem: Problem, sigma_px: Float[np.ndarray, "l"]) -> Problem:
 
 def _first_sigmas_px(problem: Problem) -> Float[np.ndarray, "l"]:
     """What the core leaves, for lenses that are fitted."""
-    count, size = problem.chart.lens_scale.shape
+    count, size = problem.chart.lens_shape
     is_free = np.asarray(problem.chart.free)[: count * size].reshape(count, size).any(axis=1)
     errors = [each[view.kept] for view, each in zip(problem.views, errors_px(problem))]
     return np.where(is_free, np.sqrt(np.mean(np.concatenate(errors) ** 2)), 0.0)

@@ -4,11 +4,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from trinoc.calib.shots.motions import PARALLEL_DEG, boards_parallel
+from trinoc.calib.problem.motions import PARALLEL_DEG, boards_parallel
+from trinoc.calib.problem.problem import Problem, cam_from_board
+from trinoc.calib.problem.robust_fit import RobustFit
 from trinoc.calib.shots.placing import PlacedRig
-from trinoc.calib.shots.problem import Problem, cam_from_board
-from trinoc.calib.shots.robust_fit import RobustFit
-from trinoc.calib.shots.state import SHEET_NAMES
 from trinoc.calib.targets import board_names, boards_of
 
 # A scale or a warp beyond this many sigmas of what was known of it before is told.
@@ -145,7 +144,8 @@ def _surprises(problem: Problem) -> list[str]:
     found = np.asarray(problem.state.sheet)[free]
     told = []
     several = len(boards_of(problem.target)) > 1
-    names = [(whose, name) for whose in board_names(problem.target) for name in SHEET_NAMES]
+    terms = problem.chart.sheet_model.names
+    names = [(whose, name) for whose in board_names(problem.target) for name in terms]
     for row, value, sigma in zip(free, found, np.sqrt(np.diag(covariance)), strict=True):
         whose, name = names[row]
         if abs(value) > _SURPRISING * sigma:

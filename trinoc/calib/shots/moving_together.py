@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from trinoc.calib.problem.motions import chained, inverse
 from trinoc.calib.shots.chain import PairLink
 from trinoc.calib.shots.hand_eye import FEWEST_SHOTS, hand_eye
-from trinoc.calib.shots.motions import chained, inverse
 from trinoc.calib.shots.sightings import Sighting
 from trinoc.calib.targets import AbstractTarget
 

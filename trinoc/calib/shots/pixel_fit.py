@@ -16,15 +16,15 @@ from jaxtyping import Float
 
 from trinoc.calib.detection import Detection
 from trinoc.calib.photometric import refine_views
-from trinoc.calib.shots.motions import chained
+from trinoc.calib.problem.motions import chained
+from trinoc.calib.problem.problem import Problem, lens_number
+from trinoc.calib.problem.robust_fit import RobustFit, errors_px, fitted, judged_fit
+from trinoc.calib.problem.views import View
+from trinoc.calib.problem.wrong_circles import without_wrong_circles
 from trinoc.calib.shots.place_shifts import shift_of_places
 from trinoc.calib.shots.placing import of_one_moment
 from trinoc.calib.shots.printed_tags import quarters_of_tags
-from trinoc.calib.shots.problem import Problem, lens_number
-from trinoc.calib.shots.robust_fit import RobustFit, errors_px, fitted, judged_fit
 from trinoc.calib.shots.sightings_of_shots import Pictures, delivered, named_pictures
-from trinoc.calib.shots.table import View
-from trinoc.calib.shots.wrong_circles import without_wrong_circles
 from trinoc.calib.targets import (
     AbstractTarget,
     AprilGrid,

@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.calib.photometric import ShiftOfPlaces
-from trinoc.calib.shots.problem import Problem
-from trinoc.calib.shots.residual import point_on_board
+from trinoc.calib.problem.problem import Problem
+from trinoc.calib.problem.sheet import AbstractSheet
 from trinoc.geometry import AbstractLens
 from trinoc.numerics import ArrayLike, in_blocks, point_tree
 
@@ -26,7 +26,7 @@ def shift_of_places(
     state = jax.tree.map(np.asarray, problem.state)
     if not (np.any(state.sheet) or np.any(state.shape)):
         return None
-    half_mm, tree = np.asarray(problem.chart.half_mm)[0], point_tree(problem.target.centres_mm)
+    sheet, tree = problem.chart.sheet_model, point_tree(problem.target.centres_mm)
 
     def shift(places_mm: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
         aside = np.zeros((len(places_mm), 3))
@@ -34,7 +34,7 @@ def shift_of_places(
             aside = state.shape[tree.query(places_mm)[1]]
 
         def block(places: np.ndarray, asides: np.ndarray) -> Float[ArrayLike, "n 2"]:
-            return _shifts(lens, cam_from_board, state.sheet, half_mm, places, asides)
+            return _shifts(lens, cam_from_board, sheet, state.sheet, places, asides)
 
         return np.asarray(in_blocks(block, _BLOCK, places_mm, aside))
 
@@ -45,8 +45,8 @@ def shift_of_places(
 def _shifts(
     lens: AbstractLens,
     cam_from_board: Float[ArrayLike, "3 4"],
-    sheet: Float[ArrayLike, "4"],
-    half_mm: Float[ArrayLike, "2"],
+    sheet: AbstractSheet,
+    numbers: Float[ArrayLike, "w"],
     places_mm: Float[ArrayLike, "n 2"],
     aside_mm: Float[ArrayLike, "n 3"],
 ) -> Float[ArrayLike, "n 2"]:
@@ -54,6 +54,7 @@ def _shifts(
         return lens.project_ray(cam_from_board[:, :3] @ point + cam_from_board[:, 3])
 
     def shift(place: Float[ArrayLike, "2"], aside: Float[ArrayLike, "3"]) -> Float[ArrayLike, "2"]:
-        return image(point_on_board(place, sheet, half_mm) + aside) - image(jnp.append(place, 0.0))
+        flat = jnp.append(place, 0.0)
+        return image(sheet.point(flat, numbers) + aside) - image(flat)
 
     return jax.vmap(shift)(places_mm, aside_mm)

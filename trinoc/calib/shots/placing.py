@@ -7,13 +7,13 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.calib.detection import Detection
+from trinoc.calib.problem.views import View
 from trinoc.calib.shots.apart import boards_apart, cameras_apart
 from trinoc.calib.shots.chain import placed_shot
 from trinoc.calib.shots.connected import connected, in_set
 from trinoc.calib.shots.exchanged import exchanged_pair
 from trinoc.calib.shots.lens_start import CameraStart
 from trinoc.calib.shots.sightings import Sighting, sighting
-from trinoc.calib.shots.table import View
 from trinoc.calib.targets import AbstractTarget, board_names
 from trinoc.errors import CalibrationError
 

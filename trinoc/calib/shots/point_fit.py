@@ -6,8 +6,12 @@ from typing import NamedTuple
 import numpy as np
 
 from trinoc.calib.detection import Detection
-from trinoc.calib.shots.freedom import Freedom
-from trinoc.calib.shots.information import information_of
+from trinoc.calib.problem.information import information_of
+from trinoc.calib.problem.problem import Freedom, Problem
+from trinoc.calib.problem.robust_fit import RobustFit, fit_robustly
+from trinoc.calib.problem.score_test import ScoreTest, rational_lens_test, wider_lens_test
+from trinoc.calib.problem.shot_scatter import shot_scatter
+from trinoc.calib.problem.starting_problem import problem_of
 from trinoc.calib.shots.lens_choice import (
     LensChoice,
     asked_for,
@@ -18,11 +22,6 @@ from trinoc.calib.shots.lens_choice import (
 from trinoc.calib.shots.lens_correction import splined_problem, with_correction
 from trinoc.calib.shots.lens_start import CameraStart, camera_start
 from trinoc.calib.shots.placing import PlacedRig, ShotBoard, placed_rig
-from trinoc.calib.shots.problem import Problem
-from trinoc.calib.shots.robust_fit import RobustFit, fit_robustly
-from trinoc.calib.shots.score_test import ScoreTest, rational_lens_test, wider_lens_test
-from trinoc.calib.shots.shot_scatter import shot_scatter
-from trinoc.calib.shots.starting_problem import problem_of
 from trinoc.calib.targets import AbstractTarget
 from trinoc.calib.uncertainty import Systematics
 from trinoc.errors import CalibrationError, InputError

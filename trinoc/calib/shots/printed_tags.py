@@ -5,9 +5,9 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Float
 
+from trinoc.calib.problem.motions import chained
+from trinoc.calib.problem.problem import Problem, lens_number
 from trinoc.calib.shots.lens_start import places_px
-from trinoc.calib.shots.motions import chained
-from trinoc.calib.shots.problem import Problem, lens_number
 from trinoc.calib.targets import AprilGrid, marker_cells, opencv_dictionary
 
 _MOST_VIEWS = 5

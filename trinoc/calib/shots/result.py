@@ -4,13 +4,13 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
+from trinoc.calib.problem.named_covariance import IN_SET_NAMES
+from trinoc.calib.problem.problem import EndedProblem
+from trinoc.calib.problem.views import View
 from trinoc.calib.result import Status
 from trinoc.calib.shots.cross_validation import CrossValidation
 from trinoc.calib.shots.fixed_boards import fixed_sentence
 from trinoc.calib.shots.halves import HalvesCheck
-from trinoc.calib.shots.problem import EndedProblem
-from trinoc.calib.shots.state import IN_SET_NAMES
-from trinoc.calib.shots.table import View
 from trinoc.calib.targets import AbstractTarget, board_names, boards_of
 from trinoc.geometry import SPLINE_PARAMETERS, Rig
 

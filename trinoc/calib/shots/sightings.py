@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.calib.detection import Detection
+from trinoc.calib.problem.motions import chained, inverse, motion_in_plane
 from trinoc.calib.shots.lens_start import miss_px
-from trinoc.calib.shots.motions import chained, inverse, motion_in_plane
 from trinoc.calib.targets import AbstractTarget
 from trinoc.geometry import AbstractLens
 

@@ -1,5 +1,4 @@
 from .systematics import (
     Systematics as Systematics,
     data_sheet_covariance as data_sheet_covariance,
-    with_systematics as with_systematics,
 )

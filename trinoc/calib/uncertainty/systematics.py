@@ -6,33 +6,17 @@ scale is half a millimetre of distance, a hundred times the bound of a good pict
 """
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import replace
 from typing import NamedTuple, TypeVar
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.model import (
-    CircleObservations,
-    bucket_size,
-    circle_observations,
-    predicted_centre_px,
-)
-from trinoc.calib.pose import DEGREES, pose_of_values
-from trinoc.calib.result import CalibrationResult
 from trinoc.errors import InputError
 from trinoc.geometry import (
-    PARAMETER_NAMES,
     AbstractLens,
     Intrinsics,
-    Pose,
-    PoseModel,
-    Rig,
     promoted,
 )
-from trinoc.numerics import ArrayLike, in_float64
 
 # What is assumed where nobody says it: see `Systematics.typical`.
 _PRINT_SIZE, _PRINT_STRETCH = 2e-3, 7e-4
@@ -44,9 +28,6 @@ _FOCAL_LENGTH, _ASPECT, _PRINCIPAL_POINT, _DISTORTION_PX = 1e-2, 2e-3, 2e-2, 1.0
 # Cameras of one program.
 _FEW = 3
 _Item = TypeVar("_Item")
-
-# Shared by all cameras: print scale along X and Y, and three ways in which a sheet bends.
-_SHARED = 5
 
 
 class Systematics(NamedTuple):
@@ -192,49 +173,6 @@ class Systematics(NamedTuple):
         return tuple(terms)
 
 
-@in_float64
-def with_systematics(result: CalibrationResult, systematics: Systematics) -> CalibrationResult:
-    """The same calibration with systematic errors added to its covariance.
-
-    Each error moves the circles' centres, and with them the least-squares solution, linearly:
-    the implicit derivative of the fitted pose, -(J^T J)^-1 J^T dr/de, carries its covariance.
-    Nothing is fitted anew: `trinoc.calibrate(systematics=)` also asks the pictures about these
-    errors. An aim that was held stays exact.
-
-    Raises InputError for a negative sigma, a lens covariance of another shape or not finite,
-    or one for a camera that the result does not know.
-    """
-    systematics.check()
-    lenses = dict.fromkeys(result.status) | {
-        name: camera.intrinsics for name, camera in result.rig.items()
-    }
-    factors = systematics.lens_factors(lenses)
-    sheet_sigma = np.array([*systematics.print_scale_sigma, *np.full(3, systematics.flatness_mm)])
-    rows = {name: row for row, name in enumerate(result.rig.parameters)}
-    covariance, shared = np.array(result.rig.covariance), []
-    for name in result.rig.names:
-        own = [rows[key] for key in (f"{name}.{p}" for p in PARAMETER_NAMES) if key in rows]
-        response = _response(result, name, len(own))
-        size = response[:, :1] + response[:, 1:2]
-        columns = [response[:, :_SHARED] * sheet_sigma, size * systematics.print_size_sigma]
-        if name in factors:
-            factor = factors[name]
-            by_lens = response[:, _SHARED:][:, : len(factor)] @ factor
-            if systematics.lens_is_shared:
-                columns.append(by_lens)
-            else:
-                covariance[np.ix_(own, own)] += by_lens @ by_lens.T
-        spread = np.zeros((len(covariance), sum(column.shape[1] for column in columns)))
-        spread[own] = np.concatenate(columns, axis=1)
-        shared.append(spread)
-    stacked = np.sum(shared, axis=0)
-    covariance += stacked @ stacked.T
-    rig = Rig(dict(result.rig.items()), parameters=result.rig.parameters, covariance=covariance)
-    told = [rows[key] for key in result.parameters]
-    words = (*result.systematics, *systematics.words)
-    return replace(result, rig=rig, covariance=covariance[np.ix_(told, told)], systematics=words)
-
-
 def data_sheet_covariance(lens: Intrinsics) -> Float[np.ndarray, "5 5"]:
     """Covariance of fx, fy, cx, cy and k1 of a lens that only its data sheet describes.
 
@@ -276,48 +214,3 @@ def _factor(covariance: Float[np.ndarray, "k k"]) -> Float[np.ndarray, "k r"]:
     factor = np.zeros((len(covariance), int(kept.sum())))
     factor[free] = sigma[free, None] * vectors[:, kept] * np.sqrt(values[kept])
     return factor
-
-
-def _response(result: CalibrationResult, name: str, count: int) -> Float[np.ndarray, "p e"]:
-    """Change of a camera's parameters, in degrees and mm, for a unit of each error."""
-    fit, camera = result.fits[name], result.rig[name]
-    values = [getattr(camera, key) for key in PARAMETER_NAMES[:4]]
-    pose = pose_of_values(np.array([*values, *camera.aim_mm]))
-    circles = circle_observations(
-        fit.detection, result.pattern, bucket_size(len(fit.detection)), fit.used
-    )
-    by_step, by_error, by_delta = (
-        np.asarray(part) for part in _derivatives(pose, promoted(camera.intrinsics.lens), circles)
-    )
-    by_step, by_delta = by_step[:, :count], by_delta[:count, :count]
-    step = -np.linalg.solve(by_step.T @ by_step, by_step.T @ by_error)
-    return DEGREES[:count, None] * by_delta @ step
-
-
-@jax.jit
-def _derivatives(
-    pose: Pose, lens: AbstractLens, circles: CircleObservations
-) -> tuple[Float[ArrayLike, "n 6"], Float[ArrayLike, "n e"], Float[ArrayLike, "6 6"]]:
-    """Whitened centres by a step of the pose and by every error, and parameters by that step."""
-    model, unit_mm = PoseModel.AIM_FREE, pose.distance_mm
-    reach = jnp.sqrt(jnp.max(jnp.sum(circles.centres_sheet_mm**2, axis=1)))
-
-    def centres(step: Float[ArrayLike, "6"], error: Float[ArrayLike, "e"]) -> ArrayLike:
-        stepped = pose.retract(step, model, unit_mm)
-        deformed = lens.retract(error[_SHARED:])
-
-        def centre(place: Float[ArrayLike, "2"], radius: Float[ArrayLike, ""]) -> ArrayLike:
-            scaled = place * (1 + error[:2])
-            x, y = place[0] / reach, place[1] / reach
-            height = error[2] * x * x + error[3] * y * y + error[4] * x * y
-            flat = stepped.cam_from_sheet @ jnp.append(scaled, 1.0)
-            raised = flat + stepped.rotation[:, 2] * height
-            lift = deformed.project_ray(raised) - deformed.project_ray(flat)
-            return predicted_centre_px(stepped, deformed, scaled, radius) + lift
-
-        predicted = jax.vmap(centre)(circles.centres_sheet_mm, circles.radius_mm)
-        return jnp.einsum("nij,nj->ni", circles.whitening, predicted).reshape(-1)
-
-    zero, none = jnp.zeros(model.size), jnp.zeros(_SHARED + len(lens.parameter_names))
-    by_step, by_error = jax.jacfwd(centres, argnums=(0, 1))(zero, none)
-    return by_step, by_error, pose.d_parameters_d_delta(model, unit_mm, pose)

@@ -8,10 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from trinoc.calib.shots.normal_equations import view_blocks
-from trinoc.calib.shots.problem import Problem
-from trinoc.calib.shots.state import POSE_SIZE, Chart, RigState
-from trinoc.calib.shots.table import ViewTable
+from trinoc.calib.problem.places import linearise
+from trinoc.calib.problem.problem import Problem
+from trinoc.calib.problem.variables import POSE_SIZE, Chart, RigState, prior_of
+from trinoc.calib.problem.views import ViewTable
 from trinoc.numerics import GemanMcClure, Observability, inverse_positive_definite, observability
 
 
@@ -52,14 +52,10 @@ class Information(NamedTuple):
 
 def information_of(problem: Problem) -> Information:
     """The information at a problem's state."""
-    of_shot, pulls, follow, own = (
+    of_shot, pulls, follow, own, prior = (
         np.asarray(part) for part in _of_shots(problem.state, problem.chart, problem.table)
     )
     free = np.flatnonzero(problem.chart.free)
-    prior = np.zeros((len(problem.chart.free),) * 2)
-    first, lenses = problem.chart.sheet_first, problem.chart.lens_scale.size
-    prior[:lenses, :lenses] = np.asarray(problem.chart.lens_prior)
-    prior[first:, first:] = np.asarray(problem.chart.board_prior)
     prior = prior[np.ix_(free, free)]
     return Information(of_shot, pulls, follow, own, free, prior, problem.chart.shape_first)
 
@@ -67,7 +63,12 @@ def information_of(problem: Problem) -> Information:
 @eqx.filter_jit
 def _of_shots(state: RigState, chart: Chart, table: ViewTable) -> tuple[Array, ...]:
     plain = GemanMcClure.from_scale(jnp.asarray(jnp.inf))
-    columns, own, gradient = jax.vmap(lambda *view: view_blocks(state, chart, plain, *view))(*table)
+
+    def of_view(view: ViewTable) -> tuple[Array, Array, Array]:
+        near = linearise(state, chart, view)
+        return near.columns, *near.weighted(chart, plain)
+
+    columns, own, gradient = jax.vmap(of_view)(table)
     size, shots, heads = columns.shape[1], state.rig_from_board.shape[0], chart.free.shape[0]
     shot = jnp.asarray(table.shot)
     head = jnp.zeros((shots, heads, heads), own.dtype)
@@ -89,4 +90,38 @@ def _of_shots(state: RigState, chart: Chart, table: ViewTable) -> tuple[Array, .
         of_head + jnp.einsum("sph,sp->sh", follow, of_board),
         follow,
         inverse,
+        jnp.asarray(prior_of(state, chart).information),
     )
+
+
+class WhitenedViews(NamedTuple):
+    """All views at a state, by every step of the head, those that are held too.
+
+    Fields
+    ------
+    jacobian : (v, 2n, h) of the whitened residuals.
+    residual : (v, 2n) predicted minus observed, in sigmas.
+    """
+
+    jacobian: Float[np.ndarray, "v m h"]
+    residual: Float[np.ndarray, "v m"]
+
+
+def whitened_views(problem: Problem) -> WhitenedViews:
+    """Residuals of each view and their derivatives; dense, for problems of few views."""
+    columns, jacobian, residual = (
+        np.asarray(part)[: len(problem.views)]
+        for part in _whitened_views(problem.state, problem.chart, problem.table)
+    )
+    dense = np.zeros((*jacobian.shape[:2], len(problem.chart.free)))
+    for k, own in enumerate(columns):
+        dense[k][:, own] = jacobian[k]
+    return WhitenedViews(dense, residual)
+
+
+@eqx.filter_jit
+def _whitened_views(state: RigState, chart: Chart, table: ViewTable) -> tuple[Array, Array, Array]:
+    near = jax.vmap(lambda view: linearise(state, chart, view))(table)
+    views, places, _, columns = near.jacobian.shape
+    jacobian = near.jacobian.reshape(views, 2 * places, columns)[..., :-POSE_SIZE]
+    return near.columns, jacobian, near.residual.reshape(views, 2 * places)

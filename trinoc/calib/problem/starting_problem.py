@@ -5,13 +5,20 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.shots.freedom import Freedom, stacked_lenses, with_lens_free
-from trinoc.calib.shots.problem import Problem, cam_from_board
-from trinoc.calib.shots.state import POSE_SIZE, SHEET_SIZE, Chart, RigState
-from trinoc.calib.shots.table import FEWEST_SHOTS, View, padded_count
+from trinoc.calib.problem.problem import (
+    Freedom,
+    Problem,
+    basis_of_scales,
+    cam_from_board,
+    stacked_lenses,
+    with_lens_free,
+)
+from trinoc.calib.problem.sheet import WarpedBoard
+from trinoc.calib.problem.variables import POSE_SIZE, Chart, RigState
+from trinoc.calib.problem.views import View, padded_shots
 from trinoc.calib.targets import AbstractTarget, boards_of
 from trinoc.calib.uncertainty import Systematics
-from trinoc.geometry import AbstractLens
+from trinoc.geometry import AbstractLens, PoseModel
 
 _SMALLEST_SIGMA = 1e-12
 
@@ -37,7 +44,7 @@ def problem_of(
     if len(members) > 1 and set_from_board is not None:
         in_set = np.asarray(set_from_board)
     shots = len(rig_from_board)
-    more = padded_count(shots, FEWEST_SHOTS) - shots
+    more = padded_shots(shots) - shots
     boards = np.concatenate([rig_from_board, np.broadcast_to(np.eye(3, 4), (more, 3, 4))])
     stacked = stacked_lenses(lenses)
     scale = np.stack(
@@ -48,7 +55,7 @@ def problem_of(
         np.asarray(cam_from_rig),
         boards,
         in_set,
-        np.zeros(SHEET_SIZE * len(members)),
+        np.zeros(len(WarpedBoard.names) * len(members)),
         np.zeros((0, 3)),
     )
     depths = [np.linalg.norm(cam_from_board(state, view)[:, 3]) for view in views]
@@ -57,15 +64,23 @@ def problem_of(
     pose_free[0] = 0.0
     set_free[:1] = 0.0
     free = (freedom.free, pose_free, set_free, sheet_free)
+    unit_mm = float(np.median(depths))
     chart = Chart(
-        lens_scale=scale,
-        unit_mm=np.asarray(float(np.median(depths))),
-        half_mm=np.stack([np.abs(board.centres_mm).max(axis=0) for board in members]),
+        lens_basis=basis_of_scales(scale),
+        lens_mean=np.zeros_like(scale),
+        unit_mm=np.asarray(unit_mm),
+        sheet_model=WarpedBoard(
+            np.stack([np.abs(board.centres_mm).max(axis=0) for board in members])
+        ),
+        sheet_scale=np.tile([1.0, 1.0, unit_mm, unit_mm], len(members)),
         lens_of_camera=np.asarray(freedom.lens_of_camera),
         free=np.concatenate([part.astype(float).ravel() for part in free]),
         lens_information=np.zeros((*scale.shape, scale.shape[1])),
         sheet_information=information,
         shape_information=np.ones(3),
+        aim_information=np.zeros(len(cam_from_rig)),
+        boards_free=np.ones(()),
+        pose_model=PoseModel.RIGID,
         has_circles=bool(np.any(target.radius_mm > 0)),
     )
     factor = np.ones(len(cam_from_rig))
@@ -81,7 +96,8 @@ def _sheet_prior(
     The size is off alike for all boards of a set, as one printer makes it; scales along X and Y,
     and warps, are each board's own.
     """
-    size = np.zeros((SHEET_SIZE, SHEET_SIZE))
+    terms = len(WarpedBoard.names)
+    size = np.zeros((terms, terms))
     size[:2, :2] = systematics.print_size_sigma**2
     own = np.diag([*np.square(systematics.print_scale_sigma), 0.0, 0.0])
     own += np.diag([0.0, 0.0, systematics.flatness_mm**2, systematics.flatness_mm**2])

@@ -7,9 +7,10 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.calib.model import ANNEALING, SheetPoints, inliers, robust_scale
-from trinoc.calib.shots.levenberg_marquardt import minimise
-from trinoc.calib.shots.normal_equations import residuals_px, whitened_residuals
-from trinoc.calib.shots.problem import Problem
+from trinoc.calib.problem.equations import PlacesProblem
+from trinoc.calib.problem.places import residuals_px, whitened_residuals
+from trinoc.calib.problem.problem import Problem
+from trinoc.calib.problem.solver import FIRST_DAMPING, solve
 from trinoc.numerics import GemanMcClure, as_numpy
 
 # A picture of which fewer places than this share agree with the rig shows the board elsewhere.
@@ -68,15 +69,25 @@ def refitted(fit: RobustFit, problem: Problem) -> RobustFit:
     return RobustFit(problem, converged, fit.moved, chi_square, freedom(problem))
 
 
-def fitted(problem: Problem, outlier_scale: float = np.inf) -> tuple[Problem, bool]:
-    """The problem where the fit ends, and whether it converged."""
-    loss = GemanMcClure.from_scale(np.asarray(float(outlier_scale)))
-    fit = as_numpy(minimise(problem.state, problem.table, problem.chart, loss))
-    return problem._replace(state=fit.state), bool(fit.converged)
+def fitted(
+    problem: Problem,
+    outlier_scale: float | Float[np.ndarray, "_v"] = np.inf,
+    first_damping: float = FIRST_DAMPING,
+) -> tuple[Problem, bool]:
+    """The problem where the fit ends, and whether it converged.
+
+    outlier_scale : in sigmas, at which the influence of places is bounded: of all, or of each view.
+    """
+    table = problem.table
+    scale = np.full(len(table.shot), np.inf)
+    scale[: len(problem.views)] = outlier_scale
+    observed = PlacesProblem(problem.chart, table, GemanMcClure.from_scale(scale))
+    end = as_numpy(solve(observed, problem.state, np.asarray(first_damping)))
+    return problem._replace(state=end.state), bool(end.converged)
 
 
-def whitened(problem: Problem) -> Float[np.ndarray, "v g k"]:
-    """Residuals in sigmas, unused ones zero, padded and grouped as the table is."""
+def whitened(problem: Problem) -> Float[np.ndarray, "v n 2"]:
+    """Residuals in sigmas, unused ones zero, padded as the table is."""
     return np.asarray(_whitened(problem.state, problem.chart, problem.table))
 
 
@@ -166,9 +177,8 @@ def freedom(problem: Problem) -> int:
     those of lenses that have a prior."""
     residuals = sum(view.numbers for view in problem.views)
     shots = {view.shot for view in problem.views if view.used.any()}
-    lenses, size = problem.chart.lens_scale.shape
     steps = np.array(problem.chart.free[: problem.chart.sheet_first])
     known = np.einsum("lqq->lq", np.asarray(problem.chart.lens_information)) > 0
-    steps[: lenses * size][known.ravel()] = 0
+    steps[: problem.chart.lens_count][known.ravel()] = 0
     told = problem.spent + problem.spent_on_lenses
     return residuals - int(steps.sum()) - 6 * len(shots) - round(told)

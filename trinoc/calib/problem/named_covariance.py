@@ -8,18 +8,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from trinoc.calib.shots.information import Information
-from trinoc.calib.shots.problem import Problem
-from trinoc.calib.shots.state import (
-    IN_SET_NAMES,
-    POSE_SIZE,
-    SHEET_NAMES,
-    RigState,
-    retracted,
-)
+from trinoc.calib.problem.information import Information
+from trinoc.calib.problem.problem import Problem
+from trinoc.calib.problem.variables import POSE_SIZE, RigState, retract
 from trinoc.calib.targets import board_prefixes
 from trinoc.geometry import Pose, PoseModel
 from trinoc.numerics import ArrayLike
+
+# Of a board fixed to others: its turn about the axes of their frame from where it stands, and where
+# its origin lies there.
+IN_SET_NAMES = ("turn_x_deg", "turn_y_deg", "turn_z_deg", "x_mm", "y_mm", "z_mm")
 
 
 class World(NamedTuple):
@@ -81,7 +79,7 @@ def named_covariance(
     for prefix in prefixes[1:]:
         names += [f"{prefix}{each}" for each in IN_SET_NAMES]
     for prefix in prefixes:
-        names += [f"{prefix}{each}" for each in SHEET_NAMES]
+        names += [f"{prefix}{each}" for each in problem.chart.sheet_model.names]
     return NamedCovariance(tuple(names), values, 0.5 * (covariance + covariance.T))
 
 
@@ -122,7 +120,7 @@ def _parameters(
     start = cam_from_world(state, world)
 
     def values(head: Array, boards: Array) -> Array:
-        here = retracted(state, chart, head, boards)
+        here = retract(state, chart, head, boards)
         poses = cam_from_world(here, world)
 
         def of_camera(pose: ArrayLike, origin: ArrayLike, lens: ArrayLike) -> Array:

@@ -12,8 +12,10 @@ from trinoc.calib.model import SheetPoints, bucket_size, whitening_of_covariance
 from trinoc.calib.targets import AbstractTarget
 from trinoc.numerics import ArrayLike, point_tree
 
-# Views and shots are padded to these numbers, so that one more seldom compiles anew.
+# Views and shots are padded to these numbers, so that one more seldom compiles anew; those of one
+# shot, which is seldom of more cameras than these, to fewer.
 _FEWEST_VIEWS, FEWEST_SHOTS = 32, 8
+_FEWEST_VIEWS_OF_ONE_SHOT = 3
 # The index of what is no place of the target: beyond all of them.
 NO_PLACE = 1 << 30
 
@@ -29,6 +31,7 @@ class View(NamedTuple):
     shown : where the grey levels show the board, which then counts instead of the detection, as a
         whole unless no place is used.
     board : which of several boards it shows.
+    ink_spread_mm : by which ink reaches beyond the drawing of each circle.
     """
 
     camera: int
@@ -37,6 +40,7 @@ class View(NamedTuple):
     used: Bool[np.ndarray, "_m"]
     shown: SheetPoints | None = None
     board: int = 0
+    ink_spread_mm: float = 0.0
 
     @property
     def rows(self) -> int:
@@ -65,22 +69,27 @@ class ViewTable(NamedTuple):
     ------
     camera, shot, board : (v,) of each view.
     place : (v, n) index of each in the target; `NO_PLACE` for pieces of lines.
-    place_mm : (v, n, 2) on the board.
+    place_mm : (v, n, 3) on the board.
     radius_mm : (v, n) of the circle there; 0 for a corner.
     uv_px : (v, n, 2) centre of its image, or the corner's.
     whitening : (v, g, k, k) W, with W^T W the inverse covariance of each of g groups of places, 0
         for unused ones: of (n, 2, 2) where errors of places share nothing, of (1, 2n, 2n) where
-        they do, as those that one picture's grey levels tell.
+        they do, as those that one picture's grey levels show.
     """
 
     camera: Int[ArrayLike, "v"]
     shot: Int[ArrayLike, "v"]
     board: Int[ArrayLike, "v"]
     place: Int[ArrayLike, "v n"]
-    place_mm: Float[ArrayLike, "v n 2"]
+    place_mm: Float[ArrayLike, "v n 3"]
     radius_mm: Float[ArrayLike, "v n"]
     uv_px: Float[ArrayLike, "v n 2"]
     whitening: Float[ArrayLike, "v g k k"]
+
+
+def padded_shots(shots: int) -> int:
+    """How many shots a state has room for."""
+    return shots if shots == 1 else padded_count(shots, FEWEST_SHOTS)
 
 
 def padded_count(count: int, fewest: int) -> int:
@@ -93,13 +102,14 @@ def view_table(views: Sequence[View], target: AbstractTarget) -> ViewTable:
     """All views, padded."""
     rows = max(bucket_size(max(view.rows for view in views)), 1)
     shared = any(view.shown is not None for view in views)
-    count = padded_count(len(views), _FEWEST_VIEWS)
+    is_one_shot = all(view.shot == 0 for view in views)
+    count = padded_count(len(views), _FEWEST_VIEWS_OF_ONE_SHOT if is_one_shot else _FEWEST_VIEWS)
     table = ViewTable(
         np.zeros(count, dtype=int),
         np.zeros(count, dtype=int),
         np.zeros(count, dtype=int),
         np.full((count, rows), NO_PLACE),
-        np.zeros((count, rows, 2)),
+        np.zeros((count, rows, 3)),
         np.zeros((count, rows)),
         np.zeros((count, rows, 2)),
         np.zeros((count, 1, 2 * rows, 2 * rows) if shared else (count, rows, 2, 2)),
@@ -109,14 +119,19 @@ def view_table(views: Sequence[View], target: AbstractTarget) -> ViewTable:
         seen = slice(view.rows)
         if view.shown is not None:
             table.place[v, seen] = circle_of(view.shown.place_mm, target)
-            table.place_mm[v, seen], table.uv_px[v, seen] = view.shown.place_mm, view.shown.uv_px
+            table.place_mm[v, seen, :2], table.uv_px[v, seen] = (
+                view.shown.place_mm,
+                view.shown.uv_px,
+            )
             numbers = slice(2 * view.rows)
             table.whitening[v, 0, numbers, numbers] = view.shown.whitening * view.used.any()
             continue
         index = view.detection.circle_index
         table.place[v, seen] = index
-        table.place_mm[v, seen] = target.centres_mm[index]
-        table.radius_mm[v, seen] = target.radius_mm[index]
+        places = target.centres_mm[index]
+        table.place_mm[v, seen, : places.shape[1]] = places
+        radius = target.radius_mm[index]
+        table.radius_mm[v, seen] = np.where(radius > 0, radius + view.ink_spread_mm, 0.0)
         table.uv_px[v, seen] = view.detection.centres_px
         whitening = whitening_of_covariance(view.detection.covariance_px2)
         whitening = np.where(view.used[:, None, None], whitening, 0.0)

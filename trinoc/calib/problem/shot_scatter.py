@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.shots.information import Information
+from trinoc.calib.problem.information import Information
 
 # A variance factor this many of its own sigmas above 1 is no chance.
 _DEVIATIONS = 3.0

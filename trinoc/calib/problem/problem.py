@@ -1,4 +1,4 @@
-"""What of a rig is fitted: problems in which more or less of it is held."""
+"""A rig to be fitted: its views, where the fit starts or ended, and what of it is free."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -9,9 +9,78 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
-from trinoc.calib.shots.problem import Problem
-from trinoc.calib.shots.state import Chart
+from trinoc.calib.problem.motions import chained
+from trinoc.calib.problem.variables import Chart, RigState
+from trinoc.calib.problem.views import View, ViewTable, view_table
+from trinoc.calib.targets import AbstractTarget
 from trinoc.geometry import AFFINE_PARAMETERS, AbstractLens, stack_lenses
+
+
+class Problem(NamedTuple):
+    """Everything that the fit takes.
+
+    Fields
+    ------
+    views : what was seen.
+    target : the board.
+    state : where the fit starts, or where it ended.
+    chart : units, and what is free.
+    shots : how many there are; arrays have more rows.
+    sigma_factor : (c,) by how much the places' sigmas are multiplied for each camera.
+    spent : how many numbers the residuals have told of where the board's places lie.
+    spent_on_lenses : how many they have told of what has a prior in the lenses.
+    """
+
+    views: tuple[View, ...]
+    target: AbstractTarget
+    state: RigState
+    chart: Chart
+    shots: int
+    sigma_factor: Float[np.ndarray, "c"]
+    spent: float = 0.0
+    spent_on_lenses: float = 0.0
+
+    @property
+    def cameras(self) -> int:
+        """How many cameras there are."""
+        return len(self.chart.lens_of_camera)
+
+    @property
+    def table(self) -> ViewTable:
+        """The views as arrays."""
+        table = view_table(self.views, self.target)
+        by_view = self.sigma_factor[np.asarray(table.camera)]
+        return table._replace(whitening=table.whitening / by_view[:, None, None, None])
+
+
+class EndedProblem(NamedTuple):
+    """Where a fit ended, and how well that is known.
+
+    Fields
+    ------
+    problem : at its end.
+    covariance : (f, f) of the free steps of the head.
+    variance_factor : of the shots' noise, which is in the covariance.
+    """
+
+    problem: Problem
+    covariance: Float[np.ndarray, "f f"]
+    variance_factor: float
+
+
+def cam_from_board(state: RigState, view: View) -> Float[np.ndarray, "3 4"]:
+    """The pose of a view's board before its camera."""
+    pose = chained(
+        np.asarray(state.cam_from_rig)[view.camera], np.asarray(state.rig_from_board)[view.shot]
+    )
+    if not len(state.set_from_board):
+        return pose
+    return chained(pose, np.asarray(state.set_from_board)[view.board])
+
+
+def lens_number(problem: Problem, number: int) -> AbstractLens:
+    """One of the stacked lenses of the state."""
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[number], problem.state.lenses)
 
 
 class Freedom(NamedTuple):
@@ -30,9 +99,8 @@ class Freedom(NamedTuple):
 def with_lens_free(problem: Problem, free: Bool[np.ndarray, "l q"]) -> Problem:
     """The problem with other parameters of the lenses held; held coefficients are zero, but for
     lenses that are held as a whole, and for what is never fitted."""
-    lenses, size = problem.chart.lens_scale.shape
     head = np.array(problem.chart.free)
-    head[: lenses * size] = free.astype(float).ravel()
+    head[: problem.chart.lens_count] = free.astype(float).ravel()
     given = np.asarray(problem.state.lenses.coefficients)
     whole = ~free.any(axis=1, keepdims=True)
     model = problem.state.lenses
@@ -49,7 +117,7 @@ def with_wider_lenses(
 
     What is added is free, without a prior, of lenses that are not held as a whole.
     """
-    count, size = problem.chart.lens_scale.shape
+    count, size = problem.chart.lens_shape
     names, never = lenses[0].parameter_names[size:], lenses[0].never_fitted
     scale = np.stack(
         [lens.parameter_scales(each) for lens, each in zip(lenses, image_sizes_px[:count])]
@@ -58,10 +126,11 @@ def with_wider_lenses(
     of_lens, of_rest = head[: count * size].reshape(count, size), head[count * size :]
     added = of_lens.any(axis=1, keepdims=True) * np.array([name not in never for name in names])
     chart = eqx.tree_at(
-        lambda chart: (chart.lens_scale, chart.free, chart.lens_information),
+        lambda c: (c.lens_basis, c.lens_mean, c.free, c.lens_information),
         problem.chart,
         (
-            scale,
+            basis_of_scales(scale),
+            np.zeros_like(scale),
             np.append(np.append(of_lens, added, axis=1).ravel(), of_rest),
             np.zeros((*scale.shape, scale.shape[1])),
         ),
@@ -84,6 +153,11 @@ def with_head_held(problem: Problem) -> Problem:
 
 def _with_free(chart: Chart, free: Float[np.ndarray, "h"]) -> Chart:
     return eqx.tree_at(lambda chart: chart.free, chart, free)
+
+
+def basis_of_scales(scale: Float[np.ndarray, "l q"]) -> Float[np.ndarray, "l q q"]:
+    """A `Chart.lens_basis` by which each parameter has a step of its own."""
+    return scale[:, :, None] * np.eye(scale.shape[1])[None]
 
 
 def stacked_lenses(lenses: Sequence[AbstractLens]) -> AbstractLens:

@@ -6,9 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool
 
-from trinoc.calib.shots.freedom import with_wider_lenses
-from trinoc.calib.shots.information import Information, information_of
-from trinoc.calib.shots.problem import Problem, lens_number
+from trinoc.calib.problem.information import Information, information_of
+from trinoc.calib.problem.problem import Problem, lens_number, with_wider_lenses
 from trinoc.geometry import BrownConrady, lens_model
 from trinoc.numerics import chi_square_tail
 
@@ -63,7 +62,7 @@ def rational_lens_test(
 
     That is the rational lens whose last three coefficients are 0. image_sizes_px : of each lens.
     """
-    model, count = lens_model("rational"), len(problem.chart.lens_scale)
+    model, count = lens_model("rational"), problem.chart.lens_shape[0]
     more = len(model.parameter_names) - len(BrownConrady.parameter_names)
     lenses = []
     for k in range(count):
@@ -78,9 +77,9 @@ def rational_lens_test(
 def wider_lens_test(problem: Problem, wider: Problem, variance_factor: float) -> ScoreTest:
     """Whether the shots ask for what `wider`, a problem `with_wider_lenses`, has besides."""
     information = information_of(wider)
-    size = problem.chart.lens_scale.shape[1]
-    of_lenses = wider.chart.lens_scale.size
+    _, size = problem.chart.lens_shape
+    _, wider_size = wider.chart.lens_shape
     column = np.arange(len(wider.chart.free))
-    is_added = (column < of_lenses) & (column % wider.chart.lens_scale.shape[1] >= size)
+    is_added = (column < wider.chart.lens_count) & (column % wider_size >= size)
     test = score_test(information, is_added[information.free])
     return test._replace(chi_square=test.chi_square / variance_factor)

@@ -4,9 +4,9 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.calib.model import SheetPoints, inliers
-from trinoc.calib.shots.problem import Problem
-from trinoc.calib.shots.robust_fit import errors_px
-from trinoc.calib.shots.table import NO_PLACE, View, circle_of
+from trinoc.calib.problem.problem import Problem
+from trinoc.calib.problem.robust_fit import errors_px
+from trinoc.calib.problem.views import NO_PLACE, View, circle_of
 
 # Of the largest eigenvalue: below, the information tells nothing.
 _ROUNDING = 1e-12

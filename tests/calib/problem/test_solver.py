@@ -1,0 +1,102 @@
+"""The descent reaches the minimum that dense methods reach, and says whether it did."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Float
+from scipy.optimize import least_squares
+
+from trinoc.calib.problem.solver import AbstractArrowProblem, ArrowEquations, solve
+from trinoc.numerics import BlockArrow, GemanMcClure
+
+COUNT, ROWS = 6, 5
+
+
+class Decays(AbstractArrowProblem[tuple[Array, Array]]):
+    """Curves a_k exp(-b_k t) + c + d t seen at times t: c and d are shared, a_k and b_k are not.
+
+    c has a prior of mean 0. The log of each b_k is what is stepped, so that it stays positive.
+    """
+
+    time: Float[Array, "n"]
+    seen: Float[Array, "k n"]
+    loss: GemanMcClure
+    prior: Float[Array, ""]
+
+    def residuals(self, state):
+        (c, d), own = state
+        amplitude, rate = own[:, :1], own[:, 1:]
+        return amplitude * jnp.exp(-rate * self.time[None]) + c + d * self.time[None] - self.seen
+
+    def cost(self, state):
+        return jnp.sum(self.loss.rho(self.residuals(state) ** 2)) + self.prior * state[0][0] ** 2
+
+    def equations(self, state):
+        zero = jnp.zeros(2), jnp.zeros((len(self.seen), 2))
+        by_head, by_block = jax.jacfwd(
+            lambda *step: self.residuals(self.retract(state, *step)), argnums=(0, 1)
+        )(*zero)
+        by_block = jnp.einsum("knkw->knw", by_block)
+        residual = self.residuals(state)
+        weight = self.loss.weight(residual**2)
+        prior = self.prior * jnp.array([1.0, 0.0])
+        return ArrowEquations(
+            BlockArrow(
+                jnp.einsum("kn,kni,knj->ij", weight, by_head, by_head) + jnp.diag(prior),
+                jnp.einsum("kn,kni,knj->kij", weight, by_head, by_block),
+                jnp.einsum("kn,kni,knj->kij", weight, by_block, by_block),
+            ),
+            (
+                jnp.einsum("kn,kni,kn->i", weight, by_head, residual) + prior * state[0],
+                jnp.einsum("kn,kni,kn->ki", weight, by_block, residual),
+            ),
+        )
+
+    def retract(self, state, head, blocks):
+        shared, own = state
+        moved = jnp.stack([own[:, 0] + blocks[:, 0], own[:, 1] * jnp.exp(blocks[:, 1])], axis=1)
+        return shared + head, moved
+
+
+def decays(seed=0, scale=np.inf):
+    random = np.random.default_rng(seed)
+    time = jnp.linspace(0.0, 3.0, ROWS)
+    own = np.stack([random.uniform(2, 4, COUNT), random.uniform(0.5, 2, COUNT)], axis=1)
+    truth = jnp.array([0.3, -0.2]), jnp.asarray(own)
+    empty = Decays(time, jnp.zeros((COUNT, ROWS)), GemanMcClure(jnp.asarray(scale)), jnp.ones(()))
+    seen = empty.residuals(truth) + 0.02 * random.normal(size=(COUNT, ROWS))
+    start = jnp.zeros(2), jnp.asarray(own * random.uniform(0.5, 1.5, own.shape))
+    return Decays(time, seen, empty.loss, empty.prior), start
+
+
+@pytest.mark.parametrize("scale", [np.inf, 0.5])
+def test_it_ends_where_a_dense_method_does(scale):
+    problem, start = decays(scale=scale)
+    found = solve(problem, start)
+    zero, unflatten = ravel_pytree((jnp.zeros(2), jnp.zeros((COUNT, 2))))
+
+    def bounded(step):
+        state = problem.retract(start, *unflatten(jnp.asarray(step)))
+        rho = problem.loss.rho(problem.residuals(state) ** 2)
+        return np.append(np.sqrt(rho).ravel(), state[0][0])
+
+    dense = least_squares(bounded, np.asarray(zero), xtol=1e-12, ftol=1e-12)
+    assert found.converged
+    assert found.cost == problem.cost(found.state)
+    assert found.cost <= 2 * dense.cost + 1e-4
+
+
+def test_at_a_minimum_it_stays():
+    problem, start = decays()
+    first = solve(problem, start)
+    again = solve(problem, first.state)
+    assert again.converged
+    assert again.steps <= 3
+    assert again.cost <= first.cost < again.cost + 1e-4
+
+
+def test_a_start_without_a_cost_is_no_answer():
+    problem, (shared, own) = decays()
+    assert not solve(problem, (shared, own.at[0, 0].set(jnp.nan))).converged

@@ -1,0 +1,65 @@
+"""Gauss-Newton's equations of all views: an arrow from which every shot's board is eliminated.
+
+The head holds the lenses, the cameras and the sheet; each block the board's pose in one shot.
+"""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from trinoc.calib.problem.places import linearise, whitened_residuals
+from trinoc.calib.problem.solver import AbstractArrowProblem, ArrowEquations
+from trinoc.calib.problem.variables import POSE_SIZE, Chart, RigState, prior_of, retract
+from trinoc.calib.problem.views import ViewTable
+from trinoc.numerics import AbstractRobustLoss, ArrayLike, BlockArrow
+
+
+class PlacesProblem(AbstractArrowProblem):
+    """Places of boards, seen by the cameras of a rig, and what was known beforehand.
+
+    Fields
+    ------
+    chart : units, and what is free.
+    table : v views.
+    loss : of each view's places, along a first axis of its fields.
+    """
+
+    chart: Chart
+    table: ViewTable
+    loss: AbstractRobustLoss
+
+    def cost(self, state: RigState) -> Float[Array, ""]:
+        """Robust chi-square of all places, and that of the prior."""
+        squared = jnp.sum(jnp.square(whitened_residuals(state, self.chart, self.table)), axis=-1)
+        of_views = jax.vmap(lambda loss, each: loss.rho(each))(self.loss, squared)
+        return jnp.sum(of_views) + prior_of(state, self.chart).cost
+
+    def equations(self, state: RigState) -> ArrowEquations:
+        """Summed over views, weighted by the loss, the prior included."""
+
+        def of_view(view: ViewTable, loss: AbstractRobustLoss) -> tuple[Array, Array, Array]:
+            near = linearise(state, self.chart, view)
+            return near.columns, *near.weighted(self.chart, loss)
+
+        columns, own, gradient = jax.vmap(of_view)(self.table, self.loss)
+        size, heads = columns.shape[1], self.chart.free.shape[0]
+        shots, shot = state.rig_from_board.shape[0], self.table.shot
+        prior = prior_of(state, self.chart)
+        head = (
+            jnp.asarray(prior.information)
+            .at[columns[:, :, None], columns[:, None, :]]
+            .add(own[:, :size, :size])
+        )
+        coupling = jnp.zeros((shots, heads, POSE_SIZE), own.dtype)
+        coupling = coupling.at[shot[:, None], columns].add(own[:, :size, size:])
+        blocks = jnp.zeros((shots, POSE_SIZE, POSE_SIZE), own.dtype)
+        blocks = blocks.at[shot].add(own[:, size:, size:])
+        of_head = jnp.asarray(prior.gradient).at[columns].add(gradient[:, :size])
+        of_boards = jnp.zeros((shots, POSE_SIZE), own.dtype).at[shot].add(gradient[:, size:])
+        return ArrowEquations(BlockArrow(head, coupling, blocks), (of_head, of_boards))
+
+    def retract(
+        self, state: RigState, head: Float[ArrayLike, "h"], blocks: Float[ArrayLike, "s 6"]
+    ) -> RigState:
+        """The state after a step."""
+        return retract(state, self.chart, head, blocks)

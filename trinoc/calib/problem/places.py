@@ -1,0 +1,257 @@
+"""Predicted minus observed places of the board in one view: the factor that all fits share."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from trinoc.calib.problem.sheet import AbstractSheet
+from trinoc.calib.problem.variables import POSE_SIZE, Chart, RigState, head_columns, step_motion
+from trinoc.calib.problem.views import ViewTable
+from trinoc.geometry import AbstractLens, AbstractSplined, Pose
+from trinoc.numerics import AbstractRobustLoss, ArrayLike
+
+# A circle's edge is smooth: so many points of it tell its image's centre to rounding.
+_EDGE_POINTS = 16
+_ANGLES_RAD = 2 * np.pi * np.arange(_EDGE_POINTS) / _EDGE_POINTS
+
+
+class BoardView(eqx.Module):
+    """One camera and the board that it looks at, as some state has them.
+
+    Fields
+    ------
+    lens : of the camera.
+    cam_from_rig, rig_from_board : where camera and board stand.
+    set_from_board : where one of several boards stands in their set; None for one board.
+    shape : (w,) of the board's sheet.
+    """
+
+    lens: AbstractLens
+    cam_from_rig: Float[ArrayLike, "3 4"]
+    rig_from_board: Float[ArrayLike, "3 4"]
+    set_from_board: Float[ArrayLike, "3 4"] | None
+    shape: Float[ArrayLike, "w"]
+
+    def retract(self, chart: Chart, step: Float[ArrayLike, "k"]) -> "BoardView":
+        """This view after a step of (lens's parameters, camera, board in its set, sheet, board in
+        the shot)."""
+        terms, unit = len(chart.sheet_model.names), chart.unit_mm
+        poses = [POSE_SIZE] * (2 if self.set_from_board is None else 3)
+        of_lens = step.shape[0] - sum(poses) - terms
+        sizes = [of_lens, *poses[:-1], terms, POSE_SIZE]
+        by_lens, by_camera, *by_set, by_sheet, by_board = jnp.split(step, np.cumsum(sizes)[:-1])
+        in_set = self.set_from_board
+        return BoardView(
+            self.lens.retract(by_lens),
+            step_motion(self.cam_from_rig, by_camera, unit, chart.pose_model),
+            step_motion(self.rig_from_board, by_board, unit),
+            None if in_set is None else step_motion(in_set, by_set[0], unit),
+            self.shape + chart.sheet_scale[:terms] * by_sheet,
+        )
+
+    def project(
+        self,
+        place_mm: Float[ArrayLike, "3"],
+        aside_mm: Float[ArrayLike, "3"],
+        sheet: AbstractSheet,
+        board: ArrayLike | int,
+    ) -> Float[ArrayLike, "2"]:
+        """The pixel of a place of the drawing, which lies `aside_mm` of where the sheet has it."""
+        point = sheet.point(place_mm, self.shape, board) + aside_mm
+        if self.set_from_board is not None:
+            point = Pose(self.set_from_board).transform(point)
+        point = Pose(self.rig_from_board).transform(point)
+        return self.lens.project_ray(Pose(self.cam_from_rig).transform(point))
+
+
+def board_view(state: RigState, chart: Chart, camera: Any, shot: Any, board: Any) -> BoardView:
+    """What a camera looks at in a shot; all three are numbers, or traced ones."""
+    return BoardView(
+        jax.tree.map(lambda leaf: leaf[chart.lens_of_camera[camera]], state.lenses),
+        state.cam_from_rig[camera],
+        state.rig_from_board[shot],
+        state.set_from_board[board] if len(state.set_from_board) else None,
+        state.sheet.reshape(-1, len(chart.sheet_model.names))[board],
+    )
+
+
+def predict_places(
+    here: BoardView,
+    chart: Chart,
+    board: ArrayLike | int,
+    place_mm: Float[ArrayLike, "n 3"],
+    aside_mm: Float[ArrayLike, "n 3"],
+    radius_mm: Float[ArrayLike, "n"],
+    step: Float[ArrayLike, "k"] | None = None,
+) -> Float[Array, "n 2"]:
+    """Where a view shows places, after a step where one is given.
+
+    aside_mm : by which each place lies elsewhere on the board. radius_mm : of the circle there,
+    whose image's centre is meant; 0 for a corner.
+
+    The centre of a circle's image is not the image of its centre; by how much is taken where the
+    step begins: it changes a thousand times less than the places themselves.
+    """
+    after = here if step is None else here.retract(chart, step)
+    sheet = chart.sheet_model
+
+    def image(place: ArrayLike, aside: ArrayLike) -> ArrayLike:
+        return after.project(place, aside, sheet, board)
+
+    predicted = jnp.asarray(jax.vmap(image)(place_mm, aside_mm))
+    if not chart.has_circles:
+        return predicted
+    still, flat_mm = jax.lax.stop_gradient((here, aside_mm))
+
+    def offset(place: ArrayLike, aside: ArrayLike, radius: ArrayLike) -> Array:
+        return _offset(lambda at: still.project(at, aside, sheet, board), place, radius)
+
+    return predicted + jax.vmap(offset)(place_mm, flat_mm, radius_mm)
+
+
+def _offset(project, place_mm: Float[ArrayLike, "3"], radius_mm: Float[ArrayLike, ""]) -> Array:
+    """Centroid of the image of a circle less the image of its centre; 0 for a corner."""
+    is_circle = radius_mm > 0
+    around = np.stack([np.cos(_ANGLES_RAD), np.sin(_ANGLES_RAD), 0 * _ANGLES_RAD], axis=1)
+    edge = place_mm[None] + jnp.where(is_circle, radius_mm, 1.0) * around.astype(place_mm.dtype)
+    middle = project(place_mm)
+    offset = jax.vmap(project)(edge) - middle[None]
+    tangent = _DERIVATIVE.astype(offset.dtype) @ offset
+    # Green's theorem: twice the area, and three times its first moment.
+    area = offset[:, 0] * tangent[:, 1] - offset[:, 1] * tangent[:, 0]
+    centroid = 2.0 / 3.0 * (area @ offset) / jnp.sum(area)
+    return jnp.where(is_circle, centroid, 0.0)
+
+
+def _trigonometric_derivative(count: int) -> Float[np.ndarray, "n n"]:
+    """Derivative at equidistant angles of the trigonometric polynomial through values there."""
+    step = np.arange(count)[:, None] - np.arange(count)[None]
+    cotangent = 1.0 / np.tan(np.pi * np.where(step == 0, 0.5, step) / count)
+    return np.where(step == 0, 0.0, 0.5 * (-1.0) ** step * cotangent)
+
+
+_DERIVATIVE = _trigonometric_derivative(_EDGE_POINTS)
+
+
+def residuals_px(state: RigState, chart: Chart, table: ViewTable) -> Float[Array, "v n 2"]:
+    """Predicted minus observed, of all places."""
+    return jax.vmap(lambda view: _residuals(state, chart, view))(table)
+
+
+def whitened_residuals(state: RigState, chart: Chart, table: ViewTable) -> Float[Array, "v n 2"]:
+    """Residuals of all places in units of their sigmas; zero where unused."""
+
+    def of_view(view: ViewTable) -> Array:
+        return _whiten(view.whitening, _residuals(state, chart, view)[..., None])[..., 0]
+
+    return jax.vmap(of_view)(table)
+
+
+class Linearised(eqx.Module):
+    """Places of one view, whitened, near a state.
+
+    Fields
+    ------
+    columns : (k,) of the head by whose steps, and those of the shot's board, they change.
+    jacobian : (n, 2, k + 6) by these steps, lastly the board's, whether they are free or not.
+    residual : (n, 2) predicted minus observed.
+    """
+
+    columns: Array
+    jacobian: Float[Array, "n 2 k"]
+    residual: Float[Array, "n 2"]
+
+    def weighted(
+        self, chart: Chart, loss: AbstractRobustLoss
+    ) -> tuple[Float[Array, "k k"], Float[Array, "k"]]:
+        """J^T W J and J^T W r by the free steps, W the loss's weight of each place."""
+        boards = jnp.full(POSE_SIZE, chart.boards_free)
+        free = jnp.concatenate([jnp.asarray(chart.free)[self.columns], boards])
+        jacobian = free[None, None] * self.jacobian
+        weight = loss.weight(jnp.sum(jnp.square(self.residual), axis=-1))
+        scaled = weight[:, None, None] * jacobian
+        return (
+            jnp.einsum("nik,nil->kl", scaled, jacobian),
+            jnp.einsum("nik,ni->k", scaled, self.residual),
+        )
+
+
+def linearise(state: RigState, chart: Chart, view: ViewTable) -> Linearised:
+    """One view's places (a row of a table) by all steps that move them."""
+    places, poses = len(state.shape), 3 if len(state.set_from_board) else 2
+    basis = jnp.asarray(chart.lens_basis)[chart.lens_of_camera[view.camera]]
+    others = poses * POSE_SIZE + len(chart.sheet_model.names)
+    # Control points of splined lenses are many, and pixels are linear in them.
+    linear = state.lenses.control_count if isinstance(state.lenses, AbstractSplined) else 0
+    curved = basis.shape[1] - linear
+
+    def after(step: Float[Array, "k"]) -> tuple[Array, Array]:
+        own = jnp.concatenate([basis[:, :curved] @ step[:curved], step[curved : curved + others]])
+        aside = chart.unit_mm * step[curved + others :] if places else None
+        residual = _residuals(state, chart, view, own, aside)
+        return residual, residual
+
+    zero = jnp.zeros(curved + others + (3 if places else 0), basis.dtype)
+    jacobian, residual = jax.jacfwd(after, has_aux=True)(zero)
+    by_lens, by_rest, by_board, by_aside = jnp.split(
+        jacobian, [curved, curved + others - POSE_SIZE, curved + others], axis=-1
+    )
+    if linear:
+        by_control = jnp.diagonal(basis)[None, None, curved:] * _by_control(state, chart, view)
+        by_lens = jnp.concatenate([by_lens, by_control], axis=-1)
+    # Every place moves its own image alone.
+    own = view.place[:, None] == jnp.arange(places)[None]
+    by_shape = jnp.where(own[:, None, :, None], by_aside[:, :, None, :], 0.0)
+    by_shape = by_shape.reshape(*residual.shape, 3 * places)
+    columns = head_columns(chart, view.camera, view.board)
+    by_head = jnp.concatenate([by_lens, by_rest, by_shape], axis=-1)
+    every = [by_head, by_board, residual[..., None]]
+    standard = _whiten(view.whitening, jnp.concatenate(every, axis=-1))
+    return Linearised(columns, standard[..., :-1], standard[..., -1])
+
+
+def _residuals(
+    state: RigState,
+    chart: Chart,
+    view: ViewTable,
+    step: Float[ArrayLike, "k"] | None = None,
+    aside_mm: Float[ArrayLike, "3"] | None = None,
+) -> Float[Array, "n 2"]:
+    """Predicted minus observed, after a step, and with all places `aside_mm` of their own."""
+    # What is no place of the board, and every place of a board that is as drawn, lies as drawn.
+    none = len(state.shape)
+    shape = jnp.concatenate([jnp.asarray(state.shape), jnp.zeros((1, 3), view.uv_px.dtype)])
+    own = shape[jnp.minimum(view.place, none)]
+    here = board_view(state, chart, view.camera, view.shot, view.board)
+    predicted = predict_places(
+        here,
+        chart,
+        view.board,
+        view.place_mm,
+        own if aside_mm is None else own + aside_mm[None],
+        view.radius_mm,
+        step,
+    )
+    return predicted - view.uv_px
+
+
+def _whiten(whitening: Float[ArrayLike, "g k k"], columns: Float[ArrayLike, "n 2 c"]) -> Array:
+    """Columns of numbers in px in units of sigmas, two numbers to a place as before."""
+    grouped = columns.reshape(*whitening.shape[:2], columns.shape[-1])
+    # Places that take no part may lie where the lens has no image.
+    is_used = jnp.any(whitening != 0, axis=1)[..., None]
+    standard = jnp.einsum("gij,gjc->gic", whitening, jnp.where(is_used, grouped, 0.0))
+    return standard.reshape(columns.shape)
+
+
+def _by_control(state: RigState, chart: Chart, view: ViewTable) -> Float[Array, "n 2 k"]:
+    """Derivative of all places of a view by the control points of its splined lens."""
+    assert isinstance(state.lenses, AbstractSplined)
+    cores = eqx.tree_at(lambda s: s.lenses, state, jax.vmap(lambda lens: lens.core)(state.lenses))
+    of_core_px = _residuals(cores, chart, view) + view.uv_px
+    lens = jax.tree.map(lambda leaf: leaf[chart.lens_of_camera[view.camera]], state.lenses)
+    return jax.vmap(lens.by_control)(of_core_px)

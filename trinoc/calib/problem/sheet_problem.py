@@ -1,0 +1,160 @@
+"""The problem of cameras that look at one sheet of paper in one shot.
+
+What the user states with a standard deviation is an unknown with that prior: D. C. Brown, "The
+bundle adjustment - progress and prospects", 1976, calls this self-calibration with additional
+parameters.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from trinoc.calib.detection import Detection
+from trinoc.calib.model import SheetPoints
+from trinoc.calib.problem.problem import Problem, basis_of_scales, stacked_lenses
+from trinoc.calib.problem.sheet import BentPaper
+from trinoc.calib.problem.variables import POSE_SIZE, Chart, RigState
+from trinoc.calib.problem.views import View, padded_count
+from trinoc.calib.targets import AbstractTarget
+from trinoc.calib.uncertainty import Systematics
+from trinoc.geometry import AbstractLens, Intrinsics, Pose, PoseModel, promoted
+
+# Programs exist for this many cameras, and for few larger numbers.
+FEWEST_CAMERAS = 3
+
+
+class SheetCamera(NamedTuple):
+    """What one camera shows of the sheet, and where it is thought to stand.
+
+    Fields
+    ------
+    name : of the camera.
+    detection : the circles and lines that were found in its picture.
+    lens : as the user says it.
+    lens_factor : (k, r) L of the covariance L L^T of the first k of the lens's parameters; None for
+        a lens that is exact.
+    pose : from which the fit starts.
+    image : (h, w) grey levels of its picture; None where the circles alone count.
+    shown : where its grey levels show places of the sheet, which then count instead of circles.
+    ink_spread_mm : by which ink reaches beyond the drawing of each circle.
+    """
+
+    name: str
+    detection: Detection
+    lens: Intrinsics
+    lens_factor: Float[np.ndarray, "_k _r"] | None
+    pose: Pose
+    image: Float[np.ndarray, "_h _w"] | None = None
+    shown: SheetPoints | None = None
+    ink_spread_mm: float = 0.0
+
+    @property
+    def promoted_lens(self) -> AbstractLens:
+        """The lens, of a model that has distortion."""
+        return promoted(self.lens.lens)
+
+
+def sheet_problem(
+    cameras: Sequence[SheetCamera],
+    target: AbstractTarget,
+    systematics: Systematics,
+    model: PoseModel,
+    aim_sigma_mm: float,
+) -> Problem:
+    """The problem at its start: the sheet flat, as drawn, and on the plane Z = 0.
+
+    model : what is free of each pose: AIM_FREE, AIMED, or RIGID. aim_sigma_mm : of the prior on
+    each aim; 0 for none.
+    """
+    count = len(cameras)
+    padded = [cameras[min(k, count - 1)] for k in range(padded_count(count, FEWEST_CAMERAS))]
+    is_real = np.arange(len(padded)) < count
+    lens_of_camera = np.arange(len(padded))
+    if systematics.lens_is_shared and _are_one_lens(cameras):
+        lens_of_camera = np.zeros(len(padded), dtype=int)
+    lenses = [padded[k].promoted_lens for k in range(lens_of_camera[-1] + 1)]
+    scale = np.stack(
+        [lens.parameter_scales(one.lens.image_size_px) for lens, one in zip(lenses, padded)]
+    )
+    basis, lens_information = basis_of_scales(scale), np.zeros((*scale.shape, scale.shape[1]))
+    lens_free = np.zeros(scale.shape)
+    for k, one in enumerate(padded[: len(lenses)]):
+        if one.lens_factor is not None and is_real[k]:
+            basis[k], lens_information[k], lens_free[k] = _lens_prior(one.lens_factor, scale[k])
+    sigma = BentPaper.sigmas(
+        systematics.print_size_sigma, systematics.print_scale_sigma, systematics.flatness_mm
+    )
+    reach_mm = max(float(np.hypot(*_places_mm(one, target).T[:2]).max()) for one in cameras)
+    unit_mm = np.median([_reach_of_camera_mm(one, target) for one in cameras])
+    pose_free = np.outer(is_real, np.arange(POSE_SIZE) < model.size)
+    chart = Chart(
+        lens_basis=basis,
+        lens_mean=np.stack([np.asarray(lens.parameters) for lens in lenses]),
+        lens_information=lens_information,
+        unit_mm=np.asarray(unit_mm),
+        sheet_model=BentPaper(np.asarray(reach_mm)),
+        sheet_scale=np.where(sigma > 0, sigma, 1.0),
+        sheet_information=np.diag((sigma > 0) / np.where(sigma > 0, sigma, 1.0) ** 2),
+        shape_information=np.ones(3),
+        aim_information=is_real / aim_sigma_mm**2 if aim_sigma_mm > 0 else np.zeros(len(padded)),
+        lens_of_camera=lens_of_camera,
+        free=np.concatenate([lens_free.ravel(), pose_free.ravel(), sigma > 0]).astype(float),
+        boards_free=np.zeros(()),
+        pose_model=model if model is PoseModel.RIGID else PoseModel.AIM_FREE,
+        has_circles=True,
+    )
+    state = RigState(
+        lenses=stacked_lenses(lenses),
+        cam_from_rig=np.stack([np.asarray(one.pose.cam_from_world) for one in padded]),
+        rig_from_board=np.eye(3, 4)[None],
+        set_from_board=np.zeros((0, 3, 4)),
+        sheet=np.zeros(len(sigma)),
+        shape=np.zeros((0, 3)),
+    )
+    views = tuple(
+        View(
+            camera=k,
+            shot=0,
+            detection=one.detection,
+            used=np.ones(len(one.detection), dtype=bool),
+            shown=one.shown,
+            ink_spread_mm=one.ink_spread_mm,
+        )
+        for k, one in enumerate(cameras)
+    )
+    return Problem(views, target, state, chart, shots=1, sigma_factor=np.ones(len(padded)))
+
+
+def _lens_prior(
+    factor: Float[np.ndarray, "k r"], scale: Float[np.ndarray, "q"]
+) -> tuple[Float[np.ndarray, "q q"], Float[np.ndarray, "q q"], Float[np.ndarray, "q"]]:
+    """Steps in standard deviations along a covariance's directions, its inverse there, and which
+    of the steps there are."""
+    known, steps = factor.shape
+    size = len(scale)
+    basis, information = np.zeros((size, size)), np.zeros((size, size))
+    basis[:known, :steps] = factor
+    inverse = np.linalg.pinv(factor / scale[:known, None]) / scale[None, :known]
+    information[:known, :known] = inverse.T @ inverse
+    return basis, information, (np.arange(size) < steps).astype(float)
+
+
+def _are_one_lens(cameras: Sequence[SheetCamera]) -> bool:
+    first = np.asarray(cameras[0].promoted_lens.parameters)
+    return all(np.array_equal(np.asarray(one.promoted_lens.parameters), first) for one in cameras)
+
+
+def _reach_of_camera_mm(camera: SheetCamera, target: AbstractTarget) -> float:
+    """From a camera's centre to the middle of what it sees."""
+    middle = np.zeros(3)
+    places = _places_mm(camera, target)
+    middle[: places.shape[1]] = places.mean(axis=0)
+    return float(np.linalg.norm(camera.pose.transform(middle)))
+
+
+def _places_mm(camera: SheetCamera, target: AbstractTarget) -> Float[np.ndarray, "n _"]:
+    if camera.shown is not None:
+        return camera.shown.place_mm
+    return target.centres_mm[camera.detection.circle_index]

@@ -1,0 +1,233 @@
+"""The unknowns of a calibration, and the small steps that change them.
+
+Some cameras look at a board in some shots. What all shots share is the *head*: lenses, cameras,
+where several boards stand in their set, how each board was printed and bent, and where single
+places of it lie. Each shot has a *block*: where the board stands in it. A problem says which of
+these are free (`Chart.free`) and what was known of them beforehand.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.scipy.linalg import block_diag
+from jaxtyping import Array, Float, Int
+
+from trinoc.calib.problem.sheet import AbstractSheet
+from trinoc.geometry import AbstractLens, Pose, PoseModel
+from trinoc.numerics import ArrayLike
+
+POSE_SIZE = PoseModel.RIGID.size
+_AIM_STEPS = np.eye(POSE_SIZE)[4:]
+
+
+class RigState(eqx.Module):
+    """Lenses, cameras, boards of all shots, and how the board was made.
+
+    Fields
+    ------
+    lenses : l lenses of one model, along the first axis of their fields.
+    cam_from_rig : (c, 3, 4) of each camera.
+    rig_from_board : (s, 3, 4) of the board in each shot; of a set of boards, of their common frame.
+    set_from_board : (b, 3, 4) of each of several boards; no rows for one board, whose frame is it.
+    sheet : (b * w,) numbers of each board's `AbstractSheet`.
+    shape : (p, 3) by which each place of the board lies elsewhere, X, Y and Z in mm; no rows where
+        all lie where the drawing and `sheet` have them.
+    """
+
+    lenses: AbstractLens
+    cam_from_rig: Float[ArrayLike, "c 3 4"]
+    rig_from_board: Float[ArrayLike, "s 3 4"]
+    set_from_board: Float[ArrayLike, "_b 3 4"]
+    sheet: Float[ArrayLike, "w"]
+    shape: Float[ArrayLike, "p 3"]
+
+
+class Chart(eqx.Module):
+    """Units of all steps, which are taken, and what was known of the unknowns beforehand.
+
+    Fields
+    ------
+    lens_basis : (l, q, r) change of each lens's q parameters by its r steps: units on a diagonal,
+        or the factor of a covariance, whose steps are in standard deviations.
+    lens_mean : (l, q) parameters of each lens that were thought likeliest beforehand.
+    lens_information : (l, q, q) inverse covariance of the prior on the parameters; zero where
+        nothing was known.
+    unit_mm : length of a step of one in translations.
+    sheet_model : how a board is bent and stretched.
+    sheet_scale : (w,) change of `sheet` for a step of one.
+    sheet_information : (w, w) inverse covariance of the prior on `sheet`, whose mean is 0.
+    shape_information : (3,) inverse variance of the prior on each axis of `shape`.
+    aim_information : (c,) inverse variance, in 1/mm^2, of the prior on each coordinate of the point
+        of Z = 0 on each optical axis, whose mean is the origin.
+    lens_of_camera : (c,) which of the lenses each camera has.
+    free : (h,) 1 for steps of the head that are taken, 0 for others.
+    boards_free : 1 where the boards of the shots move, 0 where they stay.
+    pose_model : of the steps of cameras: RIGID, or AIM_FREE over a sheet that stays.
+    has_circles : whether some place is a circle.
+    """
+
+    lens_basis: Float[ArrayLike, "l q r"]
+    lens_mean: Float[ArrayLike, "l q"]
+    lens_information: Float[ArrayLike, "l q q"]
+    unit_mm: Float[ArrayLike, ""]
+    sheet_model: AbstractSheet
+    sheet_scale: Float[ArrayLike, "w"]
+    sheet_information: Float[ArrayLike, "w w"]
+    shape_information: Float[ArrayLike, "3"]
+    aim_information: Float[ArrayLike, "c"]
+    lens_of_camera: Int[ArrayLike, "c"]
+    free: Float[ArrayLike, "h"]
+    boards_free: Float[ArrayLike, ""]
+    pose_model: PoseModel = eqx.field(static=True)
+    has_circles: bool = eqx.field(static=True)
+
+    @property
+    def lens_shape(self) -> tuple[int, int]:
+        """How many lenses there are, and how many steps each has."""
+        lenses, _, steps = self.lens_basis.shape
+        return lenses, steps
+
+    @property
+    def lens_scale(self) -> Float[ArrayLike, "l q"]:
+        """Change of each parameter for a step of one, where each parameter has its own step."""
+        return self.lens_basis.diagonal(axis1=1, axis2=2)
+
+    @property
+    def lens_count(self) -> int:
+        """How many steps of the head are the lenses', which begin it."""
+        lenses, steps = self.lens_shape
+        return lenses * steps
+
+    @property
+    def boards(self) -> int:
+        """How many boards there are."""
+        return self.sheet_scale.shape[0] // len(self.sheet_model.names)
+
+    @property
+    def boards_first(self) -> int:
+        """Where, in the head, the steps of several boards' poses in their set begin."""
+        return self.lens_count + POSE_SIZE * self.lens_of_camera.shape[0]
+
+    @property
+    def sheet_first(self) -> int:
+        """Where, in the head, the steps of the sheets begin; those of their places follow."""
+        return self.boards_first + (POSE_SIZE * self.boards if self.boards > 1 else 0)
+
+    @property
+    def shape_first(self) -> int:
+        """Where, in the head, the steps of the boards' places begin."""
+        return self.sheet_first + self.sheet_scale.shape[0]
+
+    def camera_rows(self, camera: int) -> slice:
+        """Where, in the head, the steps of a camera's pose stand."""
+        first = self.lens_count + POSE_SIZE * camera
+        return slice(first, first + POSE_SIZE)
+
+
+def head_columns(
+    chart: Chart, camera: Int[ArrayLike, ""], board: Int[ArrayLike, ""]
+) -> Int[Array, "k"]:
+    """Where, in the head, the steps of one camera's lens, its pose, that of one of several boards,
+    this board's sheet and all places stand."""
+    _, size = chart.lens_shape
+    terms = len(chart.sheet_model.names)
+    lens = chart.lens_of_camera[camera] * size + jnp.arange(size)
+    pose = chart.lens_count + camera * POSE_SIZE + jnp.arange(POSE_SIZE)
+    in_set = jnp.zeros(0, int)
+    if chart.boards > 1:
+        in_set = chart.boards_first + board * POSE_SIZE + jnp.arange(POSE_SIZE)
+    sheet = chart.sheet_first + board * terms + jnp.arange(terms)
+    places = jnp.arange(chart.shape_first, chart.free.shape[0])
+    return jnp.concatenate([lens, pose, in_set, sheet, places])
+
+
+def step_motion(
+    motion: Float[ArrayLike, "3 4"],
+    step: Float[ArrayLike, "6"],
+    unit_mm: Float[ArrayLike, ""],
+    model: PoseModel = PoseModel.RIGID,
+) -> Float[ArrayLike, "3 4"]:
+    """A rigid motion after a step of `Pose.retract`."""
+    return Pose(motion).retract(step, model, unit_mm).cam_from_world
+
+
+def retract(
+    state: RigState, chart: Chart, head: Float[ArrayLike, "h"], boards: Float[ArrayLike, "s 6"]
+) -> RigState:
+    """The state after a step of what is free."""
+    head = head * chart.free
+    ends = [chart.lens_count, chart.boards_first, chart.sheet_first, chart.shape_first]
+    by_lens, by_camera, by_board, by_sheet, by_shape = jnp.split(head, ends)
+
+    def step_lens(lens: AbstractLens, basis: ArrayLike, step: ArrayLike) -> AbstractLens:
+        return lens.retract(basis @ step)
+
+    def step_all(motions: ArrayLike, steps: ArrayLike, model: PoseModel) -> ArrayLike:
+        each = steps.reshape(-1, POSE_SIZE)
+        return jax.vmap(lambda own, step: step_motion(own, step, chart.unit_mm, model))(
+            motions, each
+        )
+
+    return RigState(
+        jax.vmap(step_lens)(state.lenses, chart.lens_basis, by_lens.reshape(chart.lens_shape)),
+        step_all(state.cam_from_rig, by_camera, chart.pose_model),
+        step_all(state.rig_from_board, chart.boards_free * boards, PoseModel.RIGID),
+        step_all(state.set_from_board, by_board, PoseModel.RIGID),
+        state.sheet + chart.sheet_scale * by_sheet,
+        state.shape + chart.unit_mm * by_shape.reshape(-1, 3),
+    )
+
+
+class Prior(NamedTuple):
+    """What was known beforehand: chi-square, half its gradient and half its Hessian by the steps
+    of the head."""
+
+    cost: Float[ArrayLike, ""]
+    gradient: Float[ArrayLike, "h"]
+    information: Float[ArrayLike, "h h"]
+
+
+def prior_of(state: RigState, chart: Chart) -> Prior:
+    """The prior at a state: of lenses, aims, sheets and single places; none of the rest."""
+    unit, cameras = chart.unit_mm, chart.lens_of_camera.shape[0]
+    parameters = jax.vmap(lambda lens: jnp.asarray(lens.parameters))(state.lenses)
+    lenses = jax.vmap(_gaussian)(
+        parameters - chart.lens_mean, chart.lens_information, chart.lens_basis
+    )
+    aim_mm = jnp.zeros((cameras, 2))
+    if chart.pose_model is not PoseModel.RIGID:
+        aim_mm = jax.vmap(lambda pose: Pose(pose).aim_mm)(jnp.asarray(state.cam_from_rig))
+    # The aim is what the last two steps of AIM_FREE change.
+    poses = jax.vmap(lambda aim, known: _gaussian(aim, known * jnp.eye(2), unit * _AIM_STEPS))(
+        aim_mm, chart.aim_information
+    )
+    in_set = chart.sheet_first - chart.boards_first
+    sheet = _gaussian(state.sheet, chart.sheet_information, jnp.diag(chart.sheet_scale))
+    places = jnp.tile(chart.shape_information, state.shape.shape[0])
+    shape = _gaussian(state.shape.ravel(), jnp.diag(places), unit * jnp.eye(len(places)))
+    free = chart.free
+    gradient = jnp.concatenate(
+        [
+            *(lenses.gradient.ravel(), poses.gradient.ravel(), jnp.zeros(in_set)),
+            *(sheet.gradient, shape.gradient),
+        ]
+    )
+    information = block_diag(
+        *(*lenses.information, *poses.information, jnp.zeros((in_set, in_set))),
+        *(sheet.information, shape.information),
+    )
+    cost = jnp.sum(lenses.cost) + jnp.sum(poses.cost) + sheet.cost + shape.cost
+    return Prior(cost, free * gradient, free[:, None] * information * free[None, :])
+
+
+def _gaussian(
+    offset: Float[ArrayLike, "n"],
+    precision: Float[ArrayLike, "n n"],
+    by_step: Float[ArrayLike, "n m"],
+) -> Prior:
+    """A normal law: `offset` from its mean, and the change of the values by a step."""
+    weighted = precision @ offset
+    return Prior(offset @ weighted, by_step.T @ weighted, by_step.T @ precision @ by_step)
