@@ -4,11 +4,11 @@ from .bundle.line_covariance import segment_and_errors as segment_and_errors
 from .bundle.pose_prior import d_parameters_d_delta as d_parameters_d_delta
 from .bundle.refinement import refine as refine
 from .bundle.result import RefineResult as RefineResult, RefineStatus as RefineStatus
-from .detection.any_target import detect_target as detect_target
-from .detection.detection import Detection as Detection
-from .detection.search import (
+from .detection import (
+    Detection as Detection,
     circle_candidates as circle_candidates,
     detect_pattern as detect_pattern,
+    detect_target as detect_target,
 )
 from .from_detections import calibrate_detections as calibrate_detections
 from .from_images import calibrate as calibrate

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.calib.assembly import result_of_fits
-from trinoc.calib.detection import Detection, Orientation, oriented
+from trinoc.calib.detection import Detection, Orientation, resolve_orientation
 from trinoc.calib.messages import failure_sentence
 from trinoc.calib.pose import PoseEstimate
 from trinoc.calib.result import CalibrationResult, CameraFit, Status
@@ -102,7 +102,7 @@ def outcome_of_search(
 ) -> Outcome:
     """Fit the cameras whose sheet was found, and say of each what became of it."""
     factors = known.systematics.lens_factors(lenses)
-    detections, ambiguous = oriented(search.detections, known.pattern, orientation)
+    detections, ambiguous = resolve_orientation(search.detections, known.pattern, orientation)
     sheets = [
         FoundSheet(name, detections[name], lenses[name], factors.get(name), search.images.get(name))
         for name in search.names
