@@ -4,11 +4,11 @@ from .bundle.line_covariance import segment_and_errors as segment_and_errors
 from .bundle.pose_prior import d_parameters_d_delta as d_parameters_d_delta
 from .bundle.refinement import refine as refine
 from .bundle.result import RefineResult as RefineResult, RefineStatus as RefineStatus
-from .detection.any_target import detect_target as detect_target
-from .detection.detection import Detection as Detection
-from .detection.search import (
+from .detection import (
+    Detection as Detection,
     circle_candidates as circle_candidates,
     detect_pattern as detect_pattern,
+    detect_target as detect_target,
 )
 from .from_detections import calibrate_detections as calibrate_detections
 from .from_images import calibrate as calibrate
@@ -29,29 +29,30 @@ from .shots.field_difference import FieldDifference as FieldDifference
 from .shots.from_shots import calibrate_rig as calibrate_rig
 from .shots.projection import projection_sigma as projection_sigma
 from .shots.result import RigFromShots as RigFromShots
-from .targets.abstract_target import AbstractTarget as AbstractTarget
-from .targets.april_grid import AprilGrid as AprilGrid
-from .targets.board_set import (
-    BoardSet as BoardSet,
-    board_names as board_names,
-    boards_of as boards_of,
-)
-from .targets.checkers import (
+from .targets import (
+    BOARDS as BOARDS,
     DICTIONARIES as DICTIONARIES,
+    AbstractBoard as AbstractBoard,
+    AbstractTarget as AbstractTarget,
+    AprilGrid as AprilGrid,
+    BoardSet as BoardSet,
     Charuco as Charuco,
     Chessboard as Chessboard,
+    Disc as Disc,
+    Pattern as Pattern,
+    Polygon as Polygon,
+    SheetProposal as SheetProposal,
+    SquareSheet as SquareSheet,
+    board_names as board_names,
+    boards_of as boards_of,
     dark_squares as dark_squares,
-)
-from .targets.markers import (
-    charuco_markers as charuco_markers,
     marker_cells as marker_cells,
     opencv_board as opencv_board,
     opencv_dictionary as opencv_dictionary,
+    printed_sheet as printed_sheet,
+    propose_sheet as propose_sheet,
+    square_sheet as square_sheet,
 )
-from .targets.pattern import Pattern as Pattern
-from .targets.print_scale import printed_sheet as printed_sheet
-from .targets.proposal import SheetProposal as SheetProposal, propose_sheet as propose_sheet
-from .targets.squares import SquareSheet as SquareSheet, square_sheet as square_sheet
 from .uncertainty.propagation import (
     epipolar_sigma as epipolar_sigma,
     point_covariance as point_covariance,

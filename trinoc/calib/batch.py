@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from trinoc.calib.adjustment.each_camera import fit_cameras
-from trinoc.calib.detection import Detection, Orientation, oriented
+from trinoc.calib.detection import Detection, Orientation, resolve_orientation
 from trinoc.calib.from_detections import Search, lens_of_each, outcome_of_search
 from trinoc.calib.messages import failure_sentence
 from trinoc.calib.result import Status
@@ -123,7 +123,7 @@ def _fit_circles(
 ) -> None:
     """One fit of all pictures, which share nothing where all else is exact."""
     model = known.model
-    settled = [oriented(frame, known.pattern, orientation) for frame in frames]
+    settled = [resolve_orientation(frame, known.pattern, orientation) for frame in frames]
     frames = [detections for detections, _ in settled]
     places = [
         (k, name) for k, frame in enumerate(frames) for name in frame if name not in settled[k][1]

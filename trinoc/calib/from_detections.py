@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from trinoc.calib.adjustment.each_camera import PoseEstimate
 from trinoc.calib.assembly import result_of_fits
-from trinoc.calib.detection import Detection, Orientation, oriented
+from trinoc.calib.detection import Detection, Orientation, resolve_orientation
 from trinoc.calib.messages import failure_sentence
 from trinoc.calib.problem.sheet_problem import SheetCamera
 from trinoc.calib.result import CalibrationResult, CameraFit, Status
@@ -104,7 +104,7 @@ def outcome_of_search(
 ) -> Outcome:
     """Fit the cameras whose sheet was found, and say of each what became of it."""
     factors = known.systematics.lens_factors(lenses)
-    detections, ambiguous = oriented(search.detections, known.pattern, orientation)
+    detections, ambiguous = resolve_orientation(search.detections, known.pattern, orientation)
     status = dict.fromkeys(search.names, Status.NOT_DETECTED)
     failures = {**search.failures, **ambiguous}
     cameras, others = [], {}

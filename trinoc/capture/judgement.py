@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Shaped
 
-from trinoc.calib import AbstractTarget, Pattern, detect_target
+from trinoc.calib import AbstractTarget, detect_target
 from trinoc.capture.exposure import Exposure, exposure_of
 from trinoc.capture.placement import lean_of
 from trinoc.capture.sharpness import edge_blur_px
@@ -69,7 +69,6 @@ def judge(name: str, image: Shaped[np.ndarray, "..."], target: AbstractTarget) -
     image : (h, w) or (h, w, channels), of any range. Raises InputError for what is no picture.
     """
     picture = grey_image(image)
-    kind = "circles" if isinstance(target, Pattern) else "corners"
     places, on_board, refusal = np.zeros((0, 2)), np.zeros((0, 2)), ""
     smallest = np.inf
     try:
@@ -79,7 +78,7 @@ def judge(name: str, image: Shaped[np.ndarray, "..."], target: AbstractTarget) -
     else:
         places = np.asarray(detection.centres_px)
         on_board = np.asarray(target.centres_mm)[detection.circle_index]
-        if kind == "circles":
+        if target.places == "circles":
             axes = np.linalg.eigvalsh(detection.shape_px2)[:, 0]
             smallest = 2 * float(np.sqrt(max(float(np.min(axes)), 0.0)))
     region = picture.grey[_window(places, picture.size_px)]
@@ -90,7 +89,7 @@ def judge(name: str, image: Shaped[np.ndarray, "..."], target: AbstractTarget) -
         places_px=places,
         places_mm=on_board,
         of_places=len(target),
-        kind=kind,
+        kind=target.places,
         refusal=refusal,
         blur_px=blur,
         exposure=exposure,
@@ -102,8 +101,7 @@ def judge(name: str, image: Shaped[np.ndarray, "..."], target: AbstractTarget) -
 def judge_unread(name: str, target: AbstractTarget, why: str) -> Judgement:
     """What is to be said of a file that is no picture."""
     none, nan = np.zeros((0, 2)), float("nan")
-    kind = "circles" if isinstance(target, Pattern) else "corners"
-    unknown = Exposure(nan, nan, nan)
+    unknown, kind = Exposure(nan, nan, nan), target.places
     return Judgement(name, (0, 0), none, none, len(target), kind, why, nan, unknown, (0.0, 0.0), ())
 
 

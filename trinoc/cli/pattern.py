@@ -12,16 +12,16 @@ from trinoc.cli.command import Command, Outcome, UsageError
 from trinoc.cli.screen_options import ScreenOptions
 
 if TYPE_CHECKING:
-    from trinoc.calib import AbstractTarget, SheetProposal
+    from trinoc.calib import AbstractBoard, SheetProposal
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Pattern(Command):
     """Make a sheet of circles and crossed lines, or a board: its layout, and drawings to print."""
 
-    board: Literal["sheet", "chessboard", "charuco", "aprilgrid"] = "sheet"
+    board: Annotated[str, tyro.conf.arg(metavar="KIND")] = "sheet"
     """What to draw: the sheet of `trinoc calibrate`, or a board of squares or tags for
-    `calibrate-rig`."""
+    `calibrate-rig`: chessboard, charuco, aprilgrid."""
 
     rows: int = 8
     """Circles from top to bottom; even, so that no line meets a circle. Of a board, squares or
@@ -114,7 +114,7 @@ class Pattern(Command):
         screen = ScreenOptions(self.screen_px, self.screen_inch, self.screen_pitch_mm)
         pitch_mm = screen.checked_pitch_mm(is_meant=kind == ".png")
         proposal = self._proposal(pitch_mm)
-        sheet = self._target(proposal)
+        sheet = self._board(proposal)
         if pitch_mm is None:
             written, notes = self._print(sheet)
         else:
@@ -125,13 +125,12 @@ class Pattern(Command):
                 f"{proposal.field_share:.0%} of the shorter side, from {self.for_distance_mm:g} mm."
             )
             notes = [said, *notes]
-        places = "circles" if self.board == "sheet" else "corners"
         files = [str(path) for path in written]
-        text = f"{len(sheet)} {places}, {sheet.name}\n" + "\n".join(notes)
-        record = {"name": sheet.name, places: len(sheet), "written": files}
+        text = f"{len(sheet)} {sheet.places}, {sheet.name}\n" + "\n".join(notes)
+        record = {"name": sheet.name, sheet.places: len(sheet), "written": files}
         return Outcome(f"{text}\nwritten: {', '.join(files)}", record)
 
-    def _print(self, sheet: "AbstractTarget") -> tuple[list[Path], list[str]]:
+    def _print(self, sheet: "AbstractBoard") -> tuple[list[Path], list[str]]:
         """Layout and drawings on paper: the files, and what to do with them."""
         from trinoc.io import save_pattern_pdf, save_pattern_svg, save_target
 
@@ -152,7 +151,7 @@ class Pattern(Command):
         save_pattern_pdf(sheet, page, paper=self.paper)
         return [self.out, drawing, page], notes
 
-    def _show(self, sheet: "AbstractTarget", pitch_mm: float) -> tuple[list[Path], list[str]]:
+    def _show(self, sheet: "AbstractBoard", pitch_mm: float) -> tuple[list[Path], list[str]]:
         """Picture for the screen and layout: the files, and what to do with them."""
         from trinoc.io import drawing_size_mm, save_pattern_png, save_target
 
@@ -208,44 +207,35 @@ class Pattern(Command):
             ),
         )
 
-    def _target(self, proposal: "SheetProposal | None") -> "AbstractTarget":
-        from trinoc.calib import AprilGrid, Charuco, Chessboard, Pattern as Sheet
+    def _board(self, proposal: "SheetProposal | None") -> "AbstractBoard":
+        from trinoc.calib import BOARDS, Chessboard, Pattern as Sheet
 
-        if self.board == "chessboard":
-            return Chessboard(
-                rows=self.rows - 1, columns=self.columns - 1, square_mm=self.square_mm
-            )
-        if self.board == "charuco":
-            marker_mm = 0.75 * self.square_mm if self.marker_mm is None else self.marker_mm
-            return Charuco(
-                rows=self.rows,
-                columns=self.columns,
-                square_mm=self.square_mm,
-                marker_mm=marker_mm,
-                dictionary=self.dictionary or "4x4_250",
-                first=self.first,
-            )
-        if self.board == "aprilgrid":
-            return AprilGrid(
-                rows=self.rows,
-                columns=self.columns,
-                tag_mm=self.tag_mm,
-                spacing=self.tag_spacing,
-                dictionary=self.dictionary or "APRILTAG_36h11",
-                first=self.first,
-            )
-        if proposal is not None:
+        if self.board == Sheet.kind:
+            sizes = (self.rows, self.columns, self.pitch_mm, self.radius_mm)
+            if proposal is not None:
+                sizes = (proposal.count, proposal.count, proposal.pitch_mm, proposal.radius_mm)
+            rows, columns, pitch_mm, radius_mm = sizes
             return Sheet.cross_grid(
-                rows=proposal.count,
-                columns=proposal.count,
-                pitch_mm=proposal.pitch_mm,
-                radius_mm=proposal.radius_mm,
+                rows=rows,
+                columns=columns,
+                pitch_mm=pitch_mm,
+                radius_mm=radius_mm,
                 line_style=self.line_style,
             )
-        return Sheet.cross_grid(
-            rows=self.rows,
-            columns=self.columns,
-            pitch_mm=self.pitch_mm,
-            radius_mm=self.radius_mm,
-            line_style=self.line_style,
-        )
+        if self.board not in BOARDS:
+            raise UsageError(f"--board is {self.board!r}: give one of {', '.join(BOARDS)}.")
+        board = BOARDS[self.board]
+        # A chessboard counts its inner corners.
+        beyond = 1 if board is Chessboard else 0
+        options = {
+            "rows": self.rows - beyond,
+            "columns": self.columns - beyond,
+            "square_mm": self.square_mm,
+            "marker_mm": self.marker_mm,
+            "tag_mm": self.tag_mm,
+            "spacing": self.tag_spacing,
+            "dictionary": self.dictionary,
+            "first": self.first,
+        }
+        fields = board.layout.values()
+        return board(**{k: v for k, v in options.items() if k in fields and v is not None})

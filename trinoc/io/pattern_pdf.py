@@ -3,16 +3,16 @@
 import io
 import os
 
-from trinoc.calib import AbstractTarget
+from trinoc.calib import AbstractBoard, Disc, Polygon
 from trinoc.errors import InputError
 from trinoc.io.atomic import atomic_write
-from trinoc.io.pattern_page import LETTER_MM, Disc, Page, Polygon, lay_out
+from trinoc.io.pattern_page import LETTER_MM, Page, lay_out
 
 _POINTS_PER_MM = 72.0 / 25.4
 
 
 def save_pattern_pdf(
-    pattern: AbstractTarget, path: str | os.PathLike[str], *, paper: str = "a4"
+    pattern: AbstractBoard, path: str | os.PathLike[str], *, paper: str = "a4"
 ) -> None:
     """Draw the sheet in true scale.
 

@@ -5,10 +5,10 @@ import os
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from trinoc.calib import AbstractTarget
+from trinoc.calib import AbstractBoard, Disc, Polygon
 from trinoc.errors import InputError
 from trinoc.io.images import write_picture
-from trinoc.io.pattern_page import Disc, Polygon, drawing
+from trinoc.io.pattern_page import drawing_box_mm
 
 # Lattice of points per pixel side, by which the ink of a pixel is counted.
 _DIVISION = 16
@@ -24,7 +24,7 @@ def screen_room_mm(size_px: tuple[int, int], pitch_mm: float) -> tuple[float, fl
 
 
 def save_pattern_png(
-    pattern: AbstractTarget,
+    pattern: AbstractBoard,
     path: str | os.PathLike[str],
     *,
     size_px: tuple[int, int],
@@ -35,7 +35,7 @@ def save_pattern_png(
 
 
 def pattern_picture(
-    pattern: AbstractTarget, *, size_px: tuple[int, int], pitch_mm: float
+    pattern: AbstractBoard, *, size_px: tuple[int, int], pitch_mm: float
 ) -> UInt8[np.ndarray, "h w"]:
     """The drawing in true scale in the middle of a screen of square pixels, white around it.
 
@@ -44,7 +44,7 @@ def pattern_picture(
     that edges stand between pixels where they belong. Raises InputError where the screen is too
     small.
     """
-    figures, low, high = drawing(pattern)
+    low, high = drawing_box_mm(pattern)
     needed, room = high - low, np.array(screen_room_mm(size_px, pitch_mm))
     if np.any(needed > room):
         whole = np.array(size_px) * pitch_mm
@@ -54,11 +54,7 @@ def pattern_picture(
             f"{whole[1]:.0f} mm: take a smaller pitch or fewer rows."
         )
     middle = 0.5 * (low + high)
-    shapes = [
-        _on_screen(figure, middle, size_px, pitch_mm)
-        for figure in figures
-        if isinstance(figure, Disc | Polygon)
-    ]
+    shapes = [_on_screen(figure, middle, size_px, pitch_mm) for figure in pattern.drawing()]
     bands = [
         _white_share(shapes, top, min(top + _BAND_PX, size_px[1]), size_px[0])
         for top in range(0, size_px[1], _BAND_PX)

@@ -3,13 +3,13 @@
 import os
 from xml.sax.saxutils import escape
 
-from trinoc.calib import AbstractTarget
+from trinoc.calib import AbstractBoard, Disc, Polygon
 from trinoc.io.atomic import write_text
-from trinoc.io.pattern_page import LETTER_MM, Disc, Page, Polygon, lay_out
+from trinoc.io.pattern_page import LETTER_MM, Page, lay_out
 
 
 def save_pattern_svg(
-    pattern: AbstractTarget, path: str | os.PathLike[str], *, paper: str = "a4"
+    pattern: AbstractBoard, path: str | os.PathLike[str], *, paper: str = "a4"
 ) -> None:
     """Draw the sheet in true scale. Raises InputError where it does not fit the paper."""
     write_text(path, pattern_svg(lay_out(pattern, paper)))

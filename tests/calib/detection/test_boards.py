@@ -6,7 +6,6 @@ import pytest
 
 from trinoc.calib import AprilGrid, Charuco, Chessboard, Pattern, detect_target, opencv_board
 from trinoc.errors import DetectionError, InputError
-from trinoc.io.board_figures import ink_polygons
 
 BOARDS = {
     "chessboard": Chessboard(rows=5, columns=8, square_mm=10.0),
@@ -17,6 +16,10 @@ BOARDS = {
 }
 FINER = 6
 SHIFT = 4  # bits behind the point of cv2.fillPoly
+
+
+def polygons(board):
+    return [figure.corners_mm for figure in board.drawing()]
 
 
 def picture(board, turn_deg=20.0, size=(480, 640), figures=None):
@@ -30,7 +33,7 @@ def picture(board, turn_deg=20.0, size=(480, 640), figures=None):
         return place @ turn.T / slant + np.array([size[1], size[0]]) / 2 - 0.5
 
     large = np.full((FINER * size[0], FINER * size[1]), 225, np.uint8)
-    for corners in ink_polygons(board) if figures is None else figures:
+    for corners in polygons(board) if figures is None else figures:
         on_large = FINER * (pixels(corners) + 0.5) - 0.5
         cv2.fillPoly(large, [np.rint(on_large * 2**SHIFT).astype(np.int32)], 30, shift=SHIFT)
     image = cv2.resize(large, size[::-1], interpolation=cv2.INTER_AREA)
@@ -84,7 +87,7 @@ def test_tags_that_are_printed_turned_are_the_same_board(quarters):
     board = BOARDS["aprilgrid"]
     turn = np.linalg.matrix_power(np.array([[0.0, -1.0], [1.0, 0.0]]), quarters)
     figures = []
-    for corners in ink_polygons(board):
+    for corners in polygons(board):
         offset = corners.mean(axis=0) - board.tags_mm
         tag = int(np.abs(offset).max(axis=1).argmin())
         of_tag = np.abs(offset[tag]).max() < 0.5 * board.tag_mm

@@ -16,7 +16,6 @@ from trinoc.calib.photometric.pixel_selection import group_of, select_pixels
 from trinoc.calib.result.degrees import pose_of_values
 from trinoc.calib.targets import square_sheet
 from trinoc.errors import InputError
-from trinoc.io.board_figures import ink_polygons
 from trinoc.synth import Cells, render_sheet
 from trinoc.synth.layers import Paint
 from trinoc.synth.shapes import ConvexPolygon
@@ -122,7 +121,9 @@ def test_the_grid_is_what_is_printed(board):
     random = np.random.default_rng(0)
     extent = np.array([[sheet.x_mm[0], sheet.y_mm[0]], [sheet.x_mm[-1], sheet.y_mm[-1]]])
     places = random.uniform(1.1 * extent[0], 1.1 * extent[1], (2000, 2))
-    level = np.min([ConvexPolygon(each).level_mm(places) for each in ink_polygons(board)], axis=0)
+    level = np.min(
+        [ConvexPolygon(each.corners_mm).level_mm(places) for each in board.drawing()], axis=0
+    )
     ink = sheet.ink[
         np.searchsorted(sheet.y_mm, places[:, 1]), np.searchsorted(sheet.x_mm, places[:, 0])
     ]

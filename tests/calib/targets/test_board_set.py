@@ -11,12 +11,12 @@ from trinoc.calib import (
     Charuco,
     Chessboard,
     Pattern,
+    Polygon,
     detect_target,
 )
 from trinoc.calib.detection import split_by_board
 from trinoc.errors import DetectionError, InputError
 from trinoc.io import load_target, save_target
-from trinoc.io.board_figures import ink_polygons
 
 CHESS = Chessboard(rows=5, columns=6, square_mm=20.0)
 TAGS = AprilGrid(rows=2, columns=3, tag_mm=30.0, first=12)
@@ -90,8 +90,9 @@ def test_boards_are_found_beside_each_other_and_told_apart() -> None:
     scale, middles = 3.0, {"chess": (260, 280), "marked": (750, 280), "tags": (1240, 280)}
     shift = 16
     for name, board in zip(boards.names, boards.boards, strict=True):
-        for polygon in ink_polygons(board):
-            corners = polygon * [scale, -scale] + middles[name]
+        for polygon in board.drawing():
+            assert isinstance(polygon, Polygon)
+            corners = polygon.corners_mm * [scale, -scale] + middles[name]
             cv2.fillPoly(picture, [np.rint(corners * 2**shift).astype(np.int32)], 20,
                          cv2.LINE_AA, shift)  # fmt: skip
     found = detect_target(cv2.GaussianBlur(picture, (0, 0), 0.8), boards)

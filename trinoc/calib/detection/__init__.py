@@ -1,8 +1,9 @@
-"""From an image to labelled circles and lines of the sheet.
+"""From an image to the labelled places of a board, with their covariances.
 
-In the order of the work: grey -> blobs -> lattice -> ellipse_pixels, ellipse_fit, quality_gate ->
-placing, labels -> read_pattern -> measure_circles -> cross_lines, all put together in `search`;
-`orientation` chooses among the labellings of a sheet that looks the same turned."""
+`registry` says which detector belongs to which board. That of sheets of circles, `circles`, in the
+order of its work: search_image -> blobs -> lattice -> ellipse_pixels, ellipse_fit, quality_gate ->
+labels -> measure_circles -> cross_lines; `orientation` chooses among the labellings of a sheet
+that looks the same turned."""
 
 import lazy_loader
 

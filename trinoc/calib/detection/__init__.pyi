@@ -1,5 +1,4 @@
-from .any_target import detect_target as detect_target
-from .board_set import split_by_board as split_by_board
-from .detection import Detection as Detection
-from .orientation import Orientation as Orientation, oriented as oriented
-from .search import circle_candidates as circle_candidates, detect_pattern as detect_pattern
+from .circles import circle_candidates as circle_candidates
+from .detection import Detection as Detection, split_by_board as split_by_board
+from .orientation import Orientation as Orientation, resolve_orientation as resolve_orientation
+from .registry import detect_pattern as detect_pattern, detect_target as detect_target

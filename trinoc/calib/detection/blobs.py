@@ -35,6 +35,11 @@ class Blobs(NamedTuple):
         """The blobs of an index or a mask."""
         return Blobs(self.centres_px[index], self.shape_px2[index])
 
+    def enlarged(self, factor: float) -> "Blobs":
+        """Blobs of a picture `factor` times smaller, in pixels of the large one."""
+        middle = 0.5 * (factor - 1)
+        return Blobs(self.centres_px * factor + middle, self.shape_px2 * factor**2)
+
 
 class Scale(NamedTuple):
     """How one search looks at the picture.

@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped, UInt8
 
-from trinoc.calib.detection.corner_accuracy import corner_covariance_px2
-from trinoc.calib.detection.detection import Detection
-from trinoc.calib.detection.grey import search_image
+from trinoc.calib.detection.corners import corner_covariance_px2, levels_of_8_bit
+from trinoc.calib.detection.detection import Detection, labelled_detection, rightward_share
+from trinoc.calib.detection.search_image import search_image
 from trinoc.calib.targets import Chessboard, dark_squares
 from trinoc.errors import DetectionError
 
@@ -43,37 +43,25 @@ def detect_chessboard(image: Shaped[np.ndarray, "..."], board: Chessboard) -> De
             "found in the picture; show all of it, with a light margin, in focus."
         )
     corners_px = np.asarray(corners, dtype=np.float64).reshape(-1, 2)
-    labelled = _labellings(corners_px, board)
-    agreement = [_agreement(grey, corners_px[index], board) for index in labelled]
-    right = [index for index, agrees in zip(labelled, agreement, strict=True) if agrees > 0]
-    if not right:
+    orders = [
+        order
+        for order in _orders_from_front(corners_px, board)
+        if _light_over_dark(grey, corners_px[order], board) > 0
+    ]
+    if not orders:
         raise DetectionError(
             f"The squares of the chessboard {board.name!r} are not dark and light in turn as its "
             "layout has them; check the numbers of its corners."
         )
-    first, *others = sorted((np.argsort(index) for index in right), key=lambda index: -_rightward(
-        corners_px, board.centres_mm[index]))  # fmt: skip
-    return Detection(
-        circle_index=first,
-        centres_px=corners_px,
-        covariance_px2=corner_covariance_px2(picture, corners_px),
-        shape_px2=np.full((len(corners_px), 2, 2), np.nan),
-        lines_px=np.full((2, 3), np.nan),
-        image_size_px=picture.size_px,
-        ambiguity=np.stack(others) if others else None,
+    labellings = sorted(
+        (np.argsort(order) for order in orders),
+        key=lambda index: -rightward_share(corners_px, board.centres_mm[index]),
     )
+    covariance_px2 = corner_covariance_px2(picture, corners_px)
+    return labelled_detection(np.stack(labellings), corners_px, covariance_px2, picture.size_px)
 
 
-def levels_of_8_bit(grey: Float[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w"]:
-    """Grey levels between the darkest and the lightest as OpenCV's detectors take them."""
-    low, high = float(grey.min()), float(grey.max())
-    if low >= 0.0 and 127.0 < high <= 255.0:
-        low, high = 0.0, 255.0
-    scale = 255.0 / max(high - low, 1e-9)
-    return np.clip(np.rint((grey - low) * scale), 0, 255).astype(np.uint8)
-
-
-def _labellings(
+def _orders_from_front(
     corners_px: Float[np.ndarray, "n 2"], board: Chessboard
 ) -> list[Int[np.ndarray, "_n"]]:
     """Orders in which the corners found are those of the board, seen from its front: for each
@@ -88,7 +76,7 @@ def _labellings(
     return [each.ravel() for each in turned if each.shape == grid.shape]
 
 
-def _agreement(
+def _light_over_dark(
     grey: UInt8[np.ndarray, "h w"], corners_px: Float[np.ndarray, "n 2"], board: Chessboard
 ) -> float:
     """How much lighter the light inner squares are than the dark ones."""
@@ -100,13 +88,3 @@ def _agreement(
         float
     )
     return float(level[~dark.ravel()].mean() - level[dark.ravel()].mean())
-
-
-def _rightward(
-    corners_px: Float[np.ndarray, "n 2"], on_board_mm: Float[np.ndarray, "n 2"]
-) -> float:
-    """The share of X's direction in the picture that points to the right."""
-    affine, *_ = np.linalg.lstsq(
-        on_board_mm - on_board_mm.mean(axis=0), corners_px - corners_px.mean(axis=0), rcond=None
-    )
-    return float(affine[0, 0] / np.linalg.norm(affine[0]))

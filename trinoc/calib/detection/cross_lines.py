@@ -1,23 +1,31 @@
-"""The two crossed lines, found where the circles say they are."""
+"""The two crossed lines: found where the circles say they are, and taken off the circles' edges."""
 
 import cv2
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
+from trinoc.calib.detection.ellipse_fit import Ellipses
+from trinoc.calib.detection.ellipse_pixels import (
+    EllipsePixels,
+    column_32,
+    normal_cdf,
+    quick_median,
+)
 from trinoc.calib.detection.plane_mapping import PlaneMapping
-from trinoc.calib.detection.quick_median import quick_median
 from trinoc.calib.targets import Pattern
 
 _STATIONS = 96
 _FEWEST_STATIONS = 10
 _REWEIGHTINGS = 3
+# Blurs beyond which a line's dark is not felt.
+_REACH_BLURS = 3.0
 
 
 def fit_cross_lines(
     grey: Float[np.ndarray, "h w"],
     noise_sigma: float,
     pattern: Pattern,
-    warp: PlaneMapping,
+    mapping: PlaneMapping,
     blur_px: float,
 ) -> Float[np.ndarray, "2 3"]:
     """Images of the lines along X and along Y, unit normals; NaN where not seen.
@@ -31,7 +39,7 @@ def fit_cross_lines(
     for axis in (0, 1):
         stations = _stations_mm(pattern, axis)
         if len(stations) >= _FEWEST_STATIONS:
-            lines[axis] = _fit_line(grey, noise_sigma, stations, axis, pattern, warp, blur_px)
+            lines[axis] = _fit_line(grey, noise_sigma, stations, axis, pattern, mapping, blur_px)
     return lines
 
 
@@ -57,13 +65,13 @@ def _fit_line(
     stations_mm: Float[np.ndarray, "n 2"],
     axis: int,
     pattern: Pattern,
-    warp: PlaneMapping,
+    mapping: PlaneMapping,
     blur_px: float,
 ) -> Float[np.ndarray, "3"]:
     side = np.zeros(2)
     side[1 - axis] = 0.5 * pattern.line_width_mm
-    place = warp.apply(stations_mm)
-    half_width_px = np.linalg.norm(warp.apply(stations_mm + side) - place, axis=1)
+    place = mapping.apply(stations_mm)
+    half_width_px = np.linalg.norm(mapping.apply(stations_mm + side) - place, axis=1)
     along = np.gradient(place, axis=0)
     normal = np.stack([-along[:, 1], along[:, 0]], axis=1)
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
@@ -105,3 +113,51 @@ def _robust_line(points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "3"]:
         weight = 1.0 / (1.0 + (distance / scale) ** 2)
         line = np.append(normal, -(normal @ mean))
     return line
+
+
+def subtract_line_blur(
+    pixels: EllipsePixels,
+    fitted: Ellipses,
+    index: Int[np.ndarray, "n"],
+    pattern: Pattern,
+    mapping: PlaneMapping,
+    outer: Float[np.ndarray, "n"],
+) -> EllipsePixels:
+    """`pixels` without the dark that the blur of a line throws on the edge of a circle beside it.
+
+    outer : how many radii of each ellipse the pixels reach out. Lines that meet a circle are
+        left to the fit, which takes their pixels for outliers.
+    """
+    if pattern.line_width_mm == 0.0:
+        return pixels
+    grey = pixels.grey
+    centre_mm = pattern.centres_mm[index]
+    met_mm = pattern.radius_mm[index] + pattern.line_gap_mm + pattern.line_width_mm
+    inverse_blur = column_32(1.0 / fitted.blur_px)
+    for axis in (0, 1):
+        foot_mm = np.zeros_like(centre_mm)
+        foot_mm[:, axis] = centre_mm[:, axis]
+        along_mm, across_mm = np.zeros(2), np.zeros(2)
+        along_mm[axis] = across_mm[1 - axis] = 0.5 * pattern.line_width_mm
+        foot = mapping.apply(foot_mm)
+        direction = mapping.apply(foot_mm + along_mm) - foot
+        normal = np.stack([-direction[:, 1], direction[:, 0]], axis=1)
+        normal /= np.maximum(np.sqrt(np.sum(normal**2, axis=1, keepdims=True)), 1e-12)
+        half_width = np.abs(np.sum((mapping.apply(foot_mm + across_mm) - foot) * normal, axis=1))
+        apart = np.abs(np.sum((fitted.centres_px - foot) * normal, axis=1))
+        extent = outer * np.sqrt(np.einsum("ni,nij,nj->n", normal, fitted.shape_px2, normal))
+        shaded = (
+            (apart - extent < half_width + _REACH_BLURS * fitted.blur_px)
+            & (np.abs(centre_mm[:, 1 - axis]) > met_mm)
+            & (np.abs(centre_mm[:, axis]) < pattern.line_half_length_mm[axis])
+        )
+        if not np.any(shaded):
+            continue
+        local = foot - pixels.origin_px
+        distance = column_32(normal[:, 0]) * (pixels.x - column_32(local[:, 0]))
+        distance += column_32(normal[:, 1]) * (pixels.y - column_32(local[:, 1]))
+        wide = column_32(half_width)
+        coverage = normal_cdf((distance + wide) * inverse_blur)
+        coverage -= normal_cdf((distance - wide) * inverse_blur)
+        grey = grey + column_32(np.where(shaded, fitted.paper * fitted.ink, 0.0)) * coverage
+    return pixels._replace(grey=grey)

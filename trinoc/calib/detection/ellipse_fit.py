@@ -12,10 +12,14 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from trinoc.calib.detection.ellipse_pixels import EllipsePixels
-from trinoc.calib.detection.ellipse_shape import inverse_square_root, smallest_axis
-from trinoc.calib.detection.normal_table import normal_cdf
-from trinoc.calib.detection.quick_median import quick_median
+from trinoc.calib.detection.ellipse_pixels import (
+    EllipsePixels,
+    column_32 as _column,
+    inverse_square_root,
+    normal_cdf,
+    quick_median,
+    smallest_axis,
+)
 
 # Parameters of one circle, in the order of the Jacobian's columns.
 _CENTRE, _SHAPE, _BLUR, _PAPER, _INK = slice(0, 2), slice(2, 5), 5, 6, 7
@@ -64,6 +68,10 @@ class Ellipses(NamedTuple):
     def take(self, index: np.ndarray) -> "Ellipses":
         """The ellipses of an index or a mask."""
         return Ellipses(*(field[index] for field in self))
+
+    def joined(self, other: "Ellipses") -> "Ellipses":
+        """These ellipses, then the others."""
+        return Ellipses(*(np.concatenate(pair) for pair in zip(self, other, strict=True)))
 
     def enlarged(self, factor: int) -> "Ellipses":
         """Ellipses of a picture reduced by `factor`, in pixels of the picture itself."""
@@ -320,7 +328,3 @@ def _whitened(
 
 def _masked_mean(values: np.ndarray, mask: np.ndarray) -> Float[np.ndarray, "n"]:
     return (values * mask).sum(axis=1, dtype=float) / np.maximum(mask.sum(axis=1), 1)
-
-
-def _column(values: np.ndarray) -> Float[np.ndarray, "n 1"]:
-    return values.astype(np.float32)[:, None]

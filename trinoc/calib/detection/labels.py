@@ -1,48 +1,164 @@
-"""Which circle of the pattern each blob of a lattice is, or why that cannot be told."""
+"""Which circle of the pattern each blob of a lattice is, or why that cannot be told.
+
+A lattice is laid on the pattern in every turn and at every shift; its rings say which is right.
+"""
 
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from trinoc.calib.detection.pattern_symmetry import PatternSymmetry
-from trinoc.calib.detection.placing import placements
 from trinoc.calib.targets import Pattern
-from trinoc.errors import DetectionError
+from trinoc.errors import DetectionError, InputError
 
+_FEWEST_CIRCLES = 4
 # A labelling must beat every other by this much: more than one misread circle can give.
 _MARGIN = 16.0
-# At most this share of the circles may contradict the labelling.
-_MOST_WRONG = 0.1
+# One circle where the pattern has none must not decide a labelling, two may; a circle misread
+# as a ring or a disc costs about 25.
+_OUTSIDE_COST = 10.0
+# Log odds from which a circle is clearly a ring, and at most this share of the circles may
+# contradict the labelling.
+_CLEAR, _MOST_WRONG = 4.0, 0.1
 
 
 class MirroredError(DetectionError):
-    """The sheet is seen mirrored: no other way of looking will change that."""
+    """The sheet is seen mirrored: no other search will change that."""
 
 
-class Labelling(NamedTuple):
-    """Pattern index of each circle of a lattice, -1 where the pattern has none.
+class PatternSymmetry(NamedTuple):
+    """The lattice of a pattern and the symmetries of the lattice.
 
-    choices : (k, m) all labellings that the pattern's own symmetry leaves open, the first
-        being the one taken.
-    symmetries : (k, n) the permutations of the pattern's circles that lead to them.
+    circles : how many there are.
+    steps_mm : (2, 2) columns are the steps on the sheet of one lattice unit.
+    radius_mm : the common radius of the circles (their median).
+    hole_ratio : inner over outer radius of the rings; 0 without rings.
+    turns : (k, 2, 2) integer maps of the lattice that rotate the sheet rigidly.
+    mirrors : (k, 2, 2) those that turn it over.
+    symmetries : (s, n) permutations of the circles by turns that leave the sheet as it is, the
+        identity first.
+    is_chiral : whether the sheet differs from its mirror image.
     """
 
-    choices: Int[np.ndarray, "k m"]
-    symmetries: Int[np.ndarray, "k n"]
+    circles: int
+    steps_mm: Float[np.ndarray, "2 2"]
+    radius_mm: float
+    hole_ratio: float
+    turns: Int[np.ndarray, "turns 2 2"]
+    mirrors: Int[np.ndarray, "mirrors 2 2"]
+    symmetries: Int[np.ndarray, "s n"]
+    is_chiral: bool
 
-    def permute(self, index: Int[np.ndarray, "j"]) -> Int[np.ndarray, "k j"]:
-        """Other labels of the pattern's circles `index`, themselves first."""
-        return self.symmetries[:, index]
+    @property
+    def pitch_radii(self) -> float:
+        """Mean pitch in radii of the circles."""
+        return float(np.sqrt(abs(np.linalg.det(self.steps_mm)))) / self.radius_mm
+
+
+class Placements(NamedTuple):
+    """Ways to lay a lattice on a pattern.
+
+    index : (k, m) pattern index of each circle of the lattice, -1 where the pattern has none.
+    score : (k,) log likelihood.
+    """
+
+    index: Int[np.ndarray, "k m"]
+    score: Float[np.ndarray, "k"]
+
+
+def pattern_symmetry(pattern: Pattern) -> PatternSymmetry:
+    """The lattice of a pattern.
+
+    Raises
+    ------
+    InputError : its circles do not span a plane lattice, so no picture can be labelled.
+    """
+    relative = pattern.lattice - pattern.lattice.mean(axis=0)
+    if len(pattern) < _FEWEST_CIRCLES or np.linalg.matrix_rank(relative) < 2:
+        raise InputError(
+            f"The pattern {pattern.name!r} has too few circles off one line to be found in a"
+            f" picture; use at least a 2 x 2 grid."
+        )
+    steps, *_ = np.linalg.lstsq(relative, pattern.centres_mm, rcond=None)
+    quarter = np.array([[0, -1], [1, 0]])
+    quarters = np.stack([np.linalg.matrix_power(quarter, k) for k in range(4)])
+    turns = _rigid_maps(quarters, steps.T)
+    mirrors = _rigid_maps(quarters @ np.array([[-1, 0], [0, 1]]), steps.T)
+    rings = pattern.is_ring
+    ratio = pattern.inner_radius_mm[rings] / pattern.radius_mm[rings]
+    return PatternSymmetry(
+        circles=len(pattern),
+        steps_mm=steps.T,
+        radius_mm=float(np.median(pattern.radius_mm)),
+        hole_ratio=float(np.median(ratio)) if np.any(rings) else 0.0,
+        turns=turns,
+        mirrors=mirrors,
+        symmetries=_symmetries(pattern, turns),
+        is_chiral=len(_symmetries(pattern, mirrors)) == 0,
+    )
+
+
+def _rigid_maps(
+    maps: Int[np.ndarray, "k 2 2"], steps_mm: Float[np.ndarray, "2 2"]
+) -> Int[np.ndarray, "rigid 2 2"]:
+    """The maps of the lattice that are rotations or reflections of the sheet itself."""
+    on_sheet = steps_mm @ maps @ np.linalg.inv(steps_mm)
+    gram = np.swapaxes(on_sheet, 1, 2) @ on_sheet
+    return maps[np.all(np.abs(gram - np.eye(2)) < 0.1, axis=(1, 2))]
+
+
+def _symmetries(pattern: Pattern, maps: Int[np.ndarray, "turns 2 2"]) -> Int[np.ndarray, "k n"]:
+    """Permutations of the circles by those maps of the lattice that leave the sheet as it is.
+
+    The identity, if `maps` holds it, comes first.
+    """
+    ring_evidence = np.where(pattern.is_ring, 2.0, -2.0)
+    placed = placements(pattern.lattice, ring_evidence, pattern, maps)
+    same = placed.index[placed.score > len(pattern) - 0.5]
+    is_identity = np.all(same == np.arange(len(pattern)), axis=1)
+    return same[np.argsort(~is_identity, kind="stable")]
+
+
+def placements(
+    cell: Int[np.ndarray, "m 2"],
+    ring_evidence: Float[np.ndarray, "m"],
+    pattern: Pattern,
+    maps: Int[np.ndarray, "turns 2 2"],
+) -> Placements:
+    """Every turn and shift of the lattice on the pattern, with its score."""
+    low, high = pattern.lattice.min(axis=0), pattern.lattice.max(axis=0)
+    grid = np.full(high - low + 1, -1)
+    grid[tuple((pattern.lattice - low).T)] = np.arange(len(pattern))
+    indices = []
+    for lattice_map in maps:
+        turned = cell @ lattice_map.T
+        # The lattice's box over the pattern's, or the other way, give or take 1.
+        to_low, to_high = low - turned.min(axis=0), high - turned.max(axis=0)
+        first, last = np.minimum(to_low, to_high) - 1, np.maximum(to_low, to_high) + 1
+        shifts = first + np.indices(last - first + 1).reshape(2, -1).T
+        at = turned[None] + shifts[:, None] - low
+        inside = np.all((at >= 0) & (at < grid.shape), axis=2)
+        at = np.where(inside[:, :, None], at, 0)
+        indices.append(np.where(inside, grid[at[..., 0], at[..., 1]], -1))
+    index = np.concatenate(indices)
+    sign = np.append(np.where(pattern.is_ring, 0.5, -0.5), 0.0)
+    score = (
+        sign[index] @ ring_evidence
+        if not np.any(index < 0)
+        else np.sum(np.where(index >= 0, sign[index] * ring_evidence, -_OUTSIDE_COST), axis=1)
+    )
+    return Placements(index, score)
 
 
 def label_circles(
     cell: Int[np.ndarray, "m 2"],
     ring_evidence: Float[np.ndarray, "m"],
     pattern: Pattern,
-    layout: PatternSymmetry,
-) -> Labelling:
-    """The one placement of a lattice on the pattern that its rings allow.
+    symmetry: PatternSymmetry,
+) -> Int[np.ndarray, "m"]:
+    """Pattern index of each circle of a lattice, -1 where the pattern has none.
+
+    It is the one placement that the rings allow, but for the pattern's own symmetries.
 
     ring_evidence : log of the odds that each circle is a ring.
 
@@ -51,46 +167,42 @@ def label_circles(
     DetectionError : the picture is mirrored, it shows another pattern, or too little of the
         sheet is seen to tell where it lies.
     """
-    seen = placements(cell, ring_evidence, pattern, layout.turns)
-    best = int(np.argmax(seen.score))
-    if layout.is_chiral:
-        mirrored = placements(cell, ring_evidence, pattern, layout.mirrors)
-        if mirrored.score.max() > seen.score[best] + _MARGIN:
-            worst = int(np.argmax(mirrored.score))
-            if _contradicting(mirrored.index[worst], ring_evidence, pattern) <= _allowed(len(cell)):
-                raise MirroredError(
-                    f"The picture shows the sheet {pattern.name!r} mirrored; flip it left to"
-                    " right, or photograph the printed side."
-                )
-    wrong = _contradicting(seen.index[best], ring_evidence, pattern)
-    if wrong > _allowed(len(cell)):
+    plain = placements(cell, ring_evidence, pattern, symmetry.turns)
+    best = int(np.argmax(plain.score))
+    index, allowed = plain.index[best], int(_MOST_WRONG * len(cell))
+    rivals = plain.index[plain.score > plain.score[best] - _MARGIN]
+    own = np.where(index >= 0, symmetry.symmetries[:, index], -1)
+    is_ambiguous = not np.all(np.any(np.all(own == rivals[:, None], axis=2), axis=1))
+    if symmetry.is_chiral:
+        mirrored = placements(cell, ring_evidence, pattern, symmetry.mirrors)
+        worst = int(np.argmax(mirrored.score))
+        lead = mirrored.score[worst] - plain.score[best]
+        is_ambiguous |= bool(lead > -_MARGIN)
+        wrong = _count_contradicting(mirrored.index[worst], ring_evidence, pattern)
+        if lead > _MARGIN and wrong <= allowed:
+            raise MirroredError(
+                f"The picture shows the sheet {pattern.name!r} mirrored; flip it left to"
+                " right, or photograph the printed side."
+            )
+    wrong = _count_contradicting(index, ring_evidence, pattern)
+    if wrong > allowed:
         raise DetectionError(
             f"The picture shows a grid of {len(cell)} circles, but {wrong} of them do not fit"
             f" the pattern {pattern.name!r}; give the pattern that was printed, or, where "
             "the picture is blurred, focus the camera."
         )
-    rivals = np.flatnonzero(seen.score > seen.score[best] - _MARGIN).tolist()
-    symmetric = layout.symmetries
-    own = np.where(seen.index[best] >= 0, symmetric[:, seen.index[best]], -1)
-    foreign = [k for k in rivals if not np.any(np.all(own == seen.index[k], axis=1))]
-    if layout.is_chiral and mirrored.score.max() > seen.score[best] - _MARGIN:
-        foreign.append(-1)
-    if foreign:
+    if is_ambiguous:
         raise DetectionError(
             f"Only {len(cell)} circles of the pattern {pattern.name!r} are seen, which fit it in"
             " more than one place; show more of the sheet."
         )
-    return Labelling(own, symmetric)
+    return index
 
 
-def _contradicting(
+def _count_contradicting(
     index: Int[np.ndarray, "m"], ring_evidence: Float[np.ndarray, "m"], pattern: Pattern
 ) -> int:
     """Circles outside the pattern, or clearly a ring where it has a disc or the reverse."""
     is_ring = np.append(pattern.is_ring, False)[index]
-    misread = np.where(is_ring, ring_evidence < -4.0, ring_evidence > 4.0)
+    misread = np.where(is_ring, ring_evidence < -_CLEAR, ring_evidence > _CLEAR)
     return int(np.sum((index < 0) | misread))
-
-
-def _allowed(circles: int) -> int:
-    return int(_MOST_WRONG * circles)

@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from trinoc.calib.detection.blobs import Blobs
-from trinoc.calib.detection.ellipse_shape import inverse_square_root
-from trinoc.calib.detection.pattern_symmetry import PatternSymmetry
+from trinoc.calib.detection.ellipse_pixels import inverse_square_root
+from trinoc.calib.detection.labels import PatternSymmetry
 from trinoc.calib.detection.plane_mapping import fit_plane_mapping
 
 # Neighbours may be off the expected distance by this factor, in the mean of both frames;
@@ -44,7 +44,7 @@ class Lattice(NamedTuple):
 
 
 def find_lattices(
-    blobs: Blobs, layout: PatternSymmetry, *, at_least: int, span: int
+    blobs: Blobs, symmetry: PatternSymmetry, *, at_least: int, span: int
 ) -> Iterator[Lattice]:
     """Lattices of at least `at_least` blobs, each blob used once, as they are found.
 
@@ -52,7 +52,7 @@ def find_lattices(
     """
     if len(blobs) < 4:
         return
-    relation = _Neighbours.of(blobs, layout)
+    relation = _Neighbours.of(blobs, symmetry)
     free = np.ones(len(blobs), dtype=bool)
     tried = np.zeros(len(blobs), dtype=bool)
     # Blobs amid the sheet have a neighbour on every side: start there.
@@ -61,7 +61,7 @@ def find_lattices(
             continue
         for corner in relation.cells_at(int(start), free):
             tried[corner.blob] = True
-            lattice = _grow(blobs, layout, corner, free, span)
+            lattice = _grow(blobs, symmetry, corner, free, span)
             if len(lattice) >= at_least:
                 free[lattice.blob] = False
                 yield lattice
@@ -78,13 +78,13 @@ class _Neighbours(NamedTuple):
     cosine: float
 
     @classmethod
-    def of(cls, blobs: Blobs, layout: PatternSymmetry) -> "_Neighbours":
+    def of(cls, blobs: Blobs, symmetry: PatternSymmetry) -> "_Neighbours":
         frame = inverse_square_root(blobs.shape_px2)
         between = blobs.centres_px[None] - blobs.centres_px[:, None]
         offset = between @ frame
         distance = np.sqrt(offset[..., 0] ** 2 + offset[..., 1] ** 2)
         mean = np.sqrt(distance * distance.T)
-        step = np.linalg.norm(layout.steps_mm, axis=0) / layout.radius_mm
+        step = np.linalg.norm(symmetry.steps_mm, axis=0) / symmetry.radius_mm
         area = np.sqrt(np.linalg.det(blobs.shape_px2))
         ratio = area[:, None] / area[None]
         alike = (ratio < _LARGEST_AREA_RATIO) & (ratio > 1 / _LARGEST_AREA_RATIO)
@@ -92,7 +92,10 @@ class _Neighbours(NamedTuple):
             alike & (mean > step.min() / _DISTANCE_FACTOR) & (mean < step.max() * _DISTANCE_FACTOR)
         )
         cosine = float(
-            layout.steps_mm[:, 0] @ layout.steps_mm[:, 1] / np.prod(step) / layout.radius_mm**2
+            symmetry.steps_mm[:, 0]
+            @ symmetry.steps_mm[:, 1]
+            / np.prod(step)
+            / symmetry.radius_mm**2
         )
         return cls(near, offset, near.sum(axis=1), step, cosine)
 
@@ -139,22 +142,22 @@ class _Neighbours(NamedTuple):
 
 
 def _grow(
-    blobs: Blobs, layout: PatternSymmetry, corner: Lattice, free: np.ndarray, span: int
+    blobs: Blobs, symmetry: PatternSymmetry, corner: Lattice, free: np.ndarray, span: int
 ) -> Lattice:
     """Add the blobs that lie where the lattice predicts them, refit, and look further."""
     inverse_shape = np.linalg.inv(blobs.shape_px2)
     a11, a12, a22 = (inverse_shape[:, i, j] for i, j in ((0, 0), (0, 1), (1, 1)))
     log_area = 0.5 * np.log(np.linalg.det(blobs.shape_px2))
-    circle = layout.radius_mm * np.linalg.inv(layout.steps_mm)
+    circle = symmetry.radius_mm * np.linalg.inv(symmetry.steps_mm)
     log_circle = np.log(abs(np.linalg.det(circle)))
     lattice = corner
     for _ in range(_ROUNDS):
-        warp = fit_plane_mapping(lattice.cell.astype(float), blobs.centres_px[lattice.blob])
+        mapping = fit_plane_mapping(lattice.cell.astype(float), blobs.centres_px[lattice.blob])
         cells = _cells_round(lattice.cell, span, reach=1 if len(lattice) < 8 else 2)
         cells = np.concatenate([lattice.cell, cells])
-        place = warp.apply(cells.astype(float))
+        place = mapping.apply(cells.astype(float))
         cells, place = cells[np.isfinite(place[:, 0])], place[np.isfinite(place[:, 0])]
-        log_enlargement = warp.log_enlargement(cells.astype(float))
+        log_enlargement = mapping.log_enlargement(cells.astype(float))
         dx = blobs.centres_px[None, :, 0] - place[:, None, 0]
         dy = blobs.centres_px[None, :, 1] - place[:, None, 1]
         miss = (a11 * dx + 2.0 * a12 * dy) * dx + a22 * dy * dy
@@ -171,7 +174,7 @@ def _grow(
             np.sort(grown.blob), np.sort(lattice.blob)
         )
         lattice = grown
-        if same or len(lattice) == layout.circles:
+        if same or len(lattice) == symmetry.circles:
             break
     return lattice
 

@@ -12,7 +12,7 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int
 
-from trinoc.calib.detection.detection import Detection
+from trinoc.calib.detection.detection import Detection, labelled_detection
 from trinoc.calib.targets import Pattern
 from trinoc.errors import InputError
 from trinoc.geometry import Camera, Rig, image_of_circle_centre
@@ -24,7 +24,7 @@ Orientation = Literal["upright"] | Rig | None
 _CLEARLY = 3.0
 
 
-def oriented(
+def resolve_orientation(
     detections: Mapping[str, Detection], pattern: Pattern, orientation: Orientation
 ) -> tuple[dict[str, Detection], dict[str, str]]:
     """Every detection with one labelling, and a sentence for each where that cannot be told.
@@ -37,16 +37,18 @@ def oriented(
         raise InputError(
             f'orientation is {orientation!r}, but must be "upright", an earlier Rig, or None.'
         )
-    settled, failures = {}, {}
+    resolved, failures = {}, {}
     for name, detection in detections.items():
-        choice = _choice(detection, pattern, orientation, name)
+        choice = _choose_labelling(detection, pattern, orientation, name)
         if isinstance(choice, str):
             failures[name] = choice
-        settled[name] = detection if isinstance(choice, str) else _taken(detection, pattern, choice)
-    return settled, failures
+        resolved[name] = (
+            detection if isinstance(choice, str) else _with_labelling(detection, pattern, choice)
+        )
+    return resolved, failures
 
 
-def _choice(
+def _choose_labelling(
     detection: Detection, pattern: Pattern, orientation: Orientation, name: str
 ) -> Int[np.ndarray, "m"] | str:
     """The labelling to take, or why none can be."""
@@ -62,7 +64,7 @@ def _choice(
         )
     if name not in orientation.names:
         return f"{sheet}, and the earlier rig has no such camera that would tell."
-    choices = np.concatenate([detection.circle_index[None], detection.ambiguity])
+    choices = detection.labellings
     misses = [_miss_px(orientation[name], detection, pattern, index) for index in choices]
     order = np.argsort(misses)
     if not misses[order[0]] * _CLEARLY < misses[order[1]]:
@@ -89,18 +91,20 @@ def _centres_px(
     return jax.vmap(image_of_circle_centre, in_axes=(None, 0, 0))(camera, centres_mm, radius_mm)
 
 
-def _taken(detection: Detection, pattern: Pattern, index: Int[np.ndarray, "m"]) -> Detection:
+def _with_labelling(
+    detection: Detection, pattern: Pattern, index: Int[np.ndarray, "m"]
+) -> Detection:
     """The detection with one labelling; after a quarter turn the crossed lines change places."""
     first, second = (
         pattern.centres_mm[each] - pattern.centres_mm[each].mean(axis=0)
         for each in (detection.circle_index, index)
     )
     turned = abs(np.sum(first * second)) < abs(np.sum(first * second[:, ::-1] * [1.0, -1.0]))
-    return Detection(
-        circle_index=index,
-        centres_px=detection.centres_px,
-        covariance_px2=detection.covariance_px2,
-        shape_px2=detection.shape_px2,
-        lines_px=detection.lines_px[::-1] if turned else detection.lines_px,
-        image_size_px=detection.image_size_px,
+    return labelled_detection(
+        index[None],
+        detection.centres_px,
+        detection.covariance_px2,
+        detection.image_size_px,
+        detection.shape_px2,
+        detection.lines_px[::-1] if turned else detection.lines_px,
     )

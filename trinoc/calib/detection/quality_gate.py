@@ -4,9 +4,12 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from trinoc.calib.detection.ellipse_fit import Ellipses
-from trinoc.calib.detection.ellipse_shape import inverse_square_root, smallest_axis
+from trinoc.calib.detection.ellipse_pixels import (
+    inverse_square_root,
+    quick_median,
+    smallest_axis,
+)
 from trinoc.calib.detection.plane_mapping import PlaneMapping, fit_plane_mapping
-from trinoc.calib.detection.quick_median import quick_median
 from trinoc.calib.targets import Pattern
 
 FEWEST_CIRCLES = 6
@@ -67,9 +70,9 @@ def agreeing(
     own = np.sqrt(np.trace(fitted.covariance_px2, axis1=1, axis2=2))
     sharp = 0.03 * smallest_axis(fitted.shape_px2)
     centres_mm, radius_mm = pattern.centres_mm[index], pattern.radius_mm[index]
-    warp = fit_plane_mapping(centres_mm, fitted.centres_px, radius_mm)
+    mapping = fit_plane_mapping(centres_mm, fitted.centres_px, radius_mm)
     for _ in range(2):
-        centre, shape = warp.ellipses(centres_mm, radius_mm)
+        centre, shape = mapping.ellipses(centres_mm, radius_mm)
         off = fitted.centres_px - centre
         miss = np.sqrt(off[:, 0] ** 2 + off[:, 1] ** 2)
         before = good
@@ -77,5 +80,5 @@ def agreeing(
         good &= _alike(fitted, shape, own)
         if np.array_equal(before, good) or np.sum(good) < FEWEST_CIRCLES:
             break
-        warp = fit_plane_mapping(centres_mm[good], fitted.centres_px[good], radius_mm[good])
-    return good, warp
+        mapping = fit_plane_mapping(centres_mm[good], fitted.centres_px[good], radius_mm[good])
+    return good, mapping

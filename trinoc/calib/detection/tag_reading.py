@@ -1,7 +1,8 @@
 """Tags that touch their neighbours at the corners, found and read.
 
 OpenCV takes what touches for one figure, so light is widened until corners part; the tags are then
-read in the picture as it is.
+read in the picture as it is. OpenCV's own reading of the widened picture finds half as many tags in
+soft pictures, and next to none of tags 40 px wide.
 """
 
 import cv2
@@ -20,7 +21,7 @@ _WRONG_BORDER, _CORRECTED = 0.1, 0.6
 _LEAST_SPREAD = 10.0
 
 
-def tags_in(
+def read_tags(
     grey: UInt8[np.ndarray, "h w"], dictionary: cv2.aruco.Dictionary, border: int
 ) -> dict[int, Float[np.ndarray, "4 2"]]:
     """Corners of each tag by number, from its top left clockwise in the picture, some px off.
@@ -33,8 +34,8 @@ def tags_in(
         if scale > 1 and grey.size > _LARGEST_ENLARGED_PX:
             continue
         large = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
-        for corners in _quadrangles(large, dictionary, border, wide):
-            read = _read(large, corners, dictionary, border)
+        for corners in _find_quadrangles(large, dictionary, border, wide):
+            read = _read_tag(large, corners, dictionary, border)
             if read is None:
                 continue
             number, turn = read
@@ -47,7 +48,7 @@ def tags_in(
     return {number: corners for number, corners in found.items() if number not in twice}
 
 
-def _quadrangles(
+def _find_quadrangles(
     grey: UInt8[np.ndarray, "h w"], dictionary: cv2.aruco.Dictionary, border: int, wide: int
 ) -> list[Float[np.ndarray, "4 2"]]:
     """What might be a tag, read or not, at the size that it has without the wider light."""
@@ -64,7 +65,7 @@ def _quadrangles(
     return figures
 
 
-def _read(
+def _read_tag(
     grey: UInt8[np.ndarray, "h w"],
     corners: Float[np.ndarray, "4 2"],
     dictionary: cv2.aruco.Dictionary,

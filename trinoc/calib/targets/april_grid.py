@@ -1,18 +1,26 @@
 """A grid of AprilTags with small squares between their corners, as Kalibr prints it."""
 
+from typing import ClassVar
+
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.targets.abstract_target import AbstractTarget
-from trinoc.calib.targets.checkers import DICTIONARIES
+from trinoc.calib.targets.abstract_target import Marks
+from trinoc.calib.targets.markers import (
+    check_markers,
+    marker_cells,
+    marks_of_markers,
+    opencv_dictionary,
+)
+from trinoc.calib.targets.squares import MOST_EACH_WAY, AbstractSquareBoard, CellGrid, grid_mm
 from trinoc.errors import InputError
 
 # Corners of a tag about its middle, in tags: from the lower left counter-clockwise.
 _CORNERS = 0.5 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
 
 
-class AprilGrid(AbstractTarget):
+class AprilGrid(AbstractSquareBoard):
     """A grid of AprilTags whose numbers grow along the rows, the lowest row first.
 
     Squares of the width of the gap stand where gaps cross, so that every corner of a tag is one of
@@ -31,6 +39,13 @@ class AprilGrid(AbstractTarget):
 
     Source: E. Olson, "AprilTag: a robust and flexible visual fiducial system", ICRA 2011.
     """
+
+    kind: ClassVar[str] = "aprilgrid"
+    layout: ClassVar[dict[str, str]] = {
+        key: key
+        for key in ("rows", "columns", "tag_mm", "spacing", "dictionary", "border", "first")
+    }
+    added_keys: ClassVar[tuple[str, ...]] = ("border", "first")
 
     rows: int = eqx.field(static=True)
     columns: int = eqx.field(static=True)
@@ -61,6 +76,10 @@ class AprilGrid(AbstractTarget):
     def __check_init__(self) -> None:
         if min(self.rows, self.columns) < 1 or self.rows * self.columns < 2:
             raise InputError(f"The board {self.name!r} is too small: give at least two tags.")
+        if max(self.rows, self.columns) > MOST_EACH_WAY:
+            raise InputError(
+                f"The board {self.name!r} is too large: give {MOST_EACH_WAY} tags each way at most."
+            )
         if not (np.isfinite(self.tag_mm) and self.tag_mm > 0.0):
             raise InputError(
                 f"The board {self.name!r} has tags of {self.tag_mm:g} mm: give a side."
@@ -70,25 +89,21 @@ class AprilGrid(AbstractTarget):
                 f"The board {self.name!r} has gaps of {self.spacing:g} tags: give their width over "
                 "the side of a tag, from .05 to 1."
             )
-        if self.dictionary not in DICTIONARIES:
-            raise InputError(
-                f"The dictionary {self.dictionary!r} is unknown: give one of "
-                f"{', '.join(DICTIONARIES)}."
-            )
         if self.border not in (1, 2) or self.first < 0:
             raise InputError(
                 f"The board {self.name!r} has borders of {self.border} cells and begins at tag "
                 f"{self.first}: give 1 or 2, and a number from 0 on."
             )
+        check_markers(self.name, self.dictionary, self.first, self.rows * self.columns)
 
     @property
     def tags_mm(self) -> Float[np.ndarray, "t 2"]:
         """The middles of the tags, in the order of their numbers."""
-        row, column = np.divmod(np.arange(self.rows * self.columns), self.columns)
-        pitch = self.tag_mm * (1 + self.spacing)
-        return pitch * np.stack(
-            [column - 0.5 * (self.columns - 1), row - 0.5 * (self.rows - 1)], axis=1
-        )
+        return grid_mm(self.rows, self.columns, self._pitch_mm, top_first=False)
+
+    @property
+    def _pitch_mm(self) -> float:
+        return self.tag_mm * (1 + self.spacing)
 
     @property
     def centres_mm(self) -> Float[np.ndarray, "n 2"]:
@@ -96,6 +111,22 @@ class AprilGrid(AbstractTarget):
         return (self.tags_mm[:, None] + self.tag_mm * _CORNERS).reshape(-1, 2)
 
     @property
-    def radius_mm(self) -> Float[np.ndarray, "n"]:
-        """Zeros: corners have none."""
-        return np.zeros(4 * self.rows * self.columns)
+    def nodes_mm(self) -> Float[np.ndarray, "k 2"]:
+        """The corners of the tags."""
+        return self.centres_mm
+
+    @property
+    def marks(self) -> Marks:
+        """The numbers of its tags."""
+        numbers = range(self.first, self.first + self.rows * self.columns)
+        return marks_of_markers(self.dictionary, numbers)
+
+    def cell_grids(self, *, quarters: int = 0) -> list[CellGrid]:
+        """The cells of the tags, and the squares where gaps cross, around the outer tags too."""
+        dictionary, grids = opencv_dictionary(self.dictionary), []
+        for number, middle in enumerate(self.tags_mm, self.first):
+            cells = np.rot90(marker_cells(dictionary, number, border=self.border), quarters)
+            grids.append(CellGrid(cells, self.tag_mm / len(cells), middle))
+        crossings = grid_mm(self.rows + 1, self.columns + 1, self._pitch_mm, top_first=False)
+        square, gap_mm = np.ones((1, 1), dtype=bool), self.tag_mm * self.spacing
+        return [*grids, *(CellGrid(square, gap_mm, middle) for middle in crossings)]

@@ -1,18 +1,18 @@
 """Several boards fixed to each other, such as on the sides of a cube or on two walls."""
 
 from collections.abc import Mapping, Sequence
+from itertools import combinations
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 
-from trinoc.calib.targets.abstract_target import AbstractTarget
-from trinoc.calib.targets.told_apart import why_alike
+from trinoc.calib.targets.abstract_target import AbstractBoard, AbstractTarget
 from trinoc.errors import InputError
 
 
 class BoardSet(AbstractTarget):
-    """Boards fixed to each other in places that nobody knows, and that the shots tell.
+    """Boards fixed to each other in places that nobody knows and that the shots determine.
 
     The first board is the reference: its frame is that of the set. Places are those of the boards
     one after the other, each in the frame of its own board.
@@ -20,8 +20,8 @@ class BoardSet(AbstractTarget):
     Fields
     ------
     names : of the boards, in order.
-    boards : sheets and boards that pictures tell apart: by kind, by numbers of corners, by
-        dictionaries, or by the numbers of their markers.
+    boards : those that a picture can tell from each other (`Marks`): by kind, by numbers of
+        corners, by dictionaries, or by the numbers of their markers.
     name : what the set is called; from its boards unless given.
 
     Raises
@@ -30,7 +30,7 @@ class BoardSet(AbstractTarget):
     """
 
     names: tuple[str, ...] = eqx.field(static=True)
-    boards: tuple[AbstractTarget, ...]
+    boards: tuple[AbstractBoard, ...]
     name: str = eqx.field(static=True)
 
     def __init__(
@@ -39,27 +39,32 @@ class BoardSet(AbstractTarget):
         *,
         name: str | None = None,
     ) -> None:
-        is_named = isinstance(boards, Mapping)
-        self.boards = tuple(boards.values()) if is_named else tuple(boards)
-        self.names = tuple(boards) if is_named else tuple(board.name for board in self.boards)
+        if isinstance(boards, Mapping):
+            named = list(boards.items())
+        else:
+            named = [(board.name, board) for board in boards]
+        for board_name, board in named:
+            if not isinstance(board, AbstractBoard):
+                raise InputError(
+                    f'The board "{board_name}" is a set itself: give its boards singly.'
+                )
+        self.names = tuple(board_name for board_name, _ in named)
+        self.boards = tuple(board for _, board in named if isinstance(board, AbstractBoard))
         self.name = name or " + ".join(self.names)
 
     def __check_init__(self) -> None:
         if not self.boards:
             raise InputError("A set of boards needs at least one board: give it.")
-        for name, board in zip(self.names, self.boards, strict=True):
-            if isinstance(board, BoardSet):
-                raise InputError(f'The board "{name}" is a set itself: give its boards singly.')
+        for name in self.names:
             if self.names.count(name) > 1:
                 raise InputError(f'Two boards are called "{name}": give each a name of its own.')
-        for second, other in enumerate(self.boards):
-            for first, board in enumerate(self.boards[:second]):
-                why = why_alike(board, other)
-                if why is not None:
-                    raise InputError(
-                        f'The boards "{self.names[first]}" and "{self.names[second]}" look alike '
-                        f"in view: {why}."
-                    )
+        members = zip(self.names, self.boards, strict=True)
+        for (first, board), (second, other) in combinations(members, 2):
+            likeness = board.marks.likeness_to(other.marks)
+            if likeness is not None:
+                raise InputError(
+                    f'The boards "{first}" and "{second}" look alike in view: {likeness}.'
+                )
 
     @property
     def centres_mm(self) -> Float[np.ndarray, "n 2"]:

@@ -1,30 +1,30 @@
 """Boards of squares: the chessboard, and the chessboard with markers in its light squares."""
 
+from typing import ClassVar
+
+import cv2
 import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.calib.targets.abstract_target import AbstractTarget
+from trinoc.calib.targets.abstract_target import Marks
+from trinoc.calib.targets.markers import (
+    check_markers,
+    marker_cells,
+    marks_of_markers,
+    opencv_dictionary,
+)
+from trinoc.calib.targets.squares import (
+    AbstractSquareBoard,
+    CellGrid,
+    check_size,
+    dark_squares,
+    grid_mm,
+)
 from trinoc.errors import InputError
 
-# ArUco's dictionaries as OpenCV's names have them, less the prefix DICT_.
-DICTIONARIES = (
-    *(f"{bits}x{bits}_{count}" for bits in (4, 5, 6, 7) for count in (50, 100, 250, 1000)),
-    *("ARUCO_ORIGINAL", "APRILTAG_16h5", "APRILTAG_25h9", "APRILTAG_36h10", "APRILTAG_36h11"),
-)
 
-
-# How many markers the others hold.
-_COUNTS = {
-    "ARUCO_ORIGINAL": 1024,
-    "APRILTAG_16h5": 30,
-    "APRILTAG_25h9": 35,
-    "APRILTAG_36h10": 2320,
-    "APRILTAG_36h11": 587,
-}
-
-
-class Chessboard(AbstractTarget):
+class Chessboard(AbstractSquareBoard):
     """A chessboard, by its inner corners as OpenCV counts them; its top left square is dark.
 
     The corners are ordered row by row from the top left, the origin is in their middle.
@@ -36,6 +36,13 @@ class Chessboard(AbstractTarget):
     square_mm : side of a square; 1 where it is not known, and lengths are then in squares.
     name : what the board is called; from the numbers unless given.
     """
+
+    kind: ClassVar[str] = "chessboard"
+    layout: ClassVar[dict[str, str]] = {
+        "inner_rows": "rows",
+        "inner_columns": "columns",
+        "square_mm": "square_mm",
+    }
 
     rows: int = eqx.field(static=True)
     columns: int = eqx.field(static=True)
@@ -49,17 +56,33 @@ class Chessboard(AbstractTarget):
         self.name = name or f"chessboard_{rows}x{columns}_{square_mm:g}mm"
 
     def __check_init__(self) -> None:
-        _check_squares(self.name, min(self.rows, self.columns), 3, self.square_mm)
+        check_size(self.name, self.rows, self.columns, "inner corners", self.square_mm)
 
     @property
     def centres_mm(self) -> Float[np.ndarray, "n 2"]:
         """The inner corners."""
-        return inner_corners_mm(self.rows, self.columns, self.square_mm)
+        return grid_mm(self.rows, self.columns, self.square_mm, top_first=True)
 
     @property
-    def radius_mm(self) -> Float[np.ndarray, "n"]:
-        """Zeros: corners have none."""
-        return np.zeros(self.rows * self.columns)
+    def nodes_mm(self) -> Float[np.ndarray, "k 2"]:
+        """The corners of all squares."""
+        return grid_mm(self.rows + 2, self.columns + 2, self.square_mm, top_first=True)
+
+    @property
+    def marks(self) -> Marks:
+        """The numbers of inner corners, of which a chessboard's search finds just so many."""
+        fewer, more = sorted((self.rows, self.columns))
+        return Marks(
+            f"chessboard of {fewer} x {more}",
+            range(1),
+            f"both are chessboards of {fewer} x {more} inner corners; give them different "
+            "numbers of rows or columns, or take boards with markers",
+        )
+
+    def cell_grids(self, *, quarters: int = 0) -> list[CellGrid]:
+        """The dark squares."""
+        dark = dark_squares(self.rows + 1, self.columns + 1)
+        return [CellGrid(dark, self.square_mm, np.zeros(2))]
 
     @property
     def turns(self) -> Int[np.ndarray, "k n"]:
@@ -76,7 +99,7 @@ class Chessboard(AbstractTarget):
         return np.stack(same)
 
 
-class Charuco(AbstractTarget):
+class Charuco(AbstractSquareBoard):
     """A chessboard with ArUco markers in its light squares, as `cv2.aruco.CharucoBoard` has it.
 
     A part of it tells where it lies. The corners are OpenCV's, in its order, row by row from the
@@ -85,13 +108,20 @@ class Charuco(AbstractTarget):
     Fields
     ------
     rows, columns : squares; OpenCV's size is (columns, rows).
-    square_mm, marker_mm : sides of a square and of a marker.
+    square_mm, marker_mm : sides of a square and of a marker; 3/4 of it unless given.
     dictionary : of the markers, such as "4x4_50" (`DICTIONARIES`).
     legacy : whether the board was made before OpenCV 4.6, with a marker in the top left square
         where the number of rows is even.
     first : number of its first marker.
     name : what the board is called; from the numbers unless given.
     """
+
+    kind: ClassVar[str] = "charuco"
+    layout: ClassVar[dict[str, str]] = {
+        key: key
+        for key in ("rows", "columns", "square_mm", "marker_mm", "dictionary", "legacy", "first")
+    }
+    added_keys: ClassVar[tuple[str, ...]] = ("legacy", "first")
 
     rows: int = eqx.field(static=True)
     columns: int = eqx.field(static=True)
@@ -108,62 +138,72 @@ class Charuco(AbstractTarget):
         rows: int,
         columns: int,
         square_mm: float,
-        marker_mm: float,
+        marker_mm: float | None = None,
         dictionary: str = "4x4_250",
         legacy: bool = False,
         first: int = 0,
         name: str | None = None,
     ) -> None:
         self.rows, self.columns = int(rows), int(columns)
-        self.square_mm, self.marker_mm = float(square_mm), float(marker_mm)
+        self.square_mm = float(square_mm)
+        self.marker_mm = 0.75 * self.square_mm if marker_mm is None else float(marker_mm)
         self.dictionary, self.legacy, self.first = dictionary, bool(legacy), int(first)
         self.name = name or f"charuco_{rows}x{columns}_{square_mm:g}mm"
 
     def __check_init__(self) -> None:
-        _check_squares(self.name, min(self.rows, self.columns), 3, self.square_mm)
+        check_size(self.name, self.rows, self.columns, "squares", self.square_mm)
         if not 0.0 < self.marker_mm < self.square_mm:
             raise InputError(
                 f"The board {self.name!r} has markers of {self.marker_mm:g} mm in squares of "
                 f"{self.square_mm:g} mm: give markers smaller than the squares."
             )
-        if self.dictionary not in DICTIONARIES:
-            raise InputError(
-                f"The dictionary {self.dictionary!r} is unknown: give one of "
-                f"{', '.join(DICTIONARIES)}."
-            )
-        last = self.first + self.rows * self.columns // 2 - 1
-        held = _COUNTS.get(self.dictionary) or int(self.dictionary.split("_")[1])
-        if self.first < 0 or (self.first > 0 and last >= held):
-            raise InputError(
-                f"The board {self.name!r} has the markers {self.first} to {last}, but "
-                f"{self.dictionary} has 0 to {held - 1}: give another first one or dictionary."
-            )
+        check_markers(self.name, self.dictionary, self.first, self.rows * self.columns // 2)
 
     @property
     def centres_mm(self) -> Float[np.ndarray, "n 2"]:
         """The corners between the squares."""
-        return inner_corners_mm(self.rows - 1, self.columns - 1, self.square_mm)
+        return grid_mm(self.rows - 1, self.columns - 1, self.square_mm, top_first=True)
 
     @property
-    def radius_mm(self) -> Float[np.ndarray, "n"]:
-        """Zeros: corners have none."""
-        return np.zeros((self.rows - 1) * (self.columns - 1))
+    def nodes_mm(self) -> Float[np.ndarray, "k 2"]:
+        """The corners of all squares."""
+        return grid_mm(self.rows + 1, self.columns + 1, self.square_mm, top_first=True)
+
+    @property
+    def marks(self) -> Marks:
+        """The numbers of its markers."""
+        numbers = range(self.first, self.first + self.rows * self.columns // 2)
+        return marks_of_markers(self.dictionary, numbers)
+
+    @property
+    def _is_dark(self) -> Bool[np.ndarray, "rows columns"]:
+        """Which squares are dark: the others hold markers, numbered row by row from the top."""
+        return dark_squares(self.rows, self.columns) ^ (self.legacy and self.rows % 2 == 0)
+
+    @property
+    def markers_mm(self) -> Float[np.ndarray, "m 2"]:
+        """The middles of the markers, in the order of their numbers."""
+        squares = grid_mm(self.rows, self.columns, self.square_mm, top_first=True)
+        return squares[~self._is_dark.ravel()]
+
+    def cell_grids(self, *, quarters: int = 0) -> list[CellGrid]:
+        """The dark squares, and the cells of the markers."""
+        dictionary = opencv_dictionary(self.dictionary)
+        grids = [CellGrid(self._is_dark, self.square_mm, np.zeros(2))]
+        for number, middle in enumerate(self.markers_mm, self.first):
+            cells = np.rot90(marker_cells(dictionary, number, border=1), quarters)
+            grids.append(CellGrid(cells, self.marker_mm / len(cells), middle))
+        return grids
 
 
-def inner_corners_mm(rows: int, columns: int, square_mm: float) -> Float[np.ndarray, "n 2"]:
-    """Corners row by row from the top left, about their middle."""
-    row, column = np.divmod(np.arange(rows * columns), columns)
-    across = np.stack([column - 0.5 * (columns - 1), 0.5 * (rows - 1) - row], axis=1)
-    return square_mm * across
-
-
-def dark_squares(rows: int, columns: int) -> Bool[np.ndarray, "rows columns"]:
-    """Which squares of a chessboard are dark, the top left one among them."""
-    return np.add.outer(np.arange(rows), np.arange(columns)) % 2 == 0
-
-
-def _check_squares(name: str, fewest: int, least: int, square_mm: float) -> None:
-    if fewest < least:
-        raise InputError(f"The board {name!r} is too small: give at least {least} each way.")
-    if not (np.isfinite(square_mm) and square_mm > 0.0):
-        raise InputError(f"The board {name!r} has squares of {square_mm:g} mm: give their side.")
+def opencv_board(board: Charuco) -> cv2.aruco.CharucoBoard:
+    """The same board as OpenCV has it."""
+    theirs = cv2.aruco.CharucoBoard(
+        (board.columns, board.rows),
+        board.square_mm,
+        board.marker_mm,
+        opencv_dictionary(board.dictionary),
+        np.arange(board.first, board.first + board.rows * board.columns // 2),
+    )
+    theirs.setLegacyPattern(board.legacy)
+    return theirs

@@ -1,13 +1,50 @@
-"""The cells of ArUco's and AprilTag's markers, by OpenCV's dictionaries."""
+"""ArUco's and AprilTag's markers, by OpenCV's dictionaries."""
 
 import cv2
 import numpy as np
 from jaxtyping import Bool
 
-from trinoc.calib.targets.checkers import Charuco
+from trinoc.calib.targets.abstract_target import Marks
+from trinoc.errors import InputError
 
-# Pixels of OpenCV's drawing for one cell: read off in their middles.
+# How many markers a dictionary holds, by OpenCV's name without the prefix DICT_.
+_COUNTS = {
+    **{f"{bits}x{bits}_{count}": count for bits in (4, 5, 6, 7) for count in (50, 100, 250, 1000)},
+    "ARUCO_ORIGINAL": 1024,
+    "APRILTAG_16h5": 30,
+    "APRILTAG_25h9": 35,
+    "APRILTAG_36h10": 2320,
+    "APRILTAG_36h11": 587,
+}
+DICTIONARIES = tuple(_COUNTS)
+# Pixels of OpenCV's drawing for one cell, which is read in its middle.
 _CELL_PX = 4
+
+
+def check_markers(name: str, dictionary: str, first: int, count: int) -> None:
+    """Raises InputError where the dictionary is unknown or lacks the numbers of a board."""
+    if dictionary not in DICTIONARIES:
+        raise InputError(
+            f"The dictionary {dictionary!r} is unknown: give one of {', '.join(DICTIONARIES)}."
+        )
+    last, held = first + count - 1, _COUNTS[dictionary]
+    if first < 0 or (first > 0 and last >= held):
+        raise InputError(
+            f"The board {name!r} has the markers {first} to {last}, but "
+            f"{dictionary} has 0 to {held - 1}: give another first one or dictionary."
+        )
+
+
+def marks_of_markers(dictionary: str, numbers: range) -> Marks:
+    """What identifies a board with markers. ArUco's dictionaries of one size begin alike."""
+    own, count = dictionary.split("_")
+    family = own if count.isdigit() else dictionary
+    return Marks(
+        family,
+        numbers,
+        f"both have the marker{{numbers}} of {family}; give them different dictionaries, or "
+        "numbers that differ (`first`)",
+    )
 
 
 def opencv_dictionary(name: str) -> cv2.aruco.Dictionary:
@@ -16,19 +53,6 @@ def opencv_dictionary(name: str) -> cv2.aruco.Dictionary:
     return cv2.aruco.getPredefinedDictionary(
         getattr(cv2.aruco, f"DICT_{own.replace('x', 'X')}_{count}")
     )
-
-
-def opencv_board(board: Charuco) -> cv2.aruco.CharucoBoard:
-    """The same board as OpenCV has it."""
-    theirs = cv2.aruco.CharucoBoard(
-        (board.columns, board.rows),
-        board.square_mm,
-        board.marker_mm,
-        opencv_dictionary(board.dictionary),
-        np.arange(board.first, board.first + board.rows * board.columns // 2),
-    )
-    theirs.setLegacyPattern(board.legacy)
-    return theirs
 
 
 def marker_cells(
@@ -40,12 +64,3 @@ def marker_cells(
         cv2.aruco.generateImageMarker(dictionary, number, cells * _CELL_PX, borderBits=border)
     )
     return picture[_CELL_PX // 2 :: _CELL_PX, _CELL_PX // 2 :: _CELL_PX] < 128
-
-
-def charuco_markers(board: Charuco) -> tuple[np.ndarray, np.ndarray]:
-    """(numbers (m,), middles (m, 2) in mm) of a board's markers."""
-    theirs = opencv_board(board)
-    middles = np.array([np.asarray(each)[:, :2].mean(axis=0) for each in theirs.getObjPoints()])
-    size_mm = board.square_mm * np.array([board.columns, board.rows])
-    # OpenCV counts from the top left, downward.
-    return np.ravel(theirs.getIds()).astype(int), (middles - 0.5 * size_mm) * [1.0, -1.0]

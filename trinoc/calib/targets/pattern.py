@@ -1,12 +1,12 @@
 """The printed sheet: circles and crossed lines on the plane Z = 0."""
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.calib.targets.abstract_target import AbstractTarget
+from trinoc.calib.targets.abstract_target import AbstractBoard, Disc, Marks, Polygon
 from trinoc.calib.targets.ring_code import ring_code
 from trinoc.errors import InputError
 from trinoc.numerics import ArrayLike, Shown
@@ -15,9 +15,11 @@ LINE_STYLES = ("stop", "through", "white")
 
 # Centres may lie this far, in pitches, from an even lattice: measured sheets, not misprints.
 _LATTICE_TOLERANCE = 0.25
+# Points of an arc where a line cuts a circle, in drawings.
+_ARC_POINTS = 48
 
 
-class Pattern(Shown, AbstractTarget):
+class Pattern(Shown, AbstractBoard):
     """Circles (discs or rings) and two crossed lines, in millimetres on the sheet Z = 0.
 
     The lines lie along X and Y and cross at the origin of the world. Seen from the printed
@@ -39,6 +41,9 @@ class Pattern(Shown, AbstractTarget):
         passes between the rows meets none.
     line_gap_mm : distance at which a line of style "stop" ends before a circle.
     """
+
+    kind: ClassVar[str] = "sheet"
+    places: ClassVar[str] = "circles"
 
     name: str = eqx.field(static=True)
     centres_mm: Float[np.ndarray, "n 2"]
@@ -191,6 +196,50 @@ class Pattern(Shown, AbstractTarget):
         """Which circles are rings."""
         return self.inner_radius_mm > 0.0
 
+    @property
+    def marks(self) -> Marks:
+        """Circles, whichever: a search for one sheet would find the circles of another."""
+        likeness = "both are sheets of circles, of which a set may have one; take other boards"
+        return Marks("circles", range(1), likeness)
+
+    def drawing(self) -> list[Disc | Polygon]:
+        """Circles and lines; where they meet, by the style of the lines."""
+        circles: list[Disc | Polygon] = []
+        for centre, radius, hole in zip(
+            self.centres_mm.tolist(), self.radius_mm, self.inner_radius_mm, strict=True
+        ):
+            circles.append(Disc(tuple(centre), float(radius), True))
+            if hole > 0:
+                circles.append(Disc(tuple(centre), float(hole), False))
+        if self.line_width_mm == 0:
+            return circles
+        half_x_mm, half_y_mm = self.line_half_length_mm
+        thin_mm = 0.5 * self.line_width_mm
+        corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+        lines = [
+            Polygon(corners * np.array(reach), True)
+            for reach in ((half_x_mm, thin_mm), (thin_mm, half_y_mm))
+        ]
+        beside_mm = self.radius_mm + self.line_gap_mm + thin_mm
+        met = [
+            (int(circle), axis)
+            for axis in (0, 1)
+            for circle in np.flatnonzero(np.abs(self.centres_mm[:, 1 - axis]) < beside_mm)
+        ]
+        if self.line_style == "through":
+            return [*circles, *lines]
+        if self.line_style == "white":
+            return [*lines, *circles, *(_line_on_circle(self, *each) for each in met)]
+        gaps = [
+            Disc(
+                tuple(self.centres_mm[k].tolist()),
+                float(self.radius_mm[k]) + self.line_gap_mm,
+                False,
+            )
+            for k, _ in met
+        ]
+        return [*lines, *gaps, *circles]
+
     def rescaled(self, scale_x: float, scale_y: float) -> "Pattern":
         """The sheet as a printer made it, X and Y off by their own factors.
 
@@ -211,6 +260,19 @@ class Pattern(Shown, AbstractTarget):
             line_style=self.line_style,
             line_gap_mm=self.line_gap_mm * mean,
         )
+
+
+def _line_on_circle(pattern: Pattern, circle: int, axis: int) -> Polygon:
+    """The part of a circle that a white line covers, with finely divided arcs."""
+    radius, thin = float(pattern.radius_mm[circle]), 0.5 * pattern.line_width_mm
+    across = pattern.centres_mm[circle][1 - axis]
+    low = np.arcsin(np.clip((-thin - across) / radius, -1.0, 1.0))
+    high = np.arcsin(np.clip((thin - across) / radius, -1.0, 1.0))
+    right = np.linspace(low, high, _ARC_POINTS)
+    angle = np.concatenate([right, np.pi - right[::-1]])
+    along_across = radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    turned = along_across if axis == 0 else along_across[:, ::-1]
+    return Polygon(pattern.centres_mm[circle] + turned, False)
 
 
 def _row_by_row(rows: int, columns: int) -> Int[np.ndarray, "n 2"]:

@@ -1,24 +1,72 @@
-"""Boards of squares as their ink: cells of a grid of lines along X and along Y."""
+"""Boards of squares: their ink is cells of grids, and every edge lies along X or Y."""
 
+import abc
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from equinox import AbstractVar
+from jaxtyping import Bool, Float
 
-from trinoc.calib.targets.abstract_target import AbstractTarget
-from trinoc.calib.targets.april_grid import AprilGrid
-from trinoc.calib.targets.checkers import (
-    Charuco,
-    Chessboard,
-    dark_squares,
-    inner_corners_mm,
-)
-from trinoc.calib.targets.markers import charuco_markers, marker_cells, opencv_dictionary
+from trinoc.calib.targets.abstract_target import AbstractBoard, AbstractTarget, Polygon
 from trinoc.errors import InputError
 
 # Lines nearer than this, over the board's extent, are one.
 _SAME = 1e-7
+# Half the height of what covers a seam between two rows, in cells.
+_STRIP = 0.25
+MOST_EACH_WAY = 999
+
+
+class CellGrid(NamedTuple):
+    """Square cells of a grid about its middle, of which some are inked.
+
+    Fields
+    ------
+    is_ink : (rows, columns) the top row first.
+    cell_mm : side of a cell.
+    middle_mm : (2,).
+    """
+
+    is_ink: Bool[np.ndarray, "rows columns"]
+    cell_mm: float
+    middle_mm: Float[np.ndarray, "2"]
+
+
+class AbstractSquareBoard(AbstractBoard):
+    """A board whose places are corners of inked cells.
+
+    Fields
+    ------
+    rows, columns : of what the board counts.
+    nodes_mm : (k, 2) the corners of all squares, those on the rim too, or of tags: every edge
+        belongs to the nearest.
+    """
+
+    rows: AbstractVar[int]
+    columns: AbstractVar[int]
+    nodes_mm: AbstractVar[Float[np.ndarray, "k 2"]]
+
+    @abc.abstractmethod
+    def cell_grids(self, *, quarters: int = 0) -> Sequence[CellGrid]:
+        """The inked cells.
+
+        quarters : of a turn, counter-clockwise, by which another program prints the tags.
+        """
+
+    @property
+    def radius_mm(self) -> Float[np.ndarray, "n"]:
+        """Zeros: corners have none."""
+        return np.zeros(len(self.centres_mm))
+
+    def drawing(self) -> list[Polygon]:
+        """Rectangles of ink. Cells that touch along a row are one."""
+        return [
+            Polygon(grid.cell_mm * box + grid.middle_mm, True)
+            for grid in self.cell_grids()
+            for box in _runs_of_cells(grid.is_ink)
+        ]
 
 
 class SquareSheet(AbstractTarget):
@@ -27,8 +75,7 @@ class SquareSheet(AbstractTarget):
     Fields
     ------
     name, centres_mm, radius_mm : see `AbstractTarget`.
-    nodes_mm : (k, 2) the corners of all squares, those on the rim too, or of tags: every edge
-        counts to the nearest.
+    nodes_mm : see `AbstractSquareBoard`.
     x_mm, y_mm : (n,), (m,) rising, the lines on which the edges of the ink lie.
     ink : (m + 1, n + 1) which of the cells between them are inked, the lowest row first; the
         outermost ones, beyond all lines, are paper.
@@ -44,98 +91,78 @@ class SquareSheet(AbstractTarget):
 
 
 def square_sheet(board: AbstractTarget, *, quarters: int = 0) -> SquareSheet:
-    """The ink of a chessboard, a ChArUco board or an AprilGrid.
+    """The ink of a board of squares on one grid of lines.
 
-    quarters : of a turn, counter-clockwise, by which every tag of an AprilGrid is printed elsewhere
-        than `trinoc pattern` draws it. Raises InputError for other boards.
+    quarters : see `AbstractSquareBoard.cell_grids`. Raises InputError for other boards.
     """
-    match board:
-        case Chessboard():
-            parts = [_squares(board.rows + 1, board.columns + 1, board.square_mm)]
-            nodes_mm = inner_corners_mm(board.rows + 2, board.columns + 2, board.square_mm)
-        case Charuco():
-            parts = _charuco(board)
-            nodes_mm = inner_corners_mm(board.rows + 1, board.columns + 1, board.square_mm)
-        case AprilGrid():
-            parts = _april_grid(board, quarters)
-            nodes_mm = board.centres_mm
-        case _:
-            raise InputError(f"A {type(board).__name__} is no board of squares.")
-    bounds = np.concatenate([part.bounds_mm for part in parts])
+    if not isinstance(board, AbstractSquareBoard):
+        raise InputError(f"A {type(board).__name__} is no board of squares.")
+    bounds = np.concatenate([_cell_bounds_mm(grid) for grid in board.cell_grids(quarters=quarters)])
     same = _SAME * float(np.ptp(bounds))
-    x_mm, y_mm = (_distinct(bounds[:, axis], same) for axis in (0, 1))
+    x_mm, y_mm = (_distinct(bounds[..., axis], same) for axis in (0, 1))
     ink = np.zeros((len(y_mm) + 1, len(x_mm) + 1), dtype=bool)
-    left, right = (_numbers(x_mm, bounds[:, 0, k], same) for k in (0, 1))
-    low, high = (_numbers(y_mm, bounds[:, 1, k], same) for k in (0, 1))
-    for box in zip(low, high, left, right, strict=True):
-        ink[box[0] : box[1], box[2] : box[3]] = True
-    return SquareSheet(board.name, board.centres_mm, board.radius_mm, nodes_mm, x_mm, y_mm, ink)
-
-
-class _Rectangles(NamedTuple):
-    """(n, 2, 2) from and to along X, then along Y."""
-
-    bounds_mm: Float[np.ndarray, "n 2 2"]
-
-
-def _charuco(board: Charuco) -> list[_Rectangles]:
-    numbers, middles = charuco_markers(board)
-    dictionary = opencv_dictionary(board.dictionary)
-    dark = np.ones((board.rows, board.columns), dtype=bool)
-    column, up = (
-        np.floor(middles / board.square_mm + 0.5 * np.array([board.columns, board.rows]))
-        .astype(int)
-        .T
+    # The cell that begins at a line has the number of the lines up to it.
+    columns = np.searchsorted(x_mm, bounds[..., 0] + 2 * same)
+    rows = np.searchsorted(y_mm, bounds[..., 1] + 2 * same)
+    for (left, right), (low, high) in zip(columns, rows, strict=True):
+        ink[low:high, left:right] = True
+    return SquareSheet(
+        board.name, board.centres_mm, board.radius_mm, board.nodes_mm, x_mm, y_mm, ink
     )
-    dark[board.rows - 1 - up, column] = False
-    markers = [
-        _cells(marker_cells(dictionary, int(number), border=1), board.marker_mm, middle)
-        for number, middle in zip(numbers, middles, strict=True)
-    ]
-    size_mm = board.square_mm * np.array([board.columns, board.rows])
-    return [_cells(dark, size_mm, np.zeros(2)), *markers]
 
 
-def _april_grid(board: AprilGrid, quarters: int) -> list[_Rectangles]:
-    dictionary = opencv_dictionary(board.dictionary)
-    tags = []
-    for number, middle in enumerate(board.tags_mm, board.first):
-        cells = np.rot90(marker_cells(dictionary, number, border=board.border), quarters)
-        tags.append(_cells(cells, board.tag_mm, middle))
-    gap_mm, pitch_mm = board.tag_mm * board.spacing, board.tag_mm * (1 + board.spacing)
-    # Squares where gaps cross, around the outer tags too.
-    row, column = np.divmod(np.arange((board.rows + 1) * (board.columns + 1)), board.columns + 1)
-    crossings = pitch_mm * np.stack([column - 0.5 * board.columns, row - 0.5 * board.rows], axis=1)
-    one = np.ones((1, 1), dtype=bool)
-    return [*tags, *(_cells(one, gap_mm, middle) for middle in crossings)]
+def _cell_bounds_mm(grid: CellGrid) -> Float[np.ndarray, "c 2 2"]:
+    """Lower left and upper right corner of each inked cell."""
+    rows, columns = grid.is_ink.shape
+    row, column = np.nonzero(grid.is_ink)
+    low = np.stack([column - 0.5 * columns, 0.5 * rows - 1 - row], axis=1)
+    return np.stack([low, low + 1], axis=1) * grid.cell_mm + grid.middle_mm
 
 
-def _squares(rows: int, columns: int, side_mm: float) -> _Rectangles:
-    return _cells(dark_squares(rows, columns), side_mm * np.array([columns, rows]), np.zeros(2))
-
-
-def _cells(
-    dark: Bool[np.ndarray, "rows columns"],
-    size_mm: float | Float[np.ndarray, "2"],
-    middle_mm: Float[np.ndarray, "2"],
-) -> _Rectangles:
-    """The dark ones of cells that fill a box, the top row first."""
-    rows, columns = dark.shape
-    row, column = np.nonzero(dark)
-    low = np.stack([column, rows - 1 - row], axis=1)
-    counts = np.array([columns, rows])
-    cell = np.broadcast_to(size_mm, (2,)) / counts
-    bounds = np.stack([low, low + 1], axis=2) - 0.5 * counts[:, None]
-    return _Rectangles(bounds * cell[:, None] + middle_mm[:, None])
-
-
-def _distinct(values: Float[np.ndarray, "n 2"], same: float) -> Float[np.ndarray, "m"]:
+def _distinct(values: Float[np.ndarray, "..."], same: float) -> Float[np.ndarray, "m"]:
     rising = np.sort(values.ravel())
     return rising[np.concatenate([[True], np.diff(rising) > same])]
 
 
-def _numbers(
-    lines: Float[np.ndarray, "m"], values: Float[np.ndarray, "n"], same: float
-) -> Int[np.ndarray, "n"]:
-    """The cell that begins at each value's line: one more than the lines before it."""
-    return np.searchsorted(lines, values + 2 * same)
+def _runs_of_cells(is_ink: Bool[np.ndarray, "rows columns"]) -> list[Float[np.ndarray, "4 2"]]:
+    """Runs of inked cells along the rows, about the middle of all, in cells.
+
+    Where two rows touch, a strip lies over the seam: printers leave a hair of white there.
+    """
+    rows, columns = is_ink.shape
+    runs = [(0.5 * rows - row - 1, 0.5 * rows - row, is_ink[row]) for row in range(rows)]
+    runs += [
+        (0.5 * rows - row - _STRIP, 0.5 * rows - row + _STRIP, is_ink[row - 1] & is_ink[row])
+        for row in range(1, rows)
+    ]
+    boxes = []
+    for bottom, top, cells in runs:
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], cells.astype(int), [0]])))
+        for left, right in edges.reshape(-1, 2) - 0.5 * columns:
+            boxes.append(np.array([[left, bottom], [right, bottom], [right, top], [left, top]]))
+    return boxes
+
+
+def grid_mm(
+    rows: int, columns: int, pitch_mm: float, *, top_first: bool
+) -> Float[np.ndarray, "n 2"]:
+    """Places row by row, each from the left, about their middle."""
+    row, column = np.divmod(np.arange(rows * columns), columns)
+    upward = 0.5 * (rows - 1) - row if top_first else row - 0.5 * (rows - 1)
+    return pitch_mm * np.stack([column - 0.5 * (columns - 1), upward], axis=1)
+
+
+def dark_squares(rows: int, columns: int) -> Bool[np.ndarray, "rows columns"]:
+    """Which squares of a chessboard are dark, the top left one among them."""
+    return np.add.outer(np.arange(rows), np.arange(columns)) % 2 == 0
+
+
+def check_size(name: str, rows: int, columns: int, what: str, side_mm: float) -> None:
+    """Raises InputError for a board without a size, or of too few or too many `what`."""
+    if not 3 <= min(rows, columns) <= max(rows, columns) <= MOST_EACH_WAY:
+        size = "small" if min(rows, columns) < 3 else "large"
+        raise InputError(
+            f"The board {name!r} is too {size}: give 3 to {MOST_EACH_WAY} {what} each way."
+        )
+    if not (np.isfinite(side_mm) and side_mm > 0.0):
+        raise InputError(f"The board {name!r} has squares of {side_mm:g} mm: give their side.")

@@ -1,18 +1,29 @@
-"""The corners of a grid of AprilTags, labelled by the tags."""
+"""The corners of boards with markers: of a ChArUco board by OpenCV, of a grid of AprilTags by ours.
+
+Source: S. Garrido-Jurado et al., "Automatic generation and detection of highly reliable fiducial
+markers under occlusion", Pattern Recognition 47(6), 2014 (`cv2.aruco.CharucoDetector`).
+"""
+
+from collections.abc import Callable
 
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped, UInt8
 
-from trinoc.calib.detection.chessboard import levels_of_8_bit
-from trinoc.calib.detection.corner_accuracy import corner_covariance_px2
-from trinoc.calib.detection.detection import Detection
-from trinoc.calib.detection.grey import search_image
-from trinoc.calib.detection.tag_reading import tags_in
-from trinoc.calib.targets import AprilGrid, opencv_dictionary
+from trinoc.calib.detection.corners import corner_covariance_px2, levels_of_8_bit
+from trinoc.calib.detection.detection import Detection, labelled_detection
+from trinoc.calib.detection.search_image import search_image
+from trinoc.calib.detection.tag_reading import read_tags
+from trinoc.calib.targets import (
+    AprilGrid,
+    Charuco,
+    opencv_board,
+    opencv_dictionary,
+)
 from trinoc.errors import DetectionError
 
-FEWEST_TAGS = 2
+_FEWEST_CORNERS = 6
+_FEWEST_TAGS = 2
 # Half the width of the window for a corner, over that of the gap, so that no other edge is in it.
 _WINDOW_SHARE = 0.45
 _SMALLEST_HALF_PX, _LARGEST_HALF_PX = 2, 11
@@ -24,6 +35,31 @@ _LOOK, _ALIKE = 0.3, 0.35
 # A tag that is not where the others have it, by this share of its side, was read wrongly.
 _MOST_OFF = 0.25
 
+# (numbers (k,), places (k, ...)) of what is found in grey levels.
+_Find = Callable[[UInt8[np.ndarray, "h w"]], tuple[np.ndarray, np.ndarray]]
+
+
+def detect_charuco(image: Shaped[np.ndarray, "..."], board: Charuco) -> Detection:
+    """The corners of a ChArUco board that the picture shows, whole or in part.
+
+    Raises DetectionError where no such board is seen, or too little of it, or its mirror image.
+    """
+    picture = search_image(image)
+    detector = cv2.aruco.CharucoDetector(opencv_board(board))
+
+    def find(grey: UInt8[np.ndarray, "h w"]) -> tuple[np.ndarray, np.ndarray]:
+        corners, index, _, _ = detector.detectBoard(grey)
+        if corners is None or index is None:
+            return np.zeros(0, dtype=int), np.zeros((0, 2))
+        return np.ravel(index).astype(int), np.asarray(corners, dtype=np.float64).reshape(-1, 2)
+
+    grey, wanted = levels_of_8_bit(picture.grey), f"corners of the board {board.name!r}"
+    index, corners_px = _find_enough(find, grey, wanted, _FEWEST_CORNERS, "dictionary")
+    order = np.argsort(index)
+    index, corners_px = index[order], corners_px[order]
+    covariance_px2 = corner_covariance_px2(picture, corners_px)
+    return labelled_detection(index[None], corners_px, covariance_px2, picture.size_px)
+
 
 def detect_april_grid(image: Shaped[np.ndarray, "..."], board: AprilGrid) -> Detection:
     """The corners of the tags that the picture shows, all of them or some.
@@ -31,45 +67,51 @@ def detect_april_grid(image: Shaped[np.ndarray, "..."], board: AprilGrid) -> Det
     Raises DetectionError where no such board is seen, or too little of it, or its mirror image.
     """
     picture = search_image(image)
-    grey = levels_of_8_bit(picture.grey)
-    tags, corners_px = _found(grey, board)
-    if len(tags) < FEWEST_TAGS:
-        if len(_found(np.ascontiguousarray(grey[:, ::-1]), board)[0]) >= FEWEST_TAGS:
-            raise DetectionError(
-                f"The picture shows the board {board.name!r} as in a mirror; flip the picture, or "
-                "see how the camera's driver delivers it."
-            )
-        raise DetectionError(
-            f"The picture shows {len(tags)} tags of the board {board.name!r}, but {FEWEST_TAGS} "
-            "are needed; see that dictionary, border, size and focus are right."
-        )
+    grey, wanted = levels_of_8_bit(picture.grey), f"tags of the board {board.name!r}"
+
+    def find(grey: UInt8[np.ndarray, "h w"]) -> tuple[np.ndarray, np.ndarray]:
+        return _find_tags(grey, board)
+
+    tags, corners_px = _find_enough(find, grey, wanted, _FEWEST_TAGS, "dictionary, border")
     index = (4 * tags[:, None] + np.arange(4)).ravel()
-    places, sharp = _refined(grey, corners_px, board.spacing)
-    index, places = index[sharp], places[sharp]
-    return Detection(
-        circle_index=index,
-        centres_px=places,
-        covariance_px2=corner_covariance_px2(picture, places),
-        shape_px2=np.full((len(index), 2, 2), np.nan),
-        lines_px=np.full((2, 3), np.nan),
-        image_size_px=picture.size_px,
+    places, is_sharp = _refine_corners(grey, corners_px, board.spacing)
+    index, places = index[is_sharp], places[is_sharp]
+    covariance_px2 = corner_covariance_px2(picture, places)
+    return labelled_detection(index[None], places, covariance_px2, picture.size_px)
+
+
+def _find_enough(
+    find: _Find, grey: UInt8[np.ndarray, "h w"], wanted: str, fewest: int, layout: str
+) -> tuple[np.ndarray, np.ndarray]:
+    """What `find` finds. Raises DetectionError where that is too little, or more in a mirror."""
+    numbers, places = find(grey)
+    if len(numbers) >= fewest:
+        return numbers, places
+    if len(find(np.ascontiguousarray(grey[:, ::-1]))[0]) >= fewest:
+        raise DetectionError(
+            f"The picture shows {wanted.partition(' of ')[2]} as in a mirror; flip the picture, or "
+            "see how the camera's driver delivers it."
+        )
+    raise DetectionError(
+        f"The picture shows {len(numbers)} {wanted}, but {fewest} are needed; see that {layout}, "
+        "size and focus are right."
     )
 
 
-def _found(
+def _find_tags(
     grey: UInt8[np.ndarray, "h w"], board: AprilGrid
 ) -> tuple[Int[np.ndarray, "t"], Float[np.ndarray, "t 4 2"]]:
     """(which tags, their corners from the board's lower left counter-clockwise), by number."""
-    seen = tags_in(grey, opencv_dictionary(board.dictionary), board.border)
+    seen = read_tags(grey, opencv_dictionary(board.dictionary), board.border)
     last = board.first + board.rows * board.columns
     own = {number: corners for number, corners in seen.items() if board.first <= number < last}
-    if len(own) < FEWEST_TAGS:
+    if len(own) < _FEWEST_TAGS:
         return np.zeros(0, dtype=int), np.zeros((0, 4, 2))
     tags = np.array(sorted(own))
-    return _in_place(tags - board.first, np.stack([own[number] for number in tags]), board)
+    return _tags_in_place(tags - board.first, np.stack([own[number] for number in tags]), board)
 
 
-def _in_place(
+def _tags_in_place(
     tags: Int[np.ndarray, "t"], corners_px: Float[np.ndarray, "t 4 2"], board: AprilGrid
 ) -> tuple[Int[np.ndarray, "t"], Float[np.ndarray, "t 4 2"]]:
     """Tags that lie as the board has them, with corners in the board's order.
@@ -80,13 +122,13 @@ def _in_place(
     places = board.centres_mm.reshape(-1, 4, 2)[tags]
     # OpenCV goes round clockwise in the picture, the board's order counter-clockwise.
     turned = [corners_px[:, np.roll([3, 2, 1, 0], quarters)] for quarters in range(4)]
-    off = [_off_sides(places, corners) for corners in turned]
+    off = [_distances_in_sides(places, corners) for corners in turned]
     best = int(np.argmin([np.median(each) for each in off]))
     kept = off[best] < _MOST_OFF
     return tags[kept], turned[best][kept]
 
 
-def _off_sides(
+def _distances_in_sides(
     places_mm: Float[np.ndarray, "t 4 2"], corners_px: Float[np.ndarray, "t 4 2"]
 ) -> Float[np.ndarray, "t"]:
     """How far each tag lies from where most of them have it, in sides of its own."""
@@ -99,7 +141,7 @@ def _off_sides(
     return np.linalg.norm(ideal - corners_px, axis=2).max(axis=1) / np.maximum(side, 1e-9)
 
 
-def _refined(
+def _refine_corners(
     grey: UInt8[np.ndarray, "h w"], corners_px: Float[np.ndarray, "t 4 2"], spacing: float
 ) -> tuple[Float[np.ndarray, "n 2"], np.ndarray]:
     """(places, which of them the picture shows as corners between dark squares)."""

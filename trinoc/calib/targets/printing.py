@@ -1,8 +1,11 @@
-"""A sheet that suits a camera, a distance and a paper."""
+"""A sheet that suits a camera, a distance and a paper, and the sheet as a printer made it."""
 
 import math
 from typing import NamedTuple
 
+import numpy as np
+
+from trinoc.calib.targets.pattern import Pattern
 from trinoc.errors import InputError
 
 # Of the shorter side of the field: room is left for aiming, and for the sheet to be seen aslant.
@@ -13,6 +16,8 @@ _RADIUS_SHARE = 0.3
 _STEP_MM = 0.5
 # So far the crossed lines of `Pattern.cross_grid` reach beyond the outer centres, in pitches.
 _LINES_BEYOND = 0.75
+# Printers miss by a percent; a third of the length is a mistake of the person or the unit.
+_LARGEST_CHANGE = 0.3
 
 
 class SheetProposal(NamedTuple):
@@ -63,3 +68,39 @@ def propose_sheet(
         f"A sheet of {side:.0f} mm would have circles less than {_LEAST_PX:.0f} px wide in the "
         "picture: take larger paper, or go nearer."
     )
+
+
+class PrintedSheet(NamedTuple):
+    """The sheet with its true size, and the sigma of its scale along X and Y, as shares."""
+
+    pattern: Pattern
+    scale_sigma: tuple[float, float]
+
+
+def printed_sheet(
+    pattern: Pattern,
+    *,
+    nominal_mm: tuple[float, float],
+    measured_mm: tuple[float, float],
+    sigma_mm: float = 0.1,
+) -> PrintedSheet:
+    """The pattern rescaled by its scale bars, which need not agree along X and Y.
+
+    nominal_mm : lengths of the bars along X and along Y as drawn.
+    measured_mm : the same as measured on the print, with a standard deviation of `sigma_mm`.
+
+    A circle printed at two scales is an ellipse; it keeps the mean radius, which is right to
+    the square of their difference. Raises InputError for lengths that cannot be.
+    """
+    nominal, measured = np.array(nominal_mm, float), np.array(measured_mm, float)
+    if not ((nominal > 0).all() and (measured > 0).all() and sigma_mm >= 0):
+        raise InputError("The bars' lengths must be positive, and their sigma not negative.")
+    scale = measured / nominal
+    if (np.abs(scale - 1) > _LARGEST_CHANGE).any():
+        raise InputError(
+            f"The bars were measured as {measured[0]:g} and {measured[1]:g} mm where the drawing "
+            f"has {nominal[0]:g} and {nominal[1]:g} mm: check the unit and the bars' order."
+        )
+    printed = pattern.rescaled(float(scale[0]), float(scale[1]))
+    sigma_x, sigma_y = sigma_mm / nominal
+    return PrintedSheet(printed, (float(sigma_x), float(sigma_y)))

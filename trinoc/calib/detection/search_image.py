@@ -31,7 +31,7 @@ def search_image(image: Shaped[np.ndarray, "..."]) -> SearchImage:
     return SearchImage(grey, noise_sigma(grey, quantum=0.0, stride=(step, step)))
 
 
-def reduced(image: SearchImage, factor: int) -> SearchImage:
+def shrink_image(image: SearchImage, factor: int) -> SearchImage:
     """The picture in pixels `factor` times as wide, each the mean of those that it covers."""
     if factor == 1:
         return image

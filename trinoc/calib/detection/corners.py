@@ -1,10 +1,11 @@
-"""How well a picture shows the corner between four squares."""
+"""Corners of boards: grey levels as OpenCV's detectors take them, and how well a picture shows the
+corner between four squares."""
 
 import cv2
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 
-from trinoc.calib.detection.grey import SearchImage
+from trinoc.calib.detection.search_image import SearchImage
 
 # The least that corner detectors miss a corner by, per axis, in the best of pictures.
 _FLOOR_PX = 0.01
@@ -49,3 +50,12 @@ def _half_window_px(corners_px: Float[np.ndarray, "m 2"]) -> int:
     np.fill_diagonal(apart, np.inf)
     pitch = float(np.median(apart.min(axis=1)))
     return int(np.clip(_WINDOW_SHARE * pitch, _SMALLEST_HALF_PX, _LARGEST_HALF_PX))
+
+
+def levels_of_8_bit(grey: Float[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w"]:
+    """Grey levels between the darkest and the lightest as OpenCV's detectors take them."""
+    low, high = float(grey.min()), float(grey.max())
+    if low >= 0.0 and 127.0 < high <= 255.0:
+        low, high = 0.0, 255.0
+    scale = 255.0 / max(high - low, 1e-9)
+    return np.clip(np.rint((grey - low) * scale), 0, 255).astype(np.uint8)

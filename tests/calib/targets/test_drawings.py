@@ -1,0 +1,95 @@
+"""What is printed of a board has its places where the board says, and is what OpenCV prints."""
+
+import cv2
+import numpy as np
+import pytest
+
+from trinoc.calib import BOARDS, AprilGrid, Charuco, Chessboard, Disc, Pattern, opencv_board
+from trinoc.calib.targets import AbstractSquareBoard, marker_cells, opencv_dictionary
+
+SQUARES = {
+    "chessboard": Chessboard(rows=4, columns=5, square_mm=20.0),
+    "charuco": Charuco(rows=5, columns=4, square_mm=24.0, marker_mm=17.0, first=3),
+    "legacy": Charuco(rows=4, columns=5, square_mm=24.0, legacy=True),
+    "april_grid": AprilGrid(rows=2, columns=3, tag_mm=40.0, spacing=0.25, first=7),
+}
+
+
+def is_ink(board, places_mm):
+    """Whether each place (n, 2) is ink: the figure painted last over it says."""
+    inked = np.zeros(len(places_mm), dtype=bool)
+    for figure in board.drawing():
+        if isinstance(figure, Disc):
+            inside = np.hypot(*(places_mm - figure.centre_mm).T) < figure.radius_mm
+        else:
+            corners = figure.corners_mm
+            along = np.roll(corners, -1, axis=0) - corners
+            out = np.stack([along[:, 1], -along[:, 0]], axis=1)
+            side = np.einsum("ki,nki->nk", out, places_mm[:, None] - corners)
+            inside = (side < 0).all(axis=1) | (side > 0).all(axis=1)
+        inked[inside] = figure.is_ink
+    return inked
+
+
+@pytest.mark.parametrize("name", SQUARES)
+def test_every_place_is_a_corner_between_two_inked_fields_and_two_of_paper(name):
+    board = SQUARES[name]
+    step = 1.5 * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
+    fields = is_ink(board, (board.centres_mm[:, None] + step).reshape(-1, 2)).reshape(-1, 4)
+    np.testing.assert_array_equal(fields[:, 0], fields[:, 2])
+    np.testing.assert_array_equal(fields[:, 1], fields[:, 3])
+    assert (fields[:, 0] != fields[:, 1]).all()
+    # Every place is one of the nodes to which edges belong.
+    apart = np.linalg.norm(board.centres_mm[:, None] - board.nodes_mm, axis=2)
+    assert apart.min(axis=1).max() < 1e-9
+
+
+@pytest.mark.parametrize("style", ["stop", "through", "white"])
+def test_every_circle_is_where_the_sheet_says(style):
+    sheet = Pattern.cross_grid(rows=5, columns=4, pitch_mm=20, radius_mm=6, line_style=style)
+    angle = np.deg2rad(45.0 + 90.0 * np.arange(4))
+    around = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    for radii, inked in ((1.05, False), (0.95, True), (0.45, None)):
+        places = sheet.centres_mm[:, None] + radii * sheet.radius_mm[:, None, None] * around
+        shown = is_ink(sheet, places.reshape(-1, 2)).reshape(-1, 4)
+        expected = ~sheet.is_ring[:, None] if inked is None else inked
+        np.testing.assert_array_equal(shown, np.broadcast_to(expected, shown.shape))
+
+
+@pytest.mark.parametrize("legacy", [False, True])
+@pytest.mark.parametrize(("rows", "columns"), [(4, 5), (5, 4), (5, 5), (6, 4)])
+def test_a_charuco_board_is_opencv_s(rows, columns, legacy):
+    board = Charuco(rows=rows, columns=columns, square_mm=8.0, marker_mm=6.0, legacy=legacy)
+    theirs = opencv_board(board)
+    middles = np.array([np.asarray(each)[:, :2].mean(axis=0) for each in theirs.getObjPoints()])
+    half_mm = 4.0 * np.array([columns, rows])
+    np.testing.assert_allclose(board.markers_mm, (middles - half_mm) * [1, -1], atol=1e-5)
+    picture = theirs.generateImage((columns * 48, rows * 48), marginSize=0)
+    row, column = np.indices(picture.shape)[:, 2::5, 2::5].reshape(2, -1)
+    places = (np.stack([column, row], axis=1) + 0.5) / 6.0 - half_mm
+    np.testing.assert_array_equal(is_ink(board, places * [1, -1]), picture[row, column] < 128)
+
+
+def test_a_tag_is_the_dictionary_s_and_turns_as_a_whole():
+    board = SQUARES["april_grid"]
+    tag = cv2.aruco.generateImageMarker(opencv_dictionary(board.dictionary), 9, 80, borderBits=2)
+    row, column = np.indices(tag.shape)[:, 3::7, 3::7].reshape(2, -1)
+    offset = 40.0 * np.stack([(column + 0.5) / 80 - 0.5, 0.5 - (row + 0.5) / 80], axis=1)
+    # The third tag, of number 9.
+    places = board.tags_mm[2] + offset
+    np.testing.assert_array_equal(is_ink(board, places), tag[row, column] < 128)
+    for quarters in range(4):
+        cells = board.cell_grids(quarters=quarters)[2].is_ink
+        plain = marker_cells(opencv_dictionary(board.dictionary), 9, border=2)
+        np.testing.assert_array_equal(cells, np.rot90(plain, quarters))
+
+
+def test_every_kind_of_board_says_what_others_need_of_it():
+    examples = [*SQUARES.values(), Pattern.default()]
+    assert {board.kind for board in examples} == set(BOARDS)
+    for board in examples:
+        assert board.marks.likeness_to(board.marks)
+        assert set(board.added_keys) <= set(board.layout)
+        if isinstance(board, AbstractSquareBoard):
+            fields = {field: getattr(board, field) for field in board.layout.values()}
+            assert type(board)(**fields, name=board.name) == board
