@@ -79,7 +79,14 @@ from .precision import (
     namespace_of as namespace_of,
 )
 from .response import level_of_light as level_of_light, light_of_level as light_of_level
-from .robust_loss import AbstractRobustLoss as AbstractRobustLoss, GemanMcClure as GemanMcClure
+from .robust_loss import (
+    AbstractBoundedLoss as AbstractBoundedLoss,
+    AbstractRobustLoss as AbstractRobustLoss,
+    Cauchy as Cauchy,
+    GemanMcClure as GemanMcClure,
+    ScaleMixture as ScaleMixture,
+    TruncatedSquares as TruncatedSquares,
+)
 from .robust_scale import MAD_TO_SIGMA as MAD_TO_SIGMA
 from .scalar_vectors import (
     Scalar as Scalar,
@@ -103,6 +110,14 @@ from .scalar_vectors import (
     vector3 as vector3,
 )
 from .segmented_arrays import largest as largest, members as members, sums as sums
+from .small_least_squares import (
+    NormalEquations as NormalEquations,
+    Residuals as Residuals,
+    gauss_newton as gauss_newton,
+    misfit_factor as misfit_factor,
+    normal_equations as normal_equations,
+    whitening as whitening,
+)
 from .small_matrices import (
     inverse_3x3 as inverse_3x3,
     inverse_positive_definite as inverse_positive_definite,
