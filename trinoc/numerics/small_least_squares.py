@@ -3,7 +3,8 @@
 A problem has a few parameters and some observations of one or a few numbers each. The caller says,
 at a state, what the residuals are and how a step changes them; what a step is, is the caller's:
 `retract` carries it out. All problems go the same number of steps, with their observations padded
-to one number by a weight of 0. The robust loss counts an observation as a whole.
+to one number by a weight of 0, which may hold anything finite. A loss weighs an observation as a
+whole.
 
 Residuals are in standard deviations, so that the inverse of the information is the covariance.
 Sources: Nocedal and Wright, "Numerical Optimization" (2006), section 10.3; Huber, "Robust
@@ -49,14 +50,19 @@ class NormalEquations(NamedTuple):
     Fields
     ------
     information : J^T W J, the prior's included. gradient : J^T W r, the prior's included.
-    chi_square : sum of the weighted squares of the observations, without the prior.
-    cost : sum of their losses; `chi_square` without a loss.
+    squared, weight : of each observation, its squared length in standard deviations, and the
+        weight that it had, by the loss and by itself.
     """
 
     information: Float[np.ndarray, "h p p"]
     gradient: Float[np.ndarray, "h p"]
-    chi_square: Float[np.ndarray, "h"]
-    cost: Float[np.ndarray, "h"]
+    squared: Float[np.ndarray, "h k"]
+    weight: Float[np.ndarray, "h k"]
+
+    @property
+    def chi_square(self) -> Float[np.ndarray, "h"]:
+        """Sum of the weighted squares of the observations; the prior is none."""
+        return (self.weight * self.squared).sum(axis=1)
 
     @property
     def finite(self) -> Bool[np.ndarray, "h"]:
@@ -107,9 +113,7 @@ def normal_equations(at: Residuals, loss: AbstractRobustLoss | None = None) -> N
     count, _, _, parameters = at.jacobian.shape
     squared = np.einsum("hkd,hkd->hk", at.residual, at.residual)
     weight = np.ones_like(squared) if at.weight is None else at.weight
-    # Padding may hold anything finite.
-    cost = (weight * (squared if loss is None else loss.rho(squared))).sum(axis=1)
-    weight = weight if loss is None else weight * loss.weight(squared)
+    weight = weight * (1.0 if loss is None else np.asarray(loss.weight(squared)))
     rows = at.jacobian.reshape(count, -1, parameters)
     weighted = (at.jacobian * weight[:, :, None, None]).reshape(rows.shape).mT
     information = (weighted @ rows).astype(float)
@@ -118,7 +122,7 @@ def normal_equations(at: Residuals, loss: AbstractRobustLoss | None = None) -> N
         diagonal = np.einsum("hii->hi", information)
         diagonal += at.prior_precision
         gradient += at.prior_precision * at.prior_residual
-    return NormalEquations(information, gradient, (weight * squared).sum(axis=1), cost)
+    return NormalEquations(information, gradient, squared, weight)
 
 
 def gauss_newton(
