@@ -31,7 +31,6 @@ from .columns import (
 from .compilation import at_once as at_once, one_compiles as one_compiles
 from .compiler_options import quick_compiling as quick_compiling
 from .display import Displays as Displays, Shown as Shown, display_with as display_with
-from .grey import GreyImage as GreyImage, grey_image as grey_image
 from .grouped import (
     group_medians as group_medians,
     group_sums as group_sums,
@@ -69,7 +68,6 @@ from .neighbours_in_plane import (
     near_pairs as near_pairs,
     point_tree as point_tree,
 )
-from .noise import noise_sigma as noise_sigma
 from .options import with_field as with_field
 from .precision import (
     as_float as as_float,
@@ -78,7 +76,6 @@ from .precision import (
     is_traced as is_traced,
     namespace_of as namespace_of,
 )
-from .response import level_of_light as level_of_light, light_of_level as light_of_level
 from .robust_loss import (
     AbstractBoundedLoss as AbstractBoundedLoss,
     AbstractRobustLoss as AbstractRobustLoss,

@@ -9,14 +9,8 @@ from jaxtyping import Bool, Float, Int, Shaped
 
 from trinoc.errors import InputError
 from trinoc.geometry import Intrinsics, Segments
+from trinoc.image import Light, ResponseLike
 from trinoc.numerics import in_bucket, in_float64, members
-from trinoc.segments.grey import (
-    Response,
-    bend_of,
-    grey_in_255ths,
-    light_in_255ths,
-    light_of_white,
-)
 from trinoc.segments.junctions import with_junctions
 from trinoc.segments.nevatia_babu import (
     EdgePoints,
@@ -61,7 +55,7 @@ def find_segments(
     least_contrast: float = 7.0,
     arcs: bool = False,
     intrinsics: Intrinsics | None = None,
-    response: Response = "linear",
+    response: ResponseLike = "linear",
     tuning: SegmentTuning = DEFAULT,
 ) -> Segments:
     """Straight edges of a picture, with polarity, contrast, covariance and junctions.
@@ -98,9 +92,8 @@ def find_segments(
             raise InputError(f"{name} is {value}, but must be positive.")
     if not least_contrast >= 0:
         raise InputError(f"least_contrast is {least_contrast}, but must not be negative.")
-    bend = bend_of(response)
-    picture = grey_in_255ths(image)
-    height, width = picture.grey.shape
+    picture = Light.from_picture(image, response)
+    width, height = picture.size_px
     if intrinsics is not None and tuple(intrinsics.image_size_px) != (width, height):
         raise InputError(
             f"The picture is {width} x {height} px, but the lens was given for "
@@ -108,14 +101,13 @@ def find_segments(
             "this camera and resolution."
         )
     kernel = combined_kernel(SMOOTHING)
-    light = light_in_255ths(image, bend) if bend else picture.grey
-    fine = fine_level(picture.grey, light, picture.quantum, kernel)
+    fine = fine_level(picture, kernel)
     points, first = runs_of_both_scales(fine, kernel, tolerance_px, least_contrast, tuning.scales)
     lines = fit_lines(points, first)
     points, first, lines = _merged(points, first, lines, tolerance_px, tuning.ends.gap_px)
 
     usual_px2 = typical_blur(lines)
-    slopes = side_slopes(picture.grey, points, first, usual_px2)
+    slopes = side_slopes(picture.levels, points, first, usual_px2)
     keep = (
         is_sharp(lines, usual_px2, tuning.accept)
         & ~is_on_ramp(slopes)
@@ -124,9 +116,9 @@ def find_segments(
     )
     points, first = _points_of(points, first, keep)
     lines, slopes = lines.take(keep), slopes.take(keep)
-    if bend:
+    if not picture.is_linear:
         # Edges are placed in the light: what slopes there moves them.
-        slopes = side_slopes(light, points, first, usual_px2)
+        slopes = side_slopes(picture.light, points, first, usual_px2)
 
     usual_profile_px2 = fine.kernel_variance_px2 + usual_px2
     found = overlaps(points, first, lines, usual_profile_px2)
@@ -135,7 +127,7 @@ def find_segments(
     undisturbed = without_neighbours(points, lines, own_blur, found)
     lines = fit_lines(undisturbed, first)
     disturbed = error_model(
-        picture.grey,
+        picture.levels,
         picture.white,
         points,
         undisturbed,
@@ -147,8 +139,8 @@ def find_segments(
     )
     noise = fine.sigma_strength / kernel.noise_gain * lines.light_per_level
     moved = shifts_of_saturated(
-        fine.light,
-        light_of_white(picture.white, bend) if bend else picture.white,
+        picture.light,
+        picture.light_of_white,
         noise,
         undisturbed,
         first,
@@ -180,7 +172,7 @@ def find_segments(
     off_px2 = np.square(tuning.errors.off_share * disturbed.off_px)
     common_px2 = moved.variance_px2 + shaded.variance_px2
     kept = lines.take(keep), variance[keep], common_px2[keep], off_px2[keep], reasons[keep]
-    return _as_segments(*kept, picture.grey, to_image, tuning.ends)
+    return _as_segments(*kept, picture.levels, to_image, tuning.ends)
 
 
 def _merged(

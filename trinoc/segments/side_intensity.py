@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, Shaped
 
 from trinoc.geometry import Segments
-from trinoc.segments.grey import grey_in_255ths
+from trinoc.image import Light
 
 # Levels are taken so far from the segment, beyond the blur of its edge, and not near its ends.
 _BESIDE_PX = np.array([2.0, 3.0, 4.0])
@@ -20,7 +20,7 @@ def with_side_levels(segments: Segments, image: Shaped[np.ndarray, "..."]) -> Se
     For segments of other detectors; those of `find_segments` have them. Takes the pictures that
     `find_segments` takes, and raises InputError for others.
     """
-    levels = side_levels(grey_in_255ths(image).grey, np.asarray(segments.endpoints_px))
+    levels = side_levels(Light.from_picture(image).levels, np.asarray(segments.endpoints_px))
     return eqx.tree_at(lambda s: s.side_levels, segments, levels, is_leaf=lambda leaf: leaf is None)
 
 

@@ -67,9 +67,9 @@ class EdgePoints(NamedTuple):
         # A point of a slanted edge stands for more than one pixel of its length.
         information = strength**2 * (spacing / larger / np.float32(level.slope_variance))
         to_full = (spacing - 1) / 2
-        row = pixels.pixel // level.grey.shape[1]
+        row, column = np.divmod(pixels.pixel, level.picture.size_px[0])
         sample_px = np.empty((count, 2), np.float32)
-        sample_px[:, 0], sample_px[:, 1] = pixels.pixel - row * level.grey.shape[1], row
+        sample_px[:, 0], sample_px[:, 1] = column, row
         points = cls(
             sample_px * spacing + to_full,
             np.full(count, spacing),

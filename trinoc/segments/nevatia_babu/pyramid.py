@@ -10,14 +10,11 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.numerics import noise_sigma
+from trinoc.image import Light, level_noise
 from trinoc.segments.nevatia_babu.masks import GradientKernel
 
 # Rows enough for a noise good to one part in a hundred; more would only cost time.
 _MOST_ROWS = 60
-_QUANTISATION_SIGMA = float(np.sqrt(1 / 12))
-# Pictures of real numbers are taken to be good to this share of their range.
-_LEAST_OF_RANGE = 1e-4
 
 
 class Level(NamedTuple):
@@ -25,10 +22,7 @@ class Level(NamedTuple):
 
     Fields
     ------
-    grey : (h, w) grey levels.
-    light : (h, w) the light that they stand for, on the same scale; `grey` itself where the
-        camera's response is linear.
-    quantum : step between two grey levels, 0 for real numbers.
+    picture : levels and light.
     spacing_px : distance between two pixels of this level.
     kernel_variance_px2 : variance of the smoothing by the kernel at this level.
     sigma_strength : standard deviation of the gradient from noise, in grey levels per pixel.
@@ -36,40 +30,25 @@ class Level(NamedTuple):
         edge, averaged over one pixel of its length, in (grey levels per squared pixel)^2.
     """
 
-    grey: Float[np.ndarray, "h w"]
-    light: Float[np.ndarray, "h w"]
-    quantum: float
+    picture: Light
     spacing_px: float
     kernel_variance_px2: float
     sigma_strength: float
     slope_variance: float
 
 
-def fine_level(
-    grey: Float[np.ndarray, "h w"],
-    light: Float[np.ndarray, "h w"],
-    quantum: float,
-    kernel: GradientKernel,
-) -> Level:
+def fine_level(picture: Light, kernel: GradientKernel) -> Level:
     """The picture itself."""
-    return _level(grey, light, 1.0, quantum, kernel)
+    return _level(picture, 1.0, kernel)
 
 
 def half_level(fine: Level, kernel: GradientKernel) -> Level:
     """The picture with each two by two pixels averaged; an odd last row or column is left out."""
-    half = _halved(fine.grey)
-    light = half if fine.light is fine.grey else _halved(fine.light)
-    return _level(half, light, 2.0, fine.quantum / 2, kernel)
-
-
-def level_noise(grey: Float[np.ndarray, "h w"], quantum: float) -> float:
-    """Standard deviation of the noise, not below that of the rounding to `quantum`.
-
-    Real numbers, whose `quantum` is 0, have a ten-thousandth of their range for a floor.
-    """
-    noise = noise_sigma(grey, quantum=quantum, stride=(max(1, (len(grey) - 2) // _MOST_ROWS), 1))
-    floor = _QUANTISATION_SIGMA * quantum if quantum else _LEAST_OF_RANGE * float(np.ptp(grey))
-    return max(noise, floor, float(np.finfo(np.float32).tiny) ** 0.25)
+    picture = fine.picture
+    levels = _halved(picture.levels)
+    light = levels if picture.is_linear else _halved(picture.light)
+    half = picture._replace(levels=levels, light=light, quantum=picture.quantum / 2)
+    return _level(half, 2.0, kernel)
 
 
 def _halved(grey: Float[np.ndarray, "h w"]) -> np.ndarray:
@@ -79,20 +58,13 @@ def _halved(grey: Float[np.ndarray, "h w"]) -> np.ndarray:
     )
 
 
-def _level(
-    grey: Float[np.ndarray, "h w"],
-    light: Float[np.ndarray, "h w"],
-    spacing: float,
-    quantum: float,
-    kernel: GradientKernel,
-) -> Level:
-    sigma = level_noise(grey, quantum)
+def _level(picture: Light, spacing: float, kernel: GradientKernel) -> Level:
+    rows = max(1, (len(picture.levels) - 2) // _MOST_ROWS)
+    sigma = level_noise(picture.levels, picture.quantum, (rows, 1))
     # Averaging pixels smooths by (spacing^2 - 1) / 12, as does any box.
     variance = kernel.variance_px2 * spacing**2 + (spacing**2 - 1) / 12
     return Level(
-        grey,
-        light,
-        quantum,
+        picture,
         spacing,
         variance,
         sigma * kernel.noise_gain / spacing,

@@ -32,12 +32,13 @@ def straight_runs(
     `tolerance_px` the largest deviation of a run from its chord. Runs of fewer than
     `least_points` points are left out, and pixels that are `excluded`.
     """
-    pixels = thinned_pixels(level.grey, kernel, least_strength * level.spacing_px, excluded)
-    order, starts = ordered_chains(successors(pixels, level.grey.shape), least_points)
+    levels, light = level.picture.levels, level.picture.light
+    pixels = thinned_pixels(levels, kernel, least_strength * level.spacing_px, excluded)
+    order, starts = ordered_chains(successors(pixels, levels.shape), least_points)
     start, stop = split_chains(pixels.uv_px[order], starts, tolerance_px, least_points)
     index, _, first = members(start + TRIMMED_POINTS, stop - TRIMMED_POINTS)
     points = EdgePoints.of_level(pixels := pixels.take(order[index]), level)
-    if level.light is not level.grey:
-        in_light = profile_across(gradient_of(level.light, kernel), pixels)
+    if not level.picture.is_linear:
+        in_light = profile_across(gradient_of(light, kernel), pixels)
         points = points.placed_in_light(in_light / np.float32(level.spacing_px))
     return points, first

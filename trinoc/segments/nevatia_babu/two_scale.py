@@ -39,8 +39,8 @@ def runs_of_both_scales(
     half = half_level(fine, kernel)
     support = np.diff(np.append(first, len(points.strength)))
     clear = sums(points.snr2, first) > tuning.clear_ratio**2 * support
-    half_pixel = _half_pixel(points, half)
-    taken = _neighbourhood(half_pixel[np.repeat(clear, support)], half.grey.shape)
+    half_pixel, shape = _half_pixel(points, half), half.picture.levels.shape
+    taken = _neighbourhood(half_pixel[np.repeat(clear, support)], shape)
     coarse, coarse_first = straight_runs(
         half,
         kernel,
@@ -49,7 +49,7 @@ def runs_of_both_scales(
         least_points=tuning.least_coarse,
         excluded=taken,
     )
-    seen_again = _neighbourhood(_half_pixel(coarse, half), half.grey.shape).ravel()[half_pixel]
+    seen_again = _neighbourhood(_half_pixel(coarse, half), shape).ravel()[half_pixel]
     keep = clear | (sums(seen_again.astype(np.float64), first) < 0.5 * support)
     index, _, fine_first = members(first[keep], (first + support)[keep])
     both = zip(points.take(index), coarse, strict=True)
@@ -67,7 +67,7 @@ def _least_strength(
 
 def _half_pixel(points: EdgePoints, half: Level) -> Int[np.ndarray, "n"]:
     """Index, in the half picture, of the pixel that holds each point."""
-    height, width = half.grey.shape
+    height, width = half.picture.levels.shape
     column, row = (points.sample_px // 2).astype(np.int64).T
     return np.minimum(row, height - 1) * width + np.minimum(column, width - 1)
 
