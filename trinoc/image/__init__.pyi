@@ -7,3 +7,19 @@ from .response import (
     ResponseLike as ResponseLike,
     response_of as response_of,
 )
+from .step_edge import (
+    BlockFit as BlockFit,
+    blur_of_two_slopes as blur_of_two_slopes,
+    blurred_step as blurred_step,
+    fit_block as fit_block,
+    fit_profiles as fit_profiles,
+    height_of_step as height_of_step,
+    log_parabola as log_parabola,
+    peak_of_slope as peak_of_slope,
+)
+from .strip import (
+    levels_between as levels_between,
+    levels_of as levels_of,
+    nearest_levels as nearest_levels,
+    pixels_across as pixels_across,
+)
