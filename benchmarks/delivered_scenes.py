@@ -20,8 +20,8 @@ from matching_rendered import Place
 from shared_scenes import VIEWS
 
 import trinoc
+from trinoc.image import ResponseLike
 from trinoc.io import load_rig, load_scene_truth
-from trinoc.segments.grey import Response
 from trinoc.synth.camera_picture import Processing, Sensor, Sharpening, delivered_picture
 from trinoc.synth.camera_picture.response import SRGB
 from trinoc.synth.camera_picture.sensor import Mosaic
@@ -38,7 +38,7 @@ class Delivery(NamedTuple):
     processing: Processing = Processing()
     exposures: tuple[float, ...] = (1.0, 1.0, 1.0)
     balances: tuple[tuple[float, float, float], ...] = ((1.0, 1.0, 1.0),) * 3
-    response: Response = "linear"
+    response: ResponseLike = "linear"
 
 
 _BAYER = Mosaic()

@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 from scipy.special import ndtr
 
+from trinoc.image import ResponseLike
 from trinoc.segments import find_segments
-from trinoc.segments.grey import Response
 from trinoc.synth.camera_picture.response import SRGB
 
 SIDE_PX, NOISE, EDGES = 64, 1.5, 24
@@ -24,7 +24,7 @@ class Delivery(NamedTuple):
     dark: float
     bright: float
     delivered: Callable[[np.ndarray], np.ndarray]
-    responses: tuple[Response, ...]
+    responses: tuple[ResponseLike, ...]
 
 
 def _linear(light: np.ndarray) -> np.ndarray:
@@ -41,7 +41,7 @@ def _sharpened(levels: np.ndarray, amount: float) -> np.ndarray:
 
 def deliveries() -> Iterator[Delivery]:
     """The conditions of the table in docs/segments.md."""
-    both: tuple[Response, ...] = ("linear", "srgb")
+    both: tuple[ResponseLike, ...] = ("linear", "srgb")
     for dark, bright in ((0.2, 0.4), (0.4, 0.9), (0.05, 0.5), (0.02, 0.9)):
         yield Delivery("sRGB", dark, bright, _srgb, both)
     yield Delivery("sharpened by 1", 0.25, 0.6, lambda x: _sharpened(_linear(x), 1.0), ("linear",))
@@ -75,7 +75,7 @@ def table_of_deliveries() -> None:
             print(f"  {one.name:24s} {sides:12s} {response!s:8s} {'   '.join(cells)}")
 
 
-def _errors(one: Delivery, blur_px: float, response: Response) -> Iterator[tuple[float, float]]:
+def _errors(one: Delivery, blur_px: float, response: ResponseLike) -> Iterator[tuple[float, float]]:
     """(px, claimed sigmas) of each edge toward its bright side, at angles all round."""
     width = np.sqrt(blur_px**2 + _PIXEL_VARIANCE)
     v, u = np.mgrid[:SIDE_PX, :SIDE_PX].astype(float)

@@ -12,13 +12,11 @@ import numpy as np
 import trinoc
 from trinoc.io import demo_images
 from trinoc.segments import find_segments_lsd
-from trinoc.segments.nevatia_babu.chains import ordered_chains
-from trinoc.segments.nevatia_babu.gradient import gradient_of
-from trinoc.segments.nevatia_babu.linking import successors
+from trinoc.segments.nevatia_babu.chains import ordered_chains, split_chains, successors
+from trinoc.segments.nevatia_babu.masks import gradient_of
 from trinoc.segments.nevatia_babu import combined_kernel
 from trinoc.segments import nevatia_babu_masks
-from trinoc.segments.nevatia_babu.polygon import split_chains
-from trinoc.segments.nevatia_babu.pyramid import level_noise
+from trinoc.image import level_noise
 from trinoc.segments.nevatia_babu.thinning import thinned_pixels
 
 plt.rcParams.update({"figure.dpi": 64, "savefig.bbox": "tight", "axes.titlesize": 10})

@@ -14,13 +14,14 @@ ROOT = Path(trinoc.__file__).parent
 MAY_IMPORT = {
     "numerics": set(),
     "geometry": {"numerics"},
-    "segments": {"numerics", "geometry"},
-    "calib": {"numerics", "geometry"},
-    "match": {"numerics", "geometry"},
+    "image": {"numerics", "geometry"},
+    "segments": {"numerics", "geometry", "image"},
+    "calib": {"numerics", "geometry", "image"},
+    "match": {"numerics", "geometry", "image"},
     "synth": {"numerics", "geometry"},
-    "evaluation": {"numerics", "geometry", "segments", "calib", "match", "synth"},
+    "evaluation": {"numerics", "geometry", "image", "segments", "calib", "match", "synth"},
     "recording": {"numerics", "geometry", "match"},
-    "capture": {"numerics", "geometry", "calib"},
+    "capture": {"numerics", "geometry", "image", "calib"},
 }
 MAY_IMPORT["io"] = {*MAY_IMPORT["evaluation"], "evaluation", "recording"}
 MAY_IMPORT["report"] = MAY_IMPORT["batch"] = {*MAY_IMPORT["io"], "io"}
@@ -54,8 +55,8 @@ EXTRAS = {
 FORBIDDEN = {"numba", "torch", "tkinter"}
 # Below io there are no files, no command line, no screen, no settings.
 BELOW_IO = (
-    *("numerics", "geometry", "segments", "calib", "match", "synth", "evaluation", "recording"),
-    "capture",
+    *("numerics", "geometry", "image", "segments", "calib", "match", "synth", "evaluation"),
+    *("recording", "capture"),
 )
 OUTER_MODULES = {"argparse", "io", "logging", "os", "pathlib", "shutil", "subprocess", "sys"}
 

@@ -7,7 +7,7 @@ from hypothesis import given, strategies as st
 from tests.capture.made import GRID_MM, SIZE_PX, camera, rectangle, step_picture
 from trinoc.capture import GRID, covered_cells, edge_blur_px, exposure_of, lean_of
 from trinoc.geometry import depth_mm
-from trinoc.numerics import grey_image
+from trinoc.image import Light
 
 
 @pytest.mark.parametrize("blur_px", [0.7, 1.0, 2.0, 4.0])
@@ -37,8 +37,7 @@ def test_shares_of_saturated_and_dark_pixels_in_any_depth(
     picture.flat[picture.size - dark :] = 0
     # One full pixel tells the range of a deeper picture.
     picture.flat[0] = full
-    grey = grey_image(picture)
-    found = exposure_of(grey.grey, grey.full)
+    found = exposure_of(Light.from_picture(picture).levels)
     assert found.saturated == pytest.approx(max(saturated, 1) / 400)
     assert found.dark == pytest.approx(dark / 400)
 

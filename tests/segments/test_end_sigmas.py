@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from trinoc.segments.nevatia_babu import end_sigmas, lines_near_ends, snapped_ends
+from trinoc.segments.nevatia_babu import Pieces, end_sigmas, lines_near_ends, snap_ends
 from trinoc.segments.tuning import DEFAULT
 
 SNAP_PX = DEFAULT.ends.snap_px
@@ -13,10 +13,10 @@ def sigmas(gap_px: float, contrast: float) -> np.ndarray:
     centre = np.array([[50.0, 50.0], [80.0 + gap_px, 50.0]])
     direction = np.array([[1.0, 0.0], [0.0, 1.0]])
     extent = np.array([[-30.0, 30.0], [-40.0, 40.0]])
-    place = centre, direction, extent
-    near = lines_near_ends(*place, SNAP_PX)
-    partner, _ = snapped_ends(*place, SNAP_PX, near)
-    return end_sigmas(*place, np.full(2, contrast), partner, near)[0]
+    pieces = Pieces(centre, direction, extent)
+    near = lines_near_ends(pieces, SNAP_PX)
+    partner, _ = snap_ends(pieces, SNAP_PX, near)
+    return end_sigmas(pieces, np.full(2, contrast), partner, near)[0]
 
 
 def test_an_end_at_a_crossing_is_well_known() -> None:

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import trinoc
+from trinoc.image import grey_image
 from trinoc.segments import why_nothing
-from trinoc.segments.grey import grey_in_255ths
 
 
 def scene():
@@ -47,7 +47,7 @@ def test_however_the_levels_are_delivered_the_segments_are_those_of_8_bit(delive
 @pytest.mark.parametrize("kind", [np.uint8, np.uint16])
 def test_pictures_that_fill_their_type_are_as_they_were_to_the_last_bit(kind):
     image = np.random.default_rng(1).integers(0, np.iinfo(kind).max + 1, (40, 50)).astype(kind)
-    found = grey_in_255ths(image)
+    found = grey_image(image).in_255ths()
     scale = 1.0 if kind is np.uint8 else 1 / 257
     np.testing.assert_array_equal(found.grey, image.astype(np.float32) * np.float32(scale))
     assert (found.quantum, found.white) == (scale, 254.0)

@@ -5,8 +5,7 @@ import pytest
 
 from trinoc.segments import nevatia_babu_masks
 from trinoc.segments.nevatia_babu import combined_kernel
-from trinoc.segments.nevatia_babu.gradient import gradient_of
-from trinoc.segments.nevatia_babu.masks import mask_gradient_directions
+from trinoc.segments.nevatia_babu.masks import gradient_of, mask_gradient_directions
 
 
 def test_every_mask_answers_nothing_to_a_level_picture() -> None:

@@ -1,14 +1,11 @@
 """Edges are placed where the light has them, whatever the camera's response makes of them."""
 
-import jax
 import numpy as np
 import pytest
 from scipy.special import erf
 
-from trinoc.errors import InputError
-from trinoc.numerics import in_float64, level_of_light, light_of_level
+from trinoc.image import PowerResponse
 from trinoc.segments import find_segments
-from trinoc.segments.grey import bend_of, light_in_255ths
 from trinoc.synth.camera_picture.response import SRGB
 
 ANGLES = np.arange(8) * np.pi / 4 + 0.13
@@ -27,11 +24,8 @@ def srgb(light: np.ndarray) -> np.ndarray:
     return SRGB().encoded(light)
 
 
-@in_float64
 def bent(light: np.ndarray) -> np.ndarray:
-    return np.asarray(jax.vmap(level_of_light, (0, None))(light.ravel(), np.asarray(0.5))).reshape(
-        light.shape
-    )
+    return np.asarray(PowerResponse(0.5).level_of(light))
 
 
 def delivered(light: np.ndarray, encoded=srgb, noise: float = 1.5) -> np.ndarray:
@@ -94,27 +88,3 @@ def test_two_edges_side_by_side_are_parted_in_light() -> None:
         off[response] = np.abs(np.sort(places) - [-half_width, half_width]).max()
     assert off["linear"] > 0.2
     assert off["srgb"] < 0.1
-
-
-def test_light_of_a_colour_is_the_mean_of_its_channels() -> None:
-    rng = np.random.default_rng(2)
-    colour = rng.integers(0, 256, (20, 30, 3)).astype(np.uint8)
-    light = light_in_255ths(colour, 1.0)
-    curve = np.linspace(0, 1, 4001)
-    expected = 255 * np.interp(colour / 255, SRGB().encoded(curve), curve).mean(axis=2)
-    np.testing.assert_allclose(light, expected, atol=0.5)
-    np.testing.assert_allclose(light, light_in_255ths(colour / 255.0, 1.0), atol=1e-3)
-    np.testing.assert_array_equal(light, light_in_255ths(colour[..., ::-1], 1.0))
-
-
-def test_the_curve_between_knots_is_the_curve() -> None:
-    levels = np.linspace(0, 1.2, 40 * 50).reshape(40, 50)
-    light = light_in_255ths(levels, 1.0)
-    expected = in_float64(jax.vmap(light_of_level, (0, None)))(levels.ravel(), np.asarray(1.0))
-    np.testing.assert_allclose(light.ravel() / 255, np.asarray(expected), atol=2e-6)
-
-
-@pytest.mark.parametrize("response", ["sRGB", "", float("nan"), 7.0])
-def test_an_unknown_response_is_refused(response: str | float) -> None:
-    with pytest.raises(InputError, match="response"):
-        bend_of(response)

@@ -14,7 +14,8 @@ from trinoc.calib.targets import Pattern
 from trinoc.calib.uncertainty import Systematics
 from trinoc.errors import DetectionError, InputError
 from trinoc.geometry import Intrinsics, PoseModel, pose_model_over_sheet
-from trinoc.numerics import ArrayLike, grey_image, in_float64
+from trinoc.image import grey_image
+from trinoc.numerics import ArrayLike, in_float64
 
 
 @in_float64

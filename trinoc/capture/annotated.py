@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Shaped, UInt8
 
 from trinoc.calib import circle_candidates
-from trinoc.numerics import grey_image
+from trinoc.image import grey_image
 
 _LARGEST_SIDE_PX, _LEAST_WIDTH_PX = 1600, 640
 # Red, green, blue.
@@ -25,8 +25,7 @@ def failure_picture(
     picture in it is longer than 1600 px.
     """
     seen = circle_candidates(image)
-    picture = grey_image(image)
-    grey = np.clip(picture.grey * (255 / picture.full), 0, 255).astype(np.uint8)
+    grey = grey_image(image).as_8_bit()
     scale = min(1.0, _LARGEST_SIDE_PX / max(grey.shape))
     scale = max(scale, _LEAST_WIDTH_PX / grey.shape[1])
     size = round(grey.shape[1] * scale), round(grey.shape[0] * scale)

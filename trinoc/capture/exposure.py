@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-# Of full white. What cameras and JPEG make of full light and of none lies a level or two off.
-_SATURATED, _DARK = 253 / 255, 2 / 255
+# In 255ths. What cameras and JPEG make of full light and of none lies a level or two off.
+_SATURATED, _DARK = 253, 2
 # The paper is the brightest of a board; dust and glints are brighter, but few.
 _PAPER_PERCENTILE = 95.0
 
@@ -25,10 +25,10 @@ class Exposure(NamedTuple):
     paper: float
 
 
-def exposure_of(grey: Float[np.ndarray, "h w"], full: float) -> Exposure:
-    """The exposure of grey levels whose full white is `full`."""
+def exposure_of(levels: Float[np.ndarray, "h w"]) -> Exposure:
+    """The exposure of grey levels in 255ths of full white."""
     return Exposure(
-        float(np.mean(grey >= _SATURATED * full)),
-        float(np.mean(grey <= _DARK * full)),
-        float(np.percentile(grey, _PAPER_PERCENTILE)) / full,
+        float(np.mean(levels >= _SATURATED)),
+        float(np.mean(levels <= _DARK)),
+        float(np.percentile(levels, _PAPER_PERCENTILE)) / 255,
     )

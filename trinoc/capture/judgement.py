@@ -10,7 +10,7 @@ from trinoc.capture.exposure import Exposure, exposure_of
 from trinoc.capture.placement import lean_of
 from trinoc.capture.sharpness import edge_blur_px
 from trinoc.errors import DetectionError
-from trinoc.numerics import grey_image
+from trinoc.image import Light
 
 # Bounds of what docs/pictures.md asks for.
 SOFTEST_PX = 2.5
@@ -68,7 +68,7 @@ def judge(name: str, image: Shaped[np.ndarray, "..."], target: AbstractTarget) -
 
     image : (h, w) or (h, w, channels), of any range. Raises InputError for what is no picture.
     """
-    picture = grey_image(image)
+    picture = Light.from_picture(image)
     places, on_board, refusal = np.zeros((0, 2)), np.zeros((0, 2)), ""
     smallest = np.inf
     try:
@@ -81,8 +81,8 @@ def judge(name: str, image: Shaped[np.ndarray, "..."], target: AbstractTarget) -
         if target.places == "circles":
             axes = np.linalg.eigvalsh(detection.shape_px2)[:, 0]
             smallest = 2 * float(np.sqrt(max(float(np.min(axes)), 0.0)))
-    region = picture.grey[_window(places, picture.size_px)]
-    blur, exposure = edge_blur_px(region), exposure_of(region, picture.full)
+    region = picture.light[_window(places, picture.size_px)]
+    blur, exposure = edge_blur_px(region), exposure_of(region)
     return Judgement(
         name=name,
         size_px=picture.size_px,

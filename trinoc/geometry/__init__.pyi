@@ -18,6 +18,11 @@ from .epipolar import (
     epipolar_line as epipolar_line,
     fundamental_matrix as fundamental_matrix,
 )
+from .image_of_circle import circle_centre_offset as circle_centre_offset
+from .image_of_line import (
+    LineDistances as LineDistances,
+    distances_from_line as distances_from_line,
+)
 from .intrinsics import Intrinsics as Intrinsics
 from .junctions import BODY as BODY, Junctions as Junctions
 from .lenses.abstract_lens import (
@@ -55,7 +60,15 @@ from .lines import (
 from .one_place import at_one_place as at_one_place
 from .pose import Pose as Pose
 from .pose_model import PoseModel as PoseModel, pose_model_over_sheet as pose_model_over_sheet
-from .projection import project_by_matrix as project_by_matrix, project_point as project_point
+from .projection import (
+    Projection as Projection,
+    homogeneous_pixel as homogeneous_pixel,
+    image_of_point as image_of_point,
+    pixel_change as pixel_change,
+    project_by_matrix as project_by_matrix,
+    project_point as project_point,
+    project_with_jacobian as project_with_jacobian,
+)
 from .rig import PARAMETER_NAMES as PARAMETER_NAMES, Rig as Rig
 from .rotation import rotation_from_vector as rotation_from_vector
 from .segments import (

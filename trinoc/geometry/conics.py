@@ -12,13 +12,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.geometry.camera import Camera, pixel_from_sheet_homography
+from trinoc.geometry.camera import Camera, pixel_from_sheet_homography, project
+from trinoc.geometry.image_of_circle import centroid_of_region, circle_centre_offset
 from trinoc.numerics import ArrayLike, ScalarLike
 
 # Points at which a mapped ellipse is sampled: the centroid is then exact for what a lens does up
 # to the second order in the ellipse's size, and good to 1e-7 px for what it does beyond.
-_BOUNDARY_POINTS = 8
-_BOUNDARY_ANGLES_RAD = np.arange(_BOUNDARY_POINTS) * (2 * np.pi / _BOUNDARY_POINTS)
+_ANGLES_RAD = np.arange(8) * (2 * np.pi / 8)
 
 
 def dual_conic_of_circle(
@@ -62,12 +62,15 @@ def image_of_circle_centre(
 
     This is not the image of the circle's centre: perspective moves it toward the camera's
     far side, by 0.09 px for the reference rig. With lens distortion the curve is no ellipse, and
-    the centre is that of `centre_of_mapped_ellipse`.
+    the centre is the centroid of what it encloses (`circle_centre_offset`).
     """
-    dual_conic = image_of_circle(camera, centre_sheet_mm, radius_mm)
     if not camera.intrinsics.has_distortion:
-        return centre_of_dual_conic(dual_conic)
-    return centre_of_mapped_ellipse(dual_conic, camera.intrinsics.distort_pixel)
+        return centre_of_dual_conic(image_of_circle(camera, centre_sheet_mm, radius_mm))
+
+    def image(place_mm: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
+        return project(camera, jnp.append(place_mm, 0.0))
+
+    return image(centre_sheet_mm) + circle_centre_offset(image, centre_sheet_mm, radius_mm)
 
 
 def centre_of_mapped_ellipse(
@@ -77,23 +80,8 @@ def centre_of_mapped_ellipse(
     """Centroid of the region that a smooth mapping, such as a lens, makes of an ellipse.
 
     An ellipse fitted to the region's edge has its centre there, to 1e-4 px for common lenses.
-    The mean of the boundary points lies 0.005 px off, since a mapping moves points along the
-    boundary, too.
     """
-    boundary = jax.vmap(mapping)(boundary_of_dual_conic(dual_conic, _BOUNDARY_ANGLES_RAD))
-    mean = jnp.mean(boundary, axis=0, keepdims=True)
-    offset = boundary - mean
-    tangent = _trigonometric_derivative(_BOUNDARY_POINTS).astype(offset.dtype) @ offset
-    # Green's theorem: twice the area, and three times its first moment.
-    area = offset[:, 0] * tangent[:, 1] - offset[:, 1] * tangent[:, 0]
-    return mean[0] + 2.0 / 3.0 * (area @ offset) / jnp.sum(area)
-
-
-def _trigonometric_derivative(count: int) -> Float[np.ndarray, "n n"]:
-    """Derivative at equidistant angles of the trigonometric polynomial through values there."""
-    step = np.arange(count)[:, None] - np.arange(count)[None]
-    cotangent = 1.0 / np.tan(np.pi * np.where(step == 0, 0.5, step) / count)
-    return np.where(step == 0, 0.0, 0.5 * (-1.0) ** step * cotangent)
+    return centroid_of_region(jax.vmap(mapping)(boundary_of_dual_conic(dual_conic, _ANGLES_RAD)))
 
 
 def boundary_of_dual_conic(

@@ -1,12 +1,36 @@
-"""The projection of all fits and tools: from a point of the world to a pixel."""
+"""The projection of all fits and tools: from a point of the world to a pixel.
 
-from typing import Any
+Source: Hartley and Zisserman, section 6.1.
+"""
+
+from typing import Any, NamedTuple
 
 from jaxtyping import Float
 
 from trinoc.geometry.lenses import AbstractLens
 from trinoc.geometry.pose import Pose
-from trinoc.numerics import ArrayLike, NumpyOrTraced
+from trinoc.numerics import (
+    ArrayLike,
+    NumpyOrTraced,
+    Scalar,
+    Vector2,
+    Vector3,
+    dot3,
+    is_traced,
+    vector3,
+)
+
+
+class Projection(NamedTuple):
+    """Undistorted pixels of points, and how they move with the points.
+
+    uv_px : of each. depth : z in the camera's frame, positive before it, in mm for a matrix whose
+    third row has unit length. by_point : (px/mm) derivative by the point's coordinates.
+    """
+
+    uv_px: Float[NumpyOrTraced, "*n 2"]
+    depth: Float[NumpyOrTraced, "*n"]
+    by_point: Float[NumpyOrTraced, "*n 2 3"]
 
 
 def project_point(
@@ -20,11 +44,55 @@ def project_point(
 
 
 def project_by_matrix(
-    matrix_px: Float[ArrayLike, "3 4"], points_world_mm: Float[ArrayLike, "*n 3"]
-) -> Float[NumpyOrTraced, "*n 2"]:
+    matrix_px: Float[ArrayLike, "*m 3 4"], points_world_mm: Float[ArrayLike, "*n 3"]
+) -> Float[NumpyOrTraced, "*e 2"]:
     """Undistorted pixels of points by a projection matrix; in NumPy where both are NumPy.
 
-    Source: Hartley and Zisserman, section 6.1.
+    Of several matrices, (*m 3 4), each has its own points, (*m e 3); leading axes are broadcast.
     """
-    image: Any = points_world_mm @ matrix_px[:, :3].T + matrix_px[:, 3]
+    image = homogeneous_pixel(matrix_px, points_world_mm)
     return image[..., :2] / image[..., 2:]
+
+
+def project_with_jacobian(
+    matrix_px: Float[ArrayLike, "*m 3 4"], points_world_mm: Float[ArrayLike, "*n 3"]
+) -> Projection:
+    """`project_by_matrix` with depths and derivatives."""
+    image = homogeneous_pixel(matrix_px, points_world_mm)
+    uv, depth = image[..., :2] / image[..., 2:], image[..., 2]
+    rows: Any = matrix_px if points_world_mm.ndim == 1 else matrix_px[..., None, :, :]
+    by_point = rows[..., :2, :3] - uv[..., None] * rows[..., 2:, :3]
+    by_point = by_point / depth[..., None, None]
+    return Projection(uv, depth, by_point)
+
+
+def homogeneous_pixel(
+    matrix_px: Float[ArrayLike, "*m 3 4"], points_world_mm: Float[ArrayLike, "*n 3"]
+) -> Any:
+    """Undistorted pixels times the depth, and the depth, (*e 3); matrices as there."""
+    if is_traced(matrix_px, points_world_mm) and matrix_px.ndim > 2:
+        # Sums of products and no products of matrices, which XLA computes one by one.
+        rows = matrix_px[..., None, :, :]
+        return (rows[..., :3] * points_world_mm[..., None, :]).sum(-1) + rows[..., 3]
+    matrix: Any = matrix_px
+    offset = matrix[..., 3] if points_world_mm.ndim == 1 else matrix[..., None, :, 3]
+    return points_world_mm @ matrix[..., :3].mT + offset
+
+
+def image_of_point(
+    matrix_px: Float[ArrayLike, "... 3 4"], point: Vector3
+) -> tuple[Vector2, Scalar]:
+    """(undistorted pixel, depth) of points whose coordinates are arrays of their own.
+
+    Kernels over long arrays of points fuse in this form (`numerics.scalar_vectors`).
+    """
+    u, v, depth = (
+        dot3(vector3(matrix_px[..., k, :3]), point) + matrix_px[..., k, 3] for k in range(3)
+    )
+    return (u / depth, v / depth), depth
+
+
+def pixel_change(uv_px: Vector2, depth: Scalar, change: Vector3) -> Vector2:
+    """How a pixel moves where its homogeneous one, whose third coordinate is `depth`, changes."""
+    u, v = uv_px
+    return (change[0] - u * change[2]) / depth, (change[1] - v * change[2]) / depth

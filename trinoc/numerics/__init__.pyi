@@ -31,7 +31,6 @@ from .columns import (
 from .compilation import at_once as at_once, one_compiles as one_compiles
 from .compiler_options import quick_compiling as quick_compiling
 from .display import Displays as Displays, Shown as Shown, display_with as display_with
-from .grey import GreyImage as GreyImage, grey_image as grey_image
 from .grouped import (
     group_medians as group_medians,
     group_sums as group_sums,
@@ -69,7 +68,6 @@ from .neighbours_in_plane import (
     near_pairs as near_pairs,
     point_tree as point_tree,
 )
-from .noise import noise_sigma as noise_sigma
 from .options import with_field as with_field
 from .precision import (
     as_float as as_float,
@@ -78,8 +76,14 @@ from .precision import (
     is_traced as is_traced,
     namespace_of as namespace_of,
 )
-from .response import level_of_light as level_of_light, light_of_level as light_of_level
-from .robust_loss import AbstractRobustLoss as AbstractRobustLoss, GemanMcClure as GemanMcClure
+from .robust_loss import (
+    AbstractBoundedLoss as AbstractBoundedLoss,
+    AbstractRobustLoss as AbstractRobustLoss,
+    Cauchy as Cauchy,
+    GemanMcClure as GemanMcClure,
+    ScaleMixture as ScaleMixture,
+    TruncatedSquares as TruncatedSquares,
+)
 from .robust_scale import MAD_TO_SIGMA as MAD_TO_SIGMA
 from .scalar_vectors import (
     Scalar as Scalar,
@@ -103,6 +107,14 @@ from .scalar_vectors import (
     vector3 as vector3,
 )
 from .segmented_arrays import largest as largest, members as members, sums as sums
+from .small_least_squares import (
+    NormalEquations as NormalEquations,
+    Residuals as Residuals,
+    gauss_newton as gauss_newton,
+    misfit_factor as misfit_factor,
+    normal_equations as normal_equations,
+    whitening as whitening,
+)
 from .small_matrices import (
     inverse_3x3 as inverse_3x3,
     inverse_positive_definite as inverse_positive_definite,

@@ -1,25 +1,25 @@
 """Losses that a wrong observation cannot buy.
 
 A residual r, in sigmas or in whatever unit its scale has, enters by its square s = r^2. A loss
-rho(s) is near s for a right observation and levels out for a wrong one. Minimising a sum of rho
-is least squares with the weights rho'(s) taken at the present residuals (iteratively reweighted
-least squares). Source: P. J. Huber, Robust Statistics, 1981, section 7.8.
+rho(s) is near s for a right observation and grows less, or not at all, for a wrong one. Minimising
+a sum of rho is least squares with the weights rho'(s) taken at the present residuals (iteratively
+reweighted least squares). Source: P. J. Huber, Robust Statistics, 1981, section 7.8.
 """
 
+import math
 from abc import abstractmethod
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Float
 
 from trinoc.numerics.arrays import ArrayLike, ScalarLike
+from trinoc.numerics.precision import namespace_of
 
 
 class AbstractRobustLoss(eqx.Module):
-    """A bounded loss on squared residuals."""
-
-    # What a wrong observation costs: rho never exceeds it. Squared residual's unit.
-    ceiling: eqx.AbstractVar[ScalarLike | Float[ArrayLike, "*n"]]
+    """A loss on squared residuals that grows more slowly than they do."""
 
     @abstractmethod
     def rho(self, squared: Float[ArrayLike, "*n"]) -> Float[ArrayLike, "*n"]:
@@ -29,25 +29,19 @@ class AbstractRobustLoss(eqx.Module):
     def weight(self, squared: Float[ArrayLike, "*n"]) -> Float[ArrayLike, "*n"]:
         """rho'(s), the weight of a squared residual in reweighted least squares."""
 
-    @abstractmethod
     def root_weight(self, squared: Float[ArrayLike, "*n"]) -> Float[ArrayLike, "*n"]:
         """Square root of `weight`: what a residual and its row of the Jacobian are scaled by."""
-
-    @abstractmethod
-    def bounded(
-        self, residual: Float[ArrayLike, "*n d"], squared: Float[ArrayLike, "*n 1"]
-    ) -> Float[ArrayLike, "*n d"]:
-        """The residual scaled so that rho of its `squared` length becomes its squared length.
-
-        Plain least squares over bounded residuals minimises the sum of rho.
-        """
-
-    @abstractmethod
-    def widened(self, factor: ScalarLike) -> "AbstractRobustLoss":
-        """The same loss for residuals `factor` times as large."""
+        return self.weight(squared) ** 0.5
 
 
-class GemanMcClure(AbstractRobustLoss):
+class AbstractBoundedLoss(AbstractRobustLoss):
+    """A loss that levels out."""
+
+    # What a wrong observation costs: rho never exceeds it. Squared residual's unit.
+    ceiling: eqx.AbstractVar[ScalarLike | Float[ArrayLike, "*n"]]
+
+
+class GemanMcClure(AbstractBoundedLoss):
     """rho(s) = s / (1 + s / c^2), which levels out at c^2.
 
     c is the scale, in the unit of the residual; an infinite one is plain least squares. Works on
@@ -81,9 +75,90 @@ class GemanMcClure(AbstractRobustLoss):
     def bounded(
         self, residual: Float[ArrayLike, "*n d"], squared: Float[ArrayLike, "*n 1"]
     ) -> Float[ArrayLike, "*n d"]:
-        """r / sqrt(1 + s / c^2)."""
+        """r / sqrt(1 + s / c^2), whose squared length is rho of the `squared` length of r.
+
+        Plain least squares over bounded residuals minimises the sum of rho.
+        """
         return residual / jnp.sqrt(1 + squared / self.ceiling)
 
     def widened(self, factor: ScalarLike) -> "GemanMcClure":
-        """The loss of scale `factor` c."""
+        """The same loss for residuals `factor` times as large."""
         return GemanMcClure(self.ceiling * factor**2)
+
+
+class Cauchy(AbstractRobustLoss):
+    """rho(s) = c^2 log(1 + s / c^2), which never levels out: at c a residual has half its weight.
+
+    Source: P. W. Holland and R. E. Welsch, Communications in Statistics A6(9), 1977.
+    """
+
+    scale: float = eqx.field(static=True)
+
+    def rho(self, squared: Float[ArrayLike, "*n"]) -> Float[ArrayLike, "*n"]:
+        """c^2 log(1 + s / c^2)."""
+        return self.scale**2 * namespace_of(squared).log1p(squared / self.scale**2)
+
+    def weight(self, squared: Float[ArrayLike, "*n"]) -> Float[ArrayLike, "*n"]:
+        """1 / (1 + s / c^2)."""
+        return 1 / (1 + squared / self.scale**2)
+
+
+class TruncatedSquares(AbstractBoundedLoss):
+    """rho(s) = min(s, ceiling): beyond a limit an observation is left out.
+
+    Source: M. J. Hinich and P. P. Talwar, Journal of the American Statistical Association 70, 1975.
+
+    Fields
+    ------
+    ceiling : square of the limit; of several losses at once, along their axes.
+    """
+
+    ceiling: ScalarLike | Float[ArrayLike, "*n"]
+
+    def rho(self, squared: Float[ArrayLike, "*n"]) -> Float[ArrayLike, "*n"]:
+        """min(s, ceiling)."""
+        return namespace_of(squared).minimum(squared, self.ceiling)
+
+    def weight(self, squared: Float[ArrayLike, "*n"]) -> Float[ArrayLike, "*n"]:
+        """1 within the limit, 0 beyond."""
+        return (squared < self.ceiling) * 1.0
+
+
+class ScaleMixture(AbstractRobustLoss):
+    """Minus twice the log likelihood, against no error at all, of errors of several sizes.
+
+    An observation of `size` numbers errs by more than it states: its standard deviations are those
+    stated times one of `scales`, in a share `shares` of all cases. `squared` is its Mahalanobis
+    distance. Works on NumPy and on JAX arrays.
+    """
+
+    shares: tuple[float, ...] = eqx.field(static=True)
+    scales: tuple[float, ...] = eqx.field(static=True)
+    size: int = eqx.field(static=True)
+
+    def rho(self, squared: Float[ArrayLike, "*n"]) -> Float[ArrayLike, "*n"]:
+        """-2 log(p(s) / p(0))."""
+        none = np.zeros((), squared.dtype)
+        return -2 * (self.log_density(squared) - self.log_density(none))
+
+    def weight(self, squared: Float[ArrayLike, "*n"]) -> Float[ArrayLike, "*n"]:
+        """The mean of one over the squared scales, given the error."""
+        xp, (_, terms) = namespace_of(squared), self._terms(squared)
+        return terms @ xp.asarray(self.scales) ** -2.0 / terms.sum(axis=-1)
+
+    def log_density(self, squared: Float[ArrayLike, "*n"]) -> Float[ArrayLike, "*n"]:
+        """log p(s), for residuals in standard deviations."""
+        largest, terms = self._terms(squared)
+        logarithm = namespace_of(squared).log(terms.sum(axis=-1))
+        return largest + logarithm - 0.5 * self.size * math.log(2 * math.pi)
+
+    def _terms(
+        self, squared: Float[ArrayLike, "*n"]
+    ) -> tuple[Float[ArrayLike, "*n"], Float[ArrayLike, "*n k"]]:
+        """(logarithm of the largest term, all terms over it), which do not underflow together."""
+        xp = namespace_of(squared)
+        scale = xp.asarray(self.scales)
+        exponent = xp.log(xp.asarray(self.shares)) - self.size * xp.log(scale)
+        exponent = exponent - 0.5 * squared[..., None] / scale**2
+        largest = exponent.max(axis=-1)
+        return largest, xp.exp(exponent - largest[..., None])

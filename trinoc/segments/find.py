@@ -2,52 +2,49 @@
 
 from collections.abc import Callable
 from functools import partial
+from typing import NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Bool, Float, Int, Shaped
+from jaxtyping import Bool, Float, Shaped
 
 from trinoc.errors import InputError
 from trinoc.geometry import Intrinsics, Segments
-from trinoc.numerics import in_bucket, in_float64, members
-from trinoc.segments.grey import (
-    Response,
-    bend_of,
-    grey_in_255ths,
-    light_in_255ths,
-    light_of_white,
-)
+from trinoc.image import Light, ResponseLike
+from trinoc.numerics import in_bucket, in_float64, take_rows
 from trinoc.segments.junctions import with_junctions
 from trinoc.segments.nevatia_babu import (
-    EdgePoints,
+    ErrorModel,
     FittedLines,
+    Level,
+    Runs,
     Shifts,
-    bridged_runs,
-    collinear_successors,
+    SideSlopes,
     combined_kernel,
     end_covariances,
     end_sigmas,
     error_model,
-    fine_level,
+    find_overlaps,
+    find_runs,
     fit_lines,
+    full_level,
     inflate_variance,
     is_on_ramp,
     is_sharp,
     is_straight,
     least_snr2,
     lines_near_ends,
+    merge_collinear,
     noise_variance,
-    overlaps,
-    runs_of_both_scales,
     shading_shifts,
     shifts_of_saturated,
     side_slopes,
-    snapped_ends,
+    snap_ends,
     typical_blur,
     without_neighbours,
 )
 from trinoc.segments.side_intensity import side_levels
-from trinoc.segments.tuning import DEFAULT, EndTuning, SegmentTuning
+from trinoc.segments.tuning import DEFAULT, SegmentTuning
 
 # Binomial smoothings before the masks: the noise gain and all thresholds follow from it.
 SMOOTHING = 1
@@ -61,7 +58,7 @@ def find_segments(
     least_contrast: float = 7.0,
     arcs: bool = False,
     intrinsics: Intrinsics | None = None,
-    response: Response = "linear",
+    response: ResponseLike = "linear",
     tuning: SegmentTuning = DEFAULT,
 ) -> Segments:
     """Straight edges of a picture, with polarity, contrast, covariance and junctions.
@@ -93,167 +90,166 @@ def find_segments(
     After R. Nevatia and K. R. Babu, "Linear feature extraction and description", 1980,
     doi:10.1016/0146-664X(80)90049-0; docs/segments.md tells what differs.
     """
+    _check_options(tolerance_px, false_alarms, least_contrast)
+    picture = Light.from_picture(image, response)
+    _check_lens(intrinsics, picture.size_px)
+    fine = full_level(picture, combined_kernel(SMOOTHING))
+    runs = find_runs(fine, tolerance_px, least_contrast, tuning.scales)
+    lines = fit_lines(runs)
+    runs, lines = merge_collinear(runs, lines, tolerance_px, tuning.ends.gap_px)
+    edges = _accept_edges(picture, runs, lines, false_alarms, least_contrast, tuning)
+    runs, placed = _correct_places(fine, edges, tuning)
+    placed, to_image = _undistort(runs, placed, intrinsics)
+    wanted = _is_wanted(placed, picture.size_px[0], arcs, least_contrast, tuning)
+    return _segments_of(take_rows(placed, wanted), picture, to_image, tuning)
+
+
+def _check_options(tolerance_px: float, false_alarms: float, least_contrast: float) -> None:
     for name, value in (("tolerance_px", tolerance_px), ("false_alarms", false_alarms)):
         if not value > 0:
             raise InputError(f"{name} is {value}, but must be positive.")
     if not least_contrast >= 0:
         raise InputError(f"least_contrast is {least_contrast}, but must not be negative.")
-    bend = bend_of(response)
-    picture = grey_in_255ths(image)
-    height, width = picture.grey.shape
-    if intrinsics is not None and tuple(intrinsics.image_size_px) != (width, height):
+
+
+def _check_lens(lens: Intrinsics | None, size_px: tuple[int, int]) -> None:
+    if lens is not None and tuple(lens.image_size_px) != size_px:
         raise InputError(
-            f"The picture is {width} x {height} px, but the lens was given for "
-            f"{intrinsics.image_size_px[0]} x {intrinsics.image_size_px[1]} px: use the lens of "
+            f"The picture is {size_px[0]} x {size_px[1]} px, but the lens was given for "
+            f"{lens.image_size_px[0]} x {lens.image_size_px[1]} px: use the lens of "
             "this camera and resolution."
         )
-    kernel = combined_kernel(SMOOTHING)
-    light = light_in_255ths(image, bend) if bend else picture.grey
-    fine = fine_level(picture.grey, light, picture.quantum, kernel)
-    points, first = runs_of_both_scales(fine, kernel, tolerance_px, least_contrast, tuning.scales)
-    lines = fit_lines(points, first)
-    points, first, lines = _merged(points, first, lines, tolerance_px, tuning.ends.gap_px)
 
+
+class _Edges(NamedTuple):
+    """Lines that are edges of the scene, their points, and slopes of the light beside them;
+    `usual_px2` is the variance of the usual blur."""
+
+    runs: Runs
+    lines: FittedLines
+    slopes: SideSlopes
+    usual_px2: float
+
+
+def _accept_edges(
+    picture: Light,
+    runs: Runs,
+    lines: FittedLines,
+    false_alarms: float,
+    least_contrast: float,
+    tuning: SegmentTuning,
+) -> _Edges:
+    """Without soft shadows, slopes of the light, noise, and what is far too faint."""
     usual_px2 = typical_blur(lines)
-    slopes = side_slopes(picture.grey, points, first, usual_px2)
+    slopes = side_slopes(picture.levels, runs, usual_px2)
     keep = (
         is_sharp(lines, usual_px2, tuning.accept)
         & ~is_on_ramp(slopes)
-        & (lines.snr2 > least_snr2(false_alarms, height * width))
+        & (lines.snr2 > least_snr2(false_alarms, picture.levels.size))
         & (lines.contrast > tuning.accept.faint_share * least_contrast)
     )
-    points, first = _points_of(points, first, keep)
-    lines, slopes = lines.take(keep), slopes.take(keep)
-    if bend:
+    runs, lines, slopes = runs.take(keep), *take_rows((lines, slopes), keep)
+    if not picture.is_linear:
         # Edges are placed in the light: what slopes there moves them.
-        slopes = side_slopes(light, points, first, usual_px2)
+        slopes = side_slopes(picture.light, runs, usual_px2)
+    return _Edges(runs, lines, slopes, usual_px2)
 
-    usual_profile_px2 = fine.kernel_variance_px2 + usual_px2
-    found = overlaps(points, first, lines, usual_profile_px2)
-    spread = tuning.errors.blur_spread * usual_profile_px2
+
+class _PlacedLines(NamedTuple):
+    """Lines with what moved them taken out, and what may be left of it."""
+
+    lines: FittedLines
+    errors: ErrorModel
+    saturated: Shifts
+    shaded: Shifts
+
+
+def _correct_places(fine: Level, edges: _Edges, tuning: SegmentTuning) -> tuple[Runs, _PlacedLines]:
+    """(points, lines) without the pull of neighbours, of clipping, and of shading."""
+    picture, (runs, lines, slopes, usual_px2) = fine.picture, edges
+    profile_px2 = fine.kernel_variance_px2 + usual_px2
+    near = find_overlaps(runs, lines, profile_px2)
+    spread = tuning.errors.blur_spread * profile_px2
     own_blur = np.clip(lines.blur_px2, usual_px2 - spread, usual_px2 + spread)
-    undisturbed = without_neighbours(points, lines, own_blur, found)
-    lines = fit_lines(undisturbed, first)
-    disturbed = error_model(
-        picture.grey,
-        picture.white,
-        points,
-        undisturbed,
-        first,
-        lines,
-        found,
-        usual_px2,
-        tuning.errors,
-    )
-    noise = fine.sigma_strength / kernel.noise_gain * lines.light_per_level
-    moved = shifts_of_saturated(
-        fine.light,
-        light_of_white(picture.white, bend) if bend else picture.white,
-        noise,
-        undisturbed,
-        first,
-        lines,
-        disturbed,
-        tuning.saturation,
-    )
+    cleaned = runs._replace(points=without_neighbours(runs.points, lines, own_blur, near))
+    lines = fit_lines(cleaned)
+    errors = error_model(picture, runs.points, cleaned, lines, near, usual_px2, tuning.errors)
+    saturated = shifts_of_saturated(fine, cleaned, lines, errors, tuning.saturation)
     # What is clipped does not slope.
-    seen = moved.variance_px2 == 0
-    shading = shading_shifts(slopes, lines, disturbed.crowded, tuning.errors)
+    seen = saturated.variance_px2 == 0
+    shading = shading_shifts(slopes, lines, errors.crowded, tuning.errors)
     shaded = Shifts(*(seen * part for part in shading))
-    undisturbed, lines = _shifted(undisturbed, lines, moved.shift_px + shaded.shift_px)
-    to_image: Callable[[np.ndarray], np.ndarray] = np.asarray
-    if intrinsics is not None and intrinsics.has_distortion:
-        uv_px = _mapped(undisturbed.uv_px, intrinsics.undistort_pixel)
-        lines = fit_lines(undisturbed._replace(uv_px=uv_px), first)
-        to_image = partial(_mapped, through=intrinsics.distort_pixel)
-    length = np.ptp(lines.extent_px, axis=1)
-    variance, reasons = inflate_variance(
-        disturbed,
-        noise_variance(lines.variance_middle_px2, length),
-        moved,
-        shaded,
-        tuning.errors,
-    )
-    rules = tuning.accept
-    bevel = (length < rules.bevel_px) & (disturbed.crowded > rules.bevel_crowded)
-    keep = (arcs | is_straight(lines, width, rules)) & (lines.contrast >= least_contrast) & ~bevel
-    off_px2 = np.square(tuning.errors.off_share * disturbed.off_px)
-    common_px2 = moved.variance_px2 + shaded.variance_px2
-    kept = lines.take(keep), variance[keep], common_px2[keep], off_px2[keep], reasons[keep]
-    return _as_segments(*kept, picture.grey, to_image, tuning.ends)
+    cleaned, lines = _shift(cleaned, lines, saturated.shift_px + shaded.shift_px)
+    return cleaned, _PlacedLines(lines, errors, saturated, shaded)
 
 
-def _merged(
-    points: EdgePoints,
-    first: Int[np.ndarray, "r"],
-    lines: FittedLines,
-    tolerance_px: float,
-    gap_px: float,
-) -> tuple[EdgePoints, Int[np.ndarray, "g"], FittedLines]:
-    """The same after joining collinear lines across small gaps."""
-    successor = collinear_successors(lines, gap_px, tolerance_px / 2)
-    if (successor < 0).all():
-        return points, first, lines
-    order, first, earliest, several = bridged_runs(successor, first, len(points.strength))
-    points = points.take(order)
-    lines = lines.take(earliest)
-    again = fit_lines(*_points_of(points, first, several))
-    return points, first, lines.replaced(several, again)
-
-
-def _points_of(
-    points: EdgePoints, first: Int[np.ndarray, "r"], keep: Bool[np.ndarray, "r"]
-) -> tuple[EdgePoints, Int[np.ndarray, "g"]]:
-    """The points of the lines that are kept, and where each of these begins."""
-    stop = np.append(first[1:], len(points.strength))
-    index, _, begins = members(first[keep], stop[keep])
-    return points.take(index), begins
-
-
-def _shifted(
-    points: EdgePoints, lines: FittedLines, shift_px: Float[np.ndarray, "r"]
-) -> tuple[EdgePoints, FittedLines]:
+def _shift(
+    runs: Runs, lines: FittedLines, shift_px: Float[np.ndarray, "r"]
+) -> tuple[Runs, FittedLines]:
     """Lines and their points moved across, toward the brighter side."""
     if not shift_px.any():
-        return points, lines
+        return runs, lines
     way = lines.direction * shift_px[:, None]
     offset = np.stack([way[:, 1], -way[:, 0]], axis=-1)
-    uv_px = points.uv_px + np.repeat(offset, lines.support, axis=0).astype(np.float32)
-    return points._replace(uv_px=uv_px), lines._replace(centre_px=lines.centre_px + offset)
+    moved = runs.moved(runs.points.uv_px + runs.spread(offset).astype(np.float32))
+    return moved, lines._replace(centre_px=lines.centre_px + offset)
+
+
+def _undistort(
+    runs: Runs, placed: _PlacedLines, lens: Intrinsics | None
+) -> tuple[_PlacedLines, Callable[[np.ndarray], np.ndarray]]:
+    """(lines through undistorted points, the way back into the picture)."""
+    if lens is None or not lens.has_distortion:
+        return placed, np.asarray
+    flat = runs.moved(_map_points(runs.points.uv_px, lens.undistort_pixel))
+    back = partial(_map_points, through=lens.distort_pixel)
+    return placed._replace(lines=fit_lines(flat)), back
 
 
 @in_float64
-def _mapped(uv_px: Float[np.ndarray, "n 2"], through: Callable) -> np.ndarray:
+def _map_points(uv_px: Float[np.ndarray, "n 2"], through: Callable) -> np.ndarray:
     """Points taken through a lens or out of it; padded, so that few sizes compile."""
     return in_bucket(jax.vmap(through), uv_px.astype(np.float64))
 
 
-def _as_segments(
-    lines: FittedLines,
-    variance_px2: Float[np.ndarray, "r"],
-    common_px2: Float[np.ndarray, "r"],
-    off_px2: Float[np.ndarray, "r 2"],
-    reasons: Shaped[np.ndarray, "r"],
-    grey: Float[np.ndarray, "h w"],
+def _is_wanted(
+    placed: _PlacedLines, width_px: int, arcs: bool, least_contrast: float, tuning: SegmentTuning
+) -> Bool[np.ndarray, "r"]:
+    """No arcs, unless they are wanted, no bevels of corners, and nothing fainter than wanted."""
+    lines, rules = placed.lines, tuning.accept
+    short = np.ptp(lines.extent_px, axis=1) < rules.bevel_px
+    bevel = short & (placed.errors.crowded > rules.bevel_crowded)
+    straight = arcs | is_straight(lines, width_px, rules)
+    return straight & (lines.contrast >= least_contrast) & ~bevel
+
+
+def _segments_of(
+    placed: _PlacedLines,
+    picture: Light,
     to_image: Callable[[np.ndarray], np.ndarray],
-    tuning: EndTuning,
+    tuning: SegmentTuning,
 ) -> Segments:
     """Segments with ends at the crossings with what stops them, junctions and chains."""
-    place = lines.centre_px, lines.direction, lines.extent_px
-    near = lines_near_ends(*place, tuning.snap_px)
-    partner, position = snapped_ends(*place, tuning.snap_px, near)
-    sigma_along = end_sigmas(*place, lines.contrast, partner, near, tuning)
-    endpoints = lines._replace(extent_px=position).endpoints_px
+    lines, errors, saturated, shaded = placed
+    noise_px2 = noise_variance(lines.variance_middle_px2, np.ptp(lines.extent_px, axis=1))
+    variance_px2, reasons = inflate_variance(errors, noise_px2, saturated, shaded, tuning.errors)
+    common_px2 = saturated.variance_px2 + shaded.variance_px2
+    off_px2 = np.square(tuning.errors.off_share * errors.off_px)
+
+    near = lines_near_ends(lines.pieces, tuning.ends.snap_px)
+    partner, position = snap_ends(lines.pieces, tuning.ends.snap_px, near)
+    along_px = end_sigmas(lines.pieces, lines.contrast, partner, near, tuning.ends)
+    ends_px = lines.pieces._replace(extent_px=position).ends_px
     return with_junctions(
         Segments(
-            endpoints,
-            end_covariances(lines.direction, variance_px2, common_px2, off_px2, sigma_along),
+            ends_px,
+            end_covariances(lines.direction, variance_px2, common_px2, off_px2, along_px),
             np.ones(len(position), dtype=np.int64),
             lines.contrast,
             lines.support.astype(np.int64),
-            (grey.shape[1], grey.shape[0]),
+            picture.size_px,
             reasons,
-            side_levels=side_levels(grey, endpoints, to_image),
+            side_levels=side_levels(picture.levels, ends_px, to_image),
         ),
         near,
     )

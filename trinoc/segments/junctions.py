@@ -6,7 +6,7 @@ from jaxtyping import Bool, Float, Int
 
 from trinoc.geometry import BODY, Junctions, Segments
 from trinoc.numerics import cross_2d, distinct, group_labels, point_tree
-from trinoc.segments.nevatia_babu import NearEnds, endpoint_crossings, lines_near_ends
+from trinoc.segments.nevatia_babu import NearEnds, Pieces, endpoint_crossings, lines_near_ends
 
 # Ends are taken to meet within so many of their own sigmas along the segment.
 _SIGMAS = 3.0
@@ -39,14 +39,14 @@ def find_junctions(segments: Segments, near: NearEnds | None = None) -> Junction
     count = len(ends)
     if count < 2:
         return _no_junctions()
-    centre, direction, extent = _as_lines(ends)
-    across, along = _sigmas(segments, direction)
+    pieces = _pieces_between(ends)
+    across, along = _sigmas(segments, pieces.direction)
     reach = np.clip(_SIGMAS * along, _LEAST_REACH_PX, _MOST_REACH_PX)
     if near is None:
-        near = lines_near_ends(centre, direction, extent, float(reach.max()))
-    line, side, other, _, place = endpoint_crossings(centre, direction, extent, reach, near)
+        near = lines_near_ends(pieces, float(reach.max()))
+    line, side, other, _, place = endpoint_crossings(pieces, reach, near)
     # The end of the other segment that the crossing is within reach of, or its body.
-    to_end = np.abs(place[:, None] - extent[other])
+    to_end = np.abs(place[:, None] - pieces.extent_px[other])
     at_end = to_end < reach[other][:, None]
     other_end = np.where(at_end.any(axis=1), np.argmin(to_end, axis=1), BODY)
 
@@ -64,7 +64,7 @@ def find_junctions(segments: Segments, near: NearEnds | None = None) -> Junction
     )
     group_and_segment, end = np.divmod(distinct(keys), 3)
     end = np.where(end == 0, BODY, end - 1)
-    return _assembled(*np.divmod(group_and_segment, count), end, centre, direction, across)
+    return _assemble(*np.divmod(group_and_segment, count), end, pieces, across)
 
 
 def collinear_chains(segments: Segments) -> Int[np.ndarray, "n"]:
@@ -79,7 +79,7 @@ def collinear_chains(segments: Segments) -> Int[np.ndarray, "n"]:
     count = len(ends)
     if count < 2:
         return np.arange(count)
-    _, direction, extent = _as_lines(ends)
+    _, direction, extent = _pieces_between(ends)
     length = np.ptp(extent, axis=1)
     across, _ = _sigmas(segments, direction)
     pairs = point_tree(ends.reshape(-1, 2)).query_pairs(_CHAIN_GAP_PX, output_type="ndarray")
@@ -109,13 +109,11 @@ def collinear_chains(segments: Segments) -> Int[np.ndarray, "n"]:
     return group_labels(count, one[continues], other[continues])
 
 
-def _as_lines(
-    ends: Float[np.ndarray, "n 2 2"],
-) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2"]]:
+def _pieces_between(ends: Float[np.ndarray, "n 2 2"]) -> Pieces:
     centre = ends.mean(axis=1)
     way = ends[:, 1] - ends[:, 0]
     length = np.linalg.norm(way, axis=-1, keepdims=True)
-    return centre, way / length, length * np.array([-0.5, 0.5])
+    return Pieces(centre, way / length, length * np.array([-0.5, 0.5]))
 
 
 def _sigmas(
@@ -138,17 +136,17 @@ def _sigmas(
     return np.sqrt(np.maximum(across, 0.0)), np.sqrt(np.maximum(along, 0.0))
 
 
-def _assembled(
+def _assemble(
     group: Int[np.ndarray, "m"],
     segment: Int[np.ndarray, "m"],
     end: Int[np.ndarray, "m"],
-    centre: Float[np.ndarray, "n 2"],
-    direction: Float[np.ndarray, "n 2"],
+    pieces: Pieces,
     across: Float[np.ndarray, "n"],
 ) -> Junctions:
     """Junctions from groups of ends and bodies of segments, sorted by group."""
     if len(group) == 0:
         return _no_junctions()
+    centre, direction, _ = pieces
     begins = np.diff(group, prepend=-1) != 0
     junction, earliest = np.cumsum(begins) - 1, np.flatnonzero(begins)
     normal = np.stack([-direction[:, 1], direction[:, 0]], axis=-1)[segment]

@@ -5,7 +5,7 @@ import numpy as np
 from jaxtyping import Shaped
 
 from trinoc.geometry import Segments
-from trinoc.segments.grey import grey_in_255ths
+from trinoc.image import grey_image
 from trinoc.segments.junctions import with_junctions
 from trinoc.segments.side_intensity import with_side_levels
 
@@ -23,8 +23,8 @@ def find_segments_lsd(image: Shaped[np.ndarray, "..."]) -> Segments:
     known; every segment has the same sigmas. After R. Grompone von Gioi et al., "LSD: a line
     segment detector", Image Processing On Line 2, 2012, doi:10.5201/ipol.2012.gjmr-lsd.
     """
-    grey = grey_in_255ths(image).grey
-    levels = np.clip(np.rint(grey), 0, 255).astype(np.uint8)
+    picture = grey_image(image).in_255ths()
+    levels = np.clip(np.rint(picture.grey), 0, 255).astype(np.uint8)
     found = cv2.createLineSegmentDetector().detect(levels)[0]
     rows = np.zeros((0, 4)) if found is None else np.asarray(found, np.float64).reshape(-1, 4)
     segments = with_junctions(
@@ -32,7 +32,7 @@ def find_segments_lsd(image: Shaped[np.ndarray, "..."]) -> Segments:
             rows - np.tile(LSD_BIAS_PX, 2),
             sigma_px=LSD_SIGMA_PX,
             sigma_along_px=LSD_SIGMA_ALONG_PX,
-            image_size_px=(grey.shape[1], grey.shape[0]),
+            image_size_px=picture.size_px,
         )
     )
     return with_side_levels(segments, image)

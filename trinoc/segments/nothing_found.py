@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 from jaxtyping import Shaped
 
+from trinoc.image import Light
 from trinoc.numerics import MAD_TO_SIGMA
-from trinoc.segments.grey import grey_in_255ths
 
 # Sides of an edge, this far apart, differ by its whole step also where it is blurred.
 _APART_PX = 4
@@ -16,7 +16,7 @@ def why_nothing(image: Shaped[np.ndarray, "..."], *, least_contrast: float = 7.0
 
     For pictures in which it found none. Raises InputError for what is no picture.
     """
-    grey = grey_in_255ths(image).grey
+    grey = Light.from_picture(image).levels
     low, high = float(grey.min()), float(grey.max())
     if low == high:
         return (

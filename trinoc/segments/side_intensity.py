@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, Shaped
 
 from trinoc.geometry import Segments
-from trinoc.segments.grey import grey_in_255ths
+from trinoc.image import Light, nearest_levels
 
 # Levels are taken so far from the segment, beyond the blur of its edge, and not near its ends.
 _BESIDE_PX = np.array([2.0, 3.0, 4.0])
@@ -20,7 +20,7 @@ def with_side_levels(segments: Segments, image: Shaped[np.ndarray, "..."]) -> Se
     For segments of other detectors; those of `find_segments` have them. Takes the pictures that
     `find_segments` takes, and raises InputError for others.
     """
-    levels = side_levels(grey_in_255ths(image).grey, np.asarray(segments.endpoints_px))
+    levels = side_levels(Light.from_picture(image).levels, np.asarray(segments.endpoints_px))
     return eqx.tree_at(lambda s: s.side_levels, segments, levels, is_leaf=lambda leaf: leaf is None)
 
 
@@ -45,20 +45,8 @@ def side_levels(
         np.add(on[:, None], right[:, axis, None, None] * off, out=beside[axis])
     if to_image is not np.asarray:
         beside = to_image(beside.reshape(2, -1).T).T.reshape(beside.shape)
-    levels = _levels_at(grey, *beside).reshape(len(step), 2, -1)
+    levels = nearest_levels(grey, *beside).reshape(len(step), 2, -1)
     # The mean of the two in the middle; of so few, sorting is faster than partition.
     middle = levels.shape[2] // 2
     levels.sort(axis=2)
     return levels[:, :, middle - 1 : middle + 1].mean(axis=2).astype(np.float64)
-
-
-def _levels_at(
-    grey: Float[np.ndarray, "h w"], u_px: Float[np.ndarray, "..."], v_px: Float[np.ndarray, "..."]
-) -> Float[np.ndarray, "..."]:
-    """Grey levels of the nearest pixels."""
-    height, width = grey.shape
-    column, row = (
-        np.rint(at).astype(np.int32).clip(0, side - 1)
-        for at, side in ((u_px, width), (v_px, height))
-    )
-    return grey.ravel()[row * width + column]

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Shaped
 
 from trinoc.capture import GRID, Judgement, field, field_share, next_step
-from trinoc.numerics import grey_image
+from trinoc.image import grey_image
 from trinoc.serving.pages import Page
 
 _LONGEST_SIDE_PX = 720
@@ -56,8 +56,7 @@ def thumbnail(image: Shaped[np.ndarray, "..."], judgement: Judgement) -> bytes:
     """The picture as a small JPEG, with what was found of the board marked."""
     picture = grey_image(image)
     factor = min(1.0, _LONGEST_SIDE_PX / max(picture.size_px))
-    levels = np.clip(picture.grey * (255.0 / picture.full), 0, 255).astype(np.uint8)
-    small = cv2.resize(levels, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
+    small = cv2.resize(picture.as_8_bit(), None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
     colours = cv2.cvtColor(small, cv2.COLOR_GRAY2BGR)
     mark = (115, 158, 0) if judgement.good else (0, 94, 213)
     for place in judgement.places_px:

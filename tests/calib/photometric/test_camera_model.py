@@ -1,6 +1,5 @@
 """Laws of the extended model's parts: response, kernels, saturation, noise, local light."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -28,28 +27,8 @@ from trinoc.calib.photometric.sheet_point import SheetPoint
 from trinoc.calib.photometric.unknowns import LOOK_NAMES, START, CameraState
 from trinoc.errors import InputError
 from trinoc.geometry import PoseModel
-from trinoc.numerics import level_of_light, light_of_level
-from trinoc.synth.camera_picture.response import SRGB
 
 pytestmark = pytest.mark.usefixtures("large_programs")
-
-
-@settings(max_examples=30, deadline=None)
-@given(st.floats(0.0, 1.0), st.floats(-0.5, 2.0))
-def test_response_is_inverted_and_keeps_black_and_white(light: float, bend: float) -> None:
-    x, b = jnp.asarray(light), jnp.asarray(bend)
-    assert float(light_of_level(level_of_light(x, b), b)) == pytest.approx(light, abs=1e-5)
-    assert float(level_of_light(x, jnp.asarray(0.0))) == pytest.approx(light, abs=1e-12)
-    assert float(level_of_light(jnp.asarray(1.0), b)) == pytest.approx(1.0, abs=1e-12)
-
-
-def test_response_reaches_srgb() -> None:
-    light = np.linspace(0.02, 1.0, 200)
-    assert np.allclose(
-        jax.vmap(level_of_light, (0, None))(light, jnp.asarray(1.0)),
-        SRGB().encoded(light),
-        atol=2e-3,
-    )
 
 
 def test_grey_levels_of_paper_and_ink_do_not_follow_the_response() -> None:

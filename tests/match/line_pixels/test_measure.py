@@ -3,7 +3,6 @@
 import dataclasses
 import functools
 
-import jax
 import numpy as np
 import pytest
 from scipy.stats import chi2
@@ -18,10 +17,11 @@ from tests.match.line_pixels.made import (
 )
 from trinoc.errors import InputError
 from trinoc.geometry import Intrinsics, Rig
+from trinoc.image import PowerResponse
 from trinoc.io import load_matches, save
 from trinoc.match import measure_lines
 from trinoc.match.observations import distorted
-from trinoc.numerics import axes_across, level_of_light
+from trinoc.numerics import axes_across
 
 
 def across(found, lines):
@@ -125,10 +125,10 @@ def test_a_picture_without_edges_changes_nothing():
 def test_levels_of_srgb_are_placed_in_the_light():
     lines, _, segments, matches = setting(3)
     generator = np.random.default_rng(40)
-    grey = jax.vmap(jax.vmap(level_of_light, (0, None)), (0, None))
+    srgb = PowerResponse(1.0)
     shown = {
         view: np.rint(
-            255 * np.asarray(grey(light_of(view, lines, low=8, high=220) / 255, np.asarray(1.0)))
+            255 * np.asarray(srgb.level_of(light_of(view, lines, low=8, high=220) / 255))
             + 0.5 * generator.normal(size=RIG[view].image_size_px[::-1])
         ).astype(np.uint8)
         for view in VIEWS

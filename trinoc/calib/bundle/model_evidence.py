@@ -15,14 +15,14 @@ segments is left out. Sigmas are those claimed, the same for all that are compar
 import numpy as np
 from jaxtyping import Bool, Float
 
-from trinoc.numerics import AbstractRobustLoss
+from trinoc.numerics import AbstractBoundedLoss
 
 
 def log_posterior(
     squared: Float[np.ndarray, "t v"],
     seen: Bool[np.ndarray, "t v"],
     sheet_chi_square: float,
-    loss: AbstractRobustLoss,
+    loss: AbstractBoundedLoss,
 ) -> float:
     """Log posterior of cameras and tracks against cameras at the sheet's estimate and no track.
 

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Shaped
 
-from trinoc.numerics import grey_image, noise_sigma
+from trinoc.image import grey_image, noise_sigma
 
 _NOISE_SAMPLES = 20_000
 

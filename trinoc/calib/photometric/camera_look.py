@@ -21,7 +21,8 @@ from trinoc.calib.photometric.ink_coverage import (
 from trinoc.calib.photometric.kernels import Kernel
 from trinoc.calib.photometric.normal_equations import CHUNK
 from trinoc.calib.photometric.sheet_point import sheet_point
-from trinoc.numerics import ArrayLike, level_of_light, light_of_level
+from trinoc.image import PowerResponse
+from trinoc.numerics import ArrayLike
 
 Scalar = Float[ArrayLike, ""]
 
@@ -74,12 +75,11 @@ def grey_level(
     """
     rest = share * (1 - share)
     share = share + rest * (look.lift + look.contrast * (1 - 2 * share))
-    of_paper = light_of_level(paper / white, look.bend)
-    of_ink = light_of_level(paper * (1 + look.ratio) / white, look.bend)
-    here = light_of_level(light / white, look.bend)
-    return white * level_of_light(
-        here * (1 - (1 - of_ink / of_paper) * share) + veil / white, look.bend
-    )
+    response = PowerResponse(look.bend)
+    of_paper = response.light_of(paper / white)
+    of_ink = response.light_of(paper * (1 + look.ratio) / white)
+    here = response.light_of(light / white)
+    return white * response.level_of(here * (1 - (1 - of_ink / of_paper) * share) + veil / white)
 
 
 def predict_camera(

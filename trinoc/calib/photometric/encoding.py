@@ -1,12 +1,11 @@
 """How the grey levels of a rig's pictures stand for light, as far as somebody says it."""
 
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 from trinoc.errors import InputError
+from trinoc.image import PowerResponse, response_of
 
 Response = Literal["linear", "srgb", "fit"]
-# The one parameter of the family of responses (`numerics.level_of_light`).
-_BEND: dict[str, float | None] = {"linear": 0.0, "srgb": 1.0, "fit": None}
 
 
 class Encoding(NamedTuple):
@@ -26,7 +25,11 @@ class Encoding(NamedTuple):
     @property
     def bend(self) -> float | None:
         """Of the response (0 linear, 1 sRGB); None where it is to be fitted."""
-        return _BEND[self.response]
+        if self.response == "fit":
+            return None
+        known = response_of(self.response)
+        assert isinstance(known, PowerResponse)
+        return float(known.bend)
 
     def check(self) -> None:
         """Raise InputError for words that say nothing."""
@@ -34,7 +37,7 @@ class Encoding(NamedTuple):
             raise InputError(
                 f'bayer is "{self.bayer}", but must be "RGGB", "BGGR", "GRBG" or "GBRG".'
             )
-        if self.response not in _BEND:
+        if self.response not in get_args(Response):
             raise InputError(f'response is "{self.response}", but must be linear, srgb or fit.')
 
 

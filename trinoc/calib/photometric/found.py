@@ -6,6 +6,7 @@ from trinoc.calib.photometric.camera_covariance import CameraFit
 from trinoc.calib.photometric.camera_scene import CameraScene
 from trinoc.calib.photometric.correlated_noise import inflation
 from trinoc.calib.photometric.unknowns import LOOK_NAMES
+from trinoc.image import PowerResponse
 
 # Said from so many standard deviations on, and from these amounts on.
 _SIGMAS = 4.0
@@ -19,7 +20,8 @@ def found_in(scene: CameraScene, fit: CameraFit) -> tuple[str, ...]:
     said = []
     bend, sigma = fit.state.look_of("bend"), _sigma(fit, "bend")
     if scene.bend is None and abs(bend) > max(_SIGMAS * sigma, _LEAST_BEND):
-        said.append(f"response {_curve(bend)} ({bend:.2f} +- {sigma:.2f}, 0 linear, 1 sRGB)")
+        curve = f"{PowerResponse(bend).words} ({bend:.2f} +- {sigma:.2f}, 0 linear, 1 sRGB)"
+        said.append(f"response {curve}")
     if _is_sure(fit, "contrast"):
         said.append("response with an s-curve")
     lobe = fit.state.look_of("lobe")
@@ -38,14 +40,6 @@ def found_in(scene: CameraScene, fit: CameraFit) -> tuple[str, ...]:
     if shared > _LEAST_INFLATION:
         said.append(f"noise that neighbours share ({shared:.1f} times the variance)")
     return tuple(said)
-
-
-def _curve(bend: float) -> str:
-    if abs(bend - 1) < 0.1:
-        return "as sRGB"
-    if bend < 0:
-        return "below linear"
-    return "between linear and sRGB" if bend < 1 else "beyond sRGB"
 
 
 def _motion(fit: CameraFit) -> list[str]:

@@ -25,7 +25,7 @@ from trinoc.calib.photometric.pixel_selection import (
 )
 from trinoc.calib.targets import Pattern, SquareSheet
 from trinoc.geometry import AbstractLens, Pose, PoseModel
-from trinoc.numerics import noise_sigma
+from trinoc.image import noise_sigma
 
 _LEAST_CONTRAST = 4.0
 _SHIFT_ROUNDS = 3

@@ -13,6 +13,7 @@ from jaxtyping import Float, Int
 from trinoc.calib.photometric.camera_look import LOOK_TERMS, CameraLook
 from trinoc.calib.photometric.kernels import Kernel
 from trinoc.geometry import Pose
+from trinoc.image import PowerResponse
 
 LIGHT_DEGREE, VEIL_DEGREE, SIMPLE_DEGREE = 4, 2, 2
 # Grey levels that a term of a polynomial reaches at the picture's edge.
@@ -32,7 +33,7 @@ _LOOK = {
     "lobe_mm": (-0.5, 0.5, 0.0, 0.15),
     "spread_mm": (-2.0, 2.0, 0.0, np.inf),
     "ratio": (-0.999, -0.02, 0.0, np.inf),
-    "bend": (-1.0, 3.0, 0.0, 1.0),
+    **PowerResponse.PARAMETERS,
     "lift": (-1.0, 1.0, 0.0, 0.15),
     "contrast": (-1.0, 1.0, 0.0, 0.3),
 }

@@ -40,7 +40,8 @@ from trinoc.geometry import (
     promoted,
     simplified,
 )
-from trinoc.numerics import ArrayLike, grey_image
+from trinoc.image import grey_image
+from trinoc.numerics import ArrayLike
 
 
 def lens_of_rig(

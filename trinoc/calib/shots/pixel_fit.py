@@ -35,7 +35,8 @@ from trinoc.calib.targets import (
 )
 from trinoc.errors import InputError
 from trinoc.geometry import Pose, PoseModel
-from trinoc.numerics import blocks, grey_image
+from trinoc.image import grey_image
+from trinoc.numerics import blocks
 
 _MOST_ROUNDS = 3
 # Another look at the pictures changes nothing once the rig moves places by no more than this: what

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Shaped
 
-from trinoc.numerics import grey_image, noise_sigma
+from trinoc.image import Light
 
 # Standard deviation of the smoothing, px: with the blur of usual pictures the profile of an edge is
 # some 1.5 px wide.
@@ -30,16 +30,14 @@ def gradient_of(picture: Shaped[np.ndarray, "..."]) -> Gradient:
 
     Raises InputError for what is no picture.
     """
-    given = grey_image(picture)
-    scale = 255 / given.full
-    grey = np.asarray(given.grey, dtype=np.float32) * np.float32(scale)
+    light = Light.from_picture(picture)
     smooth, slope = _kernels()
     border = cv2.BORDER_REPLICATE
-    along_u = cv2.sepFilter2D(grey, cv2.CV_32F, slope, smooth, borderType=border)
-    along_v = cv2.sepFilter2D(grey, cv2.CV_32F, smooth, slope, borderType=border)
+    along_u = cv2.sepFilter2D(light.light, cv2.CV_32F, slope, smooth, borderType=border)
+    along_v = cv2.sepFilter2D(light.light, cv2.CV_32F, smooth, slope, borderType=border)
     gain = np.sqrt((smooth**2).sum() * (slope**2).sum() * _between(smooth) * _between(slope))
     # A quarter of the pixels tell it to a percent.
-    noise = noise_sigma(given.grey, quantum=given.quantum, stride=(2, 2)) * scale
+    noise = light.noise_sigma(stride=(2, 2))
     return Gradient(cv2.merge([along_u, along_v]), float(noise * gain))
 
 

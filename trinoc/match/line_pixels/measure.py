@@ -6,9 +6,9 @@ import numpy as np
 from jaxtyping import Shaped
 
 from trinoc.geometry import Rig, Segments
+from trinoc.image import Light, ResponseLike
 from trinoc.match.line_pixels.answer import measured
 from trinoc.match.line_pixels.images import line_images
-from trinoc.match.line_pixels.light import Response, light_of_picture
 from trinoc.match.line_pixels.tuning import DEFAULT, PixelTuning
 from trinoc.match.line_pixels.view_fit import fit_view
 from trinoc.match.observations import as_segments, check_pictures
@@ -23,7 +23,7 @@ def measure_lines(
     rig: Rig,
     pictures: Mapping[str, Shaped[np.ndarray, "..."]],
     *,
-    response: Response = "linear",
+    response: ResponseLike = "linear",
     tuning: PixelTuning = DEFAULT,
 ) -> Matches:
     """Fit every matched line to the grey levels of all its views.
@@ -61,7 +61,7 @@ def measure_lines(
         own = as_segments(segments[name])
         lens = rig[name].intrinsics
         seen = line_images(matches, view, own, np.asarray(rig[name].matrix_px), lens)
-        light = light_of_picture(pictures[name], response)
+        light = Light.from_picture(pictures[name], response)
         every = np.asarray(own.endpoints_px, dtype=np.float64)
         images.append(seen)
         views.append(fit_view(light, every, lens, seen, tuning))

@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Float, Shaped
 
 from trinoc.geometry import Intrinsics
+from trinoc.image import Light
 from trinoc.match.line_pixels.images import LineImages
-from trinoc.match.line_pixels.light import Light
 from trinoc.match.line_pixels.neighbours import owners_of
 from trinoc.match.line_pixels.strip_fit import StripFit, fit_strips
 from trinoc.match.line_pixels.strips import Strips, strips_of
@@ -20,6 +20,8 @@ UNEVEN, MOVED = "no clean step", "another edge"
 # The blur of a picture is found first, from this many of its longest lines and this guess, px.
 _FIRST_LINES, _FIRST_BLUR_PX, _FIRST_SIGMA = 32, 1.0, 0.5
 _FEWEST = 6
+# Beside clipped pixels levels are not what they were before blur and noise, either.
+_CLIPPED_PX = 2
 # A blur known this well tells what is usual.
 _KNOWN_BLUR = 0.15
 
@@ -53,12 +55,14 @@ def fit_view(
         none = np.zeros(0)
         return ViewFit(none.astype("<U1"), images.offset_px, images.covariance_px2, none)
 
+    clipped, noise = picture.clipped(_CLIPPED_PX), picture.noise_sigma()
+
     def fitted(of: LineImages, blur: float, sigma: float) -> tuple[Strips, StripFit]:
         reach = tuning.clear_widths * blur + tuning.clear_px
         owners = owners_of(every_px, lens.image_size_px, reach)
-        strips = strips_of(picture.light, picture.clipped, owners, lens, of, blur, tuning)
+        strips = strips_of(picture.light, clipped, owners, lens, of, blur, tuning)
         known = float(np.log(blur)), sigma
-        return strips, fit_strips(strips, of.offset_px, picture.noise, known, tuning)
+        return strips, fit_strips(strips, of.offset_px, noise, known, tuning)
 
     span = np.diff(images.extent_px, axis=1)[:, 0]
     longest = np.sort(np.argsort(-span, kind="stable")[:_FIRST_LINES])

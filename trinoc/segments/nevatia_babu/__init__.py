@@ -1,9 +1,8 @@
 """The chain of Nevatia and Babu, in the order of the work.
 
-masks, gradient -> pyramid -> thinning -> linking, chains -> polygon, straight_runs,
-two_scale -> edge_points, line_fit -> bridge_gaps -> edge_interference -> nfa, shading, accept ->
-covariance, edge_errors -> endpoints. Source: R. Nevatia, K. R. Babu, "Linear feature extraction
-and description" (1980)."""
+masks -> thinning -> chains -> edge_points -> runs -> line_fit -> shading, accept ->
+interference -> errors, saturated_edges -> endpoints. Source: R. Nevatia, K. R. Babu, "Linear
+feature extraction and description" (1980)."""
 
 import lazy_loader
 

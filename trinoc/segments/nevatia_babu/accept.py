@@ -1,4 +1,11 @@
-"""Which fitted lines are sharp, straight edges of the scene."""
+"""Which fitted lines are sharp, straight edges of the scene, and more than noise.
+
+The evidence of a line is E = n (m / s)^2 for n edge points of mean strength m, where s is
+the standard deviation of the gradient that noise alone gives. On pictures of white noise the
+number of lines per megapixel whose evidence exceeds E falls as RATE exp(-E / DECAY); both
+numbers were fitted to such pictures (benchmarks/segments.py repeats the measurement) and
+hold for point thresholds of 2.5 s and above.
+"""
 
 from collections.abc import Sequence
 
@@ -9,6 +16,7 @@ from trinoc.numerics import near_pairs
 from trinoc.segments.nevatia_babu.line_fit import FittedLines
 from trinoc.segments.tuning import DEFAULT, AcceptTuning
 
+_RATE_PER_MEGAPIXEL, _DECAY = 4.2e4, 12.0
 # Noise moves the bow of a line this many times more than its middle: the parabola has to be
 # told from the line.
 BOW_OF_MIDDLE = float(np.sqrt(11.25))
@@ -81,7 +89,7 @@ def _bends_on(lines: FittedLines, tuning: AcceptTuning) -> Bool[np.ndarray, "r"]
     bends = np.zeros(len(lines.support), dtype=bool)
     if len(bends) < 2:
         return bends
-    ends = lines.endpoints_px
+    ends = lines.pieces.ends_px
     one, other, gap = near_pairs(ends[:, 1], ends[:, 0], tuning.next_px)
     a, b = lines.direction[one], lines.direction[other]
     sine, cosine = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1]
@@ -96,3 +104,8 @@ def _bends_on(lines: FittedLines, tuning: AcceptTuning) -> Bool[np.ndarray, "r"]
         promised = (ratio > 1 / tuning.turn_ratio) & (ratio < tuning.turn_ratio)
         bends[line[turning & promised]] = True
     return bends
+
+
+def least_snr2(false_alarms: float, pixels: int) -> float:
+    """Evidence that noise exceeds `false_alarms` times, on average, in so many pixels."""
+    return _DECAY * float(np.log(max(_RATE_PER_MEGAPIXEL * pixels / 1e6 / false_alarms, 1.0)))

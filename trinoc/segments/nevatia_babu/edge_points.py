@@ -1,16 +1,44 @@
-"""Edge points and their location to sub-pixels."""
+"""Edge points, their location to sub-pixels, and straight runs of them."""
 
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int, Shaped
 
-from trinoc.segments.nevatia_babu.pyramid import Level
-from trinoc.segments.nevatia_babu.thinning import ThinnedPixels, peak_of_profile
+from trinoc.image import Light, peak_of_slope
+from trinoc.numerics import members, sums
+from trinoc.segments.nevatia_babu.masks import GradientKernel
+from trinoc.segments.nevatia_babu.thinning import ThinnedPixels
 
 # A profile is no peak where a side has less than this share of the middle, or where its top is
 # this many pixels of the level away.
 LEAST_SIDE, FARTHEST = 0.02, 1.5
+
+
+class Level(NamedTuple):
+    """One resolution of a picture; lengths are in pixels of the full picture.
+
+    Fields
+    ------
+    picture : levels and light. kernel : of the gradient.
+    spacing_px : distance between two pixels of this level.
+    kernel_variance_px2 : variance of the smoothing by the kernel at this level.
+    sigma_strength : standard deviation of the gradient from noise, in grey levels per pixel.
+    slope_variance : variance that noise gives the slope of the profile across a straight
+        edge, averaged over one pixel of its length, in (grey levels per squared pixel)^2.
+    """
+
+    picture: Light
+    kernel: GradientKernel
+    spacing_px: float
+    kernel_variance_px2: float
+    sigma_strength: float
+    slope_variance: float
+
+    @property
+    def noise_sigma(self) -> float:
+        """Standard deviation of the noise of its grey levels."""
+        return self.sigma_strength * self.spacing_px / self.kernel.noise_gain
 
 
 class EdgePoints(NamedTuple):
@@ -67,9 +95,9 @@ class EdgePoints(NamedTuple):
         # A point of a slanted edge stands for more than one pixel of its length.
         information = strength**2 * (spacing / larger / np.float32(level.slope_variance))
         to_full = (spacing - 1) / 2
-        row = pixels.pixel // level.grey.shape[1]
+        row, column = np.divmod(pixels.pixel, level.picture.size_px[0])
         sample_px = np.empty((count, 2), np.float32)
-        sample_px[:, 0], sample_px[:, 1] = pixels.pixel - row * level.grey.shape[1], row
+        sample_px[:, 0], sample_px[:, 1] = column, row
         points = cls(
             sample_px * spacing + to_full,
             np.full(count, spacing),
@@ -116,10 +144,43 @@ class EdgePoints(NamedTuple):
         self, profile: Float[np.ndarray, "n 3"]
     ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n"]]:
         """(position, variance): peak and width across the edge of a Gaussian through `profile`."""
-        offset, variance = peak_of_profile(profile)
+        offset, variance = peak_of_slope(profile)
         offset = offset * self.spacing_px
         larger = np.where(self.along_u, self.normal[:, 0], self.normal[:, 1])
         uv_px = self.sample_px.copy()
         uv_px[:, 0] += offset * self.along_u
         uv_px[:, 1] += offset * ~self.along_u
         return uv_px, variance * np.square(larger * self.spacing_px)
+
+
+class Runs(NamedTuple):
+    """Straight runs of edge points: `points`, run after run, and (r,) where each begins."""
+
+    points: EdgePoints
+    first: Int[np.ndarray, "r"]
+
+    @property
+    def count(self) -> Int[np.ndarray, "r"]:
+        """(r,) number of points of each run."""
+        return np.diff(np.append(self.first, len(self.points.strength)))
+
+    def take(self, keep: Bool[np.ndarray, "r"]) -> "Runs":
+        """The runs where the mask is true."""
+        index, _, first = members(self.first[keep], (self.first + self.count)[keep])
+        return Runs(self.points.take(index), first)
+
+    def total(self, of_points: Float[np.ndarray, "n"]) -> Float[np.ndarray, "r"]:
+        """Sum over the points of each run."""
+        return sums(of_points, self.first).astype(np.float64)
+
+    def mean(self, of_points: Float[np.ndarray, "n"]) -> Float[np.ndarray, "r"]:
+        """Mean over the points of each run."""
+        return self.total(of_points) / self.count
+
+    def spread(self, of_runs: Shaped[np.ndarray, "r *d"]) -> Shaped[np.ndarray, "n *d"]:
+        """Each run's value at all of its points."""
+        return np.repeat(of_runs, self.count, axis=0)
+
+    def moved(self, uv_px: Float[np.ndarray, "n 2"]) -> "Runs":
+        """The same points elsewhere."""
+        return self._replace(points=self.points._replace(uv_px=uv_px))

@@ -15,6 +15,19 @@ _NEXT_OF_SNAP = 1.5
 _LEAST_SINE = np.sin(np.radians(15.0))
 
 
+class Pieces(NamedTuple):
+    """Pieces of lines: a place on each, its unit direction, and both ends along it from there."""
+
+    centre_px: Float[np.ndarray, "r 2"]
+    direction: Float[np.ndarray, "r 2"]
+    extent_px: Float[np.ndarray, "r 2"]
+
+    @property
+    def ends_px(self) -> Float[np.ndarray, "r 2 2"]:
+        """(r, 2, 2) the two ends of each."""
+        return self.centre_px[:, None] + self.extent_px[:, :, None] * self.direction[:, None]
+
+
 class EndpointCrossings(NamedTuple):
     """Ends that come near other lines.
 
@@ -40,38 +53,29 @@ class NearEnds(NamedTuple):
     line: Int[np.ndarray, "p"]
 
 
-def lines_near_ends(
-    centre_px: Float[np.ndarray, "r 2"],
-    direction: Float[np.ndarray, "r 2"],
-    extent_px: Float[np.ndarray, "r 2"],
-    reach_px: float,
-) -> NearEnds:
+def lines_near_ends(pieces: Pieces, reach_px: float) -> NearEnds:
     """The lines, at most some, within one and a half times the reach of each end."""
-    if len(centre_px) < 2:
+    count = len(pieces.centre_px)
+    if count < 2:
         none = np.zeros(0, dtype=np.int64)
         return NearEnds(none, none)
-    owner, samples = line_samples(centre_px, direction, extent_px, _SAMPLE_PX)
-    ends = centre_px[:, None] + extent_px[:, :, None] * direction[:, None]
+    owner, samples = line_samples(pieces, _SAMPLE_PX)
     _, neighbours = point_tree(samples).query(
-        ends.reshape(-1, 2),
+        pieces.ends_px.reshape(-1, 2),
         k=min(_NEIGHBOURS, len(samples)),
         distance_upper_bound=_NEXT_OF_SNAP * reach_px,
     )
-    near = np.asarray(neighbours).reshape(2 * len(centre_px), -1)
+    near = np.asarray(neighbours).reshape(2 * count, -1)
     found = np.flatnonzero(near < len(samples))
     end, other = found // near.shape[1], owner[near.ravel()[found]]
     # Most samples near an end are its own line's.
     foreign = np.flatnonzero(other != end // 2)
-    pair = distinct(end[foreign] * len(centre_px) + other[foreign])
-    return NearEnds(*np.divmod(pair, len(centre_px)))
+    pair = distinct(end[foreign] * count + other[foreign])
+    return NearEnds(*np.divmod(pair, count))
 
 
 def endpoint_crossings(
-    centre_px: Float[np.ndarray, "r 2"],
-    direction: Float[np.ndarray, "r 2"],
-    extent_px: Float[np.ndarray, "r 2"],
-    reach_px: Float[np.ndarray, "r"],
-    near: NearEnds,
+    pieces: Pieces, reach_px: Float[np.ndarray, "r"], near: NearEnds
 ) -> EndpointCrossings:
     """Where ends meet other lines: crossings at more than fifteen degrees near the end.
 
@@ -79,6 +83,7 @@ def endpoint_crossings(
     the other line or within the other's reach of its ends. Only the pairs in `near` are
     looked at.
     """
+    centre_px, direction, extent_px = pieces
     end, other = near
     line, side = np.divmod(end, 2)
     sine = cross_2d(direction[line], direction[other])
@@ -102,24 +107,18 @@ def endpoint_crossings(
     )
 
 
-def snapped_ends(
-    centre_px: Float[np.ndarray, "r 2"],
-    direction: Float[np.ndarray, "r 2"],
-    extent_px: Float[np.ndarray, "r 2"],
-    reach_px: float,
-    near: NearEnds,
+def snap_ends(
+    pieces: Pieces, reach_px: float, near: NearEnds
 ) -> tuple[Int[np.ndarray, "r 2"], Float[np.ndarray, "r 2"]]:
     """(partner, position): the line that stops each end, -1 for none, and where along its own.
 
     Of several crossings within `reach_px` the nearest to the end counts; `near` are the pairs
     to look at.
     """
-    partner = np.full((len(centre_px), 2), -1, dtype=np.int64)
-    position = extent_px.copy()
-    found = endpoint_crossings(
-        centre_px, direction, extent_px, np.full(len(centre_px), reach_px), near
-    )
-    shift = np.abs(found.position - extent_px[found.line, found.side])
+    partner = np.full(pieces.extent_px.shape, -1, dtype=np.int64)
+    position = pieces.extent_px.copy()
+    found = endpoint_crossings(pieces, np.full(len(partner), reach_px), near)
+    shift = np.abs(found.position - pieces.extent_px[found.line, found.side])
     farthest_first = np.argsort(-shift, kind="stable")
     line, side, other, where, _ = (values[farthest_first] for values in found)
     partner[line, side] = other
@@ -128,9 +127,7 @@ def snapped_ends(
 
 
 def end_sigmas(
-    centre_px: Float[np.ndarray, "r 2"],
-    direction: Float[np.ndarray, "r 2"],
-    extent_px: Float[np.ndarray, "r 2"],
+    pieces: Pieces,
     contrast: Float[np.ndarray, "r"],
     partner: Int[np.ndarray, "r 2"],
     near: NearEnds,
@@ -145,9 +142,9 @@ def end_sigmas(
     faint = np.sqrt(tuning.free_contrast / np.maximum(contrast, 1e-6))
     free = np.clip(tuning.sigma_free_px * faint, tuning.least_free_px, tuning.most_free_px)
     sigma = np.repeat(free[:, None], 2, axis=1)
-    reach = np.full(len(centre_px), _NEXT_OF_SNAP * tuning.snap_px)
-    ahead = endpoint_crossings(centre_px, direction, extent_px, reach, near)
-    distance = np.abs(ahead.position - extent_px[ahead.line, ahead.side])
+    reach = np.full(len(partner), _NEXT_OF_SNAP * tuning.snap_px)
+    ahead = endpoint_crossings(pieces, reach, near)
+    distance = np.abs(ahead.position - pieces.extent_px[ahead.line, ahead.side])
     farthest_first = np.argsort(-distance, kind="stable")
     line, side = ahead.line[farthest_first], ahead.side[farthest_first]
     sigma[line, side] = np.maximum(distance[farthest_first], tuning.least_free_px)
@@ -155,12 +152,10 @@ def end_sigmas(
 
 
 def line_samples(
-    centre_px: Float[np.ndarray, "r 2"],
-    direction: Float[np.ndarray, "r 2"],
-    extent_px: Float[np.ndarray, "r 2"],
-    spacing_px: float,
+    pieces: Pieces, spacing_px: float
 ) -> tuple[Int[np.ndarray, "m"], Float[np.ndarray, "m 2"]]:
     """(owner, samples): points along every line, ends included, at most `spacing_px` apart."""
+    centre_px, direction, extent_px = pieces
     length = np.ptp(extent_px, axis=1)
     count = np.ceil(length / spacing_px).astype(np.int64) + 1
     owner = np.repeat(np.arange(len(count)), count)

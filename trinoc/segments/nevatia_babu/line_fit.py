@@ -1,18 +1,26 @@
-"""Straight lines through runs of edge points: total least squares, weighted by edge strength."""
+"""Straight lines through runs of edge points, and pieces of one edge joined across gaps.
+
+Total least squares, weighted by edge strength.
+"""
 
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.numerics import sums
-from trinoc.segments.nevatia_babu.edge_points import EdgePoints
+from trinoc.image import height_of_step
+from trinoc.numerics import near_pairs
+from trinoc.segments.nevatia_babu.chains import ordered_chains
+from trinoc.segments.nevatia_babu.edge_points import Runs
+from trinoc.segments.nevatia_babu.endpoints import Pieces
 
 # Scale s of the weight 1 / (1 + (r / s)^2)^2, where the points fit well: a quarter at r = s, a
 # hundredth at r = 3 s.
 _ROBUST_SCALE_PX = 0.3
 _LEAST_VARIANCE_PX2 = 1.0
 _LEAST_SHARPNESS = 0.01
+# Pieces of one edge have directions that differ by less.
+_LEAST_COSINE = np.cos(np.radians(15.0))
 
 
 class FittedLines(NamedTuple):
@@ -59,84 +67,77 @@ class FittedLines(NamedTuple):
         return FittedLines(*fields)
 
     @property
-    def endpoints_px(self) -> Float[np.ndarray, "r 2 2"]:
-        """(r, 2, 2) the two ends of each line."""
-        return self.centre_px[:, None] + self.extent_px[:, :, None] * self.direction[:, None]
+    def pieces(self) -> Pieces:
+        """From the first to the last point of each line."""
+        return Pieces(self.centre_px, self.direction, self.extent_px)
 
 
-def fit_lines(points: EdgePoints, first: Int[np.ndarray, "r"]) -> FittedLines:
-    """Fit a line to each run of `points`: run k begins at first[k] and ends where k + 1 begins.
+def fit_lines(runs: Runs) -> FittedLines:
+    """Fit a line to each run.
 
     Points are weighted by their strength; a second pass weighs down those off the first
     line, as where a chain turns into a corner.
     """
-    support = np.diff(np.append(first, len(points.strength)))
-    origin, chord, x, y = _in_frames_of_chords(points.uv_px, first, support)
-    information = points.information
-    root = np.sqrt(information)
+    points = runs.points
+    origin, chord, x, y = _in_frames_of_chords(runs)
+    root = np.sqrt(points.information)
     weight = root
     for last in (False, True):
-        mean, turn = _weighted_line(x, y, weight, first)
-        cosine, sine = (np.repeat(part, support) for part in turn.T.astype(np.float32))
+        mean, turn = _weighted_line(runs, x, y, weight)
+        cosine, sine = (runs.spread(part) for part in turn.T.astype(np.float32))
         off_x, off_y = (
-            of - np.repeat(part, support)
-            for of, part in ((x, mean[:, 0].astype(np.float32)), (y, mean[:, 1].astype(np.float32)))
+            of - runs.spread(part) for of, part in zip((x, y), mean.T.astype(np.float32))
         )
         across = off_y * cosine - off_x * sine
         if not last:
-            rms = np.sqrt(sums(across * across, first) / support)
+            rms = np.sqrt(runs.mean(across * across))
             scale = (1 / (_ROBUST_SCALE_PX + 2 * rms)).astype(np.float32)
-            weight = root / np.square(1 + np.square(across * np.repeat(scale, support)))
+            weight = root / np.square(1 + np.square(across * runs.spread(scale)))
     along = off_x * cosine + off_y * sine
 
-    total = _totals(weight, first)
-    if len(first):
-        extent = np.stack(
-            [np.minimum.reduceat(along, first), np.maximum.reduceat(along, first)], axis=-1
-        )
-    else:
-        extent = np.zeros((0, 2))
-    residual = np.sqrt(_totals(weight * across * across, first) / total)
-    kernel_variance = _totals(weight * points.kernel_variance_px2, first) / total
-    sharpness = _totals(weight * points.sharpness, first) / total
+    total = runs.total(weight)
+    extent = np.zeros((0, 2))
+    if len(runs.first):
+        ends = (end.reduceat(along, runs.first) for end in (np.minimum, np.maximum))
+        extent = np.stack(list(ends), axis=-1)
+    residual = np.sqrt(runs.total(weight * across * across) / total)
+    kernel_variance = runs.total(weight * points.kernel_variance_px2) / total
+    sharpness = runs.total(weight * points.sharpness) / total
     blur = (kernel_variance + 1) / np.maximum(sharpness, _LEAST_SHARPNESS) - kernel_variance
     # The profile's width at each point is that of the kernel there and of the edge's blur.
     variance = np.maximum(
-        points.kernel_variance_px2 + np.repeat(blur.astype(np.float32), support),
+        points.kernel_variance_px2 + runs.spread(blur.astype(np.float32)),
         np.float32(_LEAST_VARIANCE_PX2),
     )
-    height = points.strength * np.sqrt(np.float32(2 * np.pi) * variance)
     return FittedLines(
         origin + _turned(mean, chord),
         _turned(turn, chord),
         extent.astype(np.float64),
-        _totals(height, first) / support,
-        _totals(points.light_per_level, first) / support,
+        runs.mean(height_of_step(points.strength, variance)),
+        runs.mean(points.light_per_level),
         blur,
         kernel_variance,
-        1 / _totals(information / np.square(variance), first),
+        1 / runs.total(points.information / np.square(variance)),
         residual,
-        _bow(along, across, weight, first, total),
-        support,
-        _totals(points.snr2, first),
+        _bow(runs, along, across, weight, total),
+        runs.count,
+        runs.total(points.snr2),
     )
 
 
-def _in_frames_of_chords(
-    uv_px: Float[np.ndarray, "m 2"], first: Int[np.ndarray, "r"], support: Int[np.ndarray, "r"]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _in_frames_of_chords(runs: Runs) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """(origin, chord, x, y): the points along and across the unit vector from first to last point.
 
     From the first point, in double precision. What lies near an axis can then be summed up in
     single precision: a line of 1,000 px is placed to 1e-5 px.
     """
+    uv_px, first = runs.points.uv_px, runs.first
     origin = uv_px[first].astype(np.float64)
-    chord = uv_px[first + support - 1] - origin
+    chord = uv_px[first + runs.count - 1] - origin
     length = np.hypot(chord[:, 0], chord[:, 1])
     chord = np.where(length[:, None] > 0, chord / np.maximum(length, 1e-9)[:, None], [1.0, 0.0])
-    u = uv_px[:, 0] - np.repeat(origin[:, 0], support)
-    v = uv_px[:, 1] - np.repeat(origin[:, 1], support)
-    cosine, sine = (np.repeat(part, support) for part in chord.T)
+    u, v = (uv_px[:, axis] - runs.spread(origin[:, axis]) for axis in (0, 1))
+    cosine, sine = (runs.spread(part) for part in chord.T)
     x, y = u * cosine + v * sine, v * cosine - u * sine
     return origin, chord, x.astype(np.float32), y.astype(np.float32)
 
@@ -147,20 +148,16 @@ def _turned(xy: Float[np.ndarray, "r 2"], chord: Float[np.ndarray, "r 2"]) -> np
     return np.stack([u, xy[:, 0] * chord[:, 1] + xy[:, 1] * chord[:, 0]], axis=-1)
 
 
-def _totals(values: Float[np.ndarray, "m"], first: Int[np.ndarray, "r"]) -> np.ndarray:
-    return sums(values, first).astype(np.float64)
-
-
 def _weighted_line(
+    runs: Runs,
     x: Float[np.ndarray, "m"],
     y: Float[np.ndarray, "m"],
     weight: Float[np.ndarray, "m"],
-    first: Int[np.ndarray, "r"],
 ) -> tuple[np.ndarray, np.ndarray]:
     """Centre and forward direction of the line with the least weighted squared distances."""
     wx, wy = weight * x, weight * y
     total, sx, sy, sxx, sxy, syy = (
-        _totals(moment, first) for moment in (weight, wx, wy, wx * x, wx * y, wy * y)
+        runs.total(moment) for moment in (weight, wx, wy, wx * x, wx * y, wy * y)
     )
     mean_x, mean_y = sx / total, sy / total
     cov_xx, cov_xy = sxx / total - mean_x**2, sxy / total - mean_x * mean_y
@@ -170,10 +167,10 @@ def _weighted_line(
 
 
 def _bow(
+    runs: Runs,
     along: Float[np.ndarray, "m"],
     across: Float[np.ndarray, "m"],
     weight: Float[np.ndarray, "m"],
-    first: Int[np.ndarray, "r"],
     total: Float[np.ndarray, "r"],
 ) -> Float[np.ndarray, "r"]:
     """Height of the best parabola over its chord, the line being the best straight one.
@@ -183,7 +180,7 @@ def _bow(
     squared = along * along
     weighted = weight * squared
     s2, s3, s4, xs2 = (
-        _totals(moment, first) / total
+        runs.total(moment) / total
         for moment in (weighted, weighted * along, weighted * squared, weighted * across)
     )
     s2 = np.maximum(s2, 1e-12)
@@ -191,3 +188,60 @@ def _bow(
     curvature = xs2 / free
     # Points spread evenly over a length L have s2 = L^2 / 12, and rise L^2 / 4 over the chord.
     return curvature * 3 * s2
+
+
+def merge_collinear(
+    runs: Runs, lines: FittedLines, tolerance_px: float, gap_px: float
+) -> tuple[Runs, FittedLines]:
+    """The same after joining collinear lines across small gaps."""
+    successor = collinear_successors(lines, gap_px, tolerance_px / 2)
+    if (successor < 0).all():
+        return runs, lines
+    line_order, begin = ordered_chains(successor)
+    length = runs.count[line_order]
+    first = np.cumsum(length) - length
+    order = np.arange(length.sum()) - np.repeat(first - runs.first[line_order], length)
+    merged = Runs(runs.points.take(order), first[begin])
+    several = np.diff(begin, append=len(line_order)) > 1
+    again = fit_lines(merged.take(several))
+    return merged, lines.take(line_order[begin]).replaced(several, again)
+
+
+def collinear_successors(
+    lines: FittedLines, gap_px: float, tolerance_px: float
+) -> Int[np.ndarray, "r"]:
+    """(r,) the line that continues each line beyond a gap, -1 where there is none.
+
+    Two lines with their dark sides on the same side continue each other when the gap is at
+    most `gap_px` and both inner ends lie within `tolerance_px` of the chord of the outer
+    ends. Each line continues at most one and is continued by at most one, the nearest.
+    """
+    count = len(lines.support)
+    successor = np.full(count, -1, dtype=np.int64)
+    if count < 2:
+        return successor
+    ends = lines.pieces.ends_px
+    one, other, gap = near_pairs(ends[:, 1], ends[:, 0], gap_px)
+    a, b = lines.direction[one], lines.direction[other]
+    along = np.flatnonzero(a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1] > _LEAST_COSINE)
+    one, other, gap = one[along], other[along], gap[along]
+    chord = ends[other, 1] - ends[one, 0]
+    length = np.linalg.norm(chord, axis=-1)
+    normal = np.stack([-chord[:, 1], chord[:, 0]], -1) / np.maximum(length, 1e-9)[:, None]
+    deviation = np.maximum(
+        *(
+            np.abs(to[:, 0] * normal[:, 0] + to[:, 1] * normal[:, 1])
+            for to in (ends[one, 1] - ends[one, 0], ends[other, 0] - ends[one, 0])
+        )
+    )
+    part = lines.extent_px[:, 1] - lines.extent_px[:, 0]
+    longer_than_parts = length > np.maximum(part[one], part[other])
+    allowed = (one != other) & (deviation < tolerance_px) & longer_than_parts
+    one, other, gap = one[allowed], other[allowed], gap[allowed]
+    for by_other in (False, True):
+        side = other if by_other else one
+        nearest = np.lexsort((gap, side))
+        nearest = nearest[np.flatnonzero(np.diff(side[nearest], prepend=-1))]
+        one, other, gap = one[nearest], other[nearest], gap[nearest]
+    successor[one] = other
+    return successor

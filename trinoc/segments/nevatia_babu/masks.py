@@ -1,16 +1,19 @@
 """The six 5 x 5 edge masks of Nevatia and Babu, and their combination into one gradient.
 
 Each mask answers best to a step edge of one direction; its sign tells the side that is
-brighter, so that six masks tell twelve directions.
+brighter, so that six masks tell twelve directions. `gradient_of` correlates a picture with it.
 """
 
 import functools
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 from jaxtyping import Float
 
 MASK_ANGLES_DEG = (0, 30, 60, 90, 120, 150)
+_BINOMIAL = np.array([0.25, 0.5, 0.25], np.float32)
+_BORDER = cv2.BORDER_REPLICATE
 
 _MASKS = """
 100 100 100 100 100 | 100 100 100 100 100 | 0 0 0 0 0 | -100 -100 -100 -100 -100 | -100 -100 -100 -100 -100
@@ -121,3 +124,25 @@ def _full_convolution(kernel: np.ndarray, small: np.ndarray) -> np.ndarray:
                 small[row, column] * kernel
             )
     return grown
+
+
+class Gradient(NamedTuple):
+    """(h, w) gradient along u and v in grey levels per pixel, and its squared size."""
+
+    u: Float[np.ndarray, "h w"]
+    v: Float[np.ndarray, "h w"]
+    squared: Float[np.ndarray, "h w"]
+
+
+def gradient_of(grey: Float[np.ndarray, "h w"], kernel: GradientKernel) -> Gradient:
+    """Correlate the picture with both kernels; beyond its border the picture continues level."""
+    # Smoothing first and the small masks after costs half as much as one large kernel.
+    smooth = grey
+    for _ in range(kernel.smoothing):
+        smooth = cv2.sepFilter2D(smooth, cv2.CV_32F, _BINOMIAL, _BINOMIAL, borderType=_BORDER)
+    u = cv2.filter2D(smooth, cv2.CV_32F, kernel.mask_u.astype(np.float32), borderType=_BORDER)
+    v = cv2.filter2D(smooth, cv2.CV_32F, kernel.mask_v.astype(np.float32), borderType=_BORDER)
+    # Rounded as NumPy rounds the products of neighbours: on a plateau they are equal.
+    squared = u * u
+    squared += v * v
+    return Gradient(u, v, squared)

@@ -10,12 +10,11 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
-from trinoc.numerics import sums
-from trinoc.segments.nevatia_babu.edge_points import EdgePoints
+from trinoc.image import nearest_levels
+from trinoc.segments.nevatia_babu.edge_points import Runs
 from trinoc.segments.nevatia_babu.line_fit import FittedLines
-from trinoc.segments.nevatia_babu.shifts import Shifts
 from trinoc.segments.tuning import DEFAULT, ErrorTuning
 
 # Beside an edge the grey levels are compared from here, in widths of its profile, to so many
@@ -26,6 +25,21 @@ _MOST_SLOPE = 0.25
 _BOX = (3, 3)
 # Of so many points next to each other the smoothed levels are one answer.
 _ALIKE = 3
+
+
+class Shifts(NamedTuple):
+    """How far lines are to be moved.
+
+    Fields
+    ------
+    shift_px : (r,) toward the brighter side.
+    variance_px2 : (r,) of that shift, which both ends have in common.
+    uneven_px2 : (r,) of the line's middle, as if points scattered: the shift changes along it.
+    """
+
+    shift_px: Float[np.ndarray, "r"]
+    variance_px2: Float[np.ndarray, "r"]
+    uneven_px2: Float[np.ndarray, "r"]
 
 
 class SideSlopes(NamedTuple):
@@ -43,35 +57,29 @@ class SideSlopes(NamedTuple):
     sigma: Float[np.ndarray, "r"]
     own: Float[np.ndarray, "r"]
 
-    def take(self, which: Bool[np.ndarray, "r"]) -> "SideSlopes":
-        """Those of the lines where the mask is true."""
-        return SideSlopes(*(field[which] for field in self))
 
-
-def side_slopes(
-    grey: Float[np.ndarray, "h w"],
-    points: EdgePoints,
-    first: Int[np.ndarray, "r"],
-    usual_blur_px2: float,
-) -> SideSlopes:
-    """Slopes of grey levels or light beside lines, whose points lie run by run from first[k] on."""
+def side_slopes(grey: Float[np.ndarray, "h w"], runs: Runs, usual_blur_px2: float) -> SideSlopes:
+    """Slopes of grey levels or light beside the lines of runs."""
+    points = runs.points
     smooth = cv2.blur(grey, _BOX, borderType=cv2.BORDER_REPLICATE)
     near = np.float32(_FROM_WIDTHS) * np.sqrt(
         points.kernel_variance_px2 + np.float32(usual_blur_px2)
     )
+
+    def level(across_px: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+        """So far from each point across its edge, toward the brighter side."""
+        return nearest_levels(smooth, *(points.uv_px + across_px[:, None] * points.normal).T)
+
     far = near + np.float32(_FURTHER_PX)
-    dark = _level(smooth, points, -near) - _level(smooth, points, -far)
-    bright = _level(smooth, points, far) - _level(smooth, points, near)
-    count = np.diff(np.append(first, len(near)))
-    of_dark, of_bright = sums(dark, first) / count, sums(bright, first) / count
-    more = bright - dark
-    square = sums(np.square(more), first) / count - np.square(of_bright - of_dark)
-    variance = np.maximum(square, 0.0) / np.maximum(count / _ALIKE, 1.0)
+    dark, bright = level(-near) - level(-far), level(far) - level(near)
+    of_dark, of_bright = runs.mean(dark), runs.mean(bright)
+    square = runs.mean(np.square(bright - dark)) - np.square(of_bright - of_dark)
+    variance = np.maximum(square, 0.0) / np.maximum(runs.count / _ALIKE, 1.0)
     return SideSlopes(
         of_dark / _FURTHER_PX,
         of_bright / _FURTHER_PX,
         np.sqrt(variance) / _FURTHER_PX,
-        sums(points.strength, first) / count,
+        runs.mean(points.strength),
     )
 
 
@@ -108,17 +116,3 @@ def shading_shifts(
     shift = -tuning.shade_shift * np.sign(promised) * np.minimum(beyond, most) * (1 - crowded)
     variance = np.square(tuning.shade_share * np.minimum(size, most))
     return Shifts(shift, variance, np.zeros_like(shift))
-
-
-def _level(
-    grey: Float[np.ndarray, "h w"], points: EdgePoints, across_px: Float[np.ndarray, "n"]
-) -> Float[np.ndarray, "n"]:
-    """Grey level so far from each point across its edge, toward the brighter side."""
-    height, width = grey.shape
-    column, row = (
-        np.rint(points.uv_px[:, axis] + across_px * points.normal[:, axis])
-        .astype(np.int32)
-        .clip(0, side - 1)
-        for axis, side in ((0, width), (1, height))
-    )
-    return grey.ravel()[row * width + column]

@@ -10,12 +10,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.segments.nevatia_babu.gradient import Gradient, gradient_of
-from trinoc.segments.nevatia_babu.masks import GradientKernel
+from trinoc.image import peak_of_slope
+from trinoc.segments.nevatia_babu.masks import Gradient, GradientKernel, gradient_of
 
 # Linking looks two pixels to each side.
 BORDER_PX = 2
-_SMALLEST = np.float32(1e-6)
 # Pixels that are worked on at a time; rows that smoothing and masks look beyond their own.
 _STRIP_PX, _HALO_PX = 1 << 16, 3
 
@@ -114,7 +113,7 @@ def _peaks(
     row = pixel // width
     uv_px = np.empty((len(pixel), 2), np.float32)
     uv_px[:, 0], uv_px[:, 1] = pixel - row * width, row + (top - 1)
-    offset, _ = peak_of_profile(profile)
+    offset, _ = peak_of_slope(profile)
     uv_px[:, 0] += offset * along_u
     uv_px[:, 1] += offset * ~along_u
     toward_bright = np.stack([gu[peak], gv[peak]], axis=-1)
@@ -153,18 +152,3 @@ def profile_across(gradient: Gradient, pixels: ThinnedPixels) -> Float[np.ndarra
     u, v = gradient.u.ravel(), gradient.v.ravel()
     near = (pixels.pixel + sign * step for sign in range(-BORDER_PX, BORDER_PX + 1))
     return np.stack([normal[:, 0] * u[at] + normal[:, 1] * v[at] for at in near], axis=-1)
-
-
-def peak_of_profile(
-    profile: Float[np.ndarray, "n 3"],
-) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    """(offset, variance) of the Gaussian through three samples, one apart.
-
-    The offset counts from the middle sample. A Gaussian cut at a slant is again Gaussian: the
-    parabola through the logarithms of three samples along an axis of the picture gives peak
-    and width across the edge exactly where blur and kernel are Gaussian.
-    """
-    level = np.log(np.maximum(profile, _SMALLEST))
-    low, high = level[:, 0] - level[:, 1], level[:, 2] - level[:, 1]
-    curvature = np.minimum(low + high, -_SMALLEST)
-    return (low - high) / (2 * curvature), -1 / curvature

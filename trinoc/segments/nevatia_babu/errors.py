@@ -1,20 +1,25 @@
-"""What disturbs the place of a segment beyond the noise of the picture."""
+"""What the noise of the picture makes of a line's place, and what disturbs it beyond."""
 
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int, Shaped
+from jaxtyping import Float, Shaped
 
-from trinoc.numerics import sums
+from trinoc.image import Light, nearest_levels
 from trinoc.segments.nevatia_babu.accept import BOW_OF_MIDDLE
-from trinoc.segments.nevatia_babu.edge_interference import Overlaps
-from trinoc.segments.nevatia_babu.edge_points import EdgePoints
+from trinoc.segments.nevatia_babu.edge_points import EdgePoints, Runs
+from trinoc.segments.nevatia_babu.interference import Overlaps
 from trinoc.segments.nevatia_babu.line_fit import FittedLines
-from trinoc.segments.nevatia_babu.shifts import Shifts
+from trinoc.segments.nevatia_babu.shading import Shifts
 from trinoc.segments.tuning import DEFAULT, ErrorTuning
 
 _PIXEL_VARIANCE = 1 / 12
 _LAST_POINTS = 5
+# Noise also enters through the choice of points; the share was measured on single edges.
+NOISE_EXCESS = 1.2
+# What the model leaves out even on a perfect edge (sampling, kernel shape, rounding): a part that
+# is common to the whole edge, and a part per pixel of length that averages out.
+MODEL_SIGMA_PX, MODEL_SIGMA_PER_PIXEL = 0.01, 0.11
 
 
 class ErrorModel(NamedTuple):
@@ -43,11 +48,9 @@ class ErrorModel(NamedTuple):
 
 
 def error_model(
-    grey: Float[np.ndarray, "h w"],
-    white: float,
+    picture: Light,
     measured: EdgePoints,
-    cleaned: EdgePoints,
-    first: Int[np.ndarray, "r"],
+    cleaned: Runs,
     lines: FittedLines,
     found: Overlaps,
     usual_blur_px2: float,
@@ -55,56 +58,50 @@ def error_model(
 ) -> ErrorModel:
     """Compare the points as measured and after neighbours were taken out.
 
-    `lines` are fitted to the cleaned points, which lie line after line from first[k] on.
+    `lines` are fitted to the cleaned points.
     """
     bow = np.abs(lines.sagitta_px)
     noise_bow = BOW_OF_MIDDLE * np.sqrt(lines.variance_middle_px2)
-    count = lines.support.astype(np.float64)
-    noise_of_point = lines.variance_middle_px2 * count
-    shift = (cleaned.uv_px - measured.uv_px).astype(np.float64)
+    noise_of_point = lines.variance_middle_px2 * lines.support
+    shift = (cleaned.points.uv_px - measured.uv_px).astype(np.float64)
     near = np.zeros(len(measured.strength))
     near[found.point] = 1.0
     # A saturated edge looks sharper than it is.
     blur = np.sqrt(np.maximum(lines.blur_px2, usual_blur_px2) + _PIXEL_VARIANCE)
     beside = np.maximum(
         tuning.bright_side_px * measured.spacing_px,
-        np.repeat(tuning.bright_side_widths * blur, lines.support).astype(np.float32),
+        cleaned.spread(tuning.bright_side_widths * blur).astype(np.float32),
     )
     bright = measured.sample_px + beside[:, None] * measured.normal
-    column, row = np.rint(bright).astype(np.int64).T
-    height, width = grey.shape
-    level = grey[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)]
+    level = nearest_levels(picture.levels, *bright.T)
     return ErrorModel(
-        sums(np.hypot(shift[:, 0], shift[:, 1]), first) / count,
-        sums(near, first) / count,
+        cleaned.mean(np.hypot(shift[:, 0], shift[:, 1])),
+        cleaned.mean(near),
         np.sqrt(np.maximum(lines.blur_px2 - usual_blur_px2, 0.0)),
-        sums((level >= white).astype(np.float64), first) / count,
+        cleaned.mean((level >= picture.white).astype(np.float64)),
         np.where(bow > tuning.bow_sigmas * noise_bow, bow, 0.0),
         np.sqrt(np.maximum(lines.residual_px**2 - tuning.scatter_noise * noise_of_point, 0.0)),
-        _off_line(cleaned, first, lines, tuning.off_sigmas * np.sqrt(noise_of_point)),
+        _off_line(cleaned, lines, tuning.off_sigmas * np.sqrt(noise_of_point)),
     )
 
 
 def _off_line(
-    points: EdgePoints,
-    first: Int[np.ndarray, "r"],
-    lines: FittedLines,
-    least_px: Float[np.ndarray, "r"],
+    runs: Runs, lines: FittedLines, least_px: Float[np.ndarray, "r"]
 ) -> Float[np.ndarray, "r 2"]:
     """(r, 2) mean distance of the last points at either end from their line.
 
     0 where it is less than `least_px` over the root of their number.
     """
-    count = np.minimum(_LAST_POINTS, lines.support)
+    first, count = runs.first[:, None], np.minimum(_LAST_POINTS, runs.count)[:, None]
     steps = np.arange(_LAST_POINTS)
-    within = steps < count[:, None]
-    begin, end = first[:, None] + steps, (first + lines.support - 1)[:, None] - steps
-    index = np.where(within[:, None], np.stack([begin, end], axis=1), first[:, None, None])
-    offset = points.uv_px[index] - lines.centre_px[:, None, None]
+    ends = np.stack([first + steps, first + runs.count[:, None] - 1 - steps], axis=1)
+    within = (steps < count)[:, None]
+    offset = runs.points.uv_px[np.where(within, ends, first[:, None])]
+    offset = offset - lines.centre_px[:, None, None]
     way = lines.direction[:, None, None]
     across = offset[..., 1] * way[..., 0] - offset[..., 0] * way[..., 1]
-    mean = np.abs((across * within[:, None]).sum(axis=2)) / count[:, None]
-    return np.where(mean > (least_px / np.sqrt(count))[:, None], mean, 0.0)
+    mean = np.abs((across * within).sum(axis=2)) / count
+    return np.where(mean > least_px[:, None] / np.sqrt(count), mean, 0.0)
 
 
 def inflate_variance(
@@ -138,3 +135,39 @@ def inflate_variance(
     reasons = np.where(all_parts.max(axis=0) > noise_px2, names[most], "")
     uneven_px2 = saturated.uneven_px2 + shaded.uneven_px2
     return noise_px2 + uneven_px2 + squares.sum(axis=0), reasons
+
+
+def noise_variance(
+    variance_middle_px2: Float[np.ndarray, "r"], length_px: Float[np.ndarray, "r"]
+) -> Float[np.ndarray, "r"]:
+    """(r,) variance of a line's middle across it, where nothing but noise disturbs it."""
+    model = MODEL_SIGMA_PX**2 + MODEL_SIGMA_PER_PIXEL**2 / np.maximum(length_px, 1.0)
+    return NOISE_EXCESS * variance_middle_px2 + model
+
+
+def end_covariances(
+    direction: Float[np.ndarray, "r 2"],
+    variance_middle: Float[np.ndarray, "r"],
+    common_px2: Float[np.ndarray, "r"],
+    off_px2: Float[np.ndarray, "r 2"],
+    sigma_along_px: Float[np.ndarray, "r 2"],
+) -> Float[np.ndarray, "r 4 4"]:
+    """(r, 4, 4) covariance of the ends (u1, v1, u2, v2).
+
+    A line fitted to points spread evenly over its length L has an angle of variance
+    12 / L^2 times that of its middle: each end has four times the variance across, and
+    the two are correlated by -1/2. What moves the line as a whole, of variance `common_px2`,
+    moves both ends alike; `off_px2` is what each end may be off by itself. Along the line the two
+    ends are independent.
+    """
+    normal = np.stack([-direction[:, 1], direction[:, 0]], axis=-1)
+    across = normal[:, :, None] * normal[:, None, :]
+    along = direction[:, :, None] * direction[:, None, :]
+    covariance = np.zeros((len(direction), 4, 4))
+    for end, block in ((0, slice(0, 2)), (1, slice(2, 4))):
+        covariance[:, block, block] = (4 * variance_middle + common_px2 + off_px2[:, end])[
+            :, None, None
+        ] * across + np.square(sigma_along_px[:, end])[:, None, None] * along
+    between = (common_px2 - 2 * variance_middle)[:, None, None] * across
+    covariance[:, :2, 2:] = covariance[:, 2:, :2] = between
+    return covariance

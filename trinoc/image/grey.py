@@ -8,7 +8,7 @@ least that three channels of equal noise allow.
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Shaped
+from jaxtyping import Float, Shaped, UInt8
 
 from trinoc.errors import InputError
 
@@ -41,6 +41,18 @@ class GreyImage(NamedTuple):
     def size_px(self) -> tuple[int, int]:
         """(width, height)."""
         return self.grey.shape[1], self.grey.shape[0]
+
+    def in_255ths(self) -> "GreyImage":
+        """The same with full white at 255, whatever the picture's own range."""
+        if self.full == 255:
+            return self
+        per_255th = self.full / 255
+        grey = self.grey * np.float32(1 / per_255th)
+        return GreyImage(grey, self.quantum / per_255th, self.white / per_255th, 255.0)
+
+    def as_8_bit(self) -> UInt8[np.ndarray, "h w"]:
+        """The grey levels in 255ths of full white, whole numbers."""
+        return np.clip(self.grey * (255 / self.full), 0, 255).astype(np.uint8)
 
 
 def grey_image(image: Shaped[np.ndarray, "..."]) -> GreyImage:

@@ -10,11 +10,14 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
-from trinoc.numerics.robust_scale import MAD_TO_SIGMA
+from trinoc.numerics import MAD_TO_SIGMA
 
 # Root of the sum of squares of the mask: what independent noise is multiplied by.
 _GAIN = 6.0
 _FEWEST_PIXELS = 50
+_ROUNDING_SIGMA = float(np.sqrt(1 / 12))
+# Pictures of real numbers are taken to be good to this share of their range.
+_LEAST_OF_RANGE = 1e-4
 
 
 def noise_sigma(
@@ -44,6 +47,18 @@ def noise_sigma(
     if quantum is None:
         quantum = float(np.array_equal(grey, np.rint(grey)))
     return float(MAD_TO_SIGMA * _median(size, quantum / _GAIN))
+
+
+def level_noise(
+    grey: Float[np.ndarray, "h w"], quantum: float, stride: tuple[int, int] = (1, 1)
+) -> float:
+    """`noise_sigma` of a picture, not below that of the rounding to `quantum`, and never 0.
+
+    Real numbers, whose `quantum` is 0, have a ten-thousandth of their range for a floor.
+    """
+    noise = noise_sigma(grey, quantum=quantum, stride=stride)
+    floor = _ROUNDING_SIGMA * quantum if quantum else _LEAST_OF_RANGE * float(np.ptp(grey))
+    return max(noise, floor, float(np.finfo(np.float32).tiny) ** 0.25)
 
 
 def _median(values: Float[np.ndarray, "n"], step: float) -> float:

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from trinoc.numerics import distinct, members, point_tree
-from trinoc.segments.nevatia_babu.edge_points import FARTHEST, LEAST_SIDE, EdgePoints
+from trinoc.segments.nevatia_babu.edge_points import FARTHEST, LEAST_SIDE, EdgePoints, Runs
 from trinoc.segments.nevatia_babu.endpoints import line_samples
 from trinoc.segments.nevatia_babu.line_fit import FittedLines
 
@@ -33,7 +33,7 @@ def line_pairs_within(
     if len(lines.support) < 2:
         return none, none
     spacing = 3.0
-    owner, samples = line_samples(lines.centre_px, lines.direction, lines.extent_px, spacing)
+    owner, samples = line_samples(lines.pieces, spacing)
     # Two lines' nearest points have samples within half a spacing: this far at most, as the way
     # between them is across whichever line does not end there.
     radius = float(np.hypot(reach_px, spacing))
@@ -61,21 +61,16 @@ class Overlaps(NamedTuple):
     across: Float[np.ndarray, "m"]
 
 
-def overlaps(
-    points: EdgePoints,
-    first: Int[np.ndarray, "r"],
-    lines: FittedLines,
-    profile_variance_px2: float,
-) -> Overlaps:
-    """All points within reach of other lines; `points` lie line after line from first[k] on.
+def find_overlaps(runs: Runs, lines: FittedLines, profile_variance_px2: float) -> Overlaps:
+    """All points within reach of lines that are not their run's own.
 
     `profile_variance_px2` is that of a typical edge of the image: the reach follows from it.
     """
+    points = runs.points
     reach_px = max(LEAST_REACH_PX, REACH_WIDTHS * float(np.sqrt(profile_variance_px2)))
     one, other = line_pairs_within(lines, reach_px)
-    stop = np.append(first[1:], len(points.strength))
-    count = (stop - first)[one]
-    point, _, _ = members(first[one], stop[one])
+    count = runs.count[one]
+    point, _, _ = members(runs.first[one], runs.first[one] + count)
     # Most points of a line are far from the other one: little is computed of these.
     centre_u, centre_v = lines.centre_px.astype(np.float32)[other].T
     way_u, way_v = lines.direction.astype(np.float32)[other].T

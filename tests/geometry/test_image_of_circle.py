@@ -1,0 +1,62 @@
+"""Where the centre of a circle's image is, against the closed form of conics and an integral."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from hypothesis import given
+
+from tests.geometry.strategies import DISTORTED_LENS, cameras, real, vectors
+from trinoc.geometry import Camera, circle_centre_offset, conics, project
+
+
+def sheet_to_picture(camera):
+    return lambda place: project(camera, jnp.append(place, 0.0))
+
+
+@jax.jit
+def centre_of_image(camera, centre, radius):
+    mapping = sheet_to_picture(camera)
+    return mapping(centre) + circle_centre_offset(mapping, centre, radius)
+
+
+@jax.jit
+def closed_form(camera, centre, radius):
+    return conics.centre_of_dual_conic(conics.image_of_circle(camera, centre, radius))
+
+
+@jax.jit
+def images_and_areas(camera, places):
+    mapping = sheet_to_picture(camera)
+    return jax.vmap(mapping)(places), jax.vmap(jax.jacfwd(mapping))(places)
+
+
+@given(cameras(), vectors(2, 50.0), real(1, 15))
+def test_under_a_homography_it_is_the_centre_of_the_conic(camera, centre, radius):
+    np.testing.assert_allclose(
+        centre_of_image(camera, centre, radius), closed_form(camera, centre, radius), atol=1e-8
+    )
+
+
+@given(cameras(DISTORTED_LENS), vectors(2, 40.0), real(2, 10))
+def test_with_distortion_it_is_the_centroid_of_the_images_of_the_disc(camera, centre, radius):
+    """Gauss's rule over the disc, each place weighted with the area of its image."""
+    node, weight = np.polynomial.legendre.leggauss(8)
+    share, angle = 0.5 * (node + 1), np.arange(24) * (2 * np.pi / 24)
+    ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    places = (centre + radius * share[:, None, None] * ring).reshape(-1, 2)
+    image, slope = images_and_areas(camera, places)
+    area = np.repeat(weight * share, len(angle)) * np.abs(np.linalg.det(slope))
+    np.testing.assert_allclose(
+        centre_of_image(camera, centre, radius), area @ image / area.sum(), atol=1e-8
+    )
+
+
+def test_a_point_has_no_offset_and_finite_derivatives():
+    camera = Camera.from_degrees(
+        DISTORTED_LENS, pan_deg=20, tilt_deg=40, swing_deg=5, distance_mm=450
+    )
+    mapping = sheet_to_picture(camera)
+    centre = np.array([10.0, 20.0])
+    np.testing.assert_array_equal(circle_centre_offset(mapping, centre, 0.0), 0.0)
+    slope = jax.jacfwd(lambda place: circle_centre_offset(mapping, place, 0.0))(centre)
+    np.testing.assert_array_equal(slope, 0.0)

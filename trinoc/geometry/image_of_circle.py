@@ -1,0 +1,58 @@
+"""The image of a circle: its centre is not the image of the circle's centre.
+
+One formula for any smooth mapping from the plane of a circle to a picture: a homography, a lens
+with distortion, a board that is bent. Of a homography alone, `conics` has the closed form.
+"""
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from trinoc.numerics import ArrayLike, ScalarLike
+
+# The image of an edge is smooth, so that its first harmonics determine the centroid: to 1e-11 px
+# with so many points, for a circle of 25 mm seen obliquely from 250 mm.
+_EDGE_POINTS = 12
+_ANGLES_RAD = np.arange(_EDGE_POINTS) * (2 * np.pi / _EDGE_POINTS)
+_EDGE_OF_UNIT_CIRCLE = np.stack([np.cos(_ANGLES_RAD), np.sin(_ANGLES_RAD)], axis=1)
+
+
+def circle_centre_offset(
+    mapping: Callable[[Float[ArrayLike, "2"]], Float[ArrayLike, "2"]],
+    centre: Float[ArrayLike, "2"],
+    radius: ScalarLike,
+) -> Float[ArrayLike, "2"]:
+    """Centroid of the image of a disc less the image of its centre; 0 for a radius of 0.
+
+    The mapping takes points of the circle's plane to the picture, whose unit is that of the
+    answer. An ellipse fitted to the edge of the image has its centre at the centroid, to 1e-4 px
+    for common lenses. Perspective moves it by 0.09 px for the reference rig.
+    """
+    is_circle = jnp.asarray(radius) > 0
+    around = _EDGE_OF_UNIT_CIRCLE.astype(jnp.result_type(centre))
+    # A radius of 0 has no area to divide by: a derivative of what is not used stays finite.
+    edge = jax.vmap(mapping)(centre[None] + jnp.where(is_circle, radius, 1.0) * around)
+    return jnp.where(is_circle, centroid_of_region(edge - mapping(centre)[None]), 0.0)
+
+
+def centroid_of_region(edge: Float[ArrayLike, "n 2"]) -> Float[ArrayLike, "2"]:
+    """Centroid of the region within a smooth closed curve, from points at even parameters.
+
+    The mean of the points lies elsewhere, since a mapping moves points along the edge, too.
+    """
+    mean = jnp.mean(edge, axis=0, keepdims=True)
+    offset = edge - mean
+    tangent = _trigonometric_derivative(len(edge)).astype(offset.dtype) @ offset
+    # Green's theorem: twice the area, and three times its first moment.
+    area = offset[:, 0] * tangent[:, 1] - offset[:, 1] * tangent[:, 0]
+    return mean[0] + 2.0 / 3.0 * (area @ offset) / jnp.sum(area)
+
+
+def _trigonometric_derivative(count: int) -> Float[np.ndarray, "n n"]:
+    """Derivative at equidistant angles of the trigonometric polynomial through values there."""
+    step = np.arange(count)[:, None] - np.arange(count)[None]
+    cotangent = 1.0 / np.tan(np.pi * np.where(step == 0, 0.5, step) / count)
+    return np.where(step == 0, 0.0, 0.5 * (-1.0) ** step * cotangent)

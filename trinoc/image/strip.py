@@ -1,0 +1,59 @@
+"""Pixels beside a line: the picture's own, or values between them."""
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+
+def nearest_levels(
+    picture: Float[np.ndarray, "h w"],
+    u_px: Float[np.ndarray, "*n"],
+    v_px: Float[np.ndarray, "*n"],
+) -> Float[np.ndarray, "*n"]:
+    """Values of the nearest pixels; beyond its border the picture continues level."""
+    height, width = picture.shape
+    column, row = (
+        np.rint(at).astype(np.int32).clip(0, side - 1)
+        for at, side in ((u_px, width), (v_px, height))
+    )
+    return picture.ravel()[row * width + column]
+
+
+def levels_between(
+    picture: Float[np.ndarray, "h w"],
+    uv_px: Float[np.ndarray, "n s 2"],
+    normal: Float[np.ndarray, "n s 2"],
+    offset_px: Float[np.ndarray, "o"],
+) -> Float[np.ndarray, "n o s"]:
+    """Values so far from places, along their normals, in between pixels: exact where the picture
+    is linear. Beyond its border the picture continues level.
+
+    Of several channels at once OpenCV would round the places to a 32nd of a pixel.
+    """
+    count, steps = uv_px.shape[:2]
+    offset = offset_px.astype(np.float32)[:, None]
+    u, v = (
+        (uv_px[:, None, :, k] + offset * normal[:, None, :, k]).reshape(count, -1) for k in (0, 1)
+    )
+    found = cv2.remap(picture, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return found.reshape(count, len(offset_px), steps)
+
+
+def pixels_across(
+    at_px: Int[np.ndarray, "*n 2"], along_u: Bool[np.ndarray, "*n"], half: int
+) -> Int[np.ndarray, "*n p 2"]:
+    """(column, row) of pixels and of so many on either side, in their row where an edge is crossed
+    along u, or else in their column."""
+    steps = np.arange(-half, half + 1)[:, None]
+    axis = np.stack([along_u, ~along_u], axis=-1)
+    return at_px[..., None, :] + steps * axis[..., None, :]
+
+
+def levels_of(
+    picture: Float[np.ndarray, "h w"], pixels: Int[np.ndarray, "*n 2"]
+) -> tuple[Float[np.ndarray, "*n"], Bool[np.ndarray, "*n"]]:
+    """(value of each pixel, whether the picture has it); beyond the border the nearest one's."""
+    size = np.array(picture.shape[::-1])
+    inside = ((pixels >= 0) & (pixels < size)).all(axis=-1)
+    column, row = np.moveaxis(np.clip(pixels, 0, size - 1), -1, 0)
+    return picture[row, column], np.asarray(inside)
