@@ -30,51 +30,55 @@ def pose_of_crossed_lines(
     normal_x, normal_y = _unit(planes)
     ray = _unit(np.cross(normal_x, normal_y))
     ray = ray * np.sign(ray[2])
-    misfits = [_distance_and_misfit(normal_x, normal_y, ray, slopes, place_mm, angle)[1]
-               for angle in _ANGLES_RAD]  # fmt: skip
-    best = int(np.argmin(misfits))
-    if not np.isfinite(misfits[best]):
+
+    def looked_at(angles_rad: Float[np.ndarray, "a"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        axes = _axes(normal_x, normal_y, ray, angles_rad)
+        return axes, *_distance_and_misfit(axes, ray, slopes, place_mm)
+
+    _, _, misfit = looked_at(_ANGLES_RAD)
+    best = int(np.argmin(misfit))
+    if not np.isfinite(misfit[best]):
         return None
-    before, at, after = (misfits[(best + step) % len(_ANGLES_RAD)] for step in (-1, 0, 1))
+    before, at, after = misfit[(best + np.array([-1, 0, 1])) % len(_ANGLES_RAD)]
     bend = before - 2 * at + after
     shift = (before - after) / (2 * bend) if np.isfinite(bend) and bend > 0 else 0.0
-    angle = _ANGLES_RAD[best] + shift * _ANGLES_RAD[1]
-    distance_mm, _ = _distance_and_misfit(normal_x, normal_y, ray, slopes, place_mm, angle)
-    return np.column_stack([_rotation(normal_x, normal_y, ray, angle), distance_mm * ray])
+    (axes,), (distance_mm,), _ = looked_at(_ANGLES_RAD[best : best + 1] + shift * _ANGLES_RAD[1])
+    return np.column_stack([axes, distance_mm * ray])
 
 
-def _rotation(
+def _axes(
     normal_x: Float[np.ndarray, "3"],
     normal_y: Float[np.ndarray, "3"],
     ray: Float[np.ndarray, "3"],
-    angle_rad: float,
-) -> Float[np.ndarray, "3 3"]:
-    """Axes of the sheet in the camera's frame, X turned so far out of the ray to the crossing."""
-    axis_x = np.cos(angle_rad) * ray + np.sin(angle_rad) * np.cross(normal_x, ray)
+    angles_rad: Float[np.ndarray, "a"],
+) -> Float[np.ndarray, "a 3 3"]:
+    """Rotations from the sheet to the camera, X turned by each angle out of the ray to the
+    crossing."""
+    across = np.cross(normal_x, ray)
+    axis_x = np.cos(angles_rad)[:, None] * ray + np.sin(angles_rad)[:, None] * across
     axis_y = _unit(np.cross(normal_y, axis_x))
     # The camera sees the sheet from above: Z points against the ray to the crossing.
-    axis_y = -np.sign(np.cross(axis_x, axis_y) @ ray) * axis_y
-    return np.stack([axis_x, axis_y, np.cross(axis_x, axis_y)], axis=1)
+    axis_y *= -np.sign(np.cross(axis_x, axis_y) @ ray)[:, None]
+    return np.stack([axis_x, axis_y, np.cross(axis_x, axis_y)], axis=2)
 
 
 def _distance_and_misfit(
-    normal_x: Float[np.ndarray, "3"],
-    normal_y: Float[np.ndarray, "3"],
+    axes: Float[np.ndarray, "a 3 3"],
     ray: Float[np.ndarray, "3"],
     slopes: Float[np.ndarray, "m 2"],
     place_mm: Float[np.ndarray, "m 2"],
-    angle_rad: float,
-) -> tuple[float, float]:
-    """The distance that fits best in the plane of the picture, and the sum of squares it leaves;
-    infinite where a circle lies behind."""
-    offset = place_mm @ _rotation(normal_x, normal_y, ray, angle_rad)[:, :2].T
+) -> tuple[Float[np.ndarray, "a"], Float[np.ndarray, "a"]]:
+    """Of each rotation the distance that fits best in the plane of the picture, and the sum of
+    squares it leaves; infinite where a circle lies behind."""
+    offset = place_mm @ np.swapaxes(axes[:, :, :2], 1, 2)
     slope = ray[:2] - slopes * ray[2]
-    target = slopes * offset[:, 2:] - offset[:, :2]
-    distance_mm = float(np.sum(slope * target) / np.sum(slope * slope))
-    points = offset + distance_mm * ray
-    if not (distance_mm > 0 and (points[:, 2] > 0).all()):
-        return distance_mm, np.inf
-    return distance_mm, float(np.sum((points[:, :2] / points[:, 2:] - slopes) ** 2))
+    target = slopes * offset[..., 2:] - offset[..., :2]
+    distance_mm = np.sum(slope * target, axis=(1, 2)) / np.sum(slope * slope)
+    points = offset + distance_mm[:, None, None] * ray
+    in_front = (distance_mm > 0) & (points[..., 2] > 0).all(axis=1)
+    depth = np.where(points[..., 2:] > 0, points[..., 2:], 1.0)
+    misfit = np.sum((points[..., :2] / depth - slopes) ** 2, axis=(1, 2))
+    return distance_mm, np.where(in_front, misfit, np.inf)
 
 
 def _unit(vector: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -12,6 +13,7 @@ from trinoc.calib.detection import Detection
 from trinoc.calib.model import robust_scale
 from trinoc.calib.problem.robust_fit import errors_px
 from trinoc.calib.problem.sheet_problem import SheetCamera
+from trinoc.calib.problem.solver import FIRST_DAMPING
 from trinoc.calib.result import Status
 from trinoc.calib.result.degrees import DEGREES, values_of_parameters
 from trinoc.calib.shots.lens_start import rays_of_places
@@ -19,7 +21,7 @@ from trinoc.calib.shots.plane_pose import plane_pose
 from trinoc.calib.targets import Pattern
 from trinoc.calib.uncertainty import Systematics
 from trinoc.geometry import PARAMETER_NAMES, Intrinsics, Pose, PoseModel
-from trinoc.numerics import LARGEST_SIGMA, observability
+from trinoc.numerics import LARGEST_SIGMA, as_numpy, observability
 
 # Another start may do better where most circles lie farther off, in sigmas.
 _FAR = 10.0
@@ -82,14 +84,19 @@ def fit_camera(
         pose = start()
         if pose is None or not np.isfinite(pose).all():
             continue
-        begin = Pose(pose) if model is PoseModel.AIM_FREE else Pose(pose).aimed()
+        begin = Pose(pose) if model is PoseModel.AIM_FREE else as_numpy(_aimed(Pose(pose)))
         camera = SheetCamera("camera", detection, lens, None, begin)
-        fit = adjust_cameras([camera], pattern, Systematics(), model, 0.0)
+        fit = adjust_cameras(
+            [camera], pattern, Systematics(), model, 0.0, first_damping=FIRST_DAMPING
+        )
         if best is None or _misfit(fit) < _misfit(best):
             best = fit
         if _misfit(best) < _FAR:
             break
     return _nothing(detection, model) if best is None else _estimate(best)
+
+
+_aimed = jax.jit(lambda pose: pose.aimed())
 
 
 def _misfit(fit: Adjustment) -> float:

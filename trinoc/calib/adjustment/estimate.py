@@ -130,10 +130,12 @@ def adjust_cameras(
     model: PoseModel,
     aim_sigma_mm: float,
     near: Adjustment | None = None,
+    first_damping: float = LEAST_DAMPING,
 ) -> Adjustment:
     """All cameras together, places that fit none of it left out.
 
     near : an adjustment of the same cameras from the same poses, from which this one starts.
+    first_damping : of the first fit; circles give a start so near that undamped steps do.
 
     A camera whose places scatter more than they claim gets sigmas that are larger by that much, in
     a second fit where it weighs less.
@@ -141,7 +143,7 @@ def adjust_cameras(
     problem = sheet_problem(cameras, target, systematics, model, aim_sigma_mm)
     if near is not None:
         problem = problem._replace(state=near.problem.state)
-    problem, converged, views = _fit(problem)
+    problem, converged, views = _fit(problem, first_damping)
     suspects = [
         k
         for k, one in enumerate(cameras)
@@ -163,9 +165,10 @@ def adjust_cameras(
     return Adjustment(problem, views, free, root, covariance, reduced, freedom, model, converged)
 
 
-def _fit(problem: Problem) -> tuple[Problem, bool, WhitenedViews]:
-    """Circles give a start so near that a few steps of Gauss and Newton do."""
-    problem, converged = fitted(problem, first_damping=LEAST_DAMPING)
+def _fit(
+    problem: Problem, first_damping: float = LEAST_DAMPING
+) -> tuple[Problem, bool, WhitenedViews]:
+    problem, converged = fitted(problem, first_damping=first_damping)
     return problem, converged, whitened_views(problem)
 
 
