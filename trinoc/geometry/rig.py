@@ -89,6 +89,13 @@ class Rig(Shown, eqx.Module):
         """(v, 3, 4) projection matrices in the order of `names`, without lens distortion."""
         return np.stack([camera.matrix_px for camera in self.cameras])
 
+    def value(self, parameter: str) -> float:
+        """A parameter of `PARAMETER_NAMES` such as "upper.pan_deg", in degrees or millimetres."""
+        name, _, own = parameter.rpartition(".")
+        if own.startswith("aim_"):
+            return self[name].aim_mm[0 if own == "aim_x_mm" else 1]
+        return getattr(self[name], own)
+
     def sigma(self, parameter: str) -> float:
         """Standard deviation of a parameter such as "upper.pan_deg"; NaN if not known."""
         if parameter not in self.parameters:
