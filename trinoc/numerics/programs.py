@@ -1,0 +1,237 @@
+"""Compiled programs: by one thread only, several at a time, and kept for the next process.
+
+JAX's own cache keeps what was compiled, but finds it by the traced and lowered program: a process
+that computes for a tenth of a second traces for ten. Large programs that `kept_jit` makes are found
+by what they are made from: the function, its static arguments, the kinds of its arrays, and,
+through the store, everything else that could change them. Without a store (`keep_programs_in`),
+inside `jit`, `grad` or `vmap`, and with values of classes that are not trinoc's, they are plain
+`jax.jit`.
+"""
+
+import contextlib
+import functools
+import hashlib
+import inspect
+import pickle
+import re
+import secrets
+import threading
+from collections.abc import Callable, Hashable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple, Protocol, runtime_checkable
+
+import jax
+import jax.numpy as jnp
+
+from trinoc.numerics.compiler_options import quick_compiling
+from trinoc.numerics.precision import is_outside, is_traced
+
+# Whose classes a version number or the store's own key stands for.
+_KNOWN = {
+    *("trinoc", "jax", "jaxlib", "jaxtyping", "numpy", "equinox", "optimistix", "lineax"),
+    *("builtins", "collections", "functools"),
+}
+# Beginning of the names by which compiled programs call LAPACK.
+_LAPACK = "lapack_"
+_compiling = threading.Lock()
+_compiled: set[Hashable] = set()
+
+
+@contextlib.contextmanager
+def one_compiles(*program: Hashable) -> Iterator[None]:
+    """Hold a block that calls a jitted program until another thread has compiled the same.
+
+    Threads that meet an uncompiled program would each compile it, in time and memory of their own.
+
+    program : all that tells it from others: its name, static arguments and shapes.
+    """
+    if program in _compiled:
+        yield
+        return
+    with _compiling:
+        yield
+        _compiled.add(program)
+
+
+def at_once(*works: Callable[[], object]) -> None:
+    """Run functions at the same time, in threads with the caller's precision; the first error is
+    raised when all are done.
+
+    For what compiles: XLA does it outside Python's lock, on a core of its own.
+    """
+    config: Any = jax.config
+    precision = config.jax_enable_x64
+
+    def run(work: Callable[[], object]) -> None:
+        # The setting belongs to the thread.
+        with jax.enable_x64(precision):
+            work()
+
+    with ThreadPoolExecutor(len(works)) as threads:
+        for done in [threads.submit(run, work) for work in works]:
+            done.result()
+
+
+@runtime_checkable
+class ProgramStore(Protocol):
+    """Where programs are kept. Content comes back as it was put, or not at all."""
+
+    def get(self, name: str) -> bytes | None:
+        """What was put under the name, by this version on this machine."""
+        ...
+
+    def put(self, name: str, content: bytes) -> None:
+        """Keep it, or do without."""
+        ...
+
+
+class _Kept(NamedTuple):
+    """A program on flat lists of arrays, and the shape of what it returns."""
+
+    program: Callable[[list[Any]], list[Any]]
+    result: Any
+
+
+# The store of this process, if it has one.
+_stores: list[ProgramStore | None] = [None]
+
+
+def keep_programs_in(store: ProgramStore | None) -> ProgramStore | None:
+    """Use a store from now on, or none; returns the one before."""
+    before, _stores[0] = _stores[0], store
+    return before
+
+
+def kept_jit(
+    function: Callable[..., Any],
+    *,
+    static_argnames: tuple[str, ...] = (),
+    beside_others: bool = False,
+) -> Callable[..., Any]:
+    """`jax.jit` of a function without side effects, whose programs a store may keep.
+
+    The function must take no value from outside but constants of trinoc's own modules. With
+    `beside_others` it is compiled on one thread, for those whose first calls are made `at_once`.
+    """
+    # Options of the compiler are for whole programs alone.
+    inner = jax.jit(function, static_argnames=static_argnames)
+    options = quick_compiling(beside_others=beside_others) or None
+    whole = jax.jit(function, static_argnames=static_argnames, compiler_options=options)
+    signature = inspect.signature(function)
+    known: dict[Hashable, _Kept | None] = {}
+
+    @functools.wraps(function)
+    def call(*args: Any, **kwargs: Any) -> Any:
+        store = _stores[0]
+        config: Any = jax.config
+        if is_traced(args, kwargs) or not is_outside():
+            return inner(*args, **kwargs)
+        if store is None or config.jax_disable_jit or jax.default_backend() != "cpu":
+            return whole(*args, **kwargs)
+        given = signature.bind(*args, **kwargs)
+        given.apply_defaults()
+        static = {name: given.arguments.pop(name) for name in static_argnames}
+        leaves, tree = jax.tree.flatten(dict(given.arguments))
+        kinds = tuple(jax.api_util.shaped_abstractify(leaf) for leaf in leaves)
+        precision = (config.jax_enable_x64, config.jax_default_matmul_precision)
+        key = (tree, kinds, tuple(static.values()), precision)
+        if key not in known:
+            known[key] = _load_or_compile(store, function, static, tree, leaves, key, options)
+        kept = known[key]
+        if kept is None:
+            return whole(*args, **kwargs)
+        return jax.tree.unflatten(kept.result, kept.program(leaves))
+
+    return call
+
+
+def _load_or_compile(
+    store: ProgramStore,
+    function: Callable[..., Any],
+    static: dict[str, Any],
+    tree: Any,
+    leaves: list[Any],
+    key: tuple[Hashable, ...],
+    options: dict[str, str | bool] | None,
+) -> _Kept | None:
+    """The program, from the store or compiled and put there; None where it cannot be kept."""
+    from jax.experimental import serialize_executable
+
+    in_tree = jax.tree.structure(((leaves,), {}))
+    try:
+        name = _name(function, key)
+    except (pickle.PicklingError, TypeError, AttributeError):
+        return None
+    content = store.get(name)
+    if content is not None:
+        try:
+            payload, like, with_lapack = pickle.loads(content)
+            if with_lapack:
+                _make_lapack_ready()
+            values, result = jax.tree.flatten(like)
+            out_tree = jax.tree.structure(values)
+            return _Kept(
+                serialize_executable.deserialize_and_load(payload, in_tree, out_tree), result
+            )
+        except Exception:
+            pass
+    found: list[Any] = []
+
+    def flat(leaves: list[Any]) -> list[Any]:
+        values, result = jax.tree.flatten(function(**jax.tree.unflatten(tree, leaves), **static))
+        found[:] = [result]
+        return values
+
+    # What JAX's own cache hands out cannot be kept again: a name of its own, so that it compiles.
+    flat.__name__ = f"{function.__name__}_{secrets.token_hex(4)}"
+    compiled = jax.jit(flat).lower(leaves).compile(compiler_options=options)
+    result = found[0]
+    try:
+        # What a program calls must be there when it is loaded.
+        calls = set(re.findall(r'custom_call_target="([^"]*)"', compiled.as_text() or ""))
+        if all(call.startswith(_LAPACK) for call in calls):
+            # A value of the result's kind and not its tree, whose marks do not survive pickling.
+            like = jax.tree.unflatten(result, range(result.num_leaves))
+            payload = serialize_executable.serialize(compiled)[0]
+            store.put(name, _pickled((payload, like, bool(calls))))
+    except Exception:
+        pass
+    return _Kept(compiled, result)
+
+
+@functools.cache
+def _make_lapack_ready() -> None:
+    """JAX looks LAPACK's addresses up when it first lowers a call; a loaded program does not."""
+    jax.jit(jnp.linalg.cholesky).lower(jnp.eye(2))
+
+
+def _name(function: Callable[..., Any], key: tuple[Hashable, ...]) -> str:
+    """A name that differs where anything differs that the program is made from."""
+    tree, kinds, *rest = key
+    kinds = [(k.shape, str(k.dtype), k.weak_type) for k in kinds]  # pyright: ignore
+    made_of = (function.__module__, function.__qualname__, tree, kinds, rest)
+    return hashlib.sha256(_pickled(made_of)).hexdigest()
+
+
+class _OwnClasses(pickle.Pickler):
+    """Refuses values whose class may change without trinoc's knowing, such as a user's own lens."""
+
+    def reducer_override(self, value: Any) -> Any:
+        if isinstance(value, type) or inspect.isroutine(value):
+            room = (getattr(value, "__module__", "") or "").partition(".")[0]
+            if room not in _KNOWN:
+                raise pickle.PicklingError(f"{value} is not of trinoc")
+        return NotImplemented
+
+
+class _Parts(list[bytes]):
+    """What a pickler writes to: `io` stands above this floor."""
+
+    def write(self, part: bytes) -> None:
+        self.append(bytes(part))
+
+
+def _pickled(value: Any) -> bytes:
+    parts = _Parts()
+    _OwnClasses(parts, protocol=5).dump(value)
+    return b"".join(parts)
