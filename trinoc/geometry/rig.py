@@ -8,12 +8,12 @@ from jaxtyping import Float
 
 from trinoc.errors import InputError
 from trinoc.geometry.camera import Camera
-from trinoc.numerics import ArrayLike, Shown
+from trinoc.numerics import ArrayLike, Displayable
 
 PARAMETER_NAMES = ("pan_deg", "tilt_deg", "swing_deg", "distance_mm", "aim_x_mm", "aim_y_mm")
 
 
-class Rig(Shown, eqx.Module):
+class Rig(Displayable, eqx.Module):
     """Named cameras, in the order the user gave them.
 
     Fields

@@ -20,7 +20,7 @@ from .buckets import (
     split_columns as split_columns,
 )
 from .compiler_options import quick_compiling as quick_compiling
-from .display import Displays as Displays, Shown as Shown, display_with as display_with
+from .display import Displayable as Displayable, Displays as Displays, display_with as display_with
 from .grey import GreyImage as GreyImage, grey_image as grey_image
 from .information import (
     LARGEST_SIGMA as LARGEST_SIGMA,

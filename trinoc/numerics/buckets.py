@@ -16,7 +16,7 @@ from trinoc.numerics.arrays import ArrayLike
 SMALLEST_BUCKET = 64
 
 _Tree = TypeVar("_Tree")
-_Judged = tuple[Bool[ArrayLike, "h"], Float[ArrayLike, "c h"]]
+_Possible = tuple[Bool[ArrayLike, "h"], Float[ArrayLike, "c h"]]
 
 
 def bucket(count: int, *, smallest: int = SMALLEST_BUCKET, finer_above: int | None = None) -> int:
@@ -77,7 +77,7 @@ def as_columns(tree: Any) -> Float[ArrayLike, "c h"]:
 
 
 def select_in_blocks(
-    function: Callable[[np.ndarray], _Judged], size: int, rows: Int[np.ndarray, "m k"]
+    function: Callable[[np.ndarray], _Possible], size: int, rows: Int[np.ndarray, "m k"]
 ) -> tuple[Int[np.ndarray, "_"], Float[np.ndarray, "c _"]]:
     """(which rows are possible, their columns) by a function of `size` rows at a time, which says
     of each whether it is possible; it must bear rows of zeros."""
@@ -85,8 +85,8 @@ def select_in_blocks(
     # All blocks are handed over before the first result is waited for.
     results = [function(padded(rows[part], size)) for part in parts]
     possible, columns = [], []
-    for part, (judged, values) in zip(parts, results, strict=True):
-        keep = np.flatnonzero(np.asarray(judged)[: part.stop - part.start])
+    for part, (is_possible, values) in zip(parts, results, strict=True):
+        keep = np.flatnonzero(np.asarray(is_possible)[: part.stop - part.start])
         possible.append(keep + part.start)
         columns.append(np.asarray(values)[:, keep])
     return np.concatenate(possible), np.concatenate(columns, axis=1)

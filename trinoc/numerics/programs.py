@@ -43,7 +43,7 @@ def one_compiles(*program: Hashable) -> Iterator[None]:
 
     Threads that meet an uncompiled program would each compile it, in time and memory of their own.
 
-    program : all that tells it from others: its name, static arguments and shapes.
+    program : all in which it differs from others: its name, static arguments and shapes.
     """
     if program in _compiled:
         yield
@@ -85,7 +85,7 @@ class ProgramStore(Protocol):
         ...
 
 
-class _Kept(NamedTuple):
+class _KeptProgram(NamedTuple):
     """A program on flat lists of arrays, and the shape of what it returns."""
 
     program: Callable[[list[Any]], list[Any]]
@@ -118,7 +118,7 @@ def kept_jit(
     options = quick_compiling(beside_others=beside_others) or None
     whole = jax.jit(function, static_argnames=static_argnames, compiler_options=options)
     signature = inspect.signature(function)
-    known: dict[Hashable, _Kept | None] = {}
+    known: dict[Hashable, _KeptProgram | None] = {}
 
     @functools.wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
@@ -153,7 +153,7 @@ def _load_or_compile(
     leaves: list[Any],
     key: tuple[Hashable, ...],
     options: dict[str, str | bool] | None,
-) -> _Kept | None:
+) -> _KeptProgram | None:
     """The program, from the store or compiled and put there; None where it cannot be kept."""
     from jax.experimental import serialize_executable
 
@@ -170,7 +170,7 @@ def _load_or_compile(
                 _make_lapack_ready()
             values, result = jax.tree.flatten(like)
             out_tree = jax.tree.structure(values)
-            return _Kept(
+            return _KeptProgram(
                 serialize_executable.deserialize_and_load(payload, in_tree, out_tree), result
             )
         except Exception:
@@ -193,10 +193,10 @@ def _load_or_compile(
             # A value of the result's kind and not its tree, whose marks do not survive pickling.
             like = jax.tree.unflatten(result, range(result.num_leaves))
             payload = serialize_executable.serialize(compiled)[0]
-            store.put(name, _pickled((payload, like, bool(calls))))
+            store.put(name, _pickle_own_classes((payload, like, bool(calls))))
     except Exception:
         pass
-    return _Kept(compiled, result)
+    return _KeptProgram(compiled, result)
 
 
 @functools.cache
@@ -210,7 +210,7 @@ def _name(function: Callable[..., Any], key: tuple[Hashable, ...]) -> str:
     tree, kinds, *rest = key
     kinds = [(k.shape, str(k.dtype), k.weak_type) for k in kinds]  # pyright: ignore
     made_of = (function.__module__, function.__qualname__, tree, kinds, rest)
-    return hashlib.sha256(_pickled(made_of)).hexdigest()
+    return hashlib.sha256(_pickle_own_classes(made_of)).hexdigest()
 
 
 class _OwnClasses(pickle.Pickler):
@@ -231,7 +231,7 @@ class _Parts(list[bytes]):
         self.append(bytes(part))
 
 
-def _pickled(value: Any) -> bytes:
+def _pickle_own_classes(value: Any) -> bytes:
     parts = _Parts()
     _OwnClasses(parts, protocol=5).dump(value)
     return b"".join(parts)
