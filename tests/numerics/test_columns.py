@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from trinoc.numerics import as_columns, judged_in_blocks, split_columns
+from trinoc.numerics import as_columns, select_in_blocks, split_columns
 
 
 @jax.jit
@@ -18,7 +18,7 @@ def judged(rows):
 @pytest.mark.parametrize("count", [0, 1, 4, 5, 11])
 def test_only_the_possible_come_back_in_their_order(count: int) -> None:
     rows = np.arange(2 * count, dtype=np.int32).reshape(count, 2)
-    keep, columns = judged_in_blocks(judged, 4, rows)
+    keep, columns = select_in_blocks(judged, 4, rows)
     expected = rows[rows[:, 0] % 3 != 0]
     np.testing.assert_array_equal(rows[keep], expected)
     each, total = split_columns(columns, ((2,), ()))

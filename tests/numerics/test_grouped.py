@@ -4,7 +4,7 @@ import hypothesis.strategies as st
 import numpy as np
 from hypothesis import given
 
-from trinoc.numerics import group_medians, group_sums, of_group, taken
+from trinoc.numerics import broadcast_groups, group_medians, group_sums, take_groups
 
 ROWS = st.lists(st.tuples(st.integers(0, 4), st.floats(-1e3, 1e3)), max_size=30)
 
@@ -30,8 +30,8 @@ def test_no_groups_are_one(rows: list[tuple[int, float]]) -> None:
         group_sums(values, None, 1), group_sums(values, one, 1)[0], atol=1e-9
     )
     np.testing.assert_array_equal(group_medians(values, None, 1), group_medians(values, one, 1)[0])
-    assert taken(None, one) is None
-    assert of_group(3.0, None) == 3.0
+    assert take_groups(None, one) is None
+    assert broadcast_groups(3.0, None) == 3.0
     np.testing.assert_array_equal(
-        of_group(np.array([2.0, 5.0]), taken(one + 1, one)), 5.0 + 0 * one
+        broadcast_groups(np.array([2.0, 5.0]), take_groups(one + 1, one)), 5.0 + 0 * one
     )

@@ -9,6 +9,7 @@ from trinoc.match.candidates.index import LAYERS, key_at, segments_at, spatial_i
 from trinoc.numerics import (
     blocks_of_overlapping,
     expand_ranges,
+    group_labels,
     overlapping,
     pairs_of_equal_keys,
 )
@@ -83,3 +84,14 @@ def test_the_table_holds_every_segment_near_a_point_and_a_direction(seed: int) -
     found = set(zip(query.tolist(), segment.tolist(), strict=True))
     assert {(k, k) for k in range(30)} <= found
     assert len(found) == len(query)
+
+
+@given(SEEDS, st.integers(1, 40), st.integers(0, 60))
+def test_a_group_has_the_least_number_of_what_its_pairs_reach(
+    seed: int, n: int, pairs: int
+) -> None:
+    one, other = np.random.default_rng(seed).integers(0, n, (2, pairs))
+    reach = np.eye(n, dtype=int)
+    reach[one, other] = reach[other, one] = 1
+    reachable = np.linalg.matrix_power(reach.astype(float), n) > 0
+    np.testing.assert_array_equal(group_labels(n, one, other), reachable.argmax(axis=1))

@@ -14,7 +14,7 @@ from trinoc.errors import InputError
 from trinoc.evaluation import Evaluation, evaluate
 from trinoc.geometry import LineObservations, Rig, Segments, UncertainLines
 from trinoc.match import Matches
-from trinoc.numerics import Shown
+from trinoc.numerics import Displayable
 from trinoc.report.notebook import axes, cards, figures
 from trinoc.report.notebook.tables import columns_of
 
@@ -23,7 +23,7 @@ mpl.use("agg")
 
 def test_every_value_that_shows_itself_can() -> None:
     shown = {getattr(trinoc, name, None) for name in trinoc.__all__}
-    shown = {kind for kind in shown if isinstance(kind, type) and issubclass(kind, Shown)}
+    shown = {kind for kind in shown if isinstance(kind, type) and issubclass(kind, Displayable)}
     assert len(shown) >= 5
     for verb in (axes._plot, cards.heading, cards.small_picture, figures._figure, columns_of):
         assert {kind for kind in shown if verb.dispatch(kind) is verb.dispatch(object)} == set()

@@ -18,7 +18,7 @@ from trinoc.evaluation.normalised_errors import NormalisedErrors, normalised_err
 from trinoc.evaluation.wire_frames import WireframeScore, score_wireframe
 from trinoc.geometry import UncertainLines
 from trinoc.match import Wireframe
-from trinoc.numerics import MAD_TO_SIGMA, ArrayLike, Shown
+from trinoc.numerics import MAD_TO_SIGMA, ArrayLike, Displayable
 from trinoc.synth import SceneTruth
 
 TOLERANCES_MM = (0.1, 0.25, 0.5, 1.0)
@@ -63,7 +63,7 @@ class LinesInSpace(Protocol):
         ...
 
 
-class Evaluation(Shown, eqx.Module):
+class Evaluation(Displayable, eqx.Module):
     """Lines in space beside known edges.
 
     Fields

@@ -21,7 +21,7 @@ from trinoc.calib import (
 from trinoc.errors import InputError
 from trinoc.geometry import AFFINE_PARAMETERS, LineObservations, PoseModel, Rig, UncertainLines
 from trinoc.match import Matches, Wireframe, join_collinear, snap_corners, wireframe
-from trinoc.numerics import ArrayLike, as_numpy, in_float64
+from trinoc.numerics import ArrayLike, as_numpy, in_float64, padded
 
 # Tracks are padded to a multiple of this, so that few sizes compile.
 BLOCK = 128
@@ -132,15 +132,11 @@ def _of_fragments(
 ) -> tuple[Float[np.ndarray, "t 2 3"], Float[np.ndarray, "t 6 k"], Float[np.ndarray, "k k"]]:
     """(ends of the common parts, their Jacobian by the cameras' steps, parameters by steps)."""
     stacked = stacked_states(states)
-    count, padding = len(lines), -len(lines) % BLOCK
-
-    def padded(array: np.ndarray) -> np.ndarray:
-        return np.concatenate([array, np.repeat(array[:1], padding, axis=0)])
-
+    count = len(lines)
+    size = -(-count // BLOCK) * BLOCK
+    columns = (lines.fragments_px, lines.covariance_px2, lines.seen)
     ends, by_steps, by_step = as_numpy(
-        _derivatives(
-            stacked, padded(lines.fragments_px), padded(lines.covariance_px2), padded(lines.seen)
-        )
+        _derivatives(stacked, *(padded(column, size, column[:1]) for column in columns))
     )
     return ends[:count], by_steps[:count], by_step
 

@@ -8,12 +8,12 @@ from jaxtyping import Float
 
 from trinoc.errors import InputError
 from trinoc.geometry.camera import Camera
-from trinoc.numerics import ArrayLike, Shown
+from trinoc.numerics import ArrayLike, Displayable
 
 PARAMETER_NAMES = ("pan_deg", "tilt_deg", "swing_deg", "distance_mm", "aim_x_mm", "aim_y_mm")
 
 
-class Rig(Shown, eqx.Module):
+class Rig(Displayable, eqx.Module):
     """Named cameras, in the order the user gave them.
 
     Fields
@@ -88,6 +88,13 @@ class Rig(Shown, eqx.Module):
     def matrices_px(self) -> np.ndarray:
         """(v, 3, 4) projection matrices in the order of `names`, without lens distortion."""
         return np.stack([camera.matrix_px for camera in self.cameras])
+
+    def value(self, parameter: str) -> float:
+        """A parameter of `PARAMETER_NAMES` such as "upper.pan_deg", in degrees or millimetres."""
+        name, _, own = parameter.rpartition(".")
+        if own.startswith("aim_"):
+            return self[name].aim_mm[0 if own == "aim_x_mm" else 1]
+        return getattr(self[name], own)
 
     def sigma(self, parameter: str) -> float:
         """Standard deviation of a parameter such as "upper.pan_deg"; NaN if not known."""

@@ -6,14 +6,14 @@ from jaxtyping import Float, Int, Shaped
 
 from trinoc.errors import InputError
 from trinoc.geometry.junctions import Junctions
-from trinoc.numerics import ArrayLike, Shown
+from trinoc.numerics import ArrayLike, Displayable
 
 DEFAULT_SIGMA_PX = 0.5
 # Detectors cut ends short or run past them: along the segment an end is known far less.
 DEFAULT_SIGMA_ALONG_PX = 2.0
 
 
-class Segments(Shown, eqx.Module):
+class Segments(Displayable, eqx.Module):
     """Line segments of one picture.
 
     Fields

@@ -2,6 +2,7 @@
 
 import dataclasses
 import os
+from collections.abc import Sequence
 from typing import Any
 
 from trinoc.calib import BOARDS, AbstractBoard, AbstractTarget, BoardSet, Pattern
@@ -12,10 +13,6 @@ from trinoc.io.json_text import parsed_json
 from trinoc.io.whole_files import read_text
 
 FORMAT, VERSION = "trinoc-board", 1
-# Alone, a sheet of circles has a format of its own.
-_ALONE = tuple(kind for kind, board in BOARDS.items() if board is not Pattern)
-_IN_SET = (*_ALONE, Pattern.kind)
-
 _CONVENTIONS = (
     "mm on the board Z = 0; seen from the printed side X points right and Y up, the origin is in"
     " the middle of the inner corners, which are ordered row by row from the top left; the top"
@@ -64,20 +61,22 @@ def _values_of_board(board: AbstractBoard) -> dict[str, Any]:
 
 def _target(document: Block) -> AbstractTarget:
     if "boards" not in document.values:
-        document.expect_keys(("format", "version", "name"), (*_ALONE, "conventions"))
-        return _board(document, _ALONE)
+        # Alone, a sheet of circles has a format of its own.
+        alone = [kind for kind, board in BOARDS.items() if board is not Pattern]
+        document.expect_keys(("format", "version", "name"), (*alone, "conventions"))
+        return _board(document, alone)
     document.expect_keys(("format", "version", "name", "boards"), ("conventions",))
-    boards = {}
+    boards, kinds = {}, list(BOARDS)
     for name, block in document.block("boards").blocks():
-        block.expect_keys(("name",), _IN_SET)
-        boards[name] = _board(block, _IN_SET)
+        block.expect_keys(("name",), kinds)
+        boards[name] = _board(block, kinds)
     try:
         return BoardSet(boards, name=document.text("name"))
     except InputError as error:
         raise InputError(f"{document.file}: {error}") from error
 
 
-def _board(document: Block, kinds: tuple[str, ...]) -> AbstractBoard:
+def _board(document: Block, kinds: Sequence[str]) -> AbstractBoard:
     given = [kind for kind in kinds if kind in document.values]
     if len(given) != 1:
         *others, last = kinds[1:]

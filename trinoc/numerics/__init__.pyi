@@ -10,71 +10,57 @@ from .block_arrow import (
     eliminate as eliminate,
 )
 from .buckets import (
+    as_columns as as_columns,
     blocks as blocks,
     bucket as bucket,
-    finer_bucket as finer_bucket,
     in_blocks as in_blocks,
     in_bucket as in_bucket,
     padded as padded,
-)
-from .chi_square import (
-    chi_square_limit as chi_square_limit,
-    chi_square_quantile as chi_square_quantile,
-    chi_square_tail as chi_square_tail,
-    normal_limit as normal_limit,
-)
-from .columns import (
-    as_columns as as_columns,
-    judged_in_blocks as judged_in_blocks,
+    select_in_blocks as select_in_blocks,
     split_columns as split_columns,
 )
-from .compilation import at_once as at_once, one_compiles as one_compiles
 from .compiler_options import quick_compiling as quick_compiling
-from .display import Displays as Displays, Shown as Shown, display_with as display_with
-from .grouped import (
-    group_medians as group_medians,
-    group_sums as group_sums,
-    of_group as of_group,
-    taken as taken,
-)
+from .display import Displayable as Displayable, Displays as Displays, display_with as display_with
 from .information import (
     LARGEST_SIGMA as LARGEST_SIGMA,
     Observability as Observability,
     observability as observability,
     observability_of_root as observability_of_root,
 )
-from .interval_join import (
+from .joins import (
     blocks_of_overlapping as blocks_of_overlapping,
+    broadcast_groups as broadcast_groups,
+    distinct as distinct,
     expand_ranges as expand_ranges,
+    group_labels as group_labels,
+    group_medians as group_medians,
+    group_sums as group_sums,
+    largest as largest,
+    members as members,
+    near_pairs as near_pairs,
     overlapping as overlapping,
     pairs_of_equal_keys as pairs_of_equal_keys,
-)
-from .kept_programs import (
-    ProgramStore as ProgramStore,
-    keep_programs_in as keep_programs_in,
-    kept_jit as kept_jit,
-)
-from .log_tails import (
-    log_normal_tail as log_normal_tail,
-    log_student_tail as log_student_tail,
+    point_tree as point_tree,
+    sums as sums,
+    take_groups as take_groups,
 )
 from .manifold_minimiser import (
     AbstractManifoldMinimiser as AbstractManifoldMinimiser,
     DampedDescent as DampedDescent,
 )
-from .neighbours_in_plane import (
-    distinct as distinct,
-    group_labels as group_labels,
-    near_pairs as near_pairs,
-    point_tree as point_tree,
-)
-from .options import with_field as with_field
 from .precision import (
     as_float as as_float,
     as_numpy as as_numpy,
     in_float64 as in_float64,
     is_traced as is_traced,
     namespace_of as namespace_of,
+)
+from .programs import (
+    ProgramStore as ProgramStore,
+    at_once as at_once,
+    keep_programs_in as keep_programs_in,
+    kept_jit as kept_jit,
+    one_compiles as one_compiles,
 )
 from .robust_loss import (
     AbstractBoundedLoss as AbstractBoundedLoss,
@@ -84,29 +70,6 @@ from .robust_loss import (
     ScaleMixture as ScaleMixture,
     TruncatedSquares as TruncatedSquares,
 )
-from .robust_scale import MAD_TO_SIGMA as MAD_TO_SIGMA
-from .scalar_vectors import (
-    Scalar as Scalar,
-    Symmetric3 as Symmetric3,
-    Vector2 as Vector2,
-    Vector3 as Vector3,
-    add3 as add3,
-    between as between,
-    cross3 as cross3,
-    dot3 as dot3,
-    in_front as in_front,
-    largest_of as largest_of,
-    least_of as least_of,
-    nth3 as nth3,
-    nth6 as nth6,
-    outer3 as outer3,
-    scaled3 as scaled3,
-    times_matrix as times_matrix,
-    total as total,
-    unit3 as unit3,
-    vector3 as vector3,
-)
-from .segmented_arrays import largest as largest, members as members, sums as sums
 from .small_least_squares import (
     NormalEquations as NormalEquations,
     Residuals as Residuals,
@@ -120,5 +83,41 @@ from .small_matrices import (
     inverse_positive_definite as inverse_positive_definite,
     solve_positive_definite as solve_positive_definite,
 )
-from .tables import concatenate_rows as concatenate_rows, take_rows as take_rows
-from .vector_arrays import axes_across as axes_across, cross_2d as cross_2d, cross_3d as cross_3d
+from .tables import (
+    concatenate_rows as concatenate_rows,
+    take_rows as take_rows,
+    with_field as with_field,
+)
+from .tails import (
+    MAD_TO_SIGMA as MAD_TO_SIGMA,
+    chi_square_limit as chi_square_limit,
+    chi_square_quantile as chi_square_quantile,
+    chi_square_tail as chi_square_tail,
+    log_normal_tail as log_normal_tail,
+    log_student_tail as log_student_tail,
+    normal_limit as normal_limit,
+)
+from .vectors import (
+    Scalar as Scalar,
+    Symmetric3 as Symmetric3,
+    Vector2 as Vector2,
+    Vector3 as Vector3,
+    add3 as add3,
+    axes_across as axes_across,
+    between as between,
+    cross3 as cross3,
+    cross_2d as cross_2d,
+    cross_3d as cross_3d,
+    dot3 as dot3,
+    in_front as in_front,
+    largest_of as largest_of,
+    least_of as least_of,
+    nth3 as nth3,
+    nth6 as nth6,
+    outer3 as outer3,
+    scaled3 as scaled3,
+    times_matrix as times_matrix,
+    total as total,
+    unit3 as unit3,
+    vector3 as vector3,
+)

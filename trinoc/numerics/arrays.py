@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 # Indexing a NumPy array yields NumPy's own scalars, which are no arrays but behave as such.
-# Type checkers are not told: their scalar type lacks operators that all arrays have.
+# Type checkers do not see them: their scalar type lacks operators that all arrays have.
 if TYPE_CHECKING:
     ArrayLike = jax.Array | np.ndarray
 else:
@@ -17,7 +17,7 @@ else:
 ScalarLike = Float[ArrayLike, ""] | float
 
 # What properties give: NumPy and Python numbers; inside `jit`, `grad` and `vmap` what is traced.
-# Type checkers are told of the former alone, as most callers see it.
+# Type checkers see the former alone, as most callers see it.
 if TYPE_CHECKING:
     NumpyOrTraced = np.ndarray
     FloatOrTraced = float

@@ -1,30 +1,35 @@
-"""Array lengths rounded up to buckets, so that a new picture does not compile anew."""
+"""Arrays padded to few lengths, so that a new picture does not compile anew.
 
-from collections.abc import Callable, Iterator
-from typing import TypeVar
+All that is padded in the package is padded by `bucket` and `padded`; kernels over many rows run
+`in_blocks` of one length."""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any, TypeVar
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Bool, Float, Int
 
 from trinoc.numerics.arrays import ArrayLike
 
 SMALLEST_BUCKET = 64
 
 _Tree = TypeVar("_Tree")
+_Possible = tuple[Bool[ArrayLike, "h"], Float[ArrayLike, "c h"]]
 
 
-def bucket(count: int) -> int:
-    """The smallest of 64, 128, 256, ... that is not below `count`."""
-    return max(SMALLEST_BUCKET, 1 << max(int(count) - 1, 0).bit_length())
+def bucket(count: int, *, smallest: int = SMALLEST_BUCKET, finer_above: int | None = None) -> int:
+    """The length for so many rows: `smallest`, a power of two, doubled until it holds them.
 
-
-def finer_bucket(count: int) -> int:
-    """As `bucket`, but above 2^16 in steps of a quarter of the power of two below `count`.
-
-    For where the work on padding costs more than one small program more.
+    finer_above : from here on in steps of a quarter of the power of two below `count`, for where
+        the work on padding costs more than one small program more.
     """
-    step = bucket(count) // 8
-    return bucket(count) if count <= 1 << 16 else -(-count // step) * step
+    power = max(smallest, 1 << max(int(count) - 1, 0).bit_length())
+    if finer_above is None or count <= finer_above:
+        return power
+    step = power // 8
+    return -(-count // step) * step
 
 
 def padded(array: np.ndarray, size: int, filler: float | np.ndarray = 0) -> np.ndarray:
@@ -62,3 +67,38 @@ def in_blocks(function: Callable[..., _Tree], size: int, *columns: np.ndarray) -
         return np.concatenate([np.asarray(leaf)[:n] for leaf, n in zip(leaves, rows, strict=True)])
 
     return jax.tree.map(joined, *results)
+
+
+def as_columns(tree: Any) -> Float[ArrayLike, "c h"]:
+    """All leaves of a tree, arrays of items or of rows of items, as rows of one array, in their
+    order."""
+    leaves = [jnp.asarray(leaf) for leaf in jax.tree.leaves(tree)]
+    return jnp.concatenate([leaf.reshape(-1, leaf.shape[-1]) for leaf in leaves])
+
+
+def select_in_blocks(
+    function: Callable[[np.ndarray], _Possible], size: int, rows: Int[np.ndarray, "m k"]
+) -> tuple[Int[np.ndarray, "_"], Float[np.ndarray, "c _"]]:
+    """(which rows are possible, their columns) by a function of `size` rows at a time, which says
+    of each whether it is possible; it must bear rows of zeros."""
+    parts = list(blocks(len(rows), size))
+    # All blocks are handed over before the first result is waited for.
+    results = [function(padded(rows[part], size)) for part in parts]
+    possible, columns = [], []
+    for part, (is_possible, values) in zip(parts, results, strict=True):
+        keep = np.flatnonzero(np.asarray(is_possible)[: part.stop - part.start])
+        possible.append(keep + part.start)
+        columns.append(np.asarray(values)[:, keep])
+    return np.concatenate(possible), np.concatenate(columns, axis=1)
+
+
+def split_columns(
+    columns: Float[np.ndarray, "c m"], shapes: Sequence[tuple[int, ...]]
+) -> Iterable[Float[np.ndarray, "..."]]:
+    """Arrays of these shapes for each item, from as many columns as they have entries."""
+    sizes = [int(np.prod(shape)) for shape in shapes]
+    parts = np.split(columns, np.cumsum(sizes)[:-1])
+    return (
+        np.ascontiguousarray(part.T).reshape(-1, *shape)
+        for part, shape in zip(parts, shapes, strict=True)
+    )

@@ -1,4 +1,4 @@
-"""What makes XLA compile sooner, at no loss of speed."""
+"""What makes XLA compile sooner, at no loss of speed. Read before JAX loads, so without it."""
 
 import jaxlib.version
 

@@ -1,7 +1,7 @@
 """How values show themselves, without knowing who draws them.
 
 Drawing stands on a floor above the values. The package's front door says who draws
-(`display_with`), and a value asks for it when it is first shown.
+(`display_with`), and a value calls it when it is first shown.
 """
 
 from collections.abc import Callable
@@ -32,11 +32,11 @@ _sources: list[Callable[[], Displays]] = []
 
 
 def display_with(source: Callable[[], Displays]) -> None:
-    """Let values be shown by what `source` returns; it is asked when a value is shown."""
+    """Let values be shown by what `source` returns; it is called when a value is shown."""
     _sources[:] = [source]
 
 
-class Shown:
+class Displayable:
     """A value that shows itself in notebooks."""
 
     def _repr_html_(self) -> str:

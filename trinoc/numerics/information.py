@@ -42,7 +42,7 @@ def observability(
     """
     values, vectors = np.linalg.eigh(information)
     is_real = values > 1e-14 * values[-1]
-    return _observed(values, vectors, is_real, parameters_by_chart, largest_sigma)
+    return _of_eigenvalues(values, vectors, is_real, parameters_by_chart, largest_sigma)
 
 
 def observability_of_root(
@@ -56,10 +56,10 @@ def observability_of_root(
     """
     _, values, vectors = np.linalg.svd(root)
     is_real = values > 1e-12 * values[0]
-    return _observed(values**2, vectors.T, is_real, parameters_by_chart, largest_sigma)
+    return _of_eigenvalues(values**2, vectors.T, is_real, parameters_by_chart, largest_sigma)
 
 
-def _observed(
+def _of_eigenvalues(
     values: Float[np.ndarray, "p"],
     vectors: Float[np.ndarray, "p p"],
     is_real: Bool[np.ndarray, "p"],

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from trinoc.numerics.arrays import ArrayLike
 
 
-def cholesky(matrix: Float[ArrayLike, "n n"]) -> list[list[ArrayLike]]:
+def _cholesky(matrix: Float[ArrayLike, "n n"]) -> list[list[ArrayLike]]:
     """Lower factor L, as rows of scalars, of a symmetric positive definite matrix L L^T.
 
     NaN where the matrix is not positive definite.
@@ -30,7 +30,7 @@ def solve_positive_definite(
     matrix: Float[ArrayLike, "n n"], right: Float[ArrayLike, "n *k"]
 ) -> Float[ArrayLike, "n *k"]:
     """x with matrix x = right, for a symmetric positive definite matrix of a few rows."""
-    lower, size = cholesky(matrix), matrix.shape[0]
+    lower, size = _cholesky(matrix), matrix.shape[0]
     forward: list[ArrayLike] = []
     for i in range(size):
         forward.append((right[i] - sum(lower[i][k] * forward[k] for k in range(i))) / lower[i][i])
@@ -44,12 +44,6 @@ def solve_positive_definite(
 def inverse_positive_definite(matrix: Float[ArrayLike, "n n"]) -> Float[ArrayLike, "n n"]:
     """Inverse of a symmetric positive definite matrix of a few rows."""
     return solve_positive_definite(matrix, jnp.eye(matrix.shape[0], dtype=matrix.dtype))
-
-
-def log_determinant_positive_definite(matrix: Float[ArrayLike, "n n"]) -> Float[ArrayLike, ""]:
-    """Logarithm of the determinant of a symmetric positive definite matrix of a few rows."""
-    lower = cholesky(matrix)
-    return 2 * sum((jnp.log(lower[i][i]) for i in range(matrix.shape[0])), start=jnp.zeros(()))
 
 
 def inverse_3x3(matrix: Float[ArrayLike, "3 3"]) -> Float[ArrayLike, "3 3"]:

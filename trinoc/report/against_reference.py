@@ -20,18 +20,11 @@ class ParameterError(NamedTuple):
     over_sigma: float
 
 
-def parameter_value(rig: Rig, name: str, parameter: str) -> float:
-    """A parameter of `PARAMETER_NAMES` of one camera of a rig."""
-    camera = rig[name]
-    if parameter.startswith("aim_"):
-        return camera.aim_mm[0 if parameter == "aim_x_mm" else 1]
-    return getattr(camera, parameter)
-
-
 def parameter_error(rig: Rig, reference: Rig, name: str, parameter: str) -> ParameterError:
     """One parameter of one camera that both rigs have."""
-    value, known = (parameter_value(cameras, name, parameter) for cameras in (rig, reference))
-    sigma, error = rig.sigma(f"{name}.{parameter}"), value - known
+    key = f"{name}.{parameter}"
+    value, known, sigma = rig.value(key), reference.value(key), rig.sigma(key)
+    error = value - known
     over_sigma = error / sigma if sigma > 0 else float("nan")
     return ParameterError(name, parameter, value, sigma, known, error, over_sigma)
 

@@ -11,16 +11,13 @@ from trinoc.geometry import (
     image_of_circle_centre,
     project,
 )
-from trinoc.numerics import ArrayLike, in_float64
-
-# Numbers of points are rounded up to powers of two, so that other counts compile nothing new.
-FEWEST_POINTS = 64
+from trinoc.numerics import ArrayLike, bucket, in_float64, padded
 
 
 @in_float64
 def rays_of_pixels(camera: Camera, uv_px: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 3"]:
     """Unit rays in the camera's frame, whatever its lens."""
-    return np.asarray(_rays(camera, _padded(uv_px)))[: len(uv_px)]
+    return np.asarray(_rays(camera, _in_bucket(uv_px)))[: len(uv_px)]
 
 
 @in_float64
@@ -31,7 +28,7 @@ def epipolar_planes(
 
     A pixel of view b lies on the epipolar curve where its ray is square to the normal.
     """
-    return np.asarray(_planes(camera_b, camera_a, _padded(uv_a_px)))[: len(uv_a_px)]
+    return np.asarray(_planes(camera_b, camera_a, _in_bucket(uv_a_px)))[: len(uv_a_px)]
 
 
 @in_float64
@@ -42,7 +39,7 @@ def epipolar_distances_px(
     uv_a_px: Float[np.ndarray, "n 2"],
 ) -> Float[np.ndarray, "n"]:
     """How far points of view b lie from the epipolar curves of their partners in view a."""
-    distances = _distances_px(camera_b, camera_a, _padded(uv_b_px), _padded(uv_a_px))
+    distances = _distances_px(camera_b, camera_a, _in_bucket(uv_b_px), _in_bucket(uv_a_px))
     return np.asarray(distances)[: len(uv_b_px)]
 
 
@@ -54,9 +51,8 @@ def shift_of_circle_centres(
     return np.asarray(_centre_shifts(camera, centres_mm, radius_mm))
 
 
-def _padded(points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "m 2"]:
-    size = max(FEWEST_POINTS, 1 << (len(points) - 1).bit_length())
-    return np.concatenate([points, np.repeat(points[-1:], size - len(points), axis=0)])
+def _in_bucket(points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "m 2"]:
+    return padded(points, bucket(len(points)), points[-1] if len(points) else 0)
 
 
 @eqx.filter_jit

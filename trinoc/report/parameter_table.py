@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from trinoc.geometry import PARAMETER_NAMES, Rig
-from trinoc.report.against_reference import parameter_error, parameter_value
+from trinoc.report.against_reference import parameter_error
 from trinoc.report.numbers import decimals_for, signed, with_decimals, with_sigma
 
 LABELS = {
@@ -49,7 +49,7 @@ def parameter_rows(
 
 def _cell(rig: Rig, name: str, parameter: str, reference: Rig | None) -> ParameterCell:
     words, sigma = f"{name}.{parameter}", rig.sigma(f"{name}.{parameter}")
-    text = with_sigma(parameter_value(rig, name, parameter), sigma)
+    text = with_sigma(rig.value(f"{name}.{parameter}"), sigma)
     if reference is None or name not in reference.names:
         return ParameterCell(words, text, "", "", "", False)
     found = parameter_error(rig, reference, name, parameter)

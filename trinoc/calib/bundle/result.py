@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from trinoc.geometry import LineObservations, Rig, UncertainLines
-from trinoc.numerics import Shown
+from trinoc.numerics import Displayable
 
 
 class RefineStatus(enum.Enum):
@@ -19,7 +19,7 @@ class RefineStatus(enum.Enum):
     AMBIGUOUS = "Other rigs explain the segments about as well: the rig is returned as it was."
 
 
-class RefineResult(Shown, eqx.Module):
+class RefineResult(Displayable, eqx.Module):
     """Cameras and lines refined together.
 
     Fields

@@ -35,7 +35,7 @@ class Blobs(NamedTuple):
         """The blobs of an index or a mask."""
         return Blobs(self.centres_px[index], self.shape_px2[index])
 
-    def enlarged(self, factor: float) -> "Blobs":
+    def rescale(self, factor: float) -> "Blobs":
         """Blobs of a picture `factor` times smaller, in pixels of the large one."""
         middle = 0.5 * (factor - 1)
         return Blobs(self.centres_px * factor + middle, self.shape_px2 * factor**2)
@@ -60,12 +60,11 @@ def find_blobs(grey: Float[np.ndarray, "h w"], noise_sigma: float, scale: Scale)
     """Connected dark regions of a round enough shape."""
     smooth = cv2.GaussianBlur(grey, (0, 0), scale.smoothing_px)
     dark = _dark(smooth, noise_sigma / (2 * np.sqrt(np.pi) * scale.smoothing_px), scale)
-    if scale.opening_px:
-        kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (scale.opening_px,) * 2)
-        dark = cv2.morphologyEx(dark, cv2.MORPH_OPEN, kernel)
-    if scale.closing_px:
-        kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (scale.closing_px,) * 2)
-        dark = cv2.morphologyEx(dark, cv2.MORPH_CLOSE, kernel)
+    steps = (cv2.MORPH_OPEN, scale.opening_px), (cv2.MORPH_CLOSE, scale.closing_px)
+    for step, side_px in steps:
+        if side_px:
+            kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side_px, side_px))
+            dark = cv2.morphologyEx(dark, step, kernel)
     return _moments(dark)
 
 
@@ -86,14 +85,8 @@ def _dark(smooth: Float[np.ndarray, "h w"], noise_sigma: float, scale: Scale) ->
     middle = cv2.blur(middle.astype(np.float32), (3, 3))
     rows, columns = middle.shape
     full = cv2.resize(middle, (columns * _BLOCK_PX, rows * _BLOCK_PX))
-    full = cv2.copyMakeBorder(
-        full[:height, :width],
-        0,
-        max(0, height - rows * _BLOCK_PX),
-        0,
-        max(0, width - columns * _BLOCK_PX),
-        cv2.BORDER_REPLICATE,
-    )
+    missing = [(0, max(0, height - rows * _BLOCK_PX)), (0, max(0, width - columns * _BLOCK_PX))]
+    full = np.pad(full[:height, :width], missing, mode="edge")
     return cv2.compare(smooth, full, cv2.CMP_LT)
 
 
@@ -102,16 +95,15 @@ def _moments(dark: np.ndarray) -> Blobs:
     height, width = dark.shape
     outlines, hierarchy = cv2.findContours(dark, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     rows = []
-    for outline, (_, _, _, parent) in zip(
-        outlines, hierarchy[0] if hierarchy is not None else [], strict=True
-    ):
-        if parent < 0 and len(outline) >= _SHORTEST_OUTLINE_PX:
-            m = cv2.moments(outline)
-            if m["m00"] > 0.5:
-                left, top, across, down = cv2.boundingRect(outline)
-                clear = left > 0 and top > 0 and left + across < width and top + down < height
-                if clear:
-                    rows.append((m["m00"], m["m10"], m["m01"], m["mu20"], m["mu11"], m["mu02"]))
+    parents = [] if hierarchy is None else hierarchy[0][:, 3]
+    for outline, parent in zip(outlines, parents, strict=True):
+        if parent >= 0 or len(outline) < _SHORTEST_OUTLINE_PX:
+            continue
+        m = cv2.moments(outline)
+        left, top, across, down = cv2.boundingRect(outline)
+        is_clear = left > 0 and top > 0 and left + across < width and top + down < height
+        if m["m00"] > 0.5 and is_clear:
+            rows.append([m[key] for key in ("m00", "m10", "m01", "mu20", "mu11", "mu02")])
     table = np.array(rows).reshape(-1, 6)
     area = table[:, 0]
     xx, xy, yy = (table[:, 3:] / area[:, None]).T
@@ -126,10 +118,10 @@ def _moments(dark: np.ndarray) -> Blobs:
         keep &= area >= np.sort(area[keep])[-_MOST_BLOBS]
     centres = table[:, 1:3] / area[:, None]
     shape = 4.0 * np.stack([xx, xy, xy, yy], axis=1).reshape(-1, 2, 2)
-    return Blobs(centres[keep], _widened(shape[keep]))
+    return Blobs(centres[keep], _widen_by_half_pixel(shape[keep]))
 
 
-def _widened(shape: Float[np.ndarray, "n 2 2"]) -> Float[np.ndarray, "n 2 2"]:
+def _widen_by_half_pixel(shape: Float[np.ndarray, "n 2 2"]) -> Float[np.ndarray, "n 2 2"]:
     """Half a pixel more on every side, as outlines run through the centres of pixels."""
     root = np.sqrt(np.maximum(np.linalg.det(shape), 1e-9))[:, None, None]
     trace = np.trace(shape, axis1=1, axis2=2)[:, None, None]

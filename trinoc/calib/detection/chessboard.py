@@ -26,7 +26,7 @@ def detect_chessboard(image: Shaped[np.ndarray, "..."], board: Chessboard) -> De
 
     Where turning the board leaves its colours as they are, the labelling in which X points most
     to the right is taken, and the others stand in `Detection.ambiguity`. A mirror image of a
-    chessboard is a chessboard: nothing in one picture tells.
+    chessboard is a chessboard: one picture cannot show which it is.
 
     Raises DetectionError where no such board is seen.
     """

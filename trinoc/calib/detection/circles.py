@@ -21,7 +21,7 @@ from trinoc.calib.detection.labels import (
 from trinoc.calib.detection.lattice import Lattice, find_lattices
 from trinoc.calib.detection.measure_circles import fit_coarsely, measure_circles
 from trinoc.calib.detection.plane_mapping import PlaneMapping, fit_plane_mapping
-from trinoc.calib.detection.quality_gate import FEWEST_CIRCLES, plausible
+from trinoc.calib.detection.quality_gate import FEWEST_CIRCLES, are_plausible
 from trinoc.calib.detection.search_image import SearchImage, search_image, shrink_image
 from trinoc.calib.targets import Pattern
 from trinoc.errors import DetectionError
@@ -66,7 +66,7 @@ def detect_circles(image: Shaped[np.ndarray, "..."], pattern: Pattern) -> Detect
     negative = picture._replace(grey=picture.grey.max() - picture.grey)
     for positive in (picture, negative):
         for blobs in _find_blobs_by_scale(positive):
-            sheets = _find_sheets(positive, blobs, pattern, symmetry, refusals)
+            sheets = _find_sheets(positive, blobs, symmetry, refusals)
             if len(sheets) > 1:
                 raise DetectionError(
                     f"The picture shows the sheet {pattern.name!r} more than once; leave one in"
@@ -84,7 +84,7 @@ def detect_circles(image: Shaped[np.ndarray, "..."], pattern: Pattern) -> Detect
 
 
 def circle_candidates(image: Shaped[np.ndarray, "..."]) -> Blobs:
-    """Dark regions of a picture that could be circles, before any pattern is looked for.
+    """Dark regions of a picture that could be circles, whatever the pattern.
 
     image : as of `detect_pattern`, which searches at other scales too where these are no sheet.
     """
@@ -95,26 +95,25 @@ def _find_blobs_by_scale(picture: SearchImage) -> Iterator[Blobs]:
     factor = max(1, round(max(picture.size_px) / _SEARCH_SIDE_PX))
     grey, noise = shrink_image(picture, factor)
     for scale in _SCALES:
-        yield find_blobs(grey, noise, scale).enlarged(factor)
+        yield find_blobs(grey, noise, scale).rescale(factor)
     doubled = cv2.resize(grey, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
-    yield find_blobs(doubled, noise, _SCALE_OF_DOUBLED).enlarged(0.5 * factor)
+    yield find_blobs(doubled, noise, _SCALE_OF_DOUBLED).rescale(0.5 * factor)
 
 
 def _find_sheets(
     picture: SearchImage,
     blobs: Blobs,
-    pattern: Pattern,
     symmetry: PatternSymmetry,
     refusals: list[tuple[int, DetectionError]],
 ) -> list[Sheet]:
     """All sheets among the blobs; what was refused is added to `refusals`."""
+    pattern, sheets = symmetry.pattern, list[Sheet]()
     span = int(np.ptp(pattern.lattice, axis=0).max()) + 3
-    sheets: list[Sheet] = []
     if len(blobs) < _FEWEST_BLOBS:
         return sheets
     for lattice in find_lattices(blobs, symmetry, at_least=_FEWEST_BLOBS, span=span):
         try:
-            sheet = _read_sheet(picture, blobs, lattice, pattern, symmetry)
+            sheet = _read_sheet(picture, blobs, lattice, symmetry)
         except MirroredError:
             raise
         except DetectionError as refusal:
@@ -128,16 +127,16 @@ def _find_sheets(
 
 
 def _read_sheet(
-    image: SearchImage, blobs: Blobs, lattice: Lattice, pattern: Pattern, symmetry: PatternSymmetry
+    image: SearchImage, blobs: Blobs, lattice: Lattice, symmetry: PatternSymmetry
 ) -> Sheet:
     """Label a lattice and measure all circles of the pattern that the picture shows.
 
     Raises
     ------
-    DetectionError : see `label_circles`; or too few circles of
-        the lattice are circles when looked at closely.
+    DetectionError : see `label_circles`; or too few circles of the lattice are circles when looked
+        at closely.
     """
-    cell = lattice.cell.astype(float)
+    pattern, cell = symmetry.pattern, lattice.cell.astype(float)
     centres = blobs.centres_px[lattice.blob]
     unit_radius = np.full(len(lattice), 1.0 / symmetry.pitch_radii)
     mapping = fit_plane_mapping(cell, centres)
@@ -145,17 +144,17 @@ def _read_sheet(
     found_area = np.sqrt(np.linalg.det(blobs.shape_px2[lattice.blob]))
     swelling = quick_median(found_area / np.sqrt(np.linalg.det(shape)))
     coarse = fit_coarsely(image, centres, shape * swelling, symmetry.hole_ratio)
-    good = plausible(coarse, centres, shape, image.noise_sigma)
+    good = are_plausible(coarse, centres, shape, image.noise_sigma)
     if np.sum(good) < FEWEST_CIRCLES:
         raise DetectionError(
             f"No sheet of the pattern {pattern.name!r} was found in the picture; see that it"
             " lies flat, in focus, and large enough."
         )
     coarse, cell = coarse.take(good), lattice.cell[good]
-    index = label_circles(cell, _ring_evidence(coarse, symmetry), pattern, symmetry)
+    index = label_circles(cell, _ring_evidence(coarse, symmetry), symmetry)
     on_pattern = index >= 0
     ellipses, index, mapping = measure_circles(
-        image, coarse.take(on_pattern), index[on_pattern], pattern, symmetry
+        image, coarse.take(on_pattern), index[on_pattern], symmetry
     )
     if len(index) < FEWEST_CIRCLES:
         raise DetectionError(

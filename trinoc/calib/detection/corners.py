@@ -21,7 +21,7 @@ def corner_covariance_px2(
 
     Noise of variance s^2 leaves a corner the covariance s^2 (sum of g g^T)^-1, where g are the
     gradients in a window about it; that of the detector's own error comes on top. Only their
-    ratios are to be trusted: what corners really miss by, their fit tells.
+    ratios are to be trusted: a fit shows what corners really miss by.
     """
     grey = np.asarray(image.grey, dtype=np.float32)
     by_u = cv2.Scharr(grey, cv2.CV_32F, 1, 0, scale=1 / 32)

@@ -69,11 +69,11 @@ class Ellipses(NamedTuple):
         """The ellipses of an index or a mask."""
         return Ellipses(*(field[index] for field in self))
 
-    def joined(self, other: "Ellipses") -> "Ellipses":
+    def concatenate(self, other: "Ellipses") -> "Ellipses":
         """These ellipses, then the others."""
         return Ellipses(*(np.concatenate(pair) for pair in zip(self, other, strict=True)))
 
-    def enlarged(self, factor: int) -> "Ellipses":
+    def rescale(self, factor: int) -> "Ellipses":
         """Ellipses of a picture reduced by `factor`, in pixels of the picture itself."""
         blur2 = factor**2 * np.maximum(self.blur_px**2 - _PIXEL_VARIANCE, 0.0) + _PIXEL_VARIANCE
         return self._replace(

@@ -1,4 +1,4 @@
-"""Which circle of the pattern each blob of a lattice is, or why that cannot be told.
+"""Which circle of the pattern each blob of a lattice is, or why that cannot be said.
 
 A lattice is laid on the pattern in every turn and at every shift; its rings say which is right.
 """
@@ -27,9 +27,8 @@ class MirroredError(DetectionError):
 
 
 class PatternSymmetry(NamedTuple):
-    """The lattice of a pattern and the symmetries of the lattice.
+    """A pattern, its lattice, and the symmetries of the lattice.
 
-    circles : how many there are.
     steps_mm : (2, 2) columns are the steps on the sheet of one lattice unit.
     radius_mm : the common radius of the circles (their median).
     hole_ratio : inner over outer radius of the rings; 0 without rings.
@@ -40,7 +39,7 @@ class PatternSymmetry(NamedTuple):
     is_chiral : whether the sheet differs from its mirror image.
     """
 
-    circles: int
+    pattern: Pattern
     steps_mm: Float[np.ndarray, "2 2"]
     radius_mm: float
     hole_ratio: float
@@ -87,7 +86,7 @@ def pattern_symmetry(pattern: Pattern) -> PatternSymmetry:
     rings = pattern.is_ring
     ratio = pattern.inner_radius_mm[rings] / pattern.radius_mm[rings]
     return PatternSymmetry(
-        circles=len(pattern),
+        pattern=pattern,
         steps_mm=steps.T,
         radius_mm=float(np.median(pattern.radius_mm)),
         hole_ratio=float(np.median(ratio)) if np.any(rings) else 0.0,
@@ -153,7 +152,6 @@ def placements(
 def label_circles(
     cell: Int[np.ndarray, "m 2"],
     ring_evidence: Float[np.ndarray, "m"],
-    pattern: Pattern,
     symmetry: PatternSymmetry,
 ) -> Int[np.ndarray, "m"]:
     """Pattern index of each circle of a lattice, -1 where the pattern has none.
@@ -167,6 +165,7 @@ def label_circles(
     DetectionError : the picture is mirrored, it shows another pattern, or too little of the
         sheet is seen to tell where it lies.
     """
+    pattern = symmetry.pattern
     plain = placements(cell, ring_evidence, pattern, symmetry.turns)
     best = int(np.argmax(plain.score))
     index, allowed = plain.index[best], int(_MOST_WRONG * len(cell))

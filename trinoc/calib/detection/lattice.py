@@ -174,7 +174,7 @@ def _grow(
             np.sort(grown.blob), np.sort(lattice.blob)
         )
         lattice = grown
-        if same or len(lattice) == symmetry.circles:
+        if same or len(lattice) == len(symmetry.pattern):
             break
     return lattice
 

@@ -8,9 +8,8 @@ from trinoc.calib.detection.ellipse_fit import Ellipses, refine_ellipses, start_
 from trinoc.calib.detection.ellipse_pixels import pixels_round, quick_median, smallest_axis
 from trinoc.calib.detection.labels import PatternSymmetry
 from trinoc.calib.detection.plane_mapping import PlaneMapping, fit_plane_mapping
-from trinoc.calib.detection.quality_gate import agreeing, plausible, undisturbed
+from trinoc.calib.detection.quality_gate import are_plausible, are_undisturbed, select_agreeing
 from trinoc.calib.detection.search_image import SearchImage, shrink_image
-from trinoc.calib.targets import Pattern
 
 # Pixels of one circle that the first, coarse fit looks at, about.
 _COARSE_PIXELS = 150
@@ -22,7 +21,7 @@ _PLANE_CIRCLES, _QUADRATIC_CIRCLES = 6, 12
 _LIGHT_REWEIGHTINGS = 3
 # A circle and those round it.
 _NEIGHBOURS = 5
-# Relative change per pixel that light may have where too few circles tell.
+# Relative change per pixel that light may have where there are too few circles.
 _UNKNOWN_SLOPE = 0.005
 
 
@@ -58,43 +57,43 @@ def fit_coarsely(
         slope_sigma=None,
         noise_sigma=small.noise_sigma,
         outlier_shares=(0.5, 0.25),
-    ).enlarged(factor)
+    ).rescale(factor)
 
 
 def measure_circles(
     image: SearchImage,
     coarse: Ellipses,
     index: Int[np.ndarray, "m"],
-    pattern: Pattern,
     symmetry: PatternSymmetry,
 ) -> tuple[Ellipses, Int[np.ndarray, "k"], PlaneMapping]:
     """Look for the circles that the blobs missed, then measure all together."""
+    pattern = symmetry.pattern
     mapping = fit_plane_mapping(
         pattern.centres_mm[index], coarse.centres_px, pattern.radius_mm[index]
     )
     missing = np.setdiff1d(np.arange(len(pattern)), index)
     if len(missing):
         centre, shape = mapping.ellipses(pattern.centres_mm[missing], pattern.radius_mm[missing])
-        seen = _inside(centre, shape, image.size_px)
+        seen = _are_inside(centre, shape, image.size_px)
         missing, centre, shape = missing[seen], centre[seen], shape[seen]
     if len(missing):
         extra = fit_coarsely(image, centre, shape, symmetry.hole_ratio)
-        like = plausible(extra, centre, shape, image.noise_sigma)
+        like = are_plausible(extra, centre, shape, image.noise_sigma)
         like &= np.abs(extra.hole - pattern.is_ring[missing]) < 0.5
         contrast = (extra.paper * extra.ink) / quick_median(coarse.paper * coarse.ink)
         like &= (contrast > 0.35) & (contrast < 3.0)
-        coarse = coarse.joined(extra.take(like))
+        coarse = coarse.concatenate(extra.take(like))
         index = np.concatenate([index, missing[like]])
-    fine = _fit_finely(image, coarse, index, pattern, symmetry, mapping)
+    fine = _fit_finely(image, coarse, index, symmetry, mapping)
     centre, shape = mapping.ellipses(pattern.centres_mm[index], pattern.radius_mm[index])
-    good = plausible(fine, centre, shape, image.noise_sigma)
-    good &= undisturbed(fine, image.noise_sigma)
-    where_expected, mapping = agreeing(fine, index, pattern)
+    good = are_plausible(fine, centre, shape, image.noise_sigma)
+    good &= are_undisturbed(fine, image.noise_sigma)
+    where_expected, mapping = select_agreeing(fine, index, pattern)
     good &= where_expected
     return fine.take(good), index[good], mapping
 
 
-def _inside(
+def _are_inside(
     centre_px: Float[np.ndarray, "n 2"],
     shape_px2: Float[np.ndarray, "n 2 2"],
     size_px: tuple[int, int],
@@ -112,12 +111,12 @@ def _fit_finely(
     image: SearchImage,
     coarse: Ellipses,
     index: Int[np.ndarray, "n"],
-    pattern: Pattern,
     symmetry: PatternSymmetry,
     mapping: PlaneMapping,
 ) -> Ellipses:
     """Fits with all pixels of a band round the outer edge, again for those circles that moved too
     far for one step to be the last."""
+    pattern = symmetry.pattern
     slope, slope_sigma = light_slope(coarse.centres_px, coarse.paper)
     halfway = 0.5 * (1.0 + symmetry.hole_ratio) if symmetry.hole_ratio > 0 else 0.3
 

@@ -27,7 +27,7 @@ _CLEARLY = 3.0
 def resolve_orientation(
     detections: Mapping[str, Detection], pattern: Pattern, orientation: Orientation
 ) -> tuple[dict[str, Detection], dict[str, str]]:
-    """Every detection with one labelling, and a sentence for each where that cannot be told.
+    """Every detection with one labelling, and a sentence for each that leaves it open.
 
     orientation : None leaves it open; "upright" takes the labelling in which X points to the
         right in the picture, as nearly as it can; an earlier rig, for each camera that it

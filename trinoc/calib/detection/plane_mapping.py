@@ -36,8 +36,9 @@ class PlaneMapping(NamedTuple):
 
     def log_enlargement(self, points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n"]:
         """Log of the area in pixels of a unit area of the plane."""
-        jacobian = jacobian_of_homography(self.homography, points)
-        return np.log(np.maximum(np.abs(np.linalg.det(jacobian)), 1e-12))
+        depth = points @ self.homography[2, :2] + self.homography[2, 2]
+        area = np.abs(np.linalg.det(self.homography) / depth**3)
+        return np.log(np.maximum(area, 1e-12))
 
     def ellipses(
         self, centres: Float[np.ndarray, "n 2"], radius: Float[np.ndarray, "n"]
@@ -76,14 +77,9 @@ def fit_plane_mapping(
 
 
 def _cubic_terms(unit: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 10"]:
-    terms = np.empty((len(unit), 10))
-    terms[:, 0] = 1.0
-    terms[:, 1:3] = unit
-    terms[:, 3:5] = unit[:, :1] * unit
-    terms[:, 5] = unit[:, 1] ** 2
-    terms[:, 6:9] = unit[:, :1] * terms[:, 3:6]
-    terms[:, 9] = unit[:, 1] * terms[:, 5]
-    return terms
+    (x, y), one = unit.T, np.ones(len(unit))
+    xx, xy, yy = x * x, x * y, y * y
+    return np.stack([one, x, y, xx, xy, yy, x * xx, x * xy, x * yy, y * yy], axis=1)
 
 
 def fit_homography(
@@ -125,16 +121,6 @@ def apply_homography(
     homogeneous = points @ homography[:, :2].T + homography[:, 2]
     depth = np.where(homogeneous[:, 2] > 1e-9, homogeneous[:, 2], np.nan)
     return homogeneous[:, :2] / depth[:, None]
-
-
-def jacobian_of_homography(
-    homography: Float[np.ndarray, "3 3"], points: Float[np.ndarray, "n 2"]
-) -> Float[np.ndarray, "n 2 2"]:
-    """Derivative of the image with respect to the point, columns by source axis."""
-    homogeneous = points @ homography[:, :2].T + homography[:, 2]
-    image = homogeneous[:, :2] / homogeneous[:, 2:]
-    numerator = homography[None, :2, :2] - image[:, :, None] * homography[None, 2:, :2]
-    return numerator / homogeneous[:, 2, None, None]
 
 
 def images_of_circles(

@@ -15,7 +15,7 @@ from trinoc.calib.targets import Pattern
 FEWEST_CIRCLES = 6
 
 
-def plausible(
+def are_plausible(
     fitted: Ellipses,
     centre_px: Float[np.ndarray, "n 2"],
     shape_px2: Float[np.ndarray, "n 2 2"],
@@ -42,7 +42,7 @@ def plausible(
     )
 
 
-def undisturbed(fitted: Ellipses, noise_sigma: float) -> np.ndarray:
+def are_undisturbed(fitted: Ellipses, noise_sigma: float) -> np.ndarray:
     """Circles whose edge fits as well as is usual: none with a shadow's edge across it."""
     contrast = np.abs(fitted.paper * fitted.ink)
     beyond_noise = np.maximum(fitted.residual_sigma**2 - noise_sigma**2, 0.0)
@@ -50,7 +50,7 @@ def undisturbed(fitted: Ellipses, noise_sigma: float) -> np.ndarray:
     return misfit < 2.5 * quick_median(misfit) + 0.02 + 0.6 * noise_sigma / contrast
 
 
-def _alike(
+def _have_expected_shapes(
     fitted: Ellipses, shape_px2: Float[np.ndarray, "n 2 2"], own_px: Float[np.ndarray, "n"]
 ) -> np.ndarray:
     """Ellipses as long, as wide and as slanted as the sheet's: none with a finger on its edge."""
@@ -62,7 +62,7 @@ def _alike(
     return misfit < 3.0 * quick_median(misfit) + np.minimum(unsure, 0.2) + 0.05
 
 
-def agreeing(
+def select_agreeing(
     fitted: Ellipses, index: Int[np.ndarray, "m"], pattern: Pattern
 ) -> tuple[np.ndarray, PlaneMapping]:
     """Circles that lie where a smooth picture of the sheet puts them, and that picture."""
@@ -77,7 +77,7 @@ def agreeing(
         miss = np.sqrt(off[:, 0] ** 2 + off[:, 1] ** 2)
         before = good
         good = miss < 3.0 * quick_median(miss[good]) + 3.0 * own + sharp
-        good &= _alike(fitted, shape, own)
+        good &= _have_expected_shapes(fitted, shape, own)
         if np.array_equal(before, good) or np.sum(good) < FEWEST_CIRCLES:
             break
         mapping = fit_plane_mapping(centres_mm[good], fitted.centres_px[good], radius_mm[good])

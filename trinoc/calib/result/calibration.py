@@ -9,7 +9,7 @@ from trinoc.calib.result.alternative import Alternative
 from trinoc.calib.result.status import Status
 from trinoc.calib.targets import Pattern
 from trinoc.geometry import PARAMETER_NAMES, Rig
-from trinoc.numerics import Shown
+from trinoc.numerics import Displayable
 
 
 class ImageQuality(eqx.Module):
@@ -80,7 +80,7 @@ class CameraFit(eqx.Module):
         return float(np.sqrt(np.mean(np.sum(self.residuals_px[self.used] ** 2, axis=1))))
 
 
-class CalibrationResult(Shown, eqx.Module):
+class CalibrationResult(Displayable, eqx.Module):
     """A calibrated rig with parameters, covariance, and the fit of each camera.
 
     Fields

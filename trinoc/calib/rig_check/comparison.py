@@ -15,6 +15,7 @@ _MOVED_SIGMAS = 4.5
 _SWAP_RATIO = 10.0
 # Without sigmas of either rig, changes below these are not worth a word.
 _QUIET_MM, _QUIET_DEG = 0.1, 0.01
+_LEAST_TAIL = 1e-304
 
 
 class CameraChange(NamedTuple):
@@ -85,10 +86,8 @@ def compare_rigs(
 def _change(now: Rig, before: Rig, name: str) -> CameraChange:
     moved_mm, turned_deg = _apart(now[name], before[name])
     sigmas = _sigmas_of_change(now, before, name)
-    if np.isnan(sigmas):
-        moved = moved_mm > _QUIET_MM or turned_deg > _QUIET_DEG
-    else:
-        moved = sigmas > _MOVED_SIGMAS
+    is_large = moved_mm > _QUIET_MM or turned_deg > _QUIET_DEG
+    moved = is_large if np.isnan(sigmas) else sigmas > _MOVED_SIGMAS
     return CameraChange(moved_mm, turned_deg, sigmas, moved)
 
 
@@ -104,36 +103,30 @@ def _apart(first: Camera, second: Camera) -> tuple[float, float]:
 
 def _sigmas_of_change(now: Rig, before: Rig, name: str) -> float:
     """Length of the change in units of its own sigma; NaN where the sigmas are not known."""
-    difference, covariance = [], []
-    for parameter in PARAMETER_NAMES:
-        key = f"{name}.{parameter}"
-        if key in now.parameters and key in before.parameters:
-            difference.append(_value(now[name], parameter) - _value(before[name], parameter))
-            covariance.append(key)
-    if not covariance:
+    keys = [f"{name}.{parameter}" for parameter in PARAMETER_NAMES]
+    keys = [key for key in keys if key in now.parameters and key in before.parameters]
+    if not keys:
         return float("nan")
-    total = _block(now, covariance) + _block(before, covariance)
-    change = np.array(difference)
+    total = sum(_covariance_of(rig, keys) for rig in (now, before))
+    change = np.array([now.value(key) - before.value(key) for key in keys])
     change[:3] = (change[:3] + 180.0) % 360.0 - 180.0
     scale = np.sqrt(np.diag(total))
     if not np.isfinite(total).all() or not (scale > 0).all():
         return float("nan")
     whitened = np.linalg.solve(total / np.outer(scale, scale), change / scale)
-    squared = max(float(whitened @ (change / scale)), 0.0)
-    probability = float(chi_square_tail(squared, len(change)))
-    # The probability of so long a change, as the deviation of one number that has it.
-    return float(normal_limit(0.5 * probability)) if probability > 0 else float(np.sqrt(squared))
+    return sigmas_of_chi_square(max(float(whitened @ (change / scale)), 0.0), len(change))
 
 
-def _block(rig: Rig, keys: list[str]) -> Float[np.ndarray, "k k"]:
+def sigmas_of_chi_square(chi_square: float, freedom: int) -> float:
+    """The deviation of one normal number, two-sided, that is as improbable."""
+    tail = float(chi_square_tail(chi_square, freedom))
+    # Beyond the smallest numbers the degrees of freedom hardly matter.
+    return float(normal_limit(tail / 2) if tail > _LEAST_TAIL else np.sqrt(chi_square))
+
+
+def _covariance_of(rig: Rig, keys: list[str]) -> Float[np.ndarray, "k k"]:
     rows = [rig.parameters.index(key) for key in keys]
     return np.asarray(rig.covariance)[np.ix_(rows, rows)]
-
-
-def _value(camera: Camera, parameter: str) -> float:
-    if parameter.startswith("aim"):
-        return camera.aim_mm[0 if parameter == "aim_x_mm" else 1]
-    return getattr(camera, parameter)
 
 
 def _swapped(now: Rig, before: Rig, names: list[str]) -> tuple[tuple[str, str], ...]:

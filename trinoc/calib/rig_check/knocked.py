@@ -1,4 +1,4 @@
-"""Has a camera been knocked since the rig was calibrated? Asked of scene pictures alone.
+"""Has a camera been knocked since the rig was calibrated? By scene pictures alone.
 
 For each camera in turn the prior of the calibration is dropped, while the others keep theirs. The
 fall of the joint chi-square is the evidence that this camera moved; without motion it is
@@ -12,17 +12,17 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.calib.bundle import Matched, Matcher, RefineResult, RefineStatus, refine
+from trinoc.calib.rig_check.comparison import sigmas_of_chi_square
 from trinoc.errors import CalibrationError
 from trinoc.geometry import AFFINE_PARAMETERS, LineObservations, Rig
-from trinoc.numerics import chi_square_tail, normal_limit
 
-# Below this many sigmas a motion may be chance; with three cameras asked, one rig
+# Below this many sigmas a motion may be chance; with three cameras tested, one rig
 # in 120 that stands still is suspected all the same.
 SUSPECT_SIGMAS = 3.0
 # Fewer lines are hardly enough for the six numbers of a camera, and chance finds as many.
 FEWEST_LINES = 12
 # What chance joins scatters 1.2 to 2.3 times as much as sigmas say, and right lines, where their
-# sigmas are right, 0.9 to 1.1 times. Asked only where matches come without a way to match again.
+# sigmas are right, 0.9 to 1.1 times. It counts only for matches without a way to match again.
 MOST_NOISE = 1.5
 
 
@@ -100,11 +100,11 @@ def check_rig(
     *,
     match_again: Matcher | Sequence[Matcher] | None = None,
 ) -> RigCheck:
-    """Ask the segments of a scene whether each camera still stands where `rig` says.
+    """Test by the segments of a scene whether each camera still stands where `rig` says.
 
     `rig` needs the covariance of its calibration, since motion is measured against it. With
     `match_again`, as `refine` takes it, a knock that hid most of the scene from the matcher is
-    found too: the scene is matched again with each camera freed, and asked where that is most
+    found too: the scene is matched again with each camera freed, and tested where that is most
     probable. Raises CalibrationError where the rig has no covariance or where fewer than three
     cameras see the scene: two views of lines agree with any motion.
     """
@@ -124,17 +124,16 @@ def check_rig(
     motions, freed = _motions(rig, matches, best)
     strongest = max(motions, key=lambda motion: motion.sigmas)
     corrected, name = freed[strongest.name], strongest.name
-    conclusive = _agreeing(corrected) >= FEWEST_LINES and (
+    conclusive = _count_agreeing(corrected) >= FEWEST_LINES and (
         best is not None or corrected.segment_sigma_factor < MOST_NOISE
     )
     if strongest.sigmas < SUSPECT_SIGMAS:
         return RigCheck(motions, (), None, conclusive)
     others = [other for other in rig.names if other != name]
-    noise = max(corrected.segment_sigma_factor, 1.0)
-    further = {
-        other: _significance(corrected, _freed(corrected, rig, matches, (name, other)), noise)
-        for other in others
-    }
+    noise, further = max(corrected.segment_sigma_factor, 1.0), {}
+    for other in others:
+        both = _free_cameras(corrected, rig, matches, (name, other))
+        further[other] = _significance(corrected, both, noise)
     also = tuple(other for other in others if further[other] >= SUSPECT_SIGMAS)
     if also or corrected.status is RefineStatus.NOT_CONVERGED:
         return RigCheck(motions, (name, *also), None)
@@ -143,7 +142,7 @@ def check_rig(
     return RigCheck(motions, (name,), corrected)
 
 
-def _agreeing(result: RefineResult) -> int:
+def _count_agreeing(result: RefineResult) -> int:
     """Number of lines that agree in three views or more."""
     return int((result.inlier.sum(axis=1) > 2).sum())
 
@@ -156,7 +155,7 @@ def _motions(
     `found` is where the scene was matched best: one more start for each camera.
     """
     at_rest = refine(rig, matches)
-    freed = {name: _freed(found, rig, matches, (name,)) for name in rig.names}
+    freed = {name: _free_cameras(found, rig, matches, (name,)) for name in rig.names}
     # The best explanation sets the noise; a moved camera would inflate it otherwise.
     noise = min(result.segment_sigma_factor for result in (at_rest, *freed.values()))
     noise = max(noise, 1.0)
@@ -164,7 +163,7 @@ def _motions(
     return motions, freed
 
 
-def _freed(
+def _free_cameras(
     found: RefineResult | None,
     rig: Rig,
     matches: Matched | LineObservations,
@@ -181,39 +180,25 @@ def _freed(
 def _motion(
     rig: Rig, name: str, at_rest: RefineResult, freed: RefineResult, noise: float
 ) -> CameraMotion:
-    rows = [i for i in _of_poses(freed) if freed.parameters[i].startswith(name + ".")]
-    own = tuple(freed.parameters[i].removeprefix(name + ".") for i in rows)
-    sheet = np.array([np.nan_to_num(rig.sigma(f"{name}.{parameter}")) for parameter in own])
-    before = np.array([_value(rig, name, parameter) for parameter in own])
-    change = freed.values[rows] - before
-    angles = np.array([parameter.endswith("_deg") for parameter in own])
+    rows = [i for i in _pose_rows(freed) if freed.parameters[i].startswith(name + ".")]
+    keys = [freed.parameters[i] for i in rows]
+    sheet = np.nan_to_num([rig.sigma(key) for key in keys])
+    change = freed.values[rows] - [rig.value(key) for key in keys]
+    angles = np.array([key.endswith("_deg") for key in keys])
     change = np.where(angles, (change + 180) % 360 - 180, change)
     variance = np.diag(freed.covariance)[rows] + sheet**2
+    own = tuple(key.removeprefix(name + ".") for key in keys)
     sigmas = _significance(at_rest, freed, noise)
     return CameraMotion(name, sigmas, own, change, np.sqrt(variance))
 
 
-def _value(rig: Rig, name: str, parameter: str) -> float:
-    camera = rig[name]
-    if parameter.startswith("aim_"):
-        return camera.aim_mm[0 if parameter == "aim_x_mm" else 1]
-    return float(getattr(camera, parameter))
-
-
 def _significance(held: RefineResult, freed: RefineResult, noise: float) -> float:
     """Sigmas by which the scene prefers one more camera without its prior."""
-    freed_parameters = len(_of_poses(freed)) // len(freed.rig)
     gain = max(held.chi_square[0] - freed.chi_square[0], 0.0) / noise**2
-    return _sigmas(gain, freed_parameters)
+    return sigmas_of_chi_square(gain, len(_pose_rows(freed)) // len(freed.rig))
 
 
-def _of_poses(result: RefineResult) -> list[int]:
+def _pose_rows(result: RefineResult) -> list[int]:
     """Rows of the parameters that a knock changes: a camera keeps its lens."""
     own = [parameter.rpartition(".")[2] for parameter in result.parameters]
     return [row for row, parameter in enumerate(own) if parameter not in AFFINE_PARAMETERS]
-
-
-def _sigmas(chi_square: float, freedom: int) -> float:
-    """Sigmas of a normal distribution, two-sided, of as small a probability."""
-    log_tail = np.log(chi_square_tail(chi_square, freedom))
-    return float(normal_limit(np.exp(max(log_tail, -700.0)) / 2))

@@ -24,7 +24,7 @@ class AprilGrid(AbstractSquareBoard):
     """A grid of AprilTags whose numbers grow along the rows, the lowest row first.
 
     Squares of the width of the gap stand where gaps cross, so that every corner of a tag is one of
-    a chessboard. A part of the board tells where it lies. Places are the corners of the tags, four
+    a chessboard. A part of the board shows where it lies. Places are the corners of the tags, four
     of each from its lower left counter-clockwise, tag by tag; the origin is in the middle.
 
     Fields

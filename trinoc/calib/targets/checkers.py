@@ -1,8 +1,7 @@
 """Boards of squares: the chessboard, and the chessboard with markers in its light squares."""
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
-import cv2
 import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -102,7 +101,7 @@ class Chessboard(AbstractSquareBoard):
 class Charuco(AbstractSquareBoard):
     """A chessboard with ArUco markers in its light squares, as `cv2.aruco.CharucoBoard` has it.
 
-    A part of it tells where it lies. The corners are OpenCV's, in its order, row by row from the
+    A part of it shows where it lies. The corners are OpenCV's, in its order, row by row from the
     top left; the origin is in their middle.
 
     Fields
@@ -196,8 +195,10 @@ class Charuco(AbstractSquareBoard):
         return grids
 
 
-def opencv_board(board: Charuco) -> cv2.aruco.CharucoBoard:
-    """The same board as OpenCV has it."""
+def opencv_board(board: Charuco) -> Any:
+    """The same board as a `cv2.aruco.CharucoBoard`."""
+    import cv2
+
     theirs = cv2.aruco.CharucoBoard(
         (board.columns, board.rows),
         board.square_mm,

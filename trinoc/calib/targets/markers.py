@@ -1,6 +1,10 @@
-"""ArUco's and AprilTag's markers, by OpenCV's dictionaries."""
+"""ArUco's and AprilTag's markers, by OpenCV's dictionaries.
 
-import cv2
+OpenCV loads when a marker is drawn or looked for: matching needs boards' types, and no OpenCV.
+"""
+
+from typing import Any
+
 import numpy as np
 from jaxtyping import Bool
 
@@ -47,18 +51,20 @@ def marks_of_markers(dictionary: str, numbers: range) -> Marks:
     )
 
 
-def opencv_dictionary(name: str) -> cv2.aruco.Dictionary:
-    """One of `DICTIONARIES`."""
+def opencv_dictionary(name: str) -> Any:
+    """The `cv2.aruco.Dictionary` of one of `DICTIONARIES`."""
+    import cv2
+
     own, count = name.split("_")
     return cv2.aruco.getPredefinedDictionary(
         getattr(cv2.aruco, f"DICT_{own.replace('x', 'X')}_{count}")
     )
 
 
-def marker_cells(
-    dictionary: cv2.aruco.Dictionary, number: int, *, border: int
-) -> Bool[np.ndarray, "k k"]:
+def marker_cells(dictionary: Any, number: int, *, border: int) -> Bool[np.ndarray, "k k"]:
     """Which cells of a marker are ink, its border of so many cells included, the top row first."""
+    import cv2
+
     cells = dictionary.markerSize + 2 * border
     picture = np.asarray(
         cv2.aruco.generateImageMarker(dictionary, number, cells * _CELL_PX, borderBits=border)

@@ -1,5 +1,6 @@
 """The printed sheet: circles and crossed lines on the plane Z = 0."""
 
+import dataclasses
 from typing import ClassVar, Literal
 
 import equinox as eqx
@@ -9,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 from trinoc.calib.targets.abstract_target import AbstractBoard, Disc, Marks, Polygon
 from trinoc.calib.targets.ring_code import ring_code
 from trinoc.errors import InputError
-from trinoc.numerics import ArrayLike, Shown
+from trinoc.numerics import ArrayLike, Displayable
 
 LINE_STYLES = ("stop", "through", "white")
 
@@ -19,7 +20,7 @@ _LATTICE_TOLERANCE = 0.25
 _ARC_POINTS = 48
 
 
-class Pattern(Shown, AbstractBoard):
+class Pattern(Displayable, AbstractBoard):
     """Circles (discs or rings) and two crossed lines, in millimetres on the sheet Z = 0.
 
     The lines lie along X and Y and cross at the origin of the world. Seen from the printed
@@ -249,15 +250,13 @@ class Pattern(Shown, AbstractBoard):
         """
         mean = float(np.sqrt(scale_x * scale_y))
         half_x_mm, half_y_mm = self.line_half_length_mm
-        return Pattern(
-            name=self.name,
+        return dataclasses.replace(
+            self,
             centres_mm=self.centres_mm * np.array([scale_x, scale_y]),
             radius_mm=self.radius_mm * mean,
             inner_radius_mm=self.inner_radius_mm * mean,
-            lattice=self.lattice,
             line_width_mm=self.line_width_mm * mean,
             line_half_length_mm=(half_x_mm * scale_x, half_y_mm * scale_y),
-            line_style=self.line_style,
             line_gap_mm=self.line_gap_mm * mean,
         )
 

@@ -39,7 +39,7 @@ class Systematics(NamedTuple):
     Fields
     ------
     print_scale_sigma : of the print's scale along X and along Y, as shares (1e-3 is a tenth of
-        a percent). `trinoc.calib.targets.print_scale` gets them from two measured bars.
+        a percent). `trinoc.calib.printed_sheet` gets them from two measured bars.
     flatness_mm : sigma of the height, at the circles farthest from the origin, of each of the
         three ways in which a sheet bends: along X, along Y, and twisted.
     lens_covariance : (k, k) of the first k of the lens's `parameter_names` (for an ideal lens those

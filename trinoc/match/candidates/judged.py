@@ -25,8 +25,8 @@ from trinoc.numerics import (
     ArrayLike,
     Vector3,
     as_columns,
-    judged_in_blocks,
     kept_jit,
+    select_in_blocks,
     split_columns,
 )
 
@@ -49,7 +49,7 @@ def candidates_of(
         fitted = _fitted(lines, order, planes, triple, clutter, tuning=tuning.candidates)
         return _evidence_of(*fitted, tuning=tuning.candidates, ends=tuning.ends)
 
-    keep, columns = judged_in_blocks(judged, block_of(lines, TRIPLES_IN_BLOCK), triple)
+    keep, columns = select_in_blocks(judged, block_of(lines, TRIPLES_IN_BLOCK), triple)
     of_order, ends_mm, chi_square, log_density, end_log, *union = split_columns(columns, _SHAPES)
     outer_mm, spread, px_per_mm = union
     index = np.full((len(keep), len(lines.ends_px)), -1)

@@ -17,7 +17,7 @@ from trinoc.match.candidates.single_precision import rounding_px
 from trinoc.match.candidates.transfer import Prediction
 from trinoc.match.observations import SegmentTable
 from trinoc.match.tuning import DEFAULT, CandidateTuning
-from trinoc.numerics import ArrayLike, group_medians, group_sums, of_group
+from trinoc.numerics import ArrayLike, broadcast_groups, group_medians, group_sums
 
 # Where a prediction is looked up, as shares of its length: its middle first.
 SAMPLES = (0.5, 1 / 6, 5 / 6)
@@ -39,12 +39,12 @@ def lookup(
     rounding = rounding_px(np.asarray(lines.matrix_px), view)
     frame = None if lines.frame is None else np.asarray(lines.frame)[view, :count]
     frames = int(np.prod(size.shape[:-1]))
-    sigma = np.maximum(sigma, of_group(rounding, frame))
+    sigma = np.maximum(sigma, broadcast_groups(rounding, frame))
     typical = group_medians(sigma, frame, frames)
     typical = np.where(np.isfinite(typical), typical, 1.0)
     reach = tuning.reach_sigmas
     layers = LAYERS if count <= CROWDED or frame is not None else CROWDED_LAYERS
-    near = of_group(typical, frame) * np.array([[layer.sigmas] for layer in layers])
+    near = broadcast_groups(typical, frame) * np.array([[layer.sigmas] for layer in layers])
     margins = reach * np.hypot(sigma, near)
     slack = reach * np.sqrt(2) * sigma / length[view, :count]
     number = group_sums(np.ones(count), frame, frames)

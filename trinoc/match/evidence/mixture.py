@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from scipy.special import expit
 
 from trinoc.match.tuning import DEFAULT, EvidenceTuning, MatchTuning
-from trinoc.numerics import group_sums, of_group, taken
+from trinoc.numerics import broadcast_groups, group_sums, take_groups
 
 Frame = Int[np.ndarray, "m"] | None
 
@@ -51,7 +51,7 @@ def prior_parameters(
     frames = np.size(count)
     number = group_sums(np.ones(len(ends_mm)), frame, frames)
     share = np.minimum(1.0, count / np.maximum(number, 1))
-    posterior = np.broadcast_to(of_group(share, frame), len(ends_mm))
+    posterior = np.broadcast_to(broadcast_groups(share, frame), len(ends_mm))
 
     def of_all(shares: tuple[float, ...]) -> np.ndarray:
         return np.broadcast_to(_normalised(shares), (*np.shape(number), len(shares)))
@@ -72,7 +72,7 @@ def log_place(
     frame: Frame = None,
 ) -> Float[np.ndarray, "m"]:
     """Log density of a line at each place, per volume (mm^3) and direction (of 2 pi)."""
-    volume = Volume(*(of_group(field, frame) for field in volume))
+    volume = Volume(*(broadcast_groups(field, frame) for field in volume))
     centred = ends_mm - np.expand_dims(volume.centre_mm, -2)
     square = np.zeros(len(ends_mm))
     for e in range(2):
@@ -95,8 +95,10 @@ def log_odds(
 ) -> Float[np.ndarray, "m"]:
     """Log odds that each triple is one line rather than three segments of clutter."""
     tail = np.log(np.exp(_tail_terms(chi_square, mixture.tail, tuning, frame)).sum(axis=1))
-    ends = _log_mixture(end_log, of_group(mixture.ends, frame)).sum(axis=1)
-    prior = of_group(mixture.log_count, frame) + log_place(ends_mm, mixture.volume, tuning, frame)
+    ends = _log_mixture(end_log, broadcast_groups(mixture.ends, frame)).sum(axis=1)
+    prior = broadcast_groups(mixture.log_count, frame) + log_place(
+        ends_mm, mixture.volume, tuning, frame
+    )
     sides = log_sides(side_log, mixture, frame)
     return prior + log_density + tail + ends + tuning.log_odds_offset + sides
 
@@ -117,7 +119,7 @@ def log_sides(
     """Evidence of the levels beside the members, zero where they are not known."""
     if not side_log.any():
         return np.zeros(len(side_log))
-    mixed = _log_mixture(side_log[:, None], of_group(mixture.sides, frame))[:, 0]
+    mixed = _log_mixture(side_log[:, None], broadcast_groups(mixture.sides, frame))[:, 0]
     return np.where(side_log.any(axis=1), mixed, 0.0)
 
 
@@ -134,7 +136,7 @@ def em_step(
     """One round of expectation maximisation, given the current posterior of each triple."""
     evidence, frames = tuning.evidence, np.size(mixture.log_count)
     likely = np.flatnonzero(posterior > evidence.negligible)
-    weight, frame, side_log = posterior[likely], taken(frame, likely), side_log[likely]
+    weight, frame, side_log = posterior[likely], take_groups(frame, likely), side_log[likely]
 
     def learned(
         log_terms: Float[np.ndarray, "n e k"], weight: np.ndarray, prior: np.ndarray
@@ -144,7 +146,7 @@ def em_step(
         return _shares(group_sums(weight[:, None] * responsibility, frame, frames), prior, evidence)
 
     def log_shares(shares: np.ndarray) -> np.ndarray:
-        return np.expand_dims(of_group(np.log(shares), frame), -2)
+        return np.expand_dims(broadcast_groups(np.log(shares), frame), -2)
 
     sides_known = weight * side_log.any(axis=1)
     prior_sides = _normalised(tuning.sides.prior_shares)
@@ -171,7 +173,7 @@ def volume_of(
     middles = (ends_mm[:, 0] + ends_mm[:, 1]) / 2
     count = np.expand_dims(group_sums(posterior, frame, frames) + 1e-9, -1)
     centre = group_sums(posterior[:, None] * middles, frame, frames) / count
-    centred = middles - of_group(centre, frame)
+    centred = middles - broadcast_groups(centre, frame)
     if frame is None:
         spread = (posterior[:, None] * centred).T @ centred / count[..., None]
     else:
@@ -209,7 +211,7 @@ def _tail_terms(
     frame: Frame,
 ) -> Float[np.ndarray, "m k"]:
     variance = np.array(tuning.tail_scales) ** 2
-    height = of_group(np.log(shares / (2 * np.pi * variance)), frame)
+    height = broadcast_groups(np.log(shares / (2 * np.pi * variance)), frame)
     return height - chi_square[:, None] / (2 * variance)
 
 

@@ -19,7 +19,7 @@ from trinoc.match.occlusion.picture_neighbours import (
     picture_neighbours,
 )
 from trinoc.match.tuning import MatchTuning, OcclusionTuning
-from trinoc.numerics import expand_ranges, group_sums, of_group
+from trinoc.numerics import broadcast_groups, expand_ranges, group_sums
 
 
 class Companions(NamedTuple):
@@ -109,7 +109,7 @@ def companion_log_odds(
         with_one, without = np.log(right / wrong), np.log((1 - right) / (1 - wrong))
         tells = with_one > tuning.least_companion_ratio
         with_one, without = (
-            of_group(np.where(tells, term, 0.0), frame) for term in (with_one, without)
+            broadcast_groups(np.where(tells, term, 0.0), frame) for term in (with_one, without)
         )
         most = tuning.most_companion
         gain += np.clip(has * with_one + (1 - has) * without, -most, most)

@@ -11,7 +11,7 @@ from trinoc.match.occlusion.possible_pairs import PossiblePairs
 from trinoc.match.occlusion.solids import NO_BODIES, Bodies
 from trinoc.match.selection import JunctionParameters, Tracks, affordable, claimed
 from trinoc.match.tuning import EndTuning, MatchTuning
-from trinoc.numerics import of_group, take_rows, taken
+from trinoc.numerics import broadcast_groups, take_groups, take_rows
 
 
 class Pairs(NamedTuple):
@@ -51,7 +51,7 @@ class PairsBeside(NamedTuple):
 
     def take(self, rows: np.ndarray) -> "PairsBeside":
         """With some of the pairs."""
-        return self._replace(found=take_rows(self.found, rows), frame=taken(self.frame, rows))
+        return self._replace(found=take_rows(self.found, rows), frame=take_groups(self.frame, rows))
 
 
 def likely_rows(
@@ -74,13 +74,13 @@ def evidence_beside_lines(
 ) -> Float[np.ndarray, "m"]:
     """Log odds of pairs among matched lines, but for how seldom pairs are, and for junctions."""
     rules, candidates = tuning.occlusion, found.candidates
-    ends = log_ends(candidates, of_group(end_shares(mixture, tuning.ends), frame))
+    ends = log_ends(candidates, broadcast_groups(end_shares(mixture, tuning.ends), frame))
     ends += log_sides(candidates.side_log, mixture, frame)
     in_images = candidates.side_log.any(axis=1)
     offset = np.where(in_images, rules.log_odds_offset_in_images, rules.log_odds_offset)
     evidence = candidates.log_density + ends + found.expected * float(np.log(rules.missed))
     place = log_place(candidates.ends_mm, mixture.volume, tuning.evidence, frame)
-    return evidence + offset + of_group(mixture.log_count, frame) + place
+    return evidence + offset + broadcast_groups(mixture.log_count, frame) + place
 
 
 def log_ends(candidates: Candidates, shares: Float[np.ndarray, "*m c"]) -> Float[np.ndarray, "m"]:

@@ -24,7 +24,7 @@ from trinoc.match.selection import (
     sum_product,
 )
 from trinoc.match.tuning import MatchTuning
-from trinoc.numerics import of_group, taken
+from trinoc.numerics import broadcast_groups, take_groups
 
 
 def pairs_alone(
@@ -50,11 +50,11 @@ def pairs_alone(
         found: PossiblePairs, evidence: np.ndarray, rates: PairRates, frame: np.ndarray | None
     ) -> np.ndarray:
         c = found.candidates
-        ends = log_ends(c, of_group(rates.ends, frame))
+        ends = log_ends(c, broadcast_groups(rates.ends, frame))
         classes = length_class(c, tuning)
-        every = of_group(rates.log_by_length, frame)
+        every = broadcast_groups(rates.log_by_length, frame)
         lengths = every[classes] if frame is None else every[np.arange(len(classes)), classes]
-        prior = of_group(rates.mixture.log_count, frame)
+        prior = broadcast_groups(rates.mixture.log_count, frame)
         place = rates.log_place
         if place is None:
             place = log_place(c.ends_mm, rates.mixture.volume, tuning.evidence, frame)
@@ -73,7 +73,7 @@ def pairs_alone(
     count = np.size(mixture.log_count)
     for _ in range(rules.rounds_alone):
         # Where lines meet nowhere, what pairs they make by chance is independent, as odds take it.
-        free = 1 - of_group(rates.junctions.end_at_junction, frame)
+        free = 1 - broadcast_groups(rates.junctions.end_at_junction, frame)
         free = np.where(candidates.side_log.any(axis=1), 0.0, rules.offset_unjoined * free)
         odds = odds_of(found, evidence, rates, frame) + gain + free + more
         beliefs = sum_product(odds, graph, tuning.selection, frame, beliefs)
@@ -88,7 +88,7 @@ def pairs_alone(
             meetings, posterior, density, rates.junctions, tuning.junctions, frame
         )
         helped = junctions.end_at_junction >= tuning.junctions.min_at_junction
-        gain = np.where(of_group(helped, frame), gain, 0.0)
+        gain = np.where(broadcast_groups(helped, frame), gain, 0.0)
         rates = learned_rates(candidates, posterior, rates, junctions, typical_px, tuning, frame)
     chosen = chosen_greedily(posterior_log_odds, graph)
     tempered = temper(posterior_log_odds, candidates.side_log, tuning.evidence)
@@ -98,11 +98,11 @@ def pairs_alone(
         candidates.index[chosen],
         probability(tempered[chosen]),
         rules,
-        taken(frame, chosen),
+        take_groups(frame, chosen),
         count,
     )
     every = junctions.end_at_junction, through.reshape(np.shape(mixture.log_count))
-    bodies = Bodies(*(of_group(each, frame) for each in every))
+    bodies = Bodies(*(broadcast_groups(each, frame) for each in every))
     of_pair = posterior_log_odds, candidates.side_log, crossing_sine, bodies
     tempered = tempered_pairs(*of_pair, tuning)
     most = rules.most_alone * probability(tempered)

@@ -20,7 +20,7 @@ from trinoc.match.selection import (
     sum_product,
 )
 from trinoc.match.tuning import MatchTuning
-from trinoc.numerics import concatenate_rows, group_sums, of_group
+from trinoc.numerics import broadcast_groups, concatenate_rows, group_sums
 
 
 def pairs_beside_lines(
@@ -45,12 +45,12 @@ def pairs_beside_lines(
     lines_known = group_sums(known, known_frame, frames)
     share = np.full(np.shape(mixture.log_count), rules.prior_share)
     density = mixture.log_count - mixture.volume.log_size + np.log(2)
-    helped = of_group(junctions.end_at_junction >= tuning.junctions.min_at_junction, frame)
+    helped = broadcast_groups(junctions.end_at_junction >= tuning.junctions.min_at_junction, frame)
     gain = np.zeros(len(evidence))
     odds = posterior_log_odds = gain
     beliefs = None
     for _ in range(rules.rounds):
-        odds = evidence + of_group(np.log(share), frame) + gain
+        odds = evidence + broadcast_groups(np.log(share), frame) + gain
         beliefs = sum_product(odds, graph, tuning.selection, frame, beliefs)
         posterior_log_odds = beliefs.log_odds
         posterior = probability(posterior_log_odds)
@@ -65,10 +65,10 @@ def pairs_beside_lines(
                 both,
             )
             gain = np.where(helped, gain[len(known) :], 0.0)
-    of_share = of_group(np.log(share), frame)
+    of_share = broadcast_groups(np.log(share), frame)
     missed = np.where(expected > 0, expected * log_missed + of_share, 0.0)
     chosen = chosen_greedily(posterior_log_odds, graph)
-    bodies = Bodies(*(of_group(each, frame) for each in beside.bodies))
+    bodies = Bodies(*(broadcast_groups(each, frame) for each in beside.bodies))
     of_pair = posterior_log_odds, candidates.side_log, crossing_sine, bodies
     tempered = tempered_pairs(*of_pair, tuning)
     return Pairs(candidates, odds, tempered, chosen, missed)

@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 
 from trinoc.match.evidence import Volume
 from trinoc.match.tuning import OcclusionTuning
-from trinoc.numerics import group_sums, of_group
+from trinoc.numerics import broadcast_groups, group_sums
 
 # Shares of a line's weight in its own bin of a profile and in each of the two beside it.
 _OWN, _BESIDE = 0.5, 0.25
@@ -32,12 +32,17 @@ def log_place_among(
     # The directions of the axes, and standard deviations along them.
     square, turn = np.linalg.eigh(volume.precision)
     axes = np.sqrt(square)[..., None] * turn.mT
-    place = _bins(ends_mm, of_group(volume.centre_mm, frame), of_group(axes, frame), tuning)
+    place = _bins(
+        ends_mm,
+        broadcast_groups(volume.centre_mm, frame),
+        broadcast_groups(axes, frame),
+        tuning,
+    )
     width, usual = _empty_profile(tuning)
     frames, prior = np.size(volume.log_size), tuning.prior_observations
-    others = of_group(group_sums(posterior, frame, frames), frame) - posterior
+    others = broadcast_groups(group_sums(posterior, frame, frames), frame) - posterior
     # Of the volume that coordinates of unit variance span, to that in mm^3.
-    total = of_group(0.5 * np.log(square).sum(axis=-1), frame) - np.log(2 * np.pi)
+    total = broadcast_groups(0.5 * np.log(square).sum(axis=-1), frame) - np.log(2 * np.pi)
     for axis in range(3):
         first, second = place[:, :, axis].T
         shared = np.where(first == second, _OWN, np.where(abs(first - second) == 1, _BESIDE, 0.0))

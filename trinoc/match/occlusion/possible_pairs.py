@@ -21,8 +21,8 @@ from trinoc.match.two_view import Pencil, pairs_sharing_planes, pencil, pencil_o
 from trinoc.numerics import (
     ArrayLike,
     as_columns,
-    judged_in_blocks,
     kept_jit,
+    select_in_blocks,
     split_columns,
 )
 
@@ -83,7 +83,7 @@ def _judged(
             possible = may_be_likely(bound, possible, columns, tuning=tuning.evidence)
         return possible, columns
 
-    keep, columns = judged_in_blocks(judged, block_of(lines, TRIPLES_IN_BLOCK), segments)
+    keep, columns = select_in_blocks(judged, block_of(lines, TRIPLES_IN_BLOCK), segments)
     of_views, ends_mm, log_density, end_log, *union = split_columns(columns, shapes)
     outer_mm, spread, px_per_mm, expected, crossing_sine = union
     index = np.full((len(keep), len(lines.ends_px)), -1)

@@ -16,7 +16,7 @@ from trinoc.match.observations import SegmentTable, frames_of
 from trinoc.match.occlusion.see_through import see_through_share
 from trinoc.match.selection import Selection, Tracks
 from trinoc.match.tuning import EvidenceTuning, MatchTuning
-from trinoc.numerics import of_group
+from trinoc.numerics import broadcast_groups
 
 
 class Bodies(NamedTuple):
@@ -57,7 +57,7 @@ def tempered_tracks(
     candidates, rules = tracks.candidates, tuning.occlusion
     # Edges seen through others have corners, too, but are hidden less often.
     share = bodies.joined * (1 - rules.seen_through_gain * bodies.through)
-    own = of_group(share, frames_of(lines, candidates.index))
+    own = broadcast_groups(share, frames_of(lines, candidates.index))
     posterior, rivals = (
         _tempered(log_odds, candidates.side_log, own, rules.track_temperature, tuning.evidence)
         for log_odds in (tracks.posterior_log_odds, tracks.rival_posterior)

@@ -15,7 +15,7 @@ from trinoc.match.evidence import MixtureParameters, volume_of
 from trinoc.match.occlusion.places import log_place_among
 from trinoc.match.selection import JunctionParameters
 from trinoc.match.tuning import MatchTuning
-from trinoc.numerics import group_sums, of_group
+from trinoc.numerics import broadcast_groups, group_sums
 
 
 class PairRates(NamedTuple):
@@ -49,7 +49,7 @@ def learned_rates(
 ) -> PairRates:
     """One round of EM, in each frame."""
     rules, frames = tuning.occlusion, np.size(rates.mixture.log_count)
-    terms = np.exp(candidates.end_log) * np.expand_dims(of_group(rates.ends, frame), -2)
+    terms = np.exp(candidates.end_log) * np.expand_dims(broadcast_groups(rates.ends, frame), -2)
     terms /= terms.sum(axis=2, keepdims=True)
     ends = group_sums(posterior[:, None] * terms.sum(axis=1), frame, frames)
     ends += rules.prior_observations * rates.ends

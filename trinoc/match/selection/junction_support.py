@@ -13,7 +13,13 @@ from scipy.spatial import KDTree
 from trinoc.match.candidates import Candidates
 from trinoc.match.evidence import log_gap_density, passing
 from trinoc.match.tuning import DEFAULT, EvidenceTuning, JunctionTuning
-from trinoc.numerics import expand_ranges, group_medians, group_sums, of_group, taken
+from trinoc.numerics import (
+    broadcast_groups,
+    expand_ranges,
+    group_medians,
+    group_sums,
+    take_groups,
+)
 
 
 class EndpointPairs(NamedTuple):
@@ -152,16 +158,16 @@ def junction_log_odds(
     `log_ends_density` is the log of ends of lines per volume.
     """
     ends, of_end = 2 * len(posterior), None if frame is None else np.repeat(frame, 2)
-    of_edge = taken(of_end, graph.other)
+    of_edge = take_groups(of_end, graph.other)
     frames = np.size(parameters.end_at_junction)
-    density = np.expand_dims(of_group(log_ends_density, of_edge), -1)
+    density = np.expand_dims(broadcast_groups(log_ends_density, of_edge), -1)
     terms = np.exp(np.clip(graph.log_ratio - density, -50, 50))
-    terms *= of_group(parameters.gap_shares, of_edge) * posterior[graph.other // 2, None]
+    terms *= broadcast_groups(parameters.gap_shares, of_edge) * posterior[graph.other // 2, None]
     total = np.stack(
         [np.bincount(graph.site, terms[:, k], minlength=ends) for k in range(terms.shape[1])],
         axis=1,
     )
-    at_junction = of_group(parameters.end_at_junction, of_end)
+    at_junction = broadcast_groups(parameters.end_at_junction, of_end)
     gain = np.log(1 - at_junction + at_junction * total.sum(axis=1))
     # How much of each end is a junction, and at which gap, if its candidate is right.
     share = np.expand_dims(at_junction, -1) * total / np.exp(gain)[:, None]

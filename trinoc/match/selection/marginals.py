@@ -16,7 +16,7 @@ from trinoc.match.selection.junction_support import (
 )
 from trinoc.match.selection.messages import Beliefs, chosen_greedily, sum_product
 from trinoc.match.tuning import DEFAULT, MatchTuning
-from trinoc.numerics import of_group, take_rows, taken
+from trinoc.numerics import broadcast_groups, take_groups, take_rows
 
 
 class Selection(NamedTuple):
@@ -68,7 +68,7 @@ def select(
     odds = prior_log_odds(candidates, mixture, evidence, frame)
     keep = np.flatnonzero(odds > rules.learn_log_odds)
     keep = keep[affordable(odds[keep], candidates.index[keep], rules)]
-    likely, own = candidates.take(keep), taken(frame, keep)
+    likely, own = candidates.take(keep), take_groups(frame, keep)
     graph = conflict_graph(likely.index, likely.interval, rules)
     beliefs = None
     for _ in range(rules.rounds):
@@ -78,7 +78,7 @@ def select(
     odds = prior_log_odds(candidates, mixture, evidence, frame)
     keep = np.flatnonzero(odds > rules.prune_log_odds)
     keep = keep[affordable(odds[keep], candidates.index[keep], rules)]
-    candidates, odds, frame = candidates.take(keep), odds[keep], taken(frame, keep)
+    candidates, odds, frame = candidates.take(keep), odds[keep], take_groups(frame, keep)
     graph = conflict_graph(candidates.index, candidates.interval, rules)
     beliefs = sum_product(odds, graph, rules, frame)
     posterior_log_odds = beliefs.log_odds
@@ -140,7 +140,7 @@ def _with_junctions(
         )
         odds = alone[0] + gain
         beliefs = sum_product(odds, graph, tuning.selection, frame, beliefs)
-    helped = of_group(junctions.end_at_junction >= tuning.junctions.min_at_junction, frame)
+    helped = broadcast_groups(junctions.end_at_junction >= tuning.junctions.min_at_junction, frame)
     odds, posterior_log_odds = (
         np.where(helped, one, other)
         for one, other in zip((odds, beliefs.log_odds), alone, strict=True)

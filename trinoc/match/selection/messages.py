@@ -16,12 +16,14 @@ from jaxtyping import Bool, Float, Int
 
 from trinoc.match.selection.exclusivity import ConflictGraph
 from trinoc.match.tuning import DEFAULT, SelectionTuning
-from trinoc.numerics import ArrayLike, finer_bucket, padded
+from trinoc.numerics import ArrayLike, bucket, padded
 
 # Frames that are one problem, at most.
 FRAMES_AT_ONCE = 64
 
 # Of more conflicts than these, rounds on padding would take longer than another program.
+# Padding beyond costs more than one small program more.
+_FINER_ABOVE = 1 << 16
 _FEW_CONFLICTS = 1 << 14
 # Log odds whose exponential is no overflow, and such as nothing has.
 _HIGHEST, _NEVER = 60.0, -1e4
@@ -93,7 +95,8 @@ def _capacities(candidates: int, conflicts: int) -> tuple[int, int]:
     hundreds of rounds on padding."""
     few = next((size for size in (256, 2048) if candidates <= size), None)
     if few is None or conflicts > _FEW_CONFLICTS:
-        return few or finer_bucket(candidates), finer_bucket(conflicts)
+        rows, pairs = (bucket(n, finer_above=_FINER_ABOVE) for n in (candidates, conflicts))
+        return few or rows, pairs
     size = 2 * few
     while size < conflicts:
         size *= 4

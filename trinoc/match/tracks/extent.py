@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from trinoc.match.observations import MatchInput, frames_of, matrices_of
-from trinoc.numerics import taken
+from trinoc.numerics import take_groups
 
 
 def two_view_span(reach: Float[np.ndarray, "t v 2"]) -> Float[np.ndarray, "t 2"]:
@@ -43,7 +43,7 @@ def interval_of(
     interval, frame = np.zeros((*index.shape, 2)), frames_of(seen.lines, index)
     for view in range(index.shape[1]):
         on = np.flatnonzero(index[:, view] >= 0)
-        matrix = matrices_of(seen.lines, taken(frame, on))[:, view]
+        matrix = matrices_of(seen.lines, take_groups(frame, on))[:, view]
         segment = seen.ends_px[view][index[on, view]]
         along = segment[:, 1] - segment[:, 0]
         offset = images_of(matrix, ends_mm[on]) - segment[:, :1]
@@ -60,7 +60,7 @@ def reach_of(
     for view in range(index.shape[1]):
         on = np.flatnonzero(index[:, view] >= 0)
         segment = seen.ends_px[view][index[on, view]]
-        matrix = matrices_of(seen.lines, taken(frame, on))[:, view]
+        matrix = matrices_of(seen.lines, take_groups(frame, on))[:, view]
         reach[on, view] = np.sort(positions_abreast(matrix, segment, ends_mm[on]), axis=1)
     return reach
 

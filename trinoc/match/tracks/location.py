@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from trinoc.match.observations import SegmentTable, frames_of, matrices_of
-from trinoc.numerics import taken
+from trinoc.numerics import take_groups
 
 
 def direction_doubt(lines: SegmentTable, index: Int[np.ndarray, "t v"]) -> Float[np.ndarray, "t"]:
@@ -23,7 +23,7 @@ def direction_doubt(lines: SegmentTable, index: Int[np.ndarray, "t v"]) -> Float
     least, frame = np.full(len(index), np.inf), frames_of(lines, index)
     for a, b in combinations(range(index.shape[1]), 2):
         on = np.flatnonzero((index[:, a] >= 0) & (index[:, b] >= 0))
-        own = taken(frame, on)
+        own = take_groups(frame, on)
         pair = np.maximum(
             _of_view(lines, a, b, index[on, a], own), _of_view(lines, b, a, index[on, b], own)
         )

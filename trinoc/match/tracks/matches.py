@@ -6,12 +6,12 @@ from jaxtyping import Bool, Float, Int, Shaped
 
 from trinoc.errors import InputError
 from trinoc.geometry import LineObservations
-from trinoc.numerics import Shown
+from trinoc.numerics import Displayable
 
 TRINOCULAR, BINOCULAR = "trinocular", "binocular"
 
 
-class Matches(Shown, eqx.Module):
+class Matches(Displayable, eqx.Module):
     """Tracks: each joins one segment of every view that sees it, and holds the 3-D segment.
 
     Fields

@@ -13,13 +13,13 @@ from trinoc.match.tracks.extent import images_of
 from trinoc.match.tuning import DEFAULT, TrackTuning
 from trinoc.numerics import (
     blocks,
+    broadcast_groups,
     chi_square_limit,
     chi_square_quantile,
     expand_ranges,
     group_medians,
     group_sums,
-    of_group,
-    taken,
+    take_groups,
 )
 
 # Lines of two views compared at once with all segments of a view.
@@ -43,7 +43,9 @@ def flag_viewpoint_dependent(
     marked = np.zeros(len(index), dtype=bool)
     if in_three.any():
         limit = chi_square_limit(tuning.significance, 2 * (views[in_three] - 2))
-        usual = of_group(typical_misfit(index, misfit, tuning, frame), taken(frame, in_three))
+        usual = broadcast_groups(
+            typical_misfit(index, misfit, tuning, frame), take_groups(frame, in_three)
+        )
         marked[in_three] = misfit[in_three] > usual * limit
     for view in range(index.shape[1]):
         free = np.ones(seen.counts[view], dtype=bool)
@@ -51,7 +53,7 @@ def flag_viewpoint_dependent(
         free[matched[matched >= 0]] = False
         free = np.flatnonzero(free)
         rows = np.flatnonzero(~in_three & (index[:, view] < 0))
-        matrix = matrices_of(seen.lines, taken(frame, rows))[:, view]
+        matrix = matrices_of(seen.lines, take_groups(frame, rows))[:, view]
         expected = images_of(matrix, ends_mm[rows])
         # The free segments of a row's own frame follow one another.
         first, last = np.zeros(len(rows), np.int64), np.full(len(rows), len(free))
@@ -80,7 +82,7 @@ def typical_misfit(
     views = (index >= 0).sum(axis=1)
     in_three = views > 2
     frames = 1 if frame is None or len(frame) == 0 else int(frame.max()) + 1
-    own = taken(frame, in_three)
+    own = take_groups(frame, in_three)
     enough = group_sums(np.ones(in_three.sum()), own, frames) >= tuning.min_tracks_to_learn
     share = misfit[in_three] / chi_square_quantile(0.5, 2 * (views[in_three] - 2))
     typical = np.where(enough, group_medians(share, own, frames), 1.0)

@@ -7,7 +7,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.numerics import Shown
+from trinoc.numerics import Displayable
 
 TWO_VIEWS = 2
 
@@ -20,7 +20,7 @@ class LetGo(NamedTuple):
     reason: str
 
 
-class Wireframe(Shown, eqx.Module):
+class Wireframe(Displayable, eqx.Module):
     """A graph in space: edges are straight from vertex to vertex, faces are loops of edges.
 
     Vertices, edges and faces are numbered from 0. `face` and `face_vertex` are one table with a

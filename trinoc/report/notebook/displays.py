@@ -9,7 +9,7 @@ from trinoc.report.notebook.frames import frame_of
 
 
 class NotebookDisplays:
-    """What `trinoc.numerics.Shown` asks for."""
+    """What `trinoc.numerics.Displayable` asks for."""
 
     def html(self, value: Any) -> str:
         """A table and a small picture, as HTML."""

@@ -9,7 +9,6 @@ from trinoc.calib import CalibrationResult, Pattern, RefineResult
 from trinoc.evaluation import Evaluation
 from trinoc.geometry import Rig, Segments
 from trinoc.match import Matches, Wireframe
-from trinoc.report.against_reference import parameter_value
 from trinoc.report.parameter_table import shown_parameters
 from trinoc.report.track_sigmas import track_sigmas
 
@@ -28,7 +27,7 @@ def _rig(rig: Rig) -> Columns:
     return {
         "camera": [name for name, _ in rows],
         "parameter": [parameter for _, parameter in rows],
-        "value": [parameter_value(rig, name, parameter) for name, parameter in rows],
+        "value": [rig.value(f"{name}.{parameter}") for name, parameter in rows],
         "sigma": [rig.sigma(f"{name}.{parameter}") for name, parameter in rows],
     }
 

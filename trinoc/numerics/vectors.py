@@ -1,4 +1,4 @@
-"""Vectors as tuples of scalars.
+"""Vectors as tuples of scalars, and vector products of NumPy's arrays.
 
 Under `vmap` a scalar becomes one long array, and arithmetic on such arrays fuses into one loop
 over the items; a batch of 3-vectors and 2x2 matrices becomes thousands of tiny products, tens
@@ -11,6 +11,7 @@ import operator
 from collections.abc import Iterable
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Float
 
 from trinoc.numerics.arrays import ArrayLike
@@ -109,3 +110,24 @@ def between(covariance: tuple[Scalar, Scalar, Scalar], s: Scalar, t: Scalar) -> 
     """Covariance of two interpolated places, from (c00, c01, c11) of the places 0 and 1."""
     c00, c01, c11 = covariance
     return (1 - s) * (1 - t) * c00 + (s * (1 - t) + t * (1 - s)) * c01 + s * t * c11
+
+
+def cross_2d(a: Float[np.ndarray, "*n 2"], b: Float[np.ndarray, "*n 2"]) -> np.ndarray:
+    """Signed area of the parallelogram of two vectors. For a few rows `np.cross` takes ten times
+    as long."""
+    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+
+
+def cross_3d(a: Float[np.ndarray, "*n 3"], b: Float[np.ndarray, "*m 3"]) -> np.ndarray:
+    """Vector product; leading axes are broadcast."""
+    ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
+    bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
+
+
+def axes_across(unit: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 2 3"]:
+    """Two unit vectors across a unit vector and each other."""
+    least = np.eye(3)[np.argmin(np.abs(unit), axis=-1)]
+    first = cross_3d(unit, least)
+    first = first / np.linalg.norm(first, axis=-1, keepdims=True)
+    return np.stack([first, cross_3d(unit, first)], axis=-2)

@@ -1,4 +1,4 @@
-"""Compiled programs that outlive the process, so that the next one need not trace them again.
+"""Compiled programs: by one thread only, several at a time, and kept for the next process.
 
 JAX's own cache keeps what was compiled, but finds it by the traced and lowered program: a process
 that computes for a tenth of a second traces for ten. Large programs that `kept_jit` makes are found
@@ -8,13 +8,16 @@ inside `jit`, `grad` or `vmap`, and with values of classes that are not trinoc's
 `jax.jit`.
 """
 
+import contextlib
 import functools
 import hashlib
 import inspect
 import pickle
 import re
 import secrets
-from collections.abc import Callable, Hashable
+import threading
+from collections.abc import Callable, Hashable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
@@ -30,6 +33,43 @@ _KNOWN = {
 }
 # Beginning of the names by which compiled programs call LAPACK.
 _LAPACK = "lapack_"
+_compiling = threading.Lock()
+_compiled: set[Hashable] = set()
+
+
+@contextlib.contextmanager
+def one_compiles(*program: Hashable) -> Iterator[None]:
+    """Hold a block that calls a jitted program until another thread has compiled the same.
+
+    Threads that meet an uncompiled program would each compile it, in time and memory of their own.
+
+    program : all in which it differs from others: its name, static arguments and shapes.
+    """
+    if program in _compiled:
+        yield
+        return
+    with _compiling:
+        yield
+        _compiled.add(program)
+
+
+def at_once(*works: Callable[[], object]) -> None:
+    """Run functions at the same time, in threads with the caller's precision; the first error is
+    raised when all are done.
+
+    For what compiles: XLA does it outside Python's lock, on a core of its own.
+    """
+    config: Any = jax.config
+    precision = config.jax_enable_x64
+
+    def run(work: Callable[[], object]) -> None:
+        # The setting belongs to the thread.
+        with jax.enable_x64(precision):
+            work()
+
+    with ThreadPoolExecutor(len(works)) as threads:
+        for done in [threads.submit(run, work) for work in works]:
+            done.result()
 
 
 @runtime_checkable
@@ -45,22 +85,20 @@ class ProgramStore(Protocol):
         ...
 
 
-class _Kept(NamedTuple):
+class _KeptProgram(NamedTuple):
     """A program on flat lists of arrays, and the shape of what it returns."""
 
     program: Callable[[list[Any]], list[Any]]
     result: Any
 
 
-class _Where:
-    """The store of this process."""
-
-    store: ProgramStore | None = None
+# The store of this process, if it has one.
+_stores: list[ProgramStore | None] = [None]
 
 
 def keep_programs_in(store: ProgramStore | None) -> ProgramStore | None:
     """Use a store from now on, or none; returns the one before."""
-    before, _Where.store = _Where.store, store
+    before, _stores[0] = _stores[0], store
     return before
 
 
@@ -80,11 +118,11 @@ def kept_jit(
     options = quick_compiling(beside_others=beside_others) or None
     whole = jax.jit(function, static_argnames=static_argnames, compiler_options=options)
     signature = inspect.signature(function)
-    known: dict[Hashable, _Kept | None] = {}
+    known: dict[Hashable, _KeptProgram | None] = {}
 
     @functools.wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
-        store = _Where.store
+        store = _stores[0]
         config: Any = jax.config
         if is_traced(args, kwargs) or not is_outside():
             return inner(*args, **kwargs)
@@ -98,7 +136,7 @@ def kept_jit(
         precision = (config.jax_enable_x64, config.jax_default_matmul_precision)
         key = (tree, kinds, tuple(static.values()), precision)
         if key not in known:
-            known[key] = _found_or_made(store, function, static, tree, leaves, key, options)
+            known[key] = _load_or_compile(store, function, static, tree, leaves, key, options)
         kept = known[key]
         if kept is None:
             return whole(*args, **kwargs)
@@ -107,7 +145,7 @@ def kept_jit(
     return call
 
 
-def _found_or_made(
+def _load_or_compile(
     store: ProgramStore,
     function: Callable[..., Any],
     static: dict[str, Any],
@@ -115,7 +153,7 @@ def _found_or_made(
     leaves: list[Any],
     key: tuple[Hashable, ...],
     options: dict[str, str | bool] | None,
-) -> _Kept | None:
+) -> _KeptProgram | None:
     """The program, from the store or compiled and put there; None where it cannot be kept."""
     from jax.experimental import serialize_executable
 
@@ -132,7 +170,7 @@ def _found_or_made(
                 _make_lapack_ready()
             values, result = jax.tree.flatten(like)
             out_tree = jax.tree.structure(values)
-            return _Kept(
+            return _KeptProgram(
                 serialize_executable.deserialize_and_load(payload, in_tree, out_tree), result
             )
         except Exception:
@@ -155,10 +193,10 @@ def _found_or_made(
             # A value of the result's kind and not its tree, whose marks do not survive pickling.
             like = jax.tree.unflatten(result, range(result.num_leaves))
             payload = serialize_executable.serialize(compiled)[0]
-            store.put(name, _pickled((payload, like, bool(calls))))
+            store.put(name, _pickle_own_classes((payload, like, bool(calls))))
     except Exception:
         pass
-    return _Kept(compiled, result)
+    return _KeptProgram(compiled, result)
 
 
 @functools.cache
@@ -172,7 +210,7 @@ def _name(function: Callable[..., Any], key: tuple[Hashable, ...]) -> str:
     tree, kinds, *rest = key
     kinds = [(k.shape, str(k.dtype), k.weak_type) for k in kinds]  # pyright: ignore
     made_of = (function.__module__, function.__qualname__, tree, kinds, rest)
-    return hashlib.sha256(_pickled(made_of)).hexdigest()
+    return hashlib.sha256(_pickle_own_classes(made_of)).hexdigest()
 
 
 class _OwnClasses(pickle.Pickler):
@@ -186,17 +224,14 @@ class _OwnClasses(pickle.Pickler):
         return NotImplemented
 
 
-def _pickled(value: Any) -> bytes:
-    sink = _Sink()
-    _OwnClasses(sink, protocol=5).dump(value)
-    return b"".join(sink.parts)
-
-
-class _Sink:
-    """What a pickler writes to."""
-
-    def __init__(self) -> None:
-        self.parts: list[bytes] = []
+class _Parts(list[bytes]):
+    """What a pickler writes to: `io` stands above this floor."""
 
     def write(self, part: bytes) -> None:
-        self.parts.append(bytes(part))
+        self.append(bytes(part))
+
+
+def _pickle_own_classes(value: Any) -> bytes:
+    parts = _Parts()
+    _OwnClasses(parts, protocol=5).dump(value)
+    return b"".join(parts)

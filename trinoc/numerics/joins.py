@@ -1,0 +1,192 @@
+"""Joins and groups on sorted arrays and of near points: index work, never all against all.
+
+A run is the half-open range [start, stop) of ordered points. Runs may leave points out, and two
+neighbours may share the point where a chain was split. A group is a number for each row of a
+table; without groups (None) all rows are of one problem, and results have no axis of groups.
+"""
+
+from collections.abc import Iterator
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int, Shaped
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
+
+Group = Int[np.ndarray, "m"] | None
+
+_MOST_NEIGHBOURS = 8
+# Points of a leaf: the fastest, to build and to ask, for some thousands of points.
+_LEAF = 16
+
+
+def expand_ranges(
+    start: Int[np.ndarray, "n"], stop: Int[np.ndarray, "n"]
+) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
+    """(owner, position): every position of range(start[i], stop[i]), with its i."""
+    count = np.maximum(stop - start, 0)
+    owner = np.repeat(np.arange(len(start)), count)
+    offset = np.repeat(start - np.concatenate([[0], np.cumsum(count)[:-1]]), count)
+    return owner, np.arange(len(owner)) + offset
+
+
+def overlapping(
+    first: Float[np.ndarray, "n 2"], second: Float[np.ndarray, "m 2"]
+) -> tuple[Int[np.ndarray, "p"], Int[np.ndarray, "p"]]:
+    """(i, j) of all pairs of intervals (low, high) that overlap, each pair once.
+
+    Of two intervals that overlap, exactly one starts inside the other: a search in the sorted
+    starts finds the pairs without looking at any other.
+    """
+    order_first, order_second = np.argsort(first[:, 0]), np.argsort(second[:, 0])
+    starts_first, starts_second = first[order_first, 0], second[order_second, 0]
+    i, position = expand_ranges(
+        np.searchsorted(starts_second, first[:, 0], "left"),
+        np.searchsorted(starts_second, first[:, 1], "left"),
+    )
+    j, position_first = expand_ranges(
+        np.searchsorted(starts_first, second[:, 0], "right"),
+        np.searchsorted(starts_first, second[:, 1], "left"),
+    )
+    return (
+        np.concatenate([i, order_first[position_first]]),
+        np.concatenate([order_second[position], j]),
+    )
+
+
+def blocks_of_overlapping(
+    first: Float[np.ndarray, "n 2"], second: Float[np.ndarray, "m 2"], at_once: int
+) -> Iterator[slice]:
+    """Slices of `first` of which about `at_once` pairs overlap, and more only of a single one; one
+    empty slice for none."""
+    begun = np.searchsorted(np.sort(second[:, 0]), first[:, 1], "left")
+    over = np.searchsorted(np.sort(second[:, 1]), first[:, 0], "right")
+    before = np.cumsum(begun - over)
+    borders = np.searchsorted(before, np.arange(at_once, before[-1] if len(before) else 0, at_once))
+    if len(first) == 0:
+        yield slice(0, 0)
+    for start, stop in pairwise(np.unique([0, *borders, len(first)]).tolist()):
+        yield slice(start, stop)
+
+
+def pairs_of_equal_keys(
+    keys: Int[np.ndarray, "n"], at_once: int = 1 << 21
+) -> Iterator[tuple[Int[np.ndarray, "_p"], Int[np.ndarray, "_p"]]]:
+    """(m, n) with m and n any two different positions that hold one key, each pair once.
+
+    In blocks of about `at_once` pairs, so that their number is no matter of memory.
+    """
+    order = np.argsort(keys, kind="stable")
+    ordered = keys[order]
+    first = np.searchsorted(ordered, ordered, "left")
+    before = np.cumsum(np.arange(len(ordered)) - first)
+    borders = np.searchsorted(before, np.arange(0, before[-1] if len(before) else 0, at_once))
+    for start, stop in pairwise([*np.unique(borders).tolist(), len(ordered)]):
+        rows = np.arange(start, stop)
+        later, earlier = expand_ranges(first[rows], rows)
+        yield order[earlier], order[start + later]
+
+
+def members(
+    start: Int[np.ndarray, "r"], stop: Int[np.ndarray, "r"]
+) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"], Int[np.ndarray, "r"]]:
+    """(index, run, first): every member of every run, its run, and where each run begins."""
+    run, index = expand_ranges(start, stop)
+    count = stop - start
+    return index, run, np.cumsum(count) - count
+
+
+def sums(values: Float[np.ndarray, "m"], first: Int[np.ndarray, "r"]) -> Float[np.ndarray, "r"]:
+    """Sum of each run of the concatenated values; no run may be empty."""
+    if len(first) == 0:
+        return np.zeros(0, dtype=values.dtype)
+    return np.add.reduceat(values, first)
+
+
+def largest(
+    values: Shaped[np.ndarray, "m"], first: Int[np.ndarray, "r"], run: Int[np.ndarray, "m"]
+) -> tuple[np.ndarray, Int[np.ndarray, "r"]]:
+    """(maximum, position) of each run, the position counted from the run's first member."""
+    if len(first) == 0:
+        return np.zeros(0, dtype=values.dtype), np.zeros(0, dtype=np.int64)
+    top = np.maximum.reduceat(values, first)
+    hits = np.flatnonzero(values == top[run])
+    position = np.zeros(len(first), dtype=np.int64)
+    # Written backwards, so that the first of equal maxima stays.
+    position[run[hits[::-1]]] = hits[::-1]
+    return top, position - first
+
+
+def broadcast_groups(values: Any, group: Group) -> Any:
+    """The value of each row's group, or the values of all rows without groups."""
+    return values if group is None else np.asarray(values)[group]
+
+
+def take_groups(group: Group, rows: Shaped[np.ndarray, "_"]) -> Int[np.ndarray, "k"] | None:
+    """The groups of some rows, by a mask or by numbers."""
+    return None if group is None else group[rows]
+
+
+def group_sums(
+    values: Float[np.ndarray, "m *k"], group: Group, groups: int
+) -> Float[np.ndarray, "*g"]:
+    """Sum of the rows of each group: (groups, *k), or (*k) without groups."""
+    if group is None:
+        return np.asarray(values.sum(axis=0))
+    columns = values.reshape(len(values), int(np.prod(values.shape[1:]))).T
+    total = np.array([np.bincount(group, column, groups) for column in columns], dtype=np.float64)
+    return total.T.reshape(groups, *values.shape[1:])
+
+
+def group_medians(
+    values: Float[np.ndarray, "m"], group: Group, groups: int
+) -> Float[np.ndarray, "*g"]:
+    """Median of each group; NaN for groups without rows."""
+    label = np.zeros(len(values), dtype=np.int64) if group is None else group
+    count = np.bincount(label, minlength=1 if group is None else groups)
+    ordered = np.append(values[np.lexsort((values, label))], np.nan)
+    first = np.cumsum(count) - count
+    low, high = first + np.maximum(count - 1, 0) // 2, first + count // 2
+    median = np.where(
+        count > 0, (ordered[low] + ordered[np.minimum(high, len(values))]) / 2, np.nan
+    )
+    return np.asarray(median[0]) if group is None else median
+
+
+def point_tree(points_px: Float[np.ndarray, "n 2"]) -> KDTree:
+    """A tree for few questions: built in half the time that a balanced one takes."""
+    return KDTree(points_px, leafsize=_LEAF, balanced_tree=False, compact_nodes=False)
+
+
+def near_pairs(
+    one_px: Float[np.ndarray, "n 2"], other_px: Float[np.ndarray, "m 2"], radius_px: float
+) -> tuple[Int[np.ndarray, "p"], Int[np.ndarray, "p"], Float[np.ndarray, "p"]]:
+    """(i, j, distance): of each of the first points, the nearest of the others within the radius.
+
+    At most eight per point are given.
+    """
+    most = min(_MOST_NEIGHBOURS, len(other_px))
+    distance, found = point_tree(other_px).query(one_px, k=most, distance_upper_bound=radius_px)
+    # With k = 1 the second axis is dropped.
+    shape = (len(one_px), most)
+    distance, found = np.reshape(distance, shape), np.reshape(found, shape)
+    one, slot = np.nonzero(found < len(other_px))
+    return one, found[one, slot], distance[one, slot]
+
+
+def distinct(keys: Int[np.ndarray, "p"]) -> Int[np.ndarray, "d"]:
+    """The different keys in rising order; none may be negative. Faster than np.unique."""
+    ordered = np.sort(keys)
+    return ordered[np.flatnonzero(np.diff(ordered, prepend=-1))]
+
+
+def group_labels(
+    count: int, one: Int[np.ndarray, "p"], other: Int[np.ndarray, "p"]
+) -> Int[np.ndarray, "n"]:
+    """(n,) the least number of the items that pairs tie to each, directly or not."""
+    ties = coo_array((np.ones(len(one), dtype=bool), (one, other)), shape=(count, count))
+    _, label = connected_components(ties, directed=False)
+    _, least = np.unique(label, return_index=True)
+    return least[label]
