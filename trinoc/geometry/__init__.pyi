@@ -55,7 +55,12 @@ from .lines import (
 from .one_place import at_one_place as at_one_place
 from .pose import Pose as Pose
 from .pose_model import PoseModel as PoseModel, pose_model_over_sheet as pose_model_over_sheet
-from .projection import project_by_matrix as project_by_matrix, project_point as project_point
+from .projection import (
+    project_by_matrix as project_by_matrix,
+    project_point as project_point,
+    project_points as project_points,
+    unproject_pixels as unproject_pixels,
+)
 from .rig import PARAMETER_NAMES as PARAMETER_NAMES, Rig as Rig
 from .rotation import rotation_from_vector as rotation_from_vector
 from .segments import (
