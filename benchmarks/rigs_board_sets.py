@@ -20,8 +20,8 @@ import numpy as np
 from rigs_from_shots import LENSES, SIZE_PX, points, rms, rotation, seen
 
 from trinoc.calib import BoardSet, Chessboard, Detection, RigFromShots, Systematics, calibrate_rig
-from trinoc.calib.shots.hand_eye import hand_eye
-from trinoc.geometry import BrownConrady
+from trinoc.calib.starts.hand_eye import solve_hand_eye
+from trinoc.geometry import BrownConrady, Pose
 
 SIGMA_PX = 0.1
 CAMERAS = ("left", "right")
@@ -151,11 +151,10 @@ def by_opencv(found: dict[str, list], name: str) -> dict[str, float]:
             ]
         )
         first += len(board)
-    found_poses = hand_eye(*(np.stack(each) for each in poses))
-    assert found_poses is not None
-    return own | errors(
-        [np.eye(3, 4), found_poses.cameras], [np.eye(3, 4), found_poses.boards], name
-    )
+    motions = solve_hand_eye(*([Pose(pose) for pose in each] for each in poses))
+    assert motions is not None
+    cameras, boards = (pose.cam_from_world for pose in motions)
+    return own | errors([np.eye(3, 4), cameras], [np.eye(3, 4), boards], name)
 
 
 def made(name: str, trials: int, shots: int) -> None:

@@ -33,7 +33,7 @@ MAY_IMPORT["cli"] = {*MAY_IMPORT["serving"], "serving", "batch"}
 INNER_FLOORS = {
     "calib": (
         *("targets", "detection", "model", "result", "uncertainty", "problem"),
-        *("photometric", "intrinsics", "shots", "adjustment", "bundle", "rig_check"),
+        *("starts", "advice", "photometric", "adjustment", "bundle", "rig_check"),
     ),
     "match": (
         *("tuning", "observations", "two_view", "evidence", "candidates", "selection"),

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from trinoc.calib import Chessboard, Detection, RigFromShots, Status
+from trinoc.calib.advice.cross_validation import CrossValidation
+from trinoc.calib.advice.field_difference import FieldDifference
+from trinoc.calib.advice.halves import HalvesCheck
 from trinoc.calib.problem.views import View
-from trinoc.calib.shots.cross_validation import CrossValidation
-from trinoc.calib.shots.field_difference import FieldDifference
-from trinoc.calib.shots.halves import HalvesCheck
 from trinoc.geometry import Rig
 from trinoc.report import write_shots_report
 from trinoc.report.shots.camera_field import fields_of_cameras

@@ -1,3 +1,6 @@
+from .advice.field_difference import FieldDifference as FieldDifference
+from .advice.next_shot import NextShot as NextShot
+from .advice.projection import projection_sigma as projection_sigma
 from .batch import calibrate_batch as calibrate_batch
 from .bundle.implicit_diff import refined as refined
 from .bundle.line_covariance import segment_and_errors as segment_and_errors
@@ -13,8 +16,8 @@ from .detection import (
 from .from_detections import calibrate_detections as calibrate_detections
 from .from_images import calibrate as calibrate
 from .from_points import calibrate_points as calibrate_points
-from .intrinsics.result import IntrinsicsResult as IntrinsicsResult
-from .lens_from_images import calibrate_intrinsics as calibrate_intrinsics
+from .intrinsics_result import IntrinsicsResult as IntrinsicsResult
+from .lens_calibration import calibrate_intrinsics as calibrate_intrinsics
 from .model.camera import (
     CameraState as CameraState,
     camera_state as camera_state,
@@ -22,13 +25,10 @@ from .model.camera import (
 )
 from .result.calibration import CalibrationResult as CalibrationResult, CameraFit as CameraFit
 from .result.status import Status as Status
+from .rig_calibration import calibrate_rig as calibrate_rig
 from .rig_check.comparison import compare_rigs as compare_rigs
 from .rig_check.knocked import RigCheck as RigCheck, check_rig as check_rig
-from .shots.advised_shot import NextShot as NextShot, next_shot as next_shot
-from .shots.field_difference import FieldDifference as FieldDifference
-from .shots.from_shots import calibrate_rig as calibrate_rig
-from .shots.projection import projection_sigma as projection_sigma
-from .shots.result import RigFromShots as RigFromShots
+from .rig_from_shots import RigFromShots as RigFromShots
 from .targets import (
     BOARDS as BOARDS,
     DICTIONARIES as DICTIONARIES,

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float
 from trinoc.calib.detection import Detection
 from trinoc.calib.problem.information import whitened_views
 from trinoc.calib.problem.problem import Problem, lens_number
-from trinoc.calib.problem.robust_fit import errors_px, fitted
+from trinoc.calib.problem.robust_fit import errors_px, fit_places
 from trinoc.calib.problem.sheet_problem import SheetCamera, sheet_problem
 from trinoc.calib.result import Status
 from trinoc.calib.result.degrees import DEGREES
@@ -166,7 +166,7 @@ def _without_outliers(problem: Problem) -> Problem:
     """
     (view,) = problem.views
     for _ in range(_CUTS):
-        problem, converged = fitted(problem._replace(views=(view,)))
+        problem, converged = fit_places(problem._replace(views=(view,)))
         pose = Pose(np.asarray(problem.state.cam_from_rig)[0])
         in_front = (problem.target.centres_mm @ pose.rotation[2] + pose.translation_mm[2]) > 0
         if not (converged and in_front[view.used].all()):

@@ -67,7 +67,9 @@ from .projection import (
     pixel_change as pixel_change,
     project_by_matrix as project_by_matrix,
     project_point as project_point,
+    project_points as project_points,
     project_with_jacobian as project_with_jacobian,
+    unproject_pixels as unproject_pixels,
 )
 from .rig import PARAMETER_NAMES as PARAMETER_NAMES, Rig as Rig
 from .rotation import rotation_from_vector as rotation_from_vector

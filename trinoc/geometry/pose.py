@@ -12,7 +12,7 @@ from trinoc.geometry.rotation import (
     rotation_from_vector,
     vector_from_rotation,
 )
-from trinoc.numerics import ArrayLike, ScalarLike
+from trinoc.numerics import ArrayLike, ScalarLike, namespace_of
 
 
 class Pose(eqx.Module):
@@ -106,9 +106,25 @@ class Pose(eqx.Module):
         aim = (self.centre_world_mm + distance * self.rotation[2])[:2]
         return jnp.concatenate([jnp.stack([pan, tilt, swing, distance]), aim])
 
+    @property
+    def inverse(self) -> "Pose":
+        """The way back: world_from_cam."""
+        return Pose(_matrix(self.rotation.T, -self.rotation.T @ self.translation_mm))
+
+    def __matmul__(self, first: "Pose") -> "Pose":
+        """`first`, then this one: a_from_c = a_from_b @ b_from_c."""
+        moved = self.rotation @ first.translation_mm + self.translation_mm
+        return Pose(_matrix(self.rotation @ first.rotation, moved))
+
     def transform(self, point_world_mm: Float[ArrayLike, "3"]) -> Float[ArrayLike, "3"]:
         """A point of the world in the camera frame."""
         return self.rotation @ point_world_mm + self.translation_mm
+
+    def transform_points(
+        self, points_world_mm: Float[ArrayLike, "*n 3"]
+    ) -> Float[ArrayLike, "*n 3"]:
+        """Points of the world in the camera frame."""
+        return points_world_mm @ self.rotation.T + self.translation_mm
 
     def aimed(self) -> "Pose":
         """This pose turned until the optical axis meets the world's origin, which lies in front."""
@@ -155,6 +171,14 @@ class Pose(eqx.Module):
         return jax.jacfwd(
             lambda delta: self.retract(delta, model, unit_mm).model_parameters(model, origin)
         )(jnp.zeros(model.size, jnp.asarray(self.cam_from_world).dtype))
+
+
+def _matrix(
+    rotation: Float[ArrayLike, "3 3"], translation_mm: Float[ArrayLike, "3"]
+) -> Float[ArrayLike, "3 4"]:
+    """[R | t]; in NumPy where nothing is traced, as searches among many poses need it."""
+    xp = namespace_of(rotation, translation_mm)
+    return xp.concatenate([rotation, translation_mm[:, None]], axis=1)
 
 
 def _turn_to_axis(ray: Float[ArrayLike, "3"]) -> Float[ArrayLike, "3 3"]:

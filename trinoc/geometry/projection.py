@@ -3,8 +3,11 @@
 Source: Hartley and Zisserman, section 6.1.
 """
 
+from functools import partial
 from typing import Any, NamedTuple
 
+import jax
+import numpy as np
 from jaxtyping import Float
 
 from trinoc.geometry.lenses import AbstractLens
@@ -16,6 +19,7 @@ from trinoc.numerics import (
     Vector2,
     Vector3,
     dot3,
+    in_bucket,
     is_traced,
     vector3,
 )
@@ -96,3 +100,31 @@ def pixel_change(uv_px: Vector2, depth: Scalar, change: Vector3) -> Vector2:
     """How a pixel moves where its homogeneous one, whose third coordinate is `depth`, changes."""
     u, v = uv_px
     return (change[0] - u * change[2]) / depth, (change[1] - v * change[2]) / depth
+
+
+def project_points(
+    pose: Pose, lens: AbstractLens, points_world_mm: Float[np.ndarray, "n 3"]
+) -> Float[np.ndarray, "n 2"]:
+    """`project_point` of any number of points, which few programs serve."""
+    return in_bucket(partial(_project_points, pose, lens), points_world_mm)
+
+
+def unproject_pixels(
+    lens: AbstractLens, uv_px: Float[np.ndarray, "n 2"]
+) -> Float[np.ndarray, "n 3"]:
+    """Unit rays, in the camera frame, of any number of pixels, which few programs serve."""
+    return in_bucket(partial(_unproject_pixels, lens), uv_px)
+
+
+@jax.jit
+def _project_points(
+    pose: Pose, lens: AbstractLens, points_world_mm: Float[ArrayLike, "n 3"]
+) -> Float[ArrayLike, "n 2"]:
+    return jax.vmap(partial(project_point, pose, lens))(points_world_mm)
+
+
+@jax.jit
+def _unproject_pixels(
+    lens: AbstractLens, uv_px: Float[ArrayLike, "n 2"]
+) -> Float[ArrayLike, "n 3"]:
+    return jax.vmap(lens.unproject)(uv_px)

@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from tests.calib.shots.made_shots import LENSES, SIZE_PX, _pixels, lens_of
+from tests.calib.shots.made_shots import LENSES, SIZE_PX, _pixels, chained, inverse, lens_of
 from trinoc.calib import AbstractTarget, AprilGrid, BoardSet, Chessboard, Detection
-from trinoc.calib.problem.motions import chained, inverse
 from trinoc.geometry import rotation_from_vector
 
 SIGMA_PX = 0.05

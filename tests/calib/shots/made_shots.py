@@ -20,6 +20,16 @@ LENSES = {
 PLACES = {"left": (-0.35, 220.0), "middle": (0.0, 0.0), "right": (0.35, -220.0)}
 
 
+def chained(second: np.ndarray, first: np.ndarray) -> np.ndarray:
+    """`first`, then `second`, by matrices (4, 4)."""
+    last = [[0.0, 0.0, 0.0, 1.0]]
+    return (np.vstack([second, last]) @ np.vstack([first, last]))[:3]
+
+
+def inverse(motion: np.ndarray) -> np.ndarray:
+    return np.linalg.inv(np.vstack([motion, [[0.0, 0.0, 0.0, 1.0]]]))[:3]
+
+
 def lens_of(name: str) -> AbstractLens:
     return BrownConrady.from_parameters(LENSES[name])
 

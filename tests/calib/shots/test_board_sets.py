@@ -16,19 +16,26 @@ from tests.calib.shots.made_board_sets import (
     set_shots,
     sets_held,
 )
-from tests.calib.shots.made_shots import BOARD, SIZE_PX, board_poses, lens_of, shots
+from tests.calib.shots.made_shots import (
+    BOARD,
+    SIZE_PX,
+    board_poses,
+    chained,
+    inverse,
+    lens_of,
+    shots,
+)
 from trinoc.calib import BoardSet, Chessboard, Detection, Systematics, calibrate_rig, next_shot
+from trinoc.calib.advice.halves import steps_between
 from trinoc.calib.detection import split_by_board
 from trinoc.calib.problem.information import information_of
-from trinoc.calib.problem.motions import chained, inverse
 from trinoc.calib.problem.problem import Freedom, Problem
-from trinoc.calib.problem.robust_fit import fitted
+from trinoc.calib.problem.robust_fit import fit_places
 from trinoc.calib.problem.starting_problem import problem_of
 from trinoc.calib.problem.views import View
-from trinoc.calib.shots.halves import steps_between
-from trinoc.calib.shots.hand_eye import hand_eye
+from trinoc.calib.starts.hand_eye import solve_hand_eye
 from trinoc.errors import CalibrationError, InputError
-from trinoc.geometry import Intrinsics
+from trinoc.geometry import Intrinsics, Pose, rotation_from_vector
 
 EXACT = Systematics()
 OPPOSITE = ("left", "far"), ("front", "back")
@@ -144,11 +151,12 @@ def test_errors_are_as_large_as_is_claimed():
     squares, truth = [], known_problem(np.random.default_rng(0))
     for seed in range(30):
         start = known_problem(np.random.default_rng(100 + seed))._replace(state=truth.state)
-        end, converged = fitted(start)
+        end, converged = fit_places(start)
         assert converged
         information = information_of(end)
+        covariance = information.observability.covariance
         step = steps_between(truth, end)[information.free]
-        squares.append(step @ np.linalg.solve(information.seen.covariance, step) / len(step))
+        squares.append(step @ np.linalg.solve(covariance, step) / len(step))
     # The mean of 360 squares.
     assert 0.9 < np.sqrt(np.mean(squares)) < 1.1
 
@@ -156,18 +164,20 @@ def test_errors_are_as_large_as_is_claimed():
 def test_motions_that_turn_about_one_axis_leave_something_open():
     cameras, boards = board_poses(1, seed=8)[0], board_poses(1, seed=9)[0]
     first = board_poses(5)
-    second = np.stack([chained(chained(cameras, pose), boards) for pose in first])
-    found = hand_eye(first, second)
+    second = [Pose(chained(chained(cameras, pose), boards)) for pose in first]
+    first = [Pose(pose) for pose in first]
+    found = solve_hand_eye(first, second)
     assert found is not None
-    np.testing.assert_allclose(found.cameras, cameras, atol=1e-8)
-    np.testing.assert_allclose(found.boards, boards, atol=1e-8)
+    np.testing.assert_allclose(found.cameras.cam_from_world, cameras, atol=1e-8)
+    np.testing.assert_allclose(found.boards.cam_from_world, boards, atol=1e-8)
     angles = 0.2 * np.arange(5)
-    on_a_table = np.stack(
-        [[[np.cos(a), -np.sin(a), 0, 9 * a], [np.sin(a), np.cos(a), 0, 5.0], [0, 0, 1, 600.0]]
-         for a in angles]
-    )  # fmt: skip
-    assert hand_eye(on_a_table, on_a_table) is None
-    assert hand_eye(first[:2], second[:2]) is None
+    turns = [np.asarray(rotation_from_vector(np.array([0.0, 0.0, angle]))) for angle in angles]
+    on_a_table = [
+        Pose(np.column_stack([turn, [9 * angle, 5.0, 600.0]]))
+        for turn, angle in zip(turns, angles, strict=True)
+    ]
+    assert solve_hand_eye(on_a_table, on_a_table) is None
+    assert solve_hand_eye(first[:2], second[:2]) is None
 
 
 def test_boards_that_nothing_connects_are_named():

@@ -5,7 +5,7 @@ import pytest
 
 from tests.calib.shots.made_shots import BOARD, LENSES, lens_of, shots
 from trinoc.calib import Systematics, calibrate_rig
-from trinoc.calib.problem.shot_scatter import ShotScatter
+from trinoc.calib.problem.outcome import ShotScatter
 
 FLAT_ENOUGH = Systematics(print_scale_sigma=(1e-4, 1e-4), flatness_mm=0.05)
 

@@ -72,6 +72,18 @@ def test_the_world_may_be_a_camera(found):
         calibrate_rig(shots(), BOARD, systematics=EXACT, world="attic")
 
 
+def test_the_order_of_cameras_does_not_matter(found):
+    seen, world = shots(), found.world.removeprefix("the board in ")
+    turned = {name: seen[name] for name in ("right", "left", "middle")}
+    other = calibrate_rig(turned, BOARD, systematics=EXACT, world=world)
+    rows = [other.parameters.index(name) for name in found.parameters]
+    sigma = np.sqrt(np.diag(found.covariance))
+    assert np.all(np.abs(other.values[rows] - found.values) <= 0.02 * sigma + 1e-9)
+    np.testing.assert_allclose(
+        np.sqrt(np.diag(other.covariance))[rows], sigma, rtol=0.01, atol=1e-9
+    )
+
+
 def test_rig_json_holds_the_covariance_of_poses_and_lenses(found, tmp_path):
     save(found, tmp_path / "rig.json")
     back = load_rig(tmp_path / "rig.json")

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from trinoc.calib.shots import exchanged
-from trinoc.calib.shots.chain import PlacedShot
-from trinoc.calib.shots.sightings import Sighting
+from trinoc.calib.starts import placing
+from trinoc.calib.starts.links import PlacedBoard
+from trinoc.calib.starts.sightings import IN_PLACE, Sighting
 
 from .made_shots import BOARD, board_poses, detection, lens_of
 
@@ -20,12 +20,12 @@ def test_two_explanations_are_none(monkeypatch, explaining, expected) -> None:
     random, pose = np.random.default_rng(0), board_poses(1)[0]
     pictures = [(detection(name, pose, random),) for name in NAMES]
     sightings = [
-        Sighting(k, 0, lens_of(name), pictures[k], (np.eye(3, 4),)) for k, name in enumerate(NAMES)
+        Sighting(k, 0, lens_of(name), pictures[k], (IN_PLACE,)) for k, name in enumerate(NAMES)
     ]
 
-    def placed(trial, cam_from_rig, target) -> PlacedShot:
+    def placed(trial, cam_from_rig, target) -> PlacedBoard:
         moved = tuple(s.camera for s in trial if s.detections is not pictures[s.camera])
-        return PlacedShot([], np.eye(3, 4), [] if moved in explaining else [(trial[0], 9.0)])
+        return PlacedBoard([], IN_PLACE, [] if moved in explaining else [(trial[0], 9.0)])
 
-    monkeypatch.setattr(exchanged, "placed_shot", placed)
-    assert exchanged.exchanged_pair(sightings, {}, BOARD) == expected
+    monkeypatch.setattr(placing, "place_board", placed)
+    assert placing.find_exchanged_pair(sightings, {}, BOARD) == expected

@@ -4,17 +4,26 @@ import numpy as np
 import pytest
 
 from tests.calib.shots.equations import assert_equations_are_those_of_the_cost
-from tests.calib.shots.made_shots import BOARD, SIZE_PX, board_poses, cam_from_rig, lens_of, shots
+from tests.calib.shots.made_shots import (
+    BOARD,
+    SIZE_PX,
+    board_poses,
+    cam_from_rig,
+    chained,
+    inverse,
+    lens_of,
+    shots,
+)
 from trinoc.calib import Chessboard, Pattern, Systematics
 from trinoc.calib.model import predicted_centre_px
-from trinoc.calib.problem.motions import chained, inverse, motion_in_plane
+from trinoc.calib.problem.board_shape import with_free_places
 from trinoc.calib.problem.places import BoardView, predict_places
 from trinoc.calib.problem.problem import Freedom
 from trinoc.calib.problem.starting_problem import problem_of
 from trinoc.calib.problem.views import View, padded_count
-from trinoc.calib.shots.board_shape import with_free_places
-from trinoc.calib.shots.messages import undetermined_sentence
-from trinoc.calib.shots.plane_pose import plane_pose
+from trinoc.calib.shot_messages import undetermined_sentence
+from trinoc.calib.starts.camera_start import plane_pose
+from trinoc.calib.starts.sightings import motion_in_plane
 from trinoc.geometry import KannalaBrandt, Pose
 
 CAMERAS = ("left", "middle", "right")
@@ -53,7 +62,7 @@ def test_a_plane_pose_is_found_from_its_rays(focal_px):
     rays = np.stack([lens.unproject(lens.project_ray(ray)) for ray in seen])
     found = plane_pose(rays, BOARD.centres_mm)
     assert found is not None
-    np.testing.assert_allclose(found, pose, atol=1e-6)
+    np.testing.assert_allclose(found.cam_from_world, pose, atol=1e-6)
 
 
 def test_points_on_a_line_have_no_pose():
@@ -80,11 +89,12 @@ def test_a_circle_is_predicted_as_the_exact_model_has_it():
     np.testing.assert_allclose(found, exact, atol=2e-4)
 
 
-def test_motions_are_chained_and_undone():
+def test_poses_are_chained_and_undone_as_matrices_are():
     first, second = board_poses(2)
-    np.testing.assert_allclose(chained(inverse(first), first), np.eye(3, 4), atol=1e-12)
-    both = chained(second, first)
-    np.testing.assert_allclose(chained(both, inverse(first)), second, atol=1e-9)
+    both = Pose(second) @ Pose(first)
+    assert isinstance(both.cam_from_world, np.ndarray)
+    np.testing.assert_allclose(both.cam_from_world, chained(second, first), atol=1e-9)
+    np.testing.assert_allclose(Pose(first).inverse.cam_from_world, inverse(first), atol=1e-9)
 
 
 @pytest.mark.parametrize("board", [Chessboard(rows=5, columns=7, square_mm=1.0),
@@ -94,8 +104,9 @@ def test_turns_of_a_board_are_motions_in_its_plane(board):
     for turn in board.turns:
         there = board.centres_mm[turn]
         motion = motion_in_plane(board.centres_mm, there)
-        moved = there @ motion[:2, :2].T + motion[:2, 3]
-        np.testing.assert_allclose(moved, board.centres_mm, atol=1e-12)
+        back = motion.transform_points(np.pad(there, ((0, 0), (0, 1))))
+        np.testing.assert_allclose(back[:, :2], board.centres_mm, atol=1e-12)
+        np.testing.assert_array_equal(back[:, 2], 0.0)
 
 
 def test_lengths_of_arrays_are_few():

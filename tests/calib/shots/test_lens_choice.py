@@ -5,28 +5,26 @@ import pytest
 
 from tests.calib.shots.made_shots import BOARD, shots
 from trinoc.calib import Systematics, calibrate_rig
+from trinoc.calib.lens_selection import choice_sentence, choose_lens
 from trinoc.calib.problem.information import Information
-from trinoc.calib.problem.score_test import score_test
-from trinoc.calib.shots.lens_choice import HeldOut, choice_sentence, chosen_lens
+from trinoc.calib.problem.rao_test import rao_test
 from trinoc.errors import InputError
 
 
 def errors(scale, seed, count=12):
     """Errors of the same shots: what noise makes is common to all lenses, but for a little."""
     common, own = np.random.default_rng(0), np.random.default_rng(seed)
-    return HeldOut(
-        {
-            (0, str(k)): scale * np.abs(common.normal(size=40) * (1 + 0.05 * own.normal(size=40)))
-            for k in range(count)
-        }
-    )
+    return {
+        (0, str(k)): scale * np.abs(common.normal(size=40) * (1 + 0.05 * own.normal(size=40)))
+        for k in range(count)
+    }
 
 
 def test_the_expected_lens_stays_unless_it_is_significantly_worse():
     alike = {"brown_conrady": errors(1.001, 2), "rational": errors(1.0, 1)}
-    assert chosen_lens(alike).model == "brown_conrady"
+    assert choose_lens(alike).model == "brown_conrady"
     worse = {"brown_conrady": errors(1.1, 2), "rational": errors(1.0, 1)}
-    choice = chosen_lens(worse)
+    choice = choose_lens(worse)
     assert choice.model == "rational"
     assert choice.rms_px["rational"] < choice.rms_px["brown_conrady"]
     assert "rational was chosen" in choice_sentence(choice, None)
@@ -34,8 +32,8 @@ def test_the_expected_lens_stays_unless_it_is_significantly_worse():
 
 def test_one_place_located_wrongly_decides_nothing():
     spoilt = errors(1.0, 2)
-    spoilt.errors_px[0, "3"][5] = np.inf
-    assert chosen_lens({"brown_conrady": spoilt, "rational": errors(1.0, 1)}).model == (
+    spoilt[0, "3"][5] = np.inf
+    assert choose_lens({"brown_conrady": spoilt, "rational": errors(1.0, 1)}).model == (
         "brown_conrady"
     )
 
@@ -72,30 +70,30 @@ def information(random, share):
 
 
 @pytest.mark.parametrize("share", [1.0, 1e-5])
-def test_without_need_of_more_parameters_the_score_test_gives_any_chance_alike(share):
+def test_without_need_of_more_parameters_the_rao_test_gives_any_chance_alike(share):
     random = np.random.default_rng(0)
-    tests = [score_test(information(random, share), np.arange(7) >= 4) for _ in range(500)]
+    tests = [rao_test(information(random, share), np.arange(7) >= 4) for _ in range(500)]
     assert {test.freedom for test in tests} == {2}
     chances = np.sort([test.chance for test in tests])
     # Kolmogorov and Smirnov's distance, which exceeds this once in a hundred times.
     assert np.abs(chances - (np.arange(500) + 0.5) / 500).max() < 1.63 / np.sqrt(500)
 
 
-def test_the_score_test_sees_what_was_held_wrongly():
+def test_the_rao_test_sees_what_was_held_wrongly():
     """What other parameters explain does not count, and an offset of five sigmas does."""
     random = np.random.default_rng(1)
     here, held = information(random, 1.0), np.arange(7) >= 4
-    noise = score_test(here, held).chi_square
+    noise = rao_test(here, held).chi_square
     whole = here.of_shot.sum(axis=0)
     pulled = here._replace(pulls=here.pulls + (whole @ [3.0, -2, 5, 1, 0, 0, 0]) / 40)
-    assert score_test(pulled, held).chi_square == pytest.approx(noise)
+    assert rao_test(pulled, held).chi_square == pytest.approx(noise)
     left = whole[4, 4] - whole[4, :4] @ np.linalg.solve(whole[:4, :4], whole[:4, 4])
     off = np.eye(7)[4] * 5 / np.sqrt(left)
     off = here._replace(pulls=here.pulls + whole @ off / 40)
-    assert score_test(off, held).chance < 1e-3
+    assert rao_test(off, held).chance < 1e-3
 
 
 def test_where_the_shots_cannot_pull_chance_is_all():
     here = information(np.random.default_rng(0), 1.0)
-    assert score_test(here, np.arange(7) == 6) == (0.0, 0)
-    assert score_test(here, np.arange(7) == 6).chance == 1.0
+    assert rao_test(here, np.arange(7) == 6) == (0.0, 0)
+    assert rao_test(here, np.arange(7) == 6).chance == 1.0

@@ -6,14 +6,14 @@ import equinox as eqx
 import numpy as np
 import pytest
 
-from tests.calib.shots.made_shots import BOARD, LENSES, board_poses, detection, shots
+from tests.calib.shots.made_shots import BOARD, LENSES, board_poses, chained, detection, shots
 from trinoc.calib import Systematics, calibrate_rig, next_shot
-from trinoc.calib.problem.motions import chained
-from trinoc.calib.shots.advised_shot import shot_error_px, with_shot
-from trinoc.calib.shots.candidate_shots import candidate_shots
-from trinoc.calib.shots.foreseen import foreseen, place_sigma_px
+from trinoc.calib.advice.candidate_shots import candidate_shots
+from trinoc.calib.advice.foreseen_shots import foresee_shots, place_sigma_px
+from trinoc.calib.advice.next_shot import add_shot, shot_error_px
 from trinoc.cli.calibrate_rig import rig_record, shot_record
 from trinoc.errors import InputError
+from trinoc.geometry import Pose
 
 CAMERAS = tuple(LENSES)
 
@@ -26,7 +26,7 @@ def worst_error_px(result):
     end = result.ended
     return max(
         shot_error_px(shot, end.covariance)
-        for shot in foreseen(end.problem, candidate_shots(end.problem))
+        for shot in foresee_shots(end.problem, candidate_shots(end.problem))
     )
 
 
@@ -65,10 +65,10 @@ def test_the_advice_gives_more_than_another_shot(after):
 
 def test_a_shot_never_takes_away(before):
     end = before.ended
-    told = foreseen(end.problem, candidate_shots(end.problem))
+    told = foresee_shots(end.problem, candidate_shots(end.problem))
     assert {camera for shot in told for camera in shot.cameras} == {0, 1, 2}
     for shot in told[::17]:
-        less = end.covariance - with_shot(end.covariance, shot, end.variance_factor)
+        less = end.covariance - add_shot(end.covariance, shot, end.variance_factor)
         assert np.linalg.eigvalsh(less).min() > -1e-9 * np.abs(end.covariance).max()
         assert shot_error_px(shot, end.covariance) > 0
 
@@ -76,13 +76,16 @@ def test_a_shot_never_takes_away(before):
 def test_a_shot_that_was_taken_is_foreseen_as_it_was(before):
     """As many places, each as accurate as the fit counts those that were seen."""
     problem = before.ended.problem
-    shot = foreseen(problem, candidate_shots(problem)[:2])[0]
+    shot = foresee_shots(problem, candidate_shots(problem)[:2])[0]
     np.testing.assert_allclose(
         place_sigma_px(problem), 0.05 * np.array([before.sigma_factor[c] for c in CAMERAS])
     )
-    again = foreseen(
+    again = foresee_shots(
         problem,
-        [shot.candidate._replace(rig_from_board=problem.state.rig_from_board[k]) for k in range(7)],
+        [
+            shot.candidate._replace(rig_from_board=Pose(problem.state.rig_from_board[k]))
+            for k in range(7)
+        ],
     )
     assert [each.places for each in again] == [
         sum(len(view.detection) for view in problem.views if view.shot == k) for k in range(7)

@@ -27,13 +27,11 @@ from trinoc.calib import (
 )
 from trinoc.calib.model import SheetPoints, whitening_of_covariance
 from trinoc.calib.problem.problem import Freedom
-from trinoc.calib.problem.robust_fit import freedom, whitened
+from trinoc.calib.problem.robust_fit import degrees_of_freedom, errors_in_sigmas
 from trinoc.calib.problem.starting_problem import problem_of
 from trinoc.calib.problem.views import View
-from trinoc.calib.problem.wrong_circles import without, without_wrong_circles
-from trinoc.calib.shots.pixel_fit import expect_method
-from trinoc.calib.shots.place_shifts import shift_of_places
-from trinoc.calib.shots.printed_tags import quarters_of_tags
+from trinoc.calib.problem.wrong_circles import discount_points, drop_wrong_circles
+from trinoc.calib.rig_pixels import expect_method, quarters_of_tags, shift_of_places
 from trinoc.errors import InputError
 from trinoc.geometry import Camera, Intrinsics, Pose
 from trinoc.synth import Cells, render_sheet
@@ -75,18 +73,18 @@ def test_points_count_alike_whether_detected_or_shown():
     # One of them is silent, and counts as it was detected.
     views[0] = detected.views[0]
     both = detected._replace(views=tuple(views))
-    errors = [whitened(each).reshape(len(each.table.shot), -1) for each in (detected, both)]
+    errors = [errors_in_sigmas(each).reshape(len(each.table.shot), -1) for each in (detected, both)]
     np.testing.assert_allclose(errors[0], errors[1], atol=1e-9)
-    assert freedom(detected) == freedom(both)
+    assert degrees_of_freedom(detected) == degrees_of_freedom(both)
     silenced = both._replace(views=tuple(v._replace(used=0 * v.used > 0) for v in both.views))
-    assert not whitened(silenced).any()
+    assert not errors_in_sigmas(silenced).any()
 
 
 def test_points_that_may_lie_anywhere_take_their_information_along():
     random = np.random.default_rng(3)
     root = random.normal(size=(8, 8))
     points = SheetPoints(np.zeros((4, 2)), np.zeros((4, 2)), root)
-    left = without(points, np.array([1])).whitening
+    left = discount_points(points, np.array([1])).whitening
     rest = [0, 1, 4, 5, 6, 7]
     covariance = np.linalg.inv(root.T @ root)[np.ix_(rest, rest)]
     np.testing.assert_allclose(np.linalg.inv((left.T @ left)[np.ix_(rest, rest)]), covariance)
@@ -101,14 +99,14 @@ def test_a_circle_that_is_shown_elsewhere_is_left_out():
         aside = np.zeros_like(own.uv_px)
         aside[4] = 3.0
         views.append(view._replace(shown=own._replace(uv_px=own.uv_px + aside)))
-    left = without_wrong_circles(here._replace(views=tuple(views)))
+    left = drop_wrong_circles(here._replace(views=tuple(views)))
     assert all(np.flatnonzero(~view.kept).tolist() == [4] for view in left.views)
 
 
 def test_a_board_as_drawn_shifts_nothing_and_a_warped_one_its_middle():
     here = problem(SHEET)
     lens, pose = lens_of("left"), board_poses(1)[0]
-    assert shift_of_places(here, lens, pose) is None
+    assert shift_of_places(here, lens, Pose(pose)) is None
     state = here.state
     warped = type(state)(
         state.lenses,
@@ -118,7 +116,7 @@ def test_a_board_as_drawn_shifts_nothing_and_a_warped_one_its_middle():
         np.array([0.0, 0.0, 1.0, 0.0]),
         state.shape,
     )
-    shift = shift_of_places(here._replace(state=warped), lens, pose)
+    shift = shift_of_places(here._replace(state=warped), lens, Pose(pose))
     assert shift is not None
     edge = np.array([[0.0, 0.0], [62.5, 10.0], [-62.5, 0.0]])
     lengths = np.linalg.norm(shift(edge), axis=1)

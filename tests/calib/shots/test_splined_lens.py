@@ -9,21 +9,21 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from tests.calib.intrinsics import simulated_lens
+from tests.calib.shots import simulated_lens
 from tests.calib.shots.equations import assert_equations_are_those_of_the_cost
 from tests.calib.shots.made_shots import BOARD, SIZE_PX, lens_of
 from trinoc.calib import Detection, Systematics, calibrate_intrinsics, calibrate_rig
+from trinoc.calib.advice.halves import covariance_of_difference
 from trinoc.calib.problem.information import information_of
-from trinoc.calib.problem.problem import Freedom, lens_number
-from trinoc.calib.problem.robust_fit import RobustFit
-from trinoc.calib.problem.starting_problem import problem_of
-from trinoc.calib.problem.views import View
-from trinoc.calib.shots.halves import covariance_of_difference
-from trinoc.calib.shots.lens_correction import (
+from trinoc.calib.problem.lens_correction import (
     correction_sentences,
     splined_problem,
     with_correction,
 )
+from trinoc.calib.problem.problem import Freedom, lens_number
+from trinoc.calib.problem.robust_fit import RobustFit
+from trinoc.calib.problem.starting_problem import problem_of
+from trinoc.calib.problem.views import View
 from trinoc.errors import InputError
 from trinoc.geometry import (
     AbstractSplined,
@@ -158,7 +158,7 @@ def test_a_bump_is_found_as_well_as_is_claimed():
     information, scale = information_of(end), np.asarray(end.chart.lens_scale)[0]
     rows = np.ix_(information.free[:249], information.free[:249])
     covariance = np.zeros((len(scale), len(scale)))
-    covariance[rows] = information.seen.covariance[:249, :249]
+    covariance[rows] = information.observability.covariance[:249, :249]
     lens = lens_number(end, 0)
     assert isinstance(lens, AbstractSplined)
     error, claimed = field_error(lens, covariance * np.outer(scale, scale))

@@ -7,12 +7,12 @@ import pytest
 
 from tests.calib.shots.made_shots import BOARD, LENSES, SIZE_PX, cam_from_rig, lens_of, shots
 from trinoc.calib import Chessboard, Detection, Systematics, calibrate_rig
-from trinoc.calib.problem.motions import boards_parallel
-from trinoc.calib.shots.exchanged import exchanged_pair
-from trinoc.calib.shots.lens_start import with_poses
-from trinoc.calib.shots.sightings import sighting
+from trinoc.calib.starts.apart import boards_are_parallel
+from trinoc.calib.starts.camera_start import start_poses
+from trinoc.calib.starts.placing import find_exchanged_pair
+from trinoc.calib.starts.sightings import label_sighting
 from trinoc.errors import CalibrationError, InputError
-from trinoc.geometry import Intrinsics
+from trinoc.geometry import Intrinsics, Pose
 
 EXACT = Systematics()
 KNOWN = {name: Intrinsics.of_lens(lens_of(name), SIZE_PX) for name in LENSES}
@@ -36,18 +36,19 @@ def test_pictures_exchanged_in_some_shots_are_named():
 
 
 def test_an_exchange_is_found_in_its_own_shot_alone():
-    poses = {k: cam_from_rig(name) for k, name in enumerate(LENSES)}
+    poses = {k: Pose(cam_from_rig(name)) for k, name in enumerate(LENSES)}
 
     def seen_by(order: tuple[str, ...], shot: int):
         lenses = [lens_of(name) for name in LENSES]
         found = [shots(cameras=(name,))[name][shot] for name in order]
+        starts = [start_poses(*each, BOARD) for each in zip(lenses, [[f] for f in found])]
         return [
-            sighting(k, shot, lens, each, with_poses(lens, [each], BOARD).cam_from_board[0], BOARD)
-            for k, (lens, each) in enumerate(zip(lenses, found, strict=True))
+            label_sighting(k, shot, start.lens, each, start.cam_from_board[0], BOARD)
+            for k, (start, each) in enumerate(zip(starts, found, strict=True))
         ]
 
-    assert exchanged_pair(seen_by(("middle", "left", "right"), 2), poses, BOARD) == (0, 1)
-    assert exchanged_pair(seen_by(("middle", "right", "left"), 2), poses, BOARD) is None
+    assert find_exchanged_pair(seen_by(("middle", "left", "right"), 2), poses, BOARD) == (0, 1)
+    assert find_exchanged_pair(seen_by(("middle", "right", "left"), 2), poses, BOARD) is None
 
 
 def test_folders_exchanged_as_a_whole_are_known_by_lenses_of_other_pictures_alone():
@@ -83,7 +84,7 @@ def test_one_camera_whose_pictures_are_mirrored_is_told():
 def test_boards_that_are_parallel_in_all_shots_are_told():
     with pytest.raises(CalibrationError, match="parallel in all shots"):
         calibrate_rig(shots(tilt_deg=0.0), BOARD)
-    assert not boards_parallel([np.eye(3, 4)])
+    assert not boards_are_parallel([Pose(np.eye(3, 4))])
 
 
 def test_another_board_that_looks_alike_is_refused_by_its_shot():

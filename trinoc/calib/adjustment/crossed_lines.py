@@ -9,6 +9,8 @@ the picture. The circles choose that angle, and the distance follows linearly.
 import numpy as np
 from jaxtyping import Float
 
+from trinoc.geometry import Pose
+
 # Steps of 7.5 degrees: the parabola through the best three is then good to a degree or two.
 _ANGLES_RAD = np.arange(48) * (2 * np.pi / 48)
 
@@ -17,7 +19,7 @@ def pose_of_crossed_lines(
     planes: Float[np.ndarray, "2 3"],
     slopes: Float[np.ndarray, "m 2"],
     place_mm: Float[np.ndarray, "m 2"],
-) -> Float[np.ndarray, "3 4"] | None:
+) -> Pose | None:
     """The pose of the crossed lines whose circles lie nearest to the observed ones.
 
     planes : normals, in the camera's frame, of the planes of the lines along X and along Y.
@@ -43,7 +45,7 @@ def pose_of_crossed_lines(
     bend = before - 2 * at + after
     shift = (before - after) / (2 * bend) if np.isfinite(bend) and bend > 0 else 0.0
     (axes,), (distance_mm,), _ = looked_at(_ANGLES_RAD[best : best + 1] + shift * _ANGLES_RAD[1])
-    return np.column_stack([axes, distance_mm * ray])
+    return Pose(np.column_stack([axes, distance_mm * ray]))
 
 
 def _axes(

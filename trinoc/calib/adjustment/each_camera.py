@@ -16,11 +16,10 @@ from trinoc.calib.problem.sheet_problem import SheetCamera
 from trinoc.calib.problem.solver import FIRST_DAMPING
 from trinoc.calib.result import Status
 from trinoc.calib.result.degrees import DEGREES, values_of_parameters
-from trinoc.calib.shots.lens_start import rays_of_places
-from trinoc.calib.shots.plane_pose import plane_pose
+from trinoc.calib.starts.camera_start import plane_pose
 from trinoc.calib.targets import Pattern
 from trinoc.calib.uncertainty import Systematics
-from trinoc.geometry import PARAMETER_NAMES, Intrinsics, Pose, PoseModel
+from trinoc.geometry import PARAMETER_NAMES, Intrinsics, PoseModel, unproject_pixels
 from trinoc.numerics import LARGEST_SIGMA, as_numpy, observability
 
 # Another start may do better where most circles lie farther off, in sigmas.
@@ -73,7 +72,7 @@ def fit_camera(
     detection: Detection, pattern: Pattern, lens: Intrinsics, model: PoseModel
 ) -> PoseEstimate:
     """The pose of one camera."""
-    rays = rays_of_places(lens.lens, detection.centres_px)
+    rays = unproject_pixels(lens.lens, detection.centres_px)
     place_mm = pattern.centres_mm[detection.circle_index]
     planes = detection.lines_px @ np.asarray(lens.lens.matrix)
     best: Adjustment | None = None
@@ -82,9 +81,9 @@ def fit_camera(
         lambda: plane_pose(rays, place_mm),
     ):
         pose = start()
-        if pose is None or not np.isfinite(pose).all():
+        if pose is None or not np.isfinite(np.asarray(pose.cam_from_world)).all():
             continue
-        begin = Pose(pose) if model is PoseModel.AIM_FREE else as_numpy(_aimed(Pose(pose)))
+        begin = pose if model is PoseModel.AIM_FREE else as_numpy(_aimed(pose))
         camera = SheetCamera("camera", detection, lens, None, begin)
         fit = adjust_cameras(
             [camera], pattern, Systematics(), model, 0.0, first_damping=FIRST_DAMPING

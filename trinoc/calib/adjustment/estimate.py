@@ -11,7 +11,7 @@ from jaxtyping import Float
 from trinoc.calib.model import ANNEALING, GATE, robust_scale
 from trinoc.calib.problem.information import WhitenedViews, whitened_views
 from trinoc.calib.problem.problem import Problem
-from trinoc.calib.problem.robust_fit import fitted
+from trinoc.calib.problem.robust_fit import fit_places
 from trinoc.calib.problem.sheet_problem import SheetCamera, sheet_problem
 from trinoc.calib.problem.solver import LEAST_DAMPING
 from trinoc.calib.targets import AbstractTarget
@@ -168,7 +168,7 @@ def adjust_cameras(
 def _fit(
     problem: Problem, first_damping: float = LEAST_DAMPING
 ) -> tuple[Problem, bool, WhitenedViews]:
-    problem, converged = fitted(problem, first_damping=first_damping)
+    problem, converged = fit_places(problem, first_damping=first_damping)
     return problem, converged, whitened_views(problem)
 
 
@@ -181,7 +181,7 @@ def _fit_without_outliers(
         scale = np.full(len(problem.views), np.inf)
         for k in suspects:
             scale[k] = share * robust_scale(_pairs(views, k)[: len(used[k])])
-        problem, _ = fitted(problem, scale, LEAST_DAMPING)
+        problem, _ = fit_places(problem, scale, LEAST_DAMPING)
         views = whitened_views(problem)
     for k in suspects:
         pairs = _pairs(views, k)[: len(used[k])]

@@ -38,11 +38,11 @@ class Information(NamedTuple):
     shape_first: int
 
     @property
-    def seen(self) -> Observability:
+    def observability(self) -> Observability:
         """What is determined of the free steps of the head."""
-        return self.seen_of(np.ones(len(self.free), dtype=bool))
+        return self.observability_of(np.ones(len(self.free), dtype=bool))
 
-    def seen_of(self, rows: Bool[np.ndarray, "f"]) -> Observability:
+    def observability_of(self, rows: Bool[np.ndarray, "f"]) -> Observability:
         """What is determined of some of the free steps, the others held."""
         free = self.free[rows]
         kept = self.of_shot.sum(axis=0)[np.ix_(free, free)] + self.prior[np.ix_(rows, rows)]

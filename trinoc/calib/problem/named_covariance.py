@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from trinoc.calib.problem.information import Information
 from trinoc.calib.problem.problem import Problem
@@ -21,10 +21,11 @@ IN_SET_NAMES = ("turn_x_deg", "turn_y_deg", "turn_z_deg", "x_mm", "y_mm", "z_mm"
 
 
 class World(NamedTuple):
-    """Where the world lies: the board in a shot, or a camera; one of them is given."""
+    """Where the world lies: the board in a shot, or a camera; one of them is given, as an array,
+    so that another one does not compile anew."""
 
-    shot: int | np.ndarray | None
-    camera: int | np.ndarray | None
+    shot: Int[np.ndarray, ""] | None
+    camera: Int[np.ndarray, ""] | None
 
 
 class NamedCovariance(NamedTuple):
@@ -58,13 +59,12 @@ def named_covariance(
     Poses are pan, tilt, swing, distance and aim where all cameras look at the plane Z = 0, rigid
     motions about where they stand otherwise.
     """
-    model = _pose_model(problem, world)
+    _, over_sheet = poses_in_world(problem.state, world)
+    is_over_sheet = world.shot is not None and np.isfinite(over_sheet).all()
+    model = PoseModel.AIM_FREE if is_over_sheet else PoseModel.RIGID
     shot = 0 if world.shot is None else world.shot
     values, by_head, by_board = (
-        np.asarray(part)
-        for part in _parameters(
-            problem.state, problem.chart, World(*(_index(k) for k in world)), model
-        )
+        np.asarray(part) for part in _parameters(problem.state, problem.chart, world, model)
     )
     by_board = by_board[:, shot] if world.shot is not None else np.zeros((len(values), POSE_SIZE))
     by_free = by_head[:, information.free]
@@ -83,33 +83,39 @@ def named_covariance(
     return NamedCovariance(tuple(names), values, 0.5 * (covariance + covariance.T))
 
 
-def cam_from_world(state: RigState, world: World) -> Float[ArrayLike, "c 3 4"]:
-    """Pose of every camera in the world."""
+def _poses_in_world(state: RigState, world: World) -> Float[ArrayLike, "c 3 4"]:
+    cameras = jnp.asarray(state.cam_from_rig)
     if world.shot is not None:
-        base = jnp.asarray(state.rig_from_board)[world.shot]
+        rig_from_world = Pose(jnp.asarray(state.rig_from_board)[world.shot])
     else:
-        own = jnp.asarray(state.cam_from_rig)[world.camera]
-        turn = own[:, :3].T
-        base = jnp.concatenate([turn, -(turn @ own[:, 3])[:, None]], axis=1)
-
-    def pose(own: Float[Array, "3 4"]) -> Float[Array, "3 4"]:
-        translation = own[:, :3] @ base[:, 3] + own[:, 3]
-        return jnp.concatenate([own[:, :3] @ base[:, :3], translation[:, None]], axis=1)
-
-    return jax.vmap(pose)(jnp.asarray(state.cam_from_rig))
+        rig_from_world = Pose(cameras[world.camera]).inverse
+    return jax.vmap(lambda own: (Pose(own) @ rig_from_world).cam_from_world)(cameras)
 
 
-def _index(number: int | np.ndarray | None) -> np.ndarray | None:
-    """A number as an array, so that another one does not compile anew."""
-    return None if number is None else np.asarray(number)
+@eqx.filter_jit
+def poses_in_world(
+    state: RigState, world: World
+) -> tuple[Float[ArrayLike, "c 3 4"], Float[ArrayLike, "c 6"]]:
+    """cam_from_world of every camera, and its parameters over the sheet, NaN where it has none."""
+    poses = _poses_in_world(state, world)
+    return poses, jax.vmap(lambda pose: Pose(pose).parameters)(poses)
 
 
-def _pose_model(problem: Problem, world: World) -> PoseModel:
-    poses = np.asarray(cam_from_world(problem.state, world))
-    if world.shot is None:
-        return PoseModel.RIGID
-    values = [np.asarray(Pose(jnp.asarray(pose)).parameters) for pose in poses]
-    return PoseModel.AIM_FREE if np.isfinite(values).all() else PoseModel.RIGID
+def open_rows(problem: Problem, information: Information, names: tuple[str, ...]) -> np.ndarray:
+    """Which named parameters what is not determined touches."""
+    chart = problem.chart
+    count, size = chart.lens_shape
+    open_head = np.zeros(len(chart.free), dtype=bool)
+    open_head[information.free[list(information.observability.gauge)]] = True
+    of_lens = open_head[: count * size].reshape(count, size)
+    any_pose = bool(open_head[count * size :].any())
+    rows = []
+    for lens in chart.lens_of_camera:
+        rows += [any_pose or bool(of_lens.any())] * POSE_SIZE + of_lens[lens].tolist()
+    rows += [any_pose] * (POSE_SIZE * max(len(problem.state.set_from_board) - 1, 0))
+    rows += open_head[chart.sheet_first : chart.shape_first].tolist()
+    assert len(rows) == len(names)
+    return np.array(rows)
 
 
 @eqx.filter_jit
@@ -117,11 +123,11 @@ def _parameters(
     state: RigState, chart, world: World, model: PoseModel
 ) -> tuple[Array, Array, Array]:
     """Values of all named parameters, and their derivatives by a step of head and boards."""
-    start = cam_from_world(state, world)
+    start = _poses_in_world(state, world)
 
     def values(head: Array, boards: Array) -> Array:
         here = retract(state, chart, head, boards)
-        poses = cam_from_world(here, world)
+        poses = _poses_in_world(here, world)
 
         def of_camera(pose: ArrayLike, origin: ArrayLike, lens: ArrayLike) -> Array:
             own = jax.tree.map(lambda leaf: leaf[lens], here.lenses)
@@ -130,7 +136,7 @@ def _parameters(
             return jnp.concatenate([in_degrees, own.parameters])
 
         every = jax.vmap(of_camera)(poses, start, jnp.asarray(chart.lens_of_camera))
-        # How far a board turns is told from where it stands; its reference does not move.
+        # How far a board turns counts from where it stands; its reference does not move.
         turn_deg = jnp.degrees((head * chart.free)[chart.boards_first : chart.sheet_first])
         turn_deg = turn_deg.reshape(-1, POSE_SIZE)[1:, :3]
         in_set = jnp.concatenate([turn_deg, here.set_from_board[1:, :, 3]], axis=1)

@@ -9,11 +9,10 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
-from trinoc.calib.problem.motions import chained
 from trinoc.calib.problem.variables import Chart, RigState
 from trinoc.calib.problem.views import View, ViewTable, view_table
 from trinoc.calib.targets import AbstractTarget
-from trinoc.geometry import AFFINE_PARAMETERS, AbstractLens, stack_lenses
+from trinoc.geometry import AFFINE_PARAMETERS, AbstractLens, Pose, stack_lenses
 
 
 class Problem(NamedTuple):
@@ -27,8 +26,8 @@ class Problem(NamedTuple):
     chart : units, and what is free.
     shots : how many there are; arrays have more rows.
     sigma_factor : (c,) by how much the places' sigmas are multiplied for each camera.
-    spent : how many numbers the residuals have told of where the board's places lie.
-    spent_on_lenses : how many they have told of what has a prior in the lenses.
+    spent : how many numbers the residuals determine of where the board's places lie.
+    spent_on_lenses : how many they determine of what has a prior in the lenses.
     """
 
     views: tuple[View, ...]
@@ -44,6 +43,11 @@ class Problem(NamedTuple):
     def cameras(self) -> int:
         """How many cameras there are."""
         return len(self.chart.lens_of_camera)
+
+    @property
+    def image_sizes_px(self) -> dict[int, tuple[int, int]]:
+        """(width, height) of each camera's pictures."""
+        return {view.camera: view.detection.image_size_px for view in self.views}
 
     @property
     def table(self) -> ViewTable:
@@ -68,14 +72,15 @@ class EndedProblem(NamedTuple):
     variance_factor: float
 
 
-def cam_from_board(state: RigState, view: View) -> Float[np.ndarray, "3 4"]:
+def cam_from_board(state: RigState, view: View) -> Pose:
     """The pose of a view's board before its camera."""
-    pose = chained(
-        np.asarray(state.cam_from_rig)[view.camera], np.asarray(state.rig_from_board)[view.shot]
+    pose = Pose(np.asarray(state.cam_from_rig)[view.camera])
+    pose @= Pose(np.asarray(state.rig_from_board)[view.shot])
+    return (
+        pose @ Pose(np.asarray(state.set_from_board)[view.board])
+        if len(state.set_from_board)
+        else pose
     )
-    if not len(state.set_from_board):
-        return pose
-    return chained(pose, np.asarray(state.set_from_board)[view.board])
 
 
 def lens_number(problem: Problem, number: int) -> AbstractLens:

@@ -17,7 +17,7 @@ from trinoc.numerics import GemanMcClure, as_numpy
 _FEWEST_AGREE = 0.5
 # Chi-square beyond this many of its own standard deviations is not noise: the sigmas grow.
 _CHI_SQUARE_DEVIATIONS = 4.0
-# A direction that has less of the information of the best one is not told.
+# A direction that has less of the information of the best one is not determined.
 _LEAST_SHARE = 1e-3
 _whitened = eqx.filter_jit(whitened_residuals)
 _residuals = eqx.filter_jit(residuals_px)
@@ -30,13 +30,13 @@ class RobustFit(NamedTuple):
     ------
     problem : at its end, with the places that take part.
     converged : whether the solver says so.
-    moved : views that show the board elsewhere: (camera, shot, median miss in px).
+    elsewhere : views that show the board elsewhere: (camera, shot, median miss in px).
     chi_square, freedom : of the places that take part, by the sigmas as they were enlarged.
     """
 
     problem: Problem
     converged: bool
-    moved: list[tuple[int, int, float]]
+    elsewhere: list[tuple[int, int, float]]
     chi_square: float
     freedom: int
 
@@ -48,28 +48,28 @@ def fit_robustly(problem: Problem) -> RobustFit:
     show; those of circles grow where the residuals refute them.
     """
     for factor in ANNEALING:
-        scale = factor * robust_scale(_spoken(problem, whitened(problem)))
-        problem, _ = fitted(problem, scale)
-    problem, moved = without_wrong_places(problem)
-    problem, _ = fitted(problem)
-    return judged_fit(problem, moved)
+        scale = factor * robust_scale(_used_rows(problem, errors_in_sigmas(problem)))
+        problem, _ = fit_places(problem, scale)
+    problem, elsewhere = drop_wrong_places(problem)
+    problem, _ = fit_places(problem)
+    return finish_fit(problem, elsewhere)
 
 
-def judged_fit(problem: Problem, moved: list[tuple[int, int, float]]) -> RobustFit:
+def finish_fit(problem: Problem, elsewhere: list[tuple[int, int, float]]) -> RobustFit:
     """The end of a fit, after the sigmas have become those that its residuals show."""
-    problem, converged = fitted(with_factors(problem))
-    chi_square = float(np.sum(np.square(whitened(problem))))
-    return RobustFit(problem, converged, moved, chi_square, freedom(problem))
+    problem, converged = fit_places(with_sigma_factors(problem))
+    chi_square = float(np.sum(np.square(errors_in_sigmas(problem))))
+    return RobustFit(problem, converged, elsewhere, chi_square, degrees_of_freedom(problem))
 
 
-def refitted(fit: RobustFit, problem: Problem) -> RobustFit:
+def refit(fit: RobustFit, problem: Problem) -> RobustFit:
     """The same places fitted by another problem, from where the fit ended."""
-    problem, converged = fitted(problem)
-    chi_square = float(np.sum(np.square(whitened(problem))))
-    return RobustFit(problem, converged, fit.moved, chi_square, freedom(problem))
+    problem, converged = fit_places(problem)
+    chi_square = float(np.sum(np.square(errors_in_sigmas(problem))))
+    return RobustFit(problem, converged, fit.elsewhere, chi_square, degrees_of_freedom(problem))
 
 
-def fitted(
+def fit_places(
     problem: Problem,
     outlier_scale: float | Float[np.ndarray, "_v"] = np.inf,
     first_damping: float = FIRST_DAMPING,
@@ -86,7 +86,7 @@ def fitted(
     return problem._replace(state=end.state), bool(end.converged)
 
 
-def whitened(problem: Problem) -> Float[np.ndarray, "v n 2"]:
+def errors_in_sigmas(problem: Problem) -> Float[np.ndarray, "v n 2"]:
     """Residuals in sigmas, unused ones zero, padded as the table is."""
     return np.asarray(_whitened(problem.state, problem.chart, problem.table))
 
@@ -104,19 +104,19 @@ def _across(shown: SheetPoints, errors: Float[np.ndarray, "m 2"]) -> Float[np.nd
     """The part of the errors in directions in which the picture shows the place at all."""
     columns = shown.whitening.reshape(len(shown.whitening), -1, 2)
     values, vectors = np.linalg.eigh(np.einsum("nmi,nmj->mij", columns, columns))
-    told = values > _LEAST_SHARE * values[:, -1:]
-    return np.einsum("mik,mk,mjk,mj->mi", vectors, told, vectors, errors)
+    determined = values > _LEAST_SHARE * values[:, -1:]
+    return np.einsum("mik,mk,mjk,mj->mi", vectors, determined, vectors, errors)
 
 
-def _spoken(problem: Problem, errors: Float[np.ndarray, "v n 2"]) -> Float[np.ndarray, "m 2"]:
+def _used_rows(problem: Problem, errors: Float[np.ndarray, "v n 2"]) -> Float[np.ndarray, "m 2"]:
     return np.concatenate(
         [rows[: len(view.used)][view.used] for rows, view in zip(errors, problem.views)]
     )
 
 
-def all_places_used(problem: Problem, moved: list[tuple[int, int, float]]) -> Problem:
+def use_all_places(problem: Problem, elsewhere: list[tuple[int, int, float]]) -> Problem:
     """The problem with every place, but for views that show the board elsewhere."""
-    out = {(camera, shot) for camera, shot, _ in moved}
+    out = {(camera, shot) for camera, shot, _ in elsewhere}
     views = tuple(
         view if (view.camera, view.shot) in out else view._replace(used=np.ones_like(view.used))
         for view in problem.views
@@ -124,11 +124,11 @@ def all_places_used(problem: Problem, moved: list[tuple[int, int, float]]) -> Pr
     return problem._replace(views=views)
 
 
-def without_wrong_places(
+def drop_wrong_places(
     problem: Problem,
 ) -> tuple[Problem, list[tuple[int, int, float]]]:
     """The problem without places, and without pictures, that noise does not explain."""
-    errors = whitened(problem)
+    errors = errors_in_sigmas(problem)
     pixels = errors_px(problem)
     right: dict[int, np.ndarray] = {}
     for camera in range(problem.cameras):
@@ -139,23 +139,23 @@ def without_wrong_places(
         kept = inliers(np.concatenate(own))
         ends = np.cumsum([len(each) for each in own])[:-1]
         right |= dict(zip(rows, np.split(kept, ends), strict=True))
-    views, moved = [], []
+    views, elsewhere = [], []
     for k, view in enumerate(problem.views):
         if right[k].mean() < _FEWEST_AGREE:
             miss = float(np.median(np.linalg.norm(pixels[k], axis=1)))
-            moved.append((view.camera, view.shot, miss))
+            elsewhere.append((view.camera, view.shot, miss))
             views.append(view._replace(used=np.zeros_like(right[k])))
         else:
             views.append(view._replace(used=right[k]))
-    return problem._replace(views=tuple(views)), moved
+    return problem._replace(views=tuple(views)), elsewhere
 
 
-def with_factors(problem: Problem) -> Problem:
+def with_sigma_factors(problem: Problem) -> Problem:
     """The problem with the sigmas that each camera's residuals show."""
-    errors = whitened(problem)
+    errors = errors_in_sigmas(problem)
     squared = np.sum(errors**2, axis=(1, 2))
     total = sum(view.numbers for view in problem.views)
-    share = max(freedom(problem), 1) / max(total, 1)
+    share = max(degrees_of_freedom(problem), 1) / max(total, 1)
     are_known = problem.chart.has_circles or any(v.shown is not None for v in problem.views)
     factor = np.array(problem.sigma_factor)
     for camera in range(problem.cameras):
@@ -172,13 +172,12 @@ def with_factors(problem: Problem) -> Problem:
     return problem._replace(sigma_factor=factor)
 
 
-def freedom(problem: Problem) -> int:
-    """Residuals less unknowns; the sheet's have a prior each, the places' are told, and so are
-    those of lenses that have a prior."""
+def degrees_of_freedom(problem: Problem) -> int:
+    """Residuals less unknowns; those with a prior (sheet, places, lenses) by `Problem.spent`."""
     residuals = sum(view.numbers for view in problem.views)
     shots = {view.shot for view in problem.views if view.used.any()}
     steps = np.array(problem.chart.free[: problem.chart.sheet_first])
     known = np.einsum("lqq->lq", np.asarray(problem.chart.lens_information)) > 0
     steps[: problem.chart.lens_count][known.ravel()] = 0
-    told = problem.spent + problem.spent_on_lenses
-    return residuals - int(steps.sum()) - 6 * len(shots) - round(told)
+    spent = problem.spent + problem.spent_on_lenses
+    return residuals - int(steps.sum()) - 6 * len(shots) - round(spent)

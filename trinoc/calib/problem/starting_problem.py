@@ -58,7 +58,7 @@ def problem_of(
         np.zeros(len(WarpedBoard.names) * len(members)),
         np.zeros((0, 3)),
     )
-    depths = [np.linalg.norm(cam_from_board(state, view)[:, 3]) for view in views]
+    depths = [np.linalg.norm(cam_from_board(state, view).translation_mm) for view in views]
     information, sheet_free = _sheet_prior(systematics, len(members))
     pose_free, set_free = np.ones((len(cam_from_rig), POSE_SIZE)), np.ones((len(in_set), POSE_SIZE))
     pose_free[0] = 0.0

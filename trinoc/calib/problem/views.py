@@ -56,7 +56,7 @@ class View(NamedTuple):
 
     @property
     def numbers(self) -> int:
-        """How many numbers the places that take part have told."""
+        """How many numbers the places that take part report."""
         if self.shown is None:
             return 2 * int(self.used.sum())
         return int(np.any(self.shown.whitening != 0, axis=1).sum()) if self.used.any() else 0

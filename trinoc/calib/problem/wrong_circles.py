@@ -8,18 +8,18 @@ from trinoc.calib.problem.problem import Problem
 from trinoc.calib.problem.robust_fit import errors_px
 from trinoc.calib.problem.views import NO_PLACE, View, circle_of
 
-# Of the largest eigenvalue: below, the information tells nothing.
+# Of the largest eigenvalue: below, there is no information.
 _ROUNDING = 1e-12
 
 
-def without_wrong_circles(problem: Problem) -> Problem:
+def drop_wrong_circles(problem: Problem) -> Problem:
     """The problem, what its pictures show less circles that do not agree with the rig.
 
     Each camera's are judged by the spread of them all; those that points left out stay out.
     """
     errors, views = errors_px(problem), list(problem.views)
     for camera in range(problem.cameras):
-        own = [k for k, view in enumerate(views) if view.camera == camera and _speaks(view)]
+        own = [k for k, view in enumerate(views) if view.camera == camera and _counts(view)]
         if not own:
             continue
         circles = {k: _circles(views[k], problem) for k in own}
@@ -32,11 +32,11 @@ def without_wrong_circles(problem: Problem) -> Problem:
             is_right &= ~np.isin(place, detection.circle_index[~views[k].used])
             if not is_right.all():
                 wrong = circles[k][~is_right]
-                views[k] = views[k]._replace(shown=without(shown, wrong))
+                views[k] = views[k]._replace(shown=discount_points(shown, wrong))
     return problem._replace(views=tuple(views))
 
 
-def without(shown: SheetPoints, rows: np.ndarray) -> SheetPoints:
+def discount_points(shown: SheetPoints, rows: np.ndarray) -> SheetPoints:
     """The same points, some of which may lie anywhere: their information goes."""
     size = len(shown.whitening)
     gone = np.zeros(size, dtype=bool)
@@ -45,18 +45,19 @@ def without(shown: SheetPoints, rows: np.ndarray) -> SheetPoints:
     across = information[np.ix_(~gone, gone)]
     inner = np.linalg.pinv(information[np.ix_(gone, gone)], _ROUNDING, hermitian=True)
     values, vectors = np.linalg.eigh(information[np.ix_(~gone, ~gone)] - across @ inner @ across.T)
-    told = values > _ROUNDING * values[-1]
+    determined = values > _ROUNDING * values[-1]
     whitening = np.zeros((size, size))
-    whitening[: told.sum(), ~gone] = np.sqrt(values[told])[:, None] * vectors[:, told].T
+    root = np.sqrt(values[determined])[:, None] * vectors[:, determined].T
+    whitening[: len(root), ~gone] = root
     return shown._replace(whitening=whitening)
 
 
-def _speaks(view: View) -> bool:
+def _counts(view: View) -> bool:
     return view.shown is not None and bool(view.used.any())
 
 
 def _circles(view: View, problem: Problem) -> np.ndarray:
-    """Rows of what is shown that are circles, and are told."""
+    """Indices of the places that are circles and were reported."""
     assert view.shown is not None
     is_circle = circle_of(view.shown.place_mm, problem.target) != NO_PLACE
     return np.flatnonzero(is_circle & view.kept)
@@ -71,7 +72,7 @@ def _in_sigmas(
     covariance = np.linalg.pinv(information, _ROUNDING, hermitian=True)
     own = np.stack([covariance[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] for k in rows])
     values, vectors = np.linalg.eigh(own)
-    # Of an edge alone, where it lies along itself is not told.
-    told = values > _ROUNDING * values[:, -1:]
-    sigma = np.sqrt(np.where(told, values, np.inf))
+    # Of an edge alone, where it lies along itself is not determined.
+    determined = values > _ROUNDING * values[:, -1:]
+    sigma = np.sqrt(np.where(determined, values, np.inf))
     return np.einsum("kji,kj->ki", vectors, errors[rows]) / sigma

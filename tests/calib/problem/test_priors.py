@@ -1,0 +1,110 @@
+"""What was known beforehand counts alike in the cost, its gradient and the information."""
+
+import dataclasses
+import functools
+
+import equinox as eqx
+import numpy as np
+import pytest
+
+from tests.calib.shots.made_shots import board_poses
+from tests.calib.shots.test_laws import problem
+from trinoc.calib.problem.board_shape import with_free_places
+from trinoc.calib.problem.equations import PlacesProblem
+from trinoc.calib.problem.problem import lens_number
+from trinoc.calib.problem.sheet import BentPaper, WarpedBoard
+from trinoc.calib.problem.variables import retract
+from trinoc.geometry import PoseModel
+from trinoc.numerics import GemanMcClure
+
+KINDS = ("lens", "aim", "sheet", "places")
+
+
+def with_every_prior(sheet_model):
+    """Cameras over a sheet that stays, lenses by a factor of their covariance, places free; the
+    state is off every mean, and no place is seen: all that is left is what was known."""
+    random = np.random.default_rng(0)
+    here = with_free_places(problem(board_poses(2)))
+    chart, state = here.chart, here.state
+    lenses, size = chart.lens_shape
+    roots = np.asarray(chart.lens_scale)[:, :, None] * random.normal(0, 0.01, (lenses, size, size))
+    covariance = roots @ np.swapaxes(roots, 1, 2)
+    terms = len(sheet_model.names)
+    sheet_root = random.normal(size=(terms, terms))
+    before, after = chart.free[: chart.sheet_first], chart.free[chart.shape_first :]
+    chart = dataclasses.replace(
+        chart,
+        lens_basis=roots,
+        lens_mean=np.stack([lens_number(here, k).parameters for k in range(lenses)])
+        + roots @ random.normal(size=size),
+        lens_information=np.linalg.inv(covariance),
+        aim_information=random.uniform(0.5, 2.0, len(chart.aim_information)),
+        pose_model=PoseModel.AIM_FREE,
+        sheet_model=sheet_model,
+        sheet_scale=random.uniform(0.5, 2.0, terms),
+        sheet_information=sheet_root @ sheet_root.T,
+        shape_information=np.array([4.0, 3.0, 2.0]),
+        free=np.concatenate([np.ones_like(before), np.ones(terms), np.ones_like(after)]),
+    )
+    state = dataclasses.replace(
+        state, sheet=random.normal(size=terms), shape=random.normal(size=state.shape.shape)
+    )
+    table = here.table
+    return state, chart, table._replace(whitening=np.zeros_like(table.whitening))
+
+
+def rows_of(chart, kind):
+    """Where, in the head, the steps of a kind stand that has a prior."""
+    count = len(chart.free)
+    first, last = {
+        "lens": (0, chart.lens_count),
+        "aim": (chart.lens_count, chart.boards_first),
+        "sheet": (chart.sheet_first, chart.shape_first),
+        "places": (chart.shape_first, count),
+    }[kind]
+    return np.arange(first, last)
+
+
+@eqx.filter_jit
+def _cost(state, chart, table, loss, head):
+    moved = retract(state, chart, head, np.zeros((len(state.rig_from_board), 6)))
+    return PlacesProblem(chart, table, loss).cost(moved)
+
+
+@functools.cache
+def known(sheet_model_name):
+    models = {"board": WarpedBoard(np.array([[60.0, 50.0]])), "paper": BentPaper(np.array(80.0))}
+    state, chart, table = with_every_prior(models[sheet_model_name])
+    loss = GemanMcClure.from_scale(np.full(len(table.shot), np.inf))
+    equations = PlacesProblem(chart, table, loss)
+    found = eqx.filter_jit(lambda each, at: each.equations(at))(equations, state)
+    return functools.partial(_cost, state, chart, table, loss), chart, found
+
+
+@pytest.mark.parametrize("sheet_model", ["board", "paper"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_prior_is_the_same_in_cost_gradient_and_information(kind, sheet_model):
+    """A cost that is quadratic in the step: its differences are exact."""
+    cost, chart, found = known(sheet_model)
+    rows, random = rows_of(chart, kind), np.random.default_rng(1)
+    for _ in range(2):
+        step = np.zeros(len(chart.free))
+        step[rows] = random.normal(size=len(rows))
+        before, here, after = (float(cost(sign * step)) for sign in (-1.0, 0.0, 1.0))
+        slope = 0.25 * (after - before)
+        curvature = 0.5 * (after - 2 * here + before)
+        assert abs(slope) > 1e-3
+        assert curvature > 1e-3
+        assert slope == pytest.approx(float(found.gradient[0] @ step), rel=1e-6)
+        assert curvature == pytest.approx(float(step @ found.information.head @ step), rel=1e-6)
+
+
+def test_what_is_held_has_no_prior_to_pull_at_it():
+    state, chart, table = with_every_prior(WarpedBoard(np.array([[60.0, 50.0]])))
+    chart = eqx.tree_at(lambda c: c.free, chart, np.zeros_like(chart.free))
+    loss = GemanMcClure.from_scale(np.full(len(table.shot), np.inf))
+    found = eqx.filter_jit(lambda each, at: each.equations(at))(
+        PlacesProblem(chart, table, loss), state
+    )
+    np.testing.assert_array_equal(found.gradient[0], 0.0)
+    np.testing.assert_array_equal(found.information.head, 0.0)

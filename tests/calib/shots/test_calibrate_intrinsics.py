@@ -1,0 +1,134 @@
+"""Laws that the calibration of a lens obeys, and that its errors scatter as it says."""
+
+import numpy as np
+import pytest
+
+from tests.calib.shots.simulated_lens import LENS, SHEET, SIZE_PX, detections, good_poses
+from trinoc.calib import Pattern, Status, calibrate_intrinsics
+from trinoc.geometry import BrownConrady
+
+pytestmark = pytest.mark.usefixtures("optimised")
+POSES = good_poses()
+
+
+def sigmas(result):
+    return np.sqrt(np.diag(result.covariance))
+
+
+def test_exact_centres_give_the_lens_back():
+    result = calibrate_intrinsics(detections(POSES, sigma_px=0.0), SHEET)
+    assert result.status is Status.CONVERGED
+    assert result.rank == 9
+    np.testing.assert_allclose(result.values[:4], LENS[:4], atol=1e-3)
+    np.testing.assert_allclose(result.values[4:8], LENS[4:8], atol=1e-3)
+    np.testing.assert_allclose(result.cam_from_world, POSES, atol=1e-3)
+    assert result.lens is not None
+    assert result.lens.image_size_px == SIZE_PX
+
+
+def test_the_order_of_pictures_does_not_matter():
+    found = detections(POSES)
+    one = calibrate_intrinsics(found, SHEET)
+    other = calibrate_intrinsics(found[::-1], SHEET)
+    assert (np.abs(one.values - other.values) < 1e-3 * sigmas(one)).all()
+    np.testing.assert_allclose(sigmas(one), sigmas(other), rtol=1e-4)
+
+
+def test_turning_the_sheet_by_90_degrees_leaves_the_lens():
+    quarter = np.array([[0.0, -1.0], [1.0, 0.0]])
+    turned = Pattern(
+        name="turned",
+        centres_mm=SHEET.centres_mm @ quarter.T,
+        radius_mm=SHEET.radius_mm,
+        inner_radius_mm=SHEET.inner_radius_mm,
+        lattice=np.round(SHEET.lattice @ quarter.T).astype(int),
+        line_width_mm=SHEET.line_width_mm,
+        line_half_length_mm=SHEET.line_half_length_mm,
+        line_style=SHEET.line_style,
+        line_gap_mm=SHEET.line_gap_mm,
+    )
+    found = detections(POSES)
+    one, other = calibrate_intrinsics(found, SHEET), calibrate_intrinsics(found, turned)
+    assert (np.abs(one.values - other.values) < 1e-3 * sigmas(one)).all()
+    np.testing.assert_allclose(sigmas(one), sigmas(other), rtol=1e-4)
+
+
+@pytest.mark.slow
+def test_errors_scatter_as_the_covariance_says():
+    trials, squared, scores = 40, [], []
+    for seed in range(trials):
+        result = calibrate_intrinsics(detections(POSES, seed=seed), SHEET)
+        error = result.values - LENS
+        squared.append(error @ np.linalg.solve(result.covariance, error))
+        scores.append(error / sigmas(result))
+    # A mean of `trials` chi-squares of nine degrees of freedom, within four deviations.
+    assert abs(np.mean(squared) / 9 - 1) < 4 * np.sqrt(2 / (9 * trials))
+    rms = np.sqrt(np.mean(np.square(scores), axis=0))
+    np.testing.assert_allclose(rms, 1.0, atol=4 / np.sqrt(2 * trials))
+
+
+def test_circles_located_wrongly_are_left_out_and_counted():
+    found = detections(POSES)
+    clean = calibrate_intrinsics(detections(POSES), SHEET)
+    found[2].centres_px[5] += [0.4, -0.3]
+    found[5].centres_px[[1, 7]] += 30.0
+    result = calibrate_intrinsics(found, SHEET)
+    assert np.flatnonzero(~result.used[2]).tolist() == [5]
+    assert np.flatnonzero(~result.used[5]).tolist() == [1, 7]
+    assert all(result.used[k].all() for k in range(8) if k not in (2, 5))
+    assert (np.abs(result.values - clean.values) < sigmas(clean)).all()
+    assert any("Picture 6: 2 of" in note for note in result.notes)
+
+
+def test_sigmas_grow_with_the_residuals():
+    honest = calibrate_intrinsics(detections(POSES, sigma_px=0.05), SHEET)
+    found = detections(POSES, sigma_px=0.05)
+    for each in found:
+        each.covariance_px2[:] /= 100.0
+    bold = calibrate_intrinsics(found, SHEET)
+    assert bold.reduced_chi_square == pytest.approx(100 * honest.reduced_chi_square, rel=0.1)
+    np.testing.assert_allclose(
+        sigmas(bold), np.sqrt(honest.reduced_chi_square) * sigmas(honest), rtol=0.1
+    )
+
+
+def test_a_lens_without_distortion_asks_for_none():
+    straight = np.append(LENS[:4], np.zeros(5))
+    found = detections(POSES, values=straight)
+    result = calibrate_intrinsics(found, SHEET)
+    assert any("ask for no distortion" in note for note in result.notes)
+    held = calibrate_intrinsics(found, SHEET, distortion=0)
+    assert held.lens is not None
+    assert held.lens.distortion_model == "none"
+    assert (sigmas(held)[4:] == 0).all()
+    assert (np.abs(held.values - straight) <= 4 * sigmas(held)).all()
+
+
+def test_a_known_aspect_is_held_and_gives_millimetres():
+    pitch = (0.0162, 0.0134)
+    lens = LENS.copy()
+    lens[:2] = 16.0 / np.array(pitch)
+    found = detections(POSES, values=lens)
+    result = calibrate_intrinsics(found, SHEET, pixel_pitch_mm=pitch, aspect="pitch")
+    assert result.free == tuple(name for name in BrownConrady.parameter_names if name != "fy_px")
+    assert result.values[1] / result.values[0] == pytest.approx(pitch[0] / pitch[1], rel=1e-12)
+    assert result.lens is not None
+    assert result.lens.focal_length_mm == pytest.approx(
+        16.0, abs=4 * result.sigma("fx_px") * 0.0162
+    )
+    # Both change by one step: their errors are one, in that ratio.
+    both = result.covariance[:2, :2]
+    of_fx = np.array([1.0, pitch[0] / pitch[1]])
+    np.testing.assert_allclose(both, both[0, 0] * np.outer(of_fx, of_fx))
+    free = calibrate_intrinsics(found, SHEET, pixel_pitch_mm=pitch)
+    assert result.sigma("fy_px") <= free.sigma("fy_px")
+
+
+def test_the_picture_is_best_known_amid_the_circles():
+    result = calibrate_intrinsics(detections(POSES), SHEET)
+    sigma = result.field_sigma_px
+    assert sigma[2, 2] == sigma.min()
+    assert sigma.max() == max(sigma[0, 0], sigma[0, 4], sigma[4, 0], sigma[4, 4])
+    text = result.summary()
+    assert text.count("+-") == 9
+    assert "8 pictures" in text

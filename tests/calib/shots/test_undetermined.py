@@ -1,0 +1,164 @@
+"""What pictures cannot determine is named, refused, and mended by the picture advised."""
+
+import re
+
+import numpy as np
+import pytest
+
+from tests.calib.shots.simulated_lens import (
+    LENS,
+    SHEET,
+    SIZE_PX,
+    detection,
+    detections,
+    good_poses,
+    pose,
+)
+from trinoc.calib import Detection, IntrinsicsResult, Status, Systematics, calibrate_intrinsics
+from trinoc.calib.advice.candidate_shots import candidate_shots
+from trinoc.calib.problem.problem import Freedom
+from trinoc.calib.problem.starting_problem import problem_of
+from trinoc.calib.problem.views import View
+from trinoc.errors import CalibrationError, InputError
+from trinoc.geometry import BrownConrady
+
+pytestmark = pytest.mark.usefixtures("optimised")
+SQUARE = [
+    pose(tilt_deg=0, azimuth_deg=0, roll_deg=9 * k, distance_mm=420 + 20 * k, aside=(0.02, -0.01))
+    for k in range(8)
+]
+
+THE_LENS = BrownConrady.from_parameters(LENS)
+
+
+def test_pictures_square_to_the_camera_leave_focal_length_and_distance_open():
+    with pytest.raises(CalibrationError, match="square to the camera") as caught:
+        calibrate_intrinsics(detections(SQUARE), SHEET)
+    result = caught.value.result
+    assert isinstance(result, IntrinsicsResult)
+    assert result.status is Status.RANK_DEFICIENT
+    assert result.lens is None
+    assert {"fx_px", "fy_px"} <= set(result.gauge)
+    assert np.isnan(result.values[:2]).all()
+    assert np.isnan(result.sigma("fx_px"))
+    assert re.search("Next picture: hold the sheet .* tilted", str(caught.value))
+
+
+def test_one_picture_does_not_pass_for_a_lens():
+    result = calibrate_intrinsics(detections(good_poses()[:1]), SHEET, distortion=0, throw=False)
+    exact = calibrate_intrinsics(detections(good_poses()), SHEET)
+    assert result.status is not Status.CONVERGED or (
+        result.sigma("fx_px") > 10 * exact.sigma("fx_px")
+    )
+
+
+def test_a_held_principal_point_lets_one_picture_do():
+    straight = np.append(LENS[:2], [255.5, 239.5, 0, 0, 0, 0, 0])
+    found = [detection(good_poses()[2], values=straight)]
+    result = calibrate_intrinsics(found, SHEET, distortion=0, principal_point="centre")
+    assert result.free == ("fx_px", "fy_px")
+    assert (
+        np.abs(result.values - straight)[:2] < 4 * np.sqrt(np.diag(result.covariance))[:2]
+    ).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("poses", [good_poses()[:3], good_poses(seed=3), SQUARE[:4]])
+def test_the_advised_picture_lowers_the_sigma_that_it_promises(poses):
+    before = calibrate_intrinsics(detections(poses), SHEET, throw=False)
+    advice = before.next_image
+    assert advice is not None
+    # The advice was made for the lens as estimated; the true one images the sheet alike.
+    taken = detection(advice.cam_from_world, seed=77)
+    after = calibrate_intrinsics([*detections(poses), taken], SHEET, throw=False)
+    sigma = after.sigma(advice.parameter)
+    if np.isfinite(advice.sigma_now):
+        assert advice.sigma_then < advice.sigma_now
+        assert sigma < before.sigma(advice.parameter)
+        assert sigma == pytest.approx(advice.sigma_then, rel=0.3)
+    else:
+        assert after.status is Status.CONVERGED
+        assert np.isfinite(sigma)
+
+
+def test_circles_near_the_middle_leave_the_corners_to_extrapolation():
+    far = [
+        pose(tilt_deg=35, azimuth_deg=45 * k, roll_deg=10 * k, distance_mm=900) for k in range(8)
+    ]
+    result = calibrate_intrinsics(detections(far), SHEET, throw=False)
+    assert any("distortion beyond is extrapolated" in note for note in result.notes)
+
+
+def candidates():
+    """Ways to hold the sheet before a camera of THE_LENS."""
+    seen = detection(good_poses()[0])
+    lens_alone = problem_of(
+        [View(0, 0, seen, np.ones(len(seen), dtype=bool))],
+        SHEET,
+        [THE_LENS],
+        np.eye(3, 4)[None],
+        good_poses()[0][None],
+        [SIZE_PX],
+        Freedom(np.zeros(1, dtype=int), np.ones((1, 9), dtype=bool)),
+        Systematics(),
+    )
+    return candidate_shots(lens_alone)
+
+
+def test_every_candidate_shows_the_sheet_from_its_printed_side():
+    for candidate in candidates():
+        cam = candidate.rig_from_board
+        np.testing.assert_allclose(cam.rotation @ cam.rotation.T, np.eye(3), atol=1e-12)
+        assert (cam.transform_points(np.pad(SHEET.centres_mm, ((0, 0), (0, 1))))[:, 2] > 0).all()
+        assert cam.centre_world_mm[2] > 0
+
+
+def test_the_words_of_a_candidate_are_those_of_its_pose():
+    poses = {candidate.words: candidate.rig_from_board for candidate in candidates()}
+    for side, axis, sign in (("left", 0, -1), ("right", 0, 1), ("upper", 1, -1), ("lower", 1, 1)):
+        words = next(w for w in poses if f"its {side} side" in w and "in the middle" in w)
+        points = poses[words].transform_points(np.pad(SHEET.centres_mm, ((0, 0), (0, 1))))
+        uv = np.array([THE_LENS.project_ray(p) for p in points])
+        aside = sign * (uv[:, axis] - uv[:, axis].mean())
+        assert np.corrcoef(aside, points[:, 2])[0, 1] < -0.9
+
+
+def test_inputs_that_cannot_be_right_are_refused():
+    found = detections(good_poses())
+    with pytest.raises(InputError, match="No picture"):
+        calibrate_intrinsics([], SHEET)
+    with pytest.raises(InputError, match="are the same"):
+        calibrate_intrinsics([*found, found[3]], SHEET)
+    with pytest.raises(InputError, match="640 x 480"):
+        calibrate_intrinsics(found, SHEET, image_size_px=(640, 480))
+    with pytest.raises(InputError, match="distortion"):
+        calibrate_intrinsics(found, SHEET, distortion=3)
+    with pytest.raises(InputError, match="principal_point"):
+        calibrate_intrinsics(found, SHEET, principal_point="fixed")
+    with pytest.raises(InputError, match="aspect"):
+        calibrate_intrinsics(found, SHEET, aspect="square")
+
+
+def test_pictures_of_another_camera_are_refused():
+    other = LENS.copy()
+    other[:2] *= 1.6
+    mixed = detections(good_poses()[:4]) + detections(good_poses(1)[:4], values=other)
+    with pytest.raises(CalibrationError, match="one camera at one zoom"):
+        calibrate_intrinsics(mixed, SHEET)
+
+
+def test_a_picture_with_too_few_circles_is_named_and_left_out():
+    found = detections(good_poses())
+    few = found[0]
+    found[0] = Detection(
+        circle_index=few.circle_index[:3],
+        centres_px=few.centres_px[:3],
+        covariance_px2=few.covariance_px2[:3],
+        shape_px2=few.shape_px2[:3],
+        lines_px=few.lines_px,
+        image_size_px=few.image_size_px,
+    )
+    result = calibrate_intrinsics(found, SHEET)
+    assert list(result.failures) == [0]
+    assert result.image_index == tuple(range(1, 8))
+    assert "picture 1: only 3 circles" in result.summary()

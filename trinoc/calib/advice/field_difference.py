@@ -1,0 +1,201 @@
+"""By how much two halves of the shots image the same points elsewhere, over each camera's field.
+
+Each half has its own frame. One rigid motion of all cameras together brings them together, as well
+as can be over the whole field at the distance of the boards; what then remains needs no frame.
+Source: mrcal, "Differences in projections" of its documentation.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from trinoc.calib.problem.problem import Problem, cam_from_board, lens_number
+from trinoc.calib.problem.variables import POSE_SIZE, Chart, RigState, retract, step_motion
+from trinoc.calib.starts.sightings import IN_PLACE
+from trinoc.calib.targets import boards_of
+from trinoc.geometry import Pose, project_point, project_points, unproject_pixels
+from trinoc.numerics import ArrayLike
+
+# Places across the picture, along each side.
+_PLACES = 5
+# Beyond the boards by so much: where errors of lens and pose no longer cancel.
+FARTHER = 3.0
+_ALIGNMENTS, _MOVES = 2, 5
+# A place that a lens does not give back after so much has no ray.
+_SAME_PX = 1e-3
+
+
+class FieldDifference(NamedTuple):
+    """By how much two halves of the shots have a camera image the same points elsewhere.
+
+    Fields
+    ------
+    camera : its name.
+    distance_mm : (2,) of the points: where the boards were, and `FARTHER` times as far.
+    uv_px : (n, 2) places in the picture, along whose rays the points lie.
+    difference_px : (2, n, 2) first half less second at each distance, along u and v; NaN where the
+        lens has no ray.
+    sigma_px : (2, n) standard deviation claimed for it, per axis.
+    """
+
+    camera: str
+    distance_mm: Float[np.ndarray, "2"]
+    uv_px: Float[np.ndarray, "n 2"]
+    difference_px: Float[np.ndarray, "2 n 2"]
+    sigma_px: Float[np.ndarray, "2 n"]
+
+    @property
+    def over_sigma(self) -> Float[np.ndarray, "2 n"]:
+        """Length of the difference over that claimed: its mean square is 1 for a right model."""
+        return np.linalg.norm(self.difference_px, axis=-1) / (np.sqrt(2.0) * self.sigma_px)
+
+    @property
+    def rms_px(self) -> Float[np.ndarray, "2"]:
+        """Root mean square length of the difference over the field."""
+        return np.sqrt(np.nanmean(np.sum(self.difference_px**2, axis=-1), axis=-1))
+
+    @property
+    def rms_over_sigma(self) -> Float[np.ndarray, "2"]:
+        """Root mean square of `over_sigma` over the field."""
+        return np.sqrt(np.nanmean(self.over_sigma**2, axis=-1))
+
+
+def field_differences(
+    problem: Problem,
+    halves: Sequence[RigState],
+    covariance: Float[np.ndarray, "f f"],
+    cameras: tuple[str, ...],
+) -> tuple[FieldDifference, ...]:
+    """The maps of all cameras. `covariance` : of the difference of the halves, on the free head."""
+    fields = [_field_of(problem, k) for k in range(len(cameras))]
+    points = np.stack([field.points for field in fields])
+    by_motion, by_head = _derivatives(problem.state, problem.chart, points)
+    shape = np.shape(by_motion)[:-1]
+    known = np.stack([field.has_ray for field in fields])
+    known = np.broadcast_to(known[:, None, :, None], shape)
+    at_boards = np.broadcast_to((np.arange(2) == 0)[:, None, None], shape)[known]
+    free = np.flatnonzero(problem.chart.free)
+    along, by_free = _alignment(
+        np.asarray(by_motion)[known], np.asarray(by_head)[known][:, free], covariance, at_boards
+    )
+    seen_px = np.broadcast_to(np.stack([f.uv_px for f in fields])[:, None], shape)[known]
+    first, second = (
+        _aligned(half, problem.chart, points, seen_px, known, along) for half in halves
+    )
+    difference_px, variance = np.full(shape, np.nan), np.full(shape, np.nan)
+    difference_px[known] = first - second
+    variance[known] = np.einsum("rf,fg,rg->r", by_free, covariance, by_free)
+    sigma_px = np.sqrt(variance.mean(axis=-1))
+    return tuple(
+        FieldDifference(name, field.distance_mm, field.uv_px, difference_px[k], sigma_px[k])
+        for k, (name, field) in enumerate(zip(cameras, fields, strict=True))
+    )
+
+
+class _Field(NamedTuple):
+    """Places (n, 2) over a camera's picture, which of them have a ray, two distances, and the
+    points there (2, n, 3) in the rig's frame."""
+
+    uv_px: Float[np.ndarray, "n 2"]
+    has_ray: Bool[np.ndarray, "n"]
+    distance_mm: Float[np.ndarray, "2"]
+    points: Float[np.ndarray, "2 n 3"]
+
+
+def _field_of(problem: Problem, camera: int) -> _Field:
+    own = [view for view in problem.views if view.camera == camera]
+    sides = own[0].detection.image_size_px
+    # The middles of equal parts of the picture, row by row.
+    u, v = ((np.arange(_PLACES) + 0.5) * side / _PLACES - 0.5 for side in sides)
+    uv_px = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
+    lens = lens_number(problem, int(problem.chart.lens_of_camera[camera]))
+    rays, boards = unproject_pixels(lens, uv_px), boards_of(problem.target)
+    back_px = project_points(IN_PLACE, lens, rays)
+    middles = [
+        np.append((board.centres_mm.min(axis=0) + board.centres_mm.max(axis=0)) / 2, 0.0)
+        for board in boards
+    ]
+    away = [
+        np.linalg.norm(cam_from_board(problem.state, view).transform(middles[view.board]))
+        for view in own
+        if view.used.any()
+    ]
+    distance_mm = float(np.median(away)) * np.array([1.0, FARTHER])
+    rig_from_cam = Pose(np.asarray(problem.state.cam_from_rig)[camera]).inverse
+    points = np.asarray(rig_from_cam.transform_points(distance_mm[:, None, None] * rays))
+    return _Field(uv_px, np.linalg.norm(back_px - uv_px, axis=-1) < _SAME_PX, distance_mm, points)
+
+
+@eqx.filter_jit
+def _derivatives(state: RigState, chart: Chart, points: ArrayLike) -> tuple[Array, Array]:
+    """Of the images (c, 2, n, 2) of each camera's points, by a motion of them all and by steps of
+    the head."""
+    still = jnp.zeros((state.rig_from_board.shape[0], POSE_SIZE))
+
+    def images(motion: Array, head: Array) -> ArrayLike:
+        return _images(retract(state, chart, head, still), chart, _move(points, motion, chart))
+
+    zeros = jnp.zeros(POSE_SIZE), jnp.zeros(chart.free.shape[0])
+    return jax.jacfwd(images, argnums=(0, 1))(*zeros)
+
+
+def _images(state: RigState, chart: Chart, points: ArrayLike) -> ArrayLike:
+    """Where each camera images its points (c, 2, n, 3), in px."""
+
+    def of_camera(pose: ArrayLike, number: ArrayLike, own: ArrayLike) -> ArrayLike:
+        lens = jax.tree.map(lambda leaf: leaf[number], state.lenses)
+        return jax.vmap(jax.vmap(lambda point: project_point(Pose(pose), lens, point)))(own)
+
+    return jax.vmap(of_camera)(
+        jnp.asarray(state.cam_from_rig), jnp.asarray(chart.lens_of_camera), jnp.asarray(points)
+    )
+
+
+def _move(points: ArrayLike, step: ArrayLike, chart: Chart) -> ArrayLike:
+    """All points after one rigid motion."""
+    motion = Pose(step_motion(jnp.eye(3, 4), step, chart.unit_mm))
+    return jax.vmap(motion.transform)(points.reshape(-1, 3)).reshape(points.shape)
+
+
+_jitted_images, _jitted_move = eqx.filter_jit(_images), eqx.filter_jit(_move)
+
+
+def _alignment(
+    by_rig: Float[np.ndarray, "r 6"],
+    by_head: Float[np.ndarray, "r f"],
+    covariance: Float[np.ndarray, "f f"],
+    counts: Bool[np.ndarray, "r"],
+) -> tuple[Float[np.ndarray, "6 r"], Float[np.ndarray, "r f"]]:
+    """What takes differences to the motion of all cameras that explains most of them, and the
+    derivatives of those that it leaves.
+
+    With the second one each place has the weight of its variance after the first.
+    """
+    weight, along, left = counts.astype(float), np.zeros_like(by_rig.T), by_head
+    for _ in range(_ALIGNMENTS):
+        weighted = weight[:, None] * by_rig
+        along = np.linalg.solve(weighted.T @ by_rig, weighted.T)
+        left = by_head - by_rig @ (along @ by_head)
+        variance = np.einsum("rf,fg,rg->r", left, covariance, left)
+        weight = counts / np.maximum(variance, 1e-300)
+    return along, left
+
+
+def _aligned(
+    half: RigState,
+    chart: Chart,
+    points: Float[np.ndarray, "c 2 n 3"],
+    seen_px: Float[np.ndarray, "r"],
+    known: Bool[np.ndarray, "c 2 n 2"],
+    along: Float[np.ndarray, "6 r"],
+) -> Float[np.ndarray, "r"]:
+    """Where a half images the points once it is moved to where these are."""
+    for _ in range(_MOVES):
+        off = np.asarray(_jitted_images(half, chart, points))[known] - seen_px
+        points = np.asarray(_jitted_move(points, -(along @ off), chart))
+    return np.asarray(_jitted_images(half, chart, points))[known]

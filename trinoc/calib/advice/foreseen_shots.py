@@ -1,0 +1,139 @@
+"""What shots that could be taken would tell of lenses and cameras."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from trinoc.calib.advice.candidate_shots import Candidate
+from trinoc.calib.detection import Detection
+from trinoc.calib.problem.information import information_of
+from trinoc.calib.problem.problem import Problem, cam_from_board, lens_number
+from trinoc.calib.problem.robust_fit import errors_px
+from trinoc.calib.problem.views import View
+from trinoc.calib.starts.camera_start import on_board
+from trinoc.calib.targets import Chessboard, boards_of, first_places
+from trinoc.geometry import AbstractLens
+from trinoc.numerics import blocks
+
+# A board that is seen in part tells by so many of its places at least; a chessboard by all.
+_LEAST_SEEN = 0.6
+# Seen more obliquely than this (rad from its normal) no detector finds a board.
+_MOST_OBLIQUE = np.radians(65.0)
+
+
+class ForeseenShot(NamedTuple):
+    """What a candidate would tell.
+
+    Fields
+    ------
+    candidate : the shot.
+    cameras : which would see the board.
+    places : how many places all of them would see.
+    sigma_px : of a place, root mean square over these.
+    information : (f, f) on the free steps of the head, its board eliminated.
+    """
+
+    candidate: Candidate
+    cameras: tuple[int, ...]
+    places: int
+    sigma_px: float
+    information: Float[np.ndarray, "f f"]
+
+
+def foresee_shots(problem: Problem, candidates: list[Candidate]) -> list[ForeseenShot]:
+    """What those candidates would tell that the cameras before which they are held see.
+
+    The places are taken to be as accurate as those that were seen. No program compiles anew: the
+    candidates go through in portions of as many views and shots as there were.
+    """
+    sigma_px, shots = place_sigma_px(problem), []
+    lenses = [lens_number(problem, int(k)) for k in problem.chart.lens_of_camera]
+    fold_rad = [lens.fold_angle_rad() for lens in lenses]
+    in_each = problem.cameras * len(boards_of(problem.target))
+    portion = max(1, min(len(problem.state.rig_from_board), len(problem.views) // in_each))
+    for part in blocks(len(candidates), portion):
+        own = candidates[part]
+        posed = _pose_candidates(problem, own, sigma_px)
+        views = [
+            _with_visible(posed, view, lenses[view.camera], fold_rad[view.camera], uv_px)
+            for view, uv_px in zip(posed.views, errors_px(posed), strict=True)
+        ]
+        information = information_of(posed._replace(views=tuple(views)))
+        rows = np.ix_(information.free, information.free)
+        for shot, candidate in enumerate(own):
+            seen = [v for v in views if v.shot == shot and v.used.any()]
+            cameras = tuple(dict.fromkeys(v.camera for v in seen))
+            if candidate.camera not in cameras:
+                continue
+            counts = np.array([v.used.sum() for v in seen])
+            mean = float(
+                np.sqrt(np.average(sigma_px[[v.camera for v in seen]] ** 2, weights=counts))
+            )
+            telling = information.of_shot[shot][rows]
+            shots.append(ForeseenShot(candidate, cameras, int(counts.sum()), mean, telling))
+    return shots
+
+
+def place_sigma_px(problem: Problem) -> Float[np.ndarray, "c"]:
+    """Standard deviation per axis of a place that each camera saw, as the fit counts it."""
+    precision, count = np.zeros(problem.cameras), np.zeros(problem.cameras)
+    for view, whitening in zip(problem.views, np.asarray(problem.table.whitening)):
+        precision[view.camera] += np.sum(whitening**2)
+        count[view.camera] += 2 * view.used.sum()
+    return np.sqrt(count / np.maximum(precision, 1e-300))
+
+
+def _pose_candidates(
+    problem: Problem, candidates: list[Candidate], sigma_px: np.ndarray
+) -> Problem:
+    """The problem with these candidates for its shots, every place of which is seen at (0, 0)."""
+    sizes, boards = problem.image_sizes_px, np.array(problem.state.rig_from_board)
+    boards[: len(candidates)] = [each.rig_from_board.cam_from_world for each in candidates]
+    state = eqx.tree_at(lambda s: s.rig_from_board, problem.state, boards)
+    views = []
+    firsts, members = first_places(problem.target), boards_of(problem.target)
+    for camera, size_px in sizes.items():
+        for number, (first, board) in enumerate(zip(firsts, members, strict=True)):
+            index = first + np.arange(len(board))
+            everywhere = _everywhere(index, float(sigma_px[camera]), size_px)
+            whole = View(camera, 0, everywhere, np.ones(len(board), dtype=bool), board=number)
+            views += [whole._replace(shot=s) for s in range(len(candidates))]
+    # As many views as there were, lest the programs compile anew.
+    idle = views[0]._replace(shot=len(boards) - 1, used=np.zeros_like(views[0].used))
+    views += [idle] * (len(problem.views) - len(views))
+    ones = np.ones_like(problem.sigma_factor)
+    return problem._replace(
+        views=tuple(views), state=state, shots=len(candidates), sigma_factor=ones
+    )
+
+
+def _everywhere(index: np.ndarray, sigma_px: float, size_px: tuple[int, int]) -> Detection:
+    count = len(index)
+    return Detection(
+        circle_index=index,
+        centres_px=np.zeros((count, 2)),
+        covariance_px2=np.tile(sigma_px**2 * np.eye(2), (count, 1, 1)),
+        shape_px2=np.full((count, 2, 2), np.nan),
+        lines_px=np.full((2, 3), np.nan),
+        image_size_px=size_px,
+    )
+
+
+def _with_visible(
+    problem: Problem, view: View, lens: AbstractLens, fold_rad: float, uv_px: np.ndarray
+) -> View:
+    """The view with the places (n, 2) that the camera sees, if it would find the board at all."""
+    if not view.used.any():
+        return view
+    board, pose = boards_of(problem.target)[view.board], cam_from_board(problem.state, view)
+    places = pose.transform_points(on_board(board.centres_mm))
+    away = np.linalg.norm(places, axis=1)
+    angle = np.arccos(np.clip(places[:, 2] / away, -1.0, 1.0))
+    oblique = np.arccos(np.clip(-(places @ pose.rotation[:, 2]) / away, -1.0, 1.0))
+    border = 1.0 + float(np.max(lens.focal_length_px)) * board.radius_mm / away
+    inside = np.minimum(uv_px, np.array(view.detection.image_size_px) - 1.0 - uv_px).min(axis=1)
+    seen = view.used & (angle < fold_rad) & (inside > border) & (oblique < _MOST_OBLIQUE)
+    least = 1.0 if isinstance(board, Chessboard) else _LEAST_SEEN
+    return view._replace(used=seen & (seen.mean() >= least))

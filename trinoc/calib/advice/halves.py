@@ -1,0 +1,147 @@
+"""Do two halves of the shots agree as well as their covariances claim?"""
+
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from trinoc.calib.advice.cross_validation import FEWEST_SHOTS, fit_halves, used_shots
+from trinoc.calib.advice.field_difference import FieldDifference, field_differences
+from trinoc.calib.problem.outcome import enlarge_covariance
+from trinoc.calib.problem.problem import Problem, lens_number, with_sheet_held
+from trinoc.calib.targets import board_prefixes
+from trinoc.geometry import Pose, PoseModel
+from trinoc.numerics import ArrayLike
+
+# Of the largest variance: below, a prior that both halves share has left no difference.
+_LEAST_SHARE = 1e-10
+
+
+class HalvesCheck(NamedTuple):
+    """The rig from one half of the shots against that from the other.
+
+    Fields
+    ------
+    ratio : difference over claimed sigma, root mean square over everything determined: 1 where
+        the model is right, more where something is not in it.
+    worst : name of the parameter with the largest difference in sigmas, as "camera 1" has them.
+    worst_ratio : that difference.
+    parameters : how many were compared.
+    over_field : for each camera how far apart both image the same points, in px and beside what
+        is claimed.
+    """
+
+    ratio: float
+    worst: str
+    worst_ratio: float
+    parameters: int
+    over_field: tuple[FieldDifference, ...] = ()
+
+
+def compare_halves(
+    problem: Problem, cameras: tuple[str, ...], variance_factor: float
+) -> HalvesCheck | None:
+    """Compare every second shot with the others; None where a half does not determine the rig.
+
+    The board is taken as the whole fit found it, since both halves share it; `variance_factor` is
+    that by which its covariance was enlarged.
+    """
+    if len(used_shots(problem)) < FEWEST_SHOTS:
+        return None
+    problem = with_sheet_held(problem)
+    ends, states, prior = [], [], np.zeros(())
+    for half in fit_halves(problem):
+        information = half.determined()
+        if information is None or not half.converged:
+            return None
+        prior = information.prior
+        step = steps_between(problem, half.problem)[information.free]
+        ends.append((step, information.observability.covariance))
+        states.append(half.problem.state)
+    (first, first_covariance), (second, second_covariance) = ends
+    covariance = covariance_of_difference(
+        first_covariance, second_covariance, prior, variance_factor
+    )
+    difference = first - second
+    sigma = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    directions, square = _squared(difference, covariance)
+    ratio = float(np.sqrt(square / directions))
+    each = np.abs(difference) / sigma
+    worst = int(np.argmax(each))
+    names = head_names(problem, cameras)
+    column = int(np.flatnonzero(problem.chart.free)[worst])
+    over_field = field_differences(problem, states, covariance, cameras)
+    return HalvesCheck(ratio, names[column], float(each[worst]), directions, over_field)
+
+
+def covariance_of_difference(
+    first: Float[np.ndarray, "f f"],
+    second: Float[np.ndarray, "f f"],
+    prior: Float[np.ndarray, "f f"],
+    variance_factor: float,
+) -> Float[np.ndarray, "f f"]:
+    """Of two fits to other data, of these covariances, that one prior of information P draws both.
+
+    Each has noise of its own, of covariance f C_i (P^-1 - C_i) P; the prior's error, which both
+    have in the shares C_i P, is left in (C_1 - C_2) P (C_1 - C_2).
+    """
+    shared = first @ prior @ second
+    own = [enlarge_covariance(each, variance_factor, prior) for each in (first, second)]
+    return own[0] + own[1] - shared - shared.T
+
+
+def _squared(
+    difference: Float[np.ndarray, "f"], covariance: Float[np.ndarray, "f f"]
+) -> tuple[int, float]:
+    """In how many directions the halves can differ at all, and by how many squared sigmas."""
+    scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    can = values > _LEAST_SHARE * values[-1]
+    along = vectors[:, can].T @ (difference / scale)
+    return int(can.sum()), float(np.sum(along**2 / values[can]))
+
+
+def steps_between(problem: Problem, end: Problem) -> np.ndarray:
+    """The step of the head that takes the whole fit to that of a half."""
+    chart, lenses = problem.chart, range(problem.chart.lens_shape[0])
+    before, after = (
+        np.stack([lens_number(each, k).parameters for k in lenses]) for each in (problem, end)
+    )
+    by_lens = (after - before) / np.asarray(chart.lens_scale)
+    start, stop = (
+        np.concatenate([each.state.cam_from_rig, each.state.set_from_board])
+        for each in (problem, end)
+    )
+    by_pose = np.asarray(_motions(start, stop)) / np.repeat([1.0, float(chart.unit_mm)], 3)
+    of_rest = np.zeros(len(chart.free) - chart.sheet_first)
+    return np.concatenate([by_lens.ravel(), by_pose.ravel(), of_rest])
+
+
+@jax.jit
+def _motions(
+    before: Float[ArrayLike, "n 3 4"], after: Float[ArrayLike, "n 3 4"]
+) -> Float[ArrayLike, "n 6"]:
+    """The rotation about each camera's axes, and the displacement of its centre."""
+
+    def motion(start: ArrayLike, end: ArrayLike) -> ArrayLike:
+        return Pose(end).model_parameters(PoseModel.RIGID, Pose(start))
+
+    return jax.vmap(motion)(before, after)
+
+
+def head_names(problem: Problem, cameras: tuple[str, ...]) -> list[str]:
+    """Names of the steps of the head, the places of the board left out."""
+    of_lens = problem.state.lenses.parameter_names
+    owner = [
+        cameras[int(np.flatnonzero(problem.chart.lens_of_camera == k)[0])]
+        for k in range(problem.chart.lens_shape[0])
+    ]
+    pose = ("turn_x", "turn_y", "turn_z", "x", "y", "z")
+    names = [f"{name}.{each}" for name in owner for each in of_lens]
+    names += [f"{name}.{each}" for name in cameras for each in pose]
+    prefixes = board_prefixes(problem.target)
+    if len(problem.state.set_from_board):
+        names += [f"{prefix}{each}" for prefix in prefixes for each in pose]
+    sheet = [name.removesuffix("_mm") for name in problem.chart.sheet_model.names]
+    return [*names, *(f"{prefix}{each}" for prefix in prefixes for each in sheet)]

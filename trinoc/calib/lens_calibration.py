@@ -1,0 +1,297 @@
+"""The lens of one camera from several pictures of the sheet: the problem of a rig of one camera.
+
+Free are the lens, but for what is held of it, and the sheet before the camera in each picture; the
+sheet is taken to be as drawn.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Literal
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Bool, Float
+
+from trinoc.calib.advice.next_shot import next_image_of
+from trinoc.calib.advice.projection import field_places_px, field_sigma_px
+from trinoc.calib.detection import Detection
+from trinoc.calib.intrinsics_result import IntrinsicsResult
+from trinoc.calib.problem.coefficients import fewest_coefficients, hold_undetermined
+from trinoc.calib.problem.lens_correction import with_correction, with_own_correction_sigmas
+from trinoc.calib.problem.outcome import Outcome, assess_fit
+from trinoc.calib.problem.problem import Freedom, Problem, cam_from_board, lens_number
+from trinoc.calib.problem.robust_fit import RobustFit, errors_px, fit_robustly
+from trinoc.calib.problem.starting_problem import problem_of
+from trinoc.calib.problem.views import View
+from trinoc.calib.result import Status
+from trinoc.calib.rig_calibration import expect_coefficients
+from trinoc.calib.rig_pixels import expect_method, fit_pixels, grey_levels
+from trinoc.calib.shot_messages import (
+    coefficients_sentence,
+    misfit_sentence,
+    notes_of_fit,
+    reach_sentence,
+    refused_sentences,
+    silent_sentences,
+)
+from trinoc.calib.starts.camera_start import FEWEST_PLACES, start_camera
+from trinoc.calib.starts.pictures import find_boards
+from trinoc.calib.targets import Pattern
+from trinoc.calib.uncertainty import Systematics
+from trinoc.errors import CalibrationError, InputError
+from trinoc.geometry import (
+    AFFINE_PARAMETERS,
+    DEFAULT_DISTORTION,
+    AbstractLens,
+    AbstractSplined,
+    Intrinsics,
+    SplinedBrownConrady,
+    lens_model,
+    simplified,
+)
+from trinoc.numerics import ArrayLike, in_float64
+
+# Names that stand for models.
+_CALLED = {"splined": SplinedBrownConrady.model}
+_CAMERA = "the camera"
+_FX, _FY, *_PRINCIPAL_POINT = range(len(AFFINE_PARAMETERS))
+
+
+@in_float64
+def calibrate_intrinsics(
+    images_or_detections: Sequence[ArrayLike | Detection],
+    pattern: Pattern,
+    *,
+    image_size_px: tuple[int, int] | None = None,
+    distortion: int | None = None,
+    distortion_model: str = DEFAULT_DISTORTION.model,
+    principal_point: str = "free",
+    pixel_pitch_mm: tuple[float, float] | None = None,
+    aspect: str = "free",
+    method: Literal["points", "pixels"] = "points",
+    throw: bool = True,
+) -> IntrinsicsResult:
+    """Focal lengths, principal point and distortion of a lens, with their covariance.
+
+    images_or_detections : pictures by one camera at one zoom and focus, the sheet held
+        differently in each; or what `detect_pattern` found in them.
+    image_size_px : (width, height) that all pictures must have.
+    distortion : number of coefficients, for Brown-Conrady 0, 1, 2, 4 or 5 of k1, k2, p1, p2, k3.
+        As many as the pictures determine unless given; a note says how many they ask for.
+    distortion_model : name of the lens model, of `lenses.registry.LENS_MODELS`. "splined_" before
+        the name of a polynomial model corrects it by B-splines; "splined" is Brown-Conrady's so
+        corrected. It frees both focal lengths.
+    principal_point : "free", or "centre" to hold it in the middle of the picture.
+    pixel_pitch_mm : size of a pixel along u and v, where it is known: the lens then has a
+        focal length in millimetres, too.
+    aspect : "free", or "pitch" to hold fx / fy at what `pixel_pitch_mm` says (1 without it).
+    method : "points" fits the circles' centres; "pixels" goes on from there to the grey levels near
+        every edge, as `calibrate_rig` does with one camera. It needs pictures, not detections, and
+        frees both focal lengths.
+    throw : whether an undetermined lens raises; without it the result says so by its status.
+
+    Pictures in which no sheet is found are left out and named in `failures`. Starts from
+    Zhang's method in OpenCV, then least squares over the lens and six parameters of each
+    picture's pose with the exact centres of the circles' images.
+
+    Raises
+    ------
+    InputError : no picture, pictures of different sizes, one picture given twice, or an
+        option that is not one of those above.
+    CalibrationError : no sheet in any picture, no lens that explains the circles, or, with
+        `throw`, parameters that the pictures do not determine. The sentence names them and
+        the picture to take next; `result` of the error is the IntrinsicsResult.
+    """
+    names = [f"picture {k + 1}" for k in range(len(images_or_detections))]
+    pictures = {_CAMERA: dict(zip(names, images_or_detections, strict=True))}
+    model = lens_model(_CALLED.get(distortion_model, distortion_model))
+    is_splined = issubclass(model, AbstractSplined) and distortion is None
+    core = model.core_model if issubclass(model, AbstractSplined) else model
+    if not isinstance(pattern, Pattern):
+        raise InputError(
+            f"The board {pattern.name!r} is no sheet of circles: give the pictures to "
+            "calibrate_rig, for which one camera alone is a rig, too."
+        )
+    expect_method(method, pattern, pictures)
+    expect_coefficients(core, distortion)
+    if principal_point not in ("free", "centre"):
+        raise InputError(f'principal_point is {principal_point!r}; give "free" or "centre".')
+    if aspect not in ("free", "pitch"):
+        raise InputError(f'aspect is {aspect!r}; give "free" or "pitch".')
+    if aspect != "free" and (method == "pixels" or is_splined):
+        what = 'method="pixels"' if method == "pixels" else "A splined lens"
+        raise InputError(f"{what} frees both focal lengths: leave out aspect.")
+    found = find_boards(pictures, pattern)
+    failures = {names.index(shot): why for (_, shot), why in found.failures.items()}
+    detections = _usable(
+        {names.index(shot): each for shot, each in found.detections[_CAMERA].items()},
+        failures,
+        image_size_px,
+    )
+    index, size_px = tuple(detections), next(iter(detections.values())).image_size_px
+    ratio = None
+    if aspect == "pitch":
+        ratio = 1.0 if pixel_pitch_mm is None else pixel_pitch_mm[1] / pixel_pitch_mm[0]
+    free = np.ones(len(core.parameter_names), dtype=bool)
+    free[_PRINCIPAL_POINT] = principal_point == "free"
+    if distortion is not None:
+        free[len(AFFINE_PARAMETERS) + distortion :] = False
+    fit = fit_robustly(_lens_problem(list(detections.values()), pattern, core, free, ratio))
+    misfit = misfit_sentence(fit)
+    if misfit is not None:
+        raise CalibrationError(misfit)
+    held, silent = (), []
+    if distortion is None:
+        fit, held = hold_undetermined(fit)
+    is_determined = assess_fit(fit).status is Status.CONVERGED
+    if is_determined and is_splined:
+        fit = with_correction(fit, [size_px])
+    if is_determined and method == "pixels":
+        shots = tuple(names[k] for k in index)
+        fit, silent = fit_pixels(fit, grey_levels(pictures, (_CAMERA,), shots))
+        fit = with_own_correction_sigmas(fit)
+    result = _result_from_fit(fit, held, silent, index, failures, pixel_pitch_mm)
+    if throw and result.status is not Status.CONVERGED:
+        advice = "" if result.next_image is None else f" {result.next_image.sentence}"
+        raise CalibrationError(f"{result.notes[0]}{advice}", {}, result)
+    return result
+
+
+def _usable(
+    found: Mapping[int, Detection],
+    failures: dict[int, str],
+    image_size_px: tuple[int, int] | None,
+) -> dict[int, Detection]:
+    """Detections that can take part, by picture; those that cannot join `failures`."""
+    if not found:
+        raise CalibrationError(f"The sheet was found in no picture. In the first: {failures[0]}")
+    for index, detection in found.items():
+        if image_size_px is not None and tuple(detection.image_size_px) != tuple(image_size_px):
+            own, wanted = (
+                " x ".join(map(str, s)) for s in (detection.image_size_px, image_size_px)
+            )
+            raise InputError(
+                f"Picture {index + 1} has {own} pixels, but {wanted} are expected: give pictures "
+                "of one camera at one resolution."
+            )
+        for other, earlier in found.items():
+            if other < index and np.array_equal(detection.centres_px, earlier.centres_px):
+                raise InputError(
+                    f"Pictures {other + 1} and {index + 1} are the same: give each picture once."
+                )
+    for index, detection in found.items():
+        if len(detection) < FEWEST_PLACES:
+            failures[index] = f"only {len(detection)} circles were found: show more of the sheet."
+    usable = {index: each for index, each in found.items() if len(each) >= FEWEST_PLACES}
+    if not usable:
+        raise CalibrationError(
+            f"No picture shows {FEWEST_PLACES} circles of the sheet: show more of it."
+        )
+    return usable
+
+
+def _lens_problem(
+    detections: Sequence[Detection],
+    pattern: Pattern,
+    model: type[AbstractLens],
+    free: Bool[np.ndarray, "q"],
+    ratio: float | None,
+) -> Problem:
+    """The rig of one camera. `ratio` : at which fx / fy is held; both change by one step then."""
+    start = start_camera(detections, pattern, model, aspect=ratio)
+    if ratio is not None:
+        free = free & (np.arange(len(free)) != _FY)
+    problem = problem_of(
+        [View(0, k, each, np.ones(len(each), dtype=bool)) for k, each in enumerate(detections)],
+        pattern,
+        [start.lens],
+        np.eye(3, 4)[None],
+        np.stack([pose.cam_from_world for pose in start.cam_from_board]),
+        [detections[0].image_size_px],
+        Freedom(np.zeros(1, dtype=int), free[None]),
+        Systematics(),
+    )
+    if ratio is None:
+        return problem
+    basis = np.array(problem.chart.lens_basis)
+    basis[0, _FY, _FX] = basis[0, _FY, _FY]
+    return problem._replace(chart=eqx.tree_at(lambda c: c.lens_basis, problem.chart, basis))
+
+
+def _result_from_fit(
+    fit: RobustFit,
+    held: Sequence[str],
+    silent: Sequence[tuple[int, int, str]],
+    index: tuple[int, ...],
+    failures: dict[int, str],
+    pixel_pitch_mm: tuple[float, float] | None,
+) -> IntrinsicsResult:
+    """What the pictures determine of the lens, and what to do next."""
+    problem, outcome = fit.problem, assess_fit(fit)
+    status, information, *_ = outcome
+    lens, size_px = lens_number(problem, 0), problem.image_sizes_px[0]
+    names, free = lens.parameter_names, information.free
+    covariance, gauge = _lens_covariance(problem, outcome)
+    values = np.array(lens.parameters)
+    values[gauge] = np.nan
+    gauge_names = tuple(names[k] for k in np.flatnonzero(gauge))
+
+    def where(_: int, shot: int) -> str:
+        return f"Picture {index[shot] + 1}"
+
+    notes = [*notes_of_fit(fit, outcome, gauge_names, (_CAMERA,), held)]
+    free_names = tuple(names[k] for k in free)
+    coefficients = [name for name in lens.coefficient_names if name in free_names]
+    if coefficients:
+        reach = reach_sentence(problem)
+        notes += [] if reach is None else [reach]
+        if status is Status.CONVERGED and not isinstance(lens, AbstractSplined):
+            count, gain = fewest_coefficients(lens, coefficients, covariance)
+            extra = [name for name in coefficients if name not in lens.coefficient_names[:count]]
+            if extra:
+                all_names = lens.coefficient_names
+                notes.append(coefficients_sentence(count, all_names, extra, gain))
+    notes += [*refused_sentences(fit, where), *silent_sentences(silent, where)]
+    detected = problem._replace(views=tuple(v._replace(shown=None) for v in problem.views))
+    reduced = float(problem.sigma_factor[0] ** 2 * fit.chi_square / max(fit.freedom, 1))
+    pattern = problem.target
+    assert isinstance(pattern, Pattern)
+    return IntrinsicsResult(
+        lens=Intrinsics.of_lens(simplified(lens), size_px, pixel_pitch_mm)
+        if status is Status.CONVERGED
+        else None,
+        status=status,
+        parameters=names,
+        values=values if status is not Status.NOT_CONVERGED else np.full_like(values, np.nan),
+        covariance=covariance,
+        free=free_names,
+        gauge=gauge_names,
+        rank=information.observability.rank,
+        reduced_chi_square=reduced if fit.freedom > 0 else float("nan"),
+        field_sigma_px=np.asarray(
+            field_sigma_px(lens.with_parameters(values), covariance, field_places_px(size_px))
+        ),
+        cam_from_world=np.stack(
+            [cam_from_board(problem.state, view).cam_from_world for view in problem.views]
+        ),
+        detections=[view.detection for view in problem.views],
+        residuals_px=errors_px(detected),
+        used=[view.used for view in problem.views],
+        image_index=index,
+        failures=failures,
+        notes=tuple(notes),
+        next_image=next_image_of(problem, outcome, gauge_names),
+        pattern=pattern,
+    )
+
+
+def _lens_covariance(
+    problem: Problem, outcome: Outcome
+) -> tuple[Float[np.ndarray, "q q"], Bool[np.ndarray, "q"]]:
+    """Of the lens's parameters, zero for those that are held, NaN for those that are open; and
+    which these are."""
+    information = outcome.information
+    by_free = np.asarray(problem.chart.lens_basis)[0][:, information.free]
+    covariance = by_free @ outcome.covariance @ by_free.T
+    is_open = np.any(by_free[:, list(information.observability.gauge)] != 0, axis=1)
+    covariance[is_open], covariance[:, is_open] = np.nan, np.nan
+    return covariance, is_open

@@ -1,0 +1,141 @@
+"""Places of the board that lie elsewhere than the drawing says, found along with the rig.
+
+A plate that is wavy by a tenth of a millimetre, or a print whose circles are some hundredths off,
+shows every place aside in the same way in all shots. That is no noise: more shots do not average
+it away, and lenses bend to follow it. Where the residuals show it, each place becomes an unknown of
+three coordinates, whose spread over the board is estimated with them.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from trinoc.calib.problem.equations import PlacesProblem
+from trinoc.calib.problem.information import information_of
+from trinoc.calib.problem.places import whitened_residuals
+from trinoc.calib.problem.problem import Problem
+from trinoc.calib.problem.robust_fit import (
+    RobustFit,
+    degrees_of_freedom,
+    drop_wrong_places,
+    errors_px,
+    finish_fit,
+    fit_places,
+    use_all_places,
+    with_sigma_factors,
+)
+from trinoc.calib.problem.solver import gauss_newton_gain
+from trinoc.calib.problem.variables import Chart, RigState
+from trinoc.calib.problem.views import ViewTable
+from trinoc.calib.problem.wrong_circles import drop_wrong_circles
+from trinoc.numerics import GemanMcClure
+
+# Chi-square per unknown, over what is left per residual, this many of its deviations above 1.
+_DEVIATIONS = 5.0
+# More places would make the equations of all shots too large.
+_MOST_PLACES = 300
+_MOST_ROUNDS, _LEAST_CHANGE = 6, 0.05
+# A first guess of how far places lie off, over what is left of the fit.
+_FIRST_SPREAD = 3.0
+
+
+def with_board_shape(fit: RobustFit) -> RobustFit:
+    """The fit with every place of the board free, where the shots show that they lie elsewhere."""
+    problem = fit.problem
+    if len(problem.state.shape) or not _may_lie_elsewhere(problem):
+        return fit
+    spread_mm = np.full(3, _FIRST_SPREAD * _residual_mm(problem))
+    opened = _with_spread(with_free_places(problem), spread_mm)
+    if not _is_shown(opened):
+        return fit
+    by_pixels = any(view.shown is not None for view in opened.views)
+    if not by_pixels:
+        # Places that seemed to be located wrongly may only have lain elsewhere.
+        opened = use_all_places(opened, fit.elsewhere)
+    opened, _ = fit_places(opened)
+    opened = _with_own_spread(opened, spread_mm)
+    if by_pixels:
+        opened = drop_wrong_circles(opened)
+    else:
+        opened, _ = drop_wrong_places(opened)
+    opened, _ = fit_places(opened)
+    return finish_fit(_with_own_spread(opened, _spread_of(opened)), fit.elsewhere)
+
+
+def _is_shown(opened: Problem) -> bool:
+    """Whether free places would take more off the chi-square than chance."""
+    gain, chi_square = (float(part) for part in _gained(opened.state, opened.chart, opened.table))
+    unknowns = 3 * len(opened.target)
+    left = degrees_of_freedom(opened) - unknowns
+    if left <= unknowns:
+        return False
+    ratio = gain / unknowns / max((chi_square - gain) / left, 1e-300)
+    return bool(ratio > 1.0 + _DEVIATIONS * np.sqrt(2.0 / unknowns + 2.0 / left))
+
+
+def _may_lie_elsewhere(problem: Problem) -> bool:
+    """Whether the board is not said to be exact, and small enough."""
+    first = problem.chart.sheet_first
+    return bool(np.any(problem.chart.free[first:])) and len(problem.target) <= _MOST_PLACES
+
+
+def _residual_mm(problem: Problem) -> float:
+    """Residuals on the board, at the distance at which it was."""
+    focal_px = float(np.mean(np.asarray(problem.state.lenses.focal_length_px)))
+    errors = np.concatenate(
+        [each[view.kept] for view, each in zip(problem.views, errors_px(problem), strict=True)]
+    )
+    return float(np.sqrt(np.mean(errors**2)) * problem.chart.unit_mm / focal_px)
+
+
+def with_free_places(problem: Problem) -> Problem:
+    """The problem with free places, where they are drawn."""
+    places = len(problem.target)
+    state = eqx.tree_at(lambda s: s.shape, problem.state, np.zeros((places, 3)))
+    free = np.concatenate([np.asarray(problem.chart.free), np.ones(3 * places)])
+    chart = eqx.tree_at(lambda c: c.free, problem.chart, free)
+    return problem._replace(state=state, chart=chart)
+
+
+def _with_spread(problem: Problem, spread_mm: Float[np.ndarray, "3"]) -> Problem:
+    chart = eqx.tree_at(lambda c: c.shape_information, problem.chart, spread_mm**-2.0)
+    return problem._replace(chart=chart)
+
+
+def _spread_of(problem: Problem) -> Float[np.ndarray, "3"]:
+    return np.asarray(problem.chart.shape_information) ** -0.5
+
+
+@eqx.filter_jit
+def _gained(state: RigState, chart: Chart, table: ViewTable) -> tuple:
+    """What free places would take off the chi-square, to first order, and it."""
+    plain = GemanMcClure.from_scale(jnp.full(len(table.shot), jnp.inf))
+    equations = PlacesProblem(chart, table, plain).equations(state)
+    gain = gauss_newton_gain(equations)
+    return gain, jnp.sum(jnp.square(whitened_residuals(state, chart, table)))
+
+
+def _with_own_spread(problem: Problem, spread_mm: Float[np.ndarray, "3"]) -> Problem:
+    """The fit with the spread of the places over the board, and the sigmas, that it shows itself.
+
+    The mean of squares of each axis, posterior variance added, is the next guess of its prior
+    (expectation and maximisation); along X and Y there is one.
+    """
+    for _ in range(_MOST_ROUNDS):
+        places = len(problem.target)
+        information = information_of(problem)
+        covariance = np.nan_to_num(information.observability.covariance)
+        unit = float(problem.chart.unit_mm)
+        variance = unit**2 * np.diag(covariance)[-3 * places :].reshape(-1, 3)
+        squares = np.asarray(problem.state.shape) ** 2 + variance
+        across = float(np.mean(squares[:, :2]))
+        after = np.sqrt([across, across, float(np.mean(squares[:, 2]))])
+        determined = 3 * places - np.sum(variance / spread_mm**2)
+        problem = with_sigma_factors(problem._replace(spent=float(determined)))
+        problem, _ = fit_places(_with_spread(problem, after))
+        still = np.all(np.abs(np.log(after / spread_mm)) < _LEAST_CHANGE)
+        spread_mm = after
+        if still:
+            break
+    return problem

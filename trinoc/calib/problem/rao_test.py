@@ -1,0 +1,85 @@
+"""Rao's score test: do the shots ask for parameters that were held? Nothing is fitted anew."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool
+
+from trinoc.calib.problem.information import Information, information_of
+from trinoc.calib.problem.problem import Problem, lens_number, with_wider_lenses
+from trinoc.geometry import BrownConrady, lens_model
+from trinoc.numerics import chi_square_tail
+
+# Shares of the information on held parameters, after all that is free has explained what it can,
+# below which a direction cannot be distinguished from rounding.
+_LEAST_SHARE = 1e-10
+# The same of what is free: lengths, and shifts of the board's places, are open in part.
+_OPEN_SHARE = 1e-11
+
+
+class RaoTest(NamedTuple):
+    """chi_square : of the pull at the held parameters. freedom : in how many directions of them
+    the shots can pull at all."""
+
+    chi_square: float
+    freedom: int
+
+    @property
+    def chance(self) -> float:
+        """Probability by which noise pulls so much; uniform where the held values are right."""
+        return float(chi_square_tail(self.chi_square, self.freedom)) if self.freedom else 1.0
+
+
+def rao_test(information: Information, held: Bool[np.ndarray, "f"]) -> RaoTest:
+    """The pull at some of the free parameters, had they been held, and the others fitted.
+
+    held : which of `information.free`.
+
+    What the others can explain is taken off the pull and off its covariance: what is left of k
+    parameters often has fewer directions than k. What was known of the board beforehand is left
+    out: the test then holds for any board, whether or not it is as typical as that prior says.
+    """
+    rows = information.free
+    whole = information.of_shot.sum(axis=0)[np.ix_(rows, rows)]
+    scale = np.sqrt(np.maximum(np.diag(whole), 1e-300))
+    whole = whole / np.outer(scale, scale)
+    pull = information.pulls.sum(axis=0)[rows] / scale
+    explained = whole[np.ix_(held, ~held)] @ np.linalg.pinv(
+        whole[np.ix_(~held, ~held)], rcond=_OPEN_SHARE, hermitian=True
+    )
+    left = whole[np.ix_(held, held)] - explained @ whole[np.ix_(~held, held)]
+    shares, directions = np.linalg.eigh(left)
+    determined = shares > _LEAST_SHARE
+    along = directions[:, determined].T @ (pull[held] - explained @ pull[~held])
+    return RaoTest(float(np.sum(along**2 / shares[determined])), int(determined.sum()))
+
+
+def rational_lens_test(
+    problem: Problem, image_sizes_px: Sequence[tuple[int, int]], variance_factor: float
+) -> RaoTest:
+    """Whether the shots ask for k4, k5 and k6, at the end of a fit of Brown and Conrady's lens.
+
+    That is the rational lens whose last three coefficients are 0. image_sizes_px : of each lens.
+    """
+    model, count = lens_model("rational"), problem.chart.lens_shape[0]
+    more = len(model.parameter_names) - len(BrownConrady.parameter_names)
+    lenses = []
+    for k in range(count):
+        lens = lens_number(problem, k)
+        wider = np.append(lens.coefficients, np.zeros(more))
+        lenses.append(model(lens.focal_length_px, lens.principal_point_px, lens.skew_px, wider))
+    return wider_lens_test(
+        problem, with_wider_lenses(problem, lenses, image_sizes_px), variance_factor
+    )
+
+
+def wider_lens_test(problem: Problem, wider: Problem, variance_factor: float) -> RaoTest:
+    """Whether the shots ask for what `wider`, a problem `with_wider_lenses`, has besides."""
+    information = information_of(wider)
+    _, size = problem.chart.lens_shape
+    _, wider_size = wider.chart.lens_shape
+    column = np.arange(len(wider.chart.free))
+    is_added = (column < wider.chart.lens_count) & (column % wider_size >= size)
+    test = rao_test(information, is_added[information.free])
+    return test._replace(chi_square=test.chi_square / variance_factor)

@@ -1,0 +1,343 @@
+"""A rig and its lenses from many shots of a board: which variables there are, and what is free."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from trinoc.calib.detection import Detection, split_by_board
+from trinoc.calib.lens_selection import (
+    LENSES_TRIED,
+    HeldOut,
+    LensChoice,
+    choice_sentence,
+    choose_lens,
+    held_out_errors,
+    is_called_for,
+)
+from trinoc.calib.problem.board_shape import with_board_shape
+from trinoc.calib.problem.coefficients import hold_undetermined
+from trinoc.calib.problem.information import information_of
+from trinoc.calib.problem.lens_correction import (
+    splined_problem,
+    with_correction,
+    with_own_correction_sigmas,
+)
+from trinoc.calib.problem.outcome import shot_scatter
+from trinoc.calib.problem.problem import Freedom, Problem
+from trinoc.calib.problem.rao_test import rational_lens_test, wider_lens_test
+from trinoc.calib.problem.robust_fit import RobustFit, fit_robustly
+from trinoc.calib.problem.starting_problem import problem_of
+from trinoc.calib.result import Status
+from trinoc.calib.rig_from_shots import RigFromShots, result_from_fit
+from trinoc.calib.rig_pixels import expect_method, fit_pixels, grey_levels
+from trinoc.calib.starts.camera_start import FEWEST_PLACES, CameraStart, start_camera
+from trinoc.calib.starts.pictures import FoundBoards, Pictures, find_boards
+from trinoc.calib.starts.placing import PlacedRig, ShotBoard, place_rig
+from trinoc.calib.targets import AbstractTarget
+from trinoc.calib.uncertainty import Systematics
+from trinoc.errors import CalibrationError, InputError
+from trinoc.geometry import (
+    AFFINE_PARAMETERS,
+    DEFAULT_DISTORTION,
+    AbstractLens,
+    AbstractSplined,
+    BrownConrady,
+    Intrinsics,
+    lens_model as lens_model_of,
+    promoted,
+)
+from trinoc.numerics import in_float64
+
+
+@in_float64
+def calibrate_rig(
+    pictures: Mapping[str, Pictures],
+    target: AbstractTarget,
+    *,
+    lens: Intrinsics | Mapping[str, Intrinsics] | None = None,
+    lens_model: str = DEFAULT_DISTORTION.model,
+    distortion: int | None = None,
+    same_lens: bool = False,
+    world: str | None = None,
+    method: Literal["points", "pixels"] = "points",
+    systematics: Systematics | None = None,
+    throw: bool = True,
+    progress: Callable[[int, int], None] | None = None,
+) -> RigFromShots:
+    """The lenses and cameras of a rig together, from synchronous pictures of a board that moves.
+
+    pictures : for each camera by name its pictures: a mapping from the name of the shot, or a list
+        in the order of the shots, with None where there is none. A picture is an array, what
+        `detect_target` found in one, or a function without arguments that returns one. Not every
+        camera need see the board in every shot, but shots must connect all cameras. One camera
+        alone is a rig, too.
+    target : the board: a Pattern, a Chessboard, a Charuco or an AprilGrid; or a BoardSet of several
+        that are fixed to each other, whose places are found with the rig.
+    lens : lenses that are known and held, of all cameras or by name; others are found.
+    lens_model : model of the lenses that are found; "auto" takes that which, fitted to one half of
+        the shots, tells best of the other half, and a note says why. "splined" corrects the best
+        polynomial lens by B-splines, and "splined_" before the name of a model that one; "auto"
+        does so where the shots ask for it.
+    distortion : how many of its coefficients are fitted; as many as the shots determine unless
+        given.
+    same_lens : whether all cameras have one lens, such as pictures of one camera moved about.
+    world : the shot whose board is the world's plane Z = 0, or the camera whose frame is the
+        world's; by default the first of the shots that most cameras saw.
+    method : "points" fits the places that the detector found, circles or corners; "pixels" goes on
+        from there to the grey levels near every edge of the board.
+    systematics : what is known of print and board: `print_size_sigma`, `print_scale_sigma` and
+        `flatness_mm`, as `Systematics.typical` has them unless given.
+    throw : whether a rig that is not determined raises; without it the result says so.
+    progress : called with how many pictures of how many were looked at.
+
+    Pictures without a board are named in `failures`; pictures of another moment, and boards that
+    moved while the cameras looked, are named in `refused`.
+
+    Raises
+    ------
+    InputError : no picture, pictures of several sizes, or names that are not there; with
+        "pixels" a detection where a picture is needed.
+    CalibrationError : a camera that never sees the board, cameras that no shot connects or whose
+        shots are out of step, or, with `throw`, parameters that the shots do not determine.
+    """
+    expect_method(method, target, pictures)
+    known = _known_lenses(lens, tuple(pictures))
+    models, corrected = _models_to_try(lens_model, distortion, known)
+    found = find_boards(pictures, target, progress)
+    detections = {
+        camera: {
+            (shot, board): each
+            for shot, every in own.items()
+            for board, each in split_by_board(every, target).items()
+            if len(each) >= FEWEST_PLACES
+        }
+        for camera, own in found.detections.items()
+    }
+    _expect_boards(found, detections)
+    known_board = _board_systematics(systematics)
+    seen = _SeenBoards(detections, found.shots, target, known, distortion, same_lens, known_board)
+    placed, fit, remarks = _fit_best_lens(seen, models, corrected)
+    cameras, silent, held = tuple(detections), [], ()
+    fit = with_board_shape(fit)
+    if method == "pixels":
+        fit, silent = fit_pixels(fit, grey_levels(pictures, cameras, placed.shots))
+        fit = with_own_correction_sigmas(with_board_shape(fit))
+    if distortion is None:
+        fit, held = hold_undetermined(fit)
+    result = result_from_fit(
+        fit,
+        placed.shots,
+        cameras,
+        known,
+        world=world,
+        held=held,
+        remarks=remarks,
+        silent=silent,
+        refused=placed.refused,
+        failures={f"{camera}, {shot}": why for (camera, shot), why in found.failures.items()},
+        systematics=known_board.words,
+    )
+    if throw and result.status is not Status.CONVERGED:
+        raise CalibrationError(result.notes[0], {}, result)
+    return result
+
+
+class _SeenBoards(NamedTuple):
+    """The detections of each camera by shot and board, the names of all shots, and what
+    `calibrate_rig` was given of board and lenses."""
+
+    detections: Mapping[str, Mapping[ShotBoard, Detection]]
+    shots: Sequence[str]
+    target: AbstractTarget
+    known: Mapping[str, Intrinsics]
+    distortion: int | None
+    same_lens: bool
+    systematics: Systematics
+
+    @property
+    def sizes_px(self) -> list[tuple[int, int]]:
+        """(width, height) of each camera's pictures."""
+        return [next(iter(own.values())).image_size_px for own in self.detections.values()]
+
+
+class _PointFit(NamedTuple):
+    """The rig where the fit of the places began, where it ended, and sentences on its lens."""
+
+    placed: PlacedRig
+    fit: RobustFit
+    remarks: tuple[str, ...] = ()
+
+    def corrected(self, sizes_px: Sequence[tuple[int, int]]) -> "_PointFit":
+        """The fit with its lenses corrected by splines, if they are not."""
+        if isinstance(self.fit.problem.state.lenses, AbstractSplined):
+            return self
+        return self._replace(fit=with_correction(self.fit, sizes_px))
+
+
+def _fit_best_lens(
+    seen: _SeenBoards, models: Sequence[type[AbstractLens]], corrected: bool | None
+) -> _PointFit:
+    """The fit by the one model, or by that of several which the shots call for, and why.
+
+    corrected : whether the best of several is corrected by splines; None where the shots say.
+
+    Raises CalibrationError where no model places the cameras.
+    """
+    if len(models) == 1:
+        return _fit_points(seen, models[0])
+    fits: dict[str, _PointFit] = {}
+    errors, cameras = [], tuple(seen.detections)
+    for model in models:
+        try:
+            fits[model.model] = _fit_points(seen, model)
+        except CalibrationError as error:
+            errors.append(error)
+    if not fits:
+        raise errors[0]
+
+    def held_out(each: _PointFit) -> HeldOut:
+        return held_out_errors(each.fit.problem, each.placed.shots, cameras)
+
+    tried = {name: held_out(each) for name, each in fits.items()}
+    choice = choose_lens(tried)
+    best = fits[choice.model]
+    problem, rational = best.fit.problem, None
+    # That the shots disagree is not taken off for splines, since a lens that is not described makes
+    # them: shots held out tell it from a board that bends.
+    spline = wider_lens_test(problem, splined_problem(problem, seen.sizes_px), 1.0)
+    if choice.model == BrownConrady.model:
+        factor = shot_scatter(information_of(problem)).variance_factor
+        rational = rational_lens_test(problem, seen.sizes_px, factor)
+    if corrected or (corrected is None and is_called_for(spline)):
+        wider = best.corrected(seen.sizes_px)
+        name = wider.fit.problem.state.lenses.model
+        among = choose_lens({choice.model: tried[choice.model], name: held_out(wider)})
+        rms_px = {**choice.rms_px, **among.rms_px}
+        choice = LensChoice(name if corrected else among.model, rms_px)
+        best = wider if choice.model == name else best
+    return best._replace(remarks=(choice_sentence(choice, rational, spline),))
+
+
+def _fit_points(seen: _SeenBoards, model: type[AbstractLens]) -> _PointFit:
+    """The fit of the places that were detected."""
+    if issubclass(model, AbstractSplined):
+        core = _fit_points(seen, model.core_model)
+        return core if seen.distortion is not None else core.corrected(seen.sizes_px)
+    starts = {}
+    for camera, own in seen.detections.items():
+        given = seen.known.get(camera)
+        _expect_size(camera, given, next(iter(own.values())))
+        try:
+            starts[camera] = start_camera(
+                list(own.values()), seen.target, model, lens=None if given is None else given.lens
+            )
+        except CalibrationError as error:
+            raise CalibrationError(f'Camera "{camera}": {error}') from error
+    placed = place_rig(starts, seen.detections, seen.shots, seen.target, seen.known)
+    return _PointFit(placed, fit_robustly(_rig_problem(seen, placed, starts)))
+
+
+def _rig_problem(
+    seen: _SeenBoards, placed: PlacedRig, starts: Mapping[str, CameraStart]
+) -> Problem:
+    """Free are all cameras but the first, all boards, what is not exact of the board, and lenses
+    that are not known, each camera's own or one of all."""
+    lenses, sizes = [start.lens for start in starts.values()], seen.sizes_px
+    lens_of_camera = np.arange(len(starts))
+    models = {type(lens) for lens in lenses if lens.has_distortion}
+    if len(models) == 1:
+        (only,) = models
+        lenses = [promoted(lens, only) for lens in lenses]
+    if seen.same_lens:
+        if len(set(sizes)) > 1:
+            raise InputError("same_lens is asked for, but the cameras' pictures differ in size.")
+        middle = np.argsort([float(lens.focal_length_px[0]) for lens in lenses])[len(lenses) // 2]
+        lenses, sizes, lens_of_camera = [lenses[middle]], sizes[:1], 0 * lens_of_camera
+    count = len(lenses[0].parameter_names)
+    free = np.ones((len(lenses), count), dtype=bool)
+    if seen.distortion is not None:
+        free[:, len(AFFINE_PARAMETERS) + seen.distortion :] = False
+    free[[camera in seen.known for camera in starts][: len(lenses)]] = False
+    return problem_of(
+        placed.views,
+        seen.target,
+        lenses,
+        placed.cam_from_rig,
+        placed.rig_from_board,
+        sizes,
+        Freedom(lens_of_camera, free),
+        seen.systematics,
+        placed.set_from_board,
+    )
+
+
+def _models_to_try(
+    name: str, distortion: int | None, known: Mapping[str, Intrinsics]
+) -> tuple[tuple[type[AbstractLens], ...], bool | None]:
+    """The models to be tried, and whether the best is corrected by splines; None where the shots
+    say."""
+    if name in ("auto", "splined"):
+        if distortion is not None or known:
+            raise InputError(
+                f'lens_model is "{name}", which finds every lens and all its coefficients: name a '
+                "model, or leave out distortion and lens."
+            )
+        return tuple(lens_model_of(each) for each in LENSES_TRIED), name == "splined" or None
+    model = lens_model_of(name)
+    expect_coefficients(model, distortion)
+    return (model,), False
+
+
+def expect_coefficients(model: type[AbstractLens], distortion: int | None) -> None:
+    """Raises InputError for a number of coefficients that nobody fits."""
+    counts, names = model.coefficient_counts, model.coefficient_names
+    if distortion is not None and distortion not in counts:
+        raise InputError(
+            f"distortion is {distortion}, but must be one of {', '.join(map(str, counts))} "
+            f"coefficients of {', '.join(names[:20]) or model.model}, or None for as many as the "
+            "pictures determine."
+        )
+
+
+def _known_lenses(
+    lens: Intrinsics | Mapping[str, Intrinsics] | None, cameras: tuple[str, ...]
+) -> Mapping[str, Intrinsics]:
+    if lens is None:
+        return {}
+    if isinstance(lens, Intrinsics):
+        return dict.fromkeys(cameras, lens)
+    for name in lens:
+        if name not in cameras:
+            raise InputError(
+                f'A lens is given for "{name}", but the cameras are {", ".join(cameras)}.'
+            )
+    return lens
+
+
+def _board_systematics(given: Systematics | None) -> Systematics:
+    """What is known of the board alone: lenses and aims are what is found here."""
+    known = Systematics.typical({}) if given is None else given
+    known.check()
+    return known._replace(lens_covariance=None, aim_sigma_mm=0.0)
+
+
+def _expect_boards(
+    found: FoundBoards, detections: Mapping[str, Mapping[ShotBoard, Detection]]
+) -> None:
+    for camera, own in detections.items():
+        if own:
+            continue
+        why = [words for (name, _), words in found.failures.items() if name == camera]
+        reason = f" In its first picture: {why[0]}" if why else " It has no picture."
+        raise CalibrationError(f'Camera "{camera}" sees the board in no picture.{reason}')
+
+
+def _expect_size(camera: str, lens: Intrinsics | None, detection: Detection) -> None:
+    if lens is None or tuple(lens.image_size_px) == tuple(detection.image_size_px):
+        return
+    (width, height), (given_width, given_height) = detection.image_size_px, lens.image_size_px
+    raise InputError(
+        f'The lens of "{camera}" is for pictures of {given_width} x {given_height} px, but its '
+        f"pictures have {width} x {height}: see that neither lenses nor folders are exchanged."
+    )

@@ -1,0 +1,336 @@
+"""A rig from many shots, which never travels without its status and its sigmas."""
+
+from collections.abc import Mapping, Sequence
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from trinoc.calib.advice.cross_validation import CrossValidation, cross_validate
+from trinoc.calib.advice.halves import HalvesCheck, compare_halves
+from trinoc.calib.advice.next_shot import NextShot, next_shot_of
+from trinoc.calib.problem.named_covariance import (
+    IN_SET_NAMES,
+    World,
+    named_covariance,
+    open_rows,
+    poses_in_world,
+)
+from trinoc.calib.problem.outcome import assess_fit
+from trinoc.calib.problem.problem import EndedProblem, Problem, lens_number
+from trinoc.calib.problem.robust_fit import RobustFit, errors_px
+from trinoc.calib.problem.views import View
+from trinoc.calib.result import Status
+from trinoc.calib.shot_messages import (
+    notes_of_fit,
+    refused_sentences,
+    silent_sentences,
+    value_words,
+)
+from trinoc.calib.targets import AbstractTarget, board_names, boards_of
+from trinoc.errors import InputError
+from trinoc.geometry import SPLINE_PARAMETERS, Camera, Intrinsics, Pose, Rig, simplified
+from trinoc.numerics import in_float64
+
+# Of the largest sigma: below, there is none.
+_EXACT = 1e-12
+
+
+class RigFromShots(eqx.Module):
+    """Lenses and cameras fitted together, with their covariance, and what each shot said.
+
+    Fields
+    ------
+    rig : the cameras in the world, with a covariance that holds their lenses, too; None unless
+        `status` is CONVERGED.
+    status : how the fit ended.
+    parameters : names such as "left.pan_deg", "left.fx_px", "board.warp_x_mm".
+    values : (p,) of `parameters`; NaN where not determined.
+    covariance : (p, p), degrees, mm and px; zero for what was held, NaN where not determined.
+    gauge : the parameters that the shots leave open.
+    world : the shot, or the camera, that is the world's frame.
+    target : the board.
+    shots : names of the shots that took part.
+    world_from_board : (s, 3, 4) the board in each shot, mm; of a set its first one.
+    reference_from_board : (b, 3, 4) how each board of a set is fixed to the first one, mm; of one
+        board no motion. Their sigmas are those of "board.NAME.turn_x_deg", about the axes of the
+        first one from where each stands, and of "board.NAME.x_mm", where its origin lies.
+    place_shifts_mm : (n, 3) by which each place of the board lies elsewhere than its drawing and
+        its warp have it, X, Y and Z; no rows where the shots do not show it.
+    views : what each camera saw in each shot, by their indices, and which places took part.
+    residuals_px : for each view (m, 2) predicted minus observed, of its places, or of what its
+        grey levels show: each circle and, across it, each piece of a line.
+    sigma_factor : for each camera by how much its places scatter more than their sigmas say.
+    reduced_chi_square : after the sigmas were multiplied by it.
+    halves : two halves of the shots compared, or None where there are too few.
+    failures : for "camera shot" in which the board was not found, why.
+    refused : sentences on shots and pictures that were left out.
+    systematics : the errors of the board that the covariance holds, in words.
+    notes : sentences on what a user should know.
+    cross_validation : errors of shots that the rig was not fitted to; None where there are too few.
+    ended : where the fit ended, in its own units, which `next_shot` goes on from; None unless
+        `status` is CONVERGED.
+    """
+
+    rig: Rig | None
+    status: Status
+    parameters: tuple[str, ...] = eqx.field(static=True)
+    values: Float[np.ndarray, "p"]
+    covariance: Float[np.ndarray, "p p"]
+    gauge: tuple[str, ...] = eqx.field(static=True)
+    world: str = eqx.field(static=True)
+    target: AbstractTarget
+    cameras: tuple[str, ...] = eqx.field(static=True)
+    shots: tuple[str, ...] = eqx.field(static=True)
+    world_from_board: Float[np.ndarray, "s 3 4"]
+    reference_from_board: Float[np.ndarray, "b 3 4"]
+    place_shifts_mm: Float[np.ndarray, "n 3"]
+    views: tuple[View, ...]
+    residuals_px: tuple[Float[np.ndarray, "_m 2"], ...]
+    sigma_factor: dict[str, float] = eqx.field(static=True)
+    reduced_chi_square: float = eqx.field(static=True)
+    halves: HalvesCheck | None
+    failures: dict[str, str] = eqx.field(static=True)
+    refused: tuple[str, ...] = eqx.field(static=True)
+    systematics: tuple[str, ...] = eqx.field(static=True)
+    notes: tuple[str, ...] = eqx.field(static=True)
+    cross_validation: CrossValidation | None = None
+    ended: EndedProblem | None = None
+
+    def sigma(self, parameter: str) -> float:
+        """Standard deviation of a parameter such as "left.fx_px"; 0 if held, NaN if not known."""
+        row = self.parameters.index(parameter)
+        return float(np.sqrt(self.covariance[row, row]))
+
+    def value(self, parameter: str) -> float:
+        """Value of a parameter such as "left.fx_px"."""
+        return float(self.values[self.parameters.index(parameter)])
+
+    @property
+    def fixed_boards(self) -> tuple[str, ...]:
+        """A sentence on where each board of a set is fixed to the first one, with sigmas."""
+        if self.rig is None:
+            return ()
+        reference, *others = board_names(self.target)
+        return tuple(
+            _fixed_sentence(self, name, reference, pose)
+            for name, pose in zip(others, self.reference_from_board[1:], strict=True)
+        )
+
+    def rms_px(self, camera: str | None = None) -> float:
+        """Root mean square length of the residuals of one camera, or of all."""
+        kept = [
+            errors[view.kept]
+            for view, errors in zip(self.views, self.residuals_px, strict=True)
+            if camera in (None, self.cameras[view.camera])
+        ]
+        every = np.concatenate([np.zeros((0, 2)), *kept])
+        return float(np.sqrt(np.mean(np.sum(every**2, axis=1)))) if len(every) else float("nan")
+
+    def summary(self) -> str:
+        """The lenses and cameras with their sigmas, and how good the fit is, as text."""
+        return summary_text(self)
+
+
+def summary_text(result: RigFromShots) -> str:
+    """A block for each camera, then the board and what a user should know."""
+    lines = []
+    for number, camera in enumerate(result.cameras):
+        own = [view for view in result.views if view.camera == number and view.used.any()]
+        places = sum(int(view.used.sum()) for view in own)
+        pictures = len({view.shot for view in own})
+        lines.append(
+            f"{camera}: {places} places in {pictures} pictures, rms {result.rms_px(camera):.3f} px,"
+            f" sigmas x {result.sigma_factor[camera]:.2f}"
+        )
+        prefix = f"{camera}."
+        lines += [
+            f"  {name.removeprefix(prefix):12} {_words(result, name)}"
+            for name in result.parameters
+            if name.startswith(prefix)
+            and result.sigma(name) != 0.0
+            and name.removeprefix(prefix) not in SPLINE_PARAMETERS
+        ]
+    lines += [
+        f"{name:14} {_words(result, name)}"
+        for name in result.parameters
+        if name.startswith("board.")
+        and name.rpartition(".")[2] not in IN_SET_NAMES
+        and result.sigma(name) != 0.0
+    ]
+    lines += result.fixed_boards
+    lines.append(f"world: {result.world}")
+    lines.append(
+        f"lengths: as long as the board's are; it was said to be {_extent(result.target)} mm from "
+        "first to last place, which no picture can check"
+    )
+    if result.halves is not None:
+        lines.append(
+            f"halves of the shots differ by {result.halves.ratio:.2f} claimed sigmas over "
+            f"{result.halves.parameters} parameters (most in {result.halves.worst}: "
+            f"{result.halves.worst_ratio:.1f})"
+        )
+    if result.cross_validation is not None:
+        lines.append(result.cross_validation.sentence)
+    lines.append(f"sigmas include {', '.join(('noise', *result.systematics))}.")
+    lines += list(result.notes) + list(result.refused)
+    lines += [f"{where}: {why}" for where, why in result.failures.items()]
+    return "\n".join(lines)
+
+
+def _extent(target: AbstractTarget) -> str:
+    sides = [np.ptp(board.centres_mm, axis=0) for board in boards_of(target)]
+    return ", ".join(" x ".join(f"{side:.6g}" for side in own) for own in sides)
+
+
+def _words(result: RigFromShots, name: str) -> str:
+    return value_words(result.value(name), result.sigma(name))
+
+
+def _fixed_sentence(
+    result: RigFromShots, name: str, reference: str, reference_from_board: Float[np.ndarray, "3 4"]
+) -> str:
+    """Where a board's origin lies in the frame of another, and by how much it is turned."""
+    pose = Pose(reference_from_board)
+    cosine = np.clip(0.5 * (np.trace(pose.rotation) - 1.0), -1.0, 1.0)
+    places = ", ".join(
+        f"{axis} {value_words(value, result.sigma(f'board.{name}.{axis}_mm'))}"
+        for axis, value in zip("xyz", pose.translation_mm, strict=True)
+    )
+    turns = ", ".join(f"{result.sigma(f'board.{name}.turn_{axis}_deg'):.2g}" for axis in "xyz")
+    return (
+        f'"{name}" lies at {places} mm in the frame of "{reference}", turned by '
+        f"{np.degrees(np.arccos(cosine)):.2f} degrees (+- {turns} about x, y, z)"
+    )
+
+
+@in_float64
+def next_shot(result: RigFromShots) -> NextShot | None:
+    """The shot that lowers most what the rig errs by where it errs most, over all cameras.
+
+    Compared are shots of the board in nine places of each camera's picture, at two distances, and
+    tilted in four ways or not, seen by every camera in whose picture it then lies. None where it
+    lies in no picture. Raises InputError for a result that did not converge.
+    """
+    end = result.ended
+    if end is None:
+        raise InputError(f"There is no rig that a shot could be added to: {result.status.value}")
+    board = Pose(np.asarray(end.problem.state.rig_from_board)[0])
+    world_from_rig = Pose(result.world_from_board[0]) @ board.inverse
+    return next_shot_of(
+        end.problem, end.covariance, end.variance_factor, result.cameras, world_from_rig
+    )
+
+
+def result_from_fit(
+    fit: RobustFit,
+    shots: tuple[str, ...],
+    cameras: tuple[str, ...],
+    known: Mapping[str, Intrinsics],
+    *,
+    world: str | None,
+    held: tuple[str, ...],
+    remarks: tuple[str, ...],
+    silent: Sequence[tuple[int, int, str]],
+    refused: tuple[str, ...],
+    failures: dict[str, str],
+    systematics: tuple[str, ...],
+) -> RigFromShots:
+    """What the shots determine, in the world that is called for, and why where that is not all.
+
+    known : lenses that were given. held : coefficients that were given up. remarks, refused,
+    failures, systematics : as `RigFromShots` has them. silent : pictures whose points count.
+    """
+    problem, outcome = fit.problem, assess_fit(fit)
+    place = _choose_world(world, shots, problem, cameras)
+    status, information, enlarged, factor = outcome
+    named = named_covariance(problem, information, enlarged, factor, cameras, place)
+    covariance, values, gauge = named.covariance, np.array(named.values), ()
+    if status is Status.RANK_DEFICIENT:
+        is_open = open_rows(problem, information, named.names)
+        covariance[is_open], covariance[:, is_open], values[is_open] = np.nan, np.nan, np.nan
+        gauge = tuple(name for name, it_is in zip(named.names, is_open) if it_is)
+
+    def where(camera: int, shot: int) -> str:
+        return f'{shots[shot]}: "{cameras[camera]}"'
+
+    notes = notes_of_fit(fit, outcome, gauge, cameras, held, remarks)
+    poses = [Pose(pose) for pose in np.asarray(poses_in_world(problem.state, place)[0])]
+    world_from_rig = poses[0].inverse @ Pose(np.asarray(problem.state.cam_from_rig)[0])
+    boards = np.asarray(problem.state.rig_from_board)[: problem.shots]
+    fixed, members = np.asarray(problem.state.set_from_board), board_names(problem.target)
+    which = f'"{members[0]}" ' if len(members) > 1 else ""
+    good = status is Status.CONVERGED
+    return RigFromShots(
+        rig=_rig(problem, cameras, poses, known, named.names, covariance) if good else None,
+        status=status,
+        parameters=named.names,
+        values=values,
+        covariance=covariance,
+        gauge=gauge,
+        world=f"the board {which}in {shots[place.shot]}"
+        if place.shot is not None
+        else f"the camera {cameras[place.camera or 0]}",
+        target=problem.target,
+        cameras=cameras,
+        shots=shots,
+        reference_from_board=fixed if len(fixed) else np.eye(3, 4)[None],
+        world_from_board=np.stack([(world_from_rig @ Pose(b)).cam_from_world for b in boards]),
+        place_shifts_mm=np.asarray(problem.state.shape),
+        views=problem.views,
+        residuals_px=tuple(errors_px(problem)),
+        sigma_factor=dict(zip(cameras, problem.sigma_factor.tolist(), strict=True)),
+        reduced_chi_square=fit.chi_square / fit.freedom if fit.freedom > 0 else float("nan"),
+        halves=compare_halves(problem, cameras, factor) if good else None,
+        cross_validation=cross_validate(problem, cameras) if good else None,
+        ended=EndedProblem(problem, enlarged, factor) if good else None,
+        failures=failures,
+        refused=(*refused, *refused_sentences(fit, where)),
+        systematics=systematics,
+        notes=(*notes, *silent_sentences(silent, where)),
+    )
+
+
+def _choose_world(
+    world: str | None, shots: tuple[str, ...], problem: Problem, cameras: tuple[str, ...]
+) -> World:
+    """The shot or the camera of this name; else the first of the shots that most cameras saw."""
+    counts = np.bincount(
+        [view.shot for view in problem.views if view.used.any()], minlength=problem.shots
+    )
+    if world is None:
+        return World(np.asarray(np.argmax(counts)), None)
+    if world in shots and counts[shots.index(world)]:
+        return World(np.asarray(shots.index(world)), None)
+    if world in cameras:
+        return World(None, np.asarray(cameras.index(world)))
+    raise InputError(
+        f'The world is to lie in "{world}", which is neither a camera ({", ".join(cameras)}) nor a '
+        "shot in which the board was found."
+    )
+
+
+def _rig(
+    problem: Problem,
+    cameras: tuple[str, ...],
+    cam_from_world: Sequence[Pose],
+    known: Mapping[str, Intrinsics],
+    names: tuple[str, ...],
+    covariance: Float[np.ndarray, "p p"],
+) -> Rig:
+    """The cameras, with the covariance of everything that is theirs and was fitted."""
+    sizes, members = problem.image_sizes_px, {}
+    for number, (camera, pose) in enumerate(zip(cameras, cam_from_world, strict=True)):
+        lens = lens_number(problem, int(problem.chart.lens_of_camera[number]))
+        intrinsics = known.get(camera) or Intrinsics.of_lens(simplified(lens), sizes[number])
+        members[camera] = Camera(intrinsics, pose)
+    # What is held, and the pose of a camera that is the world, has the variance of rounding.
+    sigma = np.sqrt(np.diag(covariance))
+    kept = [
+        k
+        for k, name in enumerate(names)
+        if not name.startswith("board.") and sigma[k] > _EXACT * max(float(sigma.max()), 1e-300)
+    ]
+    return Rig(
+        members, parameters=[names[k] for k in kept], covariance=covariance[np.ix_(kept, kept)]
+    )

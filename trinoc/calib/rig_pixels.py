@@ -1,0 +1,246 @@
+"""The rig from the grey levels: what every picture shows near the board's edges, taken together.
+
+At a rig that points have found, each picture is fitted by itself: light, ink, blur and the board's
+pose. That leaves, for each circle, piece of a line or corner, where the picture shows it, and the
+information on all of them together, light, ink and blur eliminated. The rig is fitted to these as
+to points whose errors they share; the lenses it has then are those for the next look at the
+pictures.
+"""
+
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from trinoc.calib.detection import Detection
+from trinoc.calib.photometric import ShiftOfPlaces, refine_views
+from trinoc.calib.problem.problem import Problem, cam_from_board, lens_number
+from trinoc.calib.problem.robust_fit import RobustFit, errors_px, finish_fit, fit_places
+from trinoc.calib.problem.sheet import AbstractSheet
+from trinoc.calib.problem.views import View
+from trinoc.calib.problem.wrong_circles import drop_wrong_circles
+from trinoc.calib.starts.camera_start import on_board
+from trinoc.calib.starts.pictures import Pictures, deliver, name_pictures
+from trinoc.calib.starts.placing import of_one_moment
+from trinoc.calib.targets import (
+    AbstractTarget,
+    AprilGrid,
+    BoardSet,
+    Pattern,
+    SquareSheet,
+    marker_cells,
+    opencv_dictionary,
+    square_sheet,
+)
+from trinoc.errors import InputError
+from trinoc.geometry import AbstractLens, Pose, PoseModel, project_point, project_points
+from trinoc.image import grey_image
+from trinoc.numerics import ArrayLike, blocks, in_blocks, point_tree
+
+_MOST_ROUNDS = 3
+# Another look at the pictures changes nothing once the rig moves places by no more than this: what
+# a picture shows is linear in the places' shifts as far as these are small beside its blur.
+_STILL_PX = 0.02
+# Pictures that are held in memory at a time.
+_PICTURES_AT_ONCE = 32
+# Places at a time, so that another number of them does not compile again.
+_PLACES_AT_ONCE = 8192
+# Pictures in which it is seen how tags are turned.
+_MOST_VIEWS = 5
+
+# The grey levels of what a view has seen.
+GreyOfView = Callable[[View], Float[np.ndarray, "h w"]]
+
+
+class PixelFit(NamedTuple):
+    """fit : of the rig to the grey levels. silent : (camera, shot, why) of pictures whose points
+    count instead."""
+
+    fit: RobustFit
+    silent: list[tuple[int, int, str]]
+
+
+def expect_method(method: str, target: AbstractTarget, pictures: Mapping[str, Pictures]) -> None:
+    """Raises InputError for a method that there is not, or not for these."""
+    if method not in ("points", "pixels"):
+        raise InputError(f'method is {method!r}, but must be "points" or "pixels".')
+    if method == "pixels" and isinstance(target, BoardSet):
+        raise InputError(
+            f'"{target.name}" holds several boards, and method "pixels" fits one: give '
+            'method="points".'
+        )
+    for camera, own in name_pictures(pictures).items():
+        for shot, given in own.items():
+            if method == "pixels" and isinstance(given, Detection):
+                raise InputError(_no_picture(camera, shot))
+
+
+def _no_picture(camera: str, shot: str) -> str:
+    return (
+        f'{shot} of "{camera}" is a detection, in which no grey levels are left: give the picture, '
+        'or method="points".'
+    )
+
+
+def grey_levels(
+    pictures: Mapping[str, Pictures], cameras: tuple[str, ...], shots: tuple[str, ...]
+) -> GreyOfView:
+    """Where the grey levels of a view come from. `shots` : the names of a `PlacedRig`."""
+    named = name_pictures(pictures)
+
+    def grey_of(view: View) -> Float[np.ndarray, "h w"]:
+        camera = cameras[view.camera]
+        shot = of_one_moment(shots[view.shot], camera)
+        image = deliver(named[camera][shot])
+        if isinstance(image, Detection):
+            raise InputError(_no_picture(camera, shot))
+        return grey_image(np.asarray(image)).grey
+
+    return grey_of
+
+
+def fit_pixels(fit: RobustFit, grey_of: GreyOfView) -> PixelFit:
+    """Go on from the fit of points, looking at the pictures as often as the lenses change."""
+    problem, silent = _with_own_sigmas(fit.problem), []
+    board = _ink_of(problem, grey_of)
+    for _ in range(_MOST_ROUNDS):
+        views, silent = _look(problem, board, grey_of)
+        problem = problem._replace(views=views)
+        before = errors_px(problem)
+        problem, _ = fit_places(drop_wrong_circles(fit_places(problem)[0]))
+        moves = [
+            np.sqrt(np.mean((after - then) ** 2))
+            for after, then, view in zip(errors_px(problem), before, views, strict=True)
+            if view.used.any()
+        ]
+        if max(moves, default=0.0) < _STILL_PX:
+            break
+    return PixelFit(finish_fit(problem, fit.elsewhere), silent)
+
+
+def _ink_of(problem: Problem, grey_of: GreyOfView) -> Pattern | SquareSheet:
+    board = problem.target
+    if isinstance(board, Pattern):
+        return board
+    if isinstance(board, AprilGrid):
+        return square_sheet(board, quarters=quarters_of_tags(problem, board, grey_of))
+    return square_sheet(board)
+
+
+def _with_own_sigmas(problem: Problem) -> Problem:
+    """The problem with the factors of its cameras' points in the covariances of these."""
+    views = []
+    for view in problem.views:
+        variance = problem.sigma_factor[view.camera] ** 2
+        views.append(view._replace(detection=_scaled(view.detection, variance)))
+    ones = np.ones_like(problem.sigma_factor)
+    return problem._replace(views=tuple(views), sigma_factor=ones)
+
+
+def _scaled(detection: Detection, variance: float) -> Detection:
+    return eqx.tree_at(lambda d: d.covariance_px2, detection, detection.covariance_px2 * variance)
+
+
+def _look(
+    problem: Problem, ink: Pattern | SquareSheet, grey_of: GreyOfView
+) -> tuple[tuple[View, ...], list[tuple[int, int, str]]]:
+    """The views with what their pictures show, given the rig as it is."""
+    used = {str(k): view for k, view in enumerate(problem.views) if view.used.any()}
+    poses = {name: cam_from_board(problem.state, view) for name, view in used.items()}
+    lenses = {
+        name: lens_number(problem, int(problem.chart.lens_of_camera[view.camera]))
+        for name, view in used.items()
+    }
+    shifts = {name: shift_of_places(problem, lenses[name], poses[name]) for name in used}
+    shifts = {name: shift for name, shift in shifts.items() if shift is not None}
+    fits, names = {}, list(used)
+    for part in blocks(len(names), _PICTURES_AT_ONCE):
+        pictures = {name: grey_of(used[name]) for name in names[part]}
+        own = {name: poses[name] for name in names[part]}
+        fits |= refine_views(pictures, own, ink, lenses, PoseModel.RIGID, shifts)
+    views, silent = list(problem.views), []
+    for name, view in used.items():
+        views[int(name)] = view._replace(shown=fits[name].points)
+        if fits[name].points is None:
+            silent.append((view.camera, view.shot, fits[name].note or ""))
+    return tuple(views), silent
+
+
+def shift_of_places(
+    problem: Problem, lens: AbstractLens, cam_from_board: Pose
+) -> ShiftOfPlaces | None:
+    """By how many px places lie elsewhere than lens and a flat sheet would have them, because the
+    board is no flat sheet, or not as drawn; None for one that is.
+
+    What lies about a circle moves with it.
+    """
+    state = jax.tree.map(np.asarray, problem.state)
+    if not (np.any(state.sheet) or np.any(state.shape)):
+        return None
+    sheet, tree = problem.chart.sheet_model, point_tree(problem.target.centres_mm)
+
+    def shift(places_mm: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
+        aside = np.zeros((len(places_mm), 3))
+        if len(state.shape):
+            aside = state.shape[tree.query(places_mm)[1]]
+
+        def block(places: np.ndarray, asides: np.ndarray) -> Float[ArrayLike, "n 2"]:
+            return _shifts(lens, cam_from_board, sheet, state.sheet, places, asides)
+
+        return np.asarray(in_blocks(block, _PLACES_AT_ONCE, places_mm, aside))
+
+    return shift
+
+
+@jax.jit
+def _shifts(
+    lens: AbstractLens,
+    cam_from_board: Pose,
+    sheet: AbstractSheet,
+    numbers: Float[ArrayLike, "w"],
+    places_mm: Float[ArrayLike, "n 2"],
+    aside_mm: Float[ArrayLike, "n 3"],
+) -> Float[ArrayLike, "n 2"]:
+    def shift(place: Float[ArrayLike, "2"], aside: Float[ArrayLike, "3"]) -> Float[ArrayLike, "2"]:
+        flat = jnp.append(place, 0.0)
+        bent = sheet.point(flat, numbers) + aside
+        return project_point(cam_from_board, lens, bent) - project_point(cam_from_board, lens, flat)
+
+    return jax.vmap(shift)(places_mm, aside_mm)
+
+
+def quarters_of_tags(problem: Problem, board: AprilGrid, grey_of: GreyOfView) -> int:
+    """By how many quarters of a turn the tags lie elsewhere than `trinoc pattern` draws them.
+
+    Programs that draw AprilGrids differ. It is the turn in which cells of ink are darkest against
+    the others, in the first pictures.
+    """
+    dictionary = opencv_dictionary(board.dictionary)
+    cells = np.stack(
+        [
+            marker_cells(dictionary, number, border=board.border)
+            for number in range(board.first, board.first + len(board.tags_mm))
+        ]
+    )
+    middles = (np.arange(cells.shape[1]) + 0.5) / cells.shape[1] - 0.5
+    x, y = np.meshgrid(middles, -middles)
+    places = board.tags_mm[:, None] + board.tag_mm * np.stack([x, y], axis=-1).reshape(1, -1, 2)
+    contrast = np.zeros(4)
+    for view in [view for view in problem.views if view.used.any()][:_MOST_VIEWS]:
+        lens = lens_number(problem, int(problem.chart.lens_of_camera[view.camera]))
+        cells_px = project_points(
+            cam_from_board(problem.state, view), lens, on_board(places.reshape(-1, 2))
+        )
+        column, row = np.rint(cells_px).astype(int).T
+        grey = grey_of(view)
+        seen = (column >= 0) & (row >= 0) & (column < grey.shape[1]) & (row < grey.shape[0])
+        levels = grey[row[seen], column[seen]]
+        for quarters in range(4):
+            ink = np.rot90(cells, quarters, axes=(1, 2)).ravel()[seen]
+            if ink.any() and not ink.all():
+                contrast[quarters] += levels[~ink].mean() - levels[ink].mean()
+    return int(np.argmax(contrast))

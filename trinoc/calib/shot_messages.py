@@ -1,0 +1,218 @@
+"""What the fit of many shots tells its user, in sentences: of one camera's lens, and of a rig."""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from trinoc.calib.problem.lens_correction import correction_sentences
+from trinoc.calib.problem.outcome import Outcome
+from trinoc.calib.problem.problem import Problem, cam_from_board, lens_number
+from trinoc.calib.problem.robust_fit import RobustFit, errors_px
+from trinoc.calib.result import Status
+from trinoc.calib.starts.apart import PARALLEL_DEG, boards_are_parallel
+from trinoc.calib.targets import board_names, boards_of
+from trinoc.geometry import Pose
+
+# A scale or a warp beyond this many sigmas of what was known of it before is reported.
+_SURPRISING = 3.0
+# Tilts about axes this close are tilts about one axis.
+_ONE_AXIS_DEG = 12.0
+# Distortion is extrapolated beyond the places; further than this share of the way to the corners
+# it is still held by them.
+_ENOUGH_REACH = 0.8
+# Misfits of flat boards through lenses of any kind stay below this share of the board's extent.
+_LARGEST_MISFIT, _SMALLEST_MISFIT_PX = 0.003, 1.0
+
+# The words for a camera's picture of a shot, by their numbers.
+Where = Callable[[int, int], str]
+
+
+def value_words(value: float, sigma: float) -> str:
+    """A value with as many decimals as its sigma warrants; one without sigma was held."""
+    if not (np.isfinite(value) and np.isfinite(sigma)):
+        return "not determined"
+    decimals = max(0, 1 - int(np.floor(np.log10(sigma)))) if sigma > 0 else 3
+    return f"{value:.{decimals}f} +- {sigma:.{decimals}f}"
+
+
+def undetermined_sentence(problem: Problem, names: Sequence[str]) -> str:
+    """Which parameters the shots do not determine, and why where that is plain."""
+    few = ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
+    return f"The shots do not determine {few}{_reason(problem)}."
+
+
+def _reason(problem: Problem) -> str:
+    used = [view for view in problem.views if view.used.any()]
+    shots = {view.shot for view in used}
+    if len(shots) == 1:
+        return (
+            ": there is one shot, and a plane tells two numbers of a lens and no more. Take more, "
+            "the board tilted another way in each, or give the lenses"
+        )
+    facing = np.array([cam_from_board(problem.state, view).rotation[:, 2] for view in used])
+    tilts_deg = np.degrees(np.arccos(np.clip(np.abs(facing[:, 2]), 0.0, 1.0)))
+    if max(tilts_deg) < PARALLEL_DEG:
+        return (
+            ": all pictures show the board square to the camera, where a longer focal length and a "
+            "larger distance look the same. Tilt the board by 30 to 50 degrees, another way each "
+            "time"
+        )
+    boards = [Pose(np.asarray(problem.state.rig_from_board)[shot]) for shot in shots]
+    if not len(problem.state.set_from_board) and boards_are_parallel(boards):
+        return (
+            ": the board is parallel in all shots. Tilt it by 30 to 50 degrees, another way each "
+            "time"
+        )
+    tilted = facing[tilts_deg >= PARALLEL_DEG, :2]
+    doubled = 2.0 * np.arctan2(tilted[:, 1], tilted[:, 0])
+    alignment = np.hypot(np.mean(np.cos(doubled)), np.mean(np.sin(doubled)))
+    if problem.cameras == 1 and alignment > np.cos(np.radians(2.0 * _ONE_AXIS_DEG)):
+        return ": the board is tilted about one axis only"
+    return ": take more shots, the board tilted another way in each"
+
+
+def refused_sentences(fit: RobustFit, where: Where) -> tuple[str, ...]:
+    """Pictures that show the board elsewhere, and how many places were located wrongly."""
+    sentences = [
+        f"{where(camera, shot)} shows the board {miss:.1f} px from where the rig has it, so the "
+        "board moved or the picture is of another moment; it was left out."
+        for camera, shot, miss in fit.elsewhere
+    ]
+    elsewhere = {(camera, shot) for camera, shot, _ in fit.elsewhere}
+    for view in fit.problem.views:
+        wrong = int((~view.used).sum())
+        if wrong and (view.camera, view.shot) not in elsewhere:
+            sentences.append(
+                f"{where(view.camera, view.shot)}: {wrong} of {len(view.used)} places "
+                f"{'was' if wrong == 1 else 'were'} located wrongly and left out."
+            )
+    return tuple(sentences)
+
+
+def silent_sentences(silent: Sequence[tuple[int, int, str]], where: Where) -> tuple[str, ...]:
+    """Pictures whose grey levels say nothing; (camera, shot, why) of each."""
+    return tuple(
+        f"{where(camera, shot)}: {why} Its places count as they were detected."
+        for camera, shot, why in silent
+    )
+
+
+def notes_of_fit(
+    fit: RobustFit,
+    outcome: Outcome,
+    gauge: Sequence[str],
+    cameras: Sequence[str],
+    held: Sequence[str],
+    remarks: Sequence[str] = (),
+) -> tuple[str, ...]:
+    """Sentences on what is not determined, and on lenses, board and shots.
+
+    gauge : parameters that are open. held : coefficients that were given up. remarks : on the
+    lens, before all but the first.
+    """
+    problem, variance_factor = fit.problem, outcome.variance_factor
+    notes = []
+    if outcome.status is Status.RANK_DEFICIENT:
+        notes.append(undetermined_sentence(problem, gauge))
+    elif outcome.status is Status.NOT_CONVERGED:
+        notes.append(f"{outcome.status.value} See that all pictures show this board.")
+    notes += [*remarks, *correction_sentences(problem, cameras)]
+    if variance_factor > 1.0:
+        notes.append(
+            f"The shots disagree {np.sqrt(variance_factor):.1f} times as much as their places "
+            "scatter, and all sigmas are enlarged by that: the board bends, or the cameras do not "
+            "look at the same moment, or the lens is of another model."
+        )
+    if held:
+        notes.append(f"The shots cannot determine {', '.join(held)}, held at 0.")
+    if problem.chart.has_circles:
+        for camera, factor in zip(cameras, problem.sigma_factor, strict=True):
+            if factor > np.sqrt(2.0):
+                notes.append(
+                    f"The circles of {camera} scatter {factor:.1f} times as much as their own "
+                    "sigmas say; all sigmas are enlarged by that. See that the board is flat and "
+                    "does not move, and that focus and zoom stay."
+                )
+    used = [view for view in problem.views if view.used.any()]
+    poses = [cam_from_board(problem.state, view) for view in used]
+    if poses and np.mean([p.rotation[:, 2] @ p.translation_mm > 0 for p in poses]) > 0.5:
+        notes.append(
+            "Most pictures show the board from behind: the board, its layout or the pictures are "
+            "mirrored, unless it is of glass. Mirrored pictures make a mirrored rig."
+        )
+    shape = np.asarray(problem.state.shape)
+    if len(shape):
+        across, above = np.sqrt(np.mean(shape[:, :2] ** 2)), np.sqrt(np.mean(shape[:, 2] ** 2))
+        notes.append(
+            f"The board's places lie {across:.2g} mm aside of the drawing and {above:.2g} mm off "
+            "its plane (root mean square); this was found with the rig, and is taken into account."
+        )
+    return (*notes, *_surprises(problem))
+
+
+def _surprises(problem: Problem) -> list[str]:
+    """Where the board is not as it was said to be."""
+    information = np.asarray(problem.chart.sheet_information)
+    free = np.flatnonzero(np.diag(information) > 0)
+    sigmas = np.sqrt(np.diag(np.linalg.inv(information[np.ix_(free, free)])))
+    several, terms = len(boards_of(problem.target)) > 1, problem.chart.sheet_model.names
+    names = [(whose, name) for whose in board_names(problem.target) for name in terms]
+    sentences = []
+    for row, value, sigma in zip(free, np.asarray(problem.state.sheet)[free], sigmas, strict=True):
+        whose, name = names[row]
+        if abs(value) > _SURPRISING * sigma:
+            of = f" {whose}" if several else ""
+            amount = f"{value:.2f} mm" if name.endswith("_mm") else f"{100 * value:.2f} %"
+            sentences.append(
+                f"The board{of}'s {name.removesuffix('_mm')} is {amount}, more than was thought "
+                f"possible ({abs(value) / sigma:.0f} sigmas): check the layout and the size of its "
+                "squares."
+            )
+    return sentences
+
+
+def misfit_sentence(fit: RobustFit) -> str | None:
+    """Why a lens must not be used although its fit ended, or None where it may be."""
+    views = fit.problem.views
+    total, kept = sum(len(view.used) for view in views), sum(int(view.used.sum()) for view in views)
+    if 2 * kept < total:
+        return (
+            f"Only {kept} of {total} circles agree on one lens: check that all pictures show this "
+            "pattern and were taken by one camera at one zoom and focus."
+        )
+    errors = [each[view.used] for view, each in zip(views, errors_px(fit.problem), strict=True)]
+    misfit_px = float(np.sqrt(np.mean(np.sum(np.concatenate(errors) ** 2, axis=1))))
+    extent_px = np.median([np.ptp(view.detection.centres_px, axis=0).max() for view in views])
+    if misfit_px > max(_SMALLEST_MISFIT_PX, _LARGEST_MISFIT * float(extent_px)):
+        return (
+            f"The circles miss their predicted places by {misfit_px:.1f} px: check that all "
+            "pictures show this pattern and were taken by one camera at one zoom and focus."
+        )
+    return None
+
+
+def reach_sentence(problem: Problem) -> str | None:
+    """That the distortion of a lens is extrapolated, where no place lies near the corners."""
+    places_px = np.concatenate([view.detection.centres_px for view in problem.views])
+    middle = np.asarray(lens_number(problem, 0).principal_point_px)
+    width, height = problem.image_sizes_px[0]
+    corners = np.array([[0, 0], [width, 0], [0, height], [width, height]]) - 0.5
+    reach, farthest = (np.linalg.norm(p - middle, axis=1).max() for p in (places_px, corners))
+    if reach >= _ENOUGH_REACH * farthest:
+        return None
+    return (
+        f"No circle lies further than {100 * reach / farthest:.0f} % of the way from the principal "
+        "point to the corners: the distortion beyond is extrapolated."
+    )
+
+
+def coefficients_sentence(
+    count: int, names: Sequence[str], extra: Sequence[str], gain: float
+) -> str:
+    """That the first `count` of a lens's coefficients suffice; what the `extra` ones gain."""
+    one = len(extra) == 1
+    return (
+        f"The pictures ask for {', '.join(names[:count]) or 'no distortion'}; {', '.join(extra)} "
+        f"lower{'s' if one else ''} chi-square by {gain:.1f}, no more than noise does: "
+        f"distortion={count} would leave {'it' if one else 'them'} out."
+    )

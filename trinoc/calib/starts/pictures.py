@@ -1,0 +1,117 @@
+"""The board found in all pictures of all cameras, shot by shot."""
+
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from trinoc.calib.detection import Detection, detect_target
+from trinoc.calib.targets import AbstractTarget
+from trinoc.errors import DetectionError, InputError
+
+# Detectors of OpenCV and NumPy leave the interpreter free while they work.
+_THREADS = 4
+
+# A picture, what was found in one, something that delivers one, or nothing.
+Picture = Any
+Pictures = Sequence[Picture] | Mapping[str, Picture]
+
+
+class FoundBoards(NamedTuple):
+    """What was found, by camera and by the name of the shot.
+
+    Fields
+    ------
+    shots : names of all shots, in order.
+    detections : for each camera, by shot.
+    failures : for (camera, shot) of every other picture, why nothing was found.
+    """
+
+    shots: tuple[str, ...]
+    detections: dict[str, dict[str, Detection]]
+    failures: dict[tuple[str, str], str]
+
+
+def find_boards(
+    pictures: Mapping[str, Pictures],
+    target: AbstractTarget,
+    progress: Callable[[int, int], None] | None = None,
+) -> FoundBoards:
+    """Detect the board in every picture, several at a time.
+
+    Pictures of equal names, or of equal places in lists, are of one shot; None leaves one out.
+    Raises InputError where there is no picture, or a camera's differ in size.
+    """
+    named = name_pictures(pictures)
+    if not named or not any(named.values()):
+        raise InputError("No picture was given: give each camera's pictures of the board.")
+    shots = _ordered([list(own) for own in named.values()])
+    jobs = [(camera, shot) for camera, own in named.items() for shot in shots if shot in own]
+    detections: dict[str, dict[str, Detection]] = {camera: {} for camera in named}
+    failures: dict[tuple[str, str], str] = {}
+
+    def look(job: tuple[str, str]) -> Detection | str:
+        given = deliver(named[job[0]][job[1]])
+        try:
+            return given if isinstance(given, Detection) else detect_target(given, target)
+        except DetectionError as error:
+            return str(error)
+
+    with ThreadPoolExecutor(_THREADS) as pool:
+        for done, (job, found) in enumerate(zip(jobs, pool.map(look, jobs), strict=True), 1):
+            if isinstance(found, str):
+                failures[job] = found
+            else:
+                detections[job[0]][job[1]] = found
+            if progress is not None:
+                progress(done, len(jobs))
+    for camera, own in detections.items():
+        _check_sizes(camera, own)
+    return FoundBoards(tuple(shots), detections, failures)
+
+
+def name_pictures(pictures: Mapping[str, Pictures]) -> dict[str, dict[str, Picture]]:
+    """For each camera its pictures by the name of the shot, as they were given."""
+    return {camera: _named(camera, given) for camera, given in pictures.items()}
+
+
+def deliver(given: Picture) -> Any:
+    """An array or a detection, from what may be a function that delivers it."""
+    return given() if callable(given) else given
+
+
+def _named(camera: str, given: Pictures) -> dict[str, Picture]:
+    if isinstance(given, Mapping):
+        pairs = list(given.items())
+    elif isinstance(given, np.ndarray) and given.ndim < 3:
+        raise InputError(
+            f'Camera "{camera}" has one picture, not a list: put the pictures of its shots in one.'
+        )
+    else:
+        width = len(str(len(given)))
+        pairs = [(f"shot {k + 1:0{width}d}", item) for k, item in enumerate(given)]
+    return {str(name): item for name, item in pairs if item is not None}
+
+
+def _ordered(lists: list[list[str]]) -> list[str]:
+    """All names: in the order of the lists where that is one order, else sorted."""
+    longest = max(lists, key=len)
+    rest = sorted({name for own in lists for name in own} - set(longest))
+    return longest if not rest else sorted([*longest, *rest])
+
+
+def _check_sizes(camera: str, detections: Mapping[str, Detection]) -> None:
+    sizes = {shot: tuple(each.image_size_px) for shot, each in detections.items()}
+    first = next(iter(sizes), None)
+    for shot, size in sizes.items():
+        if first is not None and size != sizes[first]:
+            raise InputError(
+                f'Camera "{camera}" has pictures of {_size(sizes[first])} and, in {shot}, of '
+                f"{_size(size)} pixels: give pictures of one camera at one resolution, turned one "
+                "way."
+            )
+
+
+def _size(size: tuple[int, ...]) -> str:
+    return f"{size[0]} x {size[1]}"
