@@ -1,7 +1,7 @@
 from .batch import calibrate_batch as calibrate_batch
+from .bundle.covariance import segment_and_errors as segment_and_errors
+from .bundle.factors import d_parameters_d_delta as d_parameters_d_delta
 from .bundle.implicit_diff import refined as refined
-from .bundle.line_covariance import segment_and_errors as segment_and_errors
-from .bundle.pose_prior import d_parameters_d_delta as d_parameters_d_delta
 from .bundle.refinement import refine as refine
 from .bundle.result import RefineResult as RefineResult, RefineStatus as RefineStatus
 from .detection.any_target import detect_target as detect_target

@@ -106,6 +106,7 @@ from .segmented_arrays import largest as largest, members as members, sums as su
 from .small_matrices import (
     inverse_3x3 as inverse_3x3,
     inverse_positive_definite as inverse_positive_definite,
+    log_determinant_positive_definite as log_determinant_positive_definite,
     solve_positive_definite as solve_positive_definite,
 )
 from .tables import concatenate_rows as concatenate_rows, take_rows as take_rows
