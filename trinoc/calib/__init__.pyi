@@ -2,9 +2,9 @@ from .advice.field_difference import FieldDifference as FieldDifference
 from .advice.next_shot import NextShot as NextShot
 from .advice.projection import projection_sigma as projection_sigma
 from .batch import calibrate_batch as calibrate_batch
+from .bundle.covariance import segment_and_errors as segment_and_errors
+from .bundle.factors import d_parameters_d_delta as d_parameters_d_delta
 from .bundle.implicit_diff import refined as refined
-from .bundle.line_covariance import segment_and_errors as segment_and_errors
-from .bundle.pose_prior import d_parameters_d_delta as d_parameters_d_delta
 from .bundle.refinement import refine as refine
 from .bundle.result import RefineResult as RefineResult, RefineStatus as RefineStatus
 from .detection import (

@@ -81,6 +81,7 @@ from .small_least_squares import (
 from .small_matrices import (
     inverse_3x3 as inverse_3x3,
     inverse_positive_definite as inverse_positive_definite,
+    log_determinant_positive_definite as log_determinant_positive_definite,
     solve_positive_definite as solve_positive_definite,
 )
 from .tables import (

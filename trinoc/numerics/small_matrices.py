@@ -46,6 +46,12 @@ def inverse_positive_definite(matrix: Float[ArrayLike, "n n"]) -> Float[ArrayLik
     return solve_positive_definite(matrix, jnp.eye(matrix.shape[0], dtype=matrix.dtype))
 
 
+def log_determinant_positive_definite(matrix: Float[ArrayLike, "n n"]) -> Float[ArrayLike, ""]:
+    """Logarithm of the determinant of a symmetric positive definite matrix of a few rows."""
+    lower = cholesky(matrix)
+    return 2 * sum((jnp.log(lower[i][i]) for i in range(matrix.shape[0])), start=jnp.zeros(()))
+
+
 def inverse_3x3(matrix: Float[ArrayLike, "3 3"]) -> Float[ArrayLike, "3 3"]:
     """Inverse by cofactors, which fuses under `vmap` where LAPACK does not."""
     a, b, c = matrix[0], matrix[1], matrix[2]

@@ -8,9 +8,8 @@ import pytest
 
 from tests.calib.bundle.made_tracks import SHEET_SIGMA, TRUTH, made_tracks, rig_at
 from trinoc.calib import camera_state, refined, stacked_states
-from trinoc.calib.bundle.line_residual import whitening_across
-from trinoc.calib.bundle.pose_prior import PosePrior
-from trinoc.calib.bundle.schur import FragmentTable
+from trinoc.calib.bundle.factors import PosePrior
+from trinoc.calib.bundle.joint_problem import FragmentTable
 from trinoc.geometry import PoseModel
 from trinoc.numerics import GemanMcClure
 
@@ -32,11 +31,10 @@ def test_gradients_of_a_line_and_of_a_camera_agree_with_differences():
     lines, ends, _ = made_tracks(0, 12, hidden=0.0)
     rig = rig_at(TRUTH, with_covariance=True)
     cameras = stacked_states([camera_state(c, PoseModel.AIMED) for c in rig.cameras])
-    whitening = jax.vmap(jax.vmap(whitening_across))(lines.fragments_px, lines.covariance_px2)
     prior = PosePrior(TRUTH.reshape(3, 4), np.diag(SHEET_SIGMA**-2), cameras)
 
     def outputs(fragments_px, sheet_values):
-        tracks = FragmentTable(fragments_px, whitening, lines.seen)
+        tracks = FragmentTable(fragments_px, lines.covariance_px2, lines.seen)
         sheet = PosePrior(sheet_values, prior.information, cameras)
         answer, anchors = refined(cameras, lines.lines_mm, tracks, sheet, LOSS)
         upper, start = (jax.tree.map(lambda leaf: leaf[0], each) for each in (answer, cameras))

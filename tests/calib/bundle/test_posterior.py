@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from trinoc.calib.bundle.model_evidence import log_posterior
+from trinoc.calib.bundle.estimate import log_posterior
 from trinoc.numerics import GemanMcClure
 
 LOSS = GemanMcClure.from_scale(4.0)

@@ -13,7 +13,6 @@ from trinoc.calib.detection import Detection
 from trinoc.calib.model import robust_scale
 from trinoc.calib.problem.robust_fit import errors_px
 from trinoc.calib.problem.sheet_problem import SheetCamera
-from trinoc.calib.problem.solver import FIRST_DAMPING
 from trinoc.calib.result import Status
 from trinoc.calib.result.degrees import DEGREES, values_of_parameters
 from trinoc.calib.starts.camera_start import plane_pose
@@ -85,9 +84,7 @@ def fit_camera(
             continue
         begin = pose if model is PoseModel.AIM_FREE else as_numpy(_aimed(pose))
         camera = SheetCamera("camera", detection, lens, None, begin)
-        fit = adjust_cameras(
-            [camera], pattern, Systematics(), model, 0.0, first_damping=FIRST_DAMPING
-        )
+        fit = adjust_cameras([camera], pattern, Systematics(), model, 0.0, first_damping=None)
         if best is None or _misfit(fit) < _misfit(best):
             best = fit
         if _misfit(best) < _FAR:

@@ -130,7 +130,7 @@ def adjust_cameras(
     model: PoseModel,
     aim_sigma_mm: float,
     near: Adjustment | None = None,
-    first_damping: float = LEAST_DAMPING,
+    first_damping: float | None = LEAST_DAMPING,
 ) -> Adjustment:
     """All cameras together, places that fit none of it left out.
 
@@ -166,7 +166,7 @@ def adjust_cameras(
 
 
 def _fit(
-    problem: Problem, first_damping: float = LEAST_DAMPING
+    problem: Problem, first_damping: float | None = LEAST_DAMPING
 ) -> tuple[Problem, bool, WhitenedViews]:
     problem, converged = fit_places(problem, first_damping=first_damping)
     return problem, converged, whitened_views(problem)

@@ -1,9 +1,9 @@
 """Cameras and lines in space refined together: bundle adjustment with lines.
 
-The sheet enters as a prior, its estimate and covariance (pose_prior); each matched line by the
-distances of its fragments (line_residual). problem -> schur, levenberg_marquardt -> estimate ->
-gauge, variance_components, line_covariance -> multi_start, model_evidence -> refinement;
-implicit_diff is the answer as a differentiable function of the observations. Source: Triggs et al.,
+Each matched line enters by the distances of its fragments, the sheet as a prior: its estimate and
+covariance (factors). joint_problem (what `calib.problem` solves) -> covariance (gauge, errors,
+noise) -> estimate -> refinement (rounds of matching, other starts); implicit_diff is the answer as
+a differentiable function of the observations. Source: Triggs et al.,
 "Bundle adjustment: a modern synthesis" (2000)."""
 
 import lazy_loader

@@ -1,30 +1,84 @@
-"""One joint estimate: cameras and lines of maximum likelihood for given tracks."""
+"""One joint estimate: cameras and lines of maximum likelihood for given tracks, and their errors.
+
+How probable cameras and matches are together, so that one matching can be held against another: of
+a line's n fragments any two agree, whatever the cameras: they place the line. Each further one is
+either of this line, with the normal density of its squared distance s, or clutter that chance put
+there, whose density is that of a right one c sigma off (c^2 is the ceiling of the robust loss rho).
+Against the same fragments all being clutter the line gains, in log likelihood,
+
+    1/2 max(0, (n - 2) c^2 - sum over its fragments of rho(s)),
+
+nothing in two views and nothing where a fragment is wrong, and the sheet takes half the squared
+distance by which the cameras left its estimate. What is common to all matchings of one set of
+segments is left out. Sigmas are those claimed, the same for all that are compared.
+"""
 
 from typing import NamedTuple
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Bool, Float
 
-from trinoc.calib.bundle.gauge import determined_part, with_scale_of
-from trinoc.calib.bundle.levenberg_marquardt import JointState, joint_cost, joint_system, minimise
-from trinoc.calib.bundle.line_covariance import segment_and_errors
-from trinoc.calib.bundle.model_evidence import log_posterior
-from trinoc.calib.bundle.pose_prior import PosePrior, d_parameters_d_delta
-from trinoc.calib.bundle.problem import FreeParameters, Problem, joint_problem
+from trinoc.calib.bundle.covariance import (
+    determined_part,
+    segment_and_errors,
+    segment_factor,
+    sheet_factor,
+)
+from trinoc.calib.bundle.factors import PosePrior, d_parameters_d_delta
+from trinoc.calib.bundle.joint_problem import (
+    CamerasAndLines,
+    FragmentTable,
+    JointProblem,
+    squared_distances,
+    with_lines_of_two_views,
+)
 from trinoc.calib.bundle.result import RefineResult, RefineStatus
-from trinoc.calib.bundle.schur import FragmentTable, squared_distances
-from trinoc.calib.bundle.variance_components import segment_factor, sheet_factor
-from trinoc.calib.model import CameraState, camera_of_state
+from trinoc.calib.model import CameraState, camera_of_state, camera_state, stacked_states
+from trinoc.calib.problem.solver import solve
 from trinoc.calib.result import CalibrationResult
-from trinoc.geometry import LineObservations, PoseModel, Rig, UncertainLines
-from trinoc.numerics import ArrayLike, GemanMcClure, as_numpy, eliminate
+from trinoc.errors import InputError
+from trinoc.geometry import (
+    AFFINE_PARAMETERS,
+    LineObservations,
+    Pose,
+    PoseModel,
+    Rig,
+    UncertainLines,
+)
+from trinoc.numerics import (
+    AbstractRobustLoss,
+    ArrayLike,
+    GemanMcClure,
+    as_numpy,
+    kept_jit,
+)
 
 # What a fragment can cost, in sigmas squared.
 LOSS = GemanMcClure.from_scale(np.asarray(4.0))
 # It is first so much wider that everything speaks, then only what fits within a few sigmas.
-WIDENINGS = (16.0, 4.0, 1.0)
+WIDENINGS = np.array([16.0, 4.0, 1.0])
+# What a calibration held in its place, such as the aim of a camera of four parameters, stays
+# there in the cameras that did not move: to a micrometre, which no segment can tell from zero.
+HELD_SIGMA_MM = 1e-3
+# The same of a lens, and the least that errors which several cameras share differ by.
+HELD_SIGMA_PX = 1e-3
+
+
+class FreeParameters(NamedTuple):
+    """What the caller wants refined, and the cameras for which the prior still holds.
+
+    `aim_held` says that the aims of those stay where they are, the sheet knowing no error of
+    them; `lens_held` that lenses of which the prior says nothing stay what they are.
+    """
+
+    pose_model: PoseModel
+    intrinsics: bool
+    trusted: tuple[str, ...]
+    aim_held: bool = False
+    lens_held: bool = False
 
 
 def joint_estimate(
@@ -38,50 +92,43 @@ def joint_estimate(
 
     `lines` have the rig's cameras in its order; `calibrated` knows how well the sheet fitted.
     """
-    problem = joint_problem(rig, sheet_rig, lines, choice)
-    state, first_cost = _annealed(problem)
-    cameras, anchors = state.cameras, state.anchors_mm
-    has_sheet = bool(np.any(problem.prior.information))
-    if not has_sheet:
-        cameras, anchors = with_scale_of(cameras, anchors, problem.cameras)
-    converged = bool(state.converged) and bool(np.isfinite(state.cost))
-    if not converged:
-        cameras, anchors = problem.cameras, problem.anchors_mm
-
+    tracks, lines_mm = _padded(lines)
+    start = CamerasAndLines(_cameras(rig, choice), lines_mm)
+    sheet_cameras = _cameras(sheet_rig, choice)
+    information = prior_information(sheet_rig, sheet_cameras.names, choice)
+    fit = as_numpy(_fit(start, tracks, sheet_cameras, information))
     count = len(lines)
-    end = as_numpy(_assess(cameras, anchors, problem.tracks, problem.prior))
-    squared, sheet_information = end.squared[:count], end.sheet_information
-    determined = determined_part(end.information, sheet_information)
-    trace_sheet = float(np.trace(sheet_information @ determined.covariance))
+    squared = fit.squared[:count]
+    determined = determined_part(fit.information, fit.sheet_information)
+    trace_sheet = float(np.trace(fit.sheet_information @ determined.covariance))
     factor, inlier = segment_factor(squared, lines.seen, determined.rank - trace_sheet)
-    sheet_chi_square = float(end.sheet_chi_square)
-    sheet = _sheet_factor(calibrated, problem.prior, sheet_chi_square, trace_sheet)
+    sheet_chi_square = float(fit.sheet_chi_square)
+    own_chi_square, own_redundancy = _residuals_of_sheet(calibrated)
+    redundancy = own_redundancy + np.count_nonzero(np.diag(information)) - trace_sheet
+    sheet = sheet_factor(own_chi_square + sheet_chi_square, redundancy)
 
-    segment_information = end.information - sheet_information
-    weighted = factor**-2 * segment_information + sheet**-2 * sheet_information
-    determined = determined_part(weighted, sheet_information)
-    names = tuple(f"{camera}.{name}" for camera in rig.names for name in cameras.names)
-    covariance = end.by_step @ determined.covariance @ end.by_step.T
-    claimed = factor**2 * problem.covariance_px2
-    ends, own, by_cameras = (
-        np.asarray(leaf)[:count] for leaf in _segments_and_errors(cameras, problem.tracks, claimed)
-    )
+    segment_information = fit.information - fit.sheet_information
+    weighted = factor**-2 * segment_information + sheet**-2 * fit.sheet_information
+    determined = determined_part(weighted, fit.sheet_information)
+    names = tuple(f"{camera}.{name}" for camera in rig.names for name in sheet_cameras.names)
+    covariance = fit.by_step @ determined.covariance @ fit.by_step.T
     refined = {
-        name: camera_of_state(jax.tree.map(lambda leaf, v=v: leaf[v], cameras), rig[name])
+        name: camera_of_state(jax.tree.map(lambda leaf, v=v: leaf[v], fit.cameras), rig[name])
         for v, name in enumerate(rig.names)
     }
     status = RefineStatus.NOT_CONVERGED
-    if converged:
+    if fit.converged:
         status = RefineStatus.GAUGE_FREE if determined.gauge else RefineStatus.CONVERGED
     probability = log_posterior(squared, lines.seen, sheet_chi_square, LOSS)
     known = not determined.gauge and choice.pose_model is not PoseModel.RIGID
+    own = factor**2 * fit.own_covariance_mm2[:count]
     return RefineResult(
         status,
         Rig(refined, parameters=names, covariance=covariance) if known else Rig(refined),
         names,
-        end.values.reshape(-1),
+        fit.values.reshape(-1),
         covariance,
-        UncertainLines(ends, own, by_cameras, determined.covariance),
+        UncertainLines(fit.ends_mm[:count], own, fit.by_cameras[:count], determined.covariance),
         inlier,
         np.where(lines.seen, np.sqrt(squared), np.nan),
         determined.rank,
@@ -89,7 +136,7 @@ def joint_estimate(
         factor,
         sheet,
         sheet_chi_square,
-        (float(state.cost), first_cost),
+        (float(fit.cost), float(fit.first_cost)),
         probability,
         (probability,),
         lines,
@@ -100,68 +147,210 @@ def squared_with_rig(
     rig: Rig, lines: LineObservations, choice: FreeParameters
 ) -> Float[np.ndarray, "t v"]:
     """Squared distances of fragments, in sigmas, from the lines that they give with a rig."""
-    problem = joint_problem(rig, rig, lines, choice)
-    ends = _segments_and_errors(problem.cameras, problem.tracks, problem.covariance_px2)[0]
-    squared = np.asarray(_squared_distances(problem.cameras, ends, problem.tracks))[: len(lines)]
+    found = _squared_from_segments(_cameras(rig, choice), _padded(lines)[0])
+    squared = np.asarray(found)[: len(lines)]
     return np.where(np.isfinite(squared), squared, np.inf)
 
 
-class _Assessment(NamedTuple):
-    """What is read off at the end of a refinement."""
+def _padded(lines: LineObservations) -> tuple[FragmentTable, Float[np.ndarray, "t 2 3"]]:
+    """Fragments and lines, in a number of tracks for which a program is kept."""
+    seen = lines.seen[:, :, None, None]
+    # What is not seen may hold anything: give it numbers that derivatives survive.
+    fragments = np.where(seen, lines.fragments_px, np.array([[0.0, 0.0], [1.0, 0.0]]))
+    covariance = np.where(seen, lines.covariance_px2, np.eye(4))
+    padding = _bucket(len(lines)) - len(lines)
 
-    squared: ArrayLike
-    information: ArrayLike
-    sheet_information: ArrayLike
-    sheet_chi_square: ArrayLike
-    by_step: ArrayLike
-    values: ArrayLike
+    def padded(array: np.ndarray) -> np.ndarray:
+        return np.concatenate([array, np.repeat(array[:1], padding, axis=0)])
+
+    nowhere = np.zeros((padding, lines.seen.shape[1]), dtype=bool)
+    tracks = FragmentTable(
+        padded(fragments), padded(covariance), np.concatenate([lines.seen, nowhere])
+    )
+    return tracks, padded(np.asarray(lines.lines_mm, float))
 
 
-@eqx.filter_jit
-def _assess(
-    cameras: CameraState, anchors_mm: ArrayLike, tracks: FragmentTable, prior: PosePrior
-) -> _Assessment:
-    undamped = 0.0
-    system = joint_system(cameras, anchors_mm, tracks, prior, LOSS, undamped)
-    return _Assessment(
-        squared_distances(cameras, anchors_mm, tracks),
-        eliminate(system.information).reduced,
-        prior.normal_equations(cameras)[0],
-        prior.cost(cameras),
-        d_parameters_d_delta(cameras, prior.start),
-        jax.vmap(lambda camera, start: camera.parameters(start))(cameras, prior.start),
+def _bucket(count: int) -> int:
+    """The next size from 64 up, to which tracks are padded: others in its range compile nothing.
+
+    Powers of two; from 4096 up quarters of them, where padding would cost more than compiling.
+    """
+    power = max(64, 1 << (count - 1).bit_length())
+    return power if power <= 4096 else -(-count // (power // 8)) * (power // 8)
+
+
+def _cameras(rig: Rig, choice: FreeParameters) -> CameraState:
+    cameras = stacked_states(
+        [
+            camera_state(camera, choice.pose_model, with_intrinsics=choice.intrinsics)
+            for camera in rig.cameras
+        ]
+    )
+    if not np.isfinite(np.asarray(cameras.reach_mm)).all():
+        raise InputError(
+            f'The rig cannot be refined with the pose model "{choice.pose_model.word}", because a '
+            'camera\'s axis does not meet the sheet in front of it: use "rigid".'
+        )
+    return cameras
+
+
+def prior_information(
+    rig: Rig, parameters: tuple[str, ...], choice: FreeParameters
+) -> Float[np.ndarray, "k k"]:
+    """The prior's information on the trusted cameras and all lenses: their covariance, inverted.
+
+    `parameters` are those of each camera. A camera that was knocked keeps its lens.
+    """
+    names = [f"{camera}.{name}" for camera in rig.names for name in parameters]
+    information = np.zeros((len(names), len(names)))
+    of_lens = np.array([name.rpartition(".")[2] in AFFINE_PARAMETERS for name in names])
+    trusted = np.repeat(np.isin(rig.names, choice.trusted), len(parameters)) | of_lens
+    stated = np.isin(names, rig.parameters)
+    known = np.flatnonzero(trusted & stated)
+    if len(known):
+        rows = [rig.parameters.index(names[i]) for i in known]
+        covariance = np.asarray(rig.covariance)[np.ix_(rows, rows)]
+        if not np.isfinite(covariance).all():
+            raise InputError(
+                "The covariance of the rig is not finite: calibrate so that all parameters are "
+                "determined, or give the rig without a covariance."
+            )
+        covariance = covariance + np.diag(HELD_SIGMA_PX**2 * of_lens[known])
+        scale = np.sqrt(np.diag(covariance))
+        inverse = np.linalg.inv(covariance / np.outer(scale, scale)) / np.outer(scale, scale)
+        information[np.ix_(known, known)] = inverse
+    if choice.aim_held:
+        aims = [i for i, name in enumerate(names) if trusted[i] and ".aim_" in name]
+        information[aims, aims] = HELD_SIGMA_MM**-2
+    if choice.lens_held:
+        held = np.flatnonzero(of_lens & ~stated)
+        information[held, held] = HELD_SIGMA_PX**-2
+    return information
+
+
+class _Fit(NamedTuple):
+    """Where the minimisation ended, and what is read off there.
+
+    Fields
+    ------
+    cost, first_cost : by the loss at its last width, at the end and at the start.
+    squared : of every fragment's distance, in sigmas.
+    information : (k, k) on the cameras' steps, which `sheet_information` is a part of.
+    by_step, values : of the public parameters.
+    own_covariance_mm2, by_cameras : of the segments' ends, by the noise as it was claimed.
+    """
+
+    cameras: CameraState
+    converged: Bool[ArrayLike, ""]
+    cost: Float[ArrayLike, ""]
+    first_cost: Float[ArrayLike, ""]
+    squared: Float[ArrayLike, "t v"]
+    information: Float[ArrayLike, "k k"]
+    sheet_information: Float[ArrayLike, "k k"]
+    sheet_chi_square: Float[ArrayLike, ""]
+    by_step: Float[ArrayLike, "k k"]
+    values: Float[ArrayLike, "v p"]
+    ends_mm: Float[ArrayLike, "t 2 3"]
+    own_covariance_mm2: Float[ArrayLike, "t 6 6"]
+    by_cameras: Float[ArrayLike, "t 6 k"]
+
+
+@kept_jit
+def _fit(
+    start: CamerasAndLines,
+    tracks: FragmentTable,
+    sheet_cameras: CameraState,
+    information: Float[ArrayLike, "k k"],
+) -> _Fit:
+    """The minimum under a loss that narrows step by step, in one program.
+
+    Where it does not converge, everything is that of the start.
+    """
+    start = jax.tree.map(jnp.asarray, start)
+    parameters = jax.vmap(lambda camera, origin: camera.parameters(origin))
+    prior = PosePrior(parameters(sheet_cameras, sheet_cameras), information, sheet_cameras)
+    problem = JointProblem(tracks.in_three_views(), prior, LOSS)
+
+    def narrower(state: CamerasAndLines, widening: Array) -> tuple[CamerasAndLines, tuple]:
+        wide = JointProblem(problem.tracks, prior, LOSS.widened(widening))
+        solution = solve(wide, state)
+        return solution.state, (solution.cost, solution.converged)
+
+    end, (costs, converged) = jax.lax.scan(narrower, start, jnp.asarray(WIDENINGS))
+    end = with_lines_of_two_views(end, tracks)
+    scaled = _with_scale_of(start, end)
+    without_sheet = ~jnp.any(jnp.asarray(information) != 0)
+    converged = converged[-1] & jnp.isfinite(costs[-1])
+    end = jax.tree.map(lambda a, b: jnp.where(without_sheet, a, b), scaled, end)
+    end = jax.tree.map(lambda a, b: jnp.where(converged, a, b), end, start)
+    ends_mm, own, by_cameras = jax.vmap(segment_and_errors, (None, 0, 0, 0))(end.cameras, *tracks)
+    return _Fit(
+        end.cameras,
+        converged,
+        costs[-1],
+        JointProblem(tracks, prior, LOSS).cost(start),
+        squared_distances(end, tracks),
+        problem.camera_information(end),
+        prior.normal_equations(end.cameras)[0],
+        prior.cost(end.cameras),
+        d_parameters_d_delta(end.cameras, sheet_cameras),
+        parameters(end.cameras, sheet_cameras),
+        ends_mm,
+        own,
+        by_cameras,
     )
 
 
-def _annealed(problem: Problem) -> tuple[JointState, float]:
-    """The minimum under a loss that narrows step by step, and the last loss's first cost."""
-    arguments = problem.tracks, problem.prior
-    first_cost = _joint_cost(problem.cameras, problem.anchors_mm, *arguments, LOSS)
-    first, *further = (LOSS.widened(factor) for factor in WIDENINGS)
-    state = minimise(problem.cameras, problem.anchors_mm, *arguments, first)
-    for loss in further:
-        state = minimise(state.cameras, state.anchors_mm, *arguments, loss)
-    return state, float(first_cost)
+def _with_scale_of(start: CamerasAndLines, end: CamerasAndLines) -> CamerasAndLines:
+    """Rig and lines scaled so that the centres spread as they did at the start.
 
+    Without a sheet nothing measures the scale: it stays as it was, exactly. Cameras that aim
+    at the origin still do so.
+    """
 
-_joint_cost = eqx.filter_jit(joint_cost)
-_squared_distances = eqx.filter_jit(squared_distances)
+    def centres_and_spread(cameras: CameraState) -> tuple[Array, Array]:
+        centres = jax.vmap(lambda camera: camera.pose.centre_world_mm)(cameras)
+        offset = centres - jnp.mean(centres, axis=0)[None, :]
+        return centres, jnp.sqrt(jnp.sum(offset * offset))
 
-_segments_and_errors = eqx.filter_jit(
-    lambda cameras, tracks, covariance: jax.vmap(segment_and_errors, (None, 0, 0, 0))(
-        cameras, tracks.fragments_px, covariance, tracks.seen
+    centres, spread = centres_and_spread(end.cameras)
+    factor = centres_and_spread(start.cameras)[1] / spread
+    origin = jnp.mean(centres, axis=0)[None, :]
+    if end.cameras.pose_model is PoseModel.AIMED:
+        origin = jnp.zeros_like(origin)
+    poses = jax.vmap(lambda pose, centre: Pose.from_centre(pose.rotation, centre))(
+        end.cameras.pose, origin + factor * (centres - origin)
     )
-)
+    cameras = eqx.tree_at(lambda state: state.pose, end.cameras, poses)
+    return CamerasAndLines(cameras, origin[None] + factor * (end.anchors_mm - origin[None]))
 
 
-def _sheet_factor(
-    calibrated: CalibrationResult | Rig, prior: PosePrior, chi_square: float, trace: float
+@kept_jit
+def _squared_from_segments(cameras: CameraState, tracks: FragmentTable) -> Float[ArrayLike, "t v"]:
+    ends = jax.vmap(segment_and_errors, (None, 0, 0, 0))(cameras, *tracks)[0]
+    return squared_distances(CamerasAndLines(cameras, ends), tracks)
+
+
+def _residuals_of_sheet(calibrated: CalibrationResult | Rig) -> tuple[float, float]:
+    """(chi-square, redundancy) of the calibration's own fits; nothing where they are not known."""
+    if isinstance(calibrated, Rig):
+        return 0.0, 0.0
+    fits = calibrated.fits.values()
+    redundancy = [max(2 * int(fit.used.sum()) - fit.rank, 0) for fit in fits]
+    chi_square = sum(r * fit.reduced_chi_square for r, fit in zip(redundancy, fits, strict=True))
+    return chi_square, sum(redundancy)
+
+
+def log_posterior(
+    squared: Float[np.ndarray, "t v"],
+    seen: Bool[np.ndarray, "t v"],
+    sheet_chi_square: float,
+    loss: AbstractRobustLoss,
 ) -> float:
-    own_chi_square, own_redundancy = 0.0, 0.0
-    if isinstance(calibrated, CalibrationResult):
-        for fit in calibrated.fits.values():
-            redundancy = max(2 * int(fit.used.sum()) - fit.rank, 0)
-            own_redundancy += redundancy
-            own_chi_square += redundancy * fit.reduced_chi_square
-    parameters = np.count_nonzero(np.diag(prior.information))
-    return sheet_factor(own_chi_square, own_redundancy, chi_square, parameters - trace)
+    """Log posterior of cameras and tracks against cameras at the sheet's estimate and no track.
+
+    `squared` are the fragments' squared distances from their lines in sigmas, which `loss` bounds.
+    """
+    costs = np.where(seen, loss.rho(squared), 0.0).sum(axis=1)
+    gains = (seen.sum(axis=1) - 2) * loss.ceiling - costs
+    return 0.5 * (float(np.maximum(gains, 0.0).sum()) - sheet_chi_square)

@@ -15,11 +15,15 @@ import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Float
 
-from trinoc.calib.bundle.levenberg_marquardt import Observations, Point, joint_cost, minimise
-from trinoc.calib.bundle.pose_prior import PosePrior
-from trinoc.calib.bundle.schur import FragmentTable
-from trinoc.calib.bundle.two_view_lines import placed_by_two_views
+from trinoc.calib.bundle.factors import PosePrior
+from trinoc.calib.bundle.joint_problem import (
+    CamerasAndLines,
+    FragmentTable,
+    JointProblem,
+    with_lines_of_two_views,
+)
 from trinoc.calib.model import CameraState
+from trinoc.calib.problem.solver import solve
 from trinoc.numerics import AbstractRobustLoss, ArrayLike, BlockArrowSolver
 
 # Newton's steps take the minimum, known to a share of a sigma, to rounding error. Steps are of
@@ -48,31 +52,25 @@ def refined(
     the minimum does not depend on them. A line that is at no minimum of its own (a wrong match
     on the flank of the loss) counts as held. For use under `jit` and `grad`, in double precision.
     """
-    fixed = jax.lax.stop_gradient((cameras, anchors_mm, tracks, prior, loss))
-    state = minimise(*fixed)
-    minimum = jax.lax.stop_gradient(Point(state.cameras, state.anchors_mm))
-    # Lines of two views follow the cameras in closed form.
-    speaks = jnp.sum(tracks.seen, axis=1) >= 3
-    speaking = tracks._replace(seen=tracks.seen & speaks[:, None])
+    problem = JointProblem(tracks.in_three_views(), prior, loss)
+    start = CamerasAndLines(cameras, jnp.asarray(anchors_mm))
+    minimum = solve(*jax.lax.stop_gradient((problem, start))).state
+    minimum = jax.lax.stop_gradient(minimum)
     solver = BlockArrowSolver()
     solution = optx.root_find(
-        gradient_of_cost,
+        _gradient_of_cost,
         optx.Newton(STEP_TOLERANCE, STEP_TOLERANCE, linear_solver=solver, cauchy_termination=False),
         Offsets(jnp.zeros(prior.values.size), jnp.zeros((len(anchors_mm), 4))),
-        args=(minimum, Observations(speaking, prior, loss)),
+        args=(minimum, problem),
         adjoint=optx.ImplicitAdjoint(solver),
         max_steps=MOST_NEWTON_STEPS,
         throw=False,
     )
-    end = minimum.retract(solution.value)
-    return end.cameras, placed_by_two_views(*end, tracks)
+    end = with_lines_of_two_views(minimum.retract(*solution.value), tracks)
+    return end.cameras, end.anchors_mm
 
 
-def gradient_of_cost(offsets: Offsets, args: tuple[Point, Observations]) -> Offsets:
-    """Gradient of half the joint cost by a move of cameras and lines from a point."""
-    point, observations = args
-
-    def half_cost(offsets: Offsets) -> Float[ArrayLike, ""]:
-        return 0.5 * joint_cost(*point.retract(offsets), *observations)
-
-    return jax.grad(half_cost)(offsets)
+def _gradient_of_cost(offsets: Offsets, args: tuple[CamerasAndLines, JointProblem]) -> Offsets:
+    """Gradient of half the cost by a move of cameras and lines from a point."""
+    minimum, problem = args
+    return jax.grad(lambda move: 0.5 * problem.cost(minimum.retract(*move)))(offsets)

@@ -42,7 +42,7 @@ class RefineResult(Displayable, eqx.Module):
         cameras from where the sheet had placed them.
     chi_square : robust cost at the end, and at the start.
     log_posterior : of cameras and tracks, against cameras where the sheet placed them and no
-        track (`bundle.model_evidence`); comparable for matches of the same segments.
+        track (`bundle.estimate`); comparable for matches of the same segments.
     history : log posterior after each round of matching that was accepted, in order.
     tracks : what was refined: the matches given, or those found with the refined rig.
     """

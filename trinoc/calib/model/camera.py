@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from trinoc.geometry import AFFINE_PARAMETERS, AbstractLens, Camera, Pose, PoseModel, stack_lenses
-from trinoc.numerics import ArrayLike
+from trinoc.numerics import ArrayLike, namespace_of
 
 # A step of one in focal length doubles it; in the principal point it is this many pixels.
 PRINCIPAL_POINT_STEP_PX = 1000.0
@@ -82,19 +82,21 @@ def camera_state(
     camera: Camera, pose_model: PoseModel, *, with_intrinsics: bool = False
 ) -> CameraState:
     """The state of a camera before refinement."""
-    centre = jnp.asarray(camera.centre_world_mm)
+    centre = camera.centre_world_mm
+    xp = namespace_of(centre)
     rigid = pose_model is PoseModel.RIGID
-    reach = jnp.sqrt(centre @ centre) if rigid else camera.distance_mm
+    reach = xp.sqrt(centre @ centre) if rigid else camera.distance_mm
     lens = camera.intrinsics.lens
-    return CameraState(camera.pose, lens, jnp.asarray(reach), pose_model, with_intrinsics)
+    return CameraState(camera.pose, lens, xp.asarray(reach), pose_model, with_intrinsics)
 
 
 def stacked_states(states: Sequence[CameraState]) -> CameraState:
     """Several cameras along a new first axis. Raises InputError where their lenses do not stack."""
     lens = stack_lenses([state.lens for state in states])
     alike = [eqx.tree_at(lambda state: state.lens, state, states[0].lens) for state in states]
-    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves).astype(float), *alike)
-    lens = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), lens)
+    xp = namespace_of(alike, lens)
+    stacked = jax.tree.map(lambda *leaves: xp.stack(leaves).astype(float), *alike)
+    lens = jax.tree.map(lambda leaf: xp.asarray(leaf, float), lens)
     return eqx.tree_at(lambda state: state.lens, stacked, lens)
 
 

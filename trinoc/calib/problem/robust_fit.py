@@ -10,7 +10,7 @@ from trinoc.calib.model import ANNEALING, SheetPoints, inliers, robust_scale
 from trinoc.calib.problem.equations import PlacesProblem
 from trinoc.calib.problem.places import residuals_px, whitened_residuals
 from trinoc.calib.problem.problem import Problem
-from trinoc.calib.problem.solver import FIRST_DAMPING, solve
+from trinoc.calib.problem.solver import solve
 from trinoc.numerics import GemanMcClure, as_numpy
 
 # A picture of which fewer places than this share agree with the rig shows the board elsewhere.
@@ -72,7 +72,7 @@ def refit(fit: RobustFit, problem: Problem) -> RobustFit:
 def fit_places(
     problem: Problem,
     outlier_scale: float | Float[np.ndarray, "_v"] = np.inf,
-    first_damping: float = FIRST_DAMPING,
+    first_damping: float | None = None,
 ) -> tuple[Problem, bool]:
     """The problem where the fit ends, and whether it converged.
 
@@ -82,7 +82,7 @@ def fit_places(
     scale = np.full(len(table.shot), np.inf)
     scale[: len(problem.views)] = outlier_scale
     observed = PlacesProblem(problem.chart, table, GemanMcClure.from_scale(scale))
-    end = as_numpy(solve(observed, problem.state, np.asarray(first_damping)))
+    end = as_numpy(solve(observed, problem.state, first_damping))
     return problem._replace(state=end.state), bool(end.converged)
 
 

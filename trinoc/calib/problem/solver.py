@@ -7,7 +7,7 @@ Jacobian is never formed. Source: Triggs et al., "Bundle adjustment: a modern sy
 
 from abc import abstractmethod
 from collections.abc import Callable
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -16,16 +16,19 @@ import lineax as lx
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
-from trinoc.numerics import BlockArrow, BlockArrowSolver, ScalarLike
+from trinoc.numerics import ArrayLike, BlockArrow, BlockArrowSolver, ScalarLike, kept_jit
 
 State = TypeVar("State")
 
 # The cost is a chi-square: a gain this small moves no parameter by some hundredths of its sigma.
 CONVERGED_GAIN = 1e-4
-FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-12, 1e8
+LEAST_DAMPING, MOST_DAMPING = 1e-12, 1e8
 # Keeps directions that nothing determines, and those that are held, at rest.
-FLOOR_DAMPING = 1e-12
-MOST_STEPS = 100
+FLOOR_DAMPING = 1e-13
+MOST_STEPS = 300
+# Where blocks step by themselves, the gain at which a descent has converged is granted to the head
+# and to every hundred blocks, a few of which always creep along the flank of the robust loss.
+BLOCKS_THAT_CREEP = 100
 
 
 class ArrowEquations(NamedTuple):
@@ -45,8 +48,10 @@ class AbstractArrowProblem(eqx.Module, Generic[State]):
     What is held fixed has no information, no gradient, and a `retract` that ignores its step.
     """
 
+    first_damping: ClassVar[float] = 1e-3
+
     @abstractmethod
-    def cost(self, state: State) -> Float[Array, ""]:
+    def cost(self, state: State) -> Float[ArrayLike, ""]:
         """Robust chi-square of all observations and priors: what decides on a step."""
 
     @abstractmethod
@@ -58,6 +63,33 @@ class AbstractArrowProblem(eqx.Module, Generic[State]):
         """The state after a step in the charts laid there; zero leaves it as it is."""
 
 
+class Costs(NamedTuple):
+    """What of a cost depends on the head alone, and what on each block as well."""
+
+    head: Float[ArrayLike, ""]
+    blocks: Float[ArrayLike, "b"]
+
+    @property
+    def total(self) -> Float[ArrayLike, ""]:
+        """The whole cost."""
+        return self.head + jnp.sum(self.blocks)
+
+
+class AbstractSeparableProblem(AbstractArrowProblem[State]):
+    """A problem of so many blocks that one which strays would hold back all others.
+
+    Every block has a damping of its own, and stays where it was when that serves it better.
+    """
+
+    @abstractmethod
+    def costs(self, state: State) -> Costs:
+        """The parts of the cost."""
+
+    def cost(self, state: State) -> Float[ArrayLike, ""]:
+        """Their sum."""
+        return self.costs(state).total
+
+
 class Solution(eqx.Module, Generic[State]):
     """Where the descent ended, after how many steps, and whether it converged."""
 
@@ -67,26 +99,32 @@ class Solution(eqx.Module, Generic[State]):
     converged: Bool[Array, ""]
 
 
-@eqx.filter_jit
 def solve(
-    problem: AbstractArrowProblem[State],
-    state: State,
-    first_damping: ScalarLike = FIRST_DAMPING,
+    problem: AbstractArrowProblem[State], state: State, first_damping: ScalarLike | None = None
 ) -> Solution[State]:
     """The state of least cost near a start.
 
-    first_damping : of the first step, over the diagonal of the equations. With `LEAST_DAMPING` it
-    is Gauss and Newton's, for a start so near that it gains: directions that are known a million
-    times less well than others move at once.
+    first_damping : of the first step, over the diagonal of the equations; that of the problem
+        unless given. With `LEAST_DAMPING` it is Gauss and Newton's, for a start so near that it
+        gains: directions that are known a million times less well than others move at once.
 
     Directions that nothing determines keep their start. Differentiating it raises: a state has
     more numbers than freedoms.
     """
+    damping = problem.first_damping if first_damping is None else first_damping
+    return _solve(problem, state, jnp.asarray(damping))
+
+
+@kept_jit
+def _solve(
+    problem: AbstractArrowProblem[State], state: State, first_damping: Float[Array, ""]
+) -> Solution[State]:
     solution = optx.minimise(
         lambda state, problem: problem.cost(state),
-        _ArrowDescent(first_damping=jnp.asarray(first_damping)),
+        _ArrowDescent(),
         jax.tree.map(jnp.asarray, state),
         problem,
+        options={"first_damping": first_damping},
         max_steps=MOST_STEPS,
         throw=False,
     )
@@ -103,40 +141,71 @@ class _Progress(eqx.Module):
 
     cost: Float[Array, ""]
     damping: Float[Array, ""]
+    block_damping: Float[Array, "b"]
     done: Bool[Array, ""]
+
+
+class _Trial(NamedTuple):
+    """A step that was tried: what it promised, its state and cost, which blocks took part, and a
+    gain that is as good as none."""
+
+    promised: Float[ArrayLike, ""]
+    state: Any
+    cost: Float[ArrayLike, ""]
+    follows: Bool[ArrayLike, "b"]
+    negligible: ScalarLike
 
 
 class _ArrowDescent(optx.AbstractMinimiser[Any, None, _Progress]):
     """Tries a damped step from where it stands, and takes it where that gains."""
 
-    first_damping: Float[Array, ""]
     rtol: float = 0.0  # not used: a chi-square has a scale of its own
     atol: float = CONVERGED_GAIN
     norm: Callable[[PyTree], Float[Array, ""]] = eqx.field(default=optx.max_norm, static=True)
 
     def init(self, fn, y, args, options, f_struct, aux_struct, tags) -> _Progress:
         """Nothing tried yet."""
-        return _Progress(fn(y, args)[0], self.first_damping, jnp.asarray(False))
+        blocks = jax.eval_shape(args.equations, y).gradient[1].shape[0]
+        damping = options["first_damping"]
+        return _Progress(fn(y, args)[0], damping, jnp.full(blocks, damping), jnp.asarray(False))
 
     def step(self, fn, y, args, options, state, tags) -> tuple[Any, _Progress, None]:
         """Try one step."""
-        equations = args.equations(y)
-        solver = BlockArrowSolver(state.damping + FLOOR_DAMPING, state.damping)
-        negated = lx.linear_solve(
-            equations.information, equations.gradient, solver, throw=False
-        ).value
-        tried = args.retract(y, *jax.tree.map(jnp.negative, negated))
-        cost = fn(tried, args)[0]
-        better = cost <= state.cost
-        promised = sum(jnp.sum(g * s) for g, s in zip(equations.gradient, negated, strict=True))
-        still = (promised < self.atol) & (state.cost - cost < self.atol)
-        damping = jnp.where(better, state.damping / 10, state.damping * 10)
+        trial = self._try_step(args, y, state)
+        better = trial.cost <= state.cost
+        enough = trial.promised < self.atol
+        still = enough & (state.cost - trial.cost < trial.negligible)
+        stuck = (state.damping * 10 > MOST_DAMPING) | (trial.promised < 1e-3 * self.atol)
+        change = jnp.where(trial.follows & better, 0.1, 10.0)
         progress = _Progress(
-            jnp.where(better, cost, state.cost),
-            jnp.maximum(damping, LEAST_DAMPING),
-            jnp.where(better, still, (damping > MOST_DAMPING) | (promised < self.atol * 1e-3)),
+            jnp.where(better, trial.cost, state.cost),
+            jnp.maximum(state.damping * jnp.where(better, 0.1, 10.0), LEAST_DAMPING),
+            jnp.clip(state.block_damping * change, LEAST_DAMPING, MOST_DAMPING),
+            jnp.where(better, still, stuck),
         )
-        return jax.tree.map(lambda new, old: jnp.where(better, new, old), tried, y), progress, None
+        y = jax.tree.map(lambda new, old: jnp.where(better, new, old), trial.state, y)
+        return y, progress, None
+
+    def _try_step(self, problem: AbstractArrowProblem, y: Any, state: _Progress) -> _Trial:
+        equations = problem.equations(y)
+        information, gradient = equations.information, equations.gradient
+        solver = BlockArrowSolver(state.damping + FLOOR_DAMPING, state.block_damping)
+        factored = solver.init(information, {})
+        solution = lx.linear_solve(information, gradient, solver, state=factored, throw=False)
+        head, blocks = jax.tree.map(jnp.negative, solution.value)
+        tried = problem.retract(y, head, blocks)
+        if not isinstance(problem, AbstractSeparableProblem):
+            promised = -(gradient[0] @ head) - jnp.sum(gradient[1] * blocks)
+            follows = jnp.ones(len(blocks), bool)
+            return _Trial(promised, tried, problem.cost(tried), follows, self.atol)
+        moved = problem.costs(tried)
+        stayed = problem.costs(problem.retract(y, head, jnp.zeros_like(blocks)))
+        follows = moved.blocks <= stayed.blocks
+        tried = problem.retract(y, head, jnp.where(follows[:, None], blocks, 0.0))
+        costs = moved._replace(blocks=jnp.where(follows, moved.blocks, stayed.blocks))
+        promised = -factored.elimination.reduced_side(gradient) @ head
+        negligible = self.atol * (1 + len(blocks) / BLOCKS_THAT_CREEP)
+        return _Trial(promised, tried, costs.total, follows, negligible)
 
     def terminate(self, fn, y, args, options, state, tags) -> tuple[Bool[Array, ""], optx.RESULTS]:
         """Converged, or nowhere to go; a cost that is no number ends at once."""

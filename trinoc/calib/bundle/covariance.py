@@ -1,0 +1,154 @@
+"""What is known of cameras and segments at the end, and what segments alone cannot say.
+
+Cameras: the information that eliminating the lines leaves, inverted where it determines anything;
+where the rig stands, how it is turned, and its scale may be free. Segments: for known cameras a
+segment is the maximum-likelihood pair of ends of its fragments (`geometry.triangulation`), with its
+own covariance H^-1. By the implicit function theorem the ends follow the cameras as
+dX = -H^-1 (J_X^T W J_c) dc, so that the covariance of several segments is block-diagonal in their
+own parts plus A S A^T with S the covariance of the cameras' parameters: the part that does not
+average out over segments.
+
+How noisy segments and sheet are is estimated and not assumed, by Helmert's estimator: the weighted
+squared residuals of a group over its redundancy, which is its number of observations less the
+trace of its share in the estimate. Source: K.-R. Koch, Parameter Estimation and Hypothesis Testing
+in Linear Models, 1999, section 3.6.
+"""
+
+import contextlib
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float
+
+from trinoc.calib.model import CameraState
+from trinoc.geometry import project_by_matrix, triangulate_segment
+from trinoc.numerics import ArrayLike, inverse_positive_definite
+
+# Share of the largest eigenvalue of the unit-diagonal information below which a direction is
+# free: rounding leaves 1e-13 or so, and anything real stays far above.
+FREE_EIGENVALUE = 1e-10
+RIGID_GAUGE = "position, orientation and scale of the whole rig"
+AIMED_GAUGE = "orientation and scale of the whole rig"
+# 99.9 % of the squared distances of right fragments, chi-square with two degrees of freedom.
+INLIER_SQUARED = 13.816
+# Redundancy below which the sheet's claim is kept: the estimate would be off by 13 % or more.
+FEWEST_FOR_SHEET = 30
+
+
+class Determined(NamedTuple):
+    """Rank and covariance of the cameras' steps, and the name of what is free.
+
+    The covariance is that on the determined directions (the pseudo-inverse in scaled
+    coordinates): the inner constraints of a free network, no datum being preferred.
+    """
+
+    rank: int
+    covariance: Float[np.ndarray, "k k"]
+    gauge: str
+
+
+def determined_part(
+    information: Float[np.ndarray, "k k"], sheet_information: Float[np.ndarray, "k k"]
+) -> Determined:
+    """Rank, covariance and gauge of the reduced information of all cameras' steps.
+
+    sheet_information : what of it is the sheet's. Its weak directions (a lens and a distance that
+    err together) are no gauge, so that directions are compared in its own units.
+    """
+    units = _units(information, sheet_information)
+    within = units.T @ information @ units
+    scale = _positive_root(np.diag(within))
+    values, vectors = np.linalg.eigh(within / scale[:, None] / scale[None, :])
+    kept = values > FREE_EIGENVALUE * values[-1]
+    by_direction = (units / scale) @ vectors[:, kept]
+    free = int((~kept).sum())
+    gauge = {0: "", 4: AIMED_GAUGE, 7: RIGID_GAUGE}.get(free, f"{free} directions of the cameras")
+    return Determined(int(kept.sum()), (by_direction / values[kept]) @ by_direction.T, gauge)
+
+
+def _units(
+    information: Float[np.ndarray, "k k"], sheet_information: Float[np.ndarray, "k k"]
+) -> Float[np.ndarray, "k k"]:
+    """Steps of one sigma of the sheet, where it speaks; else steps that are independent."""
+    units = np.diag(1 / _positive_root(np.diag(information)))
+    known = np.flatnonzero(np.diag(sheet_information) > 0)
+    if len(known):
+        scale = np.sqrt(np.diag(sheet_information)[known])
+        own = sheet_information[np.ix_(known, known)] / np.outer(scale, scale)
+        with contextlib.suppress(np.linalg.LinAlgError):
+            units[np.ix_(known, known)] = np.linalg.inv(np.linalg.cholesky(own)).T / scale[:, None]
+    return units
+
+
+def _positive_root(diagonal: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:
+    """A direction of which nothing is known at all must not divide by nothing."""
+    return np.sqrt(np.maximum(diagonal, 1e-30 * diagonal.max() or 1.0))
+
+
+def segment_and_errors(
+    cameras: CameraState,
+    fragments_px: Float[ArrayLike, "v 2 2"],
+    covariance_px2: Float[ArrayLike, "v 4 4"],
+    seen: Bool[ArrayLike, "v"],
+) -> tuple[Float[ArrayLike, "2 3"], Float[ArrayLike, "6 6"], Float[ArrayLike, "6 k"]]:
+    """Ends (mm), own covariance (mm^2), and Jacobian of the ends by all cameras' steps."""
+    fragments_px = jnp.where(seen[:, None, None], fragments_px, 0.0)
+    identity = jnp.eye(4, dtype=covariance_px2.dtype)
+    covariance_px2 = jnp.where(seen[:, None, None], covariance_px2, identity[None])
+    undistort = jax.vmap(lambda camera, ends: jax.vmap(camera.undistorted)(ends))
+    matrices = jax.vmap(lambda camera: camera.matrix_px)(cameras)
+    segment = triangulate_segment(matrices, undistort(cameras, fragments_px), covariance_px2, seen)
+
+    def one_view(
+        camera: CameraState, fragment_px: ArrayLike, covariance: ArrayLike, seen_here: ArrayLike
+    ) -> ArrayLike:
+        def residual(ends: ArrayLike, step: ArrayLike) -> ArrayLike:
+            stepped = camera.retract(step)
+            image = jax.vmap(project_by_matrix, in_axes=(None, 0))(stepped.matrix_px, ends)
+            observed = jax.vmap(stepped.undistorted)(fragment_px)
+            return (image - observed).reshape(4)
+
+        at_rest = jnp.zeros(len(camera.names))
+        by_ends, by_step = jax.jacfwd(residual, argnums=(0, 1))(segment.ends_mm, at_rest)
+        information = jnp.where(seen_here, inverse_positive_definite(covariance), 0.0)
+        return by_ends.reshape(4, 6).T @ information @ by_step
+
+    coupling = jax.vmap(one_view)(cameras, fragments_px, covariance_px2, seen)
+    follow = -jnp.einsum("ij,vjp->ivp", segment.covariance_mm2, coupling)
+    return segment.ends_mm, segment.covariance_mm2, follow.reshape(6, -1)
+
+
+def segment_factor(
+    squared: Float[np.ndarray, "t v"],
+    seen: Bool[np.ndarray, "t v"],
+    cameras_trace: float,
+) -> tuple[float, Bool[np.ndarray, "t v"]]:
+    """(factor on the sigma of segments, the fragments it is from) by tracks that fit as a whole.
+
+    `cameras_trace` is the trace of the segments' share in the cameras' estimate. A track with
+    n views leaves 2 n - 4 distances for the noise; two views leave none. With less than one in all
+    the claimed sigmas are kept.
+    """
+    factor = 1.0
+    for _ in range(10):
+        inlier = seen & (squared <= INLIER_SQUARED * max(factor, 1e-3) ** 2)
+        whole = (inlier == seen).all(axis=1) & (seen.sum(axis=1) >= 3)
+        redundancy = (2 * seen[whole].sum(axis=1) - 4).sum() - cameras_trace
+        if redundancy < 1:
+            return 1.0, inlier
+        update = float(np.sqrt(squared[whole].sum() / redundancy))
+        if abs(update - factor) < 1e-4 * factor:
+            break
+        factor = update
+    return factor, inlier
+
+
+def sheet_factor(chi_square: float, redundancy: float) -> float:
+    """Factor on the sheet's sigmas from its own fit and from how far segments pulled it.
+
+    With too little redundancy the claimed sigmas are kept: a factor from a handful of numbers
+    would be noise itself.
+    """
+    return float(np.sqrt(chi_square / redundancy)) if redundancy >= FEWEST_FOR_SHEET else 1.0

@@ -1,0 +1,153 @@
+"""What cameras and lines are held against, for one item: a line seen in a view, and a sheet.
+
+A line is held by two anchor points X1, X2 on it. Near it, any line that is not at right angles to
+it cuts the two planes through the anchors normal to the line, each in one point: two offsets in
+either plane are a chart (the minimal parametrisation of a line; compare Bartoli and Sturm 2005,
+doi:10.1016/j.cviu.2005.06.001). After a step the chart is laid anew.
+
+Only the distances of a fragment's ends across the line count: where a fragment ends along the line
+says how the detector cut it, not where the camera stands.
+
+The sheet's own fit and its covariance hold all that its pictures say of the cameras, to second
+order about the estimate, the systematic errors shared by cameras included.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Bool, Float
+
+from trinoc.calib.model import CameraState
+from trinoc.geometry import (
+    line_of_planes,
+    line_through,
+    plane_of_line,
+    project_by_matrix,
+    signed_distance,
+)
+from trinoc.numerics import ArrayLike
+
+ANGLES = 3
+
+
+def normals_of(direction: Float[ArrayLike, "3"]) -> Float[ArrayLike, "2 3"]:
+    """Two unit vectors that complete a direction to an orthogonal basis."""
+    axis = direction / jnp.sqrt(direction @ direction)
+    # The coordinate axis that is most across the direction cannot be parallel to it.
+    across = jnp.eye(3)[jnp.argmin(jnp.abs(axis))]
+    first = jnp.cross(axis, across)
+    first = first / jnp.sqrt(first @ first)
+    return jnp.stack([first, jnp.cross(axis, first)])
+
+
+def retract_line(
+    anchors_mm: Float[ArrayLike, "2 3"], offsets_mm: Float[ArrayLike, "4"]
+) -> Float[ArrayLike, "2 3"]:
+    """Where the anchors go under the four offsets (two across the line at each anchor)."""
+    return anchors_mm + offsets_mm.reshape(2, 2) @ normals_of(anchors_mm[1] - anchors_mm[0])
+
+
+def line_residual(
+    camera: CameraState,
+    anchors_mm: Float[ArrayLike, "2 3"],
+    fragment_px: Float[ArrayLike, "2 2"],
+    covariance_px2: Float[ArrayLike, "4 4"],
+) -> Float[ArrayLike, "2"]:
+    """Signed distances of a fragment's ends across the image of the line, made independent, in
+    sigmas.
+
+    They are measured among undistorted pixels, where the line is straight.
+    """
+    image = jax.vmap(project_by_matrix, (None, 0))(camera.matrix_px, anchors_mm)
+    line = line_through(image[0], image[1])
+    ends = jax.vmap(camera.undistorted)(fragment_px)
+    distances = jnp.stack([signed_distance(line, ends[0]), signed_distance(line, ends[1])])
+    return whitening_across(fragment_px, covariance_px2) @ distances
+
+
+def whitening_across(
+    fragment_px: Float[ArrayLike, "2 2"], covariance_px2: Float[ArrayLike, "4 4"]
+) -> Float[ArrayLike, "2 2"]:
+    """W with W S W^T = I for the covariance S of the two ends' distances across the fragment."""
+    direction = fragment_px[1] - fragment_px[0]
+    direction = direction / jnp.sqrt(direction @ direction)
+    normal = jnp.stack([-direction[1], direction[0]])
+    blocks = covariance_px2.reshape(2, 2, 2, 2)
+    variance = jnp.einsum("i,aibj,j->ab", normal, blocks, normal)
+    first = jnp.sqrt(variance[0, 0])
+    slope = variance[0, 1] / first
+    second = jnp.sqrt(variance[1, 1] - slope**2)
+    zero = jnp.zeros_like(first)
+    return jnp.stack(
+        [jnp.stack([1 / first, zero]), jnp.stack([-slope / (first * second), 1 / second])]
+    )
+
+
+def line_from_two_views(
+    cameras: CameraState,
+    anchors_mm: Float[ArrayLike, "2 3"],
+    fragments_px: Float[ArrayLike, "v 2 2"],
+    seen: Bool[ArrayLike, "v"],
+) -> Float[ArrayLike, "2 3"]:
+    """Anchors of a line that two views show, where the planes of its two fragments meet.
+
+    They are the points of that line nearest to `anchors_mm`. A line that more views show stays, as
+    does one whose two planes coincide.
+    """
+
+    def plane(camera: CameraState, fragment_px: ArrayLike) -> ArrayLike:
+        ends = jax.vmap(camera.undistorted)(fragment_px)
+        plane = plane_of_line(camera.matrix_px, line_through(ends[0], ends[1]))
+        return plane / jnp.sqrt(plane[:3] @ plane[:3])
+
+    planes = jax.vmap(plane)(cameras, fragments_px)
+    last = seen.shape[0] - 1 - jnp.argmax(seen[::-1])
+    point, direction = line_of_planes(planes[jnp.argmax(seen)], planes[last])
+    along = (anchors_mm - point[None, :]) @ direction
+    line = point[None, :] + along[:, None] * direction[None, :]
+    return jnp.where((jnp.sum(seen) == 2) & jnp.all(jnp.isfinite(line)), line, anchors_mm)
+
+
+class PosePrior(NamedTuple):
+    """Cost (x - x0)^T L (x - x0) of the public parameters x (degrees, mm, px).
+
+    Fields
+    ------
+    values : (v, p) x0.
+    information : (k, k) L, the inverse of the covariance of x0; zeros for no prior.
+    start : the cameras from which small motions are counted.
+    """
+
+    values: Float[ArrayLike, "v p"]
+    information: Float[ArrayLike, "k k"]
+    start: CameraState
+
+    def difference(self, cameras: CameraState) -> Float[ArrayLike, "k"]:
+        """x - x0, with angles taken modulo a full turn."""
+        values = jax.vmap(lambda camera, start: camera.parameters(start))(cameras, self.start)
+        difference = values - self.values
+        turns = (difference[:, :ANGLES] + 180) % 360 - 180
+        return difference.at[:, :ANGLES].set(turns).reshape(-1)
+
+    def cost(self, cameras: CameraState) -> Float[ArrayLike, ""]:
+        """Squared Mahalanobis distance of the cameras from the sheet's estimate."""
+        difference = self.difference(cameras)
+        return difference @ self.information @ difference
+
+    def normal_equations(
+        self, cameras: CameraState
+    ) -> tuple[Float[ArrayLike, "k k"], Float[ArrayLike, "k"]]:
+        """(information, gradient) by the step of the cameras."""
+        by_step = d_parameters_d_delta(cameras, self.start)
+        weighted = by_step.T @ self.information
+        return weighted @ by_step, weighted @ self.difference(cameras)
+
+
+def d_parameters_d_delta(cameras: CameraState, start: CameraState) -> Float[ArrayLike, "k k"]:
+    """Block-diagonal Jacobian of all public parameters by all cameras' steps."""
+    blocks = jax.vmap(lambda camera, origin: camera.d_parameters_d_delta(origin))(cameras, start)
+    views, size, _ = blocks.shape
+    view = jnp.arange(views)
+    full = jnp.zeros((views, size, views, size)).at[view, :, view, :].set(blocks)
+    return full.reshape(views * size, views * size)

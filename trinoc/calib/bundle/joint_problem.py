@@ -1,0 +1,180 @@
+"""Cameras and lines as one calibration problem: its cost, and equations that form an arrow.
+
+For one track with Jacobians A_v (by the step of camera v) and B_v (by the four numbers of the
+line) the normal equations are
+
+    [ A^T A   A^T B ] [ camera step ]     [ A^T r ]
+    [ B^T A   B^T B ] [ line step   ] = - [ B^T r ]
+
+and their sum over tracks is an arrow: the cameras are its head, and each line is a block. 10,000
+lines are 40,000 unknowns, of which 18 stay once every line is eliminated.
+"""
+
+from typing import ClassVar, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Bool, Float
+
+from trinoc.calib.bundle.factors import (
+    PosePrior,
+    line_from_two_views,
+    line_residual,
+    retract_line,
+)
+from trinoc.calib.model import CameraState
+from trinoc.calib.problem.solver import AbstractSeparableProblem, ArrowEquations, Costs
+from trinoc.numerics import (
+    AbstractRobustLoss,
+    ArrayLike,
+    BlockArrow,
+    log_determinant_positive_definite,
+)
+
+
+class FragmentTable(NamedTuple):
+    """Fragments of all tracks, padded, in pixels of the picture, with the covariance of their ends.
+
+    A padding track is seen nowhere. What is not seen holds numbers that derivatives survive.
+    """
+
+    fragments_px: Float[ArrayLike, "t v 2 2"]
+    covariance_px2: Float[ArrayLike, "t v 4 4"]
+    seen: Bool[ArrayLike, "t v"]
+
+    def in_three_views(self) -> "FragmentTable":
+        """Without the tracks that fewer than three views show: those agree with any cameras."""
+        enough = jnp.sum(self.seen, axis=1) >= 3
+        return self._replace(seen=self.seen & enough[:, None])
+
+
+class CamerasAndLines(NamedTuple):
+    """The unknowns: cameras, and lines by two anchor points on each."""
+
+    cameras: CameraState
+    anchors_mm: Float[ArrayLike, "t 2 3"]
+
+    def retract(
+        self, head: Float[ArrayLike, "k"], blocks: Float[ArrayLike, "t 4"]
+    ) -> "CamerasAndLines":
+        """The state after a step of all cameras and of all lines in the charts laid here."""
+        views = self.cameras.reach_mm.shape[0]
+        cameras = jax.vmap(CameraState.retract)(self.cameras, head.reshape(views, -1))
+        return CamerasAndLines(cameras, jax.vmap(retract_line)(self.anchors_mm, blocks))
+
+
+class JointProblem(AbstractSeparableProblem[CamerasAndLines]):
+    """Lines seen in views by a robust loss, and the cameras' prior.
+
+    Fields
+    ------
+    tracks : of three views or more; a line that two show has as many distances as unknowns.
+    """
+
+    # Lines start near where their fragments have them.
+    first_damping: ClassVar[float] = 1e-4
+
+    tracks: FragmentTable
+    prior: PosePrior
+    loss: AbstractRobustLoss
+
+    def costs(self, state: CamerasAndLines) -> Costs:
+        """Chi-square of the prior, and the loss over the fragments of each track."""
+        of_tracks = jnp.sum(self.loss.rho(squared_distances(state, self.tracks)), axis=1)
+        return Costs(self.prior.cost(state.cameras), of_tracks)
+
+    def equations(self, state: CamerasAndLines) -> ArrowEquations:
+        """All tracks, weighted by the loss, and the prior.
+
+        A line that its views do not determine (or padding) is left out: it has no step, and its
+        fragments say nothing of the cameras.
+        """
+        residual, by_camera, by_line = jax.vmap(_linearised, (None, 0, 0))(
+            state.cameras, state.anchors_mm, self.tracks
+        )
+        weight = self.loss.weight(jnp.sum(jnp.square(residual), axis=-1))
+        blocks = jnp.einsum("tv,tvri,tvrj->tij", weight, by_line, by_line)
+        determined = jnp.isfinite(jax.vmap(log_determinant_positive_definite)(blocks))
+        blocks = jnp.where(determined[:, None, None], blocks, 0.0)
+        weight = jnp.where(determined[:, None], weight, 0.0)[..., None, None]
+        of_camera, of_line = weight * by_camera, weight * by_line
+        tracks, views, _, size = by_camera.shape
+        view = jnp.arange(views)
+        head = jnp.zeros((views, size, views, size))
+        head = head.at[view, :, view, :].set(jnp.einsum("tvrp,tvrq->vpq", of_camera, by_camera))
+        known, gradient = self.prior.normal_equations(state.cameras)
+        return ArrowEquations(
+            BlockArrow(
+                head.reshape(views * size, -1) + known,
+                jnp.einsum("tvrp,tvri->tvpi", by_camera, of_line).reshape(tracks, -1, 4),
+                blocks,
+            ),
+            (
+                jnp.einsum("tvrp,tvr->vp", of_camera, residual).reshape(-1) + gradient,
+                jnp.einsum("tvri,tvr->ti", of_line, residual),
+            ),
+        )
+
+    def camera_information(self, state: CamerasAndLines) -> Float[ArrayLike, "k k"]:
+        """What is known of the cameras' steps while the lines are free, by Gauss and Newton.
+
+        The Schur complement of the equations, but made of their rows, from which those of each
+        line are projected out: the rounding of a difference of two informations would pass for
+        knowledge of the gauge.
+        """
+        residual, by_camera, by_line = jax.vmap(_linearised, (None, 0, 0))(
+            state.cameras, state.anchors_mm, self.tracks
+        )
+        root = self.loss.root_weight(jnp.sum(jnp.square(residual), axis=-1))[..., None, None]
+        tracks, views = residual.shape[:2]
+        every = jnp.einsum("tvrp,vw->tvrwp", root * by_camera, jnp.eye(views))
+        rows = jnp.concatenate(
+            [(root * by_line).reshape(tracks, 2 * views, 4), every.reshape(tracks, 2 * views, -1)],
+            axis=2,
+        )
+        for _ in range(4):
+            own, rows = rows[..., :1], rows[..., 1:]
+            length = jnp.sqrt(jnp.sum(own**2, axis=1, keepdims=True))
+            unit = own / jnp.where(length > 0, length, 1.0)
+            rows = rows - unit * jnp.sum(unit * rows, axis=1, keepdims=True)
+        known = self.prior.normal_equations(state.cameras)[0]
+        return jnp.einsum("tri,trj->ij", rows, rows) + known
+
+    def retract(
+        self, state: CamerasAndLines, head: Float[ArrayLike, "k"], blocks: Float[ArrayLike, "t 4"]
+    ) -> CamerasAndLines:
+        """The state after a step."""
+        return state.retract(head, blocks)
+
+
+def squared_distances(state: CamerasAndLines, tracks: FragmentTable) -> Float[ArrayLike, "t v"]:
+    """Squared Mahalanobis distance of every fragment; 0 where not seen."""
+    by_view = jax.vmap(line_residual, (0, None, 0, 0))
+    residual = jax.vmap(by_view, (None, 0, 0, 0))(*state, *tracks[:2])
+    return jnp.where(tracks.seen, jnp.sum(jnp.square(residual), axis=-1), 0.0)
+
+
+def with_lines_of_two_views(state: CamerasAndLines, tracks: FragmentTable) -> CamerasAndLines:
+    """The state with the lines that two views show, which follow the cameras in closed form."""
+    place = jax.vmap(line_from_two_views, (None, 0, 0, 0))
+    return state._replace(anchors_mm=place(*state, tracks.fragments_px, tracks.seen))
+
+
+def _linearised(
+    cameras: CameraState, anchors_mm: Float[ArrayLike, "2 3"], track: FragmentTable
+) -> tuple[Float[ArrayLike, "v 2"], Float[ArrayLike, "v 2 p"], Float[ArrayLike, "v 2 4"]]:
+    """Residuals of one track and their derivatives by the cameras' and the line's steps."""
+
+    def one_view(
+        camera: CameraState, fragment_px: ArrayLike, covariance_px2: ArrayLike, seen: ArrayLike
+    ) -> tuple[ArrayLike, ArrayLike, ArrayLike]:
+        def residual(step: ArrayLike, offsets: ArrayLike) -> tuple[ArrayLike, ArrayLike]:
+            line = retract_line(anchors_mm, offsets)
+            value = line_residual(camera.retract(step), line, fragment_px, covariance_px2)
+            return value, value
+
+        at_rest = jnp.zeros(len(camera.names)), jnp.zeros(4)
+        (by_camera, by_line), value = jax.jacfwd(residual, argnums=(0, 1), has_aux=True)(*at_rest)
+        return jax.tree.map(lambda leaf: jnp.where(seen, leaf, 0.0), (value, by_camera, by_line))
+
+    return jax.vmap(one_view)(cameras, *track)
