@@ -48,7 +48,7 @@ def inverse_positive_definite(matrix: Float[ArrayLike, "n n"]) -> Float[ArrayLik
 
 def log_determinant_positive_definite(matrix: Float[ArrayLike, "n n"]) -> Float[ArrayLike, ""]:
     """Logarithm of the determinant of a symmetric positive definite matrix of a few rows."""
-    lower = cholesky(matrix)
+    lower = _cholesky(matrix)
     return 2 * sum((jnp.log(lower[i][i]) for i in range(matrix.shape[0])), start=jnp.zeros(()))
 
 

@@ -8,25 +8,23 @@ from scipy.integrate import quad
 from scipy.ndimage import gaussian_filter
 from scipy.stats import norm
 
-from tests.calib.photometric.test_photometry import CROSS, RIGHT, pose_of
+from tests.calib.photometric.pictures import RIGHT, pose_of
 from tests.calib.simulated import LENS, reference_sheet
-from trinoc.calib.photometric.camera_look import LOOK_TERMS, grey_level, look_of_vector
-from trinoc.calib.photometric.camera_scene import CameraScene, light_terms, predict_scene
-from trinoc.calib.photometric.clipped_noise import clipped, saturation_level
-from trinoc.calib.photometric.correlated_noise import OnGrid, autocorrelation, correlated_sum
-from trinoc.calib.photometric.edges import straight_edge
-from trinoc.calib.photometric.encoding import Encoding
-from trinoc.calib.photometric.ink_coverage import Drawing
-from trinoc.calib.photometric.kernels import Kernel, kernel_coverage
-from trinoc.calib.photometric.local_light import blocks_of_pixels, eliminate_local
-from trinoc.calib.photometric.mosaic import balanced_mosaic
-from trinoc.calib.photometric.noise_by_level import noise_by_level
-from trinoc.calib.photometric.outlines import project_to_image
-from trinoc.calib.photometric.pixel_selection import group_of, select_pixels
+from trinoc.calib.photometric.edges import Kernel, coverage, straight_edge
+from trinoc.calib.photometric.encoding import Encoding, balanced_mosaic
+from trinoc.calib.photometric.equations import eliminate_levels
+from trinoc.calib.photometric.grey_level import Tone, grey_level
+from trinoc.calib.photometric.noise import (
+    OnGrid,
+    autocorrelation,
+    clipped,
+    correlated_sum,
+    noise_by_level,
+    saturation_level,
+)
+from trinoc.calib.photometric.sheet_places import project_to_image
 from trinoc.calib.photometric.sheet_point import SheetPoint
-from trinoc.calib.photometric.unknowns import LOOK_NAMES, START, CameraState
 from trinoc.errors import InputError
-from trinoc.geometry import PoseModel
 
 pytestmark = pytest.mark.usefixtures("large_programs")
 
@@ -35,11 +33,9 @@ def test_grey_levels_of_paper_and_ink_do_not_follow_the_response() -> None:
     """Light and ratio are told in grey levels: the response shapes what lies between."""
     white, paper = jnp.asarray(255.0), jnp.asarray(200.0)
     for bend in (0.0, 0.7, 1.5):
-        vector = START.copy()
-        vector[LOOK_NAMES.index("ratio")], vector[LOOK_NAMES.index("bend")] = -0.8, bend
-        look = look_of_vector(jnp.asarray(vector))
+        tone = Tone(*(jnp.asarray(value) for value in (-0.8, bend, 0.0, 0.0, 0.0)))
         levels = [
-            float(grey_level(jnp.asarray(share), paper, jnp.asarray(0.0), paper, white, look))
+            float(grey_level(jnp.asarray(share), paper, jnp.asarray(0.0), paper, white, tone))
             for share in (0.0, 1.0)
         ]
         assert levels == pytest.approx([200.0, 40.0], rel=1e-6)
@@ -54,7 +50,7 @@ def share_of_edge(distance_px: float, kernel: Kernel, angle: float) -> float:
     )
     across, down = (jnp.asarray(part) for part in normal)
     edge = straight_edge(point, across, down, jnp.asarray(0.0))
-    return float(kernel_coverage(edge, jnp.asarray(0.0), kernel).share)
+    return float(coverage(edge, jnp.asarray(0.0), kernel).share)
 
 
 def kernel_of(**given: float) -> Kernel:
@@ -99,83 +95,28 @@ def test_kernel_of_a_disc_is_flat_topped() -> None:
         assert share_of_edge(distance, kernel, 0.3) == pytest.approx(exact(distance), abs=2e-3)
 
 
-def scene_of(picture: np.ndarray) -> CameraScene:
-    pattern, pose = reference_sheet(), pose_of(RIGHT)
-    choice = select_pixels(pose, LENS.lens, pattern, LENS.image_size_px, 0.8)
-    chosen = (choice.near_circles, choice.near_lines)
-    groups = [group_of(part, picture, LENS.lens, pattern, 16384, np.float32) for part in chosen]
-    uv_px = np.concatenate([np.stack([part.column, part.row], axis=1) for part in chosen])
-    place = (uv_px - 0.5 * (np.array(LENS.image_size_px) - 1)) / (0.5 * LENS.image_size_px[0])
-    return CameraScene(
-        (groups[0], groups[1]),
-        (len(chosen[0].row), len(chosen[1].row)),
-        picture[uv_px[:, 1], uv_px[:, 0]],
-        uv_px,
-        light_terms(place),
-        np.ones(len(uv_px)),
-        CROSS,
-        Drawing("stop", False),
-        PoseModel.AIMED,
-        255.0,
-        np.inf,
-    )
-
-
-@pytest.mark.slow
-def test_derivatives_are_those_of_differences_and_local_light_too() -> None:
-    scene = scene_of(np.zeros(LENS.image_size_px[::-1]))
-    blocks = blocks_of_pixels(scene.uv_px, pose_of(RIGHT), LENS.lens, reference_sheet())
-    scene = scene._replace(blocks=blocks)
-    look = START.copy()
-    given = {"sigma_px": 0.8, "ratio": -0.8, "bend": 0.6, "lobe": 0.3, "along_u": 0.1}
-    for name, value in (given | {"line": 0.5, "kurtosis": 0.1, "contrast": 0.1}).items():
-        look[LOOK_NAMES.index(name)] = value
-    light, veil = np.zeros(15), np.zeros(6)
-    light[:3], veil[0] = (200.0, 5.0, -3.0), 3.0
-    state = CameraState(pose_of(RIGHT), look, light, veil, np.zeros((6, blocks.count)))
-    exact = predict_scene(scene, state)
-    first = scene.model.size
-    for k in range(LOOK_TERMS + 15 + 6):
-        change = np.zeros(LOOK_TERMS + 15 + 6)
-        change[k] = 5e-3 if k < LOOK_TERMS else 1.0
-        up, down = (
-            predict_scene(scene, state.moved(state.pose, sign * change, state.levels)).level
-            for sign in (1, -1)
-        )
-        difference = (up - down) / (2 * change[k])
-        error = np.sqrt(np.mean((exact.rows[first + k] - difference) ** 2))
-        assert error < 0.02 * np.sqrt(np.mean(difference**2)) + 1e-3, k
-    levels = np.zeros((6, blocks.count))
-    for k, step in ((0, 0.01), (2, 0.01), (3, 1.0), (4, 1.0)):
-        levels[:] = 0.0
-        levels[k] = step
-        moved = predict_scene(scene, state._replace(levels=levels)).level
-        assert np.allclose(exact.local[k], (moved - exact.level) / step, atol=2.0, rtol=0.05)
-
-
 def test_eliminated_levels_leave_the_whole_system_s_answer() -> None:
     random = np.random.default_rng(0)
-    scene = scene_of(np.zeros(LENS.image_size_px[::-1])).first(4)
-    blocks = blocks_of_pixels(scene.uv_px, pose_of(RIGHT), LENS.lens, reference_sheet())
-    count, n = blocks.count, len(scene.grey)
-    rows, weight, residual = (
-        random.normal(size=(3, n)),
-        random.uniform(size=n),
-        random.normal(size=n),
-    )
-    local = random.normal(size=(6, n))
-    levels = np.zeros((6, count))
-    gradient = (rows * weight) @ residual
-    reduced = eliminate_local(
-        blocks, rows, local, weight, residual, levels, (rows * weight) @ rows.T, gradient
-    )
-    wide = np.zeros((3 + 6 * count, n))
-    wide[:3] = rows
+    count, n, size = 5, 400, 3
+    rows, residual = random.normal(size=(size, n)), random.normal(size=n)
+    local, levels = random.normal(size=(6, n)), random.normal(size=(6, count))
+    block = np.arange(n) % count
+    own = np.concatenate([local, rows, residual[None]])
+    of_blocks = np.array([local[:, block == b] @ own[:, block == b].T for b in range(count)])
+    less, elimination, cost = eliminate_levels(jnp.asarray(of_blocks), levels)
+    wide = np.zeros((size + 6 * count, n))
+    wide[:size] = rows
     for k in range(6):
-        wide[3 + 6 * blocks.of_pixel + k, np.arange(n)] = local[k]
-    prior = np.r_[np.zeros(3), np.tile([4, 100, 100, 1 / 1600, 1 / 400, 1 / 400], count)]
-    step = np.linalg.solve((wide * weight) @ wide.T + np.diag(prior), (wide * weight) @ residual)
-    assert np.linalg.solve(reduced.matrix, reduced.gradient) == pytest.approx(step[:3], rel=1e-6)
+        wide[size + 6 * block + k, np.arange(n)] = local[k]
+    width = np.array([0.5, 0.1, 0.1, 40.0, 20.0, 20.0])
+    prior = np.r_[np.zeros(size), np.tile(width**-2, count)]
+    gradient = wide @ residual + prior * np.r_[np.zeros(size), levels.T.ravel()]
+    step = -np.linalg.solve(wide @ wide.T + np.diag(prior), gradient)
+    whole = np.concatenate([rows, residual[None]]) @ rows.T - np.asarray(less)[:, :size]
+    assert -np.linalg.solve(whole[:size], whole[size]) == pytest.approx(step[:size], rel=1e-6)
+    after = elimination.levels_after(levels, step[:size]) - levels
+    assert np.asarray(after).T.ravel() == pytest.approx(step[size:], rel=1e-6)
+    assert float(cost) == pytest.approx(np.sum((levels.T / width) ** 2))
 
 
 @settings(max_examples=30, deadline=None)

@@ -5,7 +5,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from tests.calib.photometric.test_photometry import RIGHT, START, image_of, mahalanobis, refined
+from tests.calib.photometric.pictures import RIGHT, image_of
+from tests.calib.photometric.test_photometry import START, mahalanobis, refined
 from tests.calib.simulated import LENS, reference_sheet
 from trinoc.calib.photometric import Encoding, refine_image
 from trinoc.calib.result.degrees import pose_of_values

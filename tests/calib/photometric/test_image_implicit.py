@@ -7,37 +7,36 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from tests.calib.photometric.test_photometry import CROSS, LOOK, RIGHT, image_of, pose_of
-from tests.calib.simulated import LENS, reference_sheet
-from trinoc.calib.photometric.appearance import NUISANCE
-from trinoc.calib.photometric.gauss_newton import (
-    Group,
-    ImageState,
-    Stage,
-    StagedGaussNewton,
-    run_fit,
+from tests.calib.photometric.pictures import (
+    RIGHT,
+    SIGMA_PX,
+    image_of,
+    picture_of,
+    state_at,
 )
-from trinoc.calib.photometric.implicit_diff import fitted
-from trinoc.calib.photometric.ink_coverage import Drawing
+from tests.calib.simulated import LENS, reference_sheet
+from trinoc.calib.photometric.equations import Group
+from trinoc.calib.photometric.implicit_diff import differentiable_fit
+from trinoc.calib.photometric.ink import Drawing
 from trinoc.calib.photometric.pixel_selection import group_of, select_pixels
+from trinoc.calib.photometric.solver import Schedule, Stage, run_fit
+from trinoc.calib.photometric.unknowns import IDEAL, PictureState
 from trinoc.geometry import PoseModel
 from trinoc.numerics import ArrayLike, GemanMcClure
 
 # A part of the pixels, spread over the sheet as all are: two chunks of each group.
 COUNT = 1024
 STATIC = {"drawing": Drawing("stop", False), "model": PoseModel.AIMED}
-# Never satisfied: Gauss-Newton takes all its steps, which end in rounding error.
-TO_THE_END = StagedGaussNewton(
-    stages=Stage(
-        GemanMcClure.from_scale(np.array([np.inf])),
-        np.zeros((1, 4 + NUISANCE)),
-        np.ones(1, dtype=np.int32),
+# Never satisfied: steps end in rounding error.
+TO_THE_END = Schedule(
+    Stage(
+        GemanMcClure(np.array([np.inf])), np.ones((1, 4 + IDEAL.size)), np.ones(1, dtype=np.int32)
     ),
-    round_steps=np.asarray(1),
-    model=PoseModel.AIMED,
-    atol=np.asarray(-1.0),
+    np.asarray(0),
+    np.asarray(16),
+    np.asarray(-1.0),
 )
-STATE = ImageState(pose_of(RIGHT), LOOK)
+STATE = state_at(RIGHT)
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +45,7 @@ def groups() -> tuple[Group, ...]:
     sheet = reference_sheet()
     picture = image_of(sheet, RIGHT, supersampling=8)
     picture = picture + np.random.default_rng(0).normal(0.0, 2.0, picture.shape)
-    choice = select_pixels(STATE.pose, LENS.lens, sheet, LENS.image_size_px, float(LOOK.sigma_px))
+    choice = select_pixels(STATE.pose, LENS.lens, sheet, LENS.image_size_px, SIGMA_PX)
     chosen = [
         part.part(np.arange(min(COUNT, len(part.row))))
         for part in (choice.near_circles, choice.near_lines)
@@ -62,19 +61,17 @@ def brighter(groups: tuple[Group, ...], change: ArrayLike) -> tuple[Group, ...]:
     )
 
 
-def numbers(state: ImageState) -> jax.Array:
-    """Rotation, distance and appearance in one row."""
+def numbers(state: PictureState) -> jax.Array:
+    """Rotation, distance and all else in one row."""
     pose = state.pose
-    parts = (pose.rotation.reshape(-1), pose.distance_mm[None], state.appearance.vector)
+    parts = (pose.rotation.reshape(-1), pose.distance_mm[None], state.values)
     return jnp.concatenate(parts)
 
 
-def fit_again(change: ArrayLike, groups: tuple[Group, ...]) -> ImageState:
-    """Where Gauss-Newton's own steps end on a brighter picture."""
-    state = STATE
-    for _ in range(2):
-        state = run_fit(state, *brighter(groups, change), CROSS, TO_THE_END, **STATIC).state
-    return state
+def fit_again(change: ArrayLike, groups: tuple[Group, ...]) -> PictureState:
+    """Where the solver's own steps end on a brighter picture."""
+    picture = picture_of(*brighter(groups, change), state=STATE)
+    return run_fit(STATE, picture, TO_THE_END, **STATIC).state
 
 
 @pytest.fixture(scope="module")
@@ -83,7 +80,8 @@ def followed(groups: tuple[Group, ...]) -> Callable[[ArrayLike], jax.Array]:
     state = fit_again(np.zeros((2, COUNT)), groups)
 
     def answer(change: jax.Array) -> jax.Array:
-        return numbers(fitted(state, *brighter(groups, change), CROSS, **STATIC))  # pyright: ignore[reportCallIssue]
+        picture = picture_of(*brighter(groups, change), state=STATE)
+        return numbers(differentiable_fit(state, picture, **STATIC))  # pyright: ignore[reportArgumentType]
 
     @jax.jit
     def product(change: ArrayLike) -> jax.Array:
@@ -116,9 +114,9 @@ def test_the_gradient_is_the_transpose(
     @jax.jit
     @jax.grad
     def gradient(change: jax.Array) -> jax.Array:
-        return jnp.asarray(weight) @ numbers(
-            fitted(state, *brighter(groups, change), CROSS, **STATIC)  # pyright: ignore[reportCallIssue]
-        )
+        picture = picture_of(*brighter(groups, change), state=STATE)
+        fit = differentiable_fit(state, picture, **STATIC)  # pyright: ignore[reportArgumentType]
+        return jnp.asarray(weight) @ numbers(fit)
 
     found = float(jnp.sum(gradient(jnp.zeros((2, COUNT))) * direction))
     assert found == pytest.approx(float(weight @ followed(direction)), rel=1e-8)
@@ -126,8 +124,8 @@ def test_the_gradient_is_the_transpose(
 
 def test_differentiating_the_steps_is_refused(groups: tuple[Group, ...]) -> None:
     def distance(change: jax.Array) -> jax.Array:
-        groups_after = brighter(groups, change)
-        return run_fit(STATE, *groups_after, CROSS, TO_THE_END, **STATIC).state.pose.distance_mm
+        picture = picture_of(*brighter(groups, change), state=STATE)
+        return run_fit(STATE, picture, TO_THE_END, **STATIC).state.pose.distance_mm
 
     with pytest.raises(ValueError, match="square"):
         jax.grad(distance)(jnp.zeros((2, COUNT)))

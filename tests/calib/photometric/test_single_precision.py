@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from trinoc.calib import Systematics, calibrate
-from trinoc.calib.photometric import image_problem
+from trinoc.calib.photometric import scene
 from trinoc.io import demo_images, demo_pattern
 from trinoc.synth import table1_lens
 
@@ -13,13 +13,13 @@ from trinoc.synth import table1_lens
 def test_double_precision_moves_no_parameter_by_a_hundredth_of_its_sigma(monkeypatch) -> None:
     known = demo_images("sheet"), demo_pattern(), table1_lens()
     single = calibrate(*known, systematics=Systematics())
-    group_of = image_problem.group_of
+    group_of = scene.group_of
 
     def in_double_precision(part, image, lens, pattern, capacity, dtype, shift_px):
         assert dtype is np.float32
         return group_of(part, image, lens, pattern, capacity, np.float64, shift_px)
 
-    monkeypatch.setattr(image_problem, "group_of", in_double_precision)
+    monkeypatch.setattr(scene, "group_of", in_double_precision)
     double = calibrate(*known, systematics=Systematics())
     assert {fit.method for fit in double.fits.values()} == {"picture"}
     sigma = np.sqrt(np.diag(double.covariance))

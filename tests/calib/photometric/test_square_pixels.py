@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
-from tests.calib.photometric.test_squares import INK, PAPER, Bare
+from tests.calib.photometric.pictures import INK, PAPER
+from tests.calib.photometric.test_squares import Bare
 from trinoc.calib import Charuco, Chessboard, square_sheet
 from trinoc.calib.photometric import refine_image
-from trinoc.calib.photometric.line_pixels import places_and_slopes
-from trinoc.calib.photometric.rays import rays_of_pixels
+from trinoc.calib.photometric.sheet_places import places_and_slopes
+from trinoc.calib.photometric.sheet_point import rays_of_pixels
 from trinoc.calib.photometric.square_pixels import square_pixels
 from trinoc.geometry import (
     BrownConrady,
@@ -103,13 +104,13 @@ def _squared(picture, board, lens, where) -> float:
     assert fit.converged
     assert not fit.found
     unit = np.linalg.norm(where[:, 3])
-    turn = np.asarray(fit.pose.rotation) @ where[:, :3].T
+    turn = np.asarray(fit.state.pose.rotation) @ where[:, :3].T
     vector = 0.5 * np.array(
         [turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]
     )
-    centre = np.asarray(fit.pose.centre_world_mm) - np.asarray(true.centre_world_mm)
+    centre = np.asarray(fit.state.pose.centre_world_mm) - np.asarray(true.centre_world_mm)
     error = np.concatenate([vector, centre / unit])
-    return float(error @ fit.information @ error) / fit.noise**2
+    return float(error @ fit.information @ error)
 
 
 def test_every_edge_in_reach_is_looked_at_once_and_fine_cells_are_not():

@@ -2,18 +2,26 @@
 
 from dataclasses import dataclass, field
 
-import jax
 import numpy as np
 import pytest
 
-from tests.calib.simulated import LENS, TABLE_1, camera_of
+from tests.calib.photometric.pictures import (
+    BLUR_PX,
+    INK,
+    PAPER,
+    RIGHT,
+    SIGMA_PX,
+    drawing_of,
+    pixels_of,
+    pose_of,
+    rows_of,
+    state_at,
+    with_look,
+)
+from tests.calib.simulated import LENS, camera_of
 from trinoc.calib import AprilGrid, Charuco, Chessboard, Pattern
-from trinoc.calib.photometric.appearance import Appearance, predict
-from trinoc.calib.photometric.gauss_newton import sheet_from_camera
-from trinoc.calib.photometric.initial import initial_appearance
-from trinoc.calib.photometric.ink_coverage import SQUARES, Cross, Drawing
-from trinoc.calib.photometric.pixel_selection import group_of, select_pixels
-from trinoc.calib.result.degrees import pose_of_values
+from trinoc.calib.photometric.scene import first_guess
+from trinoc.calib.photometric.unknowns import IDEAL
 from trinoc.calib.targets import square_sheet
 from trinoc.errors import InputError
 from trinoc.synth import Cells, render_sheet
@@ -25,9 +33,6 @@ BOARDS = {
     "charuco": Charuco(rows=4, columns=5, square_mm=24.0, marker_mm=17.0),
     "april_grid": AprilGrid(rows=2, columns=2, tag_mm=40.0),
 }
-RIGHT = (*TABLE_1["right"], 0.0, 0.0)
-NO_CROSS = Cross(np.array(0.0), np.zeros(2), np.array(0.0))
-BLUR_PX, PAPER, INK = 0.7, 230.0, 25.0
 
 
 @dataclass
@@ -62,37 +67,23 @@ def picture(board):
     )
 
 
-LOOK = Appearance(
-    np.array(np.hypot(BLUR_PX, np.sqrt(1 / 12))),
-    np.array(0.0),
-    np.array(INK / PAPER - 1),
-    np.array([PAPER, 0.0, 0.0, 0.0, 0.0, 0.0]),
-)
-
-
-@jax.jit
-def predicted(homography, spread, pixels):
-    own, drawing = LOOK._replace(spread_mm=spread), Drawing(SQUARES, False)
-    return jax.vmap(lambda p: predict(homography, own, p, NO_CROSS, drawing, False))(pixels)
-
-
 @pytest.fixture(scope="module")
 def model(picture, board):
     """Residual and derivatives of every pixel near an edge, for an ink spread in mm."""
-    sheet, pose = square_sheet(board), pose_of_values(np.array(RIGHT))
-    choice = select_pixels(pose, LENS.lens, sheet, LENS.image_size_px, float(LOOK.sigma_px))
-    assert not len(choice.near_lines.row)
-    chosen = choice.near_circles
-    pixels = group_of(chosen, picture, LENS.lens, sheet, 65536, np.float64).pixels
-    homography = np.asarray(sheet_from_camera(pose))
-    return lambda spread: jax.tree.map(
-        lambda leaf: np.asarray(leaf)[: len(chosen.row)],
-        predicted(homography, np.asarray(spread), pixels),
-    )
+    sheet = square_sheet(board)
+    assert not pixels_of(picture, sheet, near_line=True)[1]
+    group, count = pixels_of(picture, sheet)
+
+    def seen(spread_mm):
+        state = with_look(state_at(RIGHT), spread_mm=spread_mm)
+        rows = rows_of(state, group, drawing=drawing_of(sheet))
+        return np.asarray(rows.residual)[:count], np.asarray(rows.rows)[:, :count]
+
+    return seen
 
 
 def test_the_model_is_the_picture(model):
-    residual = model(0.0).residual
+    residual, _ = model(0.0)
     assert len(residual) > 10_000
     assert np.sqrt(np.mean(residual**2)) < 0.25
     assert abs(np.mean(residual)) < 0.02
@@ -100,20 +91,18 @@ def test_the_model_is_the_picture(model):
 
 def test_ink_spreads_as_its_derivative_says(model):
     step = 0.01
-    above, below = model(step), model(-step)
-    slope = (above.residual - below.residual) / (2 * step)
-    np.testing.assert_allclose(model(0.0).by_appearance[1], slope, atol=0.02 * np.ptp(slope))
+    (above, _), (below, _) = model(step), model(-step)
+    slope, spread = (above - below) / (2 * step), 9 + IDEAL.places("spread_mm")[0]
+    np.testing.assert_allclose(model(0.0)[1][spread], slope, atol=0.02 * np.ptp(slope))
     # Ink that spreads makes the board darker.
-    assert above.residual.mean() < below.residual.mean()
+    assert above.mean() < below.mean()
 
 
 def test_light_and_ink_are_read_where_they_are_deep(picture, board):
-    guess = initial_appearance(
-        picture, pose_of_values(np.array(RIGHT)), LENS.lens, square_sheet(board)
-    )
+    guess = first_guess(picture, pose_of(RIGHT), LENS.lens, square_sheet(board))
     np.testing.assert_allclose(guess.light[0], PAPER, atol=6.0)
-    np.testing.assert_allclose(guess.ratio, INK / PAPER - 1, atol=0.02)
-    np.testing.assert_allclose(guess.sigma_px, np.hypot(BLUR_PX, np.sqrt(1 / 12)), atol=0.25)
+    np.testing.assert_allclose(guess["ratio"], INK / PAPER - 1, atol=0.02)
+    np.testing.assert_allclose(guess["sigma_px"], SIGMA_PX, atol=0.25)
 
 
 def test_the_grid_is_what_is_printed(board):

@@ -1,13 +1,13 @@
 """The sheet's image as a differentiable model, fitted to the pixels near ink edges.
 
-outlines, pixel_selection -> rays, sheet_point -> edges, ink_coverage, line_pixels -> appearance
--> normal_equations, gauss_newton -> image_problem, gate -> ideal_fit -> image_refinement,
-image_fit (one image) -> views (all of them).
+unknowns; sheet_point, sheet_places -> edges, ink -> grey_level (one pixel) -> noise, equations
+(all of them) -> solver, implicit_diff. square_pixels, pixel_selection, encoding -> scene (what a
+fit holds fixed) -> point, gate, evidence -> fit -> covariance, patches, found -> image_fit (one
+picture) -> views (all of them).
 
-Where the residuals refute an ideal camera (refutation): kernels -> camera_look ->
-unknowns, local_light, camera_scene -> clipped_noise, noise_by_level, camera_steps ->
-correlated_noise, camera_evidence -> camera_covariance, camera_fit -> found. encoding and
-mosaic stand before all of it."""
+An ideal camera is the delivered one with unknowns left out (`unknowns.IDEAL`); where its residuals
+refute it, they are freed. What is known of a camera's response stands in `encoding`, its curve in
+`grey_level.grey_level` alone."""
 
 import lazy_loader
 

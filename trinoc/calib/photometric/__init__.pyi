@@ -1,7 +1,10 @@
-from .encoding import Encoding as Encoding, Response as Response
+from .encoding import (
+    Encoding as Encoding,
+    Response as Response,
+    neutral_mosaic as neutral_mosaic,
+)
 from .image_fit import refine_image as refine_image
-from .image_problem import ShiftOfPlaces as ShiftOfPlaces
-from .mosaic import neutral_mosaic as neutral_mosaic
+from .scene import ShiftOfPlaces as ShiftOfPlaces
 from .views import (
     PictureFit as PictureFit,
     in_threads as in_threads,

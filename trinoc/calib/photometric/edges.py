@@ -20,6 +20,9 @@ Scalar = Float[ArrayLike, ""]
 
 # Beyond this many sigmas the coverage is 0 or 1, and its series mean nothing.
 _REACH = 6.0
+_LEAST_VARIANCE = 0.01
+# Excess kurtosis of a line of even light.
+_LINE_KURTOSIS = -1.2
 # Bounds that are met only far from an edge, where the expansions about it break down.
 _NEAREST_TO_CENTRE = 0.25
 _LEAST_ROOT = 0.1
@@ -150,6 +153,22 @@ def circular_edge(
     )
 
 
+class Kernel(NamedTuple):
+    """What blurs a picture, the pixel's box included; a Gaussian with one field alone.
+
+    See `unknowns` for the fields. None is the value of an ideal camera, which the compiler leaves
+    out.
+    """
+
+    sigma_px: Scalar
+    kurtosis: Scalar | None = None
+    sixth: Scalar | None = None
+    along_u: Scalar | None = None
+    diagonal: Scalar | None = None
+    along_axes: Scalar | None = None
+    line: Scalar | None = None
+
+
 class Coverage(NamedTuple):
     """Coverage by one edge, with what its product with another edge needs."""
 
@@ -160,18 +179,65 @@ class Coverage(NamedTuple):
     normal_v: Scalar
 
 
-def coverage(edge: Edge, shift_mm: Scalar, sigma_px: Scalar) -> Coverage:
-    """Share of the pixel with ink, where F has grown by `shift_mm`."""
-    reach = _REACH * sigma_px
+def coverage(edge: Edge, shift_mm: Scalar, kernel: Kernel) -> Coverage:
+    """Share of the pixel with ink, where F has grown by `shift_mm`.
+
+    A Gaussian whose width depends on the edge's direction, with cumulants beyond the second as in
+    Edgeworth's series: flat-topped as a defocus disc or a moved picture.
+    """
+    variance, aside = _variances(edge, kernel)
+    kurtosis = _kurtosis_term(edge, kernel, variance)
+    if kernel.sixth is not None:
+        # Divisions by one, for the derivatives' sake: see `SheetPoint.unit`.
+        numbers = shift_mm, variance, aside, kurtosis
+        shift_mm, variance, aside, kurtosis = (number / edge.unit for number in numbers)
+    sigma = jnp.sqrt(variance)
+    reach = _REACH * sigma
     distance = jnp.clip(edge.distance + shift_mm / edge.gradient, -reach, reach)
-    half = jnp.clip(0.5 * edge.curvature * sigma_px, -0.5, 0.5)
-    shift = half + 3 * half**3 + edge.curvature_change * sigma_px**3 / 8
-    score = -(distance / sigma_px + shift) / jnp.sqrt(1 + 2 * half * half)
+    half = jnp.clip(0.5 * edge.curvature * aside / sigma, -0.5, 0.5)
+    shift = half + 3 * half**3 + edge.curvature_change * sigma**3 / 8
+    score = -(distance / sigma + shift) / jnp.sqrt(1 + 2 * half * half)
     density = jnp.exp(-0.5 * score * score) * 0.3989422804014327
-    box = (edge.normal_u**4 + edge.normal_v**4) / (2880 * sigma_px**4)
-    share = 0.5 * (1 + jax.lax.erf(score * 0.7071067811865476))
-    share = share + density * (score**3 - 3 * score) * box
+    square = score * score
+    series = kurtosis * (square - 3)
+    if kernel.sixth is not None:
+        series = series + kernel.sixth / 720 * (square * (square - 10) + 15)
+    share = 0.5 * (1 + jax.lax.erf(score * 0.7071067811865476)) - density * score * series
+    if kernel.sixth is not None:
+        score, density = score / edge.unit, density / edge.unit
     return Coverage(share / edge.unit, score, density, edge.normal_u, edge.normal_v)
+
+
+def _variances(edge: Edge, kernel: Kernel) -> tuple[Scalar, Scalar]:
+    """Of the kernel along the edge's normal, and along the edge."""
+    middle = kernel.sigma_px * kernel.sigma_px
+    if kernel.along_u is None or kernel.diagonal is None or kernel.along_axes is None:
+        return middle, middle
+    even, odd = _double_angle(edge)
+    swing = kernel.along_u * even + kernel.diagonal * odd
+    middle = middle + kernel.along_axes * (even * even - odd * odd)
+    return jnp.maximum(middle + swing, _LEAST_VARIANCE), jnp.maximum(
+        middle - swing, _LEAST_VARIANCE
+    )
+
+
+def _kurtosis_term(edge: Edge, kernel: Kernel, variance: Scalar) -> Scalar:
+    """Excess kurtosis along the normal over 24, that of the pixel's box included."""
+    box = (edge.normal_u**4 + edge.normal_v**4) / (2880 * variance * variance)
+    if kernel.along_u is None or kernel.diagonal is None:
+        return -box
+    even, odd = _double_angle(edge)
+    # A motion's variance along the normal, |m| (1 + cos 2 angle).
+    amount = jnp.sqrt(kernel.along_u**2 + kernel.diagonal**2 + 1e-12)
+    moved = amount + kernel.along_u * even + kernel.diagonal * odd
+    of_line = _LINE_KURTOSIS * kernel.line * moved * moved / (variance * variance)
+    return (kernel.kurtosis + of_line) / 24 - box
+
+
+def _double_angle(edge: Edge) -> tuple[Scalar, Scalar]:
+    """Cosine and sine of twice the angle of the edge's normal."""
+    even = edge.normal_u * edge.normal_u - edge.normal_v * edge.normal_v
+    return even, 2 * edge.normal_u * edge.normal_v
 
 
 def common(first: Coverage, second: Coverage) -> Scalar:

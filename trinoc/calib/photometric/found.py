@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from trinoc.calib.photometric.camera_covariance import CameraFit
-from trinoc.calib.photometric.camera_scene import CameraScene
-from trinoc.calib.photometric.correlated_noise import inflation
-from trinoc.calib.photometric.unknowns import LOOK_NAMES
+from trinoc.calib.photometric.covariance import PoseCovariance, spread_of_values
+from trinoc.calib.photometric.noise import inflation
+from trinoc.calib.photometric.point import Point
+from trinoc.calib.photometric.scene import Scene
 from trinoc.image import PowerResponse
 
 # Said from so many standard deviations on, and from these amounts on.
@@ -15,49 +15,42 @@ _LEAST_INFLATION = 1.2
 _SATURATED_SHARE = 0.01
 
 
-def found_in(scene: CameraScene, fit: CameraFit) -> tuple[str, ...]:
+def found_in(scene: Scene, point: Point, covariance: PoseCovariance) -> tuple[str, ...]:
     """Sentences' halves such as "sharpened" or "saturated paper", the surest only."""
-    said = []
-    bend, sigma = fit.state.look_of("bend"), _sigma(fit, "bend")
-    if scene.bend is None and abs(bend) > max(_SIGMAS * sigma, _LEAST_BEND):
-        curve = f"{PowerResponse(bend).words} ({bend:.2f} +- {sigma:.2f}, 0 linear, 1 sRGB)"
+    look = point.state.unknowns.look
+    value = dict(zip(look, map(float, point.state.values), strict=False))
+    sigma = dict(zip(look, map(float, spread_of_values(scene, point)), strict=False))
+    sure = {name for name in look if 0 < _SIGMAS * sigma[name] < abs(value[name])}
+    said, bend = [], value["bend"]
+    if scene.bend is None and abs(bend) > max(_SIGMAS * sigma["bend"], _LEAST_BEND):
+        curve = f"{PowerResponse(bend).words} ({bend:.2f} +- {sigma['bend']:.2f}, 0 linear, 1 sRGB)"
         said.append(f"response {curve}")
-    if _is_sure(fit, "contrast"):
+    if "contrast" in sure:
         said.append("response with an s-curve")
-    lobe = fit.state.look_of("lobe")
-    if _is_sure(fit, "lobe") and lobe > _LEAST_LOBE:
-        said.append(f"sharpened ({lobe:.2f})")
-    elif _is_sure(fit, "lobe") and lobe < -_LEAST_LOBE:
+    if "lobe" in sure and value["lobe"] > _LEAST_LOBE:
+        said.append(f"sharpened ({value['lobe']:.2f})")
+    elif "lobe" in sure and value["lobe"] < -_LEAST_LOBE:
         said.append("blur with wide tails")
-    if _is_sure(fit, "kurtosis") and fit.state.look_of("kurtosis") < 0:
+    if "kurtosis" in sure and value["kurtosis"] < 0:
         said.append("blur with a flat top")
-    said += _motion(fit)
+    along, across = value["along_u"], value["diagonal"]
+    said += _motion(along, across, max(sigma["along_u"], sigma["diagonal"]))
     if np.mean(scene.grey >= scene.top - 0.5) > _SATURATED_SHARE:
         said.append("saturated paper")
-    if fit.state.levels.shape[1]:
+    if scene.local:
         said.append("uneven light")
-    shared = inflation(fit.correlation)
-    if shared > _LEAST_INFLATION:
-        said.append(f"noise that neighbours share ({shared:.1f} times the variance)")
+    if covariance.correlation is not None:
+        shared = inflation(covariance.correlation)
+        if shared > _LEAST_INFLATION:
+            said.append(f"noise that neighbours share ({shared:.1f} times the variance)")
     return tuple(said)
 
 
-def _motion(fit: CameraFit) -> list[str]:
-    along, across = fit.state.look_of("along_u"), fit.state.look_of("diagonal")
+def _motion(along: float, across: float, sigma: float) -> list[str]:
     amount = float(np.hypot(along, across))
-    sigma = max(_sigma(fit, "along_u"), _sigma(fit, "diagonal"))
     # A line of even light has length^2 / 12 of variance, half of it in the anisotropy.
     length = float(np.sqrt(24 * amount))
     if amount < _SIGMAS * sigma or length < _LEAST_MOTION_PX or amount == 0:
         return []
     angle = float(np.degrees(np.arctan2(across, along)) / 2) % 180
     return [f"moved by {length:.1f} px at {angle:.0f} degrees"]
-
-
-def _sigma(fit: CameraFit, name: str) -> float:
-    return float(fit.spread_of[LOOK_NAMES.index(name)])
-
-
-def _is_sure(fit: CameraFit, name: str) -> bool:
-    sigma = _sigma(fit, name)
-    return sigma > 0 and abs(fit.state.look_of(name)) > _SIGMAS * sigma

@@ -1,7 +1,5 @@
 """Pixels that show something else than the sheet: cut where they lie together, and counted."""
 
-from typing import NamedTuple
-
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float
@@ -21,31 +19,11 @@ _LARGEST_COMMON = 45.0
 _LONE_SIGMAS = 6.0
 
 
-class Gate(NamedTuple):
-    """Which pixels stay, and the noise that judged them."""
-
-    kept: Bool[np.ndarray, "n"]
-    sigma: float
-
-
 def robust_sigma(residual: Float[np.ndarray, "n"], bound: float) -> float:
     """Standard deviation of grey levels by their median, over residuals below `bound`."""
     size = np.abs(residual)
     size = size[size < bound]
     return float(MAD_TO_SIGMA * np.median(size)) if len(size) else float("inf")
-
-
-def gate_pixels(
-    chosen: SelectedPixels,
-    residual: Float[np.ndarray, "n"],
-    contrast: float,
-) -> Gate:
-    """Cut pixels in whose neighbourhood too many do not fit, and lone ones far off."""
-    # One grey level of an eight-bit picture stands for the noise of a picture without any.
-    sigma = max(robust_sigma(residual, 0.1 * contrast), contrast / 1000)
-    wrong = np.abs(residual) > _OUTLIER_SIGMAS * sigma
-    kept = np.abs(residual) <= _LONE_SIGMAS * sigma
-    return Gate(_apart_from_crowds(chosen, wrong, kept), sigma)
 
 
 def gate_by_sigma(

@@ -1,29 +1,68 @@
 """From a pose that the circles gave to the one that explains the picture itself."""
 
-import jax
+from typing import NamedTuple
+
 import numpy as np
 from jaxtyping import Float
 
 from trinoc.calib.model import SheetPoints
-from trinoc.calib.photometric.camera_fit import fit_camera
-from trinoc.calib.photometric.camera_patches import camera_rows
+from trinoc.calib.photometric.covariance import PoseCovariance, pose_covariance
 from trinoc.calib.photometric.encoding import AS_DELIVERED, Encoding
-from trinoc.calib.photometric.ideal_fit import IdealFit, fit_ideal_camera, rows_of_ideal
-from trinoc.calib.photometric.image_problem import ShiftOfPlaces, camera_scene, image_problem
-from trinoc.calib.photometric.image_refinement import (
-    ImageRefinement,
-    of_extended_model,
-    of_ideal_camera,
+from trinoc.calib.photometric.evidence import refuted_part
+from trinoc.calib.photometric.fit import (
+    fit_delivered_camera,
+    fit_ideal_camera,
+    refit_ideal_camera,
 )
-from trinoc.calib.photometric.local_light import blocks_of_pixels
-from trinoc.calib.photometric.noise_by_level import noise_by_level
-from trinoc.calib.photometric.patches import PixelRows, patch_points
-from trinoc.calib.photometric.refutation import refuted_part
+from trinoc.calib.photometric.found import found_in
+from trinoc.calib.photometric.noise import noise_by_level
+from trinoc.calib.photometric.patches import patch_points
+from trinoc.calib.photometric.point import Point
+from trinoc.calib.photometric.scene import (
+    Scene,
+    ShiftOfPlaces,
+    blocks_of_pixels,
+    scene_of_picture,
+)
+from trinoc.calib.photometric.unknowns import PictureState
 from trinoc.calib.targets import Pattern, SquareSheet
 from trinoc.geometry import AbstractLens, Pose, PoseModel
 
 # The median of flat parts sees no more noise than the residuals, a mosaic's colours apart.
 _MOSAIC_NOISE = 1.5
+# The fit of an ideal camera has converged where the step that would come next is shorter, in its
+# own standard deviations.
+_CONVERGED_SIGMAS = 0.3
+
+
+class ImageRefinement(NamedTuple):
+    """The fit of one picture, before anybody has judged it.
+
+    Fields
+    ------
+    state : where it ended.
+    information : (p, p) of a step of the pose, lengths in units of its distance, after the other
+        unknowns have taken their share, for noise as neighbours share it.
+    noise : standard deviation of a pixel at the grey level between paper and ink.
+    noise_floor : the same of the picture's flat parts; `noise` itself of a delivered picture,
+        whose noise depends on the grey level.
+    pixels : number of pixels that stayed.
+    pixels_cut : number of pixels near an edge that show something else than the sheet.
+    converged : whether the last step was small against its own standard deviation.
+    points : where the picture shows each circle and each piece of the crossed lines.
+    found : what the picture shows of its camera and its light, in words; nothing where an ideal
+        camera explains it.
+    """
+
+    state: PictureState
+    information: Float[np.ndarray, "p p"]
+    noise: float
+    noise_floor: float
+    pixels: int
+    pixels_cut: int
+    converged: bool
+    points: SheetPoints
+    found: tuple[str, ...] = ()
 
 
 def refine_image(
@@ -38,46 +77,66 @@ def refine_image(
 ) -> ImageRefinement | None:
     """Fit the sheet's model to the pixels near its edges; None where none can be seen.
 
-    An ideal camera's model comes first; where its residuals refute it, the extended one.
+    An ideal camera comes first; where its residuals refute it, its unknowns are freed.
 
     shift : how far aside of where the lens and a flat sheet would have them, in px, the picture
         shows places of the sheet.
-    encoding : how grey levels stand for light; with a response of sRGB the extended model is
-        fitted at once.
+    encoding : how grey levels stand for light; where it is said, the camera is not ideal.
     """
-    posed = image_problem(image, pattern, lens, start, model, shift, encoding)
-    if posed is None:
+    posed = scene_of_picture(image, pattern, lens, start, model, shift, encoding)
+    ideal = None if posed is None else fit_ideal_camera(*posed)
+    if posed is None or ideal is None:
         return None
-    problem, noise_floor = posed
-    ideal = fit_ideal_camera(problem)
-    if ideal is None:
-        return None
+    scene, (robust, point) = posed[0], ideal
 
-    def shown(homography: np.ndarray, pixels: PixelRows) -> SheetPoints:
-        points = patch_points(lens, pattern, homography, pixels)
-        if shift is None:
-            return points
-        return points._replace(uv_px=points.uv_px + shift(points.place_mm))
+    def refinement(
+        scene: Scene, point: Point, covariance: PoseCovariance, found: tuple[str, ...]
+    ) -> ImageRefinement:
+        points = patch_points(lens, pattern, scene, point, covariance.inflation)
+        if shift is not None:
+            points = points._replace(uv_px=points.uv_px + shift(points.place_mm))
+        noise = _noise_in_the_middle(point) * float(np.sqrt(covariance.chi_square))
+        return ImageRefinement(
+            point.state,
+            _inverse(covariance.matrix),
+            noise,
+            scene.noise_floor if point.state.unknowns.is_ideal else noise,
+            int(point.kept.sum()),
+            int(np.sum(~point.kept)),
+            not point.state.unknowns.is_ideal or point.length < _CONVERGED_SIGMAS,
+            points,
+            found,
+        )
 
-    def simple(fit: IdealFit) -> ImageRefinement:
-        return of_ideal_camera(fit, noise_floor, shown(*rows_of_ideal(fit)))
+    residual = point.level - scene.grey
+    is_mosaic = scene.noise_floor > _MOSAIC_NOISE * np.sqrt(np.mean(residual[point.kept] ** 2))
+    is_said = encoding.bayer is not None or bool(encoding.bend)
+    refuted = "model" if is_said else refuted_part(scene, point)
+    if refuted == "noise" and not is_mosaic:
+        sigma = noise_by_level(point.level, residual, point.kept, point.level)
+        point = refit_ideal_camera(scene, point._replace(sigma=sigma))
+    if refuted == "model" and not is_mosaic:
+        blocks = blocks_of_pixels(scene.chosen, start, lens, pattern)
+        wider = scene._replace(blocks=blocks)
+        fitted = fit_delivered_camera(wider, robust.state, start)
+        if fitted is not None:
+            wider, delivered = fitted
+            covariance = pose_covariance(wider, delivered, correlated=True)
+            if np.isfinite(covariance.matrix).all():
+                found = found_in(wider, delivered, covariance)
+                return refinement(wider, delivered, covariance, found)
+    # Flat parts that are noisier than what the fit leaves over have neighbours of other colours.
+    found = ("a raw mosaic of colours",) if is_mosaic else ()
+    return refinement(scene, point, pose_covariance(scene, point, correlated=False), found)
 
-    left, kept = ideal.residuals, ideal.kept
-    if noise_floor > _MOSAIC_NOISE * float(np.sqrt(np.mean(left[kept] ** 2))):
-        # Flat parts are noisier than what the fit leaves over: neighbours differ by colour.
-        return simple(ideal)._replace(found=("a raw mosaic of colours",))
-    scene = camera_scene(problem, encoding)
-    is_ideal = encoding.bayer is None and not encoding.bend
-    look = ideal.state.appearance
-    refuted = refuted_part(scene, look, left, kept, noise_floor) if is_ideal else "model"
-    if refuted == "noise":
-        sigma = noise_by_level(scene.grey + left, left, kept, scene.grey + left)
-        ideal = ideal.reweighted(np.mean(sigma[kept] ** -2) ** -1 / sigma**2)
-    if refuted != "model":
-        return simple(ideal)
-    blocks = blocks_of_pixels(scene.uv_px, start, lens, pattern)
-    extended = fit_camera(scene, jax.tree.map(np.asarray, ideal.robust.state), start, blocks)
-    if extended is None or not np.isfinite(extended.covariance).all():
-        return simple(ideal)
-    points = shown(*camera_rows(scene, problem.everything, extended))
-    return of_extended_model(scene, extended, points)
+
+def _noise_in_the_middle(point: Point) -> float:
+    half = float(point.state.light[0] * (1 + 0.5 * point.state["ratio"]))
+    near = np.argsort(np.abs(point.level - half))[: max(len(point.level) // 50, 1)]
+    return float(np.median(point.sigma[near]))
+
+
+def _inverse(covariance: Float[np.ndarray, "p p"]) -> Float[np.ndarray, "p p"]:
+    if not np.isfinite(covariance).all():
+        return covariance
+    return np.linalg.pinv(covariance, hermitian=True)

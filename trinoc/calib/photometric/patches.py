@@ -14,9 +14,11 @@ import scipy.sparse
 from jaxtyping import Float, Int
 
 from trinoc.calib.model import SheetPoints
-from trinoc.calib.photometric.gauss_newton import sheet_from_camera
-from trinoc.calib.photometric.local_light import WIDTH, Blocks
-from trinoc.calib.photometric.sheet_point import Ray
+from trinoc.calib.photometric.equations import local_rows
+from trinoc.calib.photometric.point import Point
+from trinoc.calib.photometric.scene import Scene
+from trinoc.calib.photometric.sheet_places import homography_of_pose
+from trinoc.calib.photometric.unknowns import LOCAL_TERMS, LOCAL_WIDTH
 from trinoc.calib.targets import Pattern, SquareSheet
 from trinoc.geometry import AbstractLens
 from trinoc.numerics import ArrayLike
@@ -31,84 +33,67 @@ _LEAST_SHARE = 1e-3
 _NOTHING = SheetPoints(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 0)))
 
 
-class LocalLight(NamedTuple):
-    """Levels of light that each block of the sheet has for itself.
+class _Shared(NamedTuple):
+    """What all patches share: look, light and veil, and where light is local its levels.
 
     Fields
     ------
-    blocks : of the pixels.
-    rows : (6, n) derivatives of each pixel by the levels of its block.
-    levels : (6, b) where the fit ended.
+    rows : (n, q) derivatives of the pixels that stayed.
+    prior, pull : (q,) information of the priors, and its gradient.
     """
 
-    blocks: Blocks
-    rows: Float[np.ndarray, "6 n"]
-    levels: Float[np.ndarray, "6 b"]
-
-
-class PixelRows(NamedTuple):
-    """Pixels as rows of the linearised model at the end of a fit.
-
-    Fields
-    ------
-    circle : (n,) of pixels near circles only, -1 for those near a line.
-    ray : of each pixel.
-    by_homography : (3, n) derivatives by the third column of the homography to the sheet, which a
-        shift of the picture changes.
-    by_look : (q, n) by the appearance.
-    residual, weight : (n,) predicted minus observed, and what each counts.
-    prior, pull : (q,) information of the appearance's prior and its gradient.
-    local : light of blocks, or None.
-    """
-
-    circle: Int[np.ndarray, "n"]
-    ray: Ray
-    by_homography: Float[np.ndarray, "3 n"]
-    by_look: Float[np.ndarray, "q n"]
-    residual: Float[np.ndarray, "n"]
-    weight: Float[np.ndarray, "n"]
+    rows: Float[np.ndarray, "n q"] | scipy.sparse.csr_matrix
     prior: Float[np.ndarray, "q"]
     pull: Float[np.ndarray, "q"]
-    local: LocalLight | None = None
 
 
 def patch_points(
     lens: AbstractLens,
     pattern: Pattern | SquareSheet,
-    homography: Float[np.ndarray, "3 3"],
-    pixels: PixelRows,
+    scene: Scene,
+    point: Point,
+    inflation: float,
 ) -> SheetPoints:
     """The patches that a picture shows; none where the fit has left all that is finite.
 
-    homography : from directions in the camera to the sheet, at which the rows are.
+    inflation : of variances over those of independent noise as large as was assumed.
     """
-    direction = np.asarray(pixels.ray.direction, dtype=np.float64).T
-    on_sheet = homography @ direction
+    kept = np.flatnonzero(point.kept)
+    groups = [
+        jax.tree.map(lambda leaf, count=count: np.asarray(leaf)[:count], group.pixels.ray)
+        for group, count in zip(scene.groups, scene.counts, strict=True)
+    ]
+    ray = jax.tree.map(lambda *parts: np.concatenate(parts)[kept].astype(float), *groups)
+    homography = np.asarray(homography_of_pose(point.state.pose))
+    on_sheet = homography @ ray.direction.T
     place = (on_sheet[:2] / on_sheet[2]).T
+    near_circles, near_lines = point.equations.pixels
+    all_rows = scene.joined((near_circles.rows, near_lines.rows))[:, kept]
     # A picture that is shifted by d shows at x what it showed at x - d. The third column of the
     # homography acts by the third coordinate of the ray.
-    by_direction = -homography.T @ (pixels.by_homography / direction[2])
-    by_px = np.einsum("jn,njk->kn", by_direction, np.asarray(pixels.ray.by_pixel))
-    numbers = place, by_px, pixels.weight, pixels.by_look
-    if not all(np.isfinite(part).all() for part in numbers):
+    by_direction = -homography.T @ (all_rows[2:9:3] / ray.direction[:, 2])
+    by_px = np.einsum("jn,njk->kn", by_direction, ray.by_pixel)
+    residual, sigma = (part[kept] for part in point.residual(scene))
+    # Neighbours share noise, and it is not all that the levels say: as the pose knows of it.
+    weight = sigma**-2 / inflation
+    if not all(np.isfinite(part).all() for part in (place, weight, all_rows)):
         return _NOTHING
-    label = pixels.circle
+    near_line = np.arange(len(scene.grey)) >= scene.counts[0]
+    label = np.where(near_line, -1, scene.chosen.circle)[kept]
     if isinstance(pattern, Pattern):
         piece = len(pattern) + _piece_of_line(place, pattern)
         label = np.where(label >= 0, label, piece)
-    known = (by_px**2).sum(axis=0) * pixels.weight
+    known = (by_px**2).sum(axis=0) * weight
     label, known = _numbered(label, known)
     total = np.bincount(label, known)
     middle = np.stack([np.bincount(label, known * axis) / total for axis in place.T], axis=1)
     try:
-        shift, whitening = _displacements(pixels, by_px, label, len(total))
+        shared = _shared_unknowns(scene, point, kept, all_rows[9:])
+        shift, whitening = _displacements(by_px, label, len(total), residual, weight, shared)
     except np.linalg.LinAlgError:
         return _NOTHING
     shown = np.asarray(_images(lens, np.linalg.inv(homography), middle))
     return SheetPoints(middle, shown + shift, whitening)
-
-
-homography_of_pose = jax.jit(sheet_from_camera)
 
 
 @jax.jit
@@ -143,36 +128,47 @@ def _numbered(
     return number[label], np.where(np.isin(label, useful), known, 0.0)
 
 
+def _shared_unknowns(
+    scene: Scene, point: Point, kept: Int[np.ndarray, "n"], by_values: Float[np.ndarray, "k n"]
+) -> list[_Shared]:
+    state, free = point.state, point.free[scene.model.size :]
+    middle, weight = state.unknowns.prior(local=scene.local)
+    pull = weight * (state.values - middle)
+    shared = [_Shared(by_values[free].astype(float).T, weight[free], pull[free])]
+    if scene.local and scene.blocks is not None:
+        blocks, (near_circles, near_lines) = scene.blocks.part(kept), point.equations.pixels
+        by_local = scene.joined((near_circles.by_local, near_lines.by_local))[:, kept]
+        rows = local_rows(by_local, blocks.basis)
+        column = LOCAL_TERMS * blocks.of_pixel + np.arange(LOCAL_TERMS)[:, None]
+        row = np.tile(np.arange(len(kept)), LOCAL_TERMS)
+        size = (len(kept), LOCAL_TERMS * blocks.count)
+        sparse = scipy.sparse.csr_matrix((rows.ravel(), (row, column.ravel())), size)
+        known = np.tile(LOCAL_WIDTH**-2, blocks.count)
+        shared.append(_Shared(sparse, known, known * state.levels.T.ravel()))
+    return shared
+
+
 def _displacements(
-    pixels: PixelRows,
     by_px: Float[np.ndarray, "2 n"],
     patch: Int[np.ndarray, "n"],
     count: int,
+    residual: Float[np.ndarray, "n"],
+    weight: Float[np.ndarray, "n"],
+    shared: list[_Shared],
 ) -> tuple[Float[np.ndarray, "m 2"], Float[np.ndarray, "q q"]]:
-    """Shift of each patch in px, and R of all their errors, the appearance being eliminated."""
+    """Shift of each patch in px, and R of all their errors, what they share being eliminated."""
     number = np.arange(len(patch))
-    weight, residual = pixels.weight, pixels.residual.astype(np.float64)
     shifts = scipy.sparse.csr_matrix(
         (by_px.ravel(), (np.tile(number, 2), np.concatenate([2 * patch, 2 * patch + 1]))),
         (len(patch), 2 * count),
     )
     weighted = shifts.multiply(weight[:, None]).tocsr()
-    look = pixels.by_look.astype(np.float64).T
-    across, inner = weighted.T @ look, (look.T * weight) @ look + np.diag(pixels.prior)
-    pull = look.T @ (weight * residual) + pixels.pull
-    if pixels.local is not None:
-        blocks, rows, levels = pixels.local
-        place = 6 * blocks.of_pixel + np.arange(6)[:, None]
-        local = scipy.sparse.csr_matrix(
-            (rows.ravel(), (np.tile(number, 6), place.ravel())), (len(patch), 6 * blocks.count)
-        )
-        own = (local.multiply(weight[:, None]).T @ local).toarray()
-        own += np.diag(np.tile(WIDTH**-2, blocks.count))
-        between = local.multiply(weight[:, None]).T @ look
-        inner = np.block([[inner, between.T], [between, own]])
-        across = np.concatenate([across, (weighted.T @ local).toarray()], axis=1)
-        levels_pull = local.T @ (weight * residual) + (levels.T / WIDTH**2).ravel()
-        pull = np.concatenate([pull, levels_pull])
+    across = np.concatenate([_dense(weighted.T @ part.rows) for part in shared], axis=1)
+    inner = np.block(
+        [[_dense(_weighed(one, weight).T @ other.rows) for other in shared] for one in shared]
+    )
+    inner += np.diag(np.concatenate([part.prior for part in shared]))
+    pull = np.concatenate([part.rows.T @ (weight * residual) + part.pull for part in shared])
     scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))
     eliminated = (across / scale) @ np.linalg.pinv(inner / np.outer(scale, scale), hermitian=True)
     alone = (weighted.T @ shifts).toarray()
@@ -184,6 +180,19 @@ def _displacements(
     whitening = np.zeros((2 * count, 2 * count))
     whitening[: known.shape[1]] = factor.T @ known.T
     return -(known @ step).reshape(count, 2), whitening
+
+
+def _weighed(
+    shared: _Shared, weight: Float[np.ndarray, "n"]
+) -> Float[np.ndarray, "n q"] | scipy.sparse.csr_matrix:
+    rows = shared.rows
+    if isinstance(rows, np.ndarray):
+        return rows * weight[:, None]
+    return rows.multiply(weight[:, None]).tocsr()
+
+
+def _dense(matrix: np.ndarray | scipy.sparse.csr_matrix) -> np.ndarray:
+    return matrix if isinstance(matrix, np.ndarray) else matrix.toarray()
 
 
 def _known_directions(alone: Float[np.ndarray, "k k"], count: int) -> Float[np.ndarray, "k q"]:

@@ -7,14 +7,16 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.calib.photometric.appearance import Pixels
-from trinoc.calib.photometric.gauss_newton import Group
-from trinoc.calib.photometric.ink_coverage import Circle
-from trinoc.calib.photometric.line_pixels import line_view
-from trinoc.calib.photometric.normal_equations import CHUNK
-from trinoc.calib.photometric.outlines import circle_points_mm, line_outlines_mm, project_to_image
-from trinoc.calib.photometric.rays import rays_of_pixels
-from trinoc.calib.photometric.square_coverage import Squares
+from trinoc.calib.photometric.equations import CHUNK, Group
+from trinoc.calib.photometric.grey_level import Pixels
+from trinoc.calib.photometric.ink import Circle, Squares
+from trinoc.calib.photometric.sheet_places import (
+    circle_points_mm,
+    line_outlines_mm,
+    places_of_pixels,
+    project_to_image,
+)
+from trinoc.calib.photometric.sheet_point import rays_of_pixels
 from trinoc.calib.photometric.square_pixels import square_pixels
 from trinoc.calib.targets import Pattern, SquareSheet
 from trinoc.geometry import AbstractLens, Pose
@@ -108,7 +110,7 @@ def select_pixels(
     row, column = row[alone], column[alone]
     circle, in_band = label[row, column].astype(np.int64) - 1, lines[row, column] > 0
     row, column = row + corner[1], column + corner[0]
-    seen = line_view(column[in_band], row[in_band], pose, lens, pattern, reach_px)
+    seen = _line_view(column[in_band], row[in_band], pose, lens, pattern, reach_px)
     near_line = in_band.copy()
     near_line[in_band] = seen.sees_line
     rest = (circle >= 0) & ~near_line
@@ -118,6 +120,57 @@ def select_pixels(
         (int(corner[1]), int(corner[0])),
         blank,
     )
+
+
+class _LineView(NamedTuple):
+    """What pixels of the lines' band are near to.
+
+    Fields
+    ------
+    sees_line : (n,) whether an edge of a line is within reach; deep inside a circle or its gap
+        there is none.
+    circle : (n,) index of the circle whose edge, or whose gap in the line, is within reach;
+        -1 where there is none.
+    """
+
+    sees_line: Bool[np.ndarray, "n"]
+    circle: Int[np.ndarray, "n"]
+
+
+def _line_view(
+    column: Int[np.ndarray, "n"],
+    row: Int[np.ndarray, "n"],
+    pose: Pose,
+    lens: AbstractLens,
+    pattern: Pattern,
+    reach_px: float,
+) -> _LineView:
+    """Tell the pixels of the lines' band apart by the circles that the lines meet."""
+    sees_line, circle = np.ones(len(row), dtype=bool), np.full(len(row), -1)
+    if not len(row):
+        return _LineView(sees_line, circle)
+    point_mm, stretch = places_of_pixels(column, row, pose, lens)
+    reach_mm = reach_px * stretch
+    gap_radius_mm = pattern.radius_mm + pattern.line_gap_mm
+    from_axis_mm = np.abs(pattern.centres_mm).min(axis=1)
+    met = np.flatnonzero(
+        from_axis_mm < gap_radius_mm + pattern.line_width_mm + 2 * float(reach_mm.max())
+    )
+    if not len(met):
+        return _LineView(sees_line, circle)
+    centres_mm = pattern.centres_mm[met]
+    squared = (point_mm[:, :1] - centres_mm[:, 0]) ** 2
+    squared += (point_mm[:, 1:] - centres_mm[:, 1]) ** 2
+    nearest = met[squared.argmin(axis=1)]
+    from_centre_mm = np.sqrt(squared.min(axis=1))
+    radius_mm, hole_mm = pattern.radius_mm[nearest], pattern.inner_radius_mm[nearest]
+    within = from_centre_mm < radius_mm + pattern.line_gap_mm + reach_mm
+    if pattern.line_style == "stop":
+        sees_line = from_centre_mm > radius_mm + pattern.line_gap_mm - reach_mm
+    elif pattern.line_style == "through":
+        sees_line = from_centre_mm > radius_mm - reach_mm
+        sees_line |= (hole_mm > 0) & (from_centre_mm < hole_mm + reach_mm)
+    return _LineView(sees_line, np.where(within, nearest, -1))
 
 
 def _spread(chosen: SelectedPixels) -> SelectedPixels:
@@ -199,6 +252,7 @@ def group_of(
         place=(uv_px - 0.5 * np.array([width - 1, height - 1])) / (0.5 * width),
         grey=image[row, column],
         weight=np.ones(len(row)),
+        sigma=np.ones(len(row)),
         unit=np.ones(len(row)),
         figure=_circles(pattern, circle) if squares is None else squares,
     )

@@ -7,9 +7,8 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.calib.photometric.line_pixels import places_and_slopes
-from trinoc.calib.photometric.outlines import project_to_image
-from trinoc.calib.photometric.square_coverage import Squares
+from trinoc.calib.photometric.ink import Squares
+from trinoc.calib.photometric.sheet_places import places_and_slopes, project_to_image
 from trinoc.calib.targets import SquareSheet
 from trinoc.geometry import AbstractLens, Pose
 from trinoc.numerics import point_tree

@@ -1,121 +1,116 @@
-"""The unknowns of a picture as a camera delivers it: their order, bounds and weak priors.
+"""The unknowns of one picture: names, bounds and weak priors; which of them an ideal camera has.
 
-(pose, look, light, veil): light and veil are polynomials over the picture. Those that tell a
-camera from an ideal one have priors, so that what a picture does not show stays near nothing;
-their widths are several times what cameras do.
+(pose, look, light, veil, levels): light and veil are polynomials over the picture, levels the
+light about each block of the sheet. The unknowns that tell a delivered picture from an ideal
+camera's have priors, so that what a picture does not show stays near nothing; their widths are
+several times what cameras do.
 """
 
 from typing import NamedTuple
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
-from trinoc.calib.photometric.camera_look import LOOK_TERMS, CameraLook
-from trinoc.calib.photometric.kernels import Kernel
-from trinoc.geometry import Pose
+from trinoc.geometry import Pose, PoseModel
 from trinoc.image import PowerResponse
+from trinoc.numerics import ArrayLike, ScalarLike
 
-LIGHT_DEGREE, VEIL_DEGREE, SIMPLE_DEGREE = 4, 2, 2
+# Terms of polynomials of degree 4 and 2.
+LIGHT_TERMS, QUADRATIC_TERMS = 15, 6
+# Numbers of each block of the sheet: light and veil with their slopes, (1, x, y) each.
+LOCAL_TERMS = 6
+# Weak priors on them, of shares of the light and of grey levels.
+LOCAL_WIDTH = np.array([0.5, 0.1, 0.1, 40.0, 20.0, 20.0])
+# Light that is left in the darkest shade: only this keeps the model from failing.
+_LEAST_LIGHT = 0.05
 # Grey levels that a term of a polynomial reaches at the picture's edge.
 _POLYNOMIAL_WIDTH = 40.0
-LOOK_NAMES = (*Kernel._fields, *CameraLook._fields[1:])
 # Per unknown of the look: bounds, the middle of its prior and its width (infinite: none).
 _LOOK = {
-    "sigma_px": (0.25, 8.0, 0.0, np.inf),
+    # Blur of lens, motion and pixel: rms width along one axis, the mean over all directions, and
+    # cumulants over powers of it, 0 for a Gaussian.
+    "sigma_px": (0.1, 8.0, 0.0, np.inf),
     "kurtosis": (-1.5, 3.0, 0.0, 0.5),
     "sixth": (-6.0, 15.0, 0.0, 2.0),
+    # (variance along u - along v) / 2, covariance of u and v, and the variance across edges along
+    # the picture's axes less that across diagonal ones, halved, px^2.
     "along_u": (-20.0, 20.0, 0.0, 2.0),
     "diagonal": (-20.0, 20.0, 0.0, 2.0),
     "along_axes": (-2.0, 2.0, 0.0, 0.3),
+    # 1 where the anisotropy is that of a straight motion, 0 where it is a Gaussian's.
     "line": (-0.5, 1.6, 0.0, 0.7),
+    # Sharpening: weight of a Gaussian that is taken away, by how much it is wider than the blur,
+    # and how much further its ink reaches.
     "lobe": (-0.9, 4.0, 0.0, 1.0),
     "lobe_px": (0.4, 3.0, 1.0, 0.5),
     "lobe_mm": (-0.5, 0.5, 0.0, 0.15),
+    # By which ink reaches beyond the drawing.
     "spread_mm": (-2.0, 2.0, 0.0, np.inf),
+    # Grey level of ink over that of paper less one, in the middle of the picture.
     "ratio": (-0.999, -0.02, 0.0, np.inf),
+    # Response: its bend (0 linear, 1 sRGB), and further terms between ink and paper, c (1 - c) and
+    # c (1 - c) (1 - 2 c) of the share c of ink.
     **PowerResponse.PARAMETERS,
     "lift": (-1.0, 1.0, 0.0, 0.15),
     "contrast": (-1.0, 1.0, 0.0, 0.3),
 }
 
 
-def powers(degree: int) -> Int[np.ndarray, "k 2"]:
-    """Exponents of x and y of a polynomial's terms, lower degrees first."""
-    return np.array([(d - j, j) for d in range(degree + 1) for j in range(d + 1)])
-
-
-LIGHT_TERMS, VEIL_TERMS = len(powers(LIGHT_DEGREE)), len(powers(VEIL_DEGREE))
-LOWER, UPPER, MIDDLE, WIDTH = np.array([_LOOK[name] for name in LOOK_NAMES]).T
-START = np.array([_LOOK[name][2] for name in LOOK_NAMES])
-
-
-class CameraState(NamedTuple):
-    """A value of every unknown.
+class Unknowns(NamedTuple):
+    """Which unknowns beside the pose a compiled program has; the others are an ideal camera's.
 
     Fields
     ------
-    pose : of the camera.
-    look : (15,) `CameraLook` as a vector.
-    light : (15,) polynomial of the paper's grey level.
-    veil : (6,) polynomial of the light that is added to paper and ink alike.
-    levels : (6, blocks) of light and of veil about each block of the sheet, (1, x, y) each, as
-        shares of the light and as grey levels; no blocks where light is a polynomial alone.
+    look : names, of blur, ink and response.
+    light_terms, veil_terms : lowest terms of the two polynomials.
     """
 
-    pose: Pose
-    look: Float[np.ndarray, "15"]
-    light: Float[np.ndarray, "15"]
-    veil: Float[np.ndarray, "6"]
-    levels: Float[np.ndarray, "6 blocks"]
-
-    @property
-    def flat(self) -> Float[np.ndarray, "k"]:
-        """Look, light and veil as one vector."""
-        return np.concatenate([self.look, self.light, self.veil])
-
-    def look_of(self, name: str) -> float:
-        """One number of the look."""
-        return float(self.look[LOOK_NAMES.index(name)])
-
-    def moved(self, pose: Pose, by: Float[np.ndarray, "k"], levels: np.ndarray) -> "CameraState":
-        """With another pose and levels, the rest moved and kept within its bounds."""
-        look, light, veil = np.split(self.flat + by, [LOOK_TERMS, LOOK_TERMS + LIGHT_TERMS])
-        return CameraState(pose, np.clip(look, LOWER, UPPER), light, veil, levels)
-
-
-class Layout(NamedTuple):
-    """Places of the unknowns in (pose, look, light, veil), for a pose of given size."""
-
-    pose_size: int
+    look: tuple[str, ...]
+    light_terms: int
+    veil_terms: int
 
     @property
     def size(self) -> int:
-        """Number of unknowns."""
-        return self.pose_size + LOOK_TERMS + LIGHT_TERMS + VEIL_TERMS
+        """Number of unknowns beside the pose."""
+        return len(self.look) + self.light_terms + self.veil_terms
 
     @property
-    def ends(self) -> list[int]:
-        """Where pose, look and light end."""
-        look = self.pose_size + LOOK_TERMS
-        return [self.pose_size, look, look + LIGHT_TERMS]
+    def is_ideal(self) -> bool:
+        """Whether the camera is linear, its blur a Gaussian and its light a quadratic."""
+        return self == IDEAL
 
-    def look(self, *names: str) -> list[int]:
-        """Of the look, by name."""
-        return [self.pose_size + LOOK_NAMES.index(name) for name in names]
-
-    @property
-    def simple(self) -> list[int]:
-        """Those that an ideal camera has too."""
-        count = len(powers(SIMPLE_DEGREE))
-        light = range(self.pose_size + LOOK_TERMS, self.pose_size + LOOK_TERMS + count)
-        return [*range(self.pose_size), *self.look("sigma_px", "spread_mm", "ratio"), *light]
+    def places(self, *names: str) -> list[int]:
+        """Places of unknowns of the look."""
+        return [self.look.index(name) for name in names]
 
     @property
-    def uneven_light(self) -> list[int]:
-        """Light beyond a quadratic, and a veil whose constant part light and ratio hold."""
-        first = self.pose_size + LOOK_TERMS
-        higher = range(first + len(powers(SIMPLE_DEGREE)), first + LIGHT_TERMS)
-        return [*higher, *range(first + LIGHT_TERMS + 1, self.size)]
+    def light(self) -> range:
+        """Places of the light's terms."""
+        return range(len(self.look), len(self.look) + self.light_terms)
+
+    @property
+    def veil(self) -> range:
+        """Places of the veil's terms."""
+        return range(len(self.look) + self.light_terms, self.size)
+
+    @property
+    def of_ideal_camera(self) -> list[int]:
+        """Places of what an ideal camera has too."""
+        return [*self.places(*IDEAL.look), *self.light[:QUADRATIC_TERMS]]
+
+    @property
+    def of_uneven_light(self) -> list[int]:
+        """Places of light beyond a quadratic, and of a veil; its constant light and ratio hold."""
+        return [*self.light[QUADRATIC_TERMS:], *self.veil[1:]]
+
+    def bounds(self) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k"]]:
+        """The least and the largest value of each."""
+        least, most = np.full((2, self.size), [[-np.inf], [np.inf]])
+        for place, name in enumerate(self.look):
+            least[place], most[place] = _LOOK[name][:2]
+        return least, most
 
     def prior(self, *, local: bool) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k"]]:
         """Middle and weight (1 / variance) of every unknown's prior.
@@ -123,8 +118,91 @@ class Layout(NamedTuple):
         local : where blocks have light of their own, polynomials have a prior too, because
             little else tells the two apart.
         """
-        rest = np.zeros(LIGHT_TERMS + VEIL_TERMS)
+        middle, weight = np.zeros((2, self.size))
+        for place, name in enumerate(self.look):
+            middle[place], weight[place] = _LOOK[name][2], _LOOK[name][3] ** -2.0
         if local:
-            rest[1:] = _POLYNOMIAL_WIDTH**-2.0
-        pose, none = np.zeros(self.pose_size), np.zeros(len(rest))
-        return np.r_[pose, MIDDLE, none], np.r_[pose, WIDTH**-2.0, rest]
+            weight[self.light[1:]] = weight[self.veil] = _POLYNOMIAL_WIDTH**-2.0
+        return middle, weight
+
+
+IDEAL = Unknowns(("sigma_px", "spread_mm", "ratio"), QUADRATIC_TERMS, 0)
+DELIVERED = Unknowns(tuple(_LOOK), LIGHT_TERMS, QUADRATIC_TERMS)
+
+
+class PictureState(eqx.Module):
+    """A value of every unknown of one picture.
+
+    Fields
+    ------
+    pose : of the camera.
+    values : look, light and veil.
+    levels : (6, blocks) of light and of veil about each block of the sheet, (1, x, y) each, as
+        shares of the light and as grey levels; no blocks where light is a polynomial alone.
+    unknowns : which there are.
+    """
+
+    pose: Pose
+    values: Float[ArrayLike, "k"]
+    levels: Float[ArrayLike, "6 blocks"]
+    unknowns: Unknowns = eqx.field(static=True)
+
+    def __getitem__(self, name: str) -> Float[ArrayLike, ""]:
+        """One number of the look; of an ideal camera where it is no unknown."""
+        if name not in self.unknowns.look:
+            return np.asarray(_LOOK[name][2], self.values.dtype)
+        return self.values[self.unknowns.look.index(name)]
+
+    @property
+    def light(self) -> Float[ArrayLike, "m"]:
+        """Coefficients of the paper's grey level."""
+        return self.values[np.array(self.unknowns.light)]
+
+    @property
+    def veil(self) -> Float[ArrayLike, "m"]:
+        """Coefficients of the light that is added to paper and ink alike."""
+        return self.values[np.array(self.unknowns.veil, dtype=int)]
+
+    @property
+    def contrast(self) -> float:
+        """Grey levels between paper and ink, in the middle of the picture."""
+        return float(-self["ratio"] * self.light[0])
+
+    def moved(
+        self,
+        step: Float[ArrayLike, "k"],
+        levels: Float[ArrayLike, "6 blocks"],
+        model: PoseModel,
+    ) -> "PictureState":
+        """After a step of (pose, values), with other levels; all kept within bounds."""
+        pose = self.pose.retract(step[: model.size], model, step_unit_mm(self.pose, model))
+        least, most = self.unknowns.bounds()
+        values = jnp.clip(self.values + step[model.size :], least, most)
+        if levels.size:
+            levels = levels.at[0].set(jnp.maximum(levels[0], _LEAST_LIGHT - 1))
+        return PictureState(pose, values, levels, self.unknowns)
+
+
+def ideal_state(
+    pose: Pose, sigma_px: float, ratio: float, light: Float[np.ndarray, "_n"]
+) -> PictureState:
+    """Of an ideal camera whose ink does not spread."""
+    values = np.zeros(IDEAL.size)
+    values[IDEAL.places("sigma_px", "ratio")] = sigma_px, ratio
+    values[IDEAL.light[0] : IDEAL.light[0] + len(light)] = light
+    return PictureState(pose, values, np.zeros((LOCAL_TERMS, 0)), IDEAL)
+
+
+def delivered_state(ideal: PictureState) -> PictureState:
+    """The same picture, with the unknowns that an ideal camera does not have at their priors."""
+    values = DELIVERED.prior(local=False)[0].copy()
+    values[DELIVERED.of_ideal_camera] = ideal.values
+    return PictureState(ideal.pose, values, ideal.levels, DELIVERED)
+
+
+def step_unit_mm(pose: Pose, model: PoseModel) -> ScalarLike:
+    """The unit of lengths in steps of a pose: its distance along the axis, or from the sheet's
+    middle where the axis need not meet the sheet."""
+    if model is PoseModel.RIGID:
+        return jnp.sqrt(pose.translation_mm @ pose.translation_mm)
+    return pose.distance_mm

@@ -13,11 +13,10 @@ from jaxtyping import Float
 
 from trinoc.calib.model import SheetPoints
 from trinoc.calib.photometric.encoding import AS_DELIVERED, Encoding
-from trinoc.calib.photometric.gauss_newton import step_unit_mm
-from trinoc.calib.photometric.image_fit import refine_image
-from trinoc.calib.photometric.image_problem import ShiftOfPlaces
-from trinoc.calib.photometric.image_refinement import ImageRefinement
-from trinoc.calib.photometric.outlines import project_to_image
+from trinoc.calib.photometric.image_fit import ImageRefinement, refine_image
+from trinoc.calib.photometric.scene import ShiftOfPlaces
+from trinoc.calib.photometric.sheet_places import project_to_image
+from trinoc.calib.photometric.unknowns import step_unit_mm
 from trinoc.calib.result import ImageQuality
 from trinoc.calib.result.degrees import DEGREES
 from trinoc.calib.targets import Pattern, SquareSheet
@@ -113,28 +112,28 @@ def _refine(
         return silent("the fit of the picture itself did not converge.")
     before, after = (
         np.asarray(project_to_image(pose, lens, pattern.centres_mm))
-        for pose in (start, refined.pose)
+        for pose in (start, refined.state.pose)
     )
     moved = float(np.abs(after - before).max())
     if not moved < _LARGEST_MOVE_PX:
         return silent(f"the picture itself disagrees with its circles by {moved:.2f} px.")
-    return PictureFit(refined.pose, refined.points, _quality(refined, model), None)
+    return PictureFit(refined.state.pose, refined.points, _quality(refined, model), None)
 
 
 def _quality(refined: ImageRefinement, model: PoseModel) -> ImageQuality:
-    look = refined.appearance
-    distance = float(np.asarray(step_unit_mm(refined.pose, model)))
-    by_delta = DEGREES[: model.size, None] * np.asarray(_by_delta(refined.pose, model=model))
+    look = refined.state
+    distance = float(np.asarray(step_unit_mm(refined.state.pose, model)))
+    by_delta = DEGREES[: model.size, None] * np.asarray(_by_delta(refined.state.pose, model=model))
     largest = LARGEST_SIGMA * DEGREES * np.array([1, 1, 1, *np.full(3, distance)])
-    seen = observability(refined.information / refined.noise**2, by_delta, largest[: model.size])
+    seen = observability(refined.information, by_delta, largest[: model.size])
     return ImageQuality(
         noise=refined.noise,
         noise_floor=refined.noise_floor,
         pixels=refined.pixels,
         pixels_cut=refined.pixels_cut,
-        blur_px=float(np.sqrt(max(float(look.sigma_px) ** 2 - _BOX_VARIANCE, 0.0))),
-        ink_spread_mm=float(look.spread_mm),
-        ink_over_paper=float(1 + look.ratio),
+        blur_px=float(np.sqrt(max(float(look["sigma_px"]) ** 2 - _BOX_VARIANCE, 0.0))),
+        ink_spread_mm=float(look["spread_mm"]),
+        ink_over_paper=float(1 + look["ratio"]),
         found=refined.found,
         bound=seen.covariance * (refined.noise_floor / refined.noise) ** 2,
     )

@@ -15,21 +15,22 @@ from jaxtyping import Float
 from trinoc.calib.photometric.edges import (
     Coverage,
     Edge,
+    Kernel,
     circular_edge,
     common,
     coverage,
     opposite,
     straight_edge,
 )
-from trinoc.calib.photometric.kernels import Kernel, kernel_coverage
 from trinoc.calib.photometric.sheet_point import Ray, SheetPoint
-from trinoc.calib.photometric.square_coverage import Squares, ink_of_squares
 from trinoc.numerics import ArrayLike
 
 Scalar = Float[ArrayLike, ""]
-# (displacement on the sheet X, Y in mm, ink spread in mm, sigma in px or kernel) -> share of ink.
-InkShare = Callable[[Scalar, Scalar, Scalar, Scalar | Kernel], Scalar]
+# (displacement on the sheet X, Y in mm, ink spread in mm, kernel) -> share of ink.
+InkShare = Callable[[Scalar, Scalar, Scalar, Kernel], Scalar]
 Band = tuple[Coverage, Coverage]
+# What lies before a line of an edge whose ink has spread one way, and the other.
+_SpreadSides = tuple[Coverage, Coverage]
 # The line style of boards of squares, which have no lines.
 SQUARES = "squares"
 
@@ -71,6 +72,20 @@ class Cross(NamedTuple):
     gap_mm: Scalar
 
 
+class Squares(NamedTuple):
+    """The ink about a pixel.
+
+    Fields
+    ------
+    x_mm, y_mm : (2,) rising, of the lines; one that carries no edge lies anywhere.
+    ink : (9,) 1 for each inked cell between them, the lowest row first.
+    """
+
+    x_mm: Float[ArrayLike, "2"]
+    y_mm: Float[ArrayLike, "2"]
+    ink: Float[ArrayLike, "9"]
+
+
 class View(NamedTuple):
     """A pixel on the sheet, from which edges can be looked at."""
 
@@ -101,11 +116,11 @@ def ink_of_circle(view: View, circle: Circle, drawing: Drawing) -> InkShare:
     outer = view.circle(circle, circle.radius_mm)
     hole, has_hole = _hole(view, circle, drawing)
 
-    def share(dx: Scalar, dy: Scalar, spread: Scalar, blur: Scalar | Kernel) -> Scalar:
-        ink = circle.present * _coverage(outer, _shift(outer, dx, dy) - spread, blur).share
+    def share(dx: Scalar, dy: Scalar, spread: Scalar, kernel: Kernel) -> Scalar:
+        ink = circle.present * coverage(outer, _shift(outer, dx, dy) - spread, kernel).share
         if hole is None:
             return ink
-        return ink - has_hole * _coverage(hole, _shift(hole, dx, dy) + spread, blur).share
+        return ink - has_hole * coverage(hole, _shift(hole, dx, dy) + spread, kernel).share
 
     return share
 
@@ -126,9 +141,9 @@ def ink_of_sheet(view: View, circle: Circle, cross: Cross, drawing: Drawing) -> 
     end_x = straight_edge(point, side_x, zero, cross.half_length_mm[0])
     end_y = straight_edge(point, zero, side_y, cross.half_length_mm[1])
 
-    def share(dx: Scalar, dy: Scalar, spread: Scalar, blur: Scalar | Kernel) -> Scalar:
+    def share(dx: Scalar, dy: Scalar, spread: Scalar, kernel: Kernel) -> Scalar:
         def covered(edge: Edge, grown: Scalar) -> Coverage:
-            return _coverage(edge, _shift(edge, dx, dy) - grown, blur)
+            return coverage(edge, _shift(edge, dx, dy) - grown, kernel)
 
         def band(sides: tuple[Edge, Edge], grown: Scalar) -> Band:
             return covered(sides[0], grown), covered(sides[1], grown)
@@ -139,7 +154,7 @@ def ink_of_sheet(view: View, circle: Circle, cross: Cross, drawing: Drawing) -> 
 
         band_x, band_y = band(sides_x, spread), band(sides_y, spread)
         lines = _within(band_x, covered(end_x, spread)) + _within(band_y, covered(end_y, spread))
-        circles, lines = rings(dx, dy, spread, blur), lines - _crossing(band_x, band_y)
+        circles, lines = rings(dx, dy, spread, kernel), lines - _crossing(band_x, band_y)
         if drawing.line_style == "stop":
             return circles + lines - lines_within(covered(gap, -spread), band_x, band_y)
         disc = covered(outer, spread)
@@ -153,12 +168,6 @@ def ink_of_sheet(view: View, circle: Circle, cross: Cross, drawing: Drawing) -> 
         return circles + black + has_hole * lines_within(covered(hole, -spread), band_x, band_y)
 
     return share
-
-
-def _coverage(edge: Edge, shift_mm: Scalar, blur: Scalar | Kernel) -> Coverage:
-    if isinstance(blur, Kernel):
-        return kernel_coverage(edge, shift_mm, blur)
-    return coverage(edge, shift_mm, blur)
 
 
 def _shift(edge: Edge, dx: Scalar, dy: Scalar) -> Scalar:
@@ -194,3 +203,75 @@ def _hole(view: View, circle: Circle, drawing: Drawing) -> tuple[Edge | None, Sc
     radius = jnp.where(is_ring, circle.inner_radius_mm, circle.radius_mm)
     has_hole = jnp.where(is_ring, circle.present, jnp.zeros_like(circle.present))
     return view.circle(circle, radius), has_hole
+
+
+def ink_of_squares(
+    point: SheetPoint,
+    squares: Squares,
+    dx: Scalar,
+    dy: Scalar,
+    spread_mm: Scalar,
+    kernel: Kernel,
+) -> Scalar:
+    """The share of ink where the pixel's point is displaced by (dx, dy) and ink spreads."""
+    one, zero = jnp.ones_like(dx), jnp.zeros_like(dx)
+    left_of = [
+        _spread_both_ways(straight_edge(point, one, zero, squares.x_mm[k]), dx, spread_mm, kernel)
+        for k in range(2)
+    ]
+    below = [
+        _spread_both_ways(straight_edge(point, zero, one, squares.y_mm[k]), dy, spread_mm, kernel)
+        for k in range(2)
+    ]
+    ink = [[squares.ink[3 * row + column] for column in range(3)] for row in range(3)]
+    # Far up and far right there is the last cell; steps along the last row and the last column.
+    share = ink[2][2]
+    for k in range(2):
+        step_x, step_y = ink[2][k] - ink[2][k + 1], ink[k][2] - ink[k + 1][2]
+        share = share + step_x * _grown(left_of[k], step_x).share
+        share = share + step_y * _grown(below[k], step_y).share
+    for i in range(2):
+        for j in range(2):
+            fields = (ink[j][i], ink[j][i + 1], ink[j + 1][i], ink[j + 1][i + 1])
+            share = share + _crossing_of_squares(left_of[i], below[j], *fields)
+    return share
+
+
+def _spread_both_ways(
+    edge: Edge, shift_mm: Scalar, spread_mm: Scalar, kernel: Kernel
+) -> _SpreadSides:
+    """What lies before an edge, with ink spread to behind it and with ink spread to before it."""
+    return coverage(edge, shift_mm - spread_mm, kernel), coverage(
+        edge, shift_mm + spread_mm, kernel
+    )
+
+
+def _grown(sides: _SpreadSides, ink_before: Scalar) -> Coverage:
+    """What lies before an edge that has its ink before it (1) or behind it (-1)."""
+    return Coverage(
+        *(jnp.where(ink_before > 0, more, less) for more, less in zip(*sides, strict=True))
+    )
+
+
+def _crossing_of_squares(
+    left_of: _SpreadSides,
+    below: _SpreadSides,
+    lower_left: Scalar,
+    lower_right: Scalar,
+    upper_left: Scalar,
+    upper_right: Scalar,
+) -> Scalar:
+    """What a crossing of two lines adds to the steps above it and on its right.
+
+    The edges of the line along Y, below and above, make a quadrant each; where only one of them is
+    there, or both alike, the line along X has one way to spread.
+    """
+    lower, upper = lower_left - lower_right, upper_left - upper_right
+    before, after = lower_left - upper_left, lower_right - upper_right
+    is_checker = lower * upper < 0
+    aside = before + after
+    first = jnp.where(is_checker, jnp.ones_like(aside), aside)
+    second = jnp.where(is_checker, -jnp.ones_like(aside), aside)
+    under = common(_grown(left_of, lower), _grown(below, first))
+    over = common(_grown(left_of, upper), _grown(below, second))
+    return lower * under - upper * over

@@ -1,0 +1,85 @@
+"""Pictures of the reference sheet, and the model's answer for their pixels."""
+
+from functools import partial
+
+import jax
+import numpy as np
+
+from tests.calib.simulated import LENS, TABLE_1, camera_of
+from trinoc.calib import Pattern
+from trinoc.calib.photometric.equations import Group, Picture, PixelRows, pixel_rows
+from trinoc.calib.photometric.ink import SQUARES, Cross, Drawing
+from trinoc.calib.photometric.pixel_selection import group_of, select_pixels
+from trinoc.calib.photometric.sheet_places import sheet_from_camera
+from trinoc.calib.photometric.unknowns import PictureState, ideal_state
+from trinoc.calib.result.degrees import pose_of_values
+from trinoc.calib.targets import SquareSheet
+from trinoc.geometry import Pose
+from trinoc.synth import render_sheet
+
+RIGHT = (*TABLE_1["right"], 0.0, 0.0)
+CROSS = Cross(np.array(0.5), np.array([55.0, 55.0]), np.array(1.5))
+BLUR_PX, PAPER, INK = 0.7, 230.0, 25.0
+SIGMA_PX = float(np.hypot(BLUR_PX, np.sqrt(1 / 12)))
+
+
+def pose_of(values: tuple[float, ...]) -> Pose:
+    return pose_of_values(np.array(values))
+
+
+def state_at(values: tuple[float, ...]) -> PictureState:
+    """Of the camera that takes the pictures here."""
+    return ideal_state(pose_of(values), SIGMA_PX, INK / PAPER - 1, np.array([PAPER]))
+
+
+def with_look(state: PictureState, **look: float) -> PictureState:
+    values = np.array(state.values)
+    values[state.unknowns.places(*look)] = list(look.values())
+    return PictureState(state.pose, values, state.levels, state.unknowns)
+
+
+def image_of(pattern: Pattern, values: tuple[float, ...], supersampling: int = 16) -> np.ndarray:
+    """A noiseless picture by the renderer, which knows nothing of the model."""
+    return render_sheet(
+        pattern,
+        camera_of(values[:4], LENS, (values[4], values[5])),
+        blur_px=BLUR_PX,
+        supersampling=supersampling,
+        dtype="float64",
+    )
+
+
+def pixels_of(
+    picture: np.ndarray, pattern: Pattern | SquareSheet, *, near_line: bool = False
+) -> tuple[Group, int]:
+    """Pixels near edges of a sheet at RIGHT in double precision, and how many there are."""
+    choice = select_pixels(pose_of(RIGHT), LENS.lens, pattern, LENS.image_size_px, SIGMA_PX)
+    chosen = choice.near_lines if near_line else choice.near_circles
+    capacity = max(len(chosen.row), 1)
+    return group_of(chosen, picture, LENS.lens, pattern, capacity, np.float64), len(chosen.row)
+
+
+def picture_of(*groups: Group, state: PictureState, top: float = np.inf) -> Picture:
+    prior = state.unknowns.prior(local=False)
+    return Picture(*groups, CROSS, np.array(255.0), np.array(top), prior)
+
+
+@partial(jax.jit, static_argnames=("drawing", "near_line"))
+def rows_of(
+    state: PictureState,
+    group: Group,
+    homography: np.ndarray | None = None,
+    *,
+    drawing: Drawing,
+    near_line: bool = False,
+) -> PixelRows:
+    """Residuals and rows of a group; at another homography than the state's where it is given."""
+    homography = sheet_from_camera(state.pose) if homography is None else homography
+    picture = picture_of(group, group, state=state)
+    return pixel_rows(homography, state, group, picture, drawing, near_line)
+
+
+def drawing_of(pattern: Pattern | SquareSheet) -> Drawing:
+    if isinstance(pattern, SquareSheet):
+        return Drawing(SQUARES, False)
+    return Drawing(pattern.line_style, bool((pattern.inner_radius_mm > 0).any()))

@@ -1,0 +1,141 @@
+"""Laws of the fit: its equations against its cost, priors, noise that neighbours share."""
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+
+from tests.calib.photometric.pictures import RIGHT, image_of, state_at, with_look
+from tests.calib.simulated import LENS, reference_sheet
+from trinoc.calib.photometric import fit
+from trinoc.calib.photometric.covariance import pose_covariance
+from trinoc.calib.photometric.encoding import AS_DELIVERED
+from trinoc.calib.photometric.point import Point
+from trinoc.calib.photometric.scene import Scene, scene_of_picture
+from trinoc.calib.photometric.unknowns import PictureState
+from trinoc.geometry import PoseModel
+
+pytestmark = pytest.mark.usefixtures("large_programs")
+STATE = with_look(state_at(RIGHT), spread_mm=0.01)
+FREE = np.ones(4 + STATE.unknowns.size, dtype=bool)
+SIGMA = 2.0
+RATIO = STATE.unknowns.places("ratio")[0]
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    picture = image_of(reference_sheet(), RIGHT)
+    picture = picture + np.random.default_rng(0).normal(0.0, SIGMA, picture.shape)
+    pose, model = state_at(RIGHT).pose, PoseModel.AIMED
+    posed = scene_of_picture(picture, reference_sheet(), LENS.lens, pose, model, None, AS_DELIVERED)
+    assert posed is not None
+    return posed[0]
+
+
+def with_prior(scene: Scene, middle: float, width: float) -> Scene:
+    """With what is said of the ratio of ink to paper beforehand."""
+
+    class WithPrior(Scene):
+        def picture(self, unknowns, kept, sigma):
+            known = super().picture(unknowns, kept, sigma)
+            middles, weights = (np.array(part) for part in known.prior)
+            middles[RATIO], weights[RATIO] = middle, width**-2
+            return known._replace(prior=(middles, weights))
+
+    return WithPrior(*scene)
+
+
+def at(scene: Scene, state: PictureState, kept: bool = True) -> Point:
+    everything, sigma = np.full(len(scene.grey), kept), np.full(len(scene.grey), SIGMA)
+    schedule = fit._schedule(FREE, 0, np.inf)
+    return fit._fit(scene, state, FREE, everything, sigma, schedule)
+
+
+def cost(scene: Scene, point: Point, *, kept: bool = True) -> float:
+    """Chi-square by the predicted levels, and of the priors as the fit counts them."""
+    chi_square = np.sum(((point.level - scene.grey) / SIGMA) ** 2) if kept else 0.0
+    return float(chi_square + point.equations.prior_cost)
+
+
+def after(state: PictureState, step: np.ndarray) -> PictureState:
+    moved = state.moved(step, state.levels, PoseModel.AIMED)
+    return PictureState(moved.pose, np.asarray(moved.values), state.levels, state.unknowns)
+
+
+def test_the_gradient_is_half_the_cost_s_and_the_matrix_half_its_curvature(scene: Scene) -> None:
+    scene = with_prior(scene, STATE["ratio"] + 0.02, 1e-3)
+    here = at(scene, STATE)
+    spread = np.sqrt(np.diag(np.linalg.inv(here.equations.matrix)))
+    for k in range(len(FREE)):
+        step = np.zeros(len(FREE))
+        # So long that a percent of the row, which the model leaves out, hardly counts.
+        step[k] = 3 * spread[k]
+        up, down = (cost(scene, at(scene, after(STATE, sign * step))) for sign in (1, -1))
+        slope = (up - down) / (2 * step[k])
+        curvature = (up + down - 2 * cost(scene, here)) / step[k] ** 2
+        claimed = 2 * here.equations.gradient[k]
+        assert claimed == pytest.approx(slope, rel=0.03, abs=0.3 / spread[k]), k
+        assert 2 * here.equations.matrix[k, k] == pytest.approx(curvature, rel=0.06), k
+
+
+def test_priors_alone_are_a_quadratic(scene: Scene) -> None:
+    scene = with_prior(scene, -0.5, 0.1)
+    alone = at(scene, STATE, kept=False).equations
+    off = float(STATE["ratio"]) + 0.5
+    expected = np.zeros(len(FREE))
+    expected[4 + RATIO] = 1 / 0.1**2
+    np.testing.assert_allclose(np.diag(alone.matrix), expected)
+    np.testing.assert_allclose(alone.gradient, expected * off)
+    np.testing.assert_allclose(alone.prior_cost, (off / 0.1) ** 2)
+
+
+def test_steps_end_where_the_pixels_and_the_prior_balance(scene: Scene) -> None:
+    """A step that pixels alone would refuse is taken where the prior gains more."""
+    free = fit._take_steps(scene, at(scene, STATE), 8)
+    width = 0.2 / np.sqrt(free.equations.matrix[4 + RATIO, 4 + RATIO])
+    known = with_prior(scene, float(free.state["ratio"]) + 0.05, width)
+    pulled = fit._take_steps(known, at(known, free.state), 8, 1e-4)
+    assert cost(known, pulled) < cost(known, at(known, free.state)) - 100
+    # Pixels alone have become worse.
+    assert cost(scene, pulled._replace(equations=free.equations)) > cost(scene, free) + 100
+    spread = np.sqrt(np.diag(np.linalg.inv(pulled.equations.matrix)))
+    # Without the prior it would be fifty.
+    assert np.abs(pulled.equations.gradient * spread).max() < 0.3
+
+
+def test_covariance_is_that_of_draws_of_noise_that_neighbours_share(scene: Scene) -> None:
+    exact = at(scene, STATE)
+    random, kernel_px, shape = np.random.default_rng(1), 0.7, LENS.image_size_px[::-1]
+
+    def drawn() -> np.ndarray:
+        noise = gaussian_filter(random.normal(size=shape), kernel_px, mode="wrap")
+        scale = SIGMA * 2 * kernel_px * np.sqrt(np.pi)
+        return scale * noise[scene.chosen.places]
+
+    rows = np.asarray(exact.equations.by_motion).T @ stacked(scene, exact)[:9]
+    rows = np.concatenate([rows, stacked(scene, exact)[9:]]) / SIGMA
+    solve = np.linalg.solve(rows @ rows.T, rows)[:4] / SIGMA
+    errors = np.array([solve @ drawn() for _ in range(300)])
+    truth = errors.T @ errors / len(errors)
+    noisy = scene._replace(grey=exact.level - drawn())
+    claimed = pose_covariance(noisy, exact, correlated=True)
+    white = pose_covariance(noisy, exact, correlated=False)
+    ratio = np.diag(claimed.matrix) / np.diag(truth)
+    assert ratio == pytest.approx(np.ones(4), abs=0.35)
+    assert (np.diag(white.matrix) < 0.7 * np.diag(truth)).all()
+    assert claimed.inflation > 1.5
+
+
+def test_covariance_of_independent_noise_is_the_inverse_of_the_information(scene: Scene) -> None:
+    exact = at(scene, STATE)
+    noise = np.random.default_rng(2).normal(0.0, 2 * SIGMA, len(scene.grey))
+    noisy = scene._replace(grey=exact.level - noise)
+    whole = np.linalg.inv(exact.equations.matrix)[:4, :4]
+    for correlated in (False, True):
+        claimed = pose_covariance(noisy, exact, correlated=correlated)
+        assert claimed.chi_square == pytest.approx(4.0, rel=0.05)
+        assert np.diag(claimed.matrix) == pytest.approx(4 * np.diag(whole), rel=0.2)
+
+
+def stacked(scene: Scene, point: Point) -> np.ndarray:
+    near_circles, near_lines = point.equations.pixels
+    return scene.joined((near_circles.rows, near_lines.rows)).astype(float)

@@ -1,0 +1,206 @@
+"""Do a picture's residuals call for more than an ideal camera, and for which unknowns?
+
+Under a model, residuals have no mean anywhere: not by the share of ink (a response, another
+kernel), not by the direction of the edge (motion), not by the place on the sheet (uneven light).
+Nor do they have another variance by grey level, or neighbours in common. `refuted_part` looks at
+that without a Jacobian; `find_evidence` tests the score of each group of unknowns that is held.
+"""
+
+from typing import Literal, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from trinoc.calib.photometric.noise import autocorrelation, inflation, saturation_level
+from trinoc.calib.photometric.point import Point
+from trinoc.calib.photometric.scene import Scene
+from trinoc.calib.photometric.unknowns import DELIVERED
+
+_SHARE_BINS = 16
+# Squares of the picture, 6 a side.
+_PLACE_BINS = 6
+_PAPER, _INK = 0.1, 0.9
+_FEWEST_PIXELS = 20
+# Chi-square with n degrees of freedom passes n + 5 sqrt(2 n) + 12 by chance once in 10^7.
+_SIGMAS, _OFFSET = 5.0, 12.0
+_LARGEST_VARIANCE_RATIO = 1.4
+_LARGEST_CORRELATION = 0.05
+# Variance of the residuals over that of the flat parts.
+_LARGEST_CHI_SQUARE = 1.3
+
+# Unknowns that are freed together, by name; the first of the second pair must be free already.
+GROUPS = {
+    "bend": ("bend",),
+    "contrast": ("contrast",),
+    "lift": ("lift",),
+    "kurtosis": ("kurtosis",),
+    "sixth": ("sixth",),
+    "motion": ("along_u", "diagonal"),
+    "axes": ("along_axes",),
+    "line": ("line",),
+    "lobe": ("lobe",),
+    "lobe shape": ("lobe_px", "lobe_mm"),
+}
+_NEEDS = {"line": ("along_u",), "lobe shape": ("lobe",)}
+# Free from the first step on: without them a picture's outliers are told wrongly.
+FIRST = ("bend", "kurtosis", "along_u", "diagonal", "lobe")
+# Held where the response is known.
+OF_RESPONSE = ("bend", "contrast", "lift")
+# Chi-square above twice its degrees of freedom (Akaike) by this much frees a group.
+_EVIDENCE = 12.0
+# Uneven light itself makes neighbours agree; noise does no more than this.
+_LARGEST_SPREAD = 5.0
+
+
+def refuted_part(scene: Scene, point: Point) -> Literal["nothing", "noise", "model"]:
+    """Whether the picture needs more than an ideal camera, or noise that depends on the level.
+
+    point : where the fit of an ideal camera ended.
+    """
+    kept, residual = point.kept, point.level - scene.grey
+    light = scene.polynomial_light(point.state)
+    share = (point.level / light - 1) / float(point.state["ratio"])
+    at = np.stack([scene.chosen.column, scene.chosen.row], axis=1)[kept]
+    r, share = residual[kept], share[kept]
+    # Saturated pixels that the gate has cut are a glare's.
+    if np.isfinite(saturation_level(scene.grey[kept])):
+        return "model"
+    variance = float(np.mean(r**2))
+    if 0 < _LARGEST_CHI_SQUARE * scene.noise_floor**2 < variance:
+        return "model"
+    if _neighbours_agree(scene, residual * kept, kept):
+        return "model"
+    bins = np.clip((share * _SHARE_BINS).astype(int), 0, _SHARE_BINS - 1)
+    near_line = (np.arange(len(kept)) >= scene.counts[0])[kept]
+    by_share = bins + _SHARE_BINS * near_line
+    if _have_means(r, by_share):
+        return "model"
+    size = np.ptp(at, axis=0) + 1
+    column, row = ((at - at.min(axis=0)) * _PLACE_BINS // size).T
+    flat = np.where(share < _PAPER, 0, np.where(share > _INK, 1, 2))
+    by_place = (column * _PLACE_BINS + row) * 3 + flat
+    if _have_means(r[flat < 2], by_place[flat < 2]):
+        return "model"
+    if _have_direction(scene, share, kept, r):
+        return "model"
+    return "nothing" if _have_one_variance(r, bins) else "noise"
+
+
+class Evidence(NamedTuple):
+    """What residuals call for: unknowns to free, and whether light must be local."""
+
+    free: Bool[np.ndarray, "k"]
+    uneven_light: bool
+
+
+def find_evidence(scene: Scene, point: Point) -> Evidence:
+    """Score tests of each group that is held.
+
+    The scores' variance is that of correlated residuals.
+    """
+    size = scene.model.size
+    residual, sigma = point.residual(scene)
+    standard = residual / sigma
+    spread = inflation(autocorrelation(scene.grid, standard, point.kept))
+    more = np.zeros(len(point.free), dtype=bool)
+    for name, members in GROUPS.items():
+        if scene.bend is not None and name in OF_RESPONSE:
+            continue
+        places = size + np.array(DELIVERED.places(*members))
+        needed = size + np.array(DELIVERED.places(*_NEEDS.get(name, ())), dtype=int)
+        if point.free[needed].all() and not point.free[places].any():
+            more[places] = _has_score(point, places, spread)
+    spread = min(spread, _LARGEST_SPREAD)
+    uneven = not scene.local and (
+        _has_score(point, size + np.array(DELIVERED.of_uneven_light), spread)
+        or _has_block_means(scene, standard * point.kept, point.kept, spread)
+    )
+    return Evidence(more, uneven)
+
+
+def _has_score(point: Point, places: Int[np.ndarray, "m"], spread: float) -> bool:
+    matrix, gradient = point.equations.matrix, point.equations.gradient
+    scale = 1 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    matrix, gradient = matrix * scale[:, None] * scale, gradient * scale
+    across = matrix[np.ix_(point.free, places)]
+    side = np.column_stack([across, gradient[point.free]])
+    solved = np.linalg.lstsq(matrix[np.ix_(point.free, point.free)], side)[0]
+    inner = matrix[np.ix_(places, places)] - across.T @ solved[:, :-1]
+    score = gradient[places] - across.T @ solved[:, -1]
+    inner = inner + 1e-7 * np.eye(len(places))
+    statistic = float(score @ np.linalg.solve(inner, score)) / spread
+    return statistic > 2 * len(places) + _EVIDENCE
+
+
+def _has_block_means(
+    scene: Scene, residual: Float[np.ndarray, "n"], kept: Bool[np.ndarray, "n"], spread: float
+) -> bool:
+    blocks = scene.blocks
+    assert blocks is not None
+    count = np.bincount(blocks.of_pixel, kept, minlength=blocks.count)
+    total = np.bincount(blocks.of_pixel, residual, minlength=blocks.count)
+    statistic = np.sum(total**2 / np.maximum(count, 1)) / spread
+    freedom = np.sum(count > 0)
+    return bool(statistic > freedom + 5 * np.sqrt(2 * freedom) + _EVIDENCE)
+
+
+def _have_means(r: Float[np.ndarray, "n"], label: np.ndarray) -> bool:
+    count = np.bincount(label)
+    mean = np.bincount(label, r) / np.maximum(count, 1)
+    spread = np.bincount(label, r**2) / np.maximum(count, 1)
+    seen = count >= _FEWEST_PIXELS
+    statistic = np.sum(count[seen] * mean[seen] ** 2 / np.maximum(spread[seen], 1e-12))
+    return _is_large(statistic, int(seen.sum()))
+
+
+def _have_one_variance(r: Float[np.ndarray, "n"], bins: np.ndarray) -> bool:
+    variance = [
+        float(np.mean(r[chosen] ** 2))
+        for chosen in (bins == 0, bins == _SHARE_BINS - 1, (bins > 3) & (bins < _SHARE_BINS - 4))
+        if chosen.sum() >= 10 * _FEWEST_PIXELS
+    ]
+    return not variance or max(variance) <= _LARGEST_VARIANCE_RATIO * min(variance)
+
+
+def _neighbours_agree(scene: Scene, r: Float[np.ndarray, "n"], kept: Bool[np.ndarray, "n"]) -> bool:
+    grid = scene.grid
+    variance = np.sum(r**2) / max(kept.sum(), 1)
+    for down, right in [(0, 1), (1, 0), (1, 1), (0, 2), (2, 0)]:
+        here, there = grid.pairs(down, right)
+        pairs = max(np.count_nonzero(kept[here] & kept[there]), 1)
+        shared = float(r[here] @ r[there]) / pairs / max(variance, 1e-12)
+        if abs(shared) > _LARGEST_CORRELATION + 3 / np.sqrt(pairs):
+            return True
+    return False
+
+
+def _have_direction(
+    scene: Scene,
+    share: Float[np.ndarray, "m"],
+    kept: Bool[np.ndarray, "n"],
+    r: Float[np.ndarray, "m"],
+) -> bool:
+    """Whether edges of some direction are wider than others.
+
+    What a wider edge adds on its one side it takes from the other: the sign of share - 1/2
+    times cos and sin of twice the angle of the light's gradient.
+    """
+    around = [
+        scene.grid.neighbours(down, right) for down, right in ((0, 1), (0, -1), (1, 0), (-1, 0))
+    ]
+    right, left, below, above = (scene.grey[there][kept] for there in around)
+    usable = np.all([there[kept] >= 0 for there in around], axis=0)
+    u, v = 0.5 * (right - left), 0.5 * (below - above)
+    usable &= (share > _PAPER) & (share < _INK)
+    length = np.maximum(u * u + v * v, 1e-12)
+    side = np.where(share > 0.5, 1.0, -1.0) * usable * (np.abs(share - 0.5) > _PAPER)
+    even, odd = side * (u * u - v * v) / length, side * 2 * u * v / length
+    statistic = sum(
+        float(np.sum(r * wave)) ** 2 / max(float(np.sum((r * wave) ** 2)), 1e-12)
+        for wave in (even, odd)
+    )
+    return _is_large(statistic, 2)
+
+
+def _is_large(statistic: float, freedom: int) -> bool:
+    return bool(statistic > freedom + _SIGMAS * np.sqrt(2 * max(freedom, 1)) + _OFFSET)

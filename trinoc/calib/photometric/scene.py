@@ -1,0 +1,276 @@
+"""The pixels of one picture that its fit looks at, chosen at its start, and their surroundings."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from trinoc.calib.photometric.encoding import Encoding, balanced_mosaic
+from trinoc.calib.photometric.equations import CHUNK, Group, LocalPixels, Picture, light_terms
+from trinoc.calib.photometric.ink import SQUARES, Cross, Drawing
+from trinoc.calib.photometric.noise import OnGrid, saturation_level, white_of
+from trinoc.calib.photometric.pixel_selection import (
+    PixelSelection,
+    SelectedPixels,
+    capacity_for,
+    group_of,
+    select_pixels,
+)
+from trinoc.calib.photometric.sheet_places import (
+    circle_points_mm,
+    places_of_pixels,
+    project_to_image,
+)
+from trinoc.calib.photometric.square_pixels import places_to_look_at
+from trinoc.calib.photometric.unknowns import PictureState, Unknowns, ideal_state
+from trinoc.calib.targets import Pattern, SquareSheet
+from trinoc.geometry import AbstractLens, Pose, PoseModel
+from trinoc.image import noise_sigma
+from trinoc.numerics import point_tree
+
+_LEAST_CONTRAST = 4.0
+_SHIFT_ROUNDS = 3
+# A central difference over two pixels sees an edge as if blurred by this variance more.
+_DIFFERENCE_VARIANCE = 1 / 3
+_LEAST_SIGMA_PX, _LARGEST_SIGMA_PX = 0.4, 8.0
+
+# Of places of the sheet in mm, in px.
+ShiftOfPlaces = Callable[[Float[np.ndarray, "n 2"]], Float[np.ndarray, "n 2"]]
+
+
+class Blocks(NamedTuple):
+    """Which block of the sheet each pixel belongs to: what lies nearest to one circle.
+
+    Fields
+    ------
+    of_pixel : (n,) index of the block.
+    basis : (n, 3) of each pixel (1, x, y) about its block's middle, in half pitches.
+    count : number of blocks.
+    """
+
+    of_pixel: Int[np.ndarray, "n"]
+    basis: Float[np.ndarray, "n 3"]
+    count: int
+
+    def part(self, chosen: Int[np.ndarray, "m"]) -> "Blocks":
+        """Of some pixels only."""
+        return Blocks(self.of_pixel[chosen], self.basis[chosen], self.count)
+
+
+class Scene(NamedTuple):
+    """Everything about one picture that a fit holds fixed.
+
+    Fields
+    ------
+    groups, counts : pixels near circles only and near lines, padded, and how many of each count.
+    chosen : the (n) pixels of both.
+    grey : (n,) observed.
+    noise_scale : (n,) noise of a pixel over that of others of the same level.
+    noise_floor : noise of the picture's flat parts.
+    cross, drawing, model : of the sheet, and what is free of the pose.
+    white, top : grey level of a full signal, and where saturation cuts (infinity: nowhere).
+    bend : of the response where it is known (0 linear, 1 sRGB), None where it is fitted.
+    blocks : of the (n) pixels, once a fit needs them.
+    local : whether each has light of its own.
+    """
+
+    groups: tuple[Group, Group]
+    counts: tuple[int, int]
+    chosen: SelectedPixels
+    grey: Float[np.ndarray, "n"]
+    noise_scale: Float[np.ndarray, "n"]
+    noise_floor: float
+    cross: Cross
+    drawing: Drawing
+    model: PoseModel
+    white: float
+    top: float
+    bend: float | None = None
+    blocks: Blocks | None = None
+    local: bool = False
+
+    @property
+    def grid(self) -> OnGrid:
+        """The pixels' places in the picture."""
+        return OnGrid(self.chosen.column, self.chosen.row)
+
+    def first(self, share: int) -> "Scene":
+        """The first of `share` parts of the pixels, which cover the sheet as all do."""
+        chunks = [-(-count // (share * CHUNK)) for count in self.counts]
+        few, many = (min(n * CHUNK, c) for n, c in zip(chunks, self.counts, strict=True))
+        part = np.concatenate([np.arange(few), self.counts[0] + np.arange(many)])
+        return self._replace(
+            groups=tuple(
+                group._replace(chunks=np.asarray(count, dtype=np.int32))
+                for group, count in zip(self.groups, chunks, strict=True)
+            ),
+            counts=(few, many),
+            chosen=self.chosen.part(part),
+            grey=self.grey[part],
+            noise_scale=self.noise_scale[part],
+            blocks=None if self.blocks is None else self.blocks.part(part),
+        )
+
+    def joined(self, parts: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+        """Values of both groups' pixels, chunk after chunk, as one array without padding."""
+        whole = [np.moveaxis(part, 0, -2).reshape(*part.shape[1:-1], -1) for part in parts]
+        both = zip(whole, self.counts, strict=True)
+        return np.concatenate([part[..., :count] for part, count in both], axis=-1)
+
+    def picture(
+        self,
+        unknowns: Unknowns,
+        kept: Bool[np.ndarray, "n"],
+        sigma: Float[np.ndarray, "n"],
+    ) -> Picture:
+        """The pixels that are kept, of given noise, as the compiled program takes them."""
+        groups = []
+        for k, group in enumerate(self.groups):
+            own = slice(0, self.counts[0]) if k == 0 else slice(self.counts[0], None)
+            places = None
+            if self.local and self.blocks is not None:
+                block = _padded(self.blocks.of_pixel[own], 0, group).astype(np.int32)
+                places = LocalPixels(block, _padded(self.blocks.basis[own], 0.0, group))
+            weight, noise = _padded(kept[own], 0.0, group), _padded(sigma[own], 1.0, group)
+            pixels = group.pixels._replace(weight=weight, sigma=noise)
+            groups.append(Group(pixels, group.chunks, places))
+        white, top = np.asarray(self.white), np.asarray(self.top)
+        return Picture(*groups, self.cross, white, top, unknowns.prior(local=self.local))
+
+    def polynomial_light(self, state: PictureState) -> Float[np.ndarray, "n"]:
+        """The paper's grey level by the polynomial alone."""
+        both = zip(self.groups, self.counts, strict=True)
+        place = np.concatenate([group.pixels.place[:count] for group, count in both]).T
+        return state.light @ np.asarray(light_terms(place, len(state.light)))
+
+
+def _padded(values: np.ndarray, rest: float, group: Group) -> np.ndarray:
+    grey = group.pixels.grey
+    array = np.full((len(grey), *values.shape[1:]), rest, grey.dtype)
+    array[: len(values)] = values
+    return array
+
+
+def scene_of_picture(
+    image: Float[np.ndarray, "h w"],
+    pattern: Pattern | SquareSheet,
+    lens: AbstractLens,
+    start: Pose,
+    model: PoseModel,
+    shift: ShiftOfPlaces | None,
+    encoding: Encoding,
+) -> tuple[Scene, PictureState] | None:
+    """The pixels, and a first guess of an ideal camera; None where no ink shows."""
+    noise_scale = np.broadcast_to(np.float32(1.0), image.shape)
+    if encoding.bayer is not None:
+        assert isinstance(pattern, Pattern)
+        image, noise_scale = balanced_mosaic(image, encoding.bayer, start, lens, pattern)
+    state = first_guess(image, start, lens, pattern)
+    if not state.contrast > _LEAST_CONTRAST:
+        return None
+    size = (image.shape[1], image.shape[0])
+    choice = select_pixels(start, lens, pattern, size, float(state["sigma_px"]))
+    parts = (choice.near_circles, choice.near_lines)
+    capacity = capacity_for(max(len(part.row) for part in parts))
+    groups = [
+        group_of(
+            part, image, lens, pattern, capacity, np.float32, _shifts(part, start, lens, shift)
+        )
+        for part in parts
+    ]
+    chosen = jax.tree.map(lambda *pair: np.concatenate(pair), *parts)
+    grey = image[chosen.places]
+    scene = Scene(
+        (groups[0], groups[1]),
+        (len(parts[0].row), len(parts[1].row)),
+        chosen,
+        grey.astype(np.float64),
+        noise_scale[chosen.places].astype(np.float64),
+        noise_sigma(_cut_out(image, choice), flat=choice.flat),
+        _cross(pattern),
+        _drawing(pattern),
+        model,
+        white_of(image),
+        saturation_level(grey),
+        encoding.bend,
+    )
+    return scene, state
+
+
+def first_guess(
+    image: Float[np.ndarray, "h w"], pose: Pose, lens: AbstractLens, pattern: Pattern | SquareSheet
+) -> PictureState:
+    """Medians over all places: of the paper beside, the ink inside, the steepness between."""
+    outlines = _places(pattern)
+    sampled = np.asarray(project_to_image(pose, lens, np.concatenate(outlines)))
+    limit = np.array(image.shape[::-1]) - 1
+    ends = np.cumsum([len(part) for part in outlines])[:-1]
+    places = np.split(np.round(sampled).astype(int), ends)
+    ink, edge, paper = (p[((p >= 1) & (p < limit)).all(axis=1)] for p in places)
+    u, v = edge[:, 0], edge[:, 1]
+    slope = 0.5 * np.hypot(image[v, u + 1] - image[v, u - 1], image[v + 1, u] - image[v - 1, u])
+    paper_grey = float(np.median(image[paper[:, 1], paper[:, 0]]))
+    ink_grey = float(np.median(image[ink[:, 1], ink[:, 0]]))
+    steepest = max(float(np.median(slope)), 1e-6)
+    variance = ((paper_grey - ink_grey) / (steepest * np.sqrt(2 * np.pi))) ** 2
+    sigma = np.sqrt(max(variance - _DIFFERENCE_VARIANCE, _LEAST_SIGMA_PX**2))
+    ratio = ink_grey / max(paper_grey, 1e-6) - 1
+    return ideal_state(pose, min(sigma, _LARGEST_SIGMA_PX), ratio, np.array([paper_grey]))
+
+
+def _places(pattern: Pattern | SquareSheet) -> tuple[Float[np.ndarray, "_n 2"], ...]:
+    """Of the sheet: in ink, on edges, on paper."""
+    if isinstance(pattern, SquareSheet):
+        return places_to_look_at(pattern)
+    outer, inner = pattern.radius_mm, pattern.inner_radius_mm
+    radii = (0.5 * (outer + inner), outer, outer + 0.3 * outer)
+    return tuple(circle_points_mm(pattern.centres_mm, radius).reshape(-1, 2) for radius in radii)
+
+
+def blocks_of_pixels(
+    chosen: SelectedPixels, pose: Pose, lens: AbstractLens, pattern: Pattern | SquareSheet
+) -> Blocks:
+    """The nearest circle of each pixel."""
+    middle = np.asarray(project_to_image(pose, lens, pattern.centres_mm))
+    uv_px = np.stack([chosen.column, chosen.row], axis=1)
+    tree = point_tree(middle)
+    block = np.asarray(tree.query(uv_px)[1])
+    half_pitch = 0.5 * float(np.median(np.asarray(tree.query(middle, 2)[0])[:, 1]))
+    offset = (uv_px - middle[block]) / half_pitch
+    return Blocks(block, np.column_stack([np.ones(len(uv_px)), offset]), len(middle))
+
+
+def _drawing(pattern: Pattern | SquareSheet) -> Drawing:
+    if isinstance(pattern, SquareSheet):
+        return Drawing(SQUARES, False)
+    return Drawing(pattern.line_style, bool((pattern.inner_radius_mm > 0).any()))
+
+
+def _cross(pattern: Pattern | SquareSheet) -> Cross:
+    if isinstance(pattern, SquareSheet):
+        return Cross(np.zeros(()), np.zeros(2), np.zeros(()))
+    return Cross(
+        np.asarray(0.5 * pattern.line_width_mm),
+        np.array(pattern.line_half_length_mm, dtype=np.float64),
+        np.asarray(float(pattern.line_gap_mm)),
+    )
+
+
+def _shifts(
+    chosen: SelectedPixels, pose: Pose, lens: AbstractLens, shift: ShiftOfPlaces | None
+) -> Float[np.ndarray, "_n 2"] | None:
+    if shift is None or not len(chosen.row):
+        return None
+    # What a pixel shows lies where the shift takes it from, not where it takes it to.
+    shift_px = np.zeros((len(chosen.row), 2))
+    for _ in range(_SHIFT_ROUNDS):
+        column, row = chosen.column - shift_px[:, 0], chosen.row - shift_px[:, 1]
+        shift_px = shift(places_of_pixels(column, row, pose, lens)[0])
+    return shift_px
+
+
+def _cut_out(image: Float[np.ndarray, "h w"], choice: PixelSelection) -> Float[np.ndarray, "k l"]:
+    (row, column), (height, width) = choice.corner, choice.flat.shape
+    return image[row : row + height, column : column + width]
