@@ -28,7 +28,8 @@ from .result.status import Status as Status
 from .rig_calibration import calibrate_rig as calibrate_rig
 from .rig_check.comparison import compare_rigs as compare_rigs
 from .rig_check.knocked import RigCheck as RigCheck, check_rig as check_rig
-from .rig_from_shots import RigFromShots as RigFromShots
+from .rig_from_shots import RigFromShots as RigFromShots, next_shot as next_shot
+from .systematic_errors import with_systematics as with_systematics
 from .targets import (
     BOARDS as BOARDS,
     DICTIONARIES as DICTIONARIES,
@@ -58,4 +59,3 @@ from .uncertainty.propagation import (
     point_covariance as point_covariance,
 )
 from .uncertainty.systematics import Systematics as Systematics
-from .with_systematics import with_systematics as with_systematics

@@ -85,8 +85,8 @@ class Levels(NamedTuple):
     """
 
     level: Float[ArrayLike, "n"]
-    by_homography: list[Float[ArrayLike, "n"]]
-    by_look: list[Float[ArrayLike, "n"]]
+    by_homography: list[Float[ArrayLike, "_n"]]
+    by_look: list[Float[ArrayLike, "_n"]]
     by_light: Float[ArrayLike, "n"]
     by_veil: Float[ArrayLike, "n"]
 
@@ -198,6 +198,6 @@ def _blurs(look: dict[str, Scalar]) -> tuple[Float[ArrayLike, "2"], Kernel]:
 
 def _by_homography(
     point: SheetPoint, by_x: Float[ArrayLike, "n"], by_y: Float[ArrayLike, "n"]
-) -> list[Float[ArrayLike, "n"]]:
+) -> list[Float[ArrayLike, "_n"]]:
     by_w = -(by_x * point.point_mm[:, 0] + by_y * point.point_mm[:, 1])
     return [row * point.by_matrix[:, k] for row in (by_x, by_y, by_w) for k in range(3)]
