@@ -88,7 +88,11 @@ def patch_points(
     total = np.bincount(label, known)
     middle = np.stack([np.bincount(label, known * axis) / total for axis in place.T], axis=1)
     try:
-        shared = _shared_unknowns(scene, point, kept, all_rows[9:])
+        shared = [
+            # Priors count as the pixels do: together they balance where the fit has ended.
+            part._replace(prior=part.prior / inflation, pull=part.pull / inflation)
+            for part in _shared_unknowns(scene, point, kept, all_rows[9:])
+        ]
         shift, whitening = _displacements(by_px, label, len(total), residual, weight, shared)
     except np.linalg.LinAlgError:
         return _NOTHING

@@ -36,7 +36,7 @@ class Point(NamedTuple):
     def residual(self, scene: Scene) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
         """Predicted minus observed after saturation, and its standard deviation."""
         cut = clipped(self.level, self.sigma, scene.top)
-        return cut.mean - scene.grey, cut.sigma
+        return np.asarray(cut.mean) - scene.grey, np.asarray(cut.sigma)
 
     def clear(self, scene: Scene) -> Bool[np.ndarray, "n"]:
         """Pixels that stayed and whose noise saturation leaves as it is."""

@@ -137,13 +137,14 @@ class Scene(NamedTuple):
             pixels = group.pixels._replace(weight=weight, sigma=noise)
             groups.append(Group(pixels, group.chunks, places))
         white, top = np.asarray(self.white), np.asarray(self.top)
-        return Picture(*groups, self.cross, white, top, unknowns.prior(local=self.local))
+        known = unknowns.prior(local=self.local)
+        return Picture(groups[0], groups[1], self.cross, white, top, known)
 
     def polynomial_light(self, state: PictureState) -> Float[np.ndarray, "n"]:
         """The paper's grey level by the polynomial alone."""
         both = zip(self.groups, self.counts, strict=True)
         place = np.concatenate([group.pixels.place[:count] for group, count in both]).T
-        return state.light @ np.asarray(light_terms(place, len(state.light)))
+        return np.asarray(state.light) @ np.asarray(light_terms(place, len(state.light)))
 
 
 def _padded(values: np.ndarray, rest: float, group: Group) -> np.ndarray:

@@ -179,7 +179,7 @@ class PictureState(eqx.Module):
         least, most = self.unknowns.bounds()
         values = jnp.clip(self.values + step[model.size :], least, most)
         if levels.size:
-            levels = levels.at[0].set(jnp.maximum(levels[0], _LEAST_LIGHT - 1))
+            levels = jnp.asarray(levels).at[0].set(jnp.maximum(levels[0], _LEAST_LIGHT - 1))
         return PictureState(pose, values, levels, self.unknowns)
 
 
