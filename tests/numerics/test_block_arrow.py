@@ -120,6 +120,15 @@ def test_damping_enlarges_the_diagonal_of_what_is_left_to_the_head() -> None:
     np.testing.assert_allclose(flat(damped), flat(plain), rtol=1e-10)
 
 
+def test_each_block_is_damped_on_its_own_diagonal() -> None:
+    arrow, damping = arrow_of(*jacobians(9, 6, 5, 3)), np.linspace(0.0, 2.0, 6)
+    enlarged = np.array(arrow.as_matrix())
+    enlarged[5:, 5:] += np.diag(np.repeat(damping, 3) * np.diag(enlarged)[5:])
+    side = (jnp.arange(5.0), jnp.ones((6, 3)))
+    damped = lx.linear_solve(arrow, side, BlockArrowSolver(0.0, jnp.asarray(damping))).value
+    np.testing.assert_allclose(flat(damped), np.linalg.solve(enlarged, flat(side)), rtol=1e-8)
+
+
 def test_unknowns_that_are_no_arrow_are_refused() -> None:
     operator = lx.IdentityLinearOperator(jax.eval_shape(lambda: jnp.zeros(3)))
     with pytest.raises(ValueError, match="An arrow has the unknowns"):
