@@ -1,14 +1,10 @@
-"""How wide the edges of a picture are, from the picture alone.
-
-The slope of a step of blur s, seen through a Gaussian of scale a, is proportional to
-1 / sqrt(s^2 + a^2). Seen through two scales, the ratio of the slopes at the edge gives s, whatever
-the contrast (S. Zhuo and T. Sim, "Defocus map estimation from a single image", Pattern Recognition
-44(9), 2011, doi 10.1016/j.patcog.2011.03.009).
-"""
+"""How wide the edges of a picture are, from its steps seen through two scales."""
 
 import cv2
 import numpy as np
 from jaxtyping import Float
+
+from trinoc.image import blur_of_two_slopes
 
 # In pixels. The first is wide enough against noise, the second twice as wide.
 _FINE, _COARSE = 1.0, 2.0
@@ -33,10 +29,8 @@ def edge_blur_px(grey: Float[np.ndarray, "h w"]) -> float:
     ridge[:, :margin] = ridge[:, -margin:] = False
     if np.count_nonzero(ridge) < _FEWEST_EDGES:
         return float("nan")
-    ratio2 = np.median((fine[ridge] / np.maximum(coarse[ridge], 1e-9)) ** 2)
-    # Wide blur leaves a ratio near 1, of which only a bound can be told.
-    variance = (_COARSE**2 - ratio2 * _FINE**2) / max(float(ratio2) - 1.0, 1e-2)
-    return float(np.sqrt(max(float(variance), 0.0)))
+    squared_ratio = np.median((fine[ridge] / np.maximum(coarse[ridge], 1e-9)) ** 2)
+    return blur_of_two_slopes(float(squared_ratio), _FINE, _COARSE)
 
 
 def _slope(level: Float[np.ndarray, "h w"], scale: float) -> Float[np.ndarray, "h w"]:

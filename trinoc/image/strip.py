@@ -2,7 +2,7 @@
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Real, Shaped
 
 
 def nearest_levels(
@@ -23,7 +23,7 @@ def levels_between(
     picture: Float[np.ndarray, "h w"],
     uv_px: Float[np.ndarray, "n s 2"],
     normal: Float[np.ndarray, "n s 2"],
-    offset_px: Float[np.ndarray, "o"],
+    offset_px: Real[np.ndarray, "o"],
 ) -> Float[np.ndarray, "n o s"]:
     """Values so far from places, along their normals, in between pixels: exact where the picture
     is linear. Beyond its border the picture continues level.
@@ -50,8 +50,8 @@ def pixels_across(
 
 
 def levels_of(
-    picture: Float[np.ndarray, "h w"], pixels: Int[np.ndarray, "*n 2"]
-) -> tuple[Float[np.ndarray, "*n"], Bool[np.ndarray, "*n"]]:
+    picture: Shaped[np.ndarray, "h w"], pixels: Int[np.ndarray, "*n 2"]
+) -> tuple[Shaped[np.ndarray, "*n"], Bool[np.ndarray, "*n"]]:
     """(value of each pixel, whether the picture has it); beyond the border the nearest one's."""
     size = np.array(picture.shape[::-1])
     inside = ((pixels >= 0) & (pixels < size)).all(axis=-1)

@@ -9,8 +9,7 @@ from scipy.special import ndtr
 
 from trinoc.match.guided.false_alarms import growth_of, log_chance
 from trinoc.match.guided.gradient import gradient_of
-from trinoc.match.guided.usual_width import with_usual_width
-from trinoc.match.guided.views import Answer, PictureInput, ask, picture_inputs
+from trinoc.match.guided.views import Answer, PictureInput, ask, picture_inputs, with_usual_width
 from trinoc.numerics import in_float64
 from trinoc.synth import table1_rig
 

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, strategies as st
 
 from tests.match.guided.test_evidence import noise_picture, probes, seen, step_edge
-from trinoc.match.guided.families import family_of, first_of_each, largest_families
-from trinoc.match.guided.lines_across import MIDDLES, TILTS, lines_at, on_lines
+from trinoc.match.guided.evidence import MIDDLES, TILTS, lines_at, on_lines
+from trinoc.match.guided.new_lines import quick_look, without
+from trinoc.match.guided.partners import family_of, first_of_each, largest_families
 from trinoc.match.guided.probes import BLOCKS
-from trinoc.match.guided.quick_look import quick_look, without
 from trinoc.match.guided.ridges import OFFSETS, REACH
 
 

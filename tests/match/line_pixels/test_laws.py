@@ -1,63 +1,116 @@
-"""Laws of the parts: derivatives, the test of two answers, the room of a segment."""
+"""Laws of the parts: what strips and lines say of their places, the test of two answers, the room
+of a segment."""
 
 import jax
-import jax.numpy as jnp
 import numpy as np
+import pytest
 from scipy.special import ndtr
 
 from trinoc.match.line_pixels.answer import hausman
-from trinoc.match.line_pixels.line_fit import fit_line, offsets_of
-from trinoc.match.line_pixels.neighbours import NOBODY, owners_of
-from trinoc.match.line_pixels.step_edge import fit_block
-from trinoc.match.line_pixels.strips import COLUMNS, HALF, ROWS
+from trinoc.match.line_pixels.line_fit import fit_lines
+from trinoc.match.line_pixels.strip_fit import StripFit, fit_strips
+from trinoc.match.line_pixels.strips import COLUMNS, HALF, NOBODY, ROWS, Strips, owners_of
+from trinoc.match.line_pixels.tuning import PixelTuning
 from trinoc.synth import table1_rig
 
-
-def block(generator):
-    """A noisy step, 0.2 px beside the line at one end and 0.1 px at the other, with blur 1.1."""
-    v, u = np.mgrid[:ROWS, :COLUMNS].astype(float)
-    across = (u - HALF) * 0.96 - 0.28 * (v - 2)
-    share = 0.3 + 0.02 * v
-    shift = 0.2 - 0.1 * share
-    level = 60 + 0.4 * across + (50 - 0.2 * v) * ndtr((across - shift) / 1.1)
-    return across, share, level + generator.normal(size=level.shape)
+LINES, BLOCKS, NOISE, BLUR_PX = 150, 6, 2.0, 1.1
+LOG_BLUR = float(np.log(BLUR_PX))
+PLACE_PX = np.array([0.25, -0.15])
 
 
-def test_the_gradient_of_a_block_is_that_of_its_reduced_sum_of_squares():
-    across, share, level = block(np.random.default_rng(1))
-    usable, reach = np.ones(level.shape, bool), np.ones(COLUMNS, bool)
+def strips(noise: float, lines: int = LINES) -> Strips:
+    """Pictures of one step beside lines, that differ by their noise alone."""
+    row, column = np.mgrid[: BLOCKS * ROWS, :COLUMNS].astype(float)
+    across, share = 0.97 * (column - HALF) - 0.02 * row, (row + 0.5) / len(row)
+    shift = (1 - share) * PLACE_PX[0] + share * PLACE_PX[1]
+    level = 60 + 70 * ndtr((across - shift) / BLUR_PX)
+    levels = level + noise * np.random.default_rng(8).normal(size=(lines, *level.shape))
 
-    def fitted(place):
-        core, slopes = jnp.array([2.2, 0.7]), jnp.array([1e6, 1e6])
-        return jax.jit(fit_block)(core, slopes, across, share, level, usable, reach, place, 1.0)
+    def blocks(of: np.ndarray) -> np.ndarray:
+        return np.tile(of, (lines, 1, 1)).reshape(lines * BLOCKS, ROWS, COLUMNS)
 
-    place, step = jnp.array([0.1, 0.05, 0.0]), 1e-5
-    numeric = [
-        (fitted(place - h).square - fitted(place + h).square) / (4 * step)
-        for h in step * jnp.eye(3)
-    ]
-    np.testing.assert_allclose(fitted(place).gradient, numeric, rtol=1e-4, atol=1e-4)
-    # Information is what remains when levels are eliminated: positive, and less than without.
-    assert np.linalg.eigvalsh(np.asarray(fitted(place).information))[0] > -1e-9
+    usable = np.ones((lines * BLOCKS, ROWS, COLUMNS), dtype=bool)
+    owner = np.repeat(np.arange(lines), BLOCKS)
+    return Strips(blocks(across), blocks(share), levels.reshape(usable.shape), usable, owner)
 
 
-def test_a_line_is_found_again_from_its_images():
+def fitted(of: Strips, known_blur: float, log_blur: float = LOG_BLUR) -> StripFit:
+    start = np.tile(PLACE_PX, (int(of.line[-1]) + 1, 1))
+    with jax.enable_x64(True):
+        return fit_strips(of, start, NOISE, (log_blur, known_blur), PixelTuning())
+
+
+def test_places_of_strips_scatter_as_their_information_says() -> None:
+    found = fitted(strips(NOISE), known_blur=10.0)
+    off = found.place - [*PLACE_PX, LOG_BLUR]
+    square = np.einsum("ni,nij,nj->n", off, found.information, off)
+    # Three unknowns; the noise of each line is estimated, and blocks off it count a little less.
+    assert square.mean() == pytest.approx(3.0, abs=0.6)
+    assert found.chi_square.mean() == pytest.approx(1.0, abs=0.05)
+    assert (found.blocks == BLOCKS).mean() > 0.95
+
+
+def test_what_is_known_of_the_blur_is_used_and_not_handed_on() -> None:
+    """Of two pieces of knowledge as good as each other, pixels and prior, the answer is the mean,
+    and the prior leaves no trace in what the pixels are said to say."""
+    same = strips(NOISE)
+    free = fitted(same, known_blur=10.0)
+    of_blur = 1 / np.linalg.inv(free.information)[:, 2, 2].mean()
+    known = LOG_BLUR + 0.04
+    held = fitted(same, 1 / np.sqrt(of_blur), known)
+    between = (held.place[:, 2] - free.place[:, 2]) / (known - free.place[:, 2])
+    assert np.median(between) == pytest.approx(0.5, abs=0.05)
+    np.testing.assert_allclose(
+        held.information.mean(axis=0), free.information.mean(axis=0), rtol=0.1, atol=50.0
+    )
+
+
+def images_of(ends: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(matrices, images of the ends in each view, unit vectors on the right of the images)."""
     rig = table1_rig()
     matrices = np.stack([np.asarray(rig[name].matrix_px) for name in rig.names])
-    ends = np.array([[-10.0, 3.0, 2.0], [25.0, -8.0, 20.0]])
-    way = ends[1] - ends[0]
-    axes = np.linalg.svd(way[None])[2][1:]
-    move = np.array([0.4, -0.2, 0.1, 0.3])
-    true = ends + move.reshape(2, 2) @ axes
     image = np.einsum("vij,ej->vei", matrices[:, :, :3], ends) + matrices[:, None, :, 3]
     places = image[..., :2] / image[..., 2:]
     unit = places[:, 1] - places[:, 0]
     unit /= np.linalg.norm(unit, axis=1)[:, None]
-    right = np.stack([-unit[:, 1], unit[:, 0]], axis=1)
-    offset = jax.vmap(offsets_of, (None, 0, 0, 0))(true, matrices, places, right)
-    found = fit_line(ends, axes, matrices, places, right, offset, np.tile(np.eye(2), (3, 1, 1)))
-    np.testing.assert_allclose(found.move_mm, move, atol=1e-8)
-    assert found.misfit < 1e-12
+    return matrices, places, np.stack([-unit[:, 1], unit[:, 0]], axis=1)
+
+
+ENDS = np.array([[-10.0, 3.0, 2.0], [25.0, -8.0, 20.0]])
+AXES = np.linalg.svd((ENDS[1] - ENDS[0])[None])[2][1:]
+
+
+def test_a_line_is_found_again_from_its_images() -> None:
+    move = np.array([0.4, -0.2, 0.1, 0.3])
+    matrices, places, _ = images_of(ENDS + move.reshape(2, 2) @ AXES)
+    # Anywhere along them.
+    along = places + np.array([[[0.1], [-0.3]]]) * (places[:, 1:] - places[:, :1])
+    # A view that does not see it may hold anything.
+    along = np.concatenate([along, np.array([[[3.0, 7.0], [1.0, 2.0]]])])
+    every = np.concatenate([matrices, matrices[:1]])
+    covariance, seen = np.tile(np.eye(2), (1, 4, 1, 1)), np.array([[1.0, 1.0, 1.0, 0.0]])
+    found = fit_lines(every, ENDS[None], AXES[None], along[None], covariance, seen)
+    np.testing.assert_allclose(found.move_mm[0], move, atol=1e-8)
+    assert found.misfit[0] < 1e-12
+
+
+def test_lines_scatter_as_their_covariance_says_and_one_view_alone_says_nothing() -> None:
+    matrices, places, right = images_of(ENDS)
+    count, generator = 800, np.random.default_rng(5)
+    own = np.array([[0.09, 0.04], [0.04, 0.16]]) * np.array([1.0, 4.0, 0.25])[:, None, None]
+    root = np.linalg.cholesky(own)
+    off = (root @ generator.normal(size=(count, 3, 2, 1)))[..., 0]
+    shown = places + off[..., None] * right[:, None]
+    lines = np.tile(ENDS, (count, 1, 1)), np.tile(AXES, (count, 1, 1))
+    covariance = np.tile(own, (count, 1, 1, 1))
+    found = fit_lines(matrices, *lines, shown, covariance, np.ones((count, 3)))
+    weight = np.linalg.inv(found.covariance_mm2)
+    square = np.einsum("ni,nij,nj->n", found.move_mm, weight, found.move_mm)
+    assert square.mean() == pytest.approx(4.0, abs=0.35)
+    # Six numbers less four unknowns.
+    assert found.misfit.mean() == pytest.approx(2.0, abs=0.3)
+    alone = np.tile([1.0, 0.0, 0.0], (count, 1))
+    assert np.isnan(fit_lines(matrices, *lines, shown, covariance, alone).covariance_mm2).all()
 
 
 def test_the_difference_of_two_answers_is_a_chi_square():

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from trinoc.image import height_of_step, log_parabola
 from trinoc.match.guided.probes import BLOCKS
 from trinoc.match.guided.ridges import SHOULDER
 
@@ -99,7 +100,7 @@ def placed(
     alone = _alone(near, top, np.sqrt(2 * variance))
     profile = (near @ (inside * alone)[..., None])[..., 0] / (inside * alone).sum(axis=1)[:, None]
     top = np.maximum(profile[:, 2], _LEAST_TOP)
-    bend = _bend(profile, top)
+    _, bend = _parabola(profile, top)
     # The difference of two places, 2 px apart, has about the ridge's own variance.
     of_block = variance / (2 * bend * top) ** 2
     weight = halves * alone[:, None]
@@ -120,17 +121,17 @@ def placed(
         offset,
         own + bow[:, None],
         (means[..., 4] - means[..., 0]) / top[:, None],
-        1 / np.sqrt(_bend(means, np.maximum(means[..., 2], _LEAST_TOP))),
-        top * np.sqrt(2 * np.pi / bend),
+        1 / np.sqrt(_parabola(means, np.maximum(means[..., 2], _LEAST_TOP))[1]),
+        height_of_step(top, 1 / bend),
     )
 
 
-def _bend(
+def _parabola(
     profile: Float[np.ndarray, "*n p"], top: Float[np.ndarray, "*n"]
-) -> Float[np.ndarray, "*n"]:
-    """Of the logarithm of a ridge, about its middle."""
-    log = np.log(np.maximum(profile[..., 1:4], _LEAST_SHARE * top[..., None]))
-    return np.maximum(2 * log[..., 1] - log[..., 0] - log[..., 2], _LEAST_BEND)
+) -> tuple[Float[np.ndarray, "*n"], Float[np.ndarray, "*n"]]:
+    """(rise, bend) of the logarithm of a ridge, about its middle."""
+    rise, bend = log_parabola(profile[..., 1:4], _LEAST_SHARE * top[..., None])
+    return rise, np.maximum(bend, _LEAST_BEND)
 
 
 def _offsets(
@@ -143,8 +144,8 @@ def _offsets(
     """Where the edge lies across in each part, by the parabola of all."""
     total = np.maximum(weight.sum(axis=2), 1e-9)
     means = (weight @ near.mT) / total[..., None]
-    log = np.log(np.maximum(means[..., 1:4], _LEAST_SHARE * top[:, None, None]))
-    shift = np.clip((log[..., 2] - log[..., 0]) / (2 * bend[:, None]), -_MOST_SHIFT, _MOST_SHIFT)
+    rise, _ = _parabola(means, np.broadcast_to(top[:, None], total.shape))
+    shift = np.clip(rise / bend[:, None], -_MOST_SHIFT, _MOST_SHIFT)
     return (weight @ at[..., None])[..., 0] / total + shift
 
 

@@ -1,6 +1,7 @@
 """Whether a picture shows an edge at a known place and in a known direction.
 
-All windows of blocks, and all lines within the gate, are tests of their own, and are counted. Of
+All windows of blocks, and all lines within the gate, shifted across and turned a little, are tests
+of their own, and are counted. Of
 the edges that are sure the nearest to the known place is taken, since others may lie beside it.
 """
 
@@ -10,7 +11,6 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from trinoc.match.guided.edge_piece import Extent, Place, extent_of, placed
-from trinoc.match.guided.lines_across import MIDDLES, TILTS, Lines, lines_at, on_lines, within
 from trinoc.match.guided.probes import BLOCKS, Samples
 from trinoc.match.guided.ridges import (
     REACH,
@@ -34,6 +34,10 @@ _SURE = 8.0
 _OBLIQUE, _OBLIQUE_NOISE = 0.15, 1.5
 # What noise shows more often than this, in the best of all tests of a probe, is no evidence.
 _USUAL = 0.1
+# How far the line's two ends lie on different sides of the probe, px.
+TILTS = np.array([-2, 0, 2])
+# Places of the lines' middles across, px.
+MIDDLES = np.arange(-REACH, REACH + 1, dtype=np.int8)
 
 
 class Evidence(NamedTuple):
@@ -74,6 +78,17 @@ class Band(NamedTuple):
     known: Bool[np.ndarray, "n b"]
 
 
+class Lines(NamedTuple):
+    """Lines of all tilts, and of each all middles: l of them beside every probe.
+
+    shift : (n, t, b) what each tilt adds at every block, -1, 0 or 1 px.
+    at : (n, l, b) where each line is across, px.
+    """
+
+    shift: Int[np.ndarray, "n t b"]
+    at: Int[np.ndarray, "n l b"]
+
+
 class Tests(NamedTuple):
     """Of windows x on lines l: score : (n, l, x), with sign. whole : whether it was one at all."""
 
@@ -82,7 +97,7 @@ class Tests(NamedTuple):
 
 
 def evidence_along(
-    by_uv: Float[np.ndarray, "h w 2"],
+    by_uv: Float[np.ndarray, "2 h w"],
     least: float,
     growth: Float[np.ndarray, "k"],
     places: Samples,
@@ -122,7 +137,7 @@ def evidence_along(
     )
 
 
-def band_of(by_uv: Float[np.ndarray, "h w 2"], least: float, places: Samples) -> Band:
+def band_of(by_uv: Float[np.ndarray, "2 h w"], least: float, places: Samples) -> Band:
     """What the picture shows about each probe."""
     across, along, known = block_gradients(by_uv, places)
     height = ridge(across)
@@ -198,3 +213,36 @@ def piece_of(
     extent = extent_of(own, mean, usable, half, growth[0])
     across = sign[:, None, None] * band.across
     return extent, placed(across, column + SHOULDER, at, extent, growth[2] * band.sigma**2)
+
+
+def lines_at(known: Bool[np.ndarray, "n b"]) -> Lines:
+    """All lines; they are turned about the middle of what is known of the probe."""
+    first = known.argmax(axis=1)[:, None]
+    last = BLOCKS - 1 - known[:, ::-1].argmax(axis=1)[:, None]
+    place = (np.arange(BLOCKS) - (first + last) / 2) / (last - first + 1)
+    shift = np.clip(np.rint(TILTS[:, None] * place[:, None]), -1, 1).astype(np.int8)
+    at = MIDDLES[:, None] + shift[:, :, None]
+    return Lines(shift, at.reshape(len(known), -1, BLOCKS))
+
+
+def on_lines(
+    part: Float[np.ndarray, "n o b"], lines: Lines, reach: int = REACH
+) -> Float[np.ndarray, "n l b"]:
+    """What `part`, whose middle column is the probe itself, holds on lines up to `reach` across."""
+    middle = part.shape[1] // 2
+    left, own, right = (
+        part[:, middle - reach + step : middle + reach + step + 1] for step in (-1, 0, 1)
+    )
+    held = [
+        np.where(turn > 0, right, np.where(turn < 0, left, own))
+        for turn in lines.shift.transpose(1, 0, 2)[:, :, None]
+    ]
+    return np.concatenate(held, axis=1)
+
+
+def within(
+    lines: Lines, known: Bool[np.ndarray, "n b"], gate_px: Float[np.ndarray, "n"]
+) -> Bool[np.ndarray, "n l b"]:
+    """Which blocks of each line are inside, and within the gate."""
+    gate = np.minimum(gate_px, REACH)[:, None, None]
+    return (np.abs(lines.at) <= gate) & known[:, None]

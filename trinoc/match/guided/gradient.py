@@ -17,11 +17,11 @@ _HALF = 5
 class Gradient(NamedTuple):
     """Fields
     ------
-    by_uv : (h, w, 2) derivative along u and along v, grey levels per px.
+    by_uv : (2, h, w) derivative along u and along v, grey levels per px.
     noise : standard deviation of either, between pixels, from white noise in the picture.
     """
 
-    by_uv: Float[np.ndarray, "h w 2"]
+    by_uv: Float[np.ndarray, "2 h w"]
     noise: float
 
 
@@ -38,7 +38,7 @@ def gradient_of(picture: Shaped[np.ndarray, "..."]) -> Gradient:
     gain = np.sqrt((smooth**2).sum() * (slope**2).sum() * _between(smooth) * _between(slope))
     # A quarter of the pixels tell it to a percent.
     noise = light.noise_sigma(stride=(2, 2))
-    return Gradient(cv2.merge([along_u, along_v]), float(noise * gain))
+    return Gradient(np.stack([along_u, along_v]), float(noise * gain))
 
 
 def _between(kernel: np.ndarray) -> float:

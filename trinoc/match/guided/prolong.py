@@ -9,7 +9,6 @@ from jaxtyping import Bool, Float
 
 from trinoc.geometry import project_by_matrix
 from trinoc.match.guided.corners import ends_of
-from trinoc.match.guided.lengthen import lengthened
 from trinoc.match.guided.state import State, ViewSegments, refitted, with_view
 from trinoc.match.guided.views import Answer, PictureInput, ask
 from trinoc.match.tracks import positions_abreast
@@ -31,7 +30,7 @@ def prolonged(
             length = min(answer.along_px[row, 1], allowed[row])
             if length < tuning.least_gain_px:
                 continue
-            ends_px, covariance = lengthened(
+            ends_px, covariance = lengthen(
                 table[0][segment], table[1][segment], end, length, answer, row
             )
             table[0][segment], table[1][segment], table[3][segment] = ends_px, covariance, True
@@ -190,3 +189,46 @@ def _reach_after(
         places = positions_abreast(matrix, longer[tracks.index[on, view]], tracks.ends_mm[on])
         reach[on, view] = np.sort(places, axis=1)
     return reach
+
+
+def lengthen(
+    ends_px: Float[np.ndarray, "2 2"],
+    covariance_px2: Float[np.ndarray, "4 4"],
+    end: int,
+    length: float,
+    answer: Answer,
+    row: int,
+) -> tuple[Float[np.ndarray, "2 2"], Float[np.ndarray, "4 4"]]:
+    """A segment whose `end` moves out by `length`, by least squares of its line and of the
+    edge found beyond it."""
+    here, there = ends_px[end], ends_px[1 - end]
+    before = float(np.linalg.norm(here - there))
+    unit = (here - there) / before
+    right = np.array([-unit[1], unit[0]])
+    total = before + length
+
+    def rows_at(along: np.ndarray) -> np.ndarray:
+        share = along / total
+        return np.stack([1 - share, share], axis=1)
+
+    # Offsets from the segment's own line, at its ends and at those of the piece found beyond.
+    old = covariance_px2.reshape(2, 2, 2, 2)
+    if end == 0:
+        old = old[::-1, :, ::-1]
+    own = np.einsum("eifj,i,j->ef", old, right, right)
+    piece = answer.ends_px[row] - there
+    new = answer.covariance_px2[row].reshape(2, 2, 2, 2)
+    beyond = np.einsum("eifj,i,j->ef", new, right, right)
+    design = np.concatenate([rows_at(np.array([0.0, before])), rows_at(piece @ unit)])
+    information = np.zeros((4, 4))
+    information[:2, :2], information[2:, 2:] = np.linalg.inv(own), np.linalg.inv(beyond)
+    seen = np.concatenate([np.zeros(2), piece @ right])
+    spread = np.linalg.inv(design.T @ information @ design)
+    offset = spread @ design.T @ information @ seen
+    places = np.stack([there + offset[0] * right, there + total * unit + offset[1] * right])
+    along = np.array([unit @ old[0, :, 0] @ unit, unit @ new[1, :, 1] @ unit])
+    covariance = np.einsum("ef,i,j->eifj", spread, right, right)
+    covariance += np.einsum("ef,e,i,j->eifj", np.eye(2), along, unit, unit)
+    if end == 0:
+        places, covariance = places[::-1], covariance[::-1, :, ::-1]
+    return places, covariance.reshape(4, 4)

@@ -5,10 +5,10 @@ however steep, is none. Of white or coloured noise the sum of n blocks has the v
 n sigma^2 g(n), with sigma of the probe itself and g of the picture (`false_alarms.py`).
 """
 
-import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
+from trinoc.image import levels_between
 from trinoc.match.guided.gradient import SMOOTHING_PX
 from trinoc.match.guided.probes import BLOCKS, STEP_PX, Samples
 from trinoc.numerics import MAD_TO_SIGMA
@@ -33,20 +33,14 @@ SECOND = float((_THREE) / (2 + 2 * _ONE))
 
 
 def block_gradients(
-    by_uv: Float[np.ndarray, "h w 2"], places: Samples
+    by_uv: Float[np.ndarray, "2 h w"], places: Samples
 ) -> tuple[Float[np.ndarray, "n o b"], Float[np.ndarray, "n o b"], Bool[np.ndarray, "n b"]]:
     """(gradient across and along at OFFSETS, means of each block's two places; whether both are
     inside)."""
-    count, steps = places.inside.shape
-    offset = OFFSETS.astype(np.float32)[:, None]
-    at = [
-        (places.uv_px[:, None, :, k] + offset * places.normal[:, None, :, k]).reshape(count, -1)
-        for k in (0, 1)
-    ]
-    border = cv2.BORDER_REPLICATE
-    found = cv2.remap(by_uv, at[0], at[1], cv2.INTER_LINEAR, borderMode=border)
-    found = found.reshape(count, len(OFFSETS), steps // 2, 4)
-    by_u, by_v = (0.5 * (found[..., k] + found[..., 2 + k]) for k in (0, 1))
+    by_u, by_v = (
+        0.5 * (found[..., ::2] + found[..., 1::2])
+        for found in (levels_between(of, places.uv_px, places.normal, OFFSETS) for of in by_uv)
+    )
     normal_u, normal_v = (places.normal[:, None, ::2, k] for k in (0, 1))
     known = places.inside[:, ::2] & places.inside[:, 1::2]
     return by_u * normal_u + by_v * normal_v, by_u * normal_v - by_v * normal_u, known
@@ -92,7 +86,7 @@ def window_spread(growth: Float[np.ndarray, "k"]) -> Float[np.ndarray, "x"]:
 
 
 def window_scores(
-    by_uv: Float[np.ndarray, "h w 2"], least: float, places: Samples
+    by_uv: Float[np.ndarray, "2 h w"], least: float, places: Samples
 ) -> tuple[Float[np.ndarray, "n x"], Bool[np.ndarray, "n x"]]:
     """(sums of ridge, over sigma and the root of blocks, of every window on each probe itself;
     whether all of it is inside)."""

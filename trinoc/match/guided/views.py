@@ -27,14 +27,18 @@ _FLOOR_PX, _PULL, _UNPULLED = 0.03, 0.7, 0.05
 _HIDDEN, _WIDENED_BY_NOISE = 1.0, 0.8
 
 
+# So many of the longest segments tell, if so many of them are found again so near, px. By hand.
+_LONGEST, _FEWEST, _GATE_PX = 48, 6, 1.0
+
+
 class PictureInput(NamedTuple):
     """Fields
     ------
-    by_uv : (h, w, 2) gradient.
+    by_uv : (2, h, w) gradient.
     noise : standard deviation of the gradient from noise.
     least : the same of one block's ridge.
     growth : (k,) what windows of correlated noise sum up to, see `false_alarms.py`.
-    usual_px : how wide the ridges of edges are here, see `usual_width.py`; infinite where nobody
+    usual_px : how wide the ridges of edges are here, see `with_usual_width`; infinite where nobody
         knows.
     """
 
@@ -42,7 +46,7 @@ class PictureInput(NamedTuple):
     matrix_px: Float[np.ndarray, "3 4"]
     lens: Intrinsics
     size_px: tuple[int, int]
-    by_uv: Float[np.ndarray, "h w 2"]
+    by_uv: Float[np.ndarray, "2 h w"]
     noise: float
     least: float
     growth: Float[np.ndarray, "k"]
@@ -197,3 +201,19 @@ def _hidden_edges_px2(place: Place, usual_px: float) -> Float[np.ndarray, "n 2"]
     wider = np.log(np.maximum(place.width_px / usual_px, 1.0))
     beyond_noise = np.maximum(wider**2 - _WIDENED_BY_NOISE**2 * place.variance_px2, 0.0)
     return np.square(_HIDDEN * place.width_px) * beyond_noise
+
+
+def with_usual_width(
+    picture: PictureInput, segments_px: Float[np.ndarray, "n 2 2"]
+) -> PictureInput:
+    """The picture with the median width of the ridges on its segments (undistorted pixels).
+
+    A sliver of a face, or the shadow under an edge, that is narrower than the blur makes one ridge
+    of two edges, whose top lies between them. That it is wider than others is its only sign.
+    """
+    length = np.linalg.norm(segments_px[:, 1] - segments_px[:, 0], axis=1)
+    longest = np.sort(np.argsort(-length, kind="stable")[:_LONGEST])
+    gate = np.full(len(longest), _GATE_PX)
+    answer = ask(picture, segments_px[longest], gate, gate / 2, np.full(len(longest), np.inf))
+    width = answer.width_px[answer.contrast > 0].reshape(-1)
+    return picture._replace(usual_px=float(np.median(width)) if len(width) >= _FEWEST else np.inf)

@@ -4,11 +4,11 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from trinoc.geometry import Rig
 from trinoc.match.line_pixels.images import LineImages, offset_at
-from trinoc.match.line_pixels.line_fit import LineFit, fit_lines
+from trinoc.match.line_pixels.line_fit import fit_lines
 from trinoc.match.line_pixels.tuning import PixelTuning
 from trinoc.match.line_pixels.view_fit import PIXELS, ViewFit
 from trinoc.match.observations import distorted, undistorted
@@ -18,8 +18,6 @@ from trinoc.numerics import axes_across, chi_square_limit, chi_square_tail
 
 DISAGREES = "disagrees"
 _UNKNOWNS = 4
-# Of a line that views do not determine, the information has no smaller ratio of eigenvalues.
-_LEAST_CONDITION = 1e-12
 
 
 def measured(
@@ -33,20 +31,22 @@ def measured(
     tracks, sides = matches.index.shape
     words = np.full((tracks, sides), "", dtype="<U16")
     place = np.zeros((tracks, sides, 2, 2))
-    right = np.tile(np.array([1.0, 0.0]), (tracks, sides, 1))
-    offset, information = np.zeros((tracks, sides, 2)), np.zeros((tracks, sides, 2, 2))
+    place[..., 0, :] = 1.0
+    covariance = np.tile(np.eye(2), (tracks, sides, 1, 1))
     for view, (seen, fit) in enumerate(zip(images, views, strict=True)):
         rows = seen.track
         words[rows, view] = fit.words
-        place[rows, view], right[rows, view] = seen.ends_px, seen.right
-        offset[rows, view] = fit.offset_px
-        information[rows, view] = np.linalg.inv(fit.covariance_px2)
+        place[rows, view] = seen.ends_px + fit.offset_px[..., None] * seen.right[:, None]
+        covariance[rows, view] = fit.covariance_px2
     way = matches.lines_mm[:, 1] - matches.lines_mm[:, 0]
     unit = way / np.linalg.norm(way, axis=1)[:, None]
     axes = axes_across(unit)
     matrices = np.stack([np.asarray(rig[name].matrix_px) for name in matches.views])
-    found = fit_lines(matrices, matches.lines_mm, axes, place, right, offset, information)
-    move, spread, sound = _sound(found)
+    seen = matches.index >= 0
+    found = fit_lines(matrices, matches.lines_mm, axes, place, covariance, seen.astype(np.float64))
+    sound = np.asarray(np.isfinite(found.covariance_mm2).all(axis=(1, 2)))
+    move = np.where(sound[:, None], found.move_mm, 0.0)
+    spread = np.where(sound[:, None, None], found.covariance_mm2, np.eye(_UNKNOWNS))
     misfit = np.where(sound, found.misfit, 0.0)
     sound &= (words == PIXELS).any(axis=1)
 
@@ -64,13 +64,12 @@ def measured(
     limit = chi_square_limit(tuning.least_probability, _UNKNOWNS)
     # Where the answers differ too much, the pixels' holds if its views agree among themselves, as
     # two always do: segments are off more often than pixels. Its covariance then covers both.
-    three = (matches.index >= 0).sum(axis=1) > 2
+    three = seen.sum(axis=1) > 2
     agree = chi_square_tail(misfit, np.maximum(freedom, 1)) > tuning.least_probability
     holds = sound & ((difference <= limit) | agree)
     spread = spread * np.maximum(difference / limit, 1.0)[:, None, None]
-    ends, covariance = _moved(matches.lines_mm, turn, before, move, spread)
+    ends, of_ends = _moved(matches.lines_mm, turn, before, move, spread)
     depth = np.einsum("vj,tej->tve", matrices[:, 2, :3], ends) + matrices[:, 2, 3][:, None]
-    seen = matches.index >= 0
     holds &= ((depth > 0).all(axis=2) | ~seen).all(axis=1) & np.isfinite(ends).all(axis=(1, 2))
     words = np.where((words == PIXELS) & ~holds[:, None], DISAGREES, words)
     fragments, of_fragments = _fragments(matches, rig, images, views, words)
@@ -82,7 +81,7 @@ def measured(
         matches,
         fragments_px=fragments,
         lines_mm=np.where(holds[:, None, None], ends, matches.lines_mm),
-        covariance_mm2=np.where(holds[:, None, None], covariance, matches.covariance_mm2),
+        covariance_mm2=np.where(holds[:, None, None], of_ends, matches.covariance_mm2),
         counts=matches.counts | counts,
         fragments_covariance_px2=of_fragments,
         misfit=None if matches.misfit is None else np.where(holds & three, misfit, matches.misfit),
@@ -106,18 +105,6 @@ def hausman(
     values, vectors = np.linalg.eigh(inverse @ usual @ inverse.mT)
     along = (vectors.mT @ inverse @ difference[..., None])[..., 0]
     return (along**2 / np.maximum(values - 1, least)).sum(axis=1)
-
-
-def _sound(found: LineFit) -> tuple[np.ndarray, np.ndarray, Bool[np.ndarray, "t"]]:
-    """(moves, covariances, whether they are any), something harmless where they are not."""
-    move, information = np.asarray(found.move_mm), np.asarray(found.information)
-    every = np.column_stack([move, information.reshape(len(move), _UNKNOWNS**2), found.misfit])
-    finite = np.asarray(np.isfinite(every).all(axis=1))
-    safe = np.where(finite[:, None, None], information, np.eye(_UNKNOWNS))
-    values = np.linalg.eigvalsh(safe)
-    finite = finite & np.asarray(values[:, 0] > _LEAST_CONDITION * values[:, -1])
-    safe = np.where(finite[:, None, None], safe, np.eye(_UNKNOWNS))
-    return np.where(finite[:, None], move, 0.0), np.linalg.inv(safe), finite
 
 
 def _moved(

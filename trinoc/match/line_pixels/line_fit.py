@@ -2,92 +2,49 @@
 
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.numerics import ArrayLike, in_blocks, kept_jit, solve_positive_definite
+from trinoc.geometry import distances_from_line
+from trinoc.numerics import Residuals, gauss_newton, whitening
 
-_LINES_AT_ONCE = 256
 _STEPS = 4
-_LEAST_INFORMATION = 1e-12
 
 
 class LineFit(NamedTuple):
-    """Lines, or the normal equations of one: then `move_mm` is the gradient.
-
-    Fields
+    """Fields
     ------
     move_mm : (t, 4) of the first end, then of the last, along the two axes across the line.
-    information : (t, 4, 4) of these. misfit : (t,) chi-square by which the views disagree.
+    covariance_mm2 : (t, 4, 4) of these, NaN of lines that the views do not determine.
+    misfit : (t,) chi-square by which the views disagree.
     """
 
-    move_mm: Float[ArrayLike, "t 4"]
-    information: Float[ArrayLike, "t 4 4"]
-    misfit: Float[ArrayLike, "t"]
+    move_mm: Float[np.ndarray, "t 4"]
+    covariance_mm2: Float[np.ndarray, "t 4 4"]
+    misfit: Float[np.ndarray, "t"]
 
 
-def offsets_of(
-    ends_mm: Float[ArrayLike, "2 3"],
-    matrix_px: Float[ArrayLike, "3 4"],
-    place_px: Float[ArrayLike, "2 2"],
-    right: Float[ArrayLike, "2"],
-) -> Float[ArrayLike, "2"]:
-    """Distances, along `right`, of the image of a line from two places."""
-    image = ends_mm @ matrix_px[:, :3].T + matrix_px[None, :, 3]
-    line = jnp.cross(image[0], image[1])
-    return -(place_px @ line[:2] + line[2]) / (right @ line[:2])
-
-
-def fit_line(
-    ends_mm: Float[ArrayLike, "2 3"],
-    axes: Float[ArrayLike, "2 3"],
-    matrices_px: Float[ArrayLike, "v 3 4"],
-    places_px: Float[ArrayLike, "v 2 2"],
-    right: Float[ArrayLike, "v 2"],
-    offset_px: Float[ArrayLike, "v 2"],
-    information: Float[ArrayLike, "v 2 2"],
+def fit_lines(
+    matrices_px: Float[np.ndarray, "v 3 4"],
+    ends_mm: Float[np.ndarray, "t 2 3"],
+    axes: Float[np.ndarray, "t 2 3"],
+    places_px: Float[np.ndarray, "t v 2 2"],
+    covariance_px2: Float[np.ndarray, "t v 2 2"],
+    seen: Float[np.ndarray, "t v"],
 ) -> LineFit:
-    """One line by Gauss and Newton; views without information may hold anything finite."""
+    """Lines whose images go through places, known to this across; views that see none count 0."""
+    count = len(ends_mm)
+    matrices = np.broadcast_to(matrices_px, (count, *matrices_px.shape))
+    white = whitening(covariance_px2)
 
-    def residual(move: Float[ArrayLike, "4"]) -> Float[ArrayLike, "v 2"]:
-        ends = ends_mm + move.reshape(2, 2) @ axes
-        return (
-            jax.vmap(offsets_of, (None, 0, 0, 0))(ends, matrices_px, places_px, right) - offset_px
-        )
+    def lines_at(move: Float[np.ndarray, "t 4"]) -> Float[np.ndarray, "t 2 3"]:
+        return ends_mm + move.reshape(count, 2, 2) @ axes
 
-    def normal(move: Float[ArrayLike, "4"]) -> LineFit:
-        off, slope = residual(move), jax.jacfwd(residual)(move)
-        weighted = jnp.einsum("vij,vjk->vik", information, slope)
-        gradient = jnp.einsum("vik,vi->k", weighted, off)
-        square = jnp.einsum("vi,vij,vj->", off, information, off)
-        return LineFit(gradient, jnp.einsum("vij,vik->jk", slope, weighted), square)
+    def residuals(move: Float[np.ndarray, "t 4"]) -> Residuals:
+        found = distances_from_line(matrices, lines_at(move)[:, None], places_px)
+        by_move = np.einsum("tvpei,tai->tvpea", found.by_ends, axes).reshape(*white.shape[:3], 4)
+        distance = (white @ found.distance_px[..., None])[..., 0]
+        return Residuals(distance, white @ by_move, seen)
 
-    def step(_: ArrayLike, move: Float[ArrayLike, "4"]) -> Float[ArrayLike, "4"]:
-        gradient, hessian, _square = normal(move)
-        return move - solve_positive_definite(hessian + _LEAST_INFORMATION * jnp.eye(4), gradient)
-
-    move = jax.lax.fori_loop(0, _STEPS, step, jnp.zeros(4))
-    _, hessian, square = normal(move)
-    return LineFit(move, hessian, square)
-
-
-@kept_jit
-def _lines(
-    matrices_px: Float[ArrayLike, "v 3 4"],
-    ends_mm: Float[ArrayLike, "t 2 3"],
-    axes: Float[ArrayLike, "t 2 3"],
-    places_px: Float[ArrayLike, "t v 2 2"],
-    right: Float[ArrayLike, "t v 2"],
-    offset_px: Float[ArrayLike, "t v 2"],
-    information: Float[ArrayLike, "t v 2 2"],
-) -> LineFit:
-    return jax.vmap(fit_line, in_axes=(0, 0, None, 0, 0, 0, 0))(
-        ends_mm, axes, matrices_px, places_px, right, offset_px, information
-    )
-
-
-def fit_lines(matrices_px: Float[np.ndarray, "v 3 4"], *columns: np.ndarray) -> LineFit:
-    """All lines; columns as `fit_line` takes them, without the matrices."""
-    return in_blocks(lambda *rows: _lines(matrices_px, *rows), _LINES_AT_ONCE, *columns)
+    move, equations = gauss_newton(residuals, np.add, np.zeros((count, 4)), steps=_STEPS)
+    return LineFit(move, equations.covariance(), equations.chi_square)

@@ -6,16 +6,24 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.match.line_pixels.step_edge import BlockFit, fit_block
+from trinoc.image import BlockFit, fit_block
 from trinoc.match.line_pixels.strips import Strips, outward
 from trinoc.match.line_pixels.tuning import PixelTuning
-from trinoc.numerics import ArrayLike, group_medians, group_sums, in_blocks, kept_jit
+from trinoc.numerics import (
+    ArrayLike,
+    NormalEquations,
+    group_medians,
+    group_sums,
+    in_blocks,
+    kept_jit,
+)
 
 BLOCKS_AT_ONCE = 64
 _STEPS = 7
 # The first steps fit the core alone, with all blocks alike.
 _CORE_STEPS = 2
-_LARGEST_STEP_PX, _LARGEST_BLUR_STEP = 0.7, 0.3
+# Of both offsets, and of the logarithm of the blur.
+_LARGEST_STEP = np.array([0.7, 0.7, 0.3])
 # Pixels that a block must have on either side, and unknowns that it has of its own.
 _LEAST_PIXELS, _OWN_UNKNOWNS = 8, 6
 # Noise grows with the light, and before the place is found misfit counts as noise: a line's own
@@ -81,28 +89,24 @@ def fit_strips(
     def blocks(*columns: np.ndarray) -> BlockFit:
         return _blocks(core, slopes, *columns)
 
-    weighed = None
+    known = np.array([0.0, 0.0, 1 / log_blur[1] ** 2])
     for step in range(_STEPS):
         here = (*strips[:4], reach, place[line], every)
         found = in_blocks(blocks, BLOCKS_AT_ONCE, *here)
-        weighed = _weighed(found, line, count, noise, place, log_blur, step > 1, tuning)
+        weighed = _weigh(found, line, count, noise, step > 1, tuning)
         if step == _STEPS - 1:
             break
-        move = np.linalg.solve(weighed.information, weighed.gradient[..., None])[..., 0]
-        largest = np.maximum(
-            np.abs(move[:, :2]).max(axis=1) / _LARGEST_STEP_PX,
-            np.abs(move[:, 2]) / _LARGEST_BLUR_STEP,
+        off = place - np.array([0.0, 0.0, log_blur[0]])
+        equations = NormalEquations(
+            weighed.information + np.diag(known), known * off - weighed.gradient, off, off
         )
-        place = place + move / np.maximum(largest, 1.0)[:, None]
+        place = place + equations.step(_LARGEST_STEP)
         if step + 1 >= _CORE_STEPS:
-            reach = _grown(found, strips.usable, noise * np.sqrt(weighed.noise[line]), tuning)
-    assert weighed is not None
+            reach = _grow(found, strips.usable, noise * np.sqrt(weighed.noise[line]), tuning)
     total = np.maximum(np.bincount(line, minlength=count), 1)
-    information = weighed.information.copy()
-    information[:, 2, 2] -= 1 / log_blur[1] ** 2
     return StripFit(
         place,
-        information,
+        weighed.information,
         weighed.chi_square,
         weighed.scatter,
         weighed.blocks,
@@ -111,6 +115,8 @@ def fit_strips(
 
 
 class _Weighed(NamedTuple):
+    """Of each line, by its pixels alone; `noise` and `chi_square` over the picture's variance."""
+
     information: Float[np.ndarray, "s 3 3"]
     gradient: Float[np.ndarray, "s 3"]
     noise: Float[np.ndarray, "s"]
@@ -120,13 +126,11 @@ class _Weighed(NamedTuple):
     believed: Float[np.ndarray, "s"]
 
 
-def _weighed(
+def _weigh(
     found: BlockFit,
     line: Int[np.ndarray, "b"],
     count: int,
     noise: float,
-    place: Float[np.ndarray, "s 3"],
-    log_blur: tuple[float, float],
     robust: bool,
     tuning: PixelTuning,
 ) -> _Weighed:
@@ -150,13 +154,9 @@ def _weighed(
     if robust:
         weight = weight / (1 + np.square(off / tuning.block_sigmas))
     share = weight / variance
-    information = group_sums(np.asarray(found.information * share[:, None, None]), line, count)
-    gradient = group_sums(np.asarray(found.gradient * share[:, None]), line, count)
-    information[:, 2, 2] += 1 / log_blur[1] ** 2
-    gradient[:, 2] -= (place[:, 2] - log_blur[0]) / log_blur[1] ** 2
     return _Weighed(
-        information + 1e-6 * np.eye(3),
-        gradient,
+        group_sums(np.asarray(found.information * share[:, None, None]), line, count),
+        group_sums(np.asarray(found.gradient * share[:, None]), line, count),
         scale,
         usual,
         group_sums(np.where(good, off**2, 0.0), line, count),
@@ -165,7 +165,7 @@ def _weighed(
     )
 
 
-def _grown(
+def _grow(
     found: BlockFit,
     usable: Bool[np.ndarray, "b r c"],
     noise: Float[np.ndarray, "b"],

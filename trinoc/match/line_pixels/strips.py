@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from trinoc.geometry import Intrinsics
+from trinoc.image import levels_of, pixels_across
 from trinoc.match.line_pixels.images import LineImages
-from trinoc.match.line_pixels.neighbours import NOBODY
 from trinoc.match.line_pixels.tuning import PixelTuning
 from trinoc.match.observations import distorted, undistorted
 
@@ -22,6 +22,8 @@ COLUMNS = 2 * HALF + 1
 _LEAST_ROWS = 3
 # A lens bends the image of a line by less than this many chords show.
 _CHORDS = 16
+# Whose the surroundings of a pixel are, where no segment is near.
+NOBODY = -1
 
 
 class Strips(NamedTuple):
@@ -54,23 +56,19 @@ def strips_of(
 ) -> Strips:
     """The blocks of all lines of a picture; lines without room for one have none."""
     inside = images.extent_px + np.array([1.0, -1.0]) * tuning.end_widths * blur_px
-    column, row, valid, line = _rows_of(lens, images, inside)
-    height, width = light.shape
-    within = valid & (column >= 0) & (column < width) & (row >= 0) & (row < height)
-    at = np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)
-    places = np.stack([column, row], axis=-1).astype(np.float64)
-    flat = undistorted(lens, places.reshape(-1, 2, 2)).reshape(places.shape)
+    pixels, valid, line = _pixels_of(lens, images, inside)
+    flat = undistorted(lens, pixels.astype(np.float64).reshape(-1, 2, 2)).reshape(pixels.shape)
     off = flat - images.ends_px[line, 0][:, None, None]
     across, along = (
         np.einsum("brci,bi->brc", off, axis[line]) for axis in (images.right, images.way)
     )
+    level, within = levels_of(light, pixels)
+    is_clipped, first, last = (levels_of(each, pixels)[0] for each in (clipped, *owners))
     own = images.segment[line][:, None, None]
-    first, last = (owner[at] for owner in owners)
     alone = (last == NOBODY) | ((first == own) & (last == own))
-    usable = within & alone & (np.abs(across) <= tuning.reach_px) & ~clipped[at]
-    usable = outward(usable)
+    usable = valid & within & alone & (np.abs(across) <= tuning.reach_px) & ~is_clipped
     share = along / images.length_px[line][:, None, None]
-    return Strips(across, share, light[at].astype(np.float64), usable, line)
+    return Strips(across, share, level.astype(np.float64), outward(usable), line)
 
 
 def outward(good: Bool[np.ndarray, "*b c"]) -> Bool[np.ndarray, "*b c"]:
@@ -80,46 +78,72 @@ def outward(good: Bool[np.ndarray, "*b c"]) -> Bool[np.ndarray, "*b c"]:
     return np.concatenate([left[..., :-1], right], axis=-1)
 
 
-def _rows_of(
+def _pixels_of(
     lens: Intrinsics, images: LineImages, inside_px: Float[np.ndarray, "s 2"]
-) -> tuple[
-    Int[np.ndarray, "b r c"], Int[np.ndarray, "b r c"], Bool[np.ndarray, "b r 1"], np.ndarray
-]:
-    """(column, row, whether a block has this row, line) of the pixels across each line."""
+) -> tuple[Int[np.ndarray, "b r c 2"], Bool[np.ndarray, "b r 1"], Int[np.ndarray, "b"]]:
+    """(pixels across each line, whether a block has this row, line)."""
     chord = np.linspace(0, 1, _CHORDS)
     along = inside_px[:, :1] + chord * (inside_px[:, 1:] - inside_px[:, :1])
     path = images.ends_px[:, None, 0] + along[..., None] * images.way[:, None]
     path = distorted(lens, path.reshape(-1, 2, 2)).reshape(path.shape)
     span = path[:, -1] - path[:, 0]
     upright = np.abs(span[:, 1]) > np.abs(span[:, 0])
-    steps, middles, valid, line = [], [], [], []
+    middles, valid, line = [], [], []
     for number in np.flatnonzero(inside_px[:, 1] > inside_px[:, 0]):
         main = int(upright[number])
         walk = path[number] if span[number, main] > 0 else path[number, ::-1]
-        places = np.arange(np.ceil(walk[0, main]), np.floor(walk[-1, main]) + 1)
-        if len(places) < _LEAST_ROWS:
+        first, last = np.ceil(walk[0, main]), np.floor(walk[-1, main])
+        length = int(last - first) + 1
+        if length < _LEAST_ROWS:
             continue
         # Rows beyond the last block are spare, unless they are enough for one of their own.
-        spare = len(places) % ROWS
-        count = len(places) // ROWS + int(spare >= _LEAST_ROWS or len(places) < ROWS)
-        there = np.arange(count * ROWS) < len(places)
-        places = places[0] + np.arange(count * ROWS)
-        steps.append(places.reshape(count, ROWS))
-        middles.append(np.interp(places, walk[:, main], walk[:, 1 - main]).reshape(count, ROWS))
-        valid.append(there.reshape(count, ROWS))
+        count = length // ROWS + int(length % ROWS >= _LEAST_ROWS or length < ROWS)
+        places = first + np.arange(count * ROWS)
+        other = np.rint(np.interp(places, walk[:, main], walk[:, 1 - main]))
+        middles.append(np.stack([other, places] if main else [places, other], axis=1))
+        valid.append(np.arange(count * ROWS) < length)
         line.append(np.full(count, number))
     if not line:
-        none = np.zeros((0, ROWS, COLUMNS), dtype=np.int64)
-        return none, none, np.zeros((0, ROWS, 1), dtype=bool), np.zeros(0, dtype=np.int64)
+        none = np.zeros((0, ROWS, COLUMNS, 2), dtype=np.int64)
+        return none, np.zeros((0, ROWS, 1), dtype=bool), np.zeros(0, dtype=np.int64)
     owner = np.concatenate(line)
-    step = np.concatenate(steps)[..., None].astype(np.int64)
-    middle = np.rint(np.concatenate(middles))[..., None].astype(np.int64)
-    other = middle + np.arange(-HALF, HALF + 1)
-    step = np.broadcast_to(step, other.shape)
-    tall = upright[owner][:, None, None]
-    return (
-        np.where(tall, other, step),
-        np.where(tall, step, other),
-        np.concatenate(valid)[..., None],
-        owner,
-    )
+    middle = np.concatenate(middles).astype(np.int64).reshape(-1, ROWS, 2)
+    along_u = np.broadcast_to(upright[owner][:, None], middle.shape[:2])
+    have = np.concatenate(valid).reshape(-1, ROWS, 1)
+    return pixels_across(middle, along_u, HALF), have, owner
+
+
+def owners_of(
+    ends_px: Float[np.ndarray, "n 2 2"], size_px: tuple[int, int], reach_px: float
+) -> tuple[Int[np.ndarray, "h w"], Int[np.ndarray, "h w"]]:
+    """The first and the last of the segments within reach of each pixel, NOBODY without any.
+
+    Where they are the same, the pixel is near that segment alone.
+    """
+    width, height = size_px
+    first = np.full((height, width), len(ends_px), dtype=np.int64)
+    last = np.full((height, width), NOBODY, dtype=np.int64)
+    for number, ends in enumerate(ends_px):
+        low = np.clip(np.floor(ends.min(axis=0) - reach_px), 0, None).astype(np.int64)
+        high = np.ceil(ends.max(axis=0) + reach_px).astype(np.int64) + 1
+        rows, columns = slice(low[1], max(high[1], 0)), slice(low[0], max(high[0], 0))
+        near = _within(ends, first[rows, columns].shape, low, reach_px)
+        first[rows, columns][near] = np.minimum(first[rows, columns][near], number)
+        last[rows, columns][near] = number
+    return np.where(last == NOBODY, NOBODY, first), last
+
+
+def _within(
+    ends: Float[np.ndarray, "2 2"],
+    shape: tuple[int, ...],
+    origin: Int[np.ndarray, "2"],
+    reach_px: float,
+) -> Bool[np.ndarray, "_ _"]:
+    way = ends[1] - ends[0]
+    length = np.linalg.norm(way)
+    way = way / max(length, 1e-9)
+    v, u = np.ogrid[: shape[0], : shape[1]]
+    off_u, off_v = u + origin[0] - ends[0, 0], v + origin[1] - ends[0, 1]
+    along, across = off_u * way[0] + off_v * way[1], off_v * way[0] - off_u * way[1]
+    beside = (along > -reach_px) & (along < length + reach_px)
+    return np.asarray(beside & (np.abs(across) < reach_px))
