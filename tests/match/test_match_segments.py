@@ -8,7 +8,7 @@ from tests.match.made import as_set, loose_lines, pictures, rig_of
 from trinoc.errors import InputError, MatchError
 from trinoc.geometry import Rig, Segments
 from trinoc.match import match_segments
-from trinoc.match.tracks.rejection import reasons
+from trinoc.match.tracks.answers import reasons
 
 VIEWS = ("upper", "left", "right")
 

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Bool, Float
 
 from trinoc.geometry.epipolar import centre_of_matrix
+from trinoc.geometry.projection import project_with_jacobian
 from trinoc.numerics import (
     ArrayLike,
     inverse_3x3,
@@ -78,14 +79,10 @@ def triangulate_segment(
     information = weight[:, None, None] * jax.vmap(inverse_positive_definite)(covariance)
 
     def fitted(ends: Float[ArrayLike, "2 3"]) -> _Fit:
-        # Sums of products and no matrix products, which XLA computes one by one.
-        image = (matrices_px[:, None, :, :3] * ends[None, :, None, :]).sum(-1)
-        image = image + matrices_px[:, None, :, 3]
-        uv, depth = image[..., :2] / image[..., 2:], image[..., 2]
-        error = (uv - fragments).reshape(-1, 4)
+        image = project_with_jacobian(matrices_px, ends[None])
+        error = (image.uv_px - fragments).reshape(-1, 4)
         # Of each end's two coordinates by its own three: (v, e, 2, 3).
-        slope = matrices_px[:, None, :2, :3] - uv[..., None] * matrices_px[:, None, 2:, :3]
-        slope = slope / depth[..., None, None]
+        slope = image.by_point
         blocks = information.reshape(-1, 2, 2, 2, 2)
         # Axes: view, end, coordinate of the image, end, coordinate, place.
         weighted = (blocks[..., None] * slope[:, None, None]).sum(4)

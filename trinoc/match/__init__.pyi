@@ -3,8 +3,7 @@ from .candidates.triples import trinocular_candidates as trinocular_candidates
 from .cylinders import Cylinders as Cylinders, find_cylinders as find_cylinders
 from .guided import GuidedMatches as GuidedMatches, guide_matches as guide_matches
 from .line_map.collinear_merge import join_collinear as join_collinear
-from .line_map.corner_fit import snap_corners as snap_corners
-from .line_map.corners import Corners as Corners
+from .line_map.corners import Corners as Corners, snap_corners as snap_corners
 from .line_map.depth import depth_map as depth_map
 from .line_map.lines import JoinedLines as JoinedLines
 from .line_pixels import PixelTuning as PixelTuning, measure_lines as measure_lines

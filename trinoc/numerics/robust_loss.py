@@ -143,8 +143,8 @@ class ScaleMixture(AbstractRobustLoss):
 
     def weight(self, squared: Float[ArrayLike, "*n"]) -> Float[ArrayLike, "*n"]:
         """The mean of one over the squared scales, given the error."""
-        xp, (_, terms) = namespace_of(squared), self._terms(squared)
-        return terms @ xp.asarray(self.scales) ** -2.0 / terms.sum(axis=-1)
+        _, terms = self._terms(squared)
+        return terms @ np.array(self.scales) ** -2.0 / terms.sum(axis=-1)
 
     def log_density(self, squared: Float[ArrayLike, "*n"]) -> Float[ArrayLike, "*n"]:
         """log p(s), for residuals in standard deviations."""
@@ -156,9 +156,8 @@ class ScaleMixture(AbstractRobustLoss):
         self, squared: Float[ArrayLike, "*n"]
     ) -> tuple[Float[ArrayLike, "*n"], Float[ArrayLike, "*n k"]]:
         """(logarithm of the largest term, all terms over it), which do not underflow together."""
-        xp = namespace_of(squared)
-        scale = xp.asarray(self.scales)
-        exponent = xp.log(xp.asarray(self.shares)) - self.size * xp.log(scale)
-        exponent = exponent - 0.5 * squared[..., None] / scale**2
+        # A size without a share is the likeliest one far out, where all others underflow.
+        share, scale = np.maximum(self.shares, np.finfo(float).tiny), np.array(self.scales)
+        exponent = np.log(share) - self.size * np.log(scale) - 0.5 * squared[..., None] / scale**2
         largest = exponent.max(axis=-1)
-        return largest, xp.exp(exponent - largest[..., None])
+        return largest, namespace_of(squared).exp(exponent - largest[..., None])

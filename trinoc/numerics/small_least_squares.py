@@ -110,14 +110,16 @@ def _determined(values: Float[np.ndarray, "h p"]) -> Bool[np.ndarray, "h p"]:
 
 def normal_equations(at: Residuals, loss: AbstractRobustLoss | None = None) -> NormalEquations:
     """The equations of the next step; with a loss, of reweighted least squares."""
-    count, _, _, parameters = at.jacobian.shape
+    count, observations, numbers, parameters = at.jacobian.shape
+    shape = count, observations * numbers
     squared = np.einsum("hkd,hkd->hk", at.residual, at.residual)
     weight = np.ones_like(squared) if at.weight is None else at.weight
-    weight = weight * (1.0 if loss is None else np.asarray(loss.weight(squared)))
-    rows = at.jacobian.reshape(count, -1, parameters)
+    if loss is not None:
+        weight = weight * np.asarray(loss.weight(squared))
+    rows = at.jacobian.reshape(*shape, parameters)
     weighted = (at.jacobian * weight[:, :, None, None]).reshape(rows.shape).mT
     information = (weighted @ rows).astype(float)
-    gradient = (weighted @ at.residual.reshape(count, -1, 1))[:, :, 0].astype(float)
+    gradient = (weighted @ at.residual.reshape(*shape, 1))[:, :, 0].astype(float)
     if at.prior_precision is not None and at.prior_residual is not None:
         diagonal = np.einsum("hii->hi", information)
         diagonal += at.prior_precision
@@ -152,7 +154,7 @@ def whitening(covariance: Float[np.ndarray, "*n d d"]) -> Float[np.ndarray, "*n 
 
 
 def misfit_factor(
-    chi_square: Float[np.ndarray, "*n"] | float, degrees: Int[np.ndarray, "*n"] | int
-) -> Float[np.ndarray, "*n"]:
+    chi_square: Float[np.ndarray, "h"], degrees: Int[np.ndarray, "h"] | int
+) -> Float[np.ndarray, "h"]:
     """What to multiply a covariance by where errors are larger than stated; never below 1."""
-    return np.maximum(np.asarray(chi_square) / np.maximum(degrees, 1), 1.0)
+    return np.maximum(chi_square / np.maximum(degrees, 1), 1.0)

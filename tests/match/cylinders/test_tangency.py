@@ -5,7 +5,7 @@ import pytest
 
 from tests.match.cylinders.made_outlines import Placed
 from tests.match.made import rig_of
-from trinoc.match.cylinders.tangency import Rays, abreast_mm, before_camera, passing
+from trinoc.match.cylinders.outlines import Rays, abreast_mm, before_camera, ray_axis_distances
 from trinoc.numerics import axes_across
 
 TILTED = Placed(9.0, 40.0, turn=(0.3, -0.7, 0.2), shift_mm=(12.0, -8.0, 15.0))
@@ -24,7 +24,7 @@ def test_rays_of_outlines_touch_the_cylinder_on_either_side(name) -> None:
     first, second = TILTED.axis_mm
     way = (second - first) / 40.0
     rays = rays_to(centre, lines)
-    distance = passing(rays, first[None], way[None]).distance_mm
+    distance = ray_axis_distances(rays, first[None], way[None]).distance_mm
     np.testing.assert_allclose(np.sort(distance, axis=0), [[-9.0, -9.0], [9.0, 9.0]], atol=1e-9)
     along = abreast_mm(rays, first[None], way[None])
     np.testing.assert_allclose(along, [[0.0, 40.0]] * 2, atol=1e-9)
@@ -39,7 +39,7 @@ def test_derivatives_are_those_of_differences() -> None:
     way /= np.linalg.norm(way)
     ends, slope = rng.normal(size=(1, 2, 3)) * 40.0, rng.normal(size=(1, 2, 3))
     across = axes_across(way)
-    found = passing(rays_to(centre, ends, slope), point[None], way[None])
+    found = ray_axis_distances(rays_to(centre, ends, slope), point[None], way[None])
     step = 1e-5
 
     still = np.zeros(3)
@@ -50,7 +50,9 @@ def test_derivatives_are_those_of_differences() -> None:
             turned = way + sign * step * d_way
             rays = rays_to(centre, ends + sign * step * d_ray)
             moved = point + sign * step * d_point
-            values.append(passing(rays, moved[None], turned[None] / np.linalg.norm(turned)))
+            values.append(
+                ray_axis_distances(rays, moved[None], turned[None] / np.linalg.norm(turned))
+            )
         return (values[0].distance_mm - values[1].distance_mm) / (2 * step)
 
     for k in (0, 1):

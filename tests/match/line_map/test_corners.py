@@ -10,7 +10,7 @@ from trinoc.match import (
     Corners,
     snap_corners,
 )
-from trinoc.match.line_map.corner_fit import _constrain
+from trinoc.match.line_map.corners import _constrain
 from trinoc.numerics import axes_across
 
 from .made_tracks import (

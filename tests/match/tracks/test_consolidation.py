@@ -9,7 +9,7 @@ from tests.match.scene import MadeScene, made_scene
 from tests.match.tracks.test_multiview import appended, tracks_from, triples_of
 from trinoc.match import match_segments
 from trinoc.match.tracks import consolidated, merge_triplets
-from trinoc.match.tracks.consistency import consistent, fitted
+from trinoc.match.tracks.line_fit import consistent, fit_tracks
 
 GATE = 20.0
 POSES = {
@@ -35,11 +35,11 @@ def test_a_member_that_does_not_fit_is_split_off_and_the_right_one_put_in(scene:
     wrong = scene.true.copy()
     wrong[:, 3] = np.roll(wrong[:, 3], 1)
     tracks = tracks_from(wrong, np.tile([0.0, 1.0], (len(wrong), 5, 1)), scene.lines_mm)
-    before = fitted(scene.seen, wrong, scene.lines_mm)
+    before = fit_tracks(scene.seen, wrong, scene.lines_mm)
     assert not consistent(before, GATE).any()
     kept = consolidated(scene.seen, tracks)
     index = kept.candidates.index
-    after = fitted(scene.seen, index, kept.candidates.ends_mm)
+    after = fit_tracks(scene.seen, index, kept.candidates.ends_mm)
     assert consistent(after, GATE).all()
     for row in index:
         line = np.argwhere(scene.true[:, 0] == row[0])[0, 0]

@@ -16,6 +16,7 @@ from trinoc.geometry import (
     Rig,
     epipolar_distance_px,
     fundamental_matrix,
+    project_by_matrix,
     sheet_from_pixel,
     triangulate_point,
 )
@@ -75,8 +76,8 @@ def _distances_by_change(
         fundamental = fundamental_matrix(moved[1], moved[0])
 
         def distance(uv: Float[ArrayLike, "2"], point: Float[ArrayLike, "2"]) -> ArrayLike:
-            image = there[1] @ jnp.append(point, jnp.array([0.0, 1.0]))
-            return epipolar_distance_px(fundamental, image[:2] / image[2], uv)
+            image = project_by_matrix(there[1], jnp.append(point, 0.0))
+            return epipolar_distance_px(fundamental, image, uv)
 
         return jax.vmap(distance)(places, points)
 
@@ -104,8 +105,8 @@ def _place_by_change(
     point_mm: Float[ArrayLike, "3"],
 ) -> Float[ArrayLike, "3 v p"]:
     """Derivatives of the place triangulated from exact images by the cameras' parameters."""
-    images = _projections(values, matrices) @ jnp.append(point_mm, 1.0)
-    seen, weight = images[:, :2] / images[:, 2:], jnp.ones(len(values))
+    seen = project_by_matrix(_projections(values, matrices), point_mm[None, None])[:, 0]
+    weight = jnp.ones(len(values))
 
     def place(change: Float[ArrayLike, "v p"]) -> Float[ArrayLike, "3"]:
         return triangulate_point(_projections(values + change, matrices), seen, weight)

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Bool, Float, Int
 
+from trinoc.geometry import pixel_change
 from trinoc.match.observations import SegmentTable
 from trinoc.match.tuning import DEFAULT, CandidateTuning
 from trinoc.match.two_view import Pencil, PencilSegments, cut_pair
@@ -89,7 +90,8 @@ def predict(
     by_a = add3(vector3(turned[:, 0]), by_b, -1.0)
 
     def effect(by: Vector3, image: Vector3, u: Scalar, v: Scalar) -> Scalar:
-        return (nu * (by[0] - u * by[2]) + nv * (by[1] - v * by[2])) / image[2]
+        du, dv = pixel_change((u, v), image[2], by)
+        return nu * du + nv * dv
 
     def covariance(s: PencilSegments, by: Vector3) -> tuple[Scalar, Scalar, Scalar]:
         at_low = (part.low - s.low) / (s.high - s.low)

@@ -10,10 +10,9 @@ longest counts alone: lines of all kinds are broken.
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.match.cylinders.fit import ROUND, STRAIGHT, Fits, Members, fitted
-from trinoc.match.cylinders.outlines import Outlines
+from trinoc.match.cylinders.fit import ROUND, STRAIGHT, Fits, Members, fit_cylinders
+from trinoc.match.cylinders.outlines import Outlines, abreast_mm
 from trinoc.match.cylinders.support import outlines_shown, same_outline
-from trinoc.match.cylinders.tangency import abreast_mm
 from trinoc.match.tracks import Matches
 from trinoc.match.tuning import CylinderTuning
 
@@ -36,8 +35,7 @@ def _against_chance(
     longest = ~same_outline(table, members).any(axis=2) & members.held
     primary = Members(np.where(longest, members.row, -1), members.side)
     parameters = fits.information.shape[1]
-    start = fits.point_mm, fits.direction, fits.radius_mm
-    best = fitted(table, primary, *start, tuning, parameters)
+    best = fit_cylinders(table, primary, *fits[:3], tuning, parameters)
     own = table.take(np.maximum(members.row, 0))
     along = abreast_mm(own.rays, fits.point_mm[:, None], fits.direction[:, None])
     reach = along.max(axis=2) - along.min(axis=2)
@@ -111,7 +109,8 @@ def _of_tracks(table: Outlines, matches: Matches, tuning: CylinderTuning) -> Flo
     way = lines[:, 1] - lines[:, 0]
     way = way / np.linalg.norm(way, axis=1, keepdims=True)
     own = Members(row[known], np.where(seen[known], 1.0, 0.0))
-    straight = fitted(table, own, lines.mean(axis=1), way, np.zeros(len(known)), tuning, STRAIGHT)
+    start = lines.mean(axis=1), way, np.zeros(len(known))
+    straight = fit_cylinders(table, own, *start, tuning, STRAIGHT)
     found = np.log(tuning.prior_lines) + _against_chance(table, straight, own, tuning)
     gain[known] = np.maximum(gain[known], found)
     return gain

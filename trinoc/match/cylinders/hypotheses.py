@@ -13,8 +13,13 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from trinoc.match.cylinders.fit import Members
-from trinoc.match.cylinders.outlines import Outlines
-from trinoc.match.cylinders.tangency import Rays, abreast_mm, before_camera, passing
+from trinoc.match.cylinders.outlines import (
+    Outlines,
+    Rays,
+    abreast_mm,
+    before_camera,
+    ray_axis_distances,
+)
 from trinoc.match.tuning import CylinderTuning
 from trinoc.numerics import blocks, cross_3d
 
@@ -107,7 +112,9 @@ def _consistent(
     away = away * np.sign((away * middle).sum(axis=1))[:, None]
     own = table.take(row)
     first = Rays(*(part[:, :2] for part in own.rays))
-    beside = passing(first, (centre[:, 0] + away)[:, None], direction[:, None]).distance_mm
+    beside = ray_axis_distances(
+        first, (centre[:, 0] + away)[:, None], direction[:, None]
+    ).distance_mm
     share = np.abs(beside.mean(axis=2)).mean(axis=1)
     base = (normal * (centre[:, 2] - centre[:, 0])).sum(axis=1)
     slope = (normal * away).sum(axis=1)
@@ -135,7 +142,9 @@ def _before_cameras(
 ) -> Start:
     """Those that lie before the cameras, with outlines abreast of each other on both sides."""
     rays = table.take(row).rays
-    side = np.sign(passing(rays, point_mm[:, None], direction[:, None]).distance_mm.mean(axis=2))
+    side = np.sign(
+        ray_axis_distances(rays, point_mm[:, None], direction[:, None]).distance_mm.mean(axis=2)
+    )
     along = np.sort(abreast_mm(rays, point_mm[:, None], direction[:, None]), axis=2)
     common = along[..., 1].min(axis=1) - along[..., 0].max(axis=1)
     shortest = (along[..., 1] - along[..., 0]).min(axis=1)

@@ -8,13 +8,12 @@ from scipy.special import expit
 
 from trinoc.errors import InputError
 from trinoc.geometry import Rig, Segments
-from trinoc.match.cylinders.choice import Chosen, chosen
+from trinoc.match.cylinders.answer import Chosen, choose_cylinders, place_ends
 from trinoc.match.cylinders.cylinders import Cylinders
 from trinoc.match.cylinders.evidence import log_odds
 from trinoc.match.cylinders.fit import Fits, Members
 from trinoc.match.cylinders.hypotheses import hypotheses
 from trinoc.match.cylinders.outlines import Outlines, possible_outlines
-from trinoc.match.cylinders.placed import placed
 from trinoc.match.cylinders.support import with_support
 from trinoc.match.observations import prepare, with_noise_scale
 from trinoc.match.tracks import Matches
@@ -62,7 +61,7 @@ def find_cylinders(
     start = hypotheses(table, len(matches.views), tuning.cylinders)
     fits, members = with_support(table, start, tuning.cylinders)
     odds = log_odds(table, fits, members, matches, tuning.cylinders)
-    best = chosen(fits, members, odds, tuning.cylinders)
+    best = choose_cylinders(fits, members, odds, tuning.cylinders)
     counts = {
         "possible outlines": len(table.view),
         "cylinders that three outlines suggest": len(start.radius_mm),
@@ -84,7 +83,7 @@ def _answer(
 ) -> Cylinders:
     """The cylinders put out, with their outlines in the order of views and segments."""
     own = Members(members.row[best.row], members.side[best.row])
-    axis, covariance = placed(table, fits, own, tuning.corners.free_end_px)
+    axis, covariance = place_ends(table, fits, own, tuning.corners.free_end_px)
     cylinder, column = np.nonzero(own.held)
     row = own.row[cylinder, column]
     order = np.lexsort((table.segment[row], table.view[row], cylinder))

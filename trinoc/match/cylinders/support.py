@@ -3,10 +3,15 @@
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.match.cylinders.fit import ROUND, Fits, Members, fitted
+from trinoc.match.cylinders.fit import Fits, Members, fit_cylinders
 from trinoc.match.cylinders.hypotheses import Start
-from trinoc.match.cylinders.outlines import Outlines
-from trinoc.match.cylinders.tangency import Rays, abreast_mm, before_camera, passing
+from trinoc.match.cylinders.outlines import (
+    Outlines,
+    Rays,
+    abreast_mm,
+    before_camera,
+    ray_axis_distances,
+)
 from trinoc.match.tuning import CylinderTuning
 from trinoc.numerics import blocks, chi_square_limit
 
@@ -21,8 +26,8 @@ def with_support(table: Outlines, start: Start, tuning: CylinderTuning) -> tuple
 
     Rounds, since more outlines leave a better cylinder. Cylinders of the same outlines are one.
     """
-    fits = fitted(table, start.members, start.point_mm, start.direction, start.radius_mm, tuning)
-    good = _settled(fits, tuning)
+    fits = fit_cylinders(table, *start, tuning)
+    good = _are_determined(fits, tuning)
     good &= fits.square < chi_square_limit(tuning.significance, fits.degrees)
     rows = np.flatnonzero(good)
     members = Members(start.members.row[rows], start.members.side[rows])
@@ -31,16 +36,16 @@ def with_support(table: Outlines, start: Start, tuning: CylinderTuning) -> tuple
         members = _single(table, fits, _touching(table, fits, members, tuning), tuning)
         members, kept = _distinct(table, members)
         fits = fits.take(kept)
-        fits = fitted(table, members, fits.point_mm, fits.direction, fits.radius_mm, tuning)
-        kept = np.flatnonzero(_settled(fits, tuning))
+        fits = fit_cylinders(table, members, *fits[:3], tuning)
+        kept = np.flatnonzero(_are_determined(fits, tuning))
         fits, members = fits.take(kept), Members(members.row[kept], members.side[kept])
     return fits, members
 
 
-def _settled(fits: Fits, tuning: CylinderTuning) -> Bool[np.ndarray, "h"]:
+def _are_determined(fits: Fits, tuning: CylinderTuning) -> Bool[np.ndarray, "h"]:
     """Cylinders that their outlines determine: a linear error holds for axis and radius."""
-    determined = (fits.rank == ROUND) & np.isfinite(fits.square) & (fits.degrees > 0)
-    variance = np.einsum("hii->hi", _inverse(fits.information))
+    determined = np.isfinite(fits.square) & (fits.degrees > 0)
+    variance = np.einsum("hii->hi", fits.covariance)
     size = np.stack([*[fits.radius_mm] * 2, *[np.ones_like(fits.radius_mm)] * 2, fits.radius_mm])
     return determined & (variance < (tuning.largest_doubt * size.T) ** 2).all(axis=1)
 
@@ -48,7 +53,7 @@ def _settled(fits: Fits, tuning: CylinderTuning) -> Bool[np.ndarray, "h"]:
 def _touching(table: Outlines, fits: Fits, members: Members, tuning: CylinderTuning) -> Members:
     """The outlines of each cylinder: those whose ends lie where they must, within errors."""
     low, high = _extent(table, fits, members)
-    known = _inverse(fits.information)
+    known = fits.covariance
     limit = chi_square_limit(tuning.significance, 2)
     parts = [Members(np.zeros((0, 1), dtype=np.int64), np.zeros((0, 1)))]
     for part in blocks(len(fits.radius_mm), AT_ONCE):
@@ -56,7 +61,7 @@ def _touching(table: Outlines, fits: Fits, members: Members, tuning: CylinderTun
         owner = here + part.start
         rays = Rays(*(column[row] for column in table.rays))
         point, direction = fits.point_mm[owner], fits.direction[owner]
-        beside = passing(rays, point, direction)
+        beside = ray_axis_distances(rays, point, direction)
         own = np.sign(beside.distance_mm.mean(axis=1))
         residual = own[:, None] * fits.radius_mm[owner, None] - beside.distance_mm
         residual = residual / beside.per_px
@@ -97,13 +102,6 @@ def _extent(
     low = np.where(members.held, along.min(axis=2), np.inf).min(axis=1)
     high = np.where(members.held, along.max(axis=2), -np.inf).max(axis=1)
     return low, high
-
-
-def _inverse(information: Float[np.ndarray, "h 5 5"]) -> Float[np.ndarray, "h 5 5"]:
-    scale = 1 / np.sqrt(np.maximum(np.einsum("hii->hi", information), 1e-300))
-    scaled = information * scale[:, :, None] * scale[:, None]
-    inverse = np.linalg.pinv(scaled, rcond=1e-9, hermitian=True)
-    return inverse * scale[:, :, None] * scale[:, None]
 
 
 def _packed(side: Float[np.ndarray, "h n"]) -> Members:

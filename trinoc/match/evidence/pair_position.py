@@ -12,8 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from trinoc.geometry import image_of_point
 from trinoc.match.evidence.endpoints import LEAST_DENSITY
-from trinoc.match.evidence.triple_position import adjusted, log_lengths
+from trinoc.match.evidence.triple_position import log_lengths, project_onto_planes
 from trinoc.match.observations import ClutterModel, SegmentTable
 from trinoc.match.tuning import DEFAULT, CandidateTuning, EndTuning
 from trinoc.match.two_view import (
@@ -22,7 +23,6 @@ from trinoc.match.two_view import (
     cut_pair,
     extents_on_line,
     image_length_px,
-    image_of,
     interpretation_planes,
     points_of,
     sight_of,
@@ -102,7 +102,7 @@ def pair_evidence(
     longest, shortest = largest_of(lengths), least_of(lengths)
     slack = jnp.stack([total(row.end_variance_px2[e] for row in rows) for e in range(2)])
     difference = jnp.stack([low[0] - low[1], high[0] - high[1]])
-    spread = adjusted(sight, sights, points, along)[1]
+    spread = project_onto_planes(sight, sights, points, along)[1]
     possible = common.possible & (sine > tuning.smallest_crossing) & jnp.isfinite(log_density)
     possible &= (shortest > tuning.shortest_to_longest * longest) & (common.high > common.low)
     components = _components(difference, slack, longest[None], ends)
@@ -143,7 +143,7 @@ def _views_expected(
     view = every.reshape(-1, *items)
     camera = view if lines.frame is None else (lines.frame[views[0], segments[0]][None], view)
     x, y, z = (coordinate[:2] for coordinate in points_mm)
-    (u, v), depth = image_of(lines.matrix_px[camera][:, None], in_front((x, y, z)))
+    (u, v), depth = image_of_point(lines.matrix_px[camera][:, None], in_front((x, y, z)))
     size = lines.size_px[camera][:, None]
     inside = (depth > 0) & (u > 0) & (u < size[..., 0]) & (v > 0) & (v < size[..., 1])
     other = (views[0] != every) & (views[1] != every)

@@ -108,7 +108,7 @@ def triple_evidence(
         + log_lengths(high - low, sight.typical_px)
         - total(sight.log_clutter)
     )
-    moved, spread = adjusted(sight, planes, points, cut.along)
+    moved, spread = project_onto_planes(sight, planes, points, cut.along)
     return TripleEvidence(
         (nth3(moved, 0), nth3(moved, 1)),
         cut.possible & (chi_square < tuning.gate) & jnp.isfinite(log_density),
@@ -131,7 +131,7 @@ def line_of_three(
     cut = _cut(sight, near_mm, tuning)
     points = cut.points(cut.begin, cut.begin + cut.common)
     planes = interpretation_planes(sight, points)
-    moved = adjusted(sight, planes, points, cut.along)[0]
+    moved = project_onto_planes(sight, planes, points, cut.along)[0]
     possible = cut.possible & (_misfit(sight, planes, cut.along)[0] < tuning.gate)
     return (nth3(moved, 0), nth3(moved, 1)), possible
 
@@ -176,7 +176,7 @@ def log_lengths(lengths_px: Float[ArrayLike, "v *h"], typical_px: Scalar) -> Flo
     return one[0] - total(log_share(lengths_px))
 
 
-def adjusted(
+def project_onto_planes(
     sight: Sight, planes: InterpretationPlanes, points_mm: Vector3, along: Vector3
 ) -> tuple[Vector3, Symmetric3]:
     """(points moved across the line to the weighted least-squares fit of all planes, their

@@ -14,12 +14,19 @@ from scipy.special import expit
 
 from trinoc.errors import InputError
 from trinoc.geometry import Rig
-from trinoc.match.line_map.collinearity import Evidence, LineDensity, difference, gap_mm, log_odds
-from trinoc.match.line_map.density import line_density, nearby_lines, parallel_density
-from trinoc.match.line_map.line_fit import fit_line
+from trinoc.match.line_map.collinearity import (
+    Evidence,
+    LineDensity,
+    difference,
+    gap_mm,
+    line_density,
+    log_odds,
+    nearby_lines,
+    parallel_density,
+)
+from trinoc.match.line_map.line_fit import TrackTable, fit_line, fragments_of, track_table
 from trinoc.match.line_map.line_posterior import line_posteriors
 from trinoc.match.line_map.lines import JoinedLines
-from trinoc.match.line_map.table import TrackTable, fragments_of, track_table
 from trinoc.match.tracks import Matches
 from trinoc.match.tuning import DEFAULT, CollinearTuning, MatchTuning
 from trinoc.numerics import chi_square_tail, in_float64
@@ -107,11 +114,11 @@ def join_collinear(matches: Matches, rig: Rig, *, tuning: MatchTuning = DEFAULT)
         for t in range(len(order))
     ]
     problem = _Problem(pieces, scene, share, tuning)
-    groups = _agglomerated(alone, near.pairs[~surely_others], problem)
+    groups = _agglomerate(alone, near.pairs[~surely_others], problem)
     return _as_lines(groups, pieces, order, matches.noise_tail, rules)
 
 
-def _agglomerated(
+def _agglomerate(
     groups: list[_Group], pairs: Int[np.ndarray, "p 2"], problem: _Problem
 ) -> list[_Group]:
     """Groups of which no two more are one line."""
@@ -137,7 +144,7 @@ def _agglomerated(
         _, one, other = heapq.heappop(queue)
         if one not in alive or other not in alive:
             continue
-        joined = _joined(alive[one], alive[other], problem)
+        joined = _join_groups(alive[one], alive[other], problem)
         if joined is None:
             continue
         near = sorted((beside.pop(one) | beside.pop(other)) - {one, other})
@@ -205,7 +212,7 @@ def _odds(ones: list[_Group], others: list[_Group], problem: _Problem) -> Float[
     return log_odds(evidence, problem.scene, problem.share, problem.tuning)
 
 
-def _joined(one: _Group, other: _Group, problem: _Problem) -> _Group | None:
+def _join_groups(one: _Group, other: _Group, problem: _Problem) -> _Group | None:
     """The line of both groups' segments; None where it does not fit them."""
     tracks = tuple(sorted(one.tracks + other.tracks))
     longer = max(one, other, key=_length_mm)
@@ -220,7 +227,8 @@ def _joined(one: _Group, other: _Group, problem: _Problem) -> _Group | None:
     rules = problem.tuning.collinear
     reach = longer.ends_mm[0] + place[outer, None] * way
     fit = fit_line(fragments_of(problem.pieces, tracks), reach, rules)
-    if not chi_square_tail(fit.chi_square, fit.degrees) >= rules.significance:
+    fits = chi_square_tail(fit.chi_square, fit.degrees) >= rules.significance
+    if not (fits and np.isfinite(fit.covariance_mm2).all()):
         return None
     way = fit.ends_mm[1] - fit.ends_mm[0]
     way /= np.linalg.norm(way)

@@ -8,10 +8,13 @@ distances of the line from a first estimate, at two places along it, in two dire
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 
-from trinoc.match.tuning import DEFAULT, CollinearTuning
-from trinoc.numerics import axes_across, cross_3d
+from trinoc.geometry import Rig, distances_from_line, project_with_jacobian
+from trinoc.match.observations import undistorted
+from trinoc.match.tracks import Matches, positions_abreast, typical_misfit
+from trinoc.match.tuning import DEFAULT, CollinearTuning, TrackTuning
+from trinoc.numerics import Residuals, ScaleMixture, axes_across, gauss_newton, whitening
 
 # Gauss-Newton steps.
 STEPS = 4
@@ -50,69 +53,131 @@ def fit_line(
 ) -> LineFit:
     """The likeliest line near two points, of which it moves only across.
 
-    Not finite where the segments do not determine a line.
+    The covariance is not a number where the segments do not determine a line.
     """
     way = near_mm[1] - near_mm[0]
-    ends, axes = near_mm, axes_across(way / np.linalg.norm(way))
-    for _ in range(STEPS):
-        error, by_offset, precision = distances_across(shown, ends, axes)
-        weight, _ = _weights(np.einsum("ni,nij,nj->n", error, precision, error), tuning)
-        weighted = weight[:, None, None] * precision
-        information = np.einsum("nia,nij,njb->ab", by_offset, weighted, by_offset)
-        gradient = np.einsum("nia,nij,nj->a", by_offset, weighted, error)
-        covariance = _inverse(information)
-        ends = ends - (covariance @ gradient).reshape(2, 2) @ axes
-    error, _, precision = distances_across(shown, ends, axes)
-    _, squares = _weights(np.einsum("ni,nij,nj->n", error, precision, error), tuning)
-    spread = np.einsum("eafb,ai,bj->eifj", covariance.reshape(2, 2, 2, 2), axes, axes)
-    return LineFit(ends, spread.reshape(6, 6), float(squares.sum()), 2 * len(error) - 4)
+    axes = axes_across(way / np.linalg.norm(way))
+    loss = ScaleMixture(tuning.error_shares, tuning.error_scales, 2)
+    ends, equations = gauss_newton(
+        lambda ends: line_residuals(shown, ends, axes),
+        lambda ends, offsets: ends + offsets.reshape(2, 2) @ axes,
+        near_mm,
+        steps=STEPS,
+        loss=loss,
+    )
+    blocks = equations.covariance().reshape(2, 2, 2, 2)
+    covariance = np.einsum("eafb,ai,bj->eifj", blocks, axes, axes).reshape(6, 6)
+    chi_square = float(np.sum(loss.rho(equations.squared)))
+    return LineFit(ends, covariance, chi_square, 2 * len(shown.ends_px) - 4)
 
 
-def _inverse(information: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
-    try:
-        return np.linalg.inv(information)
-    except np.linalg.LinAlgError:
-        return np.full((4, 4), np.nan)
-
-
-def _weights(
-    squares: Float[np.ndarray, "n"], tuning: CollinearTuning
-) -> tuple[np.ndarray, np.ndarray]:
-    """(weight of each segment, minus twice the log of its likelihood against no error at all).
-
-    The weight is the mean of one over the factors squared, given the error; `squares` are
-    Mahalanobis distances of two numbers.
-    """
-    variance = np.array(tuning.error_scales) ** 2
-    density = np.array(tuning.error_shares) / variance
-    terms = density * np.exp(-0.5 * squares[:, None] / variance)
-    # Far out only the widest is left, and even that underflows.
-    terms[:, -1] += np.finfo(float).tiny
-    total = terms.sum(axis=1)
-    return (terms / variance).sum(axis=1) / total, -2 * np.log(total / density.sum())
-
-
-def distances_across(
+def line_residuals(
     shown: LineFragments, ends_mm: Float[np.ndarray, "2 3"], axes: Float[np.ndarray, "2 3"]
-) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2 4"], Float[np.ndarray, "n 2 2"]]:
-    """(distance of each segment's ends from the line's image, its derivative by the offsets of
-    the line's two points along the two axes, inverse of its covariance)."""
-    matrix = shown.matrix_px
-    image = ends_mm @ matrix[:, :, :3].mT + matrix[:, None, :, 3]
-    moved = axes @ matrix[:, :, :3].mT
-    line = cross_3d(image[:, 0], image[:, 1])
-    steepness = np.hypot(line[:, 0], line[:, 1])
-    homogeneous = np.concatenate([shown.ends_px, np.ones((len(matrix), 2, 1))], axis=2)
-    error = np.einsum("nek,nk->ne", homogeneous, line) / steepness[:, None]
-    by_first = cross_3d(moved, image[:, None, 1])
-    by_second = cross_3d(image[:, None, 0], moved)
-    by_offset = np.concatenate([by_first, by_second], axis=1)
-    jacobian = np.einsum("nek,nok->neo", homogeneous, by_offset) / steepness[:, None, None]
+) -> Residuals:
+    """Distances of each segment's ends from the line's image, two numbers of one observation, by
+    the offsets of the line's two points along the two axes."""
     blocks = shown.covariance_px2.reshape(-1, 2, 2, 2, 2)
     # Across the segment itself: along it an end that a plane cuts is not known at all, and of
     # that the line's own normal, a fraction of a degree away, would take in pixels.
     along = shown.ends_px[:, 1] - shown.ends_px[:, 0]
     along = along / np.linalg.norm(along, axis=1)[:, None]
     normal = np.stack([-along[:, 1], along[:, 0]], axis=1)
-    spread = np.einsum("ni,neifj,nj->nef", normal, blocks, normal)
-    return error, jacobian, np.linalg.inv(spread)
+    by = whitening(np.einsum("ni,neifj,nj->nef", normal, blocks, normal))
+    beside = distances_from_line(shown.matrix_px, ends_mm, shown.ends_px)
+    by_offsets = (beside.by_ends @ axes.T).reshape(-1, 2, 4)
+    return Residuals((by @ beside.distance_px[..., None])[None, ..., 0], (by @ by_offsets)[None])
+
+
+class TrackTable(NamedTuple):
+    """The tracks, with undistorted fragments."""
+
+    index: Int[np.ndarray, "t v"]
+    common_mm: Float[np.ndarray, "t 2 3"]
+    ends_mm: Float[np.ndarray, "t 2 3"]
+    covariance_mm2: Float[np.ndarray, "t 6 6"]
+    fragments_px: Float[np.ndarray, "t v 2 2"]
+    fragments_covariance_px2: Float[np.ndarray, "t v 4 4"]
+    matrix_px: Float[np.ndarray, "v 3 4"]
+    px_per_mm: Float[np.ndarray, "t"]
+    posterior: Float[np.ndarray, "t"]
+
+
+def track_table(
+    matches: Matches,
+    rig: Rig,
+    order: Int[np.ndarray, "t"],
+    tuning: TrackTuning = DEFAULT.tracks,
+) -> TrackTable:
+    """The tracks in a given order.
+
+    Where segments err by more than they state for most tracks, their covariances are as much
+    larger here.
+    """
+    noise = 1.0
+    if matches.misfit is not None:
+        noise = typical_misfit(matches.index, matches.misfit, tuning)
+    fragments = np.stack(
+        [
+            undistorted(rig[name].intrinsics, np.nan_to_num(matches.fragments_px[:, view]))
+            for view, name in enumerate(matches.views)
+        ],
+        axis=1,
+    )
+    matrix = np.stack([rig[name].matrix_px for name in matches.views])
+    seen = np.asarray(matches.index) >= 0
+    middle = np.asarray(matches.lines_mm).mean(axis=1)
+    return TrackTable(
+        np.asarray(matches.index)[order],
+        _common_parts(matrix, fragments, seen, np.asarray(matches.lines_mm))[order],
+        np.asarray(matches.lines_mm)[order],
+        noise * np.asarray(matches.covariance_mm2)[order],
+        fragments[order],
+        noise * np.asarray(matches.fragments_covariance_px2)[order],
+        matrix,
+        px_per_mm(matrix, middle, seen)[order],
+        np.asarray(matches.posterior)[order],
+    )
+
+
+def _common_parts(
+    matrix_px: Float[np.ndarray, "v 3 4"],
+    fragments_px: Float[np.ndarray, "t v 2 2"],
+    seen: Bool[np.ndarray, "t v"],
+    ends_mm: Float[np.ndarray, "t 2 3"],
+) -> Float[np.ndarray, "t 2 3"]:
+    """Places on each line whose images lie abreast of the fragments' ends, the mean of views."""
+    share = np.zeros((len(ends_mm), 2))
+    for view, matrix in enumerate(matrix_px):
+        on = np.flatnonzero(seen[:, view])
+        share[on] += positions_abreast(matrix, fragments_px[on, view], ends_mm[on])
+    share /= seen.sum(axis=1)[:, None]
+    return ends_mm[:, :1] + share[..., None] * (ends_mm[:, 1] - ends_mm[:, 0])[:, None]
+
+
+def px_per_mm(
+    matrix_px: Float[np.ndarray, "v 3 4"],
+    points_mm: Float[np.ndarray, "n 3"],
+    seen: Bool[np.ndarray, "n v"],
+) -> Float[np.ndarray, "n"]:
+    """Image displacement per mm across the viewing direction, the mean of the views that see."""
+    by_point = project_with_jacobian(matrix_px, points_mm[None]).by_point
+    scale = np.sqrt((by_point**2).sum(axis=(2, 3)) / 2).T
+    return (scale * seen).sum(axis=1) / seen.sum(axis=1)
+
+
+def fragments_of(pieces: TrackTable, tracks: tuple[int, ...]) -> LineFragments:
+    """The segments of all tracks, each once: what it says of the line, any part of it says."""
+    longest: dict[tuple[int, int], tuple[float, int]] = {}
+    for track in tracks:
+        for view in np.flatnonzero(pieces.index[track] >= 0).tolist():
+            segment = int(pieces.index[track, view])
+            length = float(np.linalg.norm(np.diff(pieces.fragments_px[track, view], axis=0)))
+            # Of parts of one length, the first track's.
+            key = (view, segment)
+            longest[key] = max(longest.get(key, (-1.0, 0)), (length, -track))
+    rows = np.array([(-track, view) for (view, _), (_, track) in longest.items()])
+    return LineFragments(
+        pieces.matrix_px[rows[:, 1]],
+        pieces.fragments_px[rows[:, 0], rows[:, 1]],
+        pieces.fragments_covariance_px2[rows[:, 0], rows[:, 1]],
+    )

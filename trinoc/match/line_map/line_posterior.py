@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from trinoc.match.line_map.line_fit import LineFragments, distances_across
+from trinoc.match.line_map.line_fit import LineFragments, line_residuals
 from trinoc.match.tuning import DEFAULT, CollinearTuning
 from trinoc.numerics import axes_across
 
@@ -114,17 +114,12 @@ def _equations(
     many = np.flatnonzero(counts > ALL_FACTORS_TO)[:, None]
     found = []
     for lines in (*few, *many):
-        parts = [distances_across(shown[line], ends_mm[line], axes[line]) for line in lines]
-        error, by_offset, precision = (np.stack(each) for each in zip(*parts, strict=True))
-        weighted = by_offset.mT @ precision
-        found.append(
-            _Equations(
-                lines,
-                weighted @ by_offset,
-                (weighted @ error[..., None])[..., 0],
-                np.einsum("lni,lnij,lnj->ln", error, precision, error),
-            )
-        )
+        parts = [line_residuals(shown[line], ends_mm[line], axes[line]) for line in lines]
+        residual = np.concatenate([part.residual for part in parts])
+        jacobian = np.concatenate([part.jacobian for part in parts])
+        gradient = (jacobian.mT @ residual[..., None])[..., 0]
+        square = (residual**2).sum(axis=2)
+        found.append(_Equations(lines, jacobian.mT @ jacobian, gradient, square))
     return found
 
 

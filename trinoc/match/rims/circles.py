@@ -5,9 +5,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from trinoc.geometry import homogeneous_pixel, pixel_change
 from trinoc.match.observations import MatchInput
 from trinoc.match.tuning import RimTuning
-from trinoc.numerics import axes_across, cross_3d
+from trinoc.numerics import axes_across, cross_3d, vector3
 
 # Where a chord, fitted to the points of an arc, lies on it: the places of Gauss, as shares of its
 # half length. What noise moves one of them by tells nothing of the other.
@@ -106,16 +107,16 @@ def off_circles(chords: Chords, circles: Circles, *, with_ends: bool = False) ->
     radial = out / np.maximum(distance, 1e-12)[..., None]
     around = centre[:, None, None] + radius[:, None, None, None] * radial
     tangent = cross_3d(normal[:, None, None], radial)
-    image = np.empty_like(around)
+    image, way = np.empty_like(around), np.empty_like(around[..., :2])
     ratio = np.zeros(distance.shape[:2])
     for view in np.unique(chords.view).tolist():
         own = chords.view == view
         matrix = chords.matrix_px[own.argmax()]
-        image[:, own] = around[:, own] @ matrix[:, :3].T + matrix[:, 3]
-        tangent[:, own] = tangent[:, own] @ matrix[:, :3].T
+        image[:, own] = here = homogeneous_pixel(matrix, around[:, own])
+        uv, along = vector3(here)[:2] / here[..., 2], vector3(tangent[:, own] @ matrix[:, :3].T)
+        way[:, own] = np.stack(pixel_change((uv[0], uv[1]), here[..., 2], along), axis=-1)
         ratio[:, own] = images_of(circles, matrix).axis_ratio[:, None]
     uv, behind = image[..., :2] / image[..., 2:], image[..., 2] <= 0
-    way = tangent[..., :2] - uv * tangent[..., 2:]
     way = way / np.maximum(np.linalg.norm(way, axis=3, keepdims=True), 1e-12)
     gap = chords.places_px - uv
     across = np.abs(gap[..., 0] * way[..., 1] - gap[..., 1] * way[..., 0])
@@ -141,7 +142,7 @@ def images_of(circles: Circles, matrix_px: Float[np.ndarray, "3 4"]) -> Images:
     """Where a view shows circles."""
     angle = np.arange(_AROUND) * (2 * np.pi / _AROUND)
     points = points_at(circles, np.tile(angle, (len(circles.radius_mm), 1)))
-    image = points @ matrix_px[:, :3].T + matrix_px[:, 3]
+    image = homogeneous_pixel(matrix_px, points)
     depth = image[..., 2:]
     seen = (depth.min(axis=(1, 2)) > 0)[:, None]
     uv = image[..., :2] / np.where(depth > 0, depth, 1.0)

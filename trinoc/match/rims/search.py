@@ -4,23 +4,46 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Float, Int
 from scipy.sparse import csr_array
 
-from trinoc.geometry import Rig, Segments
-from trinoc.match.observations import prepare, with_noise_scale
-from trinoc.match.rims.answer import Chosen, Fitted, answer_of
+from trinoc.errors import InputError
+from trinoc.geometry import Rig, Segments, project_by_matrix
+from trinoc.match.observations import as_segments, prepare, with_noise_scale
+from trinoc.match.rims.answer import Chosen, FittedRim, answer_of
 from trinoc.match.rims.circles import Chords, Circles, chords_of, off_circles, touching
-from trinoc.match.rims.fit import fitted
-from trinoc.match.rims.given import mm_per_px_of, segments_of_views
+from trinoc.match.rims.fit import fit_circle
 from trinoc.match.rims.hypotheses import hypotheses
 from trinoc.match.rims.pieces import Arcs, arcs_of, covered_by_two
 from trinoc.match.rims.rims import Rims
-from trinoc.match.rims.rivals import has_rival
-from trinoc.match.rims.support import about, support_of, supports
+from trinoc.match.rims.support import about, has_rival, support_of, supports
 from trinoc.match.tracks import Matches
 from trinoc.match.tuning import DEFAULT, MatchTuning, RimTuning
 from trinoc.numerics import ArrayLike, in_float64, take_rows
+
+
+def segments_of_views(
+    segments: Mapping[str, Segments | ArrayLike], views: tuple[str, ...]
+) -> dict[str, Segments]:
+    """The segments of every view. Raises InputError where a view has none."""
+    missing = [name for name in views if name not in segments]
+    if missing:
+        raise InputError(
+            f'Rims need the segments of every view, but "{missing[0]}" has none: give what was '
+            f"matched of {', '.join(views)}."
+        )
+    return {name: as_segments(segments[name]) for name in views}
+
+
+def mm_per_px_of(lines_mm: Float[np.ndarray, "t 2 3"], rig: Rig, views: tuple[str, ...]) -> float:
+    """Usual size of a pixel at the lines; 1 where there are none."""
+    length = np.linalg.norm(lines_mm[:, 1] - lines_mm[:, 0], axis=1)
+    shares = []
+    for name in views:
+        image = project_by_matrix(np.asarray(rig[name].matrix_px), lines_mm)
+        shares.append(length / np.linalg.norm(image[:, 1] - image[:, 0], axis=1))
+    return float(np.median(shares)) if len(lines_mm) else 1.0
+
 
 # Of the circles of most support so many are fitted before the best is chosen.
 _AT_ONCE = 6
@@ -63,11 +86,11 @@ def find_rims(
     scale = mm_per_px_of(matches.lines_mm, rig, matches.views)
     cameras = np.asarray(stated.frames[0].cameras.matrix_px)
     start = hypotheses(matches.lines_mm, cameras, scale, tuning.rims)
-    chosen = _chosen(chords, start, tuning.rims)
+    chosen = _choose_rims(chords, start, tuning.rims)
     return answer_of(matches, seen, chords, chosen, scale, tuning.rims)
 
 
-def _chosen(chords: Chords, start: Circles, tuning: RimTuning) -> Chosen:
+def _choose_rims(chords: Chords, start: Circles, tuning: RimTuning) -> Chosen:
     """Rims, one after the other, those of the longest chords first; a chord belongs to one."""
     support = supports(chords, start, tuning.first_px, tuning)
     ones = np.ones_like(support.data)
@@ -86,7 +109,7 @@ def _chosen(chords: Chords, start: Circles, tuning: RimTuning) -> Chosen:
             return Chosen(found, ambiguous)
         best = None
         for row in tried:
-            rim = _fitted(chords, take_rows(start, row[None]), free, views, tuning)
+            rim = _fit_rim(chords, take_rows(start, row[None]), free, views, tuning)
             if rim is None:
                 # Nor will it be one later, since chords are taken and never given back.
                 left[row] = False
@@ -101,9 +124,9 @@ def _chosen(chords: Chords, start: Circles, tuning: RimTuning) -> Chosen:
             found.append(best)
 
 
-def _fitted(
+def _fit_rim(
     chords: Chords, circle: Circles, free: Bool[np.ndarray, "n"], views: int, tuning: RimTuning
-) -> Fitted | None:
+) -> FittedRim | None:
     """The rim near a circle; None where too little touches it."""
     rows = np.flatnonzero(about(chords, circle, _ROOM_PX)[0] & free)
     chords = take_rows(chords, rows)
@@ -116,7 +139,7 @@ def _fitted(
         own = np.flatnonzero(touching(off_circles(chords, circle), within, tuning)[0])
         if np.sort(np.bincount(chords.view[own], minlength=views))[-2] < tuning.least_chords:
             return None
-        circle, covariance, _ = fitted(take_rows(chords, own), circle)
+        circle, covariance = fit_circle(take_rows(chords, own), circle)
     last = _shown(chords, circle, tuning.last_px, views, tuning)
     number = np.bincount(chords.view[last.own], minlength=views)
     # Two arcs of two views leave three numbers each, place, direction and bend, as many as a circle
@@ -125,8 +148,10 @@ def _fitted(
     least = tuning.least_covered_of_two if of_two else tuning.least_covered
     if np.sort(number)[-2] < tuning.least_chords or last.covered < least:
         return None
+    if not np.isfinite(covariance).all():
+        return None
     own, arcs, covered, support = last
-    return Fitted(circle, covariance, rows[own], arcs, covered, support, of_two)
+    return FittedRim(circle, covariance, rows[own], arcs, covered, support, of_two)
 
 
 class _Shown(NamedTuple):

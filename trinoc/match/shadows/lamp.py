@@ -90,10 +90,10 @@ def best_lamp(votes: Votes, upward: Float[np.ndarray, "3"], tuning: ShadowTuning
         peaks = _peaks(lamps, scores, max(len(peaks) // 2, 2), tuning.apart_deg)
     best = lamps.take(peaks[:1])
     rival = float(scores[peaks[1]]) if len(peaks) > 1 else 0.0
-    return _settled(votes, best, step, change / size, rival, tuning)
+    return _mean_lamp(votes, best, step, change / size, rival, tuning)
 
 
-def _settled(
+def _mean_lamp(
     votes: Votes, best: Lamps, step: float, change: float, rival: float, tuning: ShadowTuning
 ) -> Lamp:
     """The mean of the lamps about the best one, by their likelihood, and its spread."""

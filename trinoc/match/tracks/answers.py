@@ -1,8 +1,6 @@
-"""The answer of each frame, from the tracks of a whole stack, in the caller's order and numbers.
+"""What a user should know of the matches as a whole, in sentences."""
 
-Whatever rows need is done for all frames at once; a frame then takes its own rows.
-"""
-
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -12,16 +10,111 @@ from jaxtyping import Bool, Float, Int, Shaped
 from trinoc.match.evidence import probability
 from trinoc.match.observations import FrameInput, MatchInput, distorted
 from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, Matches
-from trinoc.match.tracks.notes import in_line, notes_of
-from trinoc.match.tracks.rejection import counted
 from trinoc.match.tracks.unequal_errors import (
     degrees_of_misfit,
     learned_tails,
     scaled_across,
     variance_factor,
 )
-from trinoc.match.tuning import NoiseTuning
+from trinoc.match.tuning import DEFAULT, NoiseTuning, TrackTuning
 from trinoc.numerics import take_rows
+
+# Centres lie on a line where they are off it by less than this share of their spread along it.
+ON_A_LINE = 0.05
+
+
+def in_line(centre_mm: Float[np.ndarray, "f v 3"]) -> Bool[np.ndarray, "f"]:
+    """Whether the cameras' centres lie on one line, of each frame."""
+    centred = centre_mm - centre_mm.mean(axis=1, keepdims=True)
+    spread = np.linalg.svd(centred, compute_uv=False)
+    return spread[:, 1] < ON_A_LINE * spread[:, 0]
+
+
+def notes_of(
+    views: int,
+    cameras_in_line: bool,
+    unlocated: int,
+    noise_scale: float,
+    tuning: NoiseTuning = DEFAULT.noise,
+) -> tuple[str, ...]:
+    """Sentences on noise that is not as stated, and on cameras in one line."""
+    notes = []
+    if not 1 / tuning.noted <= noise_scale <= tuning.noted:
+        word = "larger" if noise_scale > 1 else "smaller"
+        notes.append(
+            f"The segments' errors are {word} than stated, {noise_scale:.2g} times: covariances "
+            "are of the errors found; give a sigma_px that is as much "
+            f"{word} to have candidates judged by it too."
+        )
+    if views > 2:
+        if cameras_in_line:
+            notes.append(
+                "The cameras' centres lie on one line: segments along it are along the epipolar "
+                f"lines of all views, and no pair of views locates them ({unlocated} tracks left "
+                "out); move one camera off the line to see them."
+            )
+    elif unlocated:
+        notes.append(
+            f"Two views do not locate segments along their epipolar lines ({unlocated} tracks "
+            "left out): a third view off the line of the two would."
+        )
+    return tuple(notes)
+
+
+MATCHED = "matched"
+NO_PARTNER = "no partner in the zone"
+OUTSIDE = "outside depth"
+ALONG = "along the epipolar lines"
+WEAK = "evidence too weak"
+MISSED = "missing in a third view"
+LOST = "lost to a neighbour"
+AMBIGUOUS = "ambiguous with {}"
+
+
+def reasons(
+    segment: Int[np.ndarray, "m"],
+    log_odds: Float[np.ndarray, "m"],
+    outside: Bool[np.ndarray, "n"],
+    along: Bool[np.ndarray, "n"],
+    matched: Bool[np.ndarray, "n"],
+    missed: Bool[np.ndarray, "n"],
+    tuning: TrackTuning = DEFAULT.tracks,
+) -> Shaped[np.ndarray, "n"]:
+    """(n,) words for the segments of one view, given the candidates that held each of them.
+
+    `segment` is the segment of this view in each candidate (-1 for none), `log_odds` the
+    candidate's evidence before rivals, `outside` whether the depth range excluded one,
+    `along` whether the best lies along the epipolar lines of all pairs of its views, and
+    `missed` whether one fits in two views, and a third should show it but does not: the rims of
+    round bodies, and shadows and lights that move with the viewpoint, among others.
+    """
+    count = len(matched)
+    held = segment >= 0
+    segment, log_odds = segment[held], log_odds[held]
+    best = np.full(count, -np.inf)
+    np.maximum.at(best, segment, log_odds)
+    serious = (log_odds > best[segment] - tuning.rival_log_odds) & (log_odds > 0)
+    rivals = np.bincount(segment[serious], minlength=count)
+    words = np.full(count, NO_PARTNER, dtype="U40")
+    words[outside] = OUTSIDE
+    words[np.isfinite(best)] = WEAK
+    words[missed & np.isfinite(best)] = MISSED
+    words[best > 0] = LOST
+    for n in np.flatnonzero((best > 0) & (rivals > 1)):
+        words[n] = AMBIGUOUS.format(rivals[n])
+    words[along] = ALONG
+    words[matched] = MATCHED
+    return words
+
+
+def counted(words: dict[str, Shaped[np.ndarray, "_"]]) -> dict[str, int]:
+    """How many segments of all views share each reason; ambiguous ones are one kind."""
+    number: Counter[str] = Counter()
+    # Few words are different: those are taken apart, not every segment's.
+    for word, count in Counter(word for view in words.values() for word in view.tolist()).items():
+        number[word.split(" with ")[0]] += count
+    return {f"segments {kind}": number[kind] for kind in sorted(number)}
+
 
 # The count of tracks that no pair of views can locate, of which notes speak.
 UNLOCATED = "tracks along the epipolar lines"

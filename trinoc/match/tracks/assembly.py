@@ -8,13 +8,11 @@ from jaxtyping import Float, Int, Shaped
 from trinoc.match.observations import MatchInput, frames_of
 from trinoc.match.occlusion import Pairs
 from trinoc.match.selection import Selection, Tracks
-from trinoc.match.tracks.answers import UNLOCATED, Lines, answers
+from trinoc.match.tracks.answers import UNLOCATED, Lines, answers, reasons
 from trinoc.match.tracks.extent import reach_of
 from trinoc.match.tracks.fragments import ending_at, fragments_of
-from trinoc.match.tracks.line_fit import lines_in_space
-from trinoc.match.tracks.location import before_cameras, direction_doubt
+from trinoc.match.tracks.line_fit import before_cameras, direction_doubt, lines_in_space
 from trinoc.match.tracks.matches import Matches
-from trinoc.match.tracks.rejection import reasons
 from trinoc.match.tracks.viewpoint import flag_viewpoint_dependent
 from trinoc.match.tuning import DEFAULT, MatchTuning, TrackTuning
 from trinoc.numerics import take_rows

@@ -12,10 +12,14 @@ from jaxtyping import Float, Int
 
 from trinoc.match.observations import MatchInput
 from trinoc.match.selection import Tracks
-from trinoc.match.tracks.consistency import FittedTracks, consistent, fitted, without_misfits
-from trinoc.match.tracks.extent import interval_of
-from trinoc.match.tracks.location import before_cameras
-from trinoc.match.tracks.parts import common_part, overlap
+from trinoc.match.tracks.extent import common_part, interval_of, overlap
+from trinoc.match.tracks.line_fit import (
+    FittedTracks,
+    before_cameras,
+    consistent,
+    fit_tracks,
+    split_off_misfits,
+)
 from trinoc.match.tracks.prediction import predicted_in
 from trinoc.match.tuning import DEFAULT, MatchTuning
 
@@ -36,8 +40,8 @@ class _Proposal(NamedTuple):
 def consolidated(seen: MatchInput, tracks: Tracks, tuning: MatchTuning = DEFAULT) -> Tracks:
     """Tracks of which each is consistent, and as many views as agree are in each."""
     gate = tuning.candidates.gate
-    now = fitted(seen, tracks.candidates.index, tracks.candidates.ends_mm)
-    now = without_misfits(seen, now, gate)
+    now = fit_tracks(seen, tracks.candidates.index, tracks.candidates.ends_mm)
+    now = split_off_misfits(seen, now, gate)
     alive = np.asarray((now.index >= 0).any(axis=1))
     refused: set[tuple[int, ...]] = set()
     changed = alive.copy()
@@ -51,7 +55,7 @@ def consolidated(seen: MatchInput, tracks: Tracks, tuning: MatchTuning = DEFAULT
             break
         index = np.array([trial.index for trial in trials])
         common = np.array([trial.common_mm for trial in trials])
-        attempt = fitted(seen, index, common)
+        attempt = fit_tracks(seen, index, common)
         good = consistent(attempt, gate) & before_cameras(seen.lines, index, attempt.ends_mm)
         changed = np.zeros(len(alive), dtype=bool)
         columns = [column.copy() for column in now]

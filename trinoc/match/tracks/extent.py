@@ -3,6 +3,7 @@
 import numpy as np
 from jaxtyping import Float, Int
 
+from trinoc.geometry import homogeneous_pixel, project_by_matrix
 from trinoc.match.observations import MatchInput, frames_of, matrices_of
 from trinoc.numerics import take_groups
 
@@ -46,7 +47,7 @@ def interval_of(
         matrix = matrices_of(seen.lines, take_groups(frame, on))[:, view]
         segment = seen.ends_px[view][index[on, view]]
         along = segment[:, 1] - segment[:, 0]
-        offset = images_of(matrix, ends_mm[on]) - segment[:, :1]
+        offset = project_by_matrix(matrix, ends_mm[on]) - segment[:, :1]
         square = (along**2).sum(axis=1)[:, None]
         interval[on, view] = np.einsum("tei,ti->te", offset, along) / square
     return interval
@@ -65,25 +66,45 @@ def reach_of(
     return reach
 
 
-def images_of(
-    matrix_px: Float[np.ndarray, "*t 3 4"], points_mm: Float[np.ndarray, "t e 3"]
-) -> Float[np.ndarray, "t e 2"]:
-    """Undistorted pixels of points, by one matrix or by one for each row."""
-    image = points_mm @ matrix_px[..., :3].mT + matrix_px[..., None, :, 3]
-    return image[..., :2] / image[..., 2:]
-
-
 def positions_abreast(
     matrix_px: Float[np.ndarray, "*t 3 4"],
     segment_px: Float[np.ndarray, "t 2 2"],
     ends_mm: Float[np.ndarray, "t 2 3"],
 ) -> Float[np.ndarray, "t 2"]:
     """Positions on each line, 0 and 1 at its ends, whose images lie abreast of a segment's ends."""
-    turn = matrix_px[..., :3]
-    first = np.einsum("...ij,...j->...i", turn, ends_mm[:, 0]) + matrix_px[..., 3]
-    step = np.einsum("...ij,...j->...i", turn, ends_mm[:, 1] - ends_mm[:, 0])
+    first, last = np.moveaxis(homogeneous_pixel(matrix_px, ends_mm), 1, 0)
+    step = last - first
     along = segment_px[:, 1] - segment_px[:, 0]
     place = np.einsum("tei,ti->te", segment_px, along)
     # The image at position s is (first + s step) / its depth: linear over linear.
     at_first, at_step = (first[:, :2] * along).sum(axis=1), (step[:, :2] * along).sum(axis=1)
     return (place * first[:, 2:] - at_first[:, None]) / (at_step[:, None] - place * step[:, 2:])
+
+
+def common_part(
+    seen: MatchInput, index: Int[np.ndarray, "v"], near_mm: Float[np.ndarray, "2 3"]
+) -> Float[np.ndarray, "2 3"] | None:
+    """Ends, on a line through two points, of what all of its segments show; None where nothing."""
+    reach = reach_of(seen, index[None], near_mm[None])[0]
+    begin, end = np.nanmax(reach[:, 0]), np.nanmin(reach[:, 1])
+    if not begin < end:
+        return None
+    return near_mm[0] + np.array([[begin], [end]]) * (near_mm[1] - near_mm[0])
+
+
+def overlap(
+    seen: MatchInput,
+    view: int,
+    segment: int,
+    one_mm: Float[np.ndarray, "2 3"],
+    other_mm: Float[np.ndarray, "2 3"],
+) -> float:
+    """Common length of two parts on a segment as a share of the shorter."""
+    ends = seen.ends_px[view][segment]
+    way = ends[1] - ends[0]
+    matrix = np.asarray(seen.lines.matrix_px)[view]
+    one, other = (
+        np.sort((project_by_matrix(matrix, part) - ends[0]) @ way) for part in (one_mm, other_mm)
+    )
+    common = min(one[1], other[1]) - max(one[0], other[0])
+    return float(common / min(np.ptp(one), np.ptp(other)))

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from trinoc.geometry import project_by_matrix
+from trinoc.geometry import project_with_jacobian
 from trinoc.match.observations import SegmentTable
 from trinoc.match.tuning import MatchTuning
 
@@ -34,17 +34,17 @@ def predicted_in(
     ends = np.asarray(lines.ends_px)[view, :count]
     across = np.asarray(lines.across_px2)[view, :count]
     matrix = np.asarray(lines.matrix_px)[view]
-    depth = ends_mm @ matrix[2, :3] + matrix[2, 3]
+    image = project_with_jacobian(matrix, ends_mm)
     found = [Predicted(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))]
-    rows = np.flatnonzero((depth > 0).all(axis=1))
+    rows = np.flatnonzero((image.depth > 0).all(axis=1))
     for start in range(0, len(rows), ROWS):
         part = rows[start : start + ROWS]
-        image = project_by_matrix(matrix, ends_mm[part])
-        spread = _across_image(matrix, ends_mm[part], image, covariance_mm2[part])
+        uv = image.uv_px[part]
+        spread = _across_image(uv, image.by_point[part], covariance_mm2[part])
         # Only known places predict: elsewhere anything fits.
         known = np.maximum(spread[:, 0, 0], spread[:, 1, 1]) < tuning.candidates.vaguest_px**2
         track, segment, chi_square = _fitting(
-            image[known],
+            uv[known],
             spread[known],
             ends,
             across,
@@ -56,18 +56,14 @@ def predicted_in(
 
 
 def _across_image(
-    matrix_px: Float[np.ndarray, "3 4"],
-    ends_mm: Float[np.ndarray, "t 2 3"],
     image_px: Float[np.ndarray, "t 2 2"],
+    by_point: Float[np.ndarray, "t 2 2 3"],
     covariance_mm2: Float[np.ndarray, "t 6 6"],
 ) -> Float[np.ndarray, "t 2 2"]:
     """Covariance of the two ends of the image across it."""
     way = image_px[:, 1] - image_px[:, 0]
     normal = np.stack([-way[:, 1], way[:, 0]], axis=1) / np.linalg.norm(way, axis=1)[:, None]
-    depth = ends_mm @ matrix_px[2, :3] + matrix_px[2, 3]
-    by_end = (
-        normal[:, None] @ matrix_px[:2, :3] - (image_px @ normal[:, :, None]) * matrix_px[2, :3]
-    ) / depth[..., None]
+    by_end = np.einsum("ti,teij->tej", normal, by_point)
     blocks = covariance_mm2.reshape(-1, 2, 3, 2, 3)
     return np.einsum("tei,teifj,tfj->tef", by_end, blocks, by_end)
 

@@ -8,8 +8,8 @@ view was rejected, its own outline is left over beside the place where the track
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from trinoc.geometry import project_by_matrix
 from trinoc.match.observations import MatchInput, frames_of, matrices_of
-from trinoc.match.tracks.extent import images_of
 from trinoc.match.tuning import DEFAULT, TrackTuning
 from trinoc.numerics import (
     blocks,
@@ -54,7 +54,7 @@ def flag_viewpoint_dependent(
         free = np.flatnonzero(free)
         rows = np.flatnonzero(~in_three & (index[:, view] < 0))
         matrix = matrices_of(seen.lines, take_groups(frame, rows))[:, view]
-        expected = images_of(matrix, ends_mm[rows])
+        expected = project_by_matrix(matrix, ends_mm[rows])
         # The free segments of a row's own frame follow one another.
         first, last = np.zeros(len(rows), np.int64), np.full(len(rows), len(free))
         if frame is not None:

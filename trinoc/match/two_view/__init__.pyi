@@ -11,7 +11,6 @@ from .planes import (
     Sight as Sight,
     extents_on_line as extents_on_line,
     image_length_px as image_length_px,
-    image_of as image_of,
     interpretation_planes as interpretation_planes,
     sight_of as sight_of,
     variance_mm2 as variance_mm2,

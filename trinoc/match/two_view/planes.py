@@ -9,17 +9,17 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Float, Int
 
+from trinoc.geometry import image_of_point
 from trinoc.match.observations import ClutterModel, SegmentTable
 from trinoc.numerics import (
     ArrayLike,
-    Scalar,
-    Vector2,
     Vector3,
     add3,
     between,
     dot3,
     in_front,
     scaled3,
+    times_matrix,
     vector3,
 )
 
@@ -96,11 +96,9 @@ def sight_of(
 def interpretation_planes(sight: Sight, points_mm: Vector3) -> InterpretationPlanes:
     """The interpretation plane of each segment at points in space, (e, *h) of each coordinate."""
     matrix, line = sight.matrix_px, vector3(sight.line)
-    gradient = scaled3(vector3(matrix[..., 0, :3]), line[0])
-    gradient = add3(gradient, vector3(matrix[..., 1, :3]), line[1])
-    gradient = add3(gradient, vector3(matrix[..., 2, :3]), line[2])
+    gradient = times_matrix(matrix[..., :3].mT, line)
     steepness = jnp.sqrt(dot3(gradient, gradient))
-    image, depth = image_of(matrix[:, None], in_front(points_mm))
+    image, depth = image_of_point(matrix[:, None], in_front(points_mm))
     # Along the segment is a quarter turn from its normal, which points to its right.
     du, dv = line[1] / sight.length_px, -line[0] / sight.length_px
     u0, v0 = sight.ends_px[..., 0, 0], sight.ends_px[..., 0, 1]
@@ -122,14 +120,6 @@ def image_length_px(planes: InterpretationPlanes) -> OfViews:
     """Distance of the images of the first two points."""
     u, v = planes.image_px
     return jnp.sqrt((u[:, 1] - u[:, 0]) ** 2 + (v[:, 1] - v[:, 0]) ** 2)
-
-
-def image_of(matrix_px: Float[ArrayLike, "... 3 4"], point: Vector3) -> tuple[Vector2, Scalar]:
-    """(undistorted pixel, depth) of a point, for a matrix whose third row gives the depth."""
-    u, v, depth = (
-        dot3(vector3(matrix_px[..., k, :3]), point) + matrix_px[..., k, 3] for k in range(3)
-    )
-    return (u / depth, v / depth), depth
 
 
 def extents_on_line(sight: Sight, origin: Vector3, along: Vector3) -> tuple[OfViews, OfViews]:

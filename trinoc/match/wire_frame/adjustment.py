@@ -1,4 +1,4 @@
-"""All vertices at once: the least squares that puts every line through both of its vertices.
+"""Lines between vertices, and the least squares that puts every line through both of its own.
 
 A line is observed across itself, at both ends with their covariance, and along itself where it
 stops, which is known to some pixels. Where the vertices lie abreast of other places of the line,
@@ -13,8 +13,52 @@ from jaxtyping import Float, Int
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from trinoc.match.wire_frame.graph import Graph
-from trinoc.numerics import axes_across
+from trinoc.match.line_map import Corners, JoinedLines
+from trinoc.numerics import Residuals, axes_across, normal_equations, whitening
+
+
+class Graph(NamedTuple):
+    """Lines between vertices; lines between the same two are one edge.
+
+    lines_mm, covariance_mm2 : the lines as they were measured.
+    along_mm : standard deviation of both ends along each line: a detector stops where it does.
+    vertex : of both ends of each line, or -1 where the line was let go.
+    """
+
+    lines_mm: Float[np.ndarray, "l 2 3"]
+    covariance_mm2: Float[np.ndarray, "l 6 6"]
+    along_mm: Float[np.ndarray, "l 2"]
+    vertex: Int[np.ndarray, "l 2"]
+
+    @property
+    def count(self) -> int:
+        """Number of vertices."""
+        return int(self.vertex.max(initial=-1)) + 1
+
+
+def graph_of(joined: JoinedLines, corners: Corners, free_end_px: float) -> Graph:
+    """A vertex for each corner, and one for each end that is at none."""
+    count = len(joined)
+    vertex = np.full((count, 2), -1)
+    vertex[corners.line, corners.end] = corners.corner
+    free = np.flatnonzero(vertex.reshape(-1) < 0)
+    vertex.reshape(-1)[free] = len(corners) + np.arange(len(free))
+    way = joined.lines_mm[:, 1] - joined.lines_mm[:, 0]
+    way = way / np.linalg.norm(way, axis=1, keepdims=True)
+    blocks = joined.covariance_mm2.reshape(-1, 2, 3, 2, 3)
+    variance = np.einsum("ni,neiej,nj->ne", way, blocks, way)
+    stops = (free_end_px / joined.px_per_mm)[:, None]
+    return Graph(joined.lines_mm, joined.covariance_mm2, np.sqrt(variance + stops**2), vertex)
+
+
+def without_gaps(vertex: Int[np.ndarray, "l 2"]) -> Int[np.ndarray, "l 2"]:
+    """The same graph with its vertices numbered from 0 on, in their order."""
+    used, number = np.unique(vertex[vertex >= 0], return_inverse=True)
+    renumbered = np.full_like(vertex, -1)
+    renumbered[vertex >= 0] = number
+    assert len(used) == renumbered.max(initial=-1) + 1
+    return renumbered
+
 
 # The covariance of a line depends on where along it its vertices lie.
 STEPS = 3
@@ -46,7 +90,7 @@ class Adjusted(NamedTuple):
         return blocks[at][:, :, at]
 
 
-def adjusted(graph: Graph) -> Adjusted:
+def adjust_vertices(graph: Graph) -> Adjusted:
     """The likeliest vertices."""
     lines = np.flatnonzero((graph.vertex >= 0).all(axis=1))
     vertex, ends = graph.vertex[lines], graph.lines_mm[lines]
@@ -60,10 +104,13 @@ def adjusted(graph: Graph) -> Adjusted:
     covariance: list[np.ndarray] = []
     residual, own = _observed(graph, lines, axes, points)
     for _ in range(STEPS):
-        weighted = jacobian.mT @ np.linalg.inv(own)
-        information = _scattered(weighted @ jacobian, rows, 3 * count)
+        # Each line is a problem of its two vertices; the graph adds them up.
+        by = whitening(own)
+        observed = Residuals((by @ residual[:, :, None]).mT, (by @ jacobian)[:, None])
+        each = normal_equations(observed)
+        information = _scattered(each.information, rows, 3 * count)
         gradient = np.zeros(3 * count)
-        np.add.at(gradient, rows, (weighted @ residual[:, :, None])[..., 0])
+        np.add.at(gradient, rows, each.gradient)
         covariance = []
         for of in members:
             at = (3 * of[:, None] + np.arange(3)).reshape(-1)

@@ -7,12 +7,10 @@ from trinoc.geometry import Rig
 from trinoc.match.line_map import JoinedLines, join_collinear, snap_corners
 from trinoc.match.tracks import Matches
 from trinoc.match.tuning import DEFAULT, MatchTuning
-from trinoc.match.wire_frame.faces import Face, faces_of, plane_through
-from trinoc.match.wire_frame.fit import Snooped, end_fit, snooped
+from trinoc.match.wire_frame.adjustment import Graph, graph_of
+from trinoc.match.wire_frame.faces import Face, faces_of, fit_plane, flatten_faces
+from trinoc.match.wire_frame.fit import Refused, Snooped, end_fit, refused_ends, snoop_ends
 from trinoc.match.wire_frame.frame import LetGo, Wireframe
-from trinoc.match.wire_frame.graph import Graph, graph_of
-from trinoc.match.wire_frame.planarity import flattened
-from trinoc.match.wire_frame.refused import Refused, refused_ends
 from trinoc.numerics import in_float64
 
 # More likely than not.
@@ -41,16 +39,16 @@ def wireframe(
     joined = join_collinear(matches, rig, tuning=tuning)
     corners = snap_corners(joined, tuning=tuning)
     graph = graph_of(joined, corners, tuning.corners.free_end_px)
-    found = snooped(graph, joined.posterior, tuning.corners.significance)
+    found = snoop_ends(graph, joined.posterior, tuning.corners.significance)
     edges, edge_of_line = _edges(found.graph)
     edge_of_track = edge_of_line[joined.line_of_track]
     fit = end_fit(found.graph, found.answer)
     shadow = _shadow(matches, edge_of_track, len(edges))
     solid = np.ones(len(edges), dtype=bool) if shadow is None else shadow <= EVEN
     loops = faces_of(found.answer, edges[solid], tuning.wireframe)
-    answer = flattened(found.answer, loops) if flat else found.answer
+    answer = flatten_faces(found.answer, loops) if flat else found.answer
     faces = [
-        plane_through(answer, face.loop, flattened=flat)._replace(chi_square=face.chi_square)
+        fit_plane(answer, face.loop, flattened=flat)._replace(chi_square=face.chi_square)
         for face in loops
     ]
     seen = np.asarray(matches.index) >= 0

@@ -1,4 +1,4 @@
-"""Planar faces: shortest loops of edges whose vertices lie in one plane."""
+"""Planar faces: shortest loops of edges whose vertices lie in one plane, and are held to it."""
 
 from itertools import combinations
 from typing import NamedTuple
@@ -9,10 +9,37 @@ from jaxtyping import Bool, Float, Int
 
 from trinoc.match.tuning import WireframeTuning
 from trinoc.match.wire_frame.adjustment import Adjusted
-from trinoc.numerics import chi_square_limit, chi_square_tail
+from trinoc.numerics import (
+    Residuals,
+    axes_across,
+    chi_square_limit,
+    chi_square_tail,
+    gauss_newton,
+    whitening,
+)
 
 # Gauss-Newton steps of a plane.
-STEPS = 3
+STEPS = 2
+
+
+class _Plane(NamedTuple):
+    """A unit normal and an offset; a step turns the normal toward its axes across and shifts."""
+
+    normal: Float[np.ndarray, "3"]
+    offset_mm: float
+
+    def distances(
+        self, points_mm: Float[np.ndarray, "k 3"]
+    ) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k 3"]]:
+        """(distances of points, their derivatives by a step)."""
+        inside = points_mm @ axes_across(self.normal).T
+        jacobian = np.column_stack([inside, -np.ones(len(points_mm))])
+        return points_mm @ self.normal - self.offset_mm, jacobian
+
+    def turned(self, step: Float[np.ndarray, "1 3"]) -> "_Plane":
+        """The plane after a step."""
+        normal = self.normal + step[0, :2] @ axes_across(self.normal)
+        return _Plane(normal / np.linalg.norm(normal), self.offset_mm + float(step[0, 2]))
 
 
 class Face(NamedTuple):
@@ -43,7 +70,7 @@ def faces_of(
             loop = _loop(net, near, at, first, second, tuning.most_edges)
             if loop is None or frozenset(loop) in found:
                 continue
-            face = plane_through(answer, np.array(loop))
+            face = fit_plane(answer, np.array(loop))
             if _is_plane(answer, face, tuning):
                 found[frozenset(loop)] = face
     return list(found.values())
@@ -96,40 +123,51 @@ def _loop(
     return loop
 
 
-def plane_through(answer: Adjusted, loop: Int[np.ndarray, "k"], *, flattened: bool = False) -> Face:
+def fit_plane(answer: Adjusted, loop: Int[np.ndarray, "k"], *, flattened: bool = False) -> Face:
     """The likeliest plane of some vertices under their joint covariance.
 
     Of vertices that are held to one plane already, any three have the same: they count alike.
     """
     points, joint = answer.points_mm[loop], answer.joint(loop)
     centre = points.mean(axis=0)
-    normal = np.linalg.svd(points - centre)[2][2]
+    normal = _least_normal(points - centre)
     area = np.cross(points - centre, np.roll(points, -1, axis=0) - centre).sum(axis=0)
-    normal = normal if area @ normal > 0 else -normal
-    offset, square = 0.0, 0.0
-    axes, spread, gain = (
-        np.zeros((2, 3)),
-        np.zeros((len(loop), len(loop))),
-        np.zeros((3, len(loop))),
+
+    def residuals(plane: _Plane) -> Residuals:
+        distance, jacobian = plane.distances(points - centre)
+        if not flattened:
+            by = whitening(np.einsum("i,aibj,j->ab", plane.normal, joint, plane.normal))
+            distance, jacobian = by @ distance, by @ jacobian
+        return Residuals(distance[None, None], jacobian[None, None])
+
+    plane, equations = gauss_newton(
+        residuals,
+        _Plane.turned,
+        _Plane(normal if area @ normal > 0 else -normal, 0.0),
+        # Of vertices that count alike, the first plane is the likeliest.
+        steps=0 if flattened else STEPS,
     )
-    for _ in range(STEPS):
-        axes = np.linalg.svd(normal[None])[2][1:]
-        spread = np.einsum("i,aibj,j->ab", normal, joint, normal)
-        weight = np.eye(len(loop)) if flattened else np.linalg.inv(spread)
-        distance = (points - centre) @ normal - offset
-        jacobian = np.column_stack([(points - centre) @ axes.T, -np.ones(len(loop))])
-        gain = -np.linalg.solve(jacobian.T @ weight @ jacobian, jacobian.T @ weight)
-        step = gain @ distance
-        left = distance + jacobian @ step
-        square = 0.0 if flattened else float(left @ weight @ left)
-        normal = normal + step[:2] @ axes
-        normal, offset = normal / np.linalg.norm(normal), offset + step[2]
+    covariance, normal = equations.covariance()[0], plane.normal
+    if flattened:
+        gain = covariance @ plane.distances(points - centre)[1].T
+        covariance = gain @ np.einsum("i,aibj,j->ab", normal, joint, normal) @ gain.T
     by_step = np.zeros((4, 3))
-    by_step[:3, :2] = axes.T
-    by_step[3] = [*(axes @ centre), 1.0]
-    covariance = by_step @ gain @ spread @ gain.T @ by_step.T
-    plane = np.append(normal, normal @ centre + offset)
-    return Face(loop, plane, (covariance + covariance.T) / 2, square, len(loop) - 3)
+    by_step[:3, :2] = axes_across(normal).T
+    by_step[3] = [*(axes_across(normal) @ centre), 1.0]
+    covariance = by_step @ covariance @ by_step.T
+    chi_square = 0.0 if flattened else float(equations.chi_square[0])
+    return Face(
+        loop,
+        np.append(normal, normal @ centre + plane.offset_mm),
+        (covariance + covariance.T) / 2,
+        chi_square,
+        len(loop) - 3,
+    )
+
+
+def _least_normal(points_mm: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "3"]:
+    """Unit normal of the plane through the origin that is nearest to points, all alike."""
+    return np.linalg.svd(points_mm)[2][2]
 
 
 def _is_plane(answer: Adjusted, face: Face, tuning: WireframeTuning) -> bool:
@@ -145,3 +183,42 @@ def _is_plane(answer: Adjusted, face: Face, tuning: WireframeTuning) -> bool:
         chi_square_tail(face.chi_square, face.degrees) >= tuning.plane_significance
     )
     return bool(fits)
+
+
+# Planes turn a little as their vertices move.
+FLATTEN_STEPS = 3
+
+
+def flatten_faces(answer: Adjusted, faces: list[Face]) -> Adjusted:
+    """The likeliest vertices of which those of each face lie in a plane, and their covariance."""
+    points, covariance = answer.points_mm.copy(), list(answer.covariance_mm2)
+    for part in sorted({int(answer.part[face.loop[0]]) for face in faces}):
+        members = np.flatnonzero(answer.part == part)
+        loops = [face.loop for face in faces if answer.part[face.loop[0]] == part]
+        spread, start = answer.covariance_mm2[part], answer.points_mm[members].reshape(-1)
+        place = start
+        for _ in range(FLATTEN_STEPS):
+            points[members] = place.reshape(-1, 3)
+            here = answer._replace(points_mm=points)
+            rows = np.concatenate([_rows(here, loop, members) for loop in loops])
+            if len(rows) == 0:
+                break
+            gain = spread @ rows.T @ np.linalg.pinv(rows @ spread @ rows.T, hermitian=True)
+            place = start - gain @ (rows @ start)
+            covariance[part] = spread - gain @ rows @ spread
+        points[members] = place.reshape(-1, 3)
+    return answer._replace(points_mm=points, covariance_mm2=tuple(covariance))
+
+
+def _rows(
+    answer: Adjusted, loop: Int[np.ndarray, "k"], members: Int[np.ndarray, "m"]
+) -> Float[np.ndarray, "c d"]:
+    """k - 3 numbers that vanish where k vertices lie in one plane, by all vertices of the part."""
+    points = answer.points_mm[loop] - answer.points_mm[loop].mean(axis=0)
+    normal = _least_normal(points)
+    inside = points @ axes_across(normal).T
+    free = np.column_stack([inside, np.ones(len(loop))])
+    null = np.linalg.svd(free.T)[2][3:]
+    rows = np.zeros((len(null), len(members), 3))
+    rows[:, np.searchsorted(members, loop)] = null[:, :, None] * normal
+    return rows.reshape(len(null), 3 * len(members))

@@ -2,16 +2,17 @@
 
 What an end says across its line is compared with the vertex under the covariance of their
 difference, which is the line's own less that of the vertex: the line is in the vertex (Baarda's
-data snooping). The worst goes first, and the rest is adjusted anew.
+data snooping). The worst goes first, and the rest is adjusted anew. Free ends that stop beside a
+corner which their line does not run through are named, and not held.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.spatial import KDTree
 
-from trinoc.match.wire_frame.adjustment import Adjusted, adjusted
-from trinoc.match.wire_frame.graph import Graph, without_gaps
+from trinoc.match.wire_frame.adjustment import Adjusted, Graph, adjust_vertices, without_gaps
 from trinoc.numerics import chi_square_tail
 
 # Of the variance of an end: less than this share is left where nothing else knows the vertex.
@@ -53,14 +54,14 @@ def end_fit(graph: Graph, answer: Adjusted) -> EndFit:
     return EndFit(square, degrees)
 
 
-def snooped(graph: Graph, posterior: Float[np.ndarray, "l"], significance: float) -> Snooped:
+def snoop_ends(graph: Graph, posterior: Float[np.ndarray, "l"], significance: float) -> Snooped:
     """Let ends go, the worst first, until all fit at this level.
 
     Where two fit equally badly, as at a vertex of two lines, the line of the lower posterior goes.
     """
     let_go: list[tuple[int, int, float, int]] = []
     while True:
-        answer = adjusted(graph)
+        answer = adjust_vertices(graph)
         fit = end_fit(graph, answer)
         tail = np.where(fit.degrees > 0, chi_square_tail(fit.square, fit.degrees), 1.0)
         if tail.size == 0 or tail.min() >= significance:
@@ -77,3 +78,46 @@ def snooped(graph: Graph, posterior: Float[np.ndarray, "l"], significance: float
         vertex = graph.vertex.copy()
         vertex[line, end] = graph.count
         graph = graph._replace(vertex=without_gaps(vertex))
+
+
+class Refused(NamedTuple):
+    """An end of a line, how far the line passes its corner, and the chi-square of that (2)."""
+
+    line: int
+    end: int
+    distance_mm: float
+    chi_square: float
+
+
+def refused_ends(
+    graph: Graph,
+    answer: Adjusted,
+    px_per_mm: Float[np.ndarray, "l"],
+    reach_px: float,
+    significance: float,
+) -> tuple[Refused, ...]:
+    """Of each free end, the nearest corner within reach, where its line misses that for sure."""
+    vertex = graph.vertex[answer.lines]
+    shared = np.bincount(vertex.reshape(-1), minlength=graph.count) > 1
+    corners = np.flatnonzero(shared)
+    if len(corners) == 0:
+        return ()
+    near = KDTree(answer.points_mm[corners])
+    found = []
+    for row, line in enumerate(answer.lines.tolist()):
+        for end in np.flatnonzero(~shared[vertex[row]]).tolist():
+            own, other = vertex[row, end], vertex[row, 1 - end]
+            # The corner at the line's other end is no candidate; the next one may be.
+            apart, numbers = map(np.asarray, near.query(answer.points_mm[own], k=2))
+            close = numbers[apart < reach_px / px_per_mm[line]]
+            at = [corner for corner in corners[close].tolist() if corner != other]
+            if not at:
+                continue
+            axes, across = answer.axes[row, :2], slice(3 * end, 3 * end + 2)
+            offset = axes @ (answer.points_mm[at[0]] - graph.lines_mm[line, end])
+            spread = answer.own_mm2[row, across, across]
+            spread = spread + axes @ answer.joint(np.array([at[0]]))[0, :, 0] @ axes.T
+            square = float(offset @ np.linalg.solve(spread, offset))
+            if chi_square_tail(square, 2) < significance:
+                found.append(Refused(line, end, float(np.linalg.norm(offset)), square))
+    return tuple(found)

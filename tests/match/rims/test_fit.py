@@ -1,0 +1,109 @@
+"""Circles fitted to chords err as their covariance says, whatever the errors of the chords are."""
+
+import numpy as np
+import pytest
+
+from tests.match.made import rig_of
+from trinoc.geometry import project_by_matrix
+from trinoc.match.rims.circles import GAUSS, Chords, Circles, points_at
+from trinoc.match.rims.fit import fit_circle, move_circle
+from trinoc.numerics import axes_across
+
+NORMAL = np.array([[0.1, -0.2, 0.97]])
+CIRCLE = Circles(np.array([[8.0, -5.0, 30.0]]), NORMAL / np.linalg.norm(NORMAL), np.array([22.0]))
+SIGMA_PX, TRIALS, PARAMETERS = 0.1, 150, 6
+
+
+def chords_round(circle: Circles, views=("upper", "left", "right")) -> Chords:
+    """Chords of arcs all round a circle, whose two places on the arc are exact."""
+    columns = []
+    for view, camera in enumerate(rig_of(*views)):
+        matrix = np.asarray(rig_of(*views)[camera].matrix_px)
+        middle = np.arange(10) * (2 * np.pi / 10) + 0.3 * view
+        angle = np.stack([middle - 0.15, middle + 0.15], axis=1)
+        on_arc = project_by_matrix(matrix, points_at(circle, angle.reshape(1, -1))[0])
+        on_arc = on_arc.reshape(-1, 2, 2)
+        half = (on_arc[:, 1] - on_arc[:, 0]) / (2 * GAUSS)
+        centre = on_arc.mean(axis=1)
+        shares = np.array([-GAUSS, GAUSS, 0.0, -1.0, 1.0])
+        places = centre[:, None] + shares[:, None] * half[:, None]
+        rays = np.concatenate([places, np.ones((*places.shape[:2], 1))], axis=2)
+        rays = rays @ np.linalg.inv(matrix[:, :3]).T
+        count = len(places)
+        columns.append(
+            Chords(
+                np.full(count, view),
+                np.arange(count),
+                places,
+                rays / np.linalg.norm(rays, axis=2, keepdims=True),
+                np.tile(-np.linalg.inv(matrix[:, :3]) @ matrix[:, 3], (count, 1)),
+                np.tile(matrix, (count, 1, 1)),
+                np.full(count, SIGMA_PX),
+                2 * np.linalg.norm(half, axis=1),
+            )
+        )
+    return Chords(*(np.concatenate(column) for column in zip(*columns, strict=True)))
+
+
+def shifted(chords: Chords, errors_px: np.ndarray) -> Chords:
+    """The chords with their two places on the arc moved across, (n, 2) px."""
+    way = chords.places_px[:, 4] - chords.places_px[:, 3]
+    right = np.stack([-way[:, 1], way[:, 0]], axis=1) / chords.length_px[:, None]
+    places = chords.places_px.copy()
+    places[:, :2] += errors_px[:, :, None] * right[:, None]
+    rays = np.concatenate([places, np.ones((*places.shape[:2], 1))], axis=2)
+    rays = np.einsum("nij,nkj->nki", np.linalg.inv(chords.matrix_px[:, :, :3]), rays)
+    rays = rays / np.linalg.norm(rays, axis=2, keepdims=True)
+    return chords._replace(places_px=places, rays=rays)
+
+
+def error_of(circle: Circles) -> np.ndarray:
+    """What `move_circle` has to move the fitted circle by to reach the true one."""
+    turn = (CIRCLE.normal - circle.normal)[0] @ axes_across(circle.normal)[0].T
+    return np.concatenate(
+        [(CIRCLE.centre_mm - circle.centre_mm)[0], turn, CIRCLE.radius_mm - circle.radius_mm]
+    )
+
+
+def squares(draw) -> np.ndarray:
+    """Squared errors of fits under their covariances, over the number of parameters."""
+    exact, rng, found = chords_round(CIRCLE), np.random.default_rng(0), []
+    for _ in range(TRIALS):
+        fit = fit_circle(shifted(exact, draw(rng, (len(exact.view), 2))), CIRCLE)
+        error = error_of(fit.circle)
+        found.append(error @ np.linalg.solve(fit.covariance, error) / PARAMETERS)
+    return np.array(found)
+
+
+def heavy(rng, size):
+    """A tenth of the errors is five times as large."""
+    return SIGMA_PX * rng.normal(size=size) * np.where(rng.random(size) < 0.1, 5.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("draw", "least", "most"),
+    [
+        # As stated: the weights of large residuals are a little below 1, the covariance above.
+        (lambda rng, size: SIGMA_PX * rng.normal(size=size), 0.7, 1.1),
+        # Smaller than stated: the covariance stays that of what is stated.
+        (lambda rng, size: 0.2 * SIGMA_PX * rng.normal(size=size), 0.02, 0.06),
+        # Three times as large: not enlarged, it would be some 7. Cauchy's weights hide a part.
+        (lambda rng, size: 3.0 * SIGMA_PX * rng.normal(size=size), 1.2, 2.6),
+        (heavy, 0.8, 1.4),
+    ],
+)
+def test_errors_are_those_of_the_covariance(draw, least, most) -> None:
+    assert least < squares(draw).mean() < most
+
+
+def test_exact_chords_leave_their_circle_from_beside_it() -> None:
+    start = move_circle(CIRCLE, np.array([[0.3, -0.2, 0.2, 0.01, -0.01, 0.3]]))
+    fit = fit_circle(chords_round(CIRCLE), start)
+    fit = fit_circle(chords_round(CIRCLE), fit.circle)
+    np.testing.assert_allclose(error_of(fit.circle), 0.0, atol=1e-4)
+
+
+def test_chords_of_one_place_leave_the_circle_open() -> None:
+    exact = chords_round(CIRCLE, ("upper",))
+    one = Chords(*(column[[0, 0]] for column in exact))
+    assert np.isnan(fit_circle(one, CIRCLE).covariance).all()

@@ -1,0 +1,106 @@
+"""Vertices adjusted together, against generalised least squares written out for a small graph."""
+
+import numpy as np
+
+from trinoc.match.wire_frame.adjustment import Graph, adjust_vertices, line_axes
+from trinoc.match.wire_frame.faces import fit_plane
+
+# A corner of three edges and one more edge that closes a triangle; one line stands alone.
+VERTICES = np.array(
+    [
+        *([0.0, 0.0, 0.0], [40.0, 2.0, 1.0], [3.0, 35.0, -2.0], [1.0, -2.0, 50.0]),
+        *([90.0, 80.0, 0.0], [120.0, 85.0, 10.0]),
+    ]
+)
+EDGES = np.array([[0, 1], [0, 2], [3, 0], [1, 2], [4, 5]])
+
+
+def graph_of_exact_lines(seed: int = 0) -> Graph:
+    """Lines from vertex to vertex, so that the vertices lie at their very ends."""
+    rng = np.random.default_rng(seed)
+    root = 0.1 * rng.normal(size=(len(EDGES), 6, 6))
+    along = rng.uniform(0.5, 2.0, (len(EDGES), 2))
+    return Graph(VERTICES[EDGES], root @ root.mT + 0.01 * np.eye(6), along, EDGES)
+
+
+def observations(graph: Graph) -> tuple[np.ndarray, np.ndarray]:
+    """(design, weight) of every line's six numbers: across itself at both ends, and along."""
+    design, weight = [], []
+    for ends, covariance, along, vertex in zip(*graph, strict=True):
+        axes = line_axes(ends[None])[0]
+        rows = np.zeros((6, 3 * len(VERTICES)))
+        by_end = np.zeros((6, 6))
+        for end in (0, 1):
+            rows[3 * end : 3 * end + 3, 3 * vertex[end] : 3 * vertex[end] + 3] = axes
+            by_end[3 * end : 3 * end + 3, 3 * end : 3 * end + 3] = axes
+        own = by_end @ covariance @ by_end.T
+        # What a line's covariance says along it is not used: there it stops, and that is known.
+        for end in (0, 1):
+            own[3 * end + 2] = own[:, 3 * end + 2] = 0.0
+            own[3 * end + 2, 3 * end + 2] = along[end] ** 2
+        design.append(rows)
+        weight.append(np.linalg.inv(own))
+    return np.array(design), np.array(weight)
+
+
+def test_the_covariance_is_that_of_generalised_least_squares() -> None:
+    graph = graph_of_exact_lines()
+    answer = adjust_vertices(graph)
+    np.testing.assert_allclose(answer.points_mm, VERTICES, atol=1e-9)
+    design, weight = observations(graph)
+    expected = np.linalg.inv(np.einsum("lik,lij,ljm->km", design, weight, design))
+    for part in (np.arange(4), np.arange(4, 6)):
+        rows = (3 * part[:, None] + np.arange(3)).ravel()
+        found = answer.joint(part).reshape(len(rows), len(rows))
+        np.testing.assert_allclose(found, expected[np.ix_(rows, rows)], rtol=1e-7, atol=1e-12)
+
+
+def test_a_free_end_is_known_along_its_line_as_it_was_stated() -> None:
+    graph = graph_of_exact_lines()
+    answer = adjust_vertices(graph)
+    way = VERTICES[5] - VERTICES[4]
+    way = way / np.linalg.norm(way)
+    for end, vertex in enumerate((4, 5)):
+        block = answer.joint(np.array([vertex]))[0, :, 0]
+        np.testing.assert_allclose(way @ block @ way, graph.along_mm[4, end] ** 2)
+
+
+def test_vertices_scatter_as_their_covariance_says() -> None:
+    graph, rng = graph_of_exact_lines(), np.random.default_rng(1)
+    root = np.linalg.cholesky(graph.covariance_mm2)
+    axes, squares = line_axes(graph.lines_mm), []
+    for _ in range(200):
+        noise = (root @ rng.normal(size=(len(EDGES), 6, 1))).reshape(-1, 2, 3)
+        # Across, as stated; along, lines stop as far off as is known of them.
+        noise -= (noise @ axes[:, 2, :, None]) * axes[:, None, 2]
+        noise += (graph.along_mm * rng.normal(size=graph.along_mm.shape))[..., None] * axes[:, 2:]
+        answer = adjust_vertices(graph._replace(lines_mm=graph.lines_mm + noise))
+        error = (answer.points_mm - VERTICES)[:4].ravel()
+        spread = answer.joint(np.arange(4)).reshape(12, 12)
+        squares.append(error @ np.linalg.solve(spread, error))
+    # A mean of 200 chi-squares of 12, within four standard deviations.
+    assert abs(np.mean(squares) - 12) < 4 * np.sqrt(2 * 12 / 200)
+
+
+def test_a_plane_is_that_of_generalised_least_squares() -> None:
+    graph = graph_of_exact_lines()
+    answer = adjust_vertices(graph)
+    loop, joint = np.array([0, 1, 2, 3]), answer.joint(np.arange(4))
+    rng = np.random.default_rng(2)
+    # Four points nearly in a plane.
+    flat = np.array([[0.0, 0.0, 0.0], [40.0, 0.0, 0.0], [40.0, 35.0, 0.0], [0.0, 35.0, 0.0]])
+    points = answer.points_mm.copy()
+    points[:4] = flat + 0.05 * rng.normal(size=flat.shape)
+    face = fit_plane(answer._replace(points_mm=points), loop)
+    # Near z = 0: z = a x + b y + c under the covariance across the plane.
+    normal = face.plane[:3] * np.sign(face.plane[2])
+    weight = np.linalg.inv(np.einsum("i,aibj,j->ab", normal, joint, normal))
+    design = np.column_stack([points[:4, :2], np.ones(4)])
+    slope = np.linalg.solve(design.T @ weight @ design, design.T @ weight @ points[:4, 2])
+    np.testing.assert_allclose(-normal[:2] / normal[2], slope[:2], atol=1e-5)
+    left = points[:4, 2] - design @ slope
+    np.testing.assert_allclose(face.chi_square, left @ weight @ left, rtol=1e-3)
+    spread = np.linalg.inv(design.T @ weight @ design)
+    # The normal is (-a, -b, 1) up to its length, which is 1 to second order.
+    np.testing.assert_allclose(face.covariance[:2, :2], spread[:2, :2], rtol=0.01)
+    np.testing.assert_allclose(face.covariance[3, 3], spread[2, 2], rtol=0.01)
