@@ -246,16 +246,14 @@ def _result_from_fit(
     notes = [*notes_of_fit(fit, outcome, gauge_names, (_CAMERA,), held)]
     free_names = tuple(names[k] for k in free)
     coefficients = [name for name in lens.coefficient_names if name in free_names]
-    if coefficients:
-        reach = reach_sentence(problem)
-        notes += [] if reach is None else [reach]
-        if status is Status.CONVERGED and not isinstance(lens, AbstractSplined):
-            count, gain = fewest_coefficients(lens, coefficients, covariance)
-            extra = [name for name in coefficients if name not in lens.coefficient_names[:count]]
-            if extra:
-                all_names = lens.coefficient_names
-                notes.append(coefficients_sentence(count, all_names, extra, gain))
+    if coefficients and status is Status.CONVERGED and not isinstance(lens, AbstractSplined):
+        all_names = lens.coefficient_names
+        count, gain = fewest_coefficients(lens, coefficients, covariance)
+        extra = [name for name in coefficients if name not in all_names[:count]]
+        notes += [coefficients_sentence(count, all_names, extra, gain)] if extra else []
     notes += [*refused_sentences(fit, where), *silent_sentences(silent, where)]
+    reach = reach_sentence(problem) if coefficients else None
+    notes += [] if reach is None else [reach]
     detected = problem._replace(views=tuple(v._replace(shown=None) for v in problem.views))
     reduced = float(problem.sigma_factor[0] ** 2 * fit.chi_square / max(fit.freedom, 1))
     pattern = problem.target
