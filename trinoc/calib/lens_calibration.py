@@ -142,14 +142,15 @@ def calibrate_intrinsics(
     held, silent = (), []
     if distortion is None:
         fit, held = hold_undetermined(fit)
-    is_determined = assess_fit(fit).status is Status.CONVERGED
+    is_determined, core_fit = assess_fit(fit).status is Status.CONVERGED, fit
     if is_determined and is_splined:
         fit = with_correction(fit, [size_px])
     if is_determined and method == "pixels":
         shots = tuple(names[k] for k in index)
         fit, silent = fit_pixels(fit, grey_levels(pictures, (_CAMERA,), shots))
         fit = with_own_correction_sigmas(fit)
-    result = _result_from_fit(fit, held, silent, index, failures, pixel_pitch_mm)
+    advised = core_fit.problem if is_splined else fit.problem
+    result = _result_from_fit(fit, advised, held, silent, index, failures, pixel_pitch_mm)
     if throw and result.status is not Status.CONVERGED:
         advice = "" if result.next_image is None else f" {result.next_image.sentence}"
         raise CalibrationError(f"{result.notes[0]}{advice}", {}, result)
@@ -219,13 +220,17 @@ def _lens_problem(
 
 def _result_from_fit(
     fit: RobustFit,
+    advised: Problem,
     held: Sequence[str],
     silent: Sequence[tuple[int, int, str]],
     index: tuple[int, ...],
     failures: dict[int, str],
     pixel_pitch_mm: tuple[float, float] | None,
 ) -> IntrinsicsResult:
-    """What the pictures determine of the lens, and what to do next."""
+    """What the pictures determine of the lens, and what to do next.
+
+    advised : the problem to which a picture is added: that of the core where splines correct it.
+    """
     problem, outcome = fit.problem, assess_fit(fit)
     status, information, *_ = outcome
     lens, size_px = lens_number(problem, 0), problem.image_sizes_px[0]
@@ -241,16 +246,14 @@ def _result_from_fit(
     notes = [*notes_of_fit(fit, outcome, gauge_names, (_CAMERA,), held)]
     free_names = tuple(names[k] for k in free)
     coefficients = [name for name in lens.coefficient_names if name in free_names]
-    if coefficients:
-        reach = reach_sentence(problem)
-        notes += [] if reach is None else [reach]
-        if status is Status.CONVERGED and not isinstance(lens, AbstractSplined):
-            count, gain = fewest_coefficients(lens, coefficients, covariance)
-            extra = [name for name in coefficients if name not in lens.coefficient_names[:count]]
-            if extra:
-                all_names = lens.coefficient_names
-                notes.append(coefficients_sentence(count, all_names, extra, gain))
+    if coefficients and status is Status.CONVERGED and not isinstance(lens, AbstractSplined):
+        all_names = lens.coefficient_names
+        count, gain = fewest_coefficients(lens, coefficients, covariance)
+        extra = [name for name in coefficients if name not in all_names[:count]]
+        notes += [coefficients_sentence(count, all_names, extra, gain)] if extra else []
     notes += [*refused_sentences(fit, where), *silent_sentences(silent, where)]
+    reach = reach_sentence(problem) if coefficients else None
+    notes += [] if reach is None else [reach]
     detected = problem._replace(views=tuple(v._replace(shown=None) for v in problem.views))
     reduced = float(problem.sigma_factor[0] ** 2 * fit.chi_square / max(fit.freedom, 1))
     pattern = problem.target
@@ -279,9 +282,24 @@ def _result_from_fit(
         image_index=index,
         failures=failures,
         notes=tuple(notes),
-        next_image=next_image_of(problem, outcome, gauge_names),
+        next_image=next_image_of(
+            advised,
+            _information_on(advised, outcome),
+            outcome.variance_factor,
+            gauge_names,
+        ),
         pattern=pattern,
     )
+
+
+def _information_on(core: Problem, outcome: Outcome) -> Float[np.ndarray, "f f"]:
+    """On the free steps of a lens, or of its core, whatever the splines are."""
+    information, free = outcome.information, np.flatnonzero(core.chart.free)
+    if len(free) < len(information.free):
+        # The steps of the core come first.
+        return np.linalg.inv(outcome.covariance[: len(free), : len(free)])
+    whole = information.of_shot.sum(axis=0)[np.ix_(free, free)] / outcome.variance_factor
+    return whole + information.prior
 
 
 def _lens_covariance(

@@ -9,7 +9,6 @@ from jaxtyping import Float
 from trinoc.calib.advice.candidate_shots import candidate_shots
 from trinoc.calib.advice.foreseen_shots import ForeseenShot, foresee_shots
 from trinoc.calib.advice.halves import head_names
-from trinoc.calib.problem.outcome import Outcome
 from trinoc.calib.problem.problem import Problem
 from trinoc.geometry import SPLINE_PARAMETERS, Pose
 
@@ -136,16 +135,17 @@ def next_shot_of(
 
 
 def next_image_of(
-    problem: Problem, outcome: Outcome, open_names: Sequence[str]
+    problem: Problem,
+    information: Float[np.ndarray, "f f"],
+    variance_factor: float,
+    open_names: Sequence[str],
 ) -> NextImage | None:
     """The picture that lowers most what a lens errs by where it errs most, determined or not.
 
-    open_names : parameters of the lens that its pictures do not determine.
+    information : of the pictures taken, on the free steps of the lens. open_names : parameters
+    that they do not determine.
     """
-    information, variance_factor = outcome.information, outcome.variance_factor
-    rows = np.ix_(information.free, information.free)
-    whole = information.of_shot.sum(axis=0)[rows] / variance_factor + information.prior
-    covariance = np.linalg.inv(whole + np.eye(len(whole)) / _PRIOR_SIGMA**2)
+    covariance = np.linalg.inv(information + np.eye(len(information)) / _PRIOR_SIGMA**2)
     best = _best_shot(problem, covariance, variance_factor)
     if best is None:
         return None
