@@ -147,3 +147,21 @@ def test_places_of_blocks_scatter_as_their_information_says() -> None:
     # Six levels and slopes are each block's own.
     freedom = levels[0].size - 6
     assert np.asarray(found.square).mean() / NOISE**2 == pytest.approx(freedom, rel=0.02)
+
+
+def test_slopes_of_levels_are_held_by_what_is_known_of_them() -> None:
+    """The step is that of a ridge regression with the prior's rows added to the pixels'."""
+    generator = np.random.default_rng(6)
+    across, share, level = block(generator)
+    level = level + 1.5 * across
+    right = ndtr((across - 0.2) / 1.1).reshape(-1, 1)
+    along = np.broadcast_to(np.arange(ROWS)[:, None] - (ROWS - 1) / 2, across.shape)
+    side = np.stack([np.ones_like(across), across - 0.2, along], axis=-1).reshape(-1, 3)
+    basis = np.concatenate([side * (1 - right), side * right], axis=1)
+    for sigma in (0.01, 0.1, 1e3):
+        prior = np.diag([0.0, 1 / sigma, 1 / sigma] * 2)
+        rows = np.concatenate([basis, prior])
+        levels = np.linalg.lstsq(rows, np.append(level.reshape(-1), np.zeros(6)))[0]
+        place = jnp.array([0.2, 0.2, np.log(1.1)])
+        found = fitted_block(place, level, across, share, slopes=sigma)
+        assert float(found.step) == pytest.approx(levels[3] - levels[0], rel=1e-3)

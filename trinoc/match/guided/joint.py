@@ -6,7 +6,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
-from trinoc.geometry import project_by_matrix
+from trinoc.geometry import project_with_jacobian
 from trinoc.match.guided.ridges import REACH
 from trinoc.match.guided.views import Answer, PictureInput, ask
 from trinoc.match.tuning import GuidedTuning
@@ -66,14 +66,13 @@ def _of_view(
     picture: PictureInput, ends_mm: np.ndarray, covariance_mm2: np.ndarray, tuning: GuidedTuning
 ) -> tuple[Answer, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     matrix = picture.matrix_px
-    depth = ends_mm @ matrix[2, :3] + matrix[2, 3]
-    before = (depth > 0).all(axis=1)
-    image = project_by_matrix(matrix, np.where(before[:, None, None], ends_mm, 0.0))
+    before = (ends_mm @ matrix[2, :3] + matrix[2, 3] > 0).all(axis=1)
+    seen = project_with_jacobian(matrix, np.where(before[:, None, None], ends_mm, 0.0))
+    image = seen.uv_px
     way = image[:, 1] - image[:, 0]
     length = np.maximum(np.linalg.norm(way, axis=1), 1e-9)
     right = np.stack([-way[:, 1], way[:, 0]], axis=1) / length[:, None]
-    slope = (matrix[:2, :3] - image[..., :, None] * matrix[2, :3]) / depth[..., None, None]
-    across = np.einsum("ni,neij->nej", right, slope)
+    across = np.einsum("ni,neij->nej", right, seen.by_point)
     by_ends = np.zeros((len(image), 2, 6))
     by_ends[:, 0, :3], by_ends[:, 1, 3:] = across[:, 0], across[:, 1]
     spread = np.einsum("nei,nij,nej->ne", by_ends, covariance_mm2, by_ends)
@@ -87,7 +86,7 @@ def _of_view(
     unit = way / length[:, None]
     off = answer.ends_px - image[:, :1]
     along = np.einsum("nei,ni->ne", off, unit)
-    seen = np.einsum("nei,ni->ne", off, right)
+    beside = np.einsum("nei,ni->ne", off, right)
     apart = along[:, 1] - along[:, 0]
     apart = np.where(np.abs(apart) > 1e-6, apart, 1.0)
     share = (np.stack([np.zeros(len(length)), length], axis=1) - along[:, :1]) / apart[:, None]
@@ -98,7 +97,7 @@ def _of_view(
     return (
         answer,
         hit,
-        (weight @ seen[..., None])[..., 0],
+        (weight @ beside[..., None])[..., 0],
         weight @ own @ weight.mT,
         by_ends,
         width * np.minimum(width, 5.0),
