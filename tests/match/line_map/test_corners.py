@@ -10,7 +10,7 @@ from trinoc.match import (
     Corners,
     snap_corners,
 )
-from trinoc.match.line_map.corners import _constrain
+from trinoc.match.line_map.corners import Ends, _bring, _constrain
 from trinoc.numerics import axes_across
 
 from .made_tracks import (
@@ -117,3 +117,20 @@ def test_lines_that_meet_at_both_ends_are_held_although_that_is_said_twice() -> 
     np.testing.assert_allclose(lines[0], lines[1], atol=1e-12)
     np.testing.assert_allclose(lines[0, :, 1], [0.05, 0.1])
     np.testing.assert_allclose(np.diagonal(covariance[0]), [0, 0.005, 0.02] * 2, atol=1e-12)
+
+
+def test_along_its_line_an_end_brought_to_a_corner_is_known_to_the_pixels_stated() -> None:
+    lines = np.array([[[1.0, 2.0, 3.0], [4.0, 6.0, 3.0]]])
+    root = np.random.default_rng(4).normal(size=(6, 6))
+    covariance = 0.01 * (root @ root.T)[None]
+    way, px_per_mm, free_end_px = np.array([0.6, 0.8, 0.0]), 2.0, 7.0
+    own = np.stack([lines[0], lines[0, ::-1]])
+    ends = Ends(
+        lines[0], np.stack([-way, way]), own, np.zeros((2, 6, 6)), np.full(2, px_per_mm)
+    )  # fmt: skip
+    moved, spread = lines.copy(), covariance.copy()
+    _bring(moved, spread, ends, 1, lines[0, 1], free_end_px)
+    np.testing.assert_allclose(moved, lines)
+    expected = covariance[0].copy()
+    expected[3:, 3:] += (free_end_px / px_per_mm) ** 2 * np.outer(way, way)
+    np.testing.assert_allclose(spread[0], expected, atol=1e-12)
