@@ -32,7 +32,7 @@ MAY_IMPORT["cli"] = {*MAY_IMPORT["serving"], "serving", "batch"}
 # itself put them together and stand above all.
 INNER_FLOORS = {
     "calib": (
-        *("targets", "detection", "model", "result", "uncertainty", "problem"),
+        *("targets", "detection", "result", "uncertainty", "problem"),
         *("starts", "advice", "photometric", "adjustment", "bundle", "rig_check"),
     ),
     "match": (

@@ -2,6 +2,11 @@ from .advice.field_difference import FieldDifference as FieldDifference
 from .advice.next_shot import NextShot as NextShot
 from .advice.projection import projection_sigma as projection_sigma
 from .batch import calibrate_batch as calibrate_batch
+from .bundle.camera import (
+    CameraState as CameraState,
+    camera_state as camera_state,
+    stacked_states as stacked_states,
+)
 from .bundle.covariance import segment_and_errors as segment_and_errors
 from .bundle.factors import d_parameters_d_delta as d_parameters_d_delta
 from .bundle.implicit_diff import refined as refined
@@ -18,11 +23,6 @@ from .from_images import calibrate as calibrate
 from .from_points import calibrate_points as calibrate_points
 from .intrinsics_result import IntrinsicsResult as IntrinsicsResult
 from .lens_calibration import calibrate_intrinsics as calibrate_intrinsics
-from .model.camera import (
-    CameraState as CameraState,
-    camera_state as camera_state,
-    stacked_states as stacked_states,
-)
 from .result.calibration import CalibrationResult as CalibrationResult, CameraFit as CameraFit
 from .result.status import Status as Status
 from .rig_calibration import calibrate_rig as calibrate_rig

@@ -44,10 +44,6 @@ from .joins import (
     sums as sums,
     take_groups as take_groups,
 )
-from .manifold_minimiser import (
-    AbstractManifoldMinimiser as AbstractManifoldMinimiser,
-    DampedDescent as DampedDescent,
-)
 from .precision import (
     as_float as as_float,
     as_numpy as as_numpy,

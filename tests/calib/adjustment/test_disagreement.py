@@ -6,8 +6,8 @@ from tests.calib.adjustment.made_views import SHEET, SIGMA_PX, TYPICAL, made_vie
 from trinoc.calib.adjustment.agreement import probability_of_agreement
 from trinoc.calib.adjustment.estimate import Adjustment, adjust_cameras
 from trinoc.calib.adjustment.jackknife import scatter_of_blocks
-from trinoc.calib.model import SheetPoints
 from trinoc.calib.problem.robust_fit import errors_px
+from trinoc.calib.problem.sheet_points import SheetPoints
 from trinoc.geometry import PoseModel
 
 

@@ -11,6 +11,7 @@ from jax.flatten_util import ravel_pytree
 from tests.calib.bundle.made_tracks import NAMES, SHEET_SIGMA, TRUTH, made_tracks, rig_at
 from tests.geometry.strategies import vectors
 from trinoc.calib import camera_state, stacked_states
+from trinoc.calib.bundle.camera import camera_of_state
 from trinoc.calib.bundle.estimate import HELD_SIGMA_MM, FreeParameters, prior_information
 from trinoc.calib.bundle.factors import (
     PosePrior,
@@ -26,7 +27,6 @@ from trinoc.calib.bundle.joint_problem import (
     squared_distances,
     with_lines_of_two_views,
 )
-from trinoc.calib.model import camera_of_state
 from trinoc.geometry import LineObservations, PoseModel
 from trinoc.numerics import GemanMcClure, eliminate
 

@@ -59,9 +59,11 @@ def pixels_of(
     return group_of(chosen, picture, LENS.lens, pattern, capacity, np.float64), len(chosen.row)
 
 
-def picture_of(*groups: Group, state: PictureState, top: float = np.inf) -> Picture:
+def picture_of(
+    near_circles: Group, near_lines: Group, *, state: PictureState, top: float = np.inf
+) -> Picture:
     prior = state.unknowns.prior(local=False)
-    return Picture(*groups, CROSS, np.array(255.0), np.array(top), prior)
+    return Picture(near_circles, near_lines, CROSS, np.array(255.0), np.array(top), prior)
 
 
 @partial(jax.jit, static_argnames=("drawing", "near_line"))
@@ -74,9 +76,9 @@ def rows_of(
     near_line: bool = False,
 ) -> PixelRows:
     """Residuals and rows of a group; at another homography than the state's where it is given."""
-    homography = sheet_from_camera(state.pose) if homography is None else homography
+    place = sheet_from_camera(state.pose) if homography is None else homography
     picture = picture_of(group, group, state=state)
-    return pixel_rows(homography, state, group, picture, drawing, near_line)
+    return pixel_rows(place, state, group, picture, drawing, near_line)
 
 
 def drawing_of(pattern: Pattern | SquareSheet) -> Drawing:

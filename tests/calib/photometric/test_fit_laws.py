@@ -13,6 +13,7 @@ from trinoc.calib.photometric.point import Point
 from trinoc.calib.photometric.scene import Scene, scene_of_picture
 from trinoc.calib.photometric.unknowns import PictureState
 from trinoc.geometry import PoseModel
+from trinoc.numerics import ArrayLike
 
 pytestmark = pytest.mark.usefixtures("large_programs")
 STATE = with_look(state_at(RIGHT), spread_mm=0.01)
@@ -31,7 +32,7 @@ def scene() -> Scene:
     return posed[0]
 
 
-def with_prior(scene: Scene, middle: float, width: float) -> Scene:
+def with_prior(scene: Scene, middle: ArrayLike | float, width: ArrayLike | float) -> Scene:
     """With what is said of the ratio of ink to paper beforehand."""
 
     class WithPrior(Scene):

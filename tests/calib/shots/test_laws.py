@@ -15,7 +15,6 @@ from tests.calib.shots.made_shots import (
     shots,
 )
 from trinoc.calib import Chessboard, Pattern, Systematics
-from trinoc.calib.model import predicted_centre_px
 from trinoc.calib.problem.board_shape import with_free_places
 from trinoc.calib.problem.places import BoardView, predict_places
 from trinoc.calib.problem.problem import Freedom
@@ -24,7 +23,7 @@ from trinoc.calib.problem.views import View, padded_count
 from trinoc.calib.shot_messages import undetermined_sentence
 from trinoc.calib.starts.camera_start import plane_pose
 from trinoc.calib.starts.sightings import motion_in_plane
-from trinoc.geometry import KannalaBrandt, Pose
+from trinoc.geometry import Camera, Intrinsics, KannalaBrandt, Pose, image_of_circle_centre
 
 CAMERAS = ("left", "middle", "right")
 
@@ -85,7 +84,8 @@ def test_a_circle_is_predicted_as_the_exact_model_has_it():
     found = predict_places(
         view, chart, 0, np.pad(places, ((0, 0), (0, 1))), np.zeros((5, 3)), radius
     )
-    exact = [predicted_centre_px(Pose(pose), lens, p, r) for p, r in zip(places, radius)]
+    camera = Camera(Intrinsics.of_lens(lens, SIZE_PX), Pose(pose))
+    exact = [image_of_circle_centre(camera, p, r) for p, r in zip(places, radius)]
     np.testing.assert_allclose(found, exact, atol=2e-4)
 
 

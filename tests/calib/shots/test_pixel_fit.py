@@ -25,11 +25,11 @@ from trinoc.calib import (
     calibrate_rig,
     square_sheet,
 )
-from trinoc.calib.model import SheetPoints, whitening_of_covariance
 from trinoc.calib.problem.problem import Freedom
 from trinoc.calib.problem.robust_fit import degrees_of_freedom, errors_in_sigmas
+from trinoc.calib.problem.sheet_points import SheetPoints
 from trinoc.calib.problem.starting_problem import problem_of
-from trinoc.calib.problem.views import View
+from trinoc.calib.problem.views import View, whitening_of_covariance
 from trinoc.calib.problem.wrong_circles import discount_points, drop_wrong_circles
 from trinoc.calib.rig_pixels import expect_method, quarters_of_tags, shift_of_places
 from trinoc.errors import InputError

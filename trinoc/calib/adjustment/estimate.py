@@ -8,8 +8,8 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.model import ANNEALING, GATE, robust_scale
 from trinoc.calib.problem.information import WhitenedViews, whitened_views
+from trinoc.calib.problem.outliers import ANNEALING, GATE, robust_scale
 from trinoc.calib.problem.problem import Problem
 from trinoc.calib.problem.robust_fit import fit_places
 from trinoc.calib.problem.sheet_problem import SheetCamera, sheet_problem

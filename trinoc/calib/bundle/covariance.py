@@ -22,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from trinoc.calib.model import CameraState
+from trinoc.calib.bundle.camera import CameraState
 from trinoc.geometry import project_by_matrix, triangulate_segment
 from trinoc.numerics import ArrayLike, inverse_positive_definite
 

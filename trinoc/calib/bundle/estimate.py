@@ -21,6 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from trinoc.calib.bundle.camera import CameraState, camera_of_state, camera_state, stacked_states
 from trinoc.calib.bundle.covariance import (
     determined_part,
     segment_and_errors,
@@ -36,7 +37,6 @@ from trinoc.calib.bundle.joint_problem import (
     with_lines_of_two_views,
 )
 from trinoc.calib.bundle.result import RefineResult, RefineStatus
-from trinoc.calib.model import CameraState, camera_of_state, camera_state, stacked_states
 from trinoc.calib.problem.solver import solve
 from trinoc.calib.result import CalibrationResult
 from trinoc.errors import InputError
@@ -49,7 +49,7 @@ from trinoc.geometry import (
     UncertainLines,
 )
 from trinoc.numerics import (
-    AbstractRobustLoss,
+    AbstractBoundedLoss,
     ArrayLike,
     GemanMcClure,
     as_numpy,
@@ -345,7 +345,7 @@ def log_posterior(
     squared: Float[np.ndarray, "t v"],
     seen: Bool[np.ndarray, "t v"],
     sheet_chi_square: float,
-    loss: AbstractRobustLoss,
+    loss: AbstractBoundedLoss,
 ) -> float:
     """Log posterior of cameras and tracks against cameras at the sheet's estimate and no track.
 

@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Bool, Float
 
-from trinoc.calib.model import CameraState
+from trinoc.calib.bundle.camera import CameraState
 from trinoc.geometry import (
     line_of_planes,
     line_through,

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Float
 
+from trinoc.calib.bundle.camera import CameraState
 from trinoc.calib.bundle.factors import PosePrior
 from trinoc.calib.bundle.joint_problem import (
     CamerasAndLines,
@@ -22,7 +23,6 @@ from trinoc.calib.bundle.joint_problem import (
     JointProblem,
     with_lines_of_two_views,
 )
-from trinoc.calib.model import CameraState
 from trinoc.calib.problem.solver import solve
 from trinoc.numerics import AbstractRobustLoss, ArrayLike, BlockArrowSolver
 

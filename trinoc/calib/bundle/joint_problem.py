@@ -16,13 +16,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Bool, Float
 
+from trinoc.calib.bundle.camera import CameraState
 from trinoc.calib.bundle.factors import (
     PosePrior,
     line_from_two_views,
     line_residual,
     retract_line,
 )
-from trinoc.calib.model import CameraState
 from trinoc.calib.problem.solver import AbstractSeparableProblem, ArrowEquations, Costs
 from trinoc.numerics import (
     AbstractRobustLoss,

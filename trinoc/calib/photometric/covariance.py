@@ -41,8 +41,9 @@ def pose_covariance(scene: Scene, point: Point, *, correlated: bool) -> PoseCova
     clear = point.clear(scene)
     standard = residual / sigma
     chi_square = float(np.sum(standard[clear] ** 2) / max(clear.sum() - free.sum(), 1))
-    follow = share_of_rest(point.equations.matrix, free, size)
-    information = point.equations.matrix[:size, :size] - point.equations.matrix[:size] @ follow
+    matrix = np.asarray(point.equations.matrix)
+    follow = share_of_rest(matrix, free, size)
+    information = matrix[:size, :size] - matrix[:size] @ follow
     if not np.isfinite(information).all():
         return PoseCovariance(np.full((size, size), np.nan), chi_square, None, np.nan)
     inverse = np.linalg.pinv(information, hermitian=True)

@@ -226,6 +226,8 @@ def _kurtosis_term(edge: Edge, kernel: Kernel, variance: Scalar) -> Scalar:
     box = (edge.normal_u**4 + edge.normal_v**4) / (2880 * variance * variance)
     if kernel.along_u is None or kernel.diagonal is None:
         return -box
+    assert kernel.line is not None
+    assert kernel.kurtosis is not None
     even, odd = _double_angle(edge)
     # A motion's variance along the normal, |m| (1 + cos 2 angle).
     amount = jnp.sqrt(kernel.along_u**2 + kernel.diagonal**2 + 1e-12)

@@ -186,7 +186,7 @@ def eliminate_levels(
     """
     inner = of_blocks[:, :, :LOCAL_TERMS] + jnp.diag(LOCAL_WIDTH**-2)[None]
     pull = levels.T / LOCAL_WIDTH[None] ** 2
-    side = of_blocks[:, :, LOCAL_TERMS:].at[:, :, -1].add(pull)
+    side = jnp.asarray(of_blocks[:, :, LOCAL_TERMS:]).at[:, :, -1].add(pull)
     solved = jnp.linalg.solve(inner, side)
     elimination = Elimination(solved[:, :, -1], solved[:, :, :-1])
     less = jnp.einsum("bil,bik->lk", side, elimination.by_rest)
@@ -243,7 +243,7 @@ def _sum_pixels(
             local = local.astype(precise)
             both = jnp.concatenate([local, rows])
             products = jnp.einsum("in,jn->nij", local, both)
-            of_blocks = of_blocks.at[part.local.block].add(products)
+            of_blocks = jnp.asarray(of_blocks).at[part.local.block].add(products)
         stored = jax.tree.map(lambda whole, piece: whole.at[k].set(piece), sums.rows, seen)
         return _Sums(sums.products + (rows @ rows.T).astype(dtype), of_blocks, stored)
 
@@ -251,9 +251,11 @@ def _sum_pixels(
         jnp.zeros((size + 1, size + 1), dtype),
         jnp.zeros((state.levels.shape[1], LOCAL_TERMS, LOCAL_TERMS + size + 1), dtype),
         PixelRows(
-            *jnp.zeros((3, count, CHUNK), single),
-            jax.lax.empty((count, size, CHUNK), single),
-            jax.lax.empty((count, 2 if state.levels.size else 0, CHUNK), single),
+            level=jnp.zeros((count, CHUNK), single),
+            residual=jnp.zeros((count, CHUNK), single),
+            sigma=jnp.zeros((count, CHUNK), single),
+            rows=jax.lax.empty((count, size, CHUNK), single),
+            by_local=jax.lax.empty((count, 2 if state.levels.size else 0, CHUNK), single),
         ),
     )
     return jax.lax.fori_loop(0, chunks, add, start)

@@ -118,7 +118,7 @@ def _finish(scene: Scene, point: Point) -> Point:
 
 
 def _of_ideal_camera(pose_size: int) -> list[int]:
-    return [*range(pose_size), *(pose_size + np.array(DELIVERED.of_ideal_camera))]
+    return [*range(pose_size), *(pose_size + int(k) for k in DELIVERED.of_ideal_camera)]
 
 
 def _delivered_start(scene: Scene, ideal: PictureState, circles: Pose) -> PictureState:
@@ -207,7 +207,8 @@ def _take_robust_steps(
     schedule = _schedule(free[-1], 0, np.inf)
     stages = schedule.stages
     count = len(scales)
-    stages.loss.ceiling[:count] = (np.array(scales) / _FIRST_NOISE) ** 2
+    ceiling = np.asarray(stages.loss.ceiling)
+    ceiling[:count] = (np.array(scales) / _FIRST_NOISE) ** 2
     stages.free[:count], stages.stride[:count] = free, stride
     schedule = schedule._replace(robust_steps=np.asarray(count))
     return _fit(scene, state, free[-1], kept, sigma, schedule)

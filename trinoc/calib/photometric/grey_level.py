@@ -133,7 +133,8 @@ def predict_levels(
     # One after the other: the compiler would look at the edges anew for both.
     ink = jax.lax.map(lambda blur: inks(pixels, *blur), blurs)
     tone = Tone(**{name: look[name] for name in Tone._fields})
-    signal = Signal(*ink.share, light, veil)
+    sharp, soft = ink.share
+    signal = Signal(sharp, soft, light, veil)
     one = jax.value_and_grad(partial(_grey_level, paper=state.light[0], white=white), (0, 1))
     level, (by_signal, by_tone) = jax.vmap(one, in_axes=(0, None))(signal, tone)
     level, by_signal, by_tone = jax.tree.map(

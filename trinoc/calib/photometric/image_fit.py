@@ -5,7 +5,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.model import SheetPoints
 from trinoc.calib.photometric.covariance import PoseCovariance, pose_covariance
 from trinoc.calib.photometric.encoding import AS_DELIVERED, Encoding
 from trinoc.calib.photometric.evidence import refuted_part
@@ -25,6 +24,7 @@ from trinoc.calib.photometric.scene import (
     scene_of_picture,
 )
 from trinoc.calib.photometric.unknowns import PictureState
+from trinoc.calib.problem.sheet_points import SheetPoints
 from trinoc.calib.targets import Pattern, SquareSheet
 from trinoc.geometry import AbstractLens, Pose, PoseModel
 

@@ -13,12 +13,12 @@ import numpy as np
 import scipy.sparse
 from jaxtyping import Float, Int
 
-from trinoc.calib.model import SheetPoints
 from trinoc.calib.photometric.equations import local_rows
 from trinoc.calib.photometric.point import Point
 from trinoc.calib.photometric.scene import Scene
 from trinoc.calib.photometric.sheet_places import homography_of_pose
 from trinoc.calib.photometric.unknowns import LOCAL_TERMS, LOCAL_WIDTH
+from trinoc.calib.problem.sheet_points import SheetPoints
 from trinoc.calib.targets import Pattern, SquareSheet
 from trinoc.geometry import AbstractLens
 from trinoc.numerics import ArrayLike

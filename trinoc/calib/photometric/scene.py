@@ -28,7 +28,7 @@ from trinoc.calib.photometric.unknowns import PictureState, Unknowns, ideal_stat
 from trinoc.calib.targets import Pattern, SquareSheet
 from trinoc.geometry import AbstractLens, Pose, PoseModel
 from trinoc.image import noise_sigma
-from trinoc.numerics import point_tree
+from trinoc.numerics import ArrayLike, point_tree
 
 _LEAST_CONTRAST = 4.0
 _SHIFT_ROUNDS = 3
@@ -113,9 +113,11 @@ class Scene(NamedTuple):
             blocks=None if self.blocks is None else self.blocks.part(part),
         )
 
-    def joined(self, parts: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    def joined(self, parts: tuple[ArrayLike, ArrayLike]) -> np.ndarray:
         """Values of both groups' pixels, chunk after chunk, as one array without padding."""
-        whole = [np.moveaxis(part, 0, -2).reshape(*part.shape[1:-1], -1) for part in parts]
+        whole = [
+            np.moveaxis(np.asarray(part), 0, -2).reshape(*part.shape[1:-1], -1) for part in parts
+        ]
         both = zip(whole, self.counts, strict=True)
         return np.concatenate([part[..., :count] for part, count in both], axis=-1)
 

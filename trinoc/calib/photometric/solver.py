@@ -190,7 +190,7 @@ class PictureSolver(optx.AbstractRootFinder[PictureState, Array, Equations, _Pro
         options: dict[str, Any],
         state: _Progress,
         tags: frozenset[object],
-    ) -> tuple[Bool[Array, ""], optx.RESULTS]:
+    ) -> tuple[Bool[ArrayLike, ""], optx.RESULTS]:
         """At a point that was looked at."""
         return state.done, optx.RESULTS.successful
 
@@ -223,7 +223,7 @@ def fit_picture(
     gives derivatives.
     """
 
-    def gradient(state: PictureState, args: tuple[Picture, Stage]) -> tuple[Array, Equations]:
+    def gradient(state: PictureState, args: tuple[Picture, Stage]) -> tuple[ArrayLike, Equations]:
         picture, stage = args
         equations = equations_at(state, picture, stage.loss, stage.stride, drawing, model)
         return equations.gradient, equations
@@ -231,7 +231,7 @@ def fit_picture(
     first = jax.tree.map(lambda leaf: leaf[0], schedule.stages)
     solution = optx.root_find(
         gradient,
-        PictureSolver(schedule, model),
+        PictureSolver(schedule=schedule, model=model),
         state,
         args=(picture, first),
         has_aux=True,

@@ -11,12 +11,12 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.model import SheetPoints
 from trinoc.calib.photometric.encoding import AS_DELIVERED, Encoding
 from trinoc.calib.photometric.image_fit import ImageRefinement, refine_image
 from trinoc.calib.photometric.scene import ShiftOfPlaces
 from trinoc.calib.photometric.sheet_places import project_to_image
 from trinoc.calib.photometric.unknowns import step_unit_mm
+from trinoc.calib.problem.sheet_points import SheetPoints
 from trinoc.calib.result import ImageQuality
 from trinoc.calib.result.degrees import DEGREES
 from trinoc.calib.targets import Pattern, SquareSheet

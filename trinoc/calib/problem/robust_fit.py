@@ -6,10 +6,11 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.model import ANNEALING, SheetPoints, inliers, robust_scale
 from trinoc.calib.problem.equations import PlacesProblem
+from trinoc.calib.problem.outliers import ANNEALING, inliers, robust_scale
 from trinoc.calib.problem.places import residuals_px, whitened_residuals
 from trinoc.calib.problem.problem import Problem
+from trinoc.calib.problem.sheet_points import SheetPoints
 from trinoc.calib.problem.solver import solve
 from trinoc.numerics import GemanMcClure, as_numpy
 

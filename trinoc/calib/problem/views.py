@@ -8,14 +8,15 @@ from jaxtyping import Bool, Float, Int
 from scipy.linalg import block_diag
 
 from trinoc.calib.detection import Detection
-from trinoc.calib.model import SheetPoints, bucket_size, whitening_of_covariance
+from trinoc.calib.problem.sheet_points import SheetPoints
 from trinoc.calib.targets import AbstractTarget
-from trinoc.numerics import ArrayLike, point_tree
+from trinoc.numerics import ArrayLike, bucket, point_tree
 
 # Views and shots are padded to these numbers, so that one more seldom compiles anew; those of one
 # shot, which is seldom of more cameras than these, to fewer.
 _FEWEST_VIEWS, FEWEST_SHOTS = 32, 8
 _FEWEST_VIEWS_OF_ONE_SHOT = 3
+_FEWEST_PLACES = 32
 # The index of what is no place of the target: beyond all of them.
 NO_PLACE = 1 << 30
 
@@ -100,7 +101,7 @@ def padded_count(count: int, fewest: int) -> int:
 
 def view_table(views: Sequence[View], target: AbstractTarget) -> ViewTable:
     """All views, padded."""
-    rows = max(bucket_size(max(view.rows for view in views)), 1)
+    rows = max(bucket(max(view.rows for view in views), smallest=_FEWEST_PLACES), 1)
     shared = any(view.shown is not None for view in views)
     is_one_shot = all(view.shot == 0 for view in views)
     count = padded_count(len(views), _FEWEST_VIEWS_OF_ONE_SHOT if is_one_shot else _FEWEST_VIEWS)
@@ -148,3 +149,16 @@ def circle_of(place_mm: Float[np.ndarray, "m 2"], target: AbstractTarget) -> Int
     away, nearest = point_tree(target.centres_mm).query(place_mm)
     radius = target.radius_mm[nearest]
     return np.where((away < radius) | (radius == 0), nearest, NO_PLACE)
+
+
+def whitening_of_covariance(covariance: Float[np.ndarray, "m 2 2"]) -> Float[np.ndarray, "m 2 2"]:
+    """W with W^T W the inverse of each covariance, in closed form."""
+    a, b, c = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
+    first = np.sqrt(a)
+    slope = b / first
+    second = np.sqrt(c - slope**2)
+    whitening = np.zeros_like(covariance)
+    whitening[:, 0, 0] = 1 / first
+    whitening[:, 1, 0] = -slope / (first * second)
+    whitening[:, 1, 1] = 1 / second
+    return whitening

@@ -20,9 +20,3 @@ class SheetPoints(NamedTuple):
     place_mm: Float[np.ndarray, "*v n 2"]
     uv_px: Float[np.ndarray, "*v n 2"]
     whitening: Float[np.ndarray, "*v k k"]
-
-    def padded(self, size: int) -> "SheetPoints":
-        """The same with `size` rows; what is added has no weight."""
-        more = size - len(self.place_mm)
-        place, uv = (np.pad(part, ((0, more), (0, 0))) for part in (self.place_mm, self.uv_px))
-        return SheetPoints(place, uv, np.pad(self.whitening, ((0, 2 * more), (0, 2 * more))))

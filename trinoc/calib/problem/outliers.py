@@ -21,8 +21,3 @@ def robust_scale(whitened: Float[np.ndarray, "m 2"]) -> float:
 def inliers(whitened: Float[np.ndarray, "m 2"]) -> Bool[np.ndarray, "m"]:
     """Circles whose error is one that noise can make."""
     return np.linalg.norm(whitened, axis=1) <= GATE * robust_scale(whitened)
-
-
-def is_suspect(whitened: Float[np.ndarray, "m 2"]) -> bool:
-    """Whether some circle's error is larger than its own claimed noise can make."""
-    return bool((np.linalg.norm(whitened, axis=1) > GATE).any())

@@ -1,5 +1,0 @@
-"""What the fits of cameras share: a camera in local coordinates, and circles as residuals."""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
