@@ -18,7 +18,7 @@ from trinoc.io.atomic import atomic_write
 
 LIBRARIES = ("jax", "jaxlib", "numpy", "equinox", "optimistix", "lineax", "jaxtyping")
 # Where programs are made, and all that these rooms may import: `tests/test_floors.py` holds it.
-ROOMS = ("numerics", "geometry", "calib", "match")
+ROOMS = ("numerics", "geometry", "image", "calib", "match")
 _DIGEST_BYTES = 32
 
 
