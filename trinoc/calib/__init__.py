@@ -1,13 +1,13 @@
 """From a picture of the printed sheet to calibrated cameras with covariance.
 
-In the order of the work: `targets` (the sheet) -> `detection` (its circles in an image) -> `model`
-(how a camera sees a circle) -> `pose` (least squares over circles or points) -> `photometric`
-(the fit to the grey levels) -> `uncertainty` (errors that no repetition shows) -> `result`.
-`problem` is the fit of lenses, cameras and boards together, `starts` how it begins, `advice` what
-it is worth and what to show next; `rig_calibration` and `lens_calibration` say what is free.
+In the order of the work: `targets` (the boards) -> `detection` (their places in an image) ->
+`problem` (lenses, cameras and boards fitted together) -> `starts` (how it begins) -> `photometric`
+(the fit to the grey levels) -> `adjustment` (the cameras over one sheet) -> `result`. `advice` says
+what a fit is worth and what to show next, `uncertainty` holds errors that no repetition shows.
 `bundle` refines cameras and matched lines together, `rig_check` asks whether a camera was knocked.
-Other files of this folder put the rooms together over one sheet: `from_images`, `from_detections`,
-`from_points`, `batch`, `messages`."""
+The files of this folder say which variables there are and what is free: `from_images`,
+`from_detections` and `rig_fit` over one sheet, `from_points`, `lens_calibration`,
+`rig_calibration`."""
 
 import lazy_loader
 
