@@ -13,11 +13,9 @@ import numpy as np
 import scipy.sparse
 from jaxtyping import Float, Int
 
-from trinoc.calib.photometric.equations import local_rows
 from trinoc.calib.photometric.point import Point
 from trinoc.calib.photometric.scene import Scene
 from trinoc.calib.photometric.sheet_places import homography_of_pose
-from trinoc.calib.photometric.unknowns import LOCAL_TERMS, LOCAL_WIDTH
 from trinoc.calib.problem.sheet_points import SheetPoints
 from trinoc.calib.targets import Pattern, SquareSheet
 from trinoc.geometry import AbstractLens
@@ -34,7 +32,7 @@ _NOTHING = SheetPoints(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 0)))
 
 
 class _Shared(NamedTuple):
-    """What all patches share: look, light and veil, and where light is local its levels.
+    """What all patches share: look, light and veil.
 
     Fields
     ------
@@ -42,7 +40,7 @@ class _Shared(NamedTuple):
     prior, pull : (q,) information of the priors, and its gradient.
     """
 
-    rows: Float[np.ndarray, "n q"] | scipy.sparse.csr_matrix
+    rows: Float[np.ndarray, "n q"]
     prior: Float[np.ndarray, "q"]
     pull: Float[np.ndarray, "q"]
 
@@ -88,11 +86,7 @@ def patch_points(
     total = np.bincount(label, known)
     middle = np.stack([np.bincount(label, known * axis) / total for axis in place.T], axis=1)
     try:
-        shared = [
-            # Priors count as the pixels do: together they balance where the fit has ended.
-            part._replace(prior=part.prior / inflation, pull=part.pull / inflation)
-            for part in _shared_unknowns(scene, point, kept, all_rows[9:])
-        ]
+        shared = _shared_unknowns(point, all_rows[9:], scene.model.size, inflation)
         shift, whitening = _displacements(by_px, label, len(total), residual, weight, shared)
     except np.linalg.LinAlgError:
         return _NOTHING
@@ -133,23 +127,16 @@ def _numbered(
 
 
 def _shared_unknowns(
-    scene: Scene, point: Point, kept: Int[np.ndarray, "n"], by_values: Float[np.ndarray, "k n"]
-) -> list[_Shared]:
-    state, free = point.state, point.free[scene.model.size :]
-    middle, weight = state.unknowns.prior(local=scene.local)
-    pull = weight * (state.values - middle)
-    shared = [_Shared(by_values[free].astype(float).T, weight[free], pull[free])]
-    if scene.local and scene.blocks is not None:
-        blocks, (near_circles, near_lines) = scene.blocks.part(kept), point.equations.pixels
-        by_local = scene.joined((near_circles.by_local, near_lines.by_local))[:, kept]
-        rows = local_rows(by_local, blocks.basis)
-        column = LOCAL_TERMS * blocks.of_pixel + np.arange(LOCAL_TERMS)[:, None]
-        row = np.tile(np.arange(len(kept)), LOCAL_TERMS)
-        size = (len(kept), LOCAL_TERMS * blocks.count)
-        sparse = scipy.sparse.csr_matrix((rows.ravel(), (row, column.ravel())), size)
-        known = np.tile(LOCAL_WIDTH**-2, blocks.count)
-        shared.append(_Shared(sparse, known, known * state.levels.T.ravel()))
-    return shared
+    point: Point, by_values: Float[np.ndarray, "k n"], pose_size: int, inflation: float
+) -> _Shared:
+    """Local light stays as the fit has left it: where its model fails, as under a lamp's glare,
+    displacements that leave it room disagree with each other."""
+    values, free = np.asarray(point.state.values), point.free[pose_size:]
+    middle, weight = point.state.unknowns.prior(local=False)
+    # Priors count as the pixels do: together they balance where the fit has ended.
+    weight = weight / inflation
+    pull = weight * (values - middle)
+    return _Shared(by_values[free].astype(float).T, weight[free], pull[free])
 
 
 def _displacements(
@@ -158,7 +145,7 @@ def _displacements(
     count: int,
     residual: Float[np.ndarray, "n"],
     weight: Float[np.ndarray, "n"],
-    shared: list[_Shared],
+    shared: _Shared,
 ) -> tuple[Float[np.ndarray, "m 2"], Float[np.ndarray, "q q"]]:
     """Shift of each patch in px, and R of all their errors, what they share being eliminated."""
     number = np.arange(len(patch))
@@ -167,12 +154,10 @@ def _displacements(
         (len(patch), 2 * count),
     )
     weighted = shifts.multiply(weight[:, None]).tocsr()
-    across = np.concatenate([_dense(weighted.T @ part.rows) for part in shared], axis=1)
-    inner = np.block(
-        [[_dense(_weighed(one, weight).T @ other.rows) for other in shared] for one in shared]
-    )
-    inner += np.diag(np.concatenate([part.prior for part in shared]))
-    pull = np.concatenate([part.rows.T @ (weight * residual) + part.pull for part in shared])
+    across = weighted.T @ shared.rows
+    by_weight = (shared.rows * weight[:, None]).T
+    inner = by_weight @ shared.rows + np.diag(shared.prior)
+    pull = by_weight @ residual + shared.pull
     scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))
     eliminated = (across / scale) @ np.linalg.pinv(inner / np.outer(scale, scale), hermitian=True)
     alone = (weighted.T @ shifts).toarray()
@@ -184,19 +169,6 @@ def _displacements(
     whitening = np.zeros((2 * count, 2 * count))
     whitening[: known.shape[1]] = factor.T @ known.T
     return -(known @ step).reshape(count, 2), whitening
-
-
-def _weighed(
-    shared: _Shared, weight: Float[np.ndarray, "n"]
-) -> Float[np.ndarray, "n q"] | scipy.sparse.csr_matrix:
-    rows = shared.rows
-    if isinstance(rows, np.ndarray):
-        return rows * weight[:, None]
-    return rows.multiply(weight[:, None]).tocsr()
-
-
-def _dense(matrix: np.ndarray | scipy.sparse.csr_matrix) -> np.ndarray:
-    return matrix if isinstance(matrix, np.ndarray) else matrix.toarray()
 
 
 def _known_directions(alone: Float[np.ndarray, "k k"], count: int) -> Float[np.ndarray, "k q"]:
