@@ -159,10 +159,10 @@ class PictureSolver(optx.AbstractRootFinder[PictureState, Array, Equations, _Pro
         _, equations = fn(y, (args[0], stage))
         is_first = state.steps <= schedule.robust_steps
         returned = state.refusals >= len(_SHARES)
-        before = _chi_square(args[0], equations, state.base.sigma) + equations.prior_cost
+        before = _cost(args[0], equations, state.base.sigma)
         pays = is_first | returned | (before <= state.base.cost * (1 + _GROWTH) + _SLACK)
         own = _base(y, equations)
-        own = own._replace(cost=_chi_square(args[0], equations, own.sigma) + equations.prior_cost)
+        own = own._replace(cost=_cost(args[0], equations, own.sigma))
         base = jax.tree.map(lambda new, old: jnp.where(pays, new, old), own, state.base)
         refusals = jnp.where(pays, 0, state.refusals + 1)
         eased = jnp.maximum(state.damping / _DAMPING_FACTOR, _LEAST_DAMPING)
@@ -253,13 +253,14 @@ def _base(state: PictureState, equations: Equations) -> _Base:
     )
 
 
-def _chi_square(
+def _cost(
     picture: Picture,
     equations: Equations,
     sigma: tuple[Float[ArrayLike, "c n"], Float[ArrayLike, "d n"]],
 ) -> Float[ArrayLike, ""]:
-    """Of residuals over given standard deviations; those that were not looked at are zero."""
-    total = jnp.zeros_like(equations.prior_cost)
+    """Chi-square with priors, of residuals over given standard deviations; those of pixels that
+    were not looked at are zero."""
+    total = equations.prior_cost
     groups = (picture.near_circles, picture.near_lines)
     for group, seen, own in zip(groups, equations.pixels, sigma, strict=True):
         weight = group.pixels.weight.reshape(seen.residual.shape)
