@@ -9,6 +9,7 @@ from jaxtyping import Array, Float
 from scipy.optimize import least_squares
 
 from trinoc.calib.problem.solver import (
+    LEAST_DAMPING,
     AbstractArrowProblem,
     AbstractSeparableProblem,
     ArrowEquations,
@@ -123,3 +124,34 @@ def test_at_a_minimum_it_stays():
 def test_a_start_without_a_cost_is_no_answer():
     problem, (shared, own) = decays()
     assert not solve(problem, (shared, own.at[0, 0].set(jnp.nan))).converged
+
+
+class CurvedValley(AbstractArrowProblem[tuple[Array, Array]]):
+    """x is known to 1, and y - x^2 to 1e-4: a step along the valley leaves it by its square."""
+
+    def residuals(self, x, y):
+        return jnp.concatenate([x - 0.3, (y[:, 0] - x**2) / 1e-4])
+
+    def cost(self, state):
+        return jnp.sum(self.residuals(*state) ** 2)
+
+    def equations(self, state):
+        by_x, by_y = (each[..., 0] for each in jax.jacfwd(self.residuals, (0, 1))(*state))
+        by_y, residual = by_y[:, 0], self.residuals(*state)
+        head, coupling, block = by_x @ by_x, by_x @ by_y, by_y @ by_y
+        arrow = BlockArrow(
+            head[None, None], jnp.reshape(coupling, (1, 1, 1)), jnp.reshape(block, (1, 1, 1))
+        )
+        return ArrowEquations(arrow, ((by_x @ residual)[None], (by_y @ residual)[None, None]))
+
+    def retract(self, state, head, blocks):
+        return state[0] + head, state[1] + blocks
+
+
+@pytest.mark.parametrize("offset", [0.05, 0.2, -0.2])
+def test_a_curved_valley_is_crossed_by_steps_that_rise_at_first(offset):
+    start = jnp.array([0.3 + offset]), jnp.array([[(0.3 + offset) ** 2]])
+    found = solve(CurvedValley(), start, LEAST_DAMPING)
+    assert found.converged
+    np.testing.assert_allclose(found.state[0], 0.3, atol=0.01)
+    assert found.steps <= 4

@@ -52,7 +52,7 @@ def foresee_shots(problem: Problem, candidates: list[Candidate]) -> list[Foresee
     lenses = [lens_number(problem, int(k)) for k in problem.chart.lens_of_camera]
     fold_rad = [lens.fold_angle_rad() for lens in lenses]
     in_each = problem.cameras * len(boards_of(problem.target))
-    portion = max(1, min(len(problem.state.rig_from_board), len(problem.views) // in_each))
+    portion = max(1, min(len(problem.state.rig_from_board), len(problem.table.shot) // in_each))
     for part in blocks(len(candidates), portion):
         own = candidates[part]
         posed = _pose_candidates(problem, own, sigma_px)

@@ -11,12 +11,8 @@ from jaxtyping import Array, Float
 from trinoc.calib.problem.sheet import AbstractSheet
 from trinoc.calib.problem.variables import POSE_SIZE, Chart, RigState, head_columns, step_motion
 from trinoc.calib.problem.views import ViewTable
-from trinoc.geometry import AbstractLens, AbstractSplined, Pose
+from trinoc.geometry import AbstractLens, AbstractSplined, Pose, circle_centre_offset
 from trinoc.numerics import AbstractRobustLoss, ArrayLike
-
-# A circle's edge is smooth: so many points of it tell its image's centre to rounding.
-_EDGE_POINTS = 16
-_ANGLES_RAD = 2 * np.pi * np.arange(_EDGE_POINTS) / _EDGE_POINTS
 
 
 class BoardView(eqx.Module):
@@ -107,34 +103,13 @@ def predict_places(
         return predicted
     still, flat_mm = jax.lax.stop_gradient((here, aside_mm))
 
-    def offset(place: ArrayLike, aside: ArrayLike, radius: ArrayLike) -> Array:
-        return _offset(lambda at: still.project(at, aside, sheet, board), place, radius)
+    def offset(place: Array, aside: ArrayLike, radius: ArrayLike) -> ArrayLike:
+        def on_circle(xy_mm: ArrayLike) -> ArrayLike:
+            return still.project(jnp.append(xy_mm, place[2]), aside, sheet, board)
 
-    return predicted + jax.vmap(offset)(place_mm, flat_mm, radius_mm)
+        return circle_centre_offset(on_circle, place[:2], radius)
 
-
-def _offset(project, place_mm: Float[ArrayLike, "3"], radius_mm: Float[ArrayLike, ""]) -> Array:
-    """Centroid of the image of a circle less the image of its centre; 0 for a corner."""
-    is_circle = radius_mm > 0
-    around = np.stack([np.cos(_ANGLES_RAD), np.sin(_ANGLES_RAD), 0 * _ANGLES_RAD], axis=1)
-    edge = place_mm[None] + jnp.where(is_circle, radius_mm, 1.0) * around.astype(place_mm.dtype)
-    middle = project(place_mm)
-    offset = jax.vmap(project)(edge) - middle[None]
-    tangent = _DERIVATIVE.astype(offset.dtype) @ offset
-    # Green's theorem: twice the area, and three times its first moment.
-    area = offset[:, 0] * tangent[:, 1] - offset[:, 1] * tangent[:, 0]
-    centroid = 2.0 / 3.0 * (area @ offset) / jnp.sum(area)
-    return jnp.where(is_circle, centroid, 0.0)
-
-
-def _trigonometric_derivative(count: int) -> Float[np.ndarray, "n n"]:
-    """Derivative at equidistant angles of the trigonometric polynomial through values there."""
-    step = np.arange(count)[:, None] - np.arange(count)[None]
-    cotangent = 1.0 / np.tan(np.pi * np.where(step == 0, 0.5, step) / count)
-    return np.where(step == 0, 0.0, 0.5 * (-1.0) ** step * cotangent)
-
-
-_DERIVATIVE = _trigonometric_derivative(_EDGE_POINTS)
+    return predicted + jnp.asarray(jax.vmap(offset)(jnp.asarray(place_mm), flat_mm, radius_mm))
 
 
 def residuals_px(state: RigState, chart: Chart, table: ViewTable) -> Float[Array, "v n 2"]:

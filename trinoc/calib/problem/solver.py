@@ -26,6 +26,9 @@ LEAST_DAMPING, MOST_DAMPING = 1e-12, 1e8
 # Keeps directions that nothing determines, and those that are held, at rest.
 FLOOR_DAMPING = 1e-13
 MOST_STEPS = 300
+# A step that promises less of the chi-square may rise if the next one makes more than good for it:
+# along a curved valley, such as a lens that the pictures tell less than its prior, all do.
+_NEAR = 10.0
 # Where blocks step by themselves, the gain at which a descent has converged is granted to the head
 # and to every hundred blocks, a few of which always creep along the flank of the robust loss.
 BLOCKS_THAT_CREEP = 100
@@ -137,9 +140,12 @@ def _solve(
 
 
 class _Progress(eqx.Module):
-    """Cost where the descent stands, how it is damped there, and whether it may stop."""
+    """The best state so far with its cost, whether the descent stands above it, how it is damped,
+    and whether it may stop."""
 
+    best: Any
     cost: Float[Array, ""]
+    risen: Bool[Array, ""]
     damping: Float[Array, ""]
     block_damping: Float[Array, "b"]
     done: Bool[Array, ""]
@@ -157,7 +163,11 @@ class _Trial(NamedTuple):
 
 
 class _ArrowDescent(optx.AbstractMinimiser[Any, None, _Progress]):
-    """Tries a damped step from where it stands, and takes it where that gains."""
+    """Tries a damped step from where it stands, and takes it where that gains.
+
+    Source of steps that may rise: Chamberlain et al., "The watchdog technique for forcing
+    convergence in algorithms for constrained optimization" (1982).
+    """
 
     rtol: float = 0.0  # not used: a chi-square has a scale of its own
     atol: float = CONVERGED_GAIN
@@ -167,24 +177,29 @@ class _ArrowDescent(optx.AbstractMinimiser[Any, None, _Progress]):
         """Nothing tried yet."""
         blocks = jax.eval_shape(args.equations, y).gradient[1].shape[0]
         damping = options["first_damping"]
-        return _Progress(fn(y, args)[0], damping, jnp.full(blocks, damping), jnp.asarray(False))
+        no = jnp.asarray(False)
+        return _Progress(y, fn(y, args)[0], no, damping, jnp.full(blocks, damping), no)
 
     def step(self, fn, y, args, options, state, tags) -> tuple[Any, _Progress, None]:
-        """Try one step."""
+        """Try one step; one that rises near the minimum may be followed by another."""
         trial = self._try_step(args, y, state)
         better = trial.cost <= state.cost
+        rises = ~better & ~state.risen & (trial.promised < _NEAR) & jnp.isfinite(trial.cost)
         enough = trial.promised < self.atol
         still = enough & (state.cost - trial.cost < trial.negligible)
         stuck = (state.damping * 10 > MOST_DAMPING) | (trial.promised < 1e-3 * self.atol)
-        change = jnp.where(trial.follows & better, 0.1, 10.0)
+        factor = jnp.where(better, 0.1, jnp.where(rises, 1.0, 10.0))
+        of_blocks = jnp.where(trial.follows, factor, 10.0)
+        best = _where(better, trial.state, state.best)
         progress = _Progress(
+            best,
             jnp.where(better, trial.cost, state.cost),
-            jnp.maximum(state.damping * jnp.where(better, 0.1, 10.0), LEAST_DAMPING),
-            jnp.clip(state.block_damping * change, LEAST_DAMPING, MOST_DAMPING),
+            rises,
+            jnp.maximum(state.damping * factor, LEAST_DAMPING),
+            jnp.clip(state.block_damping * of_blocks, LEAST_DAMPING, MOST_DAMPING),
             jnp.where(better, still, stuck),
         )
-        y = jax.tree.map(lambda new, old: jnp.where(better, new, old), trial.state, y)
-        return y, progress, None
+        return _where(rises & ~stuck, trial.state, best), progress, None
 
     def _try_step(self, problem: AbstractArrowProblem, y: Any, state: _Progress) -> _Trial:
         equations = problem.equations(y)
@@ -216,8 +231,12 @@ class _ArrowDescent(optx.AbstractMinimiser[Any, None, _Progress]):
     def postprocess(
         self, fn, y, aux, args, options, state, tags, result
     ) -> tuple[Any, None, dict[str, Any]]:
-        """The state as it is, with its cost among the statistics."""
-        return y, aux, {"cost": state.cost}
+        """The best state, with its cost among the statistics."""
+        return state.best, aux, {"cost": state.cost}
+
+
+def _where(condition: Bool[ArrayLike, ""], yes: Any, no: Any) -> Any:
+    return jax.tree.map(lambda one, other: jnp.where(condition, one, other), yes, no)
 
 
 def gauss_newton_gain(equations: ArrowEquations) -> Float[Array, ""]:

@@ -12,10 +12,10 @@ from trinoc.calib.problem.sheet_points import SheetPoints
 from trinoc.calib.targets import AbstractTarget
 from trinoc.numerics import ArrayLike, bucket, point_tree
 
-# Views and shots are padded to these numbers, so that one more seldom compiles anew; those of one
-# shot, which is seldom of more cameras than these, to fewer.
+# Views and shots are padded to these numbers, so that one more seldom compiles anew; few views, as
+# of one camera that looks for its lens, and those of one shot to fewer.
 _FEWEST_VIEWS, FEWEST_SHOTS = 32, 8
-_FEWEST_VIEWS_OF_ONE_SHOT = 3
+_FEW_VIEWS, _FEWEST_VIEWS_OF_ONE_SHOT = 8, 3
 _FEWEST_PLACES = 32
 # The index of what is no place of the target: beyond all of them.
 NO_PLACE = 1 << 30
@@ -103,8 +103,10 @@ def view_table(views: Sequence[View], target: AbstractTarget) -> ViewTable:
     """All views, padded."""
     rows = max(bucket(max(view.rows for view in views), smallest=_FEWEST_PLACES), 1)
     shared = any(view.shown is not None for view in views)
-    is_one_shot = all(view.shot == 0 for view in views)
-    count = padded_count(len(views), _FEWEST_VIEWS_OF_ONE_SHOT if is_one_shot else _FEWEST_VIEWS)
+    fewest = _FEW_VIEWS if len(views) <= _FEW_VIEWS else _FEWEST_VIEWS
+    if all(view.shot == 0 for view in views):
+        fewest = _FEWEST_VIEWS_OF_ONE_SHOT
+    count = padded_count(len(views), fewest)
     table = ViewTable(
         np.zeros(count, dtype=int),
         np.zeros(count, dtype=int),
