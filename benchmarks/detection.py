@@ -21,7 +21,8 @@ from detection_scenes import CONDITIONS, Scene
 
 from trinoc.calib import detect_pattern
 from trinoc.errors import DetectionError
-from trinoc.geometry.conics import centre_of_dual_conic, image_of_circle, shape_of_dual_conic
+from trinoc.geometry import Camera, image_of_circle_centre
+from trinoc.geometry.camera import pixel_from_sheet_homography
 
 
 class Outcome(NamedTuple):
@@ -37,14 +38,18 @@ class Outcome(NamedTuple):
 
 def truth(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     with jax.enable_x64(True):
-        conics = jax.vmap(image_of_circle, in_axes=(None, 0, 0))(
-            scene.camera, scene.pattern.centres_mm, scene.pattern.radius_mm
-        )
-        centres = np.asarray(jax.vmap(centre_of_dual_conic)(conics))
-        shapes = np.asarray(jax.vmap(shape_of_dual_conic)(conics))
-        if scene.camera.intrinsics.distortion_model != "none":
-            centres = np.asarray(jax.vmap(scene.camera.intrinsics.distort_pixel)(centres))
+        circles = scene.camera, scene.pattern.centres_mm, scene.pattern.radius_mm
+        centres = np.asarray(jax.vmap(image_of_circle_centre, (None, 0, 0))(*circles))
+        shapes = np.stack([shape_of_image(scene.camera, *each) for each in zip(*circles[1:])])
     return centres, shapes
+
+
+def shape_of_image(camera: Camera, centre_mm: np.ndarray, radius_mm: float) -> np.ndarray:
+    """S of the ellipse (x - c)^T S^-1 (x - c) = 1, from the dual conic H C* H^T."""
+    homography, centre = np.asarray(pixel_from_sheet_homography(camera)), np.append(centre_mm, 1.0)
+    circle = np.outer(centre, centre) - radius_mm**2 * np.diag([1.0, 1.0, 0.0])
+    dual = homography @ circle @ homography.T / (homography @ circle @ homography.T)[2, 2]
+    return np.outer(dual[:2, 2], dual[:2, 2]) - dual[:2, :2]
 
 
 def run(scene: Scene) -> Outcome:

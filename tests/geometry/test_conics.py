@@ -2,14 +2,15 @@ import jax
 import numpy as np
 from hypothesis import given, strategies as st
 
+from tests.geometry import conics
 from tests.geometry.strategies import DISTORTED_LENS, LENS, cameras, real, vectors
-from trinoc.geometry import Camera, camera as camera_module, conics
+from trinoc.geometry import Camera, camera as camera_module, image_of_circle_centre
 
 boundary_of_dual_conic = jax.jit(conics.boundary_of_dual_conic)
 centre_of_dual_conic = jax.jit(conics.centre_of_dual_conic)
 dual_conic_of_circle = jax.jit(conics.dual_conic_of_circle)
 image_of_circle = jax.jit(conics.image_of_circle)
-image_of_circle_centre = jax.jit(conics.image_of_circle_centre)
+image_of_circle_centre = jax.jit(image_of_circle_centre)
 project = jax.jit(camera_module.project)
 shape_of_dual_conic = jax.jit(conics.shape_of_dual_conic)
 

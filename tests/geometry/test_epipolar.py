@@ -2,19 +2,18 @@ import jax
 import numpy as np
 from hypothesis import given
 
+from tests.geometry import trifocal
 from tests.geometry.strategies import points_near_sheet, real, rigs_of_three, vectors
 from trinoc.geometry import (
     camera as camera_module,
     epipolar,
     line_through,
     signed_distance,
-    trifocal,
 )
 from trinoc.geometry.lines import normalised_line
 
 centre_of_matrix = jax.jit(epipolar.centre_of_matrix)
 epipolar_distance_px = jax.jit(epipolar.epipolar_distance_px)
-epipolar_plane_angle = jax.jit(epipolar.epipolar_plane_angle)
 epipole = jax.jit(epipolar.epipole)
 fundamental_matrix = jax.jit(epipolar.fundamental_matrix)
 inverse_3x3 = jax.jit(epipolar.inverse_3x3)
@@ -55,21 +54,6 @@ def test_the_fundamental_matrix_transposes_and_annihilates_the_epipoles(rig):
     np.testing.assert_allclose(ba @ unit(in_a), 0, atol=1e-9)
     np.testing.assert_allclose(ba.T @ unit(in_b), 0, atol=1e-9)
     assert abs(np.linalg.det(ba)) < 1e-12
-
-
-@given(rigs_of_three(), points_near_sheet(), points_near_sheet())
-def test_partners_lie_on_one_epipolar_plane(rig, point, origin):
-    a, b, _ = rig
-    baseline = b.centre_world_mm - a.centre_world_mm
-    zero_direction = origin - a.centre_world_mm
-    angles = [
-        epipolar_plane_angle(c.matrix_px, baseline, zero_direction, project(c, point))
-        for c in (a, b)
-    ]
-    turn = (angles[0] - angles[1] + np.pi / 2) % np.pi - np.pi / 2
-    assert abs(turn) < 1e-8
-    zero = epipolar_plane_angle(a.matrix_px, baseline, zero_direction, project(a, origin))
-    assert abs(zero) < 1e-8
 
 
 @given(rigs_of_three(), points_near_sheet(), vectors(3, 1.0), real(5, 60))

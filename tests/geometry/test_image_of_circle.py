@@ -5,18 +5,16 @@ import jax.numpy as jnp
 import numpy as np
 from hypothesis import given
 
+from tests.geometry import conics
 from tests.geometry.strategies import DISTORTED_LENS, cameras, real, vectors
-from trinoc.geometry import Camera, circle_centre_offset, conics, project
+from trinoc.geometry import Camera, circle_centre_offset, image_of_circle_centre, project
 
 
 def sheet_to_picture(camera):
     return lambda place: project(camera, jnp.append(place, 0.0))
 
 
-@jax.jit
-def centre_of_image(camera, centre, radius):
-    mapping = sheet_to_picture(camera)
-    return mapping(centre) + circle_centre_offset(mapping, centre, radius)
+centre_of_image = jax.jit(image_of_circle_centre)
 
 
 @jax.jit

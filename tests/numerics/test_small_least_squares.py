@@ -11,7 +11,6 @@ from trinoc.numerics import (
     NormalEquations,
     Residuals,
     ScaleMixture,
-    TruncatedSquares,
     gauss_newton,
     misfit_factor,
     normal_equations,
@@ -19,7 +18,7 @@ from trinoc.numerics import (
 )
 
 MIXTURE = ScaleMixture((0.8, 0.2), (1.0, 4.0), 2)
-LOSSES = [Cauchy(1.5), MIXTURE, TruncatedSquares(np.asarray(9.0))]
+LOSSES = [Cauchy(1.5), MIXTURE]
 
 
 def linear(count=5, observations=12, numbers=2, parameters=3, seed=0):

@@ -7,10 +7,10 @@ import jax
 import numpy as np
 import pytest
 
+from tests.geometry.conics import image_of_circle, shape_of_dual_conic
 from trinoc.calib import CalibrationResult, CameraFit, Detection, Pattern, Status
 from trinoc.geometry import Camera, Intrinsics, Rig, Segments, image_of_circle_centre, project
 from trinoc.geometry.camera import pixel_from_sheet_homography
-from trinoc.geometry.conics import image_of_circle, shape_of_dual_conic
 from trinoc.geometry.lines import normalised_line
 from trinoc.match import Matches
 from trinoc.numerics import in_float64

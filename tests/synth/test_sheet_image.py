@@ -4,9 +4,9 @@ import jax
 import numpy as np
 import pytest
 
+from tests.geometry.conics import image_of_circle, shape_of_dual_conic
 from trinoc.calib import Pattern
 from trinoc.geometry import Camera, Intrinsics, image_of_circle_centre, project
-from trinoc.geometry.conics import image_of_circle, shape_of_dual_conic
 from trinoc.synth import render_sheet
 from trinoc.synth.coverage import coverage_of_cells
 from trinoc.synth.disturbances import (

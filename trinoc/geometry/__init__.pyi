@@ -6,19 +6,16 @@ from .camera import (
     sheet_from_pixel as sheet_from_pixel,
     viewing_direction as viewing_direction,
 )
-from .conics import (
-    centre_of_mapped_ellipse as centre_of_mapped_ellipse,
-    dual_conic_of_circle as dual_conic_of_circle,
-    image_of_circle_centre as image_of_circle_centre,
-    transform_dual_conic as transform_dual_conic,
-)
 from .epipolar import (
     centre_of_matrix as centre_of_matrix,
     epipolar_distance_px as epipolar_distance_px,
     epipolar_line as epipolar_line,
     fundamental_matrix as fundamental_matrix,
 )
-from .image_of_circle import circle_centre_offset as circle_centre_offset
+from .image_of_circle import (
+    circle_centre_offset as circle_centre_offset,
+    image_of_circle_centre as image_of_circle_centre,
+)
 from .image_of_line import (
     LineDistances as LineDistances,
     distances_from_line as distances_from_line,

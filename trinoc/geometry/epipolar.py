@@ -47,22 +47,3 @@ def epipolar_distance_px(
 ) -> Float[ArrayLike, ""]:
     """Signed distance, in view b, of a point from the epipolar line of its partner in view a."""
     return epipolar_line(fundamental_ba, uv_a_px) @ jnp.append(uv_b_px, 1.0)
-
-
-def epipolar_plane_angle(
-    matrix_px: Float[ArrayLike, "3 4"],
-    baseline: Float[ArrayLike, "3"],
-    zero_direction: Float[ArrayLike, "3"],
-    uv_px: Float[ArrayLike, "2"],
-) -> Float[ArrayLike, ""]:
-    """Angle in rad, within +-pi/2, of a point's epipolar plane about the baseline.
-
-    The planes through two centres are a one-parameter family: partners in two views have one
-    angle when both are given the same `baseline` (the vector between the centres, world
-    frame) and the same `zero_direction`, whose plane has angle 0.
-    """
-    ray = inverse_3x3(matrix_px[:, :3]) @ jnp.append(uv_px, 1.0)
-    axis = baseline / jnp.sqrt(baseline @ baseline)
-    first = zero_direction - (zero_direction @ axis) * axis
-    first = first / jnp.sqrt(first @ first)
-    return jnp.arctan((ray @ jnp.cross(axis, first)) / (ray @ first))

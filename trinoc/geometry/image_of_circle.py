@@ -1,7 +1,7 @@
 """The image of a circle: its centre is not the image of the circle's centre.
 
 One formula for any smooth mapping from the plane of a circle to a picture: a homography, a lens
-with distortion, a board that is bent. Of a homography alone, `conics` has the closed form.
+with distortion, a board that is bent.
 """
 
 from collections.abc import Callable
@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from trinoc.geometry.camera import Camera, project
 from trinoc.numerics import ArrayLike, ScalarLike
 
 # The image of an edge is smooth, so that its first harmonics determine the centroid: to 1e-11 px
@@ -18,6 +19,17 @@ from trinoc.numerics import ArrayLike, ScalarLike
 _EDGE_POINTS = 12
 _ANGLES_RAD = np.arange(_EDGE_POINTS) * (2 * np.pi / _EDGE_POINTS)
 _EDGE_OF_UNIT_CIRCLE = np.stack([np.cos(_ANGLES_RAD), np.sin(_ANGLES_RAD)], axis=1)
+
+
+def image_of_circle_centre(
+    camera: Camera, centre_sheet_mm: Float[ArrayLike, "2"], radius_mm: ScalarLike
+) -> Float[ArrayLike, "2"]:
+    """Centre, in pixels of the picture, of the image of a circle of the sheet Z = 0."""
+
+    def image(place_mm: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
+        return project(camera, jnp.append(place_mm, 0.0))
+
+    return image(centre_sheet_mm) + circle_centre_offset(image, centre_sheet_mm, radius_mm)
 
 
 def circle_centre_offset(

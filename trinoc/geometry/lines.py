@@ -59,14 +59,3 @@ def line_of_planes(
     squared = direction @ direction
     point = jnp.cross(direction, second[3] * first[:3] - first[3] * second[:3]) / squared
     return -point, direction / jnp.sqrt(squared)
-
-
-def nearest_on_line(
-    point: Float[ArrayLike, "3"],
-    direction: Float[ArrayLike, "3"],
-    ray_origin: Float[ArrayLike, "3"],
-    ray_direction: Float[ArrayLike, "3"],
-) -> Float[ArrayLike, ""]:
-    """Position t along `point + t direction` that is nearest to a ray (any lengths)."""
-    normal = jnp.cross(ray_direction, jnp.cross(direction, ray_direction))
-    return normal @ (ray_origin - point) / (normal @ direction)

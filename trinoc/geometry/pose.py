@@ -151,12 +151,6 @@ class Pose(eqx.Module):
             aim = aim + unit_mm * delta[4:6]
         return Pose.from_aim(rotation, self.distance_mm + unit_mm * delta[3], aim)
 
-    def step_to(self, other: "Pose", unit_mm: ScalarLike) -> Float[ArrayLike, "6"]:
-        """The step of AIM_FREE by which `retract` takes this pose to another one near it."""
-        turn = vector_from_rotation(other.rotation @ self.rotation.T)
-        away = jnp.append(other.distance_mm - self.distance_mm, other.aim_mm - self.aim_mm)
-        return jnp.concatenate([turn, away / unit_mm])
-
     def model_parameters(self, model: PoseModel, origin: "Pose") -> Float[ArrayLike, "p"]:
         """The parameters that `model` names, in rad and mm; those of RIGID count from `origin`."""
         if model is not PoseModel.RIGID:

@@ -59,12 +59,10 @@ from .programs import (
     one_compiles as one_compiles,
 )
 from .robust_loss import (
-    AbstractBoundedLoss as AbstractBoundedLoss,
     AbstractRobustLoss as AbstractRobustLoss,
     Cauchy as Cauchy,
     GemanMcClure as GemanMcClure,
     ScaleMixture as ScaleMixture,
-    TruncatedSquares as TruncatedSquares,
 )
 from .small_least_squares import (
     NormalEquations as NormalEquations,

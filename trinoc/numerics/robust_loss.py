@@ -10,7 +10,6 @@ import math
 from abc import abstractmethod
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -34,14 +33,7 @@ class AbstractRobustLoss(eqx.Module):
         return self.weight(squared) ** 0.5
 
 
-class AbstractBoundedLoss(AbstractRobustLoss):
-    """A loss that levels out."""
-
-    # What a wrong observation costs: rho never exceeds it. Squared residual's unit.
-    ceiling: eqx.AbstractVar[ScalarLike | Float[ArrayLike, "*n"]]
-
-
-class GemanMcClure(AbstractBoundedLoss):
+class GemanMcClure(AbstractRobustLoss):
     """rho(s) = s / (1 + s / c^2), which levels out at c^2.
 
     c is the scale, in the unit of the residual; an infinite one is plain least squares. Works on
@@ -50,7 +42,8 @@ class GemanMcClure(AbstractBoundedLoss):
 
     Fields
     ------
-    ceiling : c^2; of several losses at once, along their axes, for `vmap`.
+    ceiling : c^2, which a wrong observation costs; of several losses at once, along their axes,
+        for `vmap`.
     """
 
     ceiling: ScalarLike | Float[ArrayLike, "*n"]
@@ -72,15 +65,6 @@ class GemanMcClure(AbstractBoundedLoss):
         """1 / (1 + s / c^2)."""
         return 1 / (1 + squared / self.ceiling)
 
-    def bounded(
-        self, residual: Float[ArrayLike, "*n d"], squared: Float[ArrayLike, "*n 1"]
-    ) -> Float[ArrayLike, "*n d"]:
-        """r / sqrt(1 + s / c^2), whose squared length is rho of the `squared` length of r.
-
-        Plain least squares over bounded residuals minimises the sum of rho.
-        """
-        return residual / jnp.sqrt(1 + squared / self.ceiling)
-
     def widened(self, factor: ScalarLike) -> "GemanMcClure":
         """The same loss for residuals `factor` times as large."""
         return GemanMcClure(self.ceiling * factor**2)
@@ -101,27 +85,6 @@ class Cauchy(AbstractRobustLoss):
     def weight(self, squared: Float[ArrayLike, "*n"]) -> Float[ArrayLike, "*n"]:
         """1 / (1 + s / c^2)."""
         return 1 / (1 + squared / self.scale**2)
-
-
-class TruncatedSquares(AbstractBoundedLoss):
-    """rho(s) = min(s, ceiling): beyond a limit an observation is left out.
-
-    Source: M. J. Hinich and P. P. Talwar, Journal of the American Statistical Association 70, 1975.
-
-    Fields
-    ------
-    ceiling : square of the limit; of several losses at once, along their axes.
-    """
-
-    ceiling: ScalarLike | Float[ArrayLike, "*n"]
-
-    def rho(self, squared: Float[ArrayLike, "*n"]) -> Float[ArrayLike, "*n"]:
-        """min(s, ceiling)."""
-        return namespace_of(squared).minimum(squared, self.ceiling)
-
-    def weight(self, squared: Float[ArrayLike, "*n"]) -> Float[ArrayLike, "*n"]:
-        """1 within the limit, 0 beyond."""
-        return (squared < self.ceiling) * 1.0
 
 
 class ScaleMixture(AbstractRobustLoss):

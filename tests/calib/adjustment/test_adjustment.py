@@ -12,6 +12,7 @@ from trinoc.calib.problem.information import whitened_views
 from trinoc.calib.problem.variables import retract
 from trinoc.calib.uncertainty import Systematics
 from trinoc.geometry import Pose, PoseModel
+from trinoc.geometry.rotation import vector_from_rotation
 from trinoc.numerics import as_numpy
 
 FREE = PoseModel.AIM_FREE
@@ -22,8 +23,11 @@ def adjusted(cameras, known: Systematics = TYPICAL) -> Adjustment:
 
 
 def off(found: Adjustment, truth: Pose, view: int) -> np.ndarray:
-    """The step from what was found to the truth."""
-    return np.asarray(found.pose(view).step_to(truth, found.problem.chart.unit_mm))
+    """The step of AIM_FREE from what was found to the truth."""
+    here = found.pose(view)
+    turn = vector_from_rotation(truth.rotation @ np.asarray(here.rotation).T)
+    away = np.append(truth.distance_mm - here.distance_mm, truth.aim_mm - here.aim_mm)
+    return np.append(turn, away / found.problem.chart.unit_mm)
 
 
 def pose_covariance(found: Adjustment, view: int) -> np.ndarray:

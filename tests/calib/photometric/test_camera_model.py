@@ -22,8 +22,7 @@ from trinoc.calib.photometric.noise import (
     noise_by_level,
     saturation_level,
 )
-from trinoc.calib.photometric.sheet_places import project_to_image
-from trinoc.calib.photometric.sheet_point import SheetPoint
+from trinoc.calib.photometric.sheet_places import SheetPoint, project_to_image
 from trinoc.errors import InputError
 
 pytestmark = pytest.mark.usefixtures("large_programs")

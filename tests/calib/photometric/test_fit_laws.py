@@ -9,8 +9,7 @@ from tests.calib.simulated import LENS, reference_sheet
 from trinoc.calib.photometric import fit
 from trinoc.calib.photometric.covariance import pose_covariance
 from trinoc.calib.photometric.encoding import AS_DELIVERED
-from trinoc.calib.photometric.point import Point
-from trinoc.calib.photometric.scene import Scene, scene_of_picture
+from trinoc.calib.photometric.scene import Point, Scene, scene_of_picture
 from trinoc.calib.photometric.unknowns import PictureState
 from trinoc.geometry import PoseModel
 from trinoc.numerics import ArrayLike

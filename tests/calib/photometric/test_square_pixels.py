@@ -7,8 +7,7 @@ from tests.calib.photometric.pictures import INK, PAPER
 from tests.calib.photometric.test_squares import Bare
 from trinoc.calib import Charuco, Chessboard, square_sheet
 from trinoc.calib.photometric import refine_image
-from trinoc.calib.photometric.sheet_places import places_and_slopes
-from trinoc.calib.photometric.sheet_point import rays_of_pixels
+from trinoc.calib.photometric.sheet_places import places_and_slopes, rays_of_pixels
 from trinoc.calib.photometric.square_pixels import square_pixels
 from trinoc.geometry import (
     BrownConrady,

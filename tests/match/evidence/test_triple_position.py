@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from tests.geometry import trifocal
 from tests.match.evidence.line_integral import log_evidence
 from tests.match.made import pictures
 from tests.match.scene import MadeScene, seen_by
-from trinoc.geometry import line_through, signed_distance, trifocal
+from trinoc.geometry import line_through, signed_distance
 from trinoc.match.evidence import TripleEvidence, triple_evidence
 from trinoc.match.observations import ClutterModel
 from trinoc.match.two_view import sight_of

@@ -49,7 +49,6 @@ from trinoc.geometry import (
     UncertainLines,
 )
 from trinoc.numerics import (
-    AbstractBoundedLoss,
     ArrayLike,
     GemanMcClure,
     as_numpy,
@@ -345,7 +344,7 @@ def log_posterior(
     squared: Float[np.ndarray, "t v"],
     seen: Bool[np.ndarray, "t v"],
     sheet_chi_square: float,
-    loss: AbstractBoundedLoss,
+    loss: GemanMcClure,
 ) -> float:
     """Log posterior of cameras and tracks against cameras at the sheet's estimate and no track.
 

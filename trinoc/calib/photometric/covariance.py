@@ -7,8 +7,7 @@ from jaxtyping import Bool, Float
 
 from trinoc.calib.photometric.equations import local_rows
 from trinoc.calib.photometric.noise import autocorrelation, correlated_sum
-from trinoc.calib.photometric.point import Point
-from trinoc.calib.photometric.scene import Scene
+from trinoc.calib.photometric.scene import Point, Scene
 
 # Sharpening lowers the variance of what an edge says to a half of white noise's, not further.
 _LEAST_SPREAD = 0.4

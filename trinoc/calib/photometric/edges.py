@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from trinoc.calib.photometric.sheet_point import Ray, SheetPoint, sheet_point
+from trinoc.calib.photometric.sheet_places import Ray, SheetPoint, sheet_point
 from trinoc.numerics import ArrayLike
 
 Scalar = Float[ArrayLike, ""]

@@ -12,8 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from trinoc.calib.photometric.noise import autocorrelation, inflation, saturation_level
-from trinoc.calib.photometric.point import Point
-from trinoc.calib.photometric.scene import Scene
+from trinoc.calib.photometric.scene import Point, Scene
 from trinoc.calib.photometric.unknowns import DELIVERED
 
 _SHARE_BINS = 16

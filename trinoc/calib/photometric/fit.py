@@ -15,8 +15,7 @@ from trinoc.calib.photometric.evidence import FIRST, OF_RESPONSE, find_evidence
 from trinoc.calib.photometric.gate import gate_by_sigma, robust_sigma, without_common
 from trinoc.calib.photometric.noise import noise_by_level
 from trinoc.calib.photometric.pixel_selection import PARTS
-from trinoc.calib.photometric.point import Point
-from trinoc.calib.photometric.scene import Scene
+from trinoc.calib.photometric.scene import Point, Scene
 from trinoc.calib.photometric.solver import Schedule, Stage, run_fit
 from trinoc.calib.photometric.unknowns import (
     DELIVERED,

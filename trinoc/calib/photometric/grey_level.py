@@ -16,7 +16,7 @@ from jaxtyping import Float
 
 from trinoc.calib.photometric.edges import Kernel
 from trinoc.calib.photometric.ink import Circle, Cross, Drawing, Squares, View, ink_near
-from trinoc.calib.photometric.sheet_point import Ray, SheetPoint, sheet_point
+from trinoc.calib.photometric.sheet_places import Ray, SheetPoint, sheet_point
 from trinoc.calib.photometric.unknowns import PictureState
 from trinoc.image import PowerResponse
 from trinoc.numerics import ArrayLike

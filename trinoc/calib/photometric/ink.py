@@ -22,7 +22,7 @@ from trinoc.calib.photometric.edges import (
     opposite,
     straight_edge,
 )
-from trinoc.calib.photometric.sheet_point import Ray, SheetPoint
+from trinoc.calib.photometric.sheet_places import Ray, SheetPoint
 from trinoc.numerics import ArrayLike
 
 Scalar = Float[ArrayLike, ""]

@@ -13,8 +13,7 @@ import numpy as np
 import scipy.sparse
 from jaxtyping import Float, Int
 
-from trinoc.calib.photometric.point import Point
-from trinoc.calib.photometric.scene import Scene
+from trinoc.calib.photometric.scene import Point, Scene
 from trinoc.calib.photometric.sheet_places import homography_of_pose
 from trinoc.calib.problem.sheet_points import SheetPoints
 from trinoc.calib.targets import Pattern, SquareSheet

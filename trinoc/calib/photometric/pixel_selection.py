@@ -15,8 +15,8 @@ from trinoc.calib.photometric.sheet_places import (
     line_outlines_mm,
     places_of_pixels,
     project_to_image,
+    rays_of_pixels,
 )
-from trinoc.calib.photometric.sheet_point import rays_of_pixels
 from trinoc.calib.photometric.square_pixels import square_pixels
 from trinoc.calib.targets import Pattern, SquareSheet
 from trinoc.geometry import AbstractLens, Pose

@@ -8,9 +8,16 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from trinoc.calib.photometric.encoding import Encoding, balanced_mosaic
-from trinoc.calib.photometric.equations import CHUNK, Group, LocalPixels, Picture, light_terms
+from trinoc.calib.photometric.equations import (
+    CHUNK,
+    Equations,
+    Group,
+    LocalPixels,
+    Picture,
+    light_terms,
+)
 from trinoc.calib.photometric.ink import SQUARES, Cross, Drawing
-from trinoc.calib.photometric.noise import OnGrid, saturation_level, white_of
+from trinoc.calib.photometric.noise import OnGrid, clipped, is_clear, saturation_level, white_of
 from trinoc.calib.photometric.pixel_selection import (
     PixelSelection,
     SelectedPixels,
@@ -35,6 +42,7 @@ _SHIFT_ROUNDS = 3
 # A central difference over two pixels sees an edge as if blurred by this variance more.
 _DIFFERENCE_VARIANCE = 1 / 3
 _LEAST_SIGMA_PX, _LARGEST_SIGMA_PX = 0.4, 8.0
+
 
 # Of places of the sheet in mm, in px.
 ShiftOfPlaces = Callable[[Float[np.ndarray, "n 2"]], Float[np.ndarray, "n 2"]]
@@ -277,3 +285,35 @@ def _shifts(
 def _cut_out(image: Float[np.ndarray, "h w"], choice: PixelSelection) -> Float[np.ndarray, "k l"]:
     (row, column), (height, width) = choice.corner, choice.flat.shape
     return image[row : row + height, column : column + width]
+
+
+class Point(NamedTuple):
+    """A state with what it says of the pixels, and the noise that weighs them.
+
+    Fields
+    ------
+    state : of all unknowns.
+    free : (p + k,) which of (pose, values) are fitted.
+    equations : at the state, as NumPy arrays.
+    length : of the step that would come next, of the pose in its own standard deviations.
+    level : (n,) predicted before saturation.
+    sigma : (n,) noise of each pixel before saturation.
+    kept : (n,) pixels that show the sheet.
+    """
+
+    state: PictureState
+    free: Bool[np.ndarray, "k"]
+    equations: Equations
+    length: float
+    level: Float[np.ndarray, "n"]
+    sigma: Float[np.ndarray, "n"]
+    kept: Bool[np.ndarray, "n"]
+
+    def residual(self, scene: Scene) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+        """Predicted minus observed after saturation, and its standard deviation."""
+        cut = clipped(self.level, self.sigma, scene.top)
+        return np.asarray(cut.mean) - scene.grey, np.asarray(cut.sigma)
+
+    def clear(self, scene: Scene) -> Bool[np.ndarray, "n"]:
+        """Pixels that stayed and whose noise saturation leaves as it is."""
+        return self.kept & is_clear(self.level, self.sigma, scene.top)

@@ -217,11 +217,7 @@ def fit_picture(
     drawing: Drawing,
     model: PoseModel,
 ) -> Fit:
-    """Steps from `state` until they end.
-
-    Differentiating it raises, because a state has more numbers than freedoms: `implicit_diff`
-    gives derivatives.
-    """
+    """Steps from `state` until they end; differentiating them raises."""
 
     def gradient(state: PictureState, args: tuple[Picture, Stage]) -> tuple[ArrayLike, Equations]:
         picture, stage = args

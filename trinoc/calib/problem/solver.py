@@ -194,7 +194,7 @@ class _ArrowDescent(optx.AbstractMinimiser[Any, None, _Progress]):
         progress = _Progress(
             best,
             jnp.where(better, trial.cost, state.cost),
-            rises,
+            jnp.asarray(rises),
             jnp.maximum(state.damping * factor, LEAST_DAMPING),
             jnp.clip(state.block_damping * of_blocks, LEAST_DAMPING, MOST_DAMPING),
             jnp.where(better, still, stuck),

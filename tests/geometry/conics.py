@@ -1,24 +1,16 @@
-"""Circles of the sheet and the ellipses that a camera makes of them.
+"""The image of a circle in closed form, which the package's own formula must agree with.
 
 A dual conic C* holds the lines tangent to a conic: l^T C* l = 0. Under a homography H it
 becomes H C* H^T (Hartley and Zisserman, result 2.14), and its product with the line at
 infinity is the conic's centre, so that neither needs an inverse.
 """
 
-from collections.abc import Callable
-
-import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Float
 
-from trinoc.geometry.camera import Camera, pixel_from_sheet_homography, project
-from trinoc.geometry.image_of_circle import centroid_of_region, circle_centre_offset
+from trinoc.geometry import Camera
+from trinoc.geometry.camera import pixel_from_sheet_homography
 from trinoc.numerics import ArrayLike, ScalarLike
-
-# Points at which a mapped ellipse is sampled: the centroid is then exact for what a lens does up
-# to the second order in the ellipse's size, and good to 1e-7 px for what it does beyond.
-_ANGLES_RAD = np.arange(8) * (2 * np.pi / 8)
 
 
 def dual_conic_of_circle(
@@ -53,35 +45,6 @@ def image_of_circle(
     """Dual conic, in undistorted pixels, of a circle on the sheet Z = 0."""
     circle = dual_conic_of_circle(centre_sheet_mm, radius_mm)
     return transform_dual_conic(pixel_from_sheet_homography(camera), circle)
-
-
-def image_of_circle_centre(
-    camera: Camera, centre_sheet_mm: Float[ArrayLike, "2"], radius_mm: ScalarLike
-) -> Float[ArrayLike, "2"]:
-    """Centre, in pixels of the picture, of the ellipse that images a circle of the sheet.
-
-    This is not the image of the circle's centre: perspective moves it toward the camera's
-    far side, by 0.09 px for the reference rig. With lens distortion the curve is no ellipse, and
-    the centre is the centroid of what it encloses (`circle_centre_offset`).
-    """
-    if not camera.intrinsics.has_distortion:
-        return centre_of_dual_conic(image_of_circle(camera, centre_sheet_mm, radius_mm))
-
-    def image(place_mm: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
-        return project(camera, jnp.append(place_mm, 0.0))
-
-    return image(centre_sheet_mm) + circle_centre_offset(image, centre_sheet_mm, radius_mm)
-
-
-def centre_of_mapped_ellipse(
-    dual_conic: Float[ArrayLike, "3 3"],
-    mapping: Callable[[Float[ArrayLike, "2"]], Float[ArrayLike, "2"]],
-) -> Float[ArrayLike, "2"]:
-    """Centroid of the region that a smooth mapping, such as a lens, makes of an ellipse.
-
-    An ellipse fitted to the region's edge has its centre there, to 1e-4 px for common lenses.
-    """
-    return centroid_of_region(jax.vmap(mapping)(boundary_of_dual_conic(dual_conic, _ANGLES_RAD)))
 
 
 def boundary_of_dual_conic(
