@@ -11,16 +11,14 @@ from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from trinoc.calib.detection import Detection
-from trinoc.calib.photometric import ShiftOfPlaces, refine_views
+from trinoc.calib.photometric import refine_views
+from trinoc.calib.problem.apparent_shift import apparent_shift
 from trinoc.calib.problem.problem import Problem, cam_from_board, lens_number
 from trinoc.calib.problem.robust_fit import RobustFit, errors_px, finish_fit, fit_places
-from trinoc.calib.problem.sheet import AbstractSheet
 from trinoc.calib.problem.views import View
 from trinoc.calib.problem.wrong_circles import drop_wrong_circles
 from trinoc.calib.starts.camera_start import on_board
@@ -37,9 +35,9 @@ from trinoc.calib.targets import (
     square_sheet,
 )
 from trinoc.errors import InputError
-from trinoc.geometry import AbstractLens, Pose, PoseModel, project_point, project_points
+from trinoc.geometry import PoseModel, project_points
 from trinoc.image import grey_image
-from trinoc.numerics import ArrayLike, blocks, in_blocks, point_tree
+from trinoc.numerics import blocks
 
 _MOST_ROUNDS = 3
 # Another look at the pictures changes nothing once the rig moves places by no more than this: what
@@ -47,8 +45,6 @@ _MOST_ROUNDS = 3
 _STILL_PX = 0.02
 # Pictures that are held in memory at a time.
 _PICTURES_AT_ONCE = 32
-# Places at a time, so that another number of them does not compile again.
-_PLACES_AT_ONCE = 8192
 # Pictures in which it is seen how tags are turned.
 _MOST_VIEWS = 5
 
@@ -155,8 +151,12 @@ def _look(
         name: lens_number(problem, int(problem.chart.lens_of_camera[view.camera]))
         for name, view in used.items()
     }
-    shifts = {name: shift_of_places(problem, lenses[name], poses[name]) for name in used}
-    shifts = {name: shift for name, shift in shifts.items() if shift is not None}
+    shifts = {}
+    if np.any(problem.state.sheet) or np.any(problem.state.shape):
+        shifts = {
+            name: apparent_shift(problem, view, poses[name], lenses[name])
+            for name, view in used.items()
+        }
     fits, names = {}, list(used)
     for part in blocks(len(names), _PICTURES_AT_ONCE):
         pictures = {name: grey_of(used[name]) for name in names[part]}
@@ -168,49 +168,6 @@ def _look(
         if fits[name].points is None:
             silent.append((view.camera, view.shot, fits[name].note or ""))
     return tuple(views), silent
-
-
-def shift_of_places(
-    problem: Problem, lens: AbstractLens, cam_from_board: Pose
-) -> ShiftOfPlaces | None:
-    """By how many px places lie elsewhere than lens and a flat sheet would have them, because the
-    board is no flat sheet, or not as drawn; None for one that is.
-
-    What lies about a circle moves with it.
-    """
-    state = jax.tree.map(np.asarray, problem.state)
-    if not (np.any(state.sheet) or np.any(state.shape)):
-        return None
-    sheet, tree = problem.chart.sheet_model, point_tree(problem.target.centres_mm)
-
-    def shift(places_mm: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
-        aside = np.zeros((len(places_mm), 3))
-        if len(state.shape):
-            aside = state.shape[tree.query(places_mm)[1]]
-
-        def block(places: np.ndarray, asides: np.ndarray) -> Float[ArrayLike, "n 2"]:
-            return _shifts(lens, cam_from_board, sheet, state.sheet, places, asides)
-
-        return np.asarray(in_blocks(block, _PLACES_AT_ONCE, places_mm, aside))
-
-    return shift
-
-
-@jax.jit
-def _shifts(
-    lens: AbstractLens,
-    cam_from_board: Pose,
-    sheet: AbstractSheet,
-    numbers: Float[ArrayLike, "w"],
-    places_mm: Float[ArrayLike, "n 2"],
-    aside_mm: Float[ArrayLike, "n 3"],
-) -> Float[ArrayLike, "n 2"]:
-    def shift(place: Float[ArrayLike, "2"], aside: Float[ArrayLike, "3"]) -> Float[ArrayLike, "2"]:
-        flat = jnp.append(place, 0.0)
-        bent = sheet.point(flat, numbers) + aside
-        return project_point(cam_from_board, lens, bent) - project_point(cam_from_board, lens, flat)
-
-    return jax.vmap(shift)(places_mm, aside_mm)
 
 
 def quarters_of_tags(problem: Problem, board: AprilGrid, grey_of: GreyOfView) -> int:

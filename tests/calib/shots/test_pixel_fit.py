@@ -2,6 +2,7 @@
 
 from typing import Literal
 
+import equinox as eqx
 import jax
 import numpy as np
 import pytest
@@ -25,13 +26,14 @@ from trinoc.calib import (
     calibrate_rig,
     square_sheet,
 )
-from trinoc.calib.problem.problem import Freedom
+from trinoc.calib.problem.apparent_shift import apparent_shift
+from trinoc.calib.problem.problem import Freedom, cam_from_board, lens_number
 from trinoc.calib.problem.robust_fit import degrees_of_freedom, errors_in_sigmas
 from trinoc.calib.problem.sheet_points import SheetPoints
 from trinoc.calib.problem.starting_problem import problem_of
 from trinoc.calib.problem.views import View, whitening_of_covariance
 from trinoc.calib.problem.wrong_circles import discount_points, drop_wrong_circles
-from trinoc.calib.rig_pixels import expect_method, quarters_of_tags, shift_of_places
+from trinoc.calib.rig_pixels import expect_method, quarters_of_tags
 from trinoc.errors import InputError
 from trinoc.geometry import Camera, Intrinsics, Pose
 from trinoc.synth import Cells, render_sheet
@@ -105,19 +107,12 @@ def test_a_circle_that_is_shown_elsewhere_is_left_out():
 
 def test_a_board_as_drawn_shifts_nothing_and_a_warped_one_its_middle():
     here = problem(SHEET)
-    lens, pose = lens_of("left"), board_poses(1)[0]
-    assert shift_of_places(here, lens, Pose(pose)) is None
-    state = here.state
-    warped = type(state)(
-        state.lenses,
-        state.cam_from_rig,
-        state.rig_from_board,
-        state.set_from_board,
-        np.array([0.0, 0.0, 1.0, 0.0]),
-        state.shape,
-    )
-    shift = shift_of_places(here._replace(state=warped), lens, Pose(pose))
-    assert shift is not None
+    view = here.views[0]
+    lens, pose = lens_number(here, 0), cam_from_board(here.state, view)
+    places = SHEET.centres_mm[:5]
+    np.testing.assert_allclose(apparent_shift(here, view, pose, lens)(places), 0.0, atol=1e-9)
+    warped = eqx.tree_at(lambda state: state.sheet, here.state, np.array([0.0, 0.0, 1.0, 0.0]))
+    shift = apparent_shift(here._replace(state=warped), view, pose, lens)
     edge = np.array([[0.0, 0.0], [62.5, 10.0], [-62.5, 0.0]])
     lengths = np.linalg.norm(shift(edge), axis=1)
     assert lengths[0] > 0.1
