@@ -55,7 +55,7 @@ def calibrate_batch(
     """`calibrate_detections` for many frames; a picture that fails spoils no other.
 
     systematics : as of `calibrate_detections`, each frame with errors of its own. `Systematics()`,
-        everything exact, is one vectorised fit of all frames and by far the fastest.
+        everything exact, fits each camera by itself.
 
     A camera that is missing from a frame has the status NOT_DETECTED there, and one whose sheet
     looks the same turned AMBIGUOUS, unless `orientation` says which way round it lies. Raises

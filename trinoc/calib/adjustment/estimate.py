@@ -11,7 +11,7 @@ from jaxtyping import Float
 from trinoc.calib.problem.information import WhitenedViews, whitened_views
 from trinoc.calib.problem.outliers import ANNEALING, GATE, robust_scale
 from trinoc.calib.problem.problem import Problem
-from trinoc.calib.problem.robust_fit import fit_places
+from trinoc.calib.problem.robust_fit import CHI_SQUARE_DEVIATIONS, fit_places
 from trinoc.calib.problem.sheet_problem import SheetCamera, sheet_problem
 from trinoc.calib.problem.solver import LEAST_DAMPING
 from trinoc.calib.targets import AbstractTarget
@@ -19,8 +19,6 @@ from trinoc.calib.uncertainty import Systematics
 from trinoc.geometry import AbstractLens, Pose, PoseModel
 from trinoc.numerics import ArrayLike
 
-# Chi-square beyond this many of its own standard deviations is not noise: the sigmas grow.
-_CHI_SQUARE_DEVIATIONS = 4.0
 # Singular values of a root with columns of length 1 below this share of the largest are rounding.
 _ROUNDING = 1e-14
 
@@ -153,7 +151,7 @@ def adjust_cameras(
         problem, converged, views = _fit_without_outliers(problem, views, suspects)
     root, free = _root(problem, views)
     reduced, freedom = _reduced_chi_squares(problem, views, root, free)
-    largest = 1 + _CHI_SQUARE_DEVIATIONS * np.sqrt(2 / np.maximum(freedom, 1e-9))
+    largest = 1 + CHI_SQUARE_DEVIATIONS * np.sqrt(2 / np.maximum(freedom, 1e-9))
     enlarged = np.where(reduced > largest, np.sqrt(reduced), 1.0)
     if (enlarged > 1).any():
         factor = np.array(problem.sigma_factor)

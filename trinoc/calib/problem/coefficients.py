@@ -33,7 +33,7 @@ def hold_undetermined(fit: RobustFit) -> tuple[RobustFit, tuple[str, ...]]:
             if not free[:, column].any():
                 continue
             free[:, column] = False
-            fit = refit(fit, with_lens_free(fit.problem, free))
+            fit = refit(with_lens_free(fit.problem, free), fit.elsewhere)
             held.append(name)
         information = information_of(fit.problem)
         if information.observability.rank == len(information.free):

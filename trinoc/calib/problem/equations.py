@@ -5,7 +5,7 @@ The head holds the lenses, the cameras and the sheet; each block the board's pos
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from trinoc.calib.problem.places import linearise, whitened_residuals
 from trinoc.calib.problem.solver import AbstractArrowProblem, ArrowEquations
@@ -41,21 +41,16 @@ class PlacesProblem(AbstractArrowProblem):
             near = linearise(state, self.chart, view)
             return near.columns, *near.weighted(self.chart, loss)
 
-        columns, own, gradient = jax.vmap(of_view)(self.table, self.loss)
-        size, heads = columns.shape[1], self.chart.free.shape[0]
-        shots, shot = state.rig_from_board.shape[0], self.table.shot
-        prior = prior_of(state, self.chart)
+        seen = jax.vmap(of_view)(self.table, self.loss)
+        columns, own, gradient = seen
+        size, prior = columns.shape[1], prior_of(state, self.chart)
         head = (
             jnp.asarray(prior.information)
             .at[columns[:, :, None], columns[:, None, :]]
             .add(own[:, :size, :size])
         )
-        coupling = jnp.zeros((shots, heads, POSE_SIZE), own.dtype)
-        coupling = coupling.at[shot[:, None], columns].add(own[:, :size, size:])
-        blocks = jnp.zeros((shots, POSE_SIZE, POSE_SIZE), own.dtype)
-        blocks = blocks.at[shot].add(own[:, size:, size:])
         of_head = jnp.asarray(prior.gradient).at[columns].add(gradient[:, :size])
-        of_boards = jnp.zeros((shots, POSE_SIZE), own.dtype).at[shot].add(gradient[:, size:])
+        coupling, blocks, of_boards = sum_boards(state, self.chart, self.table, *seen)
         return ArrowEquations(BlockArrow(head, coupling, blocks), (of_head, of_boards))
 
     def retract(
@@ -63,3 +58,23 @@ class PlacesProblem(AbstractArrowProblem):
     ) -> RigState:
         """The state after a step."""
         return retract(state, self.chart, head, blocks)
+
+
+def sum_boards(
+    state: RigState,
+    chart: Chart,
+    table: ViewTable,
+    columns: Int[Array, "v k"],
+    own: Float[Array, "v m m"],
+    gradient: Float[Array, "v m"],
+) -> tuple[Float[Array, "s h 6"], Float[Array, "s 6 6"], Float[Array, "s 6"]]:
+    """Of the views' equations, summed over each shot: how its board goes with the head, its own
+    information, and its gradient."""
+    size, shot = columns.shape[1], jnp.asarray(table.shot)
+    shots, heads = state.rig_from_board.shape[0], chart.free.shape[0]
+    coupling = jnp.zeros((shots, heads, POSE_SIZE), own.dtype)
+    coupling = coupling.at[shot[:, None], columns].add(own[:, :size, size:])
+    blocks = jnp.zeros((shots, POSE_SIZE, POSE_SIZE), own.dtype)
+    blocks = blocks.at[shot].add(own[:, size:, size:])
+    of_boards = jnp.zeros((shots, POSE_SIZE), own.dtype).at[shot].add(gradient[:, size:])
+    return coupling, blocks, of_boards

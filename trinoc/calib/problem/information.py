@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from trinoc.calib.problem.equations import sum_boards
 from trinoc.calib.problem.places import linearise
 from trinoc.calib.problem.problem import Problem
 from trinoc.calib.problem.variables import POSE_SIZE, Chart, RigState, prior_of
@@ -68,19 +69,17 @@ def _of_shots(state: RigState, chart: Chart, table: ViewTable) -> tuple[Array, .
         near = linearise(state, chart, view)
         return near.columns, *near.weighted(chart, plain)
 
-    columns, own, gradient = jax.vmap(of_view)(table)
+    seen = jax.vmap(of_view)(table)
+    columns, own, gradient = seen
     size, shots, heads = columns.shape[1], state.rig_from_board.shape[0], chart.free.shape[0]
     shot = jnp.asarray(table.shot)
     head = jnp.zeros((shots, heads, heads), own.dtype)
     head = head.at[shot[:, None, None], columns[:, :, None], columns[:, None, :]].add(
         own[:, :size, :size]
     )
-    coupling = jnp.zeros((shots, heads, POSE_SIZE), own.dtype)
-    coupling = coupling.at[shot[:, None], columns].add(own[:, :size, size:])
-    block = jnp.zeros((shots, POSE_SIZE, POSE_SIZE), own.dtype).at[shot].add(own[:, size:, size:])
     of_head = jnp.zeros((shots, heads), own.dtype)
     of_head = of_head.at[shot[:, None], columns].add(gradient[:, :size])
-    of_board = jnp.zeros((shots, POSE_SIZE), own.dtype).at[shot].add(gradient[:, size:])
+    coupling, block, of_board = sum_boards(state, chart, table, *seen)
     inverse = jax.vmap(inverse_positive_definite)(block)
     determined = jnp.all(jnp.isfinite(inverse), axis=(1, 2))
     inverse = jnp.where(determined[:, None, None], inverse, 0.0)

@@ -17,7 +17,7 @@ from trinoc.numerics import GemanMcClure, as_numpy
 # A picture of which fewer places than this share agree with the rig shows the board elsewhere.
 _FEWEST_AGREE = 0.5
 # Chi-square beyond this many of its own standard deviations is not noise: the sigmas grow.
-_CHI_SQUARE_DEVIATIONS = 4.0
+CHI_SQUARE_DEVIATIONS = 4.0
 # A direction that has less of the information of the best one is not determined.
 _LEAST_SHARE = 1e-3
 _whitened = eqx.filter_jit(whitened_residuals)
@@ -58,16 +58,14 @@ def fit_robustly(problem: Problem) -> RobustFit:
 
 def finish_fit(problem: Problem, elsewhere: list[tuple[int, int, float]]) -> RobustFit:
     """The end of a fit, after the sigmas have become those that its residuals show."""
-    problem, converged = fit_places(with_sigma_factors(problem))
-    chi_square = float(np.sum(np.square(errors_in_sigmas(problem))))
-    return RobustFit(problem, converged, elsewhere, chi_square, degrees_of_freedom(problem))
+    return refit(with_sigma_factors(problem), elsewhere)
 
 
-def refit(fit: RobustFit, problem: Problem) -> RobustFit:
-    """The same places fitted by another problem, from where the fit ended."""
+def refit(problem: Problem, elsewhere: list[tuple[int, int, float]]) -> RobustFit:
+    """The end of a fit by the sigmas as they are."""
     problem, converged = fit_places(problem)
     chi_square = float(np.sum(np.square(errors_in_sigmas(problem))))
-    return RobustFit(problem, converged, fit.elsewhere, chi_square, degrees_of_freedom(problem))
+    return RobustFit(problem, converged, elsewhere, chi_square, degrees_of_freedom(problem))
 
 
 def fit_places(
@@ -165,7 +163,7 @@ def with_sigma_factors(problem: Problem) -> Problem:
         if own <= 0:
             continue
         reduced = float(squared[rows].sum()) / own * factor[camera] ** 2
-        refuted = reduced > 1.0 + _CHI_SQUARE_DEVIATIONS * np.sqrt(2.0 / own)
+        refuted = reduced > 1.0 + CHI_SQUARE_DEVIATIONS * np.sqrt(2.0 / own)
         if refuted or not are_known:
             factor[camera] = np.sqrt(max(reduced, 1e-12))
         else:
