@@ -18,7 +18,7 @@ from trinoc.calib.messages import (
 )
 from trinoc.calib.problem.robust_fit import errors_px
 from trinoc.calib.result import CalibrationResult, CameraFit, Status
-from trinoc.calib.result.degrees import DEGREES, values_of_parameters
+from trinoc.calib.result.degrees import largest_sigmas, values_of_parameters
 from trinoc.calib.rig_fit import Knowledge, RigFit
 from trinoc.geometry import (
     AFFINE_PARAMETERS,
@@ -28,7 +28,7 @@ from trinoc.geometry import (
     Rig,
     simplified,
 )
-from trinoc.numerics import LARGEST_SIGMA, Observability, in_float64, observability_of_root
+from trinoc.numerics import Observability, in_float64, observability_of_root
 
 
 @in_float64
@@ -78,15 +78,9 @@ def result_of_fits(
 
 def _observability(adjustment: Adjustment, view: int) -> Observability:
     """Of one camera's pose, all else being as uncertain as it is."""
-    size, distance = adjustment.model.size, adjustment.distance_mm(view)
-    largest = LARGEST_SIGMA * DEGREES * np.array([1, 1, 1, *np.full(3, distance)])
+    largest = largest_sigmas(adjustment.model, adjustment.distance_mm(view))
     root = adjustment.pose_root(view)
-    return observability_of_root(root, _by_step(adjustment, view), largest[:size])
-
-
-def _by_step(adjustment: Adjustment, view: int) -> Float[np.ndarray, "p p"]:
-    """Named parameters in degrees and mm by a step of one camera's pose."""
-    return DEGREES[: adjustment.model.size, None] * adjustment.parameters_by_step(view)
+    return observability_of_root(root, adjustment.degrees_by_step(view), largest)
 
 
 def _named_covariance(
@@ -99,7 +93,7 @@ def _named_covariance(
     for k, choice in enumerate(fit.cameras):
         camera, rows = choice.camera, adjustment.rows(k)
         by_pose = np.zeros((len(rows), len(adjustment.covariance)))
-        by_pose[:, rows] = _by_step(adjustment, k)
+        by_pose[:, rows] = adjustment.degrees_by_step(k)
         unknown += [len(names) + row for row in seen[k].gauge]
         names += [f"{camera.name}.{key}" for key in PARAMETER_NAMES[: len(by_pose)]]
         blocks.append(by_pose)

@@ -15,7 +15,7 @@ from trinoc.calib.problem.problem import Problem, lens_number
 from trinoc.calib.problem.robust_fit import errors_px, fit_places
 from trinoc.calib.problem.sheet_problem import SheetCamera, sheet_problem
 from trinoc.calib.result import Status
-from trinoc.calib.result.degrees import DEGREES
+from trinoc.calib.result.degrees import degrees_by_step
 from trinoc.calib.targets import AbstractTarget
 from trinoc.calib.uncertainty import Systematics
 from trinoc.errors import CalibrationError, InputError
@@ -219,8 +219,7 @@ def _result(
         )
     by_step = np.zeros((len(columns), len(columns)))
     pose = Pose(np.asarray(problem.state.cam_from_rig)[0])
-    by_pose = np.asarray(pose.d_parameters_d_delta(model, chart.unit_mm, pose))
-    by_step[: model.size, : model.size] = DEGREES[: model.size, None] * by_pose
+    by_step[: model.size, : model.size] = degrees_by_step(pose, chart.unit_mm, model)
     by_step[model.size :, model.size :] = np.diag(scale[rows])
     inverse = (vectors / values) @ vectors.T
     by_error = inverse @ jacobian.T @ every[:, : len(scale)] @ (held / scale[:, None])

@@ -9,7 +9,7 @@ from trinoc.calib.problem.information import whitened_views
 from trinoc.calib.problem.sheet import BentPaper
 from trinoc.calib.problem.sheet_problem import SheetCamera, sheet_problem
 from trinoc.calib.result import CalibrationResult
-from trinoc.calib.result.degrees import DEGREES
+from trinoc.calib.result.degrees import degrees_by_step
 from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.geometry import PARAMETER_NAMES, PoseModel, Rig
 from trinoc.numerics import in_float64
@@ -81,5 +81,5 @@ def _response(result: CalibrationResult, name: str, count: int) -> Float[np.ndar
     by_lens = jacobian[:, : chart.lens_shape[1]] / chart.lens_scale[0]
     by_error = np.concatenate([by_sheet, by_lens], axis=1)
     step = -np.linalg.solve(by_step.T @ by_step, by_step.T @ by_error)
-    by_delta = camera.pose.d_parameters_d_delta(PoseModel.AIM_FREE, chart.unit_mm, camera.pose)
-    return DEGREES[:count, None] * np.asarray(by_delta)[:count, :count] @ step
+    by_pose = degrees_by_step(camera.pose, chart.unit_mm, PoseModel.AIM_FREE)
+    return by_pose[:count, :count] @ step

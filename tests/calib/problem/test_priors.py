@@ -4,6 +4,7 @@ import dataclasses
 import functools
 
 import equinox as eqx
+import jax
 import numpy as np
 import pytest
 
@@ -13,7 +14,7 @@ from trinoc.calib.problem.board_shape import with_free_places
 from trinoc.calib.problem.equations import PlacesProblem
 from trinoc.calib.problem.problem import lens_number
 from trinoc.calib.problem.sheet import BentPaper, WarpedBoard
-from trinoc.calib.problem.variables import retract
+from trinoc.calib.problem.variables import prior_of, retract
 from trinoc.geometry import PoseModel
 from trinoc.numerics import GemanMcClure
 
@@ -97,6 +98,19 @@ def test_a_prior_is_the_same_in_cost_gradient_and_information(kind, sheet_model)
         assert curvature > 1e-3
         assert slope == pytest.approx(float(found.gradient[0] @ step), rel=1e-6)
         assert curvature == pytest.approx(float(step @ found.information.head @ step), rel=1e-6)
+
+
+def test_the_cost_is_the_squared_mahalanobis_distance_from_what_was_known():
+    state, chart, _ = with_every_prior(WarpedBoard(np.array([[60.0, 50.0]])))
+    off = np.asarray(jax.vmap(lambda lens: lens.parameters)(state.lenses)) - chart.lens_mean
+    expected = np.einsum("lp,lpq,lq->", off, chart.lens_information, off)
+    for cam_from_rig, information in zip(state.cam_from_rig, chart.aim_information, strict=True):
+        axis, centre = cam_from_rig[2, :3], -cam_from_rig[:, :3].T @ cam_from_rig[:, 3]
+        aim_mm = (centre - centre[2] / axis[2] * axis)[:2]
+        expected += information * aim_mm @ aim_mm
+    expected += state.sheet @ chart.sheet_information @ state.sheet
+    expected += np.sum(state.shape**2 @ chart.shape_information)
+    assert float(prior_of(state, chart).cost) == pytest.approx(expected, rel=1e-9)
 
 
 def test_what_is_held_has_no_prior_to_pull_at_it():

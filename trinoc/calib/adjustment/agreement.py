@@ -9,6 +9,7 @@ answers nearly as uncertain as each other, then drop out.
 """
 
 import numpy as np
+from jaxtyping import Float
 
 from trinoc.calib.adjustment.estimate import Adjustment
 from trinoc.calib.problem.information import whitened_views
@@ -25,10 +26,22 @@ def probability_of_agreement(circles: Adjustment, image: Adjustment, view: int) 
     """
     pose = circles.free[circles.rows(view)]
     of_circles = whitened_views(circles.problem._replace(state=image.problem.state))
-    whitened = of_circles.residual[view]
-    by_pose = circles.near.jacobian[view][:, pose]
-    slope, information = by_pose.T @ whitened, by_pose.T @ by_pose
+    by_pose, by_grey = (each.near.jacobian[view][:, pose] for each in (circles, image))
+    squared = difference_of_answers(of_circles.residual[view], by_pose, by_grey)
+    return float(chi_square_tail(squared, len(pose)))
+
+
+def difference_of_answers(
+    residual: Float[np.ndarray, "n"],
+    by_circles: Float[np.ndarray, "n p"],
+    by_grey: Float[np.ndarray, "m p"],
+) -> float:
+    """Chi-square, of p degrees of freedom, of the circles' answer less that of the grey levels.
+
+    residual : of the circles in sigmas, where the grey levels have the pose. by_circles, by_grey :
+    derivatives of both by the pose.
+    """
+    slope, information = by_circles.T @ residual, by_circles.T @ by_circles
     squared = float(slope @ np.linalg.solve(information, slope))
-    by_grey = image.near.jacobian[view][:, pose]
     kept = np.trace(np.linalg.solve(by_grey.T @ by_grey, information)) / len(slope)
-    return float(chi_square_tail(squared / max(1 - kept, _LEAST_SHARE), len(slope)))
+    return squared / max(1 - kept, _LEAST_SHARE)

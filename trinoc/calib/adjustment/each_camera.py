@@ -14,12 +14,12 @@ from trinoc.calib.problem.outliers import robust_scale
 from trinoc.calib.problem.robust_fit import errors_px
 from trinoc.calib.problem.sheet_problem import SheetCamera
 from trinoc.calib.result import Status
-from trinoc.calib.result.degrees import DEGREES, values_of_parameters
+from trinoc.calib.result.degrees import largest_sigmas, values_of_parameters
 from trinoc.calib.starts.camera_start import plane_pose
 from trinoc.calib.targets import Pattern
 from trinoc.calib.uncertainty import Systematics
 from trinoc.geometry import PARAMETER_NAMES, Intrinsics, PoseModel, unproject_pixels
-from trinoc.numerics import LARGEST_SIGMA, as_numpy, observability
+from trinoc.numerics import as_numpy, observability
 
 # Another start may do better where most circles lie farther off, in sigmas.
 _FAR = 10.0
@@ -114,9 +114,8 @@ def _estimate(fit: Adjustment) -> PoseEstimate:
         return _nothing(view.detection, fit.model)._replace(
             used=view.used, reduced_chi_square=reduced
         )
-    largest = LARGEST_SIGMA * DEGREES * np.array([1, 1, 1, *np.full(3, parameters[3])])
-    by_step = DEGREES[:count, None] * fit.parameters_by_step(0)
-    seen = observability(jacobian.T @ jacobian, by_step, largest[:count])
+    largest = largest_sigmas(fit.model, float(parameters[3]))
+    seen = observability(jacobian.T @ jacobian, fit.degrees_by_step(0), largest)
     is_complete = seen.rank == count
     return PoseEstimate(
         Status.CONVERGED if is_complete else Status.RANK_DEFICIENT,

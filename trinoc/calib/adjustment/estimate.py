@@ -1,7 +1,6 @@
 """The cameras over one sheet, fitted together, and what that says of each."""
 
 from collections.abc import Sequence
-from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -14,10 +13,10 @@ from trinoc.calib.problem.problem import Problem
 from trinoc.calib.problem.robust_fit import CHI_SQUARE_DEVIATIONS, fit_places
 from trinoc.calib.problem.sheet_problem import SheetCamera, sheet_problem
 from trinoc.calib.problem.solver import LEAST_DAMPING
+from trinoc.calib.result.degrees import degrees_by_step
 from trinoc.calib.targets import AbstractTarget
 from trinoc.calib.uncertainty import Systematics
 from trinoc.geometry import AbstractLens, Pose, PoseModel
-from trinoc.numerics import ArrayLike
 
 # Singular values of a root with columns of length 1 below this share of the largest are rounding.
 _ROUNDING = 1e-14
@@ -105,20 +104,12 @@ class Adjustment(NamedTuple):
         """Pan, tilt and swing in rad, distance and, where it is free, aim in mm."""
         return np.asarray(_parameters(self.pose(view)))[: self.model.size]
 
-    def parameters_by_step(self, view: int) -> Float[np.ndarray, "p p"]:
-        """Derivative of `parameters` by a step of the pose."""
-        unit_mm = self.problem.chart.unit_mm
-        return np.asarray(_parameters_by_step(self.pose(view), unit_mm, model=self.model))
+    def degrees_by_step(self, view: int) -> Float[np.ndarray, "p p"]:
+        """Derivative of the same, in degrees and mm, by a step of the pose."""
+        return degrees_by_step(self.pose(view), self.problem.chart.unit_mm, self.model)
 
 
 _parameters = jax.jit(lambda pose: pose.parameters)
-
-
-@partial(jax.jit, static_argnames="model")
-def _parameters_by_step(
-    pose: Pose, unit_mm: Float[ArrayLike, ""], *, model: PoseModel
-) -> Float[ArrayLike, "p p"]:
-    return pose.d_parameters_d_delta(model, unit_mm, pose)
 
 
 def adjust_cameras(

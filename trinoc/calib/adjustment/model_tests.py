@@ -53,9 +53,7 @@ def _score(
 ) -> Alternative | None:
     """The test of one alternative; None where the residuals cannot tell it from what is fitted."""
     base, residual = adjustment.near.jacobian[view], adjustment.near.residual[view]
-    base = base[:, adjustment.free]
-    fitted = solve_triangular(adjustment.root, base.T @ extra, trans=1)
-    normal = extra.T @ extra - fitted.T @ fitted
+    normal = information_left(extra, base[:, adjustment.free], adjustment.root)
     whole = np.sqrt(np.diag(extra.T @ extra))
     if np.linalg.eigvalsh(normal / np.outer(whole, whole)).min() < _LEAST_SHARE:
         return None
@@ -67,6 +65,19 @@ def _score(
     p_value = float(chi_square_tail(drop / scale, len(estimate)))
     sentence = _sentence(name, unit * estimate, sigma)
     return Alternative(name, drop / scale, p_value, unit * estimate, sigma, sentence)
+
+
+def information_left(
+    extra: Float[np.ndarray, "n k"],
+    base: Float[np.ndarray, "n f"],
+    root: Float[np.ndarray, "f f"],
+) -> Float[np.ndarray, "k k"]:
+    """On more unknowns, of derivatives `extra`, while those of `base` are fitted along.
+
+    root : R of the information R^T R on these, priors and other views included.
+    """
+    fitted = solve_triangular(root, base.T @ extra, trans=1)
+    return extra.T @ extra - fitted.T @ fitted
 
 
 def _sentence(name: str, estimate: Float[np.ndarray, "k"], sigma: Float[np.ndarray, "k"]) -> str:

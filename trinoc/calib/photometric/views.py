@@ -4,7 +4,6 @@ import functools
 import multiprocessing
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 from typing import NamedTuple, TypeVar
 
 import jax
@@ -18,10 +17,10 @@ from trinoc.calib.photometric.sheet_places import project_to_image
 from trinoc.calib.photometric.unknowns import step_unit_mm
 from trinoc.calib.problem.sheet_points import SheetPoints
 from trinoc.calib.result import ImageQuality
-from trinoc.calib.result.degrees import DEGREES
+from trinoc.calib.result.degrees import degrees_by_step, largest_sigmas
 from trinoc.calib.targets import Pattern, SquareSheet
 from trinoc.geometry import AbstractLens, Pose, PoseModel
-from trinoc.numerics import LARGEST_SIGMA, ArrayLike, observability
+from trinoc.numerics import observability
 
 # The picture moves circles by hundredths of a pixel; more than this is another minimum.
 _LARGEST_MOVE_PX = 0.5
@@ -122,10 +121,10 @@ def _refine(
 
 def _quality(refined: ImageRefinement, model: PoseModel) -> ImageQuality:
     look = refined.state
-    distance = float(np.asarray(step_unit_mm(refined.state.pose, model)))
-    by_delta = DEGREES[: model.size, None] * np.asarray(_by_delta(refined.state.pose, model=model))
-    largest = LARGEST_SIGMA * DEGREES * np.array([1, 1, 1, *np.full(3, distance)])
-    seen = observability(refined.information, by_delta, largest[: model.size])
+    # Steps are in units of the distance.
+    distance_mm = float(np.asarray(step_unit_mm(refined.state.pose, model)))
+    by_step = degrees_by_step(refined.state.pose, distance_mm, model)
+    seen = observability(refined.information, by_step, largest_sigmas(model, distance_mm))
     return ImageQuality(
         noise=refined.noise,
         noise_floor=refined.noise_floor,
@@ -137,9 +136,3 @@ def _quality(refined: ImageRefinement, model: PoseModel) -> ImageQuality:
         found=refined.found,
         bound=seen.covariance * (refined.noise_floor / refined.noise) ** 2,
     )
-
-
-@partial(jax.jit, static_argnames="model")
-def _by_delta(pose: Pose, *, model: PoseModel) -> Float[ArrayLike, "p p"]:
-    """Derivative of the parameters of a pose by a step in units of its distance."""
-    return pose.d_parameters_d_delta(model, step_unit_mm(pose, model), pose)

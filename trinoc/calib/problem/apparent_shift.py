@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,7 +12,7 @@ from trinoc.calib.problem.problem import Problem
 from trinoc.calib.problem.sheet import AbstractSheet
 from trinoc.calib.problem.views import View
 from trinoc.geometry import AbstractLens, Pose, project_point
-from trinoc.numerics import ArrayLike, in_blocks, point_tree
+from trinoc.numerics import ArrayLike, in_blocks, kept_jit, point_tree
 
 # Places at a time, so that another number of them does not compile again.
 _BLOCK = 8192
@@ -43,7 +42,7 @@ def apparent_shift(problem: Problem, view: View, flat_pose: Pose, flat_lens: Abs
     return shift
 
 
-@eqx.filter_jit
+@kept_jit
 def _shifts(
     here: BoardView,
     sheet: AbstractSheet,

@@ -29,7 +29,7 @@ from trinoc.calib.problem.solver import gauss_newton_gain
 from trinoc.calib.problem.variables import Chart, RigState
 from trinoc.calib.problem.views import ViewTable
 from trinoc.calib.problem.wrong_circles import drop_wrong_circles
-from trinoc.numerics import GemanMcClure
+from trinoc.numerics import GemanMcClure, kept_jit
 
 # Chi-square per unknown, over what is left per residual, this many of its deviations above 1.
 _DEVIATIONS = 5.0
@@ -107,7 +107,7 @@ def _spread_of(problem: Problem) -> Float[np.ndarray, "3"]:
     return np.asarray(problem.chart.shape_information) ** -0.5
 
 
-@eqx.filter_jit
+@kept_jit
 def _gained(state: RigState, chart: Chart, table: ViewTable) -> tuple:
     """What free places would take off the chi-square, to first order, and it."""
     plain = GemanMcClure.from_scale(jnp.full(len(table.shot), jnp.inf))
@@ -123,19 +123,25 @@ def _with_own_spread(problem: Problem, spread_mm: Float[np.ndarray, "3"]) -> Pro
     (expectation and maximisation); along X and Y there is one.
     """
     for _ in range(_MOST_ROUNDS):
-        places = len(problem.target)
-        information = information_of(problem)
-        covariance = np.nan_to_num(information.observability.covariance)
-        unit = float(problem.chart.unit_mm)
-        variance = unit**2 * np.diag(covariance)[-3 * places :].reshape(-1, 3)
-        squares = np.asarray(problem.state.shape) ** 2 + variance
-        across = float(np.mean(squares[:, :2]))
-        after = np.sqrt([across, across, float(np.mean(squares[:, 2]))])
-        determined = 3 * places - np.sum(variance / spread_mm**2)
-        problem = with_sigma_factors(problem._replace(spent=float(determined)))
+        after, determined = expected_spread(problem, spread_mm)
+        problem = with_sigma_factors(problem._replace(spent=determined))
         problem, _ = fit_places(_with_spread(problem, after))
         still = np.all(np.abs(np.log(after / spread_mm)) < _LEAST_CHANGE)
         spread_mm = after
         if still:
             break
     return problem
+
+
+def expected_spread(
+    problem: Problem, spread_mm: Float[np.ndarray, "3"]
+) -> tuple[Float[np.ndarray, "3"], float]:
+    """(root mean square of the places' coordinates along each axis, their posterior variance
+    added; how many of these numbers the shots tell), at the end of a fit under `spread_mm`."""
+    places, unit_mm = len(problem.target), float(problem.chart.unit_mm)
+    covariance = np.nan_to_num(information_of(problem).observability.covariance)
+    variance = unit_mm**2 * np.diag(covariance)[-3 * places :].reshape(-1, 3)
+    squares = np.mean(np.asarray(problem.state.shape) ** 2 + variance, axis=0)
+    across = np.mean(squares[:2])
+    determined = 3 * places - np.sum(variance / spread_mm**2)
+    return np.sqrt([across, across, squares[2]]), float(determined)

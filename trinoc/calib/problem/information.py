@@ -2,7 +2,6 @@
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,7 +12,13 @@ from trinoc.calib.problem.places import linearise
 from trinoc.calib.problem.problem import Problem
 from trinoc.calib.problem.variables import POSE_SIZE, Chart, RigState, prior_of
 from trinoc.calib.problem.views import ViewTable
-from trinoc.numerics import GemanMcClure, Observability, inverse_positive_definite, observability
+from trinoc.numerics import (
+    GemanMcClure,
+    Observability,
+    inverse_positive_definite,
+    kept_jit,
+    observability,
+)
 
 
 class Information(NamedTuple):
@@ -61,7 +66,7 @@ def information_of(problem: Problem) -> Information:
     return Information(of_shot, pulls, follow, own, free, prior, problem.chart.shape_first)
 
 
-@eqx.filter_jit
+@kept_jit
 def _of_shots(state: RigState, chart: Chart, table: ViewTable) -> tuple[Array, ...]:
     plain = GemanMcClure.from_scale(jnp.asarray(jnp.inf))
 
@@ -118,7 +123,7 @@ def whitened_views(problem: Problem) -> WhitenedViews:
     return WhitenedViews(dense, residual)
 
 
-@eqx.filter_jit
+@kept_jit
 def _whitened_views(state: RigState, chart: Chart, table: ViewTable) -> tuple[Array, Array, Array]:
     near = jax.vmap(lambda view: linearise(state, chart, view))(table)
     views, places, _, columns = near.jacobian.shape

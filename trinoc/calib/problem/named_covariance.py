@@ -1,8 +1,8 @@
 """Lenses and cameras as named parameters in a world, with their covariance."""
 
+from functools import partial
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,10 +10,10 @@ from jaxtyping import Array, Float, Int
 
 from trinoc.calib.problem.information import Information
 from trinoc.calib.problem.problem import Problem
-from trinoc.calib.problem.variables import POSE_SIZE, RigState, retract
+from trinoc.calib.problem.variables import POSE_SIZE, Chart, RigState, retract
 from trinoc.calib.targets import board_prefixes
 from trinoc.geometry import Pose, PoseModel
-from trinoc.numerics import ArrayLike
+from trinoc.numerics import ArrayLike, kept_jit
 
 # Of a board fixed to others: its turn about the axes of their frame from where it stands, and where
 # its origin lies there.
@@ -64,7 +64,7 @@ def named_covariance(
     model = PoseModel.AIM_FREE if is_over_sheet else PoseModel.RIGID
     shot = 0 if world.shot is None else world.shot
     values, by_head, by_board = (
-        np.asarray(part) for part in _parameters(problem.state, problem.chart, world, model)
+        np.asarray(part) for part in _parameters(problem.state, problem.chart, world, model=model)
     )
     by_board = by_board[:, shot] if world.shot is not None else np.zeros((len(values), POSE_SIZE))
     by_free = by_head[:, information.free]
@@ -92,7 +92,7 @@ def _poses_in_world(state: RigState, world: World) -> Float[ArrayLike, "c 3 4"]:
     return jax.vmap(lambda own: (Pose(own) @ rig_from_world).cam_from_world)(cameras)
 
 
-@eqx.filter_jit
+@kept_jit
 def poses_in_world(
     state: RigState, world: World
 ) -> tuple[Float[ArrayLike, "c 3 4"], Float[ArrayLike, "c 6"]]:
@@ -118,9 +118,9 @@ def open_rows(problem: Problem, information: Information, names: tuple[str, ...]
     return np.array(rows)
 
 
-@eqx.filter_jit
+@partial(kept_jit, static_argnames=("model",))
 def _parameters(
-    state: RigState, chart, world: World, model: PoseModel
+    state: RigState, chart: Chart, world: World, *, model: PoseModel
 ) -> tuple[Array, Array, Array]:
     """Values of all named parameters, and their derivatives by a step of head and boards."""
     start = _poses_in_world(state, world)

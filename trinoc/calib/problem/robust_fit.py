@@ -2,7 +2,6 @@
 
 from typing import NamedTuple
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
@@ -12,7 +11,7 @@ from trinoc.calib.problem.places import residuals_px, whitened_residuals
 from trinoc.calib.problem.problem import Problem
 from trinoc.calib.problem.sheet_points import SheetPoints
 from trinoc.calib.problem.solver import solve
-from trinoc.numerics import GemanMcClure, as_numpy
+from trinoc.numerics import GemanMcClure, as_numpy, kept_jit
 
 # A picture of which fewer places than this share agree with the rig shows the board elsewhere.
 _FEWEST_AGREE = 0.5
@@ -20,8 +19,8 @@ _FEWEST_AGREE = 0.5
 CHI_SQUARE_DEVIATIONS = 4.0
 # A direction that has less of the information of the best one is not determined.
 _LEAST_SHARE = 1e-3
-_whitened = eqx.filter_jit(whitened_residuals)
-_residuals = eqx.filter_jit(residuals_px)
+_whitened = kept_jit(whitened_residuals)
+_residuals = kept_jit(residuals_px)
 
 
 class RobustFit(NamedTuple):

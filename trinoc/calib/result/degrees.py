@@ -1,11 +1,13 @@
 """Poses as people read them: pan, tilt and swing in degrees, distance and aim in mm."""
 
+from functools import partial
+
 import jax
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.geometry import Pose
-from trinoc.numerics import in_float64
+from trinoc.geometry import Pose, PoseModel
+from trinoc.numerics import LARGEST_SIGMA, ArrayLike, ScalarLike, in_float64, kept_jit
 
 # From (rad, rad, rad, mm, mm, mm), in which fits run, to degrees, in which people read.
 DEGREES = np.array([180 / np.pi, 180 / np.pi, 180 / np.pi, 1.0, 1.0, 1.0])
@@ -22,6 +24,25 @@ def values_of_parameters(parameters: Float[np.ndarray, "p"]) -> Float[np.ndarray
 def pose_of_values(values: Float[np.ndarray, "6"]) -> Pose:
     """The pose of pan, tilt, swing in degrees, distance and aim in mm."""
     return _pose(np.concatenate([np.radians(values[:3]), values[3:]]))
+
+
+@in_float64
+def degrees_by_step(pose: Pose, unit_mm: ScalarLike, model: PoseModel) -> Float[np.ndarray, "p p"]:
+    """Derivative of a pose's named parameters, in degrees and mm, by a step of it."""
+    return DEGREES[: model.size, None] * np.asarray(
+        _by_step(pose, np.asarray(unit_mm, dtype=float), model=model)
+    )
+
+
+def largest_sigmas(model: PoseModel, distance_mm: float) -> Float[np.ndarray, "p"]:
+    """Standard deviations, in degrees and mm, of a direction that is as good as free."""
+    lengths = [1.0, 1.0, 1.0, *np.full(3, distance_mm)]
+    return (LARGEST_SIGMA * DEGREES * np.array(lengths))[: model.size]
+
+
+@partial(kept_jit, static_argnames=("model",))
+def _by_step(pose: Pose, unit_mm: ScalarLike, *, model: PoseModel) -> Float[ArrayLike, "p p"]:
+    return pose.d_parameters_d_delta(model, unit_mm, pose)
 
 
 # Operation by operation it takes two milliseconds, which a batch of frames feels.

@@ -1,0 +1,102 @@
+"""Do the tests notice when a covariance, a prior or a weight is wrong?
+
+    python benchmarks/mutations.py [--only WORD ...] [--jobs 2]
+
+Each place of `mutations.toml` is broken in a copy of the checkout, one at a time, and the tests
+nearest to it are run. A mutation that they pass has survived: a law is missing. Prints a row for
+each, the survivors last; exits 1 where there are any. A place that is no longer in its file, or is
+there more than once, is reported as lost.
+"""
+
+import argparse
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import tomllib
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import NamedTuple
+
+HERE = Path(__file__).resolve().parent
+CHECKOUT = HERE.parent
+COPIED = ("trinoc", "tests", "patterns", "pyproject.toml", "README.md")
+
+
+class Mutation(NamedTuple):
+    """A place and what stands there instead.
+
+    Fields
+    ------
+    what : in words. file : below `trinoc`. before, after : text; `before` is there once.
+    tests : files or folders below `tests`.
+    """
+
+    what: str
+    file: str
+    before: str
+    after: str
+    tests: Sequence[str]
+
+
+def places() -> list[Mutation]:
+    """All that are listed."""
+    with (HERE / "mutations.toml").open("rb") as file:
+        listed = tomllib.load(file)["mutation"]
+    return [Mutation(**each) for each in listed]
+
+
+def outcome(mutation: Mutation, copies: list[Path]) -> str:
+    """ "caught", "survived" or "lost", in one of the copies, which is left as it was."""
+    copy = copies.pop()
+    path = copy / "trinoc" / mutation.file
+    source = path.read_text()
+    try:
+        if source.count(mutation.before) != 1:
+            return "lost"
+        path.write_text(source.replace(mutation.before, mutation.after))
+        tests = [f"tests/{each}" for each in mutation.tests]
+        command = [sys.executable, "-m", "pytest", "-x", "-q", "-n0", "-p", "no:cacheprovider"]
+        environment = {**os.environ, "PYTHONPATH": str(copy), "OMP_NUM_THREADS": "1"}
+        ended = subprocess.run(
+            [*command, *tests], cwd=copy, env=environment, capture_output=True, check=False
+        )
+        # 1 : tests failed; 2 : the file does not even import.
+        return "caught" if ended.returncode in (1, 2) else "survived"
+    finally:
+        path.write_text(source)
+        copies.append(copy)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--only", nargs="*", default=[], help="words of files or descriptions")
+    parser.add_argument("--jobs", type=int, default=2)
+    options = parser.parse_args()
+    chosen = [
+        each
+        for each in places()
+        if not options.only or any(word in f"{each.file} {each.what}" for word in options.only)
+    ]
+    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(options.jobs) as pool:
+        copies = [Path(folder) / str(k) for k in range(options.jobs)]
+        for copy in copies:
+            copy.mkdir()
+            for name in COPIED:
+                source = CHECKOUT / name
+                (shutil.copytree if source.is_dir() else shutil.copy)(source, copy / name)
+        ends = []
+        for each, end in zip(chosen, pool.map(lambda m: outcome(m, copies), chosen), strict=True):
+            print(f"{end:9} {each.file:42} {each.what}", flush=True)
+            ends.append(end)
+    wrong = [each for each, end in zip(chosen, ends, strict=True) if end != "caught"]
+    print(f"\n{len(chosen)} places, {len(wrong)} survived or lost")
+    for each in wrong:
+        print(f"  {each.file}: {each.what}")
+    return 1 if wrong else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

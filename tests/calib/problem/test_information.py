@@ -1,0 +1,193 @@
+"""What shots say of lenses, cameras and board, against dense equations and random draws."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from tests.calib.shots.made_shots import board_poses
+from tests.calib.shots.test_laws import problem
+from trinoc.calib.problem.board_shape import expected_spread, with_free_places
+from trinoc.calib.problem.information import Information, information_of, whitened_views
+from trinoc.calib.problem.outcome import enlarge_covariance, shot_scatter
+from trinoc.calib.problem.places import whitened_residuals
+from trinoc.calib.problem.problem import with_lens_free
+from trinoc.calib.problem.robust_fit import (
+    degrees_of_freedom,
+    errors_in_sigmas,
+    with_sigma_factors,
+)
+from trinoc.calib.problem.variables import retract
+from trinoc.calib.problem.views import whitening_of_covariance
+
+
+@pytest.fixture(scope="module")
+def here():
+    """So many shots that all is determined but for the last coefficient of the lenses."""
+    free = np.ones((3, 9), dtype=bool)
+    free[:, -1] = False
+    return with_lens_free(problem(board_poses(6)), free)
+
+
+@pytest.fixture(scope="module")
+def information(here):
+    return information_of(here)
+
+
+@pytest.fixture(scope="module")
+def dense(here):
+    """Residuals of each view, and their derivatives by steps of head and boards."""
+    shots = len(here.state.rig_from_board)
+
+    state, chart, table = jax.tree.map(jnp.asarray, (here.state, here.chart, here.table))
+
+    @jax.jit
+    def residuals(head, boards):
+        return whitened_residuals(retract(state, chart, head, boards), chart, table)
+
+    zero = jnp.zeros(len(here.chart.free)), jnp.zeros((shots, 6))
+    by_head, by_boards = jax.jit(jax.jacfwd(residuals, argnums=(0, 1)))(*zero)
+    rows = np.asarray(residuals(*zero)), np.asarray(by_head), np.asarray(by_boards)
+    views = len(here.views)
+    return tuple(each[:views].reshape(views, -1, *each.shape[3:]) for each in rows)
+
+
+def test_each_shot_says_what_dense_equations_say_once_its_board_is_eliminated(
+    here, information, dense
+):
+    residual, by_head, by_boards = dense
+    shot_of = np.array([view.shot for view in here.views])
+    for shot in range(here.shots):
+        own = shot_of == shot
+        r = residual[own].ravel()
+        head = by_head[own].reshape(len(r), -1)
+        board = by_boards[own][:, :, shot].reshape(len(r), 6)
+        follow = -np.linalg.solve(board.T @ board, board.T @ head)
+        left = head + board @ follow
+        scale = np.sqrt(np.maximum(np.diag(head.T @ head), 1.0))
+        np.testing.assert_allclose(
+            information.of_shot[shot] / np.outer(scale, scale),
+            (left.T @ left) / np.outer(scale, scale),
+            atol=1e-8,
+        )
+        np.testing.assert_allclose(information.pulls[shot] / scale, left.T @ r / scale, atol=1e-6)
+        np.testing.assert_allclose(information.follow[shot], follow, atol=1e-6)
+        np.testing.assert_allclose(information.own[shot] @ board.T @ board, np.eye(6), atol=1e-6)
+
+
+def test_the_covariance_is_that_of_all_unknowns_together_with_what_was_known(
+    here, information, dense
+):
+    _, by_head, by_boards = dense
+    rows = by_head.shape[0] * by_head.shape[1]
+    boards = by_boards[:, :, : here.shots].reshape(rows, -1)
+    every = np.concatenate([by_head.reshape(rows, -1)[:, information.free], boards], axis=1)
+    normal = every.T @ every
+    known = np.zeros(len(here.chart.free))
+    known[here.chart.sheet_first :] = 1.0
+    count = len(information.free)
+    sheet = np.asarray(here.chart.sheet_scale)
+    prior = np.zeros((len(known), len(known)))
+    prior[here.chart.sheet_first :, here.chart.sheet_first :] = (
+        sheet[:, None] * here.chart.sheet_information * sheet
+    )
+    normal[:count, :count] += prior[np.ix_(information.free, information.free)]
+    scale = np.sqrt(np.diag(normal))
+    expected = np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale)
+    found, expected = information.observability.covariance, expected[:count, :count]
+    sigma = np.sqrt(np.diag(expected))
+    np.testing.assert_allclose(
+        found / np.outer(sigma, sigma), expected / np.outer(sigma, sigma), atol=1e-4
+    )
+
+
+def test_views_are_linear_in_the_steps_of_the_head(here, information, dense):
+    residual, by_head, _ = dense
+    found = whitened_views(here)
+    np.testing.assert_allclose(found.residual, residual, atol=1e-9)
+    free = information.free
+    np.testing.assert_allclose(
+        found.jacobian[..., free], by_head[..., free], rtol=1e-7, atol=1e-6
+    )
+
+
+def test_noise_is_enlarged_and_what_was_known_is_not():
+    random = np.random.default_rng(0)
+    rows, root = random.normal(size=(9, 4)), random.normal(size=(4, 4))
+    shown, prior, factor = rows.T @ rows, root @ root.T, 2.5
+    covariance = np.linalg.inv(shown + prior)
+    np.testing.assert_allclose(
+        enlarge_covariance(covariance, factor, prior),
+        covariance @ (factor * shown + prior) @ covariance,
+    )
+
+
+@pytest.mark.parametrize("variance", [1.0, 4.0])
+def test_the_scatter_of_pulls_is_that_of_their_noise(variance):
+    """At the end of a fit the pulls of all shots cancel: each follows its own noise less what the
+    common step takes."""
+    random, shots, size = np.random.default_rng(0), 6, 3
+    rows = 30 * random.normal(size=(shots, 8, size))
+    of_shot = np.swapaxes(rows, 1, 2) @ rows
+    whole, free = of_shot.sum(axis=0), np.arange(size)
+    factors, sigmas = [], []
+    for _ in range(2000):
+        noise = np.sqrt(variance) * random.normal(size=(shots, 8))
+        pulls = np.einsum("sni,sn->si", rows, noise)
+        pulls = pulls - of_shot @ np.linalg.solve(whole, pulls.sum(axis=0))
+        said = Information(
+            of_shot,
+            pulls,
+            np.zeros((shots, 6, size)),
+            np.zeros((shots, 6, 6)),
+            free,
+            np.zeros((size, size)),
+            size,
+        )
+        found = shot_scatter(said)
+        factors.append(found.factor)
+        sigmas.append(found.sigma)
+    assert np.mean(factors) == pytest.approx(variance, rel=0.05)
+    assert np.std(factors) / variance == pytest.approx(np.mean(sigmas), rel=0.3)
+
+
+def test_sigmas_of_corners_are_such_that_chi_square_is_as_large_as_it_should_be(here):
+    """The cameras' factors squared, weighted by their numbers, are chi-square over its degrees."""
+    after = with_sigma_factors(here)
+    chi_square = float(np.sum(errors_in_sigmas(here) ** 2))
+    numbers = [
+        sum(view.numbers for view in here.views if view.camera == k) for k in range(here.cameras)
+    ]
+    mean = np.average(np.square(after.sigma_factor), weights=numbers)
+    assert mean == pytest.approx(chi_square / degrees_of_freedom(here))
+
+
+def test_places_that_lie_where_they_are_drawn_spread_as_far_as_they_are_unknown(here):
+    spread_mm = np.array([0.02, 0.02, 0.3])
+    free = with_free_places(here)
+    chart = eqx.tree_at(lambda c: c.shape_information, free.chart, spread_mm**-2.0)
+    free = free._replace(chart=chart)
+    information = information_of(free)
+    covariance = information.observability.covariance
+    found, told = expected_spread(free, spread_mm)
+    own = np.diag(covariance)[-3 * len(free.target) :].reshape(-1, 3) * float(chart.unit_mm) ** 2
+    assert found[2] == pytest.approx(np.sqrt(np.mean(own[:, 2])))
+    assert found[0] == found[1] == pytest.approx(np.sqrt(np.mean(own[:, :2])))
+    # What the shots tell is the trace of the shots' part of the information times the covariance.
+    whole = np.eye(len(covariance)) - covariance @ information.prior
+    assert told == pytest.approx(np.trace(whole[-own.size :, -own.size :]), rel=1e-6)
+    shifted = eqx.tree_at(lambda s: s.shape, free.state, np.full((len(free.target), 3), 0.1))
+    moved, _ = expected_spread(free._replace(state=shifted), spread_mm)
+    np.testing.assert_allclose(moved**2 - found**2, 0.01, rtol=0.05)
+
+
+def test_whitened_errors_are_independent():
+    roots = np.random.default_rng(0).normal(size=(20, 2, 2))
+    covariance = roots @ np.swapaxes(roots, 1, 2)
+    whitening = whitening_of_covariance(covariance)
+    np.testing.assert_allclose(
+        whitening @ covariance @ np.swapaxes(whitening, 1, 2),
+        np.broadcast_to(np.eye(2), covariance.shape),
+        atol=1e-9,
+    )
