@@ -7,10 +7,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
+from scipy.linalg import rq
 
 from trinoc.errors import InputError
 from trinoc.geometry.intrinsics import Intrinsics
-from trinoc.geometry.lenses import AbstractLens
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.projection import project_point
 from trinoc.numerics import (
@@ -94,7 +94,7 @@ class Camera(eqx.Module):
     @in_float64
     def matrix_px(self) -> Float[NumpyOrTraced, "3 4"]:
         """(3, 4) projection matrix K [R | t]; lens distortion, if any, comes after it."""
-        return _projection(self.intrinsics.lens, self.cam_from_world)
+        return _projection(self)
 
     @property
     @in_float64
@@ -168,30 +168,17 @@ def sheet_from_pixel(camera: Camera, uv_px: Float[ArrayLike, "2"]) -> Float[Arra
     return (centre - centre[2] / direction[2] * direction)[:2]
 
 
-def pixel_from_sheet_homography(camera: Camera) -> Float[ArrayLike, "3 3"]:
-    """Homography of the sheet Z = 0 to undistorted pixels: columns 1, 2 and 4 of K [R | t]."""
-    return projection_matrix(camera)[:, jnp.array([0, 1, 3])]
-
-
 # Operation by operation they take a millisecond, which a batch of frames feels.
 _project = jax.jit(project)
+_projection = jax.jit(projection_matrix)
 _parameters_deg = jax.jit(
     lambda pose: jnp.concatenate([jnp.degrees(pose.parameters[:3]), pose.parameters[3:]])
 )
 _centre_world_mm = jax.jit(lambda pose: pose.centre_world_mm)
 
 
-@jax.jit
-def _projection(
-    lens: AbstractLens, cam_from_world: Float[ArrayLike, "3 4"]
-) -> Float[ArrayLike, "3 4"]:
-    return lens.matrix @ cam_from_world
-
-
 def _rq_decomposition(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(upper triangular with positive diagonal, orthogonal) factors of a 3x3 matrix."""
-    reverse = np.eye(3)[::-1]
-    orthogonal, triangular = np.linalg.qr((reverse @ matrix).T)
-    upper, rotation = reverse @ triangular.T @ reverse, reverse @ orthogonal.T
+    upper, rotation = rq(matrix)
     signs = np.diag(np.sign(np.diag(upper)))
     return upper @ signs, signs @ rotation

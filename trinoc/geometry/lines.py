@@ -21,11 +21,6 @@ def line_through(
     return jnp.append(normal, -(normal @ first))
 
 
-def normalised_line(line: Float[ArrayLike, "3"]) -> Float[ArrayLike, "3"]:
-    """The same line, scaled to a unit normal."""
-    return line / jnp.hypot(line[0], line[1])
-
-
 def signed_distance(
     line: Float[ArrayLike, "3"], point: Float[ArrayLike, "2"]
 ) -> Float[ArrayLike, ""]:
