@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import jax.scipy.linalg
 from jaxtyping import Bool, Float
 
 from trinoc.calib.bundle.camera import CameraState
@@ -147,7 +148,4 @@ class PosePrior(NamedTuple):
 def d_parameters_d_delta(cameras: CameraState, start: CameraState) -> Float[ArrayLike, "k k"]:
     """Block-diagonal Jacobian of all public parameters by all cameras' steps."""
     blocks = jax.vmap(lambda camera, origin: camera.d_parameters_d_delta(origin))(cameras, start)
-    views, size, _ = blocks.shape
-    view = jnp.arange(views)
-    full = jnp.zeros((views, size, views, size)).at[view, :, view, :].set(blocks)
-    return full.reshape(views * size, views * size)
+    return jax.scipy.linalg.block_diag(*blocks)
