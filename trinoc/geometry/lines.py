@@ -28,14 +28,6 @@ def signed_distance(
     return line[:2] @ point + line[2]
 
 
-def intersection(
-    first: Float[ArrayLike, "3"], second: Float[ArrayLike, "3"]
-) -> Float[ArrayLike, "2"]:
-    """The point on both lines; infinite or NaN where they are parallel."""
-    point = jnp.cross(first, second)
-    return point[:2] / point[2]
-
-
 def plane_of_line(
     matrix_px: Float[ArrayLike, "3 4"], line: Float[ArrayLike, "3"]
 ) -> Float[ArrayLike, "4"]:

@@ -9,7 +9,6 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.detection import Detection
 from trinoc.calib.detection.detection import labelled_detection
 from trinoc.calib.problem.information import information_of
 from trinoc.calib.problem.problem import Problem, cam_from_board, lens_number
@@ -175,8 +174,9 @@ def _pose_candidates(
     firsts, members = first_places(problem.target), boards_of(problem.target)
     for camera, size_px in sizes.items():
         for number, (first, board) in enumerate(zip(firsts, members, strict=True)):
-            index = first + np.arange(len(board))
-            everywhere = _everywhere(index, float(sigma_px[camera]), size_px)
+            index, nowhere = first + np.arange(len(board)), np.zeros((len(board), 2))
+            covariance = np.tile(sigma_px[camera] ** 2 * np.eye(2), (len(board), 1, 1))
+            everywhere = labelled_detection(index[None], nowhere, covariance, size_px)
             whole = View(camera, 0, everywhere, np.ones(len(board), dtype=bool), board=number)
             views += [whole._replace(shot=s) for s in range(len(candidates))]
     # As many views as there were, lest the programs compile anew.
@@ -186,11 +186,6 @@ def _pose_candidates(
     return problem._replace(
         views=tuple(views), state=state, shots=len(candidates), sigma_factor=ones
     )
-
-
-def _everywhere(index: np.ndarray, sigma_px: float, size_px: tuple[int, int]) -> Detection:
-    covariance = np.tile(sigma_px**2 * np.eye(2), (len(index), 1, 1))
-    return labelled_detection(index[None], np.zeros((len(index), 2)), covariance, size_px)
 
 
 def _with_visible(

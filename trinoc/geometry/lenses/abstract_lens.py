@@ -12,6 +12,13 @@ from trinoc.geometry.lenses.newton import inverse_in_plane
 from trinoc.numerics import ArrayLike, namespace_of
 
 # Type checkers know this one by the name that it has in a class that is not abstract.
+if TYPE_CHECKING:
+    from typing import ClassVar as AbstractClassVar
+else:
+    from equinox import AbstractClassVar
+
+# The parameters of K that are fitted, which every lens has; its coefficients come after them.
+AFFINE_PARAMETERS = ("fx_px", "fy_px", "cx_px", "cy_px")
 
 
 class RadialPart(NamedTuple):
@@ -54,15 +61,6 @@ def _smallest_root(polynomial: Float[np.ndarray, "k"]) -> float:
     roots = np.roots(polynomial)
     positive = (np.abs(roots.imag) <= 1e-9 * np.abs(roots)) & (roots.real > 0)
     return float(roots.real[positive].min(initial=np.inf))
-
-
-if TYPE_CHECKING:
-    from typing import ClassVar as AbstractClassVar
-else:
-    from equinox import AbstractClassVar
-
-# The parameters of K that are fitted, which every lens has; its coefficients come after them.
-AFFINE_PARAMETERS = ("fx_px", "fy_px", "cx_px", "cy_px")
 
 
 class AbstractLens(eqx.Module):
