@@ -129,7 +129,8 @@ class Pose(eqx.Module):
         """From (pan, tilt, swing in rad, distance, aim X, aim Y in mm)."""
         pan, tilt, swing, distance = (parameters[k] for k in range(4))
         rotation = rotation_from_pan_tilt_swing(pan, tilt, swing)
-        return cls.from_aim(rotation, distance, parameters[4:6])
+        centre = jnp.concatenate([parameters[4:6], jnp.zeros_like(parameters[:1])])
+        return cls.from_centre(rotation, centre - distance * rotation[2])
 
     @property
     def rotation(self) -> Float[ArrayLike, "3 3"]:
