@@ -11,6 +11,7 @@ from collections.abc import Callable, Collection, Sequence
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -219,7 +220,7 @@ def start_rigs(rig: Rig, moved: Collection[str], pose_model: PoseModel) -> list[
     for axis in (*np.eye(3)[:2], *-np.eye(3)[:2]):
         if pose_model is PoseModel.AIMED:
             rotation = rotation_from_vector(np.radians(ROUND_DEG) * axis) @ pose.rotation
-            distance = np.linalg.norm(pose.centre_world_mm)
+            distance = jnp.linalg.norm(pose.centre_world_mm)
             poses.append(Pose.from_aim(rotation, distance, np.zeros(2)))
         else:
             turn = np.append(np.radians(TURN_DEG) * axis, np.zeros(3))
