@@ -160,8 +160,11 @@ def _padded(lines: LineObservations) -> tuple[FragmentTable, Float[np.ndarray, "
     fragments = np.where(seen, lines.fragments_px, np.array([[0.0, 0.0], [1.0, 0.0]]))
     covariance = np.where(seen, lines.covariance_px2, np.eye(4))
     size, lines_mm = bucket(len(lines), finer_above=4096), np.asarray(lines.lines_mm, float)
-    columns = (padded(column, size, column[0]) for column in (fragments, covariance))
-    tracks = FragmentTable(*columns, padded(lines.seen, size))
+    tracks = FragmentTable(
+        padded(fragments, size, fragments[0]),
+        padded(covariance, size, covariance[0]),
+        padded(lines.seen, size),
+    )
     return tracks, padded(lines_mm, size, lines_mm[0])
 
 
