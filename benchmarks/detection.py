@@ -22,7 +22,6 @@ from detection_scenes import CONDITIONS, Scene
 from trinoc.calib import detect_pattern
 from trinoc.errors import DetectionError
 from trinoc.geometry import Camera, image_of_circle_centre
-from trinoc.geometry.camera import pixel_from_sheet_homography
 
 
 class Outcome(NamedTuple):
@@ -46,7 +45,7 @@ def truth(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
 
 def shape_of_image(camera: Camera, centre_mm: np.ndarray, radius_mm: float) -> np.ndarray:
     """S of the ellipse (x - c)^T S^-1 (x - c) = 1, from the dual conic H C* H^T."""
-    homography, centre = np.asarray(pixel_from_sheet_homography(camera)), np.append(centre_mm, 1.0)
+    homography, centre = np.asarray(camera.matrix_px)[:, [0, 1, 3]], np.append(centre_mm, 1.0)
     circle = np.outer(centre, centre) - radius_mm**2 * np.diag([1.0, 1.0, 0.0])
     dual = homography @ circle @ homography.T / (homography @ circle @ homography.T)[2, 2]
     return np.outer(dual[:2, 2], dual[:2, 2]) - dual[:2, :2]

@@ -22,7 +22,7 @@ from shared_scenes import VIEWS
 from trinoc.calib import RefineStatus, refine
 from trinoc.geometry import LineObservations, Rig, Segments, triangulate_segment
 from trinoc.match import match_segments
-from trinoc.numerics import in_float64
+from trinoc.numerics import in_float64, take_rows
 
 PAPERS_BASELINE_MM = 300.0
 TOLERANT_SIGMA_PX = 4.0  # as the command takes it
@@ -74,7 +74,8 @@ def published(segments: dict[str, np.ndarray], matches: np.ndarray, rig: Rig) ->
     solve = in_float64(jax.jit(jax.vmap(triangulate_segment, (None, 0, 0, 0))))
     ends = np.asarray(solve(rig.matrices_px, fragments, covariance, seen).ends_mm)
     good = np.isfinite(ends).all(axis=(1, 2))
-    return LineObservations(VIEWS, fragments, covariance, seen, ends).select(np.flatnonzero(good))
+    lines = LineObservations(VIEWS, fragments, covariance, seen, ends)
+    return take_rows(lines, np.flatnonzero(good))
 
 
 def main() -> None:

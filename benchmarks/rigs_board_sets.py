@@ -20,7 +20,7 @@ import numpy as np
 from rigs_from_shots import LENSES, SIZE_PX, points, rms, rotation, seen
 
 from trinoc.calib import BoardSet, Chessboard, Detection, RigFromShots, Systematics, calibrate_rig
-from trinoc.calib.starts.hand_eye import solve_hand_eye
+from trinoc.calib.starts.connected import solve_hand_eye
 from trinoc.geometry import BrownConrady, Pose
 
 SIGMA_PX = 0.1

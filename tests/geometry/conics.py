@@ -8,9 +8,13 @@ infinity is the conic's centre, so that neither needs an inverse.
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from trinoc.geometry import Camera
-from trinoc.geometry.camera import pixel_from_sheet_homography
+from trinoc.geometry import Camera, projection_matrix
 from trinoc.numerics import ArrayLike, ScalarLike
+
+
+def pixel_from_sheet_homography(camera: Camera) -> Float[ArrayLike, "3 3"]:
+    """Homography of the sheet Z = 0 to undistorted pixels: columns 1, 2 and 4 of K [R | t]."""
+    return projection_matrix(camera)[:, jnp.array([0, 1, 3])]
 
 
 def dual_conic_of_circle(

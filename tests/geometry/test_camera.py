@@ -3,6 +3,7 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
+from tests.geometry import conics
 from tests.geometry.strategies import (
     DISTORTED_LENS,
     LENS,
@@ -13,6 +14,7 @@ from tests.geometry.strategies import (
 )
 from trinoc.errors import InputError
 from trinoc.geometry import (
+    BrownConrady,
     Camera,
     Intrinsics,
     Pose,
@@ -20,15 +22,12 @@ from trinoc.geometry import (
     camera as camera_module,
     projection_matrix,
 )
-from trinoc.geometry.lenses import brown_conrady
 
 depth_mm = jax.jit(camera_module.depth_mm)
-pixel_from_sheet_homography = jax.jit(camera_module.pixel_from_sheet_homography)
+pixel_from_sheet_homography = jax.jit(conics.pixel_from_sheet_homography)
 project = jax.jit(camera_module.project)
 sheet_from_pixel = jax.jit(camera_module.sheet_from_pixel)
 viewing_direction = jax.jit(camera_module.viewing_direction)
-distort = jax.jit(brown_conrady.distort)
-undistort = jax.jit(brown_conrady.undistort)
 
 
 def homogeneous(point):
@@ -101,15 +100,15 @@ def test_a_camera_that_looks_away_from_the_sheet_has_no_distance():
 
 @given(vectors(2, 0.3))
 def test_undistort_inverts_distort(ideal):
-    coefficients = DISTORTED_LENS.distortion
-    np.testing.assert_allclose(
-        undistort(distort(ideal, coefficients), coefficients), ideal, atol=1e-12
-    )
+    lens = DISTORTED_LENS.lens
+    np.testing.assert_allclose(lens.undistort(lens.moved(ideal))[:2], ideal, atol=1e-12)
 
 
 def test_distortion_keeps_the_principal_point_and_is_the_identity_without_coefficients():
-    np.testing.assert_array_equal(distort(np.zeros(2), DISTORTED_LENS.distortion), np.zeros(2))
-    np.testing.assert_array_equal(distort(np.array([0.1, -0.2]), np.zeros(5)), [0.1, -0.2])
+    lens = DISTORTED_LENS.lens
+    np.testing.assert_array_equal(lens.moved(np.zeros(2)), np.zeros(2))
+    ideal = BrownConrady.from_parameters(np.append(lens.parameters[:4], np.zeros(5)))
+    np.testing.assert_array_equal(ideal.moved(np.array([0.1, -0.2])), [0.1, -0.2])
 
 
 def test_distortion_agrees_with_opencv():

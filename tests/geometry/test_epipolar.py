@@ -10,7 +10,6 @@ from trinoc.geometry import (
     line_through,
     signed_distance,
 )
-from trinoc.geometry.lines import normalised_line
 
 centre_of_matrix = jax.jit(epipolar.centre_of_matrix)
 epipolar_distance_px = jax.jit(epipolar.epipolar_distance_px)
@@ -95,7 +94,7 @@ def test_distance_from_a_line_and_its_side(first, second, point):
     assert abs(signed_distance(line, second)) < 1e-9
     foot = point - signed_distance(line, point) * np.asarray(line[:2])
     assert abs(signed_distance(line, foot)) < 1e-9
-    np.testing.assert_allclose(normalised_line(3 * np.asarray(line)), line, atol=1e-12)
+    np.testing.assert_allclose(trifocal.normalised_line(3 * np.asarray(line)), line, atol=1e-12)
 
 
 def test_the_right_of_a_line_is_right_on_the_picture():

@@ -6,8 +6,12 @@ Source: Hartley and Zisserman, chapter 15 and equation 17.12.
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from trinoc.geometry.lines import normalised_line
 from trinoc.numerics import ArrayLike
+
+
+def normalised_line(line: Float[ArrayLike, "3"]) -> Float[ArrayLike, "3"]:
+    """The same line, scaled to a unit normal."""
+    return line / jnp.hypot(line[0], line[1])
 
 
 def trifocal_tensor(

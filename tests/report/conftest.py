@@ -7,11 +7,14 @@ import jax
 import numpy as np
 import pytest
 
-from tests.geometry.conics import image_of_circle, shape_of_dual_conic
+from tests.geometry.conics import (
+    image_of_circle,
+    pixel_from_sheet_homography,
+    shape_of_dual_conic,
+)
+from tests.geometry.trifocal import normalised_line
 from trinoc.calib import CalibrationResult, CameraFit, Detection, Pattern, Status
 from trinoc.geometry import Camera, Intrinsics, Rig, Segments, image_of_circle_centre, project
-from trinoc.geometry.camera import pixel_from_sheet_homography
-from trinoc.geometry.lines import normalised_line
 from trinoc.match import Matches
 from trinoc.numerics import in_float64
 
@@ -70,7 +73,7 @@ def _detection(camera: Camera, pattern: Pattern, noise_px: np.ndarray) -> Detect
     conics = jax.vmap(image_of_circle, in_axes=(None, 0, 0))(
         camera, pattern.centres_mm, pattern.radius_mm
     )
-    to_lines = np.linalg.inv(np.asarray(pixel_from_sheet_homography(camera))).T
+    to_lines = np.linalg.inv(pixel_from_sheet_homography(camera)).T
     lines = [normalised_line(to_lines @ line) for line in np.eye(3)[[1, 0]]]
     count = len(pattern)
     return Detection(

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from trinoc.calib import Chessboard, Detection, RigFromShots, Status
-from trinoc.calib.advice.cross_validation import CrossValidation
 from trinoc.calib.advice.field_difference import FieldDifference
-from trinoc.calib.advice.halves import HalvesCheck
+from trinoc.calib.advice.halves import CrossValidation, HalvesCheck
 from trinoc.calib.problem.views import View
 from trinoc.geometry import Rig
 from trinoc.report import write_shots_report

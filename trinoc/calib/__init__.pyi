@@ -1,6 +1,5 @@
 from .advice.field_difference import FieldDifference as FieldDifference
 from .advice.next_shot import NextShot as NextShot
-from .advice.projection import projection_sigma as projection_sigma
 from .batch import calibrate_batch as calibrate_batch
 from .bundle.camera import (
     CameraState as CameraState,
@@ -57,5 +56,6 @@ from .targets import (
 from .uncertainty.propagation import (
     epipolar_sigma as epipolar_sigma,
     point_covariance as point_covariance,
+    projection_sigma as projection_sigma,
 )
 from .uncertainty.systematics import Systematics as Systematics

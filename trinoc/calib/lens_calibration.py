@@ -12,7 +12,6 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from trinoc.calib.advice.next_shot import next_image_of
-from trinoc.calib.advice.projection import field_places_px, field_sigma_px
 from trinoc.calib.detection import Detection
 from trinoc.calib.intrinsics_result import IntrinsicsResult
 from trinoc.calib.problem.coefficients import fewest_coefficients, hold_undetermined
@@ -37,6 +36,7 @@ from trinoc.calib.starts.camera_start import FEWEST_PLACES, start_camera
 from trinoc.calib.starts.pictures import find_boards
 from trinoc.calib.targets import Pattern
 from trinoc.calib.uncertainty import Systematics
+from trinoc.calib.uncertainty.propagation import field_places_px, field_sigma_px
 from trinoc.errors import CalibrationError, InputError
 from trinoc.geometry import (
     AFFINE_PARAMETERS,

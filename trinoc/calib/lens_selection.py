@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.advice.cross_validation import fit_halves, keep_shots
+from trinoc.calib.advice.halves import fit_halves, keep_shots
 from trinoc.calib.problem.problem import Problem, with_head_held, with_sheet_held
 from trinoc.calib.problem.rao_test import RaoTest
 from trinoc.calib.problem.robust_fit import errors_px, fit_places

@@ -6,8 +6,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.advice.cross_validation import CrossValidation, cross_validate
-from trinoc.calib.advice.halves import HalvesCheck, compare_halves
+from trinoc.calib.advice.halves import CrossValidation, HalvesCheck, compare_halves, cross_validate
 from trinoc.calib.advice.next_shot import NextShot, next_shot_of
 from trinoc.calib.problem.named_covariance import (
     IN_SET_NAMES,

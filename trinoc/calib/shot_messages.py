@@ -9,7 +9,7 @@ from trinoc.calib.problem.outcome import Outcome
 from trinoc.calib.problem.problem import Problem, cam_from_board, lens_number
 from trinoc.calib.problem.robust_fit import RobustFit, errors_px
 from trinoc.calib.result import Status
-from trinoc.calib.starts.apart import PARALLEL_DEG, boards_are_parallel
+from trinoc.calib.starts.placing import PARALLEL_DEG, boards_are_parallel
 from trinoc.calib.targets import board_names, boards_of
 from trinoc.geometry import Pose
 

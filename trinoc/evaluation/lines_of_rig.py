@@ -49,12 +49,9 @@ def lines_of_rig(matches: Matches, rig: Rig) -> UncertainLines:
     ]
     common, by_steps, by_step = _of_fragments(lines, states)
     names = [f"{view}.{parameter}" for view in matches.views for parameter in states[0].names]
-    rows = [rig.parameters.index(name) if name in rig.parameters else -1 for name in names]
-    # A lens of which the covariance says nothing is exact.
-    given = np.array(rows) >= 0
-    covariance = np.asarray(rig.covariance)[np.ix_(rows, rows)] * np.outer(given, given)
     by_parameters = _carried(by_steps, common, ends) @ np.linalg.inv(by_step)
-    return UncertainLines(ends, own, by_parameters, covariance)
+    # A lens of which the covariance says nothing is exact.
+    return UncertainLines(ends, own, by_parameters, rig.covariance_of(names))
 
 
 def joined_lines_of_rig(matches: Matches, rig: Rig, *, corners: bool = False) -> UncertainLines:

@@ -16,12 +16,7 @@ from .image_of_circle import (
     circle_centre_offset as circle_centre_offset,
     image_of_circle_centre as image_of_circle_centre,
 )
-from .image_of_line import (
-    LineDistances as LineDistances,
-    distances_from_line as distances_from_line,
-)
 from .intrinsics import Intrinsics as Intrinsics
-from .junctions import BODY as BODY, Junctions as Junctions
 from .lenses.abstract_lens import (
     AFFINE_PARAMETERS as AFFINE_PARAMETERS,
     AbstractLens as AbstractLens,
@@ -47,18 +42,21 @@ from .lenses.splined import (
     SplinedKannalaBrandt as SplinedKannalaBrandt,
     SplinedRational as SplinedRational,
 )
-from .line_observations import LineObservations as LineObservations
 from .lines import (
     line_of_planes as line_of_planes,
     line_through as line_through,
     plane_of_line as plane_of_line,
     signed_distance as signed_distance,
 )
-from .one_place import at_one_place as at_one_place
-from .pose import Pose as Pose
-from .pose_model import PoseModel as PoseModel, pose_model_over_sheet as pose_model_over_sheet
+from .pose import (
+    Pose as Pose,
+    PoseModel as PoseModel,
+    pose_model_over_sheet as pose_model_over_sheet,
+)
 from .projection import (
+    LineDistances as LineDistances,
     Projection as Projection,
+    distances_from_line as distances_from_line,
     homogeneous_pixel as homogeneous_pixel,
     image_of_point as image_of_point,
     pixel_change as pixel_change,
@@ -68,10 +66,17 @@ from .projection import (
     project_with_jacobian as project_with_jacobian,
     unproject_pixels as unproject_pixels,
 )
-from .rig import PARAMETER_NAMES as PARAMETER_NAMES, Rig as Rig
+from .rig import (
+    PARAMETER_NAMES as PARAMETER_NAMES,
+    Rig as Rig,
+    at_one_place as at_one_place,
+)
 from .rotation import rotation_from_vector as rotation_from_vector
 from .segments import (
+    BODY as BODY,
     DEFAULT_SIGMA_PX as DEFAULT_SIGMA_PX,
+    Junctions as Junctions,
+    LineObservations as LineObservations,
     Segments as Segments,
     covariance_of_ends as covariance_of_ends,
 )

@@ -7,10 +7,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
+from scipy.linalg import rq
 
 from trinoc.errors import InputError
 from trinoc.geometry.intrinsics import Intrinsics
-from trinoc.geometry.lenses import AbstractLens
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.projection import project_point
 from trinoc.numerics import (
@@ -91,13 +91,11 @@ class Camera(eqx.Module):
         return self.intrinsics.image_size_px
 
     @property
-    @in_float64
     def matrix_px(self) -> Float[NumpyOrTraced, "3 4"]:
         """(3, 4) projection matrix K [R | t]; lens distortion, if any, comes after it."""
-        return _projection(self.intrinsics.lens, self.cam_from_world)
+        return _projection(self)
 
     @property
-    @in_float64
     def centre_world_mm(self) -> Float[NumpyOrTraced, "3"]:
         """(3,) centre of projection in the world frame."""
         return _centre_world_mm(self.pose)
@@ -105,38 +103,32 @@ class Camera(eqx.Module):
     @property
     def pan_deg(self) -> FloatOrTraced:
         """Azimuth from -Y toward +X."""
-        return as_float(self._parameters_deg[0])
+        return as_float(_parameters_deg(self.pose)[0])
 
     @property
     def tilt_deg(self) -> FloatOrTraced:
         """Elevation above Z = 0."""
-        return as_float(self._parameters_deg[1])
+        return as_float(_parameters_deg(self.pose)[1])
 
     @property
     def swing_deg(self) -> FloatOrTraced:
         """Turn of the picture's x toward its y."""
-        return as_float(self._parameters_deg[2])
+        return as_float(_parameters_deg(self.pose)[2])
 
     @property
     def distance_mm(self) -> FloatOrTraced:
         """From the aim to the centre; NaN where the axis does not meet Z = 0 in front."""
-        return as_float(self._parameters_deg[3])
+        return as_float(_parameters_deg(self.pose)[3])
 
     @property
     def aim_mm(self) -> tuple[FloatOrTraced, FloatOrTraced]:
         """The point (X, Y) of Z = 0 on the optical axis; NaN where there is none."""
-        x, y = self._parameters_deg[4:6]
+        x, y = _parameters_deg(self.pose)[4:6]
         return as_float(x), as_float(y)
 
-    @in_float64
     def project(self, point_world_mm: Float[ArrayLike, "3"]) -> Float[NumpyOrTraced, "2"]:
         """The pixel that images a point, lens distortion included (see `project`)."""
         return _project(self, point_world_mm)
-
-    @property
-    @in_float64
-    def _parameters_deg(self) -> Float[ArrayLike, "6"]:
-        return _parameters_deg(self.pose)
 
 
 def projection_matrix(camera: Camera) -> Float[ArrayLike, "3 4"]:
@@ -168,30 +160,21 @@ def sheet_from_pixel(camera: Camera, uv_px: Float[ArrayLike, "2"]) -> Float[Arra
     return (centre - centre[2] / direction[2] * direction)[:2]
 
 
-def pixel_from_sheet_homography(camera: Camera) -> Float[ArrayLike, "3 3"]:
-    """Homography of the sheet Z = 0 to undistorted pixels: columns 1, 2 and 4 of K [R | t]."""
-    return projection_matrix(camera)[:, jnp.array([0, 1, 3])]
-
-
 # Operation by operation they take a millisecond, which a batch of frames feels.
-_project = jax.jit(project)
-_parameters_deg = jax.jit(
-    lambda pose: jnp.concatenate([jnp.degrees(pose.parameters[:3]), pose.parameters[3:]])
-)
-_centre_world_mm = jax.jit(lambda pose: pose.centre_world_mm)
+_project = in_float64(jax.jit(project))
+_projection = in_float64(jax.jit(projection_matrix))
+_centre_world_mm = in_float64(jax.jit(lambda pose: pose.centre_world_mm))
 
 
+@in_float64
 @jax.jit
-def _projection(
-    lens: AbstractLens, cam_from_world: Float[ArrayLike, "3 4"]
-) -> Float[ArrayLike, "3 4"]:
-    return lens.matrix @ cam_from_world
+def _parameters_deg(pose: Pose) -> Float[ArrayLike, "6"]:
+    parameters = pose.parameters
+    return jnp.concatenate([jnp.degrees(parameters[:3]), parameters[3:]])
 
 
 def _rq_decomposition(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(upper triangular with positive diagonal, orthogonal) factors of a 3x3 matrix."""
-    reverse = np.eye(3)[::-1]
-    orthogonal, triangular = np.linalg.qr((reverse @ matrix).T)
-    upper, rotation = reverse @ triangular.T @ reverse, reverse @ orthogonal.T
+    upper, rotation = rq(matrix)
     signs = np.diag(np.sign(np.diag(upper)))
     return upper @ signs, signs @ rotation

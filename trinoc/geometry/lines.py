@@ -21,24 +21,11 @@ def line_through(
     return jnp.append(normal, -(normal @ first))
 
 
-def normalised_line(line: Float[ArrayLike, "3"]) -> Float[ArrayLike, "3"]:
-    """The same line, scaled to a unit normal."""
-    return line / jnp.hypot(line[0], line[1])
-
-
 def signed_distance(
     line: Float[ArrayLike, "3"], point: Float[ArrayLike, "2"]
 ) -> Float[ArrayLike, ""]:
     """Distance of a point from a line with unit normal, signed by the side."""
     return line[:2] @ point + line[2]
-
-
-def intersection(
-    first: Float[ArrayLike, "3"], second: Float[ArrayLike, "3"]
-) -> Float[ArrayLike, "2"]:
-    """The point on both lines; infinite or NaN where they are parallel."""
-    point = jnp.cross(first, second)
-    return point[:2] / point[2]
 
 
 def plane_of_line(

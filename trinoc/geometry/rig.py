@@ -1,5 +1,6 @@
 """Several cameras in one world frame, with what is known of their errors."""
 
+import itertools
 from collections.abc import Iterator, Mapping, Sequence
 
 import equinox as eqx
@@ -10,6 +11,8 @@ from trinoc.errors import InputError
 from trinoc.geometry.camera import Camera
 from trinoc.numerics import ArrayLike, Displayable
 
+# Centres nearer to each other than this share of their distance from the sheet are one place.
+_ONE_PLACE = 1e-6
 PARAMETER_NAMES = ("pan_deg", "tilt_deg", "swing_deg", "distance_mm", "aim_x_mm", "aim_y_mm")
 
 
@@ -96,9 +99,26 @@ class Rig(Displayable, eqx.Module):
             return self[name].aim_mm[0 if own == "aim_x_mm" else 1]
         return getattr(self[name], own)
 
+    def covariance_of(self, parameters: Sequence[str]) -> Float[np.ndarray, "k k"]:
+        """(k, k) of some parameters by name; zero for what `covariance` does not hold."""
+        rows = [self.parameters.index(p) if p in self.parameters else -1 for p in parameters]
+        known = np.array(rows) >= 0
+        chosen = np.asarray(self.covariance)[np.ix_(rows, rows)]
+        return np.where(np.outer(known, known), chosen, 0.0)
+
     def sigma(self, parameter: str) -> float:
         """Standard deviation of a parameter such as "upper.pan_deg"; NaN if not known."""
         if parameter not in self.parameters:
             return float("nan")
         index = self.parameters.index(parameter)
         return float(np.sqrt(self.covariance[index, index]))
+
+
+def at_one_place(cameras: Mapping[str, Camera]) -> tuple[str, str] | None:
+    """The names of two cameras that stand at one place; None where there are none."""
+    centres = {name: np.asarray(camera.centre_world_mm) for name, camera in cameras.items()}
+    for first, second in itertools.combinations(cameras, 2):
+        a, b = centres[first], centres[second]
+        if np.linalg.norm(a - b) <= _ONE_PLACE * max(np.linalg.norm(a), np.linalg.norm(b)):
+            return first, second
+    return None

@@ -1,16 +1,47 @@
-"""Line segments of one picture, the observations that matching and refinement share."""
+"""Line segments of one picture, where they meet, and their fragments in several pictures: the
+observations that matching and refinement share."""
+
+from dataclasses import replace
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Float, Int, Shaped
+from jaxtyping import Bool, Float, Int, Shaped
 
 from trinoc.errors import InputError
-from trinoc.geometry.junctions import Junctions
-from trinoc.numerics import ArrayLike, Displayable
+from trinoc.numerics import ArrayLike, Displayable, take_rows
 
+# The body of a segment, not one of its ends, lies on a junction.
+BODY = -1
 DEFAULT_SIGMA_PX = 0.5
 # Detectors cut ends short or run past them: along the segment an end is known far less.
 DEFAULT_SIGMA_ALONG_PX = 2.0
+
+
+class Junctions(eqx.Module):
+    """Where segments of one picture meet, and which of them do.
+
+    The last three fields are one table with a row for each segment at each junction.
+
+    Fields
+    ------
+    uv_px : (j, 2) the point nearest to all lines that meet, weighted by their sigmas.
+    covariance_px2 : (j, 2, 2) of that point.
+    kind : (j,) "L" (two ends), "Y" (three), "T" (an end on a body, or three ends of which two
+        are collinear), "X" (four ends or more).
+    junction : (m,) junction of each row.
+    segment : (m,) segment of each row.
+    end : (m,) 0 or 1, the end of the segment that meets, or -1 for its body.
+    """
+
+    uv_px: Float[ArrayLike, "j 2"]
+    covariance_px2: Float[ArrayLike, "j 2 2"]
+    kind: Shaped[ArrayLike, "j"]
+    junction: Int[ArrayLike, "m"]
+    segment: Int[ArrayLike, "m"]
+    end: Int[ArrayLike, "m"]
+
+    def __len__(self) -> int:
+        return len(self.uv_px)
 
 
 class Segments(Displayable, eqx.Module):
@@ -95,22 +126,7 @@ class Segments(Displayable, eqx.Module):
 
     def take(self, rows: Int[np.ndarray, "m"]) -> "Segments":
         """Some of them, without their junctions, which number all."""
-
-        def some(column: ArrayLike | None) -> np.ndarray | None:
-            return None if column is None else np.asarray(column)[rows]
-
-        return Segments(
-            np.asarray(self.endpoints_px)[rows],
-            np.asarray(self.covariance_px2)[rows],
-            np.asarray(self.polarity)[rows],
-            np.asarray(self.contrast)[rows],
-            np.asarray(self.support)[rows],
-            self.image_size_px,
-            some(self.reasons),
-            some(self.chain),
-            None,
-            some(self.side_levels),
-        )
+        return take_rows(replace(self, junctions=None), rows)
 
     def followed_by(self, more: "Segments") -> "Segments":
         """These, and after them others, which meet none and belong to no chain of them.
@@ -118,11 +134,12 @@ class Segments(Displayable, eqx.Module):
         What these do not know is not known of the others either.
         """
 
-        def joined(name: str, unknown: str | float) -> np.ndarray | None:
+        def joined(name: str) -> np.ndarray | None:
             own, other = getattr(self, name), getattr(more, name)
             if own is None:
                 return None
             if other is None:
+                unknown = "" if name == "reasons" else np.nan
                 other = np.full((len(more), *np.shape(own)[1:]), unknown)
             return np.concatenate([np.asarray(own), np.asarray(other)])
 
@@ -130,18 +147,9 @@ class Segments(Displayable, eqx.Module):
         if self.chain is not None:
             first = int(np.max(self.chain, initial=-1)) + 1
             chain = np.concatenate([self.chain, np.arange(first, first + len(more))])
-        return Segments(
-            np.concatenate([self.endpoints_px, more.endpoints_px]),
-            np.concatenate([self.covariance_px2, more.covariance_px2]),
-            np.concatenate([self.polarity, more.polarity]),
-            np.concatenate([self.contrast, more.contrast]),
-            np.concatenate([self.support, more.support]),
-            self.image_size_px,
-            joined("reasons", ""),
-            chain,
-            self.junctions,
-            joined("side_levels", np.nan),
-        )
+        columns = ("endpoints_px", "covariance_px2", "polarity", "contrast", "support")
+        columns += ("reasons", "side_levels")
+        return replace(self, chain=chain, **{name: joined(name) for name in columns})
 
     @property
     def length_px(self) -> Float[ArrayLike, "n"]:
@@ -164,3 +172,35 @@ def covariance_of_ends(
     covariance = np.zeros((len(direction), 4, 4))
     covariance[:, :2, :2] = covariance[:, 2:, 2:] = block
     return covariance
+
+
+class LineObservations(eqx.Module):
+    """Tracks of fragments, and a first estimate of the line that each shows.
+
+    Fields
+    ------
+    views : names of the views, the order of axis v.
+    fragments_px : (t, v, 2, 2) corresponding ends, in pixels of the picture; anything where
+        not seen.
+    covariance_px2 : (t, v, 4, 4) of the fragments' ends.
+    seen : (t, v) whether a view shows the line.
+    lines_mm : (t, 2, 3) two points of each line, from where the refinement starts; the 3-D
+        segment is reported between them.
+    """
+
+    views: tuple[str, ...] = eqx.field(static=True)
+    fragments_px: Float[np.ndarray, "t v 2 2"]
+    covariance_px2: Float[np.ndarray, "t v 4 4"]
+    seen: Bool[np.ndarray, "t v"]
+    lines_mm: Float[np.ndarray, "t 2 3"]
+
+    def __check_init__(self) -> None:
+        fewest = self.seen.sum(axis=1).min(initial=2)
+        if fewest < 2:
+            raise InputError(
+                f"Track {int(np.argmin(self.seen.sum(axis=1)))} is seen in {fewest} view(s), but a "
+                "line in space needs at least two: leave such tracks out."
+            )
+
+    def __len__(self) -> int:
+        return len(self.lines_mm)

@@ -15,6 +15,7 @@ from tests.calib.bundle.made_tracks import (
 from trinoc.calib import RefineStatus, refine
 from trinoc.errors import CalibrationError, InputError
 from trinoc.geometry import LineObservations, PoseModel, Rig, angle_deg, distance_mm, length_mm
+from trinoc.numerics import take_rows
 
 CHI_SQUARE_6_AT_95 = 12.592
 
@@ -146,9 +147,11 @@ def test_matching_again_goes_on_while_it_gains_and_stops_when_it_does_not():
 
     def match_again(rig: Rig) -> LineObservations:
         calls.append(rig)
-        return lines if len(calls) < 2 else lines.select(np.arange(60) < 40)
+        return lines if len(calls) < 2 else take_rows(lines, np.arange(60) < 40)
 
-    answer = refine(sheet_estimate(18), lines.select(np.arange(60) < 50), match_again=match_again)
+    answer = refine(
+        sheet_estimate(18), take_rows(lines, np.arange(60) < 50), match_again=match_again
+    )
     assert len(calls) == 2
     assert len(answer.lines) == 60
 
@@ -173,7 +176,7 @@ def test_what_does_not_belong_together_is_refused():
     with pytest.raises(InputError, match="views a, b, c, but the rig has the cameras upper"):
         refine(sheet_estimate(0), other)
     with pytest.raises(CalibrationError, match="no track"):
-        refine(sheet_estimate(0), lines.select(np.zeros(3, dtype=bool)))
+        refine(sheet_estimate(0), take_rows(lines, np.zeros(3, dtype=bool)))
     lost = lines.seen.copy()
     lost[1] = [True, False, False]
     with pytest.raises(InputError, match="Track 1 is seen in 1 view"):

@@ -6,6 +6,7 @@ import pytest
 from tests.calib.bundle.made_tracks import NAMES, SHEET_SIGMA, TRUTH, made_tracks, rig_at
 from trinoc.calib import RefineStatus, refine
 from trinoc.geometry import LineObservations
+from trinoc.numerics import take_rows
 
 
 def knocked(degrees):
@@ -25,7 +26,7 @@ def with_two_views_only(lines, rows):
 
 def test_more_tracks_in_two_views_do_not_win():
     lines, _, _ = made_tracks(71, 120, hidden=0.0)
-    few = lines.select(np.arange(120) < 100)
+    few = take_rows(lines, np.arange(120) < 100)
     many = with_two_views_only(lines, np.arange(120) >= 90)
     answer = refine(knocked(0.0), few, match_again=lambda rig: many)
     assert len(answer.tracks) == 100
@@ -37,8 +38,8 @@ def test_rounds_never_lower_the_posterior():
     rounds = iter([80, 100, 90])
     answer = refine(
         knocked(0.0),
-        lines.select(np.arange(120) < 70),
-        match_again=lambda rig: lines.select(np.arange(120) < next(rounds)),
+        take_rows(lines, np.arange(120) < 70),
+        match_again=lambda rig: take_rows(lines, np.arange(120) < next(rounds)),
     )
     assert len(answer.tracks) == 100
     assert np.all(np.diff(answer.history) > 0)

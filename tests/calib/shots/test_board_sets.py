@@ -33,7 +33,7 @@ from trinoc.calib.problem.problem import Freedom, Problem
 from trinoc.calib.problem.robust_fit import fit_places
 from trinoc.calib.problem.starting_problem import problem_of
 from trinoc.calib.problem.views import View
-from trinoc.calib.starts.hand_eye import solve_hand_eye
+from trinoc.calib.starts.connected import solve_hand_eye
 from trinoc.errors import CalibrationError, InputError
 from trinoc.geometry import Intrinsics, Pose, rotation_from_vector
 

@@ -5,7 +5,7 @@ import pytest
 
 from tests.calib.shots.made_shots import BOARD, LENSES, SIGMA_PX, shots
 from trinoc.calib import Systematics, calibrate_rig
-from trinoc.calib.advice.cross_validation import CrossValidation
+from trinoc.calib.advice.halves import CrossValidation
 
 EXACT = Systematics()
 

@@ -15,7 +15,7 @@ from tests.calib.shots.simulated_lens import (
     pose,
 )
 from trinoc.calib import Detection, IntrinsicsResult, Status, Systematics, calibrate_intrinsics
-from trinoc.calib.advice.candidate_shots import candidate_shots
+from trinoc.calib.advice.foreseen_shots import candidate_shots
 from trinoc.calib.problem.problem import Freedom
 from trinoc.calib.problem.starting_problem import problem_of
 from trinoc.calib.problem.views import View

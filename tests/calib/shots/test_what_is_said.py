@@ -7,9 +7,8 @@ import pytest
 
 from tests.calib.shots.made_shots import BOARD, LENSES, SIZE_PX, cam_from_rig, lens_of, shots
 from trinoc.calib import Chessboard, Detection, Systematics, calibrate_rig
-from trinoc.calib.starts.apart import boards_are_parallel
 from trinoc.calib.starts.camera_start import start_poses
-from trinoc.calib.starts.placing import find_exchanged_pair
+from trinoc.calib.starts.placing import boards_are_parallel, find_exchanged_pair
 from trinoc.calib.starts.sightings import label_sighting
 from trinoc.errors import CalibrationError, InputError
 from trinoc.geometry import Intrinsics, Pose

@@ -6,8 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.advice.candidate_shots import candidate_shots
-from trinoc.calib.advice.foreseen_shots import ForeseenShot, foresee_shots
+from trinoc.calib.advice.foreseen_shots import ForeseenShot, candidate_shots, foresee_shots
 from trinoc.calib.advice.halves import head_names
 from trinoc.calib.problem.problem import Problem
 from trinoc.geometry import SPLINE_PARAMETERS, Pose

@@ -42,10 +42,6 @@ class CameraState(eqx.Module):
         """K [R | t] of undistorted pixels."""
         return self.lens.matrix @ self.pose.cam_from_world
 
-    def undistorted(self, uv_px: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
-        """The pixel at which a lens without distortion would image the same ray."""
-        return self.lens.undistort_pixel(uv_px)
-
     def retract(self, delta: Float[ArrayLike, "p"]) -> "CameraState":
         """This camera after a small step; zero leaves it as it is.
 

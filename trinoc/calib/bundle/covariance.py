@@ -97,7 +97,7 @@ def segment_and_errors(
     fragments_px = jnp.where(seen[:, None, None], fragments_px, 0.0)
     identity = jnp.eye(4, dtype=covariance_px2.dtype)
     covariance_px2 = jnp.where(seen[:, None, None], covariance_px2, identity[None])
-    undistort = jax.vmap(lambda camera, ends: jax.vmap(camera.undistorted)(ends))
+    undistort = jax.vmap(lambda camera, ends: jax.vmap(camera.lens.undistort_pixel)(ends))
     matrices = jax.vmap(lambda camera: camera.matrix_px)(cameras)
     segment = triangulate_segment(matrices, undistort(cameras, fragments_px), covariance_px2, seen)
 
@@ -107,7 +107,7 @@ def segment_and_errors(
         def residual(ends: ArrayLike, step: ArrayLike) -> ArrayLike:
             stepped = camera.retract(step)
             image = jax.vmap(project_by_matrix, in_axes=(None, 0))(stepped.matrix_px, ends)
-            observed = jax.vmap(stepped.undistorted)(fragment_px)
+            observed = jax.vmap(stepped.lens.undistort_pixel)(fragment_px)
             return (image - observed).reshape(4)
 
         at_rest = jnp.zeros(len(camera.names))

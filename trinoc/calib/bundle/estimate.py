@@ -52,7 +52,9 @@ from trinoc.numerics import (
     ArrayLike,
     GemanMcClure,
     as_numpy,
+    bucket,
     kept_jit,
+    padded,
 )
 
 # What a fragment can cost, in sigmas squared.
@@ -157,25 +159,13 @@ def _padded(lines: LineObservations) -> tuple[FragmentTable, Float[np.ndarray, "
     # What is not seen may hold anything: give it numbers that derivatives survive.
     fragments = np.where(seen, lines.fragments_px, np.array([[0.0, 0.0], [1.0, 0.0]]))
     covariance = np.where(seen, lines.covariance_px2, np.eye(4))
-    padding = _bucket(len(lines)) - len(lines)
-
-    def padded(array: np.ndarray) -> np.ndarray:
-        return np.concatenate([array, np.repeat(array[:1], padding, axis=0)])
-
-    nowhere = np.zeros((padding, lines.seen.shape[1]), dtype=bool)
+    size, lines_mm = bucket(len(lines), finer_above=4096), np.asarray(lines.lines_mm, float)
     tracks = FragmentTable(
-        padded(fragments), padded(covariance), np.concatenate([lines.seen, nowhere])
+        padded(fragments, size, fragments[0]),
+        padded(covariance, size, covariance[0]),
+        padded(lines.seen, size),
     )
-    return tracks, padded(np.asarray(lines.lines_mm, float))
-
-
-def _bucket(count: int) -> int:
-    """The next size from 64 up, to which tracks are padded: others in its range compile nothing.
-
-    Powers of two; from 4096 up quarters of them, where padding would cost more than compiling.
-    """
-    power = max(64, 1 << (count - 1).bit_length())
-    return power if power <= 4096 else -(-count // (power // 8)) * (power // 8)
+    return tracks, padded(lines_mm, size, lines_mm[0])
 
 
 def _cameras(rig: Rig, choice: FreeParameters) -> CameraState:
@@ -207,8 +197,7 @@ def prior_information(
     stated = np.isin(names, rig.parameters)
     known = np.flatnonzero(trusted & stated)
     if len(known):
-        rows = [rig.parameters.index(names[i]) for i in known]
-        covariance = np.asarray(rig.covariance)[np.ix_(rows, rows)]
+        covariance = rig.covariance_of([names[i] for i in known])
         if not np.isfinite(covariance).all():
             raise InputError(
                 "The covariance of the rig is not finite: calibrate so that all parameters are "

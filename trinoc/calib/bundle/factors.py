@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import jax.scipy.linalg
 from jaxtyping import Bool, Float
 
 from trinoc.calib.bundle.camera import CameraState
@@ -61,7 +62,7 @@ def line_residual(
     """
     image = jax.vmap(project_by_matrix, (None, 0))(camera.matrix_px, anchors_mm)
     line = line_through(image[0], image[1])
-    ends = jax.vmap(camera.undistorted)(fragment_px)
+    ends = jax.vmap(camera.lens.undistort_pixel)(fragment_px)
     distances = jnp.stack([signed_distance(line, ends[0]), signed_distance(line, ends[1])])
     return whitening_across(fragment_px, covariance_px2) @ distances
 
@@ -97,7 +98,7 @@ def line_from_two_views(
     """
 
     def plane(camera: CameraState, fragment_px: ArrayLike) -> ArrayLike:
-        ends = jax.vmap(camera.undistorted)(fragment_px)
+        ends = jax.vmap(camera.lens.undistort_pixel)(fragment_px)
         plane = plane_of_line(camera.matrix_px, line_through(ends[0], ends[1]))
         return plane / jnp.sqrt(plane[:3] @ plane[:3])
 
@@ -147,7 +148,4 @@ class PosePrior(NamedTuple):
 def d_parameters_d_delta(cameras: CameraState, start: CameraState) -> Float[ArrayLike, "k k"]:
     """Block-diagonal Jacobian of all public parameters by all cameras' steps."""
     blocks = jax.vmap(lambda camera, origin: camera.d_parameters_d_delta(origin))(cameras, start)
-    views, size, _ = blocks.shape
-    view = jnp.arange(views)
-    full = jnp.zeros((views, size, views, size)).at[view, :, view, :].set(blocks)
-    return full.reshape(views * size, views * size)
+    return jax.scipy.linalg.block_diag(*blocks)

@@ -10,6 +10,8 @@ import dataclasses
 from collections.abc import Callable, Collection, Sequence
 from typing import NamedTuple, Protocol, runtime_checkable
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -19,7 +21,6 @@ from trinoc.calib.result import CalibrationResult
 from trinoc.errors import CalibrationError, InputError
 from trinoc.geometry import (
     AFFINE_PARAMETERS,
-    Camera,
     LineObservations,
     Pose,
     PoseModel,
@@ -134,8 +135,7 @@ class _Refinement(NamedTuple):
 
     def match_and_refine(self, rig: Rig, match: Matcher) -> RefineResult | None:
         """The refinement from what is found with a rig; None where that leads nowhere."""
-        matches = match(rig)
-        lines = matches if isinstance(matches, LineObservations) else matches.line_observations()
+        lines = _lines_of(match(rig))
         if len(lines) == 0:
             return None
         result = self.refine_matches(rig, lines)
@@ -182,8 +182,12 @@ def _usual_pose_model(rig: Rig) -> PoseModel:
     return PoseModel.RIGID
 
 
+def _lines_of(matches: Matched | LineObservations) -> LineObservations:
+    return matches if isinstance(matches, LineObservations) else matches.line_observations()
+
+
 def _observations_of_rig(matches: Matched | LineObservations, rig: Rig) -> LineObservations:
-    lines = matches if isinstance(matches, LineObservations) else matches.line_observations()
+    lines = _lines_of(matches)
     if set(lines.views) != set(rig.names):
         raise InputError(
             f"The matches are of the views {', '.join(lines.views)}, but the rig has the cameras "
@@ -212,14 +216,16 @@ def start_rigs(rig: Rig, moved: Collection[str], pose_model: PoseModel) -> list[
     name = next(camera for camera in reversed(rig.names) if camera in moved or not moved)
     if not moved and (_angle_sigmas_deg(rig, name) < KNOWN_DEG).all():
         return []
-    axes = np.concatenate([np.eye(3)[:2], -np.eye(3)[:2]])
-    if pose_model is PoseModel.AIMED:
-        poses = [_orbit_origin(rig[name], np.radians(ROUND_DEG) * axis) for axis in axes]
-    else:
-        turns = [np.append(np.radians(TURN_DEG) * axis, np.zeros(3)) for axis in axes]
-        pose = rig[name].pose
-        poses = [as_numpy(pose.retract(turn, PoseModel.RIGID, 1.0)) for turn in turns]
-    return [_replace_pose(rig, name, pose) for pose in poses]
+    pose, poses = rig[name].pose, []
+    for axis in (*np.eye(3)[:2], *-np.eye(3)[:2]):
+        if pose_model is PoseModel.AIMED:
+            rotation = rotation_from_vector(np.radians(ROUND_DEG) * axis) @ pose.rotation
+            distance = jnp.linalg.norm(pose.centre_world_mm)
+            poses.append(Pose.from_aim(rotation, distance, np.zeros(2)))
+        else:
+            turn = np.append(np.radians(TURN_DEG) * axis, np.zeros(3))
+            poses.append(pose.retract(turn, PoseModel.RIGID, 1.0))
+    return [eqx.tree_at(lambda each: each[name].pose, rig, as_numpy(turned)) for turned in poses]
 
 
 def _angle_sigmas_deg(rig: Rig, name: str) -> Float[np.ndarray, "3"]:
@@ -230,12 +236,10 @@ def _angle_sigmas_deg(rig: Rig, name: str) -> Float[np.ndarray, "3"]:
     angles = [f"{name}.{angle}_deg" for angle in ("pan", "tilt", "swing")]
     if not set(angles) <= set(rig.parameters):
         return np.full(3, np.nan)
-    of_lens = [f"{name}.{key}" for key in AFFINE_PARAMETERS if f"{name}.{key}" in rig.parameters]
-    rows, given = ([rig.parameters.index(key) for key in keys] for keys in (angles, of_lens))
-    covariance = np.asarray(rig.covariance)
-    across, lens = covariance[np.ix_(rows, given)], covariance[np.ix_(given, given)]
+    covariance = rig.covariance_of([*angles, *(f"{name}.{key}" for key in AFFINE_PARAMETERS)])
+    across, lens = covariance[:3, 3:], covariance[3:, 3:]
     explained = across @ np.linalg.pinv(lens, hermitian=True) @ across.T
-    return np.sqrt(np.maximum(np.diag(covariance[np.ix_(rows, rows)] - explained), 0.0))
+    return np.sqrt(np.maximum(np.diag(covariance[:3, :3] - explained), 0.0))
 
 
 def is_unambiguous(
@@ -258,17 +262,3 @@ def _separation_sigmas(best: RefineResult, other: RefineResult, choice: FreePara
     squared = squared_with_rig(other.rig, best.tracks, choice)[agree]
     redundancy = 2 * best.tracks.seen[agree].sum(axis=1) - 4
     return float(np.median(np.sqrt(squared.sum(axis=1) / redundancy)))
-
-
-def _orbit_origin(camera: Camera, turn_rad: np.ndarray) -> Pose:
-    rotation = np.asarray(rotation_from_vector(turn_rad)) @ np.asarray(camera.pose.rotation)
-    translation = np.array([0.0, 0.0, np.linalg.norm(camera.centre_world_mm)])
-    return Pose(np.column_stack([rotation, translation]))
-
-
-def _replace_pose(rig: Rig, name: str, pose: Pose) -> Rig:
-    cameras = {
-        each: Camera(camera.intrinsics, pose) if each == name else camera
-        for each, camera in rig.items()
-    }
-    return Rig(cameras, parameters=rig.parameters, covariance=rig.covariance)

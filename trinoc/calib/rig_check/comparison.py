@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
 from trinoc.calib.result import CalibrationResult
 from trinoc.geometry import PARAMETER_NAMES, Camera, Rig
@@ -94,11 +94,8 @@ def _change(now: Rig, before: Rig, name: str) -> CameraChange:
 def _apart(first: Camera, second: Camera) -> tuple[float, float]:
     """Distance of two centres in mm, and angle between two rotations in degrees."""
     distance = float(np.linalg.norm(first.centre_world_mm - second.centre_world_mm))
-    turn = np.asarray(first.cam_from_world)[:, :3] @ np.asarray(second.cam_from_world)[:, :3].T
-    # From the antisymmetric part: the trace loses half the digits of a small angle.
-    axis = [turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]
-    angle = np.arctan2(0.5 * np.linalg.norm(axis), 0.5 * (np.trace(turn) - 1))
-    return distance, float(np.degrees(angle))
+    turn = np.asarray(first.pose.rotation) @ np.asarray(second.pose.rotation).T
+    return distance, float(np.degrees(Rotation.from_matrix(turn).magnitude()))
 
 
 def _sigmas_of_change(now: Rig, before: Rig, name: str) -> float:
@@ -107,7 +104,7 @@ def _sigmas_of_change(now: Rig, before: Rig, name: str) -> float:
     keys = [key for key in keys if key in now.parameters and key in before.parameters]
     if not keys:
         return float("nan")
-    total = sum(_covariance_of(rig, keys) for rig in (now, before))
+    total = now.covariance_of(keys) + before.covariance_of(keys)
     change = np.array([now.value(key) - before.value(key) for key in keys])
     change[:3] = (change[:3] + 180.0) % 360.0 - 180.0
     scale = np.sqrt(np.diag(total))
@@ -122,11 +119,6 @@ def sigmas_of_chi_square(chi_square: float, freedom: int) -> float:
     tail = float(chi_square_tail(chi_square, freedom))
     # Beyond the smallest numbers the degrees of freedom hardly matter.
     return float(normal_limit(tail / 2) if tail > _LEAST_TAIL else np.sqrt(chi_square))
-
-
-def _covariance_of(rig: Rig, keys: list[str]) -> Float[np.ndarray, "k k"]:
-    rows = [rig.parameters.index(key) for key in keys]
-    return np.asarray(rig.covariance)[np.ix_(rows, rows)]
 
 
 def _swapped(now: Rig, before: Rig, names: list[str]) -> tuple[tuple[str, str], ...]:

@@ -124,7 +124,8 @@ def check_rig(
     motions, freed = _motions(rig, matches, best)
     strongest = max(motions, key=lambda motion: motion.sigmas)
     corrected, name = freed[strongest.name], strongest.name
-    conclusive = _count_agreeing(corrected) >= FEWEST_LINES and (
+    agree_in_three = corrected.inlier.sum(axis=1) > 2
+    conclusive = bool(agree_in_three.sum() >= FEWEST_LINES) and (
         best is not None or corrected.segment_sigma_factor < MOST_NOISE
     )
     if strongest.sigmas < SUSPECT_SIGMAS:
@@ -140,11 +141,6 @@ def check_rig(
     if not conclusive:
         return RigCheck(motions, (), None, conclusive)
     return RigCheck(motions, (name,), corrected)
-
-
-def _count_agreeing(result: RefineResult) -> int:
-    """Number of lines that agree in three views or more."""
-    return int((result.inlier.sum(axis=1) > 2).sum())
 
 
 def _motions(

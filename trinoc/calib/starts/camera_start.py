@@ -166,7 +166,8 @@ def _start_by_zhang(
         guesses.append(
             np.array([[focal_px[0], 0, middle[0]], [0, focal_px[1], middle[1]], [0, 0, 1]])
         )
-    fits = [_fit_by_opencv(sheet, image, size, guess, aspect) for guess in guesses]
+    known = [guess for guess in guesses if guess is not None]
+    fits = [_fit_by_opencv(sheet, image, size, guess, aspect) for guess in known]
     fits = [fit for fit in fits if fit is not None]
     if not fits:
         raise CalibrationError(
@@ -213,13 +214,11 @@ def _fit_by_opencv(
     sheet: list[np.ndarray],
     image: list[np.ndarray],
     size: tuple[int, int],
-    guess: Float[np.ndarray, "3 3"] | None,
+    guess: Float[np.ndarray, "3 3"],
     aspect: float | None,
 ) -> tuple[float, CameraStart] | None:
     """Root mean square misfit in pixels, and the lens and poses that OpenCV reaches; None where it
     reaches none that could be."""
-    if guess is None:
-        return None
     flags = _HELD if aspect is None else _HELD | cv2.CALIB_FIX_ASPECT_RATIO
     try:
         misfit_px, matrix, distortion, turns, shifts = cv2.calibrateCamera(

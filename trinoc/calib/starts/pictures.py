@@ -103,11 +103,11 @@ def _ordered(lists: list[list[str]]) -> list[str]:
 
 def _check_sizes(camera: str, detections: Mapping[str, Detection]) -> None:
     sizes = {shot: tuple(each.image_size_px) for shot, each in detections.items()}
-    first = next(iter(sizes), None)
+    first = next(iter(sizes.values()), ())
     for shot, size in sizes.items():
-        if first is not None and size != sizes[first]:
+        if size != first:
             raise InputError(
-                f'Camera "{camera}" has pictures of {_size(sizes[first])} and, in {shot}, of '
+                f'Camera "{camera}" has pictures of {_size(first)} and, in {shot}, of '
                 f"{_size(size)} pixels: give pictures of one camera at one resolution, turned one "
                 "way."
             )

@@ -1,4 +1,4 @@
-"""From what each camera saw to cameras in one frame and a board in every shot."""
+"""From what each camera saw to cameras in one frame and a board in every shot; or why not."""
 
 from collections.abc import Collection, Mapping, Sequence
 from itertools import combinations
@@ -9,18 +9,22 @@ from jaxtyping import Float
 
 from trinoc.calib.detection import Detection
 from trinoc.calib.problem.views import View
-from trinoc.calib.starts.apart import explain_boards_apart, explain_cameras_apart
 from trinoc.calib.starts.camera_start import CameraStart, start_poses
-from trinoc.calib.starts.connected import connect, in_set
-from trinoc.calib.starts.links import Poses, place_board
+from trinoc.calib.starts.connected import Connected, connect, in_set
+from trinoc.calib.starts.links import Poses, link_cameras, place_board
 from trinoc.calib.starts.sightings import Sighting, label_sighting
 from trinoc.calib.targets import AbstractTarget, board_names
 from trinoc.errors import CalibrationError
+from trinoc.geometry import Pose
 
 # A shot by its name, and a board by its number.
 ShotBoard = tuple[str, int]
 # What the name of a shot goes on with where one camera's picture of it stands for itself.
 _ALONE = " of {} alone"
+# Boards whose planes differ by less look parallel: focal length and distance look alike then.
+PARALLEL_DEG = 8.0
+# Cameras whose pictures were counted differently are tried this many shots apart.
+_MOST_SHIFT = 3
 
 
 class PlacedRig(NamedTuple):
@@ -170,3 +174,86 @@ def _expect_all_boards(sightings: Mapping[int, Sequence[Sighting]], names: Seque
                 f'The board "{name}" is found in no picture, so that nothing tells where it is '
                 "fixed: leave it out of the set, or show it."
             )
+
+
+def boards_are_parallel(poses: Sequence[Pose]) -> bool:
+    """Whether boards at these poses are parallel to each other, of which there are several."""
+    facing = np.array([pose.rotation[:, 2] for pose in poses])
+    between = np.degrees(np.arccos(np.clip(np.abs(facing @ facing[0]), 0.0, 1.0)))
+    return len(facing) > 1 and bool(between.max() < PARALLEL_DEG)
+
+
+def explain_cameras_apart(
+    found: Connected,
+    names: Sequence[str],
+    sightings: Mapping[int, Sequence[Sighting]],
+    target: AbstractTarget,
+    known: Collection[str],
+) -> str:
+    """Why the cameras are not in one frame. `known` : cameras with a given lens."""
+    groups = found.cameras
+    broken = [(pair, link) for pair, link in found.links.items() if not link.holds]
+    for (a, b), _ in broken:
+        shift = _shift_between(sightings[a], sightings[b], target)
+        if shift:
+            earlier = "earlier" if shift > 0 else "later"
+            return (
+                f'The pictures of "{names[b]}" fit those of "{names[a]}" that were taken '
+                f"{abs(shift)} shot{'' if abs(shift) == 1 else 's'} {earlier}: the cameras are out "
+                "of step; leave out the pictures that only one of them has, or name them alike."
+            )
+    parts = "; ".join(", ".join(names[k] for k in sorted(group)) for group in groups)
+    if broken:
+        (a, b), link = broken[0]
+        for number in (a, b):
+            camera = names[number]
+            poses = [each.cam_from_board[0] for each in sightings[number]]
+            if camera not in known and boards_are_parallel(poses):
+                return (
+                    f'The board is parallel in all shots of "{camera}", which tells no lens, and '
+                    "without its lens not how it stands. Tilt the board by 30 to 50 degrees, "
+                    "another way each time, or give the lenses."
+                )
+        return (
+            f'"{names[a]}" and "{names[b]}" share {link.shared} shots, but only {link.agreeing} of '
+            f"them agree on how the cameras stand (the groups are {parts}): see that pictures of "
+            "equal names are of one moment, that no picture is mirrored, and that the cameras "
+            "did not move."
+        )
+    return (
+        f"No shot connects the cameras: the groups are {parts}. Show the board to cameras of two "
+        "groups at once, in two shots at least."
+        + (
+            " Where they see different boards, these must turn about two axes at least from shot "
+            "to shot."
+            if len(found.boards) > 1
+            else ""
+        )
+    )
+
+
+def explain_boards_apart(groups: Sequence[Mapping[int, Pose]], names: Sequence[str]) -> str:
+    """Which boards nothing connects, and what to do."""
+    parts = "; ".join(", ".join(names[k] for k in sorted(group)) for group in groups)
+    return (
+        f"No shot tells how the boards are fixed to each other: the groups are {parts}. Show "
+        "boards of two groups in one shot, to one camera or to cameras that other shots connect, "
+        "and see that the boards stay fixed."
+    )
+
+
+def _shift_between(
+    one: Sequence[Sighting], other: Sequence[Sighting], target: AbstractTarget
+) -> int:
+    """By how many shots the second camera's pictures come too late; 0 where no shift helps."""
+    first, second = ({(each.shot, each.board): each for each in own} for own in (one, other))
+    for size in range(1, _MOST_SHIFT + 1):
+        for shift in (size, -size):
+            shared = sorted(key for key in first if (key[0] + shift, key[1]) in second)
+            if len(shared) < 3:
+                continue
+            pairs = [(first[shot, board], second[shot + shift, board]) for shot, board in shared]
+            link = link_cameras(pairs, target)
+            if 2 * link.agreeing > link.shared:
+                return shift
+    return 0

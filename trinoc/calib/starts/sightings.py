@@ -1,8 +1,8 @@
 """The board in one picture, with every labelling that the board's symmetry leaves open."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
@@ -67,18 +67,10 @@ def label_sighting(
     board: int = 0,
 ) -> Sighting:
     """All labellings of a detection, with the pose of the board in each."""
-    others = () if detection.ambiguity is None else tuple(detection.ambiguity)
-    labellings = (detection.circle_index, *others)
     detections = tuple(
-        eqx.tree_at(
-            lambda d: (d.circle_index, d.ambiguity),
-            detection,
-            (index, None),
-            is_leaf=lambda leaf: leaf is None,
-        )
-        for index in labellings
+        replace(detection, circle_index=index, ambiguity=None) for index in detection.labellings
     )
-    places = [target.centres_mm[index] for index in labellings]
+    places = [target.centres_mm[each.circle_index] for each in detections]
     poses = tuple(cam_from_board @ motion_in_plane(places[0], place) for place in places)
     return Sighting(camera, shot, lens, detections, poses, board)
 

@@ -1,22 +1,28 @@
-"""What the cameras' errors do to what people use a rig for: epipolar lines and points."""
+"""What the cameras' errors do to what people use a rig for: pixels, epipolar lines and points."""
 
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from trinoc.errors import InputError
 from trinoc.geometry import (
     AFFINE_PARAMETERS,
     PARAMETER_NAMES,
+    AbstractLens,
     Camera,
+    Intrinsics,
     Pose,
+    PoseModel,
     Rig,
     epipolar_distance_px,
     fundamental_matrix,
     project_by_matrix,
+    project_point,
+    promoted,
+    rotation_from_vector,
     sheet_from_pixel,
     triangulate_point,
 )
@@ -29,13 +35,13 @@ _NAMES = PARAMETER_NAMES + AFFINE_PARAMETERS
 _TO_RADIANS = np.array([*np.full(3, np.pi / 180), *np.ones(len(_NAMES) - 3)])
 
 
-class EpipolarSigma(NamedTuple):
-    """Standard deviation of the distance of a true match from its epipolar line.
+class FieldSigma(NamedTuple):
+    """How well something is known over the field of a camera.
 
     Fields
     ------
-    uv_px : (n, 2) places in the first picture.
-    sigma_px : (n,) in the second, for the point of the sheet's plane seen there.
+    uv_px : (n, 2) places in the picture.
+    sigma_px : (n,) standard deviation at each.
     """
 
     uv_px: Float[np.ndarray, "n 2"]
@@ -43,21 +49,22 @@ class EpipolarSigma(NamedTuple):
 
 
 @in_float64
-def epipolar_sigma(rig: Rig, first: str, second: str) -> EpipolarSigma:
+def epipolar_sigma(rig: Rig, first: str, second: str) -> FieldSigma:
     """How well the rig knows its epipolar lines, over the field of the first picture.
 
+    The sigma is that of the distance, in the second picture, of the point of the sheet's plane that
+    is seen in the first at each place, from its epipolar line.
     Where the rig's covariance holds focal lengths and principal points, their errors are in, with
     those of the pose that go with them. Undistorted pixels. Raises InputError for a rig without a
     covariance.
     """
     covariance, values = _known(rig, (first, second))
-    width, height = rig[first].image_size_px
-    u, v = np.meshgrid(np.linspace(0, width - 1, _PLACES), np.linspace(0, height - 1, _PLACES))
-    places = np.stack([u.ravel(), v.ravel()], axis=1)
+    lens = rig[first].intrinsics
+    places = field_places_px(lens.image_size_px).reshape(-1, 2)
     matrices = np.stack([np.asarray(rig[name].intrinsics.matrix) for name in (first, second)])
-    ideal = _without_distortion(rig[first])
-    jacobian = np.asarray(_distances_by_change(values, matrices, ideal, places))
-    return EpipolarSigma(places, _sigmas(jacobian.reshape(len(places), -1), covariance))
+    ideal = Camera(Intrinsics.from_matrix(lens.matrix, lens.image_size_px), rig[first].pose)
+    by = np.asarray(_distances_by_change(values, matrices, ideal, places)).reshape(len(places), -1)
+    return FieldSigma(places, np.sqrt(np.einsum("np,pq,nq->n", by, covariance, by)))
 
 
 @jax.jit
@@ -93,9 +100,8 @@ def point_covariance(rig: Rig, point_mm: Float[ArrayLike, "3"]) -> np.ndarray:
     """
     covariance, values = _known(rig, rig.names)
     matrices = np.stack([np.asarray(camera.intrinsics.matrix) for _, camera in rig.items()])
-    jacobian = np.asarray(_place_by_change(values, matrices, np.asarray(point_mm, float)))
-    jacobian = jacobian.reshape(3, -1)
-    return jacobian @ covariance @ jacobian.T
+    by = np.asarray(_place_by_change(values, matrices, np.asarray(point_mm, float))).reshape(3, -1)
+    return by @ covariance @ by.T
 
 
 @jax.jit
@@ -118,27 +124,19 @@ def _known(
     rig: Rig, names: tuple[str, ...]
 ) -> tuple[Float[np.ndarray, "k k"], Float[np.ndarray, "v p"]]:
     """Covariance, in rad, mm and px, and values of pose and lens; absent ones are exact."""
+    _expect_covariance(rig)
+    covariance = rig.covariance_of([f"{name}.{own}" for name in names for own in _NAMES])
+    scale = np.tile(_TO_RADIANS, len(names))
+    values = [
+        [*camera.pose.parameters, *camera.intrinsics.lens.parameters[: len(AFFINE_PARAMETERS)]]
+        for camera in map(rig.__getitem__, names)
+    ]
+    return covariance * np.outer(scale, scale), np.array(values)
+
+
+def _expect_covariance(rig: Rig) -> None:
     if not rig.parameters:
         raise InputError("This rig holds no covariance: calibrate it, or load one that does.")
-    keys = [f"{name}.{parameter}" for name in names for parameter in _NAMES]
-    rows = [rig.parameters.index(key) if key in rig.parameters else -1 for key in keys]
-    given = np.array(rows) >= 0
-    full = np.zeros((len(keys), len(keys)))
-    chosen = np.asarray(rig.covariance)[np.ix_(rows, rows)]
-    full[np.ix_(given, given)] = chosen[np.ix_(given, given)]
-    scale = np.tile(_TO_RADIANS, len(names))
-    values = [_parameters(rig[name]) for name in names]
-    return full * np.outer(scale, scale), np.stack(values)
-
-
-def _parameters(camera: Camera) -> Float[np.ndarray, "p"]:
-    lens = camera.intrinsics
-    return np.concatenate([camera.pose.parameters, lens.focal_length_px, lens.principal_point_px])
-
-
-def _without_distortion(camera: Camera) -> Camera:
-    lens = camera.intrinsics
-    return Camera(type(lens).from_matrix(lens.matrix, lens.image_size_px), camera.pose)
 
 
 def _projections(
@@ -154,7 +152,83 @@ def _projections(
     return jax.vmap(projection)(values, matrices)
 
 
-def _sigmas(
-    jacobian: Float[np.ndarray, "n p"], covariance: Float[np.ndarray, "p p"]
-) -> Float[np.ndarray, "n"]:
-    return np.sqrt(np.einsum("np,pq,nq->n", jacobian, covariance, jacobian))
+@in_float64
+def projection_sigma(rig: Rig, camera: str, distance_mm: float) -> FieldSigma:
+    """How well a camera knows where it images points that the world holds fixed, per axis.
+
+    They are over its field, at a distance from it along each pixel's ray.
+    Errors of lens and pose compensate each other where the board was, and no longer do so much
+    nearer or farther: that is what this tells. Raises InputError for a rig without a covariance,
+    or a distance that is not positive.
+    """
+    if not distance_mm > 0:
+        raise InputError(f"distance_mm is {distance_mm}, but must be positive.")
+    _expect_covariance(rig)
+    view = rig[camera]
+    lens = promoted(view.intrinsics.lens)
+    model = PoseModel.AIM_FREE
+    if f"{camera}.{PoseModel.RIGID.parameter_names[0]}" in rig.parameters:
+        model = PoseModel.RIGID
+    names = [f"{camera}.{name}" for name in (*model.parameter_names, *lens.parameter_names)]
+    places = field_places_px(view.image_size_px).reshape(-1, 2)
+    by = np.asarray(_by_parameters(view.pose, lens, places, np.asarray(distance_mm), model))
+    variance = np.einsum("nip,pq,niq->n", by, rig.covariance_of(names), by) / 2
+    return FieldSigma(places, np.sqrt(np.maximum(variance, 0.0)))
+
+
+def field_places_px(image_size_px: tuple[int, int]) -> Float[np.ndarray, "5 5 2"]:
+    """Places from corner to corner of the picture, row by row from the top."""
+    u, v = (np.linspace(0.0, side - 1.0, _PLACES) for side in image_size_px)
+    return np.stack(np.meshgrid(u, v), axis=-1)
+
+
+def _by_parameters(
+    pose: Pose,
+    lens: AbstractLens,
+    places: Float[np.ndarray, "n 2"],
+    distance_mm: Float[np.ndarray, ""],
+    model: PoseModel,
+) -> Array:
+    """Derivative of the pixels of fixed points by pose (degrees, mm) and lens."""
+    rays = jax.vmap(lens.unproject)(places)
+    rotation, centre = jnp.asarray(pose.rotation), pose.centre_world_mm
+    points = centre[None] + distance_mm * (rays @ rotation)
+
+    def pixels(change: Float[ArrayLike, "p"]) -> Float[ArrayLike, "n 2"]:
+        of_pose = jnp.concatenate([jnp.radians(change[:3]), change[3:6]])
+        if model is PoseModel.RIGID:
+            moved = pose.retract(of_pose, model, 1.0)
+        else:
+            moved = Pose.from_parameters(pose.parameters + of_pose)
+        changed = lens.with_parameters(lens.parameters + change[6:])
+        return jax.vmap(lambda point: project_point(moved, changed, point))(points)
+
+    return jax.jacfwd(pixels)(jnp.zeros(6 + len(lens.parameter_names)))
+
+
+@jax.jit
+def field_sigma_px(
+    lens: AbstractLens,
+    covariance: Float[ArrayLike, "q q"],
+    places_px: Float[ArrayLike, "5 5 2"],
+) -> Float[Array, "5 5"]:
+    """Standard deviation, per axis, of where the lens images a given ray.
+
+    A turn of the camera that all places share is taken out: whoever poses the camera finds
+    it again, and a principal point that is off looks like one.
+    """
+    rays = jax.vmap(lens.unproject)(places_px.reshape(-1, 2))
+
+    def pixel(
+        values: Float[Array, "q"], turn: Float[Array, "3"], ray: Float[Array, "3"]
+    ) -> Float[ArrayLike, "2"]:
+        return lens.with_parameters(values).project_ray(rotation_from_vector(turn) @ ray)
+
+    values, still = jnp.asarray(lens.parameters), jnp.zeros(3, rays.dtype)
+    by_both = jax.vmap(jax.jacfwd(pixel, argnums=(0, 1)), in_axes=(None, None, 0))
+    by_lens, by_turn = by_both(values, still, rays)
+    by_lens, by_turn = by_lens.reshape(-1, len(values)), by_turn.reshape(-1, 3)
+    turn_of_lens = jnp.linalg.solve(by_turn.T @ by_turn, by_turn.T @ by_lens)
+    remaining = by_lens - by_turn @ turn_of_lens
+    variance = jnp.einsum("iq,qr,ir->i", remaining, covariance, remaining)
+    return jnp.sqrt(jnp.mean(variance.reshape(_PLACES, _PLACES, 2), axis=2))

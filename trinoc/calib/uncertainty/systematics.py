@@ -12,11 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.errors import InputError
-from trinoc.geometry import (
-    AbstractLens,
-    Intrinsics,
-    promoted,
-)
+from trinoc.geometry import AbstractLens, Intrinsics, promoted
 
 # What is assumed where nobody says it: see `Systematics.typical`.
 _PRINT_SIZE, _PRINT_STRETCH = 2e-3, 7e-4
@@ -113,13 +109,8 @@ class Systematics(NamedTuple):
 
     def check(self) -> None:
         """Raises InputError for a sigma that is negative or not finite."""
-        sigmas = (
-            *self.print_scale_sigma,
-            self.flatness_mm,
-            self.print_size_sigma,
-            self.aim_sigma_mm,
-        )
-        if not all(np.isfinite(sigma) and sigma >= 0 for sigma in sigmas):
+        sigmas = np.array([*self._of_sheet, self.aim_sigma_mm])
+        if not (np.isfinite(sigmas) & (sigmas >= 0)).all():
             raise InputError(
                 "A sigma of `Systematics` is negative or not finite: give standard deviations."
             )
@@ -136,16 +127,18 @@ class Systematics(NamedTuple):
     @property
     def are_none(self) -> bool:
         """Whether everything is exact."""
-        numbers = (*self.print_scale_sigma, self.flatness_mm, self.print_size_sigma)
-        return not any(numbers) and not self.aim_sigma_mm and self.lens_covariance is None
+        return not self.words
 
     def groups(self, cameras: Sequence[_Item]) -> list[Sequence[_Item]]:
         """Cameras to be adjusted together: all where they share a lens or a sheet that is not
         exact, else a few at a time."""
-        shared = (*self.print_scale_sigma, self.flatness_mm, self.print_size_sigma)
-        if any(shared) or self.lens_is_shared:
+        if any(self._of_sheet) or self.lens_is_shared:
             return [cameras]
         return [cameras[k : k + _FEW] for k in range(0, len(cameras), _FEW)]
+
+    @property
+    def _of_sheet(self) -> tuple[float, ...]:
+        return (*self.print_scale_sigma, self.flatness_mm, self.print_size_sigma)
 
     @property
     def lens_is_shared(self) -> bool:

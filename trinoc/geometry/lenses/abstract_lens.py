@@ -1,14 +1,14 @@
 """A lens: where in the picture a ray of the camera frame is imaged, and the way back."""
 
 import abc
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.geometry.lenses.radial import RadialPart
+from trinoc.geometry.lenses.newton import inverse_in_plane
 from trinoc.numerics import ArrayLike, namespace_of
 
 # Type checkers know this one by the name that it has in a class that is not abstract.
@@ -19,6 +19,48 @@ else:
 
 # The parameters of K that are fitted, which every lens has; its coefficients come after them.
 AFFINE_PARAMETERS = ("fx_px", "fy_px", "cx_px", "cy_px")
+
+
+class RadialPart(NamedTuple):
+    """A ray at r from the optical axis is imaged at the radius r N(r^2) / D(r^2).
+
+    Fields
+    ------
+    numerator, denominator : coefficients of N and D, the highest power of r^2 first, the last 1.
+    by_angle : whether r is the angle from the axis, in rad, or its tangent.
+    """
+
+    numerator: Float[np.ndarray, "n"]
+    denominator: Float[np.ndarray, "d"]
+    by_angle: bool
+
+    @property
+    def fold(self) -> float:
+        """The smallest r at which the radius stops to grow, or D is 0; infinite without one."""
+        above, below = self.numerator, self.denominator
+        # Coefficients near zero put the fold beyond what floats hold.
+        with np.errstate(all="ignore"):
+            slope = np.polymul(above, below)
+            change = np.polysub(
+                np.polymul(np.polyder(above), below), np.polymul(above, np.polyder(below))
+            )
+            slope = np.polyadd(slope, np.polymul([2.0, 0.0], change))
+            return float(np.sqrt(min(_smallest_root(slope), _smallest_root(below))))
+
+    def radius(self, r: float) -> float:
+        """r N(r^2) / D(r^2)."""
+        with np.errstate(all="ignore"):
+            return float(
+                r * np.polyval(self.numerator, r * r) / np.polyval(self.denominator, r * r)
+            )
+
+
+def _smallest_root(polynomial: Float[np.ndarray, "k"]) -> float:
+    """The smallest positive real root; infinite without one."""
+    polynomial = np.where(np.abs(polynomial) < 1e-30, 0.0, polynomial)
+    roots = np.roots(polynomial)
+    positive = (np.abs(roots.imag) <= 1e-9 * np.abs(roots)) & (roots.real > 0)
+    return float(roots.real[positive].min(initial=np.inf))
 
 
 class AbstractLens(eqx.Module):
@@ -199,6 +241,22 @@ class AbstractLens(eqx.Module):
             self.skew_px * factor[0],
             self.coefficients,
         )
+
+
+class AbstractPlaneLens(AbstractLens):
+    """A lens that moves the ideal place (x/z, y/z) of a ray in its plane."""
+
+    @abc.abstractmethod
+    def moved(self, ideal: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
+        """Normalised coordinates (x/z, y/z) of an ideal pinhole to those that the lens produces."""
+
+    def distort(self, ray_cam: Float[ArrayLike, "3"]) -> Float[ArrayLike, "2"]:
+        """The ideal (x/z, y/z), moved."""
+        return self.moved(ray_cam[:2] / ray_cam[2])
+
+    def undistort(self, distorted: Float[ArrayLike, "2"]) -> Float[ArrayLike, "3"]:
+        """(x, y, 1), by Newton's method: see `inverse_in_plane` for where there is one."""
+        return ray_of_normalised(inverse_in_plane(self.moved, distorted))
 
 
 def ray_of_normalised(normalised: Float[ArrayLike, "2"]) -> Float[ArrayLike, "3"]:

@@ -9,13 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS, AbstractLens, ray_of_normalised
-from trinoc.geometry.lenses.newton import inverse_in_plane
-from trinoc.geometry.lenses.radial import RadialPart
+from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS, AbstractPlaneLens, RadialPart
 from trinoc.numerics import ArrayLike
 
 
-class BrownConrady(AbstractLens):
+class BrownConrady(AbstractPlaneLens):
     """A lens with radial (k1, k2, k3) and tangential (p1, p2) distortion of (x/z, y/z)."""
 
     model: ClassVar[str] = "brown_conrady"
@@ -25,13 +23,11 @@ class BrownConrady(AbstractLens):
     coefficient_counts: ClassVar[tuple[int, ...]] = (0, 1, 2, 4, 5)
     dispensable: ClassVar[tuple[str, ...]] = ("k3", "k2")
 
-    def distort(self, ray_cam: Float[ArrayLike, "3"]) -> Float[ArrayLike, "2"]:
-        """The ideal (x/z, y/z), moved by the polynomial."""
-        return distort(ray_cam[:2] / ray_cam[2], self.coefficients)
-
-    def undistort(self, distorted: Float[ArrayLike, "2"]) -> Float[ArrayLike, "3"]:
-        """(x, y, 1), by Newton's method."""
-        return ray_of_normalised(undistort(distorted, self.coefficients))
+    def moved(self, ideal: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
+        """The place after the polynomial."""
+        k1, k2, p1, p2, k3 = (self.coefficients[i] for i in range(5))
+        r2 = ideal[0] * ideal[0] + ideal[1] * ideal[1]
+        return radial_and_tangential(ideal, 1 + r2 * (k1 + r2 * (k2 + r2 * k3)), p1, p2)
 
     def radial_part(self) -> RadialPart:
         """r (1 + k1 r^2 + k2 r^4 + k3 r^6)."""
@@ -39,24 +35,18 @@ class BrownConrady(AbstractLens):
         return RadialPart(np.array([k3, k2, k1, 1.0]), np.ones(1), by_angle=False)
 
 
-def distort(
-    ideal: Float[ArrayLike, "2"], coefficients: Float[ArrayLike, "5"]
+def radial_and_tangential(
+    ideal: Float[ArrayLike, "2"],
+    radial: Float[ArrayLike, ""],
+    p1: Float[ArrayLike, ""],
+    p2: Float[ArrayLike, ""],
 ) -> Float[ArrayLike, "2"]:
-    """Normalised coordinates (x/z, y/z) of an ideal pinhole to those that the lens produces."""
+    """A place that is moved along its radius by a factor, and across it by p1 and p2."""
     x, y = ideal[0], ideal[1]
-    k1, k2, p1, p2, k3 = (coefficients[i] for i in range(5))
     r2 = x * x + y * y
-    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
     return jnp.stack(
         [
             x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
             y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
         ]
     )
-
-
-def undistort(
-    distorted: Float[ArrayLike, "2"], coefficients: Float[ArrayLike, "5"]
-) -> Float[ArrayLike, "2"]:
-    """Inverse of `distort`: see `inverse_in_plane` for where there is one."""
-    return inverse_in_plane(lambda ideal: distort(ideal, coefficients), distorted)

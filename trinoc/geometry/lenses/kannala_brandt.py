@@ -11,9 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS, AbstractLens
+from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS, AbstractLens, RadialPart
 from trinoc.geometry.lenses.newton import newton_iterations
-from trinoc.geometry.lenses.radial import RadialPart
 from trinoc.numerics import ArrayLike
 
 _NEWTON_STEPS = 20

@@ -12,11 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS, AbstractLens
+from trinoc.geometry.lenses.abstract_lens import AbstractLens, RadialPart
 from trinoc.geometry.lenses.brown_conrady import BrownConrady
 from trinoc.geometry.lenses.kannala_brandt import KannalaBrandt
 from trinoc.geometry.lenses.newton import inverse_in_plane
-from trinoc.geometry.lenses.radial import RadialPart
 from trinoc.geometry.lenses.rational import Rational
 from trinoc.geometry.lenses.spline_surface import ORDER, basis, smoothness, surface
 from trinoc.numerics import ArrayLike, namespace_of
@@ -55,6 +54,17 @@ class AbstractSplined(AbstractLens):
     core_model: AbstractClassVar[type[AbstractLens]]
     control_count: ClassVar[int] = len(_CONTROL)
     never_fitted: ClassVar[tuple[str, ...]] = _EXTENT
+
+    def __init_subclass__(cls) -> None:
+        """Says of the lens what its core says, and what the correction adds."""
+        super().__init_subclass__()
+        core = cls.core_model
+        cls.model = f"splined_{core.model}"
+        cls.coefficient_names = core.coefficient_names + _ADDED
+        cls.parameter_names = core.parameter_names + _ADDED
+        cls.coefficient_powers = core.coefficient_powers + _POWERS
+        cls.coefficient_counts = (*core.coefficient_counts, len(cls.coefficient_names))
+        cls.dispensable, cls.zero_is_ideal = core.dispensable, core.zero_is_ideal
 
     @property
     def core(self) -> AbstractLens:
@@ -164,49 +174,19 @@ def _information(model: type[AbstractSplined]) -> Float[np.ndarray, "q q"]:
 class SplinedBrownConrady(AbstractSplined):
     """`BrownConrady` with a correction."""
 
-    model: ClassVar[str] = "splined_brown_conrady"
     core_model: ClassVar[type[AbstractLens]] = BrownConrady
-    coefficient_names: ClassVar[tuple[str, ...]] = BrownConrady.coefficient_names + _ADDED
-    parameter_names: ClassVar[tuple[str, ...]] = (*AFFINE_PARAMETERS, *coefficient_names)
-    coefficient_powers: ClassVar[tuple[int, ...]] = BrownConrady.coefficient_powers + _POWERS
-    coefficient_counts: ClassVar[tuple[int, ...]] = (
-        *BrownConrady.coefficient_counts,
-        len(coefficient_names),
-    )
-    dispensable: ClassVar[tuple[str, ...]] = BrownConrady.dispensable
-    zero_is_ideal: ClassVar[bool] = BrownConrady.zero_is_ideal
 
 
 class SplinedRational(AbstractSplined):
     """`Rational` with a correction."""
 
-    model: ClassVar[str] = "splined_rational"
     core_model: ClassVar[type[AbstractLens]] = Rational
-    coefficient_names: ClassVar[tuple[str, ...]] = Rational.coefficient_names + _ADDED
-    parameter_names: ClassVar[tuple[str, ...]] = (*AFFINE_PARAMETERS, *coefficient_names)
-    coefficient_powers: ClassVar[tuple[int, ...]] = Rational.coefficient_powers + _POWERS
-    coefficient_counts: ClassVar[tuple[int, ...]] = (
-        *Rational.coefficient_counts,
-        len(coefficient_names),
-    )
-    dispensable: ClassVar[tuple[str, ...]] = Rational.dispensable
-    zero_is_ideal: ClassVar[bool] = Rational.zero_is_ideal
 
 
 class SplinedKannalaBrandt(AbstractSplined):
     """`KannalaBrandt` with a correction."""
 
-    model: ClassVar[str] = "splined_kannala_brandt"
     core_model: ClassVar[type[AbstractLens]] = KannalaBrandt
-    coefficient_names: ClassVar[tuple[str, ...]] = KannalaBrandt.coefficient_names + _ADDED
-    parameter_names: ClassVar[tuple[str, ...]] = (*AFFINE_PARAMETERS, *coefficient_names)
-    coefficient_powers: ClassVar[tuple[int, ...]] = KannalaBrandt.coefficient_powers + _POWERS
-    coefficient_counts: ClassVar[tuple[int, ...]] = (
-        *KannalaBrandt.coefficient_counts,
-        len(coefficient_names),
-    )
-    dispensable: ClassVar[tuple[str, ...]] = KannalaBrandt.dispensable
-    zero_is_ideal: ClassVar[bool] = KannalaBrandt.zero_is_ideal
 
 
 # The splined lens of each core.
