@@ -26,7 +26,6 @@ from trinoc.calib.detection.search_image import SearchImage, search_image, shrin
 from trinoc.calib.targets import Pattern
 from trinoc.errors import DetectionError
 
-_FEWEST_BLOBS = 6
 # Blobs are sought in pictures of about this many pixels a side, circles measured in full.
 _SEARCH_SIDE_PX = 1200
 # The ways to look for blobs, the likeliest to succeed first; then one in the picture doubled.
@@ -108,10 +107,7 @@ def _find_sheets(
 ) -> list[Sheet]:
     """All sheets among the blobs; what was refused is added to `refusals`."""
     pattern, sheets = symmetry.pattern, list[Sheet]()
-    span = int(np.ptp(pattern.lattice, axis=0).max()) + 3
-    if len(blobs) < _FEWEST_BLOBS:
-        return sheets
-    for lattice in find_lattices(blobs, symmetry, at_least=_FEWEST_BLOBS, span=span):
+    for lattice in find_lattices(blobs, symmetry):
         try:
             sheet = _read_sheet(picture, blobs, lattice, symmetry)
         except MirroredError:
@@ -119,9 +115,8 @@ def _find_sheets(
         except DetectionError as refusal:
             refusals.append((len(lattice), refusal))
             continue
-        is_same = [_shows_same_sheet(known, sheet, pattern) for known in sheets]
-        same = [known for known, same in zip(sheets, is_same, strict=True) if same]
-        apart = [known for known, same in zip(sheets, is_same, strict=True) if not same]
+        same = [known for known in sheets if _shows_same_sheet(known, sheet, pattern)]
+        apart = [known for known in sheets if not _shows_same_sheet(known, sheet, pattern)]
         sheets = [*apart, max([*same, sheet], key=lambda each: len(each.index[0]))]
     return sheets
 
