@@ -76,7 +76,11 @@ def detect_circles(image: Shaped[np.ndarray, "..."], pattern: Pattern) -> Detect
     if refusals:
         # The largest lattice is likeliest to be the sheet, so its refusal says most.
         raise max(refusals, key=lambda refusal: refusal[0])[1]
-    raise DetectionError(
+    raise _nothing_found(pattern)
+
+
+def _nothing_found(pattern: Pattern) -> DetectionError:
+    return DetectionError(
         f"No sheet of the pattern {pattern.name!r} was found in the picture; see that it lies"
         " flat, in focus, and large enough."
     )
@@ -141,10 +145,7 @@ def _read_sheet(
     coarse = fit_coarsely(image, centres, shape * swelling, symmetry.hole_ratio)
     good = are_plausible(coarse, centres, shape, image.noise_sigma)
     if np.sum(good) < FEWEST_CIRCLES:
-        raise DetectionError(
-            f"No sheet of the pattern {pattern.name!r} was found in the picture; see that it"
-            " lies flat, in focus, and large enough."
-        )
+        raise _nothing_found(pattern)
     coarse, cell = coarse.take(good), lattice.cell[good]
     index = label_circles(cell, _ring_evidence(coarse, symmetry), symmetry)
     on_pattern = index >= 0
@@ -187,13 +188,7 @@ def _shows_same_sheet(first: Sheet, second: Sheet, pattern: Pattern) -> bool:
 
 
 def _as_detection(picture: SearchImage, sheet: Sheet, pattern: Pattern) -> Detection:
-    circles, blur = sheet.ellipses, float(quick_median(sheet.ellipses.blur_px))
-    lines = fit_cross_lines(picture.grey, picture.noise_sigma, pattern, sheet.mapping, blur)
-    return labelled_detection(
-        sheet.index,
-        circles.centres_px,
-        circles.covariance_px2,
-        picture.size_px,
-        circles.shape_px2,
-        lines,
-    )
+    circles, size_px = sheet.ellipses, picture.size_px
+    lines = fit_cross_lines(picture, pattern, sheet.mapping, float(quick_median(circles.blur_px)))
+    found = circles.centres_px, circles.covariance_px2, size_px, circles.shape_px2
+    return labelled_detection(sheet.index, *found, lines)

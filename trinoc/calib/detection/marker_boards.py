@@ -5,6 +5,7 @@ markers under occlusion", Pattern Recognition 47(6), 2014 (`cv2.aruco.CharucoDet
 """
 
 from collections.abc import Callable
+from functools import partial
 
 import cv2
 import numpy as np
@@ -68,11 +69,8 @@ def detect_april_grid(image: Shaped[np.ndarray, "..."], board: AprilGrid) -> Det
     """
     picture = search_image(image)
     grey, wanted = levels_of_8_bit(picture.grey), f"tags of the board {board.name!r}"
-
-    def find(grey: UInt8[np.ndarray, "h w"]) -> tuple[np.ndarray, np.ndarray]:
-        return _find_tags(grey, board)
-
-    tags, corners_px = _find_enough(find, grey, wanted, _FEWEST_TAGS, "dictionary, border")
+    find, layout = partial(_find_tags, board=board), "dictionary, border"
+    tags, corners_px = _find_enough(find, grey, wanted, _FEWEST_TAGS, layout)
     index = (4 * tags[:, None] + np.arange(4)).ravel()
     places, is_sharp = _refine_corners(grey, corners_px, board.spacing)
     index, places = index[is_sharp], places[is_sharp]
@@ -177,5 +175,5 @@ def _is_saddle(
     levels = cv2.remap(grey, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=border)
     dark, light = levels.astype(np.float64).reshape(2, 2, -1)
     contrast = light.mean(axis=0) - dark.mean(axis=0)
-    unlike = np.maximum(np.abs(np.ptp(dark, axis=0)), np.abs(np.ptp(light, axis=0)))
+    unlike = np.maximum(np.ptp(dark, axis=0), np.ptp(light, axis=0))
     return (contrast > 0) & (unlike < _ALIKE * contrast)
