@@ -6,6 +6,8 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
+from trinoc.calib.detection.ellipse_pixels import inverse_square_root
+
 # The threshold lies midway between the darkest and the brightest grey of a neighbourhood of
 # `reach` blocks to each side.
 _BLOCK_PX = 8
@@ -30,10 +32,6 @@ class Blobs(NamedTuple):
 
     def __len__(self) -> int:
         return len(self.centres_px)
-
-    def take(self, index: np.ndarray) -> "Blobs":
-        """The blobs of an index or a mask."""
-        return Blobs(self.centres_px[index], self.shape_px2[index])
 
     def rescale(self, factor: float) -> "Blobs":
         """Blobs of a picture `factor` times smaller, in pixels of the large one."""
@@ -117,13 +115,7 @@ def _moments(dark: np.ndarray) -> Blobs:
     if np.sum(keep) > _MOST_BLOBS:
         keep &= area >= np.sort(area[keep])[-_MOST_BLOBS]
     centres = table[:, 1:3] / area[:, None]
-    shape = 4.0 * np.stack([xx, xy, xy, yy], axis=1).reshape(-1, 2, 2)
-    return Blobs(centres[keep], _widen_by_half_pixel(shape[keep]))
-
-
-def _widen_by_half_pixel(shape: Float[np.ndarray, "n 2 2"]) -> Float[np.ndarray, "n 2 2"]:
-    """Half a pixel more on every side, as outlines run through the centres of pixels."""
-    root = np.sqrt(np.maximum(np.linalg.det(shape), 1e-9))[:, None, None]
-    trace = np.trace(shape, axis1=1, axis2=2)[:, None, None]
-    square_root = (shape + root * np.eye(2)) / np.sqrt(trace + 2.0 * root)
-    return shape + square_root + 0.25 * np.eye(2)
+    shape = 4.0 * np.stack([xx, xy, xy, yy], axis=1).reshape(-1, 2, 2)[keep]
+    # Half a pixel more on every side, as outlines run through the centres of pixels.
+    shape = shape + shape @ inverse_square_root(shape) + 0.25 * np.eye(2)
+    return Blobs(centres[keep], shape)

@@ -6,7 +6,7 @@ calibration", BMVC 2018 (`cv2.findChessboardCornersSB`).
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Int, Shaped, UInt8
+from jaxtyping import Float, Int, Shaped, UInt8
 
 from trinoc.calib.detection.corners import corner_covariance_px2, levels_of_8_bit
 from trinoc.calib.detection.detection import Detection, labelled_detection, rightward_share
@@ -82,9 +82,7 @@ def _light_over_dark(
     """How much lighter the light inner squares are than the dark ones."""
     places = corners_px.reshape(board.rows, board.columns, 2)
     middles = 0.25 * (places[:-1, :-1] + places[1:, :-1] + places[:-1, 1:] + places[1:, 1:])
-    dark: Bool[np.ndarray, "r c"] = dark_squares(board.rows + 1, board.columns + 1)[1:-1, 1:-1]
     column, row = np.rint(middles).astype(int).reshape(-1, 2).T
-    level = grey[np.clip(row, 0, grey.shape[0] - 1), np.clip(column, 0, grey.shape[1] - 1)].astype(
-        float
-    )
-    return float(level[~dark.ravel()].mean() - level[dark.ravel()].mean())
+    level = grey[row, column].astype(float)
+    dark = dark_squares(board.rows - 1, board.columns - 1).ravel()
+    return float(level[~dark].mean() - level[dark].mean())

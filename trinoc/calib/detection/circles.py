@@ -26,7 +26,6 @@ from trinoc.calib.detection.search_image import SearchImage, search_image, shrin
 from trinoc.calib.targets import Pattern
 from trinoc.errors import DetectionError
 
-_FEWEST_BLOBS = 6
 # Blobs are sought in pictures of about this many pixels a side, circles measured in full.
 _SEARCH_SIDE_PX = 1200
 # The ways to look for blobs, the likeliest to succeed first; then one in the picture doubled.
@@ -77,7 +76,11 @@ def detect_circles(image: Shaped[np.ndarray, "..."], pattern: Pattern) -> Detect
     if refusals:
         # The largest lattice is likeliest to be the sheet, so its refusal says most.
         raise max(refusals, key=lambda refusal: refusal[0])[1]
-    raise DetectionError(
+    raise _nothing_found(pattern)
+
+
+def _nothing_found(pattern: Pattern) -> DetectionError:
+    return DetectionError(
         f"No sheet of the pattern {pattern.name!r} was found in the picture; see that it lies"
         " flat, in focus, and large enough."
     )
@@ -108,10 +111,7 @@ def _find_sheets(
 ) -> list[Sheet]:
     """All sheets among the blobs; what was refused is added to `refusals`."""
     pattern, sheets = symmetry.pattern, list[Sheet]()
-    span = int(np.ptp(pattern.lattice, axis=0).max()) + 3
-    if len(blobs) < _FEWEST_BLOBS:
-        return sheets
-    for lattice in find_lattices(blobs, symmetry, at_least=_FEWEST_BLOBS, span=span):
+    for lattice in find_lattices(blobs, symmetry):
         try:
             sheet = _read_sheet(picture, blobs, lattice, symmetry)
         except MirroredError:
@@ -119,9 +119,8 @@ def _find_sheets(
         except DetectionError as refusal:
             refusals.append((len(lattice), refusal))
             continue
-        is_same = [_shows_same_sheet(known, sheet, pattern) for known in sheets]
-        same = [known for known, same in zip(sheets, is_same, strict=True) if same]
-        apart = [known for known, same in zip(sheets, is_same, strict=True) if not same]
+        same = [known for known in sheets if _shows_same_sheet(known, sheet, pattern)]
+        apart = [known for known in sheets if not _shows_same_sheet(known, sheet, pattern)]
         sheets = [*apart, max([*same, sheet], key=lambda each: len(each.index[0]))]
     return sheets
 
@@ -146,10 +145,7 @@ def _read_sheet(
     coarse = fit_coarsely(image, centres, shape * swelling, symmetry.hole_ratio)
     good = are_plausible(coarse, centres, shape, image.noise_sigma)
     if np.sum(good) < FEWEST_CIRCLES:
-        raise DetectionError(
-            f"No sheet of the pattern {pattern.name!r} was found in the picture; see that it"
-            " lies flat, in focus, and large enough."
-        )
+        raise _nothing_found(pattern)
     coarse, cell = coarse.take(good), lattice.cell[good]
     index = label_circles(cell, _ring_evidence(coarse, symmetry), symmetry)
     on_pattern = index >= 0
@@ -192,13 +188,7 @@ def _shows_same_sheet(first: Sheet, second: Sheet, pattern: Pattern) -> bool:
 
 
 def _as_detection(picture: SearchImage, sheet: Sheet, pattern: Pattern) -> Detection:
-    circles, blur = sheet.ellipses, float(quick_median(sheet.ellipses.blur_px))
-    lines = fit_cross_lines(picture.grey, picture.noise_sigma, pattern, sheet.mapping, blur)
-    return labelled_detection(
-        sheet.index,
-        circles.centres_px,
-        circles.covariance_px2,
-        picture.size_px,
-        circles.shape_px2,
-        lines,
-    )
+    circles, size_px = sheet.ellipses, picture.size_px
+    lines = fit_cross_lines(picture, pattern, sheet.mapping, float(quick_median(circles.blur_px)))
+    found = circles.centres_px, circles.covariance_px2, size_px, circles.shape_px2
+    return labelled_detection(sheet.index, *found, lines)

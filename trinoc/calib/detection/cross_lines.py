@@ -12,6 +12,7 @@ from trinoc.calib.detection.ellipse_pixels import (
     quick_median,
 )
 from trinoc.calib.detection.plane_mapping import PlaneMapping
+from trinoc.calib.detection.search_image import SearchImage
 from trinoc.calib.targets import Pattern
 
 _STATIONS = 96
@@ -22,11 +23,7 @@ _REACH_BLURS = 3.0
 
 
 def fit_cross_lines(
-    grey: Float[np.ndarray, "h w"],
-    noise_sigma: float,
-    pattern: Pattern,
-    mapping: PlaneMapping,
-    blur_px: float,
+    image: SearchImage, pattern: Pattern, mapping: PlaneMapping, blur_px: float
 ) -> Float[np.ndarray, "2 3"]:
     """Images of the lines along X and along Y, unit normals; NaN where not seen.
 
@@ -39,7 +36,7 @@ def fit_cross_lines(
     for axis in (0, 1):
         stations = _stations_mm(pattern, axis)
         if len(stations) >= _FEWEST_STATIONS:
-            lines[axis] = _fit_line(grey, noise_sigma, stations, axis, pattern, mapping, blur_px)
+            lines[axis] = _fit_line(image, stations, axis, pattern, mapping, blur_px)
     return lines
 
 
@@ -60,8 +57,7 @@ def _stations_mm(pattern: Pattern, axis: int) -> Float[np.ndarray, "n 2"]:
 
 
 def _fit_line(
-    grey: Float[np.ndarray, "h w"],
-    noise_sigma: float,
+    image: SearchImage,
     stations_mm: Float[np.ndarray, "n 2"],
     axis: int,
     pattern: Pattern,
@@ -75,22 +71,21 @@ def _fit_line(
     along = np.gradient(place, axis=0)
     normal = np.stack([-along[:, 1], along[:, 0]], axis=1)
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
-    height, width = grey.shape
     reach = quick_median(half_width_px) + 2.5 * max(blur_px, 0.5) + 1.0
-    inside = np.all((place > reach + 1) & (place < np.array([width, height]) - reach - 2), axis=1)
+    inside = np.all((place > reach + 1) & (place < np.array(image.size_px) - reach - 2), axis=1)
     place, normal = place[inside], normal[inside]
     if len(place) < _FEWEST_STATIONS:
         return np.full(3, np.nan)
     steps = np.linspace(-2 * reach, 2 * reach, 2 * int(np.ceil(4 * reach)) + 1)
     at = (place[:, None] + steps[None, :, None] * normal[:, None]).astype(np.float32)
-    profile = cv2.remap(grey, at[..., 0], at[..., 1], cv2.INTER_LINEAR)
+    profile = cv2.remap(image.grey, at[..., 0], at[..., 1], cv2.INTER_LINEAR)
     core = np.abs(steps) <= reach
     paper = 0.5 * (
         quick_median(profile[:, steps < -reach]) + quick_median(profile[:, steps > reach])
     )
     dark = (paper[:, None] - profile) * core
     mass = dark.sum(axis=1)
-    mean_noise = max(noise_sigma, 1e-6) * np.sqrt(core.sum())
+    mean_noise = max(image.noise_sigma, 1e-6) * np.sqrt(core.sum())
     seen = mass > max(4.0 * mean_noise, 0.35 * float(quick_median(mass)))
     if np.sum(seen) < max(_FEWEST_STATIONS, 0.3 * len(mass)):
         return np.full(3, np.nan)

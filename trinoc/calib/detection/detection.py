@@ -1,14 +1,10 @@
 """What was found of a board in one picture."""
 
-from collections.abc import Callable
-from itertools import product
-
 import equinox as eqx
 import numpy as np
-from jaxtyping import Float, Int, Shaped
+from jaxtyping import Float, Int
 
-from trinoc.calib.targets import AbstractTarget, BoardSet, first_places
-from trinoc.errors import DetectionError
+from trinoc.calib.targets import AbstractTarget, BoardSet
 
 
 class Detection(eqx.Module):
@@ -79,39 +75,6 @@ def rightward_share(
         on_board_mm - on_board_mm.mean(axis=0), centres_px - centres_px.mean(axis=0), rcond=None
     )
     return float(affine[0, 0] / np.linalg.norm(affine[0]))
-
-
-Detector = Callable[[Shaped[np.ndarray, "..."], AbstractTarget], Detection]
-
-
-def detect_board_set(
-    image: Shaped[np.ndarray, "..."], boards: BoardSet, detect: Detector
-) -> Detection:
-    """The places of all boards of a set that the picture shows, by `detect`.
-
-    Lines are left out: of several boards they would not say whose they are. Raises DetectionError
-    where no board is found.
-    """
-    parts, labels, failures = [], [], []
-    for first, board in zip(first_places(boards), boards.boards, strict=True):
-        try:
-            part = detect(image, board)
-        except DetectionError as error:
-            failures.append(str(error))
-            continue
-        parts.append(part)
-        labels.append(first + part.labellings)
-    if not parts:
-        raise DetectionError(
-            f"None of the boards {', '.join(boards.names)} was found; of the first: {failures[0]}"
-        )
-    return labelled_detection(
-        np.stack([np.concatenate(each) for each in product(*labels)]),
-        np.concatenate([part.centres_px for part in parts]),
-        np.concatenate([part.covariance_px2 for part in parts]),
-        parts[0].image_size_px,
-        np.concatenate([part.shape_px2 for part in parts]),
-    )
 
 
 def split_by_board(detection: Detection, target: AbstractTarget) -> dict[int, Detection]:

@@ -136,7 +136,6 @@ def refine_ellipses(
     start: Ellipses,
     *,
     hole_ratio: float,
-    free_hole: bool,
     slope_sigma: Float[np.ndarray, "n"] | None,
     noise_sigma: float,
     outlier_shares: tuple[float, ...],
@@ -144,18 +143,17 @@ def refine_ellipses(
     """Gauss-Newton steps, one for each of `outlier_shares`, then the covariance.
 
     hole_ratio : inner over outer radius of rings; 0 leaves holes out.
-    free_hole : whether `hole` is fitted or kept.
-    slope_sigma : (n,) how far the slope of the light may be from that of `start`; None keeps it.
+    slope_sigma : (n,) how far the slope of the light may be from that of `start`, whose holes are
+        kept; None fits the holes and keeps the slope.
     outlier_shares : pixels whose residual exceeds this share of the contrast, 4.5 sigma of the
         noise, and what is usual in the picture, are left out of the step.
     """
-    free_hole = free_hole and hole_ratio > 0
+    free_slope = slope_sigma is not None
+    free_hole = hole_ratio > 0 and not free_slope
     state = start
     for share in outlier_shares:
         frame = inverse_square_root(state.shape_px2)
-        jacobian, residual = _linearise(
-            pixels, state, frame, hole_ratio, free_hole, slope_sigma is not None
-        )
+        jacobian, residual = _linearise(pixels, state, frame, hole_ratio, free_hole, free_slope)
         kept = _kept(pixels, residual, state, share, noise_sigma)
         weighted = jacobian * kept[:, None, :]
         normal = (weighted @ np.swapaxes(jacobian, 1, 2)).astype(float)
@@ -164,7 +162,7 @@ def refine_ellipses(
         _add_priors(normal, right, state, start, variance, slope_sigma)
         change = np.linalg.solve(normal, right[:, :, None])[:, :, 0]
         change = np.where(np.isfinite(change), change, 0.0)
-        state = _stepped(state, frame, change, free_hole, slope_sigma is not None)
+        state = _stepped(state, frame, change, free_hole, free_slope)
     # Near the end the model is straight enough to carry the residual to the last step.
     residual = residual - (change.astype(np.float32)[:, None, :] @ jacobian)[:, 0]
     kept = _kept(pixels, residual, state, outlier_shares[-1], noise_sigma)

@@ -61,8 +61,7 @@ def pixels_round(
     radius2 *= dx
     radius2 += a[:, 1, 1, None, None] * dy * dy
     outside_x, outside_y = (column < 0) | (column >= width), (row < 0) | (row >= height)
-    if np.any(outside_x) or np.any(outside_y):
-        radius2[outside_x[:, None, :] | outside_y[:, :, None]] = np.inf
+    radius2[outside_x[:, None, :] | outside_y[:, :, None]] = np.inf
     wanted = radius2 < (outer**2).astype(np.float32)[:, None, None]
     if np.any(inner > 0):
         wanted &= radius2 >= (inner**2).astype(np.float32)[:, None, None]
@@ -75,18 +74,16 @@ def pixels_round(
     most = max(int(count.max(initial=0)), 1)
     slot = circle * most + place
 
-    def packed(values: np.ndarray, dtype: type) -> np.ndarray:
-        rows = np.zeros(len(origin) * most, dtype=dtype)
+    def packed(values: np.ndarray) -> Float[np.ndarray, "n p"]:
+        rows = np.zeros(len(origin) * most, dtype=np.float32)
         rows[slot] = values
         return rows.reshape(len(origin), most)
 
-    x, y = step_x[column_number], step_y[row_number]
-    at = (origin[circle, 1].astype(np.int64) + y) * width + origin[circle, 0].astype(np.int64) + x
     return EllipsePixels(
         origin_px=origin,
-        x=packed(x, np.float32),
-        y=packed(y, np.float32),
-        grey=packed(grey.ravel()[at], np.float32),
+        x=packed(step_x[column_number]),
+        y=packed(step_y[row_number]),
+        grey=packed(grey[row[circle, row_number], column[circle, column_number]]),
         used=np.arange(most) < count[:, None],
     )
 

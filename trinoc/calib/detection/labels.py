@@ -54,17 +54,6 @@ class PatternSymmetry(NamedTuple):
         return float(np.sqrt(abs(np.linalg.det(self.steps_mm)))) / self.radius_mm
 
 
-class Placements(NamedTuple):
-    """Ways to lay a lattice on a pattern.
-
-    index : (k, m) pattern index of each circle of the lattice, -1 where the pattern has none.
-    score : (k,) log likelihood.
-    """
-
-    index: Int[np.ndarray, "k m"]
-    score: Float[np.ndarray, "k"]
-
-
 def pattern_symmetry(pattern: Pattern) -> PatternSymmetry:
     """The lattice of a pattern.
 
@@ -73,12 +62,12 @@ def pattern_symmetry(pattern: Pattern) -> PatternSymmetry:
     InputError : its circles do not span a plane lattice, so no picture can be labelled.
     """
     relative = pattern.lattice - pattern.lattice.mean(axis=0)
-    if len(pattern) < _FEWEST_CIRCLES or np.linalg.matrix_rank(relative) < 2:
+    steps, _, rank, _ = np.linalg.lstsq(relative, pattern.centres_mm, rcond=None)
+    if len(pattern) < _FEWEST_CIRCLES or rank < 2:
         raise InputError(
             f"The pattern {pattern.name!r} has too few circles off one line to be found in a"
             f" picture; use at least a 2 x 2 grid."
         )
-    steps, *_ = np.linalg.lstsq(relative, pattern.centres_mm, rcond=None)
     quarter = np.array([[0, -1], [1, 0]])
     quarters = np.stack([np.linalg.matrix_power(quarter, k) for k in range(4)])
     turns = _rigid_maps(quarters, steps.T)
@@ -112,19 +101,20 @@ def _symmetries(pattern: Pattern, maps: Int[np.ndarray, "turns 2 2"]) -> Int[np.
     The identity, if `maps` holds it, comes first.
     """
     ring_evidence = np.where(pattern.is_ring, 2.0, -2.0)
-    placed = placements(pattern.lattice, ring_evidence, pattern, maps)
-    same = placed.index[placed.score > len(pattern) - 0.5]
+    index, score = _placements(pattern.lattice, ring_evidence, pattern, maps)
+    same = index[score > len(pattern) - 0.5]
     is_identity = np.all(same == np.arange(len(pattern)), axis=1)
     return same[np.argsort(~is_identity, kind="stable")]
 
 
-def placements(
+def _placements(
     cell: Int[np.ndarray, "m 2"],
     ring_evidence: Float[np.ndarray, "m"],
     pattern: Pattern,
     maps: Int[np.ndarray, "turns 2 2"],
-) -> Placements:
-    """Every turn and shift of the lattice on the pattern, with its score."""
+) -> tuple[Int[np.ndarray, "k m"], Float[np.ndarray, "k"]]:
+    """Every turn and shift of the lattice on the pattern: (pattern index of each circle, -1 where
+    the pattern has none; log likelihood)."""
     low, high = pattern.lattice.min(axis=0), pattern.lattice.max(axis=0)
     grid = np.full(high - low + 1, -1)
     grid[tuple((pattern.lattice - low).T)] = np.arange(len(pattern))
@@ -141,12 +131,8 @@ def placements(
         indices.append(np.where(inside, grid[at[..., 0], at[..., 1]], -1))
     index = np.concatenate(indices)
     sign = np.append(np.where(pattern.is_ring, 0.5, -0.5), 0.0)
-    score = (
-        sign[index] @ ring_evidence
-        if not np.any(index < 0)
-        else np.sum(np.where(index >= 0, sign[index] * ring_evidence, -_OUTSIDE_COST), axis=1)
-    )
-    return Placements(index, score)
+    score = np.where(index >= 0, sign[index] * ring_evidence, -_OUTSIDE_COST).sum(axis=1)
+    return index, score
 
 
 def label_circles(
@@ -166,18 +152,16 @@ def label_circles(
         sheet is seen to tell where it lies.
     """
     pattern = symmetry.pattern
-    plain = placements(cell, ring_evidence, pattern, symmetry.turns)
-    best = int(np.argmax(plain.score))
-    index, allowed = plain.index[best], int(_MOST_WRONG * len(cell))
-    rivals = plain.index[plain.score > plain.score[best] - _MARGIN]
+    ways, score = _placements(cell, ring_evidence, pattern, symmetry.turns)
+    index, allowed = ways[np.argmax(score)], int(_MOST_WRONG * len(cell))
+    rivals = ways[score > score.max() - _MARGIN]
     own = np.where(index >= 0, symmetry.symmetries[:, index], -1)
     is_ambiguous = not np.all(np.any(np.all(own == rivals[:, None], axis=2), axis=1))
     if symmetry.is_chiral:
-        mirrored = placements(cell, ring_evidence, pattern, symmetry.mirrors)
-        worst = int(np.argmax(mirrored.score))
-        lead = mirrored.score[worst] - plain.score[best]
+        mirrored, mirrored_score = _placements(cell, ring_evidence, pattern, symmetry.mirrors)
+        lead = mirrored_score.max() - score.max()
         is_ambiguous |= bool(lead > -_MARGIN)
-        wrong = _count_contradicting(mirrored.index[worst], ring_evidence, pattern)
+        wrong = _count_contradicting(mirrored[mirrored_score.argmax()], ring_evidence, pattern)
         if lead > _MARGIN and wrong <= allowed:
             raise MirroredError(
                 f"The picture shows the sheet {pattern.name!r} mirrored; flip it left to"

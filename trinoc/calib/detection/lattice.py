@@ -25,6 +25,7 @@ _LARGEST_AREA_RATIO = 3.0
 _MISS_RADII = 0.7
 _SHAPE_FACTOR = 2.2
 _ROUNDS = 30
+_FEWEST_BLOBS = 6
 _MOST_BESIDE = 12
 
 
@@ -43,15 +44,10 @@ class Lattice(NamedTuple):
         return len(self.blob)
 
 
-def find_lattices(
-    blobs: Blobs, symmetry: PatternSymmetry, *, at_least: int, span: int
-) -> Iterator[Lattice]:
-    """Lattices of at least `at_least` blobs, each blob used once, as they are found.
-
-    span : a lattice has at most this many cells along each axis.
-    """
-    if len(blobs) < 4:
-        return
+def find_lattices(blobs: Blobs, symmetry: PatternSymmetry) -> Iterator[Lattice]:
+    """Lattices of a few blobs at least, each blob used once, as they are found."""
+    # Cells of a lattice along each axis, at most.
+    span = int(np.ptp(symmetry.pattern.lattice, axis=0).max()) + 3
     relation = _Neighbours.of(blobs, symmetry)
     free = np.ones(len(blobs), dtype=bool)
     tried = np.zeros(len(blobs), dtype=bool)
@@ -62,7 +58,7 @@ def find_lattices(
         for corner in relation.cells_at(int(start), free):
             tried[corner.blob] = True
             lattice = _grow(blobs, symmetry, corner, free, span)
-            if len(lattice) >= at_least:
+            if len(lattice) >= _FEWEST_BLOBS:
                 free[lattice.blob] = False
                 yield lattice
                 break
@@ -84,19 +80,15 @@ class _Neighbours(NamedTuple):
         offset = between @ frame
         distance = np.sqrt(offset[..., 0] ** 2 + offset[..., 1] ** 2)
         mean = np.sqrt(distance * distance.T)
-        step = np.linalg.norm(symmetry.steps_mm, axis=0) / symmetry.radius_mm
+        steps = symmetry.steps_mm / symmetry.radius_mm
+        step = np.linalg.norm(steps, axis=0)
         area = np.sqrt(np.linalg.det(blobs.shape_px2))
         ratio = area[:, None] / area[None]
         alike = (ratio < _LARGEST_AREA_RATIO) & (ratio > 1 / _LARGEST_AREA_RATIO)
         near = (
             alike & (mean > step.min() / _DISTANCE_FACTOR) & (mean < step.max() * _DISTANCE_FACTOR)
         )
-        cosine = float(
-            symmetry.steps_mm[:, 0]
-            @ symmetry.steps_mm[:, 1]
-            / np.prod(step)
-            / symmetry.radius_mm**2
-        )
+        cosine = float(steps[:, 0] @ steps[:, 1] / np.prod(step))
         return cls(near, offset, near.sum(axis=1), step, cosine)
 
     def cells_at(self, start: int, free: np.ndarray) -> Iterator[Lattice]:
@@ -148,8 +140,7 @@ def _grow(
     inverse_shape = np.linalg.inv(blobs.shape_px2)
     a11, a12, a22 = (inverse_shape[:, i, j] for i, j in ((0, 0), (0, 1), (1, 1)))
     log_area = 0.5 * np.log(np.linalg.det(blobs.shape_px2))
-    circle = symmetry.radius_mm * np.linalg.inv(symmetry.steps_mm)
-    log_circle = np.log(abs(np.linalg.det(circle)))
+    log_circle = -2.0 * np.log(symmetry.pitch_radii)
     lattice = corner
     for _ in range(_ROUNDS):
         mapping = fit_plane_mapping(lattice.cell.astype(float), blobs.centres_px[lattice.blob])
@@ -169,10 +160,8 @@ def _grow(
         good = (miss[index, nearest] < _MISS_RADII**2) & (best_cell[nearest] == index)
         grown = Lattice(nearest[good], cells[good])
         if len(grown) < 4 or _is_flat(grown.cell):
-            return lattice if len(lattice) > 4 else Lattice(corner.blob[:0], corner.cell[:0])
-        same = len(grown) == len(lattice) and np.array_equal(
-            np.sort(grown.blob), np.sort(lattice.blob)
-        )
+            break
+        same = np.array_equal(np.sort(grown.blob), np.sort(lattice.blob))
         lattice = grown
         if same or len(lattice) == len(symmetry.pattern):
             break

@@ -53,7 +53,6 @@ def fit_coarsely(
             pixels, centres_px, shape_px2, hole_ratio=hole_ratio, taken_share=1.0 / step**2
         ),
         hole_ratio=hole_ratio,
-        free_hole=True,
         slope_sigma=None,
         noise_sigma=small.noise_sigma,
         outlier_shares=(0.5, 0.25),
@@ -72,10 +71,9 @@ def measure_circles(
         pattern.centres_mm[index], coarse.centres_px, pattern.radius_mm[index]
     )
     missing = np.setdiff1d(np.arange(len(pattern)), index)
-    if len(missing):
-        centre, shape = mapping.ellipses(pattern.centres_mm[missing], pattern.radius_mm[missing])
-        seen = _are_inside(centre, shape, image.size_px)
-        missing, centre, shape = missing[seen], centre[seen], shape[seen]
+    centre, shape = mapping.ellipses(pattern.centres_mm[missing], pattern.radius_mm[missing])
+    seen = _are_inside(centre, shape, image.size_px)
+    missing, centre, shape = missing[seen], centre[seen], shape[seen]
     if len(missing):
         extra = fit_coarsely(image, centre, shape, symmetry.hole_ratio)
         like = are_plausible(extra, centre, shape, image.noise_sigma)
@@ -101,9 +99,8 @@ def _are_inside(
     half = 1.1 * np.sqrt(np.maximum(shape_px2[:, [0, 1], [0, 1]], 0.0))
     low, high = centre_px - half, centre_px + half
     real = np.all(np.isfinite(centre_px), axis=1)
-    real &= (np.linalg.det(np.where(real[:, None, None], shape_px2, 0.0)) > 1.0) & (
-        shape_px2[:, 0, 0] > 0
-    )
+    real &= np.linalg.det(np.where(real[:, None, None], shape_px2, 0.0)) > 1.0
+    real &= shape_px2[:, 0, 0] > 0
     return real & np.all((low > 0) & (high < np.array(size_px) - 1), axis=1)
 
 
@@ -129,7 +126,6 @@ def _fit_finely(
             subtract_line_blur(pixels, start, index[rows], pattern, mapping, outer),
             start,
             hole_ratio=symmetry.hole_ratio,
-            free_hole=False,
             slope_sigma=slope_sigma[rows],
             noise_sigma=image.noise_sigma,
             outlier_shares=(0.08,),

@@ -37,14 +37,13 @@ def resolve_orientation(
         raise InputError(
             f'orientation is {orientation!r}, but must be "upright", an earlier Rig, or None.'
         )
-    resolved, failures = {}, {}
+    resolved, failures = dict(detections), {}
     for name, detection in detections.items():
         choice = _choose_labelling(detection, pattern, orientation, name)
         if isinstance(choice, str):
             failures[name] = choice
-        resolved[name] = (
-            detection if isinstance(choice, str) else _with_labelling(detection, pattern, choice)
-        )
+        else:
+            resolved[name] = _with_labelling(detection, pattern, choice)
     return resolved, failures
 
 
@@ -54,8 +53,8 @@ def _choose_labelling(
     """The labelling to take, or why none can be."""
     if detection.ambiguity is None or orientation == "upright":
         return detection.circle_index
-    ways = 1 + len(detection.ambiguity)
-    turn = 360 // ways
+    choices = detection.labellings
+    turn = 360 // len(choices)
     sheet = f"the sheet {pattern.name!r} looks the same turned by {turn} degrees"
     if orientation is None:
         return (
@@ -64,7 +63,6 @@ def _choose_labelling(
         )
     if name not in orientation.names:
         return f"{sheet}, and the earlier rig has no such camera that would tell."
-    choices = detection.labellings
     misses = [_miss_px(orientation[name], detection, pattern, index) for index in choices]
     order = np.argsort(misses)
     if not misses[order[0]] * _CLEARLY < misses[order[1]]:

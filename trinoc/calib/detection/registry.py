@@ -1,16 +1,25 @@
 """The detector that belongs to each kind of board."""
 
 from collections.abc import Callable
+from itertools import product
 
 import numpy as np
 from jaxtyping import Shaped
 
 from trinoc.calib.detection.chessboard import detect_chessboard
 from trinoc.calib.detection.circles import detect_circles
-from trinoc.calib.detection.detection import Detection, detect_board_set
+from trinoc.calib.detection.detection import Detection, labelled_detection
 from trinoc.calib.detection.marker_boards import detect_april_grid, detect_charuco
-from trinoc.calib.targets import AbstractTarget, AprilGrid, BoardSet, Charuco, Chessboard, Pattern
-from trinoc.errors import InputError
+from trinoc.calib.targets import (
+    AbstractTarget,
+    AprilGrid,
+    BoardSet,
+    Charuco,
+    Chessboard,
+    Pattern,
+    first_places,
+)
+from trinoc.errors import DetectionError, InputError
 
 DETECTORS: dict[type[AbstractTarget], Callable[..., Detection]] = {
     Pattern: detect_circles,
@@ -31,14 +40,13 @@ def detect_target(image: Shaped[np.ndarray, "..."], target: AbstractTarget) -> D
     DetectionError : the board is not seen, or not in a way that can be trusted.
     """
     if isinstance(target, BoardSet):
-        return detect_board_set(image, target, detect_target)
-    for board, detect in DETECTORS.items():
-        if isinstance(target, board):
-            return detect(image, target)
-    raise InputError(
-        f"Nothing detects a {type(target).__name__}: give a Pattern, a Chessboard, a Charuco, an "
-        "AprilGrid or a BoardSet."
-    )
+        return _detect_board_set(image, target)
+    if type(target) not in DETECTORS:
+        raise InputError(
+            f"Nothing detects a {type(target).__name__}: give a Pattern, a Chessboard, a Charuco, "
+            "an AprilGrid or a BoardSet."
+        )
+    return DETECTORS[type(target)](image, target)
 
 
 def detect_pattern(image: Shaped[np.ndarray, "..."], pattern: Pattern) -> Detection:
@@ -56,3 +64,31 @@ def detect_pattern(image: Shaped[np.ndarray, "..."], pattern: Pattern) -> Detect
         little of it to tell where it lies.
     """
     return detect_target(image, pattern)
+
+
+def _detect_board_set(image: Shaped[np.ndarray, "..."], boards: BoardSet) -> Detection:
+    """The places of all boards of a set that the picture shows.
+
+    Lines are left out: of several boards they would not say whose they are. Raises DetectionError
+    where no board is found.
+    """
+    parts, labels, failures = [], [], []
+    for first, board in zip(first_places(boards), boards.boards, strict=True):
+        try:
+            part = detect_target(image, board)
+        except DetectionError as error:
+            failures.append(str(error))
+            continue
+        parts.append(part)
+        labels.append(first + part.labellings)
+    if not parts:
+        raise DetectionError(
+            f"None of the boards {', '.join(boards.names)} was found; of the first: {failures[0]}"
+        )
+    return labelled_detection(
+        np.stack([np.concatenate(each) for each in product(*labels)]),
+        np.concatenate([part.centres_px for part in parts]),
+        np.concatenate([part.covariance_px2 for part in parts]),
+        parts[0].image_size_px,
+        np.concatenate([part.shape_px2 for part in parts]),
+    )

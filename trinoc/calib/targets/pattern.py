@@ -114,10 +114,10 @@ class Pattern(Displayable, AbstractBoard):
             raise InputError(f'`rings` is {rings!r}; give "code", "none" or an array.')
         hole_mm = 0.5 * radius_mm if inner_radius_mm is None else inner_radius_mm
         if line_half_length_mm is None:
-            half_x_mm, half_y_mm = 0.5 * pitch_mm * (columns + 0.5), 0.5 * pitch_mm * (rows + 0.5)
-        else:
-            half_x_mm, half_y_mm = line_half_length_mm
-        lattice = _row_by_row(rows, columns)
+            line_half_length_mm = (0.5 * pitch_mm * (columns + 0.5), 0.5 * pitch_mm * (rows + 0.5))
+        half_x_mm, half_y_mm = line_half_length_mm
+        row, column = np.divmod(np.arange(rows * columns), columns)
+        lattice = np.stack([column, rows - 1 - row], axis=1)
         middle = np.array([0.5 * (columns - 1), 0.5 * (rows - 1)])
         return cls(
             name=name or f"cross_{rows}x{columns}_{pitch_mm:g}mm",
@@ -171,26 +171,20 @@ class Pattern(Displayable, AbstractBoard):
         Ordered row by row, the first row not shifted, as OpenCV's object points
         ((2 j + i mod 2) s, i s) with their second axis turned up; the origin is the middle.
         """
-        if rows < 1 or columns < 1:
-            raise InputError(f"A grid of {rows} x {columns} circles has none; give both >= 1.")
-        row, column = np.divmod(np.arange(rows * columns), columns)
-        across, down = 2 * column + row % 2, row
+        even = cls.circle_grid(
+            rows=rows,
+            columns=columns,
+            pitch_mm=2 * spacing_mm,
+            radius_mm=radius_mm,
+            name=name or f"asymmetric_circles_{rows}x{columns}_{spacing_mm:g}mm",
+        )
+        down, column = np.divmod(np.arange(rows * columns), columns)
+        across = 2 * column + down % 2
         centres_mm = spacing_mm * np.stack([across, -down], axis=1).astype(float)
         centres_mm -= 0.5 * (centres_mm.min(axis=0) + centres_mm.max(axis=0))
         # The nearest circles are the diagonal ones, so the lattice is turned by 45 degrees.
         lattice = np.stack([(across + down) // 2, (across - down) // 2], axis=1)
-        count = rows * columns
-        return cls(
-            name=name or f"asymmetric_circles_{rows}x{columns}_{spacing_mm:g}mm",
-            centres_mm=centres_mm,
-            radius_mm=np.full(count, float(radius_mm)),
-            inner_radius_mm=np.zeros(count),
-            lattice=lattice,
-            line_width_mm=0.0,
-            line_half_length_mm=(0.0, 0.0),
-            line_style="stop",
-            line_gap_mm=0.0,
-        )
+        return dataclasses.replace(even, centres_mm=centres_mm, lattice=lattice)
 
     @property
     def is_ring(self) -> Bool[np.ndarray, "n"]:
@@ -206,21 +200,18 @@ class Pattern(Displayable, AbstractBoard):
     def drawing(self) -> list[Disc | Polygon]:
         """Circles and lines; where they meet, by the style of the lines."""
         circles: list[Disc | Polygon] = []
-        for centre, radius, hole in zip(
-            self.centres_mm.tolist(), self.radius_mm, self.inner_radius_mm, strict=True
-        ):
-            circles.append(Disc(tuple(centre), float(radius), True))
+        centres, radii = [(x, y) for x, y in self.centres_mm.tolist()], self.radius_mm.tolist()
+        for centre, radius, hole in zip(centres, radii, self.inner_radius_mm.tolist(), strict=True):
+            circles.append(Disc(centre, radius, True))
             if hole > 0:
-                circles.append(Disc(tuple(centre), float(hole), False))
+                circles.append(Disc(centre, hole, False))
         if self.line_width_mm == 0:
             return circles
         half_x_mm, half_y_mm = self.line_half_length_mm
         thin_mm = 0.5 * self.line_width_mm
         corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-        lines = [
-            Polygon(corners * np.array(reach), True)
-            for reach in ((half_x_mm, thin_mm), (thin_mm, half_y_mm))
-        ]
+        reaches = (half_x_mm, thin_mm), (thin_mm, half_y_mm)
+        lines = [Polygon(corners * reach, True) for reach in reaches]
         beside_mm = self.radius_mm + self.line_gap_mm + thin_mm
         met = [
             (int(circle), axis)
@@ -231,14 +222,7 @@ class Pattern(Displayable, AbstractBoard):
             return [*circles, *lines]
         if self.line_style == "white":
             return [*lines, *circles, *(_line_on_circle(self, *each) for each in met)]
-        gaps = [
-            Disc(
-                tuple(self.centres_mm[k].tolist()),
-                float(self.radius_mm[k]) + self.line_gap_mm,
-                False,
-            )
-            for k, _ in met
-        ]
+        gaps = [Disc(centres[k], radii[k] + self.line_gap_mm, False) for k, _ in met]
         return [*lines, *gaps, *circles]
 
     def rescaled(self, scale_x: float, scale_y: float) -> "Pattern":
@@ -274,12 +258,6 @@ def _line_on_circle(pattern: Pattern, circle: int, axis: int) -> Polygon:
     return Polygon(pattern.centres_mm[circle] + turned, False)
 
 
-def _row_by_row(rows: int, columns: int) -> Int[np.ndarray, "n 2"]:
-    """Lattice coordinates (right, up) of a grid read row by row from the top left."""
-    row, column = np.divmod(np.arange(rows * columns), columns)
-    return np.stack([column, rows - 1 - row], axis=1)
-
-
 def _problem(pattern: Pattern) -> str | None:
     """What makes a layout unprintable, in words; None when nothing does."""
     centres, radius = pattern.centres_mm, pattern.radius_mm
@@ -311,16 +289,13 @@ def _problem(pattern: Pattern) -> str | None:
 def _lattice_problem(pattern: Pattern) -> str | None:
     """Whether the centres are an even, unmirrored image of the lattice."""
     relative = pattern.lattice - pattern.lattice.mean(axis=0)
-    if len(relative) < 3 or np.linalg.matrix_rank(relative) < 2:
+    steps, _, rank, _ = np.linalg.lstsq(relative, pattern.centres_mm, rcond=None)
+    if rank < 2:
         return None
-    steps, *_ = np.linalg.lstsq(relative, pattern.centres_mm, rcond=None)
-    offset = pattern.centres_mm.mean(axis=0)
-    pitch_mm = np.sqrt(abs(np.linalg.det(steps)))
-    if np.linalg.det(steps) <= 0.0:
+    area_mm2 = np.linalg.det(steps)
+    if area_mm2 <= 0.0:
         return "its lattice is a mirror image of its centres"
-    if (
-        np.max(np.abs(relative @ steps + offset - pattern.centres_mm))
-        > _LATTICE_TOLERANCE * pitch_mm
-    ):
+    off_mm = np.abs(relative @ steps + pattern.centres_mm.mean(axis=0) - pattern.centres_mm)
+    if off_mm.max() > _LATTICE_TOLERANCE * np.sqrt(area_mm2):
         return "its centres do not lie on the lattice that it states"
     return None
