@@ -9,7 +9,7 @@ from scipy.stats import chi2
 from tests.calib.adjustment.made_views import LENS_FACTOR, SHEET, TYPICAL, made_views
 from trinoc.calib.adjustment.estimate import Adjustment, adjust_cameras
 from trinoc.calib.problem.information import whitened_views
-from trinoc.calib.problem.variables import retract
+from trinoc.calib.problem.variables import prior_of, retract
 from trinoc.calib.uncertainty import Systematics
 from trinoc.geometry import Pose, PoseModel
 from trinoc.geometry.rotation import vector_from_rotation
@@ -70,6 +70,17 @@ def test_one_camera_is_known_by_the_rest_of_the_root(sigma_px) -> None:
     units = np.diag([1.0] * 3 + [1 / float(found.problem.chart.unit_mm)] * 3)
     np.testing.assert_allclose(root @ units @ own @ units @ root.T, np.eye(6), atol=1e-5)
     np.testing.assert_array_less(0, np.linalg.svd(root, compute_uv=False))
+
+
+def test_the_root_is_that_of_the_pixels_and_of_all_that_was_known() -> None:
+    found = adjusted(made_views(0, lens_factor=LENS_FACTOR).cameras)
+    rows = np.concatenate(list(found.near.jacobian[..., found.free]))
+    state, chart = found.problem.state, found.problem.chart
+    known = np.asarray(prior_of(state, chart).information)[np.ix_(found.free, found.free)]
+    expected = rows.T @ rows + known
+    scale = np.sqrt(np.diag(expected))
+    inverse = np.linalg.inv(expected / np.outer(scale, scale)) / np.outer(scale, scale)
+    np.testing.assert_allclose(found.root @ inverse @ found.root.T, np.eye(len(rows.T)), atol=1e-3)
 
 
 def test_residuals_scatter_as_the_noise_does() -> None:

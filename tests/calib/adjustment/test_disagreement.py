@@ -1,10 +1,15 @@
 """When two answers of one picture differ, and when blocks of a sheet do."""
 
 import numpy as np
+import pytest
 
 from tests.calib.adjustment.made_views import SHEET, SIGMA_PX, TYPICAL, made_views
-from trinoc.calib.adjustment.agreement import probability_of_agreement
+from trinoc.calib.adjustment.agreement import (
+    difference_of_answers,
+    probability_of_agreement,
+)
 from trinoc.calib.adjustment.estimate import Adjustment, adjust_cameras
+from trinoc.calib.adjustment.model_tests import information_left
 from trinoc.calib.adjustment.jackknife import scatter_of_blocks
 from trinoc.calib.problem.robust_fit import errors_px
 from trinoc.calib.problem.sheet_points import SheetPoints
@@ -36,6 +41,33 @@ def test_right_answers_agree_and_wrong_ones_do_not() -> None:
     # The same centres: no difference at all.
     assert min(probabilities) > 0.5
     assert max(refuted) < 1e-3
+
+
+def test_answers_of_one_picture_differ_as_chi_square_does() -> None:
+    """Circles that are the grey levels' answer and noise of their own: 4,000 pictures."""
+    random = np.random.default_rng(0)
+    by_circles, more = random.normal(size=(30, 4)), random.normal(size=(40, 4))
+    by_grey = np.concatenate([by_circles, 1.5 * more])
+    of_circles, of_grey = (np.linalg.inv(rows.T @ rows) for rows in (by_circles, by_grey))
+    root = np.linalg.cholesky(of_circles - of_grey)
+    squared = [
+        difference_of_answers(by_circles @ root @ random.normal(size=4), by_circles, by_grey)
+        for _ in range(4000)
+    ]
+    assert np.mean(squared) == pytest.approx(4.0, rel=0.05)
+
+
+def test_more_unknowns_take_what_a_whole_fit_with_them_takes() -> None:
+    random = np.random.default_rng(1)
+    base, extra = random.normal(size=(20, 5)), random.normal(size=(20, 2))
+    prior = np.diag([3.0, 0.0, 0.0, 1.0, 0.0])
+    root = np.linalg.cholesky(base.T @ base + prior).T
+    whole = np.concatenate([base, extra], axis=1)
+    normal = whole.T @ whole
+    normal[:5, :5] += prior
+    np.testing.assert_allclose(
+        np.linalg.inv(information_left(extra, base, root)), np.linalg.inv(normal)[5:, 5:]
+    )
 
 
 def _images_px(circles: Adjustment) -> np.ndarray:

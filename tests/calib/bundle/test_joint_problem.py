@@ -12,7 +12,7 @@ from tests.calib.bundle.made_tracks import NAMES, SHEET_SIGMA, TRUTH, made_track
 from tests.geometry.strategies import vectors
 from trinoc.calib import camera_state, stacked_states
 from trinoc.calib.bundle.camera import camera_of_state
-from trinoc.calib.bundle.estimate import HELD_SIGMA_MM, FreeParameters, prior_information
+from trinoc.calib.bundle.estimate import HELD_SIGMA_MM, HELD_SIGMA_PX, FreeParameters, prior_information
 from trinoc.calib.bundle.factors import (
     PosePrior,
     line_residual,
@@ -27,7 +27,7 @@ from trinoc.calib.bundle.joint_problem import (
     squared_distances,
     with_lines_of_two_views,
 )
-from trinoc.geometry import LineObservations, PoseModel
+from trinoc.geometry import LineObservations, PoseModel, Rig
 from trinoc.numerics import GemanMcClure, eliminate
 
 COUNT = 7
@@ -102,7 +102,9 @@ def test_a_step_of_zero_moves_nothing_and_others_are_differentiable(pose_model, 
 
 def test_whitening_makes_the_distances_independent():
     lines, _, _ = made_tracks(0, 1)
-    fragment, covariance = lines.fragments_px[0, 0], lines.covariance_px2[0, 0]
+    fragment = lines.fragments_px[0, 0]
+    root = np.random.default_rng(0).normal(size=(4, 4))
+    covariance = root @ root.T
     whitening = whitening_across(fragment, covariance)
     along = np.diff(fragment, axis=0)[0]
     normal = np.array([-along[1], along[0]]) / np.linalg.norm(along)
@@ -170,9 +172,10 @@ def test_the_information_is_weighted_as_the_loss_says():
     np.testing.assert_allclose(found, dense, rtol=1e-8, atol=1e-8 * dense.max())
 
 
-def test_eliminating_the_lines_solves_the_whole_problem():
-    lines, _, _ = made_tracks(1, COUNT, hidden=0.0)
-    problem, state, _ = problem_of(lines, PoseModel.RIGID, EVERYTHING, off=1e-3)
+@pytest.mark.parametrize(("loss", "wrong"), [(EVERYTHING, 0.0), (LOSS, 0.3)])
+def test_eliminating_the_lines_solves_the_whole_problem(loss, wrong):
+    lines, _, _ = made_tracks(1, COUNT, hidden=0.0, wrong=wrong)
+    problem, state, _ = problem_of(lines, PoseModel.RIGID, loss, off=1e-3)
     equations = equations_of(problem, state)
     elimination = eliminate(equations.information)
     dense = np.asarray(equations.information.as_matrix())
@@ -220,6 +223,19 @@ def test_the_prior_is_the_inverse_of_the_covariance_of_the_cameras_that_did_not_
         own = np.diag(found)[6 * k : 6 * k + 6]
         np.testing.assert_allclose(own, 0 if camera == "left" else expected, rtol=1e-12)
     np.testing.assert_array_equal(found - np.diag(np.diag(found)), 0)
+
+
+def test_a_lens_is_known_no_better_than_is_held_and_as_it_errs_with_the_pose():
+    """A lens that is exact beforehand still has a sigma, so that the information is finite."""
+    rig = rig_at(TRUTH, with_covariance=False)
+    keys = ("upper.distance_mm", "upper.fx_px", "upper.fy_px")
+    root = np.array([[2.0, 0.0, 0.0], [4.0, 0.5, 0.0], [0.0, 0.0, 0.0]])
+    stated = Rig(dict(rig.items()), parameters=keys, covariance=root @ root.T)
+    names = ("distance_mm", "fx_px", "fy_px")
+    choice = FreeParameters(PoseModel.AIM_FREE, False, ("upper",), aim_held=False)
+    found = prior_information(stated, names, choice)
+    held = np.diag([0.0, HELD_SIGMA_PX**2, HELD_SIGMA_PX**2])
+    np.testing.assert_allclose(found[:3, :3], np.linalg.inv(root @ root.T + held), rtol=1e-6)
 
 
 def test_two_views_are_met_exactly_and_others_stay():
