@@ -44,7 +44,7 @@ def find_junctions(segments: Segments, near: NearEnds | None = None) -> Junction
     reach = np.clip(_SIGMAS * along, _LEAST_REACH_PX, _MOST_REACH_PX)
     if near is None:
         near = lines_near_ends(pieces, float(reach.max()))
-    line, side, other, _, place = endpoint_crossings(pieces, reach, near)
+    line, side, other, _, place, _ = endpoint_crossings(pieces, reach, near)
     # The end of the other segment that the crossing is within reach of, or its body.
     to_end = np.abs(place[:, None] - pieces.extent_px[other])
     at_end = to_end < reach[other][:, None]
