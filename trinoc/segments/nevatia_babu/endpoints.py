@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from trinoc.numerics import cross_2d, distinct, point_tree, take_rows
+from trinoc.numerics import cross_2d, distinct, near_pairs, take_rows
 from trinoc.segments.tuning import DEFAULT, EndTuning
 
 _SAMPLE_PX = 3.0
@@ -58,22 +58,14 @@ class NearEnds(NamedTuple):
 def lines_near_ends(pieces: Pieces, reach_px: float) -> NearEnds:
     """The lines, at most some, within one and a half times the reach of each end."""
     count = len(pieces.centre_px)
-    if count < 2:
-        none = np.zeros(0, dtype=np.int64)
-        return NearEnds(none, none)
     owner, samples = line_samples(pieces, _SAMPLE_PX)
-    _, neighbours = point_tree(samples).query(
-        pieces.ends_px.reshape(-1, 2),
-        k=min(_NEIGHBOURS, len(samples)),
-        distance_upper_bound=_NEXT_OF_SNAP * reach_px,
+    end, sample, _ = near_pairs(
+        pieces.ends_px.reshape(-1, 2), samples, _NEXT_OF_SNAP * reach_px, _NEIGHBOURS
     )
-    near = np.asarray(neighbours).reshape(2 * count, -1)
-    found = np.flatnonzero(near < len(samples))
-    end, other = found // near.shape[1], owner[near.ravel()[found]]
     # Most samples near an end are its own line's.
-    foreign = np.flatnonzero(other != end // 2)
-    pair = distinct(end[foreign] * count + other[foreign])
-    return NearEnds(*np.divmod(pair, count))
+    foreign = np.flatnonzero(owner[sample] != end // 2)
+    pair = distinct(end[foreign] * count + owner[sample[foreign]])
+    return NearEnds(*np.divmod(pair, max(count, 1)))
 
 
 def endpoint_crossings(
