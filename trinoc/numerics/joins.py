@@ -160,7 +160,8 @@ def near_pairs(
 
     At most so many per point are given, two or more.
     """
-    distance, found = point_tree(other_px).query(one_px, k=most, distance_upper_bound=radius_px)
+    near = point_tree(other_px).query(one_px, k=most, distance_upper_bound=radius_px)
+    distance, found = map(np.asarray, near)
     one, slot = np.nonzero(found < len(other_px))
     return one, found[one, slot], distance[one, slot]
 
