@@ -60,7 +60,7 @@ plt.show()
 
 # %%
 grey = picture.astype(np.float32)
-kernel = combined_kernel(1)
+kernel = combined_kernel()
 gradient = gradient_of(grey, kernel)
 noise = level_noise(grey, quantum=1.0)
 strength = np.sqrt(gradient.squared)

@@ -20,7 +20,7 @@ from .buckets import (
     split_columns as split_columns,
 )
 from .compiler_options import quick_compiling as quick_compiling
-from .display import Displayable as Displayable, Displays as Displays, display_with as display_with
+from .display import Displayable as Displayable, display_with as display_with
 from .information import (
     LARGEST_SIGMA as LARGEST_SIGMA,
     Observability as Observability,
@@ -41,7 +41,6 @@ from .joins import (
     overlapping as overlapping,
     pairs_of_equal_keys as pairs_of_equal_keys,
     point_tree as point_tree,
-    sums as sums,
     take_groups as take_groups,
 )
 from .precision import (

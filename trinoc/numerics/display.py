@@ -5,33 +5,14 @@ Drawing stands on a floor above the values. The package's front door says who dr
 """
 
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any
+
+# What gives the one who draws values. It has the four functions `html`, `plot`, `show` and
+# `to_frame`, which take the value first.
+_sources: list[Callable[[], Any]] = []
 
 
-class Displays(Protocol):
-    """Who draws values: one function for each way to show one."""
-
-    def html(self, value: Any) -> str:
-        """A table and a small picture, as HTML."""
-        ...
-
-    def plot(self, value: Any, axes: Any, **options: Any) -> Any:
-        """On axes of matplotlib, which are returned."""
-        ...
-
-    def show(self, value: Any, **options: Any) -> Any:
-        """A figure of plotly to turn."""
-        ...
-
-    def to_frame(self, value: Any) -> Any:
-        """A table of pandas."""
-        ...
-
-
-_sources: list[Callable[[], Displays]] = []
-
-
-def display_with(source: Callable[[], Displays]) -> None:
+def display_with(source: Callable[[], Any]) -> None:
     """Let values be shown by what `source` returns; it is called when a value is shown."""
     _sources[:] = [source]
 

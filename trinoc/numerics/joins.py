@@ -17,7 +17,6 @@ from scipy.spatial import KDTree
 
 Group = Int[np.ndarray, "m"] | None
 
-_MOST_NEIGHBOURS = 8
 # Points of a leaf: the fastest, to build and to ask, for some thousands of points.
 _LEAF = 16
 
@@ -98,19 +97,10 @@ def members(
     return index, run, np.cumsum(count) - count
 
 
-def sums(values: Float[np.ndarray, "m"], first: Int[np.ndarray, "r"]) -> Float[np.ndarray, "r"]:
-    """Sum of each run of the concatenated values; no run may be empty."""
-    if len(first) == 0:
-        return np.zeros(0, dtype=values.dtype)
-    return np.add.reduceat(values, first)
-
-
 def largest(
     values: Shaped[np.ndarray, "m"], first: Int[np.ndarray, "r"], run: Int[np.ndarray, "m"]
 ) -> tuple[np.ndarray, Int[np.ndarray, "r"]]:
     """(maximum, position) of each run, the position counted from the run's first member."""
-    if len(first) == 0:
-        return np.zeros(0, dtype=values.dtype), np.zeros(0, dtype=np.int64)
     top = np.maximum.reduceat(values, first)
     hits = np.flatnonzero(values == top[run])
     position = np.zeros(len(first), dtype=np.int64)
@@ -161,17 +151,17 @@ def point_tree(points_px: Float[np.ndarray, "n 2"]) -> KDTree:
 
 
 def near_pairs(
-    one_px: Float[np.ndarray, "n 2"], other_px: Float[np.ndarray, "m 2"], radius_px: float
+    one_px: Float[np.ndarray, "n 2"],
+    other_px: Float[np.ndarray, "m 2"],
+    radius_px: float,
+    most: int = 8,
 ) -> tuple[Int[np.ndarray, "p"], Int[np.ndarray, "p"], Float[np.ndarray, "p"]]:
     """(i, j, distance): of each of the first points, the nearest of the others within the radius.
 
-    At most eight per point are given.
+    At most so many per point are given, two or more.
     """
-    most = min(_MOST_NEIGHBOURS, len(other_px))
-    distance, found = point_tree(other_px).query(one_px, k=most, distance_upper_bound=radius_px)
-    # With k = 1 the second axis is dropped.
-    shape = (len(one_px), most)
-    distance, found = np.reshape(distance, shape), np.reshape(found, shape)
+    near = point_tree(other_px).query(one_px, k=most, distance_upper_bound=radius_px)
+    distance, found = map(np.asarray, near)
     one, slot = np.nonzero(found < len(other_px))
     return one, found[one, slot], distance[one, slot]
 

@@ -46,9 +46,6 @@ from trinoc.segments.nevatia_babu import (
 from trinoc.segments.side_intensity import side_levels
 from trinoc.segments.tuning import DEFAULT, SegmentTuning
 
-# Binomial smoothings before the masks: the noise gain and all thresholds follow from it.
-SMOOTHING = 1
-
 
 def find_segments(
     image: Shaped[np.ndarray, "..."],
@@ -93,7 +90,7 @@ def find_segments(
     _check_options(tolerance_px, false_alarms, least_contrast)
     picture = Light.from_picture(image, response)
     _check_lens(intrinsics, picture.size_px)
-    fine = full_level(picture, combined_kernel(SMOOTHING))
+    fine = full_level(picture, combined_kernel())
     runs = find_runs(fine, tolerance_px, least_contrast, tuning.scales)
     lines = fit_lines(runs)
     runs, lines = merge_collinear(runs, lines, tolerance_px, tuning.ends.gap_px)

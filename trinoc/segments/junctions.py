@@ -37,14 +37,12 @@ def find_junctions(segments: Segments, near: NearEnds | None = None) -> Junction
     """
     ends = np.asarray(segments.endpoints_px, dtype=np.float64)
     count = len(ends)
-    if count < 2:
-        return _no_junctions()
     pieces = _pieces_between(ends)
     across, along = _sigmas(segments, pieces.direction)
     reach = np.clip(_SIGMAS * along, _LEAST_REACH_PX, _MOST_REACH_PX)
     if near is None:
-        near = lines_near_ends(pieces, float(reach.max()))
-    line, side, other, _, place = endpoint_crossings(pieces, reach, near)
+        near = lines_near_ends(pieces, float(reach.max(initial=0.0)))
+    line, side, other, _, place, _ = endpoint_crossings(pieces, reach, near)
     # The end of the other segment that the crossing is within reach of, or its body.
     to_end = np.abs(place[:, None] - pieces.extent_px[other])
     at_end = to_end < reach[other][:, None]
@@ -76,9 +74,6 @@ def collinear_chains(segments: Segments) -> Int[np.ndarray, "n"]:
     must agree.
     """
     ends = np.asarray(segments.endpoints_px, dtype=np.float64)
-    count = len(ends)
-    if count < 2:
-        return np.arange(count)
     _, direction, extent = _pieces_between(ends)
     length = np.ptp(extent, axis=1)
     across, _ = _sigmas(segments, direction)
@@ -106,7 +101,7 @@ def collinear_chains(segments: Segments) -> Int[np.ndarray, "n"]:
         & (np.abs(cross_2d(gap, other_outward)) < sigma)
         & (distance < np.maximum(length[one], length[other]))
     )
-    return group_labels(count, one[continues], other[continues])
+    return group_labels(len(ends), one[continues], other[continues])
 
 
 def _pieces_between(ends: Float[np.ndarray, "n 2 2"]) -> Pieces:
@@ -144,8 +139,6 @@ def _assemble(
     across: Float[np.ndarray, "n"],
 ) -> Junctions:
     """Junctions from groups of ends and bodies of segments, sorted by group."""
-    if len(group) == 0:
-        return _no_junctions()
     centre, direction, _ = pieces
     begins = np.diff(group, prepend=-1) != 0
     junction, earliest = np.cumsum(begins) - 1, np.flatnonzero(begins)
@@ -194,11 +187,4 @@ def _with_opposite_ends(
         same: Bool[np.ndarray, "k"] = junction[first] == junction[second]
         opposite = (inward[first] * inward[second]).sum(axis=-1) < -_COLLINEAR_COSINE
         hits.append(junction[first[same & opposite]])
-    return np.concatenate(hits) if hits else np.zeros(0, dtype=np.int64)
-
-
-def _no_junctions() -> Junctions:
-    none = np.zeros(0, dtype=np.int64)
-    return Junctions(
-        np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros(0, dtype="<U1"), none, none, none
-    )
+    return np.concatenate([np.zeros(0, dtype=np.int64), *hits])

@@ -34,8 +34,6 @@ def side_levels(
     Right and left are of the way from the first end to the second, as seen on the picture.
     `to_image` takes points beside segments to pixels of the picture, where a lens lies between.
     """
-    if len(endpoints_px) == 0:
-        return np.zeros((0, 2))
     step = endpoints_px[:, 1] - endpoints_px[:, 0]
     right = np.stack([-step[:, 1], step[:, 0]], axis=1) / np.linalg.norm(step, axis=1)[:, None]
     off = np.concatenate([_BESIDE_PX, -_BESIDE_PX])[:, None]
@@ -45,7 +43,7 @@ def side_levels(
         np.add(on[:, None], right[:, axis, None, None] * off, out=beside[axis])
     if to_image is not np.asarray:
         beside = to_image(beside.reshape(2, -1).T).T.reshape(beside.shape)
-    levels = nearest_levels(grey, *beside).reshape(len(step), 2, -1)
+    levels = nearest_levels(grey, *beside).reshape(len(step), 2, len(_BESIDE_PX) * len(_ALONG))
     # The mean of the two in the middle; of so few, sorting is faster than partition.
     middle = levels.shape[2] // 2
     levels.sort(axis=2)

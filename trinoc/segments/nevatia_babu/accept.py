@@ -87,8 +87,6 @@ def is_straight(
 def _bends_on(lines: FittedLines, tuning: AcceptTuning) -> Bool[np.ndarray, "r"]:
     """Whether a piece before or after continues the curve of each line."""
     bends = np.zeros(len(lines.support), dtype=bool)
-    if len(bends) < 2:
-        return bends
     ends = lines.pieces.ends_px
     one, other, gap = near_pairs(ends[:, 1], ends[:, 0], tuning.next_px)
     a, b = lines.direction[one], lines.direction[other]

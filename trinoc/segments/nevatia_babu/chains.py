@@ -10,7 +10,7 @@ import functools
 import numpy as np
 from jaxtyping import Float, Int
 
-from trinoc.numerics import largest, members
+from trinoc.numerics import group_labels, largest, members
 from trinoc.segments.nevatia_babu.thinning import ThinnedPixels
 
 REACH_PX = 2
@@ -121,14 +121,9 @@ def ordered_chains(
     head, distance = _heads(predecessor)
     closed = np.flatnonzero(predecessor[head] != head)
     if len(closed):
-        predecessor[_lowest_of_loops(predecessor, closed)] = -1
-        opened = np.flatnonzero(predecessor < 0)
-        predecessor[opened] = opened
-        # Only theirs: others are none of their points.
-        place = np.empty(count, dtype=np.int64)
-        place[closed] = np.arange(len(closed))
-        of_closed, distance[closed] = _heads(place[predecessor[closed]])
-        head[closed] = closed[of_closed]
+        lowest = np.unique(group_labels(count, closed, predecessor[closed])[closed])
+        predecessor[lowest] = lowest
+        head, distance = _heads(predecessor)
     length = np.bincount(head, minlength=count)
     kept = np.flatnonzero(length >= least_points)
     length = length[kept]
@@ -161,21 +156,6 @@ def _heads(predecessor: Int[np.ndarray, "n"]) -> tuple[np.ndarray, np.ndarray]:
         distance[under_way] += steps
         under_way = under_way[head[further] != further]
     return head, distance
-
-
-def _lowest_of_loops(
-    predecessor: Int[np.ndarray, "n"], closed: Int[np.ndarray, "m"]
-) -> Int[np.ndarray, "loops"]:
-    """The point of lowest index of each closed chain; `closed` are all points of such chains."""
-    place = np.empty(len(predecessor), dtype=np.int64)
-    here = np.arange(len(closed))
-    place[closed] = here
-    back, lowest = place[predecessor[closed]], here
-    # After k rounds each point knows the lowest of the 2^k points before it.
-    for _ in range(len(closed).bit_length()):
-        lowest = np.minimum(lowest, lowest[back])
-        back = back[back]
-    return closed[lowest == here]
 
 
 def split_chains(

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
 from trinoc.image import Light, peak_of_slope
-from trinoc.numerics import members, sums
+from trinoc.numerics import members
 from trinoc.segments.nevatia_babu.masks import GradientKernel
 from trinoc.segments.nevatia_babu.thinning import ThinnedPixels
 
@@ -171,7 +171,7 @@ class Runs(NamedTuple):
 
     def total(self, of_points: Float[np.ndarray, "n"]) -> Float[np.ndarray, "r"]:
         """Sum over the points of each run."""
-        return sums(of_points, self.first).astype(np.float64)
+        return np.add.reduceat(of_points, self.first).astype(np.float64)
 
     def mean(self, of_points: Float[np.ndarray, "n"]) -> Float[np.ndarray, "r"]:
         """Mean over the points of each run."""

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from trinoc.numerics import cross_2d, distinct, point_tree
+from trinoc.numerics import cross_2d, distinct, near_pairs, take_rows
 from trinoc.segments.tuning import DEFAULT, EndTuning
 
 _SAMPLE_PX = 3.0
@@ -29,7 +29,7 @@ class Pieces(NamedTuple):
 
 
 class EndpointCrossings(NamedTuple):
-    """Ends that come near other lines.
+    """Ends that come near other lines, the farthest from its crossing first.
 
     Fields
     ------
@@ -37,6 +37,7 @@ class EndpointCrossings(NamedTuple):
     other : (m,) the line that it meets.
     position : (m,) where the two cross, along the first line from its centre.
     other_position : (m,) and along the other.
+    distance_px : (m,) of the end from the crossing.
     """
 
     line: Int[np.ndarray, "m"]
@@ -44,6 +45,7 @@ class EndpointCrossings(NamedTuple):
     other: Int[np.ndarray, "m"]
     position: Float[np.ndarray, "m"]
     other_position: Float[np.ndarray, "m"]
+    distance_px: Float[np.ndarray, "m"]
 
 
 class NearEnds(NamedTuple):
@@ -56,22 +58,14 @@ class NearEnds(NamedTuple):
 def lines_near_ends(pieces: Pieces, reach_px: float) -> NearEnds:
     """The lines, at most some, within one and a half times the reach of each end."""
     count = len(pieces.centre_px)
-    if count < 2:
-        none = np.zeros(0, dtype=np.int64)
-        return NearEnds(none, none)
     owner, samples = line_samples(pieces, _SAMPLE_PX)
-    _, neighbours = point_tree(samples).query(
-        pieces.ends_px.reshape(-1, 2),
-        k=min(_NEIGHBOURS, len(samples)),
-        distance_upper_bound=_NEXT_OF_SNAP * reach_px,
+    end, sample, _ = near_pairs(
+        pieces.ends_px.reshape(-1, 2), samples, _NEXT_OF_SNAP * reach_px, _NEIGHBOURS
     )
-    near = np.asarray(neighbours).reshape(2 * count, -1)
-    found = np.flatnonzero(near < len(samples))
-    end, other = found // near.shape[1], owner[near.ravel()[found]]
     # Most samples near an end are its own line's.
-    foreign = np.flatnonzero(other != end // 2)
-    pair = distinct(end[foreign] * count + other[foreign])
-    return NearEnds(*np.divmod(pair, count))
+    foreign = np.flatnonzero(owner[sample] != end // 2)
+    pair = distinct(end[foreign] * count + owner[sample[foreign]])
+    return NearEnds(*np.divmod(pair, max(count, 1)))
 
 
 def endpoint_crossings(
@@ -102,8 +96,9 @@ def endpoint_crossings(
         & (other_position > extent_px[other, 0] - reach)
         & (other_position < extent_px[other, 1] + reach)
     )
+    allowed = allowed[np.argsort(-shift[allowed], kind="stable")]
     return EndpointCrossings(
-        *(values[allowed] for values in (line, side, other, position, other_position))
+        *take_rows((line, side, other, position, other_position, shift), allowed)
     )
 
 
@@ -118,11 +113,9 @@ def snap_ends(
     partner = np.full(pieces.extent_px.shape, -1, dtype=np.int64)
     position = pieces.extent_px.copy()
     found = endpoint_crossings(pieces, np.full(len(partner), reach_px), near)
-    shift = np.abs(found.position - pieces.extent_px[found.line, found.side])
-    farthest_first = np.argsort(-shift, kind="stable")
-    line, side, other, where, _ = (values[farthest_first] for values in found)
-    partner[line, side] = other
-    position[line, side] = where
+    # Of several that write to one place the last stays.
+    partner[found.line, found.side] = found.other
+    position[found.line, found.side] = found.position
     return partner, position
 
 
@@ -144,10 +137,7 @@ def end_sigmas(
     sigma = np.repeat(free[:, None], 2, axis=1)
     reach = np.full(len(partner), _NEXT_OF_SNAP * tuning.snap_px)
     ahead = endpoint_crossings(pieces, reach, near)
-    distance = np.abs(ahead.position - pieces.extent_px[ahead.line, ahead.side])
-    farthest_first = np.argsort(-distance, kind="stable")
-    line, side = ahead.line[farthest_first], ahead.side[farthest_first]
-    sigma[line, side] = np.maximum(distance[farthest_first], tuning.least_free_px)
+    sigma[ahead.line, ahead.side] = np.maximum(ahead.distance_px, tuning.least_free_px)
     return np.where(partner >= 0, tuning.sigma_crossing_px, sigma)
 
 

@@ -29,9 +29,6 @@ def line_pairs_within(
     lines: FittedLines, reach_px: float
 ) -> tuple[Int[np.ndarray, "p"], Int[np.ndarray, "p"]]:
     """(one, other): all ordered pairs of different lines closer than about `reach_px`."""
-    none = np.zeros(0, dtype=np.int64)
-    if len(lines.support) < 2:
-        return none, none
     spacing = 3.0
     owner, samples = line_samples(lines.pieces, spacing)
     # Two lines' nearest points have samples within half a spacing: this far at most, as the way

@@ -6,7 +6,7 @@ Total least squares, weighted by edge strength.
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from trinoc.image import height_of_step
 from trinoc.numerics import near_pairs
@@ -55,17 +55,6 @@ class FittedLines(NamedTuple):
     support: Int[np.ndarray, "r"]
     snr2: Float[np.ndarray, "r"]
 
-    def take(self, which: np.ndarray) -> "FittedLines":
-        """The lines at the given indices or where the mask is true."""
-        return FittedLines(*(field[which] for field in self))
-
-    def replaced(self, which: Bool[np.ndarray, "r"], other: "FittedLines") -> "FittedLines":
-        """The same with `other` in place of the lines where the mask is true."""
-        fields = [field.copy() for field in self]
-        for field, new in zip(fields, other, strict=True):
-            field[which] = new
-        return FittedLines(*fields)
-
     @property
     def pieces(self) -> Pieces:
         """From the first to the last point of each line."""
@@ -96,10 +85,7 @@ def fit_lines(runs: Runs) -> FittedLines:
     along = off_x * cosine + off_y * sine
 
     total = runs.total(weight)
-    extent = np.zeros((0, 2))
-    if len(runs.first):
-        ends = (end.reduceat(along, runs.first) for end in (np.minimum, np.maximum))
-        extent = np.stack(list(ends), axis=-1)
+    extent = np.stack([end.reduceat(along, runs.first) for end in (np.minimum, np.maximum)], -1)
     residual = np.sqrt(runs.total(weight * across * across) / total)
     kernel_variance = runs.total(weight * points.kernel_variance_px2) / total
     sharpness = runs.total(weight * points.sharpness) / total
@@ -195,16 +181,12 @@ def merge_collinear(
 ) -> tuple[Runs, FittedLines]:
     """The same after joining collinear lines across small gaps."""
     successor = collinear_successors(lines, gap_px, tolerance_px / 2)
-    if (successor < 0).all():
-        return runs, lines
     line_order, begin = ordered_chains(successor)
     length = runs.count[line_order]
     first = np.cumsum(length) - length
     order = np.arange(length.sum()) - np.repeat(first - runs.first[line_order], length)
     merged = Runs(runs.points.take(order), first[begin])
-    several = np.diff(begin, append=len(line_order)) > 1
-    again = fit_lines(merged.take(several))
-    return merged, lines.take(line_order[begin]).replaced(several, again)
+    return merged, fit_lines(merged)
 
 
 def collinear_successors(
@@ -216,10 +198,7 @@ def collinear_successors(
     most `gap_px` and both inner ends lie within `tolerance_px` of the chord of the outer
     ends. Each line continues at most one and is continued by at most one, the nearest.
     """
-    count = len(lines.support)
-    successor = np.full(count, -1, dtype=np.int64)
-    if count < 2:
-        return successor
+    successor = np.full(len(lines.support), -1, dtype=np.int64)
     ends = lines.pieces.ends_px
     one, other, gap = near_pairs(ends[:, 1], ends[:, 0], gap_px)
     a, b = lines.direction[one], lines.direction[other]

@@ -26,12 +26,12 @@ _MASKS = """
 
 
 class GradientKernel(NamedTuple):
-    """A pair of kernels whose answers are the gradient along u and v, in grey levels per pixel.
+    """What answers with the gradient along u and v, in grey levels per pixel: the picture is
+    smoothed by (1, 2, 1) / 4 both ways, and correlated with two masks.
 
     Fields
     ------
-    u, v : (k, k) kernels, for correlation (not convolution).
-    mask_u, mask_v : (5, 5) the same before smoothing, and `smoothing`, how many times it is done.
+    masks : (2, 5, 5), for correlation (not convolution).
     variance_px2 : variance of the smoothing that they imply; a blurred step seen through them
         has a profile of this variance plus that of the blur.
     noise_gain : standard deviation of either answer to white noise of unit deviation.
@@ -39,11 +39,7 @@ class GradientKernel(NamedTuple):
         unit of length, for white noise of unit deviation; it says how far noise moves an edge.
     """
 
-    u: Float[np.ndarray, "k k"]
-    v: Float[np.ndarray, "k k"]
-    mask_u: Float[np.ndarray, "5 5"]
-    mask_v: Float[np.ndarray, "5 5"]
-    smoothing: int
+    masks: Float[np.ndarray, "2 5 5"]
     variance_px2: float
     noise_gain: float
     slope_gain: float
@@ -74,56 +70,29 @@ def mask_gradient_directions() -> Float[np.ndarray, "6 2"]:
 
 
 @functools.cache
-def combined_kernel(smoothing: int) -> GradientKernel:
-    """The six masks as one vector kernel, smoothed `smoothing` times by (1, 2, 1) / 4.
+def combined_kernel() -> GradientKernel:
+    """The six masks as one vector kernel, smoothed by (1, 2, 1) / 4.
 
     The answers of the masks, each times its own direction, add up to a vector that points
     across the edge at any angle: directions are no longer quantised to 30 degrees, and six
-    correlations become two. Each (1, 2, 1) / 4 adds half a squared pixel of variance.
+    correlations become two. The smoothing adds half a squared pixel of variance.
     """
-    masks = nevatia_babu_masks()
-    directions = mask_gradient_directions()
-    combined = np.einsum("mij,mc->cij", masks, directions)
-    u, _ = _coordinates(combined.shape[-1])
+    masks = np.einsum("mij,mc->cij", nevatia_babu_masks(), mask_gradient_directions())
     # A ramp of one grey level per pixel shall answer with one.
-    combined = combined / (combined[0] * u).sum()
-    kernels = combined
-    binomial = np.outer([1, 2, 1], [1, 2, 1]) / 16.0
-    for _ in range(smoothing):
-        kernels = np.stack([_full_convolution(kernel, binomial) for kernel in kernels])
-    u, _ = _coordinates(kernels.shape[-1])
+    masks = masks / (masks[0] * np.arange(-2, 3)).sum()
+    whole, u = _smoothed(np.pad(masks[0], 2), cv2.CV_64F), np.arange(-4, 5)
     # Integrating the kernel across the edge turns u into u^2 / 2 and u^3 into u^4 / 4: the
     # variance of the implied smoothing is a third of the ratio of its third to first moment.
-    variance = (kernels[0] * u**3).sum() / (3 * (kernels[0] * u).sum())
-    noise_gain = np.sqrt((kernels[0] ** 2).sum())
+    variance = (whole * u**3).sum() / (3 * (whole * u).sum())
     # The average along the edge is the answer of the kernel collapsed along it.
-    collapsed = np.pad(kernels[0].sum(axis=0), 2)
+    collapsed = np.pad(whole.sum(axis=0), 1)
     slope_gain = (np.square(collapsed[2:] - collapsed[:-2]) / 4).sum()
-    return GradientKernel(
-        kernels[0],
-        kernels[1],
-        combined[0],
-        combined[1],
-        smoothing,
-        float(variance),
-        float(noise_gain),
-        float(slope_gain),
-    )
+    noise_gain = np.sqrt((whole**2).sum())
+    return GradientKernel(masks, float(variance), float(noise_gain), float(slope_gain))
 
 
-def _coordinates(size: int) -> tuple[np.ndarray, np.ndarray]:
-    offsets = np.arange(size) - (size - 1) / 2
-    return np.broadcast_to(offsets, (size, size)), np.broadcast_to(offsets[:, None], (size, size))
-
-
-def _full_convolution(kernel: np.ndarray, small: np.ndarray) -> np.ndarray:
-    grown = np.zeros((kernel.shape[0] + 2, kernel.shape[1] + 2))
-    for row in range(3):
-        for column in range(3):
-            grown[row : row + kernel.shape[0], column : column + kernel.shape[1]] += (
-                small[row, column] * kernel
-            )
-    return grown
+def _smoothed(grey: np.ndarray, depth: int) -> np.ndarray:
+    return cv2.sepFilter2D(grey, depth, _BINOMIAL, _BINOMIAL, borderType=_BORDER)
 
 
 class Gradient(NamedTuple):
@@ -137,11 +106,11 @@ class Gradient(NamedTuple):
 def gradient_of(grey: Float[np.ndarray, "h w"], kernel: GradientKernel) -> Gradient:
     """Correlate the picture with both kernels; beyond its border the picture continues level."""
     # Smoothing first and the small masks after costs half as much as one large kernel.
-    smooth = grey
-    for _ in range(kernel.smoothing):
-        smooth = cv2.sepFilter2D(smooth, cv2.CV_32F, _BINOMIAL, _BINOMIAL, borderType=_BORDER)
-    u = cv2.filter2D(smooth, cv2.CV_32F, kernel.mask_u.astype(np.float32), borderType=_BORDER)
-    v = cv2.filter2D(smooth, cv2.CV_32F, kernel.mask_v.astype(np.float32), borderType=_BORDER)
+    smooth = _smoothed(grey, cv2.CV_32F)
+    u, v = (
+        cv2.filter2D(smooth, cv2.CV_32F, mask.astype(np.float32), borderType=_BORDER)
+        for mask in kernel.masks
+    )
     # Rounded as NumPy rounds the products of neighbours: on a plateau they are equal.
     squared = u * u
     squared += v * v

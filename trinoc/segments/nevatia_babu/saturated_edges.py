@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.special import ndtri
 
 from trinoc.image import Light, fit_profiles, levels_of, pixels_across
+from trinoc.numerics import take_rows
 from trinoc.segments.nevatia_babu.edge_points import Level, Runs
 from trinoc.segments.nevatia_babu.errors import ErrorModel
 from trinoc.segments.nevatia_babu.line_fit import FittedLines
@@ -117,7 +118,7 @@ def _profiles_of(
 
     Each point gives the pixels of the picture's row or column that crosses the edge there.
     """
-    own, lines = runs.take(chosen), lines.take(chosen)
+    own, lines = runs.take(chosen), take_rows(lines, chosen)
     line = own.spread(np.arange(len(lines.support)))
     at = np.rint(own.points.sample_px).astype(np.int64)
     pixels = pixels_across(at, own.points.along_u, _REACH_PX)

@@ -18,9 +18,6 @@ BORDER_PX = 2
 # Pixels that are worked on at a time; rows that smoothing and masks look beyond their own.
 _STRIP_PX, _HALO_PX = 1 << 16, 3
 
-# From this share of strong pixels on, all pixels are compared first.
-_BUSY = 0.3
-
 
 class ThinnedPixels(NamedTuple):
     """Pixels on edges; lengths are in pixels of the level they belong to.
@@ -95,8 +92,6 @@ def _peaks(
     if free is not None:
         strong[1:-1] &= free
     u, v, squared = (part.ravel() for part in gradient)
-    if np.count_nonzero(strong) > _BUSY * strong.size:
-        strong.ravel()[width:-width] &= _largest_across(u, v, squared, width)
     pixel = np.flatnonzero(strong)
     gu, gv, centre = np.take(u, pixel), np.take(v, pixel), np.take(squared, pixel)
     along_u = np.abs(gu) >= np.abs(gv)
@@ -118,30 +113,6 @@ def _peaks(
     uv_px[:, 1] += offset * ~along_u
     toward_bright = np.stack([gu[peak], gv[peak]], axis=-1)
     return ThinnedPixels(pixel + (top - 1) * width, toward_bright, along_u, profile, uv_px)
-
-
-def _largest_across(
-    u: Float[np.ndarray, "n"],
-    v: Float[np.ndarray, "n"],
-    squared: Float[np.ndarray, "n"],
-    width: int,
-) -> Bool[np.ndarray, "m"]:
-    """Where a strip's gradient is largest across the edge, in all rows but the first and the last.
-
-    Without a gather, as neighbours share their products. The first and the last pixel of a row are
-    compared with pixels of other rows.
-    """
-    right = u[width:-width] * u[width + 1 : 1 - width]
-    right += v[width:-width] * v[width + 1 : 1 - width]
-    below = u[:-width] * u[width:]
-    below += v[:-width] * v[width:]
-    u, v, squared = (part[width:-width] for part in (u, v, squared))
-    along_u = np.abs(u) >= np.abs(v)
-    largest = squared >= right
-    largest[1:] &= squared[1:] > right[:-1]
-    largest &= along_u
-    largest |= (squared > below[:-width]) & (squared >= below[width:]) & ~along_u
-    return largest
 
 
 def profile_across(gradient: Gradient, pixels: ThinnedPixels) -> Float[np.ndarray, "n 5"]:
