@@ -16,7 +16,11 @@ from .image_of_circle import (
     circle_centre_offset as circle_centre_offset,
     image_of_circle_centre as image_of_circle_centre,
 )
-from .intrinsics import Intrinsics as Intrinsics
+from .intrinsics import (
+    Intrinsics as Intrinsics,
+    distort_pixels as distort_pixels,
+    undistort_pixels as undistort_pixels,
+)
 from .lenses.abstract_lens import (
     AFFINE_PARAMETERS as AFFINE_PARAMETERS,
     AbstractLens as AbstractLens,

@@ -1,8 +1,10 @@
 """What a camera and its lens do to a ray, independent of where the camera stands."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -14,6 +16,7 @@ from trinoc.numerics import (
     FloatOrTraced,
     ScalarLike,
     as_float,
+    in_bucket,
     in_float64,
     is_traced,
     namespace_of,
@@ -214,3 +217,35 @@ def _positive_pair(
     if not is_traced(pair) and not (pair > 0).all():
         raise InputError(f"{name} is {value}, but must be positive: check the number and its unit.")
     return pair
+
+
+@in_float64
+def undistort_pixels(
+    lens: Intrinsics, uv_px: Float[ArrayLike, "*n 2"]
+) -> Float[np.ndarray, "*n 2"]:
+    """Points of the picture to where a lens without distortion would show them."""
+    return _map_pixels(lens, uv_px, _undistort)
+
+
+@in_float64
+def distort_pixels(lens: Intrinsics, uv_px: Float[ArrayLike, "*n 2"]) -> Float[np.ndarray, "*n 2"]:
+    """Inverse of `undistort_pixels`."""
+    return _map_pixels(lens, uv_px, _distort)
+
+
+def _map_pixels(lens: Intrinsics, uv_px: ArrayLike, through: Callable) -> np.ndarray:
+    """Padded, so that few numbers of points compile."""
+    points = np.asarray(uv_px, dtype=np.float64)
+    if not lens.has_distortion or points.size == 0:
+        return points
+    return in_bucket(partial(through, lens), points.reshape(-1, 2)).reshape(points.shape)
+
+
+@eqx.filter_jit
+def _undistort(lens: Intrinsics, uv_px: Float[ArrayLike, "n 2"]) -> Float[ArrayLike, "n 2"]:
+    return jax.vmap(lens.undistort_pixel)(uv_px)
+
+
+@eqx.filter_jit
+def _distort(lens: Intrinsics, uv_px: Float[ArrayLike, "n 2"]) -> Float[ArrayLike, "n 2"]:
+    return jax.vmap(lens.distort_pixel)(uv_px)

@@ -4,14 +4,13 @@ from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import Bool, Float, Shaped
 
 from trinoc.errors import InputError
-from trinoc.geometry import Intrinsics, Segments
+from trinoc.geometry import Intrinsics, Segments, distort_pixels, undistort_pixels
 from trinoc.image import Light, ResponseLike
-from trinoc.numerics import in_bucket, in_float64, take_rows
+from trinoc.numerics import take_rows
 from trinoc.segments.junctions import with_junctions
 from trinoc.segments.nevatia_babu import (
     ErrorModel,
@@ -198,15 +197,8 @@ def _undistort(
     """(lines through undistorted points, the way back into the picture)."""
     if lens is None or not lens.has_distortion:
         return placed, np.asarray
-    flat = runs.moved(_map_points(runs.points.uv_px, lens.undistort_pixel))
-    back = partial(_map_points, through=lens.distort_pixel)
-    return placed._replace(lines=fit_lines(flat)), back
-
-
-@in_float64
-def _map_points(uv_px: Float[np.ndarray, "n 2"], through: Callable) -> np.ndarray:
-    """Points taken through a lens or out of it; padded, so that few sizes compile."""
-    return in_bucket(jax.vmap(through), uv_px.astype(np.float64))
+    flat = runs.moved(undistort_pixels(lens, runs.points.uv_px))
+    return placed._replace(lines=fit_lines(flat)), partial(distort_pixels, lens)
 
 
 def _is_wanted(

@@ -9,8 +9,8 @@ from trinoc.calib.adjustment.agreement import (
     probability_of_agreement,
 )
 from trinoc.calib.adjustment.estimate import Adjustment, adjust_cameras
-from trinoc.calib.adjustment.model_tests import information_left
 from trinoc.calib.adjustment.jackknife import scatter_of_blocks
+from trinoc.calib.adjustment.model_tests import information_left
 from trinoc.calib.problem.robust_fit import errors_px
 from trinoc.calib.problem.sheet_points import SheetPoints
 from trinoc.geometry import PoseModel

@@ -12,7 +12,12 @@ from tests.calib.bundle.made_tracks import NAMES, SHEET_SIGMA, TRUTH, made_track
 from tests.geometry.strategies import vectors
 from trinoc.calib import camera_state, stacked_states
 from trinoc.calib.bundle.camera import camera_of_state
-from trinoc.calib.bundle.estimate import HELD_SIGMA_MM, HELD_SIGMA_PX, FreeParameters, prior_information
+from trinoc.calib.bundle.estimate import (
+    HELD_SIGMA_MM,
+    HELD_SIGMA_PX,
+    FreeParameters,
+    prior_information,
+)
 from trinoc.calib.bundle.factors import (
     PosePrior,
     line_residual,

@@ -107,9 +107,7 @@ def test_views_are_linear_in_the_steps_of_the_head(here, information, dense):
     found = whitened_views(here)
     np.testing.assert_allclose(found.residual, residual, atol=1e-9)
     free = information.free
-    np.testing.assert_allclose(
-        found.jacobian[..., free], by_head[..., free], rtol=1e-7, atol=1e-6
-    )
+    np.testing.assert_allclose(found.jacobian[..., free], by_head[..., free], rtol=1e-7, atol=1e-6)
 
 
 def test_noise_is_enlarged_and_what_was_known_is_not():

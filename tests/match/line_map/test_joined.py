@@ -8,9 +8,9 @@ from scipy.stats import chi2
 
 from tests.match.made import loose_lines, rig_of
 from trinoc.errors import InputError
+from trinoc.geometry import distort_pixels
 from trinoc.match import TRINOCULAR, JoinedLines, Matches, join_collinear, snap_corners
 from trinoc.match.line_map.line_fit import LineFragments, fit_line
-from trinoc.match.observations import distorted
 from trinoc.numerics import axes_across
 
 from .made_tracks import (
@@ -205,7 +205,7 @@ def test_fragments_are_taken_where_the_lens_shows_them(rig) -> None:
     bent = rig_of(*VIEWS, distortion=(-0.6, 0.1, 0.002, -0.002, 0.0))
     seen = np.stack(
         [
-            distorted(bent[name].intrinsics, matches.fragments_px[:, view])
+            distort_pixels(bent[name].intrinsics, matches.fragments_px[:, view])
             for view, name in enumerate(VIEWS)
         ],
         axis=1,

@@ -3,9 +3,8 @@
 import numpy as np
 from scipy.special import ndtr
 
-from trinoc.geometry import Intrinsics, Segments
+from trinoc.geometry import Intrinsics, Segments, undistort_pixels
 from trinoc.match import Matches
-from trinoc.match.observations import undistorted
 from trinoc.synth import table1_rig
 
 RIG = table1_rig()
@@ -42,7 +41,7 @@ def light_of(
     v, u = np.mgrid[:height, :width].astype(float)
     if lens is not None:
         pixels = np.stack([u, v], axis=-1)
-        u, v = np.moveaxis(undistorted(lens, pixels.reshape(-1, 2, 2)).reshape(pixels.shape), -1, 0)
+        u, v = np.moveaxis(undistort_pixels(lens, pixels), -1, 0)
     ends = image_px(view, lines)
     middle = ends.mean(axis=1)
     owner = np.hypot(u[..., None] - middle[:, 0], v[..., None] - middle[:, 1]).argmin(axis=-1)

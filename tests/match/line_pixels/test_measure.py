@@ -16,11 +16,10 @@ from tests.match.line_pixels.made import (
     noisy,
 )
 from trinoc.errors import InputError
-from trinoc.geometry import Intrinsics, Rig
+from trinoc.geometry import Intrinsics, Rig, distort_pixels
 from trinoc.image import PowerResponse
 from trinoc.io import load_matches, save
 from trinoc.match import measure_lines
-from trinoc.match.observations import distorted
 from trinoc.numerics import axes_across
 
 
@@ -156,7 +155,9 @@ def test_a_lens_that_bends_the_picture_changes_nothing():
     lines, _, segments, matches = setting(0)
     pictures = {view: noisy(light_of(view, lines, lens=lens), generator) for view in VIEWS}
     bent = {
-        view: dataclasses.replace(own, endpoints_px=distorted(lens, np.asarray(own.endpoints_px)))
+        view: dataclasses.replace(
+            own, endpoints_px=distort_pixels(lens, np.asarray(own.endpoints_px))
+        )
         for view, own in segments.items()
     }
     fragments = np.stack([bent[view].endpoints_px for view in VIEWS], axis=1)

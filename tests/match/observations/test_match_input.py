@@ -9,9 +9,8 @@ import pytest
 from tests.match.made import rig_of
 from tests.match.scene import VIEWS, MadeScene
 from trinoc.errors import MatchError
-from trinoc.geometry import Rig, Segments
+from trinoc.geometry import Rig, Segments, distort_pixels, undistort_pixels
 from trinoc.match import MatchInput, prepare
-from trinoc.match.observations import distorted, undistorted
 from trinoc.match.observations.match_input import MOST_SEGMENTS
 
 Pictures = dict[str, Segments]
@@ -109,12 +108,12 @@ def test_a_stated_sigma_takes_the_place_of_the_segments_own(noisy: MadeScene, gi
 def test_distortion_is_taken_out_and_put_back(noisy: MadeScene) -> None:
     lens = rig_of("upper", distortion=(-0.2, 0.05))["upper"].intrinsics
     ends = np.asarray(noisy.seen.ends_px[0])
-    bent = distorted(lens, ends)
+    bent = distort_pixels(lens, ends)
     assert np.abs(bent - ends).max() > 0.5
-    np.testing.assert_allclose(undistorted(lens, bent), ends, atol=1e-6)
+    np.testing.assert_allclose(undistort_pixels(lens, bent), ends, atol=1e-6)
     plain = noisy.rig["upper"].intrinsics
-    np.testing.assert_array_equal(undistorted(plain, ends), ends)
-    assert distorted(lens, ends[:0]).shape == (0, 2, 2)
+    np.testing.assert_array_equal(undistort_pixels(plain, ends), ends)
+    assert distort_pixels(lens, ends[:0]).shape == (0, 2, 2)
 
 
 def test_more_segments_than_memory_bears_are_refused() -> None:

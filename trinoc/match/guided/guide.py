@@ -7,13 +7,13 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Shaped
 
-from trinoc.geometry import Rig, Segments
+from trinoc.geometry import Rig, Segments, distort_pixels
 from trinoc.match.guided.further_views import with_further_views
 from trinoc.match.guided.new_lines import with_new_lines
 from trinoc.match.guided.prolong import prolonged
 from trinoc.match.guided.state import State, start_of, tables_of, turned_round
 from trinoc.match.guided.views import PictureInput, picture_inputs, with_usual_width
-from trinoc.match.observations import as_segments, check_pictures, distorted
+from trinoc.match.observations import as_segments, check_pictures
 from trinoc.match.tracks import (
     BINOCULAR,
     TRINOCULAR,
@@ -122,7 +122,7 @@ def _of_view(before: State, after: State, view: int, given: Segments) -> Segment
     lens = after.cameras.intrinsics[view]
     if len(changed) == 0 and len(now.ends_px) == count:
         return given
-    ends, covariance = distorted(lens, now.ends_px), now.covariance_px2
+    ends, covariance = distort_pixels(lens, now.ends_px), now.covariance_px2
     back = turned_round(old.ends_px, lens, given)
     turn = np.concatenate([back, np.zeros(len(now.ends_px) - count, dtype=bool)])
     ends = np.where(turn[:, None, None], ends[:, ::-1], ends)
@@ -161,7 +161,7 @@ def matches_of(after: State, given: Matches, added: dict[str, int], tuning: Matc
     for view, own in enumerate(after.segments):
         on = np.flatnonzero(tracks.index[:, view] >= 0)
         guided[on, view] = own.guided[tracks.index[on, view]]
-        fragments[on, view] = distorted(after.cameras.intrinsics[view], fragments[on, view])
+        fragments[on, view] = distort_pixels(after.cameras.intrinsics[view], fragments[on, view])
     new = len(tracks.index) - len(given)
     views = (tracks.index >= 0).sum(axis=1)
     factor = variance_factor(tracks.misfit, degrees_of_misfit(tracks.index), given.noise_tail)

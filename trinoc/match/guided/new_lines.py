@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial import KDTree
 
-from trinoc.geometry import project_by_matrix
+from trinoc.geometry import distort_pixels, project_by_matrix
 from trinoc.match.guided.accept import with_accepted
 from trinoc.match.guided.corners import corners_of, ends_of
 from trinoc.match.guided.joint import asked
@@ -20,7 +20,6 @@ from trinoc.match.guided.proposals import proposals_of
 from trinoc.match.guided.ridges import REACH
 from trinoc.match.guided.state import State
 from trinoc.match.guided.views import PictureInput
-from trinoc.match.observations import distorted
 from trinoc.match.tuning import GuidedTuning
 from trinoc.numerics import take_rows
 
@@ -111,7 +110,7 @@ def quick_look(
 def _looked_at(
     picture: PictureInput, ends_px: Float[np.ndarray, "n 2 2"]
 ) -> Float[np.ndarray, "n"]:
-    ends_px = distorted(picture.lens, ends_px)
+    ends_px = distort_pixels(picture.lens, ends_px)
     way = ends_px[:, 1] - ends_px[:, 0]
     unit = way / np.maximum(np.linalg.norm(way, axis=1), 1e-9)[:, None]
     right = np.stack([-unit[:, 1], unit[:, 0]], axis=1)
@@ -141,7 +140,7 @@ def without(
 ) -> PictureInput:
     """The picture with no gradient on these segments: what is left is new."""
     by_uv = picture.by_uv.copy()
-    places = np.rint(distorted(picture.lens, ends_px) * 2**_DIGITS).astype(np.int32)
+    places = np.rint(distort_pixels(picture.lens, ends_px) * 2**_DIGITS).astype(np.int32)
     for of in by_uv:
         cv2.polylines(of, list(places), False, 0.0, width_px, cv2.LINE_8, _DIGITS)
     return picture._replace(by_uv=by_uv)

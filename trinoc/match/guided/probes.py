@@ -9,8 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from trinoc.geometry import Intrinsics
-from trinoc.match.observations import distorted
+from trinoc.geometry import Intrinsics, distort_pixels
 
 STEPS = 64
 BLOCKS = STEPS // 2
@@ -51,7 +50,7 @@ def samples_of(
     right = np.stack([-unit[:, 1], unit[:, 0]], axis=1)
     normal = np.broadcast_to(right[:, None], uv.shape)
     if lens.has_distortion:
-        both = distorted(lens, np.stack([uv, uv + normal], axis=2).reshape(-1, 2, 2))
+        both = distort_pixels(lens, np.stack([uv, uv + normal], axis=2).reshape(-1, 2, 2))
         both = both.reshape(*uv.shape[:2], 2, 2)
         uv, normal = both[:, :, 0], both[:, :, 1] - both[:, :, 0]
         normal = normal / np.linalg.norm(normal, axis=2, keepdims=True)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.geometry import Intrinsics, Rig, Segments
+from trinoc.geometry import Intrinsics, Rig, Segments, undistort_pixels
 from trinoc.match.observations import (
     SIDE_COLUMNS,
     CamerasInput,
@@ -14,7 +14,6 @@ from trinoc.match.observations import (
     MatchInput,
     prepare,
     stacked_frames,
-    undistorted,
     with_noise_scale,
 )
 from trinoc.match.tracks import Matches, common_ends, lines_in_space, reach_of
@@ -98,7 +97,7 @@ def turned_round(
     table_px: Float[np.ndarray, "n 2 2"], lens: Intrinsics, given: Segments
 ) -> Bool[np.ndarray, "n"]:
     """Whether the tables hold the ends of the caller's segments in the other order."""
-    first = undistorted(lens, np.asarray(given.endpoints_px))[:, 0]
+    first = undistort_pixels(lens, np.asarray(given.endpoints_px))[:, 0]
     return (table_px[:, 0] != first).any(axis=1)
 
 

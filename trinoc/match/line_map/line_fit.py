@@ -10,8 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.geometry import Rig, distances_from_line, project_with_jacobian
-from trinoc.match.observations import undistorted
+from trinoc.geometry import Rig, distances_from_line, project_with_jacobian, undistort_pixels
 from trinoc.match.tracks import Matches, positions_abreast, typical_misfit
 from trinoc.match.tuning import DEFAULT, CollinearTuning, TrackTuning
 from trinoc.numerics import Residuals, ScaleMixture, axes_across, gauss_newton, whitening
@@ -118,7 +117,7 @@ def track_table(
         noise = typical_misfit(matches.index, matches.misfit, tuning)
     fragments = np.stack(
         [
-            undistorted(rig[name].intrinsics, np.nan_to_num(matches.fragments_px[:, view]))
+            undistort_pixels(rig[name].intrinsics, np.nan_to_num(matches.fragments_px[:, view]))
             for view, name in enumerate(matches.views)
         ],
         axis=1,

@@ -6,12 +6,11 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.geometry import Rig
+from trinoc.geometry import Rig, distort_pixels, undistort_pixels
 from trinoc.match.line_pixels.images import LineImages, offset_at
 from trinoc.match.line_pixels.line_fit import fit_lines
 from trinoc.match.line_pixels.tuning import PixelTuning
 from trinoc.match.line_pixels.view_fit import PIXELS, ViewFit
-from trinoc.match.observations import distorted, undistorted
 from trinoc.match.tracks import Matches, degrees_of_misfit, learned_tail, variance_factor
 from trinoc.match.tuning import NoiseTuning
 from trinoc.numerics import axes_across, chi_square_limit, chi_square_tail
@@ -140,12 +139,12 @@ def _fragments(
     for view, (seen, fit) in enumerate(zip(images, views, strict=True)):
         lens, rows = rig[matches.views[view]].intrinsics, seen.track
         good = words[rows, view] == PIXELS
-        flat = undistorted(lens, matches.fragments_px[rows, view])
+        flat = undistort_pixels(lens, matches.fragments_px[rows, view])
         along = np.einsum("sei,si->se", flat - seen.ends_px[:, :1], seen.way)
         share = along / seen.length_px[:, None]
         across = offset_at(fit.offset_px, share)
         place = seen.ends_px[:, :1] + along[..., None] * seen.way[:, None]
-        place = distorted(lens, place + across[..., None] * seen.right[:, None])
+        place = distort_pixels(lens, place + across[..., None] * seen.right[:, None])
         fragments[rows[good], view] = place[good]
         if covariance is None:
             continue

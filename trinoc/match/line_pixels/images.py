@@ -5,8 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from trinoc.geometry import Intrinsics, Segments, project_by_matrix
-from trinoc.match.observations import undistorted
+from trinoc.geometry import Intrinsics, Segments, project_by_matrix, undistort_pixels
 from trinoc.match.tracks import Matches
 
 
@@ -48,7 +47,7 @@ def line_images(
     length = np.maximum(np.linalg.norm(way, axis=1), 1e-9)
     way = way / length[:, None]
     right = np.stack([-way[:, 1], way[:, 0]], axis=1)
-    shown = undistorted(lens, np.asarray(segments.endpoints_px, dtype=np.float64)[segment])
+    shown = undistort_pixels(lens, np.asarray(segments.endpoints_px, dtype=np.float64)[segment])
     off = shown - ends[:, :1]
     along, across = (np.einsum("sei,si->se", off, axis) for axis in (way, right))
     # At the line's ends the segment's line runs on.

@@ -9,11 +9,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.geometry import Intrinsics
+from trinoc.geometry import Intrinsics, distort_pixels, undistort_pixels
 from trinoc.image import levels_of, pixels_across
 from trinoc.match.line_pixels.images import LineImages
 from trinoc.match.line_pixels.tuning import PixelTuning
-from trinoc.match.observations import distorted, undistorted
 
 # Rows along the edge, and columns to either side of the one in the middle. Rows and columns are
 # the picture's own, whichever crosses the edge more steeply.
@@ -57,7 +56,7 @@ def strips_of(
     """The blocks of all lines of a picture; lines without room for one have none."""
     inside = images.extent_px + np.array([1.0, -1.0]) * tuning.end_widths * blur_px
     pixels, valid, line = _pixels_of(lens, images, inside)
-    flat = undistorted(lens, pixels.astype(np.float64).reshape(-1, 2, 2)).reshape(pixels.shape)
+    flat = undistort_pixels(lens, pixels.astype(np.float64))
     off = flat - images.ends_px[line, 0][:, None, None]
     across, along = (
         np.einsum("brci,bi->brc", off, axis[line]) for axis in (images.right, images.way)
@@ -85,7 +84,7 @@ def _pixels_of(
     chord = np.linspace(0, 1, _CHORDS)
     along = inside_px[:, :1] + chord * (inside_px[:, 1:] - inside_px[:, :1])
     path = images.ends_px[:, None, 0] + along[..., None] * images.way[:, None]
-    path = distorted(lens, path.reshape(-1, 2, 2)).reshape(path.shape)
+    path = distort_pixels(lens, path)
     span = path[:, -1] - path[:, 0]
     upright = np.abs(span[:, 1]) > np.abs(span[:, 0])
     middles, valid, line = [], [], []

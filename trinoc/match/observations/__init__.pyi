@@ -9,11 +9,9 @@ from .match_input import (
     FrameInput as FrameInput,
     MatchInput as MatchInput,
     cameras_of as cameras_of,
-    distorted as distorted,
     prepare as prepare,
     prepare_frame as prepare_frame,
     stacked_frames as stacked_frames,
-    undistorted as undistorted,
 )
 from .noise import with_noise_scale as with_noise_scale
 from .pictures_of_views import as_segments as as_segments, check_pictures as check_pictures

@@ -4,13 +4,11 @@ Everything after this works on views sorted by name, segments sorted by place an
 within a segment, so that no answer depends on the order in which the caller gave any of them.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import partial
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import combinations
 from typing import NamedTuple
 
 import equinox as eqx
-import jax
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -22,12 +20,13 @@ from trinoc.geometry import (
     Segments,
     at_one_place,
     covariance_of_ends,
+    undistort_pixels,
 )
 from trinoc.match.observations.common_view import check_not_mirrored
 from trinoc.match.observations.side_intensity import side_table
 from trinoc.match.observations.table import SegmentTable, segment_table
 from trinoc.match.tuning import DEFAULT, SideTuning
-from trinoc.numerics import ArrayLike, bucket, in_bucket, padded
+from trinoc.numerics import ArrayLike, bucket, padded
 
 # Two views of a scene may have one segment at the same place by chance, but not all of so many.
 FEWEST_TO_TELL = 3
@@ -189,7 +188,7 @@ class _PreparedView(NamedTuple):
 def _view(given: Segments | ArrayLike, lens: Intrinsics, sigma_px: float | None) -> _PreparedView:
     """Segments without distortion, from left to right, in order of their coordinates."""
     segments = _as_segments(given, sigma_px)
-    flat = undistorted(lens, np.asarray(segments.endpoints_px))
+    flat = undistort_pixels(lens, np.asarray(segments.endpoints_px))
     swap = (flat[:, 0, 0] > flat[:, 1, 0]) | (
         (flat[:, 0, 0] == flat[:, 1, 0]) & (flat[:, 0, 1] > flat[:, 1, 1])
     )
@@ -267,33 +266,3 @@ def _as_segments(given: Segments | ArrayLike, sigma_px: float | None) -> Segment
     ends = np.asarray(given.endpoints_px)
     covariance = covariance_of_ends(ends, sigma_px, 4 * sigma_px)
     return eqx.tree_at(lambda s: s.covariance_px2, given, covariance)
-
-
-def undistorted(
-    intrinsics: Intrinsics, points_px: Float[np.ndarray, "n 2 2"]
-) -> Float[np.ndarray, "n 2 2"]:
-    """Points of the picture to where a lens without distortion would show them."""
-    return _mapped(intrinsics, points_px, _undistort)
-
-
-def distorted(
-    intrinsics: Intrinsics, points_px: Float[np.ndarray, "n 2 2"]
-) -> Float[np.ndarray, "n 2 2"]:
-    """Inverse of `undistorted`."""
-    return _mapped(intrinsics, points_px, _distort)
-
-
-def _mapped(intrinsics: Intrinsics, points_px: np.ndarray, function: Callable) -> np.ndarray:
-    if not intrinsics.has_distortion or len(points_px) == 0:
-        return np.asarray(points_px, dtype=np.float64)
-    return in_bucket(partial(function, intrinsics), points_px)
-
-
-@eqx.filter_jit
-def _undistort(intrinsics: Intrinsics, points_px: ArrayLike) -> ArrayLike:
-    return jax.vmap(jax.vmap(intrinsics.undistort_pixel))(points_px)
-
-
-@eqx.filter_jit
-def _distort(intrinsics: Intrinsics, points_px: ArrayLike) -> ArrayLike:
-    return jax.vmap(jax.vmap(intrinsics.distort_pixel))(points_px)

@@ -6,7 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from trinoc.match.observations import MatchInput, distorted
+from trinoc.geometry import distort_pixels
+from trinoc.match.observations import MatchInput
 from trinoc.match.rims.circles import MIDDLE, ON_ARC, Chords, Circles, off_circles, points_at
 from trinoc.match.rims.explained_tracks import counts_of, tracks_beside_rims, with_rows
 from trinoc.match.rims.pieces import Arcs, pieces_of
@@ -55,7 +56,7 @@ def fragments_abreast(
             blocks[:, end, :, end] += more
         spread[on, at] = blocks.reshape(-1, 4, 4)
         lens = seen.frames[0].cameras.intrinsics[view]
-        fragments[on, at] = distorted(lens, parts[on, view])
+        fragments[on, at] = distort_pixels(lens, parts[on, view])
     return fragments, spread
 
 

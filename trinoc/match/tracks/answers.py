@@ -7,8 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
+from trinoc.geometry import distort_pixels
 from trinoc.match.evidence import probability
-from trinoc.match.observations import FrameInput, MatchInput, distorted
+from trinoc.match.observations import FrameInput, MatchInput
 from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, Matches
 from trinoc.match.tracks.unequal_errors import (
     degrees_of_misfit,
@@ -248,7 +249,7 @@ def _as_given(
         # Frames of one rig share their lenses.
         for lens in {id(lens): lens for lens in lenses if lens.has_distortion}.values():
             rows = on[np.array([own is lens for own in lenses])[frame[on]]]
-            fragments[rows, view] = distorted(lens, fragments[rows, view])
+            fragments[rows, view] = distort_pixels(lens, fragments[rows, view])
     return given, fragments
 
 
