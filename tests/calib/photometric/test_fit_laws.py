@@ -10,7 +10,7 @@ from trinoc.calib.photometric import fit
 from trinoc.calib.photometric.covariance import pose_covariance
 from trinoc.calib.photometric.encoding import AS_DELIVERED
 from trinoc.calib.photometric.scene import Point, Scene, scene_of_picture
-from trinoc.calib.photometric.unknowns import PictureState
+from trinoc.calib.photometric.unknowns import PictureState, delivered_state
 from trinoc.geometry import PoseModel
 from trinoc.numerics import ArrayLike
 
@@ -139,3 +139,23 @@ def test_covariance_of_independent_noise_is_the_inverse_of_the_information(scene
 def stacked(scene: Scene, point: Point) -> np.ndarray:
     near_circles, near_lines = point.equations.pixels
     return scene.joined((near_circles.rows, near_lines.rows)).astype(float)
+
+
+def test_derivatives_are_those_of_levels_that_saturation_cuts(scene: Scene) -> None:
+    """By the light of the paper, where half of the paper is above what the camera can tell."""
+    state = delivered_state(STATE)
+    cut = scene._replace(top=float(state.light[0]))
+    light = state.unknowns.light[0]
+    free = np.ones(4 + state.unknowns.size, dtype=bool)
+    sigma, kept = np.full(len(scene.grey), SIGMA), np.ones(len(scene.grey), dtype=bool)
+
+    def seen(change: float) -> Point:
+        values = np.array(state.values)
+        values[light] += change
+        there = PictureState(state.pose, values, state.levels, state.unknowns)
+        return fit._fit(cut, there, free, kept, sigma, fit._schedule(free, 0, np.inf))
+
+    up, down = (seen(sign * 0.5).residual(cut)[0] for sign in (1, -1))
+    claimed = stacked(cut, seen(0.0))[9 + light]
+    assert claimed.min() < 0.7 < claimed.max()
+    np.testing.assert_allclose(claimed, up - down, atol=0.01)

@@ -44,6 +44,36 @@ def spread(fit, step: float) -> np.ndarray:
     return jacobian @ COVARIANCE @ jacobian.T
 
 
+@pytest.fixture(scope="module")
+def exact():
+    detections = {
+        name: simulated_detection(camera_of(values), SHEET, seed=k)
+        for k, (name, values) in enumerate(TABLE_1.items())
+    }
+    return calibrate_detections(detections, SHEET, LENS, systematics=EXACT)
+
+
+def test_a_sheet_that_is_larger_is_seen_from_farther_by_all_alike(exact) -> None:
+    """Its size moves the distances in proportion, and nothing else."""
+    wide = with_systematics(exact, Systematics(print_size_sigma=1e-3))
+    distances = [1e-3 * exact.rig[name].distance_mm for name in exact.rig.names]
+    by_size = np.kron(distances, [0.0, 0.0, 0.0, 1.0])
+    np.testing.assert_allclose(
+        wide.covariance - exact.covariance, np.outer(by_size, by_size), atol=1e-6
+    )
+
+
+def test_one_lens_errs_for_all_cameras_and_lenses_of_their_own_for_each(exact) -> None:
+    one, own = (
+        with_systematics(exact, Systematics(lens_covariance=given)).covariance - exact.covariance
+        for given in (COVARIANCE, dict.fromkeys(TABLE_1, COVARIANCE))
+    )
+    between = np.kron(np.ones((3, 3)) - np.eye(3), np.ones((4, 4))) > 0
+    np.testing.assert_allclose(own[~between], one[~between], rtol=1e-9)
+    np.testing.assert_array_equal(own[between], 0.0)
+    assert np.abs(one[3, 7]) > 0.1 * one[3, 3]
+
+
 @pytest.mark.slow
 def test_the_term_is_that_of_fits_with_a_moved_lens() -> None:
     detections = {
