@@ -1,6 +1,5 @@
 """A grid of AprilTags with small squares between their corners, as Kalibr prints it."""
 
-import dataclasses
 from typing import ClassVar
 
 import equinox as eqx
@@ -48,18 +47,31 @@ class AprilGrid(AbstractSquareBoard):
     }
     added_keys: ClassVar[tuple[str, ...]] = ("border", "first")
 
-    _: dataclasses.KW_ONLY
-    rows: int = eqx.field(static=True, converter=int)
-    columns: int = eqx.field(static=True, converter=int)
-    tag_mm: float = eqx.field(static=True, converter=float)
-    spacing: float = eqx.field(static=True, default=0.3, converter=float)
-    dictionary: str = eqx.field(static=True, default="APRILTAG_36h11")
-    border: int = eqx.field(static=True, default=2, converter=int)
-    first: int = eqx.field(static=True, default=0, converter=int)
-    name: str = eqx.field(static=True, default="")
+    rows: int = eqx.field(static=True)
+    columns: int = eqx.field(static=True)
+    tag_mm: float = eqx.field(static=True)
+    spacing: float = eqx.field(static=True)
+    dictionary: str = eqx.field(static=True)
+    border: int = eqx.field(static=True)
+    first: int = eqx.field(static=True)
+    name: str = eqx.field(static=True)
 
-    def __post_init__(self) -> None:
-        self.name = self.name or f"aprilgrid_{self.rows}x{self.columns}_{self.tag_mm:g}mm"
+    def __init__(
+        self,
+        *,
+        rows: int,
+        columns: int,
+        tag_mm: float,
+        spacing: float = 0.3,
+        dictionary: str = "APRILTAG_36h11",
+        border: int = 2,
+        first: int = 0,
+        name: str | None = None,
+    ) -> None:
+        self.rows, self.columns, self.first = int(rows), int(columns), int(first)
+        self.tag_mm, self.spacing = float(tag_mm), float(spacing)
+        self.dictionary, self.border = dictionary, int(border)
+        self.name = name or f"aprilgrid_{rows}x{columns}_{tag_mm:g}mm"
 
     def __check_init__(self) -> None:
         if min(self.rows, self.columns) < 1 or self.rows * self.columns < 2:

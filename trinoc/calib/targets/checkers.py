@@ -1,6 +1,5 @@
 """Boards of squares: the chessboard, and the chessboard with markers in its light squares."""
 
-import dataclasses
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -44,14 +43,16 @@ class Chessboard(AbstractSquareBoard):
         "square_mm": "square_mm",
     }
 
-    _: dataclasses.KW_ONLY
-    rows: int = eqx.field(static=True, converter=int)
-    columns: int = eqx.field(static=True, converter=int)
-    square_mm: float = eqx.field(static=True, converter=float)
-    name: str = eqx.field(static=True, default="")
+    rows: int = eqx.field(static=True)
+    columns: int = eqx.field(static=True)
+    square_mm: float = eqx.field(static=True)
+    name: str = eqx.field(static=True)
 
-    def __post_init__(self) -> None:
-        self.name = self.name or f"chessboard_{self.rows}x{self.columns}_{self.square_mm:g}mm"
+    def __init__(
+        self, *, rows: int, columns: int, square_mm: float, name: str | None = None
+    ) -> None:
+        self.rows, self.columns, self.square_mm = int(rows), int(columns), float(square_mm)
+        self.name = name or f"chessboard_{rows}x{columns}_{square_mm:g}mm"
 
     def __check_init__(self) -> None:
         check_size(self.name, self.rows, self.columns, "inner corners", self.square_mm)
@@ -91,7 +92,8 @@ class Chessboard(AbstractSquareBoard):
         same = [
             np.rot90(grid, quarters).ravel()
             for quarters in range(4)
-            if np.array_equal(np.rot90(dark, quarters), dark)
+            if np.rot90(grid, quarters).shape == grid.shape
+            and np.array_equal(np.rot90(dark, quarters), dark)
         ]
         return np.stack(same)
 
@@ -120,20 +122,32 @@ class Charuco(AbstractSquareBoard):
     }
     added_keys: ClassVar[tuple[str, ...]] = ("legacy", "first")
 
-    _: dataclasses.KW_ONLY
-    rows: int = eqx.field(static=True, converter=int)
-    columns: int = eqx.field(static=True, converter=int)
-    square_mm: float = eqx.field(static=True, converter=float)
-    marker_mm: float = eqx.field(static=True, default=np.nan, converter=float)
-    dictionary: str = eqx.field(static=True, default="4x4_250")
-    legacy: bool = eqx.field(static=True, default=False, converter=bool)
-    first: int = eqx.field(static=True, default=0, converter=int)
-    name: str = eqx.field(static=True, default="")
+    rows: int = eqx.field(static=True)
+    columns: int = eqx.field(static=True)
+    square_mm: float = eqx.field(static=True)
+    marker_mm: float = eqx.field(static=True)
+    dictionary: str = eqx.field(static=True)
+    legacy: bool = eqx.field(static=True)
+    first: int = eqx.field(static=True)
+    name: str = eqx.field(static=True)
 
-    def __post_init__(self) -> None:
-        if np.isnan(self.marker_mm):
-            self.marker_mm = 0.75 * self.square_mm
-        self.name = self.name or f"charuco_{self.rows}x{self.columns}_{self.square_mm:g}mm"
+    def __init__(
+        self,
+        *,
+        rows: int,
+        columns: int,
+        square_mm: float,
+        marker_mm: float | None = None,
+        dictionary: str = "4x4_250",
+        legacy: bool = False,
+        first: int = 0,
+        name: str | None = None,
+    ) -> None:
+        self.rows, self.columns = int(rows), int(columns)
+        self.square_mm = float(square_mm)
+        self.marker_mm = 0.75 * self.square_mm if marker_mm is None else float(marker_mm)
+        self.dictionary, self.legacy, self.first = dictionary, bool(legacy), int(first)
+        self.name = name or f"charuco_{rows}x{columns}_{square_mm:g}mm"
 
     def __check_init__(self) -> None:
         check_size(self.name, self.rows, self.columns, "squares", self.square_mm)

@@ -39,10 +39,13 @@ class AbstractSquareBoard(AbstractBoard):
 
     Fields
     ------
+    rows, columns : of what the board counts.
     nodes_mm : (k, 2) the corners of all squares, those on the rim too, or of tags: every edge
         belongs to the nearest.
     """
 
+    rows: AbstractVar[int]
+    columns: AbstractVar[int]
     nodes_mm: AbstractVar[Float[np.ndarray, "k 2"]]
 
     @abc.abstractmethod
