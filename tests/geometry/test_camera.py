@@ -101,14 +101,16 @@ def test_a_camera_that_looks_away_from_the_sheet_has_no_distance():
 @given(vectors(2, 0.3))
 def test_undistort_inverts_distort(ideal):
     lens = DISTORTED_LENS.lens
-    np.testing.assert_allclose(lens.undistort(lens.moved(ideal))[:2], ideal, atol=1e-12)
+    np.testing.assert_allclose(
+        lens.undistort(lens.distort(np.append(ideal, 1.0)))[:2], ideal, atol=1e-12
+    )
 
 
 def test_distortion_keeps_the_principal_point_and_is_the_identity_without_coefficients():
     lens = DISTORTED_LENS.lens
-    np.testing.assert_array_equal(lens.moved(np.zeros(2)), np.zeros(2))
+    np.testing.assert_array_equal(lens.distort(np.array([0.0, 0.0, 1.0])), np.zeros(2))
     ideal = BrownConrady.from_parameters(np.append(lens.parameters[:4], np.zeros(5)))
-    np.testing.assert_array_equal(ideal.moved(np.array([0.1, -0.2])), [0.1, -0.2])
+    np.testing.assert_array_equal(ideal.distort(np.array([0.1, -0.2, 1.0])), [0.1, -0.2])
 
 
 def test_distortion_agrees_with_opencv():

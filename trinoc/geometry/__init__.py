@@ -1,4 +1,4 @@
-"""Cameras, rigs, conics, epipolar geometry, lines and triangulation.
+"""Cameras, rigs, images of circles, epipolar geometry, lines and triangulation.
 
 Pure JAX for one item; `vmap` stands outside. The values that calibration and matching share
 (`Camera`, `Rig`, `Segments`, `Junctions`, `LineObservations`) live here. Source: Hartley and
