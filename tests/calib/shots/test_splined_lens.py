@@ -17,6 +17,7 @@ from trinoc.calib.advice.halves import covariance_of_difference
 from trinoc.calib.problem.information import information_of
 from trinoc.calib.problem.lens_correction import (
     correction_sentences,
+    shown_corrections,
     splined_problem,
     with_correction,
 )
@@ -103,6 +104,28 @@ def test_the_equations_are_those_of_the_cost_with_control_points_and_their_prior
     lens = here.state.lenses
     held = [lens.parameter_names.index(name) for name in lens.never_fitted]
     assert not np.asarray(chart.free)[held].any()
+
+
+def test_control_points_are_told_as_far_as_the_shots_know_more_than_the_prior():
+    here = splined_problem(core_problem(3), [SIZE_PX])
+    unit, sigma_px = SplinedBrownConrady.correction_information(), np.array([0.5])
+    chart = eqx.tree_at(lambda c: c.lens_information, here.chart, unit[None] / sigma_px**2)
+    here = here._replace(chart=chart)
+    values = np.array(here.state.lenses.coefficients)
+    count = np.sum(np.diag(unit) > 0)
+    values[:, -count:] = 0.1 * np.random.default_rng(0).normal(size=count)
+    here = here._replace(state=eqx.tree_at(lambda s: s.lenses.coefficients, here.state, values))
+    squares, told = shown_corrections(here, sigma_px)
+    information = information_of(here)
+    covariance = np.nan_to_num(information.observability.covariance)
+    own = np.flatnonzero(np.diag(information.prior) > 0)
+    own = own[own < np.searchsorted(information.free, chart.lens_count)]
+    # The trace of what all shots say times the covariance, over the control points.
+    shown = information.of_shot.sum(axis=0)[np.ix_(information.free, information.free)]
+    assert told[0] == pytest.approx(np.trace((covariance @ shown)[np.ix_(own, own)]), rel=1e-5)
+    assert 5 < told[0] < 0.9 * len(own)
+    parameters = lens_number(here, 0).parameters
+    assert squares[0] == pytest.approx(parameters @ unit @ parameters)
 
 
 def test_two_fits_under_one_prior_differ_as_their_covariances_say():
