@@ -13,8 +13,8 @@ from trinoc.calib.targets import AbstractTarget
 from trinoc.numerics import ArrayLike, bucket, point_tree
 
 # Views and shots are padded to these numbers, so that one more seldom compiles anew; few views, as
-# of one camera that looks for its lens, and those of one shot to fewer.
-_FEWEST_VIEWS, FEWEST_SHOTS = 32, 8
+# of one camera that looks for its lens, and those of one shot to fewer. Padding costs its time.
+_FEWEST_VIEWS, FEWEST_SHOTS = 16, 8
 _FEW_VIEWS, _FEWEST_VIEWS_OF_ONE_SHOT = 8, 3
 _FEWEST_PLACES = 32
 # The index of what is no place of the target: beyond all of them.
