@@ -73,14 +73,15 @@ def test_one_camera_is_known_by_the_rest_of_the_root(sigma_px) -> None:
 
 
 def test_the_root_is_that_of_the_pixels_and_of_all_that_was_known() -> None:
-    found = adjusted(made_views(0, lens_factor=LENS_FACTOR).cameras)
+    # A lens from a data sheet leaves directions to the aim's prior, though it is wide.
+    found = adjusted(made_views(0, lens_factor=10 * LENS_FACTOR).cameras)
     rows = np.concatenate(list(found.near.jacobian[..., found.free]))
     state, chart = found.problem.state, found.problem.chart
     known = np.asarray(prior_of(state, chart).information)[np.ix_(found.free, found.free)]
     expected = rows.T @ rows + known
     scale = np.sqrt(np.diag(expected))
     inverse = np.linalg.inv(expected / np.outer(scale, scale)) / np.outer(scale, scale)
-    np.testing.assert_allclose(found.root @ inverse @ found.root.T, np.eye(len(rows.T)), atol=1e-3)
+    np.testing.assert_allclose(found.root @ inverse @ found.root.T, np.eye(len(rows.T)), atol=1e-4)
 
 
 def test_residuals_scatter_as_the_noise_does() -> None:
