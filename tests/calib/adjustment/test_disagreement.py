@@ -12,7 +12,7 @@ from trinoc.calib.adjustment.estimate import Adjustment, adjust_cameras
 from trinoc.calib.adjustment.jackknife import scatter_of_blocks
 from trinoc.calib.adjustment.model_tests import information_left
 from trinoc.calib.problem.robust_fit import errors_px
-from trinoc.calib.problem.sheet_points import SheetPoints
+from trinoc.calib.problem.views import SheetPoints
 from trinoc.geometry import PoseModel
 
 

@@ -29,9 +29,8 @@ from trinoc.calib import (
 from trinoc.calib.problem.apparent_shift import apparent_shift
 from trinoc.calib.problem.problem import Freedom, cam_from_board, lens_number
 from trinoc.calib.problem.robust_fit import degrees_of_freedom, errors_in_sigmas
-from trinoc.calib.problem.sheet_points import SheetPoints
 from trinoc.calib.problem.starting_problem import problem_of
-from trinoc.calib.problem.views import View, whitening_of_covariance
+from trinoc.calib.problem.views import SheetPoints, View, whitening_of_covariance
 from trinoc.calib.problem.wrong_circles import discount_points, drop_wrong_circles
 from trinoc.calib.rig_pixels import expect_method, quarters_of_tags
 from trinoc.errors import InputError

@@ -10,8 +10,7 @@ from jaxtyping import Bool, Float
 from trinoc.calib.adjustment.crossed_lines import pose_of_crossed_lines
 from trinoc.calib.adjustment.estimate import Adjustment, adjust_cameras
 from trinoc.calib.detection import Detection
-from trinoc.calib.problem.outliers import robust_scale
-from trinoc.calib.problem.robust_fit import errors_px
+from trinoc.calib.problem.robust_fit import errors_px, robust_scale
 from trinoc.calib.problem.sheet_problem import SheetCamera
 from trinoc.calib.result import Status
 from trinoc.calib.result.degrees import largest_sigmas, values_of_parameters

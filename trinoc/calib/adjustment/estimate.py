@@ -8,9 +8,14 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.calib.problem.information import WhitenedViews, whitened_views
-from trinoc.calib.problem.outliers import ANNEALING, GATE, robust_scale
 from trinoc.calib.problem.problem import Problem
-from trinoc.calib.problem.robust_fit import CHI_SQUARE_DEVIATIONS, fit_places
+from trinoc.calib.problem.robust_fit import (
+    ANNEALING,
+    CHI_SQUARE_DEVIATIONS,
+    GATE,
+    fit_places,
+    robust_scale,
+)
 from trinoc.calib.problem.sheet_problem import SheetCamera, sheet_problem
 from trinoc.calib.problem.solver import LEAST_DAMPING
 from trinoc.calib.result.degrees import degrees_by_step

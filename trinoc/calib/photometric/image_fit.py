@@ -23,7 +23,7 @@ from trinoc.calib.photometric.scene import (
     scene_of_picture,
 )
 from trinoc.calib.photometric.unknowns import PictureState
-from trinoc.calib.problem.sheet_points import SheetPoints
+from trinoc.calib.problem.views import SheetPoints
 from trinoc.calib.targets import Pattern, SquareSheet
 from trinoc.geometry import AbstractLens, Pose, PoseModel
 from trinoc.image import PowerResponse

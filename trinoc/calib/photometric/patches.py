@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 
 from trinoc.calib.photometric.scene import Point, Scene
 from trinoc.calib.photometric.sheet_places import homography_of_pose
-from trinoc.calib.problem.sheet_points import SheetPoints
+from trinoc.calib.problem.views import SheetPoints
 from trinoc.calib.targets import Pattern, SquareSheet
 from trinoc.geometry import AbstractLens
 from trinoc.numerics import ArrayLike

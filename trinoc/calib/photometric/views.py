@@ -15,7 +15,7 @@ from trinoc.calib.photometric.image_fit import ImageRefinement, refine_image
 from trinoc.calib.photometric.scene import ShiftOfPlaces
 from trinoc.calib.photometric.sheet_places import project_to_image
 from trinoc.calib.photometric.unknowns import step_unit_mm
-from trinoc.calib.problem.sheet_points import SheetPoints
+from trinoc.calib.problem.views import SheetPoints
 from trinoc.calib.result import ImageQuality
 from trinoc.calib.result.degrees import degrees_by_step, largest_sigmas
 from trinoc.calib.targets import Pattern, SquareSheet

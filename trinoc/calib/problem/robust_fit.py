@@ -3,16 +3,21 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from trinoc.calib.problem.equations import PlacesProblem
-from trinoc.calib.problem.outliers import ANNEALING, inliers, robust_scale
 from trinoc.calib.problem.places import residuals_px, whitened_residuals
 from trinoc.calib.problem.problem import Problem
-from trinoc.calib.problem.sheet_points import SheetPoints
 from trinoc.calib.problem.solver import solve
+from trinoc.calib.problem.views import SheetPoints
 from trinoc.numerics import GemanMcClure, as_numpy, kept_jit
 
+# Length of a whitened two-dimensional error: median under a normal law, and the gate that a
+# right circle exceeds once in 10^8.
+_MEDIAN_LENGTH = 1.1774
+GATE = 6.0
+# Scales, in robust standard deviations, at which the influence of a circle is bounded.
+ANNEALING = (30.0, 10.0, 5.0)
 # A picture of which fewer places than this share agree with the rig shows the board elsewhere.
 _FEWEST_AGREE = 0.5
 # Chi-square beyond this many of its own standard deviations is not noise: the sigmas grow.
@@ -21,6 +26,18 @@ CHI_SQUARE_DEVIATIONS = 4.0
 _LEAST_SHARE = 1e-3
 _whitened = kept_jit(whitened_residuals)
 _residuals = kept_jit(residuals_px)
+
+
+def robust_scale(whitened: Float[np.ndarray, "m 2"]) -> float:
+    """Standard deviation of whitened errors by their median length; at least 1."""
+    if not len(whitened):
+        return 1.0
+    return max(1.0, float(np.median(np.linalg.norm(whitened, axis=1))) / _MEDIAN_LENGTH)
+
+
+def inliers(whitened: Float[np.ndarray, "m 2"]) -> Bool[np.ndarray, "m"]:
+    """Circles whose error is one that noise can make."""
+    return np.linalg.norm(whitened, axis=1) <= GATE * robust_scale(whitened)
 
 
 class RobustFit(NamedTuple):

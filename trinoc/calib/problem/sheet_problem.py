@@ -14,9 +14,8 @@ from jaxtyping import Float
 from trinoc.calib.detection import Detection
 from trinoc.calib.problem.problem import Problem, basis_of_scales, stacked_lenses
 from trinoc.calib.problem.sheet import BentPaper
-from trinoc.calib.problem.sheet_points import SheetPoints
 from trinoc.calib.problem.variables import POSE_SIZE, Chart, RigState
-from trinoc.calib.problem.views import View, padded_count
+from trinoc.calib.problem.views import SheetPoints, View, padded_count
 from trinoc.calib.targets import AbstractTarget
 from trinoc.calib.uncertainty import Systematics
 from trinoc.geometry import AbstractLens, Intrinsics, Pose, PoseModel, promoted

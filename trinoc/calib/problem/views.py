@@ -8,7 +8,6 @@ from jaxtyping import Bool, Float, Int
 from scipy.linalg import block_diag
 
 from trinoc.calib.detection import Detection
-from trinoc.calib.problem.sheet_points import SheetPoints
 from trinoc.calib.targets import AbstractTarget
 from trinoc.numerics import ArrayLike, bucket, point_tree
 
@@ -19,6 +18,22 @@ _FEW_VIEWS, _FEWEST_VIEWS_OF_ONE_SHOT = 8, 3
 _FEWEST_PLACES = 32
 # The index of what is no place of the target: beyond all of them.
 NO_PLACE = 1 << 30
+
+
+class SheetPoints(NamedTuple):
+    """Places of the sheet and the pixels at which one picture shows them.
+
+    Fields
+    ------
+    place_mm : (n, 2) on the drawing of the sheet.
+    uv_px : (n, 2) where the picture shows them.
+    whitening : (2n, 2n) R, of all their errors as one vector: R^T R is their information, which
+        may be singular. Rows of zeros say nothing.
+    """
+
+    place_mm: Float[np.ndarray, "*v n 2"]
+    uv_px: Float[np.ndarray, "*v n 2"]
+    whitening: Float[np.ndarray, "*v k k"]
 
 
 class View(NamedTuple):

@@ -3,11 +3,9 @@
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.problem.outliers import inliers
 from trinoc.calib.problem.problem import Problem
-from trinoc.calib.problem.robust_fit import errors_px
-from trinoc.calib.problem.sheet_points import SheetPoints
-from trinoc.calib.problem.views import NO_PLACE, View, circle_of
+from trinoc.calib.problem.robust_fit import errors_px, inliers
+from trinoc.calib.problem.views import NO_PLACE, SheetPoints, View, circle_of
 
 # Of the largest eigenvalue: below, there is no information.
 _ROUNDING = 1e-12
