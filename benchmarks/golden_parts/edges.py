@@ -84,6 +84,6 @@ def capture() -> Values:
     for name, picture in (*pictures.items(), *demo_images("scene").items()):
         grey = picture.astype(float)
         yield f"{name}.edge_blur_px", edge_blur_px(grey)
-        yield f"{name}.exposure_of", exposure_of(grey)
+        yield f"{name}.exposure_of", exposure_of(grey * (255 / np.iinfo(picture.dtype).max))
     places = judged[0].places_px
     yield "covered_cells", covered_cells(places, (512, 480))
