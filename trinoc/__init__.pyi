@@ -25,16 +25,14 @@ from .evaluation import evaluate as evaluate
 from .geometry import Camera as Camera, Intrinsics as Intrinsics, Rig as Rig, Segments as Segments
 from .io import (
     enable_compile_cache as enable_compile_cache,
-    load_cylinders as load_cylinders,
+    load as load,
     load_matches as load_matches,
     load_pattern as load_pattern,
     load_rig as load_rig,
-    load_rims as load_rims,
     load_segments as load_segments,
     load_shape as load_shape,
     load_shots as load_shots,
     load_target as load_target,
-    load_wireframe as load_wireframe,
     save as save,
 )
 from .match import (

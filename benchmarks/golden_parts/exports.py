@@ -13,7 +13,7 @@ from golden_parts.inputs import blocks, knocked_rig
 from golden_parts.records import Values
 from trinoc.errors import TrinocError
 from trinoc.geometry import Intrinsics
-from trinoc.io import FORMATS, load_any, save_target
+from trinoc.io import FORMATS, save_target
 from trinoc.io.formats.format import KIND_OF
 from trinoc.synth import table1_rig
 
@@ -83,7 +83,7 @@ def _own_file(name: str, value: Any, path: Path) -> Values:
                 yield f"{name}.{key}", file[key]
     else:
         yield name, _content(path, str(path.parent))
-    again = load_any(path)
+    again = trinoc.load(path)
     yield f"{name}.again", type(again).__name__ in {kind.__name__ for kind in KIND_OF}
 
 

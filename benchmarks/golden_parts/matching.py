@@ -121,8 +121,13 @@ def wire_frame() -> Values:
             frame = trinoc.wireframe(matches, rig, flat=flat)
             name = f"{label}.{'flat' if flat else 'free'}"
             yield from records.fields(name, frame, FRAME)
-            yield f"{name}.let_go", [f"{own.track} {own.reason}" for own in frame.let_go]
+            yield f"{name}.let_go", _let_go(frame)
             yield f"{name}.faces", [str(np.asarray(face).tolist()) for face in frame.faces]
+
+
+def _let_go(frame: trinoc.Wireframe) -> list[str]:
+    rows = zip(frame.let_go.track, frame.let_go.reason, strict=True)
+    return [f"{track} {reason}" for track, reason in rows]
 
 
 JOINED = (

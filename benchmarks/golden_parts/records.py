@@ -19,8 +19,9 @@ SEGMENTS = (
 MATCHES = (
     *("index", "fragments_px", "fragments_covariance_px2", "lines_mm", "covariance_mm2", "stage"),
     *("posterior", "rival_posterior", "misfit", "viewpoint_dependent", "noise_scale", "noise_tail"),
-    *("notes", "counts", "guided", "measure", "silhouette", "shadow"),
+    *("notes", "counts"),
 )
+MARKS = ("guided", "measure", "silhouette", "shadow")
 FIT = ("status", "parameters", "values", "covariance")
 
 
@@ -166,5 +167,7 @@ def segments(prefix: str, found: Any) -> Values:
 def matches(prefix: str, found: Any) -> Values:
     """Tracks of one scene."""
     yield from fields(prefix, found, MATCHES)
+    for name in MARKS:
+        yield f"{prefix}.{name}", found.marks.get(name)
     for view, words in found.reasons.items():
         yield f"{prefix}.reasons.{view}", words

@@ -33,9 +33,9 @@ def test_cylinders_are_written_told_and_shown(scene, capsys):
     assert abs(found["radius_mm"] - 12.0) < 5 * found["radius_sigma_mm"] < 1.0
     assert all(outlines == [0, 1] for outlines in found["outlines"].values())
     assert told["written"] == ["matches.npz", "cylinders.npz", "page.html"]
-    back = trinoc.load_cylinders("cylinders.npz")
+    back = trinoc.load("cylinders.npz")
     matches = trinoc.load_matches("matches.npz")
-    np.testing.assert_array_equal(matches.silhouette, back.silhouette)
+    np.testing.assert_array_equal(matches.marks["silhouette"], back.silhouette)
     with open("page.html", encoding="utf-8") as page:
         assert "cylinders (1)" in page.read()
     assert main(["export", "cylinders.npz", "--to", "obj", "-o", "cylinders.obj"]) == 0

@@ -181,7 +181,7 @@ def test_a_box_becomes_a_wire_frame_and_is_compared_with_its_edges(run, folder, 
     said = json.loads(capsys.readouterr().out)
     assert (said["edges"], said["corners"], said["free_ends"], said["faces"]) == (12, 8, 0, 6)
     assert said["let_go"] == []
-    assert len(trinoc.load_wireframe(folder / "wireframe.npz")) == 12
+    assert len(trinoc.load(folder / "wireframe.npz")) == 12
     assert main(["export", "wireframe.npz", "--to", "obj", "-o", "box.obj"]) == 0
     shape = trinoc.load_shape(folder / "box.obj")
     assert len(shape.edges_mm) == 12

@@ -33,7 +33,7 @@ def test_rims_are_added_and_told(scene, capsys):
     told = json.loads(capsys.readouterr().out)
     (rim,) = told["rims"]["found"]
     assert told["written"] == ["matches.npz", "rims.npz", "cylinders.npz"]
-    found = trinoc.load_rims("rims.npz")
+    found = trinoc.load("rims.npz")
     assert found.centre_mm.tolist() == [rim["centre_mm"]]
     assert found.radius_sigma_mm.tolist() == [rim["radius_sigma_mm"]]
     assert main(["export", "rims.npz", "--to", "obj", "-o", "rims.obj", "--quiet"]) == 0
@@ -42,7 +42,7 @@ def test_rims_are_added_and_told(scene, capsys):
     # The body below is found by its outlines, as without rims.
     (body,) = told["cylinders"]["found"]
     assert abs(body["radius_mm"] - rim["radius_mm"]) < 5 * body["radius_sigma_mm"]
-    assert len(trinoc.load_cylinders("cylinders.npz").silhouette) == len(matches)
+    assert len(trinoc.load("cylinders.npz").silhouette) == len(matches)
     added = told["rims"]["counts"]["pieces of rims"]
     off = np.linalg.norm(matches.lines_mm[-added:] - rim["centre_mm"], axis=2)
     np.testing.assert_allclose(off, rim["radius_mm"], atol=0.01)

@@ -25,7 +25,7 @@ def test_shadows_are_told_written_and_shown(tmp_path, monkeypatch, capsys):
     assert told["tracks_marked"] == shadow.sum()
     assert told["lamp_posterior"] > 0.9
     matches = trinoc.load_matches("matches.npz")
-    assert (np.asarray(matches.shadow) > 0.5).sum() == shadow.sum()
+    assert (matches.marks["shadow"] > 0.5).sum() == shadow.sum()
     with open("page.html", encoding="utf-8") as page:
         words = page.read()
     assert ", shadow" in words

@@ -38,6 +38,8 @@ def made_wireframe() -> Wireframe:
         face_chi_square=np.array([0.5, 0.0]),
         face_degrees=np.array([1, 0]),
         facing=np.array([True, False]),
-        let_go=(LetGo(7, (50.0, 50.0, 10.0), "ends beside a corner."),),
+        let_go=LetGo(
+            np.array([7]), np.array([[50.0, 50.0, 10.0]]), np.array(["ends beside a corner."])
+        ),
         shadow=np.linspace(0.0, 1.0, 7),
     )

@@ -9,7 +9,7 @@ import trinoc
 from tests.io.formats.bench import bench_matches
 from tests.io.made_cylinders import made_cylinders
 from trinoc.errors import InputError
-from trinoc.io import FORMATS, load_any
+from trinoc.io import FORMATS
 
 CYLINDERS = made_cylinders()
 
@@ -17,7 +17,7 @@ CYLINDERS = made_cylinders()
 def test_what_is_written_is_what_is_read(tmp_path):
     file = tmp_path / "cylinders.npz"
     trinoc.save(CYLINDERS, file)
-    for back in (trinoc.load_cylinders(file), load_any(file)):
+    for back in (trinoc.load(file), trinoc.load(file)):
         for field in dataclasses.fields(CYLINDERS):
             one, other = getattr(CYLINDERS, field.name), getattr(back, field.name)
             if isinstance(one, np.ndarray):
@@ -30,17 +30,13 @@ def test_what_is_written_is_what_is_read(tmp_path):
 def test_marked_tracks_stay_marked_in_their_file(tmp_path):
     matches = bench_matches()
     silhouette = np.linspace(0.0, 1.0, len(matches))
-    marked = dataclasses.replace(matches, silhouette=silhouette, shadow=silhouette[::-1])
+    marked = matches.with_marks(silhouette=silhouette, shadow=silhouette[::-1])
     trinoc.save(marked, tmp_path / "matches.npz")
-    np.testing.assert_array_equal(
-        trinoc.load_matches(tmp_path / "matches.npz").silhouette, silhouette
-    )
+    back = trinoc.load_matches(tmp_path / "matches.npz")
+    np.testing.assert_array_equal(back.marks["silhouette"], silhouette)
+    np.testing.assert_array_equal(back.marks["shadow"], silhouette[::-1])
     trinoc.save(matches, tmp_path / "plain.npz")
-    np.testing.assert_array_equal(
-        trinoc.load_matches(tmp_path / "matches.npz").shadow, silhouette[::-1]
-    )
-    assert trinoc.load_matches(tmp_path / "plain.npz").silhouette is None
-    assert trinoc.load_matches(tmp_path / "plain.npz").shadow is None
+    assert trinoc.load_matches(tmp_path / "plain.npz").marks == {}
 
 
 @pytest.mark.parametrize(
@@ -64,21 +60,23 @@ def test_what_no_cylinders_have_is_refused(tmp_path, name, value, said):
         arrays = dict(content)
     np.savez(tmp_path / "wrong.npz", **{**arrays, name: value})
     with pytest.raises(InputError, match=said):
-        trinoc.load_cylinders(tmp_path / "wrong.npz")
+        trinoc.load(tmp_path / "wrong.npz")
 
 
 def test_wires_lie_on_their_cylinder():
-    for row, wires in enumerate(CYLINDERS.wires_mm()):
-        first, second = CYLINDERS.axis_mm[row]
+    wires = CYLINDERS.wires()
+    for row, (first, second) in enumerate(CYLINDERS.axis_mm):
         way = (second - first) / np.linalg.norm(second - first)
-        for wire in wires:
-            off = np.linalg.norm(np.cross(wire - first, way), axis=1)
+        pairs = wires.pairs[wires.owner == row]
+        for place in wires.places_mm[pairs.ravel()]:
+            off = np.linalg.norm(np.cross(place - first, way))
             np.testing.assert_allclose(off, CYLINDERS.radius_mm[row])
-            along = (wire - first) @ way
-            assert along.min() > -1e-9
-            assert along.max() < np.linalg.norm(second - first) + 1e-9
-        for rim in wires[:2]:
-            np.testing.assert_array_equal(rim[0], rim[-1])
+            along = (place - first) @ way
+            assert -1e-9 < along < np.linalg.norm(second - first) + 1e-9
+        # Both circles come first, and are closed.
+        for rim in (pairs[:48], pairs[48:96]):
+            closed = wires.places_mm[[rim[0, 0], rim[-1, 1]]]
+            np.testing.assert_array_equal(*closed)
 
 
 @pytest.mark.parametrize("unit_mm", [None, 1000.0])
@@ -98,6 +96,9 @@ def test_an_obj_and_a_ply_have_the_same_wires(tmp_path, unit_mm):
     np.testing.assert_array_equal(same, vertices)
     edges = np.array([row.split() for row in body[len(vertices) :]], dtype=float)
     np.testing.assert_array_equal(edges[:, :2] + 1, np.array(lines, dtype=float))
-    np.testing.assert_array_equal(edges[:, 3], CYLINDERS.radius_mm[edges[:, 2].astype(int)] / unit)
+    head = texts["ply"][texts["ply"].index(f"element edge {pieces}") :]
+    names = [line.split()[-1] for line in head if line.startswith("property")]
+    own = CYLINDERS.radius_mm[edges[:, names.index("cylinder")].astype(int)] / unit
+    np.testing.assert_array_equal(edges[:, names.index("radius")], own)
     ends = vertices[np.array(lines, dtype=int) - 1]
     assert (np.linalg.norm(np.diff(ends, axis=1), axis=2) > 0).all()

@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 
 import trinoc
 from trinoc.errors import InputError
-from trinoc.io import load_any, load_intrinsics, load_rig_status, load_shape, read_image
+from trinoc.io import load_intrinsics, load_rig_status, load_shape, read_image
 from trinoc.synth import table1_rig
 
 FEW = settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -103,7 +103,7 @@ def test_json_with_another_value_somewhere(folder, documents, data, kind):
     place = data.draw(st.sampled_from(list(places(document))))
     path = folder / "damaged.json"
     path.write_text(json.dumps(put(document, place, data.draw(ODD))))
-    for reader in (load, load_any, load_shape, load_rig_status):
+    for reader in (load, trinoc.load, load_shape, load_rig_status):
         sentence_or_value(reader, path)
 
 
@@ -122,7 +122,7 @@ def test_json_with_other_bytes(folder, documents, data, kind):
 
 
 @pytest.mark.parametrize("text", NOT_JSON)
-@pytest.mark.parametrize("load", [trinoc.load_rig, trinoc.load_pattern, load_any, load_shape])
+@pytest.mark.parametrize("load", [trinoc.load_rig, trinoc.load_pattern, trinoc.load, load_shape])
 def test_json_that_python_would_read_or_fall_over(folder, load, text):
     path = folder / "extreme.json"
     for content in (text, f'{{"format": {text}, "version": 1}}'):
@@ -218,7 +218,7 @@ def test_npz_with_other_bytes(folder, archives, data, kind):
     for damaged in (content[:at], content[:at] + new + content[at + len(new) :]):
         path.write_bytes(damaged)
         sentence_or_value(archives[kind][1], path)
-        sentence_or_value(load_any, path)
+        sentence_or_value(trinoc.load, path)
 
 
 @FEW
@@ -260,7 +260,7 @@ def test_an_archive_that_announces_or_unpacks_to_gigabytes_takes_no_memory(folde
     path = folder / "bomb.npz"
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("format.npy", head.getvalue())
-    for load in (trinoc.load_matches, trinoc.load_segments, load_any):
+    for load in (trinoc.load_matches, trinoc.load_segments, trinoc.load):
         assert sentence_or_value(load, path) is None
     (folder / "bomb.npy").write_bytes(head.getvalue())
     assert sentence_or_value(trinoc.load_segments, folder / "bomb.npy") is None

@@ -8,7 +8,7 @@ import pytest
 import trinoc
 from tests.io.made_rims import made_rims
 from trinoc.errors import InputError
-from trinoc.io import FORMATS, load_any
+from trinoc.io import FORMATS
 
 RIMS = made_rims()
 
@@ -30,7 +30,7 @@ def fields_are_equal(one: object, other: object) -> None:
 def test_what_is_written_is_what_is_read(tmp_path):
     file = tmp_path / "rims.npz"
     trinoc.save(RIMS, file)
-    for back in (trinoc.load_rims(file), load_any(file)):
+    for back in (trinoc.load(file), trinoc.load(file)):
         fields_are_equal(RIMS, back)
 
 
@@ -57,7 +57,7 @@ def test_what_no_rims_have_is_refused(tmp_path, name, value, said):
         arrays = dict(content)
     np.savez(tmp_path / "wrong.npz", **{**arrays, name: value})
     with pytest.raises(InputError, match=said):
-        trinoc.load_rims(tmp_path / "wrong.npz")
+        trinoc.load(tmp_path / "wrong.npz")
 
 
 def test_an_obj_has_the_circles(tmp_path):

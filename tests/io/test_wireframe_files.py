@@ -9,7 +9,7 @@ import pytest
 import trinoc
 from tests.io.made_wireframe import made_wireframe
 from trinoc.errors import InputError
-from trinoc.io import FORMATS, load_any
+from trinoc.io import FORMATS
 
 FRAME = made_wireframe()
 
@@ -17,8 +17,8 @@ FRAME = made_wireframe()
 def test_what_is_written_is_what_is_read(tmp_path):
     trinoc.save(FRAME, tmp_path / "wireframe.npz")
     for back in (
-        trinoc.load_wireframe(tmp_path / "wireframe.npz"),
-        load_any(tmp_path / "wireframe.npz"),
+        trinoc.load(tmp_path / "wireframe.npz"),
+        trinoc.load(tmp_path / "wireframe.npz"),
     ):
         for field in dataclasses.fields(FRAME):
             one, other = getattr(FRAME, field.name), getattr(back, field.name)
@@ -36,7 +36,7 @@ def test_a_file_without_shadows_is_read(tmp_path):
     trinoc.save(dataclasses.replace(FRAME, shadow=None), tmp_path / "wireframe.npz")
     with np.load(tmp_path / "wireframe.npz") as content:
         assert "shadow" not in content
-    assert trinoc.load_wireframe(tmp_path / "wireframe.npz").shadow is None
+    assert trinoc.load(tmp_path / "wireframe.npz").shadow is None
 
 
 @pytest.mark.parametrize(
@@ -57,7 +57,7 @@ def test_what_no_wire_frame_has_is_refused(tmp_path, name, value, said):
         arrays = dict(content)
     np.savez(tmp_path / "wrong.npz", **{**arrays, name: value})
     with pytest.raises(InputError, match=said):
-        trinoc.load_wireframe(tmp_path / "wrong.npz")
+        trinoc.load(tmp_path / "wrong.npz")
 
 
 def lines_of(tmp_path, name, ending, **options):

@@ -1,5 +1,6 @@
 """A small valid file of every kind that is read, with its reader, for tests that damage it."""
 
+import dataclasses
 import importlib.util
 import shutil
 from collections.abc import Callable
@@ -16,7 +17,6 @@ from tests.io.made_rims import made_rims
 from tests.io.made_wireframe import made_wireframe
 from trinoc.io import (
     FORMATS,
-    load_any,
     load_frames,
     load_intrinsics,
     load_rig_status,
@@ -54,10 +54,10 @@ def valid_files(folder: Path) -> dict[str, ValidFile]:
     trinoc.save(pattern, add("pattern", "pattern.json", trinoc.load_pattern))
     matches = measured()
     trinoc.save(matches, add("matches", "matches.npz", trinoc.load_matches))
-    trinoc.save(matches, add("any", "any.npz", load_any))
-    trinoc.save(made_wireframe(), add("wireframe", "wireframe.npz", trinoc.load_wireframe))
-    trinoc.save(made_rims(), add("rims", "rims.npz", trinoc.load_rims))
-    trinoc.save(made_cylinders(), add("cylinders", "cylinders.npz", trinoc.load_cylinders))
+    trinoc.save(matches, add("any", "any.npz", trinoc.load))
+    trinoc.save(made_wireframe(), add("wireframe", "wireframe.npz", trinoc.load))
+    trinoc.save(made_rims(), add("rims", "rims.npz", trinoc.load))
+    trinoc.save(made_cylinders(), add("cylinders", "cylinders.npz", trinoc.load))
     ends = np.random.default_rng(2).uniform(0, 400, (5, 4))
     segments = trinoc.Segments.from_endpoints(ends)
     trinoc.save(segments, add("segments", "segments.npz", trinoc.load_segments))
@@ -89,14 +89,12 @@ def measured() -> trinoc.Matches:
     root = random.normal(size=(*plain.index.shape, 4, 4))
     covariance = root @ root.swapaxes(-1, -2)
     covariance[plain.index < 0] = np.nan
-    return trinoc.Matches(
-        **{
-            **{name: getattr(plain, name) for name in plain.__dataclass_fields__},
-            "fragments_covariance_px2": covariance,
-            "misfit": np.ones(len(plain)),
-            "viewpoint_dependent": np.zeros(len(plain), dtype=bool),
-            "notes": ("a note.",),
-        }
+    return dataclasses.replace(
+        plain,
+        fragments_covariance_px2=covariance,
+        misfit=np.ones(len(plain)),
+        viewpoint_dependent=np.zeros(len(plain), dtype=bool),
+        notes=("a note.",),
     )
 
 

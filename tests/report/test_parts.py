@@ -1,6 +1,7 @@
 """The small pieces of the report, by their laws."""
 
 import base64
+import dataclasses
 import math
 
 import cv2
@@ -10,7 +11,7 @@ import pytest
 from hypothesis import given
 
 from trinoc.errors import InputError
-from trinoc.geometry import Rig
+from trinoc.geometry import Rig, line_sigmas
 from trinoc.match import Matches
 from trinoc.report.clipping import clip_line
 from trinoc.report.colours import PALETTE, distinct_neighbours
@@ -25,7 +26,6 @@ from trinoc.report.numbers import (
 )
 from trinoc.report.pictures import LONGEST_SIDE_PX, Window, page_picture
 from trinoc.report.space_content import content_box, frusta
-from trinoc.report.track_sigmas import track_sigmas
 
 FINITE = st.floats(-1e4, 1e4, allow_nan=False)
 
@@ -138,7 +138,7 @@ def test_a_window_holds_its_points_and_stays_in_the_picture() -> None:
 
 
 def test_sigmas_of_tracks_agree_with_many_draws(matches: Matches) -> None:
-    sigmas, random = track_sigmas(matches), np.random.default_rng(3)
+    sigmas, random = line_sigmas(matches.lines_mm, matches.covariance_mm2), np.random.default_rng(3)
     ends, covariance = np.asarray(matches.lines_mm)[5], np.asarray(matches.covariance_mm2)[5]
     drawn = random.multivariate_normal(ends.reshape(6), covariance, size=20_000).reshape(-1, 2, 3)
     lengths = np.linalg.norm(drawn[:, 1] - drawn[:, 0], axis=1)
@@ -163,15 +163,7 @@ def test_a_far_segment_does_not_shrink_the_view(matches: Matches) -> None:
     near = content_box(None, matches)
     lines = np.array(matches.lines_mm)
     lines[0] += 1e5
-    far = content_box(
-        None,
-        Matches(
-            **{
-                **{name: getattr(matches, name) for name in matches.__dataclass_fields__},
-                "lines_mm": lines,
-            }
-        ),
-    )
+    far = content_box(None, dataclasses.replace(matches, lines_mm=lines))
     assert near is not None
     assert far is not None
     assert np.max(far.high_mm) < 2 * np.max(near.high_mm)

@@ -1,5 +1,6 @@
 """Tables for a terminal and the comparison with known cameras."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -49,9 +50,8 @@ def test_columns_are_aligned() -> None:
 
 
 def test_reasons_add_up_and_numbers_in_them_do_not_count(matches: Matches) -> None:
-    fields = {name: getattr(matches, name) for name in matches.__dataclass_fields__}
     words = np.array(["ambiguous with 3", "ambiguous with 12", "matched", "outside"])
-    changed = Matches(**{**fields, "reasons": dict.fromkeys(matches.views, words)})
+    changed = dataclasses.replace(matches, reasons=dict.fromkeys(matches.views, words))
     table = reasons_by_view(changed)
     assert list(table) == ["matched", "ambiguous with others", "outside"]
     for view in matches.views:
@@ -60,6 +60,6 @@ def test_reasons_add_up_and_numbers_in_them_do_not_count(matches: Matches) -> No
 
 
 def test_counts_of_steps_leave_out_what_the_reasons_say(matches: Matches) -> None:
-    fields = {name: getattr(matches, name) for name in matches.__dataclass_fields__}
-    changed = Matches(**{**fields, "counts": {"candidate_pairs": 1200, "segments matched": 3}})
+    counts = {"candidate_pairs": 1200, "segments matched": 3}
+    changed = dataclasses.replace(matches, counts=counts)
     assert counts_text(changed).splitlines()[1:] == ["candidate pairs  1,200"]

@@ -34,10 +34,10 @@ class Export(Command):
     def run(self, command_line: str) -> Outcome:
         """Read, write, and say what the format cannot hold."""
         from trinoc.geometry import Intrinsics
-        from trinoc.io import FORMATS, LOSSES, load_any, load_lens_covariance
+        from trinoc.io import FORMATS, LOSSES, load, load_lens_covariance
 
         target = FORMATS[self.to]
-        value = load_any(self.file)
+        value = load(self.file)
         target.save(value, self.out, unit_mm=self.unit_mm)
         lost = target.lost(value)
         if isinstance(value, Intrinsics) and load_lens_covariance(self.file) is not None:

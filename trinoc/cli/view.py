@@ -58,7 +58,7 @@ class View(Command):
 
     def _content(self) -> "tuple[SpaceFigure, Ellipsoids | None, str]":
         from trinoc.geometry import Rig
-        from trinoc.io import load_any, load_pattern
+        from trinoc.io import load, load_pattern
         from trinoc.match import Cylinders, Matches, Wireframe
         from trinoc.report import (
             SpaceFigure,
@@ -68,7 +68,7 @@ class View(Command):
             wireframe_figure,
         )
 
-        value = load_any(self.file)
+        value = load(self.file)
         if not isinstance(value, Rig | Matches | Wireframe | Cylinders):
             raise UsageError(
                 f"{self.file} holds nothing that is shown here: give a rig.json, matches.npz, "

@@ -36,8 +36,9 @@ class Wireframe(Command):
         expect_ending(self.out, Frame)
         frame = wireframe(load_matches(self.file), read_rig(self.rig), flat=not self.no_flat)
         save(frame, self.out)
-        for each in frame.let_go:
-            LOGGER.warning("track %d %s", each.track, each.reason)
+        let_go = list(zip(frame.let_go.track.tolist(), frame.let_go.reason.tolist(), strict=True))
+        for track, reason in let_go:
+            LOGGER.warning("track %d %s", track, reason)
         corners = int(frame.corner.sum())
         shadows = 0 if frame.shadow is None else int((frame.shadow > 0.5).sum())
         record = {
@@ -47,7 +48,7 @@ class Wireframe(Command):
             "free_ends": len(frame.corner) - corners,
             "faces": len(frame.planes),
             "edges_of_shadows": shadows,
-            "let_go": [{"track": each.track, "reason": each.reason} for each in frame.let_go],
+            "let_go": [{"track": track, "reason": reason} for track, reason in let_go],
             "written": [str(self.out)],
         }
         text = (

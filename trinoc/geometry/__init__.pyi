@@ -12,6 +12,7 @@ from .epipolar import (
     epipolar_line as epipolar_line,
     fundamental_matrix as fundamental_matrix,
 )
+from .features import Feature as Feature, Wires as Wires, wires_of_lines as wires_of_lines
 from .image_of_circle import (
     circle_centre_offset as circle_centre_offset,
     image_of_circle_centre as image_of_circle_centre,
@@ -46,6 +47,7 @@ from .lenses.splined import (
     SplinedKannalaBrandt as SplinedKannalaBrandt,
     SplinedRational as SplinedRational,
 )
+from .line_lengths import LineSigmas as LineSigmas, line_sigmas as line_sigmas
 from .lines import (
     line_of_planes as line_of_planes,
     line_through as line_through,

@@ -1,14 +1,28 @@
 """Line segments of one picture, where they meet, and their fragments in several pictures: the
 observations that matching and refinement share."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Annotated, ClassVar
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
 from trinoc.errors import InputError
-from trinoc.numerics import ArrayLike, Displayable, take_rows
+from trinoc.numerics import (
+    COVARIANCE,
+    IN_PICTURE,
+    LARGEST_PX,
+    NOT_INFINITE,
+    NOT_NEGATIVE,
+    ArrayLike,
+    Check,
+    Column,
+    Displayable,
+    Table,
+    number_of,
+)
 
 # The body of a segment, not one of its ends, lies on a junction.
 BODY = -1
@@ -17,7 +31,7 @@ DEFAULT_SIGMA_PX = 0.5
 DEFAULT_SIGMA_ALONG_PX = 2.0
 
 
-class Junctions(eqx.Module):
+class Junctions(Table):
     """Where segments of one picture meet, and which of them do.
 
     The last three fields are one table with a row for each segment at each junction.
@@ -33,18 +47,30 @@ class Junctions(eqx.Module):
     end : (m,) 0 or 1, the end of the segment that meets, or -1 for its body.
     """
 
-    uv_px: Float[ArrayLike, "j 2"]
-    covariance_px2: Float[ArrayLike, "j 2 2"]
-    kind: Shaped[ArrayLike, "j"]
-    junction: Int[ArrayLike, "m"]
-    segment: Int[ArrayLike, "m"]
-    end: Int[ArrayLike, "m"]
+    KIND: ClassVar[str] = "junctions"
+    SIDES: ClassVar[Mapping[str, str]] = {"j": "junctions", "m": "rows"}
+
+    uv_px: Annotated[Float[ArrayLike, "j 2"], Column(IN_PICTURE, parts=("u_px", "v_px"))]
+    covariance_px2: Annotated[Float[ArrayLike, "j 2 2"], Column(COVARIANCE, parts=("u_px", "v_px"))]
+    kind: Annotated[
+        Shaped[ArrayLike, "j"],
+        Column(Check("is no L, T, X or Y", lambda kind, _: np.isin(kind, list("LTXY")))),
+    ]
+    junction: Annotated[Int[ArrayLike, "m"], Column(number_of("j", "is no junction"))]
+    segment: Annotated[Int[ArrayLike, "m"], Column(NOT_NEGATIVE)]
+    end: Annotated[
+        Int[ArrayLike, "m"],
+        Column(Check("is neither end nor body", lambda end, _: np.isin(end, (BODY, 0, 1)))),
+    ]
 
     def __len__(self) -> int:
         return len(self.uv_px)
 
 
-class Segments(Displayable, eqx.Module):
+_ENDS = ("u1_px", "v1_px", "u2_px", "v2_px")
+
+
+class Segments(Displayable, Table):
     """Line segments of one picture.
 
     Fields
@@ -64,16 +90,49 @@ class Segments(Displayable, eqx.Module):
         from the first end to the second, NaN where not known; None where not measured.
     """
 
-    endpoints_px: Float[ArrayLike, "n 2 2"]
-    covariance_px2: Float[ArrayLike, "n 4 4"]
-    polarity: Int[ArrayLike, "n"]
-    contrast: Float[ArrayLike, "n"]
-    support: Int[ArrayLike, "n"]
-    image_size_px: tuple[int, int] | None = eqx.field(static=True)
+    KIND: ClassVar[str] = "segments"
+    IN_WORDS: ClassVar[str] = "segments"
+    SIDES: ClassVar[Mapping[str, str]] = {"n": "segments"}
+    DERIVED: ClassVar[Mapping[str, Sequence[str]]] = {"length_px": ()}
+
+    endpoints_px: Annotated[
+        Float[ArrayLike, "n 2 2"],
+        Column(
+            IN_PICTURE,
+            Check("has two equal ends", lambda ends, _: (ends[:, 0] != ends[:, 1]).any(axis=1)),
+            parts=_ENDS,
+        ),
+    ]
+    covariance_px2: Annotated[Float[ArrayLike, "n 4 4"], Column(COVARIANCE, parts=_ENDS)]
+    polarity: Annotated[
+        Int[ArrayLike, "n"],
+        Column(Check("is not -1, 0 or 1", lambda sign, _: np.isin(sign, (-1, 0, 1)))),
+    ]
+    contrast: Annotated[Float[ArrayLike, "n"], Column(NOT_INFINITE)]
+    support: Annotated[Int[ArrayLike, "n"], Column(NOT_NEGATIVE)]
+    image_size_px: Annotated[
+        tuple[int, int] | None,
+        Column(
+            Check(
+                "must be a width and a height in pixels",
+                lambda size, _: len(size) == 2 and all(0 < side < LARGEST_PX for side in size),
+            )
+        ),
+    ] = eqx.field(static=True, default=None)
     reasons: Shaped[np.ndarray, "n"] | None = None
     chain: Int[ArrayLike, "n"] | None = None
-    junctions: Junctions | None = None
-    side_levels: Float[ArrayLike, "n 2"] | None = None
+    junctions: Annotated[
+        Junctions | None,
+        Column(
+            Check(
+                "name a segment that is not there",
+                lambda junctions, table: (junctions.segment < table.sides["n"]).all(),
+            )
+        ),
+    ] = None
+    side_levels: Annotated[
+        Float[ArrayLike, "n 2"] | None, Column(NOT_INFINITE, parts=("level_right", "level_left"))
+    ] = None
 
     @classmethod
     def from_endpoints(
@@ -124,32 +183,23 @@ class Segments(Displayable, eqx.Module):
     def __len__(self) -> int:
         return len(self.endpoints_px)
 
-    def take(self, rows: Int[np.ndarray, "m"]) -> "Segments":
+    def take(self, rows: np.ndarray) -> "Segments":
         """Some of them, without their junctions, which number all."""
-        return take_rows(replace(self, junctions=None), rows)
+        return Table.take(replace(self, junctions=None), rows)
 
     def followed_by(self, more: "Segments") -> "Segments":
         """These, and after them others, which meet none and belong to no chain of them.
 
         What these do not know is not known of the others either.
         """
-
-        def joined(name: str) -> np.ndarray | None:
-            own, other = getattr(self, name), getattr(more, name)
-            if own is None:
-                return None
-            if other is None:
-                unknown = "" if name == "reasons" else np.nan
-                other = np.full((len(more), *np.shape(own)[1:]), unknown)
-            return np.concatenate([np.asarray(own), np.asarray(other)])
-
-        chain = None
-        if self.chain is not None:
-            first = int(np.max(self.chain, initial=-1)) + 1
-            chain = np.concatenate([self.chain, np.arange(first, first + len(more))])
-        columns = ("endpoints_px", "covariance_px2", "polarity", "contrast", "support")
-        columns += ("reasons", "side_levels")
-        return replace(self, chain=chain, **{name: joined(name) for name in columns})
+        first = int(np.max(self.chain, initial=-1)) + 1 if self.chain is not None else 0
+        others = more.rows() | {"chain": np.arange(first, first + len(more))}
+        joined = {}
+        for name, column in self.rows().items():
+            unknown = "" if name == "reasons" else np.nan
+            other = others.get(name, np.full((len(more), *np.shape(column)[1:]), unknown))
+            joined[name] = np.concatenate([np.asarray(column), np.asarray(other)])
+        return replace(self, **joined)
 
     @property
     def length_px(self) -> Float[ArrayLike, "n"]:

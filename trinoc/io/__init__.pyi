@@ -8,7 +8,6 @@ from .compile_cache import (
     COMPILE_CACHE_VARIABLE as COMPILE_CACHE_VARIABLE,
     enable_compile_cache as enable_compile_cache,
 )
-from .cylinders_npz import load_cylinders as load_cylinders
 from .demo import (
     demo_images as demo_images,
     demo_paths as demo_paths,
@@ -60,8 +59,6 @@ from .intrinsics_json import (
 )
 from .json_text import parsed_json as parsed_json
 from .known_shape import load_shape as load_shape
-from .loading import load_any as load_any
-from .matches_npz import load_matches as load_matches
 from .pattern_json import load_pattern as load_pattern, save_pattern as save_pattern
 from .pattern_page import (
     PAPER_SIZES_MM as PAPER_SIZES_MM,
@@ -82,13 +79,17 @@ from .rig_json import (
     rig_text as rig_text,
 )
 from .rig_status import CameraStatus as CameraStatus, RigStatus as RigStatus
-from .rims_npz import load_rims as load_rims
-from .saving import expect_ending as expect_ending, save as save
-from .segments_npz import load_segments as load_segments
+from .saving import (
+    TABLES as TABLES,
+    expect_ending as expect_ending,
+    load as load,
+    load_matches as load_matches,
+    save as save,
+)
+from .segment_table import load_segments as load_segments
 from .shots import load_shots as load_shots
 from .table_csv import save_table as save_table
 from .usable_cameras import expect_lens as expect_lens, expect_pitch as expect_pitch
 from .views_of_rig import expect_inside as expect_inside, expect_size as expect_size
 from .whole_files import read_text as read_text
 from .whole_picture import is_whole_picture as is_whole_picture
-from .wireframe_npz import load_wireframe as load_wireframe, save_wireframe as save_wireframe

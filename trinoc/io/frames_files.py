@@ -9,26 +9,35 @@ from pathlib import Path
 import numpy as np
 
 from trinoc.errors import InputError
-from trinoc.io.array_checks import REMEDY
-from trinoc.io.arrays_npz import MOST_BYTES, read_arrays, write_arrays
+from trinoc.io.arrays_npz import MOST_BYTES
 from trinoc.io.atomic import atomic_write
-from trinoc.io.frames_arrays import (
-    ALSO_OF_FRAMES,
-    OF_FRAMES,
+from trinoc.io.frames_table import (
     OF_TRACKS,
-    arrays_of_frames,
-    frames_of_arrays,
+    Frames,
+    frames_of_results,
+    results_of_frames,
+    sides_of_row,
 )
 from trinoc.io.json_text import parsed_json
+from trinoc.io.tables_npz import (
+    REMEDY,
+    VERSION,
+    ArrayFields,
+    arrays_of,
+    load_npz,
+    save_npz,
+    table_of,
+)
+from trinoc.numerics import fields_of
 from trinoc.recording import FrameMatches
 
-FORMAT, VERSION = "trinoc-frames", 1
-_BESIDE_TRACKS = ("views", *OF_FRAMES, "reasons")
-_DTYPES = {
-    "tracks": np.int64,
-    "segments": np.int64,
-    "noise_scale": np.float64,
-    "noise_tail": np.float64,
+FORMAT = f"trinoc-{Frames.KIND}"
+_DTYPES = {"f": np.float64, "i": np.int64}
+# What Parquet has beside its table, with the kind of each; the last may be missing.
+_BESIDE_TRACKS = {
+    field.name: _DTYPES.get(field.kind, np.str_)
+    for field in fields_of(Frames)
+    if not field.column.beside
 }
 
 
@@ -44,26 +53,27 @@ def save_frames(
 
     Equal results give equal bytes. Raises InputError where Parquet is wanted without pyarrow.
     """
-    arrays = arrays_of_frames(results, views)
+    frames = frames_of_results(results, views)
     if Path(path).suffix == ".parquet":
-        _write_parquet(arrays, Path(path))
+        _write_parquet(frames, Path(path))
     else:
-        write_arrays(path, FORMAT, VERSION, arrays)
+        save_npz(frames, path)
 
 
 def load_frames(path: str | os.PathLike[str]) -> list[FrameMatches]:
     """Read a file of `save_frames`. Raises InputError for another file, as `load_matches` does."""
     if Path(path).suffix == ".parquet":
-        return frames_of_arrays(_read_parquet(Path(path)), path)
-    return frames_of_arrays(read_arrays(path, FORMAT, VERSION), path)
+        frames = table_of(Frames, ArrayFields(_read_parquet(Path(path)), path))
+    else:
+        frames = load_npz(Frames, path)
+    return results_of_frames(frames, path)
 
 
-def _write_parquet(arrays: dict[str, np.ndarray], path: Path) -> None:
+def _write_parquet(frames: Frames, path: Path) -> None:
     pyarrow, parquet = _pyarrow(path)
-    columns = {"frame": pyarrow.array(np.repeat(arrays["frame"], arrays["tracks"]).tolist())}
+    columns = {"frame": pyarrow.array(np.repeat(frames.frame, frames.tracks).tolist())}
     columns["frame"] = columns["frame"].cast(pyarrow.string())
-    for name in OF_TRACKS:
-        array = arrays[name]
+    for name, array in frames.columns.items():
         flat = pyarrow.array(array.ravel().tolist() if array.dtype.kind == "U" else array.ravel())
         size = int(np.prod(array.shape[1:]))
         columns[name] = (
@@ -71,7 +81,8 @@ def _write_parquet(arrays: dict[str, np.ndarray], path: Path) -> None:
         )
         if array.dtype.kind == "U":
             columns[name] = columns[name].cast(pyarrow.string())
-    beside = {name: arrays[name].tolist() for name in (*_BESIDE_TRACKS, *ALSO_OF_FRAMES)}
+    arrays = arrays_of(frames)
+    beside = {name: arrays[name].tolist() for name in _BESIDE_TRACKS}
     said = {"format": FORMAT, "version": VERSION, **beside}
     metadata = {b"trinoc": json.dumps(said, ensure_ascii=False, allow_nan=False).encode()}
     table = pyarrow.table(columns).replace_schema_metadata(metadata)
@@ -86,7 +97,7 @@ def _read_parquet(path: Path) -> dict[str, np.ndarray]:
             _expect_size(file.metadata, path)
             said = file.schema_arrow.metadata or {}
             document = parsed_json(said.get(b"trinoc", b"").decode(), path)
-            table = file.read(columns=list(OF_TRACKS))
+            table = file.read()
             table.validate(full=True)
     except FileNotFoundError as error:
         raise InputError(f"{path} does not exist: check the name.") from error
@@ -102,27 +113,30 @@ def _read_parquet(path: Path) -> dict[str, np.ndarray]:
     views = document.get("views")
     if not isinstance(views, list):
         raise InputError(f'{path}: "views" is no list: {REMEDY}.')
-    arrays = {}
-    for name in (*_BESIDE_TRACKS, *(also for also in ALSO_OF_FRAMES if also in document)):
-        arrays[name] = _array_of_list(name, document.get(name), path, len(views))
-    for name, shape in OF_TRACKS.items():
-        if name not in table.column_names:
-            raise InputError(f'{path} lacks the column "{name}": {REMEDY}.')
-        sides = [len(views) if side == "v" else int(side) for side in shape]
-        arrays[name] = _array_of_column(name, table.column(name), sides, path)
+    arrays = {
+        name: _array_of_list(name, document[name], path, len(views))
+        for name in _BESIDE_TRACKS
+        if name in document
+    }
+    for name in set(table.column_names) - {"frame"}:
+        column = table.column(name)
+        sides = sides_of_row(OF_TRACKS.get(name, ()), len(views))
+        if name not in OF_TRACKS and pyarrow.types.is_fixed_size_list(column.type):
+            sides = (len(views),)
+        arrays[name] = _array_of_column(name, column, sides, path)
     return arrays
 
 
 def _array_of_list(name: str, values: object, path: Path, views: int) -> np.ndarray:
     """A JSON list as an array; wrong ones are refused here or by the checks that follow."""
     try:
-        array = np.array(values, dtype=_DTYPES.get(name, np.str_))
+        array = np.array(values, dtype=_BESIDE_TRACKS[name])
     except (ValueError, TypeError, OverflowError) as error:
         raise InputError(f'{path}: "{name}" is no list of such values: {REMEDY}.') from error
     return array.reshape(0, views) if name == "segments" and array.size == 0 else array
 
 
-def _array_of_column(name: str, column: object, sides: list[int], path: Path) -> np.ndarray:
+def _array_of_column(name: str, column: object, sides: tuple[int, ...], path: Path) -> np.ndarray:
     joined = column.combine_chunks()  # pyright: ignore[reportAttributeAccessIssue]
     try:
         flat = joined.flatten() if sides else joined

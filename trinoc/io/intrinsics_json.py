@@ -8,10 +8,10 @@ import numpy as np
 
 from trinoc.errors import InputError
 from trinoc.geometry import LENS_MODELS, Intrinsics, promoted
-from trinoc.io.array_checks import is_covariance
 from trinoc.io.conventions import CONVENTIONS
 from trinoc.io.json_document import Block, read_document, write_document
 from trinoc.io.usable_cameras import expect_lens
+from trinoc.numerics import is_covariance
 
 FORMAT, VERSION = "trinoc-camera", 1
 

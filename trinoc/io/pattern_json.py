@@ -8,6 +8,7 @@ import numpy as np
 from trinoc.calib import Pattern
 from trinoc.errors import InputError
 from trinoc.io.json_document import Block, read_document, write_document
+from trinoc.numerics import LARGEST_MM
 
 FORMAT, VERSION = "trinoc-pattern", 1
 
@@ -31,7 +32,7 @@ def pattern_of(document: Block, name: str) -> Pattern:
     circles.expect_keys(("centres_mm", "radius_mm", "lattice"), ("inner_radius_mm",))
     centres_mm = circles.numbers("centres_mm", (None, 2))
     lattice = circles.numbers("lattice", (len(centres_mm), 2))
-    if np.any(lattice != np.rint(lattice)):
+    if np.any(lattice != np.rint(lattice)) or np.any(np.abs(lattice) > LARGEST_MM):
         raise circles.error("lattice", "must hold whole numbers.")
     try:
         return Pattern(

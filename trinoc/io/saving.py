@@ -1,44 +1,41 @@
-"""One function that writes any of trinoc's values to its own kind of file."""
+"""One function that writes any of trinoc's values to its own kind of file, and one that reads."""
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from trinoc.calib import AbstractTarget, Pattern
 from trinoc.errors import InputError
 from trinoc.geometry import Intrinsics, Rig, Segments
+from trinoc.io import intrinsics_json, rig_json
+from trinoc.io.arrays_npz import format_of_arrays
 from trinoc.io.board_json import save_target
-from trinoc.io.cylinders_npz import save_cylinders
-from trinoc.io.intrinsics_json import save_intrinsics
-from trinoc.io.matches_npz import save_matches
+from trinoc.io.json_text import parsed_json
 from trinoc.io.pattern_json import save_pattern
-from trinoc.io.rig_json import save_rig
 from trinoc.io.rig_status import status_of_shots, status_to_block
-from trinoc.io.rims_npz import save_rims
-from trinoc.io.segments_npz import save_segments
-from trinoc.io.wireframe_npz import save_wireframe
-from trinoc.match import Cylinders, Matches, Rims, Wireframe
+from trinoc.io.tables_npz import load_npz, save_npz
+from trinoc.io.whole_files import read_text
+from trinoc.match import FEATURES, Matches
+from trinoc.numerics import Table
 
+TABLES: tuple[type[Table], ...] = (Segments, Matches, *FEATURES)
 # What is written, in words, and the ending of its file.
-_ENDINGS = (
-    (Rig, "a rig is", ".json"),
-    (Intrinsics, "a lens is", ".json"),
-    (AbstractTarget, "a layout is", ".json"),
-    (Segments, "segments are", ".npz"),
-    (Matches, "matches are", ".npz"),
-    (Cylinders, "cylinders are", ".npz"),
-    (Rims, "rims are", ".npz"),
-    (Wireframe, "a wire frame is", ".npz"),
+_ENDINGS: tuple[tuple[type, str, str], ...] = (
+    (Rig, "a rig", ".json"),
+    (Intrinsics, "a lens", ".json"),
+    (AbstractTarget, "a layout", ".json"),
+    *((kind, kind.IN_WORDS, ".npz") for kind in TABLES),
 )
-_WRITTEN = tuple(kind for kind, _, _ in _ENDINGS)
 
 
 def expect_ending(path: str | os.PathLike[str] | None, kind: type) -> None:
     """Before a long job: raise InputError for a name that `save` would refuse a value of a kind."""
     for each, words, ending in _ENDINGS:
         if path is not None and issubclass(kind, each) and Path(path).suffix.lower() != ending:
-            raise InputError(f"{path}: {words} written as {ending}: choose such a name.")
+            are = "is" if words.startswith("a ") else "are"
+            raise InputError(f"{path}: {words} {are} written as {ending}: choose such a name.")
 
 
 def save(
@@ -51,33 +48,61 @@ def save(
 
     A Rig (or the rig of a CalibrationResult or a RigFromShots, then with its status), Intrinsics
     (or the lens of an IntrinsicsResult, then with its covariance), a Pattern and a board become
-    JSON; Segments, Matches, Cylinders, Rims and a Wireframe become npz. `provenance`, of rigs and
+    JSON; Segments, Matches, a Wireframe, Cylinders and Rims become npz. `provenance`, of rigs and
     lenses, says how it was found ("command", "version", "inputs"). Raises InputError for other
     values and for a name whose ending is not that of the file.
     """
     more: dict[str, Any] = {}
-    if not isinstance(value, _WRITTEN):
+    if not isinstance(value, tuple(kind for kind, _, _ in _ENDINGS)):
         value, more = _content_of_result(value, path)
     expect_ending(path, type(value))
     match value:
         case Rig():
-            save_rig(value, path, provenance=provenance, **more)
+            rig_json.save_rig(value, path, provenance=provenance, **more)
         case Intrinsics():
-            save_intrinsics(value, path, provenance=provenance, **more)
+            intrinsics_json.save_intrinsics(value, path, provenance=provenance, **more)
         case Pattern():
             save_pattern(value, path)
         case AbstractTarget():
             save_target(value, path)
-        case Segments():
-            save_segments(value, path)
-        case Matches():
-            save_matches(value, path)
-        case Cylinders():
-            save_cylinders(value, path)
-        case Rims():
-            save_rims(value, path)
-        case Wireframe():
-            save_wireframe(value, path)
+        case Table():
+            save_npz(value, path)
+
+
+def load(path: str | os.PathLike[str]) -> Any:
+    """The value in a file of `save`, by what the file says: a Rig, Intrinsics, Segments, Matches, a
+    Wireframe, Cylinders or Rims.
+
+    Raises InputError for other files, and, with the field and the first row, for what no such value
+    holds.
+    """
+    readers: dict[object, Callable[[Path], Any]] = {
+        rig_json.FORMAT: rig_json.load_rig,
+        intrinsics_json.FORMAT: intrinsics_json.load_intrinsics,
+        **{f"trinoc-{kind.KIND}": partial(load_npz, kind) for kind in TABLES},
+    }
+    file = Path(path)
+    if file.suffix.lower() == ".json":
+        values = parsed_json(read_text(file), file)
+        found = values.get("format") if isinstance(values, dict) else None
+    else:
+        found = format_of_arrays(file)
+    if not isinstance(found, str) or found not in readers:
+        files = ", ".join(f"{kind.KIND}.npz" for kind in TABLES)
+        raise InputError(
+            f"{file} is no value that trinoc wrote: give a rig.json, camera.json or one of {files}."
+        )
+    return readers[found](file)
+
+
+def load_matches(path: str | os.PathLike[str]) -> Matches:
+    """Read matches that `save` wrote.
+
+    Raises InputError for another file, and, with the field and the first row, for what no matching
+    can give: segments that do not exist, fragments where a view sees none, places that are not
+    finite or beyond all scenes, covariances that are none, probabilities outside [0, 1].
+    """
+    return load_npz(Matches, path)
 
 
 def _content_of_result(
@@ -98,5 +123,5 @@ def _content_of_result(
             raise InputError(f"{path} was not written: {value.status.value}")
     raise InputError(
         f"A {type(value).__name__} cannot be saved: give a Rig, CalibrationResult, "
-        "Intrinsics, IntrinsicsResult, Pattern, Segments, Matches, Cylinders, Rims or Wireframe."
+        "Intrinsics, IntrinsicsResult, Pattern, Segments, Matches, Wireframe, Cylinders or Rims."
     )

@@ -1,16 +1,49 @@
-"""Tables of segments that other detectors write: rows x1 y1 x2 y2, as text or as an npy array."""
+"""Segments as files: trinoc's npz, and tables of other detectors with rows x1 y1 x2 y2."""
 
+import os
 from pathlib import Path
 
 import numpy as np
 
 from trinoc.errors import InputError
+from trinoc.geometry import Segments
 from trinoc.io.arrays_npz import MOST_BYTES, load_array
+from trinoc.io.tables_npz import load_npz
 from trinoc.io.whole_files import read_text
+from trinoc.numerics import LARGEST_PX
+
+TABLE_SUFFIXES = (".npy", ".csv", ".txt")
 
 _REMEDY = "give rows of x1 y1 x2 y2 in pixels"
 # With these names above it a table may have no row.
 COLUMNS = {"x1", "y1", "x2", "y2"}
+
+
+def load_segments(path: str | os.PathLike[str]) -> Segments:
+    """Read segments: an npz of `save`, or a table with rows x1 y1 x2 y2 in pixels.
+
+    A table is npy, csv or txt (separated by commas, semicolons or blanks; a first line of column
+    names and lines that start with # are skipped). Its segments get the sigmas of
+    `Segments.from_endpoints`. Raises InputError for other files, and, with the field and the first
+    row, for values that no segment has: other shapes, coordinates that are not finite or beyond
+    all pictures, covariances that are none.
+    """
+    file = Path(path)
+    if file.suffix.lower() not in TABLE_SUFFIXES:
+        return load_npz(Segments, file)
+    try:
+        segments = Segments.from_endpoints(read_table(file))
+    except InputError as error:
+        text = str(error)
+        raise error if text.startswith(str(file)) else InputError(f"{file}: {text}") from error
+    ends = np.abs(np.asarray(segments.endpoints_px))
+    far = np.flatnonzero((ends > LARGEST_PX).any(axis=(1, 2)))
+    if len(far):
+        raise InputError(
+            f"{file}: segment {far[0]} has a coordinate of {ends[far[0]].max():g} px, beyond all "
+            "pictures: give ends in pixels of the picture."
+        )
+    return segments
 
 
 def read_table(file: Path) -> np.ndarray:

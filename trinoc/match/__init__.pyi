@@ -1,6 +1,7 @@
 from .batch import MatchBatch as MatchBatch, match_many as match_many
 from .candidates.triples import trinocular_candidates as trinocular_candidates
 from .cylinders import Cylinders as Cylinders, find_cylinders as find_cylinders
+from .features import FEATURES as FEATURES
 from .guided import GuidedMatches as GuidedMatches, guide_matches as guide_matches
 from .line_map.collinear_merge import join_collinear as join_collinear
 from .line_map.corners import Corners as Corners, snap_corners as snap_corners

@@ -77,8 +77,30 @@ from .small_matrices import (
     log_determinant_positive_definite as log_determinant_positive_definite,
     solve_positive_definite as solve_positive_definite,
 )
+from .table_checks import (
+    CHI_SQUARE as CHI_SQUARE,
+    COVARIANCE as COVARIANCE,
+    FINITE as FINITE,
+    IN_PICTURE as IN_PICTURE,
+    IN_SCENE as IN_SCENE,
+    LARGEST_MM as LARGEST_MM,
+    LARGEST_PX as LARGEST_PX,
+    NOT_INFINITE as NOT_INFINITE,
+    NOT_NEGATIVE as NOT_NEGATIVE,
+    PROBABILITY as PROBABILITY,
+    RADIUS as RADIUS,
+    SEGMENT_NUMBER as SEGMENT_NUMBER,
+    is_covariance as is_covariance,
+    number_of as number_of,
+)
 from .tables import (
+    Check as Check,
+    Column as Column,
+    Content as Content,
+    Field as Field,
+    Table as Table,
     concatenate_rows as concatenate_rows,
+    fields_of as fields_of,
     take_rows as take_rows,
     with_field as with_field,
 )

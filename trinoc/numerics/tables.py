@@ -1,23 +1,197 @@
-"""Tables, as trees of columns whose rows belong together, and options in groups."""
+"""Values as tables of columns, each declared once; rows of trees of columns; options in groups.
 
-from collections.abc import Sequence
-from dataclasses import fields, replace
-from typing import Any, TypeVar
+A table is a frozen Module. Its annotations say the kind and the shape of each column as jaxtyping
+does, `Float[np.ndarray, "t 2 3"]`: a side with a name is as long in all columns. `Annotated` adds a
+`Column`: what the values must be, and what the numbers of a row are called. The class's docstring
+has a sentence on each. Files, frames of pandas, CSV, Parquet and cards follow from these.
+"""
 
+import dataclasses
+import functools
+import types
+import typing
+from collections.abc import Callable, Mapping, Sequence
+from typing import Annotated, Any, ClassVar, NamedTuple, TypeVar
+
+import equinox as eqx
 import jax
 import numpy as np
 
-_Table = TypeVar("_Table")
+_Rows = TypeVar("_Rows")
 _Options = TypeVar("_Options")
+_TableType = TypeVar("_TableType", bound="Table")
+
+# What jaxtyping's Float, Int and Bool hold; Shaped is for texts.
+_DTYPES = {"f": "float64", "i": "int64", "b": "bool"}
+# Numbers of a row: both ends of a line in space.
+_MOST_BRIEF = 6
 
 
-def take_rows(table: _Table, rows: np.ndarray) -> _Table:
-    """The rows at the given indices, in that order, or where the mask is true."""
+class Content(NamedTuple):
+    """What was read of a table: values by the names of its fields, and how long its sides are."""
+
+    values: dict[str, Any]
+    sides: dict[str, int]
+
+
+class Check(NamedTuple):
+    """`good` says of each entry of a value, or of the whole, whether it can be. `problem` is said
+    of the first row that cannot."""
+
+    problem: str
+    good: Callable[[Any, Content], Any]
+
+
+class Column:
+    """What is to be said of a field beside its kind and its shape.
+
+    Parameters
+    ----------
+    checks : what the values must be.
+    parts : a name for each number of a row, or a function of the table that gives them; of a
+        covariance, the names of what it is of.
+    side : of names, such as those of views: the side that they number.
+    beside : of a dictionary: its arrays have a row for each of the table, and names of their own.
+    blocks : of a tuple of square matrices: the number of rows of each.
+    below : of a table in a table: what the names of its arrays in a file begin with.
+    """
+
+    def __init__(
+        self,
+        *checks: Check,
+        parts: Sequence[str] | Callable[[Any], Sequence[str]] = (),
+        side: str = "",
+        beside: bool = False,
+        blocks: Callable[[Content], Sequence[int]] | None = None,
+        below: str = "",
+    ) -> None:
+        self.checks, self.parts, self.side = checks, parts, side
+        self.beside, self.blocks, self.below = beside, blocks, below
+
+
+class Field(NamedTuple):
+    """A field of a table; what is no array has no kind ("f", "i", "b" or "U") and no sides."""
+
+    name: str
+    type: Any
+    column: Column
+    optional: bool
+    kind: str
+    sides: tuple[str, ...]
+
+    @property
+    def below(self) -> str:
+        """What the names of its arrays begin with, where several stand for it."""
+        return "" if self.column.beside else self.column.below or f"{self.name}/"
+
+
+class Table(eqx.Module):
+    """A value whose columns are declared.
+
+    `KIND` names it in files, `IN_WORDS` in sentences. `SIDES` has words for what is counted along
+    each side with a name; the first are the rows. `DERIVED` are properties with a row for each,
+    with names for its numbers; files do not hold them.
+    """
+
+    KIND: ClassVar[str] = ""
+    IN_WORDS: ClassVar[str] = ""
+    SIDES: ClassVar[Mapping[str, str]] = {}
+    DERIVED: ClassVar[Mapping[str, Sequence[str]]] = {}
+
+    def rows(self) -> dict[str, Any]:
+        """The fields that have a row for each row of the table, those of a dictionary in one."""
+        first = next(iter(self.SIDES))
+        held = {field.name: (field, getattr(self, field.name)) for field in fields_of(type(self))}
+        return {
+            name: value
+            for name, (field, value) in held.items()
+            if value is not None and (field.sides[:1] == (first,) or field.column.beside)
+        }
+
+    def take(self: _TableType, rows: np.ndarray) -> _TableType:
+        """The rows at the given indices, in that order, or where the mask is true."""
+        return dataclasses.replace(self, **take_rows(self.rows(), rows))
+
+    def append(self: _TableType, rows: Mapping[str, np.ndarray]) -> _TableType:
+        """The same with more rows, by the names of their columns.
+
+        Columns that are not given are False, 0 or "" there.
+        """
+        count = len(next(iter(rows.values())))
+
+        def longer(name: str, column: Any) -> Any:
+            if isinstance(column, dict):
+                return {own: longer(own, array) for own, array in column.items()}
+            none = np.zeros((count, *np.shape(column)[1:]), column.dtype)
+            return np.concatenate([np.asarray(column), rows.get(name, none)])
+
+        return dataclasses.replace(
+            self, **{name: longer(name, column) for name, column in self.rows().items()}
+        )
+
+    def named_columns(self, *, brief: bool = False) -> dict[str, np.ndarray]:
+        """A name and a column for each number of a row, or, if brief, without the long rows of
+        covariances and pictures; `DERIVED` come last."""
+        columns: dict[str, np.ndarray] = {}
+        fields = {field.name: field.column for field in fields_of(type(self))}
+        for name, value in self.rows().items():
+            parts = fields[name].parts
+            names = parts(self) if callable(parts) else parts
+            for own, array in value.items() if isinstance(value, dict) else [(name, value)]:
+                if not brief or np.prod(np.shape(array)[1:]) <= _MOST_BRIEF:
+                    columns |= _named_parts(own, np.asarray(array), names)
+        for name, parts in self.DERIVED.items():
+            columns |= _named_parts(name, np.asarray(getattr(self, name)), parts)
+        return columns
+
+
+def _named_parts(name: str, array: np.ndarray, parts: Sequence[str]) -> dict[str, np.ndarray]:
+    """The numbers of each row by name; of covariances, the upper triangle."""
+    if array.ndim == 1:
+        return {name: array}
+    if array.ndim == 3 and array.shape[1] == array.shape[2] == len(parts):
+        unit = next((unit for unit in ("_mm", "_px") if parts[0].endswith(unit)), "")
+        names = [part.removesuffix(unit) for part in parts]
+        return {
+            f"cov_{names[i]}_{names[j]}{unit and unit + '2'}": array[:, i, j]
+            for i, j in zip(*np.triu_indices(len(parts)), strict=True)
+        }
+    flat = array.reshape(len(array), int(np.prod(array.shape[1:])))
+    names = parts or [f"{name}_{k}" for k in range(flat.shape[1])]
+    return dict(zip(names, flat.T, strict=True))
+
+
+@functools.cache
+def fields_of(table: type[Table]) -> tuple[Field, ...]:
+    """What a table declares."""
+    hints = typing.get_type_hints(table, include_extras=True)
+    return tuple(_field(each, hints[each.name]) for each in dataclasses.fields(table))
+
+
+def _field(field: dataclasses.Field, hint: Any) -> Field:
+    column = Column()
+    if typing.get_origin(hint) is Annotated:
+        hint, column = typing.get_args(hint)[:2]
+    union = typing.get_origin(hint) in (typing.Union, types.UnionType)
+    members = typing.get_args(hint) if union else (hint,)
+    plain = [each for each in members if each is not type(None)]
+    optional = len(plain) < len(members) or field.default is not dataclasses.MISSING
+    optional |= field.default_factory is not dataclasses.MISSING
+    if not hasattr(plain[0], "dim_str"):
+        return Field(field.name, plain[0], column, optional, "", ())
+    dtypes = plain[0].dtypes if isinstance(plain[0].dtypes, tuple) else ()
+    kind = next((kind for kind, dtype in _DTYPES.items() if dtype in dtypes), "U")
+    return Field(field.name, plain[0], column, optional, kind, tuple(plain[0].dim_str.split()))
+
+
+def take_rows(table: _Rows, rows: np.ndarray) -> _Rows:
+    """The rows at the given indices, in that order, or where the mask is true, of each column of a
+    tree."""
     return jax.tree.map(lambda column: column[rows], table)
 
 
-def concatenate_rows(tables: Sequence[_Table]) -> _Table:
-    """The rows of one or more tables, one table after the other."""
+def concatenate_rows(tables: Sequence[_Rows]) -> _Rows:
+    """The rows of one or more trees of columns, one after the other."""
     return jax.tree.map(lambda *columns: np.concatenate(columns), *tables)
 
 
@@ -28,8 +202,8 @@ def with_field(options: _Options, name: str, value: Any) -> _Options:
     """
     group: Any = options
     first, _, rest = name.partition(".")
-    own = [field.name for field in fields(group)]
+    own = [field.name for field in dataclasses.fields(group)]
     if first not in own:
         raise ValueError(f'There is no option "{first}": choose one of {", ".join(own)}.')
     changed = with_field(getattr(group, first), rest, value) if rest else value
-    return replace(group, **{first: changed})
+    return dataclasses.replace(group, **{first: changed})

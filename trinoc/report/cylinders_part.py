@@ -28,12 +28,11 @@ def cylinders_figure(cylinders: Cylinders, rig: Rig | None = None) -> SpaceFigur
 
 def cylinders_layers(cylinders: Cylinders) -> list[Layer]:
     """One layer of the wires of all of them, or none."""
-    wires = cylinders.wires_mm()
-    if not wires:
+    if not len(cylinders):
         return []
-    parts = [wire for own in wires for wire in own]
-    words = tuple(cylinder_words(cylinders, row) for row, own in enumerate(wires) for _ in own)
-    return [Layer(f"cylinders ({len(cylinders)})", "joined", parts, True, (), words)]
+    rows, parts = zip(*cylinders.wires().lines(), strict=True)
+    words = tuple(cylinder_words(cylinders, row) for row in rows)
+    return [Layer(f"cylinders ({len(cylinders)})", "joined", list(parts), True, (), words)]
 
 
 def cylinder_words(cylinders: Cylinders, row: int) -> str:

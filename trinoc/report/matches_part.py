@@ -6,13 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trinoc.geometry import Segments
+from trinoc.geometry import LineSigmas, Segments, line_sigmas
 from trinoc.match import BINOCULAR, TRINOCULAR, Matches
 from trinoc.report.colours import PALETTE, distinct_neighbours
 from trinoc.report.numbers import in_words, percent, with_decimals, with_sigma
 from trinoc.report.pictures import PagePicture
 from trinoc.report.segments_figures import SegmentsFigure, segments_figure, tracks_figures
-from trinoc.report.track_sigmas import TrackSigmas, track_sigmas
 
 TABLE_ROWS = 300
 MATCHED = "matched"
@@ -94,7 +93,7 @@ def matches_part(
         return MatchesPart(views, found, (), (), 0, 0, (), (), (), (), ())
     fragments = np.asarray(matches.fragments_px)
     colours = [PALETTE[c] for c in distinct_neighbours(fragments.mean(axis=2)).tolist()]
-    sigmas = track_sigmas(matches)
+    sigmas = line_sigmas(matches.lines_mm, matches.covariance_mm2)
     stage = np.asarray(matches.stage)
     return MatchesPart(
         views,
@@ -125,15 +124,16 @@ def _pairs_of_views(matches: Matches) -> tuple[tuple[str, int], ...]:
     )
 
 
-def _track_rows(matches: Matches, colours: list[str], sigmas: TrackSigmas) -> tuple[TrackRow, ...]:
+def _track_rows(matches: Matches, colours: list[str], sigmas: LineSigmas) -> tuple[TrackRow, ...]:
     order = np.argsort(-sigmas.length_mm, kind="stable")[:TABLE_ROWS]
     viewpoint_dependent = (
         np.zeros(len(matches), dtype=bool)
         if matches.viewpoint_dependent is None
         else matches.viewpoint_dependent
     )
-    silhouette = np.zeros(len(matches)) if matches.silhouette is None else matches.silhouette
-    shadow = np.zeros(len(matches)) if matches.shadow is None else matches.shadow
+    none = np.zeros(len(matches))
+    silhouette = matches.marks.get("silhouette", none)
+    shadow = matches.marks.get("shadow", none)
     rows = []
     for track in order.tolist():
         members = tuple("" if i < 0 else str(i) for i in np.asarray(matches.index[track]).tolist())

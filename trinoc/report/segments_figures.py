@@ -6,12 +6,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.geometry import Segments
+from trinoc.geometry import LineSigmas, Segments
 from trinoc.match import Matches
 from trinoc.report.labels import PlacedLabel, place_labels
 from trinoc.report.numbers import in_words, with_sigma
 from trinoc.report.pictures import PagePicture
-from trinoc.report.track_sigmas import TrackSigmas
 
 NUMBERED = 14
 
@@ -82,7 +81,7 @@ def tracks_figures(
     segments: Mapping[str, Segments],
     pictures: Mapping[str, PagePicture],
     colours: list[str],
-    sigmas: TrackSigmas,
+    sigmas: LineSigmas,
 ) -> tuple[SegmentsFigure, ...]:
     """The tracks of one stage in every view, over the segments that are on none of them."""
     tracks = np.flatnonzero(np.asarray(matches.stage) == stage)

@@ -5,11 +5,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from trinoc.calib import Pattern
-from trinoc.geometry import Rig
+from trinoc.geometry import LineSigmas, Rig, line_sigmas
 from trinoc.match import BINOCULAR, TRINOCULAR, Matches, join_collinear, snap_corners
 from trinoc.report.numbers import with_decimals, with_sigma
 from trinoc.report.space_content import Box, content_box, frusta, sheet_outlines, whole_box
-from trinoc.report.track_sigmas import TrackSigmas, track_sigmas
 
 
 class Layer(NamedTuple):
@@ -108,7 +107,7 @@ def space_figure(rig: Rig, pattern: Pattern | None, matches: Matches | None) -> 
 
 
 def _track_layers(matches: Matches) -> list[Layer]:
-    sigmas, stage = track_sigmas(matches), np.asarray(matches.stage)
+    sigmas, stage = line_sigmas(matches.lines_mm, matches.covariance_mm2), np.asarray(matches.stage)
     layers = []
     for name, role, said in (
         (TRINOCULAR, "three", "seen in three or more views"),
@@ -123,7 +122,7 @@ def _track_layers(matches: Matches) -> list[Layer]:
     return layers
 
 
-def track_words(matches: Matches, sigmas: TrackSigmas, track: int) -> str:
+def track_words(matches: Matches, sigmas: LineSigmas, track: int) -> str:
     """What is known of a track: its length, where its ends are, and how well."""
     length = with_sigma(float(sigmas.length_mm[track]), float(sigmas.length_sigma_mm[track]))
     seen = ", ".join(
@@ -144,8 +143,9 @@ def track_words(matches: Matches, sigmas: TrackSigmas, track: int) -> str:
     across = with_decimals(float(sigmas.across_sigma_mm[track]), 3)
     posterior = with_decimals(float(matches.posterior[track]), 3)
     shadow = ""
-    if matches.shadow is not None:
-        shadow = f", of a shadow {with_decimals(float(matches.shadow[track]), 3)}"
+    if "shadow" in matches.marks:
+        probability = float(matches.marks["shadow"][track])
+        shadow = f", of a shadow {with_decimals(probability, 3)}"
     return (
         f"track {track}, {matches.stage[track]}: length {length} mm, sigma across {across} mm, "
         f"posterior {posterior}{shadow}, segments {seen}. {ends} mm"

@@ -16,7 +16,6 @@ from trinoc.report.epipolar_part import EpipolarPart
 from trinoc.report.field_part import FieldPart
 from trinoc.report.matches_part import share_matched
 from trinoc.report.numbers import millimetres, percent, with_decimals
-from trinoc.report.track_sigmas import track_sigmas
 
 # Least share of a picture that the circles should surround.
 LEAST_COVERAGE = 0.1
@@ -274,7 +273,7 @@ def _agreeing(matches: Matches) -> list[Check]:
 def _located(matches: Matches) -> list[Check]:
     if not len(matches):
         return []
-    across = float(np.nanmedian(track_sigmas(matches).across_sigma_mm))
+    across = float(np.nanmedian(matches.across_sigma_mm))
     return [
         Check(
             "How well are the segments known?",

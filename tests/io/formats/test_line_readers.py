@@ -8,7 +8,6 @@ import pytest
 
 from tests.io.formats.bench import bench_matches
 from trinoc.io import FORMATS
-from trinoc.io.formats.lines_table import UPPER, lines_table
 
 MATCHES = bench_matches()
 ENDS = MATCHES.lines_mm
@@ -81,7 +80,7 @@ def test_ezdxf_reads_lines_on_layers(written):
 def test_csv_holds_every_number_to_its_last_digit(written):
     with open(written("csv", ".csv"), encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
-    columns = lines_table(MATCHES, 1.0)
+    columns = MATCHES.named_columns()
     assert list(rows[0]) == list(columns)
     for name, column in columns.items():
         read = [row[name] for row in rows]
@@ -90,14 +89,14 @@ def test_csv_holds_every_number_to_its_last_digit(written):
             np.testing.assert_array_equal(numbers, column)
         else:
             assert read == [str(item) for item in column]
-    assert len(UPPER) == 21
+    assert sum(name.startswith("cov_") for name in columns) == 21
     assert float(rows[3]["cov_y1_x2_mm2"]) == MATCHES.covariance_mm2[3, 1, 3]
 
 
 def test_pyarrow_reads_the_same_table(written):
     parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed")
     table = parquet.read_table(str(written("parquet", ".parquet")))
-    for name, column in lines_table(MATCHES, 1.0).items():
+    for name, column in MATCHES.named_columns().items():
         np.testing.assert_array_equal(table[name].to_numpy(), column)
 
 

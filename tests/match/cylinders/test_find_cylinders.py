@@ -150,7 +150,7 @@ def test_a_track_of_an_outline_is_marked_and_kept(rig) -> None:
         marked = found.marked(each)
         held = ((each.index >= 0) & (each.index < 2)).any(axis=1)
         expected = np.where(held, found.posterior[0], 0.0)
-        np.testing.assert_array_equal(np.asarray(marked.silhouette), expected)
+        np.testing.assert_array_equal(marked.marks["silhouette"], expected)
         assert len(marked) == len(each)
 
 

@@ -108,7 +108,7 @@ def test_a_pair_becomes_a_triple(guided):
     segments, matches, found = guided
     assert matches.stage[1] == "binocular"
     assert found.matches.stage[1] == "trinocular"
-    assert found.matches.guided[1].tolist() == [False, False, True]
+    assert found.matches.marks["guided"][1].tolist() == [False, False, True]
     assert distance_mm(found.matches.lines_mm[1:2], TOP[1])[0] < 0.3
     row = found.matches.index[1, 2]
     assert row >= len(segments[VIEWS[2]])
@@ -124,7 +124,7 @@ def test_an_edge_parallel_to_another_is_found_from_its_corner(guided):
     assert near.any()
     length = np.linalg.norm(new[near][0, 1] - new[near][0, 0])
     assert 40 < length < 66
-    assert found.matches.guided[len(matches) :][near].all() or near.sum() > 1
+    assert found.matches.marks["guided"][len(matches) :][near].all() or near.sum() > 1
 
 
 def test_what_was_given_keeps_its_place(guided):
@@ -139,7 +139,7 @@ def test_what_was_given_keeps_its_place(guided):
 def test_files_hold_what_is_guided(guided, tmp_path):
     save(guided[2].matches, tmp_path / "matches.npz")
     np.testing.assert_array_equal(
-        load_matches(tmp_path / "matches.npz").guided, guided[2].matches.guided
+        load_matches(tmp_path / "matches.npz").marks["guided"], guided[2].matches.marks["guided"]
     )
 
 
@@ -152,7 +152,7 @@ def test_a_segment_grows_to_where_its_edge_ends():
     assert after > 0.85 * whole
     assert after < whole + 2.0
     assert distance_mm(found.lines_mm[3:4], TOP[0])[0] < 0.3
-    assert np.asarray(found.guided)[3].sum() >= 2
+    assert found.marks["guided"][3].sum() >= 2
 
 
 def test_what_no_picture_shows_loses_posterior():

@@ -96,8 +96,7 @@ def test_lines_make_no_rims(rig) -> None:
     found = find_rims(matches, segments, rig)
     assert len(found) == 0
     assert len(found.matches) == len(matches)
-    assert found.matches.silhouette is not None
-    assert not found.matches.silhouette.any()
+    assert not found.matches.marks["silhouette"].any()
 
 
 def test_views_and_segments_in_another_order_leave_the_same(rig) -> None:
@@ -142,8 +141,7 @@ def test_outlines_below_a_rim_are_marked(rig) -> None:
     assert len(found) == 1
     held = (found.matches.index >= 14).sum(axis=1) >= 2
     assert held.sum() == 2
-    assert found.matches.silhouette is not None
-    np.testing.assert_array_equal(found.matches.silhouette > 0.5, held)
+    np.testing.assert_array_equal(found.matches.marks["silhouette"] > 0.5, held)
 
 
 def test_views_without_segments_are_named(rig) -> None:

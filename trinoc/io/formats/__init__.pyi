@@ -6,8 +6,7 @@ from .gltf_lines import gltf as gltf
 from .json_of_wireframe import wireframe_json as wireframe_json
 from .kalibr_camchain import kalibr as kalibr
 from .limap_tracks import limap as limap
-from .lines_csv import csv as csv
-from .lines_parquet import parquet as parquet
+from .lines_tables import csv as csv, parquet as parquet
 from .losses import LOSSES as LOSSES
 from .matlab_stereo import matlab as matlab
 from .mrcal_cameramodel import mrcal as mrcal

@@ -1,6 +1,7 @@
 """What a format of another tool is: a name, what it holds, where its origins lie, how it loses."""
 
 import dataclasses
+import itertools
 import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -10,32 +11,18 @@ import numpy as np
 
 from trinoc.calib import CalibrationResult, IntrinsicsResult
 from trinoc.errors import InputError
-from trinoc.geometry import Intrinsics, Rig, Segments
+from trinoc.geometry import Feature, Intrinsics, Rig, Segments
 from trinoc.io.atomic import expect_place
 from trinoc.io.formats.losses import COVARIANCE, LOSSES, lost_of
 from trinoc.io.usable_cameras import expect_apart, expect_lens
-from trinoc.match import Cylinders, Matches, Rims, Wireframe
+from trinoc.match import FEATURES, Matches
+from trinoc.numerics import Table
 
 Lenses = Mapping[str, Intrinsics]
-# The words of `Format.holds` and `Format.reads`.
-KIND_OF = {
-    Rig: "rig",
-    Intrinsics: "lens",
-    Matches: "matches",
-    Segments: "segments",
-    Cylinders: "cylinders",
-    Rims: "rims",
-    Wireframe: "wireframe",
-}
-IN_WORDS = {
-    "rig": "a rig",
-    "lens": "a lens",
-    "matches": "matches",
-    "segments": "segments",
-    "cylinders": "cylinders",
-    "rims": "rims",
-    "wireframe": "a wire frame",
-}
+# The words of `Format.holds` and `Format.reads`; "features" are all of these.
+IN_WORDS = {"rig": "a rig", "lens": "a lens"}
+IN_WORDS |= {kind.KIND: kind.IN_WORDS for kind in (Matches, Segments, *FEATURES)}
+_FEATURES = tuple(kind.KIND for kind in FEATURES)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,8 +33,8 @@ class Format:
     ------
     name : as `trinoc export --to` and `trinoc import --from` take it.
     title : what people call it.
-    holds : what can be written to it: "rig", "lens", "matches", "wireframe", "cylinders",
-        "rims", "segments".
+    holds : what can be written to it: "rig", "lens", "matches", "segments", a kind of feature
+        such as "wireframe", or "features" for any.
     reads : what can be read from it; empty where it is only written.
     place : "file", "folder", or "file or folder": a lens is then a file, a rig a folder of them.
     endings : of the file's name; empty where any will do.
@@ -73,11 +60,17 @@ class Format:
     write: Callable[[Any, Path, float], None]
     read: Callable[[Path, float, Lenses | None], Any] | None = None
 
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """The kinds of values that can be written to it, one by one."""
+        each = (_FEATURES if kind == "features" else (kind,) for kind in self.holds)
+        return tuple(itertools.chain.from_iterable(each))
+
     def save(
         self, value: object, path: str | os.PathLike[str], *, unit_mm: float | None = None
     ) -> None:
-        """Write a Rig (or the rig of a CalibrationResult), Intrinsics, Matches, a Wireframe,
-        Cylinders, Rims or Segments.
+        """Write a Rig (or the rig of a CalibrationResult), Intrinsics, Matches, Segments or
+        features in space, such as a Wireframe.
 
         The file or folder is whole or not there. `unit_mm` is the length in mm of one unit of
         the file, for formats that leave it open. A covariance is lost where `lost` says so.
@@ -85,10 +78,10 @@ class Format:
         than it knows, and for a name with another ending.
         """
         value = _plain(value)
-        kind = KIND_OF.get(type(value))
-        if kind not in self.holds:
-            given = f"a {type(value).__name__}" if kind is None else IN_WORDS[kind]
-            held = " or ".join(IN_WORDS[kind] for kind in self.holds)
+        kind = _kind_of(value)
+        if kind not in self.kinds:
+            given = IN_WORDS.get(kind, f"a {type(value).__name__}")
+            held = " or ".join(IN_WORDS[kind] for kind in self.kinds)
             raise InputError(f"{self.title} holds {held}, not {given}: choose another format.")
         target = Path(path)
         if self.place == "folder" or (kind == "rig" and "folder" in self.place):
@@ -156,6 +149,17 @@ def expect_new_folder(target: Path) -> None:
         raise InputError(f"The folder {target.parent} does not exist: create it first.")
 
 
+def _kind_of(value: object) -> str:
+    match value:
+        case Rig():
+            return "rig"
+        case Intrinsics():
+            return "lens"
+        case Table():
+            return value.KIND
+    return ""
+
+
 def _plain(value: object) -> object:
     if isinstance(value, CalibrationResult):
         return value.rig
@@ -174,12 +178,8 @@ def _expect_writable(value: object) -> None:
             names, lenses, numbers = (), [value], []
         case Matches():
             names, lenses, numbers = value.views, [], [value.lines_mm]
-        case Cylinders():
-            names, lenses, numbers = (), [], [value.axis_mm, value.radius_mm]
-        case Rims():
-            names, lenses, numbers = (), [], [value.centre_mm, value.normal, value.radius_mm]
-        case Wireframe():
-            names, lenses, numbers = (), [], [value.vertices_mm]
+        case Feature():
+            names, lenses, numbers = (), [], [value.wires().places_mm]
         case _:
             return
     for name in names:

@@ -54,12 +54,13 @@ def write_json(frame: Wireframe, path: Path, unit_mm: float) -> None:
             )
         ],
         "let_go": [
-            {
-                "track": each.track,
-                "place": [x / unit_mm for x in each.place_mm],
-                "reason": each.reason,
-            }
-            for each in frame.let_go
+            {"track": track, "place": place, "reason": reason}
+            for track, place, reason in zip(
+                frame.let_go.track.tolist(),
+                (frame.let_go.place_mm / unit_mm).tolist(),
+                frame.let_go.reason.tolist(),
+                strict=True,
+            )
         ],
     }
     write_text(path, json.dumps(document, indent=1) + "\n")

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from trinoc.geometry import Intrinsics, Rig, Segments
-from trinoc.match import Cylinders, Matches, Rims, Wireframe
+from trinoc.geometry import Feature, Intrinsics, Rig, Segments
+from trinoc.match import Matches
 
 COVARIANCE = "covariance"
 PIXEL_PITCH = "pixel pitch"
@@ -41,7 +41,7 @@ def _has(value: object, loss: str) -> bool:
             return True
         case Intrinsics():
             return loss == PIXEL_PITCH and value.pixel_pitch_mm is not None
-        case Matches() | Wireframe() | Cylinders() | Rims():
+        case Matches() | Feature():
             return len(value) > 0
         case Segments() if loss == DETAILS:
             return value.junctions is not None or bool(np.any(np.asarray(value.polarity) != 0))

@@ -8,8 +8,7 @@ from trinoc.io.formats.gltf_lines import gltf
 from trinoc.io.formats.json_of_wireframe import wireframe_json
 from trinoc.io.formats.kalibr_camchain import kalibr
 from trinoc.io.formats.limap_tracks import limap
-from trinoc.io.formats.lines_csv import csv
-from trinoc.io.formats.lines_parquet import parquet
+from trinoc.io.formats.lines_tables import csv, parquet
 from trinoc.io.formats.matlab_stereo import matlab
 from trinoc.io.formats.mrcal_cameramodel import mrcal
 from trinoc.io.formats.nerfstudio_transforms import nerfstudio

@@ -1,16 +1,33 @@
 """Right circular cylinders in space, and the segments that are their outlines."""
 
 import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Annotated, ClassVar
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 
+from trinoc.geometry import Feature, Wires, wires_of_lines
 from trinoc.match.tracks import Matches
-from trinoc.numerics import axes_across
+from trinoc.numerics import (
+    COVARIANCE,
+    IN_SCENE,
+    PROBABILITY,
+    RADIUS,
+    SEGMENT_NUMBER,
+    Check,
+    Column,
+    axes_across,
+    number_of,
+)
+
+_ENDS = ("x1_mm", "y1_mm", "z1_mm", "x2_mm", "y2_mm", "z2_mm")
+# Lines along each that are drawn.
+_RULINGS = 4
 
 
-class Cylinders(eqx.Module):
+class Cylinders(Feature):
     """Cylinders, each from its outlines in two views or more.
 
     `cylinder`, `view`, `segment` and `side` are one table with a row for each outline's segment.
@@ -34,27 +51,39 @@ class Cylinders(eqx.Module):
     counts : what each step of the search produced and rejected, by name.
     """
 
-    views: tuple[str, ...] = eqx.field(static=True)
-    axis_mm: Float[np.ndarray, "c 2 3"]
-    radius_mm: Float[np.ndarray, "c"]
-    covariance_mm2: Float[np.ndarray, "c 7 7"]
-    posterior: Float[np.ndarray, "c"]
-    rival_posterior: Float[np.ndarray, "c"]
+    KIND: ClassVar[str] = "cylinders"
+    IN_WORDS: ClassVar[str] = "cylinders"
+    SIDES: ClassVar[Mapping[str, str]] = {
+        "c": "cylinders",
+        "m": "outlines",
+        "t": "tracks",
+        "v": "views",
+    }
+    DERIVED: ClassVar[Mapping[str, Sequence[str]]] = {"radius_sigma_mm": ()}
+
+    views: Annotated[tuple[str, ...], Column(side="v")] = eqx.field(static=True)
+    axis_mm: Annotated[Float[np.ndarray, "c 2 3"], Column(IN_SCENE, parts=_ENDS)]
+    radius_mm: Annotated[Float[np.ndarray, "c"], Column(RADIUS)]
+    covariance_mm2: Annotated[
+        Float[np.ndarray, "c 7 7"], Column(COVARIANCE, parts=(*_ENDS, "radius_mm"))
+    ]
+    posterior: Annotated[Float[np.ndarray, "c"], Column(PROBABILITY)]
+    rival_posterior: Annotated[Float[np.ndarray, "c"], Column(PROBABILITY)]
     chi_square: Float[np.ndarray, "c"]
     degrees: Int[np.ndarray, "c"]
-    cylinder: Int[np.ndarray, "m"]
-    view: Int[np.ndarray, "m"]
-    segment: Int[np.ndarray, "m"]
-    side: Int[np.ndarray, "m"]
-    silhouette: Float[np.ndarray, "t"]
+    cylinder: Annotated[Int[np.ndarray, "m"], Column(number_of("c", "is no cylinder"))]
+    view: Annotated[Int[np.ndarray, "m"], Column(number_of("v", "is no view"))]
+    segment: Annotated[Int[np.ndarray, "m"], Column(SEGMENT_NUMBER)]
+    side: Annotated[
+        Int[np.ndarray, "m"],
+        Column(Check("is no side", lambda side, _: np.abs(side) == 1)),
+    ]
+    silhouette: Annotated[Float[np.ndarray, "t"], Column(PROBABILITY)]
     counts: dict[str, int]
 
-    def __len__(self) -> int:
-        return len(self.radius_mm)
-
     def marked(self, matches: Matches) -> Matches:
-        """The matches that the cylinders were found in, with `silhouette`."""
-        return dataclasses.replace(matches, silhouette=self.silhouette)
+        """The matches that the cylinders were found in, with the mark "silhouette"."""
+        return matches.with_marks(silhouette=self.silhouette)
 
     def of_tracks(self, kept: Int[np.ndarray, "k"], count: int) -> "Cylinders":
         """The same for matches that begin with the tracks `kept` of these, of `count` tracks."""
@@ -81,9 +110,9 @@ class Cylinders(eqx.Module):
         around = self.radius_mm[:, None, None] * (circle @ across)
         return self.axis_mm[:, :, None] + around[:, None]
 
-    def wires_mm(self, sides: int = 48, rulings: int = 4) -> list[list[np.ndarray]]:
-        """For each cylinder lines (n, 3) to draw: both circles, closed, and lines along it."""
-        circles = self.circles_mm(sides)
+    def wires(self) -> Wires:
+        """Both circles of each, closed, and lines along it."""
+        circles = self.circles_mm()
         closed = np.concatenate([circles, circles[:, :, :1]], axis=2)
-        along = circles[:, :, :: max(sides // rulings, 1)].swapaxes(1, 2)
-        return [[*rims, *lines] for rims, lines in zip(closed, along, strict=True)]
+        along = circles[:, :, :: circles.shape[2] // _RULINGS].swapaxes(1, 2)
+        return wires_of_lines([[*rims, *lines] for rims, lines in zip(closed, along, strict=True)])

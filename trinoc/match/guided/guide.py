@@ -184,9 +184,8 @@ def matches_of(after: State, given: Matches, added: dict[str, int], tuning: Matc
         flag_viewpoint_dependent(seen, tracks.index, tracks.ends_mm, tracks.misfit, tuning.tracks),
         given.noise_scale,
         given.notes,
-        guided,
-        noise_tail=given.noise_tail,
-    )
+        given.noise_tail,
+    ).with_marks(guided=guided)
 
 
 def _reasons(words: np.ndarray, index: np.ndarray, count: int) -> np.ndarray:

@@ -76,7 +76,7 @@ def measured(
         "measured: lines by their pixels": int(holds.sum()),
         "measured: lines by their segments": int((~holds).sum()),
     }
-    return dataclasses.replace(
+    measured = dataclasses.replace(
         matches,
         fragments_px=fragments,
         lines_mm=np.where(holds[:, None, None], ends, matches.lines_mm),
@@ -84,8 +84,8 @@ def measured(
         counts=matches.counts | counts,
         fragments_covariance_px2=of_fragments,
         misfit=None if matches.misfit is None else np.where(holds & three, misfit, matches.misfit),
-        measure=words,
     )
+    return measured.with_marks(measure=words)
 
 
 def hausman(

@@ -39,7 +39,7 @@ class MatchesWithRims(eqx.Module):
     ------
     segments : of each view, those that were given, in their order, and after them chords of rims.
     matches : the given tracks that no rim explains, in their order, and after them pieces of rims;
-        tracks that hold an outline of the body below a rim are marked by `silhouette`.
+        tracks that hold an outline of the body below a rim have the mark "silhouette".
     kept : (k,) the numbers that the first k tracks had before.
     """
 

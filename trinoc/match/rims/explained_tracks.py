@@ -67,8 +67,8 @@ def tracks_beside_rims(
     outline = are_outlines(chords, circles, mm_per_px, tuning) & (rim < 0)
     held = _on_tracks(matches, chords, outline).sum(axis=1) >= 2
     mark = np.where(held, tuning.outline_posterior, 0.0)[kept]
-    if matches.silhouette is not None:
-        mark = np.maximum(mark, matches.silhouette[kept])
+    if "silhouette" in matches.marks:
+        mark = np.maximum(mark, matches.marks["silhouette"][kept])
     return TracksBesideRims(kept, mark, int(held[kept].sum()))
 
 
@@ -87,22 +87,12 @@ def with_rows(
 ) -> Matches:
     """The tracks that are kept, and after them the rows of pieces, whose segments are matched."""
     index = rows["index"]
-    new = {
-        **rows,
-        "guided": np.zeros(index.shape, dtype=bool),
-        "measure": np.full(index.shape, ""),
-        "shadow": np.zeros(len(index)),
-    }
-    columns = {
-        name: np.concatenate([np.asarray(before)[tracks.kept], new[name]])
-        for name in new
-        if (before := getattr(matches, name)) is not None
-    }
-    columns["silhouette"] = np.concatenate([tracks.silhouette, np.zeros(len(index))])
+    silhouette = np.append(tracks.silhouette, np.zeros(len(index)))
+    longer = matches.take(tracks.kept).append(rows).with_marks(silhouette=silhouette)
     words = {name: column.copy() for name, column in matches.reasons.items()}
     for view, name in enumerate(matches.views):
         words[name][index[index[:, view] >= 0, view]] = "matched"
-    return dataclasses.replace(matches, **columns, reasons=words)
+    return dataclasses.replace(longer, reasons=words)
 
 
 def _on_tracks(

@@ -1,14 +1,31 @@
 """Rims in space, the segments that are their chords, and the matches with them."""
 
+from collections.abc import Mapping, Sequence
+from typing import Annotated, ClassVar
+
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 
+from trinoc.geometry import Feature, Wires, wires_of_lines
 from trinoc.match.rims.circles import Circles, points_at
 from trinoc.match.tracks import Matches
+from trinoc.numerics import (
+    COVARIANCE,
+    IN_SCENE,
+    RADIUS,
+    SEGMENT_NUMBER,
+    Check,
+    Column,
+    number_of,
+)
+
+_CENTRE, _NORMAL = ("x_mm", "y_mm", "z_mm"), ("normal_x", "normal_y", "normal_z")
+# What rounding leaves of the length of a normal, and of a share.
+_ROUNDING, _OF_SHARE = 1e-6, 1e-9
 
 
-class Rims(eqx.Module):
+class Rims(Feature):
     """Circles, each from its chords in two views or more.
 
     `rim`, `view` and `segment` are one table with a row for each chord.
@@ -24,26 +41,64 @@ class Rims(eqx.Module):
     matches : the given matches without the tracks that rims explain, and after them pieces of the
         rims, each a chord of its circle. A fragment is the segment's part abreast of it, and its
         covariance holds how far the segment bows. Tracks that hold an outline of the body below a
-        rim are marked by `silhouette`.
+        rim have the mark "silhouette".
     kept : (k,) the numbers that the first k tracks had before.
     counts : what each step of the search produced, by name.
     """
 
-    views: tuple[str, ...] = eqx.field(static=True)
-    centre_mm: Float[np.ndarray, "c 3"]
-    normal: Float[np.ndarray, "c 3"]
-    radius_mm: Float[np.ndarray, "c"]
-    covariance_mm2: Float[np.ndarray, "c 7 7"]
-    covered: Float[np.ndarray, "c"]
-    rim: Int[np.ndarray, "m"]
-    view: Int[np.ndarray, "m"]
-    segment: Int[np.ndarray, "m"]
-    matches: Matches
-    kept: Int[np.ndarray, "k"]
-    counts: dict[str, int]
+    KIND: ClassVar[str] = "rims"
+    IN_WORDS: ClassVar[str] = "rims"
+    SIDES: ClassVar[Mapping[str, str]] = {
+        "c": "rims",
+        "m": "chords",
+        "k": "tracks",
+        "v": "views",
+    }
+    DERIVED: ClassVar[Mapping[str, Sequence[str]]] = {"radius_sigma_mm": ()}
 
-    def __len__(self) -> int:
-        return len(self.radius_mm)
+    views: Annotated[
+        tuple[str, ...],
+        Column(
+            Check(
+                "are not those of the matches",
+                lambda views, table: views == table.values["matches"].views,
+            ),
+            side="v",
+        ),
+    ] = eqx.field(static=True)
+    centre_mm: Annotated[Float[np.ndarray, "c 3"], Column(IN_SCENE, parts=_CENTRE)]
+    normal: Annotated[
+        Float[np.ndarray, "c 3"],
+        Column(
+            Check(
+                "is no unit vector",
+                lambda normal, _: np.abs(np.linalg.norm(normal, axis=1) - 1) < _ROUNDING,
+            ),
+            parts=_NORMAL,
+        ),
+    ]
+    radius_mm: Annotated[Float[np.ndarray, "c"], Column(RADIUS)]
+    covariance_mm2: Annotated[
+        Float[np.ndarray, "c 7 7"], Column(COVARIANCE, parts=(*_CENTRE, *_NORMAL, "radius_mm"))
+    ]
+    covered: Annotated[
+        Float[np.ndarray, "c"],
+        Column(Check("is no share", lambda share, _: (share >= 0) & (share <= 1 + _OF_SHARE))),
+    ]
+    rim: Annotated[Int[np.ndarray, "m"], Column(number_of("c", "is no rim"))]
+    view: Annotated[Int[np.ndarray, "m"], Column(number_of("v", "is no view"))]
+    segment: Annotated[Int[np.ndarray, "m"], Column(SEGMENT_NUMBER)]
+    matches: Matches
+    kept: Annotated[
+        Int[np.ndarray, "k"],
+        Column(
+            Check(
+                "is no track",
+                lambda kept, table: (kept >= 0) & (len(kept) <= len(table.values["matches"])),
+            )
+        ),
+    ]
+    counts: dict[str, int]
 
     @property
     def radius_sigma_mm(self) -> Float[np.ndarray, "c"]:
@@ -59,3 +114,8 @@ class Rims(eqx.Module):
         """(c, sides, 3) points round each."""
         angle = np.tile(np.arange(sides) * (2 * np.pi / sides), (len(self), 1))
         return points_at(Circles(self.centre_mm, self.normal, self.radius_mm), angle)
+
+    def wires(self) -> Wires:
+        """Each circle, closed."""
+        circles = self.circles_mm()
+        return wires_of_lines([[np.concatenate([circle, circle[:1]])] for circle in circles])

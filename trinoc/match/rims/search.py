@@ -66,7 +66,7 @@ def find_rims(
     and its radius. Circles are suggested by pairs of matched lines, judged by the segments of all
     views, and put out where chords of two views show more than a quarter. Tracks of their chords
     are replaced by pieces of the circle, cut where segments end; tracks of the body's outlines
-    below a rim are marked (`Matches.silhouette`).
+    below a rim have the mark "silhouette".
 
     Parameters
     ----------

@@ -1,7 +1,5 @@
 """Which tracks are boundaries of cast shadows, and the lamp."""
 
-import dataclasses
-
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float
@@ -49,5 +47,5 @@ class Shadows(eqx.Module):
         return np.append(place, self.nearness_per_mm)
 
     def marked(self, matches: Matches) -> Matches:
-        """The matches that the shadows were found in, with `shadow`."""
-        return dataclasses.replace(matches, shadow=self.shadow)
+        """The matches that the shadows were found in, with the mark "shadow"."""
+        return matches.with_marks(shadow=self.shadow)

@@ -1,17 +1,64 @@
 """The matcher's answer: tracks of segments over the views, and their lines in space."""
 
+from collections.abc import Mapping, Sequence
+from dataclasses import field, replace
+from typing import Annotated, ClassVar
+
 import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
 from trinoc.errors import InputError
-from trinoc.geometry import LineObservations
-from trinoc.numerics import Displayable
+from trinoc.geometry import LineObservations, Wires, line_sigmas
+from trinoc.numerics import (
+    CHI_SQUARE,
+    COVARIANCE,
+    IN_SCENE,
+    LARGEST_PX,
+    PROBABILITY,
+    Check,
+    Column,
+    Content,
+    Displayable,
+    Table,
+    is_covariance,
+)
 
 TRINOCULAR, BINOCULAR = "trinocular", "binocular"
 
+_ENDS = ("x1_mm", "y1_mm", "z1_mm", "x2_mm", "y2_mm", "z2_mm")
+_ROUNDING = 1e-9
 
-class Matches(Displayable, eqx.Module):
+
+def _seen(table: Content) -> np.ndarray:
+    return table.values["index"] >= 0
+
+
+def _segments_of_views(table: Content) -> list[int]:
+    reasons = table.values["reasons"]
+    return [len(reasons.get(view, ())) for view in table.values["views"]]
+
+
+def _are_covariances_where_seen(covariance: np.ndarray, table: Content) -> np.ndarray:
+    good = np.ones(covariance.shape[:2], dtype=bool)
+    good[_seen(table)] = is_covariance(covariance[_seen(table)])
+    return good
+
+
+def _are_marks(marks: Mapping[str, np.ndarray], table: Content) -> bool:
+    """Truth values, probabilities or words of tracks, or of what each view sees of them."""
+    seen = _seen(table)
+    for mark in marks.values():
+        if mark.shape not in (seen.shape, seen.shape[:1]) or mark.dtype.kind not in "bfU":
+            return False
+        if mark.dtype.kind == "f" and not ((mark >= 0) & (mark <= 1 + _ROUNDING)).all():
+            return False
+        if mark.shape == seen.shape and mark[~seen].astype(bool).any():
+            return False
+    return True
+
+
+class Matches(Displayable, Table):
     """Tracks: each joins one segment of every view that sees it, and holds the 3-D segment.
 
     Fields
@@ -38,16 +85,10 @@ class Matches(Displayable, eqx.Module):
         the viewpoint: the outline of a round body, or a highlight. In three views its misfit is
         larger than that of 99 in 100 straight edges. In two, another view shows a segment beside
         the place where the line should be, and none on it. None where not known.
-    guided : (t, v) whether a fragment's segment was added, or made longer, by guided detection
-        (`guide_matches`); None where that has not been asked for.
-    measure : (t, v) "pixels" where a view's place rests on its grey levels (`measure_lines`), else
-        why its segment's place is kept: "too short", "neighbours" (other edges are too near), "too
-        faint", "no clean step", "another edge", or "disagrees" (the line's pixels and its segments
-        do, and so do its views); "" where not seen. None where that has not been asked for.
-    silhouette : (t,) probability that a track holds an outline of a cylinder, and so is no line in
-        space (`find_cylinders`); None where that has not been asked for.
-    shadow : (t,) probability that a track is the boundary of a cast shadow, and so no edge of a
-        body (`find_shadows`); None where that has not been asked for.
+    marks : what later steps say of tracks, (t,) or (t, v), by name: truth values, probabilities or
+        words; False, 0 or "" where a view sees no line. Each step names its own: "guided"
+        (`guide_matches`), "measure" (`measure_lines`), "silhouette" (`find_cylinders`,
+        `find_rims`), "shadow" (`find_shadows`).
     noise_scale : standard deviation of the segments across themselves over what they state, as
         three views show it: all covariances here are of the errors found. 1 where two views are
         all there is.
@@ -58,29 +99,121 @@ class Matches(Displayable, eqx.Module):
         cameras in one line.
     """
 
-    views: tuple[str, ...] = eqx.field(static=True)
-    index: Int[np.ndarray, "t v"]
-    fragments_px: Float[np.ndarray, "t v 2 2"]
-    lines_mm: Float[np.ndarray, "t 2 3"]
-    covariance_mm2: Float[np.ndarray, "t 6 6"]
-    stage: Shaped[np.ndarray, "t"]
-    posterior: Float[np.ndarray, "t"]
-    rival_posterior: Float[np.ndarray, "t"]
-    reasons: dict[str, Shaped[np.ndarray, "_"]]
+    KIND: ClassVar[str] = "matches"
+    IN_WORDS: ClassVar[str] = "matches"
+    SIDES: ClassVar[Mapping[str, str]] = {"t": "tracks", "v": "views"}
+    DERIVED: ClassVar[Mapping[str, Sequence[str]]] = {
+        "length_mm": (),
+        "length_sigma_mm": (),
+        "across_sigma_mm": (),
+    }
+
+    views: Annotated[
+        tuple[str, ...],
+        Column(
+            Check(
+                "must be two or more different ones",
+                lambda views, _: len(set(views)) >= max(len(views), 2),
+            ),
+            side="v",
+        ),
+    ] = eqx.field(static=True)
+    index: Annotated[
+        Int[np.ndarray, "t v"],
+        Column(
+            Check(
+                "names a segment that is not there",
+                lambda index, table: (index >= -1) & (index < _segments_of_views(table)),
+            ),
+            Check("names fewer than two segments", lambda index, _: (index >= 0).sum(axis=1) >= 2),
+            parts=lambda matches: [f"{view}_segment" for view in matches.views],
+        ),
+    ]
+    fragments_px: Annotated[
+        Float[np.ndarray, "t v 2 2"],
+        Column(
+            Check(
+                "is no part of a segment where one is seen, or one where none is",
+                lambda ends, table: np.where(
+                    _seen(table)[..., None, None], np.abs(ends) < LARGEST_PX, np.isnan(ends)
+                ),
+            ),
+            parts=lambda matches: [
+                f"{view}_{part}_px" for view in matches.views for part in ("u1", "v1", "u2", "v2")
+            ],
+        ),
+    ]
+    lines_mm: Annotated[Float[np.ndarray, "t 2 3"], Column(IN_SCENE, parts=_ENDS)]
+    covariance_mm2: Annotated[Float[np.ndarray, "t 6 6"], Column(COVARIANCE, parts=_ENDS)]
+    stage: Annotated[
+        Shaped[np.ndarray, "t"],
+        Column(
+            Check(
+                f"is not {TRINOCULAR} or {BINOCULAR} as its views say",
+                lambda stage, table: (
+                    stage == np.where(_seen(table).sum(axis=1) > 2, TRINOCULAR, BINOCULAR)
+                ),
+            )
+        ),
+    ]
+    posterior: Annotated[Float[np.ndarray, "t"], Column(PROBABILITY)]
+    rival_posterior: Annotated[Float[np.ndarray, "t"], Column(PROBABILITY)]
+    reasons: Annotated[
+        dict[str, Shaped[np.ndarray, "_"]],
+        Column(
+            Check(
+                "are not those of the views",
+                lambda reasons, table: set(reasons) == set(table.values["views"]),
+            )
+        ),
+    ]
     counts: dict[str, int]
-    fragments_covariance_px2: Float[np.ndarray, "t v 4 4"] | None = None
-    misfit: Float[np.ndarray, "t"] | None = None
+    fragments_covariance_px2: Annotated[
+        Float[np.ndarray, "t v 4 4"] | None,
+        Column(Check("is no covariance where a view sees the line", _are_covariances_where_seen)),
+    ] = None
+    misfit: Annotated[Float[np.ndarray, "t"] | None, Column(CHI_SQUARE)] = None
     viewpoint_dependent: Bool[np.ndarray, "t"] | None = None
-    noise_scale: float = eqx.field(static=True, default=1.0)
+    noise_scale: Annotated[
+        float, Column(Check("is no scale", lambda scale, _: 0 < scale < np.inf))
+    ] = eqx.field(static=True, default=1.0)
     notes: tuple[str, ...] = eqx.field(static=True, default=())
-    guided: Bool[np.ndarray, "t v"] | None = None
-    measure: Shaped[np.ndarray, "t v"] | None = None
-    silhouette: Float[np.ndarray, "t"] | None = None
-    noise_tail: float = eqx.field(static=True, default=0.0)
-    shadow: Float[np.ndarray, "t"] | None = None
+    noise_tail: Annotated[
+        float, Column(Check("is no tail", lambda tail, _: 0 <= tail < np.inf))
+    ] = eqx.field(static=True, default=0.0)
+    marks: Annotated[
+        dict[str, Shaped[np.ndarray, "..."]],
+        Column(
+            Check("are no truth values, probabilities or words of tracks", _are_marks), beside=True
+        ),
+    ] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.index)
+
+    @property
+    def length_mm(self) -> Float[np.ndarray, "t"]:
+        """(t,) length of each segment in space."""
+        return line_sigmas(self.lines_mm, self.covariance_mm2).length_mm
+
+    @property
+    def length_sigma_mm(self) -> Float[np.ndarray, "t"]:
+        """(t,) standard deviation of each length."""
+        return line_sigmas(self.lines_mm, self.covariance_mm2).length_sigma_mm
+
+    @property
+    def across_sigma_mm(self) -> Float[np.ndarray, "t"]:
+        """(t,) standard deviation of each midpoint in the worst direction across the segment."""
+        return line_sigmas(self.lines_mm, self.covariance_mm2).across_sigma_mm
+
+    def wires(self) -> Wires:
+        """Each segment as a line of its own."""
+        pairs = np.arange(2 * len(self)).reshape(-1, 2)
+        return Wires(self.lines_mm.reshape(-1, 3), pairs, np.arange(len(self)))
+
+    def with_marks(self, **marks: Shaped[np.ndarray, "..."]) -> "Matches":
+        """The same with more that is said of the tracks, or with other values of it."""
+        return replace(self, marks=self.marks | marks)
 
     def line_observations(self) -> LineObservations:
         """The tracks as observations of lines, which joint refinement takes.

@@ -30,7 +30,7 @@ def wireframe(
     is an end that stops beside a corner, within 7 pixels, but does not run through it. Lines
     between the same two vertices are one edge. A face is a shortest loop of three edges or more
     whose vertices lie in one plane at a level of 0.01; with `flat` they are then held to it.
-    An edge that is likely the boundary of a shadow (`Matches.shadow`) stays and bounds no face.
+    An edge that is likely the boundary of a shadow (the mark "shadow") stays and bounds no face.
 
     Free ends are where detectors stopped: along its edge each has a standard deviation of 7 pixels
     and more. The cameras count as exact. Raises InputError where the covariance of the fragments
@@ -130,8 +130,8 @@ def _viewpoint_dependent(
     no_line = np.zeros(len(edge_of_track), dtype=bool)
     if matches.viewpoint_dependent is not None:
         no_line |= matches.viewpoint_dependent
-    if matches.silhouette is not None:
-        no_line |= matches.silhouette > EVEN
+    if "silhouette" in matches.marks:
+        no_line |= matches.marks["silhouette"] > EVEN
     moving = np.ones(count, dtype=bool)
     np.logical_and.at(moving, edge_of_track, no_line)
     return moving
@@ -141,11 +141,11 @@ def _shadow(
     matches: Matches, edge_of_track: Int[np.ndarray, "t"], count: int
 ) -> Float[np.ndarray, "e"] | None:
     """Of each edge, the least of its tracks: one that is no shadow is enough for an edge."""
-    if matches.shadow is None:
+    if "shadow" not in matches.marks:
         return None
     least = np.ones(count)
     on_edges = edge_of_track >= 0
-    np.minimum.at(least, edge_of_track[on_edges], np.asarray(matches.shadow)[on_edges])
+    np.minimum.at(least, edge_of_track[on_edges], matches.marks["shadow"][on_edges])
     return least
 
 
@@ -177,7 +177,7 @@ def _turned(
     return turned, np.array(facing, dtype=bool)
 
 
-def _named(found: Snooped, refused: tuple[Refused, ...], joined: JoinedLines) -> tuple[LetGo, ...]:
+def _named(found: Snooped, refused: tuple[Refused, ...], joined: JoinedLines) -> LetGo:
     """What was let go, in words: an end once, and that it left its corner rather than why not."""
     words = {
         (each.line, each.end): f"ends beside a corner that it passes at {each.distance_mm:.2f} mm: "
@@ -189,7 +189,9 @@ def _named(found: Snooped, refused: tuple[Refused, ...], joined: JoinedLines) ->
             f"does not run through the corner that it ends at: chi-square {square:.0f} with "
             f"{degrees} degrees of freedom; its end is free"
         )
-    return tuple(
-        LetGo(int(joined.tracks_of(line)[0]), tuple(joined.lines_mm[line, end].tolist()), reason)
-        for (line, end), reason in sorted(words.items())
+    ends = np.array(sorted(words), dtype=np.int64).reshape(-1, 2)
+    return LetGo(
+        np.array([joined.tracks_of(line)[0] for line in ends[:, 0]], dtype=np.int64),
+        joined.lines_mm[ends[:, 0], ends[:, 1]],
+        np.array([words[line, end] for line, end in ends.tolist()], dtype=np.str_),
     )

@@ -1,26 +1,55 @@
 """The wire frame: vertices, edges and planar faces with their covariance."""
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Annotated, ClassVar
 
-import equinox as eqx
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Shaped
 
-from trinoc.numerics import Displayable
+from trinoc.geometry import Feature, Wires, line_sigmas
+from trinoc.numerics import (
+    COVARIANCE,
+    FINITE,
+    IN_SCENE,
+    PROBABILITY,
+    Check,
+    Column,
+    Content,
+    Table,
+    is_covariance,
+    number_of,
+)
 
 TWO_VIEWS = 2
 
 
-class LetGo(NamedTuple):
-    """What did not fit: the first track of the line, where in mm, and why in a sentence."""
+class LetGo(Table):
+    """What did not fit.
 
-    track: int
-    place_mm: tuple[float, float, float]
-    reason: str
+    Fields
+    ------
+    track : (k,) the first track of the line.
+    place_mm : (k, 3) where, in the world frame.
+    reason : (k,) why, in a sentence.
+    """
+
+    SIDES: ClassVar[Mapping[str, str]] = {"k": "rows of what was let go"}
+
+    track: Int[np.ndarray, "k"]
+    place_mm: Annotated[Float[np.ndarray, "k 3"], Column(parts=("x_mm", "y_mm", "z_mm"))]
+    reason: Shaped[np.ndarray, "k"]
+
+    def __len__(self) -> int:
+        return len(self.track)
 
 
-class Wireframe(Displayable, eqx.Module):
+def _sizes_of_parts(table: Content) -> list[int]:
+    """The numbers of vertices that each part has, in rows of its covariance."""
+    part = table.values["part"]
+    return [] if (part < 0).any() else (3 * np.bincount(part)).tolist()
+
+
+class Wireframe(Feature):
     """A graph in space: edges are straight from vertex to vertex, faces are loops of edges.
 
     Vertices, edges and faces are numbered from 0. `face` and `face_vertex` are one table with a
@@ -37,7 +66,7 @@ class Wireframe(Displayable, eqx.Module):
     posterior : (e,) probability that the best match on it is right.
     views : (e,) number of views that see it; an edge of two is checked by no third.
     viewpoint_dependent : (e,) whether all of its tracks are likely to be no line in space, by the
-        matches' mark of this name or as outlines of cylinders (`silhouette`).
+        matches' column of this name or as outlines of cylinders (the mark "silhouette").
     chi_square, degrees : (e,) how well its lines fit what else is known of its vertices; 0
         degrees where nothing else is.
     edge_of_track : (t,) the edge that each track of the matches is on, -1 where let go.
@@ -53,31 +82,67 @@ class Wireframe(Displayable, eqx.Module):
         matches that know it; such an edge bounds no face where it is above a half.
     """
 
-    vertices_mm: Float[np.ndarray, "n 3"]
+    KIND: ClassVar[str] = "wireframe"
+    IN_WORDS: ClassVar[str] = "a wire frame"
+    SIDES: ClassVar[Mapping[str, str]] = {
+        "e": "edges",
+        "n": "vertices",
+        "t": "tracks",
+        "m": "rows of faces",
+        "f": "faces",
+    }
+    DERIVED: ClassVar[Mapping[str, Sequence[str]]] = {
+        "length_mm": (),
+        "length_sigma_mm": (),
+        "corners": ("corner_1", "corner_2"),
+        "lines_mm": ("x1_mm", "y1_mm", "z1_mm", "x2_mm", "y2_mm", "z2_mm"),
+    }
+
+    vertices_mm: Annotated[Float[np.ndarray, "n 3"], Column(IN_SCENE)]
     corner: Bool[np.ndarray, "n"]
     vertex_chi_square: Float[np.ndarray, "n"]
     vertex_degrees: Int[np.ndarray, "n"]
-    part: Int[np.ndarray, "n"]
-    joint_covariance_mm2: tuple[Float[np.ndarray, "_ _"], ...]
-    edges: Int[np.ndarray, "e 2"]
-    posterior: Float[np.ndarray, "e"]
+    part: Annotated[
+        Int[np.ndarray, "n"],
+        Column(
+            Check("is no part", lambda part, _: part >= 0),
+            Check(
+                "leaves a part without a vertex",
+                lambda part, _: (np.bincount(part) > 0).all(),
+            ),
+        ),
+    ]
+    joint_covariance_mm2: Annotated[
+        tuple[Float[np.ndarray, "_ _"], ...],
+        Column(
+            Check(
+                "is no covariance",
+                lambda blocks, _: [bool(is_covariance(block[None])[0]) for block in blocks],
+            ),
+            blocks=_sizes_of_parts,
+        ),
+    ]
+    edges: Annotated[
+        Int[np.ndarray, "e 2"],
+        Column(number_of("n", "names a vertex that is not there"), parts=("vertex_1", "vertex_2")),
+    ]
+    posterior: Annotated[Float[np.ndarray, "e"], Column(PROBABILITY)]
     views: Int[np.ndarray, "e"]
     viewpoint_dependent: Bool[np.ndarray, "e"]
     chi_square: Float[np.ndarray, "e"]
     degrees: Int[np.ndarray, "e"]
-    edge_of_track: Int[np.ndarray, "t"]
-    face: Int[np.ndarray, "m"]
-    face_vertex: Int[np.ndarray, "m"]
-    planes: Float[np.ndarray, "f 4"]
-    planes_covariance: Float[np.ndarray, "f 4 4"]
+    edge_of_track: Annotated[
+        Int[np.ndarray, "t"], Column(number_of("e", "names an edge that is not there", least=-1))
+    ]
+    face: Annotated[Int[np.ndarray, "m"], Column(number_of("f", "names a face that is not there"))]
+    face_vertex: Annotated[Int[np.ndarray, "m"], Column(number_of("n", "names no vertex"))]
+    planes: Annotated[Float[np.ndarray, "f 4"], Column(FINITE)]
+    planes_covariance: Annotated[Float[np.ndarray, "f 4 4"], Column(COVARIANCE)]
     face_chi_square: Float[np.ndarray, "f"]
     face_degrees: Int[np.ndarray, "f"]
     facing: Bool[np.ndarray, "f"]
-    let_go: tuple[LetGo, ...] = eqx.field(static=True, default=())
-    shadow: Float[np.ndarray, "e"] | None = None
-
-    def __len__(self) -> int:
-        return len(self.edges)
+    let_go: Annotated[LetGo, Column(below="let_go_")]
+    shadow: Annotated[Float[np.ndarray, "e"] | None, Column(PROBABILITY)] = None
 
     @property
     def checked(self) -> Bool[np.ndarray, "e"]:
@@ -88,6 +153,25 @@ class Wireframe(Displayable, eqx.Module):
     def lines_mm(self) -> Float[np.ndarray, "e 2 3"]:
         """(e, 2, 3) both ends of each edge."""
         return self.vertices_mm[self.edges].reshape(-1, 2, 3)
+
+    @property
+    def corners(self) -> Bool[np.ndarray, "e 2"]:
+        """(e, 2) whether each edge ends in a corner."""
+        return self.corner[self.edges]
+
+    @property
+    def length_mm(self) -> Float[np.ndarray, "e"]:
+        """(e,) length of each edge."""
+        return line_sigmas(self.lines_mm, self.covariance_mm2).length_mm
+
+    @property
+    def length_sigma_mm(self) -> Float[np.ndarray, "e"]:
+        """(e,) standard deviation of each length."""
+        return line_sigmas(self.lines_mm, self.covariance_mm2).length_sigma_mm
+
+    def wires(self) -> Wires:
+        """The edges, and the faces as loops."""
+        return Wires(self.vertices_mm, self.edges, np.arange(len(self)), self.faces)
 
     @property
     def covariance_mm2(self) -> Float[np.ndarray, "e 6 6"]:

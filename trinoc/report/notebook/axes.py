@@ -8,7 +8,7 @@ import numpy as np
 
 from trinoc.calib import CalibrationResult, Pattern, RefineResult
 from trinoc.evaluation import Evaluation
-from trinoc.geometry import Rig, Segments
+from trinoc.geometry import Feature, Rig, Segments
 from trinoc.match import TRINOCULAR, Matches, Wireframe
 from trinoc.report import plot
 from trinoc.report.colours import BLACK, BLUE, GREEN, VERMILION
@@ -142,6 +142,15 @@ def _(
     seen = np.asarray(matches.fragments_px)[:, matches.views.index(view)]
     plot.draw_tracks(axes, _picture(image, None, seen), matches, view, stage)
     axes.set_title(f"{view}, {stage}")
+    return axes
+
+
+@_plot.register
+def _(features: Feature, axes: Any, *, rig: Rig | None = None) -> Any:
+    """As lines in space, with the cameras of `rig`."""
+    axes = _in_space(axes)
+    lines = [line for _, line in features.wires().lines()]
+    plot.draw_lines_in_space(axes, [(lines, BLUE), ([] if rig is None else frusta(rig), GREEN)])
     return axes
 
 

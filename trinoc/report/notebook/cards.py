@@ -7,8 +7,9 @@ import numpy as np
 
 from trinoc.calib import CalibrationResult, Pattern, RefineResult
 from trinoc.evaluation import Evaluation
-from trinoc.geometry import Rig, Segments
+from trinoc.geometry import Feature, Rig, Segments
 from trinoc.match import BINOCULAR, TRINOCULAR, Matches, Wireframe
+from trinoc.numerics import Table
 from trinoc.report.colours import BLUE, GREEN, VERMILION
 from trinoc.report.notebook.tables import columns_of
 from trinoc.report.numbers import with_decimals, with_sigma
@@ -24,7 +25,8 @@ Strokes = list[tuple[list[np.ndarray], str]]
 
 def card(value: object) -> str:
     """HTML that needs nothing but itself."""
-    columns = {name: np.asarray(column) for name, column in columns_of(value).items()}
+    brief = value.named_columns(brief=True) if isinstance(value, Table) else columns_of(value)
+    columns = {name: np.asarray(column) for name, column in brief.items()}
     picture = _svg(small_picture(value))
     return (
         f'<div style="display:flex;gap:1.5em;align-items:flex-start;flex-wrap:wrap">{picture}'
@@ -114,6 +116,11 @@ def _(matches: Matches) -> str:
 
 
 @heading.register
+def _(features: Feature) -> str:
+    return f"{len(features)} {features.IN_WORDS}"
+
+
+@heading.register
 def _(frame: Wireframe) -> str:
     corners, unchecked = int(frame.corner.sum()), int((~frame.checked).sum())
     return (
@@ -167,6 +174,11 @@ def _(matches: Matches) -> Strokes:
         (_from_above(list(lines[stage == name])), colour)
         for name, colour in ((TRINOCULAR, BLUE), (BINOCULAR, VERMILION))
     ]
+
+
+@small_picture.register
+def _(features: Feature) -> Strokes:
+    return [(_from_above([line for _, line in features.wires().lines()]), BLUE)]
 
 
 @small_picture.register

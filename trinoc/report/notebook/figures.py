@@ -7,7 +7,7 @@ import numpy as np
 
 from trinoc.calib import CalibrationResult, Pattern, RefineResult
 from trinoc.evaluation import Evaluation
-from trinoc.geometry import Rig, Segments
+from trinoc.geometry import Feature, Rig, Segments
 from trinoc.match import Matches, Wireframe
 from trinoc.report.colours import BLACK, COLOUR_OF_ROLE
 from trinoc.report.notebook.extras import expect_extra
@@ -43,6 +43,13 @@ def _(matches: Matches, *, rig: Rig | None = None) -> Any:
     if rig is not None:
         return _in_space(space_figure(rig, None, matches).layers)
     return _in_space(SpaceFigure.of_tracks(matches).layers)
+
+
+@_figure.register
+def _(features: Feature, *, rig: Rig | None = None) -> Any:
+    """The lines of each feature, and the cameras of `rig`."""
+    layer = Layer(features.IN_WORDS, "joined", [line for _, line in features.wires().lines()])
+    return _in_space((layer, *([] if rig is None else [Layer("cameras", "cameras", frusta(rig))])))
 
 
 @_figure.register

@@ -1,15 +1,15 @@
-"""What the covariance of a 3-D segment says about the things that people ask for."""
+"""What the covariance of segments in space says about what people ask for."""
 
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.match import Matches
+from trinoc.numerics import ArrayLike
 
 
-class TrackSigmas(NamedTuple):
-    """Lengths of tracks and standard deviations, in mm.
+class LineSigmas(NamedTuple):
+    """Lengths of segments and standard deviations, in mm.
 
     `across_sigma_mm` is that of the segment's midpoint in the worst direction across it;
     `ends_sigma_mm` (t, 2, 3) that of each end along X, Y and Z.
@@ -21,9 +21,11 @@ class TrackSigmas(NamedTuple):
     ends_sigma_mm: Float[np.ndarray, "t 2 3"]
 
 
-def track_sigmas(matches: Matches) -> TrackSigmas:
-    """First-order propagation of `covariance_mm2` to length and midpoint."""
-    ends, covariance = np.asarray(matches.lines_mm), np.asarray(matches.covariance_mm2)
+def line_sigmas(
+    lines_mm: Float[ArrayLike, "t 2 3"], covariance_mm2: Float[ArrayLike, "t 6 6"]
+) -> LineSigmas:
+    """First-order propagation of the covariance of both ends to length and midpoint."""
+    ends, covariance = np.asarray(lines_mm), np.asarray(covariance_mm2)
     along = ends[:, 1] - ends[:, 0]
     length = np.linalg.norm(along, axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -39,4 +41,4 @@ def track_sigmas(matches: Matches) -> TrackSigmas:
     largest[finite] = np.linalg.eigvalsh(across[finite])[:, -1]
     diagonal = np.diagonal(covariance, axis1=1, axis2=2).reshape(-1, 2, 3)
     with np.errstate(invalid="ignore"):
-        return TrackSigmas(length, np.sqrt(length_variance), np.sqrt(largest), np.sqrt(diagonal))
+        return LineSigmas(length, np.sqrt(length_variance), np.sqrt(largest), np.sqrt(diagonal))

@@ -1,0 +1,172 @@
+"""The matches of many frames as one table: those of all frames one behind the other.
+
+For each frame there are its name, its status, its number of tracks, its number of segments in each
+view, and what `Matches` says of the whole; for each track the columns of `Matches`. A frame that
+failed has a status that says why, and no tracks.
+"""
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, ClassVar
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float, Int, Shaped
+
+from trinoc.errors import InputError
+from trinoc.io.json_text import parsed_json
+from trinoc.io.tables_npz import REMEDY, ArrayFields, arrays_of, table_of
+from trinoc.match import Matches
+from trinoc.numerics import Check, Column, Content, Table, fields_of
+from trinoc.recording import OK, FrameMatches
+
+# The columns of tracks, with the sides of a row.
+OF_TRACKS = {
+    field.name: field.sides[1:] for field in fields_of(Matches) if field.sides[:1] == ("t",)
+}
+_ARE_COUNTS = Check("is no number of them", lambda counts, _: (counts >= 0) & (counts < 2**31))
+
+
+def _are_as_many(columns: Mapping[str, np.ndarray], table: Content) -> bool:
+    return all(len(column) == table.values["tracks"].sum() for column in columns.values())
+
+
+class Frames(Table):
+    """What became of the frames of a recording.
+
+    Fields
+    ------
+    views : names of the views.
+    frame, status : (f,) of each its name, and "ok" or why it has no matches.
+    tracks : (f,) number of tracks. segments : (f, v) number of segments in each view.
+    noise_scale, noise_tail : (f,) of its matches.
+    counts, notes : (f,) of its matches, as JSON.
+    reasons : (s,) of all segments of the frames that are ok, view by view.
+    columns : of all tracks, by the names that `Matches` gives them.
+    """
+
+    KIND: ClassVar[str] = "frames"
+    SIDES: ClassVar[Mapping[str, str]] = {"f": "frames", "s": "segments", "v": "views"}
+
+    views: Annotated[tuple[str, ...], Column(side="v")] = eqx.field(static=True)
+    frame: Shaped[np.ndarray, "f"]
+    status: Shaped[np.ndarray, "f"]
+    tracks: Annotated[Int[np.ndarray, "f"], Column(_ARE_COUNTS)]
+    segments: Annotated[Int[np.ndarray, "f v"], Column(_ARE_COUNTS)]
+    noise_scale: Float[np.ndarray, "f"]
+    counts: Shaped[np.ndarray, "f"]
+    notes: Shaped[np.ndarray, "f"]
+    reasons: Annotated[
+        Shaped[np.ndarray, "s"],
+        Column(
+            Check(
+                "are not as many as there are segments",
+                lambda words, table: len(words) == table.values["segments"].sum(),
+            )
+        ),
+    ]
+    columns: Annotated[
+        dict[str, Shaped[np.ndarray, "_ ..."]],
+        Column(Check("have not as many rows as there are tracks", _are_as_many), beside=True),
+    ]
+    noise_tail: Float[np.ndarray, "f"] | None = None
+
+
+def frames_of_results(results: Sequence[FrameMatches], views: Sequence[str]) -> Frames:
+    """The table of what became of some frames."""
+    found = [result.matches for result in results]
+    good = [matches for matches in found if matches is not None]
+    none = np.zeros(len(views), dtype=np.int64)
+    arrays = [arrays_of(matches) for matches in good] or [_no_tracks(len(views))]
+    shared = set.intersection(*(set(each) for each in arrays))
+    marks = {name for matches in good for name in matches.marks} & shared
+    return Frames(
+        views=tuple(views),
+        frame=np.array([result.name for result in results], dtype=np.str_),
+        status=np.array([result.status for result in results], dtype=np.str_),
+        tracks=np.array([0 if m is None else len(m) for m in found], dtype=np.int64),
+        segments=np.stack(
+            [none if m is None else np.array([len(m.reasons[v]) for v in views]) for m in found]
+        ),
+        noise_scale=np.array([1.0 if m is None else m.noise_scale for m in found]),
+        noise_tail=np.array([0.0 if m is None else m.noise_tail for m in found]),
+        counts=np.array([json.dumps({} if m is None else m.counts) for m in found]),
+        notes=np.array(
+            [json.dumps([] if m is None else list(m.notes), ensure_ascii=False) for m in found]
+        ),
+        reasons=np.concatenate(
+            [np.zeros(0, "<U1"), *(m.reasons[view] for m in good for view in views)]
+        ),
+        columns={
+            name: np.concatenate([each[name] for each in arrays])
+            for name in (*OF_TRACKS, *sorted(marks))
+            if name in shared
+        },
+    )
+
+
+def _no_tracks(views: int) -> dict[str, np.ndarray]:
+    """The columns of no tracks, for frames of which none has matches."""
+    kinds = {"f": np.float64, "i": np.int64, "b": np.bool_, "U": "<U1"}
+    of = {field.name: kinds[field.kind] for field in fields_of(Matches) if field.kind}
+    return {
+        name: np.zeros((0, *sides_of_row(sides, views)), of[name])
+        for name, sides in OF_TRACKS.items()
+    }
+
+
+def sides_of_row(sides: Sequence[str], views: int) -> tuple[int, ...]:
+    """How many numbers a row of a column has along each side."""
+    return tuple(views if side == "v" else int(side) for side in sides)
+
+
+def results_of_frames(frames: Frames, file: str | os.PathLike[str]) -> list[FrameMatches]:
+    """The matches of each frame. Raises InputError for what no matching can give."""
+    found, ends, of_segments = [], np.cumsum(frames.tracks), np.cumsum(frames.segments.sum(axis=1))
+    for k, (name, said) in enumerate(zip(frames.frame, frames.status, strict=True)):
+        matches = None
+        if said == OK:
+            where = f'{file}, frame "{name}"'
+            first = of_segments[k] - frames.segments[k].sum()
+            words = np.split(
+                frames.reasons[first : of_segments[k]], frames.segments[k].cumsum()[:-1]
+            )
+            rows = slice(ends[k] - frames.tracks[k], ends[k])
+            counts, notes = (parsed_json(str(t[k]), file) for t in (frames.counts, frames.notes))
+            arrays: dict[str, Any] = {own: column[rows] for own, column in frames.columns.items()}
+            arrays |= {
+                "views": frames.views,
+                "noise_scale": frames.noise_scale[k],
+                "notes": _texts(_sentences(notes, where)),
+                "count_names": _texts(list(_counts(counts, where))),
+                "count_values": np.array(list(counts.values()), dtype=np.int64),
+                **{f"reasons/{view}": w for view, w in zip(frames.views, words, strict=True)},
+            }
+            if frames.noise_tail is not None:
+                arrays["noise_tail"] = frames.noise_tail[k]
+            whole = {own: np.asarray(array) for own, array in arrays.items()}
+            matches = table_of(Matches, ArrayFields(whole, where))
+        found.append(FrameMatches(str(name), str(said), matches))
+    return found
+
+
+def _counts(values: Any, where: str) -> dict[str, int]:
+    good = isinstance(values, dict) and all(
+        isinstance(v, int) and 0 <= v < 2**62 for v in values.values()
+    )
+    if not good:
+        raise InputError(
+            f'{where}: "counts" are no names with whole numbers: write the file again.'
+        )
+    return values
+
+
+def _sentences(values: Any, where: str) -> list[str]:
+    if not (isinstance(values, list) and all(isinstance(value, str) for value in values)):
+        raise InputError(f'{where}: "notes" are no list of texts: {REMEDY}.')
+    return values
+
+
+def _texts(words: Sequence[str]) -> np.ndarray:
+    return np.array(words, dtype=np.str_) if words else np.zeros(0, "<U1")

@@ -1,0 +1,195 @@
+"""Tables as npz files: every field by its name, read without trust, as the columns declare."""
+
+import itertools
+import os
+import typing
+from collections.abc import Mapping
+from typing import Any, TypeVar
+
+import numpy as np
+
+from trinoc.errors import InputError
+from trinoc.io.arrays_npz import read_arrays, write_arrays
+from trinoc.numerics import Content, Field, Table, fields_of
+
+_Value = TypeVar("_Value", bound=Table)
+
+VERSION = 1
+REMEDY = "write the file again"
+_IN_WORDS = {"f": "real numbers", "i": "whole numbers", "b": "truth values", "U": "texts"}
+_DTYPES = {"f": np.float64, "i": np.int64, "b": np.bool_}
+
+
+def save_npz(table: Table, path: str | os.PathLike[str]) -> None:
+    """Write a table as npz, whole or not at all; fields that are None are left out."""
+    write_arrays(path, f"trinoc-{table.KIND}", VERSION, arrays_of(table))
+
+
+def load_npz(kind: type[_Value], path: str | os.PathLike[str]) -> _Value:
+    """Read a table of a kind that `save_npz` wrote.
+
+    Raises InputError for another file, and, with the field and the first row, for what the columns
+    of the kind cannot hold.
+    """
+    return table_of(kind, ArrayFields(read_arrays(path, f"trinoc-{kind.KIND}", VERSION), path))
+
+
+def arrays_of(table: Table, prefix: str = "") -> dict[str, np.ndarray]:
+    """The arrays that stand for a table in a file, by name."""
+    arrays: dict[str, np.ndarray] = {}
+    for field in fields_of(type(table)):
+        name, value = prefix + field.name, getattr(table, field.name)
+        match value:
+            case Table():
+                arrays |= arrays_of(value, prefix + field.below)
+            case dict() if field.type == dict[str, int]:
+                for own, array in zip(_names_of_counts(name), (list(value), list(value.values()))):
+                    arrays[own] = _array(array, "iU"[own.endswith("names")])
+            case dict():
+                arrays |= {prefix + field.below + own: _array(a) for own, a in value.items()}
+            case tuple() if field.column.blocks:
+                flat = [np.asarray(block).reshape(-1) for block in value]
+                arrays[name] = np.concatenate([*flat, np.zeros(0)])
+            case tuple():
+                arrays[name] = _array(value, "U" if field.type == tuple[str, ...] else "i")
+            case float():
+                arrays[name] = np.array(value)
+            case _ if value is not None:
+                arrays[name] = _array(value, field.kind)
+    return arrays
+
+
+def table_of(kind: type[_Value], fields: "ArrayFields") -> _Value:
+    """The table of a kind in the arrays of a file. Raises InputError as `load_npz` does."""
+    read = Content({}, {})
+    # What stands beside the columns is what these leave; blocks are as large as these say.
+    last = [f for f in fields_of(kind) if f.column.beside or f.column.blocks]
+    for part in ([field for field in fields_of(kind) if field not in last], last):
+        for field in part:
+            if not field.optional or fields.has(field):
+                read.values[field.name] = _read(field, fields, read, kind.SIDES)
+        for field in part:
+            value = read.values.get(field.name)
+            for check in field.column.checks if value is not None else ():
+                fields.expect(field.name, check.good(value, read), check.problem)
+    return kind(**read.values)
+
+
+def _read(field: Field, fields: "ArrayFields", read: Content, words: Mapping[str, str]) -> Any:
+    """The value of one field. Raises InputError where its array is missing or another."""
+    name, column = field.name, field.column
+    if isinstance(field.type, type) and issubclass(field.type, Table):
+        return table_of(field.type, fields.below(field.below))
+    if field.type == dict[str, int]:
+        names, values = _names_of_counts(name)
+        texts = fields.take(names, "U", (None,), name)
+        numbers = fields.take(values, "i", texts.shape, f"{len(texts)} names")
+        return dict(zip(map(str, texts), map(int, numbers), strict=True))
+    if typing.get_origin(field.type) is dict:
+        inner, sides = fields.below(field.below), typing.get_args(field.type)[1].dim_str.split()
+        if "..." in sides:
+            return {own: inner.arrays[inner.prefix + own] for own in inner.left()}
+        return {own: inner.take(own, "U", (None,), "words") for own in inner.left()}
+    if column.blocks:
+        sizes = column.blocks(read)
+        ends = np.cumsum([0, *(size**2 for size in sizes)])
+        flat = fields.take(name, "f", (int(ends[-1]),), f"{len(sizes)} blocks")
+        parts = [flat[start:end] for start, end in itertools.pairwise(ends)]
+        return tuple(p.reshape(n, n) for p, n in zip(parts, sizes, strict=True))
+    if field.type is float:
+        return float(fields.take(name, "f", (), "values"))
+    if field.type == tuple[str, ...]:
+        texts = fields.take(name, "U", (None,), name)
+        if column.side:
+            read.sides[column.side] = len(texts)
+        return tuple(map(str, texts))
+    if typing.get_origin(field.type) is tuple:
+        return tuple(map(int, fields.take(name, "i", (None,), name))) or None
+    known = [side for side in field.sides if side in words]
+    what = " in ".join(f"{read.sides.get(side, '')} {words[side]}".strip() for side in known)
+    shape = [int(side) if side.isdigit() else read.sides.get(side) for side in field.sides]
+    array = fields.take(name, field.kind, tuple(shape), what or "values")
+    read.sides.update((s, n) for s, n in zip(field.sides, array.shape) if not s.isdigit())
+    return array
+
+
+def _names_of_counts(name: str) -> tuple[str, str]:
+    """The arrays of names and of numbers that stand for a dictionary."""
+    return f"{name.removesuffix('s')}_names", f"{name.removesuffix('s')}_values"
+
+
+def _array(values: Any, kind: str = "") -> np.ndarray:
+    """An array as files hold it: texts of a fixed width, which load without pickle."""
+    array = np.asarray(values)
+    if kind == "U" or array.dtype.kind in "OU":
+        return array.astype(np.str_) if array.size else np.zeros(array.shape, "<U1")
+    return array.astype(np.int64) if kind == "i" else array
+
+
+class ArrayFields:
+    """The arrays of one file, taken one by one and checked; the file is named in every error."""
+
+    def __init__(
+        self, arrays: Mapping[str, np.ndarray], file: str | os.PathLike[str], prefix: str = ""
+    ) -> None:
+        self.arrays, self.file, self.prefix = arrays, file, prefix
+        self._taken: set[str] = set()
+
+    def has(self, field: Field) -> bool:
+        """Whether there is anything of a field."""
+        if field.type == dict[str, int]:
+            return self.prefix + _names_of_counts(field.name)[0] in self.arrays
+        if typing.get_origin(field.type) is dict or hasattr(field.type, "KIND"):
+            return any(name.startswith(self.prefix + field.below) for name in self.arrays)
+        return self.prefix + field.name in self.arrays
+
+    def below(self, prefix: str) -> "ArrayFields":
+        """The arrays whose names begin so."""
+        return ArrayFields(self.arrays, self.file, self.prefix + prefix) if prefix else self
+
+    def left(self) -> list[str]:
+        """The names that were not taken, and that are not below another."""
+        own = (n.removeprefix(self.prefix) for n in self.arrays if n.startswith(self.prefix))
+        return [name for name in own if name not in self._taken and "/" not in name]
+
+    def take(self, name: str, kind: str, shape: tuple[int | None, ...], what: str) -> np.ndarray:
+        """An array of a kind ("f", "i", "b" or "U"), as float64, int64, bool or text.
+
+        None in `shape` is any length; `what` says in words what needs this shape. Raises
+        InputError where the file lacks it or holds another.
+        """
+        whole = self.prefix + name
+        if whole not in self.arrays:
+            raise InputError(f'{self.file} lacks the array "{whole}": {REMEDY}.')
+        array = self.arrays[whole]
+        self._taken.add(name)
+        if len(shape) != array.ndim or any(
+            want not in (None, got) for want, got in zip(shape, array.shape, strict=True)
+        ):
+            raise self.error(name, f"has shape {array.shape}, but {what} need {_shown(shape)}")
+        if array.dtype.kind not in {"f": "fiu", "i": "iu", "b": "b", "U": "U"}[kind]:
+            if not (array.size == 0 and array.dtype.kind in "fiubU"):
+                raise self.error(name, f"must be {_IN_WORDS[kind]}, but is {array.dtype}")
+            return np.zeros(array.shape, "<U1" if kind == "U" else _DTYPES[kind])
+        if kind == "U":
+            return array
+        if array.dtype == np.uint64 and (array > np.iinfo(np.int64).max).any():
+            raise self.error(name, "holds numbers that are too large")
+        return array.astype(_DTYPES[kind])
+
+    def expect(self, name: str, good: Any, problem: str) -> None:
+        """Raise InputError where not all is good, and name the first row that is not."""
+        good = np.asarray(good)
+        if good.all():
+            return
+        rows = good.reshape(len(good), -1).all(axis=1) if good.ndim else good
+        where = f"of row {int(np.flatnonzero(~rows)[0])} " if good.ndim else ""
+        raise self.error(name, where + problem)
+
+    def error(self, name: str, problem: str) -> InputError:
+        """An error that names the file and the array."""
+        return InputError(f'{self.file}: "{self.prefix}{name}" {problem}: {REMEDY}.')
+
+
+def _shown(shape: tuple[int | None, ...]) -> str:
+    return f"({', '.join('n' if side is None else str(side) for side in shape)})"
