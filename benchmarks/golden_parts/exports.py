@@ -12,9 +12,9 @@ import trinoc
 from golden_parts.inputs import blocks, knocked_rig
 from golden_parts.records import Values
 from trinoc.errors import TrinocError
-from trinoc.geometry import Intrinsics
+from trinoc.geometry import Intrinsics, Rig
 from trinoc.io import FORMATS, save_target
-from trinoc.io.formats.format import KIND_OF
+from trinoc.numerics import Table
 from trinoc.synth import table1_rig
 
 ENDINGS = {"rig": ".json", "lens": ".json", "segments": ".npz"}
@@ -25,7 +25,7 @@ def exports() -> Values:
     values = dict(_values())
     for name, format_ in FORMATS.items():
         for kind, value in values.items():
-            if kind in format_.holds:
+            if kind in format_.kinds:
                 yield from _written(name, kind, format_, value)
     with tempfile.TemporaryDirectory() as folder:
         for kind, value in values.items():
@@ -84,7 +84,7 @@ def _own_file(name: str, value: Any, path: Path) -> Values:
     else:
         yield name, _content(path, str(path.parent))
     again = trinoc.load(path)
-    yield f"{name}.again", type(again).__name__ in {kind.__name__ for kind in KIND_OF}
+    yield f"{name}.again", isinstance(again, Rig | Intrinsics | Table)
 
 
 def _content(file: Path, folder: str) -> str:

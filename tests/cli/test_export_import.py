@@ -139,7 +139,7 @@ WRONG_USAGE = {
 REFUSED = {
     "no such file": (("export", "no.json", "--to", "opencv", "-o", "x.yml"), "does not exist"),
     "no such npz": (("export", "no.npz", "--to", "csv", "-o", "x.csv"), "does not exist"),
-    "a pattern": (("export", "other.json", "--to", "opencv", "-o", "x.yml"), "is no value that trinoc wrote"),
+    "a pattern": (("export", "other.json", "--to", "opencv", "-o", "x.yml"), "is no value"),
     "a picture": (("export", "other.png", "--to", "csv", "-o", "x.csv"), "not a readable npz"),
     "matches as cameras": (
         ("export", "matches.npz", "--to", "kalibr", "-o", "x.yaml"),

@@ -128,4 +128,4 @@ def test_json_names_everything(tmp_path):
     np.testing.assert_allclose(document["edges"][1]["covariance"], FRAME.covariance_mm2[1] / 1e6)
     assert document["faces"][1]["vertices"] == [0, 1, 4]
     with pytest.raises(InputError, match="not a wire frame: choose"):
-        FORMATS["gltf"].save(FRAME, tmp_path / "frame.glb")
+        FORMATS["limap"].save(FRAME, tmp_path / "tracks")

@@ -80,7 +80,6 @@ from .rig_json import (
 )
 from .rig_status import CameraStatus as CameraStatus, RigStatus as RigStatus
 from .saving import (
-    TABLES as TABLES,
     expect_ending as expect_ending,
     load as load,
     load_matches as load_matches,

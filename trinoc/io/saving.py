@@ -20,19 +20,24 @@ from trinoc.io.whole_files import read_text
 from trinoc.match import FEATURES, Matches
 from trinoc.numerics import Table
 
-TABLES: tuple[type[Table], ...] = (Segments, Matches, *FEATURES)
-# What is written, in words, and the ending of its file.
-_ENDINGS: tuple[tuple[type, str, str], ...] = (
-    (Rig, "a rig", ".json"),
-    (Intrinsics, "a lens", ".json"),
-    (AbstractTarget, "a layout", ".json"),
-    *((kind, kind.IN_WORDS, ".npz") for kind in TABLES),
+# What is written as JSON, in words.
+_DOCUMENTS: tuple[tuple[type, str], ...] = (
+    (Rig, "a rig"),
+    (Intrinsics, "a lens"),
+    (AbstractTarget, "a layout"),
 )
+
+
+def tables() -> list[type[Table]]:
+    """The kinds of values that are written as npz."""
+    return [Segments, Matches, *FEATURES]
 
 
 def expect_ending(path: str | os.PathLike[str] | None, kind: type) -> None:
     """Before a long job: raise InputError for a name that `save` would refuse a value of a kind."""
-    for each, words, ending in _ENDINGS:
+    written = [(*document, ".json") for document in _DOCUMENTS]
+    written += [(each, each.IN_WORDS, ".npz") for each in tables()]
+    for each, words, ending in written:
         if path is not None and issubclass(kind, each) and Path(path).suffix.lower() != ending:
             are = "is" if words.startswith("a ") else "are"
             raise InputError(f"{path}: {words} {are} written as {ending}: choose such a name.")
@@ -53,7 +58,7 @@ def save(
     values and for a name whose ending is not that of the file.
     """
     more: dict[str, Any] = {}
-    if not isinstance(value, tuple(kind for kind, _, _ in _ENDINGS)):
+    if not isinstance(value, (*(kind for kind, _ in _DOCUMENTS), *tables())):
         value, more = _content_of_result(value, path)
     expect_ending(path, type(value))
     match value:
@@ -79,7 +84,7 @@ def load(path: str | os.PathLike[str]) -> Any:
     readers: dict[object, Callable[[Path], Any]] = {
         rig_json.FORMAT: rig_json.load_rig,
         intrinsics_json.FORMAT: intrinsics_json.load_intrinsics,
-        **{f"trinoc-{kind.KIND}": partial(load_npz, kind) for kind in TABLES},
+        **{f"trinoc-{kind.KIND}": partial(load_npz, kind) for kind in tables()},
     }
     file = Path(path)
     if file.suffix.lower() == ".json":
@@ -88,7 +93,7 @@ def load(path: str | os.PathLike[str]) -> Any:
     else:
         found = format_of_arrays(file)
     if not isinstance(found, str) or found not in readers:
-        files = ", ".join(f"{kind.KIND}.npz" for kind in TABLES)
+        files = ", ".join(f"{kind.KIND}.npz" for kind in tables())
         raise InputError(
             f"{file} is no value that trinoc wrote: give a rig.json, camera.json or one of {files}."
         )

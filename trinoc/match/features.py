@@ -5,4 +5,4 @@ from trinoc.match.cylinders.cylinders import Cylinders
 from trinoc.match.rims.rims import Rims
 from trinoc.match.wire_frame.frame import Wireframe
 
-FEATURES: tuple[type[Feature], ...] = (Wireframe, Cylinders, Rims)
+FEATURES: list[type[Feature]] = [Wireframe, Cylinders, Rims]

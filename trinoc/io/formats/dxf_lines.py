@@ -1,7 +1,8 @@
 """3-D segments as the LINE entities of a DXF (R12, which every CAD reads), a layer for each stage.
 
 A wire frame has its edges on two layers, those of three views and those of two, and its faces as
-3DFACE on a third, in triangles where they have more than four corners.
+3DFACE on a third, in triangles where they have more than four corners. Other features have a layer
+of their kind.
 
 R12 has no unit of its own: tell the program that reads it millimetres.
 """
@@ -9,6 +10,7 @@ R12 has no unit of its own: tell the program that reads it millimetres.
 from pathlib import Path
 from typing import Any
 
+from trinoc.geometry import Feature
 from trinoc.io.atomic import write_text
 from trinoc.io.formats.format import Format
 from trinoc.io.formats.losses import COVARIANCE, TRACKS
@@ -18,26 +20,33 @@ from trinoc.match import BINOCULAR, TRINOCULAR, Matches, Wireframe
 HIDDEN_FIRST, HIDDEN_THIRD = 1, 4
 
 
-def write_dxf(value: Matches | Wireframe, path: Path, unit_mm: float) -> None:
-    """Write a line for each track or edge, and the faces of a wire frame."""
+def write_dxf(value: Matches | Feature, path: Path, unit_mm: float) -> None:
+    """Write the lines and the faces, on a layer for each stage or kind."""
     pairs: list[tuple[int, Any]] = [
         (999, f"trinoc: unit {unit_mm!r} mm, Z up"),
         *((0, "SECTION"), (2, "HEADER"), (9, "$ACADVER"), (1, "AC1009"), (0, "ENDSEC")),
         *((0, "SECTION"), (2, "ENTITIES")),
     ]
-    if isinstance(value, Wireframe):
-        layers = [TRINOCULAR if checked else BINOCULAR for checked in value.checked]
-    else:
-        layers = value.stage
-    for stage, (start, end) in zip(layers, (value.lines_mm / unit_mm).tolist(), strict=True):
-        pairs += [(0, "LINE"), (8, str(stage).upper())]
+    wires = value.wires()
+    places = wires.places_mm / unit_mm
+    layers = _layers(value)
+    for row, (start, end) in zip(wires.owner, places[wires.pairs].tolist(), strict=True):
+        pairs += [(0, "LINE"), (8, layers[row].upper())]
         pairs += zip((10, 20, 30), start, strict=True)
         pairs += zip((11, 21, 31), end, strict=True)
-    if isinstance(value, Wireframe):
-        for loop in value.faces:
-            pairs += _face((value.vertices_mm[loop] / unit_mm).tolist())
+    for loop in wires.loops:
+        pairs += _face(places[loop].tolist())
     pairs += [(0, "ENDSEC"), (0, "EOF")]
     write_text(path, "".join(f"{code}\n{value}\n" for code, value in pairs))
+
+
+def _layers(value: Matches | Feature) -> list[str]:
+    match value:
+        case Matches():
+            return list(map(str, value.stage))
+        case Wireframe():
+            return [TRINOCULAR if checked else BINOCULAR for checked in value.checked]
+    return [value.KIND] * len(value)
 
 
 def _face(corners: list[list[float]]) -> list[tuple[int, Any]]:
@@ -62,7 +71,7 @@ def _face(corners: list[list[float]]) -> list[tuple[int, Any]]:
 dxf = Format(
     name="dxf",
     title="DXF",
-    holds=("matches", "wireframe"),
+    holds=("matches", "features"),
     reads=(),
     place="file",
     endings=(".dxf",),

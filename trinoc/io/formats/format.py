@@ -19,10 +19,6 @@ from trinoc.match import FEATURES, Matches
 from trinoc.numerics import Table
 
 Lenses = Mapping[str, Intrinsics]
-# The words of `Format.holds` and `Format.reads`; "features" are all of these.
-IN_WORDS = {"rig": "a rig", "lens": "a lens"}
-IN_WORDS |= {kind.KIND: kind.IN_WORDS for kind in (Matches, Segments, *FEATURES)}
-_FEATURES = tuple(kind.KIND for kind in FEATURES)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -63,7 +59,8 @@ class Format:
     @property
     def kinds(self) -> tuple[str, ...]:
         """The kinds of values that can be written to it, one by one."""
-        each = (_FEATURES if kind == "features" else (kind,) for kind in self.holds)
+        features = tuple(kind.KIND for kind in FEATURES)
+        each = (features if kind == "features" else (kind,) for kind in self.holds)
         return tuple(itertools.chain.from_iterable(each))
 
     def save(
@@ -80,8 +77,10 @@ class Format:
         value = _plain(value)
         kind = _kind_of(value)
         if kind not in self.kinds:
-            given = IN_WORDS.get(kind, f"a {type(value).__name__}")
-            held = " or ".join(IN_WORDS[kind] for kind in self.kinds)
+            words = {"rig": "a rig", "lens": "a lens"}
+            words |= {each.KIND: each.IN_WORDS for each in (Matches, Segments, *FEATURES)}
+            given = words.get(kind, f"a {type(value).__name__}")
+            held = " or ".join(words[kind] for kind in self.kinds)
             raise InputError(f"{self.title} holds {held}, not {given}: choose another format.")
         target = Path(path)
         if self.place == "folder" or (kind == "rig" and "folder" in self.place):

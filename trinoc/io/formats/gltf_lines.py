@@ -1,4 +1,4 @@
-"""3-D segments as the line primitives of a glTF 2.0, .glb or .gltf.
+"""3-D segments and features as the line primitives of a glTF 2.0, .glb or .gltf.
 
 glTF counts in metres with y up: (x, y, z) of the world becomes (x, z, -y) / 1000, in single
 precision, which is finer than .1 um on a bench.
@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from trinoc.errors import InputError
+from trinoc.geometry import Feature
 from trinoc.io.atomic import atomic_write, write_text
 from trinoc.io.formats.format import Format
 from trinoc.io.formats.losses import COVARIANCE, TRACKS
@@ -24,11 +25,12 @@ LINES, FLOAT, ARRAY_BUFFER = 1, 5126, 34962
 JSON_CHUNK, BINARY_CHUNK = b"JSON", b"BIN\0"
 
 
-def write_gltf(matches: Matches, path: Path, unit_mm: float) -> None:
+def write_gltf(value: Matches | Feature, path: Path, unit_mm: float) -> None:
     """Write one mesh of lines. Raises InputError where there is none: glTF has no empty mesh."""
-    if len(matches) == 0:
+    if len(value) == 0:
         raise InputError(f"{path} was not written: there is no 3-D segment, and glTF needs one.")
-    x, y, z = np.moveaxis(matches.lines_mm.reshape(-1, 3) / unit_mm, -1, 0)
+    wires = value.wires()
+    x, y, z = (wires.places_mm[wires.pairs.reshape(-1)] / unit_mm).T
     vertices = np.stack([x, z, -y], axis=1).astype("<f4")
     content = vertices.tobytes()
     if path.suffix.lower() == ".gltf":
@@ -71,7 +73,7 @@ def _document(vertices: np.ndarray, source: dict[str, str]) -> dict[str, Any]:
 gltf = Format(
     name="gltf",
     title="glTF",
-    holds=("matches",),
+    holds=("matches", "features"),
     reads=(),
     place="file",
     endings=(".glb", ".gltf"),
