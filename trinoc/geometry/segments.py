@@ -22,6 +22,7 @@ from trinoc.numerics import (
     Displayable,
     Table,
     number_of,
+    take_rows,
 )
 
 # The body of a segment, not one of its ends, lies on a junction.
@@ -185,7 +186,8 @@ class Segments(Displayable, Table):
 
     def take(self, rows: np.ndarray) -> "Segments":
         """Some of them, without their junctions, which number all."""
-        return Table.take(replace(self, junctions=None), rows)
+        plain = replace(self, junctions=None)
+        return replace(plain, **take_rows(plain.rows(), rows))
 
     def followed_by(self, more: "Segments") -> "Segments":
         """These, and after them others, which meet none and belong to no chain of them.

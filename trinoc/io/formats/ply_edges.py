@@ -20,13 +20,15 @@ _TYPES = {"f": "double", "i": "int", "b": "uchar"}
 def write_ply(value: Matches | Feature, path: Path, unit_mm: float) -> None:
     """Write vertices, faces and edges as text; each edge has the columns of what it is of."""
     wires = value.wires()
-    vertices = dict(zip(("x_mm", "y_mm", "z_mm"), wires.places_mm.T, strict=True))
+    vertices: dict[str, np.ndarray] = dict(
+        zip(("x_mm", "y_mm", "z_mm"), wires.places_mm.T, strict=True)
+    )
     if isinstance(value, Wireframe):
         vertices |= {"corner": value.corner}
         covariance = value.vertices_covariance_mm2
         for row, column in zip(*np.triu_indices(3), strict=True):
             vertices[f"cov_{'xyz'[row]}_{'xyz'[column]}_mm2"] = covariance[:, row, column]
-    edges = dict(zip(("vertex1", "vertex2"), wires.pairs.T, strict=True))
+    edges: dict[str, np.ndarray] = dict(zip(("vertex1", "vertex2"), wires.pairs.T, strict=True))
     if len(wires.owner) != len(value):
         edges |= {value.KIND.removesuffix("s"): wires.owner}
     edges |= {name: column[wires.owner] for name, column in _known(value).items()}
