@@ -228,12 +228,18 @@ def test_no_package_that_we_decided_against():
 
 def test_commands_import_nothing_heavy_at_the_top():
     heavy = {"jax", "numpy", "cv2", "equinox", "optimistix", "plotly", "jinja2", "skimage", "scipy"}
+    # Words for the help, in files that import nothing.
+    light = {"trinoc.match.StepName"}
     wrong = [
         f"{module} imports {name}"
         for module, own, tree in MODULES
         if own == "cli"
         for name in imported(tree, at_top_only=True)
         if name.split(".")[0] in heavy
-        or (name.startswith("trinoc.") and name.split(".")[1] not in ("cli", "errors"))
+        or (
+            name.startswith("trinoc.")
+            and name.split(".")[1] not in ("cli", "errors")
+            and name not in light
+        )
     ]
     assert wrong == []

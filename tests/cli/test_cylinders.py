@@ -1,4 +1,4 @@
-"""`trinoc match --cylinders`: found, written, told, shown on the page, exported and marked."""
+"""`trinoc match --steps cylinders`: found, written, told, shown, exported and marked."""
 
 import json
 
@@ -9,8 +9,8 @@ import trinoc
 from tests.io.made_cylinders import made_cylinders
 from tests.match.cylinders.made_outlines import Placed, seen_by
 from tests.match.made import loose_lines, rig_of
-from trinoc.cli.cylinders import cylinders_text
 from trinoc.cli.main import main
+from trinoc.report import features_text
 
 
 @pytest.fixture
@@ -26,22 +26,24 @@ def scene(tmp_path, monkeypatch):
 
 
 def test_cylinders_are_written_told_and_shown(scene, capsys):
-    places = ["-o", "matches.npz", "--cylinders", "cylinders.npz", "--report", "page.html"]
+    places = ["-o", "matches.npz", "--steps", "cylinders", "--report", "page.html"]
     assert main(["match", *scene, "--rig", "rig.json", *places, "--json", "--quiet"]) == 0
     told = json.loads(capsys.readouterr().out)
     (found,) = told["cylinders"]["found"]
     assert abs(found["radius_mm"] - 12.0) < 5 * found["radius_sigma_mm"] < 1.0
-    assert all(outlines == [0, 1] for outlines in found["outlines"].values())
-    assert told["written"] == ["matches.npz", "cylinders.npz", "page.html"]
-    back = trinoc.load("cylinders.npz")
+    assert all(outlines == [0, 1] for outlines in found["segments"].values())
+    assert told["written"] == ["matches.npz", "matches-cylinders.npz", "page.html"]
+    back = trinoc.load("matches-cylinders.npz")
     matches = trinoc.load_matches("matches.npz")
     np.testing.assert_array_equal(matches.marks["silhouette"], back.silhouette)
     with open("page.html", encoding="utf-8") as page:
         assert "cylinders (1)" in page.read()
-    assert main(["export", "cylinders.npz", "--to", "obj", "-o", "cylinders.obj"]) == 0
+    assert main(["export", "matches-cylinders.npz", "--to", "obj", "-o", "cylinders.obj"]) == 0
 
 
 def test_people_read_how_many_and_how_large():
-    said = cylinders_text(made_cylinders()).splitlines()
+    said = features_text(made_cylinders()).splitlines()
     assert said[0] == "2 cylinders; 2 tracks hold an outline of one."
-    assert said[1] == "cylinder 0: radius 12.000 +- 0.200 mm, posterior 0.990"
+    assert said[1].startswith(
+        "cylinder 0: radius 12.00 ± 0.20 mm, posterior 0.990, segments upper 3, 4"
+    )

@@ -144,30 +144,28 @@ def test_segments_then_match_is_match_of_pictures(run, folder):
 
 
 def test_guided_matches_need_pictures_and_hold_at_least_as_many_tracks(run, folder):
-    status, _, error = run("match", *views("csv"), "--rig", "rig.json", "--guided")
+    status, _, error = run("match", *views("csv"), "--rig", "rig.json", "--steps", "guided")
     assert status == 2
-    assert "--guided needs pictures" in error
+    assert "--steps guided needs pictures" in error
     command = "match", *views("png"), "--rig", "rig.json"
     assert run(*command, "-o", "plain.npz")[0] == 0
-    assert run(*command, "--guided", "-o", "guided.npz")[0] == 0
+    assert run(*command, "--steps", "guided", "-o", "guided.npz")[0] == 0
     plain, guided = (trinoc.load_matches(folder / f"{name}.npz") for name in ("plain", "guided"))
-    assert plain.guided is None
-    assert guided.guided is not None
-    assert guided.guided.shape == guided.index.shape
+    assert plain.marks == {}
+    assert guided.marks["guided"].shape == guided.index.shape
     assert len(guided) >= len(plain)
 
 
 def test_lines_measured_in_pictures_are_those_of_the_segments_placed_anew(run, folder):
-    status, _, error = run("match", *views("csv"), "--rig", "rig.json", "--measure", "pixels")
+    status, _, error = run("match", *views("csv"), "--rig", "rig.json", "--steps", "pixels")
     assert status == 2
-    assert "--measure pixels needs pictures" in error
+    assert "--steps pixels needs pictures" in error
     command = "match", *views("png"), "--rig", "rig.json"
     assert run(*command, "-o", "plain.npz")[0] == 0
-    assert run(*command, "--measure", "pixels", "-o", "measured.npz")[0] == 0
+    assert run(*command, "--steps", "pixels", "-o", "measured.npz")[0] == 0
     plain, after = (trinoc.load_matches(folder / f"{name}.npz") for name in ("plain", "measured"))
-    assert plain.measure is None
-    assert after.measure is not None
-    assert ((after.measure == "") == (after.index < 0)).all()
+    assert plain.marks == {}
+    assert ((after.marks["measure"] == "") == (after.index < 0)).all()
     np.testing.assert_array_equal(after.index, plain.index)
     moved = np.abs(after.lines_mm - plain.lines_mm).max(axis=(1, 2))
     assert (moved > 0).any()

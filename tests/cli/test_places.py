@@ -44,11 +44,9 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     [
         ((*MATCH, "-o", "left.npz"), "--out is left.npz, which is read"),
         ((*MATCH, "--report", "./rig.json"), "--report is rig.json, which is read"),
-        ((*MATCH, "-o", "x.npz", "--cylinders", "x.npz"), "are both x.npz"),
         ((*MATCH, "-o", "x.npz", "--report", "x.npz"), "are both x.npz"),
         ((*CALIBRATE, "-o", "sheet.json"), "--out is sheet.json, which is read"),
         ((*CALIBRATE, "-o", "r.json", "--report", "r.json"), "are both r.json"),
-        (("wireframe", "left.npz", "--rig", "rig.json", "-o", "left.npz"), "would be lost"),
         (("refine", "--matches", "left.npz", "--rig", "rig.json", "-o", "left.npz"), "is read"),
         (("export", "left.npz", "--to", "lsd", "-o", "left.npz"), "which is read"),
         (("segments", "left.png", "-o", "left.png"), "which is read"),
@@ -80,10 +78,8 @@ def test_a_link_to_what_is_read_is_what_is_read(folder, capsys):
     ("arguments", "said"),
     [
         ((*MATCH, "-o", "m.csv"), "matches are written as .npz"),
-        ((*MATCH, "--cylinders", "c.txt"), "cylinders are written as .npz"),
         ((*CALIBRATE, "-o", "rig.npz"), "a rig is written as .json"),
         (("segments", "left.png", "-o", "s.csv"), "segments are written as .npz"),
-        (("wireframe", "none.npz", "--rig", "rig.json", "-o", "w.obj"), "a wire frame is written"),
         (("refine", "--matches", "none.npz", "--rig", "rig.json", "-o", "r.txt"), "a rig is"),
     ],
 )

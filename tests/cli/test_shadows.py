@@ -1,4 +1,4 @@
-"""`trinoc match --shadows`: told, written, exported, shown on the page, and read by people."""
+"""`trinoc match --steps shadows`: told, written, exported, shown, and read by people."""
 
 import dataclasses
 import json
@@ -8,7 +8,6 @@ import numpy as np
 import trinoc
 from tests.match.shadows.made_shadows import NEAR_LAMP, scene_of
 from trinoc.cli.main import main
-from trinoc.cli.shadows import shadows_text
 from trinoc.match import Shadows
 
 
@@ -19,7 +18,16 @@ def test_shadows_are_told_written_and_shown(tmp_path, monkeypatch, capsys):
     for name, own in segments.items():
         trinoc.save(own, f"{name}.npz")
     pictures = [f"{name}={name}.npz" for name in rig.names]
-    asked = ["--shadows", "--report", "page.html", "-o", "matches.npz", "--json", "--quiet"]
+    asked = [
+        "--steps",
+        "shadows",
+        "--report",
+        "page.html",
+        "-o",
+        "matches.npz",
+        "--json",
+        "--quiet",
+    ]
     assert main(["match", *pictures, "--rig", "rig.json", *asked]) == 0
     told = json.loads(capsys.readouterr().out)["shadows"]
     assert told["tracks_marked"] == shadow.sum()
@@ -45,6 +53,6 @@ def test_people_read_whether_there_is_a_lamp():
         lamp_covariance=np.diag([1e-6, 1e-6, 1e-10]),
         counts={},
     )
-    said = shadows_text(found)
+    said = found.summary()
     assert said.startswith("1 track is likely a shadow; the lamp is toward (0.600,")
-    assert "no lamp stands out" in shadows_text(dataclasses.replace(found, lamp_posterior=0.1))
+    assert "no lamp stands out" in dataclasses.replace(found, lamp_posterior=0.1).summary()

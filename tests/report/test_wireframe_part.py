@@ -5,13 +5,13 @@ import pytest
 
 from tests.io.formats.bench import bench_rig
 from tests.io.made_wireframe import made_wireframe
-from trinoc.report import wireframe_figure
+from trinoc.report import features_figure
 
 FRAME = made_wireframe()
 
 
 def test_the_figure_has_every_edge_vertex_and_face_once() -> None:
-    figure = wireframe_figure(FRAME, bench_rig())
+    figure = features_figure(FRAME, bench_rig())
     sizes = {layer.name: len(layer.parts) for layer in figure.layers}
     assert sizes.pop("cameras") >= 3
     assert sizes == {
@@ -31,7 +31,9 @@ def test_the_figure_has_every_edge_vertex_and_face_once() -> None:
 
 def test_it_shows_itself_in_notebooks() -> None:
     card = FRAME._repr_html_()
-    assert "7 edges (2 seen by two views only), 5 corners, 2 free ends, 2 planar faces" in card
+    assert (
+        "7 edges, 2 of them seen by two views only; 5 corners, 2 free ends, 2 planar faces" in card
+    )
     assert "<svg" in card
     pytest.importorskip("pandas")
     table = FRAME.to_frame()

@@ -34,7 +34,6 @@ from trinoc.cli.rig_toml import with_file
 from trinoc.cli.segments import Segments
 from trinoc.cli.view import View
 from trinoc.cli.watch import Watch
-from trinoc.cli.wireframe import Wireframe
 from trinoc.cli.words import in_options
 from trinoc.errors import TrinocError
 
@@ -56,7 +55,6 @@ AnyCommand = (
     | Annotated[Batch, tyro.conf.subcommand("batch")]
     | Annotated[Refine, tyro.conf.subcommand("refine")]
     | Annotated[Check, tyro.conf.subcommand("check")]
-    | Annotated[Wireframe, tyro.conf.subcommand("wireframe")]
     | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
     | Annotated[View, tyro.conf.subcommand("view")]
     | Annotated[Export, tyro.conf.subcommand("export")]

@@ -9,14 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from trinoc.cli.command import Command, Outcome, UsageError
-from trinoc.cli.cylinders import cylinders_record, cylinders_text
-from trinoc.cli.match_steps import MatchOptions, found_in
+from trinoc.cli.match_steps import ANYWHERE, MatchOptions
 from trinoc.cli.plan import plan
 from trinoc.cli.progress import LOGGER
 from trinoc.cli.rig_file import doubts_of, doubts_table, read_rig
-from trinoc.cli.rims import rims_record, rims_text
 from trinoc.cli.scene_files import SEGMENT_SUFFIXES, check_views, read_segments
-from trinoc.cli.shadows import shadows_record, shadows_text
 from trinoc.cli.views import files_of_rig, files_of_views
 
 if TYPE_CHECKING:
@@ -68,33 +65,41 @@ class Match(MatchOptions, Command):
         self.check()
 
         from trinoc.io import expect_ending, expect_place, save
-        from trinoc.match import Cylinders, Matches, Rims
+        from trinoc.match import FEATURES, STEPS, Matches, improve, match_segments
 
-        expect_place(self.out, self.report, self.cylinders, self.rims_out)
+        places = [
+            self.out,
+            *(self.place_of(kind.KIND) for kind in FEATURES if kind.KIND in self.steps),
+            self.report,
+        ]
+        expect_place(*places)
         expect_ending(self.out, Matches)
-        expect_ending(self.cylinders, Cylinders)
-        expect_ending(self.rims_out, Rims)
         rig = read_rig(self.rig)
         files = files_of_rig(self.pictures, rig.names)
         check_views(files, rig, self.rig)
-        if self.guided:
-            _check_pictures(files, "--guided")
-        if self.measure == "pixels":
-            _check_pictures(files, "--measure pixels")
-        if self.rims or self.rims_out is not None:
-            _check_pictures(files, "--rims" if self.rims else "--rims-out")
+        for name in self.steps:
+            if STEPS[name].needs:
+                _check_pictures(files, f"--steps {name}")
         if self.dry_run:
             sizes = {name: rig[name].image_size_px for name in files}
-            places = (self.out, self.rims_out, self.cylinders, self.report)
             return plan(f"match with {self.rig}", files, sizes, places)
         images, segments = read_segments(files, rig, self.find, quiet=self.quiet)
         LOGGER.info("matching %s", ", ".join(f"{len(s)} ({n})" for n, s in segments.items()))
-        found = found_in(self, images, segments, rig)
-        segments, matches, cylinders = found.segments, found.matches, found.cylinders
-        if cylinders is not None and self.cylinders is not None:
-            save(cylinders, self.cylinders)
-        if found.rims is not None and self.rims_out is not None:
-            save(found.rims, self.rims_out)
+        depths = None if self.depth_range_mm == ANYWHERE else self.depth_range_mm
+        with_arcs = dataclasses.replace(self, arcs=True)
+        matches, segments, features, shadows = improve(
+            match_segments(segments, rig, depth_range_mm=depths),
+            segments,
+            rig,
+            self.steps,
+            pictures=images,
+            arcs=lambda: {name: with_arcs.find(image) for name, image in images.items()},
+            depth_range_mm=depths,
+            response=self.response,
+            begin=lambda step: LOGGER.info(step.said),
+        )
+        for kind, own in features.items():
+            save(own, self.place_of(kind))
         save(matches, self.out)
         if self.report is not None:
             from trinoc.cli.provenance import for_people, provenance
@@ -111,22 +116,24 @@ class Match(MatchOptions, Command):
                 tables=doubts_table(self.rig),
                 doubts=doubts_of(self.rig),
                 provenance=for_people(provenance(command_line, {**files, "rig": self.rig})),
-                cylinders=cylinders,
+                features=tuple(features.values()),
             )
-        places = (self.out, self.rims_out, self.cylinders, self.report)
+        from trinoc.report import features_record, features_text
+
         written = [str(path) for path in places if path is not None]
-        text, record = match_text(matches), match_record(segments, matches)
-        if found.rims is not None:
-            text = f"{text}\n\n{rims_text(found.rims)}"
-            record["rims"] = rims_record(found.rims)
-        if cylinders is not None:
-            text = f"{text}\n\n{cylinders_text(cylinders)}"
-            record["cylinders"] = cylinders_record(cylinders)
-        if found.shadows is not None:
-            text = f"{text}\n\n{shadows_text(found.shadows)}"
-            record["shadows"] = shadows_record(found.shadows)
-        text = f"{text}\nwritten: {', '.join(written)}"
-        return Outcome(text, {**record, "written": written})
+        text, record = [match_text(matches)], match_record(segments, matches)
+        for kind, own in features.items():
+            text.append(features_text(own))
+            record[kind] = features_record(own)
+        if shadows is not None:
+            text.append(shadows.summary())
+            record["shadows"] = shadows.record()
+        said = "\n\n".join(text)
+        return Outcome(f"{said}\nwritten: {', '.join(written)}", {**record, "written": written})
+
+    def place_of(self, kind: str) -> Path:
+        """Where features of a kind go: beside the matches."""
+        return self.out.with_name(f"{self.out.stem}-{kind}.npz")
 
 
 def _check_pictures(files: Mapping[str, Path], option: str) -> None:

@@ -21,7 +21,7 @@ class View(Command):
     """Turn cameras, sheet and 3-D segments in a browser, until Ctrl-C. Needs trinoc[view]."""
 
     file: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FILE")]
-    """What to show: rig.json, matches.npz, wireframe.npz or cylinders.npz."""
+    """What to show: a rig.json, matches, a wire frame or other features."""
 
     rig: Annotated[
         Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")
@@ -57,32 +57,26 @@ class View(Command):
         return Outcome(f"{said}, no longer shown.", {"shown": str(self.file), "url": url})
 
     def _content(self) -> "tuple[SpaceFigure, Ellipsoids | None, str]":
-        from trinoc.geometry import Rig
+        from trinoc.geometry import Feature, Rig
         from trinoc.io import load, load_pattern
-        from trinoc.match import Cylinders, Matches, Wireframe
-        from trinoc.report import (
-            SpaceFigure,
-            cylinders_figure,
-            error_ellipsoids,
-            space_figure,
-            wireframe_figure,
-        )
+        from trinoc.match import Matches, Wireframe
+        from trinoc.report import SpaceFigure, error_ellipsoids, features_figure, space_figure
 
         value = load(self.file)
-        if not isinstance(value, Rig | Matches | Wireframe | Cylinders):
+        if not isinstance(value, Rig | Matches | Feature):
             raise UsageError(
-                f"{self.file} holds nothing that is shown here: give a rig.json, matches.npz, "
-                "wireframe.npz or cylinders.npz."
+                f"{self.file} holds nothing that is shown here: give a rig.json, matches, a wire "
+                "frame or other features."
             )
         pattern = None if self.pattern is None else load_pattern(self.pattern)
-        if isinstance(value, Wireframe | Cylinders):
+        if isinstance(value, Feature):
             if self.pattern is not None:
                 raise UsageError("--pattern goes with cameras and matches: leave it out.")
             rig = None if self.rig is None else read_rig(self.rig)
-            if isinstance(value, Cylinders):
-                return cylinders_figure(value, rig), None, f"{len(value)} cylinders"
-            ellipsoids = error_ellipsoids(value.lines_mm, value.covariance_mm2)
-            return wireframe_figure(value, rig), ellipsoids, f"{len(value)} edges"
+            ellipsoids = None
+            if isinstance(value, Wireframe):
+                ellipsoids = error_ellipsoids(value.lines_mm, value.covariance_mm2)
+            return features_figure(value, rig), ellipsoids, value.summary().rstrip(".")
         if isinstance(value, Rig):
             if self.rig is not None:
                 raise UsageError(f"{self.file} is a rig itself: --rig goes with a matches.npz.")

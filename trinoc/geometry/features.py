@@ -2,7 +2,7 @@
 
 import abc
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -34,10 +34,42 @@ class Wires(NamedTuple):
 
 
 class Feature(Displayable, Table):
-    """A kind of feature. It is found by a step of matching, has a file of its own, and is drawn."""
+    """A kind of feature. It is found by a step of matching, has a file of its own, and is drawn.
+
+    `READ_FIRST` are the columns, a number for each, that people read first.
+    """
+
+    READ_FIRST: ClassVar[tuple[str, ...]] = ()
 
     def __len__(self) -> int:
         return len(next(iter(self.rows().values())))
+
+    def summary(self) -> str:
+        """What was found, in a sentence."""
+        return f"{len(self)} {self.IN_WORDS}."
+
+    def record(self) -> dict[str, Any]:
+        """Numbers of the whole, as JSON holds them."""
+        return {}
+
+    def of_tracks(self, kept: Int[np.ndarray, "k"], count: int) -> "Feature":
+        """The same for matches that begin with the tracks `kept` of these, of `count` tracks."""
+        return self
+
+    def segments_of(self, row: int | np.integer) -> dict[str, Int[np.ndarray, "_"]]:
+        """The segments of each view that show a feature; empty where that is not known.
+
+        A kind knows it that has `views`, and a row for each segment of `view`, `segment` and the
+        number of the feature, which is named as one of the kind: `rim`, `cylinder`.
+        """
+        table: Any = self
+        numbers = getattr(table, self.KIND.removesuffix("s"), None)
+        if numbers is None:
+            return {}
+        return {
+            name: table.segment[(numbers == row) & (table.view == k)]
+            for k, name in enumerate(table.views)
+        }
 
     @abc.abstractmethod
     def wires(self) -> Wires:

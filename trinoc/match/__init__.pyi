@@ -20,7 +20,14 @@ from .rims import (
 )
 from .selection.marginals import Selection as Selection, select as select
 from .shadows import Shadows as Shadows, find_shadows as find_shadows
-from .tracks.matches import BINOCULAR as BINOCULAR, TRINOCULAR as TRINOCULAR, Matches as Matches
+from .step_names import StepName as StepName
+from .steps import STEPS as STEPS, Found as Found, Step as Step, improve as improve
+from .tracks.matches import (
+    BINOCULAR as BINOCULAR,
+    EVEN as EVEN,
+    TRINOCULAR as TRINOCULAR,
+    Matches as Matches,
+)
 from .tuning import MatchTuning as MatchTuning
 from .warming import warm_up as warm_up
 from .wire_frame import LetGo as LetGo, Wireframe as Wireframe, wireframe as wireframe

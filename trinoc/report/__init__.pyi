@@ -1,12 +1,16 @@
 from .against_reference import parameter_errors as parameter_errors
 from .colours import COLOUR_OF_ROLE as COLOUR_OF_ROLE
-from .cylinders_part import cylinders_figure as cylinders_figure
 from .ellipsoids import (
     Ellipsoids as Ellipsoids,
     error_ellipsoids as error_ellipsoids,
     visible_factor as visible_factor,
 )
 from .evaluation_plot import expect_plotter as expect_plotter, write_plot as write_plot
+from .features_part import (
+    features_figure as features_figure,
+    features_record as features_record,
+    features_text as features_text,
+)
 from .html import ExtraTable as ExtraTable, write_report as write_report
 from .notebook import NotebookDisplays as NotebookDisplays, expect_extra as expect_extra
 from .shots import write_shots_report as write_shots_report
@@ -21,4 +25,3 @@ from .text import (
     reasons_text as reasons_text,
 )
 from .text_of_evaluation import evaluation_text as evaluation_text
-from .wireframe_part import wireframe_figure as wireframe_figure

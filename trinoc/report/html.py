@@ -8,14 +8,14 @@ import numpy as np
 
 from trinoc.calib import CalibrationResult
 from trinoc.errors import InputError
-from trinoc.geometry import Rig, Segments
+from trinoc.geometry import Feature, Rig, Segments
 from trinoc.io import write_text
-from trinoc.match import Cylinders, Matches
+from trinoc.match import Matches
 from trinoc.report.calibration_part import MEANINGS, calibration_part
 from trinoc.report.coverage_part import coverage_part
-from trinoc.report.cylinders_part import TABLE_HEAD, cylinder_rows, with_cylinders
 from trinoc.report.environment import environment
 from trinoc.report.epipolar_part import corrected_circle_centres, ends_of_tracks, epipolar_part
+from trinoc.report.features_part import feature_table, with_features
 from trinoc.report.field_part import field_part
 from trinoc.report.matches_part import matches_part
 from trinoc.report.pictures import page_pictures
@@ -48,7 +48,7 @@ def write_report(
     tables: Sequence[ExtraTable] = (),
     provenance: Mapping[str, str] | None = None,
     doubts: Mapping[str, str] | None = None,
-    cylinders: Cylinders | None = None,
+    features: Sequence[Feature] = (),
 ) -> None:
     """Write a self-contained HTML page about a calibration, a matching, or both.
 
@@ -64,7 +64,7 @@ def write_report(
     tables : further tables, shown after the matches.
     provenance : what to say at the foot: command, version, files.
     doubts : for cameras of `rig` whose calibration was suspect, why.
-    cylinders : found in `matches`, shown among them in space and as a table.
+    features : found in `matches`, shown among them in space and as tables.
 
     Raises InputError where neither a rig nor a calibration nor segments are given, where the
     segments' or matches' views are not those of the rig, or where `path` cannot be written.
@@ -84,7 +84,7 @@ def write_report(
             tables=tables,
             provenance=provenance,
             doubts=doubts,
-            cylinders=cylinders,
+            features=features,
         ),
     )
 
@@ -103,7 +103,7 @@ def render_report(
     tables: Sequence[ExtraTable] = (),
     provenance: Mapping[str, str] | None = None,
     doubts: Mapping[str, str] | None = None,
-    cylinders: Cylinders | None = None,
+    features: Sequence[Feature] = (),
 ) -> str:
     """The page of `write_report` as text."""
     rig = rig if rig is not None else (result.rig if result is not None else None)
@@ -130,9 +130,12 @@ def render_report(
     seen = sheet if result is not None else scene
     field = field_part(rig, pattern, matches, seen)
     space = space_figure(rig, pattern, matches)
-    if cylinders is not None:
-        space = with_cylinders(space, cylinders)
-        tables = (ExtraTable("Cylinders", TABLE_HEAD, cylinder_rows(cylinders)), *tables)
+    space = with_features(space, features)
+    read = [own for own in features if own.READ_FIRST]
+    tables = (
+        *(ExtraTable(own.IN_WORDS.capitalize(), *feature_table(own)) for own in read),
+        *tables,
+    )
     page = {
         "title": title,
         "verdict": verdict_part(result, matches, doubts or {}, coverage, epipolar, field),

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from trinoc.geometry import LineSigmas, Segments, line_sigmas
-from trinoc.match import BINOCULAR, TRINOCULAR, Matches
+from trinoc.match import BINOCULAR, EVEN, TRINOCULAR, Matches
 from trinoc.report.colours import PALETTE, distinct_neighbours
 from trinoc.report.numbers import in_words, percent, with_decimals, with_sigma
 from trinoc.report.pictures import PagePicture
@@ -15,7 +15,6 @@ from trinoc.report.segments_figures import SegmentsFigure, segments_figure, trac
 
 TABLE_ROWS = 300
 MATCHED = "matched"
-EVEN = 0.5
 
 
 class TrackRow(NamedTuple):

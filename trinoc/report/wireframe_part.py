@@ -2,31 +2,12 @@
 
 import numpy as np
 
-from trinoc.geometry import Rig
 from trinoc.match import Wireframe
 from trinoc.report.numbers import with_decimals, with_sigma
-from trinoc.report.space_content import Box, frusta
-from trinoc.report.space_part import Label, Layer, SpaceFigure, View
+from trinoc.report.space_part import Layer
 
 # Faces are drawn within their edges, so that both are seen.
 INSET = 0.93
-# Room about the vertices, as a share of their extent.
-ROOM = 0.05
-
-
-def wireframe_figure(frame: Wireframe, rig: Rig | None = None) -> SpaceFigure:
-    """The wire frame, and the cameras of `rig`."""
-    layers = wireframe_layers(frame)
-    labels: list[Label] = []
-    if rig is not None:
-        layers.append(Layer("cameras", "cameras", frusta(rig)))
-        labels = [Label(camera.centre_world_mm, name, "cameras") for name, camera in rig.items()]
-    if len(frame.vertices_mm) == 0:
-        return SpaceFigure(tuple(layers), tuple(labels), ())
-    low, high = frame.vertices_mm.min(axis=0), frame.vertices_mm.max(axis=0)
-    room = ROOM * float(np.max(high - low))
-    view = View("Wire frame", Box(low - room, high + room))
-    return SpaceFigure(tuple(layers), tuple(labels), (view,))
 
 
 def wireframe_layers(frame: Wireframe) -> list[Layer]:

@@ -61,7 +61,7 @@ def test_exact_outlines_leave_their_cylinders(views) -> None:
         ends = found.axis_mm[row]
         ends = ends if (ends[1] - ends[0]) @ (true.axis_mm[1] - true.axis_mm[0]) > 0 else ends[::-1]
         np.testing.assert_allclose(ends, true.axis_mm, atol=1e-6)
-        for outlines in found.outlines_of(row).values():
+        for outlines in found.segments_of(row).values():
             assert outlines.tolist() == [2 * number, 2 * number + 1]
         assert found.degrees[row] == 4 * len(views) - 5
         assert found.chi_square[row] < 1e-6
@@ -104,8 +104,8 @@ def test_order_of_views_segments_and_ends_changes_the_numbering_alone(rig) -> No
     np.testing.assert_allclose(found.posterior, again.posterior, rtol=1e-9)
     count = len(segments["upper"])
     for name in VIEWS:
-        renumbered = sorted(count - 1 - again.outlines_of(0)[name])
-        assert renumbered == found.outlines_of(0)[name].tolist()
+        renumbered = sorted(count - 1 - again.segments_of(0)[name])
+        assert renumbered == found.segments_of(0)[name].tolist()
 
 
 def test_edges_of_boxes_are_no_cylinder(rig) -> None:

@@ -38,7 +38,7 @@ def test_exact_chords_leave_their_circles(rig) -> None:
         assert abs(found.normal[row] @ ring.normal) > 1 - 1e-5
         assert found.radius_mm[row] == pytest.approx(ring.radius_mm, abs=0.02)
         assert found.covered[row] > 0.9
-        for chords in found.chords_of(row).values():
+        for chords in found.segments_of(row).values():
             assert sorted(chords.tolist()) == list(range(14 * row, 14 * (row + 1)))
     # Pieces lie on their rims, and do not overlap; tracks of lines are as they were.
     pieces = found.matches.lines_mm[len(found.kept) :]

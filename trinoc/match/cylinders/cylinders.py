@@ -2,14 +2,14 @@
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Annotated, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 
 from trinoc.geometry import Feature, Wires, wires_of_lines
-from trinoc.match.tracks import Matches
+from trinoc.match.tracks import EVEN, Matches
 from trinoc.numerics import (
     COVARIANCE,
     IN_SCENE,
@@ -59,6 +59,7 @@ class Cylinders(Feature):
         "t": "tracks",
         "v": "views",
     }
+    READ_FIRST: ClassVar[tuple[str, ...]] = ("radius_mm", "posterior")
     DERIVED: ClassVar[Mapping[str, Sequence[str]]] = {"radius_sigma_mm": ()}
 
     views: Annotated[tuple[str, ...], Column(side="v")] = eqx.field(static=True)
@@ -95,10 +96,15 @@ class Cylinders(Feature):
         """(c,) standard deviation of each radius."""
         return np.sqrt(self.covariance_mm2[:, 6, 6])
 
-    def outlines_of(self, cylinder: int | np.integer) -> dict[str, Int[np.ndarray, "_"]]:
-        """The segments of each view that are outlines of a cylinder."""
-        own = self.cylinder == cylinder
-        return {name: self.segment[own & (self.view == k)] for k, name in enumerate(self.views)}
+    def summary(self) -> str:
+        """How many there are, and on how many tracks."""
+        marked = int((self.silhouette > EVEN).sum())
+        found = "1 cylinder" if len(self) == 1 else f"{len(self)} cylinders"
+        return f"{found}; {marked} tracks hold an outline of one."
+
+    def record(self) -> dict[str, Any]:
+        """How many tracks are marked, and the counts."""
+        return {"tracks_marked": int((self.silhouette > EVEN).sum()), "counts": self.counts}
 
     def circles_mm(self, sides: int = 48) -> Float[np.ndarray, "c 2 n 3"]:
         """(c, 2, sides, 3) points round both ends of each cylinder, opposite each other."""

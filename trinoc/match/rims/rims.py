@@ -1,7 +1,7 @@
 """Rims in space, the segments that are their chords, and the matches with them."""
 
 from collections.abc import Mapping, Sequence
-from typing import Annotated, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import equinox as eqx
 import numpy as np
@@ -54,6 +54,7 @@ class Rims(Feature):
         "k": "tracks",
         "v": "views",
     }
+    READ_FIRST: ClassVar[tuple[str, ...]] = ("radius_mm", "covered")
     DERIVED: ClassVar[Mapping[str, Sequence[str]]] = {"radius_sigma_mm": ()}
 
     views: Annotated[
@@ -105,10 +106,14 @@ class Rims(Feature):
         """(c,) standard deviation of each radius."""
         return np.sqrt(self.covariance_mm2[:, 6, 6])
 
-    def chords_of(self, rim: int | np.integer) -> dict[str, Int[np.ndarray, "_"]]:
-        """The segments of each view that are chords of a rim."""
-        own = self.rim == rim
-        return {name: self.segment[own & (self.view == k)] for k, name in enumerate(self.views)}
+    def summary(self) -> str:
+        """How many there are."""
+        found = "1 rim" if len(self) == 1 else f"{len(self)} rims"
+        return f"{found} of round bodies, in pieces after the other tracks."
+
+    def record(self) -> dict[str, Any]:
+        """The counts."""
+        return {"counts": self.counts}
 
     def circles_mm(self, sides: int = 48) -> Float[np.ndarray, "c n 3"]:
         """(c, sides, 3) points round each."""

@@ -1,10 +1,12 @@
 """Which tracks are boundaries of cast shadows, and the lamp."""
 
+from typing import Any
+
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.match.tracks import Matches
+from trinoc.match.tracks import EVEN, Matches
 
 
 class Shadows(eqx.Module):
@@ -33,7 +35,7 @@ class Shadows(eqx.Module):
     @property
     def lamp_known(self) -> bool:
         """Whether the lamp found is likelier the true one than not."""
-        return self.lamp_posterior > 0.5
+        return self.lamp_posterior > EVEN
 
     @property
     def lamp_sigma_deg(self) -> float:
@@ -49,3 +51,29 @@ class Shadows(eqx.Module):
     def marked(self, matches: Matches) -> Matches:
         """The matches that the shadows were found in, with the mark "shadow"."""
         return matches.with_marks(shadow=self.shadow)
+
+    def summary(self) -> str:
+        """How many tracks are likely shadows, and where the lamp is."""
+        marked = int((self.shadow > EVEN).sum())
+        said = (
+            "1 track is likely a shadow" if marked == 1 else f"{marked} tracks are likely shadows"
+        )
+        if not self.lamp_known:
+            return f"{said}; no lamp stands out, so little is known of shadows."
+        x, y, z = self.toward_lamp
+        return (
+            f"{said}; the lamp is toward ({x:.3f}, {y:.3f}, {z:.3f}) +- "
+            f"{self.lamp_sigma_deg:.2f} degrees, posterior {self.lamp_posterior:.3f}."
+        )
+
+    def record(self) -> dict[str, Any]:
+        """The same and the lamp's covariance, as JSON holds them."""
+        return {
+            "tracks_marked": int((self.shadow > EVEN).sum()),
+            "lamp_posterior": self.lamp_posterior,
+            "middle_mm": self.middle_mm.tolist(),
+            "toward_lamp": self.toward_lamp.tolist(),
+            "nearness_per_mm": self.nearness_per_mm,
+            "lamp_covariance": self.lamp_covariance.tolist(),
+            "counts": self.counts,
+        }

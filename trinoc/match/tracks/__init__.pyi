@@ -8,7 +8,12 @@ from .extent import (
 )
 from .fragments import ending_view as ending_view, fragments_of as fragments_of
 from .line_fit import direction_doubt as direction_doubt, lines_in_space as lines_in_space
-from .matches import BINOCULAR as BINOCULAR, TRINOCULAR as TRINOCULAR, Matches as Matches
+from .matches import (
+    BINOCULAR as BINOCULAR,
+    EVEN as EVEN,
+    TRINOCULAR as TRINOCULAR,
+    Matches as Matches,
+)
 from .multiview import merge_triplets as merge_triplets, view_triplets as view_triplets
 from .unequal_errors import (
     degrees_of_misfit as degrees_of_misfit,

@@ -25,6 +25,8 @@ from trinoc.numerics import (
 )
 
 TRINOCULAR, BINOCULAR = "trinocular", "binocular"
+# A mark that is likelier true than not.
+EVEN = 0.5
 
 _ENDS = ("x1_mm", "y1_mm", "z1_mm", "x2_mm", "y2_mm", "z2_mm")
 _ROUNDING = 1e-9

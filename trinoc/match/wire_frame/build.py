@@ -5,7 +5,7 @@ from jaxtyping import Bool, Float, Int
 
 from trinoc.geometry import Rig
 from trinoc.match.line_map import JoinedLines, join_collinear, snap_corners
-from trinoc.match.tracks import Matches
+from trinoc.match.tracks import EVEN, Matches
 from trinoc.match.tuning import DEFAULT, MatchTuning
 from trinoc.match.wire_frame.adjustment import Graph, graph_of
 from trinoc.match.wire_frame.faces import Face, faces_of, fit_plane, flatten_faces
@@ -14,7 +14,6 @@ from trinoc.match.wire_frame.frame import LetGo, Wireframe
 from trinoc.numerics import in_float64
 
 # More likely than not.
-EVEN = 0.5
 
 
 @in_float64

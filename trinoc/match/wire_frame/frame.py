@@ -1,12 +1,13 @@
 """The wire frame: vertices, edges and planar faces with their covariance."""
 
 from collections.abc import Mapping, Sequence
-from typing import Annotated, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
 from trinoc.geometry import Feature, Wires, line_sigmas
+from trinoc.match.tracks import EVEN
 from trinoc.numerics import (
     COVARIANCE,
     FINITE,
@@ -168,6 +169,32 @@ class Wireframe(Feature):
     def length_sigma_mm(self) -> Float[np.ndarray, "e"]:
         """(e,) standard deviation of each length."""
         return line_sigmas(self.lines_mm, self.covariance_mm2).length_sigma_mm
+
+    def summary(self) -> str:
+        """Numbers of edges, corners, free ends and faces."""
+        corners, unchecked = int(self.corner.sum()), int((~self.checked).sum())
+        said = (
+            f"{len(self)} edges, {unchecked} of them seen by two views only; {corners} corners, "
+            f"{len(self.corner) - corners} free ends, {len(self.planes)} planar faces"
+        )
+        shadows = self.record()["edges_of_shadows"]
+        if shadows:
+            said += f"; {shadows} of the edges are likely of shadows, and bound no face"
+        return said + "."
+
+    def record(self) -> dict[str, Any]:
+        """The same numbers, and what was let go."""
+        corners = int(self.corner.sum())
+        let_go = zip(self.let_go.track.tolist(), self.let_go.reason.tolist(), strict=True)
+        return {
+            "edges": len(self),
+            "edges_of_two_views": int((~self.checked).sum()),
+            "corners": corners,
+            "free_ends": len(self.corner) - corners,
+            "faces": len(self.planes),
+            "edges_of_shadows": 0 if self.shadow is None else int((self.shadow > EVEN).sum()),
+            "let_go": [{"track": track, "reason": reason} for track, reason in let_go],
+        }
 
     def wires(self) -> Wires:
         """The edges, and the faces as loops."""

@@ -117,16 +117,7 @@ def _(matches: Matches) -> str:
 
 @heading.register
 def _(features: Feature) -> str:
-    return f"{len(features)} {features.IN_WORDS}"
-
-
-@heading.register
-def _(frame: Wireframe) -> str:
-    corners, unchecked = int(frame.corner.sum()), int((~frame.checked).sum())
-    return (
-        f"{len(frame)} edges ({unchecked} seen by two views only), {corners} corners, "
-        f"{len(frame.corner) - corners} free ends, {len(frame.planes)} planar faces"
-    )
+    return features.summary()
 
 
 @heading.register

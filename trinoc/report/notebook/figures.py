@@ -8,12 +8,12 @@ import numpy as np
 from trinoc.calib import CalibrationResult, Pattern, RefineResult
 from trinoc.evaluation import Evaluation
 from trinoc.geometry import Feature, Rig, Segments
-from trinoc.match import Matches, Wireframe
+from trinoc.match import Matches
 from trinoc.report.colours import BLACK, COLOUR_OF_ROLE
+from trinoc.report.features_part import features_figure
 from trinoc.report.notebook.extras import expect_extra
 from trinoc.report.space_content import frusta, polyline, sheet_outlines
 from trinoc.report.space_part import Layer, SpaceFigure, space_figure
-from trinoc.report.wireframe_part import wireframe_figure
 
 
 def figure_of(value: object, **options: Any) -> Any:
@@ -47,15 +47,8 @@ def _(matches: Matches, *, rig: Rig | None = None) -> Any:
 
 @_figure.register
 def _(features: Feature, *, rig: Rig | None = None) -> Any:
-    """The lines of each feature, and the cameras of `rig`."""
-    layer = Layer(features.IN_WORDS, "joined", [line for _, line in features.wires().lines()])
-    return _in_space((layer, *([] if rig is None else [Layer("cameras", "cameras", frusta(rig))])))
-
-
-@_figure.register
-def _(frame: Wireframe, *, rig: Rig | None = None) -> Any:
-    """Edges, faces and corners with their sigmas under the pointer, and the cameras of `rig`."""
-    return _in_space(wireframe_figure(frame, rig).layers)
+    """The lines with what is known of each under the pointer, and the cameras of `rig`."""
+    return _in_space(features_figure(features, rig).layers)
 
 
 @_figure.register

@@ -4,14 +4,14 @@ import numpy as np
 
 from tests.io.formats.bench import bench_rig
 from tests.io.made_cylinders import made_cylinders
-from trinoc.report import cylinders_figure
+from trinoc.report import features_figure
 from trinoc.report.html import render_report
 
 CYLINDERS = made_cylinders()
 
 
 def test_the_figure_has_every_wire_with_its_words() -> None:
-    figure = cylinders_figure(CYLINDERS, bench_rig())
+    figure = features_figure(CYLINDERS, bench_rig())
     layer = figure.layers[0]
     assert layer.name == "cylinders (2)"
     assert len(layer.parts) == len(layer.words) == 2 * 6
@@ -24,6 +24,6 @@ def test_the_figure_has_every_wire_with_its_words() -> None:
 
 
 def test_the_page_has_a_table_of_them() -> None:
-    page = render_report(rig=bench_rig(), cylinders=CYLINDERS)
+    page = render_report(rig=bench_rig(), features=(CYLINDERS,))
     assert "Cylinders" in page
     assert "cylinders (2)" in page
