@@ -90,7 +90,7 @@ def test_the_term_is_that_of_fits_with_a_moved_lens() -> None:
     scale = np.sqrt(np.diag(wide.covariance))
     np.testing.assert_allclose(
         (wide.covariance - plain.covariance) / np.outer(scale, scale),
-        spread(fit, 0.1) / np.outer(scale, scale),
+        spread(fit, 1.0) / np.outer(scale, scale),
         atol=2e-3,
     )
     np.testing.assert_array_equal(wide.values, plain.values)

@@ -114,12 +114,16 @@ def _estimate(fit: Adjustment) -> PoseEstimate:
             used=view.used, reduced_chi_square=reduced
         )
     largest = largest_sigmas(fit.model, float(parameters[3]))
-    seen = observability(jacobian.T @ jacobian, fit.degrees_by_step(0), largest)
+    # What the circles determine is a matter of where they are, not of how badly they fit: a lens
+    # that is off by its data sheet's sigma misfits a held aim by hundreds of sigmas.
+    factor = float(fit.problem.sigma_factor[0])
+    information = factor**2 * jacobian.T @ jacobian
+    seen = observability(information, fit.degrees_by_step(0), largest)
     is_complete = seen.rank == count
     return PoseEstimate(
         Status.CONVERGED if is_complete else Status.RANK_DEFICIENT,
         values_of_parameters(parameters) if is_complete else np.full(6, np.nan),
-        seen.covariance,
+        factor**2 * seen.covariance,
         errors_px(fit.problem)[0],
         view.used,
         seen.rank,
