@@ -1,4 +1,4 @@
-"""`trinoc export` and `trinoc import`: files in and out, what they say, and what they refuse."""
+"""`trinoc export`: files out and in, what is said, and what is refused."""
 
 import json
 from typing import get_args
@@ -50,7 +50,7 @@ def test_a_rig_leaves_and_comes_back(run, name):
     assert ("the covariance" in warned) != keeps
     more = [] if name not in ("kalibr",) else ["--names", "upper,right,left"]
     lenses = ["--lenses", "rig.json"] if name == "tf" else []
-    status, said, warned = run("import", out, "--from", name, "-o", "back.json", *more, *lenses)
+    status, said, warned = run("export", out, "--from", name, "-o", "back.json", *more, *lenses)
     assert (status, warned) == (0, "")
     assert f"3 cameras, {'with' if keeps else 'without'} covariance: " in said
     back = trinoc.load_rig("back.json")
@@ -62,14 +62,14 @@ def test_a_rig_leaves_and_comes_back(run, name):
         )
     with open("back.json", encoding="utf-8") as file:
         provenance = json.load(file)["provenance"]
-    assert provenance["command"].startswith("trinoc import ")
+    assert provenance["command"].startswith("trinoc export ")
     assert provenance["inputs"]
 
 
 def test_poses_take_their_lenses_from_camera_files(run):
     assert run("export", "rig.json", "--to", "tf", "-o", "tf.json", "--quiet")[0] == 0
     lenses = [word for name in RIG for word in ("--lenses", f"{name}=camera.json")]
-    assert run("import", "tf.json", "--from", "tf", "-o", "back.json", *lenses)[0] == 0
+    assert run("export", "tf.json", "--from", "tf", "-o", "back.json", *lenses)[0] == 0
     back = trinoc.load_rig("back.json")
     for own, camera in RIG.items():
         np.testing.assert_allclose(back[own].cam_from_world, camera.cam_from_world, atol=1e-9)
@@ -77,7 +77,7 @@ def test_poses_take_their_lenses_from_camera_files(run):
 
 def test_a_lens_leaves_and_comes_back(run):
     assert run("export", "camera.json", "--to", "ros", "-o", "upper.yaml")[0] == 0
-    status, said, _ = run("import", "upper.yaml", "--from", "ros", "-o", "back.json")
+    status, said, _ = run("export", "upper.yaml", "--from", "ros", "-o", "back.json")
     assert status == 0
     assert "a lens, without covariance" in said
     back = load_intrinsics("back.json")
@@ -106,7 +106,7 @@ def test_matches_leave(run, name):
 
 def test_segments_leave_and_come_back(run):
     assert run("export", "segments.npz", "--to", "elsed", "-o", "segments.txt")[0] == 0
-    status, said, _ = run("import", "segments.txt", "--from", "elsed", "-o", "back.npz", "--json")
+    status, said, _ = run("export", "segments.txt", "--from", "elsed", "-o", "back.npz", "--json")
     assert status == 0
     assert json.loads(said)["segments"] == 1
     np.testing.assert_array_equal(
@@ -118,10 +118,10 @@ def test_units_are_the_user_s(run):
     out = ("--to", "opencv", "-o", "metres.yml", "--unit-mm", "1000")
     assert run("export", "rig.json", *out)[0] == 0
     back = ("--from", "opencv", "-o", "back.json")
-    assert run("import", "metres.yml", *back)[0] == 0
+    assert run("export", "metres.yml", *back)[0] == 0
     small = np.linalg.norm(trinoc.load_rig("back.json")["upper"].centre_world_mm)
     assert small == pytest.approx(0.476369)
-    assert run("import", "metres.yml", *back, "--unit-mm", "1000")[0] == 0
+    assert run("export", "metres.yml", *back, "--unit-mm", "1000")[0] == 0
     full = np.linalg.norm(trinoc.load_rig("back.json")["upper"].centre_world_mm)
     assert full == pytest.approx(476.369)
 
@@ -130,9 +130,9 @@ WRONG_USAGE = {
     "no format": ("export", "rig.json", "-o", "x"),
     "an unknown format": ("export", "rig.json", "--to", "blender", "-o", "x"),
     "no place": ("export", "rig.json", "--to", "opencv"),
-    "only written": ("import", "x.ply", "--from", "ply", "-o", "x"),
+    "only written": ("export", "x.ply", "--from", "ply", "-o", "x"),
     "a lens without a name": (
-        *("import", "x.json", "--from", "tf", "-o", "y.json"),
+        *("export", "x.json", "--from", "tf", "-o", "y.json"),
         *("--lenses", "=camera.json"),
     ),
 }
@@ -150,9 +150,9 @@ REFUSED = {
         "holds a rig, not a lens",
     ),
     "no folder": (("export", "rig.json", "--to", "colmap", "-o", "a/b"), "does not exist"),
-    "no file to read": (("import", "no.yml", "--from", "opencv", "-o", "x.json"), "not exist"),
-    "no lenses": (("import", "other.json", "--from", "tf", "-o", "x.json"), "--lenses rig.json"),
-    "an ending": (("import", "tf.json", "--from", "tf", "-o", "x.npz", "--lenses", "rig.json"),
+    "no file to read": (("export", "no.yml", "--from", "opencv", "-o", "x.json"), "not exist"),
+    "no lenses": (("export", "other.json", "--from", "tf", "-o", "x.json"), "--lenses rig.json"),
+    "an ending": (("export", "tf.json", "--from", "tf", "-o", "x.npz", "--lenses", "rig.json"),
                   "is written as .json"),
 }  # fmt: skip
 

@@ -21,20 +21,20 @@ def test_start_imports_nothing_heavy(statement):
 
 def test_version(capsys):
     assert main(["--version"]) == 0
-    assert capsys.readouterr().out == f"trinoc {trinoc.__version__}\n"
+    assert capsys.readouterr().out.splitlines()[0] == f"trinoc {trinoc.__version__}"
 
 
 def test_the_module_is_the_command():
     run = [sys.executable, "-m", "trinoc", "--version"]
     done = subprocess.run(run, capture_output=True, text=True, check=True)
-    assert done.stdout == f"trinoc {trinoc.__version__}\n"
+    assert done.stdout.startswith(f"trinoc {trinoc.__version__}\n")
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh"])
 def test_a_shell_is_told_the_commands(shell, capsys):
     assert main(["--tyro-print-completion", shell]) == 0
     said = capsys.readouterr().out
-    for word in ("calibrate", "match", "doctor"):
+    for word in ("calibrate", "match", "export"):
         assert word in said
 
 

@@ -2,6 +2,7 @@
 
 import abc
 import dataclasses
+import re
 from typing import Any, NamedTuple
 
 from trinoc.errors import InputError
@@ -35,6 +36,11 @@ class Command(abc.ABC):
 
     quiet: bool = False
     """Show no progress on stderr."""
+
+    @classmethod
+    def command_name(cls) -> str:
+        """What the user types: the name of the class in small letters, with hyphens."""
+        return re.sub("(?<!^)(?=[A-Z])", "-", cls.__name__).lower()
 
     @abc.abstractmethod
     def run(self, command_line: str) -> Outcome:

@@ -1,4 +1,4 @@
-"""The formats that `trinoc export` and `trinoc import` offer, known before anything is imported."""
+"""The formats that `trinoc export` offers, known before anything is imported."""
 
 from typing import Annotated, Literal
 

@@ -9,21 +9,19 @@ import os
 import shlex
 import sys
 from collections.abc import Sequence
-from typing import Annotated
+from typing import Annotated, Any, Union
 
 import tyro
 
-import trinoc
 from trinoc.cli.batch import Batch
 from trinoc.cli.calibrate import Calibrate
 from trinoc.cli.calibrate_rig import CalibrateRig
 from trinoc.cli.check import Check
 from trinoc.cli.command import Command, UsageError
 from trinoc.cli.demo import Demo
-from trinoc.cli.doctor import Doctor
 from trinoc.cli.evaluate import Evaluate
 from trinoc.cli.export import Export
-from trinoc.cli.import_ import Import
+from trinoc.cli.installation import installation
 from trinoc.cli.intrinsics import Intrinsics
 from trinoc.cli.match import Match
 from trinoc.cli.numbers import expect_numbers
@@ -40,35 +38,36 @@ from trinoc.errors import TrinocError
 DESCRIPTION = (
     "Calibrate fixed cameras from one picture of a printed sheet each, and match line segments "
     "across their pictures into 3-D segments with error bars. `trinoc COMMAND --help` explains a "
-    "command, `trinoc --version` says which trinoc this is."
+    "command, `trinoc --version` says which trinoc this is and what it stands on."
 )
 
-AnyCommand = (
-    Annotated[Demo, tyro.conf.subcommand("demo")]
-    | Annotated[Pattern, tyro.conf.subcommand("pattern")]
-    | Annotated[Watch, tyro.conf.subcommand("watch")]
-    | Annotated[Intrinsics, tyro.conf.subcommand("intrinsics")]
-    | Annotated[Calibrate, tyro.conf.subcommand("calibrate")]
-    | Annotated[CalibrateRig, tyro.conf.subcommand("calibrate-rig")]
-    | Annotated[Segments, tyro.conf.subcommand("segments")]
-    | Annotated[Match, tyro.conf.subcommand("match")]
-    | Annotated[Batch, tyro.conf.subcommand("batch")]
-    | Annotated[Refine, tyro.conf.subcommand("refine")]
-    | Annotated[Check, tyro.conf.subcommand("check")]
-    | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
-    | Annotated[View, tyro.conf.subcommand("view")]
-    | Annotated[Export, tyro.conf.subcommand("export")]
-    | Annotated[Import, tyro.conf.subcommand("import")]
-    | Annotated[Doctor, tyro.conf.subcommand("doctor")]
+COMMANDS: tuple[type[Command], ...] = (
+    *(Demo, Pattern, Watch, Intrinsics, Calibrate, CalibrateRig, Segments, Match, Batch, Refine),
+    *(Check, Evaluate, View, Export),
 )
+AnyCommand: Any = Union[  # noqa: UP007, tyro reads a union that is made here
+    tuple(Annotated[each, tyro.conf.subcommand(each.command_name())] for each in COMMANDS)
+]
+# What commands of before are typed as now.
+_NOW = {
+    "doctor": "trinoc --version",
+    "import": "trinoc export FILE --from FORMAT -o OUT",
+    "wireframe": "trinoc match ... --steps wireframe",
+}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit status."""
     arguments = sys.argv[1:] if arguments is None else list(arguments)
     if arguments == ["--version"]:
-        print(f"trinoc {trinoc.__version__}")
-        return 0
+        said, remedies = installation()
+        print(said)
+        for remedy in remedies:
+            print(f"trinoc: {remedy}.", file=sys.stderr)
+        return 1 if remedies else 0
+    if arguments and arguments[0] in _NOW:
+        print(f"trinoc: {arguments[0]} is now: {_NOW[arguments[0]]}", file=sys.stderr)
+        return 2
     try:
         arguments = with_file(arguments)
     except UsageError as error:

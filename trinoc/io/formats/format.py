@@ -27,7 +27,7 @@ class Format:
 
     Fields
     ------
-    name : as `trinoc export --to` and `trinoc import --from` take it.
+    name : as `trinoc export --to` and `--from` take it.
     title : what people call it.
     holds : what can be written to it: "rig", "lens", "matches", "segments", a kind of feature
         such as "wireframe", or "features" for any.

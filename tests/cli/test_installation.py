@@ -1,0 +1,39 @@
+"""`trinoc --version`: what is installed, and what is not as it should be with its remedy."""
+
+import importlib.metadata
+
+import pytest
+
+import trinoc
+from trinoc.cli import installation
+from trinoc.cli.main import main
+
+
+def test_all_is_well_here(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TRINOC_COMPILE_CACHE", "off")
+    assert main(["--version"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == f"trinoc {trinoc.__version__}"
+    assert any(line.startswith("devices") and "cpu" in line for line in lines)
+
+
+def test_two_wheels_of_opencv_clash(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = importlib.metadata.version
+    monkeypatch.setattr(
+        "importlib.metadata.version",
+        lambda name: "1" if name in installation.OPENCV[:2] else real(name),
+    )
+    assert main(["--version"]) == 1
+    assert "2 wheels bring cv2: pip uninstall" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["doctor", "import", "wireframe"])
+def test_a_command_of_before_is_named_as_it_is_now(
+    name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([name, "anything"]) == 2
+    assert f"trinoc: {name} is now: trinoc " in capsys.readouterr().err
