@@ -18,6 +18,28 @@ class NearestSegment(NamedTuple):
     distance_mm: Float[np.ndarray, "n"]
 
 
+class LengthsNear(NamedTuple):
+    """Of points along segments: how far off the nearest of others is (infinite where there is
+    none), and the length that each point stands for."""
+
+    distance_mm: Float[np.ndarray, "k"]
+    length_mm: Float[np.ndarray, "k"]
+
+    def share_within(self, tolerance_mm: float) -> float:
+        """Share of the length that is no farther off than that; 0 where there is no length."""
+        total = float(self.length_mm.sum())
+        near = float(self.length_mm[self.distance_mm <= tolerance_mm].sum())
+        return near / total if total > 0 else 0.0
+
+
+def lengths_near(
+    segments_mm: Float[np.ndarray, "n 2 3"], others_mm: Float[np.ndarray, "m 2 3"], step_mm: float
+) -> LengthsNear:
+    """How near segments are to the nearest of the others, sampled every `step_mm`."""
+    points, length = sampled_segments(segments_mm, step_mm)
+    return LengthsNear(distance_to_segments_mm(points, others_mm), length)
+
+
 def sampled_segments(
     segments_mm: Float[np.ndarray, "n 2 3"], step_mm: float
 ) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "k"]]:

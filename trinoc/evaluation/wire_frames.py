@@ -10,7 +10,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from trinoc.evaluation.alignment import RigidMotion
-from trinoc.evaluation.distances import distance_to_segments_mm, sampled_segments
+from trinoc.evaluation.distances import lengths_near
 from trinoc.evaluation.known_shape import KnownShape
 from trinoc.match import Wireframe
 from trinoc.numerics import chi_square_limit
@@ -166,12 +166,11 @@ def _edges_found(
 ) -> tuple[int, int]:
     """(known edges with a wanted part, those of which half of it has an edge of their own near)."""
     lines = frame.lines_mm if motion is None else motion.of_points(frame.lines_mm)
-    wanted = np.unique(shape.wanted_edge)
+    wanted, parts = np.unique(shape.wanted_edge), shape.wanted_mm
     found = 0
     for edge in wanted.tolist():
-        points, weight = sampled_segments(shape.wanted_mm[shape.wanted_edge == edge], _STEP_MM)
-        near = distance_to_segments_mm(points, lines[edge_of == edge]) <= reach_mm
-        found += int(weight[near].sum() >= LEAST_COVERED * weight.sum())
+        near = lengths_near(parts[shape.wanted_edge == edge], lines[edge_of == edge], _STEP_MM)
+        found += near.share_within(reach_mm) >= LEAST_COVERED
     return len(wanted), found
 
 
