@@ -1,6 +1,5 @@
 """The same pictures with one setting of the segmentation after the other, each evaluated."""
 
-import dataclasses
 import itertools
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -143,12 +142,7 @@ def chosen_lines(
     kept = matches.posterior >= choice.least_posterior
     if choice.stage == TRINOCULAR:
         kept &= matches.stage == TRINOCULAR
-    columns = {
-        field.name: getattr(matches, field.name)[kept]
-        for field in dataclasses.fields(matches)
-        if isinstance(getattr(matches, field.name), np.ndarray)
-    }
-    tracks = dataclasses.replace(matches, **columns)
+    tracks = matches.take(np.flatnonzero(kept))
     if rig is not None:
         return lines_of_form(tracks, rig, choice.form)
     if choice.form != TRACKS:
