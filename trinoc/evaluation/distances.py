@@ -1,6 +1,7 @@
 """Distances between points and segments in space."""
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -16,6 +17,11 @@ class NearestSegment(NamedTuple):
     segment: Int[np.ndarray, "n"]
     position: Float[np.ndarray, "n"]
     distance_mm: Float[np.ndarray, "n"]
+
+
+def if_any(statistic: Callable[[np.ndarray], Any], values: np.ndarray) -> float:
+    """A statistic of values; NaN where there is none."""
+    return float(statistic(values)) if len(values) else float("nan")
 
 
 class LengthsNear(NamedTuple):

@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 
 from trinoc.errors import InputError
 from trinoc.evaluation.alignment import RigidMotion, align
-from trinoc.evaluation.distances import lengths_near
+from trinoc.evaluation.distances import if_any, lengths_near
 from trinoc.evaluation.edge_lengths import EdgeLengths, edge_lengths
 from trinoc.evaluation.known_shape import KnownShape
 from trinoc.evaluation.lines_of_rig import certain_lines
@@ -104,7 +104,8 @@ class Evaluation(Displayable, eqx.Module):
 
     def record(self) -> dict[str, Any]:
         """All numbers by name, as a row of a table; NaN where there is none."""
-        error, sigma = self.lengths.error_mm, self.lengths.sigma_mm
+        error = self.lengths.error_mm
+        claimed = np.abs(error / self.lengths.sigma_mm)
         measured = error[np.isfinite(error)]
         shares = {
             f"{name}_{at:g}mm": share
@@ -122,8 +123,8 @@ class Evaluation(Displayable, eqx.Module):
             **_named("length_error", "mm", self.length_error_mm),
             "edges_wanted_whole": len(error),
             "edges_measured": len(measured),
-            "length_error_mean_mm": float(np.mean(measured)) if len(measured) else float("nan"),
-            "length_spread": _spread(error / sigma),
+            "length_error_mean_mm": if_any(np.mean, measured),
+            "length_spread": MAD_TO_SIGMA * if_any(np.median, claimed[np.isfinite(claimed)]),
             "normalised_variance": self.normalised.variance,
             "normalised_spread": self.normalised.spread,
             "share_within_1.96_sigma": self.normalised.share_within,
@@ -170,17 +171,17 @@ def evaluate(
     if aligned and len(claimed) >= LEAST_LINES_TO_ALIGN and len(known.edges_mm):
         motion = align(claimed.ends_mm, known.edges_mm)
         claimed = motion.of_lines(claimed)
-    ends, edges = claimed.ends_mm, known.edges_mm
+    ends, edges, reach = claimed.ends_mm, known.edges_mm, tolerances[-1]
     put_out = lengths_near(ends, edges, _step_mm(ends))
     wanted = lengths_near(known.wanted_mm, ends, _step_mm(known.wanted_mm))
-    edge_of = edge_of_lines(ends, edges, tolerances[-1])
+    edge_of = edge_of_lines(ends, edges, reach)
     on = np.flatnonzero(edge_of >= 0)
     offsets = offsets_across(selected(claimed, on), edges[edge_of[on]])
     lengths = edge_lengths(claimed, edge_of, edges, known.wanted_whole)
     measured = lengths.error_mm[np.isfinite(lengths.error_mm)]
     angles = angles_deg(ends[on], edges[edge_of[on]])
     return Evaluation(
-        _status(claimed, known, put_out.share_within(tolerances[-1])),
+        _status(claimed, known, put_out.share_within(reach)),
         known.wanted,
         edge_of,
         float(put_out.length_mm.sum()),
@@ -194,7 +195,7 @@ def evaluate(
         lengths,
         normalised_errors(offsets, claimed.parameter_covariance),
         motion,
-        None if frame is None else score_wireframe(frame, edge_of, known, tolerances[-1], motion),
+        None if frame is None else score_wireframe(frame, ends, edge_of, known, reach, motion),
     )
 
 
@@ -246,17 +247,9 @@ def _quantiles(errors: Float[np.ndarray, "k"], weight: Float[np.ndarray, "k"]) -
     """Of errors that stand for lengths, or count one each; NaN where there is none."""
     if weight.sum() == 0 or not np.isfinite(errors).all():
         return ErrorQuantiles(*[float("nan")] * 3)
-    order = np.argsort(errors)
-    below = np.cumsum(weight[order]) / weight.sum()
-    places = np.searchsorted(below, np.array([0.5, 0.9, 0.95]) * (1 - 1e-12))
-    return ErrorQuantiles(*(float(errors[order[place]]) for place in places))
+    at = np.quantile(errors, [0.5, 0.9, 0.95], weights=weight, method="inverted_cdf")
+    return ErrorQuantiles(*at.tolist())
 
 
 def _named(name: str, unit: str, quantiles: ErrorQuantiles) -> dict[str, float]:
     return {f"{name}_{at}_{unit}": q for at, q in zip(("median", 90, 95), quantiles, strict=True)}
-
-
-def _spread(normalised: Float[np.ndarray, "n"]) -> float:
-    """Robust standard deviation about zero; NaN where nothing is claimed."""
-    known = normalised[np.isfinite(normalised)]
-    return MAD_TO_SIGMA * float(np.median(np.abs(known))) if len(known) else float("nan")
