@@ -96,11 +96,14 @@ def match_recording(
 
     Raises InputError: no frames, results of something else in `out`, another program at work there.
     """
-    for name, value in (("frames_per_file", frames_per_file), ("threads_at_most", threads_at_most)):
-        if value is not None and value < 1:
-            raise InputError(f"{name} is {value}, but must be 1 or more.")
-    if memory_gb is not None and not memory_gb > 0:
-        raise InputError(f"memory_gb is {memory_gb}, but must be positive.")
+    given = {
+        "frames_per_file": frames_per_file,
+        "threads_at_most": threads_at_most,
+        "memory_gb": memory_gb,
+    }
+    for name, value in given.items():
+        if value is not None and not value > 0:
+            raise InputError(f"{name} is {value}, but must be more than 0.")
     if ending not in (None, ".npz", ".parquet"):
         raise InputError(f'ending is "{ending}": choose ".npz" or ".parquet".')
     source = find_frames(frames, rig.names, template)

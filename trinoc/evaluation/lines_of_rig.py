@@ -68,12 +68,13 @@ def lines_of_form(matches: Matches, rig: Rig, form: str) -> tuple[UncertainLines
         return tracks, None
     if form == WIREFRAME:
         answer = frame = wireframe(matches, rig)
+        ends, own = answer.lines_mm, answer.covariance_mm2
     else:
         answer = join_collinear(matches, rig)
-    ends, own = answer.lines_mm, answer.covariance_mm2
-    if form == CORNERS:
-        snapped = snap_corners(answer)
-        ends, own = snapped.lines_mm, snapped.lines_covariance_mm2
+        ends, own = answer.lines_mm, answer.covariance_mm2
+        if form == CORNERS:
+            snapped = snap_corners(answer)
+            ends, own = snapped.lines_mm, snapped.lines_covariance_mm2
     length = np.linalg.norm(tracks.ends_mm[:, 1] - tracks.ends_mm[:, 0], axis=1)
     longest = np.array(
         [t[length[t].argmax()] for t in map(answer.tracks_of, range(len(answer)))], dtype=np.int64
@@ -126,8 +127,8 @@ def _of_fragments(
     """(ends of the common parts, their Jacobian by the cameras' steps, parameters by steps)."""
     cameras = stacked_states(states)
     columns = (lines.fragments_px, lines.covariance_px2, lines.seen)
-    ends, by_steps = in_blocks(partial(_derivatives, cameras), BLOCK, *columns)
-    return ends, by_steps, as_numpy(eqx.filter_jit(d_parameters_d_delta)(cameras, cameras))
+    of_tracks = in_blocks(partial(_derivatives, cameras), BLOCK, *columns)
+    return as_numpy((*of_tracks, eqx.filter_jit(d_parameters_d_delta)(cameras, cameras)))
 
 
 @eqx.filter_jit

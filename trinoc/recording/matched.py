@@ -19,10 +19,11 @@ def matched_frames(
     one that fails, be it by a defect of this package or for want of memory, has a sentence that
     says so.
     """
+    usable = {name: views for name, views in found.items() if not isinstance(views, str)}
 
     def matched(names: Sequence[str]) -> list[FrameMatches]:
         try:
-            batch = match_many([found[n] for n in names], rig, depth_range_mm=depth_range_mm)
+            batch = match_many([usable[n] for n in names], rig, depth_range_mm=depth_range_mm)
         except Exception as error:
             if len(names) == 1:
                 return [FrameMatches(names[0], unexpected(error), None)]
@@ -31,7 +32,7 @@ def matched_frames(
         return [FrameMatches(n, OK if m is not None else str(why), m) for n, m, why in outcomes]
 
     of_name = {n: FrameMatches(n, why, None) for n, why in found.items() if isinstance(why, str)}
-    of_name |= {result.name: result for result in matched([n for n in found if n not in of_name])}
+    of_name |= {result.name: result for result in matched(list(usable))}
     return [of_name[name] for name in found]
 
 
