@@ -12,9 +12,9 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
+from match_scores import score_matches
 from matching_truth import _outcomes
 
-from trinoc.evaluation import score_matches
 from trinoc.match import MatchTuning, match_segments
 from trinoc.synth import (
     Detector,

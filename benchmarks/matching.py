@@ -21,10 +21,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 from dense_matcher import match_densely
+from match_scores import MatchScore, score_groups, score_matches
 from matching_rendered import table_of_rendered
 from shared_scenes import VIEWS, load_scene
 
-from trinoc.evaluation import MatchScore, score_groups, score_matches
 from trinoc.geometry import Rig, Segments
 from trinoc.match import (
     Matches,

@@ -13,10 +13,10 @@ from collections.abc import Iterator
 from itertools import pairwise
 
 import numpy as np
+from match_scores import score_matches
 from scipy.stats import chi2
 
 from trinoc.errors import InputError
-from trinoc.evaluation import score_matches
 from trinoc.geometry import Camera, Rig, Segments
 from trinoc.match import Matches, match_segments
 from trinoc.synth import (

@@ -13,10 +13,10 @@ import time
 from collections.abc import Iterator
 
 import numpy as np
+from match_scores import score_matches
 from refine_rigs import SIZES, TRUE_RIG, calibrated_rig, camera_error, knocked, relative_error
 
 from trinoc.calib import RefineResult, RefineStatus, refine
-from trinoc.evaluation import score_matches
 from trinoc.geometry import Rig, Segments
 from trinoc.match import match_segments
 from trinoc.synth import (

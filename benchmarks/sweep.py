@@ -15,8 +15,8 @@ from dataclasses import fields
 from operator import attrgetter
 
 import numpy as np
+from match_scores import score_matches
 
-from trinoc.evaluation import score_matches
 from trinoc.match import match_segments
 from trinoc.match.tuning import DEFAULT
 from trinoc.numerics import with_field

@@ -25,9 +25,9 @@ from trinoc.evaluation.sweep import chosen_lines
 from trinoc.evaluation import evaluate_settings
 from trinoc.evaluation import settings_of
 from trinoc.report import evaluation_text
+from trinoc.evaluation.lines_of_rig import certain_lines
 from trinoc.evaluation.lines_of_rig import lines_of_rig
 from trinoc.evaluation.distances import distance_to_segments_mm
-from trinoc.evaluation.evaluation import certain_lines
 from trinoc.evaluation import KnownShape
 from trinoc.evaluation.lines_on_edges import offsets_across
 from trinoc.evaluation.lines_on_edges import selected
@@ -95,7 +95,7 @@ plt.show()
 figure, axes = plt.subplots(1, 2, figsize=(11, 3.6), layout="constrained", sharey=True)
 median_mm = {}
 for one, form in zip(axes, ("tracks", "corners"), strict=True):
-    lines = chosen_lines(matches, rig, SweepSetting(form=form))
+    lines, _ = chosen_lines(matches, rig, SweepSetting(form=form))
     lengths = trinoc.evaluate(lines, shape).lengths
     measured = np.isfinite(lengths.measured_mm)
     true, error, sigma = (a[measured] for a in (lengths.true_mm, lengths.error_mm, lengths.sigma_mm))

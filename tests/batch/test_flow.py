@@ -5,7 +5,6 @@ from concurrent.futures import Executor, Future, ThreadPoolExecutor
 import pytest
 from hypothesis import given, strategies as st
 
-from trinoc.batch.flow import in_window
 from trinoc.batch.memory import (
     BASE_BYTES,
     BYTES_PER_PIXEL,
@@ -13,6 +12,7 @@ from trinoc.batch.memory import (
     resident_bytes,
     threads_within,
 )
+from trinoc.batch.workers import in_window
 from trinoc.synth import table1_rig
 
 

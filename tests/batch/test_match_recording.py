@@ -10,7 +10,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 
 import trinoc
-from trinoc.batch import folder as folder_file, run as run_file
+from trinoc.batch import folder as folder_file
 from trinoc.cli.main import main
 from trinoc.errors import InputError, MatchError
 from trinoc.match import MatchBatch
@@ -331,14 +331,14 @@ def test_mistaken_options_are_usage_errors(recording, tmp_path, capsys, options,
 def test_interrupted_keeps_what_is_done_and_says_so(
     recording, tmp_path, capsys, quick, monkeypatch
 ):
-    plain, calls = run_file.Folder.commit, iter(range(100))
+    plain, calls = folder_file.Folder.commit, iter(range(100))
 
     def commit(self, *given):
         if next(calls) == 2:
             raise KeyboardInterrupt
         plain(self, *given)
 
-    monkeypatch.setattr(run_file.Folder, "commit", commit)
+    monkeypatch.setattr(folder_file.Folder, "commit", commit)
     out = tmp_path / "out"
     assert batch(recording, "-o", str(out), "--frames-per-file", "2") == 130
     err = capsys.readouterr().err

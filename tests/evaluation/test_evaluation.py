@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from trinoc.errors import InputError
 from trinoc.evaluation import EvaluationStatus, KnownShape, evaluate
 from trinoc.evaluation.alignment import align
-from trinoc.evaluation.evaluation import certain_lines
+from trinoc.evaluation.lines_of_rig import certain_lines
 from trinoc.evaluation.lines_on_edges import offsets_across
 from trinoc.evaluation.normalised_errors import normalised_errors
 from trinoc.geometry import UncertainLines

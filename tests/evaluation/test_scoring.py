@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from trinoc.evaluation import score_groups, score_lengths, score_matches
+from benchmarks.match_scores import score_matches
+from trinoc.evaluation import score_lengths
 from trinoc.evaluation.distances import distance_to_segments_mm, sampled_segments
-from trinoc.evaluation.scoring import line_errors
-from trinoc.evaluation.supports import groups_of_supports, part_of_line
 from trinoc.synth import (
     NOT_SCORED,
     Detector,
@@ -17,7 +16,6 @@ from trinoc.synth import (
     SeenParts,
     SegmentTruth,
     block_scene,
-    demo_scene,
     loose_segments,
     parts_in_views_mm,
     shown_parts_mm,
@@ -192,46 +190,3 @@ def test_distances_to_segments():
     samples, weights = sampled_segments(segments, 0.5)
     assert weights.sum() == pytest.approx(20.0)
     np.testing.assert_allclose(distance_to_segments_mm(samples, segments), 0.0, atol=1e-5)
-
-
-def test_line_errors_are_those_put_in():
-    scene = loose_segments(3, count=20)
-    _, truth = simulate_segments(scene, RIG, PERFECT, seed=0)
-    rows = perfect_tracks(truth)
-    owners = np.array(
-        [next(int(truth.edge_of[v][s]) for v, s in zip(VIEWS, row, strict=True) if s >= 0)
-         for row in rows]
-    )  # fmt: skip
-    lines = truth.edges_mm[owners]
-    along = lines[:, 1] - lines[:, 0]
-    across = np.cross(along, [0.3, -0.5, 0.8])
-    across *= 0.7 / np.linalg.norm(across, axis=1, keepdims=True)
-    distance, angle = line_errors(lines + across[:, None], tracks(rows), truth)
-    np.testing.assert_allclose(distance, 0.7)
-    np.testing.assert_allclose(angle, 0.0, atol=1e-5)
-
-
-def test_supports_claim_the_pairs_that_overlap_on_their_line():
-    scene = demo_scene(cylinder_sides=8)
-    segments, truth = simulate_segments(scene, RIG, Detector(0.0, 0.5, 0.0, 0.0, 0.0, 8.0), seed=2)
-    supports = [
-        {
-            number: np.flatnonzero(truth.edge_of[view] == edge).tolist()
-            for number, view in enumerate(VIEWS)
-        }
-        for edge in range(len(truth.edges_mm))
-    ]
-    groups = groups_of_supports(
-        truth.edges_mm, supports, [segments[v].endpoints_px for v in VIEWS], RIG.matrices_px
-    )
-    score = score_groups(VIEWS, groups, truth)
-    assert score.triples[:2] == (1.0, 1.0)
-    assert score.pairs[:2] == (1.0, 1.0)
-    for number, view in enumerate(VIEWS):
-        for segment in np.flatnonzero(truth.edge_of[view] >= 0)[:10]:
-            part = part_of_line(
-                truth.edges_mm[truth.edge_of[view][segment]],
-                segments[view].endpoints_px[segment],
-                RIG.matrices_px[number],
-            )
-            np.testing.assert_allclose(part, truth.extent[view][segment], atol=1e-6)

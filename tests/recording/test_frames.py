@@ -139,8 +139,3 @@ def test_jobs_share_all_frames_once_and_the_cut_does_not_depend_on_them(count, s
 def test_there_is_no_such_job(shard):
     with pytest.raises(InputError, match="There is no shard"):
         share_of([], shard)
-
-
-def test_a_part_has_a_frame():
-    with pytest.raises(InputError, match="A part of 0 frames"):
-        parts_of([], 0)

@@ -13,7 +13,7 @@ from trinoc.evaluation import (
     evaluate_settings,
     settings_of,
 )
-from trinoc.evaluation.lines_of_rig import joined_lines_of_rig, lines_of_rig
+from trinoc.evaluation.lines_of_rig import lines_of_form, lines_of_rig
 from trinoc.evaluation.sweep import Setting, chosen_lines
 from trinoc.geometry import PARAMETER_NAMES, Rig
 from trinoc.match import Matches, join_collinear
@@ -125,7 +125,7 @@ def test_a_line_of_one_track_follows_the_cameras_as_the_track_does():
     matches = made_matches(rig)
     tracks = lines_of_rig(matches, rig)
     joined = join_collinear(matches, rig)
-    lines = joined_lines_of_rig(matches, rig)
+    lines, _ = lines_of_form(matches, rig, "joined")
     alone = np.flatnonzero(joined.pieces == 1)
     of = np.array([joined.tracks_of(line)[0] for line in alone])
     assert len(alone) > 50
@@ -138,7 +138,7 @@ def test_a_line_of_one_track_follows_the_cameras_as_the_track_does():
     np.testing.assert_allclose(lines.by_parameters[alone], tracks.by_parameters[of], atol=1e-9)
     with pytest.raises(InputError, match="give the rig"):
         chosen_lines(matches, None, SweepSetting(form="joined"))
-    some = chosen_lines(matches, rig, SweepSetting(0.9, form="corners"))
+    some, _ = chosen_lines(matches, rig, SweepSetting(0.9, form="corners"))
     assert 0 < len(some) < 20
 
 

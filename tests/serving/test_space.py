@@ -9,7 +9,7 @@ import pytest
 from tests.serving.asking import ask
 from trinoc.errors import InputError
 from trinoc.report import error_ellipsoids, space_figure, visible_factor
-from trinoc.serving import SpaceServer, space
+from trinoc.serving import serve_space, space
 from trinoc.synth import table1_rig
 
 
@@ -43,49 +43,53 @@ def test_ellipsoids_are_enlarged_until_they_are_seen(sigma: float, factor: int) 
 
 
 @pytest.fixture(scope="module")
-def server() -> Iterator[SpaceServer]:
+def url() -> Iterator[str]:
     pytest.importorskip("viser")
     figure = space_figure(table1_rig(), None, None)
     found = error_ellipsoids(*some_lines())
-    with SpaceServer(figure, found, title="a rig") as running:
+    with serve_space(figure, found, title="a rig") as running:
         yield running
 
 
-def test_a_page_of_this_machine_sees_the_scene(server: SpaceServer) -> None:
-    assert server.url.startswith("http://127.0.0.1:")
-    status, page = ask(server.url)
+def test_a_page_of_this_machine_sees_the_scene(url: str) -> None:
+    assert url.startswith("http://127.0.0.1:")
+    status, page = ask(url)
     assert status == 200
     assert "<html" in page
 
 
-def test_other_names_and_other_pages_are_refused(server: SpaceServer) -> None:
-    assert ask(server.url, Host="evil.example")[0] == 403
-    assert ask(server.url, Origin="http://evil.example")[0] == 403
+def test_other_names_and_other_pages_are_refused(url: str) -> None:
+    assert ask(url, Host="evil.example")[0] == 403
+    assert ask(url, Origin="http://evil.example")[0] == 403
     upgrade = {
         "Upgrade": "websocket",
         "Connection": "Upgrade",
         "Sec_WebSocket_Key": "dGhlIHNhbXBsZSBub25jZQ==",
         "Sec_WebSocket_Version": "13",
     }
-    assert ask(server.url, Origin="http://evil.example", **upgrade)[0] == 403
-    assert ask(server.url, Host="evil.example", **upgrade)[0] == 403
+    assert ask(url, Origin="http://evil.example", **upgrade)[0] == 403
+    assert ask(url, Host="evil.example", **upgrade)[0] == 403
 
 
 @pytest.mark.parametrize("path", ["/../__init__.py", "/%2e%2e/__init__.py", "//etc/passwd"])
-def test_no_path_leads_out_of_the_folder(server: SpaceServer, path: str) -> None:
-    assert ask(server.url, path)[0] == 404
+def test_no_path_leads_out_of_the_folder(url: str, path: str) -> None:
+    assert ask(url, path)[0] == 404
 
 
-def test_a_port_that_is_taken_is_named(server: SpaceServer) -> None:
-    port = int(server.url.rstrip("/").rpartition(":")[2])
-    with pytest.raises(InputError, match=f"Port {port} is taken"):
-        SpaceServer(space_figure(table1_rig(), None, None), None, title="again", port=port)
+def test_a_port_that_is_taken_is_named(url: str) -> None:
+    port = int(url.rstrip("/").rpartition(":")[2])
+    figure = space_figure(table1_rig(), None, None)
+    with (
+        pytest.raises(InputError, match=f"Port {port} is taken"),
+        serve_space(figure, None, title="again", port=port),
+    ):
+        pass
 
 
 def test_stopped_it_answers_no_more(capfd: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("viser")
-    with SpaceServer(space_figure(table1_rig(), None, None), None, title="short") as running:
-        url = running.url
+    with serve_space(space_figure(table1_rig(), None, None), None, title="short") as url:
+        pass
     with pytest.raises(ConnectionRefusedError):
         ask(url)
     assert capfd.readouterr().out == ""
@@ -93,12 +97,20 @@ def test_stopped_it_answers_no_more(capfd: pytest.CaptureFixture[str]) -> None:
 
 def test_without_viser_a_sentence_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(InputError, match=r"This needs viser: pip install 'trinoc\[view\]'"):
-        SpaceServer(space_figure(table1_rig(), None, None), None, title="none")
+    figure = space_figure(table1_rig(), None, None)
+    with (
+        pytest.raises(InputError, match=r"This needs viser: pip install 'trinoc\[view\]'"),
+        serve_space(figure, None, title="none"),
+    ):
+        pass
 
 
 def test_an_unguarded_viser_is_not_left_running(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("viser")
     monkeypatch.setattr(space, "_guarded", lambda: contextlib.nullcontext([]))
-    with pytest.raises(InputError, match="in another way"):
-        SpaceServer(space_figure(table1_rig(), None, None), None, title="open")
+    figure = space_figure(table1_rig(), None, None)
+    with (
+        pytest.raises(InputError, match="in another way"),
+        serve_space(figure, None, title="open"),
+    ):
+        pass

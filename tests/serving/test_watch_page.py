@@ -9,7 +9,7 @@ import pytest
 from tests.capture.made import camera, circles_picture, judgement, rectangle
 from tests.serving.asking import ask
 from trinoc.errors import InputError
-from trinoc.serving import Page, PageServer, Watched, picture_page, thumbnail, watch_page
+from trinoc.serving import Page, Watched, picture_page, serve_pages, thumbnail, watch_page
 
 ALL = rectangle(0.01, 0.01, 0.99, 0.99)
 
@@ -44,32 +44,32 @@ def test_the_thumbnail_is_a_small_jpeg_with_marks() -> None:
 
 
 @pytest.fixture(scope="module")
-def server() -> Iterator[PageServer]:
-    with PageServer({"/": lambda: Page("text/plain", b"here")}) as running:
+def url() -> Iterator[str]:
+    with serve_pages({"/": lambda: Page("text/plain", b"here")}) as running:
         yield running
 
 
-def test_only_this_machines_own_pages_are_answered(server: PageServer) -> None:
-    assert ask(server.url) == (200, "here")
-    assert ask(server.url, "/?2") == (200, "here")
-    assert ask(server.url, Host="evil.example")[0] == 403
-    assert ask(server.url, Origin="http://evil.example")[0] == 403
+def test_only_this_machines_own_pages_are_answered(url: str) -> None:
+    assert ask(url) == (200, "here")
+    assert ask(url, "/?2") == (200, "here")
+    assert ask(url, Host="evil.example")[0] == 403
+    assert ask(url, Origin="http://evil.example")[0] == 403
 
 
 @pytest.mark.parametrize("path", ["/../pages.py", "/%2e%2e/pages.py", "//etc/passwd", "/x"])
-def test_there_is_no_other_path(server: PageServer, path: str) -> None:
-    assert ask(server.url, path)[0] == 404
+def test_there_is_no_other_path(url: str, path: str) -> None:
+    assert ask(url, path)[0] == 404
 
 
-def test_a_port_that_is_taken_is_named(server: PageServer) -> None:
-    port = int(server.url.rstrip("/").rpartition(":")[2])
+def test_a_port_that_is_taken_is_named(url: str) -> None:
+    port = int(url.rstrip("/").rpartition(":")[2])
     for wrong in (port, 70000):
-        with pytest.raises(InputError, match=f"Port {wrong} "):
-            PageServer({}, port=wrong)
+        with pytest.raises(InputError, match=f"Port {wrong} "), serve_pages({}, port=wrong):
+            pass
 
 
 def test_stopped_it_answers_no_more() -> None:
-    with PageServer({}) as running:
-        url = running.url
+    with serve_pages({}) as url:
+        pass
     with pytest.raises(ConnectionRefusedError):
         ask(url)

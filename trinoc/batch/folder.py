@@ -12,7 +12,6 @@ in order.
 import contextlib
 import json
 import os
-import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -44,27 +43,22 @@ class Folder:
     def look(self, parts: Sequence[Part]) -> None:
         """Find out which parts are done; sweep what a killed program left of the others."""
         files = {self.file_of(part.number).name: part for part in parts}
-        scratch = re.compile(r"\.(matches-\d{6,}\.\w+)\.[0-9a-f]{8}\.tmp")
-        present = set()
-        for name in sorted(os.listdir(self.path)):
-            left = scratch.fullmatch(name)
-            # The manifest is locked: nobody else writes these.
-            if left is not None and left[1] in files:
-                (self.path / name).unlink(missing_ok=True)
-            elif name in files:
-                present.add(name)
-        lines = read_lines(self.manifest)
-        for name in sorted(present):
-            part, known = files[name], lines.get(name, [])
+        # The manifest is locked: nobody else writes these.
+        for left in self.path.glob(".matches-*.tmp"):
+            if left.name[1:].rsplit(".", 2)[0] in files:
+                left.unlink(missing_ok=True)
+        lines, there = read_lines(self.manifest), set(os.listdir(self.path))
+        for name, part in files.items():
+            known = lines.get(name, [])
+            if name not in there:
+                continue
             if [line.get("frame") for line in known] == [frame.name for frame in part.frames]:
                 self._note(part.number, known)
                 continue
             try:
-                results = load_frames(self.path / name)
+                self._append(part.number, load_frames(self.path / name))
             except InputError:
                 (self.path / name).unlink()
-                continue
-            self._append(part.number, results)
 
     def commit(self, number: int, results: Sequence[FrameMatches], views: Sequence[str]) -> None:
         """Write a part, then its lines. Raises InputError where the disk does not take it."""
@@ -73,10 +67,8 @@ class Folder:
 
     def order(self) -> None:
         """Put the lines in the order of the frames."""
-        texts = (
-            json.dumps(line, ensure_ascii=False) for k in sorted(self.done) for line in self.done[k]
-        )
-        write_text(self.manifest, "".join(f"{text}\n" for text in texts))
+        lines = (line for number in sorted(self.done) for line in self.done[number])
+        write_text(self.manifest, text_of(lines))
 
     def _append(self, number: int, results: Sequence[FrameMatches]) -> None:
         lines = lines_of(results, self.file_of(number).name)
@@ -111,7 +103,8 @@ def opened(
         ) from error
     with stream:
         _lock(stream, manifest)
-        _cut_torn_line(manifest)
+        # What a kill left of the last line goes, so that the next line begins anew.
+        os.truncate(manifest, manifest.read_bytes().rfind(b"\n") + 1)
         yield Folder(path, ending, manifest, stream)
 
 
@@ -143,11 +136,3 @@ def _lock(stream: Any, manifest: Path) -> None:
         ) from error
     except OSError:
         pass  # a file system without locks
-
-
-def _cut_torn_line(manifest: Path) -> None:
-    """What a kill left of the last line goes, so that the next line begins anew."""
-    content = manifest.read_bytes()
-    whole = content.rfind(b"\n") + 1
-    if whole < len(content):
-        os.truncate(manifest, whole)

@@ -3,14 +3,13 @@
 import dataclasses
 import hashlib
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import trinoc
-from trinoc.batch.flow import in_window
-from trinoc.batch.folder import Folder, opened
+from trinoc.batch.folder import opened
 from trinoc.batch.memory import (
     PARTS_PER_WORKER,
     half_of_the_machine,
@@ -19,7 +18,7 @@ from trinoc.batch.memory import (
 )
 from trinoc.batch.source import Source, find_frames
 from trinoc.batch.work import Work
-from trinoc.batch.workers import Workers, cluster, threads
+from trinoc.batch.workers import cluster, in_window, threads
 from trinoc.errors import InputError, TrinocError
 from trinoc.geometry import Rig
 from trinoc.io import frames_ending, rig_text
@@ -40,7 +39,7 @@ class BatchOutcome:
 
     frames, failed, tracks : numbers of frames, of those that failed, and of tracks in all.
     earlier : how many of the frames an earlier run had done.
-    workers : how many worked at once, and `where` ("threads", or the cluster's address).
+    workers : how many worked at once.
     """
 
     folder: Path
@@ -50,7 +49,6 @@ class BatchOutcome:
     tracks: int
     earlier: int
     workers: int
-    where: str
 
 
 def match_recording(
@@ -98,11 +96,14 @@ def match_recording(
 
     Raises InputError: no frames, results of something else in `out`, another program at work there.
     """
-    for name, value in (("frames_per_file", frames_per_file), ("threads_at_most", threads_at_most)):
-        if value is not None and value < 1:
-            raise InputError(f"{name} is {value}, but must be 1 or more.")
-    if memory_gb is not None and not memory_gb > 0:
-        raise InputError(f"memory_gb is {memory_gb}, but must be positive.")
+    given = {
+        "frames_per_file": frames_per_file,
+        "threads_at_most": threads_at_most,
+        "memory_gb": memory_gb,
+    }
+    for name, value in given.items():
+        if value is not None and not value > 0:
+            raise InputError(f"{name} is {value}, but must be more than 0.")
     if ending not in (None, ".npz", ".parquet"):
         raise InputError(f'ending is "{ending}": choose ".npz" or ".parquet".')
     source = find_frames(frames, rig.names, template)
@@ -127,22 +128,23 @@ def match_recording(
         count = min(threads_within(memory, rig, wanted), max(len(left), 1))
         crew = threads(work, count) if scheduler is None else cluster(work, scheduler)
         with crew as workers:
-            for number, results in _results(workers, left, memory):
-                folder.commit(number, results, rig.names)
+            most = PARTS_PER_WORKER * workers.count
+            for part, future in in_window(
+                workers.executor, workers.do, left, most, lambda: resident_bytes() < memory
+            ):
+                folder.commit(part.number, _result(part, future, workers.where), rig.names)
                 tell()
         folder.order()
-        return _outcome(folder, earlier, workers)
-
-
-def _results(
-    workers: Workers, parts: Sequence[Part], memory: float
-) -> Iterator[tuple[int, list[FrameMatches]]]:
-    most = PARTS_PER_WORKER * workers.count
-    finished = in_window(
-        workers.executor, workers.do, parts, most, lambda: resident_bytes() < memory
-    )
-    for part, future in finished:
-        yield part.number, _result(part, future, workers.where)
+        tally = folder.tally
+        return BatchOutcome(
+            folder=folder.path,
+            manifest=folder.manifest,
+            frames=tally["frames"],
+            failed=tally["failed"],
+            tracks=tally["tracks"],
+            earlier=earlier,
+            workers=workers.count,
+        )
 
 
 def _result(part: Part, future: Future[Any], where: str) -> list[FrameMatches]:
@@ -182,16 +184,3 @@ def _ending_there(out: Path) -> str | None:
     """The ending of the results that are there: they go on as they began."""
     found = {path.suffix for path in out.glob("matches-*")} & {".npz", ".parquet"}
     return min(found, default=None)
-
-
-def _outcome(folder: Folder, earlier: int, workers: Workers) -> BatchOutcome:
-    return BatchOutcome(
-        folder=folder.path,
-        manifest=folder.manifest,
-        frames=folder.tally["frames"],
-        failed=folder.tally["failed"],
-        tracks=folder.tally["tracks"],
-        earlier=earlier,
-        workers=workers.count,
-        where=workers.where,
-    )

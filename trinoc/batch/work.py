@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Callable, Mapping
+from concurrent.futures import CancelledError
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,37 +23,31 @@ class Work(NamedTuple):
     depth_range_mm: tuple[float, float] | None
 
 
-class Stopped(Exception):
-    """The work on a part was given up, because the program ends."""
-
-
 def part_results(
     work: Work, part: Part, stopped: Callable[[], bool] = lambda: False
 ) -> list[FrameMatches]:
     """What becomes of each frame. One picture is in memory at a time.
 
-    Raises Stopped where `stopped` says so between two pictures; no frame's failure is raised.
+    Raises CancelledError where `stopped` says so between two frames; no frame's failure is raised.
     """
     found: dict[str, dict[str, Segments] | str] = {}
     for frame in part.frames:
+        if stopped():
+            raise CancelledError
         try:
-            found[frame.name] = _segments(work, frame, stopped)
+            found[frame.name] = _segments(work, frame)
         except TrinocError as error:
             # The recording may be moved between two runs: its folder is no part of the answer.
             found[frame.name] = str(error).replace(f"{work.folder}{os.sep}", "")
-        except Stopped:
-            raise
         except Exception as error:
             found[frame.name] = unexpected(error)
     return matched_frames(found, work.rig, depth_range_mm=work.depth_range_mm)
 
 
-def _segments(work: Work, frame: Frame, stopped: Callable[[], bool]) -> dict[str, Segments]:
+def _segments(work: Work, frame: Frame) -> dict[str, Segments]:
     segments: dict[str, Segments] = {}
     view_of: dict[bytes, str] = {}
     for camera in work.rig.names:
-        if stopped():
-            raise Stopped
         if camera not in frame.files:
             raise InputError(f'Frame "{frame.name}" has no picture of "{camera}": add it.')
         file = work.folder / frame.files[camera]

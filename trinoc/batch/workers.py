@@ -1,34 +1,36 @@
-"""Who does the work: threads of this process, or the workers of a Dask cluster."""
+"""Who does the work, threads of this process or the workers of a Dask cluster, and how many tasks
+are in the air."""
 
 import contextlib
 import threading
-from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, ThreadPoolExecutor
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from trinoc.batch.work import Work, part_results
 from trinoc.errors import InputError
+
+_Task = TypeVar("_Task")
 
 
 class Workers(NamedTuple):
     """An executor, how many of its tasks run at once, and what it does with a part.
 
-    where : for people. cluster : Dask's client, None for threads.
+    where : for people.
     """
 
     executor: Executor
     count: int
     do: Callable[[Any], Any]
     where: str
-    cluster: Any = None
 
 
 @contextlib.contextmanager
 def threads(work: Work, count: int) -> Iterator[Workers]:
     """Threads of this process, which share its compiled kernels.
 
-    When the block ends early, they give up between two pictures.
+    When the block ends early, they give up between two frames.
     """
     stop = threading.Event()
     executor = ThreadPoolExecutor(count, thread_name_prefix="trinoc-batch")
@@ -62,6 +64,32 @@ def cluster(work: Work, address: str) -> Iterator[Workers]:
         if not count:
             raise InputError(f"The Dask scheduler at {address} has no worker: start some first.")
         executor = client.get_executor(pure=False)
-        yield Workers(executor, count, partial(part_results, work), address, client)
+        yield Workers(executor, count, partial(part_results, work), address)
     finally:
         client.close(timeout=5)  # what was submitted and not done is forgotten
+
+
+def in_window(
+    executor: Executor,
+    work: Callable[[_Task], Any],
+    tasks: Iterable[_Task],
+    most: int,
+    may_start: Callable[[], bool] = lambda: True,
+) -> Iterator[tuple[_Task, Future[Any]]]:
+    """(task, its finished future) of every task, in the order in which they end.
+
+    At most `most` are begun and not yet handed on, so that results do not pile up where whoever
+    takes them is slow. While `may_start` says no, none is begun but one at a time.
+    """
+    flying: dict[Future[Any], _Task] = {}
+    coming = iter(tasks)
+    while True:
+        while len(flying) < most and (not flying or may_start()):
+            if (task := next(coming, None)) is None:
+                break
+            flying[executor.submit(work, task)] = task
+        if not flying:
+            return
+        done, _ = wait(flying, return_when=FIRST_COMPLETED)
+        future = next(iter(done))
+        yield flying.pop(future), future

@@ -1,4 +1,4 @@
-"""What the next picture should show, from all pictures so far."""
+"""What the pictures so far show together, and what the next should show."""
 
 from collections.abc import Sequence
 
@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from trinoc.capture.judgement import Judgement
-from trinoc.capture.placement import GRID, covered_cells
+from trinoc.capture.measures import GRID, covered_cells
 
 # Share of the field's cells that good pictures together cover when it is enough.
 ENOUGH_FIELD = 0.9
@@ -16,7 +16,12 @@ LEAN = 0.08
 FEWEST_PICTURES = 6
 # Which side of the picture is the far one: along which axis, with which sign.
 _SIDES = (("right", 0, 1), ("left", 0, -1), ("upper", 1, -1), ("lower", 1, 1))
-_COLUMN_WORDS, _ROW_WORDS = ("left", "middle", "right"), ("upper", "middle", "lower")
+# The ninths of the picture, row by row.
+_NINTHS = (
+    *("the upper left corner", "the upper edge", "the upper right corner"),
+    *("the left edge", "the middle", "the right edge"),
+    *("the lower left corner", "the lower edge", "the lower right corner"),
+)
 
 
 def field(judgements: Sequence[Judgement]) -> Bool[np.ndarray, "r c"]:
@@ -56,44 +61,30 @@ def next_step(judgements: Sequence[Judgement]) -> str:
 
 def shows_something_new(earlier: Sequence[Judgement], last: Judgement) -> bool:
     """Whether a good picture covers a new cell of the field, or leans to a side not seen yet."""
-    if not last.good:
-        return False
-    before, after = [j for j in earlier if j.good], [*earlier, last]
-    if not before or field(after).sum() > field(before).sum():
-        return True
-    return len(_missing_sides(after)) < len(_missing_sides(before))
+    after = [*earlier, last]
+    if not last.good or field(after).sum() > field(earlier).sum():
+        return last.good
+    return len(_missing_sides(after)) < len(_missing_sides(earlier))
+
+
+def summary_lines(judgements: Sequence[Judgement]) -> list[str]:
+    """How many pictures are good, what they cover, and what to do next."""
+    good = sum(judgement.good for judgement in judgements)
+    lost = sum(not judgement.found for judgement in judgements)
+    counts = f"{len(judgements)} pictures: {good} good, {lost} without the board found, "
+    counts += f"{len(judgements) - good - lost} to take again"
+    return [f"{counts}; {field_share(judgements):.0%} of the field covered.", next_step(judgements)]
 
 
 def _emptiest(cells: Bool[np.ndarray, "r c"]) -> str:
     """The ninth of the field that is covered least, in words."""
-    rows, columns = cells.shape
-    row_of = np.minimum(np.arange(rows) * 3 // rows, 2)
-    column_of = np.minimum(np.arange(columns) * 3 // columns, 2)
-    shares = np.array(
-        [[cells[row_of == r][:, column_of == c].mean() for c in range(3)] for r in range(3)]
-    )
+    bands = [np.array_split(band, 3, axis=1) for band in np.array_split(cells, 3)]
+    shares = [ninth.mean() for band in bands for ninth in band]
     # The middle decides least of what a lens does: among equals it comes last.
-    shares[1, 1] += 1e-6
-    row, column = divmod(int(np.argmin(shares)), 3)
-    if (row, column) == (1, 1):
-        return "the middle"
-    if row == 1:
-        return f"the {_COLUMN_WORDS[column]} edge"
-    if column == 1:
-        return f"the {_ROW_WORDS[row]} edge"
-    return f"the {_ROW_WORDS[row]} {_COLUMN_WORDS[column]} corner"
+    return _NINTHS[min(range(9), key=lambda k: (shares[k], _NINTHS[k] == "the middle"))]
 
 
 def _missing_sides(judgements: Sequence[Judgement]) -> list[str]:
     """The sides that were never the far one."""
     leans = np.array([judgement.lean for judgement in judgements if judgement.good])
-    return [
-        side
-        for side, axis, sign in (
-            ("right", 0, 1),
-            ("left", 0, -1),
-            ("upper", 1, -1),
-            ("lower", 1, 1),
-        )
-        if not (sign * leans[:, axis] > LEAN).any()
-    ]
+    return [side for side, axis, sign in _SIDES if not (sign * leans[:, axis] > LEAN).any()]

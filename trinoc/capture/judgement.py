@@ -1,14 +1,13 @@
 """One picture of a board: is it good to calibrate with, and if not, why?"""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Shaped
 
 from trinoc.calib import AbstractTarget, detect_target
-from trinoc.capture.exposure import Exposure, exposure_of
-from trinoc.capture.placement import lean_of
-from trinoc.capture.sharpness import edge_blur_px
+from trinoc.capture.measures import Exposure, edge_blur_px, exposure_of, lean_of
 from trinoc.errors import DetectionError
 from trinoc.image import Light
 
@@ -103,6 +102,23 @@ def judge_unread(name: str, target: AbstractTarget, why: str) -> Judgement:
     none, nan = np.zeros((0, 2)), float("nan")
     unknown, kind = Exposure(nan, nan, nan), target.places
     return Judgement(name, (0, 0), none, none, len(target), kind, why, nan, unknown, (0.0, 0.0), ())
+
+
+def judgement_line(judgement: Judgement) -> str:
+    """One line: what was found, sharpness, exposure, and what is wrong."""
+    name = " ".join(judgement.name.split())
+    if not judgement.found:
+        perhaps = f" Perhaps because {'; '.join(judgement.faults)}." if judgement.faults else ""
+        return f"{name}: NOT FOUND, {judgement.refusal}{perhaps}"
+    verdict = "good" if judgement.good else "AGAIN"
+    blur = "?" if math.isnan(judgement.blur_px) else f"{judgement.blur_px:.1f}"
+    parts = [
+        f"{len(judgement.places_px)} of {judgement.of_places} {judgement.kind}",
+        f"edges {blur} px",
+        f"saturated {judgement.exposure.saturated:.1%}, dark {judgement.exposure.dark:.1%}",
+        *judgement.faults,
+    ]
+    return f"{name}: {verdict}, {'; '.join(parts)}"
 
 
 def _window(places_px: Float[np.ndarray, "m 2"], size_px: tuple[int, int]) -> tuple[slice, slice]:

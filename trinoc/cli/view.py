@@ -47,11 +47,10 @@ class View(Command):
         expect_extra("viser", "view")
         figure, ellipsoids, said = self._content()
 
-        from trinoc.serving import SpaceServer
+        from trinoc.serving import serve_space
 
         title = f"trinoc: {self.file.name}"
-        with SpaceServer(figure, ellipsoids, title=title, port=self.port) as server:
-            url = server.url
+        with serve_space(figure, ellipsoids, title=title, port=self.port) as url:
             show(url, self.open)
             wait_for_interruption()
         return Outcome(f"{said}, no longer shown.", {"shown": str(self.file), "url": url})

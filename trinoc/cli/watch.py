@@ -135,11 +135,11 @@ class Watch(Command):
 @contextlib.contextmanager
 def _page(session: WatchSession, port: int) -> Iterator[str]:
     """The address of a page that shows how the session stands."""
-    from trinoc.serving import PageServer, picture_page, watch_page
+    from trinoc.serving import picture_page, serve_pages, watch_page
 
     pages = {
         "/": lambda: watch_page(session.watched),
         "/last.jpg": lambda: picture_page(session.watched),
     }
-    with PageServer(pages, port=port) as server:
-        yield server.url
+    with serve_pages(pages, port=port) as url:
+        yield url

@@ -4,13 +4,7 @@ from .evaluation import (
     evaluate as evaluate,
 )
 from .known_shape import GREY_STEP as GREY_STEP, KnownShape as KnownShape
-from .scoring import (
-    LengthScore as LengthScore,
-    MatchScore as MatchScore,
-    score_groups as score_groups,
-    score_lengths as score_lengths,
-    score_matches as score_matches,
-)
+from .scoring import LengthScore as LengthScore, score_lengths as score_lengths
 from .sweep import (
     Row as Row,
     SweepSetting as SweepSetting,

@@ -96,20 +96,13 @@ def _step(
     near = nearest_segments(points, edges)
     first, along = edges[near.segment, 0], edges[near.segment, 1] - edges[near.segment, 0]
     along = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-30)
-    foot = first + np.sum((points - first) * along, axis=1, keepdims=True) * along
-    residual = points - foot
     across = np.eye(3) - along[:, :, None] * along[:, None, :]
+    residual = np.einsum("nij,nj->ni", across, points - first)
     trust = weight * GemanMcClure.from_scale(scale).weight(near.distance_mm**2)
-    # A small turn w moves x by w x x, which is -[x] w.
-    cross = np.zeros((len(points), 3, 3))
-    cross[:, [0, 1, 2], [1, 2, 0]] = points[:, [2, 0, 1]]
-    cross[:, [1, 2, 0], [0, 1, 2]] = -points[:, [2, 0, 1]]
-    jacobian = across @ np.concatenate([cross, np.broadcast_to(np.eye(3), cross.shape)], axis=2)
+    # A small turn about an axis moves a point by the product of the axis and the point.
+    by_turn = np.cross(np.eye(3), points[:, None]).mT
+    jacobian = across @ np.concatenate([by_turn, np.broadcast_to(np.eye(3), by_turn.shape)], axis=2)
     normal = np.einsum("n,nij,nik->jk", trust, jacobian, jacobian)
     gradient = np.einsum("n,nij,ni->j", trust, jacobian, residual)
-    values, axes = np.linalg.eigh(normal)
-    free = values < _RANK_TOLERANCE * values[-1]
-    inverse = np.where(free, 0.0, 1 / np.where(free, 1.0, values))
-    change = -axes @ (inverse * (axes.T @ gradient))
-    spread = MAD_TO_SIGMA * float(np.median(near.distance_mm))
-    return change, int((~free).sum()), spread
+    change, _, rank, _ = np.linalg.lstsq(normal, -gradient, rcond=_RANK_TOLERANCE)
+    return change, int(rank), MAD_TO_SIGMA * float(np.median(near.distance_mm))

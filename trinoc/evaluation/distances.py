@@ -1,6 +1,7 @@
 """Distances between points and segments in space."""
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -16,6 +17,33 @@ class NearestSegment(NamedTuple):
     segment: Int[np.ndarray, "n"]
     position: Float[np.ndarray, "n"]
     distance_mm: Float[np.ndarray, "n"]
+
+
+def if_any(statistic: Callable[[np.ndarray], Any], values: np.ndarray) -> float:
+    """A statistic of values; NaN where there is none."""
+    return float(statistic(values)) if len(values) else float("nan")
+
+
+class LengthsNear(NamedTuple):
+    """Of points along segments: how far off the nearest of others is (infinite where there is
+    none), and the length that each point stands for."""
+
+    distance_mm: Float[np.ndarray, "k"]
+    length_mm: Float[np.ndarray, "k"]
+
+    def share_within(self, tolerance_mm: float) -> float:
+        """Share of the length that is no farther off than that; 0 where there is no length."""
+        total = float(self.length_mm.sum())
+        near = float(self.length_mm[self.distance_mm <= tolerance_mm].sum())
+        return near / total if total > 0 else 0.0
+
+
+def lengths_near(
+    segments_mm: Float[np.ndarray, "n 2 3"], others_mm: Float[np.ndarray, "m 2 3"], step_mm: float
+) -> LengthsNear:
+    """How near segments are to the nearest of the others, sampled every `step_mm`."""
+    points, length = sampled_segments(segments_mm, step_mm)
+    return LengthsNear(distance_to_segments_mm(points, others_mm), length)
 
 
 def sampled_segments(

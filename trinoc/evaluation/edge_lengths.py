@@ -60,32 +60,19 @@ def edge_lengths(
         covered[row] = _union_length(np.clip(position, 0.0, true[row])) / true[row]
         if covered[row] < LEAST_COVERED:
             continue
-        low, high = (np.unravel_index(place, position.shape) for place in _extremes(position))
-        measured[row] = position[high] - position[low]
-        weight = np.zeros((len(on), 2, 3))
-        weight[high] += direction
-        weight[low] -= direction
-        sigma[row] = _sigma(lines, on, weight)
+        measured[row] = np.ptp(position)
+        by_ends = np.zeros((2 * len(on), 3))
+        by_ends[position.argmax()] += direction
+        by_ends[position.argmin()] -= direction
+        spread = lines.joint_covariance_mm2(on.tolist())
+        variance = float(by_ends.reshape(-1) @ spread @ by_ends.reshape(-1))
+        sigma[row] = np.sqrt(variance) if variance > 0 else np.nan
     return EdgeLengths(wanted, true, covered, measured, sigma)
-
-
-def _extremes(position: Float[np.ndarray, "n 2"]) -> tuple[np.intp, np.intp]:
-    return position.argmin(), position.argmax()
-
-
-def _sigma(
-    lines: UncertainLines, on: Int[np.ndarray, "n"], weight: Float[np.ndarray, "n 2 3"]
-) -> float:
-    """Of the sum of all ends times `weight`; NaN where no covariance is claimed."""
-    row = weight.reshape(-1)
-    variance = float(row @ lines.joint_covariance_mm2(on.tolist()) @ row)
-    return np.sqrt(variance) if variance > 0 else np.nan
 
 
 def _union_length(intervals: Float[np.ndarray, "n 2"]) -> float:
     """Length of the line that intervals cover together."""
-    total, reached = 0.0, -np.inf
-    for start, end in sorted((float(a), float(b)) for a, b in np.sort(intervals, axis=1)):
-        total += max(0.0, end - max(start, reached))
-        reached = max(reached, end)
-    return total
+    start, end = np.array(sorted(np.sort(intervals, axis=1).tolist())).T
+    reached = np.maximum.accumulate(end)
+    before = np.append(-np.inf, reached[:-1])
+    return float(np.maximum(end - np.maximum(start, before), 0.0).sum())

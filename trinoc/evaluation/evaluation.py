@@ -10,9 +10,10 @@ from jaxtyping import Float, Int
 
 from trinoc.errors import InputError
 from trinoc.evaluation.alignment import RigidMotion, align
-from trinoc.evaluation.distances import distance_to_segments_mm, sampled_segments
+from trinoc.evaluation.distances import if_any, lengths_near
 from trinoc.evaluation.edge_lengths import EdgeLengths, edge_lengths
 from trinoc.evaluation.known_shape import KnownShape
+from trinoc.evaluation.lines_of_rig import certain_lines
 from trinoc.evaluation.lines_on_edges import angles_deg, edge_of_lines, offsets_across, selected
 from trinoc.evaluation.normalised_errors import NormalisedErrors, normalised_errors
 from trinoc.evaluation.wire_frames import WireframeScore, score_wireframe
@@ -103,13 +104,13 @@ class Evaluation(Displayable, eqx.Module):
 
     def record(self) -> dict[str, Any]:
         """All numbers by name, as a row of a table; NaN where there is none."""
-        measured = np.isfinite(self.lengths.measured_mm)
-        error, sigma = self.lengths.error_mm[measured], self.lengths.sigma_mm[measured]
-        of_lengths = {
-            "edges_wanted_whole": len(measured),
-            "edges_measured": int(measured.sum()),
-            "length_error_mean_mm": float(np.mean(error)) if len(error) else float("nan"),
-            "length_spread": _spread(error / sigma),
+        error = self.lengths.error_mm
+        claimed = np.abs(error / self.lengths.sigma_mm)
+        measured = error[np.isfinite(error)]
+        shares = {
+            f"{name}_{at:g}mm": share
+            for name in ("precision", "completeness")
+            for at, share in zip(self.tolerances_mm, getattr(self, name), strict=True)
         }
         return {
             "lines": len(self.lines),
@@ -117,17 +118,13 @@ class Evaluation(Displayable, eqx.Module):
             "length_put_out_mm": self.length_put_out_mm,
             "length_wanted_mm": self.length_wanted_mm,
             **_named("distance", "mm", self.distance_mm),
-            **{
-                f"precision_{at:g}mm": share
-                for at, share in zip(self.tolerances_mm, self.precision, strict=True)
-            },
-            **{
-                f"completeness_{at:g}mm": share
-                for at, share in zip(self.tolerances_mm, self.completeness, strict=True)
-            },
+            **shares,
             **_named("angle", "deg", self.angle_deg),
             **_named("length_error", "mm", self.length_error_mm),
-            **of_lengths,
+            "edges_wanted_whole": len(error),
+            "edges_measured": len(measured),
+            "length_error_mean_mm": if_any(np.mean, measured),
+            "length_spread": MAD_TO_SIGMA * if_any(np.median, claimed[np.isfinite(claimed)]),
             "normalised_variance": self.normalised.variance,
             "normalised_spread": self.normalised.spread,
             "share_within_1.96_sigma": self.normalised.share_within,
@@ -174,40 +171,32 @@ def evaluate(
     if aligned and len(claimed) >= LEAST_LINES_TO_ALIGN and len(known.edges_mm):
         motion = align(claimed.ends_mm, known.edges_mm)
         claimed = motion.of_lines(claimed)
-    ends, edges = claimed.ends_mm, known.edges_mm
-    distance, put_out = _sampled(ends, edges)
-    missing, wanted = _sampled(known.wanted_mm, ends)
-    edge_of = edge_of_lines(ends, edges, tolerances[-1])
+    ends, edges, reach = claimed.ends_mm, known.edges_mm, tolerances[-1]
+    put_out = lengths_near(ends, edges, _step_mm(ends))
+    wanted = lengths_near(known.wanted_mm, ends, _step_mm(known.wanted_mm))
+    edge_of = edge_of_lines(ends, edges, reach)
     on = np.flatnonzero(edge_of >= 0)
     offsets = offsets_across(selected(claimed, on), edges[edge_of[on]])
     lengths = edge_lengths(claimed, edge_of, edges, known.wanted_whole)
     measured = lengths.error_mm[np.isfinite(lengths.error_mm)]
     angles = angles_deg(ends[on], edges[edge_of[on]])
     return Evaluation(
-        _status(claimed, known, distance, tolerances[-1]),
+        _status(claimed, known, put_out.share_within(reach)),
         known.wanted,
         edge_of,
-        float(put_out.sum()),
-        float(wanted.sum()),
+        float(put_out.length_mm.sum()),
+        float(wanted.length_mm.sum()),
         tolerances,
-        tuple(_share_within(distance, put_out, at) for at in tolerances),
-        tuple(_share_within(missing, wanted, at) for at in tolerances),
-        _quantiles(distance, put_out),
+        tuple(put_out.share_within(at) for at in tolerances),
+        tuple(wanted.share_within(at) for at in tolerances),
+        _quantiles(*put_out),
         _quantiles(angles, np.ones(len(angles))),
         _quantiles(np.abs(measured), np.ones(len(measured))),
         lengths,
         normalised_errors(offsets, claimed.parameter_covariance),
         motion,
-        None if frame is None else score_wireframe(frame, edge_of, known, tolerances[-1], motion),
+        None if frame is None else score_wireframe(frame, ends, edge_of, known, reach, motion),
     )
-
-
-def certain_lines(
-    lines_mm: Float[np.ndarray, "t 2 3"], covariance_mm2: Float[np.ndarray, "t 6 6"]
-) -> UncertainLines:
-    """Lines whose errors are all their own: those of cameras that count as exact."""
-    count = len(lines_mm)
-    return UncertainLines(lines_mm, covariance_mm2, np.zeros((count, 6, 0)), np.zeros((0, 0)))
 
 
 def _as_lines(lines: LinesInSpace | UncertainLines | ArrayLike) -> UncertainLines:
@@ -241,54 +230,26 @@ def _as_shape(shape: KnownShape | SceneTruth | ArrayLike) -> KnownShape:
     return KnownShape.of_edges(edges)
 
 
-def _status(
-    lines: UncertainLines, shape: KnownShape, distance: Float[np.ndarray, "n"], reach_mm: float
-) -> EvaluationStatus:
+def _status(lines: UncertainLines, shape: KnownShape, near: float) -> EvaluationStatus:
     if len(shape.edges_mm) == 0:
         return EvaluationStatus.NO_EDGES
     if len(lines) == 0:
         return EvaluationStatus.NO_LINES
-    if distance.min() > reach_mm:
-        return EvaluationStatus.NOTHING_NEAR
-    return EvaluationStatus.COMPARED
+    return EvaluationStatus.COMPARED if near > 0 else EvaluationStatus.NOTHING_NEAR
 
 
-def _sampled(
-    segments_mm: Float[np.ndarray, "n 2 3"], others_mm: Float[np.ndarray, "m 2 3"]
-) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k"]]:
-    """Distances of points along segments from the nearest of the others, and the length that each
-    point stands for."""
+def _step_mm(segments_mm: Float[np.ndarray, "n 2 3"]) -> float:
     total = float(np.linalg.norm(segments_mm[:, 1] - segments_mm[:, 0], axis=1).sum())
-    points, weight = sampled_segments(segments_mm, max(SAMPLE_STEP_MM, total / MOST_SAMPLES))
-    return distance_to_segments_mm(points, others_mm), weight
-
-
-def _share_within(
-    distance: Float[np.ndarray, "k"], weight: Float[np.ndarray, "k"], tolerance: float
-) -> float:
-    total = float(weight.sum())
-    return float(weight[distance <= tolerance].sum()) / total if total > 0 else 0.0
+    return max(SAMPLE_STEP_MM, total / MOST_SAMPLES)
 
 
 def _quantiles(errors: Float[np.ndarray, "k"], weight: Float[np.ndarray, "k"]) -> ErrorQuantiles:
     """Of errors that stand for lengths, or count one each; NaN where there is none."""
     if weight.sum() == 0 or not np.isfinite(errors).all():
         return ErrorQuantiles(*[float("nan")] * 3)
-    order = np.argsort(errors)
-    below = np.cumsum(weight[order]) / weight.sum()
-    places = np.searchsorted(below, np.array([0.5, 0.9, 0.95]) * (1 - 1e-12))
-    return ErrorQuantiles(*(float(errors[order[place]]) for place in places))
+    at = np.quantile(errors, [0.5, 0.9, 0.95], weights=weight, method="inverted_cdf")
+    return ErrorQuantiles(*at.tolist())
 
 
 def _named(name: str, unit: str, quantiles: ErrorQuantiles) -> dict[str, float]:
-    return {
-        f"{name}_median_{unit}": quantiles.median,
-        f"{name}_90_{unit}": quantiles.at_90,
-        f"{name}_95_{unit}": quantiles.at_95,
-    }
-
-
-def _spread(normalised: Float[np.ndarray, "n"]) -> float:
-    """Robust standard deviation about zero; NaN where nothing is claimed."""
-    known = normalised[np.isfinite(normalised)]
-    return MAD_TO_SIGMA * float(np.median(np.abs(known))) if len(known) else float("nan")
+    return {f"{name}_{at}_{unit}": q for at, q in zip(("median", 90, 95), quantiles, strict=True)}

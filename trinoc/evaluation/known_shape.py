@@ -1,17 +1,15 @@
 """A shape whose edges are known: what lines in space are compared with."""
 
-from collections.abc import Collection
-
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 
 from trinoc.geometry import Camera, Rig
+from trinoc.numerics import blocks
 from trinoc.synth import SceneTruth, parts_in_views_mm, points_along, shown_parts_mm, visible_parts
 
-# Grey levels that differ by less across an edge do not show it; straight edges are asked for.
+# Grey levels that differ by less across an edge do not show it.
 GREY_STEP = 8.0
-KINDS = ("edge",)
 EVERY_EDGE = "every edge"
 # Triangles times edges whose hiding is computed at once, which bounds the memory.
 _AT_ONCE = 1_000_000
@@ -50,23 +48,15 @@ class KnownShape(eqx.Module):
         return cls(edges_mm, np.arange(count), whole, faces, EVERY_EDGE)
 
     @classmethod
-    def of_scene(
-        cls,
-        truth: SceneTruth,
-        *,
-        grey_step: float = GREY_STEP,
-        kinds: Collection[str] | None = KINDS,
-    ) -> "KnownShape":
-        """A made scene, of which the parts ought to be found that two pictures show.
+    def of_scene(cls, truth: SceneTruth, *, grey_step: float = GREY_STEP) -> "KnownShape":
+        """A made scene, of which the straight parts ought to be found that two pictures show.
 
-        Grey levels differ by `grey_step` or more across them, and they are of `kinds` (None:
-        of any); what lies on another edge is right all the same.
+        Grey levels differ by `grey_step` or more across them; what lies on another edge, a chord
+        of a rim too, is right all the same.
         """
         labelled = SceneTruth(_labels(len(truth.edges_mm)), truth.edge_kinds, truth.seen)
-        parts = shown_parts_mm(labelled, views=2, grey_step=grey_step, kinds=kinds)
+        parts = shown_parts_mm(labelled, views=2, grey_step=grey_step, kinds=("edge",))
         wanted = f"straight edges that two pictures show by {grey_step:g} grey levels or more"
-        if kinds is None or set(kinds) != set(KINDS):
-            wanted = wanted.replace("straight edges", "edges")
         return cls(truth.edges_mm, *_read_labels(parts), np.zeros((0, 3, 3)), wanted)
 
     def seen_by(self, rig: Rig) -> "KnownShape":
@@ -75,9 +65,7 @@ class KnownShape(eqx.Module):
         Where faces are known they hide what is behind them; the frames of the pictures always
         cut.
         """
-        parts = {}
-        for name, camera in rig.items():
-            parts[name] = self._before(camera)
+        parts = {name: self._before(camera) for name, camera in rig.items()}
         labels = _labels(len(self.edges_mm))
         found = parts_in_views_mm(labels, parts, views=min(2, len(rig)))
         hidden = "" if len(self.triangles_mm) else ", faces not known"
@@ -86,11 +74,11 @@ class KnownShape(eqx.Module):
 
     def _before(self, camera: Camera) -> tuple[Int[np.ndarray, "k"], Float[np.ndarray, "k 2"]]:
         """What a camera sees: edge, and from where to where along it."""
-        edges, extents = [np.zeros(0, dtype=np.int64)], [np.zeros((0, 2))]
+        edges, extents = [], []
         step = max(1, _AT_ONCE // max(1, len(self.triangles_mm)))
-        for start in range(0, len(self.edges_mm), step):
-            seen = visible_parts(camera, self.edges_mm[start : start + step], self.triangles_mm)
-            edges.append(start + seen.segment)
+        for part in blocks(len(self.edges_mm), step):
+            seen = visible_parts(camera, self.edges_mm[part], self.triangles_mm)
+            edges.append(part.start + seen.segment)
             extents.append(seen.extent)
         return np.concatenate(edges), np.concatenate(extents)
 

@@ -4,7 +4,9 @@ It stands here because it takes the matcher's answer to the calibration's covari
 two rooms do not know each other.
 """
 
+import itertools
 from collections.abc import Sequence
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -21,10 +23,11 @@ from trinoc.calib import (
 from trinoc.errors import InputError
 from trinoc.geometry import AFFINE_PARAMETERS, LineObservations, PoseModel, Rig, UncertainLines
 from trinoc.match import Matches, Wireframe, join_collinear, snap_corners, wireframe
-from trinoc.numerics import ArrayLike, as_numpy, in_float64, padded
+from trinoc.numerics import ArrayLike, as_numpy, in_blocks, in_float64
 
-# Tracks are padded to a multiple of this, so that few sizes compile.
+# Tracks go through the kernel so many at a time, so that one size compiles.
 BLOCK = 128
+TRACKS, JOINED, CORNERS, WIREFRAME = "tracks", "joined", "corners", "wireframe"
 
 
 def lines_of_rig(matches: Matches, rig: Rig) -> UncertainLines:
@@ -42,11 +45,10 @@ def lines_of_rig(matches: Matches, rig: Rig) -> UncertainLines:
     ends, own = np.asarray(matches.lines_mm), np.asarray(matches.covariance_mm2)
     pose_model = _pose_model_of(rig)
     if pose_model is None or matches.fragments_covariance_px2 is None or len(matches) == 0:
-        return UncertainLines(ends, own, np.zeros((len(ends), 6, 0)), np.zeros((0, 0)))
+        return certain_lines(ends, own)
     lines, cameras = matches.line_observations(), [rig[name] for name in matches.views]
-    states = [
-        camera_state(each, pose_model, with_intrinsics=_lens_is_open(rig)) for each in cameras
-    ]
+    open_lens = any(name.rpartition(".")[2] in AFFINE_PARAMETERS for name in rig.parameters)
+    states = [camera_state(each, pose_model, with_intrinsics=open_lens) for each in cameras]
     common, by_steps, by_step = _of_fragments(lines, states)
     names = [f"{view}.{parameter}" for view in matches.views for parameter in states[0].names]
     by_parameters = _carried(by_steps, common, ends) @ np.linalg.inv(by_step)
@@ -54,38 +56,39 @@ def lines_of_rig(matches: Matches, rig: Rig) -> UncertainLines:
     return UncertainLines(ends, own, by_parameters, rig.covariance_of(names))
 
 
-def joined_lines_of_rig(matches: Matches, rig: Rig, *, corners: bool = False) -> UncertainLines:
-    """As `lines_of_rig`, of the straight lines that the tracks lie on, and with `corners` of these
-    lines carried to the corners where they meet.
+def lines_of_form(matches: Matches, rig: Rig, form: str) -> tuple[UncertainLines, Wireframe | None]:
+    """As `lines_of_rig`, of what the tracks are put together to: `JOINED` straight lines, these
+    carried to their `CORNERS`, or the edges of a `WIREFRAME`, which comes with them.
 
-    A joined line follows the cameras as the longest of its tracks does. Raises InputError where
-    the matches do not hold the covariance of their fragments.
+    Such a line follows the cameras as the longest of its tracks does. Raises InputError where the
+    matches do not hold the covariance of their fragments.
     """
-    tracks = lines_of_rig(matches, rig)
-    joined = join_collinear(matches, rig)
-    ends, own = joined.lines_mm, joined.covariance_mm2
-    if corners:
-        snapped = snap_corners(joined)
-        ends, own = snapped.lines_mm, snapped.lines_covariance_mm2
+    tracks, frame = lines_of_rig(matches, rig), None
+    if form == TRACKS:
+        return tracks, None
+    if form == WIREFRAME:
+        answer = frame = wireframe(matches, rig)
+        ends, own = answer.lines_mm, answer.covariance_mm2
+    else:
+        answer = join_collinear(matches, rig)
+        ends, own = answer.lines_mm, answer.covariance_mm2
+        if form == CORNERS:
+            snapped = snap_corners(answer)
+            ends, own = snapped.lines_mm, snapped.lines_covariance_mm2
     length = np.linalg.norm(tracks.ends_mm[:, 1] - tracks.ends_mm[:, 0], axis=1)
     longest = np.array(
-        [t[length[t].argmax()] for t in map(joined.tracks_of, range(len(joined)))], dtype=np.int64
+        [t[length[t].argmax()] for t in map(answer.tracks_of, range(len(answer)))], dtype=np.int64
     )
     by_parameters = _carried(tracks.by_parameters[longest], tracks.ends_mm[longest], ends)
-    return UncertainLines(ends, own, by_parameters, tracks.parameter_covariance)
+    return UncertainLines(ends, own, by_parameters, tracks.parameter_covariance), frame
 
 
-def wireframe_of_rig(matches: Matches, rig: Rig) -> tuple[Wireframe, UncertainLines]:
-    """The wire frame of the tracks, and its edges as `joined_lines_of_rig` gives lines."""
-    tracks, frame = lines_of_rig(matches, rig), wireframe(matches, rig)
-    length = np.linalg.norm(tracks.ends_mm[:, 1] - tracks.ends_mm[:, 0], axis=1)
-    longest = np.array(
-        [t[length[t].argmax()] for t in map(frame.tracks_of, range(len(frame)))], dtype=np.int64
-    )
-    ends = frame.lines_mm
-    by_parameters = _carried(tracks.by_parameters[longest], tracks.ends_mm[longest], ends)
-    own = frame.covariance_mm2
-    return frame, UncertainLines(ends, own, by_parameters, tracks.parameter_covariance)
+def certain_lines(
+    lines_mm: Float[np.ndarray, "t 2 3"], covariance_mm2: Float[np.ndarray, "t 6 6"]
+) -> UncertainLines:
+    """Lines whose errors are all their own: those of cameras that count as exact."""
+    count = len(lines_mm)
+    return UncertainLines(lines_mm, covariance_mm2, np.zeros((count, 6, 0)), np.zeros((0, 0)))
 
 
 def _carried(
@@ -106,10 +109,8 @@ def _carried(
 def _pose_model_of(rig: Rig) -> PoseModel | None:
     """What the rig's covariance is of; None where it holds none."""
     for pose_model in (PoseModel.AIM_FREE, PoseModel.AIMED):
-        wanted = {
-            f"{name}.{parameter}" for name in rig.names for parameter in pose_model.parameter_names
-        }
-        if wanted <= set(rig.parameters):
+        names = itertools.product(rig.names, pose_model.parameter_names)
+        if {f"{name}.{parameter}" for name, parameter in names} <= set(rig.parameters):
             return pose_model
     if rig.parameters:
         raise InputError(
@@ -119,30 +120,22 @@ def _pose_model_of(rig: Rig) -> PoseModel | None:
     return None
 
 
-def _lens_is_open(rig: Rig) -> bool:
-    return any(name.rpartition(".")[2] in AFFINE_PARAMETERS for name in rig.parameters)
-
-
 @in_float64
 def _of_fragments(
     lines: LineObservations, states: Sequence[CameraState]
 ) -> tuple[Float[np.ndarray, "t 2 3"], Float[np.ndarray, "t 6 k"], Float[np.ndarray, "k k"]]:
     """(ends of the common parts, their Jacobian by the cameras' steps, parameters by steps)."""
-    stacked = stacked_states(states)
-    count = len(lines)
-    size = -(-count // BLOCK) * BLOCK
+    cameras = stacked_states(states)
     columns = (lines.fragments_px, lines.covariance_px2, lines.seen)
-    ends, by_steps, by_step = as_numpy(
-        _derivatives(stacked, *(padded(column, size, column[:1]) for column in columns))
-    )
-    return ends[:count], by_steps[:count], by_step
+    of_tracks = in_blocks(partial(_derivatives, cameras), BLOCK, *columns)
+    return as_numpy((*of_tracks, eqx.filter_jit(d_parameters_d_delta)(cameras, cameras)))
 
 
 @eqx.filter_jit
 def _derivatives(
     cameras: CameraState, fragments_px: ArrayLike, covariance_px2: ArrayLike, seen: ArrayLike
-) -> tuple[ArrayLike, ArrayLike, ArrayLike]:
+) -> tuple[ArrayLike, ArrayLike]:
     ends, _, by_steps = jax.vmap(segment_and_errors, (None, 0, 0, 0))(
         cameras, fragments_px, covariance_px2, seen
     )
-    return ends, by_steps, d_parameters_d_delta(cameras, cameras)
+    return ends, by_steps

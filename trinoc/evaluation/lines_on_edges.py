@@ -8,11 +8,12 @@ from jaxtyping import Bool, Float, Int
 from trinoc.evaluation.distances import nearest_segments
 from trinoc.geometry import UncertainLines
 from trinoc.numerics import axes_across
+from trinoc.synth import points_along
 
 # Places along a line at which its nearest edge is asked for; odd, so that one is the middle.
 _PLACES = 9
 # Lines at a larger angle to an edge cross it rather than lie on it.
-_LEAST_COSINE = 0.5
+_CROSSES_DEG = 60.0
 
 
 class OffsetsAcross(NamedTuple):
@@ -50,17 +51,17 @@ def edge_of_lines(
     A line lies on the edge that is the nearest to most of its length within `reach_mm`, if that
     is half of its length or more, and it does not cross it.
     """
-    place = ((np.arange(_PLACES) + 0.5) / _PLACES)[:, None]
-    points = lines_mm[:, None, 0] + place * (lines_mm[:, 1] - lines_mm[:, 0])[:, None]
+    place = (np.arange(_PLACES) + 0.5) / _PLACES
+    points = points_along(lines_mm, np.tile(place, (len(lines_mm), 1)))
     near = nearest_segments(points.reshape(-1, 3), edges_mm)
-    segment = np.where(near.distance_mm <= reach_mm, near.segment, -1).reshape(-1, _PLACES)
-    edge = np.full(len(lines_mm), -1)
-    for line, row in enumerate(segment):
-        names, votes = np.unique(row[row >= 0], return_counts=True)
-        if votes.max(initial=0) * 2 > _PLACES:
-            edge[line] = names[votes.argmax()]
-    on = edge >= 0
-    edge[on] = np.where(_cosines(lines_mm[on], edges_mm[edge[on]]) > _LEAST_COSINE, edge[on], -1)
+    nearest = np.where(near.distance_mm <= reach_mm, near.segment, -1).reshape(-1, _PLACES)
+    # What more than half of them name is in the middle of the names in order.
+    middle = np.sort(nearest, axis=1)[:, _PLACES // 2]
+    most = (nearest == middle[:, None]).sum(axis=1) * 2 > _PLACES
+    edge = np.where(most, middle, -1)
+    on = np.flatnonzero(edge >= 0)
+    crosses = angles_deg(lines_mm[on], edges_mm[edge[on]]) >= _CROSSES_DEG
+    edge[on[crosses]] = -1
     return edge
 
 
@@ -94,9 +95,3 @@ def offsets_across(lines: UncertainLines, edges_mm: Float[np.ndarray, "n 2 3"]) 
         both @ lines.own_covariance_mm2 @ both.mT,
         both @ lines.by_parameters,
     )
-
-
-def _cosines(
-    lines_mm: Float[np.ndarray, "n 2 3"], edges_mm: Float[np.ndarray, "n 2 3"]
-) -> Float[np.ndarray, "n"]:
-    return np.cos(np.radians(angles_deg(lines_mm, edges_mm)))

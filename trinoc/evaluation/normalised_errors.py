@@ -48,8 +48,7 @@ def normalised_errors(
     claimed = np.isfinite(errors).all(axis=1)
     if not claimed.any():
         return NormalisedErrors(0, *[float("nan")] * 5)
-    errors, offset = errors[claimed], offsets.offset_mm[claimed]
-    shared = offsets.by_parameters @ _root(parameter_covariance)
+    errors, offsets = errors[claimed], OffsetsAcross(*(column[claimed] for column in offsets))
     chi_square = np.sum(errors**2, axis=1)
     return NormalisedErrors(
         lines=len(errors),
@@ -57,7 +56,7 @@ def normalised_errors(
         spread=float(np.sqrt(np.median(chi_square) / _MEDIAN)),
         share_within=float(np.mean(np.abs(errors) < WITHIN_SIGMAS)),
         share_of_lines=float(np.mean(chi_square < _LARGEST_95)),
-        joint=_joint_chi_square(offset, offsets.own_mm2[claimed], shared[claimed]) / errors.size,
+        joint=_joint_chi_square(offsets, parameter_covariance) / errors.size,
     )
 
 
@@ -74,22 +73,16 @@ def errors_in_sigmas(
 
 
 def _joint_chi_square(
-    offset: Float[np.ndarray, "n 4"],
-    own: Float[np.ndarray, "n 4 4"],
-    shared: Float[np.ndarray, "n 4 k"],
+    offsets: OffsetsAcross, parameter_covariance: Float[np.ndarray, "k k"]
 ) -> float:
-    """d' (D + A A')^-1 d with D of the lines' own blocks, by Woodbury's identity; NaN where a
+    """d' (D + B C B')^-1 d with D of the lines' own blocks, by Woodbury's identity; NaN where a
     line has no covariance of its own."""
+    offset, own, by = offsets
     if np.linalg.eigvalsh(own)[:, 0].min() <= 0:
         return float("nan")
-    weighted = np.linalg.solve(own, np.concatenate([offset[..., None], shared], axis=2))
+    weighted = np.linalg.solve(own, np.concatenate([offset[..., None], by], axis=2))
     alone = float(np.einsum("ni,ni->", offset, weighted[..., 0]))
-    right = np.einsum("nik,ni->k", shared, weighted[..., 0])
-    inner = np.eye(shared.shape[2]) + np.einsum("nik,nil->kl", shared, weighted[..., 1:])
-    return alone - float(right @ np.linalg.solve(inner, right))
-
-
-def _root(covariance: Float[np.ndarray, "k k"]) -> Float[np.ndarray, "k k"]:
-    """A matrix whose product with its transpose is `covariance`, which may be singular."""
-    variances, axes = np.linalg.eigh(covariance)
-    return axes * np.sqrt(np.maximum(variances, 0.0))
+    right = np.einsum("nik,ni->k", by, weighted[..., 0])
+    inner = parameter_covariance @ np.einsum("nik,nil->kl", by, weighted[..., 1:])
+    common = np.linalg.solve(np.eye(len(inner)) + inner, parameter_covariance @ right)
+    return alone - float(right @ common)

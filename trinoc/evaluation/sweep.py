@@ -1,34 +1,24 @@
 """The same pictures with one setting of the segmentation after the other, each evaluated."""
 
-import dataclasses
 import itertools
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool
 
 from trinoc.errors import InputError, TrinocError
 from trinoc.evaluation.evaluation import (
     TOLERANCES_MM,
     Evaluation,
     EvaluationStatus,
-    certain_lines,
     evaluate,
 )
 from trinoc.evaluation.known_shape import KnownShape
-from trinoc.evaluation.lines_of_rig import (
-    joined_lines_of_rig,
-    lines_of_rig,
-    wireframe_of_rig,
-)
-from trinoc.evaluation.lines_on_edges import selected
+from trinoc.evaluation.lines_of_rig import TRACKS, certain_lines, lines_of_form
 from trinoc.geometry import Rig, UncertainLines
 from trinoc.match import TRINOCULAR, Matches, Wireframe, match_segments
 from trinoc.segments import find_segments
-
-TRACKS, JOINED, CORNERS, WIREFRAME = "tracks", "joined", "corners", "wireframe"
 
 
 class Setting(NamedTuple):
@@ -103,7 +93,6 @@ def evaluate_settings(
                 name: find_segments(picture, **setting._asdict())
                 for name, picture in pictures.items()
             }
-            count = sum(map(len, segments.values()))
             matches = match_segments(segments, rig)
         except TrinocError as error:
             seconds = time.perf_counter() - start
@@ -113,7 +102,7 @@ def evaluate_settings(
         for row in evaluate_matches(
             matches, rig, shape, choices, tolerances_mm=tolerances_mm, aligned=aligned
         ):
-            yield row._replace(setting=setting, segments=count, seconds=seconds)
+            yield row._replace(setting=setting, seconds=seconds)
 
 
 def evaluate_matches(
@@ -129,51 +118,33 @@ def evaluate_matches(
     start = time.perf_counter()
     count = sum(len(words) for words in matches.reasons.values())
     for choice in choices:
+        found, problem = None, ""
         try:
-            frame, lines = chosen_frame(matches, rig, choice)
+            lines, frame = chosen_lines(matches, rig, choice)
             found = evaluate(
                 lines, shape, tolerances_mm=tolerances_mm, aligned=aligned, frame=frame
             )
         except TrinocError as error:
-            seconds = time.perf_counter() - start
-            yield Row(None, choice, count, None, str(error), seconds)
-            continue
-        problem = "" if found.status is EvaluationStatus.COMPARED else found.status.value
+            problem = str(error)
+        if found is not None and found.status is not EvaluationStatus.COMPARED:
+            problem = found.status.value
         yield Row(None, choice, count, found, problem, time.perf_counter() - start)
 
 
-def chosen_lines(matches: Matches, rig: Rig | None, choice: SweepSetting) -> UncertainLines:
-    """The lines of the tracks that count, with the cameras' errors where the rig states them.
+def chosen_lines(
+    matches: Matches, rig: Rig | None, choice: SweepSetting
+) -> tuple[UncertainLines, Wireframe | None]:
+    """The lines of the tracks that count, with the cameras' errors where the rig states them, and
+    the wire frame, where that is asked for.
 
     Raises InputError where lines are to be joined and no rig is given.
     """
-    return chosen_frame(matches, rig, choice)[1]
-
-
-def chosen_frame(
-    matches: Matches, rig: Rig | None, choice: SweepSetting
-) -> tuple[Wireframe | None, UncertainLines]:
-    """The wire frame, where that is asked for, and `chosen_lines`."""
-    kept = np.asarray(matches.posterior) >= choice.least_posterior
+    kept = matches.posterior >= choice.least_posterior
     if choice.stage == TRINOCULAR:
-        kept &= np.asarray(matches.stage) == TRINOCULAR
+        kept &= matches.stage == TRINOCULAR
+    tracks = matches.take(np.flatnonzero(kept))
+    if rig is not None:
+        return lines_of_form(tracks, rig, choice.form)
     if choice.form != TRACKS:
-        if rig is None:
-            raise InputError("Lines are joined by what the cameras saw of them: give the rig.")
-        tracks = _of_tracks(matches, kept)
-        if choice.form == WIREFRAME:
-            return wireframe_of_rig(tracks, rig)
-        return None, joined_lines_of_rig(tracks, rig, corners=choice.form == CORNERS)
-    if rig is None:
-        return None, certain_lines(matches.lines_mm[kept], matches.covariance_mm2[kept])
-    return None, selected(lines_of_rig(matches, rig), kept)
-
-
-def _of_tracks(matches: Matches, kept: Bool[np.ndarray, "t"]) -> Matches:
-    """The same matches with some of their tracks."""
-    columns = {
-        field.name: getattr(matches, field.name)[kept]
-        for field in dataclasses.fields(matches)
-        if isinstance(getattr(matches, field.name), np.ndarray)
-    }
-    return dataclasses.replace(matches, **columns)
+        raise InputError("Lines are joined by what the cameras saw of them: give the rig.")
+    return certain_lines(tracks.lines_mm, tracks.covariance_mm2), None

@@ -10,7 +10,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from trinoc.evaluation.alignment import RigidMotion
-from trinoc.evaluation.distances import distance_to_segments_mm, sampled_segments
+from trinoc.evaluation.distances import if_any, lengths_near
 from trinoc.evaluation.known_shape import KnownShape
 from trinoc.match import Wireframe
 from trinoc.numerics import chi_square_limit
@@ -24,7 +24,6 @@ _AT_END = 1e-3
 # An edge counts as found where half of its wanted length is, as for lengths.
 LEAST_COVERED = 0.5
 _STEP_MM = 0.25
-THREE_SIGMA = 0.9973
 
 
 class WireframeScore(NamedTuple):
@@ -34,9 +33,8 @@ class WireframeScore(NamedTuple):
     ------
     edges_wanted, edges_found : known edges with a wanted part, and those of which half of it or
         more was found. edges_extra : edges of the wire frame that lie on no known one.
-    corners_mm : (w, 3) the known corners that were wanted.
-    vertex : (w,) the corner of the wire frame found for each, -1 where it is missing.
-    corners_extra : corners of the wire frame that belong to no known one, wanted or not.
+    corners_wanted, corners_found : known corners that two wanted parts reach, and those for which
+        the wire frame has one. corners_extra : its corners that belong to no known one at all.
     error_mm : (p,) distances of all that do.
     square : (p,) the same in units of their covariance, squared: three degrees of freedom.
     faces : number of faces.
@@ -45,8 +43,8 @@ class WireframeScore(NamedTuple):
     edges_wanted: int
     edges_found: int
     edges_extra: int
-    corners_mm: Float[np.ndarray, "w 3"]
-    vertex: Int[np.ndarray, "w"]
+    corners_wanted: int
+    corners_found: int
     corners_extra: int
     error_mm: Float[np.ndarray, "p"]
     square: Float[np.ndarray, "p"]
@@ -54,34 +52,28 @@ class WireframeScore(NamedTuple):
 
     def record(self) -> dict[str, Any]:
         """All numbers by name; NaN where there is none."""
-        found = int((self.vertex >= 0).sum())
-        return {
-            "edges_wanted": self.edges_wanted,
-            "edges_found": self.edges_found,
+        counts = self._asdict()
+        del counts["error_mm"], counts["square"]
+        within = {share: self.square <= chi_square_limit(1 - share, 3) for share in (0.95, 0.9973)}
+        return counts | {
             "edges_missing": self.edges_wanted - self.edges_found,
-            "edges_extra": self.edges_extra,
-            "corners_wanted": len(self.vertex),
-            "corners_found": found,
-            "corners_missing": len(self.vertex) - found,
-            "corners_extra": self.corners_extra,
-            "corner_error_median_mm": _of(np.median, self.error_mm),
-            "share_of_corners_within_95": self._share_within(0.95),
-            "share_of_corners_within_3_sigma": self._share_within(THREE_SIGMA),
-            "faces": self.faces,
+            "corners_missing": self.corners_wanted - self.corners_found,
+            "corner_error_median_mm": if_any(np.median, self.error_mm),
+            "share_of_corners_within_95": if_any(np.mean, within[0.95]),
+            "share_of_corners_within_3_sigma": if_any(np.mean, within[0.9973]),
         }
-
-    def _share_within(self, share: float) -> float:
-        return _of(np.mean, self.square <= chi_square_limit(1 - share, 3))
 
 
 def score_wireframe(
     frame: Wireframe,
+    lines_mm: Float[np.ndarray, "e 2 3"],
     edge_of: Int[np.ndarray, "e"],
     shape: KnownShape,
     reach_mm: float,
-    motion: RigidMotion | None = None,
+    motion: RigidMotion | None,
 ) -> WireframeScore:
-    """Compare a wire frame whose edges lie on the known edges `edge_of`, -1 where on none."""
+    """Compare a wire frame, whose edges lie on the known edges `edge_of`, -1 where on none, and
+    are `lines_mm` after the motion."""
     known = known_corners(shape)
     vertices, spread = frame.vertices_mm, frame.vertices_covariance_mm2
     if motion is not None:
@@ -89,23 +81,25 @@ def score_wireframe(
         spread = motion.rotation @ spread @ motion.rotation.T
     corners = np.flatnonzero(frame.corner)
     ours, theirs = _paired(vertices[corners], known.corners_mm, reach_mm)
-    vertex = np.full(len(known.corners_mm), -1)
-    vertex[theirs] = corners[ours]
     error = vertices[corners[ours]] - known.corners_mm[theirs]
     square = np.einsum(
         "pi,pij,pj->p", error, np.linalg.inv(spread[corners[ours]]), error, optimize=True
     )
-    wanted, found = _edges_found(frame, edge_of, shape, reach_mm, motion)
+    wanted, parts = np.unique(shape.wanted_edge), shape.wanted_mm
+    near = [
+        lengths_near(parts[shape.wanted_edge == edge], lines_mm[edge_of == edge], _STEP_MM)
+        for edge in wanted
+    ]
     return WireframeScore(
-        wanted,
-        found,
-        int((edge_of < 0).sum()),
-        known.corners_mm[known.wanted],
-        vertex[known.wanted],
-        len(corners) - len(ours),
-        np.linalg.norm(error, axis=1),
-        square,
-        len(frame.planes),
+        edges_wanted=len(wanted),
+        edges_found=sum(each.share_within(reach_mm) >= LEAST_COVERED for each in near),
+        edges_extra=int((edge_of < 0).sum()),
+        corners_wanted=int(known.wanted.sum()),
+        corners_found=int(known.wanted[theirs].sum()),
+        corners_extra=len(corners) - len(ours),
+        error_mm=np.linalg.norm(error, axis=1),
+        square=square,
+        faces=len(frame.planes),
     )
 
 
@@ -155,25 +149,3 @@ def _paired(
     ours, theirs = linear_sum_assignment(np.where(apart <= reach_mm, apart, far))
     near = apart[ours, theirs] <= reach_mm
     return ours[near], theirs[near]
-
-
-def _edges_found(
-    frame: Wireframe,
-    edge_of: Int[np.ndarray, "e"],
-    shape: KnownShape,
-    reach_mm: float,
-    motion: RigidMotion | None,
-) -> tuple[int, int]:
-    """(known edges with a wanted part, those of which half of it has an edge of their own near)."""
-    lines = frame.lines_mm if motion is None else motion.of_points(frame.lines_mm)
-    wanted = np.unique(shape.wanted_edge)
-    found = 0
-    for edge in wanted.tolist():
-        points, weight = sampled_segments(shape.wanted_mm[shape.wanted_edge == edge], _STEP_MM)
-        near = distance_to_segments_mm(points, lines[edge_of == edge]) <= reach_mm
-        found += int(weight[near].sum() >= LEAST_COVERED * weight.sum())
-    return len(wanted), found
-
-
-def _of(statistic: Any, values: np.ndarray) -> float:
-    return float(statistic(values)) if len(values) else float("nan")

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 from trinoc.geometry import Rig, Segments
-from trinoc.match import MatchBatch, match_many
+from trinoc.match import match_many
 from trinoc.recording.frame import OK, FrameMatches
 
 
@@ -20,33 +20,20 @@ def matched_frames(
     says so.
     """
     usable = {name: views for name, views in found.items() if not isinstance(views, str)}
-    frames = list(usable.values())
-    try:
-        batch = match_many(frames, rig, depth_range_mm=depth_range_mm)
-    except Exception:
-        outcomes = [_alone(views, rig, depth_range_mm) for views in frames]
-    else:
-        outcomes = _outcomes(batch)
+
+    def matched(names: Sequence[str]) -> list[FrameMatches]:
+        try:
+            batch = match_many([usable[n] for n in names], rig, depth_range_mm=depth_range_mm)
+        except Exception as error:
+            if len(names) == 1:
+                return [FrameMatches(names[0], unexpected(error), None)]
+            return [result for name in names for result in matched([name])]
+        outcomes = zip(names, batch.matches, batch.status, strict=True)
+        return [FrameMatches(n, OK if m is not None else str(why), m) for n, m, why in outcomes]
+
     of_name = {n: FrameMatches(n, why, None) for n, why in found.items() if isinstance(why, str)}
-    of_name |= {n: outcome._replace(name=n) for n, outcome in zip(usable, outcomes, strict=True)}
+    of_name |= {result.name: result for result in matched(list(usable))}
     return [of_name[name] for name in found]
-
-
-def _outcomes(batch: MatchBatch) -> Sequence[FrameMatches]:
-    return [
-        FrameMatches("", OK if matches is not None else str(status), matches)
-        for matches, status in zip(batch.matches, batch.status, strict=True)
-    ]
-
-
-def _alone(
-    views: Mapping[str, Segments], rig: Rig, depth_range_mm: tuple[float, float] | None
-) -> FrameMatches:
-    try:
-        (outcome,) = _outcomes(match_many([views], rig, depth_range_mm=depth_range_mm))
-    except Exception as error:
-        return FrameMatches("", unexpected(error), None)
-    return outcome
 
 
 def unexpected(error: Exception) -> str:

@@ -16,7 +16,6 @@ USUAL = (
     "{camera}-{frame}.*",
     "{frame}.{camera}.*",
 )
-_FIELD = re.compile(r"\{(\w*)\}|(\*)")
 
 
 def frames_of_names(names: Iterable[str], template: str, cameras: Sequence[str]) -> list[Frame]:
@@ -45,10 +44,9 @@ def frames_of_names(names: Iterable[str], template: str, cameras: Sequence[str])
             f'No file fits the template "{template}" with the cameras {", ".join(cameras)}: check '
             "the folder, the template, and that files are named after the cameras of the rig."
         )
-    ordered = sorted(found, key=_by_numbers)
     return [
-        Frame(frame, {c: found[frame][c] for c in cameras if c in found[frame]})
-        for frame in ordered
+        Frame(name, {camera: found[name][camera] for camera in cameras if camera in found[name]})
+        for name in sorted(found, key=_by_numbers)
     ]
 
 
@@ -79,30 +77,24 @@ def depth_of(template: str) -> int:
 def _pattern(template: str, cameras: Sequence[str]) -> re.Pattern[str]:
     # Longer names first: "left" is no camera of "1_left_wide".
     either = "|".join(re.escape(name) for name in sorted(cameras, key=len, reverse=True))
-    fields = {"frame": "[^/]+?", "camera": either}
-    parts, end, seen = [], 0, set()
-    for field in _FIELD.finditer(template):
-        parts.append(re.escape(template[end : field.start()]))
-        end = field.end()
-        name = field[1]
-        if field[2]:
-            parts.append("[^/]*")
-        elif name in seen:
-            parts.append(f"(?P={name})")
-        elif name in fields:
-            seen.add(name)
-            parts.append(f"(?P<{name}>{fields[name]})")
-        else:
+    written = {"{frame}": "(?P<frame>[^/]+?)", "{camera}": f"(?P<camera>{either})", "*": "[^/]*"}
+    pieces = re.split(r"(\{\w*\}|\*)", template)
+    for field in pieces[1::2]:
+        if field not in written:
             raise InputError(
-                f'The template "{template}" has {field[0]}: use {{frame}} and {{camera}}.'
+                f'The template "{template}" has {field}: use {{frame}} and {{camera}}.'
             )
-    missing = [name for name in fields if name not in seen]
-    if missing:
-        raise InputError(
-            f'The template "{template}" lacks {{{missing[0]}}}: write both, such as '
-            '"{frame}_{camera}.png".'
-        )
-    return re.compile("".join([*parts, re.escape(template[end:])]))
+    for field in ("{frame}", "{camera}"):
+        if field not in pieces:
+            raise InputError(
+                f'The template "{template}" lacks {field}: write both, such as '
+                '"{frame}_{camera}.png".'
+            )
+    for k, piece in enumerate(pieces):
+        pieces[k] = written[piece] if k % 2 else re.escape(piece)
+        if k % 2 and piece != "*":
+            written[piece] = f"(?P={piece[1:-1]})"
+    return re.compile("".join(pieces))
 
 
 def _by_numbers(name: str) -> tuple[list[tuple[int, str]], str]:

@@ -18,10 +18,8 @@ def parts_of(frames: Sequence[Frame], frames_per_part: int) -> list[Part]:
     """All frames, in order, in parts of that many; the last may have fewer.
 
     The cut depends on nothing else, so that any number of jobs, threads and interruptions gives
-    the same files. Raises InputError for a size that is not positive.
+    the same files.
     """
-    if frames_per_part < 1:
-        raise InputError(f"A part of {frames_per_part} frames is none: give 1 or more.")
     starts = range(0, len(frames), frames_per_part)
     return [Part(k, tuple(frames[i : i + frames_per_part])) for k, i in enumerate(starts)]
 

@@ -1,6 +1,6 @@
 from .loopback import ADDRESS as ADDRESS, REFUSAL as REFUSAL, may_ask as may_ask
-from .pages import Page as Page, PageServer as PageServer
-from .space import SpaceServer as SpaceServer
+from .pages import Page as Page, serve_pages as serve_pages
+from .space import serve_space as serve_space
 from .watching import (
     Watched as Watched,
     picture_page as picture_page,

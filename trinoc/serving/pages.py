@@ -1,13 +1,15 @@
 """A small web server for this machine: a few pages made anew at each request, and nothing else."""
 
+import contextlib
 import http.server
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import NamedTuple
 
 from trinoc.errors import InputError
 from trinoc.serving.loopback import ADDRESS, REFUSAL, may_ask
 
+_TEXT = "text/plain; charset=utf-8"
 _STALLED_S = 10.0
 _LOOK_FOR_STOP_S = 0.1
 # A page takes nothing from elsewhere and runs no script, whatever names of files may hold.
@@ -30,42 +32,30 @@ class Page(NamedTuple):
     content: bytes
 
 
-class PageServer:
-    """Pages by their paths, such as "/"; no file is served. Leave it as a context, or call `stop`.
+@contextlib.contextmanager
+def serve_pages(pages: Mapping[str, Callable[[], Page]], *, port: int = 0) -> Iterator[str]:
+    """Serve pages by their paths, such as "/", as long as the block runs; no file is served.
 
-    Raises InputError where the port is taken.
+    Yields the address to look at. Raises InputError where the port is taken.
     """
-
-    def __init__(self, pages: Mapping[str, Callable[[], Page]], *, port: int = 0) -> None:
-        handler = type("_Handler", (_Handler,), {"pages": dict(pages)})
-        try:
-            self._server = http.server.ThreadingHTTPServer((ADDRESS, port), handler)
-        except (OSError, OverflowError) as error:
-            raise InputError(
-                f"Port {port} is taken: give another --port, or none for a free one."
-            ) from error
-        self._server.daemon_threads = True
-        self._thread = threading.Thread(
-            target=self._server.serve_forever, args=(_LOOK_FOR_STOP_S,), daemon=True
+    handler = type("_Handler", (_Handler,), {"pages": dict(pages)})
+    try:
+        server = http.server.ThreadingHTTPServer((ADDRESS, port), handler)
+    except (OSError, OverflowError) as error:
+        raise InputError(
+            f"Port {port} is taken: give another --port, or none for a free one."
+        ) from error
+    server.daemon_threads = True
+    with server:
+        thread = threading.Thread(
+            target=server.serve_forever, args=(_LOOK_FOR_STOP_S,), daemon=True
         )
-        self._thread.start()
-
-    @property
-    def url(self) -> str:
-        """Where to look."""
-        return f"http://{ADDRESS}:{self._server.server_port}/"
-
-    def stop(self) -> None:
-        """Close the port."""
-        self._server.shutdown()
-        self._server.server_close()
-        self._thread.join()
-
-    def __enter__(self) -> "PageServer":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.stop()
+        thread.start()
+        try:
+            yield f"http://{ADDRESS}:{server.server_port}/"
+        finally:
+            server.shutdown()
+            thread.join()
 
 
 class _Handler(http.server.BaseHTTPRequestHandler):
@@ -76,14 +66,13 @@ class _Handler(http.server.BaseHTTPRequestHandler):
     timeout = _STALLED_S
 
     def do_GET(self) -> None:
-        if not may_ask(self.headers.get_all("Host") or [], self.headers.get_all("Origin") or []):
-            self._send(403, Page("text/plain; charset=utf-8", REFUSAL.encode()))
-            return
         make = self.pages.get(self.path.partition("?")[0])
-        if make is None:
-            self._send(404, Page("text/plain; charset=utf-8", b"There is no such page.\n"))
-            return
-        self._send(200, make())
+        if not may_ask(self.headers.get_all("Host") or [], self.headers.get_all("Origin") or []):
+            self._send(403, Page(_TEXT, REFUSAL.encode()))
+        elif make is None:
+            self._send(404, Page(_TEXT, b"There is no such page.\n"))
+        else:
+            self._send(200, make())
 
     def _send(self, status: int, page: Page) -> None:
         self.send_response(status)

@@ -2,11 +2,12 @@
 
 import contextlib
 import inspect
-import os
+import io
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
+from jaxtyping import UInt8
 
 from trinoc.errors import InputError
 from trinoc.report import (
@@ -25,56 +26,35 @@ _DOT_SHARE = 0.012
 _GREY = "#8a8a8a"
 
 
-class SpaceServer:
-    """A running view; leave it as a context, or call `stop`.
+@contextlib.contextmanager
+def serve_space(
+    figure: SpaceFigure, ellipsoids: Ellipsoids | None, *, title: str, port: int = 0
+) -> Iterator[str]:
+    """Serve a view as long as the block runs, to whom `may_ask` lets; yields the address.
 
     Raises InputError where viser is missing, or where the port is taken.
     """
-
-    def __init__(
-        self, figure: SpaceFigure, ellipsoids: Ellipsoids | None, *, title: str, port: int = 0
-    ) -> None:
-        expect_extra("viser", "view")
-        self._server = _guarded_server(port, title)
-        try:
-            _draw(self._server, figure, ellipsoids)
-        except BaseException:
-            self.stop()
-            raise
-
-    @property
-    def url(self) -> str:
-        """Where to look."""
-        return f"http://{ADDRESS}:{self._server.get_port()}/"
-
-    def stop(self) -> None:
-        """Close the port."""
-        with _silent():
-            self._server.stop()
-
-    def __enter__(self) -> "SpaceServer":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.stop()
-
-
-def _guarded_server(port: int, title: str) -> Any:
-    """A server of viser that asks `may_ask` first, and has no door to the outside."""
+    expect_extra("viser", "view")
     import viser
 
-    with _guarded() as guarded, _silent():
+    # viser greets on stdout, which holds results.
+    with _guarded() as guarded, contextlib.redirect_stdout(io.StringIO()):
         server = viser.ViserServer(host=ADDRESS, port=port, label=title, verbose=False)
-    # viser can lend a scene to everybody through a relay of its own, at the press of a button.
-    server.request_share_url = lambda *_, **__: None
-    server.gui.configure_theme(show_logo=False, show_share_button=False, dark_mode=False)
-    if not guarded:
-        server.stop()
-        raise InputError("This version of viser starts its server in another way: update trinoc.")
-    if port not in (0, server.get_port()):
-        server.stop()
-        raise InputError(f"Port {port} is taken: give another --port, or none for a free one.")
-    return server
+    try:
+        if not guarded:
+            raise InputError(
+                "This version of viser starts its server in another way: update trinoc."
+            )
+        if port not in (0, server.get_port()):
+            raise InputError(f"Port {port} is taken: give another --port, or none for a free one.")
+        # viser can lend a scene to everybody through a relay of its own, at the press of a button.
+        server.request_share_url = lambda *_, **__: None
+        server.gui.configure_theme(show_logo=False, show_share_button=False, dark_mode=False)
+        _draw(server, figure, ellipsoids)
+        yield f"http://{ADDRESS}:{server.get_port()}/"
+    finally:
+        with contextlib.redirect_stdout(io.StringIO()):
+            server.stop()
 
 
 @contextlib.contextmanager
@@ -105,62 +85,47 @@ def _guarded() -> Iterator[list[bool]]:
         websockets_server.serve = plain
 
 
-@contextlib.contextmanager
-def _silent() -> Iterator[None]:
-    """viser greets on stdout, which holds results."""
-    with open(os.devnull, "w", encoding="utf-8") as nowhere, contextlib.redirect_stdout(nowhere):
-        yield
-
-
 def _draw(server: Any, figure: SpaceFigure, ellipsoids: Ellipsoids | None) -> None:
-    scene, gui = server.scene, server.gui
     for number, layer in enumerate(figure.layers):
-        handle = _add_layer(scene, f"/layers/{number}", layer)
-        if handle is not None:
-            _switch(gui, layer.name, handle)
+        if layer.parts:
+            _switch(server.gui, layer.name, _add_layer(server.scene, f"/layers/{number}", layer))
     for number, label in enumerate(figure.labels):
-        scene.add_label(f"/labels/{number}", label.text, position=label.at_mm)
-    box = figure.views[0].box if figure.views else None
-    if ellipsoids is not None and len(ellipsoids.track):
-        _add_ellipsoids(server, figure, ellipsoids, 0.0 if box is None else _diagonal(box))
-    if box is not None:
-        middle = (box.low_mm + box.high_mm) / 2
-        azimuth = figure.views[0].azimuth
+        server.scene.add_label(f"/labels/{number}", label.text, position=label.at_mm)
+    size_mm = 0.0
+    if figure.views:
+        box, azimuth = figure.views[0].box, figure.views[0].azimuth
+        middle, size_mm = (
+            (box.low_mm + box.high_mm) / 2,
+            float(np.linalg.norm(box.high_mm - box.low_mm)),
+        )
         # From the figure's own side, a little from above.
         eye = np.array([np.cos(azimuth), np.sin(azimuth), 0.7])
-        server.initial_camera.position = middle + 0.8 * _diagonal(box) * eye / np.linalg.norm(eye)
+        server.initial_camera.position = middle + 0.8 * size_mm * eye / np.linalg.norm(eye)
         server.initial_camera.look_at = middle
         server.initial_camera.up = (0.0, 0.0, 1.0)
-        server.initial_camera.far = max(1000.0, 100 * _diagonal(box))
+        server.initial_camera.far = max(1000.0, 100 * size_mm)
+    if ellipsoids is not None and len(ellipsoids.track):
+        _add_ellipsoids(server, figure, ellipsoids, size_mm)
 
 
-def _diagonal(box: Any) -> float:
-    return float(np.linalg.norm(box.high_mm - box.low_mm))
-
-
-def _colour(role: str) -> tuple[int, int, int]:
-    hex_ = COLOUR_OF_ROLE.get(role, _GREY)
-    return int(hex_[1:3], 16), int(hex_[3:5], 16), int(hex_[5:7], 16)
+def _colour(role: str) -> UInt8[np.ndarray, "3"]:
+    """Red, green, blue."""
+    return np.array(list(bytes.fromhex(COLOUR_OF_ROLE.get(role, _GREY)[1:7])), dtype=np.uint8)
 
 
 def _add_layer(scene: Any, name: str, layer: Layer) -> Any:
-    """Its lines, or its dots where parts are single points; None for a layer without any."""
-    lines = [part for part in layer.parts if len(part) > 1]
-    colour = _colour(layer.role)
+    """Its lines, or its dots where parts are single points."""
+    lines, colour = [part for part in layer.parts if len(part) > 1], _colour(layer.role)
     if not lines:
-        dots = [part[0] for part in layer.parts]
-        if not dots:
-            return None
-        colours = np.tile(np.array(colour, dtype=np.uint8), (len(dots), 1))
-        size = _DOT_SHARE * float(np.ptp(np.stack(dots), axis=0).max())
-        return scene.add_point_cloud(
-            name, np.stack(dots), colours, point_size=size, visible=layer.shown
-        )
+        dots = np.stack([part[0] for part in layer.parts])
+        size = _DOT_SHARE * float(np.ptp(dots, axis=0).max())
+        colours = np.tile(colour, (len(dots), 1))
+        return scene.add_point_cloud(name, dots, colours, point_size=size, visible=layer.shown)
     pieces = np.concatenate([np.stack([part[:-1], part[1:]], axis=1) for part in lines])
     return scene.add_line_segments(
         name,
         pieces.astype(np.float32),
-        np.array(colour, dtype=np.uint8),
+        colour,
         thickness=_LINE_PX,
         thickness_units="screen",
         visible=layer.shown,
@@ -169,10 +134,7 @@ def _add_layer(scene: Any, name: str, layer: Layer) -> Any:
 
 def _switch(gui: Any, name: str, handle: Any) -> None:
     box = gui.add_checkbox(name, handle.visible)
-
-    @box.on_update
-    def _(_: Any) -> None:
-        handle.visible = box.value
+    box.on_update(lambda _: setattr(handle, "visible", box.value))
 
 
 def _add_ellipsoids(
@@ -191,7 +153,7 @@ def _add_ellipsoids(
         batched_wxyzs=viser.transforms.SO3.from_matrix(ellipsoids.axes).wxyz,
         batched_positions=ellipsoids.centres_mm,
         batched_scales=begin * ellipsoids.sigmas_mm,
-        batched_colors=_colour("ellipsoids"),
+        batched_colors=tuple(_colour("ellipsoids").tolist()),
         opacity=0.55,
         lod="off",
         cast_shadow=False,

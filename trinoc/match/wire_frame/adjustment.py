@@ -14,7 +14,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from trinoc.match.line_map import Corners, JoinedLines
-from trinoc.numerics import Residuals, axes_across, normal_equations, whitening
+from trinoc.numerics import Residuals, axes_across, group_sums, normal_equations, whitening
 
 
 class Graph(NamedTuple):
@@ -22,7 +22,7 @@ class Graph(NamedTuple):
 
     lines_mm, covariance_mm2 : the lines as they were measured.
     along_mm : standard deviation of both ends along each line: a detector stops where it does.
-    vertex : of both ends of each line, or -1 where the line was let go.
+    vertex : of both ends of each line.
     """
 
     lines_mm: Float[np.ndarray, "l 2 3"]
@@ -51,15 +51,6 @@ def graph_of(joined: JoinedLines, corners: Corners, free_end_px: float) -> Graph
     return Graph(joined.lines_mm, joined.covariance_mm2, np.sqrt(variance + stops**2), vertex)
 
 
-def without_gaps(vertex: Int[np.ndarray, "l 2"]) -> Int[np.ndarray, "l 2"]:
-    """The same graph with its vertices numbered from 0 on, in their order."""
-    used, number = np.unique(vertex[vertex >= 0], return_inverse=True)
-    renumbered = np.full_like(vertex, -1)
-    renumbered[vertex >= 0] = number
-    assert len(used) == renumbered.max(initial=-1) + 1
-    return renumbered
-
-
 # The covariance of a line depends on where along it its vertices lie.
 STEPS = 3
 
@@ -68,18 +59,17 @@ class Adjusted(NamedTuple):
     """Vertices, and what each line says of its two.
 
     points_mm : (n, 3). part : (n,). covariance_mm2 : for each part, of its vertices in their
-    order. lines : (l,) the lines that are in the graph. axes : (l, 3, 3) rows: two across each,
-    then along it. residual_mm : (l, 6) both vertices less where the line has them, in its axes;
-    own_mm2 : (l, 6, 6) what of this the line itself leaves open.
+    order. axes : (l, 3, 3) rows: two across each line, then along it. residual_mm : (l, 2, 3) both
+    vertices less where the line has them, in its axes; own_mm2 : (l, 2, 3, 2, 3) what of this the
+    line itself leaves open.
     """
 
     points_mm: Float[np.ndarray, "n 3"]
     part: Int[np.ndarray, "n"]
     covariance_mm2: tuple[Float[np.ndarray, "_ _"], ...]
-    lines: Int[np.ndarray, "l"]
     axes: Float[np.ndarray, "l 3 3"]
-    residual_mm: Float[np.ndarray, "l 6"]
-    own_mm2: Float[np.ndarray, "l 6 6"]
+    residual_mm: Float[np.ndarray, "l 2 3"]
+    own_mm2: Float[np.ndarray, "l 2 3 2 3"]
 
     def joint(self, vertices: Int[np.ndarray, "k"]) -> Float[np.ndarray, "k 3 k 3"]:
         """Covariance of some vertices of one part."""
@@ -89,38 +79,48 @@ class Adjusted(NamedTuple):
         blocks = blocks.reshape(len(blocks) // 3, 3, -1, 3)
         return blocks[at][:, :, at]
 
+    @property
+    def each_mm2(self) -> Float[np.ndarray, "n 3 3"]:
+        """Covariance of each vertex."""
+        found = np.empty((len(self.part), 3, 3))
+        for part, joint in enumerate(self.covariance_mm2):
+            blocks = joint.reshape(len(joint) // 3, 3, -1, 3)
+            found[self.part == part] = np.einsum("iaib->iab", blocks)
+        return found
+
+    @property
+    def across_mm2(self) -> Float[np.ndarray, "l 2 2 2"]:
+        """What each line leaves open across itself, at both ends."""
+        return np.einsum("leaeb->leab", self.own_mm2)[:, :, :2, :2]
+
 
 def adjust_vertices(graph: Graph) -> Adjusted:
     """The likeliest vertices."""
-    lines = np.flatnonzero((graph.vertex >= 0).all(axis=1))
-    vertex, ends = graph.vertex[lines], graph.lines_mm[lines]
-    axes = line_axes(ends)
-    count = graph.count
-    members = _members(vertex, count)
-    points = _means(vertex, ends, count)
-    jacobian = np.zeros((len(lines), 6, 6))
+    vertex, count = graph.vertex, graph.count
+    axes = line_axes(graph.lines_mm)
+    ties = sparse.csr_matrix((np.ones(len(vertex)), vertex.T), shape=(count, count))
+    parts, part = connected_components(ties, directed=False)
+    number = np.bincount(vertex.reshape(-1), minlength=count)
+    points = group_sums(graph.lines_mm.reshape(-1, 3), vertex.reshape(-1), count) / number[:, None]
+    jacobian = np.zeros((len(vertex), 6, 6))
     jacobian[:, :3, :3] = jacobian[:, 3:, 3:] = axes
     rows = (3 * vertex[:, :, None] + np.arange(3)).reshape(-1, 6)
     covariance: list[np.ndarray] = []
-    residual, own = _observed(graph, lines, axes, points)
+    residual, own = _observed(graph, axes, points)
     for _ in range(STEPS):
         # Each line is a problem of its two vertices; the graph adds them up.
-        by = whitening(own)
-        observed = Residuals((by @ residual[:, :, None]).mT, (by @ jacobian)[:, None])
+        by = whitening(own.reshape(-1, 6, 6))
+        observed = Residuals((by @ residual.reshape(-1, 6, 1)).mT, (by @ jacobian)[:, None])
         each = normal_equations(observed)
         information = _scattered(each.information, rows, 3 * count)
-        gradient = np.zeros(3 * count)
-        np.add.at(gradient, rows, each.gradient)
+        gradient = np.bincount(rows.reshape(-1), each.gradient.reshape(-1), 3 * count)
         covariance = []
-        for of in members:
+        for of in (np.flatnonzero(part == k) for k in range(parts)):
             at = (3 * of[:, None] + np.arange(3)).reshape(-1)
             covariance.append(np.linalg.inv(information[at][:, at].toarray()))
             points[of] -= (covariance[-1] @ gradient[at]).reshape(-1, 3)
-        residual, own = _observed(graph, lines, axes, points)
-    part = np.zeros(count, dtype=np.int64)
-    for number, of in enumerate(members):
-        part[of] = number
-    return Adjusted(points, part, tuple(covariance), lines, axes, residual, own)
+        residual, own = _observed(graph, axes, points)
+    return Adjusted(points, part.astype(np.int64), tuple(covariance), axes, residual, own)
 
 
 def line_axes(ends_mm: Float[np.ndarray, "l 2 3"]) -> Float[np.ndarray, "l 3 3"]:
@@ -130,42 +130,22 @@ def line_axes(ends_mm: Float[np.ndarray, "l 2 3"]) -> Float[np.ndarray, "l 3 3"]
     return np.concatenate([axes_across(way), way[:, None]], axis=1)
 
 
-def _members(vertex: Int[np.ndarray, "l 2"], count: int) -> list[Int[np.ndarray, "_"]]:
-    """The vertices of each part of the graph."""
-    ties = sparse.csr_matrix((np.ones(len(vertex)), vertex.T), shape=(count, count))
-    parts, label = connected_components(ties, directed=False)
-    return [np.flatnonzero(label == part) for part in range(parts)]
-
-
-def _means(
-    vertex: Int[np.ndarray, "l 2"], ends_mm: Float[np.ndarray, "l 2 3"], count: int
-) -> Float[np.ndarray, "n 3"]:
-    total, number = np.zeros((count, 3)), np.zeros(count)
-    np.add.at(total, vertex, ends_mm)
-    np.add.at(number, vertex, 1.0)
-    return total / np.maximum(number, 1.0)[:, None]
-
-
 def _observed(
-    graph: Graph,
-    lines: Int[np.ndarray, "l"],
-    axes: Float[np.ndarray, "l 3 3"],
-    points_mm: Float[np.ndarray, "n 3"],
-) -> tuple[Float[np.ndarray, "l 6"], Float[np.ndarray, "l 6 6"]]:
+    graph: Graph, axes: Float[np.ndarray, "l 3 3"], points_mm: Float[np.ndarray, "n 3"]
+) -> tuple[Float[np.ndarray, "l 2 3"], Float[np.ndarray, "l 2 3 2 3"]]:
     """(both vertices less where each line has them, in its axes; covariance of the latter)."""
-    ends, vertex = graph.lines_mm[lines], graph.vertex[lines]
-    residual = np.einsum("lai,lei->lea", axes, points_mm[vertex] - ends)
+    ends = graph.lines_mm
+    residual = np.einsum("lai,lei->lea", axes, points_mm[graph.vertex] - ends)
     length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-    place = residual[:, :, 2] + np.stack([np.zeros(len(lines)), length], axis=1)
-    share = place / length[:, None]
+    share = residual[:, :, 2] / length[:, None] + np.array([0.0, 1.0])
     carry = np.stack([1 - share, share], axis=2)
-    across, blocks = axes[:, :2], graph.covariance_mm2[lines].reshape(-1, 2, 3, 2, 3)
+    across, blocks = axes[:, :2], graph.covariance_mm2.reshape(-1, 2, 3, 2, 3)
     measured = np.einsum("lai,lfigj,lbj->lfagb", across, blocks, across)
-    own = np.zeros((len(lines), 2, 3, 2, 3))
+    own = np.zeros((len(ends), 2, 3, 2, 3))
     own[:, :, :2, :, :2] = np.einsum("lef,lfagb,lhg->leahb", carry, measured, carry)
     for end in (0, 1):
-        own[:, end, 2, end, 2] = graph.along_mm[lines, end] ** 2
-    return residual.reshape(-1, 6), own.reshape(-1, 6, 6)
+        own[:, end, 2, end, 2] = graph.along_mm[:, end] ** 2
+    return residual, own
 
 
 def _scattered(

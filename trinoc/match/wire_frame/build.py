@@ -11,7 +11,7 @@ from trinoc.match.wire_frame.adjustment import Graph, graph_of
 from trinoc.match.wire_frame.faces import Face, faces_of, fit_plane, flatten_faces
 from trinoc.match.wire_frame.fit import Refused, Snooped, end_fit, refused_ends, snoop_ends
 from trinoc.match.wire_frame.frame import LetGo, Wireframe
-from trinoc.numerics import in_float64
+from trinoc.numerics import group_sums, in_float64
 
 # More likely than not.
 
@@ -42,7 +42,10 @@ def wireframe(
     edges, edge_of_line = _edges(found.graph)
     edge_of_track = edge_of_line[joined.line_of_track]
     fit = end_fit(found.graph, found.answer)
-    shadow = _shadow(matches, edge_of_track, len(edges))
+    shadow = matches.marks.get("shadow")
+    if shadow is not None:
+        # One track that is no shadow is enough for an edge.
+        shadow = _gathered(np.minimum, 1.0, shadow, edge_of_track)
     solid = np.ones(len(edges), dtype=bool) if shadow is None else shadow <= EVEN
     loops = faces_of(found.answer, edges[solid], tuning.wireframe)
     answer = flatten_faces(found.answer, loops) if flat else found.answer
@@ -50,8 +53,9 @@ def wireframe(
         fit_plane(answer, face.loop, flattened=flat)._replace(chi_square=face.chi_square)
         for face in loops
     ]
-    seen = np.asarray(matches.index) >= 0
-    faces, facing = _turned(faces, _views_of_vertices(seen, edges, edge_of_track), matches, rig)
+    seen = _gathered(np.logical_or, False, np.asarray(matches.index) >= 0, edge_of_track)
+    seen_at = _gathered(np.logical_or, False, np.repeat(seen, 2, axis=0), edges.reshape(-1))
+    faces, facing = _turned(faces, seen_at, matches, rig)
     square, degrees = _of_vertices(found)
     refused = refused_ends(
         found.graph,
@@ -68,11 +72,11 @@ def wireframe(
         part=answer.part,
         joint_covariance_mm2=answer.covariance_mm2,
         edges=edges,
-        posterior=_largest(joined.posterior, edge_of_line, len(edges)),
-        views=_views(seen, edges, edge_of_track).sum(axis=1),
-        viewpoint_dependent=_viewpoint_dependent(matches, edge_of_track, len(edges)),
-        chi_square=_largest(fit.square.sum(axis=1), edge_of_line, len(edges)),
-        degrees=_largest(fit.degrees.sum(axis=1), edge_of_line, len(edges)),
+        posterior=_gathered(np.maximum, 0, joined.posterior, edge_of_line),
+        views=seen.sum(axis=1),
+        viewpoint_dependent=_gathered(np.logical_and, True, _no_line(matches), edge_of_track),
+        chi_square=_gathered(np.maximum, 0, fit.square.sum(axis=1), edge_of_line),
+        degrees=_gathered(np.maximum, 0, fit.degrees.sum(axis=1), edge_of_line),
         edge_of_track=edge_of_track,
         face=np.repeat(np.arange(len(faces)), [len(face.loop) for face in faces]),
         face_vertex=np.concatenate([*(face.loop for face in faces), np.zeros(0, dtype=np.int64)]),
@@ -96,69 +100,29 @@ def _edges(graph: Graph) -> tuple[Int[np.ndarray, "e 2"], Int[np.ndarray, "l"]]:
     return unique[order].reshape(-1, 2), rank[inverse.reshape(-1)]
 
 
-def _largest(values: np.ndarray, edge_of_line: Int[np.ndarray, "l"], count: int) -> np.ndarray:
-    """Of the lines of each edge."""
-    most = np.zeros(count, dtype=values.dtype)
-    np.maximum.at(most, edge_of_line, values)
-    return most
+def _gathered(combine: np.ufunc, start: float, values: np.ndarray, of: np.ndarray) -> np.ndarray:
+    """The values of each edge's lines or tracks combined, from the start that changes none."""
+    result = np.full((int(of.max(initial=-1)) + 1, *values.shape[1:]), start, values.dtype)
+    combine.at(result, of, values)
+    return result
 
 
-def _views(
-    seen: Bool[np.ndarray, "t v"], edges: Int[np.ndarray, "e 2"], edge_of_track: np.ndarray
-) -> Bool[np.ndarray, "e v"]:
-    """Which views see each edge."""
-    views = np.zeros((len(edges), seen.shape[1]), dtype=bool)
-    np.logical_or.at(views, edge_of_track, seen)
-    return views
-
-
-def _views_of_vertices(
-    seen: Bool[np.ndarray, "t v"], edges: Int[np.ndarray, "e 2"], edge_of_track: np.ndarray
-) -> Bool[np.ndarray, "n v"]:
-    """Which views see an edge at each vertex."""
-    views = np.zeros((int(edges.max(initial=-1)) + 1, seen.shape[1]), dtype=bool)
-    of_edges = _views(seen, edges, edge_of_track)
-    for end in (0, 1):
-        np.logical_or.at(views, edges[:, end], of_edges)
-    return views
-
-
-def _viewpoint_dependent(
-    matches: Matches, edge_of_track: Int[np.ndarray, "t"], count: int
-) -> Bool[np.ndarray, "e"]:
-    no_line = np.zeros(len(edge_of_track), dtype=bool)
+def _no_line(matches: Matches) -> Bool[np.ndarray, "t"]:
+    """Which tracks are likely to be no line in space."""
+    no_line = np.zeros(len(matches), dtype=bool)
     if matches.viewpoint_dependent is not None:
         no_line |= matches.viewpoint_dependent
     if "silhouette" in matches.marks:
         no_line |= matches.marks["silhouette"] > EVEN
-    moving = np.ones(count, dtype=bool)
-    np.logical_and.at(moving, edge_of_track, no_line)
-    return moving
-
-
-def _shadow(
-    matches: Matches, edge_of_track: Int[np.ndarray, "t"], count: int
-) -> Float[np.ndarray, "e"] | None:
-    """Of each edge, the least of its tracks: one that is no shadow is enough for an edge."""
-    if "shadow" not in matches.marks:
-        return None
-    least = np.ones(count)
-    on_edges = edge_of_track >= 0
-    np.minimum.at(least, edge_of_track[on_edges], matches.marks["shadow"][on_edges])
-    return least
+    return no_line
 
 
 def _of_vertices(found: Snooped) -> tuple[Float[np.ndarray, "n"], Int[np.ndarray, "n"]]:
     """Chi-square of what lines say across themselves at each vertex, and degrees of freedom."""
-    vertex, answer = found.graph.vertex[found.answer.lines], found.answer
-    count = len(answer.points_mm)
-    square, number = np.zeros(count), np.bincount(vertex.reshape(-1), minlength=count)
-    for end in (0, 1):
-        across = slice(3 * end, 3 * end + 2)
-        residual, own = answer.residual_mm[:, across], answer.own_mm2[:, across, across]
-        own_square = (residual * np.linalg.solve(own, residual[:, :, None])[..., 0]).sum(axis=1)
-        np.add.at(square, vertex[:, end], own_square)
-    return square, np.maximum(2 * number - 3, 0)
+    vertex, residual = found.graph.vertex.reshape(-1), found.answer.residual_mm[:, :, :2, None]
+    square = residual.mT @ np.linalg.solve(found.answer.across_mm2, residual)
+    number = np.bincount(vertex)
+    return group_sums(square.reshape(-1), vertex, len(number)), np.maximum(2 * number - 3, 0)
 
 
 def _turned(

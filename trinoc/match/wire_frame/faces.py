@@ -93,7 +93,7 @@ def _in_plane(
     # A vertex of the plane is this mean of the three, which err, too.
     share = offset @ np.linalg.pinv(np.stack([to_first, to_second]))
     weight = np.concatenate([1 - share.sum(axis=1, keepdims=True), share], axis=1)
-    joint = np.einsum("i,aibj,j->ab", normal, answer.joint(others), normal)
+    joint = _along(normal, answer.joint(others))
     at = np.searchsorted(others, corner)
     variance = (
         np.diagonal(joint)
@@ -136,7 +136,7 @@ def fit_plane(answer: Adjusted, loop: Int[np.ndarray, "k"], *, flattened: bool =
     def residuals(plane: _Plane) -> Residuals:
         distance, jacobian = plane.distances(points - centre)
         if not flattened:
-            by = whitening(np.einsum("i,aibj,j->ab", plane.normal, joint, plane.normal))
+            by = whitening(_along(plane.normal, joint))
             distance, jacobian = by @ distance, by @ jacobian
         return Residuals(distance[None, None], jacobian[None, None])
 
@@ -150,7 +150,7 @@ def fit_plane(answer: Adjusted, loop: Int[np.ndarray, "k"], *, flattened: bool =
     covariance, normal = equations.covariance()[0], plane.normal
     if flattened:
         gain = covariance @ plane.distances(points - centre)[1].T
-        covariance = gain @ np.einsum("i,aibj,j->ab", normal, joint, normal) @ gain.T
+        covariance = gain @ _along(normal, joint) @ gain.T
     by_step = np.zeros((4, 3))
     by_step[:3, :2] = axes_across(normal).T
     by_step[3] = [*(axes_across(normal) @ centre), 1.0]
@@ -173,16 +173,19 @@ def _least_normal(points_mm: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "3"]
 def _is_plane(answer: Adjusted, face: Face, tuning: WireframeTuning) -> bool:
     """Whether the vertices lie in the plane, and are known well enough to tell."""
     points = answer.points_mm[face.loop]
-    normal = face.plane[:3]
-    joint = answer.joint(face.loop)
-    sigma = np.sqrt(np.einsum("i,aiaj,j->a", normal, joint, normal).max())
+    variance = np.diagonal(_along(face.plane[:3], answer.joint(face.loop)))
     size = np.linalg.norm(points - points.mean(axis=0), axis=1).max()
-    if sigma > tuning.plane_doubt * size:
+    if np.sqrt(variance.max()) > tuning.plane_doubt * size:
         return False
-    fits = face.degrees == 0 or (
-        chi_square_tail(face.chi_square, face.degrees) >= tuning.plane_significance
-    )
-    return bool(fits)
+    tail = chi_square_tail(face.chi_square, max(face.degrees, 1))
+    return face.degrees == 0 or bool(tail >= tuning.plane_significance)
+
+
+def _along(
+    normal: Float[np.ndarray, "3"], joint: Float[np.ndarray, "k 3 k 3"]
+) -> Float[np.ndarray, "k k"]:
+    """Covariance of points along a normal."""
+    return np.einsum("i,aibj,j->ab", normal, joint, normal)
 
 
 # Planes turn a little as their vertices move.

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
-from trinoc.match.wire_frame.adjustment import Adjusted, Graph, adjust_vertices, without_gaps
+from trinoc.match.wire_frame.adjustment import Adjusted, Graph, adjust_vertices
 from trinoc.numerics import chi_square_tail
 
 # Of the variance of an end: less than this share is left where nothing else knows the vertex.
@@ -36,22 +36,15 @@ class Snooped(NamedTuple):
 
 def end_fit(graph: Graph, answer: Adjusted) -> EndFit:
     """Each end against the vertex that all lines together give."""
-    square = np.zeros((len(answer.lines), 2))
-    degrees = np.zeros((len(answer.lines), 2), dtype=np.int64)
-    vertex = graph.vertex[answer.lines]
-    shared = np.bincount(vertex.reshape(-1), minlength=graph.count)[vertex] > 1
-    for row in range(len(answer.lines)):
-        for end in np.flatnonzero(shared[row]).tolist():
-            across = slice(3 * end, 3 * end + 2)
-            known = answer.joint(vertex[row, end : end + 1])[0, :, 0]
-            axes = answer.axes[row, :2]
-            own = answer.own_mm2[row, across, across]
-            value, way = np.linalg.eigh(own - axes @ known @ axes.T)
-            left = value > LEAST_SHARE * np.trace(own)
-            part = (way.T @ answer.residual_mm[row, across])[left]
-            square[row, end] = (part**2 / value[left]).sum()
-            degrees[row, end] = int(left.sum())
-    return EndFit(square, degrees)
+    shared = np.bincount(graph.vertex.reshape(-1))[graph.vertex] > 1
+    own, axes = answer.across_mm2, answer.axes[:, None, :2]
+    known = axes @ answer.each_mm2[graph.vertex] @ axes.mT
+    value, way = np.linalg.eigh(own - known)
+    left = value > LEAST_SHARE * np.trace(own, axis1=2, axis2=3)[..., None]
+    left &= shared[..., None]
+    part = (answer.residual_mm[:, :, None, :2] @ way)[:, :, 0]
+    square = np.where(left, part**2 / np.where(left, value, 1.0), 0.0).sum(axis=2)
+    return EndFit(square, left.sum(axis=2))
 
 
 def snoop_ends(graph: Graph, posterior: Float[np.ndarray, "l"], significance: float) -> Snooped:
@@ -68,16 +61,15 @@ def snoop_ends(graph: Graph, posterior: Float[np.ndarray, "l"], significance: fl
             return Snooped(graph, answer, tuple(let_go))
         worst = fit.square >= 0.99 * fit.square[np.unravel_index(tail.argmin(), tail.shape)]
         worst &= tail < significance
-        rows, ends = np.nonzero(worst)
-        row, end = min(
-            zip(rows.tolist(), ends.tolist(), strict=True),
-            key=lambda at: (posterior[answer.lines[at[0]]], -fit.square[at], at),
+        line, end = min(
+            map(tuple, np.argwhere(worst).tolist()),
+            key=lambda at: (posterior[at[0]], -fit.square[at], at),
         )
-        line = int(answer.lines[row])
-        let_go.append((line, end, float(fit.square[row, end]), int(fit.degrees[row, end])))
+        let_go.append((line, end, float(fit.square[line, end]), int(fit.degrees[line, end])))
         vertex = graph.vertex.copy()
+        # Others stay at the vertex that it leaves.
         vertex[line, end] = graph.count
-        graph = graph._replace(vertex=without_gaps(vertex))
+        graph = graph._replace(vertex=vertex)
 
 
 class Refused(NamedTuple):
@@ -97,27 +89,24 @@ def refused_ends(
     significance: float,
 ) -> tuple[Refused, ...]:
     """Of each free end, the nearest corner within reach, where its line misses that for sure."""
-    vertex = graph.vertex[answer.lines]
+    vertex, each = graph.vertex, answer.each_mm2
     shared = np.bincount(vertex.reshape(-1), minlength=graph.count) > 1
     corners = np.flatnonzero(shared)
     if len(corners) == 0:
         return ()
     near = KDTree(answer.points_mm[corners])
     found = []
-    for row, line in enumerate(answer.lines.tolist()):
-        for end in np.flatnonzero(~shared[vertex[row]]).tolist():
-            own, other = vertex[row, end], vertex[row, 1 - end]
-            # The corner at the line's other end is no candidate; the next one may be.
-            apart, numbers = map(np.asarray, near.query(answer.points_mm[own], k=2))
-            close = numbers[apart < reach_px / px_per_mm[line]]
-            at = [corner for corner in corners[close].tolist() if corner != other]
-            if not at:
-                continue
-            axes, across = answer.axes[row, :2], slice(3 * end, 3 * end + 2)
-            offset = axes @ (answer.points_mm[at[0]] - graph.lines_mm[line, end])
-            spread = answer.own_mm2[row, across, across]
-            spread = spread + axes @ answer.joint(np.array([at[0]]))[0, :, 0] @ axes.T
-            square = float(offset @ np.linalg.solve(spread, offset))
-            if chi_square_tail(square, 2) < significance:
-                found.append(Refused(line, end, float(np.linalg.norm(offset)), square))
+    for line, end in np.argwhere(~shared[vertex]).tolist():
+        # The corner at the line's other end is no candidate; the next one may be.
+        apart, numbers = map(np.asarray, near.query(answer.points_mm[vertex[line, end]], k=2))
+        close = corners[numbers[apart < reach_px / px_per_mm[line]]]
+        at = close[close != vertex[line, 1 - end]]
+        if len(at) == 0:
+            continue
+        axes = answer.axes[line, :2]
+        offset = axes @ (answer.points_mm[at[0]] - graph.lines_mm[line, end])
+        spread = answer.across_mm2[line, end] + axes @ each[at[0]] @ axes.T
+        square = float(offset @ np.linalg.solve(spread, offset))
+        if chi_square_tail(square, 2) < significance:
+            found.append(Refused(line, end, float(np.linalg.norm(offset)), square))
     return tuple(found)
