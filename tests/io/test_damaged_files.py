@@ -345,7 +345,7 @@ def test_a_picture_that_announces_gigabytes_is_refused_by_its_header(folder):
     head = struct.pack(">IIBBBBB", 30_000, 30_000, 8, 0, 0, 0, 0)
     path = folder / "bomb.png"
     path.write_bytes(b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", b""))
-    with pytest.raises(InputError, match="announces 30000 x 30000 px"):
+    with pytest.raises(InputError, match="announces more pixels than any camera has"):
         read_image(path)
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from PIL import Image
 
 from trinoc.errors import InputError
 from trinoc.io.atomic import atomic_write
@@ -74,14 +75,15 @@ def _content(file: Path) -> bytes:
 
 
 def _decoded(file: Path, content: bytes) -> np.ndarray:
-    size = size_px(content)
+    try:
+        size = size_px(content)
+    except Image.DecompressionBombError as error:
+        raise InputError(
+            f"{file} announces more pixels than any camera has: give a picture of at most "
+            f"{MOST_PIXELS / 1e6:.0f} megapixels."
+        ) from error
     if size is None or min(size) < 1:
         raise InputError(f"{file} is not a readable picture: give a PNG, TIFF or JPEG file.")
-    if size[0] * size[1] > MOST_PIXELS:
-        raise InputError(
-            f"{file} announces {size[0]} x {size[1]} px, more than any camera has: give a picture "
-            f"of at most {MOST_PIXELS / 1e6:.0f} megapixels."
-        )
     if not is_complete(content):
         raise InputError(
             f"{file} is a PNG that is cut off or announces more than it holds: copy the picture "

@@ -1,6 +1,7 @@
 """The variables of a .mat file of MATLAB 5 to 7, read byte by byte.
 
-SciPy writes these files well, but its reader brings the interpreter down on one that is damaged.
+SciPy writes these files well, but its reader brings the interpreter down on one damaged file in
+a hundred (`benchmarks/library_readers.py`).
 Numbers, texts, cells and structs are read, the rest is None. After "MAT-File Format", The
 MathWorks, chapter 1.
 """
