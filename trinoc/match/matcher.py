@@ -3,12 +3,11 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Int
 
 from trinoc.geometry import Rig, Segments
-from trinoc.match.candidates import in_depth_range, no_candidates
+from trinoc.match.candidates import Candidates
 from trinoc.match.observations import (
-    ClutterModel,
     FrameInput,
     MatchInput,
     fit_clutter,
@@ -21,19 +20,13 @@ from trinoc.match.observations import (
     turned_round,
     with_noise_scale,
 )
-from trinoc.match.occlusion import bodies_of, occluded_pairs, tempered_tracks
+from trinoc.match.occlusion import match_occluded
 from trinoc.match.rehearsal import compile_together
-from trinoc.match.scouting import scouted_candidates
-from trinoc.match.selection import Selection, Tracks, residual_scale, select, tracks_of
-from trinoc.match.tracks import (
-    Matches,
-    assemble,
-    consolidated,
-    merge_triplets,
-    view_triplets,
-)
+from trinoc.match.scouting import find_candidates
+from trinoc.match.selection import Selection, learn_noise_scale, select
+from trinoc.match.tracks import Matches, assemble, tracks_through_views, view_triplets
 from trinoc.match.tuning import DEFAULT, MatchTuning
-from trinoc.numerics import ArrayLike, concatenate_rows, in_float64
+from trinoc.numerics import ArrayLike, in_float64
 
 
 @in_float64
@@ -110,21 +103,25 @@ def match_frames(
     """
     stated, left = stacked_frames(frames), np.arange(len(frames))
     compile_together(stated, tuning)
-    scale, found = np.ones(len(frames)), {}
-    for step in range(tuning.noise.passes):
+    scale, found = np.ones(len(frames)), dict[int, Matches]()
+    for passes_left in reversed(range(tuning.noise.passes)):
         seen = with_noise_scale(stated, scale[left])
         clutter = fit_clutter(seen.lines, seen.counts, tuning.clutter)
-        selections, outside = _triples(seen, clutter, depth_range_mm, tuning)
-        before = scale[left]
-        larger = residual_scale(selections, len(left), tuning.noise) if selections else 1.0
-        scale[left] = np.clip(before * larger, 1 / tuning.noise.most, tuning.noise.most)
-        change = scale[left] / before
-        again = (change >= tuning.noise.again_above) | (change <= tuning.noise.again_below)
-        again &= step + 1 < tuning.noise.passes
+        threes = view_triplets(seen.lines, tuning.tracks)
+        # The three steps: candidates, selection by neighbours, occluded segments.
+        triples = [find_candidates(seen, own, clutter, depth_range_mm, tuning) for own in threes]
+        selections = [_select(seen, *three, tuning) for three in zip(threes, triples, strict=True)]
+        scale[left], again = learn_noise_scale(selections, scale[left], tuning.noise)
+        again &= passes_left > 0
         if not again.all():
             seen = with_noise_scale(stated, scale[left])
-            args = (selections, outside, clutter, depth_range_mm, tuning)
-            results = _finished(seen, [names[k] for k in left.tolist()], scale[left], *args)
+            tracks = tracks_through_views(seen, selections, tuning)
+            given = seen.lines, seen.counts, clutter, tracks, selections, depth_range_mm, tuning
+            tracks, pairs = match_occluded(*given)
+            outside = [index for _, index in triples]
+            called = [names[k] for k in left.tolist()]
+            judged = tracks, selections, pairs, outside
+            results = assemble(seen, *judged, called, scale[left], tuning)
             found |= {k: results[n] for n, k in enumerate(left.tolist()) if not again[n]}
         if not again.any():
             break
@@ -133,48 +130,15 @@ def match_frames(
     return [found[k] for k in range(len(frames))]
 
 
-def _finished(
+def _select(
     seen: MatchInput,
-    names: list[tuple[str, ...]],
-    noise_scale: Float[np.ndarray, "f"],
-    selections: list[Selection],
-    outside: Int[np.ndarray, "o v"],
-    clutter: ClutterModel,
-    depth_range_mm: tuple[float, float] | None,
+    views: tuple[int, int, int],
+    triples: tuple[Candidates, Int[np.ndarray, "_o _v"]],
     tuning: MatchTuning,
-) -> list[Matches]:
-    """From triples to the answer of each frame."""
-    triples = [tracks_of(selection) for selection in selections]
-    if triples:
-        tracks = concatenate_rows(triples)
-    else:
-        tracks = Tracks(no_candidates(len(seen.ends_px)), np.zeros(0), np.zeros(0))
-    if len(triples) > 1:
-        tracks = consolidated(seen, merge_triplets(seen.lines, tracks, tuning), tuning)
-    bodies = bodies_of(seen.lines, tracks, selections, tuning)
-    tracks = tempered_tracks(seen.lines, tracks, bodies, tuning)
-    pairs = occluded_pairs(
-        seen.lines, seen.counts, clutter, tracks, selections, depth_range_mm, tuning, bodies
-    )
-    return assemble(seen, tracks, selections, pairs, outside, names, noise_scale, tuning)
-
-
-def _triples(
-    seen: MatchInput,
-    clutter: ClutterModel,
-    depth_range_mm: tuple[float, float] | None,
-    tuning: MatchTuning,
-) -> tuple[list[Selection], Int[np.ndarray, "o v"]]:
-    """(what is selected in each three of the views, segments of triples out of range)."""
-    selections: list[Selection] = []
-    outside = [np.zeros((0, len(seen.ends_px)), dtype=np.int64)]
-    for views in view_triplets(seen.lines, tuning.tracks):
-        candidates = scouted_candidates(seen.lines, views, seen.counts, clutter, tuning)
-        inside = in_depth_range(candidates, seen.lines, depth_range_mm)
-        outside.append(candidates.index[~inside])
-        candidates = candidates.take(inside)
-        frame = frames_of(seen.lines, candidates.index)
-        counts = [seen.counts[view] if view in views else 0 for view in range(len(seen.counts))]
-        typical = segments_per_view(seen.lines, counts) * len(counts) / 3
-        selections.append(select(candidates, typical, tuning=tuning, frame=frame))
-    return selections, np.concatenate(outside)
+) -> Selection:
+    """Selection among the triples of three of the views that lie within the depth range."""
+    candidates, _ = triples
+    counts = [seen.counts[view] if view in views else 0 for view in range(len(seen.counts))]
+    typical = segments_per_view(seen.lines, counts) * len(counts) / 3
+    frame = frames_of(seen.lines, candidates.index)
+    return select(candidates, typical, tuning=tuning, frame=frame)

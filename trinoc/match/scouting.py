@@ -14,15 +14,29 @@ from trinoc.match.candidates import (
     Candidates,
     Learned,
     candidates_among,
+    in_depth_range,
     prepared_orders,
     prior_log_odds,
     region_of,
 )
 from trinoc.match.evidence import probability, reach_of_ends
-from trinoc.match.observations import ClutterModel, SegmentTable
+from trinoc.match.observations import ClutterModel, MatchInput, SegmentTable
 from trinoc.match.selection import affordable, conflict_graph, select, sum_product
 from trinoc.match.tuning import MatchTuning
 from trinoc.numerics import concatenate_rows
+
+
+def find_candidates(
+    seen: MatchInput,
+    views: tuple[int, int, int],
+    clutter: ClutterModel,
+    depth_range_mm: tuple[float, float] | None,
+    tuning: MatchTuning,
+) -> tuple[Candidates, Int[np.ndarray, "o v"]]:
+    """(triples of three of the views within the depth range, segments of those outside it)."""
+    found = scouted_candidates(seen.lines, views, seen.counts, clutter, tuning)
+    inside = in_depth_range(found, seen.lines, depth_range_mm)
+    return found.take(inside), found.index[~inside]
 
 
 def scouted_candidates(

@@ -6,8 +6,14 @@ import numpy as np
 import pytest
 
 from trinoc.match.candidates import Candidates, no_candidates
-from trinoc.match.occlusion.companions import Companions, companion_log_odds, companions
-from trinoc.match.occlusion.picture_neighbours import BESIDE, CONTINUES, picture_neighbours
+from trinoc.match.occlusion.companions import (
+    BESIDE,
+    CONTINUES,
+    Companions,
+    companion_log_odds,
+    companions,
+    picture_neighbours,
+)
 from trinoc.match.tuning import DEFAULT
 
 # A bar of two sides 5 px apart, a piece that goes on from the first, and a stranger.

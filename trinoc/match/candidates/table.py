@@ -12,12 +12,14 @@ from trinoc.numerics import take_rows
 
 
 class Candidates(NamedTuple):
-    """Triples that can be one line; rows of each array belong together.
+    """Triples, or pairs, that can be one line; rows of each array belong together.
 
     index : segment in each of the views (-1 in views that take no part).
     interval : common part on each segment. ends_mm : ends in space.
     chi_square, log_density, union_ends_mm, union_covariance_mm2, px_per_mm : see TripleEvidence.
     end_log : see `end_evidence`. side_log : see `side_evidence`.
+    expected : in how many views a pair is not seen that should show it. crossing_sine : of a pair,
+        of the angle between its interpretation planes. Both are 0 for triples.
     """
 
     index: Int[np.ndarray, "m v"]
@@ -30,6 +32,8 @@ class Candidates(NamedTuple):
     union_covariance_mm2: Float[np.ndarray, "m 2 6"]
     px_per_mm: Float[np.ndarray, "m"]
     side_log: Float[np.ndarray, "m s"]
+    expected: Float[np.ndarray, "m"]
+    crossing_sine: Float[np.ndarray, "m"]
 
     def take(self, rows: np.ndarray) -> "Candidates":
         """Those at the given indices, in that order, or where the mask is true."""
@@ -49,6 +53,8 @@ def no_candidates(views: int) -> Candidates:
         np.zeros((0, 2, 6)),
         np.zeros(0),
         np.zeros((0, len(SIDE_COMPONENTS))),
+        np.zeros(0),
+        np.zeros(0),
     )
 
 

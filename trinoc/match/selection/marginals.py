@@ -1,5 +1,13 @@
-"""Step 2: which candidates are true, from their evidence, their rivals and their neighbours."""
+"""Step 2: which candidates are true, from their evidence, their rivals and their neighbours.
 
+How much larger the segments' errors are than they state, learned from three views.
+
+The residual that three views leave has a chi-square of two degrees of freedom where errors are as
+stated. Its median over the triples that are surely right is nothing to the few that are wrong, and
+to heavy tails.
+"""
+
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -7,16 +15,22 @@ from jaxtyping import Bool, Float, Int
 
 from trinoc.match.candidates import Candidates, prior_log_odds
 from trinoc.match.evidence import MixtureParameters, em_step, prior_parameters, probability
-from trinoc.match.selection.exclusivity import ConflictGraph, affordable, conflict_graph
 from trinoc.match.selection.junction_support import (
     JunctionParameters,
     endpoint_pairs,
     junction_log_odds,
     prior_junctions,
 )
-from trinoc.match.selection.messages import Beliefs, chosen_greedily, sum_product
-from trinoc.match.tuning import DEFAULT, MatchTuning
-from trinoc.numerics import broadcast_groups, take_groups, take_rows
+from trinoc.match.selection.messages import (
+    Beliefs,
+    ConflictGraph,
+    affordable,
+    chosen_greedily,
+    conflict_graph,
+    sum_product,
+)
+from trinoc.match.tuning import DEFAULT, MatchTuning, NoiseTuning
+from trinoc.numerics import broadcast_groups, group_medians, take_groups, take_rows
 
 
 class Selection(NamedTuple):
@@ -159,3 +173,34 @@ def _learned(
     return em_step(
         c.chi_square, c.end_log, c.ends_mm, c.side_log, posterior, mixture, tuning, frame
     )
+
+
+def residual_scale(
+    selections: Sequence[Selection], frames: int = 1, tuning: NoiseTuning = DEFAULT.noise
+) -> Float[np.ndarray, "f"]:
+    """Standard deviation of segments across themselves, over what they state, of each frame.
+
+    Few triples say little: as many as `prior_observations` that fit as stated count with them.
+    """
+    share = (np.arange(tuning.prior_observations) + 0.5) / tuning.prior_observations
+    prior = -2 * np.log1p(-share)  # the quantiles of chi-square with two degrees of freedom
+    chi_square, frame = [np.tile(prior, frames)], [np.repeat(np.arange(frames), len(prior))]
+    for selection in selections:
+        sure = selection.taken & (probability(selection.posterior_log_odds) > tuning.sure)
+        chi_square.append(selection.candidates.chi_square[sure])
+        every = np.zeros(len(sure), int) if selection.frame is None else selection.frame
+        frame.append(every[sure])
+    typical = group_medians(np.concatenate(chi_square), np.concatenate(frame), frames)
+    scale = np.sqrt(typical / (2 * np.log(2)))
+    return np.clip(scale, 1 / tuning.largest, tuning.largest)
+
+
+def learn_noise_scale(
+    selections: Sequence[Selection], before: Float[np.ndarray, "f"], tuning: NoiseTuning
+) -> tuple[Float[np.ndarray, "f"], Bool[np.ndarray, "f"]]:
+    """(scale of each frame's errors over what is stated, whether that is so far from the scale
+    `before`, under which candidates were found, that they are to be found again)."""
+    larger = residual_scale(selections, len(before), tuning) if selections else 1.0
+    scale = np.clip(before * larger, 1 / tuning.most, tuning.most)
+    change = scale / before
+    return scale, (change >= tuning.again_above) | (change <= tuning.again_below)
