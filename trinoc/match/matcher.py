@@ -1,9 +1,8 @@
 """The matcher: segments of two or more pictures to lines in space."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
-from jaxtyping import Int
 
 from trinoc.geometry import Rig, Segments
 from trinoc.match.candidates import Candidates
@@ -11,7 +10,6 @@ from trinoc.match.observations import (
     FrameInput,
     MatchInput,
     fit_clutter,
-    frames_of,
     look_apart,
     mirrored_error,
     prepare_frame,
@@ -22,9 +20,9 @@ from trinoc.match.observations import (
 )
 from trinoc.match.occlusion import match_occluded
 from trinoc.match.rehearsal import compile_together
-from trinoc.match.scouting import find_candidates
+from trinoc.match.scouting import find_triples
 from trinoc.match.selection import Selection, learn_noise_scale, select
-from trinoc.match.tracks import Matches, assemble, tracks_through_views, view_triplets
+from trinoc.match.tracks import Matches, assemble, tracks_through_views
 from trinoc.match.tuning import DEFAULT, MatchTuning
 from trinoc.numerics import ArrayLike, in_float64
 
@@ -107,20 +105,18 @@ def match_frames(
     for passes_left in reversed(range(tuning.noise.passes)):
         seen = with_noise_scale(stated, scale[left])
         clutter = fit_clutter(seen.lines, seen.counts, tuning.clutter)
-        threes = view_triplets(seen.lines, tuning.tracks)
-        # The three steps: candidates, selection by neighbours, occluded segments.
-        triples = [find_candidates(seen, own, clutter, depth_range_mm, tuning) for own in threes]
-        selections = [_select(seen, *three, tuning) for three in zip(threes, triples, strict=True)]
+        # The steps of the paper: 1 candidates, 2 selection by neighbours, 3 occluded segments.
+        triples = find_triples(seen, clutter, depth_range_mm, tuning)
+        selections, outside = _select_triples(seen, triples, tuning)
         scale[left], again = learn_noise_scale(selections, scale[left], tuning.noise)
         again &= passes_left > 0
         if not again.all():
             seen = with_noise_scale(stated, scale[left])
             tracks = tracks_through_views(seen, selections, tuning)
-            given = seen.lines, seen.counts, clutter, tracks, selections, depth_range_mm, tuning
-            tracks, pairs = match_occluded(*given)
-            outside = [index for _, index in triples]
-            called = [names[k] for k in left.tolist()]
-            judged = tracks, selections, pairs, outside
+            tracks, pairs = match_occluded(
+                seen, clutter, tracks, selections, depth_range_mm, tuning
+            )
+            called, judged = [names[k] for k in left.tolist()], (tracks, selections, pairs, outside)
             results = assemble(seen, *judged, called, scale[left], tuning)
             found |= {k: results[n] for n, k in enumerate(left.tolist()) if not again[n]}
         if not again.any():
@@ -130,15 +126,16 @@ def match_frames(
     return [found[k] for k in range(len(frames))]
 
 
-def _select(
+def _select_triples(
     seen: MatchInput,
-    views: tuple[int, int, int],
-    triples: tuple[Candidates, Int[np.ndarray, "_o _v"]],
+    triples: Iterable[tuple[tuple[int, int, int], Candidates, np.ndarray]],
     tuning: MatchTuning,
-) -> Selection:
-    """Selection among the triples of three of the views that lie within the depth range."""
-    candidates, _ = triples
-    counts = [seen.counts[view] if view in views else 0 for view in range(len(seen.counts))]
-    typical = segments_per_view(seen.lines, counts) * len(counts) / 3
-    frame = frames_of(seen.lines, candidates.index)
-    return select(candidates, typical, tuning=tuning, frame=frame)
+) -> tuple[list[Selection], list[np.ndarray]]:
+    """(selection among the triples of each three of the views, segments of those out of range)."""
+    selections, outside = [], []
+    for views, candidates, index in triples:
+        counts = [seen.counts[view] if view in views else 0 for view in range(len(seen.counts))]
+        typical = segments_per_view(seen.lines, counts) * len(counts) / 3
+        selections.append(select(candidates, typical, tuning=tuning))
+        outside.append(index)
+    return selections, outside

@@ -39,7 +39,7 @@ def pairs_beside(
 
 
 def rows(tracks: Tracks, keep: np.ndarray) -> Tracks:
-    candidates = Candidates(*(field[keep] for field in tracks.candidates))
+    candidates = tracks.candidates.take(keep)
     return Tracks(candidates, tracks.posterior_log_odds[keep], tracks.rival_posterior[keep])
 
 
@@ -92,7 +92,7 @@ def test_the_order_of_tracks_changes_nothing(noisy, clutter, tracks, selection, 
 def test_where_all_is_matched_there_are_no_pairs(noisy, clutter, tracks, selection) -> None:
     whole = no_candidates(3)
     count = len(noisy.true)
-    matched = Candidates(*(np.zeros((count, *field.shape[1:])) for field in whole))._replace(
+    matched = jax.tree.map(lambda field: np.zeros((count, *field.shape[1:])), whole)._replace(
         index=noisy.true,
         interval=np.tile([0.0, 1.0], (count, 3, 1)),
         union_ends_mm=noisy.lines_mm,
@@ -153,7 +153,7 @@ def test_pairs_that_are_let_go_unseen_change_nothing(noisy, clutter, tracks, sel
     assert bound is not None
     (made,) = possible_pairs(seen.lines, views, free, clutter, DEFAULT)
     (left,) = possible_pairs(seen.lines, views, free, clutter, DEFAULT, bound)
-    odds = evidence_beside_lines(made, selection.mixture, None, DEFAULT)
+    odds = evidence_beside_lines(made, selection.mixture, DEFAULT)
     likely = {tuple(row) for row in made.index[odds > bound.least].tolist()}
     kept = {tuple(row) for row in left.index.tolist()}
     assert likely <= kept

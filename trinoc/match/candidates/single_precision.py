@@ -168,10 +168,6 @@ def prepared_order(lines: SegmentTable, order: Int[np.ndarray, "3"]) -> tuple[Pe
     """(the pencil of the first two views of an order, what single precision needs of it)."""
     first, second, third = order.tolist()
     planes = pencil(lines, first, second)
-    return planes, _single_order(lines, planes, first, third)
-
-
-def _single_order(lines: SegmentTable, planes: Pencil, first: int, third: int) -> SingleOrder:
     rounding, count = rounding_px(np.asarray(lines.matrix_px), third) ** 2, lines.ends_px.shape[1]
     frame = None if lines.frame is None else np.asarray(lines.frame)
     if frame is not None:
@@ -189,7 +185,7 @@ def _single_order(lines: SegmentTable, planes: Pencil, first: int, third: int) -
         segments,
         None if frame is None else frame[first],
     )
-    return jax.tree.map(in_single, single)
+    return planes, jax.tree.map(in_single, single)
 
 
 def in_single(column: ArrayLike) -> np.ndarray:

@@ -20,17 +20,20 @@ from trinoc.match.candidates.learned import (
     screen_of,
 )
 from trinoc.match.candidates.search import Order, Orders, gated_triples, prepared_orders
-from trinoc.match.candidates.table import Candidates, no_candidates, prior_log_odds
+from trinoc.match.candidates.table import Candidates, candidates_at, no_candidates, prior_log_odds
 from trinoc.match.evidence import (
     END_COMPONENTS,
     end_evidence,
     line_of_three,
-    polarity_evidence,
     prior_parameters,
-    side_evidence,
     triple_evidence,
 )
-from trinoc.match.observations import TRIPLES_IN_BLOCK, ClutterModel, SegmentTable, block_of
+from trinoc.match.observations import (
+    TRIPLES_IN_BLOCK,
+    ClutterModel,
+    SegmentTable,
+    block_of,
+)
 from trinoc.match.tuning import DEFAULT, CandidateTuning, EndTuning, MatchTuning
 from trinoc.match.two_view import (
     Pencil,
@@ -72,17 +75,7 @@ def candidates_of(
         return _evidence_of(*fitted, tuning=tuning.candidates, ends=tuning.ends)
 
     keep, columns = select_in_blocks(judged, block_of(lines, TRIPLES_IN_BLOCK), triple)
-    of_order, ends_mm, chi_square, log_density, end_log, *union = split_columns(columns, _SHAPES)
-    outer_mm, spread, px_per_mm = union
-    index = np.full((len(keep), len(lines.ends_px)), -1)
-    interval = np.zeros((len(keep), len(lines.ends_px), 2))
-    index[:, order], interval[:, order] = triple[keep], of_order
-    log_density += polarity_evidence(np.asarray(lines.polarity), index, interval, tuning.evidence)
-    sides = side_evidence(np.asarray(lines.sides), index, interval, tuning.sides)
-    judged_by = ends_mm, chi_square, log_density, end_log
-    return Candidates(
-        index, interval, *judged_by, outer_mm, spread, px_per_mm, sides, *np.zeros((2, len(keep)))
-    )
+    return candidates_at(lines, order, triple[keep], split_columns(columns, _SHAPES), tuning)
 
 
 @partial(kept_jit, static_argnames=("tuning",), beside_others=True)
@@ -155,7 +148,7 @@ def candidates_among(
     numbers = orders.numbers
     every = tuple(np.arange(number) for number in numbers)
     first, second = (every, every) if rows is None else rows
-    parts, known = [no_candidates(3)], np.zeros(0, np.int64)
+    parts, known = [no_candidates(3, orders.lines.frame is not None)], np.zeros(0, np.int64)
     for own in orders.each:
         here = [known]
         pair = first[own.order[0]], second[own.order[1]]
@@ -163,7 +156,9 @@ def candidates_among(
             here.append(number)
             parts.append(part)
             if sum(len(found.index) for found in parts) > tuning.candidates.most_candidates:
-                parts = [_likelier_half(concatenate_rows(parts), numbers, tuning)]
+                every_part = concatenate_rows(parts)
+                odds = _odds_anywhere(every_part, float(np.mean(numbers)), tuning)
+                parts = [every_part.take(odds > np.median(odds))]
         known = np.sort(np.concatenate(here))
     found = concatenate_rows(parts)
     found = found.take(np.argsort(_number_of(found.index, numbers)))
@@ -210,22 +205,14 @@ def _in_order(
         if learned is not None and screen is not None:
             triple = likely_triples(screen, triple, learned, tuning)
         found = candidates_of(lines, order, planes, triple, clutter, tuning)
-        # Frames of a stack are small.
+        # Most of what passes the gate is not likely, and takes memory. Frames of a stack are small.
         many = lines.frame is None and learned is None
         many = many and len(found.index) > tuning.candidates.prune_above
         number = _number_of(found.index, numbers)
-        yield number, _pruned(found, typical, tuning) if many else found
-
-
-def _pruned(found: Candidates, typical_count: float, tuning: MatchTuning) -> Candidates:
-    """Those that may yet be likely: most of what passes the gate is not, and takes memory."""
-    odds = _odds_anywhere(found, typical_count, tuning)
-    return found.take(odds > tuning.candidates.prune_log_odds)
-
-
-def _likelier_half(found: Candidates, counts: list[int], tuning: MatchTuning) -> Candidates:
-    odds = _odds_anywhere(found, float(np.mean(counts)), tuning)
-    return found.take(odds > np.median(odds))
+        if many:
+            odds = _odds_anywhere(found, typical, tuning)
+            found = found.take(odds > tuning.candidates.prune_log_odds)
+        yield number, found
 
 
 def _odds_anywhere(

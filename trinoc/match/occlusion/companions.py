@@ -109,13 +109,12 @@ def companions(
     likely: Int[np.ndarray, "k"],
     ends_px: Float[np.ndarray, "v n 2 2"],
     tuning: MatchTuning,
-    frame: Int[np.ndarray, "m"] | None = None,
 ) -> Companions:
     """Who has which of the `likely` rows as a companion, in every view that shows both.
 
     Two views or more show both, by different segments.
     """
-    index, count = candidates.index, len(candidates.index)
+    index, count, frame = candidates.index, len(candidates.index), candidates.frame
     forward = candidates.interval[..., 1] > candidates.interval[..., 0]
     numbers = [np.zeros(0, np.int64)]
     for view in range(index.shape[1]):

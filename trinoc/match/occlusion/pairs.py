@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float, Int
 
 from trinoc.match.candidates import Candidates, in_depth_range
 from trinoc.match.evidence import MixtureParameters, prior_parameters, probability, reach_of_ends
-from trinoc.match.observations import ClutterModel, SegmentTable, frames_of, segments_per_view
+from trinoc.match.observations import ClutterModel, MatchInput, SegmentTable, segments_per_view
 from trinoc.match.occlusion.pairs_alone import pairs_alone
 from trinoc.match.occlusion.possible_pairs import (
     Pairs,
@@ -45,15 +45,14 @@ from trinoc.match.selection import (
     sum_product,
 )
 from trinoc.match.tuning import DEFAULT, MatchTuning
-from trinoc.numerics import ArrayLike, broadcast_groups, concatenate_rows, group_sums, take_groups
+from trinoc.numerics import ArrayLike, broadcast_groups, concatenate_rows, group_sums
 
 # What is known of each frame before its pairs are judged.
 Rates = tuple[MixtureParameters, JunctionParameters]
 
 
 def match_occluded(
-    lines: SegmentTable,
-    counts: list[int],
+    seen: MatchInput,
     clutter: ClutterModel,
     tracks: Tracks,
     selections: list[Selection],
@@ -61,6 +60,7 @@ def match_occluded(
     tuning: MatchTuning = DEFAULT,
 ) -> tuple[Tracks, Pairs]:
     """(tracks through three or more views, tempered; pairs of views matched beside them)."""
+    lines, counts = seen.lines, seen.counts
     bodies = bodies_of(lines, tracks, selections, tuning)
     tracks = tempered_tracks(lines, tracks, bodies, tuning)
     given = lines, counts, clutter, tracks, selections, depth_range_mm, tuning, bodies
@@ -82,8 +82,9 @@ def occluded_pairs(
     free = _free_segments(matched.candidates, counts, tuning.occlusion.max_matched_share)
     frames = 1 if lines.frame is None else len(lines.matrix_px)
     # Where hardly any line is seen in three views, pairs themselves say how they are.
-    number = _rows_of(matched.candidates, lines, frames)
-    alone = number < tuning.occlusion.min_tracks_to_learn
+    label = matched.candidates.frame
+    label = np.zeros(len(matched.candidates.index), np.int64) if label is None else label
+    alone = np.bincount(label, minlength=frames) < tuning.occlusion.min_tracks_to_learn
     learned = _learned_from(selections, tuning)
     several = lines.frame is not None or alone.any()
     bound, agree_px = None, None
@@ -102,7 +103,7 @@ def occluded_pairs(
         found = found.take(in_depth_range(found, lines, depth_range_mm))
         if learned is None or several:
             return found
-        evidence = evidence_beside_lines(found, learned[0], None, tuning)
+        evidence = evidence_beside_lines(found, learned[0], tuning)
         return found.take(evidence > tuning.selection.prune_log_odds)
 
     found = concatenate_rows(
@@ -115,19 +116,18 @@ def occluded_pairs(
         ]
     )
     typical = segments_per_view(lines, counts)
-    frame = frames_of(lines, found.index)
-    start = _start(found, selections, typical, frame, tuning)
+    start = _start(found, selections, typical, tuning)
     bodies = Bodies(*(np.broadcast_to(each, np.shape(typical)) for each in bodies))
     typical_px, ends_px = np.asarray(clutter.typical_px), np.asarray(lines.ends_px)
     results = []
     if alone.any():
-        own, before, frame, _ = _of_frames(lines, found, matched, alone)
-        results.append(
-            pairs_alone(own, before.candidates, frame, ends_px, start, typical_px, tuning)
-        )
+        beside = _of_frames(found, alone), _of_frames(matched.candidates, alone)
+        results.append(pairs_alone(*beside, ends_px, start, typical_px, tuning))
     if not alone.all():
-        own, before, *frames = _of_frames(lines, found, matched, ~alone)
-        results.append(pairs_beside_lines(own, before, *frames, bodies, start, tuning))
+        known = matched.candidates.frame
+        tracks = matched if known is None else matched.take(~alone[known])
+        own = _of_frames(found, ~alone)
+        results.append(pairs_beside_lines(own, tracks, bodies, start, tuning))
     return concatenate_rows(results)
 
 
@@ -139,28 +139,21 @@ def _learned_from(selections: list[Selection], tuning: MatchTuning) -> Rates | N
     return most.mixture, most.junctions
 
 
-def _rows_of(candidates: Candidates, lines: SegmentTable, frames: int) -> Int[np.ndarray, "f"]:
-    label = frames_of(lines, candidates.index)
-    label = np.zeros(len(candidates.index), np.int64) if label is None else label
-    return np.bincount(label, minlength=frames)
-
-
 def _start(
     found: Candidates,
     selections: list[Selection],
     typical: Float[np.ndarray, "*f"] | float,
-    frame: Int[np.ndarray, "m"] | None,
     tuning: MatchTuning,
 ) -> Rates:
     """What three views taught, or what is usual where they show few lines."""
     usual = (
-        prior_parameters(found.ends_mm, typical, tuning, frame),
+        prior_parameters(found.ends_mm, typical, tuning, found.frame),
         prior_junctions(tuning.junctions, np.shape(typical)),
     )
     most = max(selections, key=lambda selection: selection.taken.sum(), default=None)
     if most is None:
         return usual
-    number = group_sums(most.taken.astype(np.float64), most.frame, np.size(typical))
+    number = group_sums(most.taken.astype(np.float64), most.candidates.frame, np.size(typical))
     enough = number >= tuning.occlusion.min_tracks_to_learn
 
     def chosen(learned: ArrayLike | float, usual: ArrayLike | float) -> np.ndarray:
@@ -170,18 +163,9 @@ def _start(
     return jax.tree.map(chosen, (most.mixture, most.junctions), usual)
 
 
-def _of_frames(
-    lines: SegmentTable,
-    found: Candidates,
-    matched: Tracks,
-    those: Bool[np.ndarray, "f"],
-) -> tuple[Candidates, Tracks, Int[np.ndarray, "m"] | None, Int[np.ndarray, "t"] | None]:
-    """(pairs, lines) of those frames alone, and the frames of both."""
-    frame, of_lines = frames_of(lines, found.index), frames_of(lines, matched.candidates.index)
-    if frame is None or of_lines is None:
-        return found, matched, None, None
-    rows, tracks = np.flatnonzero(those[frame]), np.flatnonzero(those[of_lines])
-    return found.take(rows), matched.take(tracks), frame[rows], of_lines[tracks]
+def _of_frames(candidates: Candidates, those: Bool[np.ndarray, "f"]) -> Candidates:
+    """Those of some frames of a stack alone."""
+    return candidates if candidates.frame is None else candidates.take(those[candidates.frame])
 
 
 def _free_segments(
@@ -200,29 +184,25 @@ def _free_segments(
 def pairs_beside_lines(
     found: Candidates,
     matched: Tracks,
-    frame: Int[np.ndarray, "m"] | None,
-    matched_frame: Int[np.ndarray, "t"] | None,
     bodies: Bodies,
     start: Rates,
     tuning: MatchTuning,
 ) -> Pairs:
-    """Posterior log odds of pairs among lines that are matched already, to a fixed point; of
-    frames of a stack, those of both, and what lines tell of their bodies."""
+    """Posterior log odds of pairs among lines that are matched already, to a fixed point;
+    `bodies` are of each frame."""
     rules = tuning.occlusion
     log_missed = float(np.log(rules.missed))
     mixture, junctions = start
-    evidence = evidence_beside_lines(found, mixture, frame, tuning)
+    evidence = evidence_beside_lines(found, mixture, tuning)
     keep = likely_rows(found, matched.candidates, evidence, tuning)
-    candidates, evidence, frame = found.take(keep), evidence[keep], take_groups(frame, keep)
+    candidates, evidence = found.take(keep), evidence[keep]
+    frame = candidates.frame
     graph = conflict_graph(candidates.index, candidates.interval, tuning.selection)
     everyone = _joined(matched.candidates, candidates)
-    both = None
-    if frame is not None and matched_frame is not None:
-        both = np.concatenate([matched_frame, frame])
-    meetings = endpoint_pairs(everyone, tuning.junctions, tuning.evidence, both)
+    meetings = endpoint_pairs(everyone, tuning.junctions, tuning.evidence)
     known = probability(matched.posterior_log_odds)
     frames = np.size(mixture.log_count)
-    lines_known = group_sums(known, matched_frame, frames)
+    lines_known = group_sums(known, matched.candidates.frame, frames)
     share = np.full(np.shape(mixture.log_count), rules.prior_share)
     density = mixture.log_count - mixture.volume.log_size + np.log(2)
     helped = broadcast_groups(junctions.end_at_junction >= tuning.junctions.min_at_junction, frame)
@@ -242,7 +222,7 @@ def pairs_beside_lines(
                 density,
                 junctions,
                 tuning.junctions,
-                both,
+                everyone.frame,
             )
             gain = np.where(helped, gain[len(known) :], 0.0)
     of_share = broadcast_groups(np.log(share), frame)

@@ -160,10 +160,10 @@ def learned_rates(
     junctions: JunctionParameters,
     typical_px: Float[np.ndarray, "*f"] | float,
     tuning: MatchTuning,
-    frame: Int[np.ndarray, "m"] | None = None,
 ) -> PairRates:
     """One round of EM, in each frame."""
     rules, frames = tuning.occlusion, np.size(rates.mixture.log_count)
+    frame = candidates.frame
     terms = np.exp(candidates.end_log) * np.expand_dims(broadcast_groups(rates.ends, frame), -2)
     terms /= terms.sum(axis=2, keepdims=True)
     ends = group_sums(posterior[:, None] * terms.sum(axis=1), frame, frames)
@@ -188,7 +188,6 @@ def learned_rates(
 def pairs_alone(
     found: Candidates,
     matched: Candidates,
-    frame: Int[np.ndarray, "m"] | None,
     ends_px: Float[np.ndarray, "v n 2 2"],
     start: tuple[MixtureParameters, JunctionParameters],
     typical_px: np.ndarray | float,
@@ -196,7 +195,7 @@ def pairs_alone(
 ) -> Pairs:
     """Posterior log odds of pairs whose rates are learned from them, round by round; the few lines
     that are matched keep their segments."""
-    rules = tuning.occlusion
+    rules, frame = tuning.occlusion, found.frame
     mixture, junctions = start
     in_images = found.side_log.any(axis=1)
     offset = np.where(in_images, rules.log_odds_offset_in_images, rules.log_odds_offset_alone)
@@ -210,9 +209,8 @@ def pairs_alone(
     ends = end_shares(mixture, tuning.ends)
     rates = PairRates(ends, np.zeros((*frames, classes)), mixture, junctions, None)
 
-    def odds_of(
-        c: Candidates, evidence: np.ndarray, rates: PairRates, frame: np.ndarray | None
-    ) -> np.ndarray:
+    def odds_of(c: Candidates, evidence: np.ndarray, rates: PairRates) -> np.ndarray:
+        frame = c.frame
         ends = log_ends(c, broadcast_groups(rates.ends, frame))
         classes = length_class(c, tuning)
         every = broadcast_groups(rates.log_by_length, frame)
@@ -223,10 +221,11 @@ def pairs_alone(
             place = log_place(c.ends_mm, rates.mixture.volume, tuning.evidence, frame)
         return evidence + ends + lengths + prior + place
 
-    keep = likely_rows(found, matched, odds_of(found, evidence, rates, frame), tuning)
-    candidates, evidence, frame = found.take(keep), evidence[keep], take_groups(frame, keep)
+    keep = likely_rows(found, matched, odds_of(found, evidence, rates), tuning)
+    candidates, evidence = found.take(keep), evidence[keep]
+    frame = candidates.frame
     graph = conflict_graph(candidates.index, candidates.interval, tuning.selection)
-    meetings = endpoint_pairs(candidates, tuning.junctions, tuning.evidence, frame)
+    meetings = endpoint_pairs(candidates, tuning.junctions, tuning.evidence)
     gain = np.zeros(len(evidence))
     odds = posterior_log_odds = gain
     beliefs = None
@@ -236,13 +235,13 @@ def pairs_alone(
         # Where lines meet nowhere, what pairs they make by chance is independent, as odds take it.
         free = 1 - broadcast_groups(rates.junctions.end_at_junction, frame)
         free = np.where(candidates.side_log.any(axis=1), 0.0, rules.offset_unjoined * free)
-        odds = odds_of(candidates, evidence, rates, frame) + gain + free + more
+        odds = odds_of(candidates, evidence, rates) + gain + free + more
         beliefs = sum_product(odds, graph, tuning.selection, frame, beliefs)
         posterior_log_odds = beliefs.log_odds
         posterior = probability(posterior_log_odds)
         if graph_of_companions is None:
             likely = np.flatnonzero(posterior > rules.companion_likely)
-            graph_of_companions = companions(candidates, likely, ends_px, tuning, frame)
+            graph_of_companions = companions(candidates, likely, ends_px, tuning)
         more = companion_log_odds(graph_of_companions, posterior, rules, frame, count)
         density = rates.mixture.log_count - rates.mixture.volume.log_size + np.log(2)
         gain, junctions = junction_log_odds(
@@ -250,7 +249,7 @@ def pairs_alone(
         )
         helped = junctions.end_at_junction >= tuning.junctions.min_at_junction
         gain = np.where(broadcast_groups(helped, frame), gain, 0.0)
-        rates = learned_rates(candidates, posterior, rates, junctions, typical_px, tuning, frame)
+        rates = learned_rates(candidates, posterior, rates, junctions, typical_px, tuning)
     chosen = chosen_greedily(posterior_log_odds, graph)
     tempered = temper(posterior_log_odds, candidates.side_log, tuning.evidence)
     # Lines that meet nowhere are of no bodies, and bodies that are seen through hide no edges.

@@ -14,14 +14,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.match.candidates import Candidates
+from trinoc.match.candidates import Candidates, candidates_at
 from trinoc.match.evidence import (
     MixtureParameters,
     log_place,
     log_sides,
     pair_evidence,
-    polarity_evidence,
-    side_evidence,
 )
 from trinoc.match.observations import (
     TRIPLES_IN_BLOCK,
@@ -105,16 +103,10 @@ def _judged(
         return possible, columns
 
     keep, columns = select_in_blocks(judged, block_of(lines, TRIPLES_IN_BLOCK), segments)
-    of_views, ends_mm, log_density, end_log, *union = split_columns(columns, shapes)
-    outer_mm, spread, px_per_mm, expected, crossing_sine = union
-    index = np.full((len(keep), len(lines.ends_px)), -1)
-    interval = np.zeros((len(keep), len(lines.ends_px), 2))
-    index[:, views], interval[:, views] = segments[keep], of_views
-    log_density += polarity_evidence(np.asarray(lines.polarity), index, interval, tuning.evidence)
-    sides = side_evidence(np.asarray(lines.sides), index, interval, tuning.sides)
-    judged_by = ends_mm, np.zeros(len(keep)), log_density, end_log
-    of_line = outer_mm, spread, px_per_mm, sides, expected, crossing_sine
-    return Candidates(index, interval, *judged_by, *of_line)
+    of_views, ends_mm, *rest = split_columns(columns, shapes)
+    # Two views always agree about a place.
+    place = of_views, ends_mm, np.zeros(len(keep)), *rest
+    return candidates_at(lines, views, segments[keep], place, tuning)
 
 
 @partial(kept_jit, static_argnames=("tuning", "ends"), beside_others=True)
@@ -211,21 +203,20 @@ def likely_rows(
     found: Candidates, matched: Candidates, odds: Float[np.ndarray, "m"], tuning: MatchTuning
 ) -> Int[np.ndarray, "k"]:
     """Rows of pairs that are likely at all, and need no part of a segment that is matched."""
-    rows = np.flatnonzero(odds > tuning.selection.prune_log_odds)
+    rules = tuning.selection
+    rows = np.flatnonzero(odds > rules.prune_log_odds)
     own = found.take(rows)
-    parts = own.index, own.interval, matched.index, matched.interval
-    rows = rows[~claimed(*parts, tuning.selection)]
-    return rows[affordable(odds[rows], found.index[rows], tuning.selection)]
+    rows = rows[~claimed(own.index, own.interval, matched.index, matched.interval, rules)]
+    return rows[affordable(odds[rows], found.index[rows], -np.inf, rules)]
 
 
 def evidence_beside_lines(
     candidates: Candidates,
     mixture: MixtureParameters,
-    frame: Int[np.ndarray, "m"] | None,
     tuning: MatchTuning,
 ) -> Float[np.ndarray, "m"]:
     """Log odds of pairs among matched lines, but for how seldom pairs are, and for junctions."""
-    rules = tuning.occlusion
+    rules, frame = tuning.occlusion, candidates.frame
     ends = log_ends(candidates, broadcast_groups(end_shares(mixture, tuning.ends), frame))
     ends += log_sides(candidates.side_log, mixture, frame)
     in_images = candidates.side_log.any(axis=1)

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from trinoc.match.evidence import probability, temper
-from trinoc.match.observations import SegmentTable, frames_of
+from trinoc.match.observations import SegmentTable
 from trinoc.match.selection import Selection, Tracks
 from trinoc.match.tuning import EvidenceTuning, MatchTuning, OcclusionTuning
 from trinoc.numerics import broadcast_groups
@@ -111,7 +111,7 @@ def bodies_of(
         index,
         probability(tracks.posterior_log_odds),
         tuning.occlusion,
-        frames_of(lines, index),
+        tracks.candidates.frame,
         joined.size,
     )
     return Bodies(joined, through.reshape(joined.shape))
@@ -124,7 +124,7 @@ def tempered_tracks(
     candidates, rules = tracks.candidates, tuning.occlusion
     # Edges seen through others have corners, too, but are hidden less often.
     share = bodies.joined * (1 - rules.seen_through_gain * bodies.through)
-    own = broadcast_groups(share, frames_of(lines, candidates.index))
+    own = broadcast_groups(share, candidates.frame)
     posterior, rivals = (
         _tempered(log_odds, candidates.side_log, own, rules.track_temperature, tuning.evidence)
         for log_odds in (tracks.posterior_log_odds, tracks.rival_posterior)

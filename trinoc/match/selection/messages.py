@@ -73,9 +73,13 @@ def conflict_graph(
 def affordable(
     log_odds: Float[np.ndarray, "m"],
     index: Int[np.ndarray, "m v"],
+    above: float,
     tuning: SelectionTuning = DEFAULT.selection,
 ) -> Int[np.ndarray, "k"]:
-    """Rows of the likeliest candidates: all, or those with as many conflicts as memory bears."""
+    """Rows of candidates of log odds `above` that: all of them, or the likeliest, with as many
+    conflicts as memory bears."""
+    kept = np.flatnonzero(log_odds > above)
+    log_odds, index = log_odds[kept], index[kept]
 
     def conflicts(least: float) -> int:
         rows = index[log_odds >= least]
@@ -87,7 +91,7 @@ def affordable(
         ordered = np.sort(log_odds)
         fits = bisect_left(ordered, True, key=lambda odds: conflicts(odds) <= tuning.most_conflicts)
         least = ordered[min(fits, len(ordered) - 1)]
-    return np.flatnonzero(log_odds >= least)
+    return kept[log_odds >= least]
 
 
 def claimed(

@@ -1,5 +1,6 @@
 from .assembly import (
     assemble as assemble,
+    direction_doubt as direction_doubt,
     flag_viewpoint_dependent as flag_viewpoint_dependent,
     typical_misfit as typical_misfit,
 )
@@ -9,7 +10,6 @@ from .consolidation import (
 )
 from .line_fit import (
     common_ends as common_ends,
-    direction_doubt as direction_doubt,
     ending_view as ending_view,
     fragments_of as fragments_of,
     interval_of as interval_of,

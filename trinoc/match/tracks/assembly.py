@@ -1,5 +1,10 @@
 """From what was selected to tracks: fragments, lines in space with covariance, and reasons.
 
+Two views place a line where their interpretation planes cross. A segment nearly along its
+epipolar line leaves the crossing open: how open, tells the error of its direction in the picture
+over its angle to the epipolar line. Errors in space are inverse to that angle, so that their second
+order counts where it is in doubt, and they have no covariance where it may be zero.
+
 Tracks that are no line in space: what they show depends on the viewpoint.
 
 Each camera sees another outline of a round body, and another line of light on a shiny one. Where
@@ -8,18 +13,18 @@ view was rejected, its own outline is left over beside the place where the track
 """
 
 from collections.abc import Sequence
+from itertools import combinations
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
 from trinoc.geometry import project_by_matrix
-from trinoc.match.observations import MatchInput, frames_of, matrices_of
+from trinoc.match.observations import MatchInput, SegmentTable, frames_of, matrices_of
 from trinoc.match.occlusion import Pairs
 from trinoc.match.selection import Selection, Tracks
 from trinoc.match.tracks.answers import UNLOCATED, Lines, answers, reasons
 from trinoc.match.tracks.line_fit import (
     before_cameras,
-    direction_doubt,
     ending_at,
     fragments_of,
     lines_in_space,
@@ -116,6 +121,44 @@ def _lines(
     found = take_rows(every, sound)
     dependent = flag_viewpoint_dependent(seen, found.index, found.ends_mm, found.misfit, tuning)
     return found._replace(viewpoint_dependent=dependent), index[~located]
+
+
+def direction_doubt(lines: SegmentTable, index: Int[np.ndarray, "t v"]) -> Float[np.ndarray, "t"]:
+    """Standard deviation of a segment's direction over its angle to the epipolar line.
+
+    The larger of the two segments of a pair of views, and the least of all pairs of a track.
+    """
+    least, frame = np.full(len(index), np.inf), frames_of(lines, index)
+    for a, b in combinations(range(index.shape[1]), 2):
+        on = np.flatnonzero((index[:, a] >= 0) & (index[:, b] >= 0))
+        own = take_groups(frame, on)
+        pair = np.maximum(
+            _of_view(lines, a, b, index[on, a], own), _of_view(lines, b, a, index[on, b], own)
+        )
+        least[on] = np.minimum(least[on], pair)
+    return least
+
+
+def _of_view(
+    lines: SegmentTable,
+    view: int,
+    other: int,
+    segment: Int[np.ndarray, "n"],
+    frame: Int[np.ndarray, "n"] | None,
+) -> Float[np.ndarray, "n"]:
+    ends = np.asarray(lines.ends_px)[view, segment]
+    across = np.asarray(lines.across_px2)[view, segment]
+    centre = np.asarray(lines.centre_mm)
+    centre = centre[None, other] if frame is None else centre[frame, other]
+    matrix = matrices_of(lines, frame)[:, view]
+    epipole = (matrix[..., :3] @ centre[..., None])[..., 0] + matrix[..., 3]
+    step, middle = ends[:, 1] - ends[:, 0], ends.mean(axis=1)
+    # Toward the epipole, which may lie at infinity.
+    toward = epipole[:, :2] - epipole[:, 2:] * middle
+    area = step[:, 0] * toward[:, 1] - step[:, 1] * toward[:, 0]
+    spread = np.sqrt(across[:, 0, 0] + across[:, 1, 1] - 2 * across[:, 0, 1])
+    offset = np.abs(area) / np.linalg.norm(toward, axis=1)
+    return spread / np.maximum(offset, 1e-12)
 
 
 def _reasons(

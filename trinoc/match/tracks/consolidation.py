@@ -23,7 +23,8 @@ from trinoc.match.tracks.line_fit import (
     consistent,
     fit_tracks,
     interval_of,
-    overlap,
+    place_on,
+    shared_share,
     split_off_misfits,
 )
 from trinoc.match.tracks.multiview import merge_triplets
@@ -49,7 +50,9 @@ def tracks_through_views(
 ) -> Tracks:
     """What was selected in each three of the views, joined where there are more than three."""
     if not selections:
-        return Tracks(no_candidates(len(seen.ends_px)), np.zeros(0), np.zeros(0))
+        return Tracks(
+            no_candidates(len(seen.ends_px), seen.lines.frame is not None), np.zeros(0), np.zeros(0)
+        )
     tracks = concatenate_rows([tracks_of(selection) for selection in selections])
     if len(selections) == 1:
         return tracks
@@ -169,10 +172,12 @@ def _trial(
     before = np.linalg.norm(now.common_mm[track][1] - now.common_mm[track][0])
     if part is None or np.linalg.norm(part[1] - part[0]) < tuning.tracks.min_shared * before:
         return None
+    ends, matrix = seen.ends_px[view][segment], np.asarray(seen.lines.matrix_px)[view]
+    place = place_on(ends, matrix, part)
     claims = [
         other
         for other in owners
-        if overlap(seen, view, segment, part, now.common_mm[other])
+        if shared_share(place, place_on(ends, matrix, now.common_mm[other]))
         > tuning.selection.conflict_overlap
     ]
     if not claims:

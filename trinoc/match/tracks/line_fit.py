@@ -3,11 +3,6 @@
 Triples that share segments two by two chain to tracks whose ends no longer agree. So the whole
 track is tested, and what does not fit is split off, the worst first.
 
-Two views place a line where their interpretation planes cross. A segment nearly along its
-epipolar line leaves the crossing open: how open, tells the error of its direction in the picture
-over its angle to the epipolar line. Errors in space are inverse to that angle, so that their second
-order counts where it is in doubt, and they have no covariance where it may be zero.
-
 How far a line is shown by at least two of its views: further than by all of them.
 
 The parts of segments that a track shows, and what their ends are worth.
@@ -19,8 +14,8 @@ only the view whose segment ends there knows the place along the line, and in th
 free: views whose blocks are then taken for independent give the line's true covariance.
 """
 
+from collections.abc import Iterator
 from functools import partial
-from itertools import combinations
 from typing import NamedTuple
 
 import jax
@@ -72,11 +67,8 @@ def interval_of(
 
     On segments that end before, this is outside [0, 1]: their lines run on.
     """
-    interval, frame = np.zeros((*index.shape, 2)), frames_of(seen.lines, index)
-    for view in range(index.shape[1]):
-        on = np.flatnonzero(index[:, view] >= 0)
-        matrix = matrices_of(seen.lines, take_groups(frame, on))[:, view]
-        segment = seen.ends_px[view][index[on, view]]
+    interval = np.zeros((*index.shape, 2))
+    for view, on, segment, matrix in _each_view(seen, index):
         along = segment[:, 1] - segment[:, 0]
         offset = project_by_matrix(matrix, ends_mm[on]) - segment[:, :1]
         square = (along**2).sum(axis=1)[:, None]
@@ -88,13 +80,21 @@ def reach_of(
     seen: MatchInput, index: Int[np.ndarray, "t v"], ends_mm: Float[np.ndarray, "t 2 3"]
 ) -> Float[np.ndarray, "t v 2"]:
     """Where every segment begins and ends along its track's line, 0 and 1 at the line's ends."""
-    reach, frame = np.full((*index.shape, 2), np.nan), frames_of(seen.lines, index)
-    for view in range(index.shape[1]):
-        on = np.flatnonzero(index[:, view] >= 0)
-        segment = seen.ends_px[view][index[on, view]]
-        matrix = matrices_of(seen.lines, take_groups(frame, on))[:, view]
+    reach = np.full((*index.shape, 2), np.nan)
+    for view, on, segment, matrix in _each_view(seen, index):
         reach[on, view] = np.sort(positions_abreast(matrix, segment, ends_mm[on]), axis=1)
     return reach
+
+
+def _each_view(
+    seen: MatchInput, index: Int[np.ndarray, "t v"]
+) -> Iterator[tuple[int, Int[np.ndarray, "_n"], np.ndarray, np.ndarray]]:
+    """(view, tracks that it sees, their segments there, the matrices of these)."""
+    frame = frames_of(seen.lines, index)
+    for view, ends in enumerate(seen.ends_px):
+        on = np.flatnonzero(index[:, view] >= 0)
+        matrix = matrices_of(seen.lines, take_groups(frame, on))[:, view]
+        yield view, on, ends[index[on, view]], matrix
 
 
 def positions_abreast(
@@ -123,22 +123,20 @@ def common_part(
     return near_mm[0] + np.array([[begin], [end]]) * (near_mm[1] - near_mm[0])
 
 
-def overlap(
-    seen: MatchInput,
-    view: int,
-    segment: int,
-    one_mm: Float[np.ndarray, "2 3"],
-    other_mm: Float[np.ndarray, "2 3"],
-) -> float:
-    """Common length of two parts on a segment as a share of the shorter."""
-    ends = seen.ends_px[view][segment]
-    way = ends[1] - ends[0]
-    matrix = np.asarray(seen.lines.matrix_px)[view]
-    one, other = (
-        np.sort((project_by_matrix(matrix, part) - ends[0]) @ way) for part in (one_mm, other_mm)
-    )
-    common = min(one[1], other[1]) - max(one[0], other[0])
-    return float(common / min(np.ptp(one), np.ptp(other)))
+def place_on(
+    segment_px: Float[np.ndarray, "2 2"],
+    matrix_px: Float[np.ndarray, "3 4"],
+    ends_mm: Float[np.ndarray, "2 3"],
+) -> Float[np.ndarray, "2"]:
+    """Where two points in space lie along a segment, from 0 at its first end to 1."""
+    step = segment_px[1] - segment_px[0]
+    return (project_by_matrix(matrix_px, ends_mm) - segment_px[0]) @ step / (step @ step)
+
+
+def shared_share(first: Float[np.ndarray, "2"], second: Float[np.ndarray, "2"]) -> float:
+    """Common length of two parts as a share of the shorter."""
+    low, high = max(first.min(), second.min()), min(first.max(), second.max())
+    return float((high - low) / min(np.ptp(first), np.ptp(second)))
 
 
 # Standard deviation along its segment of an end that a plane cuts, px: nothing is known of it.
@@ -211,44 +209,6 @@ def _free_where_cut(
     for e in range(2):
         covariance_px2[e, :, e] += np.where(ends_here[:, e], 0.0, push)
     return covariance_px2.reshape(4, 4, -1).transpose(2, 0, 1)
-
-
-def direction_doubt(lines: SegmentTable, index: Int[np.ndarray, "t v"]) -> Float[np.ndarray, "t"]:
-    """Standard deviation of a segment's direction over its angle to the epipolar line.
-
-    The larger of the two segments of a pair of views, and the least of all pairs of a track.
-    """
-    least, frame = np.full(len(index), np.inf), frames_of(lines, index)
-    for a, b in combinations(range(index.shape[1]), 2):
-        on = np.flatnonzero((index[:, a] >= 0) & (index[:, b] >= 0))
-        own = take_groups(frame, on)
-        pair = np.maximum(
-            _of_view(lines, a, b, index[on, a], own), _of_view(lines, b, a, index[on, b], own)
-        )
-        least[on] = np.minimum(least[on], pair)
-    return least
-
-
-def _of_view(
-    lines: SegmentTable,
-    view: int,
-    other: int,
-    segment: Int[np.ndarray, "n"],
-    frame: Int[np.ndarray, "n"] | None,
-) -> Float[np.ndarray, "n"]:
-    ends = np.asarray(lines.ends_px)[view, segment]
-    across = np.asarray(lines.across_px2)[view, segment]
-    centre = np.asarray(lines.centre_mm)
-    centre = centre[None, other] if frame is None else centre[frame, other]
-    matrix = matrices_of(lines, frame)[:, view]
-    epipole = (matrix[..., :3] @ centre[..., None])[..., 0] + matrix[..., 3]
-    step, middle = ends[:, 1] - ends[:, 0], ends.mean(axis=1)
-    # Toward the epipole, which may lie at infinity.
-    toward = epipole[:, :2] - epipole[:, 2:] * middle
-    area = step[:, 0] * toward[:, 1] - step[:, 1] * toward[:, 0]
-    spread = np.sqrt(across[:, 0, 0] + across[:, 1, 1] - 2 * across[:, 0, 1])
-    offset = np.abs(area) / np.linalg.norm(toward, axis=1)
-    return spread / np.maximum(offset, 1e-12)
 
 
 def before_cameras(
