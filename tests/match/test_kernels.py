@@ -15,7 +15,7 @@ from trinoc.numerics import in_float64, with_field
 
 KERNELS = {
     "candidates.search": ["_predicted", "_passes_gate"],
-    "candidates.judged": ["_fitted", "_evidence_of"],
+    "candidates.triples": ["_fitted", "_evidence_of"],
     "selection.messages": ["_propagated"],
     "occlusion.possible_pairs": ["_evidence_of"],
     "tracks.line_fit": ["_triangulated"],

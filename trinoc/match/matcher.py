@@ -1,18 +1,15 @@
 """The matcher: segments of two or more pictures to lines in space."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
-from jaxtyping import Float, Int
 
 from trinoc.geometry import Rig, Segments
-from trinoc.match.candidates import in_depth_range, no_candidates
+from trinoc.match.candidates import Candidates
 from trinoc.match.observations import (
-    ClutterModel,
     FrameInput,
     MatchInput,
     fit_clutter,
-    frames_of,
     look_apart,
     mirrored_error,
     prepare_frame,
@@ -21,19 +18,13 @@ from trinoc.match.observations import (
     turned_round,
     with_noise_scale,
 )
-from trinoc.match.occlusion import bodies_of, occluded_pairs, tempered_tracks
+from trinoc.match.occlusion import match_occluded
 from trinoc.match.rehearsal import compile_together
-from trinoc.match.scouting import scouted_candidates
-from trinoc.match.selection import Selection, Tracks, residual_scale, select, tracks_of
-from trinoc.match.tracks import (
-    Matches,
-    assemble,
-    consolidated,
-    merge_triplets,
-    view_triplets,
-)
+from trinoc.match.scouting import find_triples
+from trinoc.match.selection import Selection, learn_noise_scale, select
+from trinoc.match.tracks import Matches, assemble, tracks_through_views
 from trinoc.match.tuning import DEFAULT, MatchTuning
-from trinoc.numerics import ArrayLike, concatenate_rows, in_float64
+from trinoc.numerics import ArrayLike, in_float64
 
 
 @in_float64
@@ -110,21 +101,23 @@ def match_frames(
     """
     stated, left = stacked_frames(frames), np.arange(len(frames))
     compile_together(stated, tuning)
-    scale, found = np.ones(len(frames)), {}
-    for step in range(tuning.noise.passes):
+    scale, found = np.ones(len(frames)), dict[int, Matches]()
+    for passes_left in reversed(range(tuning.noise.passes)):
         seen = with_noise_scale(stated, scale[left])
         clutter = fit_clutter(seen.lines, seen.counts, tuning.clutter)
-        selections, outside = _triples(seen, clutter, depth_range_mm, tuning)
-        before = scale[left]
-        larger = residual_scale(selections, len(left), tuning.noise) if selections else 1.0
-        scale[left] = np.clip(before * larger, 1 / tuning.noise.most, tuning.noise.most)
-        change = scale[left] / before
-        again = (change >= tuning.noise.again_above) | (change <= tuning.noise.again_below)
-        again &= step + 1 < tuning.noise.passes
+        # The steps of the paper: 1 candidates, 2 selection by neighbours, 3 occluded segments.
+        triples = find_triples(seen, clutter, depth_range_mm, tuning)
+        selections, outside = _select_triples(seen, triples, tuning)
+        scale[left], again = learn_noise_scale(selections, scale[left], tuning.noise)
+        again &= passes_left > 0
         if not again.all():
             seen = with_noise_scale(stated, scale[left])
-            args = (selections, outside, clutter, depth_range_mm, tuning)
-            results = _finished(seen, [names[k] for k in left.tolist()], scale[left], *args)
+            tracks = tracks_through_views(seen, selections, tuning)
+            tracks, pairs = match_occluded(
+                seen, clutter, tracks, selections, depth_range_mm, tuning
+            )
+            called, judged = [names[k] for k in left.tolist()], (tracks, selections, pairs, outside)
+            results = assemble(seen, *judged, called, scale[left], tuning)
             found |= {k: results[n] for n, k in enumerate(left.tolist()) if not again[n]}
         if not again.any():
             break
@@ -133,48 +126,16 @@ def match_frames(
     return [found[k] for k in range(len(frames))]
 
 
-def _finished(
+def _select_triples(
     seen: MatchInput,
-    names: list[tuple[str, ...]],
-    noise_scale: Float[np.ndarray, "f"],
-    selections: list[Selection],
-    outside: Int[np.ndarray, "o v"],
-    clutter: ClutterModel,
-    depth_range_mm: tuple[float, float] | None,
+    triples: Iterable[tuple[tuple[int, int, int], Candidates, np.ndarray]],
     tuning: MatchTuning,
-) -> list[Matches]:
-    """From triples to the answer of each frame."""
-    triples = [tracks_of(selection) for selection in selections]
-    if triples:
-        tracks = concatenate_rows(triples)
-    else:
-        tracks = Tracks(no_candidates(len(seen.ends_px)), np.zeros(0), np.zeros(0))
-    if len(triples) > 1:
-        tracks = consolidated(seen, merge_triplets(seen.lines, tracks, tuning), tuning)
-    bodies = bodies_of(seen.lines, tracks, selections, tuning)
-    tracks = tempered_tracks(seen.lines, tracks, bodies, tuning)
-    pairs = occluded_pairs(
-        seen.lines, seen.counts, clutter, tracks, selections, depth_range_mm, tuning, bodies
-    )
-    return assemble(seen, tracks, selections, pairs, outside, names, noise_scale, tuning)
-
-
-def _triples(
-    seen: MatchInput,
-    clutter: ClutterModel,
-    depth_range_mm: tuple[float, float] | None,
-    tuning: MatchTuning,
-) -> tuple[list[Selection], Int[np.ndarray, "o v"]]:
-    """(what is selected in each three of the views, segments of triples out of range)."""
-    selections: list[Selection] = []
-    outside = [np.zeros((0, len(seen.ends_px)), dtype=np.int64)]
-    for views in view_triplets(seen.lines, tuning.tracks):
-        candidates = scouted_candidates(seen.lines, views, seen.counts, clutter, tuning)
-        inside = in_depth_range(candidates, seen.lines, depth_range_mm)
-        outside.append(candidates.index[~inside])
-        candidates = candidates.take(inside)
-        frame = frames_of(seen.lines, candidates.index)
+) -> tuple[list[Selection], list[np.ndarray]]:
+    """(selection among the triples of each three of the views, segments of those out of range)."""
+    selections, outside = [], []
+    for views, candidates, index in triples:
         counts = [seen.counts[view] if view in views else 0 for view in range(len(seen.counts))]
         typical = segments_per_view(seen.lines, counts) * len(counts) / 3
-        selections.append(select(candidates, typical, tuning=tuning, frame=frame))
-    return selections, np.concatenate(outside)
+        selections.append(select(candidates, typical, tuning=tuning))
+        outside.append(index)
+    return selections, outside

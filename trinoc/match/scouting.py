@@ -7,6 +7,8 @@ at sight. Segments that are not explained by then, or not on all of their length
 everywhere.
 """
 
+from collections.abc import Iterator
+
 import numpy as np
 from jaxtyping import Bool, Int
 
@@ -14,15 +16,30 @@ from trinoc.match.candidates import (
     Candidates,
     Learned,
     candidates_among,
+    in_depth_range,
     prepared_orders,
     prior_log_odds,
     region_of,
 )
 from trinoc.match.evidence import probability, reach_of_ends
-from trinoc.match.observations import ClutterModel, SegmentTable
+from trinoc.match.observations import ClutterModel, MatchInput, SegmentTable
 from trinoc.match.selection import affordable, conflict_graph, select, sum_product
+from trinoc.match.tracks import view_triplets
 from trinoc.match.tuning import MatchTuning
 from trinoc.numerics import concatenate_rows
+
+
+def find_triples(
+    seen: MatchInput,
+    clutter: ClutterModel,
+    depth_range_mm: tuple[float, float] | None,
+    tuning: MatchTuning,
+) -> Iterator[tuple[tuple[int, int, int], Candidates, Int[np.ndarray, "_o _v"]]]:
+    """(three of the views, their candidates within the depth range, segments of those outside)."""
+    for views in view_triplets(seen.lines, tuning.tracks):
+        found = scouted_candidates(seen.lines, views, seen.counts, clutter, tuning)
+        inside = in_depth_range(found, seen.lines, depth_range_mm)
+        yield views, found.take(inside), found.index[~inside]
 
 
 def scouted_candidates(
@@ -48,7 +65,9 @@ def scouted_candidates(
     left = tuple(np.flatnonzero(own) for own in free)
     anywhere = learned._replace(region=None, ends_px=None)
     outside = candidates_among(orders, tuning, learned=anywhere, rows=(left, left))
-    return _united(inside, outside)
+    both = concatenate_rows([inside, outside])
+    # Each once, in their order.
+    return both.take(np.unique(both.index, axis=0, return_index=True)[1])
 
 
 def _spread(count: int, sample: int) -> Int[np.ndarray, "_"]:
@@ -84,8 +103,8 @@ def _unexplained(
 ) -> list[Bool[np.ndarray, "_"]]:
     """Segments of each view that likely candidates show little of, as far as their rivals say."""
     odds = prior_log_odds(found, learned.mixture, tuning.evidence)
-    keep = np.flatnonzero(odds > tuning.selection.learn_log_odds)
-    keep = keep[affordable(odds[keep], found.index[keep], tuning.selection)]
+    rules = tuning.selection
+    keep = affordable(odds, found.index, rules.learn_log_odds, rules)
     index, interval, odds = found.index[keep], found.interval[keep], odds[keep]
     graph = conflict_graph(index, interval, tuning.selection)
     posterior = probability(sum_product(odds, graph, tuning.selection).log_odds)
@@ -97,9 +116,3 @@ def _unexplained(
         np.bincount(index[likely, view], length[:, view], minlength=number) <= enough
         for number, view in zip(numbers, views, strict=True)
     ]
-
-
-def _united(one: Candidates, other: Candidates) -> Candidates:
-    """Candidates of both, each once, in their order."""
-    both = concatenate_rows([one, other])
-    return both.take(np.unique(both.index, axis=0, return_index=True)[1])

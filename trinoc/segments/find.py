@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Shaped
@@ -16,6 +15,7 @@ from trinoc.segments.nevatia_babu import (
     ErrorModel,
     FittedLines,
     Level,
+    NearEnds,
     Runs,
     Shifts,
     SideSlopes,
@@ -89,15 +89,32 @@ def find_segments(
     _check_options(tolerance_px, false_alarms, least_contrast)
     picture = Light.from_picture(image, response)
     _check_lens(intrinsics, picture.size_px)
-    fine = full_level(picture, combined_kernel())
-    runs = find_runs(fine, tolerance_px, least_contrast, tuning.scales)
+    smooth = full_level(picture, combined_kernel())
+    runs = find_runs(smooth, tolerance_px, least_contrast, tuning.scales)
     lines = fit_lines(runs)
     runs, lines = merge_collinear(runs, lines, tolerance_px, tuning.ends.gap_px)
-    edges = _accept_edges(picture, runs, lines, false_alarms, least_contrast, tuning)
-    runs, placed = _correct_places(fine, edges, tuning)
-    placed, to_image = _undistort(runs, placed, intrinsics)
-    wanted = _is_wanted(placed, picture.size_px[0], arcs, least_contrast, tuning)
-    return _segments_of(take_rows(placed, wanted), picture, to_image, tuning)
+    blur_px2 = typical_blur(lines)
+    runs, lines, slopes = _accept(
+        picture, runs, lines, blur_px2, false_alarms, least_contrast, tuning
+    )
+    runs, lines, errors = _without_neighbours(smooth, runs, lines, blur_px2, tuning)
+    runs, lines, shifts = _without_shifts(smooth, runs, lines, slopes, errors, tuning)
+    lines, to_image = _undistort(runs, lines, intrinsics)
+    wanted = _is_wanted(lines, errors, picture.size_px[0], arcs, least_contrast, tuning)
+    lines, errors, shifts = take_rows((lines, errors, shifts), wanted)
+    ends_px, along_px, near = _place_ends(lines, tuning)
+    covariance_px2, reasons = _covariances(lines, errors, shifts, along_px, tuning)
+    found = Segments(
+        ends_px,
+        covariance_px2,
+        np.ones(len(ends_px), dtype=np.int64),
+        lines.contrast,
+        lines.support.astype(np.int64),
+        picture.size_px,
+        reasons,
+        side_levels=side_levels(picture.levels, ends_px, to_image),
+    )
+    return with_junctions(found, near)
 
 
 def _check_options(tolerance_px: float, false_alarms: float, least_contrast: float) -> None:
@@ -117,29 +134,20 @@ def _check_lens(lens: Intrinsics | None, size_px: tuple[int, int]) -> None:
         )
 
 
-class _Edges(NamedTuple):
-    """Lines that are edges of the scene, their points, and slopes of the light beside them;
-    `usual_px2` is the variance of the usual blur."""
-
-    runs: Runs
-    lines: FittedLines
-    slopes: SideSlopes
-    usual_px2: float
-
-
-def _accept_edges(
+def _accept(
     picture: Light,
     runs: Runs,
     lines: FittedLines,
+    blur_px2: float,
     false_alarms: float,
     least_contrast: float,
     tuning: SegmentTuning,
-) -> _Edges:
-    """Without soft shadows, slopes of the light, noise, and what is far too faint."""
-    usual_px2 = typical_blur(lines)
-    slopes = side_slopes(picture.levels, runs, usual_px2)
+) -> tuple[Runs, FittedLines, SideSlopes]:
+    """(points, lines, slopes of the light beside them) without soft shadows, slopes of the light,
+    noise, and what is far too faint."""
+    slopes = side_slopes(picture.levels, runs, blur_px2)
     keep = (
-        is_sharp(lines, usual_px2, tuning.accept)
+        is_sharp(lines, blur_px2, tuning.accept)
         & ~is_on_ramp(slopes)
         & (lines.snr2 > least_snr2(false_alarms, picture.levels.size))
         & (lines.contrast > tuning.accept.faint_share * least_contrast)
@@ -147,98 +155,96 @@ def _accept_edges(
     runs, lines, slopes = runs.take(keep), *take_rows((lines, slopes), keep)
     if not picture.is_linear:
         # Edges are placed in the light: what slopes there moves them.
-        slopes = side_slopes(picture.light, runs, usual_px2)
-    return _Edges(runs, lines, slopes, usual_px2)
+        slopes = side_slopes(picture.light, runs, blur_px2)
+    return runs, lines, slopes
 
 
-class _PlacedLines(NamedTuple):
-    """Lines with what moved them taken out, and what may be left of it."""
-
-    lines: FittedLines
-    errors: ErrorModel
-    saturated: Shifts
-    shaded: Shifts
-
-
-def _correct_places(fine: Level, edges: _Edges, tuning: SegmentTuning) -> tuple[Runs, _PlacedLines]:
-    """(points, lines) without the pull of neighbours, of clipping, and of shading."""
-    picture, (runs, lines, slopes, usual_px2) = fine.picture, edges
-    profile_px2 = fine.kernel_variance_px2 + usual_px2
+def _without_neighbours(
+    smooth: Level, runs: Runs, lines: FittedLines, blur_px2: float, tuning: SegmentTuning
+) -> tuple[Runs, FittedLines, ErrorModel]:
+    """(points, lines, what else may have moved them) without the pull of neighbours."""
+    profile_px2 = smooth.kernel_variance_px2 + blur_px2
     near = find_overlaps(runs, lines, profile_px2)
     spread = tuning.errors.blur_spread * profile_px2
-    own_blur = np.clip(lines.blur_px2, usual_px2 - spread, usual_px2 + spread)
+    own_blur = np.clip(lines.blur_px2, blur_px2 - spread, blur_px2 + spread)
     cleaned = runs._replace(points=without_neighbours(runs.points, lines, own_blur, near))
     lines = fit_lines(cleaned)
-    errors = error_model(picture, runs.points, cleaned, lines, near, usual_px2, tuning.errors)
-    saturated = shifts_of_saturated(fine, cleaned, lines, errors, tuning.saturation)
+    given = smooth.picture, runs.points, cleaned, lines, near, blur_px2, tuning.errors
+    return cleaned, lines, error_model(*given)
+
+
+def _without_shifts(
+    smooth: Level,
+    runs: Runs,
+    lines: FittedLines,
+    slopes: SideSlopes,
+    errors: ErrorModel,
+    tuning: SegmentTuning,
+) -> tuple[Runs, FittedLines, tuple[Shifts, Shifts]]:
+    """(points, lines, shifts) moved back across, by what clipping and by what shading did."""
+    saturated = shifts_of_saturated(smooth, runs, lines, errors, tuning.saturation)
     # What is clipped does not slope.
     seen = saturated.variance_px2 == 0
     shading = shading_shifts(slopes, lines, errors.crowded, tuning.errors)
     shaded = Shifts(*(seen * part for part in shading))
-    cleaned, lines = _shift(cleaned, lines, saturated.shift_px + shaded.shift_px)
-    return cleaned, _PlacedLines(lines, errors, saturated, shaded)
-
-
-def _shift(
-    runs: Runs, lines: FittedLines, shift_px: Float[np.ndarray, "r"]
-) -> tuple[Runs, FittedLines]:
-    """Lines and their points moved across, toward the brighter side."""
-    if not shift_px.any():
-        return runs, lines
-    way = lines.direction * shift_px[:, None]
-    offset = np.stack([way[:, 1], -way[:, 0]], axis=-1)
-    moved = runs.moved(runs.points.uv_px + runs.spread(offset).astype(np.float32))
-    return moved, lines._replace(centre_px=lines.centre_px + offset)
+    shift_px = saturated.shift_px + shaded.shift_px
+    if shift_px.any():
+        # Toward the brighter side.
+        way = lines.direction * shift_px[:, None]
+        offset = np.stack([way[:, 1], -way[:, 0]], axis=-1)
+        runs = runs.moved(runs.points.uv_px + runs.spread(offset).astype(np.float32))
+        lines = lines._replace(centre_px=lines.centre_px + offset)
+    return runs, lines, (saturated, shaded)
 
 
 def _undistort(
-    runs: Runs, placed: _PlacedLines, lens: Intrinsics | None
-) -> tuple[_PlacedLines, Callable[[np.ndarray], np.ndarray]]:
+    runs: Runs, lines: FittedLines, lens: Intrinsics | None
+) -> tuple[FittedLines, Callable[[np.ndarray], np.ndarray]]:
     """(lines through undistorted points, the way back into the picture)."""
     if lens is None or not lens.has_distortion:
-        return placed, np.asarray
+        return lines, np.asarray
     flat = runs.moved(undistort_pixels(lens, runs.points.uv_px))
-    return placed._replace(lines=fit_lines(flat)), partial(distort_pixels, lens)
+    return fit_lines(flat), partial(distort_pixels, lens)
 
 
 def _is_wanted(
-    placed: _PlacedLines, width_px: int, arcs: bool, least_contrast: float, tuning: SegmentTuning
+    lines: FittedLines,
+    errors: ErrorModel,
+    width_px: int,
+    arcs: bool,
+    least_contrast: float,
+    tuning: SegmentTuning,
 ) -> Bool[np.ndarray, "r"]:
     """No arcs, unless they are wanted, no bevels of corners, and nothing fainter than wanted."""
-    lines, rules = placed.lines, tuning.accept
+    rules = tuning.accept
     short = np.ptp(lines.extent_px, axis=1) < rules.bevel_px
-    bevel = short & (placed.errors.crowded > rules.bevel_crowded)
+    bevel = short & (errors.crowded > rules.bevel_crowded)
     straight = arcs | is_straight(lines, width_px, rules)
     return straight & (lines.contrast >= least_contrast) & ~bevel
 
 
-def _segments_of(
-    placed: _PlacedLines,
-    picture: Light,
-    to_image: Callable[[np.ndarray], np.ndarray],
-    tuning: SegmentTuning,
-) -> Segments:
-    """Segments with ends at the crossings with what stops them, junctions and chains."""
-    lines, errors, saturated, shaded = placed
-    noise_px2 = noise_variance(lines.variance_middle_px2, np.ptp(lines.extent_px, axis=1))
-    variance_px2, reasons = inflate_variance(errors, noise_px2, saturated, shaded, tuning.errors)
-    common_px2 = saturated.variance_px2 + shaded.variance_px2
-    off_px2 = np.square(tuning.errors.off_share * errors.off_px)
+def _place_ends(
+    lines: FittedLines, tuning: SegmentTuning
+) -> tuple[Float[np.ndarray, "r 2 2"], Float[np.ndarray, "r 2"], NearEnds]:
+    """(ends at the crossings with what stops them, their sigmas along, lines near them)."""
+    pieces = lines.pieces
+    near = lines_near_ends(pieces, tuning.ends.snap_px)
+    partner, position = snap_ends(pieces, tuning.ends.snap_px, near)
+    along_px = end_sigmas(pieces, lines.contrast, partner, near, tuning.ends)
+    return pieces._replace(extent_px=position).ends_px, along_px, near
 
-    near = lines_near_ends(lines.pieces, tuning.ends.snap_px)
-    partner, position = snap_ends(lines.pieces, tuning.ends.snap_px, near)
-    along_px = end_sigmas(lines.pieces, lines.contrast, partner, near, tuning.ends)
-    ends_px = lines.pieces._replace(extent_px=position).ends_px
-    return with_junctions(
-        Segments(
-            ends_px,
-            end_covariances(lines.direction, variance_px2, common_px2, off_px2, along_px),
-            np.ones(len(position), dtype=np.int64),
-            lines.contrast,
-            lines.support.astype(np.int64),
-            picture.size_px,
-            reasons,
-            side_levels=side_levels(picture.levels, ends_px, to_image),
-        ),
-        near,
-    )
+
+def _covariances(
+    lines: FittedLines,
+    errors: ErrorModel,
+    shifts: tuple[Shifts, Shifts],
+    along_px: Float[np.ndarray, "r 2"],
+    tuning: SegmentTuning,
+) -> tuple[Float[np.ndarray, "r 4 4"], Shaped[np.ndarray, "r"]]:
+    """(covariances of the ends, what widened them beyond noise)."""
+    noise_px2 = noise_variance(lines.variance_middle_px2, np.ptp(lines.extent_px, axis=1))
+    variance_px2, reasons = inflate_variance(errors, noise_px2, *shifts, tuning.errors)
+    common_px2 = shifts[0].variance_px2 + shifts[1].variance_px2
+    off_px2 = np.square(tuning.errors.off_share * errors.off_px)
+    given = lines.direction, variance_px2, common_px2, off_px2, along_px
+    return end_covariances(*given), reasons

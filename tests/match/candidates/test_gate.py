@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from tests.match.scene import MadeScene
-from trinoc.match.candidates.gate import passes_third_view_gate
-from trinoc.match.candidates.lookup import SAMPLES, keys_of, lookup, segments_near
-from trinoc.match.candidates.transfer import Prediction, predict, third_view
+from trinoc.match.candidates.index import SAMPLES, keys_of, lookup, segments_near
+from trinoc.match.candidates.search import passes_third_view_gate
+from trinoc.match.candidates.single_precision import Prediction, predict, third_view
 from trinoc.match.tuning import DEFAULT
 from trinoc.match.two_view import pencil, row_of
 

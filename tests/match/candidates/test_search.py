@@ -5,11 +5,14 @@ import numpy as np
 import pytest
 
 from tests.match.scene import VIEWS, MadeScene, made_scene
-from trinoc.match.candidates.gate import passes_third_view_gate
-from trinoc.match.candidates.lookup import lookup
-from trinoc.match.candidates.search import gated_triples
-from trinoc.match.candidates.single_precision import prepared_order, rounding_px
-from trinoc.match.candidates.transfer import predict, third_view
+from trinoc.match.candidates.index import lookup
+from trinoc.match.candidates.search import gated_triples, passes_third_view_gate
+from trinoc.match.candidates.single_precision import (
+    predict,
+    prepared_order,
+    rounding_px,
+    third_view,
+)
 from trinoc.match.observations import SegmentTable
 from trinoc.match.tuning import DEFAULT
 from trinoc.match.two_view import pencil, row_of

@@ -4,7 +4,7 @@ import jax
 import numpy as np
 
 from tests.match.scene import MadeScene, image_px
-from trinoc.match.candidates.transfer import Prediction, predict, third_view
+from trinoc.match.candidates.single_precision import Prediction, predict, third_view
 from trinoc.match.observations import SegmentTable
 from trinoc.match.two_view import pencil, row_of
 

@@ -2,12 +2,19 @@
 
 from dataclasses import replace
 
+import jax
 import numpy as np
 import pytest
 
 from trinoc.match.candidates import Candidates, no_candidates
-from trinoc.match.occlusion.companions import Companions, companion_log_odds, companions
-from trinoc.match.occlusion.picture_neighbours import BESIDE, CONTINUES, picture_neighbours
+from trinoc.match.occlusion.companions import (
+    BESIDE,
+    CONTINUES,
+    Companions,
+    companion_log_odds,
+    companions,
+    picture_neighbours,
+)
 from trinoc.match.tuning import DEFAULT
 
 # A bar of two sides 5 px apart, a piece that goes on from the first, and a stranger.
@@ -24,10 +31,9 @@ def neighbours_of(ends_px: np.ndarray, frame: np.ndarray | None = None) -> set[t
 def pairs_of(index: list[tuple[int, int]]) -> Candidates:
     """Pairs of two views, each along its segments."""
     count = len(index)
-    empty = no_candidates(2)._asdict()
-    fields = {name: np.zeros((count, *column.shape[1:])) for name, column in empty.items()}
+    empty = jax.tree.map(lambda column: np.zeros((count, *column.shape[1:])), no_candidates(2))
     interval = np.tile([0.0, 1.0], (count, 2, 1))
-    return Candidates(**fields | {"index": np.array(index), "interval": interval})
+    return empty._replace(index=np.array(index), interval=interval)
 
 
 def graph_of(index: list[tuple[int, int]], *pictures: np.ndarray) -> set[tuple[int, ...]]:

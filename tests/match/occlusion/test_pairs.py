@@ -17,9 +17,12 @@ from trinoc.match import (
 from trinoc.match.candidates import Candidates, no_candidates
 from trinoc.match.observations import ClutterModel
 from trinoc.match.occlusion import Pairs
-from trinoc.match.occlusion.likely_pairs import pair_bound
-from trinoc.match.occlusion.pair_evidence import end_shares, evidence_beside_lines
-from trinoc.match.occlusion.possible_pairs import possible_pairs
+from trinoc.match.occlusion.possible_pairs import (
+    end_shares,
+    evidence_beside_lines,
+    pair_bound,
+    possible_pairs,
+)
 from trinoc.match.selection import Tracks, tracks_of
 from trinoc.match.tuning import DEFAULT
 from trinoc.numerics import with_field
@@ -36,7 +39,7 @@ def pairs_beside(
 
 
 def rows(tracks: Tracks, keep: np.ndarray) -> Tracks:
-    candidates = Candidates(*(field[keep] for field in tracks.candidates))
+    candidates = tracks.candidates.take(keep)
     return Tracks(candidates, tracks.posterior_log_odds[keep], tracks.rival_posterior[keep])
 
 
@@ -89,7 +92,7 @@ def test_the_order_of_tracks_changes_nothing(noisy, clutter, tracks, selection, 
 def test_where_all_is_matched_there_are_no_pairs(noisy, clutter, tracks, selection) -> None:
     whole = no_candidates(3)
     count = len(noisy.true)
-    matched = Candidates(*(np.zeros((count, *field.shape[1:])) for field in whole))._replace(
+    matched = jax.tree.map(lambda field: np.zeros((count, *field.shape[1:])), whole)._replace(
         index=noisy.true,
         interval=np.tile([0.0, 1.0], (count, 3, 1)),
         union_ends_mm=noisy.lines_mm,
@@ -150,9 +153,9 @@ def test_pairs_that_are_let_go_unseen_change_nothing(noisy, clutter, tracks, sel
     assert bound is not None
     (made,) = possible_pairs(seen.lines, views, free, clutter, DEFAULT)
     (left,) = possible_pairs(seen.lines, views, free, clutter, DEFAULT, bound)
-    odds = evidence_beside_lines(made, selection.mixture, None, DEFAULT)
-    likely = {tuple(row) for row in made.candidates.index[odds > bound.least].tolist()}
-    kept = {tuple(row) for row in left.candidates.index.tolist()}
+    odds = evidence_beside_lines(made, selection.mixture, DEFAULT)
+    likely = {tuple(row) for row in made.index[odds > bound.least].tolist()}
+    kept = {tuple(row) for row in left.index.tolist()}
     assert likely <= kept
     assert len(kept) <= len(likely) + 1
     assert len(likely) < len(odds) / 2
@@ -164,7 +167,7 @@ def test_pairs_of_which_an_end_agrees_are_few_and_hold_partners(noisy, clutter) 
 
     def pairs(ends_px: float | None) -> list[tuple[int, ...]]:
         found = possible_pairs(seen.lines, views, free, clutter, DEFAULT, None, ends_px)
-        return [tuple(row) for part in found for row in part.candidates.index[:, :2].tolist()]
+        return [tuple(row) for part in found for row in part.index[:, :2].tolist()]
 
     every, near = pairs(None), pairs(2.0)
     assert len(set(near)) == len(near) < len(every) / 2

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from trinoc.match.evidence import volume_of
-from trinoc.match.occlusion.places import log_place_among
+from trinoc.match.occlusion.pairs_alone import log_place_among
 from trinoc.match.tuning import DEFAULT
 
 COUNT = 4000

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from trinoc.match.occlusion.see_through import crossings, see_through_share
+from trinoc.match.occlusion.solids import crossings, see_through_share
 from trinoc.match.tuning import DEFAULT
 from trinoc.synth import Detector, block_scene, see_through_boxes, simulate_segments, table1_rig
 

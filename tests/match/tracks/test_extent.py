@@ -4,7 +4,7 @@ import numpy as np
 
 from tests.match.made import pictures
 from tests.match.scene import MadeScene, image_px, place_on, seen_by
-from trinoc.match.tracks.extent import interval_of, points_at, reach_of, two_view_span
+from trinoc.match.tracks.line_fit import interval_of, points_at, reach_of, two_view_span
 
 
 def test_lines_reach_as_far_as_the_second_furthest_view(exact: MadeScene) -> None:

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from tests.match.scene import MadeScene, image_px, made_scene, place_on
-from trinoc.match.candidates import Candidates, no_candidates
+from trinoc.match.candidates import no_candidates
 from trinoc.match.observations import SegmentTable
 from trinoc.match.selection import Tracks
 from trinoc.match.tracks import merge_triplets, view_triplets
+from trinoc.numerics import concatenate_rows
 
 LINES = 12
 
@@ -44,16 +45,16 @@ def triples_of(scene: MadeScene, views: list[int]) -> Tracks:
 def tracks_from(index: np.ndarray, interval: np.ndarray, ends_mm: np.ndarray) -> Tracks:
     count = len(index)
     empty = no_candidates(index.shape[1])
-    candidates = Candidates(*(np.zeros((count, *field.shape[1:])) for field in empty))
+    candidates = jax.tree.map(lambda field: np.zeros((count, *field.shape[1:])), empty)
     candidates = candidates._replace(index=index, interval=interval, ends_mm=ends_mm)
     odds = np.random.default_rng(count).uniform(1, 9, count)
     return Tracks(candidates, odds, np.full(count, -np.inf))
 
 
 def appended(tracks: Tracks, others: Tracks, odds: float) -> Tracks:
-    candidates = [np.concatenate(c) for c in zip(tracks[0], others[0], strict=True)]
+    candidates = concatenate_rows([tracks[0], others[0]])
     posterior = np.append(tracks.posterior_log_odds, np.full(len(others[1]), odds))
-    return Tracks(Candidates(*candidates), posterior, np.full(len(posterior), -np.inf))
+    return Tracks(candidates, posterior, np.full(len(posterior), -np.inf))
 
 
 def as_set(tracks: Tracks) -> set[tuple[int, ...]]:
@@ -83,7 +84,7 @@ def test_a_track_keeps_the_posterior_of_its_best_triple(scene: MadeScene) -> Non
 def test_the_order_of_triples_changes_nothing(scene: MadeScene) -> None:
     tracks = triples_of(scene, list(range(5)))
     turn = np.random.default_rng(1).permutation(len(tracks.posterior_log_odds))
-    turned = Tracks(Candidates(*(f[turn] for f in tracks[0])), tracks[1][turn], tracks[2][turn])
+    turned = Tracks(tracks[0].take(turn), tracks[1][turn], tracks[2][turn])
     one, other = (merge_triplets(scene.seen.lines, each) for each in (tracks, turned))
     np.testing.assert_array_equal(one.candidates.index, other.candidates.index)
     np.testing.assert_array_equal(one.candidates.ends_mm, other.candidates.ends_mm)
@@ -112,7 +113,7 @@ def test_tracks_of_other_views_are_one_where_triples_tie_them_both_ways(
         np.flatnonzero(line.all(axis=1) & (every.candidates.index[:, three] >= 0).all(axis=1))[0]
         for three in (threes if tied_both_ways else threes[:3])
     ]
-    candidates = Candidates(*(field[rows] for field in every.candidates))
+    candidates = every.candidates.take(np.array(rows))
     # The two tracks first, and then what ties them.
     tracks = Tracks(candidates, -np.arange(len(rows), dtype=float), every.rival_posterior[rows])
     merged = as_set(merge_triplets(of_views(scene.seen.lines, views), tracks))

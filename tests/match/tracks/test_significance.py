@@ -6,8 +6,7 @@ from scipy.stats import chi2
 
 from tests.match.scene import MadeScene
 from trinoc.match.tracks import typical_misfit
-from trinoc.match.tracks.assembly import lines_in_space
-from trinoc.match.tracks.viewpoint import flag_viewpoint_dependent
+from trinoc.match.tracks.assembly import flag_viewpoint_dependent, lines_in_space
 from trinoc.match.tuning import DEFAULT
 
 SIGNIFICANCE = DEFAULT.tracks.significance

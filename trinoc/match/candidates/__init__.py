@@ -1,8 +1,7 @@
 """Step 1: triples of segments that can be one line.
 
-transfer (what a pair predicts in the third view) -> index, lookup (who is there) -> gate: all by
-search, in single_precision -> judged, in double precision, the value of `table`: for all three
-orderings by triples."""
+single_precision (what a pair predicts in the third view) -> index (who is there) -> search (who
+passes the gate) -> triples: the value of `table`, in double precision, from all three orderings."""
 
 import lazy_loader
 

@@ -1,4 +1,10 @@
-"""What a sample of the segments tells of all: where lines lie, and which candidates are likely."""
+"""What a sample of the segments tells of all: where lines lie, and which candidates are likely.
+
+Where lines lie: a box in space that is learned from a sample of them.
+
+Most pairs of segments of two views would lie before or behind the scene, if they were one line. In
+a pencil of epipolar planes the box is a range of disparities, so that such pairs are never made.
+"""
 
 from functools import partial
 from typing import NamedTuple
@@ -6,15 +12,95 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
-from trinoc.match.candidates.region import Region
-from trinoc.match.candidates.single_precision import in_single
+from trinoc.match.candidates.single_precision import SingleOrder, in_single
 from trinoc.match.evidence import MixtureParameters, end_evidence, triple_evidence
-from trinoc.match.observations import TRIPLES_IN_BLOCK, ClutterModel, SegmentTable, block_of
-from trinoc.match.tuning import CandidateTuning, EndTuning, EvidenceTuning, MatchTuning
-from trinoc.match.two_view import Pencil, cut_pair, points_of, row_of, sight_of
-from trinoc.numerics import ArrayLike, in_blocks, kept_jit
+from trinoc.match.observations import (
+    PAIRS_IN_BLOCK,
+    TRIPLES_IN_BLOCK,
+    ClutterModel,
+    SegmentTable,
+    block_of,
+)
+from trinoc.match.tuning import CandidateTuning, EndTuning, EvidenceTuning, MatchTuning, ScoutTuning
+from trinoc.match.two_view import Pencil, PencilSegments, cut_pair, points_of, row_of, sight_of
+from trinoc.numerics import ArrayLike, add3, in_blocks, kept_jit, times_matrix, vector3
+
+
+class Region(NamedTuple):
+    """A box: low_mm < axes @ point < high_mm, with unit rows of `axes`."""
+
+    axes: Float[np.ndarray, "3 3"]
+    low_mm: Float[np.ndarray, "3"]
+    high_mm: Float[np.ndarray, "3"]
+
+
+def region_of(ends_mm: Float[np.ndarray, "m 2 3"], tuning: ScoutTuning) -> Region:
+    """The box along the axes of their spread that holds nearly all ends of some lines, and more."""
+    points = ends_mm.reshape(-1, 3)
+    axes = np.linalg.eigh(np.cov(points.T))[1].T
+    places = points @ axes.T
+    low, high = np.quantile(places, [tuning.left_out, 1 - tuning.left_out], axis=0)
+    # A scene of one plane has lines beside it.
+    wider = np.maximum(tuning.margin * (high - low), tuning.thinnest * (high - low).max())
+    return Region(axes, low - wider, high + wider)
+
+
+class RegionOfPencil(NamedTuple):
+    """A region as rays of a pencil meet it: of a point with homogeneous coordinates (slope, cos,
+    sin, 1 / radius), `turned` @ ray lies between `low` / radius and `high` / radius."""
+
+    turned: Float[ArrayLike, "3 3"]
+    low: Float[ArrayLike, "3"]
+    high: Float[ArrayLike, "3"]
+
+
+def region_of_pencil(region: Region, planes: Pencil) -> RegionOfPencil:
+    """The region in the frame of a pencil, in single precision."""
+    origin = region.axes @ np.asarray(planes.origin_mm)
+    turned = region.axes @ np.asarray(planes.frame).T
+    parts = turned, region.low_mm - origin, region.high_mm - origin
+    return RegionOfPencil(*(part.astype(np.float32) for part in parts))
+
+
+def pairs_within(
+    lines: SegmentTable,
+    single: SingleOrder,
+    region: RegionOfPencil,
+    i: Int[np.ndarray, "p"],
+    j: Int[np.ndarray, "p"],
+    tuning: CandidateTuning,
+) -> tuple[Int[np.ndarray, "_p"], Int[np.ndarray, "_p"]]:
+    """Those pairs that would be lines of which the common part lies in a region."""
+    pair = single.view.baseline_mm, single.first, single.second
+
+    def inside(i: np.ndarray, j: np.ndarray) -> ArrayLike:
+        return _lies_within(region, *pair, i, j, tuning=tuning)
+
+    keep = np.flatnonzero(in_blocks(inside, block_of(lines, PAIRS_IN_BLOCK), i, j))
+    return i[keep], j[keep]
+
+
+@partial(kept_jit, static_argnames=("tuning",))
+def _lies_within(
+    region: RegionOfPencil,
+    baseline_mm: Float[ArrayLike, ""],
+    first: PencilSegments,
+    second: PencilSegments,
+    i: Int[ArrayLike, "p"],
+    j: Int[ArrayLike, "p"],
+    tuning: CandidateTuning,
+) -> Bool[ArrayLike, "p"]:
+    """Whether pairs have a common part of which both ends lie in a region."""
+    part = cut_pair(baseline_mm, row_of(first, i), row_of(second, j), tuning)
+    inside = part.possible
+    for at in (part.at_low, part.at_high):
+        place = times_matrix(region.turned, at[:3])
+        below, above = (add3(place, vector3(bound), -at[3]) for bound in (region.low, region.high))
+        for k in range(3):
+            inside &= (below[k] > 0) & (above[k] < 0)
+    return jnp.asarray(inside)
 
 
 class Learned(NamedTuple):
@@ -30,13 +116,9 @@ class Learned(NamedTuple):
     ends_px: float | None = None
 
 
-class Screen(NamedTuple):
-    """The segments of one order of the views in single precision, about the first camera."""
-
-    lines: SegmentTable
-    order: Int[np.ndarray, "3"]
-    planes: Pencil
-    clutter: ClutterModel
+# The segments of one order of the views in single precision, about the first camera: their table,
+# the order, its pencil, and the clutter.
+Screen = tuple[SegmentTable, Int[ArrayLike, "3"], Pencil, ClutterModel]
 
 
 def screen_of(
@@ -52,7 +134,7 @@ def screen_of(
     )
     planes = planes._replace(origin_mm=np.zeros(3))
     single = jax.tree.map(in_single, (lines, order, planes, clutter))
-    return Screen(*jax.device_put(single))
+    return jax.device_put(single)
 
 
 def likely_triples(
@@ -63,21 +145,21 @@ def likely_triples(
     They are judged on the line of their pair, without the fit to all three, and as if darker sides
     agreed. Where side levels are known, all may be.
     """
-    if np.isfinite(np.asarray(screen.lines.sides)).any():
+    if np.isfinite(np.asarray(screen[0].sides)).any():
         return triple
     mixture = learned.mixture
     shares = (np.log(share).astype(np.float32) for share in (mixture.tail, mixture.ends))
     tail, ends = shares
     prior = mixture.log_count - mixture.volume.log_size - np.log(2 * np.pi)
     prior += tuning.evidence.log_odds_offset
-    if np.asarray(screen.lines.polarity).any():
+    if np.asarray(screen[0].polarity).any():
         prior += 2 * np.log(2)
 
     def odds(rows: np.ndarray) -> ArrayLike:
         groups = {"tuning": tuning.candidates, "of_ends": tuning.ends, "evidence": tuning.evidence}
         return _log_odds(*screen, rows, (tail, ends), **groups)
 
-    found = in_blocks(odds, block_of(screen.lines, TRIPLES_IN_BLOCK), triple)
+    found = in_blocks(odds, block_of(screen[0], TRIPLES_IN_BLOCK), triple)
     return triple[found + prior > learned.least_log_odds]
 
 

@@ -1,20 +1,125 @@
-"""Which segments of the third view are where pairs of the first two predict them."""
+"""Which segments of the third view are where pairs of the first two predict them.
+
+Whether a segment of the third view is near enough to what a pair predicts.
+
+What a search for triples in three views needs, prepared once for all that is asked of it.
+"""
 
 from functools import partial
+from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.match.candidates.gate import passes_third_view_gate
-from trinoc.match.candidates.index import Grid, SpatialIndex
-from trinoc.match.candidates.lookup import keys_of, segments_near
-from trinoc.match.candidates.single_precision import SingleOrder
-from trinoc.match.candidates.transfer import Prediction, predict
-from trinoc.match.observations import PAIRS_IN_BLOCK, SegmentTable, block_of
-from trinoc.match.tuning import CandidateTuning
-from trinoc.match.two_view import PencilSegments, row_of
-from trinoc.numerics import ArrayLike, blocks, in_blocks, kept_jit, padded
+from trinoc.match.candidates.index import Grid, SpatialIndex, keys_of, lookup, segments_near
+from trinoc.match.candidates.single_precision import (
+    Prediction,
+    SingleOrder,
+    predict,
+    prepared_order,
+)
+from trinoc.match.observations import PAIRS_IN_BLOCK, ClutterModel, SegmentTable, block_of
+from trinoc.match.tuning import DEFAULT, CandidateTuning, MatchTuning
+from trinoc.match.two_view import Pencil, PencilSegments, row_of
+from trinoc.numerics import ArrayLike, Scalar, between, blocks, in_blocks, kept_jit, padded
+
+
+def passes_third_view_gate(
+    prediction: Prediction,
+    ends_px: Float[ArrayLike, "2 2"],
+    line: Float[ArrayLike, "3"],
+    across_px2: Float[ArrayLike, "2 2"],
+    tuning: CandidateTuning = DEFAULT.candidates,
+) -> Bool[ArrayLike, ""]:
+    """Whether a segment overlaps the predicted one, and passes the gate where it does."""
+    p = prediction
+    du, dv = p.u1 - p.u0, p.v1 - p.v0
+    squared = du * du + dv * dv
+
+    def along(e: int) -> Scalar:
+        return ((ends_px[e, 0] - p.u0) * du + (ends_px[e, 1] - p.v0) * dv) / squared
+
+    first, second = along(0), along(1)
+    begin = jnp.maximum(0.0, jnp.minimum(first, second))
+    end = jnp.minimum(1.0, jnp.maximum(first, second))
+    reach = second - first
+    overlaps = end - begin > tuning.smallest_overlap * jnp.minimum(1.0, jnp.abs(reach))
+
+    off0 = line[0] * p.u0 + line[1] * p.v0 + line[2]
+    off1 = line[0] * p.u1 + line[1] * p.v1 + line[2]
+    r0, r1 = off0 + begin * (off1 - off0), off0 + end * (off1 - off0)
+    predicted = (p.c00, p.c01, p.c11)
+    own = (across_px2[0, 0], across_px2[0, 1], across_px2[1, 1])
+    s, t = (begin - first) / reach, (end - first) / reach
+    v00 = between(predicted, begin, begin) + between(own, s, s)
+    v11 = between(predicted, end, end) + between(own, t, t)
+    v01 = between(predicted, begin, end) + between(own, s, t)
+    determinant = v00 * v11 - v01 * v01
+    chi_square = (v11 * r0 * r0 - 2 * v01 * r0 * r1 + v00 * r1 * r1) / determinant
+    return p.possible & overlaps & (chi_square < tuning.gate_slack * tuning.gate)
+
+
+class Order(NamedTuple):
+    """An ordering of the views: the pencil of the first two, what single precision needs of it, and
+    the third by place and direction."""
+
+    order: Int[np.ndarray, "3"]
+    planes: Pencil
+    single: SingleOrder
+    table: SpatialIndex
+
+
+class Orders(NamedTuple):
+    """Tables of three of the views, `counts` of all of them, and the three orderings."""
+
+    views: tuple[int, int, int]
+    counts: list[int]
+    lines: SegmentTable
+    clutter: ClutterModel
+    each: list[Order]
+
+    @property
+    def numbers(self) -> list[int]:
+        """Segments of each of the three views."""
+        return [self.counts[view] for view in self.views]
+
+
+def prepared_orders(
+    lines: SegmentTable,
+    views: tuple[int, int, int],
+    counts: list[int],
+    clutter: ClutterModel,
+    tuning: MatchTuning = DEFAULT,
+) -> Orders:
+    """Three of the views of a table, ready to be searched."""
+    # Tables of three views, whichever and of how many, so that kernels compile once for all.
+    if views != tuple(range(len(counts))):
+        lines, clutter = _views_of(lines, clutter, np.array(views))
+    each = []
+    for turn in range(3):
+        order = np.roll(np.arange(3), turn)
+        third = int(order[2])
+        table = lookup(lines, third, counts[views[third]], tuning.candidates)
+        each.append(Order(order, *prepared_order(lines, order), table))
+    return Orders(views, counts, lines, clutter, each)
+
+
+@jax.jit
+def _views_of(
+    lines: SegmentTable, clutter: ClutterModel, views: Int[ArrayLike, "k"]
+) -> tuple[SegmentTable, ClutterModel]:
+    densities = jnp.asarray(clutter.log_density)[views]
+    cameras = ("matrix_px", "centre_mm", "inverse", "size_px")
+    shapes = {name: getattr(lines, name) for name in cameras}
+    if lines.frame is not None:
+        shapes = {name: jnp.moveaxis(column, 1, 0) for name, column in shapes.items()}
+    three = jax.tree.map(lambda table: table[views], lines._replace(**shapes))
+    if lines.frame is not None:
+        moved = {name: jnp.moveaxis(getattr(three, name), 0, 1) for name in cameras}
+        three = three._replace(**moved)
+    return three, ClutterModel(densities, clutter.typical_px)
 
 
 def gated_triples(

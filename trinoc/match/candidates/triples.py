@@ -1,21 +1,119 @@
-"""Step 1: triples of segments that can be one line, from all three orderings of the views."""
+"""Step 1: triples of segments that can be one line, from all three orderings of the views.
+
+Triples that passed the gate, judged by all of their evidence, in double precision.
+
+Two programs: the first looks the segments up and fits a line to all three; the second computes the
+evidence on that line, and serves pictures of any number of segments.
+"""
 
 from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
-from trinoc.match.candidates.judged import candidates_of
-from trinoc.match.candidates.learned import Learned, likely_triples, screen_of
-from trinoc.match.candidates.orders import Order, Orders, prepared_orders
-from trinoc.match.candidates.region import pairs_within, region_of_pencil
-from trinoc.match.candidates.search import gated_triples
-from trinoc.match.candidates.table import Candidates, no_candidates, prior_log_odds
-from trinoc.match.evidence import prior_parameters
-from trinoc.match.observations import ClutterModel, SegmentTable
-from trinoc.match.tuning import DEFAULT, MatchTuning
-from trinoc.match.two_view import pairs_sharing_planes
-from trinoc.numerics import concatenate_rows
+from trinoc.match.candidates.learned import (
+    Learned,
+    likely_triples,
+    pairs_within,
+    region_of_pencil,
+    screen_of,
+)
+from trinoc.match.candidates.search import Order, Orders, gated_triples, prepared_orders
+from trinoc.match.candidates.table import Candidates, candidates_at, no_candidates, prior_log_odds
+from trinoc.match.evidence import (
+    END_COMPONENTS,
+    end_evidence,
+    line_of_three,
+    prior_parameters,
+    triple_evidence,
+)
+from trinoc.match.observations import (
+    TRIPLES_IN_BLOCK,
+    ClutterModel,
+    SegmentTable,
+    block_of,
+)
+from trinoc.match.tuning import DEFAULT, CandidateTuning, EndTuning, MatchTuning
+from trinoc.match.two_view import (
+    Pencil,
+    Sight,
+    cut_pair,
+    pairs_sharing_planes,
+    pencil_of,
+    points_of,
+    row_of,
+    sight_of,
+)
+from trinoc.numerics import (
+    ArrayLike,
+    Vector3,
+    as_columns,
+    concatenate_rows,
+    kept_jit,
+    select_in_blocks,
+    split_columns,
+)
+
+# What is kept of each triple: the shapes of interval, ends_mm, chi_square, log_density, end_log,
+# union_ends_mm, union_covariance_mm2, px_per_mm.
+_SHAPES = ((3, 2), (2, 3), (), (), (2, END_COMPONENTS), (2, 3), (2, 6), ())
+
+
+def candidates_of(
+    lines: SegmentTable,
+    order: Int[np.ndarray, "3"],
+    planes: Pencil,
+    triple: Int[np.ndarray, "h 3"],
+    clutter: ClutterModel,
+    tuning: MatchTuning,
+) -> Candidates:
+    """Those triples, segments in the views of an order, that can be one line."""
+
+    def judged(triple: np.ndarray) -> tuple[ArrayLike, ArrayLike]:
+        fitted = _fitted(lines, order, planes, triple, clutter, tuning=tuning.candidates)
+        return _evidence_of(*fitted, tuning=tuning.candidates, ends=tuning.ends)
+
+    keep, columns = select_in_blocks(judged, block_of(lines, TRIPLES_IN_BLOCK), triple)
+    return candidates_at(lines, order, triple[keep], split_columns(columns, _SHAPES), tuning)
+
+
+@partial(kept_jit, static_argnames=("tuning",), beside_others=True)
+def _fitted(
+    lines: SegmentTable,
+    order: Int[ArrayLike, "3"],
+    planes: Pencil,
+    triple: Int[ArrayLike, "h 3"],
+    clutter: ClutterModel,
+    tuning: CandidateTuning,
+) -> tuple[Sight, tuple[Vector3, Vector3], Bool[ArrayLike, "h"]]:
+    """(segments, ends of the line that is fitted to all three, whether it can be one)."""
+    segments = triple.T
+    sight = sight_of(lines, clutter, order, segments)
+    of_pencil = pencil_of(planes, lines, order[0], segments[0])
+    rows = row_of(planes.first, segments[0]), row_of(planes.second, segments[1])
+    near_mm = points_of(of_pencil, cut_pair(of_pencil.baseline_mm, *rows, tuning))
+    return sight, *line_of_three(sight, near_mm, tuning)
+
+
+@partial(kept_jit, static_argnames=("tuning", "ends"), beside_others=True)
+def _evidence_of(
+    sight: Sight,
+    fitted_mm: tuple[Vector3, Vector3],
+    possible: Bool[ArrayLike, "h"],
+    tuning: CandidateTuning,
+    ends: EndTuning,
+) -> tuple[Bool[ArrayLike, "h"], Float[ArrayLike, "c h"]]:
+    """(whether each can be one line, what is kept of it), on the line fitted to all three: it does
+    not matter which pair came first."""
+    found = triple_evidence(sight, fitted_mm, tuning)
+    columns = (
+        *(found.interval, found.ends_mm, found.chi_square, found.log_density),
+        *(end_evidence(found.extent_px, ends), found.union_ends_mm),
+        *(found.union_covariance_mm2, found.px_per_mm),
+    )
+    return possible & found.possible, as_columns(columns)
+
 
 # About as many pairs are held at a time.
 PAIRS_AT_A_TIME = 1 << 19
@@ -50,7 +148,7 @@ def candidates_among(
     numbers = orders.numbers
     every = tuple(np.arange(number) for number in numbers)
     first, second = (every, every) if rows is None else rows
-    parts, known = [no_candidates(3)], np.zeros(0, np.int64)
+    parts, known = [no_candidates(3, orders.lines.frame is not None)], np.zeros(0, np.int64)
     for own in orders.each:
         here = [known]
         pair = first[own.order[0]], second[own.order[1]]
@@ -58,7 +156,9 @@ def candidates_among(
             here.append(number)
             parts.append(part)
             if sum(len(found.index) for found in parts) > tuning.candidates.most_candidates:
-                parts = [_likelier_half(concatenate_rows(parts), numbers, tuning)]
+                every_part = concatenate_rows(parts)
+                odds = _odds_anywhere(every_part, float(np.mean(numbers)), tuning)
+                parts = [every_part.take(odds > np.median(odds))]
         known = np.sort(np.concatenate(here))
     found = concatenate_rows(parts)
     found = found.take(np.argsort(_number_of(found.index, numbers)))
@@ -105,22 +205,14 @@ def _in_order(
         if learned is not None and screen is not None:
             triple = likely_triples(screen, triple, learned, tuning)
         found = candidates_of(lines, order, planes, triple, clutter, tuning)
-        # Frames of a stack are small.
+        # Most of what passes the gate is not likely, and takes memory. Frames of a stack are small.
         many = lines.frame is None and learned is None
         many = many and len(found.index) > tuning.candidates.prune_above
         number = _number_of(found.index, numbers)
-        yield number, _pruned(found, typical, tuning) if many else found
-
-
-def _pruned(found: Candidates, typical_count: float, tuning: MatchTuning) -> Candidates:
-    """Those that may yet be likely: most of what passes the gate is not, and takes memory."""
-    odds = _odds_anywhere(found, typical_count, tuning)
-    return found.take(odds > tuning.candidates.prune_log_odds)
-
-
-def _likelier_half(found: Candidates, counts: list[int], tuning: MatchTuning) -> Candidates:
-    odds = _odds_anywhere(found, float(np.mean(counts)), tuning)
-    return found.take(odds > np.median(odds))
+        if many:
+            odds = _odds_anywhere(found, typical, tuning)
+            found = found.take(odds > tuning.candidates.prune_log_odds)
+        yield number, found
 
 
 def _odds_anywhere(

@@ -16,11 +16,15 @@ from .mixture import (
     temper as temper,
     volume_of as volume_of,
 )
-from .pair_position import PairEvidence as PairEvidence, pair_evidence as pair_evidence
-from .polarity import polarity_evidence as polarity_evidence
-from .side_intensity import SIDE_COMPONENTS as SIDE_COMPONENTS, side_evidence as side_evidence
+from .side_intensity import (
+    SIDE_COMPONENTS as SIDE_COMPONENTS,
+    polarity_evidence as polarity_evidence,
+    side_evidence as side_evidence,
+)
 from .triple_position import (
+    PairEvidence as PairEvidence,
     TripleEvidence as TripleEvidence,
     line_of_three as line_of_three,
+    pair_evidence as pair_evidence,
     triple_evidence as triple_evidence,
 )

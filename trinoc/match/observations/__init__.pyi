@@ -12,8 +12,8 @@ from .match_input import (
     prepare as prepare,
     prepare_frame as prepare_frame,
     stacked_frames as stacked_frames,
+    with_noise_scale as with_noise_scale,
 )
-from .noise import with_noise_scale as with_noise_scale
 from .pictures_of_views import as_segments as as_segments, check_pictures as check_pictures
 from .side_intensity import SIDE_COLUMNS as SIDE_COLUMNS
 from .table import (

@@ -5,8 +5,7 @@ evidence of a pair is that its ends meet those of matched lines. So the pairs of
 judged together with the lines matched so far: their posterior log odds are computed as those of
 triples are, and iterated to a fixed point.
 
-possible_pairs -> pair_evidence -> pairs_beside_lines, or pairs_alone (two_views) where hardly any
-line is matched.
+possible_pairs -> pairs_beside_lines, or pairs_alone where hardly any line is matched.
 """
 
 from itertools import combinations
@@ -16,23 +15,56 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from trinoc.match.candidates import Candidates, in_depth_range
-from trinoc.match.evidence import prior_parameters, reach_of_ends
-from trinoc.match.observations import ClutterModel, SegmentTable, frames_of, segments_per_view
-from trinoc.match.occlusion.likely_pairs import pair_bound
-from trinoc.match.occlusion.pair_evidence import (
+from trinoc.match.evidence import MixtureParameters, prior_parameters, probability, reach_of_ends
+from trinoc.match.observations import ClutterModel, MatchInput, SegmentTable, segments_per_view
+from trinoc.match.occlusion.pairs_alone import pairs_alone
+from trinoc.match.occlusion.possible_pairs import (
     Pairs,
-    PairsBeside,
-    PairStart,
     end_shares,
     evidence_beside_lines,
+    likely_rows,
+    pair_bound,
+    possible_pairs,
 )
-from trinoc.match.occlusion.pairs_alone import pairs_alone
-from trinoc.match.occlusion.pairs_beside_lines import pairs_beside_lines
-from trinoc.match.occlusion.possible_pairs import PossiblePairs, possible_pairs
-from trinoc.match.occlusion.solids import NO_BODIES, Bodies
-from trinoc.match.selection import Selection, Tracks, prior_junctions
+from trinoc.match.occlusion.solids import (
+    NO_BODIES,
+    Bodies,
+    bodies_of,
+    tempered_pairs,
+    tempered_tracks,
+)
+from trinoc.match.selection import (
+    JunctionParameters,
+    Selection,
+    Tracks,
+    chosen_greedily,
+    conflict_graph,
+    endpoint_pairs,
+    junction_log_odds,
+    prior_junctions,
+    sum_product,
+)
 from trinoc.match.tuning import DEFAULT, MatchTuning
-from trinoc.numerics import ArrayLike, concatenate_rows, group_sums, take_rows
+from trinoc.numerics import ArrayLike, broadcast_groups, concatenate_rows, group_sums
+
+# What is known of each frame before its pairs are judged.
+Rates = tuple[MixtureParameters, JunctionParameters]
+
+
+def match_occluded(
+    seen: MatchInput,
+    clutter: ClutterModel,
+    tracks: Tracks,
+    selections: list[Selection],
+    depth_range_mm: tuple[float, float] | None,
+    tuning: MatchTuning = DEFAULT,
+) -> tuple[Tracks, Pairs]:
+    """(tracks through three or more views, tempered; pairs of views matched beside them)."""
+    lines, counts = seen.lines, seen.counts
+    bodies = bodies_of(lines, tracks, selections, tuning)
+    tracks = tempered_tracks(lines, tracks, bodies, tuning)
+    given = lines, counts, clutter, tracks, selections, depth_range_mm, tuning, bodies
+    return tracks, occluded_pairs(*given)
 
 
 def occluded_pairs(
@@ -50,104 +82,90 @@ def occluded_pairs(
     free = _free_segments(matched.candidates, counts, tuning.occlusion.max_matched_share)
     frames = 1 if lines.frame is None else len(lines.matrix_px)
     # Where hardly any line is seen in three views, pairs themselves say how they are.
-    number = _rows_of(matched.candidates, lines, frames)
-    alone = number < tuning.occlusion.min_tracks_to_learn
+    label = matched.candidates.frame
+    label = np.zeros(len(matched.candidates.index), np.int64) if label is None else label
+    alone = np.bincount(label, minlength=frames) < tuning.occlusion.min_tracks_to_learn
     learned = _learned_from(selections, tuning)
     several = lines.frame is not None or alone.any()
-    bound, ends_px = None, None
+    bound, agree_px = None, None
     # In small pictures one more program costs more than it saves.
     if learned is not None and not several and max(counts) > tuning.scouting.above:
-        shares = end_shares(learned.mixture, tuning.ends)
-        bound = pair_bound(lines, learned.mixture, shares, tuning)
+        mixture, junctions = learned
+        bound = pair_bound(lines, mixture, end_shares(mixture, tuning.ends), tuning)
         # Where ends meet others, a pair may be right whose own ends do not agree.
-        if not np.any(learned.junctions.end_at_junction >= tuning.junctions.min_at_junction):
+        if not np.any(junctions.end_at_junction >= tuning.junctions.min_at_junction):
             typical_px = float(np.asarray(clutter.typical_px))
-            reach_px = reach_of_ends(learned.mixture.ends, typical_px, tuning.scouting, tuning.ends)
-            ends_px = None if reach_px is None else tuning.occlusion.ends_reach * reach_px
+            reach_px = reach_of_ends(mixture.ends, typical_px, tuning.scouting, tuning.ends)
+            agree_px = None if reach_px is None else tuning.occlusion.ends_reach * reach_px
 
-    def kept(found: PossiblePairs) -> PossiblePairs:
+    def kept(found: Candidates) -> Candidates:
         """In range, and, as far as that is known by now, likely at all: it bounds the memory."""
-        found = take_rows(found, in_depth_range(found.candidates, lines, depth_range_mm))
+        found = found.take(in_depth_range(found, lines, depth_range_mm))
         if learned is None or several:
             return found
-        evidence = evidence_beside_lines(found, learned.mixture, None, tuning)
-        return take_rows(found, evidence > tuning.selection.prune_log_odds)
+        evidence = evidence_beside_lines(found, learned[0], tuning)
+        return found.take(evidence > tuning.selection.prune_log_odds)
 
     found = concatenate_rows(
         [
             kept(part)
             for views in combinations(range(len(counts)), 2)
             for part in possible_pairs(
-                lines, np.array(views), free, clutter, tuning, bound, ends_px
+                lines, np.array(views), free, clutter, tuning, bound, agree_px
             )
         ]
     )
-    frame = frames_of(lines, found.candidates.index)
     typical = segments_per_view(lines, counts)
-    start = _start(found, selections, typical, frame, tuning)
+    start = _start(found, selections, typical, tuning)
     bodies = Bodies(*(np.broadcast_to(each, np.shape(typical)) for each in bodies))
+    typical_px, ends_px = np.asarray(clutter.typical_px), np.asarray(lines.ends_px)
     results = []
-    for select, those in ((pairs_alone, alone), (pairs_beside_lines, ~alone)):
-        if those.any():
-            own = _of_frames(lines, found, matched, those)._replace(bodies=bodies)
-            results.append(select(own, start, np.asarray(clutter.typical_px), tuning))
+    if alone.any():
+        beside = _of_frames(found, alone), _of_frames(matched.candidates, alone)
+        results.append(pairs_alone(*beside, ends_px, start, typical_px, tuning))
+    if not alone.all():
+        known = matched.candidates.frame
+        tracks = matched if known is None else matched.take(~alone[known])
+        own = _of_frames(found, ~alone)
+        results.append(pairs_beside_lines(own, tracks, bodies, start, tuning))
     return concatenate_rows(results)
 
 
-def _learned_from(selections: list[Selection], tuning: MatchTuning) -> PairStart | None:
+def _learned_from(selections: list[Selection], tuning: MatchTuning) -> Rates | None:
     """What three views taught a single frame, if enough."""
     most = max(selections, key=lambda selection: selection.taken.sum(), default=None)
     if most is None or most.taken.sum() < tuning.occlusion.min_tracks_to_learn:
         return None
-    return PairStart(most.mixture, most.junctions)
-
-
-def _rows_of(candidates: Candidates, lines: SegmentTable, frames: int) -> Int[np.ndarray, "f"]:
-    label = frames_of(lines, candidates.index)
-    label = np.zeros(len(candidates.index), np.int64) if label is None else label
-    return np.bincount(label, minlength=frames)
+    return most.mixture, most.junctions
 
 
 def _start(
-    found: PossiblePairs,
+    found: Candidates,
     selections: list[Selection],
     typical: Float[np.ndarray, "*f"] | float,
-    frame: Int[np.ndarray, "m"] | None,
     tuning: MatchTuning,
-) -> PairStart:
+) -> Rates:
     """What three views taught, or what is usual where they show few lines."""
-    ends_mm = found.candidates.ends_mm
-    usual = PairStart(
-        prior_parameters(ends_mm, typical, tuning, frame),
+    usual = (
+        prior_parameters(found.ends_mm, typical, tuning, found.frame),
         prior_junctions(tuning.junctions, np.shape(typical)),
     )
     most = max(selections, key=lambda selection: selection.taken.sum(), default=None)
     if most is None:
         return usual
-    number = group_sums(most.taken.astype(np.float64), most.frame, np.size(typical))
+    number = group_sums(most.taken.astype(np.float64), most.candidates.frame, np.size(typical))
     enough = number >= tuning.occlusion.min_tracks_to_learn
 
     def chosen(learned: ArrayLike | float, usual: ArrayLike | float) -> np.ndarray:
         axes = tuple(range(np.ndim(enough), np.ndim(usual)))
         return np.where(np.expand_dims(enough, axes), learned, usual)
 
-    return jax.tree.map(chosen, PairStart(most.mixture, most.junctions), usual)
+    return jax.tree.map(chosen, (most.mixture, most.junctions), usual)
 
 
-def _of_frames(
-    lines: SegmentTable,
-    found: PossiblePairs,
-    matched: Tracks,
-    those: Bool[np.ndarray, "f"],
-) -> PairsBeside:
-    """The pairs of those frames alone."""
-    frame = frames_of(lines, found.candidates.index)
-    matched_frame = frames_of(lines, matched.candidates.index)
-    if frame is not None and matched_frame is not None:
-        rows, tracks = np.flatnonzero(those[frame]), np.flatnonzero(those[matched_frame])
-        found, frame = take_rows(found, rows), frame[rows]
-        matched, matched_frame = matched.take(tracks), matched_frame[tracks]
-    return PairsBeside(found, matched, frame, matched_frame, np.asarray(lines.ends_px))
+def _of_frames(candidates: Candidates, those: Bool[np.ndarray, "f"]) -> Candidates:
+    """Those of some frames of a stack alone."""
+    return candidates if candidates.frame is None else candidates.take(those[candidates.frame])
 
 
 def _free_segments(
@@ -161,3 +179,62 @@ def _free_segments(
         used = np.bincount(matched.index[on, view], length, minlength=count)
         free.append(np.flatnonzero(used < most))
     return free
+
+
+def pairs_beside_lines(
+    found: Candidates,
+    matched: Tracks,
+    bodies: Bodies,
+    start: Rates,
+    tuning: MatchTuning,
+) -> Pairs:
+    """Posterior log odds of pairs among lines that are matched already, to a fixed point;
+    `bodies` are of each frame."""
+    rules = tuning.occlusion
+    log_missed = float(np.log(rules.missed))
+    mixture, junctions = start
+    evidence = evidence_beside_lines(found, mixture, tuning)
+    keep = likely_rows(found, matched.candidates, evidence, tuning)
+    candidates, evidence = found.take(keep), evidence[keep]
+    frame = candidates.frame
+    graph = conflict_graph(candidates.index, candidates.interval, tuning.selection)
+    everyone = _joined(matched.candidates, candidates)
+    meetings = endpoint_pairs(everyone, tuning.junctions, tuning.evidence)
+    known = probability(matched.posterior_log_odds)
+    frames = np.size(mixture.log_count)
+    lines_known = group_sums(known, matched.candidates.frame, frames)
+    share = np.full(np.shape(mixture.log_count), rules.prior_share)
+    density = mixture.log_count - mixture.volume.log_size + np.log(2)
+    helped = broadcast_groups(junctions.end_at_junction >= tuning.junctions.min_at_junction, frame)
+    gain = np.zeros(len(evidence))
+    odds = posterior_log_odds = gain
+    beliefs = None
+    for _ in range(rules.rounds):
+        odds = evidence + broadcast_groups(np.log(share), frame) + gain
+        beliefs = sum_product(odds, graph, tuning.selection, frame, beliefs)
+        posterior_log_odds = beliefs.log_odds
+        posterior = probability(posterior_log_odds)
+        share = (group_sums(posterior, frame, frames) + 1) / (lines_known + 10)
+        if np.any(helped):
+            gain, _ = junction_log_odds(
+                meetings,
+                np.concatenate([known, posterior]),
+                density,
+                junctions,
+                tuning.junctions,
+                everyone.frame,
+            )
+            gain = np.where(helped, gain[len(known) :], 0.0)
+    of_share = broadcast_groups(np.log(share), frame)
+    missed = np.where(candidates.expected > 0, candidates.expected * log_missed + of_share, 0.0)
+    chosen = chosen_greedily(posterior_log_odds, graph)
+    bodies = Bodies(*(broadcast_groups(each, frame) for each in bodies))
+    of_pair = posterior_log_odds, candidates.side_log, candidates.crossing_sine, bodies
+    tempered = tempered_pairs(*of_pair, tuning)
+    return Pairs(candidates, odds, tempered, chosen, missed)
+
+
+def _joined(matched: Candidates, pairs: Candidates) -> Candidates:
+    # The ends' own evidence has been counted, and differs in shape.
+    matched, pairs = (c._replace(end_log=np.zeros((len(c.index), 2, 0))) for c in (matched, pairs))
+    return concatenate_rows([matched, pairs])

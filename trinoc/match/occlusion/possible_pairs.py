@@ -1,42 +1,61 @@
-"""Pairs of segments that can be one line: those of two views that share epipolar planes."""
+"""Pairs of segments that can be one line: those of two views that share epipolar planes.
+
+What is judged of pairs: their values, and evidence that both ways of choosing them count.
+
+Which pairs may be likely, judged where they were made: most never leave the kernel.
+"""
 
 from collections.abc import Iterator
 from functools import partial
 from typing import NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.match.candidates import Candidates
-from trinoc.match.evidence import pair_evidence, polarity_evidence, side_evidence
+from trinoc.match.candidates import Candidates, candidates_at
+from trinoc.match.evidence import (
+    MixtureParameters,
+    log_place,
+    log_sides,
+    pair_evidence,
+)
 from trinoc.match.observations import (
     TRIPLES_IN_BLOCK,
     ClutterModel,
     SegmentTable,
     block_of,
 )
-from trinoc.match.occlusion.likely_pairs import PairBound, may_be_likely
-from trinoc.match.tuning import CandidateTuning, EndTuning, MatchTuning
+from trinoc.match.selection import affordable, claimed
+from trinoc.match.tuning import CandidateTuning, EndTuning, EvidenceTuning, MatchTuning
 from trinoc.match.two_view import Pencil, pairs_sharing_planes, pencil, pencil_of, row_of
 from trinoc.numerics import (
     ArrayLike,
     as_columns,
+    broadcast_groups,
     kept_jit,
     select_in_blocks,
     split_columns,
+    take_rows,
 )
 
 # About as many pairs are held at a time.
 PAIRS_AT_A_TIME = 1 << 17
 
 
-class PossiblePairs(NamedTuple):
-    """Pairs that can be one line, in how many other views each should be seen, and the sine of the
-    angle between its interpretation planes."""
+class PairBound(NamedTuple):
+    """What the log odds of a pair among matched lines are made of, but for its polarity.
 
-    candidates: Candidates
-    expected: Float[np.ndarray, "m"]
-    crossing_sine: Float[np.ndarray, "m"]
+    prior : what all pairs share. least : below this, pairs are let go.
+    """
+
+    log_ends: Float[np.ndarray, "c"]
+    centre_mm: Float[np.ndarray, "3"]
+    precision: Float[np.ndarray, "3 3"]
+    log_missed: float
+    prior: float
+    least: float
 
 
 def possible_pairs(
@@ -47,7 +66,7 @@ def possible_pairs(
     tuning: MatchTuning,
     bound: PairBound | None = None,
     ends_px: float | None = None,
-) -> Iterator[PossiblePairs]:
+) -> Iterator[Candidates]:
     """All pairs of free segments of two views that can be one line, and may be likely as far as a
     `bound` tells, and of which an end agrees by `ends_px`, if that is given, block by block."""
     planes = pencil(lines, *views.tolist())
@@ -72,7 +91,7 @@ def _judged(
     clutter: ClutterModel,
     tuning: MatchTuning,
     bound: PairBound | None,
-) -> PossiblePairs:
+) -> Candidates:
     ends = len(tuning.ends.agreeing_px) + 1
     shapes = ((2, 2), (2, 3), (), (2, ends), (2, 3), (2, 6), (), (), ())
 
@@ -84,16 +103,10 @@ def _judged(
         return possible, columns
 
     keep, columns = select_in_blocks(judged, block_of(lines, TRIPLES_IN_BLOCK), segments)
-    of_views, ends_mm, log_density, end_log, *union = split_columns(columns, shapes)
-    outer_mm, spread, px_per_mm, expected, crossing_sine = union
-    index = np.full((len(keep), len(lines.ends_px)), -1)
-    interval = np.zeros((len(keep), len(lines.ends_px), 2))
-    index[:, views], interval[:, views] = segments[keep], of_views
-    log_density += polarity_evidence(np.asarray(lines.polarity), index, interval, tuning.evidence)
-    sides = side_evidence(np.asarray(lines.sides), index, interval, tuning.sides)
-    judged_by = ends_mm, np.zeros(len(keep)), log_density, end_log
-    found = Candidates(index, interval, *judged_by, outer_mm, spread, px_per_mm, sides)
-    return PossiblePairs(found, expected, crossing_sine)
+    of_views, ends_mm, *rest = split_columns(columns, shapes)
+    # Two views always agree about a place.
+    place = of_views, ends_mm, np.zeros(len(keep)), *rest
+    return candidates_at(lines, views, segments[keep], place, tuning)
 
 
 @partial(kept_jit, static_argnames=("tuning", "ends"), beside_others=True)
@@ -117,3 +130,113 @@ def _evidence_of(
         found.crossing_sine,
     )
     return found.possible, as_columns(columns)
+
+
+def pair_bound(
+    lines: SegmentTable,
+    mixture: MixtureParameters,
+    end_shares: Float[np.ndarray, "c"],
+    tuning: MatchTuning,
+) -> PairBound | None:
+    """The bound of one frame's pairs; None where side levels, of pictures, say more."""
+    if np.isfinite(np.asarray(lines.sides)).any():
+        return None
+    volume, rules = mixture.volume, tuning.occlusion
+    prior = mixture.log_count - volume.log_size - np.log(2 * np.pi) + rules.log_odds_offset
+    # As if darker sides agreed.
+    prior += np.log(2) * bool(np.asarray(lines.polarity).any())
+    return PairBound(
+        np.log(end_shares),
+        volume.centre_mm,
+        volume.precision,
+        float(np.log(rules.missed)),
+        float(prior),
+        tuning.selection.prune_log_odds,
+    )
+
+
+@partial(kept_jit, static_argnames=("tuning",))
+def may_be_likely(
+    bound: PairBound,
+    possible: Bool[ArrayLike, "h"],
+    columns: Float[ArrayLike, "k h"],
+    tuning: EvidenceTuning,
+) -> Bool[ArrayLike, "h"]:
+    """Which of the possible pairs are as likely as they have to be; `columns` are those that
+    `possible_pairs` makes: intervals, ends, log density, that of the ends, and others."""
+    components = len(bound.log_ends)
+    ends_mm, log_density, end_log = columns[4:10], columns[10], columns[11 : 11 + 2 * components]
+    total = log_density + columns[-2] * bound.log_missed + bound.prior
+    square = jnp.zeros_like(total)
+    for e in range(2):
+        terms = [
+            log_share + term
+            for log_share, term in zip(
+                bound.log_ends, end_log[e * components : (e + 1) * components], strict=True
+            )
+        ]
+        total += jax.nn.logsumexp(jnp.stack(terms), axis=0)
+        apart = ends_mm[3 * e : 3 * e + 3] - bound.centre_mm[:, None]
+        square = jnp.maximum(square, ((bound.precision @ apart) * apart).sum(axis=0))
+    outside = jnp.clip(square - tuning.box_corner_sigmas**2, 0.0, tuning.box_cost)
+    return possible & (total - 0.5 * outside > bound.least)
+
+
+class Pairs(NamedTuple):
+    """Candidate pairs (chi-square is zero), their log odds without and with rivals, those taken.
+
+    missed : what it costs each, in log odds, that no third view shows it where one should.
+    """
+
+    candidates: Candidates
+    log_odds: Float[np.ndarray, "m"]
+    posterior_log_odds: Float[np.ndarray, "m"]
+    taken: Bool[np.ndarray, "m"]
+    missed: Float[np.ndarray, "m"]
+
+    def take(self, rows: np.ndarray) -> "Pairs":
+        """Those at the given indices, in that order, or where the mask is true."""
+        return take_rows(self, rows)
+
+
+def likely_rows(
+    found: Candidates, matched: Candidates, odds: Float[np.ndarray, "m"], tuning: MatchTuning
+) -> Int[np.ndarray, "k"]:
+    """Rows of pairs that are likely at all, and need no part of a segment that is matched."""
+    rules = tuning.selection
+    rows = np.flatnonzero(odds > rules.prune_log_odds)
+    own = found.take(rows)
+    rows = rows[~claimed(own.index, own.interval, matched.index, matched.interval, rules)]
+    return rows[affordable(odds[rows], found.index[rows], -np.inf, rules)]
+
+
+def evidence_beside_lines(
+    candidates: Candidates,
+    mixture: MixtureParameters,
+    tuning: MatchTuning,
+) -> Float[np.ndarray, "m"]:
+    """Log odds of pairs among matched lines, but for how seldom pairs are, and for junctions."""
+    rules, frame = tuning.occlusion, candidates.frame
+    ends = log_ends(candidates, broadcast_groups(end_shares(mixture, tuning.ends), frame))
+    ends += log_sides(candidates.side_log, mixture, frame)
+    in_images = candidates.side_log.any(axis=1)
+    offset = np.where(in_images, rules.log_odds_offset_in_images, rules.log_odds_offset)
+    evidence = candidates.log_density + ends + candidates.expected * float(np.log(rules.missed))
+    place = log_place(candidates.ends_mm, mixture.volume, tuning.evidence, frame)
+    return evidence + offset + broadcast_groups(mixture.log_count, frame) + place
+
+
+def log_ends(candidates: Candidates, shares: Float[np.ndarray, "*m c"]) -> Float[np.ndarray, "m"]:
+    """Evidence of the ends, by the shares of their components."""
+    return np.log((np.exp(candidates.end_log) @ shares[..., None])[..., 0]).sum(axis=1)
+
+
+def end_shares(mixture: MixtureParameters, tuning: EndTuning) -> Float[np.ndarray, "*f c"]:
+    """How the ends of two views agree follows from how those of three do."""
+    all_agree, two_agree = len(tuning.agreeing_px), len(tuning.pair_px)
+    agreeing = mixture.ends[..., :all_agree].copy()
+    # Of two views that agree against the third, a given pair is one in three.
+    short = mixture.ends[..., all_agree : all_agree + two_agree]
+    on = mixture.ends[..., all_agree + two_agree : -1]
+    agreeing[..., :two_agree] += (short + on) / 3
+    return np.concatenate([agreeing, 1 - agreeing.sum(axis=-1, keepdims=True)], axis=-1)

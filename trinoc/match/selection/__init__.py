@@ -1,7 +1,7 @@
 """Step 2: which candidates are true, from their evidence, their rivals and their neighbours.
 
-exclusivity (who excludes whom; sum-product) and junction_support (who meets whom in space), joined
-in marginals."""
+messages (who excludes whom; sum-product) and junction_support (who meets whom in space), joined in
+marginals."""
 
 import lazy_loader
 

@@ -1,8 +1,3 @@
-from .exclusivity import (
-    affordable as affordable,
-    claimed as claimed,
-    conflict_graph as conflict_graph,
-)
 from .junction_support import (
     JunctionParameters as JunctionParameters,
     endpoint_pairs as endpoint_pairs,
@@ -12,13 +7,16 @@ from .junction_support import (
 from .marginals import (
     Selection as Selection,
     Tracks as Tracks,
+    learn_noise_scale as learn_noise_scale,
     select as select,
     tracks_of as tracks_of,
 )
 from .messages import (
     FRAMES_AT_ONCE as FRAMES_AT_ONCE,
     Beliefs as Beliefs,
+    affordable as affordable,
     chosen_greedily as chosen_greedily,
+    claimed as claimed,
+    conflict_graph as conflict_graph,
     sum_product as sum_product,
 )
-from .noise_scale import residual_scale as residual_scale

@@ -55,12 +55,12 @@ def endpoint_pairs(
     candidates: Candidates,
     tuning: JunctionTuning = DEFAULT.junctions,
     evidence: EvidenceTuning = DEFAULT.evidence,
-    frame: Int[np.ndarray, "m"] | None = None,
 ) -> EndpointPairs:
     """All meetings of ends of candidates of one frame that have no segment in common."""
     if len(candidates.index) == 0:
         return EndpointPairs(_NONE[:, 0], _NONE[:, 0], np.zeros((0, len(tuning.gaps_px))))
     ends = candidates.union_ends_mm.reshape(-1, 3)
+    frame = candidates.frame
     frames = 1 if frame is None else int(frame.max()) + 1
     reach = tuning.reach_px / group_medians(candidates.px_per_mm, frame, frames)
     if frame is None:

@@ -1,27 +1,40 @@
-"""Step 2: which candidates are true, from their evidence, their rivals and their neighbours."""
+"""Step 2: which candidates are true, from their evidence, their rivals and their neighbours.
 
+How much larger the segments' errors are than they state, learned from three views.
+
+The residual that three views leave has a chi-square of two degrees of freedom where errors are as
+stated. Its median over the triples that are surely right is nothing to the few that are wrong, and
+to heavy tails.
+"""
+
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from trinoc.match.candidates import Candidates, prior_log_odds
 from trinoc.match.evidence import MixtureParameters, em_step, prior_parameters, probability
-from trinoc.match.selection.exclusivity import ConflictGraph, affordable, conflict_graph
 from trinoc.match.selection.junction_support import (
     JunctionParameters,
     endpoint_pairs,
     junction_log_odds,
     prior_junctions,
 )
-from trinoc.match.selection.messages import Beliefs, chosen_greedily, sum_product
-from trinoc.match.tuning import DEFAULT, MatchTuning
-from trinoc.numerics import broadcast_groups, take_groups, take_rows
+from trinoc.match.selection.messages import (
+    Beliefs,
+    ConflictGraph,
+    affordable,
+    chosen_greedily,
+    conflict_graph,
+    sum_product,
+)
+from trinoc.match.tuning import DEFAULT, MatchTuning, NoiseTuning
+from trinoc.numerics import broadcast_groups, group_medians, take_rows
 
 
 class Selection(NamedTuple):
-    """Candidates, their log odds without and with rivals, which of them were taken, and, of a
-    stack, their frames."""
+    """Candidates, their log odds without and with rivals, and which of them were taken."""
 
     candidates: Candidates
     log_odds: Float[np.ndarray, "m"]
@@ -30,7 +43,6 @@ class Selection(NamedTuple):
     graph: ConflictGraph
     mixture: MixtureParameters
     junctions: JunctionParameters
-    frame: Int[np.ndarray, "m"] | None = None
 
 
 class Tracks(NamedTuple):
@@ -54,38 +66,38 @@ def select(
     *,
     neighbours: bool = True,
     tuning: MatchTuning = DEFAULT,
-    frame: Int[np.ndarray, "m"] | None = None,
 ) -> Selection:
     """Fit the mixture parameters by EM, and take candidates in order of posterior log odds.
 
     Without `neighbours`, junctions add nothing: only a candidate's evidence and its rivals count.
-    Candidates of a stack have the parameters of their own `frame`, and each frame has its
+    Candidates of a stack have the parameters of their own frame, and each frame has its
     `typical_count` of segments.
     """
     evidence, rules = tuning.evidence, tuning.selection
-    mixture = prior_parameters(candidates.ends_mm, typical_count, tuning, frame)
+    mixture = prior_parameters(candidates.ends_mm, typical_count, tuning, candidates.frame)
     # EM on the likely candidates alone: far fewer, with far fewer conflicts.
-    odds = prior_log_odds(candidates, mixture, evidence, frame)
-    keep = np.flatnonzero(odds > rules.learn_log_odds)
-    keep = keep[affordable(odds[keep], candidates.index[keep], rules)]
-    likely, own = candidates.take(keep), take_groups(frame, keep)
+    odds = prior_log_odds(candidates, mixture, evidence)
+    keep = affordable(odds, candidates.index, rules.learn_log_odds, rules)
+    likely = candidates.take(keep)
     graph = conflict_graph(likely.index, likely.interval, rules)
     beliefs = None
     for _ in range(rules.rounds):
-        odds = prior_log_odds(likely, mixture, evidence, own)
-        beliefs = sum_product(odds, graph, rules, own, beliefs)
-        mixture = _learned(likely, beliefs.log_odds, mixture, tuning, own)
-    odds = prior_log_odds(candidates, mixture, evidence, frame)
-    keep = np.flatnonzero(odds > rules.prune_log_odds)
-    keep = keep[affordable(odds[keep], candidates.index[keep], rules)]
-    candidates, odds, frame = candidates.take(keep), odds[keep], take_groups(frame, keep)
+        odds = prior_log_odds(likely, mixture, evidence)
+        beliefs = sum_product(odds, graph, rules, likely.frame, beliefs)
+        c, posterior = likely, probability(beliefs.log_odds)
+        mixture = em_step(
+            c.chi_square, c.end_log, c.ends_mm, c.side_log, posterior, mixture, tuning, c.frame
+        )
+    odds = prior_log_odds(candidates, mixture, evidence)
+    keep = affordable(odds, candidates.index, rules.prune_log_odds, rules)
+    candidates, odds = candidates.take(keep), odds[keep]
     graph = conflict_graph(candidates.index, candidates.interval, rules)
-    beliefs = sum_product(odds, graph, rules, frame)
+    beliefs = sum_product(odds, graph, rules, candidates.frame)
     posterior_log_odds = beliefs.log_odds
     junctions = prior_junctions(tuning.junctions, np.shape(mixture.log_count))
     if neighbours:
         odds, posterior_log_odds, junctions = _with_junctions(
-            candidates, graph, odds, beliefs, mixture, tuning, frame
+            candidates, graph, odds, beliefs, mixture, tuning
         )
     return Selection(
         candidates,
@@ -95,7 +107,6 @@ def select(
         graph,
         mixture,
         junctions,
-        frame,
     )
 
 
@@ -123,9 +134,9 @@ def _with_junctions(
     beliefs: Beliefs,
     mixture: MixtureParameters,
     tuning: MatchTuning,
-    frame: Int[np.ndarray, "m"] | None,
 ) -> tuple[Float[np.ndarray, "m"], Float[np.ndarray, "m"], JunctionParameters]:
-    meetings = endpoint_pairs(candidates, tuning.junctions, tuning.evidence, frame)
+    frame = candidates.frame
+    meetings = endpoint_pairs(candidates, tuning.junctions, tuning.evidence)
     junctions = prior_junctions(tuning.junctions, np.shape(mixture.log_count))
     log_ends_density = mixture.log_count - mixture.volume.log_size + np.log(2)
     alone = odds, beliefs.log_odds
@@ -148,14 +159,33 @@ def _with_junctions(
     return odds, posterior_log_odds, junctions
 
 
-def _learned(
-    candidates: Candidates,
-    posterior_log_odds: Float[np.ndarray, "m"],
-    mixture: MixtureParameters,
-    tuning: MatchTuning,
-    frame: Int[np.ndarray, "m"] | None,
-) -> MixtureParameters:
-    c, posterior = candidates, probability(posterior_log_odds)
-    return em_step(
-        c.chi_square, c.end_log, c.ends_mm, c.side_log, posterior, mixture, tuning, frame
-    )
+def residual_scale(
+    selections: Sequence[Selection], frames: int = 1, tuning: NoiseTuning = DEFAULT.noise
+) -> Float[np.ndarray, "f"]:
+    """Standard deviation of segments across themselves, over what they state, of each frame.
+
+    Few triples say little: as many as `prior_observations` that fit as stated count with them.
+    """
+    share = (np.arange(tuning.prior_observations) + 0.5) / tuning.prior_observations
+    prior = -2 * np.log1p(-share)  # the quantiles of chi-square with two degrees of freedom
+    chi_square, frame = [np.tile(prior, frames)], [np.repeat(np.arange(frames), len(prior))]
+    for selection in selections:
+        sure = selection.taken & (probability(selection.posterior_log_odds) > tuning.sure)
+        chi_square.append(selection.candidates.chi_square[sure])
+        own = selection.candidates.frame
+        every = np.zeros(len(sure), int) if own is None else own
+        frame.append(every[sure])
+    typical = group_medians(np.concatenate(chi_square), np.concatenate(frame), frames)
+    scale = np.sqrt(typical / (2 * np.log(2)))
+    return np.clip(scale, 1 / tuning.largest, tuning.largest)
+
+
+def learn_noise_scale(
+    selections: Sequence[Selection], before: Float[np.ndarray, "f"], tuning: NoiseTuning
+) -> tuple[Float[np.ndarray, "f"], Bool[np.ndarray, "f"]]:
+    """(scale of each frame's errors over what is stated, whether that is so far from the scale
+    `before`, under which candidates were found, that they are to be found again)."""
+    larger = residual_scale(selections, len(before), tuning) if selections else 1.0
+    scale = np.clip(before * larger, 1 / tuning.most, tuning.most)
+    change = scale / before
+    return scale, (change >= tuning.again_above) | (change <= tuning.again_below)

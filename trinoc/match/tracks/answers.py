@@ -18,7 +18,6 @@ from trinoc.match.tracks.unequal_errors import (
     variance_factor,
 )
 from trinoc.match.tuning import DEFAULT, NoiseTuning, TrackTuning
-from trinoc.numerics import take_rows
 
 # Centres lie on a line where they are off it by less than this share of their spread along it.
 ON_A_LINE = 0.05
@@ -164,27 +163,25 @@ def answers(
     # Parts of the same segments follow their places.
     if np.all([np.diff(key[order]) == 0 for key in keys], axis=0).any():
         order = np.lexsort((*places.T, *keys))
-    columns = _Columns(
-        given,
-        fragments,
-        found.ends_mm,
-        found.covariance_mm2,
-        np.where((given >= 0).sum(axis=1) > 2, TRINOCULAR, BINOCULAR),
-        probability(found.posterior_log_odds),
-        probability(found.rival_posterior),
-        covariance,
-        found.misfit,
-        found.viewpoint_dependent,
-    )
-    columns = take_rows(columns, order)
+    columns = {
+        "index": given,
+        "fragments_px": fragments,
+        "lines_mm": found.ends_mm,
+        "covariance_mm2": found.covariance_mm2,
+        "stage": np.where((given >= 0).sum(axis=1) > 2, TRINOCULAR, BINOCULAR),
+        "posterior": probability(found.posterior_log_odds),
+        "rival_posterior": probability(found.rival_posterior),
+        "fragments_covariance_px2": covariance,
+        "misfit": found.misfit,
+        "viewpoint_dependent": found.viewpoint_dependent,
+    }
     bounds = np.searchsorted(frame[order], np.arange(len(names) + 1))
     starts, words = seen.starts, _words_as_given(seen, words)
     aligned = in_line(np.stack([own.cameras.centre_mm for own in seen.frames]))
     results = []
     for number, called in enumerate(names):
-        own = slice(*bounds[number : number + 2])
-        # Copies, so that an answer does not keep those of the whole stack.
-        mine = {name: column[own].copy() for name, column in columns._asdict().items()}
+        own = order[slice(*bounds[number : number + 2])]
+        mine = {name: column[own] for name, column in columns.items()}
         why = {
             name: words[view][slice(*starts[number : number + 2, view])].copy()
             for name, view in zip(called, turn[number].tolist(), strict=True)
@@ -205,21 +202,6 @@ def answers(
             )
         )
     return results
-
-
-class _Columns(NamedTuple):
-    """Fields of `Matches` with a row for each track."""
-
-    index: Int[np.ndarray, "t v"]
-    fragments_px: Float[np.ndarray, "t v 2 2"]
-    lines_mm: Float[np.ndarray, "t 2 3"]
-    covariance_mm2: Float[np.ndarray, "t 6 6"]
-    stage: Shaped[np.ndarray, "t"]
-    posterior: Float[np.ndarray, "t"]
-    rival_posterior: Float[np.ndarray, "t"]
-    fragments_covariance_px2: Float[np.ndarray, "t v 4 4"]
-    misfit: Float[np.ndarray, "t"]
-    viewpoint_dependent: Bool[np.ndarray, "t"]
 
 
 def _with_unequal_errors(

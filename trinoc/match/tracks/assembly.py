@@ -1,21 +1,48 @@
-"""From what was selected to tracks: fragments, lines in space with covariance, and reasons."""
+"""From what was selected to tracks: fragments, lines in space with covariance, and reasons.
+
+Two views place a line where their interpretation planes cross. A segment nearly along its
+epipolar line leaves the crossing open: how open, tells the error of its direction in the picture
+over its angle to the epipolar line. Errors in space are inverse to that angle, so that their second
+order counts where it is in doubt, and they have no covariance where it may be zero.
+
+Tracks that are no line in space: what they show depends on the viewpoint.
+
+Each camera sees another outline of a round body, and another line of light on a shiny one. Where
+three views are joined to a track all the same, they disagree about its place. Where the third
+view was rejected, its own outline is left over beside the place where the track would be.
+"""
 
 from collections.abc import Sequence
+from itertools import combinations
 
 import numpy as np
-from jaxtyping import Float, Int, Shaped
+from jaxtyping import Bool, Float, Int, Shaped
 
-from trinoc.match.observations import MatchInput, frames_of
+from trinoc.geometry import project_by_matrix
+from trinoc.match.observations import MatchInput, SegmentTable, frames_of, matrices_of
 from trinoc.match.occlusion import Pairs
 from trinoc.match.selection import Selection, Tracks
 from trinoc.match.tracks.answers import UNLOCATED, Lines, answers, reasons
-from trinoc.match.tracks.extent import reach_of
-from trinoc.match.tracks.fragments import ending_at, fragments_of
-from trinoc.match.tracks.line_fit import before_cameras, direction_doubt, lines_in_space
+from trinoc.match.tracks.line_fit import (
+    before_cameras,
+    ending_at,
+    fragments_of,
+    lines_in_space,
+    reach_of,
+)
 from trinoc.match.tracks.matches import Matches
-from trinoc.match.tracks.viewpoint import flag_viewpoint_dependent
 from trinoc.match.tuning import DEFAULT, MatchTuning, TrackTuning
-from trinoc.numerics import take_rows
+from trinoc.numerics import (
+    blocks,
+    broadcast_groups,
+    chi_square_limit,
+    chi_square_quantile,
+    expand_ranges,
+    group_medians,
+    group_sums,
+    take_groups,
+    take_rows,
+)
 
 
 def assemble(
@@ -23,7 +50,7 @@ def assemble(
     tracks: Tracks,
     selections: list[Selection],
     pairs: Pairs,
-    outside: Int[np.ndarray, "o v"],
+    outside: Sequence[Int[np.ndarray, "_ _v"]],
     names: Sequence[tuple[str, ...]],
     noise_scale: Float[np.ndarray, "f"],
     rules: MatchTuning = DEFAULT,
@@ -38,7 +65,7 @@ def assemble(
     words = _reasons(seen, selections, pairs, outside, unlocated, found.index, rules.tracks)
     of_each = {
         "triples considered": [selection.candidates.index for selection in selections],
-        "triples outside depth": [outside],
+        "triples outside depth": outside,
         "tracks in three views or more": [tracks.candidates.index],
         "pairs considered": [pairs.candidates.index],
         "tracks in two views": [pairs.candidates.index[pairs.taken]],
@@ -96,11 +123,49 @@ def _lines(
     return found._replace(viewpoint_dependent=dependent), index[~located]
 
 
+def direction_doubt(lines: SegmentTable, index: Int[np.ndarray, "t v"]) -> Float[np.ndarray, "t"]:
+    """Standard deviation of a segment's direction over its angle to the epipolar line.
+
+    The larger of the two segments of a pair of views, and the least of all pairs of a track.
+    """
+    least, frame = np.full(len(index), np.inf), frames_of(lines, index)
+    for a, b in combinations(range(index.shape[1]), 2):
+        on = np.flatnonzero((index[:, a] >= 0) & (index[:, b] >= 0))
+        own = take_groups(frame, on)
+        pair = np.maximum(
+            _of_view(lines, a, b, index[on, a], own), _of_view(lines, b, a, index[on, b], own)
+        )
+        least[on] = np.minimum(least[on], pair)
+    return least
+
+
+def _of_view(
+    lines: SegmentTable,
+    view: int,
+    other: int,
+    segment: Int[np.ndarray, "n"],
+    frame: Int[np.ndarray, "n"] | None,
+) -> Float[np.ndarray, "n"]:
+    ends = np.asarray(lines.ends_px)[view, segment]
+    across = np.asarray(lines.across_px2)[view, segment]
+    centre = np.asarray(lines.centre_mm)
+    centre = centre[None, other] if frame is None else centre[frame, other]
+    matrix = matrices_of(lines, frame)[:, view]
+    epipole = (matrix[..., :3] @ centre[..., None])[..., 0] + matrix[..., 3]
+    step, middle = ends[:, 1] - ends[:, 0], ends.mean(axis=1)
+    # Toward the epipole, which may lie at infinity.
+    toward = epipole[:, :2] - epipole[:, 2:] * middle
+    area = step[:, 0] * toward[:, 1] - step[:, 1] * toward[:, 0]
+    spread = np.sqrt(across[:, 0, 0] + across[:, 1, 1] - 2 * across[:, 0, 1])
+    offset = np.abs(area) / np.linalg.norm(toward, axis=1)
+    return spread / np.maximum(offset, 1e-12)
+
+
 def _reasons(
     seen: MatchInput,
     selections: list[Selection],
     pairs: Pairs,
-    outside: Int[np.ndarray, "o v"],
+    outside: Sequence[Int[np.ndarray, "_ _v"]],
     unlocated: Int[np.ndarray, "u v"],
     index: Int[np.ndarray, "t v"],
     tuning: TrackTuning,
@@ -112,7 +177,8 @@ def _reasons(
     for view, count in enumerate(seen.counts):
         excluded, along, matched, missed = np.zeros((4, count), dtype=bool)
         matched[index[index[:, view] >= 0, view]] = True
-        excluded[outside[outside[:, view] >= 0, view]] = True
+        for index_outside in outside:
+            excluded[index_outside[index_outside[:, view] >= 0, view]] = True
         along[unlocated[unlocated[:, view] >= 0, view]] = True
         turned = (pairs.log_odds <= 0) & (pairs.log_odds > pairs.missed)
         owner = pairs.candidates.index[turned, view]
@@ -121,3 +187,93 @@ def _reasons(
             reasons(candidate[:, view], log_odds, excluded, along, matched, missed, tuning)
         )
     return words
+
+
+# Lines of two views compared at once with all segments of a view.
+ROWS = 256
+
+
+def flag_viewpoint_dependent(
+    seen: MatchInput,
+    index: Int[np.ndarray, "t v"],
+    ends_mm: Float[np.ndarray, "t 2 3"],
+    misfit: Float[np.ndarray, "t"],
+    tuning: TrackTuning = DEFAULT.tracks,
+) -> Bool[np.ndarray, "t"]:
+    """Tracks about whose place the views disagree by more than noise allows.
+
+    `misfit` is the chi-square of each track's views, 2 (n - 2) degrees of freedom for n views.
+    Where the segments' covariances are too small for most tracks, they are scaled first.
+    """
+    views = (index >= 0).sum(axis=1)
+    in_three, frame = views > 2, frames_of(seen.lines, index)
+    marked = np.zeros(len(index), dtype=bool)
+    if in_three.any():
+        limit = chi_square_limit(tuning.significance, 2 * (views[in_three] - 2))
+        usual = broadcast_groups(
+            typical_misfit(index, misfit, tuning, frame), take_groups(frame, in_three)
+        )
+        marked[in_three] = misfit[in_three] > usual * limit
+    for view in range(index.shape[1]):
+        free = np.ones(seen.counts[view], dtype=bool)
+        matched = index[in_three, view]
+        free[matched[matched >= 0]] = False
+        free = np.flatnonzero(free)
+        rows = np.flatnonzero(~in_three & (index[:, view] < 0))
+        matrix = matrices_of(seen.lines, take_groups(frame, rows))[:, view]
+        expected = project_by_matrix(matrix, ends_mm[rows])
+        # The free segments of a row's own frame follow one another.
+        first, last = np.zeros(len(rows), np.int64), np.full(len(rows), len(free))
+        if frame is not None:
+            bounds = np.searchsorted(free, seen.starts[:, view])
+            first, last = bounds[frame[rows]], bounds[frame[rows] + 1]
+        size = ROWS if frame is None else max(len(rows), 1)
+        for part in blocks(len(rows), size):
+            i, j = expand_ranges(first[part], last[part])
+            segments = seen.ends_px[view][free[j]]
+            beside = _is_beside(expected[part][i], segments, tuning)
+            marked[rows[part][i[beside]]] = True
+    return marked
+
+
+def typical_misfit(
+    index: Int[np.ndarray, "t v"],
+    misfit: Float[np.ndarray, "t"],
+    tuning: TrackTuning = DEFAULT.tracks,
+    frame: Int[np.ndarray, "t"] | None = None,
+) -> Float[np.ndarray, "*f"] | float:
+    """How much larger than stated the variance of segments is for most tracks; at least 1.
+
+    With the `frame` of each track, for each frame.
+    """
+    views = (index >= 0).sum(axis=1)
+    in_three = views > 2
+    frames = 1 if frame is None or len(frame) == 0 else int(frame.max()) + 1
+    own = take_groups(frame, in_three)
+    enough = group_sums(np.ones(in_three.sum()), own, frames) >= tuning.min_tracks_to_learn
+    share = misfit[in_three] / chi_square_quantile(0.5, 2 * (views[in_three] - 2))
+    typical = np.where(enough, group_medians(share, own, frames), 1.0)
+    return np.maximum(typical, 1.0)
+
+
+def _is_beside(
+    expected_px: Float[np.ndarray, "p 2 2"],
+    segments_px: Float[np.ndarray, "p 2 2"],
+    tuning: TrackTuning,
+) -> Bool[np.ndarray, "p"]:
+    """Whether each segment lies beside the place at which one was expected."""
+    beside = np.zeros(len(expected_px), dtype=bool)
+    way, turn = expected_px[:, 1] - expected_px[:, 0], segments_px[:, 1] - segments_px[:, 0]
+    area = way[:, 0] * turn[:, 1] - way[:, 1] * turn[:, 0]
+    squares = (way**2).sum(axis=1), (turn**2).sum(axis=1)
+    sine = np.sin(np.radians(tuning.beside_deg))
+    rows = np.flatnonzero(area**2 < sine**2 * squares[0] * squares[1])
+    length, size = (np.sqrt(square[rows]) for square in squares)
+    u, v = (way[rows] / length[:, None]).T[:, :, None]
+    offset = segments_px[rows] - expected_px[rows, :1]
+    along = np.sort(offset[..., 0] * u + offset[..., 1] * v, axis=1)
+    across = np.abs(offset[..., 1] * u - offset[..., 0] * v).max(axis=1)
+    common = np.minimum(along[:, 1], length) - np.maximum(along[:, 0], 0.0)
+    enough = tuning.abreast_share * np.minimum(length, size)
+    beside[rows] = (across < tuning.beside_px) & (common > enough)
+    return beside

@@ -3,24 +3,27 @@
 Triples that share segments two by two chain to tracks whose ends no longer agree. So the whole
 track is tested, and what does not fit is split off, the worst first.
 
-Two views place a line where their interpretation planes cross. A segment nearly along its
-epipolar line leaves the crossing open: how open, tells the error of its direction in the picture
-over its angle to the epipolar line. Errors in space are inverse to that angle, so that their second
-order counts where it is in doubt, and they have no covariance where it may be zero.
+How far a line is shown by at least two of its views: further than by all of them.
+
+The parts of segments that a track shows, and what their ends are worth.
+
+A part ends where one view's segment ends, and there the other views' segments are cut by the
+epipolar plane of that end. A cut is no observation of its own: it moves along its segment by
+(error across) / sin(angle to the epipolar line), all of which the errors across say already. So
+only the view whose segment ends there knows the place along the line, and in the others it is
+free: views whose blocks are then taken for independent give the line's true covariance.
 """
 
+from collections.abc import Iterator
 from functools import partial
-from itertools import combinations
 from typing import NamedTuple
 
 import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.geometry import Segment3D, triangulate_segment
+from trinoc.geometry import Segment3D, homogeneous_pixel, project_by_matrix, triangulate_segment
 from trinoc.match.observations import MatchInput, SegmentTable, frames_of, matrices_of
-from trinoc.match.tracks.extent import interval_of, points_at, reach_of, two_view_span
-from trinoc.match.tracks.fragments import ending_at, fragments_of
 from trinoc.numerics import (
     ArrayLike,
     chi_square_limit,
@@ -31,42 +34,181 @@ from trinoc.numerics import (
 )
 
 
-def direction_doubt(lines: SegmentTable, index: Int[np.ndarray, "t v"]) -> Float[np.ndarray, "t"]:
-    """Standard deviation of a segment's direction over its angle to the epipolar line.
+def two_view_span(reach: Float[np.ndarray, "t v 2"]) -> Float[np.ndarray, "t 2"]:
+    """Where what at least two views show of each line begins and ends, given what each does."""
+    # NaN, where a view does not see the line, sorts last.
+    begin = np.sort(reach[..., 0], axis=1)[:, 1]
+    return np.stack([begin, -np.sort(-reach[..., 1], axis=1)[:, 1]], axis=1)
 
-    The larger of the two segments of a pair of views, and the least of all pairs of a track.
+
+def points_at(
+    ends_mm: Float[np.ndarray, "t 2 3"], span: Float[np.ndarray, "t 2"]
+) -> Float[np.ndarray, "t 2 3"]:
+    """Points at two positions on each line, 0 and 1 at its ends."""
+    return ends_mm[:, :1] + span[..., None] * (ends_mm[:, 1] - ends_mm[:, 0])[:, None]
+
+
+def common_ends(
+    seen: MatchInput, index: Int[np.ndarray, "t v"], ends_mm: Float[np.ndarray, "t 2 3"]
+) -> Float[np.ndarray, "t 2 3"]:
+    """The ends, on each line, of what all of its views show; the line's own where they share
+    nothing."""
+    reach = reach_of(seen, index, ends_mm)
+    begin, end = np.nanmax(reach[..., 0], axis=1), np.nanmin(reach[..., 1], axis=1)
+    shared = begin < end
+    span = np.stack([np.where(shared, begin, 0.0), np.where(shared, end, 1.0)], axis=1)
+    return points_at(ends_mm, span)
+
+
+def interval_of(
+    seen: MatchInput, index: Int[np.ndarray, "t v"], ends_mm: Float[np.ndarray, "t 2 3"]
+) -> Float[np.ndarray, "t v 2"]:
+    """Where the ends of each line lie along every segment, 0 at its first end.
+
+    On segments that end before, this is outside [0, 1]: their lines run on.
     """
-    least, frame = np.full(len(index), np.inf), frames_of(lines, index)
-    for a, b in combinations(range(index.shape[1]), 2):
-        on = np.flatnonzero((index[:, a] >= 0) & (index[:, b] >= 0))
-        own = take_groups(frame, on)
-        pair = np.maximum(
-            _of_view(lines, a, b, index[on, a], own), _of_view(lines, b, a, index[on, b], own)
-        )
-        least[on] = np.minimum(least[on], pair)
-    return least
+    interval = np.zeros((*index.shape, 2))
+    for view, on, segment, matrix in _each_view(seen, index):
+        along = segment[:, 1] - segment[:, 0]
+        offset = project_by_matrix(matrix, ends_mm[on]) - segment[:, :1]
+        square = (along**2).sum(axis=1)[:, None]
+        interval[on, view] = np.einsum("tei,ti->te", offset, along) / square
+    return interval
 
 
-def _of_view(
-    lines: SegmentTable,
-    view: int,
-    other: int,
-    segment: Int[np.ndarray, "n"],
-    frame: Int[np.ndarray, "n"] | None,
-) -> Float[np.ndarray, "n"]:
-    ends = np.asarray(lines.ends_px)[view, segment]
-    across = np.asarray(lines.across_px2)[view, segment]
-    centre = np.asarray(lines.centre_mm)
-    centre = centre[None, other] if frame is None else centre[frame, other]
-    matrix = matrices_of(lines, frame)[:, view]
-    epipole = (matrix[..., :3] @ centre[..., None])[..., 0] + matrix[..., 3]
-    step, middle = ends[:, 1] - ends[:, 0], ends.mean(axis=1)
-    # Toward the epipole, which may lie at infinity.
-    toward = epipole[:, :2] - epipole[:, 2:] * middle
-    area = step[:, 0] * toward[:, 1] - step[:, 1] * toward[:, 0]
-    spread = np.sqrt(across[:, 0, 0] + across[:, 1, 1] - 2 * across[:, 0, 1])
-    offset = np.abs(area) / np.linalg.norm(toward, axis=1)
-    return spread / np.maximum(offset, 1e-12)
+def reach_of(
+    seen: MatchInput, index: Int[np.ndarray, "t v"], ends_mm: Float[np.ndarray, "t 2 3"]
+) -> Float[np.ndarray, "t v 2"]:
+    """Where every segment begins and ends along its track's line, 0 and 1 at the line's ends."""
+    reach = np.full((*index.shape, 2), np.nan)
+    for view, on, segment, matrix in _each_view(seen, index):
+        reach[on, view] = np.sort(positions_abreast(matrix, segment, ends_mm[on]), axis=1)
+    return reach
+
+
+def _each_view(
+    seen: MatchInput, index: Int[np.ndarray, "t v"]
+) -> Iterator[tuple[int, Int[np.ndarray, "_n"], np.ndarray, np.ndarray]]:
+    """(view, tracks that it sees, their segments there, the matrices of these)."""
+    frame = frames_of(seen.lines, index)
+    for view, ends in enumerate(seen.ends_px):
+        on = np.flatnonzero(index[:, view] >= 0)
+        matrix = matrices_of(seen.lines, take_groups(frame, on))[:, view]
+        yield view, on, ends[index[on, view]], matrix
+
+
+def positions_abreast(
+    matrix_px: Float[np.ndarray, "*t 3 4"],
+    segment_px: Float[np.ndarray, "t 2 2"],
+    ends_mm: Float[np.ndarray, "t 2 3"],
+) -> Float[np.ndarray, "t 2"]:
+    """Positions on each line, 0 and 1 at its ends, whose images lie abreast of a segment's ends."""
+    first, last = np.moveaxis(homogeneous_pixel(matrix_px, ends_mm), 1, 0)
+    step = last - first
+    along = segment_px[:, 1] - segment_px[:, 0]
+    place = np.einsum("tei,ti->te", segment_px, along)
+    # The image at position s is (first + s step) / its depth: linear over linear.
+    at_first, at_step = (first[:, :2] * along).sum(axis=1), (step[:, :2] * along).sum(axis=1)
+    return (place * first[:, 2:] - at_first[:, None]) / (at_step[:, None] - place * step[:, 2:])
+
+
+def common_part(
+    seen: MatchInput, index: Int[np.ndarray, "v"], near_mm: Float[np.ndarray, "2 3"]
+) -> Float[np.ndarray, "2 3"] | None:
+    """Ends, on a line through two points, of what all of its segments show; None where nothing."""
+    reach = reach_of(seen, index[None], near_mm[None])[0]
+    begin, end = np.nanmax(reach[:, 0]), np.nanmin(reach[:, 1])
+    if not begin < end:
+        return None
+    return near_mm[0] + np.array([[begin], [end]]) * (near_mm[1] - near_mm[0])
+
+
+def place_on(
+    segment_px: Float[np.ndarray, "2 2"],
+    matrix_px: Float[np.ndarray, "3 4"],
+    ends_mm: Float[np.ndarray, "2 3"],
+) -> Float[np.ndarray, "2"]:
+    """Where two points in space lie along a segment, from 0 at its first end to 1."""
+    step = segment_px[1] - segment_px[0]
+    return (project_by_matrix(matrix_px, ends_mm) - segment_px[0]) @ step / (step @ step)
+
+
+def shared_share(first: Float[np.ndarray, "2"], second: Float[np.ndarray, "2"]) -> float:
+    """Common length of two parts as a share of the shorter."""
+    low, high = max(first.min(), second.min()), min(first.max(), second.max())
+    return float((high - low) / min(np.ptp(first), np.ptp(second)))
+
+
+# Standard deviation along its segment of an end that a plane cuts, px: nothing is known of it.
+FREE_PX = 1e4
+
+
+def ending_view(
+    seen: MatchInput, index: Int[np.ndarray, "t v"], ends_mm: Float[np.ndarray, "t 2 3"]
+) -> Bool[np.ndarray, "t v 2"]:
+    """Whether it is this view's segment that ends at each of the ends of a track's line."""
+    return ending_at(reach_of(seen, index, ends_mm), np.array([0.0, 1.0]))
+
+
+def ending_at(
+    reach: Float[np.ndarray, "t v 2"], span: Float[np.ndarray, "*t 2"]
+) -> Bool[np.ndarray, "t v 2"]:
+    """The same of lines of which the part `span` is meant, where segments `reach` along them."""
+    off = np.abs(reach - np.expand_dims(span, -2))
+    nearest = np.nanargmin(off, axis=1) if len(reach) else np.zeros((0, 2), dtype=np.int64)
+    return np.arange(reach.shape[1])[None, :, None] == nearest[:, None, :]
+
+
+def fragments_of(
+    seen: MatchInput,
+    index: Int[np.ndarray, "t v"],
+    interval: Float[np.ndarray, "t v 2"],
+    ends_here: Bool[np.ndarray, "t v 2"],
+) -> tuple[Float[np.ndarray, "t v 2 2"], Float[np.ndarray, "t v 4 4"]]:
+    """(parts of the segments, undistorted; their covariances), NaN where not seen."""
+    tracks, views = index.shape
+    fragments = np.full((tracks, views, 2, 2), np.nan)
+    covariance = np.full((tracks, views, 4, 4), np.nan)
+    for view in range(views):
+        on = np.flatnonzero(index[:, view] >= 0)
+        segment = index[on, view]
+        ends, share = seen.ends_px[view][segment], interval[on, view][:, :, None]
+        fragments[on, view] = (1 - share) * ends[:, :1] + share * ends[:, 1:]
+        own = _of_parts(seen.covariance_px2[view][segment], interval[on, view])
+        covariance[on, view] = _free_where_cut(own, ends, ends_here[on, view])
+    return fragments, covariance
+
+
+def _of_parts(
+    covariance_px2: Float[np.ndarray, "n 4 4"], interval: Float[np.ndarray, "n 2"]
+) -> Float[np.ndarray, "e i f j n"]:
+    """Each end of a fragment is a mean of its segment's ends; so is its error."""
+    # Rows last: many sums of long columns, and not as many small products of matrices.
+    weight = np.stack([1 - interval.T, interval.T])
+    given = np.ascontiguousarray(covariance_px2.reshape(-1, 16).T).reshape(2, 2, 2, 2, -1)
+    half = _weighted(given, weight)
+    return _weighted(half.transpose(2, 3, 0, 1, 4), weight).transpose(2, 3, 0, 1, 4)
+
+
+def _weighted(
+    values: Float[np.ndarray, "a i b j n"], weight: Float[np.ndarray, "a e n"]
+) -> Float[np.ndarray, "e i b j n"]:
+    first, second = weight[:, :, None, None, None]
+    return first * values[0] + second * values[1]
+
+
+def _free_where_cut(
+    covariance_px2: Float[np.ndarray, "e i f j n"],
+    segment_px: Float[np.ndarray, "n 2 2"],
+    ends_here: Bool[np.ndarray, "n 2"],
+) -> Float[np.ndarray, "n 4 4"]:
+    """Covariance of ends of which those that are cut may lie anywhere along the segment."""
+    along = (segment_px[:, 1] - segment_px[:, 0]).T
+    along = along / np.sqrt((along**2).sum(axis=0))
+    push = FREE_PX**2 * along[:, None] * along
+    for e in range(2):
+        covariance_px2[e, :, e] += np.where(ends_here[:, e], 0.0, push)
+    return covariance_px2.reshape(4, 4, -1).transpose(2, 0, 1)
 
 
 def before_cameras(

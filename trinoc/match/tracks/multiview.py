@@ -11,9 +11,9 @@ from itertools import combinations
 import numpy as np
 from jaxtyping import Float, Int
 
-from trinoc.geometry import project_by_matrix
 from trinoc.match.observations import SegmentTable
 from trinoc.match.selection import Tracks
+from trinoc.match.tracks.line_fit import place_on, shared_share
 from trinoc.match.tuning import DEFAULT, MatchTuning, TrackTuning
 
 
@@ -53,7 +53,7 @@ def merge_triplets(lines: SegmentTable, tracks: Tracks, tuning: MatchTuning = DE
             (track, view)
             for view in views
             for track in on_segment.get((int(view), int(index[row, view])), [])
-            if _overlap(interval[track, view], interval[row, view]) > conflict
+            if shared_share(interval[track, view], interval[row, view]) > conflict
         ]
         if not rivals:
             kept.append(row)
@@ -72,8 +72,8 @@ def merge_triplets(lines: SegmentTable, tracks: Tracks, tuning: MatchTuning = DE
             continue
         for view in new:
             segment = segment_ends[view, index[row, view]]
-            place = _place_on(segment, matrix[view], ends[track])
-            if _overlap(place, np.array([0.0, 1.0])) < least:
+            place = place_on(segment, matrix[view], ends[track])
+            if shared_share(place, np.array([0.0, 1.0])) < least:
                 continue
             index[track, view], interval[track, view] = index[row, view], place
             _cut(index, interval, ends, track, matrix, segment_ends)
@@ -111,32 +111,16 @@ def _linked(
         if a == b or (index[a, into] >= 0).any():
             continue
         places = [
-            _place_on(segment_ends_px[view, index[b, view]], matrix_px[view], ends_mm[a])
+            place_on(segment_ends_px[view, index[b, view]], matrix_px[view], ends_mm[a])
             for view in into
         ]
-        if min(_overlap(place, np.array([0.0, 1.0])) for place in places) < least_shared:
+        if min(shared_share(place, np.array([0.0, 1.0])) for place in places) < least_shared:
             continue
         index[a, into], interval[a, into] = index[b, into], places
         _cut(index, interval, ends_mm, a, matrix_px, segment_ends_px)
         joined[b] = a
         gone.add(b)
     return gone
-
-
-def _overlap(first: Float[np.ndarray, "2"], second: Float[np.ndarray, "2"]) -> float:
-    """Common length of two parts as a share of the shorter."""
-    low, high = max(first.min(), second.min()), min(first.max(), second.max())
-    return float((high - low) / min(np.ptp(first), np.ptp(second)))
-
-
-def _place_on(
-    segment_px: Float[np.ndarray, "2 2"],
-    matrix_px: Float[np.ndarray, "3 4"],
-    ends_mm: Float[np.ndarray, "2 3"],
-) -> Float[np.ndarray, "2"]:
-    """Where two points in space lie along a segment, from 0 at its first end to 1."""
-    step = segment_px[1] - segment_px[0]
-    return (project_by_matrix(matrix_px, ends_mm) - segment_px[0]) @ step / (step @ step)
 
 
 def _cut(
@@ -158,4 +142,4 @@ def _cut(
     ends_mm[track] = weight @ ends_mm[track]
     for view in views:
         segment = segment_ends_px[view, index[track, view]]
-        interval[track, view] = _place_on(segment, matrix_px[view], ends_mm[track])
+        interval[track, view] = place_on(segment, matrix_px[view], ends_mm[track])

@@ -1,7 +1,12 @@
-from .candidates import CandidateTuning as CandidateTuning
+from .candidates import CandidateTuning as CandidateTuning, ScoutTuning as ScoutTuning
 from .cylinders import CylinderTuning as CylinderTuning
 from .every_group import DEFAULT as DEFAULT, MatchTuning as MatchTuning
-from .evidence import EndTuning as EndTuning, EvidenceTuning as EvidenceTuning
+from .evidence import (
+    ClutterTuning as ClutterTuning,
+    EndTuning as EndTuning,
+    EvidenceTuning as EvidenceTuning,
+    SideTuning as SideTuning,
+)
 from .guided import GuidedTuning as GuidedTuning
 from .line_map import (
     CollinearTuning as CollinearTuning,
@@ -9,10 +14,8 @@ from .line_map import (
     DepthTuning as DepthTuning,
     WireframeTuning as WireframeTuning,
 )
-from .observations import ClutterTuning as ClutterTuning, SideTuning as SideTuning
 from .occlusion import OcclusionTuning as OcclusionTuning
 from .rims import RimTuning as RimTuning
-from .scouting import ScoutTuning as ScoutTuning
 from .selection import (
     JunctionTuning as JunctionTuning,
     NoiseTuning as NoiseTuning,

@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass, field
 
-from trinoc.match.tuning.candidates import CandidateTuning
+from trinoc.match.tuning.candidates import CandidateTuning, ScoutTuning
 from trinoc.match.tuning.cylinders import CylinderTuning
-from trinoc.match.tuning.evidence import EndTuning, EvidenceTuning
+from trinoc.match.tuning.evidence import ClutterTuning, EndTuning, EvidenceTuning, SideTuning
 from trinoc.match.tuning.guided import GuidedTuning
 from trinoc.match.tuning.line_map import (
     CollinearTuning,
@@ -12,10 +12,8 @@ from trinoc.match.tuning.line_map import (
     DepthTuning,
     WireframeTuning,
 )
-from trinoc.match.tuning.observations import ClutterTuning, SideTuning
 from trinoc.match.tuning.occlusion import OcclusionTuning
 from trinoc.match.tuning.rims import RimTuning
-from trinoc.match.tuning.scouting import ScoutTuning
 from trinoc.match.tuning.selection import JunctionTuning, NoiseTuning, SelectionTuning
 from trinoc.match.tuning.shadows import ShadowTuning
 from trinoc.match.tuning.tracks import TrackTuning

@@ -1,11 +1,15 @@
-from .common_part import cut_pair as cut_pair, points_of as points_of
 from .epipolar_pencil import (
     Pencil as Pencil,
+    PencilSegments as PencilSegments,
+    cut_pair as cut_pair,
+    end_angles as end_angles,
+    pairs_sharing_planes as pairs_sharing_planes,
     pencil as pencil,
     pencil_of as pencil_of,
     plane_angles as plane_angles,
+    points_of as points_of,
+    row_of as row_of,
 )
-from .pencil_segments import PencilSegments as PencilSegments, row_of as row_of
 from .planes import (
     InterpretationPlanes as InterpretationPlanes,
     Sight as Sight,
@@ -15,4 +19,3 @@ from .planes import (
     sight_of as sight_of,
     variance_mm2 as variance_mm2,
 )
-from .shared_planes import end_angles as end_angles, pairs_sharing_planes as pairs_sharing_planes

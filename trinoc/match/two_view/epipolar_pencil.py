@@ -6,17 +6,119 @@ differs between partners by baseline / radius of the point: the pencil is to wid
 what rows and disparity are to rectified pictures, and stays defined with the epipoles inside
 the pictures. A segment's interpretation plane, m . ray = 0, makes its slope a sinusoid of the
 angle: slope = p cos phi + q sin phi.
+
+The segments of one view in a pencil, as rows of one table.
+
+A pair of segments cut to the part that both see, and what it predicts in a third view.
+
+Pairs of segments of two views that share epipolar planes, and those of which an end agrees.
 """
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from trinoc.match.observations import SegmentTable
-from trinoc.match.two_view.pencil_segments import PencilSegments
-from trinoc.numerics import ArrayLike, cross3, dot3, namespace_of, scaled3, vector3
+from trinoc.match.tuning import CandidateTuning
+from trinoc.numerics import (
+    ArrayLike,
+    Scalar,
+    Vector3,
+    add3,
+    blocks_of_overlapping,
+    cross3,
+    dot3,
+    namespace_of,
+    overlapping,
+    scaled3,
+    times_matrix,
+    vector3,
+)
+
+_SLOPE_VARIANCES = (11, 12, 13)
+
+
+class PencilSegments(NamedTuple):
+    """The segments of one view in a pencil.
+
+    columns : one row per quantity, in the order of what follows: kernels take and index one array.
+    """
+
+    columns: Float[ArrayLike, "16 *n"]
+
+    @property
+    def low(self) -> Scalar:
+        """Plane angle of one end, in rad, without a jump before `high`."""
+        return self.columns[0]
+
+    @property
+    def high(self) -> Scalar:
+        """Plane angle of the other end, the larger."""
+        return self.columns[1]
+
+    @property
+    def cosine_low(self) -> Scalar:
+        """Cosine of `low`."""
+        return self.columns[2]
+
+    @property
+    def sine_low(self) -> Scalar:
+        """Sine of `low`."""
+        return self.columns[3]
+
+    @property
+    def cosine_high(self) -> Scalar:
+        """Cosine of `high`."""
+        return self.columns[4]
+
+    @property
+    def sine_high(self) -> Scalar:
+        """Sine of `high`."""
+        return self.columns[5]
+
+    @property
+    def p(self) -> Scalar:
+        """Of the slope, p cos + q sin."""
+        return self.columns[6]
+
+    @property
+    def q(self) -> Scalar:
+        """Of the slope, p cos + q sin."""
+        return self.columns[7]
+
+    @property
+    def normal(self) -> Vector3:
+        """Of the interpretation plane, of unit length."""
+        return self.columns[8], self.columns[9], self.columns[10]
+
+    @property
+    def slope_variance(self) -> Vector3:
+        """(c00, c01, c11) of the slopes at the angles low and high, due to the errors of the ends
+        across the segment."""
+        low, both, high = _SLOPE_VARIANCES
+        return self.columns[low], self.columns[both], self.columns[high]
+
+    @property
+    def end_variance_px2(self) -> tuple[Scalar, Scalar]:
+        """Of the places along the segment, at low and high, that have the plane angles of a
+        partner's ends."""
+        return self.columns[14], self.columns[15]
+
+    def with_slope_error(self, variance: Scalar) -> "PencilSegments":
+        """With an error of the slope at either end beside the others."""
+        rows = list(self.columns)
+        for row in (_SLOPE_VARIANCES[0], _SLOPE_VARIANCES[-1]):
+            rows[row] = rows[row] + variance
+        return PencilSegments(namespace_of(rows[0]).stack(rows))
+
+
+def row_of(table: PencilSegments, index: Int[ArrayLike, "*p"]) -> PencilSegments:
+    """The segments of given numbers."""
+    return PencilSegments(table.columns[:, index])
 
 
 class Pencil(NamedTuple):
@@ -127,3 +229,106 @@ def plane_angles(
         return angles
     # Half a turn on either side, and not more than another for what one segment spans.
     return angles + 16.0 * np.asarray(lines.frame)[view][:, None]
+
+
+class CommonPart(NamedTuple):
+    """Where the planes of a pencil bound what both segments show.
+
+    at_low, at_high : (slope in the first view, cos, sin, 1 / radius) on both bounding planes.
+    possible : whether there is a common part, in front of both cameras.
+    """
+
+    low: Scalar
+    high: Scalar
+    at_low: tuple[Scalar, Scalar, Scalar, Scalar]
+    at_high: tuple[Scalar, Scalar, Scalar, Scalar]
+    possible: Bool[ArrayLike, "..."]
+
+
+def cut_pair(
+    baseline_mm: Scalar, a: PencilSegments, b: PencilSegments, tuning: CandidateTuning
+) -> CommonPart:
+    """Cut one segment of either view so that their ends correspond."""
+    low, high = jnp.maximum(a.low, b.low), jnp.minimum(a.high, b.high)
+    shorter = jnp.minimum(a.high - a.low, b.high - b.low)
+    a_begins, a_ends = a.low > b.low, a.high < b.high
+
+    def on_plane(cosine: Scalar, sine: Scalar) -> tuple[Scalar, Scalar, Scalar, Scalar]:
+        slope = a.p * cosine + a.q * sine
+        return slope, cosine, sine, (slope - b.p * cosine - b.q * sine) / baseline_mm
+
+    at_low = on_plane(
+        jnp.where(a_begins, a.cosine_low, b.cosine_low), jnp.where(a_begins, a.sine_low, b.sine_low)
+    )
+    at_high = on_plane(
+        jnp.where(a_ends, a.cosine_high, b.cosine_high), jnp.where(a_ends, a.sine_high, b.sine_high)
+    )
+    possible = (high - low > tuning.smallest_overlap * shorter) & (at_low[3] > 0) & (at_high[3] > 0)
+    return CommonPart(low, high, at_low, at_high, possible)
+
+
+def points_of(planes: Pencil, part: CommonPart) -> tuple[Vector3, Vector3]:
+    """Ends in space, world frame, of the common part of a pair."""
+
+    def point(at: tuple[Scalar, Scalar, Scalar, Scalar]) -> Vector3:
+        in_frame = scaled3(at[:3], 1 / at[3])
+        return add3(vector3(planes.origin_mm), times_matrix(planes.frame.mT, in_frame))
+
+    return point(part.at_low), point(part.at_high)
+
+
+def pairs_sharing_planes(
+    lines: SegmentTable,
+    views: Int[np.ndarray, "2"],
+    planes: Pencil,
+    rows: tuple[Int[np.ndarray, "n"], Int[np.ndarray, "m"]],
+    at_once: int,
+    ends_px: float | None = None,
+) -> Iterator[tuple[Int[np.ndarray, "_p"], Int[np.ndarray, "_p"]]]:
+    """Pairs of those rows that share epipolar planes, each once, about so many at a time.
+
+    With `ends_px`, only those of which the low ends or the high ends have the same plane, give or
+    take so many pixels along either segment.
+    """
+    first, second = (own.astype(np.int32) for own in rows)
+    of_views = [
+        plane_angles(lines, int(view), segments)
+        for view, segments in zip(views, (planes.first, planes.second), strict=True)
+    ]
+    if ends_px is None:
+        joined = [(of_views[0][first], of_views[1][second])]
+    else:
+        about = [
+            end_angles(lines, int(view), segments, angles, ends_px)
+            for view, segments, angles in zip(
+                views, (planes.first, planes.second), of_views, strict=True
+            )
+        ]
+        joined = [(about[0][first, end], about[1][second, end]) for end in range(2)]
+    for number, (of_first, of_second) in enumerate(joined):
+        for block in blocks_of_overlapping(of_first, of_second, at_once):
+            i, j = overlapping(of_first[block], of_second)
+            i += block.start
+            if number:
+                # Those of which both ends agree have been met.
+                one, other = joined[0][0][i], joined[0][1][j]
+                fresh = (one[:, 1] <= other[:, 0]) | (other[:, 1] <= one[:, 0])
+                i, j = i[fresh], j[fresh]
+            yield first[i], second[j]
+
+
+def end_angles(
+    lines: SegmentTable,
+    view: int,
+    segments: PencilSegments,
+    angles: Float[np.ndarray, "n 2"],
+    reach_px: float,
+    sigmas: float = 4.0,
+) -> Float[np.ndarray, "n 2 2"]:
+    """Ranges of plane angle about both ends, low and high, that reach so far along the segment, and
+    as many standard deviations further as its direction turns the end's plane."""
+    variance = np.stack([np.asarray(x) for x in segments.end_variance_px2], axis=1)
+    span = (angles[:, 1] - angles[:, 0])[:, None]
+    length = np.asarray(lines.length_px)[view, : len(angles), None]
+    reach = (reach_px + sigmas * np.sqrt(variance)) * span / length
+    return np.stack([angles - reach, angles + reach], axis=2)

@@ -1,8 +1,7 @@
 """The chain of Nevatia and Babu, in the order of the work.
 
-masks -> thinning -> chains -> edge_points -> runs -> line_fit -> shading, accept ->
-interference -> errors, saturated_edges -> endpoints. Source: R. Nevatia, K. R. Babu, "Linear
-feature extraction and description" (1980)."""
+thinning -> chains -> runs -> line_fit -> accept -> errors, saturated_edges -> endpoints.
+Source: R. Nevatia, K. R. Babu, "Linear feature extraction and description" (1980)."""
 
 import lazy_loader
 

@@ -11,8 +11,8 @@ from jaxtyping import Float, Int
 from trinoc.image import height_of_step
 from trinoc.numerics import near_pairs
 from trinoc.segments.nevatia_babu.chains import ordered_chains
-from trinoc.segments.nevatia_babu.edge_points import Runs
 from trinoc.segments.nevatia_babu.endpoints import Pieces
+from trinoc.segments.nevatia_babu.runs import Runs
 
 # Scale s of the weight 1 / (1 + (r / s)^2)^2, where the points fit well: a quarter at r = s, a
 # hundredth at r = 3 s.

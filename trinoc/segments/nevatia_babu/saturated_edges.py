@@ -15,10 +15,10 @@ from scipy.special import ndtri
 
 from trinoc.image import Light, fit_profiles, levels_of, pixels_across
 from trinoc.numerics import take_rows
-from trinoc.segments.nevatia_babu.edge_points import Level, Runs
+from trinoc.segments.nevatia_babu.accept import Shifts
 from trinoc.segments.nevatia_babu.errors import ErrorModel
 from trinoc.segments.nevatia_babu.line_fit import FittedLines
-from trinoc.segments.nevatia_babu.shading import Shifts
+from trinoc.segments.nevatia_babu.runs import Level, Runs
 from trinoc.segments.tuning import DEFAULT, SaturationTuning
 
 _BIN_PX = 0.25
