@@ -46,7 +46,7 @@ from trinoc.geometry import Camera, Rig
 from trinoc.io import save_pattern, save_scene_truth
 from trinoc.io.rig_json import save_rig
 from trinoc.synth import Scene, SceneTruth, block_scene, demo_scene, table1_rig
-from trinoc.synth.sensor import expose
+from trinoc.synth.camera_picture.delivery import quantised
 from trinoc.synth.solids import Cylinder
 
 DEMO = Path(__file__).parent.parent / "trinoc" / "synth" / "demo"
@@ -227,7 +227,8 @@ def write_image(
     """
     pixels = exposed_pixels(grey, fold=fold, blur_px=blur_px)
     sigma = noise * np.sqrt((1 + 2 * np.maximum(pixels, 0.0) / 128.0) / 3)
-    cv2.imwrite(str(path), expose(pixels, noise_sigma=sigma, seed=seed, dtype="uint8"))
+    noisy = pixels + sigma * np.random.default_rng(seed).normal(size=pixels.shape)
+    cv2.imwrite(str(path), quantised(noisy / 255.0, 8))
 
 
 def write_clean(path: Path, grey: np.ndarray, *, fold: int, blur_px: float) -> None:

@@ -48,7 +48,7 @@ def test_the_sheet_is_the_default_pattern():
 def test_two_renderers_put_the_sheet_in_one_place(view):
     """Phase correlation of POV-Ray's picture and of the ray caster's, edges enhanced."""
     picture = demo_images("sheet")[view].astype(np.float64)
-    ours = render_sheet(demo_pattern(), RIG[view], dtype="float64", supersampling=4)
+    ours = render_sheet(demo_pattern(), RIG[view], bits=None, supersampling=4)
     inside = np.zeros(picture.shape)
     corners = np.array([[-84.0, -84, 0, 1], [84, -84, 0, 1], [84, 84, 0, 1], [-84, 84, 0, 1]])
     u, v, w = RIG[view].matrix_px @ corners.T

@@ -3,23 +3,35 @@
 import numpy as np
 import pytest
 
-from tests.synth.camera_picture.views import SHEET
-from trinoc.synth.camera_picture import Paper
-from trinoc.synth.camera_picture.paper import InkedLayout
-from trinoc.synth.camera_picture.table import Table
-from trinoc.synth.shapes import ConvexPolygon
+from tests.synth.camera_picture.views import SHEET, camera_of
+from trinoc.synth.camera_picture import ConvexPolygon, Disc, Paint, Paper, SheetScene, radiance
+from trinoc.synth.camera_picture.paper import Table, printed_layers
+
+
+def shapes_of(gain_mm: float) -> list[Disc | ConvexPolygon]:
+    """The figures of the print, lowest first: lines, white before circles, circles, holes."""
+    layers = printed_layers(SHEET, paper=0.85, ink=0.09, ink_gain_mm=gain_mm)
+    assert all(isinstance(layer, Paint) for layer in layers)
+    return [layer.shape for layer in layers]
 
 
 def test_ink_gains_on_every_edge():
-    inked = InkedLayout.of(SHEET, 0.2)
-    np.testing.assert_allclose(inked.radius_mm, SHEET.radius_mm + 0.2)
-    rings = SHEET.inner_radius_mm > 0
-    np.testing.assert_allclose(inked.inner_radius_mm[rings], SHEET.inner_radius_mm[rings] - 0.2)
-    assert not inked.inner_radius_mm[~rings].any()
-    assert inked.line_width_mm == pytest.approx(SHEET.line_width_mm + 0.4)
-    # From a circle's nominal edge to the line's end there is less white by one gain.
-    reach = inked.radius_mm[0] + inked.line_gap_mm
-    assert reach == pytest.approx(SHEET.radius_mm[0] + SHEET.line_gap_mm - 0.2)
+    rings = (SHEET.inner_radius_mm > 0).sum()
+    for drawn, inked in zip(shapes_of(0.0), shapes_of(0.2), strict=True):
+        if isinstance(drawn, ConvexPolygon):
+            grown = np.ptp(inked.corners_mm, axis=0) - np.ptp(drawn.corners_mm, axis=0)
+            np.testing.assert_allclose(grown, 0.4)
+    change = [
+        inked.radius_mm - drawn.radius_mm
+        for drawn, inked in zip(shapes_of(0.0), shapes_of(0.2), strict=True)
+        if isinstance(drawn, Disc)
+    ]
+    # Circles grow; their holes and the white that ends the lines before them shrink.
+    gaps = len(change) - len(SHEET) - rings
+    assert gaps > 0
+    np.testing.assert_allclose(change[:gaps], -0.2)
+    np.testing.assert_allclose(change[gaps : gaps + len(SHEET)], 0.2)
+    np.testing.assert_allclose(change[gaps + len(SHEET) :], -0.2)
 
 
 def test_a_stretched_sheet_is_as_large_as_it_was():
@@ -29,3 +41,13 @@ def test_a_stretched_sheet_is_as_large_as_it_was():
     assert isinstance(table.sheet, ConvexPolygon)
     size = np.ptp(table.sheet.corners_mm, axis=0) * paper.print_scale
     np.testing.assert_allclose(size, [200.0, 100.0])
+
+
+def test_above_the_horizon_there_is_paper_or_table():
+    camera = camera_of(tilt_deg=4.0)
+    bare, on_table = (
+        radiance(SHEET, camera, SheetScene(Paper(table=table))).by_pixel[0, 0]
+        for table in (None, 0.3)
+    )
+    assert bare == pytest.approx(0.85)
+    assert on_table == pytest.approx(0.3)
