@@ -7,7 +7,6 @@ in cycles per pixel.
 import cv2
 import equinox as eqx
 import numpy as np
-import scipy.fft
 from jaxtyping import Complex, Float
 from scipy.special import j1
 
@@ -79,9 +78,9 @@ def spread_of_cells(optics: Optics, cells: int) -> Float[np.ndarray, "k k cells 
     """What each cell of a pixel sends to pixels up to `reach_px` rows and columns away."""
     reach = optics.reach_px
     side = (2 * reach + 1) * cells
-    fu = scipy.fft.fftfreq(side, 1 / cells)[None, :]
+    fu = np.fft.fftfreq(side, 1 / cells)[None, :]
     transfer = pixel_transfer(fu, cells) * pixel_transfer(fu.T, cells)
-    kernel = np.real(scipy.fft.ifft2(transfer * lens_transfer(optics, fu, fu.T)))
+    kernel = np.fft.ifft2(transfer * lens_transfer(optics, fu, fu.T)).real
     # From cell a of a pixel to the first cell of one d pixels on there are d cells - a.
     away = (np.arange(-reach, reach + 1)[:, None] * cells - np.arange(cells)) % side
     return kernel[away[:, None, :, None], away[None, :, None, :]]
