@@ -277,7 +277,7 @@ def main() -> None:
             camera = camera_of(truth)
             homogeneous = np.column_stack([SHEET_MM, np.ones(len(SHEET))]) @ camera.matrix_px.T
             true_px = homogeneous[:, :2] / homogeneous[:, 2:]
-            exact = render_sheet(SHEET, camera, supersampling=given.supersampling, dtype="float64")
+            exact = render_sheet(SHEET, camera, supersampling=given.supersampling, bits=None)
             for seed in range(given.seeds):
                 noise = np.random.default_rng(1000 * k + seed).normal(0.0, NOISE, exact.shape)
                 picture = np.rint(np.clip(exact + noise, 0, 255)).astype(np.uint8)

@@ -20,7 +20,7 @@ from picture_bound import Scene, bound_of_image
 from trinoc.calib import Pattern, detect_pattern
 from trinoc.errors import DetectionError
 from trinoc.geometry import PoseModel, image_of_circle_centre
-from trinoc.synth.disturbances import card
+from trinoc.synth.camera_picture import card
 
 
 class Condition(NamedTuple):
@@ -70,9 +70,12 @@ def outcomes(condition: Condition, truths: np.ndarray, seeds: int) -> tuple[list
         exact, seen = scene.picture(16), None
         if condition.covered:
             cover = card(
-                random.uniform(-25, 25, 2), size_mm=(62.0, 54.0), turn_deg=random.uniform(0, 180)
+                random.uniform(-25, 25, 2),
+                turn_deg=random.uniform(0, 180),
+                size_mm=(62.0, 54.0),
+                grey=150.0,
             )
-            whole, exact = exact, scene.picture(16, above=cover)
+            whole, exact = exact, scene.picture(16, covers=(cover,))
             seen = np.abs(whole - exact) < 1e-6
         bound = bound_of_image(scene, TRUE_NOISE, condition.parameters, seen=seen)
         for seed in range(seeds):

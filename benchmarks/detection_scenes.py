@@ -9,18 +9,16 @@ import numpy as np
 from trinoc.calib import Pattern
 from trinoc.geometry import Camera, Intrinsics
 from trinoc.synth import render_sheet, table1_lens
-from trinoc.synth.disturbances import (
-    LightGradient,
-    ShadowEdge,
+from trinoc.synth.camera_picture import (
+    Capsule,
+    Disc,
+    Light,
+    Paint,
+    Shadow,
     card,
     finger,
-    hand,
-    round_things,
-    table,
 )
-from trinoc.synth.layers import Layer
 
-PAPER_MM = (210.0, 230.0)
 # Enough for labels; the renderer's own error is then about that of the centres, so that errors
 # over sigma are twice too large. At 16 they are right, and pictures take eight times as long.
 SUPERSAMPLING = int(os.environ.get("SUPERSAMPLING", "4"))
@@ -84,7 +82,7 @@ def render(
         "blur_px": 0.7,
         "noise_sigma": 2.0,
         "supersampling": SUPERSAMPLING,
-        "below": table(PAPER_MM, float(random.uniform(40, 200))),
+        "table": float(random.uniform(40, 200)),
         "seed": int(random.integers(2**31)),
     }
     return render_sheet(pattern, camera, **(settings | changes))
@@ -127,22 +125,28 @@ def faint(random: np.random.Generator) -> Scene:
 def uneven_light(random: np.random.Generator) -> Scene:
     pattern = Pattern.default()
     camera = pose(random, pattern)
-    angle, slope = random.uniform(0, 2 * np.pi), random.uniform(0.003, 0.008)
-    light = LightGradient(slope * np.array([np.cos(angle), np.sin(angle)]))
-    return Scene(pattern, camera, render(random, pattern, camera, paper=160.0, above=(light,)))
+    light = sloping_light(random, 0.3, 0.8)
+    return Scene(pattern, camera, render(random, pattern, camera, paper=160.0, light=light))
+
+
+def sloping_light(random: np.random.Generator, low: float, high: float) -> Light:
+    """Light that rises by a share of `low` to `high` in 100 mm, in any direction."""
+    angle, slope = random.uniform(0, 2 * np.pi), random.uniform(low, high)
+    return Light((float(slope * np.cos(angle)), float(slope * np.sin(angle))))
 
 
 def shaded(random: np.random.Generator) -> Scene:
     pattern = Pattern.default()
     camera = pose(random, pattern)
-    angle = random.uniform(0, 2 * np.pi)
-    edge = ShadowEdge(
-        random.uniform(-60, 60, 2),
-        np.array([np.cos(angle), np.sin(angle)]),
-        float(random.uniform(0.35, 0.7)),
-        float(random.uniform(0.2, 10)),
+    direction_deg = float(random.uniform(0, 360))
+    point_x, point_y = map(float, random.uniform(-60, 60, 2))
+    edge = Shadow(
+        (point_x, point_y),
+        direction_deg,
+        light_left=float(random.uniform(0.35, 0.7)),
+        penumbra_mm=float(random.uniform(0.2, 10)),
     )
-    return Scene(pattern, camera, render(random, pattern, camera, above=(edge,)))
+    return Scene(pattern, camera, render(random, pattern, camera, light=Light(shadows=(edge,))))
 
 
 def covered(random: np.random.Generator) -> Scene:
@@ -150,27 +154,59 @@ def covered(random: np.random.Generator) -> Scene:
     pattern = Pattern.default()
     camera = pose(random, pattern)
     wanted = random.uniform(0.15, 0.4) * len(pattern)
-    above: tuple[Layer, ...] = ()
+    covers: tuple[Paint, ...] = ()
     for _ in range(12):
         place, turn = random.uniform(-85, 85, 2), float(random.uniform(0, 360))
         grey = float(random.uniform(40, 200))
         kind = random.integers(3)
         more = (
-            card(place, turn_deg=turn, grey=grey)
+            (card(place, turn_deg=turn, grey=grey),)
             if kind == 0
-            else finger(place, direction_deg=turn, grey=grey)
+            else (finger(place, turn, length_mm=90.0, grey=grey),)
             if kind == 1
             else hand(place * 1.4, direction_deg=turn, grey=grey)
         )
-        touched = touched_circles(pattern, above + tuple(more))
+        touched = touched_circles(pattern, covers + more)
         if touched <= 0.42 * len(pattern):
-            above += tuple(more)
-        if touched_circles(pattern, above) >= wanted:
+            covers += more
+        if touched_circles(pattern, covers) >= wanted:
             break
-    return Scene(pattern, camera, render(random, pattern, camera, above=above))
+    return Scene(pattern, camera, render(random, pattern, camera, covers=covers))
 
 
-def touched_circles(pattern: Pattern, layers: tuple[Layer, ...]) -> int:
+def hand(palm_mm: np.ndarray, *, direction_deg: float, grey: float) -> tuple[Paint, ...]:
+    """A flat hand; `direction_deg` leads from the palm to the finger tips."""
+    angle = np.radians(direction_deg)
+    along = np.array([np.cos(angle), np.sin(angle)])
+    across = np.array([-np.sin(angle), np.cos(angle)])
+    arm = Capsule(np.stack([palm_mm - 250 * along, palm_mm]), 30.0)
+    parts = [Paint(arm, grey - 8), Paint(Disc(palm_mm, 42.0), grey)]
+    for place, length in ((-30.0, 62.0), (-10.0, 76.0), (10.0, 72.0), (30.0, 52.0)):
+        tip = palm_mm + place * across + (34.0 + length) * along
+        parts.append(finger(tip, direction_deg + 180.0, length_mm=length, grey=grey))
+    thumb = palm_mm + 72.0 * across + 38.0 * along
+    parts.append(finger(thumb, direction_deg + 215.0, length_mm=58.0, grey=grey))
+    return tuple(parts)
+
+
+def round_things(
+    random: np.random.Generator, *, count: int, reach_mm: float, clear_mm: float = 0.0
+) -> tuple[Paint, ...]:
+    """Coins, washers and ink blots, 3 to 13 mm in radius, at least `clear_mm` from the middle."""
+    parts: list[Paint] = []
+    for _ in range(count):
+        centre = random.uniform(-reach_mm, reach_mm, 2)
+        radius, grey = float(random.uniform(3.0, 13.0)), float(random.uniform(15.0, 190.0))
+        if np.abs(centre).max() - radius < clear_mm:
+            continue
+        parts.append(Paint(Disc(centre, radius), grey))
+        if random.random() < 0.5:
+            hole = float(random.uniform(0.3, 0.7)) * radius
+            parts.append(Paint(Disc(centre, hole), float(random.uniform(60.0, 250.0))))
+    return tuple(parts)
+
+
+def touched_circles(pattern: Pattern, layers: tuple[Paint, ...]) -> int:
     angle = np.linspace(0, 2 * np.pi, 24, endpoint=False)
     ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     reach = np.array([1.0, 0.5, 0.0])[:, None, None] * ring
@@ -190,9 +226,8 @@ def small(random: np.random.Generator) -> Scene:
 def cluttered(random: np.random.Generator) -> Scene:
     pattern = Pattern.default()
     camera = pose(random, pattern, filled=(0.4, 0.8))
-    things = round_things(int(random.integers(2**31)), count=14, reach_mm=220.0)
-    below = table(PAPER_MM, float(random.uniform(40, 200))) + tuple(things)
-    return Scene(pattern, camera, render(random, pattern, camera, below=below))
+    things = round_things(random, count=17, reach_mm=220.0, clear_mm=80.0)
+    return Scene(pattern, camera, render(random, pattern, camera, covers=things))
 
 
 def through(random: np.random.Generator) -> Scene:
@@ -216,7 +251,7 @@ def crossed(random: np.random.Generator, style: str) -> Scene:
 def deep(random: np.random.Generator) -> Scene:
     pattern = Pattern.default()
     camera = pose(random, pattern)
-    picture = render(random, pattern, camera, dtype="uint16")
+    picture = render(random, pattern, camera, bits=16)
     return Scene(pattern, camera, picture)
 
 
@@ -232,7 +267,7 @@ def coloured(random: np.random.Generator) -> Scene:
     pattern = Pattern.default()
     camera = pose(random, pattern)
     tint = random.uniform(0.4, 1.0, 3)
-    picture = render(random, pattern, camera, dtype="float64", noise_sigma=0.0)
+    picture = render(random, pattern, camera, bits=None)
     noise = random.normal(0, 2, (*picture.shape, 3))
     return Scene(
         pattern, camera, np.rint((picture[..., None] * tint + noise).clip(0, 255)).astype("u1")
@@ -258,9 +293,8 @@ def everything(random: np.random.Generator) -> Scene:
     """All troubles at once, each a little."""
     pattern = Pattern.default()
     camera = pose(random, pattern, obliquity_deg=(0, 60), filled=(0.6, 0.95))
-    angle, slope = random.uniform(0, 2 * np.pi), random.uniform(0, 0.004)
-    above = (LightGradient(slope * np.array([np.cos(angle), np.sin(angle)])),)
-    above += tuple(finger(random.uniform(-80, 80, 2), direction_deg=float(random.uniform(0, 360))))
+    light = sloping_light(random, 0.0, 0.4)
+    tip_mm, direction_deg = random.uniform(-80, 80, 2), float(random.uniform(0, 360))
     paper = random.uniform(120, 200)
     picture = render(
         random,
@@ -270,7 +304,8 @@ def everything(random: np.random.Generator) -> Scene:
         ink=paper * random.uniform(0.2, 0.6),
         blur_px=random.uniform(0.5, 2.0),
         noise_sigma=random.uniform(1, 6),
-        above=above,
+        light=light,
+        covers=(finger(tip_mm, direction_deg, length_mm=90.0, grey=140.0),),
     )
     return Scene(pattern, camera, picture)
 
@@ -284,8 +319,8 @@ def no_sheet(random: np.random.Generator) -> Scene:
     pattern = Pattern.default()
     camera = pose(random, pattern)
     blank = Pattern.circle_grid(rows=1, columns=1, pitch_mm=20, radius_mm=6)
-    things = round_things(int(random.integers(2**31)), count=30, reach_mm=200.0)
-    return Scene(pattern, camera, render(random, blank, camera, above=tuple(things)), refused=True)
+    things = round_things(random, count=30, reach_mm=200.0)
+    return Scene(pattern, camera, render(random, blank, camera, covers=things), refused=True)
 
 
 def other_sheet(random: np.random.Generator) -> Scene:

@@ -39,12 +39,13 @@ CAMERAS, SHOTS = ("left", "right"), 6
 def make_inputs(folder: Path) -> None:
     """Pictures, places, segments, matches and rigs of fixed seeds, as files."""
     from intrinsics import LENS, image_of, random_poses
+    from picture_conditions import CONDITIONS
     from rigs_from_shots import BOARDS, boards, observed
 
     import trinoc
     from trinoc.io import demo_images, demo_pattern
     from trinoc.synth import Detector, loose_segments, simulate_segments, table1_lens, table1_rig
-    from trinoc.synth.camera_picture import CONDITIONS, camera_picture
+    from trinoc.synth.camera_picture import camera_picture
 
     trinoc.enable_compile_cache()
     condition = CONDITIONS["vignette and broad glare"]

@@ -51,7 +51,7 @@ def random_poses(seed: int, count: int) -> np.ndarray:
 def image_of(values: np.ndarray, pose: np.ndarray) -> np.ndarray:
     lens = simplified(BrownConrady.from_parameters(values))
     camera = Camera(Intrinsics.of_lens(lens, SIZE_PX), Pose(pose))
-    return render_sheet(SHEET, camera, paper=PAPER, ink=INK, blur_px=BLUR_PX, dtype="float64")
+    return render_sheet(SHEET, camera, paper=PAPER, ink=INK, blur_px=BLUR_PX, bits=None)
 
 
 def bound(poses: np.ndarray) -> np.ndarray:

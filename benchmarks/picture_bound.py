@@ -41,7 +41,7 @@ class Scene:
             aim_mm=(aim_x, aim_y),
         )
 
-    def picture(self, supersampling: int, above: tuple = ()) -> np.ndarray:
+    def picture(self, supersampling: int, covers: tuple = ()) -> np.ndarray:
         """Grey levels without noise or rounding."""
         return render_sheet(
             self.pattern,
@@ -50,8 +50,8 @@ class Scene:
             ink=self.ink,
             blur_px=self.blur_px,
             supersampling=supersampling,
-            above=above,
-            dtype="float64",
+            covers=covers,
+            bits=None,
         )
 
     def spread(self, step_mm: float) -> "Scene":

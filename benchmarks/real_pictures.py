@@ -3,7 +3,7 @@
     python benchmarks/real_pictures.py [--pictures 8] [--conditions NAME ...]
         [--method picture circles] [--processes 2] [--output FILE.json] [--against FILE.json]
 
-The conditions are those of `trinoc.synth.camera_picture.CONDITIONS`; --conditions takes names or
+The conditions are those of `benchmarks/picture_conditions.py`; --conditions takes names or
 beginnings of names. Poses alternate, three near the paper's Table 1 and one further round the
 sheet; seeds are fixed. Per condition and method, over pictures and the four parameters:
 
@@ -31,20 +31,14 @@ from typing import Any
 
 import numpy as np
 from picture_bound import Scene, bound_of_image
+from picture_conditions import CONDITIONS, Case, SheetGrid
 
 import trinoc
 from trinoc.calib.uncertainty import data_sheet_covariance
 from trinoc.errors import CalibrationError
 from trinoc.numerics import in_float64
 from trinoc.synth import table1_lens
-from trinoc.synth.camera_picture import (
-    CONDITIONS,
-    Condition,
-    SheetGrid,
-    delivered_picture,
-    irradiance,
-    radiance,
-)
+from trinoc.synth.camera_picture import delivered_picture, irradiance, radiance
 from trinoc.synth.rigs import TABLE_1
 
 NAMES = ("pan_deg", "tilt_deg", "swing_deg", "distance_mm")
@@ -82,7 +76,7 @@ def pattern_of(sheet: SheetGrid) -> trinoc.Pattern:
     )
 
 
-def view_of(condition: Condition) -> tuple:
+def view_of(condition: Case) -> tuple:
     """What the radiance depends on besides the pose."""
     return (
         condition.scene,
@@ -124,7 +118,7 @@ def records_of_picture(
 
 
 @in_float64
-def bound_of(condition: Condition, pose: Pose, known: dict[tuple, np.ndarray]) -> list[float]:
+def bound_of(condition: Case, pose: Pose, known: dict[tuple, np.ndarray]) -> list[float]:
     """Least standard deviations of the four parameters on a linear camera."""
     paper, sensor = condition.scene.paper, condition.sensor
     blur_px = condition.optics.rms_px
@@ -142,7 +136,7 @@ def bound_of(condition: Condition, pose: Pose, known: dict[tuple, np.ndarray]) -
     return [relative * float(value) for value in known[key]]
 
 
-def fit_of(picture: np.ndarray, condition: Condition, pose: Pose, method: str) -> Record:
+def fit_of(picture: np.ndarray, condition: Case, pose: Pose, method: str) -> Record:
     """One calibration: error, sigma, status and notes."""
     told = condition.told
     lens = condition.said_lens(LENS)

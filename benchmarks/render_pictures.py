@@ -1,15 +1,21 @@
 """Make pictures of the sheet and of block scenes with POV-Ray, and their truth.
 
+    python benchmarks/render_pictures.py sheets [--out trinoc/synth/demo]
     python benchmarks/render_pictures.py demo [--out trinoc/synth/demo]
+    python benchmarks/render_pictures.py pov-sheet FILE
     python benchmarks/render_pictures.py blocks OUT --seeds 0 1 2 [--resolution 4]
         [--no-shadows] [--sharp]
     python benchmarks/render_pictures.py colours OUT --seeds 0 1 2
 
-Needs the program povray (Debian: apt-get install povray); nothing else in trinoc does.
+All but `sheets` need the program povray (Debian: apt-get install povray); nothing else in trinoc
+does.
 
-`demo` makes the bundled pictures: the default sheet (sheet_<view>.png) and a table with boxes,
-a wedge, an L-shaped block and a cylinder (scene_<view>.png) as the rig of the paper's Table 1
-sees them, 512 x 480 pixels that are not square, with truth.json and pattern.json.
+`sheets` makes the bundled pictures of the default sheet (sheet_<view>.png, pattern.json) by
+`trinoc.synth.camera_picture`, as the rig of the paper's Table 1 sees it, 512 x 480 pixels that are
+not square. `demo` makes these and the scene: a table with boxes, a wedge, an L-shaped block and a
+cylinder (scene_<view>.png, truth.json). Noise is drawn by the number of the view, 0 to 2.
+
+`pov-sheet` makes the left camera's picture of the sheet by POV-Ray, which the tests compare.
 
 `blocks` makes one folder OUT/block_<seed> per seed with scene_<view>.png, rig.json,
 shadows_<view>.png (the grey levels that shadows take away, without blur and noise),
@@ -46,11 +52,18 @@ from trinoc.geometry import Camera, Rig
 from trinoc.io import save_pattern, save_scene_truth
 from trinoc.io.rig_json import save_rig
 from trinoc.synth import Scene, SceneTruth, block_scene, demo_scene, table1_rig
-from trinoc.synth.sensor import expose
+from trinoc.synth.camera_picture import Condition, Paper, Sensor, SheetScene, camera_picture
+from trinoc.synth.camera_picture.delivery import quantised
 from trinoc.synth.solids import Cylinder
 
 DEMO = Path(__file__).parent.parent / "trinoc" / "synth" / "demo"
 SHEET_MM = (210.0, 200.0)
+# The noise of a CCD, as `write_image` has it: sigma 1.5 grey levels at 128, two thirds of the
+# variance in proportion to the light. The light is even: see "Light" in docs/demo.md.
+DEMO_SHEET = Condition(
+    SheetScene(Paper(table=0.4, size_mm=SHEET_MM)),
+    sensor=Sensor(read_levels=1.5 / 3**0.5, electrons_per_level=128 / 1.5),
+)
 DEMO_LIGHT = Light(
     key_from_mm=(-420.0, -330.0, 900.0), key=0.82, key_side_mm=330.0,
     fill_from_mm=(900.0, -500.0, 500.0), fill=0.34,
@@ -66,8 +79,12 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     commands = parser.add_subparsers(dest="command", required=True)
+    sheets = commands.add_parser("sheets", help="the bundled pictures of the sheet")
     demo = commands.add_parser("demo", help="the bundled pictures")
-    demo.add_argument("--out", type=Path, default=DEMO, help="folder of the pictures")
+    for command in (sheets, demo):
+        command.add_argument("--out", type=Path, default=DEMO, help="folder of the pictures")
+    pov_sheet = commands.add_parser("pov-sheet", help="the sheet by POV-Ray")
+    pov_sheet.add_argument("out", type=Path, help="the picture")
     blocks = commands.add_parser("blocks", help="scenes of blocks, one per seed")
     blocks.add_argument("out", type=Path, help="folder of the scenes; made if needed")
     blocks.add_argument(
@@ -81,11 +98,18 @@ def main() -> None:
     colours = commands.add_parser("colours", help="scenes of coloured blocks, as light")
     colours.add_argument("out", type=Path, help="folder of the scenes; made if needed")
     colours.add_argument("--seeds", type=int, nargs="+", default=list(range(6)), help="one each")
-    for command in (demo, blocks, colours):
+    for command in (demo, pov_sheet, blocks, colours):
         command.add_argument("--threads", type=int, default=2, help="of POV-Ray")
     arguments = parser.parse_args()
-    if arguments.command == "demo":
-        make_demo(arguments.out, arguments.threads)
+    if arguments.command == "sheets":
+        make_sheets(arguments.out)
+    elif arguments.command == "demo":
+        make_sheets(arguments.out)
+        make_demo_scene(arguments.out, arguments.threads)
+    elif arguments.command == "pov-sheet":
+        text = sheet_text(Pattern.default(), size_mm=SHEET_MM, paper=0.92, ink=0.09, table=0.40)
+        grey = render(text, table1_rig()["left"], fold=8, threads=arguments.threads)
+        write_image(arguments.out, grey, fold=8, blur_px=0.7, noise=1.5, seed=1)
     elif arguments.command == "colours":
         for seed in arguments.seeds:
             make_colours(arguments.out, seed, arguments.threads)
@@ -97,16 +121,19 @@ def main() -> None:
             )  # fmt: skip
 
 
-def make_demo(out: Path, threads: int) -> None:
-    """The sheet and the scene of the demo."""
+def make_sheets(out: Path) -> None:
+    """The demo's pictures of the sheet."""
     out.mkdir(parents=True, exist_ok=True)
-    rig, pattern = table1_rig(), Pattern.default()
+    pattern = Pattern.default()
     save_pattern(pattern, out / "pattern.json")
-    text = sheet_text(pattern, size_mm=SHEET_MM, paper=0.92, ink=0.09, table=0.40)
-    for seed, (view, camera) in enumerate(rig.items()):
-        grey = render(text, camera, fold=8, threads=threads)
-        write_image(out / f"sheet_{view}.png", grey, fold=8, blur_px=0.7, noise=1.5, seed=seed)
-    scene = demo_scene()
+    for seed, (view, camera) in enumerate(table1_rig().items()):
+        picture = camera_picture(pattern, camera, DEMO_SHEET, seed=seed)
+        cv2.imwrite(str(out / f"sheet_{view}.png"), picture)
+
+
+def make_demo_scene(out: Path, threads: int) -> None:
+    """The demo's scene of blocks."""
+    scene, rig = demo_scene(), table1_rig()
     greys = face_greys(scene, DEMO_GREYS, np.random.default_rng(7), spread=0.05)
     make_scene(
         out, scene, rig, blocks_text(scene, greys, DEMO_TABLE_GREY, DEMO_LIGHT),
@@ -227,7 +254,8 @@ def write_image(
     """
     pixels = exposed_pixels(grey, fold=fold, blur_px=blur_px)
     sigma = noise * np.sqrt((1 + 2 * np.maximum(pixels, 0.0) / 128.0) / 3)
-    cv2.imwrite(str(path), expose(pixels, noise_sigma=sigma, seed=seed, dtype="uint8"))
+    noisy = pixels + sigma * np.random.default_rng(seed).normal(size=pixels.shape)
+    cv2.imwrite(str(path), quantised(noisy / 255.0, 8))
 
 
 def write_clean(path: Path, grey: np.ndarray, *, fold: int, blur_px: float) -> None:

@@ -60,7 +60,7 @@ from trinoc.geometry import (
     rotation_from_vector,
 )
 from trinoc.synth import Cells, render_sheet
-from trinoc.synth.layers import Paint
+from trinoc.synth.camera_picture import Paint
 
 BOARDS = {
     "sheet": Pattern.default(),
@@ -143,13 +143,13 @@ FISHEYE = Setup(
 def rendered(board, lens, pose, *, paper=PAPER, ink=INK, blur_px=BLUR_PX, fine=8):
     """The picture without noise."""
     camera = Camera(Intrinsics.of_lens(lens, SIZE_PX), Pose(pose))
-    drawn, above = board, ()
+    drawn, covers = board, ()
     if not isinstance(board, Pattern):
         sheet = square_sheet(board)
-        drawn, above = BARE, (Paint(Cells(sheet.x_mm, sheet.y_mm, sheet.ink), ink),)
+        drawn, covers = BARE, (Paint(Cells(sheet.x_mm, sheet.y_mm, sheet.ink), ink),)
     return render_sheet(
-        drawn, camera, paper=paper, ink=ink, blur_px=blur_px, above=above, supersampling=fine,
-        dtype="float64",
+        drawn, camera, paper=paper, ink=ink, blur_px=blur_px, covers=covers, supersampling=fine,
+        bits=None,
     )  # fmt: skip
 
 

@@ -5,6 +5,7 @@ from functools import cache
 
 import cv2
 import numpy as np
+from picture_conditions import CONDITIONS, Case
 from rigs_from_pixels import NOISE, PERSPECTIVE, rendered
 from rigs_from_shots import LENSES, SIZE_PX, boards, observed, rotation, seen
 
@@ -13,7 +14,7 @@ from trinoc.calib import AbstractTarget, CalibrationResult, Detection
 from trinoc.geometry import BrownConrady
 from trinoc.io import demo_images, demo_pattern
 from trinoc.synth import Detector, block_scene, simulate_segments, table1_lens, table1_rig
-from trinoc.synth.camera_picture import CONDITIONS, Condition, camera_picture
+from trinoc.synth.camera_picture import camera_picture
 
 EXACT = trinoc.Systematics()
 TERMS = trinoc.Systematics(print_scale_sigma=(0.0005, 0.0005), flatness_mm=0.1, aim_sigma_mm=0.2)
@@ -84,7 +85,7 @@ def five_view_rig() -> trinoc.Rig:
 
 
 @cache
-def delivered(name: str, seed: int = 1) -> tuple[np.ndarray, trinoc.Intrinsics, Condition]:
+def delivered(name: str, seed: int = 1) -> tuple[np.ndarray, trinoc.Intrinsics, Case]:
     """(picture, lens as it is said to be, condition) of a named way in which cameras deliver."""
     condition, ideal = CONDITIONS[name], table1_lens()
     camera = condition.camera(ideal, POSE)

@@ -1,4 +1,4 @@
-from .cells import Cells as Cells
+from .camera_picture import Cells as Cells, render_sheet as render_sheet
 from .observations import Detector as Detector, simulate_segments as simulate_segments
 from .rigs import random_rig as random_rig, table1_lens as table1_lens, table1_rig as table1_rig
 from .scenes import (
@@ -9,7 +9,6 @@ from .scenes import (
     points_along as points_along,
     see_through_boxes as see_through_boxes,
 )
-from .sheet_image import render_sheet as render_sheet
 from .truth import (
     NOT_SCORED as NOT_SCORED,
     SceneTruth as SceneTruth,

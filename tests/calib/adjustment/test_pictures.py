@@ -3,15 +3,10 @@
 import numpy as np
 import pytest
 
+from benchmarks.picture_conditions import CONDITIONS
 from trinoc.calib import CalibrationResult, Pattern, Status, Systematics, calibrate
 from trinoc.synth import table1_lens
-from trinoc.synth.camera_picture import (
-    CONDITIONS,
-    Condition,
-    delivered_picture,
-    irradiance,
-    radiance,
-)
+from trinoc.synth.camera_picture import camera_picture
 from trinoc.synth.rigs import TABLE_1
 
 LENS = table1_lens()
@@ -21,15 +16,12 @@ POSE = (PAN + 1.0, TILT - 2.0, SWING + 0.5, DISTANCE + 6.0)
 
 def answer(name: str, known: Systematics) -> tuple[CalibrationResult, np.ndarray]:
     """The calibration of one picture, and its errors in claimed sigmas."""
-    condition: Condition = CONDITIONS[name]
+    condition = CONDITIONS[name]
     grid = condition.sheet
     pattern = Pattern.cross_grid(
         rows=grid.rows, columns=grid.columns, pitch_mm=grid.pitch_mm, radius_mm=grid.radius_mm
     )
-    light = irradiance(
-        radiance(pattern, condition.camera(LENS, POSE), condition.scene), condition.optics
-    )
-    picture = delivered_picture(light, condition.sensor, condition.processing, seed=41)
+    picture = camera_picture(pattern, condition.camera(LENS, POSE), condition, seed=41)
     result = calibrate({"a": picture}, pattern, LENS, systematics=known)
     return result, (result.values - POSE) / np.sqrt(np.diag(result.covariance))
 

@@ -4,11 +4,12 @@ import jax
 import numpy as np
 import pytest
 
+from benchmarks.detection_scenes import round_things
 from trinoc.calib import Detection, Pattern, detect_pattern
 from trinoc.errors import DetectionError, InputError
 from trinoc.geometry import Camera, image_of_circle_centre
 from trinoc.synth import render_sheet, table1_lens, table1_rig
-from trinoc.synth.disturbances import LightGradient, card, round_things, table
+from trinoc.synth.camera_picture import Light, card
 
 SHEET = Pattern.default()
 CAMERA = table1_rig()["right"]
@@ -60,7 +61,7 @@ def test_lines_lie_where_they_are(found):
 
 
 def test_errors_are_as_large_as_claimed():
-    clean = render_sheet(SHEET, CAMERA, supersampling=16, dtype="float64")
+    clean = render_sheet(SHEET, CAMERA, supersampling=16, bits=None)
     random = np.random.default_rng(5)
     scaled = []
     for _ in range(8):
@@ -144,8 +145,8 @@ def test_no_sheet_is_said_to_be_none(kind):
         empty = random.integers(0, 256, (480, 512)).astype(np.uint8)
     else:
         speck = Pattern.circle_grid(rows=1, columns=1, pitch_mm=20, radius_mm=1)
-        above = round_things(4, count=40, reach_mm=150.0)
-        empty = render_sheet(speck, CAMERA, supersampling=2, above=above)
+        things = round_things(random, count=40, reach_mm=150.0)
+        empty = render_sheet(speck, CAMERA, supersampling=2, covers=things)
     with pytest.raises(DetectionError, match=r"No sheet|Only"):
         detect_pattern(empty, SHEET)
 
@@ -162,12 +163,11 @@ def test_a_corner_too_small_to_name_its_place_is_refused(picture, found):
 @pytest.mark.parametrize("seed", range(4))
 def test_a_covered_sheet_keeps_right_labels(seed):
     random = np.random.default_rng(seed)
-    above = tuple(
-        layer
+    cards = tuple(
+        card(random.uniform(-60, 60, 2), turn_deg=random.uniform(0, 180), grey=150.0)
         for _ in range(2)
-        for layer in card(random.uniform(-60, 60, 2), turn_deg=random.uniform(0, 180))
     )
-    covered = render_sheet(SHEET, CAMERA, noise_sigma=2.0, supersampling=4, above=above, seed=seed)
+    covered = render_sheet(SHEET, CAMERA, noise_sigma=2.0, supersampling=4, covers=cards, seed=seed)
     detection = detect_pattern(covered, SHEET)
     assert len(detection) > 25
     assert np.abs(errors_px(detection, CAMERA, SHEET)).max() < 0.5
@@ -195,8 +195,8 @@ def test_bad_pictures_still_show_the_sheet(blur_px, noise_sigma, ink):
 
 
 def test_slanting_light_does_not_move_the_centres():
-    light = (LightGradient(np.array([0.004, -0.003])),)
-    lit = render_sheet(SHEET, CAMERA, paper=150.0, noise_sigma=1.0, above=light)
+    light = Light(slope=(0.4, -0.3))
+    lit = render_sheet(SHEET, CAMERA, paper=150.0, noise_sigma=1.0, light=light)
     error = errors_px(detect_pattern(lit, SHEET), CAMERA, SHEET)
     assert np.abs(error.mean(axis=0)).max() < 3e-3
 
@@ -210,7 +210,7 @@ def test_a_sheet_seen_at_a_slant_is_found(obliquity_deg):
         swing_deg=20.0,
         distance_mm=450.0,
     )
-    picture = render_sheet(SHEET, camera, noise_sigma=2.0, below=table((210.0, 230.0), 90.0))
+    picture = render_sheet(SHEET, camera, noise_sigma=2.0, table=90.0)
     detection = detect_pattern(picture, SHEET)
     assert len(detection) >= 60
     assert np.abs(errors_px(detection, camera, SHEET)).max() < 0.1

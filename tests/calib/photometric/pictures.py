@@ -45,7 +45,7 @@ def image_of(pattern: Pattern, values: tuple[float, ...], supersampling: int = 1
         camera_of(values[:4], LENS, (values[4], values[5])),
         blur_px=BLUR_PX,
         supersampling=supersampling,
-        dtype="float64",
+        bits=None,
     )
 
 

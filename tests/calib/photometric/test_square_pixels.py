@@ -20,7 +20,7 @@ from trinoc.geometry import (
 )
 from trinoc.numerics import in_float64
 from trinoc.synth import Cells, render_sheet
-from trinoc.synth.layers import Paint
+from trinoc.synth.camera_picture import Paint
 
 SIZE_PX = (320, 240)
 FISHEYE = KannalaBrandt.from_parameters(
@@ -49,11 +49,11 @@ def picture_of(board, lens, where) -> np.ndarray:
     return render_sheet(
         Bare(),
         Camera(Intrinsics.of_lens(lens, SIZE_PX), Pose(where)),
-        above=(Paint(Cells(sheet.x_mm, sheet.y_mm, sheet.ink), INK),),
+        covers=(Paint(Cells(sheet.x_mm, sheet.y_mm, sheet.ink), INK),),
         paper=PAPER,
         blur_px=0.7,
         supersampling=4,
-        dtype="float64",
+        bits=None,
     )
 
 

@@ -25,8 +25,7 @@ from trinoc.calib.photometric.unknowns import IDEAL
 from trinoc.calib.targets import square_sheet
 from trinoc.errors import InputError
 from trinoc.synth import Cells, render_sheet
-from trinoc.synth.layers import Paint
-from trinoc.synth.shapes import ConvexPolygon
+from trinoc.synth.camera_picture import ConvexPolygon, Paint
 
 BOARDS = {
     "chessboard": Chessboard(rows=4, columns=5, square_mm=20.0),
@@ -59,11 +58,11 @@ def picture(board):
     return render_sheet(
         Bare(),
         camera_of(RIGHT[:4], LENS, (0.0, 0.0)),
-        above=(Paint(Cells(sheet.x_mm, sheet.y_mm, sheet.ink), INK),),
+        covers=(Paint(Cells(sheet.x_mm, sheet.y_mm, sheet.ink), INK),),
         paper=PAPER,
         blur_px=BLUR_PX,
         supersampling=6,
-        dtype="float64",
+        bits=None,
     )
 
 

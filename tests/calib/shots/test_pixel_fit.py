@@ -36,7 +36,7 @@ from trinoc.calib.rig_pixels import expect_method, quarters_of_tags
 from trinoc.errors import InputError
 from trinoc.geometry import Camera, Intrinsics, Pose
 from trinoc.synth import Cells, render_sheet
-from trinoc.synth.layers import Paint
+from trinoc.synth.camera_picture import Paint
 
 SHEET = Pattern.cross_grid(rows=5, columns=6, pitch_mm=25.0, radius_mm=7.0, line_width_mm=0.0)
 
@@ -127,7 +127,7 @@ def test_how_tags_are_turned_is_read_off_a_picture(quarters):
     picture = render_sheet(
         Pattern.circle_grid(rows=1, columns=1, pitch_mm=1, radius_mm=0.1),
         _camera("left", board_poses(2)[0]),
-        above=(Paint(Cells(sheet.x_mm, sheet.y_mm, sheet.ink), 25.0),),
+        covers=(Paint(Cells(sheet.x_mm, sheet.y_mm, sheet.ink), 25.0),),
         supersampling=2,
     )
     assert quarters_of_tags(seen, board, lambda _: picture) == quarters

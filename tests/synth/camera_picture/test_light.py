@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from tests.synth.camera_picture.views import camera_of
-from trinoc.synth.camera_picture import Lamp, Light
+from trinoc.synth.camera_picture import Lamp, Light, Paper
 from trinoc.synth.camera_picture.light import light_on_sheet, passed_by_lens, reflection
-from trinoc.synth.canvas import pixel_grid_px, points_on_sheet
+from trinoc.synth.camera_picture.sheet_view import SheetView
 
 
 def seen_in_world(camera):
-    places = points_on_sheet(camera, pixel_grid_px(camera.image_size_px, 0))
-    return np.concatenate([places, np.zeros((*places.shape[:2], 1))], axis=-1)
+    view = SheetView(camera, Paper())
+    return view.points_world_mm(view.centres_mm(0))
 
 
 def test_the_lamp_is_brightest_where_a_mirror_would_show_it():

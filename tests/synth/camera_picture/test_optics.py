@@ -5,9 +5,10 @@ import pytest
 from scipy.integrate import quad
 from scipy.special import ndtr
 
+from tests.synth.camera_picture.views import CELLS, radiance_of
 from trinoc.errors import InputError
 from trinoc.synth.camera_picture import Optics, irradiance
-from trinoc.synth.camera_picture.scene import CELLS, MARGIN_PX
+from trinoc.synth.camera_picture.scene import MARGIN_PX
 
 SIDE_PX = 96 + 2 * MARGIN_PX
 
@@ -20,8 +21,12 @@ def grating(waves_u, waves_v):
     return 1 + np.sinc(fu / CELLS) * np.sinc(fv / CELLS) * np.cos(phase)
 
 
+def light_of(cells, optics):
+    return irradiance(radiance_of(cells, MARGIN_PX), optics)
+
+
 def contrast(waves_u, waves_v, optics):
-    picture = irradiance(grating(waves_u, waves_v), optics)
+    picture = light_of(grating(waves_u, waves_v), optics)
     at = np.arange(MARGIN_PX, SIDE_PX - MARGIN_PX)
     phase = 2 * np.pi * (waves_u * at[None, :] + waves_v * at[:, None]) / SIDE_PX
     basis = np.stack([np.ones_like(phase), np.cos(phase), np.sin(phase)], axis=-1).reshape(-1, 3)
@@ -45,12 +50,14 @@ def test_contrast_of_gratings(waves_u, waves_v):
     gaussian = np.exp(-2 * (np.pi * 0.7) ** 2 * (fu**2 + fv**2))
     assert contrast(waves_u, waves_v, Optics()) == pytest.approx(pixel * gaussian, abs=1e-10)
     disc = mean_over_disc(np.hypot(fu, fv), 1.5)
-    soft = Optics(blur_px=0.0, defocus_px=1.5)
-    assert contrast(waves_u, waves_v, soft) == pytest.approx(pixel * disc, abs=1e-9)
+    # Narrow, but wide enough for cells of an eighth of a pixel to sample it.
+    narrow = np.exp(-2 * (np.pi * 0.3) ** 2 * (fu**2 + fv**2))
+    soft = Optics(blur_px=0.3, defocus_px=1.5)
+    assert contrast(waves_u, waves_v, soft) == pytest.approx(pixel * narrow * disc, abs=1e-9)
     along = np.cos(np.radians(25.0)) * fu + np.sin(np.radians(25.0)) * fv
-    moving = Optics(blur_px=0.0, motion_px=3.0, motion_deg=25.0)
+    moving = Optics(blur_px=0.3, motion_px=3.0, motion_deg=25.0)
     expected = pixel * np.sinc(3.0 * along)
-    assert contrast(waves_u, waves_v, moving) == pytest.approx(expected, abs=1e-10)
+    assert contrast(waves_u, waves_v, moving) == pytest.approx(narrow * expected, abs=1e-9)
     together = Optics(0.7, 1.5, 3.0, 25.0)
     expected *= gaussian * disc
     assert contrast(waves_u, waves_v, together) == pytest.approx(expected, abs=1e-9)
@@ -60,7 +67,7 @@ def test_without_a_lens_a_pixel_is_the_mean_of_its_cells():
     fine = np.random.default_rng(0).uniform(size=(SIDE_PX * CELLS, SIDE_PX * CELLS))
     means = fine.reshape(SIDE_PX, CELLS, SIDE_PX, CELLS).mean(axis=(1, 3))
     inner = means[MARGIN_PX:-MARGIN_PX, MARGIN_PX:-MARGIN_PX]
-    np.testing.assert_allclose(irradiance(fine, Optics(blur_px=0.0)), inner, atol=1e-12)
+    np.testing.assert_allclose(light_of(fine, Optics(blur_px=0.0)), inner, atol=1e-12)
 
 
 def test_an_edge_has_the_profile_of_a_blurred_box():
@@ -69,7 +76,7 @@ def test_an_edge_has_the_profile_of_a_blurred_box():
     first = (MARGIN_PX + 40) * CELLS + 3 * CELLS // 4
     last = (SIDE_PX - MARGIN_PX - 10) * CELLS
     cells[:, first:last] = 1.0
-    profile = irradiance(cells, Optics(blur_px=0.8))[30, 30:50]
+    profile = light_of(cells, Optics(blur_px=0.8))[30, 30:50]
 
     def integral(z):
         return z * ndtr(z) + np.exp(-(z**2) / 2) / np.sqrt(2 * np.pi)
@@ -82,5 +89,6 @@ def test_an_edge_has_the_profile_of_a_blurred_box():
 
 
 def test_a_blur_that_reaches_beyond_the_margin_is_refused():
+    cells = np.ones((40 * CELLS, 40 * CELLS))
     with pytest.raises(InputError, match="blur it less"):
-        Optics(blur_px=3.0, defocus_px=4.0)
+        light_of(cells, Optics(blur_px=3.0, defocus_px=4.0))

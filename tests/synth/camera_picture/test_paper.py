@@ -3,23 +3,32 @@
 import numpy as np
 import pytest
 
-from tests.synth.camera_picture.views import SHEET
-from trinoc.synth.camera_picture import Paper
-from trinoc.synth.camera_picture.paper import InkedLayout
-from trinoc.synth.camera_picture.table import Table
-from trinoc.synth.shapes import ConvexPolygon
+from tests.synth.camera_picture.views import SHEET, camera_of
+from trinoc.synth.camera_picture import ConvexPolygon, Disc, Paint, Paper, SheetScene, radiance
+from trinoc.synth.camera_picture.paper import Table, printed_layers
+
+
+def figures(kind, gain_mm: float) -> list:
+    """The figures of one kind of the print, lowest first."""
+    layers = printed_layers(SHEET, paper=0.85, ink=0.09, ink_gain_mm=gain_mm)
+    shapes = [layer.shape for layer in layers if isinstance(layer, Paint)]
+    return [shape for shape in shapes if isinstance(shape, kind)]
 
 
 def test_ink_gains_on_every_edge():
-    inked = InkedLayout.of(SHEET, 0.2)
-    np.testing.assert_allclose(inked.radius_mm, SHEET.radius_mm + 0.2)
-    rings = SHEET.inner_radius_mm > 0
-    np.testing.assert_allclose(inked.inner_radius_mm[rings], SHEET.inner_radius_mm[rings] - 0.2)
-    assert not inked.inner_radius_mm[~rings].any()
-    assert inked.line_width_mm == pytest.approx(SHEET.line_width_mm + 0.4)
-    # From a circle's nominal edge to the line's end there is less white by one gain.
-    reach = inked.radius_mm[0] + inked.line_gap_mm
-    assert reach == pytest.approx(SHEET.radius_mm[0] + SHEET.line_gap_mm - 0.2)
+    rings = (SHEET.inner_radius_mm > 0).sum()
+    lines = zip(figures(ConvexPolygon, 0.0), figures(ConvexPolygon, 0.2), strict=True)
+    for drawn, inked in lines:
+        grown = np.ptp(inked.corners_mm, axis=0) - np.ptp(drawn.corners_mm, axis=0)
+        np.testing.assert_allclose(grown, 0.4)
+    discs = zip(figures(Disc, 0.0), figures(Disc, 0.2), strict=True)
+    change = [inked.radius_mm - drawn.radius_mm for drawn, inked in discs]
+    # Circles grow; their holes and the white that ends the lines before them shrink.
+    gaps = len(change) - len(SHEET) - rings
+    assert gaps > 0
+    np.testing.assert_allclose(change[:gaps], -0.2)
+    np.testing.assert_allclose(change[gaps : gaps + len(SHEET)], 0.2)
+    np.testing.assert_allclose(change[gaps + len(SHEET) :], -0.2)
 
 
 def test_a_stretched_sheet_is_as_large_as_it_was():
@@ -29,3 +38,13 @@ def test_a_stretched_sheet_is_as_large_as_it_was():
     assert isinstance(table.sheet, ConvexPolygon)
     size = np.ptp(table.sheet.corners_mm, axis=0) * paper.print_scale
     np.testing.assert_allclose(size, [200.0, 100.0])
+
+
+def test_above_the_horizon_there_is_paper_or_table():
+    camera = camera_of(tilt_deg=4.0)
+    bare, on_table = (
+        radiance(SHEET, camera, SheetScene(Paper(table=table))).by_pixel[0, 0]
+        for table in (None, 0.3)
+    )
+    assert bare == pytest.approx(0.85)
+    assert on_table == pytest.approx(0.3)

@@ -4,15 +4,12 @@ import jax
 import numpy as np
 import pytest
 
+from benchmarks.picture_conditions import CONDITIONS, Case, LensError
 from tests.synth.camera_picture.views import SHEET, SMALL_LENS, camera_of
 from trinoc.calib import Pattern
 from trinoc.geometry import Intrinsics, project
-from trinoc.synth import render_sheet
 from trinoc.synth.camera_picture import (
-    CONDITIONS,
-    Condition,
     Cylinder,
-    LensError,
     Optics,
     Paper,
     SheetScene,
@@ -24,18 +21,6 @@ from trinoc.synth.camera_picture import (
 
 POSE = (25.0, 40.0, 3.0, 300.0)
 ENDLESS = (1e4, 1e4)
-
-
-def test_a_flat_sheet_looks_as_to_the_other_ray_caster():
-    camera = camera_of()
-    light = irradiance(
-        radiance(SHEET, camera, SheetScene(Paper(paper=0.9, ink=0.1, size_mm=ENDLESS))), Optics(0.8)
-    )
-    other = render_sheet(
-        SHEET, camera, paper=90.0, ink=10.0, blur_px=0.8, supersampling=16, dtype="float64"
-    )
-    # A hundredth of a grey level of 8 bits.
-    assert np.sqrt(np.mean((100 * light - other) ** 2)) < 100 * 0.01 / 255
 
 
 def test_a_circle_on_bent_paper_lies_where_its_points_project():
@@ -85,7 +70,7 @@ def test_a_picture_repeats_by_seed_alone():
 
 
 def test_a_condition_s_camera_stands_where_the_condition_says():
-    condition = Condition(aim_mm=(0.3, -0.2), distance_scale=1.5, turn_deg=180.0)
+    condition = Case(aim_mm=(0.3, -0.2), distance_scale=1.5, turn_deg=180.0)
     camera = condition.camera(SMALL_LENS, POSE)
     assert camera.aim_mm == pytest.approx((0.3, -0.2))
     assert camera.distance_mm == pytest.approx(450.0)

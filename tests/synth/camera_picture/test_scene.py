@@ -5,12 +5,20 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from tests.synth.camera_picture.views import SHEET, camera_of
+from tests.synth.camera_picture.views import CELLS, SHEET, camera_of, cells_of
 from trinoc.calib import Pattern
 from trinoc.geometry import Camera, Intrinsics, project
-from trinoc.synth.camera_picture import Light, Paper, Shadow, SheetScene, radiance
-from trinoc.synth.camera_picture.cover import Card, Finger
-from trinoc.synth.camera_picture.scene import CELLS, MARGIN_PX
+from trinoc.synth.camera_picture import (
+    Light,
+    Paper,
+    Shadow,
+    SheetScene,
+    card,
+    finger,
+    radiance,
+)
+from trinoc.synth.camera_picture.layers import coverage_of_cells
+from trinoc.synth.camera_picture.scene import MARGIN_PX
 
 PAPER, INK, TABLE = 0.8, 0.1, 0.3
 
@@ -47,7 +55,7 @@ def test_cells_are_shared_as_segments_of_the_circle_are():
     disc = Pattern.cross_grid(
         rows=1, columns=1, pitch_mm=40.0, radius_mm=9.0, line_width_mm=0.0, rings="none"
     )
-    fine = radiance(disc, camera, SheetScene(Paper(paper=PAPER, ink=INK)))
+    fine = cells_of(radiance(disc, camera, SheetScene(Paper(paper=PAPER, ink=INK))))
     share = (PAPER - fine) / (PAPER - INK)
     row, column = np.indices(fine.shape)
     # The first cell begins half a pixel before the centre of the margin's first pixel.
@@ -71,7 +79,7 @@ def level_at(fine, camera, x, y):
 def test_paper_ink_and_table_have_their_reflectance():
     camera = camera_of()
     paper = Paper(paper=PAPER, ink=INK, table=TABLE, size_mm=(90.0, 80.0))
-    fine = radiance(SHEET, camera, SheetScene(paper))
+    fine = cells_of(radiance(SHEET, camera, SheetScene(paper)))
     assert level_at(fine, camera, 22.0, 22.0) in (pytest.approx(INK), pytest.approx(PAPER))
     assert level_at(fine, camera, 4.0, -11.0) == pytest.approx(PAPER)
     assert level_at(fine, camera, 60.0, 0.0) == pytest.approx(TABLE, rel=0.1)
@@ -80,10 +88,21 @@ def test_paper_ink_and_table_have_their_reflectance():
 def test_light_covers_and_shadows_lie_where_they_are_put():
     camera, paper = camera_of(), Paper(paper=PAPER, ink=INK)
     light = Light(slope=(0.5, 0.0), shadows=(Shadow((-30.0, 0.0), 180.0, light_left=0.25),))
-    covers = (Finger((4.0, -30.0), -90.0, reflectance=0.5), Card((35.0, 10.0), size_mm=(6.0, 8.0)))
-    fine = radiance(SHEET, camera, SheetScene(paper, light, covers))
+    covers = (finger((4.0, -30.0), -90.0, grey=0.5), card((35.0, 10.0), size_mm=(6.0, 8.0)))
+    fine = cells_of(radiance(SHEET, camera, SheetScene(paper, light, covers)))
     # The light over a whole pixel is that at its centre.
     assert level_at(fine, camera, 11.0, -11.0) == pytest.approx(PAPER * 1.055, rel=0.02)
     assert level_at(fine, camera, -40.0, 11.0) == pytest.approx(0.25 * PAPER * 0.8, rel=0.02)
     assert level_at(fine, camera, 4.0, -40.0) == pytest.approx(0.5 * 1.02, rel=0.02)
     assert level_at(fine, camera, 35.0, 10.0) == pytest.approx(0.55 * 1.175, rel=0.02)
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.3, np.pi / 4, 1.2, np.pi / 2])
+@pytest.mark.parametrize("offset", [-0.9, -0.31, 0.0, 0.2, 0.66])
+def test_a_straight_edge_shares_a_cell_exactly(turn, offset):
+    rows, columns = np.indices((3, 3)) - 1.0
+    level = np.cos(turn) * columns + np.sin(turn) * rows - offset
+    fine = (np.arange(1000) + 0.5) / 1000 - 0.5
+    u, v = np.meshgrid(fine, fine)
+    counted = np.mean(np.cos(turn) * u + np.sin(turn) * v - offset < 0)
+    assert coverage_of_cells(level[None])[0, 1, 1] == pytest.approx(counted, abs=1e-3)

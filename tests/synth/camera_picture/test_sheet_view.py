@@ -5,10 +5,9 @@ import numpy as np
 import pytest
 
 from tests.synth.camera_picture.views import camera_of
-from trinoc.geometry import Intrinsics, project
+from trinoc.geometry import Intrinsics, project, sheet_from_pixel
 from trinoc.synth.camera_picture import Cone, Cylinder, Paper, Twisted
-from trinoc.synth.camera_picture.sheet_view import BentView
-from trinoc.synth.canvas import FlatView, cell_offsets_px, pixel_grid_px
+from trinoc.synth.camera_picture.sheet_view import SheetView, cell_offsets_px, pixel_grid_px
 
 DISTORTED = Intrinsics(
     focal_length_px=(190.0, 230.0), image_size_px=(96, 90), distortion=(-0.3, 0.1, 2e-3, -1e-3)
@@ -20,7 +19,7 @@ PAPERS = {
     ),
     "twisted cornet": Paper(Twisted(Cone.from_sagitta(3.0), 0.5)),
 }
-VIEWS = {name: BentView(camera_of(DISTORTED), paper) for name, paper in PAPERS.items()}
+VIEWS = {name: SheetView(camera_of(DISTORTED), paper) for name, paper in PAPERS.items()}
 MARGIN_PX = 3
 
 
@@ -49,11 +48,12 @@ def test_cells_between_the_centres_are_as_exact(view):
 
 def test_a_flat_sheet_is_seen_as_by_rays():
     view = VIEWS["flat"]
-    flat = FlatView(view.camera)
-    np.testing.assert_allclose(view.centres_mm(2), flat.centres_mm(2), atol=1e-9)
+    uv = pixel_grid_px(view.image_size_px, 2).reshape(-1, 2)
+    rays = jax.jit(jax.vmap(lambda pixel: sheet_from_pixel(view.camera, pixel)))(uv)
+    np.testing.assert_allclose(view.centres_mm(2).reshape(-1, 2), rays, atol=1e-9)
 
 
 def test_above_the_horizon_there_is_nothing():
-    seen = BentView(camera_of(tilt_deg=4.0), PAPERS["rolled and stretched"]).centres_mm(0)
+    seen = SheetView(camera_of(tilt_deg=4.0), PAPERS["rolled and stretched"]).centres_mm(0)
     assert np.isnan(seen[0]).all()
     assert np.isfinite(seen[-1]).all()

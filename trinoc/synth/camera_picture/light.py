@@ -3,14 +3,14 @@
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float
+from scipy.special import ndtr
 
 from trinoc.geometry import Camera
-from trinoc.synth.canvas import pixel_grid_px
-from trinoc.synth.disturbances import ShadowEdge
+from trinoc.synth.camera_picture.sheet_view import pixel_grid_px
 
 
 class Shadow(eqx.Module):
-    """Shade on one side of a straight edge, thrown by something outside the picture.
+    """Shade on one side of a straight edge, thrown by something outside the picture: a layer.
 
     Fields
     ------
@@ -26,11 +26,34 @@ class Shadow(eqx.Module):
     penumbra_mm: float = 0.1
 
     @property
-    def layer(self) -> ShadowEdge:
-        """It, as a layer on the sheet."""
+    def local(self) -> bool:
+        """False: the shade reaches to the horizon."""
+        return False
+
+    def over(
+        self,
+        grey: Float[np.ndarray, "*n"],
+        points_mm: Float[np.ndarray, "*n 2"],
+        *,
+        cells: bool = False,
+    ) -> Float[np.ndarray, "*n"]:
+        """The grey levels in light and shade."""
+        depth = (points_mm - np.array(self.point_mm)) @ self._normal
+        shaded = ndtr(depth / max(self.penumbra_mm, 0.1))
+        return np.where(np.isfinite(shaded), grey * (1 - (1 - self.light_left) * shaded), grey)
+
+    def outline_mm(self, step_mm: float) -> Float[np.ndarray, "k 2"]:
+        """The edge, a metre to both sides; as many lines beside it as the penumbra is wide."""
+        along = np.array([-self._normal[1], self._normal[0]])
+        line = np.array(self.point_mm) + np.arange(-1000.0, 1000.0, step_mm)[:, None] * along
+        reach = min(3 * max(self.penumbra_mm, 0.1), 3.0)
+        beside = np.arange(-reach, reach + step_mm / 2, step_mm)
+        return np.concatenate([line + offset * self._normal for offset in beside])
+
+    @property
+    def _normal(self) -> Float[np.ndarray, "2"]:
         angle = np.radians(self.direction_deg)
-        normal = np.array([np.cos(angle), np.sin(angle)])
-        return ShadowEdge(np.array(self.point_mm), normal, self.light_left, self.penumbra_mm)
+        return np.array([np.cos(angle), np.sin(angle)])
 
 
 class Lamp(eqx.Module):

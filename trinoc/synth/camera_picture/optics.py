@@ -4,14 +4,14 @@ All three are convolutions, so that they are products of transfer functions; fre
 in cycles per pixel.
 """
 
+import cv2
 import equinox as eqx
 import numpy as np
-import scipy.fft
 from jaxtyping import Complex, Float
 from scipy.special import j1
 
 from trinoc.errors import InputError
-from trinoc.synth.camera_picture.scene import CELLS, MARGIN_PX
+from trinoc.synth.camera_picture.scene import Radiance
 
 
 class Optics(eqx.Module):
@@ -30,17 +30,10 @@ class Optics(eqx.Module):
     motion_px: float = 0.0
     motion_deg: float = 0.0
 
-    def __check_init__(self) -> None:
-        if self.reach_px > MARGIN_PX:
-            raise InputError(
-                f"This blur reaches {self.reach_px:.0f} pixels, but at most {MARGIN_PX} are "
-                "drawn round a picture: blur it less."
-            )
-
     @property
-    def reach_px(self) -> float:
-        """How far away a point still counts."""
-        return 5 * self.blur_px + self.defocus_px + self.motion_px / 2
+    def reach_px(self) -> int:
+        """How many pixels away light still counts: six sigmas, and the pixel's half."""
+        return int(np.ceil(6 * self.blur_px + self.defocus_px + self.motion_px / 2 + 0.5))
 
     @property
     def rms_px(self) -> float:
@@ -49,17 +42,48 @@ class Optics(eqx.Module):
         return float(np.sqrt(variance))
 
 
-def irradiance(
-    radiance: Float[np.ndarray, "h_cells w_cells"], optics: Optics
-) -> Float[np.ndarray, "h w"]:
-    """Light on each pixel of the picture, in the unit of the radiance; the margin is cut off."""
-    fu = scipy.fft.rfftfreq(radiance.shape[1], 1 / CELLS)[None, :]
-    fv = scipy.fft.fftfreq(radiance.shape[0], 1 / CELLS)[:, None]
-    spectrum = np.asarray(scipy.fft.rfft2(radiance))
-    spectrum *= pixel_transfer(fu)
-    spectrum *= pixel_transfer(fv)
-    spectrum *= lens_transfer(optics, fu, fv)
-    return _sampled(spectrum, radiance.shape[1])[MARGIN_PX:-MARGIN_PX, MARGIN_PX:-MARGIN_PX]
+def irradiance(radiance: Radiance, optics: Optics) -> Float[np.ndarray, "h w"]:
+    """Light on each pixel of the picture, in the unit of the radiance; the margin is cut off.
+
+    Raises InputError for a radiance whose margin the blur reaches beyond.
+    """
+    reach, margin = optics.reach_px, radiance.margin_px
+    if reach > margin:
+        raise InputError(
+            f"This blur reaches {reach} pixels, but {margin} are drawn round the picture: blur it "
+            "less, or draw more."
+        )
+    height, width = radiance.by_pixel.shape
+    row, column = radiance.divided.T
+    cells = radiance.by_cell.shape[1]
+    weights = spread_of_cells(optics, cells)
+    # What a pixel sends to those about it, as if it were all one level; `filter2D` correlates.
+    whole = np.ascontiguousarray(weights.sum(axis=(2, 3))[::-1, ::-1])
+    light = np.zeros((height + 2 * reach, width + 2 * reach))
+    light[reach : reach + height, reach : reach + width] = cv2.filter2D(
+        radiance.by_pixel, -1, whole
+    )
+    # And what the cells of divided pixels send beyond that.
+    excess = (radiance.by_cell - radiance.by_pixel[row, column, None, None]).reshape(len(row), -1)
+    for down, of_row in enumerate(weights):
+        sent = excess @ of_row.reshape(2 * reach + 1, -1).T
+        for across in range(2 * reach + 1):
+            # Each divided pixel is listed once, so that no sum of this line is lost.
+            light[row + down, column + across] += sent[:, across]
+    cut = reach + margin
+    return light[cut : height + 2 * reach - cut, cut : width + 2 * reach - cut]
+
+
+def spread_of_cells(optics: Optics, cells: int) -> Float[np.ndarray, "k k cells cells"]:
+    """What each cell of a pixel sends to pixels up to `reach_px` rows and columns away."""
+    reach = optics.reach_px
+    side = (2 * reach + 1) * cells
+    fu = np.fft.fftfreq(side, 1 / cells)[None, :]
+    transfer = pixel_transfer(fu, cells) * pixel_transfer(fu.T, cells)
+    kernel = np.fft.ifft2(transfer * lens_transfer(optics, fu, fu.T)).real
+    # From cell a of a pixel to the first cell of one d pixels on there are d cells - a.
+    away = (np.arange(-reach, reach + 1)[:, None] * cells - np.arange(cells)) % side
+    return kernel[away[:, None, :, None], away[None, :, None, :]]
 
 
 def lens_transfer(
@@ -89,18 +113,10 @@ def disc_transfer(frequency: Float[np.ndarray, "*n"], radius_px: float) -> Float
     return 2 * j1(x) / x
 
 
-def pixel_transfer(frequency: Float[np.ndarray, "*n"]) -> Complex[np.ndarray, "*n"]:
+def pixel_transfer(frequency: Float[np.ndarray, "*n"], cells: int) -> Complex[np.ndarray, "*n"]:
     """Of the mean over a pixel's cells along one axis, from its first cell on.
 
     The radiance is a mean over each cell already; the mean over cells makes that the pixel's.
     """
-    offset = np.arange(CELLS) / CELLS
+    offset = np.arange(cells) / cells
     return np.mean(np.exp(2j * np.pi * frequency[..., None] * offset), axis=-1)
-
-
-def _sampled(spectrum: Complex[np.ndarray, "h_cells f"], width: int) -> Float[np.ndarray, "h w"]:
-    """The picture at every CELLS-th cell: rows by folding their spectrum, columns by choice."""
-    rows, frequencies = spectrum.shape
-    folded = spectrum.reshape(CELLS, rows // CELLS, frequencies).mean(axis=0)
-    half = scipy.fft.ifft(folded, axis=0)
-    return np.asarray(scipy.fft.irfft(half, n=width, axis=1))[:, ::CELLS]

@@ -1,15 +1,28 @@
-"""The picture of a sheet under a condition, from the first ray of light to the last bit."""
+"""The picture of a sheet, from the first ray of light to the last bit."""
 
+import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Shaped
 
 from trinoc.geometry import Camera
-from trinoc.synth.camera_picture.condition import Condition
 from trinoc.synth.camera_picture.delivery import Processing, delivered
-from trinoc.synth.camera_picture.optics import irradiance
-from trinoc.synth.camera_picture.scene import radiance
-from trinoc.synth.camera_picture.sensor import Sensor, read_out
-from trinoc.synth.sheet_image import PrintedSheet
+from trinoc.synth.camera_picture.layers import Layer
+from trinoc.synth.camera_picture.light import Light
+from trinoc.synth.camera_picture.optics import Optics, irradiance
+from trinoc.synth.camera_picture.paper import Paper, PrintedSheet
+from trinoc.synth.camera_picture.scene import SheetScene, radiance
+from trinoc.synth.camera_picture.sensor import GREY_LEVELS, Sensor, read_out
+
+_EVEN = Light()
+
+
+class Condition(eqx.Module):
+    """How a picture is taken: what is before the camera, and what the camera does, in order."""
+
+    scene: SheetScene = SheetScene()
+    optics: Optics = Optics()
+    sensor: Sensor = Sensor()
+    processing: Processing = Processing()
 
 
 def camera_picture(
@@ -17,11 +30,12 @@ def camera_picture(
 ) -> Shaped[np.ndarray, "h w *channels"]:
     """The picture that a camera delivers: (h, w) grey or (h, w, 3) red, green, blue.
 
-    The camera is the true one (`Condition.camera`). uint8, or uint16 for more than 8 bits.
-    Radiance costs most and depends on pattern, camera and `condition.scene` alone; who wants
-    many pictures of one scene calls the steps below and keeps it.
+    uint8, or uint16 for more than 8 bits. Radiance costs most and depends on pattern, camera and
+    `condition.scene` alone; who wants many pictures of one scene calls the steps and keeps it.
     """
-    light = irradiance(radiance(pattern, camera, condition.scene), condition.optics)
+    optics = condition.optics
+    fine = radiance(pattern, camera, condition.scene, margin_px=optics.reach_px)
+    light = irradiance(fine, optics)
     return delivered_picture(light, condition.sensor, condition.processing, seed=seed)
 
 
@@ -31,3 +45,34 @@ def delivered_picture(
     """What sensor and processing make of the light on each pixel; noise is drawn by `seed`."""
     signal = read_out(irradiance, sensor, seed=seed)
     return delivered(signal, sensor.mosaic, processing)
+
+
+def render_sheet(
+    pattern: PrintedSheet,
+    camera: Camera,
+    *,
+    paper: float = 230.0,
+    ink: float = 25.0,
+    table: float | None = None,
+    light: Light = _EVEN,
+    covers: tuple[Layer, ...] = (),
+    blur_px: float = 0.7,
+    noise_sigma: float = 0.0,
+    supersampling: int = 8,
+    seed: int = 0,
+    bits: int | None = 8,
+) -> Shaped[np.ndarray, "h w"]:
+    """The plain picture of a flat sheet, all told in grey levels from 0 to 255.
+
+    A linear camera with a Gaussian blur of `blur_px`, the pixel's box apart, and `noise_sigma`.
+    Paper reaches to the horizon unless there is a `table`. Without `bits`, the light on the
+    pixels as it is: float64, neither noise nor rounding.
+    """
+    scene = SheetScene(Paper(paper=paper, ink=ink, table=table), light, covers)
+    optics = Optics(blur_px)
+    fine = radiance(pattern, camera, scene, supersampling=supersampling, margin_px=optics.reach_px)
+    levels = irradiance(fine, optics)
+    if bits is None:
+        return levels
+    sensor = Sensor(exposure=1 / GREY_LEVELS, read_levels=noise_sigma)
+    return delivered_picture(levels, sensor, Processing(bits=bits), seed=seed)

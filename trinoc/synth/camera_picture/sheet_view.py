@@ -13,16 +13,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from trinoc.geometry import Camera, depth_mm, project
+from trinoc.geometry import Camera, depth_mm, project, sheet_from_pixel, viewing_direction
 from trinoc.numerics import ArrayLike, in_float64
 from trinoc.synth.camera_picture.paper import Paper
-from trinoc.synth.canvas import cell_offsets_px, pixel_grid_px, points_on_sheet
 
 _CHUNK = 16384
-_NEWTON_STEPS = 5
+_NEWTON_STEPS, _NEWTON_PX = 8, 1e-10
 
 
-class BentView(eqx.Module):
+class SheetView(eqx.Module):
     """A camera over a sheet as it lies; points are in the nominal millimetres of the layout."""
 
     camera: Camera
@@ -36,9 +35,8 @@ class BentView(eqx.Module):
     def centres_mm(self, margin_px: int) -> Float[np.ndarray, "h w 2"]:
         """Points of the layout at the pixels' centres; NaN above the horizon."""
         uv = pixel_grid_px(self.image_size_px, margin_px)
-        start = points_on_sheet(self.camera, uv) / np.array(self.paper.print_scale)
         seen = partial(_places_seen, self.camera, _as_arrays(self.paper))
-        return _in_chunks(seen, uv.reshape(-1, 2), start.reshape(-1, 2)).reshape(uv.shape)
+        return _in_chunks(seen, uv.reshape(-1, 2)).reshape(uv.shape)
 
     def cells_mm(
         self,
@@ -82,27 +80,45 @@ class BentView(eqx.Module):
         return flat.reshape(*points_mm.shape[:-1], 3)
 
 
+def pixel_grid_px(image_size_px: tuple[int, int], margin_px: int) -> Float[np.ndarray, "h w 2"]:
+    """(u, v) of every pixel of a picture and of a margin round it."""
+    width, height = image_size_px
+    columns = np.arange(-margin_px, width + margin_px, dtype=np.float64)
+    rows = np.arange(-margin_px, height + margin_px, dtype=np.float64)
+    return np.stack(np.meshgrid(columns, rows), axis=-1)
+
+
+def cell_offsets_px(supersampling: int) -> Float[np.ndarray, "s s 2"]:
+    """Offsets (du, dv) of the cells' centres from the pixel's."""
+    offset = (np.arange(supersampling) + 0.5) / supersampling - 0.5
+    return np.stack(np.meshgrid(offset, offset), axis=-1)
+
+
 @eqx.filter_jit
 def _places_seen(
-    camera: Camera,
-    paper: Paper,
-    uv_px: Float[ArrayLike, "n 2"],
-    start_mm: Float[ArrayLike, "n 2"],
+    camera: Camera, paper: Paper, uv_px: Float[ArrayLike, "n 2"]
 ) -> Float[ArrayLike, "n 2"]:
-    def one(uv: Float[ArrayLike, "2"], start: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
+    def one(uv: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
         def image(place: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
             return project(camera, _world(paper, place))
 
-        def step(_: ArrayLike, place: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
-            residual = image(place) - uv
+        def step(state: tuple) -> tuple:
+            count, place, (u, v) = state
             (a, b), (c, d) = jax.jacfwd(image)(place)
-            determinant = a * d - b * c
-            u, v = residual
-            return place - jnp.stack([d * u - b * v, a * v - c * u]) / determinant
+            place = place - jnp.stack([d * u - b * v, a * v - c * u]) / (a * d - b * c)
+            return count + 1, place, image(place) - uv
 
-        return jax.lax.fori_loop(0, _NEWTON_STEPS, step, start)
+        def unfinished(state: tuple) -> ArrayLike:
+            count, _, residual = state
+            return (count < _NEWTON_STEPS) & (jnp.abs(residual).max() > _NEWTON_PX)
 
-    return jax.vmap(one)(uv_px, start_mm)
+        # Where a flat sheet would be seen, which is the answer for one.
+        meets = viewing_direction(camera, uv)[2] * camera.pose.centre_world_mm[2] < 0
+        scale = jnp.stack([jnp.asarray(factor) for factor in paper.print_scale])
+        start = jnp.where(meets, sheet_from_pixel(camera, uv) / scale, jnp.nan)
+        return jax.lax.while_loop(unfinished, step, (0, start, image(start) - uv))[1]
+
+    return jax.vmap(one)(uv_px)
 
 
 @eqx.filter_jit

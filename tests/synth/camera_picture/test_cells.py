@@ -4,8 +4,7 @@ import numpy as np
 
 from tests.calib.photometric.test_squares import Bare
 from trinoc.synth import Cells, render_sheet, table1_rig
-from trinoc.synth.layers import Paint
-from trinoc.synth.shapes import ConvexPolygon
+from trinoc.synth.camera_picture import ConvexPolygon, Paint
 
 LINES = np.array([-30.0, -10.0, 10.0, 30.0])
 CHECKERS = np.pad(np.array([[1, 0, 1], [0, 1, 0], [1, 0, 1]], dtype=bool), 1)
@@ -18,10 +17,10 @@ def picture(*shapes) -> np.ndarray:
     return render_sheet(
         Bare(),
         table1_rig()["left"],
-        above=tuple(Paint(shape, 25.0) for shape in shapes),
+        covers=tuple(Paint(shape, 25.0) for shape in shapes),
         paper=230.0,
         supersampling=6,
-        dtype="float64",
+        bits=None,
     )
 
 

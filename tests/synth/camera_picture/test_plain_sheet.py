@@ -1,4 +1,4 @@
-"""The renderer of sheets: area, centre and energy are those of the geometry."""
+"""Plain pictures of sheets: area, centre and energy are those of the geometry."""
 
 import jax
 import numpy as np
@@ -8,19 +8,7 @@ from tests.geometry.conics import image_of_circle, shape_of_dual_conic
 from trinoc.calib import Pattern
 from trinoc.geometry import Camera, Intrinsics, image_of_circle_centre, project
 from trinoc.synth import render_sheet
-from trinoc.synth.coverage import coverage_of_cells
-from trinoc.synth.disturbances import (
-    Glare,
-    LightGradient,
-    ShadowEdge,
-    card,
-    finger,
-    hand,
-    random_disturbances,
-    round_things,
-    table,
-)
-from trinoc.synth.sensor import expose
+from trinoc.synth.camera_picture import Light, card
 
 LENS = Intrinsics(focal_length_px=(410.0, 500.0), image_size_px=(160, 150))
 PAPER, INK = 230.0, 25.0
@@ -40,7 +28,7 @@ def one_disc(inner=0.0):
 
 
 def clean(pattern, camera, **options):
-    return render_sheet(pattern, camera, paper=PAPER, ink=INK, dtype="float64", **options)
+    return render_sheet(pattern, camera, paper=PAPER, ink=INK, bits=None, **options)
 
 
 def darkness_moments(picture):
@@ -105,17 +93,6 @@ def test_finer_cells_change_next_to_nothing():
     assert np.sqrt(np.mean((coarse - fine) ** 2)) < 0.03
 
 
-@pytest.mark.parametrize("turn", [0.0, 0.3, np.pi / 4, 1.2, np.pi / 2])
-@pytest.mark.parametrize("offset", [-0.9, -0.31, 0.0, 0.2, 0.66])
-def test_a_straight_edge_shares_a_cell_exactly(turn, offset):
-    rows, columns = np.indices((3, 3)) - 1.0
-    level = np.cos(turn) * columns + np.sin(turn) * rows - offset
-    fine = (np.arange(1000) + 0.5) / 1000 - 0.5
-    u, v = np.meshgrid(fine, fine)
-    counted = np.mean(np.cos(turn) * u + np.sin(turn) * v - offset < 0)
-    assert coverage_of_cells(level[None])[0, 1, 1] == pytest.approx(counted, abs=1e-3)
-
-
 def grey_at(picture, camera, x, y):
     u, v = np.rint(np.asarray(project(camera, np.array([x, y, 0.0])))).astype(int)
     return picture[v, u]
@@ -138,64 +115,31 @@ def test_line_styles(style, inside, before):
     assert grey_at(picture, camera, 10.0, 8.0) == pytest.approx(PAPER, abs=0.5)
 
 
-def test_the_read_out_clips_rounds_and_scales():
-    grey = np.array([[-5.0, 100.4, 300.0]])
-    assert expose(grey, noise_sigma=0.0, seed=0, dtype="uint8").tolist() == [[0, 100, 255]]
-    assert expose(grey, noise_sigma=0.0, seed=0, dtype="uint16").tolist() == [[0, 25803, 65535]]
-    np.testing.assert_array_equal(expose(grey, noise_sigma=0.0, seed=0, dtype="float64"), grey)
-    with pytest.raises(ValueError, match="uint8"):
-        expose(grey, noise_sigma=0.0, seed=0, dtype="int8")
-
-
-def test_noise_repeats_by_seed_and_has_its_sigma():
-    flat = np.full((200, 200), 128.0)
+def test_grey_levels_are_rounded_and_scaled_and_noise_has_its_sigma():
+    camera, pattern = camera_of(), one_disc()
+    light = clean(pattern, camera, covers=(card((0.0, 0.0), grey=300.0),))
+    given = {"paper": PAPER, "ink": INK, "covers": (card((0.0, 0.0), grey=300.0),)}
+    for bits, dtype in ((8, np.uint8), (16, np.uint16)):
+        picture = render_sheet(pattern, camera, **given, bits=bits)
+        assert picture.dtype == dtype
+        expected = np.rint(np.clip(light, 0, 255) * (2**bits - 1) / 255)
+        assert np.abs(picture - expected).max() <= 1
     first, again, other = (
-        expose(flat, noise_sigma=3.0, seed=s, dtype="float64") for s in (1, 1, 2)
+        render_sheet(pattern, camera, paper=128.0, ink=128.0, noise_sigma=3.0, seed=s, bits=16)
+        for s in (1, 1, 2)
     )
     np.testing.assert_array_equal(first, again)
     assert not np.array_equal(first, other)
     # The sigma of an estimated sigma is sigma / sqrt(2 n).
-    assert first.std() == pytest.approx(3.0, abs=5 * 3.0 / np.sqrt(2 * flat.size))
+    assert (first / 257.0).std() == pytest.approx(3.0, abs=5 * 3.0 / np.sqrt(2 * first.size))
 
 
-def test_what_covers_and_shades_changes_what_it_should():
+def test_what_covers_and_lights_changes_what_it_should():
     camera, pattern = camera_of(), one_disc()
     plain = clean(pattern, camera)
-    origin = np.zeros(2)
-    covered = clean(pattern, camera, above=card(origin, turn_deg=30))
+    covered = clean(pattern, camera, covers=(card((0.0, 0.0), turn_deg=30, grey=150.0),))
     assert grey_at(covered, camera, 1, 1) == pytest.approx(150.0)
-    tip = finger(np.array([-8.0, 0.0]), direction_deg=0.0, grey=140.0)
-    assert grey_at(clean(pattern, camera, above=tip), camera, 25, 0) == pytest.approx(140.0)
-    palm = hand(origin, direction_deg=90.0, grey=120.0)
-    assert grey_at(clean(pattern, camera, above=palm), camera, 0, 0) == pytest.approx(120.0)
-    shade = (ShadowEdge(origin, np.array([1.0, 0.0]), 0.5, 1.0),)
-    shaded = clean(pattern, camera, above=shade)
-    assert grey_at(shaded, camera, 25, 0) == pytest.approx(PAPER / 2)
-    assert grey_at(shaded, camera, -25, 0) == pytest.approx(PAPER)
-    lit = clean(pattern, camera, above=(LightGradient(np.array([0.01, 0.0])),))
+    lit = clean(pattern, camera, light=Light(slope=(1.0, 0.0)))
     assert grey_at(lit, camera, -25, 0) < grey_at(plain, camera, -25, 0) < lit.max()
-    spot = clean(pattern, camera, above=(Glare(origin, 10.0, 90.0),))
-    assert np.all(spot >= plain - 1e-9)
-    on_table = clean(pattern, camera, below=table((60.0, 60.0), 80.0))
-    assert grey_at(on_table, camera, 40, 0) == pytest.approx(80.0)
+    on_table = clean(pattern, camera, table=80.0)
     assert grey_at(on_table, camera, 25, 0) == pytest.approx(PAPER)
-    assert len(round_things(0, count=5)) >= 5
-
-
-def test_random_disturbances_repeat_by_seed():
-    camera = camera_of()
-    pictures = [
-        render_sheet(one_disc(), camera, above=random_disturbances(seed), dtype="uint8")
-        for seed in (3, 3, 4)
-    ]
-    np.testing.assert_array_equal(pictures[0], pictures[1])
-    assert not np.array_equal(pictures[0], pictures[2])
-
-
-def test_above_the_horizon_there_is_paper_or_table():
-    camera = Camera.from_degrees(
-        LENS, pan_deg=0.0, tilt_deg=4.0, swing_deg=0.0, distance_mm=470.0, aim_mm=(0.0, 0.0)
-    )
-    assert clean(one_disc(), camera)[0, 0] == pytest.approx(PAPER)
-    on_table = clean(one_disc(), camera, below=table((300.0, 300.0), 80.0))
-    assert on_table[0, 0] == pytest.approx(80.0)
