@@ -75,6 +75,11 @@ def _content(file: Path) -> bytes:
 
 
 def _decoded(file: Path, content: bytes) -> np.ndarray:
+    if not is_complete(content):
+        raise InputError(
+            f"{file} is a PNG that is cut off or announces more than it holds: copy the picture "
+            "again from where it came."
+        )
     try:
         size = size_px(content)
     except Image.DecompressionBombError as error:
@@ -84,11 +89,6 @@ def _decoded(file: Path, content: bytes) -> np.ndarray:
         ) from error
     if size is None or min(size) < 1:
         raise InputError(f"{file} is not a readable picture: give a PNG, TIFF or JPEG file.")
-    if not is_complete(content):
-        raise InputError(
-            f"{file} is a PNG that is cut off or announces more than it holds: copy the picture "
-            "again from where it came."
-        )
     if not ends_as_it_should(content):
         raise InputError(f"{file} ends before its picture does: copy it again.")
     # OpenCV warns on stderr about broken files; the sentence below says it better.
