@@ -75,11 +75,6 @@ def _content(file: Path) -> bytes:
 
 
 def _decoded(file: Path, content: bytes) -> np.ndarray:
-    if not is_complete(content):
-        raise InputError(
-            f"{file} is a PNG that is cut off or announces more than it holds: copy the picture "
-            "again from where it came."
-        )
     try:
         size = size_px(content)
     except Image.DecompressionBombError as error:
@@ -87,6 +82,11 @@ def _decoded(file: Path, content: bytes) -> np.ndarray:
             f"{file} announces more pixels than any camera has: give a picture of at most "
             f"{MOST_PIXELS / 1e6:.0f} megapixels."
         ) from error
+    if not is_complete(content):
+        raise InputError(
+            f"{file} is a PNG that is cut off or announces more than it holds: copy the picture "
+            "again from where it came."
+        )
     if size is None or min(size) < 1:
         raise InputError(f"{file} is not a readable picture: give a PNG, TIFF or JPEG file.")
     if not ends_as_it_should(content):
