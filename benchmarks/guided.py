@@ -1,6 +1,6 @@
 """Matches of rendered pictures and of photographs, as they are, after guided detection, with rims.
 
-    python benchmarks/guided.py FOLDER... [--merton DIR]
+    python benchmarks/guided.py FOLDER... [--merton DIR] [--questions]
 
 FOLDER holds scenes of `benchmarks/render_pictures.py blocks`. Of each: precision of length at 1 mm
 (in brackets, lines along shadows neither way), recall of length (edges of 8 grey levels, rims of
@@ -12,7 +12,6 @@ mark as outlines.
 """
 
 import argparse
-import dataclasses
 import time
 from collections.abc import Iterable
 from pathlib import Path
@@ -29,6 +28,7 @@ from trinoc.evaluation.distances import distance_to_segments_mm, sampled_segment
 from trinoc.geometry import Rig, Segments
 from trinoc.io import load_rig
 from trinoc.match import Matches
+from trinoc.match.guided import guide
 from trinoc.synth import SceneTruth, shown_parts_mm, table1_rig
 
 Outcome = tuple[float, bool, bool]
@@ -111,13 +111,40 @@ def with_rims(place: Place, guided: trinoc.GuidedMatches) -> Matches:
     chords = {view: trinoc.find_segments(p, arcs=True) for view, p in place.pictures.items()}
     rims = trinoc.find_rims(trinoc.match_segments(chords, place.rig), chords, place.rig)
     found = trinoc.add_rims(guided.matches, guided.segments, rims, chords, place.rig).matches
-    edges = np.flatnonzero(np.asarray(found.silhouette) < 0.5)
-    rows = {
-        name: column[edges]
-        for name, column in vars(found).items()
-        if isinstance(column, np.ndarray) and len(column) == len(found)
-    }
-    return dataclasses.replace(found, **rows)
+    return found.take(np.flatnonzero(found.marks["silhouette"] < 0.5))
+
+
+# What guided detection asks the pictures, by the function of its file that does so, and what that
+# answers where nothing is asked.
+QUESTIONS = {
+    "views": ("with_further_views", lambda state, *_, **__: (state, 0)),
+    "lines": ("with_new_lines", lambda state, pictures, before_mm, _: (state, 0, before_mm)),
+    "ends": ("prolonged", lambda state, *_: (state, 0)),
+}
+
+
+def of_questions(name: str, places: list[Place]) -> None:
+    """Figures with all questions of guided detection, without each, and with none."""
+    scenes = []
+    for place in places:
+        segments = {view: trinoc.find_segments(p) for view, p in place.pictures.items()}
+        scenes.append((place, segments, trinoc.match_segments(segments, place.rig)))
+    for left_out in ((), *((each,) for each in QUESTIONS), tuple(QUESTIONS)):
+        rows, views, seconds = [], np.zeros(4), 0.0
+        kept = {each: getattr(guide, QUESTIONS[each][0]) for each in left_out}
+        for each in left_out:
+            setattr(guide, *QUESTIONS[each])
+        for place, segments, matches in scenes:
+            start = time.process_time()
+            found = trinoc.guide_matches(matches, segments, place.rig, place.pictures).matches
+            seconds += time.process_time() - start
+            own, by, _ = figures(place, found)
+            rows.append(own)
+            views += by
+        for each, function in kept.items():
+            setattr(guide, QUESTIONS[each][0], function)
+        label = "without " + " and ".join(left_out) if left_out else "all questions"
+        print(f"{name:10s} {label:32s} {words(np.mean(rows, axis=0), views)}; {seconds:.2f} s")
 
 
 def of_scenes(name: str, places: Iterable[Place]) -> None:
@@ -207,14 +234,20 @@ def main() -> None:
     """Print all tables asked for."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("folders", nargs="*", type=Path)
+    parser.add_argument("--questions", action="store_true", help="without each question in turn")
     parser.add_argument("--merton", type=Path, help="folder of merton1.npz and its photographs")
     given = parser.parse_args()
     trinoc.enable_compile_cache()
     demo = Path(trinoc.synth.__file__).parent / "demo"
-    of_scenes("demo", [_place(demo, table1_rig())])
+    if not given.questions:
+        of_scenes("demo", [_place(demo, table1_rig())])
     for folder in given.folders:
         paths = [path for path in sorted(folder.iterdir()) if (path / "truth.json").exists()]
-        of_scenes(folder.name, (_place(path, load_rig(path / "rig.json")) for path in paths))
+        places = [_place(path, load_rig(path / "rig.json")) for path in paths]
+        if given.questions:
+            of_questions(folder.name, places)
+        else:
+            of_scenes(folder.name, places)
     if given.merton:
         of_merton(given.merton)
 

@@ -74,8 +74,7 @@ def of_scenes(name: str, places: list[Place], guided: bool) -> None:
         rows.append(np.concatenate(pair, axis=1))
         three = (matches.index >= 0).sum(axis=1) > 2
         kinds.append(np.stack([own, three, ~three, crosses_often(matches)], axis=1)[own])
-        assert after.measure is not None
-        words += Counter(after.measure[matches.index >= 0].tolist())
+        words += Counter(after.marks["measure"][matches.index >= 0].tolist())
     table, kind = np.concatenate(rows), np.concatenate(kinds)
     limit = chi2.ppf(0.95, 4)
     labels = "all lines", "three views", "two views", "not along rows or columns"
