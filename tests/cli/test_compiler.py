@@ -5,7 +5,7 @@ import os
 import jaxlib.version
 import pytest
 
-from trinoc.cli.compiler import compile_quickly
+from trinoc.cli.main import compile_quickly
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import pytest
 
 import trinoc
 from tests.io.formats.bench import bench_matches, bench_rig
-from trinoc.cli.format_names import ReadFormat, WrittenFormat
+from trinoc.cli.export import ReadFormat, WrittenFormat
 from trinoc.cli.main import main
 from trinoc.io import FORMATS, load_intrinsics
 from trinoc.io.intrinsics_json import save_intrinsics

@@ -5,8 +5,7 @@ import importlib.metadata
 import pytest
 
 import trinoc
-from trinoc.cli import installation
-from trinoc.cli.main import main
+from trinoc.cli.main import OPENCV, main
 
 
 def test_all_is_well_here(
@@ -25,7 +24,7 @@ def test_two_wheels_of_opencv_clash(
     real = importlib.metadata.version
     monkeypatch.setattr(
         "importlib.metadata.version",
-        lambda name: "1" if name in installation.OPENCV[:2] else real(name),
+        lambda name: "1" if name in OPENCV[:2] else real(name),
     )
     assert main(["--version"]) == 1
     assert "2 wheels bring cv2: pip uninstall" in capsys.readouterr().err

@@ -12,9 +12,9 @@ import pytest
 
 import trinoc
 from trinoc.cli import program
+from trinoc.cli.command import in_options
 from trinoc.cli.main import main
-from trinoc.cli.rig_file import doubts_table, read_rig
-from trinoc.cli.words import in_options
+from trinoc.cli.views import doubts_table, read_rig
 from trinoc.io import load_rig_status
 from trinoc.io.rig_json import save_rig
 from trinoc.synth import table1_rig

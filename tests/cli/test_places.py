@@ -11,10 +11,9 @@ import tyro
 
 import trinoc
 from tests.io.formats.bench import bench_matches
+from trinoc.cli.command import expect_places, in_options
 from trinoc.cli.main import AnyCommand, main
 from trinoc.cli.match import Match, remarks
-from trinoc.cli.places import expect_places
-from trinoc.cli.words import in_options
 from trinoc.synth import table1_rig
 
 VIEWS = ("upper", "left", "right")

@@ -10,7 +10,7 @@ import trinoc
 from trinoc.calib import RigCheck
 from trinoc.cli.command import UsageError
 from trinoc.cli.main import main
-from trinoc.cli.scene import scene_of
+from trinoc.cli.views import scene_of
 from trinoc.errors import InputError
 from trinoc.synth import table1_rig
 
@@ -38,7 +38,7 @@ def test_a_check_is_told_in_the_words_of_its_result(conclusive, tmp_path, capsys
     check = RigCheck((), ("left",) if conclusive else (), None, conclusive)
     scene = SimpleNamespace(matches=(), tolerant=None, strict=None, files={})
     monkeypatch.setattr("trinoc.calib.check_rig", lambda *_, **__: check)
-    monkeypatch.setattr("trinoc.cli.scene.scene_of", lambda *_, **__: scene)
+    monkeypatch.setattr("trinoc.cli.views.scene_of", lambda *_, **__: scene)
     trinoc.save(table1_rig(), tmp_path / "rig.json")
     assert main(["check", "--rig", str(tmp_path / "rig.json"), "--matches", "m.npz", "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == {

@@ -12,8 +12,8 @@ import pytest
 import trinoc
 from tests.serving.asking import ask
 from trinoc.calib import BoardSet, Chessboard, dark_squares
-from trinoc.cli.arrivals import PATIENCE, FolderArrivals
 from trinoc.cli.main import main
+from trinoc.cli.watch import PATIENCE, FolderArrivals
 from trinoc.io import save_target
 from trinoc.synth import table1_rig
 

@@ -14,8 +14,8 @@ import tyro
 
 from trinoc.cli.command import Command, Interrupted, Outcome, UsageError
 from trinoc.cli.progress import LOGGER
-from trinoc.cli.rig_file import read_rig
-from trinoc.cli.segment_options import SegmentOptions
+from trinoc.cli.segments import SegmentOptions
+from trinoc.cli.views import read_rig
 
 if TYPE_CHECKING:
     from trinoc.batch import BatchOutcome, BatchProgress

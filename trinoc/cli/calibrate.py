@@ -6,18 +6,24 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from trinoc.cli.command import Command, Outcome, UsageError
-from trinoc.cli.failed_cameras import kept_of_failure
+from trinoc.cli.command import Command, Outcome, UsageError, expect_sigmas
 from trinoc.cli.lens_options import LensOptions, expect_focal_length, expect_pixel_pitch
-from trinoc.cli.numbers import expect_sigmas
-from trinoc.cli.plan import plan
-from trinoc.cli.progress import LOGGER
+from trinoc.cli.progress import LOGGER, plan
 from trinoc.cli.views import files_of_views
 from trinoc.errors import CalibrationError
 
 if TYPE_CHECKING:
     from trinoc.calib import CalibrationResult, Systematics
     from trinoc.geometry import Intrinsics
+import re
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from trinoc.calib import CalibrationResult, Pattern
+
 
 # Not None: an option that may be a pair or nothing would take pictures that follow it.
 UNKNOWN = (-1.0, -1.0)
@@ -125,7 +131,7 @@ class Calibrate(Command):
             )
 
         from trinoc.calib import calibrate
-        from trinoc.cli.provenance import for_people, provenance
+        from trinoc.cli.progress import for_people, provenance
         from trinoc.geometry import Rig
         from trinoc.io import expect_ending, expect_place, load_pattern, load_rig, read_views, save
 
@@ -250,3 +256,43 @@ def calibration_record(result: "CalibrationResult") -> dict[str, Any]:
 
 def _size(image: Any) -> tuple[int, int]:
     return image.shape[1], image.shape[0]
+
+
+def kept_of_failure(
+    error: CalibrationError,
+    images: "Mapping[str, np.ndarray]",
+    pattern: "Pattern",
+    out: Path,
+    *,
+    refusal: Callable[["CalibrationResult"], str | None],
+    provenance: Mapping[str, Any],
+) -> CalibrationError:
+    """The same error, which also says what was written beside `out`.
+
+    `out` itself stays as it is: an incomplete rig must not take the place of a whole one.
+
+    refusal : why what is known of the others may not be written, if so.
+    """
+    from trinoc.calib import CalibrationResult
+    from trinoc.capture import failure_picture, judge
+    from trinoc.io import save, write_picture
+
+    said = [str(error)]
+    for name in error.failures:
+        faults = judge(name, images[name], pattern).faults
+        in_name = re.sub(r"[^\w.-]", "_", name)
+        place = out.with_name(f"{out.stem}-{in_name}-failed.png")
+        write_picture(place, failure_picture(images[name], [error.failures[name], *faults]))
+        causes = f" (there {'; '.join(faults)})" if faults else ""
+        said.append(f'What was seen of "{name}" is in {place}{causes}.')
+    result = error.result
+    if isinstance(result, CalibrationResult):
+        why = refusal(result)
+        place = out.with_name(f"{out.stem}-incomplete.json")
+        if why is None:
+            save(result, place, provenance=provenance)
+            others = ", ".join(result.rig.names)
+            kept = "is as it was" if out.exists() else "was not written"
+            why = f"{place} holds the others ({others}); {out} {kept}."
+        said.append(why)
+    return CalibrationError(" ".join(said), error.failures, result)

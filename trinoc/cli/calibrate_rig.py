@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from trinoc.cli.command import Command, Outcome, UsageError
-from trinoc.cli.numbers import expect_sigmas
+from trinoc.cli.command import Command, Outcome, UsageError, expect_sigmas
 from trinoc.cli.progress import LOGGER, Bar
 from trinoc.cli.views import files_of_views
 
@@ -103,7 +102,7 @@ class CalibrateRig(Command):
             expect_sigmas("--print-scale-sigma", self.print_scale_sigma)
 
         from trinoc.calib import Systematics, calibrate_rig, next_shot
-        from trinoc.cli.provenance import provenance
+        from trinoc.cli.progress import provenance
         from trinoc.geometry import Rig
         from trinoc.io import (
             expect_ending,
@@ -147,7 +146,7 @@ class CalibrateRig(Command):
         save(result, self.out, provenance=made_by)
         written, advice = [str(self.out)], next_shot(result)
         if self.report is not None:
-            from trinoc.cli.provenance import for_people
+            from trinoc.cli.progress import for_people
             from trinoc.report import write_shots_report
 
             LOGGER.info("writing %s", self.report)

@@ -8,7 +8,7 @@ import tyro
 
 from trinoc.cli.command import Command, Outcome
 from trinoc.cli.progress import LOGGER
-from trinoc.cli.rig_file import read_rig
+from trinoc.cli.views import read_rig
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -39,8 +39,8 @@ class Check(Command):
     def run(self, command_line: str) -> Outcome:
         """Check, and write the corrected rig where there is one and it is wanted."""
         from trinoc.calib import check_rig
-        from trinoc.cli.provenance import provenance
-        from trinoc.cli.scene import scene_of
+        from trinoc.cli.progress import provenance
+        from trinoc.cli.views import scene_of
         from trinoc.geometry import Rig
         from trinoc.io import expect_ending, expect_place, save
 

@@ -2,7 +2,10 @@
 
 import abc
 import dataclasses
+import math
 import re
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from trinoc.errors import InputError
@@ -49,3 +52,121 @@ class Command(abc.ABC):
         `command_line` is what the user typed, for the provenance of files. What takes long to
         import is imported here, so that `--help` is quick.
         """
+
+
+# What no option of one command says by its own name.
+_PHRASES = {
+    "A sigma of `Systematics` is negative": (
+        "A standard deviation of --print-scale-sigma or --flatness-mm is negative"
+    ),
+    "give `rings=` yourself or": "choose a sheet with",
+    "; give a sigma_px that is as much smaller to have candidates judged by it too": "",
+}
+
+
+def in_options(sentence: str, command: object) -> str:
+    """`parameters=6` as `--parameters 6`, `tolerance_px is` as `--tolerance-px is`.
+
+    Names are those of the command's own options; what stands in quotes or behind a point is of a
+    file and stays.
+    """
+    for phrase, said in _PHRASES.items():
+        sentence = sentence.replace(phrase, said)
+    for name in _names(command):
+        option = f"--{name.replace('_', '-')}"
+        given = rf"(?<![\w\".`/-]){re.escape(name)}="
+        sentence = re.sub(rf'{given}(?:(?=\w)|"(\w+)")', rf"{option} \1", sentence)
+        if "_" in name and '.json: "' not in sentence:
+            alone = rf"(?<![\w\".`/-]){re.escape(name)}(?![\w\"=/-]|\.\w)"
+            sentence = re.sub(alone, option, sentence)
+    return sentence
+
+
+def _names(command: object) -> list[str]:
+    """Names of all options, those of groups of options, too; longest first."""
+    found = []
+    for field in dataclasses.fields(command):  # pyright: ignore[reportArgumentType]
+        value = getattr(command, field.name)
+        found += _names(value) if dataclasses.is_dataclass(value) else [field.name]
+    return sorted(found, key=len, reverse=True)
+
+
+# Options of commands that name a file to write; all other paths are read.
+_WRITTEN = ("out", "report", "cylinders", "rims_out", "plot")
+# A rig may take the place of the one that it was made from.
+_REPLACED = ("rig", "orientation")
+
+
+def expect_places(command: object) -> None:
+    """Raise UsageError where two results, or a result and what it is made of, are one file."""
+    taken: dict[Path, str] = {}
+    kept = {_same(path) for path in _read(command, (*_WRITTEN, *_REPLACED))}
+    read = {_same(path) for path in _read(command, _WRITTEN)}
+    for name in _WRITTEN:
+        path = getattr(command, name, None)
+        if not isinstance(path, Path):
+            continue
+        option, place = f"--{name.replace('_', '-')}", _same(path)
+        if place in (kept if name == "out" else read):
+            raise UsageError(
+                f"{option} is {path}, which is read, and would be lost: give another name."
+            )
+        if place in taken:
+            raise UsageError(
+                f"{taken[place]} and {option} are both {path}: give each a name of its own."
+            )
+        taken[place] = option
+
+
+def _read(options: object, but: tuple[str, ...]) -> Iterator[Path]:
+    """Files that options name, those of groups of options and of NAME=FILE, too."""
+    for field in dataclasses.fields(options):  # pyright: ignore[reportArgumentType]
+        value = getattr(options, field.name)
+        if field.name in but:
+            continue
+        if dataclasses.is_dataclass(value):
+            yield from _read(value, but)
+        for each in value if isinstance(value, tuple) else (value,):
+            if isinstance(each, Path):
+                yield each
+            elif isinstance(each, str) and each:
+                yield Path(each.partition("=")[2] or each)
+
+
+def _same(path: Path) -> Path:
+    """One path for all names of a file; a name that no file can have stays as it is."""
+    try:
+        return path.resolve()
+    except (OSError, RuntimeError, ValueError):
+        return path
+
+
+def expect_numbers(options: object) -> None:
+    """Raise UsageError for an option that is not a number, or infinite where nothing is meant.
+
+    Infinite numbers are taken where the option has one by default.
+    """
+    for name, value, default in _given(options):
+        numbers = value if isinstance(value, tuple) else (value,)
+        usual = default if isinstance(default, tuple) else (default,)
+        for number in numbers:
+            if not isinstance(number, float) or math.isfinite(number) or number in usual:
+                continue
+            raise UsageError(f"--{name.replace('_', '-')} is {number}: give a finite number.")
+
+
+def expect_sigmas(option: str, sigmas: tuple[float, ...]) -> None:
+    """Raise UsageError for a standard deviation below zero."""
+    if min(sigmas) < 0:
+        said = " ".join(f"{sigma:g}" for sigma in sigmas)
+        raise UsageError(f"{option} {said} is no standard deviation: give 0 or more.")
+
+
+def _given(options: object) -> Iterator[tuple[str, object, object]]:
+    """(name, value, default) of every option, those of groups of options, too."""
+    for field in dataclasses.fields(options):  # pyright: ignore[reportArgumentType]
+        value = getattr(options, field.name)
+        if dataclasses.is_dataclass(value):
+            yield from _given(value)
+        else:
+            yield field.name, value, field.default

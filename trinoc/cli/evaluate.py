@@ -10,9 +10,7 @@ import tyro
 
 from trinoc.cli.command import Command, Outcome, UsageError
 from trinoc.cli.progress import LOGGER
-from trinoc.cli.rig_file import read_rig
-from trinoc.cli.scene_files import SEGMENT_SUFFIXES, check_views
-from trinoc.cli.views import files_of_views
+from trinoc.cli.views import SEGMENT_SUFFIXES, check_views, files_of_views, read_rig
 from trinoc.errors import InputError
 
 if TYPE_CHECKING:

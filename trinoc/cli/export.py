@@ -7,13 +7,54 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from trinoc.cli.command import Command, Outcome, UsageError
-from trinoc.cli.format_names import ReadFormat, UnitMm, WrittenFormat
 from trinoc.cli.progress import LOGGER
 from trinoc.cli.views import files_of_views
 from trinoc.errors import InputError
 
 if TYPE_CHECKING:
     from trinoc.geometry import Intrinsics
+from typing import Literal
+
+ReadFormat = Literal[
+    "opencv",
+    "ros",
+    "kalibr",
+    "colmap",
+    "colmap-text",
+    "mrcal",
+    "matlab",
+    "nerfstudio",
+    "tf",
+    "lsd",
+    "elsed",
+    "limap-segments",
+]
+WrittenFormat = Literal[
+    "opencv",
+    "ros",
+    "kalibr",
+    "colmap",
+    "colmap-text",
+    "mrcal",
+    "matlab",
+    "nerfstudio",
+    "tf",
+    "ply",
+    "obj",
+    "gltf",
+    "dxf",
+    "csv",
+    "parquet",
+    "limap",
+    "json",
+    "lsd",
+    "elsed",
+    "limap-segments",
+]
+UnitMm = Annotated[
+    float | None, tyro.conf.arg(metavar="MM", help_behavior_hint="(default: of the format)")
+]
+
 
 _NONE = "(default: none)"
 
@@ -84,7 +125,7 @@ class Export(Command):
         return Outcome(f"{target.title}: {target.frames}\nwritten: {self.out}", record)
 
     def _read(self, command_line: str) -> Outcome:
-        from trinoc.cli.provenance import provenance
+        from trinoc.cli.progress import provenance
         from trinoc.geometry import Rig, Segments
         from trinoc.io import FORMATS, expect_place, save
 

@@ -68,7 +68,7 @@ class Intrinsics(Command):
         expect_pixel_pitch(self.pixel_pitch_mm)
 
         from trinoc.calib import calibrate_intrinsics
-        from trinoc.cli.provenance import provenance
+        from trinoc.cli.progress import provenance
         from trinoc.geometry import Intrinsics as Lens
         from trinoc.io import expect_ending, expect_place, load_pattern, read_image, save
 

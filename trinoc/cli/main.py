@@ -4,8 +4,10 @@ Exit status 0: done. 1: the job failed, and one sentence on stderr says why and 
 next. 2: wrong usage. 130: interrupted. 141: nobody read the output to its end.
 """
 
+import importlib.metadata
 import json
 import os
+import platform
 import shlex
 import sys
 from collections.abc import Sequence
@@ -17,23 +19,95 @@ from trinoc.cli.batch import Batch
 from trinoc.cli.calibrate import Calibrate
 from trinoc.cli.calibrate_rig import CalibrateRig
 from trinoc.cli.check import Check
-from trinoc.cli.command import Command, UsageError
+from trinoc.cli.command import Command, UsageError, expect_numbers, expect_places, in_options
 from trinoc.cli.demo import Demo
 from trinoc.cli.evaluate import Evaluate
 from trinoc.cli.export import Export
-from trinoc.cli.installation import installation
 from trinoc.cli.intrinsics import Intrinsics
 from trinoc.cli.match import Match
-from trinoc.cli.numbers import expect_numbers
 from trinoc.cli.pattern import Pattern
-from trinoc.cli.places import expect_places
 from trinoc.cli.refine import Refine
 from trinoc.cli.rig_toml import with_file
 from trinoc.cli.segments import Segments
 from trinoc.cli.view import View
 from trinoc.cli.watch import Watch
-from trinoc.cli.words import in_options
 from trinoc.errors import TrinocError
+
+LIBRARIES = (
+    *("numpy", "scipy", "jax", "jaxlib", "equinox", "optimistix", "lineax"),
+    *("opencv-python-headless", "scikit-image", "tyro", "jinja2"),
+)
+EXTRAS = {
+    "print": ("reportlab",),
+    "plot": ("matplotlib",),
+    "notebook": ("plotly", "pandas"),
+    "batch": ("dask", "distributed"),
+    "export": ("ruamel.yaml",),
+    "parquet": ("pyarrow",),
+    "view": ("viser",),
+}
+# All of these install the module cv2, each over the others.
+OPENCV = (
+    *("opencv-python", "opencv-python-headless", "opencv-contrib-python"),
+    "opencv-contrib-python-headless",
+)
+
+
+def installation() -> tuple[str, list[str]]:
+    """(what is installed, a line each; what to do where that is not well)."""
+    import jax
+
+    import trinoc
+    from trinoc.io import COMPILE_CACHE_VARIABLE, enable_compile_cache
+
+    found = {"python": f"{platform.python_version()} on {platform.platform()}"}
+    found |= {name: _version(name) or "not installed" for name in LIBRARIES}
+    for extra, names in EXTRAS.items():
+        missing = [name for name in names if _version(name) is None]
+        found[f"extra {extra}"] = f"pip install 'trinoc[{extra}]'" if missing else "installed"
+    found["devices"] = ", ".join(f"{d.platform} {d.device_kind}" for d in jax.devices())
+    folder = enable_compile_cache()
+    off = os.environ.get(COMPILE_CACHE_VARIABLE, "").lower() in ("off", "0", "no")
+    found["compile cache"] = str(folder or ("off" if off else "cannot be used"))
+
+    remedies = [
+        f"pip install {name}"
+        for name in LIBRARIES
+        if found[name] == "not installed" and name not in OPENCV
+    ]
+    wheels = [name for name in OPENCV if _version(name) is not None]
+    if len(wheels) > 1:
+        remedies.append(
+            f"{len(wheels)} wheels bring cv2: pip uninstall -y {' '.join(wheels)} && pip install "
+            "opencv-python-headless"
+        )
+    if folder is None and not off:
+        remedies.append(f"set {COMPILE_CACHE_VARIABLE} to a folder that only you can write to")
+    width = max(map(len, found))
+    lines = [f"{name:<{width}}  {words}" for name, words in found.items()]
+    return "\n".join([f"trinoc {trinoc.__version__}", *lines]), remedies
+
+
+def _version(name: str) -> str | None:
+    try:
+        return importlib.metadata.version(name)
+    except importlib.metadata.PackageNotFoundError:
+        return None
+
+
+def compile_quickly() -> None:
+    """Choose the quicker of XLA's code generators, unless the user's XLA_FLAGS name one."""
+    from trinoc.numerics import quick_compiling
+
+    own = os.environ.get("XLA_FLAGS", "")
+    flags = [
+        f"--{name}={str(value).lower()}"
+        for name, value in quick_compiling().items()
+        if name not in own
+    ]
+    if flags:
+        os.environ["XLA_FLAGS"] = " ".join([*flags, own]).rstrip()
+
 
 DESCRIPTION = (
     "Calibrate fixed cameras from one picture of a printed sheet each, and match line segments "
@@ -90,7 +164,7 @@ def _run(command: Command, command_line: str) -> int:
     # Small LAPACK calls are many times slower when their threads fight over busy cores.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-    from trinoc.cli.compiler import compile_quickly
+    from trinoc.cli.main import compile_quickly
     from trinoc.cli.progress import set_up_logging
     from trinoc.io import enable_compile_cache
 

@@ -9,16 +9,51 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from trinoc.cli.command import Command, Outcome, UsageError
-from trinoc.cli.match_steps import ANYWHERE, MatchOptions
-from trinoc.cli.plan import plan
-from trinoc.cli.progress import LOGGER
-from trinoc.cli.rig_file import doubts_of, doubts_table, read_rig
-from trinoc.cli.scene_files import SEGMENT_SUFFIXES, check_views, read_segments
-from trinoc.cli.views import files_of_rig, files_of_views
+from trinoc.cli.progress import LOGGER, plan
+from trinoc.cli.views import (
+    SEGMENT_SUFFIXES,
+    check_views,
+    doubts_of,
+    doubts_table,
+    files_of_rig,
+    files_of_views,
+    read_rig,
+    read_segments,
+)
 
 if TYPE_CHECKING:
     from trinoc.geometry import Segments
     from trinoc.match import Matches
+import math
+
+from trinoc.cli.segments import SegmentOptions
+from trinoc.match import StepName
+
+# Not None: an option that may be a pair or nothing would take pictures that follow it.
+ANYWHERE = (0.0, math.inf)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class MatchOptions(SegmentOptions):
+    """Options of the steps from segments to tracks and features."""
+
+    depth_range_mm: Annotated[
+        tuple[float, float],
+        tyro.conf.arg(metavar="NEAR FAR", help_behavior_hint="(default: anywhere before them)"),
+    ] = ANYWHERE
+    """Least and greatest depth of lines before every camera that sees them."""
+
+    steps: Annotated[
+        tuple[StepName, ...], tyro.conf.arg(metavar="STEP...", help_behavior_hint="(default: none)")
+    ] = ()
+    """What to do after matching. guided: ask every picture again where matched lines must be, which
+    finds faint edges. pixels: place the lines by the grey levels of all their views, which are more
+    exact than segments. cylinders: find right circular cylinders by their outlines, and mark tracks
+    that hold one. rims: find the circular rims of round bodies among the chords of arcs, and add
+    pieces of them. shadows: say how likely each track is the boundary of a cast shadow. wireframe:
+    put corners, edges and planar faces together. Cylinders, rims and a wire frame are written
+    beside the matches."""
+
 
 # Of the segments of the view that has fewest. The demo's scene reaches 0.66; 0.06 where two of its
 # pictures are swapped, and 0.23 where one of them is a photograph of something else.
@@ -102,7 +137,7 @@ class Match(MatchOptions, Command):
             save(own, self.place_of(kind))
         save(matches, self.out)
         if self.report is not None:
-            from trinoc.cli.provenance import for_people, provenance
+            from trinoc.cli.progress import for_people, provenance
             from trinoc.report import write_report
 
             LOGGER.info("writing %s", self.report)

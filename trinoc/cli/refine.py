@@ -8,7 +8,7 @@ import tyro
 
 from trinoc.cli.command import Command, Outcome
 from trinoc.cli.progress import LOGGER
-from trinoc.cli.rig_file import read_rig
+from trinoc.cli.views import read_rig
 from trinoc.errors import CalibrationError
 
 if TYPE_CHECKING:
@@ -59,8 +59,8 @@ class Refine(Command):
     def run(self, command_line: str) -> Outcome:
         """Refine and write the rig; nothing is written where the refinement fails."""
         from trinoc.calib import RefineStatus, refine
-        from trinoc.cli.provenance import provenance
-        from trinoc.cli.scene import scene_of
+        from trinoc.cli.progress import provenance
+        from trinoc.cli.views import scene_of
         from trinoc.geometry import Rig
         from trinoc.io import expect_ending, expect_place, save
 

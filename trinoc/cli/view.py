@@ -9,11 +9,28 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from trinoc.cli.command import Command, Outcome, UsageError
-from trinoc.cli.rig_file import read_rig
-from trinoc.cli.serving_options import Port, expect_port, show
+from trinoc.cli.views import read_rig
 
 if TYPE_CHECKING:
     from trinoc.report import Ellipsoids, SpaceFigure
+
+
+Port = Annotated[int, tyro.conf.arg(help_behavior_hint="(default: a free one)")]
+
+
+def expect_port(port: int) -> None:
+    """Raises UsageError: a server's thread would fail by itself, and the command wait on."""
+    if not 0 <= port <= 65535:
+        raise UsageError(f"--port is {port}: give one up to 65535, or none for a free one.")
+
+
+def show(url: str, browser: bool) -> None:
+    """Say where to look, also to whom is `--quiet`: nothing else can be done without it."""
+    print(f"trinoc: open {url} in a browser; Ctrl-C ends it", file=sys.stderr, flush=True)
+    if browser:
+        import webbrowser
+
+        webbrowser.open(url)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -1,10 +1,32 @@
 """Arguments NAME=FILE, or FILE alone: one file for each camera."""
 
+import os
 from collections.abc import Collection, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from trinoc.cli.command import UsageError
 from trinoc.cli.progress import LOGGER
+
+if TYPE_CHECKING:
+    from trinoc.geometry import Rig
+    from trinoc.report import ExtraTable
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING
+
+from trinoc.cli.progress import each
+from trinoc.errors import InputError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from trinoc.geometry import Rig, Segments
+from typing import TYPE_CHECKING, NamedTuple
+
+if TYPE_CHECKING:
+    from trinoc.geometry import Rig
+    from trinoc.match import Matches
+
 
 # What stands between the words of a file's name.
 _BETWEEN = "_-. "
@@ -89,3 +111,127 @@ def files_of_rig(arguments: Sequence[str], names: Collection[str]) -> dict[str, 
         found[inside[0]] = file
     LOGGER.info("by the rig: %s", " ".join(f"{name}={file}" for name, file in found.items()))
     return found
+
+
+def read_rig(file: str | os.PathLike[str]) -> "Rig":
+    """The rig of a file; a warning on stderr repeats what its calibration doubted."""
+    from trinoc.io import load_rig
+
+    rig = load_rig(file)
+    doubts = doubts_of(file)
+    if doubts:
+        said = ", ".join(f"{name} ({doubt.removesuffix('.')})" for name, doubt in doubts.items())
+        LOGGER.warning("the calibration in %s is SUSPECT: %s", file, said)
+    return rig
+
+
+def doubts_of(file: str | os.PathLike[str]) -> dict[str, str]:
+    """For each camera whose calibration was suspect, why."""
+    from trinoc.io import load_rig_status
+
+    return load_rig_status(file).doubts
+
+
+def doubts_table(file: str | os.PathLike[str]) -> "list[ExtraTable]":
+    """The same for a report: a table, or none where nothing was doubted."""
+    from trinoc.report import ExtraTable
+
+    caption = "The segments in space inherit these errors, which their sigmas do not hold."
+    rows = list(doubts_of(file).items())
+    return [ExtraTable("SUSPECT cameras", ("camera", "why"), rows, caption)] if rows else []
+
+
+SEGMENT_SUFFIXES = (".npz", ".npy", ".csv", ".txt")
+
+
+def read_segments(
+    files: Mapping[str, Path],
+    rig: "Rig",
+    find: "Callable[[np.ndarray], Segments]",
+    *,
+    quiet: bool,
+) -> "tuple[dict[str, np.ndarray], dict[str, Segments]]":
+    """(the pictures among the files, the segments of all): read, or found in the pictures."""
+    from trinoc.io import expect_inside, expect_size, load_segments, read_views
+
+    tables = {n: f for n, f in files.items() if f.suffix.lower() in SEGMENT_SUFFIXES}
+    images = read_views({name: file for name, file in files.items() if name not in tables})
+    for name, image in images.items():
+        expect_size(name, image, rig)
+    segments = {
+        name: load_segments(tables[name]) if name in tables else find(images[name])
+        for name in each(tuple(files), "segments", quiet=quiet)
+    }
+    for name, found in segments.items():
+        if len(found) == 0:
+            _warn_of_nothing(name, images.get(name), files[name])
+        elif name in tables:
+            expect_inside(name, found, rig, tables[name])
+    return images, segments
+
+
+def _warn_of_nothing(name: str, image: "np.ndarray | None", file: Path) -> None:
+    from trinoc.segments import why_nothing
+
+    why = "The table is empty." if image is None else why_nothing(image)
+    LOGGER.warning('no segment in %s, the picture of "%s": %s', file, name, why)
+
+
+def check_views(files: Mapping[str, Path], rig: "Rig", rig_file: Path) -> None:
+    """Raise InputError where the views given are not the cameras of the rig."""
+    for name in files:
+        if name not in rig.names:
+            raise InputError(
+                f'{rig_file} has no camera "{name}", but {", ".join(rig.names)}: use these names.'
+            )
+    missing = [name for name in rig.names if name not in files]
+    if missing and len(files) < 3:
+        raise InputError(
+            f'{rig_file} has the camera "{missing[0]}", for which no picture is given: '
+            f"add {missing[0]}=FILE."
+        )
+    if missing:
+        LOGGER.warning("no picture of %s: matching without", ", ".join(missing))
+
+
+# After a knock the matcher first takes the ends of segments to be this far off. With 8 px it finds
+# nothing among clutter any more, whatever the resolution.
+TOLERANT_SIGMA_PX = 4.0
+
+
+class SceneInput(NamedTuple):
+    """Matches made with the rig given, ways to match again (none for matches), and the files."""
+
+    matches: "Matches"
+    tolerant: "Callable[[Rig], Matches] | None"
+    strict: "Callable[[Rig], Matches] | None"
+    files: dict[str, Path]
+
+
+def scene_of(
+    pictures: Sequence[str], matches: Path | None, rig: "Rig", rig_file: Path, *, quiet: bool
+) -> SceneInput:
+    """Read the matches, or the pictures or segments. Raises UsageError, InputError."""
+    if bool(pictures) == (matches is not None):
+        raise UsageError(
+            "Give either NAME=FILE for each camera, its picture or segments of the scene, or "
+            "--matches FILE."
+        )
+    if matches is not None:
+        from trinoc.io import load_matches
+
+        return SceneInput(load_matches(matches), None, None, {"matches": matches})
+
+    from trinoc.match import match_segments
+    from trinoc.segments import find_segments
+
+    files = files_of_rig(pictures, rig.names)
+    check_views(files, rig, rig_file)
+    segments = read_segments(files, rig, find_segments, quiet=quiet)[1]
+    LOGGER.info("matching %s", ", ".join(f"{len(s)} ({n})" for n, s in segments.items()))
+    return SceneInput(
+        match_segments(segments, rig),
+        lambda other: match_segments(segments, other, sigma_px=TOLERANT_SIGMA_PX),
+        lambda other: match_segments(segments, other),
+        files,
+    )

@@ -10,17 +10,153 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from trinoc.cli.arrivals import FolderArrivals, camera_frames
 from trinoc.cli.command import Command, Outcome, UsageError
 from trinoc.cli.progress import LOGGER
-from trinoc.cli.serving_options import Port, expect_port, show
-from trinoc.cli.watch_session import WatchSession
+from trinoc.cli.view import Port, expect_port, show
 from trinoc.errors import InputError
 
 if TYPE_CHECKING:
     import numpy as np
 
     from trinoc.capture import Judgement
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import numpy as np
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from trinoc.calib import AbstractTarget
+    from trinoc.capture import Judgement
+
+
+class WatchSession:
+    """What was judged so far, and how it is said."""
+
+    def __init__(self, target: "AbstractTarget", source: str, json: bool, quiet: bool) -> None:
+        from trinoc.serving import Watched
+
+        self._target, self._stream = target, sys.stderr if json else sys.stdout
+        self._silent = json and quiet
+        self.judgements: list[Judgement] = []
+        self.written: list[str] = []
+        self.watched: Watched = Watched(f"trinoc watch {source}")
+
+    def look(self, name: str, image: "np.ndarray | InputError") -> "Judgement":
+        """Judge a picture, and say so."""
+        from trinoc.capture import judge, judge_unread, judgement_line, next_step
+        from trinoc.serving import thumbnail
+
+        try:
+            if isinstance(image, InputError):
+                raise image
+            judgement = judge(name, image, self._target)
+            small = thumbnail(image, judgement)
+        except InputError as error:
+            judgement, small = judge_unread(name, self._target, str(error)), b""
+        # A picture that is written again takes the place of its former self.
+        self.judgements = [j for j in self.judgements if j.name != name] + [judgement]
+        self.watched = self.watched._replace(judgements=tuple(self.judgements), thumbnail=small)
+        if not self._silent:
+            advice = f"\n  {next_step(self.judgements)}" if judgement.good else ""
+            print(judgement_line(judgement) + advice, file=self._stream, flush=True)
+        return judgement
+
+    def outcome(self) -> Outcome:
+        """The summary."""
+        from trinoc.capture import field_share, next_step, summary_lines
+
+        lines = summary_lines(self.judgements)
+        lines += [f"written: {', '.join(self.written)}"] if self.written else []
+        record: dict[str, Any] = {
+            "pictures": [_record(judgement) for judgement in self.judgements],
+            "field": field_share(self.judgements),
+            "next": next_step(self.judgements),
+            "written": self.written,
+        }
+        return Outcome("\n".join(lines), record)
+
+
+def _record(judgement: "Judgement") -> dict[str, Any]:
+    return {
+        "name": judgement.name,
+        "good": judgement.good,
+        "found": len(judgement.places_px),
+        "of": judgement.of_places,
+        "refusal": judgement.refusal,
+        "faults": list(judgement.faults),
+        "edges_px": _known(judgement.blur_px),
+        "saturated": _known(judgement.exposure.saturated),
+        "dark": _known(judgement.exposure.dark),
+        "lean": list(judgement.lean),
+    }
+
+
+def _known(value: float) -> float | None:
+    return value if value == value else None
+
+
+# Scans after which a picture without its end mark is taken as it is.
+PATIENCE = 10
+
+
+class FolderArrivals:
+    """Pictures of a folder, each once it is written to its end, and again when it is replaced."""
+
+    def __init__(self, folder: Path) -> None:
+        if not folder.is_dir():
+            raise InputError(f"{folder} is no folder: give the one that pictures arrive in.")
+        self._folder = folder
+        self._seen: dict[Path, tuple[tuple[int, int], int]] = {}
+        self._told: dict[Path, tuple[int, int]] = {}
+
+    def ready(self, *, at_once: bool = False) -> list[Path]:
+        """Pictures not told yet that did not change since the last call, the oldest first.
+
+        at_once : also those seen for the first time.
+        """
+        from trinoc.io import IMAGE_SUFFIXES, is_whole_picture
+
+        found = []
+        for path in self._folder.iterdir():
+            if path.suffix.lower() not in IMAGE_SUFFIXES:
+                continue
+            with contextlib.suppress(OSError):  # gone again, or not yet to be read
+                status = path.stat()
+                signature = status.st_size, status.st_mtime_ns
+                before, scans = self._seen.get(path, (None, 0))
+                scans = scans + 1 if before == signature else 0
+                self._seen[path] = signature, scans
+                if self._told.get(path) == signature or not (scans or at_once):
+                    continue
+                if at_once or scans >= PATIENCE or is_whole_picture(path):
+                    found.append((status.st_mtime_ns, path))
+                    self._told[path] = signature
+        return [path for _, path in sorted(found)]
+
+
+def camera_frames(number: int, every_s: float) -> "Iterator[np.ndarray]":
+    """The newest frame of a camera, every so many seconds. Raises InputError."""
+    import cv2
+
+    camera: Any = cv2.VideoCapture(number)
+    try:
+        if not camera.isOpened():
+            raise InputError(f"Camera {number} does not open: see that nobody else uses it.")
+        while True:
+            # A camera keeps frames waiting: all are taken, and the last is looked at.
+            until = time.monotonic() + every_s
+            there = camera.grab()
+            while there and time.monotonic() < until:
+                there = camera.grab()
+            there, frame = camera.retrieve() if there else (False, None)
+            if frame is None:
+                raise InputError(f"Camera {number} sends no picture any more: look at its cable.")
+            yield frame
+    finally:
+        camera.release()
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
