@@ -129,7 +129,8 @@ def of_questions(name: str, places: list[Place]) -> None:
     for place in places:
         segments = {view: trinoc.find_segments(p) for view, p in place.pictures.items()}
         scenes.append((place, segments, trinoc.match_segments(segments, place.rig)))
-    for left_out in ((), *((each,) for each in QUESTIONS), tuple(QUESTIONS)):
+    alone = (tuple(other for other in QUESTIONS if other != each) for each in QUESTIONS)
+    for left_out in ((), *((each,) for each in QUESTIONS), *alone, tuple(QUESTIONS)):
         rows, views, seconds = [], np.zeros(4), 0.0
         kept = {each: getattr(guide, QUESTIONS[each][0]) for each in left_out}
         for each in left_out:
