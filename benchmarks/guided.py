@@ -28,7 +28,7 @@ from trinoc.evaluation.distances import distance_to_segments_mm, sampled_segment
 from trinoc.geometry import Rig, Segments
 from trinoc.io import load_rig
 from trinoc.match import Matches
-from trinoc.match.guided import guide
+from trinoc.match.pixels import guide
 from trinoc.synth import SceneTruth, shown_parts_mm, table1_rig
 
 Outcome = tuple[float, bool, bool]
@@ -117,7 +117,6 @@ def with_rims(place: Place, guided: trinoc.GuidedMatches) -> Matches:
 # What guided detection asks the pictures, by the function of its file that does so, and what that
 # answers where nothing is asked.
 QUESTIONS = {
-    "views": ("with_further_views", lambda state, *_, **__: (state, 0)),
     "lines": ("with_new_lines", lambda state, pictures, before_mm, _: (state, 0, before_mm)),
     "ends": ("prolonged", lambda state, *_: (state, 0)),
 }

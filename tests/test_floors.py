@@ -37,7 +37,7 @@ INNER_FLOORS = {
     ),
     "match": (
         *("tuning", "observations", "two_view", "evidence", "candidates", "selection"),
-        *("occlusion", "tracks", "guided", "line_pixels", "line_map", "wire_frame", "cylinders"),
+        *("occlusion", "tracks", "pixels", "line_map", "wire_frame", "cylinders"),
         *("rims", "shadows"),
     ),
     "segments": ("nevatia_babu",),

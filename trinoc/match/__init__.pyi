@@ -2,16 +2,20 @@ from .batch import MatchBatch as MatchBatch, match_many as match_many
 from .candidates.triples import trinocular_candidates as trinocular_candidates
 from .cylinders import Cylinders as Cylinders, find_cylinders as find_cylinders
 from .features import FEATURES as FEATURES
-from .guided import GuidedMatches as GuidedMatches, guide_matches as guide_matches
 from .line_map.collinear_merge import join_collinear as join_collinear
 from .line_map.corners import Corners as Corners, snap_corners as snap_corners
 from .line_map.depth import depth_map as depth_map
 from .line_map.lines import JoinedLines as JoinedLines
-from .line_pixels import PixelTuning as PixelTuning, measure_lines as measure_lines
 from .matcher import match_segments as match_segments
 from .observations.clutter import fit_clutter as fit_clutter
 from .observations.match_input import MatchInput as MatchInput, prepare as prepare
 from .occlusion.pairs import occluded_pairs as occluded_pairs
+from .pixels import (
+    GuidedMatches as GuidedMatches,
+    PixelTuning as PixelTuning,
+    guide_matches as guide_matches,
+    measure_lines as measure_lines,
+)
 from .rims import (
     MatchesWithRims as MatchesWithRims,
     Rims as Rims,

@@ -14,9 +14,8 @@ from trinoc.errors import InputError
 from trinoc.geometry import Feature, Rig, Segments
 from trinoc.image import ResponseLike
 from trinoc.match.cylinders import find_cylinders
-from trinoc.match.guided import guide_matches
-from trinoc.match.line_pixels import measure_lines
 from trinoc.match.matcher import match_segments
+from trinoc.match.pixels import guide_matches, measure_lines
 from trinoc.match.rims import add_rims, find_rims
 from trinoc.match.shadows import Shadows, find_shadows
 from trinoc.match.step_names import StepName

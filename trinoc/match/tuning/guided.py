@@ -55,19 +55,12 @@ class GuidedTuning:
     # more, px. By hand.
     reach_sigmas: float = 2.5
     corner_gate_px: float = 0.5
-    # A line is asked for in a further view where it is so long there, px, and an edge is its own
-    # where it covers this share. By hand.
+    # A line is asked for where it is so long, px. By hand.
     shortest_px: float = 12.0
-    least_covered: float = 0.4
-    # With the further view a line keeps this share of its length. By hand.
-    kept_share: float = 0.7
     # An edge found and a segment there are one within this distance and overlap. By hand.
     same_px: float = 1.2
     same_overlap: float = 0.5
     claimed_overlap: float = 0.3
-    # Where lines beside a line are asked for, px across; what the answers weigh in log odds.
-    control_px: tuple[float, ...] = (-11.0, -7.0, 7.0, 11.0)
-    temperature: float = 0.5
     # How likely a line is that a quick look has chosen, and how likely a picture is to miss one.
     # By hand, on seeds 0 to 11.
     prior_new: float = 0.05

@@ -7,11 +7,10 @@ import numpy as np
 from jaxtyping import Float, Int, Shaped
 
 from trinoc.geometry import Intrinsics, Rig
-from trinoc.match.guided.edge_piece import Place
-from trinoc.match.guided.evidence import Evidence, evidence_along
-from trinoc.match.guided.false_alarms import block_noise, growth_of, log_chance
-from trinoc.match.guided.gradient import gradient_of
-from trinoc.match.guided.probes import samples_of, step_of
+from trinoc.match.pixels.edge_piece import Place
+from trinoc.match.pixels.evidence import Evidence, evidence_along
+from trinoc.match.pixels.false_alarms import block_noise, growth_of, log_chance
+from trinoc.match.pixels.probes import gradient_of, samples_of, step_of
 from trinoc.numerics import concatenate_rows
 
 # Probes at once, so that what is read of the picture stays near the processor.
@@ -67,7 +66,6 @@ class Answer(NamedTuple):
     along_px : (n, 2) where the ends lie along the probe.
     width_px : (n, 2) of its ridge, in the first and the second half.
     contrast : (n,) grey levels of the step. tests : (n,) how many were made.
-    covered : (n,) share of the probe that the edge covers.
     """
 
     log_chance: Float[np.ndarray, "n"]
@@ -79,7 +77,6 @@ class Answer(NamedTuple):
     width_px: Float[np.ndarray, "n 2"]
     contrast: Float[np.ndarray, "n"]
     tests: Float[np.ndarray, "n"]
-    covered: Float[np.ndarray, "n"]
 
     @property
     def length_px(self) -> Float[np.ndarray, "n"]:
@@ -147,7 +144,7 @@ def spread_out(answer: Answer, rows: Int[np.ndarray, "n"], count: int) -> Answer
 
 def _nothing(count: int) -> Answer:
     zero, ends = np.zeros(count), np.zeros((count, 2, 2))
-    rest = np.zeros((count, 4, 4)), *np.zeros((2, count, 2)), *np.zeros((3, count))
+    rest = np.zeros((count, 4, 4)), *np.zeros((2, count, 2)), *np.zeros((2, count))
     return Answer(zero.copy(), zero.copy(), zero.copy(), ends, *rest)
 
 
@@ -191,7 +188,6 @@ def _answer(
         place.width_px,
         place.contrast,
         found.tests,
-        (along[:, 1] - along[:, 0]) / length,
     )
 
 

@@ -6,8 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from trinoc.image import height_of_step, log_parabola
-from trinoc.match.guided.probes import BLOCKS
-from trinoc.match.guided.ridges import SHOULDER
+from trinoc.match.pixels.probes import BLOCKS, SHOULDER
 
 # What one block may say for or against an edge that goes on, log likelihood.
 _MOST_OF_BLOCK = 4.0

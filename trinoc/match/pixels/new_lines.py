@@ -12,14 +12,12 @@ from jaxtyping import Bool, Float
 from scipy.spatial import KDTree
 
 from trinoc.geometry import distort_pixels, project_by_matrix
-from trinoc.match.guided.accept import with_accepted
-from trinoc.match.guided.corners import corners_of, ends_of
-from trinoc.match.guided.joint import asked
-from trinoc.match.guided.partners import hypotheses_of
-from trinoc.match.guided.proposals import proposals_of
-from trinoc.match.guided.ridges import REACH
-from trinoc.match.guided.state import State
-from trinoc.match.guided.views import PictureInput
+from trinoc.match.pixels.accept import with_accepted
+from trinoc.match.pixels.joint import asked, proposals_of
+from trinoc.match.pixels.partners import corners_of, ends_of, hypotheses_of
+from trinoc.match.pixels.probes import REACH
+from trinoc.match.pixels.state import State
+from trinoc.match.pixels.views import PictureInput
 from trinoc.match.tuning import GuidedTuning
 from trinoc.numerics import take_rows
 

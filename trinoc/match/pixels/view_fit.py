@@ -7,10 +7,10 @@ from jaxtyping import Float, Shaped
 
 from trinoc.geometry import Intrinsics
 from trinoc.image import Light
-from trinoc.match.line_pixels.images import LineImages
-from trinoc.match.line_pixels.strip_fit import StripFit, fit_strips
-from trinoc.match.line_pixels.strips import Strips, owners_of, strips_of
-from trinoc.match.line_pixels.tuning import PixelTuning
+from trinoc.match.pixels.images import LineImages
+from trinoc.match.pixels.strip_fit import StripFit, fit_strips
+from trinoc.match.pixels.strips import Strips, owners_of, strips_of
+from trinoc.match.pixels.tuning import PixelTuning
 from trinoc.numerics import MAD_TO_SIGMA
 
 PIXELS = "pixels"

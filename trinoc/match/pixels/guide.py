@@ -8,12 +8,11 @@ import numpy as np
 from jaxtyping import Shaped
 
 from trinoc.geometry import Rig, Segments, distort_pixels
-from trinoc.match.guided.further_views import with_further_views
-from trinoc.match.guided.new_lines import with_new_lines
-from trinoc.match.guided.prolong import prolonged
-from trinoc.match.guided.state import State, start_of, tables_of, turned_round
-from trinoc.match.guided.views import PictureInput, picture_inputs, with_usual_width
 from trinoc.match.observations import as_segments, check_pictures
+from trinoc.match.pixels.new_lines import with_new_lines
+from trinoc.match.pixels.prolong import prolonged
+from trinoc.match.pixels.state import State, start_of, tables_of, turned_round
+from trinoc.match.pixels.views import PictureInput, picture_inputs, with_usual_width
 from trinoc.match.tracks import (
     BINOCULAR,
     TRINOCULAR,
@@ -61,10 +60,9 @@ def guide_matches(
 
     A search for edges in one picture has millions of places to be wrong at, and must ask for much.
     Along a known line there is one: the picture is asked for an edge at this place and in this
-    direction, with a rate of false alarms for these few tests. Asked for are lines in views that
-    lack them, what lies beyond the ends of matched segments, and lines that should be there: from
-    corner to corner, and from a corner parallel to a line beside it. An edge that two views should
-    show and one does not speaks against a match. Rounds until nothing is added.
+    direction, with a rate of false alarms for these few tests. Asked for are what lies
+    beyond the ends of matched segments, and lines that should be there: from corner to corner, and
+    from a corner parallel to a line beside it. Rounds until nothing is added.
 
     Parameters
     ----------
@@ -96,15 +94,14 @@ def rounds(
 ) -> tuple[State, dict[str, int]]:
     """(the state when nothing more is added, how much was added of each kind)."""
     asked = np.zeros((0, 2, 3))
-    total = np.zeros(3, dtype=np.int64)
-    for number in range(tuning.rounds):
-        state, seen = with_further_views(state, pictures, tuning, weigh=number == 0)
+    total = np.zeros(2, dtype=np.int64)
+    for _ in range(tuning.rounds):
         state, new, asked = with_new_lines(state, pictures, asked, tuning)
         state, longer = prolonged(state, pictures, tuning)
-        total += [seen, new, longer]
-        if seen + new + longer == 0:
+        total += [new, longer]
+        if new + longer == 0:
             break
-    words = "guided: views added to tracks", "guided: new tracks", "guided: segments lengthened"
+    words = "guided: new tracks", "guided: segments lengthened"
     return state, dict(zip(words, total.tolist(), strict=True))
 
 

@@ -10,14 +10,15 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.match.guided.edge_piece import Extent, Place, extent_of, placed
-from trinoc.match.guided.probes import BLOCKS, Samples
-from trinoc.match.guided.ridges import (
+from trinoc.match.pixels.edge_piece import Extent, Place, extent_of, placed
+from trinoc.match.pixels.probes import (
+    BLOCKS,
     REACH,
     SHOULDER,
     WINDOW_FIRST,
     WINDOW_LAST,
     WINDOW_SIZE,
+    Samples,
     block_gradients,
     ridge,
     ridge_sigma,

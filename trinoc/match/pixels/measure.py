@@ -7,11 +7,11 @@ from jaxtyping import Shaped
 
 from trinoc.geometry import Rig, Segments
 from trinoc.image import Light, ResponseLike
-from trinoc.match.line_pixels.answer import measured
-from trinoc.match.line_pixels.images import line_images
-from trinoc.match.line_pixels.tuning import DEFAULT, PixelTuning
-from trinoc.match.line_pixels.view_fit import fit_view
 from trinoc.match.observations import as_segments, check_pictures
+from trinoc.match.pixels.answer import measured
+from trinoc.match.pixels.images import line_images
+from trinoc.match.pixels.tuning import DEFAULT, PixelTuning
+from trinoc.match.pixels.view_fit import fit_view
 from trinoc.match.tracks import Matches
 from trinoc.numerics import ArrayLike, in_float64
 

@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from trinoc.geometry import project_by_matrix
-from trinoc.match.guided.corners import ends_of
-from trinoc.match.guided.state import State, ViewSegments, refitted, with_view
-from trinoc.match.guided.views import Answer, PictureInput, ask
+from trinoc.match.pixels.partners import ends_of
+from trinoc.match.pixels.state import State, ViewSegments, refitted, with_view
+from trinoc.match.pixels.views import Answer, PictureInput, ask
 from trinoc.match.tracks import positions_abreast
 from trinoc.match.tuning import GuidedTuning
 

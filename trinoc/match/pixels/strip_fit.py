@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from trinoc.image import BlockFit, fit_block
-from trinoc.match.line_pixels.strips import Strips, outward
-from trinoc.match.line_pixels.tuning import PixelTuning
+from trinoc.match.pixels.strips import Strips, outward
+from trinoc.match.pixels.tuning import PixelTuning
 from trinoc.numerics import (
     ArrayLike,
     NormalEquations,

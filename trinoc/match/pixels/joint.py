@@ -1,15 +1,20 @@
 """What all pictures answer about one line that may be there, taken together."""
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
-from trinoc.geometry import project_with_jacobian
-from trinoc.match.guided.ridges import REACH
-from trinoc.match.guided.views import Answer, PictureInput, ask
+from trinoc.geometry import project_by_matrix, project_with_jacobian
+from trinoc.match.pixels.partners import Hypotheses
+from trinoc.match.pixels.probes import REACH
+from trinoc.match.pixels.state import State
+from trinoc.match.pixels.views import Answer, PictureInput, ask
+from trinoc.match.tracks import positions_abreast
 from trinoc.match.tuning import GuidedTuning
+from trinoc.numerics import take_rows
 
 
 class Asked(NamedTuple):
@@ -21,7 +26,6 @@ class Asked(NamedTuple):
     variance_px2 : (n, v, 2, 2) of these.
     by_ends : (n, v, 2, 6) derivative of the projected ends across the line by the ends in space.
     area_px2 : (n, v) within which the two offsets may lie.
-    inside : (n, v) whether the picture could show it.
     """
 
     answers: list[Answer]
@@ -30,7 +34,6 @@ class Asked(NamedTuple):
     variance_px2: Float[np.ndarray, "n v 2 2"]
     by_ends: Float[np.ndarray, "n v 2 6"]
     area_px2: Float[np.ndarray, "n v"]
-    inside: Bool[np.ndarray, "n v"]
 
 
 def asked(
@@ -64,7 +67,7 @@ def _spread_out(column: Any, rows: np.ndarray, count: int) -> Any:
 
 def _of_view(
     picture: PictureInput, ends_mm: np.ndarray, covariance_mm2: np.ndarray, tuning: GuidedTuning
-) -> tuple[Answer, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+) -> tuple[Answer, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     matrix = picture.matrix_px
     before = (ends_mm @ matrix[2, :3] + matrix[2, 3] > 0).all(axis=1)
     seen = project_with_jacobian(matrix, np.where(before[:, None, None], ends_mm, 0.0))
@@ -101,7 +104,6 @@ def _of_view(
         weight @ own @ weight.mT,
         by_ends,
         width * np.minimum(width, 5.0),
-        known,
     )
 
 
@@ -132,3 +134,96 @@ def log_odds_of(
     area = np.log(np.where(members, found.area_px2, 1.0))
     clutter = np.where(members, area - happens, 0.0).sum(axis=1)
     return log_density + clutter
+
+
+class Proposals(NamedTuple):
+    """Lines that may be new tracks, the likeliest first.
+
+    Fields
+    ------
+    asked_for : where they may be.
+    members : (n, v) the views whose edges are of one line.
+    log_odds : (n,) of that.
+    answers : of every view.
+    """
+
+    asked_for: Hypotheses
+    members: Bool[np.ndarray, "n v"]
+    log_odds: Float[np.ndarray, "n"]
+    answers: list[Answer]
+
+
+def proposals_of(
+    state: State,
+    found: Asked,
+    hypotheses: Hypotheses,
+    size_px: Sequence[tuple[int, int]],
+    looked_at: int,
+    tuning: GuidedTuning,
+) -> Proposals:
+    """Of lines that were asked for, those that are likely; `looked_at` is how many there were
+    before the pictures chose."""
+    views = found.hit.shape[1]
+    # How often a picture shows an edge where one was promising.
+    chance = (found.hit.sum(axis=0) + 1) / (len(found.hit) + views)
+    strict = np.log(tuning.false_alarms / looked_at)
+    members = _overlapping(state, found, hypotheses.ends_mm, tuning)
+    surely = _surely_two(found, members, strict)
+    found, hypotheses, members = take_rows((found, hypotheses, members), surely)
+    missed = np.log(tuning.missed) * _in_picture(state, hypotheses.ends_mm, size_px)
+    choices = [members] + [members & (np.arange(views) != k) for k in range(views) if views > 2]
+    log_odds = np.stack(
+        [
+            np.where(
+                _surely_two(found, choice, strict),
+                log_odds_of(found, hypotheses.covariance_mm2, choice, chance)
+                + (missed * ~choice).sum(axis=1),
+                -np.inf,
+            )
+            for choice in choices
+        ]
+    )
+    log_odds += np.log(tuning.prior_new)
+    best = log_odds.argmax(axis=0)
+    every = np.arange(len(best))
+    members, log_odds = np.stack(choices)[best, every], log_odds[best, every]
+    rows = np.argsort(-log_odds, kind="stable")
+    rows = rows[log_odds[rows] > tuning.new_log_odds]
+    return take_rows(Proposals(hypotheses, members, log_odds, found.answers), rows)
+
+
+def _surely_two(
+    found: Asked, members: Bool[np.ndarray, "n v"], strict: float
+) -> Bool[np.ndarray, "n"]:
+    """Whether two views show an edge, and one of them would not by noise."""
+    sure = np.stack([answer.log_chance < strict for answer in found.answers], axis=1)
+    return (members.sum(axis=1) >= 2) & (members & sure).any(axis=1)
+
+
+def _in_picture(
+    state: State, lines_mm: Float[np.ndarray, "n 2 3"], size_px: Sequence[tuple[int, int]]
+) -> Bool[np.ndarray, "n v"]:
+    """Which pictures have the middle of each line within their borders."""
+    middle = lines_mm.mean(axis=1)
+    inside = []
+    for matrix, size in zip(state.cameras.matrix_px, size_px, strict=True):
+        place = project_by_matrix(matrix, middle)
+        inside.append(((place >= 0) & (place <= np.array(size) - 1)).all(axis=1))
+    return np.stack(inside, axis=1)
+
+
+def _overlapping(
+    state: State, found: Asked, lines: Float[np.ndarray, "n 2 3"], tuning: GuidedTuning
+) -> Bool[np.ndarray, "n v"]:
+    """The views of which each shares most of the shorter part with the longest."""
+    reach = np.zeros((*found.hit.shape, 2))
+    for view, (matrix, answer) in enumerate(
+        zip(state.cameras.matrix_px, found.answers, strict=True)
+    ):
+        on = np.flatnonzero(found.hit[:, view])
+        reach[on, view] = np.sort(positions_abreast(matrix, answer.ends_px[on], lines[on]), axis=1)
+    length = np.where(found.hit, reach[..., 1] - reach[..., 0], 0.0)
+    longest = reach[np.arange(len(lines)), length.argmax(axis=1)]
+    low = np.maximum(reach[..., 0], longest[:, None, 0])
+    high = np.minimum(reach[..., 1], longest[:, None, 1])
+    return found.hit & (high - low > tuning.same_overlap * length)

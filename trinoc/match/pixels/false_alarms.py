@@ -10,9 +10,19 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.geometry import Intrinsics
-from trinoc.match.guided.gradient import SMOOTHING_PX, Gradient
-from trinoc.match.guided.probes import STEP_PX, STEPS, samples_of
-from trinoc.match.guided.ridges import NEXT, SECOND, SHOULDER, WINDOW_SIZE, WINDOWS, window_scores
+from trinoc.match.pixels.probes import (
+    NEXT,
+    SECOND,
+    SHOULDER,
+    SMOOTHING_PX,
+    STEP_PX,
+    STEPS,
+    WINDOW_SIZE,
+    WINDOWS,
+    Gradient,
+    samples_of,
+    window_scores,
+)
 from trinoc.numerics import MAD_TO_SIGMA, log_normal_tail, log_student_tail
 
 CONTROLS = 128

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from trinoc.match.line_pixels.answer import hausman
-from trinoc.match.line_pixels.line_fit import fit_lines
-from trinoc.match.line_pixels.strip_fit import StripFit, fit_strips
-from trinoc.match.line_pixels.strips import COLUMNS, HALF, NOBODY, ROWS, Strips, owners_of
-from trinoc.match.line_pixels.tuning import PixelTuning
+from trinoc.match.pixels.answer import fit_lines, hausman
+from trinoc.match.pixels.strip_fit import StripFit, fit_strips
+from trinoc.match.pixels.strips import COLUMNS, HALF, NOBODY, ROWS, Strips, owners_of
+from trinoc.match.pixels.tuning import PixelTuning
 from trinoc.synth import table1_rig
 
 LINES, BLOCKS, NOISE, BLUR_PX = 150, 6, 2.0, 1.1

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from tests.match.line_pixels.made import (
+from tests.match.pixels.made import (
     RIG,
     VIEWS,
     light_of,

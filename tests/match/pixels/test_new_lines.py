@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from tests.match.guided.test_evidence import noise_picture, probes, seen, step_edge
-from trinoc.match.guided.evidence import MIDDLES, TILTS, lines_at, on_lines
-from trinoc.match.guided.new_lines import quick_look, without
-from trinoc.match.guided.partners import family_of, first_of_each, largest_families
-from trinoc.match.guided.probes import BLOCKS
-from trinoc.match.guided.ridges import OFFSETS, REACH
+from tests.match.pixels.test_evidence import noise_picture, probes, seen, step_edge
+from trinoc.match.pixels.evidence import MIDDLES, TILTS, lines_at, on_lines
+from trinoc.match.pixels.new_lines import quick_look, without
+from trinoc.match.pixels.partners import family_of, first_of_each, largest_families
+from trinoc.match.pixels.probes import BLOCKS, OFFSETS, REACH
 
 
 def test_a_quick_look_sees_edges_and_neither_noise_nor_what_crosses():

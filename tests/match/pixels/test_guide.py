@@ -104,19 +104,6 @@ def guided():
     return segments, matches, guide_matches(matches, segments, RIG, PICTURES)
 
 
-def test_a_pair_becomes_a_triple(guided):
-    segments, matches, found = guided
-    assert matches.stage[1] == "binocular"
-    assert found.matches.stage[1] == "trinocular"
-    assert found.matches.marks["guided"][1].tolist() == [False, False, True]
-    assert distance_mm(found.matches.lines_mm[1:2], TOP[1])[0] < 0.3
-    row = found.matches.index[1, 2]
-    assert row >= len(segments[VIEWS[2]])
-    assert len(found.segments[VIEWS[2]]) > row
-    assert found.matches.reasons[VIEWS[2]][row] == "matched"
-    assert found.matches.posterior[1] > 0.9
-
-
 def test_an_edge_parallel_to_another_is_found_from_its_corner(guided):
     _, matches, found = guided
     new = found.matches.lines_mm[len(matches) :]
@@ -153,22 +140,6 @@ def test_a_segment_grows_to_where_its_edge_ends():
     assert after < whole + 2.0
     assert distance_mm(found.lines_mm[3:4], TOP[0])[0] < 0.3
     assert found.marks["guided"][3].sum() >= 2
-
-
-def test_what_no_picture_shows_loses_posterior():
-    segments, matches = matches_of([*TOP, UPRIGHT], {(1, 2), (2, 2), (3, 2)})
-    wrong = matches.lines_mm[0] + np.array([14.0, 6.0, 17.0])
-    lines = np.concatenate([matches.lines_mm, wrong[None]])
-    index = np.concatenate([matches.index, [[5, 5, -1]]])
-    more = {}
-    for v, view in enumerate(VIEWS):
-        ends = np.asarray(segments[view].endpoints_px)
-        ends = np.concatenate([ends, image_px(view, wrong)[None]]) if v < 2 else ends
-        more[view] = Segments.from_endpoints(ends, sigma_px=0.1, sigma_along_px=0.5)
-    given = made(lines, index, more, np.full(6, 0.7))
-    found = guide_matches(given, more, RIG, PICTURES).matches
-    assert found.posterior[5] < 0.65
-    assert (found.posterior[1:4] > 0.75).all()
 
 
 def test_order_of_views_and_ends_does_not_matter():

@@ -11,8 +11,8 @@ from jaxtyping import Bool, Float, Int
 
 from trinoc.geometry import Intrinsics, distort_pixels, undistort_pixels
 from trinoc.image import levels_of, pixels_across
-from trinoc.match.line_pixels.images import LineImages
-from trinoc.match.line_pixels.tuning import PixelTuning
+from trinoc.match.pixels.images import LineImages
+from trinoc.match.pixels.tuning import PixelTuning
 
 # Rows along the edge, and columns to either side of the one in the middle. Rows and columns are
 # the picture's own, whichever crosses the edge more steeply.

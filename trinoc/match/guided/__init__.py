@@ -1,5 +1,0 @@
-"""Matched lines asked for again in every picture: what no search of one picture alone finds."""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
