@@ -189,16 +189,12 @@ def hand(palm_mm: np.ndarray, *, direction_deg: float, grey: float) -> tuple[Pai
     return tuple(parts)
 
 
-def round_things(
-    random: np.random.Generator, *, count: int, reach_mm: float, clear_mm: float = 0.0
-) -> tuple[Paint, ...]:
-    """Coins, washers and ink blots, 3 to 13 mm in radius, at least `clear_mm` from the middle."""
+def round_things(random: np.random.Generator, *, count: int, reach_mm: float) -> tuple[Paint, ...]:
+    """Coins, washers and ink blots, 3 to 13 mm in radius, strewn at random."""
     parts: list[Paint] = []
     for _ in range(count):
         centre = random.uniform(-reach_mm, reach_mm, 2)
         radius, grey = float(random.uniform(3.0, 13.0)), float(random.uniform(15.0, 190.0))
-        if np.abs(centre).max() - radius < clear_mm:
-            continue
         parts.append(Paint(Disc(centre, radius), grey))
         if random.random() < 0.5:
             hole = float(random.uniform(0.3, 0.7)) * radius
@@ -226,7 +222,7 @@ def small(random: np.random.Generator) -> Scene:
 def cluttered(random: np.random.Generator) -> Scene:
     pattern = Pattern.default()
     camera = pose(random, pattern, filled=(0.4, 0.8))
-    things = round_things(random, count=17, reach_mm=220.0, clear_mm=80.0)
+    things = round_things(random, count=14, reach_mm=220.0)
     return Scene(pattern, camera, render(random, pattern, camera, covers=things))
 
 
