@@ -37,8 +37,7 @@ INNER_FLOORS = {
     ),
     "match": (
         *("tuning", "observations", "two_view", "evidence", "candidates", "selection"),
-        *("occlusion", "tracks", "pixels", "line_map", "wire_frame", "cylinders"),
-        *("rims", "shadows"),
+        *("occlusion", "tracks", "pixels", "line_map", "wire_frame", "bodies"),
     ),
     "segments": ("nevatia_babu",),
     "geometry": ("lenses",),

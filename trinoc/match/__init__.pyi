@@ -1,6 +1,15 @@
 from .batch import MatchBatch as MatchBatch, match_many as match_many
+from .bodies import (
+    Cylinders as Cylinders,
+    MatchesWithRims as MatchesWithRims,
+    Rims as Rims,
+    Shadows as Shadows,
+    add_rims as add_rims,
+    find_cylinders as find_cylinders,
+    find_rims as find_rims,
+    find_shadows as find_shadows,
+)
 from .candidates.triples import trinocular_candidates as trinocular_candidates
-from .cylinders import Cylinders as Cylinders, find_cylinders as find_cylinders
 from .features import FEATURES as FEATURES
 from .line_map.collinear_merge import join_collinear as join_collinear
 from .line_map.corners import Corners as Corners, snap_corners as snap_corners
@@ -16,14 +25,7 @@ from .pixels import (
     guide_matches as guide_matches,
     measure_lines as measure_lines,
 )
-from .rims import (
-    MatchesWithRims as MatchesWithRims,
-    Rims as Rims,
-    add_rims as add_rims,
-    find_rims as find_rims,
-)
 from .selection.marginals import Selection as Selection, select as select
-from .shadows import Shadows as Shadows, find_shadows as find_shadows
 from .step_names import StepName as StepName
 from .steps import STEPS as STEPS, Found as Found, Step as Step, improve as improve
 from .tracks.matches import (

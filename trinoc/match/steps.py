@@ -13,11 +13,9 @@ from jaxtyping import Shaped
 from trinoc.errors import InputError
 from trinoc.geometry import Feature, Rig, Segments
 from trinoc.image import ResponseLike
-from trinoc.match.cylinders import find_cylinders
+from trinoc.match.bodies import Shadows, add_rims, find_cylinders, find_rims, find_shadows
 from trinoc.match.matcher import match_segments
 from trinoc.match.pixels import guide_matches, measure_lines
-from trinoc.match.rims import add_rims, find_rims
-from trinoc.match.shadows import Shadows, find_shadows
 from trinoc.match.step_names import StepName
 from trinoc.match.tracks import Matches
 from trinoc.match.wire_frame import wireframe

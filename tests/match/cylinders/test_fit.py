@@ -6,9 +6,9 @@ from scipy.stats import norm
 
 from tests.match.cylinders.made_outlines import Placed, nothing_matched, seen_by
 from tests.match.made import rig_of
-from trinoc.match.cylinders.answer import place_ends
-from trinoc.match.cylinders.fit import ROUND, STRAIGHT, Members, fit_cylinders
-from trinoc.match.cylinders.outlines import Outlines, possible_outlines, ray_axis_distances
+from trinoc.match.bodies.cylinder_fit import ROUND, STRAIGHT, Members, fit_cylinders
+from trinoc.match.bodies.cylinder_search import place_ends
+from trinoc.match.bodies.outlines import Outlines, possible_outlines, ray_axis_distances
 from trinoc.match.observations import prepare
 from trinoc.match.tuning import CylinderTuning
 from trinoc.numerics import axes_across

@@ -10,8 +10,8 @@ from tests.match.made import loose_lines, pictures, rig_of
 from tests.match.rims.made_rims import Ring, chords_seen, projected
 from trinoc.errors import InputError
 from trinoc.match import MatchTuning, add_rims, find_rims, match_segments
-from trinoc.match.rims import hypotheses, support
-from trinoc.match.rims.circles import Circles, images_of
+from trinoc.match.bodies import rim_hypotheses as hypotheses, rim_support as support
+from trinoc.match.bodies.circles import Circles, images_of
 from trinoc.match.tuning import RimTuning
 from trinoc.synth.solids import Cylinder
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.match.shadows.made_shadows import FAR_LAMP, NEAR_LAMP
-from trinoc.match.shadows.casting import Lamps, cast_density, casting_pairs
+from trinoc.match.bodies.casting import Lamps, cast_density, casting_pairs
 from trinoc.match.tuning import ShadowTuning
 
 TUNING, SIZE_MM = ShadowTuning(), 50.0

@@ -5,8 +5,8 @@ from typing import cast
 import numpy as np
 import pytest
 
-from trinoc.match.shadows.casting import Lamps, Pairs
-from trinoc.match.shadows.lamp import Votes, _mean_lamp
+from trinoc.match.bodies.casting import Lamps, Pairs
+from trinoc.match.bodies.lamp import Votes, _mean_lamp
 from trinoc.match.tuning import ShadowTuning
 from trinoc.numerics import axes_across
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.match.cylinders.outlines import Outlines, abreast_mm, ray_axis_distances
+from trinoc.match.bodies.outlines import Outlines, abreast_mm, ray_axis_distances
 from trinoc.match.tuning import CylinderTuning
 from trinoc.numerics import Residuals, ScaleMixture, axes_across, gauss_newton, whitening
 

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.sparse import coo_array, csr_array
 
-from trinoc.match.rims.circles import (
+from trinoc.match.bodies.circles import (
     MIDDLE,
     ON_ARC,
     Chords,

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.match.rims.circles import ENDS, MIDDLE, Circles
+from trinoc.match.bodies.circles import ENDS, MIDDLE, Circles
 from trinoc.match.tuning import RimTuning
 from trinoc.numerics import axes_across
 

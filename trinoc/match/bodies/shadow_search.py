@@ -8,11 +8,15 @@ from scipy.special import expit
 
 from trinoc.errors import InputError
 from trinoc.geometry import Rig, Segments
+from trinoc.match.bodies.casting import (
+    casting_pairs,
+    evidence_of_surroundings,
+    levels_beside,
+    planes_of,
+)
+from trinoc.match.bodies.lamp import Lamp, Votes, best_lamp
+from trinoc.match.bodies.shadows import Shadows
 from trinoc.match.line_map import join_collinear, snap_corners
-from trinoc.match.shadows.casting import casting_pairs
-from trinoc.match.shadows.lamp import Lamp, Votes, best_lamp
-from trinoc.match.shadows.planes import evidence_of_surroundings, levels_beside, planes_of
-from trinoc.match.shadows.shadows import Shadows
 from trinoc.match.tracks import Matches
 from trinoc.match.tuning import DEFAULT, MatchTuning, ShadowTuning
 from trinoc.numerics import ArrayLike, in_float64

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.match.rims.circles import ON_ARC, Chords, Circles, off_circles
+from trinoc.match.bodies.circles import ON_ARC, Chords, Circles, off_circles
 from trinoc.numerics import Cauchy, Residuals, axes_across, gauss_newton, misfit_factor
 
 _STEPS = 2

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from trinoc.geometry import Feature, Wires, wires_of_lines
-from trinoc.match.rims.circles import Circles, points_at
+from trinoc.match.bodies.circles import Circles, points_at
 from trinoc.match.tracks import Matches
 from trinoc.numerics import (
     COVARIANCE,

@@ -9,14 +9,14 @@ from scipy.sparse import csr_array
 
 from trinoc.errors import InputError
 from trinoc.geometry import Rig, Segments, project_by_matrix
+from trinoc.match.bodies.circles import Chords, Circles, chords_of, off_circles, touching
+from trinoc.match.bodies.rim_answer import Chosen, FittedRim, answer_of
+from trinoc.match.bodies.rim_fit import fit_circle
+from trinoc.match.bodies.rim_hypotheses import hypotheses
+from trinoc.match.bodies.rim_pieces import Arcs, arcs_of, covered_by_two
+from trinoc.match.bodies.rim_support import about, has_rival, support_of, supports
+from trinoc.match.bodies.rims import Rims
 from trinoc.match.observations import as_segments, prepare, with_noise_scale
-from trinoc.match.rims.answer import Chosen, FittedRim, answer_of
-from trinoc.match.rims.circles import Chords, Circles, chords_of, off_circles, touching
-from trinoc.match.rims.fit import fit_circle
-from trinoc.match.rims.hypotheses import hypotheses
-from trinoc.match.rims.pieces import Arcs, arcs_of, covered_by_two
-from trinoc.match.rims.rims import Rims
-from trinoc.match.rims.support import about, has_rival, support_of, supports
 from trinoc.match.tracks import Matches
 from trinoc.match.tuning import DEFAULT, MatchTuning, RimTuning
 from trinoc.numerics import ArrayLike, in_float64, take_rows

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.match.shadows.casting import Lamps, Pairs, cast_density
+from trinoc.match.bodies.casting import Lamps, Pairs, cast_density
 from trinoc.match.tuning import ShadowTuning
 from trinoc.numerics import axes_across
 

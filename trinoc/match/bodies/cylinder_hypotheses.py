@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from trinoc.match.cylinders.fit import Members
-from trinoc.match.cylinders.outlines import (
+from trinoc.match.bodies.cylinder_fit import Members
+from trinoc.match.bodies.outlines import (
     Outlines,
     Rays,
     abreast_mm,

@@ -9,11 +9,11 @@ from jaxtyping import Int
 
 from trinoc.errors import InputError
 from trinoc.geometry import Rig, Segments
+from trinoc.match.bodies.circles import ON_ARC, Chords, Circles, chords_of, off_circles, touching
+from trinoc.match.bodies.explained_tracks import counts_of, tracks_beside_rims, with_rows
+from trinoc.match.bodies.rim_search import mm_per_px_of, segments_of_views
+from trinoc.match.bodies.rims import Rims
 from trinoc.match.observations import prepare
-from trinoc.match.rims.circles import ON_ARC, Chords, Circles, chords_of, off_circles, touching
-from trinoc.match.rims.explained_tracks import counts_of, tracks_beside_rims, with_rows
-from trinoc.match.rims.rims import Rims
-from trinoc.match.rims.search import mm_per_px_of, segments_of_views
 from trinoc.match.tracks import Matches
 from trinoc.match.tuning import DEFAULT, MatchTuning, RimTuning
 from trinoc.numerics import ArrayLike, in_float64

@@ -7,11 +7,11 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from trinoc.geometry import distort_pixels
+from trinoc.match.bodies.circles import MIDDLE, ON_ARC, Chords, Circles, off_circles, points_at
+from trinoc.match.bodies.explained_tracks import counts_of, tracks_beside_rims, with_rows
+from trinoc.match.bodies.rim_pieces import Arcs, pieces_of
+from trinoc.match.bodies.rims import Rims
 from trinoc.match.observations import MatchInput
-from trinoc.match.rims.circles import MIDDLE, ON_ARC, Chords, Circles, off_circles, points_at
-from trinoc.match.rims.explained_tracks import counts_of, tracks_beside_rims, with_rows
-from trinoc.match.rims.pieces import Arcs, pieces_of
-from trinoc.match.rims.rims import Rims
 from trinoc.match.tracks import (
     BINOCULAR,
     TRINOCULAR,

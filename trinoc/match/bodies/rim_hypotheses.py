@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
-from trinoc.match.rims.circles import Circles, images_of
+from trinoc.match.bodies.circles import Circles, images_of
 from trinoc.match.tuning import RimTuning
 from trinoc.numerics import blocks, concatenate_rows, cross_3d, take_rows
 

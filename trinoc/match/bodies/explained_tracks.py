@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.match.rims.circles import ENDS, Chords, Circles
+from trinoc.match.bodies.circles import ENDS, Chords, Circles
 from trinoc.match.tracks import Matches
 from trinoc.match.tuning import RimTuning
 from trinoc.numerics import cross_3d

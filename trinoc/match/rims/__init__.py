@@ -1,5 +1,0 @@
-"""Rims of round bodies: circles in space, of which views show chords."""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,5 +1,0 @@
-"""Boundaries of cast shadows among the tracks, and the lamp that cast them."""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
