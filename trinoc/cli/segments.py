@@ -11,7 +11,7 @@ from trinoc.cli.command import Command, Outcome, UsageError
 if TYPE_CHECKING:
     import numpy as np
 
-    from trinoc.geometry import Segments
+    from trinoc import geometry
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -53,7 +53,7 @@ class SegmentOptions:
                 "to 2."
             )
 
-    def find(self, image: "np.ndarray") -> "Segments":
+    def find(self, image: "np.ndarray") -> "geometry.Segments":
         """The segments of a picture."""
         from trinoc.segments import find_segments
 

@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
@@ -181,7 +181,7 @@ def answers(
     results = []
     for number, called in enumerate(names):
         own = order[slice(*bounds[number : number + 2])]
-        mine = {name: column[own] for name, column in columns.items()}
+        mine: dict[str, Any] = {name: column[own] for name, column in columns.items()}
         why = {
             name: words[view][slice(*starts[number : number + 2, view])].copy()
             for name, view in zip(called, turn[number].tolist(), strict=True)
