@@ -16,31 +16,7 @@ from .demo import (
     load_scene_truth as load_scene_truth,
     save_scene_truth as save_scene_truth,
 )
-from .formats import (
-    FORMATS as FORMATS,
-    LOSSES as LOSSES,
-    Format as Format,
-    colmap as colmap,
-    colmap_text as colmap_text,
-    csv as csv,
-    dxf as dxf,
-    elsed as elsed,
-    gltf as gltf,
-    kalibr as kalibr,
-    limap as limap,
-    limap_segments as limap_segments,
-    lsd as lsd,
-    matlab as matlab,
-    mrcal as mrcal,
-    nerfstudio as nerfstudio,
-    obj as obj,
-    opencv as opencv,
-    parquet as parquet,
-    ply as ply,
-    ros as ros,
-    tf as tf,
-    wireframe_json as wireframe_json,
-)
+from .formats import FORMATS as FORMATS, LOSSES as LOSSES, Format as Format
 from .frames_files import (
     frames_ending as frames_ending,
     load_frames as load_frames,
