@@ -4,7 +4,7 @@
 # Three fixed cameras, upper, left and right, each took one picture of a printed sheet of
 # circles, and later one picture of a table with blocks. This notebook calibrates the cameras
 # from the first three pictures, finds the straight edges in the other three, matches them, and
-# compares everything with what is known: the pictures were made by a ray tracer for the rig of
+# compares everything with what is known: the pictures were made on a computer for the rig of
 # Table 1 of Yokoi, Medioni and Nevatia, "A segment-based matching algorithm in trinocular
 # vision" (1986). The command `trinoc demo` does the same in one line.
 
