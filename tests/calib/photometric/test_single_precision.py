@@ -5,12 +5,13 @@ import pytest
 
 from trinoc.calib import Systematics, calibrate
 from trinoc.calib.photometric import scene
+from trinoc.calib.problem.solver import CONVERGED_GAIN
 from trinoc.io import demo_images, demo_pattern
 from trinoc.synth import table1_lens
 
 
 @pytest.mark.slow
-def test_double_precision_moves_no_parameter_by_a_hundredth_of_its_sigma(monkeypatch) -> None:
+def test_double_precision_moves_parameters_no_further_than_two_fits_may_stop_apart(monkeypatch) -> None:
     known = demo_images("sheet"), demo_pattern(), table1_lens()
     single = calibrate(*known, systematics=Systematics())
     group_of = scene.group_of
@@ -23,6 +24,8 @@ def test_double_precision_moves_no_parameter_by_a_hundredth_of_its_sigma(monkeyp
     double = calibrate(*known, systematics=Systematics())
     assert {fit.method for fit in double.fits.values()} == {"picture"}
     sigma = np.sqrt(np.diag(double.covariance))
-    np.testing.assert_array_less(np.abs(single.values - double.values), 0.01 * sigma)
+    # A fit stops where the chi-square gains no more than this, the square of a share of a sigma.
+    stops_apart = 2.0 * np.sqrt(CONVERGED_GAIN)
+    np.testing.assert_array_less(np.abs(single.values - double.values), stops_apart * sigma)
     # Two digits of a sigma are shown, so that a thousandth of it is nothing.
     np.testing.assert_allclose(np.sqrt(np.diag(single.covariance)), sigma, rtol=1e-3)
