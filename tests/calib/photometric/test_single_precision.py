@@ -11,7 +11,7 @@ from trinoc.synth import table1_lens
 
 
 @pytest.mark.slow
-def test_double_precision_moves_parameters_no_further_than_two_fits_may_stop_apart(monkeypatch) -> None:
+def test_double_precision_moves_no_parameter_beyond_the_stopping_rule(monkeypatch) -> None:
     known = demo_images("sheet"), demo_pattern(), table1_lens()
     single = calibrate(*known, systematics=Systematics())
     group_of = scene.group_of
