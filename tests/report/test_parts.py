@@ -13,7 +13,6 @@ from hypothesis import given
 from trinoc.errors import InputError
 from trinoc.geometry import Rig, line_sigmas
 from trinoc.match import Matches
-from trinoc.report.clipping import clip_line
 from trinoc.report.colours import PALETTE, distinct_neighbours
 from trinoc.report.numbers import (
     decimals_for,
@@ -24,7 +23,7 @@ from trinoc.report.numbers import (
     with_decimals,
     with_sigma,
 )
-from trinoc.report.pictures import LONGEST_SIDE_PX, Window, page_picture
+from trinoc.report.pictures import LONGEST_SIDE_PX, Window, clip_line, page_picture
 from trinoc.report.space_content import content_box, frusta
 
 FINITE = st.floats(-1e4, 1e4, allow_nan=False)

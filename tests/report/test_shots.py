@@ -11,14 +11,12 @@ from trinoc.calib.advice.field_difference import FieldDifference
 from trinoc.calib.advice.halves import CrossValidation, HalvesCheck
 from trinoc.calib.problem.views import View
 from trinoc.geometry import Rig
-from trinoc.report import write_shots_report
-from trinoc.report.shots.camera_field import fields_of_cameras
-from trinoc.report.shots.halves import halves_maps
-from trinoc.report.shots.page import render_shots_report
-from trinoc.report.shots.shot_table import shot_table
-from trinoc.report.shots.uncertainty import uncertainty_maps
-from trinoc.report.shots.verdict import verdict_of_shots
-from trinoc.report.verdict_part import Level, Verdict
+from trinoc.report import write_report
+from trinoc.report.coverage import Coverage, coverage_by_boards, mean_residuals, places_seen
+from trinoc.report.field_part import halves_maps, uncertainty_maps
+from trinoc.report.html import render_report
+from trinoc.report.shots_part import shot_table
+from trinoc.report.verdict import Level, Subject, Verdict, verdict_of
 
 from .conftest import made_up_rig
 from .test_html import Page
@@ -83,7 +81,21 @@ def made_up(**changes: Any) -> RigFromShots:
 
 
 def judged(result: RigFromShots) -> Verdict:
-    return verdict_of_shots(result, fields_of_cameras(result), uncertainty_maps(result))
+    seen = places_seen(result)
+    verdict = verdict_of(
+        Subject(
+            shots=result,
+            coverage=coverage_by_boards(seen),
+            residuals=mean_residuals(seen)[0],
+            uncertainty=uncertainty_maps(result),
+        )
+    )
+    assert verdict is not None
+    return verdict
+
+
+def covered(result: RigFromShots) -> tuple[Coverage, ...]:
+    return coverage_by_boards(places_seen(result))
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +104,7 @@ def result() -> RigFromShots:
 
 
 def test_every_camera_parameter_and_shot_is_shown_and_nothing_is_fetched(result) -> None:
-    page = Page(render_shots_report(result))
+    page = Page(render_report(shots=result))
     for word in (*result.cameras, *SHOTS, "pan_deg", "scale_x", "print size (0.2 %)"):
         assert word in page.text
     assert {"cameras", "shots", "field-of-board", "uncertainty", "space"} <= set(
@@ -104,15 +116,15 @@ def test_every_camera_parameter_and_shot_is_shown_and_nothing_is_fetched(result)
 
 
 def test_equal_results_give_equal_files(result, tmp_path: Path) -> None:
-    write_shots_report(tmp_path / "a.html", result)
-    write_shots_report(tmp_path / "b.html", made_up())
+    write_report(tmp_path / "a.html", shots=result)
+    write_report(tmp_path / "b.html", shots=made_up())
     assert (tmp_path / "a.html").read_bytes() == (tmp_path / "b.html").read_bytes()
 
 
 def test_names_cannot_break_the_page(result) -> None:
     shots = ("<script>alert(1)</script>", *SHOTS[1:])
-    text = render_shots_report(
-        made_up(shots=shots, notes=("<b>bold</b>",), failures={'left "><i>': "no <board>"})
+    text = render_report(
+        shots=made_up(shots=shots, notes=("<b>bold</b>",), failures={'left "><i>': "no <board>"})
     )
     page = Page(text)
     assert "<script>alert(1)</script>" in page.text
@@ -121,7 +133,7 @@ def test_names_cannot_break_the_page(result) -> None:
 
 
 def test_a_fit_that_failed_shows_its_shots_and_no_rig() -> None:
-    page = Page(render_shots_report(made_up(rig=None, status=Status.NOT_CONVERGED)))
+    page = Page(render_report(shots=made_up(rig=None, status=Status.NOT_CONVERGED)))
     assert "Do not rely on this rig." in page.text
     assert not {"space", "uncertainty"} & set(page.attributes("id"))
     assert "shots" in page.attributes("id")
@@ -152,33 +164,33 @@ def test_pictures_are_counted_by_what_became_of_them(result) -> None:
 
 
 def test_a_board_in_all_corners_covers_the_picture(result) -> None:
-    assert all(field.share > 0.9 for field in fields_of_cameras(result))
+    assert all(field.share > 0.9 for field in covered(result))
     middle = tuple(view for view in result.views if view.shot >= 4)
     errors = tuple(e for v, e in zip(result.views, result.residuals_px, strict=True) if v.shot >= 4)
-    fewer = fields_of_cameras(made_up(views=middle, residuals_px=errors))
-    assert all(a.share < b.share for a, b in zip(fewer, fields_of_cameras(result), strict=True))
+    fewer = covered(made_up(views=middle, residuals_px=errors))
+    assert all(a.share < b.share for a, b in zip(fewer, covered(result), strict=True))
 
 
 def test_mean_residuals_tell_a_pattern_from_chance(result) -> None:
-    by_chance = fields_of_cameras(result)
+    by_chance, _ = mean_residuals(places_seen(result))
     assert all(0.6 < field.over_chance < 1.5 for field in by_chance)
     shift = np.array([0.3, -0.1])
     moved = tuple(errors + shift for errors in result.residuals_px)
-    for field in fields_of_cameras(made_up(residuals_px=moved)):
+    fields, scale = mean_residuals(places_seen(made_up(residuals_px=moved)))
+    for field in fields:
         assert field.over_chance > 3
-        scale = float(field.magnification)
-        arrows = np.array([np.array(m.tip) - (m.u, m.v) for m in field.means]) / scale
+        arrows = np.array([np.array(m.tip) - (m.u, m.v) for m in field.means]) / scale.times
         np.testing.assert_allclose(arrows.mean(axis=0), shift, atol=0.02)
 
 
 def test_what_shots_held_out_and_the_next_one_say_is_shown(result) -> None:
-    text = render_shots_report(
-        made_up(cross_validation=CrossValidation(12, {"left": 0.1}, {"left": 0.234})),
+    text = render_report(
+        shots=made_up(cross_validation=CrossValidation(12, {"left": 0.1}, {"left": 0.234})),
         advice="Show the board to left & right.",
     )
     assert "0.234 px" in Page(text).text
     assert "To take next: Show the board to left & right." in Page(text).text
-    assert "To take next" not in render_shots_report(result)
+    assert "To take next" not in render_report(shots=result)
 
 
 def test_the_halves_are_compared_over_the_field(result) -> None:
@@ -192,15 +204,15 @@ def test_the_halves_are_compared_over_the_field(result) -> None:
     with_maps = made_up(halves=HALVES._replace(over_field=fields))
     near, far = halves_maps(with_maps)
     assert [each.name for each in near] == list(result.cameras)
-    assert {(cell.px, cell.sigmas) for cell in near[0].cells} == {
+    assert {(cell.text, cell.below) for cell in near[0].cells} == {
         ("0.05", "3.5 \N{GREEK SMALL LETTER SIGMA}")
     }
     assert far[0].cells[3].words == "no ray of the lens"
-    page = Page(render_shots_report(with_maps))
+    page = Page(render_report(shots=with_maps))
     for word in ("512 mm away, 3.54 sigmas rms", "1536 mm away", "Two halves"):
         assert word in page.text
     assert "halves" in page.attributes("id")
-    assert "halves" not in Page(render_shots_report(result)).attributes("id")
+    assert "halves" not in Page(render_report(shots=result)).attributes("id")
 
 
 def test_the_maps_grow_as_the_sigmas_of_the_rig(result) -> None:

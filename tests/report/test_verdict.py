@@ -1,6 +1,8 @@
 """The verdict: the worst check decides, and what is not good says what to do."""
 
 import dataclasses
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,11 +10,11 @@ import pytest
 from trinoc.calib import CalibrationResult, Status, point_covariance
 from trinoc.geometry import Rig
 from trinoc.match import Matches
-from trinoc.report.coverage_part import CoverageFigure, coverage_part
+from trinoc.report.coverage import Coverage, coverage_by_circles
 from trinoc.report.field_part import FieldPart, field_part
 from trinoc.report.labels import HEIGHT, LETTER, place_labels
 from trinoc.report.pictures import PagePicture, Window
-from trinoc.report.verdict_part import LEAST_COVERAGE, Level, Verdict, verdict_part
+from trinoc.report.verdict import CHECKS, Level, Subject, Verdict, verdict_of
 
 
 @pytest.fixture(scope="module")
@@ -21,10 +23,8 @@ def pictures(rig: Rig) -> dict[str, PagePicture]:
 
 
 @pytest.fixture(scope="module")
-def coverage(
-    result: CalibrationResult, pictures: dict[str, PagePicture]
-) -> tuple[CoverageFigure, ...]:
-    return coverage_part(result, pictures)
+def coverage(result: CalibrationResult, pictures: dict[str, PagePicture]) -> tuple[Coverage, ...]:
+    return coverage_by_circles(result, pictures)
 
 
 @pytest.fixture(scope="module")
@@ -34,22 +34,16 @@ def field(result: CalibrationResult, pictures: dict[str, PagePicture]) -> FieldP
     return part
 
 
-def judged(
-    result: CalibrationResult | None = None,
-    matches: Matches | None = None,
-    doubts: dict[str, str] | None = None,
-    coverage: tuple[CoverageFigure, ...] = (),
-    field: FieldPart | None = None,
-) -> Verdict:
-    verdict = verdict_part(result, matches, doubts or {}, coverage, (), field)
+def judged(**given: Any) -> Verdict:
+    verdict = verdict_of(Subject(**given))
     assert verdict is not None
     return verdict
 
 
 def test_a_good_calibration_is_decided_by_how_well_a_place_is_known(
-    result: CalibrationResult, coverage: tuple[CoverageFigure, ...], field: FieldPart
+    result: CalibrationResult, coverage: tuple[Coverage, ...], field: FieldPart
 ) -> None:
-    verdict = judged(result, coverage=coverage, field=field)
+    verdict = judged(result=result, coverage=coverage, field=field)
     assert verdict.level is Level.GOOD
     assert verdict.sentence == "You can use this rig."
     assert verdict.reason.startswith("± ")
@@ -58,7 +52,7 @@ def test_a_good_calibration_is_decided_by_how_well_a_place_is_known(
 
 def test_a_suspect_camera_decides_in_the_words_of_its_note(result: CalibrationResult) -> None:
     status = {**result.status, "left": Status.SUSPECT}
-    verdict = judged(dataclasses.replace(result, status=status))
+    verdict = judged(result=dataclasses.replace(result, status=status))
     assert verdict.level is Level.BAD
     assert "2 of 3 cameras calibrated: left: suspect. Circle 7 was left out" in verdict.reason
 
@@ -74,7 +68,9 @@ def test_residuals_beyond_noise_ask_for_care_and_then_are_bad(result: Calibratio
     for chi_square, level in ((1.9, Level.GOOD), (2.1, Level.CARE), (9.1, Level.BAD)):
         fit = dataclasses.replace(result.fits["right"], reduced_chi_square=chi_square)
         worse = dataclasses.replace(result, fits={**result.fits, "right": fit})
-        (check,) = [c for c in judged(worse).checks if c.question.startswith("Are the residuals")]
+        (check,) = [
+            c for c in judged(result=worse).checks if c.question.startswith("Are the residuals")
+        ]
         assert check.level is level
         assert "right" in check.words or chi_square < 1.03
 
@@ -94,15 +90,16 @@ def test_few_matches_are_no_matches(matches: Matches) -> None:
 
 
 def test_coverage_is_the_share_that_the_circles_surround(
-    result: CalibrationResult, coverage: tuple[CoverageFigure, ...]
+    result: CalibrationResult, coverage: tuple[Coverage, ...]
 ) -> None:
     for figure in coverage:
-        inside = figure.centres_px
+        inside = figure.places_px
         low, high = inside.min(axis=0), inside.max(axis=0)
         box = np.prod(high - low) / np.prod(result.rig[figure.name].image_size_px)
         assert 0.4 * box < figure.share < box
-    small = tuple(figure._replace(share=0.9 * LEAST_COVERAGE) for figure in coverage)
-    assert judged(result, coverage=small).level is Level.CARE
+    for share, level in ((0.101, Level.GOOD), (0.099, Level.CARE)):
+        covered = tuple(figure._replace(share=share) for figure in coverage)
+        assert judged(result=result, coverage=covered).level is level
 
 
 def test_the_maps_show_what_the_library_says(
@@ -111,8 +108,8 @@ def test_the_maps_show_what_the_library_says(
     low = field.planes[0]
     assert low.name == "Z = 0 mm"
     sigmas = []
-    for cell in (low.cells[3], low.cells[12]):
-        covariance = point_covariance(rig, np.array([cell.u, -cell.v, 0.0]))
+    for cell, (u, v) in ((low.cells[k], low.middles[k]) for k in (3, 12)):
+        covariance = point_covariance(rig, np.array([u, -v, 0.0]))
         sigmas.append(float(np.sqrt(np.linalg.eigvalsh(covariance)[-1])))
         shown = float(cell.text) * (1e-3 if "µm" in low.caption else 1)
         assert shown == pytest.approx(sigmas[-1], abs=5e-5)
@@ -126,6 +123,20 @@ def test_the_maps_show_what_the_library_says(
 def test_a_rig_without_errors_has_no_maps(rig: Rig, pictures: dict[str, PagePicture]) -> None:
     bare = Rig(dict(rig.items()))
     assert field_part(bare, None, None, pictures) is None
+
+
+def test_the_docs_say_every_limit() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "report.md").read_text(encoding="utf-8")
+    rows = [line for line in page.splitlines() if line.startswith("| ") and "? |" in line]
+    assert len(rows) == len(CHECKS)
+    for row in CHECKS:
+        said = [line for line in rows if line.startswith(f"| {row.question} |")]
+        assert said, row.question
+        limits = [x for x in (row.good, row.bad) if x is not None and 0 < x < np.inf]
+        words = [
+            f"{100 * x:.0f} %" if row.at_least else f"{x:.2g}".removeprefix("0") for x in limits
+        ]
+        assert any(all(word in line for word in words) for line in said), (row.question, words)
 
 
 def test_labels_stand_beside_their_lines_and_not_on_each_other() -> None:

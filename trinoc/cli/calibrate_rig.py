@@ -147,12 +147,13 @@ class CalibrateRig(Command):
         written, advice = [str(self.out)], next_shot(result)
         if self.report is not None:
             from trinoc.cli.progress import for_people
-            from trinoc.report import write_shots_report
+            from trinoc.report import write_report
 
             LOGGER.info("writing %s", self.report)
-            write_shots_report(
+            write_report(
                 self.report,
-                result,
+                shots=result,
+                title="trinoc calibrate-rig",
                 advice="" if advice is None else advice.sentence,
                 provenance=for_people(made_by),
             )

@@ -1,4 +1,3 @@
-from .against_reference import parameter_errors as parameter_errors
 from .colours import COLOUR_OF_ROLE as COLOUR_OF_ROLE
 from .ellipsoids import (
     Ellipsoids as Ellipsoids,
@@ -13,7 +12,7 @@ from .features_part import (
 )
 from .html import ExtraTable as ExtraTable, write_report as write_report
 from .notebook import NotebookDisplays as NotebookDisplays, expect_extra as expect_extra
-from .shots import write_shots_report as write_shots_report
+from .parameter_table import parameter_errors as parameter_errors
 from .space_part import (
     Layer as Layer,
     SpaceFigure as SpaceFigure,

@@ -1,16 +1,22 @@
-"""What the page shows of a calibration: the parameters, and what was found in each picture."""
+"""Cameras with their parameters, and what was found in each picture of the sheet."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib import CalibrationResult, CameraFit, Status
+from trinoc.calib import CalibrationResult, CameraFit, RigFromShots, Status
 from trinoc.geometry import Rig
-from trinoc.report.clipping import clip_line
-from trinoc.report.numbers import plain, round_scale, signed, with_decimals
-from trinoc.report.parameter_table import ParameterCell, parameter_rows
-from trinoc.report.pictures import PagePicture, Window
+from trinoc.report.coverage import Coverage
+from trinoc.report.numbers import signed, with_decimals
+from trinoc.report.parameter_table import (
+    Rows,
+    parameter_rows,
+    parameter_rows_of_boards,
+    parameter_rows_of_shots,
+)
+from trinoc.report.pictures import Arrows, PagePicture, Window, clip_line
 
 # The longest residual arrow, as a share of the width of the part of the picture shown.
 ARROW_REACH = 0.09
@@ -76,57 +82,91 @@ class DetectionFigure(NamedTuple):
     window: Window
     ellipses: tuple[Ellipse, ...]
     lines: tuple[Float[np.ndarray, "2 2"], ...]
+    caption: str
 
 
-class CalibrationPart(NamedTuple):
-    """Everything of the page's first part; `status`, `figures` and `remarks` may be empty.
+class CamerasPart(NamedTuple):
+    """Parameters of cameras and boards, what the sigmas include, and how each fit ended.
 
-    remarks : sentences on what the sigmas include, and on the sheet.
+    remarks : sentences on the numbers; `reference` is what they are compared with, or "".
+    fixed : sentences on how boards are fixed to each other.
     """
 
     names: tuple[str, ...]
-    rows: tuple[tuple[str, tuple[ParameterCell, ...]], ...]
-    reference_name: str
-    status: tuple[CameraStatus, ...]
+    rows: Rows
+    remarks: tuple[str, ...]
+    reference: str = ""
+    status: tuple[CameraStatus, ...] = ()
+    meanings: tuple[tuple[str, str], ...] = ()
+    boards: Rows = ()
+    fixed: tuple[str, ...] = ()
+
+
+class SheetPart(NamedTuple):
+    """What was found in each picture of the sheet."""
+
+    coverage: Sequence[Coverage]
     figures: tuple[DetectionFigure, ...]
-    arrow_magnification: str
-    key_arrow_px: str
-    key_arrow_length: float
+    arrows: Arrows
     any_unused: bool
-    sigmas_known: bool
-    remarks: tuple[str, ...] = ()
 
 
-def calibration_part(
-    rig: Rig,
-    result: CalibrationResult | None,
-    pictures: dict[str, PagePicture],
-    reference: Rig | None,
-    reference_name: str,
-) -> CalibrationPart:
-    """The parameters of a rig and, where there is a calibration, what it was fitted to."""
-    rows, known = parameter_rows(rig, reference), len(rig.parameters) > 0
+_DIGITS = "Value ± one sigma, to two digits of the sigma."
+
+
+def cameras_part(
+    rig: Rig, result: CalibrationResult | None, reference: Rig | None, reference_name: str
+) -> CamerasPart:
+    """The parameters of a rig, and the status of each camera where there is a calibration."""
+    rows = parameter_rows(rig, reference)
+    remarks = (_DIGITS,) if len(rig.parameters) else ("Sigmas are not known.",)
+    name = reference_name if rows[0][1][0].reference else ""
     if result is None:
-        return CalibrationPart(rig.names, rows, reference_name, (), (), "", "", 0.0, False, known)
+        return CamerasPart(rig.names, rows, remarks, name)
+    remarks += (_included(result), *result.notes)
+    status = tuple(_status(result, name) for name in result.status)
+    meanings = MEANINGS if result.fits else ()
+    return CamerasPart(rig.names, rows, remarks, name, status, meanings)
+
+
+def cameras_part_of_shots(result: RigFromShots) -> CamerasPart:
+    """The parameters of lenses, cameras and boards of a rig from many shots."""
+    return CamerasPart(
+        result.cameras,
+        parameter_rows_of_shots(result),
+        (_DIGITS, _included(result), f"The world is {result.world}.", *result.notes),
+        boards=parameter_rows_of_boards(result),
+        fixed=tuple(f"{said.replace('+-', '±')}." for said in result.fixed_boards),
+    )
+
+
+def _included(result: CalibrationResult | RigFromShots) -> str:
+    return f"Sigmas include {', '.join(('noise', *result.systematics))}."
+
+
+def sheet_part(
+    result: CalibrationResult, coverage: Sequence[Coverage], pictures: dict[str, PagePicture]
+) -> SheetPart:
+    """Coverage and residuals of every picture in which the sheet was found."""
     windows = {name: _window(fit, pictures[name]) for name, fit in result.fits.items()}
-    magnification = _magnification(result, windows)
-    width = min((window.width for window in windows.values()), default=1.0)
-    key_px = round_scale(0.7 * ARROW_REACH * width / magnification)
-    return CalibrationPart(
-        rig.names,
-        rows,
-        reference_name,
-        tuple(_status(result, name) for name in result.status),
+    arrows = Arrows.reaching(
+        [
+            (
+                float(np.linalg.norm(fit.residuals_px[fit.used], axis=1).max()),
+                ARROW_REACH * windows[name].width,
+            )
+            for name, fit in result.fits.items()
+            if fit.used.any()
+        ]
+    )
+    return SheetPart(
+        coverage,
         tuple(
-            _figure(name, fit, pictures[name], windows[name], magnification)
+            _figure(name, fit, pictures[name], windows[name], arrows)
             for name, fit in result.fits.items()
         ),
-        plain(magnification),
-        plain(key_px),
-        key_px * magnification,
+        arrows,
         any(not fit.used.all() for fit in result.fits.values()),
-        known,
-        (f"Sigmas include {', '.join(('noise', *result.systematics))}.", *result.notes),
     )
 
 
@@ -184,32 +224,20 @@ def _window(fit: CameraFit, picture: PagePicture) -> Window:
     return Window.around(np.concatenate(corners), picture)
 
 
-def _magnification(result: CalibrationResult, windows: dict[str, Window]) -> float:
-    """One scale for all cameras, so that arrows compare across the pictures."""
-    longest = max(
-        (
-            float(np.linalg.norm(fit.residuals_px[fit.used], axis=1).max()) / windows[name].width
-            for name, fit in result.fits.items()
-            if fit.used.any()
-        ),
-        default=0.0,
-    )
-    return round_scale(ARROW_REACH / longest) if longest > 1e-12 else 1.0
-
-
 def _figure(
-    name: str, fit: CameraFit, picture: PagePicture, window: Window, magnification: float
+    name: str, fit: CameraFit, picture: PagePicture, window: Window, arrows: Arrows
 ) -> DetectionFigure:
-    ellipses = tuple(_ellipse(fit, row, magnification) for row in range(len(fit.detection)))
+    ellipses = tuple(_ellipse(fit, row, arrows) for row in range(len(fit.detection)))
     lines = tuple(
         ends
         for line in np.asarray(fit.detection.lines_px)
         if (ends := clip_line(line, fit.detection.image_size_px)) is not None
     )
-    return DetectionFigure(name, picture, window, ellipses, lines)
+    caption = f"{len(ellipses)} circles; part of the picture"
+    return DetectionFigure(name, picture, window, ellipses, lines, caption)
 
 
-def _ellipse(fit: CameraFit, row: int, magnification: float) -> Ellipse:
+def _ellipse(fit: CameraFit, row: int, arrows: Arrows) -> Ellipse:
     detection, used = fit.detection, bool(fit.used[row])
     u, v = (float(value) for value in detection.centres_px[row])
     du, dv = (float(value) for value in fit.residuals_px[row])
@@ -225,7 +253,7 @@ def _ellipse(fit: CameraFit, row: int, magnification: float) -> Ellipse:
         semi_major,
         semi_minor,
         float(np.degrees(np.arctan2(axes[1, 1], axes[0, 1]))),
-        (u + magnification * du, v + magnification * dv),
+        arrows.tip((u, v), (du, dv)),
         used,
         words,
     )

@@ -8,8 +8,8 @@ import numpy as np
 from trinoc.geometry import Feature, Rig
 from trinoc.match import Wireframe
 from trinoc.report.numbers import in_words, with_decimals, with_sigma
-from trinoc.report.space_content import Box, frusta
-from trinoc.report.space_part import Label, Layer, SpaceFigure, View
+from trinoc.report.space_content import Box
+from trinoc.report.space_part import Layer, SpaceFigure, View, cameras_in_space
 from trinoc.report.wireframe_part import wireframe_layers
 
 # Room about the features, as a share of their extent.
@@ -19,23 +19,20 @@ _UNITS = ("mm", "px")
 
 def features_figure(features: Feature, rig: Rig | None = None) -> SpaceFigure:
     """The features, and the cameras of `rig`."""
-    layers, labels = features_layers(features), []
+    figure = SpaceFigure(tuple(features_layers(features)), (), ())
     if rig is not None:
-        layers.append(Layer("cameras", "cameras", frusta(rig)))
-        labels = [Label(camera.centre_world_mm, name, "cameras") for name, camera in rig.items()]
+        figure = figure.joined(cameras_in_space(rig))
     places = features.wires().places_mm
     if len(places) == 0:
-        return SpaceFigure(tuple(layers), tuple(labels), ())
-    low, high = places.min(axis=0), places.max(axis=0)
-    room = ROOM * float((high - low).max())
-    view = View(features.IN_WORDS.removeprefix("a ").capitalize(), Box(low - room, high + room))
-    return SpaceFigure(tuple(layers), tuple(labels), (view,))
+        return figure
+    name = features.IN_WORDS.removeprefix("a ").capitalize()
+    return figure._replace(views=(View(name, Box.around(places, ROOM)),))
 
 
 def with_features(figure: SpaceFigure, kinds: Iterable[Feature]) -> SpaceFigure:
     """A figure of the segments, and features in it."""
-    more = [layer for features in kinds for layer in features_layers(features)]
-    return figure._replace(layers=(*figure.layers, *more))
+    more = tuple(layer for features in kinds for layer in features_layers(features))
+    return figure.joined(SpaceFigure(more, (), ()))
 
 
 def features_layers(features: Feature) -> list[Layer]:

@@ -1,18 +1,31 @@
-"""Uncertainty over the field: of epipolar lines across each picture, of points in space."""
+"""Uncertainty over the field: of epipolar lines and of places, of pixels, and between halves."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib import Pattern, epipolar_sigma, point_covariance
+from trinoc.calib import (
+    Pattern,
+    RigFromShots,
+    boards_of,
+    epipolar_sigma,
+    point_covariance,
+    projection_sigma,
+)
 from trinoc.geometry import Rig
 from trinoc.match import Matches
 from trinoc.report.numbers import decimals_for, with_decimals
 from trinoc.report.pictures import PagePicture, Window
 from trinoc.report.space_content import content_box
 
+# Numbers of a map along each side.
 PLACES = 5
+# Beyond the boards by so much: where users may measure, and where errors no longer cancel.
+FARTHER = 3.0
+# So many claimed sigmas between two halves are as dark as a tile becomes.
+_DARKEST = 3.0
 
 
 class Scale(NamedTuple):
@@ -30,29 +43,37 @@ class Scale(NamedTuple):
         small = largest < 0.05
         return cls(largest, small, min(2, decimals_for(largest * (1000 if small else 1))))
 
-    def text(self, value: float) -> str:
+    @property
+    def px(self) -> str:
+        """The unit of the numbers, where they are pixels."""
+        return "thousandths of a px" if self.thousandths else "px"
+
+    def cell(self, value: float) -> "FieldCell":
         """A number of the map."""
-        return f"{value * (1000 if self.thousandths else 1):.{self.decimals}f}"
+        if not np.isfinite(value):
+            return FieldCell("?", 0.0)
+        text = f"{value * (1000 if self.thousandths else 1):.{self.decimals}f}"
+        return FieldCell(text, float(np.clip(value / self.largest, 0, 1)))
 
 
 class FieldCell(NamedTuple):
-    """A part of a map: its middle, its number, and how dark it is (0 to 1)."""
+    """A part of a map: its number, how dark it is (0 to 1), a second number, and both in words."""
 
-    u: float
-    v: float
     text: str
     shade: float
+    below: str = ""
+    words: str = ""
 
 
 class FieldMap(NamedTuple):
-    """A grid of numbers over a picture, or over the sheet where `picture` is None."""
+    """A grid of cells over a picture, or over the sheet where `picture` is None."""
 
     name: str
     caption: str
     picture: PagePicture | None
     window: Window
-    cell_width: float
-    cell_height: float
+    cell: tuple[float, float]
+    middles: Float[np.ndarray, "n 2"]
     cells: tuple[FieldCell, ...]
 
 
@@ -60,13 +81,42 @@ class FieldPart(NamedTuple):
     """Maps of epipolar lines (px) and of points in space (mm); sigmas of the cameras alone.
 
     `worst_mm` is the largest sigma of a point on the maps, not of one in the middle: where all axes
-    meet, a rig knows its points best, or exactly. `worst_px` is that of an epipolar line anywhere.
+    meet, a rig knows its points best, or exactly.
     """
 
     pictures: tuple[FieldMap, ...]
     planes: tuple[FieldMap, ...]
     worst_mm: float
-    worst_px: float
+
+
+class Uncertainty(NamedTuple):
+    """Maps of the cameras at the boards and farther off; the largest numbers of each, px."""
+
+    at_boards: tuple[FieldMap, ...]
+    farther: tuple[FieldMap, ...]
+    worst_at_boards_px: float
+    worst_farther_px: float
+
+
+def _over_picture(
+    name: str, caption: str, picture: PagePicture, cells: Sequence[FieldCell]
+) -> FieldMap:
+    """A map of equal parts of a picture, row by row.
+
+    Places of the library's maps reach from edge to edge; their numbers stand in the parts.
+    """
+    cell = np.array([picture.width_px, picture.height_px]) / PLACES
+    grid = np.stack(np.meshgrid(np.arange(PLACES), np.arange(PLACES)), axis=-1).reshape(-1, 2)
+    middles = (grid + 0.5) * cell - 0.5
+    return FieldMap(
+        name,
+        caption,
+        picture,
+        picture.window,
+        (float(cell[0]), float(cell[1])),
+        middles,
+        tuple(cells),
+    )
 
 
 def field_part(
@@ -78,42 +128,21 @@ def field_part(
     """The maps; None for a rig that does not know its errors, or has one camera."""
     if not len(rig.parameters) or len(rig) < 2:
         return None
-    sigmas = {
+    worst = {
         name: np.stack([epipolar_sigma(rig, name, o).sigma_px for o in rig if o != name]).max(0)
         for name in rig
     }
-    places = {name: epipolar_sigma(rig, name, _other(rig, name)).uv_px for name in rig}
-    everything = np.concatenate(list(sigmas.values()))
-    scale = Scale.of(everything)
+    scale = Scale.of(np.concatenate(list(worst.values())))
     maps = tuple(
-        _picture_map(name, pictures[name], places[name], sigmas[name], scale) for name in rig
+        _over_picture(
+            name,
+            f"sigma across epipolar lines, {scale.px}",
+            pictures[name],
+            [scale.cell(float(sigma)) for sigma in sigmas],
+        )
+        for name, sigmas in worst.items()
     )
-    planes, worst = _planes(rig, pattern, matches)
-    finite = everything[np.isfinite(everything)]
-    return FieldPart(maps, planes, worst, float(finite.max()) if len(finite) else np.nan)
-
-
-def _other(rig: Rig, name: str) -> str:
-    return next(other for other in rig if other != name)
-
-
-def _picture_map(
-    name: str,
-    picture: PagePicture,
-    uv_px: Float[np.ndarray, "n 2"],
-    sigma_px: Float[np.ndarray, "n"],
-    scale: Scale,
-) -> FieldMap:
-    width, height = picture.width_px / PLACES, picture.height_px / PLACES
-    # The places lie on the picture's edge; a cell of the map stands inside.
-    share = uv_px / (np.array([picture.width_px, picture.height_px]) - 1)
-    middles = share * [picture.width_px - width, picture.height_px - height] + [
-        width / 2 - 0.5,
-        height / 2 - 0.5,
-    ]
-    cells = tuple(_cells(middles, sigma_px, scale))
-    caption = f"sigma across epipolar lines, {'thousandths of a px' if scale.thousandths else 'px'}"
-    return FieldMap(name, caption, picture, picture.window, width, height, cells)
+    return FieldPart(maps, *_planes(rig, pattern, matches))
 
 
 def _planes(
@@ -139,9 +168,9 @@ def _planes(
             f"largest sigma of a point there, {'µm' if scale.thousandths else 'mm'}",
             None,
             window,
-            float(step[0]),
-            float(step[1]),
-            tuple(_cells(grid * [1, -1], sigma, scale)),
+            (float(step[0]), float(step[1])),
+            grid * [1, -1],
+            tuple(scale.cell(float(one)) for one in sigma),
         )
         for height, sigma in zip(heights, levels, strict=True)
     )
@@ -161,12 +190,80 @@ def _point_sigmas(
     return np.array(sigmas)
 
 
-def _cells(
-    middles: Float[np.ndarray, "n 2"], sigma: Float[np.ndarray, "n"], scale: Scale
-) -> list[FieldCell]:
-    return [
-        FieldCell(float(u), float(v), scale.text(float(s)), float(np.clip(s / scale.largest, 0, 1)))
-        if np.isfinite(s)
-        else FieldCell(float(u), float(v), "?", 0.0)
-        for (u, v), s in zip(middles, sigma, strict=True)
-    ]
+def uncertainty_maps(result: RigFromShots) -> Uncertainty | None:
+    """How well each camera knows where it images a point; None without a rig or a covariance."""
+    if result.rig is None or not len(result.rig.parameters):
+        return None
+    near, worst_near = _uncertainty_maps(result, result.rig, 1.0)
+    far, worst_far = _uncertainty_maps(result, result.rig, FARTHER)
+    return Uncertainty(near, far, worst_near, worst_far)
+
+
+def _uncertainty_maps(
+    result: RigFromShots, rig: Rig, times: float
+) -> tuple[tuple[FieldMap, ...], float]:
+    maps, worst = [], 0.0
+    for name in result.cameras:
+        distance = times * _distance_mm(result, rig, name)
+        found = projection_sigma(rig, name, distance)
+        scale = Scale.of(found.sigma_px)
+        caption = f"{with_decimals(distance, 0)} mm away, {scale.px}"
+        picture = PagePicture(name, *rig[name].image_size_px, "")
+        cells = [scale.cell(float(sigma)) for sigma in found.sigma_px]
+        maps.append(_over_picture(name, caption, picture, cells))
+        worst = max(worst, float(found.sigma_px.max()))
+    return tuple(maps), worst
+
+
+def _distance_mm(result: RigFromShots, rig: Rig, camera: str) -> float:
+    """The median from the camera to the middle of the boards that it saw."""
+    number, middles = result.cameras.index(camera), _middles_mm(result)
+    seen = {(v.shot, v.board) for v in result.views if v.camera == number and v.used.any()}
+    seen = seen or {(shot, 0) for shot in range(len(result.world_from_board))}
+    shots, which = np.array(sorted(seen)).T
+    boards = result.world_from_board[shots]
+    places = np.einsum("sij,sj->si", boards[:, :, :3], middles[which]) + boards[:, :, 3]
+    return float(np.median(np.linalg.norm(places - rig[camera].centre_world_mm, axis=1)))
+
+
+def _middles_mm(result: RigFromShots) -> np.ndarray:
+    """(b, 3) of the boards, in the frame of the first."""
+    extents = [np.asarray(board.centres_mm) for board in boards_of(result.target)]
+    middles = np.stack([(own.min(axis=0) + own.max(axis=0)) / 2 for own in extents])
+    fixed = result.reference_from_board
+    return np.einsum("bij,bj->bi", fixed[:, :, :2], middles) + fixed[:, :, 3]
+
+
+def halves_maps(result: RigFromShots) -> tuple[tuple[FieldMap, ...], ...]:
+    """Where two halves of the shots disagree, in px and in claimed sigmas.
+
+    Maps of the cameras at the distance of the boards, and farther; nothing without halves.
+    """
+    if result.rig is None or result.halves is None or not result.halves.over_field:
+        return ()
+    maps = []
+    for farther in (0, 1):
+        for field in result.halves.over_field:
+            said = field.difference_px[farther], field.sigma_px[farther], field.over_sigma[farther]
+            caption = (
+                f"{with_decimals(float(field.distance_mm[farther]), 0)} mm away, "
+                f"{with_decimals(float(field.rms_over_sigma[farther]), 2)} sigmas rms"
+            )
+            picture = PagePicture(field.camera, *result.rig[field.camera].image_size_px, "")
+            cells = [_halves_cell(*each) for each in zip(*said, strict=True)]
+            maps.append(_over_picture(field.camera, caption, picture, cells))
+    count = len(result.halves.over_field)
+    return tuple(maps[:count]), tuple(maps[count:])
+
+
+def _halves_cell(
+    difference_px: Float[np.ndarray, "2"], sigma_px: float, over_sigma: float
+) -> FieldCell:
+    if not np.isfinite(over_sigma):
+        return FieldCell("\N{EN DASH}", 0.0, " ", "no ray of the lens")
+    length = float(np.linalg.norm(difference_px))
+    px = f"{length:.2g}" if length >= 0.01 else f"{length:.1g}"
+    du, dv = (f"{x:+.2g}" for x in difference_px)
+    words = f"({du}, {dv}) px; claimed are {sigma_px:.2g} px per axis"
+    shade = min(float(over_sigma) / _DARKEST, 1.0)
+    return FieldCell(px, shade, f"{over_sigma:.1f} \N{GREEK SMALL LETTER SIGMA}", words)

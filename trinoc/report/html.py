@@ -4,24 +4,44 @@ import os
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
+import jinja2
 import numpy as np
 
-from trinoc.calib import CalibrationResult
+from trinoc.calib import CalibrationResult, RigFromShots
 from trinoc.errors import InputError
 from trinoc.geometry import Feature, Rig, Segments
 from trinoc.io import write_text
 from trinoc.match import Matches
-from trinoc.report.calibration_part import MEANINGS, calibration_part
-from trinoc.report.coverage_part import coverage_part
-from trinoc.report.environment import environment
-from trinoc.report.epipolar_part import corrected_circle_centres, ends_of_tracks, epipolar_part
+from trinoc.report.calibration_part import cameras_part, cameras_part_of_shots, sheet_part
+from trinoc.report.coverage import (
+    coverage_by_boards,
+    coverage_by_circles,
+    mean_residuals,
+    places_seen,
+)
+from trinoc.report.epipolar_part import (
+    EpipolarPart,
+    corrected_circle_centres,
+    ends_of_tracks,
+    epipolar_part,
+)
 from trinoc.report.features_part import feature_table, with_features
-from trinoc.report.field_part import field_part
+from trinoc.report.field_part import field_part, halves_maps, uncertainty_maps
 from trinoc.report.matches_part import matches_part
-from trinoc.report.pictures import page_pictures
-from trinoc.report.plan_part import plan_part
-from trinoc.report.space_part import space_figure
-from trinoc.report.verdict_part import verdict_part
+from trinoc.report.pictures import PagePicture, page_pictures
+from trinoc.report.plan_part import plans_of
+from trinoc.report.shots_part import boards_in_space, shot_table
+from trinoc.report.space_part import SpaceFigure, space_figure
+from trinoc.report.verdict import Subject, verdict_of
+
+
+class Part(NamedTuple):
+    """A section of the page: its anchor and title, and the template that draws its values."""
+
+    anchor: str
+    title: str
+    template: str
+    values: Any
 
 
 class ExtraTable(NamedTuple):
@@ -37,6 +57,7 @@ def write_report(
     path: str | os.PathLike[str],
     *,
     result: CalibrationResult | None = None,
+    shots: RigFromShots | None = None,
     sheet_pictures: Mapping[str, np.ndarray] | None = None,
     rig: Rig | None = None,
     segments: Mapping[str, Segments] | None = None,
@@ -49,14 +70,17 @@ def write_report(
     provenance: Mapping[str, str] | None = None,
     doubts: Mapping[str, str] | None = None,
     features: Sequence[Feature] = (),
+    advice: str = "",
 ) -> None:
     """Write a self-contained HTML page about a calibration, a matching, or both.
 
     The page has only the parts that it is given something for, and makes no request to any
-    network. The file is whole or not there; equal inputs give equal bytes.
+    network. The file is whole or not there; equal inputs give equal bytes. A fit that failed has
+    its shots and residuals shown, and no rig.
 
     Parameters
     ----------
+    shots : what `calibrate_rig` found, alone, with `advice`, a sentence on what to do next.
     result : a calibration, with `sheet_pictures`, (rows, columns[, channels]) per camera.
     rig : the cameras that `matches` was made with; by default that of `result`.
     segments, matches : found in `scene_pictures`, each optional.
@@ -67,12 +91,14 @@ def write_report(
     features : found in `matches`, shown among them in space and as tables.
 
     Raises InputError where neither a rig nor a calibration nor segments are given, where the
-    segments' or matches' views are not those of the rig, or where `path` cannot be written.
+    segments' or matches' views are not those of the rig, where many shots stand beside a
+    calibration or matches, or where `path` cannot be written.
     """
     write_text(
         path,
         render_report(
             result=result,
+            shots=shots,
             sheet_pictures=sheet_pictures,
             rig=rig,
             segments=segments,
@@ -85,6 +111,7 @@ def write_report(
             provenance=provenance,
             doubts=doubts,
             features=features,
+            advice=advice,
         ),
     )
 
@@ -92,6 +119,7 @@ def write_report(
 def render_report(
     *,
     result: CalibrationResult | None = None,
+    shots: RigFromShots | None = None,
     sheet_pictures: Mapping[str, np.ndarray] | None = None,
     rig: Rig | None = None,
     segments: Mapping[str, Segments] | None = None,
@@ -104,8 +132,14 @@ def render_report(
     provenance: Mapping[str, str] | None = None,
     doubts: Mapping[str, str] | None = None,
     features: Sequence[Feature] = (),
+    advice: str = "",
 ) -> str:
     """The page of `write_report` as text."""
+    if shots is not None:
+        if result is not None or matches is not None or segments:
+            raise InputError("A report on many shots stands alone: write another for the rest.")
+        parts, subject = _parts_of_shots(shots, advice)
+        return _render(title, parts, subject, provenance)
     rig = rig if rig is not None else (result.rig if result is not None else None)
     if rig is None:
         raise InputError("A report needs a rig or a calibration: give at least one of them.")
@@ -117,48 +151,121 @@ def render_report(
     sheet = page_pictures("sheet", sheet_pictures, sizes)
     scene = page_pictures("scene", scene_pictures, sizes)
     pattern = result.pattern if result is not None else None
-    epipolar = []
+    subject = Subject(
+        result=result,
+        matches=matches,
+        doubts=doubts or {},
+        coverage=() if result is None else coverage_by_circles(result, sheet),
+        epipolar=_epipolar_parts(rig, result, matches, sheet, scene),
+        field=field_part(rig, pattern, matches, sheet if result is not None else scene),
+    )
+    cameras = cameras_part(rig, result, reference, reference_name)
+    parts = [Part("cameras", "Cameras", "cameras", cameras)]
+    if result is not None and result.fits:
+        found = sheet_part(result, subject.coverage, sheet)
+        parts.append(Part("detection", "The sheet: coverage and residuals", "sheet", found))
+    if subject.field is not None:
+        parts.append(Part("field", "Uncertainty over the field", "field", subject.field))
+    if subject.epipolar:
+        parts.append(Part("epipolar", "Epipolar check", "epipolar", subject.epipolar))
+    if segments or matches is not None:
+        views = rig.names if matches is None else matches.views
+        lines = matches_part(views, segments or {}, matches, scene)
+        if lines.segments:
+            parts.append(Part("segments", "Segments found", "segments", lines))
+        if matches is not None:
+            parts.append(Part("matches", "Matched segments", "matches", lines))
+            parts.append(Part("counts", "Counts, and why not", "counts", lines))
+    read = [own for own in features if own.READ_FIRST]
+    own_tables = [ExtraTable(own.IN_WORDS.capitalize(), *feature_table(own)) for own in read]
+    for number, table in enumerate((*own_tables, *tables), 1):
+        parts.append(Part(f"table-{number}", table.title, "table", table))
+    space = space_figure(rig, pattern, matches)
+    parts.append(_space_part(with_features(space, features), tracks=matches is not None))
+    pictures = [picture for picture in (*sheet.values(), *scene.values()) if picture.uri]
+    return _render(title, parts, subject, provenance, pictures, " with Z up out of the sheet")
+
+
+def _parts_of_shots(shots: RigFromShots, advice: str) -> tuple[list[Part], Subject]:
+    seen = places_seen(shots)
+    coverage, (residuals, arrows) = coverage_by_boards(seen), mean_residuals(seen)
+    subject = Subject(
+        shots=shots,
+        coverage=coverage,
+        residuals=residuals,
+        uncertainty=uncertainty_maps(shots),
+    )
+    table = {"result": shots, "table": shot_table(shots), "advice": advice}
+    parts = [
+        Part("cameras", "Lenses and cameras", "cameras", cameras_part_of_shots(shots)),
+        Part("shots", "Shots", "shots", table),
+    ]
+    if coverage:
+        values = {"coverage": coverage, "residuals": residuals, "arrows": arrows}
+        title = "Places and residuals over the field"
+        parts.append(Part("field-of-board", title, "places", values))
+    halves = halves_maps(shots)
+    if halves:
+        parts.append(Part("halves", "Two halves of the shots over the field", "halves", halves))
+    if subject.uncertainty is not None:
+        title = "Uncertainty over the field"
+        parts.append(Part("uncertainty", title, "uncertainty", subject.uncertainty))
+    if shots.rig is not None:
+        parts.append(_space_part(boards_in_space(shots, shots.rig), tracks=False))
+    return parts, subject
+
+
+def _epipolar_parts(
+    rig: Rig,
+    result: CalibrationResult | None,
+    matches: Matches | None,
+    sheet: Mapping[str, PagePicture],
+    scene: Mapping[str, PagePicture],
+) -> tuple[EpipolarPart, ...]:
+    found = []
     if result is not None:
         points = corrected_circle_centres(result)
-        epipolar.append(epipolar_part("sheet", "circles", result.rig, points, sheet))
+        found.append(epipolar_part("sheet", "circles", result.rig, points, sheet))
     if matches is not None:
-        points = ends_of_tracks(matches)
-        in_rig_order = points[:, [matches.views.index(name) for name in rig]]
-        epipolar.append(epipolar_part("scene", "ends of tracks", rig, in_rig_order, scene))
-    epipolar = [part for part in epipolar if part is not None]
-    coverage = coverage_part(result, sheet) if result is not None else ()
-    seen = sheet if result is not None else scene
-    field = field_part(rig, pattern, matches, seen)
-    space = space_figure(rig, pattern, matches)
-    space = with_features(space, features)
-    read = [own for own in features if own.READ_FIRST]
-    tables = (
-        *(ExtraTable(own.IN_WORDS.capitalize(), *feature_table(own)) for own in read),
-        *tables,
-    )
-    page = {
-        "title": title,
-        "verdict": verdict_part(result, matches, doubts or {}, coverage, epipolar, field),
-        "calibration": calibration_part(rig, result, sheet, reference, reference_name),
-        "meanings": MEANINGS,
-        "coverage": coverage,
-        "field": field,
-        "epipolar": epipolar,
-        "matches": matches_part(_views(rig, matches), segments or {}, matches, scene)
-        if segments or matches is not None
-        else None,
-        "pictures": [picture for picture in (*sheet.values(), *scene.values()) if picture.uri],
-        "plans": plan_part(rig, pattern, matches),
-        "space": space,
-        "space_numbers": space.numbers(),
-        "tables": tables,
-        "provenance": dict(provenance or {}),
+        in_rig_order = ends_of_tracks(matches)[:, [matches.views.index(name) for name in rig]]
+        found.append(epipolar_part("scene", "ends of tracks", rig, in_rig_order, scene))
+    return tuple(part for part in found if part is not None)
+
+
+def _space_part(figure: SpaceFigure, *, tracks: bool) -> Part:
+    values = {
+        "figure": figure,
+        "numbers": figure.numbers(),
+        "plans": plans_of(figure),
+        "tracks": tracks,
     }
-    return environment().get_template("report.html.j2").render(page)
+    return Part("space", "In space", "space", values)
 
 
-def _views(rig: Rig, matches: Matches | None) -> tuple[str, ...]:
-    return rig.names if matches is None else matches.views
+def _render(
+    title: str,
+    parts: Sequence[Part],
+    subject: Subject,
+    provenance: Mapping[str, str] | None,
+    pictures: Sequence[PagePicture] = (),
+    world: str = "",
+) -> str:
+    """The page; names that a template lacks raise, and what users wrote is never markup."""
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("trinoc.report", "templates"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.get_template("page.html.j2").render(
+        title=title,
+        verdict=verdict_of(subject),
+        parts=parts,
+        pictures=pictures,
+        provenance=dict(provenance or {}),
+        world=world,
+    )
 
 
 def _check_views(what: str, names: Mapping[str, Any] | Sequence[str], rig: Rig) -> None:

@@ -1,11 +1,11 @@
-"""The parameters of a rig beside their sigmas and, where there are any, known values."""
+"""Parameters beside their sigmas and, where there are any, known values."""
 
 from typing import NamedTuple
 
 import numpy as np
 
-from trinoc.geometry import PARAMETER_NAMES, Rig
-from trinoc.report.against_reference import parameter_error
+from trinoc.calib import RigFromShots, board_names
+from trinoc.geometry import PARAMETER_NAMES, SPLINE_PARAMETERS, Rig
 from trinoc.report.numbers import decimals_for, signed, with_decimals, with_sigma
 
 LABELS = {
@@ -16,6 +16,23 @@ LABELS = {
     "aim_x_mm": "aim X (mm)",
     "aim_y_mm": "aim Y (mm)",
 }
+# How a board is fixed to the first: it stands in sentences of its own.
+_FIXED = ("turn_x_deg", "turn_y_deg", "turn_z_deg", "x_mm", "y_mm", "z_mm")
+
+
+class ParameterError(NamedTuple):
+    """One recovered parameter, its sigma, the known value, and how far off it is.
+
+    Degrees or millimetres, as `parameter` says; `over_sigma` is NaN where sigma is not known.
+    """
+
+    camera: str
+    parameter: str
+    value: float
+    sigma: float
+    known: float
+    error: float
+    over_sigma: float
 
 
 class ParameterCell(NamedTuple):
@@ -23,10 +40,31 @@ class ParameterCell(NamedTuple):
 
     name: str
     text: str
-    reference: str
-    error: str
-    error_over_sigma: str
-    beyond: bool
+    reference: str = ""
+    error: str = ""
+    error_over_sigma: str = ""
+    beyond: bool = False
+
+
+Rows = tuple[tuple[str, tuple[ParameterCell, ...]], ...]
+
+
+def parameter_errors(rig: Rig, reference: Rig) -> tuple[ParameterError, ...]:
+    """Pan, tilt, swing and distance of every camera that both rigs have."""
+    return tuple(
+        _parameter_error(rig, reference, name, parameter)
+        for name in rig
+        if name in reference.names
+        for parameter in PARAMETER_NAMES[:4]
+    )
+
+
+def _parameter_error(rig: Rig, reference: Rig, name: str, parameter: str) -> ParameterError:
+    key = f"{name}.{parameter}"
+    value, known, sigma = rig.value(key), reference.value(key), rig.sigma(key)
+    error = value - known
+    over_sigma = error / sigma if sigma > 0 else float("nan")
+    return ParameterError(name, parameter, value, sigma, known, error, over_sigma)
 
 
 def shown_parameters(rig: Rig) -> tuple[str, ...]:
@@ -37,9 +75,7 @@ def shown_parameters(rig: Rig) -> tuple[str, ...]:
     return PARAMETER_NAMES if shown else PARAMETER_NAMES[:4]
 
 
-def parameter_rows(
-    rig: Rig, reference: Rig | None
-) -> tuple[tuple[str, tuple[ParameterCell, ...]], ...]:
+def parameter_rows(rig: Rig, reference: Rig | None) -> Rows:
     """A labelled row for each parameter, a cell for each camera."""
     return tuple(
         (LABELS[parameter], tuple(_cell(rig, name, parameter, reference) for name in rig))
@@ -49,10 +85,10 @@ def parameter_rows(
 
 def _cell(rig: Rig, name: str, parameter: str, reference: Rig | None) -> ParameterCell:
     words, sigma = f"{name}.{parameter}", rig.sigma(f"{name}.{parameter}")
-    text = with_sigma(rig.value(f"{name}.{parameter}"), sigma)
+    text = with_sigma(rig.value(words), sigma)
     if reference is None or name not in reference.names:
-        return ParameterCell(words, text, "", "", "", False)
-    found = parameter_error(rig, reference, name, parameter)
+        return ParameterCell(words, text)
+    found = _parameter_error(rig, reference, name, parameter)
     return ParameterCell(
         words,
         text,
@@ -61,3 +97,38 @@ def _cell(rig: Rig, name: str, parameter: str, reference: Rig | None) -> Paramet
         signed(found.over_sigma, 1),
         abs(found.over_sigma) > 3,
     )
+
+
+def parameter_rows_of_shots(result: RigFromShots) -> Rows:
+    """Lens and pose of every camera; a cell of no text is a parameter that the camera has not."""
+    names = dict.fromkeys(
+        name.removeprefix(f"{camera}.")
+        for camera in result.cameras
+        for name in result.parameters
+        if name.startswith(f"{camera}.")
+    )
+    return tuple(
+        (name, tuple(_cell_of_shots(result, f"{camera}.{name}") for camera in result.cameras))
+        for name in names
+        if name not in SPLINE_PARAMETERS
+    )
+
+
+def parameter_rows_of_boards(result: RigFromShots) -> Rows:
+    """What was fitted of the boards, but not how they are fixed to each other."""
+    fixed = [f"board.{name}.{axis}" for name in board_names(result.target) for axis in _FIXED]
+    return tuple(
+        (name.removeprefix("board."), (_cell_of_shots(result, name),))
+        for name in result.parameters
+        if name.startswith("board.") and name not in fixed
+    )
+
+
+def _cell_of_shots(result: RigFromShots, name: str) -> ParameterCell:
+    if name not in result.parameters:
+        return ParameterCell(name, "")
+    value, sigma = result.value(name), result.sigma(name)
+    if not np.isfinite(value):
+        return ParameterCell(name, "not determined")
+    held = f"{with_decimals(value, 4)}, held"
+    return ParameterCell(name, held if sigma == 0 else with_sigma(value, sigma))

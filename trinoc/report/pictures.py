@@ -1,7 +1,7 @@
-"""A picture as text that a page can hold."""
+"""A picture as text that a page can hold, and what is drawn over it."""
 
 import base64
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import cv2
@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.errors import InputError
+from trinoc.report.numbers import plain, round_scale
 
 # The page shows a picture at some 1200 dots at most; more would only make it heavy.
 LONGEST_SIDE_PX = 1600
@@ -59,6 +60,33 @@ class Window(NamedTuple):
         return cls(*corner.tolist(), *extent.tolist())
 
 
+class Arrows(NamedTuple):
+    """Residuals are drawn `times` as long; the key of a figure shows what `key_px` px are."""
+
+    times: float
+    key_px: float
+
+    @classmethod
+    def reaching(cls, longest: Sequence[tuple[float, float]]) -> "Arrows":
+        """One scale for all pictures, so that arrows compare across them.
+
+        `longest` has the longest residual of each picture and how long it may be drawn, px.
+        """
+        share = max((residual / reach for residual, reach in longest), default=0.0)
+        times = round_scale(1 / share) if share > 1e-12 else 1.0
+        reach = min((reach for _, reach in longest), default=1.0)
+        return cls(times, round_scale(0.7 * reach / times))
+
+    @property
+    def said(self) -> tuple[str, str]:
+        """Both numbers as words."""
+        return plain(self.times), plain(self.key_px)
+
+    def tip(self, at: tuple[float, float], residual: tuple[float, float]) -> tuple[float, float]:
+        """Where the arrow of a residual at a place ends."""
+        return float(at[0] + self.times * residual[0]), float(at[1] + self.times * residual[1])
+
+
 def page_picture(key: str, picture: np.ndarray | None, size_px: tuple[int, int]) -> PagePicture:
     """A (h, w) or (h, w, 3) picture of any depth as a JPEG data URI of bounded size.
 
@@ -105,3 +133,25 @@ def _stretched(array: np.ndarray) -> np.ndarray:
     low, high = float(np.nanmin(array)), float(np.nanmax(array))
     scaled = (array - low) * (255.0 / (high - low)) if high > low else np.zeros_like(array)
     return np.nan_to_num(scaled).round().astype(np.uint8)
+
+
+def clip_line(
+    line: Float[np.ndarray, "3"], size_px: tuple[int, int]
+) -> Float[np.ndarray, "2 2"] | None:
+    """The part of a line that lies on a picture, or None where it misses or is not finite."""
+    if not np.isfinite(line).all():
+        return None
+    a, b, c = line
+    foot = -c * np.array([a, b]) / (a * a + b * b)
+    direction = np.array([-b, a]) / np.hypot(a, b)
+    low, high = np.full(2, -0.5), np.array(size_px) - 0.5
+    # A line along an axis never crosses two of the sides: it is inside them or outside.
+    along = np.abs(direction) < 1e-12
+    step = np.where(along, 1.0, direction)
+    crossings = np.stack([(low - foot) / step, (high - foot) / step])
+    inside = (foot >= low) & (foot <= high)
+    entry = np.where(along, np.where(inside, -np.inf, np.inf), crossings.min(axis=0)).max()
+    leave = np.where(along, np.where(inside, np.inf, -np.inf), crossings.max(axis=0)).min()
+    if not entry < leave:
+        return None
+    return np.stack([foot + entry * direction, foot + leave * direction])

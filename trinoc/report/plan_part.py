@@ -5,11 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trinoc.calib import Pattern
-from trinoc.geometry import Rig
-from trinoc.match import BINOCULAR, TRINOCULAR, Matches
 from trinoc.report.numbers import plain, round_scale
-from trinoc.report.space_content import Box, content_box, frusta, sheet_outlines, whole_box
+from trinoc.report.space_content import Box
+from trinoc.report.space_part import SpaceFigure
 
 GRID_LINES = 6
 
@@ -48,34 +46,23 @@ class Drawing(NamedTuple):
     upward: tuple[Tick, ...]
 
 
-def plan_part(rig: Rig, pattern: Pattern | None, matches: Matches | None) -> tuple[Drawing, ...]:
+def plans_of(figure: SpaceFigure) -> tuple[Drawing, ...]:
     """Plan (X, Y) and elevation (X, Z) of the segments, or of the rig where there are none."""
-    with_segments = matches is not None and len(matches) > 0
-    content = content_box(pattern, matches)
-    box = content if with_segments and content is not None else whole_box(rig, content)
-    lines: list[tuple[list[np.ndarray], str, int]] = []
-    if pattern is not None:
-        lines.append((sheet_outlines(pattern), "sheet", -1))
-    if matches is not None and with_segments:
-        stage, ends = np.asarray(matches.stage), np.asarray(matches.lines_mm)
-        for name, role in ((TRINOCULAR, "three"), (BINOCULAR, "two")):
-            for track in np.flatnonzero(stage == name).tolist():
-                lines.append(([ends[track]], role, track))
-    else:
-        lines.append((frusta(rig), "cameras", -1))
-    names = [] if with_segments else [(c.centre_world_mm, name) for name, c in rig.items()]
-    return plan_and_elevation(box, lines, names)
-
-
-def plan_and_elevation(
-    box: Box,
-    lines: Sequence[tuple[list[np.ndarray], str, int]],
-    names: Sequence[tuple[np.ndarray, str]],
-) -> tuple[Drawing, Drawing]:
-    """(X, Y) and (X, Z) of what a box holds: lines with role and track, places with names."""
+    tracks = [layer for layer in figure.layers if layer.tracks]
+    cameras = [layer for layer in figure.layers if layer.role == "cameras" and not tracks]
+    paths: list[tuple[list[np.ndarray], str, int]] = [
+        (layer.parts, layer.role, -1)
+        for layer in [*(layer for layer in figure.layers if layer.role == "sheet"), *cameras]
+    ]
+    for layer in tracks:
+        paths += [
+            ([part], layer.role, t) for part, t in zip(layer.parts, layer.tracks, strict=True)
+        ]
+    names = [(label.at_mm, label.text) for label in figure.labels if label.role == "cameras"]
+    names, box = [] if tracks else names, figure.views[0].box
     return (
-        _drawing("Plan, seen from above", "X", "Y", (0, 1), box, lines, names),
-        _drawing("Elevation, seen from the front", "X", "Z", (0, 2), box, lines, names),
+        _drawing("Plan, seen from above", "X", "Y", (0, 1), box, paths, names),
+        _drawing("Elevation, seen from the front", "X", "Z", (0, 2), box, paths, names),
     )
 
 

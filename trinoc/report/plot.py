@@ -9,8 +9,8 @@ from jaxtyping import Float
 from trinoc.calib import CameraFit
 from trinoc.geometry import Rig, Segments
 from trinoc.match import BINOCULAR, TRINOCULAR, Matches
-from trinoc.report.clipping import clip_line
 from trinoc.report.colours import BLUE, GREEN, PALETTE, VERMILION, distinct_neighbours
+from trinoc.report.pictures import clip_line
 from trinoc.report.space_content import content_box, frusta
 
 if TYPE_CHECKING:

@@ -19,6 +19,13 @@ class Box(NamedTuple):
     low_mm: Float[np.ndarray, "3"]
     high_mm: Float[np.ndarray, "3"]
 
+    @classmethod
+    def around(cls, points_mm: Float[np.ndarray, "n 3"], room: float) -> "Box":
+        """What holds the points, with `room` as a share of their extent at every side."""
+        low, high = points_mm.min(axis=0), points_mm.max(axis=0)
+        margin = room * max(float(np.max(high - low)), 1e-6)
+        return cls(low - margin, high + margin)
+
 
 def polyline(parts: list[np.ndarray]) -> Float[np.ndarray, "n 3"]:
     """Several open lines as one, with a row of NaN between them."""
@@ -84,10 +91,7 @@ def content_box(pattern: Pattern | None, matches: Matches | None) -> Box | None:
         points.append(np.column_stack([flat, np.zeros(len(flat))]))
     if not points:
         return None
-    together = np.concatenate(points)
-    low, high = together.min(axis=0), together.max(axis=0)
-    room = 0.08 * max(float(np.max(high - low)), 1e-6)
-    return Box(low - room, high + room)
+    return Box.around(np.concatenate(points), 0.08)
 
 
 def whole_box(rig: Rig, content: Box | None) -> Box:
@@ -95,6 +99,4 @@ def whole_box(rig: Rig, content: Box | None) -> Box:
     corners = np.concatenate(frusta(rig))
     if content is not None:
         corners = np.concatenate([corners, np.stack(content)])
-    low, high = corners.min(axis=0), corners.max(axis=0)
-    room = 0.05 * float(np.max(high - low))
-    return Box(low - room, high + room)
+    return Box.around(corners, 0.05)

@@ -63,6 +63,12 @@ class SpaceFigure(NamedTuple):
         views = () if content is None else (View("Segments", content),)
         return cls(tuple(_track_layers(matches)), (), views)
 
+    def joined(self, more: "SpaceFigure") -> "SpaceFigure":
+        """With the layers, labels and views of another figure behind its own."""
+        return SpaceFigure(
+            self.layers + more.layers, self.labels + more.labels, self.views + more.views
+        )
+
     def numbers(self) -> dict[str, Any]:
         """The same as the page's script reads it: rounded to a micrometre."""
         return {
@@ -100,10 +106,26 @@ def space_figure(rig: Rig, pattern: Pattern | None, matches: Matches | None) -> 
             layers += _joined_layers(matches, rig)
     if pattern is not None:
         layers.append(Layer("sheet", "sheet", sheet_outlines(pattern)))
-    axes, labels = _axes(pattern, matches)
-    layers += [axes, Layer("cameras", "cameras", frusta(rig))]
-    labels += [Label(camera.centre_world_mm, name, "cameras") for name, camera in rig.items()]
-    return SpaceFigure(tuple(layers), tuple(labels), _views(rig, pattern, matches))
+    box = content_box(pattern, matches)
+    axes = axes_in_space(0.25 * float(np.max(box.high_mm - box.low_mm)) if box else 50.0)
+    views = _views(rig, box, matches is not None and len(matches) > 0)
+    return SpaceFigure(tuple(layers), (), views).joined(axes).joined(cameras_in_space(rig))
+
+
+def axes_in_space(reach_mm: float) -> SpaceFigure:
+    """The world's axes with their letters."""
+    parts = [np.stack([np.zeros(3), reach_mm * axis]) for axis in np.eye(3)]
+    labels = tuple(
+        Label(1.08 * part[1], axis, "axes") for part, axis in zip(parts, "XYZ", strict=True)
+    )
+    layer = Layer(f"world axes, {reach_mm:.0f} mm long", "axes", parts)
+    return SpaceFigure((layer,), labels, ())
+
+
+def cameras_in_space(rig: Rig) -> SpaceFigure:
+    """The frusta of the cameras with their names."""
+    labels = tuple(Label(camera.centre_world_mm, name, "cameras") for name, camera in rig.items())
+    return SpaceFigure((Layer("cameras", "cameras", frusta(rig)),), labels, ())
 
 
 def _track_layers(matches: Matches) -> list[Layer]:
@@ -194,20 +216,11 @@ def _joined_layers(matches: Matches, rig: Rig) -> list[Layer]:
     ]
 
 
-def _axes(pattern: Pattern | None, matches: Matches | None) -> tuple[Layer, list[Label]]:
-    box = content_box(pattern, matches)
-    reach = 0.25 * float(np.max(box.high_mm - box.low_mm)) if box else 50.0
-    parts = [np.stack([np.zeros(3), reach * axis]) for axis in np.eye(3)]
-    labels = [Label(1.08 * part[1], axis, "axes") for part, axis in zip(parts, "XYZ", strict=True)]
-    return Layer(f"world axes, {reach:.0f} mm long", "axes", parts), labels
-
-
-def _views(rig: Rig, pattern: Pattern | None, matches: Matches | None) -> tuple[View, ...]:
+def _views(rig: Rig, content: Box | None, segments: bool) -> tuple[View, ...]:
     """The content near the world's origin, and everything with the cameras."""
-    content = content_box(pattern, matches)
     # From the side, so that no camera stands before what all of them look at.
     x, y, _ = np.mean([camera.centre_world_mm for _, camera in rig.items()], axis=0)
     whole = View("Whole rig", whole_box(rig, content), float(np.arctan2(y, x)) + 1.25)
-    if content is None or matches is None or not len(matches):
-        return (whole,) if content is None else (whole, View("Sheet", content))
-    return View("Segments", content), whole
+    if content is None:
+        return (whole,)
+    return (View("Segments", content), whole) if segments else (whole, View("Sheet", content))

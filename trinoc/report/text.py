@@ -5,10 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from trinoc.match import Matches
-from trinoc.report.against_reference import ParameterError
 from trinoc.report.matches_part import counts_of_steps, reasons_by_view
 from trinoc.report.numbers import decimals_for, signed, with_decimals, with_sigma
-from trinoc.report.parameter_table import LABELS
+from trinoc.report.parameter_table import LABELS, ParameterError
 
 
 def text_table(head: Sequence[str], rows: Sequence[Sequence[str]], *, left: int = 1) -> str:

@@ -1,11 +1,14 @@
-"""What each camera saw of the board in each shot."""
+"""What each camera saw of the boards in each shot, and where the boards were."""
 
 from typing import NamedTuple
 
 import numpy as np
 
-from trinoc.calib import RigFromShots
+from trinoc.calib import RigFromShots, board_names, boards_of
+from trinoc.geometry import Rig
 from trinoc.report.numbers import with_decimals
+from trinoc.report.space_content import Box, frusta
+from trinoc.report.space_part import Layer, SpaceFigure, View, axes_in_space, cameras_in_space
 
 
 class ShotCell(NamedTuple):
@@ -58,3 +61,31 @@ def _seen(result: RigFromShots, rows: list[int]) -> ShotCell:
     rms = float(np.sqrt(np.mean(np.sum(errors**2, axis=1)))) if len(errors) else float("nan")
     text = f"{used} of {len(result.target)}, {with_decimals(rms, 3)} px"
     return ShotCell(text, f"{used} of {found} places found are used; rms of the residuals", "used")
+
+
+def boards_in_space(result: RigFromShots, rig: Rig) -> SpaceFigure:
+    """The cameras and the boards of all shots."""
+    outlines = _boards(result)
+    box = Box.around(np.concatenate([*frusta(rig), *outlines]), 0.05)
+    names = board_names(result.target)
+    which = [f"board {name}" for name in names] if len(names) > 1 else ["board"]
+    words = tuple(f"{each} in shot {shot}" for shot in result.shots for each in which)
+    layer = Layer(f"boards ({len(result.world_from_board)})", "sheet", outlines, True, (), words)
+    axes = axes_in_space(0.1 * float(np.max(box.high_mm - box.low_mm)))
+    figure = SpaceFigure((layer,), (), (View("Whole rig", box),))
+    return figure.joined(axes).joined(cameras_in_space(rig))
+
+
+def _boards(result: RigFromShots) -> list[np.ndarray]:
+    """The outline of the places of each board in each shot."""
+    outlines = []
+    for board, fixed in zip(boards_of(result.target), result.reference_from_board, strict=True):
+        centres = np.asarray(board.centres_mm)
+        (left, top), (right, bottom) = centres.min(axis=0), centres.max(axis=0)
+        corners = [[left, top], [right, top], [right, bottom], [left, bottom], [left, top]]
+        outlines.append(np.array(corners) @ fixed[:, :2].T + fixed[:, 3])
+    return [
+        places @ pose[:, :3].T + pose[:, 3]
+        for pose in result.world_from_board
+        for places in outlines
+    ]

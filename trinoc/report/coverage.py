@@ -1,0 +1,189 @@
+"""How much of each picture the circles or boards cover, and residuals over parts of a picture."""
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from jaxtyping import Float, Int
+
+from trinoc.calib import CalibrationResult, RigFromShots
+from trinoc.report.numbers import percent, signed, with_decimals
+from trinoc.report.pictures import Arrows, PagePicture
+
+# Parts of the picture, along each side, over which residuals are averaged.
+PARTS = 8
+# Fewer places in a part say nothing of its mean.
+_FEWEST = 5
+# The longest arrow, as a share of a part's width.
+_REACH = 0.9
+
+
+class Coverage(NamedTuple):
+    """A whole picture with the places that took part and the outline that holds them.
+
+    `share` is the area of the outline over that of the picture.
+    """
+
+    name: str
+    picture: PagePicture
+    places_px: Float[np.ndarray, "n 2"]
+    outline_px: Float[np.ndarray, "k 2"]
+    share: float
+    caption: str
+
+
+class MeanResidual(NamedTuple):
+    """Of one part of the picture: its middle, the tip of its arrow, and what it means."""
+
+    u: float
+    v: float
+    tip: tuple[float, float]
+    words: str
+
+
+class MeanResiduals(NamedTuple):
+    """One camera's, averaged over parts of its picture.
+
+    Fields
+    ------
+    rms_px : the length of the means.
+    over_chance : that length over what the scatter within the parts would leave; near 1 where
+        nothing depends on the place. NaN where there are too few.
+    """
+
+    name: str
+    picture: PagePicture
+    means: tuple[MeanResidual, ...]
+    rms_px: float
+    over_chance: float
+    caption: str
+
+
+class Seen(NamedTuple):
+    """All places of one camera over its shots that took part, and their residuals."""
+
+    picture: PagePicture
+    places_px: Float[np.ndarray, "n 2"]
+    residuals_px: Float[np.ndarray, "n 2"]
+
+
+def coverage_by_circles(
+    result: CalibrationResult, pictures: dict[str, PagePicture]
+) -> tuple[Coverage, ...]:
+    """For each camera in whose picture the sheet was found."""
+    count = len(result.pattern)
+    used = {name: np.asarray(fit.used) for name, fit in result.fits.items()}
+    return tuple(
+        _coverage(
+            name,
+            pictures[name],
+            np.asarray(fit.detection.centres_px)[used[name]],
+            f"{used[name].sum()} of {count} circles",
+        )
+        for name, fit in result.fits.items()
+    )
+
+
+def coverage_by_boards(seen: dict[str, Seen]) -> tuple[Coverage, ...]:
+    """For each camera, over all shots."""
+    return tuple(
+        _coverage(name, own.picture, own.places_px, f"{len(own.places_px):,} places")
+        for name, own in seen.items()
+    )
+
+
+def _coverage(
+    name: str, picture: PagePicture, places_px: Float[np.ndarray, "n 2"], counted: str
+) -> Coverage:
+    outline = np.zeros((0, 2))
+    if len(places_px) >= 3:
+        outline = cv2.convexHull(places_px.astype(np.float32))[:, 0].astype(np.float64)
+    area = float(cv2.contourArea(outline.astype(np.float32)))
+    share = area / (picture.width_px * picture.height_px)
+    caption = f"{percent(share)} of the picture, {counted}"
+    return Coverage(name, picture, places_px, outline, share, caption)
+
+
+def places_seen(result: RigFromShots) -> dict[str, Seen]:
+    """By camera; those that saw no board are left out."""
+    found = {}
+    for number, name in enumerate(result.cameras):
+        own = [
+            (view, residuals[view.kept])
+            for view, residuals in zip(result.views, result.residuals_px, strict=True)
+            if view.camera == number
+        ]
+        if sum(len(residuals) for _, residuals in own):
+            shown = [v.detection.centres_px if v.shown is None else v.shown.uv_px for v, _ in own]
+            places = [np.asarray(uv)[v.kept] for uv, (v, _) in zip(shown, own, strict=True)]
+            picture = PagePicture(name, *own[0][0].detection.image_size_px, "")
+            errors = np.concatenate([residuals for _, residuals in own])
+            found[name] = Seen(picture, np.concatenate(places), errors)
+    return found
+
+
+def mean_residuals(seen: dict[str, Seen]) -> tuple[tuple[MeanResiduals, ...], Arrows]:
+    """Of each camera, and the scale of the arrows, one for all."""
+    averages = {name: _averages(own) for name, own in seen.items()}
+    arrows = Arrows.reaching(
+        [
+            (
+                float(np.linalg.norm(mean, axis=1).max()),
+                _REACH * seen[name].picture.width_px / PARTS,
+            )
+            for name, (_, mean, _, _) in averages.items()
+            if len(mean)
+        ]
+    )
+    return tuple(
+        _mean_residuals(name, own.picture, *averages[name], arrows) for name, own in seen.items()
+    ), arrows
+
+
+_Averages = tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2"], Int[np.ndarray, "n"], float]
+
+
+def _averages(seen: Seen) -> _Averages:
+    """Middles, means and counts of the parts with places enough, and how far beyond chance."""
+    part = np.array([seen.picture.width_px, seen.picture.height_px]) / PARTS
+    column, row = np.clip(((seen.places_px + 0.5) // part).astype(int), 0, PARTS - 1).T
+    key = row * PARTS + column
+    count = np.bincount(key, minlength=PARTS**2)
+    sums = [np.bincount(key, axis, minlength=PARTS**2) for axis in seen.residuals_px.T]
+    said = count >= _FEWEST
+    grid = np.stack(np.meshgrid(np.arange(PARTS), np.arange(PARTS)), axis=-1).reshape(-1, 2)
+    mean = np.stack(sums, axis=1) / np.maximum(count, 1)[:, None]
+    scatter = (seen.residuals_px - mean[key])[said[key]]
+    within = (scatter**2).sum() / max(2 * (count[said] - 1).sum(), 1)
+    between = (count[:, None] * mean**2)[said]
+    over_chance = float(np.sqrt(between.mean() / within)) if within > 0 else float("nan")
+    return (grid[said] + 0.5) * part - 0.5, mean[said], count[said], over_chance
+
+
+def _mean_residuals(
+    name: str,
+    picture: PagePicture,
+    middle_px: Float[np.ndarray, "n 2"],
+    mean_px: Float[np.ndarray, "n 2"],
+    count: Int[np.ndarray, "n"],
+    over_chance: float,
+    arrows: Arrows,
+) -> MeanResiduals:
+    rms = float(np.sqrt(np.mean(np.sum(mean_px**2, axis=1)))) if len(mean_px) else float("nan")
+    return MeanResiduals(
+        name,
+        picture,
+        tuple(
+            MeanResidual(
+                float(u),
+                float(v),
+                arrows.tip((u, v), (du, dv)),
+                f"mean residual ({signed(du, 4)}, {signed(dv, 4)}) px of {n:.0f} places",
+            )
+            for (u, v), (du, dv), n in zip(middle_px, mean_px, count, strict=True)
+        ),
+        rms,
+        over_chance,
+        f"{with_decimals(rms, 3)} px rms, {with_decimals(over_chance, 1)} times what chance would "
+        "leave",
+    )

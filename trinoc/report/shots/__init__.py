@@ -1,5 +1,0 @@
-"""The page about a rig that was fitted to many shots: verdict, shots, field, uncertainty, space."""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

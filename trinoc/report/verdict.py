@@ -1,0 +1,445 @@
+"""May this rig be used, and may these matches? One table of checks; the worst of them decides.
+
+The limits stand in docs/report.md too, with the reason for each.
+"""
+
+import enum
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from trinoc.calib import CalibrationResult, RigFromShots, Status
+from trinoc.match import TRINOCULAR, Matches
+from trinoc.report.coverage import Coverage, MeanResiduals
+from trinoc.report.epipolar_part import EpipolarPart
+from trinoc.report.field_part import FieldPart, Uncertainty
+from trinoc.report.matches_part import share_matched
+from trinoc.report.numbers import millimetres, percent, with_decimals
+from trinoc.report.shots_part import shot_table
+
+
+class Level(enum.Enum):
+    """How a check came out, the worst first; the value is what the page says."""
+
+    BAD = "bad"
+    CARE = "take care"
+    JUDGE = "for you to judge"
+    GOOD = "good"
+
+
+class Subject(NamedTuple):
+    """What there is to judge; a check answers None where what it asks for is not there."""
+
+    result: CalibrationResult | None = None
+    shots: RigFromShots | None = None
+    matches: Matches | None = None
+    doubts: Mapping[str, str] = {}
+    coverage: Sequence[Coverage] = ()
+    residuals: Sequence[MeanResiduals] = ()
+    epipolar: Sequence[EpipolarPart] = ()
+    field: FieldPart | None = None
+    uncertainty: Uncertainty | None = None
+
+
+class Answer(NamedTuple):
+    """The number that is held against the limits, and the same in a figure and in words.
+
+    part : the part of the page to look at, where it is not that of the check.
+    remedy : what to do, where it is not that of the check.
+    """
+
+    value: float
+    figure: str
+    words: str
+    part: str = ""
+    remedy: str = ""
+
+
+class Check(NamedTuple):
+    """One question, its answer in a figure and in words, and what to do where it is not good."""
+
+    question: str
+    level: Level
+    figure: str
+    words: str
+    remedy: str
+    part: str
+
+
+class Limits(NamedTuple):
+    """A row of the table: what is asked, how it is answered, and what is called bad.
+
+    Fields
+    ------
+    good : the largest value that is good, or, where `at_least`, the smallest; None where the
+        reader judges.
+    beyond : what a value is that is not good; one above `bad`, or not a number, is bad.
+    """
+
+    question: str
+    part: str
+    good: float | None
+    remedy: str
+    answer: Callable[[Subject], Answer | None]
+    beyond: Level = Level.CARE
+    bad: float = np.inf
+    at_least: bool = False
+
+    def check(self, subject: Subject) -> Check | None:
+        """The check, or None where nothing answers it."""
+        answer = self.answer(subject)
+        if answer is None:
+            return None
+        level = self._level(answer.value)
+        remedy = "" if level is Level.GOOD else answer.remedy or self.remedy
+        part = answer.part or self.part
+        return Check(self.question, level, answer.figure, answer.words, remedy, part)
+
+    def _level(self, value: float) -> Level:
+        if self.good is None:
+            return Level.JUDGE
+        if value >= self.good if self.at_least else value <= self.good:
+            return Level.GOOD
+        return self.beyond if value <= self.bad else Level.BAD
+
+
+class Verdict(NamedTuple):
+    """The worst of the checks in one sentence, with the number that decides."""
+
+    level: Level
+    sentence: str
+    reason: str
+    checks: tuple[Check, ...]
+
+
+def verdict_of(subject: Subject) -> Verdict | None:
+    """None where there is neither a calibration nor a matching to judge."""
+    calibration = subject.result is not None or subject.shots is not None
+    if not calibration and subject.matches is None:
+        return None
+    checks = tuple(found for row in CHECKS if (found := row.check(subject)) is not None)
+    order = list(Level)
+    worst = min(checks, key=lambda check: order.index(check.level))
+    level = worst.level if worst.level in (Level.BAD, Level.CARE) else Level.GOOD
+    what = "this rig" if calibration else "these matches"
+    sentence = {
+        Level.GOOD: f"You can use {what}.",
+        Level.CARE: f"Use {what} with care.",
+        Level.BAD: f"Do not rely on {what}.",
+    }[level]
+    return Verdict(level, sentence, f"{worst.figure}: {worst.words}", checks)
+
+
+def _calibrated(subject: Subject) -> Answer | None:
+    result = subject.result
+    if result is None:
+        return None
+    good = [name for name, status in result.status.items() if status is Status.CONVERGED]
+    failed = [name for name in result.status if name not in result.rig.names]
+    suspects = [name for name, status in result.status.items() if status is Status.SUSPECT]
+    figure = f"{len(good)} of {len(result.status)} cameras calibrated"
+    if failed:
+        why = result.failures.get(failed[0], result.status[failed[0]].value)
+        remedy = "Mend what the sentence names, and take that picture again."
+        return Answer(len(failed), figure, f"{failed[0]} failed. {why}", remedy=remedy)
+    if suspects:
+        notes = result.fits[suspects[0]].notes
+        why = notes[0] if notes else result.status[suspects[0]].value
+        return Answer(len(suspects), figure, f"{', '.join(suspects)}: suspect. {why}")
+    return Answer(0, figure, "all fits converged.")
+
+
+def _doubted(subject: Subject) -> Answer | None:
+    if subject.result is not None or not subject.doubts:
+        return None
+    name, why = next(iter(subject.doubts.items()))
+    words = f"the calibration of {name} was suspect. {why}"
+    return Answer(len(subject.doubts), f"{len(subject.doubts)} suspect", words)
+
+
+def _determined(subject: Subject) -> Answer | None:
+    shots = subject.shots
+    if shots is None:
+        return None
+    if shots.status is not Status.CONVERGED:
+        return Answer(1, "no rig", shots.status.value)
+    if shots.gauge:
+        words = f"the shots leave {', '.join(shots.gauge)} free."
+        return Answer(len(shots.gauge), f"{len(shots.gauge)} parameters open", words)
+    return Answer(0, f"{len(shots.parameters)} parameters", "the fit converged.")
+
+
+def _together(subject: Subject) -> Answer | None:
+    if subject.shots is None:
+        return None
+    table = shot_table(subject.shots)
+    used, missing, left_out = (table.count(role) for role in ("used", "missing", "left-out"))
+    words = "took part."
+    if missing:
+        words += f" The board was not found in {missing}."
+    if left_out:
+        words += " ".join([f" {left_out} were left out.", *subject.shots.refused[:1]])
+    return Answer(left_out, f"{used} of {used + missing + left_out} pictures", words)
+
+
+def _covered(subject: Subject, *, by_shots: bool) -> Answer | None:
+    if not subject.coverage or (subject.shots is not None) != by_shots:
+        return None
+    least = min(subject.coverage, key=lambda figure: figure.share)
+    what = "its places surround" if by_shots else "the circles surround"
+    words = f"{what} that much in {least.name}, and no less elsewhere."
+    return Answer(least.share, f"{percent(least.share)} of the picture", words)
+
+
+def _noisy(subject: Subject) -> Answer | None:
+    ratios = {}
+    for name, fit in subject.result.fits.items() if subject.result is not None else ():
+        picture = fit.image if fit.method == "picture" else None
+        chi_square = (fit if picture is None else picture).reduced_chi_square
+        ratios[name] = float(np.sqrt(max(chi_square, 0.0)))
+    words = "the largest residuals, those of {}; 1 or less is noise and nothing else."
+    return _worst_ratio(ratios, words)
+
+
+def _scattered(subject: Subject) -> Answer | None:
+    factors = {} if subject.shots is None else subject.shots.sigma_factor
+    words = "the scatter of the places in {}; all sigmas have grown by it."
+    return _worst_ratio(factors, words)
+
+
+def _worst_ratio(ratios: Mapping[str, float], words: str) -> Answer | None:
+    known = {name: ratio for name, ratio in ratios.items() if np.isfinite(ratio)}
+    if not known:
+        return None
+    worst = max(known, key=lambda name: known[name])
+    figure = f"{with_decimals(known[worst], 2)} times the noise"
+    return Answer(known[worst], figure, words.format(worst))
+
+
+def _epipolar(subject: Subject) -> Answer | None:
+    for part in subject.epipolar:
+        if part.kind == "circles":
+            figure = f"{with_decimals(part.largest_px, 3)} px from the epipolar lines"
+            words = "the circles of one picture, rms, by the worst pair of cameras."
+            return Answer(part.largest_px, figure, words)
+    return None
+
+
+def _place(subject: Subject) -> Answer | None:
+    field, result = subject.field, subject.result
+    if field is None or not np.isfinite(field.worst_mm):
+        return None
+    words = (
+        "one sigma where it is largest, on the sheet and above it, by the errors of the cameras "
+        "alone."
+    )
+    if result is not None:
+        words += f" They include {', '.join(('noise', *result.systematics))}."
+    return Answer(field.worst_mm, f"± {millimetres(field.worst_mm)}", words)
+
+
+def _pattern(subject: Subject) -> Answer | None:
+    known = [each for each in subject.residuals if np.isfinite(each.over_chance)]
+    if not known:
+        return None
+    worst = max(known, key=lambda each: each.over_chance)
+    words = (
+        f"mean residuals over parts of the picture of {worst.name}, "
+        f"{with_decimals(worst.rms_px, 3)} px rms."
+    )
+    return Answer(worst.over_chance, f"{with_decimals(worst.over_chance, 1)} times chance", words)
+
+
+def _halves(subject: Subject) -> Answer | None:
+    if subject.shots is None:
+        return None
+    halves = subject.shots.halves
+    if halves is None:
+        words = "a half of the shots does not determine the rig."
+        remedy = "Nothing checks the sigmas: take more shots."
+        return Answer(FAR_APART, "not known", words, remedy=remedy)
+    return Answer(
+        halves.ratio,
+        f"{with_decimals(halves.ratio, 2)} claimed sigmas apart",
+        f"over {halves.parameters} parameters, most in {halves.worst} "
+        f"({with_decimals(halves.worst_ratio, 1)}).",
+        "halves" if halves.over_field else "",
+    )
+
+
+def _held_out(subject: Subject) -> Answer | None:
+    """Through other cameras, which is what a rig is for; of one camera, its own."""
+    found = None if subject.shots is None else subject.shots.cross_validation
+    if found is None:
+        return None
+    errors = found.across_px or found.own_px
+    worst = max(errors, key=lambda name: errors[name])
+    by = "placed by another camera" if found.across_px else "placed by itself"
+    words = f"rms of the places in {worst}, the board {by}; lenses and cameras from the others."
+    return Answer(errors[worst], f"{with_decimals(errors[worst], 3)} px", words)
+
+
+def _pixel(subject: Subject) -> Answer | None:
+    known = subject.uncertainty
+    if known is None:
+        return None
+    words = (
+        "one sigma where it is largest, at the distance of the boards; "
+        f"{with_decimals(known.worst_farther_px, 3)} px three times as far."
+    )
+    figure = f"± {with_decimals(known.worst_at_boards_px, 3)} px"
+    return Answer(known.worst_at_boards_px, figure, words)
+
+
+def _matched(subject: Subject) -> Answer | None:
+    matches = subject.matches
+    if matches is None:
+        return None
+    in_three = int((np.asarray(matches.stage) == TRINOCULAR).sum())
+    fewest = min((len(words) for words in matches.reasons.values()), default=0)
+    two_views = len(matches.views) < 3
+    found = len(matches) if two_views else in_three
+    figure = f"{found} tracks in {'both views' if two_views else 'three views or more'}"
+    words = (
+        f"and {len(matches) - found} in two; {share_matched(matches)} of all segments are on a "
+        "track."
+    )
+    return Answer(found / max(fewest, 1), figure, words)
+
+
+def _agreeing(subject: Subject) -> Answer | None:
+    matches = subject.matches
+    if matches is None or (np.asarray(matches.stage) != TRINOCULAR).all():
+        return None
+    scale = float(matches.noise_scale)
+    words = (
+        "by which the views place a segment differently; near 1 they agree as well as the "
+        "segments were measured."
+    )
+    return Answer(scale, f"{with_decimals(scale, 2)} times their sigma", words)
+
+
+def _located(subject: Subject) -> Answer | None:
+    matches = subject.matches
+    if matches is None or not len(matches):
+        return None
+    across = float(np.nanmedian(matches.across_sigma_mm))
+    words = "the median sigma across a segment in space; each has its own, in the table."
+    return Answer(across, f"± {millimetres(across)}", words)
+
+
+# Halves of the shots differ by 1 claimed sigma where the model is right; a ratio over tens of
+# parameters seldom leaves .8 to 1.2 by chance.
+APART, FAR_APART = 1.5, 3.0
+# Residuals over noise: `calibrate` writes a note at a chi-square of 2.
+NOISY = 2**0.5
+
+CHECKS = (
+    Limits(
+        "Is every camera calibrated?", "cameras", 0,
+        "The picture is not what the model says, so its sigmas are too small: check the pattern "
+        "file, the lens, focus and light, and calibrate again.",
+        _calibrated,
+        Level.BAD,
+    ),
+    Limits(
+        "Was the rig calibrated well?", "cameras", 0,
+        "The segments in space inherit this error, and their sigmas do not hold it: calibrate "
+        "again.",
+        _doubted,
+        Level.BAD,
+    ),
+    Limits(
+        "Is everything determined?", "cameras", 0,
+        "Show the board in more places, nearer and tilted, and let cameras share shots.",
+        _determined,
+        Level.BAD,
+    ),
+    Limits(
+        "Do the shots belong together?", "shots", 0,
+        "Mend what the sentence names, or take these shots out.",
+        _together,
+    ),
+    Limits(
+        "Does the sheet fill the pictures?", "detection", 0.1,
+        "Beyond the circles lens and angles are extrapolated: bring the sheet nearer or print it "
+        "larger.",
+        lambda subject: _covered(subject, by_shots=False),
+        at_least=True,
+    ),
+    Limits(
+        "Was the board all over the pictures?", "field-of-board", 0.4,
+        "Beyond them the lens is extrapolated: show the board near the edges and corners.",
+        lambda subject: _covered(subject, by_shots=True),
+        at_least=True,
+    ),
+    Limits(
+        "Are the residuals mere noise?", "detection", NOISY,
+        "Look at the arrows: a swirl or a fan is the lens (run trinoc intrinsics), one side alone "
+        "a bent sheet or a shadow, all over a wrong pattern file.",
+        _noisy,
+        bad=3,
+    ),
+    Limits(
+        "Are the residuals mere noise?", "shots", NOISY,
+        "The board may not be as drawn (measure it), or it moved while pictures were taken; look "
+        "at the shots with the largest rms.",
+        _scattered,
+    ),
+    Limits(
+        "Does the lens fit everywhere?", "field-of-board", 3,
+        "A swirl or a fan is the lens: try --lens-model auto. Arrows that agree within one shot "
+        "alone are a bent board.",
+        _pattern,
+    ),
+    Limits(
+        "Do two halves of the shots agree?", "cameras", APART,
+        "Something is not in the model: the lens, the board, or cameras that moved. The sigmas "
+        "claim too much.",
+        _halves,
+        bad=FAR_APART,
+    ),
+    Limits(
+        "How far off are shots held out?", "shots", None,
+        "If that is much more than the residuals: more shots, at more places and tilts.",
+        _held_out,
+    ),
+    Limits(
+        "How well is a pixel known?", "uncertainty", None,
+        "If that is too much: shots near the edges, at both ends of the working distance.",
+        _pixel,
+    ),
+    Limits(
+        "Do the cameras agree with each other?", "epipolar", 0.1,
+        "A segment is matched within some tenths of a pixel: calibrate the lens, and check that "
+        "sheet and cameras stood still between the pictures.",
+        _epipolar,
+        bad=0.5,
+    ),
+    Limits(
+        "How well is a place known?", "field", None,
+        "If that is too much: measure the bars of the sheet (--print-scale), calibrate the lens, "
+        "put the cameras farther apart.",
+        _place,
+    ),
+    Limits(
+        "Were the segments matched?", "matches", 0.25,
+        "Too few for a rig that took these pictures: check that each name stands before its own "
+        "picture and that no camera was moved (trinoc check).",
+        _matched,
+        Level.BAD,
+        at_least=True,
+    ),
+    Limits(
+        "Do the three views agree on the scene?", "epipolar", 2,
+        "A camera may have been knocked (run trinoc check), or the pictures are sharpened or "
+        "moved; the sigmas on this page have grown to match.",
+        _agreeing,
+    ),
+    Limits(
+        "How well are the segments known?", "matches", None,
+        "If that is too much: more light and focus, a longer lens, or cameras farther apart.",
+        _located,
+    ),
+)  # fmt: skip
