@@ -1,6 +1,7 @@
 """What is written is what is read, field by field, so that no field is forgotten."""
 
 import dataclasses
+import re
 
 import numpy as np
 import pytest
@@ -8,8 +9,11 @@ from hypothesis import given, settings
 
 import trinoc
 from tests.io.strategies import lenses, match_sets, rigs, segment_sets
+from tests.io.valid_files import made_detection
 from trinoc.errors import InputError
 from trinoc.io import load_frames, load_intrinsics, save_frames
+from trinoc.io.frames_table import Frames
+from trinoc.io.saving import tables
 from trinoc.recording import OK, FrameMatches
 
 
@@ -58,6 +62,20 @@ def test_rig(folder, rig):
 def test_segments(folder, segments):
     trinoc.save(segments, folder / "segments.npz")
     assert_same(trinoc.load_segments(folder / "segments.npz"), segments)
+
+
+def test_detection(folder):
+    found = made_detection()
+    trinoc.save(found, folder / "detection.npz")
+    assert_same(trinoc.load(folder / "detection.npz"), found)
+    assert list(found.named_columns(brief=True))[:3] == ["circle_index", "u_px", "v_px"]
+
+
+def test_every_column_of_a_table_is_said_in_its_docstring():
+    for kind in (*tables(), Frames):
+        said = re.findall(r"(?m)(?:^|\. )\s*((?:\w+, )*\w+) : ", kind.__doc__ or "")
+        names = {name for words in said for name in words.split(", ")}
+        assert {field.name for field in dataclasses.fields(kind)} <= names, kind
 
 
 @given(matches=match_sets())

@@ -15,6 +15,7 @@ from tests.io.formats.bench import bench_matches, bench_rig
 from tests.io.made_cylinders import made_cylinders
 from tests.io.made_rims import made_rims
 from tests.io.made_wireframe import made_wireframe
+from trinoc.calib import Detection
 from trinoc.io import (
     FORMATS,
     load_frames,
@@ -28,6 +29,20 @@ from trinoc.io import (
 from trinoc.recording import FrameMatches, frames_of_table
 
 RIG = bench_rig()
+
+
+def made_detection() -> Detection:
+    """Four discs of a plain grid, which looks the same turned."""
+    covariance = np.tile(0.01 * np.eye(2), (4, 1, 1))
+    return Detection(
+        circle_index=np.arange(4),
+        centres_px=np.array([[40.0, 40.0], [60.0, 40.0], [40.0, 60.0], [60.0, 60.0]]),
+        covariance_px2=covariance,
+        shape_px2=np.tile(25.0 * np.eye(2), (4, 1, 1)),
+        lines_px=np.full((2, 3), np.nan),
+        image_size_px=(100, 80),
+        ambiguity=np.array([[3, 2, 1, 0]]),
+    )
 
 
 class ValidFile(NamedTuple):
@@ -58,6 +73,7 @@ def valid_files(folder: Path) -> dict[str, ValidFile]:
     trinoc.save(made_wireframe(), add("wireframe", "wireframe.npz", trinoc.load))
     trinoc.save(made_rims(), add("rims", "rims.npz", trinoc.load))
     trinoc.save(made_cylinders(), add("cylinders", "cylinders.npz", trinoc.load))
+    trinoc.save(made_detection(), add("detection", "detection.npz", trinoc.load))
     ends = np.random.default_rng(2).uniform(0, 400, (5, 4))
     segments = trinoc.Segments.from_endpoints(ends)
     trinoc.save(segments, add("segments", "segments.npz", trinoc.load_segments))

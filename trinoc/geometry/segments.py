@@ -13,9 +13,9 @@ from trinoc.errors import InputError
 from trinoc.numerics import (
     COVARIANCE,
     IN_PICTURE,
-    LARGEST_PX,
     NOT_INFINITE,
     NOT_NEGATIVE,
+    PICTURE_SIZE,
     ArrayLike,
     Check,
     Column,
@@ -111,15 +111,9 @@ class Segments(Displayable, Table):
     ]
     contrast: Annotated[Float[ArrayLike, "n"], Column(NOT_INFINITE)]
     support: Annotated[Int[ArrayLike, "n"], Column(NOT_NEGATIVE)]
-    image_size_px: Annotated[
-        tuple[int, int] | None,
-        Column(
-            Check(
-                "must be a width and a height in pixels",
-                lambda size, _: len(size) == 2 and all(0 < side < LARGEST_PX for side in size),
-            )
-        ),
-    ] = eqx.field(static=True, default=None)
+    image_size_px: Annotated[tuple[int, int] | None, Column(PICTURE_SIZE)] = eqx.field(
+        static=True, default=None
+    )
     reasons: Shaped[np.ndarray, "n"] | None = None
     chain: Int[ArrayLike, "n"] | None = None
     junctions: Annotated[

@@ -6,7 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from trinoc.calib import AbstractTarget, Pattern
+from trinoc.calib import AbstractTarget, Detection, Pattern
 from trinoc.errors import InputError
 from trinoc.geometry import Intrinsics, Rig, Segments
 from trinoc.io import intrinsics_json, rig_json
@@ -30,7 +30,7 @@ _DOCUMENTS: tuple[tuple[type, str], ...] = (
 
 def tables() -> list[type[Table]]:
     """The kinds of values that are written as npz."""
-    return [Segments, Matches, *FEATURES]
+    return [Segments, Matches, Detection, *FEATURES]
 
 
 def expect_ending(path: str | os.PathLike[str] | None, kind: type) -> None:
@@ -53,9 +53,9 @@ def save(
 
     A Rig (or the rig of a CalibrationResult or a RigFromShots, then with its status), Intrinsics
     (or the lens of an IntrinsicsResult, then with its covariance), a Pattern and a board become
-    JSON; Segments, Matches, a Wireframe, Cylinders and Rims become npz. `provenance`, of rigs and
-    lenses, says how it was found ("command", "version", "inputs"). Raises InputError for other
-    values and for a name whose ending is not that of the file.
+    JSON; Segments, Matches, a Detection, a Wireframe, Cylinders and Rims become npz. `provenance`,
+    of rigs and lenses, says how it was found ("command", "version", "inputs"). Raises InputError
+    for other values and for a name whose ending is not that of the file.
     """
     more: dict[str, Any] = {}
     if not isinstance(value, (*(kind for kind, _ in _DOCUMENTS), *tables())):

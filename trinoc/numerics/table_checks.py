@@ -17,6 +17,10 @@ IN_SCENE = Check(
 IN_PICTURE = Check(
     "is not finite or beyond all pictures", lambda values, _: np.abs(values) < LARGEST_PX
 )
+PICTURE_SIZE = Check(
+    "must be a width and a height in pixels",
+    lambda size, _: len(size) == 2 and all(0 < side < LARGEST_PX for side in size),
+)
 RADIUS = Check("is no radius", lambda values, _: (values > 0) & (values < LARGEST_MM))
 FINITE = Check("is not finite", lambda values, _: np.isfinite(values))
 NOT_INFINITE = Check("is infinite", lambda values, _: ~np.isinf(values))

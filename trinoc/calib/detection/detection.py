@@ -1,13 +1,19 @@
 """What was found of a board in one picture."""
 
+from collections.abc import Mapping
+from typing import Annotated, ClassVar
+
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 
 from trinoc.calib.targets import AbstractTarget, BoardSet
+from trinoc.numerics import COVARIANCE, IN_PICTURE, NOT_NEGATIVE, PICTURE_SIZE, Column, Table
+
+_PLACE = ("u_px", "v_px")
 
 
-class Detection(eqx.Module):
+class Detection(Table):
     """Labelled places of a board in one picture, in pixels of the picture.
 
     Fields
@@ -24,13 +30,17 @@ class Detection(eqx.Module):
         `circle_index` is the only one.
     """
 
-    circle_index: Int[np.ndarray, "m"]
-    centres_px: Float[np.ndarray, "m 2"]
-    covariance_px2: Float[np.ndarray, "m 2 2"]
+    KIND: ClassVar[str] = "detection"
+    IN_WORDS: ClassVar[str] = "a detection"
+    SIDES: ClassVar[Mapping[str, str]] = {"m": "places", "k": "labellings"}
+
+    circle_index: Annotated[Int[np.ndarray, "m"], Column(NOT_NEGATIVE)]
+    centres_px: Annotated[Float[np.ndarray, "m 2"], Column(IN_PICTURE, parts=_PLACE)]
+    covariance_px2: Annotated[Float[np.ndarray, "m 2 2"], Column(COVARIANCE, parts=_PLACE)]
     shape_px2: Float[np.ndarray, "m 2 2"]
     lines_px: Float[np.ndarray, "2 3"]
-    image_size_px: tuple[int, int] = eqx.field(static=True)
-    ambiguity: Int[np.ndarray, "k m"] | None = None
+    image_size_px: Annotated[tuple[int, int], Column(PICTURE_SIZE)] = eqx.field(static=True)
+    ambiguity: Annotated[Int[np.ndarray, "k m"] | None, Column(NOT_NEGATIVE)] = None
 
     def __len__(self) -> int:
         return len(self.circle_index)
