@@ -205,12 +205,12 @@ def test_panels_are_over_the_first_knob_with_a_curve_for_each_other(rows):
     assert [panel.x_label for panel in single] == ["within (mm)", "true length (mm)"]
 
 
-@pytest.mark.parametrize("ending", ["png", "svg", "html"])
+@pytest.mark.parametrize("ending", ["png", "svg"])
 def test_figures_are_written(rows, tmp_path, ending):
     for part in (rows, rows[:1]):
         file = tmp_path / f"plot.{ending}"
         write_plot(part, file)
-        start = {"png": b"\x89PNG", "svg": b"<?xml", "html": b"<!doctype html"}[ending]
+        start = {"png": b"\x89PNG", "svg": b"<?xml"}[ending]
         assert file.read_bytes().lstrip().startswith(start)
 
 

@@ -82,7 +82,7 @@ class Evaluate(Command):
     plot: Annotated[
         Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")
     ] = None
-    """Also draw it: png, svg or pdf (with matplotlib), or html."""
+    """Also draw it: png, svg or pdf."""
 
     def run(self, command_line: str) -> Outcome:
         """Evaluate every setting, and write the table after each."""

@@ -1,9 +1,8 @@
 """Evaluations as figures: accuracy, shares and normalised errors over the settings tried.
 
-What is drawn is decided once, as curves of plain numbers; matplotlib or plotly then draws it.
+What is drawn is decided once, as curves of plain numbers; matplotlib then draws it.
 """
 
-import importlib.util
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -12,8 +11,9 @@ import numpy as np
 
 from trinoc.errors import InputError
 from trinoc.evaluation import Row
-from trinoc.io import atomic_write, write_text
+from trinoc.io import atomic_write
 from trinoc.report.colours import PALETTE
+from trinoc.report.notebook import expect_extra
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -82,7 +82,7 @@ def draw_panel(axes: "Axes", panel: Panel) -> None:
         axes.axhline(panel.level, color="#777777", linewidth=1)
     if panel.log_x:
         axes.set_xscale("log")
-        ticks = _points(panel)
+        ticks = sorted({x for curve in panel.curves for x in curve.x})
         axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
         axes.minorticks_off()
     if panel.log_y:
@@ -97,15 +97,6 @@ def draw_panel(axes: "Axes", panel: Panel) -> None:
     axes.legend(fontsize=8, framealpha=0.6)
 
 
-def _lines(panels: list[Panel]) -> int:
-    return -(-len(panels) // COLUMNS)
-
-
-def _points(panel: Panel) -> list[float]:
-    """All places along the foot that have a point."""
-    return sorted({x for curve in panel.curves for x in curve.x})
-
-
 def _round_ticks(curves: list[Curve]) -> list[float]:
     """One, two and five times the powers of ten from below the least value to above the largest."""
     values = [y for curve in curves for y in curve.y if np.isfinite(y) and y > 0] or [1.0]
@@ -117,35 +108,21 @@ def _round_ticks(curves: list[Curve]) -> list[float]:
 
 def expect_plotter(path: Path) -> None:
     """Before a long job: raise InputError where `path` is no figure that can be written."""
-    suffix = path.suffix.lower()
-    if suffix not in (*STATIC_SUFFIXES, ".html"):
+    if path.suffix.lower() not in STATIC_SUFFIXES:
         raise InputError(
-            f"{path}: a figure is written as {', '.join(STATIC_SUFFIXES)} or .html: choose such a "
-            "name."
+            f"{path}: a figure is written as {', '.join(STATIC_SUFFIXES)}: choose such a name."
         )
-    if suffix != ".html" and importlib.util.find_spec("matplotlib") is None:
-        raise InputError(
-            f"{path} needs matplotlib, which is not installed: pip install 'trinoc[plot]', or give "
-            "a name that ends in .html."
-        )
-    if suffix == ".html" and importlib.util.find_spec("plotly") is None:
-        raise InputError(
-            f"{path} needs plotly, which is not installed: pip install 'trinoc[notebook]', or give "
-            "a name that ends in .png."
-        )
+    expect_extra("matplotlib", "plot")
 
 
 def write_plot(rows: Sequence[Row], path: Path) -> None:
     """All panels side by side, to a file whose ending says how. Raises InputError."""
     expect_plotter(path)
     panels = evaluation_panels(rows)
-    if path.suffix.lower() == ".html":
-        _write_page(panels, path)
-        return
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    lines = _lines(panels)
+    lines = -(-len(panels) // COLUMNS)
     figure = Figure(figsize=(5.5 * COLUMNS, 4.2 * lines), layout="constrained")
     FigureCanvasAgg(figure)
     for number, panel in enumerate(panels, start=1):
@@ -239,62 +216,3 @@ def _in_words(knob: str, value: float | str) -> str:
     if isinstance(value, str):
         return "all tracks" if value == "all" else value
     return f"{KNOBS[knob].partition(' (')[0]} {value:g}"
-
-
-def _page_axis(label: str, ticks: list[float] | None) -> dict[str, Any]:
-    """An axis of plotly: logarithmic where it has ticks."""
-    axis: dict[str, Any] = {"title": {"text": label}}
-    if ticks is not None:
-        axis |= {"type": "log", "tickvals": ticks, "ticktext": [f"{tick:g}" for tick in ticks]}
-    return axis
-
-
-def _write_page(panels: list[Panel], path: Path) -> None:
-    """A page that needs no network, with all panels in one figure of plotly."""
-    import plotly.io
-
-    data: list[dict[str, Any]] = []
-    lines = _lines(panels)
-    layout: dict[str, Any] = {"width": 1300, "height": 440 * lines, "annotations": []}
-    for number, panel in enumerate(panels, start=1):
-        line, column = divmod(number - 1, COLUMNS)
-        left, right = (column + 0.1) / COLUMNS, (column + 0.94) / COLUMNS
-        top, foot = 1 - (line + 0.05) / lines, 1 - (line + 0.8) / lines
-        x_axis = {
-            **_page_axis(panel.x_label, _points(panel) if panel.log_x else None),
-            "domain": [left, right],
-            "anchor": f"y{number}",
-        }
-        y_axis = {
-            **_page_axis(panel.y_label, _round_ticks(panel.curves) if panel.log_y else None),
-            "domain": [foot, top],
-            "anchor": f"x{number}",
-        }
-        layout[f"xaxis{number}"], layout[f"yaxis{number}"] = x_axis, y_axis
-        title = {"text": panel.title, "x": (left + right) / 2, "y": top}
-        place = {"xref": "paper", "yref": "paper", "xanchor": "center", "yanchor": "bottom"}
-        layout["annotations"].append({**title, **place, "showarrow": False})
-        for curve in panel.curves:
-            colour = PALETTE[curve.colour % len(PALETTE)]
-            data.append(
-                {
-                    "type": "scatter",
-                    "name": f"{panel.title}: {curve.name}",
-                    "x": curve.x,
-                    "y": [y if np.isfinite(y) else None for y in curve.y],
-                    "mode": "lines+markers" if curve.joined else "markers",
-                    "line": {"color": colour, "dash": "dash" if curve.dashed else "solid"},
-                    "xaxis": f"x{number}",
-                    "yaxis": f"y{number}",
-                }
-            )
-        if panel.level is not None:
-            layout.setdefault("shapes", []).append(
-                {
-                    "type": "line", "xref": f"x{number} domain", "x0": 0, "x1": 1,
-                    "yref": f"y{number}", "y0": panel.level, "y1": panel.level,
-                    "line": {"color": "#777777", "width": 1},
-                }
-            )  # fmt: skip
-    page = plotly.io.to_html({"data": data, "layout": layout}, include_plotlyjs=True)
-    write_text(path, page)
