@@ -59,7 +59,7 @@ def of_matches(truth="edges.csv", *more):
 def test_pictures_with_two_settings_of_which_one_fails(run, folder):
     status, out, err = run(
         *PICTURES, "--rig", "rig.json", "--truth", TRUTH, "--tolerance-px", "-1", "1.6",
-        "--stages", "all", "trinocular", "-o", "demo.csv", "--plot", "demo.html", "--json",
+        "--stages", "all", "trinocular", "-o", "demo.csv", "--plot", "demo.svg", "--json",
         quiet=False,
     )  # fmt: skip
     assert status == 0
@@ -83,7 +83,7 @@ def test_pictures_with_two_settings_of_which_one_fails(run, folder):
     assert table[0]["lines"] == "" != table[0]["problem"]
     assert int(table[2]["lines"]) == every["lines"]
     assert float(table[2]["precision_1mm"]) == pytest.approx(every["precision_1mm"], rel=1e-5)
-    assert record["written"] == ["demo.csv", "demo.html"]
+    assert record["written"] == ["demo.csv", "demo.svg"]
 
 
 def test_matches_of_a_box(run):
