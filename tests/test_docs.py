@@ -14,6 +14,8 @@ import trinoc
 from trinoc.cli.main import main
 
 ROOT = Path(__file__).parent.parent
+# Rooms that `import trinoc` hands on; their own names stand beside those of trinoc.
+ROOMS = ("calib", "io", "match", "segments")
 PAGES = sorted([*(ROOT / "docs").glob("*.md"), ROOT / "README.md"])
 
 
@@ -103,7 +105,9 @@ def test_every_notebook_is_described() -> None:
 def test_every_public_docstring_is_on_its_page() -> None:
     page = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
     shown = re.findall(r"^::: trinoc\.(\S+)$", page, re.M)
-    assert sorted(name for name in shown if "." not in name) == sorted(trinoc.__all__)
+    assert sorted(name for name in shown if "." not in name) == sorted(
+        name for name in trinoc.__all__ if name not in ROOMS
+    )
     for name in shown:
         room, _, last = f"trinoc.{name}".rpartition(".")
         assert getattr(importlib.import_module(room), last).__doc__, name

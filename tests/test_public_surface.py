@@ -10,6 +10,8 @@ import trinoc
 from trinoc.cli.main import main
 
 ROOT = Path(__file__).parent.parent
+# What `import trinoc` hands on beside the names.
+ROOMS = ("calib", "io", "match", "segments")
 REFERENCE = (ROOT / "docs" / "reference.md").read_text(encoding="utf-8")
 
 
@@ -20,7 +22,7 @@ def test_every_exported_name_is_there_and_documented_by_its_own_docstring():
 
 def test_exported_names_are_those_of_the_reference():
     assert sorted(re.findall(r"^#### `trinoc\.(\w+)`", REFERENCE, re.MULTILINE)) == sorted(
-        trinoc.__all__
+        name for name in trinoc.__all__ if name not in ROOMS
     )
 
 

@@ -22,7 +22,8 @@ mpl.use("agg")
 
 
 def test_every_value_that_shows_itself_can() -> None:
-    shown = {getattr(trinoc, name, None) for name in trinoc.__all__}
+    doors = (trinoc, trinoc.calib, trinoc.match)
+    shown = {getattr(door, name, None) for door in doors for name in door.__all__}
     shown = {kind for kind in shown if isinstance(kind, type) and issubclass(kind, Displayable)}
     assert len(shown) >= 5
     for verb in (axes._plot, cards.heading, cards.small_picture, figures._figure, columns_of):
