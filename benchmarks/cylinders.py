@@ -203,7 +203,7 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=9000)
     parser.add_argument("--rendered", type=Path, nargs="*", default=[])
     given = parser.parse_args()
-    trinoc.enable_compile_cache()
+    trinoc.io.enable_compile_cache()
     if given.seeds:
         print(
             f"made, seeds from {given.first}: {made(given.first, given.seeds).text()}", flush=True

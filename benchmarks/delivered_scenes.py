@@ -108,7 +108,7 @@ def of_delivery(delivery: Delivery, folders: list[Path]) -> str:
             for name, image in pictures.items()
         }
         plain = trinoc.match_segments(segments, rig)
-        guided = trinoc.guide_matches(plain, segments, rig, pictures).matches
+        guided = trinoc.match.guide_matches(plain, segments, rig, pictures).matches
         for k, matches in enumerate((plain, guided)):
             found, by, outcome = figures(place, matches)
             rows[k].append(found)
@@ -137,7 +137,7 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--only", default="", help="rows whose name holds this")
     given = parser.parse_args()
-    trinoc.enable_compile_cache()
+    trinoc.io.enable_compile_cache()
     folders = [path for path in sorted(given.folder.iterdir()) if (path / "truth.json").exists()]
     for delivery in DELIVERIES:
         if given.only in delivery.name:

@@ -47,7 +47,7 @@ def make_inputs(folder: Path) -> None:
     from trinoc.synth import Detector, loose_segments, simulate_segments, table1_lens, table1_rig
     from trinoc.synth.camera_picture import camera_picture
 
-    trinoc.enable_compile_cache()
+    trinoc.io.enable_compile_cache()
     condition = CONDITIONS["vignette and broad glare"]
     camera = condition.camera(table1_lens(), (23.568, 38.616, -0.994, 472.894))
     delivered = camera_picture(trinoc.Pattern.default(), camera, condition, seed=1)
@@ -156,7 +156,7 @@ def measure_lines(folder: Path) -> Callable[[], Any]:
     rig = trinoc.load_rig(folder / "rig.json")
     matches = trinoc.load_matches(folder / "matches.npz")
     segments = {view: trinoc.load_segments(folder / f"scene_{view}.npz") for view in images}
-    return lambda: trinoc.measure_lines(matches, segments, rig, images)
+    return lambda: trinoc.match.measure_lines(matches, segments, rig, images)
 
 
 def match_segments(folder: Path) -> Callable[[], Any]:
@@ -239,7 +239,7 @@ def measure(name: str, folder: Path) -> dict[str, float]:
     if os.environ["TRINOC_COMPILE_CACHE"] != "off":
         import trinoc
 
-        trinoc.enable_compile_cache()
+        trinoc.io.enable_compile_cache()
     call = CALLS[name](folder)
     compilations = Compilations()
     start = time.process_time()

@@ -152,7 +152,7 @@ def main() -> int:
     parser.add_argument("--tolerance", type=float, default=1e-12)
     parser.add_argument("--sigmas", type=float, help="allowed where a covariance is known")
     options = parser.parse_args()
-    trinoc.enable_compile_cache()
+    trinoc.io.enable_compile_cache()
     print(f"trinoc of {Path(trinoc.__file__).parent.parent}", flush=True)
     now = outputs(options.only)
     if options.verb == "freeze":

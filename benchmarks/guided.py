@@ -106,11 +106,11 @@ def words(found: np.ndarray, views: np.ndarray) -> str:
     )
 
 
-def with_rims(place: Place, guided: trinoc.GuidedMatches) -> Matches:
+def with_rims(place: Place, guided: trinoc.match.GuidedMatches) -> Matches:
     """Guided matches with rims, which are found among chords, without what is an outline."""
     chords = {view: trinoc.find_segments(p, arcs=True) for view, p in place.pictures.items()}
-    rims = trinoc.find_rims(trinoc.match_segments(chords, place.rig), chords, place.rig)
-    found = trinoc.add_rims(guided.matches, guided.segments, rims, chords, place.rig).matches
+    rims = trinoc.match.find_rims(trinoc.match_segments(chords, place.rig), chords, place.rig)
+    found = trinoc.match.add_rims(guided.matches, guided.segments, rims, chords, place.rig).matches
     return found.take(np.flatnonzero(found.marks["silhouette"] < 0.5))
 
 
@@ -136,7 +136,7 @@ def of_questions(name: str, places: list[Place]) -> None:
             setattr(guide, *QUESTIONS[each])
         for place, segments, matches in scenes:
             start = time.process_time()
-            found = trinoc.guide_matches(matches, segments, place.rig, place.pictures).matches
+            found = trinoc.match.guide_matches(matches, segments, place.rig, place.pictures).matches
             seconds += time.process_time() - start
             own, by, _ = figures(place, found)
             rows.append(own)
@@ -157,7 +157,7 @@ def of_scenes(name: str, places: Iterable[Place]) -> None:
             segments = {view: trinoc.find_segments(p) for view, p in place.pictures.items()}
             matches = trinoc.match_segments(segments, place.rig)
             middle = time.process_time()
-            guided = trinoc.guide_matches(matches, segments, place.rig, place.pictures)
+            guided = trinoc.match.guide_matches(matches, segments, place.rig, place.pictures)
             spent = np.array([middle - start, time.process_time() - middle, 0.0])
             start = time.process_time()
             rims = with_rims(place, guided)
@@ -202,7 +202,7 @@ def of_merton(folder: Path) -> None:
     segments = {view: trinoc.find_segments(picture) for view, picture in pictures.items()}
     matches = trinoc.match_segments(segments, rig)
     middle = time.process_time()
-    guided = trinoc.guide_matches(matches, segments, rig, pictures)
+    guided = trinoc.match.guide_matches(matches, segments, rig, pictures)
     times = middle - start, time.process_time() - middle
     for k, (label, one) in enumerate((("plain", matches), ("guided", guided.matches))):
         three = one.stage == "trinocular"
@@ -237,7 +237,7 @@ def main() -> None:
     parser.add_argument("--questions", action="store_true", help="without each question in turn")
     parser.add_argument("--merton", type=Path, help="folder of merton1.npz and its photographs")
     given = parser.parse_args()
-    trinoc.enable_compile_cache()
+    trinoc.io.enable_compile_cache()
     demo = Path(trinoc.synth.__file__).parent / "demo"
     if not given.questions:
         of_scenes("demo", [_place(demo, table1_rig())])

@@ -60,10 +60,10 @@ def of_scenes(name: str, places: list[Place], guided: bool) -> None:
             segments = {view: trinoc.find_segments(p) for view, p in place.pictures.items()}
             matches = trinoc.match_segments(segments, place.rig)
             if guided:
-                found = trinoc.guide_matches(matches, segments, place.rig, place.pictures)
+                found = trinoc.match.guide_matches(matches, segments, place.rig, place.pictures)
                 segments, matches = found.segments, found.matches
             middle = time.process_time()
-            after = trinoc.measure_lines(matches, segments, place.rig, place.pictures)
+            after = trinoc.match.measure_lines(matches, segments, place.rig, place.pictures)
             spent = np.array([middle - start, time.process_time() - middle])
         seconds += spent
         straight = np.array(place.truth.edge_kinds) == "edge"
@@ -97,7 +97,7 @@ def main() -> None:
     parser.add_argument("folders", nargs="*", type=Path)
     parser.add_argument("--guided", action="store_true", help="after guided detection")
     given = parser.parse_args()
-    trinoc.enable_compile_cache()
+    trinoc.io.enable_compile_cache()
     demo = Path(trinoc.synth.__file__).parent / "demo"
     of_scenes("demo", [_place(demo, table1_rig())], given.guided)
     for folder in given.folders:

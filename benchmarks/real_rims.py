@@ -62,7 +62,7 @@ def rims_of(views: dict[str, np.ndarray], rig: Rig) -> tuple[Rims, float]:
     chords = {view: trinoc.find_segments(image, arcs=True) for view, image in views.items()}
     matches = trinoc.match_segments(chords, rig)
     start = time.process_time()
-    return trinoc.find_rims(matches, chords, rig), time.process_time() - start
+    return trinoc.match.find_rims(matches, chords, rig), time.process_time() - start
 
 
 def plates(folder: Path, shots: int) -> None:

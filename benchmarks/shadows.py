@@ -75,7 +75,7 @@ def table_row(folders: list[Path]) -> str:
         segments = {view: trinoc.find_segments(place.pictures[view]) for view in VIEWS}
         matches = trinoc.match_segments(segments, rig)
         start = time.process_time()
-        found = trinoc.find_shadows(matches, segments, rig)
+        found = trinoc.match.find_shadows(matches, segments, rig)
         seconds += time.process_time() - start
         right, shadow = shares_of(place, matches)
         stated.append(found.shadow)
@@ -124,7 +124,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("folders", type=Path, nargs="*")
     given = parser.parse_args()
-    trinoc.enable_compile_cache()
+    trinoc.io.enable_compile_cache()
     print(f"demo: {table_row([DEMO])}", flush=True)
     for folder in given.folders:
         scenes = sorted(path.parent for path in folder.glob("*/truth.json"))

@@ -46,7 +46,7 @@ class Tally:
     ) -> None:
         """One scene."""
         start = time.process_time()
-        frame = trinoc.wireframe(matches, rig)
+        frame = trinoc.match.wireframe(matches, rig)
         self.count["ms"] += round(1e3 * (time.process_time() - start))
         near = trinoc.evaluate(frame, shape, tolerances_mm=(NEAR_MM,))
         wide = trinoc.evaluate(frame, shape, tolerances_mm=(WIDE_MM,))

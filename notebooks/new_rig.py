@@ -64,7 +64,7 @@ import numpy as np
 
 
 def worst_sigma_mm(point_mm):
-    covariance = trinoc.point_covariance(result.rig, np.array(point_mm))
+    covariance = trinoc.calib.point_covariance(result.rig, np.array(point_mm))
     return float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
 
 

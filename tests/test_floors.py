@@ -160,7 +160,10 @@ def test_a_door_hands_on_what_is_there_and_hides_no_file(package):
     room = importlib.import_module(package)
     files = {path.stem for path in Path(room.__path__[0]).iterdir() if path.suffix in ("", ".py")}
     assert room.__doc__
-    assert files & set(getattr(room, "__all__", ())) - {"errors", "calib", "io", "match", "segments"} == set()
+    assert (
+        files & set(getattr(room, "__all__", ())) - {"errors", "calib", "io", "match", "segments"}
+        == set()
+    )
     for name in getattr(room, "__all__", ()):
         assert getattr(room, name) is not None
 

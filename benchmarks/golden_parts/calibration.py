@@ -17,7 +17,7 @@ from trinoc.synth import render_sheet, table1_lens, table1_rig
 def calibrate_circles() -> Values:
     """The demo's sheet by the centres of its circles; detections, batches, a plain grid."""
     pattern, images, lens = demo_pattern(), demo_images("sheet"), table1_lens()
-    found = {view: trinoc.detect_pattern(image, pattern) for view, image in images.items()}
+    found = {view: trinoc.calib.detect_pattern(image, pattern) for view, image in images.items()}
     for view, own in found.items():
         yield from records.detection(view, own)
     results = {}
@@ -33,7 +33,8 @@ def calibrate_circles() -> Values:
     given = {"systematics": EXACT, "method": "circles"}
     from_images = trinoc.calibrate(images, pattern, lens, **given)
     yield from records.calibration("images", from_images)
-    yield from records.calibration("carried", trinoc.with_systematics(results["exact"], TERMS))
+    carried = trinoc.calib.with_systematics(results["exact"], TERMS)
+    yield from records.calibration("carried", carried)
     yield from _batch(found, pattern, lens)
     change = compare_rigs(results["typical"], results["exact six"])
     yield "compared.sentences", change.sentences
@@ -55,10 +56,10 @@ def _batch(found, pattern, lens) -> Values:
 def _uncertainty(results) -> Values:
     for label in ("typical", "exact six"):
         rig = results[label].rig
-        sigma = trinoc.epipolar_sigma(rig, "upper", "left")
+        sigma = trinoc.calib.epipolar_sigma(rig, "upper", "left")
         yield f"{label}.epipolar_sigma_px", sigma.sigma_px
         point = np.array([5.0, 9.0, 3.0])
-        yield f"{label}.point_covariance", trinoc.point_covariance(rig, point)
+        yield f"{label}.point_covariance", trinoc.calib.point_covariance(rig, point)
 
 
 def _plain_grid() -> Values:

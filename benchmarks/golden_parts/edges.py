@@ -62,8 +62,8 @@ def segments() -> Values:
     ):  # fmt: skip
         yield from records.segments(label, trinoc.find_segments(image, **options))
     bare = trinoc.Segments.from_endpoints(np.asarray(demo_segments()["left"].endpoints_px))
-    yield from records.segments("levels", trinoc.with_side_levels(bare, images["left"]))
-    yield from records.segments("lsd", trinoc.find_segments_lsd(upper))
+    yield from records.segments("levels", trinoc.segments.with_side_levels(bare, images["left"]))
+    yield from records.segments("lsd", trinoc.segments.find_segments_lsd(upper))
 
 
 def capture() -> Values:

@@ -52,9 +52,9 @@ def _values() -> Values:
     matches = trinoc.match_segments(segments, table1_rig())
     yield "segments", segments["upper"]
     yield "matches", matches
-    yield "wireframe", trinoc.wireframe(matches, table1_rig())
-    yield "cylinders", trinoc.find_cylinders(matches, segments, table1_rig())
-    yield "rims", trinoc.find_rims(matches, segments, table1_rig())
+    yield "wireframe", trinoc.match.wireframe(matches, table1_rig())
+    yield "cylinders", trinoc.match.find_cylinders(matches, segments, table1_rig())
+    yield "rims", trinoc.match.find_rims(matches, segments, table1_rig())
 
 
 def _written(name: str, kind: str, format_: Any, value: Any) -> Values:

@@ -102,9 +102,9 @@ def shots(
     return {name: found[name] for name in cameras}
 
 
-def set_of_boards() -> tuple[trinoc.BoardSet, dict[str, list[Detection]]]:
+def set_of_boards() -> tuple[trinoc.calib.BoardSet, dict[str, list[Detection]]]:
     """A block with a chessboard on either side, held between cameras that face each other."""
-    target = trinoc.BoardSet(
+    target = trinoc.calib.BoardSet(
         {
             "first": trinoc.Chessboard(rows=8, columns=9, square_mm=20.0),
             "second": trinoc.Chessboard(rows=7, columns=10, square_mm=20.0),

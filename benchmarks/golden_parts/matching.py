@@ -80,7 +80,7 @@ def guided() -> Values:
     for label, views in {"three": VIEWS_OF_DEMO, "two": VIEWS_OF_DEMO[:2]}.items():
         own = {view: segments[view] for view in views}
         plain = trinoc.match_segments(own, rig)
-        found = trinoc.guide_matches(plain, own, rig, {view: images[view] for view in views})
+        found = trinoc.match.guide_matches(plain, own, rig, {view: images[view] for view in views})
         yield from records.matches(label, found.matches)
         for view, each in found.segments.items():
             yield from records.segments(f"{label}.{view}", each)
@@ -99,7 +99,7 @@ def measured_lines() -> Values:
         ("srgb", images, {"response": "srgb"}),
         ("saturated", bright, {}),
     ):
-        found = trinoc.measure_lines(plain, segments, rig, pictures, **options)
+        found = trinoc.match.measure_lines(plain, segments, rig, pictures, **options)
         yield from records.matches(label, found)
 
 
@@ -114,18 +114,18 @@ def wire_frame() -> Values:
         ("demo", demo_matches(), calibrated_demo().rig),
         ("table", trinoc.match_segments(made, table1_rig()), table1_rig()),
     ):
-        joined = trinoc.join_collinear(matches, rig)
+        joined = trinoc.match.join_collinear(matches, rig)
         yield from records.fields(f"{label}.joined", joined, JOINED)
-        yield from records.fields(f"{label}.corners", trinoc.snap_corners(joined), CORNERS)
+        yield from records.fields(f"{label}.corners", trinoc.match.snap_corners(joined), CORNERS)
         for flat in (True, False):
-            frame = trinoc.wireframe(matches, rig, flat=flat)
+            frame = trinoc.match.wireframe(matches, rig, flat=flat)
             name = f"{label}.{'flat' if flat else 'free'}"
             yield from records.fields(name, frame, FRAME)
             yield f"{name}.let_go", _let_go(frame)
             yield f"{name}.faces", [str(np.asarray(face).tolist()) for face in frame.faces]
 
 
-def _let_go(frame: trinoc.Wireframe) -> list[str]:
+def _let_go(frame: trinoc.match.Wireframe) -> list[str]:
     rows = zip(frame.let_go.track, frame.let_go.reason, strict=True)
     return [f"{track} {reason}" for track, reason in rows]
 
@@ -150,20 +150,20 @@ def bodies() -> Values:
     """Rims, cylinders and shadows: of the demo's pictures, and of a made table."""
     rig, segments, images = calibrated_demo().rig, demo_segments(), demo_images("scene")
     chords = {view: trinoc.find_segments(image, arcs=True) for view, image in images.items()}
-    rims = trinoc.find_rims(trinoc.match_segments(chords, rig), chords, rig)
+    rims = trinoc.match.find_rims(trinoc.match_segments(chords, rig), chords, rig)
     yield from _rims("demo.rims", rims)
-    added = trinoc.add_rims(demo_matches(), segments, rims, chords, rig)
+    added = trinoc.match.add_rims(demo_matches(), segments, rims, chords, rig)
     yield from records.matches("demo.with rims", added.matches)
     yield "demo.with rims.kept", added.kept
-    cylinders = trinoc.find_cylinders(demo_matches(), segments, rig)
+    cylinders = trinoc.match.find_cylinders(demo_matches(), segments, rig)
     yield from records.fields("demo.cylinders", cylinders, CYLINDERS)
-    yield from _shadows("demo.shadows", trinoc.find_shadows(demo_matches(), segments, rig))
+    yield from _shadows("demo.shadows", trinoc.match.find_shadows(demo_matches(), segments, rig))
     made, _ = blocks(9_002)
     matches = trinoc.match_segments(made, table1_rig())
-    found = trinoc.find_cylinders(matches, made, table1_rig())
+    found = trinoc.match.find_cylinders(matches, made, table1_rig())
     yield from records.fields("table.cylinders", found, CYLINDERS)
-    yield from _rims("table.rims", trinoc.find_rims(matches, made, table1_rig()))
-    yield from _shadows("table.shadows", trinoc.find_shadows(matches, made, table1_rig()))
+    yield from _rims("table.rims", trinoc.match.find_rims(matches, made, table1_rig()))
+    yield from _shadows("table.shadows", trinoc.match.find_shadows(matches, made, table1_rig()))
 
 
 CYLINDERS = (
@@ -172,13 +172,13 @@ CYLINDERS = (
 )
 
 
-def _rims(prefix: str, rims: trinoc.Rims) -> Values:
+def _rims(prefix: str, rims: trinoc.match.Rims) -> Values:
     names = ("centre_mm", "normal", "radius_mm", "radius_sigma_mm", "covariance_mm2", "covered")
     yield from records.fields(prefix, rims, (*names, "rim", "view", "segment", "kept", "counts"))
     yield from records.matches(f"{prefix}.matches", rims.matches)
 
 
-def _shadows(prefix: str, shadows: trinoc.Shadows) -> Values:
+def _shadows(prefix: str, shadows: trinoc.match.Shadows) -> Values:
     names = tuple(field.name for field in dataclasses.fields(shadows))
     yield from records.fields(prefix, shadows, names)
 

@@ -31,7 +31,7 @@ def lens() -> Values:
     images = [image.astype(np.uint8) for image in images]
     yield "inputs", digest(*images)
     sheet = trinoc.Pattern.default()
-    found = [trinoc.detect_pattern(image, sheet) for image in images]
+    found = [trinoc.calib.detect_pattern(image, sheet) for image in images]
     for label, options in {
         "default": {},
         "two coefficients": {"distortion": 2},
@@ -96,7 +96,7 @@ def _with_advice(prefix: str, result: RigFromShots) -> Values:
     yield from records.rig_of_shots(prefix, result)
     if result.rig is None:
         return
-    field = trinoc.projection_sigma(result.rig, "left", 550.0)
+    field = trinoc.calib.projection_sigma(result.rig, "left", 550.0)
     yield f"{prefix}.projection_sigma", field.sigma_px
     advice = trinoc.next_shot(result)
     if advice is not None:

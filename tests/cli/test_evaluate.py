@@ -176,11 +176,12 @@ def test_a_box_becomes_a_wire_frame_and_is_compared_with_its_edges(run, folder, 
     assert (row["corners_wanted"], row["corners_found"], row["corners_extra"]) == (8, 8, 0)
     assert row["corner_error_median_mm"] < 1e-3
     assert row["faces"] == 6
-    frame = trinoc.wireframe(trinoc.load(folder / "matches.npz"), trinoc.load(folder / "rig.json"))
+    matches, rig = (trinoc.load(folder / name) for name in ("matches.npz", "rig.json"))
+    frame = trinoc.match.wireframe(matches, rig)
     said = frame.record()
     assert (said["edges"], said["corners"], said["free_ends"], said["faces"]) == (12, 8, 0, 6)
     assert said["let_go"] == []
     trinoc.save(frame, folder / "wireframe.npz")
     assert main(["export", "wireframe.npz", "--to", "obj", "-o", "box.obj"]) == 0
-    shape = trinoc.load_shape(folder / "box.obj")
+    shape = trinoc.io.load_shape(folder / "box.obj")
     assert len(shape.edges_mm) == 12

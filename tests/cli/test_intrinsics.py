@@ -74,7 +74,7 @@ def test_what_grey_levels_cannot_do_is_said(folder):
     image = np.asarray(cv2.imread(pictures(folder)[0], cv2.IMREAD_GRAYSCALE))
     with pytest.raises(InputError, match="frees both focal lengths"):
         trinoc.calibrate_intrinsics([image], SHEET, method="pixels", aspect="pitch")
-    found = trinoc.detect_pattern(image, SHEET)
+    found = trinoc.calib.detect_pattern(image, SHEET)
     with pytest.raises(InputError, match="is a detection, in which no grey levels are left"):
         trinoc.calibrate_intrinsics([found], SHEET, method="pixels")
 

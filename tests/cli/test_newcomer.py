@@ -77,7 +77,7 @@ def test_what_a_data_sheet_gives_is_read_by_every_command(run, folder):
         assert rig.sigma(f"{name}.aim_x_mm") > 0
         assert rig.sigma(f"{name}.fx_px") > 0
     # Pose and lens err together, so that points near the sheet are known well all the same.
-    sigma_mm = np.sqrt(np.trace(trinoc.point_covariance(rig, np.array([5.0, 9.0, 3.0]))))
+    sigma_mm = np.sqrt(np.trace(trinoc.calib.point_covariance(rig, np.array([5.0, 9.0, 3.0]))))
     assert sigma_mm < 0.1 * rig.sigma("upper.distance_mm")
     scene = [f"{name}={name}.csv" for name in RIG]
     assert run("match", *scene, "--rig", "rig.json", "-o", "matches.npz")[0] == 0

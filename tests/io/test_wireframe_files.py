@@ -70,7 +70,7 @@ def test_an_obj_has_vertices_edges_and_faces_and_is_a_shape_again(tmp_path):
     assert [sum(row[0] == kind for row in rows) for kind in "vlf"] == [7, 7, 2]
     assert ["f", "1", "2", "3", "4"] in rows
     # What leaves as a wire frame comes back as a known shape.
-    shape = trinoc.load_shape(tmp_path / "frame.obj")
+    shape = trinoc.io.load_shape(tmp_path / "frame.obj")
     np.testing.assert_allclose(
         sorted(np.linalg.norm(np.diff(shape.edges_mm, axis=1)[:, 0], axis=1)),
         sorted(np.linalg.norm(np.diff(FRAME.lines_mm, axis=1)[:, 0], axis=1)),

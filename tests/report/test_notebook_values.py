@@ -23,8 +23,9 @@ mpl.use("agg")
 
 def test_every_value_that_shows_itself_can() -> None:
     doors = (trinoc, trinoc.calib, trinoc.match)
-    shown = {getattr(door, name, None) for door in doors for name in door.__all__}
-    shown = {kind for kind in shown if isinstance(kind, type) and issubclass(kind, Displayable)}
+    handed_on = [getattr(door, name) for door in doors for name in door.__all__]
+    kinds = [kind for kind in handed_on if isinstance(kind, type)]
+    shown = {kind for kind in kinds if issubclass(kind, Displayable)}
     assert len(shown) >= 5
     for verb in (axes._plot, cards.heading, cards.small_picture, figures._figure, columns_of):
         assert {kind for kind in shown if verb.dispatch(kind) is verb.dispatch(object)} == set()

@@ -149,8 +149,8 @@ def evaluate(
     lines : Matches, a Wireframe (then its corners and edges are counted, too), or a refinement's
         `lines` (then with the errors that the cameras share), or bare ends, of which nothing is
         claimed.
-    shape : known edges in the same frame, of `trinoc.load_shape` or as ends in mm; of a made scene
-        those parts are wanted that two pictures show.
+    shape : known edges in the same frame, of `trinoc.io.load_shape` or as ends in mm; of a made
+        scene those parts are wanted that two pictures show.
     tolerances_mm : distances at which precision and completeness are given; within the largest, a
         line lies on an edge.
     aligned : lay the lines on the shape by a rigid motion first. It takes up six numbers of the
