@@ -23,7 +23,7 @@ import trinoc
 from trinoc.image import ResponseLike
 from trinoc.io import load_rig, load_scene_truth
 from trinoc.synth.camera_picture import Processing, Sensor, Sharpening, delivered_picture
-from trinoc.synth.camera_picture.response import SRGB
+from trinoc.synth.camera_picture.delivery import SRGB
 from trinoc.synth.camera_picture.sensor import Mosaic
 
 # In light that is white to the camera the brightest face stays below saturation.

@@ -9,7 +9,7 @@ from scipy.special import ndtr
 
 from trinoc.image import ResponseLike
 from trinoc.segments import find_segments
-from trinoc.synth.camera_picture.response import SRGB
+from trinoc.synth.camera_picture.delivery import SRGB
 
 SIDE_PX, NOISE, EDGES = 64, 1.5, 24
 # Blur of the lens; the pixel's box adds its variance.

@@ -29,8 +29,14 @@ from trinoc.synth.camera_picture import (
     card,
     finger,
 )
-from trinoc.synth.camera_picture.denoise import Bilateral, Median, NonLocalMeans
-from trinoc.synth.camera_picture.response import SRGB, Gamma, SCurve
+from trinoc.synth.camera_picture.delivery import (
+    SRGB,
+    Bilateral,
+    Gamma,
+    Median,
+    NonLocalMeans,
+    SCurve,
+)
 
 
 class SheetGrid(NamedTuple):

@@ -26,7 +26,7 @@ from trinoc.geometry import Intrinsics
 from trinoc.io import demo_images, demo_pattern
 from trinoc.segments import find_junctions
 from trinoc.synth.camera_picture import Processing, Sensor, delivered_picture
-from trinoc.synth.camera_picture.response import SRGB
+from trinoc.synth.camera_picture.delivery import SRGB
 
 
 def segments() -> Values:

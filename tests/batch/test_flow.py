@@ -5,7 +5,7 @@ from concurrent.futures import Executor, Future, ThreadPoolExecutor
 import pytest
 from hypothesis import given, strategies as st
 
-from trinoc.batch.memory import (
+from trinoc.batch.run import (
     BASE_BYTES,
     BYTES_PER_PIXEL,
     half_of_the_machine,

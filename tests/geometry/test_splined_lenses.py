@@ -21,7 +21,7 @@ from trinoc.geometry import (
     simplified,
     splined,
 )
-from trinoc.geometry.lenses.spline_surface import ORDER, smoothness, surface
+from trinoc.geometry.lenses.splined import ORDER, smoothness, surface
 from trinoc.io import load_intrinsics, save
 from trinoc.io.usable_cameras import expect_lens
 

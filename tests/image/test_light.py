@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from trinoc.image import Light, PowerResponse
-from trinoc.synth.camera_picture.response import SRGB
+from trinoc.synth.camera_picture.delivery import SRGB
 
 RANDOM = np.random.default_rng(2)
 COLOUR = RANDOM.integers(0, 256, (20, 30, 3)).astype(np.uint8)

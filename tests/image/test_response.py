@@ -6,7 +6,7 @@ import pytest
 
 from trinoc.errors import InputError
 from trinoc.image import PowerResponse, response_of
-from trinoc.synth.camera_picture.response import SRGB
+from trinoc.synth.camera_picture.delivery import SRGB
 
 BENDS = (-1.0, -0.3, 0.0, 0.5, 1.0, 2.0)
 LIGHT = np.linspace(0.0, 1.2, 121)

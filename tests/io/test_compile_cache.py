@@ -10,8 +10,13 @@ from jax.experimental.compilation_cache.compilation_cache import reset_cache
 
 import trinoc
 from trinoc.io import compile_cache
-from trinoc.io.compile_cache import COMPILE_CACHE_VARIABLE, enable_compile_cache
-from trinoc.io.program_store import ROOMS, FolderStore, surroundings
+from trinoc.io.compile_cache import (
+    COMPILE_CACHE_VARIABLE,
+    ROOMS,
+    FolderStore,
+    enable_compile_cache,
+    surroundings,
+)
 from trinoc.numerics import keep_programs_in
 
 SETTINGS = (
@@ -143,7 +148,7 @@ def test_a_program_is_not_found_after_anything_changed(tmp_path, monkeypatch):
     assert surroundings() != before
     assert FolderStore(tmp_path).get("a") is None
     monkeypatch.delenv("XLA_FLAGS", raising=False)
-    monkeypatch.setattr("trinoc.io.program_store.version", lambda name: "99")
+    monkeypatch.setattr("trinoc.io.compile_cache.version", lambda name: "99")
     assert surroundings() != before
 
 

@@ -12,8 +12,8 @@ from trinoc.geometry import Rig
 from trinoc.match import Matches
 from trinoc.report.coverage import Coverage, coverage_by_circles
 from trinoc.report.field_part import FieldPart, field_part
-from trinoc.report.labels import HEIGHT, LETTER, place_labels
 from trinoc.report.pictures import PagePicture, Window
+from trinoc.report.segments_figures import HEIGHT, LETTER, place_labels
 from trinoc.report.verdict import CHECKS, Level, Subject, Verdict, verdict_of
 
 

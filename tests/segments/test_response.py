@@ -6,7 +6,7 @@ from scipy.special import erf
 
 from trinoc.image import PowerResponse
 from trinoc.segments import find_segments
-from trinoc.synth.camera_picture.response import SRGB
+from trinoc.synth.camera_picture.delivery import SRGB
 
 ANGLES = np.arange(8) * np.pi / 4 + 0.13
 

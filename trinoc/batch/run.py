@@ -10,12 +10,6 @@ from typing import Any, NamedTuple
 
 import trinoc
 from trinoc.batch.folder import opened
-from trinoc.batch.memory import (
-    PARTS_PER_WORKER,
-    half_of_the_machine,
-    resident_bytes,
-    threads_within,
-)
 from trinoc.batch.source import Source, find_frames
 from trinoc.batch.work import Work
 from trinoc.batch.workers import cluster, in_window, threads
@@ -184,3 +178,33 @@ def _ending_there(out: Path) -> str | None:
     """The ending of the results that are there: they go on as they began."""
     found = {path.suffix for path in out.glob("matches-*")} & {".npz", ".parquet"}
     return min(found, default=None)
+
+
+BASE_BYTES = 700_000_000
+BYTES_PER_PIXEL = 60
+# Parts begun or finished and not yet written, for each worker: one to go on with.
+PARTS_PER_WORKER = 2
+
+
+def threads_within(memory_bytes: float, rig: Rig, wanted: int) -> int:
+    """How many threads may look for segments at once; at least one."""
+    pixels = max(width * height for width, height in (rig[n].image_size_px for n in rig.names))
+    room = (memory_bytes - BASE_BYTES) / (BYTES_PER_PIXEL * pixels)
+    return max(1, min(wanted, int(room)))
+
+
+def half_of_the_machine() -> float:
+    """Half of the machine's memory in bytes; infinite where it does not say."""
+    try:
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2
+    except (AttributeError, OSError, ValueError):
+        return float("inf")
+
+
+def resident_bytes() -> int:
+    """Memory of this process; 0 where the system does not say."""
+    try:
+        with open("/proc/self/statm", encoding="ascii") as file:
+            return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    except (OSError, ValueError, IndexError):
+        return 0

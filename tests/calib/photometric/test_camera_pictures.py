@@ -11,7 +11,7 @@ from tests.calib.simulated import LENS, reference_sheet
 from trinoc.calib.photometric import Encoding, refine_image
 from trinoc.calib.result.degrees import pose_of_values
 from trinoc.geometry import PoseModel
-from trinoc.synth.camera_picture.response import SRGB
+from trinoc.synth.camera_picture.delivery import SRGB
 
 pytestmark = pytest.mark.usefixtures("large_programs")
 

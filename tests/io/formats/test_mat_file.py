@@ -6,7 +6,7 @@ import scipy.io
 from hypothesis import example, given, settings, strategies as st
 
 from trinoc.errors import InputError
-from trinoc.io.formats.mat_file import mat_variables
+from trinoc.io.formats.matlab_stereo import mat_variables
 
 KINDS = ("f8", "f4", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", "?")
 

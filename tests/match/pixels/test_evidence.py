@@ -7,9 +7,16 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from trinoc.match.pixels.false_alarms import growth_of, log_chance
 from trinoc.match.pixels.probes import gradient_of
-from trinoc.match.pixels.views import Answer, PictureInput, ask, picture_inputs, with_usual_width
+from trinoc.match.pixels.views import (
+    Answer,
+    PictureInput,
+    ask,
+    growth_of,
+    log_chance,
+    picture_inputs,
+    with_usual_width,
+)
 from trinoc.numerics import in_float64
 from trinoc.synth import table1_rig
 
@@ -84,8 +91,8 @@ def test_noise_passes_as_seldom_as_claimed(kind):
 
 
 def test_one_test_alone_has_the_rate_of_a_normal_variable():
-    from trinoc.match.pixels.false_alarms import block_noise
     from trinoc.match.pixels.probes import WINDOW_SIZE, WINDOWS, samples_of, window_scores
+    from trinoc.match.pixels.views import block_noise
 
     gradient = gradient_of(noise_picture("white"))
     places = samples_of(probes(2048, 100, 3), RIG["upper"].intrinsics, (WIDTH, HEIGHT))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from trinoc.match.pixels.answer import fit_lines, hausman
+from trinoc.match.pixels.measure import fit_lines, hausman
 from trinoc.match.pixels.strip_fit import StripFit, fit_strips
 from trinoc.match.pixels.strips import COLUMNS, HALF, NOBODY, ROWS, Strips, owners_of
 from trinoc.match.pixels.tuning import PixelTuning

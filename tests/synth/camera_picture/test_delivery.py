@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from trinoc.synth.camera_picture import Processing, Sharpening
-from trinoc.synth.camera_picture.delivery import delivered, jpeg, quantised, sharpened
-from trinoc.synth.camera_picture.response import SRGB
+from trinoc.synth.camera_picture.delivery import SRGB, delivered, jpeg, quantised, sharpened
 
 
 def waves(frequency, size=128):

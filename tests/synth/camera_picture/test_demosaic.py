@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from trinoc.synth.camera_picture import Sensor
-from trinoc.synth.camera_picture.demosaic import demosaiced
+from trinoc.synth.camera_picture.delivery import demosaiced
 from trinoc.synth.camera_picture.sensor import Mosaic, read_out
 
 MOSAIC = Mosaic((0.5, 1.0, 0.7))

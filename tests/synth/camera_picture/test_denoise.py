@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from trinoc.synth.camera_picture.denoise import Bilateral, Median, NonLocalMeans, denoised
+from trinoc.synth.camera_picture.delivery import Bilateral, Median, NonLocalMeans, denoised
 
 FILTERS = [Median(), Median(5), Bilateral(), NonLocalMeans()]
 

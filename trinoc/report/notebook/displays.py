@@ -4,8 +4,9 @@ from typing import Any
 
 from trinoc.report.notebook.axes import plot_value
 from trinoc.report.notebook.cards import card
+from trinoc.report.notebook.extras import expect_extra
 from trinoc.report.notebook.figures import figure_of
-from trinoc.report.notebook.frames import frame_of
+from trinoc.report.notebook.tables import columns_of
 
 
 class NotebookDisplays:
@@ -26,3 +27,11 @@ class NotebookDisplays:
     def to_frame(self, value: Any) -> Any:
         """A table of pandas."""
         return frame_of(value)
+
+
+def frame_of(value: object) -> Any:
+    """A DataFrame, a row for each item. Raises InputError where pandas is missing."""
+    expect_extra("pandas", "notebook")
+    import pandas
+
+    return pandas.DataFrame(columns_of(value))

@@ -1,14 +1,153 @@
 """From the sensor's signal to the picture that is handed over."""
 
+from typing import Literal, Protocol, runtime_checkable
+
 import cv2
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Shaped
 
-from trinoc.synth.camera_picture.demosaic import Interpolation, demosaiced
-from trinoc.synth.camera_picture.denoise import Denoiser, denoised
-from trinoc.synth.camera_picture.response import Linear, Response
-from trinoc.synth.camera_picture.sensor import Mosaic
+from trinoc.synth.camera_picture.sensor import BLACK, GREY_LEVELS, Mosaic, gain_of_pixels
+
+
+@runtime_checkable
+class Response(Protocol):
+    """A monotone curve through (0, 0) and (1, 1)."""
+
+    def encoded(self, signal: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+        """The grey level of a signal from 0 to 1."""
+        ...
+
+
+class Linear(eqx.Module):
+    """An industrial camera."""
+
+    def encoded(self, signal: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+        """The signal."""
+        return signal
+
+
+class Gamma(eqx.Module):
+    """A power of the signal: 1 / `gamma`."""
+
+    gamma: float
+
+    def encoded(self, signal: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+        """The power."""
+        return signal ** (1 / self.gamma)
+
+
+class SRGB(eqx.Module):
+    """IEC 61966-2-1: a power of 1 / 2.4 with a straight start."""
+
+    def encoded(self, signal: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+        """The standard's curve."""
+        power = 1.055 * np.maximum(signal, 0.0031308) ** (1 / 2.4) - 0.055
+        return np.where(signal <= 0.0031308, 12.92 * signal, power)
+
+
+class SCurve(eqx.Module):
+    """A response with more contrast in the middle and less at both ends.
+
+    A share `contrast` of smoothstep, 3 x^2 - 2 x^3, over the response below.
+    """
+
+    below: Response = SRGB()
+    contrast: float = 0.4
+
+    def encoded(self, signal: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+        """The response below, bent."""
+        x = self.below.encoded(signal)
+        return (1 - self.contrast) * x + self.contrast * x * x * (3 - 2 * x)
+
+
+_FULL = 65535.0
+
+
+@runtime_checkable
+class Denoiser(Protocol):
+    """A filter of one channel."""
+
+    def channel(self, signal: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
+        """The channel with less noise."""
+        ...
+
+
+class Median(eqx.Module):
+    """The median of `size` x `size` pixels, 3 or 5."""
+
+    size: int = 3
+
+    def channel(self, signal: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
+        """See the class."""
+        return cv2.medianBlur(signal.astype(np.float32), self.size).astype(np.float64)
+
+
+class Bilateral(eqx.Module):
+    """Neighbours by Gaussian weights in distance and in grey level."""
+
+    distance_px: float = 1.5
+    levels: float = 12.0
+
+    def channel(self, signal: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
+        """See the class."""
+        single = signal.astype(np.float32)
+        sigma = self.levels / GREY_LEVELS
+        return cv2.bilateralFilter(single, -1, sigma, self.distance_px).astype(np.float64)
+
+
+class NonLocalMeans(eqx.Module):
+    """Pixels that look alike averaged (Buades, Coll and Morel, doi 10.5201/ipol.2011.bcm_nlm).
+
+    Patches of 3 x 3 pixels within 11 x 11; `levels` is the mean absolute difference, in grey
+    levels of 8 bits, at which a patch counts little.
+    """
+
+    levels: float = 4.0
+
+    def channel(self, signal: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
+        """See the class."""
+        # Balanced colours may lie below the read-out's black, where nothing is to be seen.
+        raw = np.rint(np.clip((signal + BLACK) / (1 + BLACK), 0.0, 1.0) * _FULL).astype(np.uint16)
+        strength = self.levels / GREY_LEVELS / (1 + BLACK) * _FULL
+        smooth = cv2.fastNlMeansDenoising(raw, [strength], None, 3, 11, cv2.NORM_L1)
+        return smooth.astype(np.float64) / _FULL * (1 + BLACK) - BLACK
+
+
+def denoised(
+    signal: Float[np.ndarray, "h w *channels"], denoiser: Denoiser | None
+) -> Float[np.ndarray, "h w *channels"]:
+    """The signal with less noise; as it is without a denoiser."""
+    if denoiser is None:
+        return signal
+    if signal.ndim == 2:
+        return denoiser.channel(signal)
+    channels = [denoiser.channel(signal[..., k]) for k in range(signal.shape[2])]
+    return np.stack(channels, axis=-1)
+
+
+Interpolation = Literal["bilinear", "edge-aware"]
+
+_CODES = {
+    "bilinear": cv2.COLOR_BayerRGGB2RGB,
+    "edge-aware": cv2.COLOR_BayerRGGB2RGB_EA,
+}
+_FULL = 65535.0
+
+
+def demosaiced(
+    signal: Float[np.ndarray, "h w"], mosaic: Mosaic, interpolation: Interpolation
+) -> Float[np.ndarray, "h w 3"]:
+    """Red, green and blue of each pixel, balanced so that white has equal parts.
+
+    Balanced pixels are saturated where they pass 1. OpenCV interpolates 16-bit numbers.
+    """
+    balanced = np.minimum(signal / gain_of_pixels(mosaic, signal.shape), 1.0)
+    # Where a gain is small, noise reaches further below black than the read-out does.
+    black = BLACK / min(mosaic.gains)
+    raw = np.rint((balanced + black) / (1 + black) * _FULL).astype(np.uint16)
+    colour = cv2.cvtColor(raw, _CODES[interpolation]).astype(np.float64) / _FULL
+    return colour * (1 + black) - black
 
 
 class Sharpening(eqx.Module):
