@@ -1,5 +1,6 @@
 """Exported names, documented names and `--help` agree, and the version is one."""
 
+import importlib
 import importlib.metadata
 import re
 from pathlib import Path
@@ -46,6 +47,12 @@ def test_options_are_those_of_the_reference(capsys):
         offered = set(re.findall(r"--[a-z][a-z0-9-]*", help_of(capsys, command)))
         documented = set(re.findall(r"--[a-z][a-z0-9-]*", sections[command]))
         assert documented == offered - {"--help", "--json", "--quiet"}, command
+
+
+def test_options_of_the_reference_are_as_their_classes_declare_them(monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT / "docs"))
+    script = importlib.import_module("make_reference")
+    assert script.with_tables(REFERENCE) == REFERENCE, "run python docs/make_reference.py"
 
 
 def test_version_is_that_of_the_installed_package_and_of_the_citation():
