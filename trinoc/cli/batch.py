@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from trinoc.cli.command import Command, Interrupted, Outcome, UsageError
+from trinoc.cli.command import Command, Interrupted, Out, Outcome, UsageError
 from trinoc.cli.progress import LOGGER
 from trinoc.cli.segments import SegmentOptions
 from trinoc.cli.views import read_rig
@@ -68,7 +68,7 @@ class Batch(SegmentOptions, Command):
     ] = None
     """Memory that this process may take."""
 
-    out: Annotated[Path, tyro.conf.arg(aliases=("-o",))] = Path("matches")
+    out: Out = Path("matches")
     """The folder of results."""
 
     def run(self, command_line: str) -> Outcome:
@@ -127,13 +127,11 @@ def _outcome(found: "BatchOutcome") -> Outcome:
         "tracks": found.tracks,
         "earlier": found.earlier,
         "workers": found.workers if here else 0,
-        "written": [str(found.folder), str(found.manifest)],
     }
     refusal = None
     if found.frames and found.failed == found.frames:
         refusal = f"All {found.frames} frames failed: {found.manifest} says why."
-    text = f"{'; '.join(parts)}.\nwritten: {found.folder}, {found.manifest}"
-    return Outcome(text, record, refusal)
+    return Outcome(f"{'; '.join(parts)}.", record, refusal, (found.folder, found.manifest))
 
 
 def _shard(text: str) -> tuple[int, int]:

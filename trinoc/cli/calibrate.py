@@ -6,9 +6,17 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from trinoc.cli.command import Command, Outcome, UsageError, expect_sigmas
+from trinoc.cli.command import (
+    Command,
+    DryRunOption,
+    Out,
+    Outcome,
+    ReportOption,
+    UsageError,
+    expect_sigmas,
+)
 from trinoc.cli.lens_options import LensOptions, expect_focal_length, expect_pixel_pitch
-from trinoc.cli.progress import LOGGER, plan
+from trinoc.cli.progress import LOGGER
 from trinoc.cli.views import files_of_views
 from trinoc.errors import CalibrationError
 
@@ -32,7 +40,7 @@ MEASURED = (5e-4, 5e-4)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Calibrate(Command):
+class Calibrate(DryRunOption, ReportOption, Command):
     """Calibrate cameras from one picture of the printed sheet each."""
 
     pictures: Annotated[
@@ -98,19 +106,11 @@ class Calibrate(Command):
     ] = None
     """The pose model by its number of parameters: 4 is aimed, 6 is aim-free."""
 
-    out: Annotated[Path, tyro.conf.arg(aliases=("-o",))] = Path("rig.json")
+    out: Out = Path("rig.json")
     """Where the rig goes."""
 
     accept_suspect: bool = False
     """Write the rig also where the calibration of a camera is SUSPECT; the file then says so."""
-
-    report: Annotated[
-        Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")
-    ] = None
-    """Also write an HTML report here."""
-
-    dry_run: bool = False
-    """Read and check everything, say what would be done, and write nothing."""
 
     def run(self, command_line: str) -> Outcome:
         """Calibrate and write the rig."""
@@ -131,7 +131,7 @@ class Calibrate(Command):
             )
 
         from trinoc.calib import calibrate
-        from trinoc.cli.progress import for_people, provenance
+        from trinoc.cli.progress import provenance
         from trinoc.geometry import Rig
         from trinoc.io import expect_ending, expect_place, load_pattern, load_rig, read_views, save
 
@@ -144,7 +144,7 @@ class Calibrate(Command):
         earlier = None if self.orientation in (None, "upright") else load_rig(self.orientation)
         if self.dry_run:
             sizes = {name: _size(image) for name, image in images.items()}
-            return plan(f"calibrate by {pattern.name}", files, sizes, (self.out, self.report))
+            return self.plan(f"calibrate by {pattern.name}", files, sizes, (self.out, self.report))
         LOGGER.info("calibrating %s", ", ".join(files))
         origin = provenance(command_line, {**files, "pattern": self.pattern, **self.lens.files()})
         try:
@@ -173,22 +173,9 @@ class Calibrate(Command):
         refusal = None if self.accept_suspect else suspicion(result, self.out)
         if refusal is None:
             save(result, self.out, provenance={**origin, "sigmas_include": included})
-        if self.report is not None:
-            from trinoc.report import write_report
-
-            LOGGER.info("writing %s", self.report)
-            write_report(
-                self.report,
-                result=result,
-                sheet_pictures=images,
-                title="Calibration",
-                provenance=for_people(origin),
-            )
-        files_out = (self.out if refusal is None else None, self.report)
-        written = [str(path) for path in files_out if path is not None]
-        said = [f"written: {', '.join(written)}"] if written else []
-        text = "\n".join([result.summary(), *said])
-        return Outcome(text, {**calibration_record(result), "written": written}, refusal)
+        self.write_report(origin, result=result, sheet_pictures=images, title="Calibration")
+        written = self.out if refusal is None else None, self.report
+        return Outcome(result.summary(), calibration_record(result), refusal, written)
 
     def _check_sigmas(self) -> None:
         """Raises UsageError, before anything is read."""

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from trinoc.cli.command import Command, Outcome, UsageError, expect_sigmas
+from trinoc.cli.command import Command, Out, Outcome, ReportOption, UsageError, expect_sigmas
 from trinoc.cli.progress import LOGGER, Bar
 from trinoc.cli.views import files_of_views
 
@@ -18,7 +18,7 @@ UNKNOWN = (-1.0, -1.0)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class CalibrateRig(Command):
+class CalibrateRig(ReportOption, Command):
     """Calibrate lenses and cameras together from many shots of a board that is moved about."""
 
     shots: Annotated[
@@ -79,13 +79,8 @@ class CalibrateRig(Command):
     flatness_mm: Annotated[float, tyro.conf.arg(metavar="MM")] = 0.3
     """By how much the board may be warped (standard deviation); 0 for an exact plane."""
 
-    out: Annotated[Path, tyro.conf.arg(aliases=("-o",))] = Path("rig.json")
+    out: Out = Path("rig.json")
     """Where the rig goes."""
-
-    report: Annotated[
-        Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")
-    ] = None
-    """Also write an HTML report here: verdict, shots, residuals and uncertainty over the field."""
 
     def run(self, command_line: str) -> Outcome:
         """Calibrate and write the rig."""
@@ -144,24 +139,12 @@ class CalibrateRig(Command):
             )
         made_by = provenance(command_line, board_files(self.board))
         save(result, self.out, provenance=made_by)
-        written, advice = [str(self.out)], next_shot(result)
-        if self.report is not None:
-            from trinoc.cli.progress import for_people
-            from trinoc.report import write_report
-
-            LOGGER.info("writing %s", self.report)
-            write_report(
-                self.report,
-                shots=result,
-                title="trinoc calibrate-rig",
-                advice="" if advice is None else advice.sentence,
-                provenance=for_people(made_by),
-            )
-            written.append(str(self.report))
-        told = "" if advice is None else f"\n{advice.sentence}"
-        text = f"{result.summary()}{told}\nwritten: {', '.join(written)}"
+        advice = next_shot(result)
+        said = "" if advice is None else advice.sentence
+        self.write_report(made_by, shots=result, title="trinoc calibrate-rig", advice=said)
+        text = "\n".join(filter(None, [result.summary(), said]))
         record = {**rig_record(result), "next_shot": shot_record(advice)}
-        return Outcome(text, {**record, "written": written})
+        return Outcome(text, record, written=(self.out, self.report))
 
 
 def board_files(files: tuple[Path, ...]) -> dict[str, Path]:

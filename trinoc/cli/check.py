@@ -6,7 +6,7 @@ from typing import Annotated
 
 import tyro
 
-from trinoc.cli.command import Command, Outcome
+from trinoc.cli.command import Command, FileOrNone, Outcome
 from trinoc.cli.progress import LOGGER
 from trinoc.cli.views import read_rig
 
@@ -25,9 +25,7 @@ class Check(Command):
     rig: Path
     """The cameras, as `trinoc calibrate` writes them."""
 
-    matches: Annotated[
-        Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")
-    ] = None
+    matches: FileOrNone = None
     """Matches of such a scene, as `trinoc match` writes them: enough for a small knock."""
 
     out: Annotated[
@@ -51,17 +49,15 @@ class Check(Command):
         LOGGER.info("checking %d cameras with %d lines", len(rig), len(scene.matches))
         again = [match for match in (scene.tolerant, scene.strict) if match is not None]
         check = check_rig(rig, scene.matches, match_again=again or None)
-        written = []
-        if self.out is not None and check.refined is not None:
+        refined = check.refined
+        written = None if refined is None else self.out
+        if refined is not None and written is not None:
             inputs = {"rig": self.rig, **scene.files}
-            save(check.refined.rig, self.out, provenance=provenance(command_line, inputs))
-            written = [str(self.out)]
-        text = "\n".join([check.summary(), *(f"written: {path}" for path in written)])
+            save(refined.rig, written, provenance=provenance(command_line, inputs))
         record = {
             "conclusive": check.conclusive,
             "moved": list(check.moved),
-            "corrected": check.refined is not None,
+            "corrected": refined is not None,
             "sigmas": {motion.name: motion.sigmas for motion in check.motions},
-            "written": written,
         }
-        return Outcome(text, record)
+        return Outcome(check.summary(), record, written=(written,))

@@ -4,9 +4,11 @@ import abc
 import dataclasses
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
+
+import tyro
 
 from trinoc.errors import InputError
 
@@ -23,11 +25,79 @@ class Outcome(NamedTuple):
     """What a command has to say: text for people, or one JSON object for programs.
 
     refusal : why the job counts as failed although there is something to say; None where not.
+    written : the files that it left, of which None were not asked for; None for a job that only
+        says something.
     """
 
     text: str
     record: dict[str, Any]
     refusal: str | None = None
+    written: Sequence[Path | None] | None = None
+
+    def with_files(self) -> "Outcome":
+        """The same with its files in the text and in the record."""
+        if self.written is None:
+            return self
+        names = [str(path) for path in self.written if path is not None]
+        said = [f"written: {', '.join(names)}"] if names else []
+        return self._replace(
+            text="\n".join([self.text, *said]), record={**self.record, "written": names}
+        )
+
+
+# The options that most commands have.
+Out = Annotated[Path, tyro.conf.arg(aliases=("-o",))]
+FileOrNone = Annotated[
+    Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")
+]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ReportOption:
+    """Of commands that also write what they found as a page."""
+
+    report: FileOrNone = None
+    """Also write an HTML report here: verdict, cameras, residuals and uncertainty over the field,
+    and what was matched."""
+
+    def write_report(self, origin: Mapping[str, Any], **content: Any) -> None:
+        """The page, where one is asked for; `origin` is the provenance of the result."""
+        if self.report is None:
+            return
+        from trinoc.cli.progress import LOGGER, for_people
+        from trinoc.report import write_report
+
+        LOGGER.info("writing %s", self.report)
+        write_report(self.report, provenance=for_people(origin), **content)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class DryRunOption:
+    """Of commands that can say what they would do."""
+
+    dry_run: bool = False
+    """Read and check everything, say what would be done, and write nothing."""
+
+    def plan(
+        self,
+        what: str,
+        files: Mapping[str, Path],
+        sizes_px: Mapping[str, tuple[int, int]],
+        outputs: Sequence[Path | None],
+    ) -> Outcome:
+        """The job in words, each camera with its file and size, and what would be written."""
+        lines = [f"would {what}:"]
+        for name, file in files.items():
+            width, height = sizes_px[name]
+            lines.append(f"  {name}: {file}, {width} x {height} px")
+        would_write = [path for path in outputs if path is not None]
+        for path in would_write:
+            lines.append(f"would {'replace' if path.exists() else 'write'} {path}")
+        record = {
+            "cameras": {name: str(file) for name, file in files.items()},
+            "would_write": [str(path) for path in would_write],
+        }
+        return Outcome("\n".join(lines), record, written=())
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

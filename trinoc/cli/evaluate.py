@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from trinoc.cli.command import Command, Outcome, UsageError
+from trinoc.cli.command import Command, FileOrNone, Out, Outcome, UsageError
 from trinoc.cli.progress import LOGGER
 from trinoc.cli.views import SEGMENT_SUFFIXES, check_views, files_of_views, read_rig
 from trinoc.errors import InputError
@@ -32,14 +32,10 @@ class Evaluate(Command):
     truth: Path
     """The known shape: edges (csv, json), OBJ, polylines (txt), or truth.json of a made scene."""
 
-    rig: Annotated[
-        Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")
-    ] = None
+    rig: FileOrNone = None
     """The cameras; their covariance joins that of the segments. Pictures need it."""
 
-    matches: Annotated[
-        Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")
-    ] = None
+    matches: FileOrNone = None
     """Matches of `trinoc match`, in place of pictures."""
 
     tolerance_px: tuple[float, ...] = (1.6,)
@@ -76,12 +72,10 @@ class Evaluate(Command):
     align: bool = False
     """First lay the segments on the shape by a rigid motion; figures are then those after it."""
 
-    out: Annotated[Path, tyro.conf.arg(aliases=("-o",))] = Path("evaluation.csv")
+    out: Out = Path("evaluation.csv")
     """Where the table goes; it grows with every setting."""
 
-    plot: Annotated[
-        Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")
-    ] = None
+    plot: FileOrNone = None
     """Also draw it: png, svg or pdf."""
 
     def run(self, command_line: str) -> Outcome:
@@ -110,25 +104,20 @@ class Evaluate(Command):
         for row in self._rows(files, rig, shape):
             rows.append(row)
             save_table([done.record() for done in rows], self.out)
-        written = [self.out]
         if all(row.evaluation is None for row in rows):
             raise InputError(f"No setting could be evaluated; the first: {rows[0].problem}")
         if self.plot is not None:
             from trinoc.report import write_plot
 
             write_plot(rows, self.plot)
-            written.append(self.plot)
-        names = [str(path) for path in written]
-        text = f"{evaluation_text(rows)}\nwritten: {', '.join(names)}"
         record = {
             "wanted": shape.wanted,
             "aligned": self.align,
             "rows": [_finite(row.record()) for row in rows],
             "edges": [_edges(row) for row in rows],
             "motions": [_motion(row) for row in rows],
-            "written": names,
         }
-        return Outcome(text, record)
+        return Outcome(evaluation_text(rows), record, written=(self.out, self.plot))
 
     def _check_usage(self, has_pictures: bool) -> None:
         if has_pictures == (self.matches is not None):

@@ -121,8 +121,8 @@ class Export(Command):
             lost = (LOSSES["covariance"], *lost)
         if lost:
             LOGGER.warning("%s cannot hold, and so loses: %s", target.title, "; ".join(lost))
-        record = {"format": target.name, "lost": list(lost), "written": [str(self.out)]}
-        return Outcome(f"{target.title}: {target.frames}\nwritten: {self.out}", record)
+        record = {"format": target.name, "lost": list(lost)}
+        return Outcome(f"{target.title}: {target.frames}", record, written=(self.out,))
 
     def _read(self, command_line: str) -> Outcome:
         from trinoc.cli.progress import provenance
@@ -147,9 +147,8 @@ class Export(Command):
             "format": source.name,
             "cameras": list(value.names) if isinstance(value, Rig) else [],
             "segments": len(value) if isinstance(value, Segments) else 0,
-            "written": [str(self.out)],
         }
-        return Outcome(f"{found}\nwritten: {self.out}", record)
+        return Outcome(found, record, written=(self.out,))
 
     def _lenses(self) -> "dict[str, Intrinsics] | None":
         from trinoc.io import load_intrinsics, load_rig

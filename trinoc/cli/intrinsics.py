@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from trinoc.cli.command import Command, Outcome, UsageError
+from trinoc.cli.command import Command, Out, Outcome, UsageError
 from trinoc.cli.lens_options import NOT_GIVEN, PixelPitch, expect_pixel_pitch
 from trinoc.cli.progress import LOGGER, each
 
@@ -58,7 +58,7 @@ class Intrinsics(Command):
     method: Literal["points", "pixels"] = "points"
     """Fit the circles' centres, or go on from there to the grey levels near every edge."""
 
-    out: Annotated[Path, tyro.conf.arg(aliases=("-o",))] = Path("camera.json")
+    out: Out = Path("camera.json")
     """Where the lens goes."""
 
     def run(self, command_line: str) -> Outcome:
@@ -94,8 +94,7 @@ class Intrinsics(Command):
             self.out,
             provenance=provenance(command_line, {**inputs, "pattern": self.pattern}),
         )
-        text = f"{result.summary()}\nwritten: {self.out}"
-        return Outcome(text, {**intrinsics_record(result), "written": [str(self.out)]})
+        return Outcome(result.summary(), intrinsics_record(result), written=(self.out,))
 
 
 def intrinsics_record(result: "IntrinsicsResult") -> dict[str, Any]:

@@ -174,7 +174,7 @@ def _run(command: Command, command_line: str) -> int:
     try:
         expect_numbers(command)
         expect_places(command)
-        outcome = command.run(command_line)
+        outcome = command.run(command_line).with_files()
     except TrinocError as error:
         return _failed(command, str(error), status=2 if isinstance(error, UsageError) else 1)
     except BrokenPipeError:

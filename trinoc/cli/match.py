@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from trinoc.cli.command import Command, Outcome, UsageError
-from trinoc.cli.progress import LOGGER, plan
+from trinoc.cli.command import Command, DryRunOption, Out, Outcome, ReportOption, UsageError
+from trinoc.cli.progress import LOGGER
 from trinoc.cli.views import (
     SEGMENT_SUFFIXES,
     check_views,
@@ -61,7 +61,7 @@ LEAST_SHARE = 0.25
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Match(MatchOptions, Command):
+class Match(MatchOptions, DryRunOption, ReportOption, Command):
     """Match line segments across the pictures of a calibrated rig."""
 
     pictures: Annotated[
@@ -74,16 +74,8 @@ class Match(MatchOptions, Command):
     rig: Path
     """The cameras, as `trinoc calibrate` writes them."""
 
-    out: Annotated[Path, tyro.conf.arg(aliases=("-o",))] = Path("matches.npz")
+    out: Out = Path("matches.npz")
     """Where the matches go."""
-
-    report: Annotated[
-        Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")
-    ] = None
-    """Also write an HTML report here."""
-
-    dry_run: bool = False
-    """Read and check everything, say what would be done, and write nothing."""
 
     def run(self, command_line: str) -> Outcome:
         """Match and write the matches."""
@@ -99,8 +91,10 @@ class Match(MatchOptions, Command):
 
         self.check()
 
+        from trinoc.cli.progress import provenance
         from trinoc.io import expect_ending, expect_place, save
         from trinoc.match import FEATURES, STEPS, Matches, improve, match_segments
+        from trinoc.report import features_record, features_text
 
         places = [
             self.out,
@@ -117,7 +111,7 @@ class Match(MatchOptions, Command):
                 _check_pictures(files, f"--steps {name}")
         if self.dry_run:
             sizes = {name: rig[name].image_size_px for name in files}
-            return plan(f"match with {self.rig}", files, sizes, places)
+            return self.plan(f"match with {self.rig}", files, sizes, places)
         images, segments = read_segments(files, rig, self.find, quiet=self.quiet)
         LOGGER.info("matching %s", ", ".join(f"{len(s)} ({n})" for n, s in segments.items()))
         depths = None if self.depth_range_mm == ANYWHERE else self.depth_range_mm
@@ -136,26 +130,17 @@ class Match(MatchOptions, Command):
         for kind, own in features.items():
             save(own, self.place_of(kind))
         save(matches, self.out)
-        if self.report is not None:
-            from trinoc.cli.progress import for_people, provenance
-            from trinoc.report import write_report
-
-            LOGGER.info("writing %s", self.report)
-            write_report(
-                self.report,
-                rig=rig,
-                segments=segments,
-                matches=matches,
-                scene_pictures=images,
-                title="Matches",
-                tables=doubts_table(self.rig),
-                doubts=doubts_of(self.rig),
-                provenance=for_people(provenance(command_line, {**files, "rig": self.rig})),
-                features=tuple(features.values()),
-            )
-        from trinoc.report import features_record, features_text
-
-        written = [str(path) for path in places if path is not None]
+        self.write_report(
+            provenance(command_line, {**files, "rig": self.rig}),
+            rig=rig,
+            segments=segments,
+            matches=matches,
+            scene_pictures=images,
+            title="Matches",
+            tables=doubts_table(self.rig),
+            doubts=doubts_of(self.rig),
+            features=tuple(features.values()),
+        )
         text, record = [match_text(matches)], match_record(segments, matches)
         for kind, own in features.items():
             text.append(features_text(own))
@@ -163,8 +148,7 @@ class Match(MatchOptions, Command):
         if shadows is not None:
             text.append(shadows.summary())
             record["shadows"] = shadows.record()
-        said = "\n\n".join(text)
-        return Outcome(f"{said}\nwritten: {', '.join(written)}", {**record, "written": written})
+        return Outcome("\n\n".join(text), record, written=places)
 
     def place_of(self, kind: str) -> Path:
         """Where features of a kind go: beside the matches."""

@@ -166,10 +166,9 @@ class Pattern(Command):
                 f"{proposal.field_share:.0%} of the shorter side, from {self.for_distance_mm:g} mm."
             )
             notes = [said, *notes]
-        files = [str(path) for path in written]
         text = f"{len(sheet)} {sheet.places}, {sheet.name}\n" + "\n".join(notes)
-        record = {"name": sheet.name, sheet.places: len(sheet), "written": files}
-        return Outcome(f"{text}\nwritten: {', '.join(files)}", record)
+        record = {"name": sheet.name, sheet.places: len(sheet)}
+        return Outcome(text, record, written=written)
 
     def _print(self, sheet: "AbstractBoard") -> tuple[list[Path], list[str]]:
         """Layout and drawings on paper: the files, and what to do with them."""

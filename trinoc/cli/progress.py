@@ -4,12 +4,11 @@ import hashlib
 import logging
 import os
 import sys
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
 import trinoc
-from trinoc.cli.command import Outcome
 
 LOGGER = logging.getLogger("trinoc")
 
@@ -64,28 +63,6 @@ def each(items: Collection[_Item], doing: str, *, quiet: bool) -> Iterator[_Item
         file=sys.stderr,
         disable=quiet or not sys.stderr.isatty(),
     )
-
-
-def plan(
-    what: str,
-    files: Mapping[str, Path],
-    sizes_px: Mapping[str, tuple[int, int]],
-    outputs: Sequence[Path | None],
-) -> Outcome:
-    """The job in words, each camera with its file and size, and what would be written."""
-    lines = [f"would {what}:"]
-    for name, file in files.items():
-        width, height = sizes_px[name]
-        lines.append(f"  {name}: {file}, {width} x {height} px")
-    written = [path for path in outputs if path is not None]
-    for path in written:
-        lines.append(f"would {'replace' if path.exists() else 'write'} {path}")
-    record = {
-        "cameras": {name: str(file) for name, file in files.items()},
-        "would_write": [str(path) for path in written],
-        "written": [],
-    }
-    return Outcome("\n".join(lines), record)
 
 
 def provenance(command_line: str, inputs: Mapping[str, str | os.PathLike[str]]) -> dict[str, Any]:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from trinoc.cli.command import Command, Outcome
+from trinoc.cli.command import Command, FileOrNone, Out, Outcome
 from trinoc.cli.progress import LOGGER
 from trinoc.cli.views import read_rig
 from trinoc.errors import CalibrationError
@@ -29,9 +29,7 @@ class Refine(Command):
     rig: Path
     """The cameras, as `trinoc calibrate` writes them."""
 
-    matches: Annotated[
-        Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")
-    ] = None
+    matches: FileOrNone = None
     """The matches, as `trinoc match` writes them, which are taken as they are."""
 
     pose_model: Annotated[
@@ -53,7 +51,7 @@ class Refine(Command):
     ] = ()
     """Cameras that were knocked since the calibration, whose old place no longer counts."""
 
-    out: Annotated[Path, tyro.conf.arg(aliases=("-o",))] = Path("refined.json")
+    out: Out = Path("refined.json")
     """Where the refined rig goes."""
 
     def run(self, command_line: str) -> Outcome:
@@ -91,8 +89,7 @@ class Refine(Command):
             )
         inputs = {"rig": self.rig, **scene.files}
         save(result.rig, self.out, provenance=provenance(command_line, inputs))
-        text = f"{result.summary()}\nwritten: {self.out}"
-        return Outcome(text, {**refine_record(result), "written": [str(self.out)]})
+        return Outcome(result.summary(), refine_record(result), written=(self.out,))
 
 
 def refine_record(result: "RefineResult") -> dict[str, Any]:

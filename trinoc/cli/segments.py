@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from trinoc.cli.command import Command, Outcome, UsageError
+from trinoc.cli.command import Command, Out, Outcome, UsageError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -83,7 +83,7 @@ class Segments(SegmentOptions, Command):
     picture: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="IMG")]
     """The picture: PNG, TIFF or JPEG, 8 or 16 bit, grey or colour."""
 
-    out: Annotated[Path, tyro.conf.arg(aliases=("-o",))] = Path("segments.npz")
+    out: Out = Path("segments.npz")
     """Where the segments go."""
 
     def run(self, command_line: str) -> Outcome:
@@ -100,11 +100,10 @@ class Segments(SegmentOptions, Command):
         count = len(segments)
         median_px = float(sorted(segments.length_px)[count // 2]) if count else 0.0
         why = "" if count else f"\n{self.why_nothing(image)}"
-        text = f"{count} segments, median length {median_px:.1f} px{why}\nwritten: {self.out}"
+        text = f"{count} segments, median length {median_px:.1f} px{why}"
         record = {
             "segments": count,
             "median_length_px": median_px,
             "why_nothing": why.strip() or None,
-            "written": [str(self.out)],
         }
-        return Outcome(text, record)
+        return Outcome(text, record, written=(self.out,))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from trinoc.cli.command import Command, Outcome, UsageError
+from trinoc.cli.command import Command, FileOrNone, Outcome, UsageError
 from trinoc.cli.views import read_rig
 
 if TYPE_CHECKING:
@@ -40,14 +40,10 @@ class View(Command):
     file: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FILE")]
     """What to show: a rig.json, matches, a wire frame or other features."""
 
-    rig: Annotated[
-        Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")
-    ] = None
+    rig: FileOrNone = None
     """The cameras to show beside matches, a wire frame or cylinders."""
 
-    pattern: Annotated[
-        Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")
-    ] = None
+    pattern: FileOrNone = None
     """The sheet to show beside cameras."""
 
     port: Port = 0

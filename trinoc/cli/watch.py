@@ -41,7 +41,7 @@ class WatchSession:
         self._target, self._stream = target, sys.stderr if json else sys.stdout
         self._silent = json and quiet
         self.judgements: list[Judgement] = []
-        self.written: list[str] = []
+        self.written: list[Path] = []
         self.watched: Watched = Watched(f"trinoc watch {source}")
 
     def look(self, name: str, image: "np.ndarray | InputError") -> "Judgement":
@@ -69,14 +69,12 @@ class WatchSession:
         from trinoc.capture import field_share, next_step, summary_lines
 
         lines = summary_lines(self.judgements)
-        lines += [f"written: {', '.join(self.written)}"] if self.written else []
         record: dict[str, Any] = {
             "pictures": [_record(judgement) for judgement in self.judgements],
             "field": field_share(self.judgements),
             "next": next_step(self.judgements),
-            "written": self.written,
         }
-        return Outcome("\n".join(lines), record)
+        return Outcome("\n".join(lines), record, written=self.written)
 
 
 def _record(judgement: "Judgement") -> dict[str, Any]:
@@ -264,7 +262,7 @@ class Watch(Command):
             place = self.keep / f"shot_{taken + 1:04d}.png"
             with atomic_write(place) as file:
                 file.write(cv2.imencode(".png", image)[1].tobytes())
-            session.written.append(str(place))
+            session.written.append(place)
             LOGGER.info("kept %s", place)
 
 
