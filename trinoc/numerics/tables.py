@@ -184,7 +184,7 @@ def _field(field: dataclasses.Field, hint: Any) -> Field:
     return Field(field.name, plain[0], column, optional, kind, tuple(plain[0].dim_str.split()))
 
 
-def take_rows(table: _Rows, rows: np.ndarray) -> _Rows:
+def take_rows(table: _Rows, rows: np.ndarray | slice) -> _Rows:
     """The rows at the given indices, in that order, or where the mask is true, of each column of a
     tree."""
     return jax.tree.map(lambda column: column[rows], table)

@@ -5,8 +5,7 @@ import pytest
 
 from tests.match.made import rig_of
 from trinoc.geometry import project_by_matrix
-from trinoc.match.bodies.circles import GAUSS, Chords, Circles, points_at
-from trinoc.match.bodies.rim_fit import fit_circle, move_circle
+from trinoc.match.bodies.circles import GAUSS, Chords, Circles, fit_circle, move_circle, points_at
 from trinoc.numerics import axes_across
 
 NORMAL = np.array([[0.1, -0.2, 0.97]])

@@ -89,5 +89,5 @@ def _no_rows(matches):
 
 def test_segments_of_every_view_are_needed(lit) -> None:
     rig, segments, matches, _, _ = lit
-    with pytest.raises(InputError, match="Shadows need the segments of every view"):
+    with pytest.raises(InputError, match="needs the segments of every view"):
         find_shadows(matches, {"upper": segments["upper"]}, rig)

@@ -194,10 +194,6 @@ class Lamps(NamedTuple):
     direction: Float[np.ndarray, "l 3"]
     nearness: Float[np.ndarray, "l"]
 
-    def take(self, rows: np.ndarray) -> "Lamps":
-        """Some of them."""
-        return Lamps(self.direction[rows], self.nearness[rows])
-
 
 def casting_pairs(
     lines_mm: Float[np.ndarray, "e 2 3"],

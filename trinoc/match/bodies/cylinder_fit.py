@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float, Int
 
 from trinoc.match.bodies.outlines import Outlines, abreast_mm, ray_axis_distances
 from trinoc.match.tuning import CylinderTuning
-from trinoc.numerics import Residuals, ScaleMixture, axes_across, gauss_newton, whitening
+from trinoc.numerics import Residuals, ScaleMixture, axes_across, gauss_newton, take_rows, whitening
 
 # Parameters of an axis and a radius, and of an axis alone.
 ROUND, STRAIGHT = 5, 4
@@ -51,7 +51,7 @@ class Fits(NamedTuple):
 
     def take(self, rows: np.ndarray) -> "Fits":
         """Some of them."""
-        return Fits(*(column[rows] for column in self))
+        return take_rows(self, rows)
 
 
 class _Axes(NamedTuple):

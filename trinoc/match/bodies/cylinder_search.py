@@ -7,14 +7,13 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.special import expit
 
-from trinoc.errors import InputError
 from trinoc.geometry import Rig, Segments
 from trinoc.match.bodies.cylinder_fit import Fits, Members
 from trinoc.match.bodies.cylinder_hypotheses import hypotheses
 from trinoc.match.bodies.cylinder_support import log_odds, outline_of, with_support
 from trinoc.match.bodies.cylinders import Cylinders
 from trinoc.match.bodies.outlines import Outlines, abreast_mm, possible_outlines
-from trinoc.match.observations import prepare, with_noise_scale
+from trinoc.match.observations import prepare, segments_of_views, with_noise_scale
 from trinoc.match.tracks import Matches
 from trinoc.match.tuning import DEFAULT, CylinderTuning, MatchTuning
 from trinoc.numerics import ArrayLike, axes_across, chi_square_limit, in_float64
@@ -131,13 +130,7 @@ def find_cylinders(
     ------
     InputError : views of the matches without segments.
     """
-    missing = [name for name in matches.views if name not in segments]
-    if missing:
-        raise InputError(
-            f'Cylinders need the segments of every view, but "{missing[0]}" has none: give what '
-            f"was matched of {', '.join(matches.views)}."
-        )
-    given = {name: segments[name] for name in matches.views}
+    given = segments_of_views("Finding cylinders", matches.views, segments)
     seen = with_noise_scale(prepare(given, rig, None), np.array([matches.noise_scale]))
     table = possible_outlines(seen, matches, tuning.cylinders)
     start = hypotheses(table, len(matches.views), tuning.cylinders)

@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from trinoc.match.bodies.casting import Lamps, Pairs, cast_density
 from trinoc.match.tuning import ShadowTuning
-from trinoc.numerics import axes_across
+from trinoc.numerics import axes_across, blocks, concatenate_rows, take_rows
 
 # Lamps that are judged at once, for memory.
 AT_ONCE = 64
@@ -31,14 +31,12 @@ class Votes(NamedTuple):
     ) -> Float[np.ndarray, "l e"]:
         """Likelihood of each line as a shadow of each lamp, over that of any lamp."""
         found = np.zeros((len(lamps.nearness), len(self.prior)))
-        for start in range(0, len(found), AT_ONCE):
-            part = lamps.take(np.arange(start, min(start + AT_ONCE, len(found))))
-            turn = float(np.radians(turn_deg))
-            density = cast_density(self.pairs, part, turn, self.size_mm, tuning) * self.weight
-            rows, starts = np.unique(self.pairs.shadow, return_index=True)
-            if len(rows):
-                sums = np.add.reduceat(density, starts, axis=1)
-                found[start : start + AT_ONCE, rows] = sums
+        rows, starts = np.unique(self.pairs.shadow, return_index=True)
+        turn = float(np.radians(turn_deg))
+        for part in blocks(len(found), AT_ONCE) if len(rows) else ():
+            some = take_rows(lamps, part)
+            density = cast_density(self.pairs, some, turn, self.size_mm, tuning) * self.weight
+            found[part, rows] = np.add.reduceat(density, starts, axis=1)
         return found if self.mean is None else found / self.mean
 
     def scores(self, ratios: Float[np.ndarray, "l e"], tuning: ShadowTuning) -> np.ndarray:
@@ -75,20 +73,20 @@ def best_lamp(votes: Votes, upward: Float[np.ndarray, "3"], tuning: ShadowTuning
         step, change = step / 2.5, change / 2
         rows, values = [], []
         for row in peaks:
-            around = _around(lamps.take(np.array([row])), step, change / size, 2, 1)
+            around = _around(take_rows(lamps, np.array([row])), step, change / size, 2, 1)
             inside = np.arcsin(np.clip(around.direction @ upward, -1, 1))
             # The peak itself may lie on the bound: rounding is allowed for.
             inside = np.abs(np.degrees(inside) - tuning.middle_deg) <= tuning.reach_deg + 1e-6
             inside &= around.nearness <= tuning.nearest / size * (1 + 1e-9)
-            around = around.take(np.flatnonzero(inside))
+            around = take_rows(around, np.flatnonzero(inside))
             found = votes.scores(votes.ratios(around, step / 2, tuning), tuning)
             best = int(np.argmax(found))
-            rows.append(around.take(np.array([best])))
+            rows.append(take_rows(around, np.array([best])))
             values.append(found[best])
-        lamps = Lamps(*(np.concatenate(column) for column in zip(*rows, strict=True)))
+        lamps = concatenate_rows(rows)
         scores = np.array(values)
         peaks = _peaks(lamps, scores, max(len(peaks) // 2, 2), tuning.apart_deg)
-    best = lamps.take(peaks[:1])
+    best = take_rows(lamps, peaks[:1])
     rival = float(scores[peaks[1]]) if len(peaks) > 1 else 0.0
     return _mean_lamp(votes, best, step, change / size, rival, tuning)
 

@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 from trinoc.match.observations import MatchInput
 from trinoc.match.tracks import Matches
 from trinoc.match.tuning import CylinderTuning
-from trinoc.numerics import axes_across, cross_3d
+from trinoc.numerics import axes_across, concatenate_rows, cross_3d, take_rows
 
 
 class Rays(NamedTuple):
@@ -102,16 +102,7 @@ class Outlines(NamedTuple):
 
     def take(self, rows: np.ndarray) -> "Outlines":
         """Some of them, in any shape."""
-        return Outlines(
-            self.view[rows],
-            self.segment[rows],
-            self.ends_px[rows],
-            self.length_px[rows],
-            self.across_px2[rows],
-            Rays(self.rays.centre_mm[rows], self.rays.ray[rows], self.rays.slope[rows]),
-            self.density[rows],
-            self.size_px[rows],
-        )
+        return take_rows(self, rows)
 
 
 def possible_outlines(seen: MatchInput, matches: Matches, tuning: CylinderTuning) -> Outlines:
@@ -130,16 +121,7 @@ def possible_outlines(seen: MatchInput, matches: Matches, tuning: CylinderTuning
         length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
         rows = np.flatnonzero(free & (length >= tuning.shortest_px))
         parts.append(_of_view(seen, view, number, rows, tuning))
-    table = Outlines(
-        np.concatenate([part.view for part in parts]),
-        np.concatenate([part.segment for part in parts]),
-        np.concatenate([part.ends_px for part in parts]),
-        np.concatenate([part.length_px for part in parts]),
-        np.concatenate([part.across_px2 for part in parts]),
-        Rays(*map(np.concatenate, zip(*(part.rays for part in parts), strict=True))),
-        np.concatenate([part.density for part in parts]),
-        np.concatenate([part.size_px for part in parts]),
-    )
+    table = concatenate_rows(parts)
     return table.take(np.argsort(-table.length_px, kind="stable"))
 
 

@@ -7,32 +7,30 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.sparse import csr_array
 
-from trinoc.errors import InputError
 from trinoc.geometry import Rig, Segments, project_by_matrix
-from trinoc.match.bodies.circles import Chords, Circles, chords_of, off_circles, touching
-from trinoc.match.bodies.rim_answer import Chosen, FittedRim, answer_of
-from trinoc.match.bodies.rim_fit import fit_circle
+from trinoc.match.bodies.circles import (
+    Chords,
+    Circles,
+    chords_of,
+    fit_circle,
+    off_circles,
+    touching,
+)
+from trinoc.match.bodies.rim_answer import (
+    Arcs,
+    Chosen,
+    FittedRim,
+    answer_of,
+    arcs_of,
+    covered_by_two,
+)
 from trinoc.match.bodies.rim_hypotheses import hypotheses
-from trinoc.match.bodies.rim_pieces import Arcs, arcs_of, covered_by_two
 from trinoc.match.bodies.rim_support import about, has_rival, support_of, supports
 from trinoc.match.bodies.rims import Rims
-from trinoc.match.observations import as_segments, prepare, with_noise_scale
+from trinoc.match.observations import prepare, segments_of_views, with_noise_scale
 from trinoc.match.tracks import Matches
 from trinoc.match.tuning import DEFAULT, MatchTuning, RimTuning
 from trinoc.numerics import ArrayLike, in_float64, take_rows
-
-
-def segments_of_views(
-    segments: Mapping[str, Segments | ArrayLike], views: tuple[str, ...]
-) -> dict[str, Segments]:
-    """The segments of every view. Raises InputError where a view has none."""
-    missing = [name for name in views if name not in segments]
-    if missing:
-        raise InputError(
-            f'Rims need the segments of every view, but "{missing[0]}" has none: give what was '
-            f"matched of {', '.join(views)}."
-        )
-    return {name: as_segments(segments[name]) for name in views}
 
 
 def mm_per_px_of(lines_mm: Float[np.ndarray, "t 2 3"], rig: Rig, views: tuple[str, ...]) -> float:
@@ -79,7 +77,7 @@ def find_rims(
     ------
     InputError : views of the matches without segments.
     """
-    stated = prepare(segments_of_views(segments, matches.views), rig, None)
+    stated = prepare(segments_of_views("Finding rims", matches.views, segments), rig, None)
     # Matched chords disagree: what that makes of their errors is none of the rims'.
     chords = chords_of(stated, matches.views, tuning.rims)
     seen = with_noise_scale(stated, np.array([matches.noise_scale]))

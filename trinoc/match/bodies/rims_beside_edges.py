@@ -11,9 +11,9 @@ from trinoc.errors import InputError
 from trinoc.geometry import Rig, Segments
 from trinoc.match.bodies.circles import ON_ARC, Chords, Circles, chords_of, off_circles, touching
 from trinoc.match.bodies.explained_tracks import counts_of, tracks_beside_rims, with_rows
-from trinoc.match.bodies.rim_search import mm_per_px_of, segments_of_views
+from trinoc.match.bodies.rim_search import mm_per_px_of
 from trinoc.match.bodies.rims import Rims
-from trinoc.match.observations import prepare
+from trinoc.match.observations import prepare, segments_of_views
 from trinoc.match.tracks import Matches
 from trinoc.match.tuning import DEFAULT, MatchTuning, RimTuning
 from trinoc.numerics import ArrayLike, in_float64
@@ -77,7 +77,7 @@ def add_rims(
     InputError : views without segments, or rims of other views than the matches.
     """
     views = matches.views
-    given, more = segments_of_views(segments, views), segments_of_views(chords, views)
+    given, more = (segments_of_views("Adding rims", views, each) for each in (segments, chords))
     if rims.views != views:
         raise InputError(
             f"The rims are of the views {', '.join(rims.views)}, but the matches of "

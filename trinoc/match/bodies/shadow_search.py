@@ -1,12 +1,13 @@
-"""From matches to shadows."""
+"""Which tracks are boundaries of cast shadows, and the lamp: from matches to shadows."""
 
 from collections.abc import Mapping
+from typing import Any
 
+import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 from scipy.special import expit
 
-from trinoc.errors import InputError
 from trinoc.geometry import Rig, Segments
 from trinoc.match.bodies.casting import (
     casting_pairs,
@@ -15,11 +16,81 @@ from trinoc.match.bodies.casting import (
     planes_of,
 )
 from trinoc.match.bodies.lamp import Lamp, Votes, best_lamp
-from trinoc.match.bodies.shadows import Shadows
 from trinoc.match.line_map import join_collinear, snap_corners
-from trinoc.match.tracks import Matches
+from trinoc.match.observations import segments_of_views
+from trinoc.match.tracks import EVEN, Matches
 from trinoc.match.tuning import DEFAULT, MatchTuning, ShadowTuning
 from trinoc.numerics import ArrayLike, in_float64
+
+
+class Shadows(eqx.Module):
+    """Probabilities of tracks, and the lamp that they rest on.
+
+    Fields
+    ------
+    shadow : (t,) probability that each track of the matches is the boundary of a cast shadow.
+    lamp_posterior : probability that the lamp below is the true one; 0 where there is none to tell.
+    middle_mm : (3,) middle of the scene, from which the lamp is seen.
+    toward_lamp : (3,) unit vector from there, in the world frame; zeros where nothing is known.
+    nearness_per_mm : 1 over the distance of the lamp; 0 where its light is parallel.
+    lamp_covariance : (3, 3) of the turn of `toward_lamp` about its two axes across
+        (`trinoc.numerics.axes_across`), rad, and of `nearness_per_mm`.
+    counts : what each step produced, by name.
+    """
+
+    shadow: Float[np.ndarray, "t"]
+    lamp_posterior: float
+    middle_mm: Float[np.ndarray, "3"]
+    toward_lamp: Float[np.ndarray, "3"]
+    nearness_per_mm: float
+    lamp_covariance: Float[np.ndarray, "3 3"]
+    counts: dict[str, int]
+
+    @property
+    def lamp_known(self) -> bool:
+        """Whether the lamp found is likelier the true one than not."""
+        return self.lamp_posterior > EVEN
+
+    @property
+    def lamp_sigma_deg(self) -> float:
+        """Standard deviation of the lamp's direction, the larger one."""
+        return float(np.degrees(np.sqrt(np.linalg.eigvalsh(self.lamp_covariance[:2, :2])[-1])))
+
+    @property
+    def lamp_mm(self) -> Float[np.ndarray, "4"]:
+        """The lamp's place in homogeneous coordinates: infinitely far where the last is 0."""
+        place = self.toward_lamp + self.nearness_per_mm * self.middle_mm
+        return np.append(place, self.nearness_per_mm)
+
+    def marked(self, matches: Matches) -> Matches:
+        """The matches that the shadows were found in, with the mark "shadow"."""
+        return matches.with_marks(shadow=self.shadow)
+
+    def summary(self) -> str:
+        """How many tracks are likely shadows, and where the lamp is."""
+        marked = int((self.shadow > EVEN).sum())
+        said = (
+            "1 track is likely a shadow" if marked == 1 else f"{marked} tracks are likely shadows"
+        )
+        if not self.lamp_known:
+            return f"{said}; no lamp stands out, so little is known of shadows."
+        x, y, z = self.toward_lamp
+        return (
+            f"{said}; the lamp is toward ({x:.3f}, {y:.3f}, {z:.3f}) +- "
+            f"{self.lamp_sigma_deg:.2f} degrees, posterior {self.lamp_posterior:.3f}."
+        )
+
+    def record(self) -> dict[str, Any]:
+        """The same and the lamp's covariance, as JSON holds them."""
+        return {
+            "tracks_marked": int((self.shadow > EVEN).sum()),
+            "lamp_posterior": self.lamp_posterior,
+            "middle_mm": self.middle_mm.tolist(),
+            "toward_lamp": self.toward_lamp.tolist(),
+            "nearness_per_mm": self.nearness_per_mm,
+            "lamp_covariance": self.lamp_covariance.tolist(),
+            "counts": self.counts,
+        }
 
 
 @in_float64
@@ -50,12 +121,7 @@ def find_shadows(
     Raises InputError where a view has no segments, and where the covariance of the fragments is
     not known.
     """
-    missing = [name for name in matches.views if name not in segments]
-    if missing:
-        raise InputError(
-            f'Shadows need the segments of every view, but "{missing[0]}" has none: give what '
-            f"was matched of {', '.join(matches.views)}."
-        )
+    given = segments_of_views("Finding shadows", matches.views, segments)
     own = tuning.shadows
     none = np.zeros(3)
     if len(matches) == 0:
@@ -69,7 +135,7 @@ def find_shadows(
     size = float(np.median(np.linalg.norm(lines - middle, axis=2)))
     cameras = np.mean([np.asarray(rig[name].centre_world_mm) for name in matches.views], axis=0)
     planes = planes_of(lines, covariance, cameras, own)
-    levels = levels_beside(matches, segments, joined)
+    levels = levels_beside(matches, given, joined)
     corners = snap_corners(joined, tuning=tuning)
     known = evidence_of_surroundings(joined, corners, planes, levels, own)
     prior = expit(_log_odds(known, own.first_log_odds))

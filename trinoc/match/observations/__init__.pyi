@@ -14,7 +14,11 @@ from .match_input import (
     stacked_frames as stacked_frames,
     with_noise_scale as with_noise_scale,
 )
-from .pictures_of_views import as_segments as as_segments, check_pictures as check_pictures
+from .pictures_of_views import (
+    as_segments as as_segments,
+    check_pictures as check_pictures,
+    segments_of_views as segments_of_views,
+)
 from .side_intensity import SIDE_COLUMNS as SIDE_COLUMNS
 from .table import (
     PAIRS_IN_BLOCK as PAIRS_IN_BLOCK,

@@ -14,24 +14,23 @@ def as_segments(given: Segments | ArrayLike) -> Segments:
     return given if isinstance(given, Segments) else Segments.from_endpoints(given)
 
 
+def segments_of_views(
+    doing: str, views: Sequence[str], segments: Mapping[str, Segments | ArrayLike]
+) -> dict[str, Segments]:
+    """The segments of every view. Raises InputError where one has none; `doing` needs them."""
+    _expect_all(doing, views, "segments", segments)
+    return {name: as_segments(segments[name]) for name in views}
+
+
 def check_pictures(
-    doing: str,
-    views: Sequence[str],
-    segments: Mapping[str, object],
-    rig: Rig,
-    pictures: Mapping[str, np.ndarray],
+    doing: str, views: Sequence[str], rig: Rig, pictures: Mapping[str, np.ndarray]
 ) -> None:
-    """Raise InputError for views without a picture or segments, or a picture of another size.
+    """Raise InputError for views without a picture, or a picture of another size.
 
     doing : what needs them, as a sentence begins.
     """
+    _expect_all(doing, views, "picture", pictures)
     for name in views:
-        for what, held in (("picture", pictures), ("segments", segments)):
-            if name not in held:
-                raise InputError(
-                    f'{doing} needs the {what} of every view, but "{name}" has none: '
-                    f"give what was matched of {', '.join(views)}."
-                )
         width, height = rig[name].image_size_px
         shape = np.shape(pictures[name])[:2]
         if shape != (height, width):
@@ -39,3 +38,12 @@ def check_pictures(
                 f'The picture of "{name}" has the shape {shape}, but its camera has {width} x '
                 f"{height} px: give the picture that its segments were found in."
             )
+
+
+def _expect_all(doing: str, views: Sequence[str], what: str, held: Mapping[str, object]) -> None:
+    missing = [name for name in views if name not in held]
+    if missing:
+        raise InputError(
+            f'{doing} needs the {what} of every view, but "{missing[0]}" has none: give what was '
+            f"matched of {', '.join(views)}."
+        )

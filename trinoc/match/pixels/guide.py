@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Shaped
 
 from trinoc.geometry import Rig, Segments, distort_pixels
-from trinoc.match.observations import as_segments, check_pictures
+from trinoc.match.observations import check_pictures, segments_of_views
 from trinoc.match.pixels.new_lines import with_new_lines
 from trinoc.match.pixels.prolong import prolonged
 from trinoc.match.pixels.state import State, start_of, tables_of, turned_round
@@ -76,8 +76,8 @@ def guide_matches(
     ------
     InputError : views without a picture or segments, pictures of another size than their camera's.
     """
-    check_pictures("Guided detection", matches.views, segments, rig, pictures)
-    given = {name: as_segments(segments[name]) for name in matches.views}
+    check_pictures("Guided detection", matches.views, rig, pictures)
+    given = segments_of_views("Guided detection", matches.views, segments)
     inputs = picture_inputs(rig, {name: pictures[name] for name in matches.views})
     before = start_of(matches, given, rig)
     inputs = [

@@ -9,7 +9,7 @@ from jaxtyping import Float, Shaped
 
 from trinoc.geometry import Rig, Segments, distances_from_line, distort_pixels, undistort_pixels
 from trinoc.image import Light, ResponseLike
-from trinoc.match.observations import as_segments, check_pictures
+from trinoc.match.observations import check_pictures, segments_of_views
 from trinoc.match.pixels.images import LineImages, line_images, offset_at
 from trinoc.match.pixels.tuning import DEFAULT, PixelTuning
 from trinoc.match.pixels.view_fit import PIXELS, ViewFit, fit_view
@@ -66,10 +66,11 @@ def measure_lines(
     Source of the test: J. A. Hausman, "Specification tests in econometrics", 1978,
     doi:10.2307/1913827.
     """
-    check_pictures("Measuring lines", matches.views, segments, rig, pictures)
+    check_pictures("Measuring lines", matches.views, rig, pictures)
+    given = segments_of_views("Measuring lines", matches.views, segments)
     images, views = [], []
     for view, name in enumerate(matches.views):
-        own = as_segments(segments[name])
+        own = given[name]
         lens = rig[name].intrinsics
         seen = line_images(matches, view, own, np.asarray(rig[name].matrix_px), lens)
         light = Light.from_picture(pictures[name], response)
