@@ -77,11 +77,12 @@ MUTATIONS: list[Mutation] = [
     ),
     *_of(
         "calib/test_calibrate.py calib/uncertainty",
-        "calib/uncertainty/systematics",
+        "calib/systematic_errors",
         (
-            "(*self.print_scale_sigma, self.flatness_mm, self.print_size_sigma)",
-            "(*self.print_scale_sigma, self.print_size_sigma, self.flatness_mm)",
+            "response[:, :shared_terms] * sheet_sigma",
+            "0 * response[:, :shared_terms] * sheet_sigma",
         ),
+        ("size * systematics.print_size_sigma", "0 * size * systematics.print_size_sigma"),
     ),
     *_of(
         "calib/problem calib/shots/test_laws.py",

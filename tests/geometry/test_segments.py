@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 
-from trinoc.geometry import Segments
+from trinoc.geometry import Segments, covariance_of_ends
 
 
 def some(count: int, seed: int) -> Segments:
@@ -46,3 +46,13 @@ def test_what_one_table_does_not_know_is_not_made_up():
     assert before.side_levels is None
     assert before.reasons is None
     assert before.chain is None
+
+
+def test_ends_err_by_their_sigmas_along_and_across():
+    ends = np.array([[[10.0, 20.0], [70.0, 100.0]]])
+    covariance = covariance_of_ends(ends, 0.5, 2.0)[0]
+    along, across = np.array([0.6, 0.8]), np.array([-0.8, 0.6])
+    for block in (covariance[:2, :2], covariance[2:, 2:]):
+        np.testing.assert_allclose(block @ along, 2.0**2 * along, rtol=1e-12)
+        np.testing.assert_allclose(block @ across, 0.5**2 * across, rtol=1e-12)
+    assert (covariance[:2, 2:] == 0).all()

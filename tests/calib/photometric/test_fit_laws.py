@@ -7,7 +7,11 @@ from scipy.ndimage import gaussian_filter
 from tests.calib.photometric.pictures import RIGHT, image_of, state_at, with_look
 from tests.calib.simulated import LENS, reference_sheet
 from trinoc.calib.photometric import fit
-from trinoc.calib.photometric.covariance import pose_covariance
+from trinoc.calib.photometric.covariance import (
+    pose_covariance,
+    pose_information,
+    share_of_rest,
+)
 from trinoc.calib.photometric.encoding import AS_DELIVERED
 from trinoc.calib.photometric.scene import Point, Scene, scene_of_picture
 from trinoc.calib.photometric.unknowns import PictureState, delivered_state
@@ -159,3 +163,12 @@ def test_derivatives_are_those_of_levels_that_saturation_cuts(scene: Scene) -> N
     claimed = stacked(cut, seen(0.0))[9 + light]
     assert claimed.min() < 0.7 < claimed.max()
     np.testing.assert_allclose(claimed, up - down, atol=0.01)
+
+
+def test_the_information_of_a_pose_is_what_is_left_when_the_rest_is_free() -> None:
+    rows, free = np.random.default_rng(1).normal(size=(20, 9)), np.ones(9, dtype=bool)
+    free[7] = False
+    matrix = rows.T @ rows
+    information = pose_information(matrix, share_of_rest(matrix, free, 4))
+    covariance = np.linalg.inv(matrix[np.ix_(free, free)])[:4, :4]
+    np.testing.assert_allclose(np.linalg.inv(information), covariance, rtol=1e-9)

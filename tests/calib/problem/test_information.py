@@ -8,14 +8,17 @@ import pytest
 
 from tests.calib.shots.made_shots import board_poses
 from tests.calib.shots.test_laws import problem
+from trinoc.calib.problem import board_shape
 from trinoc.calib.problem.board_shape import expected_spread, with_free_places
 from trinoc.calib.problem.information import Information, information_of, whitened_views
-from trinoc.calib.problem.outcome import enlarge_covariance, shot_scatter
+from trinoc.calib.problem.outcome import ShotScatter, enlarge_covariance, shot_scatter
 from trinoc.calib.problem.places import whitened_residuals
 from trinoc.calib.problem.problem import with_lens_free
 from trinoc.calib.problem.robust_fit import (
+    GATE,
     degrees_of_freedom,
     errors_in_sigmas,
+    inliers,
     with_sigma_factors,
 )
 from trinoc.calib.problem.variables import retract
@@ -189,3 +192,25 @@ def test_whitened_errors_are_independent():
         np.broadcast_to(np.eye(2), covariance.shape),
         atol=1e-9,
     )
+
+
+def test_the_prior_of_free_places_is_their_spread(here):
+    spread_mm = np.array([0.02, 0.02, 0.3])
+    spread = board_shape._with_spread(with_free_places(here), spread_mm)
+    np.testing.assert_allclose(spread.chart.shape_information, [2500.0, 2500.0, 1 / 0.09])
+    np.testing.assert_allclose(board_shape._spread_of(spread), spread_mm)
+
+
+@pytest.mark.parametrize("noise", [1.0, 3.0])
+def test_noise_passes_the_gate_as_often_as_it_should_and_outliers_do_not(noise):
+    """Lengths of whitened errors are Rayleigh's; a noise that is larger is found out."""
+    errors = noise * np.random.default_rng(0).normal(size=(4000, 2))
+    errors[:40] = noise * 1.3 * GATE * np.array([0.6, 0.8])
+    agree = inliers(errors)
+    assert not agree[:40].any()
+    assert np.mean(~agree[40:]) == pytest.approx(np.exp(-(GATE**2) / 2), abs=0.01)
+
+
+@pytest.mark.parametrize(("factor", "applied"), [(3.0, 3.0), (1.05, 1.0), (0.4, 1.0)])
+def test_sigmas_grow_where_shots_refute_them_and_never_shrink(factor, applied):
+    assert ShotScatter(factor, 0.1).variance_factor == applied

@@ -18,6 +18,7 @@ from trinoc.calib import (
     calibrate_detections,
     with_systematics,
 )
+from trinoc.calib.uncertainty import systematics
 from trinoc.errors import InputError
 from trinoc.geometry import Intrinsics
 
@@ -167,3 +168,10 @@ def test_what_is_no_lens_covariance_is_refused(covariance, words: str) -> None:
         calibrate_detections(
             {"a": detection}, SHEET, LENS, systematics=Systematics(lens_covariance=covariance)
         )
+
+
+def test_directions_of_a_lens_covariance_make_it_up() -> None:
+    root = np.random.default_rng(3).normal(size=(5, 2)) * [[100.0], [100.0], [1.0], [1.0], [0.0]]
+    factor = systematics._factor(root @ root.T)
+    assert factor.shape == (5, 2)
+    np.testing.assert_allclose(factor @ factor.T, root @ root.T, rtol=1e-9, atol=1e-9)

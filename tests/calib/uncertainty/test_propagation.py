@@ -9,6 +9,7 @@ from trinoc.calib import (
     calibrate_detections,
     epipolar_sigma,
     point_covariance,
+    projection_sigma,
 )
 from trinoc.calib.uncertainty import data_sheet_covariance
 from trinoc.geometry import (
@@ -121,3 +122,11 @@ def test_points_of_calibrations_with_other_lenses_scatter_as_their_rigs_say() ->
         assert np.sqrt(np.trace(claimed)) < 0.1 * rig.sigma("upper.distance_mm")
     # The mean of 40 chi-square numbers of three degrees of freedom, within four sigmas.
     assert abs(np.mean(squared) - 3) < 4 * np.sqrt(2 * 3 / 40)
+
+
+def test_an_error_of_the_principal_point_is_that_of_every_pixel() -> None:
+    rig, names = moved(np.zeros((3, 10))), [f"left.{key}" for key in NAMES]
+    of_axis = np.array([0.3 * name.endswith(("cx_px", "cy_px")) for name in names])
+    known = Rig(dict(rig.items()), parameters=names, covariance=np.diag(of_axis**2))
+    sigmas = projection_sigma(known, "left", 500.0).sigma_px
+    np.testing.assert_allclose(sigmas, 0.3, rtol=1e-9)

@@ -42,7 +42,7 @@ def pose_covariance(scene: Scene, point: Point, *, correlated: bool) -> PoseCova
     chi_square = float(np.sum(standard[clear] ** 2) / max(clear.sum() - free.sum(), 1))
     matrix = np.asarray(point.equations.matrix)
     follow = share_of_rest(matrix, free, size)
-    information = matrix[:size, :size] - matrix[:size] @ follow
+    information = pose_information(matrix, follow)
     if not np.isfinite(information).all():
         return PoseCovariance(np.full((size, size), np.nan), chi_square, None, np.nan)
     inverse = np.linalg.pinv(information, hermitian=True)
@@ -79,6 +79,14 @@ def share_of_rest(
         side = scale[:, None] * matrix[rest, :pose_size]
         follow[rest] = scale[:, None] * np.linalg.lstsq(scaled, side)[0]
     return follow
+
+
+def pose_information(
+    matrix: Float[np.ndarray, "k k"], follow: Float[np.ndarray, "k p"]
+) -> Float[np.ndarray, "p p"]:
+    """Information of the pose once the other unknowns follow it: the Schur complement."""
+    size = follow.shape[1]
+    return matrix[:size, :size] - matrix[:size] @ follow
 
 
 def _rows_of_pose(
