@@ -137,7 +137,7 @@ MUTATIONS: list[Mutation] = [
     *_of(
         "calib/adjustment",
         "calib/adjustment/each_camera",
-        ("information = factor**2 * jacobian.T", "information = jacobian.T"),
+        ("factor**2 * seen.covariance", "seen.covariance"),
     ),
     *_of(
         "segments",

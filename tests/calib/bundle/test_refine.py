@@ -13,6 +13,7 @@ from tests.calib.bundle.made_tracks import (
     rig_at,
 )
 from trinoc.calib import RefineStatus, refine
+from trinoc.calib.bundle import estimate
 from trinoc.errors import CalibrationError, InputError
 from trinoc.geometry import LineObservations, PoseModel, Rig, angle_deg, distance_mm, length_mm
 from trinoc.numerics import take_rows
@@ -68,10 +69,29 @@ def test_the_noise_of_the_segments_is_estimated():
     pessimist = LineObservations(
         lines.views, lines.fragments_px, 4 * lines.covariance_px2, lines.seen, lines.lines_mm
     )
-    factor = refine(sheet_estimate(10), lines).segment_sigma_factor
-    assert factor == pytest.approx(1, abs=0.1)
+    right = refine(sheet_estimate(10), lines)
+    assert right.segment_sigma_factor == pytest.approx(1, abs=0.1)
     answer = refine(sheet_estimate(10), pessimist)
-    assert answer.segment_sigma_factor == pytest.approx(0.5 * factor, rel=0.05)
+    assert answer.segment_sigma_factor == pytest.approx(0.5 * right.segment_sigma_factor, rel=0.05)
+    # What is known of the lines does not depend on what was stated.
+    own, as_stated = answer.lines.own_covariance_mm2, right.lines.own_covariance_mm2
+    ratio = np.trace(own, axis1=1, axis2=2) / np.trace(as_stated, axis1=1, axis2=2)
+    assert np.median(ratio) == pytest.approx(1, rel=0.1)
+
+
+def test_a_sheet_that_fitted_worse_than_it_claims_knows_so_much_less(monkeypatch):
+    lines, _, _ = made_tracks(9, 40, hidden=0.0)
+    vague = LineObservations(
+        lines.views, lines.fragments_px, 1e8 * lines.covariance_px2, lines.seen, lines.lines_mm
+    )
+    monkeypatch.setattr(estimate, "segment_factor", lambda squared, seen, _: (1.0, seen))
+    monkeypatch.setattr(estimate, "sheet_factor", lambda *_: 3.0)
+    sheet = sheet_estimate(10)
+    answer = refine(sheet, vague)
+    sigma = [answer.rig.sigma(name) for name in sheet.parameters]
+    np.testing.assert_allclose(
+        sigma, [3 * sheet.sigma(name) for name in sheet.parameters], rtol=0.02
+    )
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,10 @@ from trinoc.calib.photometric.covariance import (
     share_of_rest,
 )
 from trinoc.calib.photometric.encoding import AS_DELIVERED
+from trinoc.calib.photometric.equations import LOCAL_TERMS, LOCAL_WIDTH, eliminate_levels
+from trinoc.calib.photometric.gate import gate_by_sigma, without_common
+from trinoc.calib.photometric.noise import is_clear
+from trinoc.calib.photometric.pixel_selection import SelectedPixels
 from trinoc.calib.photometric.scene import Point, Scene, scene_of_picture
 from trinoc.calib.photometric.unknowns import PictureState, delivered_state
 from trinoc.geometry import PoseModel
@@ -172,3 +176,48 @@ def test_the_information_of_a_pose_is_what_is_left_when_the_rest_is_free() -> No
     information = pose_information(matrix, share_of_rest(matrix, free, 4))
     covariance = np.linalg.inv(matrix[np.ix_(free, free)])[:4, :4]
     np.testing.assert_allclose(np.linalg.inv(information), covariance, rtol=1e-9)
+
+
+def test_only_levels_far_below_saturation_are_clear() -> None:
+    assert is_clear(np.array([254.0, 235.0]), np.full(2, 2.0), 255.0).tolist() == [False, True]
+
+
+def whole_field(side: int) -> SelectedPixels:
+    row, column = (place.ravel() for place in np.mgrid[:side, :side])
+    return SelectedPixels(column, row, np.zeros(side * side, dtype=np.int64))
+
+
+def test_neighbours_whose_residuals_have_a_mean_go_and_white_noise_stays() -> None:
+    chosen, noise = whole_field(60), np.random.default_rng(2).normal(size=3600)
+    everything = np.ones(3600, dtype=bool)
+    assert without_common(chosen, noise, everything).mean() > 0.99
+    shadow = (chosen.column < 20) & (chosen.row < 20)
+    kept = without_common(chosen, noise + 3.0 * shadow, everything)
+    assert kept[shadow].mean() < 0.3
+    assert kept[chosen.column > 40].all()
+
+
+def test_crowds_of_outliers_go_with_their_whole_neighbourhood() -> None:
+    chosen, residual = whole_field(60), np.zeros(3600)
+    thumb = (chosen.column < 20) & (chosen.row < 20)
+    # Every second pixel under a thumb happens to have the right grey level.
+    residual[thumb & ((chosen.column + chosen.row) % 2 == 0)] = 50.0
+    kept = gate_by_sigma(chosen, residual, np.ones(3600))
+    inside = (chosen.column < 15) & (chosen.row < 15)
+    assert not kept[inside].any()
+    assert kept[chosen.column > 40].all()
+
+
+def test_levels_are_eliminated_with_their_prior() -> None:
+    """Against dense rows, those of the prior among them."""
+    random, terms = np.random.default_rng(4), LOCAL_TERMS
+    by_levels, others = random.normal(size=(30, terms)), random.normal(size=(30, 4))
+    levels, width = 0.1 * random.normal(size=(terms, 1)), np.asarray(LOCAL_WIDTH)
+    of_blocks = by_levels.T @ np.hstack([by_levels, others])
+    first = np.vstack([by_levels, np.diag(1 / width)])
+    prior = np.zeros((terms, 4))
+    prior[:, -1] = levels[:, 0] / width
+    explained = np.linalg.qr(first)[0].T @ np.vstack([others, prior])
+    less, _, cost = eliminate_levels(of_blocks[None], levels)
+    np.testing.assert_allclose(less, explained.T @ explained[:, :-1], rtol=1e-4, atol=1e-4)
+    assert float(cost) == pytest.approx(float(np.sum(prior**2)), rel=1e-5)
