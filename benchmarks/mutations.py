@@ -182,7 +182,7 @@ MUTATIONS: list[Mutation] = [
     *_of(
         "match/line_map",
         "match/line_map/line_fit",
-        ("eafb,ai,bj->eifj", "eafb,ai,bj->fiej"),
+        ("blocks = equations.covariance()", "blocks = 2 * equations.covariance()"),
         ("2 * len(shown.ends_px) - 4", "2 * len(shown.ends_px) - 2"),
     ),
     *_of(
@@ -234,7 +234,7 @@ MUTATIONS: list[Mutation] = [
         "match/cylinders",
         "match/bodies/cylinder_search",
         ("square = 0.5 * np.einsum(", "square = 100 * np.einsum("),
-        ("(free_end_px * mm_per_px)[:, None, None] ** 2 * stops", "0 * stops"),
+        ("stops = (free_end_px * mm_per_px)", "stops = (0 * mm_per_px)"),
         ("jacobian @ fits.covariance @ jacobian.mT", "jacobian @ jacobian.mT"),
     ),
     *_of(

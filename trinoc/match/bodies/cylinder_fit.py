@@ -28,6 +28,10 @@ class Members(NamedTuple):
         """Where there is one."""
         return self.row >= 0
 
+    def rows_of(self, table: Outlines) -> Outlines:
+        """Those outlines, (h, k); any where there is none."""
+        return take_rows(table, np.maximum(self.row, 0))
+
 
 class Fits(NamedTuple):
     """Cylinders that outlines leave.
@@ -49,10 +53,6 @@ class Fits(NamedTuple):
     square: Float[np.ndarray, "h"]
     degrees: Int[np.ndarray, "h"]
 
-    def take(self, rows: np.ndarray) -> "Fits":
-        """Some of them."""
-        return take_rows(self, rows)
-
 
 class _Axes(NamedTuple):
     point_mm: Float[np.ndarray, "h 3"]
@@ -73,7 +73,7 @@ def fit_cylinders(
 
     Errors of both ends of a segment together are larger than stated by one of a few factors.
     """
-    held, own = members.held, table.take(np.maximum(members.row, 0))
+    held, own = members.held, members.rows_of(table)
     side, by = members.side[:, :, None], whitening(own.across_px2)
     loss = ScaleMixture(tuning.error_shares, tuning.error_scales, 2)
 

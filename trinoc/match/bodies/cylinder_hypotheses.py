@@ -13,15 +13,9 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from trinoc.match.bodies.cylinder_fit import Members
-from trinoc.match.bodies.outlines import (
-    Outlines,
-    Rays,
-    abreast_mm,
-    before_camera,
-    ray_axis_distances,
-)
+from trinoc.match.bodies.outlines import Outlines, abreast_mm, before_camera, ray_axis_distances
 from trinoc.match.tuning import CylinderTuning
-from trinoc.numerics import blocks, cross_3d
+from trinoc.numerics import blocks, concatenate_rows, cross_3d, take_rows
 
 # Pairs and third outlines looked at together: they bound the memory.
 AT_ONCE = 1 << 18
@@ -53,14 +47,11 @@ def hypotheses(table: Outlines, views: int, tuning: CylinderTuning) -> Start:
         count = len(pairs[first].row) * len(third)
         for part in blocks(count, AT_ONCE):
             i, j = np.divmod(np.arange(count)[part], len(third))
-            own = _Pairs(*(column[i] for column in pairs[first]))
-            found += _consistent(table, own, third[j], tuning)
-    columns = zip(*((*start.members, *start[1:]) for start in found), strict=True)
-    columns = [np.concatenate(column) for column in columns]
+            found += _consistent(table, take_rows(pairs[first], i), third[j], tuning)
+    every = concatenate_rows(found)
     # The table begins with the longest.
-    kept = np.argsort(columns[0].sum(axis=1), kind="stable")[: tuning.most_hypotheses]
-    row, side, *rest = (column[kept] for column in columns)
-    return Start(Members(row, side), *rest)
+    kept = np.argsort(every.members.row.sum(axis=1), kind="stable")[: tuning.most_hypotheses]
+    return take_rows(every, kept)
 
 
 def _pairs_of_view(table: Outlines, view: int, tuning: CylinderTuning) -> _Pairs:
@@ -110,8 +101,7 @@ def _consistent(
     away = cross_3d(direction, pairs.normal[kept])
     middle = table.rays.ray[row[:, :2]].sum(axis=(1, 2))
     away = away * np.sign((away * middle).sum(axis=1))[:, None]
-    own = table.take(row)
-    first = Rays(*(part[:, :2] for part in own.rays))
+    first = take_rows(table.rays, row[:, :2])
     beside = ray_axis_distances(
         first, (centre[:, 0] + away)[:, None], direction[:, None]
     ).distance_mm
@@ -141,7 +131,7 @@ def _before_cameras(
     tuning: CylinderTuning,
 ) -> Start:
     """Those that lie before the cameras, with outlines abreast of each other on both sides."""
-    rays = table.take(row).rays
+    rays = take_rows(table.rays, row)
     side = np.sign(
         ray_axis_distances(rays, point_mm[:, None], direction[:, None]).distance_mm.mean(axis=2)
     )
@@ -151,5 +141,4 @@ def _before_cameras(
     place = point_mm + along.mean(axis=(1, 2))[:, None] * direction
     good = (side[:, 0] != side[:, 1]) & (common > tuning.abreast_share * shortest)
     good &= before_camera(rays, place[:, None]).all(axis=1)
-    rows = np.flatnonzero(good)
-    return Start(Members(row[rows], side[rows]), place[rows], direction[rows], radius_mm[rows])
+    return take_rows(Start(Members(row, side), place, direction, radius_mm), good)

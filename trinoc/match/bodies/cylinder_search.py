@@ -12,11 +12,12 @@ from trinoc.match.bodies.cylinder_fit import Fits, Members
 from trinoc.match.bodies.cylinder_hypotheses import hypotheses
 from trinoc.match.bodies.cylinder_support import log_odds, outline_of, with_support
 from trinoc.match.bodies.cylinders import Cylinders
+from trinoc.match.bodies.end_errors import add_error_of_ends
 from trinoc.match.bodies.outlines import Outlines, abreast_mm, possible_outlines
 from trinoc.match.observations import prepare, segments_of_views, with_noise_scale
 from trinoc.match.tracks import Matches
 from trinoc.match.tuning import DEFAULT, CylinderTuning, MatchTuning
-from trinoc.numerics import ArrayLike, axes_across, chi_square_limit, in_float64
+from trinoc.numerics import ArrayLike, axes_across, chi_square_limit, in_float64, take_rows
 
 
 class Chosen(NamedTuple):
@@ -67,7 +68,7 @@ def place_ends(
     table: Outlines, fits: Fits, members: Members, free_end_px: float
 ) -> tuple[Float[np.ndarray, "c 2 3"], Float[np.ndarray, "c 7 7"]]:
     """(ends of each axis as far as two outlines reach, covariance of both and the radius)."""
-    own = table.take(np.maximum(members.row, 0))
+    own = members.rows_of(table)
     along = np.sort(abreast_mm(own.rays, fits.point_mm[:, None], fits.direction[:, None]), axis=2)
     mm_per_px = ((along[..., 1] - along[..., 0]) / own.length_px * members.held).sum(axis=1)
     mm_per_px = mm_per_px / np.maximum(members.held.sum(axis=1), 1)
@@ -82,10 +83,8 @@ def place_ends(
         jacobian[:, rows, 2:4] = reach[:, end, None, None] * across.mT
     jacobian[:, 6, 4] = 1.0
     covariance = jacobian @ fits.covariance @ jacobian.mT
-    stops = np.einsum("ci,cj->cij", fits.direction, fits.direction)
-    for end in (0, 1):
-        rows = slice(3 * end, 3 * end + 3)
-        covariance[:, rows, rows] += (free_end_px * mm_per_px)[:, None, None] ** 2 * stops
+    stops = (free_end_px * mm_per_px)[:, None] * fits.direction
+    add_error_of_ends(covariance, np.stack([stops, stops], axis=1))
     return axis, covariance
 
 
@@ -143,7 +142,9 @@ def find_cylinders(
         "cylinders that four outlines or more touch": len(fits.radius_mm),
         "cylinders": len(best.row),
     }
-    return _answer(table, fits.take(best.row), members, best, expit(odds), matches, counts, tuning)
+    return _answer(
+        table, take_rows(fits, best.row), members, best, expit(odds), matches, counts, tuning
+    )
 
 
 def _answer(
@@ -157,7 +158,7 @@ def _answer(
     tuning: MatchTuning,
 ) -> Cylinders:
     """The cylinders put out, with their outlines in the order of views and segments."""
-    own = Members(members.row[best.row], members.side[best.row])
+    own = take_rows(members, best.row)
     axis, covariance = place_ends(table, fits, own, tuning.corners.free_end_px)
     cylinder, column = np.nonzero(own.held)
     row = own.row[cylinder, column]

@@ -5,16 +5,10 @@ from jaxtyping import Bool, Float, Int
 
 from trinoc.match.bodies.cylinder_fit import ROUND, STRAIGHT, Fits, Members, fit_cylinders
 from trinoc.match.bodies.cylinder_hypotheses import Start
-from trinoc.match.bodies.outlines import (
-    Outlines,
-    Rays,
-    abreast_mm,
-    before_camera,
-    ray_axis_distances,
-)
+from trinoc.match.bodies.outlines import Outlines, abreast_mm, before_camera, ray_axis_distances
 from trinoc.match.tracks import Matches
 from trinoc.match.tuning import CylinderTuning
-from trinoc.numerics import blocks, chi_square_limit
+from trinoc.numerics import blocks, chi_square_limit, concatenate_rows, take_rows
 
 # Cylinders that are compared with all outlines at once.
 AT_ONCE = 1024
@@ -30,16 +24,12 @@ def with_support(table: Outlines, start: Start, tuning: CylinderTuning) -> tuple
     fits = fit_cylinders(table, *start, tuning)
     good = _are_determined(fits, tuning)
     good &= fits.square < chi_square_limit(tuning.significance, fits.degrees)
-    rows = np.flatnonzero(good)
-    members = Members(start.members.row[rows], start.members.side[rows])
-    fits = fits.take(rows)
+    fits, members = take_rows((fits, start.members), good)
     for _ in range(tuning.rounds):
         members = _single(table, fits, _touching(table, fits, members, tuning), tuning)
-        members, kept = _distinct(table, members)
-        fits = fits.take(kept)
+        fits, members = take_rows((fits, members), _distinct(table, members))
         fits = fit_cylinders(table, members, *fits[:3], tuning)
-        kept = np.flatnonzero(_are_determined(fits, tuning))
-        fits, members = fits.take(kept), Members(members.row[kept], members.side[kept])
+        fits, members = take_rows((fits, members), _are_determined(fits, tuning))
     return fits, members
 
 
@@ -56,11 +46,11 @@ def _touching(table: Outlines, fits: Fits, members: Members, tuning: CylinderTun
     low, high = _extent(table, fits, members)
     known = fits.covariance
     limit = chi_square_limit(tuning.significance, 2)
-    parts = [Members(np.zeros((0, 1), dtype=np.int64), np.zeros((0, 1)))]
+    parts = []
     for part in blocks(len(fits.radius_mm), AT_ONCE):
         here, row = _roughly_touching(table, fits, part, tuning)
         owner = here + part.start
-        rays = Rays(*(column[row] for column in table.rays))
+        rays = take_rows(table.rays, row)
         point, direction = fits.point_mm[owner], fits.direction[owner]
         beside = ray_axis_distances(rays, point, direction)
         own = np.sign(beside.distance_mm.mean(axis=1))
@@ -74,10 +64,10 @@ def _touching(table: Outlines, fits: Fits, members: Members, tuning: CylinderTun
         common = np.minimum(along[:, 1], high[owner]) - np.maximum(along[:, 0], low[owner])
         good = (square < limit) & before_camera(rays, point)
         good &= common > tuning.abreast_share * (along[:, 1] - along[:, 0])
-        side = np.zeros((len(fits.radius_mm[part]), len(table.view)))
-        side[here[good], row[good]] = own[good]
-        parts.append(_packed(side))
-    return _stacked(parts)
+        # A ray through the axis itself passes it on neither side.
+        good &= own != 0
+        parts.append((owner[good], row[good], own[good]))
+    return _members_of(len(fits.radius_mm), *concatenate_rows(parts))
 
 
 def _roughly_touching(
@@ -98,49 +88,39 @@ def _extent(
     table: Outlines, fits: Fits, members: Members
 ) -> tuple[Float[np.ndarray, "h"], Float[np.ndarray, "h"]]:
     """From where to where along its axis the outlines of each cylinder reach."""
-    own = table.take(np.maximum(members.row, 0))
+    own = members.rows_of(table)
     along = abreast_mm(own.rays, fits.point_mm[:, None], fits.direction[:, None])
     low = np.where(members.held, along.min(axis=2), np.inf).min(axis=1)
     high = np.where(members.held, along.max(axis=2), -np.inf).max(axis=1)
     return low, high
 
 
-def _packed(side: Float[np.ndarray, "h n"]) -> Members:
-    """Outlines of each cylinder in order, side by side."""
-    count = (side != 0).sum(axis=1)
-    width = max(int(count.max(initial=0)), 1)
-    # A column of none, so that there is one where there are no outlines at all.
-    side = np.pad(side, ((0, 0), (0, 1)))
-    order = np.argsort(side == 0, axis=1, kind="stable")[:, :width]
-    own = np.take_along_axis(side, order, axis=1)
-    return Members(np.where(own != 0, order, -1), own)
-
-
-def _stacked(parts: list[Members]) -> Members:
-    """One table of all, as wide as the widest."""
-    width = max(part.row.shape[1] for part in parts)
-    wide = [((0, 0), (0, width - part.row.shape[1])) for part in parts]
-    row = [np.pad(part.row, pad, constant_values=-1) for part, pad in zip(parts, wide, strict=True)]
-    side = [np.pad(part.side, pad) for part, pad in zip(parts, wide, strict=True)]
-    return Members(np.concatenate(row), np.concatenate(side))
-
-
-def _packed_rows(row: Int[np.ndarray, "h k"], side: Float[np.ndarray, "h k"]) -> Members:
-    """The same of outlines in order, some of which are left out (-1)."""
-    order = np.argsort(row < 0, axis=1, kind="stable")
-    row = np.take_along_axis(row, order, axis=1)
-    return Members(row, np.where(row >= 0, np.take_along_axis(side, order, axis=1), 0.0))
+def _members_of(
+    count: int,
+    owner: Int[np.ndarray, "m"],
+    row: Int[np.ndarray, "m"],
+    side: Float[np.ndarray, "m"],
+) -> Members:
+    """The outlines of `count` cylinders side by side; they come in the order of their owners."""
+    column = np.arange(len(owner)) - np.searchsorted(owner, owner)
+    # A column of none where there are no outlines at all.
+    shape = count, int(column.max(initial=0)) + 1
+    members = Members(np.full(shape, -1), np.zeros(shape))
+    members.row[owner, column], members.side[owner, column] = row, side
+    return members
 
 
 def _single(table: Outlines, fits: Fits, members: Members, tuning: CylinderTuning) -> Members:
     """Without those mostly abreast of a longer one that lies on the same side in its view."""
-    own = table.take(np.maximum(members.row, 0))
+    own = members.rows_of(table)
     along = abreast_mm(own.rays, fits.point_mm[:, None], fits.direction[:, None])
     low, high = along.min(axis=2), along.max(axis=2)
     common = np.minimum(high[:, :, None], high[:, None]) - np.maximum(low[:, :, None], low[:, None])
     abreast = common > tuning.abreast_share * (high - low)[:, :, None]
     doubled = (abreast & same_outline(table, members)).any(axis=2)
-    return _packed_rows(np.where(doubled, -1, members.row), members.side)
+    owner, column = np.nonzero(members.held & ~doubled)
+    own = members.row[owner, column], members.side[owner, column]
+    return _members_of(len(doubled), owner, *own)
 
 
 def same_outline(table: Outlines, members: Members) -> Bool[np.ndarray, "h k k"]:
@@ -150,13 +130,12 @@ def same_outline(table: Outlines, members: Members) -> Bool[np.ndarray, "h k k"]
     return same & np.tri(members.row.shape[1], k=-1, dtype=bool)
 
 
-def _distinct(table: Outlines, members: Members) -> tuple[Members, np.ndarray]:
-    """(each set of outlines once, where it is enough, of which cylinder)."""
+def _distinct(table: Outlines, members: Members) -> Int[np.ndarray, "k"]:
+    """The cylinders of each set of outlines once, where it is enough."""
     _, kept = np.unique(members.row, axis=0, return_index=True)
     views = int(table.view.max(initial=0)) + 1
-    shown = outlines_shown(table, Members(members.row[kept], members.side[kept]), views)
-    kept = kept[(shown.sum(axis=(1, 2)) >= FEWEST) & (shown.any(axis=2).sum(axis=1) > 1)]
-    return Members(members.row[kept], members.side[kept]), kept
+    shown = outlines_shown(table, take_rows(members, kept), views)
+    return kept[(shown.sum(axis=(1, 2)) >= FEWEST) & (shown.any(axis=2).sum(axis=1) > 1)]
 
 
 def outlines_shown(table: Outlines, members: Members, views: int) -> Bool[np.ndarray, "h v 2"]:
@@ -193,7 +172,7 @@ def _against_chance(
     primary = Members(np.where(longest, members.row, -1), members.side)
     parameters = fits.information.shape[1]
     best = fit_cylinders(table, primary, *fits[:3], tuning, parameters)
-    own = table.take(np.maximum(members.row, 0))
+    own = members.rows_of(table)
     along = abreast_mm(own.rays, fits.point_mm[:, None], fits.direction[:, None])
     reach = along.max(axis=2) - along.min(axis=2)
     # What a picture as wide as those here would show of the place of the cylinder.

@@ -100,10 +100,6 @@ class Outlines(NamedTuple):
         normal = cross_3d(self.rays.ray[..., 0, :], self.rays.ray[..., 1, :])
         return normal / np.linalg.norm(normal, axis=-1, keepdims=True)
 
-    def take(self, rows: np.ndarray) -> "Outlines":
-        """Some of them, in any shape."""
-        return take_rows(self, rows)
-
 
 def possible_outlines(seen: MatchInput, matches: Matches, tuning: CylinderTuning) -> Outlines:
     """All segments but those of tracks in three views that agree about their place."""
@@ -122,7 +118,7 @@ def possible_outlines(seen: MatchInput, matches: Matches, tuning: CylinderTuning
         rows = np.flatnonzero(free & (length >= tuning.shortest_px))
         parts.append(_of_view(seen, view, number, rows, tuning))
     table = concatenate_rows(parts)
-    return table.take(np.argsort(-table.length_px, kind="stable"))
+    return take_rows(table, np.argsort(-table.length_px, kind="stable"))
 
 
 def _of_view(

@@ -16,6 +16,7 @@ from trinoc.match.bodies.circles import (
     off_circles,
     points_at,
 )
+from trinoc.match.bodies.end_errors import add_error_of_ends
 from trinoc.match.bodies.explained_tracks import counts_of, tracks_beside_rims, with_rows
 from trinoc.match.bodies.rims import Rims
 from trinoc.match.observations import MatchInput
@@ -28,7 +29,7 @@ from trinoc.match.tracks import (
     interval_of,
 )
 from trinoc.match.tuning import RimTuning
-from trinoc.numerics import axes_across, cross_3d
+from trinoc.numerics import axes_across, concatenate_rows, cross_3d, take_rows
 
 ROUND = 2 * np.pi
 
@@ -130,11 +131,9 @@ def fragments_abreast(
         way = way / np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-9)
         right = np.stack([-way[:, 1], way[:, 0]], axis=1)
         bow = _bows(chords, circles, chord[on, at])
-        blocks = covariance[on, view].reshape(-1, 2, 2, 2, 2)
-        more = (bow**2)[:, None, None] * right[:, :, None] * right[:, None]
-        for end in (0, 1):
-            blocks[:, end, :, end] += more
-        spread[on, at] = blocks.reshape(-1, 4, 4)
+        own_spread = covariance[on, view]
+        add_error_of_ends(own_spread, np.repeat((bow[:, None] * right)[:, None], 2, axis=1))
+        spread[on, at] = own_spread
         lens = seen.frames[0].cameras.intrinsics[view]
         fragments[on, at] = distort_pixels(lens, parts[on, view])
     return fragments, spread
@@ -146,7 +145,7 @@ def _bows(chords: Chords, circles: Circles, row: Int[np.ndarray, "p"]) -> Float[
     if len(row) == 0:
         return np.zeros(0)
     unique, back = np.unique(row, return_inverse=True)
-    px = off_circles(Chords(*(part[unique] for part in chords)), circles).px
+    px = off_circles(take_rows(chords, unique), circles).px
     nearest = np.abs(px[..., ON_ARC]).max(axis=2).argmin(axis=0)
     px = px[nearest, np.arange(len(unique))]
     return np.abs(px[:, MIDDLE] - px[:, ON_ARC].mean(axis=1))[back]
@@ -200,13 +199,11 @@ def answer_of(
     empty = RimPieces(
         np.zeros((0, views), np.int64), np.zeros((0, 2, 3)), np.zeros((0, 6, 6)), np.zeros(0)
     )
-    pieces = RimPieces(*map(np.concatenate, zip(empty, *parts, strict=True)))
+    pieces = concatenate_rows([empty, *parts])
     rim = np.full(len(chords.view), -1)
     for number, each in enumerate(found):
         rim[each.own] = number
-    circles = Circles(
-        *map(np.concatenate, zip(_NO_CIRCLES, *(r.circle for r in found), strict=True))
-    )
+    circles = concatenate_rows([_NO_CIRCLES, *(each.circle for each in found)])
     tracks = tracks_beside_rims(matches, chords, circles, rim, mm_per_px, tuning)
     own = np.flatnonzero(rim >= 0)
     own = own[np.lexsort((chords.segment[own], chords.view[own], rim[own]))]
@@ -250,10 +247,7 @@ def _pieces(
     slope[..., 5] = out
     slope = slope.reshape(-1, 6, 6)
     covariance = slope @ rim.covariance @ slope.mT
-    along = (_END_PX * mm_per_px) * cross_3d(circle.normal, out)
-    for end in (0, 1):
-        part = slice(3 * end, 3 * end + 3)
-        covariance[:, part, part] += along[:, end, :, None] * along[:, end, None]
+    add_error_of_ends(covariance, (_END_PX * mm_per_px) * cross_3d(circle.normal, out))
     chord = np.where(found.chord >= 0, rim.own[np.maximum(found.chord, 0)], -1)
     posterior = np.full(len(chord), tuning.posterior_of_two if rim.of_two else tuning.posterior)
     return RimPieces(chord, ends, covariance, posterior)
