@@ -201,7 +201,7 @@ MUTATIONS: list[Mutation] = [
         ("right * shares + (1 - right) * widest", "right * widest + (1 - right) * shares"),
     ),
     *_of(
-        "match/selection match/test_match_segments.py",
+        "match/selection",
         "match/selection/marginals",
         ("scale = np.sqrt(typical / (2 * np.log(2)))", "scale = np.sqrt(typical)"),
     ),

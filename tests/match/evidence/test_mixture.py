@@ -13,6 +13,7 @@ from trinoc.match.evidence import (
     probability,
     volume_of,
 )
+from trinoc.match.evidence.mixture import Volume, log_place
 from trinoc.match.tuning import DEFAULT
 
 PRIOR_SHARES = np.array(DEFAULT.ends.prior_shares)
@@ -157,3 +158,15 @@ def test_log_odds_multiply_independent_evidence(made: Made) -> None:
     )
     np.testing.assert_allclose(again - plain, np.log(2), atol=1e-9)
     np.testing.assert_allclose(probability(plain) + probability(-plain), 1.0)
+
+
+def test_places_are_uniform_in_the_box_and_gaussian_outside():
+    volume = Volume(np.zeros(3), np.eye(3), np.log(1000.0))
+    corner = DEFAULT.evidence.box_corner_sigmas
+    reach = np.array([0.5, 0.9 * corner, np.sqrt(corner**2 + 2), np.sqrt(corner**2 + 6)])
+    ends = np.zeros((4, 2, 3))
+    ends[:, 0, 0] = reach
+    inside, edge, near, far = log_place(ends, volume)
+    assert np.exp(inside) == pytest.approx(1 / 1000 / (2 * np.pi))
+    assert edge == inside
+    np.testing.assert_allclose([inside - near, inside - far], [1.0, 3.0])

@@ -1,0 +1,15 @@
+"""Levels beside segments: what is said of their density is one."""
+
+import numpy as np
+import pytest
+
+from trinoc.match.observations.side_intensity import _LEAST, _MOST, _in_image
+from trinoc.match.tuning import DEFAULT
+
+
+def test_the_density_of_both_levels_integrates_to_one():
+    tuning = DEFAULT.sides
+    middles = np.arange(_LEAST, _MOST, tuning.bin_width) + tuning.bin_width / 2
+    every = np.stack(np.meshgrid(middles, middles), axis=-1).reshape(-1, 2)
+    density = _in_image(every, tuning)
+    assert density[:, 2].sum() * tuning.bin_width**2 == pytest.approx(1.0, rel=0.02)

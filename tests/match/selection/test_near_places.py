@@ -1,0 +1,21 @@
+"""Ends that meet, and the noise that selected triples show."""
+
+import numpy as np
+import pytest
+
+from trinoc.match.selection.junction_support import _near_in_frames
+from trinoc.match.selection.marginals import residual_scale
+
+
+def test_places_within_the_reach_are_those_that_a_full_table_of_distances_has():
+    random = np.random.default_rng(0)
+    places, frame = random.uniform(0, 6, size=(200, 3)), random.integers(0, 2, size=200)
+    distance = np.linalg.norm(places[:, None] - places, axis=2)
+    near = (distance <= 1) & (frame[:, None] == frame)
+    found = {frozenset(pair) for pair in _near_in_frames(places, frame).tolist()}
+    assert found == {frozenset(pair) for pair in np.argwhere(np.triu(near, 1)).tolist()}
+
+
+def test_without_triples_segments_err_as_they_state():
+    np.testing.assert_allclose(residual_scale([], frames=3), 1.0, atol=0.03)
+    assert residual_scale([]) == pytest.approx(1.0, abs=0.03)
