@@ -7,7 +7,7 @@ Table 1, drawn by `trinoc.synth` from fixed seeds; a file that stands there is l
 lists every other data set that a benchmark looks for under DIR, with the benchmark, and whether
 it is there. Takes a few seconds. Afterwards set TRINOC_DATA=DIR.
 
-The scenes are of the kinds and sizes that docs/matching-measured.md reports on, drawn from other
+The scenes are of the kinds and sizes that docs/measurements.md reports on, drawn from other
 seeds: the figures of other matchers quoted there belong to the original files.
 """
 
