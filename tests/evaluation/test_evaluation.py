@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from trinoc.errors import InputError
 from trinoc.evaluation import EvaluationStatus, KnownShape, evaluate
-from trinoc.evaluation.alignment import align
+from trinoc.evaluation.alignment import RigidMotion, align
 from trinoc.evaluation.lines_of_rig import certain_lines
 from trinoc.evaluation.lines_on_edges import offsets_across
 from trinoc.evaluation.normalised_errors import normalised_errors
@@ -301,3 +301,18 @@ def test_faces_hide_edges_from_the_cameras(monkeypatch):
     again = KnownShape.of_edges(EDGES, BOX.triangles_mm).seen_by(rig)
     np.testing.assert_array_equal(again.wanted_edge, solid.wanted_edge)
     np.testing.assert_array_equal(again.wanted_extent, solid.wanted_extent)
+
+
+def test_a_motion_carries_covariance_and_derivatives_as_it_carries_points() -> None:
+    generator = np.random.default_rng(5)
+    motion = RigidMotion(*moved(generator), 6)
+    root, by = generator.normal(size=(2, 6, 6)), generator.normal(size=(2, 6, 3))
+    lines = UncertainLines(generator.normal(size=(2, 2, 3)), root @ root.mT, by, np.eye(3))
+    carried = motion.of_lines(lines)
+    # The motion of both ends is affine: its columns are what unit steps become.
+    steps = np.concatenate([np.zeros((1, 2, 3)), np.eye(6).reshape(6, 2, 3)])
+    images = motion.of_points(steps).reshape(7, 6)
+    linear = (images[1:] - images[0]).T
+    expected = np.array([linear @ own @ linear.T for own in lines.own_covariance_mm2])
+    np.testing.assert_allclose(carried.own_covariance_mm2, expected)
+    np.testing.assert_allclose(carried.by_parameters, np.array([linear @ each for each in by]))

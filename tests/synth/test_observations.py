@@ -88,3 +88,14 @@ def test_observations_repeat_by_seed():
     assert len(first["left"]) != len(other["left"]) or not np.array_equal(
         first["left"].endpoints_px, other["left"].endpoints_px
     )
+
+
+def test_segments_state_the_sigma_that_they_were_drawn_with() -> None:
+    found, _ = simulate_segments(SCENE, RIG, Detector(end_sigma_px=0.7), seed=2)
+    for segments in found.values():
+        ends = np.asarray(segments.endpoints_px)
+        way = ends[:, 1] - ends[:, 0]
+        normal = np.stack([-way[:, 1], way[:, 0]], axis=1) / np.linalg.norm(way, axis=1)[:, None]
+        blocks = np.asarray(segments.covariance_px2).reshape(-1, 2, 2, 2, 2)
+        across = np.einsum("ni,neiej,nj->ne", normal, blocks, normal)
+        np.testing.assert_allclose(across, 0.7**2, rtol=1e-6)

@@ -5,7 +5,9 @@ import pytest
 from hypothesis import given, strategies as st
 from scipy import stats
 
-from trinoc.calib.rig_check.comparison import sigmas_of_chi_square
+from trinoc.calib.rig_check.comparison import compare_rigs, sigmas_of_chi_square
+from trinoc.geometry import Camera, Rig
+from trinoc.synth import table1_rig
 
 
 @given(st.floats(0.0, 37.0))
@@ -25,3 +27,21 @@ def test_a_change_too_improbable_for_a_number_still_grows(freedom: int) -> None:
     each = [sigmas_of_chi_square(x, freedom) for x in np.linspace(1000.0, 4000.0, 200)]
     assert np.all(np.diff(each) > 0)
     assert each[-1] == pytest.approx(np.sqrt(4000.0))
+
+
+def test_a_change_is_measured_by_the_variances_of_both_rigs() -> None:
+    _, camera = next(iter(table1_rig().items()))
+    turned = Camera.from_degrees(
+        camera.intrinsics,
+        pan_deg=camera.pan_deg + 0.2,
+        tilt_deg=camera.tilt_deg,
+        swing_deg=camera.swing_deg,
+        distance_mm=camera.distance_mm,
+        aim_mm=camera.aim_mm,
+    )
+    now, before = (
+        Rig({"a": each}, parameters=("a.pan_deg",), covariance=np.array([[sigma**2]]))
+        for each, sigma in ((turned, 0.03), (camera, 0.04))
+    )
+    assert compare_rigs(now, before).cameras["a"].sigmas == pytest.approx(0.2 / 0.05, rel=1e-6)
+    assert compare_rigs(before, now).cameras["a"].sigmas == pytest.approx(0.2 / 0.05, rel=1e-6)

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from trinoc.match.wire_frame.adjustment import Graph, adjust_vertices, line_axes
+from trinoc.match.line_map import Corners, JoinedLines
+from trinoc.match.wire_frame.adjustment import Graph, adjust_vertices, graph_of, line_axes
 from trinoc.match.wire_frame.faces import fit_plane
 
 # A corner of three edges and one more edge that closes a triangle; one line stands alone.
@@ -104,3 +105,19 @@ def test_a_plane_is_that_of_generalised_least_squares() -> None:
     # The normal is (-a, -b, 1) up to its length, which is 1 to second order.
     np.testing.assert_allclose(face.covariance[:2, :2], spread[:2, :2], rtol=0.01)
     np.testing.assert_allclose(face.covariance[3, 3], spread[2, 2], rtol=0.01)
+
+
+def test_where_a_line_stops_is_known_by_its_own_variance_and_the_detectors() -> None:
+    lines = np.array([[[0.0, 0.0, 0.0], [0.0, 20.0, 0.0]]])
+    # Along the line, Y: 0.09 mm^2 and 0.25 mm^2; and 3 px at 2 px per mm.
+    covariance = np.diag([7.0, 0.09, 7.0, 7.0, 0.25, 7.0])[None]
+    one, none = np.ones(1), np.zeros(0, dtype=np.int64)
+    joined = JoinedLines(
+        lines, covariance, one, np.ones(1, int), np.zeros(1, int), np.zeros((1, 2)), 2 * one, one
+    )
+    corners = Corners(
+        *(np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(0), none),
+        *(none, none, none, lines, covariance),
+    )
+    graph = graph_of(joined, corners, 3.0)
+    np.testing.assert_allclose(graph.along_mm, np.sqrt([[0.09 + 1.5**2, 0.25 + 1.5**2]]))
