@@ -90,6 +90,17 @@ def test_links_and_pictures_lead_somewhere() -> None:
     assert wrong == []
 
 
+def test_files_of_the_code_that_pages_name_are_there() -> None:
+    files = [path.as_posix() for path in ROOT.rglob("*.py")]
+    wrong = [
+        f"{page.name}: {name}"
+        for page in PAGES
+        for name in re.findall(r"`([\w/]+\.py)`", page.read_text(encoding="utf-8"))
+        if not any(file.endswith(f"/{name}") for file in files)
+    ]
+    assert wrong == []
+
+
 def test_every_page_is_in_the_table_of_contents() -> None:
     listed = re.findall(r"(\S+\.md)$", (ROOT / "mkdocs.yml").read_text(encoding="utf-8"), re.M)
     assert sorted(listed) == sorted(page.name for page in (ROOT / "docs").glob("*.md"))
