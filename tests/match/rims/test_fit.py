@@ -5,7 +5,17 @@ import pytest
 
 from tests.match.made import rig_of
 from trinoc.geometry import project_by_matrix
-from trinoc.match.bodies.circles import GAUSS, Chords, Circles, fit_circle, move_circle, points_at
+from trinoc.match.bodies.circles import (
+    GAUSS,
+    Chords,
+    Circles,
+    fit_circle,
+    move_circle,
+    off_circles,
+    points_at,
+)
+from trinoc.match.bodies.rim_answer import FittedRim, _pieces, _public, arcs_of
+from trinoc.match.tuning import DEFAULT
 from trinoc.numerics import axes_across
 
 NORMAL = np.array([[0.1, -0.2, 0.97]])
@@ -106,3 +116,54 @@ def test_chords_of_one_place_leave_the_circle_open() -> None:
     exact = chords_round(CIRCLE, ("upper",))
     one = Chords(*(column[[0, 0]] for column in exact))
     assert np.isnan(fit_circle(one, CIRCLE).covariance).all()
+
+
+def fitted() -> tuple[Chords, FittedRim]:
+    """A rim whose parameters err by numbers of their own, all with something in common."""
+    chords, root = chords_round(CIRCLE), np.random.default_rng(1).normal(size=(6, 6))
+    scale = np.array([0.1, 0.2, 0.3, 0.01, 0.02, 0.15])
+    around = off_circles(chords, CIRCLE, with_ends=True).around_mm[0]
+    return chords, FittedRim(
+        CIRCLE,
+        (root @ root.T) * scale[:, None] * scale,
+        np.arange(len(chords.view)),
+        arcs_of(around, CIRCLE),
+        1.0,
+        1.0,
+        of_two=False,
+    )
+
+
+def test_a_rim_s_covariance_is_that_of_its_centre_normal_and_radius() -> None:
+    _, rim = fitted()
+    slope = np.zeros((7, 6))
+    for k, step in enumerate(1e-6 * np.eye(6)):
+        moved = move_circle(CIRCLE, np.stack([step, -step]))
+        change = [column[0] - column[1] for column in moved]
+        slope[:, k] = np.hstack(change) / 2e-6
+    np.testing.assert_allclose(_public(rim), slope @ rim.covariance @ slope.T, rtol=1e-5, atol=1e-9)
+
+
+def test_pieces_move_out_and_up_as_their_circle_does() -> None:
+    chords, rim = fitted()
+    # Pixels so small that where detectors cut an arc says all along it.
+    pieces = _pieces(rim, chords, 3, 1e-9, DEFAULT.rims)
+    assert len(pieces.lines_mm) > 10
+    normal, centre = CIRCLE.normal[0], CIRCLE.centre_mm[0]
+    for ends, covariance in zip(pieces.lines_mm, pieces.covariance_mm2, strict=True):
+        out = (ends - centre) / CIRCLE.radius_mm
+        slope = np.zeros((4, 6))
+        for k, step in enumerate(1e-6 * np.eye(6)):
+            for sign in (1, -1):
+                moved = move_circle(CIRCLE, sign * step[None])
+                off = ends - moved.centre_mm[0]
+                height = off @ moved.normal[0]
+                beyond = np.linalg.norm(off - height[:, None] * moved.normal[0], axis=1)
+                change = np.concatenate([moved.radius_mm[0] - beyond, -height])
+                slope[:, k] += sign * change / 2e-6
+        ways = np.zeros((4, 6))
+        for end in (0, 1):
+            ways[end, 3 * end : 3 * end + 3] = out[end]
+            ways[2 + end, 3 * end : 3 * end + 3] = normal
+        expected = slope @ rim.covariance @ slope.T
+        np.testing.assert_allclose(ways @ covariance @ ways.T, expected, rtol=1e-4, atol=1e-6)
