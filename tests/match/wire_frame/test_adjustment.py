@@ -3,8 +3,16 @@
 import numpy as np
 
 from trinoc.match.line_map import Corners, JoinedLines
-from trinoc.match.wire_frame.adjustment import Graph, adjust_vertices, graph_of, line_axes
-from trinoc.match.wire_frame.faces import fit_plane
+from trinoc.match.tuning import DEFAULT
+from trinoc.match.wire_frame.adjustment import (
+    Adjusted,
+    Graph,
+    adjust_vertices,
+    graph_of,
+    line_axes,
+)
+from trinoc.match.wire_frame.faces import _in_plane, fit_plane
+from trinoc.numerics import chi_square_limit
 
 # A corner of three edges and one more edge that closes a triangle; one line stands alone.
 VERTICES = np.array(
@@ -121,3 +129,26 @@ def test_where_a_line_stops_is_known_by_its_own_variance_and_the_detectors() -> 
     )
     graph = graph_of(joined, corners, 3.0)
     np.testing.assert_allclose(graph.along_mm, np.sqrt([[0.09 + 1.5**2, 0.25 + 1.5**2]]))
+
+
+def test_vertices_beside_a_plane_are_in_it_as_far_as_all_four_err() -> None:
+    """Three corners of a square and its middle, which is a mean of two of them."""
+    tuning, sigma_mm = DEFAULT.wireframe, 0.1
+    places = np.array([[0.0, 0, 0], [10, 0, 0], [0, 10, 0], [5, 5, 0]])
+    # Of the middle less the mean of the second and the third.
+    of_offset = sigma_mm * np.sqrt(1 + 0.25 + 0.25)
+    limit = np.sqrt(chi_square_limit(tuning.plane_significance, 1)) * of_offset
+    for share, inside in ((0.95, True), (1.05, False)):
+        points = places.copy()
+        points[3, 2] = share * limit
+        answer = Adjusted(
+            points,
+            np.zeros(4, dtype=np.int64),
+            (sigma_mm**2 * np.eye(12),),
+            np.zeros((0, 3, 3)),
+            np.zeros((0, 2, 3)),
+            np.zeros((0, 2, 3, 2, 3)),
+        )
+        near = _in_plane(answer, np.arange(3), tuning)
+        assert near is not None
+        assert near.tolist() == [True, True, True, inside]
