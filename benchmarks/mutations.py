@@ -24,7 +24,7 @@ from typing import NamedTuple
 HERE = Path(__file__).resolve().parent
 CHECKOUT = HERE.parent
 LIMIT_S = 600
-COPIED = ("trinoc", "tests", "docs", "patterns", "pyproject.toml", "README.md")
+COPIED = ("trinoc", "tests", "benchmarks", "docs", "patterns", "pyproject.toml", "README.md")
 
 
 class Mutation(NamedTuple):
