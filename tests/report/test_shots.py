@@ -12,11 +12,12 @@ from trinoc.calib.advice.halves import CrossValidation, HalvesCheck
 from trinoc.calib.problem.views import View
 from trinoc.geometry import Rig
 from trinoc.report import write_report
+from trinoc.report.checks import Level, Subject
 from trinoc.report.coverage import Coverage, coverage_by_boards, mean_residuals, places_seen
 from trinoc.report.field_part import halves_maps, uncertainty_maps
 from trinoc.report.html import render_report
 from trinoc.report.shots_part import shot_table
-from trinoc.report.verdict import Level, Subject, Verdict, verdict_of
+from trinoc.report.verdict import Verdict, verdict_of
 
 from .conftest import made_up_rig
 from .test_html import Page

@@ -10,11 +10,12 @@ import pytest
 from trinoc.calib import CalibrationResult, Status, point_covariance
 from trinoc.geometry import Rig
 from trinoc.match import Matches
+from trinoc.report.checks import Level, Subject
 from trinoc.report.coverage import Coverage, coverage_by_circles
 from trinoc.report.field_part import FieldPart, field_part
 from trinoc.report.pictures import PagePicture, Window
 from trinoc.report.segments_figures import HEIGHT, LETTER, place_labels
-from trinoc.report.verdict import CHECKS, Level, Subject, Verdict, verdict_of
+from trinoc.report.verdict import CHECKS, Verdict, verdict_of
 
 
 @pytest.fixture(scope="module")

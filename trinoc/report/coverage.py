@@ -128,23 +128,28 @@ def mean_residuals(seen: dict[str, Seen]) -> tuple[tuple[MeanResiduals, ...], Ar
     arrows = Arrows.reaching(
         [
             (
-                float(np.linalg.norm(mean, axis=1).max()),
+                float(np.linalg.norm(of.mean_px, axis=1).max()),
                 _REACH * seen[name].picture.width_px / PARTS,
             )
-            for name, (_, mean, _, _) in averages.items()
-            if len(mean)
+            for name, of in averages.items()
+            if len(of.mean_px)
         ]
     )
     return tuple(
-        _mean_residuals(name, own.picture, *averages[name], arrows) for name, own in seen.items()
+        _mean_residuals(name, own.picture, averages[name], arrows) for name, own in seen.items()
     ), arrows
 
 
-_Averages = tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2"], Int[np.ndarray, "n"], float]
+class _Averages(NamedTuple):
+    """Middles, means and counts of the parts with places enough; `over_chance` of all."""
+
+    middle_px: Float[np.ndarray, "n 2"]
+    mean_px: Float[np.ndarray, "n 2"]
+    count: Int[np.ndarray, "n"]
+    over_chance: float
 
 
 def _averages(seen: Seen) -> _Averages:
-    """Middles, means and counts of the parts with places enough, and how far beyond chance."""
     part = np.array([seen.picture.width_px, seen.picture.height_px]) / PARTS
     column, row = np.clip(((seen.places_px + 0.5) // part).astype(int), 0, PARTS - 1).T
     key = row * PARTS + column
@@ -157,19 +162,14 @@ def _averages(seen: Seen) -> _Averages:
     within = (scatter**2).sum() / max(2 * (count[said] - 1).sum(), 1)
     between = (count[:, None] * mean**2)[said]
     over_chance = float(np.sqrt(between.mean() / within)) if within > 0 else float("nan")
-    return (grid[said] + 0.5) * part - 0.5, mean[said], count[said], over_chance
+    return _Averages((grid[said] + 0.5) * part - 0.5, mean[said], count[said], over_chance)
 
 
 def _mean_residuals(
-    name: str,
-    picture: PagePicture,
-    middle_px: Float[np.ndarray, "n 2"],
-    mean_px: Float[np.ndarray, "n 2"],
-    count: Int[np.ndarray, "n"],
-    over_chance: float,
-    arrows: Arrows,
+    name: str, picture: PagePicture, of: _Averages, arrows: Arrows
 ) -> MeanResiduals:
-    rms = float(np.sqrt(np.mean(np.sum(mean_px**2, axis=1)))) if len(mean_px) else float("nan")
+    lengths = np.linalg.norm(of.mean_px, axis=1)
+    rms = float(np.sqrt(np.mean(lengths**2))) if len(lengths) else float("nan")
     return MeanResiduals(
         name,
         picture,
@@ -180,10 +180,10 @@ def _mean_residuals(
                 arrows.tip((u, v), (du, dv)),
                 f"mean residual ({signed(du, 4)}, {signed(dv, 4)}) px of {n:.0f} places",
             )
-            for (u, v), (du, dv), n in zip(middle_px, mean_px, count, strict=True)
+            for (u, v), (du, dv), n in zip(*of[:3], strict=True)
         ),
         rms,
-        over_chance,
-        f"{with_decimals(rms, 3)} px rms, {with_decimals(over_chance, 1)} times what chance would "
-        "leave",
+        of.over_chance,
+        f"{with_decimals(rms, 3)} px rms, {with_decimals(of.over_chance, 1)} times what chance "
+        "would leave",
     )

@@ -13,6 +13,7 @@ from trinoc.geometry import Feature, Rig, Segments
 from trinoc.io import write_text
 from trinoc.match import Matches
 from trinoc.report.calibration_part import cameras_part, cameras_part_of_shots, sheet_part
+from trinoc.report.checks import Subject
 from trinoc.report.coverage import (
     coverage_by_boards,
     coverage_by_circles,
@@ -32,7 +33,7 @@ from trinoc.report.pictures import PagePicture, page_pictures
 from trinoc.report.plan_part import plans_of
 from trinoc.report.shots_part import boards_in_space, shot_table
 from trinoc.report.space_part import SpaceFigure, space_figure
-from trinoc.report.verdict import Subject, verdict_of
+from trinoc.report.verdict import verdict_of
 
 
 class Part(NamedTuple):

@@ -132,7 +132,6 @@ _CODES = {
     "bilinear": cv2.COLOR_BayerRGGB2RGB,
     "edge-aware": cv2.COLOR_BayerRGGB2RGB_EA,
 }
-_FULL = 65535.0
 
 
 def demosaiced(
