@@ -17,9 +17,10 @@ from matching_rendered import GREY_STEP, TOLERANCE_MM, _place, _samples
 from shared_scenes import VIEWS
 
 import trinoc
-from trinoc.evaluation import score_lengths
-from trinoc.io import load_rig
-from trinoc.match import Matches, improve
+from trinoc.evaluation.scoring import score_lengths
+from trinoc.io.rig_json import load_rig
+from trinoc.match import improve
+from trinoc.match.tracks.matches import Matches
 
 WAYS = {
     "matched": (),

@@ -26,19 +26,23 @@ from scipy.optimize import least_squares
 from trinoc.calib import (
     CalibrationResult,
     Detection,
-    Pattern,
-    Systematics,
     calibrate_detections,
     detect_pattern,
 )
 from trinoc.calib.adjustment.each_camera import fit_camera
 from trinoc.calib.from_detections import Search, calibration_of_search
-from trinoc.calib.photometric import refine_image, refine_views
+from trinoc.calib.photometric.image_fit import refine_image
+from trinoc.calib.photometric.views import refine_views
 from trinoc.calib.result.degrees import pose_of_values
 from trinoc.calib.rig_fit import Knowledge
+from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.errors import DetectionError
-from trinoc.geometry import Camera, PoseModel, image_of_circle_centre
-from trinoc.synth import render_sheet, table1_lens
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.image_of_circle import image_of_circle_centre
+from trinoc.geometry.pose import PoseModel
+from trinoc.synth import table1_lens
+from trinoc.synth.camera_picture.render import render_sheet
 
 LENS, NOISE = table1_lens(), 2.0
 TABLE_1 = np.array(

@@ -15,16 +15,16 @@ import numpy as np
 from match_scores import score_matches
 from matching_truth import _outcomes
 
-from trinoc.match import MatchTuning, match_segments
+from trinoc.match import MatchTuning
+from trinoc.match.matcher import match_segments
 from trinoc.synth import (
     Detector,
-    Scene,
     block_scene,
     loose_segments,
-    see_through_boxes,
     simulate_segments,
     table1_rig,
 )
+from trinoc.synth.scenes import Scene, see_through_boxes
 from trinoc.synth.solids import box
 
 SEED, UNSAID = 60_000, 0.05

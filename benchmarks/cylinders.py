@@ -21,10 +21,12 @@ from scipy.stats import chi2
 from shared_scenes import VIEWS
 
 import trinoc
-from trinoc.geometry import Rig, Segments
-from trinoc.io import load_rig
-from trinoc.match import Cylinders, Matches, find_cylinders
-from trinoc.numerics import axes_across
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.segments import Segments
+from trinoc.io.rig_json import load_rig
+from trinoc.match import Cylinders, find_cylinders
+from trinoc.match.tracks.matches import Matches
+from trinoc.numerics.vectors import axes_across
 from trinoc.synth import Detector, block_scene, simulate_segments, table1_rig
 from trinoc.synth.solids import Cylinder
 

@@ -21,7 +21,8 @@ from detection_scenes import CONDITIONS, Scene
 
 from trinoc.calib import detect_pattern
 from trinoc.errors import DetectionError
-from trinoc.geometry import Camera, image_of_circle_centre
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.image_of_circle import image_of_circle_centre
 
 
 class Outcome(NamedTuple):

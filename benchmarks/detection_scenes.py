@@ -6,18 +6,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from trinoc.calib import Pattern
-from trinoc.geometry import Camera, Intrinsics
-from trinoc.synth import render_sheet, table1_lens
-from trinoc.synth.camera_picture import (
-    Capsule,
-    Disc,
-    Light,
-    Paint,
-    Shadow,
-    card,
-    finger,
-)
+from trinoc.calib.targets.pattern import Pattern
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.synth import table1_lens
+from trinoc.synth.camera_picture.layers import Paint, card, finger
+from trinoc.synth.camera_picture.light import Light, Shadow
+from trinoc.synth.camera_picture.render import render_sheet
+from trinoc.synth.camera_picture.shapes import Capsule, Disc
 
 # Enough for labels; the renderer's own error is then about that of the centres, so that errors
 # over sigma are twice too large. At 16 they are right, and pictures take eight times as long.

@@ -3,8 +3,9 @@
 import cv2
 import numpy as np
 
-from trinoc.geometry import Camera
-from trinoc.synth import Scene, SeenParts
+from trinoc.geometry.camera import Camera
+from trinoc.synth.scenes import Scene
+from trinoc.synth.truth import SeenParts
 
 # Across an edge the grey levels are taken this far to both sides, in pixels of the picture.
 SIDE_PX = 1.0

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from scipy.special import ndtr
 
-from trinoc.image import ResponseLike
+from trinoc.image.response import ResponseLike
 from trinoc.segments import find_segments
 from trinoc.synth.camera_picture.delivery import SRGB
 

@@ -45,7 +45,7 @@ def make_inputs(folder: Path) -> None:
     import trinoc
     from trinoc.io import demo_images, demo_pattern
     from trinoc.synth import Detector, loose_segments, simulate_segments, table1_lens, table1_rig
-    from trinoc.synth.camera_picture import camera_picture
+    from trinoc.synth.camera_picture.render import camera_picture
 
     trinoc.io.enable_compile_cache()
     condition = CONDITIONS["vignette and broad glare"]

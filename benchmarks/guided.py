@@ -23,13 +23,15 @@ from matching_rendered import GREY_STEP, TOLERANCE_MM, Place, _place, _samples
 
 import trinoc
 import trinoc.synth
-from trinoc.evaluation import score_lengths
 from trinoc.evaluation.distances import distance_to_segments_mm, sampled_segments
-from trinoc.geometry import Rig, Segments
-from trinoc.io import load_rig
-from trinoc.match import Matches
+from trinoc.evaluation.scoring import score_lengths
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.segments import Segments
+from trinoc.io.rig_json import load_rig
 from trinoc.match.pixels import guide
-from trinoc.synth import SceneTruth, shown_parts_mm, table1_rig
+from trinoc.match.tracks.matches import Matches
+from trinoc.synth import table1_rig
+from trinoc.synth.truth import SceneTruth, shown_parts_mm
 
 Outcome = tuple[float, bool, bool]
 

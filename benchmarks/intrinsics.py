@@ -17,9 +17,15 @@ from typing import Any
 import cv2
 import numpy as np
 
-from trinoc.calib import Detection, Pattern, calibrate_intrinsics, detect_pattern
-from trinoc.geometry import BrownConrady, Camera, Intrinsics, Pose, simplified
-from trinoc.synth import render_sheet
+from trinoc.calib import Detection, detect_pattern
+from trinoc.calib.lens_calibration import calibrate_intrinsics
+from trinoc.calib.targets.pattern import Pattern
+from trinoc.geometry import Pose
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.lenses.brown_conrady import BrownConrady
+from trinoc.geometry.lenses.registry import simplified
+from trinoc.synth.camera_picture.render import render_sheet
 
 SHEET = Pattern.default()
 SIZE_PX = (512, 480)

@@ -23,13 +23,18 @@ from scipy.spatial import KDTree
 from scipy.stats import chi2
 
 from trinoc.evaluation.distances import distance_to_segments_mm
-from trinoc.geometry import Rig
-from trinoc.io import load_rig, load_scene_truth
-from trinoc.match import Corners, JoinedLines, Matches, join_collinear, match_segments, snap_corners
-from trinoc.numerics import axes_across
+from trinoc.geometry.rig import Rig
+from trinoc.io import load_scene_truth
+from trinoc.io.rig_json import load_rig
+from trinoc.match import Corners, join_collinear, snap_corners
+from trinoc.match.line_map.lines import JoinedLines
+from trinoc.match.matcher import match_segments
+from trinoc.match.tracks.matches import Matches
+from trinoc.numerics.vectors import axes_across
 from trinoc.segments import find_segments
-from trinoc.synth import SegmentTruth, loose_segments, table1_rig
+from trinoc.synth import loose_segments, table1_rig
 from trinoc.synth.solids import Cylinder
+from trinoc.synth.truth import SegmentTruth
 
 KINDS = ("table", "boxes", "boxes ej5", "boxes x4", "random", "random ej5")
 SAME_LINE_MM, NEAR_MM, MOST = 0.1, 1.0, 0.8

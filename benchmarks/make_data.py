@@ -20,13 +20,12 @@ from shared_scenes import VIEWS
 
 from trinoc.synth import (
     Detector,
-    Scene,
     block_scene,
     loose_segments,
-    see_through_boxes,
     simulate_segments,
     table1_rig,
 )
+from trinoc.synth.scenes import Scene, see_through_boxes
 
 
 class Recipe(NamedTuple):

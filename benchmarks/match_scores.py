@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from trinoc.synth import NOT_SCORED, SegmentTruth
+from trinoc.synth.truth import NOT_SCORED, SegmentTruth
 
 LEAST_COMMON_SHARE = 0.2
 

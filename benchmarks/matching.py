@@ -25,29 +25,26 @@ from match_scores import MatchScore, score_groups, score_matches
 from matching_rendered import table_of_rendered
 from shared_scenes import VIEWS, load_scene
 
-from trinoc.geometry import Rig, Segments
-from trinoc.match import (
-    Matches,
-    MatchInput,
-    Selection,
-    fit_clutter,
-    match_many,
-    match_segments,
-    prepare,
-    select,
-    trinocular_candidates,
-)
-from trinoc.numerics import in_float64
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.segments import Segments
+from trinoc.match import match_many
+from trinoc.match.candidates.triples import trinocular_candidates
+from trinoc.match.matcher import match_segments
+from trinoc.match.observations.clutter import fit_clutter
+from trinoc.match.observations.match_input import MatchInput, prepare
+from trinoc.match.selection.marginals import Selection, select
+from trinoc.match.tracks.matches import Matches
+from trinoc.numerics.precision import in_float64
 from trinoc.segments import with_side_levels
 from trinoc.synth import (
     Detector,
-    SegmentTruth,
     block_scene,
     loose_segments,
-    see_through_boxes,
     simulate_segments,
     table1_rig,
 )
+from trinoc.synth.scenes import see_through_boxes
+from trinoc.synth.truth import SegmentTruth
 
 Problem = tuple[str, Rig, dict[str, Segments], SegmentTruth]
 

@@ -16,7 +16,9 @@ import jax
 import numpy as np
 from matching import FRESH_SEED
 
-from trinoc.match import Matches, match_many, match_segments
+from trinoc.match import match_many
+from trinoc.match.matcher import match_segments
+from trinoc.match.tracks.matches import Matches
 from trinoc.synth import Detector, loose_segments, simulate_segments, table1_rig
 
 

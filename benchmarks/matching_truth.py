@@ -17,19 +17,21 @@ from match_scores import score_matches
 from scipy.stats import chi2
 
 from trinoc.errors import InputError
-from trinoc.geometry import Camera, Rig, Segments
-from trinoc.match import Matches, match_segments
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.segments import Segments
+from trinoc.match.matcher import match_segments
+from trinoc.match.tracks.matches import Matches
 from trinoc.synth import (
     Detector,
-    Scene,
-    SegmentTruth,
     block_scene,
     loose_segments,
-    see_through_boxes,
     simulate_segments,
     table1_lens,
     table1_rig,
 )
+from trinoc.synth.scenes import Scene, see_through_boxes
+from trinoc.synth.truth import SegmentTruth
 
 SEED = 950_000
 ANGLES = (0, 2, 5, 10, 20, 45, 90.1)

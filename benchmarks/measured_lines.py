@@ -21,9 +21,9 @@ from scipy.stats import chi2
 
 import trinoc
 import trinoc.synth
-from trinoc.io import load_rig
-from trinoc.match import Matches
-from trinoc.numerics import axes_across
+from trinoc.io.rig_json import load_rig
+from trinoc.match.tracks.matches import Matches
+from trinoc.numerics.vectors import axes_across
 from trinoc.synth import table1_rig
 
 SAMPLES_PER_PX, OFTEN = 4, 10

@@ -22,7 +22,10 @@ import cv2
 import jax
 import numpy as np
 
-from trinoc.geometry import Camera, Intrinsics, Rig, project
+from trinoc.geometry import project
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.rig import Rig
 from trinoc.io import FORMATS
 
 AGREES_PX, AGAIN_PX = 1e-9, 1e-5

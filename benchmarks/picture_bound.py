@@ -9,9 +9,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from trinoc.calib import Pattern
-from trinoc.geometry import Camera, Intrinsics
-from trinoc.synth import render_sheet
+from trinoc.calib.targets.pattern import Pattern
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.synth.camera_picture.render import render_sheet
 
 # Central differences of about a tenth of a pixel: the edge is nearly straight over them.
 _STEPS = np.array([0.02, 0.02, 0.04, 0.1, 0.05, 0.05])

@@ -9,33 +9,30 @@ from typing import Any, Literal, NamedTuple
 import equinox as eqx
 import numpy as np
 
-from trinoc.geometry import Camera, Intrinsics
-from trinoc.synth.camera_picture import (
-    Condition,
-    Cone,
-    Cylinder,
-    Lamp,
-    Light,
-    Mosaic,
-    Optics,
-    Paper,
-    Processing,
-    Sensor,
-    Shadow,
-    Sharpening,
-    SheetScene,
-    Surface,
-    Twisted,
-    card,
-    finger,
-)
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.synth.camera_picture.delivery import (
     SRGB,
     Bilateral,
     Gamma,
     Median,
     NonLocalMeans,
+    Processing,
     SCurve,
+    Sharpening,
+)
+from trinoc.synth.camera_picture.layers import card, finger
+from trinoc.synth.camera_picture.light import Lamp, Light, Shadow
+from trinoc.synth.camera_picture.optics import Optics
+from trinoc.synth.camera_picture.paper import Paper
+from trinoc.synth.camera_picture.render import Condition
+from trinoc.synth.camera_picture.scene import SheetScene
+from trinoc.synth.camera_picture.sensor import Mosaic, Sensor
+from trinoc.synth.camera_picture.surfaces import (
+    Cone,
+    Cylinder,
+    Surface,
+    Twisted,
 )
 
 

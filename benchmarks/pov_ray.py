@@ -13,9 +13,9 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from trinoc.calib import Pattern
-from trinoc.geometry import Camera
-from trinoc.synth import Scene
+from trinoc.calib.targets.pattern import Pattern
+from trinoc.geometry.camera import Camera
+from trinoc.synth.scenes import Scene
 from trinoc.synth.solids import Cylinder
 
 

@@ -23,9 +23,9 @@ import cv2
 import numpy as np
 
 import trinoc
-from trinoc.calib.detection import detect_pattern
+from trinoc.calib.detection.registry import detect_pattern
 from trinoc.errors import CalibrationError, DetectionError
-from trinoc.numerics import in_float64
+from trinoc.numerics.precision import in_float64
 
 CAMERAS = ("left", "right")
 PITCH_MM = 30.0

@@ -27,7 +27,7 @@ import numpy as np
 from real_rig import CAMERAS, measured_radius_mm, pictures, plate
 
 import trinoc
-from trinoc.geometry import Rig
+from trinoc.geometry.rig import Rig
 from trinoc.match import Rims
 
 AMBIGUOUS = "rims of two views that fit another as well"

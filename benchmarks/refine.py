@@ -21,8 +21,11 @@ from refine_rigs import (
     rig_at,
 )
 
-from trinoc.calib import refine
-from trinoc.geometry import LineObservations, PoseModel, Rig, covariance_of_ends
+from trinoc.calib.bundle.refinement import refine
+from trinoc.geometry import LineObservations
+from trinoc.geometry.pose import PoseModel
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.segments import covariance_of_ends
 
 CHI_SQUARE_6_AT_95 = 12.592
 
@@ -62,7 +65,7 @@ def made_lines(
 def started_from(rig: Rig, lines: LineObservations) -> LineObservations:
     """The same fragments, with lines triangulated by a (disturbed) rig."""
     from trinoc.geometry import triangulate_segment
-    from trinoc.numerics import in_float64
+    from trinoc.numerics.precision import in_float64
 
     solve = jax.jit(jax.vmap(triangulate_segment, (None, 0, 0, 0)))
     found = in_float64(solve)(rig.matrices_px, lines.fragments_px, lines.covariance_px2, lines.seen)

@@ -19,10 +19,14 @@ import numpy as np
 from refine_rigs import knocked, relative_error
 from shared_scenes import VIEWS
 
-from trinoc.calib import RefineStatus, refine
-from trinoc.geometry import LineObservations, Rig, Segments, triangulate_segment
-from trinoc.match import match_segments
-from trinoc.numerics import in_float64, take_rows
+from trinoc.calib.bundle.refinement import refine
+from trinoc.calib.bundle.result import RefineStatus
+from trinoc.geometry import LineObservations, triangulate_segment
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.segments import Segments
+from trinoc.match.matcher import match_segments
+from trinoc.numerics.precision import in_float64
+from trinoc.numerics.tables import take_rows
 
 PAPERS_BASELINE_MM = 300.0
 TOLERANT_SIGMA_PX = 4.0  # as the command takes it

@@ -3,7 +3,9 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from trinoc.geometry import Camera, Pose, Rig
+from trinoc.geometry import Pose
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.rig import Rig
 from trinoc.synth import table1_rig
 
 PARAMETERS = ("pan_deg", "tilt_deg", "swing_deg", "distance_mm")

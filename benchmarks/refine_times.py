@@ -21,8 +21,9 @@ from scipy.optimize import least_squares
 from scipy.sparse import lil_matrix
 from scipy.spatial.transform import Rotation
 
-from trinoc.calib import refine
-from trinoc.geometry import LineObservations, Rig
+from trinoc.calib.bundle.refinement import refine
+from trinoc.geometry import LineObservations
+from trinoc.geometry.rig import Rig
 
 
 class Stopped(Exception):

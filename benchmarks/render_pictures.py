@@ -47,14 +47,21 @@ import numpy as np
 from edge_contrast import seen_parts
 from pov_ray import Light, blocks_text, render, sheet_text
 
-from trinoc.calib import Pattern
-from trinoc.geometry import Camera, Rig
-from trinoc.io import save_pattern, save_scene_truth
+from trinoc.calib.targets.pattern import Pattern
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.rig import Rig
+from trinoc.io import save_scene_truth
+from trinoc.io.pattern_json import save_pattern
 from trinoc.io.rig_json import save_rig
-from trinoc.synth import Scene, SceneTruth, block_scene, demo_scene, table1_rig
-from trinoc.synth.camera_picture import Condition, Paper, Sensor, SheetScene, camera_picture
+from trinoc.synth import block_scene, table1_rig
 from trinoc.synth.camera_picture.delivery import quantised
+from trinoc.synth.camera_picture.paper import Paper
+from trinoc.synth.camera_picture.render import Condition, camera_picture
+from trinoc.synth.camera_picture.scene import SheetScene
+from trinoc.synth.camera_picture.sensor import Sensor
+from trinoc.synth.scenes import Scene, demo_scene
 from trinoc.synth.solids import Cylinder
+from trinoc.synth.truth import SceneTruth
 
 DEMO = Path(__file__).parent.parent / "trinoc" / "synth" / "demo"
 SHEET_MM = (210.0, 200.0)

@@ -19,9 +19,13 @@ import jax
 import numpy as np
 from rigs_from_shots import LENSES, SIZE_PX, points, rms, rotation, seen
 
-from trinoc.calib import BoardSet, Chessboard, Detection, RigFromShots, Systematics, calibrate_rig
+from trinoc.calib import BoardSet, Detection, RigFromShots
+from trinoc.calib.rig_calibration import calibrate_rig
 from trinoc.calib.starts.connected import solve_hand_eye
-from trinoc.geometry import BrownConrady, Pose
+from trinoc.calib.targets.checkers import Chessboard
+from trinoc.calib.uncertainty.systematics import Systematics
+from trinoc.geometry import Pose
+from trinoc.geometry.lenses.brown_conrady import BrownConrady
 
 SIGMA_PX = 0.1
 CAMERAS = ("left", "right")

@@ -39,28 +39,23 @@ from rigs_from_shots import (
     rotation,
 )
 
-from trinoc.calib import (
-    AprilGrid,
-    Charuco,
-    Chessboard,
-    Pattern,
-    Systematics,
-    calibrate_rig,
-    detect_target,
-    square_sheet,
-)
+from trinoc.calib import detect_target
+from trinoc.calib.rig_calibration import calibrate_rig
+from trinoc.calib.targets.april_grid import AprilGrid
+from trinoc.calib.targets.checkers import Charuco, Chessboard
+from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.targets.squares import square_sheet
+from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.errors import CalibrationError, DetectionError
-from trinoc.geometry import (
-    AbstractLens,
-    BrownConrady,
-    Camera,
-    Intrinsics,
-    KannalaBrandt,
-    Pose,
-    rotation_from_vector,
-)
-from trinoc.synth import Cells, render_sheet
-from trinoc.synth.camera_picture import Paint
+from trinoc.geometry import AbstractLens, Pose
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.lenses.brown_conrady import BrownConrady
+from trinoc.geometry.lenses.kannala_brandt import KannalaBrandt
+from trinoc.geometry.rotation import rotation_from_vector
+from trinoc.synth.camera_picture.layers import Paint
+from trinoc.synth.camera_picture.render import render_sheet
+from trinoc.synth.camera_picture.shapes import Cells
 
 BOARDS = {
     "sheet": Pattern.default(),

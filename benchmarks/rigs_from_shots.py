@@ -21,23 +21,18 @@ import cv2
 import jax
 import numpy as np
 
-from trinoc.calib import (
-    AbstractTarget,
-    Chessboard,
-    Detection,
-    Pattern,
-    Systematics,
-    calibrate_rig,
-    detect_target,
-)
+from trinoc.calib import Detection, detect_target
+from trinoc.calib.rig_calibration import calibrate_rig
+from trinoc.calib.targets.abstract_target import AbstractTarget
+from trinoc.calib.targets.checkers import Chessboard
+from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.errors import TrinocError
-from trinoc.geometry import (
-    BrownConrady,
-    Camera,
-    Intrinsics,
-    Pose,
-    image_of_circle_centre,
-)
+from trinoc.geometry import Pose
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.image_of_circle import image_of_circle_centre
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.lenses.brown_conrady import BrownConrady
 
 SIZE_PX, METRE_MM = (640, 480), 1000.0
 LENSES = {

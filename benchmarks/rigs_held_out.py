@@ -18,15 +18,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from trinoc.calib import (
-    AbstractTarget,
-    Chessboard,
-    Pattern,
-    RigFromShots,
-    Systematics,
-    calibrate_rig,
-    detect_target,
-)
+from trinoc.calib import RigFromShots, detect_target
+from trinoc.calib.rig_calibration import calibrate_rig
+from trinoc.calib.targets.abstract_target import AbstractTarget
+from trinoc.calib.targets.checkers import Chessboard
+from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.uncertainty.systematics import Systematics
 
 Lens = tuple[np.ndarray, np.ndarray]
 Seen = tuple[np.ndarray, np.ndarray]

@@ -35,8 +35,10 @@ from rigs_from_shots import (
     truth,
 )
 
-from trinoc.calib import Chessboard, Detection, calibrate_rig, detect_target
-from trinoc.geometry import BrownConrady
+from trinoc.calib import Detection, detect_target
+from trinoc.calib.rig_calibration import calibrate_rig
+from trinoc.calib.targets.checkers import Chessboard
+from trinoc.geometry.lenses.brown_conrady import BrownConrady
 
 PROGRAM = "mrcal-calibrate-cameras"
 Found = Mapping[str, Sequence[Detection | None]]

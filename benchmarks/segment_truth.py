@@ -8,7 +8,8 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from trinoc.io import load_rig, load_scene_truth
+from trinoc.io import load_scene_truth
+from trinoc.io.rig_json import load_rig
 
 # Slopes of shadows count this far from a segment.
 SHADOW_PX = 4

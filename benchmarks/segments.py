@@ -38,7 +38,7 @@ from segment_truth import (
     score,
 )
 
-from trinoc.geometry import Segments
+from trinoc.geometry.segments import Segments
 from trinoc.segments import find_segments
 from trinoc.segments.lsd import LSD_BIAS_PX
 

@@ -21,9 +21,9 @@ from segment_truth import samples_on_shadow
 from shared_scenes import VIEWS
 
 import trinoc
-from trinoc.evaluation import score_lengths
-from trinoc.io import load_rig
-from trinoc.match import Matches
+from trinoc.evaluation.scoring import score_lengths
+from trinoc.io.rig_json import load_rig
+from trinoc.match.tracks.matches import Matches
 from trinoc.synth import block_scene, table1_rig
 
 BINS = 10

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from trinoc.geometry import Rig, Segments
-from trinoc.synth import SegmentTruth
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.segments import Segments
+from trinoc.synth.truth import SegmentTruth
 
 VIEWS = ("upper", "left", "right")
 

@@ -27,8 +27,12 @@ from jaxtyping import Float
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from trinoc.calib import Chessboard, Detection, Systematics, calibrate_rig
-from trinoc.geometry import AbstractLens, BrownConrady
+from trinoc.calib import Detection
+from trinoc.calib.rig_calibration import calibrate_rig
+from trinoc.calib.targets.checkers import Chessboard
+from trinoc.calib.uncertainty.systematics import Systematics
+from trinoc.geometry import AbstractLens
+from trinoc.geometry.lenses.brown_conrady import BrownConrady
 
 SIZE_PX, SIGMA_PX = (1280, 960), 0.1
 BOARD = Chessboard(rows=9, columns=12, square_mm=25.0)

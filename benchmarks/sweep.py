@@ -17,17 +17,17 @@ from operator import attrgetter
 import numpy as np
 from match_scores import score_matches
 
-from trinoc.match import match_segments
-from trinoc.match.tuning import DEFAULT
-from trinoc.numerics import with_field
+from trinoc.match.matcher import match_segments
+from trinoc.match.tuning.every_group import DEFAULT
+from trinoc.numerics.tables import with_field
 from trinoc.synth import (
     Detector,
     block_scene,
     loose_segments,
-    see_through_boxes,
     simulate_segments,
     table1_rig,
 )
+from trinoc.synth.scenes import see_through_boxes
 
 FIRST_SEED = 130_000
 KINDS = {

@@ -21,12 +21,14 @@ from matching import VIEWS, fresh_problems
 from scipy.stats import chi2
 
 import trinoc
-from trinoc.evaluation import KnownShape
-from trinoc.geometry import Rig
-from trinoc.io import load_rig, load_scene_truth, read_image
-from trinoc.match import Matches
-from trinoc.synth import SegmentTruth, block_scene, shown_parts_of_segments_mm
+from trinoc.evaluation.known_shape import KnownShape
+from trinoc.geometry.rig import Rig
+from trinoc.io import load_scene_truth, read_image
+from trinoc.io.rig_json import load_rig
+from trinoc.match.tracks.matches import Matches
+from trinoc.synth import block_scene
 from trinoc.synth.solids import Polyhedron
+from trinoc.synth.truth import SegmentTruth, shown_parts_of_segments_mm
 
 KINDS = ("table", "boxes", "boxes ej5", "boxes x4")
 NEAR_MM, WIDE_MM = 1.0, 3.0

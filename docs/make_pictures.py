@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 
 from trinoc import Camera, Pattern
-from trinoc.synth import render_sheet, table1_lens
+from trinoc.synth import table1_lens
+from trinoc.synth.camera_picture.render import render_sheet
 
 FOLDER = Path(__file__).parent / "pictures"
 PATTERN = Pattern.default()

@@ -24,7 +24,7 @@ from trinoc.report import errors_text
 from trinoc.report import reasons_text
 from trinoc.synth import table1_lens
 from trinoc.synth import table1_rig
-from trinoc.evaluation import score_lengths
+from trinoc.evaluation.scoring import score_lengths
 
 enable_compile_cache()
 plt.rcParams.update({"figure.dpi": 64, "savefig.bbox": "tight", "axes.titlesize": 10})

@@ -11,7 +11,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import trinoc
-from trinoc.calib import Systematics, calibrate_points
+from trinoc import Systematics, calibrate_points
 from trinoc.geometry import project
 from trinoc.io import enable_compile_cache
 from trinoc.synth import table1_rig

@@ -14,21 +14,21 @@ from scipy import stats
 
 import trinoc
 from trinoc.io import enable_compile_cache
-from trinoc.geometry import Rig
+from trinoc import Rig
 from trinoc.io import demo_images
 from trinoc.io import demo_truth
 from trinoc.report import plot
 from trinoc.report.evaluation_plot import draw_panel
 from trinoc.report.evaluation_plot import evaluation_panels
-from trinoc.evaluation import SweepSetting
+from trinoc.evaluation.sweep import SweepSetting
 from trinoc.evaluation.sweep import chosen_lines
-from trinoc.evaluation import evaluate_settings
-from trinoc.evaluation import settings_of
+from trinoc.evaluation.sweep import evaluate_settings
+from trinoc.evaluation.sweep import settings_of
 from trinoc.report import evaluation_text
 from trinoc.evaluation.lines_of_rig import certain_lines
 from trinoc.evaluation.lines_of_rig import lines_of_rig
 from trinoc.evaluation.distances import distance_to_segments_mm
-from trinoc.evaluation import KnownShape
+from trinoc.evaluation.known_shape import KnownShape
 from trinoc.evaluation.lines_on_edges import offsets_across
 from trinoc.evaluation.lines_on_edges import selected
 from trinoc.evaluation.normalised_errors import errors_in_sigmas

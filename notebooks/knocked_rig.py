@@ -10,7 +10,7 @@ import numpy as np
 
 import trinoc
 from trinoc.io import enable_compile_cache
-from trinoc.geometry import Camera, Rig
+from trinoc import Camera, Rig
 from trinoc.synth import Detector, block_scene, simulate_segments, table1_rig
 
 enable_compile_cache()

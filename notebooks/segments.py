@@ -14,9 +14,9 @@ from trinoc.io import demo_images
 from trinoc.segments import find_segments_lsd
 from trinoc.segments.nevatia_babu.chains import ordered_chains, split_chains, successors
 from trinoc.segments.nevatia_babu.thinning import gradient_of
-from trinoc.segments.nevatia_babu import combined_kernel
+from trinoc.segments.nevatia_babu.thinning import combined_kernel
 from trinoc.segments import nevatia_babu_masks
-from trinoc.image import level_noise
+from trinoc.image.noise import level_noise
 from trinoc.segments.nevatia_babu.thinning import thinned_pixels
 
 plt.rcParams.update({"figure.dpi": 64, "savefig.bbox": "tight", "axes.titlesize": 10})

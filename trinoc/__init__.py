@@ -7,7 +7,7 @@ rooms behind them tell in their docstrings what is done there: `trinoc.calib`, `
 
 import lazy_loader
 
-from trinoc.numerics import display_with
+from trinoc.numerics.display import display_with
 
 __version__ = "0.1.0"
 
@@ -15,7 +15,7 @@ __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
 
 def _displays():  # pyright: ignore[reportUnusedFunction]
-    from trinoc.report import NotebookDisplays
+    from trinoc.report.notebook.displays import NotebookDisplays
 
     return NotebookDisplays()
 

@@ -1,36 +1,29 @@
 from . import calib as calib, errors as errors, io as io, match as match, segments as segments
-from .batch import load_recording as load_recording, match_recording as match_recording
-from .calib import (
-    AprilGrid as AprilGrid,
-    Charuco as Charuco,
-    Chessboard as Chessboard,
-    Pattern as Pattern,
-    Systematics as Systematics,
-    calibrate as calibrate,
-    calibrate_intrinsics as calibrate_intrinsics,
-    calibrate_points as calibrate_points,
-    calibrate_rig as calibrate_rig,
-    check_rig as check_rig,
-    next_shot as next_shot,
-    refine as refine,
-)
-from .evaluation import evaluate as evaluate
-from .geometry import Camera as Camera, Intrinsics as Intrinsics, Rig as Rig, Segments as Segments
-from .io import (
-    load as load,
-    load_matches as load_matches,
-    load_pattern as load_pattern,
-    load_rig as load_rig,
-    load_segments as load_segments,
-    save as save,
-)
-from .match import (
-    Matches as Matches,
-    match_segments as match_segments,
-)
-from .segments import (
-    find_segments as find_segments,
-)
+from .batch.results import load_recording as load_recording
+from .batch.run import match_recording as match_recording
+from .calib.bundle.refinement import refine as refine
+from .calib.from_images import calibrate as calibrate
+from .calib.from_points import calibrate_points as calibrate_points
+from .calib.lens_calibration import calibrate_intrinsics as calibrate_intrinsics
+from .calib.rig_calibration import calibrate_rig as calibrate_rig
+from .calib.rig_check.knocked import check_rig as check_rig
+from .calib.rig_from_shots import next_shot as next_shot
+from .calib.targets.april_grid import AprilGrid as AprilGrid
+from .calib.targets.checkers import Charuco as Charuco, Chessboard as Chessboard
+from .calib.targets.pattern import Pattern as Pattern
+from .calib.uncertainty.systematics import Systematics as Systematics
+from .evaluation.evaluation import evaluate as evaluate
+from .geometry.camera import Camera as Camera
+from .geometry.intrinsics import Intrinsics as Intrinsics
+from .geometry.rig import Rig as Rig
+from .geometry.segments import Segments as Segments
+from .io.pattern_json import load_pattern as load_pattern
+from .io.rig_json import load_rig as load_rig
+from .io.saving import load as load, load_matches as load_matches, save as save
+from .io.segment_table import load_segments as load_segments
+from .match.matcher import match_segments as match_segments
+from .match.tracks.matches import Matches as Matches
+from .segments.find import find_segments as find_segments
 
 __all__: list[str]
 __version__: str

@@ -12,21 +12,15 @@ from golden_parts.inputs import (
     saturated_picture,
 )
 from golden_parts.records import Values
-from trinoc.capture import (
-    covered_cells,
-    edge_blur_px,
-    exposure_of,
-    judge,
-    judge_unread,
-    judgement_line,
-    next_step,
-    summary_lines,
-)
-from trinoc.geometry import Intrinsics
+from trinoc.capture.advice import next_step, summary_lines
+from trinoc.capture.judgement import judge, judge_unread, judgement_line
+from trinoc.capture.measures import covered_cells, edge_blur_px, exposure_of
+from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.io import demo_images, demo_pattern
 from trinoc.segments import find_junctions
-from trinoc.synth.camera_picture import Processing, Sensor, delivered_picture
-from trinoc.synth.camera_picture.delivery import SRGB
+from trinoc.synth.camera_picture.delivery import SRGB, Processing
+from trinoc.synth.camera_picture.render import delivered_picture
+from trinoc.synth.camera_picture.sensor import Sensor
 
 
 def segments() -> Values:

@@ -12,9 +12,11 @@ import trinoc
 from golden_parts.inputs import blocks, knocked_rig
 from golden_parts.records import Values
 from trinoc.errors import TrinocError
-from trinoc.geometry import Intrinsics, Rig
-from trinoc.io import FORMATS, save_target
-from trinoc.numerics import Table
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.rig import Rig
+from trinoc.io import FORMATS
+from trinoc.io.board_json import save_target
+from trinoc.numerics.tables import Table
 from trinoc.synth import table1_rig
 
 ENDINGS = {"rig": ".json", "lens": ".json", "segments": ".npz"}

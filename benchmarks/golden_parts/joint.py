@@ -16,7 +16,13 @@ from golden_parts.inputs import (
 )
 from golden_parts.records import Values, attempt
 from trinoc.io import demo_images, demo_pattern
-from trinoc.synth import Detector, see_through_boxes, simulate_segments, table1_lens, table1_rig
+from trinoc.synth import (
+    Detector,
+    simulate_segments,
+    table1_lens,
+    table1_rig,
+)
+from trinoc.synth.scenes import see_through_boxes
 
 
 def refine() -> Values:

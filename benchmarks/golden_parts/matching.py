@@ -26,10 +26,10 @@ from trinoc.synth import (
     Detector,
     block_scene,
     loose_segments,
-    see_through_boxes,
     simulate_segments,
     table1_rig,
 )
+from trinoc.synth.scenes import see_through_boxes
 
 FILES = (
     *("table_clean", "table_0", "table_1", "random100_0", "boxes120_0", "random500_0"),

@@ -13,7 +13,7 @@ import trinoc
 from trinoc.batch import folder as folder_file
 from trinoc.cli.main import main
 from trinoc.errors import InputError, MatchError
-from trinoc.match import MatchBatch
+from trinoc.match.batch import MatchBatch
 from trinoc.recording import matched
 from trinoc.synth import table1_rig
 

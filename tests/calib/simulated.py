@@ -4,9 +4,13 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib import Detection, Pattern, Systematics
-from trinoc.geometry import Camera, Intrinsics, image_of_circle_centre
-from trinoc.numerics import ArrayLike
+from trinoc.calib import Detection
+from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.uncertainty.systematics import Systematics
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.image_of_circle import image_of_circle_centre
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.numerics.arrays import ArrayLike
 
 # Made pictures are of what is said of them.
 EXACT = Systematics()

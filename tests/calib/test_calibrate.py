@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from tests.calib.simulated import DISTORTED_LENS, EXACT, LENS, TABLE_1, camera_of
-from trinoc.calib import CalibrationResult, Pattern, Status, calibrate
+from trinoc.calib import CalibrationResult, Status
+from trinoc.calib.from_images import calibrate
+from trinoc.calib.targets.pattern import Pattern
 from trinoc.errors import CalibrationError, InputError
-from trinoc.geometry import Intrinsics
-from trinoc.synth import render_sheet
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.synth.camera_picture.render import render_sheet
 
 pytestmark = pytest.mark.usefixtures("large_programs")
 SHEET = Pattern.default()

@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 
 from tests.calib.simulated import LENS, TABLE_1, camera_of
-from trinoc.calib import Status, Systematics, calibrate_points
-from trinoc.calib.from_points import PointsCalibration
+from trinoc.calib import Status
+from trinoc.calib.from_points import PointsCalibration, calibrate_points
+from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.errors import CalibrationError, InputError
-from trinoc.geometry import Intrinsics, PoseModel
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.pose import PoseModel
 
 CAMERA = camera_of(TABLE_1["left"])
 NOISE_PX = 0.05

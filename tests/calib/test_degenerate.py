@@ -7,8 +7,9 @@ import pytest
 
 import trinoc
 from trinoc.errors import TrinocError
-from trinoc.geometry import Camera
-from trinoc.synth import render_sheet, table1_lens, table1_rig
+from trinoc.geometry.camera import Camera
+from trinoc.synth import table1_lens, table1_rig
+from trinoc.synth.camera_picture.render import render_sheet
 
 RIG, LENS = table1_rig(), table1_lens()
 PATTERN = trinoc.Pattern.cross_grid(rows=6, columns=6, pitch_mm=24.0, radius_mm=7.0)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from trinoc.calib.from_images import expect_pictures
-from trinoc.calib.targets import Pattern
+from trinoc.calib.targets.pattern import Pattern
 from trinoc.errors import InputError
 
 PICTURE = np.zeros((4, 6), np.uint8)

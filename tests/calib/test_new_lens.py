@@ -8,11 +8,15 @@ import pytest
 from jaxtyping import Float
 
 from tests.calib.simulated import EXACT, TABLE_1, camera_of, reference_sheet, simulated_detection
-from trinoc.calib import calibrate_detections, calibrate_points
-from trinoc.geometry import AFFINE_PARAMETERS, LENS_MODELS, AbstractLens, Intrinsics
+from trinoc.calib import calibrate_detections
+from trinoc.calib.from_points import calibrate_points
+from trinoc.geometry import AbstractLens
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS
+from trinoc.geometry.lenses.registry import LENS_MODELS
 from trinoc.io import load_intrinsics
 from trinoc.io.intrinsics_json import save_intrinsics
-from trinoc.numerics import ArrayLike
+from trinoc.numerics.arrays import ArrayLike
 
 
 class Equidistant(AbstractLens):

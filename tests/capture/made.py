@@ -4,8 +4,10 @@ import cv2
 import numpy as np
 from scipy.special import erf
 
-from trinoc.capture import Exposure, Judgement
-from trinoc.geometry import Camera, Intrinsics
+from trinoc.capture.judgement import Judgement
+from trinoc.capture.measures import Exposure
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.intrinsics import Intrinsics
 
 SIZE_PX = (320, 240)
 GRID_MM = np.stack(np.meshgrid(np.linspace(-40, 40, 5), np.linspace(-40, 40, 5)), -1).reshape(-1, 2)

@@ -3,13 +3,13 @@
 import pytest
 
 from tests.capture.made import judgement, rectangle
-from trinoc.capture import (
+from trinoc.capture.advice import (
     field_share,
-    judgement_line,
     next_step,
     shows_something_new,
     summary_lines,
 )
+from trinoc.capture.judgement import judgement_line
 
 ALL = rectangle(0.01, 0.01, 0.99, 0.99)
 LEANS = [(0.2, 0.0), (-0.2, 0.0), (0.0, 0.2), (0.0, -0.2), (0.0, 0.0), (0.0, 0.0)]

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from trinoc.capture import failure_picture
+from trinoc.capture.annotated import failure_picture
 
 CENTRES = [(100, 80), (300, 120), (220, 300), (420, 360)]
 RADIUS = 16

@@ -5,9 +5,15 @@ import pytest
 from hypothesis import given, strategies as st
 
 from tests.capture.made import GRID_MM, SIZE_PX, camera, rectangle, step_picture
-from trinoc.capture import GRID, covered_cells, edge_blur_px, exposure_of, lean_of
-from trinoc.geometry import depth_mm
-from trinoc.image import Light
+from trinoc.capture.measures import (
+    GRID,
+    covered_cells,
+    edge_blur_px,
+    exposure_of,
+    lean_of,
+)
+from trinoc.geometry.camera import depth_mm
+from trinoc.image.light import Light
 
 
 @pytest.mark.parametrize("blur_px", [0.7, 1.0, 2.0, 4.0])

@@ -4,7 +4,7 @@ import logging
 
 import pytest
 
-from trinoc.io import COMPILE_CACHE_VARIABLE
+from trinoc.io.compile_cache import COMPILE_CACHE_VARIABLE
 
 
 @pytest.fixture(autouse=True)

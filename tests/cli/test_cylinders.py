@@ -10,7 +10,7 @@ from tests.io.made_cylinders import made_cylinders
 from tests.match.cylinders.made_outlines import Placed, seen_by
 from tests.match.made import loose_lines, rig_of
 from trinoc.cli.main import main
-from trinoc.report import features_text
+from trinoc.report.features_part import features_text
 
 
 @pytest.fixture

@@ -9,9 +9,11 @@ import pytest
 import trinoc
 from trinoc.cli.main import main
 from trinoc.errors import InputError
-from trinoc.geometry import Camera, Intrinsics
-from trinoc.io import load_intrinsics, load_lens_covariance
-from trinoc.synth import render_sheet
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.io import load_intrinsics
+from trinoc.io.intrinsics_json import load_lens_covariance
+from trinoc.synth.camera_picture.render import render_sheet
 
 SHEET = trinoc.Pattern.cross_grid(rows=6, columns=6, pitch_mm=25.0, radius_mm=8.0)
 LENS = Intrinsics(image_size_px=(320, 300), focal_length_px=(610.0, 745.0), distortion=(-0.2, 0.1))

@@ -8,7 +8,8 @@ import pytest
 
 import trinoc
 from trinoc.cli.main import main
-from trinoc.synth import render_sheet, table1_lens, table1_rig
+from trinoc.synth import table1_lens, table1_rig
+from trinoc.synth.camera_picture.render import render_sheet
 
 LENS = ("--focal-length-mm", "16", "--pixel-pitch-mm", "0.0162", "0.0134")
 # Made pictures are of what is said of them.

@@ -15,8 +15,7 @@ from trinoc.cli import program
 from trinoc.cli.command import in_options
 from trinoc.cli.main import main
 from trinoc.cli.views import doubts_table, read_rig
-from trinoc.io import load_rig_status
-from trinoc.io.rig_json import save_rig
+from trinoc.io.rig_json import load_rig_status, save_rig
 from trinoc.synth import table1_rig
 
 LENS = ["--focal-length-mm", "16", "--pixel-pitch-mm"]
@@ -140,7 +139,7 @@ def test_interruption_during_imports_is_one_line(monkeypatch, capsys):
 def test_a_program_told_to_end_takes_its_scratch_file_with_it(tmp_path):
     script = (
         "import sys, time\nfrom trinoc.cli import program\nimport trinoc.cli.main as m\n"
-        "from trinoc.io import atomic_write\n"
+        "from trinoc.io.atomic import atomic_write\n"
         "def job():\n"
         f"    with atomic_write({str(tmp_path / 'a.txt')!r}) as file:\n"
         "        file.write(b'half'); print('ready', flush=True); time.sleep(60)\n"

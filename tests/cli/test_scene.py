@@ -37,7 +37,7 @@ def test_a_scene_that_is_not_given_is_wrong_usage(command, tmp_path, capsys):
 def test_a_check_is_told_in_the_words_of_its_result(conclusive, tmp_path, capsys, monkeypatch):
     check = RigCheck((), ("left",) if conclusive else (), None, conclusive)
     scene = SimpleNamespace(matches=(), tolerant=None, strict=None, files={})
-    monkeypatch.setattr("trinoc.calib.check_rig", lambda *_, **__: check)
+    monkeypatch.setattr("trinoc.calib.rig_check.knocked.check_rig", lambda *_, **__: check)
     monkeypatch.setattr("trinoc.cli.views.scene_of", lambda *_, **__: scene)
     trinoc.save(table1_rig(), tmp_path / "rig.json")
     assert main(["check", "--rig", str(tmp_path / "rig.json"), "--matches", "m.npz", "--json"]) == 0

@@ -11,10 +11,12 @@ import pytest
 
 import trinoc
 from tests.serving.asking import ask
-from trinoc.calib import BoardSet, Chessboard, dark_squares
+from trinoc.calib import BoardSet
+from trinoc.calib.targets.checkers import Chessboard
+from trinoc.calib.targets.squares import dark_squares
 from trinoc.cli.main import main
 from trinoc.cli.watch import PATIENCE, FolderArrivals
-from trinoc.io import save_target
+from trinoc.io.board_json import save_target
 from trinoc.synth import table1_rig
 
 BOARD = Chessboard(rows=5, columns=7, square_mm=20.0)

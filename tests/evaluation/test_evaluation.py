@@ -9,14 +9,17 @@ from hypothesis import given, settings, strategies as st
 from scipy.spatial.transform import Rotation
 
 from trinoc.errors import InputError
-from trinoc.evaluation import EvaluationStatus, KnownShape, evaluate
 from trinoc.evaluation.alignment import RigidMotion, align
+from trinoc.evaluation.evaluation import EvaluationStatus, evaluate
+from trinoc.evaluation.known_shape import KnownShape
 from trinoc.evaluation.lines_of_rig import certain_lines
 from trinoc.evaluation.lines_on_edges import offsets_across
 from trinoc.evaluation.normalised_errors import normalised_errors
 from trinoc.geometry import UncertainLines
-from trinoc.synth import Scene, SceneTruth, SeenParts, loose_segments, table1_rig
+from trinoc.synth import loose_segments, table1_rig
+from trinoc.synth.scenes import Scene
 from trinoc.synth.solids import box
+from trinoc.synth.truth import SceneTruth, SeenParts
 
 SEEDS = st.integers(0, 10_000)
 BOX = box((52.0, 36.0, 30.0))

@@ -7,23 +7,25 @@ import pytest
 from hypothesis import given, strategies as st
 
 from benchmarks.match_scores import score_matches
-from trinoc.evaluation import score_lengths
 from trinoc.evaluation.distances import distance_to_segments_mm, sampled_segments
+from trinoc.evaluation.scoring import score_lengths
 from trinoc.synth import (
-    NOT_SCORED,
     Detector,
-    SceneTruth,
-    SeenParts,
-    SegmentTruth,
     block_scene,
     loose_segments,
-    parts_in_views_mm,
-    shown_parts_mm,
     simulate_segments,
     table1_rig,
 )
 from trinoc.synth.observations import PERFECT
-from trinoc.synth.truth import SPURIOUS
+from trinoc.synth.truth import (
+    NOT_SCORED,
+    SPURIOUS,
+    SceneTruth,
+    SeenParts,
+    SegmentTruth,
+    parts_in_views_mm,
+    shown_parts_mm,
+)
 
 VIEWS = ("upper", "left", "right")
 SEEDS = st.integers(0, 10_000)

@@ -7,7 +7,8 @@ import pytest
 
 from tests.io.made_wireframe import made_wireframe
 from trinoc.errors import InputError
-from trinoc.evaluation import KnownShape, evaluate
+from trinoc.evaluation.evaluation import evaluate
+from trinoc.evaluation.known_shape import KnownShape
 from trinoc.evaluation.wire_frames import known_corners
 
 FRAME = made_wireframe()

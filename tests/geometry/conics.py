@@ -8,8 +8,8 @@ infinity is the conic's centre, so that neither needs an inverse.
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from trinoc.geometry import Camera, projection_matrix
-from trinoc.numerics import ArrayLike, ScalarLike
+from trinoc.geometry.camera import Camera, projection_matrix
+from trinoc.numerics.arrays import ArrayLike, ScalarLike
 
 
 def pixel_from_sheet_homography(camera: Camera) -> Float[ArrayLike, "3 3"]:

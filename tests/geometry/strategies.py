@@ -3,7 +3,8 @@
 import numpy as np
 from hypothesis import strategies as st
 
-from trinoc.geometry import Camera, Intrinsics
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.intrinsics import Intrinsics
 
 LENS = Intrinsics(focal_length_mm=16, pixel_pitch_mm=(0.0162, 0.0134), image_size_px=(512, 480))
 DISTORTED_LENS = Intrinsics(

@@ -13,15 +13,11 @@ from tests.geometry.strategies import (
     vectors,
 )
 from trinoc.errors import InputError
-from trinoc.geometry import (
-    BrownConrady,
-    Camera,
-    Intrinsics,
-    Pose,
-    PoseModel,
-    camera as camera_module,
-    projection_matrix,
-)
+from trinoc.geometry import Pose, camera as camera_module
+from trinoc.geometry.camera import Camera, projection_matrix
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.lenses.brown_conrady import BrownConrady
+from trinoc.geometry.pose import PoseModel
 
 depth_mm = jax.jit(camera_module.depth_mm)
 pixel_from_sheet_homography = jax.jit(conics.pixel_from_sheet_homography)

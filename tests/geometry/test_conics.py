@@ -4,7 +4,9 @@ from hypothesis import given, strategies as st
 
 from tests.geometry import conics
 from tests.geometry.strategies import DISTORTED_LENS, LENS, cameras, real, vectors
-from trinoc.geometry import Camera, camera as camera_module, image_of_circle_centre
+from trinoc.geometry import camera as camera_module
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.image_of_circle import image_of_circle_centre
 
 boundary_of_dual_conic = jax.jit(conics.boundary_of_dual_conic)
 centre_of_dual_conic = jax.jit(conics.centre_of_dual_conic)

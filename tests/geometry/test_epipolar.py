@@ -4,12 +4,8 @@ from hypothesis import given
 
 from tests.geometry import trifocal
 from tests.geometry.strategies import points_near_sheet, real, rigs_of_three, vectors
-from trinoc.geometry import (
-    camera as camera_module,
-    epipolar,
-    line_through,
-    signed_distance,
-)
+from trinoc.geometry import camera as camera_module, epipolar, line_through
+from trinoc.geometry.lines import signed_distance
 
 centre_of_matrix = jax.jit(epipolar.centre_of_matrix)
 epipolar_distance_px = jax.jit(epipolar.epipolar_distance_px)
@@ -105,7 +101,7 @@ def test_the_right_of_a_line_is_right_on_the_picture():
 
 def test_epipolar_geometry_is_differentiable():
     from tests.geometry.strategies import LENS
-    from trinoc.geometry import Camera
+    from trinoc.geometry.camera import Camera
 
     a = Camera.from_degrees(LENS, pan_deg=0, tilt_deg=50, swing_deg=0, distance_mm=470)
     b = Camera.from_degrees(LENS, pan_deg=25, tilt_deg=40, swing_deg=0, distance_mm=470)

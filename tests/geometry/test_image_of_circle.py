@@ -7,7 +7,9 @@ from hypothesis import given
 
 from tests.geometry import conics
 from tests.geometry.strategies import DISTORTED_LENS, cameras, real, vectors
-from trinoc.geometry import Camera, circle_centre_offset, image_of_circle_centre, project
+from trinoc.geometry import project
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.image_of_circle import circle_centre_offset, image_of_circle_centre
 
 
 def sheet_to_picture(camera):

@@ -8,22 +8,21 @@ from hypothesis import given, strategies as st
 
 from tests.geometry.strategies import vectors
 from trinoc.errors import InputError
-from trinoc.geometry import (
-    AFFINE_PARAMETERS,
+from trinoc.geometry import AbstractLens
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS
+from trinoc.geometry.lenses.brown_conrady import BrownConrady
+from trinoc.geometry.lenses.kannala_brandt import KannalaBrandt
+from trinoc.geometry.lenses.pinhole import Pinhole
+from trinoc.geometry.lenses.rational import Rational, ThinPrism
+from trinoc.geometry.lenses.registry import (
     LENS_MODELS,
-    SPLINED,
-    AbstractLens,
-    BrownConrady,
-    Intrinsics,
-    KannalaBrandt,
-    Rational,
-    ThinPrism,
     lens_model,
     promoted,
     simplified,
     stack_lenses,
 )
-from trinoc.geometry.lenses import Pinhole
+from trinoc.geometry.lenses.splined import SPLINED
 
 SIZE_PX = (512, 480)
 AFFINE = (987.0, 1194.0, 250.0, 243.0)

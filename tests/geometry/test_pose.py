@@ -7,8 +7,9 @@ from hypothesis import given, settings
 
 from tests.geometry.strategies import cameras, vectors
 from trinoc.errors import InputError
-from trinoc.geometry import Pose, PoseModel, pose_model_over_sheet, rotation_from_vector
-from trinoc.geometry.rotation import vector_from_rotation
+from trinoc.geometry import Pose
+from trinoc.geometry.pose import PoseModel, pose_model_over_sheet
+from trinoc.geometry.rotation import rotation_from_vector, vector_from_rotation
 
 UNIT_MM = 470.0
 every_model = pytest.mark.parametrize("model", PoseModel)

@@ -6,19 +6,18 @@ import numpy as np
 import pytest
 
 from tests.geometry.strategies import LENS
-from trinoc.geometry import (
-    Camera,
+from trinoc.geometry import line_through, project
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.lines import signed_distance
+from trinoc.geometry.projection import (
     distances_from_line,
     homogeneous_pixel,
     image_of_point,
-    line_through,
     pixel_change,
-    project,
     project_by_matrix,
     project_with_jacobian,
-    signed_distance,
 )
-from trinoc.numerics import vector3
+from trinoc.numerics.vectors import vector3
 
 CAMERAS = [
     Camera.from_degrees(LENS, pan_deg=pan, tilt_deg=40.0, swing_deg=5.0, distance_mm=450.0)

@@ -5,8 +5,10 @@ from hypothesis import given, strategies as st
 
 from tests.geometry.strategies import LENS, rigs_of_three
 from trinoc.errors import InputError
-from trinoc.geometry import Camera, Rig, Segments
-from trinoc.numerics import in_float64
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.segments import Segments
+from trinoc.numerics.precision import in_float64
 
 
 @given(rigs_of_three(), st.permutations(["upper", "left", "right"]))

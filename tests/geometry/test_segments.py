@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 
-from trinoc.geometry import Segments, covariance_of_ends
+from trinoc.geometry.segments import Segments, covariance_of_ends
 
 
 def some(count: int, seed: int) -> Segments:

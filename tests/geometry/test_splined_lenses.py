@@ -9,20 +9,22 @@ from hypothesis import given, strategies as st
 from scipy.interpolate import BSpline
 
 from trinoc.errors import InputError
-from trinoc.geometry import (
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.lenses.brown_conrady import BrownConrady
+from trinoc.geometry.lenses.kannala_brandt import KannalaBrandt
+from trinoc.geometry.lenses.rational import ThinPrism
+from trinoc.geometry.lenses.registry import simplified, splined
+from trinoc.geometry.lenses.splined import (
+    ORDER,
     SPLINED,
     AbstractSplined,
-    BrownConrady,
-    Intrinsics,
-    KannalaBrandt,
     SplinedBrownConrady,
     SplinedKannalaBrandt,
-    ThinPrism,
-    simplified,
-    splined,
+    smoothness,
+    surface,
 )
-from trinoc.geometry.lenses.splined import ORDER, smoothness, surface
-from trinoc.io import load_intrinsics, save
+from trinoc.io import load_intrinsics
+from trinoc.io.saving import save
 from trinoc.io.usable_cameras import expect_lens
 
 SIZE_PX = (640, 480)

@@ -6,7 +6,10 @@ import numpy as np
 import pytest
 
 from tests.geometry.strategies import DISTORTED_LENS, LENS
-from trinoc.geometry import Camera, Intrinsics, Pose, project, project_by_matrix, project_point
+from trinoc.geometry import Pose, project
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.projection import project_by_matrix, project_point
 
 # Pan, tilt, swing in degrees, distance, aim X and Y in mm, focal length in mm, k1.
 START = np.array([23.568, 38.616, -0.994, 472.894, 2.0, -3.0, 16.0, -0.1])

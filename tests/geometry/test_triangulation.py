@@ -5,14 +5,14 @@ from hypothesis import given
 
 from tests.geometry.strategies import LENS, points_near_sheet, rigs_of_three
 from trinoc.geometry import (
-    Camera,
     camera,
-    covariance_of_ends,
-    line_of_planes,
     line_through,
     plane_of_line,
     triangulation,
 )
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.lines import line_of_planes
+from trinoc.geometry.segments import covariance_of_ends
 
 project = jax.jit(camera.project)
 triangulate_point = jax.jit(triangulation.triangulate_point)

@@ -6,7 +6,7 @@ from hypothesis import given, strategies as st
 from hypothesis.extra.numpy import arrays
 
 import trinoc
-from trinoc.image import grey_image
+from trinoc.image.grey import grey_image
 
 SHAPE = (16, 17, 3)
 COLOURS = st.sampled_from((np.uint8, np.uint16, np.float32)).flatmap(

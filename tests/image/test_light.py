@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from trinoc.image import Light, PowerResponse
+from trinoc.image.light import Light
+from trinoc.image.response import PowerResponse
 from trinoc.synth.camera_picture.delivery import SRGB
 
 RANDOM = np.random.default_rng(2)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from trinoc.image import noise_sigma
+from trinoc.image.noise import noise_sigma
 
 ROW, COLUMN = np.mgrid[:300, :400]
 NOISE = np.random.default_rng(2).normal(0.0, 1.0, ROW.shape)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from trinoc.errors import InputError
-from trinoc.image import PowerResponse, response_of
+from trinoc.image.response import PowerResponse, response_of
 from trinoc.synth.camera_picture.delivery import SRGB
 
 BENDS = (-1.0, -0.3, 0.0, 0.5, 1.0, 2.0)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from trinoc.image import (
+from trinoc.image.step_edge import (
     blur_of_two_slopes,
     blurred_step,
     fit_block,

@@ -2,7 +2,12 @@
 
 import numpy as np
 
-from trinoc.image import levels_between, levels_of, nearest_levels, pixels_across
+from trinoc.image.strip import (
+    levels_between,
+    levels_of,
+    nearest_levels,
+    pixels_across,
+)
 
 RANDOM = np.random.default_rng(7)
 ROW, COLUMN = np.mgrid[:50, :60]

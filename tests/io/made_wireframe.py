@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from trinoc.match import LetGo, Wireframe
+from trinoc.match import Wireframe
+from trinoc.match.wire_frame.frame import LetGo
 
 
 def made_wireframe() -> Wireframe:

@@ -8,8 +8,12 @@ import numpy as np
 from hypothesis import assume, strategies as st
 
 from tests.geometry.strategies import cameras, real
-from trinoc.geometry import PARAMETER_NAMES, Camera, Intrinsics, Junctions, Rig, Segments
-from trinoc.match import BINOCULAR, TRINOCULAR, Matches
+from trinoc.geometry import Junctions
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.rig import PARAMETER_NAMES, Rig
+from trinoc.geometry.segments import Segments
+from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, Matches
 
 
 @st.composite

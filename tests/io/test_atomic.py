@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from trinoc.errors import InputError
-from trinoc.io import atomic_write, expect_place, save_frames, write_text
-from trinoc.recording import FrameMatches
+from trinoc.io.atomic import atomic_write, expect_place, write_text
+from trinoc.io.frames_files import save_frames
+from trinoc.recording.frame import FrameMatches
 
 
 def test_failure_leaves_the_old_file_and_nothing_beside_it(tmp_path):

@@ -4,11 +4,14 @@ import cv2
 import numpy as np
 import pytest
 
-from trinoc.calib import AprilGrid, Charuco, Chessboard, Pattern
+from trinoc.calib.targets.april_grid import AprilGrid
+from trinoc.calib.targets.checkers import Charuco, Chessboard
+from trinoc.calib.targets.pattern import Pattern
 from trinoc.errors import InputError
-from trinoc.io import load_shots, load_target, save
+from trinoc.io import load_shots, load_target
 from trinoc.io.pattern_page import Polygon, lay_out
 from trinoc.io.pattern_svg import pattern_svg
+from trinoc.io.saving import save
 
 BOARDS = [
     Chessboard(rows=5, columns=8, square_mm=10.5, name="mine"),

@@ -17,7 +17,7 @@ from trinoc.io.compile_cache import (
     enable_compile_cache,
     surroundings,
 )
-from trinoc.numerics import keep_programs_in
+from trinoc.numerics.programs import keep_programs_in
 
 SETTINGS = (
     "jax_compilation_cache_dir",

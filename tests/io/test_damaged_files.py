@@ -14,7 +14,8 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 
 import trinoc
 from trinoc.errors import InputError
-from trinoc.io import load_intrinsics, load_rig_status, load_shape, read_image
+from trinoc.io import load_intrinsics, load_shape, read_image
+from trinoc.io.rig_json import load_rig_status
 from trinoc.synth import table1_rig
 
 FEW = settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from trinoc.errors import InputError
-from trinoc.io import is_whole_picture, read_image, read_views
+from trinoc.io import read_image, read_views
+from trinoc.io.whole_picture import is_whole_picture
 
 RANDOM = np.random.default_rng(5)
 GREY = RANDOM.integers(0, 256, (12, 17), dtype=np.uint8)

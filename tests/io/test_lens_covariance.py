@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from trinoc.errors import InputError
-from trinoc.geometry import Intrinsics
-from trinoc.io import load_intrinsics, load_lens_covariance
-from trinoc.io.intrinsics_json import save_intrinsics
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.io import load_intrinsics
+from trinoc.io.intrinsics_json import load_lens_covariance, save_intrinsics
 
 LENS = Intrinsics(image_size_px=(512, 480), focal_length_px=1000.0, distortion=(-0.2, 0.1))
 

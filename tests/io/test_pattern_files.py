@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from trinoc.calib import Pattern
-from trinoc.calib.targets.pattern import LINE_STYLES
+from trinoc.calib.targets.pattern import LINE_STYLES, Pattern
 from trinoc.errors import InputError
-from trinoc.io import load_pattern, save_pattern
+from trinoc.io.pattern_json import load_pattern, save_pattern
 from trinoc.io.pattern_page import Polygon, lay_out
 from trinoc.io.pattern_pdf import pattern_pdf
 from trinoc.io.pattern_svg import pattern_svg

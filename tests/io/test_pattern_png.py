@@ -4,9 +4,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from trinoc.calib import Charuco, Chessboard, Pattern
+from trinoc.calib.targets.checkers import Charuco, Chessboard
+from trinoc.calib.targets.pattern import Pattern
 from trinoc.errors import InputError
-from trinoc.io import drawing_size_mm, pattern_picture, read_image, save_pattern_png
+from trinoc.io import read_image, save_pattern_png
+from trinoc.io.pattern_page import drawing_size_mm
+from trinoc.io.pattern_png import pattern_picture
 
 SHEET = Pattern.cross_grid(rows=4, columns=4, pitch_mm=20.0, radius_mm=6.0)
 

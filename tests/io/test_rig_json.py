@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from trinoc.errors import InputError
-from trinoc.geometry import Camera, Intrinsics, Rig
-from trinoc.io import load_rig
-from trinoc.io.rig_json import save_rig
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.rig import Rig
+from trinoc.io.rig_json import load_rig, save_rig
 
 LENS = Intrinsics(focal_length_mm=16, pixel_pitch_mm=(0.0162, 0.0134), image_size_px=(512, 480))
 PARAMETERS = ("upper.pan_deg", "upper.tilt_deg", "upper.swing_deg", "upper.distance_mm")

@@ -11,10 +11,11 @@ import trinoc
 from tests.io.strategies import lenses, match_sets, rigs, segment_sets
 from tests.io.valid_files import made_detection
 from trinoc.errors import InputError
-from trinoc.io import load_frames, load_intrinsics, save_frames
+from trinoc.io import load_frames, load_intrinsics
+from trinoc.io.frames_files import save_frames
 from trinoc.io.frames_table import Frames
 from trinoc.io.saving import tables
-from trinoc.recording import OK, FrameMatches
+from trinoc.recording.frame import OK, FrameMatches
 
 
 @pytest.fixture(scope="module")

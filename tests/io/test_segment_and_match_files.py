@@ -7,8 +7,10 @@ import pytest
 
 import trinoc
 from trinoc.errors import InputError
-from trinoc.geometry import Junctions, Segments
-from trinoc.io import load_matches, load_segments
+from trinoc.geometry import Junctions
+from trinoc.geometry.segments import Segments
+from trinoc.io.saving import load_matches
+from trinoc.io.segment_table import load_segments
 
 ENDS = np.array([[10.0, 20, 30, 40], [50, 60, 70, 90]])
 

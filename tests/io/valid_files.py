@@ -20,13 +20,14 @@ from trinoc.io import (
     FORMATS,
     load_frames,
     load_intrinsics,
-    load_rig_status,
     load_scene_truth,
     load_shape,
     read_image,
-    save_frames,
 )
-from trinoc.recording import FrameMatches, frames_of_table
+from trinoc.io.frames_files import save_frames
+from trinoc.io.rig_json import load_rig_status
+from trinoc.recording.frame import FrameMatches
+from trinoc.recording.frame_table import frames_of_table
 
 RIG = bench_rig()
 
@@ -115,7 +116,7 @@ def measured() -> trinoc.Matches:
 
 
 def _frame_table(path: Path) -> Any:
-    from trinoc.io import read_text
+    from trinoc.io.whole_files import read_text
 
     return frames_of_table(read_text(path), ("upper", "left"), str(path))
 

@@ -3,9 +3,9 @@
 import pytest
 
 from tests.match.scene import VIEWS, MadeScene, made_scene
-from trinoc.match import fit_clutter, trinocular_candidates
-from trinoc.match.candidates import Candidates
-from trinoc.match.observations import ClutterModel
+from trinoc.match.candidates.table import Candidates
+from trinoc.match.candidates.triples import trinocular_candidates
+from trinoc.match.observations.clutter import ClutterModel, fit_clutter
 
 
 @pytest.fixture(scope="session")

@@ -2,8 +2,10 @@
 
 import numpy as np
 
-from trinoc.geometry import Camera, Intrinsics, Rig
-from trinoc.match import Matches
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.rig import Rig
+from trinoc.match.tracks.matches import Matches
 
 # Pan, tilt and swing in degrees, distance in mm.
 POSES = {

@@ -6,8 +6,8 @@ import jax
 import numpy as np
 
 from tests.match.made import loose_lines, pictures, rig_of
-from trinoc.geometry import Rig
-from trinoc.match import MatchInput, prepare
+from trinoc.geometry.rig import Rig
+from trinoc.match.observations.match_input import MatchInput, prepare
 
 VIEWS = ("upper", "left", "right")
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from tests.match.made import loose_lines, pictures, rig_of
-from trinoc.match import match_segments
+from trinoc.match.matcher import match_segments
 
 
 def test_errors_across_the_lines_have_the_stated_covariance() -> None:

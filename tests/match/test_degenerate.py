@@ -11,7 +11,9 @@ import pytest
 import trinoc
 from tests.match.made import loose_lines, pictures, rig_of
 from trinoc.errors import InputError, MatchError, TrinocError
-from trinoc.geometry import Camera, Pose, Rig
+from trinoc.geometry import Pose
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.rig import Rig
 
 RIG = rig_of("upper", "right", "left")
 LENS = RIG["upper"].intrinsics

@@ -8,10 +8,13 @@ import numpy as np
 import pytest
 
 from tests.match.made import loose_lines, pictures, rig_of
-from trinoc.match import match_many, match_segments, prepare, warm_up
+from trinoc.match import match_many, warm_up
+from trinoc.match.matcher import match_segments
+from trinoc.match.observations.match_input import prepare
 from trinoc.match.rehearsal import compile_together
-from trinoc.match.tuning import DEFAULT
-from trinoc.numerics import in_float64, with_field
+from trinoc.match.tuning.every_group import DEFAULT
+from trinoc.numerics.precision import in_float64
+from trinoc.numerics.tables import with_field
 
 KERNELS = {
     "candidates.search": ["_predicted", "_passes_gate"],

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from tests.match.made import loose_lines, pictures, rig_of
-from trinoc.match import match_many, match_segments
+from trinoc.match import match_many
 from trinoc.match.batch import OK
+from trinoc.match.matcher import match_segments
 
 VIEWS = ("upper", "left", "right")
 

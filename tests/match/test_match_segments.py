@@ -6,8 +6,9 @@ import pytest
 
 from tests.match.made import as_set, loose_lines, pictures, rig_of
 from trinoc.errors import InputError, MatchError
-from trinoc.geometry import Rig, Segments
-from trinoc.match import match_segments
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.segments import Segments
+from trinoc.match.matcher import match_segments
 from trinoc.match.tracks.answers import reasons
 
 VIEWS = ("upper", "left", "right")

@@ -9,10 +9,11 @@ from jaxtyping import Float
 
 import trinoc
 from trinoc.errors import InputError
-from trinoc.geometry import Feature, Wires, wires_of_lines
+from trinoc.geometry.features import Feature, Wires, wires_of_lines
 from trinoc.io import FORMATS
-from trinoc.match import FEATURES
-from trinoc.numerics import COVARIANCE, IN_SCENE, PROBABILITY, Column
+from trinoc.match.features import FEATURES
+from trinoc.numerics.table_checks import COVARIANCE, IN_SCENE, PROBABILITY
+from trinoc.numerics.tables import Column
 from trinoc.report.notebook.cards import card
 from trinoc.report.notebook.tables import columns_of
 

@@ -4,13 +4,18 @@ import numpy as np
 import pytest
 
 from tests.match.made import as_set, loose_lines, pictures, rig_of
-from trinoc.match import MatchTuning, match_segments, prepare
-from trinoc.match.candidates import Learned, Region, candidates_among, prepared_orders, region_of
+from trinoc.match import MatchTuning
+from trinoc.match.candidates.learned import Learned, Region, region_of
+from trinoc.match.candidates.search import prepared_orders
 from trinoc.match.candidates.table import prior_log_odds
-from trinoc.match.evidence import prior_parameters
-from trinoc.match.observations import fit_clutter
-from trinoc.match.tuning import DEFAULT
-from trinoc.numerics import in_float64, with_field
+from trinoc.match.candidates.triples import candidates_among
+from trinoc.match.evidence.mixture import prior_parameters
+from trinoc.match.matcher import match_segments
+from trinoc.match.observations.clutter import fit_clutter
+from trinoc.match.observations.match_input import prepare
+from trinoc.match.tuning.every_group import DEFAULT
+from trinoc.numerics.precision import in_float64
+from trinoc.numerics.tables import with_field
 
 VIEWS = ("upper", "left", "right")
 RIG = rig_of(*VIEWS)

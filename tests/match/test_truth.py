@@ -6,8 +6,9 @@ from scipy.stats import chi2
 
 from tests.match.made import loose_lines, pictures, rig_of
 from trinoc.errors import InputError
-from trinoc.geometry import Rig
-from trinoc.match import Matches, match_segments
+from trinoc.geometry.rig import Rig
+from trinoc.match.matcher import match_segments
+from trinoc.match.tracks.matches import Matches
 
 SIGMA_PX = 0.4
 

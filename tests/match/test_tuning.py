@@ -11,9 +11,10 @@ import pytest
 
 import trinoc.match
 from tests.match.made import loose_lines, pictures, rig_of
-from trinoc.match import join_collinear, match_segments, snap_corners
-from trinoc.match.tuning import DEFAULT, MatchTuning
-from trinoc.numerics import with_field
+from trinoc.match import join_collinear, snap_corners
+from trinoc.match.matcher import match_segments
+from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
+from trinoc.numerics.tables import with_field
 
 VIEWS = ("upper", "left", "right")
 

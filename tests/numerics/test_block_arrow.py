@@ -6,7 +6,7 @@ import lineax as lx
 import numpy as np
 import pytest
 
-from trinoc.numerics import BlockArrow, BlockArrowSolver, eliminate
+from trinoc.numerics.block_arrow import BlockArrow, BlockArrowSolver, eliminate
 
 ROWS = 20
 SHAPES = [(0, 1, 9, 6), (1, 2, 9, 6), (2, 5, 9, 6), (3, 40, 18, 4)]

@@ -3,7 +3,7 @@
 import numpy as np
 from hypothesis import given, strategies as st
 
-from trinoc.numerics import bucket, padded
+from trinoc.numerics.buckets import bucket, padded
 
 COUNTS = st.integers(0, 1 << 26)
 FINE = st.sampled_from((1 << 12, 1 << 16))

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from trinoc.numerics import as_columns, select_in_blocks, split_columns
+from trinoc.numerics.buckets import as_columns, select_in_blocks, split_columns
 
 
 @jax.jit

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from trinoc.numerics import at_once, one_compiles
+from trinoc.numerics.programs import at_once, one_compiles
 
 
 def test_a_program_is_traced_once_however_many_threads_want_it() -> None:

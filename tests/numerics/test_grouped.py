@@ -4,7 +4,12 @@ import hypothesis.strategies as st
 import numpy as np
 from hypothesis import given
 
-from trinoc.numerics import broadcast_groups, group_medians, group_sums, take_groups
+from trinoc.numerics.joins import (
+    broadcast_groups,
+    group_medians,
+    group_sums,
+    take_groups,
+)
 
 ROWS = st.lists(st.tuples(st.integers(0, 4), st.floats(-1e3, 1e3)), max_size=30)
 

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 
 from trinoc.match.candidates.index import LAYERS, key_at, segments_at, spatial_index
-from trinoc.numerics import (
+from trinoc.numerics.joins import (
     blocks_of_overlapping,
     expand_ranges,
     group_labels,

@@ -11,12 +11,11 @@ from hypothesis import given, strategies as st
 from scipy import stats
 
 from trinoc.geometry import Pose
-from trinoc.numerics import (
+from trinoc.numerics.programs import keep_programs_in, kept_jit
+from trinoc.numerics.tails import (
     chi_square_limit,
     chi_square_quantile,
     chi_square_tail,
-    keep_programs_in,
-    kept_jit,
     log_normal_tail,
     log_student_tail,
     normal_limit,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from trinoc.numerics import (
+from trinoc.numerics.robust_loss import (
     AbstractRobustLoss,
     Cauchy,
     GemanMcClure,

@@ -5,12 +5,10 @@ import pytest
 from scipy.optimize import minimize
 from scipy.stats import chi2
 
-from trinoc.numerics import (
-    AbstractRobustLoss,
-    Cauchy,
+from trinoc.numerics.robust_loss import AbstractRobustLoss, Cauchy, ScaleMixture
+from trinoc.numerics.small_least_squares import (
     NormalEquations,
     Residuals,
-    ScaleMixture,
     gauss_newton,
     misfit_factor,
     normal_equations,

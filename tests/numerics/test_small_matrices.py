@@ -1,7 +1,7 @@
 import numpy as np
 from hypothesis import given, strategies as st
 
-from trinoc.numerics import inverse_positive_definite, solve_positive_definite
+from trinoc.numerics.small_matrices import inverse_positive_definite, solve_positive_definite
 
 
 @given(st.integers(1, 6), st.integers(0, 2**32 - 1))

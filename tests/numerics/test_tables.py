@@ -12,11 +12,15 @@ from tests.io.formats.bench import bench_matches
 from tests.io.made_cylinders import made_cylinders
 from tests.io.made_rims import made_rims
 from tests.io.made_wireframe import made_wireframe
-from trinoc.geometry import Junctions, Segments
+from trinoc.geometry import Junctions
+from trinoc.geometry.segments import Segments
 from trinoc.io.frames_table import Frames
 from trinoc.io.tables_npz import ArrayFields, arrays_of, table_of
-from trinoc.match import FEATURES, LetGo, Matches
-from trinoc.numerics import Table, fields_of, is_covariance
+from trinoc.match.features import FEATURES
+from trinoc.match.tracks.matches import Matches
+from trinoc.match.wire_frame.frame import LetGo
+from trinoc.numerics.table_checks import is_covariance
+from trinoc.numerics.tables import Table, fields_of
 
 KINDS = [Segments, Junctions, Matches, LetGo, Frames, *FEATURES]
 SEGMENTS = Segments.from_endpoints(np.random.default_rng(5).uniform(0, 400, (6, 4)))

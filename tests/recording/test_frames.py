@@ -6,14 +6,10 @@ import pytest
 from hypothesis import given, strategies as st
 
 from trinoc.errors import InputError
-from trinoc.recording import (
-    Frame,
-    fitting_template,
-    frames_of_names,
-    frames_of_table,
-    parts_of,
-    share_of,
-)
+from trinoc.recording.frame import Frame
+from trinoc.recording.frame_table import frames_of_table
+from trinoc.recording.name_templates import fitting_template, frames_of_names
+from trinoc.recording.parts import parts_of, share_of
 
 CAMERAS = ("upper", "left", "right", "left_far")
 FRAMES = st.lists(st.text("ab01239.-", min_size=1, max_size=6), min_size=1, unique=True)

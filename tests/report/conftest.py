@@ -13,10 +13,21 @@ from tests.geometry.conics import (
     shape_of_dual_conic,
 )
 from tests.geometry.trifocal import normalised_line
-from trinoc.calib import CalibrationResult, CameraFit, Detection, Pattern, Status
-from trinoc.geometry import Camera, Intrinsics, Rig, Segments, image_of_circle_centre, project
-from trinoc.match import Matches
-from trinoc.numerics import in_float64
+from trinoc.calib import (
+    CalibrationResult,
+    CameraFit,
+    Detection,
+    Status,
+)
+from trinoc.calib.targets.pattern import Pattern
+from trinoc.geometry import project
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.image_of_circle import image_of_circle_centre
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.segments import Segments
+from trinoc.match.tracks.matches import Matches
+from trinoc.numerics.precision import in_float64
 
 PARAMETERS = ("pan_deg", "tilt_deg", "swing_deg", "distance_mm")
 SIGMA = (0.0013, 0.0008, 0.0011, 0.0045)

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from trinoc.calib import CalibrationResult
-from trinoc.geometry import Segments
-from trinoc.match import Matches
+from trinoc.geometry.segments import Segments
+from trinoc.match.tracks.matches import Matches
 from trinoc.report import write_report
 
 from .browser import chromium

@@ -12,7 +12,9 @@ import numpy as np
 import pytest
 
 from trinoc.cli.main import main
-from trinoc.io import COMPILE_CACHE_VARIABLE, load_matches, load_rig
+from trinoc.io.compile_cache import COMPILE_CACHE_VARIABLE
+from trinoc.io.rig_json import load_rig
+from trinoc.io.saving import load_matches
 from trinoc.synth import table1_rig
 
 

@@ -7,18 +7,15 @@ import jax
 import numpy as np
 import pytest
 
-from trinoc.geometry import (
-    AbstractLens,
-    BrownConrady,
-    Camera,
-    Intrinsics,
-    KannalaBrandt,
-    Rational,
-    Rig,
-    project,
-)
-from trinoc.geometry.lenses import Pinhole
-from trinoc.numerics import in_float64
+from trinoc.geometry import AbstractLens, project
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.lenses.brown_conrady import BrownConrady
+from trinoc.geometry.lenses.kannala_brandt import KannalaBrandt
+from trinoc.geometry.lenses.pinhole import Pinhole
+from trinoc.geometry.lenses.rational import Rational
+from trinoc.geometry.rig import Rig
+from trinoc.numerics.precision import in_float64
 from trinoc.report.epipolar_part import EpipolarPart, epipolar_part
 from trinoc.report.html import render_report
 from trinoc.report.pictures import page_picture

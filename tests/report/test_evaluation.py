@@ -5,18 +5,20 @@ import pytest
 
 import trinoc
 from trinoc.errors import InputError
-from trinoc.evaluation import (
-    KnownShape,
+from trinoc.evaluation.evaluation import evaluate
+from trinoc.evaluation.known_shape import KnownShape
+from trinoc.evaluation.lines_of_rig import lines_of_form, lines_of_rig
+from trinoc.evaluation.sweep import (
+    Setting,
     SweepSetting,
-    evaluate,
+    chosen_lines,
     evaluate_matches,
     evaluate_settings,
     settings_of,
 )
-from trinoc.evaluation.lines_of_rig import lines_of_form, lines_of_rig
-from trinoc.evaluation.sweep import Setting, chosen_lines
-from trinoc.geometry import PARAMETER_NAMES, Rig
-from trinoc.match import Matches, join_collinear
+from trinoc.geometry.rig import PARAMETER_NAMES, Rig
+from trinoc.match import join_collinear
+from trinoc.match.tracks.matches import Matches
 from trinoc.report import evaluation_text, write_plot
 from trinoc.report.evaluation_plot import evaluation_panels
 from trinoc.report.text_of_evaluation import evaluation_table

@@ -4,7 +4,7 @@ import numpy as np
 
 from tests.io.formats.bench import bench_rig
 from tests.io.made_cylinders import made_cylinders
-from trinoc.report import features_figure
+from trinoc.report.features_part import features_figure
 from trinoc.report.html import render_report
 
 CYLINDERS = made_cylinders()

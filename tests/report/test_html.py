@@ -11,10 +11,11 @@ import pytest
 
 from trinoc.calib import CalibrationResult, Status
 from trinoc.errors import InputError
-from trinoc.geometry import Rig, Segments
-from trinoc.match import Matches
-from trinoc.report import ExtraTable, write_report
-from trinoc.report.html import render_report
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.segments import Segments
+from trinoc.match.tracks.matches import Matches
+from trinoc.report import write_report
+from trinoc.report.html import ExtraTable, render_report
 from trinoc.report.numbers import with_sigma
 from trinoc.report.space_part import space_figure
 

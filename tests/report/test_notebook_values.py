@@ -9,12 +9,15 @@ import numpy as np
 import pytest
 
 import trinoc
-from trinoc.calib import CalibrationResult, RefineResult, RefineStatus
+from trinoc.calib import CalibrationResult, RefineResult
+from trinoc.calib.bundle.result import RefineStatus
 from trinoc.errors import InputError
-from trinoc.evaluation import Evaluation, evaluate
-from trinoc.geometry import LineObservations, Rig, Segments, UncertainLines
-from trinoc.match import Matches
-from trinoc.numerics import Displayable
+from trinoc.evaluation.evaluation import Evaluation, evaluate
+from trinoc.geometry import LineObservations, UncertainLines
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.segments import Segments
+from trinoc.match.tracks.matches import Matches
+from trinoc.numerics.display import Displayable
 from trinoc.report.notebook import axes, cards, figures
 from trinoc.report.notebook.tables import columns_of
 

@@ -11,8 +11,9 @@ import pytest
 from hypothesis import given
 
 from trinoc.errors import InputError
-from trinoc.geometry import Rig, line_sigmas
-from trinoc.match import Matches
+from trinoc.geometry.line_lengths import line_sigmas
+from trinoc.geometry.rig import Rig
+from trinoc.match.tracks.matches import Matches
 from trinoc.report.colours import PALETTE, distinct_neighbours
 from trinoc.report.numbers import (
     decimals_for,

@@ -9,8 +9,9 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 
 from trinoc.calib import CalibrationResult
-from trinoc.geometry import Rig, Segments
-from trinoc.match import Matches
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.segments import Segments
+from trinoc.match.tracks.matches import Matches
 from trinoc.report import plot
 
 matplotlib.use("Agg")

@@ -6,11 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trinoc.calib import Chessboard, Detection, RigFromShots, Status
+from trinoc.calib import Detection, RigFromShots, Status
 from trinoc.calib.advice.field_difference import FieldDifference
 from trinoc.calib.advice.halves import CrossValidation, HalvesCheck
 from trinoc.calib.problem.views import View
-from trinoc.geometry import Rig
+from trinoc.calib.targets.checkers import Chessboard
+from trinoc.geometry.rig import Rig
 from trinoc.report import write_report
 from trinoc.report.checks import Level, Subject
 from trinoc.report.coverage import Coverage, coverage_by_boards, mean_residuals, places_seen

@@ -6,8 +6,9 @@ import math
 import numpy as np
 import pytest
 
-from trinoc.geometry import Camera, Rig
-from trinoc.match import Matches
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.rig import Rig
+from trinoc.match.tracks.matches import Matches
 from trinoc.report import counts_text, errors_text, parameter_errors, reasons_text
 from trinoc.report.matches_part import reasons_by_view
 from trinoc.report.text import text_table

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from trinoc.calib import CalibrationResult, Status, point_covariance
-from trinoc.geometry import Rig
-from trinoc.match import Matches
+from trinoc.geometry.rig import Rig
+from trinoc.match.tracks.matches import Matches
 from trinoc.report.checks import Level, Subject
 from trinoc.report.coverage import Coverage, coverage_by_circles
 from trinoc.report.field_part import FieldPart, field_part

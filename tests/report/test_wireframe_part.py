@@ -5,7 +5,7 @@ import pytest
 
 from tests.io.formats.bench import bench_rig
 from tests.io.made_wireframe import made_wireframe
-from trinoc.report import features_figure
+from trinoc.report.features_part import features_figure
 
 FRAME = made_wireframe()
 

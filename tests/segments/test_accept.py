@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from trinoc.segments.nevatia_babu import FittedLines, is_sharp, is_straight
+from trinoc.segments.nevatia_babu.accept import is_sharp, is_straight
+from trinoc.segments.nevatia_babu.line_fit import FittedLines
 
 
 def lines(

@@ -2,7 +2,12 @@
 
 import numpy as np
 
-from trinoc.segments.nevatia_babu import Pieces, end_sigmas, lines_near_ends, snap_ends
+from trinoc.segments.nevatia_babu.endpoints import (
+    Pieces,
+    end_sigmas,
+    lines_near_ends,
+    snap_ends,
+)
 from trinoc.segments.tuning import DEFAULT
 
 SNAP_PX = DEFAULT.ends.snap_px

@@ -5,7 +5,8 @@ import pytest
 from scipy.special import erf
 
 from trinoc.errors import InputError
-from trinoc.geometry import Intrinsics, Segments
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.segments import Segments
 from trinoc.segments import find_segments
 
 HEIGHT, WIDTH = 120, 150

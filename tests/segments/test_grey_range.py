@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import trinoc
-from trinoc.image import grey_image
+from trinoc.image.grey import grey_image
 from trinoc.segments import why_nothing
 
 

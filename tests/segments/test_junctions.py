@@ -3,7 +3,7 @@
 import numpy as np
 from hypothesis import given, settings, strategies as st
 
-from trinoc.geometry import Segments
+from trinoc.geometry.segments import Segments
 from trinoc.segments import find_segments_lsd, with_junctions
 
 

@@ -5,8 +5,11 @@ import pytest
 from scipy.special import ndtr
 
 from trinoc.segments import nevatia_babu_masks
-from trinoc.segments.nevatia_babu import combined_kernel
-from trinoc.segments.nevatia_babu.thinning import gradient_of, mask_gradient_directions
+from trinoc.segments.nevatia_babu.thinning import (
+    combined_kernel,
+    gradient_of,
+    mask_gradient_directions,
+)
 
 
 def test_every_mask_answers_nothing_to_a_level_picture() -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from trinoc.image import PowerResponse
+from trinoc.image.response import PowerResponse
 from trinoc.segments import find_segments
 from trinoc.synth.camera_picture.delivery import SRGB
 

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from trinoc.geometry import Segments
+from trinoc.geometry.segments import Segments
 from trinoc.segments import find_segments
-from trinoc.segments.nevatia_babu import end_covariances
+from trinoc.segments.nevatia_babu.errors import end_covariances
 
 NORMAL = np.array([np.cos(0.3), np.sin(0.3)])
 MIDDLE = np.array([32.2, 31.4])

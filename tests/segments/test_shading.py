@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from trinoc.geometry import Segments
-from trinoc.numerics import with_field
+from trinoc.geometry.segments import Segments
+from trinoc.numerics.tables import with_field
 from trinoc.segments import find_segments
 from trinoc.segments.tuning import DEFAULT
 

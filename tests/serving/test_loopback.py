@@ -2,7 +2,7 @@
 
 import pytest
 
-from trinoc.serving import may_ask
+from trinoc.serving.loopback import may_ask
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1:8642", "localhost", "LocalHost:1", "[::1]:8642"])

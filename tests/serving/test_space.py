@@ -8,8 +8,10 @@ import pytest
 
 from tests.serving.asking import ask
 from trinoc.errors import InputError
-from trinoc.report import error_ellipsoids, space_figure, visible_factor
-from trinoc.serving import serve_space, space
+from trinoc.report.ellipsoids import error_ellipsoids, visible_factor
+from trinoc.report.space_part import space_figure
+from trinoc.serving import space
+from trinoc.serving.space import serve_space
 from trinoc.synth import table1_rig
 
 

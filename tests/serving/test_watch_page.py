@@ -9,7 +9,13 @@ import pytest
 from tests.capture.made import camera, circles_picture, judgement, rectangle
 from tests.serving.asking import ask
 from trinoc.errors import InputError
-from trinoc.serving import Page, Watched, picture_page, serve_pages, thumbnail, watch_page
+from trinoc.serving.pages import Page, serve_pages
+from trinoc.serving.watching import (
+    Watched,
+    picture_page,
+    thumbnail,
+    watch_page,
+)
 
 ALL = rectangle(0.01, 0.01, 0.99, 0.99)
 

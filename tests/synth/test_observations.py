@@ -4,16 +4,14 @@ import numpy as np
 import pytest
 
 from trinoc.synth import (
-    NOT_SCORED,
     Detector,
-    demo_scene,
     loose_segments,
-    points_along,
     simulate_segments,
     table1_rig,
 )
 from trinoc.synth.observations import PERFECT
-from trinoc.synth.truth import SPURIOUS
+from trinoc.synth.scenes import demo_scene, points_along
+from trinoc.synth.truth import NOT_SCORED, SPURIOUS
 
 RIG = table1_rig()
 SCENE = loose_segments(5, count=300)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from trinoc.geometry import project
-from trinoc.synth import random_rig, table1_rig
-from trinoc.synth.rigs import TABLE_1
+from trinoc.synth import table1_rig
+from trinoc.synth.rigs import TABLE_1, random_rig
 
 
 def test_table_1_is_the_paper_s():

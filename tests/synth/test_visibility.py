@@ -4,19 +4,16 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from trinoc.synth import (
+from trinoc.synth import block_scene, loose_segments, table1_rig
+from trinoc.synth.rigs import random_rig
+from trinoc.synth.scenes import (
     Scene,
-    block_scene,
     demo_scene,
-    loose_segments,
     points_along,
-    random_rig,
     see_through_boxes,
-    table1_rig,
-    visible_parts,
 )
 from trinoc.synth.solids import Cylinder, box, l_block, wedge
-from trinoc.synth.visibility import is_visible
+from trinoc.synth.visibility import is_visible, visible_parts
 
 CAMERA = table1_rig()["left"]
 TURNS = st.floats(0.0, 360.0)

@@ -5,7 +5,3 @@
 how many; `folder` is where results go and what is there already. `run` puts them together,
 `results` reads what was written.
 """
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -19,8 +19,12 @@ from typing import Any
 
 from trinoc.batch.manifest import lines_of, read_lines, text_of
 from trinoc.errors import InputError
-from trinoc.io import load_frames, parsed_json, read_text, save_frames, write_text
-from trinoc.recording import OK, FrameMatches, Part
+from trinoc.io.atomic import write_text
+from trinoc.io.frames_files import load_frames, save_frames
+from trinoc.io.json_text import parsed_json
+from trinoc.io.whole_files import read_text
+from trinoc.recording.frame import OK, FrameMatches
+from trinoc.recording.parts import Part
 
 DESCRIPTION = "recording.json"
 

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from trinoc.recording import FrameMatches
+from trinoc.recording.frame import FrameMatches
 
 
 def lines_of(results: Sequence[FrameMatches], file: str) -> list[dict[str, Any]]:

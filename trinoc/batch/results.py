@@ -6,9 +6,9 @@ from pathlib import Path
 
 from trinoc.batch.manifest import read_lines
 from trinoc.errors import InputError
-from trinoc.io import load_frames
-from trinoc.match import Matches
-from trinoc.recording import FrameMatches
+from trinoc.io.frames_files import load_frames
+from trinoc.match.tracks.matches import Matches
+from trinoc.recording.frame import FrameMatches
 
 
 class RecordingMatches(Mapping):

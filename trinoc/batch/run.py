@@ -14,9 +14,11 @@ from trinoc.batch.source import Source, find_frames
 from trinoc.batch.work import Work
 from trinoc.batch.workers import cluster, in_window, threads
 from trinoc.errors import InputError, TrinocError
-from trinoc.geometry import Rig
-from trinoc.io import frames_ending, rig_text
-from trinoc.recording import FrameMatches, Part, parts_of, share_of
+from trinoc.geometry.rig import Rig
+from trinoc.io.frames_files import frames_ending
+from trinoc.io.rig_json import rig_text
+from trinoc.recording.frame import FrameMatches
+from trinoc.recording.parts import Part, parts_of, share_of
 
 
 class BatchProgress(NamedTuple):

@@ -6,14 +6,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 from trinoc.errors import InputError
-from trinoc.io import IMAGE_SUFFIXES, read_text
-from trinoc.recording import (
-    Frame,
-    depth_of,
-    fitting_template,
-    frames_of_names,
-    frames_of_table,
-)
+from trinoc.io.images import IMAGE_SUFFIXES
+from trinoc.io.whole_files import read_text
+from trinoc.recording.frame import Frame
+from trinoc.recording.frame_table import frames_of_table
+from trinoc.recording.name_templates import depth_of, fitting_template, frames_of_names
 
 SEGMENT_SUFFIXES = (".npz", ".npy", ".csv", ".txt")
 

@@ -8,10 +8,15 @@ from typing import Any, NamedTuple
 
 from trinoc.batch.source import SEGMENT_SUFFIXES
 from trinoc.errors import InputError, TrinocError
-from trinoc.geometry import Rig, Segments
-from trinoc.io import expect_inside, expect_size, load_segments, picture_digest, read_image
-from trinoc.recording import Frame, FrameMatches, Part, matched_frames, unexpected
-from trinoc.segments import find_segments
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.segments import Segments
+from trinoc.io.images import picture_digest, read_image
+from trinoc.io.segment_table import load_segments
+from trinoc.io.views_of_rig import expect_inside, expect_size
+from trinoc.recording.frame import Frame, FrameMatches
+from trinoc.recording.matched import matched_frames, unexpected
+from trinoc.recording.parts import Part
+from trinoc.segments.find import find_segments
 
 
 class Work(NamedTuple):

@@ -17,18 +17,17 @@ from trinoc.calib.messages import (
     notes_of_sheet,
 )
 from trinoc.calib.problem.robust_fit import errors_px
-from trinoc.calib.result import CalibrationResult, CameraFit, Status
+from trinoc.calib.result.calibration import CalibrationResult, CameraFit
 from trinoc.calib.result.degrees import largest_sigmas, values_of_parameters
+from trinoc.calib.result.status import Status
 from trinoc.calib.rig_fit import Knowledge, RigFit
-from trinoc.geometry import (
-    AFFINE_PARAMETERS,
-    PARAMETER_NAMES,
-    Camera,
-    Intrinsics,
-    Rig,
-    simplified,
-)
-from trinoc.numerics import Observability, in_float64, observability_of_root
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS
+from trinoc.geometry.lenses.registry import simplified
+from trinoc.geometry.rig import PARAMETER_NAMES, Rig
+from trinoc.numerics.information import Observability, observability_of_root
+from trinoc.numerics.precision import in_float64
 
 
 @in_float64

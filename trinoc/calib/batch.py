@@ -7,15 +7,17 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from trinoc.calib.adjustment.each_camera import fit_cameras
-from trinoc.calib.detection import Detection, Orientation, resolve_orientation
+from trinoc.calib.detection.detection import Detection
+from trinoc.calib.detection.orientation import Orientation, resolve_orientation
 from trinoc.calib.from_detections import Search, lens_of_each, outcome_of_search
 from trinoc.calib.messages import failure_sentence
-from trinoc.calib.result import Status
+from trinoc.calib.result.status import Status
 from trinoc.calib.rig_fit import Knowledge
-from trinoc.calib.targets import Pattern
-from trinoc.calib.uncertainty import Systematics
-from trinoc.geometry import Intrinsics, PoseModel, pose_model_over_sheet
-from trinoc.numerics import in_float64
+from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.uncertainty.systematics import Systematics
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.pose import PoseModel, pose_model_over_sheet
+from trinoc.numerics.precision import in_float64
 
 
 class BatchCalibration(NamedTuple):

@@ -8,17 +8,20 @@ from jaxtyping import Float
 
 from trinoc.calib.adjustment.each_camera import PoseEstimate
 from trinoc.calib.assembly import result_of_fits
-from trinoc.calib.detection import Detection, Orientation, resolve_orientation
+from trinoc.calib.detection.detection import Detection
+from trinoc.calib.detection.orientation import Orientation, resolve_orientation
 from trinoc.calib.messages import failure_sentence
 from trinoc.calib.problem.sheet_problem import SheetCamera
-from trinoc.calib.result import CalibrationResult, CameraFit, Status
+from trinoc.calib.result.calibration import CalibrationResult, CameraFit
 from trinoc.calib.result.degrees import pose_of_values
+from trinoc.calib.result.status import Status
 from trinoc.calib.rig_fit import Knowledge, fit_circles, fit_rig
-from trinoc.calib.targets import Pattern
-from trinoc.calib.uncertainty import Systematics
+from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.errors import CalibrationError, InputError
-from trinoc.geometry import Intrinsics, PoseModel, pose_model_over_sheet
-from trinoc.numerics import in_float64
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.pose import PoseModel, pose_model_over_sheet
+from trinoc.numerics.precision import in_float64
 
 
 class Search(NamedTuple):

@@ -5,17 +5,20 @@ from typing import Literal
 
 import numpy as np
 
-from trinoc.calib.detection import Orientation, detect_pattern
+from trinoc.calib.detection.orientation import Orientation
+from trinoc.calib.detection.registry import detect_pattern
 from trinoc.calib.from_detections import Search, calibration_of_search, lens_of_each
-from trinoc.calib.photometric import Encoding, Response, neutral_mosaic
-from trinoc.calib.result import CalibrationResult
+from trinoc.calib.photometric.encoding import Encoding, Response, neutral_mosaic
+from trinoc.calib.result.calibration import CalibrationResult
 from trinoc.calib.rig_fit import Knowledge
-from trinoc.calib.targets import Pattern
-from trinoc.calib.uncertainty import Systematics
+from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.errors import DetectionError, InputError
-from trinoc.geometry import Intrinsics, PoseModel, pose_model_over_sheet
-from trinoc.image import grey_image
-from trinoc.numerics import ArrayLike, in_float64
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.pose import PoseModel, pose_model_over_sheet
+from trinoc.image.grey import grey_image
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.precision import in_float64
 
 
 @in_float64

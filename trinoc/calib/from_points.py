@@ -9,27 +9,23 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from trinoc.calib.detection import Detection
+from trinoc.calib.detection.detection import Detection
 from trinoc.calib.problem.information import whitened_views
 from trinoc.calib.problem.problem import Problem, lens_number
 from trinoc.calib.problem.robust_fit import errors_px, fit_places
 from trinoc.calib.problem.sheet_problem import SheetCamera, sheet_problem
-from trinoc.calib.result import Status
 from trinoc.calib.result.degrees import degrees_by_step
-from trinoc.calib.targets import AbstractTarget
-from trinoc.calib.uncertainty import Systematics
+from trinoc.calib.result.status import Status
+from trinoc.calib.targets.abstract_target import AbstractTarget
+from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.errors import CalibrationError, InputError
-from trinoc.geometry import (
-    AFFINE_PARAMETERS,
-    DEFAULT_DISTORTION,
-    Camera,
-    Intrinsics,
-    Pose,
-    PoseModel,
-    promoted,
-    simplified,
-)
-from trinoc.numerics import ArrayLike, in_float64
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS
+from trinoc.geometry.lenses.registry import DEFAULT_DISTORTION, promoted, simplified
+from trinoc.geometry.pose import Pose, PoseModel
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.precision import in_float64
 
 # A direction whose sigma exceeds this (rad, share of the distance or focal length) is free.
 _LARGEST_SIGMA = 0.1

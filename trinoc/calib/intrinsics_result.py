@@ -7,11 +7,12 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from trinoc.calib.advice.next_shot import NextImage
-from trinoc.calib.detection import Detection
-from trinoc.calib.result import Status
+from trinoc.calib.detection.detection import Detection
+from trinoc.calib.result.status import Status
 from trinoc.calib.shot_messages import value_words
-from trinoc.calib.targets import Pattern
-from trinoc.geometry import SPLINE_PARAMETERS, Intrinsics
+from trinoc.calib.targets.pattern import Pattern
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.lenses.splined import SPLINE_PARAMETERS
 
 
 class IntrinsicsResult(eqx.Module):

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from trinoc.calib.advice.next_shot import next_image_of
-from trinoc.calib.detection import Detection
+from trinoc.calib.detection.detection import Detection
 from trinoc.calib.intrinsics_result import IntrinsicsResult
 from trinoc.calib.problem.coefficients import fewest_coefficients, hold_undetermined
 from trinoc.calib.problem.lens_correction import with_correction, with_own_correction_sigmas
@@ -21,7 +21,7 @@ from trinoc.calib.problem.problem import Freedom, Problem, cam_from_board, lens_
 from trinoc.calib.problem.robust_fit import RobustFit, errors_px, fit_robustly
 from trinoc.calib.problem.starting_problem import problem_of
 from trinoc.calib.problem.views import View
-from trinoc.calib.result import Status
+from trinoc.calib.result.status import Status
 from trinoc.calib.rig_calibration import expect_coefficients
 from trinoc.calib.rig_pixels import expect_method, fit_pixels, grey_levels
 from trinoc.calib.shot_messages import (
@@ -34,21 +34,16 @@ from trinoc.calib.shot_messages import (
 )
 from trinoc.calib.starts.camera_start import FEWEST_PLACES, start_camera
 from trinoc.calib.starts.pictures import find_boards
-from trinoc.calib.targets import Pattern
-from trinoc.calib.uncertainty import Systematics
+from trinoc.calib.targets.pattern import Pattern
 from trinoc.calib.uncertainty.propagation import field_places_px, field_sigma_px
+from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.errors import CalibrationError, InputError
-from trinoc.geometry import (
-    AFFINE_PARAMETERS,
-    DEFAULT_DISTORTION,
-    AbstractLens,
-    AbstractSplined,
-    Intrinsics,
-    SplinedBrownConrady,
-    lens_model,
-    simplified,
-)
-from trinoc.numerics import ArrayLike, in_float64
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS, AbstractLens
+from trinoc.geometry.lenses.registry import DEFAULT_DISTORTION, lens_model, simplified
+from trinoc.geometry.lenses.splined import AbstractSplined, SplinedBrownConrady
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.precision import in_float64
 
 # Names that stand for models.
 _CALLED = {"splined": SplinedBrownConrady.model}

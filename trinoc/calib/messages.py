@@ -7,13 +7,14 @@ from jaxtyping import Bool, Float
 
 from trinoc.calib.adjustment.each_camera import PoseEstimate
 from trinoc.calib.adjustment.estimate import Adjustment
-from trinoc.calib.detection import Detection
+from trinoc.calib.detection.detection import Detection
 from trinoc.calib.problem.sheet import BentPaper
-from trinoc.calib.result import Alternative, Status
+from trinoc.calib.result.alternative import Alternative
+from trinoc.calib.result.status import Status
 from trinoc.calib.rig_fit import LEAST_PROBABILITY, CameraChoice, Knowledge
-from trinoc.calib.targets import Pattern
-from trinoc.calib.uncertainty import Systematics
-from trinoc.geometry import PoseModel
+from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.uncertainty.systematics import Systematics
+from trinoc.geometry.pose import PoseModel
 
 # Centres of the right sheet through the right lens fit to hundredths of a pixel; beyond this
 # share of the sheet's size in the picture the model is not the camera's.

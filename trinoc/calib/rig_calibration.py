@@ -5,7 +5,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from trinoc.calib.detection import Detection, split_by_board
+from trinoc.calib.detection.detection import Detection, split_by_board
 from trinoc.calib.lens_selection import (
     LENSES_TRIED,
     HeldOut,
@@ -28,26 +28,25 @@ from trinoc.calib.problem.problem import Freedom, Problem
 from trinoc.calib.problem.rao_test import rational_lens_test, wider_lens_test
 from trinoc.calib.problem.robust_fit import RobustFit, fit_robustly
 from trinoc.calib.problem.starting_problem import problem_of
-from trinoc.calib.result import Status
+from trinoc.calib.result.status import Status
 from trinoc.calib.rig_from_shots import RigFromShots, result_from_fit
 from trinoc.calib.rig_pixels import expect_method, fit_pixels, grey_levels
 from trinoc.calib.starts.camera_start import FEWEST_PLACES, CameraStart, start_camera
 from trinoc.calib.starts.pictures import FoundBoards, Pictures, find_boards
 from trinoc.calib.starts.placing import PlacedRig, ShotBoard, place_rig
-from trinoc.calib.targets import AbstractTarget
-from trinoc.calib.uncertainty import Systematics
+from trinoc.calib.targets.abstract_target import AbstractTarget
+from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.errors import CalibrationError, InputError
-from trinoc.geometry import (
-    AFFINE_PARAMETERS,
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS, AbstractLens
+from trinoc.geometry.lenses.brown_conrady import BrownConrady
+from trinoc.geometry.lenses.registry import (
     DEFAULT_DISTORTION,
-    AbstractLens,
-    AbstractSplined,
-    BrownConrady,
-    Intrinsics,
     lens_model as lens_model_of,
     promoted,
 )
-from trinoc.numerics import in_float64
+from trinoc.geometry.lenses.splined import AbstractSplined
+from trinoc.numerics.precision import in_float64
 
 
 @in_float64

@@ -9,14 +9,17 @@ from trinoc.calib.adjustment.agreement import probability_of_agreement
 from trinoc.calib.adjustment.each_camera import PoseEstimate, fit_camera
 from trinoc.calib.adjustment.estimate import Adjustment, adjust_cameras
 from trinoc.calib.adjustment.jackknife import scatter_of_blocks
-from trinoc.calib.detection import Detection
-from trinoc.calib.photometric import Encoding, PictureFit, ShiftOfPlaces, refine_views
+from trinoc.calib.detection.detection import Detection
+from trinoc.calib.photometric.encoding import Encoding
+from trinoc.calib.photometric.scene import ShiftOfPlaces
+from trinoc.calib.photometric.views import PictureFit, refine_views
 from trinoc.calib.problem.apparent_shift import apparent_shift
 from trinoc.calib.problem.sheet_problem import SheetCamera
-from trinoc.calib.result import Status
-from trinoc.calib.targets import Pattern
-from trinoc.calib.uncertainty import Systematics
-from trinoc.geometry import Intrinsics, PoseModel
+from trinoc.calib.result.status import Status
+from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.uncertainty.systematics import Systematics
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.pose import PoseModel
 
 # Both answers of a picture differ by more than this allows in one of a hundred right pictures,
 # which pays with a third of its sigmas.

@@ -19,17 +19,23 @@ from trinoc.calib.problem.outcome import assess_fit
 from trinoc.calib.problem.problem import EndedProblem, Problem, lens_number
 from trinoc.calib.problem.robust_fit import RobustFit, errors_px
 from trinoc.calib.problem.views import View
-from trinoc.calib.result import Status
+from trinoc.calib.result.status import Status
 from trinoc.calib.shot_messages import (
     notes_of_fit,
     refused_sentences,
     silent_sentences,
     value_words,
 )
-from trinoc.calib.targets import AbstractTarget, board_names, boards_of
+from trinoc.calib.targets.abstract_target import AbstractTarget
+from trinoc.calib.targets.board_set import board_names, boards_of
 from trinoc.errors import InputError
-from trinoc.geometry import SPLINE_PARAMETERS, Camera, Intrinsics, Pose, Rig, simplified
-from trinoc.numerics import in_float64
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.lenses.registry import simplified
+from trinoc.geometry.lenses.splined import SPLINE_PARAMETERS
+from trinoc.geometry.pose import Pose
+from trinoc.geometry.rig import Rig
+from trinoc.numerics.precision import in_float64
 
 # Of the largest sigma: below, there is none.
 _EXACT = 1e-12

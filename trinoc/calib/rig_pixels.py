@@ -14,8 +14,8 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.detection import Detection
-from trinoc.calib.photometric import refine_views
+from trinoc.calib.detection.detection import Detection
+from trinoc.calib.photometric.views import refine_views
 from trinoc.calib.problem.apparent_shift import apparent_shift
 from trinoc.calib.problem.problem import Problem, cam_from_board, lens_number
 from trinoc.calib.problem.robust_fit import RobustFit, errors_px, finish_fit, fit_places
@@ -24,20 +24,17 @@ from trinoc.calib.problem.wrong_circles import drop_wrong_circles
 from trinoc.calib.starts.camera_start import on_board
 from trinoc.calib.starts.pictures import Pictures, deliver, name_pictures
 from trinoc.calib.starts.placing import of_one_moment
-from trinoc.calib.targets import (
-    AbstractTarget,
-    AprilGrid,
-    BoardSet,
-    Pattern,
-    SquareSheet,
-    marker_cells,
-    opencv_dictionary,
-    square_sheet,
-)
+from trinoc.calib.targets.abstract_target import AbstractTarget
+from trinoc.calib.targets.april_grid import AprilGrid
+from trinoc.calib.targets.board_set import BoardSet
+from trinoc.calib.targets.markers import marker_cells, opencv_dictionary
+from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.targets.squares import SquareSheet, square_sheet
 from trinoc.errors import InputError
-from trinoc.geometry import PoseModel, project_points
-from trinoc.image import grey_image
-from trinoc.numerics import blocks
+from trinoc.geometry.pose import PoseModel
+from trinoc.geometry.projection import project_points
+from trinoc.image.grey import grey_image
+from trinoc.numerics.buckets import blocks
 
 _MOST_ROUNDS = 3
 # Another look at the pictures changes nothing once the rig moves places by no more than this: what

@@ -8,10 +8,10 @@ from trinoc.calib.problem.lens_correction import correction_sentences
 from trinoc.calib.problem.outcome import Outcome
 from trinoc.calib.problem.problem import Problem, cam_from_board, lens_number
 from trinoc.calib.problem.robust_fit import RobustFit, errors_px
-from trinoc.calib.result import Status
+from trinoc.calib.result.status import Status
 from trinoc.calib.starts.placing import PARALLEL_DEG, boards_are_parallel
-from trinoc.calib.targets import board_names, boards_of
-from trinoc.geometry import Pose
+from trinoc.calib.targets.board_set import board_names, boards_of
+from trinoc.geometry.pose import Pose
 
 # A scale or a warp beyond this many sigmas of what was known of it before is reported.
 _SURPRISING = 3.0

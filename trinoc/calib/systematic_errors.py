@@ -8,11 +8,12 @@ from jaxtyping import Float
 from trinoc.calib.problem.information import whitened_views
 from trinoc.calib.problem.sheet import BentPaper
 from trinoc.calib.problem.sheet_problem import SheetCamera, sheet_problem
-from trinoc.calib.result import CalibrationResult
+from trinoc.calib.result.calibration import CalibrationResult
 from trinoc.calib.result.degrees import degrees_by_step
 from trinoc.calib.uncertainty.systematics import Systematics
-from trinoc.geometry import PARAMETER_NAMES, PoseModel, Rig
-from trinoc.numerics import in_float64
+from trinoc.geometry.pose import PoseModel
+from trinoc.geometry.rig import PARAMETER_NAMES, Rig
+from trinoc.numerics.precision import in_float64
 
 # Shared by all cameras: print scale along X and Y, and three ways in which a sheet bends.
 _SHEET_TERMS = [

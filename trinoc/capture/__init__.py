@@ -4,7 +4,3 @@
 `judgement` puts them together with the detection, and `advice` looks at all pictures so far.
 Nothing here fits a lens, so that an answer takes no longer than a picture.
 """
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 from jaxtyping import Shaped, UInt8
 
-from trinoc.calib import circle_candidates
-from trinoc.image import grey_image
+from trinoc.calib.detection.circles import circle_candidates
+from trinoc.image.grey import grey_image
 
 _LARGEST_SIDE_PX, _LEAST_WIDTH_PX = 1600, 640
 # Red, green, blue.

@@ -6,10 +6,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Shaped
 
-from trinoc.calib import AbstractTarget, detect_target
+from trinoc.calib.detection.registry import detect_target
+from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.capture.measures import Exposure, edge_blur_px, exposure_of, lean_of
 from trinoc.errors import DetectionError
-from trinoc.image import Light
+from trinoc.image.light import Light
 
 # Bounds of what docs/pictures.md asks for.
 SOFTEST_PX = 2.5

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
-from trinoc.image import blur_of_two_slopes
+from trinoc.image.step_edge import blur_of_two_slopes
 
 # In 255ths. What cameras and JPEG make of full light and of none lies a level or two off.
 _SATURATED, _DARK = 253, 2

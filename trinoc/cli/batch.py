@@ -18,7 +18,7 @@ from trinoc.cli.segments import SegmentOptions
 from trinoc.cli.views import read_rig
 
 if TYPE_CHECKING:
-    from trinoc.batch import BatchOutcome, BatchProgress
+    from trinoc.batch.run import BatchOutcome, BatchProgress
 
 ANYWHERE = (0.0, math.inf)
 # Where no bar can be drawn, a line so often.
@@ -86,7 +86,7 @@ class Batch(SegmentOptions, Command):
             if value is not None and not value > 0:
                 raise UsageError(f"--{name.replace('_', '-')} is {value:g}: give more than 0.")
 
-        from trinoc.batch import match_recording
+        from trinoc.batch.run import match_recording
 
         rig = read_rig(self.rig)
         with _progress(self.quiet) as tell:

@@ -21,8 +21,9 @@ from trinoc.cli.views import files_of_views
 from trinoc.errors import CalibrationError
 
 if TYPE_CHECKING:
-    from trinoc.calib import CalibrationResult, Systematics
-    from trinoc.geometry import Intrinsics
+    from trinoc.calib.result.calibration import CalibrationResult
+    from trinoc.calib.uncertainty.systematics import Systematics
+    from trinoc.geometry.intrinsics import Intrinsics
 import re
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
@@ -30,7 +31,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     import numpy as np
 
-    from trinoc.calib import CalibrationResult, Pattern
+    from trinoc.calib.result.calibration import CalibrationResult
+    from trinoc.calib.targets.pattern import Pattern
 
 
 # Not None: an option that may be a pair or nothing would take pictures that follow it.
@@ -130,10 +132,14 @@ class Calibrate(DryRunOption, ReportOption, Command):
                 f"--orientation is {self.orientation}: give upright, or the file of an earlier rig."
             )
 
-        from trinoc.calib import calibrate
+        from trinoc.calib.from_images import calibrate
         from trinoc.cli.progress import provenance
-        from trinoc.geometry import Rig
-        from trinoc.io import expect_ending, expect_place, load_pattern, load_rig, read_views, save
+        from trinoc.geometry.rig import Rig
+        from trinoc.io.atomic import expect_place
+        from trinoc.io.images import read_views
+        from trinoc.io.pattern_json import load_pattern
+        from trinoc.io.rig_json import load_rig
+        from trinoc.io.saving import expect_ending, save
 
         expect_place(self.out, self.report)
         expect_ending(self.out, Rig)
@@ -186,7 +192,7 @@ class Calibrate(DryRunOption, ReportOption, Command):
 
     def _systematics(self, lenses: "dict[str, Intrinsics]") -> "Systematics":
         """What is not exact: as said, else as it usually is."""
-        from trinoc.calib import Systematics
+        from trinoc.calib.uncertainty.systematics import Systematics
 
         usual = Systematics.typical(lenses)._replace(
             flatness_mm=self.flatness_mm,
@@ -202,7 +208,7 @@ class Calibrate(DryRunOption, ReportOption, Command):
 
 def suspicion(result: "CalibrationResult", out: Path) -> str | None:
     """Why the rig is not written unless that is wanted; None where no camera is suspect."""
-    from trinoc.calib import Status
+    from trinoc.calib.result.status import Status
 
     suspects = [name for name, status in result.status.items() if status is Status.SUSPECT]
     if not suspects:
@@ -260,9 +266,11 @@ def kept_of_failure(
 
     refusal : why what is known of the others may not be written, if so.
     """
-    from trinoc.calib import CalibrationResult
-    from trinoc.capture import failure_picture, judge
-    from trinoc.io import save, write_picture
+    from trinoc.calib.result.calibration import CalibrationResult
+    from trinoc.capture.annotated import failure_picture
+    from trinoc.capture.judgement import judge
+    from trinoc.io.images import write_picture
+    from trinoc.io.saving import save
 
     said = [str(error)]
     for name in error.failures:

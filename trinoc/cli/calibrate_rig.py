@@ -11,7 +11,10 @@ from trinoc.cli.progress import LOGGER, Bar
 from trinoc.cli.views import files_of_views
 
 if TYPE_CHECKING:
-    from trinoc.calib import AbstractTarget, FieldDifference, NextShot, RigFromShots
+    from trinoc.calib.advice.field_difference import FieldDifference
+    from trinoc.calib.advice.next_shot import NextShot
+    from trinoc.calib.rig_from_shots import RigFromShots
+    from trinoc.calib.targets.abstract_target import AbstractTarget
 
 # Not None: an option that may be a pair or nothing would take pictures that follow it.
 UNKNOWN = (-1.0, -1.0)
@@ -96,17 +99,16 @@ class CalibrateRig(ReportOption, Command):
         if self.print_scale_sigma != UNKNOWN:
             expect_sigmas("--print-scale-sigma", self.print_scale_sigma)
 
-        from trinoc.calib import Systematics, calibrate_rig, next_shot
+        from trinoc.calib.rig_calibration import calibrate_rig
+        from trinoc.calib.rig_from_shots import next_shot
+        from trinoc.calib.uncertainty.systematics import Systematics
         from trinoc.cli.progress import provenance
-        from trinoc.geometry import Rig
-        from trinoc.io import (
-            expect_ending,
-            expect_place,
-            load_intrinsics,
-            load_shots,
-            load_target,
-            save,
-        )
+        from trinoc.geometry.rig import Rig
+        from trinoc.io.atomic import expect_place
+        from trinoc.io.board_json import load_target
+        from trinoc.io.intrinsics_json import load_intrinsics
+        from trinoc.io.saving import expect_ending, save
+        from trinoc.io.shots import load_shots
 
         expect_place(self.out, self.report)
         expect_ending(self.out, Rig)
@@ -159,7 +161,7 @@ def one_target(given: "list[tuple[str, AbstractTarget]]") -> "AbstractTarget":
 
     Their own names count where they differ, else those of the files, else their numbers.
     """
-    from trinoc.calib import BoardSet
+    from trinoc.calib.targets.board_set import BoardSet
 
     if len(given) == 1:
         return given[0][1]
@@ -196,7 +198,7 @@ def field_record(field: "FieldDifference") -> dict[str, Any]:
 
 def rig_record(result: "RigFromShots") -> dict[str, Any]:
     """What programs want to know of a rig from many shots, as JSON can hold it."""
-    from trinoc.calib import board_names
+    from trinoc.calib.targets.board_set import board_names
 
     halves, held_out = result.halves, result.cross_validation
     return {

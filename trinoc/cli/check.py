@@ -36,11 +36,12 @@ class Check(Command):
 
     def run(self, command_line: str) -> Outcome:
         """Check, and write the corrected rig where there is one and it is wanted."""
-        from trinoc.calib import check_rig
+        from trinoc.calib.rig_check.knocked import check_rig
         from trinoc.cli.progress import provenance
         from trinoc.cli.views import scene_of
-        from trinoc.geometry import Rig
-        from trinoc.io import expect_ending, expect_place, save
+        from trinoc.geometry.rig import Rig
+        from trinoc.io.atomic import expect_place
+        from trinoc.io.saving import expect_ending, save
 
         expect_place(self.out)
         expect_ending(self.out, Rig)

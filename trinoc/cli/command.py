@@ -65,7 +65,7 @@ class ReportOption:
         if self.report is None:
             return
         from trinoc.cli.progress import LOGGER, for_people
-        from trinoc.report import write_report
+        from trinoc.report.html import write_report
 
         LOGGER.info("writing %s", self.report)
         write_report(self.report, provenance=for_people(origin), **content)

@@ -20,10 +20,11 @@ from trinoc.errors import InputError
 if TYPE_CHECKING:
     import numpy as np
 
-    from trinoc.calib import CalibrationResult
-    from trinoc.evaluation import LengthScore
-    from trinoc.geometry import Rig, Segments
-    from trinoc.match import Matches
+    from trinoc.calib.result.calibration import CalibrationResult
+    from trinoc.evaluation.scoring import LengthScore
+    from trinoc.geometry.rig import Rig
+    from trinoc.geometry.segments import Segments
+    from trinoc.match.tracks.matches import Matches
 import shutil
 
 TOLERANCE_MM = 1.0
@@ -89,11 +90,12 @@ class Work(NamedTuple):
 
 def _work(seconds: dict[str, float]) -> Work:
     with _step("loading", seconds):
-        from trinoc.calib import Systematics, calibrate
-        from trinoc.io import demo_images, demo_pattern
-        from trinoc.match import match_segments
-        from trinoc.segments import find_segments
-        from trinoc.synth import table1_lens, table1_rig
+        from trinoc.calib.from_images import calibrate
+        from trinoc.calib.uncertainty.systematics import Systematics
+        from trinoc.io.demo import demo_images, demo_pattern
+        from trinoc.match.matcher import match_segments
+        from trinoc.segments.find import find_segments
+        from trinoc.synth.rigs import table1_lens, table1_rig
 
         sheets, scenes = demo_images("sheet"), demo_images("scene")
     with _step("calibrating from the pictures of the sheet", seconds):
@@ -115,8 +117,8 @@ class Score(NamedTuple):
 
 
 def _score(matches: "Matches") -> Score:
-    from trinoc.evaluation import score_lengths
-    from trinoc.io import demo_truth
+    from trinoc.evaluation.scoring import score_lengths
+    from trinoc.io.demo import demo_truth
 
     def score(kinds: tuple[str, ...] | None) -> "LengthScore":
         return score_lengths(
@@ -132,8 +134,9 @@ def _score(matches: "Matches") -> Score:
 
 def _write(folder: Path, work: Work, score: Score, command_line: str) -> tuple[Path, Path, Path]:
     from trinoc.cli.progress import for_people, provenance
-    from trinoc.io import demo_paths, save
-    from trinoc.report import ExtraTable, write_report
+    from trinoc.io.demo import demo_paths
+    from trinoc.io.saving import save
+    from trinoc.report.html import ExtraTable, write_report
 
     sheet_files, scene_files = demo_paths("sheet"), demo_paths("scene")
     origin = provenance(command_line, sheet_files)
@@ -179,7 +182,8 @@ def _sentence(score: Score) -> str:
 
 
 def _text(work: Work, score: Score, written: tuple[Path, Path, Path]) -> str:
-    from trinoc.report import counts_text, errors_text, parameter_errors, reasons_text
+    from trinoc.report.parameter_table import parameter_errors
+    from trinoc.report.text import counts_text, errors_text, reasons_text
 
     report, rig, matches = written
     tracks = match_record(work.segments, work.matches)["tracks"]
@@ -196,7 +200,7 @@ def _text(work: Work, score: Score, written: tuple[Path, Path, Path]) -> str:
 
 
 def _record(work: Work, score: Score) -> dict[str, Any]:
-    from trinoc.report import parameter_errors
+    from trinoc.report.parameter_table import parameter_errors
 
     return {
         **calibration_record(work.result),
@@ -244,7 +248,9 @@ PRINT = ("--print-scale-sigma", "0", "0")
 
 def keep_inputs(folder: Path) -> list[Path]:
     """Write pictures, layout of the sheet and trinoc.toml beside the results."""
-    from trinoc.io import demo_paths, demo_pattern, save, write_text
+    from trinoc.io.atomic import write_text
+    from trinoc.io.demo import demo_paths, demo_pattern
+    from trinoc.io.saving import save
 
     inputs = folder / "inputs"
     inputs.mkdir(exist_ok=True)
@@ -274,7 +280,7 @@ def commands() -> list[str]:
 
 
 def _pictures(kind: str) -> dict[str, str]:
-    from trinoc.io import demo_paths
+    from trinoc.io.demo import demo_paths
 
     return {
         view: f"inputs/{kind}_{view}{Path(path).suffix}" for view, path in demo_paths(kind).items()

@@ -14,8 +14,9 @@ from trinoc.cli.views import SEGMENT_SUFFIXES, check_views, files_of_views, read
 from trinoc.errors import InputError
 
 if TYPE_CHECKING:
-    from trinoc.evaluation import KnownShape, Row
-    from trinoc.geometry import Rig
+    from trinoc.evaluation.known_shape import KnownShape
+    from trinoc.evaluation.sweep import Row
+    from trinoc.geometry.rig import Rig
 
 
 # Options that are settings of the segmentation.
@@ -83,12 +84,14 @@ class Evaluate(Command):
         files = files_of_views(self.pictures, guess=True)
         self._check_usage(bool(files))
 
-        from trinoc.io import expect_place, load_shape, save_table
-        from trinoc.report import evaluation_text
+        from trinoc.io.atomic import expect_place
+        from trinoc.io.known_shape import load_shape
+        from trinoc.io.table_csv import save_table
+        from trinoc.report.text_of_evaluation import evaluation_text
 
         expect_place(self.out, self.plot)
         if self.plot is not None:
-            from trinoc.report import expect_plotter
+            from trinoc.report.evaluation_plot import expect_plotter
 
             expect_plotter(self.plot)
         shape = load_shape(
@@ -107,7 +110,7 @@ class Evaluate(Command):
         if all(row.evaluation is None for row in rows):
             raise InputError(f"No setting could be evaluated; the first: {rows[0].problem}")
         if self.plot is not None:
-            from trinoc.report import write_plot
+            from trinoc.report.evaluation_plot import write_plot
 
             write_plot(rows, self.plot)
         record = {
@@ -136,18 +139,19 @@ class Evaluate(Command):
     def _rows(
         self, files: dict[str, Path], rig: "Rig | None", shape: "KnownShape"
     ) -> "Iterator[Row]":
-        from trinoc.evaluation import evaluate_matches, evaluate_settings, settings_of
+        from trinoc.evaluation.sweep import evaluate_matches, evaluate_settings, settings_of
 
         choices = self._choices()
         if self.matches is not None:
-            from trinoc.io import load_matches
+            from trinoc.io.saving import load_matches
 
             matches = load_matches(self.matches)
             yield from evaluate_matches(
                 matches, rig, shape, choices, tolerances_mm=self.within_mm, aligned=self.align
             )
             return
-        from trinoc.io import expect_size, read_views
+        from trinoc.io.images import read_views
+        from trinoc.io.views_of_rig import expect_size
 
         if rig is None or self.rig is None:
             raise UsageError("The rig that took the pictures is not given: add --rig rig.json.")
@@ -185,7 +189,7 @@ class Evaluate(Command):
             yield row
 
     def _choices(self) -> "Sequence[Choice]":
-        from trinoc.evaluation import SweepSetting
+        from trinoc.evaluation.sweep import SweepSetting
 
         return [
             SweepSetting(least, stage, form)

@@ -12,7 +12,7 @@ from trinoc.cli.views import files_of_views
 from trinoc.errors import InputError
 
 if TYPE_CHECKING:
-    from trinoc.geometry import Intrinsics
+    from trinoc.geometry.intrinsics import Intrinsics
 from typing import Literal
 
 ReadFormat = Literal[
@@ -108,8 +108,11 @@ class Export(Command):
         return self._read(command_line) if self.to is None else self._write(self.to)
 
     def _write(self, name: str) -> Outcome:
-        from trinoc.geometry import Intrinsics
-        from trinoc.io import FORMATS, LOSSES, load, load_lens_covariance
+        from trinoc.geometry.intrinsics import Intrinsics
+        from trinoc.io.formats.losses import LOSSES
+        from trinoc.io.formats.registry import FORMATS
+        from trinoc.io.intrinsics_json import load_lens_covariance
+        from trinoc.io.saving import load
 
         if self.names is not None or self.lenses:
             raise UsageError("--names and --lenses go with --from: leave them out.")
@@ -126,8 +129,11 @@ class Export(Command):
 
     def _read(self, command_line: str) -> Outcome:
         from trinoc.cli.progress import provenance
-        from trinoc.geometry import Rig, Segments
-        from trinoc.io import FORMATS, expect_place, save
+        from trinoc.geometry.rig import Rig
+        from trinoc.geometry.segments import Segments
+        from trinoc.io.atomic import expect_place
+        from trinoc.io.formats.registry import FORMATS
+        from trinoc.io.saving import save
 
         expect_place(self.out)
         source = FORMATS[str(self.source)]
@@ -151,7 +157,8 @@ class Export(Command):
         return Outcome(found, record, written=(self.out,))
 
     def _lenses(self) -> "dict[str, Intrinsics] | None":
-        from trinoc.io import load_intrinsics, load_rig
+        from trinoc.io.intrinsics_json import load_intrinsics
+        from trinoc.io.rig_json import load_rig
 
         if not self.lenses:
             return None

@@ -11,7 +11,7 @@ from trinoc.cli.lens_options import NOT_GIVEN, PixelPitch, expect_pixel_pitch
 from trinoc.cli.progress import LOGGER, each
 
 if TYPE_CHECKING:
-    from trinoc.calib import IntrinsicsResult
+    from trinoc.calib.intrinsics_result import IntrinsicsResult
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -67,10 +67,13 @@ class Intrinsics(Command):
             raise UsageError("No picture is given: give several pictures of the sheet.")
         expect_pixel_pitch(self.pixel_pitch_mm)
 
-        from trinoc.calib import calibrate_intrinsics
+        from trinoc.calib.lens_calibration import calibrate_intrinsics
         from trinoc.cli.progress import provenance
-        from trinoc.geometry import Intrinsics as Lens
-        from trinoc.io import expect_ending, expect_place, load_pattern, read_image, save
+        from trinoc.geometry.intrinsics import Intrinsics as Lens
+        from trinoc.io.atomic import expect_place
+        from trinoc.io.images import read_image
+        from trinoc.io.pattern_json import load_pattern
+        from trinoc.io.saving import expect_ending, save
 
         expect_place(self.out)
         expect_ending(self.out, Lens)

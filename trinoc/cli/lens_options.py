@@ -14,7 +14,7 @@ from trinoc.errors import InputError
 if TYPE_CHECKING:
     import numpy as np
 
-    from trinoc.geometry import Intrinsics
+    from trinoc.geometry.intrinsics import Intrinsics
 
 # Not None: an option that may be a pair or nothing would take pictures that follow it.
 NOT_GIVEN = (0.0, 0.0)
@@ -29,7 +29,7 @@ PixelPitch = Annotated[
 
 def expect_pixel_pitch(pitch_mm: tuple[float, float]) -> None:
     """Raise UsageError for a pitch that no sensor has, before any picture is read."""
-    from trinoc.io import expect_pitch
+    from trinoc.io.usable_cameras import expect_pitch
 
     try:
         expect_pitch(None if pitch_mm == NOT_GIVEN else pitch_mm, "--pixel-pitch-mm is")
@@ -88,8 +88,9 @@ class LensOptions:
 
         Raises UsageError where the options do not say it, InputError for a file that does not.
         """
-        from trinoc.geometry import Intrinsics
-        from trinoc.io import expect_lens, load_intrinsics
+        from trinoc.geometry.intrinsics import Intrinsics
+        from trinoc.io.intrinsics_json import load_intrinsics
+        from trinoc.io.usable_cameras import expect_lens
 
         by_numbers = self.focal_length_mm is not None or self.pixel_pitch_mm != NOT_GIVEN
         if by_numbers == bool(self.intrinsics):
@@ -132,8 +133,8 @@ class LensOptions:
 
         What no file states is that of a data sheet, where the lens is given as one gives it.
         """
-        from trinoc.calib import Systematics
-        from trinoc.io import load_lens_covariance
+        from trinoc.calib.uncertainty.systematics import Systematics
+        from trinoc.io.intrinsics_json import load_lens_covariance
 
         if self.lens_exact or (self.intrinsics and not self.lens_covariance):
             return None

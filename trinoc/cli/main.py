@@ -58,7 +58,7 @@ def installation() -> tuple[str, list[str]]:
     import jax
 
     import trinoc
-    from trinoc.io import COMPILE_CACHE_VARIABLE, enable_compile_cache
+    from trinoc.io.compile_cache import COMPILE_CACHE_VARIABLE, enable_compile_cache
 
     found = {"python": f"{platform.python_version()} on {platform.platform()}"}
     found |= {name: _version(name) or "not installed" for name in LIBRARIES}
@@ -97,7 +97,7 @@ def _version(name: str) -> str | None:
 
 def compile_quickly() -> None:
     """Choose the quicker of XLA's code generators, unless the user's XLA_FLAGS name one."""
-    from trinoc.numerics import quick_compiling
+    from trinoc.numerics.compiler_options import quick_compiling
 
     own = os.environ.get("XLA_FLAGS", "")
     flags = [
@@ -166,7 +166,7 @@ def _run(command: Command, command_line: str) -> int:
 
     from trinoc.cli.main import compile_quickly
     from trinoc.cli.progress import set_up_logging
-    from trinoc.io import enable_compile_cache
+    from trinoc.io.compile_cache import enable_compile_cache
 
     compile_quickly()
     set_up_logging(quiet=command.quiet)

@@ -22,12 +22,12 @@ from trinoc.cli.views import (
 )
 
 if TYPE_CHECKING:
-    from trinoc.geometry import Segments
-    from trinoc.match import Matches
+    from trinoc.geometry.segments import Segments
+    from trinoc.match.tracks.matches import Matches
 import math
 
 from trinoc.cli.segments import SegmentOptions
-from trinoc.match import StepName
+from trinoc.match.step_names import StepName
 
 # Not None: an option that may be a pair or nothing would take pictures that follow it.
 ANYWHERE = (0.0, math.inf)
@@ -92,9 +92,13 @@ class Match(MatchOptions, DryRunOption, ReportOption, Command):
         self.check()
 
         from trinoc.cli.progress import provenance
-        from trinoc.io import expect_ending, expect_place, save
-        from trinoc.match import FEATURES, STEPS, Matches, improve, match_segments
-        from trinoc.report import features_record, features_text
+        from trinoc.io.atomic import expect_place
+        from trinoc.io.saving import expect_ending, save
+        from trinoc.match.features import FEATURES
+        from trinoc.match.matcher import match_segments
+        from trinoc.match.steps import STEPS, improve
+        from trinoc.match.tracks.matches import Matches
+        from trinoc.report.features_part import features_record, features_text
 
         places = [
             self.out,
@@ -184,7 +188,7 @@ def match_record(segments: "Mapping[str, Segments]", matches: "Matches") -> dict
 
 def match_text(matches: "Matches") -> str:
     """What a matching found, for people."""
-    from trinoc.report import counts_text, reasons_text
+    from trinoc.report.text import counts_text, reasons_text
 
     in_three, in_two = (int((matches.stage == s).sum()) for s in ("trinocular", "binocular"))
     parts = [

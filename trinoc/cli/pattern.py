@@ -11,7 +11,8 @@ import tyro
 from trinoc.cli.command import Command, Outcome, UsageError
 
 if TYPE_CHECKING:
-    from trinoc.calib import AbstractBoard, SheetProposal
+    from trinoc.calib.targets.abstract_target import AbstractBoard
+    from trinoc.calib.targets.printing import SheetProposal
 from typing import NamedTuple
 
 _MM_PER_INCH = 25.4
@@ -172,7 +173,9 @@ class Pattern(Command):
 
     def _print(self, sheet: "AbstractBoard") -> tuple[list[Path], list[str]]:
         """Layout and drawings on paper: the files, and what to do with them."""
-        from trinoc.io import save_pattern_pdf, save_pattern_svg, save_target
+        from trinoc.io.board_json import save_target
+        from trinoc.io.pattern_pdf import save_pattern_pdf
+        from trinoc.io.pattern_svg import save_pattern_svg
 
         drawing, page = self.out.with_suffix(".svg"), self.out.with_suffix(".pdf")
         # First the drawing, which fails where the sheet is larger than the paper.
@@ -193,7 +196,9 @@ class Pattern(Command):
 
     def _show(self, sheet: "AbstractBoard", pitch_mm: float) -> tuple[list[Path], list[str]]:
         """Picture for the screen and layout: the files, and what to do with them."""
-        from trinoc.io import drawing_size_mm, save_pattern_png, save_target
+        from trinoc.io.board_json import save_target
+        from trinoc.io.pattern_page import drawing_size_mm
+        from trinoc.io.pattern_png import save_pattern_png
 
         layout = self.out.with_suffix(".json")
         save_pattern_png(sheet, self.out, size_px=self.screen_px, pitch_mm=pitch_mm)
@@ -233,8 +238,9 @@ class Pattern(Command):
                 "--image-size-px, such as 1280 960."
             )
 
-        from trinoc.calib import propose_sheet
-        from trinoc.io import drawing_room_mm, screen_room_mm
+        from trinoc.calib.targets.printing import propose_sheet
+        from trinoc.io.pattern_page import drawing_room_mm
+        from trinoc.io.pattern_png import screen_room_mm
 
         across = 2 * self.for_distance_mm * math.tan(math.radians(angle) / 2)
         return propose_sheet(
@@ -248,7 +254,9 @@ class Pattern(Command):
         )
 
     def _board(self, proposal: "SheetProposal | None") -> "AbstractBoard":
-        from trinoc.calib import BOARDS, Chessboard, Pattern as Sheet
+        from trinoc.calib.targets.board_set import BOARDS
+        from trinoc.calib.targets.checkers import Chessboard
+        from trinoc.calib.targets.pattern import Pattern as Sheet
 
         if self.board == Sheet.kind:
             sizes = (self.rows, self.columns, self.pitch_mm, self.radius_mm)

@@ -12,7 +12,7 @@ from trinoc.cli.views import read_rig
 from trinoc.errors import CalibrationError
 
 if TYPE_CHECKING:
-    from trinoc.calib import RefineResult
+    from trinoc.calib.bundle.result import RefineResult
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -56,11 +56,13 @@ class Refine(Command):
 
     def run(self, command_line: str) -> Outcome:
         """Refine and write the rig; nothing is written where the refinement fails."""
-        from trinoc.calib import RefineStatus, refine
+        from trinoc.calib.bundle.refinement import refine
+        from trinoc.calib.bundle.result import RefineStatus
         from trinoc.cli.progress import provenance
         from trinoc.cli.views import scene_of
-        from trinoc.geometry import Rig
-        from trinoc.io import expect_ending, expect_place, save
+        from trinoc.geometry.rig import Rig
+        from trinoc.io.atomic import expect_place
+        from trinoc.io.saving import expect_ending, save
 
         expect_place(self.out)
         expect_ending(self.out, Rig)

@@ -11,7 +11,7 @@ from trinoc.cli.command import Command, Out, Outcome, UsageError
 if TYPE_CHECKING:
     import numpy as np
 
-    from trinoc import geometry
+    from trinoc.geometry import segments
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -53,9 +53,9 @@ class SegmentOptions:
                 "to 2."
             )
 
-    def find(self, image: "np.ndarray") -> "geometry.Segments":
+    def find(self, image: "np.ndarray") -> "segments.Segments":
         """The segments of a picture."""
-        from trinoc.segments import find_segments
+        from trinoc.segments.find import find_segments
 
         return find_segments(image, **self.find_options())
 
@@ -71,7 +71,7 @@ class SegmentOptions:
 
     def why_nothing(self, image: "np.ndarray") -> str:
         """Why `find` found no segment in a picture."""
-        from trinoc.segments import why_nothing
+        from trinoc.segments.nothing_found import why_nothing
 
         return why_nothing(image, least_contrast=self.least_contrast)
 
@@ -88,8 +88,10 @@ class Segments(SegmentOptions, Command):
 
     def run(self, command_line: str) -> Outcome:
         """Find the segments and write them."""
-        from trinoc.geometry import Segments as Found
-        from trinoc.io import expect_ending, expect_place, read_image, save
+        from trinoc.geometry.segments import Segments as Found
+        from trinoc.io.atomic import expect_place
+        from trinoc.io.images import read_image
+        from trinoc.io.saving import expect_ending, save
 
         self.check()
         expect_place(self.out)

@@ -12,7 +12,8 @@ from trinoc.cli.command import Command, FileOrNone, Outcome, UsageError
 from trinoc.cli.views import read_rig
 
 if TYPE_CHECKING:
-    from trinoc.report import Ellipsoids, SpaceFigure
+    from trinoc.report.ellipsoids import Ellipsoids
+    from trinoc.report.space_part import SpaceFigure
 
 
 Port = Annotated[int, tyro.conf.arg(help_behavior_hint="(default: a free one)")]
@@ -55,12 +56,12 @@ class View(Command):
     def run(self, command_line: str) -> Outcome:
         """Serve until interrupted."""
         expect_port(self.port)
-        from trinoc.report import expect_extra
+        from trinoc.report.notebook.extras import expect_extra
 
         expect_extra("viser", "view")
         figure, ellipsoids, said = self._content()
 
-        from trinoc.serving import serve_space
+        from trinoc.serving.space import serve_space
 
         title = f"trinoc: {self.file.name}"
         with serve_space(figure, ellipsoids, title=title, port=self.port) as url:
@@ -69,10 +70,15 @@ class View(Command):
         return Outcome(f"{said}, no longer shown.", {"shown": str(self.file), "url": url})
 
     def _content(self) -> "tuple[SpaceFigure, Ellipsoids | None, str]":
-        from trinoc.geometry import Feature, Rig
-        from trinoc.io import load, load_pattern
-        from trinoc.match import Matches, Wireframe
-        from trinoc.report import SpaceFigure, error_ellipsoids, features_figure, space_figure
+        from trinoc.geometry.features import Feature
+        from trinoc.geometry.rig import Rig
+        from trinoc.io.pattern_json import load_pattern
+        from trinoc.io.saving import load
+        from trinoc.match.tracks.matches import Matches
+        from trinoc.match.wire_frame.frame import Wireframe
+        from trinoc.report.ellipsoids import error_ellipsoids
+        from trinoc.report.features_part import features_figure
+        from trinoc.report.space_part import SpaceFigure, space_figure
 
         value = load(self.file)
         if not isinstance(value, Rig | Matches | Feature):

@@ -9,8 +9,8 @@ from trinoc.cli.command import UsageError
 from trinoc.cli.progress import LOGGER
 
 if TYPE_CHECKING:
-    from trinoc.geometry import Rig
-    from trinoc.report import ExtraTable
+    from trinoc.geometry.rig import Rig
+    from trinoc.report.html import ExtraTable
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
@@ -20,12 +20,13 @@ from trinoc.errors import InputError
 if TYPE_CHECKING:
     import numpy as np
 
-    from trinoc.geometry import Rig, Segments
+    from trinoc.geometry.rig import Rig
+    from trinoc.geometry.segments import Segments
 from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
-    from trinoc.geometry import Rig
-    from trinoc.match import Matches
+    from trinoc.geometry.rig import Rig
+    from trinoc.match.tracks.matches import Matches
 
 
 # What stands between the words of a file's name.
@@ -115,7 +116,7 @@ def files_of_rig(arguments: Sequence[str], names: Collection[str]) -> dict[str, 
 
 def read_rig(file: str | os.PathLike[str]) -> "Rig":
     """The rig of a file; a warning on stderr repeats what its calibration doubted."""
-    from trinoc.io import load_rig
+    from trinoc.io.rig_json import load_rig
 
     rig = load_rig(file)
     doubts = doubts_of(file)
@@ -127,14 +128,14 @@ def read_rig(file: str | os.PathLike[str]) -> "Rig":
 
 def doubts_of(file: str | os.PathLike[str]) -> dict[str, str]:
     """For each camera whose calibration was suspect, why."""
-    from trinoc.io import load_rig_status
+    from trinoc.io.rig_json import load_rig_status
 
     return load_rig_status(file).doubts
 
 
 def doubts_table(file: str | os.PathLike[str]) -> "list[ExtraTable]":
     """The same for a report: a table, or none where nothing was doubted."""
-    from trinoc.report import ExtraTable
+    from trinoc.report.html import ExtraTable
 
     caption = "The segments in space inherit these errors, which their sigmas do not hold."
     rows = list(doubts_of(file).items())
@@ -152,7 +153,9 @@ def read_segments(
     quiet: bool,
 ) -> "tuple[dict[str, np.ndarray], dict[str, Segments]]":
     """(the pictures among the files, the segments of all): read, or found in the pictures."""
-    from trinoc.io import expect_inside, expect_size, load_segments, read_views
+    from trinoc.io.images import read_views
+    from trinoc.io.segment_table import load_segments
+    from trinoc.io.views_of_rig import expect_inside, expect_size
 
     tables = {n: f for n, f in files.items() if f.suffix.lower() in SEGMENT_SUFFIXES}
     images = read_views({name: file for name, file in files.items() if name not in tables})
@@ -171,7 +174,7 @@ def read_segments(
 
 
 def _warn_of_nothing(name: str, image: "np.ndarray | None", file: Path) -> None:
-    from trinoc.segments import why_nothing
+    from trinoc.segments.nothing_found import why_nothing
 
     why = "The table is empty." if image is None else why_nothing(image)
     LOGGER.warning('no segment in %s, the picture of "%s": %s', file, name, why)
@@ -218,12 +221,12 @@ def scene_of(
             "--matches FILE."
         )
     if matches is not None:
-        from trinoc.io import load_matches
+        from trinoc.io.saving import load_matches
 
         return SceneInput(load_matches(matches), None, None, {"matches": matches})
 
-    from trinoc.match import match_segments
-    from trinoc.segments import find_segments
+    from trinoc.match.matcher import match_segments
+    from trinoc.segments.find import find_segments
 
     files = files_of_rig(pictures, rig.names)
     check_views(files, rig, rig_file)

@@ -18,7 +18,7 @@ from trinoc.errors import InputError
 if TYPE_CHECKING:
     import numpy as np
 
-    from trinoc.capture import Judgement
+    from trinoc.capture.judgement import Judgement
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -28,15 +28,15 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     import numpy as np
 
-    from trinoc.calib import AbstractTarget
-    from trinoc.capture import Judgement
+    from trinoc.calib.targets.abstract_target import AbstractTarget
+    from trinoc.capture.judgement import Judgement
 
 
 class WatchSession:
     """What was judged so far, and how it is said."""
 
     def __init__(self, target: "AbstractTarget", source: str, json: bool, quiet: bool) -> None:
-        from trinoc.serving import Watched
+        from trinoc.serving.watching import Watched
 
         self._target, self._stream = target, sys.stderr if json else sys.stdout
         self._silent = json and quiet
@@ -46,8 +46,9 @@ class WatchSession:
 
     def look(self, name: str, image: "np.ndarray | InputError") -> "Judgement":
         """Judge a picture, and say so."""
-        from trinoc.capture import judge, judge_unread, judgement_line, next_step
-        from trinoc.serving import thumbnail
+        from trinoc.capture.advice import next_step
+        from trinoc.capture.judgement import judge, judge_unread, judgement_line
+        from trinoc.serving.watching import thumbnail
 
         try:
             if isinstance(image, InputError):
@@ -66,7 +67,7 @@ class WatchSession:
 
     def outcome(self) -> Outcome:
         """The summary."""
-        from trinoc.capture import field_share, next_step, summary_lines
+        from trinoc.capture.advice import field_share, next_step, summary_lines
 
         lines = summary_lines(self.judgements)
         record: dict[str, Any] = {
@@ -115,7 +116,8 @@ class FolderArrivals:
 
         at_once : also those seen for the first time.
         """
-        from trinoc.io import IMAGE_SUFFIXES, is_whole_picture
+        from trinoc.io.images import IMAGE_SUFFIXES
+        from trinoc.io.whole_picture import is_whole_picture
 
         found = []
         for path in self._folder.iterdir():
@@ -199,8 +201,8 @@ class Watch(Command):
         if number is not None and self.once:
             raise UsageError("--once goes with a folder: a camera has always one more picture.")
 
-        from trinoc.calib import BoardSet
-        from trinoc.io import load_target
+        from trinoc.calib.targets.board_set import BoardSet
+        from trinoc.io.board_json import load_target
 
         # Before the page is shown: a folder that is none ends the command.
         source = FolderArrivals(Path(self.source)) if number is None else number
@@ -230,7 +232,7 @@ class Watch(Command):
                 yield f"picture {count}", frame
             return
 
-        from trinoc.io import read_image
+        from trinoc.io.images import read_image
 
         while True:
             for path in source.ready(at_once=self.once):
@@ -252,8 +254,8 @@ class Watch(Command):
 
         import cv2
 
-        from trinoc.capture import shows_something_new
-        from trinoc.io import atomic_write
+        from trinoc.capture.advice import shows_something_new
+        from trinoc.io.atomic import atomic_write
 
         if shows_something_new(session.judgements[:-1], judgement):
             self.keep.mkdir(parents=True, exist_ok=True)
@@ -269,7 +271,8 @@ class Watch(Command):
 @contextlib.contextmanager
 def _page(session: WatchSession, port: int) -> Iterator[str]:
     """The address of a page that shows how the session stands."""
-    from trinoc.serving import picture_page, serve_pages, watch_page
+    from trinoc.serving.pages import serve_pages
+    from trinoc.serving.watching import picture_page, watch_page
 
     pages = {
         "/": lambda: watch_page(session.watched),

@@ -1,5 +1,1 @@
 """How accurate lines in space are: against known shapes, made scenes and published matches."""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -12,8 +12,9 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from trinoc.evaluation.distances import nearest_segments, sampled_segments
-from trinoc.geometry import UncertainLines
-from trinoc.numerics import MAD_TO_SIGMA, GemanMcClure
+from trinoc.geometry.uncertain_lines import UncertainLines
+from trinoc.numerics.robust_loss import GemanMcClure
+from trinoc.numerics.tails import MAD_TO_SIGMA
 
 STEP_MM_PER_SIZE = 0.01
 FIRST_SCALE_PER_SIZE, SCALE_RATIO = 0.1, 2.0

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from trinoc.geometry import UncertainLines
+from trinoc.geometry.uncertain_lines import UncertainLines
 
 # An edge counts as measured where lines cover half of it or more.
 LEAST_COVERED = 0.5

@@ -17,10 +17,12 @@ from trinoc.evaluation.lines_of_rig import certain_lines
 from trinoc.evaluation.lines_on_edges import angles_deg, edge_of_lines, offsets_across, selected
 from trinoc.evaluation.normalised_errors import NormalisedErrors, normalised_errors
 from trinoc.evaluation.wire_frames import WireframeScore, score_wireframe
-from trinoc.geometry import UncertainLines
-from trinoc.match import Wireframe
-from trinoc.numerics import MAD_TO_SIGMA, ArrayLike, Displayable
-from trinoc.synth import SceneTruth
+from trinoc.geometry.uncertain_lines import UncertainLines
+from trinoc.match.wire_frame.frame import Wireframe
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.display import Displayable
+from trinoc.numerics.tails import MAD_TO_SIGMA
+from trinoc.synth.truth import SceneTruth
 
 TOLERANCES_MM = (0.1, 0.25, 0.5, 1.0)
 SAMPLE_STEP_MM = 0.25

@@ -4,9 +4,12 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 
-from trinoc.geometry import Camera, Rig
-from trinoc.numerics import blocks
-from trinoc.synth import SceneTruth, parts_in_views_mm, points_along, shown_parts_mm, visible_parts
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.rig import Rig
+from trinoc.numerics.buckets import blocks
+from trinoc.synth.scenes import points_along
+from trinoc.synth.truth import SceneTruth, parts_in_views_mm, shown_parts_mm
+from trinoc.synth.visibility import visible_parts
 
 # Grey levels that differ by less across an edge do not show it.
 GREY_STEP = 8.0

@@ -13,17 +13,23 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib import (
-    CameraState,
-    camera_state,
-    d_parameters_d_delta,
-    segment_and_errors,
-    stacked_states,
-)
+from trinoc.calib.bundle.camera import CameraState, camera_state, stacked_states
+from trinoc.calib.bundle.covariance import segment_and_errors
+from trinoc.calib.bundle.factors import d_parameters_d_delta
 from trinoc.errors import InputError
-from trinoc.geometry import AFFINE_PARAMETERS, LineObservations, PoseModel, Rig, UncertainLines
-from trinoc.match import Matches, Wireframe, join_collinear, snap_corners, wireframe
-from trinoc.numerics import ArrayLike, as_numpy, in_blocks, in_float64
+from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS
+from trinoc.geometry.pose import PoseModel
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.segments import LineObservations
+from trinoc.geometry.uncertain_lines import UncertainLines
+from trinoc.match.line_map.collinear_merge import join_collinear
+from trinoc.match.line_map.corners import snap_corners
+from trinoc.match.tracks.matches import Matches
+from trinoc.match.wire_frame.build import wireframe
+from trinoc.match.wire_frame.frame import Wireframe
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.buckets import in_blocks
+from trinoc.numerics.precision import as_numpy, in_float64
 
 # Tracks go through the kernel so many at a time, so that one size compiles.
 BLOCK = 128

@@ -6,9 +6,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from trinoc.evaluation.distances import nearest_segments
-from trinoc.geometry import UncertainLines
-from trinoc.numerics import axes_across
-from trinoc.synth import points_along
+from trinoc.geometry.uncertain_lines import UncertainLines
+from trinoc.numerics.vectors import axes_across
+from trinoc.synth.scenes import points_along
 
 # Places along a line at which its nearest edge is asked for; odd, so that one is the middle.
 _PLACES = 9

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.evaluation.lines_on_edges import OffsetsAcross
-from trinoc.numerics import chi_square_quantile
+from trinoc.numerics.tails import chi_square_quantile
 
 NUMBERS_PER_LINE = 4
 WITHIN_SIGMAS = 1.96

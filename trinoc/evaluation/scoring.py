@@ -6,7 +6,12 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.evaluation.distances import lengths_near
-from trinoc.synth import SceneTruth, SegmentTruth, shown_parts_mm, shown_parts_of_segments_mm
+from trinoc.synth.truth import (
+    SceneTruth,
+    SegmentTruth,
+    shown_parts_mm,
+    shown_parts_of_segments_mm,
+)
 
 SAMPLE_STEP_MM = 0.5
 

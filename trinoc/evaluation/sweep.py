@@ -16,9 +16,12 @@ from trinoc.evaluation.evaluation import (
 )
 from trinoc.evaluation.known_shape import KnownShape
 from trinoc.evaluation.lines_of_rig import TRACKS, certain_lines, lines_of_form
-from trinoc.geometry import Rig, UncertainLines
-from trinoc.match import TRINOCULAR, Matches, Wireframe, match_segments
-from trinoc.segments import find_segments
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.uncertain_lines import UncertainLines
+from trinoc.match.matcher import match_segments
+from trinoc.match.tracks.matches import TRINOCULAR, Matches
+from trinoc.match.wire_frame.frame import Wireframe
+from trinoc.segments.find import find_segments
 
 
 class Setting(NamedTuple):

@@ -12,8 +12,8 @@ from scipy.spatial import KDTree
 from trinoc.evaluation.alignment import RigidMotion
 from trinoc.evaluation.distances import if_any, lengths_near
 from trinoc.evaluation.known_shape import KnownShape
-from trinoc.match import Wireframe
-from trinoc.numerics import chi_square_limit
+from trinoc.match.wire_frame.frame import Wireframe
+from trinoc.numerics.tails import chi_square_limit
 
 # Ends of known edges nearer than this share of the shape's size are one corner.
 _SAME_PLACE = 1e-6

@@ -7,7 +7,8 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from trinoc.geometry.rotation import skew
-from trinoc.numerics import ArrayLike, inverse_3x3
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.small_matrices import inverse_3x3
 
 
 def centre_of_matrix(matrix_px: Float[ArrayLike, "3 4"]) -> Float[ArrayLike, "3"]:

@@ -7,7 +7,8 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from trinoc.numerics import Displayable, Table
+from trinoc.numerics.display import Displayable
+from trinoc.numerics.tables import Table
 
 
 class Wires(NamedTuple):

@@ -10,13 +10,13 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.errors import InputError
-from trinoc.geometry.lenses import DEFAULT_DISTORTION, AbstractLens, Pinhole, lens_model
-from trinoc.numerics import (
-    ArrayLike,
-    FloatOrTraced,
-    ScalarLike,
+from trinoc.geometry.lenses.abstract_lens import AbstractLens
+from trinoc.geometry.lenses.pinhole import Pinhole
+from trinoc.geometry.lenses.registry import DEFAULT_DISTORTION, lens_model
+from trinoc.numerics.arrays import ArrayLike, FloatOrTraced, ScalarLike
+from trinoc.numerics.buckets import in_bucket
+from trinoc.numerics.precision import (
     as_float,
-    in_bucket,
     in_float64,
     is_traced,
     namespace_of,

@@ -15,7 +15,8 @@ from trinoc.geometry.rotation import (
     rotation_from_vector,
     vector_from_rotation,
 )
-from trinoc.numerics import ArrayLike, ScalarLike, namespace_of
+from trinoc.numerics.arrays import ArrayLike, ScalarLike
+from trinoc.numerics.precision import namespace_of
 
 
 class PoseModel(Enum):

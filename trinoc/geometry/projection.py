@@ -10,18 +10,16 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.geometry.lenses import AbstractLens
+from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.geometry.pose import Pose
-from trinoc.numerics import (
-    ArrayLike,
-    NumpyOrTraced,
+from trinoc.numerics.arrays import ArrayLike, NumpyOrTraced
+from trinoc.numerics.buckets import in_bucket
+from trinoc.numerics.precision import is_traced, namespace_of
+from trinoc.numerics.vectors import (
     Scalar,
     Vector2,
     Vector3,
     dot3,
-    in_bucket,
-    is_traced,
-    namespace_of,
     vector3,
 )
 

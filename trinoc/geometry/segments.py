@@ -10,18 +10,20 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
 from trinoc.errors import InputError
-from trinoc.numerics import (
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.display import Displayable
+from trinoc.numerics.table_checks import (
     COVARIANCE,
     IN_PICTURE,
     NOT_INFINITE,
     NOT_NEGATIVE,
     PICTURE_SIZE,
-    ArrayLike,
+    number_of,
+)
+from trinoc.numerics.tables import (
     Check,
     Column,
-    Displayable,
     Table,
-    number_of,
     take_rows,
 )
 

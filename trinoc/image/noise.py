@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
-from trinoc.numerics import MAD_TO_SIGMA
+from trinoc.numerics.tails import MAD_TO_SIGMA
 
 # Root of the sum of squares of the mask: what independent noise is multiplied by.
 _GAIN = 6.0

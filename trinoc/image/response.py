@@ -14,7 +14,8 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.errors import InputError
-from trinoc.numerics import ArrayLike, ScalarLike, namespace_of
+from trinoc.numerics.arrays import ArrayLike, ScalarLike
+from trinoc.numerics.precision import namespace_of
 
 # Elementwise, NumPy where nothing is traced.
 Values = Float[ArrayLike, "..."]

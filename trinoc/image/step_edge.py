@@ -13,14 +13,10 @@ import scipy.special
 from jax.scipy.special import ndtr
 from jaxtyping import Bool, Float, Int
 
-from trinoc.numerics import (
-    ArrayLike,
-    Residuals,
-    ScalarLike,
-    gauss_newton,
-    is_traced,
-    solve_positive_definite,
-)
+from trinoc.numerics.arrays import ArrayLike, ScalarLike
+from trinoc.numerics.precision import is_traced
+from trinoc.numerics.small_least_squares import Residuals, gauss_newton
+from trinoc.numerics.small_matrices import solve_positive_definite
 
 _SMALLEST = np.float32(1e-6)
 # Information about a place or a level that nothing is known of.

@@ -5,7 +5,9 @@ import os
 from collections.abc import Sequence
 from typing import Any
 
-from trinoc.calib import BOARDS, AbstractBoard, AbstractTarget, BoardSet, Pattern
+from trinoc.calib.targets.abstract_target import AbstractBoard, AbstractTarget
+from trinoc.calib.targets.board_set import BOARDS, BoardSet
+from trinoc.calib.targets.pattern import Pattern
 from trinoc.errors import InputError
 from trinoc.io import pattern_json
 from trinoc.io.json_document import Block, read_document, write_document

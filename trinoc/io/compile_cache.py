@@ -65,7 +65,7 @@ def enable_compile_cache(folder: str | os.PathLike[str] | None = None) -> Path |
     from jax.experimental.compilation_cache import compilation_cache
 
     from trinoc.io.compile_cache import FolderStore
-    from trinoc.numerics import keep_programs_in
+    from trinoc.numerics.programs import keep_programs_in
 
     # A kernel that another process is just writing is compiled once more, which is no news.
     warnings.filterwarnings("ignore", message="Error (reading|writing) persistent compilation")

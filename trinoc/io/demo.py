@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from trinoc.calib import Pattern
+from trinoc.calib.targets.pattern import Pattern
 from trinoc.errors import InputError
 from trinoc.io.images import read_image
 from trinoc.io.json_document import Block, read_document, write_document
 from trinoc.io.pattern_json import load_pattern
-from trinoc.synth import SceneTruth, SeenParts
+from trinoc.synth.truth import SceneTruth, SeenParts
 
 FORMAT, VERSION = "trinoc-scene-truth", 1
 VIEWS = ("upper", "left", "right")

@@ -28,8 +28,8 @@ from trinoc.io.tables_npz import (
     save_npz,
     table_of,
 )
-from trinoc.numerics import fields_of
-from trinoc.recording import FrameMatches
+from trinoc.numerics.tables import fields_of
+from trinoc.recording.frame import FrameMatches
 
 FORMAT = f"trinoc-{Frames.KIND}"
 _DTYPES = {"f": np.float64, "i": np.int64}

@@ -17,9 +17,15 @@ from jaxtyping import Float, Int, Shaped
 from trinoc.errors import InputError
 from trinoc.io.json_text import parsed_json
 from trinoc.io.tables_npz import REMEDY, ArrayFields, arrays_of, table_of
-from trinoc.match import Matches
-from trinoc.numerics import Check, Column, Content, Table, fields_of
-from trinoc.recording import OK, FrameMatches
+from trinoc.match.tracks.matches import Matches
+from trinoc.numerics.tables import (
+    Check,
+    Column,
+    Content,
+    Table,
+    fields_of,
+)
+from trinoc.recording.frame import OK, FrameMatches
 
 # The columns of tracks, with the sides of a row.
 OF_TRACKS = {

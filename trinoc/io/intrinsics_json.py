@@ -7,11 +7,12 @@ from typing import Any
 import numpy as np
 
 from trinoc.errors import InputError
-from trinoc.geometry import LENS_MODELS, Intrinsics, promoted
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.lenses.registry import LENS_MODELS, promoted
 from trinoc.io.conventions import CONVENTIONS
 from trinoc.io.json_document import Block, read_document, write_document
 from trinoc.io.usable_cameras import expect_lens
-from trinoc.numerics import is_covariance
+from trinoc.numerics.table_checks import is_covariance
 
 FORMAT, VERSION = "trinoc-camera", 1
 

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.errors import InputError
-from trinoc.evaluation import GREY_STEP, KnownShape
+from trinoc.evaluation.known_shape import GREY_STEP, KnownShape
 from trinoc.io.demo import FORMAT as SCENE_FORMAT, load_scene_truth
 from trinoc.io.json_text import parsed_json
 from trinoc.io.obj_model import CREASE_DEG, edges_of_obj

@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from trinoc.calib import Pattern
+from trinoc.calib.targets.pattern import Pattern
 from trinoc.errors import InputError
 from trinoc.io.json_document import Block, read_document, write_document
-from trinoc.numerics import LARGEST_MM
+from trinoc.numerics.table_checks import LARGEST_MM
 
 FORMAT, VERSION = "trinoc-pattern", 1
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib import AbstractBoard, Disc, Polygon
+from trinoc.calib.targets.abstract_target import AbstractBoard, Disc, Polygon
 from trinoc.errors import InputError
 
 # (width, height) in mm, upright.

@@ -3,7 +3,7 @@
 import io
 import os
 
-from trinoc.calib import AbstractBoard, Disc, Polygon
+from trinoc.calib.targets.abstract_target import AbstractBoard, Disc, Polygon
 from trinoc.errors import InputError
 from trinoc.io.atomic import atomic_write
 from trinoc.io.pattern_page import LETTER_MM, Page, lay_out

@@ -5,7 +5,7 @@ import os
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from trinoc.calib import AbstractBoard, Disc, Polygon
+from trinoc.calib.targets.abstract_target import AbstractBoard, Disc, Polygon
 from trinoc.errors import InputError
 from trinoc.io.images import write_picture
 from trinoc.io.pattern_page import drawing_box_mm

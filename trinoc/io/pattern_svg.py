@@ -3,7 +3,7 @@
 import os
 from xml.sax.saxutils import escape
 
-from trinoc.calib import AbstractBoard, Disc, Polygon
+from trinoc.calib.targets.abstract_target import AbstractBoard, Disc, Polygon
 from trinoc.io.atomic import write_text
 from trinoc.io.pattern_page import LETTER_MM, Page, lay_out
 

@@ -7,14 +7,16 @@ from typing import Any
 import numpy as np
 
 from trinoc.errors import InputError
-from trinoc.geometry import PARAMETER_NAMES, Camera, Pose, Rig
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.pose import Pose
+from trinoc.geometry.rig import PARAMETER_NAMES, Rig
 from trinoc.io.atomic import write_text
 from trinoc.io.conventions import CONVENTIONS
 from trinoc.io.intrinsics_json import intrinsics_from_block, intrinsics_to_block
 from trinoc.io.json_document import Block, document_text, read_document
 from trinoc.io.rig_status import RigStatus, status_of_document
 from trinoc.io.usable_cameras import expect_apart
-from trinoc.numerics import is_covariance
+from trinoc.numerics.table_checks import is_covariance
 
 FORMAT, VERSION = "trinoc-rig", 1
 EXTRINSIC_KEYS = ("pan_deg", "tilt_deg", "swing_deg", "distance_mm", "aim_mm")

@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from trinoc.io.json_document import Block
 
 if TYPE_CHECKING:
-    from trinoc.calib import CalibrationResult, RigFromShots
+    from trinoc.calib.result.calibration import CalibrationResult
+    from trinoc.calib.rig_from_shots import RigFromShots
 
 CONVERGED = "converged"
 

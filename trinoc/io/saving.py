@@ -6,9 +6,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from trinoc.calib import AbstractTarget, Detection, Pattern
+from trinoc.calib.detection.detection import Detection
+from trinoc.calib.targets.abstract_target import AbstractTarget
+from trinoc.calib.targets.pattern import Pattern
 from trinoc.errors import InputError
-from trinoc.geometry import Intrinsics, Rig, Segments
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.segments import Segments
 from trinoc.io import intrinsics_json, rig_json
 from trinoc.io.arrays_npz import format_of_arrays
 from trinoc.io.board_json import save_target
@@ -17,8 +21,9 @@ from trinoc.io.pattern_json import save_pattern
 from trinoc.io.rig_status import status_of_shots, status_to_block
 from trinoc.io.tables_npz import load_npz, save_npz
 from trinoc.io.whole_files import read_text
-from trinoc.match import FEATURES, Matches
-from trinoc.numerics import Table
+from trinoc.match.features import FEATURES
+from trinoc.match.tracks.matches import Matches
+from trinoc.numerics.tables import Table
 
 # What is written as JSON, in words.
 _DOCUMENTS: tuple[tuple[type, str], ...] = (
@@ -115,7 +120,9 @@ def _content_of_result(
 ) -> tuple[Rig | Intrinsics, dict[str, Any]]:
     """What a result of a calibration has to be written, and what is written beside it."""
     # Here, because these bring the calibrations with them, and a match wants none.
-    from trinoc.calib import CalibrationResult, IntrinsicsResult, RigFromShots
+    from trinoc.calib.intrinsics_result import IntrinsicsResult
+    from trinoc.calib.result.calibration import CalibrationResult
+    from trinoc.calib.rig_from_shots import RigFromShots
 
     match value:
         case CalibrationResult():

@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 
 from trinoc.errors import InputError
-from trinoc.geometry import Segments
+from trinoc.geometry.segments import Segments
 from trinoc.io.arrays_npz import MOST_BYTES, load_array
 from trinoc.io.tables_npz import load_npz
 from trinoc.io.whole_files import read_text
-from trinoc.numerics import LARGEST_PX
+from trinoc.numerics.table_checks import LARGEST_PX
 
 TABLE_SUFFIXES = (".npy", ".csv", ".txt")
 

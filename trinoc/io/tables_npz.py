@@ -10,7 +10,12 @@ import numpy as np
 
 from trinoc.errors import InputError
 from trinoc.io.arrays_npz import read_arrays, write_arrays
-from trinoc.numerics import Content, Field, Table, fields_of
+from trinoc.numerics.tables import (
+    Content,
+    Field,
+    Table,
+    fields_of,
+)
 
 _Value = TypeVar("_Value", bound=Table)
 

@@ -5,7 +5,10 @@ from collections.abc import Mapping
 import numpy as np
 
 from trinoc.errors import InputError
-from trinoc.geometry import AbstractSplined, Camera, Intrinsics, at_one_place
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.lenses.splined import AbstractSplined
+from trinoc.geometry.rig import at_one_place
 
 # Focal length over the longer side of the picture: from nearly 180 degrees to a large telescope.
 FOCAL_RANGE = (1e-3, 1e5)

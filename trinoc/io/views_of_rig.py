@@ -5,7 +5,8 @@ import os
 import numpy as np
 
 from trinoc.errors import InputError
-from trinoc.geometry import Rig, Segments
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.segments import Segments
 
 
 def expect_inside(name: str, segments: Segments, rig: Rig, file: str | os.PathLike[str]) -> None:

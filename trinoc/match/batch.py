@@ -11,13 +11,22 @@ import numpy as np
 from jaxtyping import Shaped
 
 from trinoc.errors import TrinocError
-from trinoc.geometry import Rig, Segments
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.segments import Segments
 from trinoc.match.matcher import check_before_cameras, match_frames
-from trinoc.match.observations import CamerasInput, FrameInput, cameras_of, prepare_frame
-from trinoc.match.selection import FRAMES_AT_ONCE
-from trinoc.match.tracks import Matches
-from trinoc.match.tuning import DEFAULT, MatchTuning
-from trinoc.numerics import ArrayLike, bucket, in_float64, one_compiles
+from trinoc.match.observations.match_input import (
+    CamerasInput,
+    FrameInput,
+    cameras_of,
+    prepare_frame,
+)
+from trinoc.match.selection.messages import FRAMES_AT_ONCE
+from trinoc.match.tracks.matches import Matches
+from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.buckets import bucket
+from trinoc.numerics.precision import in_float64
+from trinoc.numerics.programs import one_compiles
 
 OK = "ok"
 # Frames with more segments in a view than this, or of more views, fill a problem alone; a stack

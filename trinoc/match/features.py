@@ -1,6 +1,6 @@
 """The kinds of features in space. Files, exports, views and cards know them from here."""
 
-from trinoc.geometry import Feature
+from trinoc.geometry.features import Feature
 from trinoc.match.bodies.cylinders import Cylinders
 from trinoc.match.bodies.rims import Rims
 from trinoc.match.wire_frame.frame import Wireframe

@@ -4,27 +4,29 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
-from trinoc.geometry import Rig, Segments
-from trinoc.match.candidates import Candidates
-from trinoc.match.observations import (
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.segments import Segments
+from trinoc.match.candidates.table import Candidates
+from trinoc.match.observations.clutter import fit_clutter
+from trinoc.match.observations.common_view import look_apart, mirrored_error, turned_round
+from trinoc.match.observations.match_input import (
     FrameInput,
     MatchInput,
-    fit_clutter,
-    look_apart,
-    mirrored_error,
     prepare_frame,
-    segments_per_view,
     stacked_frames,
-    turned_round,
     with_noise_scale,
 )
-from trinoc.match.occlusion import match_occluded
+from trinoc.match.observations.table import segments_per_view
+from trinoc.match.occlusion.pairs import match_occluded
 from trinoc.match.rehearsal import compile_together
 from trinoc.match.scouting import find_triples
-from trinoc.match.selection import Selection, learn_noise_scale, select
-from trinoc.match.tracks import Matches, assemble, tracks_through_views
-from trinoc.match.tuning import DEFAULT, MatchTuning
-from trinoc.numerics import ArrayLike, in_float64
+from trinoc.match.selection.marginals import Selection, learn_noise_scale, select
+from trinoc.match.tracks.assembly import assemble
+from trinoc.match.tracks.consolidation import tracks_through_views
+from trinoc.match.tracks.matches import Matches
+from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.precision import in_float64
 
 
 @in_float64

@@ -10,12 +10,15 @@ from functools import partial
 import jax
 import numpy as np
 
-from trinoc.match.candidates import candidates_of, gated_triples, prepared_orders
-from trinoc.match.observations import MatchInput, fit_clutter
-from trinoc.match.occlusion import rehearse_pairs
-from trinoc.match.tracks import lines_in_space, view_triplets
-from trinoc.match.tuning import MatchTuning
-from trinoc.numerics import at_once
+from trinoc.match.candidates.search import gated_triples, prepared_orders
+from trinoc.match.candidates.triples import candidates_of
+from trinoc.match.observations.clutter import fit_clutter
+from trinoc.match.observations.match_input import MatchInput
+from trinoc.match.occlusion.possible_pairs import rehearse_pairs
+from trinoc.match.tracks.line_fit import lines_in_space
+from trinoc.match.tracks.multiview import view_triplets
+from trinoc.match.tuning.every_group import MatchTuning
+from trinoc.numerics.programs import at_once
 
 # For which tables it was done.
 _rehearsed: set[Hashable] = set()

@@ -12,21 +12,20 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Bool, Int
 
-from trinoc.match.candidates import (
-    Candidates,
-    Learned,
-    candidates_among,
-    in_depth_range,
-    prepared_orders,
-    prior_log_odds,
-    region_of,
-)
-from trinoc.match.evidence import probability, reach_of_ends
-from trinoc.match.observations import ClutterModel, MatchInput, SegmentTable
-from trinoc.match.selection import affordable, conflict_graph, select, sum_product
-from trinoc.match.tracks import view_triplets
-from trinoc.match.tuning import MatchTuning
-from trinoc.numerics import concatenate_rows
+from trinoc.match.candidates.learned import Learned, region_of
+from trinoc.match.candidates.search import prepared_orders
+from trinoc.match.candidates.table import Candidates, in_depth_range, prior_log_odds
+from trinoc.match.candidates.triples import candidates_among
+from trinoc.match.evidence.endpoints import reach_of_ends
+from trinoc.match.evidence.mixture import probability
+from trinoc.match.observations.clutter import ClutterModel
+from trinoc.match.observations.match_input import MatchInput
+from trinoc.match.observations.table import SegmentTable
+from trinoc.match.selection.marginals import select
+from trinoc.match.selection.messages import affordable, conflict_graph, sum_product
+from trinoc.match.tracks.multiview import view_triplets
+from trinoc.match.tuning.every_group import MatchTuning
+from trinoc.numerics.tables import concatenate_rows
 
 
 def find_triples(

@@ -11,14 +11,20 @@ import numpy as np
 from jaxtyping import Shaped
 
 from trinoc.errors import InputError
-from trinoc.geometry import Feature, Rig, Segments
-from trinoc.image import ResponseLike
-from trinoc.match.bodies import Shadows, add_rims, find_cylinders, find_rims, find_shadows
+from trinoc.geometry.features import Feature
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.segments import Segments
+from trinoc.image.response import ResponseLike
+from trinoc.match.bodies.cylinder_search import find_cylinders
+from trinoc.match.bodies.rim_search import find_rims
+from trinoc.match.bodies.rims_beside_edges import add_rims
+from trinoc.match.bodies.shadow_search import Shadows, find_shadows
 from trinoc.match.matcher import match_segments
-from trinoc.match.pixels import guide_matches, measure_lines
+from trinoc.match.pixels.guide import guide_matches
+from trinoc.match.pixels.measure import measure_lines
 from trinoc.match.step_names import StepName
-from trinoc.match.tracks import Matches
-from trinoc.match.wire_frame import wireframe
+from trinoc.match.tracks.matches import Matches
+from trinoc.match.wire_frame.build import wireframe
 
 
 class Found(NamedTuple):

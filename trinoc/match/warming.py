@@ -3,12 +3,13 @@
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.geometry import Rig
+from trinoc.geometry.rig import Rig
 from trinoc.match.batch import match_many
 from trinoc.match.matcher import match_frames
-from trinoc.match.observations import prepare_frame
-from trinoc.match.tuning import DEFAULT, MatchTuning
-from trinoc.numerics import in_float64, with_field
+from trinoc.match.observations.match_input import prepare_frame
+from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
+from trinoc.numerics.precision import in_float64
+from trinoc.numerics.tables import with_field
 
 # Lengths of made segments, as shares of the picture's longer side.
 SHORTEST, LONGEST = 0.01, 0.05

@@ -5,7 +5,3 @@
    the parts is a job.
 3. `matched`: the segments of the frames of a part to their matches, where no frame ends the rest.
 """
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from trinoc.match import Matches
+from trinoc.match.tracks.matches import Matches
 
 OK = "ok"
 

@@ -2,8 +2,9 @@
 
 from collections.abc import Mapping, Sequence
 
-from trinoc.geometry import Rig, Segments
-from trinoc.match import match_many
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.segments import Segments
+from trinoc.match.batch import match_many
 from trinoc.recording.frame import OK, FrameMatches
 
 

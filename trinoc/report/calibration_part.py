@@ -6,8 +6,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib import CalibrationResult, CameraFit, RigFromShots, Status
-from trinoc.geometry import Rig
+from trinoc.calib.result.calibration import CalibrationResult, CameraFit
+from trinoc.calib.result.status import Status
+from trinoc.calib.rig_from_shots import RigFromShots
+from trinoc.geometry.rig import Rig
 from trinoc.report.coverage import Coverage
 from trinoc.report.numbers import signed, with_decimals
 from trinoc.report.parameter_table import (

@@ -6,8 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trinoc.calib import CalibrationResult, RigFromShots
-from trinoc.match import Matches
+from trinoc.calib.result.calibration import CalibrationResult
+from trinoc.calib.rig_from_shots import RigFromShots
+from trinoc.match.tracks.matches import Matches
 from trinoc.report.coverage import Coverage, MeanResiduals
 from trinoc.report.epipolar_part import EpipolarPart
 from trinoc.report.field_part import FieldPart, Uncertainty

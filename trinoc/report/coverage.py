@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Int
 
-from trinoc.calib import CalibrationResult, RigFromShots
+from trinoc.calib.result.calibration import CalibrationResult
+from trinoc.calib.rig_from_shots import RigFromShots
 from trinoc.report.numbers import percent, signed, with_decimals
 from trinoc.report.pictures import Arrows, PagePicture
 

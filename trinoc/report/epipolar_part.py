@@ -10,15 +10,14 @@ import numpy as np
 from jaxtyping import Float
 from skimage.measure import find_contours
 
-from trinoc.calib import CalibrationResult
-from trinoc.geometry import (
-    Camera,
-    Rig,
-    image_of_circle_centre,
-    project,
-)
-from trinoc.match import TRINOCULAR, Matches
-from trinoc.numerics import ArrayLike, bucket, in_float64, padded
+from trinoc.calib.result.calibration import CalibrationResult
+from trinoc.geometry.camera import Camera, project
+from trinoc.geometry.image_of_circle import image_of_circle_centre
+from trinoc.geometry.rig import Rig
+from trinoc.match.tracks.matches import TRINOCULAR, Matches
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.buckets import bucket, padded
+from trinoc.numerics.precision import in_float64
 from trinoc.report.colours import PALETTE
 from trinoc.report.numbers import with_decimals
 from trinoc.report.pictures import PagePicture

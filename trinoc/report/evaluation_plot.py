@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from trinoc.errors import InputError
-from trinoc.evaluation import Row
-from trinoc.io import atomic_write
+from trinoc.evaluation.sweep import Row
+from trinoc.io.atomic import atomic_write
 from trinoc.report.colours import PALETTE
-from trinoc.report.notebook import expect_extra
+from trinoc.report.notebook.extras import expect_extra
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

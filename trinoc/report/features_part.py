@@ -5,8 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from trinoc.geometry import Feature, Rig
-from trinoc.match import Wireframe
+from trinoc.geometry.features import Feature
+from trinoc.geometry.rig import Rig
+from trinoc.match.wire_frame.frame import Wireframe
 from trinoc.report.numbers import in_words, with_decimals, with_sigma
 from trinoc.report.space_content import Box
 from trinoc.report.space_part import Layer, SpaceFigure, View, cameras_in_space

@@ -6,16 +6,12 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib import (
-    Pattern,
-    RigFromShots,
-    boards_of,
-    epipolar_sigma,
-    point_covariance,
-    projection_sigma,
-)
-from trinoc.geometry import Rig
-from trinoc.match import Matches
+from trinoc.calib.rig_from_shots import RigFromShots
+from trinoc.calib.targets.board_set import boards_of
+from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.uncertainty.propagation import epipolar_sigma, point_covariance, projection_sigma
+from trinoc.geometry.rig import Rig
+from trinoc.match.tracks.matches import Matches
 from trinoc.report.numbers import decimals_for, with_decimals
 from trinoc.report.pictures import PagePicture, Window
 from trinoc.report.space_content import content_box

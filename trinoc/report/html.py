@@ -7,11 +7,14 @@ from typing import Any, NamedTuple
 import jinja2
 import numpy as np
 
-from trinoc.calib import CalibrationResult, RigFromShots
+from trinoc.calib.result.calibration import CalibrationResult
+from trinoc.calib.rig_from_shots import RigFromShots
 from trinoc.errors import InputError
-from trinoc.geometry import Feature, Rig, Segments
-from trinoc.io import write_text
-from trinoc.match import Matches
+from trinoc.geometry.features import Feature
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.segments import Segments
+from trinoc.io.atomic import write_text
+from trinoc.match.tracks.matches import Matches
 from trinoc.report.calibration_part import cameras_part, cameras_part_of_shots, sheet_part
 from trinoc.report.checks import Subject
 from trinoc.report.coverage import (

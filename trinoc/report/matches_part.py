@@ -6,8 +6,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trinoc.geometry import LineSigmas, Segments, line_sigmas
-from trinoc.match import BINOCULAR, EVEN, TRINOCULAR, Matches
+from trinoc.geometry.line_lengths import LineSigmas, line_sigmas
+from trinoc.geometry.segments import Segments
+from trinoc.match.tracks.matches import (
+    BINOCULAR,
+    EVEN,
+    TRINOCULAR,
+    Matches,
+)
 from trinoc.report.colours import PALETTE, distinct_neighbours
 from trinoc.report.numbers import in_words, percent, with_decimals, with_sigma
 from trinoc.report.pictures import PagePicture

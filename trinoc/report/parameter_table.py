@@ -4,8 +4,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trinoc.calib import RigFromShots, board_names
-from trinoc.geometry import PARAMETER_NAMES, SPLINE_PARAMETERS, Rig
+from trinoc.calib.rig_from_shots import RigFromShots
+from trinoc.calib.targets.board_set import board_names
+from trinoc.geometry.lenses.splined import SPLINE_PARAMETERS
+from trinoc.geometry.rig import PARAMETER_NAMES, Rig
 from trinoc.report.numbers import decimals_for, signed, with_decimals, with_sigma
 
 LABELS = {

@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib import CameraFit
-from trinoc.geometry import Rig, Segments
-from trinoc.match import BINOCULAR, TRINOCULAR, Matches
+from trinoc.calib.result.calibration import CameraFit
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.segments import Segments
+from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, Matches
 from trinoc.report.colours import BLUE, GREEN, PALETTE, VERMILION, distinct_neighbours
 from trinoc.report.pictures import clip_line
 from trinoc.report.space_content import content_box, frusta

@@ -6,8 +6,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.geometry import LineSigmas, Segments
-from trinoc.match import Matches
+from trinoc.geometry.line_lengths import LineSigmas
+from trinoc.geometry.segments import Segments
+from trinoc.match.tracks.matches import Matches
 from trinoc.report.numbers import in_words, with_sigma
 from trinoc.report.pictures import PagePicture, Window
 

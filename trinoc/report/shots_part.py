@@ -4,8 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trinoc.calib import RigFromShots, board_names, boards_of
-from trinoc.geometry import Rig
+from trinoc.calib.rig_from_shots import RigFromShots
+from trinoc.calib.targets.board_set import board_names, boards_of
+from trinoc.geometry.rig import Rig
 from trinoc.report.numbers import with_decimals
 from trinoc.report.space_content import Box, frusta
 from trinoc.report.space_part import Layer, SpaceFigure, View, axes_in_space, cameras_in_space

@@ -5,9 +5,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib import Pattern
-from trinoc.geometry import Camera, Rig
-from trinoc.match import Matches
+from trinoc.calib.targets.pattern import Pattern
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.rig import Rig
+from trinoc.match.tracks.matches import Matches
 
 FRUSTUM_SHARE = 0.14
 CIRCLE_POINTS = 24

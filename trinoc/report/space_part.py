@@ -4,9 +4,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from trinoc.calib import Pattern
-from trinoc.geometry import LineSigmas, Rig, line_sigmas
-from trinoc.match import BINOCULAR, TRINOCULAR, Matches, join_collinear, snap_corners
+from trinoc.calib.targets.pattern import Pattern
+from trinoc.geometry.line_lengths import LineSigmas, line_sigmas
+from trinoc.geometry.rig import Rig
+from trinoc.match.line_map.collinear_merge import join_collinear
+from trinoc.match.line_map.corners import snap_corners
+from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, Matches
 from trinoc.report.numbers import with_decimals, with_sigma
 from trinoc.report.space_content import Box, content_box, frusta, sheet_outlines, whole_box
 

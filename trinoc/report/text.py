@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from trinoc.match import Matches
+from trinoc.match.tracks.matches import Matches
 from trinoc.report.matches_part import counts_of_steps, reasons_by_view
 from trinoc.report.numbers import decimals_for, signed, with_decimals, with_sigma
 from trinoc.report.parameter_table import LABELS, ParameterError

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Any
 
-from trinoc.evaluation import Row
+from trinoc.evaluation.sweep import Row
 from trinoc.report.numbers import with_decimals
 from trinoc.report.text import text_table
 

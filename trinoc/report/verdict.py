@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trinoc.calib import Status
-from trinoc.match import TRINOCULAR
+from trinoc.calib.result.status import Status
+from trinoc.match.tracks.matches import TRINOCULAR
 from trinoc.report.checks import Answer, Check, Level, Limits, Subject
 from trinoc.report.matches_part import share_matched
 from trinoc.report.numbers import millimetres, percent, with_decimals

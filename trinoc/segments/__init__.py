@@ -5,6 +5,25 @@
 meet, `with_side_levels` adds the grey levels on both sides. Segments of any other detector are
 an (n, 4) array and need nothing from here."""
 
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+from trinoc.segments.find import (
+    find_segments as find_segments,
+)
+from trinoc.segments.junctions import (
+    find_junctions as find_junctions,
+    with_junctions as with_junctions,
+)
+from trinoc.segments.lsd import (
+    find_segments_lsd as find_segments_lsd,
+)
+from trinoc.segments.nevatia_babu.thinning import (
+    nevatia_babu_masks as nevatia_babu_masks,
+)
+from trinoc.segments.nothing_found import (
+    why_nothing as why_nothing,
+)
+from trinoc.segments.side_intensity import (
+    with_side_levels as with_side_levels,
+)
+from trinoc.segments.tuning import (
+    SegmentTuning as SegmentTuning,
+)

@@ -7,41 +7,47 @@ import numpy as np
 from jaxtyping import Bool, Float, Shaped
 
 from trinoc.errors import InputError
-from trinoc.geometry import Intrinsics, Segments, distort_pixels, undistort_pixels
-from trinoc.image import Light, ResponseLike
-from trinoc.numerics import take_rows
+from trinoc.geometry.intrinsics import Intrinsics, distort_pixels, undistort_pixels
+from trinoc.geometry.segments import Segments
+from trinoc.image.light import Light
+from trinoc.image.response import ResponseLike
+from trinoc.numerics.tables import take_rows
 from trinoc.segments.junctions import with_junctions
-from trinoc.segments.nevatia_babu import (
-    ErrorModel,
-    FittedLines,
-    Level,
-    NearEnds,
-    Runs,
+from trinoc.segments.nevatia_babu.accept import (
     Shifts,
     SideSlopes,
-    combined_kernel,
-    end_covariances,
-    end_sigmas,
-    error_model,
-    find_overlaps,
-    find_runs,
-    fit_lines,
-    full_level,
-    inflate_variance,
     is_on_ramp,
     is_sharp,
     is_straight,
     least_snr2,
-    lines_near_ends,
-    merge_collinear,
-    noise_variance,
     shading_shifts,
-    shifts_of_saturated,
     side_slopes,
-    snap_ends,
     typical_blur,
+)
+from trinoc.segments.nevatia_babu.endpoints import (
+    NearEnds,
+    end_sigmas,
+    lines_near_ends,
+    snap_ends,
+)
+from trinoc.segments.nevatia_babu.errors import (
+    ErrorModel,
+    end_covariances,
+    error_model,
+    find_overlaps,
+    inflate_variance,
+    noise_variance,
     without_neighbours,
 )
+from trinoc.segments.nevatia_babu.line_fit import FittedLines, fit_lines, merge_collinear
+from trinoc.segments.nevatia_babu.runs import (
+    Level,
+    Runs,
+    find_runs,
+    full_level,
+)
+from trinoc.segments.nevatia_babu.saturated_edges import shifts_of_saturated
+from trinoc.segments.nevatia_babu.thinning import combined_kernel
 from trinoc.segments.side_intensity import side_levels
 from trinoc.segments.tuning import DEFAULT, SegmentTuning
 

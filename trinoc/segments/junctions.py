@@ -4,9 +4,15 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.geometry import BODY, Junctions, Segments
-from trinoc.numerics import cross_2d, distinct, group_labels, point_tree
-from trinoc.segments.nevatia_babu import NearEnds, Pieces, endpoint_crossings, lines_near_ends
+from trinoc.geometry.segments import BODY, Junctions, Segments
+from trinoc.numerics.joins import distinct, group_labels, point_tree
+from trinoc.numerics.vectors import cross_2d
+from trinoc.segments.nevatia_babu.endpoints import (
+    NearEnds,
+    Pieces,
+    endpoint_crossings,
+    lines_near_ends,
+)
 
 # Ends are taken to meet within so many of their own sigmas along the segment.
 _SIGMAS = 3.0

@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 from jaxtyping import Shaped
 
-from trinoc.geometry import Segments
-from trinoc.image import grey_image
+from trinoc.geometry.segments import Segments
+from trinoc.image.grey import grey_image
 from trinoc.segments.junctions import with_junctions
 from trinoc.segments.side_intensity import with_side_levels
 

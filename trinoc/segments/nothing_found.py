@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 from jaxtyping import Shaped
 
-from trinoc.image import Light
-from trinoc.numerics import MAD_TO_SIGMA
+from trinoc.image.light import Light
+from trinoc.numerics.tails import MAD_TO_SIGMA
 
 # Sides of an edge, this far apart, differ by its whole step also where it is blurred.
 _APART_PX = 4

@@ -6,8 +6,9 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Shaped
 
-from trinoc.geometry import Segments
-from trinoc.image import Light, nearest_levels
+from trinoc.geometry.segments import Segments
+from trinoc.image.light import Light
+from trinoc.image.strip import nearest_levels
 
 # Levels are taken so far from the segment, beyond the blur of its edge, and not near its ends.
 _BESIDE_PX = np.array([2.0, 3.0, 4.0])

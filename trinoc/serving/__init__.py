@@ -3,7 +3,3 @@
 Whatever opens a port stands here. It listens on the loopback address alone, answers no request
 that another site had a browser send (`loopback`), and serves no file of the machine.
 """
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -10,14 +10,10 @@ import numpy as np
 from jaxtyping import UInt8
 
 from trinoc.errors import InputError
-from trinoc.report import (
-    COLOUR_OF_ROLE,
-    Ellipsoids,
-    Layer,
-    SpaceFigure,
-    expect_extra,
-    visible_factor,
-)
+from trinoc.report.colours import COLOUR_OF_ROLE
+from trinoc.report.ellipsoids import Ellipsoids, visible_factor
+from trinoc.report.notebook.extras import expect_extra
+from trinoc.report.space_part import Layer, SpaceFigure
 from trinoc.serving.loopback import ADDRESS, REFUSAL, may_ask
 
 _LINE_PX = 2.5

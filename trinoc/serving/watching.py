@@ -7,8 +7,10 @@ import jinja2
 import numpy as np
 from jaxtyping import Shaped
 
-from trinoc.capture import GRID, Judgement, field, field_share, next_step
-from trinoc.image import grey_image
+from trinoc.capture.advice import field, field_share, next_step
+from trinoc.capture.judgement import Judgement
+from trinoc.capture.measures import GRID
+from trinoc.image.grey import grey_image
 from trinoc.serving.pages import Page
 
 _LONGEST_SIDE_PX = 720

@@ -2,7 +2,9 @@
 
 import numpy as np
 
-from trinoc.geometry import Camera, Intrinsics, Rig
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.rig import Rig
 
 # pan, tilt, swing in degrees and distance in mm: Yokoi, Medioni and Nevatia (1986), Table 1.
 TABLE_1 = {

@@ -4,7 +4,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 
-from trinoc.geometry import Camera
+from trinoc.geometry.camera import Camera
 from trinoc.synth.solids import EDGE, Cylinder, Solid, box, l_block, wedge
 from trinoc.synth.visibility import VisibleParts, visible_parts
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.geometry import Camera
+from trinoc.geometry.camera import Camera
 
 # A point counts as behind a face from this depth on, so that a face does not hide its own edges.
 _BEHIND_MM = 1e-6

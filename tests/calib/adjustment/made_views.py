@@ -12,8 +12,10 @@ from trinoc.calib import Detection
 from trinoc.calib.problem.robust_fit import errors_px
 from trinoc.calib.problem.sheet import BentPaper
 from trinoc.calib.problem.sheet_problem import SheetCamera, sheet_problem
-from trinoc.calib.uncertainty import Systematics, data_sheet_covariance
-from trinoc.geometry import Pose, PoseModel, promoted
+from trinoc.calib.uncertainty.systematics import Systematics, data_sheet_covariance
+from trinoc.geometry import Pose
+from trinoc.geometry.lenses.registry import promoted
+from trinoc.geometry.pose import PoseModel
 
 SHEET = reference_sheet()
 SIGMA_PX = 0.01

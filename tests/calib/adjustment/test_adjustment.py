@@ -10,10 +10,11 @@ from tests.calib.adjustment.made_views import LENS_FACTOR, SHEET, TYPICAL, made_
 from trinoc.calib.adjustment.estimate import Adjustment, adjust_cameras
 from trinoc.calib.problem.information import whitened_views
 from trinoc.calib.problem.variables import prior_of, retract
-from trinoc.calib.uncertainty import Systematics
-from trinoc.geometry import Pose, PoseModel
+from trinoc.calib.uncertainty.systematics import Systematics
+from trinoc.geometry import Pose
+from trinoc.geometry.pose import PoseModel
 from trinoc.geometry.rotation import vector_from_rotation
-from trinoc.numerics import as_numpy
+from trinoc.numerics.precision import as_numpy
 
 FREE = PoseModel.AIM_FREE
 

@@ -14,11 +14,15 @@ from tests.calib.simulated import (
     reference_sheet,
     simulated_detection,
 )
-from trinoc.calib import Detection, Pattern, Status, calibrate_detections
+from trinoc.calib import Detection, Status, calibrate_detections
 from trinoc.calib.problem.problem import Problem
 from trinoc.calib.problem.robust_fit import errors_px
 from trinoc.calib.problem.sheet_problem import SheetCamera, sheet_problem
-from trinoc.geometry import Intrinsics, Pose, PoseModel, image_of_circle_centre
+from trinoc.calib.targets.pattern import Pattern
+from trinoc.geometry import Pose
+from trinoc.geometry.image_of_circle import image_of_circle_centre
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.pose import PoseModel
 
 SHEET = reference_sheet()
 exact_centres = jax.jit(jax.vmap(image_of_circle_centre, in_axes=(None, 0, 0)))

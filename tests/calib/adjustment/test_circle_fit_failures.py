@@ -12,10 +12,16 @@ from tests.calib.simulated import (
     reference_sheet,
     simulated_detection,
 )
-from trinoc.calib import CalibrationResult, Detection, Pattern, Status, calibrate_detections
+from trinoc.calib import (
+    CalibrationResult,
+    Detection,
+    Status,
+    calibrate_detections,
+)
+from trinoc.calib.targets.pattern import Pattern
 from trinoc.errors import CalibrationError, InputError
-from trinoc.geometry import Intrinsics
-from trinoc.numerics import observability
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.numerics.information import observability
 
 SHEET = reference_sheet()
 UPPER = camera_of(TABLE_1["upper"])

@@ -13,7 +13,7 @@ from trinoc.calib.adjustment.jackknife import scatter_of_blocks
 from trinoc.calib.adjustment.model_tests import information_left
 from trinoc.calib.problem.robust_fit import errors_px
 from trinoc.calib.problem.views import SheetPoints
-from trinoc.geometry import PoseModel
+from trinoc.geometry.pose import PoseModel
 
 
 def adjusted(cameras) -> Adjustment:

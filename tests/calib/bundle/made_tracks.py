@@ -2,7 +2,11 @@
 
 import numpy as np
 
-from trinoc.geometry import Camera, Intrinsics, LineObservations, Rig, covariance_of_ends
+from trinoc.geometry import LineObservations
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.segments import covariance_of_ends
 
 ANGLES_AND_DISTANCES = {
     "upper": (2.143, 53.252, -1.714, 476.369),

@@ -5,9 +5,14 @@ import numpy as np
 import pytest
 
 from tests.calib.bundle.made_tracks import TRUTH, made_tracks, rig_at
-from trinoc.calib import CameraState, camera_state, segment_and_errors, stacked_states
-from trinoc.calib.bundle.covariance import determined_part, segment_factor, sheet_factor
-from trinoc.geometry import PoseModel
+from trinoc.calib.bundle.camera import CameraState, camera_state, stacked_states
+from trinoc.calib.bundle.covariance import (
+    determined_part,
+    segment_and_errors,
+    segment_factor,
+    sheet_factor,
+)
+from trinoc.geometry.pose import PoseModel
 
 segments = jax.jit(jax.vmap(segment_and_errors, (None, 0, 0, 0)))
 

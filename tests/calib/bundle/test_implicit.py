@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 from tests.calib.bundle.made_tracks import SHEET_SIGMA, TRUTH, made_tracks, rig_at
-from trinoc.calib import camera_state, refined, stacked_states
+from trinoc.calib import refined
+from trinoc.calib.bundle.camera import camera_state, stacked_states
 from trinoc.calib.bundle.factors import PosePrior
 from trinoc.calib.bundle.joint_problem import FragmentTable
-from trinoc.geometry import PoseModel
-from trinoc.numerics import GemanMcClure
+from trinoc.geometry.pose import PoseModel
+from trinoc.numerics.robust_loss import GemanMcClure
 
 LOSS = GemanMcClure.from_scale(8.0)
 

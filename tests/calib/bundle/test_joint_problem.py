@@ -10,8 +10,7 @@ from jax.flatten_util import ravel_pytree
 
 from tests.calib.bundle.made_tracks import NAMES, SHEET_SIGMA, TRUTH, made_tracks, rig_at
 from tests.geometry.strategies import vectors
-from trinoc.calib import camera_state, stacked_states
-from trinoc.calib.bundle.camera import camera_of_state
+from trinoc.calib.bundle.camera import camera_of_state, camera_state, stacked_states
 from trinoc.calib.bundle.estimate import (
     HELD_SIGMA_MM,
     HELD_SIGMA_PX,
@@ -32,8 +31,11 @@ from trinoc.calib.bundle.joint_problem import (
     squared_distances,
     with_lines_of_two_views,
 )
-from trinoc.geometry import LineObservations, PoseModel, Rig
-from trinoc.numerics import GemanMcClure, eliminate
+from trinoc.geometry import LineObservations
+from trinoc.geometry.pose import PoseModel
+from trinoc.geometry.rig import Rig
+from trinoc.numerics.block_arrow import eliminate
+from trinoc.numerics.robust_loss import GemanMcClure
 
 COUNT = 7
 LOSS = GemanMcClure.from_scale(jnp.asarray(4.0))

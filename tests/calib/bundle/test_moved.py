@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from tests.calib.bundle.made_tracks import NAMES, SHEET_SIGMA, TRUTH, made_tracks, rig_at
-from trinoc.calib import check_rig
+from trinoc.calib.rig_check.knocked import check_rig
 from trinoc.errors import CalibrationError
-from trinoc.numerics import take_rows
+from trinoc.numerics.tables import take_rows
 
 SIZES_DEG = 0.2
 

@@ -5,8 +5,13 @@ import pytest
 
 from tests.calib.bundle.made_tracks import ANGLES_AND_DISTANCES, made_tracks
 from tests.calib.simulated import LENS, camera_of, reference_sheet, simulated_detection
-from trinoc.calib import CalibrationResult, calibrate_detections, check_rig, refine
-from trinoc.geometry import AFFINE_PARAMETERS, PARAMETER_NAMES, Camera, Intrinsics, Rig
+from trinoc.calib import CalibrationResult, calibrate_detections
+from trinoc.calib.bundle.refinement import refine
+from trinoc.calib.rig_check.knocked import check_rig
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS
+from trinoc.geometry.rig import PARAMETER_NAMES, Rig
 
 SHEET = reference_sheet()
 

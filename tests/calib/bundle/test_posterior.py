@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from trinoc.calib.bundle.estimate import log_posterior
-from trinoc.numerics import GemanMcClure
+from trinoc.numerics.robust_loss import GemanMcClure
 
 LOSS = GemanMcClure.from_scale(4.0)
 

@@ -12,11 +12,19 @@ from tests.calib.bundle.made_tracks import (
     made_tracks,
     rig_at,
 )
-from trinoc.calib import RefineStatus, refine
 from trinoc.calib.bundle import estimate
+from trinoc.calib.bundle.refinement import refine
+from trinoc.calib.bundle.result import RefineStatus
 from trinoc.errors import CalibrationError, InputError
-from trinoc.geometry import LineObservations, PoseModel, Rig, angle_deg, distance_mm, length_mm
-from trinoc.numerics import take_rows
+from trinoc.geometry import (
+    LineObservations,
+    angle_deg,
+    distance_mm,
+    length_mm,
+)
+from trinoc.geometry.pose import PoseModel
+from trinoc.geometry.rig import Rig
+from trinoc.numerics.tables import take_rows
 
 CHI_SQUARE_6_AT_95 = 12.592
 

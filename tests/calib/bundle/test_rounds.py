@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from tests.calib.bundle.made_tracks import NAMES, SHEET_SIGMA, TRUTH, made_tracks, rig_at
-from trinoc.calib import RefineStatus, refine
+from trinoc.calib.bundle.refinement import refine
+from trinoc.calib.bundle.result import RefineStatus
 from trinoc.geometry import LineObservations
-from trinoc.numerics import take_rows
+from trinoc.numerics.tables import take_rows
 
 
 def knocked(degrees):

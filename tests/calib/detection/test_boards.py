@@ -4,7 +4,10 @@ import cv2
 import numpy as np
 import pytest
 
-from trinoc.calib import AprilGrid, Charuco, Chessboard, Pattern, detect_target, opencv_board
+from trinoc.calib import detect_target
+from trinoc.calib.targets.april_grid import AprilGrid
+from trinoc.calib.targets.checkers import Charuco, Chessboard, opencv_board
+from trinoc.calib.targets.pattern import Pattern
 from trinoc.errors import DetectionError, InputError
 
 BOARDS = {
@@ -160,7 +163,7 @@ def test_boards_that_cannot_be_are_refused():
 
 
 def test_every_dictionary_is_one_of_opencv():
-    from trinoc.calib import DICTIONARIES
+    from trinoc.calib.targets.markers import DICTIONARIES
 
     for name in DICTIONARIES:
         board = Charuco(rows=3, columns=3, square_mm=2.0, marker_mm=1.0, dictionary=name)

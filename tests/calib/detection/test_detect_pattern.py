@@ -5,11 +5,15 @@ import numpy as np
 import pytest
 
 from benchmarks.detection_scenes import round_things
-from trinoc.calib import Detection, Pattern, detect_pattern
+from trinoc.calib import Detection, detect_pattern
+from trinoc.calib.targets.pattern import Pattern
 from trinoc.errors import DetectionError, InputError
-from trinoc.geometry import Camera, image_of_circle_centre
-from trinoc.synth import render_sheet, table1_lens, table1_rig
-from trinoc.synth.camera_picture import Light, card
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.image_of_circle import image_of_circle_centre
+from trinoc.synth import table1_lens, table1_rig
+from trinoc.synth.camera_picture.layers import card
+from trinoc.synth.camera_picture.light import Light
+from trinoc.synth.camera_picture.render import render_sheet
 
 SHEET = Pattern.default()
 CAMERA = table1_rig()["right"]

@@ -13,7 +13,7 @@ from tests.calib.simulated import (
 )
 from trinoc.calib import Detection, Status, calibrate_batch, calibrate_detections
 from trinoc.errors import CalibrationError
-from trinoc.geometry import Rig
+from trinoc.geometry.rig import Rig
 
 SHEET = reference_sheet()
 # Row by row from the top left: the grid turned by 90, 180 and 270 degrees.

@@ -7,7 +7,8 @@ import cv2
 import numpy as np
 import pytest
 
-from trinoc.calib import Pattern, detect_pattern
+from trinoc.calib import detect_pattern
+from trinoc.calib.targets.pattern import Pattern
 
 FOLDER = Path(os.environ.get("TRINOC_DATA", "")) / "circle_grids"
 BOOFCV = Pattern.circle_grid(rows=8, columns=10, pitch_mm=25, radius_mm=7.5)

@@ -15,18 +15,19 @@ from tests.calib.simulated import (
 from trinoc.calib import (
     CalibrationResult,
     Detection,
-    Pattern,
     Status,
-    Systematics,
     calibrate_detections,
-    compare_rigs,
     epipolar_sigma,
     point_covariance,
     printed_sheet,
     with_systematics,
 )
+from trinoc.calib.rig_check.comparison import compare_rigs
+from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.errors import InputError
-from trinoc.geometry import Intrinsics, project
+from trinoc.geometry import project
+from trinoc.geometry.intrinsics import Intrinsics
 
 SHEET = reference_sheet()
 

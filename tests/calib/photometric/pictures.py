@@ -6,16 +6,16 @@ import jax
 import numpy as np
 
 from tests.calib.simulated import LENS, TABLE_1, camera_of
-from trinoc.calib import Pattern
 from trinoc.calib.photometric.equations import Group, Picture, PixelRows, pixel_rows
 from trinoc.calib.photometric.ink import SQUARES, Cross, Drawing
 from trinoc.calib.photometric.pixel_selection import group_of, select_pixels
 from trinoc.calib.photometric.sheet_places import sheet_from_camera
 from trinoc.calib.photometric.unknowns import PictureState, ideal_state
 from trinoc.calib.result.degrees import pose_of_values
-from trinoc.calib.targets import SquareSheet
+from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.targets.squares import SquareSheet
 from trinoc.geometry import Pose
-from trinoc.synth import render_sheet
+from trinoc.synth.camera_picture.render import render_sheet
 
 RIGHT = (*TABLE_1["right"], 0.0, 0.0)
 CROSS = Cross(np.array(0.5), np.array([55.0, 55.0]), np.array(1.5))

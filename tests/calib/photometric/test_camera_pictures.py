@@ -8,9 +8,10 @@ import pytest
 from tests.calib.photometric.pictures import RIGHT, image_of
 from tests.calib.photometric.test_photometry import START, mahalanobis, refined
 from tests.calib.simulated import LENS, reference_sheet
-from trinoc.calib.photometric import Encoding, refine_image
+from trinoc.calib.photometric.encoding import Encoding
+from trinoc.calib.photometric.image_fit import refine_image
 from trinoc.calib.result.degrees import pose_of_values
-from trinoc.geometry import PoseModel
+from trinoc.geometry.pose import PoseModel
 from trinoc.synth.camera_picture.delivery import SRGB
 
 pytestmark = pytest.mark.usefixtures("large_programs")

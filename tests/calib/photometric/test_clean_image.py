@@ -2,8 +2,9 @@
 
 import pytest
 
-from trinoc.calib import Systematics, calibrate
-from trinoc.geometry import Intrinsics
+from trinoc.calib.from_images import calibrate
+from trinoc.calib.uncertainty.systematics import Systematics
+from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.io import demo_images, demo_pattern
 
 LENS = Intrinsics(focal_length_mm=16, pixel_pitch_mm=(0.0162, 0.0134), image_size_px=(512, 480))

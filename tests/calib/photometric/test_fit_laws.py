@@ -19,8 +19,8 @@ from trinoc.calib.photometric.noise import is_clear
 from trinoc.calib.photometric.pixel_selection import SelectedPixels
 from trinoc.calib.photometric.scene import Point, Scene, scene_of_picture
 from trinoc.calib.photometric.unknowns import PictureState, delivered_state
-from trinoc.geometry import PoseModel
-from trinoc.numerics import ArrayLike
+from trinoc.geometry.pose import PoseModel
+from trinoc.numerics.arrays import ArrayLike
 
 pytestmark = pytest.mark.usefixtures("large_programs")
 STATE = with_look(state_at(RIGHT), spread_mm=0.01)

@@ -14,12 +14,11 @@ from tests.calib.photometric.pictures import (
     with_look,
 )
 from tests.calib.simulated import LENS, reference_sheet
-from trinoc.calib import Pattern
-from trinoc.calib.photometric import refine_image
-from trinoc.calib.photometric.image_fit import ImageRefinement
+from trinoc.calib.photometric.image_fit import ImageRefinement, refine_image
 from trinoc.calib.photometric.sheet_places import sheet_from_camera
 from trinoc.calib.photometric.unknowns import PictureState, delivered_state
-from trinoc.geometry import PoseModel
+from trinoc.calib.targets.pattern import Pattern
+from trinoc.geometry.pose import PoseModel
 
 pytestmark = pytest.mark.usefixtures("large_programs")
 

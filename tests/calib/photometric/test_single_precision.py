@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from trinoc.calib import Systematics, calibrate
+from trinoc.calib.from_images import calibrate
 from trinoc.calib.photometric import scene
 from trinoc.calib.problem.solver import CONVERGED_GAIN
+from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.io import demo_images, demo_pattern
 from trinoc.synth import table1_lens
 

@@ -5,22 +5,22 @@ import pytest
 
 from tests.calib.photometric.pictures import INK, PAPER
 from tests.calib.photometric.test_squares import Bare
-from trinoc.calib import Charuco, Chessboard, square_sheet
-from trinoc.calib.photometric import refine_image
+from trinoc.calib.photometric.image_fit import refine_image
 from trinoc.calib.photometric.sheet_places import places_and_slopes, rays_of_pixels
 from trinoc.calib.photometric.square_pixels import square_pixels
-from trinoc.geometry import (
-    BrownConrady,
-    Camera,
-    Intrinsics,
-    KannalaBrandt,
-    Pose,
-    PoseModel,
-    rotation_from_vector,
-)
-from trinoc.numerics import in_float64
-from trinoc.synth import Cells, render_sheet
-from trinoc.synth.camera_picture import Paint
+from trinoc.calib.targets.checkers import Charuco, Chessboard
+from trinoc.calib.targets.squares import square_sheet
+from trinoc.geometry import Pose
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.lenses.brown_conrady import BrownConrady
+from trinoc.geometry.lenses.kannala_brandt import KannalaBrandt
+from trinoc.geometry.pose import PoseModel
+from trinoc.geometry.rotation import rotation_from_vector
+from trinoc.numerics.precision import in_float64
+from trinoc.synth.camera_picture.layers import Paint
+from trinoc.synth.camera_picture.render import render_sheet
+from trinoc.synth.camera_picture.shapes import Cells
 
 SIZE_PX = (320, 240)
 FISHEYE = KannalaBrandt.from_parameters(

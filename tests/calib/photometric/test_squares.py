@@ -19,13 +19,16 @@ from tests.calib.photometric.pictures import (
     with_look,
 )
 from tests.calib.simulated import LENS, camera_of
-from trinoc.calib import AprilGrid, Charuco, Chessboard, Pattern
 from trinoc.calib.photometric.scene import first_guess
 from trinoc.calib.photometric.unknowns import IDEAL
-from trinoc.calib.targets import square_sheet
+from trinoc.calib.targets.april_grid import AprilGrid
+from trinoc.calib.targets.checkers import Charuco, Chessboard
+from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.targets.squares import square_sheet
 from trinoc.errors import InputError
-from trinoc.synth import Cells, render_sheet
-from trinoc.synth.camera_picture import ConvexPolygon, Paint
+from trinoc.synth.camera_picture.layers import Paint
+from trinoc.synth.camera_picture.render import render_sheet
+from trinoc.synth.camera_picture.shapes import Cells, ConvexPolygon
 
 BOARDS = {
     "chessboard": Chessboard(rows=4, columns=5, square_mm=20.0),

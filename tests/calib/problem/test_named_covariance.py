@@ -9,7 +9,7 @@ from tests.calib.shots.test_laws import problem
 from trinoc.calib.problem.information import information_of
 from trinoc.calib.problem.named_covariance import World, named_covariance
 from trinoc.calib.problem.variables import retract
-from trinoc.numerics import as_numpy
+from trinoc.numerics.precision import as_numpy
 
 CAMERAS = tuple(LENSES)
 WORLDS = {"a shot": World(np.asarray(1), None), "a camera": World(None, np.asarray(2))}

@@ -15,8 +15,8 @@ from trinoc.calib.problem.equations import PlacesProblem
 from trinoc.calib.problem.problem import lens_number
 from trinoc.calib.problem.sheet import BentPaper, WarpedBoard
 from trinoc.calib.problem.variables import prior_of, retract
-from trinoc.geometry import PoseModel
-from trinoc.numerics import GemanMcClure
+from trinoc.geometry.pose import PoseModel
+from trinoc.numerics.robust_loss import GemanMcClure
 
 KINDS = ("lens", "aim", "sheet", "places")
 

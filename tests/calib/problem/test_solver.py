@@ -16,7 +16,8 @@ from trinoc.calib.problem.solver import (
     Costs,
     solve,
 )
-from trinoc.numerics import BlockArrow, GemanMcClure
+from trinoc.numerics.block_arrow import BlockArrow
+from trinoc.numerics.robust_loss import GemanMcClure
 
 COUNT, ROWS = 6, 5
 

@@ -7,7 +7,7 @@ import numpy as np
 from trinoc.calib.problem.equations import PlacesProblem
 from trinoc.calib.problem.problem import Problem
 from trinoc.calib.problem.variables import retract
-from trinoc.numerics import GemanMcClure
+from trinoc.numerics.robust_loss import GemanMcClure
 
 # `problem_of` rounds the number of shots up to this one, in all tests.
 SHOTS = 8

@@ -3,8 +3,11 @@
 import numpy as np
 
 from tests.calib.shots.made_shots import LENSES, SIZE_PX, _pixels, chained, inverse, lens_of
-from trinoc.calib import AbstractTarget, AprilGrid, BoardSet, Chessboard, Detection
-from trinoc.geometry import rotation_from_vector
+from trinoc.calib import BoardSet, Detection
+from trinoc.calib.targets.abstract_target import AbstractTarget
+from trinoc.calib.targets.april_grid import AprilGrid
+from trinoc.calib.targets.checkers import Chessboard
+from trinoc.geometry.rotation import rotation_from_vector
 
 SIGMA_PX = 0.05
 FRONT = Chessboard(rows=5, columns=7, square_mm=22.0)

@@ -5,8 +5,12 @@ from typing import Any
 import jax
 import numpy as np
 
-from trinoc.calib import AbstractTarget, Chessboard, Detection
-from trinoc.geometry import AbstractLens, BrownConrady, rotation_from_vector
+from trinoc.calib import Detection
+from trinoc.calib.targets.abstract_target import AbstractTarget
+from trinoc.calib.targets.checkers import Chessboard
+from trinoc.geometry import AbstractLens
+from trinoc.geometry.lenses.brown_conrady import BrownConrady
+from trinoc.geometry.rotation import rotation_from_vector
 
 SIZE_PX = (640, 480)
 BOARD = Chessboard(rows=5, columns=6, square_mm=25.0)

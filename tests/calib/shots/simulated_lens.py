@@ -6,7 +6,8 @@ The centre of a circle's image is the centroid of the polygon of its projected b
 import cv2
 import numpy as np
 
-from trinoc.calib import Detection, Pattern
+from trinoc.calib import Detection
+from trinoc.calib.targets.pattern import Pattern
 
 SHEET = Pattern.cross_grid(rows=6, columns=6, pitch_mm=25.0, radius_mm=8.0)
 SIZE_PX = (512, 480)

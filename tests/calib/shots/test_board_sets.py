@@ -25,17 +25,22 @@ from tests.calib.shots.made_shots import (
     lens_of,
     shots,
 )
-from trinoc.calib import BoardSet, Chessboard, Detection, Systematics, calibrate_rig, next_shot
+from trinoc.calib import BoardSet, Detection, next_shot
 from trinoc.calib.advice.halves import steps_between
-from trinoc.calib.detection import split_by_board
+from trinoc.calib.detection.detection import split_by_board
 from trinoc.calib.problem.information import information_of
 from trinoc.calib.problem.problem import Freedom, Problem
 from trinoc.calib.problem.robust_fit import fit_places
 from trinoc.calib.problem.starting_problem import problem_of
 from trinoc.calib.problem.views import View
+from trinoc.calib.rig_calibration import calibrate_rig
 from trinoc.calib.starts.connected import solve_hand_eye
+from trinoc.calib.targets.checkers import Chessboard
+from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.errors import CalibrationError, InputError
-from trinoc.geometry import Intrinsics, Pose, rotation_from_vector
+from trinoc.geometry import Pose
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.rotation import rotation_from_vector
 
 EXACT = Systematics()
 OPPOSITE = ("left", "far"), ("front", "back")

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from tests.calib.shots.made_shots import BOARD, LENSES, lens_of, shots
-from trinoc.calib import Systematics, calibrate_rig
 from trinoc.calib.problem.outcome import ShotScatter
+from trinoc.calib.rig_calibration import calibrate_rig
+from trinoc.calib.uncertainty.systematics import Systematics
 
 FLAT_ENOUGH = Systematics(print_scale_sigma=(1e-4, 1e-4), flatness_mm=0.05)
 

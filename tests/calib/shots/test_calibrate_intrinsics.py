@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 from tests.calib.shots.simulated_lens import LENS, SHEET, SIZE_PX, detections, good_poses
-from trinoc.calib import Pattern, Status, calibrate_intrinsics
-from trinoc.geometry import BrownConrady
+from trinoc.calib import Status
+from trinoc.calib.lens_calibration import calibrate_intrinsics
+from trinoc.calib.targets.pattern import Pattern
+from trinoc.geometry.lenses.brown_conrady import BrownConrady
 
 pytestmark = pytest.mark.usefixtures("optimised")
 POSES = good_poses()

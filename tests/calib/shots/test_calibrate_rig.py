@@ -4,11 +4,14 @@ import numpy as np
 import pytest
 
 from tests.calib.shots.made_shots import BOARD, LENSES, cam_from_rig, lens_of, shots
-from trinoc.calib import Systematics, calibrate_rig, projection_sigma
-from trinoc.calib.result import Status
+from trinoc.calib import projection_sigma
+from trinoc.calib.result.status import Status
+from trinoc.calib.rig_calibration import calibrate_rig
+from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.errors import CalibrationError, InputError
-from trinoc.geometry import Intrinsics
-from trinoc.io import load_rig, save
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.io.rig_json import load_rig
+from trinoc.io.saving import save
 
 EXACT = Systematics()
 

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from tests.calib.shots.made_shots import BOARD, LENSES, SIGMA_PX, shots
-from trinoc.calib import Systematics, calibrate_rig
 from trinoc.calib.advice.halves import CrossValidation
+from trinoc.calib.rig_calibration import calibrate_rig
+from trinoc.calib.uncertainty.systematics import Systematics
 
 EXACT = Systematics()
 

@@ -6,12 +6,12 @@ import pytest
 
 from tests.calib.shots.made_shots import BOARD, LENSES, SIZE_PX, board_poses, chained, inverse
 from tests.calib.shots.test_laws import problem
-from trinoc.calib import Systematics
 from trinoc.calib.advice.field_difference import field_differences
 from trinoc.calib.problem.information import information_of
 from trinoc.calib.problem.problem import with_lens_free
 from trinoc.calib.problem.variables import retract
-from trinoc.numerics import as_numpy
+from trinoc.calib.uncertainty.systematics import Systematics
+from trinoc.numerics.precision import as_numpy
 
 CAMERAS = tuple(LENSES)
 

@@ -14,7 +14,6 @@ from tests.calib.shots.made_shots import (
     lens_of,
     shots,
 )
-from trinoc.calib import Chessboard, Pattern, Systematics
 from trinoc.calib.problem.board_shape import with_free_places
 from trinoc.calib.problem.places import BoardView, predict_places
 from trinoc.calib.problem.problem import Freedom
@@ -23,7 +22,14 @@ from trinoc.calib.problem.views import View, padded_count
 from trinoc.calib.shot_messages import undetermined_sentence
 from trinoc.calib.starts.camera_start import plane_pose
 from trinoc.calib.starts.sightings import motion_in_plane
-from trinoc.geometry import Camera, Intrinsics, KannalaBrandt, Pose, image_of_circle_centre
+from trinoc.calib.targets.checkers import Chessboard
+from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.uncertainty.systematics import Systematics
+from trinoc.geometry import Pose
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.image_of_circle import image_of_circle_centre
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.lenses.kannala_brandt import KannalaBrandt
 
 CAMERAS = ("left", "middle", "right")
 

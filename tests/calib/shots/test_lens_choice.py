@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from tests.calib.shots.made_shots import BOARD, shots
-from trinoc.calib import Systematics, calibrate_rig
 from trinoc.calib.lens_selection import choice_sentence, choose_lens
 from trinoc.calib.problem.information import Information
 from trinoc.calib.problem.rao_test import rao_test
+from trinoc.calib.rig_calibration import calibrate_rig
+from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.errors import InputError
 
 

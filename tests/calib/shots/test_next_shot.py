@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 
 from tests.calib.shots.made_shots import BOARD, LENSES, board_poses, chained, detection, shots
-from trinoc.calib import Systematics, calibrate_rig, next_shot
+from trinoc.calib import next_shot
 from trinoc.calib.advice.foreseen_shots import candidate_shots, foresee_shots, place_sigma_px
 from trinoc.calib.advice.next_shot import add_shot, shot_error_px
+from trinoc.calib.rig_calibration import calibrate_rig
+from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.cli.calibrate_rig import rig_record, shot_record
 from trinoc.errors import InputError
 from trinoc.geometry import Pose

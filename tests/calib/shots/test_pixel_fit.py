@@ -17,26 +17,27 @@ from tests.calib.shots.made_shots import (
     lens_of,
     shots as made,
 )
-from trinoc.calib import (
-    AbstractTarget,
-    AprilGrid,
-    BoardSet,
-    Pattern,
-    Systematics,
-    calibrate_rig,
-    square_sheet,
-)
+from trinoc.calib import BoardSet
 from trinoc.calib.problem.apparent_shift import apparent_shift
 from trinoc.calib.problem.problem import Freedom, cam_from_board, lens_number
 from trinoc.calib.problem.robust_fit import degrees_of_freedom, errors_in_sigmas
 from trinoc.calib.problem.starting_problem import problem_of
 from trinoc.calib.problem.views import SheetPoints, View, whitening_of_covariance
 from trinoc.calib.problem.wrong_circles import discount_points, drop_wrong_circles
+from trinoc.calib.rig_calibration import calibrate_rig
 from trinoc.calib.rig_pixels import expect_method, quarters_of_tags
+from trinoc.calib.targets.abstract_target import AbstractTarget
+from trinoc.calib.targets.april_grid import AprilGrid
+from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.targets.squares import square_sheet
+from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.errors import InputError
-from trinoc.geometry import Camera, Intrinsics, Pose
-from trinoc.synth import Cells, render_sheet
-from trinoc.synth.camera_picture import Paint
+from trinoc.geometry import Pose
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.synth.camera_picture.layers import Paint
+from trinoc.synth.camera_picture.render import render_sheet
+from trinoc.synth.camera_picture.shapes import Cells
 
 SHEET = Pattern.cross_grid(rows=5, columns=6, pitch_mm=25.0, radius_mm=7.0, line_width_mm=0.0)
 

@@ -12,8 +12,9 @@ import pytest
 from tests.calib.shots import simulated_lens
 from tests.calib.shots.equations import assert_equations_are_those_of_the_cost
 from tests.calib.shots.made_shots import BOARD, SIZE_PX, lens_of
-from trinoc.calib import Detection, Systematics, calibrate_intrinsics, calibrate_rig
+from trinoc.calib import Detection
 from trinoc.calib.advice.halves import covariance_of_difference
+from trinoc.calib.lens_calibration import calibrate_intrinsics
 from trinoc.calib.problem.information import information_of
 from trinoc.calib.problem.lens_correction import (
     correction_sentences,
@@ -25,18 +26,19 @@ from trinoc.calib.problem.problem import Freedom, lens_number
 from trinoc.calib.problem.robust_fit import RobustFit
 from trinoc.calib.problem.starting_problem import problem_of
 from trinoc.calib.problem.views import View
+from trinoc.calib.rig_calibration import calibrate_rig
+from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.errors import InputError
-from trinoc.geometry import (
-    AbstractSplined,
-    Camera,
-    Intrinsics,
-    Pose,
-    Rig,
-    SplinedBrownConrady,
-    rotation_from_vector,
-    splined,
-)
-from trinoc.io import FORMATS, load_rig, save
+from trinoc.geometry import Pose
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.lenses.registry import splined
+from trinoc.geometry.lenses.splined import AbstractSplined, SplinedBrownConrady
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.rotation import rotation_from_vector
+from trinoc.io import FORMATS
+from trinoc.io.rig_json import load_rig
+from trinoc.io.saving import save
 
 SIGMA_PX = 0.05
 TOP_PX, WHERE_PX, WIDTH_PX = np.array([0.6, -0.4]), np.array([450.0, 170.0]), 75.0

@@ -14,13 +14,15 @@ from tests.calib.shots.simulated_lens import (
     good_poses,
     pose,
 )
-from trinoc.calib import Detection, IntrinsicsResult, Status, Systematics, calibrate_intrinsics
+from trinoc.calib import Detection, IntrinsicsResult, Status
 from trinoc.calib.advice.foreseen_shots import candidate_shots
+from trinoc.calib.lens_calibration import calibrate_intrinsics
 from trinoc.calib.problem.problem import Freedom
 from trinoc.calib.problem.starting_problem import problem_of
 from trinoc.calib.problem.views import View
+from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.errors import CalibrationError, InputError
-from trinoc.geometry import BrownConrady
+from trinoc.geometry.lenses.brown_conrady import BrownConrady
 
 pytestmark = pytest.mark.usefixtures("optimised")
 SQUARE = [

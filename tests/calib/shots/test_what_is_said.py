@@ -6,12 +6,16 @@ import numpy as np
 import pytest
 
 from tests.calib.shots.made_shots import BOARD, LENSES, SIZE_PX, cam_from_rig, lens_of, shots
-from trinoc.calib import Chessboard, Detection, Systematics, calibrate_rig
+from trinoc.calib import Detection
+from trinoc.calib.rig_calibration import calibrate_rig
 from trinoc.calib.starts.camera_start import start_poses
 from trinoc.calib.starts.placing import boards_are_parallel, find_exchanged_pair
 from trinoc.calib.starts.sightings import label_sighting
+from trinoc.calib.targets.checkers import Chessboard
+from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.errors import CalibrationError, InputError
-from trinoc.geometry import Intrinsics, Pose
+from trinoc.geometry import Pose
+from trinoc.geometry.intrinsics import Intrinsics
 
 EXACT = Systematics()
 KNOWN = {name: Intrinsics.of_lens(lens_of(name), SIZE_PX) for name in LENSES}

@@ -4,19 +4,15 @@ import cv2
 import numpy as np
 import pytest
 
-from trinoc.calib import (
-    AbstractTarget,
-    AprilGrid,
-    BoardSet,
-    Charuco,
-    Chessboard,
-    Pattern,
-    Polygon,
-    detect_target,
-)
-from trinoc.calib.detection import split_by_board
+from trinoc.calib import BoardSet, detect_target
+from trinoc.calib.detection.detection import split_by_board
+from trinoc.calib.targets.abstract_target import AbstractTarget, Polygon
+from trinoc.calib.targets.april_grid import AprilGrid
+from trinoc.calib.targets.checkers import Charuco, Chessboard
+from trinoc.calib.targets.pattern import Pattern
 from trinoc.errors import DetectionError, InputError
-from trinoc.io import load_target, save_target
+from trinoc.io import load_target
+from trinoc.io.board_json import save_target
 
 CHESS = Chessboard(rows=5, columns=6, square_mm=20.0)
 TAGS = AprilGrid(rows=2, columns=3, tag_mm=30.0, first=12)

@@ -4,8 +4,13 @@ import cv2
 import numpy as np
 import pytest
 
-from trinoc.calib import BOARDS, AprilGrid, Charuco, Chessboard, Disc, Pattern, opencv_board
-from trinoc.calib.targets import AbstractSquareBoard, marker_cells, opencv_dictionary
+from trinoc.calib.targets.abstract_target import Disc
+from trinoc.calib.targets.april_grid import AprilGrid
+from trinoc.calib.targets.board_set import BOARDS
+from trinoc.calib.targets.checkers import Charuco, Chessboard, opencv_board
+from trinoc.calib.targets.markers import marker_cells, opencv_dictionary
+from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.targets.squares import AbstractSquareBoard
 
 SQUARES = {
     "chessboard": Chessboard(rows=4, columns=5, square_mm=20.0),

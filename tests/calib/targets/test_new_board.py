@@ -7,13 +7,17 @@ import equinox as eqx
 import numpy as np
 import pytest
 
-from trinoc.calib import BOARDS, BoardSet, Chessboard, detect_target, square_sheet
+from trinoc.calib import BoardSet, detect_target
 from trinoc.calib.detection.detection import labelled_detection
 from trinoc.calib.detection.registry import DETECTORS
-from trinoc.calib.targets import AbstractSquareBoard, CellGrid, Marks
+from trinoc.calib.targets.abstract_target import Marks
+from trinoc.calib.targets.board_set import BOARDS
+from trinoc.calib.targets.checkers import Chessboard
+from trinoc.calib.targets.squares import AbstractSquareBoard, CellGrid, square_sheet
 from trinoc.cli.main import main
 from trinoc.errors import InputError
-from trinoc.io import load_target, save_target
+from trinoc.io import load_target
+from trinoc.io.board_json import save_target
 from trinoc.io.pattern_png import pattern_picture
 
 

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from trinoc.calib import Pattern
-from trinoc.calib.targets.pattern import LINE_STYLES
+from trinoc.calib.targets.pattern import LINE_STYLES, Pattern
 from trinoc.calib.targets.ring_code import conflicts, is_ambiguous, ring_code
 from trinoc.errors import InputError
 

@@ -3,9 +3,10 @@
 import pytest
 from hypothesis import given, strategies as st
 
-from trinoc.calib import Pattern, propose_sheet
+from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.targets.printing import propose_sheet
 from trinoc.errors import InputError
-from trinoc.io import PAPER_SIZES_MM, drawing_room_mm, lay_out
+from trinoc.io.pattern_page import PAPER_SIZES_MM, drawing_room_mm, lay_out
 
 SIZE_PX = (1280, 960)
 

@@ -13,14 +13,14 @@ from tests.calib.simulated import (
 )
 from trinoc.calib import (
     Status,
-    Systematics,
     calibrate_batch,
     calibrate_detections,
     with_systematics,
 )
 from trinoc.calib.uncertainty import systematics
+from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.errors import InputError
-from trinoc.geometry import Intrinsics
+from trinoc.geometry.intrinsics import Intrinsics
 
 SHEET = reference_sheet()
 # fu, fv, cu, cv: the focal lengths correlated, as lenses are known.

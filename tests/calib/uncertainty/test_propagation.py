@@ -5,25 +5,23 @@ import pytest
 
 from tests.calib.simulated import LENS, TABLE_1, camera_of, reference_sheet, simulated_detection
 from trinoc.calib import (
-    Systematics,
     calibrate_detections,
     epipolar_sigma,
     point_covariance,
     projection_sigma,
 )
-from trinoc.calib.uncertainty import data_sheet_covariance
+from trinoc.calib.uncertainty.systematics import Systematics, data_sheet_covariance
 from trinoc.geometry import (
-    AFFINE_PARAMETERS,
-    PARAMETER_NAMES,
-    Camera,
-    Intrinsics,
-    Rig,
     epipolar_distance_px,
     fundamental_matrix,
     sheet_from_pixel,
     triangulate_point,
 )
-from trinoc.numerics import in_float64
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS
+from trinoc.geometry.rig import PARAMETER_NAMES, Rig
+from trinoc.numerics.precision import in_float64
 
 SHEET = reference_sheet()
 NAMES = PARAMETER_NAMES + AFFINE_PARAMETERS

@@ -6,7 +6,8 @@ from hypothesis import given, strategies as st
 from scipy import stats
 
 from trinoc.calib.rig_check.comparison import compare_rigs, sigmas_of_chi_square
-from trinoc.geometry import Camera, Rig
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.rig import Rig
 from trinoc.synth import table1_rig
 
 

@@ -2,8 +2,10 @@
 
 import numpy as np
 
-from trinoc.geometry import Camera, Intrinsics, Rig
-from trinoc.match import BINOCULAR, TRINOCULAR, Matches
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.rig import Rig
+from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, Matches
 
 POSES = {
     "upper": (2.143, 53.252, -1.714, 476.369),

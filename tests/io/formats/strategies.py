@@ -6,7 +6,10 @@ from hypothesis import assume, strategies as st
 
 from tests.geometry.strategies import cameras, real
 from tests.io.strategies import are_apart, without_fold
-from trinoc.geometry import Camera, Intrinsics, Rig, project
+from trinoc.geometry import project
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.rig import Rig
 
 NAMES = st.from_regex(r"\A[a-v][a-z0-9_]{0,7}\Z")
 # The coefficients in our order, each small enough that the lens stays one to one.

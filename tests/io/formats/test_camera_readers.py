@@ -10,7 +10,7 @@ import scipy.io
 
 from tests.io.formats.bench import bench_rig
 from tests.io.formats.strategies import CORNERS, in_frame_of, pixels
-from trinoc.geometry import Camera
+from trinoc.geometry.camera import Camera
 from trinoc.io import FORMATS
 
 SAME = {"rtol": 0, "atol": 1e-9}

@@ -7,9 +7,14 @@ import pytest
 from tests.io.formats.bench import POSES
 from tests.io.formats.strategies import CORNERS, in_frame_of, pixels
 from trinoc.errors import InputError
-from trinoc.geometry import LENS_MODELS, Camera, Intrinsics, Rig
-from trinoc.io import FORMATS, load_rig, save
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.lenses.registry import LENS_MODELS
+from trinoc.geometry.rig import Rig
+from trinoc.io import FORMATS
 from trinoc.io.formats.losses import NAMES
+from trinoc.io.rig_json import load_rig
+from trinoc.io.saving import save
 
 RATIONAL = [-0.1, 0.03, 0.002, -0.001, 0.01, 0.05, -0.02, 0.004]
 COEFFICIENTS = {

@@ -15,7 +15,11 @@ from tests.geometry.strategies import LENS
 from tests.io.formats.bench import bench_matches, bench_rig
 from tests.io.made_wireframe import made_wireframe
 from trinoc.errors import InputError
-from trinoc.geometry import Camera, Intrinsics, Pose, Rig, Segments
+from trinoc.geometry import Pose
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.segments import Segments
 from trinoc.io import FORMATS
 from trinoc.io.formats.losses import LOSSES
 

@@ -10,7 +10,8 @@ from hypothesis import given, settings, strategies as st
 from tests.geometry.strategies import real
 from tests.io.formats.bench import bench_rig
 from tests.io.formats.strategies import CORNERS, in_frame_of, lenses, pixels, rigs
-from trinoc.geometry import Rig, Segments
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.segments import Segments
 from trinoc.io import FORMATS
 from trinoc.io.formats.losses import LENSES, NAMES, WORLD
 

@@ -10,8 +10,8 @@ from tests.match.scene import MadeScene
 from trinoc.match.candidates.index import SAMPLES, keys_of, lookup, segments_near
 from trinoc.match.candidates.search import passes_third_view_gate
 from trinoc.match.candidates.single_precision import Prediction, predict, third_view
-from trinoc.match.tuning import DEFAULT
-from trinoc.match.two_view import pencil, row_of
+from trinoc.match.tuning.every_group import DEFAULT
+from trinoc.match.two_view.epipolar_pencil import pencil, row_of
 
 ONE_SAMPLE_PX = DEFAULT.candidates.one_sample_px
 REACH = DEFAULT.candidates.reach_sigmas

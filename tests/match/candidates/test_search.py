@@ -13,9 +13,9 @@ from trinoc.match.candidates.single_precision import (
     rounding_px,
     third_view,
 )
-from trinoc.match.observations import SegmentTable
-from trinoc.match.tuning import DEFAULT
-from trinoc.match.two_view import pencil, row_of
+from trinoc.match.observations.table import SegmentTable
+from trinoc.match.tuning.every_group import DEFAULT
+from trinoc.match.two_view.epipolar_pencil import pencil, row_of
 
 ORDER, COUNT = np.arange(3), 30
 

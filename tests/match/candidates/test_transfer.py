@@ -5,8 +5,8 @@ import numpy as np
 
 from tests.match.scene import MadeScene, image_px
 from trinoc.match.candidates.single_precision import Prediction, predict, third_view
-from trinoc.match.observations import SegmentTable
-from trinoc.match.two_view import pencil, row_of
+from trinoc.match.observations.table import SegmentTable
+from trinoc.match.two_view.epipolar_pencil import pencil, row_of
 
 FIRST, SECOND, THIRD = 0, 1, 2
 

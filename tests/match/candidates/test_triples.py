@@ -5,10 +5,10 @@ import pytest
 
 from benchmarks.dense_matcher import match_densely
 from tests.match.scene import MadeScene
-from trinoc.match import trinocular_candidates
-from trinoc.match.candidates import Candidates, in_depth_range
-from trinoc.match.observations import ClutterModel
-from trinoc.match.tuning import DEFAULT
+from trinoc.match.candidates.table import Candidates, in_depth_range
+from trinoc.match.candidates.triples import trinocular_candidates
+from trinoc.match.observations.clutter import ClutterModel
+from trinoc.match.tuning.every_group import DEFAULT
 
 GATE = DEFAULT.candidates.gate
 

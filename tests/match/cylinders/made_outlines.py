@@ -2,8 +2,10 @@
 
 import numpy as np
 
-from trinoc.geometry import Rig, Segments, rotation_from_vector
-from trinoc.match import Matches
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.rotation import rotation_from_vector
+from trinoc.geometry.segments import Segments
+from trinoc.match.tracks.matches import Matches
 from trinoc.synth.solids import Cylinder
 
 SIGMA_PX = 0.2

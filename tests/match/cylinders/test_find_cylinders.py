@@ -9,9 +9,10 @@ from scipy.stats import chi2
 from tests.match.cylinders.made_outlines import Placed, nothing_matched, seen_by
 from tests.match.made import loose_lines, rig_of
 from trinoc.errors import InputError
-from trinoc.match import Cylinders, MatchTuning, find_cylinders, match_segments
-from trinoc.match.tuning import CylinderTuning
-from trinoc.numerics import axes_across
+from trinoc.match import Cylinders, MatchTuning, find_cylinders
+from trinoc.match.matcher import match_segments
+from trinoc.match.tuning.cylinders import CylinderTuning
+from trinoc.numerics.vectors import axes_across
 from trinoc.synth.solids import box
 
 VIEWS = ("upper", "left", "right")

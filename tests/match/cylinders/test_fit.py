@@ -9,9 +9,9 @@ from tests.match.made import rig_of
 from trinoc.match.bodies.cylinder_fit import ROUND, STRAIGHT, Members, fit_cylinders
 from trinoc.match.bodies.cylinder_search import place_ends
 from trinoc.match.bodies.outlines import Outlines, possible_outlines, ray_axis_distances
-from trinoc.match.observations import prepare
-from trinoc.match.tuning import CylinderTuning
-from trinoc.numerics import axes_across
+from trinoc.match.observations.match_input import prepare
+from trinoc.match.tuning.cylinders import CylinderTuning
+from trinoc.numerics.vectors import axes_across
 
 VIEWS = ("upper", "left", "right")
 TRUE = Placed(7.0, 45.0, turn=(0.2, 1.1, 0.0), shift_mm=(-25.0, 5.0, 12.0))

@@ -5,7 +5,7 @@ import pytest
 
 from trinoc.match.bodies.cylinder_fit import Fits
 from trinoc.match.bodies.cylinder_search import differs
-from trinoc.numerics import axes_across
+from trinoc.numerics.vectors import axes_across
 
 DRAWS, SIGNIFICANCE = 4000, 0.05
 # Offset (mm), tilt (rad) and radius (mm).

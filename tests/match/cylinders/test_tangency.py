@@ -6,7 +6,7 @@ import pytest
 from tests.match.cylinders.made_outlines import Placed
 from tests.match.made import rig_of
 from trinoc.match.bodies.outlines import Rays, abreast_mm, before_camera, ray_axis_distances
-from trinoc.numerics import axes_across
+from trinoc.numerics.vectors import axes_across
 
 TILTED = Placed(9.0, 40.0, turn=(0.3, -0.7, 0.2), shift_mm=(12.0, -8.0, 15.0))
 

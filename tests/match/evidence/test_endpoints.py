@@ -6,9 +6,9 @@ import jax
 import numpy as np
 import pytest
 
-from trinoc.match.evidence import END_COMPONENTS, end_evidence, reach_of_ends
-from trinoc.match.tuning import DEFAULT
-from trinoc.numerics import in_blocks
+from trinoc.match.evidence.endpoints import END_COMPONENTS, end_evidence, reach_of_ends
+from trinoc.match.tuning.every_group import DEFAULT
+from trinoc.numerics.buckets import in_blocks
 
 AGREEING_PX = np.array(DEFAULT.ends.agreeing_px)
 PAIR_PX = np.array(DEFAULT.ends.pair_px)

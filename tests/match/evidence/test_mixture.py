@@ -3,18 +3,19 @@
 import numpy as np
 import pytest
 
-from trinoc.match.evidence import (
-    END_COMPONENTS,
-    SIDE_COMPONENTS,
+from trinoc.match.evidence.endpoints import END_COMPONENTS
+from trinoc.match.evidence.mixture import (
     MixtureParameters,
+    Volume,
     em_step,
     log_odds,
+    log_place,
     prior_parameters,
     probability,
     volume_of,
 )
-from trinoc.match.evidence.mixture import Volume, log_place
-from trinoc.match.tuning import DEFAULT
+from trinoc.match.evidence.side_intensity import SIDE_COMPONENTS
+from trinoc.match.tuning.every_group import DEFAULT
 
 PRIOR_SHARES = np.array(DEFAULT.ends.prior_shares)
 PRIOR_TAIL = np.array(DEFAULT.evidence.prior_tail)

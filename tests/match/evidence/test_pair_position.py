@@ -7,10 +7,10 @@ import pytest
 
 from tests.match.evidence.line_integral import log_evidence
 from tests.match.scene import MadeScene, image_px
-from trinoc.match.evidence import PairEvidence, pair_evidence
-from trinoc.match.observations import ClutterModel
-from trinoc.match.tuning import DEFAULT
-from trinoc.match.two_view import pencil, row_of
+from trinoc.match.evidence.triple_position import PairEvidence, pair_evidence
+from trinoc.match.observations.clutter import ClutterModel
+from trinoc.match.tuning.every_group import DEFAULT
+from trinoc.match.two_view.epipolar_pencil import pencil, row_of
 
 AGREEING_PX = np.array(DEFAULT.ends.agreeing_px)
 

@@ -4,8 +4,8 @@ from itertools import product
 
 import numpy as np
 
-from trinoc.match.evidence import polarity_evidence
-from trinoc.match.tuning import DEFAULT
+from trinoc.match.evidence.side_intensity import polarity_evidence
+from trinoc.match.tuning.every_group import DEFAULT
 
 TURNED = DEFAULT.evidence.turned_share
 

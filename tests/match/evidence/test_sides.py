@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 
 from tests.match.made import as_set, loose_lines, pictures, rig_of
-from trinoc.geometry import Rig, Segments
-from trinoc.match import match_segments
-from trinoc.match.evidence import SIDE_COMPONENTS, side_evidence, temper
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.segments import Segments
+from trinoc.match.evidence.mixture import temper
+from trinoc.match.evidence.side_intensity import SIDE_COMPONENTS, side_evidence
+from trinoc.match.matcher import match_segments
 from trinoc.match.observations.side_intensity import side_table
-from trinoc.match.tuning import DEFAULT
+from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.segments import with_side_levels
 from trinoc.segments.side_intensity import side_levels
 

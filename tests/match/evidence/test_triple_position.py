@@ -13,11 +13,12 @@ from tests.geometry import trifocal
 from tests.match.evidence.line_integral import log_evidence
 from tests.match.made import pictures
 from tests.match.scene import MadeScene, seen_by
-from trinoc.geometry import line_through, signed_distance
-from trinoc.match.evidence import TripleEvidence, triple_evidence
-from trinoc.match.observations import ClutterModel
-from trinoc.match.two_view import sight_of
-from trinoc.numerics import vector3
+from trinoc.geometry import line_through
+from trinoc.geometry.lines import signed_distance
+from trinoc.match.evidence.triple_position import TripleEvidence, triple_evidence
+from trinoc.match.observations.clutter import ClutterModel
+from trinoc.match.two_view.planes import sight_of
+from trinoc.numerics.vectors import vector3
 
 ORDER = np.arange(3)
 

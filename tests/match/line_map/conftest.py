@@ -3,7 +3,7 @@
 import pytest
 
 from tests.match.made import rig_of
-from trinoc.geometry import Rig
+from trinoc.geometry.rig import Rig
 
 from .made_tracks import VIEWS
 

@@ -3,9 +3,12 @@
 import jax
 import numpy as np
 
-from trinoc.geometry import Rig, triangulate_segment
-from trinoc.match import TRINOCULAR, JoinedLines, Matches, MatchTuning, join_collinear
-from trinoc.numerics import with_field
+from trinoc.geometry import triangulate_segment
+from trinoc.geometry.rig import Rig
+from trinoc.match import MatchTuning, join_collinear
+from trinoc.match.line_map.lines import JoinedLines
+from trinoc.match.tracks.matches import TRINOCULAR, Matches
+from trinoc.numerics.tables import with_field
 
 VIEWS = ("upper", "left", "right")
 _triangulated = jax.jit(jax.vmap(triangulate_segment, in_axes=(None, 0, 0, 0)))

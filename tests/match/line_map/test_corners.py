@@ -11,7 +11,7 @@ from trinoc.match import (
     snap_corners,
 )
 from trinoc.match.line_map.corners import Ends, _bring, _constrain
-from trinoc.numerics import axes_across
+from trinoc.numerics.vectors import axes_across
 
 from .made_tracks import (
     lines_alone,

@@ -5,8 +5,9 @@ import pytest
 
 from tests.match.made import pictures, rig_of
 from trinoc.errors import InputError
-from trinoc.match import depth_map, match_segments
+from trinoc.match import depth_map
 from trinoc.match.line_map.depth import faces_of
+from trinoc.match.matcher import match_segments
 
 CORNERS = np.array([[-20, -15, 5], [25, -15, 5], [25, 20, 12], [-20, 20, 12]], dtype=float)
 SQUARE = np.stack([CORNERS, np.roll(CORNERS, -1, axis=0)], axis=1)

@@ -9,9 +9,11 @@ from scipy.stats import chi2
 from tests.match.made import loose_lines, rig_of
 from trinoc.errors import InputError
 from trinoc.geometry import distort_pixels
-from trinoc.match import TRINOCULAR, JoinedLines, Matches, join_collinear, snap_corners
+from trinoc.match import join_collinear, snap_corners
 from trinoc.match.line_map.line_fit import LineFragments, fit_line
-from trinoc.numerics import axes_across
+from trinoc.match.line_map.lines import JoinedLines
+from trinoc.match.tracks.matches import TRINOCULAR, Matches
+from trinoc.numerics.vectors import axes_across
 
 from .made_tracks import (
     AS_STATED,

@@ -9,7 +9,7 @@ from scipy import stats
 
 from trinoc.match.line_map.collinearity import difference
 from trinoc.match.line_map.line_posterior import _answer, _Equations
-from trinoc.match.tuning import DEFAULT
+from trinoc.match.tuning.every_group import DEFAULT
 
 
 @pytest.mark.parametrize("seed", range(3))

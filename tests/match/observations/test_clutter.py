@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from tests.match.scene import MadeScene
-from trinoc.match import fit_clutter
-from trinoc.match.observations import ClutterModel, SegmentTable
+from trinoc.match.observations.clutter import ClutterModel, fit_clutter
+from trinoc.match.observations.table import SegmentTable
 
 SIZE_PX = np.array([1000.0, 800.0])
 

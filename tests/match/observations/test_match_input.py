@@ -9,9 +9,10 @@ import pytest
 from tests.match.made import rig_of
 from tests.match.scene import VIEWS, MadeScene
 from trinoc.errors import MatchError
-from trinoc.geometry import Rig, Segments, distort_pixels, undistort_pixels
-from trinoc.match import MatchInput, prepare
-from trinoc.match.observations.match_input import MOST_SEGMENTS
+from trinoc.geometry import distort_pixels, undistort_pixels
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.segments import Segments
+from trinoc.match.observations.match_input import MOST_SEGMENTS, MatchInput, prepare
 
 Pictures = dict[str, Segments]
 

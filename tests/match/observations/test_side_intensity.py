@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from trinoc.match.observations.side_intensity import _LEAST, _MOST, _in_image
-from trinoc.match.tuning import DEFAULT
+from trinoc.match.tuning.every_group import DEFAULT
 
 
 def test_the_density_of_both_levels_integrates_to_one():

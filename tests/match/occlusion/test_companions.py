@@ -6,7 +6,7 @@ import jax
 import numpy as np
 import pytest
 
-from trinoc.match.candidates import Candidates, no_candidates
+from trinoc.match.candidates.table import Candidates, no_candidates
 from trinoc.match.occlusion.companions import (
     BESIDE,
     CONTINUES,
@@ -15,7 +15,7 @@ from trinoc.match.occlusion.companions import (
     companions,
     picture_neighbours,
 )
-from trinoc.match.tuning import DEFAULT
+from trinoc.match.tuning.every_group import DEFAULT
 
 # A bar of two sides 5 px apart, a piece that goes on from the first, and a stranger.
 PICTURE = np.array(

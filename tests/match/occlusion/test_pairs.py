@@ -6,26 +6,21 @@ import pytest
 
 from tests.match.made import pictures
 from tests.match.scene import MadeScene
-from trinoc.match import (
-    Selection,
-    fit_clutter,
-    occluded_pairs,
-    prepare,
-    select,
-    trinocular_candidates,
-)
-from trinoc.match.candidates import Candidates, no_candidates
-from trinoc.match.observations import ClutterModel
-from trinoc.match.occlusion import Pairs
+from trinoc.match.candidates.table import Candidates, no_candidates
+from trinoc.match.candidates.triples import trinocular_candidates
+from trinoc.match.observations.clutter import ClutterModel, fit_clutter
+from trinoc.match.observations.match_input import prepare
+from trinoc.match.occlusion.pairs import occluded_pairs
 from trinoc.match.occlusion.possible_pairs import (
+    Pairs,
     end_shares,
     evidence_beside_lines,
     pair_bound,
     possible_pairs,
 )
-from trinoc.match.selection import Tracks, tracks_of
-from trinoc.match.tuning import DEFAULT
-from trinoc.numerics import with_field
+from trinoc.match.selection.marginals import Selection, Tracks, select, tracks_of
+from trinoc.match.tuning.every_group import DEFAULT
+from trinoc.numerics.tables import with_field
 
 HIDDEN = 5
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from trinoc.match.evidence import volume_of
+from trinoc.match.evidence.mixture import volume_of
 from trinoc.match.occlusion.pairs_alone import log_place_among
-from trinoc.match.tuning import DEFAULT
+from trinoc.match.tuning.every_group import DEFAULT
 
 COUNT = 4000
 

@@ -4,8 +4,14 @@ import numpy as np
 import pytest
 
 from trinoc.match.occlusion.solids import crossings, see_through_share
-from trinoc.match.tuning import DEFAULT
-from trinoc.synth import Detector, block_scene, see_through_boxes, simulate_segments, table1_rig
+from trinoc.match.tuning.every_group import DEFAULT
+from trinoc.synth import (
+    Detector,
+    block_scene,
+    simulate_segments,
+    table1_rig,
+)
+from trinoc.synth.scenes import see_through_boxes
 
 COUNT = 300
 PERFECT = Detector(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)

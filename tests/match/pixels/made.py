@@ -3,8 +3,10 @@
 import numpy as np
 from scipy.special import ndtr
 
-from trinoc.geometry import Intrinsics, Segments, undistort_pixels
-from trinoc.match import Matches
+from trinoc.geometry import undistort_pixels
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.segments import Segments
+from trinoc.match.tracks.matches import Matches
 from trinoc.synth import table1_rig
 
 RIG = table1_rig()

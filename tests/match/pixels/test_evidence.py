@@ -17,7 +17,7 @@ from trinoc.match.pixels.views import (
     picture_inputs,
     with_usual_width,
 )
-from trinoc.numerics import in_float64
+from trinoc.numerics.precision import in_float64
 from trinoc.synth import table1_rig
 
 RIG = table1_rig()

@@ -5,9 +5,10 @@ import numpy as np
 import pytest
 
 from trinoc.errors import InputError
-from trinoc.geometry import Segments, covariance_of_ends
-from trinoc.io import load_matches, save
-from trinoc.match import Matches, guide_matches
+from trinoc.geometry.segments import Segments, covariance_of_ends
+from trinoc.io.saving import load_matches, save
+from trinoc.match import guide_matches
+from trinoc.match.tracks.matches import Matches
 from trinoc.synth import table1_rig
 
 RIG = table1_rig()

@@ -16,11 +16,13 @@ from tests.match.pixels.made import (
     noisy,
 )
 from trinoc.errors import InputError
-from trinoc.geometry import Intrinsics, Rig, distort_pixels
-from trinoc.image import PowerResponse
-from trinoc.io import load_matches, save
+from trinoc.geometry import distort_pixels
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.rig import Rig
+from trinoc.image.response import PowerResponse
+from trinoc.io.saving import load_matches, save
 from trinoc.match import measure_lines
-from trinoc.numerics import axes_across
+from trinoc.numerics.vectors import axes_across
 
 
 def across(found, lines):

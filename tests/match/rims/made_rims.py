@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from trinoc.geometry import Rig, Segments
-from trinoc.numerics import axes_across
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.segments import Segments
+from trinoc.numerics.vectors import axes_across
 
 SIGMA_PX = 0.2
 # Where a chord crosses its arc, as shares of the whole.

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.match.made import rig_of
-from trinoc.geometry import project_by_matrix
+from trinoc.geometry.projection import project_by_matrix
 from trinoc.match.bodies.circles import (
     GAUSS,
     Chords,
@@ -15,8 +15,8 @@ from trinoc.match.bodies.circles import (
     points_at,
 )
 from trinoc.match.bodies.rim_answer import FittedRim, _pieces, _public, arcs_of
-from trinoc.match.tuning import DEFAULT
-from trinoc.numerics import axes_across
+from trinoc.match.tuning.every_group import DEFAULT
+from trinoc.numerics.vectors import axes_across
 
 NORMAL = np.array([[0.1, -0.2, 0.97]])
 CIRCLE = Circles(np.array([[8.0, -5.0, 30.0]]), NORMAL / np.linalg.norm(NORMAL), np.array([22.0]))

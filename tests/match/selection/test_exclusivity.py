@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 
-from trinoc.match.selection import chosen_greedily, conflict_graph, sum_product
+from trinoc.match.selection.messages import chosen_greedily, conflict_graph, sum_product
 
 WHOLE = np.array([0.0, 1.0])
 

@@ -3,10 +3,14 @@
 import numpy as np
 import pytest
 
-from trinoc.match.candidates import Candidates, no_candidates
-from trinoc.match.selection import endpoint_pairs, junction_log_odds, prior_junctions
-from trinoc.match.selection.junction_support import EndpointPairs
-from trinoc.match.tuning import DEFAULT
+from trinoc.match.candidates.table import Candidates, no_candidates
+from trinoc.match.selection.junction_support import (
+    EndpointPairs,
+    endpoint_pairs,
+    junction_log_odds,
+    prior_junctions,
+)
+from trinoc.match.tuning.every_group import DEFAULT
 
 PRIOR_PARAMETERS = prior_junctions()
 GAPS_PX = np.array(DEFAULT.junctions.gaps_px)

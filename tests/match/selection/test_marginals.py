@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from tests.match.scene import MadeScene
-from trinoc.match import Selection, select
-from trinoc.match.candidates import Candidates, no_candidates, prior_log_odds
-from trinoc.match.selection import sum_product, tracks_of
-from trinoc.match.tuning import DEFAULT
+from trinoc.match.candidates.table import Candidates, no_candidates, prior_log_odds
+from trinoc.match.selection.marginals import Selection, select, tracks_of
+from trinoc.match.selection.messages import sum_product
+from trinoc.match.tuning.every_group import DEFAULT
 
 CONFLICT_OVERLAP = DEFAULT.selection.conflict_overlap
 PRUNE_LOG_ODDS = DEFAULT.selection.prune_log_odds

@@ -5,8 +5,9 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from tests.match.made import pictures, rig_of
-from trinoc.geometry import Segments
-from trinoc.match import Matches, match_segments
+from trinoc.geometry.segments import Segments
+from trinoc.match.matcher import match_segments
+from trinoc.match.tracks.matches import Matches
 
 NEAR_LAMP = np.array([350.0, 240.0, 800.0, 1.0])
 FAR_LAMP = np.array([-0.5, 0.35, 0.8, 0.0])

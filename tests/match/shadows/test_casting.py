@@ -5,7 +5,7 @@ import pytest
 
 from tests.match.shadows.made_shadows import FAR_LAMP, NEAR_LAMP
 from trinoc.match.bodies.casting import Lamps, cast_density, casting_pairs
-from trinoc.match.tuning import ShadowTuning
+from trinoc.match.tuning.shadows import ShadowTuning
 
 TUNING, SIZE_MM = ShadowTuning(), 50.0
 EDGE = np.array([[10.0, -20.0, 30.0], [35.0, 5.0, 42.0]])

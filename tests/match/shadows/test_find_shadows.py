@@ -9,8 +9,9 @@ import pytest
 from tests.match.made import loose_lines, pictures
 from tests.match.shadows.made_shadows import NEAR_LAMP, scene_of, unit_toward
 from trinoc.errors import InputError
-from trinoc.match import MatchTuning, find_shadows, match_segments
-from trinoc.match.tuning import ShadowTuning
+from trinoc.match import MatchTuning, find_shadows
+from trinoc.match.matcher import match_segments
+from trinoc.match.tuning.shadows import ShadowTuning
 
 
 @pytest.fixture(scope="module")

@@ -7,8 +7,8 @@ import pytest
 
 from trinoc.match.bodies.casting import Lamps, Pairs
 from trinoc.match.bodies.lamp import Votes, _mean_lamp
-from trinoc.match.tuning import ShadowTuning
-from trinoc.numerics import axes_across
+from trinoc.match.tuning.shadows import ShadowTuning
+from trinoc.numerics.vectors import axes_across
 
 STEP_DEG, CHANGE = 2.0, 4e-4
 TRUE, NEARNESS = np.array([0.3, -0.4, 0.866]) / np.linalg.norm([0.3, -0.4, 0.866]), 1e-2

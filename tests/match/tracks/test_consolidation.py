@@ -7,9 +7,10 @@ from scipy.stats import chi2
 from tests.match.made import as_set, loose_lines, pictures, rig_of
 from tests.match.scene import MadeScene, made_scene
 from tests.match.tracks.test_multiview import appended, tracks_from, triples_of
-from trinoc.match import match_segments
-from trinoc.match.tracks import consolidated, merge_triplets
+from trinoc.match.matcher import match_segments
+from trinoc.match.tracks.consolidation import consolidated
 from trinoc.match.tracks.line_fit import consistent, fit_tracks
+from trinoc.match.tracks.multiview import merge_triplets
 
 GATE = 20.0
 POSES = {

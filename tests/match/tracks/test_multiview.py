@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from tests.match.scene import MadeScene, image_px, made_scene, place_on
-from trinoc.match.candidates import no_candidates
-from trinoc.match.observations import SegmentTable
-from trinoc.match.selection import Tracks
-from trinoc.match.tracks import merge_triplets, view_triplets
-from trinoc.numerics import concatenate_rows
+from trinoc.match.candidates.table import no_candidates
+from trinoc.match.observations.table import SegmentTable
+from trinoc.match.selection.marginals import Tracks
+from trinoc.match.tracks.multiview import merge_triplets, view_triplets
+from trinoc.numerics.tables import concatenate_rows
 
 LINES = 12
 

@@ -5,9 +5,8 @@ import pytest
 from scipy.stats import chi2
 
 from tests.match.scene import MadeScene
-from trinoc.match.tracks import typical_misfit
-from trinoc.match.tracks.assembly import flag_viewpoint_dependent, lines_in_space
-from trinoc.match.tuning import DEFAULT
+from trinoc.match.tracks.assembly import flag_viewpoint_dependent, lines_in_space, typical_misfit
+from trinoc.match.tuning.every_group import DEFAULT
 
 SIGNIFICANCE = DEFAULT.tracks.significance
 

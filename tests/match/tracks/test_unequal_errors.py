@@ -6,8 +6,9 @@ from hypothesis import given, strategies as st
 from scipy.stats import chi2
 
 from tests.match.made import loose_lines, pictures, rig_of
-from trinoc.match import Matches, match_segments
-from trinoc.match.tracks import (
+from trinoc.match.matcher import match_segments
+from trinoc.match.tracks.matches import Matches
+from trinoc.match.tracks.unequal_errors import (
     degrees_of_misfit,
     learned_tail,
     scaled_across,

@@ -5,8 +5,9 @@ import pytest
 from scipy.stats import chi2
 
 from tests.match.made import loose_lines, pictures, rig_of
-from trinoc.geometry import Rig
-from trinoc.match import BINOCULAR, TRINOCULAR, match_segments
+from trinoc.geometry.rig import Rig
+from trinoc.match.matcher import match_segments
+from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR
 from trinoc.synth.solids import Cylinder
 
 VIEWS = ("upper", "left", "right")

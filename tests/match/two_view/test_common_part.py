@@ -8,9 +8,14 @@ import pytest
 
 from tests.match.scene import MadeScene, image_px, place_on
 from trinoc.geometry import fundamental_matrix
-from trinoc.match.observations import SegmentTable
-from trinoc.match.tuning import DEFAULT
-from trinoc.match.two_view import cut_pair, pencil, points_of, row_of
+from trinoc.match.observations.table import SegmentTable
+from trinoc.match.tuning.every_group import DEFAULT
+from trinoc.match.two_view.epipolar_pencil import (
+    cut_pair,
+    pencil,
+    points_of,
+    row_of,
+)
 
 PAIRS = np.array(list(product(range(30), range(30))))
 

@@ -7,9 +7,16 @@ import numpy as np
 import pytest
 
 from tests.match.scene import MadeScene
-from trinoc.geometry import Rig, rotation_from_vector
-from trinoc.match import prepare
-from trinoc.match.two_view import Pencil, PencilSegments, end_angles, pencil, plane_angles
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.rotation import rotation_from_vector
+from trinoc.match.observations.match_input import prepare
+from trinoc.match.two_view.epipolar_pencil import (
+    Pencil,
+    PencilSegments,
+    end_angles,
+    pencil,
+    plane_angles,
+)
 
 FIRST, SECOND = np.array(0), np.array(1)
 

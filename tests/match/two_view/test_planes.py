@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from tests.match.scene import MadeScene, image_px, place_on
-from trinoc.match.observations import ClutterModel
-from trinoc.match.two_view import (
+from trinoc.match.observations.clutter import ClutterModel
+from trinoc.match.two_view.planes import (
     InterpretationPlanes,
     extents_on_line,
     image_length_px,
@@ -14,7 +14,7 @@ from trinoc.match.two_view import (
     sight_of,
     variance_mm2,
 )
-from trinoc.numerics import unit3, vector3
+from trinoc.numerics.vectors import unit3, vector3
 
 VIEW = 1
 

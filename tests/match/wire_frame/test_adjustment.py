@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from trinoc.match.line_map import Corners, JoinedLines
-from trinoc.match.tuning import DEFAULT
+from trinoc.match.line_map.corners import Corners
+from trinoc.match.line_map.lines import JoinedLines
+from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.match.wire_frame.adjustment import (
     Adjusted,
     Graph,
@@ -12,7 +13,7 @@ from trinoc.match.wire_frame.adjustment import (
     line_axes,
 )
 from trinoc.match.wire_frame.faces import _in_plane, fit_plane
-from trinoc.numerics import chi_square_limit
+from trinoc.numerics.tails import chi_square_limit
 
 # A corner of three edges and one more edge that closes a triangle; one line stands alone.
 VERTICES = np.array(

@@ -3,8 +3,10 @@
 import numpy as np
 
 from tests.calib.photometric.test_squares import Bare
-from trinoc.synth import Cells, render_sheet, table1_rig
-from trinoc.synth.camera_picture import ConvexPolygon, Paint
+from trinoc.synth import table1_rig
+from trinoc.synth.camera_picture.layers import Paint
+from trinoc.synth.camera_picture.render import render_sheet
+from trinoc.synth.camera_picture.shapes import Cells, ConvexPolygon
 
 LINES = np.array([-30.0, -10.0, 10.0, 30.0])
 CHECKERS = np.pad(np.array([[1, 0, 1], [0, 1, 0], [1, 0, 1]], dtype=bool), 1)

@@ -3,8 +3,15 @@
 import numpy as np
 import pytest
 
-from trinoc.synth.camera_picture import Processing, Sharpening
-from trinoc.synth.camera_picture.delivery import SRGB, delivered, jpeg, quantised, sharpened
+from trinoc.synth.camera_picture.delivery import (
+    SRGB,
+    Processing,
+    Sharpening,
+    delivered,
+    jpeg,
+    quantised,
+    sharpened,
+)
 
 
 def waves(frequency, size=128):

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from trinoc.synth.camera_picture import Sensor
 from trinoc.synth.camera_picture.delivery import demosaiced
-from trinoc.synth.camera_picture.sensor import Mosaic, read_out
+from trinoc.synth.camera_picture.sensor import Mosaic, Sensor, read_out
 
 MOSAIC = Mosaic((0.5, 1.0, 0.7))
 METHODS = ["bilinear", "edge-aware"]

@@ -4,8 +4,14 @@ import numpy as np
 import pytest
 
 from tests.synth.camera_picture.views import camera_of
-from trinoc.synth.camera_picture import Lamp, Light, Paper
-from trinoc.synth.camera_picture.light import light_on_sheet, passed_by_lens, reflection
+from trinoc.synth.camera_picture.light import (
+    Lamp,
+    Light,
+    light_on_sheet,
+    passed_by_lens,
+    reflection,
+)
+from trinoc.synth.camera_picture.paper import Paper
 from trinoc.synth.camera_picture.sheet_view import SheetView
 
 

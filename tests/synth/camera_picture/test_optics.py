@@ -7,7 +7,7 @@ from scipy.special import ndtr
 
 from tests.synth.camera_picture.views import CELLS, radiance_of
 from trinoc.errors import InputError
-from trinoc.synth.camera_picture import Optics, irradiance
+from trinoc.synth.camera_picture.optics import Optics, irradiance
 from trinoc.synth.camera_picture.scene import MARGIN_PX
 
 SIDE_PX = 96 + 2 * MARGIN_PX

@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 from tests.synth.camera_picture.views import SHEET, camera_of
-from trinoc.synth.camera_picture import ConvexPolygon, Disc, Paint, Paper, SheetScene, radiance
-from trinoc.synth.camera_picture.paper import Table, printed_layers
+from trinoc.synth.camera_picture.layers import Paint
+from trinoc.synth.camera_picture.paper import Paper, Table, printed_layers
+from trinoc.synth.camera_picture.scene import SheetScene, radiance
+from trinoc.synth.camera_picture.shapes import ConvexPolygon, Disc
 
 
 def figures(kind, gain_mm: float) -> list:

@@ -5,10 +5,14 @@ import numpy as np
 import pytest
 
 from tests.geometry.conics import image_of_circle, shape_of_dual_conic
-from trinoc.calib import Pattern
-from trinoc.geometry import Camera, Intrinsics, image_of_circle_centre, project
-from trinoc.synth import render_sheet
-from trinoc.synth.camera_picture import Light, card
+from trinoc.calib.targets.pattern import Pattern
+from trinoc.geometry import project
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.image_of_circle import image_of_circle_centre
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.synth.camera_picture.layers import card
+from trinoc.synth.camera_picture.light import Light
+from trinoc.synth.camera_picture.render import render_sheet
 
 LENS = Intrinsics(focal_length_px=(410.0, 500.0), image_size_px=(160, 150))
 PAPER, INK = 230.0, 25.0

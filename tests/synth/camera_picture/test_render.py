@@ -6,18 +6,14 @@ import pytest
 
 from benchmarks.picture_conditions import CONDITIONS, Case, LensError
 from tests.synth.camera_picture.views import SHEET, SMALL_LENS, camera_of
-from trinoc.calib import Pattern
-from trinoc.geometry import Intrinsics, project
-from trinoc.synth.camera_picture import (
-    Cylinder,
-    Optics,
-    Paper,
-    SheetScene,
-    camera_picture,
-    delivered_picture,
-    irradiance,
-    radiance,
-)
+from trinoc.calib.targets.pattern import Pattern
+from trinoc.geometry import project
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.synth.camera_picture.optics import Optics, irradiance
+from trinoc.synth.camera_picture.paper import Paper
+from trinoc.synth.camera_picture.render import camera_picture, delivered_picture
+from trinoc.synth.camera_picture.scene import SheetScene, radiance
+from trinoc.synth.camera_picture.surfaces import Cylinder
 
 POSE = (25.0, 40.0, 3.0, 300.0)
 ENDLESS = (1e4, 1e4)

@@ -6,19 +6,14 @@ import numpy as np
 import pytest
 
 from tests.synth.camera_picture.views import CELLS, SHEET, camera_of, cells_of
-from trinoc.calib import Pattern
-from trinoc.geometry import Camera, Intrinsics, project
-from trinoc.synth.camera_picture import (
-    Light,
-    Paper,
-    Shadow,
-    SheetScene,
-    card,
-    finger,
-    radiance,
-)
-from trinoc.synth.camera_picture.layers import coverage_of_cells
-from trinoc.synth.camera_picture.scene import MARGIN_PX
+from trinoc.calib.targets.pattern import Pattern
+from trinoc.geometry import project
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.synth.camera_picture.layers import card, coverage_of_cells, finger
+from trinoc.synth.camera_picture.light import Light, Shadow
+from trinoc.synth.camera_picture.paper import Paper
+from trinoc.synth.camera_picture.scene import MARGIN_PX, SheetScene, radiance
 
 PAPER, INK, TABLE = 0.8, 0.1, 0.3
 

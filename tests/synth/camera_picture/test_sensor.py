@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from trinoc.synth.camera_picture import Sensor
-from trinoc.synth.camera_picture.sensor import BLACK, GREY_LEVELS, Mosaic, read_out
+from trinoc.synth.camera_picture.sensor import BLACK, GREY_LEVELS, Mosaic, Sensor, read_out
 
 SHAPE = (300, 300)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from trinoc.synth.camera_picture import Cone, Cylinder, Twisted
+from trinoc.synth.camera_picture.surfaces import Cone, Cylinder, Twisted
 
 BENDS = {
     "cylinder": Cylinder.from_sagitta(1.0, direction_deg=30.0),

@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from trinoc.calib.adjustment.estimate import Adjustment
 from trinoc.calib.problem.information import whitened_views
-from trinoc.numerics import chi_square_tail
+from trinoc.numerics.tails import chi_square_tail
 
 # Of the circles' own covariance that the difference has at least.
 _LEAST_SHARE = 0.1

@@ -8,16 +8,20 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from trinoc.calib.adjustment.estimate import Adjustment, adjust_cameras
-from trinoc.calib.detection import Detection
+from trinoc.calib.detection.detection import Detection
 from trinoc.calib.problem.robust_fit import errors_px, robust_scale
 from trinoc.calib.problem.sheet_problem import SheetCamera
-from trinoc.calib.result import Status
 from trinoc.calib.result.degrees import largest_sigmas, values_of_parameters
+from trinoc.calib.result.status import Status
 from trinoc.calib.starts.camera_start import plane_pose
-from trinoc.calib.targets import Pattern
-from trinoc.calib.uncertainty import Systematics
-from trinoc.geometry import PARAMETER_NAMES, Intrinsics, Pose, PoseModel, unproject_pixels
-from trinoc.numerics import as_numpy, observability
+from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.uncertainty.systematics import Systematics
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.pose import Pose, PoseModel
+from trinoc.geometry.projection import unproject_pixels
+from trinoc.geometry.rig import PARAMETER_NAMES
+from trinoc.numerics.information import observability
+from trinoc.numerics.precision import as_numpy
 
 # Another start may do better where most circles lie farther off, in sigmas.
 _FAR = 10.0

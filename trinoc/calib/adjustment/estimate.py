@@ -19,9 +19,10 @@ from trinoc.calib.problem.robust_fit import (
 from trinoc.calib.problem.sheet_problem import SheetCamera, sheet_problem
 from trinoc.calib.problem.solver import LEAST_DAMPING
 from trinoc.calib.result.degrees import degrees_by_step
-from trinoc.calib.targets import AbstractTarget
-from trinoc.calib.uncertainty import Systematics
-from trinoc.geometry import AbstractLens, Pose, PoseModel
+from trinoc.calib.targets.abstract_target import AbstractTarget
+from trinoc.calib.uncertainty.systematics import Systematics
+from trinoc.geometry.lenses.abstract_lens import AbstractLens
+from trinoc.geometry.pose import Pose, PoseModel
 
 # Singular values of a root with columns of length 1 below this share of the largest are rounding.
 _ROUNDING = 1e-14

@@ -9,8 +9,8 @@ from jaxtyping import Float
 from scipy.linalg import solve_triangular
 
 from trinoc.calib.adjustment.estimate import Adjustment
-from trinoc.calib.result import Alternative
-from trinoc.numerics import chi_square_tail
+from trinoc.calib.result.alternative import Alternative
+from trinoc.numerics.tails import chi_square_tail
 
 # An alternative of which less than this share is not fitted along already is no other model.
 _LEAST_SHARE = 1e-9

@@ -17,9 +17,10 @@ from jaxtyping import Array, Bool, Float
 from trinoc.calib.problem.problem import Problem, cam_from_board, lens_number
 from trinoc.calib.problem.variables import POSE_SIZE, Chart, RigState, retract, step_motion
 from trinoc.calib.starts.sightings import IN_PLACE
-from trinoc.calib.targets import boards_of
-from trinoc.geometry import Pose, project_point, project_points, unproject_pixels
-from trinoc.numerics import ArrayLike
+from trinoc.calib.targets.board_set import boards_of
+from trinoc.geometry.pose import Pose
+from trinoc.geometry.projection import project_point, project_points, unproject_pixels
+from trinoc.numerics.arrays import ArrayLike
 
 # Places across the picture, along each side.
 _PLACES = 5

@@ -15,9 +15,13 @@ from trinoc.calib.problem.problem import Problem, cam_from_board, lens_number
 from trinoc.calib.problem.robust_fit import errors_px
 from trinoc.calib.problem.views import View
 from trinoc.calib.starts.camera_start import on_board
-from trinoc.calib.targets import AbstractTarget, Chessboard, board_names, boards_of, first_places
-from trinoc.geometry import AbstractLens, Pose, unproject_pixels
-from trinoc.numerics import blocks
+from trinoc.calib.targets.abstract_target import AbstractTarget
+from trinoc.calib.targets.board_set import board_names, boards_of, first_places
+from trinoc.calib.targets.checkers import Chessboard
+from trinoc.geometry.lenses.abstract_lens import AbstractLens
+from trinoc.geometry.pose import Pose
+from trinoc.geometry.projection import unproject_pixels
+from trinoc.numerics.buckets import blocks
 
 _TILT_RAD = np.radians(40.0)
 # The side of the board that comes nearer, by a turn about the camera's x and y.

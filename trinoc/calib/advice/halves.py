@@ -13,9 +13,9 @@ from trinoc.calib.problem.information import Information, information_of
 from trinoc.calib.problem.outcome import enlarge_covariance
 from trinoc.calib.problem.problem import Problem, lens_number, with_head_held, with_sheet_held
 from trinoc.calib.problem.robust_fit import errors_px, fit_places
-from trinoc.calib.targets import board_prefixes
-from trinoc.geometry import Pose, PoseModel
-from trinoc.numerics import ArrayLike
+from trinoc.calib.targets.board_set import board_prefixes
+from trinoc.geometry.pose import Pose, PoseModel
+from trinoc.numerics.arrays import ArrayLike
 
 FEWEST_SHOTS = 4
 # Of the largest variance: below, a prior that both halves share has left no difference.

@@ -9,7 +9,8 @@ from jaxtyping import Float
 from trinoc.calib.advice.foreseen_shots import ForeseenShot, candidate_shots, foresee_shots
 from trinoc.calib.advice.halves import head_names
 from trinoc.calib.problem.problem import Problem
-from trinoc.geometry import SPLINE_PARAMETERS, Pose
+from trinoc.geometry.lenses.splined import SPLINE_PARAMETERS
+from trinoc.geometry.pose import Pose
 
 # Of all candidates so many are compared: those of which the rig tells least.
 _MOST_COMPARED = 40

@@ -5,7 +5,3 @@ covariance (factors). joint_problem (what `calib.problem` solves) -> covariance 
 noise) -> estimate -> refinement (rounds of matching, other starts); implicit_diff is the answer as
 a differentiable function of the observations. Source: Triggs et al.,
 "Bundle adjustment: a modern synthesis" (2000)."""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -7,8 +7,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from trinoc.geometry import AFFINE_PARAMETERS, AbstractLens, Camera, Pose, PoseModel, stack_lenses
-from trinoc.numerics import ArrayLike, namespace_of
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS, AbstractLens
+from trinoc.geometry.lenses.registry import stack_lenses
+from trinoc.geometry.pose import Pose, PoseModel
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.precision import namespace_of
 
 # A step of one in focal length doubles it; in the principal point it is this many pixels.
 PRINCIPAL_POINT_STEP_PX = 1000.0

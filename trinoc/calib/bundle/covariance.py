@@ -23,8 +23,10 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from trinoc.calib.bundle.camera import CameraState
-from trinoc.geometry import project_by_matrix, triangulate_segment
-from trinoc.numerics import ArrayLike, inverse_positive_definite
+from trinoc.geometry.projection import project_by_matrix
+from trinoc.geometry.triangulation import triangulate_segment
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.small_matrices import inverse_positive_definite
 
 # Share of the largest eigenvalue of the unit-diagonal information below which a direction is
 # free: rounding leaves 1e-13 or so, and anything real stays far above.

@@ -38,24 +38,18 @@ from trinoc.calib.bundle.joint_problem import (
 )
 from trinoc.calib.bundle.result import RefineResult, RefineStatus
 from trinoc.calib.problem.solver import solve
-from trinoc.calib.result import CalibrationResult
+from trinoc.calib.result.calibration import CalibrationResult
 from trinoc.errors import InputError
-from trinoc.geometry import (
-    AFFINE_PARAMETERS,
-    LineObservations,
-    Pose,
-    PoseModel,
-    Rig,
-    UncertainLines,
-)
-from trinoc.numerics import (
-    ArrayLike,
-    GemanMcClure,
-    as_numpy,
-    bucket,
-    kept_jit,
-    padded,
-)
+from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS
+from trinoc.geometry.pose import Pose, PoseModel
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.segments import LineObservations
+from trinoc.geometry.uncertain_lines import UncertainLines
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.buckets import bucket, padded
+from trinoc.numerics.precision import as_numpy
+from trinoc.numerics.programs import kept_jit
+from trinoc.numerics.robust_loss import GemanMcClure
 
 # What a fragment can cost, in sigmas squared.
 LOSS = GemanMcClure.from_scale(np.asarray(4.0))

@@ -20,14 +20,14 @@ import jax.scipy.linalg
 from jaxtyping import Bool, Float
 
 from trinoc.calib.bundle.camera import CameraState
-from trinoc.geometry import (
+from trinoc.geometry.lines import (
     line_of_planes,
     line_through,
     plane_of_line,
-    project_by_matrix,
     signed_distance,
 )
-from trinoc.numerics import ArrayLike
+from trinoc.geometry.projection import project_by_matrix
+from trinoc.numerics.arrays import ArrayLike
 
 ANGLES = 3
 

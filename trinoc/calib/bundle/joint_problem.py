@@ -24,12 +24,10 @@ from trinoc.calib.bundle.factors import (
     retract_line,
 )
 from trinoc.calib.problem.solver import AbstractSeparableProblem, ArrowEquations, Costs
-from trinoc.numerics import (
-    AbstractRobustLoss,
-    ArrayLike,
-    BlockArrow,
-    log_determinant_positive_definite,
-)
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.block_arrow import BlockArrow
+from trinoc.numerics.robust_loss import AbstractRobustLoss
+from trinoc.numerics.small_matrices import log_determinant_positive_definite
 
 
 class FragmentTable(NamedTuple):

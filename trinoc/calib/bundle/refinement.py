@@ -17,17 +17,14 @@ from jaxtyping import Float
 
 from trinoc.calib.bundle.estimate import FreeParameters, joint_estimate, squared_with_rig
 from trinoc.calib.bundle.result import RefineResult, RefineStatus
-from trinoc.calib.result import CalibrationResult
+from trinoc.calib.result.calibration import CalibrationResult
 from trinoc.errors import CalibrationError, InputError
-from trinoc.geometry import (
-    AFFINE_PARAMETERS,
-    LineObservations,
-    Pose,
-    PoseModel,
-    Rig,
-    rotation_from_vector,
-)
-from trinoc.numerics import as_numpy, in_float64
+from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS
+from trinoc.geometry.pose import Pose, PoseModel
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.rotation import rotation_from_vector
+from trinoc.geometry.segments import LineObservations
+from trinoc.numerics.precision import as_numpy, in_float64
 
 MOST_ROUNDS = 8
 # How far a camera is turned: the largest knock that the search is meant for.

@@ -6,8 +6,10 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
 
-from trinoc.geometry import LineObservations, Rig, UncertainLines
-from trinoc.numerics import Displayable
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.segments import LineObservations
+from trinoc.geometry.uncertain_lines import UncertainLines
+from trinoc.numerics.display import Displayable
 
 
 class RefineStatus(enum.Enum):

@@ -4,7 +4,3 @@
 order of its work: search_image -> blobs -> lattice -> ellipse_pixels, ellipse_fit, quality_gate ->
 labels -> measure_circles -> cross_lines; `orientation` chooses among the labellings of a sheet
 that looks the same turned."""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -11,7 +11,8 @@ from jaxtyping import Float, Int, Shaped, UInt8
 from trinoc.calib.detection.corners import corner_covariance_px2, levels_of_8_bit
 from trinoc.calib.detection.detection import Detection, labelled_detection, rightward_share
 from trinoc.calib.detection.search_image import search_image
-from trinoc.calib.targets import Chessboard, dark_squares
+from trinoc.calib.targets.checkers import Chessboard
+from trinoc.calib.targets.squares import dark_squares
 from trinoc.errors import DetectionError
 
 _SEARCHES = (

@@ -23,7 +23,7 @@ from trinoc.calib.detection.measure_circles import fit_coarsely, measure_circles
 from trinoc.calib.detection.plane_mapping import PlaneMapping, fit_plane_mapping
 from trinoc.calib.detection.quality_gate import FEWEST_CIRCLES, are_plausible
 from trinoc.calib.detection.search_image import SearchImage, search_image, shrink_image
-from trinoc.calib.targets import Pattern
+from trinoc.calib.targets.pattern import Pattern
 from trinoc.errors import DetectionError
 
 # Blobs are sought in pictures of about this many pixels a side, circles measured in full.

@@ -13,7 +13,7 @@ from trinoc.calib.detection.ellipse_pixels import (
 )
 from trinoc.calib.detection.plane_mapping import PlaneMapping
 from trinoc.calib.detection.search_image import SearchImage
-from trinoc.calib.targets import Pattern
+from trinoc.calib.targets.pattern import Pattern
 
 _STATIONS = 96
 _FEWEST_STATIONS = 10

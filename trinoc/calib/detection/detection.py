@@ -7,8 +7,15 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 
-from trinoc.calib.targets import AbstractTarget, BoardSet
-from trinoc.numerics import COVARIANCE, IN_PICTURE, NOT_NEGATIVE, PICTURE_SIZE, Column, Table
+from trinoc.calib.targets.abstract_target import AbstractTarget
+from trinoc.calib.targets.board_set import BoardSet
+from trinoc.numerics.table_checks import (
+    COVARIANCE,
+    IN_PICTURE,
+    NOT_NEGATIVE,
+    PICTURE_SIZE,
+)
+from trinoc.numerics.tables import Column, Table
 
 _PLACE = ("u_px", "v_px")
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from trinoc.calib.targets import Pattern
+from trinoc.calib.targets.pattern import Pattern
 from trinoc.errors import DetectionError, InputError
 
 _FEWEST_CIRCLES = 4

@@ -14,12 +14,9 @@ from jaxtyping import Bool, Float, Int, Shaped, UInt8
 from trinoc.calib.detection.corners import corner_covariance_px2, levels_of_8_bit
 from trinoc.calib.detection.detection import Detection, labelled_detection
 from trinoc.calib.detection.search_image import search_image
-from trinoc.calib.targets import (
-    AprilGrid,
-    Charuco,
-    opencv_board,
-    opencv_dictionary,
-)
+from trinoc.calib.targets.april_grid import AprilGrid
+from trinoc.calib.targets.checkers import Charuco, opencv_board
+from trinoc.calib.targets.markers import opencv_dictionary
 from trinoc.errors import DetectionError
 
 _FEWEST_CORNERS = 6

@@ -13,10 +13,12 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from trinoc.calib.detection.detection import Detection, labelled_detection
-from trinoc.calib.targets import Pattern
+from trinoc.calib.targets.pattern import Pattern
 from trinoc.errors import InputError
-from trinoc.geometry import Camera, Rig, image_of_circle_centre
-from trinoc.numerics import ArrayLike
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.image_of_circle import image_of_circle_centre
+from trinoc.geometry.rig import Rig
+from trinoc.numerics.arrays import ArrayLike
 
 Orientation = Literal["upright"] | Rig | None
 

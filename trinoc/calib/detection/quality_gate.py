@@ -10,7 +10,7 @@ from trinoc.calib.detection.ellipse_pixels import (
     smallest_axis,
 )
 from trinoc.calib.detection.plane_mapping import PlaneMapping, fit_plane_mapping
-from trinoc.calib.targets import Pattern
+from trinoc.calib.targets.pattern import Pattern
 
 FEWEST_CIRCLES = 6
 

@@ -10,15 +10,11 @@ from trinoc.calib.detection.chessboard import detect_chessboard
 from trinoc.calib.detection.circles import detect_circles
 from trinoc.calib.detection.detection import Detection, labelled_detection
 from trinoc.calib.detection.marker_boards import detect_april_grid, detect_charuco
-from trinoc.calib.targets import (
-    AbstractTarget,
-    AprilGrid,
-    BoardSet,
-    Charuco,
-    Chessboard,
-    Pattern,
-    first_places,
-)
+from trinoc.calib.targets.abstract_target import AbstractTarget
+from trinoc.calib.targets.april_grid import AprilGrid
+from trinoc.calib.targets.board_set import BoardSet, first_places
+from trinoc.calib.targets.checkers import Charuco, Chessboard
+from trinoc.calib.targets.pattern import Pattern
 from trinoc.errors import DetectionError, InputError
 
 DETECTORS: dict[type[AbstractTarget], Callable[..., Detection]] = {

@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Shaped
 
-from trinoc.image import grey_image, noise_sigma
+from trinoc.image.grey import grey_image
+from trinoc.image.noise import noise_sigma
 
 _NOISE_SAMPLES = 20_000
 

@@ -8,7 +8,3 @@ them).
 An ideal camera is the delivered one with unknowns left out (`unknowns.IDEAL`); where its residuals
 refute it, they are freed. What is known of a camera's response stands in `encoding`, its curve in
 `grey_level.grey_level` alone."""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

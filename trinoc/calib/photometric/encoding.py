@@ -12,10 +12,11 @@ import numpy as np
 from jaxtyping import Float, Int, Shaped
 
 from trinoc.calib.photometric.sheet_places import circle_points_mm, project_to_image
-from trinoc.calib.targets import Pattern
+from trinoc.calib.targets.pattern import Pattern
 from trinoc.errors import InputError
-from trinoc.geometry import AbstractLens, Pose
-from trinoc.image import PowerResponse, response_of
+from trinoc.geometry.lenses.abstract_lens import AbstractLens
+from trinoc.geometry.pose import Pose
+from trinoc.image.response import PowerResponse, response_of
 
 Response = Literal["linear", "srgb", "fit"]
 # Flat parts of a circle's ink and of the paper round it, in radii.

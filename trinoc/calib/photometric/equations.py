@@ -22,8 +22,10 @@ from trinoc.calib.photometric.unknowns import (
     PictureState,
     step_unit_mm,
 )
-from trinoc.geometry import PoseModel
-from trinoc.numerics import ArrayLike, GemanMcClure, namespace_of
+from trinoc.geometry.pose import PoseModel
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.precision import namespace_of
+from trinoc.numerics.robust_loss import GemanMcClure
 
 CHUNK = 512
 

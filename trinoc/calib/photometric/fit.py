@@ -24,8 +24,9 @@ from trinoc.calib.photometric.unknowns import (
     PictureState,
     delivered_state,
 )
-from trinoc.geometry import Pose
-from trinoc.numerics import GemanMcClure, one_compiles
+from trinoc.geometry.pose import Pose
+from trinoc.numerics.programs import one_compiles
+from trinoc.numerics.robust_loss import GemanMcClure
 
 # Noise before anything is known of it, as a share of the contrast.
 _FIRST_NOISE = 0.01

@@ -5,7 +5,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from trinoc.calib.photometric.pixel_selection import SelectedPixels
-from trinoc.numerics import MAD_TO_SIGMA
+from trinoc.numerics.tails import MAD_TO_SIGMA
 
 # A residual beyond this many robust sigmas is no noise of a pixel that fits.
 _OUTLIER_SIGMAS = 4.5

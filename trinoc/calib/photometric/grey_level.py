@@ -18,8 +18,8 @@ from trinoc.calib.photometric.edges import Kernel
 from trinoc.calib.photometric.ink import Circle, Cross, Drawing, Squares, View, ink_near
 from trinoc.calib.photometric.sheet_places import Ray, SheetPoint, sheet_point
 from trinoc.calib.photometric.unknowns import PictureState
-from trinoc.image import PowerResponse
-from trinoc.numerics import ArrayLike
+from trinoc.image.response import PowerResponse
+from trinoc.numerics.arrays import ArrayLike
 
 Scalar = Float[ArrayLike, ""]
 

@@ -24,9 +24,11 @@ from trinoc.calib.photometric.scene import (
 )
 from trinoc.calib.photometric.unknowns import PictureState
 from trinoc.calib.problem.views import SheetPoints
-from trinoc.calib.targets import Pattern, SquareSheet
-from trinoc.geometry import AbstractLens, Pose, PoseModel
-from trinoc.image import PowerResponse
+from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.targets.squares import SquareSheet
+from trinoc.geometry.lenses.abstract_lens import AbstractLens
+from trinoc.geometry.pose import Pose, PoseModel
+from trinoc.image.response import PowerResponse
 
 # The median of flat parts sees no more noise than the residuals, a mosaic's colours apart.
 _MOSAIC_NOISE = 1.5

@@ -7,7 +7,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.special import ndtr
 
-from trinoc.numerics import MAD_TO_SIGMA, ArrayLike, ScalarLike, namespace_of
+from trinoc.numerics.arrays import ArrayLike, ScalarLike
+from trinoc.numerics.precision import namespace_of
+from trinoc.numerics.tails import MAD_TO_SIGMA
 
 # Standard deviation of a level that is always cut off: of the model, since noise has none.
 _CUT_OFF_LEVELS = 0.2

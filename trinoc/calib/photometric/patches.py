@@ -16,9 +16,10 @@ from jaxtyping import Float, Int
 from trinoc.calib.photometric.scene import Point, Scene
 from trinoc.calib.photometric.sheet_places import homography_of_pose
 from trinoc.calib.problem.views import SheetPoints
-from trinoc.calib.targets import Pattern, SquareSheet
-from trinoc.geometry import AbstractLens
-from trinoc.numerics import ArrayLike
+from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.targets.squares import SquareSheet
+from trinoc.geometry.lenses.abstract_lens import AbstractLens
+from trinoc.numerics.arrays import ArrayLike
 
 # Pieces along each half of the two lines.
 _PIECES = 8

@@ -18,8 +18,10 @@ from trinoc.calib.photometric.sheet_places import (
     rays_of_pixels,
 )
 from trinoc.calib.photometric.square_pixels import square_pixels
-from trinoc.calib.targets import Pattern, SquareSheet
-from trinoc.geometry import AbstractLens, Pose
+from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.targets.squares import SquareSheet
+from trinoc.geometry.lenses.abstract_lens import AbstractLens
+from trinoc.geometry.pose import Pose
 
 # Pixels within this many sigmas of an edge, and a little more for an error of the start.
 _REACH_SIGMAS = 3.0

@@ -32,10 +32,13 @@ from trinoc.calib.photometric.sheet_places import (
 )
 from trinoc.calib.photometric.square_pixels import places_to_look_at
 from trinoc.calib.photometric.unknowns import PictureState, Unknowns, ideal_state
-from trinoc.calib.targets import Pattern, SquareSheet
-from trinoc.geometry import AbstractLens, Pose, PoseModel
-from trinoc.image import noise_sigma
-from trinoc.numerics import ArrayLike, point_tree
+from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.targets.squares import SquareSheet
+from trinoc.geometry.lenses.abstract_lens import AbstractLens
+from trinoc.geometry.pose import Pose, PoseModel
+from trinoc.image.noise import noise_sigma
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.joins import point_tree
 
 _LEAST_CONTRAST = 4.0
 _SHIFT_ROUNDS = 3

@@ -9,9 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Shaped
 
-from trinoc.calib.targets import Pattern
-from trinoc.geometry import AbstractLens, Pose, project_point
-from trinoc.numerics import ArrayLike, inverse_3x3
+from trinoc.calib.targets.pattern import Pattern
+from trinoc.geometry.lenses.abstract_lens import AbstractLens
+from trinoc.geometry.pose import Pose
+from trinoc.geometry.projection import project_point
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.small_matrices import inverse_3x3
 
 # Pieces of one length, so that another number of pixels does not compile again.
 _PIECE = 8192

@@ -17,8 +17,10 @@ from jaxtyping import Array, Bool, Float, Int, PyTree, Scalar
 from trinoc.calib.photometric.equations import Equations, Picture, equations_at
 from trinoc.calib.photometric.ink import Drawing
 from trinoc.calib.photometric.unknowns import PictureState
-from trinoc.geometry import PoseModel
-from trinoc.numerics import ArrayLike, GemanMcClure, kept_jit
+from trinoc.geometry.pose import PoseModel
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.programs import kept_jit
+from trinoc.numerics.robust_loss import GemanMcClure
 
 _LEAST_DAMPING, _FIRST_DAMPING, _DAMPING_FACTOR = 1e-6, 1e-3, 30.0
 _ROBUST_DAMPING = 1e-4

@@ -9,9 +9,10 @@ from jaxtyping import Bool, Float, Int
 
 from trinoc.calib.photometric.ink import Squares
 from trinoc.calib.photometric.sheet_places import places_and_slopes, project_to_image
-from trinoc.calib.targets import SquareSheet
-from trinoc.geometry import AbstractLens, Pose
-from trinoc.numerics import point_tree
+from trinoc.calib.targets.squares import SquareSheet
+from trinoc.geometry.lenses.abstract_lens import AbstractLens
+from trinoc.geometry.pose import Pose
+from trinoc.numerics.joins import point_tree
 
 # Lines within reach of a pixel that are looked at along each axis, and that may carry edges.
 _MOST_LINES, _MOST_EDGES = 5, 2

@@ -13,9 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.geometry import Pose, PoseModel
-from trinoc.image import PowerResponse
-from trinoc.numerics import ArrayLike, ScalarLike
+from trinoc.geometry.pose import Pose, PoseModel
+from trinoc.image.response import PowerResponse
+from trinoc.numerics.arrays import ArrayLike, ScalarLike
 
 # Terms of polynomials of degree 4 and 2.
 LIGHT_TERMS, QUADRATIC_TERMS = 15, 6

@@ -16,11 +16,13 @@ from trinoc.calib.photometric.scene import ShiftOfPlaces
 from trinoc.calib.photometric.sheet_places import project_to_image
 from trinoc.calib.photometric.unknowns import step_unit_mm
 from trinoc.calib.problem.views import SheetPoints
-from trinoc.calib.result import ImageQuality
+from trinoc.calib.result.calibration import ImageQuality
 from trinoc.calib.result.degrees import degrees_by_step, largest_sigmas
-from trinoc.calib.targets import Pattern, SquareSheet
-from trinoc.geometry import AbstractLens, Pose, PoseModel
-from trinoc.numerics import observability
+from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.targets.squares import SquareSheet
+from trinoc.geometry.lenses.abstract_lens import AbstractLens
+from trinoc.geometry.pose import Pose, PoseModel
+from trinoc.numerics.information import observability
 
 # The picture moves circles by hundredths of a pixel; more than this is another minimum.
 _LARGEST_MOVE_PX = 0.5

@@ -11,8 +11,13 @@ from trinoc.calib.problem.places import BoardView, board_view
 from trinoc.calib.problem.problem import Problem
 from trinoc.calib.problem.sheet import AbstractSheet
 from trinoc.calib.problem.views import View
-from trinoc.geometry import AbstractLens, Pose, project_point
-from trinoc.numerics import ArrayLike, in_blocks, kept_jit, point_tree
+from trinoc.geometry.lenses.abstract_lens import AbstractLens
+from trinoc.geometry.pose import Pose
+from trinoc.geometry.projection import project_point
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.buckets import in_blocks
+from trinoc.numerics.joins import point_tree
+from trinoc.numerics.programs import kept_jit
 
 # Places at a time, so that another number of them does not compile again.
 _BLOCK = 8192

@@ -29,7 +29,8 @@ from trinoc.calib.problem.solver import gauss_newton_gain
 from trinoc.calib.problem.variables import Chart, RigState
 from trinoc.calib.problem.views import ViewTable
 from trinoc.calib.problem.wrong_circles import drop_wrong_circles
-from trinoc.numerics import GemanMcClure, kept_jit
+from trinoc.numerics.programs import kept_jit
+from trinoc.numerics.robust_loss import GemanMcClure
 
 # Chi-square per unknown, over what is left per residual, this many of its deviations above 1.
 _DEVIATIONS = 5.0

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float
 from trinoc.calib.problem.information import information_of
 from trinoc.calib.problem.problem import Problem, with_lens_free
 from trinoc.calib.problem.robust_fit import RobustFit, refit
-from trinoc.geometry import AbstractLens
+from trinoc.geometry.lenses.abstract_lens import AbstractLens
 
 # What a coefficient must lower chi-square by to be called for: Akaike's price.
 _PRICE = 2.0

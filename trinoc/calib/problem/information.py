@@ -12,13 +12,10 @@ from trinoc.calib.problem.places import linearise
 from trinoc.calib.problem.problem import Problem
 from trinoc.calib.problem.variables import POSE_SIZE, Chart, RigState, prior_of
 from trinoc.calib.problem.views import ViewTable
-from trinoc.numerics import (
-    GemanMcClure,
-    Observability,
-    inverse_positive_definite,
-    kept_jit,
-    observability,
-)
+from trinoc.numerics.information import Observability, observability
+from trinoc.numerics.programs import kept_jit
+from trinoc.numerics.robust_loss import GemanMcClure
+from trinoc.numerics.small_matrices import inverse_positive_definite
 
 
 class Information(NamedTuple):

@@ -22,7 +22,8 @@ from trinoc.calib.problem.robust_fit import (
     use_all_places,
     with_sigma_factors,
 )
-from trinoc.geometry import AbstractSplined, splined
+from trinoc.geometry.lenses.registry import splined
+from trinoc.geometry.lenses.splined import AbstractSplined
 
 _MOST_ROUNDS, _LEAST_CHANGE = 8, 0.05
 # A correction of which the shots show nothing is taken to be no larger than this.

@@ -11,9 +11,10 @@ from jaxtyping import Array, Float, Int
 from trinoc.calib.problem.information import Information
 from trinoc.calib.problem.problem import Problem
 from trinoc.calib.problem.variables import POSE_SIZE, Chart, RigState, retract
-from trinoc.calib.targets import board_prefixes
-from trinoc.geometry import Pose, PoseModel
-from trinoc.numerics import ArrayLike, kept_jit
+from trinoc.calib.targets.board_set import board_prefixes
+from trinoc.geometry.pose import Pose, PoseModel
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.programs import kept_jit
 
 # Of a board fixed to others: its turn about the axes of their frame from where it stands, and where
 # its origin lies there.

@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from trinoc.calib.problem.information import Information, information_of
 from trinoc.calib.problem.robust_fit import RobustFit
-from trinoc.calib.result import Status
+from trinoc.calib.result.status import Status
 
 # A variance factor this many of its own sigmas above 1 is no chance.
 _DEVIATIONS = 3.0

@@ -11,8 +11,12 @@ from jaxtyping import Array, Float
 from trinoc.calib.problem.sheet import AbstractSheet
 from trinoc.calib.problem.variables import POSE_SIZE, Chart, RigState, head_columns, step_motion
 from trinoc.calib.problem.views import ViewTable
-from trinoc.geometry import AbstractLens, AbstractSplined, Pose, circle_centre_offset
-from trinoc.numerics import AbstractRobustLoss, ArrayLike
+from trinoc.geometry.image_of_circle import circle_centre_offset
+from trinoc.geometry.lenses.abstract_lens import AbstractLens
+from trinoc.geometry.lenses.splined import AbstractSplined
+from trinoc.geometry.pose import Pose
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.robust_loss import AbstractRobustLoss
 
 
 class BoardView(eqx.Module):

@@ -11,8 +11,10 @@ from jaxtyping import Bool, Float
 
 from trinoc.calib.problem.variables import Chart, RigState
 from trinoc.calib.problem.views import View, ViewTable, view_table
-from trinoc.calib.targets import AbstractTarget
-from trinoc.geometry import AFFINE_PARAMETERS, AbstractLens, Pose, stack_lenses
+from trinoc.calib.targets.abstract_target import AbstractTarget
+from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS, AbstractLens
+from trinoc.geometry.lenses.registry import stack_lenses
+from trinoc.geometry.pose import Pose
 
 
 class Problem(NamedTuple):

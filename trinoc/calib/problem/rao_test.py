@@ -8,8 +8,9 @@ from jaxtyping import Bool
 
 from trinoc.calib.problem.information import Information, information_of
 from trinoc.calib.problem.problem import Problem, lens_number, with_wider_lenses
-from trinoc.geometry import BrownConrady, lens_model
-from trinoc.numerics import chi_square_tail
+from trinoc.geometry.lenses.brown_conrady import BrownConrady
+from trinoc.geometry.lenses.registry import lens_model
+from trinoc.numerics.tails import chi_square_tail
 
 # Shares of the information on held parameters, after all that is free has explained what it can,
 # below which a direction cannot be distinguished from rounding.

@@ -10,7 +10,9 @@ from trinoc.calib.problem.places import residuals_px, whitened_residuals
 from trinoc.calib.problem.problem import Problem
 from trinoc.calib.problem.solver import solve
 from trinoc.calib.problem.views import SheetPoints
-from trinoc.numerics import GemanMcClure, as_numpy, kept_jit
+from trinoc.numerics.precision import as_numpy
+from trinoc.numerics.programs import kept_jit
+from trinoc.numerics.robust_loss import GemanMcClure
 
 # Length of a whitened two-dimensional error: median under a normal law, and the gate that a
 # right circle exceeds once in 10^8.

@@ -11,14 +11,17 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.detection import Detection
+from trinoc.calib.detection.detection import Detection
 from trinoc.calib.problem.problem import Problem, basis_of_scales, stacked_lenses
 from trinoc.calib.problem.sheet import BentPaper
 from trinoc.calib.problem.variables import POSE_SIZE, Chart, RigState
 from trinoc.calib.problem.views import SheetPoints, View, padded_count
-from trinoc.calib.targets import AbstractTarget
-from trinoc.calib.uncertainty import Systematics
-from trinoc.geometry import AbstractLens, Intrinsics, Pose, PoseModel, promoted
+from trinoc.calib.targets.abstract_target import AbstractTarget
+from trinoc.calib.uncertainty.systematics import Systematics
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.lenses.abstract_lens import AbstractLens
+from trinoc.geometry.lenses.registry import promoted
+from trinoc.geometry.pose import Pose, PoseModel
 
 # Programs exist for this many cameras, and for few larger numbers.
 FEWEST_CAMERAS = 3

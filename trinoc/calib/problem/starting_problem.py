@@ -16,9 +16,11 @@ from trinoc.calib.problem.problem import (
 from trinoc.calib.problem.sheet import WarpedBoard
 from trinoc.calib.problem.variables import POSE_SIZE, Chart, RigState
 from trinoc.calib.problem.views import View, padded_shots
-from trinoc.calib.targets import AbstractTarget, boards_of
-from trinoc.calib.uncertainty import Systematics
-from trinoc.geometry import AbstractLens, PoseModel
+from trinoc.calib.targets.abstract_target import AbstractTarget
+from trinoc.calib.targets.board_set import boards_of
+from trinoc.calib.uncertainty.systematics import Systematics
+from trinoc.geometry.lenses.abstract_lens import AbstractLens
+from trinoc.geometry.pose import PoseModel
 
 _SMALLEST_SIGMA = 1e-12
 

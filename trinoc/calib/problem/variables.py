@@ -16,8 +16,9 @@ from jax.scipy.linalg import block_diag
 from jaxtyping import Array, Float, Int
 
 from trinoc.calib.problem.sheet import AbstractSheet
-from trinoc.geometry import AbstractLens, Pose, PoseModel
-from trinoc.numerics import ArrayLike
+from trinoc.geometry.lenses.abstract_lens import AbstractLens
+from trinoc.geometry.pose import Pose, PoseModel
+from trinoc.numerics.arrays import ArrayLike
 
 POSE_SIZE = PoseModel.RIGID.size
 _AIM_STEPS = np.eye(POSE_SIZE)[4:]

@@ -7,9 +7,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.linalg import block_diag
 
-from trinoc.calib.detection import Detection
-from trinoc.calib.targets import AbstractTarget
-from trinoc.numerics import ArrayLike, bucket, point_tree
+from trinoc.calib.detection.detection import Detection
+from trinoc.calib.targets.abstract_target import AbstractTarget
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.buckets import bucket
+from trinoc.numerics.joins import point_tree
 
 # Views and shots are padded to these numbers, so that one more seldom compiles anew; few views, as
 # of one camera that looks for its lens, and those of one shot to fewer. Padding costs its time.

@@ -4,12 +4,12 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
 
-from trinoc.calib.detection import Detection
+from trinoc.calib.detection.detection import Detection
 from trinoc.calib.result.alternative import Alternative
 from trinoc.calib.result.status import Status
-from trinoc.calib.targets import Pattern
-from trinoc.geometry import PARAMETER_NAMES, Rig
-from trinoc.numerics import Displayable
+from trinoc.calib.targets.pattern import Pattern
+from trinoc.geometry.rig import PARAMETER_NAMES, Rig
+from trinoc.numerics.display import Displayable
 
 
 class ImageQuality(eqx.Module):

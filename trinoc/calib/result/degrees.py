@@ -6,8 +6,11 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.geometry import Pose, PoseModel
-from trinoc.numerics import LARGEST_SIGMA, ArrayLike, ScalarLike, in_float64, kept_jit
+from trinoc.geometry.pose import Pose, PoseModel
+from trinoc.numerics.arrays import ArrayLike, ScalarLike
+from trinoc.numerics.information import LARGEST_SIGMA
+from trinoc.numerics.precision import in_float64
+from trinoc.numerics.programs import kept_jit
 
 # From (rad, rad, rad, mm, mm, mm), in which fits run, to degrees, in which people read.
 DEGREES = np.array([180 / np.pi, 180 / np.pi, 180 / np.pi, 1.0, 1.0, 1.0])

@@ -5,9 +5,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from trinoc.calib.result import CalibrationResult
-from trinoc.geometry import PARAMETER_NAMES, Camera, Rig
-from trinoc.numerics import chi_square_tail, normal_limit
+from trinoc.calib.result.calibration import CalibrationResult
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.rig import PARAMETER_NAMES, Rig
+from trinoc.numerics.tails import chi_square_tail, normal_limit
 
 # A camera has moved when noise alone would say so once in 10^5 comparisons of it.
 _MOVED_SIGMAS = 4.5

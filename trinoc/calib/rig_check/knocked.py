@@ -11,10 +11,13 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.bundle import Matched, Matcher, RefineResult, RefineStatus, refine
+from trinoc.calib.bundle.refinement import Matched, Matcher, refine
+from trinoc.calib.bundle.result import RefineResult, RefineStatus
 from trinoc.calib.rig_check.comparison import sigmas_of_chi_square
 from trinoc.errors import CalibrationError
-from trinoc.geometry import AFFINE_PARAMETERS, LineObservations, Rig
+from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.segments import LineObservations
 
 # Below this many sigmas a motion may be chance; with three cameras tested, one rig
 # in 120 that stands still is suspected all the same.

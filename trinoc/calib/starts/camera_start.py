@@ -13,17 +13,14 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
-from trinoc.calib.detection import Detection
-from trinoc.calib.targets import AbstractTarget
+from trinoc.calib.detection.detection import Detection
+from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.errors import CalibrationError
-from trinoc.geometry import (
-    AbstractLens,
-    BrownConrady,
-    Pose,
-    project_points,
-    promoted,
-    unproject_pixels,
-)
+from trinoc.geometry.lenses.abstract_lens import AbstractLens
+from trinoc.geometry.lenses.brown_conrady import BrownConrady
+from trinoc.geometry.lenses.registry import promoted
+from trinoc.geometry.pose import Pose
+from trinoc.geometry.projection import project_points, unproject_pixels
 
 FEWEST_PLACES = 4
 # Focal lengths to start from, in longer sides of the picture: where Zhang's formula has none, and

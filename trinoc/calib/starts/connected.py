@@ -21,8 +21,8 @@ from jaxtyping import Bool
 from trinoc.calib.starts.camera_start import nearest_rotation
 from trinoc.calib.starts.links import Link, Links, Poses, chain_links, link_boards, link_cameras
 from trinoc.calib.starts.sightings import IN_PLACE, Sighting
-from trinoc.calib.targets import AbstractTarget
-from trinoc.geometry import Pose
+from trinoc.calib.targets.abstract_target import AbstractTarget
+from trinoc.geometry.pose import Pose
 
 FEWEST_SHOTS = 3
 # Turns about one axis alone leave how far the cameras lie along it open: those about others have

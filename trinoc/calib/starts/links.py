@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from trinoc.calib.starts.sightings import IN_PLACE, Sighting
-from trinoc.calib.targets import AbstractTarget
-from trinoc.geometry import Pose
+from trinoc.calib.targets.abstract_target import AbstractTarget
+from trinoc.geometry.pose import Pose
 
 # So many shots propose a relative pose, and so many judge it.
 _PROPOSALS, _JUDGES = 8, 24

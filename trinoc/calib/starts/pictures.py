@@ -6,8 +6,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from trinoc.calib.detection import Detection, detect_target
-from trinoc.calib.targets import AbstractTarget
+from trinoc.calib.detection.detection import Detection
+from trinoc.calib.detection.registry import detect_target
+from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.errors import DetectionError, InputError
 
 # Detectors of OpenCV and NumPy leave the interpreter free while they work.

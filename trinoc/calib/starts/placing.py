@@ -7,15 +7,16 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.detection import Detection
+from trinoc.calib.detection.detection import Detection
 from trinoc.calib.problem.views import View
 from trinoc.calib.starts.camera_start import CameraStart, start_poses
 from trinoc.calib.starts.connected import Connected, connect, in_set
 from trinoc.calib.starts.links import Poses, link_cameras, place_board
 from trinoc.calib.starts.sightings import Sighting, label_sighting
-from trinoc.calib.targets import AbstractTarget, board_names
+from trinoc.calib.targets.abstract_target import AbstractTarget
+from trinoc.calib.targets.board_set import board_names
 from trinoc.errors import CalibrationError
-from trinoc.geometry import Pose
+from trinoc.geometry.pose import Pose
 
 # A shot by its name, and a board by its number.
 ShotBoard = tuple[str, int]

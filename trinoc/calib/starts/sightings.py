@@ -6,10 +6,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.detection import Detection
+from trinoc.calib.detection.detection import Detection
 from trinoc.calib.starts.camera_start import miss_px
-from trinoc.calib.targets import AbstractTarget
-from trinoc.geometry import AbstractLens, Pose
+from trinoc.calib.targets.abstract_target import AbstractTarget
+from trinoc.geometry.lenses.abstract_lens import AbstractLens
+from trinoc.geometry.pose import Pose
 
 # Where one board stands in the frame of all, which is its own.
 IN_PLACE = Pose(np.eye(3, 4))

@@ -8,7 +8,15 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from trinoc.calib.targets.abstract_target import AbstractBoard, AbstractTarget
+from trinoc.calib.targets.april_grid import AprilGrid
+from trinoc.calib.targets.checkers import Charuco, Chessboard
+from trinoc.calib.targets.pattern import Pattern
 from trinoc.errors import InputError
+
+# The kinds of boards by the word for them in layout files and commands.
+BOARDS: dict[str, type[AbstractBoard]] = {
+    board.kind: board for board in (Pattern, Chessboard, Charuco, AprilGrid)
+}
 
 
 class BoardSet(AbstractTarget):

@@ -8,25 +8,18 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from trinoc.errors import InputError
-from trinoc.geometry import (
-    AFFINE_PARAMETERS,
-    PARAMETER_NAMES,
-    AbstractLens,
-    Camera,
-    Intrinsics,
-    Pose,
-    PoseModel,
-    Rig,
-    epipolar_distance_px,
-    fundamental_matrix,
-    project_by_matrix,
-    project_point,
-    promoted,
-    rotation_from_vector,
-    sheet_from_pixel,
-    triangulate_point,
-)
-from trinoc.numerics import ArrayLike, in_float64
+from trinoc.geometry.camera import Camera, sheet_from_pixel
+from trinoc.geometry.epipolar import epipolar_distance_px, fundamental_matrix
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS, AbstractLens
+from trinoc.geometry.lenses.registry import promoted
+from trinoc.geometry.pose import Pose, PoseModel
+from trinoc.geometry.projection import project_by_matrix, project_point
+from trinoc.geometry.rig import PARAMETER_NAMES, Rig
+from trinoc.geometry.rotation import rotation_from_vector
+from trinoc.geometry.triangulation import triangulate_point
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.precision import in_float64
 
 # Places across the picture, along each side.
 _PLACES = 5

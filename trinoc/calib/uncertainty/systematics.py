@@ -12,7 +12,9 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.errors import InputError
-from trinoc.geometry import AbstractLens, Intrinsics, promoted
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.lenses.abstract_lens import AbstractLens
+from trinoc.geometry.lenses.registry import promoted
 
 # What is assumed where nobody says it: see `Systematics.typical`.
 _PRINT_SIZE, _PRINT_STRETCH = 2e-3, 7e-4

@@ -9,7 +9,8 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.geometry.lenses.newton import inverse_in_plane
-from trinoc.numerics import ArrayLike, namespace_of
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.precision import namespace_of
 
 # Type checkers know this one by the name that it has in a class that is not abstract.
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from trinoc.geometry.lenses.kannala_brandt import KannalaBrandt
 from trinoc.geometry.lenses.pinhole import Pinhole
 from trinoc.geometry.lenses.rational import Rational, ThinPrism
 from trinoc.geometry.lenses.splined import SPLINED, AbstractSplined
-from trinoc.numerics import namespace_of
+from trinoc.numerics.precision import namespace_of
 
 LENS_MODELS: dict[str, type[AbstractLens]] = {
     lens.model: lens

@@ -17,7 +17,8 @@ from trinoc.geometry.lenses.brown_conrady import BrownConrady
 from trinoc.geometry.lenses.kannala_brandt import KannalaBrandt
 from trinoc.geometry.lenses.newton import inverse_in_plane
 from trinoc.geometry.lenses.rational import Rational
-from trinoc.numerics import ArrayLike, namespace_of
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.precision import namespace_of
 
 if TYPE_CHECKING:
     from typing import ClassVar as AbstractClassVar

@@ -4,7 +4,3 @@ A format is a value with `save` and `load`; `FORMATS` has them by name, as `trin
 `--from` take them. Each says where the origin of its pixels lies, how its axes point
 and in what unit it counts; what it cannot hold is refused in a sentence where projections would
 change, and listed by `Format.lost` where they would not (a covariance, the size of a pixel)."""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

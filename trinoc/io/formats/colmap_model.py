@@ -10,7 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from trinoc.errors import InputError
-from trinoc.geometry import Camera, Intrinsics, Pose, Rig
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.pose import Pose
+from trinoc.geometry.rig import Rig
 from trinoc.io.atomic import atomic_write
 from trinoc.io.formats.colmap_binary import binary_files, binary_records
 from trinoc.io.formats.colmap_records import ColmapCamera, ColmapImage, ColmapRecords

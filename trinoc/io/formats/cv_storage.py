@@ -16,7 +16,10 @@ import cv2
 import numpy as np
 
 from trinoc.errors import InputError
-from trinoc.geometry import Camera, Intrinsics, Pose, Rig
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.pose import Pose
+from trinoc.geometry.rig import Rig
 from trinoc.io.atomic import write_text
 from trinoc.io.formats.format import Format, Lenses
 from trinoc.io.formats.lens_rows import LensNumbers, LensRow, lens_of, numbers_of

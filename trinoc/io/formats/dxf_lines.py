@@ -10,11 +10,12 @@ R12 has no unit of its own: tell the program that reads it millimetres.
 from pathlib import Path
 from typing import Any
 
-from trinoc.geometry import Feature
+from trinoc.geometry.features import Feature
 from trinoc.io.atomic import write_text
 from trinoc.io.formats.format import Format
 from trinoc.io.formats.losses import COVARIANCE, TRACKS
-from trinoc.match import BINOCULAR, TRINOCULAR, Matches, Wireframe
+from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, Matches
+from trinoc.match.wire_frame.frame import Wireframe
 
 # Of 3DFACE, a bit for each edge that is not drawn.
 HIDDEN_FIRST, HIDDEN_THIRD = 1, 4

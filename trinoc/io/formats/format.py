@@ -9,14 +9,19 @@ from typing import Any
 
 import numpy as np
 
-from trinoc.calib import CalibrationResult, IntrinsicsResult
+from trinoc.calib.intrinsics_result import IntrinsicsResult
+from trinoc.calib.result.calibration import CalibrationResult
 from trinoc.errors import InputError
-from trinoc.geometry import Feature, Intrinsics, Rig, Segments
+from trinoc.geometry.features import Feature
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.segments import Segments
 from trinoc.io.atomic import expect_place
 from trinoc.io.formats.losses import COVARIANCE, LOSSES, lost_of
 from trinoc.io.usable_cameras import expect_apart, expect_lens
-from trinoc.match import FEATURES, Matches
-from trinoc.numerics import Table
+from trinoc.match.features import FEATURES
+from trinoc.match.tracks.matches import Matches
+from trinoc.numerics.tables import Table
 
 Lenses = Mapping[str, Intrinsics]
 

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 
 from trinoc.errors import InputError
-from trinoc.geometry import Feature
+from trinoc.geometry.features import Feature
 from trinoc.io.atomic import atomic_write, write_text
 from trinoc.io.formats.format import Format
 from trinoc.io.formats.losses import COVARIANCE, TRACKS
-from trinoc.match import Matches
+from trinoc.match.tracks.matches import Matches
 
 METRE_MM = 1000.0
 # Of the specification: line segments, single precision, the target of vertices, and chunks.

@@ -7,7 +7,7 @@ import numpy as np
 
 from trinoc.io.atomic import write_text
 from trinoc.io.formats.format import Format
-from trinoc.match import Wireframe
+from trinoc.match.wire_frame.frame import Wireframe
 
 
 def write_json(frame: Wireframe, path: Path, unit_mm: float) -> None:

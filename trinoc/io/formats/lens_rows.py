@@ -10,7 +10,10 @@ from typing import NamedTuple
 import numpy as np
 
 from trinoc.errors import InputError
-from trinoc.geometry import LENS_MODELS, AbstractSplined, Intrinsics, Rig
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.lenses.registry import LENS_MODELS
+from trinoc.geometry.lenses.splined import AbstractSplined
+from trinoc.geometry.rig import Rig
 
 # What rounding leaves where a projection matrix was taken apart.
 NEGLIGIBLE_SKEW_PX = 1e-9

@@ -12,7 +12,7 @@ from trinoc.io.atomic import write_text
 from trinoc.io.formats.folders import atomic_folder
 from trinoc.io.formats.format import Format
 from trinoc.io.formats.losses import COVARIANCE, NAMES
-from trinoc.match import Matches
+from trinoc.match.tracks.matches import Matches
 
 HALF_PX = 0.5
 

@@ -10,7 +10,7 @@ import numpy as np
 from trinoc.errors import InputError
 from trinoc.io.atomic import atomic_write, write_text
 from trinoc.io.formats.format import Format
-from trinoc.match import Matches
+from trinoc.match.tracks.matches import Matches
 
 _FRAMES = "the world of the rig; pixel (0, 0) is the centre of the top-left pixel"
 

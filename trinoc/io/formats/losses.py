@@ -2,8 +2,11 @@
 
 import numpy as np
 
-from trinoc.geometry import Feature, Intrinsics, Rig, Segments
-from trinoc.match import Matches
+from trinoc.geometry.features import Feature
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.segments import Segments
+from trinoc.match.tracks.matches import Matches
 
 COVARIANCE = "covariance"
 PIXEL_PITCH = "pixel pitch"

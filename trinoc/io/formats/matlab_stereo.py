@@ -18,7 +18,10 @@ import numpy as np
 import scipy.io
 
 from trinoc.errors import InputError
-from trinoc.geometry import Camera, Intrinsics, Pose, Rig
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.pose import Pose
+from trinoc.geometry.rig import Rig
 from trinoc.io.atomic import atomic_write
 from trinoc.io.formats.format import Format, Lenses
 from trinoc.io.formats.lens_rows import LensNumbers, LensRow, lens_of, numbers_of

@@ -11,7 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from trinoc.errors import InputError
-from trinoc.geometry import Camera, Intrinsics, Pose, Rig
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.pose import Pose
+from trinoc.geometry.rig import Rig
 from trinoc.io.atomic import write_text
 from trinoc.io.formats.folders import atomic_folder
 from trinoc.io.formats.format import Format, Lenses

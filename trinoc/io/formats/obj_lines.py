@@ -2,11 +2,11 @@
 
 from pathlib import Path
 
-from trinoc.geometry import Feature
+from trinoc.geometry.features import Feature
 from trinoc.io.atomic import write_text
 from trinoc.io.formats.format import Format
 from trinoc.io.formats.losses import COVARIANCE, TRACKS
-from trinoc.match import Matches
+from trinoc.match.tracks.matches import Matches
 
 
 def write_obj(value: Matches | Feature, path: Path, unit_mm: float) -> None:

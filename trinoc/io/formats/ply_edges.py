@@ -6,12 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
-from trinoc.geometry import Feature
+from trinoc.geometry.features import Feature
 from trinoc.io.atomic import write_text
 from trinoc.io.formats.format import Format
 from trinoc.io.formats.lines_tables import columns_in_unit
 from trinoc.io.formats.losses import TRACKS
-from trinoc.match import TRINOCULAR, Matches, Wireframe
+from trinoc.match.tracks.matches import TRINOCULAR, Matches
+from trinoc.match.wire_frame.frame import Wireframe
 
 # Of a column: what PLY calls its numbers.
 _TYPES = {"f": "double", "i": "int", "b": "uchar"}

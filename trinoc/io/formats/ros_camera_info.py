@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from trinoc.errors import InputError
-from trinoc.geometry import Intrinsics, Rig
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.rig import Rig
 from trinoc.io.atomic import write_text
 from trinoc.io.formats.folders import atomic_folder
 from trinoc.io.formats.format import Format, Lenses

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from trinoc.errors import InputError
-from trinoc.geometry import Segments
+from trinoc.geometry.segments import Segments
 from trinoc.io.atomic import write_text
 from trinoc.io.formats.format import Format, Lenses
 from trinoc.io.formats.losses import COVARIANCE, DETAILS

@@ -14,7 +14,9 @@ from typing import Any
 import numpy as np
 
 from trinoc.errors import InputError
-from trinoc.geometry import Camera, Pose, Rig
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.pose import Pose
+from trinoc.geometry.rig import Rig
 from trinoc.io.atomic import write_text
 from trinoc.io.formats.format import Format, Lenses
 from trinoc.io.formats.losses import COVARIANCE, LENSES

@@ -3,7 +3,3 @@
 Each search makes hypotheses of what could be there, asks which segments support them, fits the
 circle, the cylinder or the lamp, leaves out rivals, and answers with sigmas.
 """
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

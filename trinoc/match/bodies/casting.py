@@ -13,11 +13,13 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.geometry import Segments
-from trinoc.match.line_map import Corners, JoinedLines
-from trinoc.match.tracks import Matches
-from trinoc.match.tuning import ShadowTuning
-from trinoc.numerics import ArrayLike, axes_across, cross_3d
+from trinoc.geometry.segments import Segments
+from trinoc.match.line_map.corners import Corners
+from trinoc.match.line_map.lines import JoinedLines
+from trinoc.match.tracks.matches import Matches
+from trinoc.match.tuning.shadows import ShadowTuning
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.vectors import axes_across, cross_3d
 
 
 class Plane(NamedTuple):

@@ -5,18 +5,12 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.geometry import homogeneous_pixel, pixel_change
-from trinoc.match.observations import MatchInput
-from trinoc.match.tuning import RimTuning
-from trinoc.numerics import (
-    Cauchy,
-    Residuals,
-    axes_across,
-    cross_3d,
-    gauss_newton,
-    misfit_factor,
-    vector3,
-)
+from trinoc.geometry.projection import homogeneous_pixel, pixel_change
+from trinoc.match.observations.match_input import MatchInput
+from trinoc.match.tuning.rims import RimTuning
+from trinoc.numerics.robust_loss import Cauchy
+from trinoc.numerics.small_least_squares import Residuals, gauss_newton, misfit_factor
+from trinoc.numerics.vectors import axes_across, cross_3d, vector3
 
 # Where a chord, fitted to the points of an arc, lies on it: the places of Gauss, as shares of its
 # half length. What noise moves one of them by tells nothing of the other.

@@ -6,8 +6,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from trinoc.match.bodies.outlines import Outlines, abreast_mm, ray_axis_distances
-from trinoc.match.tuning import CylinderTuning
-from trinoc.numerics import Residuals, ScaleMixture, axes_across, gauss_newton, take_rows, whitening
+from trinoc.match.tuning.cylinders import CylinderTuning
+from trinoc.numerics.robust_loss import ScaleMixture
+from trinoc.numerics.small_least_squares import Residuals, gauss_newton, whitening
+from trinoc.numerics.tables import take_rows
+from trinoc.numerics.vectors import axes_across
 
 # Parameters of an axis and a radius, and of an axis alone.
 ROUND, STRAIGHT = 5, 4

@@ -7,17 +7,24 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.special import expit
 
-from trinoc.geometry import Rig, Segments
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.segments import Segments
 from trinoc.match.bodies.cylinder_fit import Fits, Members
 from trinoc.match.bodies.cylinder_hypotheses import hypotheses
 from trinoc.match.bodies.cylinder_support import log_odds, outline_of, with_support
 from trinoc.match.bodies.cylinders import Cylinders
 from trinoc.match.bodies.end_errors import add_error_of_ends
 from trinoc.match.bodies.outlines import Outlines, abreast_mm, possible_outlines
-from trinoc.match.observations import prepare, segments_of_views, with_noise_scale
-from trinoc.match.tracks import Matches
-from trinoc.match.tuning import DEFAULT, CylinderTuning, MatchTuning
-from trinoc.numerics import ArrayLike, axes_across, chi_square_limit, in_float64, take_rows
+from trinoc.match.observations.match_input import prepare, with_noise_scale
+from trinoc.match.observations.pictures_of_views import segments_of_views
+from trinoc.match.tracks.matches import Matches
+from trinoc.match.tuning.cylinders import CylinderTuning
+from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.precision import in_float64
+from trinoc.numerics.tables import take_rows
+from trinoc.numerics.tails import chi_square_limit
+from trinoc.numerics.vectors import axes_across
 
 
 class Chosen(NamedTuple):

@@ -6,9 +6,11 @@ from jaxtyping import Bool, Float, Int
 from trinoc.match.bodies.cylinder_fit import ROUND, STRAIGHT, Fits, Members, fit_cylinders
 from trinoc.match.bodies.cylinder_hypotheses import Start
 from trinoc.match.bodies.outlines import Outlines, abreast_mm, before_camera, ray_axis_distances
-from trinoc.match.tracks import Matches
-from trinoc.match.tuning import CylinderTuning
-from trinoc.numerics import blocks, chi_square_limit, concatenate_rows, take_rows
+from trinoc.match.tracks.matches import Matches
+from trinoc.match.tuning.cylinders import CylinderTuning
+from trinoc.numerics.buckets import blocks
+from trinoc.numerics.tables import concatenate_rows, take_rows
+from trinoc.numerics.tails import chi_square_limit
 
 # Cylinders that are compared with all outlines at once.
 AT_ONCE = 1024

@@ -8,19 +8,18 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 
-from trinoc.geometry import Feature, Wires, wires_of_lines
-from trinoc.match.tracks import EVEN, Matches
-from trinoc.numerics import (
+from trinoc.geometry.features import Feature, Wires, wires_of_lines
+from trinoc.match.tracks.matches import EVEN, Matches
+from trinoc.numerics.table_checks import (
     COVARIANCE,
     IN_SCENE,
     PROBABILITY,
     RADIUS,
     SEGMENT_NUMBER,
-    Check,
-    Column,
-    axes_across,
     number_of,
 )
+from trinoc.numerics.tables import Check, Column
+from trinoc.numerics.vectors import axes_across
 
 _ENDS = ("x1_mm", "y1_mm", "z1_mm", "x2_mm", "y2_mm", "z2_mm")
 # Lines along each that are drawn.

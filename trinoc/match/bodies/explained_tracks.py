@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from trinoc.match.bodies.circles import ENDS, Chords, Circles
-from trinoc.match.tracks import Matches
-from trinoc.match.tuning import RimTuning
-from trinoc.numerics import cross_3d
+from trinoc.match.tracks.matches import Matches
+from trinoc.match.tuning.rims import RimTuning
+from trinoc.numerics.vectors import cross_3d
 
 
 def are_outlines(

@@ -6,8 +6,10 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.match.bodies.casting import Lamps, Pairs, cast_density
-from trinoc.match.tuning import ShadowTuning
-from trinoc.numerics import axes_across, blocks, concatenate_rows, take_rows
+from trinoc.match.tuning.shadows import ShadowTuning
+from trinoc.numerics.buckets import blocks
+from trinoc.numerics.tables import concatenate_rows, take_rows
+from trinoc.numerics.vectors import axes_across
 
 # Lamps that are judged at once, for memory.
 AT_ONCE = 64

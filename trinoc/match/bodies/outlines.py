@@ -11,10 +11,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.match.observations import MatchInput
-from trinoc.match.tracks import Matches
-from trinoc.match.tuning import CylinderTuning
-from trinoc.numerics import axes_across, concatenate_rows, cross_3d, take_rows
+from trinoc.match.observations.match_input import MatchInput
+from trinoc.match.tracks.matches import Matches
+from trinoc.match.tuning.cylinders import CylinderTuning
+from trinoc.numerics.tables import concatenate_rows, take_rows
+from trinoc.numerics.vectors import axes_across, cross_3d
 
 
 class Rays(NamedTuple):

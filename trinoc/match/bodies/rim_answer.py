@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.geometry import distort_pixels
+from trinoc.geometry.intrinsics import distort_pixels
 from trinoc.match.bodies.circles import (
     ENDS,
     MIDDLE,
@@ -19,17 +19,12 @@ from trinoc.match.bodies.circles import (
 from trinoc.match.bodies.end_errors import add_error_of_ends
 from trinoc.match.bodies.explained_tracks import counts_of, tracks_beside_rims, with_rows
 from trinoc.match.bodies.rims import Rims
-from trinoc.match.observations import MatchInput
-from trinoc.match.tracks import (
-    BINOCULAR,
-    TRINOCULAR,
-    Matches,
-    ending_view,
-    fragments_of,
-    interval_of,
-)
-from trinoc.match.tuning import RimTuning
-from trinoc.numerics import axes_across, concatenate_rows, cross_3d, take_rows
+from trinoc.match.observations.match_input import MatchInput
+from trinoc.match.tracks.line_fit import ending_view, fragments_of, interval_of
+from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, Matches
+from trinoc.match.tuning.rims import RimTuning
+from trinoc.numerics.tables import concatenate_rows, take_rows
+from trinoc.numerics.vectors import axes_across, cross_3d
 
 ROUND = 2 * np.pi
 

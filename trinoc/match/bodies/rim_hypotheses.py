@@ -5,8 +5,10 @@ from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
 from trinoc.match.bodies.circles import Circles, images_of
-from trinoc.match.tuning import RimTuning
-from trinoc.numerics import blocks, concatenate_rows, cross_3d, take_rows
+from trinoc.match.tuning.rims import RimTuning
+from trinoc.numerics.buckets import blocks
+from trinoc.numerics.tables import concatenate_rows, take_rows
+from trinoc.numerics.vectors import cross_3d
 
 # Lines that are held against circles at once: for memory, some 100 bytes each.
 MOST_AT_ONCE = 1 << 21

@@ -7,7 +7,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.sparse import csr_array
 
-from trinoc.geometry import Rig, Segments, project_by_matrix
+from trinoc.geometry.projection import project_by_matrix
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.segments import Segments
 from trinoc.match.bodies.circles import (
     Chords,
     Circles,
@@ -27,10 +29,14 @@ from trinoc.match.bodies.rim_answer import (
 from trinoc.match.bodies.rim_hypotheses import hypotheses
 from trinoc.match.bodies.rim_support import about, has_rival, support_of, supports
 from trinoc.match.bodies.rims import Rims
-from trinoc.match.observations import prepare, segments_of_views, with_noise_scale
-from trinoc.match.tracks import Matches
-from trinoc.match.tuning import DEFAULT, MatchTuning, RimTuning
-from trinoc.numerics import ArrayLike, in_float64, take_rows
+from trinoc.match.observations.match_input import prepare, with_noise_scale
+from trinoc.match.observations.pictures_of_views import segments_of_views
+from trinoc.match.tracks.matches import Matches
+from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
+from trinoc.match.tuning.rims import RimTuning
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.precision import in_float64
+from trinoc.numerics.tables import take_rows
 
 
 def mm_per_px_of(lines_mm: Float[np.ndarray, "t 2 3"], rig: Rig, views: tuple[str, ...]) -> float:

@@ -16,8 +16,9 @@ from trinoc.match.bodies.circles import (
     off_circles,
     touching,
 )
-from trinoc.match.tuning import RimTuning
-from trinoc.numerics import blocks, take_rows
+from trinoc.match.tuning.rims import RimTuning
+from trinoc.numerics.buckets import blocks
+from trinoc.numerics.tables import take_rows
 
 # Chords that are held against circles at once, some 800 bytes each.
 MOST_AT_ONCE = 1 << 16

@@ -7,18 +7,17 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 
-from trinoc.geometry import Feature, Wires, wires_of_lines
+from trinoc.geometry.features import Feature, Wires, wires_of_lines
 from trinoc.match.bodies.circles import Circles, points_at
-from trinoc.match.tracks import Matches
-from trinoc.numerics import (
+from trinoc.match.tracks.matches import Matches
+from trinoc.numerics.table_checks import (
     COVARIANCE,
     IN_SCENE,
     RADIUS,
     SEGMENT_NUMBER,
-    Check,
-    Column,
     number_of,
 )
+from trinoc.numerics.tables import Check, Column
 
 _CENTRE, _NORMAL = ("x_mm", "y_mm", "z_mm"), ("normal_x", "normal_y", "normal_z")
 # What rounding leaves of the length of a normal, and of a share.

@@ -8,15 +8,19 @@ import numpy as np
 from jaxtyping import Int
 
 from trinoc.errors import InputError
-from trinoc.geometry import Rig, Segments
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.segments import Segments
 from trinoc.match.bodies.circles import ON_ARC, Chords, Circles, chords_of, off_circles, touching
 from trinoc.match.bodies.explained_tracks import counts_of, tracks_beside_rims, with_rows
 from trinoc.match.bodies.rim_search import mm_per_px_of
 from trinoc.match.bodies.rims import Rims
-from trinoc.match.observations import prepare, segments_of_views
-from trinoc.match.tracks import Matches
-from trinoc.match.tuning import DEFAULT, MatchTuning, RimTuning
-from trinoc.numerics import ArrayLike, in_float64
+from trinoc.match.observations.match_input import prepare
+from trinoc.match.observations.pictures_of_views import segments_of_views
+from trinoc.match.tracks.matches import Matches
+from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
+from trinoc.match.tuning.rims import RimTuning
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.precision import in_float64
 
 _ROWS = (
     "index",

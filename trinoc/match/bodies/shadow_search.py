@@ -8,7 +8,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import expit
 
-from trinoc.geometry import Rig, Segments
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.segments import Segments
 from trinoc.match.bodies.casting import (
     casting_pairs,
     evidence_of_surroundings,
@@ -16,11 +17,14 @@ from trinoc.match.bodies.casting import (
     planes_of,
 )
 from trinoc.match.bodies.lamp import Lamp, Votes, best_lamp
-from trinoc.match.line_map import join_collinear, snap_corners
-from trinoc.match.observations import segments_of_views
-from trinoc.match.tracks import EVEN, Matches
-from trinoc.match.tuning import DEFAULT, MatchTuning, ShadowTuning
-from trinoc.numerics import ArrayLike, in_float64
+from trinoc.match.line_map.collinear_merge import join_collinear
+from trinoc.match.line_map.corners import snap_corners
+from trinoc.match.observations.pictures_of_views import segments_of_views
+from trinoc.match.tracks.matches import EVEN, Matches
+from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
+from trinoc.match.tuning.shadows import ShadowTuning
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.precision import in_float64
 
 
 class Shadows(eqx.Module):

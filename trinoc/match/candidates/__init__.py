@@ -2,7 +2,3 @@
 
 single_precision (what a pair predicts in the third view) -> index (who is there) -> search (who
 passes the gate) -> triples: the value of `table`, in double precision, from all three orderings."""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -21,18 +21,18 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from trinoc.match.candidates.single_precision import Prediction, rounding_px
-from trinoc.match.observations import SegmentTable
-from trinoc.match.tuning import DEFAULT, CandidateTuning
-from trinoc.numerics import (
-    ArrayLike,
-    Scalar,
-    Vector2,
+from trinoc.match.observations.table import SegmentTable
+from trinoc.match.tuning.candidates import CandidateTuning
+from trinoc.match.tuning.every_group import DEFAULT
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.joins import (
     broadcast_groups,
     expand_ranges,
     group_medians,
     group_sums,
-    namespace_of,
 )
+from trinoc.numerics.precision import namespace_of
+from trinoc.numerics.vectors import Scalar, Vector2
 
 
 class Layer(NamedTuple):

@@ -15,17 +15,31 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from trinoc.match.candidates.single_precision import SingleOrder, in_single
-from trinoc.match.evidence import MixtureParameters, end_evidence, triple_evidence
-from trinoc.match.observations import (
+from trinoc.match.evidence.endpoints import end_evidence
+from trinoc.match.evidence.mixture import MixtureParameters
+from trinoc.match.evidence.triple_position import triple_evidence
+from trinoc.match.observations.clutter import ClutterModel
+from trinoc.match.observations.table import (
     PAIRS_IN_BLOCK,
     TRIPLES_IN_BLOCK,
-    ClutterModel,
     SegmentTable,
     block_of,
 )
-from trinoc.match.tuning import CandidateTuning, EndTuning, EvidenceTuning, MatchTuning, ScoutTuning
-from trinoc.match.two_view import Pencil, PencilSegments, cut_pair, points_of, row_of, sight_of
-from trinoc.numerics import ArrayLike, add3, in_blocks, kept_jit, times_matrix, vector3
+from trinoc.match.tuning.candidates import CandidateTuning, ScoutTuning
+from trinoc.match.tuning.every_group import MatchTuning
+from trinoc.match.tuning.evidence import EndTuning, EvidenceTuning
+from trinoc.match.two_view.epipolar_pencil import (
+    Pencil,
+    PencilSegments,
+    cut_pair,
+    points_of,
+    row_of,
+)
+from trinoc.match.two_view.planes import sight_of
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.buckets import in_blocks
+from trinoc.numerics.programs import kept_jit
+from trinoc.numerics.vectors import add3, times_matrix, vector3
 
 
 class Region(NamedTuple):

@@ -20,10 +20,15 @@ from trinoc.match.candidates.single_precision import (
     predict,
     prepared_order,
 )
-from trinoc.match.observations import PAIRS_IN_BLOCK, ClutterModel, SegmentTable, block_of
-from trinoc.match.tuning import DEFAULT, CandidateTuning, MatchTuning
-from trinoc.match.two_view import Pencil, PencilSegments, row_of
-from trinoc.numerics import ArrayLike, Scalar, between, blocks, in_blocks, kept_jit, padded
+from trinoc.match.observations.clutter import ClutterModel
+from trinoc.match.observations.table import PAIRS_IN_BLOCK, SegmentTable, block_of
+from trinoc.match.tuning.candidates import CandidateTuning
+from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
+from trinoc.match.two_view.epipolar_pencil import Pencil, PencilSegments, row_of
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.buckets import blocks, in_blocks, padded
+from trinoc.numerics.programs import kept_jit
+from trinoc.numerics.vectors import Scalar, between
 
 
 def passes_third_view_gate(

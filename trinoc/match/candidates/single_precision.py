@@ -15,19 +15,25 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.geometry import pixel_change
-from trinoc.match.observations import SegmentTable
-from trinoc.match.tuning import DEFAULT, CandidateTuning
-from trinoc.match.two_view import Pencil, PencilSegments, cut_pair, pencil
-from trinoc.numerics import (
-    ArrayLike,
+from trinoc.geometry.projection import pixel_change
+from trinoc.match.observations.table import SegmentTable
+from trinoc.match.tuning.candidates import CandidateTuning
+from trinoc.match.tuning.every_group import DEFAULT
+from trinoc.match.two_view.epipolar_pencil import (
+    Pencil,
+    PencilSegments,
+    cut_pair,
+    pencil,
+)
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.precision import namespace_of
+from trinoc.numerics.vectors import (
     Scalar,
     Vector3,
     add3,
     between,
     cross3,
     dot3,
-    namespace_of,
     scaled3,
     times_matrix,
     unit3,

@@ -6,17 +6,13 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.match.evidence import (
-    END_COMPONENTS,
-    SIDE_COMPONENTS,
-    MixtureParameters,
-    log_odds,
-    polarity_evidence,
-    side_evidence,
-)
-from trinoc.match.observations import SegmentTable, frames_of, matrices_of
-from trinoc.match.tuning import DEFAULT, EvidenceTuning, MatchTuning
-from trinoc.numerics import take_rows
+from trinoc.match.evidence.endpoints import END_COMPONENTS
+from trinoc.match.evidence.mixture import MixtureParameters, log_odds
+from trinoc.match.evidence.side_intensity import SIDE_COMPONENTS, polarity_evidence, side_evidence
+from trinoc.match.observations.table import SegmentTable, frames_of, matrices_of
+from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
+from trinoc.match.tuning.evidence import EvidenceTuning
+from trinoc.numerics.tables import take_rows
 
 
 class Candidates(NamedTuple):

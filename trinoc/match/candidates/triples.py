@@ -21,39 +21,28 @@ from trinoc.match.candidates.learned import (
 )
 from trinoc.match.candidates.search import Order, Orders, gated_triples, prepared_orders
 from trinoc.match.candidates.table import Candidates, candidates_at, no_candidates, prior_log_odds
-from trinoc.match.evidence import (
-    END_COMPONENTS,
-    end_evidence,
-    line_of_three,
-    prior_parameters,
-    triple_evidence,
-)
-from trinoc.match.observations import (
-    TRIPLES_IN_BLOCK,
-    ClutterModel,
-    SegmentTable,
-    block_of,
-)
-from trinoc.match.tuning import DEFAULT, CandidateTuning, EndTuning, MatchTuning
-from trinoc.match.two_view import (
+from trinoc.match.evidence.endpoints import END_COMPONENTS, end_evidence
+from trinoc.match.evidence.mixture import prior_parameters
+from trinoc.match.evidence.triple_position import line_of_three, triple_evidence
+from trinoc.match.observations.clutter import ClutterModel
+from trinoc.match.observations.table import TRIPLES_IN_BLOCK, SegmentTable, block_of
+from trinoc.match.tuning.candidates import CandidateTuning
+from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
+from trinoc.match.tuning.evidence import EndTuning
+from trinoc.match.two_view.epipolar_pencil import (
     Pencil,
-    Sight,
     cut_pair,
     pairs_sharing_planes,
     pencil_of,
     points_of,
     row_of,
-    sight_of,
 )
-from trinoc.numerics import (
-    ArrayLike,
-    Vector3,
-    as_columns,
-    concatenate_rows,
-    kept_jit,
-    select_in_blocks,
-    split_columns,
-)
+from trinoc.match.two_view.planes import Sight, sight_of
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.buckets import as_columns, select_in_blocks, split_columns
+from trinoc.numerics.programs import kept_jit
+from trinoc.numerics.tables import concatenate_rows
+from trinoc.numerics.vectors import Vector3
 
 # What is kept of each triple: the shapes of interval, ends_mm, chi_square, log_density, end_log,
 # union_ends_mm, union_covariance_mm2, px_per_mm.

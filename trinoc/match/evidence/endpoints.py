@@ -10,8 +10,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.match.tuning import DEFAULT, EndTuning, ScoutTuning
-from trinoc.numerics import ArrayLike, Scalar, largest_of, total
+from trinoc.match.tuning.candidates import ScoutTuning
+from trinoc.match.tuning.every_group import DEFAULT
+from trinoc.match.tuning.evidence import EndTuning
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.vectors import Scalar, largest_of, total
 
 # All agree, by scale; two agree and the third stops short, by scale; or runs on; none agree.
 END_COMPONENTS = len(DEFAULT.ends.prior_shares)

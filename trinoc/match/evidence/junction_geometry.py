@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.numerics import cross_3d
+from trinoc.numerics.vectors import cross_3d
 
 
 class Passing(NamedTuple):

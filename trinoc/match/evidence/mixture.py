@@ -9,8 +9,9 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.special import expit
 
-from trinoc.match.tuning import DEFAULT, EvidenceTuning, MatchTuning
-from trinoc.numerics import broadcast_groups, group_sums, take_groups
+from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
+from trinoc.match.tuning.evidence import EvidenceTuning
+from trinoc.numerics.joins import broadcast_groups, group_sums, take_groups
 
 Frame = Int[np.ndarray, "m"] | None
 

@@ -12,7 +12,8 @@ from itertools import combinations_with_replacement
 import numpy as np
 from jaxtyping import Float, Int
 
-from trinoc.match.tuning import DEFAULT, EvidenceTuning, SideTuning
+from trinoc.match.tuning.every_group import DEFAULT
+from trinoc.match.tuning.evidence import EvidenceTuning, SideTuning
 
 
 def polarity_evidence(

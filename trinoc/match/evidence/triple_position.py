@@ -22,25 +22,30 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.geometry import image_of_point
+from trinoc.geometry.projection import image_of_point
 from trinoc.match.evidence.endpoints import LEAST_DENSITY
-from trinoc.match.observations import ClutterModel, SegmentTable
-from trinoc.match.tuning import DEFAULT, CandidateTuning, EndTuning
-from trinoc.match.two_view import (
-    InterpretationPlanes,
+from trinoc.match.observations.clutter import ClutterModel
+from trinoc.match.observations.table import SegmentTable
+from trinoc.match.tuning.candidates import CandidateTuning
+from trinoc.match.tuning.every_group import DEFAULT
+from trinoc.match.tuning.evidence import EndTuning
+from trinoc.match.two_view.epipolar_pencil import (
     Pencil,
     PencilSegments,
-    Sight,
     cut_pair,
+    points_of,
+)
+from trinoc.match.two_view.planes import (
+    InterpretationPlanes,
+    Sight,
     extents_on_line,
     image_length_px,
     interpretation_planes,
-    points_of,
     sight_of,
     variance_mm2,
 )
-from trinoc.numerics import (
-    ArrayLike,
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.vectors import (
     Scalar,
     Symmetric3,
     Vector3,

@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 from scipy.special import expit
 
 from trinoc.errors import InputError
-from trinoc.geometry import Rig
+from trinoc.geometry.rig import Rig
 from trinoc.match.line_map.collinearity import (
     Evidence,
     LineDensity,
@@ -27,9 +27,11 @@ from trinoc.match.line_map.collinearity import (
 from trinoc.match.line_map.line_fit import TrackTable, fit_line, fragments_of, track_table
 from trinoc.match.line_map.line_posterior import line_posteriors
 from trinoc.match.line_map.lines import JoinedLines
-from trinoc.match.tracks import Matches
-from trinoc.match.tuning import DEFAULT, CollinearTuning, MatchTuning
-from trinoc.numerics import chi_square_tail, in_float64
+from trinoc.match.tracks.matches import Matches
+from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
+from trinoc.match.tuning.line_map import CollinearTuning
+from trinoc.numerics.precision import in_float64
+from trinoc.numerics.tails import chi_square_tail
 
 
 class _Group(NamedTuple):

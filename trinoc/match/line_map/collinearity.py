@@ -11,8 +11,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.match.tuning import DEFAULT, CollinearTuning, EvidenceTuning, MatchTuning
-from trinoc.numerics import axes_across, blocks
+from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
+from trinoc.match.tuning.evidence import EvidenceTuning
+from trinoc.match.tuning.line_map import CollinearTuning
+from trinoc.numerics.buckets import blocks
+from trinoc.numerics.vectors import axes_across
 
 
 class LineDensity(NamedTuple):

@@ -14,19 +14,15 @@ from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 from scipy.special import expit, log_expit, logit
 
-from trinoc.match.evidence import log_gap_density, passing
+from trinoc.match.evidence.junction_geometry import log_gap_density, passing
 from trinoc.match.line_map.collinearity import line_density
 from trinoc.match.line_map.lines import JoinedLines
-from trinoc.match.tuning import DEFAULT, MatchTuning
-from trinoc.numerics import (
-    Residuals,
-    axes_across,
-    chi_square_tail,
-    gauss_newton,
-    group_labels,
-    take_rows,
-    whitening,
-)
+from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
+from trinoc.numerics.joins import group_labels
+from trinoc.numerics.small_least_squares import Residuals, gauss_newton, whitening
+from trinoc.numerics.tables import take_rows
+from trinoc.numerics.tails import chi_square_tail
+from trinoc.numerics.vectors import axes_across
 
 
 class Corners(eqx.Module):

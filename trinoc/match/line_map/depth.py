@@ -9,10 +9,12 @@ from jaxtyping import Bool, Float, Int
 from scipy.cluster.hierarchy import fcluster, linkage
 from skimage.draw import polygon
 
-from trinoc.geometry import Camera, Rig, project
-from trinoc.match.tracks import Matches
-from trinoc.match.tuning import DEFAULT, DepthTuning, MatchTuning
-from trinoc.numerics import in_float64
+from trinoc.geometry.camera import Camera, project
+from trinoc.geometry.rig import Rig
+from trinoc.match.tracks.matches import Matches
+from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
+from trinoc.match.tuning.line_map import DepthTuning
+from trinoc.numerics.precision import in_float64
 
 
 @in_float64

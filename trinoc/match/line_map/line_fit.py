@@ -10,10 +10,18 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.geometry import Rig, distances_from_line, project_with_jacobian, undistort_pixels
-from trinoc.match.tracks import Matches, positions_abreast, typical_misfit
-from trinoc.match.tuning import DEFAULT, CollinearTuning, TrackTuning
-from trinoc.numerics import Residuals, ScaleMixture, axes_across, gauss_newton, whitening
+from trinoc.geometry.intrinsics import undistort_pixels
+from trinoc.geometry.projection import distances_from_line, project_with_jacobian
+from trinoc.geometry.rig import Rig
+from trinoc.match.tracks.assembly import typical_misfit
+from trinoc.match.tracks.line_fit import positions_abreast
+from trinoc.match.tracks.matches import Matches
+from trinoc.match.tuning.every_group import DEFAULT
+from trinoc.match.tuning.line_map import CollinearTuning
+from trinoc.match.tuning.tracks import TrackTuning
+from trinoc.numerics.robust_loss import ScaleMixture
+from trinoc.numerics.small_least_squares import Residuals, gauss_newton, whitening
+from trinoc.numerics.vectors import axes_across
 
 # Gauss-Newton steps.
 STEPS = 4

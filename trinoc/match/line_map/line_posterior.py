@@ -14,8 +14,9 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from trinoc.match.line_map.line_fit import LineFragments, line_residuals
-from trinoc.match.tuning import DEFAULT, CollinearTuning
-from trinoc.numerics import axes_across
+from trinoc.match.tuning.every_group import DEFAULT
+from trinoc.match.tuning.line_map import CollinearTuning
+from trinoc.numerics.vectors import axes_across
 
 # Of lines of more segments than this, factors are tried that differ from the likeliest in two.
 ALL_FACTORS_TO = 4

@@ -1,5 +1,1 @@
 """The caller's segments and rig, checked, undistorted, ordered, in padded tables; the clutter."""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

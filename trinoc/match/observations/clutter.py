@@ -7,8 +7,10 @@ from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
 from trinoc.match.observations.table import SegmentTable
-from trinoc.match.tuning import DEFAULT, ClutterTuning
-from trinoc.numerics import ArrayLike, group_medians, group_sums
+from trinoc.match.tuning.every_group import DEFAULT
+from trinoc.match.tuning.evidence import ClutterTuning
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.joins import group_medians, group_sums
 
 # Of frames with so many segments at most, all distances are computed: sooner than by a tree.
 _FEW = 512

@@ -13,7 +13,9 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.errors import InputError
-from trinoc.geometry import Camera, Pose, Rig
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.pose import Pose
+from trinoc.geometry.rig import Rig
 
 # Rays from each side of a picture, over all of it.
 RAYS = 9

@@ -15,20 +15,16 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from trinoc.errors import MatchError
-from trinoc.geometry import (
-    DEFAULT_SIGMA_PX,
-    Intrinsics,
-    Rig,
-    Segments,
-    at_one_place,
-    covariance_of_ends,
-    undistort_pixels,
-)
+from trinoc.geometry.intrinsics import Intrinsics, undistort_pixels
+from trinoc.geometry.rig import Rig, at_one_place
+from trinoc.geometry.segments import DEFAULT_SIGMA_PX, Segments, covariance_of_ends
 from trinoc.match.observations.common_view import check_not_mirrored
 from trinoc.match.observations.side_intensity import side_table
 from trinoc.match.observations.table import SegmentTable, segment_table
-from trinoc.match.tuning import DEFAULT, SideTuning
-from trinoc.numerics import ArrayLike, bucket, padded
+from trinoc.match.tuning.every_group import DEFAULT
+from trinoc.match.tuning.evidence import SideTuning
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.buckets import bucket, padded
 
 # Two views of a scene may have one segment at the same place by chance, but not all of so many.
 FEWEST_TO_TELL = 3

@@ -5,8 +5,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from trinoc.errors import InputError
-from trinoc.geometry import Rig, Segments
-from trinoc.numerics import ArrayLike
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.segments import Segments
+from trinoc.numerics.arrays import ArrayLike
 
 
 def as_segments(given: Segments | ArrayLike) -> Segments:

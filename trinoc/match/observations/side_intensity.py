@@ -7,7 +7,8 @@ from jaxtyping import Float
 from scipy.ndimage import gaussian_filter, gaussian_filter1d
 from scipy.spatial import KDTree
 
-from trinoc.match.tuning import DEFAULT, SideTuning
+from trinoc.match.tuning.every_group import DEFAULT
+from trinoc.match.tuning.evidence import SideTuning
 
 # Ends of the histogram, in hundredths of the range of all levels; what lies beyond counts there.
 _LEAST, _MOST = -10.0, 110.0

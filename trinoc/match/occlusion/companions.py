@@ -14,9 +14,10 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
-from trinoc.match.candidates import Candidates
-from trinoc.match.tuning import MatchTuning, OcclusionTuning
-from trinoc.numerics import broadcast_groups, expand_ranges, group_sums
+from trinoc.match.candidates.table import Candidates
+from trinoc.match.tuning.every_group import MatchTuning
+from trinoc.match.tuning.occlusion import OcclusionTuning
+from trinoc.numerics.joins import broadcast_groups, expand_ranges, group_sums
 
 # What a neighbour is: parallel and beside, or going on from an end.
 BESIDE, CONTINUES = 0, 1

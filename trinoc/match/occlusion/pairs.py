@@ -14,9 +14,12 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.match.candidates import Candidates, in_depth_range
-from trinoc.match.evidence import MixtureParameters, prior_parameters, probability, reach_of_ends
-from trinoc.match.observations import ClutterModel, MatchInput, SegmentTable, segments_per_view
+from trinoc.match.candidates.table import Candidates, in_depth_range
+from trinoc.match.evidence.endpoints import reach_of_ends
+from trinoc.match.evidence.mixture import MixtureParameters, prior_parameters, probability
+from trinoc.match.observations.clutter import ClutterModel
+from trinoc.match.observations.match_input import MatchInput
+from trinoc.match.observations.table import SegmentTable, segments_per_view
 from trinoc.match.occlusion.pairs_alone import pairs_alone
 from trinoc.match.occlusion.possible_pairs import (
     Pairs,
@@ -33,19 +36,18 @@ from trinoc.match.occlusion.solids import (
     tempered_pairs,
     tempered_tracks,
 )
-from trinoc.match.selection import (
+from trinoc.match.selection.junction_support import (
     JunctionParameters,
-    Selection,
-    Tracks,
-    chosen_greedily,
-    conflict_graph,
     endpoint_pairs,
     junction_log_odds,
     prior_junctions,
-    sum_product,
 )
-from trinoc.match.tuning import DEFAULT, MatchTuning
-from trinoc.numerics import ArrayLike, broadcast_groups, concatenate_rows, group_sums
+from trinoc.match.selection.marginals import Selection, Tracks
+from trinoc.match.selection.messages import chosen_greedily, conflict_graph, sum_product
+from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.joins import broadcast_groups, group_sums
+from trinoc.numerics.tables import concatenate_rows
 
 # What is known of each frame before its pairs are judged.
 Rates = tuple[MixtureParameters, JunctionParameters]

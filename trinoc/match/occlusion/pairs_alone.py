@@ -18,8 +18,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from trinoc.match.candidates import Candidates
-from trinoc.match.evidence import (
+from trinoc.match.candidates.table import Candidates
+from trinoc.match.evidence.mixture import (
     MixtureParameters,
     Volume,
     log_place,
@@ -36,16 +36,15 @@ from trinoc.match.occlusion.possible_pairs import (
     log_ends,
 )
 from trinoc.match.occlusion.solids import Bodies, see_through_share, tempered_pairs
-from trinoc.match.selection import (
+from trinoc.match.selection.junction_support import (
     JunctionParameters,
-    chosen_greedily,
-    conflict_graph,
     endpoint_pairs,
     junction_log_odds,
-    sum_product,
 )
-from trinoc.match.tuning import MatchTuning, OcclusionTuning
-from trinoc.numerics import broadcast_groups, group_sums, take_groups
+from trinoc.match.selection.messages import chosen_greedily, conflict_graph, sum_product
+from trinoc.match.tuning.every_group import MatchTuning
+from trinoc.match.tuning.occlusion import OcclusionTuning
+from trinoc.numerics.joins import broadcast_groups, group_sums, take_groups
 
 # Shares of a line's weight in its own bin of a profile and in each of the two beside it.
 _OWN, _BESIDE = 0.5, 0.25

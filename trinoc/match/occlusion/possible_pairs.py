@@ -14,31 +14,27 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.match.candidates import Candidates, candidates_at
-from trinoc.match.evidence import (
-    MixtureParameters,
-    log_place,
-    log_sides,
-    pair_evidence,
+from trinoc.match.candidates.table import Candidates, candidates_at
+from trinoc.match.evidence.mixture import MixtureParameters, log_place, log_sides
+from trinoc.match.evidence.triple_position import pair_evidence
+from trinoc.match.observations.clutter import ClutterModel
+from trinoc.match.observations.table import TRIPLES_IN_BLOCK, SegmentTable, block_of
+from trinoc.match.selection.messages import affordable, claimed
+from trinoc.match.tuning.candidates import CandidateTuning
+from trinoc.match.tuning.every_group import MatchTuning
+from trinoc.match.tuning.evidence import EndTuning, EvidenceTuning
+from trinoc.match.two_view.epipolar_pencil import (
+    Pencil,
+    pairs_sharing_planes,
+    pencil,
+    pencil_of,
+    row_of,
 )
-from trinoc.match.observations import (
-    TRIPLES_IN_BLOCK,
-    ClutterModel,
-    SegmentTable,
-    block_of,
-)
-from trinoc.match.selection import affordable, claimed
-from trinoc.match.tuning import CandidateTuning, EndTuning, EvidenceTuning, MatchTuning
-from trinoc.match.two_view import Pencil, pairs_sharing_planes, pencil, pencil_of, row_of
-from trinoc.numerics import (
-    ArrayLike,
-    as_columns,
-    broadcast_groups,
-    kept_jit,
-    select_in_blocks,
-    split_columns,
-    take_rows,
-)
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.buckets import as_columns, select_in_blocks, split_columns
+from trinoc.numerics.joins import broadcast_groups
+from trinoc.numerics.programs import kept_jit
+from trinoc.numerics.tables import take_rows
 
 # About as many pairs are held at a time.
 PAIRS_AT_A_TIME = 1 << 17

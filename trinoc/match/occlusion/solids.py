@@ -17,11 +17,13 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from trinoc.match.evidence import probability, temper
-from trinoc.match.observations import SegmentTable
-from trinoc.match.selection import Selection, Tracks
-from trinoc.match.tuning import EvidenceTuning, MatchTuning, OcclusionTuning
-from trinoc.numerics import broadcast_groups
+from trinoc.match.evidence.mixture import probability, temper
+from trinoc.match.observations.table import SegmentTable
+from trinoc.match.selection.marginals import Selection, Tracks
+from trinoc.match.tuning.every_group import MatchTuning
+from trinoc.match.tuning.evidence import EvidenceTuning
+from trinoc.match.tuning.occlusion import OcclusionTuning
+from trinoc.numerics.joins import broadcast_groups
 
 
 def see_through_share(

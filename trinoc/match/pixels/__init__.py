@@ -3,7 +3,3 @@
 `guide.py` asks every picture where matched lines must be, which finds what no search of one picture
 alone does; `measure.py` fits lines to the pixels beside them.
 """
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.image import height_of_step, log_parabola
+from trinoc.image.step_edge import height_of_step, log_parabola
 from trinoc.match.pixels.probes import BLOCKS, SHOULDER
 
 # What one block may say for or against an edge that goes on, log likelihood.

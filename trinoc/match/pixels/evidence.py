@@ -26,7 +26,8 @@ from trinoc.match.pixels.probes import (
     window_spread,
     windows,
 )
-from trinoc.numerics import normal_limit, take_rows
+from trinoc.numerics.tables import take_rows
+from trinoc.numerics.tails import normal_limit
 
 # Score above which an edge is no surer for being stronger: the nearest of such is the line's own.
 _SURE = 8.0

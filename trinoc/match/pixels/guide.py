@@ -7,27 +7,27 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Shaped
 
-from trinoc.geometry import Rig, Segments, distort_pixels
-from trinoc.match.observations import check_pictures, segments_of_views
+from trinoc.geometry.intrinsics import distort_pixels
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.segments import Segments
+from trinoc.match.observations.pictures_of_views import check_pictures, segments_of_views
 from trinoc.match.pixels.new_lines import with_new_lines
 from trinoc.match.pixels.prolong import prolonged
 from trinoc.match.pixels.state import State, start_of, tables_of, turned_round
 from trinoc.match.pixels.views import PictureInput, picture_inputs, with_usual_width
-from trinoc.match.tracks import (
-    BINOCULAR,
-    TRINOCULAR,
-    Matches,
+from trinoc.match.tracks.assembly import flag_viewpoint_dependent
+from trinoc.match.tracks.line_fit import (
     common_ends,
-    degrees_of_misfit,
     ending_view,
-    flag_viewpoint_dependent,
     fragments_of,
     interval_of,
-    scaled_across,
-    variance_factor,
 )
-from trinoc.match.tuning import DEFAULT, GuidedTuning, MatchTuning
-from trinoc.numerics import ArrayLike, in_float64
+from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, Matches
+from trinoc.match.tracks.unequal_errors import degrees_of_misfit, scaled_across, variance_factor
+from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
+from trinoc.match.tuning.guided import GuidedTuning
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.precision import in_float64
 
 MATCHED = "matched"
 

@@ -5,8 +5,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from trinoc.geometry import Intrinsics, Segments, project_by_matrix, undistort_pixels
-from trinoc.match.tracks import Matches
+from trinoc.geometry.intrinsics import Intrinsics, undistort_pixels
+from trinoc.geometry.projection import project_by_matrix
+from trinoc.geometry.segments import Segments
+from trinoc.match.tracks.matches import Matches
 
 
 class LineImages(NamedTuple):

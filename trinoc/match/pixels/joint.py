@@ -7,14 +7,14 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
-from trinoc.geometry import project_by_matrix, project_with_jacobian
+from trinoc.geometry.projection import project_by_matrix, project_with_jacobian
 from trinoc.match.pixels.partners import Hypotheses
 from trinoc.match.pixels.probes import REACH
 from trinoc.match.pixels.state import State
 from trinoc.match.pixels.views import Answer, PictureInput, ask
-from trinoc.match.tracks import positions_abreast
-from trinoc.match.tuning import GuidedTuning
-from trinoc.numerics import take_rows
+from trinoc.match.tracks.line_fit import positions_abreast
+from trinoc.match.tuning.guided import GuidedTuning
+from trinoc.numerics.tables import take_rows
 
 
 class Asked(NamedTuple):

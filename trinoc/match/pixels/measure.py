@@ -7,24 +7,24 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Shaped
 
-from trinoc.geometry import Rig, Segments, distances_from_line, distort_pixels, undistort_pixels
-from trinoc.image import Light, ResponseLike
-from trinoc.match.observations import check_pictures, segments_of_views
+from trinoc.geometry.intrinsics import distort_pixels, undistort_pixels
+from trinoc.geometry.projection import distances_from_line
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.segments import Segments
+from trinoc.image.light import Light
+from trinoc.image.response import ResponseLike
+from trinoc.match.observations.pictures_of_views import check_pictures, segments_of_views
 from trinoc.match.pixels.images import LineImages, line_images, offset_at
 from trinoc.match.pixels.tuning import DEFAULT, PixelTuning
 from trinoc.match.pixels.view_fit import PIXELS, ViewFit, fit_view
-from trinoc.match.tracks import Matches, degrees_of_misfit, learned_tail, variance_factor
-from trinoc.match.tuning import NoiseTuning
-from trinoc.numerics import (
-    ArrayLike,
-    Residuals,
-    axes_across,
-    chi_square_limit,
-    chi_square_tail,
-    gauss_newton,
-    in_float64,
-    whitening,
-)
+from trinoc.match.tracks.matches import Matches
+from trinoc.match.tracks.unequal_errors import degrees_of_misfit, learned_tail, variance_factor
+from trinoc.match.tuning.selection import NoiseTuning
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.precision import in_float64
+from trinoc.numerics.small_least_squares import Residuals, gauss_newton, whitening
+from trinoc.numerics.tails import chi_square_limit, chi_square_tail
+from trinoc.numerics.vectors import axes_across
 
 
 @in_float64

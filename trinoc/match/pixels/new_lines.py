@@ -13,15 +13,16 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
-from trinoc.geometry import distort_pixels, project_by_matrix
+from trinoc.geometry.intrinsics import distort_pixels
+from trinoc.geometry.projection import project_by_matrix
 from trinoc.match.pixels.joint import Proposals, asked, proposals_of
 from trinoc.match.pixels.partners import Hypotheses, corners_of, ends_of, hypotheses_of, mm_per_px
 from trinoc.match.pixels.probes import REACH
 from trinoc.match.pixels.state import State, Tracks, refitted, tables_of, with_segments
 from trinoc.match.pixels.views import PictureInput
-from trinoc.match.tracks import direction_doubt
-from trinoc.match.tuning import GuidedTuning
-from trinoc.numerics import concatenate_rows, take_rows
+from trinoc.match.tracks.assembly import direction_doubt
+from trinoc.match.tuning.guided import GuidedTuning
+from trinoc.numerics.tables import concatenate_rows, take_rows
 
 LOOKS = 16
 # One place counts so many standard deviations of noise at most.

@@ -7,8 +7,9 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
 from trinoc.match.pixels.state import State
-from trinoc.match.tuning import GuidedTuning
-from trinoc.numerics import concatenate_rows, group_labels, take_rows
+from trinoc.match.tuning.guided import GuidedTuning
+from trinoc.numerics.joins import group_labels
+from trinoc.numerics.tables import concatenate_rows, take_rows
 
 
 class Ends(NamedTuple):

@@ -10,9 +10,10 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Shaped
 
-from trinoc.geometry import Intrinsics, distort_pixels
-from trinoc.image import Light, levels_between
-from trinoc.numerics import MAD_TO_SIGMA
+from trinoc.geometry.intrinsics import Intrinsics, distort_pixels
+from trinoc.image.light import Light
+from trinoc.image.strip import levels_between
+from trinoc.numerics.tails import MAD_TO_SIGMA
 
 # Standard deviation of the smoothing, px: with the blur of usual pictures the profile of an edge is
 # some 1.5 px wide.

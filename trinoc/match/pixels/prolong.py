@@ -7,12 +7,12 @@ better than any projection. A segment is lengthened no further than a second vie
 import numpy as np
 from jaxtyping import Bool, Float
 
-from trinoc.geometry import project_by_matrix
+from trinoc.geometry.projection import project_by_matrix
 from trinoc.match.pixels.partners import ends_of
 from trinoc.match.pixels.state import State, ViewSegments, refitted, with_view
 from trinoc.match.pixels.views import Answer, PictureInput, ask
-from trinoc.match.tracks import positions_abreast
-from trinoc.match.tuning import GuidedTuning
+from trinoc.match.tracks.line_fit import positions_abreast
+from trinoc.match.tuning.guided import GuidedTuning
 
 
 def prolonged(

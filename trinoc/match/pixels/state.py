@@ -6,9 +6,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.geometry import Intrinsics, Rig, Segments, undistort_pixels
-from trinoc.match.observations import (
-    SIDE_COLUMNS,
+from trinoc.geometry.intrinsics import Intrinsics, undistort_pixels
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.segments import Segments
+from trinoc.match.observations.match_input import (
     CamerasInput,
     FrameInput,
     MatchInput,
@@ -16,7 +17,9 @@ from trinoc.match.observations import (
     stacked_frames,
     with_noise_scale,
 )
-from trinoc.match.tracks import Matches, common_ends, lines_in_space, reach_of
+from trinoc.match.observations.side_intensity import SIDE_COLUMNS
+from trinoc.match.tracks.line_fit import common_ends, lines_in_space, reach_of
+from trinoc.match.tracks.matches import Matches
 
 
 class ViewSegments(NamedTuple):

@@ -6,17 +6,14 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.image import BlockFit, fit_block
+from trinoc.image.step_edge import BlockFit, fit_block
 from trinoc.match.pixels.strips import Strips, outward
 from trinoc.match.pixels.tuning import PixelTuning
-from trinoc.numerics import (
-    ArrayLike,
-    NormalEquations,
-    group_medians,
-    group_sums,
-    in_blocks,
-    kept_jit,
-)
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.buckets import in_blocks
+from trinoc.numerics.joins import group_medians, group_sums
+from trinoc.numerics.programs import kept_jit
+from trinoc.numerics.small_least_squares import NormalEquations
 
 BLOCKS_AT_ONCE = 64
 _STEPS = 7

@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.geometry import Intrinsics, distort_pixels, undistort_pixels
-from trinoc.image import levels_of, pixels_across
+from trinoc.geometry.intrinsics import Intrinsics, distort_pixels, undistort_pixels
+from trinoc.image.strip import levels_of, pixels_across
 from trinoc.match.pixels.images import LineImages
 from trinoc.match.pixels.tuning import PixelTuning
 

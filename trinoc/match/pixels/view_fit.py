@@ -5,13 +5,13 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Shaped
 
-from trinoc.geometry import Intrinsics
-from trinoc.image import Light
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.image.light import Light
 from trinoc.match.pixels.images import LineImages
 from trinoc.match.pixels.strip_fit import StripFit, fit_strips
 from trinoc.match.pixels.strips import Strips, owners_of, strips_of
 from trinoc.match.pixels.tuning import PixelTuning
-from trinoc.numerics import MAD_TO_SIGMA
+from trinoc.numerics.tails import MAD_TO_SIGMA
 
 PIXELS = "pixels"
 SHORT, NEIGHBOURS, FAINT = "too short", "neighbours", "too faint"

@@ -6,7 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int, Shaped
 
-from trinoc.geometry import Intrinsics, Rig
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.rig import Rig
 from trinoc.match.pixels.edge_piece import Place
 from trinoc.match.pixels.evidence import Evidence, evidence_along
 from trinoc.match.pixels.probes import (
@@ -24,7 +25,8 @@ from trinoc.match.pixels.probes import (
     step_of,
     window_scores,
 )
-from trinoc.numerics import MAD_TO_SIGMA, concatenate_rows, log_normal_tail, log_student_tail
+from trinoc.numerics.tables import concatenate_rows
+from trinoc.numerics.tails import MAD_TO_SIGMA, log_normal_tail, log_student_tail
 
 # Probes at once, so that what is read of the picture stays near the processor.
 AT_ONCE = 128

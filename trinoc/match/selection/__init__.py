@@ -2,7 +2,3 @@
 
 messages (who excludes whom; sum-product) and junction_support (who meets whom in space), joined in
 marginals."""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -10,10 +10,12 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
-from trinoc.match.candidates import Candidates
-from trinoc.match.evidence import log_gap_density, passing
-from trinoc.match.tuning import DEFAULT, EvidenceTuning, JunctionTuning
-from trinoc.numerics import (
+from trinoc.match.candidates.table import Candidates
+from trinoc.match.evidence.junction_geometry import log_gap_density, passing
+from trinoc.match.tuning.every_group import DEFAULT
+from trinoc.match.tuning.evidence import EvidenceTuning
+from trinoc.match.tuning.selection import JunctionTuning
+from trinoc.numerics.joins import (
     broadcast_groups,
     expand_ranges,
     group_medians,

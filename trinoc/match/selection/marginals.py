@@ -13,8 +13,13 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from trinoc.match.candidates import Candidates, prior_log_odds
-from trinoc.match.evidence import MixtureParameters, em_step, prior_parameters, probability
+from trinoc.match.candidates.table import Candidates, prior_log_odds
+from trinoc.match.evidence.mixture import (
+    MixtureParameters,
+    em_step,
+    prior_parameters,
+    probability,
+)
 from trinoc.match.selection.junction_support import (
     JunctionParameters,
     endpoint_pairs,
@@ -29,8 +34,10 @@ from trinoc.match.selection.messages import (
     conflict_graph,
     sum_product,
 )
-from trinoc.match.tuning import DEFAULT, MatchTuning, NoiseTuning
-from trinoc.numerics import broadcast_groups, group_medians, take_rows
+from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
+from trinoc.match.tuning.selection import NoiseTuning
+from trinoc.numerics.joins import broadcast_groups, group_medians
+from trinoc.numerics.tables import take_rows
 
 
 class Selection(NamedTuple):

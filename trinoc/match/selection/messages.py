@@ -17,8 +17,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.match.tuning import DEFAULT, SelectionTuning
-from trinoc.numerics import ArrayLike, bucket, expand_ranges, padded, pairs_of_equal_keys
+from trinoc.match.tuning.every_group import DEFAULT
+from trinoc.match.tuning.selection import SelectionTuning
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.buckets import bucket, padded
+from trinoc.numerics.joins import expand_ranges, pairs_of_equal_keys
 
 
 class ConflictGraph(NamedTuple):

@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
-from trinoc.geometry import distort_pixels
-from trinoc.match.evidence import probability
-from trinoc.match.observations import FrameInput, MatchInput
+from trinoc.geometry.intrinsics import distort_pixels
+from trinoc.match.evidence.mixture import probability
+from trinoc.match.observations.match_input import FrameInput, MatchInput
 from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, Matches
 from trinoc.match.tracks.unequal_errors import (
     degrees_of_misfit,
@@ -17,7 +17,9 @@ from trinoc.match.tracks.unequal_errors import (
     scaled_across,
     variance_factor,
 )
-from trinoc.match.tuning import DEFAULT, NoiseTuning, TrackTuning
+from trinoc.match.tuning.every_group import DEFAULT
+from trinoc.match.tuning.selection import NoiseTuning
+from trinoc.match.tuning.tracks import TrackTuning
 
 # Centres lie on a line where they are off it by less than this share of their spread along it.
 ON_A_LINE = 0.05

@@ -18,10 +18,11 @@ from itertools import combinations
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
-from trinoc.geometry import project_by_matrix
-from trinoc.match.observations import MatchInput, SegmentTable, frames_of, matrices_of
-from trinoc.match.occlusion import Pairs
-from trinoc.match.selection import Selection, Tracks
+from trinoc.geometry.projection import project_by_matrix
+from trinoc.match.observations.match_input import MatchInput
+from trinoc.match.observations.table import SegmentTable, frames_of, matrices_of
+from trinoc.match.occlusion.possible_pairs import Pairs
+from trinoc.match.selection.marginals import Selection, Tracks
 from trinoc.match.tracks.answers import UNLOCATED, Lines, answers, reasons
 from trinoc.match.tracks.line_fit import (
     before_cameras,
@@ -31,18 +32,18 @@ from trinoc.match.tracks.line_fit import (
     reach_of,
 )
 from trinoc.match.tracks.matches import Matches
-from trinoc.match.tuning import DEFAULT, MatchTuning, TrackTuning
-from trinoc.numerics import (
-    blocks,
+from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
+from trinoc.match.tuning.tracks import TrackTuning
+from trinoc.numerics.buckets import blocks
+from trinoc.numerics.joins import (
     broadcast_groups,
-    chi_square_limit,
-    chi_square_quantile,
     expand_ranges,
     group_medians,
     group_sums,
     take_groups,
-    take_rows,
 )
+from trinoc.numerics.tables import take_rows
+from trinoc.numerics.tails import chi_square_limit, chi_square_quantile
 
 
 def assemble(

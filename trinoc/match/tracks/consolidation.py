@@ -12,10 +12,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from trinoc.geometry import project_with_jacobian
-from trinoc.match.candidates import no_candidates
-from trinoc.match.observations import MatchInput, SegmentTable
-from trinoc.match.selection import Selection, Tracks, tracks_of
+from trinoc.geometry.projection import project_with_jacobian
+from trinoc.match.candidates.table import no_candidates
+from trinoc.match.observations.match_input import MatchInput
+from trinoc.match.observations.table import SegmentTable
+from trinoc.match.selection.marginals import Selection, Tracks, tracks_of
 from trinoc.match.tracks.line_fit import (
     FittedTracks,
     before_cameras,
@@ -28,8 +29,8 @@ from trinoc.match.tracks.line_fit import (
     split_off_misfits,
 )
 from trinoc.match.tracks.multiview import merge_triplets
-from trinoc.match.tuning import DEFAULT, MatchTuning
-from trinoc.numerics import concatenate_rows
+from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
+from trinoc.numerics.tables import concatenate_rows
 
 # Nobody's segment.
 FREE = -1

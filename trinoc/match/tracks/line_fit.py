@@ -22,16 +22,15 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.geometry import Segment3D, homogeneous_pixel, project_by_matrix, triangulate_segment
-from trinoc.match.observations import MatchInput, SegmentTable, frames_of, matrices_of
-from trinoc.numerics import (
-    ArrayLike,
-    chi_square_limit,
-    chi_square_tail,
-    in_blocks,
-    kept_jit,
-    take_groups,
-)
+from trinoc.geometry.projection import homogeneous_pixel, project_by_matrix
+from trinoc.geometry.triangulation import Segment3D, triangulate_segment
+from trinoc.match.observations.match_input import MatchInput
+from trinoc.match.observations.table import SegmentTable, frames_of, matrices_of
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.buckets import in_blocks
+from trinoc.numerics.joins import take_groups
+from trinoc.numerics.programs import kept_jit
+from trinoc.numerics.tails import chi_square_limit, chi_square_tail
 
 
 def two_view_span(reach: Float[np.ndarray, "t v 2"]) -> Float[np.ndarray, "t 2"]:

@@ -9,19 +9,23 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
 from trinoc.errors import InputError
-from trinoc.geometry import LineObservations, Wires, line_sigmas
-from trinoc.numerics import (
+from trinoc.geometry.features import Wires
+from trinoc.geometry.line_lengths import line_sigmas
+from trinoc.geometry.segments import LineObservations
+from trinoc.numerics.display import Displayable
+from trinoc.numerics.table_checks import (
     CHI_SQUARE,
     COVARIANCE,
     IN_SCENE,
     LARGEST_PX,
     PROBABILITY,
+    is_covariance,
+)
+from trinoc.numerics.tables import (
     Check,
     Column,
     Content,
-    Displayable,
     Table,
-    is_covariance,
 )
 
 TRINOCULAR, BINOCULAR = "trinocular", "binocular"

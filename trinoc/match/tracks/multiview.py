@@ -11,10 +11,11 @@ from itertools import combinations
 import numpy as np
 from jaxtyping import Float, Int
 
-from trinoc.match.observations import SegmentTable
-from trinoc.match.selection import Tracks
+from trinoc.match.observations.table import SegmentTable
+from trinoc.match.selection.marginals import Tracks
 from trinoc.match.tracks.line_fit import place_on, shared_share
-from trinoc.match.tuning import DEFAULT, MatchTuning, TrackTuning
+from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
+from trinoc.match.tuning.tracks import TrackTuning
 
 
 def view_triplets(

@@ -16,8 +16,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.special import fdtri, gammaln
 
-from trinoc.match.tuning import DEFAULT, NoiseTuning
-from trinoc.numerics import chi_square_quantile, group_sums
+from trinoc.match.tuning.every_group import DEFAULT
+from trinoc.match.tuning.selection import NoiseTuning
+from trinoc.numerics.joins import group_sums
+from trinoc.numerics.tails import chi_square_quantile
 
 # Tails are looked for here. Below the least, errors are normal.
 _LEAST_TAIL, _MOST_TAIL, _TAILS = 1e-3, 1.0, 40

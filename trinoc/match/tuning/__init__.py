@@ -9,7 +9,3 @@ comment says where one was fitted or measured, and on what. Numbers of scales an
 are fixed: tables have a column for each. Block sizes, the layers of the table of cells and
 numerical guards stand where they are used, as no answer should depend on them.
 """
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

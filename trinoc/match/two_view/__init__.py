@@ -1,5 +1,1 @@
 """Two views: the pencil of epipolar planes, the common part of a pair, interpretation planes."""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -22,18 +22,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.match.observations import SegmentTable
-from trinoc.match.tuning import CandidateTuning
-from trinoc.numerics import (
-    ArrayLike,
+from trinoc.match.observations.table import SegmentTable
+from trinoc.match.tuning.candidates import CandidateTuning
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.joins import blocks_of_overlapping, overlapping
+from trinoc.numerics.precision import namespace_of
+from trinoc.numerics.vectors import (
     Scalar,
     Vector3,
     add3,
-    blocks_of_overlapping,
     cross3,
     dot3,
-    namespace_of,
-    overlapping,
     scaled3,
     times_matrix,
     vector3,

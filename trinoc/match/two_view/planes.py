@@ -9,10 +9,11 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Float, Int
 
-from trinoc.geometry import image_of_point
-from trinoc.match.observations import ClutterModel, SegmentTable
-from trinoc.numerics import (
-    ArrayLike,
+from trinoc.geometry.projection import image_of_point
+from trinoc.match.observations.clutter import ClutterModel
+from trinoc.match.observations.table import SegmentTable
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.vectors import (
     Vector3,
     add3,
     between,

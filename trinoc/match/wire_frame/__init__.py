@@ -1,5 +1,1 @@
 """Corners, edges and planar faces as one graph: joined lines and their corners made consistent."""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -13,8 +13,11 @@ from jaxtyping import Float, Int
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from trinoc.match.line_map import Corners, JoinedLines
-from trinoc.numerics import Residuals, axes_across, group_sums, normal_equations, whitening
+from trinoc.match.line_map.corners import Corners
+from trinoc.match.line_map.lines import JoinedLines
+from trinoc.numerics.joins import group_sums
+from trinoc.numerics.small_least_squares import Residuals, normal_equations, whitening
+from trinoc.numerics.vectors import axes_across
 
 
 class Graph(NamedTuple):

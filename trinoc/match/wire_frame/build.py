@@ -6,14 +6,18 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
-from trinoc.geometry import Rig
-from trinoc.match.line_map import JoinedLines, join_collinear, snap_corners
-from trinoc.match.tracks import EVEN, Matches
-from trinoc.match.tuning import DEFAULT, MatchTuning
+from trinoc.geometry.rig import Rig
+from trinoc.match.line_map.collinear_merge import join_collinear
+from trinoc.match.line_map.corners import snap_corners
+from trinoc.match.line_map.lines import JoinedLines
+from trinoc.match.tracks.matches import EVEN, Matches
+from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
 from trinoc.match.wire_frame.adjustment import Adjusted, Graph, adjust_vertices, graph_of
 from trinoc.match.wire_frame.faces import Face, faces_of, fit_plane, flatten_faces
 from trinoc.match.wire_frame.frame import LetGo, Wireframe
-from trinoc.numerics import chi_square_tail, group_sums, in_float64
+from trinoc.numerics.joins import group_sums
+from trinoc.numerics.precision import in_float64
+from trinoc.numerics.tails import chi_square_tail
 
 # Of the variance of an end: less than this share is left where nothing else knows the vertex.
 LEAST_SHARE = 1e-6

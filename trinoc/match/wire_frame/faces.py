@@ -7,16 +7,11 @@ import networkx
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.match.tuning import WireframeTuning
+from trinoc.match.tuning.line_map import WireframeTuning
 from trinoc.match.wire_frame.adjustment import Adjusted
-from trinoc.numerics import (
-    Residuals,
-    axes_across,
-    chi_square_limit,
-    chi_square_tail,
-    gauss_newton,
-    whitening,
-)
+from trinoc.numerics.small_least_squares import Residuals, gauss_newton, whitening
+from trinoc.numerics.tails import chi_square_limit, chi_square_tail
+from trinoc.numerics.vectors import axes_across
 
 # Gauss-Newton steps of a plane.
 STEPS = 2

@@ -6,19 +6,22 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
-from trinoc.geometry import Feature, Wires, line_sigmas
-from trinoc.match.tracks import EVEN
-from trinoc.numerics import (
+from trinoc.geometry.features import Feature, Wires
+from trinoc.geometry.line_lengths import line_sigmas
+from trinoc.match.tracks.matches import EVEN
+from trinoc.numerics.table_checks import (
     COVARIANCE,
     FINITE,
     IN_SCENE,
     PROBABILITY,
+    is_covariance,
+    number_of,
+)
+from trinoc.numerics.tables import (
     Check,
     Column,
     Content,
     Table,
-    is_covariance,
-    number_of,
 )
 
 TWO_VIEWS = 2

@@ -6,10 +6,15 @@ from typing import Any
 
 import numpy as np
 
-from trinoc.calib import CalibrationResult, Pattern, RefineResult
-from trinoc.evaluation import Evaluation
-from trinoc.geometry import Feature, Rig, Segments
-from trinoc.match import TRINOCULAR, Matches, Wireframe
+from trinoc.calib.bundle.result import RefineResult
+from trinoc.calib.result.calibration import CalibrationResult
+from trinoc.calib.targets.pattern import Pattern
+from trinoc.evaluation.evaluation import Evaluation
+from trinoc.geometry.features import Feature
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.segments import Segments
+from trinoc.match.tracks.matches import TRINOCULAR, Matches
+from trinoc.match.wire_frame.frame import Wireframe
 from trinoc.report import plot
 from trinoc.report.colours import BLACK, BLUE, GREEN, VERMILION
 from trinoc.report.notebook.extras import expect_extra

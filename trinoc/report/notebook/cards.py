@@ -5,11 +5,16 @@ from html import escape
 
 import numpy as np
 
-from trinoc.calib import CalibrationResult, Pattern, RefineResult
-from trinoc.evaluation import Evaluation
-from trinoc.geometry import Feature, Rig, Segments
-from trinoc.match import BINOCULAR, TRINOCULAR, Matches, Wireframe
-from trinoc.numerics import Table
+from trinoc.calib.bundle.result import RefineResult
+from trinoc.calib.result.calibration import CalibrationResult
+from trinoc.calib.targets.pattern import Pattern
+from trinoc.evaluation.evaluation import Evaluation
+from trinoc.geometry.features import Feature
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.segments import Segments
+from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, Matches
+from trinoc.match.wire_frame.frame import Wireframe
+from trinoc.numerics.tables import Table
 from trinoc.report.colours import BLUE, GREEN, VERMILION
 from trinoc.report.notebook.tables import columns_of
 from trinoc.report.numbers import with_decimals, with_sigma

@@ -5,10 +5,14 @@ from typing import Any
 
 import numpy as np
 
-from trinoc.calib import CalibrationResult, Pattern, RefineResult
-from trinoc.evaluation import Evaluation
-from trinoc.geometry import Feature, Rig, Segments
-from trinoc.match import Matches
+from trinoc.calib.bundle.result import RefineResult
+from trinoc.calib.result.calibration import CalibrationResult
+from trinoc.calib.targets.pattern import Pattern
+from trinoc.evaluation.evaluation import Evaluation
+from trinoc.geometry.features import Feature
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.segments import Segments
+from trinoc.match.tracks.matches import Matches
 from trinoc.report.colours import BLACK, COLOUR_OF_ROLE
 from trinoc.report.features_part import features_figure
 from trinoc.report.notebook.extras import expect_extra

@@ -5,10 +5,12 @@ from typing import Any
 
 import numpy as np
 
-from trinoc.calib import CalibrationResult, Pattern, RefineResult
-from trinoc.evaluation import Evaluation
-from trinoc.geometry import Rig
-from trinoc.numerics import Table
+from trinoc.calib.bundle.result import RefineResult
+from trinoc.calib.result.calibration import CalibrationResult
+from trinoc.calib.targets.pattern import Pattern
+from trinoc.evaluation.evaluation import Evaluation
+from trinoc.geometry.rig import Rig
+from trinoc.numerics.tables import Table
 from trinoc.report.parameter_table import shown_parameters
 
 Columns = dict[str, Any]

@@ -2,7 +2,3 @@
 
 thinning -> chains -> runs -> line_fit -> accept -> errors, saturated_edges -> endpoints.
 Source: R. Nevatia, K. R. Babu, "Linear feature extraction and description" (1980)."""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

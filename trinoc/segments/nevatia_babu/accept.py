@@ -21,8 +21,8 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.image import nearest_levels
-from trinoc.numerics import near_pairs
+from trinoc.image.strip import nearest_levels
+from trinoc.numerics.joins import near_pairs
 from trinoc.segments.nevatia_babu.line_fit import FittedLines
 from trinoc.segments.nevatia_babu.runs import Runs
 from trinoc.segments.tuning import DEFAULT, AcceptTuning, ErrorTuning

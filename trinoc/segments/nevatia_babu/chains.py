@@ -10,7 +10,7 @@ import functools
 import numpy as np
 from jaxtyping import Float, Int
 
-from trinoc.numerics import group_labels, largest, members
+from trinoc.numerics.joins import group_labels, largest, members
 from trinoc.segments.nevatia_babu.thinning import ThinnedPixels
 
 REACH_PX = 2

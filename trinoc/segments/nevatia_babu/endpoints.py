@@ -5,7 +5,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from trinoc.numerics import cross_2d, distinct, near_pairs, take_rows
+from trinoc.numerics.joins import distinct, near_pairs
+from trinoc.numerics.tables import take_rows
+from trinoc.numerics.vectors import cross_2d
 from trinoc.segments.tuning import DEFAULT, EndTuning
 
 _SAMPLE_PX = 3.0

@@ -12,8 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int, Shaped
 
-from trinoc.image import Light, nearest_levels
-from trinoc.numerics import distinct, members, point_tree
+from trinoc.image.light import Light
+from trinoc.image.strip import nearest_levels
+from trinoc.numerics.joins import distinct, members, point_tree
 from trinoc.segments.nevatia_babu.accept import BOW_OF_MIDDLE, Shifts
 from trinoc.segments.nevatia_babu.endpoints import line_samples
 from trinoc.segments.nevatia_babu.line_fit import FittedLines

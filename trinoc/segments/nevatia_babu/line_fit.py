@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from trinoc.image import height_of_step
-from trinoc.numerics import near_pairs
+from trinoc.image.step_edge import height_of_step
+from trinoc.numerics.joins import near_pairs
 from trinoc.segments.nevatia_babu.chains import ordered_chains
 from trinoc.segments.nevatia_babu.endpoints import Pieces
 from trinoc.segments.nevatia_babu.runs import Runs

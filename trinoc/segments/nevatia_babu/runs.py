@@ -12,8 +12,10 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
-from trinoc.image import Light, level_noise, peak_of_slope
-from trinoc.numerics import members
+from trinoc.image.light import Light
+from trinoc.image.noise import level_noise
+from trinoc.image.step_edge import peak_of_slope
+from trinoc.numerics.joins import members
 from trinoc.segments.nevatia_babu.chains import ordered_chains, split_chains, successors
 from trinoc.segments.nevatia_babu.thinning import (
     GradientKernel,

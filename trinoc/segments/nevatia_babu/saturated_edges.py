@@ -13,8 +13,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.special import ndtri
 
-from trinoc.image import Light, fit_profiles, levels_of, pixels_across
-from trinoc.numerics import take_rows
+from trinoc.image.light import Light
+from trinoc.image.step_edge import fit_profiles
+from trinoc.image.strip import levels_of, pixels_across
+from trinoc.numerics.tables import take_rows
 from trinoc.segments.nevatia_babu.accept import Shifts
 from trinoc.segments.nevatia_babu.errors import ErrorModel
 from trinoc.segments.nevatia_babu.line_fit import FittedLines

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.image import peak_of_slope
+from trinoc.image.step_edge import peak_of_slope
 
 MASK_ANGLES_DEG = (0, 30, 60, 90, 120, 150)
 _BINOMIAL = np.array([0.25, 0.5, 0.25], np.float32)

@@ -14,7 +14,3 @@ physics, in the order in which they act. One file holds one of them:
 9. `delivery`            sharpening, rounding to bits, JPEG
 
 `render` runs them one after the other; its `Condition` is how a picture is taken."""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -5,7 +5,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import ndtr
 
-from trinoc.geometry import Camera
+from trinoc.geometry.camera import Camera
 from trinoc.synth.camera_picture.sheet_view import pixel_grid_px
 
 

@@ -4,7 +4,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Shaped
 
-from trinoc.geometry import Camera
+from trinoc.geometry.camera import Camera
 from trinoc.synth.camera_picture.delivery import Processing, delivered
 from trinoc.synth.camera_picture.layers import Layer
 from trinoc.synth.camera_picture.light import Light

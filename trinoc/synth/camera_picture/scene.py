@@ -8,7 +8,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.geometry import Camera
+from trinoc.geometry.camera import Camera
 from trinoc.synth.camera_picture.layers import Layer
 from trinoc.synth.camera_picture.light import Light, light_on_sheet, passed_by_lens, reflection
 from trinoc.synth.camera_picture.paper import Paper, PrintedSheet

@@ -13,8 +13,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from trinoc.geometry import Camera, depth_mm, project, sheet_from_pixel, viewing_direction
-from trinoc.numerics import ArrayLike, in_float64
+from trinoc.geometry.camera import (
+    Camera,
+    depth_mm,
+    project,
+    sheet_from_pixel,
+    viewing_direction,
+)
+from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.precision import in_float64
 from trinoc.synth.camera_picture.paper import Paper
 
 _CHUNK = 16384

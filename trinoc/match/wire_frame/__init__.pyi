@@ -1,2 +1,0 @@
-from .build import wireframe as wireframe
-from .frame import LetGo as LetGo, Wireframe as Wireframe
