@@ -1,0 +1,68 @@
+"""Tuned numbers of `segments`, `match` and `calib` stand in the tuning of their room."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+import trinoc
+
+ROOT = Path(trinoc.__file__).parent
+# Parts whose numbers are not yet in order.
+NOT_YET = {
+    "segments",
+    *(f"match/{path.parent.name}" for path in (ROOT / "match").glob("*/__init__.py")),
+    *(f"calib/{path.parent.name}" for path in (ROOT / "calib").glob("*/__init__.py")),
+    *("match", "calib"),
+}
+MARK = "# numerical:"
+
+
+def parts():
+    """(name, files) of `segments`, and of the inner rooms and the loose files of `match`, `calib`."""
+    yield "segments", sorted((ROOT / "segments").rglob("*.py"))
+    for room in ("match", "calib"):
+        yield room, sorted((ROOT / room).glob("*.py"))
+        for inner in sorted(path.parent for path in (ROOT / room).glob("*/__init__.py")):
+            yield f"{room}/{inner.name}", sorted(inner.rglob("*.py"))
+
+
+PARTS = {name: files for name, files in parts() if not name.endswith("/tuning")}
+
+
+def has_number(node):
+    """Is there a number in an expression that is evaluated when the file is imported?"""
+    return any(
+        isinstance(each, ast.Constant)
+        and isinstance(each.value, int | float)
+        and not isinstance(each.value, bool)
+        for each in ast.walk(node)
+        if not isinstance(each, ast.Subscript)
+    )
+
+
+def is_marked(lines, node):
+    """A comment that ends above it, or stands behind it, says that a number is arithmetic."""
+    if any(MARK in line for line in lines[node.lineno - 1 : node.end_lineno]):
+        return True
+    above = node.lineno - 2
+    while above >= 0 and lines[above].lstrip().startswith("#"):
+        if MARK in lines[above]:
+            return True
+        above -= 1
+    return False
+
+
+@pytest.mark.parametrize("part", [part for part in PARTS if part not in NOT_YET])
+def test_a_number_stands_in_tuning_or_is_marked_as_numerical(part):
+    wrong = []
+    for path in PARTS[part]:
+        if path.name == "tuning.py":
+            continue
+        text = path.read_text(encoding="utf-8")
+        for node in ast.parse(text).body:
+            if not isinstance(node, ast.Assign | ast.AnnAssign) or node.value is None:
+                continue
+            if has_number(node.value) and not is_marked(text.splitlines(), node):
+                wrong.append(f"{path.relative_to(ROOT)}:{node.lineno} {ast.unparse(node)[:70]}")
+    assert wrong == []
