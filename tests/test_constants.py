@@ -19,7 +19,7 @@ MARK = "# numerical:"
 
 
 def parts():
-    """(name, files) of `segments`, and of the inner rooms and the loose files of `match`, `calib`."""
+    """(name, files): `segments`; inner rooms and loose files of `match` and `calib`."""
     yield "segments", sorted((ROOT / "segments").rglob("*.py"))
     for room in ("match", "calib"):
         yield room, sorted((ROOT / room).glob("*.py"))

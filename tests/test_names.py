@@ -1,4 +1,4 @@
-"""Names as docs/conventions.md asks: functions are verbs or nouns with an object, never participles."""
+"""Names as docs/conventions.md asks: functions are verbs or nouns, never participles."""
 
 import ast
 import re
