@@ -1,5 +1,4 @@
 from . import calib as calib, errors as errors, io as io, match as match, segments as segments
-from .batch.results import load_recording as load_recording
 from .batch.run import match_recording as match_recording
 from .calib.bundle.refinement import refine as refine
 from .calib.from_images import calibrate as calibrate
@@ -18,6 +17,7 @@ from .geometry.intrinsics import Intrinsics as Intrinsics
 from .geometry.rig import Rig as Rig
 from .geometry.segments import Segments as Segments
 from .io.pattern_json import load_pattern as load_pattern
+from .io.recordings import load_recording as load_recording
 from .io.rig_json import load_rig as load_rig
 from .io.saving import load as load, load_matches as load_matches, save as save
 from .io.segment_table import load_segments as load_segments

@@ -93,7 +93,7 @@ def test_every_frame_has_its_matches_or_its_reason(recording, tmp_path, quick):
     assert (outcome.frames, outcome.failed, outcome.earlier) == (FRAMES, 2, 0)
     assert [progress.done for progress in seen] == sorted(progress.done for progress in seen)
     assert (seen[0].done, seen[-1]) == (0, (FRAMES, 2, FRAMES))
-    found = trinoc.load_recording(tmp_path / "out")
+    found = trinoc.load(tmp_path / "out")
     assert list(found) == [str(k) for k in range(FRAMES)]
     for name, matches in found.items():
         assert (matches is None) == (name in found.failures)

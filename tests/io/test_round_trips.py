@@ -8,14 +8,20 @@ import pytest
 from hypothesis import given, settings
 
 import trinoc
+from tests.io.made_cylinders import made_cylinders
+from tests.io.made_rims import made_rims
+from tests.io.made_wireframe import made_wireframe
 from tests.io.strategies import lenses, match_sets, rigs, segment_sets
-from tests.io.valid_files import made_detection
+from tests.io.valid_files import RIG, made_detection, measured
+from trinoc.calib.targets.board_set import BoardSet
 from trinoc.errors import InputError
 from trinoc.io import load_frames, load_intrinsics
+from trinoc.io.demo import demo_folder
 from trinoc.io.frames_files import save_frames
 from trinoc.io.frames_table import Frames
-from trinoc.io.saving import tables
+from trinoc.io.saving import _DOCUMENTS, tables
 from trinoc.recording.frame import OK, FrameMatches
+from trinoc.synth.truth import SceneTruth
 
 
 @pytest.fixture(scope="module")
@@ -144,3 +150,55 @@ def test_frames_of_earlier_versions_have_normal_errors(folder, matches):
     for then in load_frames(folder / "earlier.npz"):
         assert then.matches is not None
         assert then.matches.noise_tail == 0.0
+
+
+def made_values(folder):
+    """A small value of every kind that `save` takes, and those that it takes from results."""
+    pattern = trinoc.Pattern.cross_grid(rows=4, columns=6, pitch_mm=20.0, radius_mm=6.0)
+    chessboard = trinoc.Chessboard(rows=5, columns=8, square_mm=10.5)
+    return [
+        RIG,
+        RIG["upper"].intrinsics,
+        pattern,
+        chessboard,
+        BoardSet({"one": chessboard, "two": pattern}),
+        trinoc.Segments.from_endpoints(np.arange(8.0).reshape(2, 4) ** 2),
+        measured(),
+        made_detection(),
+        made_wireframe(),
+        made_rims(),
+        made_cylinders(),
+    ]
+
+
+def test_load_gives_back_what_save_wrote_of_every_kind(folder):
+    values = made_values(folder)
+    for kind in (*(kind for kind, _ in _DOCUMENTS), *tables()):
+        assert any(isinstance(value, kind) for value in values), kind
+    for number, value in enumerate(values):
+        ending = ".npz" if isinstance(value, tuple(tables())) else ".json"
+        trinoc.save(value, folder / f"value-{number}{ending}")
+        assert_same(trinoc.load(folder / f"value-{number}{ending}"), value, rtol=1e-12)
+
+
+def test_load_reads_truth_shapes_and_files_of_frames(folder):
+    assert isinstance(trinoc.load(demo_folder() / "truth.json"), SceneTruth)
+    (folder / "shape.obj").write_text("v 0 0 0\nv 1 0 0\nl 1 2\n")
+    assert len(trinoc.load(folder / "shape.obj").edges_mm) == 1
+    save_frames([FrameMatches("one", OK, measured())], measured().views, folder / "frames.npz")
+    (frame,) = trinoc.load(folder / "frames.npz")
+    assert (frame.name, len(frame.matches)) == ("one", len(measured()))
+
+
+@pytest.mark.parametrize("name", ["notes.json", "notes.npz", "notes.toml", "notes"])
+def test_load_names_what_it_reads(name, tmp_path):
+    file = tmp_path / name
+    file.write_text('{"format": "other"}')
+    if name.endswith("npz"):
+        np.savez(file, format="other")
+    with pytest.raises(InputError, match=r"rig\.json.*board\.json.*matches\.npz.*batch") as caught:
+        trinoc.load(file)
+    assert "\n" not in str(caught.value)
+    for none in (tmp_path / "none.json", tmp_path / "none.npz", tmp_path / "none.toml"):
+        with pytest.raises(InputError, match="does not exist"):
+            trinoc.load(none)

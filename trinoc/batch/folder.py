@@ -17,11 +17,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from trinoc.batch.manifest import lines_of, read_lines, text_of
 from trinoc.errors import InputError
 from trinoc.io.atomic import write_text
 from trinoc.io.frames_files import load_frames, save_frames
 from trinoc.io.json_text import parsed_json
+from trinoc.io.recordings import lines_of, read_lines, text_of
 from trinoc.io.whole_files import read_text
 from trinoc.recording.frame import OK, FrameMatches
 from trinoc.recording.parts import Part

@@ -8,16 +8,17 @@ from typing import Any
 
 from trinoc.calib.detection.detection import Detection
 from trinoc.calib.targets.abstract_target import AbstractTarget
-from trinoc.calib.targets.pattern import Pattern
 from trinoc.errors import InputError
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
-from trinoc.io import intrinsics_json, rig_json
+from trinoc.io import board_json, demo, intrinsics_json, pattern_json, rig_json
 from trinoc.io.arrays_npz import format_of_arrays
-from trinoc.io.board_json import save_target
+from trinoc.io.board_json import load_target, save_target
+from trinoc.io.frames_files import FORMAT as FRAMES_FORMAT, load_frames
 from trinoc.io.json_text import parsed_json
-from trinoc.io.pattern_json import save_pattern
+from trinoc.io.known_shape import load_shape
+from trinoc.io.recordings import load_recording
 from trinoc.io.rig_status import status_of_shots, status_to_block
 from trinoc.io.tables_npz import load_npz, save_npz
 from trinoc.io.whole_files import read_text
@@ -71,8 +72,6 @@ def save(
             rig_json.save_rig(value, path, provenance=provenance, **more)
         case Intrinsics():
             intrinsics_json.save_intrinsics(value, path, provenance=provenance, **more)
-        case Pattern():
-            save_pattern(value, path)
         case AbstractTarget():
             save_target(value, path)
         case Table():
@@ -80,29 +79,58 @@ def save(
 
 
 def load(path: str | os.PathLike[str]) -> Any:
-    """The value in a file of `save`, by what the file says: a Rig, Intrinsics, Segments, Matches, a
-    Wireframe, Cylinders or Rims.
+    """The value in a file that trinoc wrote, by what the file says of itself.
+
+    A rig.json gives a Rig, a camera.json Intrinsics, a layout its Pattern or board, the truth.json
+    of a made scene a SceneTruth; an npz gives Segments, Matches, a Detection, a Wireframe,
+    Cylinders or Rims, a file of frames (npz or parquet) the FrameMatches of each, the output folder
+    of a batch its RecordingMatches; an OBJ gives a KnownShape.
 
     Raises InputError for other files, and, with the field and the first row, for what no such value
     holds.
     """
-    readers: dict[object, Callable[[Path], Any]] = {
-        rig_json.FORMAT: rig_json.load_rig,
-        intrinsics_json.FORMAT: intrinsics_json.load_intrinsics,
-        **{f"trinoc-{kind.KIND}": partial(load_npz, kind) for kind in tables()},
-    }
     file = Path(path)
+    if file.is_dir():
+        return load_recording(file)
+    if file.suffix.lower() in _BY_ENDING:
+        return _BY_ENDING[file.suffix.lower()](file)
+    stated: object = None
     if file.suffix.lower() == ".json":
         values = parsed_json(read_text(file), file)
-        found = values.get("format") if isinstance(values, dict) else None
-    else:
-        found = format_of_arrays(file)
-    if not isinstance(found, str) or found not in readers:
-        files = ", ".join(f"{kind.KIND}.npz" for kind in tables())
+        stated = values.get("format") if isinstance(values, dict) else None
+    elif file.suffix.lower() == ".npz" or not file.exists():
+        stated = format_of_arrays(file)
+    readers = _readers()
+    if not isinstance(stated, str) or stated not in readers:
+        documents = ", ".join(words for words, _ in _BY_FORMAT.values())
+        arrays = ", ".join(f"{kind.KIND}.npz" for kind in tables())
         raise InputError(
-            f"{file} is no value that trinoc wrote: give a rig.json, camera.json or one of {files}."
+            f"{file} is no value that trinoc wrote: give {documents}, one of {arrays}, shape.obj, "
+            "or the folder of trinoc batch or a file in it."
         )
-    return readers[found](file)
+    return readers[stated](file)
+
+
+_Reader = Callable[[Path], Any]
+# What a JSON file says of itself: in words, and what reads it.
+_BY_FORMAT: dict[str, tuple[str, _Reader]] = {
+    rig_json.FORMAT: ("a rig.json", rig_json.load_rig),
+    intrinsics_json.FORMAT: ("camera.json", intrinsics_json.load_intrinsics),
+    pattern_json.FORMAT: ("sheet.json", load_target),
+    board_json.FORMAT: ("board.json", load_target),
+    demo.FORMAT: ("truth.json", demo.load_scene_truth),
+}
+# Files that say nothing of themselves.
+_BY_ENDING: dict[str, _Reader] = {".parquet": load_frames, ".obj": load_shape}
+
+
+def _readers() -> dict[str, _Reader]:
+    """What reads the files of each format."""
+    return {
+        **{name: reader for name, (_, reader) in _BY_FORMAT.items()},
+        **{f"trinoc-{kind.KIND}": partial(load_npz, kind) for kind in tables()},
+        FRAMES_FORMAT: load_frames,
+    }
 
 
 def load_matches(path: str | os.PathLike[str]) -> Matches:
