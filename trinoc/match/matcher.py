@@ -17,6 +17,7 @@ from trinoc.match.observations.match_input import (
     with_noise_scale,
 )
 from trinoc.match.observations.table import segments_per_view
+from trinoc.match.observations.unusable import leave_out_unusable
 from trinoc.match.occlusion.pairs import match_occluded
 from trinoc.match.rehearsal import compile_together
 from trinoc.match.scouting import find_triples
@@ -101,6 +102,7 @@ def match_frames(
     More than one frame have three views at most, and are FRAMES_AT_ONCE at most. Each learns the
     errors of its own segments, in as many passes as that takes.
     """
+    frames = [leave_out_unusable(frame, tuning.observations) for frame in frames]
     stated, left = stacked_frames(frames), np.arange(len(frames))
     compile_together(stated, tuning)
     scale, found = np.ones(len(frames)), dict[int, Matches]()

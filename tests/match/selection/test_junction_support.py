@@ -50,7 +50,7 @@ def candidates() -> Candidates:
 
 @pytest.fixture(scope="module")
 def graph(candidates: Candidates) -> EndpointPairs:
-    return endpoint_pairs(candidates)
+    return endpoint_pairs(candidates, np.zeros(len(candidates.index)))
 
 
 def meeting(candidates: Candidates, site: int, other: int) -> np.ndarray | None:
@@ -117,7 +117,7 @@ def test_which_end_comes_first_means_nothing(candidates: Candidates, graph: Endp
     posterior = np.full(LINES, 0.6)
     one, other = (
         junction_log_odds(pairs, posterior, -9.0, PRIOR_PARAMETERS)
-        for pairs in (graph, endpoint_pairs(turned))
+        for pairs in (graph, endpoint_pairs(turned, np.zeros(len(turned.index))))
     )
     np.testing.assert_allclose(one[0], other[0], atol=1e-12)
     np.testing.assert_allclose(one[1].gap_shares, other[1].gap_shares, atol=1e-12)
@@ -158,7 +158,7 @@ def test_no_round_of_learning_lowers_the_likelihood(graph: EndpointPairs) -> Non
 
 
 def test_nothing_meets_nothing() -> None:
-    graph = endpoint_pairs(no_candidates(3))
+    graph = endpoint_pairs(no_candidates(3), np.zeros(0))
     assert len(graph.site) == 0
     gain, _ = junction_log_odds(graph, np.zeros(0), -9.0, PRIOR_PARAMETERS)
     assert len(gain) == 0

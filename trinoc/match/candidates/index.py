@@ -116,10 +116,8 @@ def spatial_index(
 
     entries = []
     for number, layer in enumerate(layers):
-        owner, column, row = _cells_passed(ends_px, margins_px[number], cells_px[:, number])
-        inside = (column >= 0) & (column < columns[owner, number])
-        inside &= (row >= 0) & (row < rows[owner, number])
-        owner, column, row = owner[inside], column[inside], row[inside]
+        shape = np.stack([columns[:, number], rows[:, number]], axis=1)
+        owner, column, row = _cells_passed(ends_px, margins_px[number], cells_px[:, number], shape)
         cell = row * columns[owner, number] + column
         slack = slack_rad + layer.slack_rad
         first, last = (sector_of(angle + side * slack, layer.sectors) for side in (-1, 1))
@@ -171,8 +169,12 @@ def _cells_passed(
     ends_px: Float[np.ndarray, "n 2 2"],
     margin_px: Float[np.ndarray, "n"],
     cell_px: Float[np.ndarray, "n"],
+    shape: Int[np.ndarray, "n 2"],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(segment, column, row) of every cell within the margin of a segment, and of a few more."""
+    """(segment, column, row) of every cell within the margin of a segment, and of a few more.
+
+    `shape` is how many columns and rows there are for each: cells outside are never counted, so
+    that a segment has no more than these, however wide its margin."""
     steep = np.abs(ends_px[:, 1, 1] - ends_px[:, 0, 1]) > np.abs(
         ends_px[:, 1, 0] - ends_px[:, 0, 0]
     )
@@ -181,10 +183,16 @@ def _cells_passed(
     other = np.where(steep[:, None], ends_px[..., 0], ends_px[..., 1])
     low, high = walk.min(axis=1), walk.max(axis=1)
     slope = (other[:, 1] - other[:, 0]) / (walk[:, 1] - walk[:, 0])
-    owner, along = expand_ranges(
-        np.floor((low - margin_px) / cell_px).astype(int),
-        np.floor((high + margin_px) / cell_px).astype(int) + 1,
-    )
+    lengths, widths = np.where(steep[:, None], shape[:, ::-1], shape).T
+
+    def cells_between(
+        least_px: np.ndarray, most_px: np.ndarray, side_px: np.ndarray, count: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        first, last = np.floor(least_px / side_px), np.floor(most_px / side_px)
+        inside = np.clip(first, 0, count), np.clip(last + 1, 0, count)
+        return expand_ranges(*(each.astype(int) for each in inside))
+
+    owner, along = cells_between(low - margin_px, high + margin_px, cell_px, lengths)
 
     def other_at(place: np.ndarray) -> np.ndarray:
         reached = np.clip(place, low[owner], high[owner])
@@ -194,9 +202,8 @@ def _cells_passed(
     left, right = other_at(along * side), other_at((along + 1) * side)
     # Across a slanting segment the margin is longer along the rows or columns.
     margin = (margin_px * np.sqrt(1 + slope**2))[owner]
-    entry, across = expand_ranges(
-        np.floor((np.minimum(left, right) - margin) / side).astype(int),
-        np.floor((np.maximum(left, right) + margin) / side).astype(int) + 1,
+    entry, across = cells_between(
+        np.minimum(left, right) - margin, np.maximum(left, right) + margin, side, widths[owner]
     )
     owner, along = owner[entry], along[entry]
     return owner, np.where(steep[owner], across, along), np.where(steep[owner], along, across)

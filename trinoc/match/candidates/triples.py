@@ -39,7 +39,7 @@ from trinoc.match.two_view.epipolar_pencil import (
 )
 from trinoc.match.two_view.planes import Sight, sight_of
 from trinoc.numerics.arrays import ArrayLike
-from trinoc.numerics.buckets import as_columns, select_in_blocks, split_columns
+from trinoc.numerics.buckets import as_columns, blocks, select_in_blocks, split_columns
 from trinoc.numerics.programs import kept_jit
 from trinoc.numerics.tables import concatenate_rows
 from trinoc.numerics.vectors import Vector3
@@ -106,6 +106,8 @@ def _evidence_of(
 
 # About as many pairs are held at a time.
 PAIRS_AT_A_TIME = 1 << 19
+# numerical: triples whose evidence is held at a time, some 500 bytes for each.
+TRIPLES_AT_A_TIME = 1 << 17
 
 # Of each view, the segments that come first in a pair, and those that come second.
 Rows = tuple[tuple[Int[np.ndarray, "_"], ...], tuple[Int[np.ndarray, "_"], ...]]
@@ -193,15 +195,17 @@ def _in_order(
             triple = triple[known[place] != number]
         if learned is not None and screen is not None:
             triple = likely_triples(screen, triple, learned, tuning)
-        found = candidates_of(lines, order, planes, triple, clutter, tuning)
-        # Most of what passes the gate is not likely, and takes memory. Frames of a stack are small.
-        many = lines.frame is None and learned is None
-        many = many and len(found.index) > tuning.candidates.prune_above
-        number = _number_of(found.index, numbers)
-        if many:
-            odds = _odds_anywhere(found, typical, tuning)
-            found = found.take(odds > tuning.candidates.prune_log_odds)
-        yield number, found
+        for part in blocks(len(triple), TRIPLES_AT_A_TIME):
+            found = candidates_of(lines, order, planes, triple[part], clutter, tuning)
+            # Most of what passes the gate is not likely, and takes memory. Frames of a stack are
+            # small.
+            many = lines.frame is None and learned is None
+            many = many and len(found.index) > tuning.candidates.prune_above
+            number = _number_of(found.index, numbers)
+            if many:
+                odds = _odds_anywhere(found, typical, tuning)
+                found = found.take(odds > tuning.candidates.prune_log_odds)
+            yield number, found
 
 
 def _odds_anywhere(

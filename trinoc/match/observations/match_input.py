@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, Shaped
 
 from trinoc.errors import MatchError
 from trinoc.geometry.intrinsics import Intrinsics, undistort_pixels
@@ -54,6 +54,7 @@ class FrameInput(NamedTuple):
     names : of the views. order : (n,) per view, the caller's number of each segment.
     ends_px : (n, 2, 2) per view, undistorted. covariance_px2 : (n, 4, 4) per view.
     polarity, sides : per view, as in SegmentTable. cameras : their matrices, sizes and lenses.
+    left_out : per view, of each of the caller's segments, why it is in no table; "" where it is.
     """
 
     names: tuple[str, ...]
@@ -63,6 +64,7 @@ class FrameInput(NamedTuple):
     polarity: list[Int[np.ndarray, "_"]]
     sides: list[Float[np.ndarray, "_ 7"]]
     cameras: CamerasInput
+    left_out: list[Shaped[np.ndarray, "_"]]
 
 
 class MatchInput(NamedTuple):
@@ -150,7 +152,8 @@ def prepare_frame(
     sides = side_table(levels, contrasts, [each.mean(axis=1) for each in ends], tuning)
     given = list(segments)
     own = cameras.take([given.index(name) for name in names])
-    return FrameInput(names, order, ends, covariances, polarities, sides, own)
+    left_out = [np.full(len(each), "") for each in ends]
+    return FrameInput(names, order, ends, covariances, polarities, sides, own, left_out)
 
 
 def stacked_frames(frames: Sequence[FrameInput]) -> MatchInput:

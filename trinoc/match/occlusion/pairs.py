@@ -43,7 +43,12 @@ from trinoc.match.selection.junction_support import (
     prior_junctions,
 )
 from trinoc.match.selection.marginals import Selection, Tracks
-from trinoc.match.selection.messages import chosen_greedily, conflict_graph, sum_product
+from trinoc.match.selection.messages import (
+    chosen_greedily,
+    conflict_graph,
+    sum_product,
+    with_log_share,
+)
 from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
 from trinoc.numerics.arrays import ArrayLike
 from trinoc.numerics.joins import broadcast_groups, group_sums
@@ -108,16 +113,14 @@ def occluded_pairs(
         evidence = evidence_beside_lines(found, learned[0], tuning)
         return found.take(evidence > tuning.selection.prune_log_odds)
 
-    found = concatenate_rows(
-        [
-            kept(part)
-            for views in combinations(range(len(counts)), 2)
-            for part in possible_pairs(
-                lines, np.array(views), free, clutter, tuning, bound, agree_px
-            )
-        ]
-    )
-    typical = segments_per_view(lines, counts)
+    typical, parts = segments_per_view(lines, counts), []
+    for views in combinations(range(len(counts)), 2):
+        of_views = lines, np.array(views), free, clutter, tuning, bound, agree_px
+        for part in possible_pairs(*of_views):
+            parts.append(kept(part))
+            if sum(len(found.index) for found in parts) > tuning.candidates.most_candidates:
+                parts = [_likelier_half(concatenate_rows(parts), typical, tuning)]
+    found = concatenate_rows(parts)
     start = _start(found, selections, typical, tuning)
     bodies = Bodies(*(np.broadcast_to(each, np.shape(typical)) for each in bodies))
     typical_px, ends_px = np.asarray(clutter.typical_px), np.asarray(lines.ends_px)
@@ -131,6 +134,15 @@ def occluded_pairs(
         own = _of_frames(found, ~alone)
         results.append(pairs_beside_lines(own, tracks, bodies, start, tuning))
     return concatenate_rows(results)
+
+
+def _likelier_half(
+    found: Candidates, typical: Float[np.ndarray, "*f"] | float, tuning: MatchTuning
+) -> Candidates:
+    """Those of more than usual evidence, by what is usual of lines."""
+    usual = prior_parameters(found.ends_mm, typical, tuning, found.frame)
+    evidence = evidence_beside_lines(found, usual, tuning)
+    return found.take(evidence > np.median(evidence))
 
 
 def _learned_from(selections: list[Selection], tuning: MatchTuning) -> Rates | None:
@@ -196,12 +208,13 @@ def pairs_beside_lines(
     log_missed = float(np.log(rules.missed))
     mixture, junctions = start
     evidence = evidence_beside_lines(found, mixture, tuning)
-    keep = likely_rows(found, matched.candidates, evidence, tuning)
+    keep, log_share = likely_rows(found, matched.candidates, evidence, tuning)
     candidates, evidence = found.take(keep), evidence[keep]
     frame = candidates.frame
     graph = conflict_graph(candidates.index, candidates.interval, tuning.selection)
     everyone = _joined(matched.candidates, candidates)
-    meetings = endpoint_pairs(everyone, tuning.junctions, tuning.evidence)
+    everyones_odds = np.concatenate([matched.posterior_log_odds, evidence])
+    meetings = endpoint_pairs(everyone, everyones_odds, tuning.junctions, tuning.evidence)
     known = probability(matched.posterior_log_odds)
     frames = np.size(mixture.log_count)
     lines_known = group_sums(known, matched.candidates.frame, frames)
@@ -229,6 +242,7 @@ def pairs_beside_lines(
             gain = np.where(helped, gain[len(known) :], 0.0)
     of_share = broadcast_groups(np.log(share), frame)
     missed = np.where(candidates.expected > 0, candidates.expected * log_missed + of_share, 0.0)
+    posterior_log_odds = with_log_share(posterior_log_odds, log_share)
     chosen = chosen_greedily(posterior_log_odds, graph)
     bodies = Bodies(*(broadcast_groups(each, frame) for each in bodies))
     of_pair = posterior_log_odds, candidates.side_log, candidates.crossing_sine, bodies

@@ -41,7 +41,12 @@ from trinoc.match.selection.junction_support import (
     endpoint_pairs,
     junction_log_odds,
 )
-from trinoc.match.selection.messages import chosen_greedily, conflict_graph, sum_product
+from trinoc.match.selection.messages import (
+    chosen_greedily,
+    conflict_graph,
+    sum_product,
+    with_log_share,
+)
 from trinoc.match.tuning.every_group import MatchTuning
 from trinoc.match.tuning.occlusion import OcclusionTuning
 from trinoc.numerics.joins import broadcast_groups, group_sums, take_groups
@@ -220,11 +225,11 @@ def pairs_alone(
             place = log_place(c.ends_mm, rates.mixture.volume, tuning.evidence, frame)
         return evidence + ends + lengths + prior + place
 
-    keep = likely_rows(found, matched, odds_of(found, evidence, rates), tuning)
+    keep, log_share = likely_rows(found, matched, odds_of(found, evidence, rates), tuning)
     candidates, evidence = found.take(keep), evidence[keep]
     frame = candidates.frame
     graph = conflict_graph(candidates.index, candidates.interval, tuning.selection)
-    meetings = endpoint_pairs(candidates, tuning.junctions, tuning.evidence)
+    meetings = endpoint_pairs(candidates, evidence, tuning.junctions, tuning.evidence)
     gain = np.zeros(len(evidence))
     odds = posterior_log_odds = gain
     beliefs = None
@@ -249,6 +254,7 @@ def pairs_alone(
         helped = junctions.end_at_junction >= tuning.junctions.min_at_junction
         gain = np.where(broadcast_groups(helped, frame), gain, 0.0)
         rates = learned_rates(candidates, posterior, rates, junctions, typical_px, tuning)
+    posterior_log_odds = with_log_share(posterior_log_odds, log_share)
     chosen = chosen_greedily(posterior_log_odds, graph)
     tempered = temper(posterior_log_odds, candidates.side_log, tuning.evidence)
     # Lines that meet nowhere are of no bodies, and bodies that are seen through hide no edges.

@@ -19,7 +19,7 @@ from trinoc.match.evidence.mixture import MixtureParameters, log_place, log_side
 from trinoc.match.evidence.triple_position import pair_evidence
 from trinoc.match.observations.clutter import ClutterModel
 from trinoc.match.observations.table import TRIPLES_IN_BLOCK, SegmentTable, block_of
-from trinoc.match.selection.messages import affordable, claimed
+from trinoc.match.selection.messages import affordable, claimed, log_share_kept
 from trinoc.match.tuning.candidates import CandidateTuning
 from trinoc.match.tuning.every_group import MatchTuning
 from trinoc.match.tuning.evidence import EndTuning, EvidenceTuning
@@ -197,13 +197,16 @@ class Pairs(NamedTuple):
 
 def likely_rows(
     found: Candidates, matched: Candidates, odds: Float[np.ndarray, "m"], tuning: MatchTuning
-) -> Int[np.ndarray, "k"]:
-    """Rows of pairs that are likely at all, and need no part of a segment that is matched."""
+) -> tuple[Int[np.ndarray, "k"], Float[np.ndarray, "k"]]:
+    """(rows of pairs that are likely at all, and need no part of a segment that is matched, and of
+    each its `log_share_kept`)."""
     rules = tuning.selection
     rows = np.flatnonzero(odds > rules.prune_log_odds)
     own = found.take(rows)
     rows = rows[~claimed(own.index, own.interval, matched.index, matched.interval, rules)]
-    return rows[affordable(odds[rows], found.index[rows], -np.inf, rules)]
+    odds, index = odds[rows], found.index[rows]
+    kept = affordable(odds, index, -np.inf, rules)
+    return rows[kept], log_share_kept(odds, index, kept)
 
 
 def evidence_beside_lines(

@@ -117,6 +117,7 @@ def tables_of(state: State) -> MatchInput:
                 [np.zeros(count, dtype=np.int64) for count in counts],
                 [np.full((count, SIDE_COLUMNS), np.nan) for count in counts],
                 state.cameras,
+                [np.full(count, "") for count in counts],
             )
         ]
     )

@@ -55,10 +55,12 @@ def prior_junctions(
 
 def endpoint_pairs(
     candidates: Candidates,
+    log_odds: Float[np.ndarray, "m"],
     tuning: JunctionTuning = DEFAULT.junctions,
     evidence: EvidenceTuning = DEFAULT.evidence,
 ) -> EndpointPairs:
-    """All meetings of ends of candidates of one frame that have no segment in common."""
+    """All meetings of ends of candidates of one frame that have no segment in common; where these
+    are too many, those of the candidates of the highest `log_odds`."""
     if len(candidates.index) == 0:
         return EndpointPairs(_NONE[:, 0], _NONE[:, 0], np.zeros((0, len(tuning.gaps_px))))
     ends = candidates.union_ends_mm.reshape(-1, 3)
@@ -66,7 +68,7 @@ def endpoint_pairs(
     frames = 1 if frame is None else int(frame.max()) + 1
     reach = tuning.reach_px / group_medians(candidates.px_per_mm, frame, frames)
     if frame is None:
-        pairs = KDTree(ends).query_pairs(reach, output_type="ndarray")
+        pairs = _near_ends(ends, log_odds, float(reach), tuning.most_meetings)
     else:
         own = np.repeat(frame, 2)
         pairs = _near_in_frames(ends / reach[own, None], own)
@@ -88,6 +90,22 @@ def endpoint_pairs(
 _NONE = np.zeros((0, 2), dtype=np.int64)
 # Places are told apart as far out as this, in units of the reach: nothing that meets lies beyond.
 _FAR = 1e6
+
+
+def _near_ends(
+    ends_mm: Float[np.ndarray, "n 3"], log_odds: Float[np.ndarray, "m"], reach_mm: float, most: int
+) -> Int[np.ndarray, "p 2"]:
+    """Pairs of ends within reach of each other, at most so many: those of the likelier half of the
+    candidates, halved until they are few enough. They are counted before they are listed."""
+    rows = np.argsort(-log_odds, kind="stable")
+    while True:
+        own = np.stack([2 * rows, 2 * rows + 1], axis=1).reshape(-1)
+        tree = KDTree(ends_mm[own])
+        # Counted both ways round, and each with itself.
+        if tree.count_neighbors(tree, reach_mm) - len(own) <= 2 * most:
+            pairs = own[tree.query_pairs(reach_mm, output_type="ndarray")]
+            return np.sort(pairs, axis=1)
+        rows = rows[: len(rows) // 2]
 
 
 def _near_in_frames(

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from trinoc.match.candidates.table import Candidates, prior_log_odds
 from trinoc.match.evidence.mixture import (
@@ -32,7 +32,9 @@ from trinoc.match.selection.messages import (
     affordable,
     chosen_greedily,
     conflict_graph,
+    log_share_kept,
     sum_product,
+    with_log_share,
 )
 from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
 from trinoc.match.tuning.selection import NoiseTuning
@@ -41,7 +43,10 @@ from trinoc.numerics.tables import take_rows
 
 
 class Selection(NamedTuple):
-    """Candidates, their log odds without and with rivals, and which of them were taken."""
+    """Candidates, their log odds without and with rivals, and which of them were taken.
+
+    let_go : (n, v) segments of likely candidates that memory did not bear.
+    """
 
     candidates: Candidates
     log_odds: Float[np.ndarray, "m"]
@@ -50,6 +55,7 @@ class Selection(NamedTuple):
     graph: ConflictGraph
     mixture: MixtureParameters
     junctions: JunctionParameters
+    let_go: Int[np.ndarray, "n v"]
 
 
 class Tracks(NamedTuple):
@@ -96,7 +102,13 @@ def select(
             c.chi_square, c.end_log, c.ends_mm, c.side_log, posterior, mixture, tuning, c.frame
         )
     odds = prior_log_odds(candidates, mixture, evidence)
+    possible = np.flatnonzero(odds > rules.prune_log_odds)
     keep = affordable(odds, candidates.index, rules.prune_log_odds, rules)
+    log_share, let_go = np.zeros(len(keep)), candidates.index[np.setdiff1d(possible, keep)]
+    if len(keep) < len(possible):
+        log_share = log_share_kept(
+            odds[possible], candidates.index[possible], np.searchsorted(possible, keep)
+        )
     candidates, odds = candidates.take(keep), odds[keep]
     graph = conflict_graph(candidates.index, candidates.interval, rules)
     beliefs = sum_product(odds, graph, rules, candidates.frame)
@@ -106,6 +118,7 @@ def select(
         odds, posterior_log_odds, junctions = _with_junctions(
             candidates, graph, odds, beliefs, mixture, tuning
         )
+    posterior_log_odds = with_log_share(posterior_log_odds, log_share)
     return Selection(
         candidates,
         odds,
@@ -114,6 +127,7 @@ def select(
         graph,
         mixture,
         junctions,
+        let_go,
     )
 
 
@@ -143,7 +157,7 @@ def _with_junctions(
     tuning: MatchTuning,
 ) -> tuple[Float[np.ndarray, "m"], Float[np.ndarray, "m"], JunctionParameters]:
     frame = candidates.frame
-    meetings = endpoint_pairs(candidates, tuning.junctions, tuning.evidence)
+    meetings = endpoint_pairs(candidates, odds, tuning.junctions, tuning.evidence)
     junctions = prior_junctions(tuning.junctions, np.shape(mixture.log_count))
     log_ends_density = mixture.log_count - mixture.volume.log_size + np.log(2)
     alone = odds, beliefs.log_odds

@@ -91,10 +91,49 @@ def affordable(
 
     least = -np.inf
     if conflicts(least) > tuning.most_conflicts:
-        ordered = np.sort(log_odds)
+        # Equals are kept or let go together, all of them where there are too many of the likeliest.
+        ordered = np.append(np.unique(log_odds), np.inf)
         fits = bisect_left(ordered, True, key=lambda odds: conflicts(odds) <= tuning.most_conflicts)
-        least = ordered[min(fits, len(ordered) - 1)]
+        least = ordered[fits]
     return kept[log_odds >= least]
+
+
+def log_share_kept(
+    log_odds: Float[np.ndarray, "m"], index: Int[np.ndarray, "m v"], kept: Int[np.ndarray, "k"]
+) -> Float[np.ndarray, "k"]:
+    """Log of how much of the odds of all candidates of a segment is that of the kept ones; of each
+    kept candidate, the least of its segments.
+
+    It is the probability that what is right is among those kept, where the others were let go for
+    memory and not for their evidence.
+    """
+    share = np.zeros(len(kept))
+    for view in range(index.shape[1]):
+        segment = index[:, view]
+        on = np.flatnonzero(segment >= 0)
+        count = int(segment.max(initial=-1)) + 1
+        # That nothing is right has odds of 1.
+        top = np.zeros(count)
+        np.maximum.at(top, segment[on], log_odds[on])
+        odds = np.zeros(len(segment))
+        odds[on] = np.exp(log_odds[on] - top[segment[on]])
+        nothing = np.exp(-top)
+        of_kept = kept[segment[kept] >= 0]
+        every = np.bincount(segment[on], odds[on], count) + nothing
+        those = np.bincount(segment[of_kept], odds[of_kept], count) + nothing
+        own = np.where(segment[kept] >= 0, segment[kept], 0)
+        log_share = np.log(those / every)[own] if count else share
+        share = np.minimum(share, np.where(segment[kept] >= 0, log_share, 0.0))
+    return share
+
+
+def with_log_share(
+    log_odds: Float[np.ndarray, "m"], log_share: Float[np.ndarray, "m"]
+) -> Float[np.ndarray, "m"]:
+    """Log odds of probabilities that are times a share."""
+    # log(p s / (1 - p s)), as p = 1 / (1 + exp(-x)): exp(x - log s) is what p s lacks.
+    lacking = np.expm1(-log_share)
+    return -np.logaddexp(-log_odds - log_share, np.log(np.maximum(lacking, 1e-300)))
 
 
 def claimed(

@@ -37,10 +37,18 @@ def notes_of(
     cameras_in_line: bool,
     unlocated: int,
     noise_scale: float,
+    let_go: int,
     tuning: NoiseTuning = DEFAULT.noise,
 ) -> tuple[str, ...]:
-    """Sentences on noise that is not as stated, and on cameras in one line."""
+    """Sentences on noise that is not as stated, on more rivals than memory bears, and on cameras in
+    one line."""
     notes = []
+    if let_go:
+        notes.append(
+            f"The pictures repeat themselves: {let_go} likely triples were let go, as memory bears "
+            "no more, and the probabilities of their rivals are lowered by their share; leave out "
+            "the shortest segments, or match parts of the pictures."
+        )
     if not 1 / tuning.noted <= noise_scale <= tuning.noted:
         word = "larger" if noise_scale > 1 else "smaller"
         notes.append(
@@ -120,6 +128,8 @@ def counted(words: dict[str, Shaped[np.ndarray, "_"]]) -> dict[str, int]:
 
 # The count of tracks that no pair of views can locate, of which notes speak.
 UNLOCATED = "tracks along the epipolar lines"
+# The count of likely triples beyond what memory bears.
+LET_GO = "triples let go for memory"
 
 
 class Lines(NamedTuple):
@@ -178,14 +188,14 @@ def answers(
         "viewpoint_dependent": found.viewpoint_dependent,
     }
     bounds = np.searchsorted(frame[order], np.arange(len(names) + 1))
-    starts, words = seen.starts, _words_as_given(seen, words)
+    words_of_frames = _words_as_given(seen, words)
     aligned = in_line(np.stack([own.cameras.centre_mm for own in seen.frames]))
     results = []
     for number, called in enumerate(names):
         own = order[slice(*bounds[number : number + 2])]
         mine: dict[str, Any] = {name: column[own] for name, column in columns.items()}
         why = {
-            name: words[view][slice(*starts[number : number + 2, view])].copy()
+            name: words_of_frames[number][view]
             for name, view in zip(called, turn[number].tolist(), strict=True)
         }
         scale = float(noise_scale[number])
@@ -198,7 +208,12 @@ def answers(
                 counts=numbers | counted(why),
                 noise_scale=scale,
                 notes=notes_of(
-                    len(called), bool(aligned[number]), numbers[UNLOCATED], scale, tuning
+                    len(called),
+                    bool(aligned[number]),
+                    numbers[UNLOCATED],
+                    scale,
+                    numbers[LET_GO],
+                    tuning,
                 ),
                 noise_tail=float(tail[number]),
             )
@@ -239,12 +254,12 @@ def _as_given(
 
 def _words_as_given(
     seen: MatchInput, words: list[Shaped[np.ndarray, "_"]]
-) -> list[Shaped[np.ndarray, "_"]]:
-    """Words of each view's segments in the caller's order within every frame."""
-    turned = []
-    for view, own in enumerate(words):
-        starts = seen.starts[:-1, view].tolist()
-        place = [start + each.order[view] for start, each in zip(starts, seen.frames, strict=True)]
-        turned.append(np.empty_like(own))
-        turned[-1][np.concatenate(place)] = own
-    return turned
+) -> list[list[Shaped[np.ndarray, "_"]]]:
+    """Words of each frame and view, in the caller's order; why those were left out that were."""
+    starts, given = seen.starts, []
+    for number, frame in enumerate(seen.frames):
+        given.append([column.astype("U40") for column in frame.left_out])
+        for view, order in enumerate(frame.order):
+            own = words[view][slice(*starts[number : number + 2, view])]
+            given[-1][view][order] = own
+    return given

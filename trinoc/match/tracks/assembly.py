@@ -23,7 +23,7 @@ from trinoc.match.observations.match_input import MatchInput
 from trinoc.match.observations.table import SegmentTable, frames_of, matrices_of
 from trinoc.match.occlusion.possible_pairs import Pairs
 from trinoc.match.selection.marginals import Selection, Tracks
-from trinoc.match.tracks.answers import UNLOCATED, Lines, answers, reasons
+from trinoc.match.tracks.answers import LET_GO, UNLOCATED, Lines, answers, reasons
 from trinoc.match.tracks.line_fit import (
     before_cameras,
     ending_at,
@@ -67,6 +67,7 @@ def assemble(
     of_each = {
         "triples considered": [selection.candidates.index for selection in selections],
         "triples outside depth": outside,
+        LET_GO: [selection.let_go for selection in selections],
         "tracks in three views or more": [tracks.candidates.index],
         "pairs considered": [pairs.candidates.index],
         "tracks in two views": [pairs.candidates.index[pairs.taken]],

@@ -47,7 +47,7 @@ class CandidateTuning:
     prune_log_odds: float = -9.0
     # Of more candidates than this in all, the likelier half is kept: it bounds the memory, some
     # 2 kB for each. By hand; no scene of 10,000 segments per view has them.
-    most_candidates: int = 1 << 20
+    most_candidates: int = 1 << 18
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,13 @@ from dataclasses import dataclass, field
 
 from trinoc.match.tuning.candidates import CandidateTuning, ScoutTuning
 from trinoc.match.tuning.cylinders import CylinderTuning
-from trinoc.match.tuning.evidence import ClutterTuning, EndTuning, EvidenceTuning, SideTuning
+from trinoc.match.tuning.evidence import (
+    ClutterTuning,
+    EndTuning,
+    EvidenceTuning,
+    ObservationTuning,
+    SideTuning,
+)
 from trinoc.match.tuning.guided import GuidedTuning
 from trinoc.match.tuning.line_map import (
     CollinearTuning,
@@ -23,6 +29,7 @@ from trinoc.match.tuning.tracks import TrackTuning
 class MatchTuning:
     """All groups; the default is what everything was measured with."""
 
+    observations: ObservationTuning = field(default_factory=ObservationTuning)
     clutter: ClutterTuning = field(default_factory=ClutterTuning)
     sides: SideTuning = field(default_factory=SideTuning)
     candidates: CandidateTuning = field(default_factory=CandidateTuning)

@@ -16,6 +16,18 @@ class ClutterTuning:
 
 
 @dataclass(frozen=True)
+class ObservationTuning:
+    """Segments that say nothing. Shown by no row: a saturated edge may state any error."""
+
+    # A segment is left out whose standard deviation across itself is larger than this, px, or than
+    # its own length. By hand: twice what the widest blurred edges of photographs state.
+    largest_across_px: float = 8.0
+    # Segments of one view are one whose ends agree within this share of the standard deviation
+    # across. By hand.
+    equal_sigmas: float = 0.25
+
+
+@dataclass(frozen=True)
 class SideTuning:
     """Grey levels beside segments, in hundredths of the range of all levels. Shown by "with side
     levels" of merton1 and by the rendered scenes (benchmarks/matching.py --rendered)."""

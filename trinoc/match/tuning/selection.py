@@ -21,6 +21,9 @@ class JunctionTuning:
     # step 2. By hand.
     prior_at_junction: float = 0.5
     prior_observations: int = 5
+    # Of more meetings of ends than this, those of the likelier candidates are kept: it bounds the
+    # memory, some 200 bytes for each. By hand.
+    most_meetings: int = 1 << 20
     # Where a smaller share of ends is at junctions there is no structure to speak of, and they
     # are not used. From the prototype; shown by the rows "random", which have none.
     min_at_junction: float = 0.1
@@ -48,7 +51,7 @@ class SelectionTuning:
     prune_log_odds: float = -5.0
     # Of more possible conflicts than this, the likeliest candidates are kept that have so many: it
     # bounds the memory, 40 bytes for each. By hand; no scene of 10,000 segments per view has them.
-    most_conflicts: int = 1 << 25
+    most_conflicts: int = 1 << 22
 
 
 @dataclass(frozen=True)

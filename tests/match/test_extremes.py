@@ -1,0 +1,175 @@
+"""What a picture may hold beyond lines: no segment of it takes the memory, and none makes others
+sure."""
+
+import tracemalloc
+
+import equinox as eqx
+import numpy as np
+import pytest
+from hypothesis import given, settings, strategies as st
+
+from tests.match.made import loose_lines, pictures, rig_of
+from trinoc.geometry.segments import Segments, covariance_of_ends
+from trinoc.match.candidates.index import LAYERS, spatial_index
+from trinoc.match.matcher import match_segments
+from trinoc.match.observations.unusable import EQUAL, UNPLACED, first_of_equals
+from trinoc.match.selection.junction_support import _near_ends
+from trinoc.match.selection.messages import (
+    affordable,
+    conflict_graph,
+    log_share_kept,
+    with_log_share,
+)
+from trinoc.match.tracks.answers import LET_GO
+from trinoc.match.tuning.every_group import DEFAULT
+from trinoc.match.tuning.selection import SelectionTuning
+from trinoc.numerics.tables import with_field
+
+VIEWS = ("upper", "left", "right")
+RIG = rig_of(*VIEWS)
+# Bytes of NumPy at a time: what the same lines without extremes take is 30 MB.
+MOST_BYTES = 300e6
+
+
+def stated(ends_px, sigma_px):
+    """Segments with a standard deviation across themselves of each."""
+    sigma = np.broadcast_to(np.asarray(sigma_px, dtype=float), len(ends_px))
+    covariance = np.concatenate(
+        [covariance_of_ends(ends_px[k : k + 1], own, 4 * own) for k, own in enumerate(sigma)]
+    )
+    segments = Segments.from_endpoints(ends_px, image_size_px=(512, 480))
+    return eqx.tree_at(lambda s: s.covariance_px2, segments, covariance)
+
+
+def peak_bytes(segments):
+    """(matches, the most bytes of NumPy's arrays that stood at a time)."""
+    tracemalloc.start()
+    matches = match_segments(segments, RIG)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    return matches, peak
+
+
+def test_segments_that_say_nothing_change_no_other_match():
+    lines = pictures(RIG, loose_lines(40, seed=3), sigma_px=0.2, seed=4)
+    rng = np.random.default_rng(5)
+    plain, more = {}, {}
+    for view, ends in lines.items():
+        shift, sigma = rng.uniform(-200, 200, (20, 1, 2)), 10 ** rng.uniform(1, 5, 20)
+        plain[view] = stated(ends, 0.3)
+        every = np.concatenate([ends, ends[:20] + shift, ends[:5]])
+        more[view] = stated(every, np.concatenate([np.full(40, 0.3), sigma, np.full(5, 0.3)]))
+    alone, (found, peak) = match_segments(plain, RIG), peak_bytes(more)
+    np.testing.assert_array_equal(found.index, alone.index)
+    # Which end is first follows from which view has the most segments.
+    places = (np.sort(each.lines_mm, axis=1) for each in (found, alone))
+    np.testing.assert_allclose(*places, rtol=0, atol=1e-4)
+    np.testing.assert_allclose(found.posterior, alone.posterior, atol=1e-6)
+    for view in VIEWS:
+        assert set(found.reasons[view][40:60]) == {UNPLACED}
+        assert set(found.reasons[view][60:]) == {EQUAL}
+    assert found.counts[f"segments {UNPLACED}"] == 60
+    assert peak < MOST_BYTES
+
+
+def test_copies_that_differ_by_less_than_their_sigmas_make_nothing_sure():
+    """Each of 30 segments may belong to each: no posterior may say which, whatever memory bears."""
+    line = np.array([[[-60.0, -20.0, 5.0], [60.0, 30.0, 5.0]]])
+    rng, segments = np.random.default_rng(1), {}
+    for view, ends in pictures(RIG, line).items():
+        copies = np.repeat(ends, 30, axis=0) + 0.2 * rng.normal(size=(30, 2, 2))
+        segments[view] = stated(copies, 0.3)
+    few = with_field(DEFAULT, "selection.most_conflicts", 1 << 20)
+    tracemalloc.start()
+    matches = match_segments(segments, RIG, tuning=few)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert matches.counts[LET_GO] > 0
+    assert (matches.posterior < 0.5).all()
+    assert any("repeat themselves" in note for note in matches.notes)
+    assert peak < MOST_BYTES
+
+
+@given(
+    count=st.integers(1, 60),
+    others=st.integers(0, 5),
+    seed=st.integers(0, 1000),
+)
+@settings(max_examples=25)
+def test_of_equal_segments_the_first_is_left(count, others, seed):
+    rng = np.random.default_rng(seed)
+    one = rng.uniform(0, 400, (1, 2, 2))
+    equal = one + 1e-3 * rng.uniform(-1, 1, (count, 2, 2))
+    apart = one + 20 + 10 * np.arange(others)[:, None, None]
+    rows = first_of_equals(
+        np.concatenate([equal, apart]), np.full(count + others, 0.3), np.ones(count + others, int)
+    )
+    assert rows.tolist() == [0, *range(count, count + others)]
+
+
+def test_edges_of_both_polarities_are_two():
+    ends = np.tile(np.array([[[10.0, 10.0], [90.0, 40.0]]]), (3, 1, 1))
+    assert first_of_equals(ends, np.full(3, 0.3), np.array([1, -1, 1])).tolist() == [0, 1]
+
+
+@given(sigma_px=st.floats(1.0, 1e6), far_px=st.floats(0.0, 1e6))
+@settings(max_examples=25)
+def test_a_segment_enters_no_more_cells_than_there_are(sigma_px, far_px):
+    ends = np.array([[[100.0, 90.0], [180.0, 120.0]], [[-far_px, -far_px], [far_px + 9, far_px]]])
+    margins, slack = np.full((len(LAYERS), 2), 4 * sigma_px), np.full(2, 10.0)
+    size = np.array([512.0, 480.0])
+    table = spatial_index(ends, slack, margins, size, 9.0, 1.0)
+    cells = sum(
+        np.ceil(512 / (9 * layer.cell)) * np.ceil(480 / (9 * layer.cell)) * layer.sectors
+        for layer in LAYERS
+    )
+    assert len(table.segment) <= 2 * cells
+    if sigma_px > 200:
+        assert len(table.segment) == 2 * cells
+
+
+def test_a_share_gives_the_posterior_of_all_to_the_kept():
+    """Candidates of one segment of each view exclude each other: p = odds / (1 + sum of odds)."""
+    rng = np.random.default_rng(2)
+    log_odds, index = rng.normal(0, 4, 30), np.zeros((30, 3), dtype=np.int64)
+    kept = np.flatnonzero(rng.random(30) < 0.4)
+    odds = np.exp(log_odds)
+    alone = odds[kept] / (1 + odds[kept].sum())
+    share = log_share_kept(log_odds, index, kept)
+    found = with_log_share(np.log(alone) - np.log1p(-alone), share)
+    np.testing.assert_allclose(1 / (1 + np.exp(-found)), odds[kept] / (1 + odds.sum()), rtol=1e-9)
+
+
+def test_what_is_kept_has_no_more_conflicts_than_memory_bears():
+    rng = np.random.default_rng(3)
+    index = rng.integers(0, 12, (400, 3))
+    # Many are equally likely.
+    log_odds = np.round(rng.normal(0, 2, 400))
+    for most in (0, 10, 3000, 10**6):
+        rules = SelectionTuning(most_conflicts=most)
+        kept = affordable(log_odds, index, -np.inf, rules)
+        interval = np.tile([0.0, 1.0], (len(kept), 3, 1))
+        assert len(conflict_graph(index[kept], interval).slot) <= most
+        assert log_odds[kept].min(initial=np.inf) > np.delete(log_odds, kept).max(initial=-np.inf)
+
+
+def test_meetings_are_counted_before_they_are_listed():
+    rng = np.random.default_rng(4)
+    ends, log_odds = rng.uniform(0, 10, (200, 3)), rng.normal(size=100)
+    apart = np.linalg.norm(ends[:, None] - ends, axis=-1) <= 2
+    every = {tuple(pair) for pair in np.argwhere(np.triu(apart, 1))}
+    assert {tuple(pair) for pair in _near_ends(ends, log_odds, 2.0, 10**6)} == every
+    few = _near_ends(ends, log_odds, 2.0, 100)
+    assert 0 < len(few) <= 100
+    assert {tuple(pair) for pair in few} <= every
+    own = np.unique(few // 2)
+    assert log_odds[own].min() > np.median(log_odds)
+
+
+@pytest.mark.parametrize("view", VIEWS)
+def test_a_view_without_any_usable_segment_leaves_pairs_of_the_others(view):
+    lines = pictures(RIG, loose_lines(40, seed=3), sigma_px=0.2, seed=4)
+    segments = {name: stated(ends, 100.0 if name == view else 0.3) for name, ends in lines.items()}
+    matches = match_segments(segments, RIG)
+    assert len(matches) > 20
+    assert (matches.index[:, VIEWS.index(view)] == -1).all()
