@@ -66,7 +66,7 @@ from trinoc.synth.truth import SceneTruth
 DEMO = Path(__file__).parent.parent / "trinoc" / "synth" / "demo"
 SHEET_MM = (210.0, 200.0)
 # The noise of a CCD, as `write_image` has it: sigma 1.5 grey levels at 128, two thirds of the
-# variance in proportion to the light. The light is even: see "Light" in docs/demo.md.
+# variance in proportion to the light. The light is even.
 DEMO_SHEET = Condition(
     SheetScene(Paper(table=0.4, size_mm=SHEET_MM)),
     sensor=Sensor(read_levels=1.5 / 3**0.5, electrons_per_level=128 / 1.5),

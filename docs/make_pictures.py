@@ -1,11 +1,14 @@
-"""The example pictures of pictures.md: python docs/make_pictures.py"""
+"""The pictures of index.md and how-to.md: python docs/make_pictures.py"""
 
 from pathlib import Path
 
 import cv2
 import numpy as np
 
+import trinoc
 from trinoc import Camera, Pattern
+from trinoc.io import demo_images, demo_pattern
+from trinoc.match import find_cylinders, wireframe
 from trinoc.synth import table1_lens
 from trinoc.synth.camera_picture.render import render_sheet
 
@@ -39,8 +42,37 @@ def examples() -> dict[str, np.ndarray]:
     }
 
 
+def write_gallery() -> None:
+    """What comes out of the demo's pictures, as notebooks draw it."""
+    import matplotlib as mpl
+
+    mpl.use("agg")
+    from matplotlib import pyplot as plt
+
+    sheets, scenes = demo_images("sheet"), demo_images("scene")
+    result = trinoc.calibrate(sheets, demo_pattern(), table1_lens())
+    segments = {view: trinoc.find_segments(image) for view, image in scenes.items()}
+    matches = trinoc.match_segments(segments, result.rig)
+    drawn = {
+        "sheet": lambda: result.pattern.plot(),
+        "calibrated": lambda: result.plot(images=sheets),
+        "segments": lambda: segments["upper"].plot(image=scenes["upper"]),
+        "tracks": lambda: matches.plot(view="upper", image=scenes["upper"]),
+        "space": lambda: matches.plot(rig=result.rig),
+        "wireframe": lambda: wireframe(matches, result.rig).plot(),
+        "cylinders": lambda: find_cylinders(matches, segments, result.rig).plot(),
+    }
+    for name, draw in drawn.items():
+        drawing = np.atleast_1d(np.asarray(draw(), dtype=object)).ravel()[0]
+        drawing.figure.savefig(
+            FOLDER / f"{name}.png", dpi=70, bbox_inches="tight", facecolor="white"
+        )
+        plt.close("all")
+
+
 if __name__ == "__main__":
     FOLDER.mkdir(exist_ok=True)
+    write_gallery()
     for name, image in examples().items():
         small = np.clip(image, 0, 255).astype(np.uint8)
         cv2.imwrite(str(FOLDER / f"{name}.jpg"), small, [cv2.IMWRITE_JPEG_QUALITY, 70])

@@ -108,7 +108,7 @@ def test_every_page_is_in_the_table_of_contents() -> None:
 
 
 def test_every_notebook_is_described() -> None:
-    page = (ROOT / "docs" / "start-notebook.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "start.md").read_text(encoding="utf-8")
     named = set(re.findall(r"^\| `(\w+)` \|", page, re.M))
     assert {path.stem for path in (ROOT / "notebooks").glob("*.ipynb")} <= named
 

@@ -12,7 +12,7 @@ from trinoc.capture.measures import Exposure, edge_blur_px, exposure_of, lean_of
 from trinoc.errors import DetectionError
 from trinoc.image.light import Light
 
-# Bounds of what docs/pictures.md asks for.
+# Bounds of what docs/how-to.md asks for.
 SOFTEST_PX = 2.5
 MOST_SATURATED = 0.02
 DARKEST_PAPER = 0.3

@@ -26,7 +26,7 @@ class Displayable:
 
     def plot(self, axes: Any = None, **options: Any) -> Any:
         """Draw this on matplotlib axes (`pip install 'trinoc[plot]'`), new ones where none are
-        given, and return them. docs/start-notebook.md has the options of each kind of value."""
+        given, and return them. docs/start.md has the options of each kind of value."""
         return _sources[0]().plot(self, axes, **options)
 
     def show(self, **options: Any) -> Any:

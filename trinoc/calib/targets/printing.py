@@ -10,7 +10,7 @@ from trinoc.errors import InputError
 
 # Of the shorter side of the field: room is left for aiming, and for the sheet to be seen aslant.
 _FIELD_SHARE = 0.6
-# docs/pictures.md says why.
+# docs/how-to.md says why.
 _GOOD_PX, _LEAST_PX = 20.0, 10.0
 _RADIUS_SHARE = 0.3
 _STEP_MM = 0.5
