@@ -1,4 +1,4 @@
-"""The tables of options of reference.md, as commands declare them: docs/make_reference.py"""
+"""The lists of options of reference.md, as commands declare them: docs/make_reference.py"""
 
 import ast
 import dataclasses
@@ -19,15 +19,14 @@ PAGE = Path(__file__).parent / "reference.md"
 _SHARED = {field.name for field in dataclasses.fields(Command)}
 
 
-def with_tables(page: str) -> str:
+def with_options(page: str) -> str:
     """The page with the options of every command as its class declares them."""
     for command in COMMANDS:
         head = re.escape(f"### `trinoc {command.command_name()}`\n")
-        table = "".join(f"| {option} | {words} |\n" for option, words in _options(command))
-        whole = f"| option | |\n|---|---|\n{table}"
-        section = rf"({head}(?:(?!### ).*\n)*?)\| option \| \|\n(?:\|.*\n)*"
+        whole = "".join(f"- {option}: {words}\n" for option, words in _options(command))
+        section = rf"({head}(?:(?!### |- `).*\n)*?)(?:- `.*\n)+"
         page, found = re.subn(section, lambda match, own=whole: match[1] + own, page)
-        assert found == 1, f"{PAGE.name} has no table of options of {command.command_name()}"
+        assert found == 1, f"{PAGE.name} has no list of options of {command.command_name()}"
     return page
 
 
@@ -53,20 +52,20 @@ def _typed(name: str, hint: Any, said: list[Any]) -> str:
     """The option with its short form and what is typed behind it."""
     metavar = next((each.metavar for each in said if getattr(each, "metavar", None)), "")
     if tyro.conf.Positional in said:
-        return f"`{metavar}`".replace("|", "\\|")
+        return f"`{metavar}`"
     members = typing.get_args(hint) if typing.get_origin(hint) is not Literal else (hint,)
     choices = [typing.get_args(each) for each in members if typing.get_origin(each) is Literal]
     behind = metavar or "|".join(str(choice) for own in choices for choice in own)
     short = next((each.aliases for each in said if getattr(each, "aliases", None)), ())
     name = next((each.name for each in said if getattr(each, "name", None)), name)
-    option = f"--{name.replace('_', '-')} {behind}".strip().replace("|", "\\|")
+    option = f"--{name.replace('_', '-')} {behind}".strip()
     return ", ".join(f"`{each}`" for each in (*short, option))
 
 
 def _default(field: dataclasses.Field, said: list[Any]) -> str:
     hint = next((h for each in said if (h := getattr(each, "help_behavior_hint", None))), None)
     if isinstance(hint, str):
-        return hint.replace("|", "\\|")
+        return "" if hint == "(default: none)" else hint
     if field.default is dataclasses.MISSING:
         return "(required)"
     if field.default in (None, False, ()):
@@ -86,9 +85,9 @@ def _sentences(options: type) -> dict[str, str]:
         for field, below in zip(tree.body, tree.body[1:], strict=False):
             if isinstance(field, ast.AnnAssign) and isinstance(below, ast.Expr):
                 name, text = ast.unparse(field.target), ast.literal_eval(below.value)
-                found[name] = " ".join(text.split()).replace("|", "\\|")
+                found[name] = " ".join(text.split())
     return found
 
 
 if __name__ == "__main__":
-    PAGE.write_text(with_tables(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+    PAGE.write_text(with_options(PAGE.read_text(encoding="utf-8")), encoding="utf-8")

@@ -52,7 +52,7 @@ def test_options_are_those_of_the_reference(capsys):
 def test_options_of_the_reference_are_as_their_classes_declare_them(monkeypatch):
     monkeypatch.syspath_prepend(str(ROOT / "docs"))
     script = importlib.import_module("make_reference")
-    assert script.with_tables(REFERENCE) == REFERENCE, "run python docs/make_reference.py"
+    assert script.with_options(REFERENCE) == REFERENCE, "run python docs/make_reference.py"
 
 
 def test_version_is_that_of_the_installed_package_and_of_the_citation():
