@@ -26,7 +26,7 @@ from trinoc.geometry.segments import Segments
 from trinoc.io.rig_json import load_rig
 from trinoc.match import Cylinders, find_cylinders
 from trinoc.match.tracks.matches import Matches
-from trinoc.numerics.vectors import axes_across
+from trinoc.numerics.vectors import complete_axes
 from trinoc.synth import Detector, block_scene, simulate_segments, table1_rig
 from trinoc.synth.solids import Cylinder
 
@@ -108,7 +108,7 @@ def error_of(found: Cylinders, row: int, solid: Cylinder) -> tuple[np.ndarray, f
     directions, and of the radius; chi-square of all)."""
     first, second = found.axis_mm[row]
     length = float(np.linalg.norm(second - first))
-    across = axes_across((second - first) / length)
+    across = complete_axes((second - first) / length)
     up = np.array([0.0, 0.0, 1.0])
     at = []
     for end in (first, second):

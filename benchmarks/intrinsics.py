@@ -24,7 +24,7 @@ from trinoc.geometry import Pose
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.lenses.brown_conrady import BrownConrady
-from trinoc.geometry.lenses.registry import simplified
+from trinoc.geometry.lenses.registry import simplify_lens
 from trinoc.synth.camera_picture.render import render_sheet
 
 SHEET = Pattern.default()
@@ -55,7 +55,7 @@ def random_poses(seed: int, count: int) -> np.ndarray:
 
 
 def image_of(values: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    lens = simplified(BrownConrady.from_parameters(values))
+    lens = simplify_lens(BrownConrady.from_parameters(values))
     camera = Camera(Intrinsics.of_lens(lens, SIZE_PX), Pose(pose))
     return render_sheet(SHEET, camera, paper=PAPER, ink=INK, blur_px=BLUR_PX, bits=None)
 

@@ -30,7 +30,7 @@ from trinoc.match import Corners, join_collinear, snap_corners
 from trinoc.match.line_map.lines import JoinedLines
 from trinoc.match.matcher import match_segments
 from trinoc.match.tracks.matches import Matches
-from trinoc.numerics.vectors import axes_across
+from trinoc.numerics.vectors import complete_axes
 from trinoc.segments import find_segments
 from trinoc.synth import loose_segments, table1_rig
 from trinoc.synth.solids import Cylinder
@@ -144,7 +144,7 @@ def edges_of_lines(lines_mm: np.ndarray, edges_mm: np.ndarray) -> np.ndarray:
 
 def off_line(points_mm: np.ndarray, edge: np.ndarray) -> np.ndarray:
     way = edge[1] - edge[0]
-    axes = axes_across(way / np.linalg.norm(way))
+    axes = complete_axes(way / np.linalg.norm(way))
     return np.linalg.norm((points_mm - edge[0]) @ axes.T, axis=-1)
 
 
@@ -176,7 +176,7 @@ def judge_lines(
         tally.add("pieces", *(_rms(off_line(matches.lines_mm[t], true)) for t in tracks))
         tally.add("lines", _rms(off_line(joined.lines_mm[line], true)))
         way = true[1] - true[0]
-        axes = axes_across(way / np.linalg.norm(way))
+        axes = complete_axes(way / np.linalg.norm(way))
         error = ((joined.lines_mm[line] - true[0]) @ axes.T).reshape(4)
         project = np.kron(np.eye(2), axes)
         spread = project @ joined.covariance_mm2[line] @ project.T
@@ -184,7 +184,11 @@ def judge_lines(
 
 
 def judge_corners(
-    tally: Tally, joined: JoinedLines, corners: Corners, edge: np.ndarray, edges_mm: np.ndarray
+    tally: Tally,
+    joined: JoinedLines,
+    corners: Corners,
+    edge: np.ndarray,
+    edges_mm: np.ndarray,
 ) -> None:
     """Count corners, and how far they are from the true ones; `edge` is that of each line."""
     ends = edges_mm.reshape(-1, 3)

@@ -23,7 +23,7 @@ import trinoc
 import trinoc.synth
 from trinoc.io.rig_json import load_rig
 from trinoc.match.tracks.matches import Matches
-from trinoc.numerics.vectors import axes_across
+from trinoc.numerics.vectors import complete_axes
 from trinoc.synth import table1_rig
 
 SAMPLES_PER_PX, OFTEN = 4, 10
@@ -34,7 +34,7 @@ def errors(matches: Matches, edge: np.ndarray, edges_mm: np.ndarray) -> np.ndarr
     rows = []
     for track in np.flatnonzero(edge >= 0):
         first, second = edges_mm[edge[track]]
-        axes = axes_across((second - first) / np.linalg.norm(second - first))
+        axes = complete_axes((second - first) / np.linalg.norm(second - first))
         error = ((matches.lines_mm[track] - first) @ axes.T).reshape(4)
         turn = np.kron(np.eye(2), axes)
         spread = turn @ matches.covariance_mm2[track] @ turn.T

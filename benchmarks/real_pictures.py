@@ -146,7 +146,7 @@ def fit_of(picture: np.ndarray, condition: Case, pose: Pose, method: str) -> Rec
     try:
         result = trinoc.calibrate(
             {"a": picture},
-            pattern_of(condition.sheet).rescaled(*told.print_scale),
+            pattern_of(condition.sheet).rescale(*told.print_scale),
             lens,
             parameters=told.parameters,
             method=method,  # pyright: ignore[reportArgumentType]

@@ -12,12 +12,12 @@ import numpy as np
 import trinoc
 from trinoc.io import demo_images
 from trinoc.segments import find_segments_lsd
-from trinoc.segments.nevatia_babu.chains import ordered_chains, split_chains, successors
-from trinoc.segments.nevatia_babu.thinning import gradient_of
+from trinoc.segments.nevatia_babu.chains import order_chains, split_chains, successors
+from trinoc.segments.nevatia_babu.thinning import correlate_gradient
 from trinoc.segments.nevatia_babu.thinning import combined_kernel
 from trinoc.segments import nevatia_babu_masks
 from trinoc.image.noise import level_noise
-from trinoc.segments.nevatia_babu.thinning import thinned_pixels
+from trinoc.segments.nevatia_babu.thinning import thin_pixels
 
 plt.rcParams.update({"figure.dpi": 64, "savefig.bbox": "tight", "axes.titlesize": 10})
 picture = demo_images("scene")["left"]
@@ -61,7 +61,7 @@ plt.show()
 # %%
 grey = picture.astype(np.float32)
 kernel = combined_kernel()
-gradient = gradient_of(grey, kernel)
+gradient = correlate_gradient(grey, kernel)
 noise = level_noise(grey, quantum=1.0)
 strength = np.sqrt(gradient.squared)
 direction = np.arctan2(gradient.v, gradient.u)
@@ -80,10 +80,10 @@ plt.show()
 
 # %%
 least = max(3 * noise * kernel.noise_gain, 0.9)
-points = thinned_pixels(grey, kernel, least)
+points = thin_pixels(grey, kernel, least)
 following = successors(points, grey.shape)
 linked = np.flatnonzero(following >= 0)
-order, starts = ordered_chains(following)
+order, starts = order_chains(following)
 print(f"{len(points.pixel)} points, {len(linked)} links, {len(starts)} chains")
 
 left, right = pair()

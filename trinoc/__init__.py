@@ -7,7 +7,7 @@ rooms behind them tell in their docstrings what is done there: `trinoc.calib`, `
 
 import lazy_loader
 
-from trinoc.numerics.display import display_with
+from trinoc.numerics.display import set_displays
 
 __version__ = "0.1.0"
 
@@ -21,4 +21,4 @@ def _displays():  # pyright: ignore[reportUnusedFunction]
 
 
 # Values show themselves by what the report draws, which they do not know.
-display_with(_displays)
+set_displays(_displays)

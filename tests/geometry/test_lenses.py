@@ -18,8 +18,8 @@ from trinoc.geometry.lenses.rational import Rational, ThinPrism
 from trinoc.geometry.lenses.registry import (
     LENS_MODELS,
     lens_model,
-    promoted,
-    simplified,
+    promote_lens,
+    simplify_lens,
     stack_lenses,
 )
 from trinoc.geometry.lenses.splined import SPLINED
@@ -155,11 +155,11 @@ def test_two_models_that_both_distort_do_not_stack():
 
 def test_promotion_and_simplification_are_inverse():
     ideal = Pinhole.from_parameters(np.array(AFFINE))
-    assert isinstance(promoted(ideal), BrownConrady)
-    assert isinstance(simplified(promoted(ideal)), Pinhole)
+    assert isinstance(promote_lens(ideal), BrownConrady)
+    assert isinstance(simplify_lens(promote_lens(ideal)), Pinhole)
     lens = example(BrownConrady)
-    assert promoted(lens) is lens
-    assert simplified(lens) is lens
+    assert promote_lens(lens) is lens
+    assert simplify_lens(lens) is lens
 
 
 def test_a_lens_that_is_not_known_is_refused():
@@ -227,4 +227,4 @@ def test_the_fold_is_where_the_radius_stops_to_grow(model, coefficients, angle_d
 
 def test_a_fisheye_without_coefficients_is_no_pinhole():
     lens = KannalaBrandt.from_parameters(np.array([*AFFINE, 0.0, 0.0, 0.0, 0.0]))
-    assert simplified(lens) is lens
+    assert simplify_lens(lens) is lens

@@ -74,7 +74,7 @@ def test_the_rotation_vector_survives_its_rotation(vector):
 @few
 @given(cameras())
 def test_an_aimed_pose_looks_at_the_origin_from_the_same_place_of_the_sheet(camera):
-    aimed = camera.pose.aimed()
+    aimed = camera.pose.aim_at_origin()
     np.testing.assert_allclose(aimed.aim_mm, 0.0, atol=1e-9)
     np.testing.assert_allclose(aimed.centre_world_mm, camera.centre_world_mm, atol=1e-9)
 

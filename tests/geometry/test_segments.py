@@ -22,14 +22,14 @@ def some(count: int, seed: int) -> Segments:
 
 def test_a_table_cut_in_two_and_joined_is_the_table():
     whole = some(9, seed=0)
-    again = whole.take(np.arange(4)).followed_by(whole.take(np.arange(4, 9)))
+    again = whole.take(np.arange(4)).append(whole.take(np.arange(4, 9)))
     for name in ("endpoints_px", "covariance_px2", "contrast", "support", "reasons", "side_levels"):
         np.testing.assert_array_equal(getattr(again, name), getattr(whole, name), err_msg=name)
 
 
 def test_what_follows_belongs_to_no_chain():
     first, second = some(5, seed=1), some(3, seed=2)
-    chain = np.asarray(first.followed_by(second).chain)
+    chain = np.asarray(first.append(second).chain)
     np.testing.assert_array_equal(chain[:5], first.chain)
     assert len(set(chain[5:]) - set(chain[:5])) == 3
 
@@ -37,12 +37,12 @@ def test_what_follows_belongs_to_no_chain():
 def test_what_one_table_does_not_know_is_not_made_up():
     known, ends = some(4, seed=3), np.array([[1.0, 2.0, 30.0, 40.0]])
     plain = Segments.from_endpoints(ends)
-    after = known.followed_by(plain)
+    after = known.append(plain)
     assert after.side_levels is not None
     assert after.reasons is not None
     assert np.isnan(after.side_levels[4]).all()
     assert after.reasons[4] == ""
-    before = plain.followed_by(known)
+    before = plain.append(known)
     assert before.side_levels is None
     assert before.reasons is None
     assert before.chain is None

@@ -13,11 +13,11 @@ from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.lenses.brown_conrady import BrownConrady
 from trinoc.geometry.lenses.kannala_brandt import KannalaBrandt
 from trinoc.geometry.lenses.rational import ThinPrism
-from trinoc.geometry.lenses.registry import simplified, splined
+from trinoc.geometry.lenses.registry import simplify_lens, spline_lens
 from trinoc.geometry.lenses.splined import (
     ORDER,
     SPLINED,
-    AbstractSplined,
+    AbstractSplinedLens,
     SplinedBrownConrady,
     SplinedKannalaBrandt,
     smoothness,
@@ -38,12 +38,12 @@ unproject = jax.jit(jax.vmap(lambda lens, uv_px: lens.unproject(uv_px), (None, 0
 
 def corrected(core=CORE, scale_px=2.0, seed=0):
     """A lens whose control points are scattered about 0."""
-    lens = splined(core, SIZE_PX)
+    lens = spline_lens(core, SIZE_PX)
     values = np.array(lens.parameters)
     control = np.random.default_rng(seed).normal(0.0, scale_px, lens.control_count)
     values[-lens.control_count :] = control
     moved = lens.with_parameters(values)
-    assert isinstance(moved, AbstractSplined)
+    assert isinstance(moved, AbstractSplinedLens)
     return moved
 
 
@@ -76,11 +76,11 @@ def test_beyond_its_grid_the_surface_stays_as_it_is_at_the_edge():
 
 @pytest.mark.parametrize("core", [CORE, FISHEYE], ids=["perspective", "fisheye"])
 def test_a_correction_of_zero_is_the_core(core):
-    lens = splined(core, SIZE_PX)
+    lens = spline_lens(core, SIZE_PX)
     rays = unproject(core, pixels())
     np.testing.assert_allclose(project(lens, rays), project(core, rays), atol=1e-9)
-    assert type(simplified(lens)) is type(core)
-    np.testing.assert_array_equal(simplified(lens).parameters, core.parameters)
+    assert type(simplify_lens(lens)) is type(core)
+    np.testing.assert_array_equal(simplify_lens(lens).parameters, core.parameters)
     assert lens.fold_angle_rad() == core.fold_angle_rad()
 
 
@@ -97,7 +97,7 @@ def test_every_pixel_has_its_ray(core):
 
 @given(value=st.floats(-3.0, 3.0))
 def test_one_height_everywhere_moves_all_pixels_by_it(value):
-    lens = splined(CORE, SIZE_PX)
+    lens = spline_lens(CORE, SIZE_PX)
     values = np.array(lens.parameters)
     values[-lens.control_count // 2 :] = value
     rays = unproject(CORE, pixels(4))
@@ -154,5 +154,5 @@ def test_a_correction_that_folds_is_refused():
 def test_what_is_no_core_is_told():
     prism = ThinPrism.from_parameters(np.append(AFFINE, np.zeros(12) + 1e-3))
     with pytest.raises(InputError, match="thin_prism takes no correction"):
-        splined(prism, SIZE_PX)
+        spline_lens(prism, SIZE_PX)
     assert set(SPLINED.values()) >= {SplinedBrownConrady, SplinedKannalaBrandt}

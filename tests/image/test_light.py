@@ -61,7 +61,7 @@ def test_clipped_pixels_and_their_neighbours() -> None:
     picture = np.full((40, 40), 100, np.uint8)
     picture[10, 20] = 255
     found = Light.from_picture(picture)
-    assert found.clipped().sum() == 1
-    near = found.clipped(2)
+    assert found.find_clipped().sum() == 1
+    near = found.find_clipped(2)
     assert near.sum() == 25
     assert near[8:13, 18:23].all()

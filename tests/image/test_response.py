@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from trinoc.errors import InputError
-from trinoc.image.response import PowerResponse, response_of
+from trinoc.image.response import PowerResponse, find_response
 from trinoc.synth.camera_picture.delivery import SRGB
 
 BENDS = (-1.0, -0.3, 0.0, 0.5, 1.0, 2.0)
@@ -40,21 +40,21 @@ def test_traced_and_plain_numbers_agree() -> None:
 
 def test_the_named_curves_are_what_they_are_called() -> None:
     light = LIGHT[LIGHT <= 1]
-    np.testing.assert_allclose(response_of("linear").level_of(light), light, atol=1e-12)
-    assert response_of("linear").is_linear
-    srgb, standard = np.asarray(response_of("srgb").level_of(light)), SRGB().encoded(light)
+    np.testing.assert_allclose(find_response("linear").level_of(light), light, atol=1e-12)
+    assert find_response("linear").is_linear
+    srgb, standard = np.asarray(find_response("srgb").level_of(light)), SRGB().encoded(light)
     # Near black the standard's own curve is straight.
     np.testing.assert_allclose(srgb, standard, atol=8e-3)
     np.testing.assert_allclose(srgb[light > 0.02], standard[light > 0.02], atol=2e-3)
-    assert not response_of("srgb").is_linear
+    assert not find_response("srgb").is_linear
 
 
 def test_a_curve_of_ones_own_is_taken_as_it_is() -> None:
     own = PowerResponse(2.5)
-    assert response_of(own) is own
+    assert find_response(own) is own
 
 
 @pytest.mark.parametrize("response", ["sRGB", "", float("nan"), 7.0])
 def test_an_unknown_response_is_refused(response: str | float) -> None:
     with pytest.raises(InputError, match="response"):
-        response_of(response)
+        find_response(response)

@@ -17,7 +17,7 @@ from trinoc.io.compile_cache import (
     enable_compile_cache,
     surroundings,
 )
-from trinoc.numerics.programs import keep_programs_in
+from trinoc.numerics.programs import set_program_store
 
 SETTINGS = (
     "jax_compilation_cache_dir",
@@ -33,9 +33,9 @@ def cache_dir():
 @pytest.fixture(autouse=True)
 def _settings_as_before():
     before = {name: getattr(jax.config, name) for name in SETTINGS}
-    store = keep_programs_in(None)
+    store = set_program_store(None)
     yield
-    keep_programs_in(store)
+    set_program_store(store)
     for name, value in before.items():
         jax.config.update(name, value)
     reset_cache()

@@ -5,8 +5,8 @@ import pytest
 
 from tests.match.made import as_set, loose_lines, pictures, rig_of
 from trinoc.match import MatchTuning
-from trinoc.match.candidates.learned import Learned, Region, region_of
-from trinoc.match.candidates.search import prepared_orders
+from trinoc.match.candidates.learned import Region, SearchPrior, bound_region
+from trinoc.match.candidates.search import prepare_orders
 from trinoc.match.candidates.table import prior_log_odds
 from trinoc.match.candidates.triples import candidates_among
 from trinoc.match.evidence.mixture import prior_parameters
@@ -49,7 +49,7 @@ def test_tracks_are_those_of_the_search_of_everything(seen: dict) -> None:
 
 def test_lines_outside_the_box_are_found(seen: dict, lines_mm: np.ndarray) -> None:
     narrow = with_field(with_field(scouting(), "scouting.left_out", 0.05), "scouting.margin", 0.0)
-    outside = ~inside(region_of(lines_mm, narrow.scouting), lines_mm)
+    outside = ~inside(bound_region(lines_mm, narrow.scouting), lines_mm)
     assert outside.sum() > 20
     assert outside[-3:].all()
     found = as_set(match_segments(seen, RIG, tuning=narrow), VIEWS)
@@ -73,7 +73,7 @@ def test_the_box_holds_its_lines_wherever_the_world_begins() -> None:
     lines = loose_lines(200, seed=7)
     far = np.array([3e5, -2e6, 1e4])
     for shift in (np.zeros(3), far):
-        assert inside(region_of(lines + shift, DEFAULT.scouting), lines + shift).mean() > 0.98
+        assert inside(bound_region(lines + shift, DEFAULT.scouting), lines + shift).mean() > 0.98
 
 
 @in_float64
@@ -82,7 +82,7 @@ def test_the_search_within_a_box_finds_what_has_its_common_part_there(seen: dict
     every = candidates_among(orders)
     # A box whose walls are far from all ends, so that the fit to three views crosses none.
     region = Region(np.eye(3), np.array([-200.0, -200.0, -50.0]), np.array([200.0, 200.0, 100.0]))
-    learned = Learned(region, prior_parameters(every.ends_mm, 110.0), -np.inf)
+    learned = SearchPrior(region, prior_parameters(every.ends_mm, 110.0), -np.inf)
     found = candidates_among(orders, learned=learned)
     assert {tuple(row) for row in found.index} <= {tuple(row) for row in every.index}
     true = {(n, n, n) for n in range(107)}
@@ -99,7 +99,7 @@ def test_what_is_dropped_at_sight_is_unlikely(seen: dict) -> None:
     odds = prior_log_odds(every, anywhere)
     slack = DEFAULT.scouting.slack_log_odds
     for least in (-5.0, 0.0, 5.0):
-        found = candidates_among(orders, learned=Learned(None, mixture, least))
+        found = candidates_among(orders, learned=SearchPrior(None, mixture, least))
         likely = every.index[odds > least + slack]
         kept = {tuple(row) for row in found.index.tolist()}
         missing = {tuple(row) for row in likely.tolist()} - kept
@@ -128,4 +128,4 @@ def orders_of(seen: dict):
     """The three views, ready to be searched."""
     given = prepare(seen, RIG, None)
     clutter = fit_clutter(given.lines, given.counts)
-    return prepared_orders(given.lines, (0, 1, 2), given.counts, clutter)
+    return prepare_orders(given.lines, (0, 1, 2), given.counts, clutter)

@@ -3,7 +3,7 @@
 import numpy as np
 from hypothesis import given, strategies as st
 
-from trinoc.numerics.buckets import bucket, padded
+from trinoc.numerics.buckets import bucket, pad_rows
 
 COUNTS = st.integers(0, 1 << 26)
 FINE = st.sampled_from((1 << 12, 1 << 16))
@@ -31,6 +31,6 @@ def test_the_smallest_length_is_doubled_until_it_holds_the_rows(count: int, smal
     length = bucket(count, smallest=smallest)
     assert length == smallest or length < 2 * count
     rows = np.arange(2 * count).reshape(count, 2)
-    more = padded(rows, length, np.array([-1, -2]))
+    more = pad_rows(rows, length, np.array([-1, -2]))
     np.testing.assert_array_equal(more[:count], rows)
     np.testing.assert_array_equal(more[count:], np.tile([-1, -2], (length - count, 1)))

@@ -11,7 +11,7 @@ from hypothesis import given, strategies as st
 from scipy import stats
 
 from trinoc.geometry import Pose
-from trinoc.numerics.programs import keep_programs_in, kept_jit
+from trinoc.numerics.programs import kept_jit, set_program_store
 from trinoc.numerics.tails import (
     chi_square_limit,
     chi_square_quantile,
@@ -39,9 +39,9 @@ class _Drawer(dict[str, bytes]):
 @pytest.fixture
 def drawer() -> Iterator[_Drawer]:
     drawer = _Drawer()
-    before = keep_programs_in(drawer)
+    before = set_program_store(drawer)
     yield drawer
-    keep_programs_in(before)
+    set_program_store(before)
 
 
 def line_up(pose: Pose, by: jax.Array, times: int = 1) -> Pose:
@@ -135,11 +135,11 @@ def test_inside_traces_it_is_jit(drawer, arguments) -> None:
 
 
 def test_without_a_store_it_is_jit(arguments) -> None:
-    before = keep_programs_in(None)
+    before = set_program_store(None)
     try:
         assert isinstance(kept_jit(line_up)(*arguments), Pose)
     finally:
-        keep_programs_in(before)
+        set_program_store(before)
 
 
 @given(value=st.floats(0, 500), degrees=st.integers(1, 400), tail=st.floats(1e-12, 1.0))

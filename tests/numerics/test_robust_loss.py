@@ -36,7 +36,7 @@ def test_small_residuals_count_in_full_and_large_ones_reach_the_ceiling(loss: Ge
 @pytest.mark.parametrize("loss", BOUNDED)
 def test_a_wider_loss_is_the_same_in_another_unit(loss: GemanMcClure) -> None:
     np.testing.assert_allclose(
-        loss.widened(5.0).rho(25.0 * SQUARED), 25.0 * np.asarray(loss.rho(SQUARED))
+        loss.widen(5.0).rho(25.0 * SQUARED), 25.0 * np.asarray(loss.rho(SQUARED))
     )
 
 

@@ -20,7 +20,7 @@ from trinoc.match.features import FEATURES
 from trinoc.match.tracks.matches import Matches
 from trinoc.match.wire_frame.frame import LetGo
 from trinoc.numerics.table_checks import is_covariance
-from trinoc.numerics.tables import Table, fields_of
+from trinoc.numerics.tables import Table, list_fields
 
 KINDS = [Segments, Junctions, Matches, LetGo, Frames, *FEATURES]
 SEGMENTS = Segments.from_endpoints(np.random.default_rng(5).uniform(0, 400, (6, 4)))
@@ -35,7 +35,7 @@ def test_every_field_has_its_sentence(kind: type[Table]) -> None:
     listed = re.findall(r"^\s*(?:.*\. )?((?:\w+, )*\w+) : ", kind.__doc__ or "", re.MULTILINE)
     named = {name for line in listed for name in line.split(", ")}
     inner = set(re.findall(r"\b(\w+) : \(", kind.__doc__ or ""))
-    assert {field.name for field in fields_of(kind)} <= named | inner
+    assert {field.name for field in list_fields(kind)} <= named | inner
 
 
 @pytest.mark.parametrize("table", TABLES, ids=lambda table: type(table).__name__)
@@ -48,7 +48,7 @@ def test_what_is_written_is_what_is_read(table: Table) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_sides_with_a_name_have_words(kind: type[Table]) -> None:
-    for field in fields_of(kind):
+    for field in list_fields(kind):
         known = {side for side in field.sides if not side.isdigit()}
         assert known <= set(kind.SIDES)
 

@@ -7,7 +7,7 @@ from scipy.special import ndtr
 from trinoc.segments import nevatia_babu_masks
 from trinoc.segments.nevatia_babu.thinning import (
     combined_kernel,
-    gradient_of,
+    correlate_gradient,
     mask_gradient_directions,
 )
 
@@ -46,7 +46,7 @@ def test_every_mask_answers_most_to_a_step_across_its_own_direction() -> None:
 
 def test_combined_kernel_gives_the_slope_of_a_ramp() -> None:
     v, u = np.mgrid[:20, :20].astype(np.float32)
-    gradient = gradient_of(3.0 * u - 2.0 * v + 7.0, combined_kernel())
+    gradient = correlate_gradient(3.0 * u - 2.0 * v + 7.0, combined_kernel())
     inside = (slice(4, -4), slice(4, -4))
     assert np.allclose(gradient.u[inside], 3.0, atol=1e-4)
     assert np.allclose(gradient.v[inside], -2.0, atol=1e-4)
@@ -55,14 +55,14 @@ def test_combined_kernel_gives_the_slope_of_a_ramp() -> None:
 def test_a_blurred_step_has_a_profile_of_the_variance_of_kernel_and_blur() -> None:
     across, blur = np.arange(-15.0, 16.0), 2.0
     step = np.tile(ndtr(across / blur).astype(np.float32), (31, 1))
-    profile = gradient_of(step, combined_kernel()).u[15]
+    profile = correlate_gradient(step, combined_kernel()).u[15]
     variance = (profile * across**2).sum() / profile.sum()
     assert np.isclose(variance, combined_kernel().variance_px2 + blur**2, rtol=1e-3)
 
 
 def test_noise_gain_is_the_spread_of_the_answer_to_white_noise() -> None:
     noise = np.random.default_rng(0).normal(size=(1000, 1000)).astype(np.float32)
-    gradient = gradient_of(noise, combined_kernel())
+    gradient = correlate_gradient(noise, combined_kernel())
     assert np.isclose(gradient.u.std(), combined_kernel().noise_gain, rtol=0.01)
     assert np.isclose(gradient.v.std(), combined_kernel().noise_gain, rtol=0.01)
 
@@ -70,6 +70,6 @@ def test_noise_gain_is_the_spread_of_the_answer_to_white_noise() -> None:
 def test_the_gradient_leaves_the_picture_and_gives_its_squared_size() -> None:
     grey = np.random.default_rng(1).uniform(0, 255, (30, 40)).astype(np.float32)
     before = grey.copy()
-    gradient = gradient_of(grey, combined_kernel())
+    gradient = correlate_gradient(grey, combined_kernel())
     assert np.allclose(gradient.squared, gradient.u**2 + gradient.v**2, rtol=1e-5, atol=1e-4)
     assert np.array_equal(grey, before)

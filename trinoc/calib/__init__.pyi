@@ -2,7 +2,7 @@ from .batch import (
     calibrate_batch as calibrate_batch,
 )
 from .bundle.implicit_diff import (
-    refined as refined,
+    refine_differentiably as refine_differentiably,
 )
 from .bundle.result import (
     RefineResult as RefineResult,

@@ -24,7 +24,7 @@ from trinoc.calib.rig_fit import Knowledge, RigFit
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS
-from trinoc.geometry.lenses.registry import simplified
+from trinoc.geometry.lenses.registry import simplify_lens
 from trinoc.geometry.rig import PARAMETER_NAMES, Rig
 from trinoc.numerics.information import Observability, observability_of_root
 from trinoc.numerics.precision import in_float64
@@ -115,7 +115,7 @@ def _camera(fit: RigFit, view: int) -> Camera:
     camera, pose = fit.cameras[view].camera, fit.adjustment.pose(view)
     if camera.lens_factor is None:
         return Camera(camera.lens, pose)
-    lens, said = simplified(fit.adjustment.lens(view)), camera.lens
+    lens, said = simplify_lens(fit.adjustment.lens(view)), camera.lens
     return Camera(Intrinsics.of_lens(lens, said.image_size_px, said.pixel_pitch_mm), pose)
 
 

@@ -61,7 +61,7 @@ def calibrate_detections(
     return calibration_of_search(search, lenses, known, orientation, throw=throw)
 
 
-class Outcome(NamedTuple):
+class RigOutcome(NamedTuple):
     """What became of each camera.
 
     Fields
@@ -104,7 +104,7 @@ def outcome_of_search(
     lenses: Mapping[str, Intrinsics],
     known: Knowledge,
     orientation: Orientation,
-) -> Outcome:
+) -> RigOutcome:
     """Fit the cameras whose sheet was found, and say of each what became of it."""
     factors = known.systematics.lens_factors(lenses)
     detections, ambiguous = resolve_orientation(search.detections, known.pattern, orientation)
@@ -123,16 +123,16 @@ def outcome_of_search(
             cameras.append(SheetCamera(name, detection, lens, factor, pose, image))
         else:
             failures[name] = sentence
-            others[name] = _failed(detection, fit)
+            others[name] = _failed_fit(detection, fit)
     status |= dict.fromkeys(ambiguous, Status.AMBIGUOUS)
     result = None
     if cameras:
         fits = [fit_rig(group, known) for group in known.systematics.groups(cameras)]
         result = result_of_fits(fits, known, status, failures, others)
-    return Outcome(status, failures, result)
+    return RigOutcome(status, failures, result)
 
 
-def _failed(detection: Detection, fit: PoseEstimate) -> CameraFit:
+def _failed_fit(detection: Detection, fit: PoseEstimate) -> CameraFit:
     """What is known of a camera whose circles give no pose."""
     return CameraFit(
         detection=detection,

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from trinoc.calib.detection.detection import Detection
-from trinoc.calib.problem.information import whitened_views
+from trinoc.calib.problem.information import whiten_views
 from trinoc.calib.problem.problem import Problem, lens_number
 from trinoc.calib.problem.robust_fit import errors_px, fit_places
 from trinoc.calib.problem.sheet_problem import SheetCamera, sheet_problem
@@ -22,7 +22,7 @@ from trinoc.errors import CalibrationError, InputError
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS
-from trinoc.geometry.lenses.registry import DEFAULT_DISTORTION, promoted, simplified
+from trinoc.geometry.lenses.registry import DEFAULT_DISTORTION, promote_lens, simplify_lens
 from trinoc.geometry.pose import Pose, PoseModel
 from trinoc.numerics.arrays import ArrayLike
 from trinoc.numerics.precision import in_float64
@@ -144,7 +144,7 @@ def _problem_of_points(
     unit = np.broadcast_to(np.eye(2), (count, 2, 2))
     no_lines = np.full((2, 3), np.nan)
     seen = Detection(np.arange(count), uv_px, unit, unit, no_lines, camera.image_size_px)
-    pose = camera.pose.aimed() if model is PoseModel.AIMED else camera.pose
+    pose = camera.pose.aim_at_origin() if model is PoseModel.AIMED else camera.pose
     target = _Points("points", points_mm, np.zeros(count))
     one = SheetCamera(_CAMERA, seen, camera.intrinsics, None, pose)
     problem = sheet_problem([one], target, Systematics(), model, aim_sigma_mm=0.0)
@@ -189,7 +189,7 @@ def _result(
     """held : change of the lens's parameters for a sigma of each error that is not fitted."""
     (view,), chart = problem.views, problem.chart
     used = view.used
-    every = whitened_views(problem).jacobian[0][: 2 * len(used)][np.repeat(used, 2)]
+    every = whiten_views(problem).jacobian[0][: 2 * len(used)][np.repeat(used, 2)]
     scale, pose_rows = np.asarray(chart.lens_scale)[0], chart.camera_rows(0)
     rows = [problem.state.lenses.parameter_names.index(name) for name in names]
     columns = [*range(pose_rows.start, pose_rows.start + model.size), *rows]
@@ -220,7 +220,7 @@ def _result(
     inverse = (vectors / values) @ vectors.T
     by_error = inverse @ jacobian.T @ every[:, : len(scale)] @ (held / scale[:, None])
     covariance = by_step @ (noise**2 * inverse + by_error @ by_error.T) @ by_step.T
-    found = simplified(lens_number(problem, 0))
+    found = simplify_lens(lens_number(problem, 0))
     intrinsics = Intrinsics.of_lens(found, lens.image_size_px, lens.pixel_pitch_mm)
     return PointsCalibration(
         camera=Camera(intrinsics if names else lens, pose),
@@ -249,7 +249,7 @@ def _check(
         raise InputError("Some place or pixel is not finite: leave out points that were not seen.")
     if lens is None and image_size_px is None:
         raise InputError("Nothing says how large the picture is: give lens or image_size_px.")
-    known = (DEFAULT_DISTORTION if lens is None else promoted(lens.lens)).parameter_names
+    known = (DEFAULT_DISTORTION if lens is None else promote_lens(lens.lens)).parameter_names
     unknown = [name for name in names if name not in known]
     if unknown:
         raise InputError(f"`free` names {unknown[0]!r}, but knows {', '.join(known)}.")

@@ -76,10 +76,10 @@ class IntrinsicsResult(eqx.Module):
 
     def summary(self) -> str:
         """The parameters with their standard deviations, and how good the fit is, as text."""
-        return summary_text(self)
+        return summarise_lens(self)
 
 
-def summary_text(result: IntrinsicsResult) -> str:
+def summarise_lens(result: IntrinsicsResult) -> str:
     """One line per parameter, and below them whatever a user should know."""
     lines = [
         f"{name:6} {_with_sigma(value, result.sigma(name), name in result.free)}"

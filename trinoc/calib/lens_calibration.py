@@ -11,25 +11,25 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
 
-from trinoc.calib.advice.next_shot import next_image_of
+from trinoc.calib.advice.next_shot import advise_next_image
 from trinoc.calib.detection.detection import Detection
 from trinoc.calib.intrinsics_result import IntrinsicsResult
 from trinoc.calib.problem.coefficients import fewest_coefficients, hold_undetermined
 from trinoc.calib.problem.lens_correction import with_correction, with_own_correction_sigmas
-from trinoc.calib.problem.outcome import Outcome, assess_fit
+from trinoc.calib.problem.outcome import FitOutcome, assess_fit
 from trinoc.calib.problem.problem import Freedom, Problem, cam_from_board, lens_number
 from trinoc.calib.problem.robust_fit import RobustFit, errors_px, fit_robustly
-from trinoc.calib.problem.starting_problem import problem_of
+from trinoc.calib.problem.starting_problem import start_problem
 from trinoc.calib.problem.views import View
 from trinoc.calib.result.status import Status
 from trinoc.calib.rig_calibration import expect_coefficients
 from trinoc.calib.rig_pixels import expect_method, fit_pixels, grey_levels
 from trinoc.calib.shot_messages import (
     coefficients_sentence,
+    list_refusals,
     misfit_sentence,
     notes_of_fit,
     reach_sentence,
-    refused_sentences,
     silent_sentences,
 )
 from trinoc.calib.starts.camera_start import FEWEST_PLACES, start_camera
@@ -40,8 +40,8 @@ from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.errors import CalibrationError, InputError
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS, AbstractLens
-from trinoc.geometry.lenses.registry import DEFAULT_DISTORTION, lens_model, simplified
-from trinoc.geometry.lenses.splined import AbstractSplined, SplinedBrownConrady
+from trinoc.geometry.lenses.registry import DEFAULT_DISTORTION, lens_model, simplify_lens
+from trinoc.geometry.lenses.splined import AbstractSplinedLens, SplinedBrownConrady
 from trinoc.numerics.arrays import ArrayLike
 from trinoc.numerics.precision import in_float64
 
@@ -99,8 +99,8 @@ def calibrate_intrinsics(
     names = [f"picture {k + 1}" for k in range(len(images_or_detections))]
     pictures = {_CAMERA: dict(zip(names, images_or_detections, strict=True))}
     model = lens_model(_CALLED.get(distortion_model, distortion_model))
-    is_splined = issubclass(model, AbstractSplined) and distortion is None
-    core = model.core_model if issubclass(model, AbstractSplined) else model
+    is_splined = issubclass(model, AbstractSplinedLens) and distortion is None
+    core = model.core_model if issubclass(model, AbstractSplinedLens) else model
     if not isinstance(pattern, Pattern):
         raise InputError(
             f"The board {pattern.name!r} is no sheet of circles: give the pictures to "
@@ -196,7 +196,7 @@ def _lens_problem(
     start = start_camera(detections, pattern, model, aspect=ratio)
     if ratio is not None:
         free = free & (np.arange(len(free)) != _FY)
-    problem = problem_of(
+    problem = start_problem(
         [View(0, k, each, np.ones(len(each), dtype=bool)) for k, each in enumerate(detections)],
         pattern,
         [start.lens],
@@ -241,12 +241,12 @@ def _result_from_fit(
     notes = [*notes_of_fit(fit, outcome, gauge_names, (_CAMERA,), held)]
     free_names = tuple(names[k] for k in free)
     coefficients = [name for name in lens.coefficient_names if name in free_names]
-    if coefficients and status is Status.CONVERGED and not isinstance(lens, AbstractSplined):
+    if coefficients and status is Status.CONVERGED and not isinstance(lens, AbstractSplinedLens):
         all_names = lens.coefficient_names
         count, gain = fewest_coefficients(lens, coefficients, covariance)
         extra = [name for name in coefficients if name not in all_names[:count]]
         notes += [coefficients_sentence(count, all_names, extra, gain)] if extra else []
-    notes += [*refused_sentences(fit, where), *silent_sentences(silent, where)]
+    notes += [*list_refusals(fit, where), *silent_sentences(silent, where)]
     reach = reach_sentence(problem) if coefficients else None
     notes += [] if reach is None else [reach]
     detected = problem._replace(views=tuple(v._replace(shown=None) for v in problem.views))
@@ -254,7 +254,7 @@ def _result_from_fit(
     pattern = problem.target
     assert isinstance(pattern, Pattern)
     return IntrinsicsResult(
-        lens=Intrinsics.of_lens(simplified(lens), size_px, pixel_pitch_mm)
+        lens=Intrinsics.of_lens(simplify_lens(lens), size_px, pixel_pitch_mm)
         if status is Status.CONVERGED
         else None,
         status=status,
@@ -277,9 +277,9 @@ def _result_from_fit(
         image_index=index,
         failures=failures,
         notes=tuple(notes),
-        next_image=next_image_of(
+        next_image=advise_next_image(
             advised,
-            _information_on(advised, outcome),
+            _lens_information(advised, outcome),
             outcome.variance_factor,
             gauge_names,
         ),
@@ -287,7 +287,7 @@ def _result_from_fit(
     )
 
 
-def _information_on(core: Problem, outcome: Outcome) -> Float[np.ndarray, "f f"]:
+def _lens_information(core: Problem, outcome: FitOutcome) -> Float[np.ndarray, "f f"]:
     """On the free steps of a lens, or of its core, whatever the splines are."""
     information, free = outcome.information, np.flatnonzero(core.chart.free)
     if len(free) < len(information.free):
@@ -298,7 +298,7 @@ def _information_on(core: Problem, outcome: Outcome) -> Float[np.ndarray, "f f"]
 
 
 def _lens_covariance(
-    problem: Problem, outcome: Outcome
+    problem: Problem, outcome: FitOutcome
 ) -> tuple[Float[np.ndarray, "q q"], Bool[np.ndarray, "q"]]:
     """Of the lens's parameters, zero for those that are held, NaN for those that are open; and
     which these are."""

@@ -28,7 +28,9 @@ _CHANCE = 1e-3
 HeldOut = Mapping[tuple[int, str], Float[np.ndarray, "_m"]]
 
 
-def held_out_errors(problem: Problem, shots: Sequence[str], cameras: Sequence[str]) -> HeldOut:
+def measure_held_out_errors(
+    problem: Problem, shots: Sequence[str], cameras: Sequence[str]
+) -> HeldOut:
     """Lenses and cameras from every second shot; the others tell where their board is, and err.
 
     shots : their names, as a `PlacedRig` has them.
@@ -84,7 +86,7 @@ def _mean_squares(tried: Mapping[str, HeldOut]) -> dict[str, Float[np.ndarray, "
     }
 
 
-def is_called_for(test: RaoTest) -> bool:
+def is_significant(test: RaoTest) -> bool:
     """Whether chance alone hardly pulls so much."""
     return test.chance < _CHANCE
 
@@ -111,6 +113,6 @@ def choice_sentence(
     if not verdicts:
         return f"{sentence}."
     sentence = f"{sentence}; by score tests the shots {', and '.join(verdicts)}"
-    if correction is None or not is_called_for(correction):
+    if correction is None or not is_significant(correction):
         return f"{sentence}."
     return f"{sentence}: the polynomial does not describe the lens, or the board is not as drawn."

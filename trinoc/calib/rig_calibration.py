@@ -12,14 +12,14 @@ from trinoc.calib.lens_selection import (
     LensChoice,
     choice_sentence,
     choose_lens,
-    held_out_errors,
-    is_called_for,
+    is_significant,
+    measure_held_out_errors,
 )
 from trinoc.calib.problem.board_shape import with_board_shape
 from trinoc.calib.problem.coefficients import hold_undetermined
-from trinoc.calib.problem.information import information_of
+from trinoc.calib.problem.information import compute_information
 from trinoc.calib.problem.lens_correction import (
-    splined_problem,
+    add_splines,
     with_correction,
     with_own_correction_sigmas,
 )
@@ -27,7 +27,7 @@ from trinoc.calib.problem.outcome import shot_scatter
 from trinoc.calib.problem.problem import Freedom, Problem
 from trinoc.calib.problem.rao_test import rational_lens_test, wider_lens_test
 from trinoc.calib.problem.robust_fit import RobustFit, fit_robustly
-from trinoc.calib.problem.starting_problem import problem_of
+from trinoc.calib.problem.starting_problem import start_problem
 from trinoc.calib.result.status import Status
 from trinoc.calib.rig_from_shots import RigFromShots, result_from_fit
 from trinoc.calib.rig_pixels import expect_method, fit_pixels, grey_levels
@@ -43,9 +43,9 @@ from trinoc.geometry.lenses.brown_conrady import BrownConrady
 from trinoc.geometry.lenses.registry import (
     DEFAULT_DISTORTION,
     lens_model as lens_model_of,
-    promoted,
+    promote_lens,
 )
-from trinoc.geometry.lenses.splined import AbstractSplined
+from trinoc.geometry.lenses.splined import AbstractSplinedLens
 from trinoc.numerics.precision import in_float64
 
 
@@ -101,7 +101,7 @@ def calibrate_rig(
         shots are out of step, or, with `throw`, parameters that the shots do not determine.
     """
     expect_method(method, target, pictures)
-    known = _known_lenses(lens, tuple(pictures))
+    known = _given_lenses(lens, tuple(pictures))
     models, corrected = _models_to_try(lens_model, distortion, known)
     found = find_boards(pictures, target, progress)
     detections = {
@@ -167,9 +167,9 @@ class _PointFit(NamedTuple):
     fit: RobustFit
     remarks: tuple[str, ...] = ()
 
-    def corrected(self, sizes_px: Sequence[tuple[int, int]]) -> "_PointFit":
+    def correct_lenses(self, sizes_px: Sequence[tuple[int, int]]) -> "_PointFit":
         """The fit with its lenses corrected by splines, if they are not."""
-        if isinstance(self.fit.problem.state.lenses, AbstractSplined):
+        if isinstance(self.fit.problem.state.lenses, AbstractSplinedLens):
             return self
         return self._replace(fit=with_correction(self.fit, sizes_px))
 
@@ -195,23 +195,23 @@ def _fit_best_lens(
     if not fits:
         raise errors[0]
 
-    def held_out(each: _PointFit) -> HeldOut:
-        return held_out_errors(each.fit.problem, each.placed.shots, cameras)
+    def measure(each: _PointFit) -> HeldOut:
+        return measure_held_out_errors(each.fit.problem, each.placed.shots, cameras)
 
-    tried = {name: held_out(each) for name, each in fits.items()}
+    tried = {name: measure(each) for name, each in fits.items()}
     choice = choose_lens(tried)
     best = fits[choice.model]
     problem, rational = best.fit.problem, None
     # That the shots disagree is not taken off for splines, since a lens that is not described makes
     # them: shots held out tell it from a board that bends.
-    spline = wider_lens_test(problem, splined_problem(problem, seen.sizes_px), 1.0)
+    spline = wider_lens_test(problem, add_splines(problem, seen.sizes_px), 1.0)
     if choice.model == BrownConrady.model:
-        factor = shot_scatter(information_of(problem)).variance_factor
+        factor = shot_scatter(compute_information(problem)).variance_factor
         rational = rational_lens_test(problem, seen.sizes_px, factor)
-    if corrected or (corrected is None and is_called_for(spline)):
-        wider = best.corrected(seen.sizes_px)
+    if corrected or (corrected is None and is_significant(spline)):
+        wider = best.correct_lenses(seen.sizes_px)
         name = wider.fit.problem.state.lenses.model
-        among = choose_lens({choice.model: tried[choice.model], name: held_out(wider)})
+        among = choose_lens({choice.model: tried[choice.model], name: measure(wider)})
         rms_px = {**choice.rms_px, **among.rms_px}
         choice = LensChoice(name if corrected else among.model, rms_px)
         best = wider if choice.model == name else best
@@ -220,9 +220,9 @@ def _fit_best_lens(
 
 def _fit_points(seen: _SeenBoards, model: type[AbstractLens]) -> _PointFit:
     """The fit of the places that were detected."""
-    if issubclass(model, AbstractSplined):
+    if issubclass(model, AbstractSplinedLens):
         core = _fit_points(seen, model.core_model)
-        return core if seen.distortion is not None else core.corrected(seen.sizes_px)
+        return core if seen.distortion is not None else core.correct_lenses(seen.sizes_px)
     starts = {}
     for camera, own in seen.detections.items():
         given = seen.known.get(camera)
@@ -247,7 +247,7 @@ def _rig_problem(
     models = {type(lens) for lens in lenses if lens.has_distortion}
     if len(models) == 1:
         (only,) = models
-        lenses = [promoted(lens, only) for lens in lenses]
+        lenses = [promote_lens(lens, only) for lens in lenses]
     if seen.same_lens:
         if len(set(sizes)) > 1:
             raise InputError("same_lens is asked for, but the cameras' pictures differ in size.")
@@ -258,7 +258,7 @@ def _rig_problem(
     if seen.distortion is not None:
         free[:, len(AFFINE_PARAMETERS) + seen.distortion :] = False
     free[[camera in seen.known for camera in starts][: len(lenses)]] = False
-    return problem_of(
+    return start_problem(
         placed.views,
         seen.target,
         lenses,
@@ -299,7 +299,7 @@ def expect_coefficients(model: type[AbstractLens], distortion: int | None) -> No
         )
 
 
-def _known_lenses(
+def _given_lenses(
     lens: Intrinsics | Mapping[str, Intrinsics] | None, cameras: tuple[str, ...]
 ) -> Mapping[str, Intrinsics]:
     if lens is None:

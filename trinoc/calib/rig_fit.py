@@ -138,7 +138,7 @@ def fit_rig(cameras: Sequence[SheetCamera], known: Knowledge) -> RigFit:
     # Some cameras by their pictures and some not, or circles that know less than they say.
     if len({one.method for one in choices}) > 1 or max(one.scatter for one in choices) > 1.0:
         views = [
-            one.camera if one.method == "picture" else _scattered(camera, one.scatter)
+            one.camera if one.method == "picture" else _scale_sigmas(camera, one.scatter)
             for one, camera in zip(choices, cameras, strict=True)
         ]
         final = known.adjust(views, of_circles)
@@ -195,6 +195,6 @@ def _circles_are_wrong(of_circles: Adjustment, of_pictures: Adjustment, view: in
     return bool(of_circles.enlarged[view] > _LARGEST_SCATTER and of_pictures.enlarged[view] == 1.0)
 
 
-def _scattered(camera: SheetCamera, scatter: float) -> SheetCamera:
+def _scale_sigmas(camera: SheetCamera, scatter: float) -> SheetCamera:
     """The camera by its circles, whose sigmas are `scatter` times as large."""
     return camera._replace(detection=camera.detection.with_larger_sigmas(scatter))

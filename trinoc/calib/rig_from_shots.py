@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.calib.advice.halves import CrossValidation, HalvesCheck, compare_halves, cross_validate
-from trinoc.calib.advice.next_shot import NextShot, next_shot_of
+from trinoc.calib.advice.next_shot import NextShot, advise_next_shot
 from trinoc.calib.problem.named_covariance import (
     IN_SET_NAMES,
     World,
@@ -21,17 +21,17 @@ from trinoc.calib.problem.robust_fit import RobustFit, errors_px
 from trinoc.calib.problem.views import View
 from trinoc.calib.result.status import Status
 from trinoc.calib.shot_messages import (
+    list_refusals,
     notes_of_fit,
-    refused_sentences,
     silent_sentences,
     value_words,
 )
 from trinoc.calib.targets.abstract_target import AbstractTarget
-from trinoc.calib.targets.board_set import board_names, boards_of
+from trinoc.calib.targets.board_set import board_names, list_boards
 from trinoc.errors import InputError
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.intrinsics import Intrinsics
-from trinoc.geometry.lenses.registry import simplified
+from trinoc.geometry.lenses.registry import simplify_lens
 from trinoc.geometry.lenses.splined import SPLINE_PARAMETERS
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.rig import Rig
@@ -118,7 +118,7 @@ class RigFromShots(eqx.Module):
             return ()
         reference, *others = board_names(self.target)
         return tuple(
-            _fixed_sentence(self, name, reference, pose)
+            _board_sentence(self, name, reference, pose)
             for name, pose in zip(others, self.reference_from_board[1:], strict=True)
         )
 
@@ -134,10 +134,10 @@ class RigFromShots(eqx.Module):
 
     def summary(self) -> str:
         """The lenses and cameras with their sigmas, and how good the fit is, as text."""
-        return summary_text(self)
+        return summarise_shots(self)
 
 
-def summary_text(result: RigFromShots) -> str:
+def summarise_shots(result: RigFromShots) -> str:
     """A block for each camera, then the board and what a user should know."""
     lines = []
     for number, camera in enumerate(result.cameras):
@@ -184,7 +184,7 @@ def summary_text(result: RigFromShots) -> str:
 
 
 def _extent(target: AbstractTarget) -> str:
-    sides = [np.ptp(board.centres_mm, axis=0) for board in boards_of(target)]
+    sides = [np.ptp(board.centres_mm, axis=0) for board in list_boards(target)]
     return ", ".join(" x ".join(f"{side:.6g}" for side in own) for own in sides)
 
 
@@ -192,7 +192,7 @@ def _words(result: RigFromShots, name: str) -> str:
     return value_words(result.value(name), result.sigma(name))
 
 
-def _fixed_sentence(
+def _board_sentence(
     result: RigFromShots, name: str, reference: str, reference_from_board: Float[np.ndarray, "3 4"]
 ) -> str:
     """Where a board's origin lies in the frame of another, and by how much it is turned."""
@@ -222,7 +222,7 @@ def next_shot(result: RigFromShots) -> NextShot | None:
         raise InputError(f"There is no rig that a shot could be added to: {result.status.value}")
     board = Pose(np.asarray(end.problem.state.rig_from_board)[0])
     world_from_rig = Pose(result.world_from_board[0]) @ board.inverse
-    return next_shot_of(
+    return advise_next_shot(
         end.problem, end.covariance, end.variance_factor, result.cameras, world_from_rig
     )
 
@@ -290,7 +290,7 @@ def result_from_fit(
         cross_validation=cross_validate(problem, cameras) if good else None,
         ended=EndedProblem(problem, enlarged, factor) if good else None,
         failures=failures,
-        refused=(*refused, *refused_sentences(fit, where)),
+        refused=(*refused, *list_refusals(fit, where)),
         systematics=systematics,
         notes=(*notes, *silent_sentences(silent, where)),
     )
@@ -327,7 +327,7 @@ def _rig(
     sizes, members = problem.image_sizes_px, {}
     for number, (camera, pose) in enumerate(zip(cameras, cam_from_world, strict=True)):
         lens = lens_number(problem, int(problem.chart.lens_of_camera[number]))
-        intrinsics = known.get(camera) or Intrinsics.of_lens(simplified(lens), sizes[number])
+        intrinsics = known.get(camera) or Intrinsics.of_lens(simplify_lens(lens), sizes[number])
         members[camera] = Camera(intrinsics, pose)
     # What is held, and the pose of a camera that is the world, has the variance of rounding.
     sigma = np.sqrt(np.diag(covariance))

@@ -85,7 +85,7 @@ def grey_levels(
     """Where the grey levels of a view come from. `shots` : the names of a `PlacedRig`."""
     named = name_pictures(pictures)
 
-    def grey_of(view: View) -> Float[np.ndarray, "h w"]:
+    def read_grey(view: View) -> Float[np.ndarray, "h w"]:
         camera = cameras[view.camera]
         shot = of_one_moment(shots[view.shot], camera)
         image = deliver(named[camera][shot])
@@ -93,15 +93,15 @@ def grey_levels(
             raise InputError(_no_picture(camera, shot))
         return grey_image(np.asarray(image)).grey
 
-    return grey_of
+    return read_grey
 
 
-def fit_pixels(fit: RobustFit, grey_of: GreyOfView) -> PixelFit:
+def fit_pixels(fit: RobustFit, read_grey: GreyOfView) -> PixelFit:
     """Go on from the fit of points, looking at the pictures as often as the lenses change."""
     problem, silent = _with_own_sigmas(fit.problem), []
-    board = _ink_of(problem, grey_of)
+    board = _find_ink(problem, read_grey)
     for _ in range(_MOST_ROUNDS):
-        views, silent = _look(problem, board, grey_of)
+        views, silent = _look(problem, board, read_grey)
         problem = problem._replace(views=views)
         before = errors_px(problem)
         problem, _ = fit_places(drop_wrong_circles(fit_places(problem)[0]))
@@ -115,12 +115,12 @@ def fit_pixels(fit: RobustFit, grey_of: GreyOfView) -> PixelFit:
     return PixelFit(finish_fit(problem, fit.elsewhere), silent)
 
 
-def _ink_of(problem: Problem, grey_of: GreyOfView) -> Pattern | SquareSheet:
+def _find_ink(problem: Problem, read_grey: GreyOfView) -> Pattern | SquareSheet:
     board = problem.target
     if isinstance(board, Pattern):
         return board
     if isinstance(board, AprilGrid):
-        return square_sheet(board, quarters=quarters_of_tags(problem, board, grey_of))
+        return square_sheet(board, quarters=quarters_of_tags(problem, board, read_grey))
     return square_sheet(board)
 
 
@@ -129,17 +129,17 @@ def _with_own_sigmas(problem: Problem) -> Problem:
     views = []
     for view in problem.views:
         variance = problem.sigma_factor[view.camera] ** 2
-        views.append(view._replace(detection=_scaled(view.detection, variance)))
+        views.append(view._replace(detection=_scale_detection(view.detection, variance)))
     ones = np.ones_like(problem.sigma_factor)
     return problem._replace(views=tuple(views), sigma_factor=ones)
 
 
-def _scaled(detection: Detection, variance: float) -> Detection:
+def _scale_detection(detection: Detection, variance: float) -> Detection:
     return eqx.tree_at(lambda d: d.covariance_px2, detection, detection.covariance_px2 * variance)
 
 
 def _look(
-    problem: Problem, ink: Pattern | SquareSheet, grey_of: GreyOfView
+    problem: Problem, ink: Pattern | SquareSheet, read_grey: GreyOfView
 ) -> tuple[tuple[View, ...], list[tuple[int, int, str]]]:
     """The views with what their pictures show, given the rig as it is."""
     used = {str(k): view for k, view in enumerate(problem.views) if view.used.any()}
@@ -156,7 +156,7 @@ def _look(
         }
     fits, names = {}, list(used)
     for part in blocks(len(names), _PICTURES_AT_ONCE):
-        pictures = {name: grey_of(used[name]) for name in names[part]}
+        pictures = {name: read_grey(used[name]) for name in names[part]}
         own = {name: poses[name] for name in names[part]}
         fits |= refine_views(pictures, own, ink, lenses, PoseModel.RIGID, shifts)
     views, silent = list(problem.views), []
@@ -167,7 +167,7 @@ def _look(
     return tuple(views), silent
 
 
-def quarters_of_tags(problem: Problem, board: AprilGrid, grey_of: GreyOfView) -> int:
+def quarters_of_tags(problem: Problem, board: AprilGrid, read_grey: GreyOfView) -> int:
     """By how many quarters of a turn the tags lie elsewhere than `trinoc pattern` draws them.
 
     Programs that draw AprilGrids differ. It is the turn in which cells of ink are darkest against
@@ -190,7 +190,7 @@ def quarters_of_tags(problem: Problem, board: AprilGrid, grey_of: GreyOfView) ->
             cam_from_board(problem.state, view), lens, on_board(places.reshape(-1, 2))
         )
         column, row = np.rint(cells_px).astype(int).T
-        grey = grey_of(view)
+        grey = read_grey(view)
         seen = (column >= 0) & (row >= 0) & (column < grey.shape[1]) & (row < grey.shape[0])
         levels = grey[row[seen], column[seen]]
         for quarters in range(4):

@@ -5,12 +5,12 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from trinoc.calib.problem.lens_correction import correction_sentences
-from trinoc.calib.problem.outcome import Outcome
+from trinoc.calib.problem.outcome import FitOutcome
 from trinoc.calib.problem.problem import Problem, cam_from_board, lens_number
 from trinoc.calib.problem.robust_fit import RobustFit, errors_px
 from trinoc.calib.result.status import Status
 from trinoc.calib.starts.placing import PARALLEL_DEG, boards_are_parallel
-from trinoc.calib.targets.board_set import board_names, boards_of
+from trinoc.calib.targets.board_set import board_names, list_boards
 from trinoc.geometry.pose import Pose
 
 # A scale or a warp beyond this many sigmas of what was known of it before is reported.
@@ -71,7 +71,7 @@ def _reason(problem: Problem) -> str:
     return ": take more shots, the board tilted another way in each"
 
 
-def refused_sentences(fit: RobustFit, where: Where) -> tuple[str, ...]:
+def list_refusals(fit: RobustFit, where: Where) -> tuple[str, ...]:
     """Pictures that show the board elsewhere, and how many places were located wrongly."""
     sentences = [
         f"{where(camera, shot)} shows the board {miss:.1f} px from where the rig has it, so the "
@@ -99,7 +99,7 @@ def silent_sentences(silent: Sequence[tuple[int, int, str]], where: Where) -> tu
 
 def notes_of_fit(
     fit: RobustFit,
-    outcome: Outcome,
+    outcome: FitOutcome,
     gauge: Sequence[str],
     cameras: Sequence[str],
     held: Sequence[str],
@@ -155,7 +155,7 @@ def _surprises(problem: Problem) -> list[str]:
     information = np.asarray(problem.chart.sheet_information)
     free = np.flatnonzero(np.diag(information) > 0)
     sigmas = np.sqrt(np.diag(np.linalg.inv(information[np.ix_(free, free)])))
-    several, terms = len(boards_of(problem.target)) > 1, problem.chart.sheet_model.names
+    several, terms = len(list_boards(problem.target)) > 1, problem.chart.sheet_model.names
     names = [(whose, name) for whose in board_names(problem.target) for name in terms]
     sentences = []
     for row, value, sigma in zip(free, np.asarray(problem.state.sheet)[free], sigmas, strict=True):

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.problem.information import whitened_views
+from trinoc.calib.problem.information import whiten_views
 from trinoc.calib.problem.sheet import BentPaper
 from trinoc.calib.problem.sheet_problem import SheetCamera, sheet_problem
 from trinoc.calib.result.calibration import CalibrationResult
@@ -75,7 +75,7 @@ def _response(result: CalibrationResult, name: str, count: int) -> Float[np.ndar
     )
     view = problem.views[0]._replace(used=fit.used)
     problem, chart = problem._replace(views=(view,)), problem.chart
-    jacobian = whitened_views(problem).jacobian[0]
+    jacobian = whiten_views(problem).jacobian[0]
     pose = chart.camera_rows(0)
     by_step = jacobian[:, pose][:, :count]
     by_sheet = jacobian[:, chart.sheet_first :][:, _SHEET_TERMS]

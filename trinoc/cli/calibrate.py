@@ -143,7 +143,7 @@ class Calibrate(DryRunOption, ReportOption, Command):
 
         expect_place(self.out, self.report)
         expect_ending(self.out, Rig)
-        pattern = load_pattern(self.pattern).rescaled(*self.print_scale)
+        pattern = load_pattern(self.pattern).rescale(*self.print_scale)
         images = read_views(files)
         lenses = self.lens.lenses({name: _size(image) for name, image in images.items()})
         known = self._systematics(lenses)

@@ -13,7 +13,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.bundle.camera import CameraState, camera_state, stacked_states
+from trinoc.calib.bundle.camera import CameraState, camera_state, stack_states
 from trinoc.calib.bundle.covariance import segment_and_errors
 from trinoc.calib.bundle.factors import d_parameters_d_delta
 from trinoc.errors import InputError
@@ -131,7 +131,7 @@ def _of_fragments(
     lines: LineObservations, states: Sequence[CameraState]
 ) -> tuple[Float[np.ndarray, "t 2 3"], Float[np.ndarray, "t 6 k"], Float[np.ndarray, "k k"]]:
     """(ends of the common parts, their Jacobian by the cameras' steps, parameters by steps)."""
-    cameras = stacked_states(states)
+    cameras = stack_states(states)
     columns = (lines.fragments_px, lines.covariance_px2, lines.seen)
     of_tracks = in_blocks(partial(_derivatives, cameras), BLOCK, *columns)
     return as_numpy((*of_tracks, eqx.filter_jit(d_parameters_d_delta)(cameras, cameras)))

@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float, Int
 
 from trinoc.evaluation.distances import nearest_segments
 from trinoc.geometry.uncertain_lines import UncertainLines
-from trinoc.numerics.vectors import axes_across
+from trinoc.numerics.vectors import complete_axes
 from trinoc.synth.scenes import points_along
 
 # Places along a line at which its nearest edge is asked for; odd, so that one is the middle.
@@ -83,7 +83,7 @@ def offsets_across(lines: UncertainLines, edges_mm: Float[np.ndarray, "n 2 3"]) 
     ends = lines.ends_mm
     along = ends[:, 1] - ends[:, 0]
     along = along / np.linalg.norm(along, axis=1, keepdims=True)
-    across = axes_across(along)
+    across = complete_axes(along)
     start, step = edges_mm[:, 0], edges_mm[:, 1] - edges_mm[:, 0]
     position = np.einsum("nei,ni->ne", ends - start[:, None], along)
     position = position / np.sum(step * along, axis=1, keepdims=True)

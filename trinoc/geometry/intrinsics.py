@@ -16,10 +16,10 @@ from trinoc.geometry.lenses.registry import DEFAULT_DISTORTION, lens_model
 from trinoc.numerics.arrays import ArrayLike, FloatOrTraced, ScalarLike
 from trinoc.numerics.buckets import in_bucket
 from trinoc.numerics.precision import (
+    array_namespace,
     as_float,
     in_float64,
     is_traced,
-    namespace_of,
 )
 
 
@@ -198,7 +198,7 @@ def _distortion(
             f"distortion has {len(coefficients)} coefficients, but {model.model} takes at most "
             f"{len(names)}: {', '.join(names) or 'none'}."
         )
-    xp, missing = namespace_of(coefficients), len(names) - len(coefficients)
+    xp, missing = array_namespace(coefficients), len(names) - len(coefficients)
     return model, xp.concatenate([coefficients, xp.zeros(missing, coefficients.dtype)])
 
 
@@ -213,7 +213,7 @@ def _positive_pair(
     name: str, value: Sequence[ScalarLike] | ArrayLike | ScalarLike
 ) -> Float[ArrayLike, "2"]:
     pair = _array(value)
-    pair = namespace_of(pair).broadcast_to(pair, (2,))
+    pair = array_namespace(pair).broadcast_to(pair, (2,))
     if not is_traced(pair) and not (pair > 0).all():
         raise InputError(f"{name} is {value}, but must be positive: check the number and its unit.")
     return pair

@@ -16,7 +16,7 @@ from trinoc.geometry.rotation import (
     vector_from_rotation,
 )
 from trinoc.numerics.arrays import ArrayLike, ScalarLike
-from trinoc.numerics.precision import namespace_of
+from trinoc.numerics.precision import array_namespace
 
 
 class PoseModel(Enum):
@@ -122,7 +122,7 @@ class Pose(eqx.Module):
     ) -> "Pose":
         """From R and t of x_cam = R x_world + t."""
         # Searches among many poses are fast in NumPy.
-        xp = namespace_of(rotation, translation_mm)
+        xp = array_namespace(rotation, translation_mm)
         return cls(xp.concatenate([rotation, translation_mm[:, None]], axis=1))
 
     @classmethod
@@ -196,7 +196,7 @@ class Pose(eqx.Module):
         """Points of the world in the camera frame."""
         return points_world_mm @ self.rotation.T + self.translation_mm
 
-    def aimed(self) -> "Pose":
+    def aim_at_origin(self) -> "Pose":
         """This pose turned until the optical axis meets the world's origin, which lies in front."""
         distance = jnp.sqrt(self.translation_mm @ self.translation_mm)
         rotation = _turn_to_axis(self.translation_mm / distance) @ self.rotation

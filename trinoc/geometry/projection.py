@@ -14,7 +14,7 @@ from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.geometry.pose import Pose
 from trinoc.numerics.arrays import ArrayLike, NumpyOrTraced
 from trinoc.numerics.buckets import in_bucket
-from trinoc.numerics.precision import is_traced, namespace_of
+from trinoc.numerics.precision import array_namespace, is_traced
 from trinoc.numerics.vectors import (
     Scalar,
     Vector2,
@@ -149,7 +149,7 @@ def distances_from_line(
     ends lie along the line does not matter, but that their images differ.
     """
     image = project_with_jacobian(matrix_px, ends_mm)
-    uv, xp = image.uv_px, namespace_of(matrix_px, ends_mm, points_px)
+    uv, xp = image.uv_px, array_namespace(matrix_px, ends_mm, points_px)
     way = uv[..., 1:, :] - uv[..., :1, :]
     squared = (way**2).sum(-1)
     normal = xp.stack([-way[..., 1], way[..., 0]], axis=-1) / xp.sqrt(squared)[..., None]

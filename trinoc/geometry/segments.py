@@ -18,7 +18,7 @@ from trinoc.numerics.table_checks import (
     NOT_INFINITE,
     NOT_NEGATIVE,
     PICTURE_SIZE,
-    number_of,
+    check_number,
 )
 from trinoc.numerics.tables import (
     Check,
@@ -59,7 +59,7 @@ class Junctions(Table):
         Shaped[ArrayLike, "j"],
         Column(Check("is no L, T, X or Y", lambda kind, _: np.isin(kind, list("LTXY")))),
     ]
-    junction: Annotated[Int[ArrayLike, "m"], Column(number_of("j", "is no junction"))]
+    junction: Annotated[Int[ArrayLike, "m"], Column(check_number("j", "is no junction"))]
     segment: Annotated[Int[ArrayLike, "m"], Column(NOT_NEGATIVE)]
     end: Annotated[
         Int[ArrayLike, "m"],
@@ -185,7 +185,7 @@ class Segments(Displayable, Table):
         plain = replace(self, junctions=None)
         return replace(plain, **take_rows(plain.rows(), rows))
 
-    def followed_by(self, more: "Segments") -> "Segments":
+    def append(self, more: "Segments") -> "Segments":
         """These, and after them others, which meet none and belong to no chain of them.
 
         What these do not know is not known of the others either.

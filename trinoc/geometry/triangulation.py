@@ -32,7 +32,7 @@ class Segment3D(NamedTuple):
     chi_square: Float[ArrayLike, ""]
 
 
-class _Fit(NamedTuple):
+class _Iterate(NamedTuple):
     """At some ends: the covariance and chi-square there, and the next ends of Gauss-Newton."""
 
     covariance_mm2: Float[ArrayLike, "6 6"]
@@ -78,7 +78,7 @@ def triangulate_segment(
     covariance = jnp.where(seen[:, None, None], covariance_px2, identity)
     information = weight[:, None, None] * jax.vmap(inverse_positive_definite)(covariance)
 
-    def fitted(ends: Float[ArrayLike, "2 3"]) -> _Fit:
+    def fit_ends(ends: Float[ArrayLike, "2 3"]) -> _Iterate:
         image = project_with_jacobian(matrices_px, ends[None])
         error = (image.uv_px - fragments).reshape(-1, 4)
         # Of each end's two coordinates by its own three: (v, e, 2, 3).
@@ -91,10 +91,10 @@ def triangulate_segment(
         gradient = (slope * of_error.reshape(-1, 2, 2)[..., None]).sum((0, 2))
         covariance = inverse_positive_definite(hessian.reshape(6, 6))
         step = (covariance * gradient.reshape(1, 6)).sum(-1).reshape(2, 3)
-        return _Fit(covariance, (error * of_error).sum(), ends - step)
+        return _Iterate(covariance, (error * of_error).sum(), ends - step)
 
     start = jax.vmap(triangulate_point, in_axes=(None, 1, None))(matrices_px, fragments, weight)
-    nothing = _Fit(jnp.zeros((6, 6)), jnp.zeros(()), start)
-    found = jax.lax.fori_loop(0, GAUSS_NEWTON_STEPS, lambda _, fit: fitted(fit.next_mm), nothing)
+    nothing = _Iterate(jnp.zeros((6, 6)), jnp.zeros(()), start)
+    found = jax.lax.fori_loop(0, GAUSS_NEWTON_STEPS, lambda _, fit: fit_ends(fit.next_mm), nothing)
     # The covariance and the chi-square are those before the last step, which hardly moves the ends.
     return Segment3D(found.next_mm, found.covariance_mm2, found.chi_square)

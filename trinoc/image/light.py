@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Shaped
 
 from trinoc.image.grey import GreyImage, grey_image
 from trinoc.image.noise import level_noise
-from trinoc.image.response import AbstractResponse, ResponseLike, response_of
+from trinoc.image.response import AbstractResponse, ResponseLike, find_response
 
 
 class Light(NamedTuple):
@@ -39,9 +39,9 @@ class Light(NamedTuple):
 
         Raises InputError for what is no picture, and for an unknown response.
         """
-        curve = response_of(response)
+        curve = find_response(response)
         given = grey_image(picture).in_255ths()
-        light = given.grey if curve.is_linear else _light_of(np.asarray(picture), given, curve)
+        light = given.grey if curve.is_linear else _read_light(np.asarray(picture), given, curve)
         return cls(given.grey, light, given.quantum, given.white, curve)
 
     @property
@@ -65,26 +65,26 @@ class Light(NamedTuple):
         """Standard deviation of the light between pixels, from every so many rows and columns."""
         return level_noise(self.light, self.quantum if self.is_linear else 0.0, stride)
 
-    def clipped(self, beside_px: int = 0) -> Bool[np.ndarray, "h w"]:
+    def find_clipped(self, beside_px: int = 0) -> Bool[np.ndarray, "h w"]:
         """(h, w) whether a pixel is saturated, or so near to one that is."""
         saturated = (self.levels >= self.white).astype(np.uint8)
         side = 2 * beside_px + 1
         return cv2.dilate(saturated, np.ones((side, side), np.uint8)) > 0
 
 
-def _light_of(
+def _read_light(
     picture: Shaped[np.ndarray, "..."], given: GreyImage, response: AbstractResponse
 ) -> Float[np.ndarray, "h w"]:
     if picture.ndim == 2 or picture.shape[2] < 3:
-        return _decoded(given.grey, response)
+        return _decode_levels(given.grey, response)
     # Side by side, the channels are one grey picture: all have the range of the brightest.
     channels = np.concatenate([picture[..., k] for k in range(3)], axis=1)
-    light = _decoded(grey_image(channels).in_255ths().grey, response)
+    light = _decode_levels(grey_image(channels).in_255ths().grey, response)
     red, green, blue = np.split(light, 3, axis=1)
     return (green + (red + blue)) / np.float32(3)
 
 
-def _decoded(
+def _decode_levels(
     levels: Float[np.ndarray, "h w"], response: AbstractResponse
 ) -> Float[np.ndarray, "h w"]:
     return np.asarray(255 * response.light_of(levels / np.float32(255)), dtype=np.float32)

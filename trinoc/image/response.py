@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from trinoc.errors import InputError
 from trinoc.numerics.arrays import ArrayLike, ScalarLike
-from trinoc.numerics.precision import namespace_of
+from trinoc.numerics.precision import array_namespace
 
 # Elementwise, NumPy where nothing is traced.
 Values = Float[ArrayLike, "..."]
@@ -114,7 +114,7 @@ class PowerResponse(AbstractResponse):
         return "between linear and sRGB" if self.bend < 1 else "beyond sRGB"
 
     def _namespace_and_power(self, values: Values | float) -> tuple[ModuleType, ScalarLike]:
-        xp = namespace_of(values, self.bend)
+        xp = array_namespace(values, self.bend)
         return xp, xp.exp(-self._LOG_GAMMA * self.bend)
 
     def _slope(self, base: Values | float, power: ScalarLike) -> Values:
@@ -130,7 +130,7 @@ ResponseLike = Literal["linear", "srgb"] | float | AbstractResponse
 _NAMED = {"linear": PowerResponse(0.0), "srgb": PowerResponse(1.0)}
 
 
-def response_of(given: ResponseLike | str) -> AbstractResponse:
+def find_response(given: ResponseLike | str) -> AbstractResponse:
     """The response that a user names. Raises InputError for a name or a bend that is none."""
     if isinstance(given, AbstractResponse):
         return given

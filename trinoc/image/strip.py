@@ -19,7 +19,7 @@ def nearest_levels(
     return picture.ravel()[row * width + column]
 
 
-def levels_between(
+def interpolate_levels(
     picture: Float[np.ndarray, "h w"],
     uv_px: Float[np.ndarray, "n s 2"],
     normal: Float[np.ndarray, "n s 2"],
@@ -39,7 +39,7 @@ def levels_between(
     return found.reshape(count, len(offset_px), steps)
 
 
-def pixels_across(
+def list_pixels_across(
     at_px: Int[np.ndarray, "*n 2"], along_u: Bool[np.ndarray, "*n"], half: int
 ) -> Int[np.ndarray, "*n p 2"]:
     """(column, row) of pixels and of so many on either side, in their row where an edge is crossed
@@ -49,7 +49,7 @@ def pixels_across(
     return at_px[..., None, :] + steps * axis[..., None, :]
 
 
-def levels_of(
+def take_levels(
     picture: Shaped[np.ndarray, "h w"], pixels: Int[np.ndarray, "*n 2"]
 ) -> tuple[Shaped[np.ndarray, "*n"], Bool[np.ndarray, "*n"]]:
     """(value of each pixel, whether the picture has it); beyond the border the nearest one's."""

@@ -65,7 +65,7 @@ def enable_compile_cache(folder: str | os.PathLike[str] | None = None) -> Path |
     from jax.experimental.compilation_cache import compilation_cache
 
     from trinoc.io.compile_cache import FolderStore
-    from trinoc.numerics.programs import keep_programs_in
+    from trinoc.numerics.programs import set_program_store
 
     # A kernel that another process is just writing is compiled once more, which is no news.
     warnings.filterwarnings("ignore", message="Error (reading|writing) persistent compilation")
@@ -74,7 +74,7 @@ def enable_compile_cache(folder: str | os.PathLike[str] | None = None) -> Path |
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
     # JAX decides at its first compilation whether there is a cache: it is to decide anew.
     compilation_cache.reset_cache()
-    keep_programs_in(FolderStore(folder))
+    set_program_store(FolderStore(folder))
     return folder
 
 

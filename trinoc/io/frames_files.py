@@ -28,7 +28,7 @@ from trinoc.io.tables_npz import (
     save_npz,
     table_of,
 )
-from trinoc.numerics.tables import fields_of
+from trinoc.numerics.tables import list_fields
 from trinoc.recording.frame import FrameMatches
 
 FORMAT = f"trinoc-{Frames.KIND}"
@@ -36,7 +36,7 @@ _DTYPES = {"f": np.float64, "i": np.int64}
 # What Parquet has beside its table, with the kind of each; the last may be missing.
 _BESIDE_TRACKS = {
     field.name: _DTYPES.get(field.kind, np.str_)
-    for field in fields_of(Frames)
+    for field in list_fields(Frames)
     if not field.column.beside
 }
 

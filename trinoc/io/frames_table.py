@@ -23,13 +23,13 @@ from trinoc.numerics.tables import (
     Column,
     Content,
     Table,
-    fields_of,
+    list_fields,
 )
 from trinoc.recording.frame import OK, FrameMatches
 
 # The columns of tracks, with the sides of a row.
 OF_TRACKS = {
-    field.name: field.sides[1:] for field in fields_of(Matches) if field.sides[:1] == ("t",)
+    field.name: field.sides[1:] for field in list_fields(Matches) if field.sides[:1] == ("t",)
 }
 _ARE_COUNTS = Check("is no number of them", lambda counts, _: (counts >= 0) & (counts < 2**31))
 
@@ -115,7 +115,7 @@ def frames_of_results(results: Sequence[FrameMatches], views: Sequence[str]) -> 
 def _no_tracks(views: int) -> dict[str, np.ndarray]:
     """The columns of no tracks, for frames of which none has matches."""
     kinds = {"f": np.float64, "i": np.int64, "b": np.bool_, "U": "<U1"}
-    of = {field.name: kinds[field.kind] for field in fields_of(Matches) if field.kind}
+    of = {field.name: kinds[field.kind] for field in list_fields(Matches) if field.kind}
     return {
         name: np.zeros((0, *sides_of_row(sides, views)), of[name])
         for name, sides in OF_TRACKS.items()

@@ -8,7 +8,7 @@ import numpy as np
 
 from trinoc.errors import InputError
 from trinoc.geometry.intrinsics import Intrinsics
-from trinoc.geometry.lenses.registry import LENS_MODELS, promoted
+from trinoc.geometry.lenses.registry import LENS_MODELS, promote_lens
 from trinoc.io.conventions import CONVENTIONS
 from trinoc.io.json_document import Block, read_document, write_document
 from trinoc.io.usable_cameras import expect_lens
@@ -38,7 +38,7 @@ def load_lens_covariance(path: str | os.PathLike[str]) -> np.ndarray | None:
     block = document.block("covariance")
     block.expect_keys(("parameters", "matrix"))
     lens = intrinsics_from_block(document.block("intrinsics"), document.image_size_px()).lens
-    names = promoted(lens).parameter_names
+    names = promote_lens(lens).parameter_names
     if block.texts("parameters") != names:
         raise block.error("parameters", f"must be {', '.join(names)}, in this order.")
     matrix = block.numbers("matrix", (len(names), len(names)))
@@ -69,7 +69,7 @@ def save_intrinsics(
         "intrinsics": intrinsics_to_block(intrinsics),
     }
     if covariance is not None:
-        sigmas, names = np.sqrt(np.diag(covariance)), promoted(intrinsics.lens).parameter_names
+        sigmas, names = np.sqrt(np.diag(covariance)), promote_lens(intrinsics.lens).parameter_names
         document["sigma"] = dict(zip(names, sigmas.tolist(), strict=True))
         document["covariance"] = {
             "parameters": list(names),

@@ -14,7 +14,7 @@ from trinoc.numerics.tables import (
     Content,
     Field,
     Table,
-    fields_of,
+    list_fields,
 )
 
 _Value = TypeVar("_Value", bound=Table)
@@ -42,7 +42,7 @@ def load_npz(kind: type[_Value], path: str | os.PathLike[str]) -> _Value:
 def arrays_of(table: Table, prefix: str = "") -> dict[str, np.ndarray]:
     """The arrays that stand for a table in a file, by name."""
     arrays: dict[str, np.ndarray] = {}
-    for field in fields_of(type(table)):
+    for field in list_fields(type(table)):
         name, value = prefix + field.name, getattr(table, field.name)
         match value:
             case Table():
@@ -68,8 +68,8 @@ def table_of(kind: type[_Value], fields: "ArrayFields") -> _Value:
     """The table of a kind in the arrays of a file. Raises InputError as `load_npz` does."""
     read = Content({}, {})
     # What stands beside the columns is what these leave; blocks are as large as these say.
-    last = [f for f in fields_of(kind) if f.column.beside or f.column.blocks]
-    for part in ([field for field in fields_of(kind) if field not in last], last):
+    last = [f for f in list_fields(kind) if f.column.beside or f.column.blocks]
+    for part in ([field for field in list_fields(kind) if field not in last], last):
         for field in part:
             if not field.optional or fields.has(field):
                 read.values[field.name] = _read(field, fields, read, kind.SIDES)

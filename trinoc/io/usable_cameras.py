@@ -7,7 +7,7 @@ import numpy as np
 from trinoc.errors import InputError
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.intrinsics import Intrinsics
-from trinoc.geometry.lenses.splined import AbstractSplined
+from trinoc.geometry.lenses.splined import AbstractSplinedLens
 from trinoc.geometry.rig import at_one_place
 
 # Focal length over the longer side of the picture: from nearly 180 degrees to a large telescope.
@@ -46,7 +46,7 @@ def expect_lens(lens: Intrinsics, where: str) -> Intrinsics:
             f"point, where corners lie {corner_px:.0f} px away: check the coefficients, their "
             "order and signs, or fit fewer of them."
         )
-    if isinstance(lens.lens, AbstractSplined) and not lens.lens.steepness() < 1.0:
+    if isinstance(lens.lens, AbstractSplinedLens) and not lens.lens.steepness() < 1.0:
         raise InputError(
             f"{where} has a correction that folds the picture: neighbouring control points differ "
             f"by {lens.lens.steepness():.2g} times their distance. Check their order and unit (px)."

@@ -17,7 +17,7 @@ from trinoc.match.matcher import check_before_cameras, match_frames
 from trinoc.match.observations.match_input import (
     CamerasInput,
     FrameInput,
-    cameras_of,
+    prepare_cameras,
     prepare_frame,
 )
 from trinoc.match.selection.messages import FRAMES_AT_ONCE
@@ -70,21 +70,21 @@ def match_many(
     status = [OK] * len(items)
     frames: dict[int, FrameInput] = {}
 
-    def prepared() -> Iterator[tuple[int, FrameInput]]:
+    def prepare_all() -> Iterator[tuple[int, FrameInput]]:
         checked: dict[tuple[int, tuple[str, ...]], CamerasInput] = {}
         for number, (item, rig) in enumerate(items):
             try:
-                frames[number] = _prepared(item, rig, sigma_px, tuning, checked)
+                frames[number] = _prepare_item(item, rig, sigma_px, tuning, checked)
             except TrinocError as error:
                 status[number] = str(error)
             else:
                 yield number, frames[number]
 
-    def matched(stack: list[int]) -> list[Matches]:
+    def match_stack(stack: list[int]) -> list[Matches]:
         names = [tuple(items[number][0]) for number in stack]
         return match_frames([frames[k] for k in stack], names, depth_range_mm, tuning)
 
-    for stack, results in _each_matched(_stacks(prepared()), frames, matched):
+    for stack, results in _each_matched(_stacks(prepare_all()), frames, match_stack):
         for number, matches in zip(stack, results, strict=True):
             item, rig = items[number]
             try:
@@ -128,7 +128,7 @@ def _each_matched(
     return done + [(stack, matched(stack)) for stack in large]
 
 
-def _prepared(
+def _prepare_item(
     segments: Mapping[str, Segments | ArrayLike],
     rig: Rig,
     sigma_px: float | None,
@@ -138,7 +138,7 @@ def _prepared(
     """A frame; the cameras of a rig that many frames share are checked once."""
     key = id(rig), tuple(segments)
     if key not in checked and len(segments) > 1 and set(segments) <= set(rig.names):
-        checked[key] = cameras_of(rig, segments)
+        checked[key] = prepare_cameras(rig, segments)
     return prepare_frame(segments, rig, sigma_px, tuning.sides, checked.get(key))
 
 

@@ -8,12 +8,12 @@ from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
 from trinoc.match.candidates.table import Candidates
 from trinoc.match.observations.clutter import fit_clutter
-from trinoc.match.observations.common_view import look_apart, mirrored_error, turned_round
+from trinoc.match.observations.common_view import mirror_rig, mirrored_rig_error, views_diverge
 from trinoc.match.observations.match_input import (
     FrameInput,
     MatchInput,
     prepare_frame,
-    stacked_frames,
+    stack_frames,
     with_noise_scale,
 )
 from trinoc.match.observations.table import segments_per_view
@@ -84,11 +84,11 @@ def check_before_cameras(
 ) -> None:
     """Raise InputError where few lines lie before cameras that diverge, and more behind them."""
     few = tuning.tracks.few_share * min(len(ends) for ends in frame.ends_px)
-    if len(found) < few and look_apart({name: rig[name] for name in segments}):
-        turned = prepare_frame(segments, turned_round(rig), sigma_px, tuning.sides)
+    if len(found) < few and views_diverge({name: rig[name] for name in segments}):
+        turned = prepare_frame(segments, mirror_rig(rig), sigma_px, tuning.sides)
         behind = len(match_frames([turned], [tuple(segments)], depth_range_mm, tuning)[0])
         if behind > few:
-            raise mirrored_error(segments, len(found), behind)
+            raise mirrored_rig_error(segments, len(found), behind)
 
 
 def match_frames(
@@ -103,7 +103,7 @@ def match_frames(
     errors of its own segments, in as many passes as that takes.
     """
     frames = [leave_out_unusable(frame, tuning.observations) for frame in frames]
-    stated, left = stacked_frames(frames), np.arange(len(frames))
+    stated, left = stack_frames(frames), np.arange(len(frames))
     compile_together(stated, tuning)
     scale, found = np.ones(len(frames)), dict[int, Matches]()
     for passes_left in reversed(range(tuning.noise.passes)):
@@ -126,7 +126,7 @@ def match_frames(
         if not again.any():
             break
         left = left[again]
-        stated = stacked_frames([frames[k] for k in left.tolist()])
+        stated = stack_frames([frames[k] for k in left.tolist()])
     return [found[k] for k in range(len(frames))]
 
 

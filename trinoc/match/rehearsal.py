@@ -10,8 +10,8 @@ from functools import partial
 import jax
 import numpy as np
 
-from trinoc.match.candidates.search import gated_triples, prepared_orders
-from trinoc.match.candidates.triples import candidates_of
+from trinoc.match.candidates.search import gate_triples, prepare_orders
+from trinoc.match.candidates.triples import evaluate_triples
 from trinoc.match.observations.clutter import fit_clutter
 from trinoc.match.observations.match_input import MatchInput
 from trinoc.match.occlusion.possible_pairs import rehearse_pairs
@@ -35,11 +35,11 @@ def compile_together(seen: MatchInput, tuning: MatchTuning) -> None:
     nothing = np.zeros(0, np.int32)
     works: list[Callable[[], object]] = []
     for own in view_triplets(lines, tuning.tracks)[:1]:
-        three = prepared_orders(lines, own, counts, clutter, tuning)
+        three = prepare_orders(lines, own, counts, clutter, tuning)
         order, planes, single, table = three.each[0]
         search = three.lines, single, table, nothing, nothing, tuning.candidates
         judge = three.lines, order, planes, nothing.reshape(0, 3), three.clutter, tuning
-        works += [partial(gated_triples, *search), partial(candidates_of, *judge)]
+        works += [partial(gate_triples, *search), partial(evaluate_triples, *judge)]
     works.append(partial(rehearse_pairs, lines, clutter, tuning))
     no_tracks = nothing.reshape(0, views), np.zeros((0, 2, 3))
     works.append(partial(lines_in_space, seen, *no_tracks))

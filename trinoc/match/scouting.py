@@ -12,8 +12,8 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Bool, Int
 
-from trinoc.match.candidates.learned import Learned, region_of
-from trinoc.match.candidates.search import prepared_orders
+from trinoc.match.candidates.learned import SearchPrior, bound_region
+from trinoc.match.candidates.search import prepare_orders
 from trinoc.match.candidates.table import Candidates, in_depth_range, prior_log_odds
 from trinoc.match.candidates.triples import candidates_among
 from trinoc.match.evidence.endpoints import reach_of_ends
@@ -36,12 +36,12 @@ def find_triples(
 ) -> Iterator[tuple[tuple[int, int, int], Candidates, Int[np.ndarray, "_o _v"]]]:
     """(three of the views, their candidates within the depth range, segments of those outside)."""
     for views in view_triplets(seen.lines, tuning.tracks):
-        found = scouted_candidates(seen.lines, views, seen.counts, clutter, tuning)
+        found = scout_candidates(seen.lines, views, seen.counts, clutter, tuning)
         inside = in_depth_range(found, seen.lines, depth_range_mm)
         yield views, found.take(inside), found.index[~inside]
 
 
-def scouted_candidates(
+def scout_candidates(
     lines: SegmentTable,
     views: tuple[int, int, int],
     counts: list[int],
@@ -50,17 +50,17 @@ def scouted_candidates(
 ) -> Candidates:
     """`trinocular_candidates`, of large pictures with less work: those that may be likely."""
     numbers = [counts[view] for view in views]
-    orders = prepared_orders(lines, views, counts, clutter, tuning)
+    orders = prepare_orders(lines, views, counts, clutter, tuning)
     if lines.frame is not None or min(numbers) <= tuning.scouting.above:
         return candidates_among(orders, tuning)
     every = tuple(np.arange(number) for number in numbers)
     sample = tuple(_spread(number, tuning.scouting.sample) for number in numbers)
     found = candidates_among(orders, tuning, rows=(sample, every))
-    learned = _learned(found, float(np.mean(numbers)), clutter, tuning)
+    learned = _learn_prior(found, float(np.mean(numbers)), clutter, tuning)
     if learned is None:
         return candidates_among(orders, tuning)
     inside = candidates_among(orders, tuning, learned=learned)
-    free = _unexplained(inside, views, numbers, learned, tuning)
+    free = _find_unexplained(inside, views, numbers, learned, tuning)
     left = tuple(np.flatnonzero(own) for own in free)
     anywhere = learned._replace(region=None, ends_px=None)
     outside = candidates_among(orders, tuning, learned=anywhere, rows=(left, left))
@@ -74,30 +74,30 @@ def _spread(count: int, sample: int) -> Int[np.ndarray, "_"]:
     return np.unique(np.linspace(0, count - 1, min(sample, count)).astype(np.int64))
 
 
-def _learned(
+def _learn_prior(
     found: Candidates, count: float, clutter: ClutterModel, tuning: MatchTuning
-) -> Learned | None:
+) -> SearchPrior | None:
     """What the triples of a sample say, None where too few of them are sure."""
     rules = tuning.scouting
     selection = select(found, float(rules.sample), neighbours=False, tuning=tuning)
     sure = selection.taken & (probability(selection.posterior_log_odds) > rules.sure)
     if sure.sum() < max(rules.fewest, 2):
         return None
-    region = region_of(selection.candidates.union_ends_mm[sure], rules)
+    region = bound_region(selection.candidates.union_ends_mm[sure], rules)
     # As many lines more as there are segments, and as likely wherever they lie.
     mixture = selection.mixture
     log_count = mixture.log_count + np.log(count / rules.sample)
     least = tuning.selection.prune_log_odds - rules.slack_log_odds
     mixture = mixture._replace(log_count=log_count)
     ends_px = reach_of_ends(mixture.ends, float(np.asarray(clutter.typical_px)), rules, tuning.ends)
-    return Learned(region, mixture, least, ends_px)
+    return SearchPrior(region, mixture, least, ends_px)
 
 
-def _unexplained(
+def _find_unexplained(
     found: Candidates,
     views: tuple[int, int, int],
     numbers: list[int],
-    learned: Learned,
+    learned: SearchPrior,
     tuning: MatchTuning,
 ) -> list[Bool[np.ndarray, "_"]]:
     """Segments of each view that likely candidates show little of, as far as their rivals say."""

@@ -27,7 +27,7 @@ from trinoc.match.tracks.matches import Matches
 from trinoc.match.wire_frame.build import wireframe
 
 
-class Found(NamedTuple):
+class StepResult(NamedTuple):
     """What matching and the steps after it found.
 
     Fields
@@ -43,12 +43,12 @@ class Found(NamedTuple):
     features: Mapping[str, Feature] = {}
     shadows: Shadows | None = None
 
-    def with_features(self, own: Feature) -> "Found":
+    def with_features(self, own: Feature) -> "StepResult":
         """The same and features of another kind."""
         return self._replace(features={**self.features, own.KIND: own})
 
 
-class Given(NamedTuple):
+class StepInput(NamedTuple):
     """What steps work with: see `improve`."""
 
     rig: Rig
@@ -63,27 +63,27 @@ class Step(NamedTuple):
 
     said: str
     needs: str
-    take: Callable[[Found, Given], Found]
+    take: Callable[[StepResult, StepInput], StepResult]
 
 
-def _guide(found: Found, given: Given) -> Found:
+def _guide(found: StepResult, given: StepInput) -> StepResult:
     guided = guide_matches(found.matches, found.segments, given.rig, given.pictures)
     return found._replace(matches=guided.matches, segments=guided.segments)
 
 
-def _measure(found: Found, given: Given) -> Found:
+def _measure(found: StepResult, given: StepInput) -> StepResult:
     measured = measure_lines(
         found.matches, found.segments, given.rig, given.pictures, response=given.response
     )
     return found._replace(matches=measured)
 
 
-def _cylinders(found: Found, given: Given) -> Found:
+def _cylinders(found: StepResult, given: StepInput) -> StepResult:
     cylinders = find_cylinders(found.matches, found.segments, given.rig)
-    return found._replace(matches=cylinders.marked(found.matches)).with_features(cylinders)
+    return found._replace(matches=cylinders.mark(found.matches)).with_features(cylinders)
 
 
-def _rims(found: Found, given: Given) -> Found:
+def _rims(found: StepResult, given: StepInput) -> StepResult:
     chords = given.arcs() if given.arcs is not None else {}
     among = match_segments(chords, given.rig, depth_range_mm=given.depth_range_mm)
     rims = find_rims(among, chords, given.rig)
@@ -92,15 +92,17 @@ def _rims(found: Found, given: Given) -> Found:
         kind: own.of_tracks(joined.kept, len(joined.matches))
         for kind, own in found.features.items()
     }
-    return Found(joined.matches, joined.segments, renumbered, found.shadows).with_features(rims)
+    return StepResult(joined.matches, joined.segments, renumbered, found.shadows).with_features(
+        rims
+    )
 
 
-def _shadows(found: Found, given: Given) -> Found:
+def _shadows(found: StepResult, given: StepInput) -> StepResult:
     shadows = find_shadows(found.matches, found.segments, given.rig)
-    return found._replace(matches=shadows.marked(found.matches), shadows=shadows)
+    return found._replace(matches=shadows.mark(found.matches), shadows=shadows)
 
 
-def _wireframe(found: Found, given: Given) -> Found:
+def _wireframe(found: StepResult, given: StepInput) -> StepResult:
     return found.with_features(wireframe(found.matches, given.rig))
 
 
@@ -125,7 +127,7 @@ def improve(
     depth_range_mm: tuple[float, float] | None = None,
     response: ResponseLike = "linear",
     begin: Callable[[Step], None] = lambda step: None,
-) -> Found:
+) -> StepResult:
     """Take some of the steps after matching, in their own order.
 
     Parameters
@@ -147,8 +149,8 @@ def improve(
     unknown = [step for step in steps if step not in STEPS]
     if unknown:
         raise InputError(f'There is no step "{unknown[0]}": choose of {", ".join(STEPS)}.')
-    given = Given(rig, pictures or {}, arcs, depth_range_mm, response)
-    found = Found(matches, segments)
+    given = StepInput(rig, pictures or {}, arcs, depth_range_mm, response)
+    found = StepResult(matches, segments)
     chosen = {name: step for name, step in STEPS.items() if name in steps}
     for name, step in chosen.items():
         if step.needs == "pictures" and not set(matches.views) <= set(given.pictures):

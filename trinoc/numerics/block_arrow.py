@@ -56,17 +56,17 @@ class BlockArrow(lx.AbstractLinearOperator):
         size, (count, width) = structure[0].shape[0], structure[1].shape
         dtype = structure[0].dtype
 
-        def applied(head: Float[Array, "q"], blocks: Float[Array, "k w"]) -> PyTree:
+        def apply(head: Float[Array, "q"], blocks: Float[Array, "k w"]) -> PyTree:
             return tuple(
                 operator.mv(jax.tree.unflatten(jax.tree.structure(structure), (head, blocks)))
             )
 
         def head_column(unit: Float[Array, "q"]) -> PyTree:
-            return applied(unit, jnp.zeros((count, width), dtype))
+            return apply(unit, jnp.zeros((count, width), dtype))
 
         def block_columns(unit: Float[Array, "w"]) -> PyTree:
             every = jnp.broadcast_to(unit[None], (count, width))
-            return applied(jnp.zeros(size, dtype), every)[1]
+            return apply(jnp.zeros(size, dtype), every)[1]
 
         head, coupling = jax.vmap(head_column)(jnp.eye(size, dtype=dtype))
         blocks = jax.vmap(block_columns)(jnp.eye(width, dtype=dtype))

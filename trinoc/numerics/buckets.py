@@ -32,7 +32,7 @@ def bucket(count: int, *, smallest: int = SMALLEST_BUCKET, finer_above: int | No
     return -(-count // step) * step
 
 
-def padded(array: np.ndarray, size: int, filler: float | np.ndarray = 0) -> np.ndarray:
+def pad_rows(array: np.ndarray, size: int, filler: float | np.ndarray = 0) -> np.ndarray:
     """`array` with rows of `filler` appended up to `size` rows."""
     result = np.empty((size, *array.shape[1:]), dtype=array.dtype)
     result[: len(array)] = array
@@ -42,7 +42,7 @@ def padded(array: np.ndarray, size: int, filler: float | np.ndarray = 0) -> np.n
 
 def in_bucket(function: Callable[[np.ndarray], ArrayLike], rows: np.ndarray) -> np.ndarray:
     """`function` over rows, padded to a bucket with rows of zeros whose results are dropped."""
-    return np.asarray(function(padded(rows, bucket(len(rows)))))[: len(rows)]
+    return np.asarray(function(pad_rows(rows, bucket(len(rows)))))[: len(rows)]
 
 
 def blocks(count: int, size: int) -> Iterator[slice]:
@@ -60,13 +60,13 @@ def in_blocks(function: Callable[..., _Tree], size: int, *columns: np.ndarray) -
     count = len(columns[0])
     slices = list(blocks(count, size))
     # All blocks are handed over before the first result is waited for.
-    results = [function(*(padded(c[part], size) for c in columns)) for part in slices]
+    results = [function(*(pad_rows(c[part], size) for c in columns)) for part in slices]
     rows = [part.stop - part.start for part in slices]
 
-    def joined(*leaves: jax.Array) -> np.ndarray:
+    def join(*leaves: jax.Array) -> np.ndarray:
         return np.concatenate([np.asarray(leaf)[:n] for leaf, n in zip(leaves, rows, strict=True)])
 
-    return jax.tree.map(joined, *results)
+    return jax.tree.map(join, *results)
 
 
 def as_columns(tree: Any) -> Float[ArrayLike, "c h"]:
@@ -83,7 +83,7 @@ def select_in_blocks(
     of each whether it is possible; it must bear rows of zeros."""
     parts = list(blocks(len(rows), size))
     # All blocks are handed over before the first result is waited for.
-    results = [function(padded(rows[part], size)) for part in parts]
+    results = [function(pad_rows(rows[part], size)) for part in parts]
     possible, columns = [], []
     for part, (is_possible, values) in zip(parts, results, strict=True):
         keep = np.flatnonzero(np.asarray(is_possible)[: part.stop - part.start])

@@ -12,7 +12,7 @@ from typing import Any
 _sources: list[Callable[[], Any]] = []
 
 
-def display_with(source: Callable[[], Any]) -> None:
+def set_displays(source: Callable[[], Any]) -> None:
     """Let values be shown by what `source` returns; it is called when a value is shown."""
     _sources[:] = [source]
 

@@ -97,7 +97,7 @@ def members(
     return index, run, np.cumsum(count) - count
 
 
-def largest(
+def group_maxima(
     values: Shaped[np.ndarray, "m"], first: Int[np.ndarray, "r"], run: Int[np.ndarray, "m"]
 ) -> tuple[np.ndarray, Int[np.ndarray, "r"]]:
     """(maximum, position) of each run, the position counted from the run's first member."""

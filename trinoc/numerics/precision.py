@@ -25,7 +25,7 @@ def is_traced(*trees: Any) -> bool:
     return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(trees))
 
 
-def namespace_of(*trees: Any) -> ModuleType:
+def array_namespace(*trees: Any) -> ModuleType:
     """`jax.numpy` where something is traced, NumPy otherwise."""
     return jnp if is_traced(*trees) else np
 

@@ -96,7 +96,7 @@ class _KeptProgram(NamedTuple):
 _stores: list[ProgramStore | None] = [None]
 
 
-def keep_programs_in(store: ProgramStore | None) -> ProgramStore | None:
+def set_program_store(store: ProgramStore | None) -> ProgramStore | None:
     """Use a store from now on, or none; returns the one before."""
     before, _stores[0] = _stores[0], store
     return before

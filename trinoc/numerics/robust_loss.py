@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.numerics.arrays import ArrayLike, ScalarLike
-from trinoc.numerics.precision import namespace_of
+from trinoc.numerics.precision import array_namespace
 
 
 class AbstractRobustLoss(eqx.Module):
@@ -65,7 +65,7 @@ class GemanMcClure(AbstractRobustLoss):
         """1 / (1 + s / c^2)."""
         return 1 / (1 + squared / self.ceiling)
 
-    def widened(self, factor: ScalarLike) -> "GemanMcClure":
+    def widen(self, factor: ScalarLike) -> "GemanMcClure":
         """The same loss for residuals `factor` times as large."""
         return GemanMcClure(self.ceiling * factor**2)
 
@@ -80,7 +80,7 @@ class Cauchy(AbstractRobustLoss):
 
     def rho(self, squared: Float[ArrayLike, "*n"]) -> Float[ArrayLike, "*n"]:
         """c^2 log(1 + s / c^2)."""
-        return self.scale**2 * namespace_of(squared).log1p(squared / self.scale**2)
+        return self.scale**2 * array_namespace(squared).log1p(squared / self.scale**2)
 
     def weight(self, squared: Float[ArrayLike, "*n"]) -> Float[ArrayLike, "*n"]:
         """1 / (1 + s / c^2)."""
@@ -112,7 +112,7 @@ class ScaleMixture(AbstractRobustLoss):
     def log_density(self, squared: Float[ArrayLike, "*n"]) -> Float[ArrayLike, "*n"]:
         """log p(s), for residuals in standard deviations."""
         largest, terms = self._terms(squared)
-        logarithm = namespace_of(squared).log(terms.sum(axis=-1))
+        logarithm = array_namespace(squared).log(terms.sum(axis=-1))
         return largest + logarithm - 0.5 * self.size * math.log(2 * math.pi)
 
     def _terms(
@@ -123,4 +123,4 @@ class ScaleMixture(AbstractRobustLoss):
         share, scale = np.maximum(self.shares, np.finfo(float).tiny), np.array(self.scales)
         exponent = np.log(share) - self.size * np.log(scale) - 0.5 * squared[..., None] / scale**2
         largest = exponent.max(axis=-1)
-        return largest, namespace_of(squared).exp(exponent - largest[..., None])
+        return largest, array_namespace(squared).exp(exponent - largest[..., None])

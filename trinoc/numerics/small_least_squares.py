@@ -75,7 +75,7 @@ class NormalEquations(NamedTuple):
 
         Free directions are left alone, and so are problems without finite equations.
         """
-        scaled, scale = self._scaled()
+        scaled, scale = self._scale_columns()
         # So little damping leaves known directions as they are, and makes the others regular.
         scaled = scaled + SMALLEST_SHARE * np.eye(scaled.shape[1])
         gradient = np.where(self.finite[:, None], self.gradient, 0.0) * scale
@@ -84,18 +84,18 @@ class NormalEquations(NamedTuple):
 
     def rank(self) -> Int[np.ndarray, "h"]:
         """How many directions the observations and the prior determine."""
-        return _determined(np.linalg.eigvalsh(self._scaled()[0])).sum(axis=1)
+        return _are_determined(np.linalg.eigvalsh(self._scale_columns()[0])).sum(axis=1)
 
     def covariance(self) -> Float[np.ndarray, "h p p"]:
         """Inverse of the information; NaN where a direction is free."""
-        scaled, scale = self._scaled()
+        scaled, scale = self._scale_columns()
         values, vectors = np.linalg.eigh(scaled)
-        known = np.asarray(_determined(values).all(axis=1))[:, None, None]
+        known = np.asarray(_are_determined(values).all(axis=1))[:, None, None]
         vectors = vectors * scale[:, :, None]
         inverse = (vectors / np.where(known, values[:, None], 1.0)) @ vectors.mT
         return np.where(known, inverse, np.nan)
 
-    def _scaled(self) -> tuple[Float[np.ndarray, "h p p"], Float[np.ndarray, "h p"]]:
+    def _scale_columns(self) -> tuple[Float[np.ndarray, "h p p"], Float[np.ndarray, "h p"]]:
         """(information with a diagonal of 1, or 0 where nothing is known, what scales it)."""
         information = np.where(self.finite[:, None, None], self.information, 0.0)
         diagonal = np.einsum("hii->hi", information)
@@ -103,7 +103,7 @@ class NormalEquations(NamedTuple):
         return information * scale[:, :, None] * scale[:, None], scale
 
 
-def _determined(values: Float[np.ndarray, "h p"]) -> Bool[np.ndarray, "h p"]:
+def _are_determined(values: Float[np.ndarray, "h p"]) -> Bool[np.ndarray, "h p"]:
     """Of eigenvalues in ascending order, columns scaled alike, those that are not rounding."""
     return values > SMALLEST_SHARE * np.maximum(values[:, -1:], 1.0)
 

@@ -33,7 +33,7 @@ CHI_SQUARE = Check("is no chi-square", lambda values, _: ~(values < 0) & ~np.isi
 COVARIANCE = Check("is no covariance", lambda values, _: is_covariance(values))
 
 
-def number_of(side: str, problem: str, *, least: int = 0) -> Check:
+def check_number(side: str, problem: str, *, least: int = 0) -> Check:
     """A row along a side, or -1 for none where `least` is."""
     return Check(problem, lambda values, table: (values >= least) & (values < table.sides[side]))
 

@@ -101,7 +101,7 @@ class Table(eqx.Module):
     def rows(self) -> dict[str, Any]:
         """The fields that have a row for each row of the table, those of a dictionary in one."""
         first = next(iter(self.SIDES))
-        held = {field.name: (field, getattr(self, field.name)) for field in fields_of(type(self))}
+        held = {field.name: (field, getattr(self, field.name)) for field in list_fields(type(self))}
         return {
             name: value
             for name, (field, value) in held.items()
@@ -133,19 +133,19 @@ class Table(eqx.Module):
         """A name and a column for each number of a row, or, if brief, without the long rows of
         covariances and pictures; `DERIVED` come last."""
         columns: dict[str, np.ndarray] = {}
-        fields = {field.name: field.column for field in fields_of(type(self))}
+        fields = {field.name: field.column for field in list_fields(type(self))}
         for name, value in self.rows().items():
             parts = fields[name].parts
             names = parts(self) if callable(parts) else parts
             for own, array in value.items() if isinstance(value, dict) else [(name, value)]:
                 if not brief or np.prod(np.shape(array)[1:]) <= _MOST_BRIEF:
-                    columns |= _named_parts(own, np.asarray(array), names)
+                    columns |= _name_parts(own, np.asarray(array), names)
         for name, parts in self.DERIVED.items():
-            columns |= _named_parts(name, np.asarray(getattr(self, name)), parts)
+            columns |= _name_parts(name, np.asarray(getattr(self, name)), parts)
         return columns
 
 
-def _named_parts(name: str, array: np.ndarray, parts: Sequence[str]) -> dict[str, np.ndarray]:
+def _name_parts(name: str, array: np.ndarray, parts: Sequence[str]) -> dict[str, np.ndarray]:
     """The numbers of each row by name; of covariances, the upper triangle."""
     if array.ndim == 1:
         return {name: array}
@@ -162,7 +162,7 @@ def _named_parts(name: str, array: np.ndarray, parts: Sequence[str]) -> dict[str
 
 
 @functools.cache
-def fields_of(table: type[Table]) -> tuple[Field, ...]:
+def list_fields(table: type[Table]) -> tuple[Field, ...]:
     """What a table declares."""
     hints = typing.get_type_hints(table, include_extras=True)
     return tuple(_field(each, hints[each.name]) for each in dataclasses.fields(table))

@@ -48,12 +48,12 @@ def total(terms: Iterable[Scalar]) -> Scalar:
     return functools.reduce(operator.add, terms)
 
 
-def largest_of(terms: Iterable[Scalar]) -> Scalar:
+def largest(terms: Iterable[Scalar]) -> Scalar:
     """The largest of at least one scalar, or along the first axis of an array."""
     return functools.reduce(jnp.maximum, terms)
 
 
-def least_of(terms: Iterable[Scalar]) -> Scalar:
+def least(terms: Iterable[Scalar]) -> Scalar:
     """The least of at least one scalar, or along the first axis of an array."""
     return functools.reduce(jnp.minimum, terms)
 
@@ -106,7 +106,9 @@ def times_matrix(matrix: Float[ArrayLike, "... 3 3"], a: Vector3) -> Vector3:
     )
 
 
-def between(covariance: tuple[Scalar, Scalar, Scalar], s: Scalar, t: Scalar) -> Scalar:
+def interpolated_covariance(
+    covariance: tuple[Scalar, Scalar, Scalar], s: Scalar, t: Scalar
+) -> Scalar:
     """Covariance of two interpolated places, from (c00, c01, c11) of the places 0 and 1."""
     c00, c01, c11 = covariance
     return (1 - s) * (1 - t) * c00 + (s * (1 - t) + t * (1 - s)) * c01 + s * t * c11
@@ -125,7 +127,7 @@ def cross_3d(a: Float[np.ndarray, "*n 3"], b: Float[np.ndarray, "*m 3"]) -> np.n
     return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
 
 
-def axes_across(unit: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 2 3"]:
+def complete_axes(unit: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 2 3"]:
     """Two unit vectors across a unit vector and each other."""
     least = np.eye(3)[np.argmin(np.abs(unit), axis=-1)]
     first = cross_3d(unit, least)

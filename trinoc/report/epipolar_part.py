@@ -16,7 +16,7 @@ from trinoc.geometry.image_of_circle import image_of_circle_centre
 from trinoc.geometry.rig import Rig
 from trinoc.match.tracks.matches import TRINOCULAR, Matches
 from trinoc.numerics.arrays import ArrayLike
-from trinoc.numerics.buckets import bucket, padded
+from trinoc.numerics.buckets import bucket, pad_rows
 from trinoc.numerics.precision import in_float64
 from trinoc.report.colours import PALETTE
 from trinoc.report.numbers import with_decimals
@@ -231,7 +231,7 @@ def shift_of_circle_centres(
 
 
 def _in_bucket(points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "m 2"]:
-    return padded(points, bucket(len(points)), points[-1] if len(points) else 0)
+    return pad_rows(points, bucket(len(points)), points[-1] if len(points) else 0)
 
 
 @eqx.filter_jit

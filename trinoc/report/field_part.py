@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.calib.rig_from_shots import RigFromShots
-from trinoc.calib.targets.board_set import boards_of
+from trinoc.calib.targets.board_set import list_boards
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.calib.uncertainty.propagation import epipolar_sigma, point_covariance, projection_sigma
 from trinoc.geometry.rig import Rig
@@ -224,7 +224,7 @@ def _distance_mm(result: RigFromShots, rig: Rig, camera: str) -> float:
 
 def _middles_mm(result: RigFromShots) -> np.ndarray:
     """(b, 3) of the boards, in the frame of the first."""
-    extents = [np.asarray(board.centres_mm) for board in boards_of(result.target)]
+    extents = [np.asarray(board.centres_mm) for board in list_boards(result.target)]
     middles = np.stack([(own.min(axis=0) + own.max(axis=0)) / 2 for own in extents])
     fixed = result.reference_from_board
     return np.einsum("bij,bj->bi", fixed[:, :, :2], middles) + fixed[:, :, 3]

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from trinoc.calib.rig_from_shots import RigFromShots
-from trinoc.calib.targets.board_set import board_names, boards_of
+from trinoc.calib.targets.board_set import board_names, list_boards
 from trinoc.geometry.rig import Rig
 from trinoc.report.numbers import with_decimals
 from trinoc.report.space_content import Box, frusta
@@ -80,7 +80,7 @@ def boards_in_space(result: RigFromShots, rig: Rig) -> SpaceFigure:
 def _boards(result: RigFromShots) -> list[np.ndarray]:
     """The outline of the places of each board in each shot."""
     outlines = []
-    for board, fixed in zip(boards_of(result.target), result.reference_from_board, strict=True):
+    for board, fixed in zip(list_boards(result.target), result.reference_from_board, strict=True):
         centres = np.asarray(board.centres_mm)
         (left, top), (right, bottom) = centres.min(axis=0), centres.max(axis=0)
         corners = [[left, top], [right, top], [right, bottom], [left, bottom], [left, top]]

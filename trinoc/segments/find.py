@@ -41,7 +41,7 @@ from trinoc.segments.nevatia_babu.errors import (
 )
 from trinoc.segments.nevatia_babu.line_fit import FittedLines, fit_lines, merge_collinear
 from trinoc.segments.nevatia_babu.runs import (
-    Level,
+    PyramidLevel,
     Runs,
     find_runs,
     full_level,
@@ -166,7 +166,7 @@ def _accept(
 
 
 def _without_neighbours(
-    smooth: Level, runs: Runs, lines: FittedLines, blur_px2: float, tuning: SegmentTuning
+    smooth: PyramidLevel, runs: Runs, lines: FittedLines, blur_px2: float, tuning: SegmentTuning
 ) -> tuple[Runs, FittedLines, ErrorModel]:
     """(points, lines, what else may have moved them) without the pull of neighbours."""
     profile_px2 = smooth.kernel_variance_px2 + blur_px2
@@ -180,7 +180,7 @@ def _without_neighbours(
 
 
 def _without_shifts(
-    smooth: Level,
+    smooth: PyramidLevel,
     runs: Runs,
     lines: FittedLines,
     slopes: SideSlopes,
@@ -198,7 +198,7 @@ def _without_shifts(
         # Toward the brighter side.
         way = lines.direction * shift_px[:, None]
         offset = np.stack([way[:, 1], -way[:, 0]], axis=-1)
-        runs = runs.moved(runs.points.uv_px + runs.spread(offset).astype(np.float32))
+        runs = runs.move(runs.points.uv_px + runs.spread(offset).astype(np.float32))
         lines = lines._replace(centre_px=lines.centre_px + offset)
     return runs, lines, (saturated, shaded)
 
@@ -209,7 +209,7 @@ def _undistort(
     """(lines through undistorted points, the way back into the picture)."""
     if lens is None or not lens.has_distortion:
         return lines, np.asarray
-    flat = runs.moved(undistort_pixels(lens, runs.points.uv_px))
+    flat = runs.move(undistort_pixels(lens, runs.points.uv_px))
     return fit_lines(flat), partial(distort_pixels, lens)
 
 

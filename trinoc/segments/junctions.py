@@ -43,7 +43,7 @@ def find_junctions(segments: Segments, near: NearEnds | None = None) -> Junction
     """
     ends = np.asarray(segments.endpoints_px, dtype=np.float64)
     count = len(ends)
-    pieces = _pieces_between(ends)
+    pieces = _cut_pieces(ends)
     across, along = _sigmas(segments, pieces.direction)
     reach = np.clip(_SIGMAS * along, _LEAST_REACH_PX, _MOST_REACH_PX)
     if near is None:
@@ -80,7 +80,7 @@ def collinear_chains(segments: Segments) -> Int[np.ndarray, "n"]:
     must agree.
     """
     ends = np.asarray(segments.endpoints_px, dtype=np.float64)
-    _, direction, extent = _pieces_between(ends)
+    _, direction, extent = _cut_pieces(ends)
     length = np.ptp(extent, axis=1)
     across, _ = _sigmas(segments, direction)
     pairs = point_tree(ends.reshape(-1, 2)).query_pairs(_CHAIN_GAP_PX, output_type="ndarray")
@@ -110,7 +110,7 @@ def collinear_chains(segments: Segments) -> Int[np.ndarray, "n"]:
     return group_labels(len(ends), one[continues], other[continues])
 
 
-def _pieces_between(ends: Float[np.ndarray, "n 2 2"]) -> Pieces:
+def _cut_pieces(ends: Float[np.ndarray, "n 2 2"]) -> Pieces:
     centre = ends.mean(axis=1)
     way = ends[:, 1] - ends[:, 0]
     length = np.linalg.norm(way, axis=-1, keepdims=True)

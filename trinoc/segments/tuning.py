@@ -71,7 +71,7 @@ class AcceptTuning:
 
 
 @dataclass(frozen=True)
-class EndTuning:
+class EndpointTuning:
     """Gaps and ends. Shown by the errors along the segment, at crossings and free."""
 
     # Collinear pieces merge across gaps up to this, and ends are carried to crossings up to that,
@@ -160,7 +160,7 @@ class SegmentTuning:
 
     scales: ScaleTuning = field(default_factory=ScaleTuning)
     accept: AcceptTuning = field(default_factory=AcceptTuning)
-    ends: EndTuning = field(default_factory=EndTuning)
+    ends: EndpointTuning = field(default_factory=EndpointTuning)
     errors: ErrorTuning = field(default_factory=ErrorTuning)
     saturation: SaturationTuning = field(default_factory=SaturationTuning)
 

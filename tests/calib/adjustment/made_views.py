@@ -14,7 +14,7 @@ from trinoc.calib.problem.sheet import BentPaper
 from trinoc.calib.problem.sheet_problem import SheetCamera, sheet_problem
 from trinoc.calib.uncertainty.systematics import Systematics, data_sheet_covariance
 from trinoc.geometry import Pose
-from trinoc.geometry.lenses.registry import promoted
+from trinoc.geometry.lenses.registry import promote_lens
 from trinoc.geometry.pose import PoseModel
 
 SHEET = reference_sheet()
@@ -77,7 +77,7 @@ def _seen_px(pose: Pose, change: np.ndarray, shape: np.ndarray) -> np.ndarray:
     nothing = detection(np.zeros((len(SHEET), 2)), 1.0)
     one = SheetCamera("one", nothing, LENS, None, pose)
     problem = sheet_problem([one], SHEET, Systematics(), PoseModel.AIM_FREE, 0.0)
-    state, parameters = problem.state, np.array(promoted(LENS.lens).parameters)
+    state, parameters = problem.state, np.array(promote_lens(LENS.lens).parameters)
     parameters[: len(change)] += change
     lenses = jax.vmap(lambda lens: lens.with_parameters(parameters))(state.lenses)
     state = eqx.tree_at(lambda s: (s.lenses, s.sheet), state, (lenses, shape))

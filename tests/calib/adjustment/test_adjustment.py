@@ -8,8 +8,8 @@ from scipy.stats import chi2
 
 from tests.calib.adjustment.made_views import LENS_FACTOR, SHEET, TYPICAL, made_views
 from trinoc.calib.adjustment.estimate import Adjustment, adjust_cameras
-from trinoc.calib.problem.information import whitened_views
-from trinoc.calib.problem.variables import prior_of, retract
+from trinoc.calib.problem.information import whiten_views
+from trinoc.calib.problem.variables import evaluate_prior, retract
 from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.geometry import Pose
 from trinoc.geometry.pose import PoseModel
@@ -78,7 +78,7 @@ def test_the_root_is_that_of_the_pixels_and_of_all_that_was_known() -> None:
     found = adjusted(made_views(0, lens_factor=10 * LENS_FACTOR).cameras)
     rows = np.concatenate(list(found.near.jacobian[..., found.free]))
     state, chart = found.problem.state, found.problem.chart
-    known = np.asarray(prior_of(state, chart).information)[np.ix_(found.free, found.free)]
+    known = np.asarray(evaluate_prior(state, chart).information)[np.ix_(found.free, found.free)]
     expected = rows.T @ rows + known
     scale = np.sqrt(np.diag(expected))
     inverse = np.linalg.inv(expected / np.outer(scale, scale)) / np.outer(scale, scale)
@@ -99,7 +99,7 @@ def test_derivatives_are_those_of_differences() -> None:
     # By how much a circle's image lies aside of its centre's is taken where a step begins.
     chart = type(problem.chart)(**{**vars(problem.chart), "has_circles": False})
     problem = problem._replace(chart=chart)
-    jacobian = whitened_views(problem).jacobian
+    jacobian = whiten_views(problem).jacobian
     free = eqx.tree_at(lambda c: c.free, chart, np.ones(len(chart.free)))
     boards = np.zeros((1, 6))
     # Steps of camera 1, its lens and the sheet.
@@ -111,7 +111,7 @@ def test_derivatives_are_those_of_differences() -> None:
         step = 1e-3 * np.eye(len(chart.free))[column]
         step /= max(np.abs(jacobian[1][:, column]).max(), 1.0)
         ends = [
-            whitened_views(
+            whiten_views(
                 problem._replace(state=as_numpy(retract(problem.state, free, sign * step, boards)))
             ).residual[1]
             for sign in (1, -1)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from tests.calib.bundle.made_tracks import TRUTH, made_tracks, rig_at
-from trinoc.calib.bundle.camera import CameraState, camera_state, stacked_states
+from trinoc.calib.bundle.camera import CameraState, camera_state, stack_states
 from trinoc.calib.bundle.covariance import (
     determined_part,
     segment_and_errors,
@@ -19,7 +19,7 @@ segments = jax.jit(jax.vmap(segment_and_errors, (None, 0, 0, 0)))
 
 def cameras():
     rig = rig_at(TRUTH, with_covariance=False)
-    return stacked_states([camera_state(each, PoseModel.AIM_FREE) for each in rig.cameras])
+    return stack_states([camera_state(each, PoseModel.AIM_FREE) for each in rig.cameras])
 
 
 def test_ends_follow_the_cameras_as_whole_triangulations_do():

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from tests.calib.bundle.made_tracks import SHEET_SIGMA, TRUTH, made_tracks, rig_at
-from trinoc.calib import refined
-from trinoc.calib.bundle.camera import camera_state, stacked_states
+from trinoc.calib import refine_differentiably
+from trinoc.calib.bundle.camera import camera_state, stack_states
 from trinoc.calib.bundle.factors import PosePrior
 from trinoc.calib.bundle.joint_problem import FragmentTable
 from trinoc.geometry.pose import PoseModel
@@ -31,13 +31,13 @@ def crossing(line, ends):
 def test_gradients_of_a_line_and_of_a_camera_agree_with_differences():
     lines, ends, _ = made_tracks(0, 12, hidden=0.0)
     rig = rig_at(TRUTH, with_covariance=True)
-    cameras = stacked_states([camera_state(c, PoseModel.AIMED) for c in rig.cameras])
+    cameras = stack_states([camera_state(c, PoseModel.AIMED) for c in rig.cameras])
     prior = PosePrior(TRUTH.reshape(3, 4), np.diag(SHEET_SIGMA**-2), cameras)
 
     def outputs(fragments_px, sheet_values):
         tracks = FragmentTable(fragments_px, lines.covariance_px2, lines.seen)
         sheet = PosePrior(sheet_values, prior.information, cameras)
-        answer, anchors = refined(cameras, lines.lines_mm, tracks, sheet, LOSS)
+        answer, anchors = refine_differentiably(cameras, lines.lines_mm, tracks, sheet, LOSS)
         upper, start = (jax.tree.map(lambda leaf: leaf[0], each) for each in (answer, cameras))
         return jnp.stack([upper.parameters(start)[1], crossing(anchors[4], ends[4])[2]])
 

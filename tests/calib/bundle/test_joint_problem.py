@@ -10,7 +10,7 @@ from jax.flatten_util import ravel_pytree
 
 from tests.calib.bundle.made_tracks import NAMES, SHEET_SIGMA, TRUTH, made_tracks, rig_at
 from tests.geometry.strategies import vectors
-from trinoc.calib.bundle.camera import camera_of_state, camera_state, stacked_states
+from trinoc.calib.bundle.camera import camera_of_state, camera_state, stack_states
 from trinoc.calib.bundle.estimate import (
     HELD_SIGMA_MM,
     HELD_SIGMA_PX,
@@ -19,10 +19,10 @@ from trinoc.calib.bundle.estimate import (
 )
 from trinoc.calib.bundle.factors import (
     PosePrior,
+    complete_basis,
     line_residual,
-    normals_of,
     retract_line,
-    whitening_across,
+    whiten_across,
 )
 from trinoc.calib.bundle.joint_problem import (
     CamerasAndLines,
@@ -46,7 +46,7 @@ equations_of = jax.jit(lambda problem, state: problem.equations(state))
 def cameras_of(pose_model, *, with_intrinsics=False):
     rig = rig_at(TRUTH, with_covariance=False)
     each = [camera_state(c, pose_model, with_intrinsics=with_intrinsics) for c in rig.cameras]
-    return stacked_states(each), rig
+    return stack_states(each), rig
 
 
 def tracks_of(lines):
@@ -76,7 +76,7 @@ def problem_of(lines, pose_model, loss=LOSS, *, with_intrinsics=False, off=0.0):
 
 @given(vectors(3, 1.0).filter(lambda d: np.linalg.norm(d) > 0.1))
 def test_normals_complete_a_basis(direction):
-    basis = np.vstack([direction / np.linalg.norm(direction), normals_of(direction)])
+    basis = np.vstack([direction / np.linalg.norm(direction), complete_basis(direction)])
     np.testing.assert_allclose(basis @ basis.T, np.eye(3), atol=1e-12)
 
 
@@ -112,7 +112,7 @@ def test_whitening_makes_the_distances_independent():
     fragment = lines.fragments_px[0, 0]
     root = np.random.default_rng(0).normal(size=(4, 4))
     covariance = root @ root.T
-    whitening = whitening_across(fragment, covariance)
+    whitening = whiten_across(fragment, covariance)
     along = np.diff(fragment, axis=0)[0]
     normal = np.array([-along[1], along[0]]) / np.linalg.norm(along)
     rows = np.kron(np.eye(2), normal)

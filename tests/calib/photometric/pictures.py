@@ -7,8 +7,8 @@ import numpy as np
 
 from tests.calib.simulated import LENS, TABLE_1, camera_of
 from trinoc.calib.photometric.equations import Group, Picture, PixelRows, pixel_rows
-from trinoc.calib.photometric.ink import SQUARES, Cross, Drawing
-from trinoc.calib.photometric.pixel_selection import group_of, select_pixels
+from trinoc.calib.photometric.ink import SQUARES, Cross, InkDrawing
+from trinoc.calib.photometric.pixel_selection import pad_group, select_pixels
 from trinoc.calib.photometric.sheet_places import sheet_from_camera
 from trinoc.calib.photometric.unknowns import PictureState, ideal_state
 from trinoc.calib.result.degrees import pose_of_values
@@ -56,7 +56,7 @@ def pixels_of(
     choice = select_pixels(pose_of(RIGHT), LENS.lens, pattern, LENS.image_size_px, SIGMA_PX)
     chosen = choice.near_lines if near_line else choice.near_circles
     capacity = max(len(chosen.row), 1)
-    return group_of(chosen, picture, LENS.lens, pattern, capacity, np.float64), len(chosen.row)
+    return pad_group(chosen, picture, LENS.lens, pattern, capacity, np.float64), len(chosen.row)
 
 
 def picture_of(
@@ -72,7 +72,7 @@ def rows_of(
     group: Group,
     homography: np.ndarray | None = None,
     *,
-    drawing: Drawing,
+    drawing: InkDrawing,
     near_line: bool = False,
 ) -> PixelRows:
     """Residuals and rows of a group; at another homography than the state's where it is given."""
@@ -81,7 +81,7 @@ def rows_of(
     return pixel_rows(place, state, group, picture, drawing, near_line)
 
 
-def drawing_of(pattern: Pattern | SquareSheet) -> Drawing:
+def drawing_of(pattern: Pattern | SquareSheet) -> InkDrawing:
     if isinstance(pattern, SquareSheet):
-        return Drawing(SQUARES, False)
-    return Drawing(pattern.line_style, bool((pattern.inner_radius_mm > 0).any()))
+        return InkDrawing(SQUARES, False)
+    return InkDrawing(pattern.line_style, bool((pattern.inner_radius_mm > 0).any()))

@@ -11,16 +11,16 @@ from scipy.stats import norm
 from tests.calib.photometric.pictures import RIGHT, pose_of
 from tests.calib.simulated import LENS, reference_sheet
 from trinoc.calib.photometric.edges import Kernel, coverage, straight_edge
-from trinoc.calib.photometric.encoding import Encoding, balanced_mosaic
+from trinoc.calib.photometric.encoding import Encoding, balance_mosaic
 from trinoc.calib.photometric.equations import eliminate_levels
 from trinoc.calib.photometric.grey_level import Tone, grey_level
 from trinoc.calib.photometric.noise import (
     OnGrid,
     autocorrelation,
-    clipped,
-    correlated_sum,
+    clipped_moments,
     noise_by_level,
     saturation_level,
+    sum_correlated,
 )
 from trinoc.calib.photometric.sheet_places import SheetPoint, project_to_image
 from trinoc.errors import InputError
@@ -122,7 +122,7 @@ def test_eliminated_levels_leave_the_whole_system_s_answer() -> None:
 @given(st.floats(230.0, 275.0), st.floats(0.5, 5.0))
 def test_moments_of_a_clipped_level(level: float, sigma: float) -> None:
     top = 255.0
-    got = clipped(np.array([level]), np.array([sigma]), top)
+    got = clipped_moments(np.array([level]), np.array([sigma]), top)
     at = level + sigma * np.linspace(-9, 9, 40001)
     weight = norm.pdf(at, level, sigma) * (at[1] - at[0])
     cut = np.minimum(at, top)
@@ -164,7 +164,7 @@ def test_correlation_and_the_variance_of_a_sum() -> None:
     assert shared == pytest.approx(np.exp(-squares / (4 * 0.8**2)), abs=0.05)
     # The sum over a window of the noise has the variance that the sandwich says.
     wave = np.cos(column / 9.0) * np.cos(row / 7.0)
-    claimed = correlated_sum(grid, wave[None], shared)[0, 0]
+    claimed = sum_correlated(grid, wave[None], shared)[0, 0]
     sums = [
         wave @ (gaussian_filter(random.normal(size=(120, 140)), 0.8) / smooth.std()).ravel()
         for _ in range(200)
@@ -182,9 +182,7 @@ def test_a_mosaic_is_brought_to_the_levels_of_green() -> None:
         [np.hypot(*(np.indices(flat.shape)[::-1] - uv[:, None, None])) < 9 for uv in centres]
     ).any(axis=0)
     picture = np.where(inked, 30.0, flat)
-    balanced = balanced_mosaic(
-        (picture * gain).astype(np.float32), "RGGB", pose, LENS.lens, pattern
-    )
+    balanced = balance_mosaic((picture * gain).astype(np.float32), "RGGB", pose, LENS.lens, pattern)
     assert np.allclose(balanced.image, picture, atol=1.0)
     assert np.allclose(balanced.noise_scale * gain, 1.0, atol=0.01)
 

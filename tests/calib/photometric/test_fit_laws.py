@@ -17,7 +17,7 @@ from trinoc.calib.photometric.equations import LOCAL_TERMS, LOCAL_WIDTH, elimina
 from trinoc.calib.photometric.gate import gate_by_sigma, without_common
 from trinoc.calib.photometric.noise import is_clear
 from trinoc.calib.photometric.pixel_selection import SelectedPixels
-from trinoc.calib.photometric.scene import Point, Scene, scene_of_picture
+from trinoc.calib.photometric.scene import PixelScene, Point, scene_of_picture
 from trinoc.calib.photometric.unknowns import PictureState, delivered_state
 from trinoc.geometry.pose import PoseModel
 from trinoc.numerics.arrays import ArrayLike
@@ -30,7 +30,7 @@ RATIO = STATE.unknowns.places("ratio")[0]
 
 
 @pytest.fixture(scope="module")
-def scene() -> Scene:
+def scene() -> PixelScene:
     picture = image_of(reference_sheet(), RIGHT)
     picture = picture + np.random.default_rng(0).normal(0.0, SIGMA, picture.shape)
     pose, model = state_at(RIGHT).pose, PoseModel.AIMED
@@ -39,10 +39,12 @@ def scene() -> Scene:
     return posed[0]
 
 
-def with_prior(scene: Scene, middle: ArrayLike | float, width: ArrayLike | float) -> Scene:
+def with_prior(
+    scene: PixelScene, middle: ArrayLike | float, width: ArrayLike | float
+) -> PixelScene:
     """With what is said of the ratio of ink to paper beforehand."""
 
-    class WithPrior(Scene):
+    class WithPrior(PixelScene):
         def picture(self, unknowns, kept, sigma):
             known = super().picture(unknowns, kept, sigma)
             middles, weights = (np.array(part) for part in known.prior)
@@ -52,24 +54,26 @@ def with_prior(scene: Scene, middle: ArrayLike | float, width: ArrayLike | float
     return WithPrior(*scene)
 
 
-def at(scene: Scene, state: PictureState, kept: bool = True) -> Point:
+def at(scene: PixelScene, state: PictureState, kept: bool = True) -> Point:
     everything, sigma = np.full(len(scene.grey), kept), np.full(len(scene.grey), SIGMA)
     schedule = fit._schedule(FREE, 0, np.inf)
     return fit._fit(scene, state, FREE, everything, sigma, schedule)
 
 
-def cost(scene: Scene, point: Point, *, kept: bool = True) -> float:
+def cost(scene: PixelScene, point: Point, *, kept: bool = True) -> float:
     """Chi-square by the predicted levels, and of the priors as the fit counts them."""
     chi_square = np.sum(((point.level - scene.grey) / SIGMA) ** 2) if kept else 0.0
     return float(chi_square + point.equations.prior_cost)
 
 
 def after(state: PictureState, step: np.ndarray) -> PictureState:
-    moved = state.moved(step, state.levels, PoseModel.AIMED)
+    moved = state.move(step, state.levels, PoseModel.AIMED)
     return PictureState(moved.pose, np.asarray(moved.values), state.levels, state.unknowns)
 
 
-def test_the_gradient_is_half_the_cost_s_and_the_matrix_half_its_curvature(scene: Scene) -> None:
+def test_the_gradient_is_half_the_cost_s_and_the_matrix_half_its_curvature(
+    scene: PixelScene,
+) -> None:
     scene = with_prior(scene, STATE["ratio"] + 0.02, 1e-3)
     here = at(scene, STATE)
     spread = np.sqrt(np.diag(np.linalg.inv(here.equations.matrix)))
@@ -85,7 +89,7 @@ def test_the_gradient_is_half_the_cost_s_and_the_matrix_half_its_curvature(scene
         assert 2 * here.equations.matrix[k, k] == pytest.approx(curvature, rel=0.06), k
 
 
-def test_priors_alone_are_a_quadratic(scene: Scene) -> None:
+def test_priors_alone_are_a_quadratic(scene: PixelScene) -> None:
     scene = with_prior(scene, -0.5, 0.1)
     alone = at(scene, STATE, kept=False).equations
     off = float(STATE["ratio"]) + 0.5
@@ -96,7 +100,7 @@ def test_priors_alone_are_a_quadratic(scene: Scene) -> None:
     np.testing.assert_allclose(alone.prior_cost, (off / 0.1) ** 2)
 
 
-def test_steps_end_where_the_pixels_and_the_prior_balance(scene: Scene) -> None:
+def test_steps_end_where_the_pixels_and_the_prior_balance(scene: PixelScene) -> None:
     """A step that pixels alone would refuse is taken where the prior gains more."""
     free = fit._take_steps(scene, at(scene, STATE), 8)
     width = 0.2 / np.sqrt(free.equations.matrix[4 + RATIO, 4 + RATIO])
@@ -110,7 +114,7 @@ def test_steps_end_where_the_pixels_and_the_prior_balance(scene: Scene) -> None:
     assert np.abs(pulled.equations.gradient * spread).max() < 0.3
 
 
-def test_covariance_is_that_of_draws_of_noise_that_neighbours_share(scene: Scene) -> None:
+def test_covariance_is_that_of_draws_of_noise_that_neighbours_share(scene: PixelScene) -> None:
     exact = at(scene, STATE)
     random, kernel_px, shape = np.random.default_rng(1), 0.7, LENS.image_size_px[::-1]
 
@@ -133,7 +137,9 @@ def test_covariance_is_that_of_draws_of_noise_that_neighbours_share(scene: Scene
     assert claimed.inflation > 1.5
 
 
-def test_covariance_of_independent_noise_is_the_inverse_of_the_information(scene: Scene) -> None:
+def test_covariance_of_independent_noise_is_the_inverse_of_the_information(
+    scene: PixelScene,
+) -> None:
     exact = at(scene, STATE)
     noise = np.random.default_rng(2).normal(0.0, 2 * SIGMA, len(scene.grey))
     noisy = scene._replace(grey=exact.level - noise)
@@ -144,12 +150,12 @@ def test_covariance_of_independent_noise_is_the_inverse_of_the_information(scene
         assert np.diag(claimed.matrix) == pytest.approx(4 * np.diag(whole), rel=0.2)
 
 
-def stacked(scene: Scene, point: Point) -> np.ndarray:
+def stacked(scene: PixelScene, point: Point) -> np.ndarray:
     near_circles, near_lines = point.equations.pixels
-    return scene.joined((near_circles.rows, near_lines.rows)).astype(float)
+    return scene.join((near_circles.rows, near_lines.rows)).astype(float)
 
 
-def test_derivatives_are_those_of_levels_that_saturation_cuts(scene: Scene) -> None:
+def test_derivatives_are_those_of_levels_that_saturation_cuts(scene: PixelScene) -> None:
     """By the light of the paper, where half of the paper is above what the camera can tell."""
     state = delivered_state(STATE)
     cut = scene._replace(top=float(state.light[0]))

@@ -4,7 +4,7 @@ import numpy as np
 
 from tests.calib.photometric.pictures import drawing_of, pose_of, rows_of
 from tests.calib.simulated import TABLE_1, reference_sheet
-from trinoc.calib.photometric.pixel_selection import group_of, select_pixels
+from trinoc.calib.photometric.pixel_selection import pad_group, select_pixels
 from trinoc.calib.photometric.unknowns import ideal_state
 from trinoc.synth import table1_rig
 
@@ -19,7 +19,7 @@ def test_rounding_of_the_unknowns_moves_no_large_picture() -> None:
     grey = np.zeros(size[::-1])
 
     def seen(dtype: type) -> tuple[np.ndarray, np.ndarray]:
-        group = group_of(chosen, grey, lens, pattern, len(chosen.row), dtype)
+        group = pad_group(chosen, grey, lens, pattern, len(chosen.row), dtype)
         rows = rows_of(state, group, drawing=drawing_of(pattern))
         return np.asarray(rows.residual, float), np.asarray(rows.rows, float)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.calib.photometric.pictures import RIGHT, state_at
-from trinoc.calib.photometric.patches import _displacements, _Shared, _shared_unknowns
+from trinoc.calib.photometric.patches import _displacements, _shared_unknowns, _SharedUnknowns
 from trinoc.calib.photometric.scene import Point
 from trinoc.calib.photometric.unknowns import delivered_state
 
@@ -15,7 +15,7 @@ def test_shifts_and_their_information_are_those_of_all_unknowns_together() -> No
     patch = np.arange(pixels) % patches
     by_px, residual = random.normal(size=(2, pixels)), random.normal(size=pixels)
     weight = random.uniform(0.5, 2.0, pixels)
-    shared = _Shared(
+    shared = _SharedUnknowns(
         random.normal(size=(pixels, 3)), np.array([0.0, 4.0, 20.0]), random.normal(size=3)
     )
     shift, whitening = _displacements(by_px, patch, patches, residual, weight, shared)

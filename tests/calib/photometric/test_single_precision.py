@@ -15,7 +15,7 @@ from trinoc.synth import table1_lens
 def test_double_precision_moves_no_parameter_beyond_the_stopping_rule(monkeypatch) -> None:
     known = demo_images("sheet"), demo_pattern(), table1_lens()
     single = calibrate(*known, systematics=Systematics())
-    group_of = scene.group_of
+    group_of = scene.pad_group
 
     def in_double_precision(part, image, lens, pattern, capacity, dtype, shift_px):
         assert dtype is np.float32

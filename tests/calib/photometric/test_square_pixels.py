@@ -6,7 +6,7 @@ import pytest
 from tests.calib.photometric.pictures import INK, PAPER
 from tests.calib.photometric.test_squares import Bare
 from trinoc.calib.photometric.image_fit import refine_image
-from trinoc.calib.photometric.sheet_places import places_and_slopes, rays_of_pixels
+from trinoc.calib.photometric.sheet_places import lens_rays, places_and_slopes
 from trinoc.calib.photometric.square_pixels import square_pixels
 from trinoc.calib.targets.checkers import Charuco, Chessboard
 from trinoc.calib.targets.squares import square_sheet
@@ -62,9 +62,9 @@ def test_derivatives_of_rays_are_those_of_the_lens():
     step = 0.01
 
     def at(u, v):
-        return np.asarray(rays_of_pixels(FISHEYE, uv + np.array([u, v])).direction)
+        return np.asarray(lens_rays(FISHEYE, uv + np.array([u, v])).direction)
 
-    ray, middle = rays_of_pixels(FISHEYE, uv), at(0, 0)
+    ray, middle = lens_rays(FISHEYE, uv), at(0, 0)
     by_u, by_v = ((at(*s) - at(*-s)) / (2 * step) for s in step * np.eye(2))
     uu, vv = ((at(*s) + at(*-s) - 2 * middle) / step**2 for s in step * np.eye(2))
     np.testing.assert_allclose(ray.by_pixel, np.stack([by_u, by_v], axis=2), atol=1e-8)

@@ -10,15 +10,15 @@ from tests.calib.shots.made_shots import board_poses
 from tests.calib.shots.test_laws import problem
 from trinoc.calib.problem import board_shape
 from trinoc.calib.problem.board_shape import expected_spread, with_free_places
-from trinoc.calib.problem.information import Information, information_of, whitened_views
+from trinoc.calib.problem.information import Information, compute_information, whiten_views
 from trinoc.calib.problem.outcome import ShotScatter, enlarge_covariance, shot_scatter
 from trinoc.calib.problem.places import whitened_residuals
 from trinoc.calib.problem.problem import with_lens_free
 from trinoc.calib.problem.robust_fit import (
     GATE,
     degrees_of_freedom,
-    errors_in_sigmas,
     inliers,
+    place_errors_in_sigmas,
     with_sigma_factors,
 )
 from trinoc.calib.problem.variables import retract
@@ -35,7 +35,7 @@ def here():
 
 @pytest.fixture(scope="module")
 def information(here):
-    return information_of(here)
+    return compute_information(here)
 
 
 @pytest.fixture(scope="module")
@@ -107,7 +107,7 @@ def test_the_covariance_is_that_of_all_unknowns_together_with_what_was_known(
 
 def test_views_are_linear_in_the_steps_of_the_head(here, information, dense):
     residual, by_head, _ = dense
-    found = whitened_views(here)
+    found = whiten_views(here)
     np.testing.assert_allclose(found.residual, residual, atol=1e-9)
     free = information.free
     np.testing.assert_allclose(found.jacobian[..., free], by_head[..., free], rtol=1e-7, atol=1e-6)
@@ -156,7 +156,7 @@ def test_the_scatter_of_pulls_is_that_of_their_noise(variance):
 def test_sigmas_of_corners_are_such_that_chi_square_is_as_large_as_it_should_be(here):
     """The cameras' factors squared, weighted by their numbers, are chi-square over its degrees."""
     after = with_sigma_factors(here)
-    chi_square = float(np.sum(errors_in_sigmas(here) ** 2))
+    chi_square = float(np.sum(place_errors_in_sigmas(here) ** 2))
     numbers = [
         sum(view.numbers for view in here.views if view.camera == k) for k in range(here.cameras)
     ]
@@ -169,7 +169,7 @@ def test_places_that_lie_where_they_are_drawn_spread_as_far_as_they_are_unknown(
     free = with_free_places(here)
     chart = eqx.tree_at(lambda c: c.shape_information, free.chart, spread_mm**-2.0)
     free = free._replace(chart=chart)
-    information = information_of(free)
+    information = compute_information(free)
     covariance = information.observability.covariance
     found, told = expected_spread(free, spread_mm)
     own = np.diag(covariance)[-3 * len(free.target) :].reshape(-1, 3) * float(chart.unit_mm) ** 2
@@ -198,7 +198,7 @@ def test_the_prior_of_free_places_is_their_spread(here):
     spread_mm = np.array([0.02, 0.02, 0.3])
     spread = board_shape._with_spread(with_free_places(here), spread_mm)
     np.testing.assert_allclose(spread.chart.shape_information, [2500.0, 2500.0, 1 / 0.09])
-    np.testing.assert_allclose(board_shape._spread_of(spread), spread_mm)
+    np.testing.assert_allclose(board_shape._coordinate_spread(spread), spread_mm)
 
 
 @pytest.mark.parametrize("noise", [1.0, 3.0])

@@ -6,7 +6,7 @@ import pytest
 
 from tests.calib.shots.made_shots import LENSES, board_poses
 from tests.calib.shots.test_laws import problem
-from trinoc.calib.problem.information import information_of
+from trinoc.calib.problem.information import compute_information
 from trinoc.calib.problem.named_covariance import World, named_covariance
 from trinoc.calib.problem.variables import retract
 from trinoc.numerics.precision import as_numpy
@@ -18,7 +18,7 @@ WORLDS = {"a shot": World(np.asarray(1), None), "a camera": World(None, np.asarr
 @pytest.fixture(scope="module")
 def here():
     found = problem(board_poses(3))
-    return found, information_of(found)
+    return found, compute_information(found)
 
 
 def values_after(here, head, boards, world):

@@ -14,7 +14,7 @@ from trinoc.calib.problem.board_shape import with_free_places
 from trinoc.calib.problem.equations import PlacesProblem
 from trinoc.calib.problem.problem import lens_number
 from trinoc.calib.problem.sheet import BentPaper, WarpedBoard
-from trinoc.calib.problem.variables import prior_of, retract
+from trinoc.calib.problem.variables import evaluate_prior, retract
 from trinoc.geometry.pose import PoseModel
 from trinoc.numerics.robust_loss import GemanMcClure
 
@@ -110,7 +110,7 @@ def test_the_cost_is_the_squared_mahalanobis_distance_from_what_was_known():
         expected += information * aim_mm @ aim_mm
     expected += state.sheet @ chart.sheet_information @ state.sheet
     expected += np.sum(state.shape**2 @ chart.shape_information)
-    assert float(prior_of(state, chart).cost) == pytest.approx(expected, rel=1e-9)
+    assert float(evaluate_prior(state, chart).cost) == pytest.approx(expected, rel=1e-9)
 
 
 def test_what_is_held_has_no_prior_to_pull_at_it():

@@ -26,12 +26,12 @@ from tests.calib.shots.made_shots import (
     shots,
 )
 from trinoc.calib import BoardSet, Detection, next_shot
-from trinoc.calib.advice.halves import steps_between
+from trinoc.calib.advice.halves import find_steps_to_half
 from trinoc.calib.detection.detection import split_by_board
-from trinoc.calib.problem.information import information_of
+from trinoc.calib.problem.information import compute_information
 from trinoc.calib.problem.problem import Freedom, Problem
 from trinoc.calib.problem.robust_fit import fit_places
-from trinoc.calib.problem.starting_problem import problem_of
+from trinoc.calib.problem.starting_problem import start_problem
 from trinoc.calib.problem.views import View
 from trinoc.calib.rig_calibration import calibrate_rig
 from trinoc.calib.starts.connected import solve_hand_eye
@@ -64,7 +64,7 @@ def known_problem(random: np.random.Generator, systematics: Systematics = EXACT)
                 continue
             for board, own in split_by_board(found, target).items():
                 views.append(View(number, shot, own, np.ones(len(own), bool), board=board))
-    return problem_of(
+    return start_problem(
         views,
         target,
         [lens_of(LENS_OF[camera]) for camera in cameras],
@@ -158,9 +158,9 @@ def test_errors_are_as_large_as_is_claimed():
         start = known_problem(np.random.default_rng(100 + seed))._replace(state=truth.state)
         end, converged = fit_places(start)
         assert converged
-        information = information_of(end)
+        information = compute_information(end)
         covariance = information.observability.covariance
-        step = steps_between(truth, end)[information.free]
+        step = find_steps_to_half(truth, end)[information.free]
         squares.append(step @ np.linalg.solve(covariance, step) / len(step))
     # The mean of 360 squares.
     assert 0.9 < np.sqrt(np.mean(squares)) < 1.1

@@ -7,7 +7,7 @@ import pytest
 from tests.calib.shots.made_shots import BOARD, LENSES, SIZE_PX, board_poses, chained, inverse
 from tests.calib.shots.test_laws import problem
 from trinoc.calib.advice.field_difference import field_differences
-from trinoc.calib.problem.information import information_of
+from trinoc.calib.problem.information import compute_information
 from trinoc.calib.problem.problem import with_lens_free
 from trinoc.calib.problem.variables import retract
 from trinoc.calib.uncertainty.systematics import Systematics
@@ -21,7 +21,7 @@ def known():
     """Shots that are known, and the covariance of lenses and cameras that they claim."""
     free = np.tile(np.arange(9) < 8, (3, 1))
     here = with_lens_free(problem(board_poses(6), Systematics()), free)
-    return here, information_of(here).observability.covariance
+    return here, compute_information(here).observability.covariance
 
 
 def a_half(problem, covariance, random):

@@ -17,8 +17,8 @@ from tests.calib.shots.made_shots import (
 from trinoc.calib.problem.board_shape import with_free_places
 from trinoc.calib.problem.places import BoardView, predict_places
 from trinoc.calib.problem.problem import Freedom
-from trinoc.calib.problem.starting_problem import problem_of
-from trinoc.calib.problem.views import View, padded_count
+from trinoc.calib.problem.starting_problem import start_problem
+from trinoc.calib.problem.views import View, pad_count
 from trinoc.calib.shot_messages import undetermined_sentence
 from trinoc.calib.starts.camera_start import plane_pose
 from trinoc.calib.starts.sightings import motion_in_plane
@@ -43,7 +43,7 @@ def problem(poses, systematics=None):
         for s, each in enumerate(own)
     ]
     lenses = [lens_of(name) for name in CAMERAS]
-    return problem_of(
+    return start_problem(
         views,
         BOARD,
         lenses,
@@ -116,9 +116,9 @@ def test_turns_of_a_board_are_motions_in_its_plane(board):
 
 
 def test_lengths_of_arrays_are_few():
-    padded = {padded_count(count, 8) for count in range(1, 200)}
+    padded = {pad_count(count, 8) for count in range(1, 200)}
     assert padded == {8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256}
-    assert all(padded_count(count, 8) >= count for count in range(1, 200))
+    assert all(pad_count(count, 8) >= count for count in range(1, 200))
 
 
 def test_a_board_that_is_parallel_in_all_shots_is_told():

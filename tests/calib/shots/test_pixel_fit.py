@@ -20,8 +20,8 @@ from tests.calib.shots.made_shots import (
 from trinoc.calib import BoardSet
 from trinoc.calib.problem.apparent_shift import apparent_shift
 from trinoc.calib.problem.problem import Freedom, cam_from_board, lens_number
-from trinoc.calib.problem.robust_fit import degrees_of_freedom, errors_in_sigmas
-from trinoc.calib.problem.starting_problem import problem_of
+from trinoc.calib.problem.robust_fit import degrees_of_freedom, place_errors_in_sigmas
+from trinoc.calib.problem.starting_problem import start_problem
 from trinoc.calib.problem.views import SheetPoints, View, whitening_of_covariance
 from trinoc.calib.problem.wrong_circles import discount_points, drop_wrong_circles
 from trinoc.calib.rig_calibration import calibrate_rig
@@ -50,7 +50,7 @@ def problem(target: AbstractTarget = BOARD):
         for c, own in enumerate(seen.values())
         for s, each in enumerate(own)
     ]
-    return problem_of(
+    return start_problem(
         views,
         target,
         [lens_of(name) for name in LENSES],
@@ -75,11 +75,13 @@ def test_points_count_alike_whether_detected_or_shown():
     # One of them is silent, and counts as it was detected.
     views[0] = detected.views[0]
     both = detected._replace(views=tuple(views))
-    errors = [errors_in_sigmas(each).reshape(len(each.table.shot), -1) for each in (detected, both)]
+    errors = [
+        place_errors_in_sigmas(each).reshape(len(each.table.shot), -1) for each in (detected, both)
+    ]
     np.testing.assert_allclose(errors[0], errors[1], atol=1e-9)
     assert degrees_of_freedom(detected) == degrees_of_freedom(both)
     silenced = both._replace(views=tuple(v._replace(used=0 * v.used > 0) for v in both.views))
-    assert not errors_in_sigmas(silenced).any()
+    assert not place_errors_in_sigmas(silenced).any()
 
 
 def test_points_that_may_lie_anywhere_take_their_information_along():

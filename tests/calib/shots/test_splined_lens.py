@@ -15,16 +15,16 @@ from tests.calib.shots.made_shots import BOARD, SIZE_PX, lens_of
 from trinoc.calib import Detection
 from trinoc.calib.advice.halves import covariance_of_difference
 from trinoc.calib.lens_calibration import calibrate_intrinsics
-from trinoc.calib.problem.information import information_of
+from trinoc.calib.problem.information import compute_information
 from trinoc.calib.problem.lens_correction import (
+    add_splines,
     correction_sentences,
-    shown_corrections,
-    splined_problem,
+    test_corrections,
     with_correction,
 )
 from trinoc.calib.problem.problem import Freedom, lens_number
 from trinoc.calib.problem.robust_fit import RobustFit
-from trinoc.calib.problem.starting_problem import problem_of
+from trinoc.calib.problem.starting_problem import start_problem
 from trinoc.calib.problem.views import View
 from trinoc.calib.rig_calibration import calibrate_rig
 from trinoc.calib.uncertainty.systematics import Systematics
@@ -32,8 +32,8 @@ from trinoc.errors import InputError
 from trinoc.geometry import Pose
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.intrinsics import Intrinsics
-from trinoc.geometry.lenses.registry import splined
-from trinoc.geometry.lenses.splined import AbstractSplined, SplinedBrownConrady
+from trinoc.geometry.lenses.registry import spline_lens
+from trinoc.geometry.lenses.splined import AbstractSplinedLens, SplinedBrownConrady
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.rotation import rotation_from_vector
 from trinoc.io import FORMATS
@@ -92,14 +92,14 @@ def core_problem(count, seed=0):
         View(0, shot, each, np.ones(len(each), dtype=bool))
         for shot, each in enumerate(detections(boards, seed))
     ]
-    return problem_of(
+    return start_problem(
         views, BOARD, [lens_of("left")], np.eye(3, 4)[None], boards, [SIZE_PX],
         Freedom(np.zeros(1, dtype=int), np.ones((1, 9), dtype=bool)), Systematics(),
     )  # fmt: skip
 
 
 def test_the_equations_are_those_of_the_cost_with_control_points_and_their_prior():
-    here = splined_problem(core_problem(3), [SIZE_PX])
+    here = add_splines(core_problem(3), [SIZE_PX])
     prior = 9.0 * SplinedBrownConrady.correction_information()[None]
     chart = type(here.chart)(**{**vars(here.chart), "lens_information": prior})
     assert_equations_are_those_of_the_cost(here._replace(chart=chart))
@@ -109,7 +109,7 @@ def test_the_equations_are_those_of_the_cost_with_control_points_and_their_prior
 
 
 def test_control_points_are_told_as_far_as_the_shots_know_more_than_the_prior():
-    here = splined_problem(core_problem(3), [SIZE_PX])
+    here = add_splines(core_problem(3), [SIZE_PX])
     unit, sigma_px = SplinedBrownConrady.correction_information(), np.array([0.5])
     chart = eqx.tree_at(lambda c: c.lens_information, here.chart, unit[None] / sigma_px**2)
     here = here._replace(chart=chart)
@@ -117,8 +117,8 @@ def test_control_points_are_told_as_far_as_the_shots_know_more_than_the_prior():
     count = int(np.count_nonzero(np.diag(unit) > 0))
     values[:, -count:] = 0.1 * np.random.default_rng(0).normal(size=count)
     here = here._replace(state=eqx.tree_at(lambda s: s.lenses.coefficients, here.state, values))
-    squares, told = shown_corrections(here, sigma_px)
-    information = information_of(here)
+    squares, told = test_corrections(here, sigma_px)
+    information = compute_information(here)
     covariance = np.nan_to_num(information.observability.covariance)
     own = np.flatnonzero(np.diag(information.prior) > 0)
     own = own[own < np.searchsorted(information.free, chart.lens_count)]
@@ -180,12 +180,12 @@ def field_error(lens, covariance):
 def test_a_bump_is_found_as_well_as_is_claimed():
     core = RobustFit(core_problem(24), True, [], 0.0, 0)
     end = with_correction(core, [SIZE_PX]).problem
-    information, scale = information_of(end), np.asarray(end.chart.lens_scale)[0]
+    information, scale = compute_information(end), np.asarray(end.chart.lens_scale)[0]
     rows = np.ix_(information.free[:249], information.free[:249])
     covariance = np.zeros((len(scale), len(scale)))
     covariance[rows] = information.observability.covariance[:249, :249]
     lens = lens_number(end, 0)
-    assert isinstance(lens, AbstractSplined)
+    assert isinstance(lens, AbstractSplinedLens)
     error, claimed = field_error(lens, covariance * np.outer(scale, scale))
     assert 0.8 < np.sqrt(np.mean(error**2) / np.mean(np.diag(claimed))) < 1.25
     near = np.linalg.norm(field_px() - WHERE_PX, axis=1) < 1.5 * WIDTH_PX
@@ -237,7 +237,7 @@ def test_one_camera_is_corrected_from_its_circles():
 
 
 def test_a_rig_is_pickled_and_other_tools_files_say_that_they_cannot_hold_it(tmp_path):
-    lens = Intrinsics.of_lens(splined(lens_of("left"), SIZE_PX), SIZE_PX)
+    lens = Intrinsics.of_lens(spline_lens(lens_of("left"), SIZE_PX), SIZE_PX)
     values = np.array(lens.lens.parameters)
     values[-5:] = 0.5
     lens = Intrinsics.of_lens(lens.lens.with_parameters(values), SIZE_PX)

@@ -18,7 +18,7 @@ from trinoc.calib import Detection, IntrinsicsResult, Status
 from trinoc.calib.advice.foreseen_shots import candidate_shots
 from trinoc.calib.lens_calibration import calibrate_intrinsics
 from trinoc.calib.problem.problem import Freedom
-from trinoc.calib.problem.starting_problem import problem_of
+from trinoc.calib.problem.starting_problem import start_problem
 from trinoc.calib.problem.views import View
 from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.errors import CalibrationError, InputError
@@ -94,7 +94,7 @@ def test_circles_near_the_middle_leave_the_corners_to_extrapolation():
 def candidates():
     """Ways to hold the sheet before a camera of THE_LENS."""
     seen = detection(good_poses()[0])
-    lens_alone = problem_of(
+    lens_alone = start_problem(
         [View(0, 0, seen, np.ones(len(seen), dtype=bool))],
         SHEET,
         [THE_LENS],

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from trinoc.calib import BoardSet, detect_target
-from trinoc.calib.detection.detection import labelled_detection
+from trinoc.calib.detection.detection import build_detection
 from trinoc.calib.detection.registry import DETECTORS
 from trinoc.calib.targets.abstract_target import Marks
 from trinoc.calib.targets.board_set import BOARDS
@@ -59,7 +59,7 @@ def detect_steps(image, board):
     middle = 0.5 * np.array(image.shape[::-1]) - 0.5
     places = board.centres_mm * [1.0, -1.0] + middle
     order = np.arange(len(board))[None]
-    return labelled_detection(order, places, np.tile(np.eye(2), (len(board), 1, 1)), image.shape)
+    return build_detection(order, places, np.tile(np.eye(2), (len(board), 1, 1)), image.shape)
 
 
 @pytest.fixture(autouse=True)

@@ -90,11 +90,11 @@ def test_lattice_neighbours_are_the_nearest_circles(grid, asymmetric):
 @given(x=st.floats(0.99, 1.01), y=st.floats(0.99, 1.01))
 def test_rescaling_back_gives_the_sheet_again(x, y):
     pattern = Pattern.default()
-    back = pattern.rescaled(x, y).rescaled(1 / x, 1 / y)
+    back = pattern.rescale(x, y).rescale(1 / x, 1 / y)
     np.testing.assert_allclose(back.centres_mm, pattern.centres_mm, rtol=1e-12)
     np.testing.assert_allclose(back.radius_mm, pattern.radius_mm, rtol=1e-12)
     np.testing.assert_allclose(
-        pattern.rescaled(x, y).centres_mm, pattern.centres_mm * np.array([x, y])
+        pattern.rescale(x, y).centres_mm, pattern.centres_mm * np.array([x, y])
     )
 
 

@@ -7,11 +7,16 @@ import numpy as np
 import pytest
 
 from tests.match.scene import MadeScene
-from trinoc.match.candidates.index import SAMPLES, keys_of, lookup, segments_near
+from trinoc.match.candidates.index import (
+    SAMPLES,
+    find_segments_near_predictions,
+    lookup,
+    prediction_keys,
+)
 from trinoc.match.candidates.search import passes_third_view_gate
 from trinoc.match.candidates.single_precision import Prediction, predict, third_view
 from trinoc.match.tuning.every_group import DEFAULT
-from trinoc.match.two_view.epipolar_pencil import pencil, row_of
+from trinoc.match.two_view.epipolar_pencil import pencil, take_segments
 
 ONE_SAMPLE_PX = DEFAULT.candidates.one_sample_px
 REACH = DEFAULT.candidates.reach_sigmas
@@ -41,9 +46,13 @@ def predicted_and_gated(lines, grid, ends_px, line):
     view = third_view(lines, planes, np.array(THIRD))
 
     def one(i, j):
-        guess = predict(view, row_of(planes.first, i), row_of(planes.second, j))
+        guess = predict(view, take_segments(planes.first, i), take_segments(planes.second, j))
         gate = jax.vmap(lambda *k: passes_third_view_gate(guess, *k))
-        return guess, keys_of(grid, guess), gate(ends_px, line, lines.across_px2[THIRD, :COUNT])
+        return (
+            guess,
+            prediction_keys(grid, guess),
+            gate(ends_px, line, lines.across_px2[THIRD, :COUNT]),
+        )
 
     i, j = np.divmod(np.arange(COUNT * COUNT), COUNT)
     return jax.vmap(one)(i, j)
@@ -123,7 +132,7 @@ def test_the_table_finds_what_is_near_and_nearly_parallel_at_a_sample(
     noisy: MadeScene, table, dense: Dense
 ) -> None:
     found = np.zeros_like(dense.passes)
-    found[segments_near(table, dense.keys)] = True
+    found[find_segments_near_predictions(table, dense.keys)] = True
     guess, lines = dense.predictions, noisy.table
     step = dense.ends_px[:, 1] - dense.ends_px[:, 0]
     length = np.linalg.norm(step, axis=1)

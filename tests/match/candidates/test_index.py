@@ -9,8 +9,8 @@ from trinoc.match.candidates.index import (
     CROWDED_LAYERS,
     LAYERS,
     SpatialIndex,
-    key_at,
-    segments_at,
+    find_keys,
+    look_up_segments,
     spatial_index,
 )
 
@@ -45,7 +45,7 @@ def table_of(segments: tuple[np.ndarray, np.ndarray], layers) -> SpatialIndex:
 def keys(grid, points, angle, slack, sigma):
     def one(point, angle, slack, sigma):
         direction = jnp.cos(angle), jnp.sin(angle)
-        return key_at(grid, [(point[0], point[1])], direction, slack, sigma)[0]
+        return find_keys(grid, [(point[0], point[1])], direction, slack, sigma)[0]
 
     return jax.vmap(one)(points, angle, slack, sigma)
 
@@ -88,7 +88,7 @@ def test_all_that_passes_near_enough_is_found_once(segments, layers, layer: int)
     key = np.asarray(keys(table.grid, points, angle, slack, place))
     first = np.asarray(table.grid.first)
     assert ((key >= first[layer]) & (key < first[layer + 1])).all()
-    query, found = segments_at(table, key)
+    query, found = look_up_segments(table, key)
     pairs = set(zip(query.tolist(), found.tolist(), strict=True))
     assert len(pairs) == len(query)
     near = distances_px(points, ends) < REACH * np.hypot(sigma, place[0])
@@ -109,4 +109,4 @@ def test_too_vague_and_outside_finds_nothing(table: SpatialIndex) -> None:
     for points, place in ((inside, vague), (inside + 900.0, known), (inside - 201.0, known)):
         key = np.asarray(keys(table.grid, points, angle, known, place))
         assert (key == table.grid.first[-1]).all()
-        assert len(segments_at(table, key)[0]) == 0
+        assert len(look_up_segments(table, key)[0]) == 0

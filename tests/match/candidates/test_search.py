@@ -6,27 +6,27 @@ import pytest
 
 from tests.match.scene import VIEWS, MadeScene, made_scene
 from trinoc.match.candidates.index import lookup
-from trinoc.match.candidates.search import gated_triples, passes_third_view_gate
+from trinoc.match.candidates.search import gate_triples, passes_third_view_gate
 from trinoc.match.candidates.single_precision import (
     predict,
-    prepared_order,
+    prepare_order,
     rounding_px,
     third_view,
 )
 from trinoc.match.observations.table import SegmentTable
 from trinoc.match.tuning.every_group import DEFAULT
-from trinoc.match.two_view.epipolar_pencil import pencil, row_of
+from trinoc.match.two_view.epipolar_pencil import pencil, take_segments
 
 ORDER, COUNT = np.arange(3), 30
 
 
 def found_in_single(scene: MadeScene) -> set[tuple[int, ...]]:
     lines = scene.seen.lines
-    single = prepared_order(lines, ORDER)[1]
+    single = prepare_order(lines, ORDER)[1]
     assert single.segments.dtype == single.first.low.dtype == np.float32
     i, j = np.divmod(np.arange(COUNT * COUNT, dtype=np.int32), COUNT)
     table = lookup(lines, 2, COUNT)
-    found = gated_triples(lines, single, table, i, j, DEFAULT.candidates)
+    found = gate_triples(lines, single, table, i, j, DEFAULT.candidates)
     assert len(np.unique(found, axis=0)) == len(found)
     return {tuple(row) for row in found.tolist()}
 
@@ -37,7 +37,9 @@ def passes_in_double(lines: SegmentTable, triple):
     view = third_view(lines, planes, ORDER[2])
 
     def one(index):
-        guess = predict(view, row_of(planes.first, index[0]), row_of(planes.second, index[1]))
+        guess = predict(
+            view, take_segments(planes.first, index[0]), take_segments(planes.second, index[1])
+        )
         k = index[2]
         columns = lines.ends_px[2, k], lines.line[2, k], lines.across_px2[2, k]
         return guess.possible, passes_third_view_gate(guess, *columns)

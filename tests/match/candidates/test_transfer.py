@@ -6,7 +6,7 @@ import numpy as np
 from tests.match.scene import MadeScene, image_px
 from trinoc.match.candidates.single_precision import Prediction, predict, third_view
 from trinoc.match.observations.table import SegmentTable
-from trinoc.match.two_view.epipolar_pencil import pencil, row_of
+from trinoc.match.two_view.epipolar_pencil import pencil, take_segments
 
 FIRST, SECOND, THIRD = 0, 1, 2
 
@@ -19,7 +19,7 @@ def predictions(lines: SegmentTable, ends_px, pairs) -> Prediction:
     view = third_view(lines, planes, np.array(THIRD))
 
     def one(pair):
-        rows = row_of(planes.first, pair[0]), row_of(planes.second, pair[1])
+        rows = take_segments(planes.first, pair[0]), take_segments(planes.second, pair[1])
         return predict(view, *rows)
 
     return jax.vmap(one)(pairs)

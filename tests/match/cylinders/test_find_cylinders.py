@@ -12,7 +12,7 @@ from trinoc.errors import InputError
 from trinoc.match import Cylinders, MatchTuning, find_cylinders
 from trinoc.match.matcher import match_segments
 from trinoc.match.tuning.cylinders import CylinderTuning
-from trinoc.numerics.vectors import axes_across
+from trinoc.numerics.vectors import complete_axes
 from trinoc.synth.solids import box
 
 VIEWS = ("upper", "left", "right")
@@ -30,7 +30,7 @@ def rig():
 def errors_of(found: Cylinders, row: int, true: Placed) -> tuple[np.ndarray, np.ndarray]:
     """(offsets of both ends across the axis and of the radius, their covariance)."""
     ends = found.axis_mm[row]
-    across = axes_across((ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0]))
+    across = complete_axes((ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0]))
     first, way = true.axis_mm[0], np.diff(true.axis_mm, axis=0)[0]
     errors = []
     for end in ends:
@@ -148,7 +148,7 @@ def test_a_track_of_an_outline_is_marked_and_kept(rig) -> None:
     for each in (fake, matches):
         found = find_cylinders(each, segments, rig)
         assert len(found) == 1
-        marked = found.marked(each)
+        marked = found.mark(each)
         held = ((each.index >= 0) & (each.index < 2)).any(axis=1)
         expected = np.where(held, found.posterior[0], 0.0)
         np.testing.assert_array_equal(marked.marks["silhouette"], expected)

@@ -11,7 +11,7 @@ from trinoc.match.bodies.cylinder_search import place_ends
 from trinoc.match.bodies.outlines import Outlines, possible_outlines, ray_axis_distances
 from trinoc.match.observations.match_input import prepare
 from trinoc.match.tuning.cylinders import CylinderTuning
-from trinoc.numerics.vectors import axes_across
+from trinoc.numerics.vectors import complete_axes
 
 VIEWS = ("upper", "left", "right")
 TRUE = Placed(7.0, 45.0, turn=(0.2, 1.1, 0.0), shift_mm=(-25.0, 5.0, 12.0))
@@ -71,7 +71,7 @@ def test_a_fit_is_where_the_likelihood_of_heavy_tails_is_greatest(wrong_px) -> N
     point, direction, radius = fits.point_mm[0], fits.direction[0], fits.radius_mm[0]
     best = log_likelihood(table, members, point, direction, radius)
     np.testing.assert_allclose(fits.log_likelihood[0], best, rtol=1e-9)
-    across, sigma = axes_across(direction), np.sqrt(np.diag(fits.covariance[0]))
+    across, sigma = complete_axes(direction), np.sqrt(np.diag(fits.covariance[0]))
     for k, step in enumerate(1e-3 * np.diag(sigma)):
         values = [
             log_likelihood(
@@ -94,7 +94,7 @@ def test_the_covariance_is_the_inverse_of_the_curvature_where_errors_are_as_stat
     tuning = CylinderTuning(error_shares=(1.0, 0.0, 0.0))
     fits = fit_cylinders(table, members, *start(), tuning)
     point, direction, radius = fits.point_mm[0], fits.direction[0], fits.radius_mm[0]
-    across = axes_across(direction)
+    across = complete_axes(direction)
 
     def whitened(step):
         turned = direction + step[2:4] @ across
@@ -125,7 +125,7 @@ def test_along_the_axis_ends_are_where_detectors_stopped() -> None:
         block = covariance[0, 3 * end : 3 * end + 3, 3 * end : 3 * end + 3]
         np.testing.assert_allclose(way @ block @ way, (7.0 * mm_per_px) ** 2, rtol=0.02)
     # Across, an end has the offset's and the tilt's share at its place.
-    across, reach = axes_across(way), (axis[0] - fits.point_mm[0]) @ way
+    across, reach = complete_axes(way), (axis[0] - fits.point_mm[0]) @ way
     for end in (0, 1):
         by = np.hstack([np.eye(2), reach[end] * np.eye(2), np.zeros((2, 1))])
         block = covariance[0, 3 * end : 3 * end + 3, 3 * end : 3 * end + 3]

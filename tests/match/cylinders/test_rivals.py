@@ -5,7 +5,7 @@ import pytest
 
 from trinoc.match.bodies.cylinder_fit import Fits
 from trinoc.match.bodies.cylinder_search import differs
-from trinoc.numerics.vectors import axes_across
+from trinoc.numerics.vectors import complete_axes
 
 DRAWS, SIGNIFICANCE = 4000, 0.05
 # Offset (mm), tilt (rad) and radius (mm).
@@ -19,7 +19,7 @@ def test_as_many_differ_by_chance_as_the_level_says(larger: float, share: float)
     error = larger * np.sqrt(2) * random.normal(size=(DRAWS, 5)) @ root.T
     error[0] = 0.0
     axis = np.array([0.2, -0.1, 1.0]) / np.linalg.norm([0.2, -0.1, 1.0])
-    across = axes_across(axis)
+    across = complete_axes(axis)
     direction = axis + error[:, 2:4] @ across
     direction = direction / np.linalg.norm(direction, axis=1, keepdims=True)
     information = np.tile(np.linalg.inv(root @ root.T), (DRAWS, 1, 1))

@@ -6,7 +6,7 @@ import pytest
 from tests.match.cylinders.made_outlines import Placed
 from tests.match.made import rig_of
 from trinoc.match.bodies.outlines import Rays, abreast_mm, before_camera, ray_axis_distances
-from trinoc.numerics.vectors import axes_across
+from trinoc.numerics.vectors import complete_axes
 
 TILTED = Placed(9.0, 40.0, turn=(0.3, -0.7, 0.2), shift_mm=(12.0, -8.0, 15.0))
 
@@ -38,7 +38,7 @@ def test_derivatives_are_those_of_differences() -> None:
     way = rng.normal(size=3)
     way /= np.linalg.norm(way)
     ends, slope = rng.normal(size=(1, 2, 3)) * 40.0, rng.normal(size=(1, 2, 3))
-    across = axes_across(way)
+    across = complete_axes(way)
     found = ray_axis_distances(rays_to(centre, ends, slope), point[None], way[None])
     step = 1e-5
 

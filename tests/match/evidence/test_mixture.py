@@ -8,11 +8,11 @@ from trinoc.match.evidence.mixture import (
     MixtureParameters,
     Volume,
     em_step,
+    fit_volume,
     log_odds,
     log_place,
     prior_parameters,
     probability,
-    volume_of,
 )
 from trinoc.match.evidence.side_intensity import SIDE_COMPONENTS
 from trinoc.match.tuning.every_group import DEFAULT
@@ -135,8 +135,8 @@ def test_what_is_not_likely_teaches_nothing(made: Made, rounds: list[MixturePara
 
 def test_a_volume_turns_and_moves_with_the_world(made: Made) -> None:
     turn = np.linalg.qr(np.random.default_rng(2).normal(size=(3, 3)))[0]
-    here = volume_of(made.ends_mm, made.posterior)
-    there = volume_of(made.ends_mm @ turn.T + [500.0, 0, -70], made.posterior)
+    here = fit_volume(made.ends_mm, made.posterior)
+    there = fit_volume(made.ends_mm @ turn.T + [500.0, 0, -70], made.posterior)
     np.testing.assert_allclose(there.log_size, here.log_size, atol=1e-9)
     np.testing.assert_allclose(there.centre_mm, turn @ here.centre_mm + [500, 0, -70], atol=1e-9)
     np.testing.assert_allclose(there.precision, turn @ here.precision @ turn.T, atol=1e-12)

@@ -10,7 +10,7 @@ from tests.match.scene import MadeScene, image_px
 from trinoc.match.evidence.triple_position import PairEvidence, pair_evidence
 from trinoc.match.observations.clutter import ClutterModel
 from trinoc.match.tuning.every_group import DEFAULT
-from trinoc.match.two_view.epipolar_pencil import pencil, row_of
+from trinoc.match.two_view.epipolar_pencil import pencil, take_segments
 
 AGREEING_PX = np.array(DEFAULT.ends.agreeing_px)
 
@@ -22,7 +22,7 @@ def evidence_of(lines, views, segments, clutter) -> PairEvidence:
     planes = pencil(lines, views[0], views[1])
 
     def one(segments):
-        rows = row_of(planes.first, segments[0]), row_of(planes.second, segments[1])
+        rows = take_segments(planes.first, segments[0]), take_segments(planes.second, segments[1])
         return pair_evidence(lines, views, planes, rows, segments, clutter)
 
     return jax.tree.map(jnp.asarray, jax.vmap(one)(segments))

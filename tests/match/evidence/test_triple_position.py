@@ -17,7 +17,7 @@ from trinoc.geometry import line_through
 from trinoc.geometry.lines import signed_distance
 from trinoc.match.evidence.triple_position import TripleEvidence, triple_evidence
 from trinoc.match.observations.clutter import ClutterModel
-from trinoc.match.two_view.planes import sight_of
+from trinoc.match.two_view.planes import segment_planes
 from trinoc.numerics.vectors import vector3
 
 ORDER = np.arange(3)
@@ -26,14 +26,14 @@ ORDER = np.arange(3)
 @jax.jit
 def evidence_on(lines, order, segments, near_mm, clutter) -> TripleEvidence:
     points = vector3(near_mm[:, 0]), vector3(near_mm[:, 1])
-    return triple_evidence(sight_of(lines, clutter, order, segments.T), points)
+    return triple_evidence(segment_planes(lines, clutter, order, segments.T), points)
 
 
 @jax.jit
 def one_by_one(lines, order, segments, near_mm, clutter) -> TripleEvidence:
     def one(segments, near_mm):
         points = vector3(near_mm[0]), vector3(near_mm[1])
-        return triple_evidence(sight_of(lines, clutter, order, segments), points)
+        return triple_evidence(segment_planes(lines, clutter, order, segments), points)
 
     return jax.vmap(one)(segments, near_mm)
 

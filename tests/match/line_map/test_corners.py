@@ -11,7 +11,7 @@ from trinoc.match import (
     snap_corners,
 )
 from trinoc.match.line_map.corners import Ends, _bring, _constrain
-from trinoc.numerics.vectors import axes_across
+from trinoc.numerics.vectors import complete_axes
 
 from .made_tracks import (
     lines_alone,
@@ -68,7 +68,7 @@ def test_snapped_ends_meet_and_the_other_lines_stay(rig) -> None:
     for line in np.unique(corners.line[np.isin(corners.line, _at_one_corner(corners))]):
         end = int(corners.end[corners.line == line][0])
         way = joined.lines_mm[line, 1] - joined.lines_mm[line, 0]
-        axes = axes_across(way / np.linalg.norm(way))
+        axes = complete_axes(way / np.linalg.norm(way))
         own, snapped = (
             axes @ covariance[line].reshape(2, 3, 2, 3)[end, :, end] @ axes.T
             for covariance in (joined.covariance_mm2, corners.lines_covariance_mm2)

@@ -13,7 +13,7 @@ from trinoc.match import join_collinear, snap_corners
 from trinoc.match.line_map.line_fit import LineFragments, fit_line
 from trinoc.match.line_map.lines import JoinedLines
 from trinoc.match.tracks.matches import TRINOCULAR, Matches
-from trinoc.numerics.vectors import axes_across
+from trinoc.numerics.vectors import complete_axes
 
 from .made_tracks import (
     AS_STATED,
@@ -27,7 +27,7 @@ from .made_tracks import (
 def across_of(ends_mm: np.ndarray, covariance: np.ndarray, truth: np.ndarray) -> tuple:
     """(distances of both ends from a true line, their covariance)."""
     way = truth[1] - truth[0]
-    axes = axes_across(way / np.linalg.norm(way))
+    axes = complete_axes(way / np.linalg.norm(way))
     jacobian = np.kron(np.eye(2), axes)
     return ((ends_mm - truth[0]) @ axes.T).reshape(4), jacobian @ covariance @ jacobian.T
 

@@ -18,7 +18,7 @@ from trinoc.match.occlusion.possible_pairs import (
     pair_bound,
     possible_pairs,
 )
-from trinoc.match.selection.marginals import Selection, Tracks, select, tracks_of
+from trinoc.match.selection.marginals import Selection, Tracks, select, take_tracks
 from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.numerics.tables import with_field
 
@@ -46,7 +46,7 @@ def selection(triples: Candidates) -> Selection:
 @pytest.fixture(scope="module")
 def tracks(selection: Selection) -> Tracks:
     """All tracks but the first few, whose segments are left to pairs."""
-    every = tracks_of(selection)
+    every = take_tracks(selection)
     return rows(every, np.arange(HIDDEN, len(every.posterior_log_odds)))
 
 
@@ -119,7 +119,7 @@ def test_hidden_lines_that_meet_matched_ones_are_paired(exact: MadeScene) -> Non
     found = trinocular_candidates(seen.lines, (0, 1, 2), seen.counts, clutter)
     selection = select(found, 33.0)
     beside = occluded_pairs(
-        seen.lines, seen.counts, clutter, tracks_of(selection), [selection], None
+        seen.lines, seen.counts, clutter, take_tracks(selection), [selection], None
     )
     index = beside.candidates.index[beside.taken]
     # By the numbers of the lines, in the order of the rig.

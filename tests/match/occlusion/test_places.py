@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from trinoc.match.evidence.mixture import volume_of
+from trinoc.match.evidence.mixture import fit_volume
 from trinoc.match.occlusion.pairs_alone import log_place_among
 from trinoc.match.tuning.every_group import DEFAULT
 
@@ -18,7 +18,7 @@ def strewn(seed: int) -> np.ndarray:
 
 
 def placed(ends_mm: np.ndarray, posterior: np.ndarray) -> np.ndarray:
-    volume = volume_of(ends_mm, posterior)
+    volume = fit_volume(ends_mm, posterior)
     return log_place_among(ends_mm, posterior, volume, DEFAULT.occlusion)
 
 
@@ -51,7 +51,7 @@ def test_frames_of_a_stack_are_profiled_each_for_itself() -> None:
     ends, posterior = strewn(4), np.full(COUNT, 0.7)
     frame = np.arange(COUNT) % 2
     ends[frame == 1] *= 5.0
-    volume = volume_of(ends, posterior, frame=frame, frames=2)
+    volume = fit_volume(ends, posterior, frame=frame, frames=2)
     both = log_place_among(ends, posterior, volume, DEFAULT.occlusion, frame)
     for number in range(2):
         own = frame == number

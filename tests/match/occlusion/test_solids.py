@@ -6,7 +6,7 @@ import pytest
 from trinoc.match.candidates.table import no_candidates
 from trinoc.match.evidence.side_intensity import SIDE_COMPONENTS
 from trinoc.match.matcher import match_segments
-from trinoc.match.occlusion.solids import NO_BODIES, Bodies, tempered_pairs, tempered_tracks
+from trinoc.match.occlusion.solids import NO_BODIES, Bodies, temper_pairs, temper_tracks
 from trinoc.match.selection.marginals import Tracks
 from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.synth import Detector, block_scene, simulate_segments, table1_rig
@@ -18,13 +18,13 @@ KNOWN = UNKNOWN + 0.5
 
 def of_tracks(lines, bodies: Bodies, sides: np.ndarray = UNKNOWN) -> np.ndarray:
     candidates = no_candidates(3)._replace(index=np.zeros((len(ODDS), 3), int), side_log=sides)
-    tracks = tempered_tracks(lines, Tracks(candidates, ODDS, ODDS - 1), bodies, DEFAULT)
+    tracks = temper_tracks(lines, Tracks(candidates, ODDS, ODDS - 1), bodies, DEFAULT)
     np.testing.assert_allclose(np.diff(tracks.posterior_log_odds), np.diff(tracks.rival_posterior))
     return tracks.posterior_log_odds
 
 
 def of_pairs(sine: float, bodies: Bodies, sides: np.ndarray) -> np.ndarray:
-    return tempered_pairs(ODDS, sides, np.full(len(ODDS), sine), bodies, DEFAULT)
+    return temper_pairs(ODDS, sides, np.full(len(ODDS), sine), bodies, DEFAULT)
 
 
 def test_lines_that_meet_nowhere_keep_their_odds(noisy) -> None:

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from trinoc.match.pixels.probes import gradient_of
+from trinoc.match.pixels.probes import picture_gradient
 from trinoc.match.pixels.views import (
-    Answer,
+    EdgeResponse,
     PictureInput,
     ask,
-    growth_of,
     log_chance,
+    measure_growth,
     picture_inputs,
     with_usual_width,
 )
@@ -56,7 +56,7 @@ def seen(picture: np.ndarray) -> PictureInput:
 
 
 @in_float64
-def answers(picture: PictureInput, ends_px: np.ndarray, gate: float = 2.0) -> Answer:
+def answers(picture: PictureInput, ends_px: np.ndarray, gate: float = 2.0) -> EdgeResponse:
     count = len(ends_px)
     return ask(picture, ends_px, np.full(count, gate), np.ones(count), np.full(count, np.inf))
 
@@ -91,12 +91,12 @@ def test_noise_passes_as_seldom_as_claimed(kind):
 
 
 def test_one_test_alone_has_the_rate_of_a_normal_variable():
-    from trinoc.match.pixels.probes import WINDOW_SIZE, WINDOWS, samples_of, window_scores
+    from trinoc.match.pixels.probes import WINDOW_SIZE, WINDOWS, sample_probes, window_scores
     from trinoc.match.pixels.views import block_noise
 
-    gradient = gradient_of(noise_picture("white"))
-    places = samples_of(probes(2048, 100, 3), RIG["upper"].intrinsics, (WIDTH, HEIGHT))
-    growth = growth_of(gradient, RIG["upper"].intrinsics, (WIDTH, HEIGHT))
+    gradient = picture_gradient(noise_picture("white"))
+    places = sample_probes(probes(2048, 100, 3), RIG["upper"].intrinsics, (WIDTH, HEIGHT))
+    growth = measure_growth(gradient, RIG["upper"].intrinsics, (WIDTH, HEIGHT))
     scores, _ = window_scores(gradient.by_uv, block_noise(gradient), places)
     window = int(np.flatnonzero(WINDOW_SIZE == 8)[1])
     score = np.abs(scores[:, window]) / np.sqrt(growth[WINDOWS.index(8)])

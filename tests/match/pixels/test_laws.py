@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from trinoc.match.pixels.measure import fit_lines, hausman
+from trinoc.match.pixels.measure import fit_lines_to_pixels, hausman
 from trinoc.match.pixels.strip_fit import StripFit, fit_strips
-from trinoc.match.pixels.strips import COLUMNS, HALF, NOBODY, ROWS, Strips, owners_of
+from trinoc.match.pixels.strips import COLUMNS, HALF, NOBODY, ROWS, Strips, assign_pixels
 from trinoc.match.pixels.tuning import PixelTuning
 from trinoc.synth import table1_rig
 
@@ -88,7 +88,7 @@ def test_a_line_is_found_again_from_its_images() -> None:
     along = np.concatenate([along, np.array([[[3.0, 7.0], [1.0, 2.0]]])])
     every = np.concatenate([matrices, matrices[:1]])
     covariance, seen = np.tile(np.eye(2), (1, 4, 1, 1)), np.array([[1.0, 1.0, 1.0, 0.0]])
-    found = fit_lines(every, ENDS[None], AXES[None], along[None], covariance, seen)
+    found = fit_lines_to_pixels(every, ENDS[None], AXES[None], along[None], covariance, seen)
     np.testing.assert_allclose(found.move_mm[0], move, atol=1e-8)
     assert found.misfit[0] < 1e-12
 
@@ -102,14 +102,16 @@ def test_lines_scatter_as_their_covariance_says_and_one_view_alone_says_nothing(
     shown = places + off[..., None] * right[:, None]
     lines = np.tile(ENDS, (count, 1, 1)), np.tile(AXES, (count, 1, 1))
     covariance = np.tile(own, (count, 1, 1, 1))
-    found = fit_lines(matrices, *lines, shown, covariance, np.ones((count, 3)))
+    found = fit_lines_to_pixels(matrices, *lines, shown, covariance, np.ones((count, 3)))
     weight = np.linalg.inv(found.covariance_mm2)
     square = np.einsum("ni,nij,nj->n", found.move_mm, weight, found.move_mm)
     assert square.mean() == pytest.approx(4.0, abs=0.35)
     # Six numbers less four unknowns.
     assert found.misfit.mean() == pytest.approx(2.0, abs=0.3)
     alone = np.tile([1.0, 0.0, 0.0], (count, 1))
-    assert np.isnan(fit_lines(matrices, *lines, shown, covariance, alone).covariance_mm2).all()
+    assert np.isnan(
+        fit_lines_to_pixels(matrices, *lines, shown, covariance, alone).covariance_mm2
+    ).all()
 
 
 def test_the_difference_of_two_answers_is_a_chi_square():
@@ -125,11 +127,11 @@ def test_the_difference_of_two_answers_is_a_chi_square():
 
 def test_owners_are_the_segments_within_reach():
     ends = np.array([[[20.0, 20.0], [60.0, 20.0]], [[58.0, 26.0], [58.0, 50.0]]])
-    first, last = owners_of(ends, (80, 64), 4.0)
+    first, last = assign_pixels(ends, (80, 64), 4.0)
     assert (first[20, 30], last[20, 30]) == (0, 0)
     assert (first[40, 58], last[40, 58]) == (1, 1)
     assert (first[23, 58], last[23, 58]) == (0, 1)
     assert first[40, 20] == last[40, 20] == NOBODY
     # One beyond the picture owns nothing, and disturbs nothing.
-    outside = owners_of(ends + 500.0, (80, 64), 4.0)
+    outside = assign_pixels(ends + 500.0, (80, 64), 4.0)
     assert (outside[1] == NOBODY).all()

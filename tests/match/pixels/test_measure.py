@@ -22,13 +22,13 @@ from trinoc.geometry.rig import Rig
 from trinoc.image.response import PowerResponse
 from trinoc.io.saving import load_matches, save
 from trinoc.match import measure_lines
-from trinoc.numerics.vectors import axes_across
+from trinoc.numerics.vectors import complete_axes
 
 
 def across(found, lines):
     """(errors of both ends across the true line (t, 4), their covariances)."""
     way = lines[:, 1] - lines[:, 0]
-    axes = axes_across(way / np.linalg.norm(way, axis=1)[:, None])
+    axes = complete_axes(way / np.linalg.norm(way, axis=1)[:, None])
     error = ((found.lines_mm - lines[:, :1]) @ axes.mT).reshape(-1, 4)
     turn = np.zeros((len(lines), 4, 6))
     turn[:, :2, :3] = turn[:, 2:, 3:] = axes

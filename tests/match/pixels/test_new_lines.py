@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, strategies as st
 
 from tests.match.pixels.test_evidence import noise_picture, probes, seen, step_edge
-from trinoc.match.pixels.evidence import MIDDLES, TILTS, lines_at, on_lines
-from trinoc.match.pixels.new_lines import quick_look, without
-from trinoc.match.pixels.partners import family_of, first_of_each, largest_families
+from trinoc.match.pixels.evidence import MIDDLES, TILTS, list_lines, on_lines
+from trinoc.match.pixels.new_lines import mask_segments, quick_look
+from trinoc.match.pixels.partners import first_of_each, largest_families, parallel_families
 from trinoc.match.pixels.probes import BLOCKS, OFFSETS, REACH
 
 
@@ -39,7 +39,7 @@ def test_a_quick_look_is_the_same_at_any_number_of_probes():
 def test_what_matched_segments_show_is_not_new():
     edge = step_edge(0.4, contrast=40, noise=1.0, seed=1)
     picture = seen(edge.picture)
-    rest = without(picture, edge.ends_px[None], 9)
+    rest = mask_segments(picture, edge.ends_px[None], 9)
     assert quick_look(picture, edge.ends_px[None])[0] > 2.5
     assert quick_look(rest, edge.ends_px[None])[0] < 0.5
     far = quick_look(rest, edge.ends_px[None] + 40) - quick_look(picture, edge.ends_px[None] + 40)
@@ -52,8 +52,8 @@ def test_families_hold_what_is_parallel_to_their_longest(seed):
     way = rng.normal(size=(30, 3)) * np.array([1, 0.1, 0.02])
     length = np.linalg.norm(way, axis=1)
     unit = way / length[:, None]
-    family = family_of(unit, length, 4.0)
-    np.testing.assert_array_equal(family, family_of(-unit, length, 4.0))
+    family = parallel_families(unit, length, 4.0)
+    np.testing.assert_array_equal(family, parallel_families(-unit, length, 4.0))
     for k in range(family.max() + 1):
         own = np.flatnonzero(family == k)
         longest = own[length[own].argmax()]
@@ -74,7 +74,7 @@ def test_first_of_each_key():
 def test_lines_are_read_where_they_are():
     known = np.zeros((2, BLOCKS), dtype=bool)
     known[0], known[1, 4:20] = True, True
-    lines = lines_at(known)
+    lines = list_lines(known)
     assert lines.at.shape == (2, len(TILTS) * len(MIDDLES), BLOCKS)
     # A band that holds its own offset: on each line it reads where the line is.
     band = np.broadcast_to(OFFSETS[:, None].astype(np.float32), (2, len(OFFSETS), BLOCKS))

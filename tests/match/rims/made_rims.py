@@ -4,7 +4,7 @@ import numpy as np
 
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
-from trinoc.numerics.vectors import axes_across
+from trinoc.numerics.vectors import complete_axes
 
 SIGMA_PX = 0.2
 # Where a chord crosses its arc, as shares of the whole.
@@ -21,7 +21,7 @@ class Ring:
 
     def at(self, angle: np.ndarray) -> np.ndarray:
         """Points on it."""
-        around = np.stack([np.cos(angle), np.sin(angle)], axis=-1) @ axes_across(self.normal)
+        around = np.stack([np.cos(angle), np.sin(angle)], axis=-1) @ complete_axes(self.normal)
         return self.centre_mm + self.radius_mm * around
 
 

@@ -11,7 +11,7 @@ from tests.match.rims.made_rims import Ring, chords_seen, projected
 from trinoc.errors import InputError
 from trinoc.match import MatchTuning, add_rims, find_rims
 from trinoc.match.bodies import rim_hypotheses as hypotheses, rim_support as support
-from trinoc.match.bodies.circles import Circles, images_of
+from trinoc.match.bodies.circles import Circles, image_circles
 from trinoc.match.matcher import match_segments
 from trinoc.match.tuning.rims import RimTuning
 from trinoc.synth.solids import Cylinder
@@ -214,7 +214,7 @@ def test_a_circle_facing_the_camera_is_round_and_one_in_a_plane_through_it_flat(
     across = np.cross(sight, [0.3, 0.5, 0.8])
     normals = np.stack([sight, across / np.linalg.norm(across)])
     circles = Circles(np.zeros((2, 3)), normals, np.array([10.0, 10.0]))
-    ratio = images_of(circles, np.asarray(camera.matrix_px)).axis_ratio
+    ratio = image_circles(circles, np.asarray(camera.matrix_px)).axis_ratio
     # Pixels are wider than high.
     along_x, along_y = np.asarray(camera.intrinsics.focal_length_px)
     np.testing.assert_allclose(ratio, [along_x / along_y, 0.0], atol=0.02)

@@ -12,11 +12,11 @@ from trinoc.match.bodies.circles import (
     fit_circle,
     move_circle,
     off_circles,
-    points_at,
+    points_on_circles,
 )
-from trinoc.match.bodies.rim_answer import FittedRim, _pieces, _public, arcs_of
+from trinoc.match.bodies.rim_answer import FittedRim, _pieces, _public, cover_circle
 from trinoc.match.tuning.every_group import DEFAULT
-from trinoc.numerics.vectors import axes_across
+from trinoc.numerics.vectors import complete_axes
 
 NORMAL = np.array([[0.1, -0.2, 0.97]])
 CIRCLE = Circles(np.array([[8.0, -5.0, 30.0]]), NORMAL / np.linalg.norm(NORMAL), np.array([22.0]))
@@ -30,7 +30,7 @@ def chords_round(circle: Circles, views=("upper", "left", "right")) -> Chords:
         matrix = np.asarray(rig_of(*views)[camera].matrix_px)
         middle = np.arange(10) * (2 * np.pi / 10) + 0.3 * view
         angle = np.stack([middle - 0.15, middle + 0.15], axis=1)
-        on_arc = project_by_matrix(matrix, points_at(circle, angle.reshape(1, -1))[0])
+        on_arc = project_by_matrix(matrix, points_on_circles(circle, angle.reshape(1, -1))[0])
         on_arc = on_arc.reshape(-1, 2, 2)
         half = (on_arc[:, 1] - on_arc[:, 0]) / (2 * GAUSS)
         centre = on_arc.mean(axis=1)
@@ -68,7 +68,7 @@ def shifted(chords: Chords, errors_px: np.ndarray) -> Chords:
 
 def error_of(circle: Circles) -> np.ndarray:
     """What `move_circle` has to move the fitted circle by to reach the true one."""
-    turn = (CIRCLE.normal - circle.normal)[0] @ axes_across(circle.normal)[0].T
+    turn = (CIRCLE.normal - circle.normal)[0] @ complete_axes(circle.normal)[0].T
     return np.concatenate(
         [(CIRCLE.centre_mm - circle.centre_mm)[0], turn, CIRCLE.radius_mm - circle.radius_mm]
     )
@@ -127,7 +127,7 @@ def fitted() -> tuple[Chords, FittedRim]:
         CIRCLE,
         (root @ root.T) * scale[:, None] * scale,
         np.arange(len(chords.view)),
-        arcs_of(around, CIRCLE),
+        cover_circle(around, CIRCLE),
         1.0,
         1.0,
         of_two=False,

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 
-from trinoc.match.selection.messages import chosen_greedily, conflict_graph, sum_product
+from trinoc.match.selection.messages import choose_greedily, conflict_graph, sum_product
 
 WHOLE = np.array([0.0, 1.0])
 
@@ -61,7 +61,7 @@ def test_rounds_choose_what_taking_one_by_one_does(seed: int, ties: bool) -> Non
     index, score = rng.integers(0, 6, (25, 3)), rng.normal(1, 2, 25)
     score = np.round(score) if ties else score
     graph = conflict_graph(index, np.broadcast_to(WHOLE, (25, 3, 2)))
-    np.testing.assert_array_equal(chosen_greedily(score, graph), one_by_one(score, index))
+    np.testing.assert_array_equal(choose_greedily(score, graph), one_by_one(score, index))
 
 
 def test_frames_of_a_stack_settle_as_each_does_alone() -> None:
@@ -93,7 +93,7 @@ def test_what_is_chosen_uses_no_segment_twice(seed: int) -> None:
     index = rng.integers(0, 15, (60, 3))
     score = rng.normal(size=60)
     graph = conflict_graph(index, np.broadcast_to(WHOLE, (60, 3, 2)))
-    taken = chosen_greedily(score, graph)
+    taken = choose_greedily(score, graph)
     assert (score[taken] > 0).all()
     for view in range(3):
         assert len(np.unique(index[taken, view])) == taken.sum()

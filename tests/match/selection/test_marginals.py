@@ -5,7 +5,7 @@ import pytest
 
 from tests.match.scene import MadeScene
 from trinoc.match.candidates.table import Candidates, no_candidates, prior_log_odds
-from trinoc.match.selection.marginals import Selection, select, tracks_of
+from trinoc.match.selection.marginals import Selection, select, take_tracks
 from trinoc.match.selection.messages import sum_product
 from trinoc.match.tuning.every_group import DEFAULT
 
@@ -61,7 +61,7 @@ def test_the_order_of_candidates_changes_nothing(triples: Candidates, selection:
 
 
 def test_the_rival_of_a_track_is_the_best_that_it_excludes(selection: Selection) -> None:
-    tracks = tracks_of(selection)
+    tracks = take_tracks(selection)
     taken = np.flatnonzero(selection.taken)
     np.testing.assert_array_equal(tracks.candidates.index, selection.candidates.index[taken])
     np.testing.assert_array_equal(tracks.posterior_log_odds, selection.posterior_log_odds[taken])
@@ -74,4 +74,4 @@ def test_the_rival_of_a_track_is_the_best_that_it_excludes(selection: Selection)
 def test_nothing_is_selected_from_nothing() -> None:
     nothing = select(no_candidates(3), TYPICAL)
     assert len(nothing.taken) == 0
-    assert len(tracks_of(nothing).posterior_log_odds) == 0
+    assert len(take_tracks(nothing).posterior_log_odds) == 0

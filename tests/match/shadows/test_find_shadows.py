@@ -26,7 +26,7 @@ def test_shadows_are_marked_and_edges_are_not(lit) -> None:
     assert shadow.sum() == 16
     assert found.shadow[shadow].min() > 0.9
     assert found.shadow[~shadow].max() < 0.5
-    assert found.marked(matches).marks["shadow"] is found.shadow
+    assert found.mark(matches).marks["shadow"] is found.shadow
 
 
 def test_the_lamp_is_found_within_its_errors(lit) -> None:

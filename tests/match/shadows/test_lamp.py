@@ -5,10 +5,10 @@ from typing import cast
 import numpy as np
 import pytest
 
-from trinoc.match.bodies.casting import Lamps, Pairs
+from trinoc.match.bodies.casting import Lamps, ShadowPairs
 from trinoc.match.bodies.lamp import Votes, _mean_lamp
 from trinoc.match.tuning.shadows import ShadowTuning
-from trinoc.numerics.vectors import axes_across
+from trinoc.numerics.vectors import complete_axes
 
 STEP_DEG, CHANGE = 2.0, 4e-4
 TRUE, NEARNESS = np.array([0.3, -0.4, 0.866]) / np.linalg.norm([0.3, -0.4, 0.866]), 1e-2
@@ -19,7 +19,7 @@ class NormalVotes(Votes):
     deviations stand for `prior`."""
 
     def ratios(self, lamps: Lamps, turn_deg: float, tuning: ShadowTuning) -> np.ndarray:
-        off = np.column_stack([lamps.direction @ axes_across(TRUE).T, lamps.nearness - NEARNESS])
+        off = np.column_stack([lamps.direction @ complete_axes(TRUE).T, lamps.nearness - NEARNESS])
         return ((off / self.prior) ** 2).sum(axis=1)[:, None]
 
     def scores(self, ratios: np.ndarray, tuning: ShadowTuning) -> np.ndarray:
@@ -28,7 +28,7 @@ class NormalVotes(Votes):
 
 def covariance_of(turn_rad: float, nearness: float) -> np.ndarray:
     sigma, nothing = np.array([turn_rad, turn_rad, nearness]), np.zeros(0)
-    votes = NormalVotes(cast(Pairs, None), sigma, nothing, 0.0)
+    votes = NormalVotes(cast(ShadowPairs, None), sigma, nothing, 0.0)
     best = Lamps(TRUE[None], np.array([NEARNESS]))
     return _mean_lamp(votes, best, STEP_DEG, CHANGE, 0.0, ShadowTuning()).covariance
 

@@ -8,7 +8,7 @@ from tests.match.made import as_set, loose_lines, pictures, rig_of
 from tests.match.scene import MadeScene, made_scene
 from tests.match.tracks.test_multiview import appended, tracks_from, triples_of
 from trinoc.match.matcher import match_segments
-from trinoc.match.tracks.consolidation import consolidated
+from trinoc.match.tracks.consolidation import consolidate_tracks
 from trinoc.match.tracks.line_fit import consistent, fit_tracks
 from trinoc.match.tracks.multiview import merge_triplets
 
@@ -26,7 +26,7 @@ def scene() -> MadeScene:
 
 def test_true_tracks_stay_as_they_are(scene: MadeScene) -> None:
     tracks = merge_triplets(scene.seen.lines, triples_of(scene, list(range(5))))
-    kept = consolidated(scene.seen, tracks)
+    kept = consolidate_tracks(scene.seen, tracks)
     assert {tuple(row) for row in kept.candidates.index.tolist()} == {
         tuple(row) for row in scene.true.tolist()
     }
@@ -38,7 +38,7 @@ def test_a_member_that_does_not_fit_is_split_off_and_the_right_one_put_in(scene:
     tracks = tracks_from(wrong, np.tile([0.0, 1.0], (len(wrong), 5, 1)), scene.lines_mm)
     before = fit_tracks(scene.seen, wrong, scene.lines_mm)
     assert not consistent(before, GATE).any()
-    kept = consolidated(scene.seen, tracks)
+    kept = consolidate_tracks(scene.seen, tracks)
     index = kept.candidates.index
     after = fit_tracks(scene.seen, index, kept.candidates.ends_mm)
     assert consistent(after, GATE).all()
@@ -54,7 +54,7 @@ def test_parts_of_one_line_become_one_track(scene: MadeScene) -> None:
     tracks = appended(
         tracks_from(first, parts, scene.lines_mm), tracks_from(second, parts, scene.lines_mm), 3.0
     )
-    kept = consolidated(scene.seen, tracks)
+    kept = consolidate_tracks(scene.seen, tracks)
     assert {tuple(row) for row in kept.candidates.index.tolist()} == {
         tuple(row) for row in scene.true.tolist()
     }

@@ -4,7 +4,12 @@ import numpy as np
 
 from tests.match.made import pictures
 from tests.match.scene import MadeScene, image_px, place_on, seen_by
-from trinoc.match.tracks.line_fit import interval_of, points_at, reach_of, two_view_span
+from trinoc.match.tracks.line_fit import (
+    points_on_lines,
+    segment_reaches,
+    track_intervals,
+    two_view_span,
+)
 
 
 def test_lines_reach_as_far_as_the_second_furthest_view(exact: MadeScene) -> None:
@@ -14,7 +19,8 @@ def test_lines_reach_as_far_as_the_second_furthest_view(exact: MadeScene) -> Non
         np.stack([rng.uniform(0, 0.3, (3, 30)), rng.uniform(0.7, 1, (3, 30))], axis=2), axis=2
     )
     shown = {
-        name: pictures(rig, points_at(lines_mm, share[v]))[name] for v, name in enumerate(rig.names)
+        name: pictures(rig, points_on_lines(lines_mm, share[v]))[name]
+        for v, name in enumerate(rig.names)
     }
     scene = seen_by(rig, lines_mm, shown, 0.3)
     turn = [rig.names.index(name) for name in scene.seen.names]
@@ -25,13 +31,13 @@ def test_lines_reach_as_far_as_the_second_furthest_view(exact: MadeScene) -> Non
     # NaN sorts last.
     begin = np.sort(by_view[..., 0], axis=0)[1]
     end = -np.sort(-by_view[..., 1], axis=0)[1]
-    expected_mm = points_at(lines_mm, np.stack([begin, end], axis=1))
-    common_mm = points_at(
+    expected_mm = points_on_lines(lines_mm, np.stack([begin, end], axis=1))
+    common_mm = points_on_lines(
         lines_mm, np.stack([np.nanmax(by_view[..., 0], 0), np.nanmin(by_view[..., 1], 0)], axis=1)
     )
     for ends_mm, expected in ((common_mm, expected_mm), (common_mm[:, ::-1], expected_mm[:, ::-1])):
-        span = two_view_span(reach_of(scene.seen, index, ends_mm))
-        found = interval_of(scene.seen, index, points_at(ends_mm, span))
+        span = two_view_span(segment_reaches(scene.seen, index, ends_mm))
+        found = track_intervals(scene.seen, index, points_on_lines(ends_mm, span))
         for view in range(3):
             on = index[:, view] >= 0
             image = image_px(scene.table.matrix_px[view], expected[on])

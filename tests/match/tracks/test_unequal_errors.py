@@ -10,8 +10,8 @@ from trinoc.match.matcher import match_segments
 from trinoc.match.tracks.matches import Matches
 from trinoc.match.tracks.unequal_errors import (
     degrees_of_misfit,
-    learned_tail,
-    scaled_across,
+    fit_tail,
+    scale_covariance_of_lines,
     variance_factor,
 )
 
@@ -37,7 +37,7 @@ def test_ellipsoids_of_unequal_errors_hold(freedom: float, views: int) -> None:
     rng, count = np.random.default_rng(7), 20_000
     factor = freedom / rng.chisquare(freedom, count)
     three = np.full(count, 2)
-    learned = learned_tail(drawn(factor, three, rng)[0], three, of_pictures=True)
+    learned = fit_tail(drawn(factor, three, rng)[0], three, of_pictures=True)
     np.testing.assert_allclose(learned, 1 / freedom, rtol=0.15)
     degrees = np.full(count, 2 * (views - 2))
     misfit, square = drawn(factor, degrees, rng)
@@ -51,7 +51,7 @@ def test_normal_errors_leave_ellipsoids_as_they_are(of_pictures: bool, most: flo
     for _ in range(5):
         degrees = np.full(400, 2)
         misfit, square = drawn(np.ones(400), degrees, rng)
-        tail = learned_tail(misfit, degrees, of_pictures=of_pictures)
+        tail = fit_tail(misfit, degrees, of_pictures=of_pictures)
         assert tail < most
         before = float(np.mean(square < LIMIT))
         assert before <= held(misfit, degrees, square, tail) <= before + 0.6 * most
@@ -62,7 +62,7 @@ def test_a_mixture_that_is_no_student_distribution_is_held_all_the_same() -> Non
     factor = np.where(rng.random(count) < 0.12, 9.0, 1.0)
     degrees = np.full(count, 2)
     misfit, square = drawn(factor, degrees, rng)
-    tail = learned_tail(misfit, degrees, of_pictures=False)
+    tail = fit_tail(misfit, degrees, of_pictures=False)
     assert np.mean(square < LIMIT) < 0.89
     assert 0.935 < held(misfit, degrees, square, tail) < 0.965
     # The worse the views agree, the larger is what is claimed.
@@ -72,7 +72,7 @@ def test_a_mixture_that_is_no_student_distribution_is_held_all_the_same() -> Non
 
 def test_without_observations_what_is_known_before_holds() -> None:
     none = np.zeros(0), np.zeros(0, dtype=np.int64)
-    in_pictures, otherwise = (learned_tail(*none, of_pictures=known) for known in (True, False))
+    in_pictures, otherwise = (fit_tail(*none, of_pictures=known) for known in (True, False))
     assert 0.2 < in_pictures < 0.3
     assert 0.005 < otherwise < 0.015
     misfit = np.array([0.0, 3.0, 40.0])
@@ -87,7 +87,7 @@ def test_variances_grow_across_and_stay_along(seed: int, size: float, factor: fl
     rng = np.random.default_rng(seed)
     ends, root = size * rng.normal(size=(1, 2, 3)), rng.normal(size=(1, 6, 6))
     covariance = root @ root.mT
-    found = scaled_across(ends, covariance, np.array([factor]))
+    found = scale_covariance_of_lines(ends, covariance, np.array([factor]))
     way = (ends[0, 1] - ends[0, 0]) / np.linalg.norm(ends[0, 1] - ends[0, 0])
     across = np.linalg.svd(way[None])[2][1:]
     both, along = np.kron(np.eye(2), across), np.kron(np.eye(2), way)
@@ -97,7 +97,7 @@ def test_variances_grow_across_and_stay_along(seed: int, size: float, factor: fl
     np.testing.assert_allclose(
         along @ found[0] @ along.T, along @ covariance[0] @ along.T, rtol=1e-9, atol=1e-9
     )
-    back = scaled_across(ends, found, np.array([1 / factor]))
+    back = scale_covariance_of_lines(ends, found, np.array([1 / factor]))
     np.testing.assert_allclose(back, covariance, rtol=1e-7, atol=1e-7)
 
 

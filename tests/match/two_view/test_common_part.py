@@ -11,10 +11,10 @@ from trinoc.geometry import fundamental_matrix
 from trinoc.match.observations.table import SegmentTable
 from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.match.two_view.epipolar_pencil import (
+    common_ends_mm,
     cut_pair,
     pencil,
-    points_of,
-    row_of,
+    take_segments,
 )
 
 PAIRS = np.array(list(product(range(30), range(30))))
@@ -28,9 +28,9 @@ def cut(lines: SegmentTable, a, b, pairs):
     planes = pencil(lines, a, b)
 
     def one(pair):
-        rows = row_of(planes.first, pair[0]), row_of(planes.second, pair[1])
+        rows = take_segments(planes.first, pair[0]), take_segments(planes.second, pair[1])
         part = cut_pair(planes.baseline_mm, *rows, DEFAULT.candidates)
-        return points_of(planes, part), part.possible
+        return common_ends_mm(planes, part), part.possible
 
     return jax.vmap(one)(pairs)
 

@@ -11,7 +11,7 @@ from trinoc.match.two_view.planes import (
     extents_on_line,
     image_length_px,
     interpretation_planes,
-    sight_of,
+    segment_planes,
     variance_mm2,
 )
 from trinoc.numerics.vectors import unit3, vector3
@@ -22,7 +22,7 @@ VIEW = 1
 def sights(lines, segments):
     """Of one view, all segments at once."""
     clutter = ClutterModel(np.zeros(lines.length_px.shape), np.array(30.0))
-    return sight_of(lines, clutter, np.array([VIEW]), segments[None])
+    return segment_planes(lines, clutter, np.array([VIEW]), segments[None])
 
 
 @jax.jit

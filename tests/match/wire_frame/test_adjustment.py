@@ -6,10 +6,10 @@ from trinoc.match.line_map.corners import Corners
 from trinoc.match.line_map.lines import JoinedLines
 from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.match.wire_frame.adjustment import (
-    Adjusted,
+    AdjustedGraph,
     Graph,
     adjust_vertices,
-    graph_of,
+    build_graph,
     line_axes,
 )
 from trinoc.match.wire_frame.faces import _in_plane, fit_plane
@@ -128,7 +128,7 @@ def test_where_a_line_stops_is_known_by_its_own_variance_and_the_detectors() -> 
         *(np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(0), none),
         *(none, none, none, lines, covariance),
     )
-    graph = graph_of(joined, corners, 3.0)
+    graph = build_graph(joined, corners, 3.0)
     np.testing.assert_allclose(graph.along_mm, np.sqrt([[0.09 + 1.5**2, 0.25 + 1.5**2]]))
 
 
@@ -142,7 +142,7 @@ def test_vertices_beside_a_plane_are_in_it_as_far_as_all_four_err() -> None:
     for share, inside in ((0.95, True), (1.05, False)):
         points = places.copy()
         points[3, 2] = share * limit
-        answer = Adjusted(
+        answer = AdjustedGraph(
             points,
             np.zeros(4, dtype=np.int64),
             (sigma_mm**2 * np.eye(12),),

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.calib.adjustment.estimate import Adjustment
-from trinoc.calib.problem.information import whitened_views
+from trinoc.calib.problem.information import whiten_views
 from trinoc.numerics.tails import chi_square_tail
 
 # Of the circles' own covariance that the difference has at least.
@@ -25,7 +25,7 @@ def probability_of_agreement(circles: Adjustment, image: Adjustment, view: int) 
     The sheet and the lens are as the grey levels have them.
     """
     pose = circles.free[circles.rows(view)]
-    of_circles = whitened_views(circles.problem._replace(state=image.problem.state))
+    of_circles = whiten_views(circles.problem._replace(state=image.problem.state))
     by_pose, by_grey = (each.near.jacobian[view][:, pose] for each in (circles, image))
     squared = difference_of_answers(of_circles.residual[view], by_pose, by_grey)
     return float(chi_square_tail(squared, len(pose)))

@@ -94,7 +94,7 @@ def fit_camera(
     return _nothing(detection, model) if best is None else _estimate(best)
 
 
-_aimed = jax.jit(lambda pose: pose.aimed())
+_aimed = jax.jit(lambda pose: pose.aim_at_origin())
 
 
 def _misfit(fit: Adjustment) -> float:
@@ -172,18 +172,20 @@ def pose_of_crossed_lines(
     ray = _unit(np.cross(normal_x, normal_y))
     ray = ray * np.sign(ray[2])
 
-    def looked_at(angles_rad: Float[np.ndarray, "a"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def view_circle(
+        angles_rad: Float[np.ndarray, "a"],
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         axes = _axes(normal_x, normal_y, ray, angles_rad)
         return axes, *_distance_and_misfit(axes, ray, slopes, place_mm)
 
-    _, _, misfit = looked_at(_ANGLES_RAD)
+    _, _, misfit = view_circle(_ANGLES_RAD)
     best = int(np.argmin(misfit))
     if not np.isfinite(misfit[best]):
         return None
     before, at, after = misfit[(best + np.array([-1, 0, 1])) % len(_ANGLES_RAD)]
     bend = before - 2 * at + after
     shift = (before - after) / (2 * bend) if np.isfinite(bend) and bend > 0 else 0.0
-    (axes,), (distance_mm,), _ = looked_at(_ANGLES_RAD[best : best + 1] + shift * _ANGLES_RAD[1])
+    (axes,), (distance_mm,), _ = view_circle(_ANGLES_RAD[best : best + 1] + shift * _ANGLES_RAD[1])
     return Pose(np.column_stack([axes, distance_mm * ray]))
 
 

@@ -7,7 +7,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.problem.information import WhitenedViews, whitened_views
+from trinoc.calib.problem.information import WhitenedViews, whiten_views
 from trinoc.calib.problem.problem import Problem
 from trinoc.calib.problem.robust_fit import (
     ANNEALING,
@@ -164,7 +164,7 @@ def _fit(
     problem: Problem, first_damping: float | None = LEAST_DAMPING
 ) -> tuple[Problem, bool, WhitenedViews]:
     problem, converged = fit_places(problem, first_damping=first_damping)
-    return problem, converged, whitened_views(problem)
+    return problem, converged, whiten_views(problem)
 
 
 def _fit_without_outliers(
@@ -177,7 +177,7 @@ def _fit_without_outliers(
         for k in suspects:
             scale[k] = share * robust_scale(_pairs(views, k)[: len(used[k])])
         problem, _ = fit_places(problem, scale, LEAST_DAMPING)
-        views = whitened_views(problem)
+        views = whiten_views(problem)
     for k in suspects:
         pairs = _pairs(views, k)[: len(used[k])]
         used[k] = np.linalg.norm(pairs, axis=1) <= GATE * robust_scale(pairs)

@@ -17,7 +17,7 @@ from jaxtyping import Array, Bool, Float
 from trinoc.calib.problem.problem import Problem, cam_from_board, lens_number
 from trinoc.calib.problem.variables import POSE_SIZE, Chart, RigState, retract, step_motion
 from trinoc.calib.starts.sightings import IN_PLACE
-from trinoc.calib.targets.board_set import boards_of
+from trinoc.calib.targets.board_set import list_boards
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.projection import project_point, project_points, unproject_pixels
 from trinoc.numerics.arrays import ArrayLike
@@ -73,7 +73,7 @@ def field_differences(
     cameras: tuple[str, ...],
 ) -> tuple[FieldDifference, ...]:
     """The maps of all cameras. `covariance` : of the difference of the halves, on the free head."""
-    fields = [_field_of(problem, k) for k in range(len(cameras))]
+    fields = [_image_field(problem, k) for k in range(len(cameras))]
     points = np.stack([field.points for field in fields])
     by_motion, by_head = _derivatives(problem.state, problem.chart, points)
     shape = np.shape(by_motion)[:-1]
@@ -86,7 +86,7 @@ def field_differences(
     )
     seen_px = np.broadcast_to(np.stack([f.uv_px for f in fields])[:, None], shape)[known]
     first, second = (
-        _aligned(half, problem.chart, points, seen_px, known, along) for half in halves
+        _align_half(half, problem.chart, points, seen_px, known, along) for half in halves
     )
     difference_px, variance = np.full(shape, np.nan), np.full(shape, np.nan)
     difference_px[known] = first - second
@@ -108,14 +108,14 @@ class _Field(NamedTuple):
     points: Float[np.ndarray, "2 n 3"]
 
 
-def _field_of(problem: Problem, camera: int) -> _Field:
+def _image_field(problem: Problem, camera: int) -> _Field:
     own = [view for view in problem.views if view.camera == camera]
     sides = own[0].detection.image_size_px
     # The middles of equal parts of the picture, row by row.
     u, v = ((np.arange(_PLACES) + 0.5) * side / _PLACES - 0.5 for side in sides)
     uv_px = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
     lens = lens_number(problem, int(problem.chart.lens_of_camera[camera]))
-    rays, boards = unproject_pixels(lens, uv_px), boards_of(problem.target)
+    rays, boards = unproject_pixels(lens, uv_px), list_boards(problem.target)
     back_px = project_points(IN_PLACE, lens, rays)
     middles = [
         np.append((board.centres_mm.min(axis=0) + board.centres_mm.max(axis=0)) / 2, 0.0)
@@ -187,7 +187,7 @@ def _alignment(
     return along, left
 
 
-def _aligned(
+def _align_half(
     half: RigState,
     chart: Chart,
     points: Float[np.ndarray, "c 2 n 3"],

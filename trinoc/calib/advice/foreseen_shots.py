@@ -9,14 +9,14 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.detection.detection import labelled_detection
-from trinoc.calib.problem.information import information_of
+from trinoc.calib.detection.detection import build_detection
+from trinoc.calib.problem.information import compute_information
 from trinoc.calib.problem.problem import Problem, cam_from_board, lens_number
 from trinoc.calib.problem.robust_fit import errors_px
 from trinoc.calib.problem.views import View
 from trinoc.calib.starts.camera_start import on_board
 from trinoc.calib.targets.abstract_target import AbstractTarget
-from trinoc.calib.targets.board_set import board_names, boards_of, first_places
+from trinoc.calib.targets.board_set import board_names, first_places, list_boards
 from trinoc.calib.targets.checkers import Chessboard
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.geometry.pose import Pose
@@ -53,7 +53,7 @@ class Candidate(NamedTuple):
 
 def candidate_shots(problem: Problem) -> list[Candidate]:
     """The board in nine places of every camera's picture, at two distances, tilted or not."""
-    members, names = boards_of(problem.target), board_names(problem.target)
+    members, names = list_boards(problem.target), board_names(problem.target)
     set_from_board = [Pose(each) for each in np.asarray(problem.state.set_from_board)]
     shots = []
     for camera, size_px in problem.image_sizes_px.items():
@@ -133,7 +133,7 @@ def foresee_shots(problem: Problem, candidates: list[Candidate]) -> list[Foresee
     sigma_px, shots = place_sigma_px(problem), []
     lenses = [lens_number(problem, int(k)) for k in problem.chart.lens_of_camera]
     fold_rad = [lens.fold_angle_rad() for lens in lenses]
-    in_each = problem.cameras * len(boards_of(problem.target))
+    in_each = problem.cameras * len(list_boards(problem.target))
     portion = max(1, min(len(problem.state.rig_from_board), len(problem.table.shot) // in_each))
     for part in blocks(len(candidates), portion):
         own = candidates[part]
@@ -142,7 +142,7 @@ def foresee_shots(problem: Problem, candidates: list[Candidate]) -> list[Foresee
             _with_visible(posed, view, lenses[view.camera], fold_rad[view.camera], uv_px)
             for view, uv_px in zip(posed.views, errors_px(posed), strict=True)
         ]
-        information = information_of(posed._replace(views=tuple(views)))
+        information = compute_information(posed._replace(views=tuple(views)))
         rows = np.ix_(information.free, information.free)
         for shot, candidate in enumerate(own):
             seen = [v for v in views if v.shot == shot and v.used.any()]
@@ -175,12 +175,12 @@ def _pose_candidates(
     boards[: len(candidates)] = [each.rig_from_board.cam_from_world for each in candidates]
     state = eqx.tree_at(lambda s: s.rig_from_board, problem.state, boards)
     views = []
-    firsts, members = first_places(problem.target), boards_of(problem.target)
+    firsts, members = first_places(problem.target), list_boards(problem.target)
     for camera, size_px in sizes.items():
         for number, (first, board) in enumerate(zip(firsts, members, strict=True)):
             index, nowhere = first + np.arange(len(board)), np.zeros((len(board), 2))
             covariance = np.tile(sigma_px[camera] ** 2 * np.eye(2), (len(board), 1, 1))
-            everywhere = labelled_detection(index[None], nowhere, covariance, size_px)
+            everywhere = build_detection(index[None], nowhere, covariance, size_px)
             whole = View(camera, 0, everywhere, np.ones(len(board), dtype=bool), board=number)
             views += [whole._replace(shot=s) for s in range(len(candidates))]
     # As many views as there were, lest the programs compile anew.
@@ -198,7 +198,7 @@ def _with_visible(
     """The view with the places (n, 2) that the camera sees, if it would find the board at all."""
     if not view.used.any():
         return view
-    board, pose = boards_of(problem.target)[view.board], cam_from_board(problem.state, view)
+    board, pose = list_boards(problem.target)[view.board], cam_from_board(problem.state, view)
     places = pose.transform_points(on_board(board.centres_mm))
     away = np.linalg.norm(places, axis=1)
     angle = np.arccos(np.clip(places[:, 2] / away, -1.0, 1.0))

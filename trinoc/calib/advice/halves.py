@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.calib.advice.field_difference import FieldDifference, field_differences
-from trinoc.calib.problem.information import Information, information_of
+from trinoc.calib.problem.information import Information, compute_information
 from trinoc.calib.problem.outcome import enlarge_covariance
 from trinoc.calib.problem.problem import Problem, lens_number, with_head_held, with_sheet_held
 from trinoc.calib.problem.robust_fit import errors_px, fit_places
@@ -59,9 +59,9 @@ class HalfFit(NamedTuple):
     converged: bool
     held_out: frozenset[int]
 
-    def determined(self) -> Information | None:
+    def full_information(self) -> Information | None:
         """What the half says; None where that does not determine all that is free."""
-        information = information_of(self.problem)
+        information = compute_information(self.problem)
         full = information.observability.rank == len(information.free)
         return information if full else None
 
@@ -74,10 +74,10 @@ def cross_validate(problem: Problem, cameras: tuple[str, ...]) -> CrossValidatio
     """
     own: dict[str, list[np.ndarray]] = {name: [] for name in cameras}
     across: dict[str, list[np.ndarray]] = {name: [] for name in cameras}
-    if len(used_shots(problem)) < FEWEST_SHOTS:
+    if len(list_used_shots(problem)) < FEWEST_SHOTS:
         return None
     for half in fit_halves(problem):
-        if half.determined() is None:
+        if half.full_information() is None:
             return None
         known = with_head_held(half.problem._replace(views=problem.views))
         for source in range(len(cameras)):
@@ -88,18 +88,18 @@ def cross_validate(problem: Problem, cameras: tuple[str, ...]) -> CrossValidatio
                 if view.shot in seen:
                     into = own if view.camera == source else across
                     into[cameras[view.camera]].append(errors[view.kept])
-    return CrossValidation(len(used_shots(problem)), _rms_px(own), _rms_px(across))
+    return CrossValidation(len(list_used_shots(problem)), _rms_px(own), _rms_px(across))
 
 
 def fit_halves(problem: Problem) -> Iterator[HalfFit]:
     """The problem fitted to every second shot; then to the others."""
-    shots = used_shots(problem)
+    shots = list_used_shots(problem)
     for remainder in (0, 1):
         end, converged = fit_places(keep_shots(problem, shots[remainder::2]))
         yield HalfFit(end, converged, frozenset(shots[1 - remainder :: 2]))
 
 
-def used_shots(problem: Problem) -> list[int]:
+def list_used_shots(problem: Problem) -> list[int]:
     """The shots of which some place takes part."""
     return sorted({view.shot for view in problem.views if view.used.any()})
 
@@ -125,7 +125,7 @@ def _rms_px(errors: Mapping[str, list[np.ndarray]]) -> dict[str, float]:
     }
 
 
-def _listed(errors_px: Mapping[str, float]) -> str:
+def _list_errors(errors_px: Mapping[str, float]) -> str:
     return ", ".join(f"{value:.3f} px ({name})" for name, value in errors_px.items())
 
 
@@ -158,16 +158,16 @@ def compare_halves(
     The board is taken as the whole fit found it, since both halves share it; `variance_factor` is
     that by which its covariance was enlarged.
     """
-    if len(used_shots(problem)) < FEWEST_SHOTS:
+    if len(list_used_shots(problem)) < FEWEST_SHOTS:
         return None
     problem = with_sheet_held(problem)
     ends, states, prior = [], [], np.zeros(())
     for half in fit_halves(problem):
-        information = half.determined()
+        information = half.full_information()
         if information is None or not half.converged:
             return None
         prior = information.prior
-        step = steps_between(problem, half.problem)[information.free]
+        step = find_steps_to_half(problem, half.problem)[information.free]
         ends.append((step, information.observability.covariance))
         states.append(half.problem.state)
     (first, first_covariance), (second, second_covariance) = ends
@@ -176,7 +176,7 @@ def compare_halves(
     )
     difference = first - second
     sigma = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    directions, square = _squared(difference, covariance)
+    directions, square = _squared_mahalanobis(difference, covariance)
     ratio = float(np.sqrt(square / directions))
     each = np.abs(difference) / sigma
     worst = int(np.argmax(each))
@@ -202,7 +202,7 @@ def covariance_of_difference(
     return own[0] + own[1] - shared - shared.T
 
 
-def _squared(
+def _squared_mahalanobis(
     difference: Float[np.ndarray, "f"], covariance: Float[np.ndarray, "f f"]
 ) -> tuple[int, float]:
     """In how many directions the halves can differ at all, and by how many squared sigmas."""
@@ -213,7 +213,7 @@ def _squared(
     return int(can.sum()), float(np.sum(along**2 / values[can]))
 
 
-def steps_between(problem: Problem, end: Problem) -> np.ndarray:
+def find_steps_to_half(problem: Problem, end: Problem) -> np.ndarray:
     """The step of the head that takes the whole fit to that of a half."""
     chart, lenses = problem.chart, range(problem.chart.lens_shape[0])
     before, after = (

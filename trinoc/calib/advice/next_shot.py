@@ -102,7 +102,7 @@ class _BestShot(NamedTuple):
     error_then_px: float
 
 
-def next_shot_of(
+def advise_next_shot(
     problem: Problem,
     covariance: Float[np.ndarray, "f f"],
     variance_factor: float,
@@ -134,7 +134,7 @@ def next_shot_of(
     )
 
 
-def next_image_of(
+def advise_next_image(
     problem: Problem,
     information: Float[np.ndarray, "f f"],
     variance_factor: float,

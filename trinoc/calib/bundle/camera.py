@@ -12,7 +12,7 @@ from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS, AbstractLens
 from trinoc.geometry.lenses.registry import stack_lenses
 from trinoc.geometry.pose import Pose, PoseModel
 from trinoc.numerics.arrays import ArrayLike
-from trinoc.numerics.precision import namespace_of
+from trinoc.numerics.precision import array_namespace
 
 # A step of one in focal length doubles it; in the principal point it is this many pixels.
 PRINCIPAL_POINT_STEP_PX = 1000.0
@@ -83,18 +83,18 @@ def camera_state(
 ) -> CameraState:
     """The state of a camera before refinement."""
     centre = camera.centre_world_mm
-    xp = namespace_of(centre)
+    xp = array_namespace(centre)
     rigid = pose_model is PoseModel.RIGID
     reach = xp.sqrt(centre @ centre) if rigid else camera.distance_mm
     lens = camera.intrinsics.lens
     return CameraState(camera.pose, lens, xp.asarray(reach), pose_model, with_intrinsics)
 
 
-def stacked_states(states: Sequence[CameraState]) -> CameraState:
+def stack_states(states: Sequence[CameraState]) -> CameraState:
     """Several cameras along a new first axis. Raises InputError where their lenses do not stack."""
     lens = stack_lenses([state.lens for state in states])
     alike = [eqx.tree_at(lambda state: state.lens, state, states[0].lens) for state in states]
-    xp = namespace_of(alike, lens)
+    xp = array_namespace(alike, lens)
     stacked = jax.tree.map(lambda *leaves: xp.stack(leaves).astype(float), *alike)
     lens = jax.tree.map(lambda leaf: xp.asarray(leaf, float), lens)
     return eqx.tree_at(lambda state: state.lens, stacked, lens)

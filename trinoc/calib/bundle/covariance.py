@@ -39,7 +39,7 @@ INLIER_SQUARED = 13.816
 FEWEST_FOR_SHEET = 30
 
 
-class Determined(NamedTuple):
+class DeterminedPart(NamedTuple):
     """Rank and covariance of the cameras' steps, and the name of what is free.
 
     The covariance is that on the determined directions (the pseudo-inverse in scaled
@@ -53,7 +53,7 @@ class Determined(NamedTuple):
 
 def determined_part(
     information: Float[np.ndarray, "k k"], sheet_information: Float[np.ndarray, "k k"]
-) -> Determined:
+) -> DeterminedPart:
     """Rank, covariance and gauge of the reduced information of all cameras' steps.
 
     sheet_information : what of it is the sheet's. Its weak directions (a lens and a distance that
@@ -67,7 +67,7 @@ def determined_part(
     by_direction = (units / scale) @ vectors[:, kept]
     free = int((~kept).sum())
     gauge = {0: "", 4: AIMED_GAUGE, 7: RIGID_GAUGE}.get(free, f"{free} directions of the cameras")
-    return Determined(int(kept.sum()), (by_direction / values[kept]) @ by_direction.T, gauge)
+    return DeterminedPart(int(kept.sum()), (by_direction / values[kept]) @ by_direction.T, gauge)
 
 
 def _units(

@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from trinoc.calib.bundle.camera import CameraState, camera_of_state, camera_state, stacked_states
+from trinoc.calib.bundle.camera import CameraState, camera_of_state, camera_state, stack_states
 from trinoc.calib.bundle.covariance import (
     determined_part,
     segment_and_errors,
@@ -46,7 +46,7 @@ from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import LineObservations
 from trinoc.geometry.uncertain_lines import UncertainLines
 from trinoc.numerics.arrays import ArrayLike
-from trinoc.numerics.buckets import bucket, padded
+from trinoc.numerics.buckets import bucket, pad_rows
 from trinoc.numerics.precision import as_numpy
 from trinoc.numerics.programs import kept_jit
 from trinoc.numerics.robust_loss import GemanMcClure
@@ -87,7 +87,7 @@ def joint_estimate(
 
     `lines` have the rig's cameras in its order; `calibrated` knows how well the sheet fitted.
     """
-    tracks, lines_mm = _padded(lines)
+    tracks, lines_mm = _pad_tracks(lines)
     start = CamerasAndLines(_cameras(rig, choice), lines_mm)
     sheet_cameras = _cameras(sheet_rig, choice)
     information = prior_information(sheet_rig, sheet_cameras.names, choice)
@@ -138,16 +138,16 @@ def joint_estimate(
     )
 
 
-def squared_with_rig(
+def squared_distances_with_rig(
     rig: Rig, lines: LineObservations, choice: FreeParameters
 ) -> Float[np.ndarray, "t v"]:
     """Squared distances of fragments, in sigmas, from the lines that they give with a rig."""
-    found = _squared_from_segments(_cameras(rig, choice), _padded(lines)[0])
+    found = _squared_distances_from_segments(_cameras(rig, choice), _pad_tracks(lines)[0])
     squared = np.asarray(found)[: len(lines)]
     return np.where(np.isfinite(squared), squared, np.inf)
 
 
-def _padded(lines: LineObservations) -> tuple[FragmentTable, Float[np.ndarray, "t 2 3"]]:
+def _pad_tracks(lines: LineObservations) -> tuple[FragmentTable, Float[np.ndarray, "t 2 3"]]:
     """Fragments and lines, in a number of tracks for which a program is kept."""
     seen = lines.seen[:, :, None, None]
     # What is not seen may hold anything: give it numbers that derivatives survive.
@@ -155,15 +155,15 @@ def _padded(lines: LineObservations) -> tuple[FragmentTable, Float[np.ndarray, "
     covariance = np.where(seen, lines.covariance_px2, np.eye(4))
     size, lines_mm = bucket(len(lines), finer_above=4096), np.asarray(lines.lines_mm, float)
     tracks = FragmentTable(
-        padded(fragments, size, fragments[0]),
-        padded(covariance, size, covariance[0]),
-        padded(lines.seen, size),
+        pad_rows(fragments, size, fragments[0]),
+        pad_rows(covariance, size, covariance[0]),
+        pad_rows(lines.seen, size),
     )
-    return tracks, padded(lines_mm, size, lines_mm[0])
+    return tracks, pad_rows(lines_mm, size, lines_mm[0])
 
 
 def _cameras(rig: Rig, choice: FreeParameters) -> CameraState:
-    cameras = stacked_states(
+    cameras = stack_states(
         [
             camera_state(camera, choice.pose_model, with_intrinsics=choice.intrinsics)
             for camera in rig.cameras
@@ -254,13 +254,13 @@ def _fit(
     problem = JointProblem(tracks.in_three_views(), prior, LOSS)
 
     def narrower(state: CamerasAndLines, widening: Array) -> tuple[CamerasAndLines, tuple]:
-        wide = JointProblem(problem.tracks, prior, LOSS.widened(widening))
+        wide = JointProblem(problem.tracks, prior, LOSS.widen(widening))
         solution = solve(wide, state)
         return solution.state, (solution.cost, solution.converged)
 
     end, (costs, converged) = jax.lax.scan(narrower, start, jnp.asarray(WIDENINGS))
     end = with_lines_of_two_views(end, tracks)
-    scaled = _with_scale_of(start, end)
+    scaled = _restore_scale(start, end)
     without_sheet = ~jnp.any(jnp.asarray(information) != 0)
     converged = converged[-1] & jnp.isfinite(costs[-1])
     end = jax.tree.map(lambda a, b: jnp.where(without_sheet, a, b), scaled, end)
@@ -283,7 +283,7 @@ def _fit(
     )
 
 
-def _with_scale_of(start: CamerasAndLines, end: CamerasAndLines) -> CamerasAndLines:
+def _restore_scale(start: CamerasAndLines, end: CamerasAndLines) -> CamerasAndLines:
     """Rig and lines scaled so that the centres spread as they did at the start.
 
     Without a sheet nothing measures the scale: it stays as it was, exactly. Cameras that aim
@@ -308,7 +308,9 @@ def _with_scale_of(start: CamerasAndLines, end: CamerasAndLines) -> CamerasAndLi
 
 
 @kept_jit
-def _squared_from_segments(cameras: CameraState, tracks: FragmentTable) -> Float[ArrayLike, "t v"]:
+def _squared_distances_from_segments(
+    cameras: CameraState, tracks: FragmentTable
+) -> Float[ArrayLike, "t v"]:
     ends = jax.vmap(segment_and_errors, (None, 0, 0, 0))(cameras, *tracks)[0]
     return squared_distances(CamerasAndLines(cameras, ends), tracks)
 

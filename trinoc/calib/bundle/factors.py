@@ -32,7 +32,7 @@ from trinoc.numerics.arrays import ArrayLike
 ANGLES = 3
 
 
-def normals_of(direction: Float[ArrayLike, "3"]) -> Float[ArrayLike, "2 3"]:
+def complete_basis(direction: Float[ArrayLike, "3"]) -> Float[ArrayLike, "2 3"]:
     """Two unit vectors that complete a direction to an orthogonal basis."""
     axis = direction / jnp.sqrt(direction @ direction)
     # The coordinate axis that is most across the direction cannot be parallel to it.
@@ -46,7 +46,7 @@ def retract_line(
     anchors_mm: Float[ArrayLike, "2 3"], offsets_mm: Float[ArrayLike, "4"]
 ) -> Float[ArrayLike, "2 3"]:
     """Where the anchors go under the four offsets (two across the line at each anchor)."""
-    return anchors_mm + offsets_mm.reshape(2, 2) @ normals_of(anchors_mm[1] - anchors_mm[0])
+    return anchors_mm + offsets_mm.reshape(2, 2) @ complete_basis(anchors_mm[1] - anchors_mm[0])
 
 
 def line_residual(
@@ -64,10 +64,10 @@ def line_residual(
     line = line_through(image[0], image[1])
     ends = jax.vmap(camera.lens.undistort_pixel)(fragment_px)
     distances = jnp.stack([signed_distance(line, ends[0]), signed_distance(line, ends[1])])
-    return whitening_across(fragment_px, covariance_px2) @ distances
+    return whiten_across(fragment_px, covariance_px2) @ distances
 
 
-def whitening_across(
+def whiten_across(
     fragment_px: Float[ArrayLike, "2 2"], covariance_px2: Float[ArrayLike, "4 4"]
 ) -> Float[ArrayLike, "2 2"]:
     """W with W S W^T = I for the covariance S of the two ends' distances across the fragment."""

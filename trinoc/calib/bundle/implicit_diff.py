@@ -41,7 +41,7 @@ class Offsets(NamedTuple):
     lines: Float[ArrayLike, "t 4"]
 
 
-def refined(
+def refine_differentiably(
     cameras: CameraState,
     anchors_mm: Float[ArrayLike, "t 2 3"],
     tracks: FragmentTable,

@@ -87,7 +87,7 @@ class JointProblem(AbstractSeparableProblem[CamerasAndLines]):
         A line that its views do not determine (or padding) is left out: it has no step, and its
         fragments say nothing of the cameras.
         """
-        residual, by_camera, by_line = jax.vmap(_linearised, (None, 0, 0))(
+        residual, by_camera, by_line = jax.vmap(_linearise_track, (None, 0, 0))(
             state.cameras, state.anchors_mm, self.tracks
         )
         weight = self.loss.weight(jnp.sum(jnp.square(residual), axis=-1))
@@ -120,7 +120,7 @@ class JointProblem(AbstractSeparableProblem[CamerasAndLines]):
         line are projected out: the rounding of a difference of two informations would pass for
         knowledge of the gauge.
         """
-        residual, by_camera, by_line = jax.vmap(_linearised, (None, 0, 0))(
+        residual, by_camera, by_line = jax.vmap(_linearise_track, (None, 0, 0))(
             state.cameras, state.anchors_mm, self.tracks
         )
         root = self.loss.root_weight(jnp.sum(jnp.square(residual), axis=-1))[..., None, None]
@@ -158,7 +158,7 @@ def with_lines_of_two_views(state: CamerasAndLines, tracks: FragmentTable) -> Ca
     return state._replace(anchors_mm=place(*state, tracks.fragments_px, tracks.seen))
 
 
-def _linearised(
+def _linearise_track(
     cameras: CameraState, anchors_mm: Float[ArrayLike, "2 3"], track: FragmentTable
 ) -> tuple[Float[ArrayLike, "v 2"], Float[ArrayLike, "v 2 p"], Float[ArrayLike, "v 2 4"]]:
     """Residuals of one track and their derivatives by the cameras' and the line's steps."""

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.bundle.estimate import FreeParameters, joint_estimate, squared_with_rig
+from trinoc.calib.bundle.estimate import FreeParameters, joint_estimate, squared_distances_with_rig
 from trinoc.calib.bundle.result import RefineResult, RefineStatus
 from trinoc.calib.result.calibration import CalibrationResult
 from trinoc.errors import CalibrationError, InputError
@@ -44,7 +44,7 @@ CLEAR_FACTOR = 1.45
 
 
 @runtime_checkable
-class Matched(Protocol):
+class MatchedTracks(Protocol):
     """Anything that holds tracks of fragments, as the matcher's answer does."""
 
     def line_observations(self) -> LineObservations:
@@ -52,13 +52,13 @@ class Matched(Protocol):
         ...
 
 
-Matcher = Callable[[Rig], Matched | LineObservations]
+Matcher = Callable[[Rig], MatchedTracks | LineObservations]
 
 
 @in_float64
 def refine(
     calibrated: CalibrationResult | Rig,
-    matches: Matched | LineObservations,
+    matches: MatchedTracks | LineObservations,
     *,
     pose_model: PoseModel | str | None = None,
     intrinsics: bool | None = None,
@@ -125,14 +125,14 @@ class _Refinement(NamedTuple):
     sheet_rig: Rig
     choice: FreeParameters
 
-    def refine_matches(self, rig: Rig, matches: Matched | LineObservations) -> RefineResult:
+    def refine_matches(self, rig: Rig, matches: MatchedTracks | LineObservations) -> RefineResult:
         """The refinement of given matches, from the cameras of a rig."""
         lines = _observations_of_rig(matches, rig)
         return joint_estimate(rig, self.sheet_rig, lines, self.choice, self.calibrated)
 
     def match_and_refine(self, rig: Rig, match: Matcher) -> RefineResult | None:
         """The refinement from what is found with a rig; None where that leads nowhere."""
-        lines = _lines_of(match(rig))
+        lines = _line_observations(match(rig))
         if len(lines) == 0:
             return None
         result = self.refine_matches(rig, lines)
@@ -179,12 +179,12 @@ def _usual_pose_model(rig: Rig) -> PoseModel:
     return PoseModel.RIGID
 
 
-def _lines_of(matches: Matched | LineObservations) -> LineObservations:
+def _line_observations(matches: MatchedTracks | LineObservations) -> LineObservations:
     return matches if isinstance(matches, LineObservations) else matches.line_observations()
 
 
-def _observations_of_rig(matches: Matched | LineObservations, rig: Rig) -> LineObservations:
-    lines = _lines_of(matches)
+def _observations_of_rig(matches: MatchedTracks | LineObservations, rig: Rig) -> LineObservations:
+    lines = _line_observations(matches)
     if set(lines.views) != set(rig.names):
         raise InputError(
             f"The matches are of the views {', '.join(lines.views)}, but the rig has the cameras "
@@ -256,6 +256,6 @@ def _separation_sigmas(best: RefineResult, other: RefineResult, choice: FreePara
     agree = (best.inlier == best.tracks.seen).all(axis=1) & (best.tracks.seen.sum(axis=1) > 2)
     if not agree.any():
         return 0.0
-    squared = squared_with_rig(other.rig, best.tracks, choice)[agree]
+    squared = squared_distances_with_rig(other.rig, best.tracks, choice)[agree]
     redundancy = 2 * best.tracks.seen[agree].sum(axis=1) - 4
     return float(np.median(np.sqrt(squared.sum(axis=1) / redundancy)))

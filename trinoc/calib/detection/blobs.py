@@ -39,7 +39,7 @@ class Blobs(NamedTuple):
         return Blobs(self.centres_px * factor + middle, self.shape_px2 * factor**2)
 
 
-class Scale(NamedTuple):
+class BlobScale(NamedTuple):
     """How one search looks at the picture.
 
     smoothing_px : sigma of the Gaussian applied first.
@@ -54,7 +54,7 @@ class Scale(NamedTuple):
     closing_px: int = 0
 
 
-def find_blobs(grey: Float[np.ndarray, "h w"], noise_sigma: float, scale: Scale) -> Blobs:
+def find_blobs(grey: Float[np.ndarray, "h w"], noise_sigma: float, scale: BlobScale) -> Blobs:
     """Connected dark regions of a round enough shape."""
     smooth = cv2.GaussianBlur(grey, (0, 0), scale.smoothing_px)
     dark = _dark(smooth, noise_sigma / (2 * np.sqrt(np.pi) * scale.smoothing_px), scale)
@@ -66,7 +66,7 @@ def find_blobs(grey: Float[np.ndarray, "h w"], noise_sigma: float, scale: Scale)
     return _moments(dark)
 
 
-def _dark(smooth: Float[np.ndarray, "h w"], noise_sigma: float, scale: Scale) -> np.ndarray:
+def _dark(smooth: Float[np.ndarray, "h w"], noise_sigma: float, scale: BlobScale) -> np.ndarray:
     """Mask (0 or 1) of the pixels below the middle of their neighbourhood's extremes."""
     height, width = smooth.shape
     # The picture is smooth, so every second pixel shows its extremes.

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int, Shaped, UInt8
 
 from trinoc.calib.detection.corners import corner_covariance_px2, levels_of_8_bit
-from trinoc.calib.detection.detection import Detection, labelled_detection, rightward_share
+from trinoc.calib.detection.detection import Detection, build_detection, rightward_share
 from trinoc.calib.detection.search_image import search_image
 from trinoc.calib.targets.checkers import Chessboard
 from trinoc.calib.targets.squares import dark_squares
@@ -59,7 +59,7 @@ def detect_chessboard(image: Shaped[np.ndarray, "..."], board: Chessboard) -> De
         key=lambda index: -rightward_share(corners_px, board.centres_mm[index]),
     )
     covariance_px2 = corner_covariance_px2(picture, corners_px)
-    return labelled_detection(np.stack(labellings), corners_px, covariance_px2, picture.size_px)
+    return build_detection(np.stack(labellings), corners_px, covariance_px2, picture.size_px)
 
 
 def _orders_from_front(

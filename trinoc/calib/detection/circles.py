@@ -7,9 +7,9 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Int, Shaped
 
-from trinoc.calib.detection.blobs import Blobs, Scale, find_blobs
+from trinoc.calib.detection.blobs import Blobs, BlobScale, find_blobs
 from trinoc.calib.detection.cross_lines import fit_cross_lines
-from trinoc.calib.detection.detection import Detection, labelled_detection, rightward_share
+from trinoc.calib.detection.detection import Detection, build_detection, rightward_share
 from trinoc.calib.detection.ellipse_fit import Ellipses
 from trinoc.calib.detection.ellipse_pixels import quick_median
 from trinoc.calib.detection.labels import (
@@ -30,15 +30,15 @@ from trinoc.errors import DetectionError
 _SEARCH_SIDE_PX = 1200
 # The ways to look for blobs, the likeliest to succeed first; then one in the picture doubled.
 _SCALES = (
-    Scale(0.8, 8),
-    Scale(0.8, 3),
-    Scale(2.0, 8),
-    Scale(0.8, 20),
-    Scale(0.8, 8, opening_px=5),
-    Scale(0.8, 8, closing_px=5),
-    Scale(3.0, 20),
+    BlobScale(0.8, 8),
+    BlobScale(0.8, 3),
+    BlobScale(2.0, 8),
+    BlobScale(0.8, 20),
+    BlobScale(0.8, 8, opening_px=5),
+    BlobScale(0.8, 8, closing_px=5),
+    BlobScale(3.0, 20),
 )
-_SCALE_OF_DOUBLED = Scale(1.2, 5)
+_SCALE_OF_DOUBLED = BlobScale(1.2, 5)
 # How far a fitted hole may be from 0 (disc) or 1 (ring), beyond its own sigma.
 _HOLE_SIGMA = 0.2
 
@@ -191,4 +191,4 @@ def _as_detection(picture: SearchImage, sheet: Sheet, pattern: Pattern) -> Detec
     circles, size_px = sheet.ellipses, picture.size_px
     lines = fit_cross_lines(picture, pattern, sheet.mapping, float(quick_median(circles.blur_px)))
     found = circles.centres_px, circles.covariance_px2, size_px, circles.shape_px2
-    return labelled_detection(sheet.index, *found, lines)
+    return build_detection(sheet.index, *found, lines)

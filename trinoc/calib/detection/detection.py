@@ -64,7 +64,7 @@ class Detection(Table):
         return first if self.ambiguity is None else np.concatenate([first, self.ambiguity])
 
 
-def labelled_detection(
+def build_detection(
     labellings: Int[np.ndarray, "l m"],
     centres_px: Float[np.ndarray, "m 2"],
     covariance_px2: Float[np.ndarray, "m 2 2"],
@@ -105,7 +105,7 @@ def split_by_board(detection: Detection, target: AbstractTarget) -> dict[int, De
 def _select_places(detection: Detection, mask: np.ndarray) -> Detection:
     labellings = detection.labellings[:, mask]
     _, first = np.unique(labellings, axis=0, return_index=True)
-    return labelled_detection(
+    return build_detection(
         labellings[np.sort(first)],
         detection.centres_px[mask],
         detection.covariance_px2[mask],

@@ -99,7 +99,7 @@ def start_ellipses(
     taken_share : the share of the pixels round the ellipses that `pixels` holds.
     """
     count = len(centres_px)
-    y1, y2 = _whitened(pixels, centres_px, inverse_square_root(shape_px2))
+    y1, y2 = _to_circle_frame(pixels, centres_px, inverse_square_root(shape_px2))
     radius = np.sqrt(y1 * y1 + y2 * y2)
     paper = _masked_mean(pixels.grey, pixels.used & (radius > 1.22))
     dark = _masked_mean(pixels.grey, pixels.used & (radius > 0.62) & (radius < 0.82))
@@ -154,7 +154,7 @@ def refine_ellipses(
     for share in outlier_shares:
         frame = inverse_square_root(state.shape_px2)
         jacobian, residual = _linearise(pixels, state, frame, hole_ratio, free_hole, free_slope)
-        kept = _kept(pixels, residual, state, share, noise_sigma)
+        kept = _keep_pixels(pixels, residual, state, share, noise_sigma)
         weighted = jacobian * kept[:, None, :]
         normal = (weighted @ np.swapaxes(jacobian, 1, 2)).astype(float)
         right = (weighted @ residual[:, :, None])[:, :, 0].astype(float)
@@ -162,10 +162,10 @@ def refine_ellipses(
         _add_priors(normal, right, state, start, variance, slope_sigma)
         change = np.linalg.solve(normal, right[:, :, None])[:, :, 0]
         change = np.where(np.isfinite(change), change, 0.0)
-        state = _stepped(state, frame, change, free_hole, free_slope)
+        state = _step_ellipses(state, frame, change, free_hole, free_slope)
     # Near the end the model is straight enough to carry the residual to the last step.
     residual = residual - (change.astype(np.float32)[:, None, :] @ jacobian)[:, 0]
-    kept = _kept(pixels, residual, state, outlier_shares[-1], noise_sigma)
+    kept = _keep_pixels(pixels, residual, state, outlier_shares[-1], noise_sigma)
     return _with_covariance(state, normal, pixels, residual, kept, noise_sigma, free_hole)
 
 
@@ -178,7 +178,7 @@ def _linearise(
     free_slope: bool,
 ) -> tuple[Float[np.ndarray, "n k p"], Float[np.ndarray, "n p"]]:
     """Jacobian of the model, and observed minus predicted grey, in 32 bit."""
-    y1, y2 = _whitened(pixels, state.centres_px, frame)
+    y1, y2 = _to_circle_frame(pixels, state.centres_px, frame)
     radius = np.sqrt(y1 * y1 + y2 * y2)
     np.maximum(radius, np.float32(0.05), out=radius)
     w11, w12, w22 = (_column(frame[:, i, j]) for i, j in ((0, 0), (0, 1), (1, 1)))
@@ -223,7 +223,7 @@ def _linearise(
     return jacobian, pixels.grey - model
 
 
-def _kept(
+def _keep_pixels(
     pixels: EllipsePixels,
     residual: Float[np.ndarray, "n p"],
     state: Ellipses,
@@ -261,7 +261,7 @@ def _add_priors(
         right[:, _SLOPE] += weight * (start.slope - state.slope)
 
 
-def _stepped(
+def _step_ellipses(
     state: Ellipses,
     frame: Float[np.ndarray, "n 2 2"],
     change: Float[np.ndarray, "n k"],
@@ -314,7 +314,7 @@ def _with_covariance(
     )
 
 
-def _whitened(
+def _to_circle_frame(
     pixels: EllipsePixels, centres_px: Float[np.ndarray, "n 2"], frame: Float[np.ndarray, "n 2 2"]
 ) -> tuple[Float[np.ndarray, "n p"], Float[np.ndarray, "n p"]]:
     """Pixels in the frame in which the ellipse is the unit circle."""

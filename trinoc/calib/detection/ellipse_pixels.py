@@ -74,16 +74,16 @@ def pixels_round(
     most = max(int(count.max(initial=0)), 1)
     slot = circle * most + place
 
-    def packed(values: np.ndarray) -> Float[np.ndarray, "n p"]:
+    def pack(values: np.ndarray) -> Float[np.ndarray, "n p"]:
         rows = np.zeros(len(origin) * most, dtype=np.float32)
         rows[slot] = values
         return rows.reshape(len(origin), most)
 
     return EllipsePixels(
         origin_px=origin,
-        x=packed(step_x[column_number]),
-        y=packed(step_y[row_number]),
-        grey=packed(grey[row[circle, row_number], column[circle, column_number]]),
+        x=pack(step_x[column_number]),
+        y=pack(step_y[row_number]),
+        grey=pack(grey[row[circle, row_number], column[circle, column_number]]),
         used=np.arange(most) < count[:, None],
     )
 

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped, UInt8
 
 from trinoc.calib.detection.corners import corner_covariance_px2, levels_of_8_bit
-from trinoc.calib.detection.detection import Detection, labelled_detection
+from trinoc.calib.detection.detection import Detection, build_detection
 from trinoc.calib.detection.search_image import search_image
 from trinoc.calib.targets.april_grid import AprilGrid
 from trinoc.calib.targets.checkers import Charuco, opencv_board
@@ -65,7 +65,7 @@ def detect_charuco(image: Shaped[np.ndarray, "..."], board: Charuco) -> Detectio
     order = np.argsort(index)
     index, corners_px = index[order], corners_px[order]
     covariance_px2 = corner_covariance_px2(picture, corners_px)
-    return labelled_detection(index[None], corners_px, covariance_px2, picture.size_px)
+    return build_detection(index[None], corners_px, covariance_px2, picture.size_px)
 
 
 def detect_april_grid(image: Shaped[np.ndarray, "..."], board: AprilGrid) -> Detection:
@@ -81,7 +81,7 @@ def detect_april_grid(image: Shaped[np.ndarray, "..."], board: AprilGrid) -> Det
     places, is_sharp = _refine_corners(grey, corners_px, board.spacing)
     index, places = index[is_sharp], places[is_sharp]
     covariance_px2 = corner_covariance_px2(picture, places)
-    return labelled_detection(index[None], places, covariance_px2, picture.size_px)
+    return build_detection(index[None], places, covariance_px2, picture.size_px)
 
 
 def _find_enough(

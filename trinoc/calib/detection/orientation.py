@@ -12,7 +12,7 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int
 
-from trinoc.calib.detection.detection import Detection, labelled_detection
+from trinoc.calib.detection.detection import Detection, build_detection
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.errors import InputError
 from trinoc.geometry.camera import Camera
@@ -100,7 +100,7 @@ def _with_labelling(
         for each in (detection.circle_index, index)
     )
     turned = abs(np.sum(first * second)) < abs(np.sum(first * second[:, ::-1] * [1.0, -1.0]))
-    return labelled_detection(
+    return build_detection(
         index[None],
         detection.centres_px,
         detection.covariance_px2,

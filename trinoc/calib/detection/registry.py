@@ -8,7 +8,7 @@ from jaxtyping import Shaped
 
 from trinoc.calib.detection.chessboard import detect_chessboard
 from trinoc.calib.detection.circles import detect_circles
-from trinoc.calib.detection.detection import Detection, labelled_detection
+from trinoc.calib.detection.detection import Detection, build_detection
 from trinoc.calib.detection.marker_boards import detect_april_grid, detect_charuco
 from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.calib.targets.april_grid import AprilGrid
@@ -81,7 +81,7 @@ def _detect_board_set(image: Shaped[np.ndarray, "..."], boards: BoardSet) -> Det
         raise DetectionError(
             f"None of the boards {', '.join(boards.names)} was found; of the first: {failures[0]}"
         )
-    return labelled_detection(
+    return build_detection(
         np.stack([np.concatenate(each) for each in product(*labels)]),
         np.concatenate([part.centres_px for part in parts]),
         np.concatenate([part.covariance_px2 for part in parts]),

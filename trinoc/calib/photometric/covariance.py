@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from trinoc.calib.photometric.equations import local_rows
-from trinoc.calib.photometric.noise import autocorrelation, correlated_sum
-from trinoc.calib.photometric.scene import Point, Scene
+from trinoc.calib.photometric.noise import autocorrelation, sum_correlated
+from trinoc.calib.photometric.scene import PixelScene, Point
 
 # Sharpening lowers the variance of what an edge says to a half of white noise's, not further.
 _LEAST_SPREAD = 0.4
@@ -31,7 +31,7 @@ class PoseCovariance(NamedTuple):
     inflation: float
 
 
-def pose_covariance(scene: Scene, point: Point, *, correlated: bool) -> PoseCovariance:
+def pose_covariance(scene: PixelScene, point: Point, *, correlated: bool) -> PoseCovariance:
     """At the end of a fit: a sandwich over residuals that are correlated, or the inverse of the
     information where they are known not to be."""
     size, free = scene.model.size, point.free
@@ -50,7 +50,7 @@ def pose_covariance(scene: Scene, point: Point, *, correlated: bool) -> PoseCova
         return PoseCovariance(inverse * chi_square, chi_square, None, chi_square)
     correlation = autocorrelation(scene.grid, standard, clear)
     rows = _rows_of_pose(scene, point, follow) * (point.kept / sigma)
-    middle = correlated_sum(scene.grid, rows, correlation)
+    middle = sum_correlated(scene.grid, rows, correlation)
     matrix = _sandwich(inverse, middle) * chi_square
     inflation = float(np.trace(np.linalg.pinv(inverse, hermitian=True) @ matrix)) / size
     if not inflation > 0:
@@ -58,7 +58,7 @@ def pose_covariance(scene: Scene, point: Point, *, correlated: bool) -> PoseCova
     return PoseCovariance(matrix, chi_square, correlation, inflation)
 
 
-def spread_of_values(scene: Scene, point: Point) -> Float[np.ndarray, "k"]:
+def spread_of_values(scene: PixelScene, point: Point) -> Float[np.ndarray, "k"]:
     """Standard deviations of the unknowns beside the pose, 0 for those that were held."""
     spread, free = np.zeros(len(point.free)), point.free
     inverse = np.linalg.pinv(point.equations.matrix[np.ix_(free, free)])
@@ -90,7 +90,7 @@ def pose_information(
 
 
 def _rows_of_pose(
-    scene: Scene, point: Point, follow: Float[np.ndarray, "k p"]
+    scene: PixelScene, point: Point, follow: Float[np.ndarray, "k p"]
 ) -> Float[np.ndarray, "p n"]:
     """Derivatives of each pixel by the pose, all other unknowns following it."""
     size, equations = scene.model.size, point.equations
@@ -98,9 +98,9 @@ def _rows_of_pose(
     motion[:size] = np.eye(size)
     by_homography = np.concatenate([equations.by_motion @ motion[:size], motion[size:]])
     near_circles, near_lines = equations.pixels
-    rows = by_homography.T @ scene.joined((near_circles.rows, near_lines.rows))
+    rows = by_homography.T @ scene.join((near_circles.rows, near_lines.rows))
     if equations.elimination is not None and scene.blocks is not None:
-        by_local = scene.joined((near_circles.by_local, near_lines.by_local))
+        by_local = scene.join((near_circles.by_local, near_lines.by_local))
         own = local_rows(by_local, scene.blocks.basis)
         levels = equations.elimination.by_rest @ motion
         rows = rows - np.einsum("kn,nkp->pn", own, levels[scene.blocks.of_pixel])

@@ -58,7 +58,9 @@ def straight_edge(point: SheetPoint, normal_x: Scalar, normal_y: Scalar, offset_
     """An edge F = n . (X, Y) - offset, for a unit normal n."""
     value = normal_x * point.point_mm[0] + normal_y * point.point_mm[1] - offset_mm
     gradient, normal_u, normal_v = _gradient(point, normal_x, normal_y)
-    slope_n, slope_t = _along(point.depth_slope[0], point.depth_slope[1], normal_u, normal_v)
+    slope_n, slope_t = _rotate_components(
+        point.depth_slope[0], point.depth_slope[1], normal_u, normal_v
+    )
     # The image is a straight line but for the lens: its distance, to third order.
     lens = _lens_bend(point, normal_x, normal_y, normal_u, normal_v, gradient)
     along_n, across = lens.along_n - 2 * slope_n, lens.across - slope_t
@@ -109,7 +111,7 @@ def circular_edge(
     normal_x, normal_y, centre_distance = _from_centre(point, centre_mm)
     gradient, normal_u, normal_v = _gradient(point, normal_x, normal_y)
     tangent_n, _ = _tangent(point, normal_x, normal_y, normal_u, normal_v)
-    slope_n, _ = _along(point.depth_slope[0], point.depth_slope[1], normal_u, normal_v)
+    slope_n, _ = _rotate_components(point.depth_slope[0], point.depth_slope[1], normal_u, normal_v)
     far = jnp.maximum(centre_distance, _NEAREST_TO_CENTRE * radius_mm)
     lens = _lens_bend(point, normal_x, normal_y, normal_u, normal_v, gradient)
     bend = tangent_n * tangent_n / (far * gradient) - 2 * slope_n + lens.along_n
@@ -119,7 +121,7 @@ def circular_edge(
     step = 2 * first / (1 + root)
     shift_u, shift_v = -step * normal_u, -step * normal_v
 
-    foot = sheet_point(sheet_from_camera, ray.moved(shift_u, shift_v), point.unit)
+    foot = sheet_point(sheet_from_camera, ray.move(shift_u, shift_v), point.unit)
     normal_x, normal_y, centre_distance = _from_centre(foot, centre_mm)
     gradient, normal_u, normal_v = _gradient(foot, normal_x, normal_y)
     tangent_n, tangent_t = _tangent(foot, normal_x, normal_y, normal_u, normal_v)
@@ -128,7 +130,7 @@ def circular_edge(
     lens = _lens_bend(foot, normal_x, normal_y, normal_u, normal_v, gradient)
     change = curvature * tangent_t * tangent_t / (radius_mm * radius_mm) * (3 + ratio)
     curvature = curvature + lens.along_t
-    outward, aside = _along(-shift_u, -shift_v, normal_u, normal_v)
+    outward, aside = _rotate_components(-shift_u, -shift_v, normal_u, normal_v)
     rest = (centre_distance - radius_mm) / gradient
     rounding = 0.5 * curvature * aside * aside / jnp.maximum(1 + curvature * outward, 0.5)
     # F grows by no more than the largest stretch of the picture: inside a steep ellipse,
@@ -169,7 +171,7 @@ class Kernel(NamedTuple):
     line: Scalar | None = None
 
 
-class Coverage(NamedTuple):
+class EdgeCoverage(NamedTuple):
     """Coverage by one edge, with what its product with another edge needs."""
 
     share: Scalar
@@ -179,7 +181,7 @@ class Coverage(NamedTuple):
     normal_v: Scalar
 
 
-def coverage(edge: Edge, shift_mm: Scalar, kernel: Kernel) -> Coverage:
+def coverage(edge: Edge, shift_mm: Scalar, kernel: Kernel) -> EdgeCoverage:
     """Share of the pixel with ink, where F has grown by `shift_mm`.
 
     A Gaussian whose width depends on the edge's direction, with cumulants beyond the second as in
@@ -205,7 +207,7 @@ def coverage(edge: Edge, shift_mm: Scalar, kernel: Kernel) -> Coverage:
     share = 0.5 * (1 + jax.lax.erf(score * 0.7071067811865476)) - density * score * series
     if kernel.sixth is not None:
         score, density = score / edge.unit, density / edge.unit
-    return Coverage(share / edge.unit, score, density, edge.normal_u, edge.normal_v)
+    return EdgeCoverage(share / edge.unit, score, density, edge.normal_u, edge.normal_v)
 
 
 def _variances(edge: Edge, kernel: Kernel) -> tuple[Scalar, Scalar]:
@@ -242,7 +244,7 @@ def _double_angle(edge: Edge) -> tuple[Scalar, Scalar]:
     return even, 2 * edge.normal_u * edge.normal_v
 
 
-def common(first: Coverage, second: Coverage) -> Scalar:
+def common(first: EdgeCoverage, second: EdgeCoverage) -> Scalar:
     """Share of the pixel on the inked side of both edges.
 
     The two distances are normal variables correlated by the angle of the edges; the bivariate
@@ -282,7 +284,7 @@ def _tangent(
     """Motion along the edge on the sheet for a motion along N and along T in the picture."""
     (a00, a01), (a10, a11) = point.by_pixel
     u, v = -normal_y * a00 + normal_x * a10, -normal_y * a01 + normal_x * a11
-    return _along(u, v, normal_u, normal_v)
+    return _rotate_components(u, v, normal_u, normal_v)
 
 
 class _LensBend(NamedTuple):
@@ -315,6 +317,8 @@ def _lens_bend(
     )
 
 
-def _along(u: Scalar, v: Scalar, normal_u: Scalar, normal_v: Scalar) -> tuple[Scalar, Scalar]:
+def _rotate_components(
+    u: Scalar, v: Scalar, normal_u: Scalar, normal_v: Scalar
+) -> tuple[Scalar, Scalar]:
     """Components of (u, v) along N and along T, N turned by a quarter."""
     return u * normal_u + v * normal_v, v * normal_u - u * normal_v

@@ -16,7 +16,7 @@ from trinoc.calib.targets.pattern import Pattern
 from trinoc.errors import InputError
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.geometry.pose import Pose
-from trinoc.image.response import PowerResponse, response_of
+from trinoc.image.response import PowerResponse, find_response
 
 Response = Literal["linear", "srgb", "fit"]
 # Flat parts of a circle's ink and of the paper round it, in radii.
@@ -44,7 +44,7 @@ class Encoding(NamedTuple):
         """Of the response (0 linear, 1 sRGB); None where it is to be fitted."""
         if self.response == "fit":
             return None
-        known = response_of(self.response)
+        known = find_response(self.response)
         assert isinstance(known, PowerResponse)
         return float(known.bend)
 
@@ -69,7 +69,7 @@ class BalancedMosaic(NamedTuple):
     noise_scale: Float[np.ndarray, "h w"]
 
 
-def balanced_mosaic(
+def balance_mosaic(
     image: Float[np.ndarray, "h w"],
     bayer: str,
     pose: Pose,

@@ -13,8 +13,8 @@ import jax.numpy as jnp
 from jaxtyping import Float, Int
 
 from trinoc.calib.photometric.grey_level import Pixels, predict_levels
-from trinoc.calib.photometric.ink import Cross, Drawing
-from trinoc.calib.photometric.noise import clipped
+from trinoc.calib.photometric.ink import Cross, InkDrawing
+from trinoc.calib.photometric.noise import clipped_moments
 from trinoc.calib.photometric.sheet_places import sheet_from_camera
 from trinoc.calib.photometric.unknowns import (
     LOCAL_TERMS,
@@ -24,7 +24,7 @@ from trinoc.calib.photometric.unknowns import (
 )
 from trinoc.geometry.pose import PoseModel
 from trinoc.numerics.arrays import ArrayLike
-from trinoc.numerics.precision import namespace_of
+from trinoc.numerics.precision import array_namespace
 from trinoc.numerics.robust_loss import GemanMcClure
 
 CHUNK = 512
@@ -90,7 +90,7 @@ class PixelRows(NamedTuple):
     by_local: Float[ArrayLike, "*c l n"]
 
 
-class Elimination(NamedTuple):
+class LevelElimination(NamedTuple):
     """How the levels of each block follow the other unknowns.
 
     Fields
@@ -125,7 +125,7 @@ class Equations(NamedTuple):
     gradient: Float[ArrayLike, "k"]
     prior_cost: Float[ArrayLike, ""]
     by_motion: Float[ArrayLike, "9 p"]
-    elimination: Elimination | None
+    elimination: LevelElimination | None
     pixels: tuple[PixelRows, PixelRows]
 
 
@@ -137,12 +137,12 @@ class _Sums(NamedTuple):
     rows: PixelRows
 
 
-def equations_at(
+def build_equations(
     state: PictureState,
     picture: Picture,
     loss: GemanMcClure,
     stride: Int[ArrayLike, ""],
-    drawing: Drawing,
+    drawing: InkDrawing,
     model: PoseModel,
 ) -> Equations:
     """Normal equations over the first of `stride` parts of each group's chunks.
@@ -179,7 +179,7 @@ def equations_at(
 
 def eliminate_levels(
     of_blocks: Float[ArrayLike, "b 6 l"], levels: Float[ArrayLike, "6 b"]
-) -> tuple[Float[ArrayLike, "m k"], Elimination, Float[ArrayLike, ""]]:
+) -> tuple[Float[ArrayLike, "m k"], LevelElimination, Float[ArrayLike, ""]]:
     """The Schur complement of every block's levels: what it takes from matrix and gradient (the
     last row), how the levels follow, and chi-square of their priors.
 
@@ -190,7 +190,7 @@ def eliminate_levels(
     pull = levels.T / LOCAL_WIDTH[None] ** 2
     side = jnp.asarray(of_blocks[:, :, LOCAL_TERMS:]).at[:, :, -1].add(pull)
     solved = jnp.linalg.solve(inner, side)
-    elimination = Elimination(solved[:, :, -1], solved[:, :, :-1])
+    elimination = LevelElimination(solved[:, :, -1], solved[:, :, :-1])
     less = jnp.einsum("bil,bik->lk", side, elimination.by_rest)
     return less, elimination, jnp.sum((levels.T / LOCAL_WIDTH[None]) ** 2)
 
@@ -221,7 +221,7 @@ def _sum_pixels(
     chunks: Int[ArrayLike, ""],
     picture: Picture,
     loss: GemanMcClure,
-    drawing: Drawing,
+    drawing: InkDrawing,
     near_line: bool,
 ) -> _Sums:
     dtype, single = homography.dtype, group.pixels.grey.dtype
@@ -275,7 +275,7 @@ def pixel_rows(
     state: PictureState,
     group: Group,
     picture: Picture,
-    drawing: Drawing,
+    drawing: InkDrawing,
     near_line: bool,
 ) -> PixelRows:
     """Residuals and derivatives of pixels, in their precision."""
@@ -309,7 +309,7 @@ def pixel_rows(
     level = seen.level + lost @ rows[: len(lost)]
     sigma, residual = pixels.sigma, level - pixels.grey
     if not unknowns.is_ideal:
-        cut = clipped(level, sigma, picture.top.astype(single))
+        cut = clipped_moments(level, sigma, picture.top.astype(single))
         residual, sigma, rows = cut.mean - pixels.grey, cut.sigma, rows * cut.slope[None]
         by_local = by_local * cut.slope[None]
     return PixelRows(level, residual, sigma, rows, by_local)
@@ -318,7 +318,7 @@ def pixel_rows(
 def light_terms(place: Float[ArrayLike, "2 n"], count: int) -> Float[ArrayLike, "m n"]:
     """The first terms of a polynomial in (x, y), lower degrees first."""
     x, y = place
-    math = namespace_of(place)
+    math = array_namespace(place)
     degree, terms = [math.ones_like(x)], [math.ones_like(x)]
     while len(terms) < count:
         degree = [*(term * x for term in degree), degree[-1] * y]

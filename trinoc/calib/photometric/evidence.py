@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from trinoc.calib.photometric.noise import autocorrelation, inflation, saturation_level
-from trinoc.calib.photometric.scene import Point, Scene
+from trinoc.calib.photometric.scene import PixelScene, Point
 from trinoc.calib.photometric.unknowns import DELIVERED
 
 _SHARE_BINS = 16
@@ -51,7 +51,7 @@ _EVIDENCE = 12.0
 _LARGEST_SPREAD = 5.0
 
 
-def refuted_part(scene: Scene, point: Point) -> Literal["nothing", "noise", "model"]:
+def find_refuted_part(scene: PixelScene, point: Point) -> Literal["nothing", "noise", "model"]:
     """Whether the picture needs more than an ideal camera, or noise that depends on the level.
 
     point : where the fit of an ideal camera ended.
@@ -85,14 +85,14 @@ def refuted_part(scene: Scene, point: Point) -> Literal["nothing", "noise", "mod
     return "nothing" if _have_one_variance(r, bins) else "noise"
 
 
-class Evidence(NamedTuple):
+class PictureEvidence(NamedTuple):
     """What residuals call for: unknowns to free, and whether light must be local."""
 
     free: Bool[np.ndarray, "k"]
     uneven_light: bool
 
 
-def find_evidence(scene: Scene, point: Point) -> Evidence:
+def find_evidence(scene: PixelScene, point: Point) -> PictureEvidence:
     """Score tests of each group that is held.
 
     The scores' variance is that of correlated residuals.
@@ -114,7 +114,7 @@ def find_evidence(scene: Scene, point: Point) -> Evidence:
         _has_score(point, size + np.array(DELIVERED.of_uneven_light), spread)
         or _has_block_means(scene, standard * point.kept, point.kept, spread)
     )
-    return Evidence(more, uneven)
+    return PictureEvidence(more, uneven)
 
 
 def _has_score(point: Point, places: Int[np.ndarray, "m"], spread: float) -> bool:
@@ -132,7 +132,7 @@ def _has_score(point: Point, places: Int[np.ndarray, "m"], spread: float) -> boo
 
 
 def _has_block_means(
-    scene: Scene, residual: Float[np.ndarray, "n"], kept: Bool[np.ndarray, "n"], spread: float
+    scene: PixelScene, residual: Float[np.ndarray, "n"], kept: Bool[np.ndarray, "n"], spread: float
 ) -> bool:
     blocks = scene.blocks
     assert blocks is not None
@@ -161,7 +161,9 @@ def _have_one_variance(r: Float[np.ndarray, "n"], bins: np.ndarray) -> bool:
     return not variance or max(variance) <= _LARGEST_VARIANCE_RATIO * min(variance)
 
 
-def _neighbours_agree(scene: Scene, r: Float[np.ndarray, "n"], kept: Bool[np.ndarray, "n"]) -> bool:
+def _neighbours_agree(
+    scene: PixelScene, r: Float[np.ndarray, "n"], kept: Bool[np.ndarray, "n"]
+) -> bool:
     grid = scene.grid
     variance = np.sum(r**2) / max(kept.sum(), 1)
     for down, right in [(0, 1), (1, 0), (1, 1), (0, 2), (2, 0)]:
@@ -174,7 +176,7 @@ def _neighbours_agree(scene: Scene, r: Float[np.ndarray, "n"], kept: Bool[np.nda
 
 
 def _have_direction(
-    scene: Scene,
+    scene: PixelScene,
     share: Float[np.ndarray, "m"],
     kept: Bool[np.ndarray, "n"],
     r: Float[np.ndarray, "m"],

@@ -15,7 +15,7 @@ from trinoc.calib.photometric.evidence import FIRST, OF_RESPONSE, find_evidence
 from trinoc.calib.photometric.gate import gate_by_sigma, robust_sigma, without_common
 from trinoc.calib.photometric.noise import noise_by_level
 from trinoc.calib.photometric.pixel_selection import PARTS
-from trinoc.calib.photometric.scene import Point, Scene
+from trinoc.calib.photometric.scene import PixelScene, Point
 from trinoc.calib.photometric.solver import Schedule, Stage, run_fit
 from trinoc.calib.photometric.unknowns import (
     DELIVERED,
@@ -48,7 +48,7 @@ _BLINDED = 1.15
 _PAPER_SHARE, _FEWEST_PIXELS = 0.03, 10
 
 
-def fit_ideal_camera(scene: Scene, guess: PictureState) -> tuple[Point, Point] | None:
+def fit_ideal_camera(scene: PixelScene, guess: PictureState) -> tuple[Point, Point] | None:
     """Where robust steps end, and where the fit does; None where too few pixels stay."""
     size = scene.model.size
     everything = np.ones(size + IDEAL.size, dtype=bool)
@@ -68,14 +68,14 @@ def fit_ideal_camera(scene: Scene, guess: PictureState) -> tuple[Point, Point] |
     return robust, refit_ideal_camera(scene, robust._replace(kept=kept, sigma=sigma))
 
 
-def refit_ideal_camera(scene: Scene, point: Point) -> Point:
+def refit_ideal_camera(scene: PixelScene, point: Point) -> Point:
     """Least squares over the pixels that stayed, by their noise."""
     return _take_steps(scene, point, _IDEAL_STEPS, _IDEAL_SIGMAS)
 
 
 def fit_delivered_camera(
-    scene: Scene, ideal: PictureState, circles: Pose
-) -> tuple[Scene, Point] | None:
+    scene: PixelScene, ideal: PictureState, circles: Pose
+) -> tuple[PixelScene, Point] | None:
     """From the fit of an ideal camera, or the circles' pose, to that of all unknowns which the
     picture calls for, with the scene as it was lit; None where nothing is left to be fitted."""
     part, size = scene.first(PARTS), scene.model.size
@@ -84,7 +84,7 @@ def fit_delivered_camera(
     free[:size] = free[_of_ideal_camera(size)] = free[
         [size + k for k in DELIVERED.places(*first)]
     ] = True
-    point = _find_sheet(part, _delivered_start(part, ideal, circles), free)
+    point = _find_sheet(part, _start_delivered(part, ideal, circles), free)
     for _ in range(_ROUNDS):
         point = _look(part, _with_noise(part, point))
         evidence = find_evidence(part, point)
@@ -92,7 +92,7 @@ def fit_delivered_camera(
             scene, part = scene._replace(local=True), part._replace(local=True)
             free = point.free.copy()
             free[size + np.array(DELIVERED.of_uneven_light)] = True
-            start = _delivered_start(part, ideal, circles)
+            start = _start_delivered(part, ideal, circles)
             point = _find_sheet(part, _light_blocks(part, start), free)
         elif evidence.free.any():
             point = _take_steps(part, point._replace(free=point.free | evidence.free), _MORE_STEPS)
@@ -102,7 +102,7 @@ def fit_delivered_camera(
     return (scene, point) if point.kept.sum() > point.free.sum() else None
 
 
-def _finish(scene: Scene, point: Point) -> Point:
+def _finish(scene: PixelScene, point: Point) -> Point:
     """All pixels: gate, noise, last steps."""
     point = _gate(scene, _start(scene, point.state, point.free), gates=1)
     point = _take_steps(scene, point, 1)
@@ -121,7 +121,7 @@ def _of_ideal_camera(pose_size: int) -> list[int]:
     return [*range(pose_size), *(pose_size + int(k) for k in DELIVERED.of_ideal_camera)]
 
 
-def _delivered_start(scene: Scene, ideal: PictureState, circles: Pose) -> PictureState:
+def _start_delivered(scene: PixelScene, ideal: PictureState, circles: Pose) -> PictureState:
     paper, ratio = float(ideal.light[0]), float(ideal["ratio"])
     state = delivered_state(ideal)
     values = np.array(state.values)
@@ -137,11 +137,11 @@ def _delivered_start(scene: Scene, ideal: PictureState, circles: Pose) -> Pictur
     return PictureState(pose, values, state.levels, DELIVERED)
 
 
-def _is_blinded(scene: Scene, paper: float) -> bool:
+def _is_blinded(scene: PixelScene, paper: float) -> bool:
     return bool(paper > 0.97 * scene.top)
 
 
-def _light_blocks(scene: Scene, state: PictureState) -> PictureState:
+def _light_blocks(scene: PixelScene, state: PictureState) -> PictureState:
     """Each block's light from the median of its paper."""
     blocks = scene.blocks
     assert blocks is not None
@@ -157,7 +157,7 @@ def _light_blocks(scene: Scene, state: PictureState) -> PictureState:
     return state
 
 
-def _find_sheet(scene: Scene, state: PictureState, free: Bool[np.ndarray, "k"]) -> Point:
+def _find_sheet(scene: PixelScene, state: PictureState, free: Bool[np.ndarray, "k"]) -> Point:
     """Robust steps, the pixels that show the sheet, and first steps of least squares."""
     scales = _BLINDED_SCALES if _is_blinded(scene, float(state.light[0])) else _SCALES
     alone = np.zeros(len(free), dtype=bool)
@@ -167,7 +167,7 @@ def _find_sheet(scene: Scene, state: PictureState, free: Bool[np.ndarray, "k"]) 
     return _take_steps(scene, _gate(scene, point), _FIRST_STEPS)
 
 
-def _gate(scene: Scene, point: Point, gates: int = _GATES) -> Point:
+def _gate(scene: PixelScene, point: Point, gates: int = _GATES) -> Point:
     """Noise and pixels that show the sheet, a step between each look at them."""
     point = _with_noise(scene, point, robust=True)
     for k in range(gates):
@@ -178,7 +178,7 @@ def _gate(scene: Scene, point: Point, gates: int = _GATES) -> Point:
     return point
 
 
-def _with_noise(scene: Scene, point: Point, *, robust: bool = False) -> Point:
+def _with_noise(scene: PixelScene, point: Point, *, robust: bool = False) -> Point:
     """With the noise that the residuals of the pixels that stayed show."""
     residual, scale = point.residual(scene)[0], scene.noise_scale
     sigma = noise_by_level(
@@ -187,7 +187,7 @@ def _with_noise(scene: Scene, point: Point, *, robust: bool = False) -> Point:
     return point._replace(sigma=sigma * scale)
 
 
-def _start(scene: Scene, state: PictureState, free: Bool[np.ndarray, "k"]) -> Point:
+def _start(scene: PixelScene, state: PictureState, free: Bool[np.ndarray, "k"]) -> Point:
     """All pixels, before anything is known of their noise."""
     kept = np.ones(len(scene.grey), dtype=bool)
     sigma = _FIRST_NOISE * state.contrast * scene.noise_scale
@@ -195,7 +195,7 @@ def _start(scene: Scene, state: PictureState, free: Bool[np.ndarray, "k"]) -> Po
 
 
 def _take_robust_steps(
-    scene: Scene,
+    scene: PixelScene,
     state: PictureState,
     scales: Sequence[float],
     free: Bool[np.ndarray, "s k"],
@@ -214,13 +214,15 @@ def _take_robust_steps(
     return _fit(scene, state, free[-1], kept, sigma, schedule)
 
 
-def _take_steps(scene: Scene, point: Point, most_steps: int, short: float = _SHORT_SIGMAS) -> Point:
+def _take_steps(
+    scene: PixelScene, point: Point, most_steps: int, short: float = _SHORT_SIGMAS
+) -> Point:
     """Steps of least squares; noise and pixels stay as they are."""
     schedule = _schedule(point.free, most_steps, short)
     return _fit(scene, point.state, point.free, point.kept, point.sigma, schedule)
 
 
-def _look(scene: Scene, point: Point) -> Point:
+def _look(scene: PixelScene, point: Point) -> Point:
     """The same state, with the equations that go with its noise and its pixels."""
     return _take_steps(scene, point, 0)
 
@@ -237,7 +239,7 @@ def _schedule(free: Bool[np.ndarray, "k"], most_steps: int, short: float) -> Sch
 
 
 def _fit(
-    scene: Scene,
+    scene: PixelScene,
     state: PictureState,
     free: Bool[np.ndarray, "k"],
     kept: Bool[np.ndarray, "n"],
@@ -250,5 +252,5 @@ def _fit(
         fit = run_fit(state, picture, schedule, drawing=scene.drawing, model=scene.model)
     fit = jax.tree.map(np.asarray, fit)
     near_circles, near_lines = fit.equations.pixels
-    level = scene.joined((near_circles.level, near_lines.level)).astype(np.float64)
+    level = scene.join((near_circles.level, near_lines.level)).astype(np.float64)
     return Point(fit.state, free, fit.equations, float(fit.length), level, sigma, kept)

@@ -41,7 +41,7 @@ def without_common(
     chosen: SelectedPixels, standard: Float[np.ndarray, "n"], kept: Bool[np.ndarray, "n"]
 ) -> Bool[np.ndarray, "n"]:
     """The kept pixels, less neighbourhoods whose residuals, in sigmas, have a mean."""
-    total, count = _summed(chosen, standard * kept, kept)
+    total, count = _sum_neighbourhoods(chosen, standard * kept, kept)
     return kept & (total**2 <= _LARGEST_COMMON * np.maximum(count, 1))
 
 
@@ -51,11 +51,11 @@ def _apart_from_crowds(
     """`kept`, less whole neighbourhoods of wrong pixels."""
     if not wrong.any():
         return kept
-    off, seen = _summed(chosen, wrong, np.ones(len(wrong)))
+    off, seen = _sum_neighbourhoods(chosen, wrong, np.ones(len(wrong)))
     return kept & (off <= _LARGEST_SHARE * seen)
 
 
-def _summed(
+def _sum_neighbourhoods(
     chosen: SelectedPixels, *fields: Float[np.ndarray, "n"] | Bool[np.ndarray, "n"]
 ) -> Float[np.ndarray, "fields n"]:
     """Sums of each field over the neighbourhood of each pixel."""

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from trinoc.calib.photometric.edges import Kernel
-from trinoc.calib.photometric.ink import Circle, Cross, Drawing, Squares, View, ink_near
+from trinoc.calib.photometric.ink import Circle, Cross, InkDrawing, PixelView, Squares, nearest_ink
 from trinoc.calib.photometric.sheet_places import Ray, SheetPoint, sheet_point
 from trinoc.calib.photometric.unknowns import PictureState
 from trinoc.image.response import PowerResponse
@@ -109,7 +109,7 @@ def predict_levels(
     pixels: Pixels,
     cross: Cross,
     white: Scalar,
-    drawing: Drawing,
+    drawing: InkDrawing,
     near_line: bool,
 ) -> Levels:
     """Grey levels where light and veil are given; pixels near no line have a simpler model.
@@ -177,12 +177,12 @@ def _ink(
     spread_mm: Scalar,
     kernel: Kernel,
     cross: Cross,
-    drawing: Drawing,
+    drawing: InkDrawing,
     near_line: bool,
 ) -> _Ink:
     point = sheet_point(sheet_from_camera, pixel.ray, pixel.unit)
-    view = View(sheet_from_camera, pixel.ray, point)
-    ink = ink_near(view, pixel.figure, cross, drawing, near_line)
+    view = PixelView(sheet_from_camera, pixel.ray, point)
+    ink = nearest_ink(view, pixel.figure, cross, drawing, near_line)
     zero = jnp.zeros_like(spread_mm)
     share, partials = jax.value_and_grad(ink, argnums=(0, 1, 2, 3))(zero, zero, spread_mm, kernel)
     return jax.tree.map(lambda value: value / pixel.unit, _Ink(share, *partials))

@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from trinoc.calib.photometric.covariance import PoseCovariance, pose_covariance, spread_of_values
 from trinoc.calib.photometric.encoding import AS_DELIVERED, Encoding
-from trinoc.calib.photometric.evidence import refuted_part
+from trinoc.calib.photometric.evidence import find_refuted_part
 from trinoc.calib.photometric.fit import (
     fit_delivered_camera,
     fit_ideal_camera,
@@ -16,8 +16,8 @@ from trinoc.calib.photometric.fit import (
 from trinoc.calib.photometric.noise import inflation, noise_by_level
 from trinoc.calib.photometric.patches import patch_points
 from trinoc.calib.photometric.scene import (
+    PixelScene,
     Point,
-    Scene,
     ShiftOfPlaces,
     blocks_of_pixels,
     scene_of_picture,
@@ -97,7 +97,7 @@ def refine_image(
     scene, (robust, point) = posed[0], ideal
 
     def refinement(
-        scene: Scene, point: Point, covariance: PoseCovariance, found: tuple[str, ...]
+        scene: PixelScene, point: Point, covariance: PoseCovariance, found: tuple[str, ...]
     ) -> ImageRefinement:
         points = patch_points(lens, pattern, scene, point, covariance.inflation)
         if shift is not None:
@@ -118,7 +118,7 @@ def refine_image(
     residual = point.level - scene.grey
     is_mosaic = scene.noise_floor > _MOSAIC_NOISE * np.sqrt(np.mean(residual[point.kept] ** 2))
     is_said = encoding.bayer is not None or bool(encoding.bend)
-    refuted = "model" if is_said else refuted_part(scene, point)
+    refuted = "model" if is_said else find_refuted_part(scene, point)
     if refuted == "noise" and not is_mosaic:
         sigma = noise_by_level(point.level, residual, point.kept, point.level)
         point = refit_ideal_camera(scene, point._replace(sigma=sigma))
@@ -130,7 +130,7 @@ def refine_image(
             wider, delivered = fitted
             covariance = pose_covariance(wider, delivered, correlated=True)
             if np.isfinite(covariance.matrix).all():
-                found = found_in(wider, delivered, covariance)
+                found = describe_processing(wider, delivered, covariance)
                 return refinement(wider, delivered, covariance, found)
     # Flat parts that are noisier than what the fit leaves over have neighbours of other colours.
     found = ("a raw mosaic of colours",) if is_mosaic else ()
@@ -149,7 +149,9 @@ def _inverse(covariance: Float[np.ndarray, "p p"]) -> Float[np.ndarray, "p p"]:
     return np.linalg.pinv(covariance, hermitian=True)
 
 
-def found_in(scene: Scene, point: Point, covariance: PoseCovariance) -> tuple[str, ...]:
+def describe_processing(
+    scene: PixelScene, point: Point, covariance: PoseCovariance
+) -> tuple[str, ...]:
     """Sentences' halves such as "sharpened" or "saturated paper", the surest only."""
     look = point.state.unknowns.look
     value = dict(zip(look, map(float, point.state.values), strict=False))

@@ -13,8 +13,8 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from trinoc.calib.photometric.edges import (
-    Coverage,
     Edge,
+    EdgeCoverage,
     Kernel,
     circular_edge,
     common,
@@ -28,14 +28,14 @@ from trinoc.numerics.arrays import ArrayLike
 Scalar = Float[ArrayLike, ""]
 # (displacement on the sheet X, Y in mm, ink spread in mm, kernel) -> share of ink.
 InkShare = Callable[[Scalar, Scalar, Scalar, Kernel], Scalar]
-Band = tuple[Coverage, Coverage]
+Band = tuple[EdgeCoverage, EdgeCoverage]
 # What lies before a line of an edge whose ink has spread one way, and the other.
-_SpreadSides = tuple[Coverage, Coverage]
+_SpreadSides = tuple[EdgeCoverage, EdgeCoverage]
 # The line style of boards of squares, which have no lines.
 SQUARES = "squares"
 
 
-class Drawing(NamedTuple):
+class InkDrawing(NamedTuple):
     """What the compiler must know of the sheet: it makes the model as simple as the sheet is.
 
     Fields
@@ -86,7 +86,7 @@ class Squares(NamedTuple):
     ink: Float[ArrayLike, "9"]
 
 
-class View(NamedTuple):
+class PixelView(NamedTuple):
     """A pixel on the sheet, from which edges can be looked at."""
 
     sheet_from_camera: Float[ArrayLike, "3 3"]
@@ -100,8 +100,8 @@ class View(NamedTuple):
         )
 
 
-def ink_near(
-    view: View, figure: Circle | Squares, cross: Cross, drawing: Drawing, near_line: bool
+def nearest_ink(
+    view: PixelView, figure: Circle | Squares, cross: Cross, drawing: InkDrawing, near_line: bool
 ) -> InkShare:
     """Ink of what is nearest to a pixel."""
     if isinstance(figure, Squares):
@@ -111,7 +111,7 @@ def ink_near(
     return ink_of_circle(view, figure, drawing)
 
 
-def ink_of_circle(view: View, circle: Circle, drawing: Drawing) -> InkShare:
+def ink_of_circle(view: PixelView, circle: Circle, drawing: InkDrawing) -> InkShare:
     """Ink of a disc or ring; a hole lies wholly inside its disc, so shares subtract."""
     outer = view.circle(circle, circle.radius_mm)
     hole, has_hole = _hole(view, circle, drawing)
@@ -125,7 +125,7 @@ def ink_of_circle(view: View, circle: Circle, drawing: Drawing) -> InkShare:
     return share
 
 
-def ink_of_sheet(view: View, circle: Circle, cross: Cross, drawing: Drawing) -> InkShare:
+def ink_of_sheet(view: PixelView, circle: Circle, cross: Cross, drawing: InkDrawing) -> InkShare:
     """Ink of the crossed lines and the nearest circle, by how lines and circles meet."""
     outer = view.circle(circle, circle.radius_mm)
     hole, has_hole = _hole(view, circle, drawing)
@@ -142,30 +142,34 @@ def ink_of_sheet(view: View, circle: Circle, cross: Cross, drawing: Drawing) -> 
     end_y = straight_edge(point, zero, side_y, cross.half_length_mm[1])
 
     def share(dx: Scalar, dy: Scalar, spread: Scalar, kernel: Kernel) -> Scalar:
-        def covered(edge: Edge, grown: Scalar) -> Coverage:
+        def cover(edge: Edge, grown: Scalar) -> EdgeCoverage:
             return coverage(edge, _shift(edge, dx, dy) - grown, kernel)
 
         def band(sides: tuple[Edge, Edge], grown: Scalar) -> Band:
-            return covered(sides[0], grown), covered(sides[1], grown)
+            return cover(sides[0], grown), cover(sides[1], grown)
 
-        def lines_within(disc: Coverage, first: Band, second: Band) -> Scalar:
+        def lines_on_disc(disc: EdgeCoverage, first: Band, second: Band) -> Scalar:
             crossing = _crossing(first, second) * disc.share
-            return circle.present * (_within(first, disc) + _within(second, disc) - crossing)
+            return circle.present * (
+                _lies_in_band(first, disc) + _lies_in_band(second, disc) - crossing
+            )
 
         band_x, band_y = band(sides_x, spread), band(sides_y, spread)
-        lines = _within(band_x, covered(end_x, spread)) + _within(band_y, covered(end_y, spread))
+        lines = _lies_in_band(band_x, cover(end_x, spread)) + _lies_in_band(
+            band_y, cover(end_y, spread)
+        )
         circles, lines = rings(dx, dy, spread, kernel), lines - _crossing(band_x, band_y)
         if drawing.line_style == "stop":
-            return circles + lines - lines_within(covered(gap, -spread), band_x, band_y)
-        disc = covered(outer, spread)
-        black = lines - lines_within(disc, band_x, band_y)
+            return circles + lines - lines_on_disc(cover(gap, -spread), band_x, band_y)
+        disc = cover(outer, spread)
+        black = lines - lines_on_disc(disc, band_x, band_y)
         if drawing.line_style == "white":
             # Ink spreads into a white line from both sides.
             band_x, band_y = band(sides_x, -spread), band(sides_y, -spread)
-            black = black - lines_within(disc, band_x, band_y)
+            black = black - lines_on_disc(disc, band_x, band_y)
         if hole is None:
             return circles + black
-        return circles + black + has_hole * lines_within(covered(hole, -spread), band_x, band_y)
+        return circles + black + has_hole * lines_on_disc(cover(hole, -spread), band_x, band_y)
 
     return share
 
@@ -188,14 +192,14 @@ def _share(band: Band) -> Scalar:
 
 
 def _crossing(first: Band, second: Band) -> Scalar:
-    return _within(first, second[0]) + _within(first, second[1]) - _share(first)
+    return _lies_in_band(first, second[0]) + _lies_in_band(first, second[1]) - _share(first)
 
 
-def _within(band: Band, other: Coverage) -> Scalar:
+def _lies_in_band(band: Band, other: EdgeCoverage) -> Scalar:
     return common(band[0], other) + common(band[1], other) - other.share
 
 
-def _hole(view: View, circle: Circle, drawing: Drawing) -> tuple[Edge | None, Scalar]:
+def _hole(view: PixelView, circle: Circle, drawing: InkDrawing) -> tuple[Edge | None, Scalar]:
     """The edge of a ring's hole and 1, or some edge and 0 for a full disc."""
     if not drawing.has_rings:
         return None, jnp.zeros_like(circle.present)
@@ -246,9 +250,9 @@ def _spread_both_ways(
     )
 
 
-def _grown(sides: _SpreadSides, ink_before: Scalar) -> Coverage:
+def _grown(sides: _SpreadSides, ink_before: Scalar) -> EdgeCoverage:
     """What lies before an edge that has its ink before it (1) or behind it (-1)."""
-    return Coverage(
+    return EdgeCoverage(
         *(jnp.where(ink_before > 0, more, less) for more, less in zip(*sides, strict=True))
     )
 

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.special import ndtr
 
 from trinoc.numerics.arrays import ArrayLike, ScalarLike
-from trinoc.numerics.precision import namespace_of
+from trinoc.numerics.precision import array_namespace
 from trinoc.numerics.tails import MAD_TO_SIGMA
 
 # Standard deviation of a level that is always cut off: of the model, since noise has none.
@@ -28,7 +28,7 @@ REACH_PX = 4
 _SIGNIFICANT = 3.0
 
 
-class Clipped(NamedTuple):
+class ClippedMoments(NamedTuple):
     """Of min(x, top) for a normal x.
 
     Fields
@@ -43,19 +43,21 @@ class Clipped(NamedTuple):
     sigma: Float[ArrayLike, "n"]
 
 
-def clipped(level: Float[ArrayLike, "n"], sigma: Float[ArrayLike, "n"], top: ScalarLike) -> Clipped:
+def clipped_moments(
+    level: Float[ArrayLike, "n"], sigma: Float[ArrayLike, "n"], top: ScalarLike
+) -> ClippedMoments:
     """Moments of a level with noise, cut off at `top` (infinity: nowhere).
 
     Works on NumPy and on JAX arrays alike, in their own precision: everything is about `top`.
     """
-    math = namespace_of(level, sigma)
+    math = array_namespace(level, sigma)
     normal = ndtr if math is np else jax.scipy.special.ndtr
     z = math.minimum((top - level) / sigma, _FAR_BELOW)
     below, density = normal(z), math.exp(-0.5 * z * z) * 0.3989422804014327
     gap = z * below + density
     variance = sigma * sigma * math.maximum((z * z + 1) * below + z * density - gap * gap, 0.0)
     sure = z >= _FAR_BELOW
-    return Clipped(
+    return ClippedMoments(
         math.where(sure, level, top - sigma * gap),
         math.where(sure, math.ones_like(level), below),
         math.where(sure, sigma, math.sqrt(variance + (1 - below) * _CUT_OFF_LEVELS**2)),
@@ -75,7 +77,7 @@ def saturation_level(grey: Float[np.ndarray, "n"]) -> float:
     return top if np.mean(grey >= top - 0.5) > _PILED_SHARE else np.inf
 
 
-def white_of(image: Float[np.ndarray, "h w"]) -> float:
+def white_level(image: Float[np.ndarray, "h w"]) -> float:
     """Grey level of a full signal: of the fewest bits that hold the picture, 8 at least."""
     return float(2 ** max(int(np.ceil(np.log2(float(image.max()) + 1))), 8) - 1)
 
@@ -160,7 +162,7 @@ def inflation(correlation: Float[np.ndarray, "9 9"]) -> float:
     return max(float(correlation.sum()), 1.0)
 
 
-def correlated_sum(
+def sum_correlated(
     grid: OnGrid, rows: Float[np.ndarray, "p n"], correlation: Float[np.ndarray, "9 9"]
 ) -> Float[np.ndarray, "p p"]:
     """Sum over all pairs of pixels of row_i correlation_ij row_j^T.

@@ -13,7 +13,7 @@ import numpy as np
 import scipy.sparse
 from jaxtyping import Float, Int
 
-from trinoc.calib.photometric.scene import Point, Scene
+from trinoc.calib.photometric.scene import PixelScene, Point
 from trinoc.calib.photometric.sheet_places import homography_of_pose
 from trinoc.calib.problem.views import SheetPoints
 from trinoc.calib.targets.pattern import Pattern
@@ -31,7 +31,7 @@ _LEAST_SHARE = 1e-3
 _NOTHING = SheetPoints(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 0)))
 
 
-class _Shared(NamedTuple):
+class _SharedUnknowns(NamedTuple):
     """What all patches share: look, light and veil.
 
     Fields
@@ -48,7 +48,7 @@ class _Shared(NamedTuple):
 def patch_points(
     lens: AbstractLens,
     pattern: Pattern | SquareSheet,
-    scene: Scene,
+    scene: PixelScene,
     point: Point,
     inflation: float,
 ) -> SheetPoints:
@@ -66,7 +66,7 @@ def patch_points(
     on_sheet = homography @ ray.direction.T
     place = (on_sheet[:2] / on_sheet[2]).T
     near_circles, near_lines = point.equations.pixels
-    all_rows = scene.joined((near_circles.rows, near_lines.rows))[:, kept]
+    all_rows = scene.join((near_circles.rows, near_lines.rows))[:, kept]
     # A picture that is shifted by d shows at x what it showed at x - d. The third column of the
     # homography acts by the third coordinate of the ray.
     by_direction = -homography.T @ (all_rows[2:9:3] / ray.direction[:, 2])
@@ -82,7 +82,7 @@ def patch_points(
         piece = len(pattern) + _piece_of_line(place, pattern)
         label = np.where(label >= 0, label, piece)
     known = (by_px**2).sum(axis=0) * weight
-    label, known = _numbered(label, known)
+    label, known = _number_patches(label, known)
     total = np.bincount(label, known)
     middle = np.stack([np.bincount(label, known * axis) / total for axis in place.T], axis=1)
     try:
@@ -116,7 +116,7 @@ def _piece_of_line(place_mm: Float[np.ndarray, "n 2"], pattern: Pattern) -> Int[
     return np.clip(np.floor((along + 1) * _PIECES), 0, last).astype(int) + along_y * (last + 1)
 
 
-def _numbered(
+def _number_patches(
     label: Int[np.ndarray, "n"], known: Float[np.ndarray, "n"]
 ) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]:
     """Patches of which something is known numbered from 0; pixels of others count to the first."""
@@ -128,7 +128,7 @@ def _numbered(
 
 def _shared_unknowns(
     point: Point, by_values: Float[np.ndarray, "k n"], pose_size: int, inflation: float
-) -> _Shared:
+) -> _SharedUnknowns:
     """Local light stays as the fit has left it: where its model fails, as under a lamp's glare,
     displacements that leave it room disagree with each other."""
     values, free = np.asarray(point.state.values), point.free[pose_size:]
@@ -136,7 +136,7 @@ def _shared_unknowns(
     # Priors count as the pixels do: together they balance where the fit has ended.
     weight = weight / inflation
     pull = weight * (values - middle)
-    return _Shared(by_values[free].astype(float).T, weight[free], pull[free])
+    return _SharedUnknowns(by_values[free].astype(float).T, weight[free], pull[free])
 
 
 def _displacements(
@@ -145,7 +145,7 @@ def _displacements(
     count: int,
     residual: Float[np.ndarray, "n"],
     weight: Float[np.ndarray, "n"],
-    shared: _Shared,
+    shared: _SharedUnknowns,
 ) -> tuple[Float[np.ndarray, "m 2"], Float[np.ndarray, "q q"]]:
     """Shift of each patch in px, and R of all their errors, what they share being eliminated."""
     number = np.arange(len(patch))

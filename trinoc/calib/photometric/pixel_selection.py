@@ -12,10 +12,10 @@ from trinoc.calib.photometric.grey_level import Pixels
 from trinoc.calib.photometric.ink import Circle, Squares
 from trinoc.calib.photometric.sheet_places import (
     circle_points_mm,
+    lens_rays,
     line_outlines_mm,
     places_of_pixels,
     project_to_image,
-    rays_of_pixels,
 )
 from trinoc.calib.photometric.square_pixels import square_pixels
 from trinoc.calib.targets.pattern import Pattern
@@ -98,11 +98,11 @@ def select_pixels(
     corner, shape = _bounding_box(drawn, thickness, image_size_px)
     even, odd = np.zeros((2, *shape), dtype=np.int16)
     canvases, parity = (even, odd), pattern.lattice.sum(axis=1) % 2
-    for k, outline in zip(of_circle, _fixed_point(drawn - corner), strict=True):
+    for k, outline in zip(of_circle, _to_fixed_point(drawn - corner), strict=True):
         _draw(canvases[parity[k]], outline, int(k) + 1, thickness)
     lines = np.zeros(shape, dtype=np.uint8)
     for outline in cross:
-        outline = _fixed_point(outline - corner)
+        outline = _to_fixed_point(outline - corner)
         cv2.fillPoly(lines, [outline], 1, shift=_SHIFT)
         _draw(lines, outline, 1, thickness)
     label = np.maximum(even, odd)
@@ -213,7 +213,7 @@ def _bounding_box(
     return low.astype(int), (int(rows), int(columns))
 
 
-def _fixed_point(points: Float[np.ndarray, "*m k 2"]) -> Int[np.ndarray, "*m k 2"]:
+def _to_fixed_point(points: Float[np.ndarray, "*m k 2"]) -> Int[np.ndarray, "*m k 2"]:
     return np.round(points * (1 << _SHIFT)).astype(np.int32)
 
 
@@ -221,7 +221,7 @@ def _draw(canvas: np.ndarray, outline: Int[np.ndarray, "k 2"], value: int, thick
     cv2.polylines(canvas, [outline], True, value, thickness, cv2.LINE_8, _SHIFT)
 
 
-def capacity_for(count: int) -> int:
+def padded_capacity(count: int) -> int:
     """The padded length for `count` pixels; few lengths, because each compiles anew."""
     capacity = SMALLEST_CAPACITY
     while capacity < count:
@@ -229,7 +229,7 @@ def capacity_for(count: int) -> int:
     return capacity
 
 
-def group_of(
+def pad_group(
     chosen: SelectedPixels,
     image: np.ndarray,
     lens: AbstractLens,
@@ -250,7 +250,7 @@ def group_of(
     height, width = image.shape
     uv_px = np.stack([column, row], axis=1).astype(np.float64)
     fields = Pixels(
-        ray=rays_of_pixels(lens, uv_px if shift_px is None else uv_px - shift_px),
+        ray=lens_rays(lens, uv_px if shift_px is None else uv_px - shift_px),
         place=(uv_px - 0.5 * np.array([width - 1, height - 1])) / (0.5 * width),
         grey=image[row, column],
         weight=np.ones(len(row)),
@@ -259,12 +259,12 @@ def group_of(
         figure=_circles(pattern, circle) if squares is None else squares,
     )
 
-    def padded(leaf: np.ndarray) -> np.ndarray:
+    def pad(leaf: np.ndarray) -> np.ndarray:
         array = np.empty((capacity, *leaf.shape[1:]), dtype=dtype)
         array[: len(leaf)], array[len(leaf) :] = leaf, leaf[0]
         return array
 
-    pixels = jax.tree.map(padded, fields)
+    pixels = jax.tree.map(pad, fields)
     pixels.weight[count:] = 0.0
     return Group(pixels, np.asarray(-(-count // CHUNK), dtype=np.int32))
 

@@ -7,7 +7,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.calib.photometric.encoding import Encoding, balanced_mosaic
+from trinoc.calib.photometric.encoding import Encoding, balance_mosaic
 from trinoc.calib.photometric.equations import (
     CHUNK,
     Equations,
@@ -16,13 +16,19 @@ from trinoc.calib.photometric.equations import (
     Picture,
     light_terms,
 )
-from trinoc.calib.photometric.ink import SQUARES, Cross, Drawing
-from trinoc.calib.photometric.noise import OnGrid, clipped, is_clear, saturation_level, white_of
+from trinoc.calib.photometric.ink import SQUARES, Cross, InkDrawing
+from trinoc.calib.photometric.noise import (
+    OnGrid,
+    clipped_moments,
+    is_clear,
+    saturation_level,
+    white_level,
+)
 from trinoc.calib.photometric.pixel_selection import (
     PixelSelection,
     SelectedPixels,
-    capacity_for,
-    group_of,
+    pad_group,
+    padded_capacity,
     select_pixels,
 )
 from trinoc.calib.photometric.sheet_places import (
@@ -30,7 +36,7 @@ from trinoc.calib.photometric.sheet_places import (
     places_of_pixels,
     project_to_image,
 )
-from trinoc.calib.photometric.square_pixels import places_to_look_at
+from trinoc.calib.photometric.square_pixels import list_control_places
 from trinoc.calib.photometric.unknowns import PictureState, Unknowns, ideal_state
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.calib.targets.squares import SquareSheet
@@ -70,7 +76,7 @@ class Blocks(NamedTuple):
         return Blocks(self.of_pixel[chosen], self.basis[chosen], self.count)
 
 
-class Scene(NamedTuple):
+class PixelScene(NamedTuple):
     """Everything about one picture that a fit holds fixed.
 
     Fields
@@ -94,7 +100,7 @@ class Scene(NamedTuple):
     noise_scale: Float[np.ndarray, "n"]
     noise_floor: float
     cross: Cross
-    drawing: Drawing
+    drawing: InkDrawing
     model: PoseModel
     white: float
     top: float
@@ -107,7 +113,7 @@ class Scene(NamedTuple):
         """The pixels' places in the picture."""
         return OnGrid(self.chosen.column, self.chosen.row)
 
-    def first(self, share: int) -> "Scene":
+    def first(self, share: int) -> "PixelScene":
         """The first of `share` parts of the pixels, which cover the sheet as all do."""
         chunks = [-(-count // (share * CHUNK)) for count in self.counts]
         few, many = (min(n * CHUNK, c) for n, c in zip(chunks, self.counts, strict=True))
@@ -124,7 +130,7 @@ class Scene(NamedTuple):
             blocks=None if self.blocks is None else self.blocks.part(part),
         )
 
-    def joined(self, parts: tuple[ArrayLike, ArrayLike]) -> np.ndarray:
+    def join(self, parts: tuple[ArrayLike, ArrayLike]) -> np.ndarray:
         """Values of both groups' pixels, chunk after chunk, as one array without padding."""
         whole = [
             np.moveaxis(np.asarray(part), 0, -2).reshape(*part.shape[1:-1], -1) for part in parts
@@ -144,9 +150,9 @@ class Scene(NamedTuple):
             own = slice(0, self.counts[0]) if k == 0 else slice(self.counts[0], None)
             places = None
             if self.local and self.blocks is not None:
-                block = _padded(self.blocks.of_pixel[own], 0, group).astype(np.int32)
-                places = LocalPixels(block, _padded(self.blocks.basis[own], 0.0, group))
-            weight, noise = _padded(kept[own], 0.0, group), _padded(sigma[own], 1.0, group)
+                block = _pad_values(self.blocks.of_pixel[own], 0, group).astype(np.int32)
+                places = LocalPixels(block, _pad_values(self.blocks.basis[own], 0.0, group))
+            weight, noise = _pad_values(kept[own], 0.0, group), _pad_values(sigma[own], 1.0, group)
             pixels = group.pixels._replace(weight=weight, sigma=noise)
             groups.append(Group(pixels, group.chunks, places))
         white, top = np.asarray(self.white), np.asarray(self.top)
@@ -160,7 +166,7 @@ class Scene(NamedTuple):
         return np.asarray(state.light) @ np.asarray(light_terms(place, len(state.light)))
 
 
-def _padded(values: np.ndarray, rest: float, group: Group) -> np.ndarray:
+def _pad_values(values: np.ndarray, rest: float, group: Group) -> np.ndarray:
     grey = group.pixels.grey
     array = np.full((len(grey), *values.shape[1:]), rest, grey.dtype)
     array[: len(values)] = values
@@ -175,28 +181,28 @@ def scene_of_picture(
     model: PoseModel,
     shift: ShiftOfPlaces | None,
     encoding: Encoding,
-) -> tuple[Scene, PictureState] | None:
+) -> tuple[PixelScene, PictureState] | None:
     """The pixels, and a first guess of an ideal camera; None where no ink shows."""
     noise_scale = np.broadcast_to(np.float32(1.0), image.shape)
     if encoding.bayer is not None:
         assert isinstance(pattern, Pattern)
-        image, noise_scale = balanced_mosaic(image, encoding.bayer, start, lens, pattern)
+        image, noise_scale = balance_mosaic(image, encoding.bayer, start, lens, pattern)
     state = first_guess(image, start, lens, pattern)
     if not state.contrast > _LEAST_CONTRAST:
         return None
     size = (image.shape[1], image.shape[0])
     choice = select_pixels(start, lens, pattern, size, float(state["sigma_px"]))
     parts = (choice.near_circles, choice.near_lines)
-    capacity = capacity_for(max(len(part.row) for part in parts))
+    capacity = padded_capacity(max(len(part.row) for part in parts))
     groups = [
-        group_of(
+        pad_group(
             part, image, lens, pattern, capacity, np.float32, _shifts(part, start, lens, shift)
         )
         for part in parts
     ]
     chosen = jax.tree.map(lambda *pair: np.concatenate(pair), *parts)
     grey = image[chosen.places]
-    scene = Scene(
+    scene = PixelScene(
         (groups[0], groups[1]),
         (len(parts[0].row), len(parts[1].row)),
         chosen,
@@ -206,7 +212,7 @@ def scene_of_picture(
         _cross(pattern),
         _drawing(pattern),
         model,
-        white_of(image),
+        white_level(image),
         saturation_level(grey),
         encoding.bend,
     )
@@ -237,7 +243,7 @@ def first_guess(
 def _places(pattern: Pattern | SquareSheet) -> tuple[Float[np.ndarray, "_n 2"], ...]:
     """Of the sheet: in ink, on edges, on paper."""
     if isinstance(pattern, SquareSheet):
-        return places_to_look_at(pattern)
+        return list_control_places(pattern)
     outer, inner = pattern.radius_mm, pattern.inner_radius_mm
     radii = (0.5 * (outer + inner), outer, outer + 0.3 * outer)
     return tuple(circle_points_mm(pattern.centres_mm, radius).reshape(-1, 2) for radius in radii)
@@ -256,10 +262,10 @@ def blocks_of_pixels(
     return Blocks(block, np.column_stack([np.ones(len(uv_px)), offset]), len(middle))
 
 
-def _drawing(pattern: Pattern | SquareSheet) -> Drawing:
+def _drawing(pattern: Pattern | SquareSheet) -> InkDrawing:
     if isinstance(pattern, SquareSheet):
-        return Drawing(SQUARES, False)
-    return Drawing(pattern.line_style, bool((pattern.inner_radius_mm > 0).any()))
+        return InkDrawing(SQUARES, False)
+    return InkDrawing(pattern.line_style, bool((pattern.inner_radius_mm > 0).any()))
 
 
 def _cross(pattern: Pattern | SquareSheet) -> Cross:
@@ -312,11 +318,11 @@ class Point(NamedTuple):
     sigma: Float[np.ndarray, "n"]
     kept: Bool[np.ndarray, "n"]
 
-    def residual(self, scene: Scene) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+    def residual(self, scene: PixelScene) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
         """Predicted minus observed after saturation, and its standard deviation."""
-        cut = clipped(self.level, self.sigma, scene.top)
+        cut = clipped_moments(self.level, self.sigma, scene.top)
         return np.asarray(cut.mean) - scene.grey, np.asarray(cut.sigma)
 
-    def clear(self, scene: Scene) -> Bool[np.ndarray, "n"]:
+    def clear(self, scene: PixelScene) -> Bool[np.ndarray, "n"]:
         """Pixels that stayed and whose noise saturation leaves as it is."""
         return self.kept & is_clear(self.level, self.sigma, scene.top)

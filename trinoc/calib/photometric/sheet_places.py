@@ -37,7 +37,7 @@ class Ray(NamedTuple):
     by_pixel: Float[ArrayLike, "3 2"]
     bend: Float[ArrayLike, "3 3"] | None = None
 
-    def moved(self, du: Float[ArrayLike, ""], dv: Float[ArrayLike, ""]) -> "Ray":
+    def move(self, du: Float[ArrayLike, ""], dv: Float[ArrayLike, ""]) -> "Ray":
         """The ray of a place (du, dv) pixels aside, by the lens's derivatives here."""
         direction, by_pixel = [], []
         for k in range(3):
@@ -93,23 +93,25 @@ def sheet_point(
     of_x = [m * scale - point_x * d for m, d in zip((m00, m01, m02), depth, strict=True)]
     of_y = [m * scale - point_y * d for m, d in zip((m10, m11, m12), depth, strict=True)]
 
-    def along(row: Sequence[ArrayLike], columns: ArrayLike, count: int) -> Float[ArrayLike, "k"]:
+    def interpolate(
+        row: Sequence[ArrayLike], columns: ArrayLike, count: int
+    ) -> Float[ArrayLike, "k"]:
         return jnp.stack([sum(row[k] * columns[k, j] for k in range(3)) for j in range(count)])
 
     bend = None
     if ray.bend is not None:
-        bend = jnp.stack([along(of_x, ray.bend, 3), along(of_y, ray.bend, 3)])
+        bend = jnp.stack([interpolate(of_x, ray.bend, 3), interpolate(of_y, ray.bend, 3)])
     return SheetPoint(
         jnp.stack([point_x, point_y]),
-        jnp.stack([along(of_x, ray.by_pixel, 2), along(of_y, ray.by_pixel, 2)]),
-        along(depth, ray.by_pixel, 2),
+        jnp.stack([interpolate(of_x, ray.by_pixel, 2), interpolate(of_y, ray.by_pixel, 2)]),
+        interpolate(depth, ray.by_pixel, 2),
         jnp.stack([x * scale, y * scale, z * scale]),
         unit,
         bend,
     )
 
 
-def rays_of_pixels(
+def lens_rays(
     lens: AbstractLens, uv_px: Float[np.ndarray, "n 2"], *, with_bend: bool = True
 ) -> Ray:
     """The ray of each pixel: (n, 3) directions, (n, 3, 2) and (n, 3, 3) their derivatives."""
@@ -207,7 +209,7 @@ def places_and_slopes(
 ) -> tuple[Float[np.ndarray, "2 n"], tuple[Float[np.ndarray, "2 n"], Float[np.ndarray, "2 n"]]]:
     """Places of a flat sheet under pixels, in mm, and their derivatives by u and by v."""
     uv_px = np.stack([column, row], axis=1).astype(np.float64)
-    ray = rays_of_pixels(lens, uv_px, with_bend=False)
+    ray = lens_rays(lens, uv_px, with_bend=False)
     direction = np.asarray(ray.direction).T
     matrix = np.asarray(homography_of_pose(pose))
     scale = 1 / (matrix[2] @ direction)

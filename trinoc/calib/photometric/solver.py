@@ -14,8 +14,8 @@ import lineax as lx
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int, PyTree, Scalar
 
-from trinoc.calib.photometric.equations import Equations, Picture, equations_at
-from trinoc.calib.photometric.ink import Drawing
+from trinoc.calib.photometric.equations import Equations, Picture, build_equations
+from trinoc.calib.photometric.ink import InkDrawing
 from trinoc.calib.photometric.unknowns import PictureState
 from trinoc.geometry.pose import PoseModel
 from trinoc.numerics.arrays import ArrayLike
@@ -89,7 +89,7 @@ class _Base(NamedTuple):
     cost: Float[ArrayLike, ""]
 
 
-class _Progress(eqx.Module):
+class _DescentState(eqx.Module):
     """Between two steps.
 
     Fields
@@ -110,7 +110,7 @@ class _Progress(eqx.Module):
     done: Bool[ArrayLike, ""]
 
 
-class PictureSolver(optx.AbstractRootFinder[PictureState, Array, Equations, _Progress]):
+class PictureSolver(optx.AbstractRootFinder[PictureState, Array, Equations, _DescentState]):
     """Finds where the gradient vanishes, with the matrix of the normal equations for its slope.
 
     As a root finder it never needs the residuals' Jacobian at once: it is summed over chunks.
@@ -137,12 +137,12 @@ class PictureSolver(optx.AbstractRootFinder[PictureState, Array, Equations, _Pro
         f_struct: PyTree,
         aux_struct: Equations,
         tags: frozenset[object],
-    ) -> _Progress:
+    ) -> _DescentState:
         """No step taken."""
         empty = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), aux_struct)
         none, far = jnp.asarray(0), jnp.asarray(jnp.inf)
         damping = jnp.asarray(_LEAST_DAMPING)
-        return _Progress(none, none, damping, _base(y, empty), far, jnp.asarray(False))
+        return _DescentState(none, none, damping, _base(y, empty), far, jnp.asarray(False))
 
     def step(
         self,
@@ -150,9 +150,9 @@ class PictureSolver(optx.AbstractRootFinder[PictureState, Array, Equations, _Pro
         y: PictureState,
         args: tuple[Picture, Stage],
         options: dict[str, Any],
-        state: _Progress,
+        state: _DescentState,
         tags: frozenset[object],
-    ) -> tuple[PictureState, _Progress, Equations]:
+    ) -> tuple[PictureState, _DescentState, Equations]:
         """Look at `y`, and step from it, or where it does not pay once more from before."""
         schedule, last = self.schedule, len(self.schedule.stages.stride) - 1
         is_robust = state.steps < schedule.robust_steps
@@ -179,10 +179,10 @@ class PictureSolver(optx.AbstractRootFinder[PictureState, Array, Equations, _Pro
         levels = base.state.levels
         if base.elimination is not None:
             levels = levels + share * (base.elimination.levels_after(levels, motion) - levels)
-        after = base.state.moved(share * motion, levels, self.model)
+        after = base.state.move(share * motion, levels, self.model)
         after = jax.tree.map(lambda stay, go: jnp.where(done, stay, go), y, after)
         steps = jnp.where(pays & ~done, state.steps + 1, state.steps)
-        return after, _Progress(steps, refusals, damping, base, length, done), equations
+        return after, _DescentState(steps, refusals, damping, base, length, done), equations
 
     def terminate(
         self,
@@ -190,7 +190,7 @@ class PictureSolver(optx.AbstractRootFinder[PictureState, Array, Equations, _Pro
         y: PictureState,
         args: tuple[Picture, Stage],
         options: dict[str, Any],
-        state: _Progress,
+        state: _DescentState,
         tags: frozenset[object],
     ) -> tuple[Bool[ArrayLike, ""], optx.RESULTS]:
         """At a point that was looked at."""
@@ -203,7 +203,7 @@ class PictureSolver(optx.AbstractRootFinder[PictureState, Array, Equations, _Pro
         aux: Equations,
         args: tuple[Picture, Stage],
         options: dict[str, Any],
-        state: _Progress,
+        state: _DescentState,
         tags: frozenset[object],
         result: optx.RESULTS,
     ) -> tuple[PictureState, Equations, dict[str, Any]]:
@@ -216,14 +216,14 @@ def fit_picture(
     picture: Picture,
     schedule: Schedule,
     *,
-    drawing: Drawing,
+    drawing: InkDrawing,
     model: PoseModel,
 ) -> Fit:
     """Steps from `state` until they end; differentiating them raises."""
 
     def gradient(state: PictureState, args: tuple[Picture, Stage]) -> tuple[ArrayLike, Equations]:
         picture, stage = args
-        equations = equations_at(state, picture, stage.loss, stage.stride, drawing, model)
+        equations = build_equations(state, picture, stage.loss, stage.stride, drawing, model)
         return equations.gradient, equations
 
     first = jax.tree.map(lambda leaf: leaf[0], schedule.stages)

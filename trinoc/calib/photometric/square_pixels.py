@@ -62,8 +62,8 @@ def square_pixels(
     point, reach_mm = np.where(ahead, point, 1e9), np.where(ahead, reach_mm, 0.0)
     from_x, to_x = (np.searchsorted(sheet.x_mm, point[0] + s * reach_mm[0]) for s in (-1, 1))
     from_y, to_y = (np.searchsorted(sheet.y_mm, point[1] + s * reach_mm[1]) for s in (-1, 1))
-    count_x, lines_x = _edges_within(sheet.ink, from_x, to_x, from_y, to_y)
-    count_y, lines_y = _edges_within(sheet.ink.T, from_y, to_y, from_x, to_x)
+    count_x, lines_x = _count_edges(sheet.ink, from_x, to_x, from_y, to_y)
+    count_y, lines_y = _count_edges(sheet.ink.T, from_y, to_y, from_x, to_x)
     none = (count_x == 0) & (count_y == 0)
     chosen = ahead & ~none & (count_x <= _MOST_EDGES) & (count_y <= _MOST_EDGES)
     flat = ahead & none & sheet.ink[from_y, from_x]
@@ -101,7 +101,7 @@ def _box(
     return low, high
 
 
-def _edges_within(
+def _count_edges(
     ink: Bool[np.ndarray, "_r _c"],
     start: Int[np.ndarray, "n"],
     end: Int[np.ndarray, "n"],
@@ -140,7 +140,7 @@ def _cells_and_lines(
     return cells, places
 
 
-def places_to_look_at(
+def list_control_places(
     sheet: SquareSheet,
 ) -> tuple[Float[np.ndarray, "_i 2"], Float[np.ndarray, "_e 2"], Float[np.ndarray, "_p 2"]]:
     """Places deep in ink, on long edges and deep in the paper between."""

@@ -168,7 +168,7 @@ class PictureState(eqx.Module):
         """Grey levels between paper and ink, in the middle of the picture."""
         return float(-self["ratio"] * self.light[0])
 
-    def moved(
+    def move(
         self,
         step: Float[ArrayLike, "k"],
         levels: Float[ArrayLike, "6 blocks"],

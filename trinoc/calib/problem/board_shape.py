@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.calib.problem.equations import PlacesProblem
-from trinoc.calib.problem.information import information_of
+from trinoc.calib.problem.information import compute_information
 from trinoc.calib.problem.places import whitened_residuals
 from trinoc.calib.problem.problem import Problem
 from trinoc.calib.problem.robust_fit import (
@@ -61,12 +61,14 @@ def with_board_shape(fit: RobustFit) -> RobustFit:
     else:
         opened, _ = drop_wrong_places(opened)
     opened, _ = fit_places(opened)
-    return finish_fit(_with_own_spread(opened, _spread_of(opened)), fit.elsewhere)
+    return finish_fit(_with_own_spread(opened, _coordinate_spread(opened)), fit.elsewhere)
 
 
 def _is_shown(opened: Problem) -> bool:
     """Whether free places would take more off the chi-square than chance."""
-    gain, chi_square = (float(part) for part in _gained(opened.state, opened.chart, opened.table))
+    gain, chi_square = (
+        float(part) for part in _chi_square_gain(opened.state, opened.chart, opened.table)
+    )
     unknowns = 3 * len(opened.target)
     left = degrees_of_freedom(opened) - unknowns
     if left <= unknowns:
@@ -104,12 +106,12 @@ def _with_spread(problem: Problem, spread_mm: Float[np.ndarray, "3"]) -> Problem
     return problem._replace(chart=chart)
 
 
-def _spread_of(problem: Problem) -> Float[np.ndarray, "3"]:
+def _coordinate_spread(problem: Problem) -> Float[np.ndarray, "3"]:
     return np.asarray(problem.chart.shape_information) ** -0.5
 
 
 @kept_jit
-def _gained(state: RigState, chart: Chart, table: ViewTable) -> tuple:
+def _chi_square_gain(state: RigState, chart: Chart, table: ViewTable) -> tuple:
     """What free places would take off the chi-square, to first order, and it."""
     plain = GemanMcClure.from_scale(jnp.full(len(table.shot), jnp.inf))
     equations = PlacesProblem(chart, table, plain).equations(state)
@@ -140,7 +142,7 @@ def expected_spread(
     """(root mean square of the places' coordinates along each axis, their posterior variance
     added; how many of these numbers the shots tell), at the end of a fit under `spread_mm`."""
     places, unit_mm = len(problem.target), float(problem.chart.unit_mm)
-    covariance = np.nan_to_num(information_of(problem).observability.covariance)
+    covariance = np.nan_to_num(compute_information(problem).observability.covariance)
     variance = unit_mm**2 * np.diag(covariance)[-3 * places :].reshape(-1, 3)
     squares = np.mean(np.asarray(problem.state.shape) ** 2 + variance, axis=0)
     across = np.mean(squares[:2])

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool, Float
 
-from trinoc.calib.problem.information import information_of
+from trinoc.calib.problem.information import compute_information
 from trinoc.calib.problem.problem import Problem, with_lens_free
 from trinoc.calib.problem.robust_fit import RobustFit, refit
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
@@ -35,7 +35,7 @@ def hold_undetermined(fit: RobustFit) -> tuple[RobustFit, tuple[str, ...]]:
             free[:, column] = False
             fit = refit(with_lens_free(fit.problem, free), fit.elsewhere)
             held.append(name)
-        information = information_of(fit.problem)
+        information = compute_information(fit.problem)
         if information.observability.rank == len(information.free):
             return fit, tuple(held)
     return richest, ()

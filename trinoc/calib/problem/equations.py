@@ -9,7 +9,7 @@ from jaxtyping import Array, Float, Int
 
 from trinoc.calib.problem.places import linearise, whitened_residuals
 from trinoc.calib.problem.solver import AbstractArrowProblem, ArrowEquations
-from trinoc.calib.problem.variables import POSE_SIZE, Chart, RigState, prior_of, retract
+from trinoc.calib.problem.variables import POSE_SIZE, Chart, RigState, evaluate_prior, retract
 from trinoc.calib.problem.views import ViewTable
 from trinoc.numerics.arrays import ArrayLike
 from trinoc.numerics.block_arrow import BlockArrow
@@ -34,18 +34,18 @@ class PlacesProblem(AbstractArrowProblem):
         """Robust chi-square of all places, and that of the prior."""
         squared = jnp.sum(jnp.square(whitened_residuals(state, self.chart, self.table)), axis=-1)
         of_views = jax.vmap(lambda loss, each: loss.rho(each))(self.loss, squared)
-        return jnp.sum(of_views) + prior_of(state, self.chart).cost
+        return jnp.sum(of_views) + evaluate_prior(state, self.chart).cost
 
     def equations(self, state: RigState) -> ArrowEquations:
         """Summed over views, weighted by the loss, the prior included."""
 
         def of_view(view: ViewTable, loss: AbstractRobustLoss) -> tuple[Array, Array, Array]:
             near = linearise(state, self.chart, view)
-            return near.columns, *near.weighted(self.chart, loss)
+            return near.columns, *near.weigh(self.chart, loss)
 
         seen = jax.vmap(of_view)(self.table, self.loss)
         columns, own, gradient = seen
-        size, prior = columns.shape[1], prior_of(state, self.chart)
+        size, prior = columns.shape[1], evaluate_prior(state, self.chart)
         head = (
             jnp.asarray(prior.information)
             .at[columns[:, :, None], columns[:, None, :]]

@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float
 from trinoc.calib.problem.equations import sum_boards
 from trinoc.calib.problem.places import linearise
 from trinoc.calib.problem.problem import Problem
-from trinoc.calib.problem.variables import POSE_SIZE, Chart, RigState, prior_of
+from trinoc.calib.problem.variables import POSE_SIZE, Chart, RigState, evaluate_prior
 from trinoc.calib.problem.views import ViewTable
 from trinoc.numerics.information import Observability, observability
 from trinoc.numerics.programs import kept_jit
@@ -53,7 +53,7 @@ class Information(NamedTuple):
         return observability(0.5 * (kept + kept.T), np.eye(count), np.full(count, np.inf))
 
 
-def information_of(problem: Problem) -> Information:
+def compute_information(problem: Problem) -> Information:
     """The information at a problem's state."""
     of_shot, pulls, follow, own, prior = (
         np.asarray(part) for part in _of_shots(problem.state, problem.chart, problem.table)
@@ -69,7 +69,7 @@ def _of_shots(state: RigState, chart: Chart, table: ViewTable) -> tuple[Array, .
 
     def of_view(view: ViewTable) -> tuple[Array, Array, Array]:
         near = linearise(state, chart, view)
-        return near.columns, *near.weighted(chart, plain)
+        return near.columns, *near.weigh(chart, plain)
 
     seen = jax.vmap(of_view)(table)
     columns, own, gradient = seen
@@ -91,7 +91,7 @@ def _of_shots(state: RigState, chart: Chart, table: ViewTable) -> tuple[Array, .
         of_head + jnp.einsum("sph,sp->sh", follow, of_board),
         follow,
         inverse,
-        jnp.asarray(prior_of(state, chart).information),
+        jnp.asarray(evaluate_prior(state, chart).information),
     )
 
 
@@ -108,11 +108,11 @@ class WhitenedViews(NamedTuple):
     residual: Float[np.ndarray, "v m"]
 
 
-def whitened_views(problem: Problem) -> WhitenedViews:
+def whiten_views(problem: Problem) -> WhitenedViews:
     """Residuals of each view and their derivatives; dense, for problems of few views."""
     columns, jacobian, residual = (
         np.asarray(part)[: len(problem.views)]
-        for part in _whitened_views(problem.state, problem.chart, problem.table)
+        for part in _whiten_views(problem.state, problem.chart, problem.table)
     )
     dense = np.zeros((*jacobian.shape[:2], len(problem.chart.free)))
     for k, own in enumerate(columns):
@@ -121,7 +121,7 @@ def whitened_views(problem: Problem) -> WhitenedViews:
 
 
 @kept_jit
-def _whitened_views(state: RigState, chart: Chart, table: ViewTable) -> tuple[Array, Array, Array]:
+def _whiten_views(state: RigState, chart: Chart, table: ViewTable) -> tuple[Array, Array, Array]:
     near = jax.vmap(lambda view: linearise(state, chart, view))(table)
     views, places, _, columns = near.jacobian.shape
     jacobian = near.jacobian.reshape(views, 2 * places, columns)[..., :-POSE_SIZE]

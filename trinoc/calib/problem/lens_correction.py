@@ -11,7 +11,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.problem.information import information_of
+from trinoc.calib.problem.information import compute_information
 from trinoc.calib.problem.problem import Problem, lens_number, with_wider_lenses
 from trinoc.calib.problem.robust_fit import (
     RobustFit,
@@ -22,8 +22,8 @@ from trinoc.calib.problem.robust_fit import (
     use_all_places,
     with_sigma_factors,
 )
-from trinoc.geometry.lenses.registry import splined
-from trinoc.geometry.lenses.splined import AbstractSplined
+from trinoc.geometry.lenses.registry import spline_lens
+from trinoc.geometry.lenses.splined import AbstractSplinedLens
 
 _MOST_ROUNDS, _LEAST_CHANGE = 8, 0.05
 # A correction of which the shots show nothing is taken to be no larger than this.
@@ -36,7 +36,7 @@ def with_correction(fit: RobustFit, sizes_px: Sequence[tuple[int, int]]) -> Robu
     Places that seemed to be located wrongly may only have been seen through another lens than the
     core: all take part again, but for views that show the board elsewhere.
     """
-    problem = use_all_places(splined_problem(fit.problem, sizes_px), fit.elsewhere)
+    problem = use_all_places(add_splines(fit.problem, sizes_px), fit.elsewhere)
     again = fit_robustly(_with_sigmas(problem, _first_sigmas_px(problem)))
     return with_own_correction_sigmas(again._replace(elsewhere=[*fit.elsewhere, *again.elsewhere]))
 
@@ -48,10 +48,10 @@ def with_own_correction_sigmas(fit: RobustFit) -> RobustFit:
     return finish_fit(_with_own_sigmas(fit.problem), fit.elsewhere)
 
 
-def splined_problem(problem: Problem, sizes_px: Sequence[tuple[int, int]]) -> Problem:
+def add_splines(problem: Problem, sizes_px: Sequence[tuple[int, int]]) -> Problem:
     """The problem with splined lenses, whose corrections are zero and free, without a prior."""
     lenses = [
-        splined(lens_number(problem, k), each)
+        spline_lens(lens_number(problem, k), each)
         for k, each in enumerate(sizes_px[: problem.chart.lens_shape[0]])
     ]
     return with_wider_lenses(problem, lenses, sizes_px)
@@ -62,7 +62,7 @@ def correction_sigmas_px(problem: Problem) -> Float[np.ndarray, "l"]:
     has none."""
     last = np.asarray(problem.chart.lens_information)[:, -1, -1]
     model = type(problem.state.lenses)
-    if not issubclass(model, AbstractSplined):
+    if not issubclass(model, AbstractSplinedLens):
         return np.zeros(len(last))
     unit = model.correction_information()[-1, -1]
     return np.sqrt(np.divide(unit, last, out=np.zeros_like(last), where=last > 0))
@@ -75,7 +75,7 @@ def correction_sentences(problem: Problem, cameras: Sequence[str]) -> tuple[str,
         if sigma_px == 0.0:
             continue
         lens = lens_number(problem, k)
-        assert isinstance(lens, AbstractSplined)
+        assert isinstance(lens, AbstractSplinedLens)
         first = cameras[int(np.flatnonzero(np.asarray(problem.chart.lens_of_camera) == k)[0])]
         control = np.asarray(lens.control_px)
         sentences.append(
@@ -96,7 +96,7 @@ def _with_own_sigmas(problem: Problem) -> Problem:
     """
     for _ in range(_MOST_ROUNDS):
         before = correction_sigmas_px(problem)
-        squares, determined = shown_corrections(problem, before)
+        squares, determined = test_corrections(problem, before)
         after = np.sqrt(np.maximum(squares / np.maximum(determined, 1e-9), _LEAST_SIGMA_PX**2))
         after = np.where(before > 0, after, 0.0)
         problem = with_sigma_factors(problem._replace(spent_on_lenses=float(determined.sum())))
@@ -107,15 +107,15 @@ def _with_own_sigmas(problem: Problem) -> Problem:
     return problem
 
 
-def shown_corrections(
+def test_corrections(
     problem: Problem, sigma_px: Float[np.ndarray, "l"]
 ) -> tuple[Float[np.ndarray, "l"], Float[np.ndarray, "l"]]:
     """Of each lens, the chi-square of its correction under a sigma of 1 px, and how many numbers
     of it the shots tell, at the end of a fit under priors of `sigma_px`."""
-    information = information_of(problem)
+    information = compute_information(problem)
     covariance = np.nan_to_num(information.observability.covariance)
     model = type(problem.state.lenses)
-    assert issubclass(model, AbstractSplined)
+    assert issubclass(model, AbstractSplinedLens)
     unit, scale = model.correction_information(), np.asarray(problem.chart.lens_scale)
     count, size = scale.shape
     known = np.diag(unit) > 0
@@ -133,7 +133,7 @@ def shown_corrections(
 def _with_sigmas(problem: Problem, sigma_px: Float[np.ndarray, "l"]) -> Problem:
     """The problem with priors of these sigmas; those of 0 are of lenses that are held."""
     model = type(problem.state.lenses)
-    assert issubclass(model, AbstractSplined)
+    assert issubclass(model, AbstractSplinedLens)
     inverse = np.divide(1.0, sigma_px**2, out=np.zeros_like(sigma_px), where=sigma_px > 0)
     information = inverse[:, None, None] * model.correction_information()[None]
     chart = eqx.tree_at(lambda c: c.lens_information, problem.chart, information)

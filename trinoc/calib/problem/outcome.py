@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.problem.information import Information, information_of
+from trinoc.calib.problem.information import Information, compute_information
 from trinoc.calib.problem.robust_fit import RobustFit
 from trinoc.calib.result.status import Status
 
@@ -19,7 +19,7 @@ from trinoc.calib.result.status import Status
 _DEVIATIONS = 3.0
 
 
-class Outcome(NamedTuple):
+class FitOutcome(NamedTuple):
     """How well the end of a fit is known.
 
     Fields
@@ -36,17 +36,17 @@ class Outcome(NamedTuple):
     variance_factor: float
 
 
-def assess_fit(fit: RobustFit) -> Outcome:
+def assess_fit(fit: RobustFit) -> FitOutcome:
     """The outcome of a fit; its covariance is enlarged where the shots disagree."""
-    information = information_of(fit.problem)
+    information = compute_information(fit.problem)
     observed = information.observability
     covariance = np.nan_to_num(observed.covariance)
     if observed.rank < len(information.free):
-        return Outcome(Status.RANK_DEFICIENT, information, covariance, 1.0)
+        return FitOutcome(Status.RANK_DEFICIENT, information, covariance, 1.0)
     factor = shot_scatter(information).variance_factor
     status = Status.CONVERGED if fit.converged else Status.NOT_CONVERGED
     enlarged = enlarge_covariance(covariance, factor, information.prior)
-    return Outcome(status, information, enlarged, factor)
+    return FitOutcome(status, information, enlarged, factor)
 
 
 class ShotScatter(NamedTuple):

@@ -13,7 +13,7 @@ from trinoc.calib.problem.variables import POSE_SIZE, Chart, RigState, head_colu
 from trinoc.calib.problem.views import ViewTable
 from trinoc.geometry.image_of_circle import circle_centre_offset
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
-from trinoc.geometry.lenses.splined import AbstractSplined
+from trinoc.geometry.lenses.splined import AbstractSplinedLens
 from trinoc.geometry.pose import Pose
 from trinoc.numerics.arrays import ArrayLike
 from trinoc.numerics.robust_loss import AbstractRobustLoss
@@ -130,7 +130,7 @@ def whitened_residuals(state: RigState, chart: Chart, table: ViewTable) -> Float
     return jax.vmap(of_view)(table)
 
 
-class Linearised(eqx.Module):
+class LinearisedView(eqx.Module):
     """Places of one view, whitened, near a state.
 
     Fields
@@ -144,7 +144,7 @@ class Linearised(eqx.Module):
     jacobian: Float[Array, "n 2 k"]
     residual: Float[Array, "n 2"]
 
-    def weighted(
+    def weigh(
         self, chart: Chart, loss: AbstractRobustLoss
     ) -> tuple[Float[Array, "k k"], Float[Array, "k"]]:
         """J^T W J and J^T W r by the free steps, W the loss's weight of each place."""
@@ -159,13 +159,13 @@ class Linearised(eqx.Module):
         )
 
 
-def linearise(state: RigState, chart: Chart, view: ViewTable) -> Linearised:
+def linearise(state: RigState, chart: Chart, view: ViewTable) -> LinearisedView:
     """One view's places (a row of a table) by all steps that move them."""
     places, poses = len(state.shape), 3 if len(state.set_from_board) else 2
     basis = jnp.asarray(chart.lens_basis)[chart.lens_of_camera[view.camera]]
     others = poses * POSE_SIZE + len(chart.sheet_model.names)
     # Control points of splined lenses are many, and pixels are linear in them.
-    linear = state.lenses.control_count if isinstance(state.lenses, AbstractSplined) else 0
+    linear = state.lenses.control_count if isinstance(state.lenses, AbstractSplinedLens) else 0
     curved = basis.shape[1] - linear
 
     def after(step: Float[Array, "k"]) -> tuple[Array, Array]:
@@ -190,7 +190,7 @@ def linearise(state: RigState, chart: Chart, view: ViewTable) -> Linearised:
     by_head = jnp.concatenate([by_lens, by_rest, by_shape], axis=-1)
     every = [by_head, by_board, residual[..., None]]
     standard = _whiten(view.whitening, jnp.concatenate(every, axis=-1))
-    return Linearised(columns, standard[..., :-1], standard[..., -1])
+    return LinearisedView(columns, standard[..., :-1], standard[..., -1])
 
 
 def _residuals(
@@ -229,7 +229,7 @@ def _whiten(whitening: Float[ArrayLike, "g k k"], columns: Float[ArrayLike, "n 2
 
 def _by_control(state: RigState, chart: Chart, view: ViewTable) -> Float[Array, "n 2 k"]:
     """Derivative of all places of a view by the control points of its splined lens."""
-    assert isinstance(state.lenses, AbstractSplined)
+    assert isinstance(state.lenses, AbstractSplinedLens)
     cores = eqx.tree_at(lambda s: s.lenses, state, jax.vmap(lambda lens: lens.core)(state.lenses))
     of_core_px = _residuals(cores, chart, view) + view.uv_px
     lens = jax.tree.map(lambda leaf: leaf[chart.lens_of_camera[view.camera]], state.lenses)

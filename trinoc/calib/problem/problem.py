@@ -142,7 +142,7 @@ def with_wider_lenses(
             np.zeros((*scale.shape, scale.shape[1])),
         ),
     )
-    state = eqx.tree_at(lambda state: state.lenses, problem.state, stacked_lenses(lenses))
+    state = eqx.tree_at(lambda state: state.lenses, problem.state, stack_problem_lenses(lenses))
     return problem._replace(state=state, chart=chart)
 
 
@@ -167,7 +167,7 @@ def basis_of_scales(scale: Float[np.ndarray, "l q"]) -> Float[np.ndarray, "l q q
     return scale[:, :, None] * np.eye(scale.shape[1])[None]
 
 
-def stacked_lenses(lenses: Sequence[AbstractLens]) -> AbstractLens:
+def stack_problem_lenses(lenses: Sequence[AbstractLens]) -> AbstractLens:
     """Lenses of one model along a first axis, in double precision."""
     plain = partial(jax.tree.map, partial(np.asarray, dtype=np.float64))
     return stack_lenses([plain(lens) for lens in lenses])

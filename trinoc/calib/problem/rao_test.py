@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool
 
-from trinoc.calib.problem.information import Information, information_of
+from trinoc.calib.problem.information import Information, compute_information
 from trinoc.calib.problem.problem import Problem, lens_number, with_wider_lenses
 from trinoc.geometry.lenses.brown_conrady import BrownConrady
 from trinoc.geometry.lenses.registry import lens_model
@@ -77,7 +77,7 @@ def rational_lens_test(
 
 def wider_lens_test(problem: Problem, wider: Problem, variance_factor: float) -> RaoTest:
     """Whether the shots ask for what `wider`, a problem `with_wider_lenses`, has besides."""
-    information = information_of(wider)
+    information = compute_information(wider)
     _, size = problem.chart.lens_shape
     _, wider_size = wider.chart.lens_shape
     column = np.arange(len(wider.chart.free))

@@ -67,7 +67,7 @@ def fit_robustly(problem: Problem) -> RobustFit:
     show; those of circles grow where the residuals refute them.
     """
     for factor in ANNEALING:
-        scale = factor * robust_scale(_used_rows(problem, errors_in_sigmas(problem)))
+        scale = factor * robust_scale(_take_used_rows(problem, place_errors_in_sigmas(problem)))
         problem, _ = fit_places(problem, scale)
     problem, elsewhere = drop_wrong_places(problem)
     problem, _ = fit_places(problem)
@@ -82,7 +82,7 @@ def finish_fit(problem: Problem, elsewhere: list[tuple[int, int, float]]) -> Rob
 def refit(problem: Problem, elsewhere: list[tuple[int, int, float]]) -> RobustFit:
     """The end of a fit by the sigmas as they are."""
     problem, converged = fit_places(problem)
-    chi_square = float(np.sum(np.square(errors_in_sigmas(problem))))
+    chi_square = float(np.sum(np.square(place_errors_in_sigmas(problem))))
     return RobustFit(problem, converged, elsewhere, chi_square, degrees_of_freedom(problem))
 
 
@@ -103,7 +103,7 @@ def fit_places(
     return problem._replace(state=end.state), bool(end.converged)
 
 
-def errors_in_sigmas(problem: Problem) -> Float[np.ndarray, "v n 2"]:
+def place_errors_in_sigmas(problem: Problem) -> Float[np.ndarray, "v n 2"]:
     """Residuals in sigmas, unused ones zero, padded as the table is."""
     return np.asarray(_whitened(problem.state, problem.chart, problem.table))
 
@@ -112,12 +112,14 @@ def errors_px(problem: Problem) -> list[Float[np.ndarray, "_m 2"]]:
     """Predicted minus observed of all places of each view; 0 along a line that has no ends."""
     every = np.asarray(_residuals(problem.state, problem.chart, problem.table))
     return [
-        rows[: view.rows] if view.shown is None else _across(view.shown, rows[: view.rows])
+        rows[: view.rows] if view.shown is None else _project_across(view.shown, rows[: view.rows])
         for rows, view in zip(every, problem.views)
     ]
 
 
-def _across(shown: SheetPoints, errors: Float[np.ndarray, "m 2"]) -> Float[np.ndarray, "m 2"]:
+def _project_across(
+    shown: SheetPoints, errors: Float[np.ndarray, "m 2"]
+) -> Float[np.ndarray, "m 2"]:
     """The part of the errors in directions in which the picture shows the place at all."""
     columns = shown.whitening.reshape(len(shown.whitening), -1, 2)
     values, vectors = np.linalg.eigh(np.einsum("nmi,nmj->mij", columns, columns))
@@ -125,7 +127,9 @@ def _across(shown: SheetPoints, errors: Float[np.ndarray, "m 2"]) -> Float[np.nd
     return np.einsum("mik,mk,mjk,mj->mi", vectors, determined, vectors, errors)
 
 
-def _used_rows(problem: Problem, errors: Float[np.ndarray, "v n 2"]) -> Float[np.ndarray, "m 2"]:
+def _take_used_rows(
+    problem: Problem, errors: Float[np.ndarray, "v n 2"]
+) -> Float[np.ndarray, "m 2"]:
     return np.concatenate(
         [rows[: len(view.used)][view.used] for rows, view in zip(errors, problem.views)]
     )
@@ -145,7 +149,7 @@ def drop_wrong_places(
     problem: Problem,
 ) -> tuple[Problem, list[tuple[int, int, float]]]:
     """The problem without places, and without pictures, that noise does not explain."""
-    errors = errors_in_sigmas(problem)
+    errors = place_errors_in_sigmas(problem)
     pixels = errors_px(problem)
     right: dict[int, np.ndarray] = {}
     for camera in range(problem.cameras):
@@ -169,7 +173,7 @@ def drop_wrong_places(
 
 def with_sigma_factors(problem: Problem) -> Problem:
     """The problem with the sigmas that each camera's residuals show."""
-    errors = errors_in_sigmas(problem)
+    errors = place_errors_in_sigmas(problem)
     squared = np.sum(errors**2, axis=(1, 2))
     total = sum(view.numbers for view in problem.views)
     share = max(degrees_of_freedom(problem), 1) / max(total, 1)

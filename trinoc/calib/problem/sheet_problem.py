@@ -12,15 +12,15 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.calib.detection.detection import Detection
-from trinoc.calib.problem.problem import Problem, basis_of_scales, stacked_lenses
+from trinoc.calib.problem.problem import Problem, basis_of_scales, stack_problem_lenses
 from trinoc.calib.problem.sheet import BentPaper
 from trinoc.calib.problem.variables import POSE_SIZE, Chart, RigState
-from trinoc.calib.problem.views import SheetPoints, View, padded_count
+from trinoc.calib.problem.views import SheetPoints, View, pad_count
 from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
-from trinoc.geometry.lenses.registry import promoted
+from trinoc.geometry.lenses.registry import promote_lens
 from trinoc.geometry.pose import Pose, PoseModel
 
 # Programs exist for this many cameras, and for few larger numbers.
@@ -55,7 +55,7 @@ class SheetCamera(NamedTuple):
     @property
     def promoted_lens(self) -> AbstractLens:
         """The lens, of a model that has distortion."""
-        return promoted(self.lens.lens)
+        return promote_lens(self.lens.lens)
 
 
 def sheet_problem(
@@ -71,7 +71,7 @@ def sheet_problem(
     each aim; 0 for none.
     """
     count = len(cameras)
-    padded = [cameras[min(k, count - 1)] for k in range(padded_count(count, FEWEST_CAMERAS))]
+    padded = [cameras[min(k, count - 1)] for k in range(pad_count(count, FEWEST_CAMERAS))]
     is_real = np.arange(len(padded)) < count
     lens_of_camera = np.arange(len(padded))
     if systematics.lens_is_shared and _are_one_lens(cameras):
@@ -108,7 +108,7 @@ def sheet_problem(
         has_circles=True,
     )
     state = RigState(
-        lenses=stacked_lenses(lenses),
+        lenses=stack_problem_lenses(lenses),
         cam_from_rig=np.stack([np.asarray(one.pose.cam_from_world) for one in padded]),
         rig_from_board=np.eye(3, 4)[None],
         set_from_board=np.zeros((0, 3, 4)),

@@ -153,7 +153,7 @@ class _Progress(eqx.Module):
     done: Bool[Array, ""]
 
 
-class _Trial(NamedTuple):
+class _TrialStep(NamedTuple):
     """A step that was tried: what it promised, its state and cost, which blocks took part, and a
     gain that is as good as none."""
 
@@ -203,7 +203,7 @@ class _ArrowDescent(optx.AbstractMinimiser[Any, None, _Progress]):
         )
         return _where(rises & ~stuck, trial.state, best), progress, None
 
-    def _try_step(self, problem: AbstractArrowProblem, y: Any, state: _Progress) -> _Trial:
+    def _try_step(self, problem: AbstractArrowProblem, y: Any, state: _Progress) -> _TrialStep:
         equations = problem.equations(y)
         information, gradient = equations.information, equations.gradient
         solver = BlockArrowSolver(state.damping + FLOOR_DAMPING, state.block_damping)
@@ -214,7 +214,7 @@ class _ArrowDescent(optx.AbstractMinimiser[Any, None, _Progress]):
         if not isinstance(problem, AbstractSeparableProblem):
             promised = -(gradient[0] @ head) - jnp.sum(gradient[1] * blocks)
             follows = jnp.ones(len(blocks), bool)
-            return _Trial(promised, tried, problem.cost(tried), follows, self.atol)
+            return _TrialStep(promised, tried, problem.cost(tried), follows, self.atol)
         moved = problem.costs(tried)
         stayed = problem.costs(problem.retract(y, head, jnp.zeros_like(blocks)))
         follows = moved.blocks <= stayed.blocks
@@ -222,7 +222,7 @@ class _ArrowDescent(optx.AbstractMinimiser[Any, None, _Progress]):
         costs = moved._replace(blocks=jnp.where(follows, moved.blocks, stayed.blocks))
         promised = -factored.elimination.reduced_side(gradient) @ head
         negligible = self.atol * (1 + len(blocks) / BLOCKS_THAT_CREEP)
-        return _Trial(promised, tried, costs.total, follows, negligible)
+        return _TrialStep(promised, tried, costs.total, follows, negligible)
 
     def terminate(self, fn, y, args, options, state, tags) -> tuple[Bool[Array, ""], optx.RESULTS]:
         """Converged, or nowhere to go; a cost that is no number ends at once."""

@@ -10,14 +10,14 @@ from trinoc.calib.problem.problem import (
     Problem,
     basis_of_scales,
     cam_from_board,
-    stacked_lenses,
+    stack_problem_lenses,
     with_lens_free,
 )
 from trinoc.calib.problem.sheet import WarpedBoard
 from trinoc.calib.problem.variables import POSE_SIZE, Chart, RigState
-from trinoc.calib.problem.views import View, padded_shots
+from trinoc.calib.problem.views import View, shot_capacity
 from trinoc.calib.targets.abstract_target import AbstractTarget
-from trinoc.calib.targets.board_set import boards_of
+from trinoc.calib.targets.board_set import list_boards
 from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.geometry.pose import PoseModel
@@ -25,7 +25,7 @@ from trinoc.geometry.pose import PoseModel
 _SMALLEST_SIGMA = 1e-12
 
 
-def problem_of(
+def start_problem(
     views: Sequence[View],
     target: AbstractTarget,
     lenses: Sequence[AbstractLens],
@@ -41,14 +41,14 @@ def problem_of(
     image_sizes_px : (width, height) of the pictures of each lens. set_from_board : of each of
     several boards.
     """
-    members = boards_of(target)
+    members = list_boards(target)
     in_set = np.zeros((0, 3, 4))
     if len(members) > 1 and set_from_board is not None:
         in_set = np.asarray(set_from_board)
     shots = len(rig_from_board)
-    more = padded_shots(shots) - shots
+    more = shot_capacity(shots) - shots
     boards = np.concatenate([rig_from_board, np.broadcast_to(np.eye(3, 4), (more, 3, 4))])
-    stacked = stacked_lenses(lenses)
+    stacked = stack_problem_lenses(lenses)
     scale = np.stack(
         [lens.parameter_scales(size) for lens, size in zip(lenses, image_sizes_px, strict=True)]
     )

@@ -191,7 +191,7 @@ class Prior(NamedTuple):
     information: Float[ArrayLike, "h h"]
 
 
-def prior_of(state: RigState, chart: Chart) -> Prior:
+def evaluate_prior(state: RigState, chart: Chart) -> Prior:
     """The prior at a state: of lenses, aims, sheets and single places; none of the rest."""
     unit, cameras = chart.unit_mm, chart.lens_of_camera.shape[0]
     parameters = jax.vmap(lambda lens: jnp.asarray(lens.parameters))(state.lenses)

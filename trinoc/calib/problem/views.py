@@ -105,12 +105,12 @@ class ViewTable(NamedTuple):
     whitening: Float[ArrayLike, "v g k k"]
 
 
-def padded_shots(shots: int) -> int:
+def shot_capacity(shots: int) -> int:
     """How many shots a state has room for."""
-    return shots if shots == 1 else padded_count(shots, FEWEST_SHOTS)
+    return shots if shots == 1 else pad_count(shots, FEWEST_SHOTS)
 
 
-def padded_count(count: int, fewest: int) -> int:
+def pad_count(count: int, fewest: int) -> int:
     """The least of 2^k and 3 * 2^k, and of `fewest`, that is not below `count`."""
     power = 1 << max(count - 1, 0).bit_length()
     return max(fewest, 3 * power // 4 if count <= 3 * power // 4 else power)
@@ -123,7 +123,7 @@ def view_table(views: Sequence[View], target: AbstractTarget) -> ViewTable:
     fewest = _FEW_VIEWS if len(views) <= _FEW_VIEWS else _FEWEST_VIEWS
     if all(view.shot == 0 for view in views):
         fewest = _FEWEST_VIEWS_OF_ONE_SHOT
-    count = padded_count(len(views), fewest)
+    count = pad_count(len(views), fewest)
     table = ViewTable(
         np.zeros(count, dtype=int),
         np.zeros(count, dtype=int),
@@ -138,7 +138,7 @@ def view_table(views: Sequence[View], target: AbstractTarget) -> ViewTable:
         table.camera[v], table.shot[v], table.board[v] = view.camera, view.shot, view.board
         seen = slice(view.rows)
         if view.shown is not None:
-            table.place[v, seen] = circle_of(view.shown.place_mm, target)
+            table.place[v, seen] = find_circles(view.shown.place_mm, target)
             table.place_mm[v, seen, :2], table.uv_px[v, seen] = (
                 view.shown.place_mm,
                 view.shown.uv_px,
@@ -163,7 +163,9 @@ def view_table(views: Sequence[View], target: AbstractTarget) -> ViewTable:
     return table
 
 
-def circle_of(place_mm: Float[np.ndarray, "m 2"], target: AbstractTarget) -> Int[np.ndarray, "m"]:
+def find_circles(
+    place_mm: Float[np.ndarray, "m 2"], target: AbstractTarget
+) -> Int[np.ndarray, "m"]:
     """The circle in which each place lies, or the nearest corner; a piece of a line has none."""
     away, nearest = point_tree(target.centres_mm).query(place_mm)
     radius = target.radius_mm[nearest]

@@ -5,7 +5,7 @@ from jaxtyping import Float
 
 from trinoc.calib.problem.problem import Problem
 from trinoc.calib.problem.robust_fit import errors_px, inliers
-from trinoc.calib.problem.views import NO_PLACE, SheetPoints, View, circle_of
+from trinoc.calib.problem.views import NO_PLACE, SheetPoints, View, find_circles
 
 # Of the largest eigenvalue: below, there is no information.
 _ROUNDING = 1e-12
@@ -27,7 +27,7 @@ def drop_wrong_circles(problem: Problem) -> Problem:
         for k, is_right in zip(own, right, strict=True):
             shown, detection = views[k].shown, views[k].detection
             assert shown is not None
-            place = circle_of(shown.place_mm[circles[k]], problem.target)
+            place = find_circles(shown.place_mm[circles[k]], problem.target)
             is_right &= ~np.isin(place, detection.circle_index[~views[k].used])
             if not is_right.all():
                 wrong = circles[k][~is_right]
@@ -58,7 +58,7 @@ def _counts(view: View) -> bool:
 def _circles(view: View, problem: Problem) -> np.ndarray:
     """Indices of the places that are circles and were reported."""
     assert view.shown is not None
-    is_circle = circle_of(view.shown.place_mm, problem.target) != NO_PLACE
+    is_circle = find_circles(view.shown.place_mm, problem.target) != NO_PLACE
     return np.flatnonzero(is_circle & view.kept)
 
 

@@ -115,10 +115,10 @@ class CalibrationResult(Displayable, eqx.Module):
 
     def summary(self) -> str:
         """The parameters with their standard deviations, and how good each fit is, as text."""
-        return summary_text(self)
+        return summarise_calibration(self)
 
 
-def summary_text(result: CalibrationResult) -> str:
+def summarise_calibration(result: CalibrationResult) -> str:
     """A table of one row per camera, above it what must not be overlooked, below it the rest."""
     values = dict(zip(result.parameters, result.values, strict=True))
     columns = [

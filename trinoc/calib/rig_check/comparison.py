@@ -59,7 +59,7 @@ def compare_rigs(
     before = earlier.rig if isinstance(earlier, CalibrationResult) else earlier
     common = [name for name in now if name in before.names]
     cameras = {name: _change(now, before, name) for name in common}
-    swapped = _swapped(now, before, common)
+    swapped = _find_swaps(now, before, common)
     sentences = [
         f'The picture of "{name}" shows the place of "{other}": the pictures were swapped.'
         for name, other in swapped
@@ -122,7 +122,7 @@ def sigmas_of_chi_square(chi_square: float, freedom: int) -> float:
     return float(normal_limit(tail / 2) if tail > _LEAST_TAIL else np.sqrt(chi_square))
 
 
-def _swapped(now: Rig, before: Rig, names: list[str]) -> tuple[tuple[str, str], ...]:
+def _find_swaps(now: Rig, before: Rig, names: list[str]) -> tuple[tuple[str, str], ...]:
     """(name, other) for cameras that stand where another one stood, and not where they did."""
     found = []
     for name in names:

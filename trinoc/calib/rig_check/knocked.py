@@ -11,7 +11,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.bundle.refinement import Matched, Matcher, refine
+from trinoc.calib.bundle.refinement import MatchedTracks, Matcher, refine
 from trinoc.calib.bundle.result import RefineResult, RefineStatus
 from trinoc.calib.rig_check.comparison import sigmas_of_chi_square
 from trinoc.errors import CalibrationError
@@ -99,7 +99,7 @@ class RigCheck(eqx.Module):
 
 def check_rig(
     rig: Rig,
-    matches: Matched | LineObservations,
+    matches: MatchedTracks | LineObservations,
     *,
     match_again: Matcher | Sequence[Matcher] | None = None,
 ) -> RigCheck:
@@ -147,7 +147,7 @@ def check_rig(
 
 
 def _motions(
-    rig: Rig, matches: Matched | LineObservations, found: RefineResult | None = None
+    rig: Rig, matches: MatchedTracks | LineObservations, found: RefineResult | None = None
 ) -> tuple[tuple[CameraMotion, ...], dict[str, RefineResult]]:
     """The motion of each camera were it the only one, and the rig with it freed.
 
@@ -165,7 +165,7 @@ def _motions(
 def _free_cameras(
     found: RefineResult | None,
     rig: Rig,
-    matches: Matched | LineObservations,
+    matches: MatchedTracks | LineObservations,
     names: tuple[str, ...],
 ) -> RefineResult:
     """The rig with cameras freed, from where it stood or from where it was found, if cheaper."""

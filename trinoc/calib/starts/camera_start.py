@@ -18,7 +18,7 @@ from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.errors import CalibrationError
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.geometry.lenses.brown_conrady import BrownConrady
-from trinoc.geometry.lenses.registry import promoted
+from trinoc.geometry.lenses.registry import promote_lens
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.projection import project_points, unproject_pixels
 
@@ -61,7 +61,7 @@ def start_camera(
     Raises CalibrationError where no lens of the model puts the places near where they are seen.
     """
     if lens is not None:
-        return start_poses(promoted(lens), detections, target)
+        return start_poses(promote_lens(lens), detections, target)
     if model.zero_is_ideal:
         return _start_by_zhang(detections, target, model, aspect)
     width, height = detections[0].image_size_px
@@ -73,11 +73,11 @@ def start_camera(
         for share in _FISHEYE_SHARES
     ]
 
-    def miss_of(start: CameraStart) -> float:
+    def reprojection_error(start: CameraStart) -> float:
         pairs = zip(start.cam_from_board, detections, strict=True)
         return float(np.median([miss_px(start.lens, pose, seen, target) for pose, seen in pairs]))
 
-    return min(starts, key=miss_of)
+    return min(starts, key=reprojection_error)
 
 
 def start_poses(

@@ -32,7 +32,7 @@ _LEAST_SHARE = 0.05
 _TRIES, _SUBSET = 60, 4
 
 
-class Connected(NamedTuple):
+class ConnectedShots(NamedTuple):
     """What is fixed to what.
 
     Fields
@@ -49,7 +49,7 @@ class Connected(NamedTuple):
 
 def connect(
     sightings: Mapping[int, Sequence[Sighting]], boards: Sequence[int], target: AbstractTarget
-) -> Connected:
+) -> ConnectedShots:
     """All cameras and boards that the shots connect. `sightings` : of each camera."""
     groups: list[Poses] = [{board: IN_PLACE} for board in boards]
     cameras_by_motion: Links = {}
@@ -58,7 +58,7 @@ def connect(
         links = _link_all_cameras(_in_sets(sightings, groups), groups, target)
         cameras = chain_links({**cameras_by_motion, **links}, sightings)
         if len(boards) == 1:
-            return Connected(cameras, groups, links)
+            return ConnectedShots(cameras, groups, links)
         before = len(groups)
         board_links = _link_all_boards(sightings, cameras, boards, target)
         chained = chain_links({**boards_by_motion, **board_links}, boards)
@@ -69,7 +69,7 @@ def connect(
         if len(cameras) > 1:
             found = link_by_motion(_in_sets(sightings, groups), cameras, groups, target)
         if found is None:
-            return Connected(cameras, groups, links)
+            return ConnectedShots(cameras, groups, links)
         cameras_by_motion |= found[0]
         boards_by_motion |= found[1]
 

@@ -47,7 +47,7 @@ def find_boards(
     named = name_pictures(pictures)
     if not named or not any(named.values()):
         raise InputError("No picture was given: give each camera's pictures of the board.")
-    shots = _ordered([list(own) for own in named.values()])
+    shots = _order_names([list(own) for own in named.values()])
     jobs = [(camera, shot) for camera, own in named.items() for shot in shots if shot in own]
     detections: dict[str, dict[str, Detection]] = {camera: {} for camera in named}
     failures: dict[tuple[str, str], str] = {}
@@ -74,7 +74,7 @@ def find_boards(
 
 def name_pictures(pictures: Mapping[str, Pictures]) -> dict[str, dict[str, Picture]]:
     """For each camera its pictures by the name of the shot, as they were given."""
-    return {camera: _named(camera, given) for camera, given in pictures.items()}
+    return {camera: _name_pictures(camera, given) for camera, given in pictures.items()}
 
 
 def deliver(given: Picture) -> Any:
@@ -82,7 +82,7 @@ def deliver(given: Picture) -> Any:
     return given() if callable(given) else given
 
 
-def _named(camera: str, given: Pictures) -> dict[str, Picture]:
+def _name_pictures(camera: str, given: Pictures) -> dict[str, Picture]:
     if isinstance(given, Mapping):
         pairs = list(given.items())
     elif isinstance(given, np.ndarray) and given.ndim < 3:
@@ -95,7 +95,7 @@ def _named(camera: str, given: Pictures) -> dict[str, Picture]:
     return {str(name): item for name, item in pairs if item is not None}
 
 
-def _ordered(lists: list[list[str]]) -> list[str]:
+def _order_names(lists: list[list[str]]) -> list[str]:
     """All names: in the order of the lists where that is one order, else sorted."""
     longest = max(lists, key=len)
     rest = sorted({name for own in lists for name in own} - set(longest))

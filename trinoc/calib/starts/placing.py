@@ -10,7 +10,7 @@ from jaxtyping import Float
 from trinoc.calib.detection.detection import Detection
 from trinoc.calib.problem.views import View
 from trinoc.calib.starts.camera_start import CameraStart, start_poses
-from trinoc.calib.starts.connected import Connected, connect, in_set
+from trinoc.calib.starts.connected import ConnectedShots, connect, in_set
 from trinoc.calib.starts.links import Poses, link_cameras, place_board
 from trinoc.calib.starts.sightings import Sighting, label_sighting
 from trinoc.calib.targets.abstract_target import AbstractTarget
@@ -185,7 +185,7 @@ def boards_are_parallel(poses: Sequence[Pose]) -> bool:
 
 
 def explain_cameras_apart(
-    found: Connected,
+    found: ConnectedShots,
     names: Sequence[str],
     sightings: Mapping[int, Sequence[Sighting]],
     target: AbstractTarget,
@@ -195,7 +195,7 @@ def explain_cameras_apart(
     groups = found.cameras
     broken = [(pair, link) for pair, link in found.links.items() if not link.holds]
     for (a, b), _ in broken:
-        shift = _shift_between(sightings[a], sightings[b], target)
+        shift = _find_shift(sightings[a], sightings[b], target)
         if shift:
             earlier = "earlier" if shift > 0 else "later"
             return (
@@ -243,9 +243,7 @@ def explain_boards_apart(groups: Sequence[Mapping[int, Pose]], names: Sequence[s
     )
 
 
-def _shift_between(
-    one: Sequence[Sighting], other: Sequence[Sighting], target: AbstractTarget
-) -> int:
+def _find_shift(one: Sequence[Sighting], other: Sequence[Sighting], target: AbstractTarget) -> int:
     """By how many shots the second camera's pictures come too late; 0 where no shift helps."""
     first, second = ({(each.shot, each.board): each for each in own} for own in (one, other))
     for size in range(1, _MOST_SHIFT + 1):

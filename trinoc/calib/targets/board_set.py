@@ -90,7 +90,7 @@ class BoardSet(AbstractTarget):
         return np.repeat(np.arange(len(self.boards)), [len(board) for board in self.boards])
 
 
-def boards_of(target: AbstractTarget) -> tuple[AbstractTarget, ...]:
+def list_boards(target: AbstractTarget) -> tuple[AbstractTarget, ...]:
     """The boards of a set; a board alone is its own."""
     return target.boards if isinstance(target, BoardSet) else (target,)
 
@@ -109,4 +109,4 @@ def board_prefixes(target: AbstractTarget) -> tuple[str, ...]:
 
 def first_places(target: AbstractTarget) -> Int[np.ndarray, "b"]:
     """The index of each board's first place among all."""
-    return np.cumsum([0, *(len(board) for board in boards_of(target))])[:-1]
+    return np.cumsum([0, *(len(board) for board in list_boards(target))])[:-1]

@@ -226,7 +226,7 @@ class Pattern(Displayable, AbstractBoard):
         gaps = [Disc(centres[k], radii[k] + self.line_gap_mm, False) for k, _ in met]
         return [*lines, *gaps, *circles]
 
-    def rescaled(self, scale_x: float, scale_y: float) -> "Pattern":
+    def rescale(self, scale_x: float, scale_y: float) -> "Pattern":
         """The sheet as a printer made it, X and Y off by their own factors.
 
         The factors are measured over nominal length of the two scale bars. A radius takes

@@ -101,6 +101,6 @@ def printed_sheet(
             f"The bars were measured as {measured[0]:g} and {measured[1]:g} mm where the drawing "
             f"has {nominal[0]:g} and {nominal[1]:g} mm: check the unit and the bars' order."
         )
-    printed = pattern.rescaled(float(scale[0]), float(scale[1]))
+    printed = pattern.rescale(float(scale[0]), float(scale[1]))
     sigma_x, sigma_y = sigma_mm / nominal
     return PrintedSheet(printed, (float(sigma_x), float(sigma_y)))

@@ -12,7 +12,7 @@ from trinoc.geometry.camera import Camera, sheet_from_pixel
 from trinoc.geometry.epipolar import epipolar_distance_px, fundamental_matrix
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS, AbstractLens
-from trinoc.geometry.lenses.registry import promoted
+from trinoc.geometry.lenses.registry import promote_lens
 from trinoc.geometry.pose import Pose, PoseModel
 from trinoc.geometry.projection import project_by_matrix, project_point
 from trinoc.geometry.rig import PARAMETER_NAMES, Rig
@@ -51,7 +51,7 @@ def epipolar_sigma(rig: Rig, first: str, second: str) -> FieldSigma:
     those of the pose that go with them. Undistorted pixels. Raises InputError for a rig without a
     covariance.
     """
-    covariance, values = _known(rig, (first, second))
+    covariance, values = _known_covariance(rig, (first, second))
     lens = rig[first].intrinsics
     places = field_places_px(lens.image_size_px).reshape(-1, 2)
     matrices = np.stack([np.asarray(rig[name].intrinsics.matrix) for name in (first, second)])
@@ -91,7 +91,7 @@ def point_covariance(rig: Rig, point_mm: Float[ArrayLike, "3"]) -> np.ndarray:
     The errors of the lenses are in, as in `epipolar_sigma`; that of the images comes on top. Raises
     InputError for a rig without a covariance.
     """
-    covariance, values = _known(rig, rig.names)
+    covariance, values = _known_covariance(rig, rig.names)
     matrices = np.stack([np.asarray(camera.intrinsics.matrix) for _, camera in rig.items()])
     by = np.asarray(_place_by_change(values, matrices, np.asarray(point_mm, float))).reshape(3, -1)
     return by @ covariance @ by.T
@@ -113,7 +113,7 @@ def _place_by_change(
     return jax.jacfwd(place)(jnp.zeros_like(values))
 
 
-def _known(
+def _known_covariance(
     rig: Rig, names: tuple[str, ...]
 ) -> tuple[Float[np.ndarray, "k k"], Float[np.ndarray, "v p"]]:
     """Covariance, in rad, mm and px, and values of pose and lens; absent ones are exact."""
@@ -158,7 +158,7 @@ def projection_sigma(rig: Rig, camera: str, distance_mm: float) -> FieldSigma:
         raise InputError(f"distance_mm is {distance_mm}, but must be positive.")
     _expect_covariance(rig)
     view = rig[camera]
-    lens = promoted(view.intrinsics.lens)
+    lens = promote_lens(view.intrinsics.lens)
     model = PoseModel.AIM_FREE
     if f"{camera}.{PoseModel.RIGID.parameter_names[0]}" in rig.parameters:
         model = PoseModel.RIGID

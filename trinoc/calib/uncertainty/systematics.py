@@ -14,7 +14,7 @@ from jaxtyping import Float
 from trinoc.errors import InputError
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
-from trinoc.geometry.lenses.registry import promoted
+from trinoc.geometry.lenses.registry import promote_lens
 
 # What is assumed where nobody says it: see `Systematics.typical`.
 _PRINT_SIZE, _PRINT_STRETCH = 2e-3, 7e-4
@@ -93,7 +93,7 @@ class Systematics(NamedTuple):
             return {}
         if not isinstance(given, Mapping):
             return {
-                name: _factor(_checked(given, lens.lens, "of all cameras"))
+                name: _factor(_check_covariance(given, lens.lens, "of all cameras"))
                 for name, lens in lenses.items()
                 if lens is not None
             }
@@ -104,7 +104,7 @@ class Systematics(NamedTuple):
                     f"{', '.join(lenses)}."
                 )
         return {
-            name: _factor(_checked(matrix, lens.lens, f'of camera "{name}"'))
+            name: _factor(_check_covariance(matrix, lens.lens, f'of camera "{name}"'))
             for name, matrix in given.items()
             if (lens := lenses[name]) is not None
         }
@@ -184,8 +184,10 @@ def data_sheet_covariance(lens: Intrinsics) -> Float[np.ndarray, "5 5"]:
     return factor @ factor.T
 
 
-def _checked(matrix: np.ndarray, lens: AbstractLens, whose: str) -> Float[np.ndarray, "k k"]:
-    matrix, names = np.asarray(matrix, dtype=np.float64), promoted(lens).parameter_names
+def _check_covariance(
+    matrix: np.ndarray, lens: AbstractLens, whose: str
+) -> Float[np.ndarray, "k k"]:
+    matrix, names = np.asarray(matrix, dtype=np.float64), promote_lens(lens).parameter_names
     if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or len(matrix) > len(names):
         raise InputError(
             f"The lens covariance {whose} has shape {matrix.shape}, but must be (k, k) for the "

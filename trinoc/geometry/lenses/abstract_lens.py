@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from trinoc.geometry.lenses.newton import inverse_in_plane
 from trinoc.numerics.arrays import ArrayLike
-from trinoc.numerics.precision import namespace_of
+from trinoc.numerics.precision import array_namespace
 
 # Type checkers know this one by the name that it has in a class that is not abstract.
 if TYPE_CHECKING:
@@ -201,7 +201,7 @@ class AbstractLens(eqx.Module):
     @property
     def parameters(self) -> Float[ArrayLike, "q"]:
         """Values of `parameter_names`."""
-        xp = namespace_of(self)
+        xp = array_namespace(self)
         return xp.concatenate([self.focal_length_px, self.principal_point_px, self.coefficients])
 
     @classmethod
@@ -221,7 +221,7 @@ class AbstractLens(eqx.Module):
         A step of s in units of these moves a corner by about s times its distance from the
         principal point, or by s focal lengths for the principal point itself.
         """
-        xp = namespace_of(self)
+        xp = array_namespace(self)
         fu, fv = self.focal_length_px[0], self.focal_length_px[1]
         radius = 0.5 * xp.hypot(image_size_px[0] / fu, image_size_px[1] / fv)
         powers = [radius ** -float(power) for power in self.coefficient_powers]
@@ -229,7 +229,7 @@ class AbstractLens(eqx.Module):
 
     def retract(self, delta: Float[ArrayLike, "k"]) -> "AbstractLens":
         """This lens after a change of the first k of `parameters`; zero leaves it as it is."""
-        xp = namespace_of(self, delta)
+        xp = array_namespace(self, delta)
         missing = len(self.parameter_names) - delta.shape[0]
         change = xp.concatenate([delta, xp.zeros(missing, delta.dtype)])
         return self.with_parameters(self.parameters + change)
@@ -248,16 +248,16 @@ class AbstractPlaneLens(AbstractLens):
     """A lens that moves the ideal place (x/z, y/z) of a ray in its plane."""
 
     @abc.abstractmethod
-    def moved(self, ideal: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
+    def distort_ideal(self, ideal: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
         """Normalised coordinates (x/z, y/z) of an ideal pinhole to those that the lens produces."""
 
     def distort(self, ray_cam: Float[ArrayLike, "3"]) -> Float[ArrayLike, "2"]:
-        """The ideal (x/z, y/z), moved."""
-        return self.moved(ray_cam[:2] / ray_cam[2])
+        """Normalised coordinates of the ray after the distortion."""
+        return self.distort_ideal(ray_cam[:2] / ray_cam[2])
 
     def undistort(self, distorted: Float[ArrayLike, "2"]) -> Float[ArrayLike, "3"]:
         """(x, y, 1), by Newton's method: see `inverse_in_plane` for where there is one."""
-        return ray_of_normalised(inverse_in_plane(self.moved, distorted))
+        return ray_of_normalised(inverse_in_plane(self.distort_ideal, distorted))
 
 
 def ray_of_normalised(normalised: Float[ArrayLike, "2"]) -> Float[ArrayLike, "3"]:

@@ -23,7 +23,7 @@ class BrownConrady(AbstractPlaneLens):
     coefficient_counts: ClassVar[tuple[int, ...]] = (0, 1, 2, 4, 5)
     dispensable: ClassVar[tuple[str, ...]] = ("k3", "k2")
 
-    def moved(self, ideal: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
+    def distort_ideal(self, ideal: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
         """The place after the polynomial."""
         k1, k2, p1, p2, k3 = (self.coefficients[i] for i in range(5))
         r2 = ideal[0] * ideal[0] + ideal[1] * ideal[1]

@@ -36,7 +36,7 @@ class KannalaBrandt(AbstractLens):
         """The radius along the direction of (x, y)."""
         across, forward = ray_cam[:2], ray_cam[2]
         square = across @ across
-        angle_per_across = _angle_per_across(square, forward)
+        angle_per_across = _angle_per_radius(square, forward)
         angle_square = square * angle_per_across**2
         return across * (angle_per_across * _radius_per_angle(angle_square, self.coefficients))
 
@@ -55,7 +55,7 @@ class KannalaBrandt(AbstractLens):
         return RadialPart(np.append(falling, 1.0), np.ones(1), by_angle=True)
 
 
-def _angle_per_across(
+def _angle_per_radius(
     square: Float[ArrayLike, ""], forward: Float[ArrayLike, ""]
 ) -> Float[ArrayLike, ""]:
     """atan2(a, z) / a of a ray, where a^2 is `square`; smooth on the optical axis."""

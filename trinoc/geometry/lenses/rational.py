@@ -29,7 +29,7 @@ class Rational(AbstractPlaneLens):
     coefficient_counts: ClassVar[tuple[int, ...]] = (0, 1, 2, 4, 5, 8)
     dispensable: ClassVar[tuple[str, ...]] = ("k6", "k5", "k4", "k3", "k2")
 
-    def moved(self, ideal: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
+    def distort_ideal(self, ideal: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
         """The place after quotient and tangential part."""
         return _by_quotient(ideal, self.coefficients)
 
@@ -51,7 +51,7 @@ class ThinPrism(AbstractPlaneLens):
         *("k6", "k5", "k4", "k3", "k2"),
     )
 
-    def moved(self, ideal: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
+    def distort_ideal(self, ideal: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
         """The place after quotient, tangential part and prism."""
         s1, s2, s3, s4 = (self.coefficients[i] for i in range(8, 12))
         r2 = ideal[0] * ideal[0] + ideal[1] * ideal[1]

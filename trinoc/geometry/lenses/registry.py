@@ -11,8 +11,8 @@ from trinoc.geometry.lenses.brown_conrady import BrownConrady
 from trinoc.geometry.lenses.kannala_brandt import KannalaBrandt
 from trinoc.geometry.lenses.pinhole import Pinhole
 from trinoc.geometry.lenses.rational import Rational, ThinPrism
-from trinoc.geometry.lenses.splined import SPLINED, AbstractSplined
-from trinoc.numerics.precision import namespace_of
+from trinoc.geometry.lenses.splined import SPLINED, AbstractSplinedLens
+from trinoc.numerics.precision import array_namespace
 
 LENS_MODELS: dict[str, type[AbstractLens]] = {
     lens.model: lens
@@ -32,7 +32,9 @@ def lens_model(name: str) -> type[AbstractLens]:
     return LENS_MODELS[name]
 
 
-def promoted(lens: AbstractLens, model: type[AbstractLens] = DEFAULT_DISTORTION) -> AbstractLens:
+def promote_lens(
+    lens: AbstractLens, model: type[AbstractLens] = DEFAULT_DISTORTION
+) -> AbstractLens:
     """An ideal lens as one of `model`, at whose zero it is ideal; any other as it is."""
     if lens.has_distortion:
         return lens
@@ -40,10 +42,10 @@ def promoted(lens: AbstractLens, model: type[AbstractLens] = DEFAULT_DISTORTION)
     return model(lens.focal_length_px, lens.principal_point_px, lens.skew_px, zeros)
 
 
-def simplified(lens: AbstractLens) -> AbstractLens:
+def simplify_lens(lens: AbstractLens) -> AbstractLens:
     """An ideal lens where all coefficients are zero and say so, the core of a splined lens without
     a correction; the lens as it is otherwise."""
-    if isinstance(lens, AbstractSplined) and not np.any(np.asarray(lens.control_px)):
+    if isinstance(lens, AbstractSplinedLens) and not np.any(np.asarray(lens.control_px)):
         lens = lens.core
     if not lens.zero_is_ideal or np.any(np.asarray(lens.coefficients) != 0.0):
         return lens
@@ -51,12 +53,12 @@ def simplified(lens: AbstractLens) -> AbstractLens:
     return Pinhole(lens.focal_length_px, lens.principal_point_px, lens.skew_px, none)
 
 
-def splined(lens: AbstractLens, image_size_px: tuple[int, int]) -> AbstractSplined:
+def spline_lens(lens: AbstractLens, image_size_px: tuple[int, int]) -> AbstractSplinedLens:
     """A lens with a correction that is zero, and may be fitted.
 
     Raises InputError for a model that is no core of a splined lens.
     """
-    core = promoted(lens)
+    core = promote_lens(lens)
     if type(core) not in SPLINED:
         raise InputError(
             f"The lens model {core.model} takes no correction by splines: use one of "
@@ -78,6 +80,6 @@ def stack_lenses(lenses: Sequence[AbstractLens]) -> AbstractLens:
             f"Lenses of the models {' and '.join(sorted(model.model for model in models))} cannot "
             "be fitted together: give lenses of one model (ideal ones may be among them)."
         )
-    alike = [promoted(lens, model) for model in models for lens in lenses] or list(lenses)
-    xp = namespace_of(alike)
+    alike = [promote_lens(lens, model) for model in models for lens in lenses] or list(lenses)
+    xp = array_namespace(alike)
     return jax.tree.map(lambda *leaves: xp.stack([xp.asarray(leaf) for leaf in leaves]), *alike)

@@ -18,7 +18,7 @@ from trinoc.geometry.lenses.kannala_brandt import KannalaBrandt
 from trinoc.geometry.lenses.newton import inverse_in_plane
 from trinoc.geometry.lenses.rational import Rational
 from trinoc.numerics.arrays import ArrayLike
-from trinoc.numerics.precision import namespace_of
+from trinoc.numerics.precision import array_namespace
 
 if TYPE_CHECKING:
     from typing import ClassVar as AbstractClassVar
@@ -106,7 +106,7 @@ _NEWTON_STEPS = 5
 _REACH = 4.0
 
 
-class AbstractSplined(AbstractLens):
+class AbstractSplinedLens(AbstractLens):
     """A lens whose pixels are those of `core`, moved by (du, dv) of a bicubic B-spline.
 
     The control points, 10 rows of 12 for du and then for dv, in pixels, are coefficients, after
@@ -145,11 +145,11 @@ class AbstractSplined(AbstractLens):
 
     def distort(self, ray_cam: Float[ArrayLike, "3"]) -> Float[ArrayLike, "2"]:
         """What the core has, corrected."""
-        return self._corrected(self.core.distort(ray_cam))
+        return self._correct(self.core.distort(ray_cam))
 
     def undistort(self, distorted: Float[ArrayLike, "2"]) -> Float[ArrayLike, "3"]:
         """The ray of the core's picture, which is found by Newton's method."""
-        of_core = inverse_in_plane(self._corrected, distorted, _NEWTON_STEPS)
+        of_core = inverse_in_plane(self._correct, distorted, _NEWTON_STEPS)
         return self.core.undistort(of_core)
 
     def radial_part(self) -> RadialPart | None:
@@ -173,7 +173,7 @@ class AbstractSplined(AbstractLens):
 
     def parameter_scales(self, image_size_px: tuple[int, int]) -> Float[ArrayLike, "q"]:
         """Those of the core; for control points, half the diagonal of the picture."""
-        xp = namespace_of(self)
+        xp = array_namespace(self)
         fu = self.focal_length_px[0]
         corner_px = 0.5 * fu * xp.hypot(image_size_px[0] / fu, image_size_px[1] / fu)
         extent = xp.ones(len(_EXTENT), fu.dtype)
@@ -182,13 +182,13 @@ class AbstractSplined(AbstractLens):
 
     def with_focal_factor(self, factor: Float[ArrayLike, "2"]) -> AbstractLens:
         """This lens with focal lengths multiplied, and the correction with them."""
-        xp = namespace_of(self, factor)
+        xp = array_namespace(self, factor)
         scaled = super().with_focal_factor(factor)
         control = (self.control_px * factor[:, None, None]).ravel()
         values = xp.concatenate([self.parameters[: -len(_CONTROL)], control])
         return scaled.with_parameters(xp.concatenate([scaled.parameters[:2], values[2:]]))
 
-    def _corrected(self, place: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
+    def _correct(self, place: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
         """A place of the core's picture, in focal lengths, after the correction."""
         in_cells, (du, dv) = self._in_cells(place), self.control_px
         shift_px = jnp.stack([surface(du, in_cells), surface(dv, in_cells)])
@@ -209,7 +209,7 @@ class AbstractSplined(AbstractLens):
         return 0.5 * (place / half + 1.0) * _CELLS.astype(place.dtype)
 
     @classmethod
-    def of_core(cls, core: AbstractLens, image_size_px: tuple[int, int]) -> "AbstractSplined":
+    def of_core(cls, core: AbstractLens, image_size_px: tuple[int, int]) -> "AbstractSplinedLens":
         """A lens of `core_model`, its correction zero, on a grid that covers the picture."""
         centre, size = np.asarray(core.principal_point_px), np.asarray(image_size_px, float)
         reach_px = np.maximum(centre + 0.5, size - 0.5 - centre)
@@ -228,32 +228,32 @@ class AbstractSplined(AbstractLens):
 
 
 @cache
-def _information(model: type[AbstractSplined]) -> Float[np.ndarray, "q q"]:
+def _information(model: type[AbstractSplinedLens]) -> Float[np.ndarray, "q q"]:
     information = np.zeros((len(model.parameter_names),) * 2)
     count = len(_CONTROL)
     information[-count:, -count:] = np.kron(np.eye(2), smoothness(ROWS, COLUMNS, _REACH))
     return information
 
 
-class SplinedBrownConrady(AbstractSplined):
+class SplinedBrownConrady(AbstractSplinedLens):
     """`BrownConrady` with a correction."""
 
     core_model: ClassVar[type[AbstractLens]] = BrownConrady
 
 
-class SplinedRational(AbstractSplined):
+class SplinedRational(AbstractSplinedLens):
     """`Rational` with a correction."""
 
     core_model: ClassVar[type[AbstractLens]] = Rational
 
 
-class SplinedKannalaBrandt(AbstractSplined):
+class SplinedKannalaBrandt(AbstractSplinedLens):
     """`KannalaBrandt` with a correction."""
 
     core_model: ClassVar[type[AbstractLens]] = KannalaBrandt
 
 
 # The splined lens of each core.
-SPLINED: dict[type[AbstractLens], type[AbstractSplined]] = {
+SPLINED: dict[type[AbstractLens], type[AbstractSplinedLens]] = {
     lens.core_model: lens for lens in (SplinedBrownConrady, SplinedRational, SplinedKannalaBrandt)
 }

@@ -12,7 +12,7 @@ import numpy as np
 from trinoc.errors import InputError
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.lenses.registry import LENS_MODELS
-from trinoc.geometry.lenses.splined import AbstractSplined
+from trinoc.geometry.lenses.splined import AbstractSplinedLens
 from trinoc.geometry.rig import Rig
 
 # What rounding leaves where a projection matrix was taken apart.
@@ -80,7 +80,7 @@ def numbers_of(
     ]
     if not fitting:
         advice = "choose another"
-        if isinstance(lens.lens, AbstractSplined):
+        if isinstance(lens.lens, AbstractSplinedLens):
             advice = (
                 "no other tool's format holds these splines; calibrate it with "
                 f"{lens.lens.core_model.model} for that"

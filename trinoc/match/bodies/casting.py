@@ -19,7 +19,7 @@ from trinoc.match.line_map.lines import JoinedLines
 from trinoc.match.tracks.matches import Matches
 from trinoc.match.tuning.shadows import ShadowTuning
 from trinoc.numerics.arrays import ArrayLike
-from trinoc.numerics.vectors import axes_across, cross_3d
+from trinoc.numerics.vectors import complete_axes, cross_3d
 
 
 class Plane(NamedTuple):
@@ -29,7 +29,7 @@ class Plane(NamedTuple):
     members: Bool[np.ndarray, "e"]
 
 
-def planes_of(
+def suggest_planes(
     lines_mm: Float[np.ndarray, "e 2 3"],
     covariance_mm2: Float[np.ndarray, "e 6 6"],
     cameras_mm: Float[np.ndarray, "3"],
@@ -47,7 +47,7 @@ def planes_of(
     turned = sine > tuning.least_sine
     first, second, normal = first[turned], second[turned], normal[turned] / sine[turned, None]
     offset = 0.5 * np.einsum("pi,pi->p", normal, lines_mm[first, 0] + lines_mm[second, 0])
-    near = _within(lines_mm, covariance_mm2, normal, offset, length, tuning)
+    near = _lies_in_plane(lines_mm, covariance_mm2, normal, offset, length, tuning)
     order = np.arange(len(first))
     good = near[order, first] & near[order, second]
     normal, offset, near = normal[good], offset[good], near[good]
@@ -63,7 +63,7 @@ def planes_of(
         across = np.linalg.svd(points - middle)[2][2]
         across = across if across @ (cameras_mm - middle) > 0 else -across
         fit = (across[None], (across @ middle)[None])
-        own = _within(lines_mm, covariance_mm2, *fit, length, tuning)[0]
+        own = _lies_in_plane(lines_mm, covariance_mm2, *fit, length, tuning)[0]
         if own.sum() >= tuning.fewest_in_plane:
             found.append(Plane(across, own))
         left &= (near & members).sum(axis=1) < 0.5 * near.sum(axis=1)
@@ -71,7 +71,7 @@ def planes_of(
     return found
 
 
-def _within(
+def _lies_in_plane(
     lines_mm: Float[np.ndarray, "e 2 3"],
     covariance_mm2: Float[np.ndarray, "e 6 6"],
     normal: Float[np.ndarray, "p 3"],
@@ -94,7 +94,7 @@ def _within(
 DARK_LEVEL = 4.0
 
 
-def levels_beside(
+def side_levels_of_lines(
     matches: Matches, segments: Mapping[str, Segments | ArrayLike], joined: JoinedLines
 ) -> Float[np.ndarray, "e v 2"]:
     """Logarithms of the darker and of the brighter level beside each line; NaN where not known."""
@@ -169,7 +169,7 @@ def _members(plane: Plane) -> int:
     return int(plane.members.sum())
 
 
-class Pairs(NamedTuple):
+class ShadowPairs(NamedTuple):
     """Lines that may be the shadows of others, ordered by shadow.
 
     shadow, edge : numbers of the lines. axes : of each edge, rows. middle_mm : the scene's middle
@@ -203,7 +203,7 @@ def casting_pairs(
     middle_mm: Float[np.ndarray, "3"],
     size_mm: float,
     tuning: ShadowTuning,
-) -> Pairs:
+) -> ShadowPairs:
     """Every two lines that lie in one plane within errors, and within the turn of a coarse search.
 
     `size_mm` is the scene's.
@@ -213,7 +213,7 @@ def casting_pairs(
     step = lines_mm[:, 1] - lines_mm[:, 0]
     length = np.linalg.norm(step, axis=1)
     way = step / length[:, None]
-    across = axes_across(way)
+    across = complete_axes(way)
     offset = lines_mm[shadow] - lines_mm[edge, None, 0]
     flat = offset @ across[edge].mT
     blocks = covariance_mm2.reshape(-1, 2, 3, 2, 3)
@@ -229,7 +229,7 @@ def casting_pairs(
     axes = np.stack([way[edge], np.cross(normal, way[edge]), normal], axis=1)
     between = blocks[:, 0, :, 1]
     sides = (own[edge, 0], own[edge, 1], between[edge])
-    return Pairs(
+    return ShadowPairs(
         shadow,
         edge,
         axes,
@@ -243,7 +243,7 @@ def casting_pairs(
 
 
 def cast_density(
-    pairs: Pairs, lamps: Lamps, turn: float, size_mm: float, tuning: ShadowTuning
+    pairs: ShadowPairs, lamps: Lamps, turn: float, size_mm: float, tuning: ShadowTuning
 ) -> Float[np.ndarray, "l p"]:
     """How likely each shadow's ends are where they are if the edge casts it, per lamp, up to a
     factor of the shadow; lamps are `turn` (rad) unsure."""

@@ -10,7 +10,7 @@ from trinoc.match.observations.match_input import MatchInput
 from trinoc.match.tuning.rims import RimTuning
 from trinoc.numerics.robust_loss import Cauchy
 from trinoc.numerics.small_least_squares import Residuals, gauss_newton, misfit_factor
-from trinoc.numerics.vectors import axes_across, cross_3d, vector3
+from trinoc.numerics.vectors import complete_axes, cross_3d, vector3
 
 # Where a chord, fitted to the points of an arc, lies on it: the places of Gauss, as shares of its
 # half length. What noise moves one of them by tells nothing of the other.
@@ -63,7 +63,7 @@ class Off(NamedTuple):
     around_mm: Float[np.ndarray, "h s k 3"]
 
 
-def chords_of(seen: MatchInput, views: tuple[str, ...], tuning: RimTuning) -> Chords:
+def collect_chords(seen: MatchInput, views: tuple[str, ...], tuning: RimTuning) -> Chords:
     """All segments of all views."""
     parts = []
     for number, name in enumerate(views):
@@ -117,7 +117,7 @@ def off_circles(chords: Chords, circles: Circles, *, with_ends: bool = False) ->
         image[:, own] = here = homogeneous_pixel(matrix, around[:, own])
         uv, along = vector3(here)[:2] / here[..., 2], vector3(tangent[:, own] @ matrix[:, :3].T)
         way[:, own] = np.stack(pixel_change((uv[0], uv[1]), here[..., 2], along), axis=-1)
-        ratio[:, own] = images_of(circles, matrix).axis_ratio[:, None]
+        ratio[:, own] = image_circles(circles, matrix).axis_ratio[:, None]
     uv, behind = image[..., :2] / image[..., 2:], image[..., 2] <= 0
     way = way / np.maximum(np.linalg.norm(way, axis=3, keepdims=True), 1e-12)
     gap = chords.places_px - uv
@@ -140,10 +140,10 @@ class Images(NamedTuple):
         return self.axes_px[:, 1] / np.maximum(self.axes_px[:, 0], 1e-12)
 
 
-def images_of(circles: Circles, matrix_px: Float[np.ndarray, "3 4"]) -> Images:
+def image_circles(circles: Circles, matrix_px: Float[np.ndarray, "3 4"]) -> Images:
     """Where a view shows circles."""
     angle = np.arange(_AROUND) * (2 * np.pi / _AROUND)
-    points = points_at(circles, np.tile(angle, (len(circles.radius_mm), 1)))
+    points = points_on_circles(circles, np.tile(angle, (len(circles.radius_mm), 1)))
     image = homogeneous_pixel(matrix_px, points)
     depth = image[..., 2:]
     seen = (depth.min(axis=(1, 2)) > 0)[:, None]
@@ -164,9 +164,11 @@ def touching(off: Off, within_px: float, tuning: RimTuning) -> Bool[np.ndarray, 
     return near & tangent & opened & (bow < tuning.most_bow_px)
 
 
-def points_at(circles: Circles, angle: Float[np.ndarray, "h n"]) -> Float[np.ndarray, "h n 3"]:
+def points_on_circles(
+    circles: Circles, angle: Float[np.ndarray, "h n"]
+) -> Float[np.ndarray, "h n 3"]:
     """Points of circles; angles are counted from the first of the axes across their normals."""
-    frame = axes_across(circles.normal)
+    frame = complete_axes(circles.normal)
     around = np.stack([np.cos(angle), np.sin(angle)], axis=-1) @ frame
     return circles.centre_mm[:, None] + circles.radius_mm[:, None, None] * around
 
@@ -193,7 +195,7 @@ class CircleFit(NamedTuple):
 def move_circle(circle: Circles, by: Float[np.ndarray, "k 6"]) -> Circles:
     """One circle moved in k ways: by its centre (mm), its normal toward its two axes across (rad),
     and its radius (mm)."""
-    normal = circle.normal + by[:, 3:5] @ axes_across(circle.normal)[0]
+    normal = circle.normal + by[:, 3:5] @ complete_axes(circle.normal)[0]
     normal = normal / np.linalg.norm(normal, axis=1, keepdims=True)
     return Circles(circle.centre_mm + by[:, :3], normal, circle.radius_mm + by[:, 5])
 

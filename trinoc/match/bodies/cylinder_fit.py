@@ -10,7 +10,7 @@ from trinoc.match.tuning.cylinders import CylinderTuning
 from trinoc.numerics.robust_loss import ScaleMixture
 from trinoc.numerics.small_least_squares import Residuals, gauss_newton, whitening
 from trinoc.numerics.tables import take_rows
-from trinoc.numerics.vectors import axes_across
+from trinoc.numerics.vectors import complete_axes
 
 # Parameters of an axis and a radius, and of an axis alone.
 ROUND, STRAIGHT = 5, 4
@@ -95,7 +95,7 @@ def fit_cylinders(
         return at._replace(point_mm=at.point_mm + middle[:, None] * at.direction), along
 
     def retract(at: _Axes, step: Float[np.ndarray, "h p"]) -> _Axes:
-        across = axes_across(at.direction)
+        across = complete_axes(at.direction)
         direction = at.direction + np.einsum("hi,hij->hj", step[:, 2:4], across)
         moved = _Axes(
             at.point_mm + np.einsum("hi,hij->hj", step[:, :2], across),

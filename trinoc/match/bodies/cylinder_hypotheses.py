@@ -39,7 +39,7 @@ class _Pairs(NamedTuple):
     normal: Float[np.ndarray, "p 3"]
 
 
-def hypotheses(table: Outlines, views: int, tuning: CylinderTuning) -> Start:
+def propose_cylinders(table: Outlines, views: int, tuning: CylinderTuning) -> Start:
     """All that are roughly consistent."""
     nothing = np.zeros((0, 3))
     found = [Start(Members(np.zeros((0, 3), np.int64), nothing), nothing, nothing, np.zeros(0))]

@@ -10,8 +10,8 @@ from scipy.special import expit
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
 from trinoc.match.bodies.cylinder_fit import Fits, Members
-from trinoc.match.bodies.cylinder_hypotheses import hypotheses
-from trinoc.match.bodies.cylinder_support import log_odds, outline_of, with_support
+from trinoc.match.bodies.cylinder_hypotheses import propose_cylinders
+from trinoc.match.bodies.cylinder_support import assign_outlines, support_log_odds, with_support
 from trinoc.match.bodies.cylinders import Cylinders
 from trinoc.match.bodies.end_errors import add_error_of_ends
 from trinoc.match.bodies.outlines import Outlines, abreast_mm, possible_outlines
@@ -24,10 +24,10 @@ from trinoc.numerics.arrays import ArrayLike
 from trinoc.numerics.precision import in_float64
 from trinoc.numerics.tables import take_rows
 from trinoc.numerics.tails import chi_square_limit
-from trinoc.numerics.vectors import axes_across
+from trinoc.numerics.vectors import complete_axes
 
 
-class Chosen(NamedTuple):
+class CylinderChoice(NamedTuple):
     """row : of the cylinders put out, the likeliest first. rival : posterior of the best other
     cylinder that shares an outline with each."""
 
@@ -37,7 +37,7 @@ class Chosen(NamedTuple):
 
 def choose_cylinders(
     fits: Fits, members: Members, log_odds: Float[np.ndarray, "h"], tuning: CylinderTuning
-) -> Chosen:
+) -> CylinderChoice:
     """The likeliest first, then those that share no outline with any of them."""
     posterior = expit(log_odds)
     left = posterior >= tuning.least_posterior
@@ -52,14 +52,14 @@ def choose_cylinders(
         other = other[differs(fits, row, other, tuning.significance)]
         found.append(row)
         rivals.append(posterior[other].max(initial=0.0))
-    return Chosen(np.array(found, dtype=np.int64), np.array(rivals))
+    return CylinderChoice(np.array(found, dtype=np.int64), np.array(rivals))
 
 
 def differs(
     fits: Fits, row: int, others: Int[np.ndarray, "o"], significance: float
 ) -> Bool[np.ndarray, "o"]:
     """Whether others are another cylinder, by the errors of both."""
-    direction, across = fits.direction[row], axes_across(fits.direction[row])
+    direction, across = fits.direction[row], complete_axes(fits.direction[row])
     along = fits.direction[others] @ direction
     way = fits.direction[others] * np.where(along < 0, -1.0, 1.0)[:, None]
     apart = fits.point_mm[others] - fits.point_mm[row]
@@ -79,9 +79,9 @@ def place_ends(
     along = np.sort(abreast_mm(own.rays, fits.point_mm[:, None], fits.direction[:, None]), axis=2)
     mm_per_px = ((along[..., 1] - along[..., 0]) / own.length_px * members.held).sum(axis=1)
     mm_per_px = mm_per_px / np.maximum(members.held.sum(axis=1), 1)
-    reach = _reach_of_two(along, outline_of(table, members))
+    reach = _reach_of_two(along, assign_outlines(table, members))
     axis = fits.point_mm[:, None] + reach[:, :, None] * fits.direction[:, None]
-    across = axes_across(fits.direction)
+    across = complete_axes(fits.direction)
     count = len(reach)
     jacobian = np.zeros((count, 7, 5))
     for end in (0, 1):
@@ -139,9 +139,9 @@ def find_cylinders(
     given = segments_of_views("Finding cylinders", matches.views, segments)
     seen = with_noise_scale(prepare(given, rig, None), np.array([matches.noise_scale]))
     table = possible_outlines(seen, matches, tuning.cylinders)
-    start = hypotheses(table, len(matches.views), tuning.cylinders)
+    start = propose_cylinders(table, len(matches.views), tuning.cylinders)
     fits, members = with_support(table, start, tuning.cylinders)
-    odds = log_odds(table, fits, members, matches, tuning.cylinders)
+    odds = support_log_odds(table, fits, members, matches, tuning.cylinders)
     best = choose_cylinders(fits, members, odds, tuning.cylinders)
     counts = {
         "possible outlines": len(table.view),
@@ -158,7 +158,7 @@ def _answer(
     table: Outlines,
     fits: Fits,
     members: Members,
-    best: Chosen,
+    best: CylinderChoice,
     posterior: Float[np.ndarray, "h"],
     matches: Matches,
     counts: dict[str, int],

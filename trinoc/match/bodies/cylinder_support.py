@@ -69,7 +69,7 @@ def _touching(table: Outlines, fits: Fits, members: Members, tuning: CylinderTun
         # A ray through the axis itself passes it on neither side.
         good &= own != 0
         parts.append((owner[good], row[good], own[good]))
-    return _members_of(len(fits.radius_mm), *concatenate_rows(parts))
+    return _gather_members(len(fits.radius_mm), *concatenate_rows(parts))
 
 
 def _roughly_touching(
@@ -97,7 +97,7 @@ def _extent(
     return low, high
 
 
-def _members_of(
+def _gather_members(
     count: int,
     owner: Int[np.ndarray, "m"],
     row: Int[np.ndarray, "m"],
@@ -122,12 +122,12 @@ def _single(table: Outlines, fits: Fits, members: Members, tuning: CylinderTunin
     doubled = (abreast & same_outline(table, members)).any(axis=2)
     owner, column = np.nonzero(members.held & ~doubled)
     own = members.row[owner, column], members.side[owner, column]
-    return _members_of(len(doubled), owner, *own)
+    return _gather_members(len(doubled), owner, *own)
 
 
 def same_outline(table: Outlines, members: Members) -> Bool[np.ndarray, "h k k"]:
     """Whether a longer one of the same view and side, which stands before, is as good as each."""
-    outline = outline_of(table, members)
+    outline = assign_outlines(table, members)
     same = (outline[:, :, None] == outline[:, None]) & members.held[:, :, None]
     return same & np.tri(members.row.shape[1], k=-1, dtype=bool)
 
@@ -143,19 +143,19 @@ def _distinct(table: Outlines, members: Members) -> Int[np.ndarray, "k"]:
 def outlines_shown(table: Outlines, members: Members, views: int) -> Bool[np.ndarray, "h v 2"]:
     """Which of the two outlines of each view have a segment."""
     shown = np.zeros((len(members.row), 2 * views), dtype=bool)
-    outline = outline_of(table, members)
+    outline = assign_outlines(table, members)
     owner, column = np.nonzero(members.held)
     shown[owner, outline[owner, column]] = True
     return shown.reshape(-1, views, 2)
 
 
-def outline_of(table: Outlines, members: Members) -> Int[np.ndarray, "h k"]:
+def assign_outlines(table: Outlines, members: Members) -> Int[np.ndarray, "h k"]:
     """Which of the two outlines of all views each is a piece of; -1 beyond the last."""
     outline = 2 * table.view[np.maximum(members.row, 0)] + (members.side > 0)
     return np.where(members.held, outline, -1)
 
 
-def log_odds(
+def support_log_odds(
     table: Outlines, fits: Fits, members: Members, matches: Matches, tuning: CylinderTuning
 ) -> Float[np.ndarray, "h"]:
     """That each is a cylinder, against all else."""

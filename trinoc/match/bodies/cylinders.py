@@ -16,10 +16,10 @@ from trinoc.numerics.table_checks import (
     PROBABILITY,
     RADIUS,
     SEGMENT_NUMBER,
-    number_of,
+    check_number,
 )
 from trinoc.numerics.tables import Check, Column
-from trinoc.numerics.vectors import axes_across
+from trinoc.numerics.vectors import complete_axes
 
 _ENDS = ("x1_mm", "y1_mm", "z1_mm", "x2_mm", "y2_mm", "z2_mm")
 # Lines along each that are drawn.
@@ -71,8 +71,8 @@ class Cylinders(Feature):
     rival_posterior: Annotated[Float[np.ndarray, "c"], Column(PROBABILITY)]
     chi_square: Float[np.ndarray, "c"]
     degrees: Int[np.ndarray, "c"]
-    cylinder: Annotated[Int[np.ndarray, "m"], Column(number_of("c", "is no cylinder"))]
-    view: Annotated[Int[np.ndarray, "m"], Column(number_of("v", "is no view"))]
+    cylinder: Annotated[Int[np.ndarray, "m"], Column(check_number("c", "is no cylinder"))]
+    view: Annotated[Int[np.ndarray, "m"], Column(check_number("v", "is no view"))]
     segment: Annotated[Int[np.ndarray, "m"], Column(SEGMENT_NUMBER)]
     side: Annotated[
         Int[np.ndarray, "m"],
@@ -81,7 +81,7 @@ class Cylinders(Feature):
     silhouette: Annotated[Float[np.ndarray, "t"], Column(PROBABILITY)]
     counts: dict[str, int]
 
-    def marked(self, matches: Matches) -> Matches:
+    def mark(self, matches: Matches) -> Matches:
         """The matches that the cylinders were found in, with the mark "silhouette"."""
         return matches.with_marks(silhouette=self.silhouette)
 
@@ -109,7 +109,7 @@ class Cylinders(Feature):
         """(c, 2, sides, 3) points round both ends of each cylinder, opposite each other."""
         way = self.axis_mm[:, 1] - self.axis_mm[:, 0]
         length = np.linalg.norm(way, axis=1, keepdims=True)
-        across = axes_across(way / np.maximum(length, np.finfo(float).tiny))
+        across = complete_axes(way / np.maximum(length, np.finfo(float).tiny))
         angle = np.arange(sides) * (2 * np.pi / sides)
         circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
         around = self.radius_mm[:, None, None] * (circle @ across)

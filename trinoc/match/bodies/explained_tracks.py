@@ -63,7 +63,7 @@ def tracks_beside_rims(
     tuning: RimTuning,
 ) -> TracksBesideRims:
     """What rims leave of the tracks; `rim` is that of each segment, -1 for none."""
-    kept = np.flatnonzero(~_explained(matches, chords, rim))
+    kept = np.flatnonzero(~_explains_tracks(matches, chords, rim))
     outline = are_outlines(chords, circles, mm_per_px, tuning) & (rim < 0)
     held = _on_tracks(matches, chords, outline).sum(axis=1) >= 2
     mark = np.where(held, tuning.outline_posterior, 0.0)[kept]
@@ -72,7 +72,9 @@ def tracks_beside_rims(
     return TracksBesideRims(kept, mark, int(held[kept].sum()))
 
 
-def counts_of(rims: int, matches: Matches, tracks: TracksBesideRims, pieces: int) -> dict[str, int]:
+def count_tracks(
+    rims: int, matches: Matches, tracks: TracksBesideRims, pieces: int
+) -> dict[str, int]:
     """What became of the tracks, by name."""
     return {
         "rims": rims,
@@ -106,7 +108,7 @@ def _on_tracks(
     return found
 
 
-def _explained(
+def _explains_tracks(
     matches: Matches, chords: Chords, rim: Int[np.ndarray, "n"]
 ) -> Bool[np.ndarray, "t"]:
     """Tracks of which two segments are chords of one rim, or one of two is a rim's chord."""

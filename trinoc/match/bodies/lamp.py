@@ -5,11 +5,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.match.bodies.casting import Lamps, Pairs, cast_density
+from trinoc.match.bodies.casting import Lamps, ShadowPairs, cast_density
 from trinoc.match.tuning.shadows import ShadowTuning
 from trinoc.numerics.buckets import blocks
 from trinoc.numerics.tables import concatenate_rows, take_rows
-from trinoc.numerics.vectors import axes_across
+from trinoc.numerics.vectors import complete_axes
 
 # Lamps that are judged at once, for memory.
 AT_ONCE = 64
@@ -22,7 +22,7 @@ class Votes(NamedTuple):
     mean : of each line's density over all lamps, by which it is a likelihood ratio.
     """
 
-    pairs: Pairs
+    pairs: ShadowPairs
     prior: Float[np.ndarray, "e"]
     weight: Float[np.ndarray, "p"]
     size_mm: float
@@ -106,7 +106,7 @@ def _mean_lamp(
         best = Lamps((mean / np.linalg.norm(mean))[None], (weight @ around.nearness)[None])
         step, change = step / 2, change / 2
     off = np.column_stack(
-        [around.direction @ axes_across(best.direction[0]).T, around.nearness - best.nearness]
+        [around.direction @ complete_axes(best.direction[0]).T, around.nearness - best.nearness]
     )
     covariance = (off * weight[:, None]).T @ off
     # No finer than the lamps that were tried.
@@ -119,7 +119,7 @@ def _mean_lamp(
 def _above(upward: np.ndarray, step_deg: float, tuning: ShadowTuning) -> np.ndarray:
     """Directions about `step_deg` apart, neither too low nor straight above a plane."""
     rows = [np.zeros((0, 3))]
-    across = axes_across(upward)
+    across = complete_axes(upward)
     low, high = tuning.middle_deg - tuning.reach_deg, tuning.middle_deg + tuning.reach_deg
     for height in np.radians(np.arange(low, high + 1e-9, step_deg)):
         number = max(int(np.ceil(2 * np.pi * np.cos(height) / np.radians(step_deg))), 1)
@@ -133,7 +133,7 @@ def _around(lamp: Lamps, step_deg: float, change: float, wide: int, deep: int) -
     """A grid of lamps about one."""
     turn = np.arange(-wide, wide + 1) * np.radians(step_deg)
     one, other = np.meshgrid(turn, turn, indexing="ij")
-    across = axes_across(lamp.direction[0])
+    across = complete_axes(lamp.direction[0])
     direction = lamp.direction[0] + np.stack([one.ravel(), other.ravel()], axis=1) @ across
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     near = np.unique(np.maximum(lamp.nearness[0] + np.arange(-deep, deep + 1) * change, 0.0))

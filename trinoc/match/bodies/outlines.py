@@ -15,7 +15,7 @@ from trinoc.match.observations.match_input import MatchInput
 from trinoc.match.tracks.matches import Matches
 from trinoc.match.tuning.cylinders import CylinderTuning
 from trinoc.numerics.tables import concatenate_rows, take_rows
-from trinoc.numerics.vectors import axes_across, cross_3d
+from trinoc.numerics.vectors import complete_axes, cross_3d
 
 
 class Rays(NamedTuple):
@@ -56,7 +56,7 @@ def ray_axis_distances(
     per_px = (rest * cross_3d(d, rays.slope)).sum(axis=-1)
     # A segment across the axis moves along its outline alone: it is infinitely far off.
     per_px = np.where(per_px == 0.0, np.maximum(1e-12 * np.abs(distance), 1e-12), per_px)
-    across = axes_across(direction)[..., None, :, :]
+    across = complete_axes(direction)[..., None, :, :]
     offset = (unit[..., None, :] * across).sum(axis=-1)
     tilt = (rest[..., None, :] * cross_3d(across, rays.ray[..., None, :])).sum(axis=-1)
     return RayAxisDistances(distance, per_px, np.concatenate([offset, tilt], axis=-1))
@@ -137,7 +137,7 @@ def _of_view(
         np.repeat(slope[:, None], 2, axis=1),
     )
     size = float(np.sqrt(np.prod(np.asarray(seen.lines.size_px)[view])))
-    near = _undirected_deg(_angle_deg(ends)[:, None] - _angle_deg(ends)) < tuning.parallel_deg
+    near = _acute_deg(_angle_deg(ends)[:, None] - _angle_deg(ends)) < tuning.parallel_deg
     density = near.sum(axis=1) / (size * np.radians(2 * tuning.parallel_deg))
     return Outlines(
         np.full(len(rows), number),
@@ -156,5 +156,5 @@ def _angle_deg(ends_px: Float[np.ndarray, "n 2 2"]) -> Float[np.ndarray, "n"]:
     return np.degrees(np.arctan2(way[:, 1], way[:, 0]))
 
 
-def _undirected_deg(turn_deg: np.ndarray) -> np.ndarray:
+def _acute_deg(turn_deg: np.ndarray) -> np.ndarray:
     return np.abs((turn_deg + 90.0) % 180.0 - 90.0)

@@ -14,17 +14,17 @@ from trinoc.match.bodies.circles import (
     Chords,
     Circles,
     off_circles,
-    points_at,
+    points_on_circles,
 )
 from trinoc.match.bodies.end_errors import add_error_of_ends
-from trinoc.match.bodies.explained_tracks import counts_of, tracks_beside_rims, with_rows
+from trinoc.match.bodies.explained_tracks import count_tracks, tracks_beside_rims, with_rows
 from trinoc.match.bodies.rims import Rims
 from trinoc.match.observations.match_input import MatchInput
-from trinoc.match.tracks.line_fit import ending_view, fragments_of, interval_of
+from trinoc.match.tracks.line_fit import cut_fragments, ending_view, track_intervals
 from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, Matches
 from trinoc.match.tuning.rims import RimTuning
 from trinoc.numerics.tables import concatenate_rows, take_rows
-from trinoc.numerics.vectors import axes_across, cross_3d
+from trinoc.numerics.vectors import complete_axes, cross_3d
 
 ROUND = 2 * np.pi
 
@@ -40,7 +40,7 @@ class Arcs(NamedTuple):
         return (angle[:, None] - self.begin) % ROUND < self.end - self.begin
 
 
-class Pieces(NamedTuple):
+class CirclePieces(NamedTuple):
     """begin, end : (p,) angles. chord : (p, v) that shows each in each view, -1 for none."""
 
     begin: Float[np.ndarray, "p"]
@@ -48,9 +48,9 @@ class Pieces(NamedTuple):
     chord: Int[np.ndarray, "p v"]
 
 
-def arcs_of(around_mm: Float[np.ndarray, "n 5 3"], circle: Circles) -> Arcs:
+def cover_circle(around_mm: Float[np.ndarray, "n 5 3"], circle: Circles) -> Arcs:
     """What chords cover of one circle; `around_mm` are its points next to their places."""
-    across = axes_across(circle.normal)[0]
+    across = complete_axes(circle.normal)[0]
     out = (around_mm - circle.centre_mm[0]) @ across.T
     angle = np.arctan2(out[..., 1], out[..., 0])
     middle = angle[:, MIDDLE]
@@ -60,7 +60,7 @@ def arcs_of(around_mm: Float[np.ndarray, "n 5 3"], circle: Circles) -> Arcs:
     return Arcs(begin - turns, end - turns)
 
 
-def covered_by_two(arcs: Arcs, view: Int[np.ndarray, "n"], views: int) -> float:
+def share_of_two_views(arcs: Arcs, view: Int[np.ndarray, "n"], views: int) -> float:
     """Share of the circle that chords of two views or more show."""
     border = np.unique(np.concatenate([arcs.begin, arcs.end]) % ROUND)
     if len(border) == 0:
@@ -70,9 +70,9 @@ def covered_by_two(arcs: Arcs, view: Int[np.ndarray, "n"], views: int) -> float:
     return float(width[held.sum(axis=1) >= 2].sum() / ROUND)
 
 
-def pieces_of(
+def cut_pieces(
     arcs: Arcs, view: Int[np.ndarray, "n"], views: int, least_rad: float, tuning: RimTuning
-) -> Pieces:
+) -> CirclePieces:
     """The parts that one set of chords shows each, of two views or more; of several chords of a
     view the one that reaches furthest."""
     border = np.unique(np.concatenate([arcs.begin, arcs.end]) % ROUND)
@@ -95,9 +95,9 @@ def pieces_of(
             begin.append(start)
             end.append(start + step)
             rows.append(row)
-    found = Pieces(np.array(begin), np.array(end), chord[rows])
+    found = CirclePieces(np.array(begin), np.array(end), chord[rows])
     kept = ((found.chord >= 0).sum(axis=1) >= 2) & (found.end - found.begin > least_rad)
-    return Pieces(*(column[kept] for column in found))
+    return CirclePieces(*(column[kept] for column in found))
 
 
 def fragments_abreast(
@@ -117,8 +117,8 @@ def fragments_abreast(
         back = np.argsort(seen.order[view])
         own[:, view] = np.where(index[:, at] >= 0, back[np.maximum(index[:, at], 0)], -1)
     here = ending_view(seen, own, lines_mm)
-    interval = np.clip(interval_of(seen, own, lines_mm), 0.0, 1.0)
-    parts, covariance = fragments_of(seen, own, interval, here)
+    interval = np.clip(track_intervals(seen, own, lines_mm), 0.0, 1.0)
+    parts, covariance = cut_fragments(seen, own, interval, here)
     fragments, spread = np.full(parts.shape, np.nan), np.full(covariance.shape, np.nan)
     for view, at in enumerate(column):
         on = np.flatnonzero(index[:, at] >= 0)
@@ -164,7 +164,7 @@ class FittedRim(NamedTuple):
     of_two: bool
 
 
-class Chosen(NamedTuple):
+class RimChoice(NamedTuple):
     """rims : those put out. ambiguous : how many were not, as one of two views has another."""
 
     rims: list[FittedRim]
@@ -180,11 +180,11 @@ class RimPieces(NamedTuple):
     posterior: Float[np.ndarray, "p"]
 
 
-def answer_of(
+def build_rims(
     matches: Matches,
     seen: MatchInput,
     chords: Chords,
-    chosen: Chosen,
+    chosen: RimChoice,
     mm_per_px: float,
     tuning: RimTuning,
 ) -> Rims:
@@ -202,9 +202,9 @@ def answer_of(
     tracks = tracks_beside_rims(matches, chords, circles, rim, mm_per_px, tuning)
     own = np.flatnonzero(rim >= 0)
     own = own[np.lexsort((chords.segment[own], chords.view[own], rim[own]))]
-    counts = counts_of(len(found), matches, tracks, len(pieces.chord))
+    counts = count_tracks(len(found), matches, tracks, len(pieces.chord))
     counts["rims of two views that fit another as well"] = chosen.ambiguous
-    rows = _rows_of(matches.views, seen, chords, circles, pieces)
+    rows = _match_rows(matches.views, seen, chords, circles, pieces)
     joined = with_rows(matches, tracks, rows)
     return Rims(
         matches.views,
@@ -230,14 +230,14 @@ def _pieces(
     circle = rim.circle
     radius = circle.radius_mm[0]
     least = tuning.shortest_piece_px * mm_per_px / radius
-    found = pieces_of(rim.arcs, chords.view[rim.own], views, least, tuning)
+    found = cut_pieces(rim.arcs, chords.view[rim.own], views, least, tuning)
     angle = np.stack([found.begin, found.end], axis=1)
-    ends = points_at(circle, angle.reshape(1, -1)).reshape(-1, 2, 3)
+    ends = points_on_circles(circle, angle.reshape(1, -1)).reshape(-1, 2, 3)
     out = (ends - circle.centre_mm[0]) / radius
     slope = np.zeros((len(ends), 2, 3, 6))
     slope[..., :3] = np.eye(3)
     # As the normal turns toward one axis, what lies along that axis sinks.
-    across = out @ axes_across(circle.normal)[0].T
+    across = out @ complete_axes(circle.normal)[0].T
     slope[..., 3:5] = -radius * across[:, :, None] * circle.normal[0][:, None]
     slope[..., 5] = out
     slope = slope.reshape(-1, 6, 6)
@@ -252,11 +252,11 @@ def _public(rim: FittedRim) -> Float[np.ndarray, "7 7"]:
     """Covariance of centre, normal and radius."""
     slope = np.zeros((7, 6))
     slope[:3, :3], slope[6, 5] = np.eye(3), 1.0
-    slope[3:6, 3:5] = axes_across(rim.circle.normal)[0].T
+    slope[3:6, 3:5] = complete_axes(rim.circle.normal)[0].T
     return slope @ rim.covariance @ slope.T
 
 
-def _rows_of(
+def _match_rows(
     views: tuple[str, ...],
     seen: MatchInput,
     chords: Chords,

@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
-from trinoc.match.bodies.circles import Circles, images_of
+from trinoc.match.bodies.circles import Circles, image_circles
 from trinoc.match.tuning.rims import RimTuning
 from trinoc.numerics.buckets import blocks
 from trinoc.numerics.tables import concatenate_rows, take_rows
@@ -14,7 +14,7 @@ from trinoc.numerics.vectors import cross_3d
 MOST_AT_ONCE = 1 << 21
 
 
-def hypotheses(
+def propose_rims(
     lines_mm: Float[np.ndarray, "t 2 3"],
     cameras_px: Float[np.ndarray, "v 3 4"],
     mm_per_px: float,
@@ -50,7 +50,7 @@ def hypotheses(
         centre = centre + reach[:, None] * (inward[0] + side * inward[1]) / 2
         found.append((one[good], Circles(centre[good], normal[good], radius[good])))
     line, circles = concatenate_rows(found)
-    ratios = np.stack([images_of(circles, camera).axis_ratio for camera in cameras_px])
+    ratios = np.stack([image_circles(circles, camera).axis_ratio for camera in cameras_px])
     opened = np.flatnonzero((ratios > tuning.least_axis_ratio).sum(axis=0) >= 2)
     line, circles = line[opened], take_rows(circles, opened)
     support = np.zeros(len(line))

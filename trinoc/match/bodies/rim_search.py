@@ -13,21 +13,21 @@ from trinoc.geometry.segments import Segments
 from trinoc.match.bodies.circles import (
     Chords,
     Circles,
-    chords_of,
+    collect_chords,
     fit_circle,
     off_circles,
     touching,
 )
 from trinoc.match.bodies.rim_answer import (
     Arcs,
-    Chosen,
     FittedRim,
-    answer_of,
-    arcs_of,
-    covered_by_two,
+    RimChoice,
+    build_rims,
+    cover_circle,
+    share_of_two_views,
 )
-from trinoc.match.bodies.rim_hypotheses import hypotheses
-from trinoc.match.bodies.rim_support import about, has_rival, support_of, supports
+from trinoc.match.bodies.rim_hypotheses import propose_rims
+from trinoc.match.bodies.rim_support import about, has_rival, sum_support, supports
 from trinoc.match.bodies.rims import Rims
 from trinoc.match.observations.match_input import prepare, with_noise_scale
 from trinoc.match.observations.pictures_of_views import segments_of_views
@@ -39,7 +39,9 @@ from trinoc.numerics.precision import in_float64
 from trinoc.numerics.tables import take_rows
 
 
-def mm_per_px_of(lines_mm: Float[np.ndarray, "t 2 3"], rig: Rig, views: tuple[str, ...]) -> float:
+def usual_mm_per_px(
+    lines_mm: Float[np.ndarray, "t 2 3"], rig: Rig, views: tuple[str, ...]
+) -> float:
     """Usual size of a pixel at the lines; 1 where there are none."""
     length = np.linalg.norm(lines_mm[:, 1] - lines_mm[:, 0], axis=1)
     shares = []
@@ -85,16 +87,16 @@ def find_rims(
     """
     stated = prepare(segments_of_views("Finding rims", matches.views, segments), rig, None)
     # Matched chords disagree: what that makes of their errors is none of the rims'.
-    chords = chords_of(stated, matches.views, tuning.rims)
+    chords = collect_chords(stated, matches.views, tuning.rims)
     seen = with_noise_scale(stated, np.array([matches.noise_scale]))
-    scale = mm_per_px_of(matches.lines_mm, rig, matches.views)
+    scale = usual_mm_per_px(matches.lines_mm, rig, matches.views)
     cameras = np.asarray(stated.frames[0].cameras.matrix_px)
-    start = hypotheses(matches.lines_mm, cameras, scale, tuning.rims)
+    start = propose_rims(matches.lines_mm, cameras, scale, tuning.rims)
     chosen = _choose_rims(chords, start, tuning.rims)
-    return answer_of(matches, seen, chords, chosen, scale, tuning.rims)
+    return build_rims(matches, seen, chords, chosen, scale, tuning.rims)
 
 
-def _choose_rims(chords: Chords, start: Circles, tuning: RimTuning) -> Chosen:
+def _choose_rims(chords: Chords, start: Circles, tuning: RimTuning) -> RimChoice:
     """Rims, one after the other, those of the longest chords first; a chord belongs to one."""
     support = supports(chords, start, tuning.first_px, tuning)
     ones = np.ones_like(support.data)
@@ -110,7 +112,7 @@ def _choose_rims(chords: Chords, start: Circles, tuning: RimTuning) -> Chosen:
         tried = np.argsort(-total, kind="stable")[:_AT_ONCE]
         tried = tried[total[tried] > 0]
         if len(tried) == 0:
-            return Chosen(found, ambiguous)
+            return RimChoice(found, ambiguous)
         best = None
         for row in tried:
             rim = _fit_rim(chords, take_rows(start, row[None]), free, views, tuning)
@@ -134,7 +136,7 @@ def _fit_rim(
     """The rim near a circle; None where too little touches it."""
     rows = np.flatnonzero(about(chords, circle, _ROOM_PX)[0] & free)
     chords = take_rows(chords, rows)
-    first = _shown(chords, circle, tuning.first_px, views, tuning)
+    first = _circle_evidence(chords, circle, tuning.first_px, views, tuning)
     if first.covered < tuning.least_covered_at_first:
         return None
     covariance = np.zeros((6, 6))
@@ -144,7 +146,7 @@ def _fit_rim(
         if np.sort(np.bincount(chords.view[own], minlength=views))[-2] < tuning.least_chords:
             return None
         circle, covariance = fit_circle(take_rows(chords, own), circle)
-    last = _shown(chords, circle, tuning.last_px, views, tuning)
+    last = _circle_evidence(chords, circle, tuning.last_px, views, tuning)
     number = np.bincount(chords.view[last.own], minlength=views)
     # Two arcs of two views leave three numbers each, place, direction and bend, as many as a circle
     # takes: they always lie on one, unless they are long.
@@ -158,7 +160,7 @@ def _fit_rim(
     return FittedRim(circle, covariance, rows[own], arcs, covered, support, of_two)
 
 
-class _Shown(NamedTuple):
+class _CircleEvidence(NamedTuple):
     """What chords show of a circle. support : in all."""
 
     own: Int[np.ndarray, "k"]
@@ -167,12 +169,12 @@ class _Shown(NamedTuple):
     support: float
 
 
-def _shown(
+def _circle_evidence(
     chords: Chords, circle: Circles, within_px: float, views: int, tuning: RimTuning
-) -> _Shown:
+) -> _CircleEvidence:
     off = off_circles(chords, circle, with_ends=True)
-    support = support_of(chords, off, within_px, tuning)[0]
+    support = sum_support(chords, off, within_px, tuning)[0]
     own = np.flatnonzero(support > 0)
-    arcs = arcs_of(off.around_mm[0, own], circle)
-    covered = covered_by_two(arcs, chords.view[own], views)
-    return _Shown(own, arcs, covered, float(support.sum()))
+    arcs = cover_circle(off.around_mm[0, own], circle)
+    covered = share_of_two_views(arcs, chords.view[own], views)
+    return _CircleEvidence(own, arcs, covered, float(support.sum()))

@@ -12,7 +12,7 @@ from trinoc.match.bodies.circles import (
     Chords,
     Circles,
     Off,
-    images_of,
+    image_circles,
     off_circles,
     touching,
 )
@@ -37,7 +37,7 @@ def supports(chords: Chords, circles: Circles, within_px: float, tuning: RimTuni
         some = take_rows(circles, order[part])
         near = np.flatnonzero(about(chords, some, within_px).any(axis=0))
         own = take_rows(chords, near)
-        found = support_of(own, off_circles(own, some), within_px, tuning)
+        found = sum_support(own, off_circles(own, some), within_px, tuning)
         row, column = np.nonzero(found)
         entries.append((found[row, column], (order[part][row], near[column])))
     values = np.concatenate([value for value, _ in entries])
@@ -45,7 +45,7 @@ def supports(chords: Chords, circles: Circles, within_px: float, tuning: RimTuni
     return coo_array((values, (index[0], index[1])), shape=shape).tocsr()
 
 
-def support_of(
+def sum_support(
     chords: Chords, off: Off, within_px: float, tuning: RimTuning
 ) -> Float[np.ndarray, "h s"]:
     """Length of the chords that touch circles; those that lie near count for more, so that of the
@@ -60,7 +60,7 @@ def about(chords: Chords, circles: Circles, margin_px: float) -> Bool[np.ndarray
     found = np.zeros((len(circles.radius_mm), len(chords.view)), dtype=bool)
     for view in np.unique(chords.view):
         own = np.flatnonzero(chords.view == view)
-        image = images_of(circles, chords.matrix_px[own[0]])
+        image = image_circles(circles, chords.matrix_px[own[0]])
         off = chords.places_px[own, MIDDLE] - image.middle_px[:, None]
         # In perspective, the image reaches further on the side that is nearer.
         reach = 1.5 * image.axes_px[:, :1] + margin_px
@@ -82,12 +82,12 @@ def has_rival(
     """
     one, other = np.unique(chords.view[own]).tolist()
     return any(
-        _shown_elsewhere(chords, circle, own, first, second, tuning)
+        _has_other_chords(chords, circle, own, first, second, tuning)
         for first, second in ((one, other), (other, one))
     )
 
 
-def _shown_elsewhere(
+def _has_other_chords(
     chords: Chords,
     circle: Circles,
     own: Int[np.ndarray, "k"],

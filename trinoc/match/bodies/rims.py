@@ -8,14 +8,14 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from trinoc.geometry.features import Feature, Wires, wires_of_lines
-from trinoc.match.bodies.circles import Circles, points_at
+from trinoc.match.bodies.circles import Circles, points_on_circles
 from trinoc.match.tracks.matches import Matches
 from trinoc.numerics.table_checks import (
     COVARIANCE,
     IN_SCENE,
     RADIUS,
     SEGMENT_NUMBER,
-    number_of,
+    check_number,
 )
 from trinoc.numerics.tables import Check, Column
 
@@ -85,8 +85,8 @@ class Rims(Feature):
         Float[np.ndarray, "c"],
         Column(Check("is no share", lambda share, _: (share >= 0) & (share <= 1 + _OF_SHARE))),
     ]
-    rim: Annotated[Int[np.ndarray, "m"], Column(number_of("c", "is no rim"))]
-    view: Annotated[Int[np.ndarray, "m"], Column(number_of("v", "is no view"))]
+    rim: Annotated[Int[np.ndarray, "m"], Column(check_number("c", "is no rim"))]
+    view: Annotated[Int[np.ndarray, "m"], Column(check_number("v", "is no view"))]
     segment: Annotated[Int[np.ndarray, "m"], Column(SEGMENT_NUMBER)]
     matches: Matches
     kept: Annotated[
@@ -117,7 +117,7 @@ class Rims(Feature):
     def circles_mm(self, sides: int = 48) -> Float[np.ndarray, "c n 3"]:
         """(c, sides, 3) points round each."""
         angle = np.tile(np.arange(sides) * (2 * np.pi / sides), (len(self), 1))
-        return points_at(Circles(self.centre_mm, self.normal, self.radius_mm), angle)
+        return points_on_circles(Circles(self.centre_mm, self.normal, self.radius_mm), angle)
 
     def wires(self) -> Wires:
         """Each circle, closed."""

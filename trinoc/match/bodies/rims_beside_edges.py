@@ -10,9 +10,16 @@ from jaxtyping import Int
 from trinoc.errors import InputError
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
-from trinoc.match.bodies.circles import ON_ARC, Chords, Circles, chords_of, off_circles, touching
-from trinoc.match.bodies.explained_tracks import counts_of, tracks_beside_rims, with_rows
-from trinoc.match.bodies.rim_search import mm_per_px_of
+from trinoc.match.bodies.circles import (
+    ON_ARC,
+    Chords,
+    Circles,
+    collect_chords,
+    off_circles,
+    touching,
+)
+from trinoc.match.bodies.explained_tracks import count_tracks, tracks_beside_rims, with_rows
+from trinoc.match.bodies.rim_search import usual_mm_per_px
 from trinoc.match.bodies.rims import Rims
 from trinoc.match.observations.match_input import prepare
 from trinoc.match.observations.pictures_of_views import segments_of_views
@@ -87,10 +94,10 @@ def add_rims(
             f"The rims are of the views {', '.join(rims.views)}, but the matches of "
             f"{', '.join(views)}: find both in the same pictures, the views in one order."
         )
-    own = chords_of(prepare(given, rig, None), views, tuning.rims)
+    own = collect_chords(prepare(given, rig, None), views, tuning.rims)
     circles = Circles(rims.centre_mm, rims.normal, rims.radius_mm)
-    rim = _rim_of(own, circles, tuning.rims)
-    scale = mm_per_px_of(matches.lines_mm, rig, views)
+    rim = _assign_rims(own, circles, tuning.rims)
+    scale = usual_mm_per_px(matches.lines_mm, rig, views)
     tracks = tracks_beside_rims(matches, own, circles, rim, scale, tuning.rims)
     first = len(rims.kept)
     rows = {name: np.asarray(getattr(rims.matches, name))[first:].copy() for name in _ROWS}
@@ -99,14 +106,14 @@ def add_rims(
         column = rows["index"][:, view]
         used = np.unique(column[column >= 0])
         column[column >= 0] = len(given[name]) + np.searchsorted(used, column[column >= 0])
-        joined[name] = given[name].followed_by(more[name].take(used))
+        joined[name] = given[name].append(more[name].take(used))
         reasons[name] = np.concatenate([matches.reasons[name], np.full(len(used), "matched")])
-    counts = counts_of(len(rims), matches, tracks, len(rows["index"]))
+    counts = count_tracks(len(rims), matches, tracks, len(rows["index"]))
     before = dataclasses.replace(matches, reasons=reasons, counts=matches.counts | counts)
     return MatchesWithRims(joined, with_rows(before, tracks, rows), tracks.kept)
 
 
-def _rim_of(chords: Chords, circles: Circles, tuning: RimTuning) -> Int[np.ndarray, "n"]:
+def _assign_rims(chords: Chords, circles: Circles, tuning: RimTuning) -> Int[np.ndarray, "n"]:
     """The rim that each segment is a chord of, the nearest of several; -1 for none."""
     if len(circles.radius_mm) == 0:
         return np.full(len(chords.view), -1)

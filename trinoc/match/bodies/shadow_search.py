@@ -13,8 +13,8 @@ from trinoc.geometry.segments import Segments
 from trinoc.match.bodies.casting import (
     casting_pairs,
     evidence_of_surroundings,
-    levels_beside,
-    planes_of,
+    side_levels_of_lines,
+    suggest_planes,
 )
 from trinoc.match.bodies.lamp import Lamp, Votes, best_lamp
 from trinoc.match.line_map.collinear_merge import join_collinear
@@ -66,7 +66,7 @@ class Shadows(eqx.Module):
         place = self.toward_lamp + self.nearness_per_mm * self.middle_mm
         return np.append(place, self.nearness_per_mm)
 
-    def marked(self, matches: Matches) -> Matches:
+    def mark(self, matches: Matches) -> Matches:
         """The matches that the shadows were found in, with the mark "shadow"."""
         return matches.with_marks(shadow=self.shadow)
 
@@ -138,8 +138,8 @@ def find_shadows(
     middle = lines.mean(axis=(0, 1))
     size = float(np.median(np.linalg.norm(lines - middle, axis=2)))
     cameras = np.mean([np.asarray(rig[name].centre_world_mm) for name in matches.views], axis=0)
-    planes = planes_of(lines, covariance, cameras, own)
-    levels = levels_beside(matches, given, joined)
+    planes = suggest_planes(lines, covariance, cameras, own)
+    levels = side_levels_of_lines(matches, given, joined)
     corners = snap_corners(joined, tuning=tuning)
     known = evidence_of_surroundings(joined, corners, planes, levels, own)
     prior = expit(_log_odds(known, own.first_log_odds))

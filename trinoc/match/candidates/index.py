@@ -31,11 +31,11 @@ from trinoc.numerics.joins import (
     group_medians,
     group_sums,
 )
-from trinoc.numerics.precision import namespace_of
+from trinoc.numerics.precision import array_namespace
 from trinoc.numerics.vectors import Scalar, Vector2
 
 
-class Layer(NamedTuple):
+class IndexLayer(NamedTuple):
     """Which predictions look into a layer of the table, and how fine it is.
 
     sectors : in half a turn. slack_rad, sigmas : the largest error allowed of the direction of
@@ -50,13 +50,13 @@ class Layer(NamedTuple):
 
 
 LAYERS = (
-    Layer(24, math.radians(3.0), 1.5, 1),
-    Layer(6, math.radians(15.0), 3.0, 2),
-    Layer(1, math.pi, 6.0, 4),
+    IndexLayer(24, math.radians(3.0), 1.5, 1),
+    IndexLayer(6, math.radians(15.0), 3.0, 2),
+    IndexLayer(1, math.pi, 6.0, 4),
 )
 CROWDED_LAYERS = (
-    Layer(36, math.radians(2.0), 1.2, 0.75),
-    Layer(24, math.radians(4.0), 1.5, 1),
+    IndexLayer(36, math.radians(2.0), 1.2, 0.75),
+    IndexLayer(24, math.radians(4.0), 1.5, 1),
     *LAYERS[1:],
 )
 
@@ -96,7 +96,7 @@ def spatial_index(
     cell_px: Float[np.ndarray, "*f"] | float,
     sigma_px: Float[np.ndarray, "*f"] | float,
     frame: Int[np.ndarray, "n"] | None = None,
-    layers: tuple[Layer, ...] = LAYERS,
+    layers: tuple[IndexLayer, ...] = LAYERS,
 ) -> SpatialIndex:
     """Enter each segment, in each layer, in every cell that it passes within the margin, and
     in each sector that holds a direction within `slack_rad` and the layer's slack of its own.
@@ -109,7 +109,7 @@ def spatial_index(
     step = ends_px[:, 1] - ends_px[:, 0]
     angle = np.arctan2(step[:, 1], step[:, 0])
 
-    def sector_of(angle: Float[np.ndarray, "n"], sectors: int) -> Int[np.ndarray, "n"]:
+    def sector_number(angle: Float[np.ndarray, "n"], sectors: int) -> Int[np.ndarray, "n"]:
         turns = np.floor(angle / np.pi)
         rest = angle - np.pi * turns
         return np.floor((turns + _half_turns(np.cos(rest), np.sin(rest))) * sectors).astype(int)
@@ -120,7 +120,7 @@ def spatial_index(
         owner, column, row = _cells_passed(ends_px, margins_px[number], cells_px[:, number], shape)
         cell = row * columns[owner, number] + column
         slack = slack_rad + layer.slack_rad
-        first, last = (sector_of(angle + side * slack, layer.sectors) for side in (-1, 1))
+        first, last = (sector_number(angle + side * slack, layer.sectors) for side in (-1, 1))
         last = np.minimum(last, first + layer.sectors - 1)
         entry, turned = expand_ranges(first[owner], last[owner] + 1)
         key = first_key[owner, number] + cell * layer.sectors
@@ -142,7 +142,7 @@ def spatial_index(
 def _half_turns(u: Any, v: Any) -> Any:
     """A direction from 0 to half a turn (v >= 0), as a number from 0 to 1 that grows with its
     angle, though not evenly: it takes no arc tangent."""
-    xp = namespace_of(u, v)
+    xp = array_namespace(u, v)
     share = v / (abs(u) + v) / 2
     return xp.where(u >= 0, share, 1 - share)
 
@@ -151,7 +151,7 @@ def _grid(
     size_px: Float[np.ndarray, "*f 2"],
     cell_px: Float[np.ndarray, "*f"],
     sigma_px: Float[np.ndarray, "*f"],
-    layers: tuple[Layer, ...],
+    layers: tuple[IndexLayer, ...],
 ) -> Grid:
     cells_px = cell_px[..., None] * np.array([layer.cell for layer in layers], dtype=np.float64)
     columns, rows = np.ceil(np.moveaxis(size_px, -1, 0)[..., None] / cells_px).astype(np.int32)
@@ -185,36 +185,36 @@ def _cells_passed(
     slope = (other[:, 1] - other[:, 0]) / (walk[:, 1] - walk[:, 0])
     lengths, widths = np.where(steep[:, None], shape[:, ::-1], shape).T
 
-    def cells_between(
+    def clip_cells(
         least_px: np.ndarray, most_px: np.ndarray, side_px: np.ndarray, count: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         first, last = np.floor(least_px / side_px), np.floor(most_px / side_px)
         inside = np.clip(first, 0, count), np.clip(last + 1, 0, count)
         return expand_ranges(*(each.astype(int) for each in inside))
 
-    owner, along = cells_between(low - margin_px, high + margin_px, cell_px, lengths)
+    owner, along = clip_cells(low - margin_px, high + margin_px, cell_px, lengths)
 
-    def other_at(place: np.ndarray) -> np.ndarray:
+    def other_coordinate(place: np.ndarray) -> np.ndarray:
         reached = np.clip(place, low[owner], high[owner])
         return other[owner, 0] + slope[owner] * (reached - walk[owner, 0])
 
     side = cell_px[owner]
-    left, right = other_at(along * side), other_at((along + 1) * side)
+    left, right = other_coordinate(along * side), other_coordinate((along + 1) * side)
     # Across a slanting segment the margin is longer along the rows or columns.
     margin = (margin_px * np.sqrt(1 + slope**2))[owner]
-    entry, across = cells_between(
+    entry, across = clip_cells(
         np.minimum(left, right) - margin, np.maximum(left, right) + margin, side, widths[owner]
     )
     owner, along = owner[entry], along[entry]
     return owner, np.where(steep[owner], across, along), np.where(steep[owner], along, across)
 
 
-def layers_of(grid: Grid) -> tuple[Layer, ...]:
+def find_layers(grid: Grid) -> tuple[IndexLayer, ...]:
     """The layers of a table, by their number."""
     return LAYERS if np.shape(grid.cell_px)[-1] == len(LAYERS) else CROWDED_LAYERS
 
 
-def key_at(
+def find_keys(
     grid: Grid,
     points_px: Sequence[Vector2],
     direction: Vector2,
@@ -227,7 +227,7 @@ def key_at(
     of the finest layer that allows for both, that without entries where none does, or where a
     point lies outside the picture.
     """
-    nowhere, every = grid.first[-1], layers_of(grid)
+    nowhere, every = grid.first[-1], find_layers(grid)
     known = [
         (slack_rad < layer.slack_rad) & (sigma_px < layer.sigmas * grid.sigma_px) for layer in every
     ]
@@ -258,7 +258,7 @@ def key_at(
     return keys
 
 
-def segments_at(
+def look_up_segments(
     index: SpatialIndex, key: Int[np.ndarray, "q"]
 ) -> tuple[Int[np.ndarray, "hits"], Int[np.ndarray, "hits"]]:
     """(query, segment) for every segment entered where a query looks."""
@@ -310,7 +310,7 @@ def lookup(
     return table._replace(grid=table.grid._replace(cell_px=sides, sigma_px=typical))
 
 
-def keys_of(
+def prediction_keys(
     grid: Grid, guess: Prediction, tuning: CandidateTuning = DEFAULT.candidates
 ) -> list[Int[ArrayLike, ""]]:
     """Where in the table to look for each sample of a prediction, in the table's precision."""
@@ -320,7 +320,7 @@ def keys_of(
     slack = tuning.reach_sigmas * jnp.sqrt(guess.c00 + guess.c11 - 2 * guess.c01) / length
     sigma = jnp.sqrt(jnp.maximum(guess.c00, guess.c11))
     points = [(guess.u0 + sample * du, guess.v0 + sample * dv) for sample in SAMPLES]
-    keys = key_at(grid, points, (du, dv), slack, sigma)
+    keys = find_keys(grid, points, (du, dv), slack, sigma)
     nowhere, asked = grid.first[-1], guess.possible
     for k in range(1, len(SAMPLES)):
         # What two samples find is found once.
@@ -329,9 +329,9 @@ def keys_of(
     return [jnp.where(asked, keys[0], nowhere), *keys[1:]]
 
 
-def segments_near(
+def find_segments_near_predictions(
     table: SpatialIndex, keys: Int[np.ndarray, "s p"]
 ) -> tuple[Int[np.ndarray, "hits"], Int[np.ndarray, "hits"]]:
     """(prediction, segment) of what passes a sample of a prediction; some more than once."""
-    query, segment = segments_at(table, keys.reshape(-1))
+    query, segment = look_up_segments(table, keys.reshape(-1))
     return query % keys.shape[1], segment

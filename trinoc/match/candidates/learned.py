@@ -23,7 +23,7 @@ from trinoc.match.observations.table import (
     PAIRS_IN_BLOCK,
     TRIPLES_IN_BLOCK,
     SegmentTable,
-    block_of,
+    block_size,
 )
 from trinoc.match.tuning.candidates import CandidateTuning, ScoutTuning
 from trinoc.match.tuning.every_group import MatchTuning
@@ -31,11 +31,11 @@ from trinoc.match.tuning.evidence import EndTuning, EvidenceTuning
 from trinoc.match.two_view.epipolar_pencil import (
     Pencil,
     PencilSegments,
+    common_ends_mm,
     cut_pair,
-    points_of,
-    row_of,
+    take_segments,
 )
-from trinoc.match.two_view.planes import sight_of
+from trinoc.match.two_view.planes import segment_planes
 from trinoc.numerics.arrays import ArrayLike
 from trinoc.numerics.buckets import in_blocks
 from trinoc.numerics.programs import kept_jit
@@ -50,7 +50,7 @@ class Region(NamedTuple):
     high_mm: Float[np.ndarray, "3"]
 
 
-def region_of(ends_mm: Float[np.ndarray, "m 2 3"], tuning: ScoutTuning) -> Region:
+def bound_region(ends_mm: Float[np.ndarray, "m 2 3"], tuning: ScoutTuning) -> Region:
     """The box along the axes of their spread that holds nearly all ends of some lines, and more."""
     points = ends_mm.reshape(-1, 3)
     axes = np.linalg.eigh(np.cov(points.T))[1].T
@@ -78,7 +78,7 @@ def region_of_pencil(region: Region, planes: Pencil) -> RegionOfPencil:
     return RegionOfPencil(*(part.astype(np.float32) for part in parts))
 
 
-def pairs_within(
+def select_pairs_in_region(
     lines: SegmentTable,
     single: SingleOrder,
     region: RegionOfPencil,
@@ -90,14 +90,14 @@ def pairs_within(
     pair = single.view.baseline_mm, single.first, single.second
 
     def inside(i: np.ndarray, j: np.ndarray) -> ArrayLike:
-        return _lies_within(region, *pair, i, j, tuning=tuning)
+        return _lies_in_region(region, *pair, i, j, tuning=tuning)
 
-    keep = np.flatnonzero(in_blocks(inside, block_of(lines, PAIRS_IN_BLOCK), i, j))
+    keep = np.flatnonzero(in_blocks(inside, block_size(lines, PAIRS_IN_BLOCK), i, j))
     return i[keep], j[keep]
 
 
 @partial(kept_jit, static_argnames=("tuning",))
-def _lies_within(
+def _lies_in_region(
     region: RegionOfPencil,
     baseline_mm: Float[ArrayLike, ""],
     first: PencilSegments,
@@ -107,7 +107,7 @@ def _lies_within(
     tuning: CandidateTuning,
 ) -> Bool[ArrayLike, "p"]:
     """Whether pairs have a common part of which both ends lie in a region."""
-    part = cut_pair(baseline_mm, row_of(first, i), row_of(second, j), tuning)
+    part = cut_pair(baseline_mm, take_segments(first, i), take_segments(second, j), tuning)
     inside = part.possible
     for at in (part.at_low, part.at_high):
         place = times_matrix(region.turned, at[:3])
@@ -117,7 +117,7 @@ def _lies_within(
     return jnp.asarray(inside)
 
 
-class Learned(NamedTuple):
+class SearchPrior(NamedTuple):
     """Where to search, everywhere where None, and the parameters of the evidence.
 
     least_log_odds : what is less likely than this, about, is no candidate.
@@ -135,7 +135,7 @@ class Learned(NamedTuple):
 Screen = tuple[SegmentTable, Int[ArrayLike, "3"], Pencil, ClutterModel]
 
 
-def screen_of(
+def prepare_screen(
     lines: SegmentTable, order: Int[np.ndarray, "3"], planes: Pencil, clutter: ClutterModel
 ) -> Screen:
     """What `likely_triples` needs, of one frame."""
@@ -152,7 +152,7 @@ def screen_of(
 
 
 def likely_triples(
-    screen: Screen, triple: Int[np.ndarray, "h 3"], learned: Learned, tuning: MatchTuning
+    screen: Screen, triple: Int[np.ndarray, "h 3"], learned: SearchPrior, tuning: MatchTuning
 ) -> Int[np.ndarray, "_ 3"]:
     """Those triples of one frame that may be likely, wherever they lie.
 
@@ -173,7 +173,7 @@ def likely_triples(
         groups = {"tuning": tuning.candidates, "of_ends": tuning.ends, "evidence": tuning.evidence}
         return _log_odds(*screen, rows, (tail, ends), **groups)
 
-    found = in_blocks(odds, block_of(screen[0], TRIPLES_IN_BLOCK), triple)
+    found = in_blocks(odds, block_size(screen[0], TRIPLES_IN_BLOCK), triple)
     return triple[found + prior > learned.least_log_odds]
 
 
@@ -191,9 +191,9 @@ def _log_odds(
 ) -> Float[ArrayLike, "h"]:
     """Log odds of each apart from the prior, -inf where it cannot be one line."""
     segments = triple.T
-    sight = sight_of(lines, clutter, order, segments)
-    rows = row_of(planes.first, segments[0]), row_of(planes.second, segments[1])
-    near_mm = points_of(planes, cut_pair(planes.baseline_mm, *rows, tuning))
+    sight = segment_planes(lines, clutter, order, segments)
+    rows = take_segments(planes.first, segments[0]), take_segments(planes.second, segments[1])
+    near_mm = common_ends_mm(planes, cut_pair(planes.baseline_mm, *rows, tuning))
     found = triple_evidence(sight, near_mm, tuning)
     tail, shares = log_shares
     total = found.log_density + _log_tail(found.chi_square, tail, evidence)

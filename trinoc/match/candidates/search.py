@@ -13,22 +13,28 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.match.candidates.index import Grid, SpatialIndex, keys_of, lookup, segments_near
+from trinoc.match.candidates.index import (
+    Grid,
+    SpatialIndex,
+    find_segments_near_predictions,
+    lookup,
+    prediction_keys,
+)
 from trinoc.match.candidates.single_precision import (
     Prediction,
     SingleOrder,
     predict,
-    prepared_order,
+    prepare_order,
 )
 from trinoc.match.observations.clutter import ClutterModel
-from trinoc.match.observations.table import PAIRS_IN_BLOCK, SegmentTable, block_of
+from trinoc.match.observations.table import PAIRS_IN_BLOCK, SegmentTable, block_size
 from trinoc.match.tuning.candidates import CandidateTuning
 from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
-from trinoc.match.two_view.epipolar_pencil import Pencil, PencilSegments, row_of
+from trinoc.match.two_view.epipolar_pencil import Pencil, PencilSegments, take_segments
 from trinoc.numerics.arrays import ArrayLike
-from trinoc.numerics.buckets import blocks, in_blocks, padded
+from trinoc.numerics.buckets import blocks, in_blocks, pad_rows
 from trinoc.numerics.programs import kept_jit
-from trinoc.numerics.vectors import Scalar, between
+from trinoc.numerics.vectors import Scalar, interpolated_covariance
 
 
 def passes_third_view_gate(
@@ -43,10 +49,10 @@ def passes_third_view_gate(
     du, dv = p.u1 - p.u0, p.v1 - p.v0
     squared = du * du + dv * dv
 
-    def along(e: int) -> Scalar:
+    def position(e: int) -> Scalar:
         return ((ends_px[e, 0] - p.u0) * du + (ends_px[e, 1] - p.v0) * dv) / squared
 
-    first, second = along(0), along(1)
+    first, second = position(0), position(1)
     begin = jnp.maximum(0.0, jnp.minimum(first, second))
     end = jnp.minimum(1.0, jnp.maximum(first, second))
     reach = second - first
@@ -58,9 +64,9 @@ def passes_third_view_gate(
     predicted = (p.c00, p.c01, p.c11)
     own = (across_px2[0, 0], across_px2[0, 1], across_px2[1, 1])
     s, t = (begin - first) / reach, (end - first) / reach
-    v00 = between(predicted, begin, begin) + between(own, s, s)
-    v11 = between(predicted, end, end) + between(own, t, t)
-    v01 = between(predicted, begin, end) + between(own, s, t)
+    v00 = interpolated_covariance(predicted, begin, begin) + interpolated_covariance(own, s, s)
+    v11 = interpolated_covariance(predicted, end, end) + interpolated_covariance(own, t, t)
+    v01 = interpolated_covariance(predicted, begin, end) + interpolated_covariance(own, s, t)
     determinant = v00 * v11 - v01 * v01
     chi_square = (v11 * r0 * r0 - 2 * v01 * r0 * r1 + v00 * r1 * r1) / determinant
     return p.possible & overlaps & (chi_square < tuning.gate_slack * tuning.gate)
@@ -91,7 +97,7 @@ class Orders(NamedTuple):
         return [self.counts[view] for view in self.views]
 
 
-def prepared_orders(
+def prepare_orders(
     lines: SegmentTable,
     views: tuple[int, int, int],
     counts: list[int],
@@ -101,18 +107,18 @@ def prepared_orders(
     """Three of the views of a table, ready to be searched."""
     # Tables of three views, whichever and of how many, so that kernels compile once for all.
     if views != tuple(range(len(counts))):
-        lines, clutter = _views_of(lines, clutter, np.array(views))
+        lines, clutter = _take_views(lines, clutter, np.array(views))
     each = []
     for turn in range(3):
         order = np.roll(np.arange(3), turn)
         third = int(order[2])
         table = lookup(lines, third, counts[views[third]], tuning.candidates)
-        each.append(Order(order, *prepared_order(lines, order), table))
+        each.append(Order(order, *prepare_order(lines, order), table))
     return Orders(views, counts, lines, clutter, each)
 
 
 @jax.jit
-def _views_of(
+def _take_views(
     lines: SegmentTable, clutter: ClutterModel, views: Int[ArrayLike, "k"]
 ) -> tuple[SegmentTable, ClutterModel]:
     densities = jnp.asarray(clutter.log_density)[views]
@@ -127,7 +133,7 @@ def _views_of(
     return three, ClutterModel(densities, clutter.typical_px)
 
 
-def gated_triples(
+def gate_triples(
     lines: SegmentTable,
     single: SingleOrder,
     table: SpatialIndex,
@@ -138,18 +144,20 @@ def gated_triples(
 ) -> Int[np.ndarray, "h 3"]:
     """(segments in the views of an order) of what passes the gate in the third view; in
     `any_order`, also of pairs that predict it worse than another pair of the three would."""
-    size = block_of(lines, PAIRS_IN_BLOCK)
+    size = block_size(lines, PAIRS_IN_BLOCK)
     found = [np.zeros((0, 3), dtype=np.int32)]
     for block in blocks(len(i), size):
-        rows = padded(i[block], size), padded(j[block], size)
-        guess, keys = _predicted(single, table.grid, *rows, np.asarray(any_order), tuning=tuning)
+        rows = pad_rows(i[block], size), pad_rows(j[block], size)
+        guess, keys = _predict_pairs(
+            single, table.grid, *rows, np.asarray(any_order), tuning=tuning
+        )
         keys = np.stack([np.asarray(key)[: block.stop - block.start] for key in keys])
-        pair, k = segments_near(table, keys)
+        pair, k = find_segments_near_predictions(table, keys)
 
-        def gated(pair: np.ndarray, k: np.ndarray, guess: Prediction = guess) -> ArrayLike:
+        def passes(pair: np.ndarray, k: np.ndarray, guess: Prediction = guess) -> ArrayLike:
             return _passes_gate(single.segments, guess, pair, k, tuning=tuning)
 
-        near_enough = in_blocks(gated, size, pair, k)
+        near_enough = in_blocks(passes, size, pair, k)
         # Several samples of one prediction may find one segment.
         both = np.unique((pair[near_enough].astype(np.int64) << 32) | k[near_enough])
         pair, k = (both >> 32) + block.start, both & 0xFFFFFFFF
@@ -158,7 +166,7 @@ def gated_triples(
 
 
 @partial(kept_jit, static_argnames=("tuning",), beside_others=True)
-def _predicted(
+def _predict_pairs(
     single: SingleOrder,
     grid: Grid,
     i: Int[ArrayLike, "p"],
@@ -166,7 +174,7 @@ def _predicted(
     any_order: Bool[ArrayLike, ""],
     tuning: CandidateTuning,
 ) -> tuple[Prediction, list[Int[ArrayLike, "_p"]]]:
-    def predicted(
+    def predict_pair(
         i: ArrayLike, first: PencilSegments, second: PencilSegments
     ) -> tuple[Prediction, list[ArrayLike]]:
         own = single.view, grid
@@ -174,10 +182,10 @@ def _predicted(
             frame = single.frame[i]
             own = jax.tree.map(lambda column: column[frame], own)
         guess = predict(own[0], first, second, tuning, any_order)
-        return guess, keys_of(own[1], guess, tuning)
+        return guess, prediction_keys(own[1], guess, tuning)
 
-    pairs = row_of(single.first, i), row_of(single.second, j)
-    return jax.vmap(predicted, in_axes=(0, 1, 1))(i, *pairs)
+    pairs = take_segments(single.first, i), take_segments(single.second, j)
+    return jax.vmap(predict_pair, in_axes=(0, 1, 1))(i, *pairs)
 
 
 @partial(kept_jit, static_argnames=("tuning",), beside_others=True)
@@ -188,9 +196,9 @@ def _passes_gate(
     k: Int[ArrayLike, "h"],
     tuning: CandidateTuning,
 ) -> Bool[ArrayLike, "h"]:
-    def gated(pair: ArrayLike, k: ArrayLike) -> ArrayLike:
+    def passes(pair: ArrayLike, k: ArrayLike) -> ArrayLike:
         guess, own = jax.tree.map(lambda column: column[pair], guesses), segments[k]
         columns = own[:4].reshape(2, 2), own[4:7], own[7:].reshape(2, 2)
         return passes_third_view_gate(guess, *columns, tuning)
 
-    return jax.vmap(gated)(pair, k)
+    return jax.vmap(passes)(pair, k)

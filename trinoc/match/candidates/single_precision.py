@@ -26,14 +26,14 @@ from trinoc.match.two_view.epipolar_pencil import (
     pencil,
 )
 from trinoc.numerics.arrays import ArrayLike
-from trinoc.numerics.precision import namespace_of
+from trinoc.numerics.precision import array_namespace
 from trinoc.numerics.vectors import (
     Scalar,
     Vector3,
     add3,
-    between,
     cross3,
     dot3,
+    interpolated_covariance,
     scaled3,
     times_matrix,
     unit3,
@@ -73,7 +73,7 @@ class ThirdView(NamedTuple):
 
 def third_view(lines: SegmentTable, planes: Pencil, third: Int[ArrayLike, ""] | int) -> ThirdView:
     """The `third` view of a pencil."""
-    xp = namespace_of(lines, planes, third)
+    xp = array_namespace(lines, planes, third)
     matrix, size_px = xp.asarray(lines.matrix_px), xp.asarray(lines.size_px)
     left = matrix[..., third, :, :3]
     origin = (left @ planes.origin_mm[..., None])[..., 0] + matrix[..., third, :, 3]
@@ -113,9 +113,9 @@ def predict(
         at_high = (part.high - s.low) / (s.high - s.low)
         low, high = effect(by, image_low, u0, v0), effect(by, image_high, u1, v1)
         return (
-            low * low * between(s.slope_variance, at_low, at_low),
-            low * high * between(s.slope_variance, at_low, at_high),
-            high * high * between(s.slope_variance, at_high, at_high),
+            low * low * interpolated_covariance(s.slope_variance, at_low, at_low),
+            low * high * interpolated_covariance(s.slope_variance, at_low, at_high),
+            high * high * interpolated_covariance(s.slope_variance, at_high, at_high),
         )
 
     c00, c01, c11 = add3(covariance(a, by_a), covariance(b, by_b))
@@ -170,7 +170,7 @@ class SingleOrder(NamedTuple):
     frame: Int[ArrayLike, "n"] | None
 
 
-def prepared_order(lines: SegmentTable, order: Int[np.ndarray, "3"]) -> tuple[Pencil, SingleOrder]:
+def prepare_order(lines: SegmentTable, order: Int[np.ndarray, "3"]) -> tuple[Pencil, SingleOrder]:
     """(the pencil of the first two views of an order, what single precision needs of it)."""
     first, second, third = order.tolist()
     planes = pencil(lines, first, second)

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 from trinoc.match.evidence.endpoints import END_COMPONENTS
 from trinoc.match.evidence.mixture import MixtureParameters, log_odds
 from trinoc.match.evidence.side_intensity import SIDE_COMPONENTS, polarity_evidence, side_evidence
-from trinoc.match.observations.table import SegmentTable, frames_of, matrices_of
+from trinoc.match.observations.table import SegmentTable, look_up_frames, take_matrices
 from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
 from trinoc.match.tuning.evidence import EvidenceTuning
 from trinoc.numerics.tables import take_rows
@@ -46,7 +46,7 @@ class Candidates(NamedTuple):
         return take_rows(self, rows)
 
 
-def candidates_at(
+def build_candidates(
     lines: SegmentTable,
     views: Int[np.ndarray, "k"],
     segments: Int[np.ndarray, "m k"],
@@ -64,7 +64,7 @@ def candidates_at(
     sides = side_evidence(np.asarray(lines.sides), index, interval, tuning.sides)
     expected, sine = more or np.zeros((2, len(index)))
     of_line = outer_mm, spread, px_per_mm, sides, expected, sine
-    return Candidates(index, interval, *evidence, *of_line, frames_of(lines, index))
+    return Candidates(index, interval, *evidence, *of_line, look_up_frames(lines, index))
 
 
 def no_candidates(views: int, stacked: bool = False) -> Candidates:
@@ -103,7 +103,7 @@ def in_depth_range(
 ) -> Bool[np.ndarray, "m"]:
     """Whether the ends lie within a range of depths before every camera that sees them; without
     a range, anywhere before them."""
-    matrix = matrices_of(lines, candidates.frame)
+    matrix = take_matrices(lines, candidates.frame)
     depth = matrix[..., 2, :3] @ candidates.ends_mm.mT + matrix[..., 2, 3:]
     near, far = (0.0, np.inf) if depth_range_mm is None else depth_range_mm
     inside = ((depth > near) & (depth < far)).all(axis=2) | (candidates.index < 0)

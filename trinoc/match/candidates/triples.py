@@ -1,6 +1,6 @@
 """Step 1: triples of segments that can be one line, from all three orderings of the views.
 
-Triples that passed the gate, judged by all of their evidence, in double precision.
+Triples that passed the gate, evaluate by all of their evidence, in double precision.
 
 Two programs: the first looks the segments up and fits a line to all three; the second computes the
 evidence on that line, and serves pictures of any number of segments.
@@ -13,31 +13,36 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from trinoc.match.candidates.learned import (
-    Learned,
+    SearchPrior,
     likely_triples,
-    pairs_within,
+    prepare_screen,
     region_of_pencil,
-    screen_of,
+    select_pairs_in_region,
 )
-from trinoc.match.candidates.search import Order, Orders, gated_triples, prepared_orders
-from trinoc.match.candidates.table import Candidates, candidates_at, no_candidates, prior_log_odds
+from trinoc.match.candidates.search import Order, Orders, gate_triples, prepare_orders
+from trinoc.match.candidates.table import (
+    Candidates,
+    build_candidates,
+    no_candidates,
+    prior_log_odds,
+)
 from trinoc.match.evidence.endpoints import END_COMPONENTS, end_evidence
 from trinoc.match.evidence.mixture import prior_parameters
 from trinoc.match.evidence.triple_position import line_of_three, triple_evidence
 from trinoc.match.observations.clutter import ClutterModel
-from trinoc.match.observations.table import TRIPLES_IN_BLOCK, SegmentTable, block_of
+from trinoc.match.observations.table import TRIPLES_IN_BLOCK, SegmentTable, block_size
 from trinoc.match.tuning.candidates import CandidateTuning
 from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
 from trinoc.match.tuning.evidence import EndTuning
 from trinoc.match.two_view.epipolar_pencil import (
     Pencil,
+    common_ends_mm,
     cut_pair,
     pairs_sharing_planes,
-    pencil_of,
-    points_of,
-    row_of,
+    take_pencil,
+    take_segments,
 )
-from trinoc.match.two_view.planes import Sight, sight_of
+from trinoc.match.two_view.planes import SegmentPlanes, segment_planes
 from trinoc.numerics.arrays import ArrayLike
 from trinoc.numerics.buckets import as_columns, blocks, select_in_blocks, split_columns
 from trinoc.numerics.programs import kept_jit
@@ -49,7 +54,7 @@ from trinoc.numerics.vectors import Vector3
 _SHAPES = ((3, 2), (2, 3), (), (), (2, END_COMPONENTS), (2, 3), (2, 6), ())
 
 
-def candidates_of(
+def evaluate_triples(
     lines: SegmentTable,
     order: Int[np.ndarray, "3"],
     planes: Pencil,
@@ -59,35 +64,35 @@ def candidates_of(
 ) -> Candidates:
     """Those triples, segments in the views of an order, that can be one line."""
 
-    def judged(triple: np.ndarray) -> tuple[ArrayLike, ArrayLike]:
-        fitted = _fitted(lines, order, planes, triple, clutter, tuning=tuning.candidates)
-        return _evidence_of(*fitted, tuning=tuning.candidates, ends=tuning.ends)
+    def evaluate(triple: np.ndarray) -> tuple[ArrayLike, ArrayLike]:
+        fitted = _fit_triples(lines, order, planes, triple, clutter, tuning=tuning.candidates)
+        return _triple_evidence(*fitted, tuning=tuning.candidates, ends=tuning.ends)
 
-    keep, columns = select_in_blocks(judged, block_of(lines, TRIPLES_IN_BLOCK), triple)
-    return candidates_at(lines, order, triple[keep], split_columns(columns, _SHAPES), tuning)
+    keep, columns = select_in_blocks(evaluate, block_size(lines, TRIPLES_IN_BLOCK), triple)
+    return build_candidates(lines, order, triple[keep], split_columns(columns, _SHAPES), tuning)
 
 
 @partial(kept_jit, static_argnames=("tuning",), beside_others=True)
-def _fitted(
+def _fit_triples(
     lines: SegmentTable,
     order: Int[ArrayLike, "3"],
     planes: Pencil,
     triple: Int[ArrayLike, "h 3"],
     clutter: ClutterModel,
     tuning: CandidateTuning,
-) -> tuple[Sight, tuple[Vector3, Vector3], Bool[ArrayLike, "h"]]:
+) -> tuple[SegmentPlanes, tuple[Vector3, Vector3], Bool[ArrayLike, "h"]]:
     """(segments, ends of the line that is fitted to all three, whether it can be one)."""
     segments = triple.T
-    sight = sight_of(lines, clutter, order, segments)
-    of_pencil = pencil_of(planes, lines, order[0], segments[0])
-    rows = row_of(planes.first, segments[0]), row_of(planes.second, segments[1])
-    near_mm = points_of(of_pencil, cut_pair(of_pencil.baseline_mm, *rows, tuning))
+    sight = segment_planes(lines, clutter, order, segments)
+    of_pencil = take_pencil(planes, lines, order[0], segments[0])
+    rows = take_segments(planes.first, segments[0]), take_segments(planes.second, segments[1])
+    near_mm = common_ends_mm(of_pencil, cut_pair(of_pencil.baseline_mm, *rows, tuning))
     return sight, *line_of_three(sight, near_mm, tuning)
 
 
 @partial(kept_jit, static_argnames=("tuning", "ends"), beside_others=True)
-def _evidence_of(
-    sight: Sight,
+def _triple_evidence(
+    sight: SegmentPlanes,
     fitted_mm: tuple[Vector3, Vector3],
     possible: Bool[ArrayLike, "h"],
     tuning: CandidateTuning,
@@ -121,14 +126,14 @@ def trinocular_candidates(
     tuning: MatchTuning = DEFAULT,
 ) -> Candidates:
     """All triples of three views; each is found from the pair of views that crosses best."""
-    return candidates_among(prepared_orders(lines, views, counts, clutter, tuning), tuning)
+    return candidates_among(prepare_orders(lines, views, counts, clutter, tuning), tuning)
 
 
 def candidates_among(
     orders: Orders,
     tuning: MatchTuning = DEFAULT,
     *,
-    learned: Learned | None = None,
+    learned: SearchPrior | None = None,
     rows: Rows | None = None,
 ) -> Candidates:
     """All triples, each found from the pair of views that crosses best.
@@ -152,14 +157,14 @@ def candidates_among(
                 parts = [every_part.take(odds > np.median(odds))]
         known = np.sort(np.concatenate(here))
     found = concatenate_rows(parts)
-    found = found.take(np.argsort(_number_of(found.index, numbers)))
+    found = found.take(np.argsort(_number_triples(found.index, numbers)))
     index = np.full((len(found.index), len(orders.counts)), -1)
     interval = np.zeros((len(found.index), len(orders.counts), 2))
     index[:, orders.views], interval[:, orders.views] = found.index, found.interval
     return found._replace(index=index, interval=interval)
 
 
-def _number_of(index: Int[np.ndarray, "m 3"], counts: list[int]) -> Int[np.ndarray, "m"]:
+def _number_triples(index: Int[np.ndarray, "m 3"], counts: list[int]) -> Int[np.ndarray, "m"]:
     """A number of its own for each triple."""
     i, j, k = index.T.astype(np.int64)
     return (i * counts[1] + j) * counts[2] + k
@@ -170,7 +175,7 @@ def _in_order(
     own: Order,
     known: Int[np.ndarray, "t"],
     tuning: MatchTuning,
-    learned: Learned | None,
+    learned: SearchPrior | None,
     pair: tuple[Int[np.ndarray, "n"], Int[np.ndarray, "m"]],
 ) -> Iterator[tuple[Int[np.ndarray, "_"], Candidates]]:
     """(numbers of triples, those that may be likely) of which the first two views predict the third
@@ -180,28 +185,28 @@ def _in_order(
     typical = float(np.mean(numbers))
     within, screen = None, None
     if learned is not None:
-        screen = screen_of(lines, order, planes, clutter)
+        screen = prepare_screen(lines, order, planes, clutter)
         within = None if learned.region is None else region_of_pencil(learned.region, planes)
     ends_px = None if learned is None else learned.ends_px
     for i, j in pairs_sharing_planes(lines, order[:2], planes, pair, PAIRS_AT_A_TIME, ends_px):
         if within is not None:
-            i, j = pairs_within(lines, single, within, i, j, tuning.candidates)
+            i, j = select_pairs_in_region(lines, single, within, i, j, tuning.candidates)
         # Of three ends two may agree whose pair crosses worse than another.
         any_order = ends_px is not None
-        triple = gated_triples(lines, single, table, i, j, tuning.candidates, any_order)
+        triple = gate_triples(lines, single, table, i, j, tuning.candidates, any_order)
         if len(known):
-            number = _number_of(triple[:, np.argsort(order)], numbers)
+            number = _number_triples(triple[:, np.argsort(order)], numbers)
             place = np.minimum(np.searchsorted(known, number), len(known) - 1)
             triple = triple[known[place] != number]
         if learned is not None and screen is not None:
             triple = likely_triples(screen, triple, learned, tuning)
         for part in blocks(len(triple), TRIPLES_AT_A_TIME):
-            found = candidates_of(lines, order, planes, triple[part], clutter, tuning)
+            found = evaluate_triples(lines, order, planes, triple[part], clutter, tuning)
             # Most of what passes the gate is not likely, and takes memory. Frames of a stack are
             # small.
             many = lines.frame is None and learned is None
             many = many and len(found.index) > tuning.candidates.prune_above
-            number = _number_of(found.index, numbers)
+            number = _number_triples(found.index, numbers)
             if many:
                 odds = _odds_anywhere(found, typical, tuning)
                 found = found.take(odds > tuning.candidates.prune_log_odds)

@@ -14,7 +14,7 @@ from trinoc.match.tuning.candidates import ScoutTuning
 from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.match.tuning.evidence import EndTuning
 from trinoc.numerics.arrays import ArrayLike
-from trinoc.numerics.vectors import Scalar, largest_of, total
+from trinoc.numerics.vectors import Scalar, largest, total
 
 # All agree, by scale; two agree and the third stops short, by scale; or runs on; none agree.
 END_COMPONENTS = len(DEFAULT.ends.prior_shares)
@@ -27,7 +27,7 @@ def end_evidence(
     """Log of each component's density over that of clutter, at both ends of a triple."""
     # Both ends at once, each inward.
     inward = [jnp.stack([low, -high]) for low, high in extent_px]
-    longest = largest_of(high - low for low, high in extent_px)
+    longest = largest(high - low for low, high in extent_px)
     components = _components((inward[0], inward[1], inward[2]), longest[None], tuning)
     return jnp.swapaxes(components, 0, 1)
 

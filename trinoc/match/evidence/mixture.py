@@ -55,12 +55,12 @@ def prior_parameters(
     posterior = np.broadcast_to(broadcast_groups(share, frame), len(ends_mm))
 
     def of_all(shares: tuple[float, ...]) -> np.ndarray:
-        return np.broadcast_to(_normalised(shares), (*np.shape(number), len(shares)))
+        return np.broadcast_to(_normalise(shares), (*np.shape(number), len(shares)))
 
     return MixtureParameters(
         of_all(tuning.evidence.prior_tail),
         of_all(tuning.ends.prior_shares),
-        volume_of(ends_mm, posterior, tuning.evidence, frame, frames),
+        fit_volume(ends_mm, posterior, tuning.evidence, frame, frames),
         np.log(np.maximum(share * number, 1.0)),
         of_all(tuning.sides.prior_shares),
     )
@@ -139,7 +139,7 @@ def em_step(
     likely = np.flatnonzero(posterior > evidence.negligible)
     weight, frame, side_log = posterior[likely], take_groups(frame, likely), side_log[likely]
 
-    def learned(
+    def learn_shares(
         log_terms: Float[np.ndarray, "n e k"], weight: np.ndarray, prior: np.ndarray
     ) -> np.ndarray:
         terms = np.exp(log_terms - log_terms.max(axis=2, keepdims=True))
@@ -150,20 +150,20 @@ def em_step(
         return np.expand_dims(broadcast_groups(np.log(shares), frame), -2)
 
     sides_known = weight * side_log.any(axis=1)
-    prior_sides = _normalised(tuning.sides.prior_shares)
+    prior_sides = _normalise(tuning.sides.prior_shares)
     tail = _tail_terms(chi_square[likely], mixture.tail, evidence, frame)
     return MixtureParameters(
-        learned(tail[:, None], weight, np.array(evidence.prior_tail)),
-        learned(
+        learn_shares(tail[:, None], weight, np.array(evidence.prior_tail)),
+        learn_shares(
             end_log[likely] + log_shares(mixture.ends), weight, np.array(tuning.ends.prior_shares)
         ),
-        volume_of(ends_mm[likely], weight, evidence, frame, frames),
+        fit_volume(ends_mm[likely], weight, evidence, frame, frames),
         np.log(np.maximum(group_sums(weight, frame, frames), 1.0)),
-        learned(side_log[:, None] + log_shares(mixture.sides), sides_known, prior_sides),
+        learn_shares(side_log[:, None] + log_shares(mixture.sides), sides_known, prior_sides),
     )
 
 
-def volume_of(
+def fit_volume(
     ends_mm: Float[np.ndarray, "m 2 3"],
     posterior: Float[np.ndarray, "m"],
     tuning: EvidenceTuning = DEFAULT.evidence,
@@ -224,7 +224,7 @@ def _shares(
     return np.maximum(shares / shares.sum(axis=-1, keepdims=True), tuning.min_share)
 
 
-def _normalised(shares: tuple[float, ...]) -> np.ndarray:
+def _normalise(shares: tuple[float, ...]) -> np.ndarray:
     return np.array(shares) / np.sum(shares)
 
 

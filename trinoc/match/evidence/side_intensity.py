@@ -107,16 +107,16 @@ def _of_levels(
     for one, other in SIDE_COMPONENTS:
         if other < _NONE:
             terms.append(
-                _mean_of(right[:, one] + left[:, other], right[:, other] + left[:, one])
+                _log_mean(right[:, one] + left[:, other], right[:, other] + left[:, one])
                 - strange[:, 2]
             )
         elif one < _NONE:
-            terms.append(_mean_of(right[:, one] - strange[:, 0], left[:, one] - strange[:, 1]))
+            terms.append(_log_mean(right[:, one] - strange[:, 0], left[:, one] - strange[:, 1]))
         else:
             terms.append(np.zeros(len(index)))
     return np.where(count > 1, np.stack(terms, axis=1), 0.0)
 
 
-def _mean_of(one: Float[np.ndarray, "m"], other: Float[np.ndarray, "m"]) -> Float[np.ndarray, "m"]:
+def _log_mean(one: Float[np.ndarray, "m"], other: Float[np.ndarray, "m"]) -> Float[np.ndarray, "m"]:
     """Logarithm of the mean of two, from their logarithms."""
     return np.logaddexp(one, other) - np.log(2)

@@ -32,16 +32,16 @@ from trinoc.match.tuning.evidence import EndTuning
 from trinoc.match.two_view.epipolar_pencil import (
     Pencil,
     PencilSegments,
+    common_ends_mm,
     cut_pair,
-    points_of,
 )
 from trinoc.match.two_view.planes import (
     InterpretationPlanes,
-    Sight,
+    SegmentPlanes,
     extents_on_line,
     image_length_px,
     interpretation_planes,
-    sight_of,
+    segment_planes,
     variance_mm2,
 )
 from trinoc.numerics.arrays import ArrayLike
@@ -53,8 +53,8 @@ from trinoc.numerics.vectors import (
     cross3,
     dot3,
     in_front,
-    largest_of,
-    least_of,
+    largest,
+    least,
     nth3,
     nth6,
     outer3,
@@ -106,14 +106,14 @@ class _Cut(NamedTuple):
 
 
 def triple_evidence(
-    sight: Sight,
+    sight: SegmentPlanes,
     near_mm: tuple[Vector3, Vector3],
     tuning: CandidateTuning = DEFAULT.candidates,
 ) -> TripleEvidence:
     """Evidence of one segment in each of three views, near a line given by two points."""
     cut = _cut(sight, near_mm, tuning)
     begin, end = cut.begin, cut.begin + cut.common
-    first, last = least_of(cut.low), largest_of(cut.high)
+    first, last = least(cut.low), largest(cut.high)
     points = cut.points(begin, end, first, last)
     planes = interpretation_planes(sight, points)
     chi_square, determinant = _misfit(sight, planes, cut.along)
@@ -144,7 +144,7 @@ def triple_evidence(
 
 
 def line_of_three(
-    sight: Sight,
+    sight: SegmentPlanes,
     near_mm: tuple[Vector3, Vector3],
     tuning: CandidateTuning = DEFAULT.candidates,
 ) -> tuple[tuple[Vector3, Vector3], Bool[ArrayLike, "*h"]]:
@@ -157,22 +157,24 @@ def line_of_three(
     return (nth3(moved, 0), nth3(moved, 1)), possible
 
 
-def _cut(sight: Sight, near_mm: tuple[Vector3, Vector3], tuning: CandidateTuning) -> _Cut:
+def _cut(sight: SegmentPlanes, near_mm: tuple[Vector3, Vector3], tuning: CandidateTuning) -> _Cut:
     origin = near_mm[0]
     along = unit3(add3(near_mm[1], origin, -1.0))
     low, high = extents_on_line(sight, origin, along)
-    begin = largest_of(low)
-    common = least_of(high) - begin
+    begin = largest(low)
+    common = least(high) - begin
     overlaps = common > 0
     length = high - low
-    shortest, longest = least_of(length), largest_of(length)
+    shortest, longest = least(length), largest(length)
     second = total(length) - shortest - longest
     possible = overlaps & (common > tuning.smallest_overlap * shortest)
     possible &= second > tuning.shortest_to_longest * longest
     return _Cut(origin, along, low, high, begin, jnp.where(overlaps, common, 1.0), possible)
 
 
-def _misfit(sight: Sight, planes: InterpretationPlanes, along: Vector3) -> tuple[Scalar, Scalar]:
+def _misfit(
+    sight: SegmentPlanes, planes: InterpretationPlanes, along: Vector3
+) -> tuple[Scalar, Scalar]:
     """(chi-square of the residuals at the first two points, determinant of their covariance)."""
     normals = [nth3(planes.normal, k) for k in range(3)]
     across = [cross3(normals[(k + 1) % 3], normals[(k + 2) % 3]) for k in range(3)]
@@ -187,7 +189,7 @@ def _misfit(sight: Sight, planes: InterpretationPlanes, along: Vector3) -> tuple
 
 def log_lengths(lengths_px: Float[ArrayLike, "v *h"], typical_px: Scalar) -> Float[ArrayLike, "*h"]:
     """Log density of one length over clutter's, with ends uniform on the longest."""
-    longest = largest_of(lengths_px)[None]
+    longest = largest(lengths_px)[None]
 
     def log_share(length: Scalar) -> Scalar:
         return jnp.log(typical_px) - 2 * jnp.log(length + typical_px)
@@ -198,7 +200,7 @@ def log_lengths(lengths_px: Float[ArrayLike, "v *h"], typical_px: Scalar) -> Flo
 
 
 def project_onto_planes(
-    sight: Sight, planes: InterpretationPlanes, points_mm: Vector3, along: Vector3
+    sight: SegmentPlanes, planes: InterpretationPlanes, points_mm: Vector3, along: Vector3
 ) -> tuple[Vector3, Symmetric3]:
     """(points moved across the line to the weighted least-squares fit of all planes, their
     covariance across the line); a number for each point in front."""
@@ -250,13 +252,13 @@ def pair_evidence(
 ) -> PairEvidence:
     """Evidence of one segment in each of two views; `rows` are the same in their pencil."""
     common = cut_pair(planes.baseline_mm, *rows, tuning)
-    ends_mm = points_of(planes, common)
+    ends_mm = common_ends_mm(planes, common)
     step = add3(ends_mm[1], ends_mm[0], -1.0)
     length_mm = jnp.sqrt(dot3(step, step))
     along = unit3(step)
-    sight = sight_of(lines, clutter, views, segments)
+    sight = segment_planes(lines, clutter, views, segments)
     low_mm, high_mm = extents_on_line(sight, ends_mm[0], along)
-    places = jnp.zeros_like(length_mm), length_mm, least_of(low_mm), largest_of(high_mm)
+    places = jnp.zeros_like(length_mm), length_mm, least(low_mm), largest(high_mm)
     points = add3(in_front(ends_mm[0]), in_front(along), jnp.stack(places))
     sights = interpretation_planes(sight, points)
     sine = jnp.abs(dot3(along, cross3(nth3(sights.normal, 0), nth3(sights.normal, 1))))
@@ -272,7 +274,7 @@ def pair_evidence(
         + log_lengths(lengths, sight.typical_px)
         - total(sight.log_clutter)
     )
-    longest, shortest = largest_of(lengths), least_of(lengths)
+    longest, shortest = largest(lengths), least(lengths)
     slack = jnp.stack([total(row.end_variance_px2[e] for row in rows) for e in range(2)])
     difference = jnp.stack([low[0] - low[1], high[0] - high[1]])
     spread = project_onto_planes(sight, sights, points, along)[1]

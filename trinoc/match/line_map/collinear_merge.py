@@ -15,16 +15,16 @@ from scipy.special import expit
 from trinoc.errors import InputError
 from trinoc.geometry.rig import Rig
 from trinoc.match.line_map.collinearity import (
-    Evidence,
+    CollinearEvidence,
     LineDensity,
+    collinear_log_odds,
     difference,
     gap_mm,
     line_density,
-    log_odds,
     nearby_lines,
     parallel_density,
 )
-from trinoc.match.line_map.line_fit import TrackTable, fit_line, fragments_of, track_table
+from trinoc.match.line_map.line_fit import TrackTable, collect_fragments, fit_line, track_table
 from trinoc.match.line_map.line_posterior import line_posteriors
 from trinoc.match.line_map.lines import JoinedLines
 from trinoc.match.tracks.matches import Matches
@@ -92,14 +92,14 @@ def join_collinear(matches: Matches, rig: Rig, *, tuning: MatchTuning = DEFAULT)
     )
     scene = line_density(pieces.ends_mm, tuning.evidence)
     parallel = parallel_density(near, apart, scene, rules)
-    evidence = Evidence(
+    evidence = CollinearEvidence(
         apart,
         np.maximum(parallel[one], parallel[other]),
         ((pieces.index[one] == pieces.index[other]) & (pieces.index[one] >= 0)).any(axis=1),
         gap_mm(pieces.common_mm[one], pieces.common_mm[other], rules),
         (pieces.px_per_mm[one] + pieces.px_per_mm[other]) / 2,
     )
-    share = _learned_share(evidence, scene, len(order), tuning)
+    share = _learn_share(evidence, scene, len(order), tuning)
     surely_others = apart.square > rules.prune_chi_square
     alone = [
         _Group(
@@ -178,15 +178,15 @@ def _least_gaps(
     return np.where(beside, -1.0, least)
 
 
-def _learned_share(
-    evidence: Evidence, scene: LineDensity, count: int, tuning: MatchTuning
+def _learn_share(
+    evidence: CollinearEvidence, scene: LineDensity, count: int, tuning: MatchTuning
 ) -> float:
     """How often a line has another piece, from how many pairs are likely to be one."""
     rules = tuning.collinear
     prior, weight = rules.prior_share, rules.prior_observations
     share = prior
     for _ in range(rules.rounds):
-        likely = expit(log_odds(evidence, scene, share, tuning)).sum()
+        likely = expit(collinear_log_odds(evidence, scene, share, tuning)).sum()
         share = min((likely + weight * prior) / (count + weight), rules.max_share)
     return share
 
@@ -204,14 +204,14 @@ def _odds(ones: list[_Group], others: list[_Group], problem: _Problem) -> Float[
     )
     scale = problem.pieces.px_per_mm
     both = list(zip(ones, others, strict=True))
-    evidence = Evidence(
+    evidence = CollinearEvidence(
         apart,
         np.array([max(a.parallel, b.parallel) for a, b in both]),
         np.array([not a.segments.isdisjoint(b.segments) for a, b in both]),
         _least_gaps(ones, others, problem.tuning.collinear),
         np.array([scale[[*a.tracks, *b.tracks]].mean() for a, b in both]),
     )
-    return log_odds(evidence, problem.scene, problem.share, problem.tuning)
+    return collinear_log_odds(evidence, problem.scene, problem.share, problem.tuning)
 
 
 def _join_groups(one: _Group, other: _Group, problem: _Problem) -> _Group | None:
@@ -228,7 +228,7 @@ def _join_groups(one: _Group, other: _Group, problem: _Problem) -> _Group | None
     outer = [int(np.argmin(place)), int(np.argmax(place))]
     rules = problem.tuning.collinear
     reach = longer.ends_mm[0] + place[outer, None] * way
-    fit = fit_line(fragments_of(problem.pieces, tracks), reach, rules)
+    fit = fit_line(collect_fragments(problem.pieces, tracks), reach, rules)
     fits = chi_square_tail(fit.chi_square, fit.degrees) >= rules.significance
     if not (fits and np.isfinite(fit.covariance_mm2).all()):
         return None
@@ -267,7 +267,7 @@ def _as_lines(
     groups = sorted(groups, key=lambda group: int(order[list(group.tracks)].min()))
     given = np.array([group.ends_mm for group in groups]).reshape(-1, 2, 3)
     blocks = np.array([group.covariance_mm2 for group in groups]).reshape(-1, 6, 6)
-    shown = [fragments_of(pieces, group.tracks) for group in groups]
+    shown = [collect_fragments(pieces, group.tracks) for group in groups]
     posterior = np.array([group.posterior for group in groups])
     likely = line_posteriors(shown, given, posterior, tail, rules)
     line_of_track = np.zeros(len(order), dtype=np.int64)
@@ -280,7 +280,7 @@ def _as_lines(
     scale = [pieces.px_per_mm[list(group.tracks)].mean() for group in groups]
     return JoinedLines(
         likely.ends_mm,
-        likely.covariance_mm2 + _along(likely.ends_mm, blocks),
+        likely.covariance_mm2 + _project_along(likely.ends_mm, blocks),
         np.array([group.chi_square for group in groups]),
         np.array([group.degrees for group in groups], dtype=np.int64),
         line_of_track,
@@ -290,7 +290,7 @@ def _as_lines(
     )
 
 
-def _along(
+def _project_along(
     ends_mm: Float[np.ndarray, "e 2 3"], covariance_mm2: Float[np.ndarray, "e 6 6"]
 ) -> Float[np.ndarray, "e 6 6"]:
     """What of a covariance lies along the lines, at each end alone."""

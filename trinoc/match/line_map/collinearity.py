@@ -15,7 +15,7 @@ from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
 from trinoc.match.tuning.evidence import EvidenceTuning
 from trinoc.match.tuning.line_map import CollinearTuning
 from trinoc.numerics.buckets import blocks
-from trinoc.numerics.vectors import axes_across
+from trinoc.numerics.vectors import complete_axes
 
 
 class LineDensity(NamedTuple):
@@ -59,7 +59,7 @@ def difference(
     extents = [_extent(unit, ends) for ends in (first_mm, second_mm)]
     low = np.minimum(extents[0][:, 0], extents[1][:, 0])
     high = np.maximum(extents[0][:, 1], extents[1][:, 1])
-    axes = axes_across(unit)
+    axes = complete_axes(unit)
     place = np.stack([low, high], axis=1)
     (offset, spread), (other_offset, other_spread) = (
         _abreast(place, unit, axes, ends, covariance)
@@ -97,7 +97,7 @@ def gap_mm(
     return np.where(beside, -1.0, np.maximum(gap, 0.0))
 
 
-class Evidence(NamedTuple):
+class CollinearEvidence(NamedTuple):
     """What tells whether lines, two by two, are pieces of one.
 
     parallel : how dense lines parallel to the two are, per mm^2 across. shared : whether a
@@ -113,8 +113,8 @@ class Evidence(NamedTuple):
     px_per_mm: Float[np.ndarray, "p"]
 
 
-def log_odds(
-    evidence: Evidence, scene: LineDensity, share: float, tuning: MatchTuning = DEFAULT
+def collinear_log_odds(
+    evidence: CollinearEvidence, scene: LineDensity, share: float, tuning: MatchTuning = DEFAULT
 ) -> Float[np.ndarray, "p"]:
     """Log odds that each two are one line; `share` is how often a line has another piece."""
     apart, parallel, shared, gap, px_per_mm = evidence

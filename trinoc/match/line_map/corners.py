@@ -22,7 +22,7 @@ from trinoc.numerics.joins import group_labels
 from trinoc.numerics.small_least_squares import Residuals, gauss_newton, whitening
 from trinoc.numerics.tables import take_rows
 from trinoc.numerics.tails import chi_square_tail
-from trinoc.numerics.vectors import axes_across
+from trinoc.numerics.vectors import complete_axes
 
 
 class Corners(eqx.Module):
@@ -69,7 +69,7 @@ class Ends(NamedTuple):
     px_per_mm: Float[np.ndarray, "n"]
 
 
-def ends_of(joined: JoinedLines) -> Ends:
+def line_ends(joined: JoinedLines) -> Ends:
     """Both ends of every line, the first one first."""
     lines, covariance = joined.lines_mm, joined.covariance_mm2
     own = np.stack([lines, lines[:, ::-1]], axis=1).reshape(-1, 2, 3)
@@ -99,14 +99,14 @@ def corner_candidates(
     m, n, px_per_mm = m[keep], n[keep], px_per_mm[keep]
     distance, unit, sine, gap_mm = take_rows(pass_by, keep)
     variance = sum(
-        np.einsum("pi,pij,pj->p", unit, carried(ends, end, length)[1][:, :3, :3], unit)
+        np.einsum("pi,pij,pj->p", unit, move_ends(ends, end, length)[1][:, :3, :3], unit)
         for end, length in ((m, gap_mm[:, 0]), (n, gap_mm[:, 1]))
     )
     stop = np.exp(log_gap_density(gap_mm * px_per_mm, px_per_mm, np.array(rules.gaps_px)))
     count = len(ends.point_mm)
     density = count / line_density(joined.lines_mm, tuning.evidence).volume
     log_passing = -0.5 * (np.log(2 * np.pi * variance) + distance**2 / variance)
-    odds = _learned_odds(m, n, log_passing - np.log(sine * density), stop, count, tuning)
+    odds = _learn_odds(m, n, log_passing - np.log(sine * density), stop, count, tuning)
     likely = log_likely(odds, joined.posterior[m // 2] * joined.posterior[n // 2])
     sure = likely >= np.log(tuning.corners.min_posterior)
     return np.stack([m, n], axis=1)[sure], likely[sure]
@@ -123,7 +123,7 @@ def log_likely(
     return log_expit(odds) + log_expit(odds / 2 + logit(right))
 
 
-def _learned_odds(
+def _learn_odds(
     m: Int[np.ndarray, "p"],
     n: Int[np.ndarray, "p"],
     log_passing: Float[np.ndarray, "p"],
@@ -154,7 +154,7 @@ def _learned_odds(
     return log_passing + np.log(stop @ shares) + np.log(joined / (1 - joined))
 
 
-def carried(
+def move_ends(
     ends: Ends, chosen: Int[np.ndarray, "k"], outward_mm: Float[np.ndarray, "k"]
 ) -> tuple[Float[np.ndarray, "k 2 3"], Float[np.ndarray, "k 6 6"]]:
     """Lines whose chosen ends are moved along them, first, and covariance."""
@@ -185,7 +185,7 @@ def snap_corners(joined: JoinedLines, *, tuning: MatchTuning = DEFAULT) -> Corne
     on the middle of another line (a T) is not a corner here. Lines are taken to err
     independently of each other, though some share a segment.
     """
-    ends = ends_of(joined)
+    ends = line_ends(joined)
     corners = _agglomerate(ends, *corner_candidates(ends, joined, tuning), tuning)
     return _hold_to_corners(joined, ends, corners, tuning.corners.free_end_px)
 
@@ -215,14 +215,14 @@ def _common_point(ends: Ends, together: tuple[int, ...], tuning: MatchTuning) ->
     """The likeliest point of some ends' lines, None where they have none."""
     chosen = np.array(together)
     starts, way = ends.point_mm[chosen], ends.way[chosen]
-    axes = axes_across(way)
+    axes = complete_axes(way)
 
     def outward_mm(point: Float[np.ndarray, "3"]) -> Float[np.ndarray, "k"]:
         return ((point - starts) * way).sum(axis=1)
 
     def residuals(point: Float[np.ndarray, "3"]) -> Residuals:
         # Abreast of the point, where each line has a covariance of its own.
-        lines, covariance = carried(ends, chosen, outward_mm(point))
+        lines, covariance = move_ends(ends, chosen, outward_mm(point))
         across = whitening(axes @ covariance[:, :3, :3] @ axes.mT) @ axes
         offset = (point - lines[:, 0])[..., None]
         return Residuals((across @ offset)[None, ..., 0], across[None])

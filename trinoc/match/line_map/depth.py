@@ -40,12 +40,12 @@ def depth_map(
         _put_line(depth, camera, line)
     if filled:
         corner_mm = _corner_mm(camera, matches.lines_mm, tuning.depth.corner_px)
-        for face in faces_of(matches.lines_mm, corner_mm, tuning.depth):
+        for face in find_loops(matches.lines_mm, corner_mm, tuning.depth):
             _put_face(depth, camera, face)
     return np.where(np.isfinite(depth), depth, np.nan)
 
 
-def faces_of(
+def find_loops(
     lines_mm: Float[np.ndarray, "t 2 3"], corner_mm: float, tuning: DepthTuning = DEFAULT.depth
 ) -> list[np.ndarray]:
     """Corners (k, 3), in order, of every shortest loop of lines that lie in one plane."""

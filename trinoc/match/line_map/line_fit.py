@@ -21,7 +21,7 @@ from trinoc.match.tuning.line_map import CollinearTuning
 from trinoc.match.tuning.tracks import TrackTuning
 from trinoc.numerics.robust_loss import ScaleMixture
 from trinoc.numerics.small_least_squares import Residuals, gauss_newton, whitening
-from trinoc.numerics.vectors import axes_across
+from trinoc.numerics.vectors import complete_axes
 
 # Gauss-Newton steps.
 STEPS = 4
@@ -63,7 +63,7 @@ def fit_line(
     The covariance is not a number where the segments do not determine a line.
     """
     way = near_mm[1] - near_mm[0]
-    axes = axes_across(way / np.linalg.norm(way))
+    axes = complete_axes(way / np.linalg.norm(way))
     loss = ScaleMixture(tuning.error_shares, tuning.error_scales, 2)
     ends, equations = gauss_newton(
         lambda ends: line_residuals(shown, ends, axes),
@@ -172,7 +172,7 @@ def px_per_mm(
     return (scale * seen).sum(axis=1) / seen.sum(axis=1)
 
 
-def fragments_of(pieces: TrackTable, tracks: tuple[int, ...]) -> LineFragments:
+def collect_fragments(pieces: TrackTable, tracks: tuple[int, ...]) -> LineFragments:
     """The segments of all tracks, each once: what it says of the line, any part of it says."""
     longest: dict[tuple[int, int], tuple[float, int]] = {}
     for track in tracks:

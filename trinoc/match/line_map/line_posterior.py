@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 from trinoc.match.line_map.line_fit import LineFragments, line_residuals
 from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.match.tuning.line_map import CollinearTuning
-from trinoc.numerics.vectors import axes_across
+from trinoc.numerics.vectors import complete_axes
 
 # Of lines of more segments than this, factors are tried that differ from the likeliest in two.
 ALL_FACTORS_TO = 4
@@ -68,7 +68,7 @@ def line_posteriors(
     Where a match is wrong, a segment of it is of another edge beside: it errs by the widest.
     """
     way = ends_mm[:, 1] - ends_mm[:, 0]
-    axes = axes_across(way / np.linalg.norm(way, axis=1, keepdims=True))
+    axes = complete_axes(way / np.linalg.norm(way, axis=1, keepdims=True))
     equations = _equations(shown, ends_mm, axes)
     # None is surely wrong: every factor keeps a share.
     right = np.maximum(posterior, LEAST_POSTERIOR)[:, None]
@@ -167,14 +167,14 @@ def _likely_factors(
         return np.array(list(product(range(kinds), repeat=count)))
     here = np.zeros(count, dtype=np.int64)
     while True:
-        around = _beside(here, kinds)
+        around = _neighbouring_factors(here, kinds)
         best = around[np.argmax(_fits(equations, around, shares, scales)[0][0])]
         if (best == here).all():
             return around
         here = best
 
 
-def _beside(here: Int[np.ndarray, "n"], kinds: int) -> Int[np.ndarray, "k n"]:
+def _neighbouring_factors(here: Int[np.ndarray, "n"], kinds: int) -> Int[np.ndarray, "k n"]:
     """These factors, and those that differ in one place or two."""
     count = len(here)
     places = [(), *((i,) for i in range(count))]

@@ -48,7 +48,7 @@ class JoinedLines(eqx.Module):
 
     def gaps_mm(self, line: int | np.integer) -> Float[np.ndarray, "g 2"]:
         """From where to where no track shows the line, from its first end."""
-        return _between(self.place_mm[self.tracks_of(line)])
+        return _gaps(self.place_mm[self.tracks_of(line)])
 
     def overlaps_mm(self, line: int | np.integer) -> Float[np.ndarray, "o 2"]:
         """From where to where two tracks or more show the line, from its first end."""
@@ -58,7 +58,7 @@ class JoinedLines(eqx.Module):
         return again[again[:, 1] > again[:, 0]]
 
 
-def _between(place: Float[np.ndarray, "k 2"]) -> Float[np.ndarray, "g 2"]:
+def _gaps(place: Float[np.ndarray, "k 2"]) -> Float[np.ndarray, "g 2"]:
     reached = np.maximum.accumulate(place[:, 1])
     gap = np.stack([reached[:-1], place[1:, 0]], axis=1)
     return gap[gap[:, 1] > gap[:, 0]]

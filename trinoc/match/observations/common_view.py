@@ -40,13 +40,13 @@ def check_not_mirrored(cameras: Mapping[str, Camera]) -> None:
             raise InputError(_sentence(name, why))
 
 
-def look_apart(cameras: Mapping[str, Camera]) -> bool:
+def views_diverge(cameras: Mapping[str, Camera]) -> bool:
     """Whether all cameras, two by two, see common places behind them: they diverge."""
     pairs = combinations(cameras.values(), 2)
     return all(_share_a_place(first, second, -1, -1) for first, second in pairs)
 
 
-def turned_round(rig: Rig) -> Rig:
+def mirror_rig(rig: Rig) -> Rig:
     """The same cameras in a mirrored world: what was behind them lies before them."""
     flip = -np.diag([1.0, 1.0, -1.0, 1.0])
     return Rig(
@@ -57,7 +57,7 @@ def turned_round(rig: Rig) -> Rig:
     )
 
 
-def mirrored_error(names: Iterable[str], before: int, behind: int) -> InputError:
+def mirrored_rig_error(names: Iterable[str], before: int, behind: int) -> InputError:
     """What to raise where more lines lie behind all cameras than before them."""
     return InputError(
         f"The rig of {', '.join(names)} is mirrored: {behind} lines lie behind its cameras and "

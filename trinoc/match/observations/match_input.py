@@ -24,7 +24,7 @@ from trinoc.match.observations.table import SegmentTable, segment_table
 from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.match.tuning.evidence import SideTuning
 from trinoc.numerics.arrays import ArrayLike
-from trinoc.numerics.buckets import bucket, padded
+from trinoc.numerics.buckets import bucket, pad_rows
 
 # Two views of a scene may have one segment at the same place by chance, but not all of so many.
 FEWEST_TO_TELL = 3
@@ -108,10 +108,10 @@ def prepare(
     tuning: SideTuning = DEFAULT.sides,
 ) -> MatchInput:
     """Check and prepare one frame; raises MatchError and InputError in one sentence."""
-    return stacked_frames([prepare_frame(segments, rig, sigma_px, tuning)])
+    return stack_frames([prepare_frame(segments, rig, sigma_px, tuning)])
 
 
-def cameras_of(rig: Rig, names: Iterable[str]) -> CamerasInput:
+def prepare_cameras(rig: Rig, names: Iterable[str]) -> CamerasInput:
     """What is needed of a rig's cameras.
 
     Raises InputError where one is mirrored, MatchError where two stand at one place.
@@ -137,7 +137,7 @@ def prepare_frame(
     """The same without tables; `cameras` are those of `cameras_of(rig, segments)`, if at hand."""
     _check_names(segments, rig)
     _check_counts(segments)
-    cameras = cameras_of(rig, segments) if cameras is None else cameras
+    cameras = prepare_cameras(rig, segments) if cameras is None else cameras
     prepared = {
         name: _view(segments[name], lens, sigma_px)
         for name, lens in zip(segments, cameras.intrinsics, strict=True)
@@ -156,7 +156,7 @@ def prepare_frame(
     return FrameInput(names, order, ends, covariances, polarities, sides, own, left_out)
 
 
-def stacked_frames(frames: Sequence[FrameInput]) -> MatchInput:
+def stack_frames(frames: Sequence[FrameInput]) -> MatchInput:
     """Frames of as many views each as one problem."""
     ends, covariances, polarities, sides = (
         [np.concatenate(column) for column in zip(*columns, strict=True)]
@@ -172,7 +172,7 @@ def stacked_frames(frames: Sequence[FrameInput]) -> MatchInput:
             np.repeat(np.arange(len(frames)), [len(own) for own in column]) for column in of_view
         ]
         most = bucket(len(frames))
-        matrices, sizes = padded(matrices, most, matrices[0]), padded(sizes, most, sizes[0])
+        matrices, sizes = pad_rows(matrices, most, matrices[0]), pad_rows(sizes, most, sizes[0])
         lines = segment_table(matrices, sizes, ends, covariances, polarities, sides, owners)
     return MatchInput(tuple(frames), ends, covariances, lines)
 
@@ -279,7 +279,7 @@ def with_noise_scale(seen: MatchInput, scale: Float[np.ndarray, "f"]) -> MatchIn
     counts = np.diff(seen.starts, axis=0)
     each = [np.repeat(scale, counts[:, view]) for view in range(len(seen.ends_px))]
     covariance = [
-        _scaled_across(ends, own, factor)
+        _scale_covariance_across(ends, own, factor)
         for ends, own, factor in zip(seen.ends_px, seen.covariance_px2, each, strict=True)
     ]
     across = np.array(seen.lines.across_px2)
@@ -288,7 +288,7 @@ def with_noise_scale(seen: MatchInput, scale: Float[np.ndarray, "f"]) -> MatchIn
     return seen._replace(covariance_px2=covariance, lines=seen.lines._replace(across_px2=across))
 
 
-def _scaled_across(
+def _scale_covariance_across(
     ends_px: np.ndarray, covariance_px2: np.ndarray, scale: Float[np.ndarray, "n"]
 ) -> np.ndarray:
     along = ends_px[:, 1] - ends_px[:, 0]

@@ -34,7 +34,7 @@ def side_table(
     if not any(known):
         return [np.full((len(view), SIDE_COLUMNS), np.nan) for view in levels]
     unknown = [
-        np.where(_known(own), np.nan, np.abs(contrast))
+        np.where(_are_known(own), np.nan, np.abs(contrast))
         for own, contrast in zip(levels, contrasts, strict=True)
     ]
     both = zip(
@@ -50,14 +50,14 @@ def _level_tables(
     middles_px: Sequence[Float[np.ndarray, "_ 2"]],
     tuning: SideTuning,
 ) -> list[Float[np.ndarray, "_ 5"]]:
-    every = np.concatenate([view[_known(view)] for view in levels])
+    every = np.concatenate([view[_are_known(view)] for view in levels])
     if len(every) == 0:
         return [np.full((len(view), 5), np.nan) for view in levels]
     low, high = np.percentile(every, tuning.percentiles)
     unit = max(float(high - low), 1e-9) / 100
     tables = []
     for view, middle in zip(levels, middles_px, strict=True):
-        table, known = np.full((len(view), 5), np.nan), _known(view)
+        table, known = np.full((len(view), 5), np.nan), _are_known(view)
         own = (view[known] - low) / unit
         usual = np.maximum(_in_image(own, tuning), _nearby(own, middle[known], tuning))
         table[known] = np.column_stack([own, np.log(usual)])
@@ -83,7 +83,7 @@ def _contrast_tables(
     return tables
 
 
-def _known(levels: Float[np.ndarray, "n 2"]) -> np.ndarray:
+def _are_known(levels: Float[np.ndarray, "n 2"]) -> np.ndarray:
     return np.isfinite(levels[:, 0] + levels[:, 1])
 
 

@@ -9,10 +9,10 @@ from jaxtyping import Float, Int
 
 from trinoc.match.observations.side_intensity import SIDE_COLUMNS
 from trinoc.numerics.arrays import ArrayLike
-from trinoc.numerics.buckets import bucket, padded
+from trinoc.numerics.buckets import bucket, pad_rows
 
 
-class Block(NamedTuple):
+class BlockSize(NamedTuple):
     """Rows handed to a kernel at a time: so many for each segment of a view, up to a limit."""
 
     per_segment: int
@@ -20,7 +20,7 @@ class Block(NamedTuple):
 
 
 # Of pairs as many as make the handing over cheap, of triples few enough for a processor's cache.
-PAIRS_IN_BLOCK, TRIPLES_IN_BLOCK = Block(16, 1 << 16), Block(4, 1 << 11)
+PAIRS_IN_BLOCK, TRIPLES_IN_BLOCK = BlockSize(16, 1 << 16), BlockSize(4, 1 << 11)
 
 
 class SegmentTable(NamedTuple):
@@ -67,20 +67,20 @@ def segment_table(
     size = bucket(max(len(ends) for ends in ends_px))
     # Rows of padding are a segment like any other, so that nothing divides by zero.
     filler = np.array([[0.0, 0.0], [1.0, 0.0]])
-    prepared = _prepared(
+    prepared = _build_table(
         np.asarray(matrices_px),
         np.asarray(sizes_px),
-        np.stack([padded(ends, size, filler) for ends in ends_px]),
-        np.stack([padded(covariance, size, np.eye(4)) for covariance in covariances_px2]),
-        np.stack([padded(np.asarray(p, dtype=np.float64), size, 0.0) for p in polarities]),
-        np.stack([padded(table, size, np.full(SIDE_COLUMNS, np.nan)) for table in sides]),
-        None if frames is None else np.stack([padded(f.astype(np.int32), size) for f in frames]),
+        np.stack([pad_rows(ends, size, filler) for ends in ends_px]),
+        np.stack([pad_rows(covariance, size, np.eye(4)) for covariance in covariances_px2]),
+        np.stack([pad_rows(np.asarray(p, dtype=np.float64), size, 0.0) for p in polarities]),
+        np.stack([pad_rows(table, size, np.full(SIDE_COLUMNS, np.nan)) for table in sides]),
+        None if frames is None else np.stack([pad_rows(f.astype(np.int32), size) for f in frames]),
     )
     # Kernels take the tables many times: they are handed over once.
     return jax.device_put(prepared)
 
 
-def _prepared(
+def _build_table(
     matrices_px: Float[np.ndarray, "*f v 3 4"],
     sizes_px: Float[np.ndarray, "*f v 2"],
     ends_px: Float[np.ndarray, "v n 2 2"],
@@ -108,7 +108,7 @@ def _prepared(
         sizes_px,
         ends_px,
         np.concatenate([normal, offset[..., None]], axis=-1),
-        covariance_across(normal, covariance_px2),
+        project_covariance_across(normal, covariance_px2),
         length,
         polarity,
         rays,
@@ -117,7 +117,9 @@ def _prepared(
     )
 
 
-def frames_of(lines: SegmentTable, index: Int[np.ndarray, "m v"]) -> Int[np.ndarray, "m"] | None:
+def look_up_frames(
+    lines: SegmentTable, index: Int[np.ndarray, "m v"]
+) -> Int[np.ndarray, "m"] | None:
     """The frame of each group of segments, -1 where it has none in a view; None without frames."""
     if lines.frame is None:
         return None
@@ -134,7 +136,7 @@ def segments_per_view(lines: SegmentTable, counts: list[int]) -> Float[np.ndarra
     return np.mean(each, axis=0)
 
 
-def matrices_of(
+def take_matrices(
     lines: SegmentTable, frame: Int[np.ndarray, "m"] | None
 ) -> Float[np.ndarray, "_ v 3 4"]:
     """Projection matrices of each group's frame; one row for all without frames."""
@@ -142,7 +144,7 @@ def matrices_of(
     return matrix[None] if frame is None else matrix[frame]
 
 
-def covariance_across(
+def project_covariance_across(
     normal: Float[np.ndarray, "*n 2"], covariance_px2: Float[np.ndarray, "*n 4 4"]
 ) -> Float[np.ndarray, "*n 2 2"]:
     """Covariance of the two ends' displacements along the normal of their line."""
@@ -151,6 +153,6 @@ def covariance_across(
     return (across * normal[..., None, :, None]).sum(-2)
 
 
-def block_of(lines: SegmentTable, block: Block) -> int:
+def block_size(lines: SegmentTable, block: BlockSize) -> int:
     """Rows to hand over at a time: fewer where pictures hold little."""
     return min(block.most, block.per_segment * lines.ends_px.shape[1])

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
 from trinoc.match.observations.match_input import FrameInput
-from trinoc.match.observations.table import covariance_across
+from trinoc.match.observations.table import project_covariance_across
 from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.match.tuning.evidence import ObservationTuning
 from trinoc.numerics.joins import group_labels
@@ -29,7 +29,7 @@ def leave_out_unusable(
     for order, ends, covariance, polarity in zip(
         frame.order, frame.ends_px, frame.covariance_px2, frame.polarity, strict=True
     ):
-        sigma = sigmas_across(ends, covariance)
+        sigma = sigma_across_px(ends, covariance)
         length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
         placed = np.flatnonzero(sigma < np.minimum(tuning.largest_across_px, length))
         single = placed[first_of_equals(ends[placed], sigma[placed], polarity[placed], tuning)]
@@ -44,14 +44,14 @@ def leave_out_unusable(
     return frame._replace(**columns, left_out=words)
 
 
-def sigmas_across(
+def sigma_across_px(
     ends_px: Float[np.ndarray, "n 2 2"], covariance_px2: Float[np.ndarray, "n 4 4"]
 ) -> Float[np.ndarray, "n"]:
     """Standard deviation of each segment across itself, px, at the end where it is larger."""
     step = ends_px[:, 1] - ends_px[:, 0]
     length = np.linalg.norm(step, axis=1, keepdims=True)
     normal = np.stack([-step[:, 1], step[:, 0]], axis=1) / length
-    variance = np.diagonal(covariance_across(normal, covariance_px2), axis1=1, axis2=2)
+    variance = np.diagonal(project_covariance_across(normal, covariance_px2), axis1=1, axis2=2)
     return np.sqrt(variance.max(axis=1))
 
 

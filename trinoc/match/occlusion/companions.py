@@ -47,12 +47,12 @@ def picture_neighbours(
     step = ends_px[:, 1] - ends_px[:, 0]
     length = np.hypot(*step.T)
     unit = step / length[:, None]
-    found = _beside(ends_px, unit, length, tuning), _continuing(ends_px, unit, tuning)
+    found = _find_parallels(ends_px, unit, length, tuning), _continuing(ends_px, unit, tuning)
     columns = zip(*found, strict=True)
     return PictureNeighbours(*(np.concatenate(column) for column in columns))
 
 
-def _beside(
+def _find_parallels(
     ends_px: Float[np.ndarray, "n 2 2"],
     unit: Float[np.ndarray, "n 2"],
     length: Float[np.ndarray, "n"],

@@ -32,9 +32,9 @@ from trinoc.match.occlusion.possible_pairs import (
 from trinoc.match.occlusion.solids import (
     NO_BODIES,
     Bodies,
-    bodies_of,
-    tempered_pairs,
-    tempered_tracks,
+    estimate_bodies,
+    temper_pairs,
+    temper_tracks,
 )
 from trinoc.match.selection.junction_support import (
     JunctionParameters,
@@ -44,7 +44,7 @@ from trinoc.match.selection.junction_support import (
 )
 from trinoc.match.selection.marginals import Selection, Tracks
 from trinoc.match.selection.messages import (
-    chosen_greedily,
+    choose_greedily,
     conflict_graph,
     sum_product,
     with_log_share,
@@ -68,8 +68,8 @@ def match_occluded(
 ) -> tuple[Tracks, Pairs]:
     """(tracks through three or more views, tempered; pairs of views matched beside them)."""
     lines, counts = seen.lines, seen.counts
-    bodies = bodies_of(lines, tracks, selections, tuning)
-    tracks = tempered_tracks(lines, tracks, bodies, tuning)
+    bodies = estimate_bodies(lines, tracks, selections, tuning)
+    tracks = temper_tracks(lines, tracks, bodies, tuning)
     given = lines, counts, clutter, tracks, selections, depth_range_mm, tuning, bodies
     return tracks, occluded_pairs(*given)
 
@@ -92,7 +92,7 @@ def occluded_pairs(
     label = matched.candidates.frame
     label = np.zeros(len(matched.candidates.index), np.int64) if label is None else label
     alone = np.bincount(label, minlength=frames) < tuning.occlusion.min_tracks_to_learn
-    learned = _learned_from(selections, tuning)
+    learned = _learn_rates(selections, tuning)
     several = lines.frame is not None or alone.any()
     bound, agree_px = None, None
     # In small pictures one more program costs more than it saves.
@@ -105,7 +105,7 @@ def occluded_pairs(
             reach_px = reach_of_ends(mixture.ends, typical_px, tuning.scouting, tuning.ends)
             agree_px = None if reach_px is None else tuning.occlusion.ends_reach * reach_px
 
-    def kept(found: Candidates) -> Candidates:
+    def keep_likely(found: Candidates) -> Candidates:
         """In range, and, as far as that is known by now, likely at all: it bounds the memory."""
         found = found.take(in_depth_range(found, lines, depth_range_mm))
         if learned is None or several:
@@ -117,7 +117,7 @@ def occluded_pairs(
     for views in combinations(range(len(counts)), 2):
         of_views = lines, np.array(views), free, clutter, tuning, bound, agree_px
         for part in possible_pairs(*of_views):
-            parts.append(kept(part))
+            parts.append(keep_likely(part))
             if sum(len(found.index) for found in parts) > tuning.candidates.most_candidates:
                 parts = [_likelier_half(concatenate_rows(parts), typical, tuning)]
     found = concatenate_rows(parts)
@@ -145,7 +145,7 @@ def _likelier_half(
     return found.take(evidence > np.median(evidence))
 
 
-def _learned_from(selections: list[Selection], tuning: MatchTuning) -> Rates | None:
+def _learn_rates(selections: list[Selection], tuning: MatchTuning) -> Rates | None:
     """What three views taught a single frame, if enough."""
     most = max(selections, key=lambda selection: selection.taken.sum(), default=None)
     if most is None or most.taken.sum() < tuning.occlusion.min_tracks_to_learn:
@@ -170,11 +170,11 @@ def _start(
     number = group_sums(most.taken.astype(np.float64), most.candidates.frame, np.size(typical))
     enough = number >= tuning.occlusion.min_tracks_to_learn
 
-    def chosen(learned: ArrayLike | float, usual: ArrayLike | float) -> np.ndarray:
+    def choose(learned: ArrayLike | float, usual: ArrayLike | float) -> np.ndarray:
         axes = tuple(range(np.ndim(enough), np.ndim(usual)))
         return np.where(np.expand_dims(enough, axes), learned, usual)
 
-    return jax.tree.map(chosen, (most.mixture, most.junctions), usual)
+    return jax.tree.map(choose, (most.mixture, most.junctions), usual)
 
 
 def _of_frames(candidates: Candidates, those: Bool[np.ndarray, "f"]) -> Candidates:
@@ -212,7 +212,7 @@ def pairs_beside_lines(
     candidates, evidence = found.take(keep), evidence[keep]
     frame = candidates.frame
     graph = conflict_graph(candidates.index, candidates.interval, tuning.selection)
-    everyone = _joined(matched.candidates, candidates)
+    everyone = _join_candidates(matched.candidates, candidates)
     everyones_odds = np.concatenate([matched.posterior_log_odds, evidence])
     meetings = endpoint_pairs(everyone, everyones_odds, tuning.junctions, tuning.evidence)
     known = probability(matched.posterior_log_odds)
@@ -243,14 +243,14 @@ def pairs_beside_lines(
     of_share = broadcast_groups(np.log(share), frame)
     missed = np.where(candidates.expected > 0, candidates.expected * log_missed + of_share, 0.0)
     posterior_log_odds = with_log_share(posterior_log_odds, log_share)
-    chosen = chosen_greedily(posterior_log_odds, graph)
+    chosen = choose_greedily(posterior_log_odds, graph)
     bodies = Bodies(*(broadcast_groups(each, frame) for each in bodies))
     of_pair = posterior_log_odds, candidates.side_log, candidates.crossing_sine, bodies
-    tempered = tempered_pairs(*of_pair, tuning)
+    tempered = temper_pairs(*of_pair, tuning)
     return Pairs(candidates, odds, tempered, chosen, missed)
 
 
-def _joined(matched: Candidates, pairs: Candidates) -> Candidates:
+def _join_candidates(matched: Candidates, pairs: Candidates) -> Candidates:
     # The ends' own evidence has been counted, and differs in shape.
     matched, pairs = (c._replace(end_log=np.zeros((len(c.index), 2, 0))) for c in (matched, pairs))
     return concatenate_rows([matched, pairs])

@@ -22,11 +22,11 @@ from trinoc.match.candidates.table import Candidates
 from trinoc.match.evidence.mixture import (
     MixtureParameters,
     Volume,
+    fit_volume,
     log_place,
     log_sides,
     probability,
     temper,
-    volume_of,
 )
 from trinoc.match.occlusion.companions import companion_log_odds, companions
 from trinoc.match.occlusion.possible_pairs import (
@@ -35,14 +35,14 @@ from trinoc.match.occlusion.possible_pairs import (
     likely_rows,
     log_ends,
 )
-from trinoc.match.occlusion.solids import Bodies, see_through_share, tempered_pairs
+from trinoc.match.occlusion.solids import Bodies, see_through_share, temper_pairs
 from trinoc.match.selection.junction_support import (
     JunctionParameters,
     endpoint_pairs,
     junction_log_odds,
 )
 from trinoc.match.selection.messages import (
-    chosen_greedily,
+    choose_greedily,
     conflict_graph,
     sum_product,
     with_log_share,
@@ -157,7 +157,7 @@ def length_class(candidates: Candidates, tuning: MatchTuning) -> Int[np.ndarray,
     return np.searchsorted(tuning.occlusion.length_classes_px, length_px)
 
 
-def learned_rates(
+def learn_rates(
     candidates: Candidates,
     posterior: Float[np.ndarray, "m"],
     rates: PairRates,
@@ -181,7 +181,7 @@ def learned_rates(
     total, prior = group_sums(posterior, frame, frames), rules.prior_observations
     by_length = np.log((count + prior * usual) / (np.expand_dims(total + prior, -1) * usual))
     mixture = rates.mixture._replace(
-        volume=volume_of(candidates.ends_mm, posterior, tuning.evidence, frame, frames),
+        volume=fit_volume(candidates.ends_mm, posterior, tuning.evidence, frame, frames),
         log_count=np.log(np.maximum(total, 1.0)),
     )
     place = log_place_among(candidates.ends_mm, posterior, mixture.volume, rules, frame)
@@ -213,7 +213,7 @@ def pairs_alone(
     ends = end_shares(mixture, tuning.ends)
     rates = PairRates(ends, np.zeros((*frames, classes)), mixture, junctions, None)
 
-    def odds_of(c: Candidates, evidence: np.ndarray, rates: PairRates) -> np.ndarray:
+    def prior_odds(c: Candidates, evidence: np.ndarray, rates: PairRates) -> np.ndarray:
         frame = c.frame
         ends = log_ends(c, broadcast_groups(rates.ends, frame))
         classes = length_class(c, tuning)
@@ -225,7 +225,7 @@ def pairs_alone(
             place = log_place(c.ends_mm, rates.mixture.volume, tuning.evidence, frame)
         return evidence + ends + lengths + prior + place
 
-    keep, log_share = likely_rows(found, matched, odds_of(found, evidence, rates), tuning)
+    keep, log_share = likely_rows(found, matched, prior_odds(found, evidence, rates), tuning)
     candidates, evidence = found.take(keep), evidence[keep]
     frame = candidates.frame
     graph = conflict_graph(candidates.index, candidates.interval, tuning.selection)
@@ -239,7 +239,7 @@ def pairs_alone(
         # Where lines meet nowhere, what pairs they make by chance is independent, as odds take it.
         free = 1 - broadcast_groups(rates.junctions.end_at_junction, frame)
         free = np.where(candidates.side_log.any(axis=1), 0.0, rules.offset_unjoined * free)
-        odds = odds_of(candidates, evidence, rates) + gain + free + more
+        odds = prior_odds(candidates, evidence, rates) + gain + free + more
         beliefs = sum_product(odds, graph, tuning.selection, frame, beliefs)
         posterior_log_odds = beliefs.log_odds
         posterior = probability(posterior_log_odds)
@@ -253,9 +253,9 @@ def pairs_alone(
         )
         helped = junctions.end_at_junction >= tuning.junctions.min_at_junction
         gain = np.where(broadcast_groups(helped, frame), gain, 0.0)
-        rates = learned_rates(candidates, posterior, rates, junctions, typical_px, tuning)
+        rates = learn_rates(candidates, posterior, rates, junctions, typical_px, tuning)
     posterior_log_odds = with_log_share(posterior_log_odds, log_share)
-    chosen = chosen_greedily(posterior_log_odds, graph)
+    chosen = choose_greedily(posterior_log_odds, graph)
     tempered = temper(posterior_log_odds, candidates.side_log, tuning.evidence)
     # Lines that meet nowhere are of no bodies, and bodies that are seen through hide no edges.
     through = see_through_share(
@@ -269,7 +269,7 @@ def pairs_alone(
     every = junctions.end_at_junction, through.reshape(np.shape(mixture.log_count))
     bodies = Bodies(*(broadcast_groups(each, frame) for each in every))
     of_pair = posterior_log_odds, candidates.side_log, candidates.crossing_sine, bodies
-    tempered = tempered_pairs(*of_pair, tuning)
+    tempered = temper_pairs(*of_pair, tuning)
     most = rules.most_alone * probability(tempered)
     in_images = candidates.side_log.any(axis=1)
     tempered = np.where(in_images, tempered, np.log(most) - np.log1p(-most))

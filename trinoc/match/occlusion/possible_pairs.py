@@ -1,8 +1,8 @@
 """Pairs of segments that can be one line: those of two views that share epipolar planes.
 
-What is judged of pairs: their values, and evidence that both ways of choosing them count.
+What is evaluate of pairs: their values, and evidence that both ways of choosing them count.
 
-Which pairs may be likely, judged where they were made: most never leave the kernel.
+Which pairs may be likely, evaluate where they were made: most never leave the kernel.
 """
 
 from collections.abc import Iterator
@@ -14,12 +14,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.match.candidates.table import Candidates, candidates_at
+from trinoc.match.candidates.table import Candidates, build_candidates
 from trinoc.match.evidence.mixture import MixtureParameters, log_place, log_sides
 from trinoc.match.evidence.triple_position import pair_evidence
 from trinoc.match.observations.clutter import ClutterModel
-from trinoc.match.observations.table import TRIPLES_IN_BLOCK, SegmentTable, block_of
-from trinoc.match.selection.messages import affordable, claimed, log_share_kept
+from trinoc.match.observations.table import TRIPLES_IN_BLOCK, SegmentTable, block_size
+from trinoc.match.selection.messages import affordable, are_claimed, log_share_kept
 from trinoc.match.tuning.candidates import CandidateTuning
 from trinoc.match.tuning.every_group import MatchTuning
 from trinoc.match.tuning.evidence import EndTuning, EvidenceTuning
@@ -27,8 +27,8 @@ from trinoc.match.two_view.epipolar_pencil import (
     Pencil,
     pairs_sharing_planes,
     pencil,
-    pencil_of,
-    row_of,
+    take_pencil,
+    take_segments,
 )
 from trinoc.numerics.arrays import ArrayLike
 from trinoc.numerics.buckets import as_columns, select_in_blocks, split_columns
@@ -69,7 +69,7 @@ def possible_pairs(
     rows = free[views[0]], free[views[1]]
     for pair in pairs_sharing_planes(lines, views, planes, rows, PAIRS_AT_A_TIME, ends_px):
         segments = np.stack(pair, axis=1).astype(np.int64)
-        yield _judged(lines, views, planes, segments, clutter, tuning, bound)
+        yield _evaluate_pairs(lines, views, planes, segments, clutter, tuning, bound)
 
 
 def rehearse_pairs(lines: SegmentTable, clutter: ClutterModel, tuning: MatchTuning) -> None:
@@ -79,7 +79,7 @@ def rehearse_pairs(lines: SegmentTable, clutter: ClutterModel, tuning: MatchTuni
         pass
 
 
-def _judged(
+def _evaluate_pairs(
     lines: SegmentTable,
     views: Int[np.ndarray, "2"],
     planes: Pencil,
@@ -91,22 +91,22 @@ def _judged(
     ends = len(tuning.ends.agreeing_px) + 1
     shapes = ((2, 2), (2, 3), (), (2, ends), (2, 3), (2, 6), (), (), ())
 
-    def judged(segments: np.ndarray) -> tuple[ArrayLike, ArrayLike]:
+    def evaluate(segments: np.ndarray) -> tuple[ArrayLike, ArrayLike]:
         groups = {"tuning": tuning.candidates, "ends": tuning.ends}
-        possible, columns = _evidence_of(lines, views, planes, segments, clutter, **groups)
+        possible, columns = _pair_evidence(lines, views, planes, segments, clutter, **groups)
         if bound is not None:
             possible = may_be_likely(bound, possible, columns, tuning=tuning.evidence)
         return possible, columns
 
-    keep, columns = select_in_blocks(judged, block_of(lines, TRIPLES_IN_BLOCK), segments)
+    keep, columns = select_in_blocks(evaluate, block_size(lines, TRIPLES_IN_BLOCK), segments)
     of_views, ends_mm, *rest = split_columns(columns, shapes)
     # Two views always agree about a place.
     place = of_views, ends_mm, np.zeros(len(keep)), *rest
-    return candidates_at(lines, views, segments[keep], place, tuning)
+    return build_candidates(lines, views, segments[keep], place, tuning)
 
 
 @partial(kept_jit, static_argnames=("tuning", "ends"), beside_others=True)
-def _evidence_of(
+def _pair_evidence(
     lines: SegmentTable,
     views: Int[ArrayLike, "2"],
     planes: Pencil,
@@ -117,8 +117,8 @@ def _evidence_of(
 ) -> tuple[Bool[ArrayLike, "h"], Float[ArrayLike, "c h"]]:
     """(whether each can be one line, what is kept of it)."""
     segments = pairs.T
-    rows = row_of(planes.first, segments[0]), row_of(planes.second, segments[1])
-    of_pencil = pencil_of(planes, lines, views[0], segments[0])
+    rows = take_segments(planes.first, segments[0]), take_segments(planes.second, segments[1])
+    of_pencil = take_pencil(planes, lines, views[0], segments[0])
     found = pair_evidence(lines, views, of_pencil, rows, segments, clutter, tuning, ends)
     columns = (
         *(found.interval, found.ends_mm, found.log_density, found.end_log, found.union_ends_mm),
@@ -203,7 +203,7 @@ def likely_rows(
     rules = tuning.selection
     rows = np.flatnonzero(odds > rules.prune_log_odds)
     own = found.take(rows)
-    rows = rows[~claimed(own.index, own.interval, matched.index, matched.interval, rules)]
+    rows = rows[~are_claimed(own.index, own.interval, matched.index, matched.interval, rules)]
     odds, index = odds[rows], found.index[rows]
     kept = affordable(odds, index, -np.inf, rules)
     return rows[kept], log_share_kept(odds, index, kept)

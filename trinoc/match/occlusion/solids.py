@@ -100,7 +100,7 @@ class Bodies(NamedTuple):
 NO_BODIES = Bodies(0.0, 1.0)
 
 
-def bodies_of(
+def estimate_bodies(
     lines: SegmentTable, tracks: Tracks, selections: list[Selection], tuning: MatchTuning
 ) -> Bodies:
     """What three views tell of each frame's bodies."""
@@ -119,7 +119,7 @@ def bodies_of(
     return Bodies(joined, through.reshape(joined.shape))
 
 
-def tempered_tracks(
+def temper_tracks(
     lines: SegmentTable, tracks: Tracks, bodies: Bodies, tuning: MatchTuning
 ) -> Tracks:
     """Tracks with tempered log odds, their rivals' too."""
@@ -128,13 +128,15 @@ def tempered_tracks(
     share = bodies.joined * (1 - rules.seen_through_gain * bodies.through)
     own = broadcast_groups(share, candidates.frame)
     posterior, rivals = (
-        _tempered(log_odds, candidates.side_log, own, rules.track_temperature, tuning.evidence)
+        _temper_log_odds(
+            log_odds, candidates.side_log, own, rules.track_temperature, tuning.evidence
+        )
         for log_odds in (tracks.posterior_log_odds, tracks.rival_posterior)
     )
     return Tracks(candidates, posterior, rivals)
 
 
-def tempered_pairs(
+def temper_pairs(
     posterior_log_odds: Float[np.ndarray, "m"],
     side_log: Float[np.ndarray, "m s"],
     crossing_sine: Float[np.ndarray, "m"],
@@ -147,10 +149,10 @@ def tempered_pairs(
     rules, solid = tuning.occlusion, bodies.joined * (1 - bodies.through)
     turned = solid * (rules.solid_offset - rules.doubt_turned * crossing_sine)
     given = posterior_log_odds, side_log, solid, rules.pair_temperature, tuning.evidence
-    return _tempered(*given) + np.where(side_log.any(axis=1), 0.0, turned)
+    return _temper_log_odds(*given) + np.where(side_log.any(axis=1), 0.0, turned)
 
 
-def _tempered(
+def _temper_log_odds(
     log_odds: Float[np.ndarray, "m"],
     side_log: Float[np.ndarray, "m s"],
     share: Float[np.ndarray, "*m"] | float,

@@ -46,7 +46,7 @@ class Place(NamedTuple):
     contrast: Float[np.ndarray, "n"]
 
 
-def extent_of(
+def estimate_extent(
     own: Float[np.ndarray, "n b"],
     mean: Float[np.ndarray, "n"],
     usable: Bool[np.ndarray, "n b"],
@@ -82,7 +82,7 @@ def _spread(log: Float[np.ndarray, "n c"]) -> Float[np.ndarray, "n"]:
     return np.sqrt((weight * (places - middle[:, None]) ** 2).sum(axis=1) + 1 / 12)
 
 
-def placed(
+def locate_edge(
     across: Float[np.ndarray, "n o b"],
     column: Int[np.ndarray, "n b"],
     at: Int[np.ndarray, "n b"],
@@ -106,7 +106,7 @@ def placed(
     middle, offset = _middles(weight, extent), _offsets(weight, near, at, bend, top)
     means = weight @ near.mT / weight.sum(axis=2, keepdims=True)
     own = of_block[:, None] * (weight**2).sum(axis=2) / weight.sum(axis=2) ** 2
-    quarters = _quartered(halves) * alone[:, None]
+    quarters = _quarters(halves) * alone[:, None]
     apart = _offsets(quarters, near, at, bend, top) - _on_line(quarters, middle, offset)
     noise = (
         of_block[:, None] * (quarters**2).sum(axis=2) / np.maximum(quarters.sum(axis=2), 1e-9) ** 2
@@ -159,7 +159,7 @@ def _on_line(
     return offset[:, :1] + slope[:, None] * (place - middle[:, :1])
 
 
-def _quartered(halves: Float[np.ndarray, "n 2 b"]) -> Float[np.ndarray, "n 4 b"]:
+def _quarters(halves: Float[np.ndarray, "n 2 b"]) -> Float[np.ndarray, "n 4 b"]:
     """The first and the second part of both halves."""
     number = np.cumsum(halves, axis=2)
     first = halves * (number <= (halves.sum(axis=2, keepdims=True) + 1) // 2)

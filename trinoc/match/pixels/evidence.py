@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.match.pixels.edge_piece import Extent, Place, extent_of, placed
+from trinoc.match.pixels.edge_piece import Extent, Place, estimate_extent, locate_edge
 from trinoc.match.pixels.probes import (
     BLOCKS,
     REACH,
@@ -42,7 +42,7 @@ TILTS = np.array([-2, 0, 2])
 MIDDLES = np.arange(-REACH, REACH + 1, dtype=np.int8)
 
 
-class Evidence(NamedTuple):
+class WindowEvidence(NamedTuple):
     """Of probes that show anything, the window of blocks and the line that shows an edge best.
 
     Fields
@@ -80,7 +80,7 @@ class Band(NamedTuple):
     known: Bool[np.ndarray, "n b"]
 
 
-class Lines(NamedTuple):
+class ProbeLines(NamedTuple):
     """Lines of all tilts, and of each all middles: l of them beside every probe.
 
     shift : (n, t, b) what each tilt adds at every block, -1, 0 or 1 px.
@@ -98,7 +98,7 @@ class Tests(NamedTuple):
     whole: Bool[np.ndarray, "n l x"]
 
 
-def evidence_along(
+def search_windows(
     by_uv: Float[np.ndarray, "2 h w"],
     least: float,
     growth: Float[np.ndarray, "k"],
@@ -106,15 +106,15 @@ def evidence_along(
     gate_px: Float[np.ndarray, "n"],
     near_px: Float[np.ndarray, "n"],
     latest: Int[np.ndarray, "n"],
-) -> Evidence:
+) -> WindowEvidence:
     """The best window of each probe that begins at block `latest` or before, within the gate.
 
     `near_px` is the standard deviation of the line's place, `least` that of a block's ridge from
     the picture's noise, and `growth` is g(n) of every window's size.
     """
-    band = band_of(by_uv, least, places)
-    lines = lines_at(band.known)
-    tests = tests_of(band, lines, growth, gate_px, latest)
+    band = prepare_band(by_uv, least, places)
+    lines = list_lines(band.known)
+    tests = sum_windows(band, lines, growth, gate_px, latest)
     number = tests.whole.sum(axis=(1, 2))
     limit = normal_limit(_USUAL / 2 / np.maximum(number, 1))
     size = np.where(tests.whole, np.abs(tests.score), 0.0).max(axis=(1, 2))
@@ -127,8 +127,8 @@ def evidence_along(
     line, window = np.divmod(best[row], tests.score.shape[2])
     score, probe = tests.score[row, line, window], probe[row]
     sign = np.sign(score).astype(np.float64)
-    extent, place = piece_of(band, lines, line, window, sign, gate_px[probe], growth)
-    return Evidence(
+    extent, place = measure_piece(band, lines, line, window, sign, gate_px[probe], growth)
+    return WindowEvidence(
         probe,
         np.abs(score).astype(np.float64),
         sign,
@@ -139,16 +139,16 @@ def evidence_along(
     )
 
 
-def band_of(by_uv: Float[np.ndarray, "2 h w"], least: float, places: Samples) -> Band:
+def prepare_band(by_uv: Float[np.ndarray, "2 h w"], least: float, places: Samples) -> Band:
     """What the picture shows about each probe."""
     across, along, known = block_gradients(by_uv, places)
     height = ridge(across)
     return Band(across, along, height, ridge_sigma(height, known, least), known)
 
 
-def tests_of(
+def sum_windows(
     band: Band,
-    lines: Lines,
+    lines: ProbeLines,
     growth: Float[np.ndarray, "k"],
     gate_px: Float[np.ndarray, "n"],
     latest: Int[np.ndarray, "n"],
@@ -157,12 +157,12 @@ def tests_of(
     height = np.pad(band.height, ((0, 0), (1, 1), (0, 0)))
     sums = windows(on_lines(height, lines)) / band.sigma[:, None, None]
     begins = latest[:, None] >= WINDOW_FIRST
-    whole = whole_windows(within(lines, band.known, gate_px)) & begins[:, None]
+    whole = whole_windows(blocks_in_gate(lines, band.known, gate_px)) & begins[:, None]
     return Tests(sums / window_spread(growth), whole)
 
 
 def is_edge(
-    band: Band, lines: Lines, tests: Tests, growth: Float[np.ndarray, "k"]
+    band: Band, lines: ProbeLines, tests: Tests, growth: Float[np.ndarray, "k"]
 ) -> Bool[np.ndarray, "n l x"]:
     """Whether the gradient across is largest on a line itself, and hardly any goes along it."""
     count = len(band.sigma)
@@ -177,7 +177,7 @@ def is_edge(
 
 
 def nearest_of_surest(
-    lines: Lines,
+    lines: ProbeLines,
     score: Float[np.ndarray, "n l x"],
     good: Bool[np.ndarray, "n l x"],
     near_px: Float[np.ndarray, "n"],
@@ -193,9 +193,9 @@ def nearest_of_surest(
     return value.reshape(count, number * kinds).argmax(axis=1)
 
 
-def piece_of(
+def measure_piece(
     band: Band,
-    lines: Lines,
+    lines: ProbeLines,
     line: Int[np.ndarray, "n"],
     window: Int[np.ndarray, "n"],
     sign: Float[np.ndarray, "n"],
@@ -210,25 +210,25 @@ def piece_of(
     blocks = np.arange(BLOCKS)
     inside = (blocks >= WINDOW_FIRST[window, None]) & (blocks <= WINDOW_LAST[window, None])
     mean = (own * inside).sum(axis=1) / WINDOW_SIZE[window]
-    usable = within(lines, band.known, gate_px)[np.arange(len(line)), line]
+    usable = blocks_in_gate(lines, band.known, gate_px)[np.arange(len(line)), line]
     half = WINDOW_FIRST[window] + WINDOW_SIZE[window] // 2
-    extent = extent_of(own, mean, usable, half, growth[0])
+    extent = estimate_extent(own, mean, usable, half, growth[0])
     across = sign[:, None, None] * band.across
-    return extent, placed(across, column + SHOULDER, at, extent, growth[2] * band.sigma**2)
+    return extent, locate_edge(across, column + SHOULDER, at, extent, growth[2] * band.sigma**2)
 
 
-def lines_at(known: Bool[np.ndarray, "n b"]) -> Lines:
+def list_lines(known: Bool[np.ndarray, "n b"]) -> ProbeLines:
     """All lines; they are turned about the middle of what is known of the probe."""
     first = known.argmax(axis=1)[:, None]
     last = BLOCKS - 1 - known[:, ::-1].argmax(axis=1)[:, None]
     place = (np.arange(BLOCKS) - (first + last) / 2) / (last - first + 1)
     shift = np.clip(np.rint(TILTS[:, None] * place[:, None]), -1, 1).astype(np.int8)
     at = MIDDLES[:, None] + shift[:, :, None]
-    return Lines(shift, at.reshape(len(known), -1, BLOCKS))
+    return ProbeLines(shift, at.reshape(len(known), -1, BLOCKS))
 
 
 def on_lines(
-    part: Float[np.ndarray, "n o b"], lines: Lines, reach: int = REACH
+    part: Float[np.ndarray, "n o b"], lines: ProbeLines, reach: int = REACH
 ) -> Float[np.ndarray, "n l b"]:
     """What `part`, whose middle column is the probe itself, holds on lines up to `reach` across."""
     middle = part.shape[1] // 2
@@ -242,8 +242,8 @@ def on_lines(
     return np.concatenate(held, axis=1)
 
 
-def within(
-    lines: Lines, known: Bool[np.ndarray, "n b"], gate_px: Float[np.ndarray, "n"]
+def blocks_in_gate(
+    lines: ProbeLines, known: Bool[np.ndarray, "n b"], gate_px: Float[np.ndarray, "n"]
 ) -> Bool[np.ndarray, "n l b"]:
     """Which blocks of each line are inside, and within the gate."""
     gate = np.minimum(gate_px, REACH)[:, None, None]

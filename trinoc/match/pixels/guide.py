@@ -12,18 +12,22 @@ from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
 from trinoc.match.observations.pictures_of_views import check_pictures, segments_of_views
 from trinoc.match.pixels.new_lines import with_new_lines
-from trinoc.match.pixels.prolong import prolonged
-from trinoc.match.pixels.state import State, start_of, tables_of, turned_round
+from trinoc.match.pixels.prolong import prolong_segments
+from trinoc.match.pixels.state import State, build_tables, ends_are_swapped, initial_state
 from trinoc.match.pixels.views import PictureInput, picture_inputs, with_usual_width
 from trinoc.match.tracks.assembly import flag_viewpoint_dependent
 from trinoc.match.tracks.line_fit import (
     common_ends,
+    cut_fragments,
     ending_view,
-    fragments_of,
-    interval_of,
+    track_intervals,
 )
 from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, Matches
-from trinoc.match.tracks.unequal_errors import degrees_of_misfit, scaled_across, variance_factor
+from trinoc.match.tracks.unequal_errors import (
+    degrees_of_misfit,
+    scale_covariance_of_lines,
+    variance_factor,
+)
 from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
 from trinoc.match.tuning.guided import GuidedTuning
 from trinoc.numerics.arrays import ArrayLike
@@ -79,14 +83,14 @@ def guide_matches(
     check_pictures("Guided detection", matches.views, rig, pictures)
     given = segments_of_views("Guided detection", matches.views, segments)
     inputs = picture_inputs(rig, {name: pictures[name] for name in matches.views})
-    before = start_of(matches, given, rig)
+    before = initial_state(matches, given, rig)
     inputs = [
         with_usual_width(picture, shown.ends_px)
         for picture, shown in zip(inputs, before.segments, strict=True)
     ]
     after, added = rounds(before, inputs, tuning.guided)
-    tables = segments_of(before, after, given)
-    return GuidedMatches(tables, matches_of(after, matches, added, tuning))
+    tables = collect_segments(before, after, given)
+    return GuidedMatches(tables, join_matches(after, matches, added, tuning))
 
 
 def rounds(
@@ -97,7 +101,7 @@ def rounds(
     total = np.zeros(2, dtype=np.int64)
     for _ in range(tuning.rounds):
         state, new, asked = with_new_lines(state, pictures, asked, tuning)
-        state, longer = prolonged(state, pictures, tuning)
+        state, longer = prolong_segments(state, pictures, tuning)
         total += [new, longer]
         if new + longer == 0:
             break
@@ -105,7 +109,9 @@ def rounds(
     return state, dict(zip(words, total.tolist(), strict=True))
 
 
-def segments_of(before: State, after: State, given: dict[str, Segments]) -> dict[str, Segments]:
+def collect_segments(
+    before: State, after: State, given: dict[str, Segments]
+) -> dict[str, Segments]:
     """The segments of each view: those that were given, some longer, and those that were added."""
     return {
         name: _of_view(before, after, view, given[name]) for view, name in enumerate(after.names)
@@ -120,7 +126,7 @@ def _of_view(before: State, after: State, view: int, given: Segments) -> Segment
     if len(changed) == 0 and len(now.ends_px) == count:
         return given
     ends, covariance = distort_pixels(lens, now.ends_px), now.covariance_px2
-    back = turned_round(old.ends_px, lens, given)
+    back = ends_are_swapped(old.ends_px, lens, given)
     turn = np.concatenate([back, np.zeros(len(now.ends_px) - count, dtype=bool)])
     ends = np.where(turn[:, None, None], ends[:, ::-1], ends)
     blocks = covariance.reshape(-1, 2, 2, 2, 2)
@@ -141,19 +147,21 @@ def _of_view(before: State, after: State, view: int, given: Segments) -> Segment
         np.zeros(len(height), dtype=np.int64),
         given.image_size_px,
     )
-    return longer.followed_by(added)
+    return longer.append(added)
 
 
-def matches_of(after: State, given: Matches, added: dict[str, int], tuning: MatchTuning) -> Matches:
+def join_matches(
+    after: State, given: Matches, added: dict[str, int], tuning: MatchTuning
+) -> Matches:
     """The given tracks, in their order, and after them the new ones."""
     tracks = after.tracks
     if len(tracks.index) == 0:
         return dataclasses.replace(given, counts=given.counts | added)
-    seen = tables_of(after)
+    seen = build_tables(after)
     common = common_ends(seen, tracks.index, tracks.ends_mm)
     here = ending_view(seen, tracks.index, common)
-    interval = interval_of(seen, tracks.index, common)
-    fragments, covariance = fragments_of(seen, tracks.index, interval, here)
+    interval = track_intervals(seen, tracks.index, common)
+    fragments, covariance = cut_fragments(seen, tracks.index, interval, here)
     guided = np.zeros(tracks.index.shape, dtype=bool)
     for view, own in enumerate(after.segments):
         on = np.flatnonzero(tracks.index[:, view] >= 0)
@@ -167,7 +175,7 @@ def matches_of(after: State, given: Matches, added: dict[str, int], tuning: Matc
         tracks.index,
         fragments,
         tracks.ends_mm,
-        scaled_across(tracks.ends_mm, tracks.covariance_mm2, factor),
+        scale_covariance_of_lines(tracks.ends_mm, tracks.covariance_mm2, factor),
         np.where(views > 2, TRINOCULAR, BINOCULAR),
         1 / (1 + np.exp(-tracks.log_odds)),
         np.concatenate([given.rival_posterior, np.zeros(new)]),

@@ -76,7 +76,7 @@ def line_images(
     )
 
 
-def offset_at(
+def interpolate_offset(
     offset_px: Float[np.ndarray, "s 2"], share: Float[np.ndarray, "s k"]
 ) -> Float[np.ndarray, "s k"]:
     """Offsets at positions along the line, 0 and 1 at its ends."""

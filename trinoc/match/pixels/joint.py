@@ -11,13 +11,13 @@ from trinoc.geometry.projection import project_by_matrix, project_with_jacobian
 from trinoc.match.pixels.partners import Hypotheses
 from trinoc.match.pixels.probes import REACH
 from trinoc.match.pixels.state import State
-from trinoc.match.pixels.views import Answer, PictureInput, ask
+from trinoc.match.pixels.views import EdgeResponse, PictureInput, ask
 from trinoc.match.tracks.line_fit import positions_abreast
 from trinoc.match.tuning.guided import GuidedTuning
 from trinoc.numerics.tables import take_rows
 
 
-class Asked(NamedTuple):
+class EdgeQuery(NamedTuple):
     """Fields
     ------
     answers : of every picture.
@@ -28,7 +28,7 @@ class Asked(NamedTuple):
     area_px2 : (n, v) within which the two offsets may lie.
     """
 
-    answers: list[Answer]
+    answers: list[EdgeResponse]
     hit: Bool[np.ndarray, "n v"]
     offset_px: Float[np.ndarray, "n v 2"]
     variance_px2: Float[np.ndarray, "n v 2 2"]
@@ -36,13 +36,13 @@ class Asked(NamedTuple):
     area_px2: Float[np.ndarray, "n v"]
 
 
-def asked(
+def query_pictures(
     pictures: list[PictureInput],
     ends_mm: Float[np.ndarray, "n 2 3"],
     covariance_mm2: Float[np.ndarray, "n 6 6"],
     wanted: Bool[np.ndarray, "n v"],
     tuning: GuidedTuning,
-) -> Asked:
+) -> EdgeQuery:
     """The pictures about the lines for which they are `wanted`; the others show nothing."""
     columns = []
     for view, picture in enumerate(pictures):
@@ -51,7 +51,7 @@ def asked(
         columns.append(tuple(_spread_out(column, rows, len(ends_mm)) for column in part))
     answers = [column[0] for column in columns]
     rest = [np.stack(list(part), axis=1) for part in zip(*(c[1:] for c in columns), strict=True)]
-    return Asked(answers, *rest)
+    return EdgeQuery(answers, *rest)
 
 
 def _spread_out(column: Any, rows: np.ndarray, count: int) -> Any:
@@ -67,7 +67,7 @@ def _spread_out(column: Any, rows: np.ndarray, count: int) -> Any:
 
 def _of_view(
     picture: PictureInput, ends_mm: np.ndarray, covariance_mm2: np.ndarray, tuning: GuidedTuning
-) -> tuple[Answer, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+) -> tuple[EdgeResponse, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     matrix = picture.matrix_px
     before = (ends_mm @ matrix[2, :3] + matrix[2, 3] > 0).all(axis=1)
     seen = project_with_jacobian(matrix, np.where(before[:, None, None], ends_mm, 0.0))
@@ -107,8 +107,8 @@ def _of_view(
     )
 
 
-def log_odds_of(
-    found: Asked,
+def joint_log_odds(
+    found: EdgeQuery,
     covariance_mm2: Float[np.ndarray, "n 6 6"],
     members: Bool[np.ndarray, "n v"],
     chance: Float[np.ndarray, "v"],
@@ -150,12 +150,12 @@ class Proposals(NamedTuple):
     asked_for: Hypotheses
     members: Bool[np.ndarray, "n v"]
     log_odds: Float[np.ndarray, "n"]
-    answers: list[Answer]
+    answers: list[EdgeResponse]
 
 
-def proposals_of(
+def propose_lines(
     state: State,
-    found: Asked,
+    found: EdgeQuery,
     hypotheses: Hypotheses,
     size_px: Sequence[tuple[int, int]],
     looked_at: int,
@@ -176,7 +176,7 @@ def proposals_of(
         [
             np.where(
                 _surely_two(found, choice, strict),
-                log_odds_of(found, hypotheses.covariance_mm2, choice, chance)
+                joint_log_odds(found, hypotheses.covariance_mm2, choice, chance)
                 + (missed * ~choice).sum(axis=1),
                 -np.inf,
             )
@@ -193,7 +193,7 @@ def proposals_of(
 
 
 def _surely_two(
-    found: Asked, members: Bool[np.ndarray, "n v"], strict: float
+    found: EdgeQuery, members: Bool[np.ndarray, "n v"], strict: float
 ) -> Bool[np.ndarray, "n"]:
     """Whether two views show an edge, and one of them would not by noise."""
     sure = np.stack([answer.log_chance < strict for answer in found.answers], axis=1)
@@ -213,7 +213,7 @@ def _in_picture(
 
 
 def _overlapping(
-    state: State, found: Asked, lines: Float[np.ndarray, "n 2 3"], tuning: GuidedTuning
+    state: State, found: EdgeQuery, lines: Float[np.ndarray, "n 2 3"], tuning: GuidedTuning
 ) -> Bool[np.ndarray, "n v"]:
     """The views of which each shares most of the shorter part with the longest."""
     reach = np.zeros((*found.hit.shape, 2))

@@ -14,17 +14,17 @@ from trinoc.geometry.segments import Segments
 from trinoc.image.light import Light
 from trinoc.image.response import ResponseLike
 from trinoc.match.observations.pictures_of_views import check_pictures, segments_of_views
-from trinoc.match.pixels.images import LineImages, line_images, offset_at
+from trinoc.match.pixels.images import LineImages, interpolate_offset, line_images
 from trinoc.match.pixels.tuning import DEFAULT, PixelTuning
 from trinoc.match.pixels.view_fit import PIXELS, ViewFit, fit_view
 from trinoc.match.tracks.matches import Matches
-from trinoc.match.tracks.unequal_errors import degrees_of_misfit, learned_tail, variance_factor
+from trinoc.match.tracks.unequal_errors import degrees_of_misfit, fit_tail, variance_factor
 from trinoc.match.tuning.selection import NoiseTuning
 from trinoc.numerics.arrays import ArrayLike
 from trinoc.numerics.precision import in_float64
 from trinoc.numerics.small_least_squares import Residuals, gauss_newton, whitening
 from trinoc.numerics.tails import chi_square_limit, chi_square_tail
-from trinoc.numerics.vectors import axes_across
+from trinoc.numerics.vectors import complete_axes
 
 
 @in_float64
@@ -77,13 +77,13 @@ def measure_lines(
         every = np.asarray(own.endpoints_px, dtype=np.float64)
         images.append(seen)
         views.append(fit_view(light, every, lens, seen, tuning))
-    return measured(matches, rig, images, views, tuning)
+    return apply_measurements(matches, rig, images, views, tuning)
 
 
 _STEPS = 4
 
 
-class LineFit(NamedTuple):
+class PixelLineFit(NamedTuple):
     """Fields
     ------
     move_mm : (t, 4) of the first end, then of the last, along the two axes across the line.
@@ -96,37 +96,37 @@ class LineFit(NamedTuple):
     misfit: Float[np.ndarray, "t"]
 
 
-def fit_lines(
+def fit_lines_to_pixels(
     matrices_px: Float[np.ndarray, "v 3 4"],
     ends_mm: Float[np.ndarray, "t 2 3"],
     axes: Float[np.ndarray, "t 2 3"],
     places_px: Float[np.ndarray, "t v 2 2"],
     covariance_px2: Float[np.ndarray, "t v 2 2"],
     seen: Float[np.ndarray, "t v"],
-) -> LineFit:
+) -> PixelLineFit:
     """Lines whose images go through places, known to this across; views that see none count 0."""
     count = len(ends_mm)
     matrices = np.broadcast_to(matrices_px, (count, *matrices_px.shape))
     white = whitening(covariance_px2)
 
-    def lines_at(move: Float[np.ndarray, "t 4"]) -> Float[np.ndarray, "t 2 3"]:
+    def move_across(move: Float[np.ndarray, "t 4"]) -> Float[np.ndarray, "t 2 3"]:
         return ends_mm + move.reshape(count, 2, 2) @ axes
 
     def residuals(move: Float[np.ndarray, "t 4"]) -> Residuals:
-        found = distances_from_line(matrices, lines_at(move)[:, None], places_px)
+        found = distances_from_line(matrices, move_across(move)[:, None], places_px)
         by_move = np.einsum("tvpei,tai->tvpea", found.by_ends, axes).reshape(*white.shape[:3], 4)
         distance = (white @ found.distance_px[..., None])[..., 0]
         return Residuals(distance, white @ by_move, seen)
 
     move, equations = gauss_newton(residuals, np.add, np.zeros((count, 4)), steps=_STEPS)
-    return LineFit(move, equations.covariance(), equations.chi_square)
+    return PixelLineFit(move, equations.covariance(), equations.chi_square)
 
 
 DISAGREES = "disagrees"
 _UNKNOWNS = 4
 
 
-def measured(
+def apply_measurements(
     matches: Matches,
     rig: Rig,
     images: Sequence[LineImages],
@@ -146,10 +146,12 @@ def measured(
         covariance[rows, view] = fit.covariance_px2
     way = matches.lines_mm[:, 1] - matches.lines_mm[:, 0]
     unit = way / np.linalg.norm(way, axis=1)[:, None]
-    axes = axes_across(unit)
+    axes = complete_axes(unit)
     matrices = np.stack([np.asarray(rig[name].matrix_px) for name in matches.views])
     seen = matches.index >= 0
-    found = fit_lines(matrices, matches.lines_mm, axes, place, covariance, seen.astype(np.float64))
+    found = fit_lines_to_pixels(
+        matrices, matches.lines_mm, axes, place, covariance, seen.astype(np.float64)
+    )
     sound = np.asarray(np.isfinite(found.covariance_mm2).all(axis=(1, 2)))
     move = np.where(sound[:, None], found.move_mm, 0.0)
     spread = np.where(sound[:, None, None], found.covariance_mm2, np.eye(_UNKNOWNS))
@@ -164,7 +166,7 @@ def measured(
     freedom = degrees_of_misfit(matches.index)
     sure = sound & (freedom > 0) & (matches.posterior > tuning.sure)
     rules = NoiseTuning(tail_of_pictures=tuning.tail)
-    tail = learned_tail(misfit[sure], freedom[sure], of_pictures=True, tuning=rules)
+    tail = fit_tail(misfit[sure], freedom[sure], of_pictures=True, tuning=rules)
     spread = spread * variance_factor(misfit, freedom, tail)[:, None, None]
     difference = hausman(move, before[:, :4, :4], spread, tuning.least_difference)
     limit = chi_square_limit(tuning.least_probability, _UNKNOWNS)
@@ -174,7 +176,7 @@ def measured(
     agree = chi_square_tail(misfit, np.maximum(freedom, 1)) > tuning.least_probability
     holds = sound & ((difference <= limit) | agree)
     spread = spread * np.maximum(difference / limit, 1.0)[:, None, None]
-    ends, of_ends = _moved(matches.lines_mm, turn, before, move, spread)
+    ends, of_ends = _move_lines(matches.lines_mm, turn, before, move, spread)
     depth = np.einsum("vj,tej->tve", matrices[:, 2, :3], ends) + matrices[:, 2, 3][:, None]
     holds &= ((depth > 0).all(axis=2) | ~seen).all(axis=1) & np.isfinite(ends).all(axis=(1, 2))
     words = np.where((words == PIXELS) & ~holds[:, None], DISAGREES, words)
@@ -213,7 +215,7 @@ def hausman(
     return (along**2 / np.maximum(values - 1, least)).sum(axis=1)
 
 
-def _moved(
+def _move_lines(
     ends_mm: Float[np.ndarray, "t 2 3"],
     turn: Float[np.ndarray, "t 6 6"],
     before: Float[np.ndarray, "t 6 6"],
@@ -249,7 +251,7 @@ def _fragments(
         flat = undistort_pixels(lens, matches.fragments_px[rows, view])
         along = np.einsum("sei,si->se", flat - seen.ends_px[:, :1], seen.way)
         share = along / seen.length_px[:, None]
-        across = offset_at(fit.offset_px, share)
+        across = interpolate_offset(fit.offset_px, share)
         place = seen.ends_px[:, :1] + along[..., None] * seen.way[:, None]
         place = distort_pixels(lens, place + across[..., None] * seen.right[:, None])
         fragments[rows[good], view] = place[good]

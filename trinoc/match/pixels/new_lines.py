@@ -15,10 +15,16 @@ from scipy.spatial import KDTree
 
 from trinoc.geometry.intrinsics import distort_pixels
 from trinoc.geometry.projection import project_by_matrix
-from trinoc.match.pixels.joint import Proposals, asked, proposals_of
-from trinoc.match.pixels.partners import Hypotheses, corners_of, ends_of, hypotheses_of, mm_per_px
+from trinoc.match.pixels.joint import Proposals, propose_lines, query_pictures
+from trinoc.match.pixels.partners import (
+    Hypotheses,
+    joined_ends,
+    locate_corners,
+    mm_per_px,
+    propose_partners,
+)
 from trinoc.match.pixels.probes import REACH
-from trinoc.match.pixels.state import State, Tracks, refitted, tables_of, with_segments
+from trinoc.match.pixels.state import GuidedTracks, State, build_tables, refit_tracks, with_segments
 from trinoc.match.pixels.views import PictureInput
 from trinoc.match.tracks.assembly import direction_doubt
 from trinoc.match.tuning.guided import GuidedTuning
@@ -41,10 +47,10 @@ def with_new_lines(
 ) -> tuple[State, int, Float[np.ndarray, "k 2 3"]]:
     """(the state with new tracks, how many, the lines asked for); `before_mm` are those of earlier
     rounds, which are not asked for again."""
-    ends = ends_of(state, tuning)
+    ends = joined_ends(state, tuning)
     if len(ends.place_mm) == 0:
         return state, 0, before_mm
-    hypotheses = hypotheses_of(state, ends, corners_of(state, ends, tuning), tuning)
+    hypotheses = propose_partners(state, ends, locate_corners(state, ends, tuning), tuning)
     new = _first_time(hypotheses.ends_mm, before_mm, tuning)
     hypotheses = take_rows(hypotheses, new)
     before_mm = np.concatenate([before_mm, hypotheses.ends_mm])
@@ -53,9 +59,9 @@ def with_new_lines(
         return state, 0, before_mm
     hypotheses = take_rows(hypotheses, promising)
     wanted = _looks(pictures, hypotheses.ends_mm) > tuning.asked_sigmas
-    found = asked(pictures, hypotheses.ends_mm, hypotheses.covariance_mm2, wanted, tuning)
+    found = query_pictures(pictures, hypotheses.ends_mm, hypotheses.covariance_mm2, wanted, tuning)
     sizes = [picture.size_px for picture in pictures]
-    proposals = proposals_of(state, found, hypotheses, sizes, len(promising), tuning)
+    proposals = propose_lines(state, found, hypotheses, sizes, len(promising), tuning)
     return *with_accepted(state, proposals, tuning), before_mm
 
 
@@ -83,7 +89,7 @@ def _promising(
     for view, picture in enumerate(pictures):
         used = np.unique(state.tracks.index[:, view])
         matched = state.segments[view].ends_px[used[used >= 0]]
-        rest.append(without(picture, matched, tuning.matched_width_px))
+        rest.append(mask_segments(picture, matched, tuning.matched_width_px))
     return (_looks(rest, lines_mm) > tuning.plausible_sigmas).sum(axis=1) >= 2
 
 
@@ -104,11 +110,11 @@ def quick_look(
     found = np.zeros(len(ends_px))
     for start in range(0, len(ends_px), _AT_ONCE):
         rows = slice(start, start + _AT_ONCE)
-        found[rows] = _looked_at(picture, ends_px[rows])
+        found[rows] = _sample_mask(picture, ends_px[rows])
     return found
 
 
-def _looked_at(
+def _sample_mask(
     picture: PictureInput, ends_px: Float[np.ndarray, "n 2 2"]
 ) -> Float[np.ndarray, "n"]:
     ends_px = distort_pixels(picture.lens, ends_px)
@@ -136,7 +142,7 @@ def _looked_at(
     return halves.max(axis=(1, 2), initial=0.0) / (LOOKS // 2)
 
 
-def without(
+def mask_segments(
     picture: PictureInput, ends_px: Float[np.ndarray, "n 2 2"], width_px: int
 ) -> PictureInput:
     """The picture with no gradient on these segments: what is left is new."""
@@ -150,7 +156,7 @@ def without(
 NONE = -1
 
 
-class Known(NamedTuple):
+class EdgeKnowledge(NamedTuple):
     """Of each edge found in a view.
 
     segment : (n,) the segment that shows the same, or NONE.
@@ -161,21 +167,21 @@ class Known(NamedTuple):
     track: Int[np.ndarray, "n"]
 
 
-def known_in(
+def edge_knowledge(
     state: State, view: int, ends_px: Float[np.ndarray, "n 2 2"], tuning: GuidedTuning
-) -> Known:
+) -> EdgeKnowledge:
     """What is known of edges found in a view."""
     segments = state.segments[view].ends_px
-    shared = overlap_of(ends_px, segments, tuning.same_px)
+    shared = overlap_shares(ends_px, segments, tuning.same_px)
     segment = _best(shared, tuning.same_overlap)
     on = np.flatnonzero(state.tracks.index[:, view] >= 0)
     image = project_by_matrix(state.cameras.matrix_px[view], state.tracks.ends_mm[on])
-    parts = overlap_of(ends_px, image, tuning.same_px + 0.3)
+    parts = overlap_shares(ends_px, image, tuning.same_px + 0.3)
     track = _best(parts, tuning.claimed_overlap)
-    return Known(segment, np.where(track >= 0, on[track] if len(on) else NONE, NONE))
+    return EdgeKnowledge(segment, np.where(track >= 0, on[track] if len(on) else NONE, NONE))
 
 
-def overlap_of(
+def overlap_shares(
     ends_px: Float[np.ndarray, "n 2 2"], others_px: Float[np.ndarray, "m 2 2"], near_px: float
 ) -> Float[np.ndarray, "n m"]:
     """Share of the shorter that two segments have in common; 0 where they are not one line."""
@@ -207,58 +213,62 @@ def _best(shared: Float[np.ndarray, "n m"], least: float) -> Int[np.ndarray, "n"
 
 def with_accepted(state: State, proposals: Proposals, tuning: GuidedTuning) -> tuple[State, int]:
     """(the state with new tracks, how many)."""
-    free = take_rows(proposals, ~_claimed(state, proposals, tuning))
+    free = take_rows(proposals, ~_are_on_tracks(state, proposals, tuning))
     count = 0
     for row in range(len(free.log_odds)):
         one = take_rows(free, np.array([row]))
         # What was added just now is taken, too.
-        if count and _claimed(state, one, tuning).any():
+        if count and _are_on_tracks(state, one, tuning).any():
             continue
-        grown, new = _tried(state, one, tuning)
-        if new.misfit[0] > tuning.gate or not _as_asked(grown, new, one.asked_for, tuning):
+        grown, new = _try_line(state, one, tuning)
+        if new.misfit[0] > tuning.gate or not _is_where_sought(grown, new, one.asked_for, tuning):
             continue
         state = grown._replace(tracks=concatenate_rows([state.tracks, new]))
         count += 1
     return state, count
 
 
-def _claimed(state: State, proposals: Proposals, tuning: GuidedTuning) -> Bool[np.ndarray, "n"]:
+def _are_on_tracks(
+    state: State, proposals: Proposals, tuning: GuidedTuning
+) -> Bool[np.ndarray, "n"]:
     """Whether a track shows any of a line's edges already."""
     claimed = np.zeros(len(proposals.log_odds), dtype=bool)
     for view, answer in enumerate(proposals.answers):
         on = np.flatnonzero(proposals.members[:, view])
-        claimed[on] |= known_in(state, view, answer.ends_px[on], tuning).track >= 0
+        claimed[on] |= edge_knowledge(state, view, answer.ends_px[on], tuning).track >= 0
     return claimed
 
 
-def _tried(state: State, one: Proposals, tuning: GuidedTuning) -> tuple[State, Tracks]:
+def _try_line(state: State, one: Proposals, tuning: GuidedTuning) -> tuple[State, GuidedTracks]:
     """(the segments with the edges of one line, its track)."""
     index = np.full((1, one.members.shape[1]), NONE)
     for view in np.flatnonzero(one.members[0]).tolist():
         answer = one.answers[view]
-        index[0, view] = known_in(state, view, answer.ends_px, tuning).segment[0]
+        index[0, view] = edge_knowledge(state, view, answer.ends_px, tuning).segment[0]
         if index[0, view] == NONE:
             index[0, view] = len(state.segments[view].ends_px)
             contrast = answer.sign * answer.contrast
             state = with_segments(state, view, answer.ends_px, answer.covariance_px2, contrast)
-    track = _unlocated(index, one.log_odds, one.asked_for.ends_mm)
-    return state, refitted(state._replace(tracks=track), track).tracks
+    track = _unlocated_track(index, one.log_odds, one.asked_for.ends_mm)
+    return state, refit_tracks(state._replace(tracks=track), track).tracks
 
 
-def _unlocated(
+def _unlocated_track(
     index: Int[np.ndarray, "1 v"],
     log_odds: Float[np.ndarray, "1"],
     line_mm: Float[np.ndarray, "1 2 3"],
-) -> Tracks:
+) -> GuidedTracks:
     """A track whose line is where it was asked for."""
     unknown = np.zeros((1, 6, 6)), np.zeros(1), np.zeros((*index.shape, 2))
-    return Tracks(index, log_odds, line_mm, *unknown)
+    return GuidedTracks(index, log_odds, line_mm, *unknown)
 
 
-def _as_asked(state: State, new: Tracks, asked_for: Hypotheses, tuning: GuidedTuning) -> bool:
+def _is_where_sought(
+    state: State, new: GuidedTracks, asked_for: Hypotheses, tuning: GuidedTuning
+) -> bool:
     """Whether its views locate a new line, and where it was asked for: near its line, and from
     about a corner on."""
-    doubt = direction_doubt(tables_of(state).lines, new.index)
+    doubt = direction_doubt(build_tables(state).lines, new.index)
     if not np.isfinite(new.ends_mm).all() or doubt[0] >= tuning.largest_doubt:
         return False
     begin, end = asked_for.ends_mm[0]

@@ -12,7 +12,7 @@ from trinoc.numerics.joins import group_labels
 from trinoc.numerics.tables import concatenate_rows, take_rows
 
 
-class Ends(NamedTuple):
+class JoinedEnds(NamedTuple):
     """All ends of all tracks, 2 t of them: track k's are 2 k and 2 k + 1.
 
     place_mm : (n, 3). corner : (n,) which corner each belongs to. met : (n,) whether another line,
@@ -24,7 +24,7 @@ class Ends(NamedTuple):
     met: Bool[np.ndarray, "n"]
 
 
-class Corners(NamedTuple):
+class LocatedCorners(NamedTuple):
     """place_mm : (c, 3), covariance_mm2 : (c, 3, 3)."""
 
     place_mm: Float[np.ndarray, "c 3"]
@@ -40,12 +40,12 @@ def mm_per_px(state: State, places_mm: Float[np.ndarray, "n 3"]) -> Float[np.nda
     return np.abs(depth / (length * focal)).min(axis=1)
 
 
-def ends_of(state: State, tuning: GuidedTuning) -> Ends:
+def joined_ends(state: State, tuning: GuidedTuning) -> JoinedEnds:
     """Which ends of lines meet."""
     lines = state.tracks.ends_mm
     places = lines.reshape(-1, 3)
     if len(places) == 0:
-        return Ends(places, np.zeros(0, np.int64), np.zeros(0, bool))
+        return JoinedEnds(places, np.zeros(0, np.int64), np.zeros(0, bool))
     unit = np.repeat(_units(lines), 2, axis=0)
     near = tuning.meet_px * mm_per_px(state, places)
     one, other = KDTree(places).query_pairs(float(near.max()), output_type="ndarray").T
@@ -56,10 +56,10 @@ def ends_of(state: State, tuning: GuidedTuning) -> Ends:
     met = np.zeros(len(places), dtype=bool)
     met[one[turned]] = met[other[turned]] = True
     label = group_labels(len(places), one[turned], other[turned])
-    return Ends(places, np.unique(label, return_inverse=True)[1], met)
+    return JoinedEnds(places, np.unique(label, return_inverse=True)[1], met)
 
 
-def corners_of(state: State, ends: Ends, tuning: GuidedTuning) -> Corners:
+def locate_corners(state: State, ends: JoinedEnds, tuning: GuidedTuning) -> LocatedCorners:
     """The place nearest to all lines that end in each corner, as near as each is known."""
     lines = state.tracks.ends_mm
     unit = np.repeat(_units(lines), 2, axis=0)
@@ -75,7 +75,7 @@ def corners_of(state: State, ends: Ends, tuning: GuidedTuning) -> Corners:
     np.add.at(total, ends.corner, information)
     np.add.at(right, ends.corner, (information @ ends.place_mm[:, :, None])[..., 0])
     covariance = np.linalg.inv(total)
-    return Corners((covariance @ right[:, :, None])[..., 0], covariance)
+    return LocatedCorners((covariance @ right[:, :, None])[..., 0], covariance)
 
 
 def _units(lines_mm: Float[np.ndarray, "t 2 3"]) -> Float[np.ndarray, "t 3"]:
@@ -96,18 +96,20 @@ class Hypotheses(NamedTuple):
     ends_in_corner: Bool[np.ndarray, "n"]
 
 
-def hypotheses_of(state: State, ends: Ends, corners: Corners, tuning: GuidedTuning) -> Hypotheses:
+def propose_partners(
+    state: State, ends: JoinedEnds, corners: LocatedCorners, tuning: GuidedTuning
+) -> Hypotheses:
     """Of both kinds, without those where a line begins already."""
     taken = _directions(state, ends, len(corners.place_mm))
     both = concatenate_rows(
-        [_parallel(state, corners, taken, tuning), _between(corners, taken, tuning)]
+        [_parallel(state, corners, taken, tuning), _join_nearest_corners(corners, taken, tuning)]
     )
     size = mm_per_px(state, both.ends_mm.mean(axis=1))
     long = np.linalg.norm(both.ends_mm[:, 1] - both.ends_mm[:, 0], axis=1)
     return take_rows(both, long > tuning.shortest_px * size)
 
 
-def _directions(state: State, ends: Ends, corners: int) -> Float[np.ndarray, "c k 3"]:
+def _directions(state: State, ends: JoinedEnds, corners: int) -> Float[np.ndarray, "c k 3"]:
     """Unit vectors of the lines that leave each corner, from it into the line; zeros after them."""
     way = state.tracks.ends_mm[:, 1] - state.tracks.ends_mm[:, 0]
     unit = way / np.linalg.norm(way, axis=1)[:, None]
@@ -132,7 +134,7 @@ def _free(
 
 
 def _parallel(
-    state: State, corners: Corners, taken: Float[np.ndarray, "c k 3"], tuning: GuidedTuning
+    state: State, corners: LocatedCorners, taken: Float[np.ndarray, "c k 3"], tuning: GuidedTuning
 ) -> Hypotheses:
     """From each corner both ways along lines near it, one of each direction."""
     tracks = state.tracks
@@ -157,14 +159,14 @@ def _parallel(
 
 
 def _near_lines(
-    state: State, corners: Corners, tuning: GuidedTuning
+    state: State, corners: LocatedCorners, tuning: GuidedTuning
 ) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "n"]]:
     """(corner, line): of the lines nearest to each corner, and of the usual ones, the longest of
     each direction."""
     ends = state.tracks.ends_mm
     way = ends[:, 1] - ends[:, 0]
     length = np.linalg.norm(way, axis=1)
-    family = family_of(way / length[:, None], length, tuning.same_direction_deg)
+    family = parallel_families(way / length[:, None], length, tuning.same_direction_deg)
     # The nearest lines by their three places.
     known = np.concatenate([ends[:, 0], ends.mean(axis=1), ends[:, 1]])
     most = min(3 * tuning.partners, len(known))
@@ -184,8 +186,8 @@ def _near_lines(
     return corner[one], line[one]
 
 
-def _between(
-    corners: Corners, taken: Float[np.ndarray, "c k 3"], tuning: GuidedTuning
+def _join_nearest_corners(
+    corners: LocatedCorners, taken: Float[np.ndarray, "c k 3"], tuning: GuidedTuning
 ) -> Hypotheses:
     """From each corner to those nearest to it."""
     most = min(tuning.corners + 1, len(corners.place_mm))
@@ -204,7 +206,7 @@ def _between(
     return Hypotheses(places, covariance, np.ones(len(places), dtype=bool))
 
 
-def family_of(
+def parallel_families(
     unit: Float[np.ndarray, "t 3"], length: Float[np.ndarray, "t"], same_deg: float
 ) -> Int[np.ndarray, "t"]:
     """The family of each line: of those not in one yet the longest makes the next, with all that

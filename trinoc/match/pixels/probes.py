@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Shaped
 
 from trinoc.geometry.intrinsics import Intrinsics, distort_pixels
 from trinoc.image.light import Light
-from trinoc.image.strip import levels_between
+from trinoc.image.strip import interpolate_levels
 from trinoc.numerics.tails import MAD_TO_SIGMA
 
 # Standard deviation of the smoothing, px: with the blur of usual pictures the profile of an edge is
@@ -21,7 +21,7 @@ SMOOTHING_PX = 1.2
 _HALF = 5
 
 
-class Gradient(NamedTuple):
+class PictureGradient(NamedTuple):
     """Fields
     ------
     by_uv : (2, h, w) derivative along u and along v, grey levels per px.
@@ -32,7 +32,7 @@ class Gradient(NamedTuple):
     noise: float
 
 
-def gradient_of(picture: Shaped[np.ndarray, "..."]) -> Gradient:
+def picture_gradient(picture: Shaped[np.ndarray, "..."]) -> PictureGradient:
     """Gaussian derivatives of the grey levels, in 255ths of full white.
 
     Raises InputError for what is no picture.
@@ -42,13 +42,18 @@ def gradient_of(picture: Shaped[np.ndarray, "..."]) -> Gradient:
     border = cv2.BORDER_REPLICATE
     along_u = cv2.sepFilter2D(light.light, cv2.CV_32F, slope, smooth, borderType=border)
     along_v = cv2.sepFilter2D(light.light, cv2.CV_32F, smooth, slope, borderType=border)
-    gain = np.sqrt((smooth**2).sum() * (slope**2).sum() * _between(smooth) * _between(slope))
+    gain = np.sqrt(
+        (smooth**2).sum()
+        * (slope**2).sum()
+        * _interpolated_variance(smooth)
+        * _interpolated_variance(slope)
+    )
     # A quarter of the pixels tell it to a percent.
     noise = light.noise_sigma(stride=(2, 2))
-    return Gradient(np.stack([along_u, along_v]), float(noise * gain))
+    return PictureGradient(np.stack([along_u, along_v]), float(noise * gain))
 
 
-def _between(kernel: np.ndarray) -> float:
+def _interpolated_variance(kernel: np.ndarray) -> float:
     """What interpolation leaves of the variance, on the mean of all places between pixels."""
     shared = (kernel[1:] * kernel[:-1]).sum() / (kernel**2).sum()
     return float((2 + shared) / 3)
@@ -84,20 +89,20 @@ class Samples(NamedTuple):
     inside: Bool[np.ndarray, "n s"]
 
 
-def step_of(ends_px: Float[np.ndarray, "n 2 2"]) -> Float[np.ndarray, "n"]:
+def probe_steps_px(ends_px: Float[np.ndarray, "n 2 2"]) -> Float[np.ndarray, "n"]:
     """Distance of two places along each probe, px."""
     length = np.linalg.norm(ends_px[:, 1] - ends_px[:, 0], axis=1)
     return np.maximum(length / STEPS, STEP_PX)
 
 
-def samples_of(
+def sample_probes(
     ends_px: Float[np.ndarray, "n 2 2"], lens: Intrinsics, size_px: tuple[int, int]
 ) -> Samples:
     """Places along probes given by their undistorted ends."""
     way = ends_px[:, 1] - ends_px[:, 0]
     length = np.linalg.norm(way, axis=1)
     unit = way / np.maximum(length, 1e-9)[:, None]
-    at = (np.arange(STEPS) + 0.5) * step_of(ends_px)[:, None]
+    at = (np.arange(STEPS) + 0.5) * probe_steps_px(ends_px)[:, None]
     uv = ends_px[:, None, 0] + at[..., None] * unit[:, None]
     right = np.stack([-unit[:, 1], unit[:, 0]], axis=1)
     normal = np.broadcast_to(right[:, None], uv.shape)
@@ -137,7 +142,7 @@ def block_gradients(
     inside)."""
     by_u, by_v = (
         0.5 * (found[..., ::2] + found[..., 1::2])
-        for found in (levels_between(of, places.uv_px, places.normal, OFFSETS) for of in by_uv)
+        for found in (interpolate_levels(of, places.uv_px, places.normal, OFFSETS) for of in by_uv)
     )
     normal_u, normal_v = (places.normal[:, None, ::2, k] for k in (0, 1))
     known = places.inside[:, ::2] & places.inside[:, 1::2]

@@ -8,21 +8,21 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from trinoc.geometry.projection import project_by_matrix
-from trinoc.match.pixels.partners import ends_of
-from trinoc.match.pixels.state import State, ViewSegments, refitted, with_view
-from trinoc.match.pixels.views import Answer, PictureInput, ask
+from trinoc.match.pixels.partners import joined_ends
+from trinoc.match.pixels.state import State, ViewSegments, refit_tracks, with_view
+from trinoc.match.pixels.views import EdgeResponse, PictureInput, ask
 from trinoc.match.tracks.line_fit import positions_abreast
 from trinoc.match.tuning.guided import GuidedTuning
 
 
-def prolonged(
+def prolong_segments(
     state: State, pictures: list[PictureInput], tuning: GuidedTuning
 ) -> tuple[State, int]:
     """(the state with longer segments, how many ends have moved)."""
     found = [_beyond(state, view, picture, tuning) for view, picture in enumerate(pictures)]
     changed, moved = state, 0
     for view, (ends, answer, hit) in enumerate(found):
-        allowed = _allowed(state, found, view)
+        allowed = _largest_extension(state, found, view)
         own = state.segments[view]
         table = [own.ends_px.copy(), own.covariance_px2.copy(), own.contrast, own.guided.copy()]
         for row in np.flatnonzero(hit).tolist():
@@ -36,12 +36,12 @@ def prolonged(
             table[0][segment], table[1][segment], table[3][segment] = ends_px, covariance, True
             moved += 1
         changed = with_view(changed, view, own._make(table))
-    return _kept(state, changed, tuning) if moved else (state, 0)
+    return _undo_disagreements(state, changed, tuning) if moved else (state, 0)
 
 
-def _kept(state: State, changed: State, tuning: GuidedTuning) -> tuple[State, int]:
+def _undo_disagreements(state: State, changed: State, tuning: GuidedTuning) -> tuple[State, int]:
     """Without what makes views disagree that agreed before."""
-    trial = refitted(changed, state.tracks)
+    trial = refit_tracks(changed, state.tracks)
     worse = trial.tracks.misfit > np.maximum(state.tracks.misfit, 0.0) + tuning.gate
     moved = 0
     for view, own in enumerate(state.segments):
@@ -57,12 +57,12 @@ def _kept(state: State, changed: State, tuning: GuidedTuning) -> tuple[State, in
         moved += int((changed.segments[view].ends_px != own.ends_px).any(axis=(1, 2)).sum())
     if not moved:
         return state, 0
-    return refitted(changed, state.tracks) if worse.any() else trial, moved
+    return refit_tracks(changed, state.tracks) if worse.any() else trial, moved
 
 
 def _beyond(
     state: State, view: int, picture: PictureInput, tuning: GuidedTuning
-) -> tuple[np.ndarray, Answer, Bool[np.ndarray, "n"]]:
+) -> tuple[np.ndarray, EdgeResponse, Bool[np.ndarray, "n"]]:
     """(segment and end, the answers beyond them, which are edges)."""
     own = state.segments[view]
     index = state.tracks.index[state.tracks.log_odds > tuning.trusted_log_odds, view]
@@ -75,7 +75,7 @@ def _beyond(
     length = np.linalg.norm(here - there, axis=1)
     out = (here - there) / length[:, None]
     least = tuning.prolong_px + tuning.prolong_share * length
-    reach = np.maximum(least, _wanted(state, view, ends) + tuning.prolong_px / 2)
+    reach = np.maximum(least, _extension_in_other_views(state, view, ends) + tuning.prolong_px / 2)
     # Right at the end there may be a corner, with other edges about it.
     start = here + tuning.corner_px * out
     reach = np.clip(reach, 0, tuning.longest_px)
@@ -85,7 +85,7 @@ def _beyond(
     answer = answer._replace(along_px=answer.along_px + tuning.corner_px)
     hit = answer.log_chance < np.log(tuning.false_alarms / tests)
     hit &= answer.length_px > tuning.least_piece_px
-    return ends, answer, hit & _goes_on(own, ends, answer, tuning)
+    return ends, answer, hit & _continues(own, ends, answer, tuning)
 
 
 def _at_corner(
@@ -93,7 +93,7 @@ def _at_corner(
 ) -> Bool[np.ndarray, "n"]:
     """Whether the segment's end is that of a line that ends in a corner."""
     tracks = state.tracks
-    met = ends_of(state, tuning).met.reshape(-1, 2)
+    met = joined_ends(state, tuning).met.reshape(-1, 2)
     on = np.flatnonzero(tracks.index[:, view] >= 0)
     image = project_by_matrix(state.cameras.matrix_px[view], tracks.ends_mm[on])
     corner = np.zeros((len(state.segments[view].ends_px), 2), dtype=bool)
@@ -104,8 +104,8 @@ def _at_corner(
     return corner[ends[:, 0], ends[:, 1]]
 
 
-def _goes_on(
-    own: ViewSegments, ends: np.ndarray, answer: Answer, tuning: GuidedTuning
+def _continues(
+    own: ViewSegments, ends: np.ndarray, answer: EdgeResponse, tuning: GuidedTuning
 ) -> Bool[np.ndarray, "n"]:
     """Whether the pieces found lie on the segments' own lines, as far as both are known.
 
@@ -130,7 +130,7 @@ def _goes_on(
     return square < tuning.gate
 
 
-def _wanted(state: State, view: int, ends: np.ndarray) -> Float[np.ndarray, "n"]:
+def _extension_in_other_views(state: State, view: int, ends: np.ndarray) -> Float[np.ndarray, "n"]:
     """How far beyond each end any other view shows the line, px."""
     tracks = state.tracks
     span = np.stack(
@@ -159,8 +159,8 @@ def _farthest(
     return most[ends[:, 0], ends[:, 1]]
 
 
-def _allowed(
-    state: State, found: list[tuple[np.ndarray, Answer, np.ndarray]], view: int
+def _largest_extension(
+    state: State, found: list[tuple[np.ndarray, EdgeResponse, np.ndarray]], view: int
 ) -> Float[np.ndarray, "n"]:
     """How far each end may move, px, so that a second view shows the line there too."""
     others = _reach_after(state, found)
@@ -172,7 +172,7 @@ def _allowed(
 
 
 def _reach_after(
-    state: State, found: list[tuple[np.ndarray, Answer, np.ndarray]]
+    state: State, found: list[tuple[np.ndarray, EdgeResponse, np.ndarray]]
 ) -> Float[np.ndarray, "t v 2"]:
     """Where every view's segment would begin and end along its track if all ends moved."""
     tracks = state.tracks
@@ -196,7 +196,7 @@ def lengthen(
     covariance_px2: Float[np.ndarray, "4 4"],
     end: int,
     length: float,
-    answer: Answer,
+    answer: EdgeResponse,
     row: int,
 ) -> tuple[Float[np.ndarray, "2 2"], Float[np.ndarray, "4 4"]]:
     """A segment whose `end` moves out by `length`, by least squares of its line and of the
@@ -207,7 +207,7 @@ def lengthen(
     right = np.array([-unit[1], unit[0]])
     total = before + length
 
-    def rows_at(along: np.ndarray) -> np.ndarray:
+    def rows_beside_line(along: np.ndarray) -> np.ndarray:
         share = along / total
         return np.stack([1 - share, share], axis=1)
 
@@ -219,7 +219,9 @@ def lengthen(
     piece = answer.ends_px[row] - there
     new = answer.covariance_px2[row].reshape(2, 2, 2, 2)
     beyond = np.einsum("eifj,i,j->ef", new, right, right)
-    design = np.concatenate([rows_at(np.array([0.0, before])), rows_at(piece @ unit)])
+    design = np.concatenate(
+        [rows_beside_line(np.array([0.0, before])), rows_beside_line(piece @ unit)]
+    )
     information = np.zeros((4, 4))
     information[:2, :2], information[2:, 2:] = np.linalg.inv(own), np.linalg.inv(beyond)
     seen = np.concatenate([np.zeros(2), piece @ right])

@@ -14,11 +14,11 @@ from trinoc.match.observations.match_input import (
     FrameInput,
     MatchInput,
     prepare,
-    stacked_frames,
+    stack_frames,
     with_noise_scale,
 )
 from trinoc.match.observations.side_intensity import SIDE_COLUMNS
-from trinoc.match.tracks.line_fit import common_ends, lines_in_space, reach_of
+from trinoc.match.tracks.line_fit import common_ends, lines_in_space, segment_reaches
 from trinoc.match.tracks.matches import Matches
 
 
@@ -36,7 +36,7 @@ class ViewSegments(NamedTuple):
     guided: Bool[np.ndarray, "n"]
 
 
-class Tracks(NamedTuple):
+class GuidedTracks(NamedTuple):
     """Tracks with the segment of each view, and what is known of their lines.
 
     index : (t, v). near_mm : (t, 2, 3) two places on each line. log_odds : (t,) posterior.
@@ -58,10 +58,10 @@ class State(NamedTuple):
     names: tuple[str, ...]
     cameras: CamerasInput
     segments: tuple[ViewSegments, ...]
-    tracks: Tracks
+    tracks: GuidedTracks
 
 
-def start_of(matches: Matches, segments: Mapping[str, Segments], rig: Rig) -> State:
+def initial_state(matches: Matches, segments: Mapping[str, Segments], rig: Rig) -> State:
     """The state before any picture is asked again."""
     given = {name: segments[name] for name in matches.views}
     seen = with_noise_scale(prepare(given, rig, None), np.array([matches.noise_scale]))
@@ -71,7 +71,7 @@ def start_of(matches: Matches, segments: Mapping[str, Segments], rig: Rig) -> St
         back = np.argsort(seen.order[view])
         own = given[name]
         # The order of a segment's ends is that of the tables, which is theirs or turned round.
-        turn = turned_round(seen.ends_px[view][back], rig[name].intrinsics, own)
+        turn = ends_are_swapped(seen.ends_px[view][back], rig[name].intrinsics, own)
         darker = np.where(turn, -1.0, 1.0) * np.asarray(own.polarity)
         height = np.nan_to_num(np.abs(np.asarray(own.contrast)))
         views.append(
@@ -83,7 +83,7 @@ def start_of(matches: Matches, segments: Mapping[str, Segments], rig: Rig) -> St
             )
         )
     p = np.clip(matches.posterior, 1e-9, 1 - 1e-9)
-    tracks = Tracks(
+    tracks = GuidedTracks(
         matches.index,
         np.log(p) - np.log1p(-p),
         matches.lines_mm,
@@ -93,10 +93,10 @@ def start_of(matches: Matches, segments: Mapping[str, Segments], rig: Rig) -> St
     )
     cameras = seen.frames[0].cameras.take([seen.names.index(name) for name in matches.views])
     state = State(matches.views, cameras, tuple(views), tracks)
-    return refitted(state, tracks)
+    return refit_tracks(state, tracks)
 
 
-def turned_round(
+def ends_are_swapped(
     table_px: Float[np.ndarray, "n 2 2"], lens: Intrinsics, given: Segments
 ) -> Bool[np.ndarray, "n"]:
     """Whether the tables hold the ends of the caller's segments in the other order."""
@@ -104,10 +104,10 @@ def turned_round(
     return (table_px[:, 0] != first).any(axis=1)
 
 
-def tables_of(state: State) -> MatchInput:
+def build_tables(state: State) -> MatchInput:
     """The segments as the matcher's tables, numbered as here."""
     counts = [len(view.ends_px) for view in state.segments]
-    return stacked_frames(
+    return stack_frames(
         [
             FrameInput(
                 state.names,
@@ -123,20 +123,20 @@ def tables_of(state: State) -> MatchInput:
     )
 
 
-def refitted(state: State, tracks: Tracks) -> State:
+def refit_tracks(state: State, tracks: GuidedTracks) -> State:
     """With these tracks, whose lines are fitted anew to their segments."""
     if len(tracks.index) == 0:
         return state._replace(tracks=tracks)
-    seen = tables_of(state)
+    seen = build_tables(state)
     common = common_ends(seen, tracks.index, tracks.ends_mm)
     ends, covariance, misfit = lines_in_space(seen, tracks.index, common)
     finite = np.isfinite(ends).all(axis=(1, 2)) & np.isfinite(covariance).all(axis=(1, 2))
     sound = np.asarray(finite)[:, None, None]
     ends = np.where(sound, ends, tracks.ends_mm)
     covariance = np.where(sound, covariance, tracks.covariance_mm2)
-    reach = reach_of(seen, tracks.index, ends)
+    reach = segment_reaches(seen, tracks.index, ends)
     return state._replace(
-        tracks=Tracks(tracks.index, tracks.log_odds, ends, covariance, misfit, reach)
+        tracks=GuidedTracks(tracks.index, tracks.log_odds, ends, covariance, misfit, reach)
     )
 
 

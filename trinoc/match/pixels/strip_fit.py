@@ -111,7 +111,7 @@ def fit_strips(
     )
 
 
-class _Weighed(NamedTuple):
+class _LineSums(NamedTuple):
     """Of each line, by its pixels alone; `noise` and `chi_square` over the picture's variance."""
 
     information: Float[np.ndarray, "s 3 3"]
@@ -130,7 +130,7 @@ def _weigh(
     noise: float,
     robust: bool,
     tuning: PixelTuning,
-) -> _Weighed:
+) -> _LineSums:
     """Sums over the blocks of each line; what is no step like the others' counts little."""
     found = BlockFit(*(np.asarray(column) for column in found))
     freedom = np.maximum(found.count.sum(axis=1) - _OWN_UNKNOWNS, 1)
@@ -151,7 +151,7 @@ def _weigh(
     if robust:
         weight = weight / (1 + np.square(off / tuning.block_sigmas))
     share = weight / variance
-    return _Weighed(
+    return _LineSums(
         group_sums(np.asarray(found.information * share[:, None, None]), line, count),
         group_sums(np.asarray(found.gradient * share[:, None]), line, count),
         scale,

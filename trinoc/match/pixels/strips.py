@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from trinoc.geometry.intrinsics import Intrinsics, distort_pixels, undistort_pixels
-from trinoc.image.strip import levels_of, pixels_across
+from trinoc.image.strip import list_pixels_across, take_levels
 from trinoc.match.pixels.images import LineImages
 from trinoc.match.pixels.tuning import PixelTuning
 
@@ -44,7 +44,7 @@ class Strips(NamedTuple):
     line: Int[np.ndarray, "b"]
 
 
-def strips_of(
+def sample_strips(
     light: Float[np.ndarray, "h w"],
     clipped: Bool[np.ndarray, "h w"],
     owners: tuple[Int[np.ndarray, "h w"], Int[np.ndarray, "h w"]],
@@ -55,14 +55,14 @@ def strips_of(
 ) -> Strips:
     """The blocks of all lines of a picture; lines without room for one have none."""
     inside = images.extent_px + np.array([1.0, -1.0]) * tuning.end_widths * blur_px
-    pixels, valid, line = _pixels_of(lens, images, inside)
+    pixels, valid, line = _strip_pixels(lens, images, inside)
     flat = undistort_pixels(lens, pixels.astype(np.float64))
     off = flat - images.ends_px[line, 0][:, None, None]
     across, along = (
         np.einsum("brci,bi->brc", off, axis[line]) for axis in (images.right, images.way)
     )
-    level, within = levels_of(light, pixels)
-    is_clipped, first, last = (levels_of(each, pixels)[0] for each in (clipped, *owners))
+    level, within = take_levels(light, pixels)
+    is_clipped, first, last = (take_levels(each, pixels)[0] for each in (clipped, *owners))
     own = images.segment[line][:, None, None]
     alone = (last == NOBODY) | ((first == own) & (last == own))
     usable = valid & within & alone & (np.abs(across) <= tuning.reach_px) & ~is_clipped
@@ -77,7 +77,7 @@ def outward(good: Bool[np.ndarray, "*b c"]) -> Bool[np.ndarray, "*b c"]:
     return np.concatenate([left[..., :-1], right], axis=-1)
 
 
-def _pixels_of(
+def _strip_pixels(
     lens: Intrinsics, images: LineImages, inside_px: Float[np.ndarray, "s 2"]
 ) -> tuple[Int[np.ndarray, "b r c 2"], Bool[np.ndarray, "b r 1"], Int[np.ndarray, "b"]]:
     """(pixels across each line, whether a block has this row, line)."""
@@ -109,10 +109,10 @@ def _pixels_of(
     middle = np.concatenate(middles).astype(np.int64).reshape(-1, ROWS, 2)
     along_u = np.broadcast_to(upright[owner][:, None], middle.shape[:2])
     have = np.concatenate(valid).reshape(-1, ROWS, 1)
-    return pixels_across(middle, along_u, HALF), have, owner
+    return list_pixels_across(middle, along_u, HALF), have, owner
 
 
-def owners_of(
+def assign_pixels(
     ends_px: Float[np.ndarray, "n 2 2"], size_px: tuple[int, int], reach_px: float
 ) -> tuple[Int[np.ndarray, "h w"], Int[np.ndarray, "h w"]]:
     """The first and the last of the segments within reach of each pixel, NOBODY without any.
@@ -126,13 +126,13 @@ def owners_of(
         low = np.clip(np.floor(ends.min(axis=0) - reach_px), 0, None).astype(np.int64)
         high = np.ceil(ends.max(axis=0) + reach_px).astype(np.int64) + 1
         rows, columns = slice(low[1], max(high[1], 0)), slice(low[0], max(high[0], 0))
-        near = _within(ends, first[rows, columns].shape, low, reach_px)
+        near = _is_near_ends(ends, first[rows, columns].shape, low, reach_px)
         first[rows, columns][near] = np.minimum(first[rows, columns][near], number)
         last[rows, columns][near] = number
     return np.where(last == NOBODY, NOBODY, first), last
 
 
-def _within(
+def _is_near_ends(
     ends: Float[np.ndarray, "2 2"],
     shape: tuple[int, ...],
     origin: Int[np.ndarray, "2"],

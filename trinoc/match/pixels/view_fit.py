@@ -8,8 +8,8 @@ from jaxtyping import Float, Shaped
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.image.light import Light
 from trinoc.match.pixels.images import LineImages
-from trinoc.match.pixels.strip_fit import StripFit, fit_strips
-from trinoc.match.pixels.strips import Strips, owners_of, strips_of
+from trinoc.match.pixels.strip_fit import StripFit
+from trinoc.match.pixels.strips import Strips, assign_pixels, sample_strips
 from trinoc.match.pixels.tuning import PixelTuning
 from trinoc.numerics.tails import MAD_TO_SIGMA
 
@@ -54,22 +54,22 @@ def fit_view(
         none = np.zeros(0)
         return ViewFit(none.astype("<U1"), images.offset_px, images.covariance_px2, none)
 
-    clipped, noise = picture.clipped(_CLIPPED_PX), picture.noise_sigma()
+    clipped, noise = picture.find_clipped(_CLIPPED_PX), picture.noise_sigma()
 
-    def fitted(of: LineImages, blur: float, sigma: float) -> tuple[Strips, StripFit]:
+    def fit_some(of: LineImages, blur: float, sigma: float) -> tuple[Strips, StripFit]:
         reach = tuning.clear_widths * blur + tuning.clear_px
-        owners = owners_of(every_px, lens.image_size_px, reach)
-        strips = strips_of(picture.light, clipped, owners, lens, of, blur, tuning)
+        owners = assign_pixels(every_px, lens.image_size_px, reach)
+        strips = sample_strips(picture.light, clipped, owners, lens, of, blur, tuning)
         known = float(np.log(blur)), sigma
         return strips, fit_strips(strips, of.offset_px, noise, known, tuning)
 
     span = np.diff(images.extent_px, axis=1)[:, 0]
     longest = np.sort(np.argsort(-span, kind="stable")[:_FIRST_LINES])
     few = LineImages(*(column[longest] for column in images))
-    _, first = fitted(few, _FIRST_BLUR_PX, _FIRST_SIGMA)
+    _, first = fit_some(few, _FIRST_BLUR_PX, _FIRST_SIGMA)
     usual, _ = _usual_blur(first, np.log(_FIRST_BLUR_PX))
-    strips, found = fitted(images, float(np.exp(usual)), tuning.blur_sigma)
-    return _judged(images, strips, found, usual, tuning)
+    strips, found = fit_some(images, float(np.exp(usual)), tuning.blur_sigma)
+    return _assess_lines(images, strips, found, usual, tuning)
 
 
 def _usual_blur(found: StripFit, otherwise: float) -> tuple[float, float]:
@@ -82,7 +82,7 @@ def _usual_blur(found: StripFit, otherwise: float) -> tuple[float, float]:
     return middle, float(MAD_TO_SIGMA * np.median(np.abs(log - middle)))
 
 
-def _hidden_widening(
+def _expected_widening(
     off: Float[np.ndarray, "s"], own: Float[np.ndarray, "s"], spread: float, tuning: PixelTuning
 ) -> Float[np.ndarray, "s"]:
     """Mean square of the widening that is to be expected where the blur is not known well."""
@@ -92,7 +92,7 @@ def _hidden_widening(
     return share * own + np.square(share * off)
 
 
-def _judged(
+def _assess_lines(
     images: LineImages, strips: Strips, found: StripFit, guess: float, tuning: PixelTuning
 ) -> ViewFit:
     """Covariances with what the blocks' scatter and the blur add, and a word for each line."""
@@ -103,7 +103,7 @@ def _judged(
     off, own = found.place[:, 2] - usual, np.clip(inverse[:, 2, 2], 1e-9, 1.0)
     widening = np.maximum(
         np.square(off) - own - max(spread, tuning.least_blur_spread) ** 2,
-        _hidden_widening(off, own, spread, tuning),
+        _expected_widening(off, own, spread, tuning),
     )
     widened = np.square(tuning.widening_moves * np.exp(found.place[:, 2]))
     widened = widened * np.minimum(widening, tuning.most_widening**2)

@@ -9,7 +9,7 @@ from jaxtyping import Float, Int, Shaped
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.rig import Rig
 from trinoc.match.pixels.edge_piece import Place
-from trinoc.match.pixels.evidence import Evidence, evidence_along
+from trinoc.match.pixels.evidence import WindowEvidence, search_windows
 from trinoc.match.pixels.probes import (
     NEXT,
     SECOND,
@@ -19,10 +19,10 @@ from trinoc.match.pixels.probes import (
     STEPS,
     WINDOW_SIZE,
     WINDOWS,
-    Gradient,
-    gradient_of,
-    samples_of,
-    step_of,
+    PictureGradient,
+    picture_gradient,
+    probe_steps_px,
+    sample_probes,
     window_scores,
 )
 from trinoc.numerics.tables import concatenate_rows
@@ -67,7 +67,7 @@ class PictureInput(NamedTuple):
     usual_px: float = np.inf
 
 
-class Answer(NamedTuple):
+class EdgeResponse(NamedTuple):
     """What a picture answers to probes.
 
     Fields
@@ -105,7 +105,7 @@ def picture_inputs(
     """Gradients and noise of all pictures."""
     found = []
     for name, picture in pictures.items():
-        gradient = gradient_of(picture)
+        gradient = picture_gradient(picture)
         lens, size = rig[name].intrinsics, rig[name].image_size_px
         found.append(
             PictureInput(
@@ -116,7 +116,7 @@ def picture_inputs(
                 gradient.by_uv,
                 gradient.noise,
                 max(block_noise(gradient), 1e-3),
-                growth_of(gradient, lens, size),
+                measure_growth(gradient, lens, size),
             )
         )
     return found
@@ -128,16 +128,16 @@ def ask(
     gate_px: Float[np.ndarray, "n"],
     near_px: Float[np.ndarray, "n"],
     latest_px: Float[np.ndarray, "n"],
-) -> Answer:
+) -> EdgeResponse:
     """The best edge along each probe that begins at most `latest_px` after the probe does."""
-    block_px = 2 * step_of(ends_px)
+    block_px = 2 * probe_steps_px(ends_px)
     latest = np.floor(np.minimum(latest_px / block_px, 99)).astype(np.int64)
     found = []
     for start in range(0, len(ends_px), AT_ONCE):
         rows = slice(start, start + AT_ONCE)
-        places = samples_of(ends_px[rows], picture.lens, picture.size_px)
+        places = sample_probes(ends_px[rows], picture.lens, picture.size_px)
         columns = gate_px[rows], near_px[rows], latest[rows]
-        one = evidence_along(picture.by_uv, picture.least, picture.growth, places, *columns)
+        one = search_windows(picture.by_uv, picture.least, picture.growth, places, *columns)
         found.append(one._replace(probe=one.probe + start))
     if not found:
         return _nothing(0)
@@ -149,7 +149,7 @@ def ask(
     )
 
 
-def spread_out(answer: Answer, rows: Int[np.ndarray, "n"], count: int) -> Answer:
+def spread_out(answer: EdgeResponse, rows: Int[np.ndarray, "n"], count: int) -> EdgeResponse:
     """Answers of some of `count` probes, among those that show nothing."""
     whole = _nothing(count)
     for column, own in zip(whole, answer, strict=True):
@@ -157,18 +157,18 @@ def spread_out(answer: Answer, rows: Int[np.ndarray, "n"], count: int) -> Answer
     return whole
 
 
-def _nothing(count: int) -> Answer:
+def _nothing(count: int) -> EdgeResponse:
     zero, ends = np.zeros(count), np.zeros((count, 2, 2))
     rest = np.zeros((count, 4, 4)), *np.zeros((2, count, 2)), *np.zeros((2, count))
-    return Answer(zero.copy(), zero.copy(), zero.copy(), ends, *rest)
+    return EdgeResponse(zero.copy(), zero.copy(), zero.copy(), ends, *rest)
 
 
 def _answer(
     usual_px: float,
     ends_px: Float[np.ndarray, "n 2 2"],
     block_px: Float[np.ndarray, "n"],
-    found: Evidence,
-) -> Answer:
+    found: WindowEvidence,
+) -> EdgeResponse:
     way = ends_px[:, 1] - ends_px[:, 0]
     length = np.maximum(np.linalg.norm(way, axis=1), 1e-9)
     unit = way / length[:, None]
@@ -183,7 +183,7 @@ def _answer(
     across = (weight @ place.offset_px[:, :, None])[..., 0]
     own = place.variance_px2 + _FLOOR_PX**2
     own += (_PULL * np.clip(np.abs(place.asymmetry) - _UNPULLED, 0.0, 2.0)) ** 2
-    own += _hidden_edges_px2(place, usual_px)
+    own += _neighbour_variance_px2(place, usual_px)
     spread = np.einsum("nij,nj,nkj->nik", weight, own, weight)
     end_sigma = extent.sigma * block_px[:, None]
     covariance = np.einsum("nef,ni,nj->neifj", spread, right, right)
@@ -193,7 +193,7 @@ def _answer(
         )
     places = ends_px[:, :1] + along[..., None] * unit[:, None] + across[..., None] * right[:, None]
     one = log_chance(found.score, found.excess)
-    return Answer(
+    return EdgeResponse(
         np.minimum(one + np.log(np.maximum(found.tests, 1.0)), 0.0),
         one,
         found.sign,
@@ -206,7 +206,7 @@ def _answer(
     )
 
 
-def _hidden_edges_px2(place: Place, usual_px: float) -> Float[np.ndarray, "n 2"]:
+def _neighbour_variance_px2(place: Place, usual_px: float) -> Float[np.ndarray, "n 2"]:
     """Variance of the place of ridges that are wider than usual, so that another edge may be in
     them."""
     wider = np.log(np.maximum(place.width_px / usual_px, 1.0))
@@ -236,20 +236,20 @@ DEGREES = 12
 KNOWN_BELOW = 1.3
 
 
-def block_noise(gradient: Gradient) -> float:
+def block_noise(gradient: PictureGradient) -> float:
     """Standard deviation of a block's ridge from the noise of the picture, at the least step."""
     wide = SMOOTHING_PX
     along = np.exp(-((STEP_PX / wide) ** 2) / 4)
 
-    def across(apart: float) -> float:
+    def interpolate_across(apart: float) -> float:
         return float((1 - apart**2 / (2 * wide**2)) * np.exp(-((apart / wide) ** 2) / 4))
 
-    shoulders = 1.5 - 2 * across(SHOULDER) + 0.5 * across(2 * SHOULDER)
+    shoulders = 1.5 - 2 * interpolate_across(SHOULDER) + 0.5 * interpolate_across(2 * SHOULDER)
     return float(gradient.noise * np.sqrt((1 + along) / 2 * shoulders))
 
 
-def growth_of(
-    gradient: Gradient, lens: Intrinsics, size_px: tuple[int, int], controls: int = CONTROLS
+def measure_growth(
+    gradient: PictureGradient, lens: Intrinsics, size_px: tuple[int, int], controls: int = CONTROLS
 ) -> Float[np.ndarray, "k"]:
     """g(n) for every size of window, at least that of white noise, from control probes."""
     rng = np.random.default_rng(0)
@@ -258,7 +258,7 @@ def growth_of(
     middle = rng.uniform(0.35 * length, size - 0.35 * length, (controls, 2))
     angle = rng.uniform(0, np.pi, controls)
     half = 0.5 * length * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    places = samples_of(np.stack([middle - half, middle + half], axis=1), lens, size_px)
+    places = sample_probes(np.stack([middle - half, middle + half], axis=1), lens, size_px)
     scores, complete = window_scores(gradient.by_uv, max(block_noise(gradient), 1e-3), places)
     growth = white_growth()
     for k, window in enumerate(WINDOWS):

@@ -30,7 +30,7 @@ from trinoc.match.selection.messages import (
     Beliefs,
     ConflictGraph,
     affordable,
-    chosen_greedily,
+    choose_greedily,
     conflict_graph,
     log_share_kept,
     sum_product,
@@ -123,7 +123,7 @@ def select(
         candidates,
         odds,
         posterior_log_odds,
-        chosen_greedily(posterior_log_odds, graph),
+        choose_greedily(posterior_log_odds, graph),
         graph,
         mixture,
         junctions,
@@ -131,7 +131,7 @@ def select(
     )
 
 
-def tracks_of(selection: Selection) -> Tracks:
+def take_tracks(selection: Selection) -> Tracks:
     """What was taken, with the posterior log odds of the best rival of each."""
     graph = selection.graph
     rival_posterior = np.full(len(selection.posterior_log_odds), -np.inf)

@@ -20,7 +20,7 @@ from jaxtyping import Bool, Float, Int
 from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.match.tuning.selection import SelectionTuning
 from trinoc.numerics.arrays import ArrayLike
-from trinoc.numerics.buckets import bucket, padded
+from trinoc.numerics.buckets import bucket, pad_rows
 from trinoc.numerics.joins import expand_ranges, pairs_of_equal_keys
 
 
@@ -136,7 +136,7 @@ def with_log_share(
     return -np.logaddexp(-log_odds - log_share, np.log(np.maximum(lacking, 1e-300)))
 
 
-def claimed(
+def are_claimed(
     index: Int[np.ndarray, "m v"],
     interval: Float[np.ndarray, "m v 2"],
     by_index: Int[np.ndarray, "t v"],
@@ -223,20 +223,20 @@ def sum_product(
     # A candidate of padding has the last slots, which all conflicts of padding are between.
     nobody = candidates * graph.views - 1
     slot, rival_slot = (
-        padded(_renumbered(own, number, graph.views), conflicts, nobody)
+        pad_rows(_renumber_slots(own, number, graph.views), conflicts, nobody)
         for own in (graph.slot, graph.rival_slot)
     )
     messages = np.zeros((count, graph.views))
     given = messages if before is None else before.messages
-    chosen = chosen_greedily(log_odds, graph) if before is None else np.zeros(count, dtype=bool)
-    found = _propagated(
-        padded(log_odds[rows], candidates, _NEVER),
-        padded(chosen[rows], candidates, False),
-        padded(given[rows], candidates),
+    chosen = choose_greedily(log_odds, graph) if before is None else np.zeros(count, dtype=bool)
+    found = _propagate(
+        pad_rows(log_odds[rows], candidates, _NEVER),
+        pad_rows(chosen[rows], candidates, False),
+        pad_rows(given[rows], candidates),
         np.asarray(before is None),
         slot,
         rival_slot,
-        padded(_frames(frame, count)[rows], candidates),
+        pad_rows(_frames(frame, count)[rows], candidates),
         _Rules(tuning.damping, tuning.settled, tuning.iterations),
         graph.views,
     )
@@ -257,7 +257,7 @@ def _capacities(candidates: int, conflicts: int) -> tuple[int, int]:
     return few, size
 
 
-def _renumbered(
+def _renumber_slots(
     slot: Int[np.ndarray, "e"], number: Int[np.ndarray, "m"], views: int
 ) -> Int[np.ndarray, "e"]:
     """Slots by new numbers of their candidates."""
@@ -270,7 +270,7 @@ def _frames(frame: Int[np.ndarray, "m"] | None, count: int) -> Int[np.ndarray, "
 
 
 @partial(jax.jit, static_argnames="views")
-def _propagated(
+def _propagate(
     log_odds: Float[ArrayLike, "m"],
     chosen: Bool[ArrayLike, "m"],
     before: Float[ArrayLike, "m v"],
@@ -298,17 +298,19 @@ def _propagated(
         share = jnp.where(active[frame], 1 - rules.damping, 0.0)
         return messages + share[:, None] * change, active & (worst >= rules.settled), left - 1
 
-    def goes_on(state: _State) -> Bool[ArrayLike, ""]:
+    def is_unfinished(state: _State) -> Bool[ArrayLike, ""]:
         return state[1].any() & (state[2] > 0)
 
     # The start: only the candidates of the greedy choice send.
     alone = jnp.where(chosen, jnp.exp(jnp.minimum(log_odds, _HIGHEST)), 0.0)
     first = jnp.where(afresh, message(jnp.repeat(alone[:, None], views, axis=1)), before)
     active = jnp.ones(FRAMES_AT_ONCE, dtype=bool)
-    return jax.lax.while_loop(goes_on, step, (first, active, jnp.asarray(rules.iterations)))[0]
+    return jax.lax.while_loop(is_unfinished, step, (first, active, jnp.asarray(rules.iterations)))[
+        0
+    ]
 
 
-def chosen_greedily(score: Float[np.ndarray, "m"], graph: ConflictGraph) -> Bool[np.ndarray, "m"]:
+def choose_greedily(score: Float[np.ndarray, "m"], graph: ConflictGraph) -> Bool[np.ndarray, "m"]:
     """Taken in order of score, where positive and not in conflict with one taken.
 
     Whoever beats all of its rivals that are left is taken, and bars them: in as many rounds as

@@ -13,8 +13,8 @@ from trinoc.match.observations.match_input import FrameInput, MatchInput
 from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, Matches
 from trinoc.match.tracks.unequal_errors import (
     degrees_of_misfit,
-    learned_tails,
-    scaled_across,
+    fit_tails,
+    scale_covariance_of_lines,
     variance_factor,
 )
 from trinoc.match.tuning.every_group import DEFAULT
@@ -32,7 +32,7 @@ def in_line(centre_mm: Float[np.ndarray, "f v 3"]) -> Bool[np.ndarray, "f"]:
     return spread[:, 1] < ON_A_LINE * spread[:, 0]
 
 
-def notes_of(
+def write_notes(
     views: int,
     cameras_in_line: bool,
     unlocated: int,
@@ -117,7 +117,7 @@ def reasons(
     return words
 
 
-def counted(words: dict[str, Shaped[np.ndarray, "_"]]) -> dict[str, int]:
+def count_reasons(words: dict[str, Shaped[np.ndarray, "_"]]) -> dict[str, int]:
     """How many segments of all views share each reason; ambiguous ones are one kind."""
     number: Counter[str] = Counter()
     # Few words are different: those are taken apart, not every segment's.
@@ -205,9 +205,9 @@ def answers(
                 **mine,
                 views=called,
                 reasons=why,
-                counts=numbers | counted(why),
+                counts=numbers | count_reasons(why),
                 noise_scale=scale,
-                notes=notes_of(
+                notes=write_notes(
                     len(called),
                     bool(aligned[number]),
                     numbers[UNLOCATED],
@@ -229,9 +229,9 @@ def _with_unequal_errors(
     degrees = degrees_of_misfit(found.index)
     sure = (degrees > 0) & (probability(found.posterior_log_odds) > tuning.sure)
     of_pictures = np.array([any(np.isfinite(view).any() for view in own.sides) for own in frames])
-    tail = learned_tails(found.misfit[sure], degrees[sure], frame[sure], of_pictures, tuning)
+    tail = fit_tails(found.misfit[sure], degrees[sure], frame[sure], of_pictures, tuning)
     factor = variance_factor(found.misfit, degrees, tail[frame])
-    covariance = scaled_across(found.ends_mm, found.covariance_mm2, factor)
+    covariance = scale_covariance_of_lines(found.ends_mm, found.covariance_mm2, factor)
     return found._replace(covariance_mm2=covariance), tail
 
 

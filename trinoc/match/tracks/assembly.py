@@ -20,16 +20,16 @@ from jaxtyping import Bool, Float, Int, Shaped
 
 from trinoc.geometry.projection import project_by_matrix
 from trinoc.match.observations.match_input import MatchInput
-from trinoc.match.observations.table import SegmentTable, frames_of, matrices_of
+from trinoc.match.observations.table import SegmentTable, look_up_frames, take_matrices
 from trinoc.match.occlusion.possible_pairs import Pairs
 from trinoc.match.selection.marginals import Selection, Tracks
 from trinoc.match.tracks.answers import LET_GO, UNLOCATED, Lines, answers, reasons
 from trinoc.match.tracks.line_fit import (
     before_cameras,
-    ending_at,
-    fragments_of,
+    cut_fragments,
+    ends_in_span,
     lines_in_space,
-    reach_of,
+    segment_reaches,
 )
 from trinoc.match.tracks.matches import Matches
 from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
@@ -75,14 +75,14 @@ def assemble(
         "tracks that seem to move with the viewpoint": [found.index[found.viewpoint_dependent]],
     }
     counts = {name: _of_each_frame(seen, groups) for name, groups in of_each.items()}
-    frame = frames_of(seen.lines, found.index)
+    frame = look_up_frames(seen.lines, found.index)
     each = np.zeros(len(found.index), np.int64) if frame is None else frame
     return answers(seen, found, each, words, counts, names, noise_scale, rules.noise)
 
 
 def _of_each_frame(seen: MatchInput, groups: list[np.ndarray]) -> Int[np.ndarray, "f"]:
     """How many groups of segments there are in each frame."""
-    frames = [frames_of(seen.lines, index) for index in groups]
+    frames = [look_up_frames(seen.lines, index) for index in groups]
     labels = [
         np.zeros(len(index), np.int64) if frame is None else frame
         for frame, index in zip(frames, groups, strict=True)
@@ -102,9 +102,9 @@ def _lines(
     common_mm = np.concatenate([tracks.candidates.ends_mm, taken.candidates.ends_mm])
     doubt = direction_doubt(seen.lines, index)
     located = doubt < tuning.largest_direction_doubt
-    reach = reach_of(seen, index, common_mm)
-    ends_here = ending_at(reach, np.array([0.0, 1.0]))
-    fragments, covariance = fragments_of(seen, index, interval, ends_here)
+    reach = segment_reaches(seen, index, common_mm)
+    ends_here = ends_in_span(reach, np.array([0.0, 1.0]))
+    fragments, covariance = cut_fragments(seen, index, interval, ends_here)
     ends_mm, covariance_mm2, misfit = lines_in_space(seen, index, common_mm, reach)
     covariance_mm2 = covariance_mm2 * (1 + tuning.second_order * doubt**2)[:, None, None]
     sound = np.isfinite(ends_mm).all(axis=(1, 2)) & np.isfinite(covariance_mm2).all(axis=(1, 2))
@@ -130,7 +130,7 @@ def direction_doubt(lines: SegmentTable, index: Int[np.ndarray, "t v"]) -> Float
 
     The larger of the two segments of a pair of views, and the least of all pairs of a track.
     """
-    least, frame = np.full(len(index), np.inf), frames_of(lines, index)
+    least, frame = np.full(len(index), np.inf), look_up_frames(lines, index)
     for a, b in combinations(range(index.shape[1]), 2):
         on = np.flatnonzero((index[:, a] >= 0) & (index[:, b] >= 0))
         own = take_groups(frame, on)
@@ -152,7 +152,7 @@ def _of_view(
     across = np.asarray(lines.across_px2)[view, segment]
     centre = np.asarray(lines.centre_mm)
     centre = centre[None, other] if frame is None else centre[frame, other]
-    matrix = matrices_of(lines, frame)[:, view]
+    matrix = take_matrices(lines, frame)[:, view]
     epipole = (matrix[..., :3] @ centre[..., None])[..., 0] + matrix[..., 3]
     step, middle = ends[:, 1] - ends[:, 0], ends.mean(axis=1)
     # Toward the epipole, which may lie at infinity.
@@ -208,7 +208,7 @@ def flag_viewpoint_dependent(
     Where the segments' covariances are too small for most tracks, they are scaled first.
     """
     views = (index >= 0).sum(axis=1)
-    in_three, frame = views > 2, frames_of(seen.lines, index)
+    in_three, frame = views > 2, look_up_frames(seen.lines, index)
     marked = np.zeros(len(index), dtype=bool)
     if in_three.any():
         limit = chi_square_limit(tuning.significance, 2 * (views[in_three] - 2))
@@ -222,7 +222,7 @@ def flag_viewpoint_dependent(
         free[matched[matched >= 0]] = False
         free = np.flatnonzero(free)
         rows = np.flatnonzero(~in_three & (index[:, view] < 0))
-        matrix = matrices_of(seen.lines, take_groups(frame, rows))[:, view]
+        matrix = take_matrices(seen.lines, take_groups(frame, rows))[:, view]
         expected = project_by_matrix(matrix, ends_mm[rows])
         # The free segments of a row's own frame follow one another.
         first, last = np.zeros(len(rows), np.int64), np.full(len(rows), len(free))
@@ -233,7 +233,7 @@ def flag_viewpoint_dependent(
         for part in blocks(len(rows), size):
             i, j = expand_ranges(first[part], last[part])
             segments = seen.ends_px[view][free[j]]
-            beside = _is_beside(expected[part][i], segments, tuning)
+            beside = _lies_abreast(expected[part][i], segments, tuning)
             marked[rows[part][i[beside]]] = True
     return marked
 
@@ -258,7 +258,7 @@ def typical_misfit(
     return np.maximum(typical, 1.0)
 
 
-def _is_beside(
+def _lies_abreast(
     expected_px: Float[np.ndarray, "p 2 2"],
     segments_px: Float[np.ndarray, "p 2 2"],
     tuning: TrackTuning,

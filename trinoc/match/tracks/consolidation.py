@@ -16,17 +16,17 @@ from trinoc.geometry.projection import project_with_jacobian
 from trinoc.match.candidates.table import no_candidates
 from trinoc.match.observations.match_input import MatchInput
 from trinoc.match.observations.table import SegmentTable
-from trinoc.match.selection.marginals import Selection, Tracks, tracks_of
+from trinoc.match.selection.marginals import Selection, Tracks, take_tracks
 from trinoc.match.tracks.line_fit import (
     FittedTracks,
     before_cameras,
     common_part,
     consistent,
     fit_tracks,
-    interval_of,
-    place_on,
-    shared_share,
+    overlap_share,
+    segment_position,
     split_off_misfits,
+    track_intervals,
 )
 from trinoc.match.tracks.multiview import merge_triplets
 from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
@@ -54,13 +54,13 @@ def tracks_through_views(
         return Tracks(
             no_candidates(len(seen.ends_px), seen.lines.frame is not None), np.zeros(0), np.zeros(0)
         )
-    tracks = concatenate_rows([tracks_of(selection) for selection in selections])
+    tracks = concatenate_rows([take_tracks(selection) for selection in selections])
     if len(selections) == 1:
         return tracks
-    return consolidated(seen, merge_triplets(seen.lines, tracks, tuning), tuning)
+    return consolidate_tracks(seen, merge_triplets(seen.lines, tracks, tuning), tuning)
 
 
-def consolidated(seen: MatchInput, tracks: Tracks, tuning: MatchTuning = DEFAULT) -> Tracks:
+def consolidate_tracks(seen: MatchInput, tracks: Tracks, tuning: MatchTuning = DEFAULT) -> Tracks:
     """Tracks of which each is consistent, and as many views as agree are in each."""
     gate = tuning.candidates.gate
     now = fit_tracks(seen, tracks.candidates.index, tracks.candidates.ends_mm)
@@ -109,7 +109,7 @@ def _proposals(
     found: dict[int, list[_Proposal]] = {int(row): [] for row in rows}
     for view, count in enumerate(seen.counts):
         lacking = rows[now.index[rows, view] < 0]
-        hits = predicted_in(
+        hits = predict_segments(
             seen.lines, view, count, now.ends_mm[lacking], now.covariance_mm2[lacking], tuning
         )
         for track, segment, chi_square in zip(*(column.tolist() for column in hits), strict=True):
@@ -174,11 +174,11 @@ def _trial(
     if part is None or np.linalg.norm(part[1] - part[0]) < tuning.tracks.min_shared * before:
         return None
     ends, matrix = seen.ends_px[view][segment], np.asarray(seen.lines.matrix_px)[view]
-    place = place_on(ends, matrix, part)
+    place = segment_position(ends, matrix, part)
     claims = [
         other
         for other in owners
-        if shared_share(place, place_on(ends, matrix, now.common_mm[other]))
+        if overlap_share(place, segment_position(ends, matrix, now.common_mm[other]))
         > tuning.selection.conflict_overlap
     ]
     if not claims:
@@ -197,7 +197,7 @@ def _trial(
 
 
 def _as_tracks(seen: MatchInput, tracks: Tracks, now: FittedTracks) -> Tracks:
-    interval = interval_of(seen, now.index, now.common_mm)
+    interval = track_intervals(seen, now.index, now.common_mm)
     candidates = tracks.candidates._replace(
         index=now.index, interval=interval, ends_mm=now.common_mm
     )
@@ -208,7 +208,7 @@ def _as_tracks(seen: MatchInput, tracks: Tracks, now: FittedTracks) -> Tracks:
 ROWS = 256
 
 
-class Predicted(NamedTuple):
+class PredictedSegments(NamedTuple):
     """Segments that pass the gate of a prediction: which track, segment, and chi-square."""
 
     track: Int[np.ndarray, "h"]
@@ -216,21 +216,21 @@ class Predicted(NamedTuple):
     chi_square: Float[np.ndarray, "h"]
 
 
-def predicted_in(
+def predict_segments(
     lines: SegmentTable,
     view: int,
     count: int,
     ends_mm: Float[np.ndarray, "t 2 3"],
     covariance_mm2: Float[np.ndarray, "t 6 6"],
     tuning: MatchTuning,
-) -> Predicted:
+) -> PredictedSegments:
     """Segments of a view that overlap the image of a track's line and fit it (2 degrees of
     freedom), under the covariances of both."""
     ends = np.asarray(lines.ends_px)[view, :count]
     across = np.asarray(lines.across_px2)[view, :count]
     matrix = np.asarray(lines.matrix_px)[view]
     image = project_with_jacobian(matrix, ends_mm)
-    found = [Predicted(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))]
+    found = [PredictedSegments(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))]
     rows = np.flatnonzero((image.depth > 0).all(axis=1))
     for start in range(0, len(rows), ROWS):
         part = rows[start : start + ROWS]
@@ -246,8 +246,8 @@ def predicted_in(
             tuning.candidates.gate,
             tuning.candidates.smallest_overlap,
         )
-        found.append(Predicted(part[known][track], segment, chi_square))
-    return Predicted(*(np.concatenate(column) for column in zip(*found, strict=True)))
+        found.append(PredictedSegments(part[known][track], segment, chi_square))
+    return PredictedSegments(*(np.concatenate(column) for column in zip(*found, strict=True)))
 
 
 def _across_image(

@@ -25,7 +25,7 @@ from jaxtyping import Bool, Float, Int
 from trinoc.geometry.projection import homogeneous_pixel, project_by_matrix
 from trinoc.geometry.triangulation import Segment3D, triangulate_segment
 from trinoc.match.observations.match_input import MatchInput
-from trinoc.match.observations.table import SegmentTable, frames_of, matrices_of
+from trinoc.match.observations.table import SegmentTable, look_up_frames, take_matrices
 from trinoc.numerics.arrays import ArrayLike
 from trinoc.numerics.buckets import in_blocks
 from trinoc.numerics.joins import take_groups
@@ -40,7 +40,7 @@ def two_view_span(reach: Float[np.ndarray, "t v 2"]) -> Float[np.ndarray, "t 2"]
     return np.stack([begin, -np.sort(-reach[..., 1], axis=1)[:, 1]], axis=1)
 
 
-def points_at(
+def points_on_lines(
     ends_mm: Float[np.ndarray, "t 2 3"], span: Float[np.ndarray, "t 2"]
 ) -> Float[np.ndarray, "t 2 3"]:
     """Points at two positions on each line, 0 and 1 at its ends."""
@@ -52,14 +52,14 @@ def common_ends(
 ) -> Float[np.ndarray, "t 2 3"]:
     """The ends, on each line, of what all of its views show; the line's own where they share
     nothing."""
-    reach = reach_of(seen, index, ends_mm)
+    reach = segment_reaches(seen, index, ends_mm)
     begin, end = np.nanmax(reach[..., 0], axis=1), np.nanmin(reach[..., 1], axis=1)
     shared = begin < end
     span = np.stack([np.where(shared, begin, 0.0), np.where(shared, end, 1.0)], axis=1)
-    return points_at(ends_mm, span)
+    return points_on_lines(ends_mm, span)
 
 
-def interval_of(
+def track_intervals(
     seen: MatchInput, index: Int[np.ndarray, "t v"], ends_mm: Float[np.ndarray, "t 2 3"]
 ) -> Float[np.ndarray, "t v 2"]:
     """Where the ends of each line lie along every segment, 0 at its first end.
@@ -75,7 +75,7 @@ def interval_of(
     return interval
 
 
-def reach_of(
+def segment_reaches(
     seen: MatchInput, index: Int[np.ndarray, "t v"], ends_mm: Float[np.ndarray, "t 2 3"]
 ) -> Float[np.ndarray, "t v 2"]:
     """Where every segment begins and ends along its track's line, 0 and 1 at the line's ends."""
@@ -89,10 +89,10 @@ def _each_view(
     seen: MatchInput, index: Int[np.ndarray, "t v"]
 ) -> Iterator[tuple[int, Int[np.ndarray, "_n"], np.ndarray, np.ndarray]]:
     """(view, tracks that it sees, their segments there, the matrices of these)."""
-    frame = frames_of(seen.lines, index)
+    frame = look_up_frames(seen.lines, index)
     for view, ends in enumerate(seen.ends_px):
         on = np.flatnonzero(index[:, view] >= 0)
-        matrix = matrices_of(seen.lines, take_groups(frame, on))[:, view]
+        matrix = take_matrices(seen.lines, take_groups(frame, on))[:, view]
         yield view, on, ends[index[on, view]], matrix
 
 
@@ -115,14 +115,14 @@ def common_part(
     seen: MatchInput, index: Int[np.ndarray, "v"], near_mm: Float[np.ndarray, "2 3"]
 ) -> Float[np.ndarray, "2 3"] | None:
     """Ends, on a line through two points, of what all of its segments show; None where nothing."""
-    reach = reach_of(seen, index[None], near_mm[None])[0]
+    reach = segment_reaches(seen, index[None], near_mm[None])[0]
     begin, end = np.nanmax(reach[:, 0]), np.nanmin(reach[:, 1])
     if not begin < end:
         return None
     return near_mm[0] + np.array([[begin], [end]]) * (near_mm[1] - near_mm[0])
 
 
-def place_on(
+def segment_position(
     segment_px: Float[np.ndarray, "2 2"],
     matrix_px: Float[np.ndarray, "3 4"],
     ends_mm: Float[np.ndarray, "2 3"],
@@ -132,7 +132,7 @@ def place_on(
     return (project_by_matrix(matrix_px, ends_mm) - segment_px[0]) @ step / (step @ step)
 
 
-def shared_share(first: Float[np.ndarray, "2"], second: Float[np.ndarray, "2"]) -> float:
+def overlap_share(first: Float[np.ndarray, "2"], second: Float[np.ndarray, "2"]) -> float:
     """Common length of two parts as a share of the shorter."""
     low, high = max(first.min(), second.min()), min(first.max(), second.max())
     return float((high - low) / min(np.ptp(first), np.ptp(second)))
@@ -146,10 +146,10 @@ def ending_view(
     seen: MatchInput, index: Int[np.ndarray, "t v"], ends_mm: Float[np.ndarray, "t 2 3"]
 ) -> Bool[np.ndarray, "t v 2"]:
     """Whether it is this view's segment that ends at each of the ends of a track's line."""
-    return ending_at(reach_of(seen, index, ends_mm), np.array([0.0, 1.0]))
+    return ends_in_span(segment_reaches(seen, index, ends_mm), np.array([0.0, 1.0]))
 
 
-def ending_at(
+def ends_in_span(
     reach: Float[np.ndarray, "t v 2"], span: Float[np.ndarray, "*t 2"]
 ) -> Bool[np.ndarray, "t v 2"]:
     """The same of lines of which the part `span` is meant, where segments `reach` along them."""
@@ -158,7 +158,7 @@ def ending_at(
     return np.arange(reach.shape[1])[None, :, None] == nearest[:, None, :]
 
 
-def fragments_of(
+def cut_fragments(
     seen: MatchInput,
     index: Int[np.ndarray, "t v"],
     interval: Float[np.ndarray, "t v 2"],
@@ -185,11 +185,11 @@ def _of_parts(
     # Rows last: many sums of long columns, and not as many small products of matrices.
     weight = np.stack([1 - interval.T, interval.T])
     given = np.ascontiguousarray(covariance_px2.reshape(-1, 16).T).reshape(2, 2, 2, 2, -1)
-    half = _weighted(given, weight)
-    return _weighted(half.transpose(2, 3, 0, 1, 4), weight).transpose(2, 3, 0, 1, 4)
+    half = _weigh_observations(given, weight)
+    return _weigh_observations(half.transpose(2, 3, 0, 1, 4), weight).transpose(2, 3, 0, 1, 4)
 
 
-def _weighted(
+def _weigh_observations(
     values: Float[np.ndarray, "a i b j n"], weight: Float[np.ndarray, "a e n"]
 ) -> Float[np.ndarray, "e i b j n"]:
     first, second = weight[:, :, None, None, None]
@@ -214,7 +214,7 @@ def before_cameras(
     lines: SegmentTable, index: Int[np.ndarray, "t v"], ends_mm: Float[np.ndarray, "t 2 3"]
 ) -> Bool[np.ndarray, "t"]:
     """Whether both ends, and so all between them, lie before every camera that sees the track."""
-    matrix = matrices_of(lines, frames_of(lines, index))
+    matrix = take_matrices(lines, look_up_frames(lines, index))
     depth = matrix[..., 2, :3] @ ends_mm.mT + matrix[..., 2, 3:]
     return np.asarray(((depth > 0).all(axis=2) | (index < 0)).all(axis=1))
 
@@ -224,7 +224,7 @@ MOST_AT_ONCE = 1 << 10
 
 
 @partial(kept_jit, beside_others=True)
-def _triangulated(
+def _triangulate_tracks(
     matrix_px: Float[ArrayLike, "*f v 3 4"],
     frame: Int[ArrayLike, "t"] | None,
     fragments_px: Float[ArrayLike, "t v 2 2"],
@@ -247,21 +247,21 @@ def lines_in_space(
     `common_mm` are the ends of the part that all views of a track show, `reach` what `reach_of`
     says of them, if at hand.
     """
-    reach = reach_of(seen, index, common_mm) if reach is None else reach
+    reach = segment_reaches(seen, index, common_mm) if reach is None else reach
     span = two_view_span(reach)
     # Beyond the common part a line may pass behind a camera that sees it.
-    before = before_cameras(seen.lines, index, points_at(common_mm, span))
+    before = before_cameras(seen.lines, index, points_on_lines(common_mm, span))
     span = np.where(before[:, None], span, np.array([0.0, 1.0]))
-    part_mm, ends_here = points_at(common_mm, span), ending_at(reach, span)
-    shown = fragments_of(seen, index, interval_of(seen, index, part_mm), ends_here)
+    part_mm, ends_here = points_on_lines(common_mm, span), ends_in_span(reach, span)
+    shown = cut_fragments(seen, index, track_intervals(seen, index, part_mm), ends_here)
     # Rows of padding hold no view, which leaves their lines undetermined, and harmless.
-    block, frame = min(seen.lines.ends_px.shape[1], MOST_AT_ONCE), frames_of(seen.lines, index)
+    block, frame = min(seen.lines.ends_px.shape[1], MOST_AT_ONCE), look_up_frames(seen.lines, index)
 
-    def triangulated(
+    def triangulate(
         fragments: np.ndarray, covariance: np.ndarray, members: np.ndarray, *frames: np.ndarray
     ) -> Segment3D:
         own = frames[0] if frames else None
-        return _triangulated(seen.lines.matrix_px, own, fragments, covariance, members)
+        return _triangulate_tracks(seen.lines.matrix_px, own, fragments, covariance, members)
 
     frames = () if frame is None else (frame,)
     found = in_blocks(triangulated, block, *shown, index >= 0, *frames)

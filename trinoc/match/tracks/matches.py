@@ -36,7 +36,7 @@ _ENDS = ("x1_mm", "y1_mm", "z1_mm", "x2_mm", "y2_mm", "z2_mm")
 _ROUNDING = 1e-9
 
 
-def _seen(table: Content) -> np.ndarray:
+def _is_seen(table: Content) -> np.ndarray:
     return table.values["index"] >= 0
 
 
@@ -47,13 +47,13 @@ def _segments_of_views(table: Content) -> list[int]:
 
 def _are_covariances_where_seen(covariance: np.ndarray, table: Content) -> np.ndarray:
     good = np.ones(covariance.shape[:2], dtype=bool)
-    good[_seen(table)] = is_covariance(covariance[_seen(table)])
+    good[_is_seen(table)] = is_covariance(covariance[_is_seen(table)])
     return good
 
 
 def _are_marks(marks: Mapping[str, np.ndarray], table: Content) -> bool:
     """Truth values, probabilities or words of tracks, or of what each view sees of them."""
-    seen = _seen(table)
+    seen = _is_seen(table)
     for mark in marks.values():
         if mark.shape not in (seen.shape, seen.shape[:1]) or mark.dtype.kind not in "bfU":
             return False
@@ -141,7 +141,7 @@ class Matches(Displayable, Table):
             Check(
                 "is no part of a segment where one is seen, or one where none is",
                 lambda ends, table: np.where(
-                    _seen(table)[..., None, None], np.abs(ends) < LARGEST_PX, np.isnan(ends)
+                    _is_seen(table)[..., None, None], np.abs(ends) < LARGEST_PX, np.isnan(ends)
                 ),
             ),
             parts=lambda matches: [
@@ -157,7 +157,7 @@ class Matches(Displayable, Table):
             Check(
                 f"is not {TRINOCULAR} or {BINOCULAR} as its views say",
                 lambda stage, table: (
-                    stage == np.where(_seen(table).sum(axis=1) > 2, TRINOCULAR, BINOCULAR)
+                    stage == np.where(_is_seen(table).sum(axis=1) > 2, TRINOCULAR, BINOCULAR)
                 ),
             )
         ),

@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 
 from trinoc.match.observations.table import SegmentTable
 from trinoc.match.selection.marginals import Tracks
-from trinoc.match.tracks.line_fit import place_on, shared_share
+from trinoc.match.tracks.line_fit import overlap_share, segment_position
 from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
 from trinoc.match.tuning.tracks import TrackTuning
 
@@ -54,7 +54,7 @@ def merge_triplets(lines: SegmentTable, tracks: Tracks, tuning: MatchTuning = DE
             (track, view)
             for view in views
             for track in on_segment.get((int(view), int(index[row, view])), [])
-            if shared_share(interval[track, view], interval[row, view]) > conflict
+            if overlap_share(interval[track, view], interval[row, view]) > conflict
         ]
         if not rivals:
             kept.append(row)
@@ -73,19 +73,19 @@ def merge_triplets(lines: SegmentTable, tracks: Tracks, tuning: MatchTuning = DE
             continue
         for view in new:
             segment = segment_ends[view, index[row, view]]
-            place = place_on(segment, matrix[view], ends[track])
-            if shared_share(place, np.array([0.0, 1.0])) < least:
+            place = segment_position(segment, matrix[view], ends[track])
+            if overlap_share(place, np.array([0.0, 1.0])) < least:
                 continue
             index[track, view], interval[track, view] = index[row, view], place
             _cut(index, interval, ends, track, matrix, segment_ends)
             on_segment.setdefault((int(view), int(index[row, view])), []).append(track)
-    gone = _linked(links, index, interval, ends, matrix, segment_ends, least)
+    gone = _link_tracks(links, index, interval, ends, matrix, segment_ends, least)
     kept = np.array([row for row in kept if row not in gone], dtype=np.int64)
     candidates = tracks.candidates._replace(index=index, interval=interval, ends_mm=ends)
     return tracks._replace(candidates=candidates).take(kept)
 
 
-def _linked(
+def _link_tracks(
     links: list[tuple[int, int]],
     index: Int[np.ndarray, "m v"],
     interval: Float[np.ndarray, "m v 2"],
@@ -112,10 +112,10 @@ def _linked(
         if a == b or (index[a, into] >= 0).any():
             continue
         places = [
-            place_on(segment_ends_px[view, index[b, view]], matrix_px[view], ends_mm[a])
+            segment_position(segment_ends_px[view, index[b, view]], matrix_px[view], ends_mm[a])
             for view in into
         ]
-        if min(shared_share(place, np.array([0.0, 1.0])) for place in places) < least_shared:
+        if min(overlap_share(place, np.array([0.0, 1.0])) for place in places) < least_shared:
             continue
         index[a, into], interval[a, into] = index[b, into], places
         _cut(index, interval, ends_mm, a, matrix_px, segment_ends_px)
@@ -143,4 +143,4 @@ def _cut(
     ends_mm[track] = weight @ ends_mm[track]
     for view in views:
         segment = segment_ends_px[view, index[track, view]]
-        interval[track, view] = place_on(segment, matrix_px[view], ends_mm[track])
+        interval[track, view] = segment_position(segment, matrix_px[view], ends_mm[track])

@@ -27,7 +27,7 @@ _LEAST_TAIL, _MOST_TAIL, _TAILS = 1e-3, 1.0, 40
 _PARAMETERS, _HELD = 4, 0.95
 
 
-def learned_tail(
+def fit_tail(
     misfit: Float[np.ndarray, "t"],
     degrees: Int[np.ndarray, "t"],
     *,
@@ -44,10 +44,10 @@ def learned_tail(
         unequal. Of others it is to be shown.
     """
     one = np.zeros(len(misfit), dtype=np.int64)
-    return float(learned_tails(misfit, degrees, one, np.array([of_pictures]), tuning)[0])
+    return float(fit_tails(misfit, degrees, one, np.array([of_pictures]), tuning)[0])
 
 
-def learned_tails(
+def fit_tails(
     misfit: Float[np.ndarray, "t"],
     degrees: Int[np.ndarray, "t"],
     frame: Int[np.ndarray, "t"],
@@ -94,7 +94,7 @@ def variance_factor(
     return np.where(np.less(tail, _LEAST_TAIL), 1.0, factor)
 
 
-def scaled_across(
+def scale_covariance_of_lines(
     ends_mm: Float[np.ndarray, "t 2 3"],
     covariance_mm2: Float[np.ndarray, "t 6 6"],
     factor: Float[np.ndarray, "t"],

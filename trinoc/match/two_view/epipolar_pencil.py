@@ -26,7 +26,7 @@ from trinoc.match.observations.table import SegmentTable
 from trinoc.match.tuning.candidates import CandidateTuning
 from trinoc.numerics.arrays import ArrayLike
 from trinoc.numerics.joins import blocks_of_overlapping, overlapping
-from trinoc.numerics.precision import namespace_of
+from trinoc.numerics.precision import array_namespace
 from trinoc.numerics.vectors import (
     Scalar,
     Vector3,
@@ -112,10 +112,10 @@ class PencilSegments(NamedTuple):
         rows = list(self.columns)
         for row in (_SLOPE_VARIANCES[0], _SLOPE_VARIANCES[-1]):
             rows[row] = rows[row] + variance
-        return PencilSegments(namespace_of(rows[0]).stack(rows))
+        return PencilSegments(array_namespace(rows[0]).stack(rows))
 
 
-def row_of(table: PencilSegments, index: Int[ArrayLike, "*p"]) -> PencilSegments:
+def take_segments(table: PencilSegments, index: Int[ArrayLike, "*p"]) -> PencilSegments:
     """The segments of given numbers."""
     return PencilSegments(table.columns[:, index])
 
@@ -139,7 +139,7 @@ def pencil(lines: SegmentTable, a: Int[ArrayLike, ""] | int, b: Int[ArrayLike, "
 
     In NumPy outside `jit`: each segment is placed once, which takes less than compiling it would.
     """
-    xp = namespace_of(lines, a, b)
+    xp = array_namespace(lines, a, b)
     lines = jax.tree.map(xp.asarray, lines)
     across = lines.centre_mm[..., b, :] - lines.centre_mm[..., a, :]
     baseline = xp.sqrt((across**2).sum(-1))
@@ -165,7 +165,7 @@ def pencil(lines: SegmentTable, a: Int[ArrayLike, ""] | int, b: Int[ArrayLike, "
     return Pencil(frame, lines.centre_mm[..., a, :], baseline, *both)
 
 
-def pencil_of(
+def take_pencil(
     planes: Pencil, lines: SegmentTable, view: Int[ArrayLike, ""], segment: Int[ArrayLike, "..."]
 ) -> Pencil:
     """The pencil with the planes of some segments' frames alone."""
@@ -187,7 +187,7 @@ def _in_pencil(
 ) -> Float[ArrayLike, "2 c n"]:
     """The columns of both views' segments; `homography` takes homogeneous pixels to rays in the
     frame."""
-    xp = namespace_of(homography, ends_px)
+    xp = array_namespace(homography, ends_px)
     rows = [vector3(homography[..., k, :]) for k in range(3)]
     # Both ends in front: (2, view, n).
     u, v = xp.moveaxis(ends_px, -1, 0).transpose(0, 3, 1, 2)
@@ -266,7 +266,7 @@ def cut_pair(
     return CommonPart(low, high, at_low, at_high, possible)
 
 
-def points_of(planes: Pencil, part: CommonPart) -> tuple[Vector3, Vector3]:
+def common_ends_mm(planes: Pencil, part: CommonPart) -> tuple[Vector3, Vector3]:
     """Ends in space, world frame, of the common part of a pair."""
 
     def point(at: tuple[Scalar, Scalar, Scalar, Scalar]) -> Vector3:

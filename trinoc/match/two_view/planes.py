@@ -16,9 +16,9 @@ from trinoc.numerics.arrays import ArrayLike
 from trinoc.numerics.vectors import (
     Vector3,
     add3,
-    between,
     dot3,
     in_front,
+    interpolated_covariance,
     scaled3,
     times_matrix,
     vector3,
@@ -29,7 +29,7 @@ OfViews = Float[ArrayLike, "v *h"]
 OfPoints = Float[ArrayLike, "v e *h"]
 
 
-class Sight(NamedTuple):
+class SegmentPlanes(NamedTuple):
     """One segment in each of some views, with what is needed of its camera and of clutter.
 
     matrix_px, centre_mm : of the cameras, the same for all items or of each. line, ends_px,
@@ -64,12 +64,12 @@ class InterpretationPlanes(NamedTuple):
     image_px: tuple[OfPoints, OfPoints]
 
 
-def sight_of(
+def segment_planes(
     lines: SegmentTable,
     clutter: ClutterModel,
     views: Int[ArrayLike, "v"],
     segments: Int[ArrayLike, "v *h"],
-) -> Sight:
+) -> SegmentPlanes:
     """The rows of segments, one in each view; those of one item are of one frame."""
     view = views.reshape(-1, *(1 for _ in segments.shape[1:]))
     typical = jnp.asarray(clutter.typical_px)
@@ -81,7 +81,7 @@ def sight_of(
     across = lines.across_px2
     entries = across[..., 0, 0], across[..., 0, 1], across[..., 1, 1]
     c00, c01, c11 = (entry[view, segments] for entry in entries)
-    return Sight(
+    return SegmentPlanes(
         lines.matrix_px[camera],
         lines.centre_mm[camera],
         lines.line[view, segments],
@@ -94,7 +94,7 @@ def sight_of(
     )
 
 
-def interpretation_planes(sight: Sight, points_mm: Vector3) -> InterpretationPlanes:
+def interpretation_planes(sight: SegmentPlanes, points_mm: Vector3) -> InterpretationPlanes:
     """The interpretation plane of each segment at points in space, (e, *h) of each coordinate."""
     matrix, line = sight.matrix_px, vector3(sight.line)
     gradient = times_matrix(matrix[..., :3].mT, line)
@@ -110,10 +110,10 @@ def interpretation_planes(sight: Sight, points_mm: Vector3) -> InterpretationPla
     return InterpretationPlanes(normal, across / px_per_mm, px_per_mm, along, image)
 
 
-def variance_mm2(sight: Sight, planes: InterpretationPlanes, e: int, f: int) -> OfViews:
+def variance_mm2(sight: SegmentPlanes, planes: InterpretationPlanes, e: int, f: int) -> OfViews:
     """Covariance of the distances of two points from each plane, due to the segments' errors."""
     place, px_per_mm = planes.interval, planes.px_per_mm
-    covariance = between(sight.variance_px2, place[:, e], place[:, f])
+    covariance = interpolated_covariance(sight.variance_px2, place[:, e], place[:, f])
     return covariance / (px_per_mm[:, e] * px_per_mm[:, f])
 
 
@@ -123,7 +123,9 @@ def image_length_px(planes: InterpretationPlanes) -> OfViews:
     return jnp.sqrt((u[:, 1] - u[:, 0]) ** 2 + (v[:, 1] - v[:, 0]) ** 2)
 
 
-def extents_on_line(sight: Sight, origin: Vector3, along: Vector3) -> tuple[OfViews, OfViews]:
+def extents_on_line(
+    sight: SegmentPlanes, origin: Vector3, along: Vector3
+) -> tuple[OfViews, OfViews]:
     """(low, high) positions on a line in space (unit direction), in mm, nearest to the rays of
     both ends of each segment."""
     along = in_front(along)

@@ -17,7 +17,7 @@ from trinoc.match.line_map.corners import Corners
 from trinoc.match.line_map.lines import JoinedLines
 from trinoc.numerics.joins import group_sums
 from trinoc.numerics.small_least_squares import Residuals, normal_equations, whitening
-from trinoc.numerics.vectors import axes_across
+from trinoc.numerics.vectors import complete_axes
 
 
 class Graph(NamedTuple):
@@ -39,7 +39,7 @@ class Graph(NamedTuple):
         return int(self.vertex.max(initial=-1)) + 1
 
 
-def graph_of(joined: JoinedLines, corners: Corners, free_end_px: float) -> Graph:
+def build_graph(joined: JoinedLines, corners: Corners, free_end_px: float) -> Graph:
     """A vertex for each corner, and one for each end that is at none."""
     count = len(joined)
     vertex = np.full((count, 2), -1)
@@ -58,7 +58,7 @@ def graph_of(joined: JoinedLines, corners: Corners, free_end_px: float) -> Graph
 STEPS = 3
 
 
-class Adjusted(NamedTuple):
+class AdjustedGraph(NamedTuple):
     """Vertices, and what each line says of its two.
 
     points_mm : (n, 3). part : (n,). covariance_mm2 : for each part, of its vertices in their
@@ -97,7 +97,7 @@ class Adjusted(NamedTuple):
         return np.einsum("leaeb->leab", self.own_mm2)[:, :, :2, :2]
 
 
-def adjust_vertices(graph: Graph) -> Adjusted:
+def adjust_vertices(graph: Graph) -> AdjustedGraph:
     """The likeliest vertices."""
     vertex, count = graph.vertex, graph.count
     axes = line_axes(graph.lines_mm)
@@ -109,31 +109,31 @@ def adjust_vertices(graph: Graph) -> Adjusted:
     jacobian[:, :3, :3] = jacobian[:, 3:, 3:] = axes
     rows = (3 * vertex[:, :, None] + np.arange(3)).reshape(-1, 6)
     covariance: list[np.ndarray] = []
-    residual, own = _observed(graph, axes, points)
+    residual, own = _vertex_observations(graph, axes, points)
     for _ in range(STEPS):
         # Each line is a problem of its two vertices; the graph adds them up.
         by = whitening(own.reshape(-1, 6, 6))
         observed = Residuals((by @ residual.reshape(-1, 6, 1)).mT, (by @ jacobian)[:, None])
         each = normal_equations(observed)
-        information = _scattered(each.information, rows, 3 * count)
+        information = _assemble_sparse(each.information, rows, 3 * count)
         gradient = np.bincount(rows.reshape(-1), each.gradient.reshape(-1), 3 * count)
         covariance = []
         for of in (np.flatnonzero(part == k) for k in range(parts)):
             at = (3 * of[:, None] + np.arange(3)).reshape(-1)
             covariance.append(np.linalg.inv(information[at][:, at].toarray()))
             points[of] -= (covariance[-1] @ gradient[at]).reshape(-1, 3)
-        residual, own = _observed(graph, axes, points)
-    return Adjusted(points, part.astype(np.int64), tuple(covariance), axes, residual, own)
+        residual, own = _vertex_observations(graph, axes, points)
+    return AdjustedGraph(points, part.astype(np.int64), tuple(covariance), axes, residual, own)
 
 
 def line_axes(ends_mm: Float[np.ndarray, "l 2 3"]) -> Float[np.ndarray, "l 3 3"]:
     """Two directions across each line, and the one along it."""
     way = ends_mm[:, 1] - ends_mm[:, 0]
     way = way / np.linalg.norm(way, axis=1, keepdims=True)
-    return np.concatenate([axes_across(way), way[:, None]], axis=1)
+    return np.concatenate([complete_axes(way), way[:, None]], axis=1)
 
 
-def _observed(
+def _vertex_observations(
     graph: Graph, axes: Float[np.ndarray, "l 3 3"], points_mm: Float[np.ndarray, "n 3"]
 ) -> tuple[Float[np.ndarray, "l 2 3"], Float[np.ndarray, "l 2 3 2 3"]]:
     """(both vertices less where each line has them, in its axes; covariance of the latter)."""
@@ -151,7 +151,7 @@ def _observed(
     return residual, own
 
 
-def _scattered(
+def _assemble_sparse(
     blocks: Float[np.ndarray, "l 6 6"], rows: Int[np.ndarray, "l 6"], size: int
 ) -> sparse.csr_matrix:
     row = np.broadcast_to(rows[:, :, None], blocks.shape).reshape(-1)

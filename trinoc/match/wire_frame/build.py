@@ -12,8 +12,8 @@ from trinoc.match.line_map.corners import snap_corners
 from trinoc.match.line_map.lines import JoinedLines
 from trinoc.match.tracks.matches import EVEN, Matches
 from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
-from trinoc.match.wire_frame.adjustment import Adjusted, Graph, adjust_vertices, graph_of
-from trinoc.match.wire_frame.faces import Face, faces_of, fit_plane, flatten_faces
+from trinoc.match.wire_frame.adjustment import AdjustedGraph, Graph, adjust_vertices, build_graph
+from trinoc.match.wire_frame.faces import Face, find_faces, fit_plane, flatten_faces
 from trinoc.match.wire_frame.frame import LetGo, Wireframe
 from trinoc.numerics.joins import group_sums
 from trinoc.numerics.precision import in_float64
@@ -30,15 +30,15 @@ class EndFit(NamedTuple):
     degrees: Int[np.ndarray, "l 2"]
 
 
-class Snooped(NamedTuple):
+class SnoopingResult(NamedTuple):
     """The graph that fits, its adjustment, and the ends let go: line, end, chi-square, degrees."""
 
     graph: Graph
-    answer: Adjusted
+    answer: AdjustedGraph
     let_go: tuple[tuple[int, int, float, int], ...]
 
 
-def end_fit(graph: Graph, answer: Adjusted) -> EndFit:
+def end_fit(graph: Graph, answer: AdjustedGraph) -> EndFit:
     """Each end against the vertex that all lines together give."""
     shared = np.bincount(graph.vertex.reshape(-1))[graph.vertex] > 1
     own, axes = answer.across_mm2, answer.axes[:, None, :2]
@@ -51,7 +51,9 @@ def end_fit(graph: Graph, answer: Adjusted) -> EndFit:
     return EndFit(square, left.sum(axis=2))
 
 
-def snoop_ends(graph: Graph, posterior: Float[np.ndarray, "l"], significance: float) -> Snooped:
+def snoop_ends(
+    graph: Graph, posterior: Float[np.ndarray, "l"], significance: float
+) -> SnoopingResult:
     """Let ends go, the worst first, until all fit at this level.
 
     Where two fit equally badly, as at a vertex of two lines, the line of the lower posterior goes.
@@ -62,7 +64,7 @@ def snoop_ends(graph: Graph, posterior: Float[np.ndarray, "l"], significance: fl
         fit = end_fit(graph, answer)
         tail = np.where(fit.degrees > 0, chi_square_tail(fit.square, fit.degrees), 1.0)
         if tail.size == 0 or tail.min() >= significance:
-            return Snooped(graph, answer, tuple(let_go))
+            return SnoopingResult(graph, answer, tuple(let_go))
         worst = fit.square >= 0.99 * fit.square[np.unravel_index(tail.argmin(), tail.shape)]
         worst &= tail < significance
         line, end = min(
@@ -76,7 +78,7 @@ def snoop_ends(graph: Graph, posterior: Float[np.ndarray, "l"], significance: fl
         graph = graph._replace(vertex=vertex)
 
 
-class Refused(NamedTuple):
+class RefusedEnd(NamedTuple):
     """An end of a line, how far the line passes its corner, and the chi-square of that (2)."""
 
     line: int
@@ -85,13 +87,13 @@ class Refused(NamedTuple):
     chi_square: float
 
 
-def refused_ends(
+def find_refused_ends(
     graph: Graph,
-    answer: Adjusted,
+    answer: AdjustedGraph,
     px_per_mm: Float[np.ndarray, "l"],
     reach_px: float,
     significance: float,
-) -> tuple[Refused, ...]:
+) -> tuple[RefusedEnd, ...]:
     """Of each free end, the nearest corner within reach, where its line misses that for sure."""
     vertex, each = graph.vertex, answer.each_mm2
     shared = np.bincount(vertex.reshape(-1), minlength=graph.count) > 1
@@ -112,7 +114,7 @@ def refused_ends(
         spread = answer.across_mm2[line, end] + axes @ each[at[0]] @ axes.T
         square = float(offset @ np.linalg.solve(spread, offset))
         if chi_square_tail(square, 2) < significance:
-            found.append(Refused(line, end, float(np.linalg.norm(offset)), square))
+            found.append(RefusedEnd(line, end, float(np.linalg.norm(offset)), square))
     return tuple(found)
 
 
@@ -140,7 +142,7 @@ def wireframe(
     """
     joined = join_collinear(matches, rig, tuning=tuning)
     corners = snap_corners(joined, tuning=tuning)
-    graph = graph_of(joined, corners, tuning.corners.free_end_px)
+    graph = build_graph(joined, corners, tuning.corners.free_end_px)
     found = snoop_ends(graph, joined.posterior, tuning.corners.significance)
     edges, edge_of_line = _edges(found.graph)
     edge_of_track = edge_of_line[joined.line_of_track]
@@ -148,19 +150,19 @@ def wireframe(
     shadow = matches.marks.get("shadow")
     if shadow is not None:
         # One track that is no shadow is enough for an edge.
-        shadow = _gathered(np.minimum, 1.0, shadow, edge_of_track)
+        shadow = _combine_members(np.minimum, 1.0, shadow, edge_of_track)
     solid = np.ones(len(edges), dtype=bool) if shadow is None else shadow <= EVEN
-    loops = faces_of(found.answer, edges[solid], tuning.wireframe)
+    loops = find_faces(found.answer, edges[solid], tuning.wireframe)
     answer = flatten_faces(found.answer, loops) if flat else found.answer
     faces = [
         fit_plane(answer, face.loop, flattened=flat)._replace(chi_square=face.chi_square)
         for face in loops
     ]
-    seen = _gathered(np.logical_or, False, np.asarray(matches.index) >= 0, edge_of_track)
-    seen_at = _gathered(np.logical_or, False, np.repeat(seen, 2, axis=0), edges.reshape(-1))
-    faces, facing = _turned(faces, seen_at, matches, rig)
+    seen = _combine_members(np.logical_or, False, np.asarray(matches.index) >= 0, edge_of_track)
+    seen_at = _combine_members(np.logical_or, False, np.repeat(seen, 2, axis=0), edges.reshape(-1))
+    faces, facing = _orient_faces(faces, seen_at, matches, rig)
     square, degrees = _of_vertices(found)
-    refused = refused_ends(
+    refused = find_refused_ends(
         found.graph,
         found.answer,
         joined.px_per_mm,
@@ -175,11 +177,13 @@ def wireframe(
         part=answer.part,
         joint_covariance_mm2=answer.covariance_mm2,
         edges=edges,
-        posterior=_gathered(np.maximum, 0, joined.posterior, edge_of_line),
+        posterior=_combine_members(np.maximum, 0, joined.posterior, edge_of_line),
         views=seen.sum(axis=1),
-        viewpoint_dependent=_gathered(np.logical_and, True, _no_line(matches), edge_of_track),
-        chi_square=_gathered(np.maximum, 0, fit.square.sum(axis=1), edge_of_line),
-        degrees=_gathered(np.maximum, 0, fit.degrees.sum(axis=1), edge_of_line),
+        viewpoint_dependent=_combine_members(
+            np.logical_and, True, _no_line(matches), edge_of_track
+        ),
+        chi_square=_combine_members(np.maximum, 0, fit.square.sum(axis=1), edge_of_line),
+        degrees=_combine_members(np.maximum, 0, fit.degrees.sum(axis=1), edge_of_line),
         edge_of_track=edge_of_track,
         face=np.repeat(np.arange(len(faces)), [len(face.loop) for face in faces]),
         face_vertex=np.concatenate([*(face.loop for face in faces), np.zeros(0, dtype=np.int64)]),
@@ -188,7 +192,7 @@ def wireframe(
         face_chi_square=np.array([face.chi_square for face in faces]),
         face_degrees=np.array([face.degrees for face in faces], dtype=np.int64),
         facing=facing,
-        let_go=_named(found, refused, joined),
+        let_go=_describe_refusals(found, refused, joined),
         shadow=shadow,
     )
 
@@ -203,7 +207,9 @@ def _edges(graph: Graph) -> tuple[Int[np.ndarray, "e 2"], Int[np.ndarray, "l"]]:
     return unique[order].reshape(-1, 2), rank[inverse.reshape(-1)]
 
 
-def _gathered(combine: np.ufunc, start: float, values: np.ndarray, of: np.ndarray) -> np.ndarray:
+def _combine_members(
+    combine: np.ufunc, start: float, values: np.ndarray, of: np.ndarray
+) -> np.ndarray:
     """The values of each edge's lines or tracks combined, from the start that changes none."""
     result = np.full((int(of.max(initial=-1)) + 1, *values.shape[1:]), start, values.dtype)
     combine.at(result, of, values)
@@ -220,7 +226,7 @@ def _no_line(matches: Matches) -> Bool[np.ndarray, "t"]:
     return no_line
 
 
-def _of_vertices(found: Snooped) -> tuple[Float[np.ndarray, "n"], Int[np.ndarray, "n"]]:
+def _of_vertices(found: SnoopingResult) -> tuple[Float[np.ndarray, "n"], Int[np.ndarray, "n"]]:
     """Chi-square of what lines say across themselves at each vertex, and degrees of freedom."""
     vertex, residual = found.graph.vertex.reshape(-1), found.answer.residual_mm[:, :, :2, None]
     square = residual.mT @ np.linalg.solve(found.answer.across_mm2, residual)
@@ -228,7 +234,7 @@ def _of_vertices(found: Snooped) -> tuple[Float[np.ndarray, "n"], Int[np.ndarray
     return group_sums(square.reshape(-1), vertex, len(number)), np.maximum(2 * number - 3, 0)
 
 
-def _turned(
+def _orient_faces(
     faces: list[Face], views: Bool[np.ndarray, "n v"], matches: Matches, rig: Rig
 ) -> tuple[list[Face], Bool[np.ndarray, "f"]]:
     """(faces whose normals point to most cameras that see them, whether all lie there)."""
@@ -243,7 +249,9 @@ def _turned(
     return turned, np.array(facing, dtype=bool)
 
 
-def _named(found: Snooped, refused: tuple[Refused, ...], joined: JoinedLines) -> LetGo:
+def _describe_refusals(
+    found: SnoopingResult, refused: tuple[RefusedEnd, ...], joined: JoinedLines
+) -> LetGo:
     """What was let go, in words: an end once, and that it left its corner rather than why not."""
     words = {
         (each.line, each.end): f"ends beside a corner that it passes at {each.distance_mm:.2f} mm: "

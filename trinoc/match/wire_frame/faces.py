@@ -8,10 +8,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from trinoc.match.tuning.line_map import WireframeTuning
-from trinoc.match.wire_frame.adjustment import Adjusted
+from trinoc.match.wire_frame.adjustment import AdjustedGraph
 from trinoc.numerics.small_least_squares import Residuals, gauss_newton, whitening
 from trinoc.numerics.tails import chi_square_limit, chi_square_tail
-from trinoc.numerics.vectors import axes_across
+from trinoc.numerics.vectors import complete_axes
 
 # Gauss-Newton steps of a plane.
 STEPS = 2
@@ -27,13 +27,13 @@ class _Plane(NamedTuple):
         self, points_mm: Float[np.ndarray, "k 3"]
     ) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k 3"]]:
         """(distances of points, their derivatives by a step)."""
-        inside = points_mm @ axes_across(self.normal).T
+        inside = points_mm @ complete_axes(self.normal).T
         jacobian = np.column_stack([inside, -np.ones(len(points_mm))])
         return points_mm @ self.normal - self.offset_mm, jacobian
 
-    def turned(self, step: Float[np.ndarray, "1 3"]) -> "_Plane":
+    def turn(self, step: Float[np.ndarray, "1 3"]) -> "_Plane":
         """The plane after a step."""
-        normal = self.normal + step[0, :2] @ axes_across(self.normal)
+        normal = self.normal + step[0, :2] @ complete_axes(self.normal)
         return _Plane(normal / np.linalg.norm(normal), self.offset_mm + float(step[0, 2]))
 
 
@@ -51,8 +51,8 @@ class Face(NamedTuple):
     degrees: int
 
 
-def faces_of(
-    answer: Adjusted, edges: Int[np.ndarray, "e 2"], tuning: WireframeTuning
+def find_faces(
+    answer: AdjustedGraph, edges: Int[np.ndarray, "e 2"], tuning: WireframeTuning
 ) -> list[Face]:
     """Every loop without a chord that two edges of a vertex begin, in their plane."""
     net = networkx.Graph(edges.tolist())
@@ -72,7 +72,7 @@ def faces_of(
 
 
 def _in_plane(
-    answer: Adjusted, corner: Int[np.ndarray, "3"], tuning: WireframeTuning
+    answer: AdjustedGraph, corner: Int[np.ndarray, "3"], tuning: WireframeTuning
 ) -> Bool[np.ndarray, "n"] | None:
     """Which vertices may lie in the plane of three; None where these are nearly in a row."""
     points = answer.points_mm
@@ -88,7 +88,7 @@ def _in_plane(
     # A vertex of the plane is this mean of the three, which err, too.
     share = offset @ np.linalg.pinv(np.stack([to_first, to_second]))
     weight = np.concatenate([1 - share.sum(axis=1, keepdims=True), share], axis=1)
-    joint = _along(normal, answer.joint(others))
+    joint = _variance_along(normal, answer.joint(others))
     at = np.searchsorted(others, corner)
     variance = (
         np.diagonal(joint)
@@ -118,7 +118,9 @@ def _loop(
     return loop
 
 
-def fit_plane(answer: Adjusted, loop: Int[np.ndarray, "k"], *, flattened: bool = False) -> Face:
+def fit_plane(
+    answer: AdjustedGraph, loop: Int[np.ndarray, "k"], *, flattened: bool = False
+) -> Face:
     """The likeliest plane of some vertices under their joint covariance.
 
     Of vertices that are held to one plane already, any three have the same: they count alike.
@@ -131,13 +133,13 @@ def fit_plane(answer: Adjusted, loop: Int[np.ndarray, "k"], *, flattened: bool =
     def residuals(plane: _Plane) -> Residuals:
         distance, jacobian = plane.distances(points - centre)
         if not flattened:
-            by = whitening(_along(plane.normal, joint))
+            by = whitening(_variance_along(plane.normal, joint))
             distance, jacobian = by @ distance, by @ jacobian
         return Residuals(distance[None, None], jacobian[None, None])
 
     plane, equations = gauss_newton(
         residuals,
-        _Plane.turned,
+        _Plane.turn,
         _Plane(normal if area @ normal > 0 else -normal, 0.0),
         # Of vertices that count alike, the first plane is the likeliest.
         steps=0 if flattened else STEPS,
@@ -145,10 +147,10 @@ def fit_plane(answer: Adjusted, loop: Int[np.ndarray, "k"], *, flattened: bool =
     covariance, normal = equations.covariance()[0], plane.normal
     if flattened:
         gain = covariance @ plane.distances(points - centre)[1].T
-        covariance = gain @ _along(normal, joint) @ gain.T
+        covariance = gain @ _variance_along(normal, joint) @ gain.T
     by_step = np.zeros((4, 3))
-    by_step[:3, :2] = axes_across(normal).T
-    by_step[3] = [*(axes_across(normal) @ centre), 1.0]
+    by_step[:3, :2] = complete_axes(normal).T
+    by_step[3] = [*(complete_axes(normal) @ centre), 1.0]
     covariance = by_step @ covariance @ by_step.T
     chi_square = 0.0 if flattened else float(equations.chi_square[0])
     return Face(
@@ -165,10 +167,10 @@ def _least_normal(points_mm: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "3"]
     return np.linalg.svd(points_mm)[2][2]
 
 
-def _is_plane(answer: Adjusted, face: Face, tuning: WireframeTuning) -> bool:
+def _is_plane(answer: AdjustedGraph, face: Face, tuning: WireframeTuning) -> bool:
     """Whether the vertices lie in the plane, and are known well enough to tell."""
     points = answer.points_mm[face.loop]
-    variance = np.diagonal(_along(face.plane[:3], answer.joint(face.loop)))
+    variance = np.diagonal(_variance_along(face.plane[:3], answer.joint(face.loop)))
     size = np.linalg.norm(points - points.mean(axis=0), axis=1).max()
     if np.sqrt(variance.max()) > tuning.plane_doubt * size:
         return False
@@ -176,7 +178,7 @@ def _is_plane(answer: Adjusted, face: Face, tuning: WireframeTuning) -> bool:
     return face.degrees == 0 or bool(tail >= tuning.plane_significance)
 
 
-def _along(
+def _variance_along(
     normal: Float[np.ndarray, "3"], joint: Float[np.ndarray, "k 3 k 3"]
 ) -> Float[np.ndarray, "k k"]:
     """Covariance of points along a normal."""
@@ -187,7 +189,7 @@ def _along(
 FLATTEN_STEPS = 3
 
 
-def flatten_faces(answer: Adjusted, faces: list[Face]) -> Adjusted:
+def flatten_faces(answer: AdjustedGraph, faces: list[Face]) -> AdjustedGraph:
     """The likeliest vertices of which those of each face lie in a plane, and their covariance."""
     points, covariance = answer.points_mm.copy(), list(answer.covariance_mm2)
     for part in sorted({int(answer.part[face.loop[0]]) for face in faces}):
@@ -209,12 +211,12 @@ def flatten_faces(answer: Adjusted, faces: list[Face]) -> Adjusted:
 
 
 def _rows(
-    answer: Adjusted, loop: Int[np.ndarray, "k"], members: Int[np.ndarray, "m"]
+    answer: AdjustedGraph, loop: Int[np.ndarray, "k"], members: Int[np.ndarray, "m"]
 ) -> Float[np.ndarray, "c d"]:
     """k - 3 numbers that vanish where k vertices lie in one plane, by all vertices of the part."""
     points = answer.points_mm[loop] - answer.points_mm[loop].mean(axis=0)
     normal = _least_normal(points)
-    inside = points @ axes_across(normal).T
+    inside = points @ complete_axes(normal).T
     free = np.column_stack([inside, np.ones(len(loop))])
     null = np.linalg.svd(free.T)[2][3:]
     rows = np.zeros((len(null), len(members), 3))

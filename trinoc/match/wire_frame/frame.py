@@ -14,8 +14,8 @@ from trinoc.numerics.table_checks import (
     FINITE,
     IN_SCENE,
     PROBABILITY,
+    check_number,
     is_covariance,
-    number_of,
 )
 from trinoc.numerics.tables import (
     Check,
@@ -128,7 +128,9 @@ class Wireframe(Feature):
     ]
     edges: Annotated[
         Int[np.ndarray, "e 2"],
-        Column(number_of("n", "names a vertex that is not there"), parts=("vertex_1", "vertex_2")),
+        Column(
+            check_number("n", "names a vertex that is not there"), parts=("vertex_1", "vertex_2")
+        ),
     ]
     posterior: Annotated[Float[np.ndarray, "e"], Column(PROBABILITY)]
     views: Int[np.ndarray, "e"]
@@ -136,10 +138,12 @@ class Wireframe(Feature):
     chi_square: Float[np.ndarray, "e"]
     degrees: Int[np.ndarray, "e"]
     edge_of_track: Annotated[
-        Int[np.ndarray, "t"], Column(number_of("e", "names an edge that is not there", least=-1))
+        Int[np.ndarray, "t"], Column(check_number("e", "names an edge that is not there", least=-1))
     ]
-    face: Annotated[Int[np.ndarray, "m"], Column(number_of("f", "names a face that is not there"))]
-    face_vertex: Annotated[Int[np.ndarray, "m"], Column(number_of("n", "names no vertex"))]
+    face: Annotated[
+        Int[np.ndarray, "m"], Column(check_number("f", "names a face that is not there"))
+    ]
+    face_vertex: Annotated[Int[np.ndarray, "m"], Column(check_number("n", "names no vertex"))]
     planes: Annotated[Float[np.ndarray, "f 4"], Column(FINITE)]
     planes_covariance: Annotated[Float[np.ndarray, "f 4 4"], Column(COVARIANCE)]
     face_chi_square: Float[np.ndarray, "f"]

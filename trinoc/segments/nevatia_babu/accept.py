@@ -190,13 +190,13 @@ def is_straight(
     small = radius < tuning.arc_radius_of_width * width_px
     arc = (bow > tuning.arc_bow_px) & (bow > 3 * sigma) & small
     curved = np.flatnonzero((bow > tuning.least_bow_px) & (bow > 2 * sigma))
-    arc[curved] |= _bends_on(lines, tuning)[curved]
+    arc[curved] |= _continues_curve(lines, tuning)[curved]
     explained = np.square(_RMS_OF_BOW * bow) / np.maximum(np.square(lines.residual_px), 1e-12)
     ragged = (explained < tuning.arc_explains) & (bow < tuning.arc_bow_of_length * length)
     return ~arc | (ragged & (length > tuning.arc_least_px))
 
 
-def _bends_on(lines: FittedLines, tuning: AcceptTuning) -> Bool[np.ndarray, "r"]:
+def _continues_curve(lines: FittedLines, tuning: AcceptTuning) -> Bool[np.ndarray, "r"]:
     """Whether a piece before or after continues the curve of each line."""
     bends = np.zeros(len(lines.support), dtype=bool)
     ends = lines.pieces.ends_px

@@ -10,7 +10,7 @@ import functools
 import numpy as np
 from jaxtyping import Float, Int
 
-from trinoc.numerics.joins import group_labels, largest, members
+from trinoc.numerics.joins import group_labels, group_maxima, members
 from trinoc.segments.nevatia_babu.thinning import ThinnedPixels
 
 REACH_PX = 2
@@ -104,7 +104,7 @@ def _offsets_ahead() -> Int[np.ndarray, "sectors m 2"]:
     return np.stack([steps[np.argsort(-column, kind="stable")[:_AHEAD]] for column in ahead.T])
 
 
-def ordered_chains(
+def order_chains(
     successor: Int[np.ndarray, "n"], least_points: int = 1
 ) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "c"]]:
     """(order, starts): the points chain by chain, and where in that order each chain starts.
@@ -186,7 +186,7 @@ def split_chains(
         from_begin = normal_u * begin_u + normal_v * begin_v
         distance = u[index] * np.repeat(normal_u, count) + v[index] * np.repeat(normal_v, count)
         distance = np.abs(distance - np.repeat(from_begin, count))
-        deviation, position = largest(distance, first, run)
+        deviation, position = group_maxima(distance, first, run)
         straight = deviation <= tolerance_px
         done.append((start[straight], stop[straight]))
         bent = ~straight

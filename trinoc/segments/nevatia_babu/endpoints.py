@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 from trinoc.numerics.joins import distinct, near_pairs
 from trinoc.numerics.tables import take_rows
 from trinoc.numerics.vectors import cross_2d
-from trinoc.segments.tuning import DEFAULT, EndTuning
+from trinoc.segments.tuning import DEFAULT, EndpointTuning
 
 _SAMPLE_PX = 3.0
 _NEIGHBOURS = 12
@@ -126,7 +126,7 @@ def end_sigmas(
     contrast: Float[np.ndarray, "r"],
     partner: Int[np.ndarray, "r 2"],
     near: NearEnds,
-    tuning: EndTuning = DEFAULT.ends,
+    tuning: EndpointTuning = DEFAULT.ends,
 ) -> Float[np.ndarray, "r 2"]:
     """(r, 2) standard deviation of each end along its line, in px.
 

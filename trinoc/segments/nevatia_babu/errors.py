@@ -31,7 +31,7 @@ _LEAST_SHARE = 0.3
 _LEAST_PULL = 0.002
 
 
-def line_pairs_within(
+def find_near_lines(
     lines: FittedLines, reach_px: float
 ) -> tuple[Int[np.ndarray, "p"], Int[np.ndarray, "p"]]:
     """(one, other): all ordered pairs of different lines closer than about `reach_px`."""
@@ -71,7 +71,7 @@ def find_overlaps(runs: Runs, lines: FittedLines, profile_variance_px2: float) -
     """
     points = runs.points
     reach_px = max(LEAST_REACH_PX, REACH_WIDTHS * float(np.sqrt(profile_variance_px2)))
-    one, other = line_pairs_within(lines, reach_px)
+    one, other = find_near_lines(lines, reach_px)
     count = runs.count[one]
     point, _, _ = members(runs.first[one], runs.first[one] + count)
     # Most points of a line are far from the other one: little is computed of these.
@@ -122,7 +122,7 @@ def without_neighbours(
         added[sample] = np.bincount(
             point, 0.5 * height * shape * window, minlength=len(points.strength)
         )
-    return _located_again(points, added)
+    return _relocate_points(points, added)
 
 
 def _error_function(x: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
@@ -132,13 +132,13 @@ def _error_function(x: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
     return np.tanh(x * (_ERF[0] + squared * (_ERF[1] + squared * _ERF[2])))
 
 
-def _located_again(points: EdgePoints, added: Float[np.ndarray, "3 n"]) -> EdgePoints:
+def _relocate_points(points: EdgePoints, added: Float[np.ndarray, "3 n"]) -> EdgePoints:
     most = np.abs(added).max(axis=0)
     touched = np.flatnonzero(most > _LEAST_PULL * points.profile[:, 1])
     before = points.take(touched)
     profile = before.profile - added[:, touched].T
     middle = profile[:, 1]
-    located, variance = before.located(np.maximum(profile, 1e-3 * middle[:, None]))
+    located, variance = before.locate(np.maximum(profile, 1e-3 * middle[:, None]))
     share = middle / before.profile[:, 1]
     # Along one axis of the picture.
     moved = located - before.sample_px

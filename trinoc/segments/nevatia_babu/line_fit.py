@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 
 from trinoc.image.step_edge import height_of_step
 from trinoc.numerics.joins import near_pairs
-from trinoc.segments.nevatia_babu.chains import ordered_chains
+from trinoc.segments.nevatia_babu.chains import order_chains
 from trinoc.segments.nevatia_babu.endpoints import Pieces
 from trinoc.segments.nevatia_babu.runs import Runs
 
@@ -72,7 +72,7 @@ def fit_lines(runs: Runs) -> FittedLines:
     root = np.sqrt(points.information)
     weight = root
     for last in (False, True):
-        mean, turn = _weighted_line(runs, x, y, weight)
+        mean, turn = _fit_weighted_line(runs, x, y, weight)
         cosine, sine = (runs.spread(part) for part in turn.T.astype(np.float32))
         off_x, off_y = (
             of - runs.spread(part) for of, part in zip((x, y), mean.T.astype(np.float32))
@@ -96,8 +96,8 @@ def fit_lines(runs: Runs) -> FittedLines:
         np.float32(_LEAST_VARIANCE_PX2),
     )
     return FittedLines(
-        origin + _turned(mean, chord),
-        _turned(turn, chord),
+        origin + _rotate_to_picture(mean, chord),
+        _rotate_to_picture(turn, chord),
         extent.astype(np.float64),
         runs.mean(height_of_step(points.strength, variance)),
         runs.mean(points.light_per_level),
@@ -128,13 +128,13 @@ def _in_frames_of_chords(runs: Runs) -> tuple[np.ndarray, np.ndarray, np.ndarray
     return origin, chord, x.astype(np.float32), y.astype(np.float32)
 
 
-def _turned(xy: Float[np.ndarray, "r 2"], chord: Float[np.ndarray, "r 2"]) -> np.ndarray:
+def _rotate_to_picture(xy: Float[np.ndarray, "r 2"], chord: Float[np.ndarray, "r 2"]) -> np.ndarray:
     """Vectors in the frames of chords as vectors of the picture."""
     u = xy[:, 0] * chord[:, 0] - xy[:, 1] * chord[:, 1]
     return np.stack([u, xy[:, 0] * chord[:, 1] + xy[:, 1] * chord[:, 0]], axis=-1)
 
 
-def _weighted_line(
+def _fit_weighted_line(
     runs: Runs,
     x: Float[np.ndarray, "m"],
     y: Float[np.ndarray, "m"],
@@ -181,7 +181,7 @@ def merge_collinear(
 ) -> tuple[Runs, FittedLines]:
     """The same after joining collinear lines across small gaps."""
     successor = collinear_successors(lines, gap_px, tolerance_px / 2)
-    line_order, begin = ordered_chains(successor)
+    line_order, begin = order_chains(successor)
     length = runs.count[line_order]
     first = np.cumsum(length) - length
     order = np.arange(length.sum()) - np.repeat(first - runs.first[line_order], length)

@@ -16,13 +16,13 @@ from trinoc.image.light import Light
 from trinoc.image.noise import level_noise
 from trinoc.image.step_edge import peak_of_slope
 from trinoc.numerics.joins import members
-from trinoc.segments.nevatia_babu.chains import ordered_chains, split_chains, successors
+from trinoc.segments.nevatia_babu.chains import order_chains, split_chains, successors
 from trinoc.segments.nevatia_babu.thinning import (
     GradientKernel,
     ThinnedPixels,
-    gradient_of,
-    profile_across,
-    thinned_pixels,
+    correlate_gradient,
+    sample_profiles,
+    thin_pixels,
 )
 from trinoc.segments.tuning import DEFAULT, ScaleTuning
 
@@ -31,7 +31,7 @@ from trinoc.segments.tuning import DEFAULT, ScaleTuning
 LEAST_SIDE, FARTHEST = 0.02, 1.5
 
 
-class Level(NamedTuple):
+class PyramidLevel(NamedTuple):
     """One resolution of a picture; lengths are in pixels of the full picture.
 
     Fields
@@ -100,7 +100,7 @@ class EdgePoints(NamedTuple):
         return EdgePoints(*(np.take(field, index, axis=0) for field in self))
 
     @classmethod
-    def of_level(cls, pixels: ThinnedPixels, level: Level) -> "EdgePoints":
+    def of_level(cls, pixels: ThinnedPixels, level: PyramidLevel) -> "EdgePoints":
         """Thinned pixels of a level as points of the full picture."""
         count, spacing = len(pixels.pixel), np.float32(level.spacing_px)
         size = pixels.profile[:, 1]
@@ -128,10 +128,10 @@ class EdgePoints(NamedTuple):
             information,
             np.square(strength / np.float32(level.sigma_strength)),
         )
-        _, variance = points.located(points.profile)
+        _, variance = points.locate(points.profile)
         return points._replace(sharpness=(points.kernel_variance_px2 + 1) / variance)
 
-    def placed_in_light(self, light: Float[np.ndarray, "n 5"]) -> "EdgePoints":
+    def place_in_light(self, light: Float[np.ndarray, "n 5"]) -> "EdgePoints":
         """The points where the light has its edge: its gradient, two pixels to both sides.
 
         The profile is taken about the pixel, of three, at which that gradient is largest. A
@@ -149,14 +149,14 @@ class EdgePoints(NamedTuple):
             profile=np.where(usable[:, None], profile / ratio[:, None], self.profile),
             light_per_level=ratio,
         )
-        uv_px, variance = moved.located(moved.profile)
+        uv_px, variance = moved.locate(moved.profile)
         far = np.abs(uv_px - moved.sample_px).max(axis=1) > FARTHEST * self.spacing_px
         return moved._replace(
             uv_px=np.where(far[:, None], self.uv_px, uv_px),
             sharpness=np.where(far, self.sharpness, (self.kernel_variance_px2 + 1) / variance),
         )
 
-    def located(
+    def locate(
         self, profile: Float[np.ndarray, "n 3"]
     ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n"]]:
         """(position, variance): peak and width across the edge of a Gaussian through `profile`."""
@@ -197,7 +197,7 @@ class Runs(NamedTuple):
         """Each run's value at all of its points."""
         return np.repeat(of_runs, self.count, axis=0)
 
-    def moved(self, uv_px: Float[np.ndarray, "n 2"]) -> "Runs":
+    def move(self, uv_px: Float[np.ndarray, "n 2"]) -> "Runs":
         """The same points elsewhere."""
         return self._replace(points=self.points._replace(uv_px=uv_px))
 
@@ -208,33 +208,33 @@ _MOST_ROWS = 60
 _TRIMMED_POINTS = 1
 
 
-def full_level(picture: Light, kernel: GradientKernel) -> Level:
+def full_level(picture: Light, kernel: GradientKernel) -> PyramidLevel:
     """The picture itself."""
     return _level(picture, 1.0, kernel)
 
 
-def half_level(fine: Level) -> Level:
+def half_level(fine: PyramidLevel) -> PyramidLevel:
     """The picture with each two by two pixels averaged; an odd last row or column is left out."""
     picture = fine.picture
-    levels = _halved(picture.levels)
-    light = levels if picture.is_linear else _halved(picture.light)
+    levels = _halve_picture(picture.levels)
+    light = levels if picture.is_linear else _halve_picture(picture.light)
     half = picture._replace(levels=levels, light=light, quantum=picture.quantum / 2)
     return _level(half, 2.0, fine.kernel)
 
 
-def _halved(grey: Float[np.ndarray, "h w"]) -> np.ndarray:
+def _halve_picture(grey: Float[np.ndarray, "h w"]) -> np.ndarray:
     height, width = (side // 2 * 2 for side in grey.shape)
     return cv2.resize(
         grey[:height, :width], (width // 2, height // 2), interpolation=cv2.INTER_AREA
     )
 
 
-def _level(picture: Light, spacing: float, kernel: GradientKernel) -> Level:
+def _level(picture: Light, spacing: float, kernel: GradientKernel) -> PyramidLevel:
     rows = max(1, (len(picture.levels) - 2) // _MOST_ROWS)
     sigma = level_noise(picture.levels, picture.quantum, (rows, 1))
     # Averaging pixels smooths by (spacing^2 - 1) / 12, as does any box.
     variance = kernel.variance_px2 * spacing**2 + (spacing**2 - 1) / 12
-    return Level(
+    return PyramidLevel(
         picture,
         kernel,
         spacing,
@@ -245,7 +245,7 @@ def _level(picture: Light, spacing: float, kernel: GradientKernel) -> Level:
 
 
 def find_runs(
-    fine: Level,
+    fine: PyramidLevel,
     tolerance_px: float,
     least_contrast: float,
     tuning: ScaleTuning = DEFAULT.scales,
@@ -275,7 +275,7 @@ def find_runs(
 
 
 def _least_strength(
-    level: Level, threshold: float, least_contrast: float, tuning: ScaleTuning
+    level: PyramidLevel, threshold: float, least_contrast: float, tuning: ScaleTuning
 ) -> float:
     """Strength below which a point is noise, or belongs to a step of too little contrast."""
     faint = least_contrast / np.sqrt(2 * np.pi * (level.kernel_variance_px2 + 1.0))
@@ -283,7 +283,7 @@ def _least_strength(
 
 
 def _runs_of_level(
-    level: Level,
+    level: PyramidLevel,
     least_strength: float,
     tolerance_px: float,
     least_points: int,
@@ -296,18 +296,18 @@ def _runs_of_level(
     `least_points` points are left out, and pixels that are `excluded`.
     """
     levels, light = level.picture.levels, level.picture.light
-    pixels = thinned_pixels(levels, level.kernel, least_strength * level.spacing_px, excluded)
-    order, starts = ordered_chains(successors(pixels, levels.shape), least_points)
+    pixels = thin_pixels(levels, level.kernel, least_strength * level.spacing_px, excluded)
+    order, starts = order_chains(successors(pixels, levels.shape), least_points)
     start, stop = split_chains(pixels.uv_px[order], starts, tolerance_px, least_points)
     index, _, first = members(start + _TRIMMED_POINTS, stop - _TRIMMED_POINTS)
     points = EdgePoints.of_level(pixels := pixels.take(order[index]), level)
     if not level.picture.is_linear:
-        in_light = profile_across(gradient_of(light, level.kernel), pixels)
-        points = points.placed_in_light(in_light / np.float32(level.spacing_px))
+        in_light = sample_profiles(correlate_gradient(light, level.kernel), pixels)
+        points = points.place_in_light(in_light / np.float32(level.spacing_px))
     return Runs(points, first)
 
 
-def _half_pixel(points: EdgePoints, half: Level) -> Int[np.ndarray, "n"]:
+def _half_pixel(points: EdgePoints, half: PyramidLevel) -> Int[np.ndarray, "n"]:
     """Index, in the half picture, of the pixel that holds each point."""
     width, height = half.picture.size_px
     column, row = (points.sample_px // 2).astype(np.int64).T

@@ -15,12 +15,12 @@ from scipy.special import ndtri
 
 from trinoc.image.light import Light
 from trinoc.image.step_edge import fit_profiles
-from trinoc.image.strip import levels_of, pixels_across
+from trinoc.image.strip import list_pixels_across, take_levels
 from trinoc.numerics.tables import take_rows
 from trinoc.segments.nevatia_babu.accept import Shifts
 from trinoc.segments.nevatia_babu.errors import ErrorModel
 from trinoc.segments.nevatia_babu.line_fit import FittedLines
-from trinoc.segments.nevatia_babu.runs import Level, Runs
+from trinoc.segments.nevatia_babu.runs import PyramidLevel, Runs
 from trinoc.segments.tuning import DEFAULT, SaturationTuning
 
 _BIN_PX = 0.25
@@ -56,7 +56,7 @@ class Profiles(NamedTuple):
 
 
 def shifts_of_saturated(
-    fine: Level,
+    fine: PyramidLevel,
     runs: Runs,
     lines: FittedLines,
     disturbed: ErrorModel,
@@ -76,9 +76,9 @@ def shifts_of_saturated(
     references = np.zeros(len(chosen), dtype=bool)
     references[longest] = True
     blur = _blur_of_clear(
-        _profiles_of(picture, noise_of_light, runs, lines, references), rise[references], tuning
+        _mean_profiles(picture, noise_of_light, runs, lines, references), rise[references], tuning
     )
-    profiles = _profiles_of(picture, noise_of_light, runs, lines, chosen)
+    profiles = _mean_profiles(picture, noise_of_light, runs, lines, chosen)
     shift[chosen], variance[chosen] = _places(profiles, picture.light_of_white, blur, tuning)
     return Shifts(shift, variance, np.square(tuning.uneven_share * shift))
 
@@ -109,7 +109,7 @@ def _blur_of_clear(
     return BlurPrior(float(middle), float(np.hypot((high - low) / 2, tuning.blur_spread)))
 
 
-def _profiles_of(
+def _mean_profiles(
     picture: Light,
     noise: Float[np.ndarray, "r"],
     runs: Runs,
@@ -123,8 +123,8 @@ def _profiles_of(
     own, lines = runs.take(chosen), take_rows(lines, chosen)
     line = own.spread(np.arange(len(lines.support)))
     at = np.rint(own.points.sample_px).astype(np.int64)
-    pixels = pixels_across(at, own.points.along_u, _REACH_PX)
-    level, inside = levels_of(picture.light, pixels)
+    pixels = list_pixels_across(at, own.points.along_u, _REACH_PX)
+    level, inside = take_levels(picture.light, pixels)
     way = lines.direction[line]
     offset_u, offset_v = np.moveaxis(pixels - lines.centre_px[line][:, None], -1, 0)
     across = offset_u * way[:, 1:] - offset_v * way[:, :1]

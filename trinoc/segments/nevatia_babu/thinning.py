@@ -88,7 +88,7 @@ def combined_kernel() -> GradientKernel:
     masks = np.einsum("mij,mc->cij", nevatia_babu_masks(), mask_gradient_directions())
     # A ramp of one grey level per pixel shall answer with one.
     masks = masks / (masks[0] * np.arange(-2, 3)).sum()
-    whole, u = _smoothed(np.pad(masks[0], 2), cv2.CV_64F), np.arange(-4, 5)
+    whole, u = _smooth_picture(np.pad(masks[0], 2), cv2.CV_64F), np.arange(-4, 5)
     # Integrating the kernel across the edge turns u into u^2 / 2 and u^3 into u^4 / 4: the
     # variance of the implied smoothing is a third of the ratio of its third to first moment.
     variance = (whole * u**3).sum() / (3 * (whole * u).sum())
@@ -99,7 +99,7 @@ def combined_kernel() -> GradientKernel:
     return GradientKernel(masks, float(variance), float(noise_gain), float(slope_gain))
 
 
-def _smoothed(grey: np.ndarray, depth: int) -> np.ndarray:
+def _smooth_picture(grey: np.ndarray, depth: int) -> np.ndarray:
     return cv2.sepFilter2D(grey, depth, _BINOMIAL, _BINOMIAL, borderType=_BORDER)
 
 
@@ -111,10 +111,10 @@ class Gradient(NamedTuple):
     squared: Float[np.ndarray, "h w"]
 
 
-def gradient_of(grey: Float[np.ndarray, "h w"], kernel: GradientKernel) -> Gradient:
+def correlate_gradient(grey: Float[np.ndarray, "h w"], kernel: GradientKernel) -> Gradient:
     """Correlate the picture with both kernels; beyond its border the picture continues level."""
     # Smoothing first and the small masks after costs half as much as one large kernel.
-    smooth = _smoothed(grey, cv2.CV_32F)
+    smooth = _smooth_picture(grey, cv2.CV_32F)
     u, v = (
         cv2.filter2D(smooth, cv2.CV_32F, mask.astype(np.float32), borderType=_BORDER)
         for mask in kernel.masks
@@ -160,7 +160,7 @@ class ThinnedPixels(NamedTuple):
         return self.gradient[:, ::-1] * np.array([-1, 1], np.float32) / self.profile[:, 1:2]
 
 
-def thinned_pixels(
+def thin_pixels(
     grey: Float[np.ndarray, "h w"],
     kernel: GradientKernel,
     least_strength: float,
@@ -178,7 +178,7 @@ def thinned_pixels(
     for top in range(BORDER_PX, height - BORDER_PX, rows):
         bottom = min(top + rows, height - BORDER_PX)
         above = max(top - 1 - _HALO_PX, 0)
-        gradient = gradient_of(grey[above : bottom + 1 + _HALO_PX], kernel)
+        gradient = correlate_gradient(grey[above : bottom + 1 + _HALO_PX], kernel)
         seen = slice(top - 1 - above, bottom + 1 - above)
         free = None if excluded is None else ~excluded[top:bottom]
         strips.append(
@@ -227,7 +227,7 @@ def _peaks(
     return ThinnedPixels(pixel + (top - 1) * width, toward_bright, along_u, profile, uv_px)
 
 
-def profile_across(gradient: Gradient, pixels: ThinnedPixels) -> Float[np.ndarray, "n 5"]:
+def sample_profiles(gradient: Gradient, pixels: ThinnedPixels) -> Float[np.ndarray, "n 5"]:
     """(n, 5) another gradient of the same picture across the same edges: along each pixel's own
     direction, at the pixel, the two before and the two after it."""
     normal = pixels.gradient / pixels.profile[:, 1:2]
