@@ -106,7 +106,7 @@ def choice_sentence(
     )
     tests = {"k4, k5, k6 of the rational lens": rational, "a correction by splines": correction}
     verdicts = [
-        f"{'' if is_called_for(test) else 'do not '}ask for {what} (chance {test.chance:.2g})"
+        f"{'' if is_significant(test) else 'do not '}ask for {what} (chance {test.chance:.2g})"
         for what, test in tests.items()
         if test is not None
     ]

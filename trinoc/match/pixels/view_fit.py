@@ -8,7 +8,7 @@ from jaxtyping import Float, Shaped
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.image.light import Light
 from trinoc.match.pixels.images import LineImages
-from trinoc.match.pixels.strip_fit import StripFit
+from trinoc.match.pixels.strip_fit import StripFit, fit_strips
 from trinoc.match.pixels.strips import Strips, assign_pixels, sample_strips
 from trinoc.match.pixels.tuning import PixelTuning
 from trinoc.numerics.tails import MAD_TO_SIGMA

@@ -264,7 +264,7 @@ def lines_in_space(
         return _triangulate_tracks(seen.lines.matrix_px, own, fragments, covariance, members)
 
     frames = () if frame is None else (frame,)
-    found = in_blocks(triangulated, block, *shown, index >= 0, *frames)
+    found = in_blocks(triangulate, block, *shown, index >= 0, *frames)
     misfit = np.where((index >= 0).sum(axis=1) > 2, found.chi_square, 0.0)
     return np.asarray(found.ends_mm), np.asarray(found.covariance_mm2), misfit
 
