@@ -44,8 +44,8 @@ class CrossValidation(NamedTuple):
     def sentence(self) -> str:
         """The errors in words."""
         sentence = (
-            f"shots held out are missed by {_list_errors(self.own_px)}, the board placed by the camera "
-            "itself"
+            f"shots held out are missed by {_list_errors(self.own_px)}, the board placed by the "
+            "camera itself"
         )
         if self.across_px:
             sentence += f", and by {_list_errors(self.across_px)}, placed by another camera"
