@@ -21,13 +21,29 @@ _SHARED = {field.name for field in dataclasses.fields(Command)}
 
 def with_options(page: str) -> str:
     """The page with the options of every command as its class declares them."""
-    for command in COMMANDS:
-        head = re.escape(f"### `trinoc {command.command_name()}`\n")
-        whole = "".join(f"- {option}: {words}\n" for option, words in _options(command))
-        section = rf"({head}(?:(?!### |- `).*\n)*?)(?:- `.*\n)+"
+    by_name = {command.command_name(): command for command in COMMANDS}
+    first: dict[tuple[str, str], str] = {}
+    for name in re.findall(r"^### `trinoc ([\w-]+)`", page, re.M):
+        options = _options(by_name[name])
+        whole = "".join(f"- {words}\n" for words in _listed(name, options, first))
+        section = rf"(### `trinoc {name}`\n(?:(?!### |- `).*\n)*?)(?:- `.*\n)+"
         page, found = re.subn(section, lambda match, own=whole: match[1] + own, page)
-        assert found == 1, f"{PAGE.name} has no list of options of {command.command_name()}"
+        assert found == 1, f"{PAGE.name} has no list of options of {name}"
     return page
+
+
+def _listed(
+    command: str, options: list[tuple[str, str]], first: dict[tuple[str, str], str]
+) -> list[str]:
+    """A line for each option; those that an earlier command has alike share one, at the end."""
+    lines, shared = [], {}
+    for option, words in options:
+        owner = first.setdefault((option, words), command)
+        if owner == command:
+            lines.append(f"{option}: {words}")
+        else:
+            shared.setdefault(owner, []).append(option)
+    return lines + [f"{', '.join(own)}: as of `trinoc {owner}`" for owner, own in shared.items()]
 
 
 def _options(options: type) -> list[tuple[str, str]]:
