@@ -1,7 +1,7 @@
 """Every command and every snippet of README and docs runs, as it stands, in an empty folder.
 
 The blocks of a page run in their order, commands in this process and snippets in one namespace.
-What a page takes from its reader comes from the page itself, or from `GIVEN`.
+What a page takes from its reader comes from the page itself, from the demo, or from `GIVEN`.
 """
 
 import glob
@@ -9,9 +9,11 @@ import importlib.util
 import os
 import re
 import shlex
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -23,7 +25,8 @@ from tests.io.made_cylinders import made_cylinders
 from tests.io.made_rims import made_rims
 from tests.io.made_wireframe import made_wireframe
 from trinoc.calib.targets.abstract_target import AbstractTarget
-from trinoc.calib.targets.squares import AbstractSquareBoard, square_sheet
+from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.targets.squares import square_sheet
 from trinoc.cli.main import main
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.pose import Pose
@@ -58,6 +61,8 @@ NOT_RUN = {
 # Commands that take most of a minute here, which the slow test alone runs, on their page.
 SLOW = {
     "trinoc check scene_upper.png scene_left.png scene_right.png --rig rig.json": "start.md",
+    "trinoc calibrate-rig left=walls/left/ right=walls/right/ --board front.json "
+    "--board back.json -o walls.json": "rigs.md",
 }
 
 LENS = trinoc.Intrinsics(
@@ -66,7 +71,7 @@ LENS = trinoc.Intrinsics(
 
 
 # Ink of boards of squares is painted over a sheet that has none.
-BARE = SimpleNamespace(
+BARE: Any = SimpleNamespace(
     centres_mm=np.zeros((0, 2)), radius_mm=np.zeros(0), inner_radius_mm=np.zeros(0),
     line_width_mm=0.0, line_half_length_mm=(0.0, 0.0), line_style="stop", line_gap_mm=0.0,
 )  # fmt: skip
@@ -74,11 +79,11 @@ INK = 25.0
 
 
 def save_picture(path: str, board: AbstractTarget, cam_from_board: np.ndarray) -> None:
-    drawn, covers = board, ()
-    if isinstance(board, AbstractSquareBoard):
+    camera, covers = Camera(LENS, Pose(cam_from_board)), ()
+    drawn = board if isinstance(board, Pattern) else BARE
+    if drawn is BARE:
         sheet = square_sheet(board)
-        drawn, covers = BARE, (Paint(Cells(sheet.x_mm, sheet.y_mm, sheet.ink), INK),)
-    camera = Camera(LENS, Pose(cam_from_board))
+        covers = (Paint(Cells(sheet.x_mm, sheet.y_mm, sheet.ink), INK),)
     picture = render_sheet(drawn, camera, ink=INK, covers=covers, supersampling=2)
     Path(path).parent.mkdir(exist_ok=True, parents=True)
     cv2.imwrite(path, picture)
@@ -108,12 +113,11 @@ def give_frames() -> None:
 
 def give_shape() -> None:
     """The known shape of the demo's scene, as a table and as a model."""
-    Path("inputs").mkdir()
     edges = demo_truth().edges_mm
-    np.savetxt("inputs/edges.csv", edges.reshape(-1, 6), delimiter=",")
+    np.savetxt("edges.csv", edges.reshape(-1, 6), delimiter=",")
     corners = [f"v {x} {y} {z}" for x, y, z in edges.reshape(-1, 3)]
     lines = [f"l {2 * k + 1} {2 * k + 2}" for k in range(len(edges))]
-    Path("inputs/part.obj").write_text("\n".join([*corners, *lines]) + "\n")
+    Path("part.obj").write_text("\n".join([*corners, *lines]) + "\n")
 
 
 def give_shots() -> None:
@@ -186,8 +190,22 @@ def run_command(words: list[str]) -> None:
     assert main([word for own in paths for word in own]) == 0, words
 
 
-def run_page(name: str, left_out: set[str]) -> None:
+# Pages that begin in the folder of pictures which `trinoc demo --keep-inputs` leaves.
+BESIDE_THE_DEMO = {"evaluate.md", "how-to.md", "matching.md", "refine.md", "segments.md"}
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("demo")
+    assert main(["demo", "--keep-inputs", "--quiet", "--out", str(folder)]) == 0
+    return folder
+
+
+def run_page(name: str, left_out: set[str], demo: Path) -> None:
     """All that a page says, but for the commands that are left out."""
+    if name in BESIDE_THE_DEMO:
+        shutil.copytree(demo, "trinoc-demo")
+        os.chdir("trinoc-demo/inputs")
     if name in GIVEN:
         GIVEN[name]()
     namespace: dict[str, object] = {}
@@ -207,14 +225,14 @@ def empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("name", [name for name, page in PAGES.items() if blocks(page)])
-def test_what_a_page_says_runs(name: str) -> None:
-    run_page(name, {*NOT_RUN, *SLOW})
+def test_what_a_page_says_runs(name: str, demo: Path) -> None:
+    run_page(name, {*NOT_RUN, *SLOW}, demo)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(set(SLOW.values())))
-def test_its_slow_commands_run_too(name: str) -> None:
-    run_page(name, set(NOT_RUN))
+def test_its_slow_commands_run_too(name: str, demo: Path) -> None:
+    run_page(name, set(NOT_RUN), demo)
 
 
 def test_what_does_not_run_stands_on_a_page() -> None:
