@@ -4,17 +4,21 @@
 
 Each place of `mutations.toml` is broken in a copy of the checkout, one at a time, and the tests
 nearest to it are run, which pass first as the checkout stands. A mutation that they pass has
-survived: a law is missing. Prints a row for each, the survivors last; exits 1 where there are any.
+survived: a law is missing. Prints a row for each, with seconds and the file of tests that noticed
+(name it first among the place's tests: they stop there), the survivors last; exits 1 where there
+are any. Bytecode and programs that a mutation leaves as they are are made once.
 A place that is no longer in its file, or is there more than once, is reported as lost; one whose
 tests took more than LIMIT_S, as late.
 """
 
 import argparse
 import os
+import re
 import shutil
 import subprocess
 import sys
 import tempfile
+import time
 import tomllib
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -50,31 +54,58 @@ def places() -> list[Mutation]:
     return [Mutation(**each) for each in listed]
 
 
-def run_tests(copy: Path, tests: Sequence[str], limit_s: float | None = LIMIT_S) -> int | None:
-    """The exit status of pytest in a copy of the checkout; None where it took too long."""
+class Outcome(NamedTuple):
+    """How the tests of a place ended.
+
+    Fields
+    ------
+    status : of pytest, None where it took too long. noticed : the file whose test failed, or "".
+    """
+
+    status: int | None
+    noticed: str
+
+
+def run_tests(copy: Path, tests: Sequence[str], limit_s: float | None = LIMIT_S) -> Outcome:
+    """Pytest in a copy of the checkout, which stops at the first failure."""
     command = [sys.executable, "-m", "pytest", "-x", "-q", "-n0", "-p", "no:cacheprovider"]
     command += ["-m", "not slow", *(f"tests/{each}" for each in tests)]
-    environment = {**os.environ, "PYTHONPATH": str(copy), "OMP_NUM_THREADS": "1"}
+    environment = {
+        **os.environ,
+        "PYTHONPATH": str(copy),
+        "OMP_NUM_THREADS": "1",
+        "JAX_COMPILATION_CACHE_DIR": str(copy.parent / "compiled"),
+        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+        "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
+        "PYTHONPYCACHEPREFIX": str(copy.parent / "bytecode"),
+    }
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)
     try:
-        return subprocess.run(
+        ended = subprocess.run(
             command, cwd=copy, env=environment, capture_output=True, check=False, timeout=limit_s
-        ).returncode
+        )
     except subprocess.TimeoutExpired:
-        return None
+        return Outcome(None, "")
+    failed = re.search(r"^(?:FAILED|ERROR) tests/([^\s:]+)", ended.stdout.decode(), re.MULTILINE)
+    return Outcome(ended.returncode, failed[1] if failed else "")
 
 
-def outcome(mutation: Mutation, copies: list[Path]) -> str:
-    """ "caught", "survived", "late" or "lost", in one of the copies, which is left as it was."""
+def outcome(mutation: Mutation, copies: list[Path]) -> tuple[str, str]:
+    """ "caught", "survived", "late" or "lost" and who noticed, in one of the copies, which is left
+    as it was."""
     copy = copies.pop()
     path = copy / "trinoc" / mutation.file
     source = path.read_text()
     try:
         if source.count(mutation.before) != 1:
-            return "lost"
+            return "lost", ""
         path.write_text(source.replace(mutation.before, mutation.after))
-        status = run_tests(copy, mutation.tests)
+        start = time.perf_counter()
+        status, noticed = run_tests(copy, mutation.tests)
+        noticed = f"{time.perf_counter() - start:.0f} s {noticed}"
         # 1 : tests failed; 2 : the file does not even import.
-        return "late" if status is None else "caught" if status in (1, 2) else "survived"
+        end = "late" if status is None else "caught" if status in (1, 2) else "survived"
+        return end, noticed
     finally:
         path.write_text(source)
         copies.append(copy)
@@ -97,12 +128,15 @@ def main() -> int:
             for name in COPIED:
                 source = CHECKOUT / name
                 (shutil.copytree if source.is_dir() else shutil.copy)(source, copy / name)
-        if run_tests(copies[0], sorted({test for each in chosen for test in each.tests}), None):
+        if run_tests(
+            copies[0], sorted({test for each in chosen for test in each.tests}), None
+        ).status:
             print("The tests fail without any mutation: mend them first.")
             return 1
         ends = []
-        for each, end in zip(chosen, pool.map(lambda m: outcome(m, copies), chosen), strict=True):
-            print(f"{end:9} {each.file:42} {each.what}", flush=True)
+        outcomes = pool.map(lambda m: outcome(m, copies), chosen)
+        for each, (end, noticed) in zip(chosen, outcomes, strict=True):
+            print(f"{end:9} {each.file:42} {each.what}: {noticed}", flush=True)
             ends.append(end)
     wrong = [each for each, end in zip(chosen, ends, strict=True) if end != "caught"]
     print(f"\n{len(chosen)} places, {len(wrong)} not caught")

@@ -1,5 +1,7 @@
 """Laws of the circle fit: derivatives, recovery of the truth, symmetries, coverage."""
 
+import dataclasses
+
 import jax
 import numpy as np
 import pytest
@@ -15,6 +17,7 @@ from tests.calib.simulated import (
     simulated_detection,
 )
 from trinoc.calib import Detection, Status, calibrate_detections
+from trinoc.calib.adjustment.each_camera import PoseEstimate, fit_camera
 from trinoc.calib.problem.problem import Problem
 from trinoc.calib.problem.robust_fit import errors_px
 from trinoc.calib.problem.sheet_problem import SheetCamera, sheet_problem
@@ -156,3 +159,22 @@ def test_a_camera_that_looks_straight_down_is_calibrated() -> None:
     )
     assert "pan_deg and swing_deg" in " ".join(result.fits["a"].notes)
     assert np.isfinite(result.sigma("a.tilt_deg"))
+
+
+def test_what_places_are_said_to_err_by_matters_not_where_they_err_by_more() -> None:
+    """The covariance of one camera is that of the errors which its circles show."""
+    shown = simulated_detection(camera_of(TABLE_1["left"]), SHEET, seed=6, sigma_px=0.1)
+
+    def fit(share: float) -> PoseEstimate:
+        stated = share**2 * shown.covariance_px2
+        detection = dataclasses.replace(shown, covariance_px2=stated)
+        return fit_camera(detection, SHEET, LENS, PoseModel.AIMED)
+
+    whole, half, tenth = fit(1.0), fit(0.5), fit(0.1)
+    assert half.used.all()
+    assert tenth.used.all()
+    np.testing.assert_allclose(half.covariance, tenth.covariance, rtol=1e-4)
+    # Chi-square over its degrees of freedom, in numbers of 0.1 px.
+    scatter = tenth.reduced_chi_square * 0.1**2
+    assert 0.6 < scatter < 1.5
+    np.testing.assert_allclose(tenth.covariance, scatter * whole.covariance, rtol=1e-3)

@@ -1,5 +1,7 @@
 """The lens's own covariance reaches the pose as a moved lens moves the fit."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -61,6 +63,44 @@ def test_a_sheet_that_is_larger_is_seen_from_farther_by_all_alike(exact) -> None
     by_size = np.kron(distances, [0.0, 0.0, 0.0, 1.0])
     np.testing.assert_allclose(
         wide.covariance - exact.covariance, np.outer(by_size, by_size), atol=1e-6
+    )
+
+
+def bent_sheet(term: int, size: float) -> np.ndarray:
+    """(n, 3) where the circles lie that is stretched along X or Y, or risen along X, Y or both."""
+    x, y = SHEET.centres_mm.T
+    reach = np.hypot(x, y).max()
+    along = [1 + size * (term == k) for k in (0, 1)]
+    heights = [0, 0, (x / reach) ** 2, (y / reach) ** 2, x * y / reach**2]
+    return np.stack([along[0] * x, along[1] * y, size * heights[term] + 0 * x], axis=1)
+
+
+def test_scale_and_bend_of_the_sheet_reach_the_poses_as_fits_to_such_a_sheet(exact) -> None:
+    sigmas = np.array([1e-3, 3e-4, 0.1, 0.1, 0.1])
+    known = Systematics(print_scale_sigma=(1e-3, 3e-4), flatness_mm=0.1)
+
+    def images(name: str, places_mm: np.ndarray) -> np.ndarray:
+        image = places_mm @ (matrix := exact.rig[name].matrix_px)[:, :3].T + matrix[:, 3]
+        return image[:, :2] / image[:, 2:]
+
+    def fit(term: int, size: float) -> np.ndarray:
+        shown = {}
+        for name, own in exact.fits.items():
+            moved_px = images(name, bent_sheet(term, size)) - images(name, bent_sheet(term, 0.0))
+            found = own.detection
+            shown[name] = dataclasses.replace(found, centres_px=found.centres_px + moved_px)
+        return calibrate_detections(shown, SHEET, LENS, systematics=EXACT).values
+
+    # Small enough that no fit takes its circles for wrong.
+    columns = [
+        sigma * (fit(term, 0.02 * sigma) - fit(term, -0.02 * sigma)) / (0.04 * sigma)
+        for term, sigma in enumerate(sigmas)
+    ]
+    expected = sum(np.outer(column, column) for column in columns)
+    scale = np.sqrt(np.diag(expected))
+    added = with_systematics(exact, known).covariance - exact.covariance
+    np.testing.assert_allclose(
+        added / np.outer(scale, scale), expected / np.outer(scale, scale), atol=0.01
     )
 
 

@@ -15,8 +15,13 @@ from tests.match.made import pictures
 from tests.match.scene import MadeScene, seen_by
 from trinoc.geometry import line_through
 from trinoc.geometry.lines import signed_distance
-from trinoc.match.evidence.triple_position import TripleEvidence, triple_evidence
+from trinoc.match.evidence.triple_position import (
+    TripleEvidence,
+    line_of_three,
+    triple_evidence,
+)
 from trinoc.match.observations.clutter import ClutterModel
+from trinoc.match.tuning.candidates import CandidateTuning
 from trinoc.match.two_view.planes import segment_planes
 from trinoc.numerics.vectors import vector3
 
@@ -167,3 +172,21 @@ def test_misfit_of_true_triples_is_chi_square(exact: MadeScene, clutter: Clutter
     rank = chi2.cdf(np.concatenate(found), 2)
     assert abs(rank.mean() - 0.5) < 4 / np.sqrt(12 * len(rank))
     assert abs((rank > 0.9).mean() - 0.1) < 4 * np.sqrt(0.09 / len(rank))
+
+
+def test_three_can_be_one_line_where_their_misfit_is_within_the_gate(
+    exact: MadeScene, clutter: ClutterModel
+) -> None:
+    """The same line and the same answer as of all their evidence, which takes longer."""
+    pictures_px = pictures(exact.rig, exact.lines_mm, sigma_px=0.3, seed=3)
+    scene = seen_by(exact.rig, exact.lines_mm, pictures_px, 0.3)
+    evidence = evidence_on(scene.seen.lines, ORDER, scene.true, scene.lines_mm, clutter)
+    points = vector3(scene.lines_mm[:, 0]), vector3(scene.lines_mm[:, 1])
+    sight = segment_planes(scene.seen.lines, clutter, ORDER, scene.true.T)
+    gate = float(np.median(evidence.chi_square))
+    strict = CandidateTuning(gate=gate)
+    ends, possible = jax.jit(lambda sight, near: line_of_three(sight, near, strict))(sight, points)
+    np.testing.assert_array_equal(possible, np.asarray(evidence.chi_square) < gate)
+    np.testing.assert_allclose(ends_of(ends), ends_of(evidence.ends_mm), atol=1e-6)
+    whole = jax.jit(lambda sight, near: triple_evidence(sight, near, strict).possible)
+    np.testing.assert_array_equal(whole(sight, points), possible)

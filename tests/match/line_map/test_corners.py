@@ -3,14 +3,25 @@
 import dataclasses
 
 import numpy as np
-from scipy.stats import chi2
+import pytest
+from scipy.special import logit
+from scipy.stats import chi2, norm
 
 from tests.match.made import loose_lines
 from trinoc.match import (
     Corners,
     snap_corners,
 )
-from trinoc.match.line_map.corners import Ends, _bring, _constrain
+from trinoc.match.line_map.corners import (
+    Ends,
+    _bring,
+    _constrain,
+    corner_candidates,
+    ends_of,
+)
+from trinoc.match.line_map.lines import JoinedLines
+from trinoc.match.tuning.every_group import MatchTuning
+from trinoc.numerics.tables import with_field
 from trinoc.numerics.vectors import complete_axes
 
 from .made_tracks import (
@@ -95,6 +106,36 @@ def test_snapping_what_is_snapped_moves_nothing(rig) -> None:
         np.testing.assert_allclose(
             again.points_mm[table[int(line), int(end)]], corners.points_mm[corner], atol=1e-7
         )
+
+
+def test_odds_of_ends_fall_as_the_density_of_how_near_their_lines_pass() -> None:
+    """Two lines cross at a right angle; only their distance and their covariances change."""
+    tuning = with_field(
+        with_field(MatchTuning(), "corners.rounds", 0), "corners.min_posterior", 1e-9
+    )
+    root = np.random.default_rng(3).normal(size=(2, 6, 6))
+    own = 0.02 * root @ root.mT
+
+    def odds(apart_mm: float, scale: float) -> float:
+        lines = np.array([[[0.0, 0, 0], [25, 0, 0]], [[0, 0, 0], [0, 25, 0]]])
+        lines[1, :, 2] = apart_mm
+        one = np.arange(2)
+        joined = JoinedLines(
+            lines, scale * own, np.zeros(2), 0 * one, one, np.zeros((2, 2)), 3 + 0.0 * one,
+            np.ones(2),
+        )  # fmt: skip
+        ends = ends_of(joined)
+        pairs, likely = corner_candidates(ends, joined, tuning)
+        met = np.flatnonzero((pairs == [0, 2]).all(axis=1))
+        return float(logit(np.exp(likely[met[0]])))
+
+    # Across both, each line is known at its first end as the third number of its covariance.
+    variance = own[:, 2, 2].sum()
+    for scale in (1.0, 4.0):
+        sigma = np.sqrt(scale * variance)
+        for apart_mm in (0.1, 0.4):
+            expected = norm.logpdf(apart_mm, scale=sigma) - norm.logpdf(0, scale=np.sqrt(variance))
+            assert odds(apart_mm, scale) - odds(0.0, 1.0) == pytest.approx(expected, abs=1e-6)
 
 
 def test_ends_that_pass_each_other_do_not_meet(rig) -> None:

@@ -37,8 +37,10 @@ def light_of(
     low: float = 70.0,
     high: float = 130.0,
     lens: Intrinsics | None = None,
+    beside_px: float | np.ndarray = 0.0,
 ):
-    """The light without noise; `blur_px` may be one number per line."""
+    """The light without noise; `blur_px` may be one number per line, and `beside_px`, by which
+    each lies beside its place."""
     width, height = RIG[view].image_size_px
     v, u = np.mgrid[:height, :width].astype(float)
     if lens is not None:
@@ -52,6 +54,7 @@ def light_of(
     # Always toward the right of the picture, so that a line has one darker side in all views.
     normal *= np.where(normal[:, :1] < 0, -1, 1)
     off = (u - middle[owner, 0]) * normal[owner, 0] + (v - middle[owner, 1]) * normal[owner, 1]
+    off -= np.broadcast_to(beside_px, len(lines))[owner]
     width_px = np.broadcast_to(blur_px, len(lines))[owner]
     return low + (high - low) * ndtr(off / width_px)
 

@@ -90,6 +90,13 @@ def test_noise_passes_as_seldom_as_claimed(kind):
         assert passed <= rate * 2048 + 3 * np.sqrt(rate * 2048)
 
 
+def test_what_noise_shows_in_one_probe_of_ten_is_no_evidence():
+    """Whatever the number of tests that a probe makes, more for long ones."""
+    for length in (20, 90):
+        found = answers(seen(noise_picture("white")), probes(1024, length, 9))
+        assert (found.tests > 0).sum() <= 0.1 * 1024 + 3 * np.sqrt(0.1 * 1024)
+
+
 def test_one_test_alone_has_the_rate_of_a_normal_variable():
     from trinoc.match.pixels.probes import WINDOW_SIZE, WINDOWS, sample_probes, window_scores
     from trinoc.match.pixels.views import block_noise

@@ -22,6 +22,9 @@ from trinoc.geometry.rig import Rig
 from trinoc.image.response import PowerResponse
 from trinoc.io.saving import load_matches, save
 from trinoc.match import measure_lines
+from trinoc.match.pixels.tuning import PixelTuning
+from trinoc.match.tracks.unequal_errors import degrees_of_misfit, learned_tail, variance_factor
+from trinoc.match.tuning.selection import NoiseTuning
 from trinoc.numerics.vectors import complete_axes
 
 
@@ -101,6 +104,29 @@ def test_a_view_that_shows_no_clean_step_keeps_its_segment():
     assert words_of(found)[5, left] == "no clean step"
     np.testing.assert_array_equal(found.fragments_px[5, left], matches.fragments_px[5, left])
     assert chi_square(found, lines)[5] < chi2.ppf(0.999, 4)
+
+
+def test_a_line_whose_views_disagree_is_known_the_worse_for_it():
+    """By the factor that such a misfit makes likely among lines that err as these do."""
+    lines, pictures, segments, matches = setting(1)
+    place, factor = np.zeros(len(lines)), []
+    for beside_px in (0.0, 0.12):
+        place[7] = beside_px
+        light = light_of("left", lines, beside_px=place)
+        shown = {**pictures, "left": noisy(light, np.random.default_rng(20))}
+        found = measure_lines(matches, segments, RIG, shown)
+        assert (words_of(found)[7] == "pixels").all()
+        degrees = degrees_of_misfit(found.index)
+        rules = NoiseTuning(tail_of_pictures=PixelTuning().tail)
+        sure = matches.posterior > PixelTuning().sure
+        known = found.misfit[sure], degrees[sure]
+        tail = learned_tail(*known, of_pictures=True, tuning=rules)
+        factor.append((variance_factor(found.misfit, degrees, tail), across(found, lines)[1]))
+    (before, narrow), (after, wide) = factor
+    assert after[7] > 1.5 * before[7]
+    trace = [np.trace(each, axis1=1, axis2=2) for each in (narrow, wide)]
+    # The grey levels of a view say as much of a place as of another near it.
+    np.testing.assert_allclose(trace[1] / trace[0], after / before, rtol=0.1)
 
 
 def test_a_place_beside_another_segment_is_not_asked():
