@@ -3,11 +3,11 @@
 import atexit
 import contextlib
 import ctypes
+import gc
 import os
 import random
 import shutil
 import tempfile
-from collections.abc import Iterator
 from pathlib import Path
 
 # Threads of several test workers fight over the cores: one each, set before NumPy and OpenCV load.
@@ -41,15 +41,14 @@ import jax  # noqa: E402
 import jaxtyping  # noqa: E402
 import pytest  # noqa: E402
 
+from tests.first_calls import begin_file  # noqa: E402
+
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
-# Before the first import of trinoc: its annotated shapes and dtypes are checked on every call.
-# The numeric tower lets 16 stand where a float is annotated, as every type checker does.
-jaxtyping.install_import_hook(
-    "trinoc", "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))"
-)
+# Before the first import of trinoc: its annotated shapes and dtypes are checked.
+jaxtyping.install_import_hook("trinoc", "tests.first_calls.check_first_calls")
 
 # Compilation makes the first example slow, so a deadline would only measure the compiler. Where
 # nobody waits to mend it, a failing example is told as it was drawn: shrinking takes minutes.
@@ -66,10 +65,11 @@ hypothesis.settings.register_profile(
 )
 hypothesis.settings.load_profile("trinoc")
 
-# More would wait for the longest tests, and each takes some 2 GB.
+# More would wait for the longest tests, and each takes more than 1 GB.
 MOST_WORKERS = 8
-# Bytes, of which programs take most. Beyond, they are forgotten between folders of tests.
-MOST_MEMORY = 2_000_000_000
+# Bytes, of which programs take most, hundreds of small ones as much as a large one. Beyond, they
+# are forgotten between files of tests.
+MOST_MEMORY = 1_300_000_000
 
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int | None:
@@ -81,15 +81,6 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int | None:
     return min(os.cpu_count() or 1, MOST_WORKERS)
 
 
-@pytest.fixture(scope="module")
-def optimised() -> Iterator[None]:
-    """XLA's costly passes, for a file whose kernels run longer than they compile."""
-    before = jax.config.read("jax_disable_most_optimizations")
-    jax.config.update("jax_disable_most_optimizations", False)
-    yield
-    jax.config.update("jax_disable_most_optimizations", before)
-
-
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item: pytest.Item) -> None:
     """Seed the generator with which beartype picks the member of a container that it checks."""
@@ -98,18 +89,19 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 
 @pytest.hookimpl(trylast=True)
 def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> None:
-    """Tests of one folder share programs, those of another fewer."""
-    is_last = nextitem is None or nextitem.path.parent != item.path.parent
+    """Tests of one file share programs, those of another fewer."""
+    is_last = nextitem is None or nextitem.path != item.path
+    if is_last:
+        begin_file()
     if is_last and memory_in_use() > MOST_MEMORY:
         forget_what_was_compiled()
 
 
-@pytest.fixture(scope="module")
-def large_programs() -> Iterator[None]:
-    """For a file whose programs take so much memory that others should not stand beside them."""
-    forget_what_was_compiled()
-    yield
-    forget_what_was_compiled()
+def pytest_collection_finish() -> None:
+    """What importing left is given back, and what it made is not looked through again."""
+    gc.collect()
+    gc.freeze()
+    return_free_memory()
 
 
 def memory_in_use() -> float:
@@ -123,5 +115,10 @@ def memory_in_use() -> float:
 def forget_what_was_compiled() -> None:
     """Give the memory of all programs back; the shared folder still has them."""
     jax.clear_caches()
+    return_free_memory()
+
+
+def return_free_memory() -> None:
+    """To the system."""
     with contextlib.suppress(AttributeError, OSError, TypeError):  # of the GNU C library alone
         ctypes.CDLL(None).malloc_trim(0)

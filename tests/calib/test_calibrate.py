@@ -13,7 +13,6 @@ from trinoc.errors import CalibrationError, InputError
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.synth.camera_picture.render import render_sheet
 
-pytestmark = pytest.mark.usefixtures("large_programs")
 SHEET = Pattern.default()
 
 
@@ -33,6 +32,7 @@ def errors_in_sigmas(result: CalibrationResult) -> np.ndarray:
     return (result.values - truth) / np.sqrt(np.diag(result.covariance))
 
 
+@pytest.mark.slow
 def test_the_paper_s_rig_is_recovered() -> None:
     by_image = calibrate(pictures(), SHEET, LENS, systematics=EXACT)
     by_circles = calibrate(pictures(), SHEET, LENS, method="circles", systematics=EXACT)

@@ -57,12 +57,16 @@ def test_every_property_traces_and_agrees_with_numpy(name):
     def value(numbers):
         return jnp.asarray(PROPERTIES[name](camera_of(numbers)))
 
+    @jax.jit
+    def traced(numbers, more):
+        slopes = jax.jacfwd(value)(numbers), jax.jacrev(value)(numbers)
+        return value(numbers), jax.vmap(value)(more), slopes
+
     plain = value(START)
-    np.testing.assert_allclose(jax.jit(value)(START), plain, rtol=1e-10, atol=1e-10)
-    both = jax.jit(jax.vmap(value))(np.stack([START, START + 0.1]))
+    one, both, (forward, reverse) = traced(START, np.stack([START, START + 0.1]))
+    np.testing.assert_allclose(one, plain, rtol=1e-10, atol=1e-10)
     np.testing.assert_allclose(both[0], plain, rtol=1e-10, atol=1e-10)
     np.testing.assert_allclose(both[1], value(START + 0.1), rtol=1e-10, atol=1e-10)
-    forward, reverse = jax.jit(jax.jacfwd(value))(START), jax.jit(jax.jacrev(value))(START)
     np.testing.assert_allclose(forward, reverse, rtol=1e-8, atol=1e-8)
     for k in range(len(START)):
         step = 1e-5 * np.eye(len(START))[k]

@@ -9,7 +9,7 @@ import pytest
 from trinoc.numerics.block_arrow import BlockArrow, BlockArrowSolver, eliminate
 
 ROWS = 20
-SHAPES = [(0, 1, 9, 6), (1, 2, 9, 6), (2, 5, 9, 6), (3, 40, 18, 4)]
+SHAPES = [(0, 1, 9, 6), (3, 40, 18, 4)]
 
 
 def dense_jacobian(by_head: np.ndarray, by_block: np.ndarray) -> np.ndarray:

@@ -4,7 +4,7 @@ from hypothesis import given, strategies as st
 from trinoc.numerics.small_matrices import inverse_positive_definite, solve_positive_definite
 
 
-@given(st.integers(1, 6), st.integers(0, 2**32 - 1))
+@given(st.sampled_from([1, 3, 6]), st.integers(0, 2**32 - 1))
 def test_agrees_with_lapack(size, seed):
     random = np.random.default_rng(seed)
     root = random.standard_normal((size, size + 2))

@@ -20,7 +20,7 @@ from trinoc.report.epipolar_part import EpipolarPart, epipolar_part
 from trinoc.report.html import render_report
 from trinoc.report.pictures import page_picture
 
-from .browser import chromium
+from .browser import chromium, skip_without_chromium
 from .conftest import made_up_matches, made_up_rig
 
 PLACE = (420.0, 430.0, 260.0, 236.0)
@@ -84,6 +84,7 @@ def test_every_curve_runs_through_its_point(lens: AbstractLens) -> None:
 
 
 def test_a_click_draws_the_line_of_its_point_through_any_lens(tmp_path) -> None:
+    skip_without_chromium()
     rig = rig_with(LENSES["fisheye"])
     _, matches = made_up_matches(rig)
     page = tmp_path / "page.html"

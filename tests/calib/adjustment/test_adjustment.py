@@ -1,6 +1,7 @@
 """Cameras over one sheet adjusted together: derivatives, coverage, symmetries."""
 
 import equinox as eqx
+import jax
 import numpy as np
 import pytest
 from scipy.linalg import eigh
@@ -46,9 +47,9 @@ def pose_covariance(found: Adjustment, view: int) -> np.ndarray:
     ],
 )
 def test_errors_are_as_large_as_the_joint_covariance_says(lens_factor) -> None:
-    """Sheet, print, aims, lenses and noise drawn 60 times: all 18 numbers together."""
+    """Sheet, print, aims, lenses and noise drawn 24 times: all 18 numbers together."""
     squared = []
-    for seed in range(60):
+    for seed in range(24):
         made = made_views(seed, lens_factor=lens_factor)
         found = adjusted(made.cameras)
         assert found.converged
@@ -57,7 +58,7 @@ def test_errors_are_as_large_as_the_joint_covariance_says(lens_factor) -> None:
         covariance = found.covariance[np.ix_(rows, rows)]
         squared.append(error @ np.linalg.solve(covariance, error))
     total = float(np.sum(squared))
-    assert chi2.ppf(1e-4, 18 * 60) < total < chi2.ppf(1 - 1e-4, 18 * 60)
+    assert chi2.ppf(1e-4, 18 * 24) < total < chi2.ppf(1 - 1e-4, 18 * 24)
 
 
 @pytest.mark.parametrize("sigma_px", [1e-2, 1e-6], ids=["circles", "far finer than the priors"])
@@ -105,6 +106,7 @@ def test_derivatives_are_those_of_differences() -> None:
     # Steps of camera 1, its lens and the sheet.
     _, size = chart.lens_shape
     pose, sheet = chart.camera_rows(1), len(chart.free) - chart.sheet_first
+    move = jax.jit(retract)
     columns = [*range(size, size + 5), *range(pose.start, pose.stop)]
     columns += range(chart.sheet_first, chart.sheet_first + sheet)
     for column in columns:
@@ -112,7 +114,7 @@ def test_derivatives_are_those_of_differences() -> None:
         step /= max(np.abs(jacobian[1][:, column]).max(), 1.0)
         ends = [
             whiten_views(
-                problem._replace(state=as_numpy(retract(problem.state, free, sign * step, boards)))
+                problem._replace(state=as_numpy(move(problem.state, free, sign * step, boards)))
             ).residual[1]
             for sign in (1, -1)
         ]

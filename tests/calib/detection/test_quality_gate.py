@@ -190,7 +190,7 @@ def test_measured_bars_rescale_the_sheet() -> None:
 
 
 def test_points_scatter_as_the_rig_says() -> None:
-    trials, point = 60, np.array([20.0, -10.0, 15.0])
+    trials, point = 25, np.array([20.0, -10.0, 15.0])
     covariance = point_covariance(rig_of().rig, point)
     truth = {name: camera_of(values) for name, values in TABLE_1.items()}
     seen = np.stack([np.asarray(jax.jit(project)(camera, point)) for camera in truth.values()])
@@ -203,7 +203,7 @@ def test_points_scatter_as_the_rig_says() -> None:
         vector = np.linalg.svd(np.stack(rows))[2][-1]
         places.append(vector[:3] / vector[3])
     ratio = np.std(places, axis=0) / np.sqrt(np.diag(covariance))
-    np.testing.assert_allclose(ratio, 1.0, atol=0.35)
+    np.testing.assert_allclose(ratio, 1.0, atol=0.45)
 
 
 def test_epipolar_lines_are_known_to_a_fraction_of_a_pixel() -> None:

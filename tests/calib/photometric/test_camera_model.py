@@ -25,8 +25,6 @@ from trinoc.calib.photometric.noise import (
 from trinoc.calib.photometric.sheet_places import SheetPoint, project_to_image
 from trinoc.errors import InputError
 
-pytestmark = pytest.mark.usefixtures("large_programs")
-
 
 def test_grey_levels_of_paper_and_ink_do_not_follow_the_response() -> None:
     """Light and ratio are told in grey levels: the response shapes what lies between."""

@@ -14,8 +14,6 @@ from trinoc.calib.result.degrees import pose_of_values
 from trinoc.geometry.pose import PoseModel
 from trinoc.synth.camera_picture.delivery import SRGB
 
-pytestmark = pytest.mark.usefixtures("large_programs")
-
 
 def srgb(light: np.ndarray) -> np.ndarray:
     return 255 * np.asarray(SRGB().encoded(np.clip(light / 255, 0, 1)))
@@ -42,6 +40,7 @@ def test_errors_scatter_as_the_covariance_says(word: str) -> None:
     assert abs(np.mean(squared) - 4) < 3.5 * np.sqrt(2 * 4 / trials)
 
 
+@pytest.mark.slow
 def test_a_known_response_is_not_fitted() -> None:
     exact = image_of(reference_sheet(), RIGHT, supersampling=24)
     noise = np.random.default_rng(0).normal(0.0, 2.0, exact.shape)

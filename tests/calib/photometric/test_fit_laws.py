@@ -22,7 +22,6 @@ from trinoc.calib.photometric.unknowns import PictureState, delivered_state
 from trinoc.geometry.pose import PoseModel
 from trinoc.numerics.arrays import ArrayLike
 
-pytestmark = pytest.mark.usefixtures("large_programs")
 STATE = with_look(state_at(RIGHT), spread_mm=0.01)
 FREE = np.ones(4 + STATE.unknowns.size, dtype=bool)
 SIGMA = 2.0

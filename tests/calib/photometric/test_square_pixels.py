@@ -72,17 +72,13 @@ def test_derivatives_of_rays_are_those_of_the_lens():
     np.testing.assert_allclose(np.asarray(ray.bend)[..., [0, 2]], np.stack([uu, vv], 2), atol=1e-8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("board", "lens", "where"),
     [
-        pytest.param(CHESSBOARD, PERSPECTIVE, AHEAD, marks=pytest.mark.slow),
+        (CHESSBOARD, PERSPECTIVE, AHEAD),
         (CHESSBOARD, FISHEYE, ASIDE),
-        pytest.param(
-            Charuco(rows=4, columns=5, square_mm=24.0, marker_mm=18.0),
-            PERSPECTIVE,
-            AHEAD,
-            marks=pytest.mark.slow,
-        ),
+        (Charuco(rows=4, columns=5, square_mm=24.0, marker_mm=18.0), PERSPECTIVE, AHEAD),
     ],
 )
 def test_one_picture_tells_its_pose_as_it_claims(board, lens, where):

@@ -63,6 +63,7 @@ def test_a_flat_board_stays_as_drawn():
     assert fitted(np.zeros((len(BOARD), 3))).place_shifts_mm.shape == (0, 3)
 
 
+@pytest.mark.slow
 def test_a_board_that_is_said_to_be_exact_stays_as_drawn(wavy):
     result = fitted(wavy, Systematics())
     assert len(result.place_shifts_mm) == 0

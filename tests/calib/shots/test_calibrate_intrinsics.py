@@ -9,7 +9,6 @@ from trinoc.calib.lens_calibration import calibrate_intrinsics
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.geometry.lenses.brown_conrady import BrownConrady
 
-pytestmark = pytest.mark.usefixtures("optimised")
 POSES = good_poses()
 
 

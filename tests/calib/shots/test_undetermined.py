@@ -24,7 +24,6 @@ from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.errors import CalibrationError, InputError
 from trinoc.geometry.lenses.brown_conrady import BrownConrady
 
-pytestmark = pytest.mark.usefixtures("optimised")
 SQUARE = [
     pose(tilt_deg=0, azimuth_deg=0, roll_deg=9 * k, distance_mm=420 + 20 * k, aside=(0.02, -0.01))
     for k in range(8)

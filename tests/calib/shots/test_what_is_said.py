@@ -64,7 +64,7 @@ def test_folders_exchanged_as_a_whole_are_known_by_lenses_of_other_pictures_alon
 def test_a_mirrored_layout_is_told():
     seen = {
         camera: [altered(each, circle_index=MIRRORED[each.circle_index]) for each in own]
-        for camera, own in shots(count=2).items()
+        for camera, own in shots().items()
     }
     notes = calibrate_rig(seen, BOARD, lens=KNOWN, systematics=EXACT).notes
     assert any("show the board from behind" in note for note in notes)
@@ -91,7 +91,7 @@ def test_boards_that_are_parallel_in_all_shots_are_told():
 
 
 def test_another_board_that_looks_alike_is_refused_by_its_shot():
-    seen, other = shots(count=4), shots(count=4, seed=9)
+    seen, other = shots(), shots(seed=9)
     seen["right"][1] = other["right"][2]
     (sentence,) = calibrate_rig(seen, BOARD, lens=KNOWN, systematics=EXACT).refused
     assert sentence.startswith('shot 2: "right" shows the board')
@@ -99,7 +99,7 @@ def test_another_board_that_looks_alike_is_refused_by_its_shot():
 
 
 def test_a_wrong_size_of_the_squares_shows_in_no_residual_and_the_summary_says_so():
-    seen = shots(count=2)
+    seen = shots()
     right, wrong = (
         calibrate_rig(seen, Chessboard(rows=5, columns=6, square_mm=mm), lens=KNOWN)
         for mm in (25.0, 26.0)

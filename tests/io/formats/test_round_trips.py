@@ -29,7 +29,7 @@ ENDINGS = [
 
 
 @pytest.mark.parametrize(("name", "ending"), ENDINGS)
-@settings(max_examples=12)
+@settings(max_examples=6)
 @given(data=st.data())
 def test_a_rig_comes_back(name, ending, data):
     form = FORMATS[name]
@@ -73,7 +73,7 @@ ANY_NAME = st.text(st.characters(exclude_categories=["Cs", "Cc"]), min_size=1, m
 
 
 @pytest.mark.parametrize("ending", [".yml", ".json"])
-@settings(max_examples=25)
+@settings(max_examples=12)
 @given(names=st.lists(ANY_NAME, min_size=3, max_size=3, unique=True))
 def test_any_printable_name_comes_back_from_opencv(ending, names):
     rig = Rig(dict(zip(names, bench_rig(cameras=3).cameras, strict=True)))
@@ -99,7 +99,7 @@ def test_cameras_that_were_matrices_have_no_skew_to_refuse(rig):
 
 
 @pytest.mark.parametrize("name", [n for n, each in FORMATS.items() if "lens" in each.reads])
-@settings(max_examples=12)
+@settings(max_examples=6)
 @given(lens=lenses())
 def test_a_lens_comes_back(name, lens):
     form = FORMATS[name]

@@ -17,7 +17,7 @@ from trinoc.match.line_map.corners import (
     _bring,
     _constrain,
     corner_candidates,
-    ends_of,
+    line_ends,
 )
 from trinoc.match.line_map.lines import JoinedLines
 from trinoc.match.tuning.every_group import MatchTuning
@@ -124,7 +124,7 @@ def test_odds_of_ends_fall_as_the_density_of_how_near_their_lines_pass() -> None
             lines, scale * own, np.zeros(2), 0 * one, one, np.zeros((2, 2)), 3 + 0.0 * one,
             np.ones(2),
         )  # fmt: skip
-        ends = ends_of(joined)
+        ends = line_ends(joined)
         pairs, likely = corner_candidates(ends, joined, tuning)
         met = np.flatnonzero((pairs == [0, 2]).all(axis=1))
         return float(logit(np.exp(likely[met[0]])))

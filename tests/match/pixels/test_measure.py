@@ -23,7 +23,7 @@ from trinoc.image.response import PowerResponse
 from trinoc.io.saving import load_matches, save
 from trinoc.match import measure_lines
 from trinoc.match.pixels.tuning import PixelTuning
-from trinoc.match.tracks.unequal_errors import degrees_of_misfit, learned_tail, variance_factor
+from trinoc.match.tracks.unequal_errors import degrees_of_misfit, fit_tail, variance_factor
 from trinoc.match.tuning.selection import NoiseTuning
 from trinoc.numerics.vectors import complete_axes
 
@@ -120,7 +120,7 @@ def test_a_line_whose_views_disagree_is_known_the_worse_for_it():
         rules = NoiseTuning(tail_of_pictures=PixelTuning().tail)
         sure = matches.posterior > PixelTuning().sure
         known = found.misfit[sure], degrees[sure]
-        tail = learned_tail(*known, of_pictures=True, tuning=rules)
+        tail = fit_tail(*known, of_pictures=True, tuning=rules)
         factor.append((variance_factor(found.misfit, degrees, tail), across(found, lines)[1]))
     (before, narrow), (after, wide) = factor
     assert after[7] > 1.5 * before[7]

@@ -1,5 +1,6 @@
 """What the cameras' errors do to what people use a rig for: pixels, epipolar lines and points."""
 
+import functools
 from typing import NamedTuple
 
 import jax
@@ -175,11 +176,12 @@ def field_places_px(image_size_px: tuple[int, int]) -> Float[np.ndarray, "5 5 2"
     return np.stack(np.meshgrid(u, v), axis=-1)
 
 
+@functools.partial(jax.jit, static_argnames="model")
 def _by_parameters(
     pose: Pose,
     lens: AbstractLens,
-    places: Float[np.ndarray, "n 2"],
-    distance_mm: Float[np.ndarray, ""],
+    places: Float[ArrayLike, "n 2"],
+    distance_mm: Float[ArrayLike, ""],
     model: PoseModel,
 ) -> Array:
     """Derivative of the pixels of fixed points by pose (degrees, mm) and lens."""

@@ -1,0 +1,56 @@
+"""Annotated shapes and dtypes, checked on the first calls of each function in each file of tests.
+
+What is called ten thousand times by a test that draws noise has been checked by then, and each
+check takes longer than many a function. Code of a check is made when it is first asked for.
+"""
+
+import contextlib
+import sys
+from collections.abc import Callable
+from typing import Any
+
+from beartype import BeartypeConf, beartype
+
+# Calls of a function that are checked in one file.
+MOST_CALLS = 64
+# The numeric tower lets 16 stand where a float is annotated, as every type checker does.
+_CONF = BeartypeConf(is_pep484_tower=True)
+
+
+class _File:
+    """Which file of tests it is by number, and what is no longer checked in it."""
+
+    number = 0
+    past: list[Any] = []
+
+
+def begin_file() -> None:
+    """Check everything anew."""
+    _File.number += 1
+    for function in _File.past:
+        function.__no_type_check__ = False
+    _File.past.clear()
+
+
+def check_first_calls(signature: Callable[..., Any]) -> Callable[..., Any]:
+    """A checker of calls with that signature, as jaxtyping's import hook makes one for a function
+    without its result and one with it; both end the checks of the function after MOST_CALLS."""
+    checked: Callable[..., Any] | None = None
+    file, left = -1, 0
+
+    def check(*arguments: Any, **named: Any) -> Any:
+        nonlocal checked, file, left
+        if checked is None:
+            checked = beartype(conf=_CONF)(signature)
+        if file != _File.number:
+            file, left = _File.number, MOST_CALLS
+        left -= 1
+        if left == 0:
+            # jaxtyping, which calls, holds the function itself, and asks it for this word.
+            function = sys._getframe(1).f_locals.get("fn")
+            with contextlib.suppress(AttributeError):
+                function.__no_type_check__ = True  # pyright: ignore[reportOptionalMemberAccess]
+                _File.past.append(function)
+        return checked(*arguments, **named)
+
+    return check

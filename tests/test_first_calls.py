@@ -1,0 +1,27 @@
+"""Wrong shapes are refused in the first calls of a file, and checks end after as many."""
+
+import jaxtyping
+import numpy as np
+import pytest
+
+from tests.first_calls import MOST_CALLS, begin_file
+from trinoc.numerics.vectors import complete_axes
+
+
+def test_the_first_calls_of_each_file_are_checked() -> None:
+    right, wrong = np.eye(3), np.ones((2, 4))
+    for _ in range(2):
+        begin_file()
+        for call in range(MOST_CALLS):
+            if call % 8 == 0:
+                with pytest.raises(jaxtyping.TypeCheckError):
+                    complete_axes(wrong)
+            else:
+                complete_axes(right)
+        # Counted with results: neither is asked any more.
+        for _ in range(MOST_CALLS):
+            complete_axes(right)
+        assert getattr(complete_axes.__wrapped__, "__no_type_check__", False)
+    begin_file()
+    with pytest.raises(jaxtyping.TypeCheckError):
+        complete_axes(wrong)
