@@ -7,7 +7,7 @@ check takes longer than many a function. Code of a check is made when it is firs
 import contextlib
 import sys
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
 from beartype import BeartypeConf, beartype
 
@@ -21,7 +21,7 @@ class _File:
     """Which file of tests it is by number, and what is no longer checked in it."""
 
     number = 0
-    past: list[Any] = []
+    past: ClassVar[list[Any]] = []
 
 
 def begin_file() -> None:
