@@ -3,6 +3,7 @@
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
 from typing import Any
 
 import pytest
@@ -11,18 +12,18 @@ PROGRAM = shutil.which("chromium") or shutil.which("chromium-browser")
 DRIVER = shutil.which("chromedriver")
 
 
-def skip_without_chromium() -> None:
-    """Before a page is made that nobody would look at."""
-    pytest.importorskip("selenium.webdriver")
-    if PROGRAM is None or DRIVER is None:
-        pytest.skip("chromium and chromedriver are not installed")
+# Before a page is made that nobody would look at.
+needs_chromium = pytest.mark.skipif(
+    PROGRAM is None or DRIVER is None or find_spec("selenium") is None,
+    reason="chromium, chromedriver and selenium are not all installed",
+)
 
 
 @contextmanager
 def chromium(width: int = 1280, height: int = 900) -> Iterator[Any]:
-    """A driver of selenium that logs the console and every request; skips where there is none."""
-    skip_without_chromium()
-    webdriver = pytest.importorskip("selenium.webdriver")
+    """A driver of selenium that logs the console and every request."""
+    from selenium import webdriver
+
     options = webdriver.ChromeOptions()
     options.binary_location = PROGRAM
     for argument in ("--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--disable-gpu"):

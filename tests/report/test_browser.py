@@ -13,7 +13,9 @@ from trinoc.geometry.segments import Segments
 from trinoc.match.tracks.matches import Matches
 from trinoc.report import write_report
 
-from .browser import chromium, skip_without_chromium
+from .browser import chromium, needs_chromium
+
+pytestmark = needs_chromium
 
 LIT = """return [...document.querySelectorAll('svg .stroke.lit')]
     .map((e) => [e.closest('section').id, e.closest('figure').querySelector('b').textContent,
@@ -33,7 +35,6 @@ def browser(
     matches: Matches,
     scene_pictures: dict[str, np.ndarray],
 ) -> Iterator[Any]:
-    skip_without_chromium()
     page = tmp_path_factory.mktemp("page") / "report.html"
     write_report(
         page,

@@ -20,7 +20,7 @@ from trinoc.report.epipolar_part import EpipolarPart, epipolar_part
 from trinoc.report.html import render_report
 from trinoc.report.pictures import page_picture
 
-from .browser import chromium, skip_without_chromium
+from .browser import chromium, needs_chromium
 from .conftest import made_up_matches, made_up_rig
 
 PLACE = (420.0, 430.0, 260.0, 236.0)
@@ -83,8 +83,8 @@ def test_every_curve_runs_through_its_point(lens: AbstractLens) -> None:
             assert distance_px(np.array([mark.u, mark.v]), curve.points_px) < 0.1
 
 
+@needs_chromium
 def test_a_click_draws_the_line_of_its_point_through_any_lens(tmp_path) -> None:
-    skip_without_chromium()
     rig = rig_with(LENSES["fisheye"])
     _, matches = made_up_matches(rig)
     page = tmp_path / "page.html"

@@ -99,7 +99,7 @@ def test_another_board_that_looks_alike_is_refused_by_its_shot():
 
 
 def test_a_wrong_size_of_the_squares_shows_in_no_residual_and_the_summary_says_so():
-    seen = shots()
+    seen = shots(count=2)
     right, wrong = (
         calibrate_rig(seen, Chessboard(rows=5, columns=6, square_mm=mm), lens=KNOWN)
         for mm in (25.0, 26.0)
