@@ -8,6 +8,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from trinoc.geometry.rig import Rig
 from trinoc.io import load_scene_truth
 from trinoc.io.rig_json import load_rig
 
@@ -79,36 +80,38 @@ def rendered_images(folder: Path) -> Iterator[Picture]:
     their bodies are visible but have no step on record: they count as weak edges.
     """
     for path in sorted(folder.glob("block_*/truth.json")):
-        truth, rig = load_scene_truth(path), load_rig(path.parent / "rig.json")
-        record = json.loads(path.read_text())
-        outlines = record["silhouettes_mm"]
-        for view, seen in truth.seen.items():
-            matrix = np.asarray(rig[view].matrix_px)
-            straight = np.array([truth.edge_kinds[edge] == "edge" for edge in seen.edge])
-            edge, extent = seen.edge[straight], seen.extent[straight]
-            first, second = truth.edges_mm[edge, 0], truth.edges_mm[edge, 1]
-            parts = first[:, None] + extent[:, :, None] * (second - first)[:, None]
-            step = -seen.grey_step[straight]
-            rows = np.column_stack([_project(matrix, parts), step, np.ones(len(step))])
-            body = np.array(outlines[view]).reshape(-1, 2, 3)
-            unknown = np.tile([5.0, 0.0], (len(body), 1))
-            body_rows = np.column_stack([_project(matrix, body), unknown])
-            rows = np.concatenate([rows, body_rows])
-            file = str(path.parent / f"scene_{view}.png")
-            grey = np.asarray(cv2.imread(file, cv2.IMREAD_UNCHANGED))
-            length = np.hypot(*(rows[:, 2:4] - rows[:, :2]).T)
-            gradient = shadow_gradient(path.parent / f"shadows_{view}.png", grey.shape)
-            slope = np.linalg.norm(gradient, axis=-1)
-            slope = cv2.dilate(slope, np.ones((2 * SHADOW_PX + 1,) * 2, np.uint8))
-            rim_edge, rim_extent = seen.edge[~straight], seen.extent[~straight]
-            first, second = truth.edges_mm[rim_edge, 0], truth.edges_mm[rim_edge, 1]
-            parts = first[:, None] + rim_extent[:, :, None] * (second - first)[:, None]
-            clean = _clean(path.parent / f"clean_{view}.png")
-            yield Picture(
-                f"{path.parent.name}/{view}", grey, rows[length > 2], slope, gradient,
-                _project(matrix, parts), clean,
-                float(record["blur_px"]),
-            )  # fmt: skip
+        yield from pictures_of_scene(path, load_rig(path.parent / "rig.json"))
+
+
+def pictures_of_scene(path: Path, rig: Rig) -> Iterator[Picture]:
+    """The pictures beside the truth of one scene, as `rendered_images` has them."""
+    truth, record = load_scene_truth(path), json.loads(path.read_text())
+    outlines = record["silhouettes_mm"]
+    for view, seen in truth.seen.items():
+        matrix = np.asarray(rig[view].matrix_px)
+        straight = np.array([truth.edge_kinds[edge] == "edge" for edge in seen.edge])
+        edge, extent = seen.edge[straight], seen.extent[straight]
+        first, second = truth.edges_mm[edge, 0], truth.edges_mm[edge, 1]
+        parts = first[:, None] + extent[:, :, None] * (second - first)[:, None]
+        step = -seen.grey_step[straight]
+        rows = np.column_stack([_project(matrix, parts), step, np.ones(len(step))])
+        body = np.array(outlines[view]).reshape(-1, 2, 3)
+        unknown = np.tile([5.0, 0.0], (len(body), 1))
+        rows = np.concatenate([rows, np.column_stack([_project(matrix, body), unknown])])
+        file = str(path.parent / f"scene_{view}.png")
+        grey = np.asarray(cv2.imread(file, cv2.IMREAD_UNCHANGED))
+        length = np.hypot(*(rows[:, 2:4] - rows[:, :2]).T)
+        gradient = shadow_gradient(path.parent / f"shadows_{view}.png", grey.shape)
+        slope = np.linalg.norm(gradient, axis=-1)
+        slope = cv2.dilate(slope, np.ones((2 * SHADOW_PX + 1,) * 2, np.uint8))
+        rim_edge, rim_extent = seen.edge[~straight], seen.extent[~straight]
+        first, second = truth.edges_mm[rim_edge, 0], truth.edges_mm[rim_edge, 1]
+        parts = first[:, None] + rim_extent[:, :, None] * (second - first)[:, None]
+        yield Picture(
+            f"{path.parent.name}/{view}", grey, rows[length > 2], slope, gradient,
+            _project(matrix, parts), _clean(path.parent / f"clean_{view}.png"),
+            float(record["blur_px"]),
+        )  # fmt: skip
 
 
 def _clean(path: Path) -> np.ndarray | None:

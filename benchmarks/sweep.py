@@ -1,25 +1,47 @@
-"""Precision and recall of small made scenes for several values of one tuned constant.
+"""Precision and recall of small scenes for several values of one tuned constant.
 
-    python benchmarks/sweep.py selection.damping 0.1 0.3 0.6 [--seeds 3] [--list]
+    python benchmarks/sweep.py selection.damping 0.1 0.3 0.6 [--seeds 3]
+    python benchmarks/sweep.py segments.accept.soft_ratio 1.3 2.0
+    python benchmarks/sweep.py --each 0.5 2 [--only segments.]
+    python benchmarks/sweep.py --list
 
-Names are those of trinoc/match/tuning, and --list prints them with their values; a tuple is
-written like (1.0,3.0,8.0). Scenes are drawn from seeds that nothing was tuned on: blocks on a
-table, see-through boxes with cut ends, loose segments. Columns are precision/recall of triples and
-of pairs, as in benchmarks/matching.py, whose rows are larger: judge by those. A kind of scene and
-a value take some seconds, or ten where the kernels of step 1 compile for it.
+Names are those of trinoc/match/tuning, and with `segments.` before them those of
+trinoc/segments/tuning.py; --list prints them with their values; a tuple is written like
+(1.0,3.0,8.0). --each takes every number in turn times each factor, and prints what changes.
+
+The matcher's scenes are drawn from seeds that nothing was tuned on: blocks on a table, see-through
+boxes with cut ends, loose segments. Columns are precision/recall of triples and of pairs, as in
+benchmarks/matching.py, whose rows are larger: judge by those. A kind of scene and a value take some
+seconds, or ten where the kernels of step 1 compile for it.
+
+Segments are found in the three pictures of the demo: as they are, with noise of 6 grey levels
+more, and in light 2.2 times as strong, where faces are saturated. Columns are recall/precision, the
+error of the middle of segments across them in px, and the median-based variance of that error over
+what is claimed, as in benchmarks/segments.py. With TRINOC_DATA the last columns are the share of
+published segments found in the first picture of Merton 1, and how many segments there are.
 """
 
 import argparse
 import ast
+import os
+from collections.abc import Iterator
 from dataclasses import fields
+from functools import cache
 from operator import attrgetter
+from pathlib import Path
+from typing import Any
 
+import cv2
 import numpy as np
 from match_scores import score_matches
+from segment_truth import Picture, covering, pictures_of_scene, score
 
+from trinoc.io.demo import demo_folder
 from trinoc.match.matcher import match_segments
 from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.numerics.tables import with_field
+from trinoc.segments.find import find_segments
+from trinoc.segments.tuning import DEFAULT as OF_SEGMENTS
 from trinoc.synth import (
     Detector,
     block_scene,
@@ -30,6 +52,7 @@ from trinoc.synth import (
 from trinoc.synth.scenes import see_through_boxes
 
 FIRST_SEED = 130_000
+PREFIX = "segments."
 KINDS = {
     "table": (lambda seed: block_scene(seed, count=8), Detector(shortest_px=8.0)),
     "boxes ej5": (
@@ -38,41 +61,145 @@ KINDS = {
     ),
     "random": (lambda seed: loose_segments(seed, count=120), Detector(shortest_px=8.0)),
 }
+# (gain, noise in grey levels) of the demo's pictures.
+LIGHTS = {"demo": (1.0, 0.0), "demo, noise": (1.0, 6.0), "demo, bright": (2.2, 0.0)}
 
 
-def figures(kind: str, seeds: int, tuning) -> str:
+def match_figures(kind: str, seeds: int, tuning) -> str:
     """Mean precision/recall of triples, then of pairs."""
     scene_of, detector = KINDS[kind]
     rig, scores = table1_rig(), []
     for seed in range(FIRST_SEED, FIRST_SEED + seeds):
         segments, truth = simulate_segments(scene_of(seed), rig, detector, seed=seed)
-        score = score_matches(match_segments(segments, rig, tuning=tuning), truth)
-        scores.append([score.triples[:2], score.pairs[:2]])
+        result = score_matches(match_segments(segments, rig, tuning=tuning), truth)
+        scores.append([result.triples[:2], result.pairs[:2]])
     return " ".join(f"{p:.3f}/{r:.3f}" for p, r in np.mean(scores, axis=0))
 
 
-def names() -> list[str]:
-    groups = [(group.name, getattr(DEFAULT, group.name)) for group in fields(DEFAULT)]
-    return [f"{name}.{field.name}" for name, group in groups for field in fields(group)]
+@cache
+def demo_pictures(light: str) -> list[Picture]:
+    gain, sigma = LIGHTS[light]
+    random = np.random.default_rng(0)
+    pictures = []
+    for picture in pictures_of_scene(demo_folder() / "truth.json", table1_rig()):
+        levels = gain * picture.grey + random.normal(0.0, sigma, picture.grey.shape)
+        edges = picture.edges.copy()
+        edges[:, 4] *= gain
+        grey = np.clip(np.rint(levels), 0, 255).astype(np.uint8)
+        pictures.append(picture._replace(grey=grey, edges=edges))
+    return pictures
+
+
+def segment_figures(light: str, tuning) -> str:
+    """Recall/precision, median error across, median-based variance of the normalised error."""
+    scores, ratios = [], []
+    for picture in demo_pictures(light):
+        found = find_segments(picture.grey, tuning=tuning)
+        ends = np.asarray(found.endpoints_px)
+        scores.append(score(ends.reshape(-1, 4), picture))
+        way = ends[:, 1] - ends[:, 0]
+        normal = np.stack([-way[:, 1], way[:, 0]], axis=-1) / np.linalg.norm(way, axis=1)[:, None]
+        half = np.concatenate([normal, normal], axis=1) / 2
+        variance = np.einsum("ni,nij,nj->n", half, np.asarray(found.covariance_px2), half)
+        middle = scores[-1].ends_across.mean(axis=1)[scores[-1].alone]
+        sigma = np.sqrt(variance[scores[-1].matched[scores[-1].alone]])
+        ratios.append(np.stack([np.abs(middle), np.abs(middle) / sigma]))
+    recall, precision = (
+        sum(getattr(one, part) for one in scores) / sum(getattr(one, whole) for one in scores)
+        for part, whole in (("found", "shown"), ("right", "put_out"))
+    )
+    error, ratio = np.median(np.concatenate(ratios, axis=1), axis=1)
+    return f"{recall:.3f}/{precision:.3f} {error:.4f} {np.square(ratio / 0.6745):4.2f}"
+
+
+@cache
+def photograph() -> tuple[np.ndarray, np.ndarray] | None:
+    """(picture, published segments of 15 px or more) of Merton 1, where the data are."""
+    folder = Path(os.environ.get("TRINOC_DATA", "")) / "vgg_merton1"
+    if not (folder / "merton1.npz").exists():
+        return None
+    rows = np.load(folder / "merton1.npz")["segments_0"].astype(float)[:, :4]
+    grey = np.asarray(cv2.imread(str(folder / "view0.jpg"), cv2.IMREAD_GRAYSCALE))
+    return grey, rows[np.hypot(*(rows[:, 2:] - rows[:, :2]).T) >= 15]
+
+
+def photograph_figures(tuning) -> str:
+    given = photograph()
+    if given is None:
+        return ""
+    lines = np.asarray(find_segments(given[0], tuning=tuning).endpoints_px).reshape(-1, 4)
+    hit, _, length, _ = covering(given[1], lines)
+    return f"{length[hit >= 0].sum() / length.sum():.3f} {len(lines):5d}"
+
+
+def row_of_figures(name: str, value, seeds: int) -> list[str]:
+    if name.startswith(PREFIX):
+        tuning = with_field(OF_SEGMENTS, name.removeprefix(PREFIX), value)
+        figures = [segment_figures(light, tuning) for light in LIGHTS]
+        return [*figures, photograph_figures(tuning)]
+    tuning = with_field(DEFAULT, name, value)
+    return [match_figures(kind, seeds, tuning) for kind in KINDS]
+
+
+def standing_value(name: str) -> Any:
+    options = OF_SEGMENTS if name.startswith(PREFIX) else DEFAULT
+    return attrgetter(name.removeprefix(PREFIX))(options)
+
+
+def names() -> Iterator[str]:
+    for prefix, options in (("", DEFAULT), (PREFIX, OF_SEGMENTS)):
+        for group in fields(options):
+            for each in fields(getattr(options, group.name)):
+                yield f"{prefix}{group.name}.{each.name}"
+
+
+def scaled(value: Any, factor: float) -> Any:
+    if isinstance(value, tuple):
+        return tuple(scaled(each, factor) for each in value)
+    return max(round(value * factor), 1) if isinstance(value, int) else value * factor
+
+
+def sweep_each(only: str, factors: list[float], seeds: int) -> None:
+    """Every number times every factor; a row where nothing changes says so."""
+    standing: dict[bool, list[str]] = {}
+    for name in names():
+        value = standing_value(name)
+        if not name.startswith(only) or isinstance(value, bool | str | None):
+            continue
+        of_segments = name.startswith(PREFIX)
+        if of_segments not in standing:
+            standing[of_segments] = row_of_figures(name, value, seeds)
+            print(f"{'(standing)':38s} {'':14s} " + " | ".join(standing[of_segments]))
+        for factor in factors:
+            other = scaled(value, factor)
+            row = row_of_figures(name, other, seeds)
+            same = row == standing[of_segments]
+            print(f"{name:38s} {other!s:14.14s} {'-' if same else ' | '.join(row)}", flush=True)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("name", nargs="?")
     parser.add_argument("values", nargs="*", type=ast.literal_eval)
     parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--each", nargs="+", type=float, metavar="FACTOR")
+    parser.add_argument("--only", default="", metavar="START")
     parser.add_argument("--list", action="store_true")
     given = parser.parse_args()
+    if given.each:
+        sweep_each(given.only, given.each, given.seeds)
+        return
     if given.list or given.name is None:
         for name in names():
-            print(f"{name:40s} {attrgetter(name)(DEFAULT)}")
+            print(f"{name:40s} {standing_value(name)}")
         return
-    standing = attrgetter(given.name)(DEFAULT)
-    print(f"{given.name:20s} " + " ".join(f"{kind:23s}" for kind in KINDS))
+    standing = standing_value(given.name)
+    heads = [*LIGHTS, "Merton"] if given.name.startswith(PREFIX) else KINDS
+    print(f"{given.name:20s} " + " ".join(f"{kind:25s}" for kind in heads))
     for value in dict.fromkeys([standing, *given.values]):
-        tuning = with_field(DEFAULT, given.name, type(standing)(value))
-        row = " ".join(f"{figures(kind, given.seeds, tuning):23s}" for kind in KINDS)
-        print(f"{value!s:20s} {row}{'  (standing)' if value == standing else ''}", flush=True)
+        row = row_of_figures(given.name, type(standing)(value), given.seeds)
+        line = " ".join(f"{figure:25s}" for figure in row)
+        print(f"{value!s:20s} {line}{'  (standing)' if value == standing else ''}", flush=True)
 
 
 if __name__ == "__main__":

@@ -10,7 +10,6 @@ import trinoc
 ROOT = Path(trinoc.__file__).parent
 # Parts whose numbers are not yet in order.
 NOT_YET = {
-    "segments",
     *(f"match/{path.parent.name}" for path in (ROOT / "match").glob("*/__init__.py")),
     *(f"calib/{path.parent.name}" for path in (ROOT / "calib").glob("*/__init__.py")),
     *("match", "calib"),

@@ -6,11 +6,9 @@ from scipy.special import erf
 
 from trinoc.segments import find_segments
 from trinoc.segments.nevatia_babu.errors import (
-    MODEL_SIGMA_PER_PIXEL,
-    MODEL_SIGMA_PX,
-    NOISE_EXCESS,
     noise_variance,
 )
+from trinoc.segments.tuning import DEFAULT
 
 SEEDS = 60
 
@@ -49,10 +47,10 @@ def test_the_variance_of_a_line_is_more_than_its_noise_and_never_nothing() -> No
     """By the choice of points, and by what the model of an edge leaves out, less on long ones."""
     noise_px2 = np.array([0.0, 0.0, 1e-2, 1e-2])
     found = noise_variance(noise_px2, np.array([1e12, 20.0, 1e12, 20.0]))
-    assert found[0] == pytest.approx(MODEL_SIGMA_PX**2)
-    np.testing.assert_allclose(found[2:] - found[:2], NOISE_EXCESS * noise_px2[2:])
-    assert NOISE_EXCESS > 1
-    assert found[1] - found[0] == pytest.approx(MODEL_SIGMA_PER_PIXEL**2 / 20)
+    assert found[0] == pytest.approx(DEFAULT.errors.model_sigma_px**2)
+    np.testing.assert_allclose(found[2:] - found[:2], DEFAULT.errors.noise_excess * noise_px2[2:])
+    assert DEFAULT.errors.noise_excess > 1
+    assert found[1] - found[0] == pytest.approx(DEFAULT.errors.model_sigma_per_pixel**2 / 20)
 
 
 def test_positions_have_no_bias_toward_either_side() -> None:

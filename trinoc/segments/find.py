@@ -97,15 +97,15 @@ def find_segments(
     _check_lens(intrinsics, picture.size_px)
     smooth = full_level(picture, combined_kernel())
     runs = find_runs(smooth, tolerance_px, least_contrast, tuning.scales)
-    lines = fit_lines(runs)
-    runs, lines = merge_collinear(runs, lines, tolerance_px, tuning.ends.gap_px)
+    lines = fit_lines(runs, tuning.scales)
+    runs, lines = merge_collinear(runs, lines, tolerance_px, tuning)
     blur_px2 = typical_blur(lines)
     runs, lines, slopes = _accept(
         picture, runs, lines, blur_px2, false_alarms, least_contrast, tuning
     )
     runs, lines, errors = _without_neighbours(smooth, runs, lines, blur_px2, tuning)
     runs, lines, shifts = _without_shifts(smooth, runs, lines, slopes, errors, tuning)
-    lines, to_image = _undistort(runs, lines, intrinsics)
+    lines, to_image = _undistort(runs, lines, intrinsics, tuning)
     wanted = _is_wanted(lines, errors, picture.size_px[0], arcs, least_contrast, tuning)
     lines, errors, shifts = take_rows((lines, errors, shifts), wanted)
     ends_px, along_px, near = _place_ends(lines, tuning)
@@ -118,9 +118,9 @@ def find_segments(
         lines.support.astype(np.int64),
         picture.size_px,
         reasons,
-        side_levels=side_levels(picture.levels, ends_px, to_image),
+        side_levels=side_levels(picture.levels, ends_px, to_image, tuning.junctions),
     )
-    return with_junctions(found, near)
+    return with_junctions(found, near, tuning.junctions)
 
 
 def _check_options(tolerance_px: float, false_alarms: float, least_contrast: float) -> None:
@@ -151,17 +151,17 @@ def _accept(
 ) -> tuple[Runs, FittedLines, SideSlopes]:
     """(points, lines, slopes of the light beside them) without soft shadows, slopes of the light,
     noise, and what is far too faint."""
-    slopes = side_slopes(picture.levels, runs, blur_px2)
+    slopes = side_slopes(picture.levels, runs, blur_px2, tuning.accept)
     keep = (
         is_sharp(lines, blur_px2, tuning.accept)
-        & ~is_on_ramp(slopes)
+        & ~is_on_ramp(slopes, tuning.accept)
         & (lines.snr2 > least_snr2(false_alarms, picture.levels.size))
         & (lines.contrast > tuning.accept.faint_share * least_contrast)
     )
     runs, lines, slopes = runs.take(keep), *take_rows((lines, slopes), keep)
     if not picture.is_linear:
         # Edges are placed in the light: what slopes there moves them.
-        slopes = side_slopes(picture.light, runs, blur_px2)
+        slopes = side_slopes(picture.light, runs, blur_px2, tuning.accept)
     return runs, lines, slopes
 
 
@@ -170,11 +170,12 @@ def _without_neighbours(
 ) -> tuple[Runs, FittedLines, ErrorModel]:
     """(points, lines, what else may have moved them) without the pull of neighbours."""
     profile_px2 = smooth.kernel_variance_px2 + blur_px2
-    near = find_overlaps(runs, lines, profile_px2)
+    near = find_overlaps(runs, lines, profile_px2, tuning.errors)
     spread = tuning.errors.blur_spread * profile_px2
     own_blur = np.clip(lines.blur_px2, blur_px2 - spread, blur_px2 + spread)
-    cleaned = runs._replace(points=without_neighbours(runs.points, lines, own_blur, near))
-    lines = fit_lines(cleaned)
+    points = without_neighbours(runs.points, lines, own_blur, near, tuning.errors)
+    cleaned = runs._replace(points=points)
+    lines = fit_lines(cleaned, tuning.scales)
     given = smooth.picture, runs.points, cleaned, lines, near, blur_px2, tuning.errors
     return cleaned, lines, error_model(*given)
 
@@ -204,13 +205,13 @@ def _without_shifts(
 
 
 def _undistort(
-    runs: Runs, lines: FittedLines, lens: Intrinsics | None
+    runs: Runs, lines: FittedLines, lens: Intrinsics | None, tuning: SegmentTuning
 ) -> tuple[FittedLines, Callable[[np.ndarray], np.ndarray]]:
     """(lines through undistorted points, the way back into the picture)."""
     if lens is None or not lens.has_distortion:
         return lines, np.asarray
     flat = runs.move(undistort_pixels(lens, runs.points.uv_px))
-    return fit_lines(flat), partial(distort_pixels, lens)
+    return fit_lines(flat, tuning.scales), partial(distort_pixels, lens)
 
 
 def _is_wanted(
@@ -234,8 +235,8 @@ def _place_ends(
 ) -> tuple[Float[np.ndarray, "r 2 2"], Float[np.ndarray, "r 2"], NearEnds]:
     """(ends at the crossings with what stops them, their sigmas along, lines near them)."""
     pieces = lines.pieces
-    near = lines_near_ends(pieces, tuning.ends.snap_px)
-    partner, position = snap_ends(pieces, tuning.ends.snap_px, near)
+    near = lines_near_ends(pieces, tuning.ends.snap_px, tuning.ends)
+    partner, position = snap_ends(pieces, tuning.ends.snap_px, near, tuning.ends)
     along_px = end_sigmas(pieces, lines.contrast, partner, near, tuning.ends)
     return pieces._replace(extent_px=position).ends_px, along_px, near
 
@@ -248,7 +249,9 @@ def _covariances(
     tuning: SegmentTuning,
 ) -> tuple[Float[np.ndarray, "r 4 4"], Shaped[np.ndarray, "r"]]:
     """(covariances of the ends, what widened them beyond noise)."""
-    noise_px2 = noise_variance(lines.variance_middle_px2, np.ptp(lines.extent_px, axis=1))
+    noise_px2 = noise_variance(
+        lines.variance_middle_px2, np.ptp(lines.extent_px, axis=1), tuning.errors
+    )
     variance_px2, reasons = inflate_variance(errors, noise_px2, *shifts, tuning.errors)
     common_px2 = shifts[0].variance_px2 + shifts[1].variance_px2
     off_px2 = np.square(tuning.errors.off_share * errors.off_px)

@@ -13,27 +13,24 @@ from trinoc.segments.nevatia_babu.endpoints import (
     endpoint_crossings,
     lines_near_ends,
 )
-
-# Ends are taken to meet within so many of their own sigmas along the segment.
-_SIGMAS = 3.0
-_LEAST_REACH_PX = 2.0
-_MOST_REACH_PX = 8.0
-_COLLINEAR_COSINE = np.cos(np.radians(12.0))
-_CHAIN_COSINE = np.cos(np.radians(4.0))
-_CHAIN_GAP_PX = 30.0
+from trinoc.segments.tuning import DEFAULT, JunctionTuning
 
 
-def with_junctions(segments: Segments, near: NearEnds | None = None) -> Segments:
+def with_junctions(
+    segments: Segments, near: NearEnds | None = None, tuning: JunctionTuning = DEFAULT.junctions
+) -> Segments:
     """The same segments with their junctions and chains; `near` as for `find_junctions`."""
     return eqx.tree_at(
         lambda s: (s.junctions, s.chain),
         segments,
-        (find_junctions(segments, near), collinear_chains(segments)),
+        (find_junctions(segments, near, tuning), collinear_chains(segments, tuning)),
         is_leaf=lambda leaf: leaf is None,
     )
 
 
-def find_junctions(segments: Segments, near: NearEnds | None = None) -> Junctions:
+def find_junctions(
+    segments: Segments, near: NearEnds | None = None, tuning: JunctionTuning = DEFAULT.junctions
+) -> Junctions:
     """Where segments meet: ends that agree within their uncertainty, and ends on bodies.
 
     An end meets another segment where their lines cross within three of the end's own sigmas
@@ -45,7 +42,7 @@ def find_junctions(segments: Segments, near: NearEnds | None = None) -> Junction
     count = len(ends)
     pieces = _cut_pieces(ends)
     across, along = _sigmas(segments, pieces.direction)
-    reach = np.clip(_SIGMAS * along, _LEAST_REACH_PX, _MOST_REACH_PX)
+    reach = np.clip(tuning.sigmas * along, tuning.least_reach_px, tuning.most_reach_px)
     if near is None:
         near = lines_near_ends(pieces, float(reach.max(initial=0.0)))
     line, side, other, _, place, _ = endpoint_crossings(pieces, reach, near)
@@ -68,10 +65,12 @@ def find_junctions(segments: Segments, near: NearEnds | None = None) -> Junction
     )
     group_and_segment, end = np.divmod(distinct(keys), 3)
     end = np.where(end == 0, BODY, end - 1)
-    return _assemble(*np.divmod(group_and_segment, count), end, pieces, across)
+    return _assemble(*np.divmod(group_and_segment, count), end, pieces, across, tuning)
 
 
-def collinear_chains(segments: Segments) -> Int[np.ndarray, "n"]:
+def collinear_chains(
+    segments: Segments, tuning: JunctionTuning = DEFAULT.junctions
+) -> Int[np.ndarray, "n"]:
     """(n,) a number per segment, equal for pieces that continue each other across a gap.
 
     Two pieces continue each other when their facing ends are at most 30 pixels apart, less
@@ -83,19 +82,21 @@ def collinear_chains(segments: Segments) -> Int[np.ndarray, "n"]:
     _, direction, extent = _cut_pieces(ends)
     length = np.ptp(extent, axis=1)
     across, _ = _sigmas(segments, direction)
-    pairs = point_tree(ends.reshape(-1, 2)).query_pairs(_CHAIN_GAP_PX, output_type="ndarray")
+    pairs = point_tree(ends.reshape(-1, 2)).query_pairs(tuning.chain_gap_px, output_type="ndarray")
     outward = np.stack([-direction, direction], axis=1).reshape(-1, 2)
     out_u, out_v = (column.astype(np.float32) for column in outward.T)
     first, second = pairs.T
     # Nearly all pairs fail this: the others cost little.
-    facing = out_u[first] * out_u[second] + out_v[first] * out_v[second] < -_CHAIN_COSINE
+    facing = out_u[first] * out_u[second] + out_v[first] * out_v[second] < -np.cos(
+        np.radians(tuning.chain_deg)
+    )
     facing = np.flatnonzero(facing)
     first, second = first[facing], second[facing]
     (one, side), (other, other_side) = np.divmod(first, 2), np.divmod(second, 2)
     outward, other_outward = outward[first], outward[second]
     gap = ends[other, other_side] - ends[one, side]
     distance = np.linalg.norm(gap, axis=-1)
-    sigma = _SIGMAS * np.hypot(across[one], across[other]) + 0.5
+    sigma = tuning.sigmas * np.hypot(across[one], across[other]) + 0.5
     polarity = np.asarray(segments.polarity) * 1
     # Two pieces that run the same way face each other with different ends.
     agree = polarity[one] * polarity[other] * np.where(side == other_side, -1, 1) >= 0
@@ -143,6 +144,7 @@ def _assemble(
     end: Int[np.ndarray, "m"],
     pieces: Pieces,
     across: Float[np.ndarray, "n"],
+    tuning: JunctionTuning,
 ) -> Junctions:
     """Junctions from groups of ends and bodies of segments, sorted by group."""
     centre, direction, _ = pieces
@@ -160,7 +162,7 @@ def _assemble(
     covariance = np.linalg.inv(information)
     uv_px = origin + np.einsum("jab,jb->ja", covariance, pulled)
     inward = direction[segment] * np.where(end == 0, 1, -1)[:, None]
-    kind = _kinds(junction, end, inward, len(earliest))
+    kind = _kinds(junction, end, inward, len(earliest), tuning.straight_deg)
     return Junctions(uv_px, covariance, kind, junction, segment, end)
 
 
@@ -169,19 +171,23 @@ def _kinds(
     end: Int[np.ndarray, "m"],
     inward: Float[np.ndarray, "m 2"],
     count: int,
+    straight_deg: float,
 ) -> np.ndarray:
     """Kind of each junction from its number of ends and bodies, and whether two ends align."""
     ends = np.bincount(junction[end != BODY], minlength=count)
     bodies = np.bincount(junction[end == BODY], minlength=count)
     straight = np.zeros(count, dtype=bool)
-    straight[_with_opposite_ends(junction, end, inward)] = True
+    straight[_with_opposite_ends(junction, end, inward, straight_deg)] = True
     code = np.clip(ends - 2, 0, 2)
     code[(bodies > 0) | (straight & (ends == 3))] = 3
     return np.array(["L", "Y", "X", "T"])[code]
 
 
 def _with_opposite_ends(
-    junction: Int[np.ndarray, "m"], end: Int[np.ndarray, "m"], inward: Float[np.ndarray, "m 2"]
+    junction: Int[np.ndarray, "m"],
+    end: Int[np.ndarray, "m"],
+    inward: Float[np.ndarray, "m 2"],
+    straight_deg: float,
 ) -> Int[np.ndarray, "k"]:
     """Junctions at which two segments leave in opposite directions."""
     rows = np.flatnonzero(end != BODY)
@@ -191,6 +197,6 @@ def _with_opposite_ends(
     for step in range(1, int(size.max(initial=1))):
         first, second = rows[:-step], rows[step:]
         same: Bool[np.ndarray, "k"] = junction[first] == junction[second]
-        opposite = (inward[first] * inward[second]).sum(axis=-1) < -_COLLINEAR_COSINE
+        opposite = (inward[first] * inward[second]).sum(axis=-1) < -np.cos(np.radians(straight_deg))
         hits.append(junction[first[same & opposite]])
     return np.concatenate([np.zeros(0, dtype=np.int64), *hits])

@@ -11,9 +11,10 @@ from trinoc.segments.side_intensity import with_side_levels
 
 # OpenCV's segments lie this far from the edges they belong to, in u and v, whatever the edge:
 # measured on edges at all angles. It is subtracted.
+# numerical: properties of that detector.
 LSD_BIAS_PX = np.array([-0.123, -0.119])
-LSD_SIGMA_PX = 0.1
-LSD_SIGMA_ALONG_PX = 2.0
+LSD_SIGMA_PX = 0.1  # numerical: as above
+LSD_SIGMA_ALONG_PX = 2.0  # numerical: as above
 
 
 def find_segments_lsd(image: Shaped[np.ndarray, "..."]) -> Segments:

@@ -8,7 +8,7 @@ from trinoc.image.light import Light
 from trinoc.numerics.tails import MAD_TO_SIGMA
 
 # Sides of an edge, this far apart, differ by its whole step also where it is blurred.
-_APART_PX = 4
+_APART_PX = 4  # numerical: for a message only
 
 
 def why_nothing(image: Shaped[np.ndarray, "..."], *, least_contrast: float = 7.0) -> str:

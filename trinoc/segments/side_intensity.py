@@ -9,10 +9,10 @@ from jaxtyping import Float, Shaped
 from trinoc.geometry.segments import Segments
 from trinoc.image.light import Light
 from trinoc.image.strip import nearest_levels
+from trinoc.segments.tuning import DEFAULT, JunctionTuning
 
-# Levels are taken so far from the segment, beyond the blur of its edge, and not near its ends.
-_BESIDE_PX = np.array([2.0, 3.0, 4.0])
-_ALONG = np.linspace(0.1, 0.9, 16)
+# Not near its ends.
+_ALONG = np.linspace(0.1, 0.9, 16)  # numerical: samples of a median
 
 
 def with_side_levels(segments: Segments, image: Shaped[np.ndarray, "..."]) -> Segments:
@@ -29,6 +29,7 @@ def side_levels(
     grey: Float[np.ndarray, "h w"],
     endpoints_px: Float[np.ndarray, "n 2 2"],
     to_image: Callable[[Float[np.ndarray, "p 2"]], np.ndarray] = np.asarray,
+    tuning: JunctionTuning = DEFAULT.junctions,
 ) -> Float[np.ndarray, "n 2"]:
     """(n, 2) median grey level on the right and on the left of each segment.
 
@@ -37,14 +38,15 @@ def side_levels(
     """
     step = endpoints_px[:, 1] - endpoints_px[:, 0]
     right = np.stack([-step[:, 1], step[:, 0]], axis=1) / np.linalg.norm(step, axis=1)[:, None]
-    off = np.concatenate([_BESIDE_PX, -_BESIDE_PX])[:, None]
-    beside = np.empty((2, len(step), 2 * len(_BESIDE_PX), len(_ALONG)))
+    away = np.array(tuning.beside_px)
+    off = np.concatenate([away, -away])[:, None]
+    beside = np.empty((2, len(step), 2 * len(away), len(_ALONG)))
     for axis in (0, 1):
         on = endpoints_px[:, 0, axis, None] + step[:, axis, None] * _ALONG
         np.add(on[:, None], right[:, axis, None, None] * off, out=beside[axis])
     if to_image is not np.asarray:
         beside = to_image(beside.reshape(2, -1).T).T.reshape(beside.shape)
-    levels = nearest_levels(grey, *beside).reshape(len(step), 2, len(_BESIDE_PX) * len(_ALONG))
+    levels = nearest_levels(grey, *beside).reshape(len(step), 2, len(away) * len(_ALONG))
     # The mean of the two in the middle; of so few, sorting is faster than partition.
     middle = levels.shape[2] // 2
     levels.sort(axis=2)

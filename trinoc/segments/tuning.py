@@ -5,9 +5,9 @@
 
 `tolerance_px`, `false_alarms` and `least_contrast` are arguments of `find_segments` itself. Values
 come from the prototype, a numerical study that went before, or were chosen by hand on rendered
-block scenes, unless a comment says more. All figures are of benchmarks/segments.py. What is a
-property of the masks, of the polygon or of linking, and numerical guards, stand where they are
-used.
+block scenes, unless a comment says more. All figures are of benchmarks/segments.py;
+benchmarks/sweep.py prints what other values do. What is a property of the masks, of the polygon or
+of linking, and numerical guards, stand where they are used.
 """
 
 from dataclasses import dataclass, field
@@ -29,6 +29,9 @@ class ScaleTuning:
     # Least number of points of a run, at either level. By hand.
     least_fine: int = 6
     least_coarse: int = 5
+    # Scale s, px, of the weight 1 / (1 + (r / s)^2)^2 of a point at a distance r from the line,
+    # where the points fit well: a quarter at r = s, a hundredth at r = 3 s. By hand.
+    robust_px: float = 0.3
 
 
 @dataclass(frozen=True)
@@ -44,6 +47,16 @@ class AcceptTuning:
     # unless its blur has less than this variance, px^2: photographs with depth have edges of
     # many widths. By hand; shown by Merton.
     sharp_px2: float = 2.0
+    # The spread of widths is that of lines of at least so many points, whose squared strength over
+    # noise per point is beyond this: their width is well measured. By hand.
+    clear_points: int = 15
+    clear_snr2: float = 100.0
+    # Slopes beside an edge are taken from so many widths of its profile to so many px farther out.
+    # In a soft shadow the levels slope on both sides: by more than this share of the slope on the
+    # line itself. By hand.
+    beside_widths: float = 1.5
+    beside_px: float = 3.0
+    ramp_slope: float = 0.25
     # A bow of more than this, px, is an arc whatever its neighbours do, if its radius is below
     # this share of the picture's width. The share is from the prototype, the bow by hand.
     arc_bow_px: float = 0.8
@@ -78,6 +91,10 @@ class EndpointTuning:
     # px. From the prototype.
     gap_px: float = 8.0
     snap_px: float = 6.0
+    # Lines at less than this angle, degrees, may be pieces of one edge, and do not cross. By hand.
+    parallel_deg: float = 15.0
+    # Lines are looked for around an end within so many times the reach of a crossing. By hand.
+    search_factor: float = 1.5
     # Standard deviation of an end along its segment, px: at a crossing (by hand), and, on ten
     # rendered scenes, where the evidence of an edge of this contrast stops. It goes as one over the
     # root of the contrast, between these limits. 7 and 12 px hold 92 % of the ends of other scenes
@@ -95,6 +112,20 @@ class ErrorTuning:
     have about the variance that is claimed, on rendered block scenes without shadows, other ones
     than the benchmark's. Shown by the normalised error across and its share beyond 3 sigma."""
 
+    # Noise also enters through the choice of points: its variance is this many times larger.
+    # Measured on single edges.
+    noise_excess: float = 1.2
+    # What the model leaves out even on a perfect edge (sampling, kernel shape, rounding), px: a
+    # part that is common to the whole edge, and a part per pixel of length that averages out.
+    # Measured on single edges.
+    model_sigma_px: float = 0.01
+    model_sigma_per_pixel: float = 0.11
+    # Lines are neighbours within so many widths of the profile, and at least this far, px. By hand.
+    reach_widths: float = 3.0
+    least_reach_px: float = 4.5
+    # A point whose own edge makes up less than this share of its slope counts next to nothing. By
+    # hand.
+    least_share: float = 0.3
     # Share of the shift ascribed to neighbours that stays as an error.
     pull_share: float = 0.8
     # Error, px, per share of points with a neighbour beyond the first share.
@@ -107,10 +138,11 @@ class ErrorTuning:
     bow_share: float = 0.2
     bow_sigmas: float = 1.5
     # Share of the points' scatter that noise does not explain, and how many times its variance
-    # noise explains; share of the distance of the last points from the line, that stays an error of
-    # that end, and from how many sigmas of it.
+    # noise explains; number of last points, share of their distance from the line that stays an
+    # error of that end, and from how many sigmas of it.
     scatter_share: float = 0.4
     scatter_noise: float = 2.0
+    last_points: int = 5
     off_share: float = 0.7
     off_sigmas: float = 3.0
     # Share of the shift that slopes beside a line promise by which it is moved, share of their size
@@ -150,8 +182,35 @@ class SaturationTuning:
     shift_share: float = 0.07
     # The height above white changes along an edge: share of the shift by which its ends differ.
     uneven_share: float = 0.05
+    # The profile is fitted from so many widths of the blur before the line to where noise of so
+    # many sigmas would be clipped; a place farther off than so many widths is none. By hand.
+    fit_widths: float = 3.5
+    white_sigmas: float = 2.5
+    most_widths: float = 3.0
+    # The blur comes from edges with less than this share of their points beside others, and so
+    # many times the noise in contrast. By hand.
+    most_crowded: float = 0.2
+    clear_contrast: float = 8.0
     # Error, in widths of the blur, where too little of the profile is seen for a fit.
     unfitted_widths: float = 0.6
+
+
+@dataclass(frozen=True)
+class JunctionTuning:
+    """Where segments meet and continue each other, and the levels beside them. By hand; shown by
+    matching of rendered scenes."""
+
+    # Ends are taken to meet within so many of their own sigmas, between these limits, px.
+    sigmas: float = 3.0
+    least_reach_px: float = 2.0
+    most_reach_px: float = 8.0
+    # Two ends at a junction continue each other where they differ by less than this, degrees.
+    straight_deg: float = 12.0
+    # Pieces of one chain differ by less than this, degrees, across gaps of at most this, px.
+    chain_deg: float = 4.0
+    chain_gap_px: float = 30.0
+    # Grey levels are taken this far from a segment, px: beyond the blur of its edge.
+    beside_px: tuple[float, float, float] = (2.0, 3.0, 4.0)
 
 
 @dataclass(frozen=True)
@@ -163,6 +222,7 @@ class SegmentTuning:
     ends: EndpointTuning = field(default_factory=EndpointTuning)
     errors: ErrorTuning = field(default_factory=ErrorTuning)
     saturation: SaturationTuning = field(default_factory=SaturationTuning)
+    junctions: JunctionTuning = field(default_factory=JunctionTuning)
 
 
 DEFAULT = SegmentTuning()

@@ -27,14 +27,8 @@ from trinoc.segments.nevatia_babu.line_fit import FittedLines
 from trinoc.segments.nevatia_babu.runs import Runs
 from trinoc.segments.tuning import DEFAULT, AcceptTuning, ErrorTuning
 
-# Beside an edge the grey levels are compared from here, in widths of its profile, to so many
-# pixels farther out.
-_FROM_WIDTHS, _FURTHER_PX = 1.5, 3.0
-# Beside an edge the grey levels are flat; in a soft shadow they slope on both sides.
-_MOST_SLOPE = 0.25
-_BOX = (3, 3)
-# Of so many points next to each other the smoothed levels are one answer.
-_ALIKE = 3
+# Levels are smoothed by a box with this side: so many points next to each other are one answer.
+_BOX_PX = 3  # numerical: the least box about a pixel
 
 
 class Shifts(NamedTuple):
@@ -68,11 +62,16 @@ class SideSlopes(NamedTuple):
     own: Float[np.ndarray, "r"]
 
 
-def side_slopes(grey: Float[np.ndarray, "h w"], runs: Runs, usual_blur_px2: float) -> SideSlopes:
+def side_slopes(
+    grey: Float[np.ndarray, "h w"],
+    runs: Runs,
+    usual_blur_px2: float,
+    tuning: AcceptTuning = DEFAULT.accept,
+) -> SideSlopes:
     """Slopes of grey levels or light beside the lines of runs."""
     points = runs.points
-    smooth = cv2.blur(grey, _BOX, borderType=cv2.BORDER_REPLICATE)
-    near = np.float32(_FROM_WIDTHS) * np.sqrt(
+    smooth = cv2.blur(grey, (_BOX_PX, _BOX_PX), borderType=cv2.BORDER_REPLICATE)
+    near = np.float32(tuning.beside_widths) * np.sqrt(
         points.kernel_variance_px2 + np.float32(usual_blur_px2)
     )
 
@@ -80,25 +79,26 @@ def side_slopes(grey: Float[np.ndarray, "h w"], runs: Runs, usual_blur_px2: floa
         """So far from each point across its edge, toward the brighter side."""
         return nearest_levels(smooth, *(points.uv_px + across_px[:, None] * points.normal).T)
 
-    far = near + np.float32(_FURTHER_PX)
+    further = tuning.beside_px
+    far = near + np.float32(further)
     dark, bright = level(-near) - level(-far), level(far) - level(near)
     of_dark, of_bright = runs.mean(dark), runs.mean(bright)
     square = runs.mean(np.square(bright - dark)) - np.square(of_bright - of_dark)
-    variance = np.maximum(square, 0.0) / np.maximum(runs.count / _ALIKE, 1.0)
+    variance = np.maximum(square, 0.0) / np.maximum(runs.count / _BOX_PX, 1.0)
     return SideSlopes(
-        of_dark / _FURTHER_PX,
-        of_bright / _FURTHER_PX,
-        np.sqrt(variance) / _FURTHER_PX,
+        of_dark / further,
+        of_bright / further,
+        np.sqrt(variance) / further,
         runs.mean(points.strength),
     )
 
 
-def is_on_ramp(slopes: SideSlopes) -> Bool[np.ndarray, "r"]:
-    """Lines whose slope goes on beyond both sides, by `_MOST_SLOPE` of what it is on the line.
+def is_on_ramp(slopes: SideSlopes, tuning: AcceptTuning = DEFAULT.accept) -> Bool[np.ndarray, "r"]:
+    """Lines whose slope goes on beyond both sides, by `ramp_slope` of what it is on the line.
 
     Both sides must show it: another edge beside an edge of the scene makes one side steep.
     """
-    return np.minimum(slopes.dark, slopes.bright) > _MOST_SLOPE * slopes.own
+    return np.minimum(slopes.dark, slopes.bright) > tuning.ramp_slope * slopes.own
 
 
 def shading_shifts(
@@ -128,14 +128,12 @@ def shading_shifts(
     return Shifts(shift, variance, np.zeros_like(shift))
 
 
-_RATE_PER_MEGAPIXEL, _DECAY = 4.2e4, 12.0
+_RATE_PER_MEGAPIXEL, _DECAY = 4.2e4, 12.0  # numerical: fitted to white noise, as above
 # Noise moves the bow of a line this many times more than its middle: the parabola has to be
 # told from the line.
-BOW_OF_MIDDLE = float(np.sqrt(11.25))
-# Points, and square of strength over noise per point, of lines whose width is well measured.
-_LONG, _CLEAR_SNR2 = 15, 100.0
+BOW_OF_MIDDLE = float(np.sqrt(11.25))  # numerical: moments of a parabola
 # Root mean square distance of a parabola from its best line, over its bow.
-_RMS_OF_BOW = float(np.sqrt(4 / 45))
+_RMS_OF_BOW = float(np.sqrt(4 / 45))  # numerical: moments of a parabola
 
 
 def typical_blur(lines: FittedLines) -> float:
@@ -164,7 +162,9 @@ def is_sharp(
     profile = lines.kernel_variance_px2 + lines.blur_px2
     typical = lines.kernel_variance_px2 + usual_px2
     # Of long, clear lines: the widths of others scatter by noise.
-    clear = (lines.support >= _LONG) & (lines.snr2 > _CLEAR_SNR2 * lines.support)
+    clear = (lines.support >= tuning.clear_points) & (
+        lines.snr2 > tuning.clear_snr2 * lines.support
+    )
     ratio = tuning.soft_ratio
     if clear.any():
         widths = (profile / typical)[clear]

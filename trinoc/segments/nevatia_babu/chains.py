@@ -11,15 +11,15 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from trinoc.numerics.joins import group_labels, group_maxima, members
-from trinoc.segments.nevatia_babu.thinning import ThinnedPixels
+from trinoc.segments.nevatia_babu.thinning import BORDER_PX, ThinnedPixels
 
-REACH_PX = 2
-_SECTORS = 16
+_SECTORS = 16  # numerical: of the table of steps
 # Of the 24 steps, those within some sixty degrees of the direction.
-_AHEAD = 10
+_AHEAD = 10  # numerical: of the table of steps
+# numerical: Nevatia and Babu's own rule.
 _LEAST_COSINE = np.float32(np.cos(np.radians(30.0)))
 # Points that are worked on at a time: what they need stays in the processor's cache.
-_AT_ONCE = 1 << 13
+_AT_ONCE = 1 << 13  # numerical: size of a block
 
 
 def successors(pixels: ThinnedPixels, shape: tuple[int, int]) -> Int[np.ndarray, "n"]:
@@ -97,7 +97,7 @@ def _dot(a: np.ndarray, b: np.ndarray) -> Float[np.ndarray, "m"]:
 @functools.cache
 def _offsets_ahead() -> Int[np.ndarray, "sectors m 2"]:
     """(sectors, m, 2) the (u, v) steps that lie ahead, for each sector of the direction."""
-    reach = np.arange(-REACH_PX, REACH_PX + 1)
+    reach = np.arange(-BORDER_PX, BORDER_PX + 1)
     steps = np.array([(u, v) for v in reach for u in reach if u or v])
     angle = np.arange(_SECTORS) * (2 * np.pi / _SECTORS)
     ahead = steps @ np.stack([np.cos(angle), np.sin(angle)])

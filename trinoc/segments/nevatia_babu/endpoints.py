@@ -10,11 +10,8 @@ from trinoc.numerics.tables import take_rows
 from trinoc.numerics.vectors import cross_2d
 from trinoc.segments.tuning import DEFAULT, EndpointTuning
 
-_SAMPLE_PX = 3.0
-_NEIGHBOURS = 12
-# `lines_near_ends` looks so many times its reach around each end.
-_NEXT_OF_SNAP = 1.5
-_LEAST_SINE = np.sin(np.radians(15.0))
+SAMPLE_PX = 3.0  # numerical: spacing of samples on lines for a search
+_NEIGHBOURS = 12  # numerical: bounds a search
 
 
 class Pieces(NamedTuple):
@@ -57,13 +54,14 @@ class NearEnds(NamedTuple):
     line: Int[np.ndarray, "p"]
 
 
-def lines_near_ends(pieces: Pieces, reach_px: float) -> NearEnds:
-    """The lines, at most some, within one and a half times the reach of each end."""
+def lines_near_ends(
+    pieces: Pieces, reach_px: float, tuning: EndpointTuning = DEFAULT.ends
+) -> NearEnds:
+    """The lines, at most some, within `search_factor` times the reach of each end."""
     count = len(pieces.centre_px)
-    owner, samples = line_samples(pieces, _SAMPLE_PX)
-    end, sample, _ = near_pairs(
-        pieces.ends_px.reshape(-1, 2), samples, _NEXT_OF_SNAP * reach_px, _NEIGHBOURS
-    )
+    owner, samples = line_samples(pieces, SAMPLE_PX)
+    radius = tuning.search_factor * reach_px
+    end, sample, _ = near_pairs(pieces.ends_px.reshape(-1, 2), samples, radius, _NEIGHBOURS)
     # Most samples near an end are its own line's.
     foreign = np.flatnonzero(owner[sample] != end // 2)
     pair = distinct(end[foreign] * count + owner[sample[foreign]])
@@ -71,9 +69,12 @@ def lines_near_ends(pieces: Pieces, reach_px: float) -> NearEnds:
 
 
 def endpoint_crossings(
-    pieces: Pieces, reach_px: Float[np.ndarray, "r"], near: NearEnds
+    pieces: Pieces,
+    reach_px: Float[np.ndarray, "r"],
+    near: NearEnds,
+    tuning: EndpointTuning = DEFAULT.ends,
 ) -> EndpointCrossings:
-    """Where ends meet other lines: crossings at more than fifteen degrees near the end.
+    """Where ends meet other lines: crossings near the end of lines that are not parallel.
 
     A crossing counts within `reach_px` (of each line) of the end along its own line, and on
     the other line or within the other's reach of its ends. Only the pairs in `near` are
@@ -83,7 +84,7 @@ def endpoint_crossings(
     end, other = near
     line, side = np.divmod(end, 2)
     sine = cross_2d(direction[line], direction[other])
-    steep = np.flatnonzero(np.abs(sine) > _LEAST_SINE)
+    steep = np.flatnonzero(np.abs(sine) > np.sin(np.radians(tuning.parallel_deg)))
     line, side, other, sine = line[steep], side[steep], other[steep], sine[steep]
     between = centre_px[other] - centre_px[line]
     position = cross_2d(between, direction[other]) / sine
@@ -105,7 +106,7 @@ def endpoint_crossings(
 
 
 def snap_ends(
-    pieces: Pieces, reach_px: float, near: NearEnds
+    pieces: Pieces, reach_px: float, near: NearEnds, tuning: EndpointTuning = DEFAULT.ends
 ) -> tuple[Int[np.ndarray, "r 2"], Float[np.ndarray, "r 2"]]:
     """(partner, position): the line that stops each end, -1 for none, and where along its own.
 
@@ -114,7 +115,7 @@ def snap_ends(
     """
     partner = np.full(pieces.extent_px.shape, -1, dtype=np.int64)
     position = pieces.extent_px.copy()
-    found = endpoint_crossings(pieces, np.full(len(partner), reach_px), near)
+    found = endpoint_crossings(pieces, np.full(len(partner), reach_px), near, tuning)
     # Of several that write to one place the last stays.
     partner[found.line, found.side] = found.other
     position[found.line, found.side] = found.position
@@ -137,8 +138,8 @@ def end_sigmas(
     faint = np.sqrt(tuning.free_contrast / np.maximum(contrast, 1e-6))
     free = np.clip(tuning.sigma_free_px * faint, tuning.least_free_px, tuning.most_free_px)
     sigma = np.repeat(free[:, None], 2, axis=1)
-    reach = np.full(len(partner), _NEXT_OF_SNAP * tuning.snap_px)
-    ahead = endpoint_crossings(pieces, reach, near)
+    reach = np.full(len(partner), tuning.search_factor * tuning.snap_px)
+    ahead = endpoint_crossings(pieces, reach, near, tuning)
     sigma[ahead.line, ahead.side] = np.maximum(ahead.distance_px, tuning.least_free_px)
     return np.where(partner >= 0, tuning.sigma_crossing_px, sigma)
 

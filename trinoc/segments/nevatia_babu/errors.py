@@ -16,30 +16,27 @@ from trinoc.image.light import Light
 from trinoc.image.strip import nearest_levels
 from trinoc.numerics.joins import distinct, members, point_tree
 from trinoc.segments.nevatia_babu.accept import BOW_OF_MIDDLE, Shifts
-from trinoc.segments.nevatia_babu.endpoints import line_samples
+from trinoc.segments.nevatia_babu.endpoints import SAMPLE_PX, line_samples
 from trinoc.segments.nevatia_babu.line_fit import FittedLines
 from trinoc.segments.nevatia_babu.runs import FARTHEST, LEAST_SIDE, EdgePoints, Runs
 from trinoc.segments.tuning import DEFAULT, ErrorTuning
 
-# Lines are neighbours within so many widths of the profile, and at least this far.
-REACH_WIDTHS, LEAST_REACH_PX = 3.0, 4.5
 # Fourth cumulant of the kernel's profile: its tails fall faster than a Gaussian's.
-_TAIL = 2.6 / 24
-# erf(x) is the hyperbolic tangent of x times a polynomial in x^2, fitted up to where erf is 1.
+_TAIL = 2.6 / 24  # numerical: a property of the masks
+# numerical: erf(x) is the hyperbolic tangent of x times a polynomial in x^2, fitted up to where
+# erf is 1.
 _ERF, _ERF_REACH = np.array([1.12814338, 0.10408118, -0.00178647], np.float32), np.float32(4)
-_LEAST_SHARE = 0.3
-_LEAST_PULL = 0.002
+_LEAST_PULL = 0.002  # numerical: less than single precision and noise leave
 
 
 def find_near_lines(
     lines: FittedLines, reach_px: float
 ) -> tuple[Int[np.ndarray, "p"], Int[np.ndarray, "p"]]:
     """(one, other): all ordered pairs of different lines closer than about `reach_px`."""
-    spacing = 3.0
-    owner, samples = line_samples(lines.pieces, spacing)
+    owner, samples = line_samples(lines.pieces, SAMPLE_PX)
     # Two lines' nearest points have samples within half a spacing: this far at most, as the way
     # between them is across whichever line does not end there.
-    radius = float(np.hypot(reach_px, spacing))
+    radius = float(np.hypot(reach_px, SAMPLE_PX))
     near = point_tree(samples).query_pairs(radius, output_type="ndarray")
     one, other = owner[near[:, 0]], owner[near[:, 1]]
     different = one != other
@@ -64,13 +61,20 @@ class Overlaps(NamedTuple):
     across: Float[np.ndarray, "m"]
 
 
-def find_overlaps(runs: Runs, lines: FittedLines, profile_variance_px2: float) -> Overlaps:
+def find_overlaps(
+    runs: Runs,
+    lines: FittedLines,
+    profile_variance_px2: float,
+    tuning: ErrorTuning = DEFAULT.errors,
+) -> Overlaps:
     """All points within reach of lines that are not their run's own.
 
     `profile_variance_px2` is that of a typical edge of the image: the reach follows from it.
     """
     points = runs.points
-    reach_px = max(LEAST_REACH_PX, REACH_WIDTHS * float(np.sqrt(profile_variance_px2)))
+    reach_px = max(
+        tuning.least_reach_px, tuning.reach_widths * float(np.sqrt(profile_variance_px2))
+    )
     one, other = find_near_lines(lines, reach_px)
     count = runs.count[one]
     point, _, _ = members(runs.first[one], runs.first[one] + count)
@@ -90,7 +94,11 @@ def find_overlaps(runs: Runs, lines: FittedLines, profile_variance_px2: float) -
 
 
 def without_neighbours(
-    points: EdgePoints, lines: FittedLines, blur_px2: Float[np.ndarray, "r"], found: Overlaps
+    points: EdgePoints,
+    lines: FittedLines,
+    blur_px2: Float[np.ndarray, "r"],
+    found: Overlaps,
+    tuning: ErrorTuning = DEFAULT.errors,
 ) -> EdgePoints:
     """The points, located again in profiles from which neighbouring lines are subtracted.
 
@@ -122,7 +130,7 @@ def without_neighbours(
         added[sample] = np.bincount(
             point, 0.5 * height * shape * window, minlength=len(points.strength)
         )
-    return _relocate_points(points, added)
+    return _relocate_points(points, added, tuning.least_share)
 
 
 def _error_function(x: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
@@ -132,7 +140,9 @@ def _error_function(x: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
     return np.tanh(x * (_ERF[0] + squared * (_ERF[1] + squared * _ERF[2])))
 
 
-def _relocate_points(points: EdgePoints, added: Float[np.ndarray, "3 n"]) -> EdgePoints:
+def _relocate_points(
+    points: EdgePoints, added: Float[np.ndarray, "3 n"], least_share: float
+) -> EdgePoints:
     most = np.abs(added).max(axis=0)
     touched = np.flatnonzero(most > _LEAST_PULL * points.profile[:, 1])
     before = points.take(touched)
@@ -143,7 +153,7 @@ def _relocate_points(points: EdgePoints, added: Float[np.ndarray, "3 n"]) -> Edg
     # Along one axis of the picture.
     moved = located - before.sample_px
     usable = (
-        (share > _LEAST_SHARE)
+        (share > least_share)
         & (np.minimum(profile[:, 0], profile[:, 2]) > LEAST_SIDE * middle)
         & (middle > 0)
         & (np.abs(moved[:, 0] + moved[:, 1]) < FARTHEST * before.spacing_px)
@@ -163,13 +173,7 @@ def _relocate_points(points: EdgePoints, added: Float[np.ndarray, "3 n"]) -> Edg
     )
 
 
-_PIXEL_VARIANCE = 1 / 12
-_LAST_POINTS = 5
-# Noise also enters through the choice of points; the share was measured on single edges.
-NOISE_EXCESS = 1.2
-# What the model leaves out even on a perfect edge (sampling, kernel shape, rounding): a part that
-# is common to the whole edge, and a part per pixel of length that averages out.
-MODEL_SIGMA_PX, MODEL_SIGMA_PER_PIXEL = 0.01, 0.11
+_PIXEL_VARIANCE = 1 / 12  # numerical: of a box of one pixel
 
 
 class ErrorModel(NamedTuple):
@@ -231,19 +235,19 @@ def error_model(
         cleaned.mean((level >= picture.white).astype(np.float64)),
         np.where(bow > tuning.bow_sigmas * noise_bow, bow, 0.0),
         np.sqrt(np.maximum(lines.residual_px**2 - tuning.scatter_noise * noise_of_point, 0.0)),
-        _off_line(cleaned, lines, tuning.off_sigmas * np.sqrt(noise_of_point)),
+        _off_line(cleaned, lines, tuning.off_sigmas * np.sqrt(noise_of_point), tuning.last_points),
     )
 
 
 def _off_line(
-    runs: Runs, lines: FittedLines, least_px: Float[np.ndarray, "r"]
+    runs: Runs, lines: FittedLines, least_px: Float[np.ndarray, "r"], last_points: int
 ) -> Float[np.ndarray, "r 2"]:
     """(r, 2) mean distance of the last points at either end from their line.
 
     0 where it is less than `least_px` over the root of their number.
     """
-    first, count = runs.first[:, None], np.minimum(_LAST_POINTS, runs.count)[:, None]
-    steps = np.arange(_LAST_POINTS)
+    first, count = runs.first[:, None], np.minimum(last_points, runs.count)[:, None]
+    steps = np.arange(last_points)
     ends = np.stack([first + steps, first + runs.count[:, None] - 1 - steps], axis=1)
     within = (steps < count)[:, None]
     offset = runs.points.uv_px[np.where(within, ends, first[:, None])]
@@ -288,11 +292,14 @@ def inflate_variance(
 
 
 def noise_variance(
-    variance_middle_px2: Float[np.ndarray, "r"], length_px: Float[np.ndarray, "r"]
+    variance_middle_px2: Float[np.ndarray, "r"],
+    length_px: Float[np.ndarray, "r"],
+    tuning: ErrorTuning = DEFAULT.errors,
 ) -> Float[np.ndarray, "r"]:
     """(r,) variance of a line's middle across it, where nothing but noise disturbs it."""
-    model = MODEL_SIGMA_PX**2 + MODEL_SIGMA_PER_PIXEL**2 / np.maximum(length_px, 1.0)
-    return NOISE_EXCESS * variance_middle_px2 + model
+    independent = tuning.model_sigma_per_pixel**2 / np.maximum(length_px, 1.0)
+    model = tuning.model_sigma_px**2 + independent
+    return tuning.noise_excess * variance_middle_px2 + model
 
 
 def end_covariances(

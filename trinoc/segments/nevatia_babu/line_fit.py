@@ -13,14 +13,10 @@ from trinoc.numerics.joins import near_pairs
 from trinoc.segments.nevatia_babu.chains import order_chains
 from trinoc.segments.nevatia_babu.endpoints import Pieces
 from trinoc.segments.nevatia_babu.runs import Runs
+from trinoc.segments.tuning import DEFAULT, EndpointTuning, ScaleTuning, SegmentTuning
 
-# Scale s of the weight 1 / (1 + (r / s)^2)^2, where the points fit well: a quarter at r = s, a
-# hundredth at r = 3 s.
-_ROBUST_SCALE_PX = 0.3
-_LEAST_VARIANCE_PX2 = 1.0
-_LEAST_SHARPNESS = 0.01
-# Pieces of one edge have directions that differ by less.
-_LEAST_COSINE = np.cos(np.radians(15.0))
+_LEAST_VARIANCE_PX2 = 1.0  # numerical: a guard where noise leaves no width
+_LEAST_SHARPNESS = 0.01  # numerical: a guard of a division
 
 
 class FittedLines(NamedTuple):
@@ -61,7 +57,7 @@ class FittedLines(NamedTuple):
         return Pieces(self.centre_px, self.direction, self.extent_px)
 
 
-def fit_lines(runs: Runs) -> FittedLines:
+def fit_lines(runs: Runs, tuning: ScaleTuning = DEFAULT.scales) -> FittedLines:
     """Fit a line to each run.
 
     Points are weighted by their strength; a second pass weighs down those off the first
@@ -80,7 +76,7 @@ def fit_lines(runs: Runs) -> FittedLines:
         across = off_y * cosine - off_x * sine
         if not last:
             rms = np.sqrt(runs.mean(across * across))
-            scale = (1 / (_ROBUST_SCALE_PX + 2 * rms)).astype(np.float32)
+            scale = (1 / (tuning.robust_px + 2 * rms)).astype(np.float32)
             weight = root / np.square(1 + np.square(across * runs.spread(scale)))
     along = off_x * cosine + off_y * sine
 
@@ -177,20 +173,20 @@ def _bow(
 
 
 def merge_collinear(
-    runs: Runs, lines: FittedLines, tolerance_px: float, gap_px: float
+    runs: Runs, lines: FittedLines, tolerance_px: float, tuning: SegmentTuning = DEFAULT
 ) -> tuple[Runs, FittedLines]:
     """The same after joining collinear lines across small gaps."""
-    successor = collinear_successors(lines, gap_px, tolerance_px / 2)
+    successor = collinear_successors(lines, tolerance_px / 2, tuning.ends)
     line_order, begin = order_chains(successor)
     length = runs.count[line_order]
     first = np.cumsum(length) - length
     order = np.arange(length.sum()) - np.repeat(first - runs.first[line_order], length)
     merged = Runs(runs.points.take(order), first[begin])
-    return merged, fit_lines(merged)
+    return merged, fit_lines(merged, tuning.scales)
 
 
 def collinear_successors(
-    lines: FittedLines, gap_px: float, tolerance_px: float
+    lines: FittedLines, tolerance_px: float, tuning: EndpointTuning = DEFAULT.ends
 ) -> Int[np.ndarray, "r"]:
     """(r,) the line that continues each line beyond a gap, -1 where there is none.
 
@@ -200,9 +196,11 @@ def collinear_successors(
     """
     successor = np.full(len(lines.support), -1, dtype=np.int64)
     ends = lines.pieces.ends_px
-    one, other, gap = near_pairs(ends[:, 1], ends[:, 0], gap_px)
+    one, other, gap = near_pairs(ends[:, 1], ends[:, 0], tuning.gap_px)
     a, b = lines.direction[one], lines.direction[other]
-    along = np.flatnonzero(a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1] > _LEAST_COSINE)
+    along = np.flatnonzero(
+        a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1] > np.cos(np.radians(tuning.parallel_deg))
+    )
     one, other, gap = one[along], other[along], gap[along]
     chord = ends[other, 1] - ends[one, 0]
     length = np.linalg.norm(chord, axis=-1)

@@ -28,7 +28,7 @@ from trinoc.segments.tuning import DEFAULT, ScaleTuning
 
 # A profile is no peak where a side has less than this share of the middle, or where its top is
 # this many pixels of the level away.
-LEAST_SIDE, FARTHEST = 0.02, 1.5
+LEAST_SIDE, FARTHEST = 0.02, 1.5  # numerical: guards of a parabola through three logarithms
 
 
 class PyramidLevel(NamedTuple):
@@ -203,9 +203,9 @@ class Runs(NamedTuple):
 
 
 # Rows enough for a noise good to one part in a hundred; more would only cost time.
-_MOST_ROWS = 60
+_MOST_ROWS = 60  # numerical: size of a sample
 # The end points of a run lie where the chain bends: the corner pulls them.
-_TRIMMED_POINTS = 1
+_TRIMMED_POINTS = 1  # numerical: an index
 
 
 def full_level(picture: Light, kernel: GradientKernel) -> PyramidLevel:

@@ -23,17 +23,14 @@ from trinoc.segments.nevatia_babu.line_fit import FittedLines
 from trinoc.segments.nevatia_babu.runs import PyramidLevel, Runs
 from trinoc.segments.tuning import DEFAULT, SaturationTuning
 
-_BIN_PX = 0.25
-# The profile is looked at so far to both sides, and fitted from so many widths before the line.
-_REACH_PX, _WIDTHS = 9, 3.5
-_LEAST_BINS, _MOST_WIDTHS = 5, 3.0
+_BIN_PX = 0.25  # numerical: samples of a profile
+# The profile is looked at so far to both sides, and where its blur is measured so far.
+_REACH_PX, _CLEAR_REACH_PX = 9, 4.0  # numerical: size of a sample
+_LEAST_BINS = 5  # numerical: one more than the unknowns
 # The fit starts from steps so high, in logarithms of the height over the visible one.
-_STARTS = np.array([0.05, 0.4, 1.0])
-_SIGMAS_BELOW_WHITE = 2.5
-# The blur comes from so many of the longest edges without saturation, that have less than this
-# share of their points beside others and so many times the noise in contrast.
-_REFERENCES, _CLEAR_OF_OTHERS, _CLEAR_CONTRAST = 40, 0.2, 8.0
-_CLEAR_REACH_PX = 4.0
+_STARTS = np.array([0.05, 0.4, 1.0])  # numerical: starts of an iteration
+# The blur comes from so many of the longest edges without saturation.
+_REFERENCES = 40  # numerical: size of a sample
 
 
 class Profiles(NamedTuple):
@@ -70,8 +67,8 @@ def shifts_of_saturated(
         return Shifts(shift, variance, variance)
     noise_of_light = fine.noise_sigma * lines.light_per_level
     rise = lines.contrast * lines.light_per_level
-    clear = (disturbed.saturated == 0) & (disturbed.crowded < _CLEAR_OF_OTHERS)
-    clear = np.flatnonzero(clear & (rise > _CLEAR_CONTRAST * noise_of_light))
+    clear = (disturbed.saturated == 0) & (disturbed.crowded < tuning.most_crowded)
+    clear = np.flatnonzero(clear & (rise > tuning.clear_contrast * noise_of_light))
     longest = clear[np.argsort(-lines.support[clear], kind="stable")[:_REFERENCES]]
     references = np.zeros(len(chosen), dtype=bool)
     references[longest] = True
@@ -148,13 +145,15 @@ def _places(
     width = np.exp(blur.log_width)
     seen = count > 0
     # From the dark side to where noise would first be clipped.
-    top = white - _SIGMAS_BELOW_WHITE * noise[:, None]
+    top = white - tuning.white_sigmas * noise[:, None]
     near = (across > -2 * width - 1) & seen
     clipped = near & (level >= top)
     cut = np.where(clipped, across, np.inf).min(axis=1, keepdims=True)
     # The bin before holds pixels that are clipped, too, where the edge is steep.
     used = (
-        seen & (across < cut - 1.5 * _BIN_PX) & (across > np.minimum(cut, 0) - _WIDTHS * width - 1)
+        seen
+        & (across < cut - 1.5 * _BIN_PX)
+        & (across > np.minimum(cut, 0) - tuning.fit_widths * width - 1)
     )
     # A line all of whose levels are near white has none to fit, and is poor below.
     floor = np.where(used, level, white).min(axis=1)
@@ -184,7 +183,7 @@ def _places(
     freedom = np.maximum(used.sum(axis=1) - len(precision), 1)
     variance = (share * variance).sum(axis=0) * np.maximum(chi_square.min(axis=0) / freedom, 1.0)
     variance = variance + between + np.square(tuning.shift_share * shift)
-    known = np.maximum(np.abs(shift), np.sqrt(variance)) < _MOST_WIDTHS * width
+    known = np.maximum(np.abs(shift), np.sqrt(variance)) < tuning.most_widths * width
     poor = (used.sum(axis=1) < _LEAST_BINS) | ~known
     return (
         np.where(poor, 0.0, shift),

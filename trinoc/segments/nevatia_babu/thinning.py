@@ -19,8 +19,9 @@ from jaxtyping import Bool, Float, Int
 
 from trinoc.image.step_edge import peak_of_slope
 
+# numerical: of the published masks.
 MASK_ANGLES_DEG = (0, 30, 60, 90, 120, 150)
-_BINOMIAL = np.array([0.25, 0.5, 0.25], np.float32)
+_BINOMIAL = np.array([0.25, 0.5, 0.25], np.float32)  # numerical: the least smoothing
 _BORDER = cv2.BORDER_REPLICATE
 
 _MASKS = """
@@ -126,9 +127,9 @@ def correlate_gradient(grey: Float[np.ndarray, "h w"], kernel: GradientKernel) -
 
 
 # Linking looks two pixels to each side.
-BORDER_PX = 2
+BORDER_PX = 2  # numerical: the 24 pixels about one
 # Pixels that are worked on at a time; rows that smoothing and masks look beyond their own.
-_STRIP_PX, _HALO_PX = 1 << 16, 3
+_STRIP_PX, _HALO_PX = 1 << 16, 3  # numerical: size of a block
 
 
 class ThinnedPixels(NamedTuple):
