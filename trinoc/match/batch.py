@@ -29,10 +29,10 @@ from trinoc.numerics.precision import in_float64
 from trinoc.numerics.programs import one_compiles
 
 OK = "ok"
-# Frames with more segments in a view than this, or of more views, fill a problem alone; a stack
-# holds as many segments of a view as this at most.
+# numerical: frames with more segments in a view than this, or of more views, fill a problem
+# alone; a stack holds as many segments of a view as this at most.
 LARGEST_FRAME, LARGEST_STACK, MOST_VIEWS = 1 << 8, 1 << 13, 3
-# More threads than these would wait for the interpreter.
+# numerical: more threads than these would wait for the interpreter.
 MOST_THREADS = 4
 
 

@@ -11,7 +11,7 @@ from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
 from trinoc.numerics.precision import in_float64
 from trinoc.numerics.tables import with_field
 
-# Lengths of made segments, as shares of the picture's longer side.
+# numerical: lengths of made segments, as shares of the picture's longer side.
 SHORTEST, LONGEST = 0.01, 0.05
 
 

@@ -17,6 +17,7 @@ from trinoc.geometry.segments import Segments
 from trinoc.match.line_map.corners import Corners
 from trinoc.match.line_map.lines import JoinedLines
 from trinoc.match.tracks.matches import Matches
+from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.match.tuning.shadows import ShadowTuning
 from trinoc.numerics.arrays import ArrayLike
 from trinoc.numerics.vectors import complete_axes, cross_3d
@@ -90,10 +91,6 @@ def _lies_in_plane(
     return near.all(axis=2)
 
 
-# Added to grey levels before their logarithm is taken: a black level tells little.
-DARK_LEVEL = 4.0
-
-
 def side_levels_of_lines(
     matches: Matches, segments: Mapping[str, Segments | ArrayLike], joined: JoinedLines
 ) -> Float[np.ndarray, "e v 2"]:
@@ -107,7 +104,10 @@ def side_levels_of_lines(
             continue
         pair = np.sort(np.asarray(levels)[matches.index[seen, view]], axis=1)
         good = np.isfinite(pair).all(axis=1)
-        line, pair = joined.line_of_track[seen[good]], np.log(pair[good] + DARK_LEVEL)
+        line, pair = (
+            joined.line_of_track[seen[good]],
+            np.log(pair[good] + DEFAULT.shadows.dark_level),
+        )
         count = np.bincount(line, minlength=len(joined))
         for side in (0, 1):
             total = np.bincount(line, pair[:, side], minlength=len(joined))

@@ -7,19 +7,22 @@ from jaxtyping import Bool, Float, Int
 
 from trinoc.geometry.projection import homogeneous_pixel, pixel_change
 from trinoc.match.observations.match_input import MatchInput
+from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.match.tuning.rims import RimTuning
 from trinoc.numerics.robust_loss import Cauchy
 from trinoc.numerics.small_least_squares import Residuals, gauss_newton, misfit_factor
 from trinoc.numerics.vectors import complete_axes, cross_3d, vector3
 
-# Where a chord, fitted to the points of an arc, lies on it: the places of Gauss, as shares of its
-# half length. What noise moves one of them by tells nothing of the other.
+# numerical: where a chord, fitted to the points of an arc, lies on it: the places of Gauss, as
+# shares of its half length. What noise moves one of them by tells nothing of the other.
 GAUSS = 1 / np.sqrt(3)
-# Places along a chord: both of these, its middle, its ends.
+# numerical: places along a chord: both of these, its middle, its ends.
 _PLACES = np.array([-GAUSS, GAUSS, 0.0, -1.0, 1.0])
+# numerical: columns of `_PLACES`.
 ON_ARC, MIDDLE, ENDS = slice(0, 2), 2, slice(3, 5)
+# numerical: a column of `_PLACES`.
 _BUT_ENDS = 3
-# Points round a circle that tell the axes of its image.
+# numerical: points round a circle that tell the axes of its image.
 _AROUND = 8
 
 
@@ -173,14 +176,14 @@ def points_on_circles(
     return circles.centre_mm[:, None] + circles.radius_mm[:, None, None] * around
 
 
+# numerical: Gauss-Newton steps, which converge.
 _STEPS = 2
-# Residuals of so many standard deviations have half the weight.
-_ROBUST = Cauchy(3.0)
-# A step further than this share of the radius, or of a radian, has left what is nearly linear.
+# numerical: a step further than this share of the radius, or of a radian, has left what is nearly
+# linear.
 _LARGEST_STEP = 0.3
-# Derivatives are differences over this share of the radius.
+# numerical: derivatives are differences over this share of the radius.
 _SHARE = 1e-5
-# Of standard deviations: further off is as far off.
+# numerical: of standard deviations: further off is as far off.
 _FAR = 1e3
 
 
@@ -207,7 +210,7 @@ def fit_circle(chords: Chords, circle: Circles) -> CircleFit:
         lambda at, step: move_circle(at, step * _scale(at)),
         circle,
         steps=_STEPS,
-        loss=_ROBUST,
+        loss=Cauchy(DEFAULT.rims.robust_sigmas),
         largest_step=_LARGEST_STEP,
     )
     scale = _scale(circle)

@@ -12,10 +12,11 @@ from trinoc.numerics.small_least_squares import Residuals, gauss_newton, whiteni
 from trinoc.numerics.tables import take_rows
 from trinoc.numerics.vectors import complete_axes
 
-# Parameters of an axis and a radius, and of an axis alone.
+# numerical: parameters of an axis and a radius, and of an axis alone.
 ROUND, STRAIGHT = 5, 4
+# numerical: Gauss-Newton steps, which converge.
 STEPS = 4
-# At least so much of a radius is left by a step.
+# numerical: at least so much of a radius is left by a step.
 _LEAST_SHARE = 0.1
 
 

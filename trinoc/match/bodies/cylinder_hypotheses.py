@@ -19,7 +19,7 @@ from trinoc.numerics.buckets import blocks
 from trinoc.numerics.tables import concatenate_rows, take_rows
 from trinoc.numerics.vectors import cross_3d
 
-# Pairs and third outlines looked at together: they bound the memory.
+# numerical: pairs and third outlines looked at together: they bound the memory.
 AT_ONCE = 1 << 18
 
 

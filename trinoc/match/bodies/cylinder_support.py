@@ -12,9 +12,9 @@ from trinoc.numerics.buckets import blocks
 from trinoc.numerics.tables import concatenate_rows, take_rows
 from trinoc.numerics.tails import chi_square_limit
 
-# Cylinders that are compared with all outlines at once.
+# numerical: cylinders that are compared with all outlines at once.
 AT_ONCE = 1024
-# Outlines that say more than five parameters take.
+# numerical: outlines that say more than five parameters take.
 FEWEST = 4
 
 

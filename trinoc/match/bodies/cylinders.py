@@ -22,7 +22,7 @@ from trinoc.numerics.tables import Check, Column
 from trinoc.numerics.vectors import complete_axes
 
 _ENDS = ("x1_mm", "y1_mm", "z1_mm", "x2_mm", "y2_mm", "z2_mm")
-# Lines along each that are drawn.
+# numerical: lines along each that are drawn.
 _RULINGS = 4
 
 

@@ -11,7 +11,7 @@ from trinoc.numerics.buckets import blocks
 from trinoc.numerics.tables import concatenate_rows, take_rows
 from trinoc.numerics.vectors import complete_axes
 
-# Lamps that are judged at once, for memory.
+# numerical: lamps that are judged at once, for memory.
 AT_ONCE = 64
 
 

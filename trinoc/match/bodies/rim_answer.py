@@ -22,10 +22,12 @@ from trinoc.match.bodies.rims import Rims
 from trinoc.match.observations.match_input import MatchInput
 from trinoc.match.tracks.line_fit import cut_fragments, ending_view, track_intervals
 from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, Matches
+from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.match.tuning.rims import RimTuning
 from trinoc.numerics.tables import concatenate_rows, take_rows
 from trinoc.numerics.vectors import complete_axes, cross_3d
 
+# numerical: a whole turn, in rad.
 ROUND = 2 * np.pi
 
 
@@ -146,10 +148,6 @@ def _bows(chords: Chords, circles: Circles, row: Int[np.ndarray, "p"]) -> Float[
     return np.abs(px[:, MIDDLE] - px[:, ON_ARC].mean(axis=1))[back]
 
 
-# Standard deviation of a piece's ends along the rim, px: where detectors cut an arc.
-_END_PX = 1.0
-
-
 class FittedRim(NamedTuple):
     """A rim. circle : one row. covariance : of what `move_circle` moves. own : its chords. arcs :
     what these cover of it. covered : share of it that two views show. support : length of its
@@ -220,6 +218,7 @@ def build_rims(
     )
 
 
+# numerical: no circles.
 _NO_CIRCLES = Circles(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
 
 
@@ -242,7 +241,7 @@ def _pieces(
     slope[..., 5] = out
     slope = slope.reshape(-1, 6, 6)
     covariance = slope @ rim.covariance @ slope.mT
-    add_error_of_ends(covariance, (_END_PX * mm_per_px) * cross_3d(circle.normal, out))
+    add_error_of_ends(covariance, (DEFAULT.rims.end_px * mm_per_px) * cross_3d(circle.normal, out))
     chord = np.where(found.chord >= 0, rim.own[np.maximum(found.chord, 0)], -1)
     posterior = np.full(len(chord), tuning.posterior_of_two if rim.of_two else tuning.posterior)
     return RimPieces(chord, ends, covariance, posterior)

@@ -10,7 +10,7 @@ from trinoc.numerics.buckets import blocks
 from trinoc.numerics.tables import concatenate_rows, take_rows
 from trinoc.numerics.vectors import cross_3d
 
-# Lines that are held against circles at once: for memory, some 100 bytes each.
+# numerical: lines that are held against circles at once: for memory, some 100 bytes each.
 MOST_AT_ONCE = 1 << 21
 
 

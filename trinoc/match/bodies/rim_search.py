@@ -52,8 +52,10 @@ def usual_mm_per_px(
 
 
 # Of the circles of most support so many are fitted before the best is chosen.
+# numerical: a block size.
 _AT_ONCE = 6
 # While it is fitted, a circle's image moves by less than this.
+# numerical: a margin for time: only what lies nearer is fitted.
 _ROOM_PX = 15.0
 
 

@@ -20,9 +20,9 @@ from trinoc.match.tuning.rims import RimTuning
 from trinoc.numerics.buckets import blocks
 from trinoc.numerics.tables import take_rows
 
-# Chords that are held against circles at once, some 800 bytes each.
+# numerical: chords that are held against circles at once, some 800 bytes each.
 MOST_AT_ONCE = 1 << 16
-# Circles whose centres share a cell of so many radii are looked at together.
+# numerical: circles whose centres share a cell of so many radii are looked at together.
 _CELL_RADII = 2.0
 
 
@@ -68,7 +68,7 @@ def about(chords: Chords, circles: Circles, margin_px: float) -> Bool[np.ndarray
     return found
 
 
-# The inverse depth of what is looked for, in units of the circle's own.
+# numerical: the inverse depth of what is looked for, in units of the circle's own.
 _NEAREST, _MOST_STEPS = 3.0, 2000
 
 

@@ -20,7 +20,7 @@ from trinoc.numerics.table_checks import (
 from trinoc.numerics.tables import Check, Column
 
 _CENTRE, _NORMAL = ("x_mm", "y_mm", "z_mm"), ("normal_x", "normal_y", "normal_z")
-# What rounding leaves of the length of a normal, and of a share.
+# numerical: what rounding leaves of the length of a normal, and of a share.
 _ROUNDING, _OF_SHARE = 1e-6, 1e-9
 
 

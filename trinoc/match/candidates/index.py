@@ -49,11 +49,13 @@ class IndexLayer(NamedTuple):
     cell: float
 
 
+# numerical: no answer depends on them.
 LAYERS = (
     IndexLayer(24, math.radians(3.0), 1.5, 1),
     IndexLayer(6, math.radians(15.0), 3.0, 2),
     IndexLayer(1, math.pi, 6.0, 4),
 )
+# numerical: as above, finer.
 CROWDED_LAYERS = (
     IndexLayer(36, math.radians(2.0), 1.2, 0.75),
     IndexLayer(24, math.radians(4.0), 1.5, 1),
@@ -271,13 +273,13 @@ def look_up_segments(
     return np.repeat(asked, count), index.segment[position]
 
 
-# Where a prediction is looked up, as shares of its length: its middle first.
+# numerical: where a prediction is looked up, as shares of its length: its middle first.
 SAMPLES = (0.5, 1 / 6, 5 / 6)
-# Finest cell: at least CELL_SIGMAS standard deviations wide. Along the longer side of the image
-# there are CELLS sqrt(n) of them for n segments, and in small pictures, where the table takes
-# longer than the looking up, one for so many segments; clipped to FEWEST .. MOST.
+# numerical: finest cell: at least CELL_SIGMAS standard deviations wide. Along the longer side of
+# the image there are CELLS sqrt(n) of them for n segments, and in small pictures, where the table
+# takes longer than the looking up, one for so many segments; clipped to FEWEST .. MOST.
 CELL_SIGMAS, CELLS, SEGMENTS_OF_CELL, FEWEST, MOST = 8.0, 3.0, 8, 8, 320
-# Pictures with more segments than this have finer layers.
+# numerical: pictures with more segments than this have finer layers.
 CROWDED = 1 << 14
 
 

@@ -151,7 +151,7 @@ def _crosses_best(
     return sine_ab > tuning.nearly_best**2 * best
 
 
-# Rounding errors of a few operations, relative to their largest term.
+# numerical: rounding errors of a few operations, relative to their largest term.
 ROUNDING = 4 * float(np.finfo(np.float32).eps)
 
 

@@ -49,8 +49,8 @@ from trinoc.numerics.programs import kept_jit
 from trinoc.numerics.tables import concatenate_rows
 from trinoc.numerics.vectors import Vector3
 
-# What is kept of each triple: the shapes of interval, ends_mm, chi_square, log_density, end_log,
-# union_ends_mm, union_covariance_mm2, px_per_mm.
+# numerical: what is kept of each triple: the shapes of interval, ends_mm, chi_square,
+# log_density, end_log, union_ends_mm, union_covariance_mm2, px_per_mm.
 _SHAPES = ((3, 2), (2, 3), (), (), (2, END_COMPONENTS), (2, 3), (2, 6), ())
 
 
@@ -109,7 +109,7 @@ def _triple_evidence(
     return possible & found.possible, as_columns(columns)
 
 
-# About as many pairs are held at a time.
+# numerical: about as many pairs are held at a time.
 PAIRS_AT_A_TIME = 1 << 19
 # numerical: triples whose evidence is held at a time, some 500 bytes for each.
 TRIPLES_AT_A_TIME = 1 << 17

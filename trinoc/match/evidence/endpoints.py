@@ -18,6 +18,7 @@ from trinoc.numerics.vectors import Scalar, largest, total
 
 # All agree, by scale; two agree and the third stops short, by scale; or runs on; none agree.
 END_COMPONENTS = len(DEFAULT.ends.prior_shares)
+# numerical: a guard of the logarithm.
 LEAST_DENSITY = 1e-30
 
 

@@ -36,7 +36,7 @@ def polarity_evidence(
 
 
 _NONE = len(DEFAULT.sides.agreeing)
-# How the one side agrees and how the other; which is which does not matter.
+# numerical: how the one side agrees and how the other; which is which does not matter.
 SIDE_COMPONENTS = list(combinations_with_replacement(range(_NONE + 1), 2))
 
 

@@ -183,7 +183,7 @@ def _abreast(
     return offset, jacobian @ covariance_mm2 @ jacobian.mT
 
 
-# Lines compared with all others at once.
+# numerical: lines compared with all others at once.
 ROWS_IN_BLOCK = 512
 
 

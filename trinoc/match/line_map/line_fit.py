@@ -23,7 +23,7 @@ from trinoc.numerics.robust_loss import ScaleMixture
 from trinoc.numerics.small_least_squares import Residuals, gauss_newton, whitening
 from trinoc.numerics.vectors import complete_axes
 
-# Gauss-Newton steps.
+# numerical: Gauss-Newton steps.
 STEPS = 4
 
 

@@ -18,10 +18,14 @@ from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.match.tuning.line_map import CollinearTuning
 from trinoc.numerics.vectors import complete_axes
 
-# Of lines of more segments than this, factors are tried that differ from the likeliest in two.
+# numerical: of lines of more segments than this, factors are tried that differ from the likeliest
+# in two.
 ALL_FACTORS_TO = 4
+# numerical: see above.
 PAIRS_TO = 16
+# numerical: rounds of the search for the likeliest factors, at most.
 ROUNDS = 10
+# numerical: a guard of the logarithm.
 LEAST_POSTERIOR = 1e-6
 
 

@@ -12,7 +12,8 @@ from trinoc.match.tuning.evidence import ClutterTuning
 from trinoc.numerics.arrays import ArrayLike
 from trinoc.numerics.joins import group_medians, group_sums
 
-# Of frames with so many segments at most, all distances are computed: sooner than by a tree.
+# numerical: of frames with so many segments at most, all distances are computed: sooner than by a
+# tree.
 _FEW = 512
 
 

@@ -17,7 +17,7 @@ from trinoc.geometry.camera import Camera
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.rig import Rig
 
-# Rays from each side of a picture, over all of it.
+# numerical: rays from each side of a picture, over all of it.
 RAYS = 9
 
 

@@ -27,8 +27,10 @@ from trinoc.numerics.arrays import ArrayLike
 from trinoc.numerics.buckets import bucket, pad_rows
 
 # Two views of a scene may have one segment at the same place by chance, but not all of so many.
+# numerical: a count, not a threshold: below it nothing can be told.
 FEWEST_TO_TELL = 3
 # More candidates than memory bears are let go; of so many segments, too few would be left.
+# numerical: it bounds the memory.
 MOST_SEGMENTS = 40_000
 
 

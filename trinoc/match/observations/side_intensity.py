@@ -10,9 +10,10 @@ from scipy.spatial import KDTree
 from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.match.tuning.evidence import SideTuning
 
-# Ends of the histogram, in hundredths of the range of all levels; what lies beyond counts there.
+# numerical: ends of the histogram, in hundredths of the range of all levels; what lies beyond
+# counts there.
 _LEAST, _MOST = -10.0, 110.0
-# Columns of a table: five of levels, two of contrasts.
+# numerical: columns of a table: five of levels, two of contrasts.
 SIDE_COLUMNS = 7
 
 

@@ -19,7 +19,8 @@ class BlockSize(NamedTuple):
     most: int
 
 
-# Of pairs as many as make the handing over cheap, of triples few enough for a processor's cache.
+# numerical: of pairs as many as make the handing over cheap, of triples few enough for a
+# processor's cache.
 PAIRS_IN_BLOCK, TRIPLES_IN_BLOCK = BlockSize(16, 1 << 16), BlockSize(4, 1 << 11)
 
 

@@ -19,10 +19,10 @@ from trinoc.match.tuning.every_group import MatchTuning
 from trinoc.match.tuning.occlusion import OcclusionTuning
 from trinoc.numerics.joins import broadcast_groups, expand_ranges, group_sums
 
-# What a neighbour is: parallel and beside, or going on from an end.
+# numerical: what a neighbour is: parallel and beside, or going on from an end.
 BESIDE, CONTINUES = 0, 1
 
-# Further apart than pictures are wide, so that frames of a stack are no neighbours.
+# numerical: further apart than pictures are wide, so that frames of a stack are no neighbours.
 _FRAME_APART_PX = 1e6
 
 

@@ -51,7 +51,8 @@ from trinoc.match.tuning.every_group import MatchTuning
 from trinoc.match.tuning.occlusion import OcclusionTuning
 from trinoc.numerics.joins import broadcast_groups, group_sums, take_groups
 
-# Shares of a line's weight in its own bin of a profile and in each of the two beside it.
+# numerical: shares of a line's weight in its own bin of a profile and in each of the two beside
+# it.
 _OWN, _BESIDE = 0.5, 0.25
 
 

@@ -36,7 +36,7 @@ from trinoc.numerics.joins import broadcast_groups
 from trinoc.numerics.programs import kept_jit
 from trinoc.numerics.tables import take_rows
 
-# About as many pairs are held at a time.
+# numerical: about as many pairs are held at a time.
 PAIRS_AT_A_TIME = 1 << 17
 
 

@@ -96,7 +96,7 @@ class Bodies(NamedTuple):
     through: Float[np.ndarray, "*f"] | float
 
 
-# Lines that meet nowhere.
+# numerical: lines that meet nowhere.
 NO_BODIES = Bodies(0.0, 1.0)
 
 

@@ -7,16 +7,11 @@ from jaxtyping import Bool, Float, Int
 
 from trinoc.image.step_edge import height_of_step, log_parabola
 from trinoc.match.pixels.probes import BLOCKS, SHOULDER
+from trinoc.match.tuning.every_group import DEFAULT
 
-# What one block may say for or against an edge that goes on, log likelihood.
-_MOST_OF_BLOCK = 4.0
-# Most that the ridge of either half may lie off its line, px, and least bend of its logarithm.
-_MOST_SHIFT, _LEAST_BEND = 1.5, 0.05
-# A block whose shoulders differ by so much more than by noise, as a share of the ridge's height,
-# has half the weight: another edge is beside it. One of no weight at all still tells something.
-_UNLIKE, _UNLIKE_BY_CHANCE, _LEAST_WEIGHT = 0.1, 0.1, 1e-3
-# Least height of a ridge, grey levels per px, and of what is beside it, as a share of it.
-_LEAST_TOP, _LEAST_SHARE = 1e-3, 0.05
+# numerical: guards: least bend of the logarithm of a ridge; least weight of a block; least height
+# of a ridge, grey levels per px, and of what is beside it, as a share of it.
+_LEAST_BEND, _LEAST_WEIGHT, _LEAST_TOP, _LEAST_SHARE = 0.05, 1e-3, 1e-3, 0.05
 
 
 class Extent(NamedTuple):
@@ -59,7 +54,11 @@ def estimate_extent(
     blocks of a window may hold no edge.
     """
     gain = (own * mean[:, None] - 0.5 * mean[:, None] ** 2) / growth
-    gain = np.where(usable, np.clip(gain, -_MOST_OF_BLOCK, _MOST_OF_BLOCK), -4 * _MOST_OF_BLOCK)
+    gain = np.where(
+        usable,
+        np.clip(gain, -DEFAULT.guided.most_of_block, DEFAULT.guided.most_of_block),
+        -4 * DEFAULT.guided.most_of_block,
+    )
     blocks, cuts = np.arange(BLOCKS), np.arange(BLOCKS + 1)
     right = np.where(blocks >= half[:, None], gain, 0.0)
     left = np.where(blocks < half[:, None], gain, 0.0)
@@ -144,7 +143,9 @@ def _offsets(
     total = np.maximum(weight.sum(axis=2), 1e-9)
     means = (weight @ near.mT) / total[..., None]
     rise, _ = _parabola(means, np.broadcast_to(top[:, None], total.shape))
-    shift = np.clip(rise / bend[:, None], -_MOST_SHIFT, _MOST_SHIFT)
+    shift = np.clip(
+        rise / bend[:, None], -DEFAULT.guided.most_shift_px, DEFAULT.guided.most_shift_px
+    )
     return (weight @ at[..., None])[..., 0] / total + shift
 
 
@@ -180,8 +181,8 @@ def _alone(
 ) -> Float[np.ndarray, "n b"]:
     """Weight of each block, 1 where both shoulders are alike: no other edge is beside it."""
     unlike = np.abs(near[:, -1] - near[:, 0]) - 2 * noise[:, None]
-    excess = np.maximum(unlike / top[:, None] - _UNLIKE_BY_CHANCE, 0.0)
-    return np.maximum(1 / (1 + (excess / _UNLIKE) ** 2), _LEAST_WEIGHT)
+    excess = np.maximum(unlike / top[:, None] - DEFAULT.guided.unlike_share, 0.0)
+    return np.maximum(1 / (1 + (excess / DEFAULT.guided.unlike_share) ** 2), _LEAST_WEIGHT)
 
 
 def _middles(weight: Float[np.ndarray, "n 2 b"], extent: Extent) -> Float[np.ndarray, "n 2"]:

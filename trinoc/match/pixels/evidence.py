@@ -26,19 +26,13 @@ from trinoc.match.pixels.probes import (
     window_spread,
     windows,
 )
+from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.numerics.tables import take_rows
 from trinoc.numerics.tails import normal_limit
 
-# Score above which an edge is no surer for being stronger: the nearest of such is the line's own.
-_SURE = 8.0
-# An edge that crosses the line has a gradient along it: at most this share of that across, and
-# what noise adds to it, in standard deviations.
-_OBLIQUE, _OBLIQUE_NOISE = 0.15, 1.5
-# What noise shows more often than this, in the best of all tests of a probe, is no evidence.
-_USUAL = 0.1
-# How far the line's two ends lie on different sides of the probe, px.
+# numerical: how far the line's two ends lie on different sides of the probe, px.
 TILTS = np.array([-2, 0, 2])
-# Places of the lines' middles across, px.
+# numerical: places of the lines' middles across, px.
 MIDDLES = np.arange(-REACH, REACH + 1, dtype=np.int8)
 
 
@@ -116,7 +110,7 @@ def search_windows(
     lines = list_lines(band.known)
     tests = sum_windows(band, lines, growth, gate_px, latest)
     number = tests.whole.sum(axis=(1, 2))
-    limit = normal_limit(_USUAL / 2 / np.maximum(number, 1))
+    limit = normal_limit(DEFAULT.guided.usual / 2 / np.maximum(number, 1))
     size = np.where(tests.whole, np.abs(tests.score), 0.0).max(axis=(1, 2))
     probe = np.flatnonzero(size > limit)
     band, lines, tests = take_rows((band, lines, tests), probe)
@@ -171,8 +165,8 @@ def is_edge(
     top = (size[:, :, 1:-1] >= size[:, :, :-2]) & (size[:, :, 1:-1] >= size[:, :, 2:])
     own = across.reshape(size.shape)[:, :, 1:-1].reshape(tests.score.shape)
     along = np.abs(windows(on_lines(band.along, lines)))
-    noise = _OBLIQUE_NOISE * band.sigma[:, None, None] * window_spread(growth)
-    straight = along < _OBLIQUE * np.abs(own) + noise
+    noise = DEFAULT.guided.oblique_sigmas * band.sigma[:, None, None] * window_spread(growth)
+    straight = along < DEFAULT.guided.oblique_share * np.abs(own) + noise
     return top.reshape(own.shape) & straight & ((own > 0) == (tests.score > 0))
 
 
@@ -188,7 +182,9 @@ def nearest_of_surest(
     ends = (lines.at[row, line, end[window]] for end in (WINDOW_FIRST, WINDOW_LAST))
     off = np.maximum(*np.abs(np.stack(list(ends)))) / np.maximum(near_px, 0.3)[row]
     value = np.full(score.shape, -np.inf)
-    value[row, line, window] = np.minimum(size, _SURE) ** 2 + 2 * np.log1p(size) - off**2
+    value[row, line, window] = (
+        np.minimum(size, DEFAULT.guided.sure_score) ** 2 + 2 * np.log1p(size) - off**2
+    )
     count, number, kinds = score.shape
     return value.reshape(count, number * kinds).argmax(axis=1)
 

@@ -80,6 +80,7 @@ def measure_lines(
     return apply_measurements(matches, rig, images, views, tuning)
 
 
+# numerical: Gauss-Newton steps, which converge.
 _STEPS = 4
 
 
@@ -123,6 +124,7 @@ def fit_lines_to_pixels(
 
 
 DISAGREES = "disagrees"
+# numerical: a line has four.
 _UNKNOWNS = 4
 
 

@@ -27,15 +27,15 @@ from trinoc.match.pixels.probes import REACH
 from trinoc.match.pixels.state import GuidedTracks, State, build_tables, refit_tracks, with_segments
 from trinoc.match.pixels.views import PictureInput
 from trinoc.match.tracks.assembly import direction_doubt
+from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.match.tuning.guided import GuidedTuning
 from trinoc.numerics.tables import concatenate_rows, take_rows
 
+# numerical: places of a quick look along a line, for time.
 LOOKS = 16
-# One place counts so many standard deviations of noise at most.
-_MOST = 3.0
-# Probes at once; OpenCV takes 32,766 rows at most.
+# numerical: probes at once; OpenCV takes 32,766 rows at most.
 _AT_ONCE = 2048
-# Lines are drawn with their ends in so many binary digits of a pixel.
+# numerical: lines are drawn with their ends in so many binary digits of a pixel.
 _DIGITS = 4
 
 
@@ -136,7 +136,11 @@ def _sample_mask(
         by_u * side[:, :1] + by_v * side[:, 1:]
         for side in ((axis / noise).astype(np.float32) for axis in (right, unit))
     )
-    across = np.where(np.abs(crossing) < np.abs(across), np.clip(across, -_MOST, _MOST), 0.0)
+    across = np.where(
+        np.abs(crossing) < np.abs(across),
+        np.clip(across, -DEFAULT.guided.most_of_place, DEFAULT.guided.most_of_place),
+        0.0,
+    )
     quarters = across.reshape(len(way), len(beside), 4, LOOKS // 4).sum(axis=3)
     halves = np.abs(quarters[..., :-1] + quarters[..., 1:])
     return halves.max(axis=(1, 2), initial=0.0) / (LOOKS // 2)
@@ -153,6 +157,7 @@ def mask_segments(
     return picture._replace(by_uv=by_uv)
 
 
+# numerical: an index of nothing.
 NONE = -1
 
 

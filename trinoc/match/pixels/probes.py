@@ -13,11 +13,10 @@ from jaxtyping import Bool, Float, Shaped
 from trinoc.geometry.intrinsics import Intrinsics, distort_pixels
 from trinoc.image.light import Light
 from trinoc.image.strip import interpolate_levels
+from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.numerics.tails import MAD_TO_SIGMA
 
-# Standard deviation of the smoothing, px: with the blur of usual pictures the profile of an edge is
-# some 1.5 px wide.
-SMOOTHING_PX = 1.2
+# numerical: half the kernel, in px, four standard deviations.
 _HALF = 5
 
 
@@ -62,17 +61,19 @@ def _interpolated_variance(kernel: np.ndarray) -> float:
 def _kernels() -> tuple[np.ndarray, np.ndarray]:
     """(smoothing, derivative), for correlation; a ramp of one level per px answers with one."""
     at = np.arange(-_HALF, _HALF + 1)
-    smooth = np.exp(-0.5 * (at / SMOOTHING_PX) ** 2)
+    smooth = np.exp(-0.5 * (at / DEFAULT.guided.smoothing_px) ** 2)
     smooth /= smooth.sum()
     slope = at * smooth
     return smooth, slope / (slope * at).sum()
 
 
+# numerical: places along a probe.
 STEPS = 64
+# numerical: blocks of a probe.
 BLOCKS = STEPS // 2
-# The least distance of two places, px: nearer ones would see the same noise.
+# numerical: the least distance of two places, px: nearer ones would see the same noise.
 STEP_PX = 2.0
-# Pixels next to the border of a picture are half made up by filters.
+# numerical: pixels next to the border of a picture are half made up by filters.
 _BORDER_PX = 4.0
 
 
@@ -116,22 +117,30 @@ def sample_probes(
     return Samples(uv.astype(np.float32), normal.astype(np.float32), inside)
 
 
+# numerical: half the width of the band, in px.
 SHOULDER = 3
+# numerical: half the width of the ridge, in px.
 REACH = 2
-# Places across, px.
+# numerical: places across, px.
 OFFSETS = np.arange(-REACH - SHOULDER, REACH + SHOULDER + 1)
-# Blocks of a window; one begins half a window after the other.
+# numerical: blocks of a window; one begins half a window after the other.
 WINDOWS = (2, 4, 8, 16, 32)
+# numerical: where windows begin.
 _BEGIN = [np.arange(0, BLOCKS - size + 1, max(size // 2, 1)) for size in WINDOWS]
 WINDOW_FIRST = np.concatenate(_BEGIN)
 _WINDOW_KIND = np.repeat(np.arange(len(WINDOWS)), [len(begin) for begin in _BEGIN])
 WINDOW_SIZE = np.array(WINDOWS)[_WINDOW_KIND]
+# numerical: the last block of each window.
 WINDOW_LAST = WINDOW_FIRST + WINDOW_SIZE - 1
 _BLOCK = np.arange(BLOCKS)[:, None]
 _IN_WINDOW = ((_BLOCK >= WINDOW_FIRST) & (_BLOCK <= WINDOW_LAST)).astype(np.float32)
-# What white noise has in common in a block and the next, and the one after that.
-_ONE, _TWO, _THREE = (np.exp(-((k * STEP_PX / SMOOTHING_PX) ** 2) / 4) for k in (1, 2, 3))
+# numerical: what white noise has in common in a block and the next, and the one after that.
+_ONE, _TWO, _THREE = (
+    np.exp(-((k * STEP_PX / DEFAULT.guided.smoothing_px) ** 2) / 4) for k in (1, 2, 3)
+)
+# numerical: from the three above.
 NEXT = float((_ONE + 2 * _TWO + _THREE) / (2 + 2 * _ONE))
+# numerical: from the three above.
 SECOND = float((_THREE) / (2 + 2 * _ONE))
 
 

@@ -15,17 +15,17 @@ from trinoc.numerics.joins import group_medians, group_sums
 from trinoc.numerics.programs import kept_jit
 from trinoc.numerics.small_least_squares import NormalEquations
 
+# numerical: a block size.
 BLOCKS_AT_ONCE = 64
+# numerical: Gauss-Newton steps, which converge.
 _STEPS = 7
-# The first steps fit the core alone, with all blocks alike.
+# numerical: the first steps fit the core alone, with all blocks alike.
 _CORE_STEPS = 2
 # Of both offsets, and of the logarithm of the blur.
+# numerical: limits of a step.
 _LARGEST_STEP = np.array([0.7, 0.7, 0.3])
-# Pixels that a block must have on either side, and unknowns that it has of its own.
+# numerical: pixels that a block must have on either side, and unknowns that it has of its own.
 _LEAST_PIXELS, _OWN_UNKNOWNS = 8, 6
-# Noise grows with the light, and before the place is found misfit counts as noise: a line's own
-# variance, over the picture's, is this at least.
-_LEAST_NOISE = 0.5
 
 
 class StripFit(NamedTuple):
@@ -138,7 +138,7 @@ def _weigh(
     chi = np.asarray(found.square / freedom / noise**2)
     usual = group_medians(chi[complete], line[complete], count)
     usual = np.where(np.isfinite(usual), usual, 1.0)
-    scale = np.maximum(usual, _LEAST_NOISE)
+    scale = np.maximum(usual, tuning.least_noise)
     limit = 1 + tuning.block_chi_sigmas * np.sqrt(2 / freedom)
     good = complete & (chi < scale[line] * limit)
     # All blocks of an edge are brighter on the same side.

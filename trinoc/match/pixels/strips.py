@@ -14,14 +14,16 @@ from trinoc.image.strip import list_pixels_across, take_levels
 from trinoc.match.pixels.images import LineImages
 from trinoc.match.pixels.tuning import PixelTuning
 
-# Rows along the edge, and columns to either side of the one in the middle. Rows and columns are
-# the picture's own, whichever crosses the edge more steeply.
+# numerical: rows along the edge, and columns to either side of the one in the middle. Rows and
+# columns are the picture's own, whichever crosses the edge more steeply.
 ROWS, HALF = 6, 11
+# numerical: both sides and the middle.
 COLUMNS = 2 * HALF + 1
+# numerical: fewer say nothing of a slope.
 _LEAST_ROWS = 3
-# A lens bends the image of a line by less than this many chords show.
+# numerical: a lens bends the image of a line by less than this many chords show.
 _CHORDS = 16
-# Whose the surroundings of a pixel are, where no segment is near.
+# numerical: whose the surroundings of a pixel are, where no segment is near.
 NOBODY = -1
 
 

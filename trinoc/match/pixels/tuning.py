@@ -63,6 +63,11 @@ class PixelTuning:
     least_probability: float = 0.001
     # The variance of their difference is at least this share of the smaller variance.
     least_difference: float = 0.5
+    # Noise grows with the light, and before the place is found misfit counts as noise: a line's own
+    # variance, over the picture's, is this at least.
+    least_noise: float = 0.5
+    # A blur known this well, in its logarithm, tells what is usual.
+    known_blur: float = 0.15
 
 
 DEFAULT = PixelTuning()

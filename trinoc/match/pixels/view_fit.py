@@ -17,12 +17,12 @@ PIXELS = "pixels"
 SHORT, NEIGHBOURS, FAINT = "too short", "neighbours", "too faint"
 UNEVEN, MOVED = "no clean step", "another edge"
 # The blur of a picture is found first, from this many of its longest lines and this guess, px.
+# numerical: a start, which the fit leaves.
 _FIRST_LINES, _FIRST_BLUR_PX, _FIRST_SIGMA = 32, 1.0, 0.5
+# numerical: of fewer strips the guess stays.
 _FEWEST = 6
-# Beside clipped pixels levels are not what they were before blur and noise, either.
+# numerical: beside clipped pixels levels are not what they were before blur and noise, either.
 _CLIPPED_PX = 2
-# A blur known this well tells what is usual.
-_KNOWN_BLUR = 0.15
 
 
 class ViewFit(NamedTuple):
@@ -67,14 +67,14 @@ def fit_view(
     longest = np.sort(np.argsort(-span, kind="stable")[:_FIRST_LINES])
     few = LineImages(*(column[longest] for column in images))
     _, first = fit_some(few, _FIRST_BLUR_PX, _FIRST_SIGMA)
-    usual, _ = _usual_blur(first, np.log(_FIRST_BLUR_PX))
+    usual, _ = _usual_blur(first, np.log(_FIRST_BLUR_PX), tuning)
     strips, found = fit_some(images, float(np.exp(usual)), tuning.blur_sigma)
     return _assess_lines(images, strips, found, usual, tuning)
 
 
-def _usual_blur(found: StripFit, otherwise: float) -> tuple[float, float]:
+def _usual_blur(found: StripFit, otherwise: float, tuning: PixelTuning) -> tuple[float, float]:
     """(median, robust deviation) of the logarithm of the blur, where strips know it."""
-    known = (found.information[:, 2, 2] * _KNOWN_BLUR**2 > 1) & (found.blocks > 1)
+    known = (found.information[:, 2, 2] * tuning.known_blur**2 > 1) & (found.blocks > 1)
     if known.sum() < _FEWEST:
         return otherwise, 0.0
     log = found.place[known, 2]
@@ -99,7 +99,7 @@ def _assess_lines(
     inverse = np.linalg.inv(found.information + 1e-6 * np.eye(3))
     prior = tuning.prior_blocks
     scatter = (prior + found.scatter) / (prior + np.maximum(found.blocks - 2, 0.0))
-    usual, spread = _usual_blur(found, guess)
+    usual, spread = _usual_blur(found, guess, tuning)
     off, own = found.place[:, 2] - usual, np.clip(inverse[:, 2, 2], 1e-9, 1.0)
     widening = np.maximum(
         np.square(off) - own - max(spread, tuning.least_blur_spread) ** 2,

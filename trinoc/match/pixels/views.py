@@ -14,7 +14,6 @@ from trinoc.match.pixels.probes import (
     NEXT,
     SECOND,
     SHOULDER,
-    SMOOTHING_PX,
     STEP_PX,
     STEPS,
     WINDOW_SIZE,
@@ -25,24 +24,12 @@ from trinoc.match.pixels.probes import (
     sample_probes,
     window_scores,
 )
+from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.numerics.tables import concatenate_rows
 from trinoc.numerics.tails import MAD_TO_SIGMA, log_normal_tail, log_student_tail
 
-# Probes at once, so that what is read of the picture stays near the processor.
+# numerical: probes at once, so that what is read of the picture stays near the processor.
 AT_ONCE = 128
-# Of the place across, what noise does not explain: sampling and interpolation, px; and how far
-# an edge beside it moves the ridge, px by the difference of both shoulders as a share of its
-# height, beyond what shading makes. On edges of rendered pictures, seeds 0 to 11 and others.
-_FLOOR_PX, _PULL, _UNPULLED = 0.03, 0.7, 0.05
-# How far a second edge, too near to make a ridge of its own, moves the ridge of both: in widths of
-# it for each unit of the logarithm by which it is wider than is usual in the picture. And what
-# noise makes of that logarithm, for each px that it moves the ridge (their standard deviations).
-# On edges of rendered pictures, seeds 0 to 11 and 200 to 205, that thresholds of 7 to 26 hid.
-_HIDDEN, _WIDENED_BY_NOISE = 1.0, 0.8
-
-
-# So many of the longest segments tell, if so many of them are found again so near, px. By hand.
-_LONGEST, _FEWEST, _GATE_PX = 48, 6, 1.0
 
 
 class PictureInput(NamedTuple):
@@ -181,8 +168,11 @@ def _answer(
     share = (along - middle[:, :1]) / apart[:, None]
     weight = np.stack([1 - share, share], axis=2)
     across = (weight @ place.offset_px[:, :, None])[..., 0]
-    own = place.variance_px2 + _FLOOR_PX**2
-    own += (_PULL * np.clip(np.abs(place.asymmetry) - _UNPULLED, 0.0, 2.0)) ** 2
+    own = place.variance_px2 + DEFAULT.guided.floor_px**2
+    own += (
+        DEFAULT.guided.pull_px
+        * np.clip(np.abs(place.asymmetry) - DEFAULT.guided.unpulled_share, 0.0, 2.0)
+    ) ** 2
     own += _neighbour_variance_px2(place, usual_px)
     spread = np.einsum("nij,nj,nkj->nik", weight, own, weight)
     end_sigma = extent.sigma * block_px[:, None]
@@ -210,8 +200,10 @@ def _neighbour_variance_px2(place: Place, usual_px: float) -> Float[np.ndarray, 
     """Variance of the place of ridges that are wider than usual, so that another edge may be in
     them."""
     wider = np.log(np.maximum(place.width_px / usual_px, 1.0))
-    beyond_noise = np.maximum(wider**2 - _WIDENED_BY_NOISE**2 * place.variance_px2, 0.0)
-    return np.square(_HIDDEN * place.width_px) * beyond_noise
+    beyond_noise = np.maximum(
+        wider**2 - DEFAULT.guided.widening_by_noise**2 * place.variance_px2, 0.0
+    )
+    return np.square(DEFAULT.guided.hidden_widths * place.width_px) * beyond_noise
 
 
 def with_usual_width(
@@ -223,22 +215,22 @@ def with_usual_width(
     of two edges, whose top lies between them. That it is wider than others is its only sign.
     """
     length = np.linalg.norm(segments_px[:, 1] - segments_px[:, 0], axis=1)
-    longest = np.sort(np.argsort(-length, kind="stable")[:_LONGEST])
-    gate = np.full(len(longest), _GATE_PX)
+    longest = np.sort(np.argsort(-length, kind="stable")[: DEFAULT.guided.longest_segments])
+    gate = np.full(len(longest), DEFAULT.guided.usual_gate_px)
     answer = ask(picture, segments_px[longest], gate, gate / 2, np.full(len(longest), np.inf))
     width = answer.width_px[answer.contrast > 0].reshape(-1)
-    return picture._replace(usual_px=float(np.median(width)) if len(width) >= _FEWEST else np.inf)
+    return picture._replace(
+        usual_px=float(np.median(width)) if len(width) >= DEFAULT.guided.fewest_segments else np.inf
+    )
 
 
+# numerical: how many control probes measure the noise.
 CONTROLS = 128
-# Blocks of a probe tell their sigma like so many independent ones; below this excess it is chance.
-DEGREES = 12
-KNOWN_BELOW = 1.3
 
 
 def block_noise(gradient: PictureGradient) -> float:
     """Standard deviation of a block's ridge from the noise of the picture, at the least step."""
-    wide = SMOOTHING_PX
+    wide = DEFAULT.guided.smoothing_px
     along = np.exp(-((STEP_PX / wide) ** 2) / 4)
 
     def interpolate_across(apart: float) -> float:
@@ -282,5 +274,7 @@ def log_chance(score: Float[np.ndarray, "n"], excess: Float[np.ndarray, "n"]) ->
     (`excess`), it is an estimate from few, and the score is one of Student's.
     """
     known = log_normal_tail(score)
-    estimated = log_student_tail(score, DEGREES)
-    return np.log(2) + np.where(excess > KNOWN_BELOW, np.maximum(estimated, known), known)
+    estimated = log_student_tail(score, DEFAULT.guided.block_degrees)
+    return np.log(2) + np.where(
+        excess > DEFAULT.guided.known_below, np.maximum(estimated, known), known
+    )

@@ -87,8 +87,10 @@ def endpoint_pairs(
     )
 
 
+# numerical: no pairs.
 _NONE = np.zeros((0, 2), dtype=np.int64)
-# Places are told apart as far out as this, in units of the reach: nothing that meets lies beyond.
+# numerical: places are told apart as far out as this, in units of the reach: nothing that meets
+# lies beyond.
 _FAR = 1e6
 
 

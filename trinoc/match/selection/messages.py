@@ -172,14 +172,15 @@ def _clash(
     return shared > least_share * np.minimum(high - low, other_high - other_low)
 
 
-# Frames that are one problem, at most.
+# numerical: frames that are one problem, at most.
 FRAMES_AT_ONCE = 64
 
-# Of more conflicts than these, rounds on padding would take longer than another program.
-# Padding beyond costs more than one small program more.
+# numerical: of more conflicts than these, rounds on padding would take longer than another
+# program. Padding beyond costs more than one small program more.
 _FINER_ABOVE = 1 << 16
+# numerical: as above.
 _FEW_CONFLICTS = 1 << 14
-# Log odds whose exponential is no overflow, and such as nothing has.
+# numerical: log odds whose exponential is no overflow, and such as nothing has.
 _HIGHEST, _NEVER = 60.0, -1e4
 
 

@@ -21,15 +21,12 @@ from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.match.tuning.selection import NoiseTuning
 from trinoc.match.tuning.tracks import TrackTuning
 
-# Centres lie on a line where they are off it by less than this share of their spread along it.
-ON_A_LINE = 0.05
-
 
 def in_line(centre_mm: Float[np.ndarray, "f v 3"]) -> Bool[np.ndarray, "f"]:
     """Whether the cameras' centres lie on one line, of each frame."""
     centred = centre_mm - centre_mm.mean(axis=1, keepdims=True)
     spread = np.linalg.svd(centred, compute_uv=False)
-    return spread[:, 1] < ON_A_LINE * spread[:, 0]
+    return spread[:, 1] < DEFAULT.tracks.in_line_share * spread[:, 0]
 
 
 def write_notes(

@@ -191,7 +191,7 @@ def _reasons(
     return words
 
 
-# Lines of two views compared at once with all segments of a view.
+# numerical: lines of two views compared at once with all segments of a view.
 ROWS = 256
 
 

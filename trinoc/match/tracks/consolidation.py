@@ -32,7 +32,7 @@ from trinoc.match.tracks.multiview import merge_triplets
 from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
 from trinoc.numerics.tables import concatenate_rows
 
-# Nobody's segment.
+# numerical: nobody's segment.
 FREE = -1
 
 
@@ -204,7 +204,7 @@ def _as_tracks(seen: MatchInput, tracks: Tracks, now: FittedTracks) -> Tracks:
     return tracks._replace(candidates=candidates)
 
 
-# Tracks compared at once with all segments of a view.
+# numerical: tracks compared at once with all segments of a view.
 ROWS = 256
 
 

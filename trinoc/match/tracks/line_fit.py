@@ -138,7 +138,8 @@ def overlap_share(first: Float[np.ndarray, "2"], second: Float[np.ndarray, "2"])
     return float((high - low) / min(np.ptp(first), np.ptp(second)))
 
 
-# Standard deviation along its segment of an end that a plane cuts, px: nothing is known of it.
+# numerical: standard deviation along its segment of an end that a plane cuts, px: nothing is
+# known of it.
 FREE_PX = 1e4
 
 
@@ -219,7 +220,7 @@ def before_cameras(
     return np.asarray(((depth > 0).all(axis=2) | (index < 0)).all(axis=1))
 
 
-# Few enough for a processor's cache.
+# numerical: few enough for a processor's cache.
 MOST_AT_ONCE = 1 << 10
 
 

@@ -29,10 +29,11 @@ from trinoc.numerics.tables import (
 )
 
 TRINOCULAR, BINOCULAR = "trinocular", "binocular"
-# A mark that is likelier true than not.
+# numerical: a mark that is likelier true than not.
 EVEN = 0.5
 
 _ENDS = ("x1_mm", "y1_mm", "z1_mm", "x2_mm", "y2_mm", "z2_mm")
+# numerical: what rounding leaves of a share.
 _ROUNDING = 1e-9
 
 

@@ -21,9 +21,9 @@ from trinoc.match.tuning.selection import NoiseTuning
 from trinoc.numerics.joins import group_sums
 from trinoc.numerics.tails import chi_square_quantile
 
-# Tails are looked for here. Below the least, errors are normal.
+# numerical: tails are looked for here. Below the least, errors are normal.
 _LEAST_TAIL, _MOST_TAIL, _TAILS = 1e-3, 1.0, 40
-# A line has four parameters, and its ellipsoid is to hold so often.
+# numerical: a line has four parameters, and its ellipsoid is to hold so often.
 _PARAMETERS, _HELD = 4, 0.95
 
 

@@ -75,3 +75,46 @@ class GuidedTuning:
     # seldom.
     weak: float = 0.01
     missed: float = 0.5
+    # Standard deviation of the smoothing, px: with the blur of usual pictures the profile of an
+    # edge is some 1.5 px wide. By hand.
+    smoothing_px: float = 1.2
+    # What one block may say for or against an edge that goes on, log likelihood; most that the
+    # ridge of either half may lie off its line, px. By hand.
+    most_of_block: float = 4.0
+    most_shift_px: float = 1.5
+    # A block whose shoulders differ by this share of the ridge's height more than by noise, which
+    # is as much again, has half the weight: another edge is beside it. By hand.
+    unlike_share: float = 0.1
+    # Score above which an edge is no surer for being stronger: the nearest of such is the line's
+    # own. By hand.
+    sure_score: float = 8.0
+    # An edge that crosses the line has a gradient along it: at most this share of that across, and
+    # what noise adds to it, in standard deviations. By hand.
+    oblique_share: float = 0.15
+    oblique_sigmas: float = 1.5
+    # What noise shows more often than this, in the best of all tests of a probe, is no evidence.
+    usual: float = 0.1
+    # In a quick look one place counts so many standard deviations of noise at most. By hand.
+    most_of_place: float = 3.0
+    # Of the place across, what noise does not explain: sampling and interpolation, px; and how far
+    # an edge beside it moves the ridge, px by the difference of both shoulders as a share of its
+    # height, beyond what shading makes. On edges of rendered pictures, seeds 0 to 11 and others.
+    floor_px: float = 0.03
+    pull_px: float = 0.7
+    unpulled_share: float = 0.05
+    # How far a second edge, too near to make a ridge of its own, moves the ridge of both: in widths
+    # of it for each unit of the logarithm by which it is wider than is usual in the picture. And
+    # what noise makes of that logarithm, for each px that it moves the ridge (their standard
+    # deviations). On edges of rendered pictures, seeds 0 to 11 and 200 to 205, that thresholds of 7
+    # to 26 hid.
+    hidden_widths: float = 1.0
+    widening_by_noise: float = 0.8
+    # So many of the longest segments tell the usual width of ridges, if so many of them are found
+    # again so near, px. By hand.
+    longest_segments: int = 48
+    fewest_segments: int = 6
+    usual_gate_px: float = 1.0
+    # Blocks of a probe tell their sigma like so many independent ones; below this excess it is
+    # chance. By hand.
+    block_degrees: int = 12
+    known_below: float = 1.3

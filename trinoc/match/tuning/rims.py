@@ -66,3 +66,7 @@ class RimTuning:
     outline_from: float = 0.4
     outline_to: float = 4.0
     outline_posterior: float = 0.92
+    # Residuals of so many standard deviations have half the weight. By hand.
+    robust_sigmas: float = 3.0
+    # Standard deviation of a piece's ends along the rim, px: where detectors cut an arc. By hand.
+    end_px: float = 1.0

@@ -53,3 +53,5 @@ class ShadowTuning:
     log_odds_without: tuple[float, ...] = (-2.4, -0.9, -0.6, -0.9, -0.5)
     log_odds_with: tuple[float, ...] = (-1.5, -1.3, -1.6, 1.1, 2.5, 0.75)
     log_odds_of_lamp: tuple[float, ...] = (-10.0, 0.36, 0.06)
+    # Added to grey levels before their logarithm is taken: a black level tells little. By hand.
+    dark_level: float = 4.0

@@ -38,3 +38,6 @@ class TrackTuning:
     beside_px: float = 10.0
     beside_deg: float = 3.0
     abreast_share: float = 0.5
+    # Centres lie on a line where they are off it by less than this share of their spread along it:
+    # for a note. By hand.
+    in_line_share: float = 0.05

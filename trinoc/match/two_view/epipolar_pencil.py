@@ -38,6 +38,7 @@ from trinoc.numerics.vectors import (
     vector3,
 )
 
+# numerical: rows of a table.
 _SLOPE_VARIANCES = (11, 12, 13)
 
 

@@ -54,7 +54,7 @@ def build_graph(joined: JoinedLines, corners: Corners, free_end_px: float) -> Gr
     return Graph(joined.lines_mm, joined.covariance_mm2, np.sqrt(variance + stops**2), vertex)
 
 
-# The covariance of a line depends on where along it its vertices lie.
+# numerical: the covariance of a line depends on where along it its vertices lie.
 STEPS = 3
 
 

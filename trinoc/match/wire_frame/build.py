@@ -19,7 +19,8 @@ from trinoc.numerics.joins import group_sums
 from trinoc.numerics.precision import in_float64
 from trinoc.numerics.tails import chi_square_tail
 
-# Of the variance of an end: less than this share is left where nothing else knows the vertex.
+# numerical: of the variance of an end: less than this share is left where nothing else knows the
+# vertex.
 LEAST_SHARE = 1e-6
 
 

@@ -13,7 +13,7 @@ from trinoc.numerics.small_least_squares import Residuals, gauss_newton, whiteni
 from trinoc.numerics.tails import chi_square_limit, chi_square_tail
 from trinoc.numerics.vectors import complete_axes
 
-# Gauss-Newton steps of a plane.
+# numerical: Gauss-Newton steps of a plane.
 STEPS = 2
 
 
@@ -185,7 +185,7 @@ def _variance_along(
     return np.einsum("i,aibj,j->ab", normal, joint, normal)
 
 
-# Planes turn a little as their vertices move.
+# numerical: planes turn a little as their vertices move.
 FLATTEN_STEPS = 3
 
 

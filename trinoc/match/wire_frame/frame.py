@@ -24,6 +24,7 @@ from trinoc.numerics.tables import (
     Table,
 )
 
+# numerical: a number of views.
 TWO_VIEWS = 2
 
 
