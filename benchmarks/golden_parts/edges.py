@@ -14,7 +14,7 @@ from golden_parts.inputs import (
 from golden_parts.records import Values
 from trinoc.capture.advice import next_step, summary_lines
 from trinoc.capture.judgement import judge, judge_unread, judgement_line
-from trinoc.capture.measures import covered_cells, edge_blur_px, exposure_of
+from trinoc.capture.measures import cover_cells, edge_blur_px, measure_exposure
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.io import demo_images, demo_pattern
 from trinoc.segments import find_junctions
@@ -78,6 +78,6 @@ def capture() -> Values:
     for name, picture in (*pictures.items(), *demo_images("scene").items()):
         grey = picture.astype(float)
         yield f"{name}.edge_blur_px", edge_blur_px(grey)
-        yield f"{name}.exposure_of", exposure_of(grey * (255 / np.iinfo(picture.dtype).max))
+        yield f"{name}.exposure_of", measure_exposure(grey * (255 / np.iinfo(picture.dtype).max))
     places = judged[0].places_px
-    yield "covered_cells", covered_cells(places, (512, 480))
+    yield "covered_cells", cover_cells(places, (512, 480))

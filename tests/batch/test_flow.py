@@ -8,9 +8,9 @@ from hypothesis import given, strategies as st
 from trinoc.batch.run import (
     BASE_BYTES,
     BYTES_PER_PIXEL,
+    affordable_threads,
     half_of_the_machine,
     resident_bytes,
-    threads_within,
 )
 from trinoc.batch.workers import in_window
 from trinoc.synth import table1_rig
@@ -70,7 +70,7 @@ def test_a_task_that_fails_hands_on_its_error_and_the_others_go_on():
 def test_threads_fit_into_the_memory_or_are_one(threads, gigabytes):
     rig = table1_rig()
     width, height = rig["upper"].image_size_px
-    found = threads_within(gigabytes * 1e9, rig, threads)
+    found = affordable_threads(gigabytes * 1e9, rig, threads)
     assert 1 <= found <= threads
     need = BASE_BYTES + found * BYTES_PER_PIXEL * width * height
     assert found == 1 or need <= gigabytes * 1e9

@@ -7,10 +7,10 @@ from hypothesis import given, strategies as st
 from tests.capture.made import GRID_MM, SIZE_PX, camera, rectangle, step_picture
 from trinoc.capture.measures import (
     GRID,
-    covered_cells,
+    cover_cells,
     edge_blur_px,
-    exposure_of,
-    lean_of,
+    measure_exposure,
+    measure_lean,
 )
 from trinoc.geometry.camera import depth_mm
 from trinoc.image.light import Light
@@ -43,20 +43,20 @@ def test_shares_of_saturated_and_dark_pixels_in_any_depth(
     picture.flat[picture.size - dark :] = 0
     # One full pixel tells the range of a deeper picture.
     picture.flat[0] = full
-    found = exposure_of(Light.from_picture(picture).levels)
+    found = measure_exposure(Light.from_picture(picture).levels)
     assert found.saturated == pytest.approx(max(saturated, 1) / 400)
     assert found.dark == pytest.approx(dark / 400)
 
 
 def test_cells_are_covered_where_places_are_and_between_them() -> None:
     columns = GRID[1]
-    assert covered_cells(rectangle(0.01, 0.01, 0.99, 0.99), SIZE_PX).all()
-    half = covered_cells(rectangle(0.01, 0.01, 0.49, 0.99), SIZE_PX)
+    assert cover_cells(rectangle(0.01, 0.01, 0.99, 0.99), SIZE_PX).all()
+    half = cover_cells(rectangle(0.01, 0.01, 0.49, 0.99), SIZE_PX)
     assert half[:, : columns // 2].all()
     assert not half[:, columns // 2 :].any()
     corners = rectangle(0.01, 0.01, 0.99, 0.99)[[0, 4, 20, 24]]
-    assert covered_cells(corners, SIZE_PX).all()
-    assert not covered_cells(np.zeros((0, 2)), SIZE_PX).any()
+    assert cover_cells(corners, SIZE_PX).all()
+    assert not cover_cells(np.zeros((0, 2)), SIZE_PX).any()
 
 
 @given(pan=st.floats(-40, 40), tilt=st.floats(35, 90))
@@ -65,7 +65,7 @@ def test_lean_is_the_depth_from_side_to_side(pan: float, tilt: float) -> None:
     matrix = np.asarray(eye.matrix_px)
     homogeneous = np.column_stack([GRID_MM, np.zeros(25), np.ones(25)]) @ matrix.T
     places_px = homogeneous[:, :2] / homogeneous[:, 2:]
-    found = np.array(lean_of(GRID_MM, places_px))
+    found = np.array(measure_lean(GRID_MM, places_px))
     centre, ends = homogeneous[:, 2].mean(), np.ptp(homogeneous[:, 2])
     # Along the steepest way it is the whole difference of depth over the places' extent.
     assert np.abs(found).max() <= ends / centre + 0.02
@@ -76,6 +76,6 @@ def test_lean_is_the_depth_from_side_to_side(pan: float, tilt: float) -> None:
 
 
 def test_a_board_square_to_the_camera_does_not_lean() -> None:
-    np.testing.assert_allclose(lean_of(GRID_MM, 2.0 * GRID_MM + 100.0), 0.0, atol=1e-9)
-    assert lean_of(GRID_MM[:5], GRID_MM[:5]) == (0.0, 0.0)
+    np.testing.assert_allclose(measure_lean(GRID_MM, 2.0 * GRID_MM + 100.0), 0.0, atol=1e-9)
+    assert measure_lean(GRID_MM[:5], GRID_MM[:5]) == (0.0, 0.0)
     assert float(depth_mm(camera(0.0, 90.0), np.zeros(3))) == pytest.approx(300.0)

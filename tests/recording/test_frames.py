@@ -9,7 +9,7 @@ from trinoc.errors import InputError
 from trinoc.recording.frame import Frame
 from trinoc.recording.frame_table import frames_of_table
 from trinoc.recording.name_templates import fitting_template, frames_of_names
-from trinoc.recording.parts import parts_of, share_of
+from trinoc.recording.parts import cut_into_parts, share_parts
 
 CAMERAS = ("upper", "left", "right", "left_far")
 FRAMES = st.lists(st.text("ab01239.-", min_size=1, max_size=6), min_size=1, unique=True)
@@ -123,10 +123,10 @@ def test_any_text_is_frames_or_a_sentence(text):
 @given(count=st.integers(0, 60), size=st.integers(1, 20), jobs=st.integers(1, 7))
 def test_jobs_share_all_frames_once_and_the_cut_does_not_depend_on_them(count, size, jobs):
     frames = [Frame(str(k), {}) for k in range(count)]
-    parts = parts_of(frames, size)
+    parts = cut_into_parts(frames, size)
     assert [frame for part in parts for frame in part.frames] == frames
     assert [part.number for part in parts] == list(range(len(parts)))
-    shares = [share_of(parts, (job, jobs)) for job in range(1, jobs + 1)]
+    shares = [share_parts(parts, (job, jobs)) for job in range(1, jobs + 1)]
     assert sorted(part.number for share in shares for part in share) == list(range(len(parts)))
     assert max(map(len, shares)) - min(map(len, shares)) <= 1
 
@@ -134,4 +134,4 @@ def test_jobs_share_all_frames_once_and_the_cut_does_not_depend_on_them(count, s
 @pytest.mark.parametrize("shard", [(0, 1), (3, 2), (1, 0), (-1, 4)])
 def test_there_is_no_such_job(shard):
     with pytest.raises(InputError, match="There is no shard"):
-        share_of([], shard)
+        share_parts([], shard)

@@ -11,7 +11,7 @@ from tests.serving.asking import ask
 from trinoc.errors import InputError
 from trinoc.serving.pages import Page, serve_pages
 from trinoc.serving.watching import (
-    Watched,
+    WatchState,
     picture_page,
     thumbnail,
     watch_page,
@@ -22,18 +22,18 @@ ALL = rectangle(0.01, 0.01, 0.99, 0.99)
 
 def test_the_page_shows_the_last_picture_the_field_and_the_advice() -> None:
     shown = (judgement(ALL, name="first.png"), judgement(ALL[:0], refusal="No sheet was found."))
-    page = watch_page(Watched("trinoc watch shots", shown, b"")).content.decode()
+    page = watch_page(WatchState("trinoc watch shots", shown, b"")).content.decode()
     assert 'http-equiv="refresh"' in page
     assert "Take it again: No sheet was found." in page
     assert "100 percent of the field is covered" in page
     assert page.index("made.png") < page.index("first.png")
     assert "prefers-color-scheme: dark" in page
-    assert "No picture yet" in watch_page(Watched("empty")).content.decode()
+    assert "No picture yet" in watch_page(WatchState("empty")).content.decode()
 
 
 def test_names_are_text() -> None:
     bad = "<script>alert(1)</script>&\"'.png"
-    page = watch_page(Watched(bad, (judgement(ALL, name=bad),))).content.decode()
+    page = watch_page(WatchState(bad, (judgement(ALL, name=bad),))).content.decode()
     assert "<script" not in page
     assert "&lt;script&gt;" in page
 
@@ -46,7 +46,7 @@ def test_the_thumbnail_is_a_small_jpeg_with_marks() -> None:
     assert small is not None
     assert max(small.shape) == 720
     assert np.ptp(small.astype(int), axis=2).max() > 60
-    assert picture_page(Watched("a", (), b"jpeg")).content == b"jpeg"
+    assert picture_page(WatchState("a", (), b"jpeg")).content == b"jpeg"
 
 
 @pytest.fixture(scope="module")

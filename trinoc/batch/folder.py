@@ -21,7 +21,7 @@ from trinoc.errors import InputError
 from trinoc.io.atomic import write_text
 from trinoc.io.frames_files import load_frames, save_frames
 from trinoc.io.json_text import parsed_json
-from trinoc.io.recordings import lines_of, read_lines, text_of
+from trinoc.io.recordings import manifest_lines, manifest_text, read_lines
 from trinoc.io.whole_files import read_text
 from trinoc.recording.frame import OK, FrameMatches
 from trinoc.recording.parts import Part
@@ -40,13 +40,13 @@ class Folder:
         self.done: dict[int, list[dict[str, Any]]] = {}
         self.tally: Counter[str] = Counter()
 
-    def file_of(self, number: int) -> Path:
+    def part_file(self, number: int) -> Path:
         """The file of a part."""
         return self.path / f"matches-{number:06d}{self.ending}"
 
     def look(self, parts: Sequence[Part]) -> None:
         """Find out which parts are done; sweep what a killed program left of the others."""
-        files = {self.file_of(part.number).name: part for part in parts}
+        files = {self.part_file(part.number).name: part for part in parts}
         # The manifest is locked: nobody else writes these.
         for left in self.path.glob(".matches-*.tmp"):
             if left.name[1:].rsplit(".", 2)[0] in files:
@@ -66,17 +66,17 @@ class Folder:
 
     def commit(self, number: int, results: Sequence[FrameMatches], views: Sequence[str]) -> None:
         """Write a part, then its lines. Raises InputError where the disk does not take it."""
-        save_frames(results, views, self.file_of(number))
+        save_frames(results, views, self.part_file(number))
         self._append(number, results)
 
     def order(self) -> None:
         """Put the lines in the order of the frames."""
         lines = (line for number in sorted(self.done) for line in self.done[number])
-        write_text(self.manifest, text_of(lines))
+        write_text(self.manifest, manifest_text(lines))
 
     def _append(self, number: int, results: Sequence[FrameMatches]) -> None:
-        lines = lines_of(results, self.file_of(number).name)
-        self._stream.write(text_of(lines).encode("utf-8"))
+        lines = manifest_lines(results, self.part_file(number).name)
+        self._stream.write(manifest_text(lines).encode("utf-8"))
         self._note(number, lines)
 
     def _note(self, number: int, lines: list[dict[str, Any]]) -> None:
@@ -88,7 +88,7 @@ class Folder:
 
 
 @contextlib.contextmanager
-def opened(
+def open_results(
     path: Path, shard: tuple[int, int], description: Mapping[str, Any], ending: str
 ) -> Iterator[Folder]:
     """The folder for one job, made where it is not there, and locked against a second program.

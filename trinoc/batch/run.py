@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import trinoc
-from trinoc.batch.folder import opened
+from trinoc.batch.folder import open_results
 from trinoc.batch.source import Source, find_frames
 from trinoc.batch.work import Work
 from trinoc.batch.workers import cluster, in_window, threads
@@ -18,7 +18,7 @@ from trinoc.geometry.rig import Rig
 from trinoc.io.frames_files import frames_ending
 from trinoc.io.rig_json import rig_text
 from trinoc.recording.frame import FrameMatches
-from trinoc.recording.parts import Part, parts_of, share_of
+from trinoc.recording.parts import Part, cut_into_parts, share_parts
 
 
 class BatchProgress(NamedTuple):
@@ -103,12 +103,12 @@ def match_recording(
     if ending not in (None, ".npz", ".parquet"):
         raise InputError(f'ending is "{ending}": choose ".npz" or ".parquet".')
     source = find_frames(frames, rig.names, template)
-    own = share_of(parts_of(source.frames, frames_per_file), shard)
+    own = share_parts(cut_into_parts(source.frames, frames_per_file), shard)
     ending = ending or _ending_there(Path(out)) or frames_ending()
     work = Work(source.folder.resolve(), rig, dict(find or {}), depth_range_mm)
     description = _description(source, work, frames_per_file, ending)
     memory = half_of_the_machine() if memory_gb is None else memory_gb * 1e9
-    with opened(Path(out), shard, description, ending) as folder:
+    with open_results(Path(out), shard, description, ending) as folder:
         folder.look(own)
         earlier = folder.tally["frames"]
         left = [part for part in own if part.number not in folder.done]
@@ -121,7 +121,7 @@ def match_recording(
 
         tell()
         wanted = threads_at_most or os.cpu_count() or 1
-        count = min(threads_within(memory, rig, wanted), max(len(left), 1))
+        count = min(affordable_threads(memory, rig, wanted), max(len(left), 1))
         crew = threads(work, count) if scheduler is None else cluster(work, scheduler)
         with crew as workers:
             most = PARTS_PER_WORKER * workers.count
@@ -188,7 +188,7 @@ BYTES_PER_PIXEL = 60
 PARTS_PER_WORKER = 2
 
 
-def threads_within(memory_bytes: float, rig: Rig, wanted: int) -> int:
+def affordable_threads(memory_bytes: float, rig: Rig, wanted: int) -> int:
     """How many threads may look for segments at once; at least one."""
     pixels = max(width * height for width, height in (rig[n].image_size_px for n in rig.names))
     room = (memory_bytes - BASE_BYTES) / (BYTES_PER_PIXEL * pixels)

@@ -10,7 +10,7 @@ from trinoc.io.images import IMAGE_SUFFIXES
 from trinoc.io.whole_files import read_text
 from trinoc.recording.frame import Frame
 from trinoc.recording.frame_table import frames_of_table
-from trinoc.recording.name_templates import depth_of, fitting_template, frames_of_names
+from trinoc.recording.name_templates import fitting_template, folder_depth, frames_of_names
 
 SEGMENT_SUFFIXES = (".npz", ".npy", ".csv", ".txt")
 
@@ -37,7 +37,7 @@ def find_frames(
     if not path.is_dir():
         raise InputError(f"{path} is no folder and no CSV table: give the recording's folder.")
     try:
-        names = sorted(_files(path, 1 if template is None else depth_of(template)))
+        names = sorted(_files(path, 1 if template is None else folder_depth(template)))
     except OSError as error:
         raise InputError(f"{error.filename} cannot be listed ({error.strerror}).") from error
     if template is None:

@@ -14,7 +14,7 @@ from trinoc.io.images import picture_digest, read_image
 from trinoc.io.segment_table import load_segments
 from trinoc.io.views_of_rig import expect_inside, expect_size
 from trinoc.recording.frame import Frame, FrameMatches
-from trinoc.recording.matched import matched_frames, unexpected
+from trinoc.recording.matched import failure_sentence, match_part_frames
 from trinoc.recording.parts import Part
 from trinoc.segments.find import find_segments
 
@@ -45,8 +45,8 @@ def part_results(
             # The recording may be moved between two runs: its folder is no part of the answer.
             found[frame.name] = str(error).replace(f"{work.folder}{os.sep}", "")
         except Exception as error:
-            found[frame.name] = unexpected(error)
-    return matched_frames(found, work.rig, depth_range_mm=work.depth_range_mm)
+            found[frame.name] = failure_sentence(error)
+    return match_part_frames(found, work.rig, depth_range_mm=work.depth_range_mm)
 
 
 def _segments(work: Work, frame: Frame) -> dict[str, Segments]:

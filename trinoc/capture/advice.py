@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from trinoc.capture.judgement import Judgement
-from trinoc.capture.measures import GRID, covered_cells
+from trinoc.capture.measures import GRID, cover_cells
 
 # Share of the field's cells that good pictures together cover when it is enough.
 ENOUGH_FIELD = 0.9
@@ -29,7 +29,7 @@ def field(judgements: Sequence[Judgement]) -> Bool[np.ndarray, "r c"]:
     cells = np.zeros(GRID, dtype=bool)
     for judgement in judgements:
         if judgement.good:
-            cells |= covered_cells(judgement.places_px, judgement.size_px)
+            cells |= cover_cells(judgement.places_px, judgement.size_px)
     return cells
 
 

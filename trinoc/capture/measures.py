@@ -37,7 +37,7 @@ class Exposure(NamedTuple):
     paper: float
 
 
-def exposure_of(levels: Float[np.ndarray, "h w"]) -> Exposure:
+def measure_exposure(levels: Float[np.ndarray, "h w"]) -> Exposure:
     """The exposure of grey levels in 255ths of full white."""
     return Exposure(
         float(np.mean(levels >= _SATURATED)),
@@ -73,7 +73,7 @@ def _slope(level: Float[np.ndarray, "h w"], scale: float) -> Float[np.ndarray, "
     return cv2.magnitude(columns, rows)
 
 
-def covered_cells(
+def cover_cells(
     places_px: Float[np.ndarray, "m 2"], size_px: tuple[int, int]
 ) -> Bool[np.ndarray, "r c"]:
     """Which cells of the picture hold a place of the board, or have their middle among places."""
@@ -92,7 +92,7 @@ def covered_cells(
     return cells
 
 
-def lean_of(
+def measure_lean(
     places_mm: Float[np.ndarray, "m 2"], places_px: Float[np.ndarray, "m 2"]
 ) -> tuple[float, float]:
     """How much farther the board's right side is than its left, and its lower than its upper.

@@ -36,13 +36,13 @@ class WatchSession:
     """What was judged so far, and how it is said."""
 
     def __init__(self, target: "AbstractTarget", source: str, json: bool, quiet: bool) -> None:
-        from trinoc.serving.watching import Watched
+        from trinoc.serving.watching import WatchState
 
         self._target, self._stream = target, sys.stderr if json else sys.stdout
         self._silent = json and quiet
         self.judgements: list[Judgement] = []
         self.written: list[Path] = []
-        self.watched: Watched = Watched(f"trinoc watch {source}")
+        self.watched: WatchState = WatchState(f"trinoc watch {source}")
 
     def look(self, name: str, image: "np.ndarray | InputError") -> "Judgement":
         """Judge a picture, and say so."""

@@ -15,12 +15,12 @@ from trinoc.match.tracks.matches import Matches
 from trinoc.recording.frame import FrameMatches
 
 
-def lines_of(results: Sequence[FrameMatches], file: str) -> list[dict[str, Any]]:
+def manifest_lines(results: Sequence[FrameMatches], file: str) -> list[dict[str, Any]]:
     """The lines of the frames of one file of results; equal results give equal lines."""
     return [{"frame": r.name, **_fate(r), "file": file, "row": k} for k, r in enumerate(results)]
 
 
-def text_of(lines: Iterable[Mapping[str, Any]]) -> str:
+def manifest_text(lines: Iterable[Mapping[str, Any]]) -> str:
     """Lines as they stand in a file."""
     return "".join(json.dumps(line, ensure_ascii=False) + "\n" for line in lines)
 

@@ -8,7 +8,7 @@ from trinoc.match.batch import match_many
 from trinoc.recording.frame import OK, FrameMatches
 
 
-def matched_frames(
+def match_part_frames(
     found: Mapping[str, Mapping[str, Segments] | str],
     rig: Rig,
     *,
@@ -22,22 +22,22 @@ def matched_frames(
     """
     usable = {name: views for name, views in found.items() if not isinstance(views, str)}
 
-    def matched(names: Sequence[str]) -> list[FrameMatches]:
+    def match_all(names: Sequence[str]) -> list[FrameMatches]:
         try:
             batch = match_many([usable[n] for n in names], rig, depth_range_mm=depth_range_mm)
         except Exception as error:
             if len(names) == 1:
-                return [FrameMatches(names[0], unexpected(error), None)]
-            return [result for name in names for result in matched([name])]
+                return [FrameMatches(names[0], failure_sentence(error), None)]
+            return [result for name in names for result in match_all([name])]
         outcomes = zip(names, batch.matches, batch.status, strict=True)
         return [FrameMatches(n, OK if m is not None else str(why), m) for n, m, why in outcomes]
 
     of_name = {n: FrameMatches(n, why, None) for n, why in found.items() if isinstance(why, str)}
-    of_name |= {result.name: result for result in matched(list(usable))}
+    of_name |= {result.name: result for result in match_all(list(usable))}
     return [of_name[name] for name in found]
 
 
-def unexpected(error: Exception) -> str:
+def failure_sentence(error: Exception) -> str:
     """The sentence for a failure that nobody foresaw."""
     if isinstance(error, MemoryError):
         return "The memory does not suffice for this frame: give smaller pictures or fewer threads."

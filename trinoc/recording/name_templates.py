@@ -69,7 +69,7 @@ def fitting_template(names: Sequence[str], cameras: Sequence[str]) -> str:
     return best
 
 
-def depth_of(template: str) -> int:
+def folder_depth(template: str) -> int:
     """How many folders deep the files of a template lie."""
     return template.count("/")
 

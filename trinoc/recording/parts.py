@@ -14,7 +14,7 @@ class Part(NamedTuple):
     frames: tuple[Frame, ...]
 
 
-def parts_of(frames: Sequence[Frame], frames_per_part: int) -> list[Part]:
+def cut_into_parts(frames: Sequence[Frame], frames_per_part: int) -> list[Part]:
     """All frames, in order, in parts of that many; the last may have fewer.
 
     The cut depends on nothing else, so that any number of jobs, threads and interruptions gives
@@ -24,7 +24,7 @@ def parts_of(frames: Sequence[Frame], frames_per_part: int) -> list[Part]:
     return [Part(k, tuple(frames[i : i + frames_per_part])) for k, i in enumerate(starts)]
 
 
-def share_of(parts: Sequence[Part], shard: tuple[int, int]) -> list[Part]:
+def share_parts(parts: Sequence[Part], shard: tuple[int, int]) -> list[Part]:
     """The parts of job i of n, counted from 1: each n-th, so that all jobs take as long.
 
     Raises InputError where there is no such job.

@@ -34,7 +34,7 @@ def serve_space(
     import viser
 
     # viser greets on stdout, which holds results.
-    with _guarded() as guarded, contextlib.redirect_stdout(io.StringIO()):
+    with _guard_requests() as guarded, contextlib.redirect_stdout(io.StringIO()):
         server = viser.ViserServer(host=ADDRESS, port=port, label=title, verbose=False)
     try:
         if not guarded:
@@ -54,7 +54,7 @@ def serve_space(
 
 
 @contextlib.contextmanager
-def _guarded() -> Iterator[list[bool]]:
+def _guard_requests() -> Iterator[list[bool]]:
     """viser has no setting for whom to answer: what it starts is given the check on the way.
 
     Yields a list that is filled once a server was given it.

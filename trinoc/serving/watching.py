@@ -22,7 +22,7 @@ _TEMPLATES = jinja2.Environment(
 )
 
 
-class Watched(NamedTuple):
+class WatchState(NamedTuple):
     """All that the page shows. `thumbnail` is a JPEG, empty before the first picture."""
 
     title: str
@@ -30,7 +30,7 @@ class Watched(NamedTuple):
     thumbnail: bytes = b""
 
 
-def watch_page(watched: Watched) -> Page:
+def watch_page(watched: WatchState) -> Page:
     """The page as HTML."""
     cells = field(watched.judgements)
     rows, columns = GRID
@@ -49,7 +49,7 @@ def watch_page(watched: Watched) -> Page:
     return Page("text/html; charset=utf-8", html.encode("utf-8", errors="replace"))
 
 
-def picture_page(watched: Watched) -> Page:
+def picture_page(watched: WatchState) -> Page:
     """The last picture."""
     return Page("image/jpeg", watched.thumbnail)
 
