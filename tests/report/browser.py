@@ -24,6 +24,8 @@ def chromium(width: int = 1280, height: int = 900) -> Iterator[Any]:
     """A driver of selenium that logs the console and every request."""
     from selenium import webdriver
 
+    assert PROGRAM is not None
+
     options = webdriver.ChromeOptions()
     options.binary_location = PROGRAM
     for argument in ("--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--disable-gpu"):

@@ -116,6 +116,7 @@ def test_a_line_whose_views_disagree_is_known_the_worse_for_it():
         shown = {**pictures, "left": noisy(light, np.random.default_rng(20))}
         found = measure_lines(matches, segments, RIG, shown)
         assert (words_of(found)[7] == "pixels").all()
+        assert found.misfit is not None
         degrees = degrees_of_misfit(found.index)
         rules = NoiseTuning(tail_of_pictures=PixelTuning().tail)
         sure = matches.posterior > PixelTuning().sure
