@@ -173,7 +173,7 @@ def _without_neighbours(
     near = find_overlaps(runs, lines, profile_px2, tuning.errors)
     spread = tuning.errors.blur_spread * profile_px2
     own_blur = np.clip(lines.blur_px2, blur_px2 - spread, blur_px2 + spread)
-    points = without_neighbours(runs.points, lines, own_blur, near, tuning.errors)
+    points = without_neighbours(runs.points, lines, own_blur, near)
     cleaned = runs._replace(points=points)
     lines = fit_lines(cleaned, tuning.scales)
     given = smooth.picture, runs.points, cleaned, lines, near, blur_px2, tuning.errors

@@ -22,8 +22,7 @@ class ScaleTuning:
     clear_ratio: float = 6.0
     # Least strength of a point, over the noise of the gradient, at either level. From the
     # prototype; `nfa` is fitted to thresholds of 2.5 and above.
-    fine_threshold: float = 3.0
-    coarse_threshold: float = 3.0
+    threshold: float = 3.0
     # Points may be this share as strong as an edge of the least contrast is on average. By hand.
     faint_share: float = 0.5
     # Least number of points of a run, at either level. By hand.
@@ -41,9 +40,8 @@ class AcceptTuning:
     # A profile whose variance is this much larger than usual is a soft shadow (prototype),
     soft_ratio: float = 1.5
     # and in pictures whose edges have many widths one beyond so many half ranges between their
-    # quartiles, at most so much larger. By hand, on three photographs and ten rendered scenes,
+    # quartiles. By hand, on three photographs and ten rendered scenes,
     soft_spreads: float = 4.0
-    soft_most: float = 3.0
     # unless its blur has less than this variance, px^2: photographs with depth have edges of
     # many widths. By hand; shown by Merton.
     sharp_px2: float = 2.0
@@ -123,9 +121,6 @@ class ErrorTuning:
     # Lines are neighbours within so many widths of the profile, and at least this far, px. By hand.
     reach_widths: float = 3.0
     least_reach_px: float = 4.5
-    # A point whose own edge makes up less than this share of its slope counts next to nothing. By
-    # hand.
-    least_share: float = 0.3
     # Share of the shift ascribed to neighbours that stays as an error.
     pull_share: float = 0.8
     # Error, px, per share of points with a neighbour beyond the first share.

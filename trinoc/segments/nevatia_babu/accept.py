@@ -170,7 +170,7 @@ def is_sharp(
         widths = (profile / typical)[clear]
         low, high = _weighted_quantiles(widths, lines.support[clear], (0.25, 0.75))
         spread = 1 + tuning.soft_spreads * (high - low) / 2
-        ratio = max(ratio, min(spread, tuning.soft_most))
+        ratio = max(ratio, spread)
     usual = ratio * typical
     return profile <= np.maximum(usual, lines.kernel_variance_px2 + tuning.sharp_px2)
 

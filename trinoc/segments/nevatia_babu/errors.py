@@ -98,7 +98,6 @@ def without_neighbours(
     lines: FittedLines,
     blur_px2: Float[np.ndarray, "r"],
     found: Overlaps,
-    tuning: ErrorTuning = DEFAULT.errors,
 ) -> EdgePoints:
     """The points, located again in profiles from which neighbouring lines are subtracted.
 
@@ -130,7 +129,7 @@ def without_neighbours(
         added[sample] = np.bincount(
             point, 0.5 * height * shape * window, minlength=len(points.strength)
         )
-    return _relocate_points(points, added, tuning.least_share)
+    return _relocate_points(points, added)
 
 
 def _error_function(x: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
@@ -140,9 +139,7 @@ def _error_function(x: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
     return np.tanh(x * (_ERF[0] + squared * (_ERF[1] + squared * _ERF[2])))
 
 
-def _relocate_points(
-    points: EdgePoints, added: Float[np.ndarray, "3 n"], least_share: float
-) -> EdgePoints:
+def _relocate_points(points: EdgePoints, added: Float[np.ndarray, "3 n"]) -> EdgePoints:
     most = np.abs(added).max(axis=0)
     touched = np.flatnonzero(most > _LEAST_PULL * points.profile[:, 1])
     before = points.take(touched)
@@ -153,8 +150,7 @@ def _relocate_points(
     # Along one axis of the picture.
     moved = located - before.sample_px
     usable = (
-        (share > least_share)
-        & (np.minimum(profile[:, 0], profile[:, 2]) > LEAST_SIDE * middle)
+        (np.minimum(profile[:, 0], profile[:, 2]) > LEAST_SIDE * middle)
         & (middle > 0)
         & (np.abs(moved[:, 0] + moved[:, 1]) < FARTHEST * before.spacing_px)
     )

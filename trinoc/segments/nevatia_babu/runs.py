@@ -256,13 +256,13 @@ def find_runs(
     resolution is searched; faint runs of the full one remain where it finds nothing. In
     pictures of so little noise that all runs stand out, the half resolution is left out.
     """
-    least_fine = _least_strength(fine, tuning.fine_threshold, least_contrast, tuning)
+    least_fine = _least_strength(fine, least_contrast, tuning)
     runs = _runs_of_level(fine, least_fine, tolerance_px, tuning.least_fine)
     if least_fine > tuning.clear_ratio * fine.sigma_strength:
         # So little noise that every point stands out clearly.
         return runs
     half = half_level(fine)
-    least_half = _least_strength(half, tuning.coarse_threshold, least_contrast, tuning)
+    least_half = _least_strength(half, least_contrast, tuning)
     clear = runs.total(runs.points.snr2) > tuning.clear_ratio**2 * runs.count
     pixel, shape = _half_pixel(runs.points, half), half.picture.levels.shape
     shown = _neighbourhood(pixel[runs.spread(clear)], shape)
@@ -274,12 +274,10 @@ def find_runs(
     return Runs(EdgePoints(*points), np.concatenate([runs.first, behind]))
 
 
-def _least_strength(
-    level: PyramidLevel, threshold: float, least_contrast: float, tuning: ScaleTuning
-) -> float:
+def _least_strength(level: PyramidLevel, least_contrast: float, tuning: ScaleTuning) -> float:
     """Strength below which a point is noise, or belongs to a step of too little contrast."""
     faint = least_contrast / np.sqrt(2 * np.pi * (level.kernel_variance_px2 + 1.0))
-    return max(threshold * level.sigma_strength, tuning.faint_share * float(faint))
+    return max(tuning.threshold * level.sigma_strength, tuning.faint_share * float(faint))
 
 
 def _runs_of_level(
