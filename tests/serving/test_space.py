@@ -109,7 +109,7 @@ def test_without_viser_a_sentence_says_what_to_install(monkeypatch: pytest.Monke
 
 def test_an_unguarded_viser_is_not_left_running(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("viser")
-    monkeypatch.setattr(space, "_guarded", lambda: contextlib.nullcontext([]))
+    monkeypatch.setattr(space, "_guard_requests", lambda: contextlib.nullcontext([]))
     figure = space_figure(table1_rig(), None, None)
     with (
         pytest.raises(InputError, match="in another way"),

@@ -35,7 +35,7 @@ class Judgement(NamedTuple):
     refusal : why the board was not found; "" where it was.
     blur_px : width of the edges, as the sigma of a Gaussian; NaN where there are hardly any.
     exposure : of the board where it was found, else of the whole picture.
-    lean : see `lean_of`.
+    lean : see `measure_lean`.
     faults : what is wrong with the picture, each with what to do; where the board was not found,
         perhaps the cause.
     """
