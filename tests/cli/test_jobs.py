@@ -8,6 +8,7 @@ import pytest
 
 import trinoc
 from trinoc.cli.main import main
+from trinoc.io import demo_paths
 from trinoc.synth import table1_lens, table1_rig
 from trinoc.synth.camera_picture.render import render_sheet
 
@@ -307,3 +308,17 @@ def test_the_readme_s_code_and_the_command_agree_on_a_colour_picture(folder, run
     assert len(by_readme) > 0
     np.testing.assert_array_equal(by_command.endpoints_px, by_readme.endpoints_px)
     np.testing.assert_array_equal(by_command.covariance_px2, by_readme.covariance_px2)
+
+
+def test_pictures_under_each_others_names_fail_the_match_with_the_cause(tmp_path, capsys):
+    scenes = demo_paths("scene")
+    given = {"upper": scenes["left"], "left": scenes["upper"], "right": scenes["right"]}
+    trinoc.save(table1_rig(), tmp_path / "rig.json")
+    pictures = [f"{name}={path}" for name, path in given.items()]
+    out = tmp_path / "m.npz"
+    command = ["match", *pictures, "--rig", str(tmp_path / "rig.json"), "-o", str(out), "--quiet"]
+    assert main([*command, "--json"]) == 1
+    said = capsys.readouterr()
+    assert "do not seem to belong together" in said.err
+    assert json.loads(said.out)["status"] == "suspect"
+    assert trinoc.load(out).status.name == "SUSPECT"

@@ -97,7 +97,7 @@ class Match(MatchOptions, DryRunOption, ReportOption, Command):
         from trinoc.match.features import FEATURES
         from trinoc.match.matcher import match_segments
         from trinoc.match.steps import STEPS, improve
-        from trinoc.match.tracks.matches import Matches
+        from trinoc.match.tracks.matches import Matches, MatchStatus
         from trinoc.report.features_part import features_record, features_text
 
         places = [
@@ -152,7 +152,10 @@ class Match(MatchOptions, DryRunOption, ReportOption, Command):
         if shadows is not None:
             text.append(shadows.summary())
             record["shadows"] = shadows.record()
-        return Outcome("\n\n".join(text), record, written=places)
+        is_suspect = matches.status is MatchStatus.SUSPECT
+        return Outcome(
+            "\n\n".join(text), record, matches.notes[0] if is_suspect else None, written=places
+        )
 
     def place_of(self, kind: str) -> Path:
         """Where features of a kind go: beside the matches."""
@@ -182,6 +185,7 @@ def match_record(segments: "Mapping[str, Segments]", matches: "Matches") -> dict
             name: dict(Counter(str(word) for word in words))
             for name, words in matches.reasons.items()
         },
+        "status": matches.status.name.lower(),
         "remarks": remarks(matches),
     }
 

@@ -13,7 +13,7 @@ from jaxtyping import Shaped
 from trinoc.errors import TrinocError
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
-from trinoc.match.matcher import check_before_cameras, match_frames
+from trinoc.match.matcher import check_before_cameras, check_together, match_frames
 from trinoc.match.observations.match_input import (
     CamerasInput,
     FrameInput,
@@ -94,7 +94,9 @@ def match_many(
             except TrinocError as error:
                 status[number] = str(error)
             else:
-                found[number] = matches
+                found[number] = check_together(
+                    frames[number], tuple(item), matches, depth_range_mm, tuning
+                )
     return MatchBatch(tuple(found), np.array(status, dtype=np.str_))
 
 

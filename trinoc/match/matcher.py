@@ -7,6 +7,7 @@ import numpy as np
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
 from trinoc.match.candidates.table import Candidates
+from trinoc.match.decoys import check_set
 from trinoc.match.observations.clutter import fit_clutter
 from trinoc.match.observations.common_view import mirror_rig, mirrored_rig_error, views_diverge
 from trinoc.match.observations.match_input import (
@@ -70,7 +71,22 @@ def match_segments(
     frame = prepare_frame(segments, rig, sigma_px, tuning.sides)
     found = match_frames([frame], [tuple(segments)], depth_range_mm, tuning)[0]
     check_before_cameras(frame, found, segments, rig, sigma_px, depth_range_mm, tuning)
-    return found
+    return check_together(frame, tuple(segments), found, depth_range_mm, tuning)
+
+
+def check_together(
+    frame: FrameInput,
+    names: tuple[str, ...],
+    found: Matches,
+    depth_range_mm: tuple[float, float] | None,
+    tuning: MatchTuning,
+) -> Matches:
+    """The matches with the status that competition with decoys gives."""
+
+    def match(other: FrameInput, names: tuple[str, ...]) -> Matches:
+        return match_frames([other], [names], depth_range_mm, tuning)[0]
+
+    return check_set(frame, names, found, match, tuning.decoys)
 
 
 def check_before_cameras(

@@ -1,5 +1,6 @@
 """The matcher's answer: tracks of segments over the views, and their lines in space."""
 
+import enum
 from collections.abc import Mapping, Sequence
 from dataclasses import field, replace
 from typing import Annotated, ClassVar
@@ -29,6 +30,8 @@ from trinoc.numerics.tables import (
 )
 
 TRINOCULAR, BINOCULAR = "trinocular", "binocular"
+# The count, 1 or none, of a set of segments that does not seem to belong to its rig.
+SUSPECT_SETS = "suspect sets"
 # numerical: a mark that is likelier true than not.
 EVEN = 0.5
 
@@ -63,6 +66,13 @@ def _are_marks(marks: Mapping[str, np.ndarray], table: Content) -> bool:
         if mark.shape == seen.shape and mark[~seen].astype(bool).any():
             return False
     return True
+
+
+class MatchStatus(enum.Enum):
+    """Whether segments and rig belong together; the value is the sentence shown to people."""
+
+    MATCHED = "The rig finds more lines in three views than chance gives."
+    SUSPECT = "Segments and rig do not seem to belong together: see the notes."
 
 
 class Matches(Displayable, Table):
@@ -197,6 +207,11 @@ class Matches(Displayable, Table):
 
     def __len__(self) -> int:
         return len(self.index)
+
+    @property
+    def status(self) -> MatchStatus:
+        """SUSPECT where chance gives about as many lines as the rig: see the first note."""
+        return MatchStatus.SUSPECT if self.counts.get(SUSPECT_SETS) else MatchStatus.MATCHED
 
     @property
     def length_mm(self) -> Float[np.ndarray, "t"]:

@@ -22,7 +22,7 @@ from trinoc.match.tuning.occlusion import OcclusionTuning
 from trinoc.match.tuning.rims import RimTuning
 from trinoc.match.tuning.selection import JunctionTuning, NoiseTuning, SelectionTuning
 from trinoc.match.tuning.shadows import ShadowTuning
-from trinoc.match.tuning.tracks import TrackTuning
+from trinoc.match.tuning.tracks import DecoyTuning, TrackTuning
 
 
 @dataclass(frozen=True)
@@ -41,6 +41,7 @@ class MatchTuning:
     noise: NoiseTuning = field(default_factory=NoiseTuning)
     occlusion: OcclusionTuning = field(default_factory=OcclusionTuning)
     tracks: TrackTuning = field(default_factory=TrackTuning)
+    decoys: DecoyTuning = field(default_factory=DecoyTuning)
     collinear: CollinearTuning = field(default_factory=CollinearTuning)
     corners: CornerTuning = field(default_factory=CornerTuning)
     wireframe: WireframeTuning = field(default_factory=WireframeTuning)

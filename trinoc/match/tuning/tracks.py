@@ -41,3 +41,24 @@ class TrackTuning:
     # Centres lie on a line where they are off it by less than this share of their spread along it:
     # for a note. By hand.
     in_line_share: float = 0.05
+
+
+@dataclass(frozen=True)
+class DecoyTuning:
+    """Whether a set of segments belongs to a rig. Shown by benchmarks/mixed_sets.py. By hand, on
+    its seeds 11 and 12, on merton1, merton2 and four triples of views of the corridor."""
+
+    # Tracks as likely as this are sure; of fewer segments in a view nothing is said.
+    sure: float = 0.9
+    fewest_segments: int = 20
+    # Where so large a share of the segments is sure in three views, no decoy is asked: right sets
+    # show .46 to .95, mixed ones up to .2.
+    clear_share: float = 0.5
+    # A set needs so many times the decoys' mean, so many standard deviations of a count of it, and
+    # so many more; and where its share is below `few_share`.
+    some: tuple[float, float, float] = (1.5, 3.0, 2.0)
+    few: tuple[float, float, float] = (2.0, 5.0, 5.0)
+    few_share: float = 0.25
+    # Errors so many times those stated, where the share is below this, are of a rig that has moved.
+    noisy_above: float = 2.0
+    noisy_share: float = 0.7

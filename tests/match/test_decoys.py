@@ -1,0 +1,120 @@
+"""Sets of segments that do not belong to their rig are SUSPECT, and right ones are not."""
+
+import equinox as eqx
+import numpy as np
+import pytest
+
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.segments import Segments
+from trinoc.match.decoys import MIRRORED, TURNED, UPSIDE_DOWN, turn_view
+from trinoc.match.matcher import match_segments
+from trinoc.match.observations.match_input import prepare_frame
+from trinoc.match.tracks.matches import MatchStatus
+from trinoc.synth import Detector, loose_segments, simulate_segments, table1_rig
+from trinoc.synth.scenes import see_through_boxes
+
+RIG = table1_rig()
+SIZE = np.array([512.0, 480.0])
+DETECTOR = Detector(shortest_px=8.0)
+
+
+def made(scene, seed):
+    return dict(simulate_segments(scene, RIG, DETECTOR, seed=seed)[0])
+
+
+@pytest.fixture(scope="module")
+def boxes():
+    return made(see_through_boxes(31, count=8), seed=31)
+
+
+def test_a_right_set_is_matched(boxes):
+    assert match_segments(boxes, RIG).status is MatchStatus.MATCHED
+
+
+def test_exchanged_views_are_suspect_by_name_and_nothing_in_them_is_sure(boxes):
+    exchanged = boxes | {"upper": boxes["left"], "left": boxes["upper"]}
+    matches = match_segments(exchanged, RIG)
+    assert matches.status is MatchStatus.SUSPECT
+    assert "are exchanged" in matches.notes[0]
+    assert '"right"' not in matches.notes[0]
+    assert (matches.posterior < 0.9).all()
+
+
+@pytest.mark.parametrize("matrix", [-np.eye(2), np.diag([-1.0, 1.0])], ids=["turned", "mirrored"])
+def test_a_view_that_is_turned_is_suspect_by_name(boxes, matrix):
+    ends = np.asarray(boxes["right"].endpoints_px) @ matrix.T + (SIZE - 1) * (np.diag(matrix) < 0)
+    matches = match_segments(boxes | {"right": Segments.from_endpoints(ends)}, RIG)
+    assert matches.status is MatchStatus.SUSPECT
+    word = "mirrored" if np.linalg.det(matrix) < 0 else "upside down"
+    assert f'the picture of "right" is {word}' in matches.notes[0]
+
+
+def test_a_view_of_another_scene_is_suspect(boxes):
+    other = made(loose_segments(32, count=100), seed=32)
+    matches = match_segments(boxes | {"left": other["left"]}, RIG)
+    assert matches.status is MatchStatus.SUSPECT
+    assert (matches.posterior < 0.9).all()
+
+
+def test_segments_that_are_chance_alone_are_suspect():
+    rng, found = np.random.default_rng(5), {}
+    for view in RIG.names:
+        middle, angle = rng.uniform(20, 450, (300, 1, 2)), rng.uniform(0, np.pi, 300)
+        half = 8 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        found[view] = Segments.from_endpoints(middle + np.stack([-half, half], axis=1))
+    matches = match_segments(found, RIG)
+    assert matches.status is MatchStatus.SUSPECT
+    assert (matches.posterior < 0.9).mean() > 0.99
+
+
+@pytest.mark.parametrize("change", [MIRRORED, UPSIDE_DOWN, TURNED])
+def test_a_view_turned_twice_is_as_it_was(boxes, change):
+    frame = prepare_frame(boxes, RIG, None)
+    again = turn_view(turn_view(frame, 1, change), 1, change)
+    assert (frame.ends_px[1] != turn_view(frame, 1, change).ends_px[1]).any()
+    for name in ("order", "ends_px", "covariance_px2", "polarity", "sides"):
+        np.testing.assert_allclose(getattr(again, name)[1], getattr(frame, name)[1], atol=1e-9)
+
+
+def test_a_turned_view_and_a_camera_turned_alike_give_the_same_lines(boxes):
+    """A picture turned about its middle has the matrix turned alike; covariance turns with it."""
+    middle, turn = (SIZE - 1) / 2, np.eye(3)
+    turn[:2, :2], turn[:2, 2] = TURNED, middle - TURNED @ middle
+    matrices = {name: np.asarray(RIG[name].matrix_px) for name in RIG.names}
+    rig = Rig.from_matrices(matrices, (512, 480))
+    frame = prepare_frame(boxes, rig, None)
+    view = frame.names.index("upper")
+    turned = turn_view(frame, view, TURNED)
+    back = np.argsort(turned.order[view])
+    seen = eqx.tree_at(
+        lambda s: (s.endpoints_px, s.covariance_px2, s.polarity),
+        boxes["upper"],
+        tuple(
+            column[view][back]
+            for column in (turned.ends_px, turned.covariance_px2, turned.polarity)
+        ),
+    )
+    other = Rig.from_matrices(matrices | {"upper": turn @ matrices["upper"]}, (512, 480))
+    plain, found = match_segments(boxes, rig), match_segments(boxes | {"upper": seen}, other)
+    np.testing.assert_array_equal(found.index, plain.index)
+    places = (np.sort(each.lines_mm, axis=1) for each in (found, plain))
+    np.testing.assert_allclose(*places, atol=1e-3)
+
+
+def test_the_darker_side_stays_on_the_right_where_picture_and_ends_are_both_turned():
+    ends = np.array([[[100.0, 200.0], [300.0, 240.0]], [[50.0, 50.0], [50.0, 90.0]]])
+    dark = eqx.tree_at(lambda s: s.polarity, Segments.from_endpoints(ends), np.array([1, 1]))
+    views = {name: Segments.from_endpoints(ends + 9 * k) for k, name in enumerate(RIG.names)}
+    frame = prepare_frame(views | {"upper": dark}, RIG, None)
+    view = frame.names.index("upper")
+    for change in (MIRRORED, UPSIDE_DOWN, TURNED):
+        again = turn_view(frame, view, change)
+        for ends_px, sign, row in zip(again.ends_px[view], again.polarity[view], again.order[view]):
+            # A place beside the segment, on the dark side before: where it goes, it is dark still.
+            first, second = ends[row]
+            across = np.array([-(second - first)[1], (second - first)[0]])
+            place = (first + second) / 2 + across / np.linalg.norm(across)
+            place = change @ (place - (SIZE - 1) / 2) + (SIZE - 1) / 2
+            way = ends_px[1] - ends_px[0]
+            side = way[0] * (place - ends_px[0])[1] - way[1] * (place - ends_px[0])[0]
+            assert np.sign(side) == sign
