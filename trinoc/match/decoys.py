@@ -21,7 +21,7 @@ from trinoc.match.observations.unusable import EQUAL, UNPLACED
 from trinoc.match.tracks.matches import SUSPECT_SETS, TRINOCULAR, Matches
 from trinoc.match.tuning.tracks import DecoyTuning
 
-# What a picture is turned by about its middle: along u, along v, by half a turn.
+# numerical: what a picture is turned by about its middle: along u, along v, by half a turn.
 MIRRORED, UPSIDE_DOWN, TURNED = (np.diag(signs) for signs in ((-1.0, 1), (1, -1.0), (-1.0, -1.0)))
 
 _MatchFrame = Callable[[FrameInput, tuple[str, ...]], Matches]
