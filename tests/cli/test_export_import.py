@@ -139,8 +139,8 @@ WRONG_USAGE = {
 REFUSED = {
     "no such file": (("export", "no.json", "--to", "opencv", "-o", "x.yml"), "does not exist"),
     "no such npz": (("export", "no.npz", "--to", "csv", "-o", "x.csv"), "does not exist"),
-    "a pattern": (("export", "other.json", "--to", "opencv", "-o", "x.yml"), "is no value"),
-    "a picture": (("export", "other.png", "--to", "csv", "-o", "x.csv"), "not a readable npz"),
+    "a pattern": (("export", "other.json", "--to", "opencv", "-o", "x.yml"), "has version missing"),
+    "a picture": (("export", "other.png", "--to", "csv", "-o", "x.csv"), "is no value"),
     "matches as cameras": (
         ("export", "matches.npz", "--to", "kalibr", "-o", "x.yaml"),
         "holds a rig, not matches",

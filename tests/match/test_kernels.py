@@ -17,11 +17,11 @@ from trinoc.numerics.precision import in_float64
 from trinoc.numerics.tables import with_field
 
 KERNELS = {
-    "candidates.search": ["_predicted", "_passes_gate"],
-    "candidates.triples": ["_fitted", "_evidence_of"],
-    "selection.messages": ["_propagated"],
-    "occlusion.possible_pairs": ["_evidence_of"],
-    "tracks.line_fit": ["_triangulated"],
+    "candidates.search": ["_predict_pairs", "_passes_gate"],
+    "candidates.triples": ["_fit_triples", "_triple_evidence"],
+    "selection.messages": ["_propagate"],
+    "occlusion.possible_pairs": ["_pair_evidence"],
+    "tracks.line_fit": ["_triangulate_tracks"],
 }
 COUNT = 20
 
@@ -75,7 +75,7 @@ def test_nothing_compiles_after_a_warm_up(caplog: pytest.LogCaptureFixture) -> N
         match_segments(given, rig)
     compiled = [r.getMessage() for r in caplog.records if "Compiling" in r.getMessage()]
     # How many rivals there are depends on the pictures.
-    assert [text for text in compiled if "_propagated" not in text] == []
+    assert [text for text in compiled if "_propagate" not in text] == []
 
 
 def test_a_call_runs_what_was_compiled_together(caplog: pytest.LogCaptureFixture) -> None:
@@ -86,7 +86,7 @@ def test_a_call_runs_what_was_compiled_together(caplog: pytest.LogCaptureFixture
     with jax.log_compiles(), caplog.at_level("WARNING"):
         match_segments(given, rig, tuning=tuning)
     compiled = [r.getMessage() for r in caplog.records if "Compiling" in r.getMessage()]
-    assert [text for text in compiled if "_propagated" not in text] == []
+    assert [text for text in compiled if "_propagate" not in text] == []
 
 
 @pytest.mark.parametrize(("segments", "frames"), [(0, 1), (10, 0)])

@@ -18,8 +18,8 @@ from trinoc.calib.lens_calibration import calibrate_intrinsics
 from trinoc.calib.problem.information import compute_information
 from trinoc.calib.problem.lens_correction import (
     add_splines,
+    assess_corrections,
     correction_sentences,
-    test_corrections,
     with_correction,
 )
 from trinoc.calib.problem.problem import Freedom, lens_number
@@ -117,7 +117,7 @@ def test_control_points_are_told_as_far_as_the_shots_know_more_than_the_prior():
     count = int(np.count_nonzero(np.diag(unit) > 0))
     values[:, -count:] = 0.1 * np.random.default_rng(0).normal(size=count)
     here = here._replace(state=eqx.tree_at(lambda s: s.lenses.coefficients, here.state, values))
-    squares, told = test_corrections(here, sigma_px)
+    squares, told = assess_corrections(here, sigma_px)
     information = compute_information(here)
     covariance = np.nan_to_num(information.observability.covariance)
     own = np.flatnonzero(np.diag(information.prior) > 0)

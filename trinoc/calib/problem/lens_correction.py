@@ -96,7 +96,7 @@ def _with_own_sigmas(problem: Problem) -> Problem:
     """
     for _ in range(_MOST_ROUNDS):
         before = correction_sigmas_px(problem)
-        squares, determined = test_corrections(problem, before)
+        squares, determined = assess_corrections(problem, before)
         after = np.sqrt(np.maximum(squares / np.maximum(determined, 1e-9), _LEAST_SIGMA_PX**2))
         after = np.where(before > 0, after, 0.0)
         problem = with_sigma_factors(problem._replace(spent_on_lenses=float(determined.sum())))
@@ -107,7 +107,7 @@ def _with_own_sigmas(problem: Problem) -> Problem:
     return problem
 
 
-def test_corrections(
+def assess_corrections(
     problem: Problem, sigma_px: Float[np.ndarray, "l"]
 ) -> tuple[Float[np.ndarray, "l"], Float[np.ndarray, "l"]]:
     """Of each lens, the chi-square of its correction under a sigma of 1 px, and how many numbers
