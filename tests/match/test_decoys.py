@@ -97,8 +97,8 @@ def test_a_turned_view_and_a_camera_turned_alike_give_the_same_lines(boxes):
     other = Rig.from_matrices(matrices | {"upper": turn @ matrices["upper"]}, (512, 480))
     plain, found = match_segments(boxes, rig), match_segments(boxes | {"upper": seen}, other)
     np.testing.assert_array_equal(found.index, plain.index)
-    places = (np.sort(each.lines_mm, axis=1) for each in (found, plain))
-    np.testing.assert_allclose(*places, atol=1e-3)
+    places = np.sort(found.lines_mm, axis=1), np.sort(plain.lines_mm, axis=1)
+    np.testing.assert_allclose(places[0], places[1], atol=1e-3)
 
 
 def test_the_darker_side_stays_on_the_right_where_picture_and_ends_are_both_turned():
