@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.match.observations.match_input import FrameInput
+from trinoc.match.observations.match_input import FrameInput, order_ends
 from trinoc.match.observations.unusable import EQUAL, UNPLACED
 from trinoc.match.tracks.matches import SUSPECT_SETS, TRINOCULAR, Matches
 from trinoc.match.tuning.tracks import DecoyTuning
@@ -50,7 +50,8 @@ def check_set(
     fewest = min(int((~np.isin(found.reasons[name], (UNPLACED, EQUAL))).sum()) for name in names)
     if len(names) != 3 or fewest < tuning.fewest_segments:
         return found
-    sure, share = count_sure(found, tuning), count_sure(found, tuning).in_three / fewest
+    sure = count_sure(found, tuning)
+    share = sure.in_three / fewest
     if share < tuning.clear_share:
         chance = []
         for decoy in decoys(frame):
@@ -94,14 +95,8 @@ def turn_view(frame: FrameInput, view: int, change: Float[np.ndarray, "2 2"]) ->
     middle = (np.asarray(frame.cameras.size_px[view]) - 1) / 2
     ends = (frame.ends_px[view] - middle) @ change.T + middle
     both = np.kron(np.eye(2), change)
-    covariance = both @ frame.covariance_px2[view] @ both.T
     # Tables hold ends from left to right, and segments in the order of their places.
-    swap = (ends[:, 0, 0] > ends[:, 1, 0]) | (
-        (ends[:, 0, 0] == ends[:, 1, 0]) & (ends[:, 0, 1] > ends[:, 1, 1])
-    )
-    ends = np.where(swap[:, None, None], ends[:, ::-1], ends)
-    swapped = covariance.reshape(-1, 2, 2, 2, 2)[:, ::-1, :, ::-1].reshape(-1, 4, 4)
-    covariance = np.where(swap[:, None, None], swapped, covariance)
+    ends, covariance, swap = order_ends(ends, both @ frame.covariance_px2[view] @ both.T)
     # The darker side changes with the ends, and with the handedness of the picture.
     exchanged = swap ^ (np.linalg.det(change) < 0)
     polarity = np.where(exchanged, -1, 1) * frame.polarity[view]

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Float, Int, Shaped
+from jaxtyping import Bool, Float, Int, Shaped
 
 from trinoc.errors import MatchError
 from trinoc.geometry.intrinsics import Intrinsics, undistort_pixels
@@ -192,13 +192,8 @@ def _view(given: Segments | ArrayLike, lens: Intrinsics, sigma_px: float | None)
     """Segments without distortion, from left to right, in order of their coordinates."""
     segments = _as_segments(given, sigma_px)
     flat = undistort_pixels(lens, np.asarray(segments.endpoints_px))
-    swap = (flat[:, 0, 0] > flat[:, 1, 0]) | (
-        (flat[:, 0, 0] == flat[:, 1, 0]) & (flat[:, 0, 1] > flat[:, 1, 1])
-    )
-    flat = np.where(swap[:, None, None], flat[:, ::-1], flat)
     covariance = np.asarray(segments.covariance_px2, dtype=np.float64)
-    turned = covariance.reshape(-1, 2, 2, 2, 2)[:, ::-1, :, ::-1].reshape(-1, 4, 4)
-    covariance = np.where(swap[:, None, None], turned, covariance)
+    flat, covariance, swap = order_ends(flat, covariance)
     polarity = np.where(swap, -1, 1) * np.asarray(segments.polarity)
     levels = np.full((len(flat), 2), np.nan)
     if segments.side_levels is not None:
@@ -210,6 +205,22 @@ def _view(given: Segments | ArrayLike, lens: Intrinsics, sigma_px: float | None)
     rank = np.lexsort(flat.reshape(-1, 4).T[::-1])
     return _PreparedView(
         rank, flat[rank], covariance[rank], polarity[rank], levels[rank], contrast[rank]
+    )
+
+
+def order_ends(
+    ends_px: Float[np.ndarray, "n 2 2"], covariance_px2: Float[np.ndarray, "n 4 4"]
+) -> tuple[Float[np.ndarray, "n 2 2"], Float[np.ndarray, "n 4 4"], Bool[np.ndarray, "n"]]:
+    """(ends from left to right, or from the top where they are one above the other; their
+    covariance; which segments were the other way round)."""
+    (u0, v0), (u1, v1) = np.moveaxis(ends_px, 0, -1)
+    swap = (u0 > u1) | ((u0 == u1) & (v0 > v1))
+    swapped = covariance_px2.reshape(-1, 2, 2, 2, 2)[:, ::-1, :, ::-1].reshape(-1, 4, 4)
+    which = swap[:, None, None]
+    return (
+        np.where(which, ends_px[:, ::-1], ends_px),
+        np.where(which, swapped, covariance_px2),
+        swap,
     )
 
 
