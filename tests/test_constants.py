@@ -10,8 +10,9 @@ import trinoc
 ROOT = Path(trinoc.__file__).parent
 # Parts whose numbers are not yet in order.
 NOT_YET = {
-    *(f"calib/{path.parent.name}" for path in (ROOT / "calib").glob("*/__init__.py")),
-    "calib",
+    *("calib", "calib/adjustment", "calib/advice", "calib/bundle", "calib/detection"),
+    *("calib/photometric", "calib/problem", "calib/result", "calib/starts", "calib/targets"),
+    "calib/uncertainty",
 }
 MARK = "# numerical:"
 

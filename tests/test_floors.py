@@ -32,7 +32,7 @@ MAY_IMPORT["cli"] = {*MAY_IMPORT["serving"], "serving", "batch"}
 # itself put them together and stand above all.
 INNER_FLOORS = {
     "calib": (
-        *("targets", "detection", "result", "uncertainty", "problem"),
+        *("tuning", "targets", "detection", "result", "uncertainty", "problem"),
         *("starts", "advice", "photometric", "adjustment", "bundle", "rig_check"),
     ),
     "match": (

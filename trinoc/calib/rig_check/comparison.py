@@ -6,16 +6,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from trinoc.calib.result.calibration import CalibrationResult
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.rig import PARAMETER_NAMES, Rig
 from trinoc.numerics.tails import chi_square_tail, normal_limit
 
-# A camera has moved when noise alone would say so once in 10^5 comparisons of it.
-_MOVED_SIGMAS = 4.5
-# Pictures were swapped when the other camera's place fits this many times better.
-_SWAP_RATIO = 10.0
-# Without sigmas of either rig, changes below these are not worth a word.
-_QUIET_MM, _QUIET_DEG = 0.1, 0.01
+# numerical: smaller tails lose digits before they are zero.
 _LEAST_TAIL = 1e-304
 
 
@@ -87,8 +83,8 @@ def compare_rigs(
 def _change(now: Rig, before: Rig, name: str) -> CameraChange:
     moved_mm, turned_deg = _apart(now[name], before[name])
     sigmas = _sigmas_of_change(now, before, name)
-    is_large = moved_mm > _QUIET_MM or turned_deg > _QUIET_DEG
-    moved = is_large if np.isnan(sigmas) else sigmas > _MOVED_SIGMAS
+    is_large = moved_mm > TUNING.rig_check.quiet_mm or turned_deg > TUNING.rig_check.quiet_deg
+    moved = is_large if np.isnan(sigmas) else sigmas > TUNING.rig_check.moved_sigmas
     return CameraChange(moved_mm, turned_deg, sigmas, moved)
 
 
@@ -128,7 +124,7 @@ def _find_swaps(now: Rig, before: Rig, names: list[str]) -> tuple[tuple[str, str
     for name in names:
         apart = {other: _gap(now[name], before[other]) for other in names}
         nearest = min(apart, key=lambda other: apart[other])
-        if nearest != name and apart[name] > _SWAP_RATIO * apart[nearest]:
+        if nearest != name and apart[name] > TUNING.rig_check.swap_ratio * apart[nearest]:
             found.append((name, nearest))
     return tuple(found)
 

@@ -14,19 +14,11 @@ from jaxtyping import Float
 from trinoc.calib.bundle.refinement import MatchedTracks, Matcher, refine
 from trinoc.calib.bundle.result import RefineResult, RefineStatus
 from trinoc.calib.rig_check.comparison import sigmas_of_chi_square
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.errors import CalibrationError
 from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import LineObservations
-
-# Below this many sigmas a motion may be chance; with three cameras tested, one rig
-# in 120 that stands still is suspected all the same.
-SUSPECT_SIGMAS = 3.0
-# Fewer lines are hardly enough for the six numbers of a camera, and chance finds as many.
-FEWEST_LINES = 12
-# What chance joins scatters 1.2 to 2.3 times as much as sigmas say, and right lines, where their
-# sigmas are right, 0.9 to 1.1 times. It counts only for matches without a way to match again.
-MOST_NOISE = 1.5
 
 
 class CameraMotion(eqx.Module):
@@ -87,7 +79,7 @@ class RigCheck(eqx.Module):
         rows = [verdict]
         for motion in self.motions:
             rows.append(f"{motion.name}: {motion.sigmas:.1f} sigma if it alone moved")
-            if motion.sigmas >= SUSPECT_SIGMAS:
+            if motion.sigmas >= TUNING.rig_check.suspect_sigmas:
                 rows += [
                     f"  {name:<12} {change:+10.4f} +- {sigma:.4f}"
                     for name, change, sigma in zip(
@@ -128,17 +120,17 @@ def check_rig(
     strongest = max(motions, key=lambda motion: motion.sigmas)
     corrected, name = freed[strongest.name], strongest.name
     agree_in_three = corrected.inlier.sum(axis=1) > 2
-    conclusive = bool(agree_in_three.sum() >= FEWEST_LINES) and (
-        best is not None or corrected.segment_sigma_factor < MOST_NOISE
+    conclusive = bool(agree_in_three.sum() >= TUNING.rig_check.fewest_lines) and (
+        best is not None or corrected.segment_sigma_factor < TUNING.rig_check.most_noise
     )
-    if strongest.sigmas < SUSPECT_SIGMAS:
+    if strongest.sigmas < TUNING.rig_check.suspect_sigmas:
         return RigCheck(motions, (), None, conclusive)
     others = [other for other in rig.names if other != name]
     noise, further = max(corrected.segment_sigma_factor, 1.0), {}
     for other in others:
         both = _free_cameras(corrected, rig, matches, (name, other))
         further[other] = _significance(corrected, both, noise)
-    also = tuple(other for other in others if further[other] >= SUSPECT_SIGMAS)
+    also = tuple(other for other in others if further[other] >= TUNING.rig_check.suspect_sigmas)
     if also or corrected.status is RefineStatus.NOT_CONVERGED:
         return RigCheck(motions, (name, *also), None)
     if not conclusive:

@@ -1,0 +1,15 @@
+"""All groups of tuned constants of calibration as one value."""
+
+from dataclasses import dataclass, field
+
+from trinoc.calib.tuning.rig_check import RigCheckTuning
+
+
+@dataclass(frozen=True)
+class CalibTuning:
+    """All groups; the default is what everything was measured with."""
+
+    rig_check: RigCheckTuning = field(default_factory=RigCheckTuning)
+
+
+TUNING = CalibTuning()
