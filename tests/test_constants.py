@@ -10,7 +10,7 @@ import trinoc
 ROOT = Path(trinoc.__file__).parent
 # Parts whose numbers are not yet in order.
 NOT_YET = {
-    *("calib", "calib/adjustment", "calib/advice", "calib/bundle", "calib/detection"),
+    *("calib", "calib/adjustment", "calib/advice", "calib/bundle"),
     *("calib/photometric", "calib/problem", "calib/result", "calib/starts", "calib/targets"),
     "calib/uncertainty",
 }

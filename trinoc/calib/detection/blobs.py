@@ -7,17 +7,10 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.calib.detection.ellipse_pixels import inverse_square_root
+from trinoc.calib.tuning.every_group import TUNING
 
-# The threshold lies midway between the darkest and the brightest grey of a neighbourhood of
-# `reach` blocks to each side.
-_BLOCK_PX = 8
+# numerical: for time: no circle that can be measured has an outline of fewer pixels.
 _SHORTEST_OUTLINE_PX = 8
-# A blob may cover at most this share of the picture.
-_LARGEST_SHARE = 0.1
-# Area over the area of the ellipse with the same second moments: 1 for any ellipse, less for
-# all that is dented or stretched.
-_ROUNDNESS = (0.8, 1.1)
-_MOST_BLOBS = 700
 
 
 class Blobs(NamedTuple):
@@ -68,11 +61,12 @@ def find_blobs(grey: Float[np.ndarray, "h w"], noise_sigma: float, scale: BlobSc
 
 def _dark(smooth: Float[np.ndarray, "h w"], noise_sigma: float, scale: BlobScale) -> np.ndarray:
     """Mask (0 or 1) of the pixels below the middle of their neighbourhood's extremes."""
+    block_px = TUNING.detection.block_px
     height, width = smooth.shape
     # The picture is smooth, so every second pixel shows its extremes.
     half = np.ascontiguousarray(smooth[::2, ::2])
-    cell = np.ones((_BLOCK_PX // 2 + 1,) * 2, dtype=np.uint8)
-    middles = slice(_BLOCK_PX // 4, None, _BLOCK_PX // 2)
+    cell = np.ones((block_px // 2 + 1,) * 2, dtype=np.uint8)
+    middles = slice(block_px // 4, None, block_px // 2)
     low = cv2.erode(half, cell)[middles, middles]
     high = cv2.dilate(half, cell)[middles, middles]
     side = 2 * scale.reach_blocks + 1
@@ -82,8 +76,8 @@ def _dark(smooth: Float[np.ndarray, "h w"], noise_sigma: float, scale: BlobScale
     middle = np.where(high - low > 9.0 * noise_sigma + 1e-6, 0.5 * (high + low), low - 1.0)
     middle = cv2.blur(middle.astype(np.float32), (3, 3))
     rows, columns = middle.shape
-    full = cv2.resize(middle, (columns * _BLOCK_PX, rows * _BLOCK_PX))
-    missing = [(0, max(0, height - rows * _BLOCK_PX)), (0, max(0, width - columns * _BLOCK_PX))]
+    full = cv2.resize(middle, (columns * block_px, rows * block_px))
+    missing = [(0, max(0, height - rows * block_px)), (0, max(0, width - columns * block_px))]
     full = np.pad(full[:height, :width], missing, mode="edge")
     return cv2.compare(smooth, full, cv2.CMP_LT)
 
@@ -107,13 +101,10 @@ def _moments(dark: np.ndarray) -> Blobs:
     xx, xy, yy = (table[:, 3:] / area[:, None]).T
     root = np.sqrt(np.maximum(xx * yy - xy * xy, 1e-9))
     roundness = area / (4 * np.pi * root)
-    keep = (
-        (roundness > _ROUNDNESS[0])
-        & (roundness < _ROUNDNESS[1])
-        & (area <= _LARGEST_SHARE * height * width)
-    )
-    if np.sum(keep) > _MOST_BLOBS:
-        keep &= area >= np.sort(area[keep])[-_MOST_BLOBS]
+    least, most = TUNING.detection.roundness
+    keep = (roundness > least) & (roundness < most)
+    if np.sum(keep) > TUNING.detection.most_blobs:
+        keep &= area >= np.sort(area[keep])[-TUNING.detection.most_blobs]
     centres = table[:, 1:3] / area[:, None]
     shape = 4.0 * np.stack([xx, xy, xy, yy], axis=1).reshape(-1, 2, 2)[keep]
     # Half a pixel more on every side, as outlines run through the centres of pixels.

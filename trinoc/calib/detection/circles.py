@@ -21,26 +21,11 @@ from trinoc.calib.detection.labels import (
 from trinoc.calib.detection.lattice import Lattice, find_lattices
 from trinoc.calib.detection.measure_circles import fit_coarsely, measure_circles
 from trinoc.calib.detection.plane_mapping import PlaneMapping, fit_plane_mapping
-from trinoc.calib.detection.quality_gate import FEWEST_CIRCLES, are_plausible
+from trinoc.calib.detection.quality_gate import are_plausible
 from trinoc.calib.detection.search_image import SearchImage, search_image, shrink_image
 from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.errors import DetectionError
-
-# Blobs are sought in pictures of about this many pixels a side, circles measured in full.
-_SEARCH_SIDE_PX = 1200
-# The ways to look for blobs, the likeliest to succeed first; then one in the picture doubled.
-_SCALES = (
-    BlobScale(0.8, 8),
-    BlobScale(0.8, 3),
-    BlobScale(2.0, 8),
-    BlobScale(0.8, 20),
-    BlobScale(0.8, 8, opening_px=5),
-    BlobScale(0.8, 8, closing_px=5),
-    BlobScale(3.0, 20),
-)
-_SCALE_OF_DOUBLED = BlobScale(1.2, 5)
-# How far a fitted hole may be from 0 (disc) or 1 (ring), beyond its own sigma.
-_HOLE_SIGMA = 0.2
 
 
 class Sheet(NamedTuple):
@@ -95,12 +80,14 @@ def circle_candidates(image: Shaped[np.ndarray, "..."]) -> Blobs:
 
 
 def _find_blobs_by_scale(picture: SearchImage) -> Iterator[Blobs]:
-    factor = max(1, round(max(picture.size_px) / _SEARCH_SIDE_PX))
+    # Circles are measured in the whole picture, whatever its size.
+    factor = max(1, round(max(picture.size_px) / TUNING.detection.search_side_px))
     grey, noise = shrink_image(picture, factor)
-    for scale in _SCALES:
+    *scales, of_doubled = (BlobScale(*each) for each in TUNING.detection.blob_scales)
+    for scale in scales:
         yield find_blobs(grey, noise, scale).rescale(factor)
     doubled = cv2.resize(grey, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
-    yield find_blobs(doubled, noise, _SCALE_OF_DOUBLED).rescale(0.5 * factor)
+    yield find_blobs(doubled, noise, of_doubled).rescale(0.5 * factor)
 
 
 def _find_sheets(
@@ -144,7 +131,8 @@ def _read_sheet(
     swelling = quick_median(found_area / np.sqrt(np.linalg.det(shape)))
     coarse = fit_coarsely(image, centres, shape * swelling, symmetry.hole_ratio)
     good = are_plausible(coarse, centres, shape, image.noise_sigma)
-    if np.sum(good) < FEWEST_CIRCLES:
+    fewest = TUNING.detection.fewest_places
+    if np.sum(good) < fewest:
         raise _nothing_found(pattern)
     coarse, cell = coarse.take(good), lattice.cell[good]
     index = label_circles(cell, _ring_evidence(coarse, symmetry), symmetry)
@@ -152,10 +140,10 @@ def _read_sheet(
     ellipses, index, mapping = measure_circles(
         image, coarse.take(on_pattern), index[on_pattern], symmetry
     )
-    if len(index) < FEWEST_CIRCLES:
+    if len(index) < fewest:
         raise DetectionError(
             f"Only {len(index)} circles of the pattern {pattern.name!r} can be measured; show"
-            f" at least {FEWEST_CIRCLES} of them whole."
+            f" at least {fewest} of them whole."
         )
     labellings = symmetry.symmetries[:, index]
     right = [rightward_share(ellipses.centres_px, pattern.centres_mm[each]) for each in labellings]
@@ -172,7 +160,7 @@ def _ring_evidence(fitted: Ellipses, symmetry: PatternSymmetry) -> Float[np.ndar
     if symmetry.hole_ratio == 0.0:
         return np.zeros(len(fitted.hole))
     hole = np.clip(fitted.hole, -0.3, 1.3)
-    return (2.0 * hole - 1.0) / (2.0 * (fitted.hole_sigma**2 + _HOLE_SIGMA**2))
+    return (2.0 * hole - 1.0) / (2.0 * (fitted.hole_sigma**2 + TUNING.detection.hole_sigma**2))
 
 
 def _shows_same_sheet(first: Sheet, second: Sheet, pattern: Pattern) -> bool:

@@ -6,12 +6,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from trinoc.calib.detection.search_image import SearchImage
-
-# The least that corner detectors miss a corner by, per axis, in the best of pictures.
-_FLOOR_PX = 0.01
-# Half the width of the window, as a share of the distance to the nearest corner.
-_WINDOW_SHARE = 0.4
-_SMALLEST_HALF_PX, _LARGEST_HALF_PX = 3, 12
+from trinoc.calib.tuning.every_group import TUNING
 
 
 def corner_covariance_px2(
@@ -42,14 +37,15 @@ def corner_covariance_px2(
     determinant = np.maximum(a * c - b * b, floor**2)
     inverse = np.stack([np.stack([c, -b], axis=1), np.stack([-b, a], axis=1)], axis=1)
     noise = max(image.noise_sigma, 0.3)
-    return noise**2 * inverse / determinant[:, None, None] + _FLOOR_PX**2 * np.eye(2)
+    floor_px2 = TUNING.detection.corner_floor_px**2 * np.eye(2)
+    return noise**2 * inverse / determinant[:, None, None] + floor_px2
 
 
 def _half_window_px(corners_px: Float[np.ndarray, "m 2"]) -> int:
     apart = np.linalg.norm(corners_px[:, None] - corners_px[None], axis=2)
     np.fill_diagonal(apart, np.inf)
     pitch = float(np.median(apart.min(axis=1)))
-    return int(np.clip(_WINDOW_SHARE * pitch, _SMALLEST_HALF_PX, _LARGEST_HALF_PX))
+    return int(np.clip(TUNING.detection.window_share * pitch, *TUNING.detection.half_window_px))
 
 
 def levels_of_8_bit(grey: Float[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w"]:

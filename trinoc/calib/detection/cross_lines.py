@@ -14,11 +14,13 @@ from trinoc.calib.detection.ellipse_pixels import (
 from trinoc.calib.detection.plane_mapping import PlaneMapping
 from trinoc.calib.detection.search_image import SearchImage
 from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.tuning.every_group import TUNING
 
+# numerical: size of a sample.
 _STATIONS = 96
-_FEWEST_STATIONS = 10
+# numerical: of an iteration that converges.
 _REWEIGHTINGS = 3
-# Blurs beyond which a line's dark is not felt.
+# numerical: a line's dark is below .2 % of its own so many blurs beside it.
 _REACH_BLURS = 3.0
 
 
@@ -35,7 +37,7 @@ def fit_cross_lines(
         return lines
     for axis in (0, 1):
         stations = _stations_mm(pattern, axis)
-        if len(stations) >= _FEWEST_STATIONS:
+        if len(stations) >= TUNING.detection.fewest_stations:
             lines[axis] = _fit_line(image, stations, axis, pattern, mapping, blur_px)
     return lines
 
@@ -74,7 +76,7 @@ def _fit_line(
     reach = quick_median(half_width_px) + 2.5 * max(blur_px, 0.5) + 1.0
     inside = np.all((place > reach + 1) & (place < np.array(image.size_px) - reach - 2), axis=1)
     place, normal = place[inside], normal[inside]
-    if len(place) < _FEWEST_STATIONS:
+    if len(place) < TUNING.detection.fewest_stations:
         return np.full(3, np.nan)
     steps = np.linspace(-2 * reach, 2 * reach, 2 * int(np.ceil(4 * reach)) + 1)
     at = (place[:, None] + steps[None, :, None] * normal[:, None]).astype(np.float32)
@@ -87,7 +89,7 @@ def _fit_line(
     mass = dark.sum(axis=1)
     mean_noise = max(image.noise_sigma, 1e-6) * np.sqrt(core.sum())
     seen = mass > max(4.0 * mean_noise, 0.35 * float(quick_median(mass)))
-    if np.sum(seen) < max(_FEWEST_STATIONS, 0.3 * len(mass)):
+    if np.sum(seen) < max(TUNING.detection.fewest_stations, 0.3 * len(mass)):
         return np.full(3, np.nan)
     offset = (dark[seen] @ steps) / mass[seen]
     points = place[seen] + offset[:, None] * normal[seen]

@@ -20,21 +20,18 @@ from trinoc.calib.detection.ellipse_pixels import (
     quick_median,
     smallest_axis,
 )
+from trinoc.calib.tuning.every_group import TUNING
 
-# Parameters of one circle, in the order of the Jacobian's columns.
+# numerical: parameters of one circle, in the order of the Jacobian's columns.
 _CENTRE, _SHAPE, _BLUR, _PAPER, _INK = slice(0, 2), slice(2, 5), 5, 6, 7
-_ALWAYS = 8
-# The hole follows if it is free, the light's slope comes last if it is.
+_ALWAYS = 8  # numerical: as above
+# numerical: the hole follows if it is free, the light's slope comes last if it is.
 _HOLE, _SLOPE = 8, slice(-2, None)
-_SMALLEST_BLUR_PX = 0.25
-_LARGEST_BLUR_PX = 12.0
-# A pixel is the mean over a square of side 1, which blurs by itself.
+# numerical: limits of a step. A pixel alone blurs by .29.
+_SMALLEST_BLUR_PX, _LARGEST_BLUR_PX = 0.25, 12.0
+# numerical: a pixel is the mean over a square of side 1, which blurs by itself.
 _PIXEL_VARIANCE = 1.0 / 12.0
-# Relative width of the prior that holds each circle's blur to that of the sheet.
-_BLUR_PRIOR = 0.3
-# Share of the contrast beyond which a residual says nothing of how well the model fits.
-_LARGEST_MISFIT = 0.5
-_DENSITY = np.float32(1.0 / np.sqrt(2.0 * np.pi))
+_DENSITY = np.float32(1.0 / np.sqrt(2.0 * np.pi))  # numerical: of the normal distribution at 0
 
 
 class Ellipses(NamedTuple):
@@ -233,7 +230,7 @@ def _keep_pixels(
     """Pixels whose residual is no larger than noise and the sheet's usual misfit explain."""
     contrast = np.abs(state.paper * state.ink) + 1e-12
     relative = np.abs(residual) * _column(1.0 / contrast)
-    near = pixels.used & (relative < _LARGEST_MISFIT)
+    near = pixels.used & (relative < TUNING.detection.largest_misfit)
     # Sharpening in the camera and the like leave residuals no single circle is to blame for.
     usual = float(quick_median(np.sqrt(_masked_mean(relative**2, near))))
     noise = 4.5 * noise_sigma / contrast
@@ -252,7 +249,7 @@ def _add_priors(
     diagonal = np.einsum("nkk->nk", normal)
     diagonal += 1e-9 * diagonal.max(axis=1, keepdims=True) + 1e-12
     common = quick_median(state.blur_px)
-    weight = variance / (_BLUR_PRIOR * common) ** 2
+    weight = variance / (TUNING.detection.blur_width * common) ** 2
     diagonal[:, _BLUR] += weight
     right[:, _BLUR] += weight * (common - state.blur_px)
     if slope_sigma is not None:

@@ -6,12 +6,12 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.special import ndtr
 
-# Nodes of the normal distribution function, between which it is taken as straight.
-_REACH = 5.0
-_STEPS_PER_UNIT = 256
+# numerical: nodes of the normal distribution function, between which it is taken as straight.
+_REACH, _STEPS_PER_UNIT = 5.0, 256
+# numerical: as above.
 _NODES = np.arange(-_REACH * _STEPS_PER_UNIT, _REACH * _STEPS_PER_UNIT + 2) / _STEPS_PER_UNIT
 _VALUE = ndtr(_NODES).astype(np.float32)
-_STEP = np.diff(_VALUE, append=_VALUE[-1:])
+_STEP = np.diff(_VALUE, append=_VALUE[-1:])  # numerical: as above
 
 
 class EllipsePixels(NamedTuple):

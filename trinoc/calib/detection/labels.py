@@ -9,17 +9,11 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.errors import DetectionError, InputError
 
+# numerical: the corners of one cell of a lattice.
 _FEWEST_CIRCLES = 4
-# A labelling must beat every other by this much: more than one misread circle can give.
-_MARGIN = 16.0
-# One circle where the pattern has none must not decide a labelling, two may; a circle misread
-# as a ring or a disc costs about 25.
-_OUTSIDE_COST = 10.0
-# Log odds from which a circle is clearly a ring, and at most this share of the circles may
-# contradict the labelling.
-_CLEAR, _MOST_WRONG = 4.0, 0.1
 
 
 class MirroredError(DetectionError):
@@ -131,7 +125,9 @@ def _placements(
         indices.append(np.where(inside, grid[at[..., 0], at[..., 1]], -1))
     index = np.concatenate(indices)
     sign = np.append(np.where(pattern.is_ring, 0.5, -0.5), 0.0)
-    score = np.where(index >= 0, sign[index] * ring_evidence, -_OUTSIDE_COST).sum(axis=1)
+    score = np.where(index >= 0, sign[index] * ring_evidence, -TUNING.detection.outside_cost).sum(
+        axis=1
+    )
     return index, score
 
 
@@ -151,18 +147,18 @@ def label_circles(
     DetectionError : the picture is mirrored, it shows another pattern, or too little of the
         sheet is seen to tell where it lies.
     """
-    pattern = symmetry.pattern
+    pattern, margin = symmetry.pattern, TUNING.detection.margin
     ways, score = _placements(cell, ring_evidence, pattern, symmetry.turns)
-    index, allowed = ways[np.argmax(score)], int(_MOST_WRONG * len(cell))
-    rivals = ways[score > score.max() - _MARGIN]
+    index, allowed = ways[np.argmax(score)], int(TUNING.detection.most_wrong * len(cell))
+    rivals = ways[score > score.max() - margin]
     own = np.where(index >= 0, symmetry.symmetries[:, index], -1)
     is_ambiguous = not np.all(np.any(np.all(own == rivals[:, None], axis=2), axis=1))
     if symmetry.is_chiral:
         mirrored, mirrored_score = _placements(cell, ring_evidence, pattern, symmetry.mirrors)
         lead = mirrored_score.max() - score.max()
-        is_ambiguous |= bool(lead > -_MARGIN)
+        is_ambiguous |= bool(lead > -margin)
         wrong = _count_contradicting(mirrored[mirrored_score.argmax()], ring_evidence, pattern)
-        if lead > _MARGIN and wrong <= allowed:
+        if lead > margin and wrong <= allowed:
             raise MirroredError(
                 f"The picture shows the sheet {pattern.name!r} mirrored; flip it left to"
                 " right, or photograph the printed side."
@@ -187,5 +183,6 @@ def _count_contradicting(
 ) -> int:
     """Circles outside the pattern, or clearly a ring where it has a disc or the reverse."""
     is_ring = np.append(pattern.is_ring, False)[index]
-    misread = np.where(is_ring, ring_evidence < -_CLEAR, ring_evidence > _CLEAR)
+    clear = TUNING.detection.clear_log_odds
+    misread = np.where(is_ring, ring_evidence < -clear, ring_evidence > clear)
     return int(np.sum((index < 0) | misread))

@@ -16,16 +16,11 @@ from trinoc.calib.detection.blobs import Blobs
 from trinoc.calib.detection.ellipse_pixels import inverse_square_root
 from trinoc.calib.detection.labels import PatternSymmetry
 from trinoc.calib.detection.plane_mapping import fit_plane_mapping
+from trinoc.calib.tuning.every_group import TUNING
 
-# Neighbours may be off the expected distance by this factor, in the mean of both frames;
-# perspective and a blob's coarse shape account for it.
-_DISTANCE_FACTOR = 1.38
-_LARGEST_AREA_RATIO = 3.0
-# A grown blob may miss its predicted place by this many of its own radii.
-_MISS_RADII = 0.7
-_SHAPE_FACTOR = 2.2
+# numerical: a lattice grows by a cell to each side in a round, and ends when it does no more.
 _ROUNDS = 30
-_FEWEST_BLOBS = 6
+# numerical: bounds a search: more than the eight about a circle.
 _MOST_BESIDE = 12
 
 
@@ -58,7 +53,7 @@ def find_lattices(blobs: Blobs, symmetry: PatternSymmetry) -> Iterator[Lattice]:
         for corner in relation.cells_at(int(start), free):
             tried[corner.blob] = True
             lattice = _grow(blobs, symmetry, corner, free, span)
-            if len(lattice) >= _FEWEST_BLOBS:
+            if len(lattice) >= TUNING.detection.fewest_places:
                 free[lattice.blob] = False
                 yield lattice
                 break
@@ -84,10 +79,9 @@ class _Neighbours(NamedTuple):
         step = np.linalg.norm(steps, axis=0)
         area = np.sqrt(np.linalg.det(blobs.shape_px2))
         ratio = area[:, None] / area[None]
-        alike = (ratio < _LARGEST_AREA_RATIO) & (ratio > 1 / _LARGEST_AREA_RATIO)
-        near = (
-            alike & (mean > step.min() / _DISTANCE_FACTOR) & (mean < step.max() * _DISTANCE_FACTOR)
-        )
+        largest, factor = TUNING.detection.largest_area_ratio, TUNING.detection.distance_factor
+        near = (ratio < largest) & (ratio > 1 / largest)
+        near &= (mean > step.min() / factor) & (mean < step.max() * factor)
         cosine = float(steps[:, 0] @ steps[:, 1] / np.prod(step))
         return cls(near, offset, near.sum(axis=1), step, cosine)
 
@@ -153,11 +147,13 @@ def _grow(
         dy = blobs.centres_px[None, :, 1] - place[:, None, 1]
         miss = (a11 * dx + 2.0 * a12 * dy) * dx + a22 * dy * dy
         wrong_size = np.abs(log_area[None] - (log_enlargement + log_circle)[:, None])
-        miss[(wrong_size > np.log(_SHAPE_FACTOR)) | ~free[None]] = np.inf
+        miss[(wrong_size > np.log(TUNING.detection.area_factor)) | ~free[None]] = np.inf
         nearest = np.argmin(miss, axis=1)
         best_cell = np.argmin(miss, axis=0)
         index = np.arange(len(cells))
-        good = (miss[index, nearest] < _MISS_RADII**2) & (best_cell[nearest] == index)
+        good = (miss[index, nearest] < TUNING.detection.miss_radii**2) & (
+            best_cell[nearest] == index
+        )
         grown = Lattice(nearest[good], cells[good])
         if len(grown) < 4 or _is_flat(grown.cell):
             break

@@ -17,30 +17,13 @@ from trinoc.calib.detection.search_image import search_image
 from trinoc.calib.targets.april_grid import AprilGrid
 from trinoc.calib.targets.checkers import Charuco, opencv_board
 from trinoc.calib.targets.markers import opencv_dictionary
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.errors import DetectionError
 
-_FEWEST_CORNERS = 6
-_FEWEST_TAGS = 2
-# Half the width of the window for a corner, over that of the gap, so that no other edge is in it.
-_WINDOW_SHARE = 0.45
-_SMALLEST_HALF_PX, _LARGEST_HALF_PX = 2, 11
-# A corner that moves by more of its gap is another one.
-_MOST_MOVED = 0.5
-# How far from a corner its four fields are looked at, over the gap, and by how much, over the
-# contrast, two fields of one ink may differ: more where something covers one.
-_LOOK, _ALIKE = 0.3, 0.35
-# A tag that is not where the others have it, by this share of its side, was read wrongly.
-_MOST_OFF = 0.25
-# How often the picture is enlarged, and the width in its pixels by which light is widened: fine
-# tags need the one, soft corners the other.
-_LOOKS = ((1, 3), (1, 7), (2, 5))
-# Larger pictures show tags large enough.
-_LARGEST_ENLARGED_PX = 4_000_000
-# Pixels of a cell that is read, and those of its rim that are not.
+# numerical: the fewest tags that have as many corners.
+_FEWEST_TAGS = -(-TUNING.detection.fewest_places // 4)
+# numerical: pixels of a cell that is read, and those of its rim, where cells blur into each other.
 _CELL_PX, _RIM_PX = 8, 2
-# Cells of the border that may be light, and bits to correct over those that the code can.
-_WRONG_BORDER, _CORRECTED = 0.1, 0.6
-_LEAST_SPREAD = 10.0
 
 # (numbers (k,), places (k, ...)) of what is found in grey levels.
 _Find = Callable[[UInt8[np.ndarray, "h w"]], tuple[np.ndarray, np.ndarray]]
@@ -61,7 +44,9 @@ def detect_charuco(image: Shaped[np.ndarray, "..."], board: Charuco) -> Detectio
         return np.ravel(index).astype(int), np.asarray(corners, dtype=np.float64).reshape(-1, 2)
 
     grey, wanted = levels_of_8_bit(picture.grey), f"corners of the board {board.name!r}"
-    index, corners_px = _find_enough(find, grey, wanted, _FEWEST_CORNERS, "dictionary")
+    index, corners_px = _find_enough(
+        find, grey, wanted, TUNING.detection.fewest_places, "dictionary"
+    )
     order = np.argsort(index)
     index, corners_px = index[order], corners_px[order]
     covariance_px2 = corner_covariance_px2(picture, corners_px)
@@ -128,7 +113,7 @@ def _tags_in_place(
     turned = [corners_px[:, np.roll([3, 2, 1, 0], quarters)] for quarters in range(4)]
     off = [_distances_in_sides(places, corners) for corners in turned]
     best = int(np.argmin([np.median(each) for each in off]))
-    kept = off[best] < _MOST_OFF
+    kept = off[best] < TUNING.detection.most_off_sides
     return tags[kept], turned[best][kept]
 
 
@@ -151,7 +136,8 @@ def _refine_corners(
     """(places, which of them the picture shows as corners between dark squares)."""
     side = np.linalg.norm(corners_px - np.roll(corners_px, 1, axis=1), axis=2).min(axis=1)
     gap = spacing * side
-    half = int(np.clip(_WINDOW_SHARE * np.median(gap), _SMALLEST_HALF_PX, _LARGEST_HALF_PX))
+    share, limits = TUNING.detection.refined_share, TUNING.detection.refined_half_px
+    half = int(np.clip(share * np.median(gap), *limits))
     start = corners_px.reshape(-1, 2)
     places = cv2.cornerSubPix(
         grey,
@@ -161,7 +147,8 @@ def _refine_corners(
         (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 50, 1e-3),
     ).reshape(-1, 2)
     moved = np.linalg.norm(places - start, axis=1)
-    sharp = moved < np.maximum(_MOST_MOVED * np.repeat(gap, 4), 1.5)
+    # Farther, a corner is nearer to another one.
+    sharp = moved < np.maximum(0.5 * np.repeat(gap, 4), 1.5)
     return places.astype(np.float64), sharp & _is_saddle(grey, corners_px, places, spacing)
 
 
@@ -172,7 +159,7 @@ def _is_saddle(
     spacing: float,
 ) -> Bool[np.ndarray, "n"]:
     """Whether the tag and the square opposite are alike dark, and both gaps alike light."""
-    reach = _LOOK * spacing
+    reach = TUNING.detection.field_share * spacing
     one = reach * (np.roll(corners_px, -1, axis=1) - corners_px).reshape(-1, 2)
     other = reach * (np.roll(corners_px, 1, axis=1) - corners_px).reshape(-1, 2)
     ways = np.stack([one + other, -one - other, one - other, other - one])
@@ -182,7 +169,7 @@ def _is_saddle(
     dark, light = levels.astype(np.float64).reshape(2, 2, -1)
     contrast = light.mean(axis=0) - dark.mean(axis=0)
     unlike = np.maximum(np.ptp(dark, axis=0), np.ptp(light, axis=0))
-    return (contrast > 0) & (unlike < _ALIKE * contrast)
+    return (contrast > 0) & (unlike < TUNING.detection.alike_share * contrast)
 
 
 def _read_tags(
@@ -199,8 +186,8 @@ def _read_tags(
     """
     found: dict[int, Float[np.ndarray, "4 2"]] = {}
     twice = set()
-    for scale, wide in _LOOKS:
-        if scale > 1 and grey.size > _LARGEST_ENLARGED_PX:
+    for scale, wide in TUNING.detection.tag_scales:
+        if scale > 1 and grey.size > TUNING.detection.most_enlarged_px:
             continue
         large = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
         for corners in _find_quadrangles(large, dictionary, border, wide):
@@ -246,14 +233,13 @@ def _read_tag(
     square = side * np.array([[0, 0], [1, 0], [1, 1], [0, 1]], dtype=np.float32) - 0.5
     to_square = cv2.getPerspectiveTransform(corners.astype(np.float32), square)
     flat = cv2.warpPerspective(grey, to_square, (side, side))
-    if flat.std() < _LEAST_SPREAD:
-        return None
     light = cv2.threshold(flat, 0, 1, cv2.THRESH_OTSU)[1]
     middle = slice(_RIM_PX, _CELL_PX - _RIM_PX)
     share = light.reshape(cells, _CELL_PX, cells, _CELL_PX)[:, middle, :, middle].mean(axis=(1, 3))
     bits: Bool[np.ndarray, "c c"] = share > 0.5
     code = bits[border:-border, border:-border]
-    if bits.sum() - code.sum() > _WRONG_BORDER * (bits.size - code.size):
+    if bits.sum() - code.sum() > TUNING.detection.most_wrong * (bits.size - code.size):
         return None
-    is_one, number, turn = dictionary.identify(code.astype(np.uint8), _CORRECTED)
+    correctable = cv2.aruco.DetectorParameters().errorCorrectionRate
+    is_one, number, turn = dictionary.identify(code.astype(np.uint8), correctable)
     return (int(number), int(turn)) if is_one else None

@@ -10,19 +10,14 @@ from trinoc.calib.detection.labels import PatternSymmetry
 from trinoc.calib.detection.plane_mapping import PlaneMapping, fit_plane_mapping
 from trinoc.calib.detection.quality_gate import are_plausible, are_undisturbed, select_agreeing
 from trinoc.calib.detection.search_image import SearchImage, shrink_image
+from trinoc.calib.tuning.every_group import TUNING
 
-# Pixels of one circle that the first, coarse fit looks at, about.
-_COARSE_PIXELS = 150
-_OUTER_RADII = 1.45
-_SETTLED_BLUR = 0.25
-_MOST_REPEATS = 4
-# From how many circles on the light on the sheet is a plane, and a quadratic.
-_PLANE_CIRCLES, _QUADRATIC_CIRCLES = 6, 12
+# numerical: tolerance and steps of an iteration that converges.
+_SETTLED_BLUR, _MOST_REPEATS = 0.25, 4
+# numerical: of an iteration that converges.
 _LIGHT_REWEIGHTINGS = 3
-# A circle and those round it.
+# numerical: a circle and the four beside it.
 _NEIGHBOURS = 5
-# Relative change per pixel that light may have where there are too few circles.
-_UNKNOWN_SLOPE = 0.005
 
 
 def fit_coarsely(
@@ -32,9 +27,9 @@ def fit_coarsely(
     hole_ratio: float,
 ) -> Ellipses:
     """Ellipses fitted to whole circles, holes included, on a part of their pixels."""
-    count = len(centres_px)
-    area = np.pi * _OUTER_RADII**2 * np.sqrt(quick_median(np.linalg.det(shape_px2)))
-    step = max(1, int(np.sqrt(area / _COARSE_PIXELS)))
+    count, outer = len(centres_px), TUNING.detection.outer_radii
+    area = np.pi * outer**2 * np.sqrt(quick_median(np.linalg.det(shape_px2)))
+    step = max(1, int(np.sqrt(area / TUNING.detection.coarse_pixels)))
     # Every n-th pixel of a large circle would miss its edge: a reduced picture does not.
     factor = max(1, step // 2)
     small, step = shrink_image(image, factor), step // factor
@@ -44,7 +39,7 @@ def fit_coarsely(
         centres_px,
         shape_px2,
         np.zeros(count),
-        np.full(count, _OUTER_RADII),
+        np.full(count, outer),
         step=step,
     )
     return refine_ellipses(
@@ -119,7 +114,7 @@ def _fit_finely(
 
     def fit(start: Ellipses, rows: np.ndarray) -> Ellipses:
         band = (2.6 * start.blur_px + 0.7) / smallest_axis(start.shape_px2)
-        outer = np.clip(1.0 + band, 1.1, _OUTER_RADII)
+        outer = np.clip(1.0 + band, 1.1, TUNING.detection.outer_radii)
         inner = np.clip(1.0 - band, halfway, 0.9)
         pixels = pixels_round(image.grey, start.centres_px, start.shape_px2, inner, outer)
         return refine_ellipses(
@@ -167,16 +162,18 @@ def light_slope(
     than its own pixels do, and costs its centre nothing. Where the greys do not lie on that
     surface, near a shadow, the slope is as unsure as they are over one pitch.
     """
-    count = len(paper)
-    if count < _PLANE_CIRCLES:
-        return np.zeros((count, 2)), np.full(count, _UNKNOWN_SLOPE)
+    count, fewest = len(paper), TUNING.detection.fewest_places
+    if count < fewest:
+        # Nothing is claimed of as few circles.
+        return np.zeros((count, 2)), np.zeros(count)
     middle = centres_px.mean(axis=0)
     extent = max(float(np.abs(centres_px - middle).max()), 1.0)
     x, y = ((centres_px - middle) / extent).T
     one, zero = np.ones(count), np.zeros(count)
     terms = [one, x, y]
     terms_x, terms_y = [zero, one, zero], [zero, zero, one]
-    if count >= _QUADRATIC_CIRCLES:
+    # Twice the unknowns of a plane, twice the circles.
+    if count >= 2 * fewest:
         terms += [x * x, x * y, y * y]
         terms_x += [2 * x, y, zero]
         terms_y += [zero, x, 2 * y]

@@ -14,6 +14,7 @@ from jaxtyping import Float, Int
 
 from trinoc.calib.detection.detection import Detection, build_detection
 from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.errors import InputError
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.image_of_circle import image_of_circle_centre
@@ -21,9 +22,6 @@ from trinoc.geometry.rig import Rig
 from trinoc.numerics.arrays import ArrayLike
 
 Orientation = Literal["upright"] | Rig | None
-
-# The earlier camera must fit one way round this many times better than any other.
-_CLEARLY = 3.0
 
 
 def resolve_orientation(
@@ -67,7 +65,7 @@ def _choose_labelling(
         return f"{sheet}, and the earlier rig has no such camera that would tell."
     misses = [_miss_px(orientation[name], detection, pattern, index) for index in choices]
     order = np.argsort(misses)
-    if not misses[order[0]] * _CLEARLY < misses[order[1]]:
+    if not misses[order[0]] * TUNING.detection.orientation_ratio < misses[order[1]]:
         return (
             f"{sheet}, and the earlier rig does not tell which: its camera misses the best two "
             f"by {misses[order[0]]:.0f} and {misses[order[1]]:.0f} px."

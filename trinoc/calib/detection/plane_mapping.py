@@ -6,9 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-_BEND_POINTS = 16
-# Ridge that keeps the bend from following noise, relative to the number of points.
-_BEND_DAMPING = 1e-3
+from trinoc.calib.tuning.every_group import TUNING
 
 
 class PlaneMapping(NamedTuple):
@@ -67,12 +65,12 @@ def fit_plane_mapping(
     low, high = points.min(axis=0), points.max(axis=0)
     middle, extent = 0.5 * (low + high), max(float(np.max(high - low)), 1e-9)
     bend = np.zeros((10, 2))
-    if len(points) >= _BEND_POINTS:
+    if len(points) >= TUNING.detection.bend_points:
         residual = target - apply_homography(homography, points)
         if np.all(np.isfinite(residual)):
             terms = _cubic_terms((points - middle) / extent)
-            damped = terms.T @ terms + _BEND_DAMPING * len(points) * np.eye(10)
-            bend = np.linalg.solve(damped, terms.T @ residual)
+            ridge = TUNING.detection.bend_damping * len(points) * np.eye(10)
+            bend = np.linalg.solve(terms.T @ terms + ridge, terms.T @ residual)
     return PlaneMapping(homography, bend, middle, extent)
 
 

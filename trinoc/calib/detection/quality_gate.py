@@ -11,8 +11,7 @@ from trinoc.calib.detection.ellipse_pixels import (
 )
 from trinoc.calib.detection.plane_mapping import PlaneMapping, fit_plane_mapping
 from trinoc.calib.targets.pattern import Pattern
-
-FEWEST_CIRCLES = 6
+from trinoc.calib.tuning.every_group import TUNING
 
 
 def are_plausible(
@@ -78,7 +77,7 @@ def select_agreeing(
         before = good
         good = miss < 3.0 * quick_median(miss[good]) + 3.0 * own + sharp
         good &= _have_expected_shapes(fitted, shape, own)
-        if np.array_equal(before, good) or np.sum(good) < FEWEST_CIRCLES:
+        if np.array_equal(before, good) or np.sum(good) < TUNING.detection.fewest_places:
             break
         mapping = fit_plane_mapping(centres_mm[good], fitted.centres_px[good], radius_mm[good])
     return good, mapping

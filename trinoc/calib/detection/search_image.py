@@ -9,6 +9,7 @@ from jaxtyping import Float, Shaped
 from trinoc.image.grey import grey_image
 from trinoc.image.noise import noise_sigma
 
+# numerical: size of a sample.
 _NOISE_SAMPLES = 20_000
 
 

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 
+from trinoc.calib.tuning.detection import DetectionTuning
 from trinoc.calib.tuning.rig_check import RigCheckTuning
 
 
@@ -9,6 +10,7 @@ from trinoc.calib.tuning.rig_check import RigCheckTuning
 class CalibTuning:
     """All groups; the default is what everything was measured with."""
 
+    detection: DetectionTuning = field(default_factory=DetectionTuning)
     rig_check: RigCheckTuning = field(default_factory=RigCheckTuning)
 
 
